@@ -1,0 +1,267 @@
+//! Artifacts: every file that one verb writes and another reads.
+//!
+//! One mechanism for instruments, data-set shards and checkpoints: a safetensors file whose metadata hold a JSON
+//! header (kind, version, provenance, and the small numbers of that kind), and whose tensors are the arrays. Python reads it
+//! with `safetensors.numpy.load_file`. Files appear whole or not at all.
+
+use ndarray::{ArrayD, IxDyn};
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use std::collections::{BTreeMap, HashMap};
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+use thiserror::Error;
+
+/// Where an artifact came from.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Provenance {
+    /// Version of the program that wrote it.
+    pub program: String,
+    /// The verb that wrote it.
+    pub verb: String,
+    /// Seed of all that was drawn.
+    pub seed: u64,
+    /// SHA-256 (hexadecimal) of each input file, by the name it was given under.
+    pub inputs: BTreeMap<String, String>,
+    /// Configuration of the verb, as JSON.
+    pub config: serde_json::Value,
+}
+
+impl Provenance {
+    /// The provenance of an artifact that `verb` writes.
+    pub fn new(verb: &str, seed: u64, config: &impl Serialize) -> Self {
+        Self {
+            program: concat!("ommatidia ", env!("CARGO_PKG_VERSION")).into(),
+            verb: verb.into(),
+            seed,
+            inputs: BTreeMap::new(),
+            config: serde_json::to_value(config).unwrap_or(serde_json::Value::Null),
+        }
+    }
+
+    /// Adds the hash of an input file.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn with_input(mut self, path: &Path) -> Result<Self, ArtifactError> {
+        self.inputs.insert(path.display().to_string(), file_hash(path)?);
+        Ok(self)
+    }
+}
+
+/// The header of an artifact: what it is, where it came from, and the small numbers `T` of its kind.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Header<T> {
+    /// Kind: `instrument`, `shard`, `checkpoint`.
+    pub kind: String,
+    /// Version of this kind's layout.
+    pub version: u32,
+    /// Where it came from.
+    pub provenance: Provenance,
+    /// What this kind stores besides its tensors.
+    pub body: T,
+}
+
+/// Tensors by name, f32, in C order.
+pub type Tensors = BTreeMap<String, ArrayD<f32>>;
+
+/// Why an artifact could not be read or written.
+#[derive(Debug, Error)]
+pub enum ArtifactError {
+    /// The file could not be opened, read or written.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The file is no artifact, or is cut short.
+    #[error("{path}: not an Ommatidia artifact, or cut short ({detail}); write it again with the verb that makes it")]
+    Format {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        detail: String,
+    },
+    /// The file is an artifact of another kind.
+    #[error("{path}: expected an artifact of kind `{expected}`, found `{found}`")]
+    Kind {
+        /// The file.
+        path: PathBuf,
+        /// Kind that was asked for.
+        expected: String,
+        /// Kind of the file.
+        found: String,
+    },
+    /// The file was written by another version.
+    #[error("{path}: expected {kind} version {expected}, found {found}; write it again with this program")]
+    Version {
+        /// The file.
+        path: PathBuf,
+        /// Kind of the file.
+        kind: String,
+        /// Version that this program reads.
+        expected: u32,
+        /// Version of the file.
+        found: u32,
+    },
+    /// A tensor is missing or has the wrong shape or values.
+    #[error("{path}: tensor `{name}`: expected {expected}, found {found}")]
+    Tensor {
+        /// The file.
+        path: PathBuf,
+        /// Name of the tensor.
+        name: String,
+        /// What was expected.
+        expected: String,
+        /// What was found.
+        found: String,
+    },
+}
+
+const HEADER_KEY: &str = "ommatidia";
+
+/// Writes an artifact: whole, or not at all.
+///
+/// # Errors
+/// The folder is missing or not writable, or the disk is full; nothing is left behind.
+pub fn write<T: Serialize>(path: &Path, header: &Header<T>, tensors: &Tensors) -> Result<(), ArtifactError> {
+    let json = serde_json::to_string(header).map_err(|e| format_error(path, e))?;
+    let bytes: Vec<(String, Vec<usize>, Vec<u8>)> = tensors
+        .iter()
+        .map(|(name, t)| (name.clone(), t.shape().to_vec(), t.iter().flat_map(|v| v.to_le_bytes()).collect()))
+        .collect();
+    let views = bytes
+        .iter()
+        .map(|(name, shape, data)| TensorView::new(Dtype::F32, shape.clone(), data).map(|v| (name.clone(), v)))
+        .collect::<Result<Vec<_>, _>>()
+        .map_err(|e| format_error(path, e))?;
+    let meta = HashMap::from([(HEADER_KEY.to_string(), json)]);
+    let file = safetensors::serialize(views, Some(meta)).map_err(|e| format_error(path, e))?;
+    write_whole(path, &file)
+}
+
+/// Reads an artifact of the given kind and version.
+///
+/// # Errors
+/// The file is missing, no artifact, of another kind or version, cut short, or holds values that are no numbers.
+pub fn read<T: DeserializeOwned>(path: &Path, kind: &str, version: u32) -> Result<(Header<T>, Tensors), ArtifactError> {
+    let mut bytes = Vec::new();
+    std::fs::File::open(path).and_then(|mut f| f.read_to_end(&mut bytes)).map_err(|e| io_error(path, e))?;
+    let raw = raw_header(path, &bytes)?;
+    let found_kind = raw.get("kind").and_then(|v| v.as_str()).unwrap_or("").to_string();
+    if found_kind != kind {
+        return Err(ArtifactError::Kind { path: path.into(), expected: kind.into(), found: found_kind });
+    }
+    let found = raw.get("version").and_then(serde_json::Value::as_u64).unwrap_or(0) as u32;
+    if found != version {
+        return Err(ArtifactError::Version { path: path.into(), kind: kind.into(), expected: version, found });
+    }
+    let header = serde_json::from_value(raw).map_err(|e| format_error(path, e))?;
+    let file = SafeTensors::deserialize(&bytes).map_err(|e| format_error(path, e))?;
+    let mut tensors = Tensors::new();
+    for (name, view) in file.tensors() {
+        tensors.insert(name.clone(), tensor(path, &name, &view)?);
+    }
+    Ok((header, tensors))
+}
+
+/// The header of an artifact of any kind, as JSON.
+///
+/// # Errors
+/// The file is missing or no artifact.
+pub fn inspect(path: &Path) -> Result<serde_json::Value, ArtifactError> {
+    let bytes = std::fs::read(path).map_err(|e| io_error(path, e))?;
+    raw_header(path, &bytes)
+}
+
+fn raw_header(path: &Path, bytes: &[u8]) -> Result<serde_json::Value, ArtifactError> {
+    let (_, meta) = SafeTensors::read_metadata(bytes).map_err(|e| format_error(path, e))?;
+    let json = meta
+        .metadata()
+        .as_ref()
+        .and_then(|m| m.get(HEADER_KEY))
+        .ok_or_else(|| format_error(path, "no Ommatidia header in its metadata"))?;
+    serde_json::from_str(json).map_err(|e| format_error(path, e))
+}
+
+fn tensor(path: &Path, name: &str, view: &TensorView<'_>) -> Result<ArrayD<f32>, ArtifactError> {
+    let wrong = |expected: &str, found: String| ArtifactError::Tensor {
+        path: path.into(),
+        name: name.into(),
+        expected: expected.into(),
+        found,
+    };
+    if view.dtype() != Dtype::F32 {
+        return Err(wrong("float32", format!("{:?}", view.dtype())));
+    }
+    let values: Vec<f32> =
+        view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+    if let Some(i) = values.iter().position(|v| !v.is_finite()) {
+        return Err(wrong("finite values", format!("{} at element {i}", values[i])));
+    }
+    ArrayD::from_shape_vec(IxDyn(view.shape()), values).map_err(|e| format_error(path, e))
+}
+
+/// Takes a tensor of the expected shape out of `tensors`; `None` in `shape` lets that axis be of any length.
+///
+/// # Errors
+/// It is missing or has another shape.
+pub fn take(
+    path: &Path,
+    tensors: &mut Tensors,
+    name: &str,
+    shape: &[Option<usize>],
+) -> Result<ArrayD<f32>, ArtifactError> {
+    let wrong = |found: String| ArtifactError::Tensor {
+        path: path.into(),
+        name: name.into(),
+        expected: format!("shape {shape:?}"),
+        found,
+    };
+    let t = tensors.remove(name).ok_or_else(|| wrong("no such tensor".into()))?;
+    let fits = t.ndim() == shape.len() && t.shape().iter().zip(shape).all(|(n, s)| s.is_none_or(|s| s == *n));
+    if fits { Ok(t) } else { Err(wrong(format!("shape {:?}", t.shape()))) }
+}
+
+/// Writes a file whole or not at all: to a temporary file beside it, synced, then renamed.
+///
+/// # Errors
+/// The folder is missing or not writable, or the disk is full; nothing is left behind.
+pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), ArtifactError> {
+    let folder = match path.parent() {
+        Some(p) if !p.as_os_str().is_empty() => p,
+        _ => Path::new("."),
+    };
+    let mut file = tempfile::NamedTempFile::new_in(folder).map_err(|e| io_error(path, e))?;
+    file.write_all(bytes).and_then(|()| file.as_file().sync_all()).map_err(|e| io_error(path, e))?;
+    file.persist(path).map_err(|e| io_error(path, e.error))?;
+    Ok(())
+}
+
+/// SHA-256 of a file, hexadecimal.
+///
+/// # Errors
+/// The file cannot be read.
+pub fn file_hash(path: &Path) -> Result<String, ArtifactError> {
+    let mut file = std::fs::File::open(path).map_err(|e| io_error(path, e))?;
+    let mut hash = Sha256::new();
+    let mut buffer = vec![0u8; 1 << 20];
+    loop {
+        match file.read(&mut buffer).map_err(|e| io_error(path, e))? {
+            0 => return Ok(hash.finalize().iter().map(|b| format!("{b:02x}")).collect()),
+            n => hash.update(&buffer[..n]),
+        }
+    }
+}
+
+fn io_error(path: &Path, source: std::io::Error) -> ArtifactError {
+    ArtifactError::Io { path: path.into(), source }
+}
+
+fn format_error(path: &Path, detail: impl ToString) -> ArtifactError {
+    ArtifactError::Format { path: path.into(), detail: detail.to_string() }
+}

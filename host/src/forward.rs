@@ -1,0 +1,1 @@
+//! Scene -> frame: optics, then effects in physical order. (being written)

@@ -1,0 +1,102 @@
+//! What a network file says of itself: every shape that the device needs before it touches a weight.
+
+use heapless::{String, Vec};
+use serde::{Deserialize, Serialize};
+
+/// The most taps that one filter bank may have.
+pub const MAX_TAPS: usize = 128;
+
+/// Rows and columns, in pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Size {
+    /// Number of rows.
+    pub rows: u16,
+    /// Number of columns.
+    pub cols: u16,
+}
+
+/// The sensor corrections that come before the network.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Sensor {
+    /// Mean signal without light, DN.
+    pub black_level_dn: f32,
+    /// The highest code, `2^bit_depth - 1`, DN.
+    pub saturation_dn: u16,
+    /// A per-pixel offset map (f16, DN, relative to the black level) stands in the weights.
+    pub has_offset_map: bool,
+    /// A per-pixel inverse gain map (f16, 1 = nominal) stands in the weights.
+    pub has_gain_map: bool,
+}
+
+/// One partition of one channel's filter: it convolves the input window that lies `dy, dx` steps from the
+/// output tile.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Tap {
+    /// Output channel.
+    pub channel: u8,
+    /// Offset of the input window in steps of the bank, rows.
+    pub dy: i8,
+    /// Offset of the input window in steps of the bank, columns.
+    pub dx: i8,
+}
+
+/// The Fourier filter bank: uniformly partitioned overlap-save convolution.
+///
+/// With `tile` = the padded frame and one tap at (0, 0) a channel it is the dense layer of the paper.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Bank {
+    /// Side T of the transform, pixels; a power of two.
+    pub tile: u16,
+    /// Side S of the valid output block of a tile, pixels; S <= T.
+    pub step: u16,
+    /// Number of output channels C.
+    pub channels: u8,
+    /// Taps, sorted by (channel, dy, dx). Each has a spectrum of T x (T/2+1) complex halves in the weights.
+    pub taps: Vec<Tap, MAX_TAPS>,
+}
+
+/// The enhancement network: a light residual channel-attention network.
+///
+/// PixelUnshuffle 2 -> conv 4C->W -> `groups` x (`blocks` RCAB + conv, skip) -> conv -> long skip -> conv W->4W ->
+/// PixelShuffle 2 -> conv W->1 -> sigmoid. RCAB = conv, ReLU, conv, channel attention (W -> W/reduction -> W), skip.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Rcan {
+    /// Feature channels W.
+    pub width: u8,
+    /// Residual groups.
+    pub groups: u8,
+    /// RCABs per group.
+    pub blocks: u8,
+    /// Channel reduction of the attention's bottleneck.
+    pub reduction: u8,
+}
+
+/// Memory that the pipeline needs besides the blob itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct MemoryPlan {
+    /// Fast scratch (tightly coupled memory), bytes.
+    pub fast_bytes: u32,
+    /// Bulk arena (SRAM or memory-mapped PSRAM), bytes.
+    pub bulk_bytes: u32,
+}
+
+/// Everything that a runtime needs to know before it reads a weight.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Header {
+    /// Name that the user gave the network.
+    pub name: String<48>,
+    /// First 16 hexadecimal digits of the SHA-256 of the checkpoint that it was made from.
+    pub checkpoint: String<16>,
+    /// Raw frame, pixels.
+    pub frame: Size,
+    /// Reconstruction, pixels; even in both directions.
+    pub object: Size,
+    /// Sensor corrections.
+    pub sensor: Sensor,
+    /// Filter bank.
+    pub bank: Bank,
+    /// Enhancement network.
+    pub rcan: Rcan,
+    /// Memory plan.
+    pub memory: MemoryPlan,
+}
