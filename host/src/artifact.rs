@@ -198,8 +198,7 @@ fn tensor(path: &Path, name: &str, view: &TensorView<'_>) -> Result<ArrayD<f32>,
     if view.dtype() != Dtype::F32 {
         return Err(wrong("float32", format!("{:?}", view.dtype())));
     }
-    let values: Vec<f32> =
-        view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+    let values: Vec<f32> = view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
     if let Some(i) = values.iter().position(|v| !v.is_finite()) {
         return Err(wrong("finite values", format!("{} at element {i}", values[i])));
     }

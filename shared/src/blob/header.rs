@@ -100,3 +100,16 @@ pub struct Header {
     /// Memory plan.
     pub memory: MemoryPlan,
 }
+
+/// The weights of a network, borrowed from wherever the file lies. All are IEEE halves.
+#[derive(Clone, Copy, Debug)]
+pub struct Weights<'a> {
+    /// Spectra of the taps in the order of [`Bank::taps`], each T rows of T/2+1 complex numbers (re, im).
+    pub spectra: &'a [half::f16],
+    /// Weights and biases of the RCAN in the order in which they are used; see `nn::rcan`.
+    pub rcan: &'a [half::f16],
+    /// Offset of each pixel relative to the black level, DN, [frame rows, frame cols].
+    pub offset_dn: Option<&'a [half::f16]>,
+    /// Inverse relative gain of each pixel, [frame rows, frame cols].
+    pub inverse_gain: Option<&'a [half::f16]>,
+}

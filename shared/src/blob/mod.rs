@@ -2,4 +2,4 @@
 
 mod header;
 
-pub use header::{Bank, Header, MAX_TAPS, MemoryPlan, Rcan, Sensor, Size, Tap};
+pub use header::{Bank, Header, MAX_TAPS, MemoryPlan, Rcan, Sensor, Size, Tap, Weights};

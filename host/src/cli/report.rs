@@ -1,0 +1,15 @@
+//! `report`: one HTML file from artifacts. (being written)
+
+use super::{Outcome, Run};
+
+/// Options of `report`.
+#[derive(Debug, clap::Args)]
+pub struct Args {}
+
+/// Runs the verb.
+///
+/// # Errors
+/// Whatever the library says.
+pub fn run(_args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
+    anyhow::bail!("`report` is being written")
+}

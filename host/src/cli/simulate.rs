@@ -1,0 +1,15 @@
+//! `simulate`: training pairs. (being written)
+
+use super::{Outcome, Run};
+
+/// Options of `simulate`.
+#[derive(Debug, clap::Args)]
+pub struct Args {}
+
+/// Runs the verb.
+///
+/// # Errors
+/// Whatever the library says.
+pub fn run(_args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
+    anyhow::bail!("`simulate` is being written")
+}
