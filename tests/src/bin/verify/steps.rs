@@ -1,0 +1,88 @@
+//! The steps of `cargo verify`, cheapest first.
+
+use crate::counts::Counts;
+use crate::toolchain::{self, THUMB};
+use anyhow::{Context, Result};
+use std::io::{BufRead, BufReader};
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+
+/// One step: it either counts tests or is one check.
+pub struct Step {
+    pub name: &'static str,
+    pub run: fn() -> Result<Counts>,
+}
+
+/// All steps in order.
+pub fn all() -> Vec<Step> {
+    let step = |name, run| Step { name, run };
+    vec![
+        step("formatting", || check(cargo(["fmt", "--all", "--check"]))),
+        step("firmware image", firmware_image),
+        step("emulator", || toolchain::ensure_qemu().map(|()| Counts::check(true))),
+        step("tests of shared, debug build with overflow checks", || tests(&["-p", "ommatidia-shared"])),
+        step("all tests", || tests(&["--release", "--workspace"])),
+        step("lints", || check(cargo(["clippy", "--release", "--workspace", "--all-targets", "--", "-D", "warnings"]))),
+        step("documentation", documentation),
+    ]
+}
+
+fn cargo<const N: usize>(args: [&str; N]) -> Command {
+    let mut command = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    command.args(args);
+    command
+}
+
+fn check(mut command: Command) -> Result<Counts> {
+    let status = command.status().with_context(|| format!("{command:?} could not be started"))?;
+    Ok(Counts::check(status.success()))
+}
+
+fn documentation() -> Result<Counts> {
+    let mut command = cargo(["doc", "--release", "--workspace", "--no-deps"]);
+    command.env("RUSTDOCFLAGS", "-D warnings");
+    check(command)
+}
+
+fn firmware_image() -> Result<Counts> {
+    let mut command = toolchain::thumb()?.cargo();
+    command.args(["build", "--profile", "firmware", "-p", "ommatidia-firmware", "--bins", "--target", THUMB]);
+    check(command)
+}
+
+/// Runs the tests of the given packages and counts them. A test that finds no measured data writes its name and
+/// the reason to the file in `OMMATIDIA_SKIPPED`; those are reported as skipped, not as passed.
+fn tests(packages: &[&str]) -> Result<Counts> {
+    let skips = std::env::temp_dir().join(format!("ommatidia-skipped-{}", std::process::id()));
+    let _ = std::fs::remove_file(&skips);
+    let mut command = cargo(["test", "--no-fail-fast"]);
+    command.args(packages).env("OMMATIDIA_SKIPPED", &skips).env("OMMATIDIA_REQUIRE_QEMU", "1");
+    command.env("OMMATIDIA_FIRMWARE", firmware_dir()).stdout(Stdio::piped());
+    let mut child = command.spawn().with_context(|| format!("{command:?} could not be started"))?;
+    let mut counts = Counts::default();
+    if let Some(stdout) = child.stdout.take() {
+        for line in BufReader::new(stdout).lines() {
+            let line = line.context("reading what the tests print")?;
+            println!("{line}");
+            counts.add_line(&line);
+        }
+    }
+    let status = child.wait()?;
+    if !status.success() && counts.failed == 0 {
+        counts += Counts::check(false); // a build error or a crash: no test said so
+    }
+    let skipped = std::fs::read_to_string(&skips).unwrap_or_default();
+    for line in skipped.lines() {
+        println!("skipped: {line}");
+    }
+    counts.skip(skipped.lines().count() as u64);
+    let _ = std::fs::remove_file(&skips);
+    Ok(counts)
+}
+
+/// Where the firmware images of the thumb build lie.
+fn firmware_dir() -> PathBuf {
+    let root = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("..");
+    let target = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), PathBuf::from);
+    target.join(THUMB).join("firmware")
+}
