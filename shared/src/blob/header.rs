@@ -1,13 +1,15 @@
 //! What a network file says of itself: every shape that the device needs before it touches a weight.
 
+use super::BlobError;
 use heapless::{String, Vec};
+use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
 /// The most taps that one filter bank may have.
 pub const MAX_TAPS: usize = 128;
 
 /// Rows and columns, in pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Size {
     /// Number of rows.
     pub rows: u16,
@@ -16,7 +18,7 @@ pub struct Size {
 }
 
 /// The sensor corrections that come before the network.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Sensor {
     /// Mean signal without light, DN.
     pub black_level_dn: f32,
@@ -30,7 +32,7 @@ pub struct Sensor {
 
 /// One partition of one channel's filter: it convolves the input window that lies `dy, dx` steps from the
 /// output tile.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Tap {
     /// Output channel.
     pub channel: u8,
@@ -40,10 +42,17 @@ pub struct Tap {
     pub dx: i8,
 }
 
+impl Tap {
+    /// Key of the order in which taps are stored.
+    pub fn order(self) -> (u8, i8, i8) {
+        (self.channel, self.dy, self.dx)
+    }
+}
+
 /// The Fourier filter bank: uniformly partitioned overlap-save convolution.
 ///
 /// With `tile` = the padded frame and one tap at (0, 0) a channel it is the dense layer of the paper.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Bank {
     /// Side T of the transform, pixels; a power of two.
     pub tile: u16,
@@ -59,7 +68,7 @@ pub struct Bank {
 ///
 /// PixelUnshuffle 2 -> conv 4C->W -> `groups` x (`blocks` RCAB + conv, skip) -> conv -> long skip -> conv W->4W ->
 /// PixelShuffle 2 -> conv W->1 -> sigmoid. RCAB = conv, ReLU, conv, channel attention (W -> W/reduction -> W), skip.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Rcan {
     /// Feature channels W.
     pub width: u8,
@@ -71,8 +80,25 @@ pub struct Rcan {
     pub reduction: u8,
 }
 
+impl Rcan {
+    /// Number of weights and biases of a network that takes `channels` filtered channels.
+    ///
+    /// Every 3 x 3 convolution A->B has 9 A B weights and B biases; the attention of a block has two 1 x 1
+    /// convolutions W->W/reduction->W. `None` where the bottleneck has no channel.
+    pub fn weight_count(self, channels: u8) -> Option<u64> {
+        let conv = |from: u64, to: u64| 9 * from * to + to;
+        let width = u64::from(self.width);
+        let narrow = width.checked_div(u64::from(self.reduction)).filter(|n| *n > 0)?;
+        let attention = (width * narrow + narrow) + (narrow * width + width);
+        let block = 2 * conv(width, width) + attention;
+        let group = u64::from(self.blocks) * block + conv(width, width);
+        let body = u64::from(self.groups) * group + conv(width, width);
+        Some(conv(4 * u64::from(channels), width) + body + conv(width, 4 * width) + conv(width, 1))
+    }
+}
+
 /// Memory that the pipeline needs besides the blob itself.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct MemoryPlan {
     /// Fast scratch (tightly coupled memory), bytes.
     pub fast_bytes: u32,
@@ -80,8 +106,21 @@ pub struct MemoryPlan {
     pub bulk_bytes: u32,
 }
 
+impl MemoryPlan {
+    /// Whether the plan fits into the memory of a device.
+    ///
+    /// # Errors
+    /// [`BlobError::Memory`] says what is needed and what there is.
+    pub fn fits(self, available: Self) -> Result<(), BlobError> {
+        if self.fast_bytes <= available.fast_bytes && self.bulk_bytes <= available.bulk_bytes {
+            return Ok(());
+        }
+        Err(BlobError::Memory { needed: self, available })
+    }
+}
+
 /// Everything that a runtime needs to know before it reads a weight.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Header {
     /// Name that the user gave the network.
     pub name: String<48>,
@@ -99,6 +138,84 @@ pub struct Header {
     pub rcan: Rcan,
     /// Memory plan.
     pub memory: MemoryPlan,
+}
+
+/// Number of halves in each weight section, in the order of the file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SectionLens {
+    /// Spectra of the taps.
+    pub spectra: u64,
+    /// Weights and biases of the RCAN.
+    pub rcan: u64,
+    /// Offset map; 0 without one.
+    pub offset_dn: u64,
+    /// Inverse gain map; 0 without one.
+    pub inverse_gain: u64,
+}
+
+impl Header {
+    /// How many halves each weight section of this network has.
+    ///
+    /// # Errors
+    /// [`BlobError::Header`] names the field that no network can have.
+    pub fn section_lens(&self) -> Result<SectionLens, BlobError> {
+        let tile = u64::from(self.bank.tile);
+        let pixels = u64::from(self.frame.rows) * u64::from(self.frame.cols);
+        Ok(SectionLens {
+            spectra: self.bank.taps.len() as u64 * tile * (tile / 2 + 1) * 2,
+            rcan: self.rcan.weight_count(self.bank.channels).ok_or(BlobError::Header { field: HeaderField::Rcan })?,
+            offset_dn: if self.sensor.has_offset_map { pixels } else { 0 },
+            inverse_gain: if self.sensor.has_gain_map { pixels } else { 0 },
+        })
+    }
+
+    /// Whether the numbers of the header make sense together.
+    ///
+    /// # Errors
+    /// [`BlobError::Header`] names the field that no network can have.
+    pub fn check(&self) -> Result<(), BlobError> {
+        let wrong = |field| Err(BlobError::Header { field });
+        let bank = &self.bank;
+        let empty = |size: Size| size.rows == 0 || size.cols == 0;
+        if empty(self.frame) {
+            return wrong(HeaderField::Frame);
+        }
+        if empty(self.object) || self.object.rows % 2 != 0 || self.object.cols % 2 != 0 {
+            return wrong(HeaderField::Object);
+        }
+        if !self.sensor.black_level_dn.is_finite() || f32::from(self.sensor.saturation_dn) <= self.sensor.black_level_dn
+        {
+            return wrong(HeaderField::Sensor);
+        }
+        let tile_ok = bank.tile.is_power_of_two() && bank.tile >= 2 && (1..=bank.tile).contains(&bank.step);
+        if !tile_ok || bank.channels == 0 {
+            return wrong(HeaderField::Bank);
+        }
+        let sorted = bank.taps.windows(2).all(|pair| pair[0].order() < pair[1].order());
+        if !sorted || bank.taps.is_empty() || bank.taps.iter().any(|tap| tap.channel >= bank.channels) {
+            return wrong(HeaderField::Taps);
+        }
+        self.section_lens().map(|_| ())
+    }
+}
+
+/// Part of the header.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub enum HeaderField {
+    /// The encoding as a whole.
+    Encoding,
+    /// [`Header::frame`].
+    Frame,
+    /// [`Header::object`].
+    Object,
+    /// [`Header::sensor`].
+    Sensor,
+    /// [`Header::bank`].
+    Bank,
+    /// [`Bank::taps`].
+    Taps,
+    /// [`Header::rcan`].
+    Rcan,
 }
 
 /// The weights of a network, borrowed from wherever the file lies. All are IEEE halves.

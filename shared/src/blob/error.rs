@@ -1,0 +1,173 @@
+//! Why bytes are no network.
+
+use super::{HeaderField, MemoryPlan};
+use core::fmt;
+
+/// A weight section of the file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Section {
+    /// Spectra of the filter bank.
+    Spectra,
+    /// Weights and biases of the enhancement network.
+    Rcan,
+    /// Offset map of the sensor.
+    Offset,
+    /// Inverse gain map of the sensor.
+    InverseGain,
+}
+
+impl Section {
+    /// All sections in the order of the file.
+    pub const ALL: [Self; 4] = [Self::Spectra, Self::Rcan, Self::Offset, Self::InverseGain];
+
+    /// Name in messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Spectra => "spectra",
+            Self::Rcan => "rcan",
+            Self::Offset => "offset map",
+            Self::InverseGain => "inverse gain map",
+        }
+    }
+}
+
+/// Why bytes are no network, or none for this device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BlobError {
+    /// Fewer bytes than the file says it has, or than any file has.
+    TooShort {
+        /// Bytes that there should be.
+        expected: u64,
+        /// Bytes that there are.
+        found: u64,
+    },
+    /// More bytes than the file says it has.
+    TooLong {
+        /// Bytes that there should be.
+        expected: u64,
+        /// Bytes that there are.
+        found: u64,
+    },
+    /// The bytes do not begin where weights can be read in place.
+    Misaligned {
+        /// The address must be a multiple of this, bytes.
+        expected: usize,
+        /// The address modulo `expected`, bytes.
+        found: usize,
+    },
+    /// Not a network file.
+    Magic {
+        /// The first eight bytes of a network file.
+        expected: [u8; 8],
+        /// The first eight bytes.
+        found: [u8; 8],
+    },
+    /// A network file of another version.
+    Version {
+        /// Version that this program reads.
+        expected: u16,
+        /// Version of the file.
+        found: u16,
+    },
+    /// A network file whose header has other fields.
+    Schema {
+        /// Schema key of this program.
+        expected: u64,
+        /// Schema key of the file.
+        found: u64,
+    },
+    /// The file was damaged.
+    Crc {
+        /// Checksum that the file carries.
+        expected: u32,
+        /// Checksum of its bytes.
+        found: u32,
+    },
+    /// The header cannot be read, or says what no network can be.
+    Header {
+        /// Which part.
+        field: HeaderField,
+    },
+    /// The weights do not match the header.
+    SectionLength {
+        /// Which weights.
+        section: Section,
+        /// Halves that the header asks for.
+        expected: u64,
+        /// Halves that there are (or can be).
+        found: u64,
+    },
+    /// A weight is infinite or not a number.
+    NonFinite {
+        /// Which weights.
+        section: Section,
+        /// Index of the half in its section.
+        index: u32,
+    },
+    /// The output buffer of the encoder is too small.
+    NoRoom {
+        /// Bytes that the file needs.
+        expected: u64,
+        /// Bytes that there are.
+        found: u64,
+    },
+    /// The network needs more memory than the device has.
+    Memory {
+        /// What the network needs.
+        needed: MemoryPlan,
+        /// What the device has.
+        available: MemoryPlan,
+    },
+}
+
+impl fmt::Display for BlobError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::TooShort { expected, found } => write!(f, "cut short: expected {expected} bytes, found {found}"),
+            Self::TooLong { expected, found } => write!(f, "too long: expected {expected} bytes, found {found}"),
+            Self::Misaligned { expected, found } => {
+                write!(f, "begins {found} bytes past a multiple of {expected}; copy it to an aligned buffer")
+            }
+            Self::Magic { expected, found } => write!(
+                f,
+                "not a network file: expected `{}` at the start, found `{}`",
+                expected.escape_ascii(),
+                found.escape_ascii()
+            ),
+            Self::Version { expected, found } => {
+                write!(f, "expected version {expected}, found {found}; make it again with `ommatidia quantize`")
+            }
+            Self::Schema { expected, found } => write!(
+                f,
+                "its header has other fields: expected schema {expected:016x}, found {found:016x}; make it again with `ommatidia quantize`"
+            ),
+            Self::Crc { expected, found } => {
+                write!(f, "damaged: expected CRC {expected:08x}, found {found:08x}; copy it again")
+            }
+            Self::Header { field } => write!(f, "header field `{field:?}` holds what no network can have"),
+            Self::SectionLength { section, expected, found } => {
+                write!(f, "section `{}`: expected {expected} halves, found {found}", section.name())
+            }
+            Self::NonFinite { section, index } => {
+                write!(f, "section `{}`: expected finite weights, found none at index {index}", section.name())
+            }
+            Self::NoRoom { expected, found } => write!(f, "the file needs {expected} bytes, the buffer has {found}"),
+            Self::Memory { needed, available } => write_memory(f, needed, available),
+        }
+    }
+}
+
+fn write_memory(f: &mut fmt::Formatter<'_>, needed: MemoryPlan, available: MemoryPlan) -> fmt::Result {
+    write!(
+        f,
+        "needs {} bytes of fast and {} of bulk memory, the device has {} and {}: {} and {} missing",
+        needed.fast_bytes,
+        needed.bulk_bytes,
+        available.fast_bytes,
+        available.bulk_bytes,
+        needed.fast_bytes.saturating_sub(available.fast_bytes),
+        needed.bulk_bytes.saturating_sub(available.bulk_bytes),
+    )
+}
+
+impl core::error::Error for BlobError {}

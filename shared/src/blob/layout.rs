@@ -1,0 +1,62 @@
+//! Where things lie in the file.
+
+use super::{BlobError, Header, Section, SectionLens};
+use crc::{CRC_32_ISO_HDLC, Crc};
+use postcard_schema::key::Key;
+
+/// The first eight bytes of every network file.
+pub const MAGIC: [u8; 8] = *b"OMMATIDI";
+/// Version of the layout; it changes with whatever the schema key cannot see.
+pub const VERSION: u16 = 1;
+/// Changes with every name and type in [`Header`].
+pub const SCHEMA_KEY: u64 = u64::from_le_bytes(Key::for_path::<Header>("ommatidia/blob").to_bytes());
+/// Sections, and the file itself, begin at multiples of this many bytes.
+pub const ALIGN: usize = 16;
+
+pub(super) const VERSION_AT: usize = 8;
+pub(super) const HEADER_LEN_AT: usize = 12;
+pub(super) const SCHEMA_AT: usize = 16;
+pub(super) const FILE_LEN_AT: usize = 24;
+pub(super) const HEADER_AT: usize = 32;
+pub(super) const CRC_LEN: usize = 4;
+/// The longest header that a file may have, bytes.
+pub(super) const MAX_HEADER_LEN: usize = 1024;
+
+/// CRC-32 as in Ethernet, zip and PNG.
+pub(crate) const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
+
+/// Byte ranges of the sections in the file, and the file's length.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Layout {
+    /// Start and length in bytes, in the order of [`Section::ALL`].
+    pub sections: [(usize, usize); 4],
+    /// Length of the file with its CRC, bytes.
+    pub file_len: usize,
+}
+
+impl Layout {
+    /// The layout of a file with `header_len` bytes of header and sections of `lens` halves.
+    ///
+    /// # Errors
+    /// [`BlobError::SectionLength`] where a section could not be addressed.
+    pub fn new(header_len: usize, lens: &SectionLens) -> Result<Self, BlobError> {
+        let mut at = HEADER_AT + header_len;
+        let mut sections = [(0, 0); 4];
+        for ((slot, section), halves) in sections.iter_mut().zip(Section::ALL).zip(lens.in_order()) {
+            let too_long = BlobError::SectionLength { section, expected: halves, found: (u32::MAX / 2) as u64 };
+            at = at.next_multiple_of(ALIGN);
+            let bytes = usize::try_from(halves).ok().and_then(|n| n.checked_mul(2)).ok_or(too_long)?;
+            *slot = (at, bytes);
+            // Room for the padding and the CRC is kept so that no later sum can overflow.
+            at = at.checked_add(bytes).filter(|end| *end < u32::MAX as usize - 2 * ALIGN).ok_or(too_long)?;
+        }
+        Ok(Self { sections, file_len: at + CRC_LEN })
+    }
+}
+
+impl SectionLens {
+    /// The lengths in the order of [`Section::ALL`].
+    pub(super) fn in_order(&self) -> [u64; 4] {
+        [self.spectra, self.rcan, self.offset_dn, self.inverse_gain]
+    }
+}

@@ -1,0 +1,277 @@
+//! Round trips, and bytes that are no network.
+
+#![allow(clippy::unwrap_used)]
+
+extern crate std;
+
+use super::*;
+use half::f16;
+use proptest::prelude::*;
+use std::vec::Vec;
+
+/// Bytes that begin at a multiple of [`ALIGN`].
+struct Aligned {
+    words: Vec<u128>,
+    len: usize,
+}
+
+impl Aligned {
+    fn new(bytes: &[u8]) -> Self {
+        let mut words = std::vec![0u128; bytes.len().div_ceil(ALIGN) + 1];
+        bytemuck::cast_slice_mut(&mut words)[..bytes.len()].copy_from_slice(bytes);
+        Self { words, len: bytes.len() }
+    }
+
+    fn bytes(&self) -> &[u8] {
+        &bytemuck::cast_slice(&self.words)[..self.len]
+    }
+}
+
+/// The weights of a network, owned.
+#[derive(Clone, Debug, Default)]
+struct Owned {
+    sections: [Vec<f16>; 4],
+}
+
+impl Owned {
+    /// Finite halves of every size, from a seed.
+    fn new(header: &Header, seed: u32) -> Self {
+        let lens = header.section_lens().unwrap();
+        let mut state = seed;
+        let mut draw = |len: u64| -> Vec<f16> {
+            (0..len)
+                .map(|_| {
+                    state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                    let half = f16::from_bits((state >> 16) as u16);
+                    if half.is_finite() { half } else { f16::ONE }
+                })
+                .collect()
+        };
+        Self { sections: [lens.spectra, lens.rcan, lens.offset_dn, lens.inverse_gain].map(&mut draw) }
+    }
+
+    fn weights(&self, sensor: &Sensor) -> Weights<'_> {
+        let [spectra, rcan, offset, gain] = &self.sections;
+        Weights {
+            spectra,
+            rcan,
+            offset_dn: sensor.has_offset_map.then_some(offset.as_slice()),
+            inverse_gain: sensor.has_gain_map.then_some(gain.as_slice()),
+        }
+    }
+}
+
+fn file(header: &Header, weights: &Owned) -> Vec<u8> {
+    let mut bytes = std::vec![0xa5; encoded_len(header).unwrap()];
+    let len = encode(header, &weights.weights(&header.sensor), &mut bytes).unwrap();
+    assert_eq!(len, bytes.len());
+    bytes
+}
+
+fn small() -> Header {
+    Header {
+        name: "small".try_into().unwrap(),
+        checkpoint: "0123456789abcdef".try_into().unwrap(),
+        frame: Size { rows: 6, cols: 5 },
+        object: Size { rows: 4, cols: 2 },
+        sensor: Sensor { black_level_dn: 64.0, saturation_dn: 4095, has_offset_map: true, has_gain_map: false },
+        bank: Bank {
+            tile: 4,
+            step: 2,
+            channels: 1,
+            taps: [Tap { channel: 0, dy: 0, dx: 0 }, Tap { channel: 0, dy: 0, dx: 1 }].into_iter().collect(),
+        },
+        rcan: Rcan { width: 1, groups: 0, blocks: 0, reduction: 1 },
+        memory: MemoryPlan { fast_bytes: 100, bulk_bytes: 2000 },
+    }
+}
+
+prop_compose! {
+    fn headers()(
+        name in "[a-z]{0,12}", tile in 1u32..5, step in 1u16..3, channels in 1u8..4, taps in 1usize..5,
+        rows in 1u16..9, cols in 1u16..9, black in 0.0f32..200.0, maps: (bool, bool),
+        rcan in (1u8..5, 0u8..3, 0u8..3), memory: (u32, u32),
+    ) -> Header {
+        let tap = |i: usize| Tap { channel: 0, dy: -1, dx: i as i8 };
+        Header {
+            name: name.as_str().try_into().unwrap(),
+            checkpoint: "".try_into().unwrap(),
+            frame: Size { rows, cols },
+            object: Size { rows: 2 * rows, cols: 2 * cols },
+            sensor: Sensor { black_level_dn: black, saturation_dn: 1023, has_offset_map: maps.0, has_gain_map: maps.1 },
+            bank: Bank { tile: 1 << tile, step, channels, taps: (0..taps).map(tap).collect() },
+            rcan: Rcan { width: rcan.0, groups: rcan.1, blocks: rcan.2, reduction: 1 },
+            memory: MemoryPlan { fast_bytes: memory.0, bulk_bytes: memory.1 },
+        }
+    }
+}
+
+fn bits(halves: &[f16]) -> &[u16] {
+    bytemuck::cast_slice(halves)
+}
+
+/// Replaces bytes of a good file and makes its CRC right again.
+fn forge(mut bytes: Vec<u8>, at: usize, with: &[u8]) -> Vec<u8> {
+    bytes[at..at + with.len()].copy_from_slice(with);
+    let end = bytes.len() - layout::CRC_LEN;
+    let crc = layout::CRC.checksum(&bytes[..end]);
+    bytes[end..].copy_from_slice(&crc.to_le_bytes());
+    bytes
+}
+
+proptest! {
+    #[test]
+    fn what_is_written_is_read(header in headers(), seed: u32) {
+        let owned = Owned::new(&header, seed);
+        let aligned = Aligned::new(&file(&header, &owned));
+        let network = Network::decode(aligned.bytes()).unwrap();
+        let expected = owned.weights(&header.sensor);
+        prop_assert_eq!(&network.header, &header);
+        prop_assert_eq!(bits(network.weights.spectra), bits(expected.spectra));
+        prop_assert_eq!(bits(network.weights.rcan), bits(expected.rcan));
+        prop_assert_eq!(network.weights.offset_dn.map(bits), expected.offset_dn.map(bits));
+        prop_assert_eq!(network.weights.inverse_gain.map(bits), expected.inverse_gain.map(bits));
+    }
+
+    #[test]
+    fn random_bytes_are_refused(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
+        prop_assert!(Network::decode(Aligned::new(&bytes).bytes()).is_err());
+    }
+
+    /// A forger who makes the CRC right may change any word: the file is refused or stays a network in bounds.
+    #[test]
+    fn forged_bytes_never_panic(at in 0usize..200, with in prop::collection::vec(any::<u8>(), 1..5), cut in 0usize..40) {
+        let header = small();
+        let mut bytes = file(&header, &Owned::new(&header, 7));
+        bytes.truncate(bytes.len() - cut);
+        let at = at.min(bytes.len() - 9);
+        let len = with.len().min(bytes.len() - 4 - at);
+        let mut bytes = forge(bytes, at, &with[..len]);
+        let file_len = (bytes.len() as u32).to_le_bytes();
+        if cut % 2 == 1 {
+            bytes = forge(bytes, layout::FILE_LEN_AT, &file_len);
+        }
+        if let Ok(network) = Network::decode(Aligned::new(&bytes).bytes()) {
+            let lens = network.header.section_lens().unwrap();
+            prop_assert_eq!(network.weights.spectra.len() as u64, lens.spectra);
+            prop_assert_eq!(network.weights.rcan.len() as u64, lens.rcan);
+        }
+    }
+}
+
+#[test]
+fn every_flipped_bit_is_refused() {
+    let header = small();
+    let mut aligned = Aligned::new(&file(&header, &Owned::new(&header, 1)));
+    let len = aligned.len;
+    for bit in 0..8 * len {
+        bytemuck::cast_slice_mut::<_, u8>(&mut aligned.words)[bit / 8] ^= 1 << (bit % 8);
+        assert!(Network::decode(aligned.bytes()).is_err(), "bit {bit}");
+        bytemuck::cast_slice_mut::<_, u8>(&mut aligned.words)[bit / 8] ^= 1 << (bit % 8);
+    }
+    assert!(Network::decode(aligned.bytes()).is_ok());
+}
+
+#[test]
+fn every_shorter_or_longer_file_is_refused() {
+    let header = small();
+    let bytes = file(&header, &Owned::new(&header, 1));
+    let aligned = Aligned::new(&bytes);
+    for len in 0..bytes.len() {
+        let error = Network::decode(&aligned.bytes()[..len]).unwrap_err();
+        assert!(matches!(error, BlobError::TooShort { found, .. } if found == len as u64), "{len}: {error}");
+    }
+    let longer: Vec<u8> = bytes.iter().copied().chain([0]).collect();
+    let error = Network::decode(Aligned::new(&longer).bytes()).unwrap_err();
+    assert_eq!(error, BlobError::TooLong { expected: bytes.len() as u64, found: longer.len() as u64 });
+}
+
+#[test]
+fn each_refusal_names_its_reason() {
+    let header = small();
+    let good = file(&header, &Owned::new(&header, 1));
+    let refusal = |at: usize, with: &[u8]| {
+        Network::decode(Aligned::new(&forge(good.clone(), at, with)).bytes()).map(|n| n.header).unwrap_err()
+    };
+    assert_eq!(refusal(0, b"GIF89a\0\0"), BlobError::Magic { expected: MAGIC, found: *b"GIF89a\0\0" });
+    assert_eq!(refusal(layout::VERSION_AT, &9u16.to_le_bytes()), BlobError::Version { expected: VERSION, found: 9 });
+    assert_eq!(refusal(layout::SCHEMA_AT, &1u64.to_le_bytes()), BlobError::Schema { expected: SCHEMA_KEY, found: 1 });
+    assert_eq!(
+        refusal(layout::HEADER_LEN_AT, &u32::MAX.to_le_bytes()),
+        BlobError::Header { field: HeaderField::Encoding }
+    );
+    let (at, _) = sections(&header)[1];
+    assert_eq!(refusal(at + 6, &f16::NAN.to_le_bytes()), BlobError::NonFinite { section: Section::Rcan, index: 3 });
+    let mut damaged = good.clone();
+    damaged[at] ^= 1;
+    assert!(matches!(Network::decode(Aligned::new(&damaged).bytes()), Err(BlobError::Crc { .. })));
+}
+
+fn sections(header: &Header) -> [(usize, usize); 4] {
+    let mut buffer = [0; layout::MAX_HEADER_LEN];
+    let len = postcard::to_slice(header, &mut buffer).unwrap().len();
+    layout::Layout::new(len, &header.section_lens().unwrap()).unwrap().sections
+}
+
+#[test]
+fn a_misaligned_buffer_is_named() {
+    let header = small();
+    let bytes = file(&header, &Owned::new(&header, 1));
+    let shifted: Vec<u8> = [0; 2].into_iter().chain(bytes).collect();
+    let aligned = Aligned::new(&shifted);
+    assert_eq!(
+        Network::decode(&aligned.bytes()[2..]).map(|n| n.header),
+        Err(BlobError::Misaligned { expected: ALIGN, found: 2 })
+    );
+}
+
+#[test]
+fn sections_are_aligned_and_apart() {
+    let header = small();
+    let mut end = 0;
+    for (at, len) in sections(&header) {
+        assert_eq!(at % ALIGN, 0);
+        assert!(at >= end);
+        end = at + len;
+    }
+}
+
+#[test]
+fn the_encoder_refuses_what_it_could_not_read() {
+    let header = small();
+    let owned = Owned::new(&header, 1);
+    let weights = owned.weights(&header.sensor);
+    let mut out = std::vec![0; encoded_len(&header).unwrap()];
+    let spectra = &weights.spectra[1..];
+    assert_eq!(
+        encode(&header, &Weights { spectra, ..weights }, &mut out),
+        Err(BlobError::SectionLength { section: Section::Spectra, expected: 48, found: 47 })
+    );
+    let len = out.len();
+    assert_eq!(
+        encode(&header, &weights, &mut out[1..]),
+        Err(BlobError::NoRoom { expected: len as u64, found: len as u64 - 1 })
+    );
+    let odd = Header { object: Size { rows: 3, cols: 2 }, ..header };
+    assert_eq!(encoded_len(&odd), Err(BlobError::Header { field: HeaderField::Object }));
+}
+
+#[test]
+fn rcan_weights_are_counted_layer_by_layer() {
+    // conv 12->4: 436; group: 1 x (2 conv 4->4: 296; attention 4->2->4: 22) + conv 4->4: 148; conv 4->4: 148;
+    // conv 4->16: 592; conv 4->1: 37.
+    let rcan = Rcan { width: 4, groups: 1, blocks: 1, reduction: 2 };
+    assert_eq!(rcan.weight_count(3), Some(436 + 296 + 22 + 148 + 148 + 592 + 37));
+    assert_eq!(Rcan { reduction: 8, ..rcan }.weight_count(3), None);
+    assert_eq!(Rcan { reduction: 0, ..rcan }.weight_count(3), None);
+}
+
+#[test]
+fn missing_memory_is_counted() {
+    let needed = MemoryPlan { fast_bytes: 10, bulk_bytes: 20 };
+    assert_eq!(needed.fits(needed), Ok(()));
+    let available = MemoryPlan { fast_bytes: 10, bulk_bytes: 13 };
+    let error = needed.fits(available).unwrap_err();
+    assert_eq!(error, BlobError::Memory { needed, available });
+    assert!(std::format!("{error}").ends_with("0 and 7 missing"));
+}
