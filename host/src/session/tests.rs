@@ -1,0 +1,260 @@
+//! Sessions on disk: written, read back, and damaged in every way that the contract names.
+
+#![allow(clippy::unwrap_used)]
+
+use super::stack::{self, FrameReader, FrameWriter, SampleType, StackSpec};
+use super::*;
+use ndarray::{Array2, Array3, array};
+use std::path::Path;
+
+fn manifest() -> Manifest {
+    Manifest {
+        format: 1,
+        name: "test".into(),
+        sensor: SensorSpec { rows: 4, cols: 5, pixel_pitch_um: 2.0, bit_depth: 12 },
+        array: ArrayGeometry { rows: 1, cols: 1, pitch_px: 0.0 },
+        optics: Optics { magnification: 0.5, psf_window_px: 3 },
+        object: ObjectGrid { rows: 3, cols: 2, pixel_um: 4.0 },
+        stacks: Vec::new(),
+    }
+}
+
+fn entry(role: Role, file: &str) -> StackEntry {
+    StackEntry { role, file: file.into(), exposure_ms: 10.0, table: None, truth: None, expected: None }
+}
+
+fn ramp(frames: usize, rows: usize, cols: usize) -> Array3<f32> {
+    Array3::from_shape_fn((frames, rows, cols), |(f, r, c)| (f * 1000 + r * 10 + c) as f32)
+}
+
+/// A session with a bead scan and a scene with truth.
+fn write_session(dir: &Path) {
+    let mut writer = SessionWriter::create(dir, &manifest(), Existing::Keep).unwrap();
+    for (name, samples) in [("bead.npy", SampleType::U16), ("scene.tif", SampleType::F32)] {
+        let spec = StackSpec { frames: 2, rows: 4, cols: 5, samples, pixel_um: Some(2.0) };
+        let mut frames = writer.frames(name, spec).unwrap();
+        ramp(2, 4, 5).outer_iter().for_each(|f| frames.push(f).unwrap());
+        frames.finish().unwrap();
+    }
+    let spec = StackSpec { frames: 2, rows: 3, cols: 2, samples: SampleType::F32, pixel_um: None };
+    let mut truth = writer.frames("truth.npy", spec).unwrap();
+    ramp(2, 3, 2).outer_iter().for_each(|f| truth.push(f).unwrap());
+    truth.finish().unwrap();
+    let mut rows: Vec<FrameInfo> = (0..2).map(|i| FrameInfo::plain(i, 10.0)).collect();
+    rows[1].x_um = -2.0;
+    rows[1].other.insert("operator".into(), "kl".into());
+    rows[0].other.insert("operator".into(), "mn".into());
+    writer.table("bead.csv", &rows).unwrap();
+    writer.add(StackEntry { table: Some("bead.csv".into()), ..entry(Role::Bead, "bead.npy") });
+    writer.add(StackEntry { truth: Some("truth.npy".into()), ..entry(Role::Scene, "scene.tif") });
+    writer.finish().unwrap();
+}
+
+/// Bytes of a .npy version 1.0 as the format's specification lays them down, written here by hand.
+fn npy(descr: &str, order: &str, shape: &str, data: &[u8]) -> Vec<u8> {
+    let mut header = format!("{{'descr': '{descr}', 'fortran_order': {order}, 'shape': {shape}, }}");
+    header.push_str(&" ".repeat(63 - (10 + header.len()) % 64));
+    header.push('\n');
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.bytes());
+    bytes.extend(data);
+    bytes
+}
+
+fn damaged(change: impl Fn(&Path)) -> String {
+    let dir = tempfile::tempdir().unwrap();
+    let session = dir.path().join("s");
+    write_session(&session);
+    change(&session);
+    Session::open(&session).unwrap_err().to_string()
+}
+
+fn edit(path: &Path, from: &str, to: &str) {
+    let text = std::fs::read_to_string(path).unwrap();
+    assert!(text.contains(from), "{text}");
+    std::fs::write(path, text.replace(from, to)).unwrap();
+}
+
+#[track_caller]
+fn says(error: &str, parts: &[&str]) {
+    for part in parts {
+        assert!(error.contains(part), "`{part}` is missing in: {error}");
+    }
+}
+
+#[test]
+fn a_session_comes_back_as_it_was_written() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("s");
+    write_session(&path);
+    let session = Session::open(&path).unwrap();
+    let bead = session.need(Role::Bead).unwrap()[0];
+    assert_eq!(bead.info()[1].x_um, -2.0);
+    assert_eq!(bead.info()[1].other["operator"], "kl");
+    let scene = session.need(Role::Scene).unwrap()[0];
+    for stack in [bead, scene] {
+        let mut frames = stack.frames().unwrap();
+        for (i, expected) in ramp(2, 4, 5).outer_iter().enumerate().rev() {
+            assert_eq!(frames.read(i).unwrap(), expected);
+        }
+    }
+    assert_eq!(scene.truth().unwrap().unwrap().read(1).unwrap(), ramp(2, 3, 2).index_axis(ndarray::Axis(0), 1));
+    assert!(session.need(Role::Dark).unwrap_err().to_string().contains("role = \"dark\""));
+    let leftovers: Vec<_> = std::fs::read_dir(dir.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+    assert_eq!(leftovers, ["s"], "temporary folders are gone");
+}
+
+#[test]
+fn npy_of_each_type_and_byte_order_is_read() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.npy");
+    let cases: [(&str, Vec<u8>); 5] = [
+        ("|u1", vec![1, 200]),
+        ("<u2", vec![1, 0, 200, 0]),
+        (">u2", vec![0, 1, 0, 200]),
+        ("<f4", [1.0f32, 200.0].iter().flat_map(|v| v.to_le_bytes()).collect()),
+        (">f4", [1.0f32, 200.0].iter().flat_map(|v| v.to_be_bytes()).collect()),
+    ];
+    for (descr, data) in cases {
+        std::fs::write(&path, npy(descr, "False", "(1, 1, 2)", &data)).unwrap();
+        assert_eq!(FrameReader::open(&path).unwrap().read(0).unwrap(), array![[1.0f32, 200.0]], "{descr}");
+    }
+}
+
+#[test]
+fn damaged_npy_files_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.npy");
+    let data = [0u8; 16];
+    let cases = [
+        (npy("<f8", "False", "(1, 1, 2)", &data), "sample type: expected uint8, uint16 or float32, found '<f8'"),
+        (npy("<i2", "False", "(1, 4, 2)", &data), "sample type"),
+        (npy("<u2", "True", "(1, 4, 2)", &data), "Fortran order"),
+        (npy("<u2", "False", "(4, 2)", &data), "three axes"),
+        (npy("<u2", "False", "(1, 4, 2)", &data[..15]), "expected 144 bytes, found 143"),
+        (npy("<u2", "False", "(0, 4, 2)", &[]), "at least one frame"),
+        (npy("<u2", "False", "(4294967296, 4294967296, 4294967296)", &data), "overflows"),
+        (b"\x93NUMPY".to_vec(), "not a readable .npy"),
+        (Vec::new(), "not a readable .npy"),
+    ];
+    for (bytes, message) in cases {
+        std::fs::write(&path, bytes).unwrap();
+        says(&FrameReader::open(&path).unwrap_err().to_string(), &["a.npy", message]);
+    }
+}
+
+#[test]
+fn a_truncated_tif_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.tif");
+    stack::write(&path, ramp(3, 40, 50).view()).unwrap();
+    assert_eq!(stack::read(&path).unwrap(), ramp(3, 40, 50));
+    let bytes = std::fs::read(&path).unwrap();
+    for keep in [0, 3, 8, 100, bytes.len() / 2, bytes.len() - 1] {
+        std::fs::write(&path, &bytes[..keep]).unwrap();
+        let error = FrameReader::open(&path).and_then(|mut r| (0..3).try_for_each(|i| r.read(i).map(drop)));
+        says(&error.unwrap_err().to_string(), &["a.tif"]);
+    }
+}
+
+#[test]
+fn numbers_that_are_none_are_refused_where_they_are_read() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.npy");
+    let data: Vec<u8> = [1.0f32, f32::NAN].iter().flat_map(|v| v.to_le_bytes()).collect();
+    std::fs::write(&path, npy("<f4", "False", "(1, 1, 2)", &data)).unwrap();
+    let error = FrameReader::open(&path).unwrap().read(0).unwrap_err().to_string();
+    says(&error, &["a.npy", "frame 0, pixel (0, 1)", "NaN"]);
+}
+
+#[test]
+fn each_damage_to_a_session_has_its_error() {
+    let toml = |from: &'static str, to: &'static str| damaged(move |s| edit(&s.join("session.toml"), from, to));
+    let csv = |from: &'static str, to: &'static str| damaged(move |s| edit(&s.join("bead.csv"), from, to));
+    says(&damaged(|s| std::fs::remove_file(s.join("bead.npy")).unwrap()), &["bead.npy", "No such file"]);
+    says(&damaged(|s| std::fs::remove_file(s.join("session.toml")).unwrap()), &["session.toml"]);
+    says(&toml("format = 1", "format = 2"), &["format: expected 1, found 2"]);
+    says(&toml("rows = 4", "rows = 7"), &["bead.npy", "[2, 7, 5]", "[2, 4, 5]"]);
+    says(&toml("rows = 3", "rows = 9"), &["truth.npy", "[2, 9, 2]", "[2, 3, 2]"]);
+    says(&toml("bit_depth", "bitdepth"), &["bitdepth", "line"]);
+    says(&toml("pixel_pitch_um = 2.0", "pixel_pitch_um = nan"), &["sensor.pixel_pitch_um", "NaN"]);
+    says(&toml("pixel_um = 4.0", "pixel_um = 5.0"), &["object.pixel_um", "4.0000"]);
+    says(&toml("exposure_ms = 10.0", "exposure_ms = -1.0"), &["exposure_ms", "-1"]);
+    says(&toml("psf_window_px = 3", "psf_window_px = 4"), &["psf_window_px", "odd"]);
+    says(&toml("table = \"bead.csv\"", ""), &["table of bead stack", "x_um"]);
+    says(&csv("x_um", "x_mm"), &["bead.csv", "column `x_um`", "x_mm"]);
+    says(&csv("\n1,-2", "\n1,-inf"), &["column `x_um`, row 1", "`-inf`"]);
+    says(&csv("\n1,-2", "\n1,9.0"), &["column `x_um`, frame 1", "on the object grid", "found 9"]);
+    says(&csv("\n1,-2", "\n0,-2"), &["each frame once"]);
+    says(&csv("\n1,-2", "\n5,-2"), &["frame 5"]);
+    says(&csv(",10,", ",-10,"), &["column `exposure_ms`", "-10"]);
+    says(
+        &damaged(|s| truncate_last_line(&s.join("bead.csv"))),
+        &["expected one row for each of 2 frames, found 1 rows"],
+    );
+}
+
+fn truncate_last_line(path: &Path) {
+    let text = std::fs::read_to_string(path).unwrap();
+    std::fs::write(path, text.lines().take(2).map(|l| format!("{l}\n")).collect::<String>()).unwrap();
+}
+
+#[test]
+fn a_negative_truth_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("s");
+    write_session(&path);
+    stack::write(&path.join("truth.npy"), (-ramp(2, 3, 2)).view()).unwrap();
+    let session = Session::open(&path).unwrap();
+    let error = session.stacks()[1].truth().unwrap().unwrap().read(0).unwrap_err().to_string();
+    says(&error, &["truth.npy", "object 0, pixel (0, 1)", "-1"]);
+}
+
+#[test]
+fn an_unfinished_stack_leaves_nothing_behind() {
+    let dir = tempfile::tempdir().unwrap();
+    for name in ["a.npy", "a.tif"] {
+        let spec = StackSpec { frames: 2, rows: 2, cols: 2, samples: SampleType::U8, pixel_um: None };
+        let mut writer = FrameWriter::create(&dir.path().join(name), spec).unwrap();
+        writer.push(Array2::zeros((2, 2)).view()).unwrap();
+        says(&writer.push(array![[0.0f32, 256.0], [0.0, 0.0]].view()).unwrap_err().to_string(), &["(0, 1)", "256"]);
+        says(&writer.push(Array2::zeros((2, 3)).view()).unwrap_err().to_string(), &["2 x 3"]);
+        says(&writer.finish().unwrap_err().to_string(), &["expected 2 frames, found 1"]);
+    }
+    assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0);
+}
+
+#[test]
+fn a_foreign_folder_is_never_replaced() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("s");
+    write_session(&path);
+    let again = |existing| SessionWriter::create(&path, &manifest(), existing).map(|w| w.finish());
+    says(&again(Existing::Keep).unwrap_err().to_string(), &["already exists"]);
+    says(&again(Existing::ReplaceIfHas("mark")).unwrap_err().to_string(), &["already exists"]);
+    std::fs::write(path.join("mark"), "").unwrap();
+    again(Existing::ReplaceIfHas("mark")).unwrap().unwrap();
+    assert!(Session::open(&path).unwrap().stacks().is_empty());
+    assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1, "the old folder is gone");
+}
+
+#[test]
+fn measured_sessions_open() {
+    let data = std::env::var("OMMATIDIA_DATA")
+        .map_or_else(|_| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"), std::path::PathBuf::from);
+    let fibre = data.join("sessions/fibre");
+    if !fibre.is_dir() {
+        eprintln!("skipped: no measured data at {}", data.display());
+        return;
+    }
+    let session = Session::open(fibre).unwrap();
+    let bead = session.need(Role::Bead).unwrap()[0];
+    assert_eq!(bead.len(), 169);
+    assert_eq!((bead.info()[0].x_um, bead.info()[0].y_um), (-143.76, -143.76));
+    let frame = bead.frames().unwrap().read(84).unwrap();
+    assert_eq!(frame.dim(), (360, 360));
+    assert!(frame.iter().any(|v| *v > 100.0));
+    let tardigrade = Session::open(data.join("sessions/tardigrade")).unwrap();
+    assert_eq!(tardigrade.stacks()[0].frames().unwrap().read(0).unwrap().dim(), (1100, 1100));
+}

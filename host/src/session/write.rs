@@ -1,0 +1,139 @@
+//! Writes a session, whole or not at all.
+
+use super::stack::{FrameWriter, StackSpec};
+use super::{FrameInfo, MANIFEST, Manifest, SessionError, StackEntry};
+use crate::artifact;
+use std::path::{Path, PathBuf};
+use tempfile::TempDir;
+
+/// What to do where the folder exists already.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Existing {
+    /// Refuse, unless it is empty.
+    Keep,
+    /// Replace it if it holds a file of this name, which only such a session has; refuse otherwise.
+    ReplaceIfHas(&'static str),
+}
+
+/// Writes a session into a temporary folder beside its place; [`SessionWriter::finish`] moves it there.
+#[derive(Debug)]
+pub struct SessionWriter {
+    target: PathBuf,
+    existing: Existing,
+    folder: TempDir,
+    manifest: Manifest,
+}
+
+impl SessionWriter {
+    /// Begins a session at `target`, with the sizes of `manifest`; its stacks are added one by one.
+    ///
+    /// # Errors
+    /// The sizes cannot be, the place is taken, or its parent is missing or not writable.
+    pub fn create(target: &Path, manifest: &Manifest, existing: Existing) -> Result<Self, SessionError> {
+        manifest.check(&target.join(MANIFEST))?;
+        may_write(target, existing)?;
+        let parent = artifact::folder_of(target);
+        let folder = tempfile::Builder::new().prefix(".ommatidia-").tempdir_in(parent);
+        let folder = folder.map_err(|e| SessionError::io(target, e))?;
+        let manifest = Manifest { stacks: Vec::new(), ..manifest.clone() };
+        Ok(Self { target: target.into(), existing, folder, manifest })
+    }
+
+    /// A writer of frames for file `name` of the session.
+    ///
+    /// # Errors
+    /// As [`FrameWriter::create`].
+    pub fn frames(&self, name: &str, spec: StackSpec) -> Result<FrameWriter, SessionError> {
+        FrameWriter::create(&self.folder.path().join(name), spec)
+    }
+
+    /// Writes table `name`: stage position, exposure, light and time of each frame, then the columns in `other`.
+    ///
+    /// # Errors
+    /// The disk is full.
+    pub fn table(&self, name: &str, rows: &[FrameInfo]) -> Result<(), SessionError> {
+        let path = self.folder.path().join(name);
+        let failed = |e: csv::Error| SessionError::format(&path, ".csv", e);
+        let mut csv = csv::Writer::from_path(&path).map_err(failed)?;
+        let mut header: Vec<&str> = ["frame", "x_um", "y_um", "z_um", "exposure_ms", "illumination", "time_s"].to_vec();
+        let with_temperature = rows.iter().all(|r| r.temperature_c.is_some());
+        if with_temperature {
+            header.push("temperature_c");
+        }
+        let other: Vec<&String> = rows.first().map(|r| r.other.keys().collect()).unwrap_or_default();
+        header.extend(other.iter().map(|s| s.as_str()));
+        csv.write_record(&header).map_err(failed)?;
+        for row in rows {
+            let numbers = [row.x_um, row.y_um, row.z_um, row.exposure_ms, row.illumination, row.time_s];
+            let mut record = vec![row.frame.to_string()];
+            record.extend(numbers.iter().map(f64::to_string));
+            record.extend(row.temperature_c.filter(|_| with_temperature).map(|t| t.to_string()));
+            record.extend(other.iter().map(|k| row.other.get(*k).cloned().unwrap_or_default()));
+            csv.write_record(&record).map_err(failed)?;
+        }
+        csv.flush().map_err(|e| SessionError::io(&path, e))
+    }
+
+    /// Writes a further file of the session, e.g. what a virtual instrument knows of itself.
+    ///
+    /// # Errors
+    /// The disk is full.
+    pub fn extra(&self, name: &str, bytes: &[u8]) -> Result<(), SessionError> {
+        let path = self.folder.path().join(name);
+        std::fs::write(&path, bytes).map_err(|e| SessionError::io(&path, e))
+    }
+
+    /// Enters a stack into the manifest.
+    pub fn add(&mut self, entry: StackEntry) {
+        self.manifest.stacks.push(entry);
+    }
+
+    /// Completes the session: the folder appears at its place.
+    ///
+    /// # Errors
+    /// The disk is full, or somebody took the place meanwhile; nothing is left behind.
+    pub fn finish(self) -> Result<(), SessionError> {
+        let io = |e| SessionError::io(&self.target, e);
+        let path = self.target.join(MANIFEST);
+        let text = toml::to_string(&self.manifest).map_err(|e| SessionError::format(&path, "session.toml", e))?;
+        self.extra(MANIFEST, text.as_bytes())?;
+        open_to_all(self.folder.path()).map_err(io)?;
+        may_write(&self.target, self.existing)?;
+        let parent = artifact::folder_of(&self.target);
+        let aside = tempfile::Builder::new().prefix(".ommatidia-old-").tempdir_in(parent).map_err(io)?;
+        if self.target.exists() {
+            std::fs::rename(&self.target, aside.path().join("old")).map_err(io)?;
+        }
+        // From here on the folder is no longer temporary.
+        let finished = self.folder.keep();
+        std::fs::rename(&finished, &self.target).map_err(|e| {
+            std::fs::remove_dir_all(&finished).ok();
+            std::fs::rename(aside.path().join("old"), &self.target).ok();
+            io(e)
+        })
+    }
+}
+
+/// Temporary folders are private; a finished session is as readable as any other folder.
+fn open_to_all(folder: &Path) -> std::io::Result<()> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        std::fs::set_permissions(folder, std::fs::Permissions::from_mode(0o755))?;
+    }
+    let _ = folder;
+    Ok(())
+}
+
+fn may_write(target: &Path, existing: Existing) -> Result<(), SessionError> {
+    let free = match std::fs::read_dir(target) {
+        Ok(mut entries) => entries.next().is_none(),
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => true,
+        Err(e) => return Err(SessionError::io(target, e)),
+    };
+    match existing {
+        _ if free => Ok(()),
+        Existing::ReplaceIfHas(name) if target.join(name).is_file() && target.join(MANIFEST).is_file() => Ok(()),
+        _ => Err(SessionError::Taken { path: target.into() }),
+    }
+}
