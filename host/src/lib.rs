@@ -11,6 +11,7 @@ pub mod cli;
 pub mod device;
 pub mod effects;
 pub mod evaluate;
+pub mod fft2;
 pub mod forward;
 pub mod instrument;
 pub mod methods;

@@ -7,6 +7,22 @@
 //! object -> (geometry) -> each lens -> light on the sensor -> Poisson draw -> charge -> electronics
 //! ```
 
+mod array_shift;
+mod background;
+mod chain;
+mod charge_diffusion;
+mod excitation_profile;
+mod halo;
+mod interpixel_capacitance;
+mod lens_gain;
+mod nonlinearity;
+mod pixel_mosaic;
+mod row_pattern;
+mod smooth;
+mod veiling_glare;
+
+pub use chain::{Chain, EffectError};
+
 use crate::instrument::Geometry;
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
@@ -75,6 +91,8 @@ pub struct FrameContext {
     pub lens: usize,
     /// Full scale of the converter above the black level, electrons.
     pub full_scale_e: f64,
+    /// Mean signal without light, DN.
+    pub black_level_dn: f64,
 }
 
 /// One effect. It overrides the hook of its stage; `p` holds its parameters in the order of the descriptor.
@@ -106,3 +124,36 @@ pub struct EffectSetting {
     /// Parameters by name; those left out are at their `off` value.
     pub params: BTreeMap<String, f64>,
 }
+
+/// Every effect there is: a new one is a file of its own and a line here.
+static REGISTRY: &[&dyn Effect] = &[
+    &excitation_profile::ExcitationProfile,
+    &array_shift::ArrayShift,
+    &lens_gain::LensGain,
+    &halo::Halo,
+    &veiling_glare::VeilingGlare,
+    &background::Background,
+    &charge_diffusion::ChargeDiffusion,
+    &interpixel_capacitance::InterpixelCapacitance,
+    &nonlinearity::Nonlinearity,
+    &pixel_mosaic::PixelMosaic,
+    &row_pattern::RowPattern,
+];
+
+/// Every effect, in physical order of their stages.
+pub fn registry() -> &'static [&'static dyn Effect] {
+    REGISTRY
+}
+
+/// The effect of that id.
+pub fn find(id: &str) -> Option<&'static dyn Effect> {
+    REGISTRY.iter().copied().find(|e| e.descriptor().id == id)
+}
+
+/// The ids of all effects.
+pub fn ids() -> Vec<&'static str> {
+    REGISTRY.iter().map(|e| e.descriptor().id).collect()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,9 +1,15 @@
 //! The instrument: everything that calibration learned, in one file.
 
+mod file;
+#[cfg(test)]
+pub(crate) mod fixture;
+
+pub use file::{INSTRUMENT_KIND, INSTRUMENT_VERSION, InstrumentError};
+
 use crate::effects::EffectSetting;
 use crate::noise::NoiseModel;
 use crate::session::Manifest;
-use ndarray::{Array2, Array4, Array5};
+use ndarray::{Array1, Array2, Array4, Array5};
 use serde::{Deserialize, Serialize};
 
 /// The calibrated model of one instrument. Lenses are numbered row by row, `l = i * array.cols + j`.
@@ -24,8 +30,12 @@ pub struct Instrument {
     pub psf: LowRankPsf,
     /// Effects that the loop has added to the model, in the order in which they were accepted.
     pub effects: Vec<EffectSetting>,
+    /// What one unit of light in objects is.
+    pub light_unit: LightUnit,
     /// How well it reproduces what it was made from.
     pub quality: Quality,
+    /// What a report draws of the calibration.
+    pub diagnostics: Diagnostics,
 }
 
 /// Chief rays, Eq. 1 of the paper: the focus of a source at object position (y, x) lies at
@@ -43,7 +53,8 @@ pub struct Geometry {
 
 /// Per-lens truncated SVD, Eq. 2: `H_l(p; x, y) = sum_k M_lk(x, y) B_lk(p)`, p relative to the chief ray.
 ///
-/// A window's centre pixel is `round(chief ray)` of an object pixel; the sub-pixel remainder and whatever distortion
+/// A window's centre pixel is `corner_l + (r, c)` for object pixel (r, c), with `corner_l = round(anchor_l - centre)`:
+/// one object pixel is one sensor pixel; the sub-pixel remainder and whatever distortion
 /// is left are inside the basis PSFs.
 #[derive(Clone, Debug)]
 pub struct LowRankPsf {
@@ -62,7 +73,22 @@ pub struct LowRankPsf {
     pub exposure_ms: f64,
 }
 
-/// How well the model reproduces the bead scan.
+/// What one unit of light in objects is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LightUnit {
+    /// The bead of the calibration scan, in one object pixel.
+    #[default]
+    Bead,
+    /// The unit of the session's scene truths; this many of it make one bead.
+    Truth {
+        /// Truth units a bead.
+        per_bead: f64,
+    },
+}
+
+/// How well the model reproduces the bead scan. NRMSE is `|measured - predicted| / |measured|` (Euclidean norms over all
+/// windows, black level taken off).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Quality {
@@ -70,4 +96,21 @@ pub struct Quality {
     pub approximation_error: f64,
     /// NRMSE on bead positions that were left out (checkerboard).
     pub off_grid_error: f64,
+}
+
+/// Curves and maps of the calibration, for reports and `inspect`; no figure depends on them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Diagnostics {
+    /// Bead positions, object pixels, [bead, (row, col)].
+    pub positions_px: Array2<f32>,
+    /// Pearson correlation of each bead's foci with those of the bead nearest to the axis (Fig. 2a), [bead].
+    pub pcc: Array1<f32>,
+    /// NRMSE of the rank-K model by bead, each bead's own light as the norm, [bead].
+    pub bead_nrmse: Array1<f32>,
+    /// Singular values of each lens's windows, largest first, [lens, bead].
+    pub singular_values: Array2<f32>,
+    /// Error against rank, [rank tried, (rank, approximation error, off-grid error)].
+    pub error_by_rank: Array2<f32>,
+    /// Photon transfer, [level, (mean above black in DN, temporal variance in DN^2, fitted variance in DN^2)].
+    pub photon_transfer: Array2<f32>,
 }

@@ -1,0 +1,30 @@
+//! Charge diffusion: photo-electrons wander before they are collected, so it blurs the light but leaves the noise white.
+//!
+//! `mu -> g * mu`, g of standard deviation `sigma_px`, by explicit diffusion steps that keep the charge. Catalogue 22
+//! (Janesick, *Scientific Charge-Coupled Devices*, 2001, ch. 4).
+
+use super::smooth::diffuse;
+use super::{Descriptor, Effect, FrameContext, Param, Stage};
+use ndarray::Array2;
+
+/// See the module.
+pub(super) struct ChargeDiffusion;
+
+static DESCRIPTOR: Descriptor = Descriptor {
+    id: "charge_diffusion",
+    stage: Stage::Light,
+    summary: "g_sigma * mu before the Poisson draw: electrons wander before collection",
+    params: &[Param { name: "sigma_px", unit: "px", off: 0.0, step: 0.1, min: 0.0, max: 3.0 }],
+};
+
+impl Effect for ChargeDiffusion {
+    fn descriptor(&self) -> &'static Descriptor {
+        &DESCRIPTOR
+    }
+
+    fn on_light(&self, p: &[f64], light_e: &mut Array2<f32>, _cx: &FrameContext) {
+        if p[0] > 0.0 {
+            diffuse(light_e, p[0] * p[0]);
+        }
+    }
+}

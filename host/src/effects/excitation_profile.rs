@@ -1,0 +1,40 @@
+//! Uneven excitation: emitted light falls off from a centre on the object.
+//!
+//! `O(p) -> O(p) (1 - falloff rho^2)`, rho = distance from the centre over half the diagonal of the object; first order of a
+//! Gaussian lamp profile. Fixed to the object, unlike vignetting. Catalogue 17.
+
+use super::{Descriptor, Effect, FrameContext, Param, Stage};
+use ndarray::Array2;
+
+/// See the module.
+pub(super) struct ExcitationProfile;
+
+static DESCRIPTOR: Descriptor = Descriptor {
+    id: "excitation_profile",
+    stage: Stage::Object,
+    summary: "O (1 - falloff rho^2): uneven excitation, fixed to the object",
+    params: &[
+        Param { name: "falloff", unit: "1", off: 0.0, step: 0.05, min: -1.0, max: 1.0 },
+        Param { name: "centre_row", unit: "half heights", off: 0.0, step: 0.1, min: -1.0, max: 1.0 },
+        Param { name: "centre_col", unit: "half widths", off: 0.0, step: 0.1, min: -1.0, max: 1.0 },
+    ],
+};
+
+impl Effect for ExcitationProfile {
+    fn descriptor(&self) -> &'static Descriptor {
+        &DESCRIPTOR
+    }
+
+    fn on_object(&self, p: &[f64], object: &mut Array2<f32>, _cx: &FrameContext) {
+        if p[0] == 0.0 {
+            return;
+        }
+        let half = [object.nrows() as f64 / 2.0, object.ncols() as f64 / 2.0];
+        let diagonal2 = half[0] * half[0] + half[1] * half[1];
+        for ((r, c), v) in object.indexed_iter_mut() {
+            let y = r as f64 + 0.5 - half[0] * (1.0 + p[1]);
+            let x = c as f64 + 0.5 - half[1] * (1.0 + p[2]);
+            *v *= (1.0 - p[0] * (y * y + x * x) / diagonal2).max(0.0) as f32;
+        }
+    }
+}

@@ -1,0 +1,36 @@
+//! Halo: a part of the light of each point is scattered far outside the PSF window (turbid media, dirty optics).
+//!
+//! `mu -> (1 - weight) mu + weight (g * mu)`, g a Gaussian of `sigma_px`; what is scattered off the sensor is lost.
+//! Catalogue 11.
+
+use super::smooth::gaussian_blur;
+use super::{Descriptor, Effect, FrameContext, Param, Stage};
+use ndarray::Array2;
+
+/// See the module.
+pub(super) struct Halo;
+
+static DESCRIPTOR: Descriptor = Descriptor {
+    id: "halo",
+    stage: Stage::Light,
+    summary: "(1 - weight) mu + weight g_sigma * mu: scattered light around each point",
+    params: &[
+        Param { name: "weight", unit: "1", off: 0.0, step: 0.02, min: 0.0, max: 1.0 },
+        Param { name: "sigma_px", unit: "px", off: 12.0, step: 2.0, min: 0.5, max: 500.0 },
+    ],
+};
+
+impl Effect for Halo {
+    fn descriptor(&self) -> &'static Descriptor {
+        &DESCRIPTOR
+    }
+
+    fn on_light(&self, p: &[f64], light_e: &mut Array2<f32>, _cx: &FrameContext) {
+        if p[0] == 0.0 {
+            return;
+        }
+        let scattered = gaussian_blur(light_e, p[1]);
+        let w = p[0] as f32;
+        light_e.zip_mut_with(&scattered, |v, s| *v = (1.0 - w) * *v + w * s);
+    }
+}

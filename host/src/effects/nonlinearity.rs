@@ -1,0 +1,30 @@
+//! Nonlinearity: the response bends down towards full scale.
+//!
+//! `Q -> Q - beta Q^2 / full_scale`. Catalogue 25.
+
+use super::{Descriptor, Effect, FrameContext, Param, Stage};
+use ndarray::Array2;
+
+/// See the module.
+pub(super) struct Nonlinearity;
+
+static DESCRIPTOR: Descriptor = Descriptor {
+    id: "nonlinearity",
+    stage: Stage::Charge,
+    summary: "Q - beta Q^2 / full scale: the response bends towards full scale",
+    params: &[Param { name: "beta", unit: "1", off: 0.0, step: 0.01, min: -0.5, max: 0.5 }],
+};
+
+impl Effect for Nonlinearity {
+    fn descriptor(&self) -> &'static Descriptor {
+        &DESCRIPTOR
+    }
+
+    fn on_charge(&self, p: &[f64], charge_e: &mut Array2<f32>, cx: &FrameContext) {
+        if p[0] == 0.0 || cx.full_scale_e <= 0.0 {
+            return;
+        }
+        let bend = (p[0] / cx.full_scale_e) as f32;
+        charge_e.mapv_inplace(|q| q - bend * q * q);
+    }
+}

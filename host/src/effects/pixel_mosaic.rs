@@ -1,0 +1,38 @@
+//! Pixel mosaic: the four sites of each 2 x 2 cell differ in gain (left-over colour mosaic, shared readout).
+//!
+//! `y -> black + (y - black) (1 + checker (-1)^(r+c) + rows (-1)^r + cols (-1)^c)`: three orthogonal contrasts. Catalogue 32.
+
+use super::{Descriptor, Effect, FrameContext, Param, Stage};
+use ndarray::Array2;
+
+/// See the module.
+pub(super) struct PixelMosaic;
+
+static DESCRIPTOR: Descriptor = Descriptor {
+    id: "pixel_mosaic",
+    stage: Stage::Electronics,
+    summary: "gain 1 + checker (-1)^(r+c) + rows (-1)^r + cols (-1)^c: 2 x 2 sites differ",
+    params: &[
+        Param { name: "checker", unit: "1", off: 0.0, step: 0.005, min: -0.5, max: 0.5 },
+        Param { name: "rows", unit: "1", off: 0.0, step: 0.005, min: -0.5, max: 0.5 },
+        Param { name: "cols", unit: "1", off: 0.0, step: 0.005, min: -0.5, max: 0.5 },
+    ],
+};
+
+impl Effect for PixelMosaic {
+    fn descriptor(&self) -> &'static Descriptor {
+        &DESCRIPTOR
+    }
+
+    fn on_electronics(&self, p: &[f64], frame_dn: &mut Array2<f32>, cx: &FrameContext) {
+        if p.iter().all(|v| *v == 0.0) {
+            return;
+        }
+        let black = cx.black_level_dn as f32;
+        let sign = |n: usize| if n.is_multiple_of(2) { 1.0 } else { -1.0 };
+        for ((r, c), v) in frame_dn.indexed_iter_mut() {
+            let gain = 1.0 + p[0] * sign(r + c) + p[1] * sign(r) + p[2] * sign(c);
+            *v = black + (*v - black) * gain as f32;
+        }
+    }
+}

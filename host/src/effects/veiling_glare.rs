@@ -1,0 +1,30 @@
+//! Veiling glare: light that strays everywhere, in proportion to all the light there is.
+//!
+//! `mu -> mu + beta mean(mu)`: beta is the stray fraction of the total flux, spread evenly over the sensor. Catalogue 12.
+
+use super::{Descriptor, Effect, FrameContext, Param, Stage};
+use ndarray::Array2;
+
+/// See the module.
+pub(super) struct VeilingGlare;
+
+static DESCRIPTOR: Descriptor = Descriptor {
+    id: "veiling_glare",
+    stage: Stage::Light,
+    summary: "mu + beta mean(mu): stray light, even over the sensor",
+    params: &[Param { name: "beta", unit: "1", off: 0.0, step: 0.02, min: 0.0, max: 10.0 }],
+};
+
+impl Effect for VeilingGlare {
+    fn descriptor(&self) -> &'static Descriptor {
+        &DESCRIPTOR
+    }
+
+    fn on_light(&self, p: &[f64], light_e: &mut Array2<f32>, _cx: &FrameContext) {
+        if p[0] == 0.0 || light_e.is_empty() {
+            return;
+        }
+        let mean = light_e.iter().map(|v| f64::from(*v)).sum::<f64>() / light_e.len() as f64;
+        light_e.mapv_inplace(|v| v + (p[0] * mean) as f32);
+    }
+}

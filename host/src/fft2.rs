@@ -1,0 +1,195 @@
+//! Two-dimensional real FFT on the host: plan, scratch, process.
+//!
+//! The spectrum of a [rows, cols] image is kept transposed, [cols/2 + 1, rows], so that both passes run over contiguous
+//! memory. Nothing is normalised: `inverse(forward(x)) = rows * cols * x`.
+
+use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
+use rustfft::Fft;
+use rustfft::num_complex::Complex32;
+use std::sync::Arc;
+
+/// A planned real transform of [rows, cols] images.
+#[derive(Clone)]
+pub struct RealFft2 {
+    rows: usize,
+    cols: usize,
+    row_forward: Arc<dyn RealToComplex<f32>>,
+    row_inverse: Arc<dyn ComplexToReal<f32>>,
+    col_forward: Arc<dyn Fft<f32>>,
+    col_inverse: Arc<dyn Fft<f32>>,
+}
+
+/// Working memory of a [`RealFft2`]; one a thread.
+#[derive(Clone, Debug)]
+pub struct Fft2Scratch {
+    half: Vec<Complex32>,
+    row: Vec<f32>,
+    fft: Vec<Complex32>,
+}
+
+impl std::fmt::Debug for RealFft2 {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "RealFft2 {{ rows: {}, cols: {} }}", self.rows, self.cols)
+    }
+}
+
+impl RealFft2 {
+    /// Plans transforms of [rows, cols] images, both at least 1.
+    pub fn new(rows: usize, cols: usize) -> Self {
+        let mut real = RealFftPlanner::<f32>::new();
+        let mut complex = rustfft::FftPlanner::<f32>::new();
+        Self {
+            rows,
+            cols,
+            row_forward: real.plan_fft_forward(cols),
+            row_inverse: real.plan_fft_inverse(cols),
+            col_forward: complex.plan_fft_forward(rows),
+            col_inverse: complex.plan_fft_inverse(rows),
+        }
+    }
+
+    /// Rows and columns of the image.
+    pub fn shape(&self) -> [usize; 2] {
+        [self.rows, self.cols]
+    }
+
+    /// Columns of the half spectrum, `cols / 2 + 1`.
+    pub fn half_cols(&self) -> usize {
+        self.cols / 2 + 1
+    }
+
+    /// Values in a spectrum.
+    pub fn spectrum_len(&self) -> usize {
+        self.rows * self.half_cols()
+    }
+
+    /// Fresh working memory.
+    pub fn scratch(&self) -> Fft2Scratch {
+        let zero = Complex32::default();
+        let fft = self.row_forward.get_scratch_len().max(self.row_inverse.get_scratch_len());
+        let fft = fft.max(self.col_forward.get_inplace_scratch_len()).max(self.col_inverse.get_inplace_scratch_len());
+        Fft2Scratch { half: vec![zero; self.spectrum_len()], row: vec![0.0; self.cols], fft: vec![zero; fft] }
+    }
+
+    /// Image [rows, cols] -> spectrum [cols/2 + 1, rows]. Rows that are all zero cost nothing in the first pass.
+    ///
+    /// # Panics
+    /// A slice has another length than the plan: a fault of the caller, never of data.
+    pub fn forward(&self, image: &[f32], spectrum: &mut [Complex32], s: &mut Fft2Scratch) {
+        assert_eq!((image.len(), spectrum.len()), (self.rows * self.cols, self.spectrum_len()));
+        let half = self.half_cols();
+        for (row, out) in image.chunks_exact(self.cols).zip(s.half.chunks_exact_mut(half)) {
+            if row.iter().all(|v| *v == 0.0) {
+                out.fill(Complex32::default());
+                continue;
+            }
+            s.row.copy_from_slice(row);
+            let done = self.row_forward.process_with_scratch(&mut s.row, out, &mut s.fft);
+            debug_assert!(done.is_ok());
+        }
+        transpose(&s.half, spectrum, self.rows, half);
+        self.col_forward.process_with_scratch(spectrum, &mut s.fft);
+    }
+
+    /// Spectrum [cols/2 + 1, rows] -> image [rows, cols], times `rows * cols`; the spectrum is used up.
+    ///
+    /// # Panics
+    /// A slice has another length than the plan: a fault of the caller, never of data.
+    pub fn inverse(&self, spectrum: &mut [Complex32], image: &mut [f32], s: &mut Fft2Scratch) {
+        assert_eq!((image.len(), spectrum.len()), (self.rows * self.cols, self.spectrum_len()));
+        let half = self.half_cols();
+        self.col_inverse.process_with_scratch(spectrum, &mut s.fft);
+        transpose(spectrum, &mut s.half, half, self.rows);
+        for (row, out) in s.half.chunks_exact_mut(half).zip(image.chunks_exact_mut(self.cols)) {
+            // The imaginary parts at zero and at Nyquist are rounding noise; the transform wants them gone.
+            row[0].im = 0.0;
+            if self.cols.is_multiple_of(2) {
+                row[half - 1].im = 0.0;
+            }
+            let done = self.row_inverse.process_with_scratch(row, out, &mut s.fft);
+            debug_assert!(done.is_ok());
+        }
+    }
+}
+
+/// The smallest number >= `n` whose only prime factors are 2, 3 and 5 and that is even: a fast size.
+pub fn fast_size(n: usize) -> usize {
+    let smooth = |mut m: usize| {
+        for p in [2, 3, 5] {
+            while m.is_multiple_of(p) {
+                m /= p;
+            }
+        }
+        m == 1
+    };
+    let mut size = n.max(2).next_multiple_of(2);
+    while !smooth(size) {
+        size += 2;
+    }
+    size
+}
+
+/// [rows, cols] -> [cols, rows], in tiles that stay in cache.
+fn transpose(from: &[Complex32], to: &mut [Complex32], rows: usize, cols: usize) {
+    const TILE: usize = 16;
+    for r0 in (0..rows).step_by(TILE) {
+        for c0 in (0..cols).step_by(TILE) {
+            for c in c0..(c0 + TILE).min(cols) {
+                for r in r0..(r0 + TILE).min(rows) {
+                    to[c * rows + r] = from[r * cols + c];
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+    use std::f64::consts::TAU;
+
+    fn image(rows: usize, cols: usize) -> Vec<f32> {
+        (0..rows * cols).map(|i| ((i * 7919 + 13) % 101) as f32 / 50.0 - 1.0).collect()
+    }
+
+    /// The sum as it is written in books, in f64.
+    fn naive(x: &[f32], rows: usize, cols: usize, u: usize, v: usize) -> [f64; 2] {
+        let mut sum = [0.0; 2];
+        for r in 0..rows {
+            for c in 0..cols {
+                let phase = -TAU * (u as f64 * r as f64 / rows as f64 + v as f64 * c as f64 / cols as f64);
+                sum[0] += f64::from(x[r * cols + c]) * phase.cos();
+                sum[1] += f64::from(x[r * cols + c]) * phase.sin();
+            }
+        }
+        sum
+    }
+
+    #[test]
+    fn equals_the_naive_sum_and_comes_back() {
+        for (rows, cols) in [(8, 8), (6, 10), (9, 5), (1, 4), (5, 1)] {
+            let plan = RealFft2::new(rows, cols);
+            let x = image(rows, cols);
+            let mut s = plan.scratch();
+            let mut spectrum = vec![Complex32::new(9.0, 9.0); plan.spectrum_len()];
+            plan.forward(&x, &mut spectrum, &mut s);
+            for v in 0..plan.half_cols() {
+                for u in 0..rows {
+                    let (got, want) = (spectrum[v * rows + u], naive(&x, rows, cols, u, v));
+                    assert!((f64::from(got.re) - want[0]).abs() < 1e-4 && (f64::from(got.im) - want[1]).abs() < 1e-4);
+                }
+            }
+            let mut back = vec![9.0; rows * cols];
+            plan.inverse(&mut spectrum, &mut back, &mut s);
+            for (a, b) in back.iter().zip(&x) {
+                assert!((a / (rows * cols) as f32 - b).abs() < 1e-6);
+            }
+        }
+    }
+
+    #[test]
+    fn fast_sizes_are_even_and_smooth() {
+        assert_eq!([1, 2, 7, 13, 110, 121, 1025].map(fast_size), [2, 2, 8, 16, 120, 128, 1080]);
+    }
+}

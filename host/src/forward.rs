@@ -1,1 +1,0 @@
-//! Scene -> frame: optics, then effects in physical order. (being written)

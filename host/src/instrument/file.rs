@@ -1,0 +1,198 @@
+//! The instrument on disk: an artifact of kind `instrument`.
+
+use super::{Diagnostics, Geometry, Instrument, LightUnit, LowRankPsf, Quality};
+use crate::artifact::{self, ArtifactError, Header, Provenance, Tensors};
+use crate::effects::EffectSetting;
+use crate::noise::NoiseModel;
+use crate::session::Manifest;
+use ndarray::{Array, ArrayD, Dimension, Ix1, Ix2, Ix4, Ix5};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+use thiserror::Error;
+
+/// Kind of the artifact.
+pub const INSTRUMENT_KIND: &str = "instrument";
+/// Version of its layout.
+pub const INSTRUMENT_VERSION: u32 = 1;
+
+/// Why an instrument could not be read or written.
+#[derive(Debug, Error)]
+pub enum InstrumentError {
+    /// The file.
+    #[error(transparent)]
+    Artifact(#[from] ArtifactError),
+    /// A field of the header makes no sense.
+    #[error("{path}: field `{field}`: expected {expected}, found {found}; calibrate again")]
+    Field {
+        /// The file.
+        path: std::path::PathBuf,
+        /// The field.
+        field: &'static str,
+        /// What was expected.
+        expected: String,
+        /// What was found.
+        found: String,
+    },
+}
+
+/// The small numbers of an instrument.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Body {
+    manifest: Manifest,
+    noise: NoiseModel,
+    geometry: Geometry,
+    node_depths_um: Vec<f64>,
+    node_rows_px: Vec<f64>,
+    node_cols_px: Vec<f64>,
+    exposure_ms: f64,
+    effects: Vec<EffectSetting>,
+    light_unit: LightUnit,
+    quality: Quality,
+}
+
+impl Instrument {
+    /// Writes the instrument: whole, or not at all.
+    ///
+    /// # Errors
+    /// The folder is missing or not writable.
+    pub fn write(&self, path: &Path, provenance: Provenance) -> Result<(), InstrumentError> {
+        let body = Body {
+            manifest: self.manifest.clone(),
+            noise: self.noise,
+            geometry: self.geometry.clone(),
+            node_depths_um: self.psf.node_depths_um.clone(),
+            node_rows_px: self.psf.node_rows_px.clone(),
+            node_cols_px: self.psf.node_cols_px.clone(),
+            exposure_ms: self.psf.exposure_ms,
+            effects: self.effects.clone(),
+            light_unit: self.light_unit,
+            quality: self.quality.clone(),
+        };
+        let d = &self.diagnostics;
+        let mut tensors = Tensors::from([
+            ("psf.basis".into(), self.psf.basis.clone().into_dyn()),
+            ("psf.coefficients".into(), self.psf.coefficients.clone().into_dyn()),
+            ("diagnostics.positions_px".into(), d.positions_px.clone().into_dyn()),
+            ("diagnostics.pcc".into(), d.pcc.clone().into_dyn()),
+            ("diagnostics.bead_nrmse".into(), d.bead_nrmse.clone().into_dyn()),
+            ("diagnostics.singular_values".into(), d.singular_values.clone().into_dyn()),
+            ("diagnostics.error_by_rank".into(), d.error_by_rank.clone().into_dyn()),
+            ("diagnostics.photon_transfer".into(), d.photon_transfer.clone().into_dyn()),
+        ]);
+        if let Some(offset) = &self.offset_dn {
+            tensors.insert("offset_dn".into(), offset.clone().into_dyn());
+        }
+        let header = Header { kind: INSTRUMENT_KIND.into(), version: INSTRUMENT_VERSION, provenance, body };
+        Ok(artifact::write(path, &header, &tensors)?)
+    }
+
+    /// Reads an instrument.
+    ///
+    /// # Errors
+    /// The file is missing, of another kind or version, cut short, or its parts disagree.
+    pub fn read(path: &Path) -> Result<Self, InstrumentError> {
+        let (header, mut tensors) = artifact::read::<Body>(path, INSTRUMENT_KIND, INSTRUMENT_VERSION)?;
+        let body = header.body;
+        check(path, &body)?;
+        let (lenses, window) = (body.manifest.array.lenses(), body.manifest.optics.psf_window_px);
+        let nodes = [body.node_depths_um.len(), body.node_rows_px.len(), body.node_cols_px.len()].map(Some);
+        let mut take = |name: &str, shape: &[Option<usize>]| artifact::take(path, &mut tensors, name, shape);
+        let basis = take("psf.basis", &[Some(lenses), None, Some(window), Some(window)])?;
+        let rank = basis.shape()[1];
+        let coefficients = take("psf.coefficients", &[Some(lenses), Some(rank), nodes[0], nodes[1], nodes[2]])?;
+        let diagnostics = Diagnostics {
+            positions_px: fixed::<Ix2>(take("diagnostics.positions_px", &[None, None])?),
+            pcc: fixed::<Ix1>(take("diagnostics.pcc", &[None])?),
+            bead_nrmse: fixed::<Ix1>(take("diagnostics.bead_nrmse", &[None])?),
+            singular_values: fixed::<Ix2>(take("diagnostics.singular_values", &[None, None])?),
+            error_by_rank: fixed::<Ix2>(take("diagnostics.error_by_rank", &[None, None])?),
+            photon_transfer: fixed::<Ix2>(take("diagnostics.photon_transfer", &[None, None])?),
+        };
+        let sensor = [Some(body.manifest.sensor.rows), Some(body.manifest.sensor.cols)];
+        let offset_dn = match tensors.contains_key("offset_dn") {
+            true => Some(fixed::<Ix2>(artifact::take(path, &mut tensors, "offset_dn", &sensor)?)),
+            false => None,
+        };
+        Ok(Self {
+            manifest: body.manifest,
+            noise: body.noise,
+            offset_dn,
+            geometry: body.geometry,
+            psf: LowRankPsf {
+                basis: fixed::<Ix4>(basis),
+                coefficients: fixed::<Ix5>(coefficients),
+                node_depths_um: body.node_depths_um,
+                node_rows_px: body.node_rows_px,
+                node_cols_px: body.node_cols_px,
+                exposure_ms: body.exposure_ms,
+            },
+            effects: body.effects,
+            light_unit: body.light_unit,
+            quality: body.quality,
+            diagnostics,
+        })
+    }
+}
+
+/// An array whose number of axes [`artifact::take`] has checked.
+fn fixed<D: Dimension>(array: ArrayD<f32>) -> Array<f32, D> {
+    array.into_dimensionality().unwrap_or_else(|_| Array::zeros(D::zeros(D::NDIM.unwrap_or(0))))
+}
+
+fn check(path: &Path, body: &Body) -> Result<(), InstrumentError> {
+    let fail = |field, expected: &str, found: String| {
+        Err(InstrumentError::Field { path: path.into(), field, expected: expected.into(), found })
+    };
+    let lenses = body.manifest.array.lenses();
+    if body.geometry.anchors_px.len() != lenses || body.geometry.dead.len() != lenses {
+        return fail("geometry", &format!("{lenses} lenses"), format!("{}", body.geometry.anchors_px.len()));
+    }
+    for (field, nodes) in [("node_rows_px", &body.node_rows_px), ("node_cols_px", &body.node_cols_px)] {
+        if nodes.is_empty() || nodes.windows(2).any(|w| w[0] >= w[1]) {
+            return fail(field, "ascending values", format!("{nodes:?}"));
+        }
+    }
+    let positive = [("noise.gain_dn_per_e", body.noise.gain_dn_per_e), ("exposure_ms", body.exposure_ms)];
+    for (field, value) in positive {
+        if !(value.is_finite() && value > 0.0) {
+            return fail(field, "a finite value above zero", value.to_string());
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::super::fixture::instrument;
+    use super::*;
+
+    #[test]
+    fn comes_back_as_it_was_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.instrument");
+        let mut before = instrument([9, 11], [30, 33], 5, 3);
+        before.light_unit = LightUnit::Truth { per_bead: 2.5 };
+        before.write(&path, Provenance::new("calibrate", 1, &())).unwrap();
+        let after = Instrument::read(&path).unwrap();
+        assert_eq!(format!("{before:?}"), format!("{after:?}"));
+    }
+
+    #[test]
+    fn disagreeing_parts_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.instrument");
+        let refused = |change: &dyn Fn(&mut Instrument)| {
+            let mut broken = instrument([9, 11], [30, 33], 5, 3);
+            change(&mut broken);
+            broken.write(&path, Provenance::new("calibrate", 1, &())).unwrap();
+            Instrument::read(&path).unwrap_err().to_string()
+        };
+        assert!(refused(&|i| i.psf.node_rows_px.swap(0, 1)).contains("node_rows_px"));
+        assert!(refused(&|i| i.psf.node_cols_px.truncate(2)).contains("psf.coefficients"));
+        assert!(refused(&|i| i.psf.basis[[0, 0, 0, 0]] = f32::NAN).contains("NaN"));
+        assert!(refused(&|i| i.noise.gain_dn_per_e = 0.0).contains("gain"));
+        assert!(refused(&|i| i.geometry.dead.truncate(1)).contains("geometry"));
+    }
+}

@@ -1,0 +1,81 @@
+//! From node values to any point between them: local cubic (Lagrange) interpolation along one axis.
+//!
+//! Coefficient maps are stored on a coarse grid and worked out row by row where they are needed, so that the memory of a
+//! model does not grow with the object. Four nodes a point reproduce cubics exactly; the error falls with spacing^4.
+
+/// Weights of up to four neighbouring nodes for one point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Taps {
+    /// Index of the first node.
+    pub first: usize,
+    /// Nodes used: 1 to 4.
+    pub count: usize,
+    /// Weight of each node used; the sum is 1.
+    pub weights: [f32; 4],
+}
+
+impl Taps {
+    /// Weights that carry values at `nodes` (ascending, not empty) to `x`. Outside the nodes the end value holds.
+    pub fn at(nodes: &[f64], x: f64) -> Self {
+        let count = nodes.len().clamp(1, 4);
+        let Some((&low, &high)) = nodes.first().zip(nodes.last()) else {
+            return Self { first: 0, count: 1, weights: [1.0, 0.0, 0.0, 0.0] };
+        };
+        let x = x.clamp(low, high);
+        let right = nodes.partition_point(|n| *n <= x);
+        let first = right.saturating_sub(count / 2).min(nodes.len() - count);
+        let near = &nodes[first..first + count];
+        let mut weights = [0.0; 4];
+        for (i, w) in weights.iter_mut().enumerate().take(count) {
+            let others = (0..count).filter(|j| *j != i);
+            *w = others.map(|j| (x - near[j]) / (near[i] - near[j])).product::<f64>() as f32;
+        }
+        Self { first, count, weights }
+    }
+
+    /// Weights for each of `n` points 0, 1, .. n-1 (pixels).
+    pub fn for_pixels(nodes: &[f64], n: usize) -> Vec<Self> {
+        (0..n).map(|i| Self::at(nodes, i as f64)).collect()
+    }
+
+    /// The interpolated value of `values`, one a node.
+    pub fn apply(&self, values: &[f32]) -> f32 {
+        let used = &values[self.first..self.first + self.count];
+        used.iter().zip(&self.weights).map(|(v, w)| v * w).sum()
+    }
+}
+
+/// `n` nodes evenly over the pixels 0 ..= last, ends included; one node lies in the middle.
+pub fn even_nodes(pixels: usize, n: usize) -> Vec<f64> {
+    let last = pixels.saturating_sub(1) as f64;
+    if n < 2 {
+        return vec![last / 2.0];
+    }
+    (0..n).map(|i| last * i as f64 / (n - 1) as f64).collect()
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cubics_come_back_exactly_on_uneven_nodes() {
+        let nodes = [-3.0, -1.5, 0.0, 1.0, 4.0, 6.0];
+        let f = |x: f64| 1.0 + x - 0.5 * x * x + 0.1 * x * x * x;
+        let values: Vec<f32> = nodes.iter().map(|x| f(*x) as f32).collect();
+        for i in 0..=90 {
+            let x = -3.0 + i as f64 / 10.0;
+            assert!((f64::from(Taps::at(&nodes, x).apply(&values)) - f(x)).abs() < 1e-5);
+        }
+    }
+
+    #[test]
+    fn few_nodes_and_points_outside_are_held() {
+        assert_eq!(Taps::at(&[5.0], 9.0).apply(&[2.5]), 2.5);
+        assert_eq!(Taps::at(&[0.0, 2.0], 1.0).apply(&[1.0, 3.0]), 2.0);
+        assert_eq!(Taps::at(&[0.0, 1.0, 2.0, 3.0, 4.0], 99.0).apply(&[1.0, 0.0, 0.0, 0.0, 7.0]), 7.0);
+        assert_eq!(even_nodes(96, 3), vec![0.0, 47.5, 95.0]);
+        assert_eq!(even_nodes(96, 1), vec![47.5]);
+    }
+}

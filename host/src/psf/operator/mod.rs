@@ -1,0 +1,428 @@
+//! Eq. 3 of the paper as one linear operator, with its exact transpose.
+//!
+//! ```text
+//! g = sum_l place_l( sum_k (M_lk . O) * B_lk )
+//! ```
+//! `place_l` puts object pixel (r, c) at sensor pixel `corner_l + (r, c)`, `corner_l = round(anchor_l - centre)`: one object
+//! pixel is one sensor pixel, and what that leaves (sub-pixel remainder, distortion) lies in the basis PSFs. Light that falls
+//! off the sensor is cut. The convolutions run block by block over the object (overlap-add), with the spectra of the basis
+//! kept; the memory is bounded by the block, not by the object. All in f32; the result does not depend on the number of threads.
+
+use super::nodes::Taps;
+use super::shift::shifted_windows;
+use crate::fft2::{Fft2Scratch, RealFft2, fast_size};
+use crate::instrument::{Geometry, Instrument};
+use ndarray::{Array2, Array3, ArrayView2, ArrayView3, Axis, s};
+use rayon::prelude::*;
+use rustfft::num_complex::Complex32;
+use thiserror::Error;
+
+/// Why an operator could not be planned or applied.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum OperatorError {
+    /// An array has the wrong shape.
+    #[error("{what}: expected {expected:?}, found {found:?}")]
+    Shape {
+        /// Which array.
+        what: &'static str,
+        /// Rows and columns that were expected.
+        expected: [usize; 2],
+        /// Rows and columns that were found.
+        found: [usize; 2],
+    },
+    /// The depth does not exist.
+    #[error("depth index {found}: the instrument was calibrated at {depths} depths")]
+    Depth {
+        /// Index that was asked for.
+        found: usize,
+        /// Number of depths.
+        depths: usize,
+    },
+    /// An effect changes the magnification, which needs a new calibration.
+    #[error(
+        "effective magnification {found}: the basis PSFs were calibrated at {expected}; only chief rays may be moved"
+    )]
+    Magnification {
+        /// Magnification of the calibration.
+        expected: f64,
+        /// Magnification that was asked for.
+        found: f64,
+    },
+    /// The instrument's tables disagree with one another.
+    #[error("instrument field `{field}`: expected {expected} entries, found {found}; calibrate again")]
+    Field {
+        /// Which field.
+        field: &'static str,
+        /// Entries that were expected.
+        expected: usize,
+        /// Entries that were found.
+        found: usize,
+    },
+}
+
+/// How the operator is planned.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OperatorConfig {
+    /// Index into the depths of the model.
+    pub depth: usize,
+    /// Largest transform, pixels a side; a whole object that fits is one block.
+    pub max_transform_px: usize,
+}
+
+impl Default for OperatorConfig {
+    fn default() -> Self {
+        Self { depth: 0, max_transform_px: 1024 }
+    }
+}
+
+/// One lens, planned.
+#[derive(Clone, Debug)]
+struct LensPlan {
+    /// Sensor pixel of object pixel (0, 0).
+    corner: [isize; 2],
+    /// Spectra of the basis PSFs, [k, spectrum], with the transform's 1 / (rows * cols) in them.
+    spectra: Vec<Complex32>,
+    /// Coefficients at the nodes, [k, node row, node col], DN for a unit source.
+    coefficients: Array3<f32>,
+}
+
+/// The planned operator: objects [object rows, object cols] -> light on the sensor [sensor rows, sensor cols].
+///
+/// Units: DN above black for an object in the session's light unit, at the exposure of the calibration.
+#[derive(Clone, Debug)]
+pub struct LowRankOperator {
+    object: [usize; 2],
+    sensor: [usize; 2],
+    window: usize,
+    step: [usize; 2],
+    fft: RealFft2,
+    lenses: Vec<Option<LensPlan>>,
+    row_taps: Vec<Taps>,
+    col_taps: Vec<Taps>,
+}
+
+/// The image of one lens: its window on the sensor plane, parts off the sensor included.
+#[derive(Clone, Debug)]
+pub struct LensImage {
+    /// Sensor pixel of the first element; may be negative.
+    pub origin: [isize; 2],
+    /// Light, DN.
+    pub light: Array2<f32>,
+}
+
+impl LensImage {
+    /// Adds the part that lies on the sensor to `frame`.
+    pub fn add_to(&self, frame: &mut Array2<f32>) {
+        let (rows, cols) = frame.dim();
+        let (h, w) = self.light.dim();
+        let (Some((fr, lr)), Some((fc, lc))) = (overlap(self.origin[0], h, rows), overlap(self.origin[1], w, cols))
+        else {
+            return;
+        };
+        let mut target = frame.slice_mut(s![fr, fc]);
+        target += &self.light.slice(s![lr, lc]);
+    }
+}
+
+type Span = std::ops::Range<usize>;
+
+/// Where an extent of `n` pixels from `origin` meets 0..limit: the span there, and the span in the extent.
+fn overlap(origin: isize, n: usize, limit: usize) -> Option<(Span, Span)> {
+    let low = origin.max(0);
+    let high = (origin + n as isize).min(limit as isize);
+    (low < high).then(|| (low as usize..high as usize, (low - origin) as usize..(high - origin) as usize))
+}
+
+/// Per-thread working memory.
+struct Work {
+    scratch: Fft2Scratch,
+    image: Vec<f32>,
+    spectrum: Vec<Complex32>,
+    sum: Vec<Complex32>,
+    node_row: Vec<f32>,
+}
+
+impl LowRankOperator {
+    /// Plans the operator of an instrument whose chief rays lie where `geometry` says (the instrument's own, or moved
+    /// from there by an effect).
+    ///
+    /// # Errors
+    /// The tables of the instrument disagree, the depth does not exist, or the magnification differs.
+    pub fn plan(instrument: &Instrument, geometry: &Geometry, config: OperatorConfig) -> Result<Self, OperatorError> {
+        let (psf, manifest) = (&instrument.psf, &instrument.manifest);
+        let object = [manifest.object.rows, manifest.object.cols];
+        check(instrument, geometry, config)?;
+        let calibrated = &instrument.geometry;
+        let centre = object.map(|n| (n as f64 - 1.0) / 2.0);
+        let moves: Vec<[f64; 2]> = (0..geometry.anchors_px.len())
+            .map(|l| [0, 1].map(|a| geometry.anchors_px[l][a] - calibrated.anchors_px[l][a]))
+            .collect();
+        let sub_pixel = moves.iter().flatten().any(|d| d.fract() != 0.0);
+        // A kernel that moves by a fraction of a pixel spreads a little: keep its tails.
+        let margin = if sub_pixel { 4 } else { 0 };
+        let window = psf.basis.dim().2 + 2 * margin;
+        let transform = object.map(|n| fast_size((n + window - 1).min(config.max_transform_px.max(2 * window))));
+        let fft = RealFft2::new(transform[0], transform[1]);
+        let lenses = moves
+            .par_iter()
+            .enumerate()
+            .map(|(l, shift)| {
+                if geometry.dead[l] {
+                    return None;
+                }
+                let whole = shift.map(f64::round);
+                let fraction = [shift[0] - whole[0], shift[1] - whole[1]];
+                let basis = psf.basis.index_axis(Axis(0), l);
+                let kernels = shifted_windows(basis, fraction, margin);
+                let corner =
+                    [0, 1].map(|a| (calibrated.anchors_px[l][a] - centre[a]).round() as isize + whole[a] as isize);
+                let coefficients = psf.coefficients.slice(s![l, .., config.depth, .., ..]).to_owned();
+                Some(LensPlan { corner, spectra: spectra_of(&fft, kernels.view()), coefficients })
+            })
+            .collect();
+        Ok(Self {
+            object,
+            sensor: [manifest.sensor.rows, manifest.sensor.cols],
+            window,
+            step: [0, 1].map(|a| (transform[a] + 1 - window).min(object[a])),
+            fft,
+            lenses,
+            row_taps: Taps::for_pixels(&psf.node_rows_px, object[0]),
+            col_taps: Taps::for_pixels(&psf.node_cols_px, object[1]),
+        })
+    }
+
+    /// Rows and columns of objects.
+    pub fn object_shape(&self) -> [usize; 2] {
+        self.object
+    }
+
+    /// Rows and columns of frames.
+    pub fn sensor_shape(&self) -> [usize; 2] {
+        self.sensor
+    }
+
+    /// Number of lenses, dead ones counted.
+    pub fn lenses(&self) -> usize {
+        self.lenses.len()
+    }
+
+    /// A x: the light of all lenses on the sensor, DN.
+    ///
+    /// # Errors
+    /// The object has another shape than the plan.
+    pub fn apply(&self, object: ArrayView2<'_, f32>) -> Result<Array2<f32>, OperatorError> {
+        let mut frame = Array2::zeros(self.sensor);
+        self.each_lens(object, |_, image| image.add_to(&mut frame))?;
+        Ok(frame)
+    }
+
+    /// The image of each living lens, in the order of the lenses, as they become ready; a few at a time are in memory.
+    ///
+    /// # Errors
+    /// The object has another shape than the plan.
+    pub fn each_lens(
+        &self,
+        object: ArrayView2<'_, f32>,
+        mut take: impl FnMut(usize, LensImage),
+    ) -> Result<(), OperatorError> {
+        same_shape("object", self.object, object.dim())?;
+        let group = rayon::current_num_threads().max(1);
+        for first in (0..self.lenses.len()).step_by(group) {
+            let last = (first + group).min(self.lenses.len());
+            let images: Vec<_> = (first..last)
+                .into_par_iter()
+                .filter_map(|l| self.lenses[l].as_ref().map(|plan| (l, self.lens_image(plan, object))))
+                .collect();
+            images.into_iter().for_each(|(l, image)| take(l, image));
+        }
+        Ok(())
+    }
+
+    /// A' y: from a frame (light, DN) back to the object grid.
+    ///
+    /// # Errors
+    /// The frame has another shape than the plan.
+    pub fn adjoint(&self, frame: ArrayView2<'_, f32>) -> Result<Array2<f32>, OperatorError> {
+        same_shape("frame", self.sensor, frame.dim())?;
+        let mut object = Array2::zeros(self.object);
+        let blocks: Vec<_> = self.blocks().collect();
+        let parts: Vec<Array2<f32>> =
+            blocks.par_iter().map_init(|| self.work(), |work, block| self.adjoint_block(block, frame, work)).collect();
+        for ((r, c), part) in blocks.iter().zip(parts) {
+            object.slice_mut(s![r.clone(), c.clone()]).assign(&part);
+        }
+        Ok(object)
+    }
+
+    fn work(&self) -> Work {
+        let [rows, cols] = self.fft.shape();
+        let zero = vec![Complex32::default(); self.fft.spectrum_len()];
+        Work {
+            scratch: self.fft.scratch(),
+            image: vec![0.0; rows * cols],
+            sum: zero.clone(),
+            spectrum: zero,
+            node_row: Vec::new(),
+        }
+    }
+
+    /// The blocks of the object: spans of rows and columns.
+    fn blocks(&self) -> impl Iterator<Item = (Span, Span)> + '_ {
+        let spans = move |a: usize| {
+            (0..self.object[a]).step_by(self.step[a]).map(move |i| i..(i + self.step[a]).min(self.object[a]))
+        };
+        spans(0).flat_map(move |r| spans(1).map(move |c| (r.clone(), c)))
+    }
+
+    fn lens_image(&self, plan: &LensPlan, object: ArrayView2<'_, f32>) -> LensImage {
+        let blocks: Vec<_> = self.blocks().collect();
+        let parts: Vec<Array2<f32>> = blocks
+            .par_iter()
+            .map_init(|| self.work(), |work, block| self.forward_block(plan, block, object, work))
+            .collect();
+        let [rows, cols] = self.object.map(|n| n + self.window - 1);
+        let mut light = Array2::zeros((rows, cols));
+        for ((r, c), part) in blocks.iter().zip(parts) {
+            let mut target = light.slice_mut(s![r.start..r.start + part.nrows(), c.start..c.start + part.ncols()]);
+            target += &part;
+        }
+        let half = (self.window / 2) as isize;
+        LensImage { origin: plan.corner.map(|c| c - half), light }
+    }
+
+    /// `sum_k (M_k . O) * B_k` over one block: [block rows + window - 1, block cols + window - 1].
+    fn forward_block(
+        &self,
+        plan: &LensPlan,
+        (r, c): &(Span, Span),
+        object: ArrayView2<'_, f32>,
+        w: &mut Work,
+    ) -> Array2<f32> {
+        let size = (r.len() + self.window - 1, c.len() + self.window - 1);
+        let block = object.slice(s![r.clone(), c.clone()]);
+        if block.iter().all(|v| *v == 0.0) {
+            return Array2::zeros(size);
+        }
+        let cols = self.fft.shape()[1];
+        w.sum.fill(Complex32::default());
+        for (k, map) in plan.coefficients.outer_iter().enumerate() {
+            w.image.fill(0.0);
+            for (i, source) in block.outer_iter().enumerate() {
+                self.map_row(map, r.start + i, &mut w.node_row);
+                let row = &mut w.image[i * cols..i * cols + c.len()];
+                for ((out, o), taps) in row.iter_mut().zip(source).zip(&self.col_taps[c.clone()]) {
+                    *out = o * taps.apply(&w.node_row);
+                }
+            }
+            self.fft.forward(&w.image, &mut w.spectrum, &mut w.scratch);
+            for ((sum, x), b) in w.sum.iter_mut().zip(&w.spectrum).zip(self.spectrum(plan, k)) {
+                *sum += x * b;
+            }
+        }
+        self.fft.inverse(&mut w.sum, &mut w.image, &mut w.scratch);
+        Array2::from_shape_fn(size, |(i, j)| w.image[i * cols + j])
+    }
+
+    /// `sum_lk M_lk . (B_lk correlated with the frame)` over one block: [block rows, block cols].
+    fn adjoint_block(&self, (r, c): &(Span, Span), frame: ArrayView2<'_, f32>, w: &mut Work) -> Array2<f32> {
+        let mut object = Array2::zeros((r.len(), c.len()));
+        let cols = self.fft.shape()[1];
+        let half = (self.window / 2) as isize;
+        for plan in self.lenses.iter().flatten() {
+            w.image.fill(0.0);
+            let origin = [plan.corner[0] - half + r.start as isize, plan.corner[1] - half + c.start as isize];
+            let size = [r.len() + self.window - 1, c.len() + self.window - 1];
+            let (Some((fr, br)), Some((fc, bc))) =
+                (overlap(origin[0], size[0], self.sensor[0]), overlap(origin[1], size[1], self.sensor[1]))
+            else {
+                continue;
+            };
+            for (from, to) in fr.zip(br) {
+                let row = frame.slice(s![from, fc.clone()]);
+                let target = &mut w.image[to * cols + bc.start..to * cols + bc.end];
+                target.iter_mut().zip(row).for_each(|(t, v)| *t = *v);
+            }
+            self.fft.forward(&w.image, &mut w.spectrum, &mut w.scratch);
+            for (k, map) in plan.coefficients.outer_iter().enumerate() {
+                for ((sum, y), b) in w.sum.iter_mut().zip(&w.spectrum).zip(self.spectrum(plan, k)) {
+                    *sum = y * b.conj();
+                }
+                self.fft.inverse(&mut w.sum, &mut w.image, &mut w.scratch);
+                for (i, mut target) in object.outer_iter_mut().enumerate() {
+                    self.map_row(map, r.start + i, &mut w.node_row);
+                    let row = &w.image[i * cols..i * cols + c.len()];
+                    for ((out, v), taps) in target.iter_mut().zip(row).zip(&self.col_taps[c.clone()]) {
+                        *out += v * taps.apply(&w.node_row);
+                    }
+                }
+            }
+        }
+        object
+    }
+
+    fn spectrum<'a>(&self, plan: &'a LensPlan, k: usize) -> &'a [Complex32] {
+        let n = self.fft.spectrum_len();
+        &plan.spectra[k * n..(k + 1) * n]
+    }
+
+    /// Coefficients along one object row at the column nodes.
+    fn map_row(&self, map: ArrayView2<'_, f32>, row: usize, out: &mut Vec<f32>) {
+        let taps = &self.row_taps[row];
+        out.clear();
+        out.resize(map.ncols(), 0.0);
+        for (i, weight) in taps.weights.iter().enumerate().take(taps.count) {
+            for (o, v) in out.iter_mut().zip(map.row(taps.first + i)) {
+                *o += weight * v;
+            }
+        }
+    }
+}
+
+fn same_shape(what: &'static str, expected: [usize; 2], found: (usize, usize)) -> Result<(), OperatorError> {
+    let found = [found.0, found.1];
+    if expected == found { Ok(()) } else { Err(OperatorError::Shape { what, expected, found }) }
+}
+
+/// Spectra of kernels [k, window, window], scaled by 1 / (rows * cols) of the transform.
+fn spectra_of(fft: &RealFft2, kernels: ArrayView3<'_, f32>) -> Vec<Complex32> {
+    let [rows, cols] = fft.shape();
+    let scale = 1.0 / (rows * cols) as f32;
+    let (n, mut scratch, mut image) = (fft.spectrum_len(), fft.scratch(), vec![0.0; rows * cols]);
+    let mut out = vec![Complex32::default(); kernels.len_of(Axis(0)) * n];
+    for (kernel, spectrum) in kernels.outer_iter().zip(out.chunks_exact_mut(n)) {
+        for ((r, c), v) in kernel.indexed_iter() {
+            image[r * cols + c] = v * scale;
+        }
+        fft.forward(&image, spectrum, &mut scratch);
+    }
+    out
+}
+
+fn check(instrument: &Instrument, geometry: &Geometry, config: OperatorConfig) -> Result<(), OperatorError> {
+    let psf = &instrument.psf;
+    let lenses = instrument.manifest.array.lenses();
+    let (m_lenses, rank, depths, node_rows, node_cols) = psf.coefficients.dim();
+    let expect = |field, expected, found| {
+        if expected == found { Ok(()) } else { Err(OperatorError::Field { field, expected, found }) }
+    };
+    expect("geometry.anchors_px", lenses, geometry.anchors_px.len())?;
+    expect("geometry.dead", lenses, geometry.dead.len())?;
+    expect("geometry.anchors_px (calibrated)", lenses, instrument.geometry.anchors_px.len())?;
+    expect("psf.basis (lenses)", lenses, psf.basis.dim().0)?;
+    expect("psf.coefficients (lenses)", lenses, m_lenses)?;
+    expect("psf.coefficients (rank)", psf.basis.dim().1, rank)?;
+    expect("psf.node_rows_px", node_rows, psf.node_rows_px.len())?;
+    expect("psf.node_cols_px", node_cols, psf.node_cols_px.len())?;
+    if config.depth >= depths {
+        return Err(OperatorError::Depth { found: config.depth, depths });
+    }
+    let (expected, found) = (instrument.geometry.magnification, geometry.magnification);
+    if expected != found {
+        return Err(OperatorError::Magnification { expected, found });
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests;
