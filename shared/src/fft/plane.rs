@@ -1,0 +1,315 @@
+//! The 2-D real transform in strips.
+//!
+//! Rows, then columns, a few side by side, in fast scratch; the spectrum, T x (T/2 + 1) pairs of halves (re, im), may lie in slow
+//! memory. Both directions are scaled by 1/T (unitary), as exact powers of two: the spectrum of a plane within [-1, 1] stays
+//! within [-T, T], far from the largest half. Half-transformed rows are rounded to half too.
+
+use super::complex::{Fft, Lanes};
+use super::real::RealFft;
+use super::{FftError, check_len};
+use crate::num::simd::{Kernel, Simd};
+use crate::num::{f16, narrow, widen};
+
+/// Rows or columns that are transformed side by side where scratch allows.
+const WIDE: usize = if cfg!(target_arch = "arm") { 1 } else { 8 };
+
+/// Where the input rows come from.
+pub trait RowSource {
+    /// Writes row `row` of the plane, all of it, into `to`.
+    fn load(&self, row: usize, to: &mut [f32]);
+}
+
+/// Where the spectrum of an inverse transform comes from.
+pub trait StripSource {
+    /// Adds columns `first..first + count` (`count <= L`) of the spectrum to the zeroed `strip`: row `r` at `fft.slot(r)`, column
+    /// `first + l` in lane `l`, **imaginary part first**.
+    fn add<const L: usize>(&self, fft: Fft, first: usize, count: usize, strip: &mut [Lanes<L>]);
+}
+
+/// Plan of a T x T real transform.
+#[derive(Clone, Copy, Debug)]
+pub struct Fft2 {
+    rows: RealFft,
+    cols: Fft,
+    row_scale: f32,
+    col_scale: f32,
+}
+
+impl Fft2 {
+    /// Plans a transform of side `len`.
+    ///
+    /// # Errors
+    /// [`FftError::Size`] unless `len` is a power of two from 8 to [`super::MAX_LEN`].
+    pub fn new(len: usize) -> Result<Self, FftError> {
+        let (rows, cols) = (RealFft::new(len)?, Fft::new(len)?);
+        let col_scale = (0..len.trailing_zeros() / 2).fold(1.0, |scale, _| scale * 0.5);
+        Ok(Self { rows, cols, row_scale: 1.0 / (len as f32 * col_scale), col_scale })
+    }
+
+    /// Side T.
+    #[inline(always)]
+    pub const fn len(&self) -> usize {
+        self.cols.len()
+    }
+
+    /// Never: there is no empty transform.
+    pub const fn is_empty(&self) -> bool {
+        false
+    }
+
+    /// Complex numbers in a row of the spectrum, T/2 + 1.
+    #[inline(always)]
+    pub const fn width(&self) -> usize {
+        self.len() / 2 + 1
+    }
+
+    /// Halves of `rows` rows of the spectrum.
+    #[inline(always)]
+    pub const fn spectrum_len(&self, rows: usize) -> usize {
+        2 * self.width() * rows
+    }
+
+    /// Numbers of scratch that the transforms work with at least. With eight times as much they use wide lanes where the target
+    /// has them; the result is the same.
+    pub const fn scratch_len(&self) -> usize {
+        self.scratch_for(1)
+    }
+
+    /// Scratch beyond which more does not help.
+    pub const fn scratch_len_wide(&self) -> usize {
+        self.scratch_for(WIDE)
+    }
+
+    /// A strip of complex columns and one row.
+    const fn scratch_for(&self, lanes: usize) -> usize {
+        2 * self.len() * lanes + self.len()
+    }
+
+    /// Transforms the plane whose rows `occupied` come from `source`, all others being zero.
+    ///
+    /// # Errors
+    /// [`FftError::Buffer`] where `spectrum` or `scratch` is too short.
+    pub fn forward(
+        &self,
+        simd: Simd,
+        source: &impl RowSource,
+        occupied: core::ops::Range<usize>,
+        spectrum: &mut [f16],
+        scratch: &mut [f32],
+    ) -> Result<(), FftError> {
+        check_len(self.spectrum_len(self.len()), spectrum.len())?;
+        check_len(self.scratch_len(), scratch.len())?;
+        if scratch.len() >= self.scratch_len_wide() {
+            simd.run(Forward::<_, WIDE> { plan: self, source, occupied, spectrum, scratch });
+        } else {
+            simd.run(Forward::<_, 1> { plan: self, source, occupied, spectrum, scratch });
+        }
+        Ok(())
+    }
+
+    /// Transforms back: rows `rows` of the plane go to `emit(row, values)`, each of T numbers. `halfway` holds
+    /// [`Self::spectrum_len`] of these rows. The imaginary parts of columns 0 and T/2 after the column transforms are ignored, as in
+    /// every complex-to-real transform.
+    ///
+    /// # Errors
+    /// [`FftError::Buffer`] where `halfway` or `scratch` is too short.
+    pub fn inverse(
+        &self,
+        simd: Simd,
+        source: &impl StripSource,
+        rows: core::ops::Range<usize>,
+        halfway: &mut [f16],
+        scratch: &mut [f32],
+        emit: impl FnMut(usize, &[f32]),
+    ) -> Result<(), FftError> {
+        check_len(rows.end, self.len())?;
+        check_len(self.spectrum_len(rows.len()), halfway.len())?;
+        check_len(self.scratch_len(), scratch.len())?;
+        if scratch.len() >= self.scratch_len_wide() {
+            simd.run(Inverse::<_, _, WIDE> { plan: self, source, rows, halfway, scratch, emit });
+        } else {
+            simd.run(Inverse::<_, _, 1> { plan: self, source, rows, halfway, scratch, emit });
+        }
+        Ok(())
+    }
+}
+
+/// Splits scratch into a strip of `len` complex numbers and the rest.
+#[inline(always)]
+fn strip<const L: usize>(scratch: &mut [f32], len: usize) -> (&mut [Lanes<L>], &mut [f32]) {
+    let (strip, rest) = scratch.split_at_mut(2 * L * len);
+    (strip.as_chunks_mut::<L>().0.as_chunks_mut::<2>().0, rest)
+}
+
+struct Forward<'a, S, const L: usize> {
+    plan: &'a Fft2,
+    source: &'a S,
+    occupied: core::ops::Range<usize>,
+    spectrum: &'a mut [f16],
+    scratch: &'a mut [f32],
+}
+
+impl<S: RowSource, const L: usize> Kernel for Forward<'_, S, L> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(mut self) {
+        let row_len = self.plan.spectrum_len(1);
+        let occupied = self.occupied.clone();
+        self.spectrum[..occupied.start * row_len].fill(f16::ZERO);
+        self.spectrum[occupied.end * row_len..].fill(f16::ZERO);
+        for first in occupied.clone().step_by(L) {
+            self.rows(first, L.min(occupied.end - first));
+        }
+        for first in (0..self.plan.width()).step_by(L) {
+            self.columns(first, L.min(self.plan.width() - first));
+        }
+    }
+}
+
+impl<S: RowSource, const L: usize> Forward<'_, S, L> {
+    #[inline(always)]
+    fn rows(&mut self, first: usize, count: usize) {
+        let (len, half) = (self.plan.len(), self.plan.rows.half());
+        let (data, row) = strip::<L>(self.scratch, half.len());
+        let row = &mut row[..len];
+        for lane in 0..L {
+            if lane < count {
+                self.source.load(first + lane, row);
+            } else {
+                row.fill(0.0);
+            }
+            for (n, pair) in row.as_chunks::<2>().0.iter().enumerate() {
+                let slot = &mut data[half.slot(n)];
+                slot[0][lane] = pair[0];
+                slot[1][lane] = pair[1];
+            }
+        }
+        self.plan.rows.forward(data);
+        let scale = 0.5 * self.plan.row_scale;
+        let rows = self.spectrum[first * 2 * self.plan.width()..].chunks_exact_mut(2 * self.plan.width());
+        for (lane, row) in rows.enumerate().take(count) {
+            let (pairs, _) = row.as_chunks_mut::<2>();
+            let ends = [data[0][0][lane], data[0][1][lane]];
+            for (pair, x) in pairs.iter_mut().zip(&*data) {
+                *pair = [narrow(x[0][lane] * scale), narrow(x[1][lane] * scale)];
+            }
+            pairs[0] = [narrow(ends[0] * scale), f16::ZERO];
+            pairs[half.len()] = [narrow(ends[1] * scale), f16::ZERO];
+        }
+    }
+
+    #[inline(always)]
+    fn columns(&mut self, first: usize, count: usize) {
+        let (width, fft) = (self.plan.width(), self.plan.cols);
+        let (data, _) = strip::<L>(self.scratch, fft.len());
+        for (r, row) in self.spectrum.chunks_exact(2 * width).enumerate().take(fft.len()) {
+            data[fft.slot(r)] = load_pairs::<L>(&row[2 * first..2 * (first + count)]);
+        }
+        fft.process(data);
+        for (row, x) in self.spectrum.chunks_exact_mut(2 * width).zip(&*data) {
+            store(x, self.plan.col_scale, &mut row[2 * first..2 * (first + count)]);
+        }
+    }
+}
+
+/// Widens up to L pairs (re, im); zeros in idle lanes.
+#[inline(always)]
+pub(crate) fn load_pairs<const L: usize>(pairs: &[f16]) -> Lanes<L> {
+    let (pairs, _) = pairs.as_chunks::<2>();
+    if let Some(pairs) = pairs.first_chunk::<L>() {
+        return [core::array::from_fn(|l| widen(pairs[l][0])), core::array::from_fn(|l| widen(pairs[l][1]))];
+    }
+    let mut x = [[0.0; L]; 2];
+    for (l, pair) in pairs.iter().enumerate() {
+        x[0][l] = widen(pair[0]);
+        x[1][l] = widen(pair[1]);
+    }
+    x
+}
+
+/// Scales and narrows up to L pairs.
+#[inline(always)]
+fn store<const L: usize>(x: &Lanes<L>, scale: f32, pairs: &mut [f16]) {
+    let (pairs, _) = pairs.as_chunks_mut::<2>();
+    if let Some(pairs) = pairs.first_chunk_mut::<L>() {
+        for l in 0..L {
+            pairs[l] = [narrow(x[0][l] * scale), narrow(x[1][l] * scale)];
+        }
+        return;
+    }
+    for (l, pair) in pairs.iter_mut().enumerate() {
+        *pair = [narrow(x[0][l] * scale), narrow(x[1][l] * scale)];
+    }
+}
+
+struct Inverse<'a, S, E, const L: usize> {
+    plan: &'a Fft2,
+    source: &'a S,
+    rows: core::ops::Range<usize>,
+    halfway: &'a mut [f16],
+    scratch: &'a mut [f32],
+    emit: E,
+}
+
+impl<S: StripSource, E: FnMut(usize, &[f32]), const L: usize> Kernel for Inverse<'_, S, E, L> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(mut self) {
+        for first in (0..self.plan.width()).step_by(L) {
+            self.columns(first, L.min(self.plan.width() - first));
+        }
+        for first in self.rows.clone().step_by(L) {
+            self.emit_rows(first, L.min(self.rows.end - first));
+        }
+    }
+}
+
+impl<S: StripSource, E: FnMut(usize, &[f32]), const L: usize> Inverse<'_, S, E, L> {
+    #[inline(always)]
+    fn columns(&mut self, first: usize, count: usize) {
+        let (width, fft) = (self.plan.width(), self.plan.cols);
+        let (data, _) = strip::<L>(self.scratch, fft.len());
+        data.fill([[0.0; L]; 2]);
+        self.source.add(fft, first, count, data);
+        fft.process(data);
+        for (row, x) in self.halfway.chunks_exact_mut(2 * width).zip(&data[self.rows.clone()]) {
+            store(&[x[1], x[0]], self.plan.col_scale, &mut row[2 * first..2 * (first + count)]);
+        }
+    }
+
+    #[inline(always)]
+    fn emit_rows(&mut self, first: usize, count: usize) {
+        let (width, fft) = (self.plan.width(), self.plan.rows);
+        let (half, quarter) = (fft.half().len(), fft.half().len() / 2);
+        let slot = |k| fft.half().slot(k);
+        let (data, row) = strip::<L>(self.scratch, half);
+        let row = &mut row[..2 * half];
+        let from = &self.halfway[(first - self.rows.start) * 2 * width..][..count * 2 * width];
+        let at = |k: usize| gather::<L>(from, width, k);
+        data[slot(0)] = fft.tangle_ends(at(0)[0], at(half)[0]);
+        data[slot(quarter)] = fft.tangle_middle(at(quarter));
+        for k in 1..quarter {
+            [data[slot(k)], data[slot(half - k)]] = fft.tangle(k, at(k), at(half - k));
+        }
+        fft.inverse(data);
+        for lane in 0..count {
+            for (pair, x) in row.as_chunks_mut::<2>().0.iter_mut().zip(&*data) {
+                *pair = [x[1][lane] * self.plan.row_scale, x[0][lane] * self.plan.row_scale];
+            }
+            (self.emit)(first + lane, row);
+        }
+    }
+}
+
+/// Number `k` of up to L consecutive rows; zeros in idle lanes.
+#[inline(always)]
+fn gather<const L: usize>(rows: &[f16], width: usize, k: usize) -> Lanes<L> {
+    let mut x = [[0.0; L]; 2];
+    for (l, row) in rows.chunks_exact(2 * width).enumerate().take(L) {
+        x[0][l] = widen(row[2 * k]);
+        x[1][l] = widen(row[2 * k + 1]);
+    }
+    x
+}

@@ -1,0 +1,77 @@
+//! Roots of unity, made at compile time in f64 and rounded once.
+
+use super::MAX_LEN;
+
+/// `e^(-2 pi i k / 1024)` for k < 768: the radix-4 butterfly needs three quarters of the circle.
+static ROOTS: [[f32; 2]; MAX_LEN / 4 * 3] = roots();
+
+/// `e^(-2 pi i k / len)`, 4 k < 3 len, for a power of two `len <= 1024`.
+#[inline(always)]
+pub(super) fn root(k: usize, len: usize) -> [f32; 2] {
+    ROOTS[k * (MAX_LEN / len)]
+}
+
+const fn roots() -> [[f32; 2]; MAX_LEN / 4 * 3] {
+    let mut roots = [[0.0; 2]; MAX_LEN / 4 * 3];
+    let mut k = 0;
+    while k < roots.len() {
+        // Angles up to an eighth of the circle; the rest by symmetry, so that the table is symmetric to the last bit.
+        let quarter = MAX_LEN / 4;
+        let (turns, rest) = (k / quarter, k % quarter);
+        let (cos, sin) = if rest <= quarter / 2 {
+            (cosine(angle(rest)), sine(angle(rest)))
+        } else {
+            (sine(angle(quarter - rest)), cosine(angle(quarter - rest)))
+        };
+        roots[k] = match turns {
+            0 => [cos as f32, -sin as f32],
+            1 => [-sin as f32, -cos as f32],
+            _ => [-cos as f32, sin as f32],
+        };
+        k += 1;
+    }
+    roots
+}
+
+const fn angle(k: usize) -> f64 {
+    core::f64::consts::TAU * k as f64 / MAX_LEN as f64
+}
+
+/// Taylor series, |x| <= pi / 4: the first term left out is below 1e-18.
+const fn sine(x: f64) -> f64 {
+    series(x, 1.0, x)
+}
+
+const fn cosine(x: f64) -> f64 {
+    series(1.0, 0.0, x)
+}
+
+/// `first - first x^2 / ((n + 1)(n + 2)) + ...`
+const fn series(first: f64, n: f64, x: f64) -> f64 {
+    let (mut term, mut sum, mut n) = (first, first, n);
+    let mut i = 0;
+    while i < 10 {
+        term *= -x * x / ((n + 1.0) * (n + 2.0));
+        sum += term;
+        n += 2.0;
+        i += 1;
+    }
+    sum
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+
+    #[test]
+    fn roots_are_correctly_rounded() {
+        for (k, root) in ROOTS.iter().enumerate() {
+            let (sin, cos) = angle(k).sin_cos();
+            assert!((f64::from(root[0]) - cos).abs() <= 0.5 * f64::from(f32::EPSILON), "cos {k}");
+            assert!((f64::from(root[1]) + sin).abs() <= 0.5 * f64::from(f32::EPSILON), "sin {k}");
+        }
+        assert_eq!(root(2, 8)[1], -1.0);
+        assert_eq!(root(0, 8), [1.0, -0.0]);
+    }
+}

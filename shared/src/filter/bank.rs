@@ -1,0 +1,206 @@
+//! The filter bank at work.
+
+use core::ops::Range;
+
+use super::geometry::{Axis, FilterError, Geometry};
+use crate::blob::{Bank, Size, Tap};
+use crate::fft::{Fft, Fft2, Lanes, RowSource, StripSource, load_pairs};
+use crate::image::ChwMut;
+use crate::num::simd::Simd;
+use crate::num::{f16, narrow};
+
+/// Where the frame's rows come from.
+pub trait FrameSource {
+    /// Writes columns `first..first + to.len()` of frame row `row` into `to`.
+    fn load(&self, row: usize, first: usize, to: &mut [f32]);
+}
+
+/// Plan of a filter bank.
+#[derive(Clone, Copy, Debug)]
+pub struct FilterBank<'a> {
+    bank: &'a Bank,
+    geometry: Geometry,
+    fft: Fft2,
+}
+
+impl<'a> FilterBank<'a> {
+    /// Plans a bank for a frame and an object.
+    ///
+    /// # Errors
+    /// [`FilterError`] where the bank contradicts itself.
+    pub fn new(bank: &'a Bank, frame: Size, object: Size) -> Result<Self, FilterError> {
+        let geometry = Geometry::new(bank, frame, object)?;
+        Ok(Self { bank, geometry, fft: Fft2::new(usize::from(bank.tile))? })
+    }
+
+    /// The geometry.
+    pub const fn geometry(&self) -> &Geometry {
+        &self.geometry
+    }
+
+    /// Halves of one tap's spectrum.
+    pub const fn spectrum_len(&self) -> usize {
+        self.fft.spectrum_len(self.fft.len())
+    }
+
+    /// Halves of all spectra.
+    pub fn spectra_len(&self) -> usize {
+        self.spectrum_len() * self.bank.taps.len()
+    }
+
+    /// Halves of the output.
+    pub const fn output_len(&self) -> usize {
+        self.bank.channels as usize * self.geometry.rows.object * self.geometry.cols.object
+    }
+
+    /// Halves of arena that [`Self::process`] needs: the spectra of the windows in use and one half-transformed tile.
+    pub const fn arena_len(&self) -> usize {
+        self.cache_len() + self.fft.spectrum_len(self.geometry.rows.valid())
+    }
+
+    /// Spectra of as many rows of windows as one row of tiles reads.
+    const fn cache_len(&self) -> usize {
+        self.geometry.rows.span() * self.geometry.cols.window_count() * self.spectrum_len()
+    }
+
+    /// Numbers of scratch that [`Self::process`] works with at least.
+    pub const fn scratch_len(&self) -> usize {
+        self.fft.scratch_len()
+    }
+
+    /// Scratch beyond which more does not help.
+    pub const fn scratch_len_wide(&self) -> usize {
+        self.fft.scratch_len_wide()
+    }
+
+    /// Filters a frame: `output` is (channels, object rows, object columns).
+    ///
+    /// # Errors
+    /// [`FilterError`] where a buffer is too short or the spectra or the output have another length.
+    pub fn process(
+        &self,
+        simd: Simd,
+        frame: &impl FrameSource,
+        spectra: &[f16],
+        mut output: ChwMut<'_, f16>,
+        arena: &mut [f16],
+        scratch: &mut [f32],
+    ) -> Result<(), FilterError> {
+        let Geometry { rows, cols } = self.geometry;
+        let check =
+            |expected, found| if expected == found { Ok(()) } else { Err(FilterError::Length { expected, found }) };
+        check(self.spectra_len(), spectra.len())?;
+        check(self.output_len(), output.shape().iter().product())?;
+        check(self.arena_len(), arena.len().min(self.arena_len()))?;
+        let (cache, halfway) = arena.split_at_mut(self.cache_len());
+        for i in 0..rows.tiles() {
+            // The rows of windows that the tile row before has not read.
+            let first = if i == 0 { *rows.windows(0).start() } else { *rows.windows(i).end() };
+            for m in first..=*rows.windows(i).end() {
+                self.transform_windows(simd, frame, m, cache, scratch)?;
+            }
+            for j in 0..cols.tiles() {
+                for channel in 0..self.bank.channels {
+                    let sum = TapSum { plan: self, spectra, cache, channel, tile: (i as i32, j as i32) };
+                    let (top, left) = (rows.lead(), cols.lead());
+                    let valid = top..top + rows.tile_len(i);
+                    let columns = left..left + cols.tile_len(j);
+                    self.fft.inverse(simd, &sum, valid, halfway, scratch, |row, values| {
+                        let to = output.row_mut(usize::from(channel), i * rows.step + row - top);
+                        let to = &mut to[j * cols.step..][..columns.len()];
+                        for (to, &value) in to.iter_mut().zip(&values[columns.clone()]) {
+                            *to = narrow(value);
+                        }
+                    })?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Transforms the windows of row `m` that touch the frame.
+    fn transform_windows(
+        &self,
+        simd: Simd,
+        frame: &impl FrameSource,
+        m: i32,
+        cache: &mut [f16],
+        scratch: &mut [f32],
+    ) -> Result<(), FilterError> {
+        let Geometry { rows, cols } = self.geometry;
+        let last = *cols.windows(cols.tiles() - 1).end();
+        for n in cols.offsets.0..=last {
+            if let Some(slot) = self.slot(m, n) {
+                let window = WindowRows { frame, rows, cols, m, occupied: cols.occupied(n), n };
+                self.fft.forward(simd, &window, rows.occupied(m), &mut cache[slot], scratch)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Where the spectrum of window (m, n) lies in the cache; `None` if the window misses the frame, so that it is zero.
+    fn slot(&self, m: i32, n: i32) -> Option<Range<usize>> {
+        let Geometry { rows, cols } = self.geometry;
+        if rows.occupied(m).is_empty() || cols.occupied(n).is_empty() {
+            return None;
+        }
+        let row = m.rem_euclid(rows.span() as i32) as usize;
+        let slot = row * cols.window_count() + (n - cols.offsets.0) as usize;
+        Some(slot * self.spectrum_len()..(slot + 1) * self.spectrum_len())
+    }
+}
+
+/// The rows of one window.
+struct WindowRows<'a, F> {
+    frame: &'a F,
+    rows: Axis,
+    cols: Axis,
+    m: i32,
+    n: i32,
+    occupied: Range<usize>,
+}
+
+impl<F: FrameSource> RowSource for WindowRows<'_, F> {
+    fn load(&self, row: usize, to: &mut [f32]) {
+        let frame_row = (self.rows.window_origin(self.m) + row as i32) as usize;
+        let first = self.cols.window_origin(self.n) + self.occupied.start as i32;
+        to[..self.occupied.start].fill(0.0);
+        self.frame.load(frame_row, first as usize, &mut to[self.occupied.clone()]);
+        to[self.occupied.end..].fill(0.0);
+    }
+}
+
+/// The spectrum of one output tile of one channel.
+struct TapSum<'a> {
+    plan: &'a FilterBank<'a>,
+    spectra: &'a [f16],
+    cache: &'a [f16],
+    channel: u8,
+    tile: (i32, i32),
+}
+
+impl StripSource for TapSum<'_> {
+    #[inline(always)]
+    fn add<const L: usize>(&self, fft: Fft, first: usize, count: usize, strip: &mut [Lanes<L>]) {
+        let len = self.plan.spectrum_len();
+        let taps: &[Tap] = &self.plan.bank.taps;
+        for (tap, spectrum) in taps.iter().zip(self.spectra.chunks_exact(len)) {
+            if tap.channel != self.channel {
+                continue;
+            }
+            let (m, n) = (self.tile.0 + i32::from(tap.dy), self.tile.1 + i32::from(tap.dx));
+            let Some(slot) = self.plan.slot(m, n) else { continue };
+            let row_len = self.plan.fft.spectrum_len(1);
+            let rows = spectrum.chunks_exact(row_len).zip(self.cache[slot].chunks_exact(row_len));
+            let columns = 2 * first..2 * (first + count);
+            for (r, (k, x)) in rows.enumerate() {
+                let (k, x) = (load_pairs::<L>(&k[columns.clone()]), load_pairs::<L>(&x[columns.clone()]));
+                let [im, re] = &mut strip[fft.slot(r)];
+                for l in 0..L {
+                    re[l] = (re[l] + k[0][l] * x[0][l]) - k[1][l] * x[1][l];
+                    im[l] = (im[l] + k[0][l] * x[1][l]) + k[1][l] * x[0][l];
+                }
+            }
+        }
+    }
+}

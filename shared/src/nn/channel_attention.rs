@@ -1,0 +1,115 @@
+//! Channel attention (Zhang et al., RCAN, ECCV 2018, Eq. 6-8): each channel is weighted by what the whole frame holds.
+//!
+//! `s = sigmoid(B relu(A mean(x) + a) + b)`, A of W/r x W, B of W x W/r. The mean is a sum in binary32 in a fixed order: eight
+//! partial sums a row (columns 8 k + j), added as a tree, rows one after the other; then a division by the number of pixels.
+//! Products of the two small layers are rounded before they are added ([`mac`]), sums start from the bias.
+
+use super::activation::Activation;
+use super::error::{NnError, check_scratch, check_shape, check_weights};
+use crate::image::Chw;
+use crate::num::simd::{Kernel, Simd};
+use crate::num::{f16, mac, widen};
+
+/// Weights of the two 1x1 layers.
+#[derive(Clone, Copy, Debug)]
+pub struct Parameters<'a> {
+    /// A, `[hidden, channels]`.
+    pub squeeze: &'a [f16],
+    /// a, `[hidden]`.
+    pub squeeze_bias: &'a [f16],
+    /// B, `[channels, hidden]`.
+    pub excite: &'a [f16],
+    /// b, `[channels]`.
+    pub excite_bias: &'a [f16],
+}
+
+/// Plan of a channel attention.
+#[derive(Clone, Copy, Debug)]
+pub struct ChannelAttention {
+    /// Channels W.
+    pub channels: usize,
+    /// Width W/r of the bottleneck.
+    pub hidden: usize,
+    /// Rows of the frame.
+    pub rows: usize,
+    /// Columns of the frame.
+    pub cols: usize,
+}
+
+impl ChannelAttention {
+    /// Numbers of scratch that [`Self::process`] needs.
+    pub const fn scratch_len(&self) -> usize {
+        self.channels + self.hidden
+    }
+
+    /// Writes the weight of each channel, 0 to 1, into `scale` (`channels` long).
+    ///
+    /// # Errors
+    /// [`NnError`] where the tensor, the weights, `scale` or the scratch do not fit the plan.
+    pub fn process(
+        &self,
+        simd: Simd,
+        parameters: Parameters<'_>,
+        input: Chw<'_, f16>,
+        scale: &mut [f32],
+        scratch: &mut [f32],
+    ) -> Result<(), NnError> {
+        check_shape([self.channels, self.rows, self.cols], input.shape())?;
+        for weights in [parameters.squeeze, parameters.excite] {
+            check_weights(self.channels * self.hidden, weights.len())?;
+        }
+        check_weights(self.hidden, parameters.squeeze_bias.len())?;
+        check_weights(self.channels, parameters.excite_bias.len())?;
+        check_scratch(self.channels, scale.len())?;
+        check_scratch(self.scratch_len(), scratch.len())?;
+        let (mean, hidden) = scratch.split_at_mut(self.channels);
+        let (hidden, scale) = (&mut hidden[..self.hidden], &mut scale[..self.channels]);
+        simd.run(Means { input, mean });
+        dense(parameters.squeeze, parameters.squeeze_bias, mean, hidden);
+        Activation::Relu.apply(hidden);
+        dense(parameters.excite, parameters.excite_bias, hidden, scale);
+        Activation::Sigmoid.apply(scale);
+        Ok(())
+    }
+}
+
+/// `to = bias + weights from`.
+fn dense(weights: &[f16], bias: &[f16], from: &[f32], to: &mut [f32]) {
+    for ((to, weights), &bias) in to.iter_mut().zip(weights.chunks_exact(from.len())).zip(bias) {
+        *to = weights.iter().zip(from).fold(widen(bias), |sum, (&w, &x)| mac(widen(w), x, sum));
+    }
+}
+
+struct Means<'a> {
+    input: Chw<'a, f16>,
+    mean: &'a mut [f32],
+}
+
+impl Kernel for Means<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let [_, rows, cols] = self.input.shape();
+        for (channel, mean) in self.mean.iter_mut().enumerate() {
+            let sum = (0..rows).fold(0.0, |sum, row| sum + row_sum(self.input.row(channel, row)));
+            *mean = sum / (rows * cols) as f32;
+        }
+    }
+}
+
+/// Sum of a row: eight partial sums, then a tree.
+#[inline(always)]
+fn row_sum(row: &[f16]) -> f32 {
+    let mut p = [0.0_f32; 8];
+    let (blocks, rest) = row.as_chunks::<8>();
+    for block in blocks {
+        for (p, &x) in p.iter_mut().zip(block) {
+            *p += widen(x);
+        }
+    }
+    for (p, &x) in p.iter_mut().zip(rest) {
+        *p += widen(x);
+    }
+    ((p[0] + p[4]) + (p[2] + p[6])) + ((p[1] + p[5]) + (p[3] + p[7]))
+}

@@ -1,0 +1,104 @@
+//! The inner loops of the 3x3 convolution: widened rows, packed weights, blocks of output channels and columns in registers.
+
+use crate::num::{f16, widen};
+
+/// Output channels that one pass over the rows makes.
+pub(super) const OUTPUTS: usize = 4;
+/// Columns that are held in registers at a time.
+pub(super) const COLUMNS: usize = if cfg!(target_arch = "arm") { 4 } else { 16 };
+
+/// Columns rounded up to whole blocks.
+pub(super) const fn padded(cols: usize) -> usize {
+    cols.next_multiple_of(COLUMNS)
+}
+
+/// Distance between widened rows: the columns and one zero on either side.
+pub(super) const fn pitch(cols: usize) -> usize {
+    padded(cols) + 2
+}
+
+/// Output channels of a block: a single one is not padded to four.
+pub(super) const fn block(outputs: usize) -> usize {
+    if outputs == 1 { 1 } else { OUTPUTS }
+}
+
+/// Numbers that the packed weights of one block take.
+pub(super) const fn packed_len(inputs: usize, outputs: usize) -> usize {
+    inputs * 9 * block(outputs)
+}
+
+/// Packs the weights `[out, in, 3, 3]` of the output channels from `first` on as `[in, 3, 3, block]`, zeros beyond the last.
+#[inline(always)]
+pub(super) fn pack(weights: &[f16], inputs: usize, outputs: usize, first: usize, packed: &mut [f32]) {
+    let block = block(outputs);
+    for o in 0..block {
+        let used = weights.get((first + o) * inputs * 9..(first + o + 1) * inputs * 9).unwrap_or(&[]);
+        let slots = packed[o..].iter_mut().step_by(block);
+        for (i, slot) in slots.enumerate() {
+            *slot = used.get(i).map_or(0.0, |&w| widen(w));
+        }
+    }
+}
+
+/// Biases of the output channels from `first` on, zeros beyond the last.
+#[inline(always)]
+pub(super) fn bias(bias: &[f16], first: usize) -> [f32; OUTPUTS] {
+    core::array::from_fn(|o| bias.get(first + o).map_or(0.0, |&b| widen(b)))
+}
+
+/// One row of a block of output channels: `sums` (block, padded columns) from three rows of all input channels `[3, in, pitch]`.
+///
+/// Each sum starts at the bias and runs over (input channel, ky, kx) in this order.
+#[inline(always)]
+pub(super) fn row(
+    input: &[f32],
+    inputs: usize,
+    outputs: usize,
+    cols: usize,
+    weights: &[f32],
+    bias: [f32; OUTPUTS],
+    sums: &mut [f32],
+) {
+    if block(outputs) == 1 {
+        blocks::<1>(input, inputs, cols, weights, bias, sums);
+    } else {
+        blocks::<OUTPUTS>(input, inputs, cols, weights, bias, sums);
+    }
+}
+
+#[inline(always)]
+fn blocks<const O: usize>(
+    input: &[f32],
+    inputs: usize,
+    cols: usize,
+    weights: &[f32],
+    bias: [f32; OUTPUTS],
+    sums: &mut [f32],
+) {
+    let (padded, pitch) = (padded(cols), pitch(cols));
+    for x in (0..padded).step_by(COLUMNS) {
+        let mut acc: [[f32; COLUMNS]; O] = core::array::from_fn(|o| [bias[o]; COLUMNS]);
+        for (channel, weights) in weights.chunks_exact(9 * O).enumerate() {
+            for (ky, weights) in weights.chunks_exact(3 * O).enumerate() {
+                let row = &input[(ky * inputs + channel) * pitch + x..][..COLUMNS + 2];
+                taps(row, weights, &mut acc);
+            }
+        }
+        for (o, acc) in acc.iter().enumerate() {
+            sums[o * padded + x..][..COLUMNS].copy_from_slice(acc);
+        }
+    }
+}
+
+/// The three taps of one kernel row. Both factors are widened halves: the product is exact.
+#[inline(always)]
+fn taps<const O: usize>(row: &[f32], weights: &[f32], acc: &mut [[f32; COLUMNS]; O]) {
+    for (kx, weights) in weights.chunks_exact(O).enumerate() {
+        let row = &row[kx..][..COLUMNS];
+        for (acc, &weight) in acc.iter_mut().zip(weights) {
+            for (acc, &x) in acc.iter_mut().zip(row) {
+                *acc += x * weight;
+            }
+        }
+    }
+}

@@ -1,0 +1,296 @@
+//! The enhancement network.
+//!
+//! With C filter channels, W features, all 3x3 convolutions with bias and zero padding 1:
+//! ```text
+//! x    = PixelUnshuffle2(channels)                       4 C, h, w
+//! head = conv(x)                                         W, h, w
+//! y    = head
+//! for each group:
+//!     g = y
+//!     for each block:  t = conv(relu(conv(g)));  g = g + attention(t) t
+//!     y = y + conv(g)
+//! y    = head + conv1(y)
+//! out  = sigmoid(conv2(PixelShuffle2(conv(y))))          conv W -> 4 W, conv2 W -> 1
+//! ```
+//! Every tensor named here is rounded to half once, when it is stored; so is the output of the inner `relu(conv(g))`.
+//!
+//! [`layout`] gives the order of the weights in the network file: the order of execution, each layer's weights before its biases.
+
+use super::activation::Activation;
+use super::channel_attention;
+use super::conv::{Addressing, Conv3x3, Parameters, Store, Tensors};
+use super::error::{NnError, check_scratch, check_shape, check_weights};
+use super::rcab::{self, Rcab};
+use super::upscale::Upscale;
+use crate::blob;
+use crate::image::{Chw, ChwMut, PlaneMut};
+use crate::num::f16;
+use crate::num::simd::Simd;
+
+/// A layer that has weights.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Layer {
+    /// 3x3, 4 C -> W.
+    Head,
+    /// Convolution `conv` (0 or 1) of an RCAB, 3x3, W -> W.
+    BlockConv {
+        /// Group.
+        group: u8,
+        /// Block in the group.
+        block: u8,
+        /// First (0) or second (1).
+        conv: u8,
+    },
+    /// First layer of a block's channel attention, 1x1, W -> W/r.
+    Squeeze {
+        /// Group.
+        group: u8,
+        /// Block in the group.
+        block: u8,
+    },
+    /// Second layer of a block's channel attention, 1x1, W/r -> W.
+    Excite {
+        /// Group.
+        group: u8,
+        /// Block in the group.
+        block: u8,
+    },
+    /// Convolution at the end of a group, 3x3, W -> W.
+    GroupConv {
+        /// Group.
+        group: u8,
+    },
+    /// `conv1`, before the long skip, 3x3, W -> W.
+    Conv1,
+    /// Before the pixel shuffle, 3x3, W -> 4 W.
+    Upscale,
+    /// `conv2`, 3x3, W -> 1.
+    Conv2,
+}
+
+/// One layer of the weight section: `outputs * inputs * kernel^2` weights `[out, in, ky, kx]`, then `outputs` biases.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Entry {
+    /// Which layer.
+    pub layer: Layer,
+    /// Output channels.
+    pub outputs: usize,
+    /// Input channels.
+    pub inputs: usize,
+    /// Side of the kernel: 3 or 1.
+    pub kernel: usize,
+}
+
+impl Entry {
+    /// Halves of the weights.
+    pub const fn weights_len(&self) -> usize {
+        self.outputs * self.inputs * self.kernel * self.kernel
+    }
+
+    /// Halves of the biases.
+    pub const fn bias_len(&self) -> usize {
+        self.outputs
+    }
+}
+
+/// The layers of a network with `channels` filters in the order in which their weights lie in the file.
+pub fn layout(rcan: &blob::Rcan, channels: u8) -> impl Iterator<Item = Entry> + use<> {
+    let rcan = *rcan;
+    let (width, filters) = (usize::from(rcan.width), usize::from(channels));
+    let hidden = hidden(&rcan);
+    let entry = |layer, outputs, inputs, kernel| Entry { layer, outputs, inputs, kernel };
+    let body = (0..rcan.groups).flat_map(move |group| {
+        let blocks = (0..rcan.blocks).flat_map(move |block| {
+            [
+                entry(Layer::BlockConv { group, block, conv: 0 }, width, width, 3),
+                entry(Layer::BlockConv { group, block, conv: 1 }, width, width, 3),
+                entry(Layer::Squeeze { group, block }, hidden, width, 1),
+                entry(Layer::Excite { group, block }, width, hidden, 1),
+            ]
+        });
+        blocks.chain([entry(Layer::GroupConv { group }, width, width, 3)])
+    });
+    let tail = [
+        entry(Layer::Conv1, width, width, 3),
+        entry(Layer::Upscale, 4 * width, width, 3),
+        entry(Layer::Conv2, 1, width, 3),
+    ];
+    [entry(Layer::Head, width, 4 * filters, 3)].into_iter().chain(body).chain(tail)
+}
+
+/// Halves of the whole weight section.
+pub fn weights_len(rcan: &blob::Rcan, channels: u8) -> usize {
+    layout(rcan, channels).map(|entry| entry.weights_len() + entry.bias_len()).sum()
+}
+
+/// Width W/r of the attention's bottleneck; 0 where the reduction is 0 or above the width, which no network may have.
+pub const fn hidden(rcan: &blob::Rcan) -> usize {
+    if rcan.reduction == 0 { 0 } else { (rcan.width / rcan.reduction) as usize }
+}
+
+/// Plan of the network for one frame size.
+#[derive(Clone, Copy, Debug)]
+pub struct Rcan {
+    shape: blob::Rcan,
+    filters: usize,
+    rows: usize,
+    cols: usize,
+}
+
+impl Rcan {
+    /// Plans for `channels` filters and an output of `object` pixels (even rows and columns).
+    pub fn new(shape: blob::Rcan, channels: u8, object: blob::Size) -> Self {
+        Self {
+            shape,
+            filters: usize::from(channels),
+            rows: usize::from(object.rows) / 2,
+            cols: usize::from(object.cols) / 2,
+        }
+    }
+
+    const fn width(&self) -> usize {
+        self.shape.width as usize
+    }
+
+    /// Halves of one feature tensor (W, h, w).
+    pub const fn feature_len(&self) -> usize {
+        self.width() * self.rows * self.cols
+    }
+
+    /// Halves of the input (C, 2 h, 2 w).
+    pub const fn input_len(&self) -> usize {
+        self.filters * 4 * self.rows * self.cols
+    }
+
+    /// Halves of the arena that [`Self::process`] needs. The input lies at its end and is overwritten.
+    pub const fn arena_len(&self) -> usize {
+        let (features, head) = (4 * self.feature_len(), self.feature_len() + self.input_len());
+        if features > head { features } else { head }
+    }
+
+    /// Numbers of scratch for bands of `band` rows; with 1 the least that [`Self::process`] works with.
+    pub fn scratch_len(&self, band: usize) -> usize {
+        let convs = self.head().scratch_len(band).max(self.conv().scratch_len(band));
+        convs.max(self.rcab().scratch_len(band)).max(self.upscale().scratch_len(band))
+    }
+
+    const fn head(&self) -> Conv3x3 {
+        Conv3x3 { inputs: 4 * self.filters, store: Store::Replace, ..self.conv() }
+    }
+
+    /// The convolutions that end in a skip connection.
+    const fn conv(&self) -> Conv3x3 {
+        Conv3x3 {
+            inputs: self.width(),
+            outputs: self.width(),
+            rows: self.rows,
+            cols: self.cols,
+            activation: Activation::Linear,
+            store: Store::Accumulate,
+        }
+    }
+
+    const fn rcab(&self) -> Rcab {
+        Rcab { channels: self.width(), hidden: hidden(&self.shape), rows: self.rows, cols: self.cols }
+    }
+
+    const fn upscale(&self) -> Upscale {
+        Upscale { channels: self.width(), rows: self.rows, cols: self.cols }
+    }
+
+    /// Runs the network. The last [`Self::input_len`] halves of `arena` hold the filtered channels (C, 2 h, 2 w), divided by
+    /// their maximum; `output` is (2 h, 2 w), 0 to 1. The arena is overwritten.
+    ///
+    /// # Errors
+    /// [`NnError`] where the weights, the arena, the output or the scratch do not fit the plan.
+    pub fn process(
+        &self,
+        simd: Simd,
+        weights: &[f16],
+        arena: &mut [f16],
+        output: PlaneMut<'_, f16>,
+        scratch: &mut [f32],
+    ) -> Result<(), NnError> {
+        check_weights(weights_len(&self.shape, self.filters as u8), weights.len())?;
+        check_scratch(self.arena_len(), arena.len())?;
+        check_scratch(self.scratch_len(1), scratch.len())?;
+        check_shape([1, 2 * self.rows, 2 * self.cols], [1, output.rows(), output.cols()])?;
+        let mut layers = Layers { entries: layout(&self.shape, self.filters as u8), rest: weights };
+        let (head, rest) = arena.split_at_mut(self.feature_len());
+        let input = &rest[rest.len() - self.input_len()..];
+        let input = self.input(input)?;
+        let tensors = Tensors::Apart { input, addressing: Addressing::Unshuffled, output: self.features(head)? };
+        self.head().process(simd, layers.next_conv(), tensors, scratch)?;
+        let (y, rest) = rest.split_at_mut(self.feature_len());
+        let (g, rest) = rest.split_at_mut(self.feature_len());
+        let t = &mut rest[..self.feature_len()];
+        y.copy_from_slice(head);
+        for _ in 0..self.shape.groups {
+            g.copy_from_slice(y);
+            for _ in 0..self.shape.blocks {
+                let parameters = layers.next_block();
+                self.rcab().process(simd, parameters, self.features(g)?, self.features(t)?, scratch)?;
+            }
+            self.skip(simd, layers.next_conv(), g, y, scratch)?;
+        }
+        self.skip(simd, layers.next_conv(), y, head, scratch)?;
+        let tail = [layers.next_conv(), layers.next_conv()];
+        self.upscale().process(simd, tail, self.features(head)?.as_chw(), output, scratch)
+    }
+
+    /// `to = to + conv(from)`.
+    fn skip(
+        &self,
+        simd: Simd,
+        parameters: Parameters<'_>,
+        from: &mut [f16],
+        to: &mut [f16],
+        scratch: &mut [f32],
+    ) -> Result<(), NnError> {
+        let (input, output) = (self.features(from)?, self.features(to)?);
+        let tensors = Tensors::Apart { input: input.as_chw(), addressing: Addressing::Direct, output };
+        self.conv().process(simd, parameters, tensors, scratch)
+    }
+
+    fn features<'a>(&self, data: &'a mut [f16]) -> Result<ChwMut<'a, f16>, NnError> {
+        let found = data.len();
+        ChwMut::new(data, self.width(), self.rows, self.cols)
+            .map_err(|error| NnError::Scratch { expected: error.expected, found })
+    }
+
+    fn input<'a>(&self, data: &'a [f16]) -> Result<Chw<'a, f16>, NnError> {
+        Chw::new(data, self.filters, 2 * self.rows, 2 * self.cols)
+            .map_err(|error| NnError::Scratch { expected: error.expected, found: error.found })
+    }
+}
+
+/// Hands out the weights layer by layer. The total length has been checked, so none is cut short.
+struct Layers<'a, I> {
+    entries: I,
+    rest: &'a [f16],
+}
+
+impl<'a, I: Iterator<Item = Entry>> Layers<'a, I> {
+    fn next_conv(&mut self) -> Parameters<'a> {
+        let (weights, bias) = self.entries.next().map_or((0, 0), |entry| (entry.weights_len(), entry.bias_len()));
+        Parameters { weights: self.take(weights), bias: self.take(bias) }
+    }
+
+    fn next_block(&mut self) -> rcab::Parameters<'a> {
+        let convs = [self.next_conv(), self.next_conv()];
+        let [squeeze, excite] = [self.next_conv(), self.next_conv()];
+        let attention = channel_attention::Parameters {
+            squeeze: squeeze.weights,
+            squeeze_bias: squeeze.bias,
+            excite: excite.weights,
+            excite_bias: excite.bias,
+        };
+        rcab::Parameters { convs, attention }
+    }
+
+    fn take(&mut self, len: usize) -> &'a [f16] {
+        let (taken, rest) = self.rest.split_at(len.min(self.rest.len()));
+        self.rest = rest;
+        taken
+    }
+}

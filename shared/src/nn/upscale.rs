@@ -1,0 +1,160 @@
+//! The network's tail in one pass: `sigmoid(conv2(pixel_shuffle(conv(y))))`, conv W -> 4 W, conv2 W -> 1.
+//!
+//! The shuffled features have W channels at full resolution, the largest tensor of the network. They never lie in memory as a
+//! whole: a band of rows is made, rounded to halves as if it were stored, and convolved at once.
+
+use super::activation::Activation;
+use super::conv::Parameters;
+use super::error::{NnError, check_scratch, check_shape, check_weights};
+use super::packed::{self, OUTPUTS};
+use super::pixel_shuffle::shuffled;
+use crate::image::{Chw, PlaneMut};
+use crate::num::simd::{Kernel, Simd};
+use crate::num::{f16, narrow, narrow_slice, widen, widen_slice};
+
+/// Plan of the tail.
+#[derive(Clone, Copy, Debug)]
+pub struct Upscale {
+    /// Feature channels W.
+    pub channels: usize,
+    /// Rows of the features; the output has twice as many.
+    pub rows: usize,
+    /// Columns of the features; the output has twice as many.
+    pub cols: usize,
+}
+
+impl Upscale {
+    /// Numbers of scratch for bands of `band` feature rows; with 1 the least that [`Self::process`] works with.
+    pub const fn scratch_len(&self, band: usize) -> usize {
+        self.fixed_len() + band * self.row_len()
+    }
+
+    const fn coarse_len(&self) -> usize {
+        self.channels * packed::pitch(self.cols)
+    }
+
+    const fn fine_len(&self) -> usize {
+        self.channels * packed::pitch(2 * self.cols)
+    }
+
+    const fn weights_len(&self) -> usize {
+        packed::packed_len(self.channels, 4 * self.channels) + packed::packed_len(self.channels, 1)
+    }
+
+    const fn fixed_len(&self) -> usize {
+        let sums = OUTPUTS * packed::padded(self.cols) + packed::padded(2 * self.cols);
+        self.weights_len() + sums + 2 * self.coarse_len() + 3 * self.fine_len()
+    }
+
+    const fn row_len(&self) -> usize {
+        self.coarse_len() + 2 * self.fine_len()
+    }
+
+    /// `input` (channels, rows, cols) -> `output` (2 rows, 2 cols), 0 to 1.
+    ///
+    /// # Errors
+    /// [`NnError`] where a tensor, the weights or the scratch do not fit the plan; nothing is written then.
+    pub fn process(
+        &self,
+        simd: Simd,
+        [conv, conv2]: [Parameters<'_>; 2],
+        input: Chw<'_, f16>,
+        output: PlaneMut<'_, f16>,
+        scratch: &mut [f32],
+    ) -> Result<(), NnError> {
+        check_shape([self.channels, self.rows, self.cols], input.shape())?;
+        check_shape([1, 2 * self.rows, 2 * self.cols], [1, output.rows(), output.cols()])?;
+        check_weights(36 * self.channels * self.channels, conv.weights.len())?;
+        check_weights(4 * self.channels, conv.bias.len())?;
+        check_weights(9 * self.channels, conv2.weights.len())?;
+        check_weights(1, conv2.bias.len())?;
+        check_scratch(self.scratch_len(1), scratch.len())?;
+        simd.run(Job { plan: *self, conv, conv2, input, output, scratch });
+        Ok(())
+    }
+}
+
+struct Job<'a> {
+    plan: Upscale,
+    conv: Parameters<'a>,
+    conv2: Parameters<'a>,
+    input: Chw<'a, f16>,
+    output: PlaneMut<'a, f16>,
+    scratch: &'a mut [f32],
+}
+
+impl Kernel for Job<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { plan, conv, conv2, input, mut output, scratch } = self;
+        let band = ((scratch.len() - plan.fixed_len()) / plan.row_len()).min(plan.rows);
+        let (weights, scratch) = scratch.split_at_mut(packed::packed_len(plan.channels, 4 * plan.channels));
+        let (weights2, scratch) = scratch.split_at_mut(packed::packed_len(plan.channels, 1));
+        let (sums, scratch) = scratch.split_at_mut(OUTPUTS * packed::padded(plan.cols));
+        let (sums2, scratch) = scratch.split_at_mut(packed::padded(2 * plan.cols));
+        let (coarse, scratch) = scratch.split_at_mut((band + 2) * plan.coarse_len());
+        let fine = &mut scratch[..(2 * band + 3) * plan.fine_len()];
+        packed::pack(conv2.weights, plan.channels, 1, 0, weights2);
+        fine.fill(0.0);
+        for start in (0..plan.rows).step_by(band) {
+            let height = band.min(plan.rows - start);
+            plan.widen(input, start, height, coarse);
+            fine.copy_within(2 * band * plan.fine_len()..(2 * band + 2) * plan.fine_len(), 0);
+            for first in (0..4 * plan.channels).step_by(OUTPUTS) {
+                packed::pack(conv.weights, plan.channels, 4 * plan.channels, first, weights);
+                let bias = packed::bias(conv.bias, first);
+                for row in 0..height {
+                    let input = &coarse[row * plan.coarse_len()..][..3 * plan.coarse_len()];
+                    packed::row(input, plan.channels, 4 * plan.channels, plan.cols, weights, bias, sums);
+                    plan.shuffle(sums, first, row, fine);
+                }
+            }
+            let last = start + height == plan.rows;
+            if last {
+                fine[(2 * height + 2) * plan.fine_len()..][..plan.fine_len()].fill(0.0);
+            }
+            let bias2 = packed::bias(conv2.bias, 0);
+            for row in (2 * start).saturating_sub(1)..2 * (start + height) - usize::from(!last) {
+                let input = &fine[(row + 1 - 2 * start) * plan.fine_len()..][..3 * plan.fine_len()];
+                packed::row(input, plan.channels, 1, 2 * plan.cols, weights2, bias2, sums2);
+                let sums = &mut sums2[..2 * plan.cols];
+                Activation::Sigmoid.apply(sums);
+                narrow_slice(sums, output.row_mut(row));
+            }
+        }
+    }
+}
+
+impl Upscale {
+    /// Makes the slots hold feature rows start - 1..=start + height, zeros outside the frame.
+    #[inline(always)]
+    fn widen(&self, input: Chw<'_, f16>, start: usize, height: usize, slots: &mut [f32]) {
+        let slots = slots.chunks_exact_mut(self.coarse_len()).take(height + 2);
+        for (slot, to) in slots.enumerate() {
+            to.fill(0.0);
+            let row = start + slot;
+            if row == 0 || row > self.rows {
+                continue;
+            }
+            for (channel, to) in to.chunks_exact_mut(packed::pitch(self.cols)).enumerate() {
+                widen_slice(input.row(channel, row - 1), &mut to[1..1 + self.cols]);
+            }
+        }
+    }
+
+    /// Spreads one row of a block of channels over the fine rows, rounded to half.
+    #[inline(always)]
+    fn shuffle(&self, sums: &[f32], first: usize, row: usize, fine: &mut [f32]) {
+        let pitch = packed::pitch(2 * self.cols);
+        for (o, sums) in sums.chunks_exact(packed::padded(self.cols)).enumerate() {
+            let (channel, row, left) = shuffled(first + o, row);
+            // Slots 0 and 1 hold the last two rows of the band before; column 0 is padding.
+            let to = &mut fine[(row + 2) * self.fine_len() + channel * pitch + 1 + left..];
+            for (to, &sum) in to.iter_mut().step_by(2).zip(&sums[..self.cols]) {
+                *to = widen(narrow(sum));
+            }
+        }
+    }
+}

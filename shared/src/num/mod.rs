@@ -1,0 +1,37 @@
+//! Number formats and the few operations whose bits the whole project depends on.
+//!
+//! # Rules
+//! - *Stored*: IEEE 754 binary16 ([`f16`]). *Computed*: IEEE binary32, round to nearest even.
+//! - A multiply-accumulate is [`mac`]: two roundings, product first. No operator uses a fused one, except where both factors are
+//!   widened halves: such a product has 22 significant bits, is exact in binary32, and both forms give the same bits.
+//! - Vector lanes run over independent outputs, never over a sum. A sum has one stated order.
+//! - NaN never reaches a cast to an integer; it is refused at the door ([`crate::pipeline`]).
+//!
+//! This is the only module of the crate that may hold `unsafe` code: the conversion instructions of the Cortex-M
+//! ([`widen_slice`], [`narrow_slice`]), and the choice of the instruction set at run time ([`simd`]).
+
+mod convert;
+mod function;
+pub mod simd;
+
+pub use convert::{narrow, narrow_slice, widen, widen_slice};
+pub use function::sigmoid;
+pub use half::f16;
+
+/// `a * b + c` with two roundings: the product is rounded, then the sum.
+#[inline(always)]
+pub fn mac(a: f32, b: f32, c: f32) -> f32 {
+    c + a * b
+}
+
+/// Largest value of a slice by `>`, and whether all values are finite. Empty: `(-inf, true)`.
+pub fn max_finite(values: &[f16]) -> (f32, bool) {
+    let mut finite = true;
+    let mut max = f32::NEG_INFINITY;
+    for &value in values {
+        finite &= value.is_finite();
+        let value = widen(value);
+        max = if value > max { value } else { max };
+    }
+    (max, finite)
+}

@@ -1,0 +1,157 @@
+//! What the pipeline refuses.
+
+use core::fmt;
+
+use crate::blob::MemoryPlan;
+use crate::filter::FilterError;
+use crate::image::ShapeError;
+use crate::nn::NnError;
+
+/// A section of the weights.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Section {
+    /// Spectra of the filter bank.
+    Spectra,
+    /// Weights of the enhancement network.
+    Rcan,
+    /// Offset map.
+    OffsetMap,
+    /// Inverse gain map.
+    GainMap,
+}
+
+impl fmt::Display for Section {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Spectra => "spectra",
+            Self::Rcan => "rcan",
+            Self::OffsetMap => "offset map",
+            Self::GainMap => "inverse gain map",
+        })
+    }
+}
+
+/// What the pipeline refuses.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum PipelineError {
+    /// A size in the header is zero, odd, or too large.
+    Field {
+        /// Which one.
+        field: &'static str,
+        /// What it must be.
+        expected: &'static str,
+        /// What it is.
+        found: u32,
+    },
+    /// The black level is not finite.
+    BlackLevel {
+        /// The level found, DN.
+        found: f32,
+    },
+    /// The filter bank contradicts itself.
+    Filter(FilterError),
+    /// An operator refused its input. It means a defect of this crate: the shapes are checked before.
+    Network(NnError),
+    /// A buffer does not hold its shape. It means a defect of this crate.
+    Shape(ShapeError),
+    /// A weight section has another length than the header says; 0 halves where the header says that there is none.
+    Length {
+        /// Which one.
+        section: Section,
+        /// Halves by the header.
+        expected: usize,
+        /// Halves found.
+        found: usize,
+    },
+    /// A weight is infinite or NaN.
+    NotFinite {
+        /// In which section.
+        section: Section,
+        /// Number of the half in the section.
+        index: usize,
+    },
+    /// The memory plan in the header is not the plan of this version.
+    Plan {
+        /// The plan for these shapes.
+        expected: MemoryPlan,
+        /// The plan in the header.
+        found: MemoryPlan,
+    },
+    /// The frame has another length.
+    Frame {
+        /// Pixels by the header.
+        expected: usize,
+        /// Pixels given.
+        found: usize,
+    },
+    /// The output has another length.
+    Output {
+        /// Pixels by the header.
+        expected: usize,
+        /// Pixels given.
+        found: usize,
+    },
+    /// The caller's memory is too small.
+    Memory {
+        /// The least that is needed.
+        expected: MemoryPlan,
+        /// What was given.
+        found: MemoryPlan,
+    },
+}
+
+impl From<FilterError> for PipelineError {
+    fn from(error: FilterError) -> Self {
+        Self::Filter(error)
+    }
+}
+
+impl From<NnError> for PipelineError {
+    fn from(error: NnError) -> Self {
+        Self::Network(error)
+    }
+}
+
+impl From<ShapeError> for PipelineError {
+    fn from(error: ShapeError) -> Self {
+        Self::Shape(error)
+    }
+}
+
+impl fmt::Display for PipelineError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Field { field, expected, found } => write!(f, "{field}: expected {expected}, found {found}"),
+            Self::BlackLevel { found } => write!(f, "sensor.black_level_dn: expected a finite level, found {found}"),
+            Self::Filter(error) => error.fmt(f),
+            Self::Network(error) => error.fmt(f),
+            Self::Shape(error) => error.fmt(f),
+            Self::Length { section, expected, found } => {
+                write!(f, "weights, {section}: expected {expected} halves, found {found}")
+            }
+            Self::NotFinite { section, index } => write!(f, "weights, {section}: half {index} is not finite"),
+            Self::Plan { expected, found } => write!(
+                f,
+                "memory plan: expected {} + {} bytes, found {} + {}; quantize the network anew",
+                expected.fast_bytes, expected.bulk_bytes, found.fast_bytes, found.bulk_bytes
+            ),
+            Self::Frame { expected, found } => write!(f, "raw frame: expected {expected} pixels, found {found}"),
+            Self::Output { expected, found } => write!(f, "output: expected {expected} pixels, found {found}"),
+            Self::Memory { expected, found } => {
+                memory(f, "fast", expected.fast_bytes, found.fast_bytes)?;
+                f.write_str(", ")?;
+                memory(f, "bulk", expected.bulk_bytes, found.bulk_bytes)
+            }
+        }
+    }
+}
+
+fn memory(f: &mut fmt::Formatter<'_>, kind: &str, expected: u32, found: u32) -> fmt::Result {
+    write!(f, "{kind} memory: expected {expected} bytes, found {found}")?;
+    match expected.saturating_sub(found) {
+        0 => Ok(()),
+        missing => write!(f, " ({missing} missing)"),
+    }
+}
+
+impl core::error::Error for PipelineError {}

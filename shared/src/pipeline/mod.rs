@@ -1,0 +1,218 @@
+//! Raw frame -> reconstruction: sensor correction, Fourier filter bank, enhancement network.
+//!
+//! ```text
+//! x   = (code - black - offset) * inverse_gain        DN, negative values kept
+//! x   = x / max(x)                                    all zeros where max(x) <= 0
+//! f_c = filter_c(x), cropped to the object            see crate::filter
+//! f   = f / max over all c of f                       all zeros where that is <= 0 or an f is not finite
+//! out = rcan(f)                                       see crate::nn::rcan; halves, 0 to 1
+//! ```
+//! Both divisions are divisions, rounded once to binary32; f is stored as halves before and after.
+//!
+//! The configuration ([`Pipeline`]) is immutable and borrows the network file; the mutable state is the caller's memory
+//! ([`Memory`]): fast scratch and a bulk arena, of the sizes of [`Pipeline::plan`] or larger. More fast scratch means taller bands and
+//! wider strips, hence speed; never other bits. What the memory holds before does not matter.
+
+mod error;
+mod validate;
+
+pub use error::{PipelineError, Section};
+
+use crate::blob::{Header, MemoryPlan, Weights};
+use crate::filter::{FilterBank, FrameSource};
+use crate::image::{ChwMut, PlaneMut};
+use crate::nn::rcan::Rcan;
+use crate::num::simd::{Kernel, Simd};
+use crate::num::{f16, max_finite, narrow, widen};
+use crate::sensor::FixedPattern;
+
+/// The caller's memory. Its content before a run does not matter.
+#[derive(Debug)]
+pub struct Memory<'m> {
+    /// Fast scratch.
+    pub fast: &'m mut [f32],
+    /// Bulk arena.
+    pub bulk: &'m mut [f16],
+}
+
+/// What a run saw.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stats {
+    /// Pixels of the raw frame at or above the saturation code.
+    pub saturated_px: u32,
+    /// Maximum of the corrected frame, DN. Where it is not positive the frame was taken as zero.
+    pub frame_max_dn: f32,
+    /// Maximum of all filter outputs for the frame divided by its maximum. Where it is not positive, or
+    /// [`Self::filter_finite`] is false, the network saw zeros.
+    pub filter_max: f32,
+    /// No filter output left the range of halves.
+    pub filter_finite: bool,
+}
+
+/// A network, checked and ready to run.
+#[derive(Clone, Copy, Debug)]
+pub struct Pipeline<'a> {
+    header: &'a Header,
+    weights: Weights<'a>,
+    pattern: FixedPattern<'a>,
+    filter: FilterBank<'a>,
+    rcan: Rcan,
+    simd: Simd,
+}
+
+impl<'a> Pipeline<'a> {
+    /// Checks every shape, length and weight, and that the memory plan in the header is [`Self::plan`]'s.
+    ///
+    /// # Errors
+    /// [`PipelineError`].
+    pub fn new(header: &'a Header, weights: Weights<'a>) -> Result<Self, PipelineError> {
+        let (filter, rcan) = validate::shapes(header)?;
+        validate::weights(header, &filter, &weights)?;
+        let (expected, found) = (memory_plan(header, &filter, &rcan)?, header.memory);
+        if expected != found {
+            return Err(PipelineError::Plan { expected, found });
+        }
+        let pattern = FixedPattern::new(header, &weights);
+        Ok(Self { header, weights, pattern, filter, rcan, simd: Simd::detect() })
+    }
+
+    /// The memory that a network needs at least: a function of the header's shapes alone, the same on every machine.
+    ///
+    /// # Errors
+    /// [`PipelineError`] where the header contradicts itself.
+    pub fn plan(header: &Header) -> Result<MemoryPlan, PipelineError> {
+        let (filter, rcan) = validate::shapes(header)?;
+        memory_plan(header, &filter, &rcan)
+    }
+
+    /// Numbers of fast scratch beyond which more does not help.
+    pub fn fast_len_best(&self) -> usize {
+        let frame = usize::from(self.header.frame.cols);
+        self.filter.scratch_len_wide().max(self.rcan.scratch_len(usize::from(self.header.object.rows))) + frame
+    }
+
+    /// Numbers of fast scratch needed at least.
+    pub fn fast_len(&self) -> usize {
+        self.header.memory.fast_bytes as usize / size_of::<f32>()
+    }
+
+    /// Halves of bulk memory needed.
+    pub fn bulk_len(&self) -> usize {
+        self.header.memory.bulk_bytes as usize / size_of::<f16>()
+    }
+
+    /// Pixels of a raw frame.
+    pub fn frame_len(&self) -> usize {
+        usize::from(self.header.frame.rows) * usize::from(self.header.frame.cols)
+    }
+
+    /// Pixels of the reconstruction.
+    pub fn output_len(&self) -> usize {
+        usize::from(self.header.object.rows) * usize::from(self.header.object.cols)
+    }
+
+    /// The header.
+    pub const fn header(&self) -> &'a Header {
+        self.header
+    }
+
+    /// Reconstructs one frame: `frame` are the raw codes (frame rows, frame cols), `output` is (object rows, object cols), 0 to 1.
+    ///
+    /// # Errors
+    /// [`PipelineError::Frame`], [`PipelineError::Output`] or [`PipelineError::Memory`] where a slice has the wrong length; nothing is
+    /// written then.
+    pub fn run(&self, frame: &[u16], memory: Memory<'_>, output: &mut [f16]) -> Result<Stats, PipelineError> {
+        let Memory { fast, bulk } = memory;
+        self.check_lengths(frame, fast, bulk, output)?;
+        let bulk = &mut bulk[..self.bulk_len()];
+        let (saturated_px, frame_max_dn) = self.survey(frame, fast);
+        let source = Corrected { pipeline: self, frame, max: frame_max_dn };
+        let (arena, channels) = bulk.split_at_mut(bulk.len() - self.rcan.input_len());
+        let object = [usize::from(self.header.object.rows), usize::from(self.header.object.cols)];
+        let tensor = ChwMut::new(channels, usize::from(self.header.bank.channels), object[0], object[1])?;
+        self.filter.process(self.simd, &source, self.weights.spectra, tensor, arena, fast)?;
+        let (filter_max, filter_finite) = self.simd.run(Normalise { values: channels });
+        let arena = bulk.len() - self.rcan.arena_len();
+        let output = PlaneMut::new(output, object[0], object[1])?;
+        self.rcan.process(self.simd, self.weights.rcan, &mut bulk[arena..], output, fast)?;
+        Ok(Stats { saturated_px, frame_max_dn, filter_max, filter_finite })
+    }
+
+    fn check_lengths(&self, frame: &[u16], fast: &[f32], bulk: &[f16], output: &[f16]) -> Result<(), PipelineError> {
+        if frame.len() != self.frame_len() {
+            return Err(PipelineError::Frame { expected: self.frame_len(), found: frame.len() });
+        }
+        if output.len() != self.output_len() {
+            return Err(PipelineError::Output { expected: self.output_len(), found: output.len() });
+        }
+        let expected = self.header.memory;
+        let found = MemoryPlan { fast_bytes: bytes(size_of_val(fast)), bulk_bytes: bytes(size_of_val(bulk)) };
+        if found.fast_bytes < expected.fast_bytes || found.bulk_bytes < expected.bulk_bytes {
+            return Err(PipelineError::Memory { expected, found });
+        }
+        Ok(())
+    }
+
+    /// Saturated pixels and the maximum of the corrected frame.
+    fn survey(&self, frame: &[u16], fast: &mut [f32]) -> (u32, f32) {
+        let cols = usize::from(self.header.frame.cols);
+        let row = &mut fast[..cols];
+        let (mut saturated, mut max) = (0, f32::NEG_INFINITY);
+        for (r, codes) in frame.chunks_exact(cols).enumerate() {
+            saturated += self.pattern.saturated(codes);
+            self.pattern.correct(r, 0, codes, row);
+            max = row.iter().fold(max, |max, &x| if x > max { x } else { max });
+        }
+        (saturated, max)
+    }
+}
+
+fn memory_plan(header: &Header, filter: &FilterBank<'_>, rcan: &Rcan) -> Result<MemoryPlan, PipelineError> {
+    let fast = filter.scratch_len().max(rcan.scratch_len(1)).max(usize::from(header.frame.cols));
+    let bulk = rcan.arena_len().max(filter.arena_len() + rcan.input_len());
+    Ok(MemoryPlan { fast_bytes: bytes(fast * size_of::<f32>()), bulk_bytes: bytes(bulk * size_of::<f16>()) })
+}
+
+/// Saturating, as a length that does not fit is large enough or much too large.
+fn bytes(len: usize) -> u32 {
+    u32::try_from(len).unwrap_or(u32::MAX)
+}
+
+/// The corrected frame, divided by its maximum.
+struct Corrected<'a> {
+    pipeline: &'a Pipeline<'a>,
+    frame: &'a [u16],
+    max: f32,
+}
+
+impl FrameSource for Corrected<'_> {
+    fn load(&self, row: usize, first: usize, to: &mut [f32]) {
+        if self.max > 0.0 {
+            let start = row * usize::from(self.pipeline.header.frame.cols) + first;
+            self.pipeline.pattern.correct(row, first, &self.frame[start..start + to.len()], to);
+            to.iter_mut().for_each(|x| *x /= self.max);
+        } else {
+            to.fill(0.0);
+        }
+    }
+}
+
+/// Divides by the maximum; gives the maximum and whether all values are finite.
+struct Normalise<'a> {
+    values: &'a mut [f16],
+}
+
+impl Kernel for Normalise<'_> {
+    type Output = (f32, bool);
+
+    #[inline(always)]
+    fn run(self) -> (f32, bool) {
+        let (max, finite) = max_finite(self.values);
+        if max > 0.0 && finite {
+            self.values.iter_mut().for_each(|x| *x = narrow(widen(*x) / max));
+        } else {
+            self.values.fill(f16::ZERO);
+        }
+        (max, finite)
+    }
+}
