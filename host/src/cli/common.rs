@@ -1,25 +1,30 @@
-//! What every verb shares: global options, progress, and the one way to print.
+//! What every verb shares: global options, progress, logging, and the one way to print.
 
+use anyhow::Context;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::io::{ErrorKind, Write};
 use std::process::ExitCode;
+use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::LevelFilter;
 
 /// Options that every verb takes.
 #[derive(Clone, Debug, Args)]
+#[command(next_help_heading = "Global options")]
 pub struct Run {
-    /// Print exactly one JSON object on stdout; everything else goes to stderr.
+    /// Print exactly one JSON object on stdout; everything else goes to stderr
     #[arg(long, global = true)]
     pub json: bool,
-    /// Seed of all that is drawn; the same seed and inputs give the same bytes.
+    /// Seed of all that is drawn; the same seed and inputs give the same bytes
     #[arg(long, global = true, default_value_t = 1, value_name = "N")]
     pub seed: u64,
-    /// Threads to use (default: all cores); the result does not depend on it.
-    #[arg(long, global = true, value_name = "N")]
-    pub threads: Option<usize>,
-    /// Say more on stderr (twice: everything).
+    /// Threads to use (default: all cores); the result does not depend on it
+    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    pub threads: Option<u16>,
+    /// Say more on stderr (twice: everything)
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     pub verbose: u8,
-    /// Say nothing on stderr but errors.
+    /// Say nothing on stderr but errors
     #[arg(short, long, global = true, conflicts_with = "verbose")]
     pub quiet: bool,
 }
@@ -36,6 +41,31 @@ impl Run {
         bar.set_message(what);
         bar
     }
+
+    /// Sends the log to stderr at the level of `-v`/`-q` (`RUST_LOG` wins), and sets the number of threads.
+    ///
+    /// # Errors
+    /// The threads cannot be started.
+    pub(super) fn set_up(&self) -> anyhow::Result<()> {
+        let level = match (self.quiet, self.verbose) {
+            (true, _) => LevelFilter::ERROR,
+            (false, 0) => LevelFilter::WARN,
+            (false, 1) => LevelFilter::INFO,
+            (false, 2) => LevelFilter::DEBUG,
+            (false, _) => LevelFilter::TRACE,
+        };
+        let filter = EnvFilter::builder().with_default_directive(level.into()).from_env_lossy();
+        let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).without_time();
+        // A second call in one process (a test) keeps the first log.
+        let _ = log.with_target(self.verbose > 1).try_init();
+        if let Some(n) = self.threads {
+            rayon::ThreadPoolBuilder::new()
+                .num_threads(usize::from(n))
+                .build_global()
+                .with_context(|| format!("--threads {n}: the thread pool cannot be set up"))?;
+        }
+        Ok(())
+    }
 }
 
 /// What a verb found: the figures for programs, and the same figures for people.
@@ -48,14 +78,65 @@ pub struct Outcome {
 }
 
 /// Prints an outcome or an error and gives the exit code.
+///
+/// A reader that has gone away (`ommatidia ... | head`) is no failure.
 pub(super) fn finish(run: &Run, result: anyhow::Result<Outcome>) -> ExitCode {
-    match result {
-        Ok(outcome) if run.json => println!("{}", outcome.json),
-        Ok(outcome) => print!("{}", outcome.text),
-        Err(error) => {
-            eprintln!("error: {error:#}");
-            return ExitCode::FAILURE;
+    let error = match result {
+        Ok(outcome) => {
+            let text = if run.json { format!("{}\n", outcome.json) } else { outcome.text };
+            match print(text.as_bytes()) {
+                Ok(()) => return ExitCode::SUCCESS,
+                Err(e) => anyhow::Error::new(e).context("standard output"),
+            }
+        }
+        Err(error) => error,
+    };
+    // Nobody is left to tell where stderr is closed as well.
+    let _ = writeln!(std::io::stderr(), "error: {}", cause_chain(&error));
+    ExitCode::FAILURE
+}
+
+/// Writes to stdout; a broken pipe ends the text quietly.
+pub(super) fn print(bytes: &[u8]) -> std::io::Result<()> {
+    let mut out = std::io::stdout().lock();
+    match out.write_all(bytes).and_then(|()| out.flush()) {
+        Err(e) if e.kind() == ErrorKind::BrokenPipe => Ok(()),
+        other => other,
+    }
+}
+
+/// The error and its causes, one a line; a cause whose text the line before already ends with is left out.
+fn cause_chain(error: &anyhow::Error) -> String {
+    let mut lines: Vec<String> = Vec::new();
+    for cause in error.chain().map(ToString::to_string) {
+        if lines.last().is_none_or(|last| !last.contains(&cause)) {
+            lines.push(cause);
         }
     }
-    ExitCode::SUCCESS
+    lines.join("\n  because: ")
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use clap::{CommandFactory, Parser};
+
+    #[test]
+    fn a_cause_is_told_once() {
+        let inner = std::io::Error::other("disk full");
+        let error = anyhow::Error::new(inner).context("a.npy: disk full").context("no reconstruction was written");
+        assert_eq!(cause_chain(&error), "no reconstruction was written\n  because: a.npy: disk full");
+    }
+
+    #[test]
+    fn the_command_line_is_sound() {
+        crate::cli::Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn no_thread_is_a_usage_error() {
+        let error = crate::cli::Cli::try_parse_from(["ommatidia", "demo", "--threads", "0"]).unwrap_err();
+        assert_eq!(error.exit_code(), 2);
+    }
 }

@@ -1,1 +1,17 @@
-//! (being written)
+//! Figures of merit: reconstructions against truths, predictions against frames, by field radius, with time and memory.
+
+mod compare;
+mod field;
+mod metrics;
+mod prediction;
+pub mod record;
+mod resources;
+mod ssim;
+
+pub use compare::{Case, Source, judge};
+pub use field::{Ring, Rings};
+pub use metrics::{Figures, MetricError, Moments, compare, psnr_db, scaled};
+pub use prediction::{PredictionFigures, Triple, chi_squared, predict_figures};
+pub use record::{Evaluation, MethodFigures, Summary};
+pub use resources::measured;
+pub use ssim::{SsimError, ssim};

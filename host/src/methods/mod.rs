@@ -1,5 +1,15 @@
 //! Ways from a raw frame to an object: the network, and the methods that it must beat.
 
+mod central;
+mod error;
+mod frame;
+#[cfg(test)]
+mod testing;
+
+pub use central::Central;
+pub use error::MethodError;
+pub use frame::FrameCorrection;
+
 use ndarray::{Array2, ArrayView2};
 
 /// A method that reconstructs an object from one raw frame.
