@@ -14,6 +14,7 @@ pub mod evaluate;
 pub mod fft2;
 pub mod forward;
 pub mod instrument;
+pub mod linalg;
 pub mod methods;
 pub mod noise;
 pub mod optics;

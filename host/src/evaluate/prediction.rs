@@ -120,6 +120,7 @@ mod tests {
             read_noise_e: 2.0,
             read_noise_sigma: 0.0,
             saturation_dn: 4095.0,
+            sources: Default::default(),
         }
     }
 

@@ -32,6 +32,7 @@ pub(super) fn instrument(side: usize, sensor: [usize; 2], object: [usize; 2]) ->
             read_noise_e: 2.0,
             read_noise_sigma: 0.0,
             saturation_dn: 4095.0,
+            sources: Default::default(),
         },
         offset_dn: None,
         geometry: Geometry {
@@ -48,6 +49,8 @@ pub(super) fn instrument(side: usize, sensor: [usize; 2], object: [usize; 2]) ->
             exposure_ms: 10.0,
         },
         effects: Vec::new(),
+        light_unit: Default::default(),
         quality: Quality { approximation_error: 0.0, off_grid_error: 0.0 },
+        diagnostics: Default::default(),
     }
 }

@@ -1,5 +1,7 @@
 //! The spatially varying PSF as a low-rank model (Eqs. 2 and 3 of the paper).
 
+pub mod decompose;
+pub mod field;
 pub mod nodes;
 pub mod operator;
 pub mod shift;
