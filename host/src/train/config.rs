@@ -1,5 +1,7 @@
 //! The shape of the network.
 
+use super::TrainError;
+use super::ops::fourier::FourierSizes;
 use serde::{Deserialize, Serialize};
 
 /// Shape of an SV-FourierNet: the Fourier filter bank and the light RCAN behind it.
@@ -25,4 +27,42 @@ pub struct NetworkConfig {
     pub blocks: usize,
     /// Channel reduction of the attention.
     pub reduction: usize,
+}
+
+impl NetworkConfig {
+    /// Checks that the sizes make a network.
+    ///
+    /// # Errors
+    /// A side is zero, the object is odd or larger than the filter, the frame is larger than the filter, or the reduction leaves no channel.
+    pub fn check(&self) -> Result<(), TrainError> {
+        let wrong = |field, expected: String, found: usize| Err(TrainError::Config { field, expected, found: found.to_string() });
+        let t = self.filter_size;
+        for (field, sides) in [("frame", self.frame), ("object", self.object)] {
+            if let Some(&side) = sides.iter().find(|&&side| side == 0 || side > t) {
+                return wrong(field, format!("sides of 1 to filter_size = {t} pixels"), side);
+            }
+        }
+        if let Some(&side) = self.object.iter().find(|&&side| side % 2 != 0) {
+            return wrong("object", "even sides (PixelUnshuffle 2)".into(), side);
+        }
+        for (field, n) in [("channels", self.channels), ("width", self.width), ("groups", self.groups), ("blocks", self.blocks)] {
+            if n == 0 || n > 255 {
+                return wrong(field, "1 to 255".into(), n);
+            }
+        }
+        if self.reduction == 0 || self.reduction > self.width {
+            return wrong("reduction", format!("1 to width = {}", self.width), self.reduction);
+        }
+        Ok(())
+    }
+
+    /// Channels W/r in the bottleneck of the attention.
+    pub fn bottleneck(&self) -> usize {
+        self.width / self.reduction
+    }
+
+    /// Sizes of the filter bank.
+    pub fn fourier(&self) -> FourierSizes {
+        FourierSizes { frame: self.frame, object: self.object, filter_size: self.filter_size, channels: self.channels }
+    }
 }

@@ -1,5 +1,22 @@
 //! The float network: configuration, layers, losses, schedule, loop, checkpoint.
 
+mod adam;
+mod checkpoint;
 mod config;
+mod error;
+mod loss;
+pub mod network;
+pub mod ops;
+pub mod regression;
+mod settings;
+mod source;
+mod trainer;
+pub mod weights;
 
+pub use adam::MeanNorms;
+pub use checkpoint::{Body, Checkpoint, CurvePoint, KIND, SensorMaps, VERSION};
 pub use config::NetworkConfig;
+pub use error::TrainError;
+pub use settings::{Preset, Start, TrainConfig};
+pub use source::{Example, Loader, Pair, PairSource, normalise};
+pub use trainer::{Next, Progress, Task, Trainer};

@@ -1,0 +1,143 @@
+//! Adam (D. P. Kingma, J. Ba, arXiv:1412.6980, algorithm 1) on named arrays, and the guard in front of it.
+
+use super::weights::FILTERS;
+use crate::artifact::Tensors;
+use ndarray::Zip;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+const BETA_1: f64 = 0.9;
+const BETA_2: f64 = 0.999;
+const EPSILON: f64 = 1e-8;
+
+/// Part of the running mean of a gradient's length that one step replaces.
+const MEMORY: f64 = 0.02;
+
+/// Parameters with a learning rate of their own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Group {
+    /// The Fourier filters.
+    Filters,
+    /// All that comes after.
+    Layers,
+}
+
+/// The group of a parameter.
+pub fn group(name: &str) -> Group {
+    if FILTERS.contains(&name) { Group::Filters } else { Group::Layers }
+}
+
+/// Running mean lengths of the gradients of filters and layers; 0: none seen yet.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MeanNorms {
+    /// Of the filters.
+    pub filters: f64,
+    /// Of the layers.
+    pub layers: f64,
+}
+
+/// State of the optimiser.
+#[derive(Clone, Debug, Default)]
+pub struct Adam {
+    /// Steps taken.
+    pub steps: u64,
+    /// First moments, by name.
+    pub first: Tensors,
+    /// Second moments, by name.
+    pub second: Tensors,
+    /// Lengths of past gradients.
+    pub norms: MeanNorms,
+}
+
+impl Adam {
+    /// No steps taken yet on parameters like these.
+    pub fn new(parameters: &Tensors) -> Self {
+        let zeros: Tensors = parameters.iter().map(|(n, t)| (n.clone(), t.mapv(|_| 0.0))).collect();
+        Self { steps: 0, first: zeros.clone(), second: zeros, norms: MeanNorms::default() }
+    }
+
+    /// Shortens the gradient of each group to `clip` times the running mean of its length. Adam does not mind the scale of a gradient, so the
+    /// bound must follow it.
+    pub fn clip(&mut self, gradients: &mut BTreeMap<String, Vec<f32>>, clip: f64) {
+        for of in [Group::Filters, Group::Layers] {
+            let members = || gradients.iter().filter(|(name, _)| group(name) == of);
+            let norm = members().flat_map(|(_, g)| g).map(|&g| f64::from(g).powi(2)).sum::<f64>().sqrt();
+            let mean = match of {
+                Group::Filters => &mut self.norms.filters,
+                Group::Layers => &mut self.norms.layers,
+            };
+            let limit = if *mean > 0.0 { clip * *mean } else { norm };
+            if norm > limit {
+                let scale = (limit / norm) as f32;
+                gradients.iter_mut().filter(|(n, _)| group(n) == of).for_each(|(_, g)| g.iter_mut().for_each(|g| *g *= scale));
+            }
+            let seen = norm.min(limit);
+            *mean = if *mean > 0.0 { (1.0 - MEMORY) * *mean + MEMORY * seen } else { seen };
+        }
+    }
+
+    /// One step; `rate` gives the learning rate of each group.
+    pub fn step(&mut self, parameters: &mut Tensors, gradients: &BTreeMap<String, Vec<f32>>, rate: impl Fn(Group) -> f64) {
+        self.steps += 1;
+        let t = self.steps as f64;
+        let (c1, c2) = (1.0 - BETA_1.powf(t), 1.0 - BETA_2.powf(t));
+        let (b1, b2) = (BETA_1 as f32, BETA_2 as f32);
+        for (name, gradient) in gradients {
+            let (Some(p), Some(m), Some(v)) = (parameters.get_mut(name), self.first.get_mut(name), self.second.get_mut(name)) else {
+                continue;
+            };
+            let (scale, root, epsilon) = ((rate(group(name)) / c1) as f32, (1.0 / c2.sqrt()) as f32, EPSILON as f32);
+            let mut gradient = gradient.iter();
+            Zip::from(p).and(m).and(v).for_each(|p, m, v| {
+                let g = gradient.next().copied().unwrap_or(0.0);
+                *m = b1 * *m + (1.0 - b1) * g;
+                *v = b2 * *v + (1.0 - b2) * g * g;
+                *p -= scale * *m / (v.sqrt() * root + epsilon);
+            });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use burn::optim::{AdamConfig, Optimizer};
+    use burn::tensor::{Device, Tensor, TensorData};
+    use ndarray::arr1;
+
+    /// Against burn's own, which is written otherwise.
+    #[test]
+    fn steps_are_those_of_burn() {
+        let device = Device::flex();
+        let start = vec![0.5f32, -1.0, 2.0];
+        let mut ours = Tensors::from([("a".to_string(), arr1(&start).into_dyn())]);
+        let mut adam = Adam::new(&ours);
+        let theirs = AdamConfig::new().with_epsilon(1e-8).build();
+        let mut tensor = Tensor::<1>::from_data(TensorData::new(start, [3]), &device);
+        let mut state = None;
+        for step in 0..20 {
+            let g: Vec<f32> = (0..3).map(|i| ((step * 7 + i * 3) as f32).sin() * 10f32.powi(i - 1)).collect();
+            adam.step(&mut ours, &BTreeMap::from([("a".to_string(), g.clone())]), |_| 0.01);
+            let gradient = Tensor::<1>::from_data(TensorData::new(g, [3]), &device);
+            (tensor, state) = theirs.step(0.01, tensor, gradient, state);
+        }
+        let theirs = super::super::network::values(tensor);
+        for (a, b) in ours["a"].iter().zip(theirs) {
+            assert!((a - b).abs() < 1e-6, "{a} {b}");
+        }
+    }
+
+    #[test]
+    fn a_spike_is_shortened_and_the_rest_left_alone() {
+        let mut adam = Adam::default();
+        let gradient = |v: f32| BTreeMap::from([("a".to_string(), vec![v, 0.0]), (FILTERS[0].to_string(), vec![1.0])]);
+        let mut usual = gradient(2.0);
+        adam.clip(&mut usual, 5.0);
+        assert_eq!(usual, gradient(2.0));
+        let mut spike = gradient(1000.0);
+        adam.clip(&mut spike, 5.0);
+        assert!((spike["a"][0] - 10.0).abs() < 1e-4);
+        assert_eq!(spike[FILTERS[0]], vec![1.0]);
+    }
+}

@@ -1,0 +1,137 @@
+//! Differentiable operators of our own, where burn's are too slow or missing.
+//!
+//! Each has a plain half on slices ([`conv`], [`fourier`]), tested by itself, and a thin half here that hangs it into burn's
+//! graph. Weights are flat tensors: the operators know their shapes.
+
+pub mod conv;
+pub mod fourier;
+
+use burn::backend::autodiff::NodeId;
+use burn::backend::autodiff::checkpoint::base::Checkpointer;
+use burn::backend::autodiff::checkpoint::strategy::NoCheckpointing;
+use burn::backend::autodiff::grads::Gradients;
+use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
+use burn::backend::tensor::FloatTensor;
+use burn::backend::{Autodiff, Flex};
+use burn::tensor::{Tensor, TensorData};
+use conv::Conv3x3;
+use fourier::{Fourier, Spectrum};
+use std::sync::Arc;
+
+type Primitive = FloatTensor<Flex>;
+
+/// 3x3 convolution with zero padding: `x` [batch, inputs, rows, cols], `weight` [outputs * inputs * 9], `bias` [outputs] ->
+/// [batch, outputs, rows, cols].
+pub fn conv3x3(x: Tensor<4>, weight: Tensor<1>, bias: Tensor<1>) -> Tensor<4> {
+    let [batch, inputs, rows, cols] = x.dims();
+    let sizes = Conv3x3 { batch, inputs, outputs: bias.dims()[0], rows, cols };
+    if !weight.is_autodiff() {
+        let [x, weight, bias] = [plain(x), plain(weight), plain(bias)];
+        return Tensor::from_primitive::<Flex>(forward(sizes, &x, &weight, &bias));
+    }
+    let [x, weight, bias] = [tracked(x), tracked(weight), tracked(bias)];
+    let ((x, n0), (weight, n1), (bias, n2)) = (x.into_parts(), weight.into_parts(), bias.into_parts());
+    let y = forward(sizes, &x, &weight, &bias);
+    let y = match (Conv { sizes }).prepare::<NoCheckpointing>([n0, n1, n2]).compute_bound().stateful() {
+        OpsKind::Tracked(prep) => prep.finish((x, weight), y),
+        OpsKind::UnTracked(prep) => prep.finish(y),
+    };
+    Tensor::from_primitive::<Autodiff<Flex>>(y)
+}
+
+/// The Fourier filter bank on frames whose spectra are known: `re`, `im` [channels * T * (T/2+1)] ->
+/// [batch, channels, object rows, object cols].
+///
+/// Frames are data, so no gradient goes to them.
+pub fn filter_bank(plan: &Arc<Fourier>, spectra: Arc<Vec<Spectrum>>, re: Tensor<1>, im: Tensor<1>) -> Tensor<4> {
+    let run = |re: &Primitive, im: &Primitive| {
+        let [rows, cols] = plan.sizes().object;
+        let y = plan.forward(&spectra, &plan.filters(&values(re), &values(im)));
+        primitive(y, &[spectra.len(), plan.sizes().channels, rows, cols])
+    };
+    if !re.is_autodiff() {
+        return Tensor::from_primitive::<Flex>(run(&plain(re), &plain(im)));
+    }
+    let ((re, n0), (im, n1)) = (tracked(re).into_parts(), tracked(im).into_parts());
+    let y = run(&re, &im);
+    let operator = Bank { plan: Arc::clone(plan) };
+    let y = match operator.prepare::<NoCheckpointing>([n0, n1]).compute_bound().stateful() {
+        OpsKind::Tracked(prep) => prep.finish(spectra, y),
+        OpsKind::UnTracked(prep) => prep.finish(y),
+    };
+    Tensor::from_primitive::<Autodiff<Flex>>(y)
+}
+
+#[derive(Debug)]
+struct Conv {
+    sizes: Conv3x3,
+}
+
+impl Backward<Flex, 3> for Conv {
+    type State = (Primitive, Primitive);
+
+    fn backward(self, ops: Ops<Self::State, 3>, grads: &mut Gradients, _: &mut Checkpointer) {
+        let g = grads.consume::<Flex>(&ops.node);
+        let (x, weight) = ops.state;
+        let Conv3x3 { batch, inputs, outputs, rows, cols } = self.sizes;
+        let found = self.sizes.backward(&values(&x), &values(&weight), &values(&g));
+        let [px, pw, pb] = ops.parents.map(|p| p.map(|n| n.id));
+        register(grads, px, found.input, &[batch, inputs, rows, cols]);
+        register(grads, pw, found.weight, &[outputs * inputs * 9]);
+        register(grads, pb, found.bias, &[outputs]);
+    }
+}
+
+#[derive(Debug)]
+struct Bank {
+    plan: Arc<Fourier>,
+}
+
+impl Backward<Flex, 2> for Bank {
+    type State = Arc<Vec<Spectrum>>;
+
+    fn backward(self, ops: Ops<Self::State, 2>, grads: &mut Gradients, _: &mut Checkpointer) {
+        let g = grads.consume::<Flex>(&ops.node);
+        let (re, im) = self.plan.backward(&ops.state, &values(&g));
+        let (n, [pre, pim]) = (re.len(), ops.parents.map(|p| p.map(|n| n.id)));
+        register(grads, pre, re, &[n]);
+        register(grads, pim, im, &[n]);
+    }
+}
+
+fn forward(sizes: Conv3x3, x: &Primitive, weight: &Primitive, bias: &Primitive) -> Primitive {
+    let y = sizes.forward(&values(x), &values(weight), &values(bias));
+    primitive(y, &[sizes.batch, sizes.outputs, sizes.rows, sizes.cols])
+}
+
+fn register(grads: &mut Gradients, parent: Option<NodeId>, values: Vec<f32>, shape: &[usize]) {
+    if let Some(parent) = parent {
+        grads.register::<Flex>(parent, primitive(values, shape));
+    }
+}
+
+fn primitive(values: Vec<f32>, shape: &[usize]) -> Primitive {
+    Primitive::from_data(TensorData::new(values, shape.to_vec()))
+}
+
+/// The values in C order; copied only where the tensor is a view that is not.
+fn values(tensor: &Primitive) -> std::borrow::Cow<'_, [f32]> {
+    match tensor.as_slice::<f32>() {
+        Some(values) => values.into(),
+        None => tensor.to_contiguous().storage::<f32>().to_vec().into(),
+    }
+}
+
+fn plain<const D: usize>(tensor: Tensor<D>) -> Primitive {
+    match tensor.try_into_primitive::<Flex>() {
+        Ok(tensor) => tensor,
+        Err(error) => unreachable!("the network lives on the Flex device alone: {error:?}"),
+    }
+}
+
+fn tracked<const D: usize>(tensor: Tensor<D>) -> FloatTensor<Autodiff<Flex>> {
+    match tensor.try_into_primitive::<Autodiff<Flex>>() {
+        Ok(tensor) => tensor,
+        Err(error) => unreachable!("the network lives on the Flex device with autodiff alone: {error:?}"),
+    }
+}

@@ -1,0 +1,172 @@
+//! How a network is trained, and the presets.
+
+use super::{NetworkConfig, TrainError};
+use serde::{Deserialize, Serialize};
+
+/// What the filters are before the first step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum Start {
+    /// 0.001 x U[0, 1], as in the paper.
+    Random,
+    /// The linear filters that fit the training pairs best, one for each part of the field ([`super::regression`]).
+    Regression,
+}
+
+/// How a network is trained.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrainConfig {
+    /// Steps of the optimiser.
+    pub steps: u64,
+    /// Pairs in a step.
+    pub batch: usize,
+    /// Highest learning rate of the convolutions.
+    pub learning_rate: f64,
+    /// Highest learning rate of the filters, whose values are about 0.001.
+    pub filter_learning_rate: f64,
+    /// The learning rate at the end, as a part of the highest (cosine annealing).
+    pub final_rate: f64,
+    /// Steps over which the learning rate rises from zero.
+    pub warmup: u64,
+    /// A gradient longer than this many times its running mean is shortened to that.
+    pub clip: f64,
+    /// Peak of the expected frame, electrons: drawn evenly in its logarithm between these.
+    pub peak_e: [f64; 2],
+    /// Steps between validations; each writes a checkpoint.
+    pub validate_every: u64,
+    /// Part of the pairs that is held out.
+    pub held_out: f64,
+    /// Most held-out pairs that a validation looks at.
+    pub validation_pairs: usize,
+    /// What the filters are before the first step.
+    pub start: Start,
+    /// Seed of all that is drawn.
+    pub seed: u64,
+}
+
+impl TrainConfig {
+    /// Checks the values.
+    ///
+    /// # Errors
+    /// A value is out of its range; the error names the field.
+    pub fn check(&self) -> Result<(), TrainError> {
+        let wrong = |field, expected: &str, found: String| Err(TrainError::Config { field, expected: expected.into(), found });
+        for (field, n) in [("steps", self.steps), ("batch", self.batch as u64), ("validate_every", self.validate_every)] {
+            if n == 0 {
+                return wrong(field, "1 or more", n.to_string());
+            }
+        }
+        let positive = [
+            ("learning_rate", self.learning_rate),
+            ("filter_learning_rate", self.filter_learning_rate),
+            ("clip", self.clip),
+            ("peak_e[0]", self.peak_e[0]),
+            ("peak_e[1] - peak_e[0]", self.peak_e[1] - self.peak_e[0]),
+        ];
+        for (field, v) in positive {
+            if !v.is_finite() || v <= 0.0 {
+                return wrong(field, "a positive number", v.to_string());
+            }
+        }
+        if !(0.0..=1.0).contains(&self.final_rate) {
+            return wrong("final_rate", "0 to 1", self.final_rate.to_string());
+        }
+        if !(self.held_out > 0.0 && self.held_out < 1.0) {
+            return wrong("held_out", "a part between 0 and 1", self.held_out.to_string());
+        }
+        Ok(())
+    }
+
+    /// Learning rate at `step` (from 0) as a part of the highest: linear rise, then half a cosine down to `final_rate`.
+    pub fn rate(&self, step: u64) -> f64 {
+        if step < self.warmup {
+            return (step + 1) as f64 / self.warmup as f64;
+        }
+        let span = self.steps.saturating_sub(self.warmup).max(1);
+        let at = ((step - self.warmup) as f64 / span as f64).min(1.0);
+        self.final_rate + (1.0 - self.final_rate) * 0.5 * (1.0 + (std::f64::consts::PI * at).cos())
+    }
+}
+
+/// Sizes and schedules that are known to work.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum Preset {
+    /// For the demo and the smallest device: minutes on two cores.
+    #[default]
+    Nano,
+    /// Between the two: an hour on a workstation.
+    Lite,
+    /// The network of the paper: nine filters, 0.18 M parameters behind them, random start, Adam at 5e-5.
+    Paper,
+}
+
+impl Preset {
+    /// The network for frames and objects of these sizes, [rows, cols]. The filter is a power of two that holds both.
+    pub fn network(self, frame: [usize; 2], object: [usize; 2]) -> NetworkConfig {
+        let longest = frame.iter().chain(&object).copied().max().unwrap_or(1);
+        let (channels, width, groups, blocks, reduction) = match self {
+            Self::Nano => (6, 16, 2, 1, 8),
+            Self::Lite => (9, 24, 2, 2, 12),
+            Self::Paper => (9, 32, 2, 3, 16),
+        };
+        NetworkConfig { frame, object, filter_size: longest.next_power_of_two(), channels, width, groups, blocks, reduction }
+    }
+
+    /// The schedule, for a sensor with this full scale, electrons.
+    pub fn training(self, full_scale_e: f64, seed: u64) -> TrainConfig {
+        let (steps, learning_rate, filter_learning_rate, start) = match self {
+            Self::Nano => (2400, 2e-3, 5e-5, Start::Regression),
+            Self::Lite => (20_000, 1e-3, 5e-5, Start::Regression),
+            Self::Paper => (60_000, 5e-5, 5e-5, Start::Random),
+        };
+        TrainConfig {
+            steps,
+            batch: 4,
+            learning_rate,
+            filter_learning_rate,
+            final_rate: 0.02,
+            warmup: steps / 50,
+            clip: 5.0,
+            peak_e: [0.05 * full_scale_e, 0.9 * full_scale_e],
+            validate_every: (steps / 20).max(1),
+            held_out: 0.1,
+            validation_pairs: 16,
+            start,
+            seed,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_rate_rises_then_falls_by_half_a_cosine() {
+        let c = TrainConfig { steps: 110, warmup: 10, final_rate: 0.1, ..Preset::Nano.training(1e4, 1) };
+        assert_eq!(c.rate(0), 0.1);
+        assert_eq!(c.rate(10), 1.0);
+        assert!((c.rate(60) - 0.55).abs() < 1e-12);
+        assert!((c.rate(110) - 0.1).abs() < 1e-12);
+    }
+
+    #[test]
+    fn presets_pass_their_own_checks() -> Result<(), TrainError> {
+        for preset in [Preset::Nano, Preset::Lite, Preset::Paper] {
+            preset.network([214, 214], [96, 96]).check()?;
+            preset.training(1e4, 1).check()?;
+        }
+        assert_eq!(Preset::Nano.network([214, 200], [96, 96]).filter_size, 256);
+        Ok(())
+    }
+
+    #[test]
+    fn what_cannot_be_is_refused_by_name() {
+        let bad = TrainConfig { batch: 0, ..Preset::Nano.training(1e4, 1) };
+        assert!(bad.check().is_err_and(|e| e.to_string().starts_with("batch:")));
+        let odd = Preset::Nano.network([20, 20], [9, 8]);
+        assert!(odd.check().is_err_and(|e| e.to_string().starts_with("object:")));
+    }
+}

@@ -1,0 +1,256 @@
+//! The loop: draw, forward, backward, step; validate and save now and then.
+
+use super::adam::{Adam, Group};
+use super::checkpoint::{Body, Checkpoint, CurvePoint, SensorMaps};
+use super::loss::bce_mse;
+use super::network::{Mode, Network, values};
+use super::ops::fourier::Fourier;
+use super::source::{Example, Loader, PairSource};
+use super::{NetworkConfig, Start, TrainConfig, TrainError, regression, weights};
+use crate::artifact::{Provenance, Tensors};
+use crate::evaluate::compare;
+use crate::noise::NoiseModel;
+use crate::rng;
+use burn::tensor::activation::sigmoid;
+use burn::tensor::{Device, Tensor, TensorData};
+use ndarray::ArrayView2;
+use rand::seq::SliceRandom;
+use std::path::Path;
+use std::sync::Arc;
+
+/// Fewest pairs that can be divided into training and validation.
+const FEWEST: usize = 4;
+
+/// What training needs besides its settings.
+#[derive(Clone, Debug)]
+pub struct Task<'a> {
+    /// The pairs.
+    pub source: &'a dyn PairSource,
+    /// Shape of the network.
+    pub network: NetworkConfig,
+    /// Noise of the sensor.
+    pub noise: NoiseModel,
+    /// Corrections of the sensor; stored for those who use the network.
+    pub maps: SensorMaps,
+}
+
+/// What happened at a step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Progress {
+    /// Steps taken.
+    pub step: u64,
+    /// Loss of this step.
+    pub loss: f64,
+    /// The validation after it, if there was one.
+    pub point: Option<CurvePoint>,
+}
+
+/// Whether to go on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Next {
+    /// Go on.
+    Continue,
+    /// Stop; the last checkpoint stands.
+    Stop,
+}
+
+/// A training run.
+pub struct Trainer<'a> {
+    task: Task<'a>,
+    plan: Arc<Fourier>,
+    train: Vec<usize>,
+    held_out: Vec<usize>,
+    state: Checkpoint,
+    /// Loss since the last validation: sum and count.
+    recent: (f64, u64),
+}
+
+impl<'a> Trainer<'a> {
+    /// A run from the start.
+    ///
+    /// # Errors
+    /// The configuration makes no sense, there are too few pairs, or a pair does not fit.
+    pub fn new(task: Task<'a>, training: TrainConfig) -> Result<Self, TrainError> {
+        task.network.check()?;
+        training.check()?;
+        let seed = training.seed;
+        let current = weights::random(&task.network, seed);
+        let body = Body {
+            network: task.network.clone(),
+            noise: task.noise,
+            training,
+            curve: Vec::new(),
+            best_step: 0,
+            step: 0,
+            norms: Default::default(),
+        };
+        let adam = Adam::new(&current);
+        let state = Checkpoint { body, weights: current.clone(), maps: task.maps.clone(), current, adam };
+        let mut run = Self::with_state(task, state)?;
+        if run.state.body.training.start == Start::Regression {
+            let mut fitted = run.state.current.clone();
+            regression::fit(&run.loader(), &run.train, &mut fitted)?;
+            run.state.weights = fitted.clone();
+            run.state.current = fitted;
+        }
+        Ok(run)
+    }
+
+    /// Takes up the run that wrote the checkpoint at `path`; the rest of it gives the same bits as if it had never stopped.
+    ///
+    /// # Errors
+    /// As [`Trainer::new`]; the checkpoint cannot be read; or it was made with another network, sensor or settings (more `steps` is no
+    /// reason to refuse).
+    pub fn resume(task: Task<'a>, training: TrainConfig, path: &Path) -> Result<Self, TrainError> {
+        let mut state = Checkpoint::read(path)?;
+        let differ = |field, expected: String, found: String| Err(TrainError::Resume { path: path.into(), field, expected, found });
+        let body = &state.body;
+        if body.network != task.network {
+            return differ("network", format!("{:?}", task.network), format!("{:?}", body.network));
+        }
+        if body.noise != task.noise || state.maps != task.maps {
+            return differ("noise", format!("{:?}", task.noise), format!("{:?}", body.noise));
+        }
+        if (TrainConfig { steps: training.steps, ..body.training.clone() }) != training {
+            return differ("training", format!("{training:?}"), format!("{:?}", body.training));
+        }
+        state.body.training = training;
+        Self::with_state(task, state)
+    }
+
+    fn with_state(task: Task<'a>, state: Checkpoint) -> Result<Self, TrainError> {
+        let plan = Arc::new(Fourier::new(task.network.fourier()));
+        let training = &state.body.training;
+        let count = task.source.len();
+        if count < FEWEST {
+            return Err(TrainError::TooFew { expected: FEWEST, found: count });
+        }
+        let mut pairs: Vec<usize> = (0..count).collect();
+        pairs.shuffle(&mut rng::stream(training.seed, "hold out", 0));
+        let kept = ((count as f64 * training.held_out).round() as usize).clamp(1, count - 1);
+        let mut held_out = pairs.split_off(count - kept);
+        held_out.truncate(training.validation_pairs.max(1));
+        Ok(Self { task, plan, train: pairs, held_out, state, recent: (0.0, 0) })
+    }
+
+    fn loader(&self) -> Loader<'_> {
+        let TrainConfig { peak_e, seed, .. } = self.state.body.training;
+        Loader { source: self.task.source, network: &self.task.network, plan: &self.plan, noise: &self.task.noise, peak_e, seed }
+    }
+
+    /// How it stands.
+    pub fn checkpoint(&self) -> &Checkpoint {
+        &self.state
+    }
+
+    /// Runs to the end, or until `watch` says stop; writes a checkpoint at `path` at each validation.
+    ///
+    /// # Errors
+    /// A pair cannot be had, the loss is no number any more, or the checkpoint cannot be written.
+    pub fn run(&mut self, path: &Path, provenance: &Provenance, mut watch: impl FnMut(Progress) -> Next) -> Result<(), TrainError> {
+        while self.state.body.step < self.state.body.training.steps {
+            let loss = self.step()?;
+            let (step, TrainConfig { steps, validate_every, .. }) = (self.state.body.step, &self.state.body.training);
+            let point = if step % validate_every == 0 || step == *steps { Some(self.validate()?) } else { None };
+            if point.is_some() {
+                self.state.write(path, provenance.clone())?;
+            }
+            if watch(Progress { step, loss, point }) == Next::Stop {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// One step of the optimiser; its loss.
+    ///
+    /// # Errors
+    /// As [`Trainer::run`].
+    pub fn step(&mut self) -> Result<f64, TrainError> {
+        let step = self.state.body.step;
+        let training = self.state.body.training.clone();
+        let examples = self.loader().examples(&self.batch(step), "train", step)?;
+        let network = Network::new(&self.task.network, &self.plan, &self.state.current, Mode::Train)?;
+        let loss = self.loss(&network, examples, Mode::Train);
+        let value: f32 = loss.clone().inner().into_scalar();
+        let mut gradients = network.gradients(loss.backward());
+        if !value.is_finite() || gradients.values().flatten().any(|g| !g.is_finite()) {
+            return Err(TrainError::Diverged { step, loss: value });
+        }
+        let rate = training.rate(step);
+        let state = &mut self.state;
+        state.adam.clip(&mut gradients, training.clip);
+        state.adam.step(&mut state.current, &gradients, |group| match group {
+            Group::Filters => rate * training.filter_learning_rate,
+            Group::Layers => rate * training.learning_rate,
+        });
+        state.body.norms = state.adam.norms;
+        state.body.step += 1;
+        self.recent = (self.recent.0 + f64::from(value), self.recent.1 + 1);
+        Ok(f64::from(value))
+    }
+
+    /// Pairs of a step: epochs in an order of their own, one after the other, so that any step can be found again.
+    fn batch(&self, step: u64) -> Vec<usize> {
+        let TrainConfig { batch, seed, .. } = self.state.body.training;
+        let n = self.train.len() as u64;
+        let first = step * batch as u64;
+        let mut order = (u64::MAX, Vec::new());
+        (first..first + batch as u64)
+            .map(|i| {
+                if order.0 != i / n {
+                    let mut pairs = self.train.clone();
+                    pairs.shuffle(&mut rng::stream(seed, "epoch", i / n));
+                    order = (i / n, pairs);
+                }
+                order.1[(i % n) as usize]
+            })
+            .collect()
+    }
+
+    fn loss(&self, network: &Network, examples: Vec<Example>, mode: Mode) -> Tensor<1> {
+        let device = match mode {
+            Mode::Train => Device::flex().autodiff(),
+            Mode::Infer => Device::flex(),
+        };
+        let [rows, cols] = self.task.network.object;
+        let shape = [examples.len(), 1, rows, cols];
+        let (spectra, targets): (Vec<_>, Vec<_>) = examples.into_iter().map(|e| (e.spectrum, e.target)).unzip();
+        let target = Tensor::<4>::from_data(TensorData::new(targets.concat(), shape), &device);
+        bce_mse(network.logits(Arc::new(spectra)), target)
+    }
+
+    /// Looks at the held-out pairs, always with the same draws of noise, and keeps the weights if they are the best so far by PSNR.
+    ///
+    /// # Errors
+    /// A pair cannot be had or judged.
+    pub fn validate(&mut self) -> Result<CurvePoint, TrainError> {
+        let network = Network::new(&self.task.network, &self.plan, &self.state.current, Mode::Infer)?;
+        let [rows, cols] = self.task.network.object;
+        let examples = self.loader().examples(&self.held_out, "validation", 0)?;
+        let (mut loss, mut psnr_db, mut ssim) = (0.0, 0.0, 0.0);
+        for (example, &index) in examples.into_iter().zip(&self.held_out) {
+            let target = example.target.clone();
+            let logits = network.logits(Arc::new(vec![example.spectrum.clone()]));
+            let found = values(sigmoid(logits));
+            loss += f64::from(self.loss(&network, vec![example], Mode::Infer).into_scalar::<f32>());
+            let view = |v| ArrayView2::from_shape((rows, cols), v);
+            let (Ok(x), Ok(t)) = (view(&found), view(&target)) else {
+                unreachable!("the network and the loader give object pixels")
+            };
+            let figures = compare(x, t).map_err(|source| TrainError::Source { index, source: source.into() })?;
+            (psnr_db, ssim) = (psnr_db + figures.psnr_db, ssim + figures.ssim);
+        }
+        let n = self.held_out.len() as f64;
+        let (sum, count) = std::mem::take(&mut self.recent);
+        let body = &mut self.state.body;
+        let train_loss = if count > 0 { sum / count as f64 } else { 0.0 };
+        let point = CurvePoint { step: body.step, train_loss, validation_loss: loss / n, psnr_db: psnr_db / n, ssim: ssim / n };
+        if body.curve.iter().all(|p| point.psnr_db > p.psnr_db) {
+            body.best_step = body.step;
+            self.state.weights = Tensors::clone(&self.state.current);
+        }
+        self.state.body.curve.push(point);
+        Ok(point)
+    }
+}
