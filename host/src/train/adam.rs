@@ -32,9 +32,9 @@ pub fn group(name: &str) -> Group {
 #[serde(deny_unknown_fields)]
 pub struct MeanNorms {
     /// Of the filters.
-    pub filters: f64,
+    pub filters: f32,
     /// Of the layers.
-    pub layers: f64,
+    pub layers: f32,
 }
 
 /// State of the optimiser.
@@ -67,13 +67,14 @@ impl Adam {
                 Group::Filters => &mut self.norms.filters,
                 Group::Layers => &mut self.norms.layers,
             };
-            let limit = if *mean > 0.0 { clip * *mean } else { norm };
+            let past = f64::from(*mean);
+            let limit = if past > 0.0 { clip * past } else { norm };
             if norm > limit {
                 let scale = (limit / norm) as f32;
                 gradients.iter_mut().filter(|(n, _)| group(n) == of).for_each(|(_, g)| g.iter_mut().for_each(|g| *g *= scale));
             }
             let seen = norm.min(limit);
-            *mean = if *mean > 0.0 { (1.0 - MEMORY) * *mean + MEMORY * seen } else { seen };
+            *mean = if past > 0.0 { (1.0 - MEMORY) * past + MEMORY * seen } else { seen } as f32;
         }
     }
 

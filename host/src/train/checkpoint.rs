@@ -19,20 +19,20 @@ const CURRENT: &str = "optim.weight.";
 const FIRST: &str = "optim.first.";
 const SECOND: &str = "optim.second.";
 
-/// One validation.
+/// One validation. Single precision: what is written as JSON is read as the same bits.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CurvePoint {
     /// Steps taken.
     pub step: u64,
     /// Mean loss of the training steps since the last point.
-    pub train_loss: f64,
+    pub train_loss: f32,
     /// Mean loss on the held-out pairs.
-    pub validation_loss: f64,
+    pub validation_loss: f32,
     /// Mean peak signal-to-noise ratio on the held-out pairs, dB.
-    pub psnr_db: f64,
+    pub psnr_db: f32,
     /// Mean structural similarity on the held-out pairs.
-    pub ssim: f64,
+    pub ssim: f32,
 }
 
 /// The small numbers of a checkpoint.

@@ -117,7 +117,7 @@ impl Network {
 
 /// The values of a tensor in C order.
 pub fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    match tensor.into_data().into_vec() {
+    match tensor.into_data().try_into_vec() {
         Ok(values) => values,
         Err(error) => unreachable!("every tensor here is f32: {error:?}"),
     }

@@ -1,5 +1,6 @@
 //! How a network is trained, and the presets.
 
+use super::trainer::same;
 use super::{NetworkConfig, TrainError};
 use serde::{Deserialize, Serialize};
 
@@ -76,6 +77,15 @@ impl TrainConfig {
             return wrong("held_out", "a part between 0 and 1", self.held_out.to_string());
         }
         Ok(())
+    }
+
+    /// Whether a run with one can be taken up with the other, which may have another number of `steps`.
+    pub fn same_but_steps(&self, other: &Self) -> bool {
+        let numbers = |c: &Self| {
+            [c.learning_rate, c.filter_learning_rate, c.final_rate, c.clip, c.peak_e[0], c.peak_e[1], c.held_out]
+        };
+        let counts = |c: &Self| (c.batch, c.warmup, c.validate_every, c.validation_pairs, c.start, c.seed);
+        counts(self) == counts(other) && numbers(self).into_iter().zip(numbers(other)).all(|(a, b)| same(a, b))
     }
 
     /// Learning rate at `step` (from 0) as a part of the highest: linear rise, then half a cosine down to `final_rate`.

@@ -4,8 +4,8 @@ use super::NetworkConfig;
 use crate::artifact::{self, ArtifactError, Tensors};
 use crate::rng;
 use ndarray::{ArrayD, IxDyn};
-use rand::Rng;
-use rand_distr::{Distribution, StandardNormal, Uniform};
+use rand::RngExt;
+use rand_distr::{Distribution, StandardNormal};
 use std::path::Path;
 
 /// Names of the filters' real and imaginary parts.
@@ -67,17 +67,16 @@ pub fn shapes(config: &NetworkConfig) -> Vec<(String, Vec<usize>)> {
     filters.into_iter().chain(layers).collect()
 }
 
-/// Parameters before training: filters 0.001 x U[0, 1] (paper, section 2D), convolutions by K. He's rule for ReLU (normal, variance
-/// 2 / fan-in), biases uniform within 1 / sqrt(fan-in).
+/// Parameters before training: filters 0.001 x U[0, 1] (paper, section 2D), convolutions normal with variance
+/// 2 / fan-in (K. He et al., arXiv:1502.01852, Eq. 10), biases 0.
 pub fn random(config: &NetworkConfig, seed: u64) -> Tensors {
     let mut tensors = Tensors::new();
     for (i, (name, shape)) in shapes(config).into_iter().enumerate() {
         let mut rng = rng::stream(seed, "weights", i as u64);
         let n = shape.iter().product();
         let values = if FILTERS.contains(&name.as_str()) {
-            (0..n).map(|_| 1e-3 * uniform(&mut rng)).collect()
-        } else if let Some(layer) = name.strip_suffix(".weight") {
-            let _ = layer;
+            (0..n).map(|_| 1e-3 * rng.random::<f32>()).collect()
+        } else if name.ends_with(".weight") {
             let deviation = (2.0 / shape[1..].iter().product::<usize>() as f32).sqrt();
             (0..n).map(|_| deviation * Distribution::<f32>::sample(&StandardNormal, &mut rng)).collect()
         } else {
@@ -86,10 +85,6 @@ pub fn random(config: &NetworkConfig, seed: u64) -> Tensors {
         tensors.insert(name, array(&shape, values));
     }
     tensors
-}
-
-fn uniform(rng: &mut impl Rng) -> f32 {
-    Uniform::new(0.0, 1.0).map_or(0.0, |u| u.sample(rng))
 }
 
 /// An array of this shape; `values` must have its length.
