@@ -15,3 +15,6 @@ pub mod num;
 pub mod pipeline;
 pub mod sensor;
 pub mod wire;
+
+#[cfg(test)]
+mod naive;

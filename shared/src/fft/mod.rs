@@ -52,4 +52,4 @@ fn check_len(expected: usize, found: usize) -> Result<(), FftError> {
 }
 
 #[cfg(test)]
-mod naive;
+pub(crate) mod naive;

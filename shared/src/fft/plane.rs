@@ -313,3 +313,115 @@ fn gather<const L: usize>(rows: &[f16], width: usize, k: usize) -> Lanes<L> {
     }
     x
 }
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use super::super::naive;
+    use super::*;
+    use crate::naive::Noise;
+    use std::vec;
+    use std::vec::Vec;
+
+    struct Rows<'a>(&'a [f32], usize);
+
+    impl RowSource for Rows<'_> {
+        fn load(&self, row: usize, to: &mut [f32]) {
+            to.copy_from_slice(&self.0[row * self.1..][..self.1]);
+        }
+    }
+
+    struct Stored<'a>(&'a [f16], usize);
+
+    impl StripSource for Stored<'_> {
+        fn add<const L: usize>(&self, fft: Fft, first: usize, count: usize, strip: &mut [Lanes<L>]) {
+            for (r, row) in self.0.chunks_exact(2 * self.1).enumerate() {
+                let [re, im] = load_pairs::<L>(&row[2 * first..2 * (first + count)]);
+                strip[fft.slot(r)] = [im, re];
+            }
+        }
+    }
+
+    /// A plane within [-1, 1], zero in its outer rows.
+    fn plane(len: usize) -> Vec<f32> {
+        let mut noise = Noise(4);
+        let mut plane: Vec<f32> = (0..len * len).map(|_| 0.5 * noise.next() + 0.4).collect();
+        plane[..len].fill(0.0);
+        plane[(len - 2) * len..].fill(0.0);
+        plane
+    }
+
+    fn forward(len: usize, plane: &[f32], wide: bool) -> Vec<f16> {
+        let fft = Fft2::new(len).unwrap();
+        let mut spectrum = vec![f16::NAN; fft.spectrum_len(len)];
+        let mut scratch = vec![f32::NAN; if wide { fft.scratch_len_wide() } else { fft.scratch_len() }];
+        let simd = if wide { Simd::detect() } else { Simd::PORTABLE };
+        fft.forward(simd, &Rows(plane, len), 1..len - 2, &mut spectrum, &mut scratch).unwrap();
+        spectrum
+    }
+
+    fn inverse(len: usize, spectrum: &[f16], rows: core::ops::Range<usize>, wide: bool) -> Vec<f32> {
+        let fft = Fft2::new(len).unwrap();
+        let mut halfway = vec![f16::NAN; fft.spectrum_len(rows.len())];
+        let mut scratch = vec![f32::NAN; if wide { fft.scratch_len_wide() } else { fft.scratch_len() }];
+        let mut out = vec![f32::NAN; rows.len() * len];
+        let simd = if wide { Simd::detect() } else { Simd::PORTABLE };
+        let source = Stored(spectrum, fft.width());
+        fft.inverse(simd, &source, rows.clone(), &mut halfway, &mut scratch, |row, values| {
+            out[(row - rows.start) * len..][..len].copy_from_slice(values);
+        })
+        .unwrap();
+        out
+    }
+
+    #[test]
+    fn the_spectrum_agrees_with_the_definition() {
+        for len in [8, 16, 32, 64] {
+            let plane = plane(len);
+            let pairs: Vec<[f64; 2]> = plane.iter().map(|&x| [f64::from(x), 0.0]).collect();
+            let expected = naive::dft2(&pairs, len, false);
+            let (mut error, mut energy) = (0.0, 0.0);
+            for (i, found) in forward(len, &plane, true).chunks(2).enumerate() {
+                let [re, im] = expected[i / (len / 2 + 1) * len + i % (len / 2 + 1)].map(|x| x / len as f64);
+                error += (found[0].to_f64() - re).powi(2) + (found[1].to_f64() - im).powi(2);
+                energy += re * re + im * im;
+            }
+            let relative = f64::sqrt(error / energy);
+            assert!(relative < 4e-4, "T = {len}: {relative:e}");
+        }
+    }
+
+    #[test]
+    fn there_and_back_is_the_identity_to_the_precision_of_halves() {
+        for len in [8, 64, 128, 512] {
+            let plane = plane(len);
+            let back = inverse(len, &forward(len, &plane, true), 0..len, true);
+            let square: f64 = back.iter().zip(&plane).map(|(b, p)| f64::from(b - p).powi(2)).sum();
+            let rms = (square / (len * len) as f64).sqrt();
+            assert!(rms < 4e-4, "T = {len}: {rms:e}");
+        }
+    }
+
+    #[test]
+    fn a_full_frame_of_ones_does_not_overflow() {
+        for len in [256, 1024] {
+            let spectrum = forward(len, &vec![1.0; len * len], true);
+            assert!(spectrum.iter().all(|x| x.is_finite() && x.to_f64().abs() <= len as f64));
+            let expected = (len - 3) as f64;
+            assert!((spectrum[0].to_f64() - expected).abs() <= expected / 2048.0, "DC is the sum over T");
+        }
+    }
+
+    #[test]
+    fn strips_and_partial_rows_do_not_change_a_bit() {
+        for len in [8, 32, 128] {
+            let plane = plane(len);
+            let spectrum = forward(len, &plane, true);
+            assert_eq!(forward(len, &plane, false), spectrum);
+            let all = inverse(len, &spectrum, 0..len, true);
+            let part = inverse(len, &spectrum, 3..len - 1, false);
+            assert_eq!(part, all[3 * len..(len - 1) * len]);
+        }
+    }
+}

@@ -1,1 +1,202 @@
+//! The bank against spatial convolution in f64, and its tapped form against the dense one.
 
+extern crate std;
+
+use std::vec;
+use std::vec::Vec;
+
+use super::*;
+use crate::blob::{Bank, Size, Tap};
+use crate::image::ChwMut;
+use crate::naive::{self, Noise};
+use crate::num::{f16, simd::Simd};
+
+/// Roundings to half: spectrum of the filter, of the rows, of the window, half-way back, result; each 2^-12 r.m.s. of its
+/// tensor, relative to the largest output.
+const TOLERANCE: f64 = 1.5e-3;
+
+struct Frame<'a>(&'a [f32], usize);
+
+impl FrameSource for Frame<'_> {
+    fn load(&self, row: usize, first: usize, to: &mut [f32]) {
+        to.copy_from_slice(&self.0[row * self.1 + first..][..to.len()]);
+    }
+}
+
+fn frame(size: Size) -> Vec<f32> {
+    let mut noise = Noise(3);
+    (0..usize::from(size.rows) * usize::from(size.cols)).map(|_| 0.5 + 0.5 * noise.next()).collect()
+}
+
+/// `rfft2(kernel)` as halves, kernel of side n with lags modulo n.
+fn spectrum(kernel: &[f64], n: usize) -> Vec<f16> {
+    let pairs: Vec<[f64; 2]> = kernel.iter().map(|&k| [k, 0.0]).collect();
+    let full = crate::fft::naive::dft2(&pairs, n, false);
+    let row = |row: &[[f64; 2]]| row[..n / 2 + 1].to_vec();
+    full.chunks(n).flat_map(row).flatten().map(f16::from_f64).collect()
+}
+
+fn run(bank: &Bank, spectra: &[f16], frame: &[f32], size: Size, object: Size, wide: bool) -> Vec<f16> {
+    let plan = FilterBank::new(bank, size, object).unwrap();
+    let mut output = vec![f16::NAN; plan.output_len()];
+    let mut arena = vec![f16::NAN; plan.arena_len() + 3];
+    let len = if wide { plan.scratch_len_wide() } else { plan.scratch_len() };
+    let mut scratch = vec![f32::NAN; len + 3];
+    let shape = [bank.channels, object.rows as u8, object.cols as u8].map(usize::from);
+    let tensor = ChwMut::new(&mut output, shape[0], shape[1], shape[2]).unwrap();
+    let simd = if wide { Simd::detect() } else { Simd::PORTABLE };
+    let source = Frame(frame, usize::from(size.cols));
+    let arena_len = plan.arena_len();
+    plan.process(simd, &source, spectra, tensor, &mut arena[..arena_len], &mut scratch[..len]).unwrap();
+    assert!(arena[arena_len..].iter().all(|x| x.is_nan()) && scratch[len..].iter().all(|x| x.is_nan()));
+    output
+}
+
+fn dense_bank(tile: u16, step: u16, channels: u8) -> Bank {
+    let taps = (0..channels).map(|channel| Tap { channel, dy: 0, dx: 0 }).collect();
+    Bank { tile, step, channels, taps }
+}
+
+/// Centre of the padded plane, circular convolution, centre crop: the paper's layer, spelled out in space.
+fn by_definition(kernel: &[f64], n: usize, frame: &[f32], size: Size, object: Size) -> Vec<f64> {
+    let (rows, cols) = (usize::from(size.rows), usize::from(size.cols));
+    let mut plane = vec![0.0; n * n];
+    for (i, &y) in frame.iter().enumerate() {
+        plane[((n - rows) / 2 + i / cols) * n + (n - cols) / 2 + i % cols] = f64::from(y);
+    }
+    let out = naive::circular(kernel, &plane, n);
+    let (rows, cols) = (usize::from(object.rows), usize::from(object.cols));
+    let at = |i: usize| out[((n - rows) / 2 + i / cols) * n + (n - cols) / 2 + i % cols];
+    (0..rows * cols).map(at).collect()
+}
+
+/// Foci of a few pixels at the given lags, modulo n.
+fn foci(n: usize, lags: &[(i32, i32)], seed: u32) -> Vec<f64> {
+    let mut noise = Noise(seed);
+    let mut kernel = vec![0.0; n * n];
+    for (y, x) in lags {
+        for (dy, dx) in (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dy, dx))) {
+            let wrap = |lag: i32| lag.rem_euclid(n as i32) as usize;
+            kernel[wrap(y + dy) * n + wrap(x + dx)] = f64::from(noise.next());
+        }
+    }
+    kernel
+}
+
+#[test]
+fn a_spectrum_of_ones_crops_the_centre() {
+    let (size, object) = (Size { rows: 11, cols: 14 }, Size { rows: 6, cols: 4 });
+    let frame = frame(size);
+    let plan_len = 16 * 9;
+    let ones: Vec<f16> = (0..2 * plan_len).map(|i| if i % 2 == 0 { f16::ONE } else { f16::ZERO }).collect();
+    let out = run(&dense_bank(16, 16, 1), &ones, &frame, size, object, true);
+    // Frame at ((16 - 11) / 2, (16 - 14) / 2) = (2, 1), object at (5, 6): frame pixel (3, 5) comes first.
+    for (i, found) in out.iter().enumerate() {
+        let expected = f64::from(frame[(3 + i / 4) * 14 + 5 + i % 4]);
+        assert!((found.to_f64() - expected).abs() < TOLERANCE, "{i}: {found} {expected}");
+    }
+}
+
+#[test]
+fn the_dense_layer_is_circular_convolution_on_the_padded_plane() {
+    for (n, size, object) in [
+        (32, Size { rows: 32, cols: 32 }, Size { rows: 32, cols: 32 }),
+        (32, Size { rows: 27, cols: 30 }, Size { rows: 14, cols: 12 }),
+        (64, Size { rows: 54, cols: 53 }, Size { rows: 24, cols: 24 }),
+    ] {
+        let frame = frame(size);
+        let mut noise = Noise(5);
+        let kernels: Vec<Vec<f64>> =
+            (0..2).map(|_| (0..n * n).map(|_| f64::from(noise.next()) / n as f64).collect()).collect();
+        let spectra: Vec<f16> = kernels.iter().flat_map(|kernel| spectrum(kernel, n)).collect();
+        let expected: Vec<f64> = kernels.iter().flat_map(|k| by_definition(k, n, &frame, size, object)).collect();
+        let found = run(&dense_bank(n as u16, n as u16, 2), &spectra, &frame, size, object, true);
+        let error = naive::error(&found, &expected);
+        assert!(error < TOLERANCE, "{n}: {error:e}");
+        // Neither the lanes nor a step that just covers the object change a bit.
+        assert_eq!(run(&dense_bank(n as u16, n as u16, 2), &spectra, &frame, size, object, false), found);
+        let step = object.rows.max(object.cols);
+        assert_eq!(run(&dense_bank(n as u16, step, 2), &spectra, &frame, size, object, true), found);
+    }
+}
+
+/// Splits a kernel of side n into taps of a small transform, each with the lags -S/2 <= l < S/2 about -dy S, -dx S.
+fn tapped(kernels: &[Vec<f64>], n: i32, tile: i32, step: i32) -> (Bank, Vec<f16>) {
+    let mut bank =
+        Bank { tile: tile as u16, step: step as u16, channels: kernels.len() as u8, taps: Default::default() };
+    let mut spectra = vec![];
+    let reach = n / 2 / step;
+    for (channel, kernel) in kernels.iter().enumerate() {
+        for (dy, dx) in (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (dy, dx))) {
+            let mut part = vec![0.0; (tile * tile) as usize];
+            for (y, x) in (-step / 2..step / 2).flat_map(|y| (-step / 2..step / 2).map(move |x| (y, x))) {
+                let (lag_y, lag_x) = (y - dy * step, x - dx * step);
+                if [lag_y, lag_x].iter().all(|lag| (-n / 2..n / 2).contains(lag)) {
+                    let from = lag_y.rem_euclid(n) * n + lag_x.rem_euclid(n);
+                    part[(y.rem_euclid(tile) * tile + x.rem_euclid(tile)) as usize] = kernel[from as usize];
+                }
+            }
+            if part.iter().any(|&k| k != 0.0) {
+                bank.taps.push(Tap { channel: channel as u8, dy: dy as i8, dx: dx as i8 }).unwrap();
+                spectra.extend(spectrum(&part, tile as usize));
+            }
+        }
+    }
+    (bank, spectra)
+}
+
+#[test]
+fn the_tapped_form_equals_the_dense_one_for_compact_foci() {
+    let (n, size) = (64, Size { rows: 51, cols: 54 });
+    // Foci of different channels in different places; none so far out that the dense layer wraps round.
+    let lags: [&[(i32, i32)]; 2] = [&[(0, 0), (-15, 4), (7, -12)], &[(3, 14), (-2, -9)]];
+    let kernels: Vec<Vec<f64>> = lags.iter().enumerate().map(|(i, lags)| foci(n, lags, 7 + i as u32)).collect();
+    let frame = frame(size);
+    for object in [Size { rows: 24, cols: 24 }, Size { rows: 20, cols: 26 }, Size { rows: 6, cols: 10 }] {
+        let expected: Vec<f64> = kernels.iter().flat_map(|k| by_definition(k, n, &frame, size, object)).collect();
+        let spectra: Vec<f16> = kernels.iter().flat_map(|kernel| spectrum(kernel, n)).collect();
+        let dense = run(&dense_bank(64, 64, 2), &spectra, &frame, size, object, true);
+        assert!(naive::error(&dense, &expected) < TOLERANCE);
+        for (tile, step) in [(16, 8), (32, 16), (32, 8)] {
+            let (bank, spectra) = tapped(&kernels, n as i32, tile, step);
+            let found = run(&bank, &spectra, &frame, size, object, true);
+            let error = naive::error(&found, &expected);
+            assert!(error < TOLERANCE, "T = {tile}, S = {step}, object {object:?}: {error:e}");
+            assert_eq!(run(&bank, &spectra, &frame, size, object, false), found);
+        }
+    }
+}
+
+#[test]
+fn the_geometry_is_the_documented_one() {
+    let (size, object) = (Size { rows: 214, cols: 213 }, Size { rows: 96, cols: 96 });
+    let dense = Geometry::new(&dense_bank(256, 256, 1), size, object).unwrap();
+    assert_eq!((dense.rows.tiles(), dense.rows.lead(), dense.rows.object_origin()), (1, 80, 59));
+    assert_eq!((dense.rows.occupied(0), dense.cols.occupied(0)), (21..235, 21..234));
+    let taps = [(-1, 0), (0, 2)].map(|(dy, dx)| Tap { channel: 0, dy, dx });
+    let bank = Bank { tile: 64, step: 32, channels: 1, taps: taps.into_iter().collect() };
+    let tapped = Geometry::new(&bank, size, object).unwrap();
+    assert_eq!((tapped.rows.tiles(), tapped.rows.lead(), tapped.rows.lags()), (3, 16, -16..=16));
+    assert_eq!((tapped.rows.windows(1), tapped.cols.windows(1)), (0..=1, 1..=3));
+    assert_eq!(tapped.rows.window_origin(-1), 59 - 32 - 16);
+    assert_eq!(tapped.cols.window_count(), 5);
+    assert_eq!(tapped.rows.occupied(4), 0..214 - (59 + 4 * 32 - 16));
+    assert!(tapped.rows.occupied(6).is_empty());
+}
+
+#[test]
+fn contradictions_are_refused() {
+    let (size, object) = (Size { rows: 8, cols: 8 }, Size { rows: 8, cols: 8 });
+    let refuse = |bank: &Bank| FilterBank::new(bank, size, object).unwrap_err();
+    let tap = |channel, dy, dx| Tap { channel, dy, dx };
+    let bank = |channels, taps: &[Tap]| Bank { tile: 16, step: 8, channels, taps: taps.iter().copied().collect() };
+    assert_eq!(refuse(&dense_bank(16, 17, 1)), FilterError::Step { tile: 16, step: 17 });
+    assert_eq!(refuse(&dense_bank(16, 0, 1)), FilterError::Step { tile: 16, step: 0 });
+    assert_eq!(refuse(&dense_bank(24, 8, 1)), FilterError::Fft(crate::fft::FftError::Size { found: 24 }));
+    assert_eq!(refuse(&bank(1, &[])), FilterError::NoTap { channel: 0 });
+    assert_eq!(refuse(&bank(0, &[])), FilterError::NoTap { channel: 0 });
+    assert_eq!(refuse(&bank(3, &[tap(0, 0, 0), tap(2, 0, 0)])), FilterError::NoTap { channel: 1 });
+    assert_eq!(refuse(&bank(1, &[tap(1, 0, 0)])), FilterError::Channel { channels: 1, found: 1 });
+    assert_eq!(refuse(&bank(1, &[tap(0, 0, 1), tap(0, 0, 0)])), FilterError::Order { tap: 1 });
+    assert_eq!(refuse(&bank(1, &[tap(0, 0, 0), tap(0, 0, 0)])), FilterError::Order { tap: 1 });
+}

@@ -113,3 +113,62 @@ fn row_sum(row: &[f16]) -> f32 {
     }
     ((p[0] + p[4]) + (p[2] + p[6])) + ((p[1] + p[5]) + (p[3] + p[7]))
 }
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use super::*;
+    use crate::naive::{self, Noise, Tensor, wide};
+    use std::vec;
+    use std::vec::Vec;
+
+    /// The error of the sigmoid (1.8e-4) and of sums in binary32.
+    const TOLERANCE: f64 = 2.0e-4;
+
+    #[test]
+    fn scales_agree_with_the_definition_on_dirty_scratch() {
+        for (channels, hidden, rows, cols) in [(1, 1, 1, 1), (4, 2, 3, 5), (16, 1, 20, 48), (32, 2, 40, 41)] {
+            let mut noise = Noise(2);
+            let input = noise.halves(channels * rows * cols, 4.0);
+            let input: Vec<_> = input.into_iter().map(|x| f16::from_f32(x.to_f32() + 1.0)).collect();
+            let [squeeze, excite] = [(); 2].map(|()| noise.halves(channels * hidden, 1.0));
+            let (squeeze_bias, excite_bias) = (noise.halves(hidden, 0.5), noise.halves(channels, 1.0));
+            let parameters = Parameters {
+                squeeze: &squeeze,
+                squeeze_bias: &squeeze_bias,
+                excite: &excite,
+                excite_bias: &excite_bias,
+            };
+            let plan = ChannelAttention { channels, hidden, rows, cols };
+            let mut scratch = vec![f32::NAN; plan.scratch_len()];
+            let mut scale = vec![f32::NAN; channels];
+            let tensor = Chw::new(&input, channels, rows, cols).unwrap();
+            plan.process(Simd::detect(), parameters, tensor, &mut scale, &mut scratch).unwrap();
+            let expected = naive::attention(
+                &Tensor::new([channels, rows, cols], wide(&input)),
+                [&wide(&squeeze), &wide(&squeeze_bias)],
+                [&wide(&excite), &wide(&excite_bias)],
+            );
+            for (found, expected) in scale.iter().zip(expected) {
+                assert!((f64::from(*found) - expected).abs() < TOLERANCE, "{channels}: {found} {expected}");
+            }
+            let mut portable = vec![f32::NAN; channels];
+            plan.process(Simd::PORTABLE, parameters, tensor, &mut portable, &mut scratch).unwrap();
+            assert_eq!(portable, scale, "vectors changed a bit");
+        }
+    }
+
+    #[test]
+    fn a_row_is_summed_by_the_stated_tree() {
+        let big = f16::from_f32(2048.0);
+        let small = f16::from_f32(2.0_f32.powi(-13));
+        // In sequence the small ones would vanish one by one beside the big one; in other columns they add up first.
+        let mut row = [small; 17];
+        row[0] = big;
+        let others = 2.0 * 2.0_f32.powi(-13);
+        let expected = ((2048.0 + others) + (others + others)) + ((others + others) + (others + others));
+        // Column 16 falls to partial sum 0, where it is lost: 2048 + 2^-13 = 2048 in binary32 (ulp 2^-12, tie to even).
+        assert_eq!(row_sum(&row), expected);
+    }
+}

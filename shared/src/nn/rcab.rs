@@ -92,3 +92,55 @@ impl Kernel for AddScaled<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use super::*;
+    use crate::naive::{self, Cursor, Noise, Tensor, wide};
+    use std::vec;
+    use std::vec::Vec;
+
+    /// Roundings of the inner activation, of t and of the result, carried through a convolution.
+    const TOLERANCE: f64 = 1.5e-3;
+
+    fn run(plan: Rcab, simd: Simd, band: usize, weights: &[f16], input: &[f16]) -> Vec<f16> {
+        let Rcab { channels, hidden, rows, cols } = plan;
+        let mut rest = weights;
+        let mut take = |len: usize| {
+            let (taken, tail) = rest.split_at(len);
+            rest = tail;
+            taken
+        };
+        let convs = [(); 2].map(|()| conv::Parameters { weights: take(9 * channels * channels), bias: take(channels) });
+        let attention = channel_attention::Parameters {
+            squeeze: take(channels * hidden),
+            squeeze_bias: take(hidden),
+            excite: take(channels * hidden),
+            excite_bias: take(channels),
+        };
+        let (mut g, mut t) = (input.to_vec(), vec![f16::NAN; input.len()]);
+        let mut scratch = vec![f32::NAN; plan.scratch_len(band)];
+        let [g_tensor, t_tensor] =
+            [&mut g, &mut t].map(|data| ChwMut::new(data.as_mut_slice(), channels, rows, cols).unwrap());
+        plan.process(simd, Parameters { convs, attention }, g_tensor, t_tensor, &mut scratch).unwrap();
+        g
+    }
+
+    #[test]
+    fn agrees_with_the_definition_whatever_the_band() {
+        let plan = Rcab { channels: 8, hidden: 2, rows: 11, cols: 13 };
+        let mut noise = Noise(6);
+        let weights = noise.halves(2 * (9 * 64 + 8) + 2 * 16 + 10, 0.2);
+        let input = noise.halves(8 * 11 * 13, 1.0);
+        let wide_weights = wide(&weights);
+        let expected = naive::rcab(&Tensor::new([8, 11, 13], wide(&input)), 2, &mut Cursor(&wide_weights));
+        let found = run(plan, Simd::detect(), 1, &weights, &input);
+        let error = naive::error(&found, &expected.data);
+        assert!(error < TOLERANCE, "{error:e}");
+        for band in [2, 5, 20] {
+            assert_eq!(run(plan, Simd::PORTABLE, band, &weights, &input), found);
+        }
+    }
+}

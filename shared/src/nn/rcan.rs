@@ -294,3 +294,60 @@ impl<'a, I: Iterator<Item = Entry>> Layers<'a, I> {
         taken
     }
 }
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use super::*;
+    use crate::naive::{self, Noise, Tensor, wide};
+    use std::vec;
+    use std::vec::Vec;
+
+    const SHAPE: blob::Rcan = blob::Rcan { width: 8, groups: 2, blocks: 2, reduction: 4 };
+    const OBJECT: blob::Size = blob::Size { rows: 14, cols: 20 };
+
+    /// About 20 roundings to half in a row, each 2^-11 at most of the features; the slope of the sigmoid is at most 1/4.
+    const TOLERANCE: f64 = 2.0e-3;
+
+    fn run(simd: Simd, band: usize, weights: &[f16], input: &[f16]) -> Vec<f16> {
+        let plan = Rcan::new(SHAPE, 3, OBJECT);
+        let mut arena = vec![f16::NAN; plan.arena_len()];
+        let start = arena.len() - plan.input_len();
+        arena[start..].copy_from_slice(input);
+        let mut output = vec![f16::NAN; 280];
+        let mut scratch = vec![f32::NAN; plan.scratch_len(band)];
+        let plane = PlaneMut::new(&mut output, 14, 20).unwrap();
+        plan.process(simd, weights, &mut arena, plane, &mut scratch).unwrap();
+        output
+    }
+
+    #[test]
+    fn agrees_with_the_definition_whatever_the_band() {
+        let mut noise = Noise(10);
+        let weights = noise.halves(weights_len(&SHAPE, 3), 0.15);
+        let input = noise.halves(3 * 280, 1.0);
+        let expected = naive::rcan(&Tensor::new([3, 14, 20], wide(&input)), [2, 2, 8, 2], &wide(&weights));
+        let spread = expected.data.iter().fold((1.0_f64, 0.0_f64), |(low, high), &x| (low.min(x), high.max(x)));
+        assert!(spread.1 - spread.0 > 0.1, "a network that does nothing would pass: {spread:?}");
+        let found = run(Simd::detect(), 1, &weights, &input);
+        let error = naive::error(&found, &expected.data);
+        assert!(error < TOLERANCE, "{error:e}");
+        for band in [2, 3, 7, 100] {
+            assert_eq!(run(Simd::PORTABLE, band, &weights, &input), found, "bands of {band} rows");
+        }
+    }
+
+    #[test]
+    fn the_reference_network_has_its_published_size() {
+        let shape = blob::Rcan { width: 32, groups: 2, blocks: 3, reduction: 16 };
+        assert_eq!(layout(&shape, 9).count(), 1 + 2 * (3 * 4 + 1) + 3);
+        // Xue et al.: "approximately 0.18 million parameters".
+        assert_eq!(weights_len(&shape, 9), 187_373);
+        let first: Vec<_> = layout(&shape, 9).take(5).collect();
+        assert_eq!((first[0].layer, first[0].weights_len(), first[0].bias_len()), (Layer::Head, 36 * 32 * 9, 32));
+        assert_eq!(first[2].layer, Layer::BlockConv { group: 0, block: 0, conv: 1 });
+        assert_eq!((first[3].outputs, first[3].inputs, first[3].kernel), (2, 32, 1));
+        assert_eq!((first[4].outputs, first[4].inputs, first[4].kernel), (32, 2, 1));
+    }
+}

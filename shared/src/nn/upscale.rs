@@ -158,3 +158,64 @@ impl Upscale {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use super::*;
+    use crate::naive::{self, Noise, Tensor, wide};
+    use std::vec;
+    use std::vec::Vec;
+
+    /// The rounding of the fine features carried through a convolution and the slope 1/4 of the sigmoid; its error; one rounding.
+    const TOLERANCE: f64 = 1.0e-3;
+
+    struct Case {
+        plan: Upscale,
+        weights: [Vec<f16>; 2],
+        bias: [Vec<f16>; 2],
+        input: Vec<f16>,
+    }
+
+    impl Case {
+        fn new(channels: usize, rows: usize, cols: usize) -> Self {
+            let mut noise = Noise(8);
+            Self {
+                plan: Upscale { channels, rows, cols },
+                weights: [noise.halves(36 * channels * channels, 0.3), noise.halves(9 * channels, 0.3)],
+                bias: [noise.halves(4 * channels, 0.5), noise.halves(1, 0.5)],
+                input: noise.halves(channels * rows * cols, 1.0),
+            }
+        }
+
+        fn run(&self, simd: Simd, band: usize) -> Vec<f16> {
+            let Upscale { channels, rows, cols } = self.plan;
+            let mut output = vec![f16::NAN; 4 * rows * cols];
+            let len = self.plan.scratch_len(band);
+            let mut scratch = vec![f32::NAN; len + 4];
+            let parameters = [0, 1].map(|i| Parameters { weights: &self.weights[i], bias: &self.bias[i] });
+            let input = Chw::new(&self.input, channels, rows, cols).unwrap();
+            let plane = PlaneMut::new(&mut output, 2 * rows, 2 * cols).unwrap();
+            self.plan.process(simd, parameters, input, plane, &mut scratch[..len]).unwrap();
+            assert!(scratch[len..].iter().all(|x| x.is_nan()), "wrote behind the scratch");
+            output
+        }
+    }
+
+    #[test]
+    fn agrees_with_the_definition_whatever_the_band() {
+        for (channels, rows, cols) in [(1, 1, 1), (3, 2, 5), (8, 7, 10), (16, 12, 24)] {
+            let case = Case::new(channels, rows, cols);
+            let x = Tensor::new([channels, rows, cols], wide(&case.input));
+            let up = naive::shuffle(&naive::conv3x3(&x, &wide(&case.weights[0]), &wide(&case.bias[0])));
+            let expected = naive::conv3x3(&up, &wide(&case.weights[1]), &wide(&case.bias[1])).map(naive::sigmoid);
+            let found = case.run(Simd::detect(), 1);
+            let error = naive::error(&found, &expected.data);
+            assert!(error < TOLERANCE, "{channels}, {rows} x {cols}: {error:e}");
+            for band in [2, 3, 5, 40] {
+                assert_eq!(case.run(Simd::PORTABLE, band), found, "bands of {band} rows");
+            }
+        }
+    }
+}

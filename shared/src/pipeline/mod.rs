@@ -216,3 +216,6 @@ impl Kernel for Normalise<'_> {
         (max, finite)
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -231,3 +231,6 @@ impl Tensors<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

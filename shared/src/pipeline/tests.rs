@@ -1,0 +1,246 @@
+//! A small network from raw codes to reconstruction, against f64; memory plans; bad input.
+
+extern crate std;
+
+use std::string::ToString;
+use std::vec;
+use std::vec::Vec;
+
+use super::*;
+use crate::blob::{Bank, Rcan as RcanShape, Sensor, Size, Tap};
+use crate::filter::FilterError;
+use crate::naive::{self, Noise, Tensor, wide};
+use crate::nn::rcan;
+
+const FRAME: Size = Size { rows: 27, cols: 30 };
+const OBJECT: Size = Size { rows: 14, cols: 12 };
+const RCAN: RcanShape = RcanShape { width: 8, groups: 2, blocks: 2, reduction: 4 };
+const TILE: usize = 32;
+
+/// The filter's 1.5e-3 of the largest value at the input of the network, whose gain is about 1, and the network's own 2e-3.
+const TOLERANCE: f64 = 3.0e-3;
+
+struct Case {
+    header: Header,
+    spectra: Vec<f16>,
+    rcan: Vec<f16>,
+    offset: Vec<f16>,
+    gain: Vec<f16>,
+    frame: Vec<u16>,
+}
+
+impl Case {
+    fn new() -> Self {
+        let mut noise = Noise(12);
+        let pixels = usize::from(FRAME.rows) * usize::from(FRAME.cols);
+        let header = Header {
+            name: "small".parse().unwrap_or_default(),
+            checkpoint: Default::default(),
+            frame: FRAME,
+            object: OBJECT,
+            sensor: Sensor { black_level_dn: 64.5, saturation_dn: 4095, has_offset_map: true, has_gain_map: true },
+            bank: Bank {
+                tile: TILE as u16,
+                step: TILE as u16,
+                channels: 2,
+                taps: (0..2).map(|channel| Tap { channel, dy: 0, dx: 0 }).collect(),
+            },
+            rcan: RCAN,
+            memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
+        };
+        let header = Header { memory: Pipeline::plan(&header).unwrap(), ..header };
+        let gain = noise.halves(pixels, 0.1).into_iter().map(|x| f16::from_f32(1.0 + x.to_f32())).collect();
+        Self {
+            spectra: noise.halves(2 * 2 * TILE * (TILE / 2 + 1), 0.5),
+            rcan: noise.halves(rcan::weights_len(&RCAN, 2), 0.2),
+            offset: noise.halves(pixels, 4.0),
+            gain,
+            frame: (0..pixels).map(|_| (600.0 + 550.0 * noise.next()) as u16).collect(),
+            header,
+        }
+    }
+
+    fn weights(&self) -> Weights<'_> {
+        let (offset_dn, inverse_gain) = (Some(self.offset.as_slice()), Some(self.gain.as_slice()));
+        Weights { spectra: &self.spectra, rcan: &self.rcan, offset_dn, inverse_gain }
+    }
+
+    fn pipeline(&self) -> Pipeline<'_> {
+        Pipeline::new(&self.header, self.weights()).unwrap()
+    }
+
+    /// Runs with so much more memory than planned, all of it dirty, with guards behind.
+    fn run(&self, more_fast: usize, more_bulk: usize) -> (Vec<f16>, Stats) {
+        let pipeline = self.pipeline();
+        let (fast_len, bulk_len) = (pipeline.fast_len() + more_fast, pipeline.bulk_len() + more_bulk);
+        let (mut fast, mut bulk) = (vec![f32::NAN; fast_len + 4], vec![f16::NAN; bulk_len + 4]);
+        let mut output = vec![f16::NAN; pipeline.output_len()];
+        let memory = Memory { fast: &mut fast[..fast_len], bulk: &mut bulk[..bulk_len] };
+        let stats = pipeline.run(&self.frame, memory, &mut output).unwrap();
+        assert!(fast[fast_len..].iter().all(|x| x.is_nan()) && bulk[bulk_len..].iter().all(|x| x.is_nan()));
+        (output, stats)
+    }
+
+    /// The whole way in f64: frame maximum, filter maximum, reconstruction.
+    fn expected(&self) -> (f64, f64, Tensor) {
+        let (offset, gain) = (wide(&self.offset), wide(&self.gain));
+        let correct = |(i, &code): (usize, &u16)| (f64::from(code) - 64.5 - offset[i]) * gain[i];
+        let x: Vec<f64> = self.frame.iter().enumerate().map(correct).collect();
+        let frame_max = x.iter().copied().fold(f64::MIN, f64::max);
+        let mut plane = vec![[0.0, 0.0]; TILE * TILE];
+        for (i, x) in x.iter().enumerate() {
+            plane[((TILE - 27) / 2 + i / 30) * TILE + (TILE - 30) / 2 + i % 30][0] = x / frame_max;
+        }
+        let plane = crate::fft::naive::dft2(&plane, TILE, false);
+        let channels: Vec<f64> =
+            self.spectra.chunks(TILE * (TILE + 2)).flat_map(|k| filter(&plane, &wide(k))).collect();
+        let filter_max = channels.iter().copied().fold(f64::MIN, f64::max);
+        let x = Tensor::new([2, 14, 12], channels).map(|x| x / filter_max);
+        (frame_max, filter_max, naive::rcan(&x, [2, 2, 8, 2], &wide(&self.rcan)))
+    }
+}
+
+/// `irfft2(plane k)`, object crop. The full spectrum follows from the half as numpy's irfft2 reads it: rows are
+/// transformed back with the columns left of T/2 mirrored, and the imaginary parts of columns 0 and T/2 dropped.
+fn filter(plane: &[[f64; 2]], k: &[f64]) -> Vec<f64> {
+    let width = TILE / 2 + 1;
+    let mut columns = vec![[0.0, 0.0]; TILE * TILE];
+    for c in 0..width {
+        let product: Vec<[f64; 2]> = (0..TILE)
+            .map(|r| {
+                let (k, x) = (&k[2 * (r * width + c)..][..2], plane[r * TILE + c]);
+                [k[0] * x[0] - k[1] * x[1], k[0] * x[1] + k[1] * x[0]]
+            })
+            .collect();
+        for (r, value) in crate::fft::naive::dft(&product, true).into_iter().enumerate() {
+            columns[r * TILE + c] = if c == 0 || c == TILE / 2 { [value[0], 0.0] } else { value };
+            columns[r * TILE + (TILE - c) % TILE] = [columns[r * TILE + c][0], -columns[r * TILE + c][1]];
+        }
+    }
+    let rows: Vec<[f64; 2]> = columns.chunks(TILE).flat_map(|row| crate::fft::naive::dft(row, true)).collect();
+    let at = |i: usize| rows[((TILE - 14) / 2 + i / 12) * TILE + (TILE - 12) / 2 + i % 12][0];
+    (0..14 * 12).map(|i| at(i) / (TILE * TILE) as f64).collect()
+}
+
+#[test]
+fn a_small_network_agrees_with_f64() {
+    let mut case = Case::new();
+    case.frame[7] = 4095;
+    let (output, stats) = case.run(0, 0);
+    let (frame_max, filter_max, expected) = case.expected();
+    let error = naive::error(&output, &expected.data);
+    assert!(error < TOLERANCE, "{error:e}");
+    let (low, high) = expected.data.iter().fold((1.0_f64, 0.0_f64), |(low, high), &x| (low.min(x), high.max(x)));
+    assert!(high - low > 0.1, "a network that does nothing would pass: {low} to {high}");
+    assert_eq!(stats.saturated_px, 1);
+    assert!((f64::from(stats.frame_max_dn) / frame_max - 1.0).abs() < 1e-6);
+    assert!((f64::from(stats.filter_max) / filter_max - 1.0).abs() < 2e-3 && stats.filter_finite);
+}
+
+#[test]
+fn more_memory_does_not_change_a_bit() {
+    let case = Case::new();
+    let reference = case.run(0, 0);
+    let best = case.pipeline().fast_len_best();
+    for (more_fast, more_bulk) in [(1, 1), (100, 0), (777, 33), (best, 5000)] {
+        assert_eq!(case.run(more_fast, more_bulk), reference, "{more_fast} {more_bulk}");
+    }
+}
+
+#[test]
+fn a_frame_without_light_is_a_frame_of_zeros() {
+    let mut case = Case::new();
+    case.frame.fill(10);
+    let dark = case.run(0, 0);
+    assert!(dark.1.frame_max_dn < 0.0);
+    assert_eq!(dark.1.filter_max, 0.0);
+    case.frame.fill(11);
+    assert_eq!(case.run(0, 0).0, dark.0);
+    let expected = naive::rcan(&Tensor::new([2, 14, 12], vec![0.0; 336]), [2, 2, 8, 2], &wide(&case.rcan));
+    assert!(naive::error(&dark.0, &expected.data) < TOLERANCE);
+}
+
+#[test]
+fn filters_that_overflow_are_reported_and_give_zeros() {
+    let mut case = Case::new();
+    case.spectra.fill(f16::MAX);
+    let (output, stats) = case.run(0, 0);
+    assert!(!stats.filter_finite);
+    assert!(output.iter().all(|x| x.is_finite()));
+}
+
+#[test]
+fn the_scale_of_the_spectra_does_not_matter() {
+    let mut case = Case::new();
+    let reference = case.run(0, 0).0;
+    case.spectra.iter_mut().for_each(|k| *k = f16::from_f32(k.to_f32() * 4.0));
+    assert_eq!(case.run(0, 0).0, reference);
+}
+
+#[test]
+fn wrong_lengths_are_refused_and_nothing_is_written() {
+    let case = Case::new();
+    let pipeline = case.pipeline();
+    let (mut fast, mut bulk) = (vec![0.0; pipeline.fast_len()], vec![f16::ZERO; pipeline.bulk_len()]);
+    let mut output = vec![f16::ONE; 168];
+    let mut attempt = |frame: &[u16], fast: &mut [f32], bulk: &mut [f16], len: usize| {
+        let error = pipeline.run(frame, Memory { fast, bulk }, &mut output[..len]).unwrap_err();
+        assert!(output.iter().all(|&x| x == f16::ONE));
+        error
+    };
+    let error = attempt(&case.frame[1..], &mut fast, &mut bulk, 168);
+    assert_eq!(error, PipelineError::Frame { expected: 810, found: 809 });
+    let error = attempt(&case.frame, &mut fast, &mut bulk, 167);
+    assert_eq!(error, PipelineError::Output { expected: 168, found: 167 });
+    let error = attempt(&case.frame, &mut fast[3..], &mut bulk, 168);
+    assert!(error.to_string().contains("(12 missing)"), "{error}");
+    let error = attempt(&case.frame, &mut fast, &mut bulk[5..], 168);
+    assert!(error.to_string().contains("(10 missing)"), "{error}");
+}
+
+#[test]
+fn bad_headers_are_refused_by_field() {
+    let case = Case::new();
+    let refuse = |change: fn(&mut Header)| {
+        let mut header = case.header.clone();
+        change(&mut header);
+        Pipeline::new(&header, case.weights()).unwrap_err()
+    };
+    for (change, name) in [
+        ((|h| h.frame.rows = 0) as fn(&mut Header), "frame.rows"),
+        (|h| h.frame.cols = 5000, "frame.cols"),
+        (|h| h.object.rows = 13, "object.rows"),
+        (|h| h.object.cols = 0, "object.cols"),
+        (|h| h.rcan.width = 0, "rcan.width"),
+        (|h| h.rcan.width = 64, "rcan.width"),
+        (|h| h.rcan.reduction = 0, "rcan.reduction"),
+        (|h| h.rcan.reduction = 3, "rcan.reduction"),
+        (|h| h.bank.channels = 0, "bank.channels"),
+        (|h| h.sensor.black_level_dn = f32::NAN, "sensor.black_level_dn"),
+    ] {
+        assert!(refuse(change).to_string().starts_with(name), "{name}: {}", refuse(change));
+    }
+    assert_eq!(refuse(|h| h.bank.step = 0), PipelineError::Filter(FilterError::Step { tile: TILE as u16, step: 0 }));
+    assert!(matches!(refuse(|h| h.memory.fast_bytes -= 4), PipelineError::Plan { .. }));
+    assert!(matches!(refuse(|h| h.rcan.blocks = 3), PipelineError::Length { section: Section::Rcan, .. }));
+    assert!(matches!(
+        refuse(|h| h.sensor.has_gain_map = false),
+        PipelineError::Length { section: Section::GainMap, .. }
+    ));
+}
+
+#[test]
+fn weights_that_are_not_finite_are_refused_by_place() {
+    let refuse = |change: fn(&mut Case)| {
+        let mut case = Case::new();
+        change(&mut case);
+        Pipeline::new(&case.header, case.weights()).unwrap_err()
+    };
+    let at = |section, index| PipelineError::NotFinite { section, index };
+    assert_eq!(refuse(|case| case.spectra[9] = f16::NAN), at(Section::Spectra, 9));
+    assert_eq!(refuse(|case| case.rcan[100] = f16::INFINITY), at(Section::Rcan, 100));
+    assert_eq!(refuse(|case| case.offset[0] = f16::NEG_INFINITY), at(Section::OffsetMap, 0));
+    assert_eq!(refuse(|case| case.gain[809] = f16::NAN), at(Section::GainMap, 809));
+    let short = PipelineError::Length { section: Section::Spectra, expected: 2176, found: 2175 };
+    assert_eq!(refuse(|case| case.spectra.truncate(2175)), short);
+}
