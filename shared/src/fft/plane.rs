@@ -7,7 +7,7 @@
 use super::complex::{Fft, Lanes};
 use super::real::RealFft;
 use super::{FftError, check_len};
-use crate::num::simd::{Kernel, Simd};
+use crate::num::simd::{Kernel, Simd, Vector};
 use crate::num::{f16, narrow, widen};
 
 /// Rows or columns that are transformed side by side where scratch allows.
@@ -153,7 +153,7 @@ impl<S: RowSource, const L: usize> Kernel for Forward<'_, S, L> {
     type Output = ();
 
     #[inline(always)]
-    fn run(mut self) {
+    fn run<V: Vector>(mut self) {
         let row_len = self.plan.spectrum_len(1);
         let occupied = self.occupied.clone();
         self.spectrum[..occupied.start * row_len].fill(f16::ZERO);
@@ -256,7 +256,7 @@ impl<S: StripSource, E: FnMut(usize, &[f32]), const L: usize> Kernel for Inverse
     type Output = ();
 
     #[inline(always)]
-    fn run(mut self) {
+    fn run<V: Vector>(mut self) {
         for first in (0..self.plan.width()).step_by(L) {
             self.columns(first, L.min(self.plan.width() - first));
         }

@@ -7,7 +7,7 @@
 use super::activation::Activation;
 use super::error::{NnError, check_scratch, check_shape, check_weights};
 use crate::image::Chw;
-use crate::num::simd::{Kernel, Simd};
+use crate::num::simd::{Kernel, Simd, Vector};
 use crate::num::{f16, mac, widen};
 
 /// Weights of the two 1x1 layers.
@@ -89,7 +89,7 @@ impl Kernel for Means<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run(self) {
+    fn run<V: Vector>(self) {
         let [_, rows, cols] = self.input.shape();
         for (channel, mean) in self.mean.iter_mut().enumerate() {
             let sum = (0..rows).fold(0.0, |sum, row| sum + row_sum(self.input.row(channel, row)));

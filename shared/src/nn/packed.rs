@@ -1,6 +1,6 @@
 //! The inner loops of the 3x3 convolution: widened rows, packed weights, blocks of output channels and columns in registers.
 
-use crate::num::{f16, widen};
+use crate::num::{f16, simd::Vector, widen};
 
 /// Output channels that one pass over the rows makes.
 pub(super) const OUTPUTS: usize = 4;
@@ -50,7 +50,7 @@ pub(super) fn bias(bias: &[f16], first: usize) -> [f32; OUTPUTS] {
 ///
 /// Each sum starts at the bias and runs over (input channel, ky, kx) in this order.
 #[inline(always)]
-pub(super) fn row(
+pub(super) fn row<V: Vector>(
     input: &[f32],
     inputs: usize,
     outputs: usize,
@@ -60,14 +60,14 @@ pub(super) fn row(
     sums: &mut [f32],
 ) {
     if block(outputs) == 1 {
-        blocks::<1>(input, inputs, cols, weights, bias, sums);
+        blocks::<V, 1>(input, inputs, cols, weights, bias, sums);
     } else {
-        blocks::<OUTPUTS>(input, inputs, cols, weights, bias, sums);
+        blocks::<V, OUTPUTS>(input, inputs, cols, weights, bias, sums);
     }
 }
 
 #[inline(always)]
-fn blocks<const O: usize>(
+fn blocks<V: Vector, const O: usize>(
     input: &[f32],
     inputs: usize,
     cols: usize,
@@ -76,29 +76,30 @@ fn blocks<const O: usize>(
     sums: &mut [f32],
 ) {
     let (padded, pitch) = (padded(cols), pitch(cols));
-    for x in (0..padded).step_by(COLUMNS) {
-        let mut acc: [[f32; COLUMNS]; O] = core::array::from_fn(|o| [bias[o]; COLUMNS]);
+    for x in (0..padded).step_by(2 * V::LEN) {
+        let mut acc: [[V; 2]; O] = core::array::from_fn(|o| [V::splat(bias[o]); 2]);
         for (channel, weights) in weights.chunks_exact(9 * O).enumerate() {
             for (ky, weights) in weights.chunks_exact(3 * O).enumerate() {
-                let row = &input[(ky * inputs + channel) * pitch + x..][..COLUMNS + 2];
+                let row = &input[(ky * inputs + channel) * pitch + x..][..2 * V::LEN + 2];
                 taps(row, weights, &mut acc);
             }
         }
         for (o, acc) in acc.iter().enumerate() {
-            sums[o * padded + x..][..COLUMNS].copy_from_slice(acc);
+            let sums = &mut sums[o * padded + x..][..2 * V::LEN];
+            acc[0].store(sums);
+            acc[1].store(&mut sums[V::LEN..]);
         }
     }
 }
 
-/// The three taps of one kernel row. Both factors are widened halves: the product is exact.
+/// The three taps of one kernel row. Both factors are widened halves: the products are exact.
 #[inline(always)]
-fn taps<const O: usize>(row: &[f32], weights: &[f32], acc: &mut [[f32; COLUMNS]; O]) {
+fn taps<V: Vector, const O: usize>(row: &[f32], weights: &[f32], acc: &mut [[V; 2]; O]) {
     for (kx, weights) in weights.chunks_exact(O).enumerate() {
-        let row = &row[kx..][..COLUMNS];
+        let x = [V::load(&row[kx..]), V::load(&row[kx + V::LEN..])];
         for (acc, &weight) in acc.iter_mut().zip(weights) {
-            for (acc, &x) in acc.iter_mut().zip(row) {
-                *acc += x * weight;
-            }
+            let weight = V::splat(weight);
+            *acc = [acc[0].add_exact(x[0], weight), acc[1].add_exact(x[1], weight)];
         }
     }
 }

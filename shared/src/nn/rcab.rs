@@ -7,7 +7,7 @@ use super::channel_attention::{self, ChannelAttention};
 use super::conv::{self, Addressing, Conv3x3, Store, Tensors};
 use super::error::{NnError, check_scratch};
 use crate::image::ChwMut;
-use crate::num::simd::{Kernel, Simd};
+use crate::num::simd::{Kernel, Simd, Vector};
 use crate::num::{f16, mac, narrow, widen};
 
 /// Weights of a block.
@@ -86,7 +86,7 @@ impl Kernel for AddScaled<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run(self) {
+    fn run<V: Vector>(self) {
         for (g, &t) in self.g.iter_mut().zip(self.t) {
             *g = narrow(mac(widen(t), self.scale, widen(*g)));
         }

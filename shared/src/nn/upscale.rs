@@ -9,7 +9,7 @@ use super::error::{NnError, check_scratch, check_shape, check_weights};
 use super::packed::{self, OUTPUTS};
 use super::pixel_shuffle::shuffled;
 use crate::image::{Chw, PlaneMut};
-use crate::num::simd::{Kernel, Simd};
+use crate::num::simd::{Kernel, Simd, Vector};
 use crate::num::{f16, narrow, narrow_slice, widen, widen_slice};
 
 /// Plan of the tail.
@@ -87,7 +87,7 @@ impl Kernel for Job<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run(self) {
+    fn run<V: Vector>(self) {
         let Self { plan, conv, conv2, input, mut output, scratch } = self;
         let band = ((scratch.len() - plan.fixed_len()) / plan.row_len()).min(plan.rows);
         let (weights, scratch) = scratch.split_at_mut(packed::packed_len(plan.channels, 4 * plan.channels));
@@ -107,7 +107,7 @@ impl Kernel for Job<'_> {
                 let bias = packed::bias(conv.bias, first);
                 for row in 0..height {
                     let input = &coarse[row * plan.coarse_len()..][..3 * plan.coarse_len()];
-                    packed::row(input, plan.channels, 4 * plan.channels, plan.cols, weights, bias, sums);
+                    packed::row::<V>(input, plan.channels, 4 * plan.channels, plan.cols, weights, bias, sums);
                     plan.shuffle(sums, first, row, fine);
                 }
             }
@@ -118,7 +118,7 @@ impl Kernel for Job<'_> {
             let bias2 = packed::bias(conv2.bias, 0);
             for row in (2 * start).saturating_sub(1)..2 * (start + height) - usize::from(!last) {
                 let input = &fine[(row + 1 - 2 * start) * plan.fine_len()..][..3 * plan.fine_len()];
-                packed::row(input, plan.channels, 1, 2 * plan.cols, weights2, bias2, sums2);
+                packed::row::<V>(input, plan.channels, 1, 2 * plan.cols, weights2, bias2, sums2);
                 let sums = &mut sums2[..2 * plan.cols];
                 Activation::Sigmoid.apply(sums);
                 narrow_slice(sums, output.row_mut(row));

@@ -22,9 +22,12 @@ use crate::blob::{Header, MemoryPlan, Weights};
 use crate::filter::{FilterBank, FrameSource};
 use crate::image::{ChwMut, PlaneMut};
 use crate::nn::rcan::Rcan;
-use crate::num::simd::{Kernel, Simd};
+use crate::num::simd::{Kernel, Simd, Vector};
 use crate::num::{f16, max_finite, narrow, widen};
 use crate::sensor::FixedPattern;
+
+/// Rows of a band beyond which the rows no longer stay in a workstation's caches.
+const BEST_BAND: usize = 16;
 
 /// The caller's memory. Its content before a run does not matter.
 #[derive(Debug)]
@@ -88,7 +91,7 @@ impl<'a> Pipeline<'a> {
     /// Numbers of fast scratch beyond which more does not help.
     pub fn fast_len_best(&self) -> usize {
         let frame = usize::from(self.header.frame.cols);
-        self.filter.scratch_len_wide().max(self.rcan.scratch_len(usize::from(self.header.object.rows))) + frame
+        self.filter.scratch_len_wide().max(self.rcan.scratch_len(BEST_BAND)) + frame
     }
 
     /// Numbers of fast scratch needed at least.
@@ -206,7 +209,7 @@ impl Kernel for Normalise<'_> {
     type Output = (f32, bool);
 
     #[inline(always)]
-    fn run(self) -> (f32, bool) {
+    fn run<V: Vector>(self) -> (f32, bool) {
         let (max, finite) = max_finite(self.values);
         if max > 0.0 && finite {
             self.values.iter_mut().for_each(|x| *x = narrow(widen(*x) / max));

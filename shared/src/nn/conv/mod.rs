@@ -12,7 +12,7 @@ use super::error::{NnError, check_scratch, check_shape, check_weights};
 use super::packed::{self, OUTPUTS};
 use super::pixel_shuffle::widen_unshuffled_row;
 use crate::image::{Chw, ChwMut};
-use crate::num::simd::{Kernel, Simd};
+use crate::num::simd::{Kernel, Simd, Vector};
 use crate::num::{f16, narrow, narrow_slice, widen, widen_slice};
 
 /// How the output is stored.
@@ -142,7 +142,7 @@ impl Kernel for Job<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run(self) {
+    fn run<V: Vector>(self) {
         let Self { conv, parameters, mut tensors, scratch } = self;
         let (weights, scratch) = scratch.split_at_mut(packed::packed_len(conv.inputs, conv.outputs));
         let (sums, scratch) = scratch.split_at_mut(packed::block(conv.outputs) * packed::padded(conv.cols));
@@ -156,7 +156,7 @@ impl Kernel for Job<'_> {
                 let bias = packed::bias(parameters.bias, first);
                 for row in 0..height {
                     let input = &slots[row * conv.slot_len()..][..3 * conv.slot_len()];
-                    packed::row(input, conv.inputs, conv.outputs, conv.cols, weights, bias, sums);
+                    packed::row::<V>(input, conv.inputs, conv.outputs, conv.cols, weights, bias, sums);
                     conv.finish(&mut tensors, first, start + row, sums);
                 }
             }

@@ -1,0 +1,81 @@
+//! AVX2 with FMA (Intel since 2013, AMD since 2015).
+#![allow(unsafe_code)]
+
+use core::arch::x86_64::{
+    __cpuid, __cpuid_count, __m256, _mm256_fmadd_ps, _mm256_loadu_ps, _mm256_set1_ps, _mm256_storeu_ps, _xgetbv,
+};
+
+use super::{Kernel, Vector};
+
+// CPUID 1, ecx.
+const FMA: u32 = 1 << 12;
+const OSXSAVE: u32 = 1 << 27;
+const AVX: u32 = 1 << 28;
+// CPUID 7.0, ebx.
+const AVX2: u32 = 1 << 5;
+/// The operating system saves xmm and ymm registers.
+const XCR0_YMM: u64 = 0b110;
+
+/// Intel SDM vol. 1, sections 14.5.3 and 14.7.1: detection of FMA and of AVX2.
+pub(super) fn detected() -> bool {
+    let needed = FMA | OSXSAVE | AVX;
+    if __cpuid(0).eax < 7 || __cpuid(1).ecx & needed != needed {
+        return false;
+    }
+    // SAFETY: OSXSAVE is set, so XGETBV exists.
+    let saved = unsafe { xcr0() };
+    saved & XCR0_YMM == XCR0_YMM && __cpuid_count(7, 0).ebx & AVX2 != 0
+}
+
+#[target_feature(enable = "xsave")]
+fn xcr0() -> u64 {
+    // SAFETY: register 0 exists wherever XGETBV does.
+    unsafe { _xgetbv(0) }
+}
+
+/// Only for `Level::Avx2Fma`, which is made only where [`detected`] said yes.
+#[inline(always)]
+pub(super) fn run<K: Kernel>(kernel: K) -> K::Output {
+    // SAFETY: the processor has the features, see above.
+    unsafe { with_features(kernel) }
+}
+
+#[target_feature(enable = "avx2,fma")]
+fn with_features<K: Kernel>(kernel: K) -> K::Output {
+    kernel.run::<Eight>()
+}
+
+/// Eight numbers in a ymm register. Private to this module, and handed out by [`with_features`] only: where its methods run,
+/// the features are there.
+#[derive(Clone, Copy)]
+struct Eight(__m256);
+
+impl Vector for Eight {
+    const LEN: usize = 8;
+
+    #[inline(always)]
+    fn splat(x: f32) -> Self {
+        // SAFETY: see the type.
+        Self(unsafe { _mm256_set1_ps(x) })
+    }
+
+    #[inline(always)]
+    fn load(from: &[f32]) -> Self {
+        let from = &from[..8];
+        // SAFETY: see the type; eight numbers are there, and the load may be unaligned.
+        Self(unsafe { _mm256_loadu_ps(from.as_ptr()) })
+    }
+
+    #[inline(always)]
+    fn store(self, to: &mut [f32]) {
+        let to = &mut to[..8];
+        // SAFETY: see the type; there is room for eight numbers, and the store may be unaligned.
+        unsafe { _mm256_storeu_ps(to.as_mut_ptr(), self.0) }
+    }
+
+    #[inline(always)]
+    fn add_exact(self, a: Self, b: Self) -> Self {
+        // SAFETY: see the type.
+        Self(unsafe { _mm256_fmadd_ps(a.0, b.0, self.0) })
+    }
+}
