@@ -180,7 +180,7 @@ impl Header {
         if empty(self.frame) {
             return wrong(HeaderField::Frame);
         }
-        if empty(self.object) || self.object.rows % 2 != 0 || self.object.cols % 2 != 0 {
+        if empty(self.object) || !self.object.rows.is_multiple_of(2) || !self.object.cols.is_multiple_of(2) {
             return wrong(HeaderField::Object);
         }
         if !self.sensor.black_level_dn.is_finite() || f32::from(self.sensor.saturation_dn) <= self.sensor.black_level_dn

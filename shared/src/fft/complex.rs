@@ -49,7 +49,7 @@ impl Fft {
     #[inline(always)]
     pub fn process<const L: usize>(&self, data: &mut [Lanes<L>]) {
         let data = &mut data[..self.len];
-        let mut quarter = if self.len.trailing_zeros() % 2 == 0 {
+        let mut quarter = if self.len.trailing_zeros().is_multiple_of(2) {
             data.as_chunks_mut::<4>().0.iter_mut().for_each(first_radix4);
             4
         } else {

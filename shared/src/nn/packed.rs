@@ -1,6 +1,8 @@
 //! The inner loops of the 3x3 convolution: widened rows, packed weights, blocks of output channels and columns in registers.
 
-use crate::num::{f16, simd::Vector, widen};
+#[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+use crate::num::arm;
+use crate::num::{f16, simd::Vector, widen, widen_slice};
 
 /// Output channels that one pass over the rows makes.
 pub(super) const OUTPUTS: usize = 4;
@@ -22,22 +24,33 @@ pub(super) const fn block(outputs: usize) -> usize {
     if outputs == 1 { 1 } else { OUTPUTS }
 }
 
-/// Numbers that the packed weights of one block take.
+/// Numbers that the packed weights of one block take, and one output channel of them before it is packed.
 pub(super) const fn packed_len(inputs: usize, outputs: usize) -> usize {
-    inputs * 9 * block(outputs)
+    inputs * 9 * (block(outputs) + 1)
 }
 
 /// Packs the weights `[out, in, 3, 3]` of the output channels from `first` on as `[in, 3, 3, block]`, zeros beyond the last.
+/// Returns them; the rest of `packed` is scratch.
 #[inline(always)]
-pub(super) fn pack(weights: &[f16], inputs: usize, outputs: usize, first: usize, packed: &mut [f32]) {
-    let block = block(outputs);
+pub(super) fn pack<'a>(
+    weights: &[f16],
+    inputs: usize,
+    outputs: usize,
+    first: usize,
+    packed: &'a mut [f32],
+) -> &'a [f32] {
+    let (len, block) = (inputs * 9, block(outputs));
+    let (packed, channel) = packed.split_at_mut(len * block);
     for o in 0..block {
-        let used = weights.get((first + o) * inputs * 9..(first + o + 1) * inputs * 9).unwrap_or(&[]);
-        let slots = packed[o..].iter_mut().step_by(block);
-        for (i, slot) in slots.enumerate() {
-            *slot = used.get(i).map_or(0.0, |&w| widen(w));
+        match weights.get((first + o) * len..(first + o + 1) * len) {
+            Some(weights) => widen_slice(weights, &mut channel[..len]),
+            None => channel[..len].fill(0.0),
+        }
+        for (slot, &weight) in packed.chunks_exact_mut(block).zip(&*channel) {
+            slot[o] = weight;
         }
     }
+    packed
 }
 
 /// Biases of the output channels from `first` on, zeros beyond the last.
@@ -76,6 +89,17 @@ fn blocks<V: Vector, const O: usize>(
     sums: &mut [f32],
 ) {
     let (padded, pitch) = (padded(cols), pitch(cols));
+    #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+    if O == OUTPUTS {
+        for x in (0..padded).step_by(COLUMNS) {
+            let mut acc = bias.map(|bias| [bias; COLUMNS]);
+            arm::correlate(&input[x..], pitch, weights, &mut acc);
+            for (o, acc) in acc.iter().enumerate() {
+                sums[o * padded + x..][..COLUMNS].copy_from_slice(acc);
+            }
+        }
+        return;
+    }
     for x in (0..padded).step_by(2 * V::LEN) {
         let mut acc: [[V; 2]; O] = core::array::from_fn(|o| [V::splat(bias[o]); 2]);
         for (channel, weights) in weights.chunks_exact(9 * O).enumerate() {

@@ -34,11 +34,11 @@ mod tests {
     fn unshuffle_has_the_channel_order_of_pytorch() {
         let data: [f16; 16] = core::array::from_fn(|i| f16::from_f32(i as f32));
         let tensor = Chw::new(&data, 1, 4, 4).unwrap();
-        for channel in 0..4 {
+        for (channel, expected) in UNSHUFFLED.iter().enumerate() {
             for row in 0..2 {
                 let mut to = [0.0; 2];
                 widen_unshuffled_row(tensor, channel, row, &mut to);
-                assert_eq!(to, UNSHUFFLED[channel][2 * row..][..2]);
+                assert_eq!(to, expected[2 * row..][..2]);
             }
         }
     }

@@ -125,7 +125,10 @@ pub fn weights_len(rcan: &blob::Rcan, channels: u8) -> usize {
 
 /// Width W/r of the attention's bottleneck; 0 where the reduction is 0 or above the width, which no network may have.
 pub const fn hidden(rcan: &blob::Rcan) -> usize {
-    if rcan.reduction == 0 { 0 } else { (rcan.width / rcan.reduction) as usize }
+    match rcan.width.checked_div(rcan.reduction) {
+        Some(hidden) => hidden as usize,
+        None => 0,
+    }
 }
 
 /// Plan of the network for one frame size.

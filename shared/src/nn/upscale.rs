@@ -90,20 +90,20 @@ impl Kernel for Job<'_> {
     fn run<V: Vector>(self) {
         let Self { plan, conv, conv2, input, mut output, scratch } = self;
         let band = ((scratch.len() - plan.fixed_len()) / plan.row_len()).min(plan.rows);
-        let (weights, scratch) = scratch.split_at_mut(packed::packed_len(plan.channels, 4 * plan.channels));
-        let (weights2, scratch) = scratch.split_at_mut(packed::packed_len(plan.channels, 1));
+        let (packed, scratch) = scratch.split_at_mut(packed::packed_len(plan.channels, 4 * plan.channels));
+        let (packed2, scratch) = scratch.split_at_mut(packed::packed_len(plan.channels, 1));
         let (sums, scratch) = scratch.split_at_mut(OUTPUTS * packed::padded(plan.cols));
         let (sums2, scratch) = scratch.split_at_mut(packed::padded(2 * plan.cols));
         let (coarse, scratch) = scratch.split_at_mut((band + 2) * plan.coarse_len());
         let fine = &mut scratch[..(2 * band + 3) * plan.fine_len()];
-        packed::pack(conv2.weights, plan.channels, 1, 0, weights2);
+        let weights2 = packed::pack(conv2.weights, plan.channels, 1, 0, packed2);
         fine.fill(0.0);
         for start in (0..plan.rows).step_by(band) {
             let height = band.min(plan.rows - start);
             plan.widen(input, start, height, coarse);
             fine.copy_within(2 * band * plan.fine_len()..(2 * band + 2) * plan.fine_len(), 0);
             for first in (0..4 * plan.channels).step_by(OUTPUTS) {
-                packed::pack(conv.weights, plan.channels, 4 * plan.channels, first, weights);
+                let weights = packed::pack(conv.weights, plan.channels, 4 * plan.channels, first, packed);
                 let bias = packed::bias(conv.bias, first);
                 for row in 0..height {
                     let input = &coarse[row * plan.coarse_len()..][..3 * plan.coarse_len()];

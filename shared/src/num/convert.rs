@@ -49,6 +49,9 @@ pub fn narrow(value: f32) -> f16 {
 #[inline(always)]
 pub fn widen_slice(from: &[f16], to: &mut [f32]) {
     debug_assert_eq!(from.len(), to.len());
+    #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+    super::arm::widen_slice(from, to);
+    #[cfg(not(all(target_arch = "arm", target_abi = "eabihf")))]
     for (to, &from) in to.iter_mut().zip(from) {
         *to = widen(from);
     }
@@ -58,6 +61,9 @@ pub fn widen_slice(from: &[f16], to: &mut [f32]) {
 #[inline(always)]
 pub fn narrow_slice(from: &[f32], to: &mut [f16]) {
     debug_assert_eq!(from.len(), to.len());
+    #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+    super::arm::narrow_slice(from, to);
+    #[cfg(not(all(target_arch = "arm", target_abi = "eabihf")))]
     for (to, &from) in to.iter_mut().zip(from) {
         *to = narrow(from);
     }

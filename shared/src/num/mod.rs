@@ -1,7 +1,7 @@
 //! Number formats and the few operations whose bits the whole project depends on.
 //!
 //! # Rules
-//! - *Stored*: IEEE 754 binary16 ([`f16`]). *Computed*: IEEE binary32, round to nearest even.
+//! - *Stored*: IEEE 754 binary16 ([`struct@f16`]). *Computed*: IEEE binary32, round to nearest even.
 //! - A multiply-accumulate is [`mac`]: two roundings, product first. No operator uses a fused one, except where both factors are
 //!   widened halves: such a product has 22 significant bits, is exact in binary32, and both forms give the same bits.
 //! - Vector lanes run over independent outputs, never over a sum. A sum has one stated order.
@@ -10,6 +10,8 @@
 //! This is the only module of the crate that may hold `unsafe` code: the conversion instructions of the Cortex-M
 //! ([`widen_slice`], [`narrow_slice`]), and the choice of the instruction set at run time ([`simd`]).
 
+#[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+pub(crate) mod arm;
 mod convert;
 mod function;
 pub mod simd;

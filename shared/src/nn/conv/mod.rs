@@ -144,7 +144,7 @@ impl Kernel for Job<'_> {
     #[inline(always)]
     fn run<V: Vector>(self) {
         let Self { conv, parameters, mut tensors, scratch } = self;
-        let (weights, scratch) = scratch.split_at_mut(packed::packed_len(conv.inputs, conv.outputs));
+        let (packed, scratch) = scratch.split_at_mut(packed::packed_len(conv.inputs, conv.outputs));
         let (sums, scratch) = scratch.split_at_mut(packed::block(conv.outputs) * packed::padded(conv.cols));
         let band = (scratch.len() / conv.slot_len() - 2).min(conv.rows);
         let slots = &mut scratch[..(band + 2) * conv.slot_len()];
@@ -152,7 +152,7 @@ impl Kernel for Job<'_> {
             let height = band.min(conv.rows - start);
             conv.widen(&tensors, start, height, band, slots);
             for first in (0..conv.outputs).step_by(OUTPUTS) {
-                packed::pack(parameters.weights, conv.inputs, conv.outputs, first, weights);
+                let weights = packed::pack(parameters.weights, conv.inputs, conv.outputs, first, packed);
                 let bias = packed::bias(parameters.bias, first);
                 for row in 0..height {
                     let input = &slots[row * conv.slot_len()..][..3 * conv.slot_len()];
