@@ -1,1 +1,12 @@
-//! (being written)
+//! From a bead scan to PSF samples: find the chief rays, cut the windows, check what was measured.
+
+mod error;
+mod rays;
+mod scan;
+mod windows;
+
+pub use error::{BeadError, Warning};
+pub(crate) use rays::PASSES;
+pub use rays::{RayFit, fit_chief_rays};
+pub use scan::{Bead, BeadScan};
+pub use windows::{BeadScale, LensWindows, cut_windows};

@@ -1,15 +1,142 @@
-//! `calibrate`: session -> instrument. (being written)
+//! `calibrate`: session -> instrument.
 
 use super::{Outcome, Run};
+use crate::artifact::Provenance;
+use crate::instrument::{CalibrateConfig, Calibration, Instrument, LightUnit, calibrate};
+use crate::noise::{NoiseConfig, Source};
+use crate::session::{Role, Session};
+use serde_json::json;
+use std::fmt::Write;
+use std::path::PathBuf;
 
 /// Options of `calibrate`.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+#[command(after_help = "Example: ommatidia calibrate session/ -o lab.instrument")]
+pub struct Args {
+    /// Folder of the measured session
+    session: PathBuf,
+    /// Instrument file to write
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Basis PSFs a lens (default: chosen by the error on positions that are left out)
+    #[arg(long, value_name = "K")]
+    rank: Option<usize>,
+    /// Most basis PSFs that are tried
+    #[arg(long, value_name = "K", default_value_t = CalibrateConfig::default().max_rank)]
+    max_rank: usize,
+    /// The bead frames were normalised by who measured them: one free scale a frame
+    #[arg(long)]
+    normalise_beads: bool,
+    /// Nominal gain, DN per electron, where there are no flats
+    #[arg(long, value_name = "DN/E", default_value_t = NoiseConfig::default().nominal_gain_dn_per_e)]
+    gain: f64,
+    /// Nominal read noise, electrons rms, where nothing shows it
+    #[arg(long, value_name = "E", default_value_t = NoiseConfig::default().nominal_read_noise_e)]
+    read_noise: f64,
+}
 
 /// Runs the verb.
 ///
 /// # Errors
-/// Whatever the library says.
-pub fn run(_args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
-    anyhow::bail!("`calibrate` is being written")
+/// The session cannot be read or calibrated, or the instrument not be written.
+pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
+    let session = Session::open(&args.session)?;
+    let config = CalibrateConfig {
+        rank: args.rank,
+        max_rank: args.max_rank,
+        normalise_beads: args.normalise_beads,
+        noise: NoiseConfig { nominal_gain_dn_per_e: args.gain, nominal_read_noise_e: args.read_noise },
+    };
+    let bar = run.progress(steps(&session), "calibrate");
+    let calibration = calibrate(&session, &config, || bar.inc(1))?;
+    bar.finish_and_clear();
+    for note in &calibration.notes {
+        tracing::warn!("{note}");
+    }
+    let mut provenance = Provenance::new("calibrate", run.seed, &config).with_input(&session.manifest_path())?;
+    for stack in session.stacks() {
+        provenance = provenance.with_input(&stack.path())?;
+    }
+    calibration.instrument.write(&args.output, provenance)?;
+    Ok(Outcome { json: figures(&calibration), text: table(args, &calibration) })
+}
+
+/// Frames that are read, each pass counted.
+fn steps(session: &Session) -> u64 {
+    let frames = |role| session.stacks_of(role).map(|s| s.len() as u64).sum::<u64>();
+    frames(Role::Dark) + frames(Role::Flat) + crate::bead::PASSES * frames(Role::Bead)
+}
+
+fn figures(calibration: &Calibration) -> serde_json::Value {
+    let i = &calibration.instrument;
+    let cols = i.manifest.array.cols.max(1);
+    let anchors: Vec<Vec<[f64; 2]>> = i.geometry.anchors_px.chunks(cols).map(<[_]>::to_vec).collect();
+    json!({
+        "gain_dn_per_e": i.noise.gain_dn_per_e,
+        "gain_sigma_dn_per_e": i.noise.gain_sigma,
+        "read_noise_e": i.noise.read_noise_e,
+        "read_noise_sigma_e": i.noise.read_noise_sigma,
+        "black_level_dn": i.noise.black_level_dn,
+        "noise_sources": i.noise.sources,
+        "rank": rank(i),
+        "approximation_error": i.quality.approximation_error,
+        "off_grid_error": i.quality.off_grid_error,
+        "one_psf_error": i.quality.one_psf_error,
+        "noise_floor": i.quality.noise_floor,
+        "anchors_px": anchors,
+        "magnification": i.geometry.magnification,
+        "chief_ray_rms_px": i.quality.chief_ray_rms_px,
+        "dead_lenses": dead(i),
+        "light_unit": i.light_unit,
+        "notes": calibration.notes,
+    })
+}
+
+fn rank(i: &Instrument) -> usize {
+    i.psf.basis.dim().1
+}
+
+fn dead(i: &Instrument) -> Vec<usize> {
+    (0..i.geometry.dead.len()).filter(|l| i.geometry.dead[*l]).collect()
+}
+
+fn table(args: &Args, calibration: &Calibration) -> String {
+    let i = &calibration.instrument;
+    let (n, q) = (&i.noise, &i.quality);
+    let source = |s: Source| match s {
+        Source::Measured => "measured",
+        Source::Inferred => "inferred",
+        Source::Nominal => "nominal",
+    };
+    let mut out = String::new();
+    let mut line = |name: &str, value: String, note: &str| {
+        // Writing to a string cannot fail.
+        let _ = writeln!(out, "{name:<22} {value:>22}   {note}");
+    };
+    line("black level", format!("{:.2} DN", n.black_level_dn), source(n.sources.black_level));
+    line("gain", format!("{:.4} +- {:.4} DN/e-", n.gain_dn_per_e, n.gain_sigma), source(n.sources.gain));
+    line("read noise", format!("{:.3} +- {:.3} e-", n.read_noise_e, n.read_noise_sigma), source(n.sources.read_noise));
+    line("magnification", format!("{:.5}", i.geometry.magnification), "");
+    line(
+        "foci off chief rays",
+        format!("{:.3} px rms", q.chief_ray_rms_px),
+        "distortion and noise, kept in the windows",
+    );
+    line("rank", rank(i).to_string(), if args.rank.is_some() { "as asked" } else { "least held-out error" });
+    line("approximation error", format!("{:.4}", q.approximation_error), "NRMSE on the bead scan");
+    line("off-grid error", format!("{:.4}", q.off_grid_error), "NRMSE on positions left out (checkerboard)");
+    line("  of one PSF a lens", format!("{:.4}", q.one_psf_error), "the same positions");
+    line("  of noise alone", format!("{:.4}", q.noise_floor), "in these bead frames");
+    match i.light_unit {
+        LightUnit::Bead => line("light unit", "bead".into(), "one bead in one object pixel"),
+        LightUnit::Truth { per_bead } => {
+            line("light unit", "truth".into(), &format!("{per_bead:.4} of it make a bead"))
+        }
+    }
+    for (l, [row, col]) in i.geometry.anchors_px.iter().enumerate() {
+        let note = if i.geometry.dead[l] { "dead" } else { "" };
+        line(&format!("anchor of lens {l}"), format!("({row:.3}, {col:.3}) px"), note);
+    }
+    let _ = writeln!(out, "-> {}", args.output.display());
+    out
 }

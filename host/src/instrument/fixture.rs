@@ -49,7 +49,7 @@ pub(crate) fn instrument(object: [usize; 2], sensor: [usize; 2], window: usize, 
         },
         effects: Vec::new(),
         light_unit: LightUnit::Bead,
-        quality: Quality { approximation_error: 0.0, off_grid_error: 0.0 },
+        quality: Quality::default(),
         diagnostics: Diagnostics::default(),
     }
 }

@@ -1,9 +1,11 @@
 //! The instrument: everything that calibration learned, in one file.
 
+mod calibrate;
 mod file;
 #[cfg(test)]
 pub(crate) mod fixture;
 
+pub use calibrate::{CalibrateConfig, CalibrateError, Calibration, calibrate};
 pub use file::{INSTRUMENT_KIND, INSTRUMENT_VERSION, InstrumentError};
 
 use crate::effects::EffectSetting;
@@ -89,13 +91,19 @@ pub enum LightUnit {
 
 /// How well the model reproduces the bead scan. NRMSE is `|measured - predicted| / |measured|` (Euclidean norms over all
 /// windows, black level taken off).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct Quality {
     /// NRMSE of the rank-K model on the bead frames that it was made from.
     pub approximation_error: f64,
     /// NRMSE on bead positions that were left out (checkerboard).
     pub off_grid_error: f64,
+    /// The same for one PSF a lens, the mean of the positions that were not left out.
+    pub one_psf_error: f64,
+    /// The part of these errors that the noise of the bead frames alone makes.
+    pub noise_floor: f64,
+    /// Distance of the foci from their chief rays (Eq. 1), rms over both axes, px: distortion and noise.
+    pub chief_ray_rms_px: f64,
 }
 
 /// Curves and maps of the calibration, for reports and `inspect`; no figure depends on them.

@@ -50,7 +50,7 @@ pub(super) fn instrument(side: usize, sensor: [usize; 2], object: [usize; 2]) ->
         },
         effects: Vec::new(),
         light_unit: Default::default(),
-        quality: Quality { approximation_error: 0.0, off_grid_error: 0.0 },
+        quality: Quality::default(),
         diagnostics: Default::default(),
     }
 }

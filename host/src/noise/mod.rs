@@ -4,8 +4,11 @@
 //! whole DN and clipped to `0..=saturation`, so `var(y) = gain * (E[y] - black) + (gain * read_noise)^2 + 1/12`.
 
 mod draw;
+mod measure;
+mod stats;
 
 pub use draw::{draw_electrons, draw_poisson};
+pub use measure::{NoiseCalibration, NoiseConfig, NoiseError, NoiseNote, measure_noise};
 
 use serde::{Deserialize, Serialize};
 

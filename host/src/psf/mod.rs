@@ -2,6 +2,7 @@
 
 pub mod decompose;
 pub mod field;
+pub mod fit;
 pub mod nodes;
 pub mod operator;
 pub mod shift;

@@ -1,0 +1,145 @@
+//! What can be wrong with a bead scan.
+
+use crate::session::SessionError;
+use std::path::PathBuf;
+use thiserror::Error;
+
+/// Why a bead scan cannot be used.
+#[derive(Debug, Error)]
+pub enum BeadError {
+    /// The session.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// Too few frames.
+    #[error("{path}: expected at least {expected} bead frames, found {found}; scan more positions")]
+    TooFew {
+        /// The file.
+        path: PathBuf,
+        /// Fewest that serve.
+        expected: usize,
+        /// Frames of the stack.
+        found: usize,
+    },
+    /// A focus is overexposed.
+    #[error(
+        "{path}: frame {frame}, focus of lens {lens}: expected at most {allowed} saturated pixels, found {found}; \
+         measure the bead again with less light or a shorter exposure"
+    )]
+    Saturated {
+        /// The file.
+        path: PathBuf,
+        /// Frame.
+        frame: usize,
+        /// Lens.
+        lens: usize,
+        /// Saturated pixels that are masked without complaint.
+        allowed: usize,
+        /// Saturated pixels in the window.
+        found: usize,
+    },
+    /// No lens shows a focus.
+    #[error(
+        "{path}: no focus found near any chief ray: the best of {lenses} lenses stands {found:.1} above its \
+         surroundings, expected {expected}; check that the bead was lit, and array.pitch_px and optics.magnification in session.toml"
+    )]
+    NoFocus {
+        /// The file.
+        path: PathBuf,
+        /// Number of lenses.
+        lenses: usize,
+        /// Contrast that makes a focus.
+        expected: f64,
+        /// Best contrast found.
+        found: f64,
+    },
+    /// A bead frame without light.
+    #[error(
+        "{path}: frame {frame}: no light in any focus (total {found:.1} DN, noise {sigma:.1} DN); \
+         remove the frame and its row, or measure it again"
+    )]
+    Dark {
+        /// The file.
+        path: PathBuf,
+        /// Frame.
+        frame: usize,
+        /// Light in all windows, DN.
+        found: f64,
+        /// Its standard error, DN.
+        sigma: f64,
+    },
+    /// Beads at several exposures of zero, or illuminations of zero.
+    #[error(
+        "{path}: frame {frame}: expected an exposure and an illumination above zero, found {exposure_ms} ms and {illumination}"
+    )]
+    NoExposure {
+        /// The file.
+        path: PathBuf,
+        /// Frame.
+        frame: usize,
+        /// Exposure, ms.
+        exposure_ms: f64,
+        /// Relative light level.
+        illumination: f64,
+    },
+    /// The object grid is not that of the sensor.
+    #[error(
+        "session.toml: object.pixel_um: expected sensor.pixel_pitch_um / optics.magnification = {expected:.4} um within 2 %, \
+         found {found:.4}; one object pixel must map to one sensor pixel"
+    )]
+    Grid {
+        /// Pixel pitch over magnification, um.
+        expected: f64,
+        /// What the manifest says, um.
+        found: f64,
+    },
+    /// The fitted magnification is far from the nominal one.
+    #[error(
+        "{path}: magnification: expected about {expected:.4}, the foci say {found:.4}; correct optics.magnification (and object.pixel_um), \
+         or the positions in the table"
+    )]
+    Magnification {
+        /// The file.
+        path: PathBuf,
+        /// Nominal.
+        expected: f64,
+        /// Fitted.
+        found: f64,
+    },
+}
+
+/// What a user should know though the calibration goes on.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum Warning {
+    /// A lens without light.
+    #[error(
+        "lens {lens} shows no focus in any bead frame: marked dead, it adds nothing to predictions; clean or unblock it and measure again"
+    )]
+    DeadLens {
+        /// Lens, counted row by row from 0.
+        lens: usize,
+    },
+    /// A lens much dimmer than the others.
+    #[error("lens {lens} passes {share:.0} % of the light of the median lens: kept, with more noise")]
+    DimLens {
+        /// Lens, counted row by row from 0.
+        lens: usize,
+        /// Light relative to the median lens, percent.
+        share: f64,
+    },
+    /// Single saturated pixels.
+    #[error("{pixels} saturated pixels in {frames} bead frames were left out; a shorter exposure would show them")]
+    SaturatedPixels {
+        /// Pixels.
+        pixels: usize,
+        /// Frames.
+        frames: usize,
+    },
+    /// Foci that hang over the edge of the sensor.
+    #[error(
+        "{windows} windows hang over the edge of the sensor: their missing parts come from the model of the others"
+    )]
+    Truncated {
+        /// Windows.
+        windows: usize,
+    },
+}

@@ -1,0 +1,295 @@
+//! Chief rays (Eq. 1): an anchor a lens and one magnification, from the centroids of all foci.
+//!
+//! The frames, each moved back by its commanded position, are added up: every focus of one lens then falls on nearly one place,
+//! while all else is smeared. The best place for the whole nominal array, then for each lens near it, starts the fit; a robust
+//! linear regression of all centroids ends it (Huber's weights; *Robust Statistics*, 1981).
+
+use super::{BeadError, BeadScan, Warning};
+use crate::instrument::Geometry;
+use crate::linalg::least_squares;
+use crate::session::Manifest;
+use ndarray::{Array2, ArrayView2, s};
+
+/// How far the summed light of a lens must stand above its surroundings, in robust standard deviations, to be a focus.
+const FOCUS_CONTRAST: f64 = 8.0;
+/// Rounds of centroids and regression.
+const ROUNDS: usize = 3;
+
+/// Chief rays with their uncertainty.
+#[derive(Clone, Debug)]
+pub struct RayFit {
+    /// The chief rays.
+    pub geometry: Geometry,
+    /// Distance of the centroids from the fit, rms over both axes, px: distortion and noise.
+    pub rms_px: f64,
+    /// Dead lenses.
+    pub warnings: Vec<Warning>,
+}
+
+/// One centroid.
+struct Centroid {
+    lens: usize,
+    /// Stage displacement in nominal sensor pixels.
+    displacement: [f64; 2],
+    at: [f64; 2],
+}
+
+/// Fits the chief rays of all lenses.
+///
+/// # Errors
+/// A frame cannot be read, no lens shows a focus, or the magnification is far from the nominal one.
+pub fn fit_chief_rays(scan: &mut BeadScan, manifest: &Manifest, mut step: impl FnMut()) -> Result<RayFit, BeadError> {
+    let mut sum = Array2::zeros((manifest.sensor.rows, manifest.sensor.cols));
+    for n in 0..scan.beads.len() {
+        let frame = scan.light_dn(n)?;
+        add_moved(&mut sum, &frame, displacement(manifest, scan.beads[n].at_px));
+        step();
+    }
+    let start = first_anchors(&sum, manifest);
+    let dead: Vec<bool> = start.iter().map(|(_, contrast)| *contrast < FOCUS_CONTRAST).collect();
+    if dead.iter().all(|d| *d) {
+        let found = start.iter().fold(0.0f64, |m, (_, c)| m.max(*c));
+        let (path, lenses) = (scan.path(0).into(), dead.len());
+        return Err(BeadError::NoFocus { path, lenses, expected: FOCUS_CONTRAST, found });
+    }
+    let anchors = start.iter().map(|(a, _)| *a).collect();
+    let mut fit = Fit { anchors, slope: 1.0, rms_px: 0.0 };
+    let mut frames: Vec<Vec<Centroid>> = Vec::new();
+    for round in 0..ROUNDS {
+        let radius = (manifest.optics.psf_window_px / 2) as isize + if round == 0 { 2 } else { 0 };
+        frames.clear();
+        for n in 0..scan.beads.len() {
+            frames.push(centroids(scan, n, manifest, &fit, &dead, radius)?);
+            step();
+        }
+        fit = regress(&frames, fit, &dead, scan)?;
+    }
+    let nominal = manifest.optics.magnification;
+    let magnification = nominal * fit.slope;
+    if (fit.slope - 1.0).abs() > 0.05 {
+        return Err(BeadError::Magnification { path: scan.path(0).into(), expected: nominal, found: magnification });
+    }
+    let warnings = dead.iter().enumerate().filter(|(_, d)| **d).map(|(lens, _)| Warning::DeadLens { lens }).collect();
+    Ok(RayFit { geometry: Geometry { anchors_px: fit.anchors, magnification, dead }, rms_px: fit.rms_px, warnings })
+}
+
+/// Passes over the bead frames, that of the windows counted.
+pub(crate) const PASSES: u64 = 2 + ROUNDS as u64;
+
+struct Fit {
+    anchors: Vec<[f64; 2]>,
+    slope: f64,
+    rms_px: f64,
+}
+
+/// Displacement on the sensor of a bead at an object pixel, by the nominal magnification.
+fn displacement(m: &Manifest, at_px: [f64; 2]) -> [f64; 2] {
+    let scale = m.object.pixel_um * m.optics.magnification / m.sensor.pixel_pitch_um;
+    [(at_px[0] - (m.object.rows as f64 - 1.0) / 2.0) * scale, (at_px[1] - (m.object.cols as f64 - 1.0) / 2.0) * scale]
+}
+
+/// Adds a frame moved back by whole pixels; what was saturated counts as nothing.
+fn add_moved(sum: &mut Array2<f32>, frame: &Array2<f32>, by: [f64; 2]) {
+    let by = by.map(|d| d.round() as isize);
+    let span = |n: usize, d: isize| {
+        let (low, high) = ((-d).max(0), (n as isize - d).min(n as isize));
+        (low < high).then_some(low..high)
+    };
+    let (rows, cols) = sum.dim();
+    let (Some(r), Some(c)) = (span(rows, by[0]), span(cols, by[1])) else {
+        return;
+    };
+    let from = frame.slice(s![r.start + by[0]..r.end + by[0], c.start + by[1]..c.end + by[1]]);
+    sum.slice_mut(s![r, c]).zip_mut_with(&from, |t, v| *t += if v.is_finite() { *v } else { 0.0 });
+}
+
+/// Place of each lens's focus in the summed light, and its contrast.
+fn first_anchors(sum: &Array2<f32>, m: &Manifest) -> Vec<([f64; 2], f64)> {
+    let smooth = box_blur(sum, 1);
+    let (level, spread) = level_and_spread(smooth.view());
+    let reach = if m.array.lenses() == 1 { f64::INFINITY } else { 0.45 * m.array.pitch_px };
+    let centre = [(m.sensor.rows as f64 - 1.0) / 2.0, (m.sensor.cols as f64 - 1.0) / 2.0];
+    let nominal: Vec<[f64; 2]> = (0..m.array.lenses())
+        .map(|l| {
+            let (i, j) = (l / m.array.cols, l % m.array.cols);
+            [
+                (i as f64 - (m.array.rows as f64 - 1.0) / 2.0) * m.array.pitch_px,
+                (j as f64 - (m.array.cols as f64 - 1.0) / 2.0) * m.array.pitch_px,
+            ]
+        })
+        .collect();
+    let offset = best_offset(&smooth, &nominal, centre, reach, level + 3.0 * spread);
+    nominal
+        .iter()
+        .map(|n| {
+            let at = [centre[0] + offset[0] + n[0], centre[1] + offset[1] + n[1]];
+            let radius = if reach.is_finite() { (m.array.pitch_px / 4.0).max(2.0) } else { 2.0 };
+            let (peak, value) = peak_near(&smooth, at, radius);
+            (peak, (value - level) / spread)
+        })
+        .collect()
+}
+
+/// The whole-pixel offset of the array at which all its foci together are brightest. Each focus counts by the root of its
+/// light above the surroundings, so that one bright lens does not outvote the others.
+fn best_offset(smooth: &Array2<f32>, nominal: &[[f64; 2]], centre: [f64; 2], reach: f64, floor: f64) -> [f64; 2] {
+    let limit = [0, 1].map(|a| reach.min(centre[a]) as isize);
+    let score = |dr: isize, dc: isize| {
+        let light = nominal.iter().map(|n| {
+            let at = [centre[0] + n[0] + dr as f64, centre[1] + n[1] + dc as f64].map(|v| v.round() as isize);
+            let inside = at[0] >= 0 && at[1] >= 0;
+            let value = if inside { smooth.get([at[0] as usize, at[1] as usize]).copied().unwrap_or(0.0) } else { 0.0 };
+            (f64::from(value) - floor).max(0.0).sqrt()
+        });
+        light.sum::<f64>()
+    };
+    let mut best = (f64::NEG_INFINITY, [0, 0]);
+    for dr in -limit[0]..=limit[0] {
+        for dc in -limit[1]..=limit[1] {
+            let value = score(dr, dc);
+            // Ties go to the smaller offset.
+            let nearer = dr * dr + dc * dc < best.1[0] * best.1[0] + best.1[1] * best.1[1];
+            if value > best.0 || (value == best.0 && nearer) {
+                best = (value, [dr, dc]);
+            }
+        }
+    }
+    best.1.map(|v| v as f64)
+}
+
+/// Brightest pixel within `radius` of a place, and its value.
+fn peak_near(image: &Array2<f32>, at: [f64; 2], radius: f64) -> ([f64; 2], f64) {
+    let mut best = (at, f64::NEG_INFINITY);
+    let span = |a: usize, n: usize| {
+        ((at[a] - radius).ceil().max(0.0) as usize)
+            ..((at[a] + radius).floor().max(-1.0) as isize + 1).clamp(0, n as isize) as usize
+    };
+    for r in span(0, image.nrows()) {
+        for c in span(1, image.ncols()) {
+            if f64::from(image[[r, c]]) > best.1 {
+                best = ([r as f64, c as f64], f64::from(image[[r, c]]));
+            }
+        }
+    }
+    best
+}
+
+/// Median, and 1.4826 times the median distance from it.
+fn level_and_spread(image: ArrayView2<'_, f32>) -> (f64, f64) {
+    let mut values: Vec<f32> = image.iter().copied().collect();
+    let median = |values: &mut Vec<f32>| {
+        let middle = values.len() / 2;
+        f64::from(*values.select_nth_unstable_by(middle, f32::total_cmp).1)
+    };
+    let level = median(&mut values);
+    values.iter_mut().for_each(|v| *v = (*v - level as f32).abs());
+    let spread = 1.4826 * median(&mut values);
+    // A background of exact zeros has no spread: a thousandth of the peak then makes a focus.
+    let top = image.iter().fold(0.0f32, |m, v| m.max(*v));
+    (level, spread.max(1e-3 * (f64::from(top) - level)).max(f64::MIN_POSITIVE))
+}
+
+fn box_blur(image: &Array2<f32>, radius: usize) -> Array2<f32> {
+    let (rows, cols) = image.dim();
+    Array2::from_shape_fn((rows, cols), |(r, c)| {
+        let part = image.slice(s![
+            r.saturating_sub(radius)..(r + radius + 1).min(rows),
+            c.saturating_sub(radius)..(c + radius + 1).min(cols)
+        ]);
+        part.sum() / part.len() as f32
+    })
+}
+
+/// Centroids of the foci of bead `n` that are bright and whole enough to have one.
+fn centroids(
+    scan: &mut BeadScan,
+    n: usize,
+    m: &Manifest,
+    fit: &Fit,
+    dead: &[bool],
+    radius: isize,
+) -> Result<Vec<Centroid>, BeadError> {
+    let frame = scan.light_dn(n)?;
+    let sigma = scan.noise().variance_dn2(scan.noise().black_level_dn).sqrt();
+    let displacement = displacement(m, scan.beads[n].at_px);
+    let found = fit.anchors.iter().enumerate().filter(|(l, _)| !dead[*l]).filter_map(|(lens, a)| {
+        let at = [0, 1].map(|i| a[i] + fit.slope * displacement[i]);
+        centroid(&frame, at, radius, sigma).map(|at| Centroid { lens, displacement, at })
+    });
+    Ok(found.collect())
+}
+
+/// Centre of the light above a tenth of the peak in the window round `at`; none if the window hangs over the edge, holds a
+/// saturated pixel, or no peak of 8 sigma.
+fn centroid(frame: &Array2<f32>, at: [f64; 2], radius: isize, sigma: f64) -> Option<[f64; 2]> {
+    let corner = at.map(|v| v.round() as isize - radius);
+    let side = 2 * radius + 1;
+    let fits = |low: isize, n: usize| low >= 0 && low + side <= n as isize;
+    if !(fits(corner[0], frame.nrows()) && fits(corner[1], frame.ncols())) {
+        return None;
+    }
+    let window = frame.slice(s![corner[0]..corner[0] + side, corner[1]..corner[1] + side]);
+    if window.iter().any(|v| !v.is_finite()) {
+        return None;
+    }
+    let peak = window.iter().fold(0.0f32, |m, v| m.max(*v));
+    if f64::from(peak) < 8.0 * sigma {
+        return None;
+    }
+    let floor = f64::from(peak) / 10.0;
+    let (mut sum, mut moment) = (0.0, [0.0; 2]);
+    for ((r, c), v) in window.indexed_iter() {
+        let weight = (f64::from(*v) - floor).max(0.0);
+        sum += weight;
+        moment[0] += weight * r as f64;
+        moment[1] += weight * c as f64;
+    }
+    Some([corner[0] as f64 + moment[0] / sum, corner[1] as f64 + moment[1] / sum])
+}
+
+/// Huber regression of all centroids on an anchor a lens and one slope.
+fn regress(frames: &[Vec<Centroid>], before: Fit, dead: &[bool], scan: &BeadScan) -> Result<Fit, BeadError> {
+    let all: Vec<&Centroid> = frames.iter().flatten().collect();
+    if let Some(n) = frames.iter().position(Vec::is_empty).filter(|_| all.is_empty()) {
+        let path = scan.path(n).into();
+        return Err(BeadError::NoFocus { path, lenses: dead.len(), expected: FOCUS_CONTRAST, found: 0.0 });
+    }
+    let lenses = before.anchors.len();
+    let mut anchors = before.anchors;
+    let (mut slope, mut rms_px, mut weights) = (before.slope, 0.0, vec![1.0; 2 * all.len()]);
+    for _ in 0..6 {
+        // Columns: row anchors, column anchors, slope.
+        let mut a = Array2::<f64>::zeros((2 * all.len(), 2 * lenses + 1));
+        let mut b = Array2::<f64>::zeros((2 * all.len(), 1));
+        for (i, centroid) in all.iter().enumerate() {
+            for axis in 0..2 {
+                let (row, w) = (2 * i + axis, weights[2 * i + axis]);
+                a[[row, axis * lenses + centroid.lens]] = w;
+                a[[row, 2 * lenses]] = w * centroid.displacement[axis];
+                b[[row, 0]] = w * centroid.at[axis];
+            }
+        }
+        let Ok(x) = least_squares(&a, &b) else { break };
+        slope = x[[2 * lenses, 0]];
+        for l in (0..lenses).filter(|l| all.iter().any(|c| c.lens == *l)) {
+            anchors[l] = [x[[l, 0]], x[[lenses + l, 0]]];
+        }
+        let misfit: Vec<f64> = (0..2 * all.len())
+            .map(|row| {
+                let (c, axis) = (all[row / 2], row % 2);
+                c.at[axis] - anchors[c.lens][axis] - slope * c.displacement[axis]
+            })
+            .collect();
+        rms_px = (misfit.iter().map(|v| v * v).sum::<f64>() / misfit.len() as f64).sqrt();
+        let scale = 1.5 * 1.4826 * median_abs(&misfit).max(1e-6);
+        // The root, since rows and right-hand sides are both weighted.
+        weights.iter_mut().zip(&misfit).for_each(|(w, v)| *w = (scale / v.abs().max(scale)).sqrt());
+    }
+    Ok(Fit { anchors, slope, rms_px })
+}
+
+fn median_abs(values: &[f64]) -> f64 {
+    let mut sorted: Vec<f64> = values.iter().map(|v| v.abs()).collect();
+    let middle = sorted.len() / 2;
+    if sorted.is_empty() { 0.0 } else { *sorted.select_nth_unstable_by(middle, f64::total_cmp).1 }
+}

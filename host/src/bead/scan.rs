@@ -1,0 +1,110 @@
+//! The frames of a bead scan, black level taken off, one at a time.
+
+use super::BeadError;
+use crate::noise::NoiseModel;
+use crate::session::{FrameReader, Manifest, Role, Session};
+use ndarray::Array2;
+use std::path::{Path, PathBuf};
+
+/// Fewest bead frames that make a calibration.
+const FEWEST: usize = 4;
+
+/// One bead frame: where the bead was and how it was exposed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Bead {
+    /// Stack, counted among the bead stacks.
+    pub stack: usize,
+    /// Frame in its stack.
+    pub frame: usize,
+    /// Position on the object grid, fractional pixels, [row, col].
+    pub at_px: [f64; 2],
+    /// Depth, um.
+    pub z_um: f64,
+    /// What turns its light into that of the reference exposure at illumination 1.
+    pub to_reference: f64,
+}
+
+/// A bead scan: positions in memory, frames on disk.
+#[derive(Debug)]
+pub struct BeadScan {
+    /// Every bead frame of the session.
+    pub beads: Vec<Bead>,
+    /// Exposure that light is given for: that of the first bead stack, ms.
+    pub exposure_ms: f64,
+    paths: Vec<PathBuf>,
+    readers: Vec<FrameReader>,
+    offset_dn: Option<Array2<f32>>,
+    noise: NoiseModel,
+}
+
+impl BeadScan {
+    /// Opens the bead stacks of a session.
+    ///
+    /// # Errors
+    /// There is no bead stack, too few frames, an exposure of zero, or the object grid does not match the sensor's.
+    pub fn open(session: &Session, noise: NoiseModel, offset_dn: Option<Array2<f32>>) -> Result<Self, BeadError> {
+        let manifest = session.manifest();
+        check_grid(manifest)?;
+        let stacks = session.need(Role::Bead)?;
+        let exposure_ms = stacks[0].entry().exposure_ms;
+        let (mut beads, mut paths, mut readers) = (Vec::new(), Vec::new(), Vec::new());
+        for (s, stack) in stacks.iter().enumerate() {
+            paths.push(stack.path());
+            readers.push(stack.frames()?);
+            for info in stack.info() {
+                let light = info.exposure_ms / exposure_ms * info.illumination;
+                if !(light.is_finite() && light > 0.0) {
+                    return Err(BeadError::NoExposure {
+                        path: stack.path(),
+                        frame: info.frame,
+                        exposure_ms: info.exposure_ms,
+                        illumination: info.illumination,
+                    });
+                }
+                beads.push(Bead {
+                    stack: s,
+                    frame: info.frame,
+                    at_px: manifest.object.pixel_of_um(info.y_um, info.x_um),
+                    z_um: info.z_um,
+                    to_reference: 1.0 / light,
+                });
+            }
+        }
+        if beads.len() < FEWEST {
+            return Err(BeadError::TooFew { path: paths.swap_remove(0), expected: FEWEST, found: beads.len() });
+        }
+        Ok(Self { beads, exposure_ms, paths, readers, offset_dn, noise })
+    }
+
+    /// The file that bead `n` lies in.
+    pub fn path(&self, n: usize) -> &Path {
+        &self.paths[self.beads[n].stack]
+    }
+
+    /// The noise model that frames are read with.
+    pub fn noise(&self) -> &NoiseModel {
+        &self.noise
+    }
+
+    /// Frame of bead `n`: light in DN above black as it was exposed, and NaN where the pixel was saturated.
+    ///
+    /// # Errors
+    /// The file cannot be read or holds values that are no numbers.
+    pub fn light_dn(&mut self, n: usize) -> Result<Array2<f32>, BeadError> {
+        let bead = &self.beads[n];
+        let mut frame = self.readers[bead.stack].read(bead.frame)?;
+        let (black, top) = (self.noise.black_level_dn as f32, self.noise.saturation_dn as f32);
+        frame.mapv_inplace(|v| if v >= top { f32::NAN } else { v - black });
+        if let Some(offset) = &self.offset_dn {
+            frame -= offset;
+        }
+        Ok(frame)
+    }
+}
+
+/// One object pixel must be one sensor pixel.
+fn check_grid(m: &Manifest) -> Result<(), BeadError> {
+    let expected = m.sensor.pixel_pitch_um / m.optics.magnification;
+    let found = m.object.pixel_um;
+    if (found / expected - 1.0).abs() <= 0.02 { Ok(()) } else { Err(BeadError::Grid { expected, found }) }
+}

@@ -1,0 +1,189 @@
+//! Windows round the chief rays: the samples that the low-rank model is made of.
+//!
+//! The model puts object pixel (r, c) of lens l at sensor pixel `corner_l + (r, c)`. A bead at a fractional object position u is
+//! cut out round `corner_l + round(u)` and moved by `round(u) - u` (band-limited), so that every window shows what a source in
+//! the middle of an object pixel would: the scan step is free. A bead in the middle of an object pixel is not moved at all.
+//! Distortion and the sub-pixel part of the anchors stay in the windows.
+
+use super::{Bead, BeadError, BeadScan, Warning};
+use crate::instrument::Geometry;
+use crate::noise::Source;
+use crate::psf::shift::shifted;
+use crate::session::Manifest;
+use ndarray::{Array1, Array2, Array3, ArrayViewMut2, Axis, s};
+
+/// Pixels round a window that are cut out with it where it is moved by a fraction.
+const MARGIN: usize = 6;
+/// Saturated pixels in one window that are masked; more mean an overexposed bead.
+const SATURATED_ALLOWED: usize = 2;
+/// Fractions below this are the middle of the pixel (rounding of positions in the table).
+const SAME_PIXEL: f64 = 1e-3;
+
+/// Whether the brightness of the bead frames means anything.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum BeadScale {
+    /// One bead, one exposure: what varies is vignetting, and belongs to the model.
+    #[default]
+    Physical,
+    /// Each frame was normalised by who measured it: bring all frames to the same total light.
+    PerFrame,
+}
+
+/// The windows of one lens.
+#[derive(Clone, Debug)]
+pub struct LensWindows {
+    /// Light at the reference exposure, DN, [bead, window * window].
+    pub light_dn: Array2<f32>,
+    /// Which pixels were measured, [bead, window * window]; None: all.
+    pub known: Option<Array2<bool>>,
+    /// Variance of each pixel by the noise model, mean over the beads, DN^2 at the reference exposure, [window * window];
+    /// even where the gain is nominal, since weights by a guess are worse than none.
+    pub variance_dn2: Array1<f64>,
+}
+
+/// Cuts the windows of all lenses out of a scan, reading each frame once.
+///
+/// # Errors
+/// A frame cannot be read, holds no light in any window, or is overexposed.
+pub fn cut_windows(
+    scan: &mut BeadScan,
+    manifest: &Manifest,
+    geometry: &Geometry,
+    scale: BeadScale,
+    mut step: impl FnMut(),
+) -> Result<(Vec<LensWindows>, Vec<Warning>), BeadError> {
+    let side = manifest.optics.psf_window_px;
+    let (lenses, beads) = (manifest.array.lenses(), scan.beads.len());
+    let mut light = Array3::<f32>::zeros((lenses, beads, side * side));
+    let mut known = Array3::from_elem((lenses, beads, side * side), true);
+    let mut variance = Array2::<f64>::zeros((lenses, side * side));
+    let mut saturated = [0usize; 2];
+    let mut truncated = 0;
+    for n in 0..beads {
+        let frame = scan.light_dn(n)?;
+        let mut saturated_here = 0;
+        for l in (0..lenses).filter(|l| !geometry.dead[*l]) {
+            let window = Window::cut(&frame, &scan.beads[n], corner(manifest, geometry, l), side);
+            if window.saturated > SATURATED_ALLOWED {
+                let (path, frame) = (scan.path(n).into(), scan.beads[n].frame);
+                let (allowed, found) = (SATURATED_ALLOWED, window.saturated);
+                return Err(BeadError::Saturated { path, frame, lens: l, allowed, found });
+            }
+            saturated_here += window.saturated;
+            truncated += usize::from(window.truncated);
+            light.slice_mut(s![l, n, ..]).assign(&window.light.flatten());
+            known.slice_mut(s![l, n, ..]).assign(&window.known.flatten());
+        }
+        saturated[0] += saturated_here;
+        saturated[1] += usize::from(saturated_here > 0);
+        to_scale(scan, n, scale, light.index_axis_mut(Axis(1), n), &mut variance)?;
+        step();
+    }
+    let mut warnings = Vec::new();
+    if saturated[0] > 0 {
+        warnings.push(Warning::SaturatedPixels { pixels: saturated[0], frames: saturated[1] });
+    }
+    if truncated > 0 {
+        warnings.push(Warning::Truncated { windows: truncated });
+    }
+    warnings.extend(dim_lenses(&light, geometry));
+    if scan.noise().sources.gain == Source::Nominal {
+        for mut row in variance.outer_iter_mut() {
+            let mean = row.mean().unwrap_or(0.0);
+            row.fill(mean);
+        }
+    }
+    let window = |l: usize| {
+        let known = known.index_axis(Axis(0), l);
+        LensWindows {
+            light_dn: light.index_axis(Axis(0), l).to_owned(),
+            known: known.iter().any(|k| !k).then(|| known.to_owned()),
+            variance_dn2: variance.row(l).to_owned(),
+        }
+    };
+    Ok(((0..lenses).map(window).collect(), warnings))
+}
+
+/// Sensor pixel of object pixel (0, 0) through lens `l`.
+pub(crate) fn corner(manifest: &Manifest, geometry: &Geometry, l: usize) -> [isize; 2] {
+    let size = [manifest.object.rows, manifest.object.cols];
+    [0, 1].map(|a| (geometry.anchors_px[l][a] - (size[a] as f64 - 1.0) / 2.0).round() as isize)
+}
+
+/// Brings the windows of one frame, [lens, px], to the reference exposure, or to unit light if the scan was normalised.
+fn to_scale(
+    scan: &BeadScan,
+    n: usize,
+    scale: BeadScale,
+    mut windows: ArrayViewMut2<'_, f32>,
+    variance: &mut Array2<f64>,
+) -> Result<(), BeadError> {
+    let total: f64 = windows.iter().map(|v| f64::from(*v)).sum();
+    let noise = scan.noise();
+    let sigma = (noise.variance_dn2(noise.black_level_dn) * windows.len() as f64).sqrt();
+    // Below three standard errors nothing of the frame can be told from darkness.
+    if total <= 3.0 * sigma {
+        return Err(BeadError::Dark { path: scan.path(n).into(), frame: scan.beads[n].frame, found: total, sigma });
+    }
+    let factor = match scale {
+        BeadScale::Physical => scan.beads[n].to_reference,
+        BeadScale::PerFrame => 1.0 / total,
+    };
+    for ((l, p), v) in windows.indexed_iter_mut() {
+        let here = noise.variance_dn2(noise.black_level_dn + f64::from(*v)) * factor * factor;
+        variance[[l, p]] += here / scan.beads.len() as f64;
+        *v = (f64::from(*v) * factor) as f32;
+    }
+    Ok(())
+}
+
+fn dim_lenses(light: &Array3<f32>, geometry: &Geometry) -> Vec<Warning> {
+    let totals: Vec<f64> = light.outer_iter().map(|w| w.iter().map(|v| f64::from(*v)).sum()).collect();
+    let mut living: Vec<f64> = totals.iter().zip(&geometry.dead).filter(|(_, d)| !**d).map(|(t, _)| *t).collect();
+    living.sort_by(f64::total_cmp);
+    let median = living.get(living.len() / 2).copied().unwrap_or(0.0);
+    let dim = |(lens, total): (usize, &f64)| {
+        let share = 100.0 * total / median;
+        (!geometry.dead[lens] && share < 30.0).then_some(Warning::DimLens { lens, share })
+    };
+    totals.iter().enumerate().filter_map(dim).collect()
+}
+
+/// One window.
+struct Window {
+    light: Array2<f32>,
+    known: Array2<bool>,
+    saturated: usize,
+    truncated: bool,
+}
+
+impl Window {
+    fn cut(frame: &Array2<f32>, bead: &Bead, corner: [isize; 2], side: usize) -> Self {
+        let whole = bead.at_px.map(f64::round);
+        let mut back = [whole[0] - bead.at_px[0], whole[1] - bead.at_px[1]];
+        if back.iter().all(|d| d.abs() < SAME_PIXEL) {
+            back = [0.0, 0.0];
+        }
+        let margin = if back == [0.0, 0.0] { 0 } else { MARGIN };
+        let reach = (side / 2 + margin) as isize;
+        let origin = [0, 1].map(|a| corner[a] + whole[a] as isize - reach);
+        let big = side + 2 * margin;
+        let pixel = |r: usize, c: usize| {
+            let at = [origin[0] + r as isize, origin[1] + c as isize];
+            (at[0] >= 0 && at[1] >= 0).then(|| frame.get([at[0] as usize, at[1] as usize]).copied()).flatten()
+        };
+        let raw = Array2::from_shape_fn((big, big), |(r, c)| pixel(r, c));
+        let inner = s![margin..margin + side, margin..margin + side];
+        let saturated = raw.slice(inner).iter().flatten().filter(|v| !v.is_finite()).count();
+        let truncated = raw.slice(inner).iter().any(Option::is_none);
+        let light = shifted(raw.mapv(|v| v.filter(|v| v.is_finite()).unwrap_or(0.0)).view(), back, 0);
+        let measured = raw.mapv(|v| v.is_some_and(f32::is_finite));
+        // A moved pixel takes from its neighbours: it is known where they are.
+        let blur = usize::from(margin > 0) * 2;
+        let known = Array2::from_shape_fn((side, side), |(r, c)| {
+            let (r, c) = (r + margin, c + margin);
+            measured.slice(s![r - blur..=r + blur, c - blur..=c + blur]).iter().all(|m| *m)
+        });
+        Self { light: light.slice(inner).to_owned(), known, saturated, truncated }
+    }
+}

@@ -1,0 +1,352 @@
+//! Noise from frames: black level and read noise from darks, gain by photon transfer from flats.
+//!
+//! Photon transfer (Janesick, *Photon Transfer*, SPIE 2007): over frames of the same light the variance of a pixel is
+//! `var = gain * (mean - black) + read^2 + 1/12`; taking it pixel by pixel over time keeps the fixed pattern out. The last
+//! term is the rounding to whole DN. Lamp flicker moves all pixels together: its variance is measured on the frame means and
+//! taken off.
+
+use super::stats::{PixelStats, Summary};
+use super::{NoiseModel, Source, Sources};
+use crate::session::{Role, Session, SessionError, Stack};
+use ndarray::Array2;
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+/// Variance of rounding to whole DN, DN^2.
+pub const ROUNDING_DN2: f64 = 1.0 / 12.0;
+/// Error that is allowed for beside counting statistics (nonlinearity, drift), relative to each level's variance.
+const MODEL_ERROR: f64 = 2e-3;
+
+/// Values that are assumed where a session cannot tell them.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct NoiseConfig {
+    /// Gain, DN per electron, where there are no flats.
+    pub nominal_gain_dn_per_e: f64,
+    /// Read noise, electrons rms, where nothing shows it.
+    pub nominal_read_noise_e: f64,
+}
+
+impl Default for NoiseConfig {
+    fn default() -> Self {
+        Self { nominal_gain_dn_per_e: 1.0, nominal_read_noise_e: 2.0 }
+    }
+}
+
+/// What the frames say of the sensor.
+#[derive(Clone, Debug)]
+pub struct NoiseCalibration {
+    /// The figures.
+    pub model: NoiseModel,
+    /// Offset of each pixel from the black level, DN, [sensor rows, sensor cols]; None: no darks.
+    pub offset_dn: Option<Array2<f32>>,
+    /// Photon transfer, [level, (mean above black, variance, fitted variance)], DN and DN^2.
+    pub photon_transfer: Array2<f32>,
+    /// Figures that the session cannot tell, and what follows.
+    pub notes: Vec<NoiseNote>,
+}
+
+/// A figure that the session cannot tell, and what follows.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum NoiseNote {
+    /// No darks.
+    #[error(
+        "no dark frames: black level {black_level_dn:.2} DN is the median of the bead frames and holds any stray light; \
+         no per-pixel offsets are corrected"
+    )]
+    NoDarks {
+        /// The value that is used.
+        black_level_dn: f64,
+    },
+    /// Single dark frame.
+    #[error("only one dark frame at each exposure: the read noise cannot be told from the fixed pattern")]
+    OneDark,
+    /// No flats that identify the gain.
+    #[error(
+        "gain is nominal, {gain_dn_per_e} DN/e- ({reason}): light in electrons, drawn noise and chi2 scale with it; \
+         geometry, PSFs and predictions in DN do not depend on it. Measure flats at several light levels, two frames or more each, \
+         or give --gain"
+    )]
+    NominalGain {
+        /// The value that is used.
+        gain_dn_per_e: f64,
+        /// What is missing.
+        reason: &'static str,
+    },
+    /// Nothing shows the read noise.
+    #[error(
+        "read noise is nominal, {read_noise_e} e-: noise drawn in dark parts and the weights of faint light depend on it. \
+         Measure two dark frames or more, or give --read-noise"
+    )]
+    NominalReadNoise {
+        /// The value that is used.
+        read_noise_e: f64,
+    },
+    /// Read noise known in DN only.
+    #[error("read noise {read_noise_dn:.3} DN is measured; in electrons it rests on the nominal gain")]
+    ReadNoiseInDn {
+        /// Read noise, DN rms.
+        read_noise_dn: f64,
+    },
+}
+
+/// Why the noise cannot be measured.
+#[derive(Debug, Error)]
+pub enum NoiseError {
+    /// The session.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// A nominal value makes no sense.
+    #[error("{field}: expected a finite value above zero, found {found}")]
+    Nominal {
+        /// Which.
+        field: &'static str,
+        /// What was given.
+        found: f64,
+    },
+    /// Flats and darks contradict one another.
+    #[error(
+        "{path}: photon transfer: expected the variance to grow with the light, found a slope of {slope:.4} +- {sigma:.4} DN/e-; \
+         check that the levels in the table are right, and that flats are raw and unsaturated"
+    )]
+    Slope {
+        /// The flats.
+        path: std::path::PathBuf,
+        /// Fitted slope.
+        slope: f64,
+        /// Its standard error.
+        sigma: f64,
+    },
+}
+
+/// What the darks say, DN.
+struct Dark {
+    black: f64,
+    offset: Array2<f32>,
+    level: Option<Summary>,
+}
+
+/// Measures the noise of a session's sensor. `step` is called once a frame.
+///
+/// # Errors
+/// A frame cannot be read, or flats show no photon transfer.
+pub fn measure_noise(
+    session: &Session,
+    config: &NoiseConfig,
+    mut step: impl FnMut(),
+) -> Result<NoiseCalibration, NoiseError> {
+    for (field, found) in
+        [("nominal_gain_dn_per_e", config.nominal_gain_dn_per_e), ("nominal_read_noise_e", config.nominal_read_noise_e)]
+    {
+        if !(found.is_finite() && found > 0.0) {
+            return Err(NoiseError::Nominal { field, found });
+        }
+    }
+    let saturation_dn = session.manifest().sensor.saturation_dn();
+    let mut notes = Vec::new();
+    let dark = measure_darks(session, saturation_dn, &mut step)?;
+    if dark.as_ref().is_some_and(|d| d.level.is_none()) {
+        notes.push(NoiseNote::OneDark);
+    }
+    let background = match &dark {
+        Some(_) => None,
+        None => Some(background(session, &mut step)?),
+    };
+    let black = dark.as_ref().map_or_else(|| background.map_or(0.0, |b| b.median), |d| d.black);
+    if dark.is_none() {
+        notes.push(NoiseNote::NoDarks { black_level_dn: black });
+    }
+    let dark_level = dark.as_ref().and_then(|d| d.level);
+    let offset = dark.as_ref().map(|d| &d.offset);
+    let levels = measure_flats(session, black, offset, saturation_dn, &mut step)?;
+    let transfer = Transfer::fit(&levels, dark_level);
+    let mut sources =
+        Sources { black_level: dark.as_ref().map_or(Source::Inferred, |_| Source::Measured), ..Sources::default() };
+    let (gain, gain_sigma) = gain(session, &transfer, config, &mut sources, &mut notes)?;
+    let read_dn2 = dark_level.map(|d| d.variance).or(transfer.as_ref().ok().map(|t| t.intercept + ROUNDING_DN2));
+    let read_dn2 = read_dn2.or(background.map(|b| b.variance)).map_or(0.0, |v| v - ROUNDING_DN2);
+    let read_sigma_dn2 = dark_level.map(|d| d.sigma).or(transfer.as_ref().ok().map(|t| t.intercept_sigma));
+    let (read, read_sigma) = if read_dn2 > 0.0 {
+        let read_dn = read_dn2.sqrt();
+        sources.read_noise =
+            if dark_level.is_some() && sources.gain == Source::Measured { Source::Measured } else { Source::Inferred };
+        if sources.gain == Source::Nominal {
+            notes.push(NoiseNote::ReadNoiseInDn { read_noise_dn: read_dn });
+        }
+        let relative = (read_sigma_dn2.unwrap_or(0.0) / (2.0 * read_dn2)).hypot(gain_sigma / gain);
+        (read_dn / gain, relative * read_dn / gain)
+    } else {
+        notes.push(NoiseNote::NominalReadNoise { read_noise_e: config.nominal_read_noise_e });
+        (config.nominal_read_noise_e, 0.0)
+    };
+    let model = NoiseModel {
+        black_level_dn: black,
+        gain_dn_per_e: gain,
+        gain_sigma,
+        read_noise_e: read,
+        read_noise_sigma: read_sigma,
+        saturation_dn,
+        sources,
+    };
+    let photon_transfer = curve(&levels, dark_level, &transfer);
+    Ok(NoiseCalibration { model, offset_dn: dark.map(|d| d.offset), photon_transfer, notes })
+}
+
+fn gain(
+    session: &Session,
+    transfer: &Result<Transfer, &'static str>,
+    config: &NoiseConfig,
+    sources: &mut Sources,
+    notes: &mut Vec<NoiseNote>,
+) -> Result<(f64, f64), NoiseError> {
+    match transfer {
+        Ok(t) if t.slope > 3.0 * t.slope_sigma => {
+            sources.gain = Source::Measured;
+            Ok((t.slope, t.slope_sigma))
+        }
+        Ok(t) => {
+            let path = session.stacks_of(Role::Flat).next().map(Stack::path).unwrap_or_default();
+            Err(NoiseError::Slope { path, slope: t.slope, sigma: t.slope_sigma })
+        }
+        Err(reason) => {
+            let gain_dn_per_e = config.nominal_gain_dn_per_e;
+            notes.push(NoiseNote::NominalGain { gain_dn_per_e, reason });
+            Ok((gain_dn_per_e, 0.0))
+        }
+    }
+}
+
+/// Black level, offsets and dark variance, from the exposure with most dark frames.
+fn measure_darks(session: &Session, saturation_dn: f64, step: &mut impl FnMut()) -> Result<Option<Dark>, NoiseError> {
+    let groups = groups(session, Role::Dark);
+    let Some(group) = groups.iter().max_by_key(|g| g.frames.len()) else {
+        return Ok(None);
+    };
+    let stats = read_group(session, Role::Dark, group, step)?;
+    let level = stats.summary(0.0, None, saturation_dn);
+    let (black, offset) = stats.offsets(level.map(|l| l.variance));
+    Ok(Some(Dark { black, offset, level: level.map(|l| Summary { mean: 0.0, ..l }) }))
+}
+
+/// Mean and variance of each light level, from darkest to brightest; levels of one frame or in saturation are left out.
+fn measure_flats(
+    session: &Session,
+    black: f64,
+    offset: Option<&Array2<f32>>,
+    saturation_dn: f64,
+    step: &mut impl FnMut(),
+) -> Result<Vec<Summary>, NoiseError> {
+    let mut levels = Vec::new();
+    for group in groups(session, Role::Flat) {
+        let stats = read_group(session, Role::Flat, &group, step)?;
+        levels.extend(stats.summary(black, offset, saturation_dn));
+    }
+    levels.sort_by(|a, b| a.mean.total_cmp(&b.mean));
+    Ok(levels)
+}
+
+/// Frames of one exposure and light level: (stack, frame).
+struct Group {
+    frames: Vec<(usize, usize)>,
+}
+
+fn groups(session: &Session, role: Role) -> Vec<Group> {
+    let mut keyed: Vec<([f64; 2], Group)> = Vec::new();
+    for (s, stack) in session.stacks_of(role).enumerate() {
+        for info in stack.info() {
+            let key = [info.exposure_ms, if role == Role::Dark { 0.0 } else { info.illumination }];
+            match keyed.iter_mut().find(|(k, _)| *k == key) {
+                Some((_, g)) => g.frames.push((s, info.frame)),
+                None => keyed.push((key, Group { frames: vec![(s, info.frame)] })),
+            }
+        }
+    }
+    keyed.into_iter().map(|(_, g)| g).collect()
+}
+
+fn read_group(session: &Session, role: Role, group: &Group, step: &mut impl FnMut()) -> Result<PixelStats, NoiseError> {
+    let mut readers = session.stacks_of(role).map(Stack::frames).collect::<Result<Vec<_>, _>>()?;
+    let sensor = session.manifest().sensor;
+    let mut stats = PixelStats::new([sensor.rows, sensor.cols]);
+    for (s, frame) in &group.frames {
+        stats.add(&readers[*s].read(*frame)?);
+        step();
+    }
+    Ok(stats)
+}
+
+/// What the dark parts of the bead frames say.
+#[derive(Clone, Copy)]
+struct Background {
+    median: f64,
+    variance: f64,
+}
+
+/// Median of bead frames, and the variance of what lies below it (which no focus touches).
+fn background(session: &Session, step: &mut impl FnMut()) -> Result<Background, NoiseError> {
+    let (mut medians, mut variances) = (Vec::new(), Vec::new());
+    if let Some(stack) = session.stacks_of(Role::Bead).next() {
+        let mut frames = stack.frames()?;
+        for i in (0..stack.len()).step_by(stack.len().div_ceil(9)) {
+            let mut values: Vec<f32> = frames.read(i)?.into_iter().collect();
+            let middle = values.len() / 2;
+            let median = f64::from(*values.select_nth_unstable_by(middle, f32::total_cmp).1);
+            let below = values[..middle].iter().map(|v| (f64::from(*v) - median).powi(2)).sum::<f64>();
+            medians.push(median);
+            variances.push(below / middle.max(1) as f64);
+            step();
+        }
+    }
+    let middle = |v: &mut Vec<f64>| {
+        v.sort_by(f64::total_cmp);
+        v.get(v.len() / 2).copied().unwrap_or(0.0)
+    };
+    Ok(Background { median: middle(&mut medians), variance: middle(&mut variances) })
+}
+
+/// `variance - 1/12 = slope * mean + intercept`, weighted.
+struct Transfer {
+    slope: f64,
+    slope_sigma: f64,
+    intercept: f64,
+    intercept_sigma: f64,
+}
+
+impl Transfer {
+    fn fit(levels: &[Summary], dark: Option<Summary>) -> Result<Self, &'static str> {
+        if levels.is_empty() {
+            return Err("no flats with two unsaturated frames or more at one light level");
+        }
+        let points: Vec<Summary> = dark.into_iter().chain(levels.iter().copied()).collect();
+        let range = points.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |r, p| [r[0].min(p.mean), r[1].max(p.mean)]);
+        if points.len() < 2 || range[1] - range[0] <= 0.1 * range[1].abs() {
+            return Err("the flats have one light level and there are no darks to set against it");
+        }
+        let mut s = [0.0; 5];
+        for p in &points {
+            let w = 1.0 / (p.sigma.powi(2) + (MODEL_ERROR * p.variance).powi(2)).max(f64::MIN_POSITIVE);
+            let y = p.variance - ROUNDING_DN2;
+            for (sum, v) in s.iter_mut().zip([w, w * p.mean, w * p.mean * p.mean, w * y, w * p.mean * y]) {
+                *sum += v;
+            }
+        }
+        let determinant = s[0] * s[2] - s[1] * s[1];
+        Ok(Self {
+            slope: (s[0] * s[4] - s[1] * s[3]) / determinant,
+            slope_sigma: (s[0] / determinant).sqrt(),
+            intercept: (s[2] * s[3] - s[1] * s[4]) / determinant,
+            intercept_sigma: (s[2] / determinant).sqrt(),
+        })
+    }
+}
+
+fn curve(levels: &[Summary], dark: Option<Summary>, transfer: &Result<Transfer, &'static str>) -> Array2<f32> {
+    let points: Vec<Summary> = dark.into_iter().chain(levels.iter().copied()).collect();
+    let fitted = |p: &Summary| transfer.as_ref().map_or(p.variance, |t| t.slope * p.mean + t.intercept + ROUNDING_DN2);
+    Array2::from_shape_fn((points.len(), 3), |(i, c)| {
+        [points[i].mean, points[i].variance, fitted(&points[i])][c] as f32
+    })
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,145 @@
+//! Mean and variance of each pixel over the frames of one light level, and what they say together.
+
+use ndarray::{Array2, Zip};
+
+/// Clip of per-pixel variances: this many standard deviations of their sampling distribution above the mean.
+const CLIP: f64 = 12.0;
+
+/// Running sums over frames; the frames themselves are not kept.
+pub(super) struct PixelStats {
+    first: Option<Array2<f32>>,
+    sum: Array2<f64>,
+    squares: Array2<f64>,
+    top: Array2<f32>,
+    frame_means: Vec<f64>,
+}
+
+/// One light level.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Summary {
+    /// Mean light above black, DN.
+    pub mean: f64,
+    /// Temporal variance of a pixel, DN^2; flicker of the lamp taken off.
+    pub variance: f64,
+    /// Standard error of the variance.
+    pub sigma: f64,
+}
+
+impl PixelStats {
+    pub(super) fn new(shape: [usize; 2]) -> Self {
+        Self {
+            first: None,
+            sum: Array2::zeros(shape),
+            squares: Array2::zeros(shape),
+            top: Array2::from_elem(shape, f32::NEG_INFINITY),
+            frame_means: Vec::new(),
+        }
+    }
+
+    /// Adds a frame. Values are taken relative to the first one, so that the squares keep their digits.
+    pub(super) fn add(&mut self, frame: &Array2<f32>) {
+        let first = self.first.get_or_insert_with(|| frame.clone());
+        Zip::from(&mut self.sum).and(&mut self.squares).and(&mut self.top).and(frame).and(&*first).for_each(
+            |s, q, t, v, f| {
+                let d = f64::from(v - f);
+                *s += d;
+                *q += d * d;
+                *t = t.max(*v);
+            },
+        );
+        self.frame_means.push(frame.iter().map(|v| f64::from(*v)).sum::<f64>() / frame.len().max(1) as f64);
+    }
+
+    fn frames(&self) -> f64 {
+        self.frame_means.len() as f64
+    }
+
+    fn means(&self) -> Array2<f64> {
+        let n = self.frames();
+        match &self.first {
+            Some(first) => Zip::from(&self.sum).and(first).map_collect(|s, f| f64::from(*f) + s / n),
+            None => self.sum.clone(),
+        }
+    }
+
+    /// Mean and temporal variance; None with fewer than two frames, or where over 1 % of the pixels are saturated.
+    ///
+    /// Saturated pixels are left out, and so are pixels whose variance cannot come from the common noise (telegraph, hot).
+    pub(super) fn summary(&self, black: f64, offset: Option<&Array2<f32>>, saturation_dn: f64) -> Option<Summary> {
+        let n = self.frames();
+        if n < 2.0 {
+            return None;
+        }
+        let freedom = n - 1.0;
+        let variances = Zip::from(&self.sum).and(&self.squares).map_collect(|s, q| (q - s * s / n) / freedom);
+        let unsaturated = self.top.mapv(|t| f64::from(t) < saturation_dn);
+        let usable = unsaturated.iter().filter(|u| **u).count();
+        if (usable as f64) < 0.99 * unsaturated.len() as f64 {
+            return None;
+        }
+        let limit = clip_limit(variances.iter().zip(&unsaturated).filter(|(_, u)| **u).map(|(v, _)| *v), freedom);
+        let mut means = self.means() - black;
+        if let Some(offset) = offset {
+            Zip::from(&mut means).and(offset).for_each(|m, o| *m -= f64::from(*o));
+        }
+        let (mut count, mut mean, mut square, mut variance) = (0.0, 0.0, 0.0, 0.0);
+        for ((m, v), u) in means.iter().zip(&variances).zip(&unsaturated) {
+            if *u && *v <= limit {
+                count += 1.0;
+                mean += m;
+                square += m * m;
+                variance += v;
+            }
+        }
+        let (mean, square, variance) = (mean / count, square / count, variance / count);
+        let flicker = (self.frame_variance() - variance / count).max(0.0);
+        let shape = if mean.abs() > 1e-9 { square / (mean * mean) } else { 0.0 };
+        let white = (variance - flicker * shape).max(0.0);
+        Some(Summary { mean, variance: white, sigma: white * (2.0 / (freedom * count)).sqrt() })
+    }
+
+    /// Variance of the frame means over time: lamp flicker, and a little of everything else.
+    fn frame_variance(&self) -> f64 {
+        let n = self.frames();
+        let mean = self.frame_means.iter().sum::<f64>() / n;
+        self.frame_means.iter().map(|m| (m - mean).powi(2)).sum::<f64>() / (n - 1.0)
+    }
+
+    /// Black level (robust mean) and each pixel's offset from it.
+    ///
+    /// The mean of few frames holds noise of variance `variance / n`: offsets are shrunk by the part of their spread that
+    /// is noise, but for pixels that stand out (hot ones), which are kept as they are.
+    pub(super) fn offsets(&self, variance: Option<f64>) -> (f64, Array2<f32>) {
+        let means = self.means();
+        let mut sorted: Vec<f64> = means.iter().copied().collect();
+        sorted.sort_by(f64::total_cmp);
+        let at = |q: f64| sorted[((sorted.len() - 1) as f64 * q) as usize];
+        let (median, spread) = (at(0.5), (at(0.8413) - at(0.1587)) / 2.0);
+        let inside = |m: f64| (m - median).abs() <= 6.0 * spread;
+        let (sum, count) = sorted.iter().filter(|m| inside(**m)).fold((0.0, 0.0), |(s, c), m| (s + m, c + 1.0));
+        let black = sum / f64::max(count, 1.0);
+        let scatter =
+            sorted.iter().filter(|m| inside(**m)).map(|m| (m - black).powi(2)).sum::<f64>() / f64::max(count, 1.0);
+        let noise = variance.map_or(0.0, |v| v / self.frames());
+        let kept = if scatter > 0.0 { (1.0 - noise / scatter).max(0.0) } else { 0.0 };
+        (black, means.mapv(|m| ((m - black) * if inside(m) { kept } else { 1.0 }) as f32))
+    }
+}
+
+/// Largest per-pixel variance that the common noise explains: the mean of those below it and [`CLIP`] standard deviations of a
+/// chi-squared variable of that freedom.
+fn clip_limit(variances: impl Iterator<Item = f64>, freedom: f64) -> f64 {
+    let mut sorted: Vec<f64> = variances.collect();
+    sorted.sort_by(f64::total_cmp);
+    if sorted.is_empty() {
+        return 0.0;
+    }
+    // Wilson and Hilferty: the median of chi-squared over its mean.
+    let mut mean = sorted[sorted.len() / 2] / (1.0 - 2.0 / (9.0 * freedom)).powi(3);
+    let limit = |mean: f64| mean * (1.0 + CLIP * (2.0 / freedom).sqrt());
+    for _ in 0..4 {
+        let below = &sorted[..sorted.partition_point(|v| *v <= limit(mean)).max(1)];
+        mean = below.iter().sum::<f64>() / below.len() as f64;
+    }
+    limit(mean)
+}
