@@ -71,7 +71,10 @@ impl Adam {
             let limit = if past > 0.0 { clip * past } else { norm };
             if norm > limit {
                 let scale = (limit / norm) as f32;
-                gradients.iter_mut().filter(|(n, _)| group(n) == of).for_each(|(_, g)| g.iter_mut().for_each(|g| *g *= scale));
+                gradients
+                    .iter_mut()
+                    .filter(|(n, _)| group(n) == of)
+                    .for_each(|(_, g)| g.iter_mut().for_each(|g| *g *= scale));
             }
             let seen = norm.min(limit);
             *mean = if past > 0.0 { (1.0 - MEMORY) * past + MEMORY * seen } else { seen } as f32;
@@ -79,13 +82,20 @@ impl Adam {
     }
 
     /// One step; `rate` gives the learning rate of each group.
-    pub fn step(&mut self, parameters: &mut Tensors, gradients: &BTreeMap<String, Vec<f32>>, rate: impl Fn(Group) -> f64) {
+    pub fn step(
+        &mut self,
+        parameters: &mut Tensors,
+        gradients: &BTreeMap<String, Vec<f32>>,
+        rate: impl Fn(Group) -> f64,
+    ) {
         self.steps += 1;
         let t = self.steps as f64;
         let (c1, c2) = (1.0 - BETA_1.powf(t), 1.0 - BETA_2.powf(t));
         let (b1, b2) = (BETA_1 as f32, BETA_2 as f32);
         for (name, gradient) in gradients {
-            let (Some(p), Some(m), Some(v)) = (parameters.get_mut(name), self.first.get_mut(name), self.second.get_mut(name)) else {
+            let (Some(p), Some(m), Some(v)) =
+                (parameters.get_mut(name), self.first.get_mut(name), self.second.get_mut(name))
+            else {
                 continue;
             };
             let (scale, root, epsilon) = ((rate(group(name)) / c1) as f32, (1.0 / c2.sqrt()) as f32, EPSILON as f32);

@@ -35,7 +35,9 @@ impl NetworkConfig {
     /// # Errors
     /// A side is zero, the object is odd or larger than the filter, the frame is larger than the filter, or the reduction leaves no channel.
     pub fn check(&self) -> Result<(), TrainError> {
-        let wrong = |field, expected: String, found: usize| Err(TrainError::Config { field, expected, found: found.to_string() });
+        let wrong = |field, expected: String, found: usize| {
+            Err(TrainError::Config { field, expected, found: found.to_string() })
+        };
         let t = self.filter_size;
         for (field, sides) in [("frame", self.frame), ("object", self.object)] {
             if let Some(&side) = sides.iter().find(|&&side| side == 0 || side > t) {
@@ -45,7 +47,9 @@ impl NetworkConfig {
         if let Some(&side) = self.object.iter().find(|&&side| side % 2 != 0) {
             return wrong("object", "even sides (PixelUnshuffle 2)".into(), side);
         }
-        for (field, n) in [("channels", self.channels), ("width", self.width), ("groups", self.groups), ("blocks", self.blocks)] {
+        for (field, n) in
+            [("channels", self.channels), ("width", self.width), ("groups", self.groups), ("blocks", self.blocks)]
+        {
             if n == 0 || n > 255 {
                 return wrong(field, "1 to 255".into(), n);
             }

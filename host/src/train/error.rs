@@ -54,7 +54,9 @@ pub enum TrainError {
         loss: f32,
     },
     /// The checkpoint to resume was made with another configuration.
-    #[error("{path}: `{field}` is {found} in the checkpoint but {expected} is asked for; resume with the same options or start anew")]
+    #[error(
+        "{path}: `{field}` is {found} in the checkpoint but {expected} is asked for; resume with the same options or start anew"
+    )]
     Resume {
         /// The checkpoint.
         path: PathBuf,

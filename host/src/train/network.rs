@@ -45,7 +45,11 @@ impl Network {
             let found = tensors.get(&name).filter(|t| t.shape() == shape);
             let Some(tensor) = found else {
                 let found = tensors.get(&name).map_or("none".into(), |t| format!("{:?}", t.shape()));
-                return Err(TrainError::Config { field: "weights", expected: format!("`{name}` of shape {shape:?}"), found });
+                return Err(TrainError::Config {
+                    field: "weights",
+                    expected: format!("`{name}` of shape {shape:?}"),
+                    found,
+                });
             };
             let values: Vec<f32> = tensor.iter().copied().collect();
             let n = values.len();

@@ -117,7 +117,8 @@ mod tests {
         let pairs = foci(24, 40, 16, 10);
         let network = Preset::Nano.network([40, 40], [16, 16]);
         let (plan, noise) = (Fourier::new(network.fourier()), noise());
-        let loader = Loader { source: &pairs, network: &network, plan: &plan, noise: &noise, peak_e: [4000.0, 5000.0], seed: 3 };
+        let loader =
+            Loader { source: &pairs, network: &network, plan: &plan, noise: &noise, peak_e: [4000.0, 5000.0], seed: 3 };
         let mut tensors = weights::random(&network, 1);
         fit(&loader, &(0..20).collect::<Vec<_>>(), &mut tensors).unwrap();
         let filters = plan.filters(tensors[FILTERS[0]].as_slice().unwrap(), tensors[FILTERS[1]].as_slice().unwrap());
@@ -127,7 +128,8 @@ mod tests {
         let truth: Vec<f64> = example.target.iter().map(|&v| f64::from(v)).collect();
         let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
         let (ms, mt) = (mean(&sum), mean(&truth));
-        let cov = |a: &[f64], ma: f64, b: &[f64], mb: f64| a.iter().zip(b).map(|(a, b)| (a - ma) * (b - mb)).sum::<f64>();
+        let cov =
+            |a: &[f64], ma: f64, b: &[f64], mb: f64| a.iter().zip(b).map(|(a, b)| (a - ma) * (b - mb)).sum::<f64>();
         let correlation = cov(&sum, ms, &truth, mt) / (cov(&sum, ms, &sum, ms) * cov(&truth, mt, &truth, mt)).sqrt();
         assert!(correlation > 0.5, "{correlation}");
     }

@@ -52,8 +52,10 @@ impl TrainConfig {
     /// # Errors
     /// A value is out of its range; the error names the field.
     pub fn check(&self) -> Result<(), TrainError> {
-        let wrong = |field, expected: &str, found: String| Err(TrainError::Config { field, expected: expected.into(), found });
-        for (field, n) in [("steps", self.steps), ("batch", self.batch as u64), ("validate_every", self.validate_every)] {
+        let wrong =
+            |field, expected: &str, found: String| Err(TrainError::Config { field, expected: expected.into(), found });
+        for (field, n) in [("steps", self.steps), ("batch", self.batch as u64), ("validate_every", self.validate_every)]
+        {
             if n == 0 {
                 return wrong(field, "1 or more", n.to_string());
             }
@@ -121,7 +123,16 @@ impl Preset {
             Self::Lite => (9, 24, 2, 2, 12),
             Self::Paper => (9, 32, 2, 3, 16),
         };
-        NetworkConfig { frame, object, filter_size: longest.next_power_of_two(), channels, width, groups, blocks, reduction }
+        NetworkConfig {
+            frame,
+            object,
+            filter_size: longest.next_power_of_two(),
+            channels,
+            width,
+            groups,
+            blocks,
+            reduction,
+        }
     }
 
     /// The schedule, for a sensor with this full scale, electrons.

@@ -94,8 +94,9 @@ impl Loader<'_> {
     /// A drawn, corrected, normalised frame and its target, in C order.
     fn frame(&self, index: usize, rng: &mut impl Rng) -> Result<(Vec<f32>, Vec<f32>), TrainError> {
         let pair = self.source.pair(index).map_err(|source| TrainError::Source { index, source })?;
-        let [object, expected] = [("object", &pair.object, self.network.object), ("frame", &pair.expected_e, self.network.frame)]
-            .map(|(what, image, size)| check(index, what, image.view(), size));
+        let [object, expected] =
+            [("object", &pair.object, self.network.object), ("frame", &pair.expected_e, self.network.frame)]
+                .map(|(what, image, size)| check(index, what, image.view(), size));
         let (bright, peak) = (object?, expected?);
         let [low, high] = self.peak_e.map(f64::ln);
         let scale = ((low + (high - low) * rng.random::<f64>()).exp() / f64::from(peak)) as f32;
@@ -180,7 +181,8 @@ pub(super) mod tests {
     fn the_same_draw_gives_the_same_example_and_another_does_not() {
         let (pairs, network) = (foci(2, 40, 16, 10), super::super::Preset::Nano.network([40, 40], [16, 16]));
         let (plan, noise) = (Fourier::new(network.fourier()), noise());
-        let loader = Loader { source: &pairs, network: &network, plan: &plan, noise: &noise, peak_e: [500.0, 5000.0], seed: 3 };
+        let loader =
+            Loader { source: &pairs, network: &network, plan: &plan, noise: &noise, peak_e: [500.0, 5000.0], seed: 3 };
         let a = loader.examples(&[0, 1], "train", 4).unwrap();
         let b = loader.examples(&[0, 1], "train", 4).unwrap();
         let c = loader.examples(&[0, 1], "train", 5).unwrap();
@@ -195,7 +197,8 @@ pub(super) mod tests {
         let network = super::super::Preset::Nano.network([40, 40], [16, 16]);
         let (plan, noise) = (Fourier::new(network.fourier()), noise());
         pairs[1].expected_e[[3, 3]] = f32::NAN;
-        let loader = Loader { source: &pairs, network: &network, plan: &plan, noise: &noise, peak_e: [500.0, 5000.0], seed: 3 };
+        let loader =
+            Loader { source: &pairs, network: &network, plan: &plan, noise: &noise, peak_e: [500.0, 5000.0], seed: 3 };
         let error = loader.examples(&[0, 1], "train", 0).unwrap_err().to_string();
         assert!(error.contains("pair 1") && error.contains("frame"), "{error}");
     }

@@ -103,7 +103,9 @@ impl<'a> Trainer<'a> {
     /// reason to refuse).
     pub fn resume(task: Task<'a>, training: TrainConfig, path: &Path) -> Result<Self, TrainError> {
         let mut state = Checkpoint::read(path)?;
-        let differ = |field, expected: String, found: String| Err(TrainError::Resume { path: path.into(), field, expected, found });
+        let differ = |field, expected: String, found: String| {
+            Err(TrainError::Resume { path: path.into(), field, expected, found })
+        };
         let body = &state.body;
         if body.network != task.network {
             return differ("network", format!("{:?}", task.network), format!("{:?}", body.network));
@@ -135,7 +137,14 @@ impl<'a> Trainer<'a> {
 
     fn loader(&self) -> Loader<'_> {
         let TrainConfig { peak_e, seed, .. } = self.state.body.training;
-        Loader { source: self.task.source, network: &self.task.network, plan: &self.plan, noise: &self.task.noise, peak_e, seed }
+        Loader {
+            source: self.task.source,
+            network: &self.task.network,
+            plan: &self.plan,
+            noise: &self.task.noise,
+            peak_e,
+            seed,
+        }
     }
 
     /// How it stands.
@@ -147,7 +156,12 @@ impl<'a> Trainer<'a> {
     ///
     /// # Errors
     /// A pair cannot be had, the loss is no number any more, or the checkpoint cannot be written.
-    pub fn run(&mut self, path: &Path, provenance: &Provenance, mut watch: impl FnMut(Progress) -> Next) -> Result<(), TrainError> {
+    pub fn run(
+        &mut self,
+        path: &Path,
+        provenance: &Provenance,
+        mut watch: impl FnMut(Progress) -> Next,
+    ) -> Result<(), TrainError> {
         while self.state.body.step < self.state.body.training.steps {
             let loss = self.step()?;
             let (step, TrainConfig { steps, validate_every, .. }) = (self.state.body.step, &self.state.body.training);
@@ -244,7 +258,8 @@ impl<'a> Trainer<'a> {
         let (sum, count) = std::mem::take(&mut self.recent);
         let body = &mut self.state.body;
         let train_loss = if count > 0 { sum / count as f64 } else { 0.0 };
-        let [train_loss, validation_loss, psnr_db, ssim] = [train_loss, loss / n, psnr_db / n, ssim / n].map(|v| v as f32);
+        let [train_loss, validation_loss, psnr_db, ssim] =
+            [train_loss, loss / n, psnr_db / n, ssim / n].map(|v| v as f32);
         let point = CurvePoint { step: body.step, train_loss, validation_loss, psnr_db, ssim };
         if body.curve.iter().all(|p| point.psnr_db > p.psnr_db) {
             body.best_step = body.step;
@@ -284,7 +299,15 @@ mod tests {
     }
 
     fn training(steps: u64, start: Start) -> TrainConfig {
-        TrainConfig { steps, batch: 2, validate_every: 3, warmup: 2, start, peak_e: [2000.0, 5000.0], ..Preset::Nano.training(1e4, 5) }
+        TrainConfig {
+            steps,
+            batch: 2,
+            validate_every: 3,
+            warmup: 2,
+            start,
+            peak_e: [2000.0, 5000.0],
+            ..Preset::Nano.training(1e4, 5)
+        }
     }
 
     /// The derivative along a direction, by the chain of gradients and by a central difference. In f32 the difference of two losses is good
@@ -355,14 +378,20 @@ mod tests {
         let pairs = foci(10, 40, 16, 10);
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("net");
-        Trainer::new(task(&pairs), training(3, Start::Random)).unwrap().run(&path, &Provenance::default(), |_| Next::Continue).unwrap();
+        Trainer::new(task(&pairs), training(3, Start::Random))
+            .unwrap()
+            .run(&path, &Provenance::default(), |_| Next::Continue)
+            .unwrap();
         let mut other = task(&pairs);
         other.network.channels = 3;
         let error = Trainer::resume(other, training(3, Start::Random), &path).err().unwrap();
         assert!(matches!(error, TrainError::Resume { field: "network", .. }), "{error}");
         let mut faster = training(3, Start::Random);
         faster.learning_rate *= 2.0;
-        assert!(matches!(Trainer::resume(task(&pairs), faster, &path), Err(TrainError::Resume { field: "training", .. })));
+        assert!(matches!(
+            Trainer::resume(task(&pairs), faster, &path),
+            Err(TrainError::Resume { field: "training", .. })
+        ));
     }
 
     #[test]

@@ -96,7 +96,12 @@ pub(super) fn array(shape: &[usize], values: Vec<f32>) -> ArrayD<f32> {
 ///
 /// # Errors
 /// One is missing or has another shape.
-pub fn take(path: &Path, config: &NetworkConfig, tensors: &mut Tensors, prefix: &str) -> Result<Tensors, ArtifactError> {
+pub fn take(
+    path: &Path,
+    config: &NetworkConfig,
+    tensors: &mut Tensors,
+    prefix: &str,
+) -> Result<Tensors, ArtifactError> {
     let mut taken = Tensors::new();
     for (name, shape) in shapes(config) {
         let shape: Vec<Option<usize>> = shape.into_iter().map(Some).collect();

@@ -236,8 +236,10 @@ fn weight_gradient(x: &Padded, g: &Padded) -> Vec<f32> {
     let arch = Arch::new();
     let mut weight = vec![0.0; outputs * inputs * TAPS];
     weight.par_chunks_mut(BLOCK * inputs * TAPS).enumerate().for_each(|(block, out)| {
-        let sums: Vec<[[f32; TAPS]; BLOCK]> =
-            (0..inputs).into_par_iter().map(|input| arch.dispatch(Taps { x, g, input, first: block * BLOCK })).collect();
+        let sums: Vec<[[f32; TAPS]; BLOCK]> = (0..inputs)
+            .into_par_iter()
+            .map(|input| arch.dispatch(Taps { x, g, input, first: block * BLOCK }))
+            .collect();
         for (o, out) in out.chunks_exact_mut(inputs * TAPS).enumerate() {
             for (out, sums) in out.chunks_exact_mut(TAPS).zip(&sums) {
                 out.copy_from_slice(&sums[o]);
@@ -375,8 +377,11 @@ mod tests {
             let dot = |y: &[f64]| y.iter().zip(&g).map(|(a, &b)| a * f64::from(b)).sum::<f64>();
             let along = |d: &[f32], p: &[f32]| d.iter().zip(p).map(|(&a, &b)| f64::from(a) * f64::from(b)).sum::<f64>();
             let (dx, dw, db) = (noise(x.len(), 7), noise(w.len(), 8), noise(s.outputs, 9));
-            let expected =
-                [dot(&naive(s, &dx, &w, &zero)), dot(&naive(s, &x, &dw, &zero)), dot(&naive(s, &x, &vec![0.0; w.len()], &db))];
+            let expected = [
+                dot(&naive(s, &dx, &w, &zero)),
+                dot(&naive(s, &x, &dw, &zero)),
+                dot(&naive(s, &x, &vec![0.0; w.len()], &db)),
+            ];
             let found = [along(&grad.input, &dx), along(&grad.weight, &dw), along(&grad.bias, &db)];
             for (e, f) in expected.iter().zip(found) {
                 assert!((e - f).abs() < 2e-5 * (1.0 + (pixels as f64)), "{s:?}: {expected:?} {found:?}");
