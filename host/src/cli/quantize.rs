@@ -1,15 +1,67 @@
-//! `quantize`: checkpoint -> blob. (being written)
+//! `quantize`: checkpoint -> network file of a device.
 
 use super::{Outcome, Run};
+use crate::artifact::{file_hash, write_whole};
+use crate::quantize::{QuantizeConfig, QuantizeReport, quantize};
+use crate::train::Checkpoint;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
 
 /// Options of `quantize`.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+pub struct Args {
+    /// Checkpoint
+    checkpoint: PathBuf,
+    /// Network file to write
+    #[arg(short, long, value_name = "BLOB")]
+    output: PathBuf,
+    /// Name that the network carries [default: the checkpoint's file name]
+    #[arg(long)]
+    name: Option<String>,
+    /// Most bytes that the network file may have
+    #[arg(long, value_name = "BYTES")]
+    flash: Option<u64>,
+    /// Most bytes of memory that it may need while it runs
+    #[arg(long, value_name = "BYTES")]
+    ram: Option<u64>,
+    /// Side of the transforms, pixels: the filters are cut into taps [default: one transform of the whole frame]
+    #[arg(long, value_name = "T")]
+    tile: Option<usize>,
+    /// Part of the filters' energy that the taps must keep [default: 0.95]
+    #[arg(long, value_name = "PART", requires = "tile")]
+    energy: Option<f64>,
+}
 
 /// Runs the verb.
 ///
 /// # Errors
-/// Whatever the library says.
-pub fn run(_args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
-    anyhow::bail!("`quantize` is being written")
+/// The checkpoint cannot be read, a weight is no number, the network does not fit into the budget, or the file cannot be written; nothing is
+/// written then.
+pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
+    let checkpoint = Checkpoint::read(&args.checkpoint)?;
+    let stem = args.checkpoint.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+    let config = QuantizeConfig {
+        name: args.name.clone().unwrap_or(stem),
+        flash_bytes: args.flash,
+        ram_bytes: args.ram,
+        tile: args.tile,
+        energy: args.energy,
+    };
+    let made = quantize(&checkpoint, &file_hash(&args.checkpoint)?, &config)?;
+    write_whole(&args.output, &made.bytes)?;
+    let mut json = serde_json::to_value(&made.report)?;
+    json["blob"] = serde_json::to_value(&args.output)?;
+    Ok(Outcome { json, text: text(&args.output, &made.report) })
+}
+
+fn text(path: &Path, r: &QuantizeReport) -> String {
+    let mut text = format!(
+        "{}\n  {} bytes: filters {} ({} taps of {} x {}), enhancement {}\n  memory: {} bytes fast, {} bytes bulk\n  energy of the filters kept: {:.4}\n",
+        path.display(), r.file_bytes, r.spectra_bytes, r.taps, r.tile, r.tile, r.rcan_bytes, r.fast_bytes, r.bulk_bytes, r.energy_kept,
+    );
+    for step in &r.steps {
+        let _ = writeln!(text, "  {:>6}: {:.2} dB, SSIM {:.4}", step.step, step.quality.psnr_db, step.quality.ssim);
+    }
+    let _ = writeln!(text, "  lost on the way: {:.3} dB over {} held-out frames", r.loss_db, r.frames);
+    text
 }

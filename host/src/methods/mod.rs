@@ -1,14 +1,18 @@
 //! Ways from a raw frame to an object: the network, and the methods that it must beat.
 
+mod blob;
 mod central;
 mod error;
 mod frame;
+mod network;
 #[cfg(test)]
 mod testing;
 
+pub use blob::{Blob, NetworkFileError};
 pub use central::Central;
 pub use error::MethodError;
 pub use frame::FrameCorrection;
+pub use network::FloatNetwork;
 
 use ndarray::{Array2, ArrayView2};
 

@@ -3,8 +3,9 @@
 use super::adam::{Adam, MeanNorms};
 use super::{NetworkConfig, TrainConfig, TrainError, weights};
 use crate::artifact::{self, ArtifactError, Header, Provenance, Tensors};
+use crate::evaluate::Case;
 use crate::noise::NoiseModel;
-use ndarray::Array2;
+use ndarray::{Array2, Array3, ArrayView2, Axis, Ix3};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -15,6 +16,8 @@ pub const VERSION: u32 = 1;
 
 const OFFSET: &str = "sensor.offset_dn";
 const GAIN: &str = "sensor.inverse_gain";
+const FRAMES: &str = "validation.frames_dn";
+const OBJECTS: &str = "validation.objects";
 const CURRENT: &str = "optim.weight.";
 const FIRST: &str = "optim.first.";
 const SECOND: &str = "optim.second.";
@@ -73,6 +76,8 @@ pub struct Checkpoint {
     pub weights: Tensors,
     /// Maps of the sensor.
     pub maps: SensorMaps,
+    /// Held-out frames as the sensor delivers them, with their objects: whoever changes the network can see what it costs.
+    pub cases: Vec<Case>,
     /// The weights after the last step.
     pub current: Tensors,
     /// The optimiser.
@@ -94,6 +99,13 @@ impl Checkpoint {
                 tensors.insert(name.into(), map.clone().into_dyn());
             }
         }
+        let stack = |image: &dyn Fn(&Case) -> ArrayView2<'_, f32>| {
+            ndarray::stack(Axis(0), &self.cases.iter().map(image).collect::<Vec<_>>()).map(Array3::into_dyn)
+        };
+        if let (Ok(frames), Ok(objects)) = (stack(&|c| c.frame_dn.view()), stack(&|c| c.truth.view())) {
+            tensors.insert(FRAMES.into(), frames);
+            tensors.insert(OBJECTS.into(), objects);
+        }
         let header = Header { kind: KIND.into(), version: VERSION, provenance, body: self.body.clone() };
         artifact::write(path, &header, &tensors)
     }
@@ -111,6 +123,7 @@ impl Checkpoint {
         let current = weights::take(path, &body.network, &mut tensors, CURRENT)?;
         let first = weights::take(path, &body.network, &mut tensors, FIRST)?;
         let second = weights::take(path, &body.network, &mut tensors, SECOND)?;
+        let cases = cases(path, &body.network, &mut tensors)?;
         let shape = body.network.frame.map(Some);
         let mut map = |name: &str| -> Result<Option<Array2<f32>>, ArtifactError> {
             if !tensors.contains_key(name) {
@@ -121,6 +134,18 @@ impl Checkpoint {
         };
         let maps = SensorMaps { offset_dn: map(OFFSET)?, inverse_gain: map(GAIN)? };
         let adam = Adam { steps: body.step, first, second, norms: body.norms };
-        Ok(Self { body, weights, maps, current, adam })
+        Ok(Self { body, weights, maps, cases, current, adam })
     }
+}
+
+/// The held-out frames and objects.
+fn cases(path: &Path, network: &NetworkConfig, tensors: &mut Tensors) -> Result<Vec<Case>, ArtifactError> {
+    let mut stack = |name: &str, size: [usize; 2], count: Option<usize>| -> Result<Array3<f32>, ArtifactError> {
+        let stack = artifact::take(path, tensors, name, &[count, Some(size[0]), Some(size[1])])?;
+        Ok(stack.into_dimensionality::<Ix3>().unwrap_or_default())
+    };
+    let frames = stack(FRAMES, network.frame, None)?;
+    let objects = stack(OBJECTS, network.object, Some(frames.len_of(Axis(0))))?;
+    let pairs = frames.outer_iter().zip(objects.outer_iter());
+    Ok(pairs.map(|(f, o)| Case { frame_dn: f.to_owned(), truth: o.to_owned() }).collect())
 }

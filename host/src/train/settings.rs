@@ -4,6 +4,12 @@ use super::trainer::same;
 use super::{NetworkConfig, TrainError};
 use serde::{Deserialize, Serialize};
 
+/// One part in this many of the steps is warm-up.
+const WARMUP: u64 = 50;
+
+/// Validations in a run.
+const VALIDATIONS: u64 = 20;
+
 /// What the filters are before the first step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
@@ -81,6 +87,11 @@ impl TrainConfig {
         Ok(())
     }
 
+    /// The same for another number of steps: warm-up and validations keep their parts of it.
+    pub fn with_steps(self, steps: u64) -> Self {
+        Self { steps, warmup: steps / WARMUP, validate_every: (steps / VALIDATIONS).max(1), ..self }
+    }
+
     /// Whether a run with one can be taken up with the other, which may have another number of `steps`.
     pub fn same_but_steps(&self, other: &Self) -> bool {
         let numbers = |c: &Self| {
@@ -137,21 +148,23 @@ impl Preset {
 
     /// The schedule, for a sensor with this full scale, electrons.
     pub fn training(self, full_scale_e: f64, seed: u64) -> TrainConfig {
+        // Few steps are better spent on many small batches at a high rate; the paper's schedule is for 48 hours on a large GPU.
+        let batch = if self == Self::Paper { 4 } else { 1 };
         let (steps, learning_rate, filter_learning_rate, start) = match self {
-            Self::Nano => (2400, 2e-3, 5e-5, Start::Regression),
-            Self::Lite => (20_000, 1e-3, 5e-5, Start::Regression),
+            Self::Nano => (8000, 6e-3, 2e-4, Start::Random),
+            Self::Lite => (40_000, 4e-3, 2e-4, Start::Random),
             Self::Paper => (60_000, 5e-5, 5e-5, Start::Random),
         };
         TrainConfig {
             steps,
-            batch: 4,
+            batch,
             learning_rate,
             filter_learning_rate,
             final_rate: 0.02,
-            warmup: steps / 50,
+            warmup: steps / WARMUP,
             clip: 5.0,
             peak_e: [0.05 * full_scale_e, 0.9 * full_scale_e],
-            validate_every: (steps / 20).max(1),
+            validate_every: (steps / VALIDATIONS).max(1),
             held_out: 0.1,
             validation_pairs: 16,
             start,

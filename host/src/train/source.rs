@@ -2,6 +2,7 @@
 
 use super::ops::fourier::{Fourier, Spectrum};
 use super::{NetworkConfig, TrainError};
+use crate::evaluate::Case;
 use crate::noise::{NoiseModel, draw_electrons};
 use crate::rng;
 use ndarray::{Array2, ArrayView2};
@@ -84,15 +85,32 @@ impl Loader<'_> {
     /// A pair cannot be had, has the wrong shape, or holds values that are no numbers.
     pub fn examples(&self, pairs: &[usize], what: &str, draw: u64) -> Result<Vec<Example>, TrainError> {
         let one = |(i, &pair): (usize, &usize)| {
-            let mut rng = rng::stream(self.seed, what, draw * pairs.len() as u64 + i as u64);
-            let (frame, target) = self.frame(pair, &mut rng)?;
-            Ok(Example { spectrum: self.plan.rfft2(&frame, self.network.frame), target })
+            let (light, target) = self.draw(pair, &mut self.stream(pairs.len(), i, what, draw))?;
+            Ok(Example { spectrum: self.plan.rfft2(&normalise(&light), self.network.frame), target })
         };
         pairs.par_iter().enumerate().map(one).collect()
     }
 
-    /// A drawn, corrected, normalised frame and its target, in C order.
-    fn frame(&self, index: usize, rng: &mut impl Rng) -> Result<(Vec<f32>, Vec<f32>), TrainError> {
+    /// The same frames as the sensor delivers them, DN, [frame rows, frame cols], without a fixed pattern, and their targets.
+    ///
+    /// # Errors
+    /// As [`Loader::examples`].
+    pub fn cases(&self, pairs: &[usize], what: &str, draw: u64) -> Result<Vec<Case>, TrainError> {
+        let image = |size: [usize; 2], values| Array2::from_shape_vec((size[0], size[1]), values).unwrap_or_default();
+        let one = |(i, &pair): (usize, &usize)| {
+            let (light, target) = self.draw(pair, &mut self.stream(pairs.len(), i, what, draw))?;
+            let frame = light.iter().map(|v| v + self.noise.black_level_dn as f32).collect();
+            Ok(Case { frame_dn: image(self.network.frame, frame), truth: image(self.network.object, target) })
+        };
+        pairs.par_iter().enumerate().map(one).collect()
+    }
+
+    fn stream(&self, count: usize, i: usize, what: &str, draw: u64) -> impl Rng + use<> {
+        rng::stream(self.seed, what, draw * count as u64 + i as u64)
+    }
+
+    /// A drawn frame, DN above black, and its target, in C order.
+    fn draw(&self, index: usize, rng: &mut impl Rng) -> Result<(Vec<f32>, Vec<f32>), TrainError> {
         let pair = self.source.pair(index).map_err(|source| TrainError::Source { index, source })?;
         let [object, expected] =
             [("object", &pair.object, self.network.object), ("frame", &pair.expected_e, self.network.frame)]
@@ -102,12 +120,11 @@ impl Loader<'_> {
         let scale = ((low + (high - low) * rng.random::<f64>()).exp() / f64::from(peak)) as f32;
         let mut electrons: Vec<f32> = pair.expected_e.iter().map(|&e| e * scale).collect();
         draw_electrons(&mut electrons, self.noise.read_noise_e as f32, rng);
-        let frame = normalise(&digitise(&electrons, self.noise));
-        Ok((frame, pair.object.iter().map(|&v| v / bright).collect()))
+        Ok((digitise(&electrons, self.noise), pair.object.iter().map(|&v| v / bright).collect()))
     }
 }
 
-/// The converter, without its black level: electrons -> whole DN above black, clipped at both ends of its range.
+/// The converter: electrons -> DN above black; the code is whole and within the converter's range.
 fn digitise(electrons: &[f32], noise: &NoiseModel) -> Vec<f32> {
     let (gain, black, top) = (noise.gain_dn_per_e as f32, noise.black_level_dn as f32, noise.saturation_dn as f32);
     electrons.iter().map(|&e| (black + gain * e).round().clamp(0.0, top) - black).collect()

@@ -21,6 +21,10 @@ use std::sync::Arc;
 /// Fewest pairs that can be divided into training and validation.
 const FEWEST: usize = 4;
 
+/// Most held-out frames that a checkpoint keeps, and most pixels of them together.
+const CASES: usize = 8;
+const CASE_PIXELS: usize = 1 << 22;
+
 /// What training needs besides its settings.
 #[derive(Clone, Debug)]
 pub struct Task<'a> {
@@ -85,8 +89,10 @@ impl<'a> Trainer<'a> {
             norms: Default::default(),
         };
         let adam = Adam::new(&current);
-        let state = Checkpoint { body, weights: current.clone(), maps: task.maps.clone(), current, adam };
+        let state = Checkpoint { body, weights: current.clone(), maps: task.maps.clone(), cases: Vec::new(), current, adam };
         let mut run = Self::with_state(task, state)?;
+        let kept = (CASE_PIXELS / (run.task.network.frame[0] * run.task.network.frame[1])).clamp(1, CASES).min(run.held_out.len());
+        run.state.cases = run.loader().cases(&run.held_out[..kept], "validation", 0)?;
         if run.state.body.training.start == Start::Regression {
             let mut fitted = run.state.current.clone();
             regression::fit(&run.loader(), &run.train, &mut fitted)?;
