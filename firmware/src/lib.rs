@@ -1,1 +1,3 @@
+//! fw
 #![no_std]
+pub mod board;

@@ -65,9 +65,8 @@ fn check_preamble(bytes: &[u8]) -> Result<(&[u8], u32), BlobError> {
     if bytes.len() < HEADER_AT + CRC_LEN {
         return Err(BlobError::TooShort { expected: (HEADER_AT + CRC_LEN) as u64, found });
     }
-    let misaligned = bytes.as_ptr().addr() % ALIGN;
-    if misaligned != 0 {
-        return Err(BlobError::Misaligned { expected: ALIGN, found: misaligned });
+    if bytes.as_ptr().addr() % ALIGN != 0 {
+        return Err(misaligned(bytes));
     }
     if bytes[..8] != MAGIC {
         return Err(BlobError::Magic { expected: MAGIC, found: array_at(bytes, 0) });
@@ -115,8 +114,11 @@ fn wrong_section(layout: &Layout, header: &Header, file_len: usize) -> BlobError
 /// Little-endian halves in place.
 fn halves(bytes: &[u8]) -> Result<&[f16], BlobError> {
     const { assert!(cfg!(target_endian = "little"), "weights are read in place, so the target must be little-endian") };
-    bytemuck::try_cast_slice(bytes)
-        .map_err(|_| BlobError::Misaligned { expected: ALIGN, found: bytes.as_ptr().addr() % ALIGN })
+    bytemuck::try_cast_slice(bytes).map_err(|_| misaligned(bytes))
+}
+
+fn misaligned(bytes: &[u8]) -> BlobError {
+    BlobError::Misaligned { expected: ALIGN as u32, found: (bytes.as_ptr().addr() % ALIGN) as u32 }
 }
 
 fn array_at<const N: usize>(bytes: &[u8], at: usize) -> [u8; N] {

@@ -2,9 +2,11 @@
 
 use super::{HeaderField, MemoryPlan};
 use core::fmt;
+use postcard_schema::Schema;
+use serde::{Deserialize, Serialize};
 
 /// A weight section of the file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum Section {
     /// Spectra of the filter bank.
     Spectra,
@@ -32,7 +34,7 @@ impl Section {
 }
 
 /// Why bytes are no network, or none for this device.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum BlobError {
     /// Fewer bytes than the file says it has, or than any file has.
     TooShort {
@@ -51,9 +53,9 @@ pub enum BlobError {
     /// The bytes do not begin where weights can be read in place.
     Misaligned {
         /// The address must be a multiple of this, bytes.
-        expected: usize,
+        expected: u32,
         /// The address modulo `expected`, bytes.
-        found: usize,
+        found: u32,
     },
     /// Not a network file.
     Magic {

@@ -26,6 +26,7 @@ pub use decode::Network;
 pub use encode::{encode, encoded_len};
 pub use error::{BlobError, Section};
 pub use header::{Bank, Header, HeaderField, MAX_TAPS, MemoryPlan, Rcan, SectionLens, Sensor, Size, Tap, Weights};
+pub(crate) use layout::CRC;
 pub use layout::{ALIGN, MAGIC, SCHEMA_KEY, VERSION};
 
 #[cfg(test)]

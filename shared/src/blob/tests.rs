@@ -114,7 +114,7 @@ fn bits(halves: &[f16]) -> &[u16] {
 fn forge(mut bytes: Vec<u8>, at: usize, with: &[u8]) -> Vec<u8> {
     bytes[at..at + with.len()].copy_from_slice(with);
     let end = bytes.len() - layout::CRC_LEN;
-    let crc = layout::CRC.checksum(&bytes[..end]);
+    let crc = CRC.checksum(&bytes[..end]);
     bytes[end..].copy_from_slice(&crc.to_le_bytes());
     bytes
 }
@@ -221,7 +221,7 @@ fn a_misaligned_buffer_is_named() {
     let aligned = Aligned::new(&shifted);
     assert_eq!(
         Network::decode(&aligned.bytes()[2..]).map(|n| n.header),
-        Err(BlobError::Misaligned { expected: ALIGN, found: 2 })
+        Err(BlobError::Misaligned { expected: ALIGN as u32, found: 2 })
     );
 }
 

@@ -1,0 +1,215 @@
+//! Packets on a line of bytes: postcard, CRC-32, COBS, a zero on either side.
+
+use crate::blob::CRC;
+use core::fmt;
+use heapless::Vec;
+use postcard::ser_flavors::crc::CrcModifier;
+use postcard::ser_flavors::{Cobs, Flavor, Slice};
+use serde::{Deserialize, Serialize};
+
+/// The byte between packets. COBS leaves none in them.
+pub const DELIMITER: u8 = 0;
+const CRC_LEN: usize = 4;
+
+/// Why a packet was dropped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FrameError {
+    /// The buffer is too small for the packet.
+    TooLong,
+    /// The COBS encoding is broken, or there is no room for a checksum.
+    Encoding,
+    /// The checksum does not match.
+    Crc {
+        /// Checksum that the packet carries.
+        expected: u32,
+        /// Checksum of its bytes.
+        found: u32,
+    },
+    /// The bytes are whole and no message of this version.
+    Message,
+}
+
+impl fmt::Display for FrameError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::TooLong => f.write_str("a packet is longer than its buffer"),
+            Self::Encoding => f.write_str("a packet is not COBS"),
+            Self::Crc { expected, found } => {
+                write!(f, "a packet is damaged: expected CRC {expected:08x}, found {found:08x}")
+            }
+            Self::Message => f.write_str("a packet holds no message of this version"),
+        }
+    }
+}
+
+impl core::error::Error for FrameError {}
+
+/// Writes a packet with its delimiters to the start of `out` and gives its bytes.
+///
+/// # Errors
+/// [`FrameError::TooLong`].
+pub fn encode<'a>(message: &impl Serialize, out: &'a mut [u8]) -> Result<&'a [u8], FrameError> {
+    // The leading delimiter ends whatever noise stands before the packet.
+    let (first, rest) = out.split_first_mut().ok_or(FrameError::TooLong)?;
+    *first = DELIMITER;
+    let len = encode_body(message, rest).map_err(|_| FrameError::TooLong)?;
+    Ok(&out[..=len])
+}
+
+fn encode_body(message: &impl Serialize, out: &mut [u8]) -> postcard::Result<usize> {
+    let flavor = CrcModifier::new(Cobs::try_new(Slice::new(out))?, CRC.digest());
+    let mut serializer = postcard::Serializer { output: flavor };
+    message.serialize(&mut serializer)?;
+    Ok(serializer.output.finalize()?.len())
+}
+
+/// Reads the message of a packet, given without its delimiters, in place.
+///
+/// # Errors
+/// Whatever is wrong with the bytes.
+pub fn decode<'a, T: Deserialize<'a>>(packet: &'a mut [u8]) -> Result<T, FrameError> {
+    let len = cobs::decode_in_place(packet).map_err(|_| FrameError::Encoding)?;
+    let (body, crc) =
+        packet.get(..len).and_then(|bytes| bytes.split_last_chunk::<CRC_LEN>()).ok_or(FrameError::Encoding)?;
+    let (expected, found) = (u32::from_le_bytes(*crc), CRC.checksum(body));
+    if expected != found {
+        return Err(FrameError::Crc { expected, found });
+    }
+    match postcard::take_from_bytes(body) {
+        Ok((message, [])) => Ok(message),
+        _ => Err(FrameError::Message),
+    }
+}
+
+/// Finds packets of up to `N` encoded bytes on a line.
+#[derive(Debug)]
+pub struct Deframer<const N: usize> {
+    bytes: Vec<u8, N>,
+    state: State,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum State {
+    /// Bytes are gathered.
+    Open,
+    /// The packet was too long: its bytes are thrown away.
+    Overrun,
+    /// A packet was given out; its bytes go when the next one begins.
+    Complete,
+}
+
+impl<const N: usize> Deframer<N> {
+    /// An empty one.
+    pub const fn new() -> Self {
+        Self { bytes: Vec::new(), state: State::Open }
+    }
+
+    /// Takes a byte from the line; gives the packet that it ends, for [`decode`].
+    ///
+    /// # Errors
+    /// [`FrameError::TooLong`] at the end of a packet that is longer than `N`.
+    pub fn push(&mut self, byte: u8) -> Result<Option<&mut [u8]>, FrameError> {
+        if self.state == State::Complete {
+            self.bytes.clear();
+            self.state = State::Open;
+        }
+        if byte != DELIMITER {
+            if self.bytes.push(byte).is_err() {
+                self.state = State::Overrun;
+            }
+            return Ok(None);
+        }
+        let state = core::mem::replace(&mut self.state, State::Complete);
+        match state {
+            State::Overrun => Err(FrameError::TooLong),
+            _ if self.bytes.is_empty() => Ok(None),
+            _ => Ok(Some(&mut self.bytes)),
+        }
+    }
+}
+
+impl<const N: usize> Default for Deframer<N> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    extern crate std;
+
+    use super::*;
+    use proptest::prelude::*;
+
+    type Message<'a> = (u16, &'a [u8]);
+
+    fn packet(message: &Message<'_>) -> std::vec::Vec<u8> {
+        let mut out = [0; 700];
+        encode(message, &mut out).unwrap().to_vec()
+    }
+
+    /// Feeds a line and gives the messages and the errors on it.
+    fn read(line: &[u8]) -> (std::vec::Vec<(u16, std::vec::Vec<u8>)>, usize) {
+        let mut deframer = Deframer::<600>::new();
+        let (mut messages, mut errors) = (std::vec![], 0);
+        for byte in line {
+            match deframer.push(*byte).map(|p| p.map(decode::<Message<'_>>)) {
+                Ok(Some(Ok((seq, data)))) => messages.push((seq, data.to_vec())),
+                Ok(None) => {}
+                _ => errors += 1,
+            }
+        }
+        (messages, errors)
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_sent_arrives(seq: u16, data in prop::collection::vec(any::<u8>(), 0..512)) {
+            let bytes = packet(&(seq, &data));
+            prop_assert_eq!(bytes.iter().filter(|b| **b == DELIMITER).count(), 2);
+            prop_assert_eq!(read(&bytes), (std::vec![(seq, data)], 0));
+        }
+
+        #[test]
+        fn any_bytes_are_dropped_and_the_next_packet_arrives(noise in prop::collection::vec(any::<u8>(), 0..1500)) {
+            let mut line = noise;
+            line.extend(packet(&(7, &[1, 2, 3])));
+            let (messages, _) = read(&line);
+            prop_assert_eq!(messages.last(), Some(&(7, std::vec![1, 2, 3])));
+        }
+
+        #[test]
+        fn a_burst_of_up_to_four_bytes_is_noticed(
+            data in prop::collection::vec(any::<u8>(), 1..200), at: prop::sample::Index, burst: [u8; 4]
+        ) {
+            prop_assume!(burst[0] != 0);
+            let clean = packet(&(7, &data));
+            let mut line = clean.clone();
+            let at = 1 + at.index(line.len() - 2);
+            for (byte, flip) in line[at..].iter_mut().zip(burst) {
+                *byte ^= flip;
+            }
+            let (messages, _) = read(&line);
+            prop_assert!(messages.iter().all(|m| *m == (7, data.clone())), "{messages:?}");
+        }
+    }
+
+    #[test]
+    fn each_fault_has_its_name() {
+        let mut small = [0; 8];
+        assert_eq!(encode(&(7u16, &[1u8; 20]), &mut small), Err(FrameError::TooLong));
+        let mut deframer = Deframer::<4>::new();
+        assert!([1, 2, 3, 4, 5].iter().all(|b| deframer.push(*b) == Ok(None)));
+        assert_eq!(deframer.push(DELIMITER), Err(FrameError::TooLong));
+        assert_eq!(decode::<u8>(&mut [9, 1]), Err(FrameError::Encoding));
+        assert_eq!(decode::<u8>(&mut [3, 1, 1]), Err(FrameError::Encoding));
+        let mut damaged = packet(&(7, &[1, 2, 3]));
+        let end = damaged.len() - 1;
+        damaged[end - 1] ^= 1;
+        assert!(matches!(decode::<Message<'_>>(&mut damaged[1..end]), Err(FrameError::Crc { .. })));
+        let mut other = packet(&(7, &[1, 2, 3]));
+        let end = other.len() - 1;
+        assert_eq!(decode::<u8>(&mut other[1..end]), Err(FrameError::Message));
+    }
+}
