@@ -1,16 +1,16 @@
+//! The program on the default board.
 #![no_std]
 #![no_main]
-//! echo
-use embedded_io::{Read,Write};
+
+#[cfg(feature = "probe")]
+use defmt_rtt as _;
+use ommatidia_firmware::{app, board::mps2_an500 as board};
+
 #[cortex_m_rt::entry]
 fn main() -> ! {
-    let mut u = ommatidia_firmware::board::mps2_an500::uart();
-    let mut b=[0u8;4096];
-    loop {
-        let mut n=0;
-        while n<b.len() { n+=u.read(&mut b[n..]).unwrap_or(0); }
-        u.write_all(b"ok").ok();
+    let Some(parts) = board::take() else { board::fail(&"the board is taken") };
+    match app::run(parts) {
+        Ok(_) => board::exit(),
+        Err(never) => match never {},
     }
 }
-#[panic_handler]
-fn p(_:&core::panic::PanicInfo)->!{loop{}}

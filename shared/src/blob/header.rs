@@ -1,6 +1,7 @@
 //! What a network file says of itself: every shape that the device needs before it touches a weight.
 
 use super::BlobError;
+use crate::nn::rcan::weights_len;
 use heapless::{String, Vec};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
@@ -80,23 +81,6 @@ pub struct Rcan {
     pub reduction: u8,
 }
 
-impl Rcan {
-    /// Number of weights and biases of a network that takes `channels` filtered channels.
-    ///
-    /// Every 3 x 3 convolution A->B has 9 A B weights and B biases; the attention of a block has two 1 x 1
-    /// convolutions W->W/reduction->W. `None` where the bottleneck has no channel.
-    pub fn weight_count(self, channels: u8) -> Option<u64> {
-        let conv = |from: u64, to: u64| 9 * from * to + to;
-        let width = u64::from(self.width);
-        let narrow = width.checked_div(u64::from(self.reduction)).filter(|n| *n > 0)?;
-        let attention = (width * narrow + narrow) + (narrow * width + width);
-        let block = 2 * conv(width, width) + attention;
-        let group = u64::from(self.blocks) * block + conv(width, width);
-        let body = u64::from(self.groups) * group + conv(width, width);
-        Some(conv(4 * u64::from(channels), width) + body + conv(width, 4 * width) + conv(width, 1))
-    }
-}
-
 /// Memory that the pipeline needs besides the blob itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct MemoryPlan {
@@ -161,9 +145,12 @@ impl Header {
     pub fn section_lens(&self) -> Result<SectionLens, BlobError> {
         let tile = u64::from(self.bank.tile);
         let pixels = u64::from(self.frame.rows) * u64::from(self.frame.cols);
+        if self.rcan.reduction == 0 {
+            return Err(BlobError::Header { field: HeaderField::Rcan });
+        }
         Ok(SectionLens {
             spectra: self.bank.taps.len() as u64 * tile * (tile / 2 + 1) * 2,
-            rcan: self.rcan.weight_count(self.bank.channels).ok_or(BlobError::Header { field: HeaderField::Rcan })?,
+            rcan: weights_len(&self.rcan, self.bank.channels) as u64,
             offset_dn: if self.sensor.has_offset_map { pixels } else { 0 },
             inverse_gain: if self.sensor.has_gain_map { pixels } else { 0 },
         })

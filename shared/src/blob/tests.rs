@@ -261,9 +261,10 @@ fn rcan_weights_are_counted_layer_by_layer() {
     // conv 12->4: 436; group: 1 x (2 conv 4->4: 296; attention 4->2->4: 22) + conv 4->4: 148; conv 4->4: 148;
     // conv 4->16: 592; conv 4->1: 37.
     let rcan = Rcan { width: 4, groups: 1, blocks: 1, reduction: 2 };
-    assert_eq!(rcan.weight_count(3), Some(436 + 296 + 22 + 148 + 148 + 592 + 37));
-    assert_eq!(Rcan { reduction: 8, ..rcan }.weight_count(3), None);
-    assert_eq!(Rcan { reduction: 0, ..rcan }.weight_count(3), None);
+    let header = Header { rcan, bank: Bank { channels: 3, ..small().bank }, ..small() };
+    assert_eq!(header.section_lens().unwrap().rcan, 436 + 296 + 22 + 148 + 148 + 592 + 37);
+    let none = Header { rcan: Rcan { reduction: 0, ..rcan }, ..header };
+    assert_eq!(none.check(), Err(BlobError::Header { field: HeaderField::Rcan }));
 }
 
 #[test]

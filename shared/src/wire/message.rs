@@ -157,6 +157,10 @@ pub struct Telemetry {
     pub dropped_packets: u32,
     /// Requests since the start that had been answered before.
     pub repeated_requests: u32,
+    /// Fast scratch that the last run worked with, bytes.
+    pub fast_bytes: u32,
+    /// Bulk arena that the last run worked with, bytes.
+    pub bulk_bytes: u32,
     /// Code and constants, bytes; 0 where the program runs on the workstation.
     pub image_bytes: u32,
     /// Variables, without the buffers for network, frame, reconstruction and arenas, bytes; 0 on the workstation.
@@ -189,6 +193,13 @@ pub enum Refusal {
         /// Bytes asked for.
         needed: u32,
         /// Bytes there are.
+        available: u32,
+    },
+    /// No room for the reconstruction.
+    ObjectRoom {
+        /// Pixels of a reconstruction of this network.
+        needed: u32,
+        /// Pixels there is room for.
         available: u32,
     },
     /// The bytes do not follow those that have arrived.
@@ -250,6 +261,9 @@ impl fmt::Display for Refusal {
             ),
             Self::NoRoom { what, needed, available } => {
                 write!(f, "{what:?}: {needed} bytes needed, room for {available}")
+            }
+            Self::ObjectRoom { needed, available } => {
+                write!(f, "reconstruction: {needed} pixels needed, room for {available}")
             }
             Self::OutOfOrder { expected, found } => write!(f, "expected the bytes at {expected}, found those at {found}"),
             Self::PastEnd { len, found } => write!(f, "expected at most {len} bytes, found {found}"),

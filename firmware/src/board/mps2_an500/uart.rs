@@ -3,6 +3,9 @@
 
 use core::convert::Infallible;
 use core::ptr::{read_volatile, write_volatile};
+use cortex_m::asm;
+use cortex_m::interrupt::{self, InterruptNumber};
+use cortex_m::peripheral::NVIC;
 use embedded_io::{ErrorType, Read, ReadReady, Write};
 
 /// UART 0 of the MPS2 boards.
@@ -10,25 +13,44 @@ const BASE: usize = 0x4000_4000;
 const DATA: *mut u32 = BASE as *mut u32;
 const STATE: *mut u32 = (BASE + 4) as *mut u32;
 const CTRL: *mut u32 = (BASE + 8) as *mut u32;
+const INTCLEAR: *mut u32 = (BASE + 12) as *mut u32;
 const BAUDDIV: *mut u32 = (BASE + 16) as *mut u32;
 
 const TX_FULL: u32 = 1;
 const RX_FULL: u32 = 2;
-const TX_RX_ENABLE: u32 = 3;
+const ENABLE_TX_RX: u32 = 3;
+const ENABLE_RX_INTERRUPT: u32 = 1 << 3;
+const CLEAR_RX_INTERRUPT: u32 = 2;
 /// The fastest rate that the UART has: its clock over 16.
 const FASTEST: u32 = 16;
 
-/// UART 0, polled; 8 data bits, no parity, one stop bit.
+/// Interrupt 0: UART 0 has received.
+#[derive(Clone, Copy)]
+struct Received;
+
+// SAFETY: the number is that of the board's vector table.
+unsafe impl InterruptNumber for Received {
+    fn number(self) -> u16 {
+        0
+    }
+}
+
+/// UART 0: 8 data bits, no parity, one stop bit.
+///
+/// Between bytes the core sleeps until the receive interrupt is pending. Interrupts stay masked, so that none is
+/// taken: waking is all it is for. Under QEMU this leaves the machine to the thread that brings the bytes.
 #[derive(Debug)]
 pub struct Uart(());
 
 impl Uart {
     /// Switches the UART on, at its fastest rate.
     pub(super) fn new() -> Self {
-        // SAFETY: device registers of this board, used from here only.
+        interrupt::disable();
+        // SAFETY: device registers of this board, used from here only; the unmasked interrupt is never taken.
         unsafe {
             write_volatile(BAUDDIV, FASTEST);
-            write_volatile(CTRL, TX_RX_ENABLE|8); cortex_m::interrupt::disable(); write_volatile(0xE000E100 as *mut u32, 1);
+            write_volatile(CTRL, ENABLE_TX_RX | ENABLE_RX_INTERRUPT);
+            NVIC::unmask(Received);
         }
         Self(())
     }
@@ -36,6 +58,15 @@ impl Uart {
     fn state(&self) -> u32 {
         // SAFETY: reading the state register changes nothing.
         unsafe { read_volatile(STATE) }
+    }
+
+    fn sleep_until_received(&self) {
+        while self.state() & RX_FULL == 0 {
+            asm::wfi();
+            // SAFETY: clears the cause, then the pending mark; a byte that comes between sets both again.
+            unsafe { write_volatile(INTCLEAR, CLEAR_RX_INTERRUPT) };
+            NVIC::unpend(Received);
+        }
     }
 }
 
@@ -54,7 +85,7 @@ impl Read for Uart {
         if buffer.is_empty() {
             return Ok(0);
         }
-        while self.state() & RX_FULL == 0 { cortex_m::asm::wfi(); unsafe { write_volatile((BASE+12) as *mut u32, 2); write_volatile(0xE000E280 as *mut u32, 1); } }
+        self.sleep_until_received();
         let mut len = 0;
         while len < buffer.len() && self.state() & RX_FULL != 0 {
             // SAFETY: the receive buffer holds a byte; reading takes it.

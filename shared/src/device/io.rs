@@ -1,0 +1,231 @@
+//! Where a board puts its storage, its camera and its pins; and the versions that live in memory.
+
+use core::fmt;
+use half::f16;
+
+/// Why storage did not do what it was asked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum IoError {
+    /// Too little room.
+    NoRoom {
+        /// Bytes asked for.
+        needed: usize,
+        /// Bytes there are.
+        available: usize,
+    },
+    /// The hardware failed.
+    Failed,
+}
+
+impl fmt::Display for IoError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::NoRoom { needed, available } => write!(f, "{needed} bytes needed, room for {available}"),
+            Self::Failed => f.write_str("the storage failed"),
+        }
+    }
+}
+
+impl core::error::Error for IoError {}
+
+/// Where the network file lies: memory, or flash that is read in place.
+pub trait BlobStore {
+    /// Room, bytes.
+    fn capacity(&self) -> usize;
+    /// Forgets what is there and makes ready for `len` bytes; flash is erased here.
+    ///
+    /// # Errors
+    /// There is no such room.
+    fn begin(&mut self, len: usize) -> Result<(), IoError>;
+    /// Writes bytes at `offset`. They follow those written before, or repeat the last of them.
+    ///
+    /// # Errors
+    /// The bytes go past the length given to `begin`, or the hardware failed.
+    fn write(&mut self, offset: usize, bytes: &[u8]) -> Result<(), IoError>;
+    /// The file: as many bytes as were announced, from a multiple of [`crate::blob::ALIGN`].
+    fn bytes(&self) -> &[u8];
+}
+
+/// Where raw frames come from: the host, or a camera.
+pub trait FrameSource {
+    /// Room, pixels.
+    fn capacity(&self) -> usize;
+    /// Makes ready for a frame of `pixels` from the host.
+    ///
+    /// # Errors
+    /// There is no such room, or this source takes no frames from the host.
+    fn begin(&mut self, pixels: usize) -> Result<(), IoError>;
+    /// Takes bytes of a frame from the host, little-endian codes, at `offset` bytes.
+    ///
+    /// # Errors
+    /// The bytes go past the length given to `begin`.
+    fn write(&mut self, offset: usize, bytes: &[u8]) -> Result<(), IoError>;
+    /// The frame to reconstruct, row by row.
+    ///
+    /// # Errors
+    /// The camera failed.
+    fn frame(&mut self) -> Result<&[u16], IoError>;
+}
+
+/// Where reconstructions go.
+pub trait FrameSink {
+    /// Room, pixels.
+    fn capacity(&self) -> usize;
+    /// The buffer that the next reconstruction of `pixels` is written to.
+    ///
+    /// # Errors
+    /// There is no such room.
+    fn begin(&mut self, pixels: usize) -> Result<&mut [f16], IoError>;
+    /// The buffer is filled.
+    ///
+    /// # Errors
+    /// The hardware failed.
+    fn finish(&mut self) -> Result<(), IoError>;
+    /// The last reconstruction, for the host.
+    fn object(&self) -> &[f16];
+}
+
+/// What the program takes of the board's memory. All 0 where that has no meaning.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Footprint {
+    /// Code and constants, bytes.
+    pub image_bytes: u32,
+    /// Variables besides the large buffers, bytes.
+    pub static_bytes: u32,
+    /// The deepest that the stack has been, bytes.
+    pub stack_bytes: u32,
+}
+
+/// The board's view of the program: pins and counters.
+pub trait Monitor {
+    /// A reconstruction begins: raise the trigger pin.
+    fn run_begins(&mut self);
+    /// It has ended: lower the pin.
+    fn run_ends(&mut self);
+    /// What the program takes.
+    fn footprint(&self) -> Footprint;
+}
+
+/// No board.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Silent;
+
+impl Monitor for Silent {
+    fn run_begins(&mut self) {}
+    fn run_ends(&mut self) {}
+    fn footprint(&self) -> Footprint {
+        Footprint::default()
+    }
+}
+
+/// A network file in memory.
+#[derive(Debug)]
+pub struct RamStore<'m> {
+    memory: &'m mut [u8],
+    len: usize,
+}
+
+impl<'m> RamStore<'m> {
+    /// Puts files into `memory`, which begins at a multiple of [`crate::blob::ALIGN`].
+    pub fn new(memory: &'m mut [u8]) -> Self {
+        Self { memory, len: 0 }
+    }
+}
+
+impl BlobStore for RamStore<'_> {
+    fn capacity(&self) -> usize {
+        self.memory.len()
+    }
+
+    fn begin(&mut self, len: usize) -> Result<(), IoError> {
+        self.len = fits(len, self.memory.len())?;
+        Ok(())
+    }
+
+    fn write(&mut self, offset: usize, bytes: &[u8]) -> Result<(), IoError> {
+        copy(offset, bytes, &mut self.memory[..self.len])
+    }
+
+    fn bytes(&self) -> &[u8] {
+        &self.memory[..self.len]
+    }
+}
+
+/// A frame that the host sent.
+#[derive(Debug)]
+pub struct RamFrame<'m> {
+    memory: &'m mut [u16],
+    pixels: usize,
+}
+
+impl<'m> RamFrame<'m> {
+    /// Puts frames into `memory`.
+    pub fn new(memory: &'m mut [u16]) -> Self {
+        Self { memory, pixels: 0 }
+    }
+}
+
+impl FrameSource for RamFrame<'_> {
+    fn capacity(&self) -> usize {
+        self.memory.len()
+    }
+
+    fn begin(&mut self, pixels: usize) -> Result<(), IoError> {
+        self.pixels = fits(pixels, self.memory.len())?;
+        Ok(())
+    }
+
+    fn write(&mut self, offset: usize, bytes: &[u8]) -> Result<(), IoError> {
+        // The codes are little-endian, and so is every target: see `blob`.
+        copy(offset, bytes, bytemuck::cast_slice_mut(&mut self.memory[..self.pixels]))
+    }
+
+    fn frame(&mut self) -> Result<&[u16], IoError> {
+        Ok(&self.memory[..self.pixels])
+    }
+}
+
+/// A reconstruction that the host reads.
+#[derive(Debug)]
+pub struct RamObject<'m> {
+    memory: &'m mut [f16],
+    pixels: usize,
+}
+
+impl<'m> RamObject<'m> {
+    /// Puts reconstructions into `memory`.
+    pub fn new(memory: &'m mut [f16]) -> Self {
+        Self { memory, pixels: 0 }
+    }
+}
+
+impl FrameSink for RamObject<'_> {
+    fn capacity(&self) -> usize {
+        self.memory.len()
+    }
+
+    fn begin(&mut self, pixels: usize) -> Result<&mut [f16], IoError> {
+        self.pixels = fits(pixels, self.memory.len())?;
+        Ok(&mut self.memory[..self.pixels])
+    }
+
+    fn finish(&mut self) -> Result<(), IoError> {
+        Ok(())
+    }
+
+    fn object(&self) -> &[f16] {
+        &self.memory[..self.pixels]
+    }
+}
+
+fn fits(needed: usize, available: usize) -> Result<usize, IoError> {
+    if needed <= available { Ok(needed) } else { Err(IoError::NoRoom { needed, available }) }
+}
+
+fn copy(offset: usize, bytes: &[u8], memory: &mut [u8]) -> Result<(), IoError> {
+    let available = memory.len();
+    let needed = offset.saturating_add(bytes.len());
+    let to = memory.get_mut(offset..needed).ok_or(IoError::NoRoom { needed, available })?;
+    to.copy_from_slice(bytes);
+    Ok(())
+}

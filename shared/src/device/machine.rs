@@ -1,0 +1,268 @@
+//! The state machine.
+
+use super::io::{BlobStore, FrameSink, FrameSource, IoError, Monitor};
+use super::upload::Upload;
+use crate::blob::{MemoryPlan, Network};
+use crate::pipeline::{Memory, Pipeline, PipelineError};
+use crate::wire::{CHUNK, Info, Refusal, Reply, Request, RunReport, SCHEMA_KEY, Telemetry, Transfer, VERSION};
+use core::fmt::Write;
+use half::f16;
+use heapless::String;
+
+/// Working memory of the pipeline.
+#[derive(Debug)]
+pub struct Arenas<'m> {
+    /// Fast scratch.
+    pub fast: &'m mut [f32],
+    /// Bulk arena.
+    pub bulk: &'m mut [f16],
+}
+
+impl Arenas<'_> {
+    /// Sizes in bytes.
+    fn sizes(&self) -> MemoryPlan {
+        let bytes = |len: usize| u32::try_from(len).unwrap_or(u32::MAX);
+        MemoryPlan { fast_bytes: bytes(size_of_val(self.fast)), bulk_bytes: bytes(size_of_val(self.bulk)) }
+    }
+}
+
+/// The device: storage, frames, working memory, and how far it has come.
+#[derive(Debug)]
+pub struct Device<'m, B, S, K, M> {
+    board: &'static str,
+    store: B,
+    source: S,
+    sink: K,
+    arenas: Arenas<'m>,
+    monitor: M,
+    blob: Upload,
+    frame: Upload,
+    network: Loaded,
+    last_run: Option<RunReport>,
+    telemetry: Telemetry,
+}
+
+/// Whether there is a network to run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Loaded {
+    No,
+    /// The store holds a file that was checked bit by bit.
+    Checked,
+}
+
+impl<'m, B: BlobStore, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, B, S, K, M> {
+    /// A device without a network.
+    pub fn new(board: &'static str, store: B, source: S, sink: K, arenas: Arenas<'m>, monitor: M) -> Self {
+        Self {
+            board,
+            store,
+            source,
+            sink,
+            arenas,
+            monitor,
+            blob: Upload::none(Transfer::Blob),
+            frame: Upload::none(Transfer::Frame),
+            network: Loaded::No,
+            last_run: None,
+            telemetry: Telemetry::default(),
+        }
+    }
+
+    /// Does what is asked, and answers. Asked twice, it answers the same.
+    pub fn handle(&mut self, request: Request<'_>) -> Reply<'_> {
+        let done = match request {
+            Request::Hello { version, schema } => self.hello(version, schema).map(Reply::Hello),
+            Request::Begin { what: Transfer::Blob, len } => self.begin_blob(len).map(|()| Reply::Done),
+            Request::Begin { what: Transfer::Frame, len } => self.begin_frame(len).map(|()| Reply::Done),
+            Request::Chunk { what, offset, data } => {
+                self.chunk(what, offset, data).map(|offset| Reply::Received { offset })
+            }
+            Request::Commit => self.commit().map(|()| Reply::Done),
+            Request::Run { id } => self.run(id).map(Reply::Ran),
+            Request::Read { id, offset, len } => return self.read(id, offset, len).unwrap_or_else(Reply::Refused),
+            Request::Telemetry => Ok(Reply::Telemetry(self.telemetry())),
+            Request::Quit => Ok(Reply::Done),
+        };
+        done.unwrap_or_else(Reply::Refused)
+    }
+
+    /// Counts a packet that was no request.
+    pub fn count_dropped(&mut self) {
+        self.telemetry.dropped_packets = self.telemetry.dropped_packets.wrapping_add(1);
+    }
+
+    /// Counts a request that had been answered before.
+    pub fn count_repeated(&mut self) {
+        self.telemetry.repeated_requests = self.telemetry.repeated_requests.wrapping_add(1);
+    }
+
+    fn hello(&self, version: u16, schema: u64) -> Result<Info, Refusal> {
+        if version != VERSION {
+            return Err(Refusal::Version { expected: VERSION, found: version });
+        }
+        if schema != SCHEMA_KEY {
+            return Err(Refusal::Schema { expected: SCHEMA_KEY, found: schema });
+        }
+        let sizes = self.arenas.sizes();
+        let mut board = String::new();
+        for c in self.board.chars() {
+            let _cut_short = board.push(c);
+        }
+        Ok(Info {
+            version: VERSION,
+            schema: SCHEMA_KEY,
+            board,
+            blob_bytes: saturated(self.store.capacity()),
+            frame_px: saturated(self.source.capacity()),
+            object_px: saturated(self.sink.capacity()),
+            fast_bytes: sizes.fast_bytes,
+            bulk_bytes: sizes.bulk_bytes,
+        })
+    }
+
+    fn begin_blob(&mut self, len: u32) -> Result<(), Refusal> {
+        self.network = Loaded::No;
+        self.last_run = None;
+        self.blob.begin(0);
+        self.store.begin(len as usize).map_err(|e| storage(e, Transfer::Blob))?;
+        self.blob.begin(len);
+        Ok(())
+    }
+
+    fn begin_frame(&mut self, len: u32) -> Result<(), Refusal> {
+        self.last_run = None;
+        self.frame.begin(0);
+        // An odd byte is half a pixel: it is stored nowhere, and the length is refused before the run.
+        self.source.begin((len / 2) as usize).map_err(|e| storage(e, Transfer::Frame))?;
+        self.frame.begin(len);
+        Ok(())
+    }
+
+    fn chunk(&mut self, what: Transfer, offset: u32, data: &[u8]) -> Result<u32, Refusal> {
+        let upload = match what {
+            Transfer::Blob => &mut self.blob,
+            Transfer::Frame => &mut self.frame,
+        };
+        let known = upload.accept(offset, data)?;
+        let (at, new) = (offset as usize + known, &data[known..]);
+        if !new.is_empty() {
+            let stored = match what {
+                Transfer::Blob => self.store.write(at, new),
+                Transfer::Frame => self.source.write(at, new),
+            };
+            stored.map_err(|e| storage(e, what))?;
+            upload.advance(new.len());
+        }
+        Ok(upload.received())
+    }
+
+    /// Checks the network file bit by bit, and whether it can run here.
+    fn commit(&mut self) -> Result<(), Refusal> {
+        if self.network == Loaded::Checked {
+            return Ok(());
+        }
+        self.blob.complete()?;
+        let network = Network::decode(self.store.bytes()).map_err(Refusal::Blob)?;
+        network.header.memory.fits(self.arenas.sizes()).map_err(Refusal::Blob)?;
+        let pipeline = Pipeline::new(&network.header, network.weights).map_err(refusal)?;
+        let (frame_px, object_px) = (self.source.capacity(), self.sink.capacity());
+        if pipeline.frame_len() > frame_px {
+            let needed = saturated(2 * pipeline.frame_len());
+            return Err(Refusal::NoRoom { what: Transfer::Frame, needed, available: saturated(2 * frame_px) });
+        }
+        if pipeline.output_len() > object_px {
+            let needed = saturated(pipeline.output_len());
+            return Err(Refusal::ObjectRoom { needed, available: saturated(object_px) });
+        }
+        self.network = Loaded::Checked;
+        Ok(())
+    }
+
+    fn run(&mut self, id: u32) -> Result<RunReport, Refusal> {
+        if let Some(report) = self.last_run.filter(|report| report.id == id) {
+            return Ok(report);
+        }
+        if self.network == Loaded::No {
+            return Err(Refusal::NoNetwork);
+        }
+        let network = Network::view(self.store.bytes()).map_err(Refusal::Blob)?;
+        let pipeline = Pipeline::new(&network.header, network.weights).map_err(refusal)?;
+        let (expected, found) = (saturated(2 * pipeline.frame_len()), self.frame.complete()?);
+        if expected != found {
+            return Err(Refusal::FrameLength { expected, found });
+        }
+        let frame = self.source.frame().map_err(|e| storage(e, Transfer::Frame))?;
+        let object = self.sink.begin(pipeline.output_len()).map_err(|_| Refusal::Storage)?;
+        // More scratch than this does not help: the rest of the fast memory is not touched.
+        let fast_len = self.arenas.fast.len().min(pipeline.fast_len_best());
+        let memory = Memory { fast: &mut self.arenas.fast[..fast_len], bulk: self.arenas.bulk };
+        self.monitor.run_begins();
+        let stats = pipeline.run(frame, memory, object);
+        self.monitor.run_ends();
+        let stats = stats.map_err(refusal)?;
+        self.telemetry.fast_bytes = saturated(fast_len * size_of::<f32>());
+        self.telemetry.bulk_bytes = network.header.memory.bulk_bytes;
+        self.telemetry.runs = self.telemetry.runs.wrapping_add(1);
+        self.sink.finish().map_err(|_| Refusal::Storage)?;
+        let report = RunReport {
+            id,
+            len: saturated(2 * pipeline.output_len()),
+            saturated_px: stats.saturated_px,
+            frame_max_dn: stats.frame_max_dn,
+            filter_finite: stats.filter_finite,
+        };
+        self.last_run = Some(report);
+        Ok(report)
+    }
+
+    fn read(&self, id: u32, offset: u32, len: u16) -> Result<Reply<'_>, Refusal> {
+        let last = self.last_run.map(|report| report.id);
+        if last != Some(id) {
+            return Err(Refusal::NoResult { expected: last, found: id });
+        }
+        // Halves are little-endian in memory as on the wire: see `blob`.
+        let bytes: &[u8] = bytemuck::cast_slice(self.sink.object());
+        let end = u64::from(offset) + u64::from(len);
+        let past = Refusal::PastEnd { len: saturated(bytes.len()), found: end };
+        if usize::from(len) > CHUNK || end > bytes.len() as u64 {
+            return Err(past);
+        }
+        Ok(Reply::Data { offset, data: &bytes[offset as usize..end as usize] })
+    }
+
+    fn telemetry(&self) -> Telemetry {
+        let footprint = self.monitor.footprint();
+        Telemetry {
+            image_bytes: footprint.image_bytes,
+            static_bytes: footprint.static_bytes,
+            stack_bytes: footprint.stack_bytes,
+            ..self.telemetry
+        }
+    }
+}
+
+fn saturated(n: usize) -> u32 {
+    u32::try_from(n).unwrap_or(u32::MAX)
+}
+
+fn storage(error: IoError, what: Transfer) -> Refusal {
+    match error {
+        IoError::NoRoom { needed, available } => {
+            Refusal::NoRoom { what, needed: saturated(needed), available: saturated(available) }
+        }
+        IoError::Failed => Refusal::Storage,
+    }
+}
+
+/// The pipeline's words, as many as the message holds.
+fn refusal(error: PipelineError) -> Refusal {
+    struct Cut(String<120>);
+    impl Write for Cut {
+        fn write_str(&mut self, text: &str) -> core::fmt::Result {
+            text.chars().try_for_each(|c| self.0.push(c)).map_err(|_| core::fmt::Error)
+        }
+    }
+    let mut text = Cut(String::new());
+    let _cut_short = write!(text, "{error}");
+    Refusal::Pipeline(text.0)
+}

@@ -1,0 +1,112 @@
+//! A device on a line.
+
+use super::io::{BlobStore, FrameSink, FrameSource, Monitor};
+use super::machine::Device;
+use crate::wire::frame::decode;
+use crate::wire::{Deframer, MAX_PACKET, Packet, Request, encode};
+use embedded_io::{Read, Write};
+
+/// Why [`serve`] came back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum End {
+    /// The host asked the program to end.
+    Quit,
+    /// The line was closed.
+    Closed,
+}
+
+/// The device's end of a line: buffers and the number of the last request. About 5 KB: keep it off the stack.
+#[derive(Debug)]
+pub struct Line {
+    deframer: Deframer<MAX_PACKET>,
+    out: [u8; MAX_PACKET],
+    last: Option<u16>,
+}
+
+/// What the line did with a byte.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Step<'a> {
+    /// It ends no packet that wants an answer.
+    Nothing,
+    /// Bytes to send.
+    Answer(&'a [u8]),
+    /// Bytes to send, then end.
+    Quit(&'a [u8]),
+}
+
+impl Line {
+    /// A silent line.
+    pub const fn new() -> Self {
+        Self { deframer: Deframer::new(), out: [0; MAX_PACKET], last: None }
+    }
+
+    /// Takes a byte from the line; where it ends a request, the device handles it.
+    pub fn push<B: BlobStore, S: FrameSource, K: FrameSink, M: Monitor>(
+        &mut self,
+        byte: u8,
+        device: &mut Device<'_, B, S, K, M>,
+    ) -> Step<'_> {
+        let packet = match self.deframer.push(byte) {
+            Ok(None) => return Step::Nothing,
+            Ok(Some(bytes)) => decode::<Packet<Request<'_>>>(bytes),
+            Err(error) => Err(error),
+        };
+        let Ok(Packet { seq, body }) = packet else {
+            device.count_dropped();
+            return Step::Nothing;
+        };
+        if !matches!(body, Request::Hello { .. }) {
+            // Half the numbers lie behind the last one: they are late copies, answered long ago.
+            let ahead = self.last.map_or(1, |last| seq.wrapping_sub(last));
+            if ahead == 0 {
+                device.count_repeated();
+            } else if ahead > u16::MAX / 2 {
+                device.count_dropped();
+                return Step::Nothing;
+            }
+        }
+        self.last = Some(seq);
+        let reply = Packet { seq, body: device.handle(body) };
+        match (encode(&reply, &mut self.out), body) {
+            (Ok(bytes), Request::Quit) => Step::Quit(bytes),
+            (Ok(bytes), _) => Step::Answer(bytes),
+            // No reply is longer than the buffer; the host would ask again.
+            (Err(_), _) => Step::Nothing,
+        }
+    }
+}
+
+impl Default for Line {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// Answers requests until the host asks to end or the line closes.
+///
+/// # Errors
+/// Those of the line.
+pub fn serve<L: Read + Write, B: BlobStore, S: FrameSource, K: FrameSink, M: Monitor>(
+    link: &mut L,
+    line: &mut Line,
+    device: &mut Device<'_, B, S, K, M>,
+) -> Result<End, L::Error> {
+    let mut bytes = [0; 64];
+    loop {
+        let count = link.read(&mut bytes)?;
+        if count == 0 {
+            return Ok(End::Closed);
+        }
+        for byte in &bytes[..count] {
+            match line.push(*byte, device) {
+                Step::Nothing => {}
+                Step::Answer(answer) => link.write_all(answer)?,
+                Step::Quit(answer) => {
+                    link.write_all(answer)?;
+                    link.flush()?;
+                    return Ok(End::Quit);
+                }
+            }
+        }
+    }
+}
