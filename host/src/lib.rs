@@ -7,6 +7,7 @@
 pub mod artifact;
 pub mod bead;
 pub mod bench;
+pub mod blob;
 pub mod cli;
 pub mod device;
 pub mod effects;

@@ -1,1 +1,24 @@
-//! (being written)
+//! The firmware, from the workstation: under QEMU over its serial line, or its logic in this process.
+//!
+//! [`run`] sends a network and frames and gets reconstructions back; [`Client`] is the host's end of the conversation in
+//! [`ommatidia_shared::wire`], over any [`Transport`].
+
+mod client;
+mod counter;
+mod error;
+mod faulty;
+mod firmware;
+mod loopback;
+mod qemu;
+mod run;
+mod transport;
+
+pub use client::{Client, Patience};
+pub use counter::Counter;
+pub use error::DeviceError;
+pub use faulty::{Faults, Faulty};
+pub use firmware::Firmware;
+pub use loopback::{Loopback, LoopbackConfig};
+pub use qemu::{Qemu, find_qemu};
+pub use run::{DeviceRun, Runtime, reference, run};
+pub use transport::Transport;

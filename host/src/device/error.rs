@@ -1,0 +1,75 @@
+//! Why the device did not give reconstructions.
+
+use crate::blob::BlobFileError;
+use ommatidia_shared::pipeline::PipelineError;
+use ommatidia_shared::wire::Refusal;
+use std::path::PathBuf;
+use thiserror::Error;
+
+/// Why the device did not give reconstructions.
+#[derive(Debug, Error)]
+pub enum DeviceError {
+    /// QEMU is not there.
+    #[error(
+        "qemu-system-arm is not on the PATH; install it (Debian, Ubuntu: `apt-get install qemu-system-arm`; macOS: `brew install qemu`), or run the firmware's logic on this machine with `--on host`"
+    )]
+    NoQemu,
+    /// A program could not be started.
+    #[error("{program}: cannot be started ({source})")]
+    Start {
+        /// The program.
+        program: String,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// There is no firmware image.
+    #[error("no firmware image: {detail}; name one with `--firmware ELF`, or run the firmware's logic here with `--on host`")]
+    NoFirmware {
+        /// What was tried.
+        detail: String,
+    },
+    /// The emulator ended.
+    #[error("the emulated board stopped ({status}): {output}")]
+    Stopped {
+        /// How it ended.
+        status: String,
+        /// What it printed.
+        output: String,
+    },
+    /// The line failed.
+    #[error("the line to the device failed: {0}")]
+    Line(#[from] std::io::Error),
+    /// No answer.
+    #[error("the device does not answer `{request}`: asked {attempts} times; check the line and the firmware")]
+    Silent {
+        /// What was asked.
+        request: String,
+        /// How often.
+        attempts: u32,
+    },
+    /// An answer to something else.
+    #[error("the device answered `{request}` with something else: {found}")]
+    Unexpected {
+        /// What was asked.
+        request: String,
+        /// What came.
+        found: String,
+    },
+    /// The device refuses.
+    #[error("the device refuses: {0}")]
+    Refused(Refusal),
+    /// A file or a frame is no good.
+    #[error(transparent)]
+    Blob(#[from] BlobFileError),
+    /// The pipeline refuses on this machine.
+    #[error("{0}")]
+    Pipeline(PipelineError),
+    /// The instruction counter could not be set up.
+    #[error("{path}: the instruction counter cannot be built or read: {detail}")]
+    Counter {
+        /// The plugin or its output.
+        path: PathBuf,
+        /// What is wrong.
+        detail: String,
+    },
+}

@@ -1,0 +1,78 @@
+//! The firmware image: given, or built from this workspace.
+
+use super::DeviceError;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// Where the image runs.
+const TARGET: &str = "thumbv7em-none-eabihf";
+
+/// An image on disk.
+#[derive(Clone, Debug)]
+pub struct Firmware {
+    path: PathBuf,
+}
+
+impl Firmware {
+    /// An image that the user names.
+    ///
+    /// # Errors
+    /// There is no such file.
+    pub fn given(path: &Path) -> Result<Self, DeviceError> {
+        if path.is_file() {
+            return Ok(Self { path: path.into() });
+        }
+        Err(DeviceError::NoFirmware { detail: format!("{}: no such file", path.display()) })
+    }
+
+    /// Builds program `bin` (`app` or `bench`) for the emulated board.
+    ///
+    /// # Errors
+    /// The sources or the compiler for the target are missing, or the build fails.
+    pub fn build(bin: &str) -> Result<Self, DeviceError> {
+        let missing = |detail: String| DeviceError::NoFirmware { detail };
+        let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+        if !workspace.join("firmware/Cargo.toml").is_file() {
+            return Err(missing("the sources of this program are not here".into()));
+        }
+        if !can_build() {
+            return Err(missing(format!("no compiler for the board; `rustup target add {TARGET}` installs one")));
+        }
+        let output = Command::new("cargo")
+            .current_dir(&workspace)
+            .args(["build", "--profile", "firmware", "-p", "ommatidia-firmware", "--features", "mps2-an500"])
+            .args(["--target", TARGET, "--bin", bin, "--message-format", "json-render-diagnostics"])
+            .output()
+            .map_err(|source| DeviceError::Start { program: "cargo".into(), source })?;
+        if !output.status.success() {
+            let log = String::from_utf8_lossy(&output.stderr);
+            let last = log.lines().rev().take(8).collect::<Vec<_>>().into_iter().rev().collect::<Vec<_>>().join("\n");
+            return Err(missing(format!("the build fails:\n{last}")));
+        }
+        executable(&output.stdout, bin)
+            .map(|path| Self { path })
+            .ok_or_else(|| missing(format!("the build made no program `{bin}`")))
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+/// Whether the compiler has the target's core library.
+fn can_build() -> bool {
+    let output = Command::new("rustc").args(["--print", "target-libdir", "--target", TARGET]).output();
+    output.is_ok_and(|output| {
+        output.status.success() && Path::new(String::from_utf8_lossy(&output.stdout).trim()).is_dir()
+    })
+}
+
+/// The executable that cargo's messages tell of.
+fn executable(messages: &[u8], bin: &str) -> Option<PathBuf> {
+    String::from_utf8_lossy(messages).lines().find_map(|line| {
+        let message: serde_json::Value = serde_json::from_str(line).ok()?;
+        let is_bin = message["target"]["name"] == bin && message["target"]["kind"][0] == "bin";
+        if is_bin { message["executable"].as_str().map(PathBuf::from) } else { None }
+    })
+}

@@ -1,0 +1,156 @@
+//! The firmware's logic in this process: the very program of the device, on a thread and memory of its own.
+
+use super::{DeviceError, Transport};
+use embedded_io::{ErrorType, Read, Write};
+use half::f16;
+use ommatidia_shared::device::{Arenas, Device, Line, RamFrame, RamObject, RamStore, Silent, serve};
+use std::convert::Infallible;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+/// Memory of the device that is played.
+#[derive(Clone, Copy, Debug)]
+pub struct LoopbackConfig {
+    /// Room for the network file, bytes.
+    pub blob_bytes: usize,
+    /// Room for the raw frame, pixels.
+    pub frame_px: usize,
+    /// Room for the reconstruction, pixels.
+    pub object_px: usize,
+    /// Fast memory, bytes.
+    pub fast_bytes: usize,
+    /// Bulk memory, bytes.
+    pub bulk_bytes: usize,
+}
+
+impl Default for LoopbackConfig {
+    /// The default board's memory.
+    fn default() -> Self {
+        Self {
+            blob_bytes: 4 << 20,
+            frame_px: 512 << 10,
+            object_px: 512 << 10,
+            fast_bytes: 512 << 10,
+            bulk_bytes: 8 << 20,
+        }
+    }
+}
+
+/// A device in this process.
+#[derive(Debug)]
+pub struct Loopback {
+    to: Option<Sender<Vec<u8>>>,
+    from: Receiver<Vec<u8>>,
+    pending: Vec<u8>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Loopback {
+    /// Starts it.
+    ///
+    /// # Errors
+    /// The thread cannot be started.
+    pub fn start(config: LoopbackConfig) -> Result<Self, DeviceError> {
+        let (to, inbox) = channel();
+        let (outbox, from) = channel();
+        let link = Link { inbox, outbox, pending: Vec::new() };
+        let thread = std::thread::Builder::new().name("device".into()).spawn(move || play(config, link))?;
+        Ok(Self { to: Some(to), from, pending: Vec::new(), thread: Some(thread) })
+    }
+}
+
+impl Drop for Loopback {
+    fn drop(&mut self) {
+        // Closing the line ends the program.
+        self.to = None;
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+fn play(config: LoopbackConfig, mut link: Link) {
+    let mut blob = vec![0u128; config.blob_bytes.div_ceil(16)];
+    let mut frame = vec![0u16; config.frame_px];
+    let mut object = vec![f16::ZERO; config.object_px];
+    let mut fast = vec![0f32; config.fast_bytes / size_of::<f32>()];
+    let mut bulk = vec![f16::ZERO; config.bulk_bytes / size_of::<f16>()];
+    let mut line = Box::new(Line::new());
+    let mut device = Device::new(
+        "host",
+        RamStore::new(bytemuck::cast_slice_mut(&mut blob)),
+        RamFrame::new(&mut frame),
+        RamObject::new(&mut object),
+        Arenas { fast: &mut fast, bulk: &mut bulk },
+        Silent,
+    );
+    match serve(&mut link, &mut line, &mut device) {
+        Ok(_) => {}
+        Err(never) => match never {},
+    }
+}
+
+/// The device's end.
+struct Link {
+    inbox: Receiver<Vec<u8>>,
+    outbox: Sender<Vec<u8>>,
+    pending: Vec<u8>,
+}
+
+impl ErrorType for Link {
+    type Error = Infallible;
+}
+
+impl Read for Link {
+    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
+        if self.pending.is_empty() {
+            match self.inbox.recv() {
+                Ok(bytes) => self.pending = bytes,
+                Err(_) => return Ok(0),
+            }
+        }
+        Ok(take(&mut self.pending, buffer))
+    }
+}
+
+impl Write for Link {
+    fn write(&mut self, buffer: &[u8]) -> Result<usize, Infallible> {
+        // Nobody may be listening any more: then the next read ends the program.
+        let _ = self.outbox.send(buffer.to_vec());
+        Ok(buffer.len())
+    }
+
+    fn flush(&mut self) -> Result<(), Infallible> {
+        Ok(())
+    }
+}
+
+impl Transport for Loopback {
+    fn send(&mut self, bytes: &[u8]) -> Result<(), DeviceError> {
+        // A line that lost every byte of a packet has nothing to hand over; an empty read would mean "closed".
+        if let Some(to) = self.to.as_ref().filter(|_| !bytes.is_empty()) {
+            to.send(bytes.to_vec()).map_err(|_| std::io::Error::other("the program has ended"))?;
+        }
+        Ok(())
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], patience: Duration) -> Result<usize, DeviceError> {
+        if self.pending.is_empty() {
+            match self.from.recv_timeout(patience) {
+                Ok(bytes) => self.pending = bytes,
+                Err(RecvTimeoutError::Timeout) => return Ok(0),
+                Err(RecvTimeoutError::Disconnected) => Err(std::io::Error::other("the program has ended"))?,
+            }
+        }
+        Ok(take(&mut self.pending, buffer))
+    }
+}
+
+/// Moves bytes from the front of `pending` to `buffer`.
+fn take(pending: &mut Vec<u8>, buffer: &mut [u8]) -> usize {
+    let count = pending.len().min(buffer.len());
+    buffer[..count].copy_from_slice(&pending[..count]);
+    pending.drain(..count);
+    count
+}

@@ -1,0 +1,144 @@
+//! The firmware under QEMU, over its emulated serial line.
+
+use super::{Counter, DeviceError, Firmware, Transport};
+use std::fs::File;
+use std::io::{ErrorKind, Read, Seek};
+use std::net::UdpSocket;
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// The machine that is emulated.
+const MACHINE: &str = "mps2-an500";
+/// QEMU sends each byte of the UART as a datagram. So many bytes, with what the packet adds, stay below the 270 datagrams that
+/// the receive buffer of a Linux socket holds.
+const ANSWER_LEN: usize = 160;
+/// A program that was asked to end does so within this time.
+const END_WITHIN: Duration = Duration::from_secs(10);
+
+/// `qemu-system-arm`, if it is on the `PATH`.
+pub fn find_qemu() -> Option<PathBuf> {
+    std::env::split_paths(&std::env::var_os("PATH")?).map(|dir| dir.join("qemu-system-arm")).find(|file| file.is_file())
+}
+
+/// An emulated board.
+///
+/// The UART is on a UDP port of the loopback interface, behind QEMU's multiplexer: the one back end that takes more than one
+/// byte from the host at a time (the emulated UART itself holds one), which makes it ten times as fast as a socket or a
+/// pipe. A datagram may be lost; the protocol bears it.
+#[derive(Debug)]
+pub struct Qemu {
+    child: Child,
+    socket: UdpSocket,
+    output: File,
+}
+
+impl Qemu {
+    /// Starts the firmware, with an instruction counter if there is one.
+    ///
+    /// # Errors
+    /// QEMU is missing or cannot be started.
+    pub fn start(firmware: &Firmware, counter: Option<&Counter>) -> Result<Self, DeviceError> {
+        let program = find_qemu().ok_or(DeviceError::NoQemu)?;
+        let (socket, serial) = open_line()?;
+        let output = tempfile::tempfile()?;
+        let mut command = Command::new(&program);
+        command.args(["-M", MACHINE, "-display", "none", "-monitor", "none"]);
+        command.args(["-chardev", &serial, "-serial", "chardev:line"]);
+        // The multiplexer's escape character: one that no byte equals.
+        command.args(["-echr", "0x100", "-semihosting-config", "enable=on,target=native"]);
+        if let Some(counter) = counter {
+            command.args(["-plugin", &counter.argument()]);
+        }
+        command.arg("-kernel").arg(firmware.path());
+        command.stdin(Stdio::null()).stdout(output.try_clone()?).stderr(output.try_clone()?);
+        let child = command
+            .spawn()
+            .map_err(|source| DeviceError::Start { program: program.display().to_string(), source })?;
+        Ok(Self { child, socket, output })
+    }
+
+    /// Waits for a program that was asked to end.
+    ///
+    /// # Errors
+    /// It does not end, or ends with a failure.
+    pub fn wait(mut self) -> Result<(), DeviceError> {
+        let deadline = Instant::now() + END_WITHIN;
+        while Instant::now() < deadline {
+            match self.child.try_wait()? {
+                Some(status) if status.success() => return Ok(()),
+                Some(_) => return Err(self.stopped("failure".into())),
+                None => std::thread::sleep(Duration::from_millis(5)),
+            }
+        }
+        Err(self.stopped("it was asked to end and did not".into()))
+    }
+
+    /// Nothing came; that is fine as long as the emulator runs.
+    fn still_running(&mut self) -> Result<usize, DeviceError> {
+        match self.child.try_wait()? {
+            Some(status) => Err(self.stopped(status.to_string())),
+            None => Ok(0),
+        }
+    }
+
+    fn stopped(&mut self, status: String) -> DeviceError {
+        let mut bytes = Vec::new();
+        let read = self.output.rewind().and_then(|()| self.output.read_to_end(&mut bytes));
+        let output = match read {
+            Ok(_) => String::from_utf8_lossy(&bytes).trim().to_string(),
+            Err(error) => format!("its output cannot be read ({error})"),
+        };
+        DeviceError::Stopped { status, output }
+    }
+}
+
+/// Our end of the line, and QEMU's description of its end.
+fn open_line() -> Result<(UdpSocket, String), DeviceError> {
+    let ours = UdpSocket::bind("127.0.0.1:0")?;
+    // QEMU wants the number of a free port; the system knows one.
+    let theirs = UdpSocket::bind("127.0.0.1:0")?.local_addr()?;
+    ours.connect(theirs)?;
+    let port = ours.local_addr()?.port();
+    let (host, local) = (theirs.ip(), theirs.port());
+    let serial = format!("udp,id=line,host={host},port={port},localaddr={host},localport={local},mux=on");
+    Ok((ours, serial))
+}
+
+impl Drop for Qemu {
+    fn drop(&mut self) {
+        // Both fail only where the emulator has ended already.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+impl Transport for Qemu {
+    fn send(&mut self, bytes: &[u8]) -> Result<(), DeviceError> {
+        match self.socket.send(bytes) {
+            Ok(_) => Ok(()),
+            // It has not opened its end yet: a lost packet.
+            Err(error) if error.kind() == ErrorKind::ConnectionRefused => Ok(()),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], patience: Duration) -> Result<usize, DeviceError> {
+        // Short waits, so that an emulator that ended is noticed.
+        let wait = patience.min(Duration::from_millis(200)).max(Duration::from_millis(1));
+        self.socket.set_read_timeout(Some(wait))?;
+        match self.socket.recv(buffer) {
+            Ok(count) => Ok(count),
+            Err(error) if error.kind() == ErrorKind::ConnectionRefused => {
+                std::thread::sleep(Duration::from_millis(5));
+                self.still_running()
+            }
+            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => self.still_running(),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    fn answer_len(&self) -> usize {
+        ANSWER_LEN
+    }
+}

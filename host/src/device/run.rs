@@ -1,0 +1,160 @@
+//! A network and frames to the device, reconstructions back, compared bit by bit with this machine's.
+
+use super::{Client, Counter, DeviceError, Firmware, Loopback, LoopbackConfig, Qemu, Transport};
+use crate::blob::BlobFile;
+use half::f16;
+use ommatidia_shared::pipeline::{Memory, Pipeline};
+use ommatidia_shared::wire::{RunReport, Telemetry};
+use std::time::{Duration, Instant};
+
+/// What runs the device's program.
+#[derive(Clone, Debug)]
+pub enum Runtime {
+    /// QEMU runs the firmware.
+    Qemu(Firmware),
+    /// This process runs the firmware's logic.
+    Host(LoopbackConfig),
+}
+
+/// What came back.
+#[derive(Clone, Debug)]
+pub struct DeviceRun {
+    /// Board that the device says it is.
+    pub board: String,
+    /// Reconstructions, row by row.
+    pub objects: Vec<Vec<f16>>,
+    /// What each run saw.
+    pub reports: Vec<RunReport>,
+    /// Bits that differ from this machine's run of the same network and frames.
+    pub differing_bits: u64,
+    /// Instructions of each reconstruction; `None` where they cannot be counted.
+    pub instructions: Option<Vec<u64>>,
+    /// Figures of the device.
+    pub telemetry: Telemetry,
+    /// Wall time of sending the network file.
+    pub upload: Duration,
+    /// Wall time of all frames: sending, reconstructing, fetching.
+    pub frames: Duration,
+}
+
+/// Runs `frames` (codes, row by row) through the network on the device; `progress` hears what part of the way is done.
+///
+/// # Errors
+/// The device cannot be started, refuses, or falls silent.
+pub fn run(
+    runtime: &Runtime,
+    blob: &BlobFile,
+    frames: &[Vec<u16>],
+    progress: &mut dyn FnMut(f64),
+) -> Result<DeviceRun, DeviceError> {
+    match runtime {
+        Runtime::Host(config) => {
+            let (_, run) = converse(Loopback::start(*config)?, blob, frames, progress)?;
+            Ok(run)
+        }
+        Runtime::Qemu(firmware) => {
+            let counter = match Counter::build() {
+                Ok(counter) => Some(counter),
+                Err(error) => {
+                    tracing::warn!("instructions are not counted: {error}");
+                    None
+                }
+            };
+            let (qemu, mut run) = converse(Qemu::start(firmware, counter.as_ref())?, blob, frames, progress)?;
+            qemu.wait()?;
+            run.instructions = counter.map(|counter| counter.regions()).transpose()?;
+            Ok(run)
+        }
+    }
+}
+
+/// The whole conversation; gives the line back once the program was asked to end.
+fn converse<T: Transport>(
+    line: T,
+    blob: &BlobFile,
+    frames: &[Vec<u16>],
+    progress: &mut dyn FnMut(f64),
+) -> Result<(T, DeviceRun), DeviceError> {
+    let (mut client, info) = Client::connect(line)?;
+    // A frame weighs as much as its bytes, the network file as its own.
+    let frame_bytes: usize = frames.iter().map(|frame| 2 * frame.len()).sum();
+    let total = (blob.bytes().len() + frame_bytes) as f64;
+    let start = Instant::now();
+    client.send_blob(blob.bytes(), &mut |bytes| progress(bytes as f64 / total))?;
+    let upload = start.elapsed();
+    let (mut objects, mut reports) = (Vec::new(), Vec::new());
+    let mut sent = blob.bytes().len();
+    for (id, frame) in (1..).zip(frames) {
+        client.send_frame(frame)?;
+        let report = client.reconstruct(id)?;
+        objects.push(client.fetch(&report)?);
+        reports.push(report);
+        sent += 2 * frame.len();
+        progress(sent as f64 / total);
+    }
+    let frames_took = start.elapsed() - upload;
+    let telemetry = client.telemetry()?;
+    let line = client.quit();
+    let expected = reference(blob, frames)?;
+    let differing_bits = differing_bits(&expected, &objects);
+    let run = DeviceRun {
+        board: info.board.as_str().into(),
+        objects,
+        reports,
+        differing_bits,
+        instructions: None,
+        telemetry,
+        upload,
+        frames: frames_took,
+    };
+    Ok((line, run))
+}
+
+/// The reconstructions that this machine computes, through no line and no device.
+///
+/// # Errors
+/// The network or a frame is refused.
+pub fn reference(blob: &BlobFile, frames: &[Vec<u16>]) -> Result<Vec<Vec<f16>>, DeviceError> {
+    let network = blob.network()?;
+    let pipeline = Pipeline::new(&network.header, network.weights).map_err(DeviceError::Pipeline)?;
+    let mut fast = vec![0.0; pipeline.fast_len_best().max(pipeline.fast_len())];
+    let mut bulk = vec![f16::ZERO; pipeline.bulk_len()];
+    let mut objects = Vec::with_capacity(frames.len());
+    for frame in frames {
+        let mut object = vec![f16::ZERO; pipeline.output_len()];
+        let memory = Memory { fast: &mut fast, bulk: &mut bulk };
+        pipeline.run(frame, memory, &mut object).map_err(DeviceError::Pipeline)?;
+        objects.push(object);
+    }
+    Ok(objects)
+}
+
+/// Bits in which two stacks of halves differ; halves that only one of them has count in full.
+fn differing_bits(a: &[Vec<f16>], b: &[Vec<f16>]) -> u64 {
+    let bits = |stack: &[Vec<f16>], i: usize, j: usize| stack.get(i).and_then(|o| o.get(j)).map(|h| h.to_bits());
+    let mut differing = 0;
+    for i in 0..a.len().max(b.len()) {
+        let len = a.get(i).map_or(0, Vec::len).max(b.get(i).map_or(0, Vec::len));
+        differing += (0..len)
+            .map(|j| match (bits(a, i, j), bits(b, i, j)) {
+                (Some(x), Some(y)) => u64::from((x ^ y).count_ones()),
+                _ => 16,
+            })
+            .sum::<u64>();
+    }
+    differing
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn differing_bits_are_counted() {
+        let h = |bits: u16| f16::from_bits(bits);
+        assert_eq!(differing_bits(&[vec![h(3), h(0)]], &[vec![h(3), h(0)]]), 0);
+        assert_eq!(differing_bits(&[vec![h(3), h(0)]], &[vec![h(0), h(0x8000)]]), 3);
+        assert_eq!(differing_bits(&[vec![h(3), h(0)]], &[vec![h(3)]]), 16);
+        assert_eq!(differing_bits(&[], &[vec![h(3)]]), 16);
+    }
+}

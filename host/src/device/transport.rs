@@ -1,0 +1,25 @@
+//! A line to a device.
+
+use super::DeviceError;
+use ommatidia_shared::wire::CHUNK;
+use std::time::Duration;
+
+/// A line of bytes to a device. It may lose, repeat and damage them.
+pub trait Transport {
+    /// Sends bytes.
+    ///
+    /// # Errors
+    /// The line is gone.
+    fn send(&mut self, bytes: &[u8]) -> Result<(), DeviceError>;
+
+    /// Waits for bytes, at most for `patience`; gives how many came, 0 for none.
+    ///
+    /// # Errors
+    /// The line is gone.
+    fn receive(&mut self, buffer: &mut [u8], patience: Duration) -> Result<usize, DeviceError>;
+
+    /// The most bytes of data in one answer that the line carries without losing some.
+    fn answer_len(&self) -> usize {
+        CHUNK
+    }
+}
