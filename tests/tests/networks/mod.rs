@@ -1,0 +1,126 @@
+//! Networks with random weights, and frames for them.
+#![allow(clippy::unwrap_used, dead_code)]
+
+use half::f16;
+use ommatidia_host::blob::BlobFile;
+use ommatidia_host::rng;
+use ommatidia_shared::blob::{Bank, Header, MemoryPlan, Rcan, Sensor, Size, Tap, Weights};
+use ommatidia_shared::pipeline::Pipeline;
+use rand::RngExt;
+
+/// Shape of a network.
+#[derive(Clone, Copy, Debug)]
+pub struct Shape {
+    pub frame: [u16; 2],
+    pub object: [u16; 2],
+    pub tile: u16,
+    pub step: u16,
+    pub channels: u8,
+    /// Offsets of the taps of each channel, in steps.
+    pub taps: &'static [(i8, i8)],
+    pub width: u8,
+    pub groups: u8,
+    pub blocks: u8,
+    pub maps: bool,
+}
+
+/// The paper's form: one tap a channel, one tile that holds the whole frame.
+pub const DENSE: Shape = Shape {
+    frame: [40, 52],
+    object: [24, 36],
+    tile: 64,
+    step: 64,
+    channels: 3,
+    taps: &[(0, 0)],
+    width: 8,
+    groups: 2,
+    blocks: 1,
+    maps: true,
+};
+
+/// The sparse form: foci on several tiles, an object that no tile divides.
+pub const TAPPED: Shape = Shape {
+    frame: [50, 44],
+    object: [38, 30],
+    tile: 32,
+    step: 16,
+    channels: 2,
+    taps: &[(-1, 0), (0, -1), (0, 0), (1, 1)],
+    width: 6,
+    groups: 1,
+    blocks: 2,
+    maps: false,
+};
+
+/// A network as thin as can be on a single column of tiles.
+pub const THIN: Shape = Shape {
+    frame: [61, 17],
+    object: [60, 2],
+    tile: 16,
+    step: 8,
+    channels: 1,
+    taps: &[(0, 0)],
+    width: 1,
+    groups: 0,
+    blocks: 0,
+    maps: false,
+};
+
+/// The header of a network of this shape, its memory plan filled in.
+pub fn header(shape: &Shape) -> Header {
+    let tap = |channel: u8| shape.taps.iter().map(move |&(dy, dx)| Tap { channel, dy, dx });
+    let mut header = Header {
+        name: "random".try_into().unwrap(),
+        checkpoint: "".try_into().unwrap(),
+        frame: Size { rows: shape.frame[0], cols: shape.frame[1] },
+        object: Size { rows: shape.object[0], cols: shape.object[1] },
+        sensor: Sensor {
+            black_level_dn: 64.0,
+            saturation_dn: 4095,
+            has_offset_map: shape.maps,
+            has_gain_map: shape.maps,
+        },
+        bank: Bank {
+            tile: shape.tile,
+            step: shape.step,
+            channels: shape.channels,
+            taps: (0..shape.channels).flat_map(tap).collect(),
+        },
+        rcan: Rcan { width: shape.width, groups: shape.groups, blocks: shape.blocks, reduction: shape.width.min(2) },
+        memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
+    };
+    header.memory = Pipeline::plan(&header).unwrap();
+    header
+}
+
+/// A network file with weights drawn under `seed`: spectra like those of a narrow filter, layers that keep their scale.
+pub fn network(shape: &Shape, seed: u64) -> BlobFile {
+    let header = header(shape);
+    let lens = header.section_lens().unwrap();
+    let draw = |what: &str, len: u64, centre: f32, spread: f32| -> Vec<f16> {
+        let mut rng = rng::stream(seed, what, 0);
+        (0..len).map(|_| f16::from_f32(centre + spread * rng.random_range(-1.0..1.0f32))).collect()
+    };
+    let layer = (3.0 / (9.0 * f32::from(shape.width))).sqrt();
+    let spectra = draw("spectra", lens.spectra, 0.1, 1.0);
+    let rcan = draw("rcan", lens.rcan, 0.0, layer);
+    let offset = draw("offset", lens.offset_dn, 0.0, 8.0);
+    let gain = draw("gain", lens.inverse_gain, 1.0, 0.1);
+    let weights = Weights {
+        spectra: &spectra,
+        rcan: &rcan,
+        offset_dn: shape.maps.then_some(&offset),
+        inverse_gain: shape.maps.then_some(&gain),
+    };
+    BlobFile::new(&header, &weights).unwrap()
+}
+
+/// Raw frames, 12-bit codes.
+pub fn frames(shape: &Shape, count: u64, seed: u64) -> Vec<Vec<u16>> {
+    let pixels = usize::from(shape.frame[0]) * usize::from(shape.frame[1]);
+    let frame = |i| {
+        let mut rng = rng::stream(seed, "frame", i);
+        (0..pixels).map(|_| rng.random_range(40..=4095u16)).collect()
+    };
+    (0..count).map(frame).collect()
+}

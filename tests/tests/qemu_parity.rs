@@ -1,0 +1,72 @@
+//! The firmware under QEMU gives the bits that this machine gives.
+//!
+//! The tests need `qemu-system-arm` and the thumb target, and say so plainly where these are missing.
+#![allow(clippy::unwrap_used)]
+
+mod networks;
+
+use networks::{DENSE, Shape, TAPPED, THIN};
+use ommatidia_host::device::{DeviceRun, Firmware, LoopbackConfig, Runtime, find_qemu, run};
+
+/// The firmware, or a word on why there is none.
+fn firmware() -> Option<Firmware> {
+    if find_qemu().is_none() {
+        eprintln!("SKIPPED: qemu-system-arm is not on the PATH");
+        return None;
+    }
+    Firmware::build("app").inspect_err(|error| eprintln!("SKIPPED: {error}")).ok()
+}
+
+fn check(shape: &Shape, seed: u64) -> Option<DeviceRun> {
+    let firmware = firmware()?;
+    let (blob, frames) = (networks::network(shape, seed), networks::frames(shape, 2, seed));
+    let device = run(&Runtime::Qemu(firmware), &blob, &frames, &mut |_| {}).unwrap();
+    assert_eq!(device.board, "mps2-an500");
+    assert_eq!(device.objects.len(), 2);
+    assert_eq!(device.differing_bits, 0);
+    // A network that says the same everywhere would agree by accident.
+    let mut values: Vec<u16> = device.objects.iter().flatten().map(|half| half.to_bits()).collect();
+    values.sort_unstable();
+    values.dedup();
+    assert!(values.len() > 50, "only {} different values", values.len());
+    Some(device)
+}
+
+#[test]
+fn a_dense_network_agrees_bit_for_bit() {
+    let Some(device) = check(&DENSE, 1) else { return };
+    assert!(device.telemetry.stack_bytes > 256, "{:?}", device.telemetry);
+    assert!(device.telemetry.image_bytes > 10_000, "{:?}", device.telemetry);
+    let plan = networks::header(&DENSE).memory;
+    assert_eq!(device.telemetry.bulk_bytes, plan.bulk_bytes);
+    assert!(device.telemetry.fast_bytes >= plan.fast_bytes);
+}
+
+#[test]
+fn a_tapped_network_agrees_bit_for_bit() {
+    check(&TAPPED, 2);
+}
+
+#[test]
+fn the_thinnest_network_agrees_bit_for_bit() {
+    check(&THIN, 3);
+}
+
+#[test]
+fn counts_repeat_exactly() {
+    let (Some(first), Some(second)) = (check(&THIN, 4), check(&THIN, 4)) else { return };
+    assert_eq!(first.instructions, second.instructions);
+    if let Some(counts) = first.instructions {
+        assert_eq!(counts.len(), 2);
+        assert!(counts.iter().all(|count| *count > 100_000), "{counts:?}");
+    }
+}
+
+#[test]
+fn the_logic_in_this_process_agrees_bit_for_bit() {
+    for (shape, seed) in [(&DENSE, 5), (&TAPPED, 6), (&THIN, 7)] {
+        let (blob, frames) = (networks::network(shape, seed), networks::frames(shape, 2, seed));
+        let device = run(&Runtime::Host(LoopbackConfig::default()), &blob, &frames, &mut |_| {}).unwrap();
+        assert_eq!((device.board.as_str(), device.differing_bits), ("host", 0));
+    }
+}
