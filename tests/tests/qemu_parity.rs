@@ -6,7 +6,7 @@
 mod networks;
 
 use networks::{DENSE, Shape, TAPPED, THIN};
-use ommatidia_host::device::{DeviceRun, Firmware, LoopbackConfig, Runtime, find_qemu, run};
+use ommatidia_host::device::{DeviceError, DeviceRun, Firmware, LoopbackConfig, Runtime, find_qemu, run};
 
 /// The firmware, or a word on why there is none.
 fn firmware() -> Option<Firmware> {
@@ -14,7 +14,14 @@ fn firmware() -> Option<Firmware> {
         eprintln!("SKIPPED: qemu-system-arm is not on the PATH");
         return None;
     }
-    Firmware::build("app").inspect_err(|error| eprintln!("SKIPPED: {error}")).ok()
+    match Firmware::build("app") {
+        Ok(firmware) => Some(firmware),
+        Err(DeviceError::NoFirmware { detail }) => {
+            eprintln!("SKIPPED: {detail}");
+            None
+        }
+        Err(error) => panic!("{error}"),
+    }
 }
 
 fn check(shape: &Shape, seed: u64) -> Option<DeviceRun> {

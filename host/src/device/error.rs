@@ -28,6 +28,12 @@ pub enum DeviceError {
         /// What was tried.
         detail: String,
     },
+    /// The firmware does not build.
+    #[error("the firmware does not build:\n{log}")]
+    FirmwareBuild {
+        /// The end of the compiler's messages.
+        log: String,
+    },
     /// The emulator ended.
     #[error("the emulated board stopped ({status}): {output}")]
     Stopped {

@@ -47,7 +47,7 @@ impl Firmware {
         if !output.status.success() {
             let log = String::from_utf8_lossy(&output.stderr);
             let last = log.lines().rev().take(8).collect::<Vec<_>>().into_iter().rev().collect::<Vec<_>>().join("\n");
-            return Err(missing(format!("the build fails:\n{last}")));
+            return Err(DeviceError::FirmwareBuild { log: last });
         }
         executable(&output.stdout, bin)
             .map(|path| Self { path })

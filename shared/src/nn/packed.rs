@@ -6,8 +6,8 @@ use crate::num::{f16, simd::Vector, widen, widen_slice};
 
 /// Output channels that one pass over the rows makes.
 pub(super) const OUTPUTS: usize = 4;
-/// Columns that are held in registers at a time.
-pub(super) const COLUMNS: usize = if cfg!(target_arch = "arm") { 4 } else { 16 };
+/// Rows are laid out in multiples of the widest block of columns of any target, so that the memory plan is the same on all.
+pub(super) const COLUMNS: usize = 16;
 
 /// Columns rounded up to whole blocks.
 pub(super) const fn padded(cols: usize) -> usize {
@@ -91,16 +91,16 @@ fn blocks<V: Vector, const O: usize>(
     let (padded, pitch) = (padded(cols), pitch(cols));
     #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
     if O == OUTPUTS {
-        for x in (0..padded).step_by(COLUMNS) {
-            let mut acc = bias.map(|bias| [bias; COLUMNS]);
+        for x in (0..cols).step_by(arm::COLUMNS) {
+            let mut acc = bias.map(|bias| [bias; arm::COLUMNS]);
             arm::correlate(&input[x..], pitch, weights, &mut acc);
             for (o, acc) in acc.iter().enumerate() {
-                sums[o * padded + x..][..COLUMNS].copy_from_slice(acc);
+                sums[o * padded + x..][..arm::COLUMNS].copy_from_slice(acc);
             }
         }
         return;
     }
-    for x in (0..padded).step_by(2 * V::LEN) {
+    for x in (0..cols).step_by(2 * V::LEN) {
         let mut acc: [[V; 2]; O] = core::array::from_fn(|o| [V::splat(bias[o]); 2]);
         for (channel, weights) in weights.chunks_exact(9 * O).enumerate() {
             for (ky, weights) in weights.chunks_exact(3 * O).enumerate() {

@@ -152,12 +152,15 @@ macro_rules! kernel_row {
     };
 }
 
+/// Columns of the block that [`correlate`] computes.
+pub(crate) const COLUMNS: usize = 4;
+
 /// A block of 4 output channels by 4 columns of a 3x3 correlation, 158 instructions for 144 products.
 ///
 /// `input`: three rows of all channels from the block's first column on, `[3, channels, pitch]`; `weights`: `[channels, 3, 3, 4]`;
 /// `sums`: the biases on the way in, the sums over (channel, ky, kx) in this order on the way out. All products must be exact.
 #[inline(always)]
-pub(crate) fn correlate(input: &[f32], pitch: usize, weights: &[f32], sums: &mut [[f32; 4]; 4]) {
+pub(crate) fn correlate(input: &[f32], pitch: usize, weights: &[f32], sums: &mut [[f32; COLUMNS]; 4]) {
     let channels = weights.len() / 36;
     if channels == 0 {
         return;
