@@ -33,7 +33,9 @@ pub enum BlobFileError {
     #[error("network file: {0}")]
     Pipeline(PipelineError),
     /// A raw frame has another shape than the network takes.
-    #[error("raw frame: expected {expected:?} pixels, found {found:?}; use frames of the instrument that it was made for")]
+    #[error(
+        "raw frame: expected {expected:?} pixels, found {found:?}; use frames of the instrument that it was made for"
+    )]
     FrameShape {
         /// Rows and columns of the network.
         expected: (usize, usize),

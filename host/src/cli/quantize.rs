@@ -57,7 +57,16 @@ pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
 fn text(path: &Path, r: &QuantizeReport) -> String {
     let mut text = format!(
         "{}\n  {} bytes: filters {} ({} taps of {} x {}), enhancement {}\n  memory: {} bytes fast, {} bytes bulk\n  energy of the filters kept: {:.4}\n",
-        path.display(), r.file_bytes, r.spectra_bytes, r.taps, r.tile, r.tile, r.rcan_bytes, r.fast_bytes, r.bulk_bytes, r.energy_kept,
+        path.display(),
+        r.file_bytes,
+        r.spectra_bytes,
+        r.taps,
+        r.tile,
+        r.tile,
+        r.rcan_bytes,
+        r.fast_bytes,
+        r.bulk_bytes,
+        r.energy_kept,
     );
     for step in &r.steps {
         let _ = writeln!(text, "  {:>6}: {:.2} dB, SSIM {:.4}", step.step, step.quality.psnr_db, step.quality.ssim);

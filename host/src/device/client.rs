@@ -22,8 +22,7 @@ pub struct Patience {
 
 impl Patience {
     /// For what the device does at once.
-    pub const SHORT: Self =
-        Self { first: Duration::from_millis(500), longest: Duration::from_secs(4), attempts: 12 };
+    pub const SHORT: Self = Self { first: Duration::from_millis(500), longest: Duration::from_secs(4), attempts: 12 };
     /// For a reconstruction.
     pub const LONG: Self = Self { first: Duration::from_secs(5), longest: Duration::from_secs(60), attempts: 15 };
 }
@@ -134,12 +133,7 @@ impl<T: Transport> Client<T> {
         self.line
     }
 
-    fn transfer(
-        &mut self,
-        what: Transfer,
-        bytes: &[u8],
-        progress: &mut dyn FnMut(usize),
-    ) -> Result<(), DeviceError> {
+    fn transfer(&mut self, what: Transfer, bytes: &[u8], progress: &mut dyn FnMut(usize)) -> Result<(), DeviceError> {
         self.ask(Request::Begin { what, len: bytes.len() as u32 }, self.short, done)?;
         let mut at = 0;
         while at < bytes.len() {

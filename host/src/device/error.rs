@@ -23,7 +23,9 @@ pub enum DeviceError {
         source: std::io::Error,
     },
     /// There is no firmware image.
-    #[error("no firmware image: {detail}; name one with `--firmware ELF`, or run the firmware's logic here with `--on host`")]
+    #[error(
+        "no firmware image: {detail}; name one with `--firmware ELF`, or run the firmware's logic here with `--on host`"
+    )]
     NoFirmware {
         /// What was tried.
         detail: String,

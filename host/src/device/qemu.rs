@@ -52,9 +52,8 @@ impl Qemu {
         }
         command.arg("-kernel").arg(firmware.path());
         command.stdin(Stdio::null()).stdout(output.try_clone()?).stderr(output.try_clone()?);
-        let child = command
-            .spawn()
-            .map_err(|source| DeviceError::Start { program: program.display().to_string(), source })?;
+        let child =
+            command.spawn().map_err(|source| DeviceError::Start { program: program.display().to_string(), source })?;
         Ok(Self { child, socket, output })
     }
 

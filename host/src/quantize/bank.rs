@@ -39,13 +39,18 @@ impl PlannedBank {
         let t = checkpoint.body.network.filter_size;
         let tile = config.tile.unwrap_or(t);
         if !tile.is_power_of_two() || tile > t || tile < 8 {
-            return Err(QuantizeError::Size { field: "tile", expected: format!("a power of two from 8 to {t}"), found: tile });
+            return Err(QuantizeError::Size {
+                field: "tile",
+                expected: format!("a power of two from 8 to {t}"),
+                found: tile,
+            });
         }
         if !t.is_power_of_two() {
             return Err(QuantizeError::Size { field: "filter_size", expected: "a power of two".into(), found: t });
         }
         let spectra: Vec<Vec<Complex32>> = spectra(checkpoint).into_iter().map(|s| hermitian(s, t)).collect();
-        let mut bank = if tile == t { dense(t, spectra) } else { tapped(t, tile, &spectra, config.energy.unwrap_or(ENERGY))? };
+        let mut bank =
+            if tile == t { dense(t, spectra) } else { tapped(t, tile, &spectra, config.energy.unwrap_or(ENERGY))? };
         bank.scale_log2 = scale_log2(checkpoint, &bank.filters);
         Ok(bank)
     }
@@ -66,10 +71,19 @@ impl PlannedBank {
     /// A size is too large.
     pub fn describe(&self) -> Result<Bank, QuantizeError> {
         let channels = narrow("channels", self.channels)?;
-        let mut bank = Bank { tile: narrow("tile", self.tile)?, step: narrow("step", self.step)?, channels, taps: Default::default() };
+        let mut bank = Bank {
+            tile: narrow("tile", self.tile)?,
+            step: narrow("step", self.step)?,
+            channels,
+            taps: Default::default(),
+        };
         for (tap, _) in &self.taps {
             let found = self.taps.len();
-            bank.taps.push(*tap).map_err(|_| QuantizeError::Size { field: "taps", expected: format!("at most {MAX_TAPS}"), found })?;
+            bank.taps.push(*tap).map_err(|_| QuantizeError::Size {
+                field: "taps",
+                expected: format!("at most {MAX_TAPS}"),
+                found,
+            })?;
         }
         Ok(bank)
     }
@@ -135,7 +149,8 @@ fn tapped(t: usize, tile: usize, spectra: &[Vec<Complex32>], energy: f64) -> Res
     for (_, tap) in blocks.drain(count..) {
         lags(t, step, tap).for_each(|(at, _)| kernels[usize::from(tap.channel)][at] = 0.0);
     }
-    let mut taps: Vec<_> = blocks.iter().map(|&(_, tap)| (tap, cut(&kernels[usize::from(tap.channel)], t, &small, step, tap))).collect();
+    let mut taps: Vec<_> =
+        blocks.iter().map(|&(_, tap)| (tap, cut(&kernels[usize::from(tap.channel)], t, &small, step, tap))).collect();
     taps.sort_by_key(|(tap, _)| tap.order());
     let pruned: Vec<_> = kernels.iter().map(|k| full.forward(k)).collect();
     let filters = tensors(t, &pruned);
@@ -177,7 +192,8 @@ fn tensors(t: usize, spectra: &[Vec<Complex32>]) -> Tensors {
 fn scale_log2(checkpoint: &Checkpoint, filters: &Tensors) -> i32 {
     let sight = Sight::new(&checkpoint.body, &checkpoint.maps);
     let plan = Fourier::new(checkpoint.body.network.fourier());
-    let [re, im]: [Vec<f32>; 2] = FILTERS.map(|f| filters.get(f).map_or_else(Vec::new, |t| t.iter().copied().collect()));
+    let [re, im]: [Vec<f32>; 2] =
+        FILTERS.map(|f| filters.get(f).map_or_else(Vec::new, |t| t.iter().copied().collect()));
     let filters = plan.filters(&re, &im);
     let largest = |case: &Case| {
         let x = plan.rfft2(&sight.normalised(case.frame_dn.view()), checkpoint.body.network.frame);

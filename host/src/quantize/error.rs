@@ -8,7 +8,9 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 pub enum QuantizeError {
     /// A weight is no number.
-    #[error("weight `{name}`, element {index}: expected a finite value, found {found}; train again or resume an earlier checkpoint")]
+    #[error(
+        "weight `{name}`, element {index}: expected a finite value, found {found}; train again or resume an earlier checkpoint"
+    )]
     NotFinite {
         /// Name of the tensor.
         name: String,
@@ -52,7 +54,9 @@ pub enum QuantizeError {
         most: usize,
     },
     /// The device has too little memory.
-    #[error("{what}: expected at most {expected} bytes, found {found}: {missing} bytes are missing; use a smaller preset or a smaller tile")]
+    #[error(
+        "{what}: expected at most {expected} bytes, found {found}: {missing} bytes are missing; use a smaller preset or a smaller tile"
+    )]
     Budget {
         /// Which memory.
         what: &'static str,

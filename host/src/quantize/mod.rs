@@ -52,20 +52,38 @@ pub fn quantize(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) ->
     let bank = PlannedBank::new(checkpoint, config)?;
     let spectra = bank.spectra()?;
     let rcan = pack::rcan(network, &checkpoint.weights)?;
-    let offset = checkpoint.maps.offset_dn.as_ref().map(|map| pack::halves("offset_dn", map.iter().copied())).transpose()?;
-    let gain = checkpoint.maps.inverse_gain.as_ref().map(|map| pack::halves("inverse_gain", map.iter().copied())).transpose()?;
-    let weights = Weights { spectra: &spectra, rcan: &rcan, offset_dn: offset.as_deref(), inverse_gain: gain.as_deref() };
+    let offset =
+        checkpoint.maps.offset_dn.as_ref().map(|map| pack::halves("offset_dn", map.iter().copied())).transpose()?;
+    let gain = checkpoint
+        .maps
+        .inverse_gain
+        .as_ref()
+        .map(|map| pack::halves("inverse_gain", map.iter().copied()))
+        .transpose()?;
+    let weights =
+        Weights { spectra: &spectra, rcan: &rcan, offset_dn: offset.as_deref(), inverse_gain: gain.as_deref() };
     let header = header(checkpoint, hash, config, &bank)?;
     let mut bytes = vec![0; blob::encoded_len(&header)?];
     let len = blob::encode(&header, &weights, &mut bytes)?;
     bytes.truncate(len);
     budget("flash", config.flash_bytes, bytes.len() as u64)?;
     budget("RAM", config.ram_bytes, u64::from(header.memory.fast_bytes) + u64::from(header.memory.bulk_bytes))?;
-    let report = QuantizeReport::new(checkpoint, &bank, &header, &bytes, [spectra.len(), rcan.len()].map(|n| n * size_of::<f16>()))?;
+    let report = QuantizeReport::new(
+        checkpoint,
+        &bank,
+        &header,
+        &bytes,
+        [spectra.len(), rcan.len()].map(|n| n * size_of::<f16>()),
+    )?;
     Ok(Quantized { bytes, report })
 }
 
-fn header(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig, bank: &PlannedBank) -> Result<Header, QuantizeError> {
+fn header(
+    checkpoint: &Checkpoint,
+    hash: &str,
+    config: &QuantizeConfig,
+    bank: &PlannedBank,
+) -> Result<Header, QuantizeError> {
     let (network, noise) = (&checkpoint.body.network, &checkpoint.body.noise);
     let size = |field, [rows, cols]: [usize; 2]| -> Result<Size, QuantizeError> {
         Ok(Size { rows: narrow(field, rows)?, cols: narrow(field, cols)? })
@@ -103,7 +121,9 @@ fn narrow<T: TryFrom<usize>>(field: &'static str, value: usize) -> Result<T, Qua
 
 fn budget(what: &'static str, expected: Option<u64>, found: u64) -> Result<(), QuantizeError> {
     match expected {
-        Some(expected) if found > expected => Err(QuantizeError::Budget { what, expected, found, missing: found - expected }),
+        Some(expected) if found > expected => {
+            Err(QuantizeError::Budget { what, expected, found, missing: found - expected })
+        }
         _ => Ok(()),
     }
 }

@@ -58,7 +58,11 @@ pub fn rcan(network: &NetworkConfig, weights: &Tensors) -> Result<Vec<f16>, Quan
             let name = format!("{layer}.{part}");
             let found = weights.get(&name).map_or(0, |t| t.len());
             let Some(tensor) = weights.get(&name).filter(|_| found == expected) else {
-                return Err(QuantizeError::Size { field: "weights", expected: format!("{expected} values in `{name}`"), found });
+                return Err(QuantizeError::Size {
+                    field: "weights",
+                    expected: format!("{expected} values in `{name}`"),
+                    found,
+                });
             };
             section.extend(halves(&name, tensor.iter().copied())?);
         }

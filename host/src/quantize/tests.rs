@@ -28,8 +28,9 @@ fn noise() -> NoiseModel {
 /// Whole codes of a few smooth spots.
 fn frame(seed: u64) -> Array2<f32> {
     let mut rng = rng::stream(seed, "frame", 0);
-    let spots: Vec<[f32; 3]> =
-        (0..12).map(|_| [rng.random::<f32>() * 44.0, rng.random::<f32>() * 40.0, 200.0 + 2000.0 * rng.random::<f32>()]).collect();
+    let spots: Vec<[f32; 3]> = (0..12)
+        .map(|_| [rng.random::<f32>() * 44.0, rng.random::<f32>() * 40.0, 200.0 + 2000.0 * rng.random::<f32>()])
+        .collect();
     let light = |r: usize, c: usize| -> f32 {
         spots.iter().map(|[y, x, a]| a * (-0.2 * ((r as f32 - y).powi(2) + (c as f32 - x).powi(2))).exp()).sum()
     };
@@ -38,7 +39,14 @@ fn frame(seed: u64) -> Array2<f32> {
 
 /// A network that nobody has trained, with maps of the sensor.
 fn checkpoint() -> Checkpoint {
-    let network = NetworkConfig { channels: 3, width: 8, reduction: 4, groups: 2, blocks: 2, ..Preset::Nano.network(FRAME, OBJECT) };
+    let network = NetworkConfig {
+        channels: 3,
+        width: 8,
+        reduction: 4,
+        groups: 2,
+        blocks: 2,
+        ..Preset::Nano.network(FRAME, OBJECT)
+    };
     let weights = weights::random(&network, 5);
     let body = Body {
         network,
@@ -49,7 +57,8 @@ fn checkpoint() -> Checkpoint {
         step: 0,
         norms: MeanNorms::default(),
     };
-    let pattern = |a: f32, b: f32| Array2::from_shape_fn((FRAME[0], FRAME[1]), |(r, c)| a + b * ((r * 7 + c * 3) % 16) as f32);
+    let pattern =
+        |a: f32, b: f32| Array2::from_shape_fn((FRAME[0], FRAME[1]), |(r, c)| a + b * ((r * 7 + c * 3) % 16) as f32);
     let maps = SensorMaps { offset_dn: Some(pattern(-2.0, 0.25)), inverse_gain: Some(pattern(0.9375, 0.0078125)) };
     let truth = Array2::from_shape_fn((OBJECT[0], OBJECT[1]), |(r, c)| ((r + c) % 5) as f32);
     let cases = (0..2).map(|i| Case { frame_dn: frame(i), truth: truth.clone() }).collect();
@@ -66,7 +75,12 @@ fn difference(a: &dyn Reconstruct, b: &dyn Reconstruct, frame: &Array2<f32>) -> 
 #[test]
 fn the_file_computes_what_the_float_network_does() {
     let checkpoint = checkpoint();
-    let made = quantize(&checkpoint, &"0123456789abcdef".repeat(4), &QuantizeConfig { name: "test".into(), ..Default::default() }).unwrap();
+    let made = quantize(
+        &checkpoint,
+        &"0123456789abcdef".repeat(4),
+        &QuantizeConfig { name: "test".into(), ..Default::default() },
+    )
+    .unwrap();
     let (float, blob) = (FloatNetwork::new(&checkpoint).unwrap(), Blob::new(made.bytes).unwrap());
     let found = float.reconstruct(frame(9).view()).unwrap();
     let spread = found.iter().fold(0.0f32, |m, v| m.max(*v)) - found.iter().fold(1.0f32, |m, v| m.min(*v));
@@ -116,7 +130,10 @@ fn a_small_device_is_told_how_much_is_missing() {
     let checkpoint = checkpoint();
     let error = |config| quantize(&checkpoint, "", &config).unwrap_err();
     let flash = error(QuantizeConfig { flash_bytes: Some(20_000), ..Default::default() });
-    assert!(matches!(flash, QuantizeError::Budget { what: "flash", expected: 20_000, found, missing } if found - 20_000 == missing), "{flash}");
+    assert!(
+        matches!(flash, QuantizeError::Budget { what: "flash", expected: 20_000, found, missing } if found - 20_000 == missing),
+        "{flash}"
+    );
     let ram = error(QuantizeConfig { ram_bytes: Some(1000), ..Default::default() });
     assert!(matches!(ram, QuantizeError::Budget { what: "RAM", .. }), "{ram}");
     let tile = error(QuantizeConfig { tile: Some(48), ..Default::default() });

@@ -89,9 +89,12 @@ impl<'a> Trainer<'a> {
             norms: Default::default(),
         };
         let adam = Adam::new(&current);
-        let state = Checkpoint { body, weights: current.clone(), maps: task.maps.clone(), cases: Vec::new(), current, adam };
+        let state =
+            Checkpoint { body, weights: current.clone(), maps: task.maps.clone(), cases: Vec::new(), current, adam };
         let mut run = Self::with_state(task, state)?;
-        let kept = (CASE_PIXELS / (run.task.network.frame[0] * run.task.network.frame[1])).clamp(1, CASES).min(run.held_out.len());
+        let kept = (CASE_PIXELS / (run.task.network.frame[0] * run.task.network.frame[1]))
+            .clamp(1, CASES)
+            .min(run.held_out.len());
         run.state.cases = run.loader().cases(&run.held_out[..kept], "validation", 0)?;
         if run.state.body.training.start == Start::Regression {
             let mut fitted = run.state.current.clone();

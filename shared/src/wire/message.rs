@@ -265,7 +265,9 @@ impl fmt::Display for Refusal {
             Self::ObjectRoom { needed, available } => {
                 write!(f, "reconstruction: {needed} pixels needed, room for {available}")
             }
-            Self::OutOfOrder { expected, found } => write!(f, "expected the bytes at {expected}, found those at {found}"),
+            Self::OutOfOrder { expected, found } => {
+                write!(f, "expected the bytes at {expected}, found those at {found}")
+            }
             Self::PastEnd { len, found } => write!(f, "expected at most {len} bytes, found {found}"),
             Self::Incomplete { what, expected, found } => {
                 write!(f, "{what:?} is not complete: expected {expected} bytes, found {found}")
