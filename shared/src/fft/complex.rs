@@ -1,6 +1,6 @@
 //! The complex transform: radix 4, decimation in time, in place.
 
-use super::twiddle::root;
+use super::twiddle::Roots;
 use super::{FftError, MAX_LEN};
 
 /// One complex number in each of L lanes: real parts, imaginary parts.
@@ -108,7 +108,8 @@ fn first_radix8<const L: usize>(data: &mut [Lanes<L>; 8]) {
     let [e0, e1, e2, e3, o0, o1, o2, o3] = *data;
     let even = butterfly([e0, e1, e2, e3]);
     let odd = butterfly([o0, o1, o2, o3]);
-    let odd = [odd[0], mul(odd[1], root(1, 8)), turn(odd[2]), mul(odd[3], root(3, 8))];
+    let roots = Roots::new(8);
+    let odd = [odd[0], mul(odd[1], roots.at(1)), turn(odd[2]), mul(odd[3], roots.at(3))];
     for k in 0..4 {
         data[k] = add(even[k], odd[k]);
         data[k + 4] = sub(even[k], odd[k]);
@@ -121,11 +122,16 @@ fn radix4<const L: usize>(block: &mut [Lanes<L>], quarter: usize) {
     let (a0, rest) = block.split_at_mut(quarter);
     let (a1, rest) = rest.split_at_mut(quarter);
     let (a2, a3) = rest.split_at_mut(quarter);
+    let roots = Roots::new(4 * quarter);
     let columns = a0.iter_mut().zip(a1).zip(a2).zip(a3);
     for (k, (((a0, a1), a2), a3)) in columns.enumerate() {
-        let [w1, w2, w3] = [root(k, 4 * quarter), root(2 * k, 4 * quarter), root(3 * k, 4 * quarter)];
-        let joined = butterfly([*a0, mul(*a1, w2), mul(*a2, w1), mul(*a3, w3)]);
-        [*a0, *a1, *a2, *a3] = joined;
+        // The roots for k = 0 are 1.
+        let turned = if k == 0 {
+            [*a0, *a1, *a2, *a3]
+        } else {
+            [*a0, mul(*a1, roots.at(2 * k)), mul(*a2, roots.at(k)), mul(*a3, roots.at(3 * k))]
+        };
+        [*a0, *a1, *a2, *a3] = butterfly(turned);
     }
 }
 

@@ -7,11 +7,11 @@
 mod complex;
 mod plane;
 mod real;
+mod strip;
 mod twiddle;
 
 pub use complex::{Fft, Lanes};
-pub(crate) use plane::load_pairs;
-pub use plane::{Fft2, RowSource, StripSource};
+pub use plane::{Fft2, RowSource, Strip, StripSource};
 pub use real::RealFft;
 
 use core::fmt;

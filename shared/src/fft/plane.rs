@@ -6,9 +6,10 @@
 
 use super::complex::{Fft, Lanes};
 use super::real::RealFft;
-use super::{FftError, check_len};
+use super::{FftError, check_len, strip};
+use crate::num::f16;
+use crate::num::pairs::Parts;
 use crate::num::simd::{Kernel, Simd, Vector};
-use crate::num::{f16, narrow, widen};
 
 /// Rows or columns that are transformed side by side where scratch allows.
 const WIDE: usize = if cfg!(target_arch = "arm") { 1 } else { 8 };
@@ -21,9 +22,28 @@ pub trait RowSource {
 
 /// Where the spectrum of an inverse transform comes from.
 pub trait StripSource {
-    /// Adds columns `first..first + count` (`count <= L`) of the spectrum to the zeroed `strip`: row `r` at `fft.slot(r)`, column
-    /// `first + l` in lane `l`, **imaginary part first**.
-    fn add<const L: usize>(&self, fft: Fft, first: usize, count: usize, strip: &mut [Lanes<L>]);
+    /// Adds columns of the spectrum to the zeroed strip.
+    fn add<const L: usize>(&self, strip: Strip<'_, L>);
+}
+
+/// Columns `first..first + count` of a spectrum, one a lane, in fast scratch.
+#[derive(Debug)]
+pub struct Strip<'a, const L: usize> {
+    fft: Fft,
+    row_len: usize,
+    first: usize,
+    count: usize,
+    lanes: &'a mut [Lanes<L>],
+    scratch: &'a mut [f32],
+}
+
+impl<const L: usize> Strip<'_, L> {
+    /// Adds the product of two stored spectra: `re = (re + ar br) - ai bi`, `im = (im + ar bi) + ai br`.
+    #[inline(always)]
+    pub fn add_product(&mut self, a: &[f16], b: &[f16]) {
+        let Self { fft, row_len, first, count, lanes, scratch } = self;
+        strip::add_product([a, b], *row_len, *first, *count, *fft, lanes, scratch);
+    }
 }
 
 /// Plan of a T x T real transform.
@@ -80,9 +100,9 @@ impl Fft2 {
         self.scratch_for(WIDE)
     }
 
-    /// A strip of complex columns and one row.
+    /// A strip of complex columns, and room for two more columns or for two rows.
     const fn scratch_for(&self, lanes: usize) -> usize {
-        2 * self.len() * lanes + self.len()
+        2 * self.len() * lanes + 4 * self.len()
     }
 
     /// Transforms the plane whose rows `occupied` come from `source`, all others being zero.
@@ -134,13 +154,6 @@ impl Fft2 {
     }
 }
 
-/// Splits scratch into a strip of `len` complex numbers and the rest.
-#[inline(always)]
-fn strip<const L: usize>(scratch: &mut [f32], len: usize) -> (&mut [Lanes<L>], &mut [f32]) {
-    let (strip, rest) = scratch.split_at_mut(2 * L * len);
-    (strip.as_chunks_mut::<L>().0.as_chunks_mut::<2>().0, rest)
-}
-
 struct Forward<'a, S, const L: usize> {
     plan: &'a Fft2,
     source: &'a S,
@@ -171,7 +184,7 @@ impl<S: RowSource, const L: usize> Forward<'_, S, L> {
     #[inline(always)]
     fn rows(&mut self, first: usize, count: usize) {
         let (len, half) = (self.plan.len(), self.plan.rows.half());
-        let (data, row) = strip::<L>(self.scratch, half.len());
+        let (data, row) = strip::split::<L>(self.scratch, half.len());
         let row = &mut row[..len];
         for lane in 0..L {
             if lane < count {
@@ -186,60 +199,18 @@ impl<S: RowSource, const L: usize> Forward<'_, S, L> {
             }
         }
         self.plan.rows.forward(data);
-        let scale = 0.5 * self.plan.row_scale;
-        let rows = self.spectrum[first * 2 * self.plan.width()..].chunks_exact_mut(2 * self.plan.width());
-        for (lane, row) in rows.enumerate().take(count) {
-            let (pairs, _) = row.as_chunks_mut::<2>();
-            let ends = [data[0][0][lane], data[0][1][lane]];
-            for (pair, x) in pairs.iter_mut().zip(&*data) {
-                *pair = [narrow(x[0][lane] * scale), narrow(x[1][lane] * scale)];
-            }
-            pairs[0] = [narrow(ends[0] * scale), f16::ZERO];
-            pairs[half.len()] = [narrow(ends[1] * scale), f16::ZERO];
-        }
+        let row_len = self.plan.spectrum_len(1);
+        let rows = &mut self.spectrum[first * row_len..(first + count) * row_len];
+        strip::store_rows(data, 0.5 * self.plan.row_scale, rows, row_len);
     }
 
     #[inline(always)]
     fn columns(&mut self, first: usize, count: usize) {
-        let (width, fft) = (self.plan.width(), self.plan.cols);
-        let (data, _) = strip::<L>(self.scratch, fft.len());
-        for (r, row) in self.spectrum.chunks_exact(2 * width).enumerate().take(fft.len()) {
-            data[fft.slot(r)] = load_pairs::<L>(&row[2 * first..2 * (first + count)]);
-        }
+        let (row_len, fft) = (self.plan.spectrum_len(1), self.plan.cols);
+        let (data, _) = strip::split::<L>(self.scratch, fft.len());
+        strip::load(self.spectrum, row_len, first, count, fft, data);
         fft.process(data);
-        for (row, x) in self.spectrum.chunks_exact_mut(2 * width).zip(&*data) {
-            store(x, self.plan.col_scale, &mut row[2 * first..2 * (first + count)]);
-        }
-    }
-}
-
-/// Widens up to L pairs (re, im); zeros in idle lanes.
-#[inline(always)]
-pub(crate) fn load_pairs<const L: usize>(pairs: &[f16]) -> Lanes<L> {
-    let (pairs, _) = pairs.as_chunks::<2>();
-    if let Some(pairs) = pairs.first_chunk::<L>() {
-        return [core::array::from_fn(|l| widen(pairs[l][0])), core::array::from_fn(|l| widen(pairs[l][1]))];
-    }
-    let mut x = [[0.0; L]; 2];
-    for (l, pair) in pairs.iter().enumerate() {
-        x[0][l] = widen(pair[0]);
-        x[1][l] = widen(pair[1]);
-    }
-    x
-}
-
-/// Scales and narrows up to L pairs.
-#[inline(always)]
-fn store<const L: usize>(x: &Lanes<L>, scale: f32, pairs: &mut [f16]) {
-    let (pairs, _) = pairs.as_chunks_mut::<2>();
-    if let Some(pairs) = pairs.first_chunk_mut::<L>() {
-        for l in 0..L {
-            pairs[l] = [narrow(x[0][l] * scale), narrow(x[1][l] * scale)];
-        }
-        return;
-    }
-    for (l, pair) in pairs.iter_mut().enumerate() {
-        *pair = [narrow(x[0][l] * scale), narrow(x[1][l] * scale)];
+        strip::store(data, self.plan.col_scale, Parts::InOrder, self.spectrum, row_len, first, count);
     }
 }
 
@@ -269,29 +240,28 @@ impl<S: StripSource, E: FnMut(usize, &[f32]), const L: usize> Kernel for Inverse
 impl<S: StripSource, E: FnMut(usize, &[f32]), const L: usize> Inverse<'_, S, E, L> {
     #[inline(always)]
     fn columns(&mut self, first: usize, count: usize) {
-        let (width, fft) = (self.plan.width(), self.plan.cols);
-        let (data, _) = strip::<L>(self.scratch, fft.len());
+        let (row_len, fft) = (self.plan.spectrum_len(1), self.plan.cols);
+        let (data, scratch) = strip::split::<L>(self.scratch, fft.len());
         data.fill([[0.0; L]; 2]);
-        self.source.add(fft, first, count, data);
+        self.source.add(Strip { fft, row_len, first, count, lanes: data, scratch });
         fft.process(data);
-        for (row, x) in self.halfway.chunks_exact_mut(2 * width).zip(&data[self.rows.clone()]) {
-            store(&[x[1], x[0]], self.plan.col_scale, &mut row[2 * first..2 * (first + count)]);
-        }
+        let rows = &mut data[self.rows.clone()];
+        strip::store(rows, self.plan.col_scale, Parts::Exchanged, self.halfway, row_len, first, count);
     }
 
     #[inline(always)]
     fn emit_rows(&mut self, first: usize, count: usize) {
-        let (width, fft) = (self.plan.width(), self.plan.rows);
+        let (row_len, fft) = (self.plan.spectrum_len(1), self.plan.rows);
         let (half, quarter) = (fft.half().len(), fft.half().len() / 2);
         let slot = |k| fft.half().slot(k);
-        let (data, row) = strip::<L>(self.scratch, half);
-        let row = &mut row[..2 * half];
-        let from = &self.halfway[(first - self.rows.start) * 2 * width..][..count * 2 * width];
-        let at = |k: usize| gather::<L>(from, width, k);
-        data[slot(0)] = fft.tangle_ends(at(0)[0], at(half)[0]);
-        data[slot(quarter)] = fft.tangle_middle(at(quarter));
+        let (data, scratch) = strip::split::<L>(self.scratch, half);
+        let (row, scratch) = scratch.split_at_mut(2 * half);
+        let from = &self.halfway[(first - self.rows.start) * row_len..][..count * row_len];
+        let from = strip::Rows::new::<L>(from, row_len, scratch);
+        data[slot(0)] = fft.tangle_ends(from.at(0)[0], from.at(half)[0]);
+        data[slot(quarter)] = fft.tangle_middle(from.at(quarter));
         for k in 1..quarter {
-            [data[slot(k)], data[slot(half - k)]] = fft.tangle(k, at(k), at(half - k));
+            [data[slot(k)], data[slot(half - k)]] = fft.tangle(k, from.at(k), from.at(half - k));
         }
         fft.inverse(data);
         for lane in 0..count {
@@ -301,17 +271,6 @@ impl<S: StripSource, E: FnMut(usize, &[f32]), const L: usize> Inverse<'_, S, E, 
             (self.emit)(first + lane, row);
         }
     }
-}
-
-/// Number `k` of up to L consecutive rows; zeros in idle lanes.
-#[inline(always)]
-fn gather<const L: usize>(rows: &[f16], width: usize, k: usize) -> Lanes<L> {
-    let mut x = [[0.0; L]; 2];
-    for (l, row) in rows.chunks_exact(2 * width).enumerate().take(L) {
-        x[0][l] = widen(row[2 * k]);
-        x[1][l] = widen(row[2 * k + 1]);
-    }
-    x
 }
 
 #[cfg(test)]
@@ -332,14 +291,12 @@ mod tests {
         }
     }
 
-    struct Stored<'a>(&'a [f16], usize);
+    /// A spectrum and as many ones.
+    struct Stored<'a>(&'a [f16], Vec<f16>);
 
     impl StripSource for Stored<'_> {
-        fn add<const L: usize>(&self, fft: Fft, first: usize, count: usize, strip: &mut [Lanes<L>]) {
-            for (r, row) in self.0.chunks_exact(2 * self.1).enumerate() {
-                let [re, im] = load_pairs::<L>(&row[2 * first..2 * (first + count)]);
-                strip[fft.slot(r)] = [im, re];
-            }
+        fn add<const L: usize>(&self, mut strip: Strip<'_, L>) {
+            strip.add_product(self.0, &self.1);
         }
     }
 
@@ -367,7 +324,8 @@ mod tests {
         let mut scratch = vec![f32::NAN; if wide { fft.scratch_len_wide() } else { fft.scratch_len() }];
         let mut out = vec![f32::NAN; rows.len() * len];
         let simd = if wide { Simd::detect() } else { Simd::PORTABLE };
-        let source = Stored(spectrum, fft.width());
+        let ones = (0..spectrum.len()).map(|i| if i % 2 == 0 { f16::ONE } else { f16::ZERO }).collect();
+        let source = Stored(spectrum, ones);
         fft.inverse(simd, &source, rows.clone(), &mut halfway, &mut scratch, |row, values| {
             out[(row - rows.start) * len..][..len].copy_from_slice(values);
         })

@@ -3,7 +3,7 @@
 //! Source of the identities: Press et al., Numerical Recipes, 3rd ed., section 12.3.2, "FFT of single real function".
 
 use super::complex::{Fft, Lanes, mul};
-use super::twiddle::root;
+use super::twiddle::Roots;
 use super::{FftError, MAX_LEN};
 
 /// Plan of a real transform, 8 to [`MAX_LEN`] long.
@@ -42,12 +42,13 @@ impl RealFft {
         self.half.process(data);
         let [re, im] = data[0];
         data[0] = [lane(|l| 2.0 * (re[l] + im[l])), lane(|l| 2.0 * (re[l] - im[l]))];
+        let roots = Roots::new(2 * half);
         for k in 1..half / 2 {
             let (z, m) = (data[k], data[half - k]);
             let even: Lanes<L> = [lane(|l| z[0][l] + m[0][l]), lane(|l| z[1][l] - m[1][l])];
             // -i (z - conj m)
             let odd: Lanes<L> = [lane(|l| z[1][l] + m[1][l]), lane(|l| m[0][l] - z[0][l])];
-            let odd = mul(odd, root(k, 2 * half));
+            let odd = mul(odd, roots.at(k));
             data[k] = [lane(|l| even[0][l] + odd[0][l]), lane(|l| even[1][l] + odd[1][l])];
             data[half - k] = [lane(|l| even[0][l] - odd[0][l]), lane(|l| odd[1][l] - even[1][l])];
         }
@@ -58,7 +59,7 @@ impl RealFft {
     /// Takes numbers `k` and `N/2 - k` of a spectrum, 0 < k < N/4, to what [`Self::inverse`] wants in these places.
     #[inline(always)]
     pub fn tangle<const L: usize>(&self, k: usize, x: Lanes<L>, m: Lanes<L>) -> [Lanes<L>; 2] {
-        let [cos, sin] = root(k, 2 * self.half.len());
+        let [cos, sin] = Roots::new(2 * self.half.len()).at(k);
         let even: Lanes<L> = [lane(|l| x[0][l] + m[0][l]), lane(|l| x[1][l] - m[1][l])];
         let odd: Lanes<L> = mul([lane(|l| x[0][l] - m[0][l]), lane(|l| x[1][l] + m[1][l])], [cos, -sin]);
         // even + i odd, conj(even - i odd); imaginary part first.

@@ -2,17 +2,31 @@
 
 use super::MAX_LEN;
 
-/// `e^(-2 pi i k / 1024)` for k < 768: the radix-4 butterfly needs three quarters of the circle.
-static ROOTS: [[f32; 2]; MAX_LEN / 4 * 3] = roots();
+/// `e^(-2 pi i k / 1024)`. The last quarter is there so that a masked index needs no check.
+static ROOTS: [[f32; 2]; MAX_LEN] = roots();
 
-/// `e^(-2 pi i k / len)`, 4 k < 3 len, for a power of two `len <= 1024`.
-#[inline(always)]
-pub(super) fn root(k: usize, len: usize) -> [f32; 2] {
-    ROOTS[k * (MAX_LEN / len)]
+/// The roots of unity of one transform length.
+#[derive(Clone, Copy)]
+pub(super) struct Roots {
+    stride: usize,
 }
 
-const fn roots() -> [[f32; 2]; MAX_LEN / 4 * 3] {
-    let mut roots = [[0.0; 2]; MAX_LEN / 4 * 3];
+impl Roots {
+    /// For a power of two `len <= 1024`.
+    #[inline(always)]
+    pub(super) const fn new(len: usize) -> Self {
+        Self { stride: MAX_LEN >> len.trailing_zeros() }
+    }
+
+    /// `e^(-2 pi i k / len)`.
+    #[inline(always)]
+    pub(super) fn at(self, k: usize) -> [f32; 2] {
+        ROOTS[(k * self.stride) % MAX_LEN]
+    }
+}
+
+const fn roots() -> [[f32; 2]; MAX_LEN] {
+    let mut roots = [[0.0; 2]; MAX_LEN];
     let mut k = 0;
     while k < roots.len() {
         // Angles up to an eighth of the circle; the rest by symmetry, so that the table is symmetric to the last bit.
@@ -26,7 +40,8 @@ const fn roots() -> [[f32; 2]; MAX_LEN / 4 * 3] {
         roots[k] = match turns {
             0 => [cos as f32, -sin as f32],
             1 => [-sin as f32, -cos as f32],
-            _ => [-cos as f32, sin as f32],
+            2 => [-cos as f32, sin as f32],
+            _ => [sin as f32, cos as f32],
         };
         k += 1;
     }
@@ -71,7 +86,7 @@ mod tests {
             assert!((f64::from(root[0]) - cos).abs() <= 0.5 * f64::from(f32::EPSILON), "cos {k}");
             assert!((f64::from(root[1]) + sin).abs() <= 0.5 * f64::from(f32::EPSILON), "sin {k}");
         }
-        assert_eq!(root(2, 8)[1], -1.0);
-        assert_eq!(root(0, 8), [1.0, -0.0]);
+        assert_eq!(Roots::new(8).at(2)[1], -1.0);
+        assert_eq!(Roots::new(4).at(3)[1], 1.0);
     }
 }

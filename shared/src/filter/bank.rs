@@ -4,7 +4,7 @@ use core::ops::Range;
 
 use super::geometry::{Axis, FilterError, Geometry};
 use crate::blob::{Bank, Size, Tap};
-use crate::fft::{Fft, Fft2, Lanes, RowSource, StripSource, load_pairs};
+use crate::fft::{Fft2, RowSource, Strip, StripSource};
 use crate::image::ChwMut;
 use crate::num::simd::Simd;
 use crate::num::{f16, narrow};
@@ -181,25 +181,14 @@ struct TapSum<'a> {
 
 impl StripSource for TapSum<'_> {
     #[inline(always)]
-    fn add<const L: usize>(&self, fft: Fft, first: usize, count: usize, strip: &mut [Lanes<L>]) {
-        let len = self.plan.spectrum_len();
+    fn add<const L: usize>(&self, mut strip: Strip<'_, L>) {
         let taps: &[Tap] = &self.plan.bank.taps;
-        for (tap, spectrum) in taps.iter().zip(self.spectra.chunks_exact(len)) {
-            if tap.channel != self.channel {
-                continue;
-            }
-            let (m, n) = (self.tile.0 + i32::from(tap.dy), self.tile.1 + i32::from(tap.dx));
-            let Some(slot) = self.plan.slot(m, n) else { continue };
-            let row_len = self.plan.fft.spectrum_len(1);
-            let rows = spectrum.chunks_exact(row_len).zip(self.cache[slot].chunks_exact(row_len));
-            let columns = 2 * first..2 * (first + count);
-            for (r, (k, x)) in rows.enumerate() {
-                let (k, x) = (load_pairs::<L>(&k[columns.clone()]), load_pairs::<L>(&x[columns.clone()]));
-                let [im, re] = &mut strip[fft.slot(r)];
-                for l in 0..L {
-                    re[l] = (re[l] + k[0][l] * x[0][l]) - k[1][l] * x[1][l];
-                    im[l] = (im[l] + k[0][l] * x[1][l]) + k[1][l] * x[0][l];
-                }
+        for (tap, spectrum) in taps.iter().zip(self.spectra.chunks_exact(self.plan.spectrum_len())) {
+            let window = (self.tile.0 + i32::from(tap.dy), self.tile.1 + i32::from(tap.dx));
+            if tap.channel == self.channel
+                && let Some(slot) = self.plan.slot(window.0, window.1)
+            {
+                strip.add_product(spectrum, &self.cache[slot]);
             }
         }
     }

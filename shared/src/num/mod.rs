@@ -14,6 +14,7 @@
 pub(crate) mod arm;
 mod convert;
 mod function;
+pub mod pairs;
 pub mod simd;
 
 pub use convert::{narrow, narrow_slice, widen, widen_slice};
