@@ -5,12 +5,12 @@
 //! with `safetensors.numpy.load_file`. Files appear whole or not at all.
 
 use ndarray::{ArrayD, IxDyn};
-use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use safetensors::tensor::{Dtype, Metadata, SafeTensors, TensorView};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::{BTreeMap, HashMap};
-use std::io::{Read, Write};
+use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
@@ -151,7 +151,21 @@ pub fn write<T: Serialize>(path: &Path, header: &Header<T>, tensors: &Tensors) -
 pub fn read<T: DeserializeOwned>(path: &Path, kind: &str, version: u32) -> Result<(Header<T>, Tensors), ArtifactError> {
     let mut bytes = Vec::new();
     std::fs::File::open(path).and_then(|mut f| f.read_to_end(&mut bytes)).map_err(|e| io_error(path, e))?;
-    let raw = raw_header(path, &bytes)?;
+    let header = checked_header(path, raw_header(path, &bytes)?, kind, version)?;
+    let file = SafeTensors::deserialize(&bytes).map_err(|e| format_error(path, e))?;
+    let mut tensors = Tensors::new();
+    for (name, view) in file.tensors() {
+        tensors.insert(name.clone(), tensor(path, &name, &view)?);
+    }
+    Ok((header, tensors))
+}
+
+fn checked_header<T: DeserializeOwned>(
+    path: &Path,
+    raw: serde_json::Value,
+    kind: &str,
+    version: u32,
+) -> Result<Header<T>, ArtifactError> {
     let found_kind = raw.get("kind").and_then(|v| v.as_str()).unwrap_or("").to_string();
     if found_kind != kind {
         return Err(ArtifactError::Kind { path: path.into(), expected: kind.into(), found: found_kind });
@@ -160,13 +174,7 @@ pub fn read<T: DeserializeOwned>(path: &Path, kind: &str, version: u32) -> Resul
     if found != version {
         return Err(ArtifactError::Version { path: path.into(), kind: kind.into(), expected: version, found });
     }
-    let header = serde_json::from_value(raw).map_err(|e| format_error(path, e))?;
-    let file = SafeTensors::deserialize(&bytes).map_err(|e| format_error(path, e))?;
-    let mut tensors = Tensors::new();
-    for (name, view) in file.tensors() {
-        tensors.insert(name.clone(), tensor(path, &name, &view)?);
-    }
-    Ok((header, tensors))
+    serde_json::from_value(raw).map_err(|e| format_error(path, e))
 }
 
 /// The header of an artifact of any kind, as JSON.
@@ -180,6 +188,10 @@ pub fn inspect(path: &Path) -> Result<serde_json::Value, ArtifactError> {
 
 fn raw_header(path: &Path, bytes: &[u8]) -> Result<serde_json::Value, ArtifactError> {
     let (_, meta) = SafeTensors::read_metadata(bytes).map_err(|e| format_error(path, e))?;
+    ommatidia_header(path, &meta)
+}
+
+fn ommatidia_header(path: &Path, meta: &Metadata) -> Result<serde_json::Value, ArtifactError> {
     let json = meta
         .metadata()
         .as_ref()
@@ -198,11 +210,21 @@ fn tensor(path: &Path, name: &str, view: &TensorView<'_>) -> Result<ArrayD<f32>,
     if view.dtype() != Dtype::F32 {
         return Err(wrong("float32", format!("{:?}", view.dtype())));
     }
-    let values: Vec<f32> = view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
-    if let Some(i) = values.iter().position(|v| !v.is_finite()) {
-        return Err(wrong("finite values", format!("{} at element {i}", values[i])));
-    }
+    let values = finite_values(path, name, view.data())?;
     ArrayD::from_shape_vec(IxDyn(view.shape()), values).map_err(|e| format_error(path, e))
+}
+
+fn finite_values(path: &Path, name: &str, bytes: &[u8]) -> Result<Vec<f32>, ArtifactError> {
+    let values: Vec<f32> = bytes.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+    match values.iter().position(|v| !v.is_finite()) {
+        None => Ok(values),
+        Some(i) => Err(ArtifactError::Tensor {
+            path: path.into(),
+            name: name.into(),
+            expected: "finite values".into(),
+            found: format!("{} at element {i}", values[i]),
+        }),
+    }
 }
 
 /// Takes a tensor of the expected shape out of `tensors`; `None` in `shape` lets that axis be of any length.
@@ -224,6 +246,91 @@ pub fn take(
     let t = tensors.remove(name).ok_or_else(|| wrong("no such tensor".into()))?;
     let fits = t.ndim() == shape.len() && t.shape().iter().zip(shape).all(|(n, s)| s.is_none_or(|s| s == *n));
     if fits { Ok(t) } else { Err(wrong(format!("shape {:?}", t.shape()))) }
+}
+
+/// An artifact whose tensors are read piece by piece: shards of a data set larger than memory.
+#[derive(Clone, Debug)]
+pub struct Index<T> {
+    path: PathBuf,
+    header: Header<T>,
+    tensors: BTreeMap<String, (Vec<usize>, u64)>,
+}
+
+impl<T: DeserializeOwned> Index<T> {
+    /// Reads the header of an artifact and checks that the file is as long as it says.
+    ///
+    /// # Errors
+    /// As [`read`], except for the values, which are checked when they are read.
+    pub fn open(path: &Path, kind: &str, version: u32) -> Result<Self, ArtifactError> {
+        let mut file = std::fs::File::open(path).map_err(|e| io_error(path, e))?;
+        let size = file.metadata().map_err(|e| io_error(path, e))?.len();
+        let mut start = [0u8; 8];
+        file.read_exact(&mut start).map_err(|e| format_error(path, e))?;
+        let length = u64::from_le_bytes(start);
+        if length > size {
+            return Err(format_error(path, "its header is longer than the file"));
+        }
+        let mut bytes = Vec::new();
+        file.take(length).read_to_end(&mut bytes).map_err(|e| io_error(path, e))?;
+        let meta: Metadata = serde_json::from_slice(&bytes).map_err(|e| format_error(path, e))?;
+        let header = checked_header(path, ommatidia_header(path, &meta)?, kind, version)?;
+        let data = 8 + length;
+        let expected = data.saturating_add(meta.data_len() as u64);
+        if size != expected {
+            return Err(format_error(path, format!("expected {expected} bytes, found {size}")));
+        }
+        let mut tensors = BTreeMap::new();
+        for (name, info) in meta.tensors() {
+            let bytes = info.shape.iter().try_fold(4usize, |n, s| n.checked_mul(*s));
+            let (from, to) = info.data_offsets;
+            if info.dtype != Dtype::F32 || bytes != to.checked_sub(from) {
+                return Err(format_error(path, format!("tensor `{name}` is no float32 of shape {:?}", info.shape)));
+            }
+            tensors.insert(name, (info.shape.clone(), data + from as u64));
+        }
+        Ok(Self { path: path.into(), header, tensors })
+    }
+}
+
+impl<T> Index<T> {
+    /// The header.
+    pub fn header(&self) -> &Header<T> {
+        &self.header
+    }
+
+    /// Shape of a tensor.
+    ///
+    /// # Errors
+    /// It is missing.
+    pub fn shape(&self, name: &str) -> Result<&[usize], ArtifactError> {
+        self.tensors.get(name).map(|t| t.0.as_slice()).ok_or_else(|| self.wrong(name, "a tensor", "none".into()))
+    }
+
+    /// Entry `i` along the first axis of a tensor.
+    ///
+    /// # Errors
+    /// There is no such tensor or entry, it cannot be read, or it holds values that are no numbers.
+    pub fn read_entry(&self, name: &str, i: usize) -> Result<ArrayD<f32>, ArtifactError> {
+        let shape = self.shape(name)?;
+        let (Some(&len), Some(entry)) = (shape.first(), shape.get(1..)) else {
+            return Err(self.wrong(name, "at least one axis", "a number".into()));
+        };
+        if i >= len {
+            return Err(self.wrong(name, "an entry that is there", format!("{i} of {len}")));
+        }
+        let bytes = 4 * entry.iter().product::<usize>();
+        let start = self.tensors[name].1 + (i * bytes) as u64;
+        let mut buffer = vec![0u8; bytes];
+        std::fs::File::open(&self.path)
+            .and_then(|mut f| f.seek(SeekFrom::Start(start)).and_then(|_| f.read_exact(&mut buffer)))
+            .map_err(|e| io_error(&self.path, e))?;
+        let values = finite_values(&self.path, name, &buffer)?;
+        ArrayD::from_shape_vec(IxDyn(entry), values).map_err(|e| format_error(&self.path, e))
+    }
+
+    fn wrong(&self, name: &str, expected: &str, found: String) -> ArtifactError {
+        ArtifactError::Tensor { path: self.path.clone(), name: name.into(), expected: expected.into(), found }
+    }
 }
 
 /// Writes a file whole or not at all: to a temporary file beside it, synced, then renamed.

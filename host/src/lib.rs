@@ -9,6 +9,7 @@ pub mod bead;
 pub mod bench;
 pub mod blob;
 pub mod cli;
+pub mod dataset;
 pub mod device;
 pub mod effects;
 pub mod evaluate;
