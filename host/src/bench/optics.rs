@@ -1,0 +1,259 @@
+//! Forms the light of objects on the sensor, point by point, each with its own PSF.
+
+use super::BenchError;
+use super::config::BenchConfig;
+use super::lens::Lens;
+use crate::instrument::Geometry;
+use crate::optics::{MicrolensArray, Psf, PsfScratch, Pupil, PupilConfig};
+use crate::session::ObjectGrid;
+use ndarray::{Array2, Array3, Axis, s};
+use rayon::prelude::*;
+
+/// Object rows that one task works on; the sum is over the bands in their order, so threads do not change a bit of it.
+const BAND_ROWS: usize = 8;
+
+/// The optics of the virtual instrument.
+#[derive(Debug)]
+pub(super) struct VirtualOptics {
+    pupil: Pupil,
+    array: MicrolensArray,
+    lenses: Vec<Lens>,
+    grid: ObjectGrid,
+    sensor: [usize; 2],
+    /// Tangent of the field angle that aberrations are given for.
+    reference_tangent: f64,
+    half_response_tangent: f64,
+    distortion_px: f64,
+}
+
+/// Working memory for PSFs; one per thread.
+#[derive(Debug)]
+pub(super) struct Work {
+    scratch: PsfScratch,
+    psf: Psf,
+}
+
+#[cfg(test)]
+impl Work {
+    /// The PSF that was computed last.
+    pub(super) fn psf(&self) -> &Psf {
+        &self.psf
+    }
+}
+
+/// The focus of one point through one lens.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Focus {
+    /// Sensor pixel on which the PSF's middle pixel falls; may lie outside.
+    pub centre: [i64; 2],
+    /// Share of the light that the lens passes at this angle.
+    pub transmission: f64,
+}
+
+impl VirtualOptics {
+    pub(super) fn build(config: &BenchConfig) -> Result<Self, BenchError> {
+        let optics = &config.optics;
+        let array = MicrolensArray {
+            object_distance_um: optics.object_distance_um,
+            magnification: optics.magnification,
+            pixel_pitch_um: config.sensor.pixel_pitch_um,
+        };
+        let pupil = PupilConfig {
+            wavelength_um: optics.wavelength_um,
+            aperture_um: optics.aperture_um,
+            distance_um: array.image_distance_um(),
+            soft_edge: optics.soft_edge,
+            pixel_um: config.sensor.pixel_pitch_um,
+            oversampling: optics.oversampling,
+            field_px: optics.psf_field_px,
+        };
+        let lens_pitch_um = config.array.pitch_px * config.sensor.pixel_pitch_um / (1.0 + optics.magnification);
+        if config.array.rows * config.array.cols > 1 && optics.aperture_um > lens_pitch_um {
+            return Err(BenchError::Config {
+                field: "optics.aperture_um",
+                expected: format!("at most the distance of the lenses, {lens_pitch_um:.1} um"),
+                found: optics.aperture_um.to_string(),
+            });
+        }
+        let grid = config.manifest().object;
+        let corner_um = (grid.rows as f64).hypot(grid.cols as f64) / 2.0 * grid.pixel_um;
+        let lenses = (0..config.array.rows).flat_map(|i| (0..config.array.cols).map(move |j| (i, j)));
+        Ok(Self {
+            pupil: pupil.build()?,
+            array,
+            lenses: lenses.map(|(i, j)| Lens::manufacture(config, &array, i, j)).collect(),
+            grid,
+            sensor: [config.sensor.rows, config.sensor.cols],
+            reference_tangent: corner_um / optics.object_distance_um,
+            half_response_tangent: optics.half_response_tangent,
+            distortion_px: optics.distortion_px,
+        })
+    }
+
+    /// Chief rays at rest.
+    pub(super) fn geometry(&self) -> Geometry {
+        Geometry {
+            anchors_px: self.lenses.iter().map(|l| l.anchor_px).collect(),
+            magnification: self.array.magnification,
+            dead: vec![false; self.lenses.len()],
+        }
+    }
+
+    pub(super) fn work(&self) -> Work {
+        Work { scratch: self.pupil.scratch(), psf: Psf { side: 0, share: Vec::new() } }
+    }
+
+    /// Computes the PSF of the point at (y, x) um through lens `l` into `work`.
+    pub(super) fn focus(&self, l: usize, at_um: [f64; 2], geometry: &Geometry, work: &mut Work) -> Focus {
+        let lens = &self.lenses[l];
+        let array = MicrolensArray { magnification: geometry.magnification, ..self.array };
+        let tangents = self.array.tangents(lens.axis_um, at_um);
+        let h = tangents.map(|t| t / self.reference_tangent);
+        let square = h[0] * h[0] + h[1] * h[1];
+        let ray = array.chief_ray_px(geometry.anchors_px[l], at_um);
+        let ray = [0, 1].map(|k| ray[k] + self.distortion_px * square * h[k]);
+        let centre = ray.map(f64::round);
+        let shift = [ray[0] - centre[0], ray[1] - centre[1]];
+        self.pupil.psf(&lens.wavefront(h), shift, &mut work.scratch, &mut work.psf);
+        let tangent = tangents[0].hypot(tangents[1]);
+        let cos4 = (1.0 + tangent * tangent).powi(-2);
+        let response = 1.0 / (1.0 + (tangent / self.half_response_tangent).powi(4));
+        Focus { centre: centre.map(|c| c as i64), transmission: cos4 * response }
+    }
+
+    /// Light of one point through lens `l`, electrons, added to `image`; `flux_e` is its light through a lens straight above it.
+    pub(super) fn add_point(
+        &self,
+        l: usize,
+        at_um: [f64; 2],
+        flux_e: f64,
+        geometry: &Geometry,
+        work: &mut Work,
+        image: &mut Array2<f32>,
+    ) {
+        let focus = self.focus(l, at_um, geometry, work);
+        let light = (flux_e * focus.transmission) as f32;
+        self.each_pixel(focus, &work.psf, |r, c, share| image[[r, c]] += light * share);
+    }
+
+    /// Calls `put(row, col, share)` for each pixel of the PSF that lies on the sensor.
+    fn each_pixel(&self, focus: Focus, psf: &Psf, mut put: impl FnMut(usize, usize, f32)) {
+        let half = (psf.side / 2) as i64;
+        let inside = |at: i64, n: usize| (0..n as i64).contains(&at).then_some(at as usize);
+        for (i, shares) in psf.share.chunks_exact(psf.side).enumerate() {
+            let Some(r) = inside(focus.centre[0] - half + i as i64, self.sensor[0]) else { continue };
+            for (j, share) in shares.iter().enumerate() {
+                if let Some(c) = inside(focus.centre[1] - half + j as i64, self.sensor[1]) {
+                    put(r, c, *share);
+                }
+            }
+        }
+    }
+
+    /// Light of objects through lens `l`, electrons, [object, sensor rows, sensor cols]. One unit of an object's pixel is
+    /// `unit_e` electrons through a lens straight above it.
+    ///
+    /// Each object pixel is a point at its centre; its PSF is computed once for all objects and forgotten.
+    pub(super) fn lens_images(
+        &self,
+        l: usize,
+        objects: &[Array2<f32>],
+        unit_e: f64,
+        geometry: &Geometry,
+    ) -> Array3<f32> {
+        let mut images = Array3::zeros((objects.len(), self.sensor[0], self.sensor[1]));
+        if geometry.dead[l] {
+            return images;
+        }
+        let bands: Vec<usize> = (0..self.grid.rows).step_by(BAND_ROWS).collect();
+        // Few bands are alive at a time, so memory does not grow with the object.
+        for group in bands.chunks(2 * rayon::current_num_threads()) {
+            let lights: Vec<Band> = group
+                .par_iter()
+                .map_init(|| self.work(), |work, first| self.band(l, *first, objects, unit_e, geometry, work))
+                .collect();
+            for band in lights {
+                let rows = band.first_row..band.first_row + band.light.len_of(Axis(1));
+                let mut part = images.slice_mut(s![.., rows, ..]);
+                part += &band.light;
+            }
+        }
+        images
+    }
+
+    fn band(
+        &self,
+        l: usize,
+        first: usize,
+        objects: &[Array2<f32>],
+        unit_e: f64,
+        geometry: &Geometry,
+        work: &mut Work,
+    ) -> Band {
+        let rows = first..(first + BAND_ROWS).min(self.grid.rows);
+        let mut band = self.empty_band(l, &rows, objects.len(), geometry);
+        let mut values = vec![0.0f32; objects.len()];
+        for r in rows {
+            for c in 0..self.grid.cols {
+                let mut lit = false;
+                for (value, object) in values.iter_mut().zip(objects) {
+                    *value = object[[r, c]];
+                    lit |= *value != 0.0;
+                }
+                if !lit {
+                    continue;
+                }
+                let at_um = self.position_um(r, c);
+                let focus = self.focus(l, at_um, geometry, work);
+                let unit = (unit_e * focus.transmission) as f32;
+                for (k, value) in values.iter().enumerate().filter(|(_, v)| **v != 0.0) {
+                    let light = unit * value;
+                    let mut image = band.light.index_axis_mut(Axis(0), k);
+                    self.each_pixel(focus, &work.psf, |row, col, share| {
+                        image[[row - band.first_row, col]] += light * share;
+                    });
+                }
+            }
+        }
+        band
+    }
+
+    /// Room for the sensor rows that the foci of some object rows can touch.
+    fn empty_band(&self, l: usize, rows: &std::ops::Range<usize>, objects: usize, geometry: &Geometry) -> Band {
+        let array = MicrolensArray { magnification: geometry.magnification, ..self.array };
+        let ray = |r: usize| array.chief_ray_px(geometry.anchors_px[l], self.position_um(r, 0))[0];
+        // A focus reaches half the field; the distortion, which grows with the cube, is largest at a corner of the band.
+        let corners = [rows.start, rows.end - 1].map(|r| [0, self.grid.cols - 1].map(|c| self.position_um(r, c)));
+        let cube = |at| {
+            let [y, x] = self.array.tangents(self.lenses[l].axis_um, at);
+            (y.hypot(x) / self.reference_tangent).powi(3)
+        };
+        let farthest = corners.as_flattened().iter().map(|at| cube(*at)).fold(0.0, f64::max);
+        let reach = self.pupil.config().field_px as f64 / 2.0 + self.distortion_px.abs() * farthest + 2.0;
+        let clip = |v: f64| v.clamp(0.0, self.sensor[0] as f64) as usize;
+        let (low, high) = (clip(ray(rows.start) - reach), clip(ray(rows.end - 1) + reach + 1.0));
+        Band { first_row: low, light: Array3::zeros((objects, high - low, self.sensor[1])) }
+    }
+
+    /// Stage position (y, x) of the centre of an object pixel, um.
+    pub(super) fn position_um(&self, r: usize, c: usize) -> [f64; 2] {
+        let along = |i: usize, n: usize| (i as f64 - (n as f64 - 1.0) / 2.0) * self.grid.pixel_um;
+        [along(r, self.grid.rows), along(c, self.grid.cols)]
+    }
+
+    /// Number of lenses.
+    pub(super) fn lenses(&self) -> usize {
+        self.lenses.len()
+    }
+
+    /// Object position on each lens's axis, um.
+    pub(super) fn axes_um(&self) -> Vec<[f64; 2]> {
+        self.lenses.iter().map(|l| l.axis_um).collect()
+    }
+}
+
+/// Light of some object rows on the sensor rows that it reaches.
+struct Band {
+    first_row: usize,
+    light: Array3<f32>,
+}

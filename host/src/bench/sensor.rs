@@ -1,0 +1,82 @@
+//! The virtual image sensor: light -> charge -> digital numbers.
+
+use super::config::SensorConfig;
+use crate::effects::{Chain, FrameContext};
+use crate::rng;
+use ndarray::{Array2, Zip};
+use rand::Rng;
+use rand_distr::{Distribution, Normal, Poisson, StandardNormal};
+
+/// A sensor with its fixed patterns.
+///
+/// `y = round(black + offset + gain (Poisson(light (1 + prnu)) + Normal(0, read noise)))`, clipped to the converter's codes.
+#[derive(Clone, Debug)]
+pub(super) struct VirtualSensor {
+    config: SensorConfig,
+    offset_dn: Array2<f32>,
+    response: Array2<f32>,
+}
+
+impl VirtualSensor {
+    /// Makes the sensor; the same seed makes the same patterns.
+    pub(super) fn manufacture(config: &SensorConfig, seed: u64) -> Self {
+        let pattern = |what, mean: f64, rms: f64| {
+            let mut rng = rng::stream(seed, what, 0);
+            Array2::from_shape_simple_fn((config.rows, config.cols), || {
+                let z: f64 = StandardNormal.sample(&mut rng);
+                (mean + rms * z) as f32
+            })
+        };
+        Self {
+            offset_dn: pattern("bench/offset", 0.0, config.offset_rms_dn),
+            response: pattern("bench/prnu", 1.0, config.prnu_rms),
+            config: config.clone(),
+        }
+    }
+
+    /// Highest code, DN.
+    fn top(&self) -> f32 {
+        (2f32).powi(self.config.bit_depth as i32) - 1.0
+    }
+
+    /// The expected frame, DN, for expected electrons: no noise, no rounding, clipped to the codes.
+    pub(super) fn expected(&self, light_e: &Array2<f32>, effects: &Chain, cx: &FrameContext) -> Array2<f32> {
+        let mut charge = light_e * &self.response;
+        effects.on_charge(&mut charge, cx);
+        let top = self.top();
+        let mut frame = self.convert(charge, effects, cx);
+        frame.mapv_inplace(|v| v.clamp(0.0, top));
+        frame
+    }
+
+    /// One frame as it is read out, whole DN.
+    pub(super) fn expose(
+        &self,
+        light_e: &Array2<f32>,
+        effects: &Chain,
+        cx: &FrameContext,
+        rng: &mut impl Rng,
+    ) -> Array2<f32> {
+        let mut charge = Zip::from(light_e).and(&self.response).map_collect(|light, response| {
+            let mean = f64::from(light * response);
+            // Poisson::new refuses nothing but means that are no number, zero or negative: no light, no electrons.
+            Poisson::new(mean).map_or(0.0, |p| p.sample(rng) as f32)
+        });
+        effects.on_charge(&mut charge, cx);
+        // A standard deviation of the configuration, checked there to be finite.
+        if let Ok(reading) = Normal::new(0.0, self.config.read_noise_e) {
+            charge.mapv_inplace(|q| q + reading.sample(rng) as f32);
+        }
+        let top = self.top();
+        let mut frame = self.convert(charge, effects, cx);
+        frame.mapv_inplace(|v| v.round().clamp(0.0, top));
+        frame
+    }
+
+    fn convert(&self, mut charge_e: Array2<f32>, effects: &Chain, cx: &FrameContext) -> Array2<f32> {
+        let (gain, black) = (self.config.gain_dn_per_e as f32, self.config.black_level_dn as f32);
+        Zip::from(&mut charge_e).and(&self.offset_dn).for_each(|v, offset| *v = black + offset + gain * *v);
+        effects.on_electronics(&mut charge_e, cx);
+        charge_e
+    }
+}

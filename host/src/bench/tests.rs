@@ -1,0 +1,242 @@
+#![allow(clippy::unwrap_used)]
+
+use super::truth::{BenchTruth, TRUTH_FILE};
+use super::*;
+use crate::effects::{EffectSetting, FrameContext};
+use crate::session::{Role, Session};
+use ndarray::{Array2, s};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Two lenses before a small sensor; quick to compute.
+fn small() -> BenchConfig {
+    let mut config = BenchConfig::default();
+    config.sensor.rows = 50;
+    config.sensor.cols = 70;
+    config.array = ArrayConfig { rows: 1, cols: 2, pitch_px: 20.0, placement_rms_px: 0.3 };
+    config.optics.aperture_um = 20.0;
+    config.optics.psf_window_px = 13;
+    config.optics.object_distance_um = 300.0;
+    config.optics.psf_field_px = 31;
+    config.object = ObjectConfig { rows: 18, cols: 22, pixel_um: 2.8 };
+    config.scan = ScanConfig { rows: 2, cols: 3, bead_e: 30_000.0 };
+    config.stacks.dark_frames = 3;
+    config.stacks.flat_levels = vec![0.2, 0.4];
+    config.stacks.flat_frames = 2;
+    config.stacks.scene_frames = 3;
+    config
+}
+
+fn context() -> FrameContext {
+    FrameContext { exposure_ms: 10.0, illumination: 1.0, ..FrameContext::default() }
+}
+
+fn effect(id: &str, name: &str, value: f64) -> EffectSetting {
+    EffectSetting { id: id.into(), params: BTreeMap::from([(name.to_string(), value)]) }
+}
+
+fn correlation(a: &Array2<f32>, b: &Array2<f32>) -> f64 {
+    let (a, b) = (a.mapv(f64::from), b.mapv(f64::from));
+    let (a, b) = (&a - a.mean().unwrap(), &b - b.mean().unwrap());
+    (&a * &b).sum() / ((&a * &a).sum() * (&b * &b).sum()).sqrt()
+}
+
+#[test]
+fn a_session_opens_and_its_sizes_are_the_configured_ones() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("s");
+    let summary = small().build(&[]).unwrap().measure(&path, 3, |_| ()).unwrap();
+    let session = Session::open(&path).unwrap();
+    for (role, n) in [(Role::Dark, 3), (Role::Flat, 4), (Role::Bead, 6), (Role::Scene, 3)] {
+        assert_eq!(session.need(role).unwrap()[0].len(), n);
+        assert_eq!(summary.frames[role.name()], n);
+    }
+    let bead = session.need(Role::Bead).unwrap()[0];
+    assert!((bead.info()[5].x_um - 10.5 * 2.8).abs() < 1e-9 && (bead.info()[5].y_um - 8.5 * 2.8).abs() < 1e-9);
+    let truth: BenchTruth = serde_json::from_slice(&std::fs::read(path.join(TRUTH_FILE)).unwrap()).unwrap();
+    assert_eq!((truth.anchors_px.len(), truth.anchors_px[0].len()), (1, 2));
+    assert_eq!(truth.config, small());
+    // The scene's expectation is what its noisy frame scatters about.
+    let scene = session.need(Role::Scene).unwrap()[0];
+    let frame = scene.frames().unwrap().read(1).unwrap();
+    let expected = scene.expected().unwrap().unwrap().read(1).unwrap();
+    let variance = expected.mapv(|e| 0.4 * (e - 64.0).max(0.0) + 0.64 + 1.0 / 12.0);
+    let pulls = (&frame - &expected) / variance.mapv(f32::sqrt);
+    let rms = (pulls.mapv(|p| p * p).mean().unwrap()).sqrt();
+    assert!((rms - 1.0).abs() < 0.05, "{rms}");
+    assert!(pulls.mean().unwrap().abs() < 5.0 / (3500f32).sqrt());
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bytes_on_any_number_of_threads() {
+    let dir = tempfile::tempdir().unwrap();
+    let bytes = |threads: usize, seed: u64| {
+        let path = dir.path().join(format!("{threads}-{seed}"));
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| small().build(&[]).unwrap().measure(&path, seed, |_| ()).unwrap());
+        ["dark.npy", "flat.npy", "bead.npy", "scene.npy", "scene_expected.npy", "scene_truth.npy"]
+            .map(|f| std::fs::read(path.join(f)).unwrap())
+    };
+    let one = bytes(1, 5);
+    assert!(one == bytes(3, 5));
+    assert!(one.iter().zip(bytes(1, 6)).all(|(a, b)| *a != b));
+}
+
+#[test]
+fn no_light_is_lost_between_the_object_and_the_sensor() {
+    let instrument = small().build(&[]).unwrap();
+    let geometry = instrument.optics.geometry();
+    let mut work = instrument.optics.work();
+    let at = [3.0, -5.0];
+    let passed: f64 = (0..2).map(|l| instrument.optics.focus(l, at, &geometry, &mut work).transmission).sum();
+    let light = instrument.bead_light(at, &context()).mapv(f64::from).sum();
+    assert!((light / (30_000.0 * passed) - 1.0).abs() < 2e-3, "{light} {passed}");
+}
+
+#[test]
+fn a_bead_on_an_object_pixel_is_that_pixel_lit() {
+    let instrument = small().build(&[]).unwrap();
+    let mut object = Array2::zeros((18, 22));
+    object[[4, 15]] = 1.0f32;
+    let geometry = instrument.optics.geometry();
+    let images: Array2<f32> = (0..2)
+        .map(|l| instrument.optics.lens_images(l, std::slice::from_ref(&object), 30_000.0, &geometry))
+        .fold(Array2::zeros((50, 70)), |sum, image| sum + image.slice(s![0, .., ..]));
+    let bead = instrument.bead_light(instrument.optics.position_um(4, 15), &context());
+    let worst = (&images - &bead).fold(0.0f32, |m, v| m.max(v.abs()));
+    assert!(worst <= 1e-4 * bead.fold(0.0f32, |m, v| m.max(*v)), "{worst}");
+}
+
+#[test]
+fn foci_without_aberrations_are_centred_on_their_chief_rays() {
+    let mut config = small();
+    config.aberrations = AberrationConfig {
+        defocus: 0.0,
+        spherical: 0.0,
+        field_curvature: 0.0,
+        astigmatism: 0.0,
+        coma: 0.0,
+        scatter: 0.0,
+        tilt_scatter: 0.0,
+    };
+    config.optics.distortion_px = 0.0;
+    config.array = ArrayConfig { rows: 1, cols: 1, pitch_px: 0.0, placement_rms_px: 0.4 };
+    let instrument = config.build(&[]).unwrap();
+    let anchor = instrument.optics.geometry().anchors_px[0];
+    for at in [[0.0, 0.0], [11.0, -17.3]] {
+        let light = instrument.bead_light(at, &context()).mapv(f64::from);
+        for axis in 0..2 {
+            let centroid: f64 =
+                light.indexed_iter().map(|((r, c), v)| v * [r, c][axis] as f64).sum::<f64>() / light.sum();
+            // Eq. 1: magnification over pixel pitch times the position.
+            let expected = anchor[axis] + 0.660714 / 1.85 * at[axis];
+            assert!((centroid - expected).abs() < 0.02, "{centroid} {expected}");
+        }
+    }
+}
+
+/// Windows of every focus of the demo instrument for a bead at (r, c) object pixels, and the share of the norm outside them.
+fn demo_foci(instrument: &VirtualInstrument, r: usize, c: usize) -> (Vec<Array2<f32>>, f64) {
+    let geometry = instrument.optics.geometry();
+    let mut work = instrument.optics.work();
+    let at = instrument.optics.position_um(r, c);
+    let (mut windows, mut inside, mut total) = (Vec::new(), 0.0, 0.0);
+    for l in 0..instrument.optics.lenses() {
+        let transmission = instrument.optics.focus(l, at, &geometry, &mut work).transmission;
+        let psf = work.psf();
+        let image = Array2::from_shape_vec((psf.side, psf.side), psf.share.clone()).unwrap();
+        let image = image.mapv(|v| v * transmission as f32);
+        let (half, window) = (psf.side / 2, 7);
+        let part = image.slice(s![half - window..=half + window, half - window..=half + window]).to_owned();
+        inside += part.mapv(|v| f64::from(v).powi(2)).sum();
+        total += image.mapv(|v| f64::from(v).powi(2)).sum();
+        windows.push(part);
+    }
+    (windows, (1.0 - inside / total).sqrt())
+}
+
+#[test]
+fn the_demo_instrument_is_a_hard_but_fair_one() {
+    let instrument = BenchConfig::default().build(&[]).unwrap();
+    let (centre, _) = demo_foci(&instrument, 48, 48);
+    let mut worst_outside = 0.0f64;
+    let mut edge = Vec::new();
+    for (r, c) in [(0, 0), (0, 95), (95, 0), (95, 95), (0, 48), (48, 95), (24, 24), (48, 48)] {
+        let (windows, outside) = demo_foci(&instrument, r, c);
+        worst_outside = worst_outside.max(outside);
+        let pcc: Vec<f64> = windows.iter().zip(&centre).map(|(w, m)| correlation(w, m)).collect();
+        println!("({r:2}, {c:2}): outside {outside:.4}, PCC {pcc:.2?}");
+        if r == 0 && c == 0 {
+            edge = pcc;
+        }
+    }
+    // The window holds the foci; the PSF differs over the field, and between lenses.
+    assert!(worst_outside < 0.01, "{worst_outside}");
+    assert!(edge.iter().copied().fold(1.0, f64::min) < 0.7, "{edge:?}");
+    assert!(correlation(&centre[5], &centre[8]) < 0.99);
+}
+
+#[test]
+fn effects_act_at_their_stage_and_nothing_changes_without_them() {
+    let cx = context();
+    let plain = small().build(&[]).unwrap();
+    let off = small().build(&[effect("halo", "weight", 0.0)]).unwrap();
+    let at = [4.0, 9.0];
+    let light = plain.bead_light(at, &cx);
+    assert_eq!(light, off.bead_light(at, &cx));
+    // Lens: the first lens at half its gain.
+    let gain = small().build(&[effect("excitation_profile", "falloff", 0.5)]).unwrap();
+    let [r, c] = small().manifest().object.pixel_of_um(at[0], at[1]);
+    let rho2 = ((r - 8.5).powi(2) + (c - 10.5).powi(2)) / (9f64.powi(2) + 11f64.powi(2));
+    let share = f64::from(gain.bead_light(at, &cx).sum() / light.sum());
+    assert!((share - (1.0 - 0.5 * rho2)).abs() < 0.02, "{share} {rho2}");
+}
+
+#[test]
+fn configurations_are_checked() {
+    let toml = toml::to_string(&small()).unwrap();
+    assert_eq!(toml::from_str::<BenchConfig>(&toml).unwrap(), small());
+    assert_eq!(toml::from_str::<BenchConfig>("").unwrap(), BenchConfig::default());
+    assert!(toml::from_str::<BenchConfig>("[sensor]\nrow = 3").unwrap_err().to_string().contains("row"));
+    let refused = |change: fn(&mut BenchConfig), message: &str| {
+        let mut config = small();
+        change(&mut config);
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("s");
+        let result = config.build(&[]).and_then(|i| i.measure(&path, 1, |_| ()).map(drop));
+        let error = result.unwrap_err().to_string();
+        assert!(error.contains(message), "{error}");
+        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0, "nothing is left behind");
+    };
+    refused(|c| c.sensor.gain_dn_per_e = 0.0, "sensor.gain_dn_per_e");
+    refused(|c| c.sensor.black_level_dn = 5000.0, "sensor.black_level_dn");
+    refused(|c| c.optics.aperture_um = 30.0, "optics.aperture_um");
+    refused(|c| c.optics.oversampling = 2, "oversampling");
+    refused(|c| c.optics.psf_field_px = 11, "psf_field_px");
+    refused(|c| c.object.pixel_um = 3.5, "object.pixel_um");
+    refused(|c| c.stacks.flat_levels = vec![f64::NAN], "flat_levels");
+    refused(|c| c.scan.rows = 0, "scan.rows");
+    let unknown = small().build(&[effect("gremlin", "x", 1.0)]).unwrap_err().to_string();
+    assert!(unknown.contains("gremlin") && unknown.contains("halo"), "{unknown}");
+}
+
+#[test]
+fn the_bench_does_not_know_the_low_rank_model() {
+    let src = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let mut seen = 0;
+    for folder in ["bench", "optics", "effects", "scene"] {
+        for entry in std::fs::read_dir(src.join(folder)).unwrap() {
+            let path = entry.unwrap().path();
+            if path.file_name().is_some_and(|n| n == "tests.rs") {
+                continue;
+            }
+            seen += 1;
+            let text = std::fs::read_to_string(&path).unwrap();
+            for word in ["psf::", "forward::", "bead::", "LowRank", "calibrat", "crate::instrument::{", "Instrument;"] {
+                let code = text.lines().filter(|l| !l.trim_start().starts_with("//"));
+                assert!(!code.into_iter().any(|l| l.contains(word)), "{}: {word}", path.display());
+            }
+        }
+    }
+    assert!(seen > 20);
+}

@@ -1,0 +1,25 @@
+//! Why optics cannot be built.
+
+use thiserror::Error;
+
+/// A number of an optical configuration cannot be.
+#[derive(Clone, Debug, PartialEq, Error)]
+#[error("{field}: expected {expected}, found {found}")]
+pub struct OpticsError {
+    /// The field.
+    pub field: &'static str,
+    /// What was expected.
+    pub expected: String,
+    /// What was found.
+    pub found: f64,
+}
+
+impl OpticsError {
+    /// Refuses a number that is not above zero.
+    pub(crate) fn unless_positive(field: &'static str, value: f64) -> Result<(), Self> {
+        if value.is_finite() && value > 0.0 {
+            return Ok(());
+        }
+        Err(Self { field, expected: "a number above zero".into(), found: value })
+    }
+}

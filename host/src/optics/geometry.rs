@@ -1,0 +1,105 @@
+//! Chief rays of a microlens array between an object plane and a sensor, in un-inverted image coordinates.
+
+/// A microlens array before a sensor: thin lenses in one plane, object and image distance common to all.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MicrolensArray {
+    /// Distance from the object plane to the lenses, um.
+    pub object_distance_um: f64,
+    /// Magnification, image per object: image distance over object distance.
+    pub magnification: f64,
+    /// Pixel pitch of the sensor, um.
+    pub pixel_pitch_um: f64,
+}
+
+/// Where the lenses of an array are meant to be.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArrayLayout {
+    /// Rows of lenses.
+    pub rows: usize,
+    /// Columns of lenses.
+    pub cols: usize,
+    /// Distance of neighbouring chief rays of the on-axis source, sensor pixels.
+    pub pitch_px: f64,
+    /// Rows and columns of the sensor.
+    pub sensor: [usize; 2],
+}
+
+impl ArrayLayout {
+    /// Nominal focus of the on-axis source through lens (i, j), sensor pixels: the array is centred on the sensor.
+    pub fn anchor_px(&self, i: usize, j: usize) -> [f64; 2] {
+        let along = |k: usize, lenses: usize, pixels: usize| {
+            (pixels as f64 - 1.0) / 2.0 + (k as f64 - (lenses as f64 - 1.0) / 2.0) * self.pitch_px
+        };
+        [along(i, self.rows, self.sensor[0]), along(j, self.cols, self.sensor[1])]
+    }
+
+    /// Middle of the sensor, pixels.
+    pub fn centre_px(&self) -> [f64; 2] {
+        self.sensor.map(|n| (n as f64 - 1.0) / 2.0)
+    }
+}
+
+impl MicrolensArray {
+    /// Distance from the lenses to the sensor, um.
+    pub fn image_distance_um(&self) -> f64 {
+        self.magnification * self.object_distance_um
+    }
+
+    /// Focus of the source at object position (y, x), um, through the lens with this anchor, sensor pixels: Eq. 1 of
+    /// the paper, un-inverted.
+    pub fn chief_ray_px(&self, anchor_px: [f64; 2], object_um: [f64; 2]) -> [f64; 2] {
+        let scale = self.magnification / self.pixel_pitch_um;
+        [anchor_px[0] + scale * object_um[0], anchor_px[1] + scale * object_um[1]]
+    }
+
+    /// The object position straight before a lens, um, where its image is best.
+    ///
+    /// A lens at X (in the plane of the lenses) images the source at x to `X + m (X - x)` behind the array; turned round, the
+    /// anchor of the on-axis source is `-X (1 + m)`.
+    pub fn axis_um(&self, anchor_px: [f64; 2], centre_px: [f64; 2]) -> [f64; 2] {
+        let scale = -self.pixel_pitch_um / (1.0 + self.magnification);
+        [scale * (anchor_px[0] - centre_px[0]), scale * (anchor_px[1] - centre_px[1])]
+    }
+
+    /// Tangents (row, col) of the chief ray's angle to the axis of a lens.
+    pub fn tangents(&self, axis_um: [f64; 2], object_um: [f64; 2]) -> [f64; 2] {
+        [0, 1].map(|k| (object_um[k] - axis_um[k]) / self.object_distance_um)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ARRAY: MicrolensArray =
+        MicrolensArray { object_distance_um: 600.0, magnification: 0.66, pixel_pitch_um: 1.85 };
+    const LAYOUT: ArrayLayout = ArrayLayout { rows: 3, cols: 3, pitch_px: 50.0, sensor: [214, 200] };
+
+    #[test]
+    fn the_middle_lens_is_at_the_middle() {
+        assert_eq!(LAYOUT.anchor_px(1, 1), [106.5, 99.5]);
+        assert_eq!(LAYOUT.anchor_px(0, 2), [56.5, 149.5]);
+        assert_eq!(ARRAY.axis_um(LAYOUT.anchor_px(1, 1), LAYOUT.centre_px()), [0.0, 0.0]);
+    }
+
+    #[test]
+    fn chief_rays_are_straight_lines_through_the_lens() {
+        // By similar triangles: a source at x, a lens at X, the sensor a distance b behind it. The ray meets the sensor at
+        // X + (X - x) b / a; un-inverted coordinates count from the middle the other way.
+        let (a, b) = (ARRAY.object_distance_um, ARRAY.image_distance_um());
+        let lens_um = [80.0, -35.0];
+        let anchor = [0, 1].map(|k| LAYOUT.centre_px()[k] - lens_um[k] * (1.0 + b / a) / ARRAY.pixel_pitch_um);
+        for object in [[0.0, 0.0], [100.0, -40.0], [-13.0, 77.0]] {
+            let found = ARRAY.chief_ray_px(anchor, object);
+            for k in 0..2 {
+                let hit_um = lens_um[k] + (lens_um[k] - object[k]) * b / a;
+                let expected = LAYOUT.centre_px()[k] - hit_um / ARRAY.pixel_pitch_um;
+                assert!((found[k] - expected).abs() < 1e-9);
+            }
+        }
+        // The source straight before the lens has a ray along the axis.
+        let axis = ARRAY.axis_um(anchor, LAYOUT.centre_px());
+        assert!((axis[0] - lens_um[0]).abs() < 1e-9 && (axis[1] - lens_um[1]).abs() < 1e-9);
+        assert_eq!(ARRAY.tangents(axis, axis), [0.0, 0.0]);
+    }
+}
