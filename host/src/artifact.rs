@@ -186,6 +186,16 @@ pub fn inspect(path: &Path) -> Result<serde_json::Value, ArtifactError> {
     raw_header(path, &bytes)
 }
 
+/// Names and shapes of the tensors of an artifact, by name.
+///
+/// # Errors
+/// The file is missing or no artifact.
+pub fn shapes(path: &Path) -> Result<BTreeMap<String, Vec<usize>>, ArtifactError> {
+    let bytes = std::fs::read(path).map_err(|e| io_error(path, e))?;
+    let (_, meta) = SafeTensors::read_metadata(&bytes).map_err(|e| format_error(path, e))?;
+    Ok(meta.tensors().into_iter().map(|(name, info)| (name, info.shape.clone())).collect())
+}
+
 fn raw_header(path: &Path, bytes: &[u8]) -> Result<serde_json::Value, ArtifactError> {
     let (_, meta) = SafeTensors::read_metadata(bytes).map_err(|e| format_error(path, e))?;
     ommatidia_header(path, &meta)

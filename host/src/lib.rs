@@ -16,6 +16,7 @@ pub mod evaluate;
 pub mod fft2;
 pub mod forward;
 pub mod instrument;
+pub mod kind;
 pub mod linalg;
 pub mod methods;
 pub mod noise;

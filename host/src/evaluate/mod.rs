@@ -6,6 +6,7 @@ mod metrics;
 mod prediction;
 pub mod record;
 mod resources;
+mod scenes;
 mod ssim;
 
 pub use compare::{Case, Source, judge};
@@ -14,4 +15,5 @@ pub use metrics::{Figures, MetricError, Moments, compare, psnr_db, scaled};
 pub use prediction::{PredictionFigures, Triple, chi_squared, predict_figures};
 pub use record::{Evaluation, MethodFigures, Summary};
 pub use resources::measured;
+pub use scenes::Scenes;
 pub use ssim::{SsimError, ssim};

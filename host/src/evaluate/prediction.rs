@@ -109,6 +109,7 @@ pub fn predict_figures(
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use crate::noise::Sources;
     use crate::rng;
     use rand_distr::{Distribution, Normal, Poisson};
 
@@ -120,7 +121,7 @@ mod tests {
             read_noise_e: 2.0,
             read_noise_sigma: 0.0,
             saturation_dn: 4095.0,
-            sources: Default::default(),
+            sources: Sources::default(),
         }
     }
 
