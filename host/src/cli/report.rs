@@ -1,15 +1,29 @@
-//! `report`: one HTML file from artifacts. (being written)
+//! `report`: artifacts in, one HTML file out.
 
 use super::{Outcome, Run};
+use crate::{artifact, report};
+use std::path::PathBuf;
 
 /// Options of `report`.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+pub struct Args {
+    /// Instruments, checkpoints, network files, evaluations, session folders, JSON that a verb printed
+    #[arg(required = true, value_name = "ARTIFACT")]
+    artifacts: Vec<PathBuf>,
+    /// The page
+    #[arg(short, long, value_name = "FILE", default_value = "report.html")]
+    output: PathBuf,
+}
 
 /// Runs the verb.
 ///
 /// # Errors
-/// Whatever the library says.
-pub fn run(_args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
-    anyhow::bail!("`report` is being written")
+/// An artifact cannot be read or is of no kind that a report shows, or the page cannot be written.
+pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
+    let page = report::render(&args.artifacts)?;
+    artifact::write_whole(&args.output, page.as_bytes())?;
+    Ok(Outcome {
+        json: serde_json::json!({ "report": args.output, "bytes": page.len(), "artifacts": args.artifacts }),
+        text: format!("report: {} ({})\n", args.output.display(), report::bytes(page.len() as u64)),
+    })
 }

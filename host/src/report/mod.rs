@@ -1,1 +1,205 @@
-//! (being written)
+//! Artifacts rendered to one HTML file that needs nothing else. Computes no figure: each stands in an artifact.
+
+mod chart;
+mod colour;
+mod device;
+mod error;
+mod optics;
+mod page;
+mod picture;
+mod scenes;
+#[cfg(test)]
+mod tests;
+mod ticks;
+mod training;
+
+pub use error::ReportError;
+pub use scenes::{bytes, seconds};
+
+use crate::artifact;
+use crate::evaluate::Evaluation;
+use crate::instrument::Instrument;
+use crate::kind::FileKind;
+use crate::session::Session;
+use maud::{Markup, html};
+use ommatidia_shared::blob::{Header, Network};
+use page::{Key, Numbers, Section};
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+
+/// A file that was read for a report.
+struct Piece {
+    path: PathBuf,
+    /// The header of an artifact, or what a verb printed.
+    json: Value,
+    content: Content,
+}
+
+enum Content {
+    Instrument(Box<Instrument>),
+    Evaluation(Box<Evaluation>),
+    Checkpoint,
+    Blob(Box<Header>, u64),
+    Session(Box<Session>),
+    Device,
+    Other,
+}
+
+/// Renders files to one page: instruments, checkpoints, evaluations, network files, session folders, JSON of verbs.
+///
+/// # Errors
+/// A file cannot be read or is of no kind that a report shows.
+pub fn render(paths: &[PathBuf]) -> Result<String, ReportError> {
+    let pieces = paths.iter().map(|p| load(p)).collect::<Result<Vec<_>, _>>()?;
+    let mut numbers = Numbers::default();
+    let chapters: [(&'static str, &'static str, Chapter); 6] = [
+        ("scenes", "Reconstructions", |p, n| match &p.content {
+            Content::Evaluation(e) => Ok(Some(scenes::pictures(e, n)?)),
+            _ => Ok(None),
+        }),
+        ("methods", "Methods compared", |p, n| match &p.content {
+            Content::Evaluation(e) => Ok(Some(scenes::figures(e, n)?)),
+            _ => Ok(None),
+        }),
+        ("device", "On the device", |p, n| match &p.content {
+            Content::Device => Ok(Some(device::device(&p.json, n))),
+            Content::Blob(header, bytes) => Ok(Some(device::blob(header, *bytes, n))),
+            _ => Ok(None),
+        }),
+        ("optics", "Optics", |p, n| match &p.content {
+            Content::Instrument(i) => Ok(Some(optics::optics(i, n)?)),
+            _ => Ok(None),
+        }),
+        ("sensor", "Sensor", |p, n| match &p.content {
+            Content::Instrument(i) => Ok(Some(optics::noise(i, n)?)),
+            _ => Ok(None),
+        }),
+        ("training", "Training", |p, n| match &p.content {
+            Content::Checkpoint => Ok(Some(training::training(&p.json, n)?)),
+            _ => Ok(None),
+        }),
+    ];
+    let mut sections = Vec::new();
+    for (id, title, chapter) in chapters {
+        let parts =
+            pieces.iter().filter_map(|p| chapter(p, &mut numbers).transpose()).collect::<Result<Vec<_>, _>>()?;
+        if !parts.is_empty() {
+            sections.push(Section { id, title, body: html! { @for part in parts { (part) } } });
+        }
+    }
+    sections.push(Section { id: "provenance", title: "Provenance", body: provenance(&pieces) });
+    Ok(page::document(&heading(&pieces), &lead(&pieces), &keys(&pieces), &sections))
+}
+
+type Chapter = fn(&Piece, &mut Numbers) -> Result<Option<Markup>, ReportError>;
+
+fn load(path: &Path) -> Result<Piece, ReportError> {
+    let kind = FileKind::of(path)?;
+    let header = || artifact::inspect(path).map_err(ReportError::from);
+    let read = || std::fs::read(path).map_err(|source| artifact::ArtifactError::Io { path: path.into(), source });
+    let (json, content) = match &kind {
+        FileKind::Artifact(name) => (
+            header()?,
+            match name.as_str() {
+                "instrument" => Content::Instrument(Box::new(Instrument::read(path)?)),
+                "evaluation" => Content::Evaluation(Box::new(Evaluation::read(path)?.0)),
+                "checkpoint" => Content::Checkpoint,
+                _ => Content::Other,
+            },
+        ),
+        FileKind::Session => (Value::Null, Content::Session(Box::new(Session::open(path)?))),
+        FileKind::Blob => {
+            let bytes = read()?;
+            let network = Network::decode(&bytes).map_err(|e| ReportError::blob(path, e))?;
+            (Value::Null, Content::Blob(Box::new(network.header.clone()), bytes.len() as u64))
+        }
+        FileKind::Json => {
+            let json: Value = serde_json::from_slice(&read()?)
+                .map_err(|e| artifact::ArtifactError::Format { path: path.into(), detail: e.to_string() })?;
+            let content = if json.get("bit_exact").is_some() { Content::Device } else { Content::Other };
+            (json, content)
+        }
+        other => return Err(ReportError::Kind { path: path.into(), found: other.to_string() }),
+    };
+    Ok(Piece { path: path.into(), json, content })
+}
+
+fn heading(pieces: &[Piece]) -> String {
+    let name = pieces.iter().find_map(|p| match &p.content {
+        Content::Evaluation(e) => Some(e.summary.session.clone()),
+        Content::Instrument(i) => Some(i.manifest.name.clone()),
+        Content::Session(s) => Some(s.manifest().name.clone()),
+        _ => None,
+    });
+    let name = name.filter(|n| !n.is_empty()).unwrap_or_else(|| "Report".into());
+    let mut letters = name.chars();
+    letters.next().map_or(String::new(), |first| first.to_uppercase().chain(letters).collect())
+}
+
+fn lead(pieces: &[Piece]) -> String {
+    let manifest = pieces.iter().find_map(|p| match &p.content {
+        Content::Instrument(i) => Some(&i.manifest),
+        Content::Session(s) => Some(s.manifest()),
+        _ => None,
+    });
+    manifest.map_or(String::new(), |m| {
+        format!(
+            "A multi-aperture miniscope with {} × {} lenses on a {} × {} pixel sensor (pitch {} µm, {} bit), seen on an object of \
+             {} × {} pixels of {} µm at magnification {}.",
+            m.array.rows,
+            m.array.cols,
+            m.sensor.rows,
+            m.sensor.cols,
+            m.sensor.pixel_pitch_um,
+            m.sensor.bit_depth,
+            m.object.rows,
+            m.object.cols,
+            picture::number(m.object.pixel_um),
+            picture::number(m.optics.magnification)
+        )
+    })
+}
+
+fn keys(pieces: &[Piece]) -> Vec<Key> {
+    let of = |p: &Piece| match &p.content {
+        Content::Evaluation(e) => scenes::keys(e),
+        Content::Device => device::keys(&p.json),
+        _ => Vec::new(),
+    };
+    pieces.iter().flat_map(of).collect()
+}
+
+fn provenance(pieces: &[Piece]) -> Markup {
+    let pretty = |v: &Value| serde_json::to_string_pretty(v).unwrap_or_default();
+    html! {
+        p { "Each artifact names the program, the seed, the configuration and the hashes of the files that it was made from." }
+        @for piece in pieces {
+            details {
+                summary { code { (piece.path.display()) } " " (describe(piece)) }
+                @match &piece.content {
+                    Content::Session(s) => pre { (pretty(&serde_json::to_value(s.manifest()).unwrap_or_default())) },
+                    Content::Blob(h, _) => pre { (pretty(&serde_json::to_value(&**h).unwrap_or_default())) },
+                    _ => pre { (pretty(piece.json.get("provenance").unwrap_or(&piece.json))) },
+                }
+            }
+        }
+    }
+}
+
+fn describe(piece: &Piece) -> String {
+    let from = &piece.json["provenance"];
+    let written = match (from["program"].as_str(), from["verb"].as_str()) {
+        (Some(program), Some(verb)) => format!(", written by {program} {verb}, seed {}", from["seed"]),
+        _ => String::new(),
+    };
+    let kind = match &piece.content {
+        Content::Instrument(_) => "instrument",
+        Content::Evaluation(_) => "evaluation",
+        Content::Checkpoint => "checkpoint",
+        Content::Blob(..) => "network file",
+        Content::Session(_) => "session",
+        Content::Device => "device run",
+        Content::Other => piece.json["kind"].as_str().unwrap_or("figures of a verb"),
+    };
+    format!("— {kind}{written}")
+}

@@ -1,0 +1,96 @@
+//! What the device did and what it needs: the JSON of `device run`, and the header of a network file.
+
+use super::page::{Key, Numbers, pairs};
+use super::scenes::bytes;
+use super::training::pairs_of;
+use maud::{Markup, html};
+use ommatidia_shared::blob::Header;
+use serde_json::Value;
+
+/// The figures of a run.
+pub fn device(json: &Value, numbers: &mut Numbers) -> Markup {
+    let mut rows: Vec<(String, Markup)> = Vec::new();
+    if let Some(board) = json["board"].as_str() {
+        rows.push(("Board".into(), html! { (board) }));
+    }
+    if let Some(exact) = json["bit_exact"].as_bool() {
+        rows.push(("Outputs equal to the host’s, bit for bit".into(), html! { (if exact { "yes" } else { "no" }) }));
+    }
+    if let Some(n) = json["instructions"].as_u64() {
+        rows.push(("Instructions a frame".into(), html! { (grouped(n)) }));
+    }
+    for (key, name) in [("ram_bytes", "RAM"), ("flash_bytes", "Flash"), ("stack_bytes", "Stack")] {
+        if let Some(n) = json[key].as_u64() {
+            rows.push((name.into(), html! { (bytes(n)) }));
+        }
+    }
+    let known = ["board", "bit_exact", "instructions", "ram_bytes", "flash_bytes", "stack_bytes"];
+    let simple = |v: &Value| !v.is_null() && !v.is_array() && !v.is_object();
+    let others = json.as_object().into_iter().flatten().filter(|(k, v)| !known.contains(&k.as_str()) && simple(v));
+    rows.extend(pairs_of(&others.map(|(k, v)| (k.clone(), v.clone())).collect::<serde_json::Map<_, _>>().into()));
+    let table = numbers.table("Firmware.", "As the device and its host reported it.", pairs(&rows));
+    html! { div style="max-width:640px" { (table) } }
+}
+
+/// What a network file asks of a device.
+pub fn blob(header: &Header, file_bytes: u64, numbers: &mut Numbers) -> Markup {
+    let (bank, rcan) = (&header.bank, &header.rcan);
+    let rows = [
+        ("File".to_string(), html! { (bytes(file_bytes)) }),
+        ("Raw frame".into(), html! { (header.frame.rows) " × " (header.frame.cols) }),
+        ("Reconstruction".into(), html! { (header.object.rows) " × " (header.object.cols) }),
+        (
+            "Filter bank".into(),
+            html! { (bank.channels) " channels, " (bank.taps.len()) " taps of " (bank.tile) " × " (bank.tile) },
+        ),
+        ("Enhancement".into(), html! { (rcan.width) " features, " (rcan.groups) " × " (rcan.blocks) " blocks" }),
+        ("Fast memory".into(), html! { (bytes(u64::from(header.memory.fast_bytes))) }),
+        ("Bulk memory".into(), html! { (bytes(u64::from(header.memory.bulk_bytes))) }),
+    ];
+    let text =
+        format!("Network “{}”, made from checkpoint {}. Weights are IEEE halves.", header.name, header.checkpoint);
+    html! { div style="max-width:640px" { (numbers.table("Network file.", &text, pairs(&rows))) } }
+}
+
+/// What a run adds to the key line.
+pub fn keys(json: &Value) -> Vec<Key> {
+    let mut keys = Vec::new();
+    if let Some(exact) = json["bit_exact"].as_bool() {
+        let differ = json["bits_differ"].as_u64().map(grouped);
+        let value = differ.unwrap_or_else(|| if exact { "0".into() } else { "some".into() });
+        let note = json["board"].as_str().unwrap_or("").to_string();
+        keys.push(Key { name: "Bits: device against host".into(), value, unit: "differ", note, holds: Some(exact) });
+    }
+    if let Some(n) = json["instructions"].as_u64() {
+        let value = super::picture::number(n as f64 / 1e6);
+        keys.push(Key { name: "Instructions a frame".into(), value, unit: "million", ..Key::default() });
+    }
+    if let (Some(ram), Some(flash)) = (json["ram_bytes"].as_u64(), json["flash_bytes"].as_u64()) {
+        let note = format!("flash {}", bytes(flash));
+        keys.push(Key { name: "Memory of the device".into(), value: bytes(ram), note, ..Key::default() });
+    }
+    keys
+}
+
+/// A number in groups of three digits.
+fn grouped(n: u64) -> String {
+    let digits = n.to_string();
+    let groups: Vec<&[u8]> = digits.as_bytes().rchunks(3).rev().collect();
+    groups.iter().map(|g| String::from_utf8_lossy(g)).collect::<Vec<_>>().join("\u{202f}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn digits_stand_in_groups() {
+        assert_eq!([1, 1234, 12_345_678].map(grouped), ["1", "1\u{202f}234", "12\u{202f}345\u{202f}678"]);
+    }
+
+    #[test]
+    fn a_run_that_is_not_exact_is_shown_as_failed() {
+        let keys = keys(&serde_json::json!({"bit_exact": false, "board": "mps2-an500"}));
+        assert!(keys[0].holds == Some(false) && keys[0].value == "some");
+    }
+}

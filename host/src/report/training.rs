@@ -1,0 +1,68 @@
+//! The course of the training, read from the header of a checkpoint.
+
+use super::ReportError;
+use super::chart::{Axis, Chart, Line, Marks};
+use super::page::{Numbers, pairs};
+use super::picture::number;
+use maud::{Markup, html};
+use serde_json::Value;
+
+/// Loss and quality against the step, and the shape of the network.
+///
+/// # Errors
+/// A chart cannot be drawn.
+pub fn training(header: &Value, numbers: &mut Numbers) -> Result<Markup, ReportError> {
+    let body = &header["body"];
+    let curve: &[Value] = body["curve"].as_array().map_or(&[], Vec::as_slice);
+    let line = |key: &str, label: &str, colour| Line {
+        label: label.into(),
+        points: curve.iter().filter_map(|p| Some([p["step"].as_f64()?, p[key].as_f64()?])).collect(),
+        colour,
+        marks: Marks::None,
+    };
+    let loss = Chart {
+        alt: "Training and validation loss against the step".into(),
+        x: Axis::linear("Step"),
+        y: Axis::log10("Loss, BCE + MSE"),
+        lines: vec![line("train_loss", "training", 5), line("validation_loss", "validation", 1)],
+    };
+    let psnr = Chart {
+        alt: "Validation PSNR against the step".into(),
+        x: Axis::linear("Step"),
+        y: Axis::linear("PSNR (dB)"),
+        lines: vec![line("psnr_db", "validation", 1)],
+    };
+    let best =
+        body["best_step"].as_u64().map(|s| format!(" The weights kept are those of step {s}.")).unwrap_or_default();
+    let text = format!("a, loss on training batches and on scenes kept out of them; b, PSNR on those scenes.{best}");
+    let figure = html! {
+        div.two {
+            div.plate { p.name { "a  Loss" } (loss.render()?) }
+            div.plate { p.name { "b  Quality" } (psnr.render()?) }
+        }
+    };
+    let figure = numbers.figure("Training.", &text, figure);
+    let shape = pairs_of(&body["network"]);
+    let table = numbers.table(
+        "Network.",
+        "Shape of the network: Fourier filter bank, then a light residual channel-attention network.",
+        pairs(&shape),
+    );
+    Ok(html! { (figure) div style="max-width:640px" { (table) } })
+}
+
+/// The fields of a JSON object as rows of a table, in words.
+pub fn pairs_of(object: &Value) -> Vec<(String, Markup)> {
+    let fields = object.as_object().into_iter().flatten();
+    fields.map(|(name, value)| (name.replace('_', " "), html! { (short(value)) })).collect()
+}
+
+fn short(value: &Value) -> String {
+    match value {
+        Value::Null => "–".into(),
+        Value::String(s) => s.clone(),
+        Value::Number(n) if n.is_f64() => number(n.as_f64().unwrap_or(0.0)),
+        Value::Array(items) => items.iter().map(short).collect::<Vec<_>>().join(" × "),
+        other => other.to_string(),
+    }
+}
