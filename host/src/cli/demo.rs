@@ -1,15 +1,240 @@
-//! `demo`: the verbs in a row on the virtual instrument. (being written)
+//! `demo`: nothing but the verbs in a row, on the virtual instrument.
 
-use super::{Outcome, Run};
+use super::evaluate::table;
+use super::{Cli, Outcome, Run};
+use crate::artifact;
+use crate::evaluate::{Evaluation, MethodFigures};
+use crate::report;
+use anyhow::{Context, bail};
+use clap::Parser;
+use serde_json::{Value, json};
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 /// Options of `demo`.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+pub struct Args {
+    /// Folder for everything that the demo makes; that of an earlier demo is replaced
+    #[arg(short, long, value_name = "DIR", default_value = "demo")]
+    output: PathBuf,
+    /// Scenes that the methods are judged on
+    #[arg(long, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u64).range(2..))]
+    frames: u64,
+    /// Training steps, where the demo's own number is too many or too few
+    #[arg(long, value_name = "N")]
+    steps: Option<u64>,
+}
+
+/// One verb with its options, and what it is for.
+struct Chapter {
+    what: &'static str,
+    words: Vec<String>,
+}
 
 /// Runs the verb.
 ///
 /// # Errors
-/// Whatever the library says.
-pub fn run(_args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
-    anyhow::bail!("`demo` is being written")
+/// The folder holds something else, or a verb fails; what the verbs before it made is left in the folder.
+pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
+    let start = Instant::now();
+    let folder = &args.output;
+    prepare(folder)?;
+    let chapters = chapters(args, folder);
+    let mut figures = serde_json::Map::new();
+    for (i, chapter) in chapters.iter().enumerate() {
+        let (json, seconds) = play(chapter, run, [i + 1, chapters.len()])?;
+        let name = chapter.words[0].clone();
+        artifact::write_whole(&folder.join(format!("{name}.json")), format!("{json}\n").as_bytes())?;
+        let mut entry = json;
+        if let Some(fields) = entry.as_object_mut() {
+            fields.insert("chapter_seconds".into(), json!(seconds));
+        }
+        figures.insert(name, entry);
+    }
+    closing(folder, &figures, start.elapsed().as_secs_f64())
+}
+
+/// Marks a folder as one that a demo may replace.
+const MARKER: &str = "demo.toml";
+
+fn prepare(folder: &Path) -> anyhow::Result<()> {
+    let named = || folder.display().to_string();
+    if folder.exists() {
+        let empty = std::fs::read_dir(folder).with_context(named)?.next().is_none();
+        if !empty && !folder.join(MARKER).exists() {
+            bail!(
+                "{}: expected a new or empty folder, or that of an earlier demo, found other files; name another with -o",
+                named()
+            );
+        }
+        std::fs::remove_dir_all(folder).with_context(named)?;
+    }
+    std::fs::create_dir_all(folder).with_context(named)?;
+    let text = format!(
+        "# Made by `ommatidia demo`, which replaces this folder.\nversion = \"{}\"\n",
+        env!("CARGO_PKG_VERSION")
+    );
+    Ok(artifact::write_whole(&folder.join(MARKER), text.as_bytes())?)
+}
+
+fn chapters(args: &Args, folder: &Path) -> Vec<Chapter> {
+    let at = |name: &str| folder.join(name).display().to_string();
+    let chapter = |what, text: &str| {
+        // `@name` stands for a file of the folder, whose path may hold blanks.
+        let word = |w: &str| match w.split_once('@') {
+            Some((before, name)) => format!("{before}{}", at(name)),
+            None => w.to_string(),
+        };
+        Chapter { what, words: text.split_whitespace().map(word).collect() }
+    };
+    let bench = format!("bench @session --frames {}", args.frames);
+    let steps = args.steps.map(|n| format!(" --steps {n}")).unwrap_or_default();
+    let train = format!("train @pairs -o @network.safetensors --preset nano{steps}");
+    vec![
+        chapter("the virtual instrument measures darks, flats, a bead scan and scenes of known truth", &bench),
+        chapter(
+            "noise, chief rays and low-rank PSFs from that session",
+            "calibrate @session -o @instrument.safetensors",
+        ),
+        chapter("training pairs with the calibrated model", "simulate @instrument.safetensors -o @pairs --count 512"),
+        chapter("the network", &train),
+        chapter(
+            "the network file of a device: half precision, memory plan",
+            "quantize @network.safetensors -o @network.omm",
+        ),
+        chapter(
+            "the firmware reconstructs the scenes",
+            "device run --blob @network.omm --frames @session/scene.npy -o @device.npy",
+        ),
+        chapter("the host does the same", "reconstruct @session/scene.npy -o @objects.tif --with @network.omm"),
+        chapter(
+            "all methods on the scenes, which nothing before has seen",
+            "evaluate @session --with @network.safetensors --with @network.omm --with @instrument.safetensors \
+             --stack device=@device.npy -o @evaluation.safetensors",
+        ),
+        chapter(
+            "one page of it all",
+            "report @evaluation.safetensors @device.json @network.omm @instrument.safetensors @network.safetensors @session \
+             -o @report.html",
+        ),
+    ]
+}
+
+/// Runs a chapter as a command line of its own, inside this process.
+fn play(chapter: &Chapter, run: &Run, [number, of]: [usize; 2]) -> anyhow::Result<(Value, f64)> {
+    let say = |text: String| {
+        if !run.quiet {
+            eprintln!("{text}");
+        }
+    };
+    say(format!("[{number}/{of}] {}\n      ommatidia {}", chapter.what, chapter.words.join(" ")));
+    let start = Instant::now();
+    let words = std::iter::once("ommatidia".to_string()).chain(chapter.words.iter().cloned());
+    let mut cli = Cli::try_parse_from(words).with_context(|| format!("`ommatidia {}`", chapter.words.join(" ")))?;
+    cli.run = run.clone();
+    let outcome = cli.run().with_context(|| format!("`ommatidia {}`", chapter.words.join(" ")))?;
+    let seconds = start.elapsed().as_secs_f64();
+    for line in outcome.text.lines() {
+        say(format!("      {line}"));
+    }
+    say(format!("      {seconds:.1} s\n"));
+    Ok((outcome.json, seconds))
+}
+
+/// The table, what was aimed at, and where the report is.
+fn closing(folder: &Path, figures: &serde_json::Map<String, Value>, seconds: f64) -> anyhow::Result<Outcome> {
+    let (evaluation, _) = Evaluation::read(&folder.join("evaluation.safetensors"))?;
+    let methods = &evaluation.summary.methods;
+    let device = figures.get("device").unwrap_or(&Value::Null);
+    let targets = targets(methods, device);
+    let mut text = table(methods);
+    text.push('\n');
+    for t in &targets {
+        // Writing to a string cannot fail.
+        let _ = writeln!(
+            text,
+            "{:34} {:>12}   target {:<16} {}",
+            t.what,
+            t.found,
+            t.target,
+            if t.holds { "holds" } else { "MISSED" }
+        );
+    }
+    let page = folder.join("report.html");
+    let page = page.canonicalize().unwrap_or(page);
+    let _ = writeln!(text, "\n{} in all. The report is {}", report::seconds(seconds), page.display());
+    let targets: Vec<Value> = targets
+        .iter()
+        .map(|t| json!({ "what": t.what, "found": t.found, "target": t.target, "holds": t.holds }))
+        .collect();
+    Ok(Outcome { json: json!({ "seconds": seconds, "report": page, "targets": targets, "chapters": figures }), text })
+}
+
+/// One thing that the demo has to show.
+struct Target {
+    what: &'static str,
+    found: String,
+    target: &'static str,
+    holds: bool,
+}
+
+fn targets(methods: &[MethodFigures], device: &Value) -> Vec<Target> {
+    let psnr = |name: &str| methods.iter().find(|m| m.name == name).map(|m| m.psnr_db);
+    let mut targets = Vec::new();
+    if let (Some(network), Some(wiener)) = (psnr("svfouriernet"), psnr("wiener")) {
+        let gain = network - wiener;
+        let (what, target) = ("network over Wiener deconvolution", ">= 2 dB");
+        targets.push(Target { what, found: format!("{gain:+.2} dB"), target, holds: gain >= 2.0 });
+    }
+    if let (Some(network), Some(blob)) = (psnr("svfouriernet"), psnr("svfouriernet-blob")) {
+        let change = blob - network;
+        let (what, target) = ("network file against float", ">= -0.1 dB");
+        targets.push(Target { what, found: format!("{change:+.3} dB"), target, holds: change >= -0.1 });
+    }
+    if let Some(exact) = device["bit_exact"].as_bool() {
+        let bits = device["bits_differ"].as_u64().map(|n| n.to_string());
+        let found = bits.unwrap_or_else(|| if exact { "0".into() } else { "some".into() });
+        let (what, target) = ("bits: device against host", "0");
+        targets.push(Target { what, found, target, holds: exact });
+    }
+    targets
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn each_chapter_is_a_command_line_that_the_program_takes() {
+        let args = Args { output: "a folder".into(), frames: 4, steps: Some(10) };
+        for chapter in chapters(&args, &args.output) {
+            let words = std::iter::once("ommatidia".to_string()).chain(chapter.words.iter().cloned());
+            let parsed = Cli::try_parse_from(words);
+            assert!(parsed.is_ok(), "{}: {}", chapter.words.join(" "), parsed.unwrap_err());
+        }
+    }
+
+    #[test]
+    fn a_folder_of_something_else_is_left_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("thesis.tex");
+        std::fs::write(&file, "years of work").unwrap();
+        assert!(prepare(folder.path()).unwrap_err().to_string().contains("earlier demo"));
+        assert!(file.exists());
+        std::fs::write(folder.path().join(MARKER), "").unwrap();
+        prepare(folder.path()).unwrap();
+        assert!(!file.exists() && folder.path().join(MARKER).exists());
+    }
+
+    #[test]
+    fn targets_say_what_was_measured() {
+        let method = |name: &str, psnr_db| MethodFigures { name: name.into(), psnr_db, ..MethodFigures::default() };
+        let methods = [method("svfouriernet", 25.0), method("svfouriernet-blob", 24.8), method("wiener", 22.0)];
+        let found = targets(&methods, &json!({ "bit_exact": false, "bits_differ": 7 }));
+        let lines: Vec<_> = found.iter().map(|t| (t.found.as_str(), t.holds)).collect();
+        assert_eq!(lines, [("+3.00 dB", true), ("-0.200 dB", false), ("7", false)]);
+        assert!(targets(&methods[..1], &Value::Null).is_empty());
+    }
 }

@@ -1,15 +1,257 @@
-//! `evaluate`: methods side by side. (being written)
+//! `evaluate`: methods side by side on scenes of known truth.
 
 use super::{Outcome, Run};
+use crate::artifact::Provenance;
+use crate::evaluate::{Evaluation, MethodFigures, Scenes, Source, Summary, judge, predict_figures};
+use crate::forward::Forward;
+use crate::instrument::Instrument;
+use crate::kind::FileKind;
+use crate::methods::{MethodKind, Reconstruct, title};
+use crate::report::{bytes, seconds};
+use crate::session::{Session, stack};
+use anyhow::{Context, ensure};
+use ndarray::{Array3, Axis};
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
 
 /// Options of `evaluate`.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+pub struct Args {
+    /// Folder of a session with scene stacks that have a truth
+    session: PathBuf,
+    /// Checkpoint, network file, or instrument (may be given again)
+    #[arg(long = "with", value_name = "FILE", required_unless_present = "stacks")]
+    with: Vec<PathBuf>,
+    /// Methods to make from an instrument
+    #[arg(long, value_name = "METHOD", value_delimiter = ',', default_value = "wiener,central")]
+    methods: Vec<MethodKind>,
+    /// Reconstructions made elsewhere, one for each scene frame (may be given again)
+    #[arg(long = "stack", value_name = "NAME=FILE", value_parser = named_stack)]
+    stacks: Vec<(String, PathBuf)>,
+    /// Judge the first N scenes only
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    frames: Option<u64>,
+    /// Scenes whose pictures are kept for the report
+    #[arg(long, value_name = "N", default_value_t = 3)]
+    pictures: usize,
+    /// Keep figures and pictures in a file for `report`
+    #[arg(short, long, value_name = "EVALUATION")]
+    output: Option<PathBuf>,
+}
+
+fn named_stack(text: &str) -> Result<(String, PathBuf), String> {
+    let parts = text.split_once('=').filter(|(name, file)| !name.is_empty() && !file.is_empty());
+    let (name, file) = parts.ok_or("expected NAME=FILE")?;
+    Ok((name.into(), file.into()))
+}
+
+/// A method or a stack, with its name in the table.
+struct Entry {
+    name: String,
+    source: PathBuf,
+    from: From,
+}
+
+enum From {
+    Method(Box<dyn Reconstruct>),
+    Stack(Array3<f32>),
+}
 
 /// Runs the verb.
 ///
 /// # Errors
-/// Whatever the library says.
-pub fn run(_args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
-    anyhow::bail!("`evaluate` is being written")
+/// A file cannot be read, does not fit the session or is of the wrong kind, or the output cannot be written.
+pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
+    let session = Session::open(&args.session)?;
+    let mut scenes = Scenes::of(&session, args.frames.map(|n| n as usize))?;
+    let manifest = session.manifest();
+    let entries = entries(args, run, scenes.count())?;
+    let pictured = pictured(scenes.count(), args.pictures);
+    let bar = run.progress((entries.len() * scenes.count()) as u64, "evaluate");
+    let mut evaluation = Evaluation {
+        raw_dn: Array3::zeros((pictured.len(), manifest.sensor.rows, manifest.sensor.cols)),
+        truths: Array3::zeros((pictured.len(), manifest.object.rows, manifest.object.cols)),
+        reconstructions: Vec::new(),
+        summary: Summary {
+            session: manifest.name.clone(),
+            sensor: manifest.sensor,
+            object: manifest.object,
+            frames: scenes.count(),
+            pictured: pictured.clone(),
+            methods: Vec::new(),
+            prediction: None,
+        },
+    };
+    for (p, &i) in pictured.iter().enumerate() {
+        let case = scenes.case(i)?;
+        evaluation.raw_dn.index_axis_mut(Axis(0), p).assign(&case.frame_dn);
+        evaluation.truths.index_axis_mut(Axis(0), p).assign(&case.truth);
+    }
+    for entry in &entries {
+        let source = match &entry.from {
+            From::Method(method) => Source::Method(method.as_ref()),
+            From::Stack(stack) => Source::Stack(stack),
+        };
+        let count = scenes.count();
+        let judged = judge(&source, &manifest.object, count, &pictured, |i| scenes.case(i), || bar.inc(1));
+        let (mut figures, pictures) = judged.with_context(|| entry.source.display().to_string())?;
+        (figures.name, figures.source) = (entry.name.clone(), entry.source.display().to_string());
+        evaluation.summary.methods.push(figures);
+        evaluation.reconstructions.push(pictures);
+    }
+    evaluation.summary.prediction = prediction(args, &mut scenes)?;
+    bar.finish_and_clear();
+    evaluation.sort();
+    if let Some(output) = &args.output {
+        evaluation.write(output, provenance(args, run, &session)?)?;
+    }
+    Ok(outcome(args, &evaluation.summary))
+}
+
+fn entries(args: &Args, run: &Run, frames: usize) -> anyhow::Result<Vec<Entry>> {
+    let mut entries: Vec<Entry> = Vec::new();
+    for path in &args.with {
+        let instrument = is_instrument(path)?;
+        let kinds = if instrument { args.methods.clone() } else { vec![MethodKind::default_for(path)?] };
+        for kind in kinds.into_iter().filter(|k| !instrument || k.needs_instrument()) {
+            let method = kind.open(path, run.seed)?;
+            entries.push(Entry { name: method.name().into(), source: path.clone(), from: From::Method(method) });
+        }
+    }
+    for (name, path) in &args.stacks {
+        let objects = stack::read(path)?;
+        let found = objects.len_of(Axis(0));
+        ensure!(found >= frames, "{}: expected {frames} objects, one a scene frame, found {found}", path.display());
+        entries.push(Entry { name: name.clone(), source: path.clone(), from: From::Stack(objects) });
+    }
+    ensure!(!entries.is_empty(), "--methods: none of them is made from an instrument; give wiener or central");
+    make_names_unique(&mut entries);
+    Ok(entries)
+}
+
+/// A name that comes twice gets the file that it came from: `wiener@b.safetensors`, and a number where that is no help.
+fn make_names_unique(entries: &mut [Entry]) {
+    let all: Vec<String> = entries.iter().map(|e| e.name.clone()).collect();
+    for i in 0..entries.len() {
+        if all.iter().filter(|n| **n == all[i]).count() < 2 {
+            continue;
+        }
+        let file = entries[i].source.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let name = format!("{}@{file}", all[i]);
+        let twice = entries[..i].iter().any(|e| e.name == name);
+        entries[i].name = if twice { format!("{name}#{i}") } else { name };
+    }
+}
+
+fn is_instrument(path: &Path) -> anyhow::Result<bool> {
+    Ok(matches!(FileKind::of(path)?, FileKind::Artifact(kind) if kind == "instrument"))
+}
+
+/// `most` scenes, evenly spread over all of them.
+fn pictured(count: usize, most: usize) -> Vec<usize> {
+    let n = most.min(count);
+    (0..n).map(|i| i * count / n).collect()
+}
+
+fn prediction(args: &Args, scenes: &mut Scenes) -> anyhow::Result<Option<crate::evaluate::PredictionFigures>> {
+    for path in &args.with {
+        if is_instrument(path)? {
+            let instrument = Instrument::read(path)?;
+            let forward = Forward::new(&instrument)?;
+            let count = scenes.count();
+            let figures = predict_figures(count, &instrument.noise, |i| scenes.triple(i, &forward));
+            return Ok(Some(figures.with_context(|| path.display().to_string())?));
+        }
+    }
+    Ok(None)
+}
+
+fn provenance(args: &Args, run: &Run, session: &Session) -> anyhow::Result<Provenance> {
+    let config = serde_json::json!({ "methods": args.methods, "frames": args.frames, "pictures": args.pictures });
+    let mut provenance = Provenance::new("evaluate", run.seed, &config).with_input(&session.manifest_path())?;
+    for path in args.with.iter().chain(args.stacks.iter().map(|(_, path)| path)) {
+        provenance = provenance.with_input(path)?;
+    }
+    Ok(provenance)
+}
+
+fn outcome(args: &Args, summary: &Summary) -> Outcome {
+    let methods: serde_json::Map<String, serde_json::Value> =
+        summary.methods.iter().map(|m| (m.name.clone(), serde_json::to_value(m).unwrap_or_default())).collect();
+    let json = serde_json::json!({
+        "session": summary.session, "frames": summary.frames, "methods": methods,
+        "prediction": summary.prediction, "evaluation": args.output,
+    });
+    let mut text = table(&summary.methods);
+    if let Some(p) = &summary.prediction {
+        // Writing to a string cannot fail.
+        let _ = writeln!(
+            text,
+            "\npredicted frames: NRMSE {:.2} %, PCC {:.5}, chi2/ndf {:.3} over {} lit pixels (scale {:.4})",
+            100.0 * p.nrmse,
+            p.pcc,
+            p.chi2_ndf,
+            p.lit_pixels,
+            p.scale
+        );
+    }
+    if let Some(output) = &args.output {
+        let _ = writeln!(text, "evaluation: {}", output.display());
+    }
+    Outcome { json, text }
+}
+
+/// The methods as a table, best first.
+pub(super) fn table(methods: &[MethodFigures]) -> String {
+    let names: Vec<String> = methods.iter().map(|m| title(&m.name)).collect();
+    let width = names.iter().map(|n| n.chars().count()).max().unwrap_or(0).max(6);
+    let mut text = format!(
+        "{:width$}  {:>14}  {:>6}  {:>6}  {:>6}  {:>10}  {:>10}\n",
+        "method", "PSNR (dB)", "SSIM", "NRMSE", "PCC", "time/frame", "memory"
+    );
+    for (m, name) in methods.iter().zip(names) {
+        let _ = writeln!(
+            text,
+            "{name:width$}  {:>7.2} ± {:>4.2}  {:>6.3}  {:>6.3}  {:>6.3}  {:>10}  {:>10}",
+            m.psnr_db,
+            m.psnr_db_std,
+            m.ssim,
+            m.nrmse,
+            m.pcc,
+            m.seconds_per_frame.map_or("-".into(), seconds),
+            m.peak_bytes.map_or("-".into(), bytes)
+        );
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_are_spread() {
+        assert_eq!(pictured(12, 3), [0, 4, 8]);
+        assert_eq!(pictured(2, 3), [0, 1]);
+        assert_eq!(pictured(5, 0), Vec::<usize>::new());
+    }
+
+    #[test]
+    fn names_that_come_twice_carry_their_file() {
+        let entry = |name: &str, path: &str| Entry {
+            name: name.into(),
+            source: path.into(),
+            from: From::Stack(Array3::zeros((0, 0, 0))),
+        };
+        let mut entries =
+            [entry("wiener", "x/a.st"), entry("central", "x/a.st"), entry("wiener", "b.st"), entry("wiener", "y/b.st")];
+        make_names_unique(&mut entries);
+        assert_eq!(entries.map(|e| e.name), ["wiener@a.st", "central", "wiener@b.st", "wiener@b.st#3"]);
+    }
+
+    #[test]
+    fn stacks_have_names() {
+        assert_eq!(named_stack("device=out.npy"), Ok(("device".into(), "out.npy".into())));
+        assert!(named_stack("out.npy").is_err() && named_stack("=out.npy").is_err());
+    }
 }

@@ -1,15 +1,146 @@
-//! `inspect`: what a file is. (being written)
+//! `inspect`: what a file is.
 
 use super::{Outcome, Run};
+use crate::kind::FileKind;
+use crate::session::{FrameReader, Session};
+use crate::{artifact, report};
+use anyhow::{Context, bail};
+use ommatidia_shared::blob::Network;
+use serde_json::{Value, json};
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
 
 /// Options of `inspect`.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+pub struct Args {
+    /// Instrument, checkpoint, evaluation, network file, session folder, stack of frames, or JSON that a verb printed
+    artifact: PathBuf,
+}
 
 /// Runs the verb.
 ///
 /// # Errors
-/// Whatever the library says.
-pub fn run(_args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
-    anyhow::bail!("`inspect` is being written")
+/// The file cannot be read, is damaged or of no known kind.
+pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
+    let path = &args.artifact;
+    let json = match FileKind::of(path)? {
+        FileKind::Artifact(_) => of_artifact(path)?,
+        FileKind::Blob => of_blob(path)?,
+        FileKind::Session => of_session(path)?,
+        FileKind::Stack => of_stack(path)?,
+        FileKind::Json => {
+            let text = std::fs::read(path).with_context(|| path.display().to_string())?;
+            let figures: Value = serde_json::from_slice(&text).with_context(|| path.display().to_string())?;
+            json!({ "kind": "json", "figures": figures })
+        }
+        found @ (FileKind::Folder | FileKind::Unknown) => {
+            bail!("{}: expected an artifact, a network file, a session or a stack, found {found}", path.display())
+        }
+    };
+    let mut text = format!("{}\n", path.display());
+    list(&mut text, &json, 1);
+    Ok(Outcome { json, text })
+}
+
+fn of_artifact(path: &Path) -> anyhow::Result<Value> {
+    let header = artifact::inspect(path)?;
+    let tensors: Vec<Value> =
+        artifact::shapes(path)?.into_iter().map(|(name, shape)| json!({ "name": name, "shape": shape })).collect();
+    let bytes = std::fs::metadata(path).map(|m| m.len()).unwrap_or(0);
+    Ok(json!({
+        "kind": header["kind"], "version": header["version"], "bytes": bytes, "provenance": header["provenance"],
+        "body": header["body"], "tensors": tensors,
+    }))
+}
+
+fn of_blob(path: &Path) -> anyhow::Result<Value> {
+    let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
+    let network = Network::decode(&bytes)
+        .map_err(|e| anyhow::anyhow!("{}: {e}; quantize the checkpoint again", path.display()))?;
+    let header = serde_json::to_value(&network.header)?;
+    Ok(json!({
+        "kind": "blob", "version": ommatidia_shared::blob::VERSION, "bytes": bytes.len(), "header": header,
+        "memory": { "fast": report::bytes(network.header.memory.fast_bytes.into()), "bulk": report::bytes(network.header.memory.bulk_bytes.into()) },
+    }))
+}
+
+fn of_session(path: &Path) -> anyhow::Result<Value> {
+    let session = Session::open(path)?;
+    let manifest = serde_json::to_value(session.manifest())?;
+    let frames =
+        session.stacks().iter().map(|s| json!({ "role": s.entry().role, "file": s.entry().file, "frames": s.len() }));
+    Ok(json!({ "kind": "session", "manifest": manifest, "stacks": frames.collect::<Vec<_>>() }))
+}
+
+fn of_stack(path: &Path) -> anyhow::Result<Value> {
+    let reader = FrameReader::open(path)?;
+    Ok(json!({
+        "kind": "stack", "frames": reader.len(), "rows": reader.rows(), "cols": reader.cols(),
+        "samples": reader.samples().name(),
+    }))
+}
+
+/// Values of more than this many characters are cut short in the text; `--json` holds them whole.
+const WIDTH: usize = 96;
+
+/// A JSON value as an indented list.
+fn list(text: &mut String, value: &Value, depth: usize) {
+    for (name, value) in value.as_object().into_iter().flatten() {
+        let indent = 2 * depth;
+        // Writing to a string cannot fail.
+        let _ = match value {
+            Value::Object(fields) if !fields.is_empty() => {
+                let _ = writeln!(text, "{:indent$}{name}:", "");
+                list(text, value, depth + 1);
+                Ok(())
+            }
+            Value::Array(items) if items.iter().any(Value::is_object) => {
+                let _ = writeln!(text, "{:indent$}{name}: {}", "", items.len());
+                for item in items.iter().take(40) {
+                    let _ = writeln!(text, "{:indent$}  {}", "", short(&line(item)));
+                }
+                Ok(())
+            }
+            other => writeln!(text, "{:indent$}{name}: {}", "", short(&line(other))),
+        };
+    }
+}
+
+/// A value on one line, without the quotes of JSON.
+fn line(value: &Value) -> String {
+    match value {
+        Value::String(s) => s.clone(),
+        Value::Null => "-".into(),
+        Value::Array(items) => format!("[{}]", items.iter().map(line).collect::<Vec<_>>().join(", ")),
+        Value::Object(fields) => {
+            fields.iter().map(|(name, value)| format!("{name} {}", line(value))).collect::<Vec<_>>().join(", ")
+        }
+        other => other.to_string(),
+    }
+}
+
+fn short(line: &str) -> String {
+    match line.char_indices().nth(WIDTH) {
+        Some((cut, _)) => format!("{}...", &line[..cut]),
+        None => line.into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_header_reads_as_a_list() {
+        let mut text = String::new();
+        let value = json!({ "kind": "x", "body": { "size": [2, 3], "name": null }, "tensors": [{ "name": "a", "shape": [1] }] });
+        list(&mut text, &value, 1);
+        assert_eq!(text, "  body:\n    name: -\n    size: [2, 3]\n  kind: x\n  tensors: 1\n    name a, shape [1]\n");
+    }
+
+    #[test]
+    fn long_lines_are_cut_between_characters() {
+        assert_eq!(short(&"µ".repeat(200)).chars().count(), WIDTH + 3);
+        assert_eq!(short("abc"), "abc");
+    }
 }

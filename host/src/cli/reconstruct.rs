@@ -1,15 +1,78 @@
-//! `reconstruct`: frames -> objects. (being written)
+//! `reconstruct`: raw frames in, objects out.
 
 use super::{Outcome, Run};
+use crate::methods::MethodKind;
+use crate::session::{FrameReader, FrameWriter, SampleType, StackSpec};
+use anyhow::Context;
+use std::path::PathBuf;
+use std::time::Instant;
 
 /// Options of `reconstruct`.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+pub struct Args {
+    /// Raw frames, DN, [frames, rows, cols]: .npy or .tif
+    frames: PathBuf,
+    /// Objects, float32 [frames, rows, cols]: .npy or OME-TIFF, by suffix
+    #[arg(short, long, value_name = "OUT")]
+    output: PathBuf,
+    /// Checkpoint, network file, or instrument
+    #[arg(long = "with", value_name = "FILE")]
+    with: PathBuf,
+    /// Method [default: svfouriernet for checkpoints and network files, wiener for instruments]
+    #[arg(long, value_name = "METHOD")]
+    method: Option<MethodKind>,
+}
 
 /// Runs the verb.
 ///
 /// # Errors
-/// Whatever the library says.
-pub fn run(_args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
-    anyhow::bail!("`reconstruct` is being written")
+/// A file cannot be read or does not fit the method, or the output cannot be written; nothing is left behind then.
+pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
+    let mut frames = FrameReader::open(&args.frames)?;
+    let kind = args.method.map_or_else(|| MethodKind::default_for(&args.with), Ok)?;
+    let method = kind.open(&args.with, run.seed)?;
+    let count = frames.len();
+    let bar = run.progress(count as u64, "reconstruct");
+    let mut writer: Option<FrameWriter> = None;
+    let mut seconds = 0.0;
+    for i in 0..count {
+        let frame = frames.read(i)?;
+        let start = Instant::now();
+        let object = method.reconstruct(frame.view());
+        seconds += start.elapsed().as_secs_f64();
+        let object = object.with_context(|| format!("{}: frame {i}", args.frames.display()))?;
+        let writer = match &mut writer {
+            Some(writer) => writer,
+            // The first object tells the size of all.
+            None => writer.insert(FrameWriter::create(
+                &args.output,
+                StackSpec {
+                    frames: count,
+                    rows: object.nrows(),
+                    cols: object.ncols(),
+                    samples: SampleType::F32,
+                    pixel_um: None,
+                },
+            )?),
+        };
+        writer.push(object.view())?;
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    if let Some(writer) = writer {
+        writer.finish()?;
+    }
+    let per_frame = seconds / count.max(1) as f64;
+    Ok(Outcome {
+        json: serde_json::json!({
+            "method": method.name(), "frames": count, "seconds_per_frame": per_frame, "output": args.output,
+        }),
+        text: format!(
+            "{} ({} frames, {}): {} a frame\n",
+            args.output.display(),
+            count,
+            crate::methods::title(method.name()),
+            crate::report::seconds(per_frame)
+        ),
+    })
 }
