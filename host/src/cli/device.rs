@@ -1,15 +1,149 @@
-//! `device`: the firmware under QEMU or on a board. (being written)
+//! `device`: the firmware under QEMU, or its logic in this process.
 
 use super::{Outcome, Run};
+use crate::blob::{BlobFile, raw_codes};
+use crate::device::{DeviceRun, Runtime, Wanted, run as run_device};
+use crate::session::stack;
+use anyhow::Context;
+use clap::{Subcommand, ValueEnum};
+use ndarray::{Array3, Axis};
+use ommatidia_shared::blob::Size;
+use serde_json::json;
+use std::path::PathBuf;
 
 /// Options of `device`.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+pub struct Args {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(Debug, Subcommand)]
+enum Action {
+    /// Send a network and frames to the device, get reconstructions back, compare every bit with this machine's
+    #[command(after_help = "Example:\n  ommatidia device run --with network.omm --frames frames.npy -o objects.npy")]
+    Run(RunArgs),
+}
+
+#[derive(Debug, clap::Args)]
+struct RunArgs {
+    /// Network file
+    #[arg(long, value_name = "BLOB")]
+    with: PathBuf,
+    /// Raw frames, DN: .npy or .tif
+    #[arg(long, value_name = "STACK")]
+    frames: PathBuf,
+    /// Where the reconstructions go: .npy or .tif
+    #[arg(short, long, value_name = "STACK")]
+    output: Option<PathBuf>,
+    /// Use the first N frames only
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    first: Option<u32>,
+    /// The board
+    #[arg(long, value_enum, default_value_t = Board::Mps2An500)]
+    board: Board,
+    /// Firmware image for the board (default: build it)
+    #[arg(long, value_name = "ELF")]
+    firmware: Option<PathBuf>,
+    /// What runs the firmware
+    #[arg(long, value_enum, default_value_t = On::Auto)]
+    on: On,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Board {
+    /// Cortex-M7, ARM MPS2 with FPGA image AN500
+    Mps2An500,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum On {
+    /// QEMU if it and the firmware can be had, else this machine
+    Auto,
+    /// QEMU
+    Qemu,
+    /// The firmware's logic on this machine
+    Host,
+}
 
 /// Runs the verb.
 ///
 /// # Errors
 /// Whatever the library says.
-pub fn run(_args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
-    anyhow::bail!("`device` is being written")
+pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
+    match &args.action {
+        Action::Run(args) => run_network(args, run),
+    }
+}
+
+fn run_network(args: &RunArgs, run: &Run) -> anyhow::Result<Outcome> {
+    let Board::Mps2An500 = args.board;
+    let blob = BlobFile::read(&args.with)?;
+    let header = blob.network()?.header;
+    let stack = stack::read(&args.frames)?;
+    let count = args.first.map_or(usize::MAX, |n| n as usize);
+    let frames = stack
+        .axis_iter(Axis(0))
+        .take(count)
+        .enumerate()
+        .map(|(i, frame)| raw_codes(&header, frame).with_context(|| format!("{}: frame {i}", args.frames.display())))
+        .collect::<anyhow::Result<Vec<_>>>()?;
+    let wanted = match args.on {
+        On::Auto => Wanted::Best,
+        On::Qemu => Wanted::Qemu,
+        On::Host => Wanted::Host,
+    };
+    let (runtime, fallback) = Runtime::choose(wanted, args.firmware.as_deref())?;
+    if let (Some(why), false) = (&fallback, run.quiet) {
+        eprintln!("note: the firmware's logic runs on this machine, not on the emulated board: {why}");
+    }
+    let bar = run.progress(1000, "device");
+    let device = run_device(&runtime, &blob, &frames, &mut |part| bar.set_position((1000.0 * part) as u64))?;
+    bar.finish_and_clear();
+    if let Some(output) = &args.output {
+        stack::write(output, objects(&device, header.object)?.view())?;
+    }
+    Ok(outcome(&device, &blob, frames.len()))
+}
+
+/// The reconstructions as one stack.
+fn objects(device: &DeviceRun, size: Size) -> anyhow::Result<Array3<f32>> {
+    let shape = (device.objects.len(), usize::from(size.rows), usize::from(size.cols));
+    let values = device.objects.iter().flatten().map(|half| half.to_f32()).collect();
+    Array3::from_shape_vec(shape, values).context("a reconstruction has another size than the network says")
+}
+
+fn outcome(device: &DeviceRun, blob: &BlobFile, frames: usize) -> Outcome {
+    let t = &device.telemetry;
+    let on_host = device.board == "host";
+    // What only an image on a board has.
+    let measured = |value: u64| (!on_host).then_some(value);
+    let flash = measured(u64::from(t.image_bytes) + blob.bytes().len() as u64);
+    let ram = measured(device.ram_bytes());
+    let instructions = device.instructions.as_ref().and_then(|counts| counts.iter().max().copied());
+    let seconds = device.frames.as_secs_f64() / frames.max(1) as f64;
+    let json = json!({
+        "board": device.board, "frames": frames, "bit_exact": device.bit_exact(),
+        "differing_bits": device.differing_bits, "instructions": instructions,
+        "ram_bytes": ram, "flash_bytes": flash, "stack_bytes": measured(t.stack_bytes.into()),
+        "image_bytes": measured(t.image_bytes.into()), "blob_bytes": blob.bytes().len(),
+        "static_bytes": measured(t.static_bytes.into()), "fast_bytes": t.fast_bytes, "bulk_bytes": t.bulk_bytes,
+        "frame_bytes": t.frame_bytes, "object_bytes": t.object_bytes,
+        "repeated_requests": t.repeated_requests, "dropped_packets": t.dropped_packets,
+        "upload_seconds": device.upload.as_secs_f64(), "seconds_per_frame": seconds,
+    });
+    let figure = |value: Option<u64>, unit: &str| value.map_or("not measured".into(), |v| format!("{v}{unit}"));
+    let verdict = match device.differing_bits {
+        0 => "every bit equals this machine's".to_string(),
+        n => format!("{n} bits differ from this machine's"),
+    };
+    let text = format!(
+        "board         {}\nframes        {frames}, {seconds:.2} s each\nagreement     {verdict}\ninstructions  {}\nRAM           {}\nflash         {}\nstack         {}\n",
+        device.board,
+        figure(instructions, " a frame"),
+        figure(ram, " bytes"),
+        figure(flash, " bytes"),
+        figure(measured(t.stack_bytes.into()), " bytes"),
+    );
+    Outcome { json, text }
 }

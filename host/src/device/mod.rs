@@ -11,6 +11,7 @@ mod firmware;
 mod loopback;
 mod qemu;
 mod run;
+mod runtime;
 mod transport;
 
 pub use client::{Client, Patience};
@@ -20,5 +21,6 @@ pub use faulty::{Faults, Faulty};
 pub use firmware::Firmware;
 pub use loopback::{Loopback, LoopbackConfig};
 pub use qemu::{Qemu, find_qemu};
-pub use run::{DeviceRun, Runtime, reference, run};
+pub use run::{DeviceRun, reference, run};
+pub use runtime::{Runtime, Wanted};
 pub use transport::Transport;

@@ -1,20 +1,11 @@
 //! A network and frames to the device, reconstructions back, compared bit by bit with this machine's.
 
-use super::{Client, Counter, DeviceError, Firmware, Loopback, LoopbackConfig, Qemu, Transport};
+use super::{Client, Counter, DeviceError, Loopback, Qemu, Runtime, Transport};
 use crate::blob::BlobFile;
 use half::f16;
 use ommatidia_shared::pipeline::{Memory, Pipeline};
 use ommatidia_shared::wire::{RunReport, Telemetry};
 use std::time::{Duration, Instant};
-
-/// What runs the device's program.
-#[derive(Clone, Debug)]
-pub enum Runtime {
-    /// QEMU runs the firmware.
-    Qemu(Firmware),
-    /// This process runs the firmware's logic.
-    Host(LoopbackConfig),
-}
 
 /// What came back.
 #[derive(Clone, Debug)]
@@ -35,6 +26,20 @@ pub struct DeviceRun {
     pub upload: Duration,
     /// Wall time of all frames: sending, reconstructing, fetching.
     pub frames: Duration,
+}
+
+impl DeviceRun {
+    /// Every output bit equals this machine's.
+    pub fn bit_exact(&self) -> bool {
+        self.differing_bits == 0
+    }
+
+    /// Memory of the device in use, bytes: variables, the deepest stack, arenas, frame and reconstruction.
+    pub fn ram_bytes(&self) -> u64 {
+        let t = &self.telemetry;
+        let program = [t.static_bytes, t.stack_bytes, t.fast_bytes, t.bulk_bytes, t.frame_bytes, t.object_bytes];
+        program.into_iter().map(u64::from).sum()
+    }
 }
 
 /// Runs `frames` (codes, row by row) through the network on the device; `progress` hears what part of the way is done.

@@ -202,6 +202,8 @@ impl<'m, B: BlobStore, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, B, S
         let stats = stats.map_err(refusal)?;
         self.telemetry.fast_bytes = saturated(fast_len * size_of::<f32>());
         self.telemetry.bulk_bytes = network.header.memory.bulk_bytes;
+        self.telemetry.frame_bytes = expected;
+        self.telemetry.object_bytes = saturated(2 * pipeline.output_len());
         self.telemetry.runs = self.telemetry.runs.wrapping_add(1);
         self.sink.finish().map_err(|_| Refusal::Storage)?;
         let report = RunReport {

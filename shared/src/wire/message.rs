@@ -161,6 +161,10 @@ pub struct Telemetry {
     pub fast_bytes: u32,
     /// Bulk arena that the last run worked with, bytes.
     pub bulk_bytes: u32,
+    /// The raw frame of the last run, bytes.
+    pub frame_bytes: u32,
+    /// Its reconstruction, bytes.
+    pub object_bytes: u32,
     /// Code and constants, bytes; 0 where the program runs on the workstation.
     pub image_bytes: u32,
     /// Variables, without the buffers for network, frame, reconstruction and arenas, bytes; 0 on the workstation.

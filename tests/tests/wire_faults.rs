@@ -1,0 +1,187 @@
+//! A line that loses, repeats and flips bytes costs time, never a bit of the result.
+#![allow(clippy::unwrap_used)]
+
+mod networks;
+
+use half::f16;
+use networks::{DENSE, TAPPED};
+use ommatidia_host::device::{
+    Client, DeviceError, Faults, Faulty, Loopback, LoopbackConfig, Patience, Transport, reference,
+};
+use ommatidia_shared::blob::BlobError;
+use ommatidia_shared::wire::{Packet, Refusal, Reply, Request, SCHEMA_KEY, Telemetry, Transfer, VERSION, encode};
+use std::time::Duration;
+
+const QUICK: Patience =
+    Patience { first: Duration::from_millis(10), longest: Duration::from_millis(400), attempts: 200 };
+
+/// Two frames through the dense network over `line`.
+fn converse<T: Transport>(line: T) -> (Vec<Vec<f16>>, Telemetry, T) {
+    let (mut client, _) = Client::connect_with(line, QUICK, QUICK).unwrap();
+    client.send_blob(networks::network(&DENSE, 1).bytes(), &mut |_| {}).unwrap();
+    let mut objects = Vec::new();
+    for (id, frame) in (1..).zip(networks::frames(&DENSE, 2, 1)) {
+        client.send_frame(&frame).unwrap();
+        let report = client.reconstruct(id).unwrap();
+        objects.push(client.fetch(&report).unwrap());
+    }
+    let telemetry = client.telemetry().unwrap();
+    (objects, telemetry, client.into_line())
+}
+
+fn loopback() -> Loopback {
+    Loopback::start(LoopbackConfig::default()).unwrap()
+}
+
+fn expected() -> Vec<Vec<f16>> {
+    reference(&networks::network(&DENSE, 1), &networks::frames(&DENSE, 2, 1)).unwrap()
+}
+
+fn check(lose: f64, repeat: f64, flip: f64) {
+    let line = Faulty::new(loopback(), Faults { lose, repeat, flip, seed: 7 });
+    let (objects, telemetry, line) = converse(line);
+    assert_eq!(objects, expected());
+    assert!(line.damaged > 10, "{} damaged bytes prove nothing", line.damaged);
+    assert!(telemetry.dropped_packets > 0, "{telemetry:?}");
+    assert_eq!(telemetry.runs, 2, "a repeated request ran a frame again");
+}
+
+#[test]
+fn a_clean_line_needs_no_second_attempt() {
+    let (objects, telemetry, _) = converse(loopback());
+    assert_eq!(objects, expected());
+    assert_eq!(telemetry.dropped_packets, 0);
+}
+
+#[test]
+fn lost_bytes() {
+    check(3e-4, 0.0, 0.0);
+}
+
+#[test]
+fn repeated_bytes() {
+    check(0.0, 3e-4, 0.0);
+}
+
+#[test]
+fn flipped_bits() {
+    check(0.0, 0.0, 3e-4);
+}
+
+#[test]
+fn all_at_once() {
+    check(1e-4, 1e-4, 1e-4);
+}
+
+/// Sends every packet twice, as a bridge that retransmits on its own does.
+struct Doubled(Loopback);
+
+impl Transport for Doubled {
+    fn send(&mut self, bytes: &[u8]) -> Result<(), DeviceError> {
+        self.0.send(bytes)?;
+        self.0.send(bytes)
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], patience: Duration) -> Result<usize, DeviceError> {
+        self.0.receive(buffer, patience)
+    }
+}
+
+#[test]
+fn requests_that_come_twice_are_done_once() {
+    let (objects, telemetry, _) = converse(Doubled(loopback()));
+    assert_eq!(objects, expected());
+    assert_eq!(telemetry.runs, 2);
+    assert!(telemetry.repeated_requests > 10, "{telemetry:?}");
+}
+
+#[test]
+fn a_dead_line_is_reported() {
+    let line = Faulty::new(loopback(), Faults { lose: 1.0, repeat: 0.0, flip: 0.0, seed: 1 });
+    let few = Patience { attempts: 3, ..QUICK };
+    let error = Client::connect_with(line, few, few).map(|_| ()).unwrap_err();
+    assert!(matches!(error, DeviceError::Silent { attempts: 3, .. }), "{error}");
+}
+
+fn refusal(result: Result<(), DeviceError>) -> Refusal {
+    match result.unwrap_err() {
+        DeviceError::Refused(refusal) => refusal,
+        other => panic!("{other}"),
+    }
+}
+
+#[test]
+fn a_network_that_needs_more_memory_is_refused_by_the_bytes_that_miss() {
+    let needed = networks::header(&DENSE).memory;
+    let config = LoopbackConfig { bulk_bytes: needed.bulk_bytes as usize - 10, ..LoopbackConfig::default() };
+    let (mut client, _) = Client::connect(Loopback::start(config).unwrap()).unwrap();
+    let refusal = refusal(client.send_blob(networks::network(&DENSE, 1).bytes(), &mut |_| {}));
+    let Refusal::Blob(BlobError::Memory { needed: found, available }) = refusal else { panic!("{refusal}") };
+    assert_eq!(found, needed);
+    assert_eq!(needed.bulk_bytes - available.bulk_bytes, 10);
+    assert!(refusal.to_string().ends_with("0 and 10 missing"), "{refusal}");
+}
+
+#[test]
+fn a_damaged_network_is_refused_and_the_device_lives_on() {
+    let (mut client, _) = Client::connect(loopback()).unwrap();
+    let good = networks::network(&TAPPED, 1);
+    let mut bytes = good.bytes().to_vec();
+    bytes[700] ^= 4;
+    assert!(matches!(refusal(client.send_blob(&bytes, &mut |_| {})), Refusal::Blob(BlobError::Crc { .. })));
+    assert_eq!(refusal(client.reconstruct(1).map(|_| ())), Refusal::NoNetwork);
+    client.send_blob(good.bytes(), &mut |_| {}).unwrap();
+    let short = refusal(client.reconstruct(1).map(|_| ()));
+    assert!(matches!(short, Refusal::Incomplete { what: Transfer::Frame, .. }), "{short}");
+    client.send_frame(&[64; 20]).unwrap();
+    let wrong = refusal(client.reconstruct(1).map(|_| ()));
+    assert_eq!(wrong, Refusal::FrameLength { expected: 2 * 50 * 44, found: 40 });
+    client.send_frame(&networks::frames(&TAPPED, 1, 1)[0]).unwrap();
+    client.reconstruct(1).unwrap();
+}
+
+#[test]
+fn what_does_not_fit_is_refused_before_it_is_sent() {
+    let config = LoopbackConfig { blob_bytes: 1000, ..LoopbackConfig::default() };
+    let (mut client, info) = Client::connect(Loopback::start(config).unwrap()).unwrap();
+    assert_eq!(info.blob_bytes, 1008);
+    let blob = networks::network(&DENSE, 1);
+    let needed = blob.bytes().len() as u32;
+    assert_eq!(
+        refusal(client.send_blob(blob.bytes(), &mut |_| {})),
+        Refusal::NoRoom { what: Transfer::Blob, needed, available: 1008 }
+    );
+}
+
+/// The answer to one request, sent as it stands.
+fn ask(line: &mut Loopback, seq: u16, body: Request<'_>) -> Option<String> {
+    let mut out = [0; 4096];
+    line.send(encode(&Packet { seq, body }, &mut out).unwrap()).unwrap();
+    let mut buffer = [0; 4096];
+    let count = line.receive(&mut buffer, Duration::from_millis(300)).unwrap();
+    let mut packet = buffer[..count].to_vec();
+    packet.retain(|byte| *byte != 0);
+    let reply: Packet<Reply<'_>> = ommatidia_shared::wire::frame::decode(&mut packet).ok()?;
+    assert_eq!(reply.seq, seq);
+    Some(format!("{:?}", reply.body))
+}
+
+#[test]
+fn another_version_and_late_copies_are_turned_away() {
+    let mut line = loopback();
+    let other = ask(&mut line, 9, Request::Hello { version: VERSION + 1, schema: SCHEMA_KEY }).unwrap();
+    assert!(other.starts_with("Refused(Version"), "{other}");
+    let other = ask(&mut line, 9, Request::Hello { version: VERSION, schema: 1 }).unwrap();
+    assert!(other.starts_with("Refused(Schema"), "{other}");
+    let begin = Request::Begin { what: Transfer::Frame, len: 8 };
+    assert_eq!(ask(&mut line, 10, begin).unwrap(), "Done");
+    let chunk = |offset, data| Request::Chunk { what: Transfer::Frame, offset, data };
+    assert_eq!(ask(&mut line, 11, chunk(0, &[1; 4])).unwrap(), "Received { offset: 4 }");
+    assert_eq!(ask(&mut line, 10, begin), None, "a late copy must not begin the transfer anew");
+    assert_eq!(ask(&mut line, 11, chunk(0, &[1; 4])).unwrap(), "Received { offset: 4 }");
+    let gap = ask(&mut line, 12, chunk(6, &[1; 2])).unwrap();
+    assert!(gap.starts_with("Refused(OutOfOrder { expected: 4, found: 6"), "{gap}");
+    let past = ask(&mut line, 13, chunk(4, &[1; 5])).unwrap();
+    assert!(past.starts_with("Refused(PastEnd"), "{past}");
+    assert_eq!(ask(&mut line, 14, chunk(2, &[1; 6])).unwrap(), "Received { offset: 8 }");
+}
