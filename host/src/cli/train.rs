@@ -1,15 +1,154 @@
-//! `train`: the network. (being written)
+//! `train`: data set or instrument -> checkpoint.
 
 use super::{Outcome, Run};
+use crate::artifact::{Provenance, file_hash};
+use crate::dataset::{DataSet, PLAN_FILE, SimulateConfig};
+use crate::instrument::Instrument;
+use crate::train::{Body, Checkpoint, Next, Preset, SensorMaps, Simulated, Start, Task, TrainConfig, Trainer, weights};
+use anyhow::Context;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Pairs that an instrument can show when no data set is made first: each is made when it is asked for.
+const PAIRS: usize = 100_000;
+
+/// Steps that are timed to turn minutes into steps.
+const TIMED: u64 = 8;
 
 /// Options of `train`.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+pub struct Args {
+    /// Data set (folder), or instrument (file): then pairs are simulated as they are needed
+    #[arg(value_name = "DATASET|INSTRUMENT")]
+    input: PathBuf,
+    /// Checkpoint to write; it is written anew after each validation
+    #[arg(short, long, value_name = "CHECKPOINT")]
+    output: PathBuf,
+    /// Size of the network and its schedule
+    #[arg(long, value_enum, default_value_t)]
+    preset: Preset,
+    /// Steps of the optimiser [default: the preset's]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    steps: Option<u64>,
+    /// Time to train; the steps that fit into it are found by timing the first few, so the result depends on the machine
+    #[arg(long, value_name = "M", conflicts_with_all = ["steps", "resume"])]
+    minutes: Option<f64>,
+    /// Pairs in a step [default: the preset's]
+    #[arg(long, value_name = "N")]
+    batch: Option<usize>,
+    /// Highest learning rate of the convolutions [default: the preset's]
+    #[arg(long, value_name = "RATE")]
+    learning_rate: Option<f64>,
+    /// Highest learning rate of the filters [default: the preset's]
+    #[arg(long, value_name = "RATE")]
+    filter_learning_rate: Option<f64>,
+    /// What the filters are before the first step [default: the preset's]
+    #[arg(long, value_enum)]
+    start: Option<Start>,
+    /// Instrument whose fixed pattern the network shall correct, with a data set
+    #[arg(long, value_name = "FILE")]
+    instrument: Option<PathBuf>,
+    /// Take up the run that wrote the checkpoint; it ends in the same bits as if it had never stopped
+    #[arg(long)]
+    resume: bool,
+}
 
 /// Runs the verb.
 ///
 /// # Errors
-/// Whatever the library says.
-pub fn run(_args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
-    anyhow::bail!("`train` is being written")
+/// An input cannot be read or does not fit, a setting makes no sense, the loss is no number any more, or the checkpoint cannot be written; the
+/// last one stands then.
+pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
+    if args.input.is_dir() {
+        let set = DataSet::open(&args.input)?;
+        let plan = set.plan();
+        let (network, peak_e) = (args.preset.network(plan.frame, plan.object), plan.peak_e);
+        let maps = args.instrument.as_deref().map_or(Ok(SensorMaps::default()), |path| maps(&Instrument::read(path)?))?;
+        let task = Task { source: &set, network, noise: plan.noise, maps };
+        return train(args, run, task, peak_e, ("dataset", &args.input.join(PLAN_FILE)));
+    }
+    let instrument = Instrument::read(&args.input)?;
+    let config = SimulateConfig { count: PAIRS, ..SimulateConfig::default() };
+    let source = Simulated::new(config.build(&instrument, &args.input, run.seed)?);
+    let plan = source.plan();
+    let (network, peak_e) = (args.preset.network(plan.frame, plan.object), plan.peak_e);
+    let task = Task { source: &source, network, noise: plan.noise, maps: maps(&instrument)? };
+    train(args, run, task, peak_e, ("instrument", &args.input))
+}
+
+fn maps(instrument: &Instrument) -> anyhow::Result<SensorMaps> {
+    Ok(SensorMaps { offset_dn: instrument.offset_dn.clone(), inverse_gain: None })
+}
+
+fn train(args: &Args, run: &Run, task: Task<'_>, peak_e: [f64; 2], (role, input): (&str, &Path)) -> anyhow::Result<Outcome> {
+    let mut training = settings(args, run, &task, peak_e)?;
+    if let Some(minutes) = args.minutes {
+        training = fit(training, &task, minutes)?;
+    }
+    let mut provenance = Provenance::new("train", run.seed, &training);
+    provenance.inputs.insert(role.into(), file_hash(input)?);
+    let steps = training.steps;
+    let pairs = task.source.len();
+    let mut trainer = if args.resume { Trainer::resume(task, training, &args.output)? } else { Trainer::new(task, training)? };
+    let begin = trainer.checkpoint().body.step;
+    let bar = run.progress(steps, "train");
+    bar.set_position(begin);
+    let start = Instant::now();
+    trainer.run(&args.output, &provenance, |progress| {
+        bar.set_position(progress.step);
+        if let Some(p) = progress.point {
+            tracing::info!("step {}: loss {:.4}, held out {:.4}, {:.2} dB, SSIM {:.3}", p.step, p.train_loss, p.validation_loss, p.psnr_db, p.ssim);
+        }
+        Next::Continue
+    })?;
+    bar.finish_and_clear();
+    let seconds = start.elapsed().as_secs_f64();
+    report(&args.output, &trainer.checkpoint().body, pairs, begin, seconds)
+}
+
+/// The preset's settings and what the command line changes in them.
+fn settings(args: &Args, run: &Run, task: &Task<'_>, peak_e: [f64; 2]) -> anyhow::Result<TrainConfig> {
+    let steps = match (args.steps, args.resume) {
+        (None, true) => Some(Checkpoint::read(&args.output)?.body.training.steps),
+        (steps, _) => steps,
+    };
+    let mut training = args.preset.training(task.noise.full_scale_e(), run.seed);
+    training.peak_e = peak_e;
+    if let Some(steps) = steps {
+        training = training.with_steps(steps);
+    }
+    training.batch = args.batch.unwrap_or(training.batch);
+    training.learning_rate = args.learning_rate.unwrap_or(training.learning_rate);
+    training.filter_learning_rate = args.filter_learning_rate.unwrap_or(training.filter_learning_rate);
+    training.start = args.start.unwrap_or(training.start);
+    Ok(training)
+}
+
+/// As many steps as fit into the time.
+fn fit(training: TrainConfig, task: &Task<'_>, minutes: f64) -> anyhow::Result<TrainConfig> {
+    anyhow::ensure!(minutes.is_finite() && minutes > 0.0, "--minutes: expected a positive number, found {minutes}");
+    let mut trial = Trainer::new(task.clone(), training.clone())?;
+    trial.step()?;
+    let start = Instant::now();
+    for _ in 0..TIMED {
+        trial.step()?;
+    }
+    let steps = (60.0 * minutes * TIMED as f64 / start.elapsed().as_secs_f64()) as u64;
+    Ok(training.with_steps(steps.max(1)))
+}
+
+fn report(path: &Path, body: &Body, pairs: usize, begin: u64, seconds: f64) -> anyhow::Result<Outcome> {
+    let best = body.curve.iter().find(|p| p.step == body.best_step).context("the run ended before its first validation")?;
+    let parameters: usize = weights::shapes(&body.network).iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
+    let rate = if seconds > 0.0 { (body.step - begin) as f64 / seconds } else { 0.0 };
+    let json = serde_json::json!({
+        "checkpoint": path, "network": body.network, "parameters": parameters, "pairs": pairs, "steps": body.step, "seconds": seconds,
+        "steps_per_second": rate, "best_step": body.best_step, "psnr_db": best.psnr_db, "ssim": best.ssim,
+        "validation_loss": best.validation_loss, "curve": body.curve,
+    });
+    let text = format!(
+        "{}\n  {} parameters, {} steps in {seconds:.1} s ({rate:.1} a second)\n  best on held-out pairs at step {}: {:.2} dB, SSIM {:.3}\n",
+        path.display(), parameters, body.step, body.best_step, best.psnr_db, best.ssim,
+    );
+    Ok(Outcome { json, text })
 }

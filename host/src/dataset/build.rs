@@ -185,8 +185,12 @@ impl Simulation {
         Ok(artifact::write(&path, &header, &tensors)?)
     }
 
-    /// Pair `i`: the object with maximum 1, and its frame at the light that puts the brightest pixel at its drawn level.
-    fn pair(&self, i: usize) -> Result<(Array2<f32>, Array2<f32>), DataSetError> {
+    /// Pair `i`: the object with maximum 1, and its frame at the light that puts the brightest pixel at its drawn level; electrons,
+    /// without noise.
+    ///
+    /// # Errors
+    /// No light reaches the sensor, or the forward model refuses the object.
+    pub fn pair(&self, i: usize) -> Result<(Array2<f32>, Array2<f32>), DataSetError> {
         let seed = self.plan.provenance.seed;
         let object = self.scenes.draw(&self.grid, seed, "simulate/scene", i as u64);
         let cx = self.forward.context();
