@@ -1,0 +1,40 @@
+//! What the tests of the program share: a tiny measured session, and the program itself.
+#![allow(dead_code, clippy::unwrap_used)]
+
+mod tiny;
+
+pub use tiny::{Fault, TinySession};
+
+use assert_cmd::Command;
+use std::path::Path;
+
+/// `ommatidia` with the given arguments, quiet.
+pub fn ommatidia(args: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_ommatidia"));
+    command.arg("--quiet").args(args);
+    command
+}
+
+/// Runs the program and expects a failure: exit code 1, one error on stderr that holds each of `words`, nothing on
+/// stdout, and neither `output` nor a temporary file left in its folder.
+pub fn refused(args: &[&str], output: Option<&Path>, words: &[&str]) {
+    let before = output.map(siblings);
+    let run = ommatidia(args).output().unwrap();
+    let stderr = String::from_utf8_lossy(&run.stderr).into_owned();
+    assert_eq!(run.status.code(), Some(1), "exit code of {args:?}; stderr: {stderr}");
+    assert!(run.stdout.is_empty(), "stdout of {args:?} must be empty");
+    assert!(!stderr.contains("panicked"), "panic: {stderr}");
+    for word in words {
+        assert!(stderr.contains(word), "`{word}` is not in the error of {args:?}:\n{stderr}");
+    }
+    assert_eq!(before, output.map(siblings), "{args:?} left something behind");
+}
+
+fn siblings(output: &Path) -> Vec<String> {
+    let mut names: Vec<String> = std::fs::read_dir(output.parent().unwrap())
+        .unwrap()
+        .map(|e| e.unwrap().file_name().to_string_lossy().into_owned())
+        .collect();
+    names.sort();
+    names
+}
