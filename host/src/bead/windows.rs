@@ -61,7 +61,7 @@ pub fn cut_windows(
     let mut truncated = 0;
     for n in 0..beads {
         let frame = scan.light_dn(n)?;
-        let mut saturated_here = 0;
+        let (mut saturated_here, mut total) = (0, 0.0);
         for l in (0..lenses).filter(|l| !geometry.dead[*l]) {
             let window = Window::cut(&frame, &scan.beads[n], corner(manifest, geometry, l), side);
             if window.saturated > SATURATED_ALLOWED {
@@ -70,13 +70,14 @@ pub fn cut_windows(
                 return Err(BeadError::Saturated { path, frame, lens: l, allowed, found });
             }
             saturated_here += window.saturated;
+            total += window.total;
             truncated += usize::from(window.truncated);
             light.slice_mut(s![l, n, ..]).assign(&window.light.flatten());
             known.slice_mut(s![l, n, ..]).assign(&window.known.flatten());
         }
         saturated[0] += saturated_here;
         saturated[1] += usize::from(saturated_here > 0);
-        to_scale(scan, n, scale, light.index_axis_mut(Axis(1), n), &mut variance)?;
+        to_scale(scan, n, (scale, total), light.index_axis_mut(Axis(1), n), &mut variance)?;
         step();
     }
     let mut warnings = Vec::new();
@@ -110,17 +111,18 @@ pub(crate) fn corner(manifest: &Manifest, geometry: &Geometry, l: usize) -> [isi
     [0, 1].map(|a| (geometry.anchors_px[l][a] - (size[a] as f64 - 1.0) / 2.0).round() as isize)
 }
 
-/// Brings the windows of one frame, [lens, px], to the reference exposure, or to unit light if the scan was normalised.
+/// Brings the windows of one frame, [lens, px], to the reference exposure, or to unit light if the scan was normalised. The
+/// light that counts, `total`, includes the margins: what distortion moves out of a window is still light of the bead.
 fn to_scale(
     scan: &BeadScan,
     n: usize,
-    scale: BeadScale,
+    (scale, total): (BeadScale, f64),
     mut windows: ArrayViewMut2<'_, f32>,
     variance: &mut Array2<f64>,
 ) -> Result<(), BeadError> {
-    let total: f64 = windows.iter().map(|v| f64::from(*v)).sum();
     let noise = scan.noise();
-    let sigma = (noise.variance_dn2(noise.black_level_dn) * windows.len() as f64).sqrt();
+    let side = (windows.ncols() as f64).sqrt() + 2.0 * MARGIN as f64;
+    let sigma = noise.variance_dn2(noise.black_level_dn).sqrt() * side * (windows.nrows() as f64).sqrt();
     // Below three standard errors nothing of the frame can be told from darkness.
     if total <= 3.0 * sigma {
         return Err(BeadError::Dark { path: scan.path(n).into(), frame: scan.beads[n].frame, found: total, sigma });
@@ -155,6 +157,8 @@ struct Window {
     known: Array2<bool>,
     saturated: usize,
     truncated: bool,
+    /// Light in the window and its margin, DN.
+    total: f64,
 }
 
 impl Window {
@@ -164,7 +168,7 @@ impl Window {
         if back.iter().all(|d| d.abs() < SAME_PIXEL) {
             back = [0.0, 0.0];
         }
-        let margin = if back == [0.0, 0.0] { 0 } else { MARGIN };
+        let margin = MARGIN;
         let reach = (side / 2 + margin) as isize;
         let origin = [0, 1].map(|a| corner[a] + whole[a] as isize - reach);
         let big = side + 2 * margin;
@@ -176,14 +180,15 @@ impl Window {
         let inner = s![margin..margin + side, margin..margin + side];
         let saturated = raw.slice(inner).iter().flatten().filter(|v| !v.is_finite()).count();
         let truncated = raw.slice(inner).iter().any(Option::is_none);
+        let total = raw.iter().flatten().filter(|v| v.is_finite()).map(|v| f64::from(*v)).sum();
         let light = shifted(raw.mapv(|v| v.filter(|v| v.is_finite()).unwrap_or(0.0)).view(), back, 0);
         let measured = raw.mapv(|v| v.is_some_and(f32::is_finite));
         // A moved pixel takes from its neighbours: it is known where they are.
-        let blur = usize::from(margin > 0) * 2;
+        let blur = if back == [0.0, 0.0] { 0 } else { 2 };
         let known = Array2::from_shape_fn((side, side), |(r, c)| {
             let (r, c) = (r + margin, c + margin);
             measured.slice(s![r - blur..=r + blur, c - blur..=c + blur]).iter().all(|m| *m)
         });
-        Self { light: light.slice(inner).to_owned(), known, saturated, truncated }
+        Self { light: light.slice(inner).to_owned(), known, saturated, truncated, total }
     }
 }

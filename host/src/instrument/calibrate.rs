@@ -6,7 +6,7 @@ use crate::effects::FrameContext;
 use crate::forward::{Forward, ForwardError};
 use crate::linalg::NotConverged;
 use crate::noise::{NoiseCalibration, NoiseConfig, NoiseError, measure_noise};
-use crate::psf::field::FieldSmoother;
+use crate::psf::field::{FieldSmoother, ORDERS};
 use crate::psf::fit::{self, FitConfig, LensFit, Misfit, Plane};
 use crate::psf::nodes::even_nodes;
 use crate::session::{Manifest, Role, Session, SessionError};
@@ -153,13 +153,25 @@ impl Model {
         let tried = config.rank.unwrap_or(0).max(config.max_rank).min(most);
         let even = fit::checkerboard(planes, beads.len());
         let odd: Vec<bool> = even.iter().map(|t| !t).collect();
-        let halves = [&even, &odd].map(|train| fit::hold_out(windows, dead, planes, train, tried));
-        let [first, second] = halves;
-        let held_out = first?.join(&second?);
+        // The order of the splines, like the rank, is what predicts best where it was not fitted.
+        let mut best: Option<(f64, usize, Misfit)> = None;
+        for order in ORDERS {
+            let half = |train| fit::hold_out(windows, dead, planes, train, tried, order);
+            let held_out = half(&even)?.join(&half(&odd)?);
+            let rank = config.rank.unwrap_or_else(|| held_out.best_rank(config.scale));
+            let error = held_out.nrmse(rank.min(held_out.ranks()), config.scale);
+            if best.as_ref().is_none_or(|(least, ..)| error < *least) {
+                best = Some((error, order, held_out));
+            }
+        }
+        let Some((_, order, held_out)) = best else {
+            return Err(CalibrateError::Rank { most, found: 0 });
+        };
         let rank = config.rank.unwrap_or_else(|| held_out.best_rank(config.scale));
         let one = [&even, &odd].map(|train| fit::one_psf(windows, dead, train));
         let one_psf = one[0].join(&one[1]).nrmse(1, BeadScale::Physical);
-        let smoothers = planes.iter().map(|p| FieldSmoother::plan(p.at_px.view())).collect::<Result<Vec<_>, _>>()?;
+        let smoothers =
+            planes.iter().map(|p| FieldSmoother::plan(p.at_px.view(), &[order])).collect::<Result<Vec<_>, _>>()?;
         let side = (2 * (planes[0].beads.len() as f64).sqrt().ceil() as usize - 1).clamp(4, MOST_NODES);
         let nodes = [even_nodes(manifest.object.rows, side), even_nodes(manifest.object.cols, side)];
         let grid = Array2::from_shape_fn((nodes[0].len() * nodes[1].len(), 2), |(i, a)| {

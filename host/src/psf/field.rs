@@ -2,14 +2,15 @@
 //!
 //! Knows nothing of PSFs. A function is `f(x) = sum_i c_i phi_m(|x - x_i|) + polynomial of degree < m` with
 //! `phi_m(r) = +-r^(2m-2) log r`; it minimises squared misfit + lambda * (m-th derivatives squared, over the plane)
-//! (Wahba, *Spline Models for Observational Data*, 1990, ch. 2). Order m and lambda are chosen for each function by generalised
-//! cross-validation, `GCV = n |(I - A) y|^2 / tr(I - A)^2`. Positions may be a grid or lie anywhere.
+//! (Wahba, *Spline Models for Observational Data*, 1990, ch. 2). Lambda is chosen for each function by generalised
+//! cross-validation, `GCV = n |(I - A) y|^2 / tr(I - A)^2`; the order m is given, or chosen in the same way. Positions may be a
+//! grid or lie anywhere.
 
 use crate::linalg::{NotConverged, least_squares, symmetric_eigen};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
 
-/// Orders that are tried: m = 2 is the thin plate, higher ones follow polynomials longer.
-const ORDERS: [usize; 3] = [2, 3, 4];
+/// Orders m that serve: 2 is the thin plate, higher ones follow polynomials longer.
+pub const ORDERS: [usize; 3] = [2, 3, 4];
 /// Smoothing parameters that are tried, relative to the largest eigenvalue: 10^-11 .. 10^2 in half decades.
 const LAMBDAS: std::ops::RangeInclusive<i32> = -22..=4;
 
@@ -71,21 +72,21 @@ struct OrderPlan {
 }
 
 impl FieldSmoother {
-    /// Plans for positions [n, (row, col)].
+    /// Plans for positions [n, (row, col)], with each of `orders` that has positions enough.
     ///
     /// # Errors
     /// A position is no number.
-    pub fn plan(positions: ArrayView2<'_, f64>) -> Result<Self, NotConverged> {
+    pub fn plan(positions: ArrayView2<'_, f64>, orders: &[usize]) -> Result<Self, NotConverged> {
         let scale = Scale::of(positions);
         let scaled = scale.apply(positions);
-        let fits = ORDERS.iter().filter(|m| terms(**m) < positions.nrows());
+        let fits = orders.iter().filter(|m| terms(**m) < positions.nrows());
         let orders = fits.map(|m| OrderPlan::new(*m, &scaled)).collect::<Result<_, _>>()?;
         Ok(Self { positions: scaled, scale, orders })
     }
 
     /// Smooth functions through `values` [n, functions].
     ///
-    /// With fewer than four positions each function is the mean of its values.
+    /// With too few positions for any order each function is the mean of its values.
     ///
     /// # Errors
     /// A value is no number.
@@ -231,7 +232,7 @@ mod tests {
         let between = Array2::from_shape_fn((144, 2), |(i, a)| [i / 12, i % 12][a] as f64 * 8.0 + 4.0);
         for grid in [true, false] {
             let at = places(grid);
-            let field = FieldSmoother::plan(at.view()).unwrap().fit(values(&at).view()).unwrap();
+            let field = FieldSmoother::plan(at.view(), &ORDERS).unwrap().fit(values(&at).view()).unwrap();
             let error = rms(&(field.at(between.view()) - values(&between)));
             assert!(error < if grid { 1e-4 } else { 1e-3 }, "{grid} {error}");
         }
@@ -243,7 +244,7 @@ mod tests {
         let mut rng = crate::rng::stream(1, "noise", 0);
         let noisy = values(&at)
             + Array2::from_shape_fn((169, 1), |_| 0.1 * Distribution::<f64>::sample(&StandardNormal, &mut rng));
-        let field = FieldSmoother::plan(at.view()).unwrap().fit(noisy.view()).unwrap();
+        let field = FieldSmoother::plan(at.view(), &ORDERS).unwrap().fit(noisy.view()).unwrap();
         // About a dozen degrees of freedom out of 169 remain: 0.1 * sqrt(12 / 169) = 0.027.
         let error = rms(&(field.at(at.view()) - values(&at)));
         assert!(error < 0.045, "{error}");
@@ -253,7 +254,7 @@ mod tests {
     fn quadratics_come_back_exactly_and_few_places_are_no_failure() {
         let at = places(false);
         let y = Array2::from_shape_fn((169, 2), |(i, f)| if f == 0 { 3.0 } else { at[[i, 0]] * at[[i, 1]] });
-        let field = FieldSmoother::plan(at.view()).unwrap().fit(y.view()).unwrap();
+        let field = FieldSmoother::plan(at.view(), &ORDERS).unwrap().fit(y.view()).unwrap();
         let far = ndarray::arr2(&[[30.0, 60.0], [-5.0, 99.0]]);
         let got = field.at(far.view());
         assert!(
@@ -263,7 +264,7 @@ mod tests {
         );
         for n in [1, 2, 3, 4, 5] {
             let few = at.slice(s![..n, ..]);
-            let field = FieldSmoother::plan(few).unwrap().fit(Array2::from_elem((n, 1), 7.0).view()).unwrap();
+            let field = FieldSmoother::plan(few, &ORDERS).unwrap().fit(Array2::from_elem((n, 1), 7.0).view()).unwrap();
             assert!((field.at(far.view())[[0, 0]] - 7.0).abs() < 1e-6, "{n}");
         }
     }
@@ -272,7 +273,7 @@ mod tests {
     fn a_scan_along_one_line_is_no_failure() {
         let line = Array2::from_shape_fn((20, 2), |(i, a)| if a == 0 { i as f64 } else { 5.0 });
         let y = Array2::from_shape_fn((20, 1), |(i, _)| 2.0 * i as f64);
-        let field = FieldSmoother::plan(line.view()).unwrap().fit(y.view()).unwrap();
+        let field = FieldSmoother::plan(line.view(), &ORDERS).unwrap().fit(y.view()).unwrap();
         assert!((field.at(ndarray::arr2(&[[7.5, 5.0]]).view())[[0, 0]] - 15.0).abs() < 1e-3);
     }
 }

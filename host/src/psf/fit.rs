@@ -209,6 +209,7 @@ pub fn hold_out(
     planes: &[Plane],
     train: &[bool],
     max_rank: usize,
+    spline_order: usize,
 ) -> Result<Misfit, NotConverged> {
     let part = |keep: bool| -> Vec<Plane> {
         let planes = planes.iter().map(|p| {
@@ -223,7 +224,8 @@ pub fn hold_out(
     };
     let (fitted, left) = (part(true), part(false));
     let order: Vec<usize> = fitted.iter().flat_map(|p| p.beads.clone()).collect();
-    let smoothers = fitted.iter().map(|p| FieldSmoother::plan(p.at_px.view())).collect::<Result<Vec<_>, _>>()?;
+    let smoothers =
+        fitted.iter().map(|p| FieldSmoother::plan(p.at_px.view(), &[spline_order])).collect::<Result<Vec<_>, _>>()?;
     let targets: Vec<Array2<f64>> = left.iter().map(|p| p.at_px.clone()).collect();
     let lenses: Vec<usize> = (0..windows.len()).filter(|l| !dead[*l]).collect();
     let parts = lenses
