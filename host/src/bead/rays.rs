@@ -219,8 +219,10 @@ fn centroids(
     Ok(found.collect())
 }
 
-/// Centre of the light above a tenth of the peak in the window round `at`; none if the window hangs over the edge, holds a
-/// saturated pixel, or no peak of 8 sigma.
+/// Centroid of the light in the window round `at`, the level of its border taken off; none if the window hangs over the edge,
+/// holds a saturated pixel, or no peak of 8 sigma.
+///
+/// No threshold: one would cut the faint flare of coma and move the centroid towards the bright core.
 fn centroid(frame: &Array2<f32>, at: [f64; 2], radius: isize, sigma: f64) -> Option<[f64; 2]> {
     let corner = at.map(|v| v.round() as isize - radius);
     let side = 2 * radius + 1;
@@ -232,19 +234,24 @@ fn centroid(frame: &Array2<f32>, at: [f64; 2], radius: isize, sigma: f64) -> Opt
     if window.iter().any(|v| !v.is_finite()) {
         return None;
     }
-    let peak = window.iter().fold(0.0f32, |m, v| m.max(*v));
-    if f64::from(peak) < 8.0 * sigma {
+    let last = side as usize - 1;
+    let border = window.indexed_iter().filter(|((r, c), _)| *r == 0 || *c == 0 || *r == last || *c == last);
+    let mut border: Vec<f32> = border.map(|(_, v)| *v).collect();
+    let middle = border.len() / 2;
+    let level = f64::from(*border.select_nth_unstable_by(middle, f32::total_cmp).1);
+    let peak = window.iter().fold(f32::NEG_INFINITY, |m, v| m.max(*v));
+    if f64::from(peak) - level < 8.0 * sigma {
         return None;
     }
-    let floor = f64::from(peak) / 10.0;
     let (mut sum, mut moment) = (0.0, [0.0; 2]);
     for ((r, c), v) in window.indexed_iter() {
-        let weight = (f64::from(*v) - floor).max(0.0);
-        sum += weight;
-        moment[0] += weight * r as f64;
-        moment[1] += weight * c as f64;
+        let light = f64::from(*v) - level;
+        sum += light;
+        moment[0] += light * r as f64;
+        moment[1] += light * c as f64;
     }
-    Some([corner[0] as f64 + moment[0] / sum, corner[1] as f64 + moment[1] / sum])
+    let inside = moment.iter().all(|m| (0.0..=last as f64).contains(&(m / sum)));
+    (sum > 0.0 && inside).then(|| [corner[0] as f64 + moment[0] / sum, corner[1] as f64 + moment[1] / sum])
 }
 
 /// Huber regression of all centroids on an anchor a lens and one slope.

@@ -4,6 +4,11 @@ mod calibrate;
 mod file;
 #[cfg(test)]
 pub(crate) mod fixture;
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+pub(crate) mod testbed;
+#[cfg(test)]
+mod tests;
 
 pub use calibrate::{CalibrateConfig, CalibrateError, Calibration, calibrate};
 pub use file::{INSTRUMENT_KIND, INSTRUMENT_VERSION, InstrumentError};

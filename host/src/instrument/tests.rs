@@ -1,0 +1,153 @@
+//! Calibration of made-up and of measured sessions, from files to predictions.
+
+#![allow(clippy::unwrap_used)]
+
+use super::testbed::Testbed;
+use super::*;
+use crate::forward::Forward;
+use crate::noise::Source;
+use crate::session::Session;
+
+fn run(bed: &Testbed, config: CalibrateConfig) -> Result<Calibration, String> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("session");
+    bed.write(&path);
+    let session = Session::open(&path).map_err(|e| e.to_string())?;
+    calibrate(&session, &config, || {}).map_err(|e| e.to_string())
+}
+
+fn small() -> Testbed {
+    Testbed { flat_levels_e: vec![500.0, 4000.0], flat_frames: 3, dark_frames: 4, scan: 5, scenes: 0, ..Testbed::new() }
+}
+
+#[test]
+fn a_session_becomes_an_instrument_that_predicts_scenes_it_has_not_seen() {
+    let bed = Testbed::new();
+    let Calibration { instrument: i, notes } = run(&bed, CalibrateConfig::default()).unwrap();
+    assert!(notes.is_empty(), "{notes:?}");
+    let n = &i.noise;
+    assert!((n.gain_dn_per_e / bed.gain_dn_per_e - 1.0).abs() < 0.02, "{n:?}");
+    assert!((n.read_noise_e / bed.read_noise_e - 1.0).abs() < 0.05, "{n:?}");
+    assert!((n.black_level_dn - bed.black_level_dn).abs() < 0.05, "{n:?}");
+    assert!((n.gain_dn_per_e - bed.gain_dn_per_e).abs() < 5.0 * n.gain_sigma && n.gain_sigma < 0.01 * n.gain_dn_per_e);
+    assert_eq!([n.sources.gain, n.sources.read_noise, n.sources.black_level], [Source::Measured; 3]);
+    for (got, want) in i.geometry.anchors_px.iter().zip(&bed.anchors_px) {
+        assert!((0..2).all(|a| (got[a] - want[a]).abs() < 0.1), "{got:?} {want:?}");
+    }
+    assert!((i.geometry.magnification - 0.5).abs() < 0.005);
+    // A truth unit is half a bead.
+    let LightUnit::Truth { per_bead } = i.light_unit else { panic!("{:?}", i.light_unit) };
+    assert!((per_bead - 2.0).abs() < 0.01, "{per_bead}");
+    let forward = Forward::new(&i).unwrap();
+    let unseen = bed.scenes + 1;
+    let got = forward.expected_e(bed.object(unseen).view(), &forward.context()).unwrap();
+    let want = bed.expected_e(unseen);
+    let misfit: f64 = got.iter().zip(&want).map(|(g, w)| (f64::from(*g) - w).powi(2)).sum();
+    let nrmse = (misfit / want.iter().map(|w| w * w).sum::<f64>()).sqrt();
+    assert!(nrmse < 0.01, "{nrmse}");
+    // What is left out is predicted almost as well as noise allows, and far better than by one PSF.
+    let q = &i.quality;
+    assert!(q.off_grid_error < 1.3 * q.noise_floor && q.one_psf_error > 5.0 * q.off_grid_error, "{q:?}");
+}
+
+#[test]
+fn a_dead_lens_is_marked_and_a_dim_one_kept() {
+    let bed = Testbed { lens_gain: vec![1.0, 0.0, 1.0, 0.2], ..small() };
+    let Calibration { instrument, notes } = run(&bed, CalibrateConfig::default()).unwrap();
+    assert_eq!(instrument.geometry.dead, [false, true, false, false]);
+    assert!(
+        notes.iter().any(|n| n.contains("lens 1 shows no focus")) && notes.iter().any(|n| n.contains("lens 3 passes"))
+    );
+    assert!((0..2).all(|a| (instrument.geometry.anchors_px[3][a] - bed.anchors_px[3][a]).abs() < 0.2));
+    assert!(
+        run(&Testbed { lens_gain: vec![0.0; 4], ..small() }, CalibrateConfig::default())
+            .unwrap_err()
+            .contains("no focus")
+    );
+}
+
+#[test]
+fn foci_that_hang_over_the_edge_are_used_as_far_as_they_go() {
+    let mut bed = Testbed { scenes: 1, scan: 7, ..small() };
+    // The whole array sits too high: the first row of foci leaves the sensor.
+    bed.anchors_px.iter_mut().for_each(|a| a[0] -= 17.0);
+    let Calibration { instrument, notes } = run(&bed, CalibrateConfig::default()).unwrap();
+    assert!(notes.iter().any(|n| n.contains("hang over the edge")), "{notes:?}");
+    let forward = Forward::new(&instrument).unwrap();
+    let got = forward.expected_e(bed.object(7).view(), &forward.context()).unwrap();
+    let want = bed.expected_e(7);
+    let misfit: f64 = got.iter().zip(&want).map(|(g, w)| (f64::from(*g) - w).powi(2)).sum();
+    let nrmse = (misfit / want.iter().map(|w| w * w).sum::<f64>()).sqrt();
+    assert!(nrmse < 0.02, "{nrmse}");
+}
+
+#[test]
+fn bad_bead_frames_are_named() {
+    let refused = |spoil: fn(usize, &mut Array2<f32>)| {
+        run(&Testbed { spoil, ..small() }, CalibrateConfig::default()).unwrap_err()
+    };
+    let saturated = refused(|n, f| {
+        if n == 12 {
+            f.mapv_inplace(|v| if v > 300.0 { 4095.0 } else { v });
+        }
+    });
+    assert!(
+        saturated.contains("bead.npy: frame 12, focus of lens") && saturated.contains("shorter exposure"),
+        "{saturated}"
+    );
+    let dark = refused(|n, f| {
+        if n == 3 {
+            f.fill(64.0);
+        }
+    });
+    assert!(dark.contains("bead.npy: frame 3: no light"), "{dark}");
+}
+
+#[test]
+fn a_value_that_is_no_number_names_its_frame() {
+    let bed = small();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("session");
+    bed.write(&path);
+    let file = path.join("bead.npy");
+    let mut bytes = std::fs::read(&file).unwrap();
+    let frame = 4 * bed.manifest.sensor.rows * bed.manifest.sensor.cols;
+    let at = bytes.len() - (25 - 7) * frame + 400;
+    bytes[at..at + 4].copy_from_slice(&f32::NAN.to_le_bytes());
+    std::fs::write(&file, bytes).unwrap();
+    let error = calibrate(&Session::open(&path).unwrap(), &CalibrateConfig::default(), || {}).unwrap_err().to_string();
+    assert!(error.contains("bead.npy") && error.contains("frame 7") && error.contains("NaN"), "{error}");
+}
+
+#[test]
+fn what_a_session_cannot_tell_is_nominal_and_said() {
+    let bed = Testbed { flat_levels_e: Vec::new(), dark_frames: 0, ..small() };
+    let Calibration { instrument, notes } = run(&bed, CalibrateConfig::default()).unwrap();
+    assert_eq!(instrument.noise.sources.gain, Source::Nominal);
+    assert_eq!(instrument.noise.sources.black_level, Source::Inferred);
+    assert!(instrument.offset_dn.is_none() && (instrument.noise.black_level_dn - 64.25).abs() < 1.0);
+    assert!(
+        notes.iter().any(|n| n.contains("no dark frames"))
+            && notes.iter().any(|n| n.contains("gain is nominal, 1 DN/e-"))
+    );
+    let config = CalibrateConfig { rank: Some(26), ..CalibrateConfig::default() };
+    assert!(run(&small(), config).unwrap_err().contains("expected 1 to 25"));
+}
+
+/// Measured focal spots of a fibre microscope, 13 x 13, strongly field-dependent.
+#[test]
+fn measured_spots_are_predicted_where_they_were_left_out() {
+    let data =
+        std::env::var("OMMATIDIA_DATA").unwrap_or(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data").into());
+    let folder = std::path::Path::new(&data).join("sessions/fibre");
+    if !folder.is_dir() {
+        eprintln!("skipped: {} is not there (set OMMATIDIA_DATA)", folder.display());
+        return;
+    }
+    let session = Session::open(&folder).unwrap();
+    let config = CalibrateConfig { normalise_beads: true, ..CalibrateConfig::default() };
+    let q = calibrate(&session, &config, || {}).unwrap().instrument.quality;
+    assert!(q.off_grid_error <= 0.14, "{q:?}");
+    let raw = calibrate(&session, &CalibrateConfig::default(), || {}).unwrap().instrument.quality;
+    assert!((raw.one_psf_error - 0.298).abs() < 0.002, "{raw:?}");
+}
