@@ -1,8 +1,9 @@
 //! `device`: the firmware under QEMU, or its logic in this process.
 
 use super::{Outcome, Run};
+use crate::artifact::write_whole;
 use crate::blob::{BlobFile, raw_codes};
-use crate::device::{DeviceRun, Runtime, Wanted, run as run_device};
+use crate::device::{DeviceRun, Firmware, OperatorCount, Runtime, Wanted, count_operators, run as run_device};
 use crate::session::stack;
 use anyhow::Context;
 use clap::{Subcommand, ValueEnum};
@@ -23,6 +24,19 @@ enum Action {
     /// Send a network and frames to the device, get reconstructions back, compare every bit with this machine's
     #[command(after_help = "Example:\n  ommatidia device run --with network.omm --frames frames.npy -o objects.npy")]
     Run(RunArgs),
+    /// Count the instructions of each operator on the emulated Cortex-M7
+    #[command(after_help = "Example:\n  ommatidia device bench -o docs/instructions.md")]
+    Bench(BenchArgs),
+}
+
+#[derive(Debug, clap::Args)]
+struct BenchArgs {
+    /// Where the table goes, Markdown
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// Image of the bench program (default: build it)
+    #[arg(long, value_name = "ELF")]
+    firmware: Option<PathBuf>,
 }
 
 #[derive(Debug, clap::Args)]
@@ -73,8 +87,32 @@ enum On {
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     match &args.action {
         Action::Run(args) => run_network(args, run),
+        Action::Bench(args) => count(args),
     }
 }
+
+fn count(args: &BenchArgs) -> anyhow::Result<Outcome> {
+    let image = args.firmware.as_deref().map_or_else(|| Firmware::build("bench"), Firmware::given)?;
+    let counts = count_operators(&image)?;
+    let mut text = String::from("| operator | work | instructions | per unit |\n|---|---|---|---|\n");
+    for count in &counts {
+        let OperatorCount { name, amount, unit, instructions } = count;
+        text += &format!("| {name} | {amount} {unit} | {instructions} | {:.2} |\n", count.per_unit());
+    }
+    if let Some(path) = &args.output {
+        write_whole(path, format!("{TABLE_HEAD}{text}").as_bytes())?;
+    }
+    Ok(Outcome { json: json!({ "board": "mps2-an500", "operators": counts }), text })
+}
+
+/// What stands above the table.
+const TABLE_HEAD: &str = "# Instructions on the Cortex-M7
+
+Written by `cargo run --release -p ommatidia-host -- device bench -o docs/instructions.md`: the programs of
+`firmware/src/bin/bench.rs`, counted instruction by instruction under QEMU (`mps2-an500`). The counts repeat exactly. They know
+nothing of pipeline, caches or wait states. Transforms start from halves and end in halves; convolutions and the network read and write halves.
+
+";
 
 fn run_network(args: &RunArgs, run: &Run) -> anyhow::Result<Outcome> {
     let Board::Mps2An500 = args.board;

@@ -4,6 +4,7 @@
 //! [`ommatidia_shared::wire`], over any [`Transport`].
 
 mod client;
+mod count;
 mod counter;
 mod error;
 mod faulty;
@@ -15,6 +16,7 @@ mod runtime;
 mod transport;
 
 pub use client::{Client, Patience};
+pub use count::{OperatorCount, count_operators};
 pub use counter::Counter;
 pub use error::DeviceError;
 pub use faulty::{Faults, Faulty};

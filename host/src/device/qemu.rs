@@ -92,6 +92,35 @@ impl Qemu {
     }
 }
 
+/// Runs a program that talks to nobody until it ends; gives what it printed.
+///
+/// # Errors
+/// QEMU is missing, or the program fails.
+pub(super) fn run_to_end(firmware: &Firmware, counter: Option<&Counter>) -> Result<String, DeviceError> {
+    let output = emulator(firmware, counter)?.args(["-serial", "none"]).output().map_err(no_start)?;
+    let text = String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
+    if output.status.success() {
+        return Ok(text);
+    }
+    Err(DeviceError::Stopped { status: output.status.to_string(), output: text.trim().into() })
+}
+
+/// The emulator with an image, without a line.
+fn emulator(firmware: &Firmware, counter: Option<&Counter>) -> Result<Command, DeviceError> {
+    let mut command = Command::new(find_qemu().ok_or(DeviceError::NoQemu)?);
+    command.args(["-M", MACHINE, "-display", "none", "-monitor", "none"]);
+    command.args(["-semihosting-config", "enable=on,target=native"]);
+    if let Some(counter) = counter {
+        command.args(["-plugin", &counter.argument()]);
+    }
+    command.arg("-kernel").arg(firmware.path()).stdin(Stdio::null());
+    Ok(command)
+}
+
+fn no_start(source: std::io::Error) -> DeviceError {
+    DeviceError::Start { program: "qemu-system-arm".into(), source }
+}
+
 /// Our end of the line, and QEMU's description of its end.
 fn open_line() -> Result<(UdpSocket, String), DeviceError> {
     let ours = UdpSocket::bind("127.0.0.1:0")?;
