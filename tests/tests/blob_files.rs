@@ -1,0 +1,150 @@
+//! Network files: the golden file still decodes, and no header, however strange, makes the runtime panic.
+#![allow(clippy::unwrap_used)]
+
+mod networks;
+
+use half::f16;
+use ommatidia_host::blob::BlobFile;
+use ommatidia_shared::blob::{Bank, Header, MemoryPlan, Rcan, Sensor, Size, Tap, VERSION, Weights};
+use ommatidia_shared::pipeline::{Memory, Pipeline};
+use proptest::prelude::*;
+use std::path::Path;
+
+/// A file of version 1, written once by [`write_the_golden_file`] and never again.
+const GOLDEN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/golden/network-v1.omm");
+
+fn golden_header() -> Header {
+    Header {
+        name: "golden".try_into().unwrap(),
+        checkpoint: "0123456789abcdef".try_into().unwrap(),
+        frame: Size { rows: 10, cols: 12 },
+        object: Size { rows: 8, cols: 6 },
+        sensor: Sensor { black_level_dn: 64.5, saturation_dn: 4095, has_offset_map: true, has_gain_map: true },
+        bank: Bank {
+            tile: 16,
+            step: 8,
+            channels: 2,
+            taps: [(0, -1, 0), (0, 0, 0), (1, 0, 1)]
+                .map(|(channel, dy, dx)| Tap { channel, dy, dx })
+                .into_iter()
+                .collect(),
+        },
+        rcan: Rcan { width: 2, groups: 1, blocks: 1, reduction: 2 },
+        memory: MemoryPlan { fast_bytes: 1, bulk_bytes: 70_000 },
+    }
+}
+
+/// Multiples of 1/16 from -1 to 1, never twice the same in a row.
+fn golden_weight(section: usize, i: usize) -> f16 {
+    f16::from_f32(((i * 7 + section * 5) % 33) as f32 / 16.0 - 1.0)
+}
+
+#[test]
+fn the_golden_file_of_version_1_still_decodes() {
+    assert_eq!(VERSION, 1, "keep this file refused by name, and add a golden file of the new version");
+    let file = BlobFile::read(Path::new(GOLDEN)).unwrap();
+    let network = file.network().unwrap();
+    assert_eq!(network.header, golden_header());
+    let weights = network.weights;
+    // 3 taps of 16 x 9 complex numbers; conv 8->2, 2 x 2->2, attention 2->1->2, 2->2, 2->2, 2->8, 2->1; 10 x 12 pixels.
+    let rcan = 146 + 2 * 38 + 7 + 38 + 38 + 152 + 19;
+    let sections = [weights.spectra, weights.rcan, weights.offset_dn.unwrap(), weights.inverse_gain.unwrap()];
+    assert_eq!(sections.map(<[f16]>::len), [3 * 16 * 9 * 2, rcan, 120, 120]);
+    for (section, halves) in sections.iter().enumerate() {
+        for (i, half) in halves.iter().enumerate() {
+            assert_eq!(half.to_bits(), golden_weight(section, i).to_bits(), "section {section}, half {i}");
+        }
+    }
+}
+
+#[test]
+#[ignore = "writes the golden file; run once for each version"]
+fn write_the_golden_file() {
+    let header = golden_header();
+    let lens = header.section_lens().unwrap();
+    let lens = [lens.spectra, lens.rcan, lens.offset_dn, lens.inverse_gain];
+    let sections: Vec<Vec<f16>> =
+        lens.iter().enumerate().map(|(s, len)| (0..*len as usize).map(|i| golden_weight(s, i)).collect()).collect();
+    let weights = Weights {
+        spectra: &sections[0],
+        rcan: &sections[1],
+        offset_dn: Some(&sections[2]),
+        inverse_gain: Some(&sections[3]),
+    };
+    BlobFile::new(&header, &weights).unwrap().write(Path::new(GOLDEN)).unwrap();
+}
+
+/// What a network may have, now and then anything.
+fn mostly<T: std::fmt::Debug>(
+    sound: impl Strategy<Value = T>,
+    strange: impl Strategy<Value = T>,
+) -> impl Strategy<Value = T> {
+    prop_oneof![24 => sound, 1 => strange]
+}
+
+fn side() -> impl Strategy<Value = u16> {
+    mostly((1u16..20).prop_map(|n| 2 * n), any::<u16>())
+}
+
+prop_compose! {
+    fn strange_headers()(
+        frame in (side(), side()), object in (side(), side()), black in mostly(0.0f32..400.0, prop::num::f32::ANY),
+        saturation in mostly(500u16.., any::<u16>()), maps: (bool, bool),
+        tile in mostly((3u32..7).prop_map(|n| 1 << n), any::<u16>()), step in mostly(1u16..8, any::<u16>()),
+        channels in mostly(2u8..4, any::<u8>()),
+        taps in prop::collection::vec((0u8..2, -2i8..2, mostly(-2i8..2, any::<i8>())), 2..6),
+        rcan in (mostly(1u8..8, any::<u8>()), 0u8..3, 0u8..3, mostly(Just(1), any::<u8>())),
+        memory: (u32, u32), planned in mostly(Just(true), Just(false)),
+    ) -> Header {
+        let mut taps = taps;
+        taps.sort_unstable();
+        taps.dedup();
+        let mut header = Header {
+            name: "strange".try_into().unwrap(),
+            checkpoint: "".try_into().unwrap(),
+            frame: Size { rows: frame.0, cols: frame.1 },
+            object: Size { rows: object.0, cols: object.1 },
+            sensor: Sensor { black_level_dn: black, saturation_dn: saturation, has_offset_map: maps.0, has_gain_map: maps.1 },
+            bank: Bank {
+                tile, step, channels,
+                taps: taps.into_iter().map(|(channel, dy, dx)| Tap { channel, dy, dx }).collect(),
+            },
+            rcan: Rcan { width: rcan.0, groups: rcan.1, blocks: rcan.2, reduction: rcan.3 },
+            memory: MemoryPlan { fast_bytes: memory.0, bulk_bytes: memory.1 },
+        };
+        if let Ok(plan) = Pipeline::plan(&header) && planned {
+            header.memory = plan;
+        }
+        header
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(400))]
+    /// Either the header is refused, or the network runs in the memory of its plan.
+    #[test]
+    fn strange_headers_are_refused_or_run(header in strange_headers()) {
+        let small = |len: u64| len < 1 << 20;
+        let Ok(lens) = header.section_lens() else { return Ok(()) };
+        let lens = [lens.spectra, lens.rcan, lens.offset_dn, lens.inverse_gain];
+        if header.check().is_err() || !lens.into_iter().all(small) {
+            return Ok(());
+        }
+        let sections = lens.map(|len| vec![f16::from_f32(0.25); len as usize]);
+        let weights = Weights {
+            spectra: &sections[0],
+            rcan: &sections[1],
+            offset_dn: header.sensor.has_offset_map.then_some(&sections[2]),
+            inverse_gain: header.sensor.has_gain_map.then_some(&sections[3]),
+        };
+        let file = BlobFile::new(&header, &weights).unwrap();
+        let network = file.network().unwrap();
+        let Ok(pipeline) = Pipeline::new(&network.header, network.weights) else { return Ok(()) };
+        let mut fast = vec![0.0; pipeline.fast_len()];
+        let mut bulk = vec![f16::ZERO; pipeline.bulk_len()];
+        let mut object = vec![f16::NAN; pipeline.output_len()];
+        let frame = vec![500; pipeline.frame_len()];
+        pipeline.run(&frame, Memory { fast: &mut fast, bulk: &mut bulk }, &mut object).unwrap();
+        prop_assert!(object.iter().all(|half| half.is_finite()));
+    }
+}
