@@ -130,8 +130,17 @@ mod tests {
     }
 
     #[test]
-    fn the_command_line_is_sound() {
-        crate::cli::Cli::command().debug_assert();
+    fn the_command_line_is_sound_and_every_verb_has_an_example() {
+        let command = crate::cli::Cli::command();
+        command.clone().debug_assert();
+        for verb in command.get_subcommands().filter(|v| !v.is_hide_set()) {
+            let help = verb.get_after_help().map(ToString::to_string).unwrap_or_default();
+            let example = help.lines().find_map(|l| l.trim().strip_prefix("ommatidia "));
+            let example = example.unwrap_or_else(|| panic!("{} has no example", verb.get_name()));
+            let words = std::iter::once("ommatidia").chain(example.split_whitespace());
+            let parsed = crate::cli::Cli::try_parse_from(words);
+            assert!(parsed.is_ok(), "the example of {} does not parse: {}", verb.get_name(), parsed.unwrap_err());
+        }
     }
 
     #[test]

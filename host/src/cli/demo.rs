@@ -105,7 +105,7 @@ fn chapters(args: &Args, folder: &Path) -> Vec<Chapter> {
         ),
         chapter(
             "the firmware reconstructs the scenes",
-            "device run --blob @network.omm --frames @session/scene.npy -o @device.npy",
+            "device run --with @network.omm --frames @session/scene.npy -o @device.npy",
         ),
         chapter("the host does the same", "reconstruct @session/scene.npy -o @objects.tif --with @network.omm"),
         chapter(
@@ -193,7 +193,7 @@ fn targets(methods: &[MethodFigures], device: &Value) -> Vec<Target> {
         targets.push(Target { what, found: format!("{change:+.3} dB"), target, holds: change >= -0.1 });
     }
     if let Some(exact) = device["bit_exact"].as_bool() {
-        let bits = device["bits_differ"].as_u64().map(|n| n.to_string());
+        let bits = device["differing_bits"].as_u64().map(|n| n.to_string());
         let found = bits.unwrap_or_else(|| if exact { "0".into() } else { "some".into() });
         let (what, target) = ("bits: device against host", "0");
         targets.push(Target { what, found, target, holds: exact });
@@ -232,7 +232,7 @@ mod tests {
     fn targets_say_what_was_measured() {
         let method = |name: &str, psnr_db| MethodFigures { name: name.into(), psnr_db, ..MethodFigures::default() };
         let methods = [method("svfouriernet", 25.0), method("svfouriernet-blob", 24.8), method("wiener", 22.0)];
-        let found = targets(&methods, &json!({ "bit_exact": false, "bits_differ": 7 }));
+        let found = targets(&methods, &json!({ "bit_exact": false, "differing_bits": 7 }));
         let lines: Vec<_> = found.iter().map(|t| (t.found.as_str(), t.holds)).collect();
         assert_eq!(lines, [("+3.00 dB", true), ("-0.200 dB", false), ("7", false)]);
         assert!(targets(&methods[..1], &Value::Null).is_empty());

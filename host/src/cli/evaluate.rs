@@ -2,7 +2,7 @@
 
 use super::{Outcome, Run};
 use crate::artifact::Provenance;
-use crate::evaluate::{Evaluation, MethodFigures, Scenes, Source, Summary, judge, predict_figures};
+use crate::evaluate::{Evaluation, MethodFigures, Scenes, Sensor, Source, Summary, judge, predict_figures};
 use crate::forward::Forward;
 use crate::instrument::Instrument;
 use crate::kind::FileKind;
@@ -159,7 +159,8 @@ fn prediction(args: &Args, scenes: &mut Scenes) -> anyhow::Result<Option<crate::
             let instrument = Instrument::read(path)?;
             let forward = Forward::new(&instrument)?;
             let count = scenes.count();
-            let figures = predict_figures(count, &instrument.noise, |i| scenes.triple(i, &forward));
+            let sensor = Sensor { noise: &instrument.noise, offset_dn: instrument.offset_dn.as_ref() };
+            let figures = predict_figures(count, sensor, |i| scenes.triple(i, &forward));
             return Ok(Some(figures.with_context(|| path.display().to_string())?));
         }
     }

@@ -66,7 +66,7 @@ enum Verb {
     #[command(after_help = "Example:\n  ommatidia report instrument.safetensors evaluation.safetensors -o report.html")]
     Report(report::Args),
     /// Run the firmware, under QEMU or on a board
-    #[command(after_help = "Example:\n  ommatidia device run --blob network.omm --frames frames.npy")]
+    #[command(after_help = "Example:\n  ommatidia device run --with network.omm --frames frames.npy -o objects.npy")]
     Device(device::Args),
     /// Say what a file is
     #[command(after_help = "Example:\n  ommatidia inspect instrument.safetensors")]

@@ -12,7 +12,7 @@ mod ssim;
 pub use compare::{Case, Source, judge};
 pub use field::{Ring, Rings};
 pub use metrics::{Figures, MetricError, Moments, compare, psnr_db, scaled};
-pub use prediction::{PredictionFigures, Triple, chi_squared, predict_figures};
+pub use prediction::{PredictionFigures, Sensor, Triple, chi_squared, predict_figures};
 pub use record::{Evaluation, MethodFigures, Summary};
 pub use resources::measured;
 pub use scenes::Scenes;

@@ -56,7 +56,7 @@ pub fn blob(header: &Header, file_bytes: u64, numbers: &mut Numbers) -> Markup {
 pub fn keys(json: &Value) -> Vec<Key> {
     let mut keys = Vec::new();
     if let Some(exact) = json["bit_exact"].as_bool() {
-        let differ = json["bits_differ"].as_u64().map(grouped);
+        let differ = json["differing_bits"].as_u64().map(grouped);
         let value = differ.unwrap_or_else(|| if exact { "0".into() } else { "some".into() });
         let note = json["board"].as_str().unwrap_or("").to_string();
         keys.push(Key { name: "Bits: device against host".into(), value, unit: "differ", note, holds: Some(exact) });

@@ -182,7 +182,10 @@ fn rank(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup, Report
             })
             .collect(),
     };
-    let column = |c: usize| d.error_by_rank.outer_iter().map(|r| [f64::from(r[0]), 100.0 * f64::from(r[c])]).collect();
+    let column = |c: usize| -> Vec<[f64; 2]> {
+        d.error_by_rank.outer_iter().map(|r| [f64::from(r[0]), 100.0 * f64::from(r[c])]).collect()
+    };
+    let floor = column(0).into_iter().map(|p: [f64; 2]| [p[0], 100.0 * instrument.quality.noise_floor]).collect();
     let error = Chart {
         alt: "Error of the low-rank model against its rank".into(),
         x: Axis::linear("Rank K"),
