@@ -21,9 +21,9 @@ pub struct Args {
     /// Scenes that the methods are judged on
     #[arg(long, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u64).range(2..))]
     frames: u64,
-    /// Training steps, where the demo's own number is too many or too few
-    #[arg(long, value_name = "N")]
-    steps: Option<u64>,
+    /// Training steps
+    #[arg(long, value_name = "N", default_value_t = 4000, value_parser = clap::value_parser!(u64).range(1..))]
+    steps: u64,
 }
 
 /// One verb with its options, and what it is for.
@@ -43,7 +43,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let chapters = chapters(args, folder);
     let mut figures = serde_json::Map::new();
     for (i, chapter) in chapters.iter().enumerate() {
-        let (json, seconds) = play(chapter, run, [i + 1, chapters.len()])?;
+        let (json, seconds) = play(chapter, run, [i + 1, chapters.len()], start)?;
         let name = chapter.words[0].clone();
         artifact::write_whole(&folder.join(format!("{name}.json")), format!("{json}\n").as_bytes())?;
         let mut entry = json;
@@ -89,15 +89,14 @@ fn chapters(args: &Args, folder: &Path) -> Vec<Chapter> {
         Chapter { what, words: text.split_whitespace().map(word).collect() }
     };
     let bench = format!("bench @session --frames {}", args.frames);
-    let steps = args.steps.map(|n| format!(" --steps {n}")).unwrap_or_default();
-    let train = format!("train @pairs -o @network.safetensors --preset nano{steps}");
+    let train = format!("train @pairs -o @network.safetensors --preset nano --steps {}", args.steps);
     vec![
         chapter("the virtual instrument measures darks, flats, a bead scan and scenes of known truth", &bench),
         chapter(
             "noise, chief rays and low-rank PSFs from that session",
             "calibrate @session -o @instrument.safetensors",
         ),
-        chapter("training pairs with the calibrated model", "simulate @instrument.safetensors -o @pairs --count 512"),
+        chapter("training pairs with the calibrated model", "simulate @instrument.safetensors -o @pairs --count 1024"),
         chapter("the network", &train),
         chapter(
             "the network file of a device: half precision, memory plan",
@@ -122,7 +121,7 @@ fn chapters(args: &Args, folder: &Path) -> Vec<Chapter> {
 }
 
 /// Runs a chapter as a command line of its own, inside this process.
-fn play(chapter: &Chapter, run: &Run, [number, of]: [usize; 2]) -> anyhow::Result<(Value, f64)> {
+fn play(chapter: &Chapter, run: &Run, [number, of]: [usize; 2], begin: Instant) -> anyhow::Result<(Value, f64)> {
     let say = |text: String| {
         if !run.quiet {
             eprintln!("{text}");
@@ -138,7 +137,8 @@ fn play(chapter: &Chapter, run: &Run, [number, of]: [usize; 2]) -> anyhow::Resul
     for line in outcome.text.lines() {
         say(format!("      {line}"));
     }
-    say(format!("      {seconds:.1} s\n"));
+    let elapsed = begin.elapsed().as_secs();
+    say(format!("      chapter {seconds:.1} s, since the start {}:{:02}\n", elapsed / 60, elapsed % 60));
     Ok((outcome.json, seconds))
 }
 
@@ -208,7 +208,7 @@ mod tests {
 
     #[test]
     fn each_chapter_is_a_command_line_that_the_program_takes() {
-        let args = Args { output: "a folder".into(), frames: 4, steps: Some(10) };
+        let args = Args { output: "a folder".into(), frames: 4, steps: 10 };
         for chapter in chapters(&args, &args.output) {
             let words = std::iter::once("ommatidia".to_string()).chain(chapter.words.iter().cloned());
             let parsed = Cli::try_parse_from(words);

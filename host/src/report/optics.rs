@@ -185,7 +185,7 @@ fn rank(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup, Report
     let column = |c: usize| -> Vec<[f64; 2]> {
         d.error_by_rank.outer_iter().map(|r| [f64::from(r[0]), 100.0 * f64::from(r[c])]).collect()
     };
-    let floor = column(0).into_iter().map(|p: [f64; 2]| [p[0], 100.0 * instrument.quality.noise_floor]).collect();
+    let floor: Vec<[f64; 2]> = column(0).into_iter().map(|p| [p[0], 100.0 * instrument.quality.noise_floor]).collect();
     let error = Chart {
         alt: "Error of the low-rank model against its rank".into(),
         x: Axis::linear("Rank K"),
@@ -198,6 +198,7 @@ fn rank(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup, Report
                 colour: 2,
                 marks: Marks::Dots,
             },
+            Line { label: "noise of the bead frames alone".into(), points: floor, colour: 5, marks: Marks::None },
         ],
     };
     let text = format!(
