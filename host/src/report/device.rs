@@ -2,7 +2,7 @@
 
 use super::page::{Key, Numbers, pairs};
 use super::scenes::bytes;
-use super::training::pairs_of;
+use super::training::{sentence, short};
 use maud::{Markup, html};
 use ommatidia_shared::blob::Header;
 use serde_json::Value;
@@ -27,9 +27,14 @@ pub fn device(json: &Value, numbers: &mut Numbers) -> Markup {
     let known = ["board", "bit_exact", "instructions", "ram_bytes", "flash_bytes", "stack_bytes"];
     let simple = |v: &Value| !v.is_null() && !v.is_array() && !v.is_object();
     let others = json.as_object().into_iter().flatten().filter(|(k, v)| !known.contains(&k.as_str()) && simple(v));
-    rows.extend(pairs_of(&others.map(|(k, v)| (k.clone(), v.clone())).collect::<serde_json::Map<_, _>>().into()));
+    for (key, value) in others {
+        rows.push(match (key.strip_suffix("_bytes"), value.as_u64()) {
+            (Some(what), Some(n)) => (sentence(what), html! { (bytes(n)) }),
+            _ => (sentence(key), html! { (short(value)) }),
+        });
+    }
     let table = numbers.table("Firmware.", "As the device and its host reported it.", pairs(&rows));
-    html! { div style="max-width:640px" { (table) } }
+    html! { div { (table) } }
 }
 
 /// What a network file asks of a device.
@@ -49,7 +54,7 @@ pub fn blob(header: &Header, file_bytes: u64, numbers: &mut Numbers) -> Markup {
     ];
     let text =
         format!("Network “{}”, made from checkpoint {}. Weights are IEEE halves.", header.name, header.checkpoint);
-    html! { div style="max-width:640px" { (numbers.table("Network file.", &text, pairs(&rows))) } }
+    html! { div { (numbers.table("Network file.", &text, pairs(&rows))) } }
 }
 
 /// What a run adds to the key line.

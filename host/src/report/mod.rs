@@ -84,7 +84,9 @@ pub fn render(paths: &[PathBuf]) -> Result<String, ReportError> {
         let parts =
             pieces.iter().filter_map(|p| chapter(p, &mut numbers).transpose()).collect::<Result<Vec<_>, _>>()?;
         if !parts.is_empty() {
-            sections.push(Section { id, title, body: html! { @for part in parts { (part) } } });
+            // Tables of a device and of its network file stand side by side.
+            let class = if id == "device" { "two" } else { "" };
+            sections.push(Section { id, title, body: html! { div class=(class) { @for part in parts { (part) } } } });
         }
     }
     sections.push(Section { id: "provenance", title: "Provenance", body: provenance(&pieces) });
@@ -132,8 +134,7 @@ fn heading(pieces: &[Piece]) -> String {
         _ => None,
     });
     let name = name.filter(|n| !n.is_empty()).unwrap_or_else(|| "Report".into());
-    let mut letters = name.chars();
-    letters.next().map_or(String::new(), |first| first.to_uppercase().chain(letters).collect())
+    training::sentence(&name)
 }
 
 fn lead(pieces: &[Piece]) -> String {

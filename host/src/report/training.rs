@@ -52,12 +52,20 @@ pub fn training(header: &Value, numbers: &mut Numbers) -> Result<Markup, ReportE
 }
 
 /// The fields of a JSON object as rows of a table, in words.
-pub fn pairs_of(object: &Value) -> Vec<(String, Markup)> {
+fn pairs_of(object: &Value) -> Vec<(String, Markup)> {
     let fields = object.as_object().into_iter().flatten();
-    fields.map(|(name, value)| (name.replace('_', " "), html! { (short(value)) })).collect()
+    fields.map(|(name, value)| (sentence(name), html! { (short(value)) })).collect()
 }
 
-fn short(value: &Value) -> String {
+/// `peak_bytes` as `Peak bytes`.
+pub fn sentence(name: &str) -> String {
+    let words = name.replace('_', " ");
+    let mut letters = words.chars();
+    letters.next().map_or(String::new(), |first| first.to_uppercase().chain(letters).collect())
+}
+
+/// A value in few characters.
+pub fn short(value: &Value) -> String {
     match value {
         Value::Null => "–".into(),
         Value::String(s) => s.clone(),
