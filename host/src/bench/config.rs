@@ -76,8 +76,10 @@ pub struct OpticsConfig {
     pub wavelength_um: f64,
     /// Distance from the object to the lenses, um.
     pub object_distance_um: f64,
-    /// Magnification, image per object.
+    /// Nominal magnification, image per object: what the manifest says.
     pub magnification: f64,
+    /// True magnification over the nominal one, less one: the array is never glued exactly where it was meant to be.
+    pub magnification_error: f64,
     /// Diameter of a lens, um.
     pub aperture_um: f64,
     /// Share of the radius over which the transmitted amplitude falls to zero, 0 to 1.
@@ -202,10 +204,11 @@ impl Default for OpticsConfig {
             wavelength_um: 0.525,
             object_distance_um: 600.0,
             magnification: 0.660714,
+            magnification_error: 0.003,
             aperture_um: 54.0,
             soft_edge: 1.0,
-            half_response_tangent: 0.45,
-            distortion_px: 0.08,
+            half_response_tangent: 0.3,
+            distortion_px: 0.1,
             psf_window_px: 15,
             psf_field_px: 35,
             oversampling: 3,
@@ -216,11 +219,11 @@ impl Default for OpticsConfig {
 impl Default for AberrationConfig {
     fn default() -> Self {
         Self {
-            defocus: 0.06,
+            defocus: 0.03,
             spherical: 0.02,
-            field_curvature: 0.105,
-            astigmatism: 0.075,
-            coma: 0.068,
+            field_curvature: 0.11,
+            astigmatism: 0.085,
+            coma: 0.075,
             scatter: 0.028,
             tilt_scatter: 0.02,
         }
@@ -269,6 +272,11 @@ impl BenchConfig {
         ((2f64).powi(sensor.bit_depth as i32) - 1.0 - sensor.black_level_dn) / sensor.gain_dn_per_e
     }
 
+    /// True magnification, image per object.
+    pub fn true_magnification(&self) -> f64 {
+        self.optics.magnification * (1.0 + self.optics.magnification_error)
+    }
+
     /// The manifest of what this instrument measures, without stacks.
     pub fn manifest(&self) -> Manifest {
         let (sensor, array, optics, object) = (&self.sensor, &self.array, &self.optics, &self.object);
@@ -300,6 +308,7 @@ impl BenchConfig {
             ("sensor.gain_dn_per_e", sensor.gain_dn_per_e),
             ("optics.object_distance_um", optics.object_distance_um),
             ("optics.half_response_tangent", optics.half_response_tangent),
+            ("optics.magnification_error", 1.0 + self.optics.magnification_error),
             ("scan.bead_e", self.scan.bead_e),
             ("stacks.exposure_ms", stacks.exposure_ms),
         ] {

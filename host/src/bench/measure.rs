@@ -105,7 +105,7 @@ impl VirtualInstrument {
             read_noise_e: self.config.sensor.read_noise_e,
             black_level_dn: self.config.sensor.black_level_dn,
             anchors_px: per_row(self.optics.geometry().anchors_px),
-            magnification: self.config.optics.magnification,
+            magnification: self.config.true_magnification(),
             axes_um: per_row(self.optics.axes_um()),
             unit_e: self.config.scan.bead_e,
             effects: self.settings.clone(),

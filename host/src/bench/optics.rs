@@ -55,7 +55,7 @@ impl VirtualOptics {
         let optics = &config.optics;
         let array = MicrolensArray {
             object_distance_um: optics.object_distance_um,
-            magnification: optics.magnification,
+            magnification: config.true_magnification(),
             pixel_pitch_um: config.sensor.pixel_pitch_um,
         };
         let pupil = PupilConfig {

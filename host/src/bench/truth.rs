@@ -21,9 +21,9 @@ pub struct BenchTruth {
     pub read_noise_e: f64,
     /// Black level, DN.
     pub black_level_dn: f64,
-    /// Chief rays of the on-axis source, sensor pixels: [lens row][lens col][row, col].
+    /// Chief rays of the on-axis source: where the light of its foci is centred, sensor pixels: [lens row][lens col][row, col].
     pub anchors_px: Vec<Vec<[f64; 2]>>,
-    /// Magnification, image per object.
+    /// True magnification, image per object.
     pub magnification: f64,
     /// Object position on each lens's axis, um: [lens row][lens col][y, x].
     pub axes_um: Vec<Vec<[f64; 2]>>,
