@@ -63,7 +63,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         let set = DataSet::open(&args.input)?;
         let plan = set.plan();
         let (network, peak_e) = (args.preset.network(plan.frame, plan.object), plan.peak_e);
-        let maps = args.instrument.as_deref().map_or(Ok(SensorMaps::default()), |path| maps(&Instrument::read(path)?))?;
+        let maps =
+            args.instrument.as_deref().map_or(Ok(SensorMaps::default()), |path| maps(&Instrument::read(path)?))?;
         let task = Task { source: &set, network, noise: plan.noise, maps };
         return train(args, run, task, peak_e, ("dataset", &args.input.join(PLAN_FILE)));
     }
@@ -80,7 +81,13 @@ fn maps(instrument: &Instrument) -> anyhow::Result<SensorMaps> {
     Ok(SensorMaps { offset_dn: instrument.offset_dn.clone(), inverse_gain: None })
 }
 
-fn train(args: &Args, run: &Run, task: Task<'_>, peak_e: [f64; 2], (role, input): (&str, &Path)) -> anyhow::Result<Outcome> {
+fn train(
+    args: &Args,
+    run: &Run,
+    task: Task<'_>,
+    peak_e: [f64; 2],
+    (role, input): (&str, &Path),
+) -> anyhow::Result<Outcome> {
     let mut training = settings(args, run, &task, peak_e)?;
     if let Some(minutes) = args.minutes {
         training = fit(training, &task, minutes)?;
@@ -89,7 +96,8 @@ fn train(args: &Args, run: &Run, task: Task<'_>, peak_e: [f64; 2], (role, input)
     provenance.inputs.insert(role.into(), file_hash(input)?);
     let steps = training.steps;
     let pairs = task.source.len();
-    let mut trainer = if args.resume { Trainer::resume(task, training, &args.output)? } else { Trainer::new(task, training)? };
+    let mut trainer =
+        if args.resume { Trainer::resume(task, training, &args.output)? } else { Trainer::new(task, training)? };
     let begin = trainer.checkpoint().body.step;
     let bar = run.progress(steps, "train");
     bar.set_position(begin);
@@ -97,7 +105,14 @@ fn train(args: &Args, run: &Run, task: Task<'_>, peak_e: [f64; 2], (role, input)
     trainer.run(&args.output, &provenance, |progress| {
         bar.set_position(progress.step);
         if let Some(p) = progress.point {
-            tracing::info!("step {}: loss {:.4}, held out {:.4}, {:.2} dB, SSIM {:.3}", p.step, p.train_loss, p.validation_loss, p.psnr_db, p.ssim);
+            tracing::info!(
+                "step {}: loss {:.4}, held out {:.4}, {:.2} dB, SSIM {:.3}",
+                p.step,
+                p.train_loss,
+                p.validation_loss,
+                p.psnr_db,
+                p.ssim
+            );
         }
         Next::Continue
     })?;
@@ -138,8 +153,10 @@ fn fit(training: TrainConfig, task: &Task<'_>, minutes: f64) -> anyhow::Result<T
 }
 
 fn report(path: &Path, body: &Body, pairs: usize, begin: u64, seconds: f64) -> anyhow::Result<Outcome> {
-    let best = body.curve.iter().find(|p| p.step == body.best_step).context("the run ended before its first validation")?;
-    let parameters: usize = weights::shapes(&body.network).iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
+    let best =
+        body.curve.iter().find(|p| p.step == body.best_step).context("the run ended before its first validation")?;
+    let parameters: usize =
+        weights::shapes(&body.network).iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
     let rate = if seconds > 0.0 { (body.step - begin) as f64 / seconds } else { 0.0 };
     let json = serde_json::json!({
         "checkpoint": path, "network": body.network, "parameters": parameters, "pairs": pairs, "steps": body.step, "seconds": seconds,
@@ -148,7 +165,12 @@ fn report(path: &Path, body: &Body, pairs: usize, begin: u64, seconds: f64) -> a
     });
     let text = format!(
         "{}\n  {} parameters, {} steps in {seconds:.1} s ({rate:.1} a second)\n  best on held-out pairs at step {}: {:.2} dB, SSIM {:.3}\n",
-        path.display(), parameters, body.step, body.best_step, best.psnr_db, best.ssim,
+        path.display(),
+        parameters,
+        body.step,
+        body.best_step,
+        best.psnr_db,
+        best.ssim,
     );
     Ok(Outcome { json, text })
 }

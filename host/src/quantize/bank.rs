@@ -138,8 +138,13 @@ fn tapped(t: usize, tile: usize, spectra: &[Vec<Complex32>], energy: f64) -> Res
     }
     let total: f64 = blocks.iter().map(|b| b.0).sum();
     blocks.sort_by(|a, b| b.0.total_cmp(&a.0));
+    // No channel may go without a tap: the best of each comes first.
+    let mut seen = vec![false; spectra.len()];
+    let (best, rest): (Vec<_>, Vec<_>) =
+        blocks.into_iter().partition(|(_, tap)| !std::mem::replace(&mut seen[usize::from(tap.channel)], true));
+    let mut blocks = [best, rest].concat();
     let (mut kept, mut count) = (0.0, 0);
-    while kept < energy * total && count < blocks.len().min(MAX_TAPS) {
+    while count < spectra.len().min(MAX_TAPS) || (kept < energy * total && count < blocks.len().min(MAX_TAPS)) {
         kept += blocks[count].0;
         count += 1;
     }

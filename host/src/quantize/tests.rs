@@ -106,6 +106,19 @@ fn taps_of_compact_kernels_are_the_whole_filter() {
     assert!(difference(&float, &blob, &frame(9)) < 0.01);
 }
 
+/// A channel that is much weaker than the others still needs a tap.
+#[test]
+fn a_faint_channel_keeps_a_tap() {
+    let mut checkpoint = checkpoint();
+    for name in FILTERS {
+        checkpoint.weights.get_mut(name).unwrap().index_axis_mut(ndarray::Axis(0), 1).mapv_inplace(|v| 1e-3 * v);
+    }
+    let config = QuantizeConfig { tile: Some(32), energy: Some(0.2), ..Default::default() };
+    let made = quantize(&checkpoint, "", &config).unwrap();
+    let header = Blob::new(made.bytes).unwrap().header().unwrap();
+    assert!((0..3).all(|c| header.bank.taps.iter().any(|tap| tap.channel == c)));
+}
+
 /// Replaces each filter by three spots at lags of at most 12 pixels: sums of complex exponentials under a Gaussian.
 fn compact(weights: &mut Tensors, t: usize) {
     let value = |c: usize, kr: usize, kc: usize| {

@@ -1,0 +1,110 @@
+#![allow(clippy::unwrap_used)]
+use super::super::source::tests::{foci, noise};
+use super::*;
+use crate::train::{Pair, Preset};
+
+fn task(pairs: &Vec<Pair>) -> Task<'_> {
+    let network = NetworkConfig { channels: 2, width: 4, reduction: 2, ..Preset::Nano.network([40, 40], [16, 16]) };
+    Task { source: pairs, network, noise: noise(), maps: SensorMaps::default() }
+}
+
+fn training(steps: u64, start: Start) -> TrainConfig {
+    TrainConfig {
+        steps,
+        batch: 2,
+        validate_every: 3,
+        warmup: 2,
+        start,
+        peak_e: [2000.0, 5000.0],
+        ..Preset::Nano.training(1e4, 5)
+    }
+}
+
+/// The derivative along a direction, by the chain of gradients and by a central difference. In f32 the difference of two losses is good
+/// to a few parts in a thousand at this step.
+#[test]
+fn gradients_are_the_slope_of_the_loss() {
+    let pairs = foci(6, 40, 16, 10);
+    let run = Trainer::new(task(&pairs), training(1, Start::Regression)).unwrap();
+    let examples = run.loader().examples(&[0, 1], "train", 0).unwrap();
+    let (spectra, targets) = split(examples);
+    let loss = |tensors: &Tensors, mode| {
+        let network = Network::new(&run.task.network, &run.plan, tensors, mode).unwrap();
+        let loss = run.loss(network.logits(Arc::clone(&spectra)), targets.clone(), mode);
+        (network, loss)
+    };
+    let (network, value) = loss(&run.state.current, Mode::Train);
+    let gradients = network.gradients(value.backward());
+    assert_eq!(gradients.len(), run.state.current.len(), "every parameter has a gradient");
+    for (name, g) in &gradients {
+        let norm = g.iter().map(|&g| f64::from(g).powi(2)).sum::<f64>().sqrt();
+        let size = if weights::FILTERS.contains(&name.as_str()) { 2e-5 } else { 2e-3 };
+        let along = |sign: f64| {
+            let mut moved = run.state.current.clone();
+            let step = moved.get_mut(name).unwrap().iter_mut().zip(g);
+            step.for_each(|(p, &g)| *p += (sign * size * f64::from(g) / norm.max(1e-30)) as f32);
+            f64::from(loss(&moved, Mode::Infer).1.into_scalar::<f32>())
+        };
+        let slope = (along(1.0) - along(-1.0)) / (2.0 * size);
+        assert!((slope - norm).abs() < 0.03 * norm + 1e-4, "{name}: {slope} {norm}");
+    }
+}
+
+#[test]
+fn training_lowers_the_loss_and_keeps_the_best() {
+    let pairs = foci(20, 40, 16, 10);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("net");
+    let mut run = Trainer::new(task(&pairs), training(60, Start::Regression)).unwrap();
+    run.run(&path, &Provenance::default(), |_| Next::Continue).unwrap();
+    let curve = &run.checkpoint().body.curve;
+    assert_eq!(curve.len(), 20);
+    assert!(curve[19].validation_loss < 0.7 * curve[0].validation_loss, "{curve:?}");
+    let best = curve.iter().max_by(|a, b| a.psnr_db.total_cmp(&b.psnr_db)).unwrap();
+    let read = Checkpoint::read(&path).unwrap();
+    assert_eq!(read.body.best_step, best.step);
+    assert_eq!(read.weights, run.checkpoint().weights);
+}
+
+#[test]
+fn a_run_that_was_stopped_ends_in_the_same_bits() {
+    let pairs = foci(10, 40, 16, 10);
+    let folder = tempfile::tempdir().unwrap();
+    let [whole, halved] = ["whole", "halved"].map(|name| folder.path().join(name));
+    let (provenance, training) = (Provenance::default(), training(9, Start::Random));
+    let mut run = Trainer::new(task(&pairs), training.clone()).unwrap();
+    run.run(&whole, &provenance, |_| Next::Continue).unwrap();
+    let mut run = Trainer::new(task(&pairs), training.clone()).unwrap();
+    // Stopped between two checkpoints: what came after the last is done again.
+    run.run(&halved, &provenance, |p| if p.step == 5 { Next::Stop } else { Next::Continue }).unwrap();
+    let mut run = Trainer::resume(task(&pairs), training, &halved).unwrap();
+    assert_eq!(run.checkpoint().body.step, 3);
+    run.run(&halved, &provenance, |_| Next::Continue).unwrap();
+    assert!(std::fs::read(whole).unwrap() == std::fs::read(halved).unwrap());
+}
+
+#[test]
+fn another_network_is_not_resumed() {
+    let pairs = foci(10, 40, 16, 10);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("net");
+    Trainer::new(task(&pairs), training(3, Start::Random))
+        .unwrap()
+        .run(&path, &Provenance::default(), |_| Next::Continue)
+        .unwrap();
+    let mut other = task(&pairs);
+    other.network.channels = 3;
+    let error = Trainer::resume(other, training(3, Start::Random), &path).err().unwrap();
+    assert!(matches!(error, TrainError::Resume { field: "network", .. }), "{error}");
+    let mut faster = training(3, Start::Random);
+    faster.learning_rate *= 2.0;
+    assert!(matches!(Trainer::resume(task(&pairs), faster, &path), Err(TrainError::Resume { field: "training", .. })));
+}
+
+#[test]
+fn a_loss_that_is_no_number_stops_the_run() {
+    let pairs = foci(10, 40, 16, 10);
+    let mut run = Trainer::new(task(&pairs), training(3, Start::Random)).unwrap();
+    run.state.current.values_mut().next().unwrap().fill(f32::NAN);
+    assert!(matches!(run.step(), Err(TrainError::Diverged { step: 0, .. })));
+}
