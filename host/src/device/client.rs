@@ -7,6 +7,7 @@ use ommatidia_shared::wire::{
     CHUNK, Deframer, Info, MAX_PACKET, Packet, Reply, Request, RunReport, SCHEMA_KEY, Telemetry, Transfer, VERSION,
     encode,
 };
+use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 /// How long to wait for an answer, and how often to ask.
@@ -35,7 +36,7 @@ pub struct Client<T> {
     short: Patience,
     long: Patience,
     /// Bytes received and not yet looked at.
-    pending: std::vec::IntoIter<u8>,
+    pending: VecDeque<u8>,
 }
 
 impl<T: Transport> Client<T> {
@@ -53,7 +54,7 @@ impl<T: Transport> Client<T> {
     /// The device is silent or speaks another version.
     pub fn connect_with(line: T, short: Patience, long: Patience) -> Result<(Self, Info), DeviceError> {
         let deframer = Box::new(Deframer::new());
-        let mut client = Self { line, seq: 0, deframer, short, long, pending: Vec::new().into_iter() };
+        let mut client = Self { line, seq: 0, deframer, short, long, pending: VecDeque::new() };
         let hello = Request::Hello { version: VERSION, schema: SCHEMA_KEY };
         let info = client.ask(hello, short, |reply| match reply {
             Reply::Hello(info) => Some(info),
@@ -189,7 +190,7 @@ impl<T: Transport> Client<T> {
     ) -> Result<Option<R>, DeviceError> {
         let deadline = Instant::now() + wait;
         loop {
-            for byte in self.pending.by_ref() {
+            while let Some(byte) = self.pending.pop_front() {
                 let Ok(Some(packet)) = self.deframer.push(byte) else { continue };
                 if let Ok(Packet { seq: found, body }) = decode::<Packet<Reply<'_>>>(packet)
                     && found == seq
@@ -203,7 +204,7 @@ impl<T: Transport> Client<T> {
             }
             let mut buffer = [0; 4096];
             let count = self.line.receive(&mut buffer, left)?;
-            self.pending = buffer[..count].to_vec().into_iter();
+            self.pending.extend(&buffer[..count]);
         }
     }
 }

@@ -65,7 +65,7 @@ fn check_preamble(bytes: &[u8]) -> Result<(&[u8], u32), BlobError> {
     if bytes.len() < HEADER_AT + CRC_LEN {
         return Err(BlobError::TooShort { expected: (HEADER_AT + CRC_LEN) as u64, found });
     }
-    if bytes.as_ptr().addr() % ALIGN != 0 {
+    if !bytes.as_ptr().addr().is_multiple_of(ALIGN) {
         return Err(misaligned(bytes));
     }
     if bytes[..8] != MAGIC {

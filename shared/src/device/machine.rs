@@ -258,7 +258,7 @@ fn storage(error: IoError, what: Transfer) -> Refusal {
 
 /// The pipeline's words, as many as the message holds.
 fn refusal(error: PipelineError) -> Refusal {
-    struct Cut(String<120>);
+    struct Cut(String<96>);
     impl Write for Cut {
         fn write_str(&mut self, text: &str) -> core::fmt::Result {
             text.chars().try_for_each(|c| self.0.push(c)).map_err(|_| core::fmt::Error)

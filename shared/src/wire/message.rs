@@ -248,7 +248,7 @@ pub enum Refusal {
         found: u32,
     },
     /// The pipeline refuses; in its words.
-    Pipeline(String<120>),
+    Pipeline(String<96>),
     /// The device's storage failed.
     Storage,
 }
