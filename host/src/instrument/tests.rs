@@ -4,9 +4,11 @@
 
 use super::testbed::Testbed;
 use super::*;
+use crate::bench::truth::{BenchTruth, TRUTH_FILE};
+use crate::bench::{ArrayConfig, BenchConfig, ScanConfig};
 use crate::forward::Forward;
 use crate::noise::Source;
-use crate::session::Session;
+use crate::session::{Role, Session};
 
 fn run(bed: &Testbed, config: CalibrateConfig) -> Result<Calibration, String> {
     let folder = tempfile::tempdir().unwrap();
@@ -132,6 +134,41 @@ fn what_a_session_cannot_tell_is_nominal_and_said() {
     );
     let config = CalibrateConfig { rank: Some(26), ..CalibrateConfig::default() };
     assert!(run(&small(), config).unwrap_err().contains("expected 1 to 25"));
+}
+
+/// The virtual instrument forms its images by physical optics, with its own code: the model must agree with it.
+#[test]
+fn the_virtual_instruments_scenes_are_predicted() {
+    let mut config = BenchConfig::default();
+    (config.sensor.rows, config.sensor.cols) = (90, 124);
+    config.array = ArrayConfig { rows: 1, cols: 2, pitch_px: 50.0, ..config.array };
+    (config.object.rows, config.object.cols) = (40, 40);
+    config.scan = ScanConfig { rows: 9, cols: 9, ..config.scan };
+    config.stacks.scene_frames = 2;
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("session");
+    let virtual_instrument = config.build(&[]).unwrap();
+    virtual_instrument.measure(&path, 3, |_| ()).unwrap();
+    let session = Session::open(&path).unwrap();
+    let Calibration { instrument: i, .. } = calibrate(&session, &CalibrateConfig::default(), || {}).unwrap();
+    let truth: BenchTruth = serde_json::from_slice(&std::fs::read(path.join(TRUTH_FILE)).unwrap()).unwrap();
+    assert!((i.noise.gain_dn_per_e / truth.gain_dn_per_e - 1.0).abs() < 0.02, "{:?}", i.noise);
+    assert!((i.noise.read_noise_e / truth.read_noise_e - 1.0).abs() < 0.05, "{:?}", i.noise);
+    for (got, want) in i.geometry.anchors_px.iter().zip(truth.anchors_px.iter().flatten()) {
+        assert!((0..2).all(|a| (got[a] - want[a]).abs() < 0.1), "{got:?} {want:?}");
+    }
+    let forward = Forward::new(&i).unwrap();
+    let scene = session.need(Role::Scene).unwrap()[0];
+    let (mut truths, mut expected) = (scene.truth().unwrap().unwrap(), scene.expected().unwrap().unwrap());
+    let (mut misfit, mut light) = (0.0, 0.0);
+    for n in 0..scene.len() {
+        let got = forward.expected_dn(truths.read(n).unwrap().view(), &forward.context()).unwrap();
+        for (g, w) in got.iter().zip(&expected.read(n).unwrap()) {
+            misfit += f64::from(g - w).powi(2);
+            light += (f64::from(*w) - truth.black_level_dn).powi(2);
+        }
+    }
+    assert!((misfit / light).sqrt() < 0.01, "{}", (misfit / light).sqrt());
 }
 
 /// Measured focal spots of a fibre microscope, 13 x 13, strongly field-dependent.

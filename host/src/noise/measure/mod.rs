@@ -163,28 +163,18 @@ pub fn measure_noise(
     let mut sources =
         Sources { black_level: dark.as_ref().map_or(Source::Inferred, |_| Source::Measured), ..Sources::default() };
     let (gain, gain_sigma) = gain(session, &transfer, config, &mut sources, &mut notes)?;
-    let read_dn2 = dark_level.map(|d| d.variance).or(transfer.as_ref().ok().map(|t| t.intercept + ROUNDING_DN2));
-    let read_dn2 = read_dn2.or(background.map(|b| b.variance)).map_or(0.0, |v| v - ROUNDING_DN2);
-    let read_sigma_dn2 = dark_level.map(|d| d.sigma).or(transfer.as_ref().ok().map(|t| t.intercept_sigma));
-    let (read, read_sigma) = if read_dn2 > 0.0 {
-        let read_dn = read_dn2.sqrt();
-        sources.read_noise =
-            if dark_level.is_some() && sources.gain == Source::Measured { Source::Measured } else { Source::Inferred };
-        if sources.gain == Source::Nominal {
-            notes.push(NoiseNote::ReadNoiseInDn { read_noise_dn: read_dn });
-        }
-        let relative = (read_sigma_dn2.unwrap_or(0.0) / (2.0 * read_dn2)).hypot(gain_sigma / gain);
-        (read_dn / gain, relative * read_dn / gain)
-    } else {
-        notes.push(NoiseNote::NominalReadNoise { read_noise_e: config.nominal_read_noise_e });
-        (config.nominal_read_noise_e, 0.0)
-    };
+    let (read_noise_e, read_noise_sigma) = read_noise(
+        ReadNoise { dark: dark_level, transfer: transfer.as_ref().ok(), background, gain: (gain, gain_sigma) },
+        config,
+        &mut sources,
+        &mut notes,
+    );
     let model = NoiseModel {
         black_level_dn: black,
         gain_dn_per_e: gain,
         gain_sigma,
-        read_noise_e: read,
-        read_noise_sigma: read_sigma,
+        read_noise_e,
+        read_noise_sigma,
         saturation_dn,
         sources,
     };
@@ -214,6 +204,41 @@ fn gain(
             Ok((gain_dn_per_e, 0.0))
         }
     }
+}
+
+/// What the read noise may be taken from, best first: darks, the photon transfer at no light, the dark parts of bead frames.
+struct ReadNoise<'a> {
+    dark: Option<Summary>,
+    transfer: Option<&'a Transfer>,
+    background: Option<Background>,
+    /// Gain and its standard error, DN/e-.
+    gain: (f64, f64),
+}
+
+/// Read noise and its standard error, electrons.
+fn read_noise(
+    from: ReadNoise<'_>,
+    config: &NoiseConfig,
+    sources: &mut Sources,
+    notes: &mut Vec<NoiseNote>,
+) -> (f64, f64) {
+    let rounded = from.dark.map(|d| (d.variance, d.sigma));
+    let fitted = from.transfer.map(|t| (t.intercept + ROUNDING_DN2, t.intercept_sigma));
+    let seen = from.background.map(|b| (b.variance, 0.0));
+    let (variance, sigma) = rounded.or(fitted).or(seen).unwrap_or((0.0, 0.0));
+    let read_dn2 = variance - ROUNDING_DN2;
+    if read_dn2 <= 0.0 {
+        notes.push(NoiseNote::NominalReadNoise { read_noise_e: config.nominal_read_noise_e });
+        return (config.nominal_read_noise_e, 0.0);
+    }
+    let measured = from.dark.is_some() && sources.gain == Source::Measured;
+    sources.read_noise = if measured { Source::Measured } else { Source::Inferred };
+    if sources.gain == Source::Nominal {
+        notes.push(NoiseNote::ReadNoiseInDn { read_noise_dn: read_dn2.sqrt() });
+    }
+    let (gain, gain_sigma) = from.gain;
+    let relative = (sigma / (2.0 * read_dn2)).hypot(gain_sigma / gain);
+    (read_dn2.sqrt() / gain, relative * read_dn2.sqrt() / gain)
 }
 
 /// Black level, offsets and dark variance, from the exposure with most dark frames.
