@@ -89,7 +89,10 @@ fn chapters(args: &Args, folder: &Path) -> Vec<Chapter> {
         Chapter { what, words: text.split_whitespace().map(word).collect() }
     };
     let bench = format!("bench @session --frames {}", args.frames);
-    let train = format!("train @pairs -o @network.safetensors --preset nano --steps {}", args.steps);
+    let train = format!(
+        "train @pairs --instrument @instrument.safetensors -o @network.safetensors --preset nano --steps {}",
+        args.steps
+    );
     vec![
         chapter("the virtual instrument measures darks, flats, a bead scan and scenes of known truth", &bench),
         chapter(

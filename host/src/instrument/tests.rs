@@ -170,21 +170,3 @@ fn the_virtual_instruments_scenes_are_predicted() {
     }
     assert!((misfit / light).sqrt() < 0.01, "{}", (misfit / light).sqrt());
 }
-
-/// Measured focal spots of a fibre microscope, 13 x 13, strongly field-dependent.
-#[test]
-fn measured_spots_are_predicted_where_they_were_left_out() {
-    let data =
-        std::env::var("OMMATIDIA_DATA").unwrap_or(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data").into());
-    let folder = std::path::Path::new(&data).join("sessions/fibre");
-    if !folder.is_dir() {
-        eprintln!("skipped: {} is not there (set OMMATIDIA_DATA)", folder.display());
-        return;
-    }
-    let session = Session::open(&folder).unwrap();
-    let config = CalibrateConfig { normalise_beads: true, ..CalibrateConfig::default() };
-    let q = calibrate(&session, &config, || {}).unwrap().instrument.quality;
-    assert!(q.off_grid_error <= 0.14, "{q:?}");
-    let raw = calibrate(&session, &CalibrateConfig::default(), || {}).unwrap().instrument.quality;
-    assert!((raw.one_psf_error - 0.298).abs() < 0.002, "{raw:?}");
-}

@@ -238,23 +238,3 @@ fn a_foreign_folder_is_never_replaced() {
     assert!(Session::open(&path).unwrap().stacks().is_empty());
     assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1, "the old folder is gone");
 }
-
-#[test]
-fn measured_sessions_open() {
-    let data = std::env::var("OMMATIDIA_DATA")
-        .map_or_else(|_| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"), std::path::PathBuf::from);
-    let fibre = data.join("sessions/fibre");
-    if !fibre.is_dir() {
-        eprintln!("skipped: no measured data at {}", data.display());
-        return;
-    }
-    let session = Session::open(fibre).unwrap();
-    let bead = session.need(Role::Bead).unwrap()[0];
-    assert_eq!(bead.len(), 169);
-    assert_eq!((bead.info()[0].x_um, bead.info()[0].y_um), (-143.76, -143.76));
-    let frame = bead.frames().unwrap().read(84).unwrap();
-    assert_eq!(frame.dim(), (360, 360));
-    assert!(frame.iter().any(|v| *v > 100.0));
-    let tardigrade = Session::open(data.join("sessions/tardigrade")).unwrap();
-    assert_eq!(tardigrade.stacks()[0].frames().unwrap().read(0).unwrap().dim(), (1100, 1100));
-}

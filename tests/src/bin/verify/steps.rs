@@ -4,7 +4,6 @@ use crate::counts::Counts;
 use crate::toolchain::{self, THUMB};
 use anyhow::{Context, Result};
 use std::io::{BufRead, BufReader};
-use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
 /// One step: it either counts tests or is one check.
@@ -46,7 +45,8 @@ fn documentation() -> Result<Counts> {
 
 fn firmware_image() -> Result<Counts> {
     let mut command = toolchain::thumb()?.cargo();
-    command.args(["build", "--profile", "firmware", "-p", "ommatidia-firmware", "--bins", "--target", THUMB]);
+    command.args(["build", "--profile", "firmware", "-p", "ommatidia-firmware", "--features", "mps2-an500"]);
+    command.args(["--bins", "--target", THUMB]);
     check(command)
 }
 
@@ -57,7 +57,7 @@ fn tests(packages: &[&str]) -> Result<Counts> {
     let _ = std::fs::remove_file(&skips);
     let mut command = cargo(["test", "--no-fail-fast"]);
     command.args(packages).env("OMMATIDIA_SKIPPED", &skips).env("OMMATIDIA_REQUIRE_QEMU", "1");
-    command.env("OMMATIDIA_FIRMWARE", firmware_dir()).stdout(Stdio::piped());
+    command.env("OMMATIDIA_FIRMWARE", toolchain::thumb()?.images()).stdout(Stdio::piped());
     let mut child = command.spawn().with_context(|| format!("{command:?} could not be started"))?;
     let mut counts = Counts::default();
     if let Some(stdout) = child.stdout.take() {
@@ -78,11 +78,4 @@ fn tests(packages: &[&str]) -> Result<Counts> {
     counts.skip(skipped.lines().count() as u64);
     let _ = std::fs::remove_file(&skips);
     Ok(counts)
-}
-
-/// Where the firmware images of the thumb build lie.
-fn firmware_dir() -> PathBuf {
-    let root = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("..");
-    let target = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), PathBuf::from);
-    target.join(THUMB).join("firmware")
 }

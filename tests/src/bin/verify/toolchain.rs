@@ -1,7 +1,7 @@
 //! What the firmware needs beyond the host's Rust: the ARM target and the emulator. Installed where they are missing.
 
 use anyhow::{Context, Result, bail};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 /// The default target of the firmware: Cortex-M7 with its FPU.
@@ -30,9 +30,25 @@ impl Toolchain {
                     .env("RUSTC", "/usr/bin/rustc")
                     .env("RUSTC_BOOTSTRAP", "1")
                     .env("CARGO_UNSTABLE_BUILD_STD", "core")
+                    .env("CARGO_TARGET_DIR", self.target_dir())
                     .env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER", "arm-none-eabi-ld");
                 command
             }
+        }
+    }
+
+    /// Where the firmware images that this toolchain builds lie.
+    pub fn images(&self) -> PathBuf {
+        self.target_dir().join(THUMB).join("firmware")
+    }
+
+    /// The two toolchains' target folders are kept apart.
+    fn target_dir(&self) -> PathBuf {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+        let target = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), PathBuf::from);
+        match self {
+            Self::Rustup => target,
+            Self::Debian => target.join("debian"),
         }
     }
 }
