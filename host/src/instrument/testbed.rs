@@ -145,7 +145,7 @@ impl Testbed {
         for (level, e) in self.flat_levels_e.iter().enumerate() {
             for i in 0..self.flat_frames {
                 let n = rows.len();
-                let lamp = 1.0 + self.flicker * f64::from([-1.0, 0.3, 1.4, -0.7, 0.0, 0.9, -1.2, 0.3][i % 8]);
+                let lamp = 1.0 + self.flicker * [-1.0, 0.3, 1.4, -0.7, 0.0, 0.9, -1.2, 0.3][i % 8];
                 let shape = Array2::from_shape_fn(dark.dim(), |(r, _)| e * lamp * (1.0 - 0.001 * r as f64));
                 flats.push(self.draw(&shape, "flat", n));
                 let illumination = (level + 1) as f64;
