@@ -116,9 +116,9 @@ pub struct Quality {
 pub struct Diagnostics {
     /// Bead positions, object pixels, [bead, (row, col)].
     pub positions_px: Array2<f32>,
-    /// Pearson correlation of each bead's foci with those of the bead nearest to the axis (Fig. 2a), [bead].
+    /// Pearson correlation of each bead's foci with those of the bead nearest to the axis (Fig. 2a), one a bead.
     pub pcc: Array1<f32>,
-    /// NRMSE of the rank-K model by bead, each bead's own light as the norm, [bead].
+    /// NRMSE of the rank-K model by bead, each bead's own light as the norm, one a bead.
     pub bead_nrmse: Array1<f32>,
     /// Singular values of each lens's windows, largest first, [lens, bead].
     pub singular_values: Array2<f32>,

@@ -36,7 +36,7 @@ impl Decomposition {
 
 /// Decomposes `windows` [bead, px] to at most `rank` terms.
 ///
-/// `sigma` [px] is the noise of each pixel in any unit; `known` [bead, px] says which pixels were measured (None: all).
+/// `sigma` (px) is the noise of each pixel in any unit; `known` (bead, px) says which pixels were measured (None: all).
 ///
 /// # Errors
 /// The windows hold values that are no numbers.

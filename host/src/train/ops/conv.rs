@@ -1,6 +1,6 @@
 //! 3x3 convolution, stride 1, zero padding 1, on NCHW slices: forward, data gradient, weight gradient.
 //!
-//! Direct, no im2col: a block of [`BLOCK`] output channels by up to three vectors of pixels stays in registers while the
+//! Direct, no im2col: a block of `BLOCK` output channels by up to three vectors of pixels stays in registers while the
 //! input channels pass by, so each loaded value is used four times or more. Vectors run over pixels of a row;
 //! the instruction set is chosen when the program runs.
 
@@ -38,7 +38,7 @@ pub struct ConvGradient {
     pub input: Vec<f32>,
     /// With respect to the weight, [outputs, inputs, 3, 3].
     pub weight: Vec<f32>,
-    /// With respect to the bias, [outputs].
+    /// With respect to the bias, one an output.
     pub bias: Vec<f32>,
 }
 

@@ -20,7 +20,7 @@ use std::sync::Arc;
 
 type Primitive = FloatTensor<Flex>;
 
-/// 3x3 convolution with zero padding: `x` [batch, inputs, rows, cols], `weight` [outputs * inputs * 9], `bias` [outputs] ->
+/// 3x3 convolution with zero padding: `x` (batch, inputs, rows, cols), `weight` (outputs * inputs * 9), `bias` (outputs) ->
 /// [batch, outputs, rows, cols].
 pub fn conv3x3(x: Tensor<4>, weight: Tensor<1>, bias: Tensor<1>) -> Tensor<4> {
     let [batch, inputs, rows, cols] = x.dims();
