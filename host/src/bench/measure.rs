@@ -2,11 +2,10 @@
 
 use super::BenchError;
 use super::config::BenchConfig;
-use super::optics::VirtualOptics;
+use super::optics::{Moves, VirtualOptics};
 use super::sensor::VirtualSensor;
 use super::truth::{BenchTruth, TRUTH_FILE};
-use crate::effects::{Chain, EffectSetting, FrameContext, Stage};
-use crate::instrument::Geometry;
+use crate::effects::{Chain, EffectSetting, FrameContext, Layout, Stage};
 use crate::rng;
 use crate::scene::Scenes;
 use crate::session::{
@@ -27,6 +26,7 @@ const SCENES_AT_ONCE: usize = 16;
 pub struct VirtualInstrument {
     pub(super) config: BenchConfig,
     pub(super) optics: VirtualOptics,
+    anchors_px: Vec<[f64; 2]>,
     sensor: VirtualSensor,
     settings: Vec<EffectSetting>,
     effects: Chain,
@@ -53,12 +53,14 @@ impl BenchConfig {
     /// A number cannot be, or an effect is unknown.
     pub fn build(&self, settings: &[EffectSetting]) -> Result<VirtualInstrument, BenchError> {
         self.check()?;
+        let optics = VirtualOptics::build(self)?;
         Ok(VirtualInstrument {
             config: self.clone(),
-            optics: VirtualOptics::build(self)?,
+            anchors_px: optics.anchors_px(),
+            optics,
             sensor: VirtualSensor::manufacture(&self.sensor, self.instrument_seed),
             settings: settings.to_vec(),
-            effects: Chain::build(settings)?,
+            effects: Chain::build(settings, Layout::of(&self.manifest()))?,
             scenes: self.scenes.build()?,
         })
     }
@@ -104,7 +106,7 @@ impl VirtualInstrument {
             gain_dn_per_e: self.config.sensor.gain_dn_per_e,
             read_noise_e: self.config.sensor.read_noise_e,
             black_level_dn: self.config.sensor.black_level_dn,
-            anchors_px: per_row(self.optics.geometry().anchors_px),
+            anchors_px: per_row(self.anchors_px.clone()),
             magnification: self.config.true_magnification(),
             axes_um: per_row(self.optics.axes_um()),
             unit_e: self.config.scan.bead_e,
@@ -122,8 +124,13 @@ impl VirtualInstrument {
         FrameInfo { time_s, ..FrameInfo::plain(frame, stacks.exposure_ms) }
     }
 
-    fn context(&self, info: &FrameInfo) -> FrameContext {
+    fn context(&self, role: Role, info: &FrameInfo) -> FrameContext<'_> {
         FrameContext {
+            role,
+            array: [self.config.array.rows, self.config.array.cols],
+            anchors_px: &self.anchors_px,
+            gain_dn_per_e: self.config.sensor.gain_dn_per_e,
+            temperature_c: info.temperature_c.unwrap_or(20.0),
             frame: info.frame,
             time_s: info.time_s,
             exposure_ms: info.exposure_ms,
@@ -144,8 +151,8 @@ impl VirtualInstrument {
         &self,
         frames: &mut FrameWriter,
         infos: &[FrameInfo],
-        (seed, what): (u64, &str),
-        light: impl Fn(&FrameInfo, &FrameContext) -> Array2<f32> + Sync,
+        (role, seed, what): (Role, u64, &str),
+        light: impl Fn(&FrameInfo, &FrameContext<'_>) -> Array2<f32> + Sync,
         done: &(impl Fn(usize) + Sync),
     ) -> Result<f64, SessionError> {
         let mut peak = 0.0f32;
@@ -153,7 +160,7 @@ impl VirtualInstrument {
             let exposed: Vec<_> = group
                 .par_iter()
                 .map(|info| {
-                    let cx = self.context(info);
+                    let cx = self.context(role, info);
                     let light_e = light(info, &cx);
                     let mut rng = rng::stream(seed, what, info.frame as u64);
                     let frame = self.sensor.expose(&light_e, &self.effects, &cx, &mut rng);
@@ -170,7 +177,7 @@ impl VirtualInstrument {
     }
 
     /// Even light on the sensor, electrons, with the effects that act on light.
-    fn even_light(&self, electrons: f64, cx: &FrameContext) -> Array2<f32> {
+    fn even_light(&self, electrons: f64, cx: &FrameContext<'_>) -> Array2<f32> {
         let mut light = Array2::from_elem((self.config.sensor.rows, self.config.sensor.cols), electrons as f32);
         self.effects.on_light(&mut light, cx);
         light
@@ -180,7 +187,7 @@ impl VirtualInstrument {
         let n = self.config.stacks.dark_frames;
         let infos: Vec<_> = (0..n).map(|i| FrameInfo { illumination: 0.0, ..self.info(i) }).collect();
         let mut frames = writer.frames("dark.npy", self.spec(n, SampleType::U16))?;
-        self.expose(&mut frames, &infos, (seed, "bench/dark"), |_, cx| self.even_light(0.0, cx), done)?;
+        self.expose(&mut frames, &infos, (Role::Dark, seed, "bench/dark"), |_, cx| self.even_light(0.0, cx), done)?;
         frames.finish()?;
         writer.table("dark.csv", &infos)?;
         writer.add(entry(Role::Dark, "dark.npy", self.config.stacks.exposure_ms, Some("dark.csv")));
@@ -193,9 +200,10 @@ impl VirtualInstrument {
         let infos: Vec<_> =
             levels.enumerate().map(|(i, level)| FrameInfo { illumination: level, ..self.info(i) }).collect();
         let mut frames = writer.frames("flat.npy", self.spec(infos.len(), SampleType::U16))?;
-        let light =
-            |info: &FrameInfo, cx: &FrameContext| self.even_light(info.illumination * self.config.full_scale_e(), cx);
-        self.expose(&mut frames, &infos, (seed, "bench/flat"), light, done)?;
+        let light = |info: &FrameInfo, cx: &FrameContext<'_>| {
+            self.even_light(info.illumination * self.config.full_scale_e(), cx)
+        };
+        self.expose(&mut frames, &infos, (Role::Flat, seed, "bench/flat"), light, done)?;
         frames.finish()?;
         writer.table("flat.csv", &infos)?;
         writer.add(entry(Role::Flat, "flat.npy", stacks.exposure_ms, Some("flat.csv")));
@@ -217,29 +225,29 @@ impl VirtualInstrument {
         let position = |(i, [y_um, x_um]): (usize, [f64; 2])| FrameInfo { x_um, y_um, ..self.info(i) };
         let infos: Vec<_> = self.scan_um().into_iter().enumerate().map(position).collect();
         let mut frames = writer.frames("bead.npy", self.spec(infos.len(), SampleType::U16))?;
-        let light = |info: &FrameInfo, cx: &FrameContext| self.bead_light([info.y_um, info.x_um], cx);
-        let peak = self.expose(&mut frames, &infos, (seed, "bench/bead"), light, done)?;
+        let light = |info: &FrameInfo, cx: &FrameContext<'_>| self.bead_light(([info.y_um, info.x_um], info.z_um), cx);
+        let peak = self.expose(&mut frames, &infos, (Role::Bead, seed, "bench/bead"), light, done)?;
         frames.finish()?;
         writer.table("bead.csv", &infos)?;
         writer.add(entry(Role::Bead, "bead.npy", self.config.stacks.exposure_ms, Some("bead.csv")));
         Ok(peak)
     }
 
-    /// Expected electrons of the bead at (y, x) um.
-    pub(super) fn bead_light(&self, at_um: [f64; 2], cx: &FrameContext) -> Array2<f32> {
-        let geometry = self.moved_geometry(cx);
-        let flux_e = self.config.scan.bead_e * self.emission_at(at_um, cx) * cx.illumination;
+    /// Expected electrons of the bead at (y, x) um and depth z um.
+    pub(super) fn bead_light(&self, at: ([f64; 2], f64), cx: &FrameContext<'_>) -> Array2<f32> {
+        let moves = Moves { effects: &self.effects, cx };
+        let flux_e = self.config.scan.bead_e * self.emission_at(at.0, cx) * cx.illumination;
         let mut work = self.optics.work();
         let mut light = Array2::zeros((self.config.sensor.rows, self.config.sensor.cols));
         let per_lens = self.effects.acts_at(Stage::Lens);
-        for l in (0..self.optics.lenses()).filter(|l| !geometry.dead[*l]) {
+        for l in 0..self.optics.lenses() {
             if per_lens {
                 let mut image = Array2::zeros(light.dim());
-                self.optics.add_point(l, at_um, flux_e, &geometry, &mut work, &mut image);
+                self.optics.add_point(l, at, flux_e, moves, &mut work, &mut image);
                 self.effects.on_lens(&mut image, &FrameContext { lens: l, ..*cx });
                 light += &image;
             } else {
-                self.optics.add_point(l, at_um, flux_e, &geometry, &mut work, &mut light);
+                self.optics.add_point(l, at, flux_e, moves, &mut work, &mut light);
             }
         }
         self.effects.on_light(&mut light, cx);
@@ -247,7 +255,7 @@ impl VirtualInstrument {
     }
 
     /// What effects on the object make of unit emission at (y, x) um: an even object, interpolated there.
-    fn emission_at(&self, at_um: [f64; 2], cx: &FrameContext) -> f64 {
+    fn emission_at(&self, at_um: [f64; 2], cx: &FrameContext<'_>) -> f64 {
         if !self.effects.acts_at(Stage::Object) {
             return 1.0;
         }
@@ -263,12 +271,6 @@ impl VirtualInstrument {
         let value = |r: usize, c: usize| f64::from(even[[r, c]]);
         let row = |r: usize| value(r, c0) * (1.0 - fc) + value(r, c1) * fc;
         row(r0) * (1.0 - fr) + row(r1) * fr
-    }
-
-    fn moved_geometry(&self, cx: &FrameContext) -> Geometry {
-        let mut geometry = self.optics.geometry();
-        self.effects.on_geometry(&mut geometry, cx);
-        geometry
     }
 
     fn specimens(
@@ -295,10 +297,10 @@ impl VirtualInstrument {
             let (objects, lights) = self.scene_batch(batch, seed);
             for ((info, object), light) in batch.iter().zip(&objects).zip(&lights) {
                 truths.push(object.view())?;
-                expected.push(self.sensor.expected(light, &self.effects, &self.context(info)).view())?;
+                expected.push(self.sensor.expected(light, &self.effects, &self.context(Role::Scene, info)).view())?;
             }
-            let at = |info: &FrameInfo, _: &FrameContext| lights[info.frame - batch[0].frame].clone();
-            peak = peak.max(self.expose(&mut frames, batch, (seed, "bench/scene"), at, done)?);
+            let at = |info: &FrameInfo, _: &FrameContext<'_>| lights[info.frame - batch[0].frame].clone();
+            peak = peak.max(self.expose(&mut frames, batch, (Role::Scene, seed, "bench/scene"), at, done)?);
         }
         frames.finish()?;
         truths.finish()?;
@@ -336,7 +338,7 @@ impl VirtualInstrument {
 
     /// Expected electrons of objects (in units of the bead) with effects up to the sensor.
     fn light_of(&self, objects: &[Array2<f32>], infos: &[FrameInfo], effects: &Chain) -> Vec<Array2<f32>> {
-        let contexts: Vec<_> = infos.iter().map(|i| self.context(i)).collect();
+        let contexts: Vec<_> = infos.iter().map(|i| self.context(Role::Scene, i)).collect();
         let emitted: Vec<_> = objects
             .iter()
             .zip(&contexts)
@@ -346,28 +348,20 @@ impl VirtualInstrument {
                 emitted
             })
             .collect();
-        let moved = |cx: &FrameContext| {
-            let mut geometry = self.optics.geometry();
-            effects.on_geometry(&mut geometry, cx);
-            geometry
-        };
-        let geometries: Vec<_> = contexts.iter().map(moved).collect();
         let mut lights = vec![Array2::zeros((self.config.sensor.rows, self.config.sensor.cols)); objects.len()];
-        // Frames with the same chief rays share their PSFs.
-        let mut start = 0;
-        while start < objects.len() {
-            let same = geometries[start..].iter().take_while(|g| **g == geometries[start]).count();
+        // Frames whose rays no effect can tell apart share their PSFs.
+        let together = if effects.acts_at(Stage::Geometry) { 1 } else { objects.len() };
+        for start in (0..objects.len()).step_by(together.max(1)) {
+            let range = start..start + together;
+            let moves = Moves { effects, cx: &contexts[start] };
             for l in 0..self.optics.lenses() {
-                let range = start..start + same;
-                let images =
-                    self.optics.lens_images(l, &emitted[range.clone()], self.config.scan.bead_e, &geometries[start]);
-                for (i, image) in range.zip(images.axis_iter(Axis(0))) {
+                let images = self.optics.lens_images(l, &emitted[range.clone()], self.config.scan.bead_e, moves);
+                for (i, image) in range.clone().zip(images.axis_iter(Axis(0))) {
                     let mut image = image.to_owned();
                     effects.on_lens(&mut image, &FrameContext { lens: l, ..contexts[i] });
                     lights[i] += &image;
                 }
             }
-            start += same;
         }
         for (light, cx) in lights.iter_mut().zip(&contexts) {
             effects.on_light(light, cx);

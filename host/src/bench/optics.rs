@@ -3,7 +3,7 @@
 use super::BenchError;
 use super::config::BenchConfig;
 use super::lens::Lens;
-use crate::instrument::Geometry;
+use crate::effects::{Chain, FrameContext, Ray, RayShift};
 use crate::optics::{MicrolensArray, Psf, PsfScratch, Pupil, PupilConfig};
 use crate::session::ObjectGrid;
 use ndarray::{Array2, Array3, Axis, s};
@@ -24,6 +24,8 @@ pub(super) struct VirtualOptics {
     reference_tangent: f64,
     half_response_tangent: f64,
     distortion_px: f64,
+    /// Defocus of a source that is 1 um out of focus, waves rms.
+    waves_per_um: f64,
 }
 
 /// Working memory for PSFs; one per thread.
@@ -38,6 +40,19 @@ impl Work {
     /// The PSF that was computed last.
     pub(super) fn psf(&self) -> &Psf {
         &self.psf
+    }
+}
+
+/// What effects do to chief rays in one frame.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Moves<'a> {
+    pub effects: &'a Chain,
+    pub cx: &'a FrameContext<'a>,
+}
+
+impl Moves<'_> {
+    fn of(&self, ray: &Ray) -> RayShift {
+        self.effects.shift_ray(ray, &FrameContext { lens: ray.lens, ..*self.cx })
     }
 }
 
@@ -87,34 +102,48 @@ impl VirtualOptics {
             reference_tangent: corner_um / optics.object_distance_um,
             half_response_tangent: optics.half_response_tangent,
             distortion_px: optics.distortion_px,
+            waves_per_um: defocus_per_um(optics),
         })
     }
 
-    /// Chief rays at rest.
-    pub(super) fn geometry(&self) -> Geometry {
-        Geometry {
-            anchors_px: self.lenses.iter().map(|l| l.anchor_px).collect(),
-            magnification: self.array.magnification,
-            dead: vec![false; self.lenses.len()],
-        }
+    /// Foci of the on-axis source at rest, sensor px.
+    pub(super) fn anchors_px(&self) -> Vec<[f64; 2]> {
+        self.lenses.iter().map(|l| l.anchor_px).collect()
     }
 
     pub(super) fn work(&self) -> Work {
         Work { scratch: self.pupil.scratch(), psf: Psf { side: 0, share: Vec::new() } }
     }
 
-    /// Computes the PSF of the point at (y, x) um through lens `l` into `work`.
-    pub(super) fn focus(&self, l: usize, at_um: [f64; 2], geometry: &Geometry, work: &mut Work) -> Focus {
+    /// The chief ray of the point at (y, x) um through lens `l`, by Eq. 1, as effects see it.
+    fn ray(&self, l: usize, at_um: [f64; 2]) -> Ray {
         let lens = &self.lenses[l];
-        let array = MicrolensArray { magnification: geometry.magnification, ..self.array };
+        let scale = self.array.magnification / self.array.pixel_pitch_um;
+        let centre = self.sensor.map(|n| (n as f64 - 1.0) / 2.0);
+        Ray {
+            lens: l,
+            object_um: at_um,
+            field_px: at_um.map(|v| v * scale),
+            axis_px: [0, 1].map(|k| (at_um[k] - lens.axis_um[k]) * scale),
+            anchor_px: [0, 1].map(|k| lens.anchor_px[k] - centre[k]),
+            pixel_pitch_um: self.array.pixel_pitch_um,
+        }
+    }
+
+    /// Computes the PSF of the point at (y, x) um and depth `z_um` through lens `l` into `work`, with what effects do to its ray.
+    pub(super) fn focus(&self, l: usize, at_um: [f64; 2], z_um: f64, moves: Moves<'_>, work: &mut Work) -> Focus {
+        let lens = &self.lenses[l];
         let tangents = self.array.tangents(lens.axis_um, at_um);
         let h = tangents.map(|t| t / self.reference_tangent);
         let square = h[0] * h[0] + h[1] * h[1];
-        let ray = array.chief_ray_px(geometry.anchors_px[l], at_um);
-        let ray = [0, 1].map(|k| ray[k] + self.distortion_px * square * h[k]);
+        let moved = moves.of(&self.ray(l, at_um));
+        let ray = self.array.chief_ray_px(lens.anchor_px, at_um);
+        let ray = [0, 1].map(|k| ray[k] + self.distortion_px * square * h[k] + moved.px[k]);
         let centre = ray.map(f64::round);
         let shift = [ray[0] - centre[0], ray[1] - centre[1]];
-        self.pupil.psf(&lens.wavefront(h), shift, &mut work.scratch, &mut work.psf);
+        let mut wavefront = lens.wavefront(h);
+        wavefront.coefficient[3] += self.waves_per_um * (z_um + moved.z_um);
+        self.pupil.psf(&wavefront, shift, &mut work.scratch, &mut work.psf);
         let tangent = tangents[0].hypot(tangents[1]);
         let cos4 = (1.0 + tangent * tangent).powi(-2);
         let response = 1.0 / (1.0 + (tangent / self.half_response_tangent).powi(4));
@@ -125,13 +154,13 @@ impl VirtualOptics {
     pub(super) fn add_point(
         &self,
         l: usize,
-        at_um: [f64; 2],
+        (at_um, z_um): ([f64; 2], f64),
         flux_e: f64,
-        geometry: &Geometry,
+        moves: Moves<'_>,
         work: &mut Work,
         image: &mut Array2<f32>,
     ) {
-        let focus = self.focus(l, at_um, geometry, work);
+        let focus = self.focus(l, at_um, z_um, moves, work);
         let light = (flux_e * focus.transmission) as f32;
         self.each_pixel(focus, &work.psf, |r, c, share| image[[r, c]] += light * share);
     }
@@ -154,23 +183,14 @@ impl VirtualOptics {
     /// `unit_e` electrons through a lens straight above it.
     ///
     /// Each object pixel is a point at its centre; its PSF is computed once for all objects and forgotten.
-    pub(super) fn lens_images(
-        &self,
-        l: usize,
-        objects: &[Array2<f32>],
-        unit_e: f64,
-        geometry: &Geometry,
-    ) -> Array3<f32> {
+    pub(super) fn lens_images(&self, l: usize, objects: &[Array2<f32>], unit_e: f64, moves: Moves<'_>) -> Array3<f32> {
         let mut images = Array3::zeros((objects.len(), self.sensor[0], self.sensor[1]));
-        if geometry.dead[l] {
-            return images;
-        }
         let bands: Vec<usize> = (0..self.grid.rows).step_by(BAND_ROWS).collect();
         // Few bands are alive at a time, so memory does not grow with the object.
         for group in bands.chunks(2 * rayon::current_num_threads()) {
             let lights: Vec<Band> = group
                 .par_iter()
-                .map_init(|| self.work(), |work, first| self.band(l, *first, objects, unit_e, geometry, work))
+                .map_init(|| self.work(), |work, first| self.band(l, *first, objects, unit_e, moves, work))
                 .collect();
             for band in lights {
                 let rows = band.first_row..band.first_row + band.light.len_of(Axis(1));
@@ -187,11 +207,11 @@ impl VirtualOptics {
         first: usize,
         objects: &[Array2<f32>],
         unit_e: f64,
-        geometry: &Geometry,
+        moves: Moves<'_>,
         work: &mut Work,
     ) -> Band {
         let rows = first..(first + BAND_ROWS).min(self.grid.rows);
-        let mut band = self.empty_band(l, &rows, objects.len(), geometry);
+        let mut band = self.empty_band(l, &rows, objects.len(), moves);
         let mut values = vec![0.0f32; objects.len()];
         for r in rows {
             for c in 0..self.grid.cols {
@@ -204,7 +224,7 @@ impl VirtualOptics {
                     continue;
                 }
                 let at_um = self.position_um(r, c);
-                let focus = self.focus(l, at_um, geometry, work);
+                let focus = self.focus(l, at_um, 0.0, moves, work);
                 let unit = (unit_e * focus.transmission) as f32;
                 for (k, value) in values.iter().enumerate().filter(|(_, v)| **v != 0.0) {
                     let light = unit * value;
@@ -219,9 +239,8 @@ impl VirtualOptics {
     }
 
     /// Room for the sensor rows that the foci of some object rows can touch.
-    fn empty_band(&self, l: usize, rows: &std::ops::Range<usize>, objects: usize, geometry: &Geometry) -> Band {
-        let array = MicrolensArray { magnification: geometry.magnification, ..self.array };
-        let ray = |r: usize| array.chief_ray_px(geometry.anchors_px[l], self.position_um(r, 0))[0];
+    fn empty_band(&self, l: usize, rows: &std::ops::Range<usize>, objects: usize, moves: Moves<'_>) -> Band {
+        let ray = |r: usize| self.array.chief_ray_px(self.lenses[l].anchor_px, self.position_um(r, 0))[0];
         // A focus reaches half the field; the distortion, which grows with the cube, is largest at a corner of the band.
         let corners = [rows.start, rows.end - 1].map(|r| [0, self.grid.cols - 1].map(|c| self.position_um(r, c)));
         let cube = |at| {
@@ -229,7 +248,12 @@ impl VirtualOptics {
             (y.hypot(x) / self.reference_tangent).powi(3)
         };
         let farthest = corners.as_flattened().iter().map(|at| cube(*at)).fold(0.0, f64::max);
-        let reach = self.pupil.config().field_px as f64 / 2.0 + self.distortion_px.abs() * farthest + 2.0;
+        // What effects add is smooth over the field: largest at the ends of the rows or on the axis.
+        let middle = self.position_um(rows.start, self.grid.cols / 2);
+        let moved = |at: &[f64; 2]| moves.of(&self.ray(l, *at)).px[0].abs();
+        let pushed = corners.as_flattened().iter().chain([&middle]).map(moved).fold(0.0, f64::max);
+        let reach =
+            self.pupil.config().field_px as f64 / 2.0 + self.distortion_px.abs() * farthest + 2.0 + 2.0 * pushed;
         let clip = |v: f64| v.clamp(0.0, self.sensor[0] as f64) as usize;
         let (low, high) = (clip(ray(rows.start) - reach), clip(ray(rows.end - 1) + reach + 1.0));
         Band { first_row: low, light: Array3::zeros((objects, high - low, self.sensor[1])) }
@@ -250,6 +274,13 @@ impl VirtualOptics {
     pub(super) fn axes_um(&self) -> Vec<[f64; 2]> {
         self.lenses.iter().map(|l| l.axis_um).collect()
     }
+}
+
+/// Defocus by distance, waves rms per um: a source z nearer to the lens has the path `z NA^2 / 2` more at the rim of the pupil, of which
+/// `1 / (2 sqrt 3)` is the rms of Noll's Z_4 (Born & Wolf, section 9.2).
+fn defocus_per_um(optics: &super::config::OpticsConfig) -> f64 {
+    let na = optics.aperture_um / 2.0 / optics.object_distance_um;
+    na * na / 2.0 / optics.wavelength_um / (2.0 * 3f64.sqrt())
 }
 
 /// Light of some object rows on the sensor rows that it reaches.

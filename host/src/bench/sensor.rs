@@ -2,6 +2,7 @@
 
 use super::config::SensorConfig;
 use crate::effects::{Chain, FrameContext};
+use crate::noise::{NoiseModel, Sources};
 use crate::rng;
 use ndarray::{Array2, Zip};
 use rand::Rng;
@@ -40,7 +41,7 @@ impl VirtualSensor {
     }
 
     /// The expected frame, DN, for expected electrons: no noise, no rounding, clipped to the codes.
-    pub(super) fn expected(&self, light_e: &Array2<f32>, effects: &Chain, cx: &FrameContext) -> Array2<f32> {
+    pub(super) fn expected(&self, light_e: &Array2<f32>, effects: &Chain, cx: &FrameContext<'_>) -> Array2<f32> {
         let mut charge = light_e * &self.response;
         effects.on_charge(&mut charge, cx);
         let top = self.top();
@@ -54,9 +55,10 @@ impl VirtualSensor {
         &self,
         light_e: &Array2<f32>,
         effects: &Chain,
-        cx: &FrameContext,
+        cx: &FrameContext<'_>,
         rng: &mut impl Rng,
     ) -> Array2<f32> {
+        let noise = self.noise(effects);
         let mut charge = Zip::from(light_e).and(&self.response).map_collect(|light, response| {
             let mean = f64::from(light * response);
             // Poisson::new refuses nothing but means that are no number, zero or negative: no light, no electrons.
@@ -64,17 +66,33 @@ impl VirtualSensor {
         });
         effects.on_charge(&mut charge, cx);
         // A standard deviation of the configuration, checked there to be finite.
-        if let Ok(reading) = Normal::new(0.0, self.config.read_noise_e) {
+        if let Ok(reading) = Normal::new(0.0, noise.read_noise_e) {
             charge.mapv_inplace(|q| q + reading.sample(rng) as f32);
         }
         let top = self.top();
         let mut frame = self.convert(charge, effects, cx);
+        effects.on_reading(&mut frame, cx, rng);
         frame.mapv_inplace(|v| v.round().clamp(0.0, top));
         frame
     }
 
-    fn convert(&self, mut charge_e: Array2<f32>, effects: &Chain, cx: &FrameContext) -> Array2<f32> {
-        let (gain, black) = (self.config.gain_dn_per_e as f32, self.config.black_level_dn as f32);
+    /// The sensor's own noise, as effects change it.
+    fn noise(&self, effects: &Chain) -> NoiseModel {
+        let mut noise = NoiseModel {
+            black_level_dn: self.config.black_level_dn,
+            gain_dn_per_e: self.config.gain_dn_per_e,
+            gain_sigma: 0.0,
+            read_noise_e: self.config.read_noise_e,
+            read_noise_sigma: 0.0,
+            saturation_dn: f64::from(self.top()),
+            sources: Sources::default(),
+        };
+        effects.on_noise(&mut noise);
+        noise
+    }
+
+    fn convert(&self, mut charge_e: Array2<f32>, effects: &Chain, cx: &FrameContext<'_>) -> Array2<f32> {
+        let (gain, black) = (self.noise(effects).gain_dn_per_e as f32, self.config.black_level_dn as f32);
         Zip::from(&mut charge_e).and(&self.offset_dn).for_each(|v, offset| *v = black + offset + gain * *v);
         effects.on_electronics(&mut charge_e, cx);
         charge_e

@@ -1,11 +1,11 @@
 #![allow(clippy::unwrap_used)]
 
+use super::optics::Moves;
 use super::truth::{BenchTruth, TRUTH_FILE};
 use super::*;
-use crate::effects::{EffectSetting, FrameContext};
+use crate::effects::{Chain, EffectSetting, FrameContext};
 use crate::session::{Role, Session};
 use ndarray::{Array2, s};
-use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Two lenses before a small sensor; quick to compute.
@@ -27,12 +27,12 @@ fn small() -> BenchConfig {
     config
 }
 
-fn context() -> FrameContext {
+fn context() -> FrameContext<'static> {
     FrameContext { exposure_ms: 10.0, illumination: 1.0, ..FrameContext::default() }
 }
 
 fn effect(id: &str, name: &str, value: f64) -> EffectSetting {
-    EffectSetting { id: id.into(), params: BTreeMap::from([(name.to_string(), value)]) }
+    EffectSetting::new(id, &[(name, value)])
 }
 
 fn correlation(a: &Array2<f32>, b: &Array2<f32>) -> f64 {
@@ -90,11 +90,11 @@ fn the_same_seed_gives_the_same_bytes_on_any_number_of_threads() {
 #[test]
 fn no_light_is_lost_between_the_object_and_the_sensor() {
     let instrument = small().build(&[]).unwrap();
-    let geometry = instrument.optics.geometry();
+    let moves = Moves { effects: &Chain::default(), cx: &context() };
     let mut work = instrument.optics.work();
     let at = [3.0, -5.0];
-    let passed: f64 = (0..2).map(|l| instrument.optics.focus(l, at, &geometry, &mut work).transmission).sum();
-    let light = instrument.bead_light(at, &context()).mapv(f64::from).sum();
+    let passed: f64 = (0..2).map(|l| instrument.optics.focus(l, at, 0.0, moves, &mut work).transmission).sum();
+    let light = instrument.bead_light((at, 0.0), &context()).mapv(f64::from).sum();
     assert!((light / (30_000.0 * passed) - 1.0).abs() < 2e-3, "{light} {passed}");
 }
 
@@ -103,11 +103,11 @@ fn a_bead_on_an_object_pixel_is_that_pixel_lit() {
     let instrument = small().build(&[]).unwrap();
     let mut object = Array2::zeros((18, 22));
     object[[4, 15]] = 1.0f32;
-    let geometry = instrument.optics.geometry();
+    let moves = Moves { effects: &Chain::default(), cx: &context() };
     let images: Array2<f32> = (0..2)
-        .map(|l| instrument.optics.lens_images(l, std::slice::from_ref(&object), 30_000.0, &geometry))
+        .map(|l| instrument.optics.lens_images(l, std::slice::from_ref(&object), 30_000.0, moves))
         .fold(Array2::zeros((50, 70)), |sum, image| sum + image.slice(s![0, .., ..]));
-    let bead = instrument.bead_light(instrument.optics.position_um(4, 15), &context());
+    let bead = instrument.bead_light((instrument.optics.position_um(4, 15), 0.0), &context());
     let worst = (&images - &bead).fold(0.0f32, |m, v| m.max(v.abs()));
     assert!(worst <= 1e-4 * bead.fold(0.0f32, |m, v| m.max(*v)), "{worst}");
 }
@@ -128,9 +128,9 @@ fn foci_without_aberrations_are_centred_on_their_chief_rays() {
     config.optics.magnification_error = 0.01;
     config.array = ArrayConfig { rows: 1, cols: 1, pitch_px: 0.0, placement_rms_px: 0.4 };
     let instrument = config.build(&[]).unwrap();
-    let anchor = instrument.optics.geometry().anchors_px[0];
+    let anchor = instrument.optics.anchors_px()[0];
     for at in [[0.0, 0.0], [11.0, -17.3]] {
-        let light = instrument.bead_light(at, &context()).mapv(f64::from);
+        let light = instrument.bead_light((at, 0.0), &context()).mapv(f64::from);
         for axis in 0..2 {
             let centroid: f64 =
                 light.indexed_iter().map(|((r, c), v)| v * [r, c][axis] as f64).sum::<f64>() / light.sum();
@@ -143,12 +143,12 @@ fn foci_without_aberrations_are_centred_on_their_chief_rays() {
 
 /// Windows of every focus of the demo instrument for a bead at (r, c) object pixels, and the share of the norm outside them.
 fn demo_foci(instrument: &VirtualInstrument, r: usize, c: usize) -> (Vec<Array2<f32>>, f64) {
-    let geometry = instrument.optics.geometry();
+    let moves = Moves { effects: &Chain::default(), cx: &context() };
     let mut work = instrument.optics.work();
     let at = instrument.optics.position_um(r, c);
     let (mut windows, mut inside, mut total) = (Vec::new(), 0.0, 0.0);
     for l in 0..instrument.optics.lenses() {
-        let transmission = instrument.optics.focus(l, at, &geometry, &mut work).transmission;
+        let transmission = instrument.optics.focus(l, at, 0.0, moves, &mut work).transmission;
         let psf = work.psf();
         let image = Array2::from_shape_vec((psf.side, psf.side), psf.share.clone()).unwrap();
         let image = image.mapv(|v| v * transmission as f32);
@@ -188,13 +188,13 @@ fn effects_act_at_their_stage_and_nothing_changes_without_them() {
     let plain = small().build(&[]).unwrap();
     let off = small().build(&[effect("halo", "weight", 0.0)]).unwrap();
     let at = [4.0, 9.0];
-    let light = plain.bead_light(at, &cx);
-    assert_eq!(light, off.bead_light(at, &cx));
+    let light = plain.bead_light((at, 0.0), &cx);
+    assert_eq!(light, off.bead_light((at, 0.0), &cx));
     // Lens: the first lens at half its gain.
     let gain = small().build(&[effect("excitation_profile", "falloff", 0.5)]).unwrap();
     let [r, c] = small().manifest().object.pixel_of_um(at[0], at[1]);
     let rho2 = ((r - 8.5).powi(2) + (c - 10.5).powi(2)) / (9f64.powi(2) + 11f64.powi(2));
-    let share = f64::from(gain.bead_light(at, &cx).sum() / light.sum());
+    let share = f64::from(gain.bead_light((at, 0.0), &cx).sum() / light.sum());
     assert!((share - (1.0 - 0.5 * rho2)).abs() < 0.02, "{share} {rho2}");
 }
 

@@ -3,7 +3,6 @@
 use super::{Outcome, Run};
 use crate::bench::BenchConfig;
 use crate::effects::{self, EffectError, EffectSetting};
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 /// Options of `bench`.
@@ -68,6 +67,6 @@ fn setting(text: &str) -> anyhow::Result<EffectSetting> {
     let Some(effect) = effects::find(id) else {
         return Err(EffectError::Unknown { found: id.into(), known: effects::ids().join(", ") }.into());
     };
-    let name = effect.descriptor().params.first().map_or_else(String::new, |p| p.name.to_string());
-    Ok(EffectSetting { id: id.into(), params: BTreeMap::from([(name, strength)]) })
+    let name = effect.descriptor().expanded(1).into_iter().next().map_or_else(String::new, |(name, _)| name);
+    Ok(EffectSetting::new(id, &[(&name, strength)]))
 }

@@ -2,8 +2,7 @@
 //!
 //! `anchor_l -> anchor_l + (row_px, col_px)`. Catalogue 4.
 
-use super::{Descriptor, Effect, FrameContext, Param, Stage};
-use crate::instrument::Geometry;
+use super::{Descriptor, Effect, FrameContext, Param, Ray, RayShift, Stage};
 
 /// See the module.
 pub(super) struct ArrayShift;
@@ -12,10 +11,8 @@ static DESCRIPTOR: Descriptor = Descriptor {
     id: "array_shift",
     stage: Stage::Geometry,
     summary: "anchor_l + (row_px, col_px): the whole array has moved",
-    params: &[
-        Param { name: "row_px", unit: "px", off: 0.0, step: 0.1, min: -50.0, max: 50.0 },
-        Param { name: "col_px", unit: "px", off: 0.0, step: 0.1, min: -50.0, max: 50.0 },
-    ],
+    params: &[Param::strength("row_px", "px", 0.1, -50.0, 50.0), Param::strength("col_px", "px", 0.1, -50.0, 50.0)],
+    lookalikes: &[],
 };
 
 impl Effect for ArrayShift {
@@ -23,13 +20,7 @@ impl Effect for ArrayShift {
         &DESCRIPTOR
     }
 
-    fn on_geometry(&self, p: &[f64], geometry: &mut Geometry, _cx: &FrameContext) {
-        if p[0] == 0.0 && p[1] == 0.0 {
-            return;
-        }
-        for anchor in &mut geometry.anchors_px {
-            anchor[0] += p[0];
-            anchor[1] += p[1];
-        }
+    fn shift_ray(&self, p: &[f64], _ray: &Ray, _cx: &FrameContext<'_>) -> RayShift {
+        RayShift { px: [p[0], p[1]], z_um: 0.0 }
     }
 }

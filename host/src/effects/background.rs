@@ -14,10 +14,11 @@ static DESCRIPTOR: Descriptor = Descriptor {
     stage: Stage::Light,
     summary: "mu + rate t P (1 + gradient . s): leak and autofluorescence, with a slope",
     params: &[
-        Param { name: "rate_e_per_ms", unit: "e-/px/ms", off: 0.0, step: 0.1, min: 0.0, max: 1e6 },
-        Param { name: "gradient_row", unit: "1", off: 0.0, step: 0.1, min: -1.0, max: 1.0 },
-        Param { name: "gradient_col", unit: "1", off: 0.0, step: 0.1, min: -1.0, max: 1.0 },
+        Param::strength("rate_e_per_ms", "e-/px/ms", 0.1, 0.0, 1e6),
+        Param::shape("gradient_row", "1", 0.0, 0.1, [-1.0, 1.0], &[0.0]),
+        Param::shape("gradient_col", "1", 0.0, 0.1, [-1.0, 1.0], &[0.0]),
     ],
+    lookalikes: &[],
 };
 
 impl Effect for Background {
@@ -25,7 +26,7 @@ impl Effect for Background {
         &DESCRIPTOR
     }
 
-    fn on_light(&self, p: &[f64], light_e: &mut Array2<f32>, cx: &FrameContext) {
+    fn on_light(&self, p: &[f64], light_e: &mut Array2<f32>, cx: &FrameContext<'_>) {
         if p[0] == 0.0 {
             return;
         }

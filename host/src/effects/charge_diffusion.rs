@@ -14,7 +14,8 @@ static DESCRIPTOR: Descriptor = Descriptor {
     id: "charge_diffusion",
     stage: Stage::Light,
     summary: "g_sigma * mu before the Poisson draw: electrons wander before collection",
-    params: &[Param { name: "sigma_px", unit: "px", off: 0.0, step: 0.1, min: 0.0, max: 3.0 }],
+    params: &[Param::strength("sigma_px", "px", 0.1, 0.0, 3.0)],
+    lookalikes: &[],
 };
 
 impl Effect for ChargeDiffusion {
@@ -22,7 +23,7 @@ impl Effect for ChargeDiffusion {
         &DESCRIPTOR
     }
 
-    fn on_light(&self, p: &[f64], light_e: &mut Array2<f32>, _cx: &FrameContext) {
+    fn on_light(&self, p: &[f64], light_e: &mut Array2<f32>, _cx: &FrameContext<'_>) {
         if p[0] > 0.0 {
             diffuse(light_e, p[0] * p[0]);
         }

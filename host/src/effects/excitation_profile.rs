@@ -14,10 +14,11 @@ static DESCRIPTOR: Descriptor = Descriptor {
     stage: Stage::Object,
     summary: "O (1 - falloff rho^2): uneven excitation, fixed to the object",
     params: &[
-        Param { name: "falloff", unit: "1", off: 0.0, step: 0.05, min: -1.0, max: 1.0 },
-        Param { name: "centre_row", unit: "half heights", off: 0.0, step: 0.1, min: -1.0, max: 1.0 },
-        Param { name: "centre_col", unit: "half widths", off: 0.0, step: 0.1, min: -1.0, max: 1.0 },
+        Param::strength("falloff", "1", 0.05, -1.0, 1.0),
+        Param::shape("centre_row", "half heights", 0.0, 0.1, [-1.0, 1.0], &[0.0]),
+        Param::shape("centre_col", "half widths", 0.0, 0.1, [-1.0, 1.0], &[0.0]),
     ],
+    lookalikes: &[],
 };
 
 impl Effect for ExcitationProfile {
@@ -25,7 +26,7 @@ impl Effect for ExcitationProfile {
         &DESCRIPTOR
     }
 
-    fn on_object(&self, p: &[f64], object: &mut Array2<f32>, _cx: &FrameContext) {
+    fn on_object(&self, p: &[f64], object: &mut Array2<f32>, _cx: &FrameContext<'_>) {
         if p[0] == 0.0 {
             return;
         }

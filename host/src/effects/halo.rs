@@ -15,9 +15,10 @@ static DESCRIPTOR: Descriptor = Descriptor {
     stage: Stage::Light,
     summary: "(1 - weight) mu + weight g_sigma * mu: scattered light around each point",
     params: &[
-        Param { name: "weight", unit: "1", off: 0.0, step: 0.02, min: 0.0, max: 1.0 },
-        Param { name: "sigma_px", unit: "px", off: 12.0, step: 2.0, min: 0.5, max: 500.0 },
+        Param::strength("weight", "1", 0.02, 0.0, 1.0),
+        Param::shape("sigma_px", "px", 12.0, 2.0, [0.5, 500.0], &[4.0, 12.0, 36.0]),
     ],
+    lookalikes: &[],
 };
 
 impl Effect for Halo {
@@ -25,7 +26,7 @@ impl Effect for Halo {
         &DESCRIPTOR
     }
 
-    fn on_light(&self, p: &[f64], light_e: &mut Array2<f32>, _cx: &FrameContext) {
+    fn on_light(&self, p: &[f64], light_e: &mut Array2<f32>, _cx: &FrameContext<'_>) {
         if p[0] == 0.0 {
             return;
         }

@@ -15,7 +15,8 @@ static DESCRIPTOR: Descriptor = Descriptor {
     id: "interpixel_capacitance",
     stage: Stage::Charge,
     summary: "Q (1 - 4 alpha) + alpha sum of 4 neighbours, after the Poisson draw",
-    params: &[Param { name: "alpha", unit: "1", off: 0.0, step: 0.005, min: 0.0, max: 0.25 }],
+    params: &[Param::strength("alpha", "1", 0.005, 0.0, 0.25)],
+    lookalikes: &[],
 };
 
 impl Effect for InterpixelCapacitance {
@@ -23,7 +24,7 @@ impl Effect for InterpixelCapacitance {
         &DESCRIPTOR
     }
 
-    fn on_charge(&self, p: &[f64], charge_e: &mut Array2<f32>, _cx: &FrameContext) {
+    fn on_charge(&self, p: &[f64], charge_e: &mut Array2<f32>, _cx: &FrameContext<'_>) {
         if p[0] > 0.0 {
             couple(charge_e, p[0] as f32);
         }

@@ -1,6 +1,6 @@
-//! One lens passes more or less light than calibrated (dirt, a finger print, a new filter edge).
+//! A lens passes more or less light than calibrated (dirt, a finger print, a new filter edge).
 //!
-//! `mu_l -> (1 + change) mu_l` for one lens l; the effect may be given once a lens. Catalogue 15.
+//! `mu_l -> (1 + change_l) mu_l`. Catalogue 15.
 
 use super::{Descriptor, Effect, FrameContext, Param, Stage};
 use ndarray::Array2;
@@ -11,11 +11,9 @@ pub(super) struct LensGain;
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "lens_gain",
     stage: Stage::Lens,
-    summary: "(1 + change) mu_l: one lens passes more or less light",
-    params: &[
-        Param { name: "change", unit: "1", off: 0.0, step: 0.05, min: -1.0, max: 10.0 },
-        Param { name: "lens", unit: "index", off: 0.0, step: 1.0, min: 0.0, max: 65535.0 },
-    ],
+    summary: "(1 + change_l) mu_l: lenses pass more or less light",
+    params: &[Param::strength("change", "1", 0.05, -1.0, 10.0).per_lens()],
+    lookalikes: &[],
 };
 
 impl Effect for LensGain {
@@ -23,9 +21,10 @@ impl Effect for LensGain {
         &DESCRIPTOR
     }
 
-    fn on_lens(&self, p: &[f64], image_e: &mut Array2<f32>, cx: &FrameContext) {
-        if p[0] != 0.0 && cx.lens == p[1] as usize {
-            image_e.mapv_inplace(|v| v * (1.0 + p[0]) as f32);
+    fn on_lens(&self, p: &[f64], image_e: &mut Array2<f32>, cx: &FrameContext<'_>) {
+        let change = p.get(cx.lens).copied().unwrap_or(0.0);
+        if change != 0.0 {
+            image_e.mapv_inplace(|v| v * (1.0 + change) as f32);
         }
     }
 }

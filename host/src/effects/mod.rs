@@ -11,6 +11,9 @@ mod array_shift;
 mod background;
 mod chain;
 mod charge_diffusion;
+mod context;
+mod descriptor;
+mod evidence;
 mod excitation_profile;
 mod halo;
 mod interpixel_capacitance;
@@ -19,100 +22,70 @@ mod nonlinearity;
 mod pixel_mosaic;
 mod row_pattern;
 mod smooth;
+mod table;
 mod veiling_glare;
 
-pub use chain::{Chain, EffectError};
+pub use chain::{Chain, EffectError, Layout};
+pub use context::{FrameContext, Previous, Ray, RayShift, Record};
+pub use descriptor::{Descriptor, Kind, Lookalike, Param, Stage};
+pub use evidence::{Evidence, EvidenceFrame};
+pub use table::{Table, TableGroup, TableUse};
 
-use crate::instrument::Geometry;
+use crate::noise::NoiseModel;
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Where on the way of the light an effect acts.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Stage {
-    /// Emitted light, on the object grid.
-    Object,
-    /// Chief rays.
-    Geometry,
-    /// The image of one lens, electrons.
-    Lens,
-    /// The light of all lenses on the sensor, expected electrons, before the Poisson draw.
-    Light,
-    /// Collected charge, electrons, after the Poisson draw.
-    Charge,
-    /// Digital numbers.
-    Electronics,
-}
-
-/// One parameter of an effect.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Param {
-    /// Name.
-    pub name: &'static str,
-    /// Unit, "1" where it has none.
-    pub unit: &'static str,
-    /// The value at which the effect is absent.
-    pub off: f64,
-    /// A step that changes the frame noticeably: the scale for derivatives and first guesses.
-    pub step: f64,
-    /// Smallest value with a meaning.
-    pub min: f64,
-    /// Largest value with a meaning.
-    pub max: f64,
-}
-
-/// What an effect is.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Descriptor {
-    /// Name in tools, files and reports.
-    pub id: &'static str,
-    /// Where it acts.
-    pub stage: Stage,
-    /// One sentence with the formula.
-    pub summary: &'static str,
-    /// Its parameters; the first is its strength.
-    pub params: &'static [Param],
-}
-
-/// What is known of the frame that is being formed.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct FrameContext {
-    /// Index in its stack.
-    pub frame: usize,
-    /// When the exposure began, s.
-    pub time_s: f64,
-    /// Exposure, ms.
-    pub exposure_ms: f64,
-    /// Relative light level.
-    pub illumination: f64,
-    /// Lens whose image is being formed (stage `Lens` only), counted row by row.
-    pub lens: usize,
-    /// Full scale of the converter above the black level, electrons.
-    pub full_scale_e: f64,
-    /// Mean signal without light, DN.
-    pub black_level_dn: f64,
-}
-
-/// One effect. It overrides the hook of its stage; `p` holds its parameters in the order of the descriptor.
+/// One effect. It overrides the hook of its stage; `p` holds its parameters in the order of [`Descriptor::expanded`].
 ///
-/// With every parameter at its `off` value a hook must leave its argument as it is, bit for bit.
+/// With every strength at its `off` value a hook must leave its argument as it is, bit for bit.
 pub trait Effect: Send + Sync {
     /// What it is.
     fn descriptor(&self) -> &'static Descriptor;
+
     /// Stage `Object`: emitted light, [object rows, object cols].
-    fn on_object(&self, _p: &[f64], _object: &mut Array2<f32>, _cx: &FrameContext) {}
-    /// Stage `Geometry`: chief rays.
-    fn on_geometry(&self, _p: &[f64], _geometry: &mut Geometry, _cx: &FrameContext) {}
+    fn on_object(&self, _p: &[f64], _object: &mut Array2<f32>, _cx: &FrameContext<'_>) {}
+    /// Stage `Geometry`: how far the focus of a source, or the source itself, is from where the calibration has it.
+    fn shift_ray(&self, _p: &[f64], _ray: &Ray, _cx: &FrameContext<'_>) -> RayShift {
+        RayShift::default()
+    }
     /// Stage `Lens`: electrons from lens `cx.lens`, [sensor rows, sensor cols].
-    fn on_lens(&self, _p: &[f64], _image_e: &mut Array2<f32>, _cx: &FrameContext) {}
+    fn on_lens(&self, _p: &[f64], _image_e: &mut Array2<f32>, _cx: &FrameContext<'_>) {}
     /// Stage `Light`: expected electrons from all lenses, [sensor rows, sensor cols].
-    fn on_light(&self, _p: &[f64], _light_e: &mut Array2<f32>, _cx: &FrameContext) {}
+    fn on_light(&self, _p: &[f64], _light_e: &mut Array2<f32>, _cx: &FrameContext<'_>) {}
     /// Stage `Charge`: electrons, [sensor rows, sensor cols].
-    fn on_charge(&self, _p: &[f64], _charge_e: &mut Array2<f32>, _cx: &FrameContext) {}
+    fn on_charge(&self, _p: &[f64], _charge_e: &mut Array2<f32>, _cx: &FrameContext<'_>) {}
     /// Stage `Electronics`: DN, black level included, [sensor rows, sensor cols].
-    fn on_electronics(&self, _p: &[f64], _frame_dn: &mut Array2<f32>, _cx: &FrameContext) {}
+    fn on_electronics(&self, _p: &[f64], _frame_dn: &mut Array2<f32>, _cx: &FrameContext<'_>) {}
+    /// Stage `Electronics`, drawn frames only: noise that the noise model does not know, added in place. The expected frame
+    /// does not change.
+    fn on_reading(&self, _p: &[f64], _frame_dn: &mut Array2<f32>, _cx: &FrameContext<'_>, _rng: &mut dyn rand::Rng) {}
+    /// Any stage: how the noise of the sensor differs from the calibrated one.
+    fn on_noise(&self, _p: &[f64], _noise: &mut NoiseModel) {}
+    /// Stage `Record`: what the session says of a frame and should not.
+    fn on_record(&self, _p: &[f64], _record: &mut Record, _cx: &FrameContext<'_>) {}
+
+    /// The table, for effects that differ from pixel to pixel without a law; the chain applies it.
+    fn table(&self) -> Option<Table> {
+        None
+    }
+    /// Draws the table for injection, [sensor rows, sensor cols], [rows, 1] or [1, cols].
+    fn draw_table(&self, _p: &[f64], _sensor: [usize; 2]) -> Array2<f32> {
+        Array2::zeros((1, 1))
+    }
+    /// Whether it needs the frame before.
+    fn needs_previous(&self) -> bool {
+        false
+    }
+    /// Whether its strengths act on the noise alone, never on the expected frame.
+    fn noise_only(&self) -> bool {
+        false
+    }
+    /// Values of all parameters to start a fit from, shapes set as the residuals suggest, strengths at `off`; empty: the
+    /// grid of the values that the shapes' [`Kind::Shape`] lists.
+    fn guess(&self, _evidence: &Evidence<'_>) -> Vec<Vec<f64>> {
+        Vec::new()
+    }
 }
 
 /// An effect as it stands in an instrument file: its id and its parameters by name.
@@ -123,6 +96,16 @@ pub struct EffectSetting {
     pub id: String,
     /// Parameters by name; those left out are at their `off` value.
     pub params: BTreeMap<String, f64>,
+    /// Its table, where one was estimated: a tensor of the instrument file. None: drawn from the parameters.
+    #[serde(skip)]
+    pub table: Option<Array2<f32>>,
+}
+
+impl EffectSetting {
+    /// A setting without a table.
+    pub fn new(id: &str, params: &[(&str, f64)]) -> Self {
+        Self { id: id.into(), params: params.iter().map(|(n, v)| ((*n).into(), *v)).collect(), table: None }
+    }
 }
 
 /// Every effect there is: a new one is a file of its own and a line here.

@@ -12,7 +12,8 @@ static DESCRIPTOR: Descriptor = Descriptor {
     id: "nonlinearity",
     stage: Stage::Charge,
     summary: "Q - beta Q^2 / full scale: the response bends towards full scale",
-    params: &[Param { name: "beta", unit: "1", off: 0.0, step: 0.01, min: -0.5, max: 0.5 }],
+    params: &[Param::strength("beta", "1", 0.01, -0.5, 0.5)],
+    lookalikes: &[],
 };
 
 impl Effect for Nonlinearity {
@@ -20,7 +21,7 @@ impl Effect for Nonlinearity {
         &DESCRIPTOR
     }
 
-    fn on_charge(&self, p: &[f64], charge_e: &mut Array2<f32>, cx: &FrameContext) {
+    fn on_charge(&self, p: &[f64], charge_e: &mut Array2<f32>, cx: &FrameContext<'_>) {
         if p[0] == 0.0 || cx.full_scale_e <= 0.0 {
             return;
         }

@@ -13,10 +13,11 @@ static DESCRIPTOR: Descriptor = Descriptor {
     stage: Stage::Electronics,
     summary: "gain 1 + checker (-1)^(r+c) + rows (-1)^r + cols (-1)^c: 2 x 2 sites differ",
     params: &[
-        Param { name: "checker", unit: "1", off: 0.0, step: 0.005, min: -0.5, max: 0.5 },
-        Param { name: "rows", unit: "1", off: 0.0, step: 0.005, min: -0.5, max: 0.5 },
-        Param { name: "cols", unit: "1", off: 0.0, step: 0.005, min: -0.5, max: 0.5 },
+        Param::strength("checker", "1", 0.005, -0.5, 0.5),
+        Param::strength("rows", "1", 0.005, -0.5, 0.5),
+        Param::strength("cols", "1", 0.005, -0.5, 0.5),
     ],
+    lookalikes: &[],
 };
 
 impl Effect for PixelMosaic {
@@ -24,7 +25,7 @@ impl Effect for PixelMosaic {
         &DESCRIPTOR
     }
 
-    fn on_electronics(&self, p: &[f64], frame_dn: &mut Array2<f32>, cx: &FrameContext) {
+    fn on_electronics(&self, p: &[f64], frame_dn: &mut Array2<f32>, cx: &FrameContext<'_>) {
         if p.iter().all(|v| *v == 0.0) {
             return;
         }

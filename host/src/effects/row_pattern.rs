@@ -14,10 +14,11 @@ static DESCRIPTOR: Descriptor = Descriptor {
     stage: Stage::Electronics,
     summary: "y + amplitude cos(2 pi (row / period + phase)): fixed offset by row",
     params: &[
-        Param { name: "amplitude_dn", unit: "DN", off: 0.0, step: 0.5, min: -1e4, max: 1e4 },
-        Param { name: "period_rows", unit: "rows", off: 2.0, step: 0.1, min: 1.0, max: 1e5 },
-        Param { name: "phase", unit: "turns", off: 0.0, step: 0.05, min: -1.0, max: 1.0 },
+        Param::strength("amplitude_dn", "DN", 0.5, -1e4, 1e4),
+        Param::shape("period_rows", "rows", 2.0, 0.1, [1.0, 1e5], &[]),
+        Param::shape("phase", "turns", 0.0, 0.05, [-1.0, 1.0], &[]),
     ],
+    lookalikes: &[],
 };
 
 impl Effect for RowPattern {
@@ -25,7 +26,7 @@ impl Effect for RowPattern {
         &DESCRIPTOR
     }
 
-    fn on_electronics(&self, p: &[f64], frame_dn: &mut Array2<f32>, _cx: &FrameContext) {
+    fn on_electronics(&self, p: &[f64], frame_dn: &mut Array2<f32>, _cx: &FrameContext<'_>) {
         if p[0] == 0.0 {
             return;
         }

@@ -12,7 +12,8 @@ static DESCRIPTOR: Descriptor = Descriptor {
     id: "veiling_glare",
     stage: Stage::Light,
     summary: "mu + beta mean(mu): stray light, even over the sensor",
-    params: &[Param { name: "beta", unit: "1", off: 0.0, step: 0.02, min: 0.0, max: 10.0 }],
+    params: &[Param::strength("beta", "1", 0.02, 0.0, 10.0)],
+    lookalikes: &[],
 };
 
 impl Effect for VeilingGlare {
@@ -20,7 +21,7 @@ impl Effect for VeilingGlare {
         &DESCRIPTOR
     }
 
-    fn on_light(&self, p: &[f64], light_e: &mut Array2<f32>, _cx: &FrameContext) {
+    fn on_light(&self, p: &[f64], light_e: &mut Array2<f32>, _cx: &FrameContext<'_>) {
         if p[0] == 0.0 || light_e.is_empty() {
             return;
         }

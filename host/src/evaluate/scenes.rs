@@ -74,7 +74,7 @@ impl Scenes {
 }
 
 /// What the session's table says of a frame.
-fn context(forward: &Forward, info: &FrameInfo) -> FrameContext {
+fn context<'a>(forward: &'a Forward, info: &FrameInfo) -> FrameContext<'a> {
     FrameContext {
         frame: info.frame,
         time_s: info.time_s,

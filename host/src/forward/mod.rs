@@ -1,17 +1,21 @@
 //! Scene -> frame: the optics of an instrument, then what else it does, in physical order.
 //!
 //! ```text
-//! object -> chief rays -> each lens -> light on the sensor -> (Poisson) -> charge -> (reading) -> DN
+//! object -> each lens -> chief rays -> light on the sensor -> (Poisson) -> charge -> (reading) -> DN
 //! ```
-//! Without the two draws in brackets the result is the expected frame. [`Forward`] is planned once and used for many frames.
+//! Without the two draws in brackets the result is the expected frame. [`Forward`] is planned once and used for many frames;
+//! [`Forward::scene`] keeps what the optics make of an object, so that one effect after another can be tried on it.
 
-use crate::effects::{Chain, EffectError, FrameContext, Stage};
+mod warp;
+
+use crate::effects::{Chain, EffectError, FrameContext, Layout, Ray, RayShift, Stage};
 use crate::instrument::{Geometry, Instrument};
 use crate::noise::{NoiseModel, draw_electrons};
-use crate::psf::{LowRankOperator, OperatorConfig, OperatorError};
+use crate::optics::MicrolensArray;
+use crate::psf::nodes::Taps;
+use crate::psf::{LensImage, LowRankOperator, OperatorConfig, OperatorError};
 use ndarray::{Array2, ArrayView2, Zip};
 use rand::Rng;
-use std::borrow::Cow;
 use thiserror::Error;
 
 /// Why a frame could not be computed.
@@ -38,14 +42,29 @@ pub enum ForwardError {
 /// The forward model of one instrument at one depth.
 #[derive(Clone, Debug)]
 pub struct Forward {
-    operator: LowRankOperator,
-    /// What moves chief rays needs the instrument again.
-    moving: Option<Box<Instrument>>,
-    config: OperatorConfig,
+    /// One an operated depth: all of the instrument's, or only the one that is looked at.
+    planes: Vec<LowRankOperator>,
+    /// Depths of the planes, um.
+    depths_um: Vec<f64>,
+    /// The plane that is in focus.
+    plane: usize,
+    geometry: Geometry,
+    array: [usize; 2],
+    layout: Layout,
+    object_pixel_um: f64,
+    pixel_pitch_um: f64,
     effects: Chain,
     noise: NoiseModel,
     offset_dn: Option<Array2<f32>>,
+    response: Option<Array2<f32>>,
     exposure_ms: f64,
+}
+
+/// What the optics make of one object: the images of the lenses, DN above black at the exposure of the calibration.
+#[derive(Clone, Debug)]
+pub struct SceneLight {
+    /// By lens (None: dead), one image a plane.
+    lenses: Vec<Option<Vec<LensImage>>>,
 }
 
 impl Forward {
@@ -62,35 +81,78 @@ impl Forward {
     /// # Errors
     /// As [`Forward::new`]; also if the depth does not exist.
     pub fn with_config(instrument: &Instrument, config: OperatorConfig) -> Result<Self, ForwardError> {
-        let effects = Chain::build(&instrument.effects)?;
+        let effects = Chain::build(&instrument.effects, Layout::of(&instrument.manifest))?;
+        let all = effects.acts_at(Stage::Geometry);
+        Self::plan(instrument, effects, config, all)
+    }
+
+    /// Plans the model at every depth, so that effects which move sources in depth can be tried on it.
+    ///
+    /// # Errors
+    /// As [`Forward::new`].
+    pub fn with_all_depths(instrument: &Instrument, config: OperatorConfig) -> Result<Self, ForwardError> {
+        let effects = Chain::build(&instrument.effects, Layout::of(&instrument.manifest))?;
+        Self::plan(instrument, effects, config, true)
+    }
+
+    fn plan(instrument: &Instrument, effects: Chain, config: OperatorConfig, all: bool) -> Result<Self, ForwardError> {
+        let (manifest, depths) = (&instrument.manifest, &instrument.psf.node_depths_um);
+        let used = if all { 0..depths.len() } else { config.depth..config.depth + 1 };
+        let plane = |depth| LowRankOperator::plan(instrument, &instrument.geometry, OperatorConfig { depth, ..config });
         Ok(Self {
-            operator: LowRankOperator::plan(instrument, &instrument.geometry, config)?,
-            moving: effects.acts_at(Stage::Geometry).then(|| Box::new(instrument.clone())),
-            config,
+            planes: used.clone().map(plane).collect::<Result<_, _>>()?,
+            plane: config.depth - used.start,
+            depths_um: used.filter_map(|d| depths.get(d).copied()).collect(),
+            geometry: instrument.geometry.clone(),
+            array: [manifest.array.rows, manifest.array.cols],
+            layout: Layout::of(manifest),
+            object_pixel_um: manifest.object.pixel_um,
+            pixel_pitch_um: manifest.sensor.pixel_pitch_um,
             effects,
             noise: instrument.noise,
             offset_dn: instrument.offset_dn.clone(),
+            response: instrument.response.clone(),
             exposure_ms: instrument.psf.exposure_ms,
         })
     }
 
     /// The optics alone, without effects: light in DN above black at the exposure of the calibration.
     pub fn operator(&self) -> &LowRankOperator {
-        &self.operator
+        &self.planes[self.plane]
     }
 
-    /// The noise model.
+    /// The noise model of the calibration.
     pub fn noise(&self) -> &NoiseModel {
         &self.noise
     }
 
+    /// The noise model with what effects change of it.
+    pub fn noise_with(&self, effects: &Chain) -> NoiseModel {
+        let mut noise = self.noise;
+        effects.on_noise(&mut noise);
+        noise
+    }
+
+    /// The effects of the instrument.
+    pub fn effects(&self) -> &Chain {
+        &self.effects
+    }
+
+    /// What the parameters of effects are sized by.
+    pub fn layout(&self) -> Layout {
+        self.layout
+    }
+
     /// A frame as in the calibration: its exposure, illumination 1, time 0.
-    pub fn context(&self) -> FrameContext {
+    pub fn context(&self) -> FrameContext<'_> {
         FrameContext {
             exposure_ms: self.exposure_ms,
             illumination: 1.0,
+            array: self.array,
+            anchors_px: &self.geometry.anchors_px,
             full_scale_e: self.noise.full_scale_e(),
             black_level_dn: self.noise.black_level_dn,
+            gain_dn_per_e: self.noise.gain_dn_per_e,
             ..FrameContext::default()
         }
     }
@@ -100,81 +162,191 @@ impl Forward {
     ///
     /// # Errors
     /// The object has the wrong shape or a value that is no light.
-    pub fn expected_e(&self, object: ArrayView2<'_, f32>, cx: &FrameContext) -> Result<Array2<f32>, ForwardError> {
+    pub fn expected_e(&self, object: ArrayView2<'_, f32>, cx: &FrameContext<'_>) -> Result<Array2<f32>, ForwardError> {
+        let scene = self.scene(object, &self.effects, cx)?;
+        Ok(self.light_e(&scene, &self.effects, cx))
+    }
+
+    /// What the optics make of an object, with the effects that act on its emission.
+    ///
+    /// # Errors
+    /// The object has the wrong shape or a value that is no light.
+    pub fn scene(
+        &self,
+        object: ArrayView2<'_, f32>,
+        effects: &Chain,
+        cx: &FrameContext<'_>,
+    ) -> Result<SceneLight, ForwardError> {
         if let Some(((row, col), found)) = object.indexed_iter().find(|(_, v)| !(v.is_finite() && **v >= 0.0)) {
             return Err(ForwardError::Object { row, col, found: *found });
         }
         let mut emitted = object.to_owned();
-        self.effects.on_object(&mut emitted, cx);
-        let operator = self.operator_at(cx)?;
-        let electrons = (cx.exposure_ms / self.exposure_ms * cx.illumination / self.noise.gain_dn_per_e) as f32;
-        let mut light = Array2::zeros(self.operator.sensor_shape());
-        let per_lens = self.effects.acts_at(Stage::Lens);
-        operator.each_lens(emitted.view(), |lens, mut image| {
-            image.light.mapv_inplace(|v| v * electrons);
+        effects.on_object(&mut emitted, cx);
+        let mut lenses = vec![None; self.layout.lenses];
+        for plane in &self.planes {
+            plane.each_lens(emitted.view(), |l, image| lenses[l].get_or_insert_with(Vec::new).push(image))?;
+        }
+        Ok(SceneLight { lenses })
+    }
+
+    /// Expected electrons of a scene, [sensor rows, sensor cols], with the given effects from the chief rays on.
+    pub fn light_e(&self, scene: &SceneLight, effects: &Chain, cx: &FrameContext<'_>) -> Array2<f32> {
+        let mut light = Array2::zeros(self.operator().sensor_shape());
+        let per_lens = effects.acts_at(Stage::Lens);
+        for l in 0..scene.lenses.len() {
             if per_lens {
-                let mut whole = Array2::zeros(light.dim());
-                image.add_to(&mut whole);
-                self.effects.on_lens(&mut whole, &FrameContext { lens, ..*cx });
-                light += &whole;
-            } else {
+                light += &self.lens_e(scene, l, effects, cx);
+            } else if let Some(image) = self.moved(scene, l, effects, cx) {
                 image.add_to(&mut light);
             }
-        })?;
-        self.effects.on_light(&mut light, cx);
-        Ok(light)
+        }
+        self.on_sensor(light, effects, cx)
+    }
+
+    /// Electrons of one lens of a scene, [sensor rows, sensor cols], with the effects of stages `Geometry` and `Lens`.
+    pub fn lens_e(&self, scene: &SceneLight, lens: usize, effects: &Chain, cx: &FrameContext<'_>) -> Array2<f32> {
+        let mut whole = Array2::zeros(self.operator().sensor_shape());
+        if let Some(image) = self.moved(scene, lens, effects, cx) {
+            image.add_to(&mut whole);
+            effects.on_lens(&mut whole, &FrameContext { lens, ..*cx });
+        }
+        whole
+    }
+
+    /// The sum of all lenses, electrons, with what acts on light on the sensor.
+    pub fn on_sensor(&self, mut light_e: Array2<f32>, effects: &Chain, cx: &FrameContext<'_>) -> Array2<f32> {
+        effects.on_light(&mut light_e, cx);
+        if let Some(response) = &self.response {
+            light_e *= response;
+        }
+        light_e
+    }
+
+    /// The image of one lens, electrons, its parts where the effects on chief rays put them.
+    fn moved(&self, scene: &SceneLight, lens: usize, effects: &Chain, cx: &FrameContext<'_>) -> Option<LensImage> {
+        let planes = scene.lenses.get(lens)?.as_ref()?;
+        let electrons = (cx.exposure_ms / self.exposure_ms * cx.illumination / self.noise.gain_dn_per_e) as f32;
+        let here = planes.get(self.plane)?;
+        let mut image = LensImage { origin: here.origin, light: here.light.mapv(|v| v * electrons) };
+        if !effects.acts_at(Stage::Geometry) {
+            return Some(image);
+        }
+        let shifts = self.shifts(lens, &image, effects, &FrameContext { lens, ..*cx });
+        if shifts.iter().any(|s| s.z_um != 0.0) {
+            let z = self.depths_um[self.plane];
+            for (p, other) in planes.iter().enumerate() {
+                // Interpolation over depth is linear in the planes: each gets the share that belongs to the pixel's depth.
+                let shares = shifts.mapv(|s| {
+                    let taps = Taps::at(&self.depths_um, z + s.z_um);
+                    let own = p.checked_sub(taps.first).filter(|i| *i < taps.count).map_or(0.0, |i| taps.weights[i]);
+                    own - if p == self.plane { 1.0 } else { 0.0 }
+                });
+                Zip::from(&mut image.light).and(&other.light).and(&shares).for_each(|v, o, s| *v += s * electrons * o);
+            }
+        }
+        if shifts.iter().any(|s| s.px != [0.0, 0.0]) {
+            image.light = warp::warp(&image.light, &shifts.mapv(|s| s.px));
+        }
+        Some(image)
+    }
+
+    /// The shift of the chief ray that ends on each pixel of a lens's image.
+    fn shifts(&self, lens: usize, image: &LensImage, effects: &Chain, cx: &FrameContext<'_>) -> Array2<RayShift> {
+        let anchor = self.geometry.anchors_px[lens];
+        let centre = self.operator().sensor_shape().map(|n| (n as f64 - 1.0) / 2.0);
+        let scale = self.geometry.magnification / self.pixel_pitch_um;
+        // The distance to the object does not enter where an axis meets it.
+        let optics = MicrolensArray {
+            object_distance_um: 1.0,
+            magnification: self.geometry.magnification,
+            pixel_pitch_um: self.pixel_pitch_um,
+        };
+        let axis_px = optics.axis_um(anchor, centre).map(|v| v * scale);
+        let object = self.operator().object_shape().map(|n| (n as f64 - 1.0) / 2.0);
+        // One object pixel is one sensor pixel of the image; its anchor is a rounded one.
+        let corner = [0, 1].map(|a| (anchor[a] - object[a]).round());
+        Array2::from_shape_fn(image.light.dim(), |(r, c)| {
+            let at = [image.origin[0] as f64 + r as f64, image.origin[1] as f64 + c as f64];
+            let object_um = [0, 1].map(|a| (at[a] - corner[a] - object[a]) * self.object_pixel_um);
+            let field_px = object_um.map(|v| v * scale);
+            let ray = Ray {
+                lens,
+                object_um,
+                field_px,
+                axis_px: [field_px[0] - axis_px[0], field_px[1] - axis_px[1]],
+                anchor_px: [anchor[0] - centre[0], anchor[1] - centre[1]],
+                pixel_pitch_um: self.pixel_pitch_um,
+            };
+            effects.shift_ray(&ray, cx)
+        })
     }
 
     /// The expected frame, DN, [sensor rows, sensor cols]: no noise, no rounding; clipped at saturation.
     ///
     /// # Errors
     /// As [`Forward::expected_e`].
-    pub fn expected_dn(&self, object: ArrayView2<'_, f32>, cx: &FrameContext) -> Result<Array2<f32>, ForwardError> {
-        let mut charge = self.expected_e(object, cx)?;
-        self.effects.on_charge(&mut charge, cx);
-        let mut frame = self.to_dn(charge, cx);
+    pub fn expected_dn(&self, object: ArrayView2<'_, f32>, cx: &FrameContext<'_>) -> Result<Array2<f32>, ForwardError> {
+        Ok(self.frame_dn(self.expected_e(object, cx)?, &self.effects, cx))
+    }
+
+    /// The expected frame, DN, for expected electrons: no noise, no rounding; clipped at saturation.
+    pub fn frame_dn(&self, light_e: Array2<f32>, effects: &Chain, cx: &FrameContext<'_>) -> Array2<f32> {
+        let mut charge = light_e;
+        effects.on_charge(&mut charge, cx);
+        let mut frame = self.to_dn(charge, effects, cx);
         let top = self.noise.saturation_dn as f32;
         frame.mapv_inplace(|v| v.min(top));
-        Ok(frame)
+        frame
     }
 
     /// One drawn frame for expected electrons `light_e` (of [`Forward::expected_e`]): whole DN, 0 to saturation.
-    pub fn draw_dn(&self, mut light_e: Array2<f32>, cx: &FrameContext, rng: &mut impl Rng) -> Array2<f32> {
-        let read = self.noise.read_noise_e as f32;
-        if self.effects.acts_at(Stage::Charge) {
+    pub fn draw_dn(&self, light_e: Array2<f32>, cx: &FrameContext<'_>, rng: &mut impl Rng) -> Array2<f32> {
+        self.draw_with(light_e, &self.effects, cx, rng)
+    }
+
+    /// [`Forward::draw_dn`] with the given effects.
+    pub fn draw_with(
+        &self,
+        mut light_e: Array2<f32>,
+        effects: &Chain,
+        cx: &FrameContext<'_>,
+        rng: &mut impl Rng,
+    ) -> Array2<f32> {
+        let noise = self.noise_with(effects);
+        let read = noise.read_noise_e as f32;
+        // More electrons for the same DN: the gain alone is wrong, not the light.
+        let more = (self.noise.gain_dn_per_e / noise.gain_dn_per_e) as f32;
+        if more != 1.0 {
+            light_e *= more;
+        }
+        if effects.acts_at(Stage::Charge) {
             draw_in_place(&mut light_e, 0.0, rng);
-            self.effects.on_charge(&mut light_e, cx);
+            effects.on_charge(&mut light_e, cx);
             let mut reading = Array2::zeros(light_e.dim());
             draw_in_place(&mut reading, read, rng);
             light_e += &reading;
         } else {
             draw_in_place(&mut light_e, read, rng);
         }
-        let mut frame = self.to_dn(light_e, cx);
+        if more != 1.0 {
+            light_e /= more;
+        }
+        let mut frame = self.to_dn(light_e, effects, cx);
+        effects.on_reading(&mut frame, cx, rng);
         let top = self.noise.saturation_dn as f32;
         frame.mapv_inplace(|v| v.round().clamp(0.0, top));
         frame
     }
 
     /// Charge, electrons -> DN.
-    fn to_dn(&self, mut charge_e: Array2<f32>, cx: &FrameContext) -> Array2<f32> {
+    fn to_dn(&self, mut charge_e: Array2<f32>, effects: &Chain, cx: &FrameContext<'_>) -> Array2<f32> {
         let (gain, black) = (self.noise.gain_dn_per_e as f32, self.noise.black_level_dn as f32);
         charge_e.mapv_inplace(|q| black + gain * q);
         if let Some(offset) = &self.offset_dn {
             Zip::from(&mut charge_e).and(offset).for_each(|v, o| *v += o);
         }
-        self.effects.on_electronics(&mut charge_e, cx);
+        effects.on_electronics(&mut charge_e, cx);
         charge_e
-    }
-
-    /// The planned operator, or one for chief rays that an effect has moved in this frame.
-    fn operator_at(&self, cx: &FrameContext) -> Result<Cow<'_, LowRankOperator>, ForwardError> {
-        let Some(instrument) = &self.moving else {
-            return Ok(Cow::Borrowed(&self.operator));
-        };
-        let mut geometry: Geometry = instrument.geometry.clone();
-        self.effects.on_geometry(&mut geometry, cx);
-        Ok(Cow::Owned(LowRankOperator::plan(instrument, &geometry, self.config)?))
     }
 }
 

@@ -1,7 +1,7 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
-use crate::effects::{EffectSetting, registry};
+use crate::effects::{EffectSetting, Previous, registry};
 use crate::instrument::fixture::instrument;
 use crate::rng::stream;
 
@@ -16,22 +16,36 @@ fn made_up() -> Instrument {
 }
 
 fn on(id: &str, params: &[(&str, f64)]) -> EffectSetting {
-    EffectSetting { id: id.into(), params: params.iter().map(|(n, v)| ((*n).into(), *v)).collect() }
+    EffectSetting::new(id, params)
 }
 
 #[test]
 fn every_effect_switched_off_leaves_the_same_bits_and_switched_on_changes_the_frame() {
     let plain = Forward::new(&made_up()).unwrap();
-    let cx = plain.context();
+    let previous = Array2::from_elem((40, 41), 900.0f32);
+    let cx = FrameContext {
+        frame: 1,
+        time_s: 2.0,
+        temperature_c: 30.0,
+        previous: Some(Previous { light_e: &previous, interval_s: 0.02 }),
+        ..plain.context()
+    };
     let want = plain.expected_dn(object().view(), &cx).unwrap();
-    for d in registry().iter().map(|e| e.descriptor()) {
-        let frame = |value: f64| {
+    let drawn = |f: &Forward| f.draw_dn(f.expected_e(object().view(), &cx).unwrap(), &cx, &mut stream(3, "drawn", 0));
+    for effect in registry().iter().filter(|e| e.descriptor().stage != Stage::Record) {
+        let d = effect.descriptor();
+        let names = d.expanded(2);
+        let forward = |value: f64| {
             let mut i = made_up();
-            i.effects = vec![on(d.id, &[(d.params[0].name, value)])];
-            Forward::new(&i).unwrap().expected_dn(object().view(), &cx).unwrap()
+            i.effects = vec![on(d.id, &[(names[0].0.as_str(), value)])];
+            Forward::new(&i).unwrap()
         };
-        assert_eq!(frame(d.params[0].off), want, "{}", d.id);
-        assert_ne!(frame(d.params[0].off + d.params[0].step), want, "{}", d.id);
+        let (off, step) = (names[0].1.off, names[0].1.step);
+        assert_eq!(forward(off).expected_dn(object().view(), &cx).unwrap(), want, "{}", d.id);
+        let with = forward(off + step);
+        let (expected, reading) = (with.expected_dn(object().view(), &cx).unwrap(), drawn(&with));
+        assert_eq!(expected != want, !effect.noise_only(), "{}", d.id);
+        assert_ne!(reading, drawn(&plain), "{}", d.id);
     }
 }
 

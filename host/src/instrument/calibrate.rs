@@ -289,6 +289,7 @@ fn assemble(
         manifest,
         noise: noise.model,
         offset_dn: noise.offset_dn,
+        response: noise.response,
         geometry: rays.geometry,
         effects: Vec::new(),
         light_unit: LightUnit::Bead,

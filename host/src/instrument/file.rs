@@ -80,8 +80,15 @@ impl Instrument {
             ("diagnostics.error_by_rank".into(), d.error_by_rank.clone().into_dyn()),
             ("diagnostics.photon_transfer".into(), d.photon_transfer.clone().into_dyn()),
         ]);
-        if let Some(offset) = &self.offset_dn {
-            tensors.insert("offset_dn".into(), offset.clone().into_dyn());
+        for (name, map) in [("offset_dn", &self.offset_dn), ("response", &self.response)] {
+            if let Some(map) = map {
+                tensors.insert(name.into(), map.clone().into_dyn());
+            }
+        }
+        for (i, effect) in self.effects.iter().enumerate() {
+            if let Some(table) = &effect.table {
+                tensors.insert(table_name(i), table.clone().into_dyn());
+            }
         }
         let header = Header { kind: INSTRUMENT_KIND.into(), version: INSTRUMENT_VERSION, provenance, body };
         Ok(artifact::write(path, &header, &tensors)?)
@@ -110,14 +117,20 @@ impl Instrument {
             photon_transfer: fixed::<Ix2>(take("diagnostics.photon_transfer", &[None, None])?),
         };
         let sensor = [Some(body.manifest.sensor.rows), Some(body.manifest.sensor.cols)];
-        let offset_dn = match tensors.contains_key("offset_dn") {
-            true => Some(fixed::<Ix2>(artifact::take(path, &mut tensors, "offset_dn", &sensor)?)),
-            false => None,
+        let mut map = |name: &str, shape: &[Option<usize>]| match tensors.contains_key(name) {
+            true => artifact::take(path, &mut tensors, name, shape).map(|t| Some(fixed::<Ix2>(t))),
+            false => Ok(None),
         };
+        let (offset_dn, response) = (map("offset_dn", &sensor)?, map("response", &sensor)?);
+        let mut effects = body.effects;
+        for (i, effect) in effects.iter_mut().enumerate() {
+            effect.table = map(&table_name(i), &[None, None])?;
+        }
         Ok(Self {
             manifest: body.manifest,
             noise: body.noise,
             offset_dn,
+            response,
             geometry: body.geometry,
             psf: LowRankPsf {
                 basis: fixed::<Ix4>(basis),
@@ -127,12 +140,17 @@ impl Instrument {
                 node_cols_px: body.node_cols_px,
                 exposure_ms: body.exposure_ms,
             },
-            effects: body.effects,
+            effects,
             light_unit: body.light_unit,
             quality: body.quality,
             diagnostics,
         })
     }
+}
+
+/// Tensor that holds the table of the i-th effect.
+fn table_name(i: usize) -> String {
+    format!("effects.{i}.table")
 }
 
 /// An array whose number of axes [`artifact::take`] has checked.

@@ -31,6 +31,8 @@ pub struct Instrument {
     pub noise: NoiseModel,
     /// Per-pixel offset relative to the black level, DN, [sensor rows, sensor cols]; None: no darks were measured.
     pub offset_dn: Option<Array2<f32>>,
+    /// Per-pixel response to light relative to the mean, [sensor rows, sensor cols]; None: the flats do not tell it.
+    pub response: Option<Array2<f32>>,
     /// Chief rays.
     pub geometry: Geometry,
     /// Low-rank spatially varying PSFs.

@@ -40,6 +40,8 @@ pub struct NoiseCalibration {
     pub model: NoiseModel,
     /// Offset of each pixel from the black level, DN, [sensor rows, sensor cols]; None: no darks.
     pub offset_dn: Option<Array2<f32>>,
+    /// Response of each pixel relative to the mean, [sensor rows, sensor cols]; None: the flats do not tell it.
+    pub response: Option<Array2<f32>>,
     /// Photon transfer, [level, (mean above black, variance, fitted variance)], DN and DN^2.
     pub photon_transfer: Array2<f32>,
     /// Figures that the session cannot tell, and what follows.
@@ -179,7 +181,7 @@ pub fn measure_noise(
         sources,
     };
     let photon_transfer = curve(&levels, dark_level, &transfer);
-    Ok(NoiseCalibration { model, offset_dn: dark.map(|d| d.offset), photon_transfer, notes })
+    Ok(NoiseCalibration { model, offset_dn: dark.map(|d| d.offset), response: None, photon_transfer, notes })
 }
 
 fn gain(
