@@ -9,6 +9,7 @@ pub mod bead;
 pub mod bench;
 pub mod blob;
 pub mod cli;
+pub mod closing;
 pub mod dataset;
 pub mod device;
 pub mod effects;

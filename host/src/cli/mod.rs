@@ -2,6 +2,7 @@
 
 mod bench;
 mod calibrate;
+mod close;
 mod common;
 mod demo;
 mod device;
@@ -42,6 +43,11 @@ enum Verb {
     /// Learn the instrument from a session: noise, chief rays, low-rank spatially varying PSFs
     #[command(after_help = "Example:\n  ommatidia calibrate session -o instrument.safetensors")]
     Calibrate(calibrate::Args),
+    /// Find what the instrument lacks, add it, and report before and after on held-out data
+    #[command(
+        after_help = "Example:\n  ommatidia close session --instrument instrument.safetensors -o closed.safetensors"
+    )]
+    Close(close::Args),
     /// Compute the frames that an instrument is expected to show for given objects
     #[command(after_help = "Example:\n  ommatidia predict instrument.safetensors objects.npy -o frames.npy")]
     Predict(predict::Args),
@@ -87,6 +93,7 @@ impl Cli {
             Verb::Demo(a) => demo::run(a, run),
             Verb::Bench(a) => bench::run(a, run),
             Verb::Calibrate(a) => calibrate::run(a, run),
+            Verb::Close(a) => close::run(a, run),
             Verb::Predict(a) => predict::run(a, run),
             Verb::Simulate(a) => simulate::run(a, run),
             Verb::Train(a) => train::run(a, run),

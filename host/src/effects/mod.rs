@@ -29,6 +29,7 @@ pub use chain::{Chain, EffectError, Layout};
 pub use context::{FrameContext, Previous, Ray, RayShift, Record};
 pub use descriptor::{Descriptor, Kind, Lookalike, Param, Stage};
 pub use evidence::{Evidence, EvidenceFrame};
+pub use smooth::blur_within;
 pub use table::{Table, TableGroup, TableUse};
 
 use crate::noise::NoiseModel;

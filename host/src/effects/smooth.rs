@@ -59,3 +59,8 @@ pub(super) fn couple(image: &mut Array2<f32>, a: f32) {
         exchange([0..rows, 0..cols - 1], [0..rows, 1..cols]);
     }
 }
+
+/// Gaussian blur of what is inside the image: near an edge the mean of fewer pixels, so that an even image stays even.
+pub fn blur_within(image: &Array2<f32>, sigma_px: f64) -> Array2<f32> {
+    gaussian_blur(image, sigma_px) / gaussian_blur(&Array2::ones(image.dim()), sigma_px)
+}

@@ -65,6 +65,8 @@ pub struct Forward {
 pub struct SceneLight {
     /// By lens (None: dead), one image a plane.
     lenses: Vec<Option<Vec<LensImage>>>,
+    /// What the place of a lone source leaves to the next whole object pixel, (row, col).
+    shift_px: [f64; 2],
 }
 
 impl Forward {
@@ -186,7 +188,20 @@ impl Forward {
         for plane in &self.planes {
             plane.each_lens(emitted.view(), |l, image| lenses[l].get_or_insert_with(Vec::new).push(image))?;
         }
-        Ok(SceneLight { lenses })
+        Ok(SceneLight { lenses, shift_px: [0.0; 2] })
+    }
+
+    /// What the optics make of a unit source at object pixel (row, col), fractional.
+    ///
+    /// # Errors
+    /// The place lies outside the object.
+    pub fn point(&self, at_px: [f64; 2], effects: &Chain, cx: &FrameContext<'_>) -> Result<SceneLight, ForwardError> {
+        let [rows, cols] = self.operator().object_shape();
+        let whole = at_px.map(|v| v.round().max(0.0) as usize);
+        let mut object = Array2::zeros((rows, cols));
+        object[[whole[0].min(rows - 1), whole[1].min(cols - 1)]] = 1.0;
+        let scene = self.scene(object.view(), effects, cx)?;
+        Ok(SceneLight { shift_px: [0, 1].map(|a| at_px[a] - whole[a] as f64), ..scene })
     }
 
     /// Expected electrons of a scene, [sensor rows, sensor cols], with the given effects from the chief rays on.
@@ -228,10 +243,12 @@ impl Forward {
         let electrons = (cx.exposure_ms / self.exposure_ms * cx.illumination / self.noise.gain_dn_per_e) as f32;
         let here = planes.get(self.plane)?;
         let mut image = LensImage { origin: here.origin, light: here.light.mapv(|v| v * electrons) };
-        if !effects.acts_at(Stage::Geometry) {
+        let [dy, dx] = scene.shift_px;
+        if !effects.acts_at(Stage::Geometry) && [dy, dx] == [0.0, 0.0] {
             return Some(image);
         }
-        let shifts = self.shifts(lens, &image, effects, &FrameContext { lens, ..*cx });
+        let mut shifts = self.shifts(lens, &image, effects, &FrameContext { lens, ..*cx });
+        shifts.mapv_inplace(|s| RayShift { px: [s.px[0] + dy, s.px[1] + dx], ..s });
         if shifts.iter().any(|s| s.z_um != 0.0) {
             let z = self.depths_um[self.plane];
             for (p, other) in planes.iter().enumerate() {
@@ -338,8 +355,8 @@ impl Forward {
         frame
     }
 
-    /// Charge, electrons -> DN.
-    fn to_dn(&self, mut charge_e: Array2<f32>, effects: &Chain, cx: &FrameContext<'_>) -> Array2<f32> {
+    /// Charge, electrons -> DN, before rounding and clipping.
+    pub fn to_dn(&self, mut charge_e: Array2<f32>, effects: &Chain, cx: &FrameContext<'_>) -> Array2<f32> {
         let (gain, black) = (self.noise.gain_dn_per_e as f32, self.noise.black_level_dn as f32);
         charge_e.mapv_inplace(|q| black + gain * q);
         if let Some(offset) = &self.offset_dn {

@@ -1,0 +1,167 @@
+//! The linear problem around a state: columns, residuals and calibration errors in units of the noise, summed in cells.
+//!
+//! A cell is one frame by one spatial block. For each cell the Gram matrix of all columns, of the calibration's replicates and of
+//! the residual is kept, so that hold-outs, clusters and bootstraps are sums over cells and never another pass over the frames.
+
+use super::model::{Column, Model, Predicted, State, Term};
+use super::observe::Shown;
+use crate::forward::{ForwardError, SceneLight};
+use crate::session::Role;
+use ndarray::{Array2, s};
+use rayon::prelude::*;
+
+/// One frame by one block.
+#[derive(Clone, Debug)]
+pub struct Cell {
+    /// Frame.
+    pub frame: usize,
+    /// Spatial block.
+    pub block: usize,
+    /// Kept out of every fit.
+    pub held_out: bool,
+    /// Pixels that count.
+    pub pixels: usize,
+    /// Gram matrix: columns, then replicates, then the residual.
+    pub gram: Array2<f32>,
+}
+
+/// All cells.
+#[derive(Clone, Debug)]
+pub struct Design {
+    /// What the columns are.
+    pub columns: Vec<Column>,
+    /// Number of replicates.
+    pub replicates: usize,
+    /// The cells.
+    pub cells: Vec<Cell>,
+}
+
+/// Sums over cells.
+#[derive(Clone, Debug)]
+pub struct Sums {
+    /// Gram matrix of columns, replicates, residual.
+    pub gram: Array2<f64>,
+    /// Pixels that count.
+    pub pixels: usize,
+}
+
+impl Design {
+    /// Computes all cells. `replicas[j][k]` is the frame `k` as replicate j of the calibration predicts it, minus that of the
+    /// calibration, DN; empty where it has none.
+    ///
+    /// # Errors
+    /// An object is no light.
+    pub fn compute(
+        model: &Model<'_>,
+        state: &State,
+        trials: &[Term],
+        columns: Vec<Column>,
+        now: &[Predicted],
+        scenes: &[Option<SceneLight>],
+        replicas: &[Vec<Option<Array2<f32>>>],
+    ) -> Result<Self, ForwardError> {
+        let seen = model.seen;
+        let rows = columns.len() + replicas.len() + 1;
+        let cells = (0..seen.frames.len())
+            .into_par_iter()
+            .map(|k| {
+                let here = &now[k];
+                let mut x = Array2::<f32>::zeros((rows, seen.pixels.len()));
+                let weight = here.inverse_sigma.as_slice().unwrap_or(&[]);
+                let mut put = |row: usize, image: &Array2<f32>| {
+                    let Some(image) = image.as_slice() else { return };
+                    for (out, p) in x.row_mut(row).iter_mut().zip(&seen.pixels) {
+                        *out = image[*p as usize] * weight[*p as usize];
+                    }
+                };
+                for (i, column) in columns.iter().enumerate() {
+                    if let Some(d) = model.derivative(k, column, state, trials, now, scenes)? {
+                        put(i, &model.visible(k, d));
+                    }
+                }
+                for (j, replica) in replicas.iter().enumerate() {
+                    if let Some(d) = &replica[k] {
+                        put(columns.len() + j, d);
+                    }
+                }
+                put(rows - 1, &here.residual_dn);
+                if matches!(seen.frames[k].shown, Shown::Bead(..)) {
+                    // The light of each bead is its own: what a change of it looks like is taken out of everything.
+                    own_light(&mut x, here, model.forward.noise().black_level_dn, seen);
+                }
+                Ok(seen
+                    .blocks
+                    .iter()
+                    .enumerate()
+                    .map(|(block, span)| {
+                        let part = x.slice(s![.., span.clone()]);
+                        let gram = part.dot(&part.t());
+                        let pixels = seen.pixels[span.clone()].iter().filter(|p| weight[**p as usize] > 0.0).count();
+                        let held_out = seen.frames[k].held_out || seen.held_out_blocks[block];
+                        Cell { frame: k, block, held_out, pixels, gram }
+                    })
+                    .collect::<Vec<_>>())
+            })
+            .collect::<Result<Vec<_>, ForwardError>>()?;
+        let mut cells: Vec<Cell> = cells.into_iter().flatten().collect();
+        cells.extend(super::repeats::cells(model, state, trials, &columns, replicas.len(), now));
+        Ok(Self { columns, replicates: replicas.len(), cells })
+    }
+
+    /// Index of the residual in a Gram matrix.
+    pub fn residual(&self) -> usize {
+        self.columns.len() + self.replicates
+    }
+
+    /// Indices of the replicates in a Gram matrix.
+    pub fn replicate_rows(&self) -> std::ops::Range<usize> {
+        self.columns.len()..self.residual()
+    }
+
+    /// Sums over the cells that `take`s.
+    pub fn sums(&self, take: impl Fn(&Cell) -> bool) -> Sums {
+        let n = self.residual() + 1;
+        let mut sums = Sums { gram: Array2::zeros((n, n)), pixels: 0 };
+        for cell in self.cells.iter().filter(|c| take(c)) {
+            sums.gram.zip_mut_with(&cell.gram, |s, v| *s += f64::from(*v));
+            sums.pixels += cell.pixels;
+        }
+        sums
+    }
+
+    /// Sums over what may be fitted.
+    pub fn training(&self) -> Sums {
+        self.sums(|c| !c.held_out)
+    }
+}
+
+/// Takes the component along the frame's own light out of each row.
+fn own_light(x: &mut Array2<f32>, here: &Predicted, black_dn: f64, seen: &super::observe::Observations) {
+    let (Some(dn), Some(weight)) = (here.dn.as_slice(), here.inverse_sigma.as_slice()) else { return };
+    let light: Vec<f32> =
+        seen.pixels.iter().map(|p| (dn[*p as usize] - black_dn as f32) * weight[*p as usize]).collect();
+    let norm: f64 = light.iter().map(|v| f64::from(*v).powi(2)).sum();
+    if norm <= 0.0 {
+        return;
+    }
+    for mut row in x.outer_iter_mut() {
+        let along: f64 = row.iter().zip(&light).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum();
+        let share = (along / norm) as f32;
+        row.iter_mut().zip(&light).for_each(|(a, b)| *a -= share * b);
+    }
+}
+
+/// The columns of the nuisances: the light of each stack that has any, and the black level.
+pub fn nuisances(model: &Model<'_>) -> Vec<Column> {
+    let frames = &model.seen.frames;
+    let lit = |s: &usize| {
+        let shows = |shown: &Shown| matches!(shown, Shown::Object(_) | Shown::Even);
+        frames.iter().any(|f| f.stack == *s && shows(&f.shown))
+    };
+    let stacks = frames.iter().map(|f| f.stack + 1).max().unwrap_or(0);
+    let mut columns: Vec<Column> = (0..stacks).filter(lit).map(Column::Scale).collect();
+    if frames.iter().any(|f| f.role == Role::Dark || f.shown != Shown::Unknown) {
+        columns.push(Column::Black);
+    }
+    columns
+}

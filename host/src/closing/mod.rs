@@ -1,0 +1,15 @@
+//! Closing the loop: find the residual between model and measurement, trace it to an effect that the model lacks, add that effect.
+//!
+//! [`observe`] reads frames and fixes the hold-outs; [`model`] predicts them with effects and nuisances; [`design`] sums what a small
+//! change of each value would do; [`score`] tests and ranks.
+
+pub mod design;
+pub mod model;
+pub mod observe;
+pub mod omnibus;
+pub mod refit;
+mod repeats;
+pub mod score;
+pub mod search;
+pub mod stats;
+pub mod tables;

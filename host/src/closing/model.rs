@@ -1,0 +1,411 @@
+//! The model that is being closed: an instrument, the effects it has so far, and the nuisances of a session.
+
+use super::observe::{Frame, Observations, Shown};
+use crate::effects::{Chain, Effect, EffectError, EffectSetting, FrameContext, Kind, Param, Previous, Stage, find};
+use crate::forward::{Forward, ForwardError, SceneLight};
+use crate::instrument::Instrument;
+use crate::psf::OperatorConfig;
+use crate::session::Role;
+use ndarray::{Array2, Zip};
+use rayon::prelude::*;
+
+/// An effect with its values.
+#[derive(Clone)]
+pub struct Term {
+    /// The effect.
+    pub effect: &'static dyn Effect,
+    /// Its parameters in the order of [`crate::effects::Descriptor::expanded`].
+    pub params: Vec<f64>,
+    /// Its table, where it has one.
+    pub table: Option<Array2<f32>>,
+}
+
+impl std::fmt::Debug for Term {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}{:?}", self.id(), self.params)
+    }
+}
+
+impl Term {
+    /// Id of the effect.
+    pub fn id(&self) -> &'static str {
+        self.effect.descriptor().id
+    }
+
+    /// Names and descriptions of its parameters.
+    pub fn expanded(&self, lenses: usize) -> Vec<(String, &'static Param)> {
+        self.effect.descriptor().expanded(lenses)
+    }
+
+    /// The parameter that the frame depends on at first order even where the effect is absent.
+    pub fn strengths(&self, lenses: usize) -> Vec<usize> {
+        let all = self.expanded(lenses);
+        (0..all.len()).filter(|i| all[*i].1.kind == Kind::Strength).collect()
+    }
+
+    /// As it stands in an instrument.
+    pub fn setting(&self, lenses: usize) -> EffectSetting {
+        let names = self.expanded(lenses).into_iter().map(|(name, _)| name);
+        EffectSetting {
+            id: self.id().into(),
+            params: names.zip(self.params.iter().copied()).collect(),
+            table: self.table.clone(),
+        }
+    }
+}
+
+/// Effects and nuisances.
+#[derive(Clone, Debug)]
+pub struct State {
+    /// Effects, in the order in which they were found.
+    pub terms: Vec<Term>,
+    /// Light of each stack: of a scene stack, relative to the instrument's unit; of flats, electrons a unit of illumination.
+    pub scale: Vec<f64>,
+    /// Black level relative to the instrument's, DN.
+    pub black_dn: f64,
+}
+
+/// What a state predicts of one frame.
+#[derive(Clone, Debug)]
+pub struct Predicted {
+    /// Light of all lenses before what acts on it on the sensor, electrons.
+    pub sum_e: Array2<f32>,
+    /// Light on the sensor, electrons.
+    pub light_e: Array2<f32>,
+    /// Expected frame, DN.
+    pub dn: Array2<f32>,
+    /// One over the standard deviation of a pixel, DN; 0: not looked at.
+    pub inverse_sigma: Array2<f32>,
+    /// Measured minus expected, DN (of an unknown specimen: the part sharper than its smooth part).
+    pub residual_dn: Array2<f32>,
+}
+
+/// A column of the design: what a small change of one value does to the frames.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Column {
+    /// ln of the light of a stack.
+    Scale(usize),
+    /// Black level.
+    Black,
+    /// A parameter of a term that is tried beside the state's own.
+    Trial {
+        /// Index of the term among those tried.
+        term: usize,
+        /// Index of the parameter.
+        param: usize,
+    },
+    /// A parameter of a term of the state.
+    Own {
+        /// Index of the term.
+        term: usize,
+        /// Index of the parameter.
+        param: usize,
+    },
+}
+
+/// Standard deviation of the blur that an unknown specimen's smooth part is taken by, pixels.
+const SMOOTH_PX: f64 = 2.0;
+
+/// A session before an instrument.
+pub struct Model<'a> {
+    /// The forward model of the instrument without its effects.
+    pub forward: Forward,
+    /// The frames.
+    pub seen: &'a Observations,
+    /// Exposure of the calibration, ms.
+    exposure_ms: f64,
+}
+
+impl<'a> Model<'a> {
+    /// Puts an instrument before a session's frames.
+    ///
+    /// # Errors
+    /// The tables of the instrument disagree.
+    pub fn new(instrument: &Instrument, seen: &'a Observations) -> Result<Self, ForwardError> {
+        let bare = Instrument { effects: Vec::new(), ..instrument.clone() };
+        Ok(Self {
+            forward: Forward::with_all_depths(&bare, OperatorConfig::default())?,
+            seen,
+            exposure_ms: instrument.psf.exposure_ms,
+        })
+    }
+
+    /// Number of lenses.
+    pub fn lenses(&self) -> usize {
+        self.forward.layout().lenses
+    }
+
+    /// The state that an instrument stands for: its effects, every light as calibrated.
+    ///
+    /// # Errors
+    /// It names an effect that does not exist.
+    pub fn state(&self, instrument: &Instrument) -> Result<State, EffectError> {
+        let layout = self.forward.layout();
+        Chain::build(&instrument.effects, layout)?;
+        let term = |s: &EffectSetting| {
+            let effect = find(&s.id)?;
+            let value = |(name, p): (String, &Param)| s.params.get(&name).copied().unwrap_or(p.off);
+            let params = effect.descriptor().expanded(layout.lenses).into_iter().map(value).collect();
+            Some(Term { effect, params, table: s.table.clone() })
+        };
+        let stacks = self.seen.frames.iter().map(|f| f.stack + 1).max().unwrap_or(0);
+        let mut scale = vec![1.0; stacks];
+        for (s, scale) in scale.iter_mut().enumerate() {
+            let (mut light, mut dose) = (0.0, 0.0);
+            for f in self.seen.frames.iter().filter(|f| f.stack == s && f.role == Role::Flat && !f.held_out) {
+                let mean = f.measured.mean().unwrap_or(0.0);
+                light += f64::from(mean) - self.forward.noise().black_level_dn;
+                dose += f.info.illumination * f.info.exposure_ms / self.exposure_ms;
+            }
+            if dose > 0.0 {
+                *scale = (light / dose / self.forward.noise().gain_dn_per_e).max(1e-6);
+            }
+        }
+        Ok(State { terms: instrument.effects.iter().filter_map(term).collect(), scale, black_dn: 0.0 })
+    }
+
+    /// The chain of terms.
+    pub fn chain<'t>(&self, terms: impl IntoIterator<Item = &'t Term>) -> Chain {
+        let mut chain = Chain::default();
+        for t in terms {
+            // The tables of terms are made for this sensor.
+            let _ = chain.push(t.effect, t.params.clone(), t.table.as_ref(), self.forward.layout());
+        }
+        chain
+    }
+
+    /// What hooks are told of frame `k`; `previous_e` is the light of the frame before.
+    pub fn context<'c>(&'c self, k: usize, previous_e: Option<&'c Array2<f32>>) -> FrameContext<'c> {
+        let f = &self.seen.frames[k];
+        let before = f.previous.map(|p| self.seen.frames[p].info.time_s);
+        FrameContext {
+            role: f.role,
+            frame: f.info.frame,
+            time_s: f.info.time_s,
+            exposure_ms: f.info.exposure_ms,
+            illumination: if f.role == Role::Dark { 0.0 } else { f.info.illumination },
+            temperature_c: f.info.temperature_c.unwrap_or(20.0),
+            previous: previous_e.zip(before).map(|(light_e, t)| Previous { light_e, interval_s: f.info.time_s - t }),
+            ..self.forward.context()
+        }
+    }
+
+    /// What the optics make of each frame's object, with the terms that act on emission. None: flats, darks, unknowns.
+    ///
+    /// # Errors
+    /// An object is no light.
+    pub fn scenes(&self, chain: &Chain) -> Result<Vec<Option<SceneLight>>, ForwardError> {
+        (0..self.seen.frames.len()).into_par_iter().map(|k| self.scene(k, chain)).collect()
+    }
+
+    fn scene(&self, k: usize, chain: &Chain) -> Result<Option<SceneLight>, ForwardError> {
+        let cx = self.context(k, None);
+        match &self.seen.frames[k].shown {
+            Shown::Object(truth) => Ok(Some(self.forward.scene(self.seen.truths[*truth].view(), chain, &cx)?)),
+            Shown::Bead(at, _) => Ok(Some(self.forward.point(*at, chain, &cx)?)),
+            Shown::Even | Shown::Dark | Shown::Unknown => Ok(None),
+        }
+    }
+
+    /// Light of frame `k` before what acts on it on the sensor, electrons.
+    fn sum_e(&self, k: usize, scene: Option<&SceneLight>, chain: &Chain, scale: f64) -> Array2<f32> {
+        let (f, cx) = (&self.seen.frames[k], self.context(k, None));
+        let mut sum = Array2::zeros((self.seen.sensor[0], self.seen.sensor[1]));
+        match (&f.shown, scene) {
+            (Shown::Even, _) => sum.fill((scale * f.info.illumination * f.info.exposure_ms / self.exposure_ms) as f32),
+            (Shown::Unknown, _) => {
+                let noise = self.forward.noise();
+                sum = smooth(&f.measured);
+                sum.mapv_inplace(|y| ((f64::from(y) - noise.black_level_dn) / noise.gain_dn_per_e).max(0.0) as f32);
+            }
+            (Shown::Dark, _) | (_, None) => {}
+            (_, Some(scene)) => {
+                for l in 0..self.lenses() {
+                    sum += &self.forward.lens_e(scene, l, chain, &cx);
+                }
+                sum *= scale as f32;
+            }
+        }
+        sum
+    }
+
+    /// What a state predicts of every frame.
+    pub fn predict(&self, state: &State, scenes: &[Option<SceneLight>]) -> Vec<Predicted> {
+        let chain = self.chain(&state.terms);
+        // Errors stay those of the calibration: a fit that may widen them would like nothing better.
+        let noise = self.forward.noise();
+        let n = self.seen.frames.len();
+        let lights: Vec<(Array2<f32>, Array2<f32>)> = (0..n)
+            .into_par_iter()
+            .map(|k| {
+                let sum = self.sum_e(k, scenes[k].as_ref(), &chain, state.scale[self.seen.frames[k].stack]);
+                let light = self.forward.on_sensor(sum.clone(), &chain, &self.context(k, None));
+                (sum, light)
+            })
+            .collect();
+        lights
+            .par_iter()
+            .enumerate()
+            .map(|(k, (sum_e, light_e))| {
+                let f = &self.seen.frames[k];
+                let previous = f.previous.map(|p| &lights[p].1);
+                let dn = self.dn(k, light_e.clone(), &chain, previous, state.black_dn);
+                let (mut residual_dn, detail) = residual(f, &dn);
+                let top = noise.saturation_dn;
+                let mut inverse_sigma = Array2::zeros(dn.dim());
+                Zip::from(&mut inverse_sigma).and(&dn).and(&detail).and(&mut residual_dn).for_each(|w, &mu, &v, r| {
+                    let mu = f64::from(mu);
+                    let sigma = (noise.variance_dn2(mu - state.black_dn) + f64::from(v)).sqrt();
+                    // What may touch the highest code says nothing; the model says which pixels, not the noise.
+                    let usable = mu + 4.0 * sigma < top && r.is_finite();
+                    *w = if usable { (1.0 / sigma) as f32 } else { 0.0 };
+                    if !usable {
+                        *r = 0.0;
+                    }
+                });
+                Predicted { sum_e: sum_e.clone(), light_e: light_e.clone(), dn, inverse_sigma, residual_dn }
+            })
+            .collect()
+    }
+
+    fn dn(
+        &self,
+        k: usize,
+        light_e: Array2<f32>,
+        chain: &Chain,
+        previous: Option<&Array2<f32>>,
+        black_dn: f64,
+    ) -> Array2<f32> {
+        let mut dn = self.forward.frame_dn(light_e, chain, &self.context(k, previous));
+        if black_dn != 0.0 {
+            dn.mapv_inplace(|v| v + black_dn as f32);
+        }
+        dn
+    }
+
+    /// How the expected frame changes with a column's value, per unit of it, DN. None: not at all.
+    ///
+    /// # Errors
+    /// An object is no light.
+    pub fn derivative(
+        &self,
+        k: usize,
+        column: &Column,
+        state: &State,
+        trials: &[Term],
+        now: &[Predicted],
+        scenes: &[Option<SceneLight>],
+    ) -> Result<Option<Array2<f32>>, ForwardError> {
+        let (f, here) = (&self.seen.frames[k], &now[k]);
+        let previous = f.previous.map(|p| &now[p].light_e);
+        let own = || self.chain(&state.terms);
+        let (terms, which, param): (Vec<Term>, usize, usize) = match column {
+            Column::Black => return Ok((f.shown != Shown::Unknown).then(|| Array2::ones(here.dn.dim()))),
+            Column::Scale(stack) => {
+                if *stack != f.stack || matches!(f.shown, Shown::Dark | Shown::Unknown) {
+                    return Ok(None);
+                }
+                // A tenth of the noise of a bright pixel, far above rounding.
+                let step = 1e-3;
+                let chain = own();
+                let light = self.forward.on_sensor(&here.sum_e * (1.0 + step as f32), &chain, &self.context(k, None));
+                let moved = self.dn(k, light, &chain, previous, state.black_dn);
+                return Ok(Some((moved - &here.dn) / step as f32));
+            }
+            Column::Trial { term, param } => {
+                let terms = state.terms.iter().chain([&trials[*term]]).cloned().collect();
+                (terms, state.terms.len(), *param)
+            }
+            Column::Own { term, param } => (state.terms.clone(), *term, *param),
+        };
+        let mut terms = terms;
+        let effect = terms[which].effect;
+        let expanded = terms[which].expanded(self.lenses());
+        let p = expanded[param].1;
+        let value = terms[which].params[param];
+        let mut step = 0.5 * p.step;
+        if value + step > p.max {
+            step = -step;
+        }
+        terms[which].params[param] = value + step;
+        let chain = self.chain(&terms);
+        let lens = p.per_lens.then(|| {
+            let first = expanded.iter().position(|(_, q)| std::ptr::eq(*q, p)).unwrap_or(param);
+            param - first
+        });
+        let Some(moved) = self.moved(k, effect.descriptor().stage, lens, &chain, state, here, previous, scenes)? else {
+            return Ok(None);
+        };
+        Ok(Some((moved - &here.dn) / step as f32))
+    }
+
+    /// The expected frame under another chain that differs from `stage` on (in one lens only, if one is named).
+    #[allow(clippy::too_many_arguments)] // the state of one frame, passed on as it is
+    fn moved(
+        &self,
+        k: usize,
+        stage: Stage,
+        lens: Option<usize>,
+        chain: &Chain,
+        state: &State,
+        here: &Predicted,
+        previous: Option<&Array2<f32>>,
+        scenes: &[Option<SceneLight>],
+    ) -> Result<Option<Array2<f32>>, ForwardError> {
+        let f = &self.seen.frames[k];
+        let scale = state.scale[f.stack];
+        let sum = match (stage, &scenes[k]) {
+            (Stage::Record, _) => return Ok(None),
+            (Stage::Object | Stage::Geometry | Stage::Lens, None) => return Ok(None),
+            (Stage::Object, Some(_)) => {
+                let scene = self.scene(k, chain)?;
+                self.sum_e(k, scene.as_ref(), chain, scale)
+            }
+            (Stage::Geometry | Stage::Lens, Some(scene)) => match lens {
+                None => self.sum_e(k, Some(scene), chain, scale),
+                Some(l) => {
+                    let cx = self.context(k, None);
+                    let before = self.forward.lens_e(scene, l, &self.chain(&state.terms), &cx);
+                    let change = self.forward.lens_e(scene, l, chain, &cx) - before;
+                    &here.sum_e + &(change * scale as f32)
+                }
+            },
+            (Stage::Light, _) => here.sum_e.clone(),
+            (Stage::Charge | Stage::Electronics, _) => {
+                return Ok(Some(self.dn(k, here.light_e.clone(), chain, previous, state.black_dn)));
+            }
+        };
+        let light = self.forward.on_sensor(sum, chain, &self.context(k, None));
+        Ok(Some(self.dn(k, light, chain, previous, state.black_dn)))
+    }
+
+    /// What of a change of the expected frame can be seen in frame `k`: all of it, or what is sharper than the smooth part.
+    pub fn visible(&self, k: usize, change: Array2<f32>) -> Array2<f32> {
+        match self.seen.frames[k].shown {
+            Shown::Unknown => &change - &smooth(&change),
+            _ => change,
+        }
+    }
+}
+
+/// Residual of a frame, DN, and the variance that its own unknown detail adds, DN^2.
+fn residual(f: &Frame, expected: &Array2<f32>) -> (Array2<f32>, Array2<f32>) {
+    let difference = &f.measured - expected;
+    if f.shown != Shown::Unknown {
+        return (difference, Array2::zeros(expected.dim()));
+    }
+    let sharp = &difference - &smooth(&difference);
+    // The detail of the specimen is no noise; where there is much of it little can be told.
+    let detail = blur(&sharp.mapv(|v| v * v), 3.0 * SMOOTH_PX);
+    (sharp, detail)
+}
+
+/// The smooth part of a frame.
+fn smooth(frame: &Array2<f32>) -> Array2<f32> {
+    blur(frame, SMOOTH_PX)
+}
+
+/// Gaussian blur that keeps an even frame even up to its edges.
+fn blur(frame: &Array2<f32>, sigma_px: f64) -> Array2<f32> {
+    crate::effects::blur_within(frame, sigma_px)
+}

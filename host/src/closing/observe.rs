@@ -1,0 +1,238 @@
+//! The frames of a session that the loop looks at, and how they are divided before anything is fitted.
+
+use crate::instrument::Instrument;
+use crate::session::{FrameInfo, Role, Session, SessionError, Stack};
+use ndarray::Array2;
+use serde::{Deserialize, Serialize};
+
+/// How much of a session is looked at.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Budget {
+    /// Most scenes.
+    pub scenes: usize,
+    /// Most flats.
+    pub flats: usize,
+    /// Most darks.
+    pub darks: usize,
+    /// Most bead frames; they are looked at where no scene has a truth.
+    pub beads: usize,
+    /// Most pixels of a frame: of a larger one an even sample.
+    pub pixels: usize,
+    /// Spatial blocks a side.
+    pub blocks: usize,
+}
+
+impl Default for Budget {
+    fn default() -> Self {
+        Self { scenes: 48, flats: 20, darks: 12, beads: 400, pixels: 200_000, blocks: 6 }
+    }
+}
+
+/// What a frame shows.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Shown {
+    /// A known object: index into [`Observations::truths`].
+    Object(usize),
+    /// A bead: object pixel (row, col), fractional, and index of its depth in the instrument.
+    Bead([f64; 2], usize),
+    /// Even light.
+    Even,
+    /// No light.
+    Dark,
+    /// Something unknown: only what is sharper than its smooth part can be judged.
+    Unknown,
+}
+
+/// One frame.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// Index of the stack in the session.
+    pub stack: usize,
+    /// Role of the stack.
+    pub role: Role,
+    /// What the session says of it.
+    pub info: FrameInfo,
+    /// As measured, DN, [sensor rows, sensor cols].
+    pub measured: Array2<f32>,
+    /// What it shows.
+    pub shown: Shown,
+    /// Kept out of every fit.
+    pub held_out: bool,
+    /// Index of the frame before it in the same stack, if that one is here too.
+    pub previous: Option<usize>,
+}
+
+/// The frames, with the truths of the scenes.
+#[derive(Clone, Debug)]
+pub struct Observations {
+    /// Frames, stack by stack, in order.
+    pub frames: Vec<Frame>,
+    /// Objects that frames show, as the session says.
+    pub truths: Vec<Array2<f32>>,
+    /// Pixels that are looked at, flat indices, block by block.
+    pub pixels: Vec<u32>,
+    /// Spans of `pixels`, one a spatial block, row by row.
+    pub blocks: Vec<std::ops::Range<usize>>,
+    /// Blocks kept out of every fit.
+    pub held_out_blocks: Vec<bool>,
+    /// Rows and columns of the sensor.
+    pub sensor: [usize; 2],
+}
+
+impl Observations {
+    /// Reads the frames.
+    ///
+    /// The hold-outs are fixed here, before any fit, by rule and not by chance: every fourth scene, every fourth pair of flats and darks, and every
+    /// eighth spatial block; of a session with a single frame the lower half.
+    ///
+    /// # Errors
+    /// A frame or truth cannot be read.
+    pub fn read(session: &Session, instrument: &Instrument, budget: &Budget) -> Result<Self, SessionError> {
+        let sensor = [session.manifest().sensor.rows, session.manifest().sensor.cols];
+        let (mut frames, mut truths) = (Vec::new(), Vec::new());
+        let known = session.stacks_of(Role::Scene).any(|s| s.entry().truth.is_some());
+        for (s, stack) in session.stacks().iter().enumerate() {
+            let most = match stack.role() {
+                Role::Scene => budget.scenes,
+                Role::Flat => budget.flats,
+                Role::Dark => budget.darks,
+                Role::Bead if known => 0,
+                Role::Bead => budget.beads,
+            };
+            read_stack(session, stack, s, most, instrument, &mut frames, &mut truths)?;
+        }
+        let (pixels, blocks) = pixels(sensor, budget);
+        let single = frames.iter().filter(|f: &&Frame| matches!(f.role, Role::Scene | Role::Bead)).count() < 4;
+        let half = blocks.len() / 2;
+        let held_out_blocks = (0..blocks.len())
+            .map(|b| if single { b >= half } else { (b / budget.blocks * 3 + b % budget.blocks) % 8 == 5 })
+            .collect();
+        Ok(Self { frames, truths, pixels, blocks, held_out_blocks, sensor })
+    }
+
+    /// Which frames have the role.
+    pub fn of(&self, role: Role) -> impl Iterator<Item = usize> + '_ {
+        (0..self.frames.len()).filter(move |k| self.frames[*k].role == role)
+    }
+}
+
+fn read_stack(
+    session: &Session,
+    stack: &Stack,
+    s: usize,
+    most: usize,
+    instrument: &Instrument,
+    frames: &mut Vec<Frame>,
+    truths: &mut Vec<Array2<f32>>,
+) -> Result<(), SessionError> {
+    let chosen = in_pairs(stack.len(), most);
+    if chosen.is_empty() {
+        return Ok(());
+    }
+    let (mut reader, mut truth) = (stack.frames()?, stack.truth()?);
+    let first = frames.len();
+    let everything = chosen.len() == stack.len();
+    for (n, i) in chosen.iter().enumerate() {
+        let info = stack.info()[*i].clone();
+        let shown = match (stack.role(), &mut truth) {
+            (Role::Scene, Some(truth)) => {
+                truths.push(truth.read(*i)?);
+                Shown::Object(truths.len() - 1)
+            }
+            (Role::Scene, None) => Shown::Unknown,
+            (Role::Bead, _) => {
+                let depths = &instrument.psf.node_depths_um;
+                let off = |z: &f64| (z - info.z_um).abs();
+                let depth = (0..depths.len()).min_by(|a, b| off(&depths[*a]).total_cmp(&off(&depths[*b])));
+                Shown::Bead(session.manifest().object.pixel_of_um(info.y_um, info.x_um), depth.unwrap_or(0))
+            }
+            (Role::Flat, _) => Shown::Even,
+            (Role::Dark, _) => Shown::Dark,
+        };
+        let previous = (n > 0 && chosen[n - 1] + 1 == *i).then(|| first + n - 1);
+        // A checkerboard of bead positions, else every fourth frame.
+        let held_out = match stack.role() {
+            Role::Bead => i % 2 == 1,
+            // Repeats stay together.
+            Role::Dark | Role::Flat => n / 2 % 4 == 3,
+            Role::Scene if everything => i % 4 == 3,
+            Role::Scene => n / 2 % 4 == 3,
+        };
+        frames.push(Frame {
+            stack: s,
+            role: stack.role(),
+            measured: reader.read(*i)?,
+            info,
+            shown,
+            held_out,
+            previous,
+        });
+    }
+    Ok(())
+}
+
+/// At most `most` of `n` frames, evenly spread, in pairs of neighbours: repeats, and frames with the frame before them.
+fn in_pairs(n: usize, most: usize) -> Vec<usize> {
+    if n <= most {
+        return (0..n).collect();
+    }
+    let pairs = most / 2;
+    let mut out: Vec<usize> = (0..pairs)
+        .flat_map(|p| {
+            let start = if pairs < 2 { 0 } else { p * (n - 2) / (pairs - 1) };
+            [start, start + 1]
+        })
+        .collect();
+    out.dedup();
+    out
+}
+
+/// An even sample of the pixels, block by block.
+fn pixels([rows, cols]: [usize; 2], budget: &Budget) -> (Vec<u32>, Vec<std::ops::Range<usize>>) {
+    let side = budget.blocks.max(1);
+    let every = (rows * cols).div_ceil(budget.pixels.max(1));
+    let (mut pixels, mut blocks) = (Vec::new(), Vec::new());
+    for b in 0..side * side {
+        let (i, j) = (b / side, b % side);
+        let start = pixels.len();
+        for r in i * rows / side..(i + 1) * rows / side {
+            let row = j * cols / side..(j + 1) * cols / side;
+            // A Weyl sequence: even, and without the parity of rows or columns.
+            let taken =
+                |c: &usize| every <= 1 || ((r * cols + c) as f64 * 0.618_033_988_75).fract() * (every as f64) < 1.0;
+            pixels.extend(row.filter(taken).map(|c| (r * cols + c) as u32));
+        }
+        blocks.push(start..pixels.len());
+    }
+    (pixels, blocks)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn chosen_frames_come_in_pairs_and_reach_both_ends() {
+        assert_eq!(in_pairs(5, 8), [0, 1, 2, 3, 4]);
+        assert_eq!(in_pairs(40, 6), [0, 1, 19, 20, 38, 39]);
+        assert!(in_pairs(9, 0).is_empty());
+    }
+
+    #[test]
+    fn every_pixel_is_in_one_block_and_a_sample_is_even() {
+        let budget = Budget { pixels: 1_000_000, blocks: 3, ..Budget::default() };
+        let (all, blocks) = pixels([10, 11], &budget);
+        let mut sorted = all.clone();
+        sorted.sort_unstable();
+        assert_eq!(sorted, (0..110).collect::<Vec<u32>>());
+        assert!(blocks.len() == 9 && blocks.windows(2).all(|w| w[0].end == w[1].start));
+        let (some, _) = pixels([100, 100], &Budget { pixels: 1000, blocks: 4, ..Budget::default() });
+        let odd = some.iter().filter(|p| *p % 2 == 1).count();
+        assert!(
+            (900..1100).contains(&some.len()) && (some.len() as i64 - 2 * odd as i64).abs() < 100,
+            "{}",
+            some.len()
+        );
+    }
+}

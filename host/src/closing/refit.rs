@@ -1,0 +1,132 @@
+//! The full joint fit: all effects of a state, shapes included, together with the nuisances.
+//!
+//! Levenberg's damped Gauss-Newton on the cells that may be fitted, with the variance of the model at the current state.
+
+use super::design::{Design, nuisances};
+use super::model::{Column, Model, Predicted, State};
+use super::score::pseudo_inverse;
+use crate::effects::Stage;
+use crate::forward::{ForwardError, SceneLight};
+use ndarray::{Array1, Array2};
+
+/// Most steps.
+const STEPS: usize = 7;
+
+/// A state at its best fit.
+#[derive(Clone)]
+pub struct Fitted {
+    /// The state.
+    pub state: State,
+    /// What it predicts.
+    pub predicted: Vec<Predicted>,
+    /// The optics' part of that.
+    pub scenes: Vec<Option<SceneLight>>,
+    /// chi-squared of the fitted cells.
+    pub chi2: f64,
+    /// chi-squared and pixels of the held-out cells.
+    pub held_out: (f64, usize),
+    /// Pixels of the fitted cells.
+    pub pixels: usize,
+}
+
+/// The columns of a state's own free values.
+pub fn own_columns(model: &Model<'_>, state: &State) -> Vec<Column> {
+    let mut columns = Vec::new();
+    for (term, t) in state.terms.iter().enumerate() {
+        if t.effect.descriptor().stage == Stage::Record || t.table.is_some() {
+            continue;
+        }
+        let free = t.expanded(model.lenses()).into_iter().enumerate().filter(|(_, (_, p))| p.max > p.min);
+        columns.extend(free.map(|(param, _)| Column::Own { term, param }));
+    }
+    columns
+}
+
+/// Fits a state from where it stands.
+///
+/// # Errors
+/// An object is no light.
+pub fn refit(model: &Model<'_>, mut state: State) -> Result<Fitted, ForwardError> {
+    let columns: Vec<Column> = nuisances(model).into_iter().chain(own_columns(model, &state)).collect();
+    let mut at = Point::of(model, &state, &columns)?;
+    let mut damping = 1e-3;
+    for _ in 0..STEPS {
+        let proposal = at.step(model, &state, &columns, damping);
+        let next = Point::of(model, &proposal, &columns)?;
+        let fall = at.chi2 - next.chi2;
+        if fall > 0.0 {
+            (state, at) = (proposal, next);
+            damping *= 0.2;
+            if fall < 0.02 {
+                break;
+            }
+        } else {
+            damping *= 20.0;
+            if damping > 1e4 {
+                break;
+            }
+        }
+    }
+    Ok(Fitted {
+        state,
+        chi2: at.chi2,
+        pixels: at.pixels,
+        held_out: at.held_out,
+        predicted: at.predicted,
+        scenes: at.scenes,
+    })
+}
+
+/// A state with its linear problem.
+struct Point {
+    predicted: Vec<Predicted>,
+    scenes: Vec<Option<SceneLight>>,
+    gram: Array2<f64>,
+    chi2: f64,
+    pixels: usize,
+    held_out: (f64, usize),
+}
+
+impl Point {
+    fn of(model: &Model<'_>, state: &State, columns: &[Column]) -> Result<Self, ForwardError> {
+        let scenes = model.scenes(&model.chain(&state.terms))?;
+        let predicted = model.predict(state, &scenes);
+        let design = Design::compute(model, state, &[], columns.to_vec(), &predicted, &scenes, &[])?;
+        let r = design.residual();
+        let (sums, out) = (design.training(), design.sums(|c| c.held_out));
+        Ok(Self {
+            predicted,
+            scenes,
+            chi2: sums.gram[[r, r]],
+            pixels: sums.pixels,
+            gram: sums.gram,
+            held_out: (out.gram[[r, r]], out.pixels),
+        })
+    }
+
+    /// The state after one damped step, every value in its range.
+    fn step(&self, model: &Model<'_>, state: &State, columns: &[Column], damping: f64) -> State {
+        let n = columns.len();
+        let mut hessian = self.gram.slice(ndarray::s![..n, ..n]).to_owned();
+        hessian.diag_mut().mapv_inplace(|v| v * (1.0 + damping));
+        let right = Array1::from_iter((0..n).map(|i| self.gram[[i, n]]));
+        let delta = pseudo_inverse(&hessian).dot(&right);
+        let mut next = state.clone();
+        for (column, d) in columns.iter().zip(delta) {
+            match column {
+                Column::Scale(s) => next.scale[*s] *= 1.0 + d.clamp(-0.5, 1.0),
+                Column::Black => next.black_dn += d,
+                Column::Own { term, param } => {
+                    let t = &mut next.terms[*term];
+                    let p = t.expanded(model.lenses())[*param].1;
+                    // A shape far from its place is worth nothing: never more than ten noticeable steps at once.
+                    let most =
+                        if matches!(p.kind, crate::effects::Kind::Shape(_)) { 10.0 * p.step } else { f64::INFINITY };
+                    t.params[*param] = (t.params[*param] + d.clamp(-most, most)).clamp(p.min, p.max);
+                }
+                Column::Trial { .. } => {}
+            }
+        }
+        next
+    }
+}

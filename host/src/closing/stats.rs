@@ -1,0 +1,67 @@
+//! Tail probabilities of the tests, over well-kept special functions.
+
+use puruspe::{betai, erfc, gammq, inverfc};
+
+/// Probability that a chi-squared variable of `ndf` degrees of freedom exceeds `x`.
+pub fn chi2_tail(x: f64, ndf: f64) -> f64 {
+    if x <= 0.0 || ndf <= 0.0 { 1.0 } else { gammq(ndf / 2.0, x / 2.0).clamp(0.0, 1.0) }
+}
+
+/// Probability that an F variable of `d` and `nu` degrees of freedom exceeds `f`; `nu` may be infinite.
+pub fn f_tail(f: f64, d: f64, nu: f64) -> f64 {
+    if f <= 0.0 || d <= 0.0 {
+        return 1.0;
+    }
+    if !(nu < 1e5) {
+        return chi2_tail(f * d, d);
+    }
+    betai(nu / 2.0, d / 2.0, nu / (nu + d * f)).clamp(0.0, 1.0)
+}
+
+/// Standard deviations of a normal variable whose two-sided tail has probability `p`.
+pub fn sigmas(p: f64) -> f64 {
+    if p >= 1.0 { 0.0 } else { std::f64::consts::SQRT_2 * inverfc(p.max(1e-290)) }
+}
+
+/// Two-sided tail of a normal variable at `z` standard deviations.
+pub fn two_sided(z: f64) -> f64 {
+    erfc(z.abs() / std::f64::consts::SQRT_2)
+}
+
+/// Which of the hypotheses with probabilities `p` are rejected at family-wise level `alpha` (Holm, Scand. J. Stat. 6, 65, 1979).
+pub fn holm(p: &[f64], alpha: f64) -> Vec<bool> {
+    let mut order: Vec<usize> = (0..p.len()).collect();
+    order.sort_by(|a, b| p[*a].total_cmp(&p[*b]));
+    let mut rejected = vec![false; p.len()];
+    for (i, n) in order.iter().enumerate() {
+        if p[*n] * (p.len() - i) as f64 > alpha {
+            break;
+        }
+        rejected[*n] = true;
+    }
+    rejected
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tails_of_tables() {
+        // Abramowitz & Stegun, tables 26.8 and 26.9.
+        assert!((chi2_tail(3.841, 1.0) - 0.05).abs() < 1e-4);
+        assert!((chi2_tail(18.307, 10.0) - 0.05).abs() < 1e-4);
+        assert!((f_tail(3.33, 5.0, 10.0) - 0.05).abs() < 1e-3);
+        assert!((f_tail(2.0, 3.0, f64::INFINITY) - chi2_tail(6.0, 3.0)).abs() < 1e-12);
+        for z in [0.5, 1.96, 5.0, 12.0, 30.0] {
+            assert!((sigmas(two_sided(z)) - z).abs() < 1e-3 * z, "{z} {}", sigmas(two_sided(z)));
+        }
+        assert!(sigmas(0.0).is_finite() && sigmas(1.0) == 0.0);
+    }
+
+    #[test]
+    fn holm_steps_down() {
+        assert_eq!(holm(&[0.01, 0.04, 0.03, 0.005], 0.05), [true, false, false, true]);
+        assert_eq!(holm(&[0.2], 0.05), [false]);
+    }
+}
