@@ -8,5 +8,5 @@ mod windows;
 pub use error::{BeadError, Warning};
 pub(crate) use rays::PASSES;
 pub use rays::{RayFit, fit_chief_rays};
-pub use scan::{Bead, BeadScan};
+pub use scan::{Bead, BeadScan, SensorMaps};
 pub use windows::{BeadScale, LensWindows, cut_windows};

@@ -33,8 +33,17 @@ pub struct BeadScan {
     pub exposure_ms: f64,
     paths: Vec<PathBuf>,
     readers: Vec<FrameReader>,
-    offset_dn: Option<Array2<f32>>,
+    maps: SensorMaps,
     noise: NoiseModel,
+}
+
+/// What is known of single pixels, each [sensor rows, sensor cols].
+#[derive(Clone, Debug, Default)]
+pub struct SensorMaps {
+    /// Offset from the black level, DN.
+    pub offset_dn: Option<Array2<f32>>,
+    /// One over the response to light.
+    pub inverse_response: Option<Array2<f32>>,
 }
 
 impl BeadScan {
@@ -42,7 +51,7 @@ impl BeadScan {
     ///
     /// # Errors
     /// There is no bead stack, too few frames, an exposure of zero, or the object grid does not match the sensor's.
-    pub fn open(session: &Session, noise: NoiseModel, offset_dn: Option<Array2<f32>>) -> Result<Self, BeadError> {
+    pub fn open(session: &Session, noise: NoiseModel, maps: SensorMaps) -> Result<Self, BeadError> {
         let manifest = session.manifest();
         check_grid(manifest)?;
         let stacks = session.need(Role::Bead)?;
@@ -73,7 +82,7 @@ impl BeadScan {
         if beads.len() < FEWEST {
             return Err(BeadError::TooFew { path: paths.swap_remove(0), expected: FEWEST, found: beads.len() });
         }
-        Ok(Self { beads, exposure_ms, paths, readers, offset_dn, noise })
+        Ok(Self { beads, exposure_ms, paths, readers, maps, noise })
     }
 
     /// The file that bead `n` lies in.
@@ -86,7 +95,7 @@ impl BeadScan {
         &self.noise
     }
 
-    /// Frame of bead `n`: light in DN above black as it was exposed, and NaN where the pixel was saturated.
+    /// Frame of bead `n`: light in DN above black on pixels of mean response, as it was exposed, and NaN where the pixel was saturated.
     ///
     /// # Errors
     /// The file cannot be read or holds values that are no numbers.
@@ -95,8 +104,11 @@ impl BeadScan {
         let mut frame = self.readers[bead.stack].read(bead.frame)?;
         let (black, top) = (self.noise.black_level_dn as f32, self.noise.saturation_dn as f32);
         frame.mapv_inplace(|v| if v >= top { f32::NAN } else { v - black });
-        if let Some(offset) = &self.offset_dn {
+        if let Some(offset) = &self.maps.offset_dn {
             frame -= offset;
+        }
+        if let Some(inverse) = &self.maps.inverse_response {
+            frame *= inverse;
         }
         Ok(frame)
     }

@@ -64,7 +64,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         let plan = set.plan();
         let (network, peak_e) = (args.preset.network(plan.frame, plan.object), plan.peak_e);
         let maps =
-            args.instrument.as_deref().map_or(Ok(SensorMaps::default()), |path| maps(&Instrument::read(path)?))?;
+            args.instrument.as_deref().map_or_else(|| Ok(SensorMaps::default()), |path| maps_for(path, plan.frame))?;
         let task = Task { source: &set, network, noise: plan.noise, maps };
         return train(args, run, task, peak_e, ("dataset", &args.input.join(PLAN_FILE)));
     }
@@ -73,12 +73,26 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let source = Simulated::new(config.build(&instrument, &args.input, run.seed)?);
     let plan = source.plan();
     let (network, peak_e) = (args.preset.network(plan.frame, plan.object), plan.peak_e);
-    let task = Task { source: &source, network, noise: plan.noise, maps: maps(&instrument)? };
+    let task = Task { source: &source, network, noise: plan.noise, maps: maps(&instrument) };
     train(args, run, task, peak_e, ("instrument", &args.input))
 }
 
-fn maps(instrument: &Instrument) -> anyhow::Result<SensorMaps> {
-    Ok(SensorMaps { offset_dn: instrument.offset_dn.clone(), inverse_gain: None })
+/// Maps of an instrument for frames of a data set, which must have its size.
+fn maps_for(path: &Path, frame: [usize; 2]) -> anyhow::Result<SensorMaps> {
+    let instrument = Instrument::read(path)?;
+    let sensor = [instrument.manifest.sensor.rows, instrument.manifest.sensor.cols];
+    let (path, [rows, cols]) = (path.display(), frame);
+    anyhow::ensure!(
+        sensor == frame,
+        "{path}: sensor: expected {rows} x {cols} (frames of the data set), found {} x {}",
+        sensor[0],
+        sensor[1]
+    );
+    Ok(maps(&instrument))
+}
+
+fn maps(instrument: &Instrument) -> SensorMaps {
+    SensorMaps { offset_dn: instrument.offset_dn.clone(), inverse_gain: instrument.inverse_response() }
 }
 
 fn train(

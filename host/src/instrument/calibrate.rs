@@ -1,11 +1,11 @@
 //! Session -> instrument: noise, chief rays, windows, low-rank model, light unit, and how good it all is.
 
 use super::{Diagnostics, Instrument, LightUnit, LowRankPsf, Quality};
-use crate::bead::{BeadError, BeadScale, BeadScan, LensWindows, RayFit, cut_windows, fit_chief_rays};
+use crate::bead::{BeadError, BeadScale, BeadScan, LensWindows, RayFit, SensorMaps, cut_windows, fit_chief_rays};
 use crate::effects::FrameContext;
 use crate::forward::{Forward, ForwardError};
 use crate::linalg::NotConverged;
-use crate::noise::{NoiseCalibration, NoiseConfig, NoiseError, measure_noise};
+use crate::noise::{NoiseCalibration, NoiseConfig, NoiseError, inverse_response, measure_noise};
 use crate::psf::field::{FieldSmoother, ORDERS};
 use crate::psf::fit::{self, FitConfig, LensFit, Misfit, Plane};
 use crate::psf::nodes::even_nodes;
@@ -88,7 +88,11 @@ pub fn calibrate(
 ) -> Result<Calibration, CalibrateError> {
     let manifest = Manifest { stacks: Vec::new(), ..session.manifest().clone() };
     let noise = measure_noise(session, &config.noise, &mut step)?;
-    let mut scan = BeadScan::open(session, noise.model, noise.offset_dn.clone())?;
+    let maps = SensorMaps {
+        offset_dn: noise.offset_dn.clone(),
+        inverse_response: noise.response.as_ref().map(inverse_response),
+    };
+    let mut scan = BeadScan::open(session, noise.model, maps)?;
     let rays = fit_chief_rays(&mut scan, &manifest, &mut step)?;
     let scale = if config.normalise_beads { BeadScale::PerFrame } else { BeadScale::Physical };
     let (windows, warnings) = cut_windows(&mut scan, &manifest, &rays.geometry, scale, &mut step)?;

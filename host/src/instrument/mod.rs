@@ -14,7 +14,7 @@ pub use calibrate::{CalibrateConfig, CalibrateError, Calibration, calibrate};
 pub use file::{INSTRUMENT_KIND, INSTRUMENT_VERSION, InstrumentError};
 
 use crate::effects::EffectSetting;
-use crate::noise::NoiseModel;
+use crate::noise::{NoiseModel, inverse_response};
 use crate::session::Manifest;
 use ndarray::{Array1, Array2, Array4, Array5};
 use serde::{Deserialize, Serialize};
@@ -31,7 +31,8 @@ pub struct Instrument {
     pub noise: NoiseModel,
     /// Per-pixel offset relative to the black level, DN, [sensor rows, sensor cols]; None: no darks were measured.
     pub offset_dn: Option<Array2<f32>>,
-    /// Per-pixel response to light relative to the mean, [sensor rows, sensor cols]; None: the flats do not tell it.
+    /// Per-pixel response to light relative to the mean, lamp shading left out, [sensor rows, sensor cols]; None: the flats
+    /// do not tell it.
     pub response: Option<Array2<f32>>,
     /// Chief rays.
     pub geometry: Geometry,
@@ -45,6 +46,13 @@ pub struct Instrument {
     pub quality: Quality,
     /// What a report draws of the calibration.
     pub diagnostics: Diagnostics,
+}
+
+impl Instrument {
+    /// What brings the light of each pixel to that of a pixel of mean response, [sensor rows, sensor cols]; None: not known.
+    pub fn inverse_response(&self) -> Option<Array2<f32>> {
+        self.response.as_ref().map(inverse_response)
+    }
 }
 
 /// Chief rays, Eq. 1 of the paper: the focus of a source at object position (y, x) lies at

@@ -7,7 +7,7 @@ use crate::session::{
     StackEntry, StackSpec,
 };
 use ndarray::Array2;
-use rand_distr::{Distribution, Normal, Poisson};
+use rand_distr::{Distribution, Normal, Poisson, StandardNormal};
 use std::path::Path;
 
 /// What the bench measures, and how it is built.
@@ -28,6 +28,8 @@ pub(crate) struct Testbed {
     /// Flat levels, electrons.
     pub(crate) flat_levels_e: Vec<f64>,
     pub(crate) flat_frames: usize,
+    /// Spread of the pixels' responses, rms.
+    pub(crate) prnu: f64,
     /// Lamp flicker of flats, rms.
     pub(crate) flicker: f64,
     pub(crate) scenes: usize,
@@ -57,6 +59,7 @@ impl Testbed {
             dark_frames: 12,
             flat_levels_e: vec![300.0, 1000.0, 2500.0, 5000.0],
             flat_frames: 8,
+            prnu: 0.0,
             flicker: 0.005,
             scenes: 3,
             spoil: |_, _| {},
@@ -110,9 +113,16 @@ impl Testbed {
         frame
     }
 
+    /// Response of each pixel.
+    pub(crate) fn response(&self) -> Array2<f64> {
+        let mut rng = rng::stream(77, "response", 0);
+        self.dark().mapv(|_| 1.0 + self.prnu * Distribution::<f64>::sample(&StandardNormal, &mut rng))
+    }
+
     fn draw(&self, expected_e: &Array2<f64>, what: &str, i: usize) -> Array2<f32> {
         let mut rng = rng::stream(77, what, i as u64);
         let read = Normal::new(0.0, self.read_noise_e).unwrap();
+        let expected_e = expected_e * &self.response();
         let top = self.manifest.sensor.saturation_dn();
         let mut frame = expected_e.mapv(|e| {
             let photons = if e > 1e-9 { Poisson::new(e).unwrap().sample(&mut rng) } else { 0.0 };

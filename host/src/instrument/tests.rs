@@ -52,6 +52,27 @@ fn a_session_becomes_an_instrument_that_predicts_scenes_it_has_not_seen() {
     assert!(q.off_grid_error < 1.3 * q.noise_floor && q.one_psf_error > 5.0 * q.off_grid_error, "{q:?}");
 }
 
+/// Responses of the pixels are found in the flats and carried to predictions, and what is corrected has none left.
+#[test]
+fn unlike_pixels_are_predicted_unlike() {
+    let bed = Testbed { prnu: 0.02, ..Testbed::new() };
+    let Calibration { instrument: i, .. } = run(&bed, CalibrateConfig::default()).unwrap();
+    let truth = bed.response();
+    let rms = |a: &Array2<f64>| (a.iter().map(|v| v * v).sum::<f64>() / a.len() as f64).sqrt();
+    let found = i.response.as_ref().unwrap().mapv(f64::from);
+    assert!(rms(&(&found - &truth)) < 0.005, "{}", rms(&(&found - &truth)));
+    let forward = Forward::new(&i).unwrap();
+    let got = forward.expected_e(bed.object(7).view(), &forward.context()).unwrap().mapv(f64::from);
+    let want = bed.expected_e(7) * &truth;
+    let nrmse = rms(&(&got - &want)) / rms(&want);
+    assert!(nrmse < 0.01, "{nrmse}");
+    let plain = Forward::new(&Instrument { response: None, ..i }).unwrap();
+    let without = plain.expected_e(bed.object(7).view(), &plain.context()).unwrap().mapv(f64::from);
+    assert!(rms(&(&without - &want)) > 2.0 * rms(&(&got - &want)));
+    let none = run(&Testbed::new(), CalibrateConfig::default()).unwrap().instrument;
+    assert!(none.response.is_none());
+}
+
 #[test]
 fn a_dead_lens_is_marked_and_a_dim_one_kept() {
     let bed = Testbed { lens_gain: vec![1.0, 0.0, 1.0, 0.2], ..small() };

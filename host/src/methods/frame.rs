@@ -1,14 +1,16 @@
-//! What every method but the network does to a raw frame first: check it and take the dark signal away.
+//! What every method but the network does to a raw frame first: check it, take the dark signal away, and bring all pixels to one
+//! response.
 
 use super::MethodError;
 use crate::instrument::Instrument;
 use ndarray::{Array2, ArrayView2};
 
-/// Black level and fixed pattern of one sensor.
+/// Black level and fixed patterns of one sensor.
 #[derive(Clone, Debug)]
 pub struct FrameCorrection {
     black_level_dn: f32,
     offset_dn: Option<Array2<f32>>,
+    inverse_response: Option<Array2<f32>>,
     shape: (usize, usize),
 }
 
@@ -19,11 +21,12 @@ impl FrameCorrection {
         Self {
             black_level_dn: instrument.noise.black_level_dn as f32,
             offset_dn: instrument.offset_dn.clone(),
+            inverse_response: instrument.inverse_response(),
             shape: (sensor.rows, sensor.cols),
         }
     }
 
-    /// Light above black, DN, of a raw frame, DN, both [sensor rows, sensor cols]. Noise may make it negative.
+    /// Light above black, DN on pixels of mean response, of a raw frame, DN, both [sensor rows, sensor cols]. Noise may make it negative.
     ///
     /// # Errors
     /// The frame has another shape or holds values that are no numbers.
@@ -34,11 +37,14 @@ impl FrameCorrection {
         if let Some(((row, col), &found)) = frame_dn.indexed_iter().find(|(_, v)| !v.is_finite()) {
             return Err(MethodError::NotFinite { row, col, found });
         }
-        let light = frame_dn.mapv(|v| v - self.black_level_dn);
-        Ok(match &self.offset_dn {
-            Some(offset) => light - offset,
-            None => light,
-        })
+        let mut light = frame_dn.mapv(|v| v - self.black_level_dn);
+        if let Some(offset) = &self.offset_dn {
+            light -= offset;
+        }
+        if let Some(inverse) = &self.inverse_response {
+            light *= inverse;
+        }
+        Ok(light)
     }
 }
 
@@ -56,6 +62,18 @@ mod tests {
         let frame = pattern + 64.0 + 5.0;
         let light = FrameCorrection::new(&instrument).light_dn(frame.view()).unwrap();
         assert!(light.iter().all(|&v| v == 5.0));
+    }
+
+    #[test]
+    fn unlike_pixels_become_alike_and_a_dead_one_is_left() {
+        let mut instrument = instrument(1, [20, 30], [10, 10]);
+        let mut response = Array2::from_shape_fn((20, 30), |(r, _)| if r % 2 == 0 { 0.8 } else { 1.25 });
+        response[[3, 3]] = 0.0;
+        let mut frame = response.mapv(|r| 64.0 + 100.0 * r);
+        frame[[3, 3]] = 64.0;
+        instrument.response = Some(response);
+        let light = FrameCorrection::new(&instrument).light_dn(frame.view()).unwrap();
+        assert!(light.indexed_iter().all(|(at, v)| (v - if at == (3, 3) { 0.0 } else { 100.0 }).abs() < 1e-4));
     }
 
     #[test]

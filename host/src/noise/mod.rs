@@ -10,6 +10,7 @@ mod stats;
 pub use draw::{draw_electrons, draw_poisson};
 pub use measure::{NoiseCalibration, NoiseConfig, NoiseError, NoiseNote, measure_noise};
 
+use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
 /// Where a figure of the noise model comes from.
@@ -72,4 +73,9 @@ impl NoiseModel {
     pub fn full_scale_e(&self) -> f64 {
         (self.saturation_dn - self.black_level_dn) / self.gain_dn_per_e
     }
+}
+
+/// One over the response of each pixel; 1 where it answers with less than half the mean: a dead pixel has no light to give back.
+pub fn inverse_response(response: &Array2<f32>) -> Array2<f32> {
+    response.mapv(|r| if r >= 0.5 { 1.0 / r } else { 1.0 })
 }

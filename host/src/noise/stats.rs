@@ -62,6 +62,17 @@ impl PixelStats {
         }
     }
 
+    /// Mean light above black and offset, DN; NaN where a frame was saturated.
+    pub(super) fn light(&self, black: f64, offset: &Array2<f32>, saturation_dn: f64) -> Array2<f32> {
+        let mut light = Zip::from(&self.means()).and(offset).map_collect(|m, o| (m - black) as f32 - o);
+        Zip::from(&mut light).and(&self.top).for_each(|l, t| {
+            if f64::from(*t) >= saturation_dn {
+                *l = f32::NAN;
+            }
+        });
+        light
+    }
+
     /// Mean and temporal variance; None with fewer than two frames, or where over 1 % of the pixels are saturated.
     ///
     /// Saturated pixels are left out, and so are pixels whose variance cannot come from the common noise (telegraph, hot).

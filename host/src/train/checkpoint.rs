@@ -67,6 +67,18 @@ pub struct SensorMaps {
     pub inverse_gain: Option<Array2<f32>>,
 }
 
+impl SensorMaps {
+    /// Corrects light above black, DN, in C order: `(light - offset) * inverse_gain`.
+    pub fn correct(&self, light_dn: &mut [f32]) {
+        if let Some(offset) = &self.offset_dn {
+            light_dn.iter_mut().zip(offset).for_each(|(v, o)| *v -= o);
+        }
+        if let Some(gain) = &self.inverse_gain {
+            light_dn.iter_mut().zip(gain).for_each(|(v, g)| *v *= g);
+        }
+    }
+}
+
 /// A checkpoint in memory.
 #[derive(Clone, Debug)]
 pub struct Checkpoint {

@@ -97,7 +97,7 @@ fn tent(at: usize, len: usize, which: usize, count: usize) -> f32 {
 mod tests {
     use super::super::ops::fourier::Fourier;
     use super::super::source::tests::{foci, noise};
-    use super::super::{Preset, weights};
+    use super::super::{Preset, SensorMaps, weights};
     use super::*;
 
     #[test]
@@ -117,8 +117,15 @@ mod tests {
         let pairs = foci(24, 40, 16, 10);
         let network = Preset::Nano.network([40, 40], [16, 16]);
         let (plan, noise) = (Fourier::new(network.fourier()), noise());
-        let loader =
-            Loader { source: &pairs, network: &network, plan: &plan, noise: &noise, peak_e: [4000.0, 5000.0], seed: 3 };
+        let loader = Loader {
+            source: &pairs,
+            network: &network,
+            plan: &plan,
+            noise: &noise,
+            maps: &SensorMaps::default(),
+            peak_e: [4000.0, 5000.0],
+            seed: 3,
+        };
         let mut tensors = weights::random(&network, 1);
         fit(&loader, &(0..20).collect::<Vec<_>>(), &mut tensors).unwrap();
         let filters = plan.filters(tensors[FILTERS[0]].as_slice().unwrap(), tensors[FILTERS[1]].as_slice().unwrap());

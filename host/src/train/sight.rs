@@ -3,7 +3,7 @@
 use super::checkpoint::{Body, SensorMaps};
 use super::source::normalise;
 use crate::methods::MethodError;
-use ndarray::{ArrayView2, Zip};
+use ndarray::ArrayView2;
 
 /// The corrections that come before the network: `x = (frame - black - offset) * inverse_gain`, divided by its maximum.
 #[derive(Clone, Debug)]
@@ -36,13 +36,8 @@ impl Sight {
 
     /// A frame that [`Sight::check`] has accepted, as the network sees it, in C order.
     pub fn normalised(&self, frame_dn: ArrayView2<'_, f32>) -> Vec<f32> {
-        let mut light = frame_dn.mapv(|v| v - self.black_level_dn);
-        if let Some(offset) = &self.maps.offset_dn {
-            light -= offset;
-        }
-        if let Some(gain) = &self.maps.inverse_gain {
-            Zip::from(&mut light).and(gain).for_each(|v, g| *v *= g);
-        }
-        normalise(&light.into_iter().collect::<Vec<_>>())
+        let mut light: Vec<f32> = frame_dn.iter().map(|v| v - self.black_level_dn).collect();
+        self.maps.correct(&mut light);
+        normalise(&light)
     }
 }

@@ -1,7 +1,7 @@
 //! Where training pairs come from, and how they become what the network sees.
 
 use super::ops::fourier::{Fourier, Spectrum};
-use super::{NetworkConfig, TrainError};
+use super::{NetworkConfig, SensorMaps, TrainError};
 use crate::evaluate::Case;
 use crate::noise::{NoiseModel, draw_electrons};
 use crate::rng;
@@ -66,6 +66,8 @@ pub struct Loader<'a> {
     pub plan: &'a Fourier,
     /// Noise of the sensor.
     pub noise: &'a NoiseModel,
+    /// Fixed patterns that frames have and that are corrected before the network.
+    pub maps: &'a SensorMaps,
     /// Range of the peaks, electrons.
     pub peak_e: [f64; 2],
     /// Seed of the draws.
@@ -85,13 +87,14 @@ impl Loader<'_> {
     /// A pair cannot be had, has the wrong shape, or holds values that are no numbers.
     pub fn examples(&self, pairs: &[usize], what: &str, draw: u64) -> Result<Vec<Example>, TrainError> {
         let one = |(i, &pair): (usize, &usize)| {
-            let (light, target) = self.draw(pair, &mut self.stream(pairs.len(), i, what, draw))?;
+            let (mut light, target) = self.draw(pair, &mut self.stream(pairs.len(), i, what, draw))?;
+            self.maps.correct(&mut light);
             Ok(Example { spectrum: self.plan.rfft2(&normalise(&light), self.network.frame), target })
         };
         pairs.par_iter().enumerate().map(one).collect()
     }
 
-    /// The same frames as the sensor delivers them, DN, [frame rows, frame cols], without a fixed pattern, and their targets.
+    /// The same frames as the sensor delivers them, DN, [frame rows, frame cols], and their targets.
     ///
     /// # Errors
     /// As [`Loader::examples`].
@@ -120,14 +123,17 @@ impl Loader<'_> {
         let scale = ((low + (high - low) * rng.random::<f64>()).exp() / f64::from(peak)) as f32;
         let mut electrons: Vec<f32> = pair.expected_e.iter().map(|&e| e * scale).collect();
         draw_electrons(&mut electrons, self.noise.read_noise_e as f32, rng);
-        Ok((digitise(&electrons, self.noise), pair.object.iter().map(|&v| v / bright).collect()))
+        let offset = self.maps.offset_dn.as_ref().and_then(|map| map.as_slice());
+        Ok((digitise(&electrons, self.noise, offset), pair.object.iter().map(|&v| v / bright).collect()))
     }
 }
 
-/// The converter: electrons -> DN above black; the code is whole and within the converter's range.
-fn digitise(electrons: &[f32], noise: &NoiseModel) -> Vec<f32> {
+/// The converter: electrons -> DN above black, the offsets of the pixels in it; the code is whole and within the converter's range.
+fn digitise(electrons: &[f32], noise: &NoiseModel, offset_dn: Option<&[f32]>) -> Vec<f32> {
     let (gain, black, top) = (noise.gain_dn_per_e as f32, noise.black_level_dn as f32, noise.saturation_dn as f32);
-    electrons.iter().map(|&e| (black + gain * e).round().clamp(0.0, top) - black).collect()
+    let offset = |p: usize| offset_dn.map_or(0.0, |map| map[p]);
+    let code = |(p, &e): (usize, &f32)| (black + offset(p) + gain * e).round().clamp(0.0, top) - black;
+    electrons.iter().enumerate().map(code).collect()
 }
 
 /// A frame above black divided by its maximum; negative values stay. A frame without light stays as it is.
@@ -198,8 +204,15 @@ pub(super) mod tests {
     fn the_same_draw_gives_the_same_example_and_another_does_not() {
         let (pairs, network) = (foci(2, 40, 16, 10), super::super::Preset::Nano.network([40, 40], [16, 16]));
         let (plan, noise) = (Fourier::new(network.fourier()), noise());
-        let loader =
-            Loader { source: &pairs, network: &network, plan: &plan, noise: &noise, peak_e: [500.0, 5000.0], seed: 3 };
+        let loader = Loader {
+            source: &pairs,
+            network: &network,
+            plan: &plan,
+            noise: &noise,
+            maps: &SensorMaps::default(),
+            peak_e: [500.0, 5000.0],
+            seed: 3,
+        };
         let a = loader.examples(&[0, 1], "train", 4).unwrap();
         let b = loader.examples(&[0, 1], "train", 4).unwrap();
         let c = loader.examples(&[0, 1], "train", 5).unwrap();
@@ -214,16 +227,45 @@ pub(super) mod tests {
         let network = super::super::Preset::Nano.network([40, 40], [16, 16]);
         let (plan, noise) = (Fourier::new(network.fourier()), noise());
         pairs[1].expected_e[[3, 3]] = f32::NAN;
-        let loader =
-            Loader { source: &pairs, network: &network, plan: &plan, noise: &noise, peak_e: [500.0, 5000.0], seed: 3 };
+        let loader = Loader {
+            source: &pairs,
+            network: &network,
+            plan: &plan,
+            noise: &noise,
+            maps: &SensorMaps::default(),
+            peak_e: [500.0, 5000.0],
+            seed: 3,
+        };
         let error = loader.examples(&[0, 1], "train", 0).unwrap_err().to_string();
         assert!(error.contains("pair 1") && error.contains("frame"), "{error}");
     }
 
     #[test]
+    fn what_the_network_sees_has_no_fixed_pattern_left() {
+        let network = super::super::Preset::Nano.network([40, 40], [16, 16]);
+        let (plan, noise) = (Fourier::new(network.fourier()), noise());
+        let even = foci(1, 40, 16, 10);
+        let response = Array2::from_shape_fn((40, 40), |(r, c)| 1.0 + 0.2 * ((r * 7 + c * 3) % 3) as f32);
+        let mut uneven = even.clone();
+        uneven[0].expected_e *= &response;
+        let maps = SensorMaps { offset_dn: Some(&response * 40.0), inverse_gain: Some(response.mapv(f32::recip)) };
+        let seen = |source: &Vec<Pair>, maps: &SensorMaps| {
+            // So bright that noise is nothing.
+            let peak = f64::from(source[0].expected_e.iter().copied().fold(0.0, f32::max)) * 8.0;
+            let loader =
+                Loader { source, network: &network, plan: &plan, noise: &noise, maps, peak_e: [peak; 2], seed: 3 };
+            loader.examples(&[0], "train", 0).unwrap().remove(0).spectrum
+        };
+        let (clean, corrected) = (seen(&even, &SensorMaps::default()), seen(&uneven, &maps));
+        let norm = |s: &Spectrum| s.iter().map(|v| v.norm_sqr()).sum::<f32>().sqrt();
+        let off: Spectrum = clean.iter().zip(&corrected).map(|(a, b)| a - b).collect();
+        assert!(norm(&off) < 0.1 * norm(&clean), "{} {}", norm(&off), norm(&clean));
+    }
+
+    #[test]
     fn saturation_clips_and_darkness_keeps_its_sign() {
-        let dn = digitise(&[1e6, -1e6, 10.0], &noise());
-        assert_eq!(dn, [4031.0, -64.0, 4.0]);
+        let dn = digitise(&[1e6, -1e6, 10.0], &noise(), Some(&[3.0, 3.0, 3.25]));
+        assert_eq!(dn, [4031.0, -64.0, 7.0]);
         assert_eq!(normalise(&[-1.0, 4.0, 2.0]), [-0.25, 1.0, 0.5]);
     }
 }

@@ -151,6 +151,7 @@ impl<'a> Trainer<'a> {
             network: &self.task.network,
             plan: &self.plan,
             noise: &self.task.noise,
+            maps: &self.task.maps,
             peak_e,
             seed,
         }

@@ -5,10 +5,14 @@
 //! term is the rounding to whole DN. Lamp flicker moves all pixels together: its variance is measured on the frame means and
 //! taken off.
 
+mod response;
+
 use super::stats::{PixelStats, Summary};
 use super::{NoiseModel, Source, Sources};
+use crate::linalg::NotConverged;
 use crate::session::{Role, Session, SessionError, Stack};
 use ndarray::Array2;
+use response::{Level, ResponseSums};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -40,7 +44,8 @@ pub struct NoiseCalibration {
     pub model: NoiseModel,
     /// Offset of each pixel from the black level, DN, [sensor rows, sensor cols]; None: no darks.
     pub offset_dn: Option<Array2<f32>>,
-    /// Response of each pixel relative to the mean, [sensor rows, sensor cols]; None: the flats do not tell it.
+    /// Response of each pixel relative to the mean, [sensor rows, sensor cols]; None: the flats show no spread beyond their noise,
+    /// or there are no darks to tell it from offsets.
     pub response: Option<Array2<f32>>,
     /// Photon transfer, [level, (mean above black, variance, fitted variance)], DN and DN^2.
     pub photon_transfer: Array2<f32>,
@@ -98,6 +103,9 @@ pub enum NoiseError {
     /// The session.
     #[error(transparent)]
     Session(#[from] SessionError),
+    /// The numbers.
+    #[error(transparent)]
+    NotConverged(#[from] NotConverged),
     /// A nominal value makes no sense.
     #[error("{field}: expected a finite value above zero, found {found}")]
     Nominal {
@@ -126,6 +134,7 @@ struct Dark {
     black: f64,
     offset: Array2<f32>,
     level: Option<Summary>,
+    frames: f64,
 }
 
 /// Measures the noise of a session's sensor. `step` is called once a frame.
@@ -159,8 +168,7 @@ pub fn measure_noise(
         notes.push(NoiseNote::NoDarks { black_level_dn: black });
     }
     let dark_level = dark.as_ref().and_then(|d| d.level);
-    let offset = dark.as_ref().map(|d| &d.offset);
-    let levels = measure_flats(session, black, offset, saturation_dn, &mut step)?;
+    let Flats { levels, response } = measure_flats(session, black, dark.as_ref(), saturation_dn, &mut step)?;
     let transfer = Transfer::fit(&levels, dark_level);
     let mut sources =
         Sources { black_level: dark.as_ref().map_or(Source::Inferred, |_| Source::Measured), ..Sources::default() };
@@ -181,7 +189,7 @@ pub fn measure_noise(
         sources,
     };
     let photon_transfer = curve(&levels, dark_level, &transfer);
-    Ok(NoiseCalibration { model, offset_dn: dark.map(|d| d.offset), response: None, photon_transfer, notes })
+    Ok(NoiseCalibration { model, offset_dn: dark.map(|d| d.offset), response, photon_transfer, notes })
 }
 
 fn gain(
@@ -252,24 +260,43 @@ fn measure_darks(session: &Session, saturation_dn: f64, step: &mut impl FnMut())
     let stats = read_group(session, Role::Dark, group, step)?;
     let level = stats.summary(0.0, None, saturation_dn);
     let (black, offset) = stats.offsets(level.map(|l| l.variance));
-    Ok(Some(Dark { black, offset, level: level.map(|l| Summary { mean: 0.0, ..l }) }))
+    let frames = group.frames.len() as f64;
+    Ok(Some(Dark { black, offset, level: level.map(|l| Summary { mean: 0.0, ..l }), frames }))
 }
 
-/// Mean and variance of each light level, from darkest to brightest; levels of one frame or in saturation are left out.
+/// What the flats say.
+struct Flats {
+    /// Mean and variance of each light level, from darkest to brightest; levels of one frame or in saturation are left out.
+    levels: Vec<Summary>,
+    /// Response of each pixel; None without darks, since offsets would pass for it.
+    response: Option<Array2<f32>>,
+}
+
 fn measure_flats(
     session: &Session,
     black: f64,
-    offset: Option<&Array2<f32>>,
+    dark: Option<&Dark>,
     saturation_dn: f64,
     step: &mut impl FnMut(),
-) -> Result<Vec<Summary>, NoiseError> {
-    let mut levels = Vec::new();
+) -> Result<Flats, NoiseError> {
+    let (mut levels, mut sums) = (Vec::new(), ResponseSums::default());
+    let without_light = dark.and_then(|d| d.level).map(|l| l.variance);
     for group in groups(session, Role::Flat) {
         let stats = read_group(session, Role::Flat, &group, step)?;
-        levels.extend(stats.summary(black, offset, saturation_dn));
+        let Some(summary) = stats.summary(black, dark.map(|d| &d.offset), saturation_dn) else { continue };
+        levels.push(summary);
+        if let (Some(dark), Some(dark_dn2)) = (dark, without_light) {
+            let light_dn = stats.light(black, &dark.offset, saturation_dn);
+            let level = Level { light_dn: &light_dn, frames: group.frames.len() as f64, summary };
+            // A level darker than its own noise divides by nothing.
+            if summary.mean > 0.0 && summary.mean * summary.mean > summary.variance {
+                sums.add(&level, dark_dn2)?;
+            }
+        }
     }
     levels.sort_by(|a, b| a.mean.total_cmp(&b.mean));
-    Ok(levels)
+    let response = dark.zip(without_light).and_then(|(d, dark_dn2)| sums.finish(dark_dn2 / d.frames));
+    Ok(Flats { levels, response })
 }
 
 /// Frames of one exposure and light level: (stack, frame).
