@@ -7,6 +7,7 @@ pub mod design;
 pub mod model;
 pub mod observe;
 pub mod omnibus;
+pub mod record;
 pub mod refit;
 mod repeats;
 pub mod score;

@@ -23,6 +23,8 @@ mod pixel_mosaic;
 mod row_pattern;
 mod smooth;
 mod table;
+mod unknown_operator;
+mod unknown_profile;
 mod veiling_glare;
 
 pub use chain::{Chain, EffectError, Layout};
@@ -31,6 +33,8 @@ pub use descriptor::{Descriptor, Kind, Lookalike, Param, Stage};
 pub use evidence::{Evidence, EvidenceFrame};
 pub use smooth::blur_within;
 pub use table::{Table, TableGroup, TableUse};
+pub use unknown_operator::{OPERATORS, WEIGHTS};
+pub use unknown_profile::{COVARIATES, KNOTS};
 
 use crate::noise::NoiseModel;
 use ndarray::Array2;
@@ -122,6 +126,8 @@ static REGISTRY: &[&dyn Effect] = &[
     &nonlinearity::Nonlinearity,
     &pixel_mosaic::PixelMosaic,
     &row_pattern::RowPattern,
+    &unknown_operator::UnknownOperator,
+    &unknown_profile::UnknownProfile,
 ];
 
 /// Every effect, in physical order of their stages.
