@@ -2,7 +2,7 @@
 //!
 //! `anchor_l -> anchor_l + (row_px, col_px)`. Catalogue 4.
 
-use super::{Descriptor, Effect, FrameContext, Param, Ray, RayShift, Stage};
+use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Ray, RayShift, Stage};
 
 /// See the module.
 pub(super) struct ArrayShift;
@@ -12,7 +12,11 @@ static DESCRIPTOR: Descriptor = Descriptor {
     stage: Stage::Geometry,
     summary: "anchor_l + (row_px, col_px): the whole array has moved",
     params: &[Param::strength("row_px", "px", 0.1, -50.0, 50.0), Param::strength("col_px", "px", 0.1, -50.0, 50.0)],
-    lookalikes: &[],
+    lookalikes: &[
+        Lookalike { id: "lens_decentre", separate_by: "bead scan: a shifted array moves every lens alike" },
+        Lookalike { id: "thermal_drift", separate_by: "a bead at rest, frame after frame" },
+        Lookalike { id: "radial_distortion", separate_by: "bead scan over the field: distortion grows with the field" },
+    ],
 };
 
 impl Effect for ArrayShift {

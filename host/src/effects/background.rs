@@ -3,7 +3,7 @@
 //! `mu -> mu + rate t P (1 + gradient . s)`, s = position from the centre in half heights and half widths (-1..1).
 //! Catalogue 19.
 
-use super::{Descriptor, Effect, FrameContext, Param, Stage};
+use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
 use ndarray::Array2;
 
 /// See the module.
@@ -18,7 +18,14 @@ static DESCRIPTOR: Descriptor = Descriptor {
         Param::shape("gradient_row", "1", 0.0, 0.1, [-1.0, 1.0], &[0.0]),
         Param::shape("gradient_col", "1", 0.0, 0.1, [-1.0, 1.0], &[0.0]),
     ],
-    lookalikes: &[],
+    lookalikes: &[
+        Lookalike { id: "dark_current", separate_by: "frames with the lamp off" },
+        Lookalike {
+            id: "veiling_glare",
+            separate_by: "two light levels of the specimen: glare follows its light, background the lamp",
+        },
+        Lookalike { id: "black_level_drift", separate_by: "frames with the lamp off" },
+    ],
 };
 
 impl Effect for Background {

@@ -4,7 +4,7 @@
 //! (Janesick, *Scientific Charge-Coupled Devices*, 2001, ch. 4).
 
 use super::smooth::diffuse;
-use super::{Descriptor, Effect, FrameContext, Param, Stage};
+use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
 use ndarray::Array2;
 
 /// See the module.
@@ -15,7 +15,14 @@ static DESCRIPTOR: Descriptor = Descriptor {
     stage: Stage::Light,
     summary: "g_sigma * mu before the Poisson draw: electrons wander before collection",
     params: &[Param::strength("sigma_px", "px", 0.1, 0.0, 3.0)],
-    lookalikes: &[],
+    lookalikes: &[
+        Lookalike {
+            id: "interpixel_capacitance",
+            separate_by: "covariance of flats: capacitance correlates neighbours, diffusion does not",
+        },
+        Lookalike { id: "defocus", separate_by: "depth scan: diffusion is the same at every depth" },
+        Lookalike { id: "motion_blur", separate_by: "beads: diffusion is there too, motion is not" },
+    ],
 };
 
 impl Effect for ChargeDiffusion {

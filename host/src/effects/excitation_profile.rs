@@ -3,7 +3,7 @@
 //! `O(p) -> O(p) (1 - falloff rho^2)`, rho = distance from the centre over half the diagonal of the object; first order of a
 //! Gaussian lamp profile. Fixed to the object, unlike vignetting. Catalogue 17.
 
-use super::{Descriptor, Effect, FrameContext, Param, Stage};
+use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
 use ndarray::Array2;
 
 /// See the module.
@@ -18,7 +18,13 @@ static DESCRIPTOR: Descriptor = Descriptor {
         Param::shape("centre_row", "half heights", 0.0, 0.1, [-1.0, 1.0], &[0.0]),
         Param::shape("centre_col", "half widths", 0.0, 0.1, [-1.0, 1.0], &[0.0]),
     ],
-    lookalikes: &[],
+    lookalikes: &[
+        Lookalike {
+            id: "vignetting",
+            separate_by: "move the specimen: an excitation profile moves with the object, vignetting stays on the sensor",
+        },
+        Lookalike { id: "photobleaching", separate_by: "the same specimen early and late" },
+    ],
 };
 
 impl Effect for ExcitationProfile {

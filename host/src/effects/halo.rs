@@ -4,7 +4,7 @@
 //! Catalogue 11.
 
 use super::smooth::gaussian_blur;
-use super::{Descriptor, Effect, FrameContext, Param, Stage};
+use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
 use ndarray::Array2;
 
 /// See the module.
@@ -18,7 +18,11 @@ static DESCRIPTOR: Descriptor = Descriptor {
         Param::strength("weight", "1", 0.02, 0.0, 1.0),
         Param::shape("sigma_px", "px", 12.0, 2.0, [0.5, 500.0], &[4.0, 12.0, 36.0]),
     ],
-    lookalikes: &[],
+    lookalikes: &[
+        Lookalike { id: "veiling_glare", separate_by: "a single bright bead: glare is even over the sensor" },
+        Lookalike { id: "charge_diffusion", separate_by: "a single bright bead: diffusion reaches a pixel or two" },
+        Lookalike { id: "ghost", separate_by: "a single bright bead off the centre" },
+    ],
 };
 
 impl Effect for Halo {

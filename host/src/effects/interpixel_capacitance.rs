@@ -5,7 +5,7 @@
 //! (Moore, Ninkov, Forrest, Opt. Eng. 45, 076402, 2006).
 
 use super::smooth::couple;
-use super::{Descriptor, Effect, FrameContext, Param, Stage};
+use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
 use ndarray::Array2;
 
 /// See the module.
@@ -16,7 +16,14 @@ static DESCRIPTOR: Descriptor = Descriptor {
     stage: Stage::Charge,
     summary: "Q (1 - 4 alpha) + alpha sum of 4 neighbours, after the Poisson draw",
     params: &[Param::strength("alpha", "1", 0.005, 0.0, 0.25)],
-    lookalikes: &[],
+    lookalikes: &[
+        Lookalike {
+            id: "charge_diffusion",
+            separate_by: "covariance of flats: capacitance correlates neighbours, diffusion does not",
+        },
+        Lookalike { id: "defocus", separate_by: "flats: capacitance correlates the noise of neighbours" },
+        Lookalike { id: "readout_lag", separate_by: "covariance of flats: a lag has it along rows only" },
+    ],
 };
 
 impl Effect for InterpixelCapacitance {

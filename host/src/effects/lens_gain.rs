@@ -2,7 +2,7 @@
 //!
 //! `mu_l -> (1 + change_l) mu_l`. Catalogue 15.
 
-use super::{Descriptor, Effect, FrameContext, Param, Stage};
+use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
 use ndarray::Array2;
 
 /// See the module.
@@ -13,7 +13,10 @@ static DESCRIPTOR: Descriptor = Descriptor {
     stage: Stage::Lens,
     summary: "(1 + change_l) mu_l: lenses pass more or less light",
     params: &[Param::strength("change", "1", 0.05, -1.0, 10.0).per_lens()],
-    lookalikes: &[],
+    lookalikes: &[
+        Lookalike { id: "vignetting", separate_by: "flats: a lens's gain steps from image to image" },
+        Lookalike { id: "dust", separate_by: "flats: dust on the sensor is the same for every lens" },
+    ],
 };
 
 impl Effect for LensGain {

@@ -7,25 +7,58 @@
 //! object -> (geometry) -> each lens -> light on the sensor -> Poisson draw -> charge -> electronics
 //! ```
 
+mod adc_nonlinearity;
+mod array_rotation;
 mod array_shift;
 mod background;
+mod black_level_drift;
+mod brighter_fatter;
 mod chain;
 mod charge_diffusion;
+mod column_pattern;
 mod context;
+mod dark_current;
+mod defocus;
 mod descriptor;
+mod dsnu;
+mod dust;
 mod evidence;
 mod excitation_profile;
+mod exposure_offset;
+mod field_curvature;
+mod flicker_banding;
+mod ghost;
 mod halo;
+mod hot_pixels;
 mod interpixel_capacitance;
+mod lag;
+mod lamp_drift;
+mod lens_decentre;
 mod lens_gain;
+mod lens_leakage;
+mod magnification;
+mod metadata_fault;
+mod motion_blur;
+mod noise_scale;
 mod nonlinearity;
+mod photobleaching;
 mod pixel_mosaic;
+mod prnu;
+mod radial_distortion;
+mod rank_truncation;
+mod readout_lag;
+mod row_noise;
 mod row_pattern;
+mod saturation;
 mod smooth;
+mod stage_scale;
 mod table;
+mod thermal_drift;
 mod unknown_operator;
 mod unknown_profile;
 mod veiling_glare;
+mod vignetting;
+mod wave;
 
 pub use chain::{Chain, EffectError, Layout};
 pub use context::{FrameContext, Previous, Ray, RayShift, Record};
@@ -116,16 +149,48 @@ impl EffectSetting {
 /// Every effect there is: a new one is a file of its own and a line here.
 static REGISTRY: &[&dyn Effect] = &[
     &excitation_profile::ExcitationProfile,
+    &photobleaching::Photobleaching,
     &array_shift::ArrayShift,
+    &array_rotation::ArrayRotation,
+    &lens_decentre::LensDecentre,
+    &stage_scale::StageScale,
+    &thermal_drift::ThermalDrift,
+    &magnification::Magnification,
+    &radial_distortion::RadialDistortion,
+    &defocus::Defocus,
+    &field_curvature::FieldCurvature,
     &lens_gain::LensGain,
+    &lens_leakage::LensLeakage,
+    &rank_truncation::RankTruncation,
+    &motion_blur::MotionBlur,
     &halo::Halo,
     &veiling_glare::VeilingGlare,
+    &ghost::Ghost,
     &background::Background,
+    &lamp_drift::LampDrift,
+    &flicker_banding::FlickerBanding,
+    &exposure_offset::ExposureOffset,
+    &vignetting::Vignetting,
+    &dust::Dust,
+    &prnu::Prnu,
+    &lag::Lag,
+    &dark_current::DarkCurrent,
+    &hot_pixels::HotPixels,
     &charge_diffusion::ChargeDiffusion,
+    &brighter_fatter::BrighterFatter,
+    &saturation::Saturation,
     &interpixel_capacitance::InterpixelCapacitance,
     &nonlinearity::Nonlinearity,
+    &readout_lag::ReadoutLag,
     &pixel_mosaic::PixelMosaic,
     &row_pattern::RowPattern,
+    &column_pattern::ColumnPattern,
+    &dsnu::Dsnu,
+    &black_level_drift::BlackLevelDrift,
+    &adc_nonlinearity::AdcNonlinearity,
+    &row_noise::RowNoise,
+    &noise_scale::NoiseScale,
+    &metadata_fault::MetadataFault,
     &unknown_operator::UnknownOperator,
     &unknown_profile::UnknownProfile,
 ];

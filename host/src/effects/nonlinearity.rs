@@ -2,7 +2,7 @@
 //!
 //! `Q -> Q - beta Q^2 / full_scale`. Catalogue 25.
 
-use super::{Descriptor, Effect, FrameContext, Param, Stage};
+use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
 use ndarray::Array2;
 
 /// See the module.
@@ -13,7 +13,15 @@ static DESCRIPTOR: Descriptor = Descriptor {
     stage: Stage::Charge,
     summary: "Q - beta Q^2 / full scale: the response bends towards full scale",
     params: &[Param::strength("beta", "1", 0.01, -0.5, 0.5)],
-    lookalikes: &[],
+    lookalikes: &[
+        Lookalike { id: "exposure_offset", separate_by: "a ladder of lamp powers at one exposure" },
+        Lookalike { id: "saturation", separate_by: "leave out the brightest pixels: a bend of the response stays" },
+        Lookalike { id: "brighter_fatter", separate_by: "covariance of flats: a bend of the response has none" },
+        Lookalike {
+            id: "adc_nonlinearity",
+            separate_by: "histogram of a bright ramp: a converter jumps at one code, a curve is smooth",
+        },
+    ],
 };
 
 impl Effect for Nonlinearity {

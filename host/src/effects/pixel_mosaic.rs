@@ -2,7 +2,7 @@
 //!
 //! `y -> black + (y - black) (1 + checker (-1)^(r+c) + rows (-1)^r + cols (-1)^c)`: three orthogonal contrasts. Catalogue 32.
 
-use super::{Descriptor, Effect, FrameContext, Param, Stage};
+use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
 use ndarray::Array2;
 
 /// See the module.
@@ -17,7 +17,11 @@ static DESCRIPTOR: Descriptor = Descriptor {
         Param::strength("rows", "1", 0.005, -0.5, 0.5),
         Param::strength("cols", "1", 0.005, -0.5, 0.5),
     ],
-    lookalikes: &[],
+    lookalikes: &[
+        Lookalike { id: "row_pattern", separate_by: "darks: a gain that alternates does nothing without light" },
+        Lookalike { id: "column_pattern", separate_by: "darks: a gain that alternates does nothing without light" },
+        Lookalike { id: "prnu", separate_by: "flats: a mosaic repeats every two pixels" },
+    ],
 };
 
 impl Effect for PixelMosaic {

@@ -1,10 +1,11 @@
-//! Row pattern: a fixed wave of the offset along the rows, by default from even to odd.
+//! Row pattern: a fixed wave of the offset from row to row.
 //!
-//! `y -> y + amplitude cos(2 pi (row / period + phase))`. Catalogue 32.
+//! `y -> y + amplitude cos(2 pi row / period) + quadrature sin(2 pi row / period)`. At a period of 2 (even and odd rows) the sine is zero
+//! in every row, and the amplitude says all. Catalogue 32.
 
-use super::{Descriptor, Effect, FrameContext, Param, Stage};
-use ndarray::Array2;
-use std::f64::consts::TAU;
+use super::wave::{periods, wave};
+use super::{Descriptor, Effect, Evidence, FrameContext, Lookalike, Param, Stage};
+use ndarray::{Array2, Axis};
 
 /// See the module.
 pub(super) struct RowPattern;
@@ -12,13 +13,16 @@ pub(super) struct RowPattern;
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "row_pattern",
     stage: Stage::Electronics,
-    summary: "y + amplitude cos(2 pi (row / period + phase)): fixed offset by row",
+    summary: "y + amplitude cos + quadrature sin of 2 pi row / period: fixed offset by row",
     params: &[
-        Param::strength("amplitude_dn", "DN", 0.5, -1e4, 1e4),
-        Param::shape("period_rows", "rows", 2.0, 0.1, [1.0, 1e5], &[]),
-        Param::shape("phase", "turns", 0.0, 0.05, [-1.0, 1.0], &[]),
+        Param::strength("amplitude_dn", "DN", 0.2, -1e4, 1e4),
+        Param::strength("quadrature_dn", "DN", 0.2, -1e4, 1e4),
+        Param::shape("period_rows", "rows", 4.0, 0.02, [1.0, 1e5], &[2.0, 4.0]),
     ],
-    lookalikes: &[],
+    lookalikes: &[
+        Lookalike { id: "flicker_banding", separate_by: "darks: a pattern is there too, and stands still" },
+        Lookalike { id: "row_noise", separate_by: "repeats: noise differs from frame to frame" },
+    ],
 };
 
 impl Effect for RowPattern {
@@ -27,12 +31,32 @@ impl Effect for RowPattern {
     }
 
     fn on_electronics(&self, p: &[f64], frame_dn: &mut Array2<f32>, _cx: &FrameContext<'_>) {
-        if p[0] == 0.0 {
+        if p[0] == 0.0 && p[1] == 0.0 {
             return;
         }
-        for (r, mut row) in frame_dn.outer_iter_mut().enumerate() {
-            let offset = (p[0] * (TAU * (r as f64 / p[1] + p[2])).cos()) as f32;
+        let offsets = wave(frame_dn.nrows(), p[0], p[1], p[2]);
+        for (mut row, offset) in frame_dn.outer_iter_mut().zip(offsets) {
             row.mapv_inplace(|v| v + offset);
         }
     }
+
+    /// Peaks in the spectrum of the mean residual of the rows.
+    fn guess(&self, evidence: &Evidence<'_>) -> Vec<Vec<f64>> {
+        let (sums, weights) = lines(evidence, Axis(0));
+        periods(&sums, &weights).into_iter().map(|period| vec![0.0, 0.0, period]).collect()
+    }
+}
+
+/// Weighted residual and weight of each row (axis 0) or column (axis 1), over all frames.
+pub(super) fn lines(evidence: &Evidence<'_>, axis: Axis) -> (Vec<f64>, Vec<f64>) {
+    let n = evidence.frames.first().map_or(0, |f| f.weight.len_of(axis));
+    let (mut sums, mut weights) = (vec![0.0; n], vec![0.0; n]);
+    for frame in &evidence.frames {
+        let lines = frame.residual_dn.axis_iter(axis).zip(frame.weight.axis_iter(axis));
+        for ((residual, weight), (s, w)) in lines.zip(sums.iter_mut().zip(&mut weights)) {
+            *s += residual.iter().zip(&weight).map(|(r, w)| f64::from(*r) * f64::from(*w)).sum::<f64>();
+            *w += weight.iter().map(|w| f64::from(*w)).sum::<f64>();
+        }
+    }
+    (sums, weights)
 }

@@ -64,3 +64,26 @@ pub(super) fn couple(image: &mut Array2<f32>, a: f32) {
 pub fn blur_within(image: &Array2<f32>, sigma_px: f64) -> Array2<f32> {
     gaussian_blur(image, sigma_px) / gaussian_blur(&Array2::ones(image.dim()), sigma_px)
 }
+
+/// Blur of variances (row, col, covariance), px^2, in explicit steps of second differences; light stays, and stays positive.
+pub(super) fn second_differences(image: &mut Array2<f32>, [row, col, cov]: [f64; 3]) {
+    let steps = ((row.abs() + col.abs() + 2.0 * cov.abs()) / 0.5).ceil().max(1.0);
+    let part = |v: f64| (v / steps) as f32;
+    let (row, col, cov) = (part(row) / 2.0, part(col) / 2.0, part(cov) / 4.0);
+    let (rows, cols) = image.dim();
+    for _ in 0..steps as usize {
+        let from = image.clone();
+        for r in 0..rows {
+            // The border repeats: nothing flows over it.
+            let (up, down) = (from.row(r.saturating_sub(1)), from.row((r + 1).min(rows - 1)));
+            let here = from.row(r);
+            for c in 0..cols {
+                let (left, right) = (c.saturating_sub(1), (c + 1).min(cols - 1));
+                let change = row * (up[c] + down[c] - 2.0 * here[c])
+                    + col * (here[left] + here[right] - 2.0 * here[c])
+                    + cov * (up[left] + down[right] - up[right] - down[left]);
+                image[[r, c]] = (here[c] + change).max(0.0);
+            }
+        }
+    }
+}

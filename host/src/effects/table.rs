@@ -3,6 +3,10 @@
 //! Injected, the table is drawn from a few parameters (an rms, a number of spots, a seed); fitted, it is estimated
 //! from the residuals and carried in the setting. Applied, both are the same.
 
+use crate::rng;
+use ndarray::Array2;
+use rand_distr::{Distribution, StandardNormal};
+
 /// How a table `u` acts. It is [sensor rows, sensor cols], [rows, 1] or [1, cols].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TableUse {
@@ -36,4 +40,13 @@ pub struct Table {
     pub acts: TableUse,
     /// What shares a value.
     pub group: TableGroup,
+}
+
+/// A table of normal numbers with that standard deviation, one a pixel; the same seed draws the same table.
+pub(super) fn normal(sensor: [usize; 2], rms: f64, seed: f64, what: &str) -> Array2<f32> {
+    let mut rng = rng::stream(seed as u64, what, 0);
+    Array2::from_shape_simple_fn(sensor, || {
+        let z: f64 = StandardNormal.sample(&mut rng);
+        (rms * z) as f32
+    })
 }

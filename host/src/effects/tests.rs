@@ -3,6 +3,7 @@
 use super::*;
 use crate::noise::Sources;
 use crate::rng::stream;
+use crate::session::Role;
 use ndarray::Array2;
 
 fn image() -> Array2<f32> {
@@ -12,7 +13,7 @@ fn image() -> Array2<f32> {
 const LAYOUT: Layout = Layout { lenses: 2, sensor: [9, 11] };
 static ANCHORS: [[f64; 2]; 2] = [[4.25, 2.5], [4.0, 7.25]];
 
-/// The second frame of a stack, late, in the first lens.
+/// The second scene of a stack, late, in the first lens.
 fn context(previous: &Array2<f32>) -> FrameContext<'_> {
     FrameContext {
         frame: 1,
@@ -59,7 +60,8 @@ struct Deeds {
 fn deeds(chain: &Chain) -> Deeds {
     let previous = image() * 2.0;
     let cx = context(&previous);
-    let mut images = vec![image(); 5];
+    // Charge and codes reach up to full scale, where some effects begin.
+    let mut images = vec![image(), image(), image(), image() * 400.0, image() * 400.0];
     chain.on_object(&mut images[0], &cx);
     chain.on_lens(&mut images[1], &cx);
     chain.on_light(&mut images[2], &cx);
@@ -67,7 +69,15 @@ fn deeds(chain: &Chain) -> Deeds {
     chain.on_electronics(&mut images[4], &cx);
     let mut record = Record::honest(1, 4);
     chain.on_record(&mut record, &cx);
-    let mut noise = NoiseModel {
+    let mut noise = sensor_noise();
+    chain.on_noise(&mut noise);
+    let mut reading = image();
+    chain.on_reading(&mut reading, &cx, &mut stream(1, "reading", 0));
+    Deeds { images, shift: chain.shift_ray(&RAY, &cx), record, noise, reading }
+}
+
+fn sensor_noise() -> NoiseModel {
+    NoiseModel {
         black_level_dn: 2.0,
         gain_dn_per_e: 0.5,
         gain_sigma: 0.0,
@@ -75,11 +85,7 @@ fn deeds(chain: &Chain) -> Deeds {
         read_noise_sigma: 0.0,
         saturation_dn: 4095.0,
         sources: Sources::default(),
-    };
-    chain.on_noise(&mut noise);
-    let mut reading = image();
-    chain.on_reading(&mut reading, &cx, &mut stream(1, "reading", 0));
-    Deeds { images, shift: chain.shift_ray(&RAY, &cx), record, noise, reading }
+    }
 }
 
 fn dimmest(images: &[Array2<f32>]) -> f32 {
@@ -128,7 +134,7 @@ fn descriptors_are_sound() {
             assert!(p.min <= p.off && p.off <= p.max && p.step > 0.0 && p.off + p.step <= p.max, "{} {}", d.id, p.name);
         }
     }
-    for stage in [Stage::Object, Stage::Geometry, Stage::Lens, Stage::Light, Stage::Charge, Stage::Electronics] {
+    for stage in Stage::ALL {
         assert!(registry().iter().any(|e| e.descriptor().stage == stage), "{stage:?}");
     }
 }
@@ -175,9 +181,261 @@ fn worked_examples() {
     let mut lens = Array2::from_elem((1, 1), 100.0f32);
     chain("lens_gain", &[("change_0", -0.5), ("change_1", 3.0)]).on_lens(&mut lens, &cx);
     assert_eq!(lens[[0, 0]], 50.0);
-    let mut rows = Array2::zeros((3, 1));
-    chain("row_pattern", &[("amplitude_dn", 2.0)]).on_electronics(&mut rows, &cx);
-    assert_eq!(rows.mapv(f32::round), ndarray::arr2(&[[2.0], [-2.0], [2.0]]));
+}
+
+fn shifted(id: &str, params: &[(&str, f64)]) -> RayShift {
+    chain(id, params).shift_ray(&RAY, &context(&image()))
+}
+
+fn close(found: f64, want: f64) {
+    assert!((found - want).abs() < 1e-6 * want.abs().max(1e-6), "{found} instead of {want}");
+}
+
+#[test]
+fn worked_examples_of_chief_rays() {
+    let near = |found: RayShift, px: [f64; 2], z_um: f64| {
+        close(found.px[0], px[0]);
+        close(found.px[1], px[1]);
+        close(found.z_um, z_um);
+    };
+    // Anchor (-20, 15), field (10, -17), axis (12, -11) px of 1.85 um; 3 s.
+    near(shifted("array_rotation", &[("angle_mrad", 2.0)]), [0.03, 0.04], 0.0);
+    near(shifted("lens_decentre", &[("row_px_0", 0.5), ("row_px_1", 9.0), ("col_px_0", -0.25)]), [0.5, -0.25], 0.0);
+    near(shifted("magnification", &[("eps", 0.01)]), [0.12, -0.11], 0.0);
+    near(shifted("stage_scale", &[("row_by_row", 0.01), ("col_by_row", 0.1)]), [0.1, 1.0], 0.0);
+    near(shifted("thermal_drift", &[("col_px_per_s", 0.5)]), [0.0, 1.5], 0.0);
+    let r2_mm2 = 265.0 * 1.85e-3f64.powi(2);
+    near(shifted("radial_distortion", &[("k1_per_mm2", 2.0)]), [24.0 * r2_mm2, -22.0 * r2_mm2], 0.0);
+    near(shifted("defocus", &[("z_um", -30.0)]), [0.0, 0.0], -30.0);
+    near(shifted("field_curvature", &[("a_um_per_mm2", 1000.0)]), [0.0, 0.0], 1000.0 * r2_mm2);
+}
+
+/// The light `of` with an effect at all its stages of light and charge.
+fn lit(id: &str, params: &[(&str, f64)], of: &Array2<f32>, cx: &FrameContext<'_>) -> Array2<f32> {
+    let layout = Layout { lenses: 2, sensor: [of.nrows(), of.ncols()] };
+    let chain = Chain::build(&[setting(id, params)], layout).unwrap();
+    let mut image = of.clone();
+    chain.on_object(&mut image, cx);
+    chain.on_lens(&mut image, cx);
+    chain.on_light(&mut image, cx);
+    chain.on_charge(&mut image, cx);
+    image
+}
+
+fn electronic(id: &str, params: &[(&str, f64)], of: &Array2<f32>, cx: &FrameContext<'_>) -> Array2<f32> {
+    let mut image = of.clone();
+    chain(id, params).on_electronics(&mut image, cx);
+    image
+}
+
+#[test]
+fn worked_examples_of_factors() {
+    let previous = Array2::from_elem((1, 1), 1000.0);
+    let cx = context(&previous);
+    let one = Array2::from_elem((1, 1), 100.0f32);
+    let factor = |id: &str, params: &[(&str, f64)], cx: &FrameContext<'_>| f64::from(lit(id, params, &one, cx)[[0, 0]]);
+    let near = |found: f64, want: f64| assert!((found - want).abs() < 1e-4 * want, "{found} instead of {want}");
+    near(factor("photobleaching", &[("rate_per_s", 0.1)], &cx), 100.0 * (-0.3f64).exp());
+    let flat = FrameContext { role: Role::Flat, ..cx };
+    near(factor("photobleaching", &[("rate_per_s", 0.1)], &flat), 100.0);
+    near(factor("lamp_drift", &[("rate_per_s", 0.1)], &flat), 130.0);
+    near(factor("exposure_offset", &[("dt_ms", -2.0)], &cx), 80.0);
+    near(factor("lag", &[("share", 0.1), ("tau_s", 0.02)], &cx), 100.0 + 100.0 * (-1f64).exp());
+    // 30 C, 10 ms.
+    near(factor("dark_current", &[("rate_e_per_ms", 0.5), ("doubling_k", 5.0)], &cx), 120.0);
+    let dark = FrameContext { role: Role::Dark, ..cx };
+    near(factor("lamp_drift", &[("rate_per_s", 0.1)], &dark), 100.0);
+    // What would fill the converter fills the well.
+    let full = Array2::from_elem((3, 1), 1e4f32);
+    let well = lit("saturation", &[("below", 0.4)], &full, &cx);
+    assert!(well.iter().all(|q| (q - 6000.0).abs() < 0.1), "{well}");
+    let spilled = lit("saturation", &[("below", 0.4), ("spill", 0.5)], &full, &cx);
+    assert!((spilled[[0, 0]] - 7000.0).abs() < 0.1 && (spilled[[1, 0]] - 8000.0).abs() < 0.1, "{spilled}");
+    let vignetted = lit("vignetting", &[("v", 0.5)], &Array2::from_elem((3, 4), 100.0), &cx);
+    // Corner: (1^2 + 1.5^2) / (1.5^2 + 2^2) = 0.52.
+    near(f64::from(vignetted[[0, 3]]), 74.0);
+    let bands = lit(
+        "flicker_banding",
+        &[("m_sin", 0.1), ("cycles_per_row", 0.25), ("frame_hz", 0.25)],
+        &Array2::ones((4, 1)),
+        &cx,
+    );
+    // Three quarters of a turn at 3 s.
+    for (found, want) in bands.iter().zip([0.9, 1.0, 1.1, 1.0]) {
+        near(f64::from(*found), want);
+    }
+}
+
+#[test]
+fn worked_examples_of_images_beside_and_across() {
+    let previous = image();
+    let cx = context(&previous);
+    let mut spot = Array2::<f32>::zeros((9, 11));
+    spot[[2, 4]] = 1000.0;
+    // The centre of the sensor is (4, 5): a point at (2, 4) turned about (4.5, 5) is at (7, 6).
+    let ghost = lit("ghost", &[("ratio", 0.1), ("centre_row", 0.5)], &spot, &cx);
+    assert_eq!((ghost[[7, 6]], ghost[[2, 4]], ghost.sum()), (100.0, 1000.0, 1100.0));
+    let between = lit("ghost", &[("ratio", 0.1), ("centre_row", 0.5), ("centre_col", 0.25)], &spot, &cx);
+    assert_eq!((between[[7, 6]], between[[7, 7]]), (50.0, 50.0));
+    // Anchors 4.75 columns and a quarter of a row apart.
+    let leak = lit("lens_leakage", &[("kappa", 0.16)], &spot, &cx);
+    assert!(
+        (leak[[2, 9]] - 90.0).abs() < 1e-3 && (leak[[1, 8]] - 10.0).abs() < 1e-3 && (leak.sum() - 1160.0).abs() < 1e-2
+    );
+    let moving = lit("motion_blur", &[("var_row_px2", 0.2), ("cov_px2", 0.08)], &spot, &cx);
+    assert!((moving[[1, 4]] - 100.0).abs() < 1e-3 && (moving[[3, 5]] - 20.0).abs() < 1e-3 && moving[[3, 3]] == 0.0);
+    let bead = FrameContext { role: Role::Bead, ..cx };
+    assert_eq!(lit("motion_blur", &[("var_row_px2", 0.2)], &spot, &bead), spot);
+    let ranked = lit("rank_truncation", &[("terms", 0.4)], &spot, &cx);
+    assert!((ranked.sum() - 1000.0).abs() < 1e-2 && ranked[[2, 4]] < 1000.0 && ranked[[2, 5]] > 0.0);
+    // Squares: 1e6 / 1e4 x 0.02 / 2 to each neighbour.
+    let fat = lit("brighter_fatter", &[("alpha", 0.02)], &spot, &cx);
+    assert!((fat[[2, 3]] - 1.0).abs() < 1e-4 && (fat[[2, 4]] - 996.0).abs() < 1e-3);
+}
+
+#[test]
+fn worked_examples_of_readout() {
+    let previous = image();
+    let cx = context(&previous);
+    let rows = electronic("row_pattern", &[("amplitude_dn", 2.0), ("period_rows", 2.0)], &Array2::zeros((3, 1)), &cx);
+    assert_eq!(rows, ndarray::arr2(&[[2.0], [-2.0], [2.0]]));
+    let cols = electronic("column_pattern", &[("quadrature_dn", 2.0)], &Array2::zeros((1, 4)), &cx);
+    assert_eq!(cols.mapv(f32::round), ndarray::arr2(&[[0.0, 2.0, 0.0, -2.0]]));
+    let lagging = electronic("readout_lag", &[("share", 0.1)], &ndarray::arr2(&[[10.0, 110.0, 10.0]]), &cx);
+    assert_eq!(lagging, ndarray::arr2(&[[10.0, 100.0, 20.0]]));
+    assert_eq!(electronic("black_level_drift", &[("rate_dn_per_s", -1.0)], &Array2::ones((1, 1)), &cx)[[0, 0]], -2.0);
+    let codes = ndarray::arr2(&[[2501.0, 2503.0]]);
+    let jumped = electronic("adc_nonlinearity", &[("step_dn", 4.0)], &codes, &cx);
+    assert_eq!(jumped, ndarray::arr2(&[[2501.0, 2507.0]]));
+    let mut noise = sensor_noise();
+    chain("noise_scale", &[("read_noise", 0.5), ("gain", -0.1)]).on_noise(&mut noise);
+    assert_eq!((noise.read_noise_e, noise.gain_dn_per_e), (3.0, 0.45));
+    let mut frame = Array2::zeros((4000, 2));
+    chain("row_noise", &[("sigma_dn", 2.0)]).on_reading(&mut frame, &cx, &mut stream(1, "rows", 0));
+    assert_eq!(frame.column(0), frame.column(1));
+    let rms = (frame.mapv(|v: f32| v * v).mean().unwrap()).sqrt();
+    assert!((rms - 2.0).abs() < 0.1, "{rms}");
+}
+
+#[test]
+fn tables_have_what_was_asked_for() {
+    let drawn = |id: &str, params: &[f64]| find(id).unwrap().draw_table(params, [200, 300]);
+    let rms = |t: &Array2<f32>| t.mapv(|v| v * v).mean().unwrap().sqrt();
+    assert!((rms(&drawn("prnu", &[0.01, 1.0])) - 0.01).abs() < 2e-4);
+    assert!((rms(&drawn("dsnu", &[2.0, 1.0])) - 2.0).abs() < 4e-2);
+    assert_ne!(drawn("prnu", &[0.01, 1.0]), drawn("prnu", &[0.01, 2.0]));
+    let hot = drawn("hot_pixels", &[5.0, 0.01, 1.0]);
+    let lit: Vec<f32> = hot.iter().copied().filter(|v| *v > 0.0).collect();
+    assert!((560..=600).contains(&lit.len()), "{}", lit.len());
+    assert!((lit.iter().sum::<f32>() / lit.len() as f32 - 5.0).abs() < 0.8);
+    let dust = drawn("dust", &[0.2, 10.0, 4.0, 1.0]);
+    let covered = dust.iter().filter(|v| **v < 0.0).count();
+    assert!(dust.iter().all(|v| (-0.2..=0.0).contains(v)) && (300..900).contains(&covered), "{covered}");
+    let cx = context(&dust);
+    let light = lit_with_table("prnu", TableUse::Response, &cx);
+    assert!((light - 110.0).abs() < 1e-4);
+    assert!((lit_with_table("hot_pixels", TableUse::DarkRate, &cx) - 101.0).abs() < 1e-4);
+}
+
+/// 100 electrons with a table of 0.1 in 10 ms.
+fn lit_with_table(id: &str, acts: TableUse, cx: &FrameContext<'_>) -> f32 {
+    assert_eq!(find(id).unwrap().table().unwrap().acts, acts);
+    let mut with = setting(id, &[]);
+    with.table = Some(Array2::from_elem((1, 11), 0.1));
+    let mut light = Array2::from_elem((9, 11), 100.0);
+    Chain::build(&[with], LAYOUT).unwrap().on_light(&mut light, cx);
+    light[[3, 3]]
+}
+
+#[test]
+fn records_are_put_right() {
+    let record = |params: &[(&str, f64)], frame: usize| {
+        let previous = image();
+        let mut record = Record::honest(frame, 5);
+        chain("metadata_fault", params).on_record(&mut record, &FrameContext { frame, ..context(&previous) });
+        record
+    };
+    let honest = |frame| Record::honest(frame, 5);
+    let factor = [("exposure_factor", 2.0), ("frame", 3.0)];
+    assert_eq!(record(&factor, 3), Record { exposure_factor: 2.0, ..honest(3) });
+    assert_eq!(record(&factor, 2), honest(2));
+    assert!((0..5).all(|f| record(&[("flip_rows", 1.0)], f).flip_rows));
+    let truths = |params: &[(&str, f64)]| (0..5).map(|f| record(params, f).truth).collect::<Vec<_>>();
+    assert_eq!(truths(&[("swapped_with_next", 1.0)]), [1, 0, 3, 2, 4]);
+    assert_eq!(truths(&[("swapped_with_next", 1.0), ("frame", 1.0)]), [0, 2, 1, 3, 4]);
+    assert_eq!(truths(&[("swapped_with_next", 1.0), ("frame", 4.0)]), [0, 1, 2, 3, 4]);
+}
+
+/// Residuals that are exactly what an effect does to three frames of uneven light, 12 ms apart.
+fn evidence_of(id: &str, params: &[(&str, f64)]) -> Evidence<'static> {
+    let sensor = [96, 90];
+    let chain = Chain::build(&[setting(id, params)], Layout { lenses: 2, sensor }).unwrap();
+    let frames = (0..3).map(|k| {
+        let cx = FrameContext { frame: k, time_s: 0.012 * k as f64, ..FrameContext::default() };
+        let spots = |(r, c)| if (r * 37 + c * 11 + k * 5) % 101 < 4 { 900.0 } else { 40.0f32 };
+        let light_e = Array2::from_shape_fn((sensor[0], sensor[1]), spots);
+        let mut with = light_e.clone();
+        chain.on_light(&mut with, &cx);
+        chain.on_electronics(&mut with, &cx);
+        EvidenceFrame { cx, residual_dn: with - &light_e, weight: light_e.mapv(|l| 1.0 / (l + 4.0)), light_e }
+    });
+    Evidence { frames: frames.collect() }
+}
+
+#[test]
+fn shapes_are_guessed_from_residuals() {
+    let first = |id: &str, params: &[(&str, f64)]| {
+        let guesses = find(id).unwrap().guess(&evidence_of(id, params));
+        assert!(!guesses.is_empty() && guesses.iter().all(|g| g.len() == find(id).unwrap().descriptor().params.len()));
+        guesses[0].clone()
+    };
+    let ghost = first("ghost", &[("ratio", 0.02), ("centre_row", 6.5), ("centre_col", -11.0)]);
+    assert_eq!(ghost, [0.0, 6.5, -11.0]);
+    let rows = first("row_pattern", &[("quadrature_dn", 1.0), ("period_rows", 7.3)]);
+    assert!((1.0 / rows[2] - 1.0 / 7.3).abs() < 0.5 / 96.0 / 4.0 + 1e-9, "{rows:?}");
+    let even = first("row_pattern", &[("amplitude_dn", 1.0), ("period_rows", 2.0)]);
+    assert_eq!(even[2], 2.0);
+    let cols = first("column_pattern", &[("amplitude_dn", 1.0), ("period_cols", 5.0)]);
+    assert!((1.0 / cols[2] - 0.2).abs() < 0.5 / 90.0 / 4.0 + 1e-9, "{cols:?}");
+    // 30 Hz is below half the rate of 83 frames a second; three frames tell it to some Hz.
+    let bands = first("flicker_banding", &[("m_cos", 0.01), ("cycles_per_row", 0.073), ("frame_hz", 30.0)]);
+    assert!((bands[2] - 0.073).abs() < 0.5 / 96.0 / 2.0 && (bands[3] - 30.0).abs() < 6.0, "{bands:?}");
+    let mut evidence = evidence_of("lamp_drift", &[]);
+    evidence.frames[2].residual_dn.fill(5.0);
+    assert_eq!(
+        find("metadata_fault").unwrap().guess(&evidence)[..2],
+        [[1.0, 0.0, 0.0, 0.0, -1.0], [1.0, 0.0, 0.0, 0.0, 2.0]]
+    );
+    for effect in registry() {
+        effect.guess(&Evidence::default());
+    }
+}
+
+#[test]
+fn nothing_panics_on_what_is_not_there() {
+    let empty = Array2::<f32>::zeros((0, 0));
+    for effect in registry() {
+        let d = effect.descriptor();
+        let on: Vec<f64> =
+            d.expanded(2).iter().map(|(_, p)| p.off + if p.kind == Kind::Strength { p.step } else { 0.0 }).collect();
+        for shape in [(0, 0), (0, 5), (5, 0), (1, 1), (1, 7), (7, 1)] {
+            for cx in [FrameContext::default(), FrameContext { lens: 7, exposure_ms: 0.0, ..context(&empty) }] {
+                let sensor = [shape.0, shape.1];
+                let mut chain = Chain::default();
+                chain.push(*effect, on.clone(), None, Layout { lenses: 2, sensor }).unwrap();
+                let mut image = Array2::<f32>::zeros(shape);
+                chain.on_object(&mut image, &cx);
+                chain.on_lens(&mut image, &cx);
+                chain.on_light(&mut image, &cx);
+                chain.on_charge(&mut image, &cx);
+                chain.on_electronics(&mut image, &cx);
+                chain.on_reading(&mut image, &cx, &mut stream(1, "empty", 0));
+                chain.shift_ray(&Ray { lens: 7, ..RAY }, &cx);
+                chain.on_record(&mut Record::honest(0, 0), &cx);
+                assert!(image.iter().all(|v| v.is_finite()), "{} {shape:?}", d.id);
+            }
+        }
+    }
 }
 
 #[test]

@@ -2,7 +2,7 @@
 //!
 //! `mu -> mu + beta mean(mu)`: beta is the stray fraction of the total flux, spread evenly over the sensor. Catalogue 12.
 
-use super::{Descriptor, Effect, FrameContext, Param, Stage};
+use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
 use ndarray::Array2;
 
 /// See the module.
@@ -13,7 +13,13 @@ static DESCRIPTOR: Descriptor = Descriptor {
     stage: Stage::Light,
     summary: "mu + beta mean(mu): stray light, even over the sensor",
     params: &[Param::strength("beta", "1", 0.02, 0.0, 10.0)],
-    lookalikes: &[],
+    lookalikes: &[
+        Lookalike {
+            id: "background",
+            separate_by: "two light levels of the specimen: glare follows its light, background the lamp",
+        },
+        Lookalike { id: "halo", separate_by: "a single bright bead: glare is even over the sensor" },
+    ],
 };
 
 impl Effect for VeilingGlare {

@@ -15,17 +15,30 @@ fn made_up() -> Instrument {
     i
 }
 
+/// The same with a second depth, where the lenses see less.
+fn made_up_in_depth() -> Instrument {
+    let mut i = made_up();
+    let deeper = i.psf.coefficients.mapv(|v| 0.5 * v);
+    i.psf.coefficients = ndarray::concatenate![ndarray::Axis(2), i.psf.coefficients, deeper];
+    i.psf.node_depths_um = vec![0.0, 50.0];
+    i
+}
+
 fn on(id: &str, params: &[(&str, f64)]) -> EffectSetting {
     EffectSetting::new(id, params)
 }
 
 #[test]
 fn every_effect_switched_off_leaves_the_same_bits_and_switched_on_changes_the_frame() {
-    let plain = Forward::new(&made_up()).unwrap();
+    let plain = Forward::new(&made_up_in_depth()).unwrap();
     let previous = Array2::from_elem((40, 41), 900.0f32);
+    let light = plain.expected_e(object().view(), &plain.context()).unwrap();
+    let peak = f64::from(light.fold(0.0f32, |m, v| m.max(*v)));
     let cx = FrameContext {
         frame: 1,
         time_s: 2.0,
+        // Nearly full scale, where saturation begins.
+        exposure_ms: plain.context().exposure_ms * 0.9 * plain.noise().full_scale_e() / peak,
         temperature_c: 30.0,
         previous: Some(Previous { light_e: &previous, interval_s: 0.02 }),
         ..plain.context()
@@ -36,7 +49,7 @@ fn every_effect_switched_off_leaves_the_same_bits_and_switched_on_changes_the_fr
         let d = effect.descriptor();
         let names = d.expanded(2);
         let forward = |value: f64| {
-            let mut i = made_up();
+            let mut i = made_up_in_depth();
             i.effects = vec![on(d.id, &[(names[0].0.as_str(), value)])];
             Forward::new(&i).unwrap()
         };

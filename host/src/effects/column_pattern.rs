@@ -1,0 +1,49 @@
+//! Column pattern: a fixed wave of the offset from column to column (one converter a column, or a few in turn).
+//!
+//! `y -> y + amplitude cos(2 pi col / period) + quadrature sin(2 pi col / period)`. At a period of 2 (even and odd columns) the sine is
+//! zero in every column, and the amplitude says all. Catalogue 32.
+
+use super::row_pattern::lines;
+use super::wave::{periods, wave};
+use super::{Descriptor, Effect, Evidence, FrameContext, Lookalike, Param, Stage};
+use ndarray::{Array2, Axis};
+
+/// See the module.
+pub(super) struct ColumnPattern;
+
+static DESCRIPTOR: Descriptor = Descriptor {
+    id: "column_pattern",
+    stage: Stage::Electronics,
+    summary: "y + amplitude cos + quadrature sin of 2 pi col / period: fixed offset by column",
+    params: &[
+        Param::strength("amplitude_dn", "DN", 0.2, -1e4, 1e4),
+        Param::strength("quadrature_dn", "DN", 0.2, -1e4, 1e4),
+        Param::shape("period_cols", "columns", 4.0, 0.02, [1.0, 1e5], &[2.0, 4.0]),
+    ],
+    lookalikes: &[
+        Lookalike { id: "pixel_mosaic", separate_by: "darks: a gain that alternates does nothing without light" },
+        Lookalike { id: "dsnu", separate_by: "darks: a pattern is the same in every row" },
+    ],
+};
+
+impl Effect for ColumnPattern {
+    fn descriptor(&self) -> &'static Descriptor {
+        &DESCRIPTOR
+    }
+
+    fn on_electronics(&self, p: &[f64], frame_dn: &mut Array2<f32>, _cx: &FrameContext<'_>) {
+        if p[0] == 0.0 && p[1] == 0.0 {
+            return;
+        }
+        let offsets = wave(frame_dn.ncols(), p[0], p[1], p[2]);
+        for mut row in frame_dn.outer_iter_mut() {
+            row.iter_mut().zip(&offsets).for_each(|(v, offset)| *v += offset);
+        }
+    }
+
+    /// Peaks in the spectrum of the mean residual of the columns.
+    fn guess(&self, evidence: &Evidence<'_>) -> Vec<Vec<f64>> {
+        let (sums, weights) = lines(evidence, Axis(1));
+        periods(&sums, &weights).into_iter().map(|period| vec![0.0, 0.0, period]).collect()
+    }
+}

@@ -1,0 +1,34 @@
+//! Defocus: the specimen lies at another depth than the calibration.
+//!
+//! `h(z) -> h(z + z_um)`. The model can follow only as far as its bead scan went in depth. Catalogue 7.
+
+use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Ray, RayShift, Stage};
+
+/// See the module.
+pub(super) struct Defocus;
+
+static DESCRIPTOR: Descriptor = Descriptor {
+    id: "defocus",
+    stage: Stage::Geometry,
+    summary: "h(z + z_um): the specimen is out of focus",
+    params: &[Param::strength("z_um", "um", 2.0, -1000.0, 1000.0)],
+    lookalikes: &[
+        Lookalike { id: "charge_diffusion", separate_by: "depth scan: diffusion is the same at every depth" },
+        Lookalike {
+            id: "interpixel_capacitance",
+            separate_by: "flats: capacitance correlates the noise of neighbours",
+        },
+        Lookalike { id: "field_curvature", separate_by: "depth scan at the centre and at the edge of the field" },
+        Lookalike { id: "motion_blur", separate_by: "a specimen at rest, or a shorter exposure" },
+    ],
+};
+
+impl Effect for Defocus {
+    fn descriptor(&self) -> &'static Descriptor {
+        &DESCRIPTOR
+    }
+
+    fn shift_ray(&self, p: &[f64], _ray: &Ray, _cx: &FrameContext<'_>) -> RayShift {
+        RayShift { px: [0.0, 0.0], z_um: p[0] }
+    }
+}

@@ -1,0 +1,34 @@
+//! Dark-signal non-uniformity: each pixel has an offset of its own.
+//!
+//! `y -> y + u`, u = a table, DN. Drawn: normal, of standard deviation `rms_dn`. Catalogue 31.
+
+use super::{Descriptor, Effect, Lookalike, Param, Stage, Table, TableGroup, TableUse, table};
+use ndarray::Array2;
+
+/// See the module.
+pub(super) struct Dsnu;
+
+static DESCRIPTOR: Descriptor = Descriptor {
+    id: "dsnu",
+    stage: Stage::Electronics,
+    summary: "y + u pixel by pixel: uneven offset",
+    params: &[Param::strength("rms_dn", "DN", 1.0, 0.0, 1e4), Param::shape("seed", "1", 1.0, 1.0, [0.0, 1e9], &[])],
+    lookalikes: &[
+        Lookalike { id: "prnu", separate_by: "flats at two light levels: an offset does not grow with the light" },
+        Lookalike { id: "hot_pixels", separate_by: "darks at several exposures: hot pixels grow with them" },
+    ],
+};
+
+impl Effect for Dsnu {
+    fn descriptor(&self) -> &'static Descriptor {
+        &DESCRIPTOR
+    }
+
+    fn table(&self) -> Option<Table> {
+        Some(Table { acts: TableUse::Offset, group: TableGroup::Pixel })
+    }
+
+    fn draw_table(&self, p: &[f64], sensor: [usize; 2]) -> Array2<f32> {
+        table::normal(sensor, p[0], p[1], "effects/dsnu")
+    }
+}

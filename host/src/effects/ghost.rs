@@ -1,0 +1,137 @@
+//! Ghost: a faint image of everything, turned by 180 degrees about a point of the sensor (light that went to and fro between
+//! two surfaces).
+//!
+//! `mu(x) -> mu(x) + ratio mu(2 c - x)`, c = (centre_row, centre_col) from the centre of the sensor, px. Catalogue 13.
+
+use super::smooth::gaussian_blur;
+use super::{Descriptor, Effect, Evidence, FrameContext, Lookalike, Param, Stage};
+use crate::fft2::{RealFft2, fast_size};
+use ndarray::{Array2, s};
+
+/// See the module.
+pub(super) struct Ghost;
+
+/// Farthest centre from the centre of the sensor, px.
+const REACH_PX: f64 = 1000.0;
+
+static DESCRIPTOR: Descriptor = Descriptor {
+    id: "ghost",
+    stage: Stage::Light,
+    summary: "mu(x) + ratio mu(2 c - x): a faint image turned about c",
+    params: &[
+        Param::strength("ratio", "1", 0.0005, 0.0, 1.0),
+        Param::shape("centre_row", "px", 0.0, 0.25, [-REACH_PX, REACH_PX], &[]),
+        Param::shape("centre_col", "px", 0.0, 0.25, [-REACH_PX, REACH_PX], &[]),
+    ],
+    lookalikes: &[
+        Lookalike { id: "lens_leakage", separate_by: "move the bead: a ghost moves against it, a leak with it" },
+        Lookalike { id: "halo", separate_by: "a single bright bead off the centre" },
+    ],
+};
+
+impl Effect for Ghost {
+    fn descriptor(&self) -> &'static Descriptor {
+        &DESCRIPTOR
+    }
+
+    fn on_light(&self, p: &[f64], light_e: &mut Array2<f32>, _cx: &FrameContext<'_>) {
+        if p[0] != 0.0 {
+            add_turned(light_e, [p[1], p[2]], p[0]);
+        }
+    }
+
+    /// The centres about which the turned light explains most of the residual.
+    fn guess(&self, evidence: &Evidence<'_>) -> Vec<Vec<f64>> {
+        centres(evidence).into_iter().map(|[row, col]| vec![0.0, row, col]).collect()
+    }
+}
+
+/// `image(x) += ratio image(2 c - x)`, by linear interpolation; dark outside.
+fn add_turned(image: &mut Array2<f32>, centre: [f64; 2], ratio: f64) {
+    let from = image.clone();
+    let (rows, cols) = from.dim();
+    // Pixel i shows pixel sum - i; the fraction is the same for all.
+    let sum = [(rows as f64 - 1.0) + 2.0 * centre[0], (cols as f64 - 1.0) + 2.0 * centre[1]];
+    let whole = sum.map(f64::floor);
+    for corner in [[0, 0], [0, 1], [1, 0], [1, 1]] {
+        let along = |a: usize| if corner[a] == 1 { sum[a] - whole[a] } else { 1.0 - (sum[a] - whole[a]) };
+        let weight = (ratio * along(0) * along(1)) as f32;
+        if weight == 0.0 {
+            continue;
+        }
+        let [row_sum, col_sum] = [0, 1].map(|a| whole[a] as isize + corner[a]);
+        // i and sum - i both inside 0..n.
+        let range = |sum: isize, n: usize| (sum - n as isize + 1).max(0)..(sum + 1).min(n as isize);
+        let (to_r, to_c) = (range(row_sum, rows), range(col_sum, cols));
+        if to_r.is_empty() || to_c.is_empty() {
+            continue;
+        }
+        let mirror = |to: &std::ops::Range<isize>, sum: isize| sum - to.end + 1..sum - to.start + 1;
+        let (of_r, of_c) = (mirror(&to_r, row_sum), mirror(&to_c, col_sum));
+        let turned = from.slice(s![of_r.start..of_r.end;-1, of_c.start..of_c.end;-1]);
+        image.slice_mut(s![to_r.start..to_r.end, to_c.start..to_c.end]).scaled_add(weight, &turned);
+    }
+}
+
+/// Blur whose result is taken off the light: a broad glow has no centre.
+const BROAD_PX: f64 = 5.0;
+/// How many centres to propose, and how far apart, px.
+const KEEP: usize = 3;
+const APART_PX: f64 = 3.0;
+
+/// For a sum of indices t, light turned about t/2 explains `(sum w R L(t - x))^2 / sum w L(t - x)^2` of the residual's square: both
+/// sums are convolutions.
+fn centres(evidence: &Evidence<'_>) -> Vec<[f64; 2]> {
+    let Some((rows, cols)) = evidence.frames.first().map(|f| f.light_e.dim()).filter(|(r, c)| *r > 1 && *c > 1) else {
+        return Vec::new();
+    };
+    let size = [fast_size(2 * rows), fast_size(2 * cols)];
+    let fft = RealFft2::new(size[0], size[1]);
+    let mut work = fft.scratch();
+    let mut spectrum = |image: &Array2<f32>| {
+        let mut padded = Array2::zeros((size[0], size[1]));
+        padded.slice_mut(s![..rows, ..cols]).assign(image);
+        let mut out = vec![Default::default(); fft.spectrum_len()];
+        if let Some(padded) = padded.as_slice() {
+            fft.forward(padded, &mut out, &mut work);
+        }
+        out
+    };
+    let zero = || vec![rustfft::num_complex::Complex32::default(); fft.spectrum_len()];
+    let (mut match_sum, mut power_sum) = (zero(), zero());
+    for frame in evidence.frames.iter().filter(|f| f.light_e.dim() == (rows, cols)) {
+        let sharp = &frame.light_e - &gaussian_blur(&frame.light_e, BROAD_PX);
+        let pairs = [
+            (&mut match_sum, &frame.residual_dn * &frame.weight, sharp.clone()),
+            (&mut power_sum, frame.weight.clone(), &sharp * &sharp),
+        ];
+        for (sum, a, b) in pairs {
+            let (a, b) = (spectrum(&a), spectrum(&b));
+            sum.iter_mut().zip(a.iter().zip(&b)).for_each(|(s, (a, b))| *s += a * b);
+        }
+    }
+    let mut inverse = |mut spectrum: Vec<_>| {
+        let mut image = vec![0.0f32; size[0] * size[1]];
+        fft.inverse(&mut spectrum, &mut image, &mut work);
+        image
+    };
+    let (matched, power) = (inverse(match_sum), inverse(power_sum));
+    // Where hardly any light falls on the sensor when it is turned, the ratio of two roundings means nothing.
+    let floor = 0.02 * power.iter().fold(0.0f32, |m, v| m.max(*v));
+    let gain = |i: usize| {
+        if matched[i] > 0.0 && power[i] > floor { matched[i] * (matched[i] / power[i]) } else { 0.0 }
+    };
+    let mut order: Vec<(f32, usize)> = (0..matched.len()).map(|i| (gain(i), i)).filter(|(g, _)| *g > 0.0).collect();
+    order.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    let mut kept: Vec<[f64; 2]> = Vec::new();
+    for (_, i) in order {
+        let centre = [(i / size[1], rows), (i % size[1], cols)].map(|(sum, n)| (sum as f64 - (n as f64 - 1.0)) / 2.0);
+        if kept.iter().all(|k| (k[0] - centre[0]).hypot(k[1] - centre[1]) >= APART_PX) {
+            kept.push(centre);
+        }
+        if kept.len() == KEEP {
+            break;
+        }
+    }
+    kept
+}

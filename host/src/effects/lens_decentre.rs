@@ -1,0 +1,39 @@
+//! Decentred lenses: each chief ray moves by an amount of its own.
+//!
+//! `anchor_l -> anchor_l + (row_px_l, col_px_l)`. Catalogue 4.
+
+use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Ray, RayShift, Stage};
+
+/// See the module.
+pub(super) struct LensDecentre;
+
+static DESCRIPTOR: Descriptor = Descriptor {
+    id: "lens_decentre",
+    stage: Stage::Geometry,
+    summary: "anchor_l + (row_px_l, col_px_l): each lens has moved by itself",
+    params: &[
+        Param::strength("row_px", "px", 0.02, -50.0, 50.0).per_lens(),
+        Param::strength("col_px", "px", 0.02, -50.0, 50.0).per_lens(),
+    ],
+    lookalikes: &[
+        Lookalike { id: "array_shift", separate_by: "bead scan: a shifted array moves every lens alike" },
+        Lookalike {
+            id: "array_rotation",
+            separate_by: "bead scan: a turned array moves lenses in proportion to their place",
+        },
+        Lookalike { id: "radial_distortion", separate_by: "bead scan over the field: distortion grows with the field" },
+    ],
+};
+
+impl Effect for LensDecentre {
+    fn descriptor(&self) -> &'static Descriptor {
+        &DESCRIPTOR
+    }
+
+    fn shift_ray(&self, p: &[f64], ray: &Ray, _cx: &FrameContext<'_>) -> RayShift {
+        // All rows come first, then all columns.
+        let lenses = p.len() / 2;
+        let of = |i: usize| if ray.lens < lenses { p[i] } else { 0.0 };
+        RayShift { px: [of(ray.lens), of(lenses + ray.lens)], z_um: 0.0 }
+    }
+}

@@ -1,0 +1,35 @@
+//! Photo-response non-uniformity: pixels answer to light a little differently.
+//!
+//! `mu -> mu (1 + u)`, u = a table. Drawn: normal, of standard deviation `rms`. Catalogue 31.
+
+use super::{Descriptor, Effect, Lookalike, Param, Stage, Table, TableGroup, TableUse, table};
+use ndarray::Array2;
+
+/// See the module.
+pub(super) struct Prnu;
+
+static DESCRIPTOR: Descriptor = Descriptor {
+    id: "prnu",
+    stage: Stage::Light,
+    summary: "mu (1 + u) pixel by pixel: uneven response",
+    params: &[Param::strength("rms", "1", 0.005, 0.0, 1.0), Param::shape("seed", "1", 1.0, 1.0, [0.0, 1e9], &[])],
+    lookalikes: &[
+        Lookalike { id: "vignetting", separate_by: "flats: vignetting is smooth" },
+        Lookalike { id: "dust", separate_by: "flats: dust is dark spots of some pixels" },
+        Lookalike { id: "dsnu", separate_by: "flats at two light levels: an offset does not grow with the light" },
+    ],
+};
+
+impl Effect for Prnu {
+    fn descriptor(&self) -> &'static Descriptor {
+        &DESCRIPTOR
+    }
+
+    fn table(&self) -> Option<Table> {
+        Some(Table { acts: TableUse::Response, group: TableGroup::Pixel })
+    }
+
+    fn draw_table(&self, p: &[f64], sensor: [usize; 2]) -> Array2<f32> {
+        table::normal(sensor, p[0], p[1], "effects/prnu").mapv(|u| u.max(-1.0))
+    }
+}

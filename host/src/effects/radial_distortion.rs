@@ -1,0 +1,39 @@
+//! Radial distortion: foci are displaced along the radius from each lens's axis.
+//!
+//! `x -> x (1 + k1 r^2)`, x = focus from where the lens's axis meets the sensor, r = |x| in mm, k1 in mm^-2. Catalogue 5
+//! (Brown, Photogrammetric Engineering 32, 444, 1966: the first radial term).
+
+use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Ray, RayShift, Stage};
+
+/// See the module.
+pub(super) struct RadialDistortion;
+
+static DESCRIPTOR: Descriptor = Descriptor {
+    id: "radial_distortion",
+    stage: Stage::Geometry,
+    summary: "x (1 + k1 r^2) about each lens's axis",
+    params: &[Param::strength("k1_per_mm2", "mm^-2", 0.02, -20.0, 20.0)],
+    lookalikes: &[
+        Lookalike {
+            id: "magnification",
+            separate_by: "bead scan to the edge: distortion grows with the cube of the field",
+        },
+        Lookalike { id: "stage_scale", separate_by: "bead scan: what the stage does is the same in every lens" },
+    ],
+};
+
+impl Effect for RadialDistortion {
+    fn descriptor(&self) -> &'static Descriptor {
+        &DESCRIPTOR
+    }
+
+    fn shift_ray(&self, p: &[f64], ray: &Ray, _cx: &FrameContext<'_>) -> RayShift {
+        if p[0] == 0.0 {
+            return RayShift::default();
+        }
+        let mm = ray.pixel_pitch_um * 1e-3;
+        let [y, x] = ray.axis_px;
+        let stretch = p[0] * (y * y + x * x) * mm * mm;
+        RayShift { px: [stretch * y, stretch * x], z_um: 0.0 }
+    }
+}

@@ -1,0 +1,84 @@
+//! Waves along rows or columns: what the effects that repeat have in common.
+
+use std::f64::consts::TAU;
+
+/// Steps of the frequency grid within `1 / n`: a wave between two grid points loses little.
+const FINE: usize = 4;
+/// How many peaks to keep.
+const KEEP: usize = 3;
+
+/// `amplitude cos(2 pi i / period) + quadrature sin(2 pi i / period)` for i = 0 .. n-1.
+pub(super) fn wave(n: usize, amplitude: f64, quadrature: f64, period: f64) -> Vec<f32> {
+    let value = |i: usize| {
+        let (sin, cos) = (TAU * i as f64 / period).sin_cos();
+        (amplitude * cos + quadrature * sin) as f32
+    };
+    (0..n).map(value).collect()
+}
+
+/// Sums over n places of a signal times cos and -sin, at the frequencies `j / (4 n)`.
+pub(super) struct Spectrum {
+    turns: Vec<(f64, f64)>,
+    n: usize,
+}
+
+impl Spectrum {
+    /// For signals of `n` places.
+    pub(super) fn new(n: usize) -> Self {
+        let len = FINE * n;
+        Self { turns: (0..len).map(|i| (TAU * i as f64 / len as f64).sin_cos()).collect(), n }
+    }
+
+    /// Indices of the frequencies above what a constant or a slope can make, up to half a cycle a place.
+    pub(super) fn indices(&self) -> std::ops::RangeInclusive<usize> {
+        FINE / 2..=FINE * self.n / 2
+    }
+
+    /// Cycles a place at an index.
+    pub(super) fn frequency(&self, j: usize) -> f64 {
+        j as f64 / (FINE * self.n) as f64
+    }
+
+    /// Real and imaginary part at an index.
+    pub(super) fn at(&self, signal: &[f64], j: usize) -> [f64; 2] {
+        let mut sum = [0.0; 2];
+        for (i, v) in signal.iter().enumerate() {
+            let (sin, cos) = self.turns[i * j % self.turns.len()];
+            sum[0] += v * cos;
+            sum[1] -= v * sin;
+        }
+        sum
+    }
+
+    /// Whether two indices are so close that one wave makes a peak at both.
+    pub(super) fn same(i: usize, j: usize) -> bool {
+        i.abs_diff(j) < FINE + FINE / 2
+    }
+}
+
+/// Periods of the strongest waves in a signal, strongest first: its sums, and the weights of those sums.
+pub(super) fn periods(sums: &[f64], weights: &[f64]) -> Vec<f64> {
+    let total: f64 = weights.iter().sum();
+    if sums.len() < 4 || total <= 0.0 {
+        return Vec::new();
+    }
+    // A constant would leak into the lowest frequencies.
+    let mean = sums.iter().sum::<f64>() / total;
+    let signal: Vec<f64> = sums.iter().zip(weights).map(|(s, w)| s - mean * w).collect();
+    let spectrum = Spectrum::new(signal.len());
+    let mut power: Vec<(f64, usize)> = spectrum
+        .indices()
+        .map(|j| {
+            let [re, im] = spectrum.at(&signal, j);
+            (re * re + im * im, j)
+        })
+        .collect();
+    power.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let mut kept: Vec<usize> = Vec::new();
+    for (p, j) in power {
+        if p > 0.0 && kept.len() < KEEP && kept.iter().all(|k| !Spectrum::same(*k, j)) {
+            kept.push(j);
+        }
+    }
+    kept.into_iter().map(|j| 1.0 / spectrum.frequency(j)).collect()
+}
