@@ -12,7 +12,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     id: "array_rotation",
     stage: Stage::Geometry,
     summary: "anchor_l + angle (col_l, -row_l): the array is turned about its centre",
-    params: &[Param::strength("angle_mrad", "mrad", 0.2, -200.0, 200.0)],
+    params: &[Param::strength("angle_mrad", "mrad", 0.05, -200.0, 200.0)],
     lookalikes: &[
         Lookalike { id: "lens_decentre", separate_by: "bead scan: a rotation moves all lenses by one law" },
         Lookalike {

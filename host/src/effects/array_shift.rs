@@ -11,7 +11,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     id: "array_shift",
     stage: Stage::Geometry,
     summary: "anchor_l + (row_px, col_px): the whole array has moved",
-    params: &[Param::strength("row_px", "px", 0.1, -50.0, 50.0), Param::strength("col_px", "px", 0.1, -50.0, 50.0)],
+    params: &[Param::strength("row_px", "px", 0.005, -50.0, 50.0), Param::strength("col_px", "px", 0.005, -50.0, 50.0)],
     lookalikes: &[
         Lookalike { id: "lens_decentre", separate_by: "bead scan: a shifted array moves every lens alike" },
         Lookalike { id: "thermal_drift", separate_by: "a bead at rest, frame after frame" },

@@ -14,7 +14,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     stage: Stage::Light,
     summary: "mu + rate t P (1 + gradient . s): leak and autofluorescence, with a slope",
     params: &[
-        Param::strength("rate_e_per_ms", "e-/px/ms", 0.1, 0.0, 1e6),
+        Param::strength("rate_e_per_ms", "e-/px/ms", 0.02, 0.0, 1e6),
         Param::shape("gradient_row", "1", 0.0, 0.1, [-1.0, 1.0], &[0.0]),
         Param::shape("gradient_col", "1", 0.0, 0.1, [-1.0, 1.0], &[0.0]),
     ],

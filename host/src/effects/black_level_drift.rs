@@ -12,7 +12,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     id: "black_level_drift",
     stage: Stage::Electronics,
     summary: "y + rate time: the black level drifts",
-    params: &[Param::strength("rate_dn_per_s", "DN/s", 1.0, -1e4, 1e4)],
+    params: &[Param::strength("rate_dn_per_s", "DN/s", 0.5, -1e4, 1e4)],
     lookalikes: &[
         Lookalike { id: "dark_current", separate_by: "darks at several exposures: a drift does not grow with them" },
         Lookalike { id: "background", separate_by: "frames with the lamp off" },

@@ -15,7 +15,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     id: "brighter_fatter",
     stage: Stage::Charge,
     summary: "Q + alpha / full scale sum_n (Q_n^2 - Q^2) / 2: bright spots repel charge",
-    params: &[Param::strength("alpha", "1", 0.002, 0.0, 0.1)],
+    params: &[Param::strength("alpha", "1", 0.005, 0.0, 0.1)],
     lookalikes: &[
         Lookalike { id: "nonlinearity", separate_by: "covariance of flats: a bend of the response has none" },
         Lookalike { id: "noise_scale", separate_by: "covariance of flats: a wrong gain has none" },

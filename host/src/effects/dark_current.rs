@@ -14,7 +14,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     stage: Stage::Light,
     summary: "mu + rate t 2^((T - 20 C) / doubling): charge without light",
     params: &[
-        Param::strength("rate_e_per_ms", "e-/px/ms", 0.05, 0.0, 1e6),
+        Param::strength("rate_e_per_ms", "e-/px/ms", 0.02, 0.0, 1e6),
         Param::shape("doubling_k", "K", 8.0, 1.0, [1.0, 100.0], &[8.0]),
     ],
     lookalikes: &[

@@ -14,7 +14,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     stage: Stage::Object,
     summary: "O (1 - falloff rho^2): uneven excitation, fixed to the object",
     params: &[
-        Param::strength("falloff", "1", 0.05, -1.0, 1.0),
+        Param::strength("falloff", "1", 0.005, -1.0, 1.0),
         Param::shape("centre_row", "half heights", 0.0, 0.1, [-1.0, 1.0], &[0.0]),
         Param::shape("centre_col", "half widths", 0.0, 0.1, [-1.0, 1.0], &[0.0]),
     ],

@@ -15,7 +15,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     stage: Stage::Light,
     summary: "(1 - weight) mu + weight g_sigma * mu: scattered light around each point",
     params: &[
-        Param::strength("weight", "1", 0.02, 0.0, 1.0),
+        Param::strength("weight", "1", 0.001, 0.0, 1.0),
         Param::shape("sigma_px", "px", 12.0, 2.0, [0.5, 500.0], &[4.0, 12.0, 36.0]),
     ],
     lookalikes: &[

@@ -17,7 +17,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     stage: Stage::Light,
     summary: "mu + u t in few pixels: they leak charge",
     params: &[
-        Param::strength("rate_e_per_ms", "e-/px/ms", 5.0, 0.0, 1e6),
+        Param::strength("rate_e_per_ms", "e-/px/ms", 2.0, 0.0, 1e6),
         Param::shape("share", "1", 0.001, 0.0005, [0.0, 1.0], &[]),
         Param::shape("seed", "1", 1.0, 1.0, [0.0, 1e9], &[]),
     ],

@@ -12,8 +12,8 @@ static DESCRIPTOR: Descriptor = Descriptor {
     stage: Stage::Geometry,
     summary: "anchor_l + (row_px_l, col_px_l): each lens has moved by itself",
     params: &[
-        Param::strength("row_px", "px", 0.02, -50.0, 50.0).per_lens(),
-        Param::strength("col_px", "px", 0.02, -50.0, 50.0).per_lens(),
+        Param::strength("row_px", "px", 0.01, -50.0, 50.0).per_lens(),
+        Param::strength("col_px", "px", 0.01, -50.0, 50.0).per_lens(),
     ],
     lookalikes: &[
         Lookalike { id: "array_shift", separate_by: "bead scan: a shifted array moves every lens alike" },

@@ -12,7 +12,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     id: "lens_gain",
     stage: Stage::Lens,
     summary: "(1 + change_l) mu_l: lenses pass more or less light",
-    params: &[Param::strength("change", "1", 0.05, -1.0, 10.0).per_lens()],
+    params: &[Param::strength("change", "1", 0.005, -1.0, 10.0).per_lens()],
     lookalikes: &[
         Lookalike { id: "vignetting", separate_by: "flats: a lens's gain steps from image to image" },
         Lookalike { id: "dust", separate_by: "flats: dust on the sensor is the same for every lens" },

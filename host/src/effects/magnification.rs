@@ -12,7 +12,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     id: "magnification",
     stage: Stage::Geometry,
     summary: "x (1 + eps) about each lens's axis: the gap behind the array has changed",
-    params: &[Param::strength("eps", "1", 0.0003, -0.5, 0.5)],
+    params: &[Param::strength("eps", "1", 0.0001, -0.5, 0.5)],
     lookalikes: &[
         Lookalike { id: "stage_scale", separate_by: "a target of known pitch" },
         Lookalike {

@@ -12,7 +12,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     id: "nonlinearity",
     stage: Stage::Charge,
     summary: "Q - beta Q^2 / full scale: the response bends towards full scale",
-    params: &[Param::strength("beta", "1", 0.01, -0.5, 0.5)],
+    params: &[Param::strength("beta", "1", 0.005, -0.5, 0.5)],
     lookalikes: &[
         Lookalike { id: "exposure_offset", separate_by: "a ladder of lamp powers at one exposure" },
         Lookalike { id: "saturation", separate_by: "leave out the brightest pixels: a bend of the response stays" },

@@ -12,7 +12,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     id: "radial_distortion",
     stage: Stage::Geometry,
     summary: "x (1 + k1 r^2) about each lens's axis",
-    params: &[Param::strength("k1_per_mm2", "mm^-2", 0.02, -20.0, 20.0)],
+    params: &[Param::strength("k1_per_mm2", "mm^-2", 0.005, -20.0, 20.0)],
     lookalikes: &[
         Lookalike {
             id: "magnification",

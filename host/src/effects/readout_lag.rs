@@ -13,7 +13,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     id: "readout_lag",
     stage: Stage::Electronics,
     summary: "y + share (y_before - y) along the row: the amplifier settles late",
-    params: &[Param::strength("share", "1", 0.001, -0.5, 0.9)],
+    params: &[Param::strength("share", "1", 0.002, -0.5, 0.9)],
     lookalikes: &[
         Lookalike { id: "rank_truncation", separate_by: "flip the readout: a coma of the lens stays, the lag turns" },
         Lookalike { id: "interpixel_capacitance", separate_by: "covariance of flats: a lag has it along rows only" },

@@ -15,7 +15,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     stage: Stage::Charge,
     summary: "Q bends to (1 - below) full scale, lost charge spills along the column: pixels are full early",
     params: &[
-        Param::strength("below", "share of full scale", 0.02, 0.0, 0.95),
+        Param::strength("below", "share of full scale", 0.1, 0.0, 0.95),
         Param::shape("spill", "1", 0.0, 0.1, [0.0, 1.0], &[0.0]),
     ],
     lookalikes: &[

@@ -9,7 +9,7 @@ use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Ray, RayShift, S
 pub(super) struct StageScale;
 
 const fn entry(name: &'static str) -> Param {
-    Param::strength(name, "1", 0.0005, -0.5, 0.5)
+    Param::strength(name, "1", 0.0002, -0.5, 0.5)
 }
 
 static DESCRIPTOR: Descriptor = Descriptor {

@@ -12,8 +12,8 @@ static DESCRIPTOR: Descriptor = Descriptor {
     stage: Stage::Geometry,
     summary: "x + v time: the image wanders",
     params: &[
-        Param::strength("row_px_per_s", "px/s", 0.1, -1e3, 1e3),
-        Param::strength("col_px_per_s", "px/s", 0.1, -1e3, 1e3),
+        Param::strength("row_px_per_s", "px/s", 0.05, -1e3, 1e3),
+        Param::strength("col_px_per_s", "px/s", 0.05, -1e3, 1e3),
     ],
     lookalikes: &[
         Lookalike { id: "array_shift", separate_by: "a bead at rest, frame after frame" },

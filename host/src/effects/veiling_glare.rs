@@ -12,7 +12,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     id: "veiling_glare",
     stage: Stage::Light,
     summary: "mu + beta mean(mu): stray light, even over the sensor",
-    params: &[Param::strength("beta", "1", 0.02, 0.0, 10.0)],
+    params: &[Param::strength("beta", "1", 0.0005, 0.0, 10.0)],
     lookalikes: &[
         Lookalike {
             id: "background",

@@ -13,7 +13,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     id: "vignetting",
     stage: Stage::Light,
     summary: "mu (1 - v r^2): light falls off from the centre of the sensor",
-    params: &[Param::strength("v", "1", 0.002, -1.0, 1.0)],
+    params: &[Param::strength("v", "1", 0.003, -1.0, 1.0)],
     lookalikes: &[
         Lookalike { id: "excitation_profile", separate_by: "move the specimen: vignetting stays on the sensor" },
         Lookalike { id: "lens_gain", separate_by: "flats: a lens's gain steps from image to image" },
