@@ -136,6 +136,9 @@ pub struct ScanConfig {
     pub rows: usize,
     /// Columns of positions.
     pub cols: usize,
+    /// Depths, um: every position is taken at each.
+    #[serde(skip_serializing_if = "in_focus_only")]
+    pub depths_um: Vec<f64>,
     /// Light of the bead through one lens straight above it, electrons.
     pub bead_e: f64,
 }
@@ -144,20 +147,38 @@ pub struct ScanConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StackConfig {
-    /// Exposure of every frame, ms.
+    /// Exposure of every frame that has no other, ms.
     pub exposure_ms: f64,
     /// Time from frame to frame, ms.
     pub interval_ms: f64,
-    /// Dark frames.
+    /// Dark frames an exposure.
     pub dark_frames: usize,
-    /// Light levels of the flats, share of full scale.
+    /// Exposures of the darks, ms; none: `exposure_ms` alone.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub dark_exposures_ms: Vec<f64>,
+    /// Light levels of the flats, share of full scale in `exposure_ms`.
     pub flat_levels: Vec<f64>,
-    /// Flat frames a level.
+    /// Exposures of the flats, ms: every level is taken at each; none: `exposure_ms` alone.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub flat_exposures_ms: Vec<f64>,
+    /// Flat frames a level and exposure.
     pub flat_frames: usize,
     /// Scene frames.
     pub scene_frames: usize,
+    /// Depth of the specimens, um.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub scene_z_um: f64,
     /// Brightest pixel of a scene, share of full scale: drawn between these, its logarithm evenly.
     pub scene_peak: [f64; 2],
+}
+
+// What is as it always was is left out of a session's truth.
+fn in_focus_only(depths_um: &[f64]) -> bool {
+    depths_um == [0.0]
+}
+
+fn is_zero(v: &f64) -> bool {
+    *v == 0.0
 }
 
 impl Default for BenchConfig {
@@ -238,7 +259,7 @@ impl Default for ObjectConfig {
 
 impl Default for ScanConfig {
     fn default() -> Self {
-        Self { rows: 13, cols: 13, bead_e: 34_000.0 }
+        Self { rows: 13, cols: 13, depths_um: vec![0.0], bead_e: 34_000.0 }
     }
 }
 
@@ -248,9 +269,12 @@ impl Default for StackConfig {
             exposure_ms: 10.0,
             interval_ms: 20.0,
             dark_frames: 32,
+            dark_exposures_ms: Vec::new(),
             flat_levels: vec![0.05, 0.15, 0.3, 0.45, 0.6],
+            flat_exposures_ms: Vec::new(),
             flat_frames: 8,
             scene_frames: 12,
+            scene_z_um: 0.0,
             scene_peak: [0.25, 0.7],
         }
     }
@@ -275,6 +299,20 @@ impl BenchConfig {
     /// True magnification, image per object.
     pub fn true_magnification(&self) -> f64 {
         self.optics.magnification * (1.0 + self.optics.magnification_error)
+    }
+
+    /// Exposures of the darks, ms.
+    pub fn dark_exposures_ms(&self) -> Vec<f64> {
+        self.or_common(&self.stacks.dark_exposures_ms)
+    }
+
+    /// Exposures of the flats, ms.
+    pub fn flat_exposures_ms(&self) -> Vec<f64> {
+        self.or_common(&self.stacks.flat_exposures_ms)
+    }
+
+    fn or_common(&self, exposures_ms: &[f64]) -> Vec<f64> {
+        if exposures_ms.is_empty() { vec![self.stacks.exposure_ms] } else { exposures_ms.to_vec() }
     }
 
     /// The manifest of what this instrument measures, without stacks.
@@ -342,6 +380,7 @@ impl BenchConfig {
         for (field, n) in [
             ("scan.rows", self.scan.rows),
             ("scan.cols", self.scan.cols),
+            ("scan.depths_um", self.scan.depths_um.len()),
             ("stacks.dark_frames", stacks.dark_frames),
             ("stacks.flat_frames", stacks.flat_frames),
             ("stacks.scene_frames", stacks.scene_frames),
@@ -350,6 +389,20 @@ impl BenchConfig {
             if n == 0 {
                 return wrong(field, "one or more", "0".into());
             }
+        }
+        for (field, exposures) in [
+            ("stacks.dark_exposures_ms", &stacks.dark_exposures_ms),
+            ("stacks.flat_exposures_ms", &stacks.flat_exposures_ms),
+        ] {
+            if let Some(v) = exposures.iter().find(|v| !(v.is_finite() && **v > 0.0)) {
+                return wrong(field, "numbers above zero", v.to_string());
+            }
+        }
+        if let Some(z) = self.scan.depths_um.iter().find(|z| !z.is_finite()) {
+            return wrong("scan.depths_um", "finite depths", z.to_string());
+        }
+        if !stacks.scene_z_um.is_finite() {
+            return wrong("stacks.scene_z_um", "a finite depth", stacks.scene_z_um.to_string());
         }
         let [low, high] = stacks.scene_peak;
         if !(low > 0.0 && high >= low && high.is_finite()) {

@@ -1,11 +1,12 @@
 //! Measures a session: darks, flats, a bead scan, scenes with truth.
 
 use super::BenchError;
+use super::cache::FocusCache;
 use super::config::BenchConfig;
-use super::optics::{Moves, VirtualOptics};
+use super::optics::{Moves, Point, VirtualOptics};
 use super::sensor::VirtualSensor;
 use super::truth::{BenchTruth, TRUTH_FILE};
-use crate::effects::{Chain, EffectSetting, FrameContext, Layout, Stage};
+use crate::effects::{Chain, EffectSetting, FrameContext, Layout, Previous, Record, Stage};
 use crate::rng;
 use crate::scene::Scenes;
 use crate::session::{
@@ -17,6 +18,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::Arc;
 
 /// Scenes whose light is summed at the same time: each PSF is computed once for all of them.
 const SCENES_AT_ONCE: usize = 16;
@@ -31,6 +33,27 @@ pub struct VirtualInstrument {
     settings: Vec<EffectSetting>,
     effects: Chain,
     scenes: Scenes,
+    cache: Arc<FocusCache>,
+    /// Whether foci are kept: not where each is needed once.
+    keep: bool,
+}
+
+/// Light of a frame, and light and start, s, of the frame before it where an effect asks for that.
+#[derive(Clone)]
+struct Lit {
+    light_e: Array2<f32>,
+    before: Option<(Array2<f32>, f64)>,
+}
+
+impl Lit {
+    /// The context of the frame with the one before it.
+    fn seen<'a>(&'a self, cx: FrameContext<'a>) -> FrameContext<'a> {
+        let previous = self.before.as_ref();
+        FrameContext {
+            previous: previous.map(|(light_e, start_s)| Previous { light_e, interval_s: cx.time_s - start_s }),
+            ..cx
+        }
+    }
 }
 
 /// What a measurement was like.
@@ -54,26 +77,69 @@ impl BenchConfig {
     pub fn build(&self, settings: &[EffectSetting]) -> Result<VirtualInstrument, BenchError> {
         self.check()?;
         let optics = VirtualOptics::build(self)?;
+        let effects = Chain::build(settings, Layout::of(&self.manifest()))?;
+        // Scenes pass the optics in batches, and once more with effects; kept foci help from the second time on.
+        let again = !effects.acts_at(Stage::Geometry) && up_to_sensor(&effects);
+        let passes = self.stacks.scene_frames.div_ceil(SCENES_AT_ONCE) * if again { 2 } else { 1 };
         Ok(VirtualInstrument {
             config: self.clone(),
             anchors_px: optics.anchors_px(),
             optics,
             sensor: VirtualSensor::manufacture(&self.sensor, self.instrument_seed),
             settings: settings.to_vec(),
-            effects: Chain::build(settings, Layout::of(&self.manifest()))?,
+            effects,
             scenes: self.scenes.build()?,
+            cache: Arc::new(FocusCache::new(self)),
+            keep: passes > 1,
         })
+    }
+
+    /// Builds the instrument as [`BenchConfig::build`] does, to the same bits; keeps the foci of its optics at rest, and shares them
+    /// with `other` where that is of the same build. For studies of many sessions with one instrument: only the first pays for the
+    /// optics.
+    ///
+    /// # Errors
+    /// As [`BenchConfig::build`].
+    pub fn build_like(
+        &self,
+        other: &VirtualInstrument,
+        settings: &[EffectSetting],
+    ) -> Result<VirtualInstrument, BenchError> {
+        let mut built = self.build(settings)?;
+        built.keep = true;
+        if other.cache.fits(self) {
+            built.cache = Arc::clone(&other.cache);
+        }
+        Ok(built)
     }
 }
 
+/// Whether an effect acts before the light is on the sensor, or on more than one frame.
+fn up_to_sensor(effects: &Chain) -> bool {
+    let stages = [Stage::Object, Stage::Geometry, Stage::Lens, Stage::Light];
+    effects.needs_previous() || stages.iter().any(|s| effects.acts_at(*s))
+}
+
 impl VirtualInstrument {
+    /// Computes every focus anew.
+    #[cfg(test)]
+    pub(super) fn forget(&mut self) {
+        self.keep = false;
+    }
+
     /// Frames that a session will have.
     pub fn frames(&self) -> usize {
-        let stacks = &self.config.stacks;
-        stacks.dark_frames
-            + stacks.flat_levels.len() * stacks.flat_frames
-            + self.config.scan.rows * self.config.scan.cols
-            + stacks.scene_frames
+        self.counts().values().sum()
+    }
+
+    fn counts(&self) -> BTreeMap<&'static str, usize> {
+        let (stacks, scan) = (&self.config.stacks, &self.config.scan);
+        BTreeMap::from([
+            ("dark", stacks.dark_frames * self.config.dark_exposures_ms().len()),
+            ("flat", stacks.flat_levels.len() * stacks.flat_frames * self.config.flat_exposures_ms().len()),
+            ("bead", scan.rows * scan.cols * scan.depths_um.len()),
+            ("scene", stacks.scene_frames),
+        ])
     }
 
     /// Measures a session into folder `target`, whole or not at all; calls `done` with the number of frames measured.
@@ -88,14 +154,7 @@ impl VirtualInstrument {
         let scene_peak_e = self.specimens(&mut writer, seed, &done)?;
         writer.extra(TRUTH_FILE, self.truth(seed)?.as_bytes())?;
         writer.finish()?;
-        let stacks = &self.config.stacks;
-        let frames = BTreeMap::from([
-            ("dark", stacks.dark_frames),
-            ("flat", stacks.flat_levels.len() * stacks.flat_frames),
-            ("bead", self.config.scan.rows * self.config.scan.cols),
-            ("scene", stacks.scene_frames),
-        ]);
-        Ok(Summary { frames, bead_peak_e, scene_peak_e, full_scale_e: self.config.full_scale_e() })
+        Ok(Summary { frames: self.counts(), bead_peak_e, scene_peak_e, full_scale_e: self.config.full_scale_e() })
     }
 
     fn truth(&self, seed: u64) -> Result<String, BenchError> {
@@ -152,7 +211,7 @@ impl VirtualInstrument {
         frames: &mut FrameWriter,
         infos: &[FrameInfo],
         (role, seed, what): (Role, u64, &str),
-        light: impl Fn(&FrameInfo, &FrameContext<'_>) -> Array2<f32> + Sync,
+        light: impl Fn(&FrameInfo) -> Lit + Sync,
         done: &(impl Fn(usize) + Sync),
     ) -> Result<f64, SessionError> {
         let mut peak = 0.0f32;
@@ -160,11 +219,11 @@ impl VirtualInstrument {
             let exposed: Vec<_> = group
                 .par_iter()
                 .map(|info| {
-                    let cx = self.context(role, info);
-                    let light_e = light(info, &cx);
+                    let lit = light(info);
                     let mut rng = rng::stream(seed, what, info.frame as u64);
-                    let frame = self.sensor.expose(&light_e, &self.effects, &cx, &mut rng);
-                    (light_e.fold(0.0f32, |m, v| m.max(*v)), frame)
+                    let cx = lit.seen(self.context(role, info));
+                    let frame = self.sensor.expose(&lit.light_e, &self.effects, &cx, &mut rng);
+                    (lit.light_e.fold(0.0f32, |m, v| m.max(*v)), frame)
                 })
                 .collect();
             for (brightest, frame) in exposed {
@@ -176,6 +235,23 @@ impl VirtualInstrument {
         Ok(f64::from(peak))
     }
 
+    /// Light of one frame of a stack, by `light`, after that of the frame before it where an effect asks for it.
+    ///
+    /// The frame before is seen as if none had come before it: what an effect carries on it carries once.
+    fn lit(
+        &self,
+        role: Role,
+        infos: &[FrameInfo],
+        info: &FrameInfo,
+        light: impl Fn(&FrameInfo, &FrameContext<'_>) -> Array2<f32>,
+    ) -> Lit {
+        let previous = info.frame.checked_sub(1).and_then(|i| infos.get(i)).filter(|_| self.effects.needs_previous());
+        let before = previous.map(|p| (light(p, &self.context(role, p)), p.time_s));
+        let mut lit = Lit { light_e: Array2::zeros((0, 0)), before };
+        lit.light_e = light(info, &lit.seen(self.context(role, info)));
+        lit
+    }
+
     /// Even light on the sensor, electrons, with the effects that act on light.
     fn even_light(&self, electrons: f64, cx: &FrameContext<'_>) -> Array2<f32> {
         let mut light = Array2::from_elem((self.config.sensor.rows, self.config.sensor.cols), electrons as f32);
@@ -183,11 +259,24 @@ impl VirtualInstrument {
         light
     }
 
+    /// Frames of several exposures, `each` times `levels` at every one; no exposure lasts into the next.
+    fn ladder(&self, exposures_ms: &[f64], levels: &[f64], each: usize) -> Vec<FrameInfo> {
+        let longest = if exposures_ms.len() > 1 { exposures_ms.iter().copied().fold(0.0, f64::max) } else { 0.0 };
+        let interval_ms = self.config.stacks.interval_ms.max(longest);
+        let frames = exposures_ms.iter().flat_map(|t| levels.iter().map(move |level| (*t, *level)));
+        let frames = frames.flat_map(|frame| std::iter::repeat_n(frame, each)).enumerate();
+        let info = |(i, (exposure_ms, illumination)): (usize, (f64, f64))| {
+            let time_s = i as f64 * interval_ms * 1e-3;
+            FrameInfo { illumination, time_s, ..FrameInfo::plain(i, exposure_ms) }
+        };
+        frames.map(info).collect()
+    }
+
     fn darks(&self, writer: &mut SessionWriter, seed: u64, done: &(impl Fn(usize) + Sync)) -> Result<(), BenchError> {
-        let n = self.config.stacks.dark_frames;
-        let infos: Vec<_> = (0..n).map(|i| FrameInfo { illumination: 0.0, ..self.info(i) }).collect();
-        let mut frames = writer.frames("dark.npy", self.spec(n, SampleType::U16))?;
-        self.expose(&mut frames, &infos, (Role::Dark, seed, "bench/dark"), |_, cx| self.even_light(0.0, cx), done)?;
+        let infos = self.ladder(&self.config.dark_exposures_ms(), &[0.0], self.config.stacks.dark_frames);
+        let mut frames = writer.frames("dark.npy", self.spec(infos.len(), SampleType::U16))?;
+        let light = |info: &FrameInfo| self.lit(Role::Dark, &infos, info, |_, cx| self.even_light(0.0, cx));
+        self.expose(&mut frames, &infos, (Role::Dark, seed, "bench/dark"), light, done)?;
         frames.finish()?;
         writer.table("dark.csv", &infos)?;
         writer.add(entry(Role::Dark, "dark.npy", self.config.stacks.exposure_ms, Some("dark.csv")));
@@ -196,13 +285,13 @@ impl VirtualInstrument {
 
     fn flats(&self, writer: &mut SessionWriter, seed: u64, done: &(impl Fn(usize) + Sync)) -> Result<(), BenchError> {
         let stacks = &self.config.stacks;
-        let levels = stacks.flat_levels.iter().flat_map(|level| std::iter::repeat_n(*level, stacks.flat_frames));
-        let infos: Vec<_> =
-            levels.enumerate().map(|(i, level)| FrameInfo { illumination: level, ..self.info(i) }).collect();
+        let infos = self.ladder(&self.config.flat_exposures_ms(), &stacks.flat_levels, stacks.flat_frames);
         let mut frames = writer.frames("flat.npy", self.spec(infos.len(), SampleType::U16))?;
-        let light = |info: &FrameInfo, cx: &FrameContext<'_>| {
-            self.even_light(info.illumination * self.config.full_scale_e(), cx)
+        let even = |info: &FrameInfo, cx: &FrameContext<'_>| {
+            let level = info.illumination * self.config.full_scale_e() * (info.exposure_ms / stacks.exposure_ms);
+            self.even_light(level, cx)
         };
+        let light = |info: &FrameInfo| self.lit(Role::Flat, &infos, info, even);
         self.expose(&mut frames, &infos, (Role::Flat, seed, "bench/flat"), light, done)?;
         frames.finish()?;
         writer.table("flat.csv", &infos)?;
@@ -221,11 +310,26 @@ impl VirtualInstrument {
         rows.flat_map(|y| (0..scan.cols).map(move |j| [y, along(j, scan.cols, object.cols)])).collect()
     }
 
+    /// Points of the scan: every position at each depth.
+    fn scan_points(&self) -> Vec<Point> {
+        let positions = self.scan_um();
+        self.config.scan.depths_um.iter().flat_map(|z| positions.iter().map(move |at_um| (*at_um, *z))).collect()
+    }
+
     fn beads(&self, writer: &mut SessionWriter, seed: u64, done: &(impl Fn(usize) + Sync)) -> Result<f64, BenchError> {
-        let position = |(i, [y_um, x_um]): (usize, [f64; 2])| FrameInfo { x_um, y_um, ..self.info(i) };
-        let infos: Vec<_> = self.scan_um().into_iter().enumerate().map(position).collect();
+        let place = |(i, ([y_um, x_um], z_um)): (usize, Point)| FrameInfo { x_um, y_um, z_um, ..self.info(i) };
+        let infos: Vec<_> = self.scan_points().into_iter().enumerate().map(place).collect();
         let mut frames = writer.frames("bead.npy", self.spec(infos.len(), SampleType::U16))?;
-        let light = |info: &FrameInfo, cx: &FrameContext<'_>| self.bead_light(([info.y_um, info.x_um], info.z_um), cx);
+        if self.keep {
+            // Before the frames are shared out among threads that all want the same foci.
+            for l in 0..self.optics.lenses() {
+                self.cache.scan(l, &self.optics, || self.scan_points());
+            }
+        }
+        let bead = |info: &FrameInfo, cx: &FrameContext<'_>| {
+            self.bead_light((([info.y_um, info.x_um], info.z_um), self.keep.then_some(info.frame)), cx)
+        };
+        let light = |info: &FrameInfo| self.lit(Role::Bead, &infos, info, bead);
         let peak = self.expose(&mut frames, &infos, (Role::Bead, seed, "bench/bead"), light, done)?;
         frames.finish()?;
         writer.table("bead.csv", &infos)?;
@@ -233,21 +337,22 @@ impl VirtualInstrument {
         Ok(peak)
     }
 
-    /// Expected electrons of the bead at (y, x) um and depth z um.
-    pub(super) fn bead_light(&self, at: ([f64; 2], f64), cx: &FrameContext<'_>) -> Array2<f32> {
+    /// Expected electrons of the bead at a point; `kept` is its index in the scan where its foci are kept.
+    pub(super) fn bead_light(&self, (point, kept): (Point, Option<usize>), cx: &FrameContext<'_>) -> Array2<f32> {
         let moves = Moves { effects: &self.effects, cx };
-        let flux_e = self.config.scan.bead_e * self.emission_at(at.0, cx) * cx.illumination;
+        let flux_e = self.config.scan.bead_e * self.emission_at(point.0, cx) * cx.illumination;
         let mut work = self.optics.work();
         let mut light = Array2::zeros((self.config.sensor.rows, self.config.sensor.cols));
         let per_lens = self.effects.acts_at(Stage::Lens);
         for l in 0..self.optics.lenses() {
+            let foci = kept.and_then(|i| Some((self.cache.scan(l, &self.optics, || self.scan_points())?, i)));
             if per_lens {
                 let mut image = Array2::zeros(light.dim());
-                self.optics.add_point(l, at, flux_e, moves, &mut work, &mut image);
+                self.optics.add_point(l, (point, foci), flux_e, moves, &mut work, &mut image);
                 self.effects.on_lens(&mut image, &FrameContext { lens: l, ..*cx });
                 light += &image;
             } else {
-                self.optics.add_point(l, at, flux_e, moves, &mut work, &mut light);
+                self.optics.add_point(l, (point, foci), flux_e, moves, &mut work, &mut light);
             }
         }
         self.effects.on_light(&mut light, cx);
@@ -280,7 +385,8 @@ impl VirtualInstrument {
         done: &(impl Fn(usize) + Sync),
     ) -> Result<f64, BenchError> {
         let n = self.config.stacks.scene_frames;
-        let infos: Vec<_> = (0..n).map(|i| self.info(i)).collect();
+        let z_um = self.config.stacks.scene_z_um;
+        let infos: Vec<_> = (0..n).map(|i| FrameInfo { z_um, ..self.info(i) }).collect();
         let object = &self.config.object;
         let object_spec = StackSpec {
             frames: n,
@@ -292,20 +398,32 @@ impl VirtualInstrument {
         let mut frames = writer.frames("scene.npy", self.spec(n, SampleType::U16))?;
         let mut truths = writer.frames("scene_truth.npy", object_spec)?;
         let mut expected = writer.frames("scene_expected.npy", self.spec(n, SampleType::F32))?;
-        let mut peak = 0.0f64;
+        let (mut peak, mut written, mut waiting) = (0.0f64, 0, BTreeMap::new());
+        let mut before = None;
         for batch in infos.chunks(SCENES_AT_ONCE) {
-            let (objects, lights) = self.scene_batch(batch, seed);
-            for ((info, object), light) in batch.iter().zip(&objects).zip(&lights) {
-                truths.push(object.view())?;
-                expected.push(self.sensor.expected(light, &self.effects, &self.context(Role::Scene, info)).view())?;
+            let (objects, lit) = self.scene_batch(batch, seed, &mut before);
+            for ((info, object), lit) in batch.iter().zip(&objects).zip(&lit) {
+                let (place, truth) = self.told(info, n, object);
+                waiting.insert(place, truth);
+                // A truth that stands in the place of a later one waits for those before it.
+                while let Some(truth) = waiting.remove(&written) {
+                    truths.push(truth.view())?;
+                    written += 1;
+                }
+                let cx = lit.seen(self.context(Role::Scene, info));
+                expected.push(self.sensor.expected(&lit.light_e, &self.effects, &cx).view())?;
             }
-            let at = |info: &FrameInfo, _: &FrameContext<'_>| lights[info.frame - batch[0].frame].clone();
+            let at = |info: &FrameInfo| lit[info.frame - batch[0].frame].clone();
             peak = peak.max(self.expose(&mut frames, batch, (Role::Scene, seed, "bench/scene"), at, done)?);
         }
         frames.finish()?;
         truths.finish()?;
         expected.finish()?;
-        writer.table("scene.csv", &infos)?;
+        let told = |info: &FrameInfo| FrameInfo {
+            exposure_ms: info.exposure_ms / self.record(info, n).exposure_factor,
+            ..info.clone()
+        };
+        writer.table("scene.csv", &infos.iter().map(told).collect::<Vec<_>>())?;
         let mut entry = entry(Role::Scene, "scene.npy", self.config.stacks.exposure_ms, Some("scene.csv"));
         entry.truth = Some("scene_truth.npy".into());
         entry.expected = Some("scene_expected.npy".into());
@@ -313,30 +431,65 @@ impl VirtualInstrument {
         Ok(peak)
     }
 
-    /// Objects in units of the bead, and their light on the sensor, expected electrons.
-    fn scene_batch(&self, infos: &[FrameInfo], seed: u64) -> (Vec<Array2<f32>>, Vec<Array2<f32>>) {
+    /// How a model that knows of the faults reads the record of a scene.
+    fn record(&self, info: &FrameInfo, frames: usize) -> Record {
+        let mut record = Record::honest(info.frame, frames);
+        self.effects.on_record(&mut record, &self.context(Role::Scene, info));
+        record
+    }
+
+    /// Where the object of a scene is written in the truths, and how: so that [`Record::object`] of the same faults finds it there and
+    /// turns it back.
+    fn told(&self, info: &FrameInfo, frames: usize, object: &Array2<f32>) -> (usize, Array2<f32>) {
+        let record = self.record(info, frames);
+        // To flip is its own inverse.
+        let written = Record { truth: 0, ..record }.object(std::slice::from_ref(object));
+        (record.truth, written.unwrap_or_else(|| object.clone()))
+    }
+
+    /// Objects in units of the bead, and their light on the sensor, expected electrons; `before` is the last light of the batch before.
+    fn scene_batch(
+        &self,
+        infos: &[FrameInfo],
+        seed: u64,
+        before: &mut Option<(Array2<f32>, f64)>,
+    ) -> (Vec<Array2<f32>>, Vec<Lit>) {
         let grid = self.config.manifest().object;
         let draw = |info: &FrameInfo| self.scenes.draw(&grid, seed, "bench/specimen", info.frame as u64);
         let mut objects: Vec<Array2<f32>> = infos.iter().map(draw).collect();
         // The level of a scene is set by the clean optics, so that an effect changes the frames and not the specimens.
-        let clean = self.light_of(&objects, infos, &Chain::default());
+        let mut clean = self.light_of(&objects, infos, &Chain::default());
         let [low, high] = self.config.stacks.scene_peak.map(|p| (p * self.config.full_scale_e()).ln());
-        let mut lights = clean;
-        for ((object, light), info) in objects.iter_mut().zip(&mut lights).zip(infos) {
+        for ((object, light), info) in objects.iter_mut().zip(&mut clean).zip(infos) {
             let mut rng = rng::stream(seed, "bench/level", info.frame as u64);
             let peak = light.fold(f32::MIN_POSITIVE, |m, v| m.max(*v));
             let scale = rng.random_range(low..=high).exp() as f32 / peak;
             object.mapv_inplace(|v| v * scale);
             light.mapv_inplace(|v| v * scale);
         }
-        let before_sensor = [Stage::Object, Stage::Geometry, Stage::Lens, Stage::Light];
-        if before_sensor.iter().any(|s| self.effects.acts_at(*s)) {
-            lights = self.light_of(&objects, infos, &self.effects);
+        if !up_to_sensor(&self.effects) {
+            return (objects, clean.into_iter().map(|light_e| Lit { light_e, before: None }).collect());
         }
-        (objects, lights)
+        drop(clean);
+        let mut lit = Vec::with_capacity(infos.len());
+        for (light, info) in self.light_of(&objects, infos, &self.effects).into_iter().zip(infos) {
+            let cx = self.context(Role::Scene, info);
+            let mut this = Lit { light_e: light.clone(), before: before.take() };
+            let seen = this.seen(cx);
+            let mut with = light.clone();
+            self.effects.on_light(&mut with, &seen);
+            if self.effects.needs_previous() {
+                let mut alone = light;
+                self.effects.on_light(&mut alone, &cx);
+                *before = Some((alone, info.time_s));
+            }
+            this.light_e = with;
+            lit.push(this);
+        }
+        (objects, lit)
     }
 
-    /// Expected electrons of objects (in units of the bead) with effects up to the sensor.
+    /// Electrons that the lenses bring of objects (in units of the bead), with effects up to the lenses.
     fn light_of(&self, objects: &[Array2<f32>], infos: &[FrameInfo], effects: &Chain) -> Vec<Array2<f32>> {
         let contexts: Vec<_> = infos.iter().map(|i| self.context(Role::Scene, i)).collect();
         let emitted: Vec<_> = objects
@@ -349,24 +502,34 @@ impl VirtualInstrument {
             })
             .collect();
         let mut lights = vec![Array2::zeros((self.config.sensor.rows, self.config.sensor.cols)); objects.len()];
-        // Frames whose rays no effect can tell apart share their PSFs.
-        let together = if effects.acts_at(Stage::Geometry) { 1 } else { objects.len() };
-        for start in (0..objects.len()).step_by(together.max(1)) {
-            let range = start..start + together;
+        let z_um = self.config.stacks.scene_z_um;
+        let still = !effects.acts_at(Stage::Geometry);
+        let mut start = 0;
+        while start < objects.len() {
+            // Frames whose rays no effect can tell apart share their PSFs.
+            let alike = |i: &usize| still || self.optics.same_rays(effects, &contexts[start], &contexts[*i]);
+            let end = (start + 1..objects.len()).find(|i| !alike(i)).unwrap_or(objects.len());
             let moves = Moves { effects, cx: &contexts[start] };
             for l in 0..self.optics.lenses() {
-                let images = self.optics.lens_images(l, &emitted[range.clone()], self.config.scan.bead_e, moves);
-                for (i, image) in range.clone().zip(images.axis_iter(Axis(0))) {
+                let kept = if self.keep { self.cache.object(l, &self.optics, || self.object_points()) } else { None };
+                let flux = (self.config.scan.bead_e, z_um);
+                let images = self.optics.lens_images(l, &emitted[start..end], flux, moves, kept);
+                for (i, image) in (start..end).zip(images.axis_iter(Axis(0))) {
                     let mut image = image.to_owned();
                     effects.on_lens(&mut image, &FrameContext { lens: l, ..contexts[i] });
                     lights[i] += &image;
                 }
             }
-        }
-        for (light, cx) in lights.iter_mut().zip(&contexts) {
-            effects.on_light(light, cx);
+            start = end;
         }
         lights
+    }
+
+    /// Points of the object's pixels, row by row.
+    fn object_points(&self) -> Vec<Point> {
+        let (object, z_um) = (&self.config.object, self.config.stacks.scene_z_um);
+        let pixels = (0..object.rows).flat_map(|r| (0..object.cols).map(move |c| (r, c)));
+        pixels.map(|(r, c)| (self.optics.position_um(r, c), z_um)).collect()
     }
 }
 

@@ -5,6 +5,7 @@
 //! draw, the reading and the converter. Nothing here knows of the low-rank model that `calibrate` fits: [`truth`]
 //! says what was true, and only tests read it.
 
+mod cache;
 mod config;
 mod error;
 mod lens;

@@ -1,6 +1,7 @@
 //! Forms the light of objects on the sensor, point by point, each with its own PSF.
 
 use super::BenchError;
+use super::cache::Foci;
 use super::config::BenchConfig;
 use super::lens::Lens;
 use crate::effects::{Chain, FrameContext, Ray, RayShift};
@@ -56,8 +57,11 @@ impl Moves<'_> {
     }
 }
 
+/// A point of light: (y, x) um and depth, um.
+pub(super) type Point = ([f64; 2], f64);
+
 /// The focus of one point through one lens.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Focus {
     /// Sensor pixel on which the PSF's middle pixel falls; may lie outside.
     pub centre: [i64; 2],
@@ -150,47 +154,114 @@ impl VirtualOptics {
         Focus { centre: centre.map(|c| c as i64), transmission: cos4 * response }
     }
 
+    /// Foci of points through lens `l` where no effect moves a ray.
+    pub(super) fn foci(&self, l: usize, points: &[Point]) -> Foci {
+        let side = self.pupil.config().field_px;
+        let mut foci =
+            Foci { side, focus: vec![Focus::default(); points.len()], share: vec![0.0; points.len() * side * side] };
+        let (effects, cx) = (Chain::default(), FrameContext::default());
+        let at_rest = Moves { effects: &effects, cx: &cx };
+        let parts = foci.focus.par_iter_mut().zip(foci.share.par_chunks_exact_mut(side * side));
+        parts.zip(points).for_each_init(
+            || self.work(),
+            |work, ((focus, share), (at_um, z_um))| {
+                *focus = self.focus(l, *at_um, *z_um, at_rest, work);
+                share.copy_from_slice(&work.psf.share);
+            },
+        );
+        foci
+    }
+
+    /// Whether the rays of all object pixels are the same in two frames.
+    pub(super) fn same_rays(&self, effects: &Chain, a: &FrameContext<'_>, b: &FrameContext<'_>) -> bool {
+        let moves = |cx, ray: &Ray| Moves { effects, cx }.of(ray);
+        (0..self.lenses.len()).all(|l| {
+            let mut points = (0..self.grid.rows).flat_map(|r| (0..self.grid.cols).map(move |c| (r, c)));
+            points.all(|(r, c)| {
+                let ray = self.ray(l, self.position_um(r, c));
+                moves(a, &ray) == moves(b, &ray)
+            })
+        })
+    }
+
     /// Light of one point through lens `l`, electrons, added to `image`; `flux_e` is its light through a lens straight above it.
+    /// `kept` are foci and the index of the point among them.
     pub(super) fn add_point(
         &self,
         l: usize,
-        (at_um, z_um): ([f64; 2], f64),
+        (point, kept): (Point, Option<(&Foci, usize)>),
         flux_e: f64,
         moves: Moves<'_>,
         work: &mut Work,
         image: &mut Array2<f32>,
     ) {
-        let focus = self.focus(l, at_um, z_um, moves, work);
+        let (focus, share) = self.focus_or_kept(l, point, kept, moves, work);
         let light = (flux_e * focus.transmission) as f32;
-        self.each_pixel(focus, &work.psf, |r, c, share| image[[r, c]] += light * share);
+        self.each_row(focus, share, |r, c, shares| {
+            let mut row = image.slice_mut(s![r, c..c + shares.len()]);
+            row.iter_mut().zip(shares).for_each(|(v, share)| *v += light * share);
+        });
     }
 
-    /// Calls `put(row, col, share)` for each pixel of the PSF that lies on the sensor.
-    fn each_pixel(&self, focus: Focus, psf: &Psf, mut put: impl FnMut(usize, usize, f32)) {
-        let half = (psf.side / 2) as i64;
-        let inside = |at: i64, n: usize| (0..n as i64).contains(&at).then_some(at as usize);
-        for (i, shares) in psf.share.chunks_exact(psf.side).enumerate() {
-            let Some(r) = inside(focus.centre[0] - half + i as i64, self.sensor[0]) else { continue };
-            for (j, share) in shares.iter().enumerate() {
-                if let Some(c) = inside(focus.centre[1] - half + j as i64, self.sensor[1]) {
-                    put(r, c, *share);
-                }
-            }
+    /// Focus and PSF of a point: the kept ones, unless an effect moves its ray.
+    fn focus_or_kept<'a>(
+        &self,
+        l: usize,
+        (at_um, z_um): Point,
+        kept: Option<(&'a Foci, usize)>,
+        moves: Moves<'_>,
+        work: &'a mut Work,
+    ) -> (Focus, &'a [f32]) {
+        if let Some(found) = kept.and_then(|(foci, point)| foci.get(point))
+            && moves.of(&self.ray(l, at_um)) == RayShift::default()
+        {
+            return found;
+        }
+        let focus = self.focus(l, at_um, z_um, moves, work);
+        (focus, &work.psf.share)
+    }
+
+    /// Calls `put(row, first col, shares)` for each row of the PSF, as far as it lies on the sensor.
+    fn each_row(&self, focus: Focus, share: &[f32], mut put: impl FnMut(usize, usize, &[f32])) {
+        let side = self.pupil.config().field_px;
+        let first = focus.centre.map(|c| c - (side / 2) as i64);
+        let seen = |a: usize| {
+            let end = (self.sensor[a] as i64 - first[a]).clamp(0, side as i64) as usize;
+            ((-first[a]).clamp(0, side as i64) as usize).min(end)..end
+        };
+        let (rows, cols) = (seen(0), seen(1));
+        if cols.is_empty() {
+            return;
+        }
+        let place = |a: usize, i: usize| (first[a] + i as i64) as usize;
+        for i in rows {
+            put(place(0, i), place(1, cols.start), &share[i * side..(i + 1) * side][cols.clone()]);
         }
     }
 
     /// Light of objects through lens `l`, electrons, [object, sensor rows, sensor cols]. One unit of an object's pixel is
     /// `unit_e` electrons through a lens straight above it.
     ///
-    /// Each object pixel is a point at its centre; its PSF is computed once for all objects and forgotten.
-    pub(super) fn lens_images(&self, l: usize, objects: &[Array2<f32>], unit_e: f64, moves: Moves<'_>) -> Array3<f32> {
+    /// Each object pixel is a point at its centre, `z_um` deep; its PSF is taken from `kept`, or computed once for all objects and
+    /// forgotten.
+    pub(super) fn lens_images(
+        &self,
+        l: usize,
+        objects: &[Array2<f32>],
+        (unit_e, z_um): (f64, f64),
+        moves: Moves<'_>,
+        kept: Option<&Foci>,
+    ) -> Array3<f32> {
         let mut images = Array3::zeros((objects.len(), self.sensor[0], self.sensor[1]));
         let bands: Vec<usize> = (0..self.grid.rows).step_by(BAND_ROWS).collect();
         // Few bands are alive at a time, so memory does not grow with the object.
         for group in bands.chunks(2 * rayon::current_num_threads()) {
             let lights: Vec<Band> = group
                 .par_iter()
-                .map_init(|| self.work(), |work, first| self.band(l, *first, objects, unit_e, moves, work))
+                .map_init(
+                    || self.work(),
+                    |work, first| self.band(l, *first, objects, (unit_e, z_um), (moves, kept), work),
+                )
                 .collect();
             for band in lights {
                 let rows = band.first_row..band.first_row + band.light.len_of(Axis(1));
@@ -206,12 +277,14 @@ impl VirtualOptics {
         l: usize,
         first: usize,
         objects: &[Array2<f32>],
-        unit_e: f64,
-        moves: Moves<'_>,
+        (unit_e, z_um): (f64, f64),
+        (moves, kept): (Moves<'_>, Option<&Foci>),
         work: &mut Work,
     ) -> Band {
         let rows = first..(first + BAND_ROWS).min(self.grid.rows);
         let mut band = self.empty_band(l, &rows, objects.len(), moves);
+        let [band_rows, cols] = [band.light.len_of(Axis(1)), self.sensor[1]];
+        let Some(pixels) = band.light.as_slice_mut() else { return band };
         let mut values = vec![0.0f32; objects.len()];
         for r in rows {
             for c in 0..self.grid.cols {
@@ -223,14 +296,15 @@ impl VirtualOptics {
                 if !lit {
                     continue;
                 }
-                let at_um = self.position_um(r, c);
-                let focus = self.focus(l, at_um, 0.0, moves, work);
+                let kept = kept.map(|foci| (foci, r * self.grid.cols + c));
+                let (focus, share) = self.focus_or_kept(l, (self.position_um(r, c), z_um), kept, moves, work);
                 let unit = (unit_e * focus.transmission) as f32;
                 for (k, value) in values.iter().enumerate().filter(|(_, v)| **v != 0.0) {
                     let light = unit * value;
-                    let mut image = band.light.index_axis_mut(Axis(0), k);
-                    self.each_pixel(focus, &work.psf, |row, col, share| {
-                        image[[row - band.first_row, col]] += light * share;
+                    self.each_row(focus, share, |row, col, shares| {
+                        let start = (k * band_rows + row - band.first_row) * cols + col;
+                        let line = &mut pixels[start..start + shares.len()];
+                        line.iter_mut().zip(shares).for_each(|(v, share)| *v += light * share);
                     });
                 }
             }

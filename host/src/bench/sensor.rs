@@ -59,8 +59,10 @@ impl VirtualSensor {
         rng: &mut impl Rng,
     ) -> Array2<f32> {
         let noise = self.noise(effects);
+        // Another gain at the same mean in DN: so many more electrons.
+        let more = self.config.gain_dn_per_e / noise.gain_dn_per_e;
         let mut charge = Zip::from(light_e).and(&self.response).map_collect(|light, response| {
-            let mean = f64::from(light * response);
+            let mean = f64::from(light * response) * more;
             // Poisson::new refuses nothing but means that are no number, zero or negative: no light, no electrons.
             Poisson::new(mean).map_or(0.0, |p| p.sample(rng) as f32)
         });
@@ -68,6 +70,9 @@ impl VirtualSensor {
         // A standard deviation of the configuration, checked there to be finite.
         if let Ok(reading) = Normal::new(0.0, noise.read_noise_e) {
             charge.mapv_inplace(|q| q + reading.sample(rng) as f32);
+        }
+        if more != 1.0 {
+            charge /= more as f32;
         }
         let top = self.top();
         let mut frame = self.convert(charge, effects, cx);
@@ -92,7 +97,7 @@ impl VirtualSensor {
     }
 
     fn convert(&self, mut charge_e: Array2<f32>, effects: &Chain, cx: &FrameContext<'_>) -> Array2<f32> {
-        let (gain, black) = (self.noise(effects).gain_dn_per_e as f32, self.config.black_level_dn as f32);
+        let (gain, black) = (self.config.gain_dn_per_e as f32, self.config.black_level_dn as f32);
         Zip::from(&mut charge_e).and(&self.offset_dn).for_each(|v, offset| *v = black + offset + gain * *v);
         effects.on_electronics(&mut charge_e, cx);
         charge_e

@@ -3,7 +3,7 @@
 use super::optics::Moves;
 use super::truth::{BenchTruth, TRUTH_FILE};
 use super::*;
-use crate::effects::{Chain, EffectSetting, FrameContext};
+use crate::effects::{Chain, EffectSetting, FrameContext, Layout, Record};
 use crate::session::{Role, Session};
 use ndarray::{Array2, s};
 use std::path::Path;
@@ -19,7 +19,7 @@ fn small() -> BenchConfig {
     config.optics.object_distance_um = 300.0;
     config.optics.psf_field_px = 31;
     config.object = ObjectConfig { rows: 18, cols: 22, pixel_um: 2.8 };
-    config.scan = ScanConfig { rows: 2, cols: 3, bead_e: 30_000.0 };
+    config.scan = ScanConfig { rows: 2, cols: 3, bead_e: 30_000.0, ..ScanConfig::default() };
     config.stacks.dark_frames = 3;
     config.stacks.flat_levels = vec![0.2, 0.4];
     config.stacks.flat_frames = 2;
@@ -94,7 +94,7 @@ fn no_light_is_lost_between_the_object_and_the_sensor() {
     let mut work = instrument.optics.work();
     let at = [3.0, -5.0];
     let passed: f64 = (0..2).map(|l| instrument.optics.focus(l, at, 0.0, moves, &mut work).transmission).sum();
-    let light = instrument.bead_light((at, 0.0), &context()).mapv(f64::from).sum();
+    let light = instrument.bead_light(((at, 0.0), None), &context()).mapv(f64::from).sum();
     assert!((light / (30_000.0 * passed) - 1.0).abs() < 2e-3, "{light} {passed}");
 }
 
@@ -105,9 +105,9 @@ fn a_bead_on_an_object_pixel_is_that_pixel_lit() {
     object[[4, 15]] = 1.0f32;
     let moves = Moves { effects: &Chain::default(), cx: &context() };
     let images: Array2<f32> = (0..2)
-        .map(|l| instrument.optics.lens_images(l, std::slice::from_ref(&object), 30_000.0, moves))
+        .map(|l| instrument.optics.lens_images(l, std::slice::from_ref(&object), (30_000.0, 0.0), moves, None))
         .fold(Array2::zeros((50, 70)), |sum, image| sum + image.slice(s![0, .., ..]));
-    let bead = instrument.bead_light((instrument.optics.position_um(4, 15), 0.0), &context());
+    let bead = instrument.bead_light(((instrument.optics.position_um(4, 15), 0.0), None), &context());
     let worst = (&images - &bead).fold(0.0f32, |m, v| m.max(v.abs()));
     assert!(worst <= 1e-4 * bead.fold(0.0f32, |m, v| m.max(*v)), "{worst}");
 }
@@ -130,7 +130,7 @@ fn foci_without_aberrations_are_centred_on_their_chief_rays() {
     let instrument = config.build(&[]).unwrap();
     let anchor = instrument.optics.anchors_px()[0];
     for at in [[0.0, 0.0], [11.0, -17.3]] {
-        let light = instrument.bead_light((at, 0.0), &context()).mapv(f64::from);
+        let light = instrument.bead_light(((at, 0.0), None), &context()).mapv(f64::from);
         for axis in 0..2 {
             let centroid: f64 =
                 light.indexed_iter().map(|((r, c), v)| v * [r, c][axis] as f64).sum::<f64>() / light.sum();
@@ -188,19 +188,136 @@ fn effects_act_at_their_stage_and_nothing_changes_without_them() {
     let plain = small().build(&[]).unwrap();
     let off = small().build(&[effect("halo", "weight", 0.0)]).unwrap();
     let at = [4.0, 9.0];
-    let light = plain.bead_light((at, 0.0), &cx);
-    assert_eq!(light, off.bead_light((at, 0.0), &cx));
+    let light = plain.bead_light(((at, 0.0), None), &cx);
+    assert_eq!(light, off.bead_light(((at, 0.0), None), &cx));
     // Lens: the first lens at half its gain.
     let gain = small().build(&[effect("excitation_profile", "falloff", 0.5)]).unwrap();
     let [r, c] = small().manifest().object.pixel_of_um(at[0], at[1]);
     let rho2 = ((r - 8.5).powi(2) + (c - 10.5).powi(2)) / (9f64.powi(2) + 11f64.powi(2));
-    let share = f64::from(gain.bead_light((at, 0.0), &cx).sum() / light.sum());
+    let share = f64::from(gain.bead_light(((at, 0.0), None), &cx).sum() / light.sum());
     assert!((share - (1.0 - 0.5 * rho2)).abs() < 0.02, "{share} {rho2}");
+}
+
+const FILES: [&str; 6] = ["dark.npy", "flat.npy", "bead.npy", "scene.npy", "scene_expected.npy", "scene_truth.npy"];
+
+fn bytes_of(instrument: &VirtualInstrument, dir: &Path) -> Vec<Vec<u8>> {
+    let path = dir.join("s");
+    instrument.measure(&path, 5, |_| ()).unwrap();
+    FILES.iter().map(|f| std::fs::read(path.join(f)).unwrap()).collect()
+}
+
+#[test]
+fn kept_foci_give_the_same_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut config = small();
+    // More than one batch of scenes, so that something is kept even without another instrument.
+    config.stacks.scene_frames = 18;
+    config.scan.depths_um = vec![-20.0, 20.0];
+    let first = config.build(&[]).unwrap();
+    let mut other = config.clone();
+    other.stacks.scene_z_um = 30.0;
+    for settings in [
+        vec![],
+        vec![effect("halo", "weight", 0.1)],
+        vec![effect("array_shift", "row_px", 1.25)],
+        vec![effect("thermal_drift", "row_px_per_s", 5.0), effect("lens_gain", "change_1", 0.2)],
+    ] {
+        for config in [&config, &other] {
+            let shared = config.build_like(&first, &settings).unwrap();
+            let mut alone = config.build(&settings).unwrap();
+            alone.forget();
+            assert!(bytes_of(&shared, dir.path()) == bytes_of(&alone, dir.path()), "{settings:?}");
+        }
+    }
+}
+
+/// Expected frames of the scenes, and what the session says of them.
+fn scenes_of(config: &BenchConfig, settings: &[EffectSetting]) -> (Vec<Array2<f32>>, Vec<Array2<f32>>, Session) {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("s");
+    config.build(settings).unwrap().measure(&path, 3, |_| ()).unwrap();
+    let session = Session::open(&path).unwrap();
+    let scene = session.need(Role::Scene).unwrap()[0];
+    let (mut expected, mut truth) = (scene.expected().unwrap().unwrap(), scene.truth().unwrap().unwrap());
+    let frames = 0..scene.len();
+    let expected = frames.clone().map(|i| expected.read(i).unwrap()).collect();
+    let truth = frames.map(|i| truth.read(i).unwrap()).collect();
+    (expected, truth, session)
+}
+
+#[test]
+fn effects_see_the_frame_before_across_batches_of_scenes() {
+    let mut config = small();
+    config.stacks.scene_frames = 18;
+    config.sensor.offset_rms_dn = 0.0;
+    let (clean, ..) = scenes_of(&config, &[]);
+    let (with, ..) = scenes_of(&config, &[EffectSetting::new("lag", &[("share", 0.1), ("tau_s", 0.02)])]);
+    for k in [0, 1, 15, 16, 17] {
+        let before = if k > 0 { &clean[k - 1] - 64.0 } else { &clean[0] * 0.0 };
+        let left = (&with[k] - &clean[k]) - before * (0.1 * (-1f32).exp());
+        let worst = left.iter().fold(0.0f32, |m, v| m.max(v.abs()));
+        assert!(worst < 0.02, "{k}: {worst}");
+    }
+}
+
+#[test]
+fn the_same_fault_of_the_record_puts_it_right() {
+    let (expected, truths, _) = scenes_of(&small(), &[]);
+    for faults in [
+        [("exposure_factor", 1.25), ("frame", 1.0), ("flip_rows", 1.0), ("flip_cols", 1.0)].to_vec(),
+        [("swapped_with_next", 1.0), ("flip_cols", 1.0)].to_vec(),
+        [("swapped_with_next", 1.0), ("frame", 1.0), ("flip_rows", 1.0)].to_vec(),
+    ] {
+        let setting = EffectSetting::new("metadata_fault", &faults);
+        let (same, told, session) = scenes_of(&small(), std::slice::from_ref(&setting));
+        assert_eq!(expected, same, "frames are as they were");
+        assert_ne!(truths, told);
+        let chain = Chain::build(&[setting], Layout { lenses: 2, sensor: [50, 70] }).unwrap();
+        for (k, info) in session.need(Role::Scene).unwrap()[0].info().iter().enumerate() {
+            let mut record = Record::honest(k, told.len());
+            chain.on_record(&mut record, &FrameContext { frame: k, ..context() });
+            assert_eq!(record.object(&told).unwrap(), truths[k], "{faults:?}");
+            assert!((info.exposure_ms * record.exposure_factor - 10.0).abs() < 1e-9);
+        }
+    }
+}
+
+#[test]
+fn depths_and_exposures_are_scanned() {
+    let mut config = small();
+    config.scan.depths_um = vec![-40.0, 0.0];
+    config.stacks.scene_z_um = -40.0;
+    config.stacks.flat_exposures_ms = vec![5.0, 40.0];
+    config.stacks.dark_exposures_ms = vec![1.0, 100.0];
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("s");
+    let dark = EffectSetting::new("dark_current", &[("rate_e_per_ms", 2.0)]);
+    let instrument = config.build(&[dark]).unwrap();
+    let summary = instrument.measure(&path, 3, |_| ()).unwrap();
+    assert_eq!(summary.frames.values().sum::<usize>(), instrument.frames());
+    let session = Session::open(&path).unwrap();
+    let stack = |role| session.need(role).unwrap()[0];
+    let depths: Vec<f64> = stack(Role::Bead).info().iter().map(|i| i.z_um).collect();
+    assert_eq!(depths, [vec![-40.0; 6], vec![0.0; 6]].concat());
+    assert!(stack(Role::Scene).info().iter().all(|i| i.z_um == -40.0));
+    let flats = stack(Role::Flat);
+    let levels: Vec<_> = flats.info().iter().map(|i| (i.exposure_ms, i.illumination)).collect();
+    assert_eq!(levels[..4], [(5.0, 0.2), (5.0, 0.2), (5.0, 0.4), (5.0, 0.4)]);
+    let mean = |role, i| f64::from(stack(role).frames().unwrap().read(i).unwrap().mean().unwrap());
+    // 0.2 of full scale in 10 ms, half of it in 5, four times in 40; 0.4 DN an electron of dark current.
+    let full = config.full_scale_e() * 0.4;
+    assert!((mean(Role::Flat, 0) - 64.0 - 0.1 * full - 4.0).abs() < 2.0);
+    assert!((mean(Role::Flat, 4) - 64.0 - 0.8 * full - 32.0).abs() < 5.0);
+    assert!((mean(Role::Dark, 3) - mean(Role::Dark, 0) - 79.2).abs() < 1.0);
+    // One exposure is over before the next begins.
+    assert!((flats.info()[1].time_s - 0.04).abs() < 1e-12 && stack(Role::Bead).info()[1].time_s == 0.02);
 }
 
 #[test]
 fn configurations_are_checked() {
     let toml = toml::to_string(&small()).unwrap();
+    // What a session's truth says of an instrument without scans is what it always said.
+    assert!(!toml.contains("depths_um") && !toml.contains("exposures_ms") && !toml.contains("scene_z_um"), "{toml}");
     assert_eq!(toml::from_str::<BenchConfig>(&toml).unwrap(), small());
     assert_eq!(toml::from_str::<BenchConfig>("").unwrap(), BenchConfig::default());
     assert!(toml::from_str::<BenchConfig>("[sensor]\nrow = 3").unwrap_err().to_string().contains("row"));
@@ -222,6 +339,9 @@ fn configurations_are_checked() {
     refused(|c| c.object.pixel_um = 3.5, "object.pixel_um");
     refused(|c| c.stacks.flat_levels = vec![f64::NAN], "flat_levels");
     refused(|c| c.scan.rows = 0, "scan.rows");
+    refused(|c| c.scan.depths_um = vec![], "scan.depths_um");
+    refused(|c| c.stacks.dark_exposures_ms = vec![0.0], "stacks.dark_exposures_ms");
+    refused(|c| c.stacks.scene_z_um = f64::INFINITY, "stacks.scene_z_um");
     let unknown = small().build(&[effect("gremlin", "x", 1.0)]).unwrap_err().to_string();
     assert!(unknown.contains("gremlin") && unknown.contains("halo"), "{unknown}");
 }

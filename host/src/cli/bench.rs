@@ -14,8 +14,8 @@ pub struct Args {
     /// Configuration of the instrument, TOML [default: the demo instrument]
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Effect to inject, with its strength, the first of its parameters (may be given again)
-    #[arg(long, value_name = "ID=STRENGTH")]
+    /// Effect to inject: its strength, the first of its parameters, then others by name (may be given again)
+    #[arg(long, value_name = "ID=STRENGTH[,NAME=VALUE..]")]
     effect: Vec<String>,
     /// Number of scene frames
     #[arg(long, value_name = "N")]
@@ -58,15 +58,46 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     Ok(Outcome { json, text })
 }
 
-/// Parses `ID=STRENGTH`.
+/// Parses `ID=STRENGTH` and, after commas, `NAME=VALUE` of further parameters. Ranges and names are checked where it is built.
 fn setting(text: &str) -> anyhow::Result<EffectSetting> {
-    let parsed = text.split_once('=').and_then(|(id, v)| Some((id, v.parse::<f64>().ok()?)));
-    let Some((id, strength)) = parsed else {
-        anyhow::bail!("--effect: expected ID=STRENGTH, e.g. halo=0.05, found `{text}`");
-    };
+    let wanted =
+        |what: &str| anyhow::anyhow!("--effect {text}: expected {what}; e.g. `halo=0.05` or `halo=0.05,sigma_px=20`");
+    let (id, values) = text.split_once('=').ok_or_else(|| wanted("ID=STRENGTH"))?;
     let Some(effect) = effects::find(id) else {
         return Err(EffectError::Unknown { found: id.into(), known: effects::ids().join(", ") }.into());
     };
-    let name = effect.descriptor().expanded(1).into_iter().next().map_or_else(String::new, |(name, _)| name);
-    Ok(EffectSetting::new(id, &[(&name, strength)]))
+    let number = |value: &str| value.trim().parse::<f64>().map_err(|_| wanted(&format!("a number, found `{value}`")));
+    let mut values = values.split(',');
+    let first = effect.descriptor().expanded(1).into_iter().next().map_or_else(String::new, |(name, _)| name);
+    let mut params = vec![(first, number(values.next().unwrap_or_default())?)];
+    for pair in values {
+        let (name, value) = pair.split_once('=').ok_or_else(|| wanted(&format!("NAME=VALUE, found `{pair}`")))?;
+        let name = name.trim();
+        if params.iter().any(|(known, _)| known == name) {
+            return Err(wanted(&format!("`{name}` once")));
+        }
+        params.push((name.into(), number(value)?));
+    }
+    let params: Vec<(&str, f64)> = params.iter().map(|(name, value)| (name.as_str(), *value)).collect();
+    Ok(EffectSetting::new(id, &params))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn effects_are_read_with_their_parameters_or_the_fault_is_named() {
+        assert_eq!(setting("halo=0.05").unwrap(), EffectSetting::new("halo", &[("weight", 0.05)]));
+        let two = EffectSetting::new("halo", &[("weight", 0.05), ("sigma_px", 20.0)]);
+        assert_eq!(setting("halo=0.05,sigma_px=20").unwrap(), two);
+        assert_eq!(setting("lens_gain=0.1").unwrap().params["change_0"], 0.1);
+        let fault = |text: &str| setting(text).unwrap_err().to_string();
+        assert!(fault("halo").contains("--effect halo: expected ID=STRENGTH"));
+        assert!(fault("hallo=1").contains("`hallo`: unknown"));
+        assert!(fault("halo=much").contains("a number, found `much`"));
+        assert!(fault("halo=1,20").contains("NAME=VALUE, found `20`"));
+        assert!(fault("halo=1,sigma_px=wide").contains("a number, found `wide`"));
+        assert!(fault("halo=1,weight=2").contains("`weight` once"));
+    }
 }
