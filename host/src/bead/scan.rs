@@ -115,7 +115,7 @@ impl BeadScan {
 }
 
 /// One object pixel must be one sensor pixel.
-fn check_grid(m: &Manifest) -> Result<(), BeadError> {
+pub(crate) fn check_grid(m: &Manifest) -> Result<(), BeadError> {
     let expected = m.sensor.pixel_pitch_um / m.optics.magnification;
     let found = m.object.pixel_um;
     if (found / expected - 1.0).abs() <= 0.02 { Ok(()) } else { Err(BeadError::Grid { expected, found }) }

@@ -24,6 +24,12 @@ pub struct Args {
     /// Most basis PSFs that are tried
     #[arg(long, value_name = "K", default_value_t = CalibrateConfig::default().max_rank)]
     max_rank: usize,
+    /// One PSF a lens for the whole field, the mean of the bead scan, instead of the spatially varying model
+    #[arg(long, conflicts_with_all = ["rank", "max_rank"])]
+    one_psf: bool,
+    /// Refits with a part of the beads left out, which tell how uncertain the PSFs are (0: none)
+    #[arg(long, value_name = "N", default_value_t = CalibrateConfig::default().replicates)]
+    replicates: usize,
     /// The bead frames were normalised by who measured them: one free scale a frame
     #[arg(long)]
     normalise_beads: bool,
@@ -44,6 +50,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let config = CalibrateConfig {
         rank: args.rank,
         max_rank: args.max_rank,
+        one_psf: args.one_psf,
+        replicates: args.replicates,
         normalise_beads: args.normalise_beads,
         noise: NoiseConfig { nominal_gain_dn_per_e: args.gain, nominal_read_noise_e: args.read_noise },
     };
@@ -79,6 +87,10 @@ fn figures(calibration: &Calibration) -> serde_json::Value {
         "black_level_dn": i.noise.black_level_dn,
         "noise_sources": i.noise.sources,
         "rank": rank(i),
+        "replicates": i.replicates.len(),
+        "response_rms": response_rms(i),
+        "depths_um": i.psf.node_depths_um,
+        "sensor_only": i.sensor_only(),
         "approximation_error": i.quality.approximation_error,
         "off_grid_error": i.quality.off_grid_error,
         "one_psf_error": i.quality.one_psf_error,
@@ -94,6 +106,13 @@ fn figures(calibration: &Calibration) -> serde_json::Value {
 
 fn rank(i: &Instrument) -> usize {
     i.psf.basis.dim().1
+}
+
+/// Spread of the responses of the pixels, rms; none: no map.
+fn response_rms(i: &Instrument) -> Option<f64> {
+    let map = i.response.as_ref()?;
+    let square: f64 = map.iter().map(|r| (f64::from(*r) - 1.0).powi(2)).sum();
+    Some((square / map.len().max(1) as f64).sqrt())
 }
 
 fn dead(i: &Instrument) -> Vec<usize> {
@@ -116,18 +135,37 @@ fn table(args: &Args, calibration: &Calibration) -> String {
     line("black level", format!("{:.2} DN", n.black_level_dn), source(n.sources.black_level));
     line("gain", format!("{:.4} +- {:.4} DN/e-", n.gain_dn_per_e, n.gain_sigma), source(n.sources.gain));
     line("read noise", format!("{:.3} +- {:.3} e-", n.read_noise_e, n.read_noise_sigma), source(n.sources.read_noise));
+    if let Some(rms) = response_rms(i) {
+        line("pixel response", format!("{:.3} % rms", 100.0 * rms), "divided out, noise taken back");
+    }
+    if i.sensor_only() {
+        line("optics", "identity".into(), "no bead scan: only the sensor is modelled");
+        let _ = writeln!(out, "-> {}", args.output.display());
+        return out;
+    }
     line("magnification", format!("{:.5}", i.geometry.magnification), "");
     line(
         "foci off chief rays",
         format!("{:.3} px rms", q.chief_ray_rms_px),
         "distortion and noise, kept in the windows",
     );
-    line("rank", rank(i).to_string(), if args.rank.is_some() { "as asked" } else { "least held-out error" });
+    let why = match (args.one_psf, args.rank) {
+        (true, _) => "one PSF a lens",
+        (_, Some(_)) => "as asked",
+        _ => "least held-out error",
+    };
+    line("rank", rank(i).to_string(), why);
+    if i.psf.node_depths_um.len() > 1 {
+        let depths: Vec<String> = i.psf.node_depths_um.iter().map(ToString::to_string).collect();
+        line("depths", depths.join(", "), "um");
+    }
     line("approximation error", format!("{:.4}", q.approximation_error), "NRMSE on the bead scan");
     line("off-grid error", format!("{:.4}", q.off_grid_error), "NRMSE on positions left out (checkerboard)");
     line("  of one PSF a lens", format!("{:.4}", q.one_psf_error), "the same positions");
     line("  of noise alone", format!("{:.4}", q.noise_floor), "in these bead frames");
+    line("replicates", i.replicates.len().to_string(), "refits without a part of the beads: uncertainty of the PSFs");
     match i.light_unit {
+        LightUnit::Dn => line("light unit", "DN".into(), "above black"),
         LightUnit::Bead => line("light unit", "bead".into(), "one bead in one object pixel"),
         LightUnit::Truth { per_bead } => {
             line("light unit", "truth".into(), &format!("{per_bead:.4} of it make a bead"))

@@ -31,9 +31,12 @@ pub struct Args {
     /// Light level relative to the calibration
     #[arg(long, value_name = "X", default_value_t = 1.0)]
     illumination: f64,
-    /// Index of the calibrated depth
-    #[arg(long, value_name = "I", default_value_t = 0)]
-    depth: usize,
+    /// Index of the calibrated depth (default: the one nearest to 0 um)
+    #[arg(long, value_name = "I", conflicts_with = "z_um")]
+    depth: Option<usize>,
+    /// Depth of the objects, um, interpolated between the calibrated ones
+    #[arg(long, value_name = "UM", allow_negative_numbers = true)]
+    z_um: Option<f64>,
 }
 
 /// Runs the verb.
@@ -41,8 +44,18 @@ pub struct Args {
 /// # Errors
 /// A file cannot be read or written, or the objects do not fit the instrument.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
-    let instrument = Instrument::read(&args.instrument)?;
-    let config = OperatorConfig { depth: args.depth, ..OperatorConfig::default() };
+    let mut instrument = Instrument::read(&args.instrument)?;
+    if let Some(z_um) = args.z_um {
+        let depths = &instrument.psf.node_depths_um;
+        let ends = depths.first().zip(depths.last());
+        ensure!(
+            ends.is_some_and(|(low, high)| (*low..=*high).contains(&z_um)),
+            "--z-um: expected a depth within those calibrated, {depths:?} um, found {z_um}"
+        );
+        instrument.psf = instrument.psf.at_depth(z_um);
+    }
+    let depth = args.depth.unwrap_or_else(|| instrument.psf.depth_nearest(0.0));
+    let config = OperatorConfig { depth, ..OperatorConfig::default() };
     let forward = Forward::with_config(&instrument, config).with_context(|| args.instrument.display().to_string())?;
     let mut objects = FrameReader::open(&args.objects)?;
     let [rows, cols] = forward.operator().object_shape();

@@ -70,12 +70,13 @@ pub struct SceneLight {
 }
 
 impl Forward {
-    /// Plans the model at the first depth.
+    /// Plans the model at the depth nearest to 0 um.
     ///
     /// # Errors
     /// The tables of the instrument disagree, or it names an effect that does not exist.
     pub fn new(instrument: &Instrument) -> Result<Self, ForwardError> {
-        Self::with_config(instrument, OperatorConfig::default())
+        let depth = instrument.psf.depth_nearest(0.0);
+        Self::with_config(instrument, OperatorConfig { depth, ..OperatorConfig::default() })
     }
 
     /// Plans the model.

@@ -85,6 +85,11 @@ impl Instrument {
                 tensors.insert(name.into(), map.clone().into_dyn());
             }
         }
+        for (j, psf) in self.replicates.iter().enumerate() {
+            let [basis, coefficients] = replicate_names(j);
+            tensors.insert(basis, psf.basis.clone().into_dyn());
+            tensors.insert(coefficients, psf.coefficients.clone().into_dyn());
+        }
         for (i, effect) in self.effects.iter().enumerate() {
             if let Some(table) = &effect.table {
                 tensors.insert(table_name(i), table.clone().into_dyn());
@@ -104,10 +109,30 @@ impl Instrument {
         check(path, &body)?;
         let (lenses, window) = (body.manifest.array.lenses(), body.manifest.optics.psf_window_px);
         let nodes = [body.node_depths_um.len(), body.node_rows_px.len(), body.node_cols_px.len()].map(Some);
+        let stored = (0..).map(replicate_names).take_while(|n| n.iter().any(|n| tensors.contains_key(n)));
+        let stored: Vec<[String; 2]> = stored.collect();
         let mut take = |name: &str, shape: &[Option<usize>]| artifact::take(path, &mut tensors, name, shape);
         let basis = take("psf.basis", &[Some(lenses), None, Some(window), Some(window)])?;
         let rank = basis.shape()[1];
         let coefficients = take("psf.coefficients", &[Some(lenses), Some(rank), nodes[0], nodes[1], nodes[2]])?;
+        let psf = LowRankPsf {
+            basis: fixed::<Ix4>(basis),
+            coefficients: fixed::<Ix5>(coefficients),
+            node_depths_um: body.node_depths_um,
+            node_rows_px: body.node_rows_px,
+            node_cols_px: body.node_cols_px,
+            exposure_ms: body.exposure_ms,
+        };
+        let mut replicates = Vec::new();
+        for [basis, coefficients] in stored {
+            let basis = take(&basis, &[Some(lenses), Some(rank), Some(window), Some(window)])?;
+            let coefficients = take(&coefficients, &[Some(lenses), Some(rank), nodes[0], nodes[1], nodes[2]])?;
+            replicates.push(LowRankPsf {
+                basis: fixed::<Ix4>(basis),
+                coefficients: fixed::<Ix5>(coefficients),
+                ..psf.clone()
+            });
+        }
         let diagnostics = Diagnostics {
             positions_px: fixed::<Ix2>(take("diagnostics.positions_px", &[None, None])?),
             pcc: fixed::<Ix1>(take("diagnostics.pcc", &[None])?),
@@ -132,14 +157,8 @@ impl Instrument {
             offset_dn,
             response,
             geometry: body.geometry,
-            psf: LowRankPsf {
-                basis: fixed::<Ix4>(basis),
-                coefficients: fixed::<Ix5>(coefficients),
-                node_depths_um: body.node_depths_um,
-                node_rows_px: body.node_rows_px,
-                node_cols_px: body.node_cols_px,
-                exposure_ms: body.exposure_ms,
-            },
+            psf,
+            replicates,
             effects,
             light_unit: body.light_unit,
             quality: body.quality,
@@ -151,6 +170,11 @@ impl Instrument {
 /// Tensor that holds the table of the i-th effect.
 fn table_name(i: usize) -> String {
     format!("effects.{i}.table")
+}
+
+/// Tensors of the j-th replicate: basis, coefficients.
+fn replicate_names(j: usize) -> [String; 2] {
+    ["basis", "coefficients"].map(|part| format!("replicates.{j}.{part}"))
 }
 
 /// An array whose number of axes [`artifact::take`] has checked.
@@ -192,6 +216,8 @@ mod tests {
         let path = folder.path().join("a.instrument");
         let mut before = instrument([9, 11], [30, 33], 5, 3);
         before.light_unit = LightUnit::Truth { per_bead: 2.5 };
+        let scaled = |v: f32| LowRankPsf { basis: &before.psf.basis * v, ..before.psf.clone() };
+        before.replicates = vec![scaled(2.0), scaled(3.0)];
         before.write(&path, Provenance::new("calibrate", 1, &())).unwrap();
         let after = Instrument::read(&path).unwrap();
         assert_eq!(format!("{before:?}"), format!("{after:?}"));
@@ -212,5 +238,10 @@ mod tests {
         assert!(refused(&|i| i.psf.basis[[0, 0, 0, 0]] = f32::NAN).contains("NaN"));
         assert!(refused(&|i| i.noise.gain_dn_per_e = 0.0).contains("gain"));
         assert!(refused(&|i| i.geometry.dead.truncate(1)).contains("geometry"));
+        let cut = |i: &mut Instrument| {
+            let coefficients = i.psf.coefficients.slice(ndarray::s![.., .., .., ..2, ..]).to_owned();
+            i.replicates = vec![LowRankPsf { coefficients, ..i.psf.clone() }];
+        };
+        assert!(refused(&cut).contains("replicates.0.coefficients"));
     }
 }

@@ -4,6 +4,10 @@ mod calibrate;
 mod file;
 #[cfg(test)]
 pub(crate) mod fixture;
+mod light_unit;
+mod model;
+mod replicates;
+mod sensor_only;
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 pub(crate) mod testbed;
@@ -15,8 +19,9 @@ pub use file::{INSTRUMENT_KIND, INSTRUMENT_VERSION, InstrumentError};
 
 use crate::effects::EffectSetting;
 use crate::noise::{NoiseModel, inverse_response};
+use crate::psf::nodes::Taps;
 use crate::session::Manifest;
-use ndarray::{Array1, Array2, Array4, Array5};
+use ndarray::{Array1, Array2, Array4, Array5, Axis, s};
 use serde::{Deserialize, Serialize};
 
 /// The calibrated model of one instrument. Lenses are numbered row by row, `l = i * array.cols + j`.
@@ -38,6 +43,12 @@ pub struct Instrument {
     pub geometry: Geometry,
     /// Low-rank spatially varying PSFs.
     pub psf: LowRankPsf,
+    /// The PSF model as J fits with a group of beads left out each give it; empty: its uncertainty is not known.
+    ///
+    /// For any figure s that is predicted with each of them in the place of `psf` (see [`Instrument::replicate`]) the variance
+    /// that calibration gives it is `(J-1)/J * sum_j (s_j - mean s)^2`. Each has a basis of its own: basis and coefficients of
+    /// two of them cannot be mixed. Chief rays and noise are those of the instrument in all of them.
+    pub replicates: Vec<LowRankPsf>,
     /// Effects that the loop has added to the model, in the order in which they were accepted.
     pub effects: Vec<EffectSetting>,
     /// What one unit of light in objects is.
@@ -52,6 +63,19 @@ impl Instrument {
     /// What brings the light of each pixel to that of a pixel of mean response, [sensor rows, sensor cols]; None: not known.
     pub fn inverse_response(&self) -> Option<Array2<f32>> {
         self.response.as_ref().map(inverse_response)
+    }
+}
+
+impl Instrument {
+    /// The instrument with its PSF model replaced by replicate `j`; None: there is no such one.
+    pub fn replicate(&self, j: usize) -> Option<Self> {
+        let psf = self.replicates.get(j)?.clone();
+        Some(Self { psf, replicates: Vec::new(), ..self.clone() })
+    }
+
+    /// Whether the optics was never measured: there was no bead scan, and the model stands for the sensor alone.
+    pub fn sensor_only(&self) -> bool {
+        self.diagnostics.positions_px.is_empty() && self.psf.basis.len_of(Axis(1)) == 1
     }
 }
 
@@ -90,6 +114,26 @@ pub struct LowRankPsf {
     pub exposure_ms: f64,
 }
 
+impl LowRankPsf {
+    /// Index of the depth nearest to `z_um`.
+    pub fn depth_nearest(&self, z_um: f64) -> usize {
+        let off = |i: &usize| (self.node_depths_um[*i] - z_um).abs();
+        (0..self.node_depths_um.len()).min_by(|a, b| off(a).total_cmp(&off(b))).unwrap_or(0)
+    }
+
+    /// The model at one depth, interpolated between the calibrated ones; outside them the last one holds.
+    pub fn at_depth(&self, z_um: f64) -> Self {
+        let taps = Taps::at(&self.node_depths_um, z_um);
+        let mut coefficients = self.coefficients.slice(s![.., .., ..1, .., ..]).to_owned();
+        coefficients.fill(0.0);
+        for (i, weight) in taps.weights.iter().enumerate().take(taps.count) {
+            let depth = taps.first + i;
+            coefficients.scaled_add(*weight, &self.coefficients.slice(s![.., .., depth..depth + 1, .., ..]));
+        }
+        Self { coefficients, node_depths_um: vec![z_um], ..self.clone() }
+    }
+}
+
 /// What one unit of light in objects is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -97,9 +141,11 @@ pub enum LightUnit {
     /// The bead of the calibration scan, in one object pixel.
     #[default]
     Bead,
+    /// 1 DN above black on the pixel's place on the sensor at the exposure of the model: there was no bead scan.
+    Dn,
     /// The unit of the session's scene truths; this many of it make one bead.
     Truth {
-        /// Truth units a bead.
+        /// Truth units a bead (a DN, without a bead scan).
         per_bead: f64,
     },
 }

@@ -22,6 +22,10 @@ pub(crate) struct Testbed {
     pub(crate) black_level_dn: f64,
     /// Electrons of a bead through a lens of gain 1.
     pub(crate) bead_e: f64,
+    /// Makes the noise.
+    pub(crate) seed: u64,
+    /// Depths of the bead scan, um; foci widen by 1 % of their width a um.
+    pub(crate) depths_um: Vec<f64>,
     /// Bead positions a side.
     pub(crate) scan: usize,
     pub(crate) dark_frames: usize,
@@ -55,6 +59,8 @@ impl Testbed {
             read_noise_e: 2.0,
             black_level_dn: 64.25,
             bead_e: 60_000.0,
+            seed: 77,
+            depths_um: vec![0.0],
             scan: 9,
             dark_frames: 12,
             flat_levels_e: vec![300.0, 1000.0, 2500.0, 5000.0],
@@ -66,8 +72,8 @@ impl Testbed {
         }
     }
 
-    /// Adds the focus of a source of `light` electrons at object pixel `at` through every lens.
-    fn add_source(&self, frame: &mut Array2<f64>, at: [f64; 2], light: f64) {
+    /// Adds the focus of a source of `light` electrons at object pixel `at` and depth `z_um` through every lens.
+    fn add_source(&self, frame: &mut Array2<f64>, (at, z_um): ([f64; 2], f64), light: f64) {
         let size = [self.manifest.object.rows as f64, self.manifest.object.cols as f64];
         let off = [0, 1].map(|a| at[a] - (size[a] - 1.0) / 2.0);
         for (l, anchor) in self.anchors_px.iter().enumerate() {
@@ -76,7 +82,7 @@ impl Testbed {
             let h = [0, 1].map(|a| (off[a] - best[a]) / 24.0);
             let square = h[0] * h[0] + h[1] * h[1];
             let focus = [0, 1].map(|a| anchor[a] + off[a] + 0.08 * square * h[a]);
-            let (base, stretch) = (1.15 + 0.22 * square, 0.12);
+            let (base, stretch) = ((1.15 + 0.22 * square) * (1.0 + 0.01 * z_um), 0.12);
             let sigma = [base * (1.0 + stretch * (h[0] + 0.3 * h[1])), base * (1.0 - stretch * h[1])];
             let turn = 0.3 * h[0] * h[1];
             let light = light * self.lens_gain[l] / (1.0 + 0.15 * square);
@@ -104,11 +110,16 @@ impl Testbed {
         })
     }
 
-    /// Electrons that scene `i` is expected to give.
+    /// Electrons that scene `i` is expected to give in focus.
     pub(crate) fn expected_e(&self, i: usize) -> Array2<f64> {
+        self.expected_at(i, 0.0)
+    }
+
+    /// Electrons that scene `i` is expected to give at a depth.
+    pub(crate) fn expected_at(&self, i: usize, z_um: f64) -> Array2<f64> {
         let mut frame = self.dark();
         for ((r, c), o) in self.object(i).indexed_iter().filter(|(_, o)| **o > 0.0) {
-            self.add_source(&mut frame, [r as f64, c as f64], 0.5 * self.bead_e * f64::from(*o));
+            self.add_source(&mut frame, ([r as f64, c as f64], z_um), 0.5 * self.bead_e * f64::from(*o));
         }
         frame
     }
@@ -120,7 +131,7 @@ impl Testbed {
     }
 
     fn draw(&self, expected_e: &Array2<f64>, what: &str, i: usize) -> Array2<f32> {
-        let mut rng = rng::stream(77, what, i as u64);
+        let mut rng = rng::stream(self.seed, what, i as u64);
         let read = Normal::new(0.0, self.read_noise_e).unwrap();
         let expected_e = expected_e * &self.response();
         let top = self.manifest.sensor.saturation_dn();
@@ -164,14 +175,15 @@ impl Testbed {
         }
         self.stack(&mut writer, Role::Flat, "flat", &flats, Some(&rows));
         let (mut beads, mut rows) = (Vec::new(), Vec::new());
-        for n in 0..self.scan * self.scan {
-            let [y_um, x_um] = self.bead_at_um(n);
+        for n in 0..self.scan * self.scan * self.depths_um.len() {
+            let ([y_um, x_um], z_um) =
+                (self.bead_at_um(n % (self.scan * self.scan)), self.depths_um[n / (self.scan * self.scan)]);
             let mut light = dark.clone();
-            self.add_source(&mut light, self.manifest.object.pixel_of_um(y_um, x_um), self.bead_e);
+            self.add_source(&mut light, (self.manifest.object.pixel_of_um(y_um, x_um), z_um), self.bead_e);
             let mut frame = self.draw(&light, "bead", n);
             (self.spoil)(n, &mut frame);
             beads.push(frame);
-            rows.push(FrameInfo { y_um, x_um, ..FrameInfo::plain(n, 10.0) });
+            rows.push(FrameInfo { y_um, x_um, z_um, ..FrameInfo::plain(n, 10.0) });
         }
         self.stack(&mut writer, Role::Bead, "bead", &beads, Some(&rows));
         if self.scenes > 0 {

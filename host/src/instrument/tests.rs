@@ -8,6 +8,7 @@ use crate::bench::truth::{BenchTruth, TRUTH_FILE};
 use crate::bench::{ArrayConfig, BenchConfig, ScanConfig};
 use crate::forward::Forward;
 use crate::noise::Source;
+use crate::psf::OperatorConfig;
 use crate::session::{Role, Session};
 
 fn run(bed: &Testbed, config: CalibrateConfig) -> Result<Calibration, String> {
@@ -71,6 +72,125 @@ fn unlike_pixels_are_predicted_unlike() {
     assert!(rms(&(&without - &want)) > 2.0 * rms(&(&got - &want)));
     let none = run(&Testbed::new(), CalibrateConfig::default()).unwrap().instrument;
     assert!(none.response.is_none());
+}
+
+/// The jackknife says how far predictions scatter from session to session.
+#[test]
+fn replicates_tell_the_scatter_of_calibrations() {
+    let bed = |seed| Testbed { seed, scenes: 0, flat_levels_e: vec![500.0, 4000.0], flat_frames: 3, ..Testbed::new() };
+    let predict = |i: &Instrument| {
+        let forward = Forward::new(i).unwrap();
+        let e = forward.expected_e(bed(0).object(7).view(), &forward.context()).unwrap();
+        (e.mapv(f64::from) * i.noise.gain_dn_per_e, e.sum())
+    };
+    // One total and all lit pixels: their variances over a set of predictions.
+    let variances = |set: &[(Array2<f64>, f32)], factor: f64| {
+        let n = set.len() as f64;
+        let spread = |get: &dyn Fn(usize) -> f64| {
+            let mean = (0..set.len()).map(get).sum::<f64>() / n;
+            factor * (0..set.len()).map(|j| (get(j) - mean).powi(2)).sum::<f64>()
+        };
+        let lit: Vec<usize> = (0..set[0].0.len()).filter(|p| set[0].0.as_slice().unwrap()[*p] > 100.0).collect();
+        let pixels = lit.iter().map(|p| spread(&|j| set[j].0.as_slice().unwrap()[*p])).sum::<f64>() / lit.len() as f64;
+        [spread(&|j| set[j].0.sum()), pixels].map(f64::sqrt)
+    };
+    let sessions: Vec<Instrument> =
+        (0..10).map(|seed| run(&bed(seed), CalibrateConfig::default()).unwrap().instrument).collect();
+    let scatter = variances(&sessions.iter().map(predict).collect::<Vec<_>>(), 1.0 / 9.0);
+    // One jackknife variance of a single figure has some seven degrees of freedom: take the mean of all.
+    let mut jackknife = [0.0; 2];
+    for i in &sessions {
+        assert_eq!(i.replicates.len(), 8);
+        let set: Vec<_> = (0..8).map(|j| predict(&i.replicate(j).unwrap())).collect();
+        for (sum, v) in jackknife.iter_mut().zip(variances(&set, 7.0 / 8.0)) {
+            *sum += v / sessions.len() as f64;
+        }
+    }
+    for (j, s) in jackknife.iter().zip(&scatter) {
+        assert!((0.5..2.0).contains(&(j / s)), "{jackknife:?} {scatter:?}");
+    }
+}
+
+#[test]
+fn one_psf_a_lens_is_the_mean_of_the_scan() {
+    let bed = Testbed { scenes: 1, ..small() };
+    let config = CalibrateConfig { one_psf: true, ..CalibrateConfig::default() };
+    let i = run(&bed, config).unwrap().instrument;
+    assert_eq!(i.psf.basis.dim().1, 1);
+    let first = i.psf.coefficients[[2, 0, 0, 0, 0]];
+    assert!(first > 0.0 && i.psf.coefficients.index_axis(Axis(0), 2).iter().all(|v| *v == first));
+    assert!(i.quality.off_grid_error == i.quality.one_psf_error && i.quality.off_grid_error > 0.05, "{:?}", i.quality);
+    let low_rank = run(&bed, CalibrateConfig::default()).unwrap().instrument;
+    assert!((low_rank.quality.one_psf_error - i.quality.one_psf_error).abs() < 1e-12);
+    assert!(i.replicates.len() == 8 && low_rank.quality.off_grid_error < 0.5 * i.quality.off_grid_error);
+}
+
+#[test]
+fn each_depth_has_its_own_psfs_and_those_between_are_interpolated() {
+    let bed = Testbed { depths_um: vec![-15.0, 0.0, 15.0, 30.0], scan: 7, scenes: 2, ..small() };
+    let i = run(&bed, CalibrateConfig { replicates: 2, ..CalibrateConfig::default() }).unwrap().instrument;
+    assert_eq!(i.psf.node_depths_um, bed.depths_um);
+    assert_eq!((i.psf.depth_nearest(2.0), i.psf.depth_nearest(99.0)), (1, 3));
+    // The scenes lie in focus: the light unit is theirs although that plane is not the first.
+    assert!(
+        matches!(i.light_unit, LightUnit::Truth { per_bead } if (per_bead - 2.0).abs() < 0.02),
+        "{:?}",
+        i.light_unit
+    );
+    let misfit = |i: &Instrument, z_um: f64| {
+        let depth = i.psf.depth_nearest(z_um);
+        let forward = Forward::with_config(i, OperatorConfig { depth, ..OperatorConfig::default() }).unwrap();
+        let got = forward.expected_e(bed.object(7).view(), &forward.context()).unwrap();
+        let want = bed.expected_at(7, z_um);
+        let off: f64 = got.iter().zip(&want).map(|(g, w)| (f64::from(*g) - w).powi(2)).sum();
+        (off / want.iter().map(|w| w * w).sum::<f64>()).sqrt()
+    };
+    for z_um in &bed.depths_um {
+        assert!(misfit(&i, *z_um) < 0.015, "{z_um}: {}", misfit(&i, *z_um));
+    }
+    let between = Instrument { psf: i.psf.at_depth(6.0), ..i.clone() };
+    assert!(misfit(&between, 6.0) < 0.02 && misfit(&i, 6.0) > 0.04, "{} {}", misfit(&between, 6.0), misfit(&i, 6.0));
+    // Without depth as without replicates nothing is assumed about one plane.
+    assert_eq!(i.replicate(1).unwrap().psf.coefficients.dim().2, 4);
+}
+
+/// One measured frame and nothing else: the sensor alone.
+#[test]
+fn a_session_without_beads_gives_the_sensor_alone() {
+    use crate::session::*;
+    let mut manifest = Testbed::new().manifest;
+    (manifest.object.rows, manifest.object.cols) = (manifest.sensor.rows, manifest.sensor.cols);
+    manifest.array = ArrayGeometry { rows: 1, cols: 1, pitch_px: 0.0 };
+    let write = |path: &std::path::Path, manifest: &Manifest| {
+        let mut writer = SessionWriter::create(path, manifest, Existing::Keep).unwrap();
+        let [rows, cols] = [manifest.sensor.rows, manifest.sensor.cols];
+        let spec = StackSpec { frames: 1, rows, cols, samples: SampleType::U16, pixel_um: None };
+        let mut frames = writer.frames("scene.npy", spec).unwrap();
+        let frame = Array2::from_shape_fn((rows, cols), |(r, c)| if r < 4 { 20.0 } else { 30.0 + (r * c % 50) as f32 });
+        frames.push(frame.view()).unwrap();
+        frames.finish().unwrap();
+        let file = "scene.npy".into();
+        writer.add(StackEntry { role: Role::Scene, file, exposure_ms: 3.0, table: None, truth: None, expected: None });
+        writer.finish().unwrap();
+        calibrate(&Session::open(path).unwrap(), &CalibrateConfig::default(), || {}).map_err(|e| e.to_string())
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let Calibration { instrument, notes } = write(&folder.path().join("a"), &manifest).unwrap();
+    assert!(notes.iter().any(|n| n.contains("only the sensor is modelled")), "{notes:?}");
+    assert!(notes.iter().any(|n| n.contains("quantile of the scenes")) && instrument.noise.black_level_dn == 20.0);
+    let path = folder.path().join("a.instrument");
+    instrument.write(&path, crate::artifact::Provenance::new("calibrate", 1, &())).unwrap();
+    let read = Instrument::read(&path).unwrap();
+    assert!(read.sensor_only() && read.light_unit == LightUnit::Dn);
+    let forward = Forward::new(&read).unwrap();
+    let object = Array2::from_shape_fn((118, 122), |(r, c)| (r * 7 + c * 3) as f32);
+    let frame = forward.expected_dn(object.view(), &forward.context()).unwrap();
+    assert!(frame.iter().zip(&object).all(|(f, o)| (f - 20.0 - o).abs() < 1e-2));
+    let page = crate::report::render(&[path]).unwrap();
+    assert!(page.contains("only the sensor is modelled"));
+    manifest.object.rows -= 1;
+    let error = write(&folder.path().join("b"), &manifest).unwrap_err();
+    assert!(error.contains("role = \"bead\""), "{error}");
 }
 
 #[test]

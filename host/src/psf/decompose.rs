@@ -50,7 +50,7 @@ pub fn decompose(
         return decompose_whole(windows, sigma, rank);
     };
     let mut filled = windows.to_owned();
-    let means = known_means(windows, known);
+    let means = known_means(windows, Some(known));
     Zip::indexed(&mut filled).and(known).for_each(|(_, p), v, k| {
         if !k {
             *v = means[p];
@@ -104,7 +104,10 @@ fn gram(windows: ArrayView2<'_, f32>) -> Array2<f64> {
 }
 
 /// Mean of each pixel over the beads that show it.
-fn known_means(windows: ArrayView2<'_, f32>, known: ArrayView2<'_, bool>) -> Array1<f32> {
+pub(super) fn known_means(windows: ArrayView2<'_, f32>, known: Option<ArrayView2<'_, bool>>) -> Array1<f32> {
+    let Some(known) = known else {
+        return windows.mean_axis(Axis(0)).unwrap_or_else(|| Array1::zeros(windows.ncols()));
+    };
     Zip::from(windows.columns()).and(known.columns()).map_collect(|w, k| {
         let (sum, count) = w.iter().zip(k).filter(|(_, k)| **k).fold((0.0, 0.0), |(s, c), (v, _)| (s + v, c + 1.0));
         sum / f32::max(count, 1.0)

@@ -3,7 +3,7 @@
 //! [`super::decompose`] knows no positions and [`super::field`] no PSFs; here they meet: the coefficients of each lens's
 //! decomposition become smooth functions over the field.
 
-use super::decompose::{Decomposition, decompose};
+use super::decompose::{Decomposition, decompose, known_means};
 use super::field::FieldSmoother;
 use crate::bead::{BeadScale, LensWindows};
 use crate::linalg::NotConverged;
@@ -17,13 +17,15 @@ pub struct FitConfig {
     pub rank: Option<usize>,
     /// Most terms that are tried.
     pub max_rank: usize,
+    /// One PSF a lens instead.
+    pub one_psf: bool,
     /// Whether the errors leave one scale a bead free.
     pub scale: BeadScale,
 }
 
 impl Default for FitConfig {
     fn default() -> Self {
-        Self { rank: None, max_rank: 32, scale: BeadScale::Physical }
+        Self { rank: None, max_rank: 32, one_psf: false, scale: BeadScale::Physical }
     }
 }
 
@@ -36,6 +38,30 @@ pub struct Plane {
     pub beads: Vec<usize>,
     /// Their positions, object pixels, [bead, (row, col)].
     pub at_px: Array2<f64>,
+}
+
+/// What the model of a lens is made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Terms {
+    /// The leading terms of the decomposition, their coefficients smooth over the field.
+    Truncated {
+        /// Most terms.
+        most: usize,
+        /// Order of the splines.
+        spline_order: usize,
+    },
+    /// One PSF for the whole field: the mean of the beads at each depth.
+    OnePsf,
+}
+
+impl Terms {
+    /// Orders that splines are planned for; none: constants.
+    fn spline_orders(self) -> Vec<usize> {
+        match self {
+            Self::Truncated { spline_order, .. } => vec![spline_order],
+            Self::OnePsf => Vec::new(),
+        }
+    }
 }
 
 /// The fitted model of one lens.
@@ -154,18 +180,6 @@ pub fn approximation(windows: &LensWindows, fit: &LensFit, beads: &[usize]) -> M
     misfit(windows, beads, &fit.decomposition.basis, fit.decomposition.coefficients.view())
 }
 
-/// Misfit of one PSF for the whole field, the mean of the beads in `train`, at all others, over all living lenses.
-pub fn one_psf(windows: &[LensWindows], dead: &[bool], train: &[bool]) -> Misfit {
-    let (inside, outside): (Vec<usize>, Vec<usize>) = (0..train.len()).partition(|n| train[*n]);
-    let living = windows.iter().zip(dead).filter(|(_, dead)| !**dead);
-    let parts = living.map(|(w, _)| {
-        let mean =
-            w.light_dn.select(Axis(0), &inside).mean_axis(Axis(0)).unwrap_or_else(|| Array1::zeros(w.light_dn.ncols()));
-        misfit(w, &outside, &mean.insert_axis(Axis(0)), Array2::ones((outside.len(), 1)).view())
-    });
-    sum_over_lenses(&parts.collect::<Vec<_>>())
-}
-
 /// Misfit at beads whose coefficients come from the smooth fields, [bead of the plane, k] a plane.
 pub fn predicted(windows: &LensWindows, fit: &LensFit, fields: &[Array2<f64>], planes: &[Plane]) -> Misfit {
     let basis = &fit.decomposition.basis;
@@ -173,30 +187,87 @@ pub fn predicted(windows: &LensWindows, fit: &LensFit, fields: &[Array2<f64>], p
     parts.fold(Misfit::new(0, basis.nrows()), |all, part| all.join(&part))
 }
 
-/// Coefficients of one lens at `targets` (one array of positions a plane) from smooth fields through those at its beads.
-///
-/// `order` says which row of the decomposition each bead is.
-///
-/// # Errors
-/// A coefficient is no number.
-pub fn interpolate(
-    fit: &LensFit,
-    order: &[usize],
-    planes: &[Plane],
-    smoothers: &[FieldSmoother],
-    targets: &[Array2<f64>],
-) -> Result<Vec<Array2<f64>>, NotConverged> {
-    let row_of = |bead: &usize| order.iter().position(|b| b == bead);
-    planes
-        .iter()
-        .zip(smoothers)
-        .zip(targets)
-        .map(|((plane, smoother), target)| {
-            let rows: Vec<usize> = plane.beads.iter().filter_map(row_of).collect();
-            let here = fit.decomposition.coefficients.select(Axis(0), &rows);
-            Ok(smoother.fit(here.view())?.at(target.view()))
-        })
-        .collect()
+/// Models of all lenses, fitted to the same beads.
+#[derive(Clone, Debug)]
+pub struct LensModels {
+    /// One a lens; None: dead.
+    pub fits: Vec<Option<LensFit>>,
+    /// Beads, in the order of the rows of each decomposition.
+    beads: Vec<usize>,
+    planes: Vec<Plane>,
+    smoothers: Vec<FieldSmoother>,
+}
+
+impl LensModels {
+    /// Fits every living lens to the beads of `planes`.
+    ///
+    /// # Errors
+    /// The windows hold values that are no numbers.
+    pub fn fit(windows: &[LensWindows], dead: &[bool], planes: Vec<Plane>, terms: Terms) -> Result<Self, NotConverged> {
+        let beads: Vec<usize> = planes.iter().flat_map(|p| p.beads.clone()).collect();
+        let orders = terms.spline_orders();
+        let smoothers =
+            planes.iter().map(|p| FieldSmoother::plan(p.at_px.view(), &orders)).collect::<Result<Vec<_>, _>>()?;
+        let lens = |l: usize| match terms {
+            _ if dead[l] => Ok(None),
+            Terms::Truncated { most, .. } => fit_lens(&windows[l], &beads, most).map(Some),
+            Terms::OnePsf => Ok(Some(mean_psf(&windows[l], &planes))),
+        };
+        let fits = (0..windows.len()).into_par_iter().map(lens).collect::<Result<Vec<_>, NotConverged>>()?;
+        Ok(Self { fits, beads, planes, smoothers })
+    }
+
+    /// Coefficients of all lenses at `targets` (one array of positions a plane), [position, k], from smooth fields through those
+    /// at the beads; None: a dead lens.
+    ///
+    /// # Errors
+    /// A coefficient is no number.
+    pub fn at(&self, targets: &[Array2<f64>]) -> Result<Vec<Option<Vec<Array2<f64>>>>, NotConverged> {
+        let row_of = |bead: &usize| self.beads.iter().position(|b| b == bead);
+        let planes = || self.planes.iter().zip(&self.smoothers).zip(targets);
+        let lens = |fit: &Option<LensFit>| {
+            let Some(fit) = fit else { return Ok(None) };
+            let field = |((plane, smoother), target): ((&Plane, &FieldSmoother), &Array2<f64>)| {
+                let rows: Vec<usize> = plane.beads.iter().filter_map(row_of).collect();
+                let here = fit.decomposition.coefficients.select(Axis(0), &rows);
+                Ok(smoother.fit(here.view())?.at(target.view()))
+            };
+            planes().map(field).collect::<Result<Vec<_>, NotConverged>>().map(Some)
+        };
+        self.fits.par_iter().map(lens).collect()
+    }
+
+    /// Misfit at the beads of `planes`, which need not be those that were fitted, over all living lenses.
+    ///
+    /// # Errors
+    /// A coefficient is no number.
+    pub fn misfit(&self, windows: &[LensWindows], planes: &[Plane]) -> Result<Misfit, NotConverged> {
+        let targets: Vec<Array2<f64>> = planes.iter().map(|p| p.at_px.clone()).collect();
+        let fields = self.at(&targets)?;
+        let lenses = self.fits.iter().zip(&fields).zip(windows);
+        let parts = lenses.filter_map(|((fit, fields), w)| Some(predicted(w, fit.as_ref()?, fields.as_ref()?, planes)));
+        Ok(sum_over_lenses(&parts.collect::<Vec<_>>()))
+    }
+}
+
+/// The mean PSF of each plane, with constant coefficients: the shift-invariant model.
+fn mean_psf(windows: &LensWindows, planes: &[Plane]) -> LensFit {
+    let (count, px) = (planes.iter().map(|p| p.beads.len()).sum(), windows.light_dn.ncols());
+    let mut basis = Array2::<f32>::zeros((planes.len(), px));
+    let mut coefficients = Array2::zeros((count, planes.len()));
+    let mut singular_values = Vec::new();
+    let mut row = 0;
+    for (k, plane) in planes.iter().enumerate() {
+        let light = windows.light_dn.select(Axis(0), &plane.beads);
+        let known = windows.known.as_ref().map(|k| k.select(Axis(0), &plane.beads));
+        let mean = known_means(light.view(), known.as_ref().map(|k| k.view()));
+        let norm = mean.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt().max(f64::MIN_POSITIVE);
+        basis.row_mut(k).assign(&mean.mapv(|v| (f64::from(v) / norm) as f32));
+        coefficients.slice_mut(s![row..row + plane.beads.len(), k]).fill(norm);
+        row += plane.beads.len();
+        singular_values.push(norm * (plane.beads.len() as f64).sqrt());
+    }
+    LensFit { decomposition: Decomposition { basis, coefficients, singular_values } }
 }
 
 /// Misfit of the model fitted to the beads of `train` at all other beads of `planes`, over all living lenses.
@@ -208,35 +279,20 @@ pub fn hold_out(
     dead: &[bool],
     planes: &[Plane],
     train: &[bool],
-    max_rank: usize,
-    spline_order: usize,
+    terms: Terms,
 ) -> Result<Misfit, NotConverged> {
-    let part = |keep: bool| -> Vec<Plane> {
-        let planes = planes.iter().map(|p| {
-            let rows: Vec<usize> = (0..p.beads.len()).filter(|i| train[p.beads[*i]] == keep).collect();
-            Plane {
-                z_um: p.z_um,
-                beads: rows.iter().map(|i| p.beads[*i]).collect(),
-                at_px: p.at_px.select(Axis(0), &rows),
-            }
-        });
-        planes.collect()
+    let fitted = LensModels::fit(windows, dead, select(planes, |n| train[n]), terms)?;
+    fitted.misfit(windows, &select(planes, |n| !train[n]))
+}
+
+/// The beads of each plane that `keep` names.
+pub fn select(planes: &[Plane], keep: impl Fn(usize) -> bool) -> Vec<Plane> {
+    let part = |p: &Plane| {
+        let rows: Vec<usize> = (0..p.beads.len()).filter(|i| keep(p.beads[*i])).collect();
+        let beads = rows.iter().map(|i| p.beads[*i]).collect();
+        Plane { z_um: p.z_um, beads, at_px: p.at_px.select(Axis(0), &rows) }
     };
-    let (fitted, left) = (part(true), part(false));
-    let order: Vec<usize> = fitted.iter().flat_map(|p| p.beads.clone()).collect();
-    let smoothers =
-        fitted.iter().map(|p| FieldSmoother::plan(p.at_px.view(), &[spline_order])).collect::<Result<Vec<_>, _>>()?;
-    let targets: Vec<Array2<f64>> = left.iter().map(|p| p.at_px.clone()).collect();
-    let lenses: Vec<usize> = (0..windows.len()).filter(|l| !dead[*l]).collect();
-    let parts = lenses
-        .par_iter()
-        .map(|l| {
-            let fit = fit_lens(&windows[*l], &order, max_rank)?;
-            let fields = interpolate(&fit, &order, &fitted, &smoothers, &targets)?;
-            Ok(predicted(&windows[*l], &fit, &fields, &left))
-        })
-        .collect::<Result<Vec<_>, NotConverged>>()?;
-    Ok(sum_over_lenses(&parts))
+    planes.iter().map(part).collect()
 }
 
 /// Adds up the misfits of lenses, up to the rank that all of them have.

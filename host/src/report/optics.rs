@@ -6,6 +6,7 @@ use super::colour::ColourMap;
 use super::page::{Numbers, pairs};
 use super::picture::{Scale, Tone, number, picture};
 use crate::instrument::{Instrument, LowRankPsf};
+use crate::noise::Source;
 use maud::{Markup, html};
 use ndarray::{Array2, ArrayView2, Axis as Dim, s};
 
@@ -17,6 +18,11 @@ const GALLERY: usize = 5;
 /// # Errors
 /// A picture or chart cannot be made.
 pub fn optics(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup, ReportError> {
+    if instrument.sensor_only() {
+        return Ok(
+            html! { p { "No bead scan was measured: the optics copies each object pixel to its sensor pixel, and only the sensor is modelled." } },
+        );
+    }
     let gallery = gallery(instrument, numbers)?;
     let correlation = correlation(instrument, numbers)?;
     let rank = rank(instrument, numbers)?;
@@ -39,10 +45,10 @@ fn quality(instrument: &Instrument, numbers: &mut Numbers) -> Markup {
     html! { div style="max-width:640px" { (numbers.table("Calibration.", text, pairs(&rows))) } }
 }
 
-/// PSF of a lens at a node of the coefficient grid, Eq. 2: the basis weighted with the coefficients, DN.
+/// PSF of a lens at a node of the coefficient grid at the depth nearest to 0 um, Eq. 2: the basis weighted with the coefficients, DN.
 fn psf_at(psf: &LowRankPsf, lens: usize, row: usize, col: usize) -> Array2<f32> {
     let window = psf.basis.dim().2;
-    let coefficients = psf.coefficients.slice(s![lens, .., 0, row, col]);
+    let coefficients = psf.coefficients.slice(s![lens, .., psf.depth_nearest(0.0), row, col]);
     let sum = Array2::zeros((window, psf.basis.dim().3));
     coefficients.iter().zip(psf.basis.index_axis(Dim(0), lens).outer_iter()).fold(sum, |sum, (&m, b)| sum + &b * m)
 }
@@ -234,7 +240,12 @@ pub fn noise(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup, R
         ("Black level".into(), pm(n.black_level_dn, 0.0, "DN")),
         ("Saturation".into(), html! { (number(n.saturation_dn)) " DN (" (number(full_well)) " e⁻ above black)" }),
     ];
-    let table = numbers.table("Sensor.", "From darks and flats; ± one standard error.", pairs(&rows));
+    let source = [n.sources.black_level, n.sources.gain, n.sources.read_noise];
+    let text = match source.iter().all(|s| *s == Source::Measured) {
+        true => "From darks and flats; ± one standard error.",
+        false => "± one standard error; figures that the session cannot tell are nominal or inferred.",
+    };
+    let table = numbers.table("Sensor.", text, pairs(&rows));
     let transfer = &instrument.diagnostics.photon_transfer;
     if transfer.is_empty() {
         return Ok(html! { div style="max-width:640px" { (table) } });

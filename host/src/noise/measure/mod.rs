@@ -21,6 +21,9 @@ pub const ROUNDING_DN2: f64 = 1.0 / 12.0;
 /// Error that is allowed for beside counting statistics (nonlinearity, drift), relative to each level's variance.
 const MODEL_ERROR: f64 = 2e-3;
 
+/// Share of a scene's pixels that are taken for dark where nothing else tells the black level.
+const DARKEST: f64 = 1e-3;
+
 /// Values that are assumed where a session cannot tell them.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -64,6 +67,17 @@ pub enum NoiseNote {
     NoDarks {
         /// The value that is used.
         black_level_dn: f64,
+    },
+    /// Neither darks nor beads.
+    #[error(
+        "no dark frames and no bead frames: black level {black_level_dn:.2} DN is the {percent} % quantile of the scenes, a guess that \
+         holds whatever light is everywhere; no per-pixel offsets are corrected"
+    )]
+    GuessedBlack {
+        /// The value that is used.
+        black_level_dn: f64,
+        /// The quantile.
+        percent: f64,
     },
     /// Single dark frame.
     #[error("only one dark frame at each exposure: the read noise cannot be told from the fixed pattern")]
@@ -159,14 +173,18 @@ pub fn measure_noise(
     if dark.as_ref().is_some_and(|d| d.level.is_none()) {
         notes.push(NoiseNote::OneDark);
     }
-    let background = match &dark {
-        Some(_) => None,
-        None => Some(background(session, &mut step)?),
+    let mut background = None;
+    let black = if let Some(dark) = &dark {
+        dark.black
+    } else if session.stacks_of(Role::Bead).next().is_some() {
+        let seen = background.insert(background_of_beads(session, &mut step)?);
+        notes.push(NoiseNote::NoDarks { black_level_dn: seen.median });
+        seen.median
+    } else {
+        let black_level_dn = darkest(session)?;
+        notes.push(NoiseNote::GuessedBlack { black_level_dn, percent: 100.0 * DARKEST });
+        black_level_dn
     };
-    let black = dark.as_ref().map_or_else(|| background.map_or(0.0, |b| b.median), |d| d.black);
-    if dark.is_none() {
-        notes.push(NoiseNote::NoDarks { black_level_dn: black });
-    }
     let dark_level = dark.as_ref().and_then(|d| d.level);
     let Flats { levels, response } = measure_flats(session, black, dark.as_ref(), saturation_dn, &mut step)?;
     let transfer = Transfer::fit(&levels, dark_level);
@@ -336,8 +354,22 @@ struct Background {
     variance: f64,
 }
 
+/// A low quantile of the scenes, DN; 0 where there are none.
+fn darkest(session: &Session) -> Result<f64, NoiseError> {
+    let mut least = f64::INFINITY;
+    for stack in session.stacks_of(Role::Scene) {
+        let mut frames = stack.frames()?;
+        for i in (0..stack.len()).step_by(stack.len().div_ceil(9).max(1)) {
+            let mut values: Vec<f32> = frames.read(i)?.into_iter().collect();
+            let at = (values.len() as f64 * DARKEST) as usize;
+            least = least.min(f64::from(*values.select_nth_unstable_by(at, f32::total_cmp).1));
+        }
+    }
+    Ok(if least.is_finite() { least } else { 0.0 })
+}
+
 /// Median of bead frames, and the variance of what lies below it (which no focus touches).
-fn background(session: &Session, step: &mut impl FnMut()) -> Result<Background, NoiseError> {
+fn background_of_beads(session: &Session, step: &mut impl FnMut()) -> Result<Background, NoiseError> {
     let (mut medians, mut variances) = (Vec::new(), Vec::new());
     if let Some(stack) = session.stacks_of(Role::Bead).next() {
         let mut frames = stack.frames()?;
