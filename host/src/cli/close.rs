@@ -1,45 +1,124 @@
-//! `close`: what an instrument lacks, found in a session.
+//! `close`: what an instrument lacks, found in a session and added.
 
 use super::{Outcome, Run};
-use crate::closing::model::Model;
+use crate::artifact::Provenance;
+use crate::closing::close::{close, same_layout};
 use crate::closing::observe::{Budget, Observations};
-use crate::closing::search::search;
+use crate::closing::result::{Closing, Effect};
 use crate::instrument::Instrument;
 use crate::session::Session;
-use std::path::PathBuf;
+use anyhow::Context;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 /// Options of `close`.
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Example: ommatidia close session/ --instrument lab.instrument -o closed.instrument --report close.html"
+)]
 pub struct Args {
     /// Folder of the measured session
     session: PathBuf,
-    /// Instrument to close
+    /// Instrument file to close
     #[arg(long, value_name = "FILE")]
     instrument: PathBuf,
-    /// Instrument file to write
+    /// Instrument file to write; the account of it is written beside it, with suffix .closing
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
+    /// Render the account to one HTML file
+    #[arg(long, value_name = "FILE")]
+    report: Option<PathBuf>,
 }
 
 /// Runs the verb.
 ///
 /// # Errors
-/// A file cannot be read or written.
-pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
+/// A file cannot be read or written, or session and instrument are not of one kind.
+pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
+    let started = Instant::now();
     let session = Session::open(&args.session)?;
     let instrument = Instrument::read(&args.instrument)?;
-    let seen = Observations::read(&session, &instrument, &Budget::default())?;
-    let model = Model::new(&instrument, &seen)?;
-    let state = model.state(&instrument)?;
-    let out = search(&model, &instrument, state, |_| ())?;
-    let text = format!(
-        "{:?}\n{:?}\nchi2 {} -> {} held out {:?} -> {:?}\n",
-        out.found,
-        out.after.state,
-        out.before.chi2 / out.before.pixels as f64,
-        out.after.chi2 / out.after.pixels as f64,
-        out.before.held_out.0 / out.before.held_out.1 as f64,
-        out.after.held_out.0 / out.after.held_out.1 as f64
-    );
-    Ok(Outcome { json: serde_json::json!({}), text })
+    same_layout(&instrument.manifest, session.manifest()).with_context(|| args.session.display().to_string())?;
+    let mut seen = Observations::read(&session, &instrument, &Budget::default())?;
+    let bar = run.spinner("close");
+    let closed = close(&instrument, &mut seen, &session.manifest().name, run.seed, |what| {
+        bar.set_message(what.to_string());
+        bar.tick();
+    })
+    .with_context(|| args.session.display().to_string())?;
+    bar.finish_and_clear();
+    let provenance = |verb| -> anyhow::Result<Provenance> {
+        let mut p = Provenance::new(verb, run.seed, &Budget::default())
+            .with_input(&session.manifest_path())?
+            .with_input(&args.instrument)?;
+        for stack in session.stacks() {
+            p = p.with_input(&stack.path())?;
+        }
+        Ok(p)
+    };
+    let account = account_path(&args.output);
+    closed.account.write(&account, provenance("close")?)?;
+    closed.instrument.write(&args.output, provenance("close")?)?;
+    if let Some(report) = &args.report {
+        let page = crate::report::render(&[account.clone(), args.output.clone()])?;
+        crate::artifact::write_whole(report, page.as_bytes())?;
+    }
+    let seconds = started.elapsed().as_secs_f64();
+    let closing = &closed.account.closing;
+    let mut json = serde_json::to_value(closing)?;
+    json["seconds"] = seconds.into();
+    json["account"] = account.display().to_string().into();
+    Ok(Outcome { json, text: table(closing, &args.output, &account, seconds) })
+}
+
+/// The file of the account: the instrument's with another suffix.
+pub fn account_path(output: &Path) -> PathBuf {
+    output.with_extension("closing")
+}
+
+/// The account as a table.
+pub fn table(closing: &Closing, output: &Path, account: &Path, seconds: f64) -> String {
+    let mut out = String::new();
+    // Writing to a string cannot fail.
+    let _ = writeln!(out, "{:<24} {:>12} {:>12}   on what no fit has seen", "", "before", "after");
+    let (b, a) = (closing.before, closing.after);
+    for (name, before, after) in
+        [("chi2 / pixel", b.chi2_ndf, a.chi2_ndf), ("NRMSE (with noise)", b.nrmse, a.nrmse), ("PCC", b.pcc, a.pcc)]
+    {
+        let _ = writeln!(out, "{name:<24} {before:>12.5} {after:>12.5}");
+    }
+    if closing.effects.is_empty() {
+        let _ = writeln!(out, "\nnothing found");
+    }
+    for e in &closing.effects {
+        let _ = writeln!(out, "\n{} ({}, z = {:.1}){}", e.id, e.stage, e.z, explained(e));
+        let _ = writeln!(out, "  {}", e.description);
+        if !e.ambiguity.is_empty() {
+            let separate = e.separate_by.as_deref().unwrap_or("more data");
+            let _ = writeln!(out, "  could also be {}; to tell them apart: {separate}", e.ambiguity.join(", "));
+        }
+    }
+    if closing.catalogue_incomplete {
+        let _ = writeln!(out, "\nThe residual still shows structure that no effect of the catalogue explains.");
+    }
+    let limits: Vec<String> = closing
+        .rejected
+        .iter()
+        .filter_map(|r| Some(format!("{} {} < {:.2e} {}", r.id, r.param, r.upper_limit?, r.unit)))
+        .collect();
+    let _ = writeln!(out, "\nnot found (95 % limits): {}", limits.join("; "));
+    let blind: Vec<&str> = closing.rejected.iter().filter(|r| r.upper_limit.is_none()).map(|r| r.id.as_str()).collect();
+    if !blind.is_empty() {
+        let _ = writeln!(out, "this session cannot tell: {}", blind.join(", "));
+    }
+    for note in &closing.notes {
+        let _ = writeln!(out, "note: {note}");
+    }
+    let _ = writeln!(out, "{seconds:.1} s\n-> {}\n-> {}", output.display(), account.display());
+    out
+}
+
+fn explained(e: &Effect) -> String {
+    e.excess_explained.map_or(String::new(), |f| format!(", explains {:.0} % of the excess", 100.0 * f))
 }

@@ -42,6 +42,14 @@ impl Run {
         bar
     }
 
+    /// A line on stderr that says what is being done; silent as [`Run::progress`].
+    pub fn spinner(&self, what: &'static str) -> ProgressBar {
+        let bar = self.progress(0, what);
+        let style = ProgressStyle::with_template("{spinner} {msg} {elapsed}");
+        bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()));
+        bar
+    }
+
     /// Sends the log to stderr at the level of `-v`/`-q` (`RUST_LOG` wins), and sets the number of threads.
     ///
     /// # Errors

@@ -13,6 +13,7 @@ mod predict;
 mod quantize;
 mod reconstruct;
 mod report;
+mod residual;
 mod simulate;
 mod train;
 
@@ -43,6 +44,11 @@ enum Verb {
     /// Learn the instrument from a session: noise, chief rays, low-rank spatially varying PSFs
     #[command(after_help = "Example:\n  ommatidia calibrate session -o instrument.safetensors")]
     Calibrate(calibrate::Args),
+    /// Hold an instrument against a session: measured minus predicted, and what the residual depends on
+    #[command(
+        after_help = "Example:\n  ommatidia residual session --instrument instrument.safetensors --report residual.html"
+    )]
+    Residual(residual::Args),
     /// Find what the instrument lacks, add it, and report before and after on held-out data
     #[command(
         after_help = "Example:\n  ommatidia close session --instrument instrument.safetensors -o closed.safetensors"
@@ -93,6 +99,7 @@ impl Cli {
             Verb::Demo(a) => demo::run(a, run),
             Verb::Bench(a) => bench::run(a, run),
             Verb::Calibrate(a) => calibrate::run(a, run),
+            Verb::Residual(a) => residual::run(a, run),
             Verb::Close(a) => close::run(a, run),
             Verb::Predict(a) => predict::run(a, run),
             Verb::Simulate(a) => simulate::run(a, run),

@@ -3,13 +3,16 @@
 //! [`observe`] reads frames and fixes the hold-outs; [`model`] predicts them with effects and nuisances; [`design`] sums what a small
 //! change of each value would do; [`score`] tests and ranks.
 
+pub mod close;
 pub mod design;
+pub mod file;
 pub mod model;
 pub mod observe;
 pub mod omnibus;
 pub mod record;
 pub mod refit;
 mod repeats;
+pub mod result;
 pub mod score;
 pub mod search;
 pub mod stats;

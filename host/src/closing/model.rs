@@ -253,16 +253,19 @@ impl<'a> Model<'a> {
                 let (mut residual_dn, detail) = residual(f, &dn);
                 let top = noise.saturation_dn;
                 let mut inverse_sigma = Array2::zeros(dn.dim());
-                Zip::from(&mut inverse_sigma).and(&dn).and(&detail).and(&mut residual_dn).for_each(|w, &mu, &v, r| {
-                    let mu = f64::from(mu);
-                    let sigma = (noise.variance_dn2(mu - state.black_dn) + f64::from(v)).sqrt();
-                    // What may touch the highest code says nothing; the model says which pixels, not the noise.
-                    let usable = mu + 4.0 * sigma < top && r.is_finite();
-                    *w = if usable { (1.0 / sigma) as f32 } else { 0.0 };
-                    if !usable {
-                        *r = 0.0;
-                    }
-                });
+                // The fixed pattern of the offset makes no noise: the variance is that of the light.
+                let lit = light_e.mapv(|e| noise.black_level_dn + noise.gain_dn_per_e * f64::from(e));
+                Zip::from(&mut inverse_sigma).and(&dn).and(&detail).and(&mut residual_dn).and(&lit).for_each(
+                    |w, &mu, &v, r, &lit| {
+                        let sigma = (noise.variance_dn2(lit) + f64::from(v)).sqrt();
+                        // What may touch the highest code says nothing; the model says which pixels, not the noise.
+                        let usable = f64::from(mu) + 4.0 * sigma < top && r.is_finite();
+                        *w = if usable { (1.0 / sigma) as f32 } else { 0.0 };
+                        if !usable {
+                            *r = 0.0;
+                        }
+                    },
+                );
                 Predicted { sum_e: sum_e.clone(), light_e: light_e.clone(), dn, inverse_sigma, residual_dn }
             })
             .collect()

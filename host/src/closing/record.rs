@@ -14,6 +14,8 @@ pub struct Fault {
     pub frame: usize,
     /// What is wrong.
     pub kind: FaultKind,
+    /// Strength of the evidence, standard deviations.
+    pub z: f64,
     /// Correlation of the frame with what the record predicts.
     pub correlation_before: f64,
     /// The same once the record is put right.
@@ -165,7 +167,13 @@ fn objects(seen: &mut Observations, frames: &[Seen]) -> Vec<Fault> {
             s.turned.iter().map(|(f, light)| (correlation(&s.measured, light), *f)).max_by(|a, b| a.0.total_cmp(&b.0));
         let better = |r: f64| 1.0 - r < BETTER * (1.0 - own);
         let frame = seen.frames[s.frame].info.frame;
-        let fault = |kind, correlation_after| Fault { frame, kind, correlation_before: own, correlation_after };
+        let fault = |kind, correlation_after| Fault {
+            frame,
+            kind,
+            z: fisher(own, correlation_after, s.measured.len()),
+            correlation_before: own,
+            correlation_after,
+        };
         match (other, flip) {
             (Some((r, j)), flip) if better(r) && flip.is_none_or(|(f, _)| r >= f) => {
                 let truth_of = seen.frames[frames[j].frame].info.frame;
@@ -217,6 +225,7 @@ fn exposures(seen: &mut Observations, frames: &[Seen]) -> Vec<Fault> {
             faults.push(Fault {
                 frame: seen.frames[s.frame].info.frame,
                 kind,
+                z: (factor - 1.0).abs() / scatter.max(1e-4),
                 correlation_before: r,
                 correlation_after: r,
             });
@@ -224,6 +233,12 @@ fn exposures(seen: &mut Observations, frames: &[Seen]) -> Vec<Fault> {
         }
     }
     faults
+}
+
+/// How far two correlations over `n` pixels are apart, standard deviations (Fisher's z).
+fn fisher(a: f64, b: f64, n: usize) -> f64 {
+    let z = |r: f64| r.clamp(-0.999_999, 0.999_999).atanh();
+    (z(b) - z(a)).abs() * (n.max(4) as f64 - 3.0).sqrt() / std::f64::consts::SQRT_2
 }
 
 /// Pearson correlation.

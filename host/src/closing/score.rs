@@ -21,6 +21,8 @@ pub struct Test {
     pub theta: Vec<f64>,
     /// Their covariance.
     pub covariance: Array2<f64>,
+    /// The part of it that the noise alone makes.
+    pub noise: Array2<f64>,
     /// Fall of chi-squared that they would bring, by the noise alone.
     pub gain: f64,
     /// The same with all that is known of the errors: the test statistic.
@@ -118,7 +120,18 @@ impl<'d> Scores<'d> {
         let nu = if spread > 0.0 { 1.0 / spread } else { f64::INFINITY };
         let p = f_tail(t / dof, dof, nu);
         let covariance = q_inverse.dot(&v).dot(&q_inverse);
-        Some(Test { theta: theta.to_vec(), covariance, gain, t, dof, nu, p, z: strength(t, dof, p), phi })
+        Some(Test {
+            theta: theta.to_vec(),
+            covariance,
+            noise: q_inverse,
+            gain,
+            t,
+            dof,
+            nu,
+            p,
+            z: strength(t, dof, p),
+            phi,
+        })
     }
 
     /// Scatter of the scores between clusters over what the noise makes, at least 1, and the number of clusters that tell it.

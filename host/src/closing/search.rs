@@ -5,11 +5,11 @@ use super::model::{Column, Model, State, Term};
 use super::refit::{Fitted, own_columns, refit};
 use super::score::{Scores, Test};
 use super::stats::holm;
-use crate::effects::{Effect, Evidence, EvidenceFrame, Kind, Stage, registry};
-use crate::forward::ForwardError;
-use crate::instrument::Instrument;
+use super::tables::{self, TableFit};
+use crate::effects::{Effect, Evidence, EvidenceFrame, KNOTS, Kind, OPERATORS, Stage, WEIGHTS, find, registry};
+use crate::forward::{ForwardError, SceneLight};
+use crate::instrument::{Instrument, LowRankPsf};
 use ndarray::Array2;
-use rayon::prelude::*;
 
 /// Family-wise probability that a complete model is called incomplete.
 pub const ALPHA: f64 = 0.02;
@@ -33,16 +33,34 @@ pub struct Candidate {
     pub test: Option<Test>,
     /// Starts that were tried.
     pub starts: usize,
+    /// Its table, where it has one instead of columns.
+    pub table: Option<TableFit>,
 }
 
 impl Candidate {
     /// Probability, paid for each start.
     pub fn p(&self) -> f64 {
+        if let Some(table) = &self.table {
+            return table.p;
+        }
         self.test.as_ref().map_or(1.0, |t| (t.p * self.starts as f64).min(1.0))
+    }
+
+    /// What its first strength is below, with 95 % confidence.
+    pub fn upper_limit(&self) -> Option<f64> {
+        if let Some(table) = &self.table {
+            let size = table.term.params.first().copied().unwrap_or(0.0);
+            return Some(size + 1.645 * table.sigma);
+        }
+        let t = self.test.as_ref()?;
+        Some(t.theta.first()?.abs() + 1.645 * t.covariance.get((0, 0))?.sqrt())
     }
 
     /// What it earns beyond its price.
     fn worth(&self) -> f64 {
+        if let Some(table) = &self.table {
+            return table.z * table.z.abs() - PRICE;
+        }
         self.test.as_ref().map_or(f64::NEG_INFINITY, |t| t.t - PRICE * (t.dof + 2.0 * (self.starts as f64).ln()))
     }
 }
@@ -54,32 +72,23 @@ pub struct Found {
     pub id: &'static str,
     /// Strength of the evidence when it was found.
     pub z: f64,
+    /// Fall of chi-squared on held-out data when it was added.
+    pub held_out_gain: f64,
     /// Effects that would explain nearly the same: id, and the overlap.
     pub ambiguity: Vec<(&'static str, f64)>,
+    /// Standard error of the size of its table, where it has one.
+    pub table_sigma: Option<f64>,
 }
 
-/// What came of a search.
-pub struct Outcome {
-    /// Before anything was added.
-    pub before: Fitted,
-    /// After.
-    pub after: Fitted,
-    /// What was added, in order.
-    pub found: Vec<Found>,
-    /// The last scores: what was not added.
-    pub rest: Vec<Candidate>,
-    /// Columns and cells of the last scores.
-    pub design: Design,
-}
-
-/// Every effect that a mean frame can show, at each of its starts.
-fn trials(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<Term> {
+/// Every effect of the catalogue that the expected frame or the noise can show, at each of its starts.
+pub fn catalogue(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<Term> {
     let lenses = model.lenses();
     let mut terms = Vec::new();
     for effect in registry().iter().copied() {
         let d = effect.descriptor();
         let taken = state.terms.iter().any(|t| t.id() == d.id);
-        if taken || d.stage == Stage::Record || effect.table().is_some() {
+        let skip = d.stage == Stage::Record || effect.table().is_some() || d.id.starts_with("unknown");
+        if taken || skip {
             continue;
         }
         let mut starts = effect.guess(evidence);
@@ -119,31 +128,111 @@ fn evidence<'c>(model: &'c Model<'_>, fitted: &'c Fitted) -> Evidence<'c> {
     Evidence { frames: training.map(frame).collect() }
 }
 
-/// What each replicate of the calibration predicts of each scene, minus what the calibration does, DN.
+/// The generic terms: operators by weights, and curves over covariates.
+pub fn unknowns(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<Term> {
+    let mut terms = Vec::new();
+    if let Some(effect) = find("unknown_operator") {
+        for (operator, weight) in (0..OPERATORS.len()).flat_map(|o| (0..WEIGHTS.len()).map(move |w| (o, w))) {
+            // The light of each stack and the black level are nuisances already.
+            if (operator, weight) != (0, 0) {
+                terms.push(Term { effect, params: vec![0.0, operator as f64, weight as f64], table: None });
+            }
+        }
+    }
+    if let Some(effect) = find("unknown_profile") {
+        let [rows, cols] = model.seen.sensor.map(|n| n as f64 - 1.0);
+        let lit = evidence.frames.iter().flat_map(|f| f.light_e.iter().copied()).fold(0.0f32, f32::max);
+        let times = evidence.frames.iter().map(|f| f.cx.time_s);
+        let (first, last) = times.fold((f64::MAX, f64::MIN), |r, t| (r.0.min(t), r.1.max(t)));
+        let mut ranges = vec![
+            (0, 0.0, rows),
+            (1, 0.0, cols),
+            (2, 0.0, rows.hypot(cols) / 2.0),
+            (3, 0.0, rows + cols),
+            (4, 0.0, f64::from(lit)),
+        ];
+        if last > first {
+            ranges.push((5, first, last));
+        }
+        if let Some(period) = row_period(evidence) {
+            ranges.push((6, 0.0, period));
+        }
+        for ((covariate, low, high), additive) in ranges.into_iter().flat_map(|r| [(r, 0.0), (r, 1.0)]) {
+            // Light added by the light itself is the factor once more.
+            if high > low && !(covariate == 4 && additive == 1.0) {
+                let mut params = vec![0.0; KNOTS];
+                params.extend([f64::from(covariate), additive, low, high]);
+                terms.push(Term { effect, params, table: None });
+            }
+        }
+    }
+    let same =
+        |a: &Term, b: &Term| a.id() == b.id() && a.params[a.params.len() - 2..] == b.params[b.params.len() - 2..];
+    terms.retain(|t| !state.terms.iter().any(|s| same(s, t)));
+    terms
+}
+
+/// The period over rows that the residuals of all frames show most of, px.
+fn row_period(evidence: &Evidence<'_>) -> Option<f64> {
+    let rows = evidence.frames.first()?.residual_dn.nrows();
+    let (mut top, mut bottom) = (vec![0.0; rows], vec![0.0; rows]);
+    for f in evidence.frames.iter().filter(|f| f.cx.role != crate::session::Role::Dark) {
+        for (r, ((residual, light), weight)) in
+            f.residual_dn.outer_iter().zip(f.light_e.outer_iter()).zip(f.weight.outer_iter()).enumerate()
+        {
+            for ((y, e), w) in residual.iter().zip(&light).zip(&weight) {
+                top[r] += f64::from(y * e * w);
+                bottom[r] += f64::from(e * e * w);
+            }
+        }
+    }
+    let relative: Vec<f64> = top.iter().zip(&bottom).map(|(t, b): (&f64, &f64)| t / b.max(1e-30)).collect();
+    let power = |frequency: f64| {
+        let (mut c, mut s) = (0.0, 0.0);
+        for (r, v) in relative.iter().enumerate() {
+            let (sin, cos) = (std::f64::consts::TAU * frequency * r as f64).sin_cos();
+            c += v * cos;
+            s += v * sin;
+        }
+        c * c + s * s
+    };
+    let steps = 4 * rows;
+    let frequencies = (12..steps / 2).map(|i| i as f64 / steps as f64);
+    let best = frequencies.max_by(|a, b| power(*a).total_cmp(&power(*b)))?;
+    Some(1.0 / best)
+}
+
+/// The replicates of a calibration before the frames of a session: what each predicts, minus what the calibration does.
+pub struct Replicas {
+    light: Vec<Vec<Option<SceneLight>>>,
+}
+
+impl Replicas {
+    /// For each replicate and frame the change of the expected frame, DN. None: no scene.
+    ///
+    /// # Errors
+    /// None so far; an object may be no light.
+    pub fn of(&self, model: &Model<'_>, fitted: &Fitted) -> Result<Vec<Vec<Option<Array2<f32>>>>, ForwardError> {
+        let one = |scenes: &Vec<Option<SceneLight>>| {
+            let predicted = model.predict(&fitted.state, scenes);
+            let change = |k: usize| scenes[k].as_ref().map(|_| &predicted[k].dn - &fitted.predicted[k].dn);
+            (0..predicted.len()).map(change).collect()
+        };
+        Ok(self.light.iter().map(one).collect())
+    }
+}
+
+/// Puts the replicates of an instrument's calibration before the frames.
 ///
 /// # Errors
 /// A replicate does not fit the instrument.
-pub fn replicas(
-    model: &Model<'_>,
-    instrument: &Instrument,
-    fitted: &Fitted,
-) -> Result<Vec<Vec<Option<Array2<f32>>>>, ForwardError> {
-    let chain = model.chain(&fitted.state.terms);
-    replicates(instrument)
-        .iter()
-        .map(|psf| {
-            let other = Instrument { psf: psf.clone(), effects: Vec::new(), ..instrument.clone() };
-            let other = Model::new(&other, model.seen)?;
-            let scenes = other.scenes(&chain)?;
-            let predicted = other.predict(&fitted.state, &scenes);
-            let change = |k: usize| scenes[k].as_ref().map(|_| &predicted[k].dn - &fitted.predicted[k].dn);
-            Ok((0..predicted.len()).into_par_iter().map(change).collect())
-        })
-        .collect()
-}
-
-fn replicates(_i: &Instrument) -> &[crate::instrument::LowRankPsf] {
-    &[]
+pub fn replicas(model: &Model<'_>, instrument: &Instrument, state: &State) -> Result<Replicas, ForwardError> {
+    let chain = model.chain(&state.terms);
+    let light = |psf: &LowRankPsf| {
+        let other = Instrument { psf: psf.clone(), effects: Vec::new(), ..instrument.clone() };
+        Model::new(&other, model.seen)?.scenes(&chain)
+    };
+    Ok(Replicas { light: reps(instrument).iter().map(light).collect::<Result<_, _>>()? })
 }
 
 /// Scores everything that could be added to a state.
@@ -151,8 +240,8 @@ fn score(
     model: &Model<'_>,
     fitted: &Fitted,
     replicas: &[Vec<Option<Array2<f32>>>],
+    terms: &[Term],
 ) -> Result<(Design, Vec<usize>, Vec<Candidate>), ForwardError> {
-    let terms = trials(model, &fitted.state, &evidence(model, fitted));
     let given: Vec<Column> = nuisances(model).into_iter().chain(own_columns(model, &fitted.state)).collect();
     let taken: Vec<usize> = (0..given.len()).collect();
     let mut columns = given;
@@ -162,14 +251,14 @@ fn score(
         columns.extend(term.strengths(model.lenses()).into_iter().map(|param| Column::Trial { term: t, param }));
         spans.push(first..columns.len());
     }
-    let design = Design::compute(model, &fitted.state, &terms, columns, &fitted.predicted, &fitted.scenes, replicas)?;
+    let design = Design::compute(model, &fitted.state, terms, columns, &fitted.predicted, &fitted.scenes, replicas)?;
     let scores = Scores::new(&design, taken.clone());
     let mut candidates: Vec<Candidate> = Vec::new();
     for (term, span) in terms.iter().zip(spans) {
         let columns: Vec<usize> = span.collect();
         let test = scores.test(&columns).map(|t| one_sided(model, term, t));
         let starts = terms.iter().filter(|t| t.id() == term.id()).count();
-        let candidate = Candidate { term: term.clone(), columns, test, starts };
+        let candidate = Candidate { term: term.clone(), columns, test, starts, table: None };
         match candidates.iter_mut().find(|c| c.term.id() == term.id()) {
             Some(best) if candidate.worth() > best.worth() => *best = candidate,
             Some(_) => {}
@@ -205,93 +294,152 @@ fn with(model: &Model<'_>, state: &State, candidate: &Candidate) -> State {
     next
 }
 
-/// Searches from the state that an instrument stands for.
-///
-/// # Errors
-/// An object is no light, or the parts of the instrument disagree.
-pub fn search(
-    model: &Model<'_>,
-    instrument: &Instrument,
-    start: State,
-    mut tell: impl FnMut(&str),
-) -> Result<Outcome, ForwardError> {
-    let mut now = refit(model, start)?;
-    let before = now.clone();
-    let replicas = replicas(model, instrument, &now)?;
-    let mut found: Vec<Found> = Vec::new();
-    let mut refused: Vec<&'static str> = Vec::new();
-    loop {
-        let (design, taken, mut candidates) = score(model, &now, &replicas)?;
-        candidates.sort_by(|a, b| b.worth().total_cmp(&a.worth()));
-        for c in candidates.iter().take(6) {
-            if let Some(t) = &c.test {
-                tracing::info!(
-                    "{} {:?}: z {:.2} t {:.1} gain {:.1} phi {:.2} nu {:.0} dof {} theta {:?}",
-                    c.term.id(),
-                    c.term.params,
-                    t.z,
-                    t.t,
-                    t.gain,
-                    t.phi,
-                    t.nu,
-                    t.dof,
-                    t.theta
-                );
+/// What is tried.
+pub type Trials = fn(&Model<'_>, &State, &Evidence<'_>) -> Vec<Term>;
+
+/// A search under way.
+pub struct Search<'m, 'a> {
+    model: &'m Model<'a>,
+    replicas: &'m Replicas,
+    /// The state so far, at its best fit.
+    pub now: Fitted,
+    /// What was added so far.
+    pub found: Vec<Found>,
+    /// The last scores of what was not added.
+    pub rest: Vec<Candidate>,
+}
+
+impl<'m, 'a> Search<'m, 'a> {
+    /// Starts from a fit.
+    pub fn new(model: &'m Model<'a>, replicas: &'m Replicas, now: Fitted) -> Self {
+        Self { model, replicas, now, found: Vec::new(), rest: Vec::new() }
+    }
+
+    /// Adds one effect after another, as long as the scores, the full fit and the held-out data agree; with `tables`, those that
+    /// need a table are tried beside the `trials`.
+    ///
+    /// # Errors
+    /// An object is no light.
+    pub fn run(&mut self, trials: Trials, tables: bool, tell: &mut impl FnMut(&str)) -> Result<(), ForwardError> {
+        let mut refused: Vec<&'static str> = Vec::new();
+        loop {
+            let terms = trials(self.model, &self.now.state, &evidence(self.model, &self.now));
+            let of_frames = self.replicas.of(self.model, &self.now)?;
+            let (design, taken, mut candidates) = score(self.model, &self.now, &of_frames, &terms)?;
+            if tables {
+                candidates.extend(tabled(self.model, &self.now));
+            }
+            candidates.sort_by(|a, b| b.worth().total_cmp(&a.worth()));
+            log(&candidates);
+            let p: Vec<f64> = candidates.iter().map(Candidate::p).collect();
+            let significant = holm(&p, ALPHA);
+            let open = |c: &Candidate| !refused.contains(&c.term.id()) && c.worth() > 0.0;
+            let finalists: Vec<&Candidate> = candidates
+                .iter()
+                .zip(&significant)
+                .filter(|(c, s)| **s && open(c))
+                .map(|(c, _)| c)
+                .take(FINALISTS)
+                .collect();
+            if finalists.is_empty() || self.found.len() >= MOST {
+                self.rest = candidates;
+                return Ok(());
+            }
+            match self.confirm(&finalists, tell)? {
+                Ok((best, candidate, gain)) => {
+                    let found = self.describe(&design, taken, &candidates, candidate, gain);
+                    self.found.push(found);
+                    self.now = best;
+                }
+                Err(id) => refused.push(id),
             }
         }
-        let p: Vec<f64> = candidates.iter().map(Candidate::p).collect();
-        let significant = holm(&p, ALPHA);
-        let open = |c: &Candidate| !refused.contains(&c.term.id());
-        let finalists: Vec<&Candidate> = candidates
-            .iter()
-            .zip(&significant)
-            .filter(|(c, s)| **s && open(c))
-            .map(|(c, _)| c)
-            .take(FINALISTS)
-            .collect();
-        if finalists.is_empty() || found.len() >= MOST {
-            return Ok(Outcome { before, after: now, found, rest: candidates, design });
-        }
-        // The linear ranking is confirmed by full fits; each pays for its values.
-        let mut fitted = Vec::new();
-        for c in &finalists {
-            tell(c.term.id());
-            let fit = refit(model, with(model, &now.state, c))?;
-            let phi = c.test.as_ref().map_or(1.0, |t| (t.gain / t.t.max(1e-9)).max(1.0));
-            let worth = (now.chi2 - fit.chi2) / phi - PRICE * c.columns.len() as f64;
-            tracing::info!(
-                "  refit {} {:?}: gain {:.1} worth {:.1} held out {:.1}",
-                c.term.id(),
-                fit.state.terms.last(),
-                now.chi2 - fit.chi2,
-                worth,
-                now.held_out.0 - fit.held_out.0
-            );
-            fitted.push((worth, fit, *c));
-        }
-        fitted.sort_by(|a, b| b.0.total_cmp(&a.0));
-        let Some((worth, best, candidate)) = fitted.into_iter().next() else { continue };
-        let taken_scores = Scores::new(&design, taken);
-        // chi-squared rewards wider errors: what acts on the noise alone is judged by held-out repeats, at fixed errors.
-        let gain = match candidate.term.effect.noise_only() {
-            true => taken_scores.held_out_gain(&candidate.columns, |c| c.frame >= model.seen.frames.len()).0,
-            false => now.held_out.0 - best.held_out.0,
-        };
-        if gain <= 0.0 || worth <= 0.0 {
-            refused.push(candidate.term.id());
-            continue;
-        }
-        let scores = taken_scores;
-        let test = candidate.test.as_ref();
-        let theta = test.map_or(&[][..], |t| &t.theta);
-        let top = test.map_or(0.0, |t| t.t);
-        let ambiguity = candidates
-            .iter()
-            .filter(|c| c.term.id() != candidate.term.id())
-            .filter(|c| c.test.as_ref().is_some_and(|t| t.t > top - AMBIGUOUS && t.t > 0.0))
-            .map(|c| (c.term.id(), scores.overlap(&candidate.columns, theta, &c.columns)))
-            .collect();
-        found.push(Found { id: candidate.term.id(), z: test.map_or(0.0, |t| t.z), ambiguity });
-        now = best;
     }
+
+    /// Fits the finalists in full and holds the best against what no fit has seen.
+    fn confirm<'c>(
+        &self,
+        finalists: &[&'c Candidate],
+        tell: &mut impl FnMut(&str),
+    ) -> Result<Result<(Fitted, &'c Candidate, f64), &'static str>, ForwardError> {
+        let mut best: Option<(f64, Fitted, &Candidate)> = None;
+        let top = finalists.iter().map(|c| c.worth()).fold(0.0, f64::max);
+        // Whoever is far behind in the linear score does not catch up in the full fit.
+        for c in finalists.iter().filter(|c| c.worth() > 0.5 * top) {
+            tell(c.term.id());
+            let fit = refit(self.model, with(self.model, &self.now.state, c))?;
+            let fall = self.now.chi2 - fit.chi2;
+            let worth = match &c.test {
+                // The scatter between clusters and the calibration's errors weigh on the full fit as on the score.
+                Some(t) => fall * (t.t / t.gain.max(1e-9)).min(1.0) - PRICE * c.columns.len() as f64,
+                None => c.worth(),
+            };
+            tracing::info!("  fitted {:?}: fall {fall:.1}, worth {worth:.1}", fit.state.terms.last());
+            if best.as_ref().is_none_or(|b| worth > b.0) {
+                best = Some((worth, fit, *c));
+            }
+        }
+        let Some((worth, fit, candidate)) = best else {
+            return Ok(Err(finalists.first().map_or("", |c| c.term.id())));
+        };
+        // chi-squared rewards wider errors: what acts on the noise alone is judged by held-out repeats, which the score holds.
+        let gain = self.now.held_out.0 - fit.held_out.0;
+        let accepted = worth > 0.0 && gain > 0.0;
+        Ok(if accepted { Ok((fit, candidate, gain)) } else { Err(candidate.term.id()) })
+    }
+
+    fn describe(
+        &self,
+        design: &Design,
+        taken: Vec<usize>,
+        candidates: &[Candidate],
+        it: &Candidate,
+        gain: f64,
+    ) -> Found {
+        let scores = Scores::new(design, taken);
+        let theta = it.test.as_ref().map_or(&[][..], |t| &t.theta);
+        let near =
+            |c: &&Candidate| c.term.id() != it.term.id() && c.worth() > it.worth() - AMBIGUOUS && c.worth() > 0.0;
+        let mut ambiguity: Vec<(&'static str, f64)> = candidates
+            .iter()
+            .filter(near)
+            .map(|c| (c.term.id(), scores.overlap(&it.columns, theta, &c.columns)))
+            .collect();
+        ambiguity.sort_by(|a, b| b.1.total_cmp(&a.1));
+        let z = it.table.as_ref().map(|t| t.z).or(it.test.as_ref().map(|t| t.z)).unwrap_or(0.0);
+        let table_sigma = it.table.as_ref().map(|t| t.sigma);
+        Found { id: it.term.id(), z, held_out_gain: gain, ambiguity, table_sigma }
+    }
+}
+
+/// Effects with a table, as candidates.
+fn tabled(model: &Model<'_>, now: &Fitted) -> Vec<Candidate> {
+    let fits = tables::fit(model, &now.state, &now.predicted, &tables::Left::default());
+    let candidate =
+        |t: TableFit| Candidate { term: t.term.clone(), columns: Vec::new(), test: None, starts: 1, table: Some(t) };
+    fits.into_iter().map(candidate).collect()
+}
+
+fn log(candidates: &[Candidate]) {
+    for c in candidates.iter().take(6) {
+        if let Some(t) = &c.test {
+            tracing::info!(
+                "{} {:?}: z {:.2}, t {:.1}, gain {:.1}, phi {:.2}, nu {:.0}, dof {}, theta {:?}",
+                c.term.id(),
+                c.term.params,
+                t.z,
+                t.t,
+                t.gain,
+                t.phi,
+                t.nu,
+                t.dof,
+                &t.theta[..t.theta.len().min(3)]
+            );
+        } else if let Some(t) = &c.table {
+            tracing::info!("{} table: z {:.2}, size {:?} +- {:.2e}", c.term.id(), t.z, t.term.params.first(), t.sigma);
+        }
+    }
+}
+pub(super) fn reps(_i: &Instrument) -> &[LowRankPsf] {
+    &[]
 }

@@ -1,0 +1,64 @@
+//! The account of closing a loop on disk: an artifact of kind `closing`, which a report renders.
+
+use super::result::Closing;
+use crate::artifact::{self, ArtifactError, Header, Provenance, Tensors};
+use ndarray::{Array3, Ix3};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// Kind of the artifact.
+pub const KIND: &str = "closing";
+/// Version of its layout.
+pub const VERSION: u32 = 1;
+
+/// The account with its pictures.
+#[derive(Clone, Debug)]
+pub struct Account {
+    /// Figures.
+    pub closing: Closing,
+    /// Frames that are pictured, as the session numbers them.
+    pub frames: Vec<usize>,
+    /// Measured, DN, [pictured, sensor rows, sensor cols].
+    pub measured_dn: Array3<f32>,
+    /// Residual before in standard deviations, the same shape; 0 where a pixel says nothing.
+    pub before: Array3<f32>,
+    /// Residual after.
+    pub after: Array3<f32>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Body {
+    closing: Closing,
+    frames: Vec<usize>,
+}
+
+impl Account {
+    /// Writes the artifact: whole, or not at all.
+    ///
+    /// # Errors
+    /// See [`artifact::write`].
+    pub fn write(&self, path: &Path, provenance: Provenance) -> Result<(), ArtifactError> {
+        let mut tensors = Tensors::new();
+        for (name, t) in [("measured_dn", &self.measured_dn), ("before", &self.before), ("after", &self.after)] {
+            tensors.insert(name.into(), t.clone().into_dyn());
+        }
+        let body = Body { closing: self.closing.clone(), frames: self.frames.clone() };
+        artifact::write(path, &Header { kind: KIND.into(), version: VERSION, provenance, body }, &tensors)
+    }
+
+    /// Reads the artifact.
+    ///
+    /// # Errors
+    /// The file is missing, of another kind, or a picture is missing or of the wrong shape.
+    pub fn read(path: &Path) -> Result<Self, ArtifactError> {
+        let (header, mut tensors) = artifact::read::<Body>(path, KIND, VERSION)?;
+        let shape = [Some(header.body.frames.len()), None, None];
+        let mut take = |name: &str| -> Result<Array3<f32>, ArtifactError> {
+            let tensor = artifact::take(path, &mut tensors, name, &shape)?;
+            let format = |e: ndarray::ShapeError| ArtifactError::Format { path: path.into(), detail: e.to_string() };
+            tensor.into_dimensionality::<Ix3>().map_err(format)
+        };
+        let (measured_dn, before, after) = (take("measured_dn")?, take("before")?, take("after")?);
+        Ok(Self { closing: header.body.closing, frames: header.body.frames, measured_dn, before, after })
+    }
+}
