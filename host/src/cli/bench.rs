@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 /// Options of `bench`.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example: ommatidia bench session --effect halo=0.05 --frames 24 --seed 7")]
+#[command(after_help = "Example: ommatidia bench session --effect halo=0.05,sigma_px=20 --frames 24 --seed 7")]
 pub struct Args {
     /// Folder of the session; one that a virtual instrument measured before is replaced
     session: PathBuf,

@@ -1,7 +1,7 @@
 //! Turned array: the lenses sit on a grid that is turned on the sensor; each image keeps its own direction.
 //!
-//! `anchor_l -> anchor_l + angle (col_l, -row_l)`, (row_l, col_l) = anchor from the centre of the array, angle small, in mrad, from
-//! the row axis to the column axis when negative. Catalogue 4.
+//! `anchor_l -> anchor_l + angle (col_l, -row_l)`, (row_l, col_l) = anchor from the centre of the array; a small angle, in mrad,
+//! positive from the column axis to the row axis (clockwise on a screen). Catalogue 4.
 
 use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Ray, RayShift, Stage};
 
