@@ -126,7 +126,7 @@ pub fn close(
     let catalogue_incomplete = unknown || structured(&dependences);
     let effects = account(&model, &before, &now, &found, &tests, own, &faults);
     let mut notes = Vec::new();
-    if crate::closing::search::reps(instrument).is_empty() && seen.of(Role::Scene).next().is_some() {
+    if instrument.replicates.is_empty() && seen.of(Role::Scene).next().is_some() {
         notes.push(
             "the instrument has no replicates of its calibration: its own uncertainty is not known, and small effects may be errors \
              of the calibration; calibrate again"

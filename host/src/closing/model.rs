@@ -4,6 +4,7 @@ use super::observe::{Frame, Observations, Shown};
 use crate::effects::{Chain, Effect, EffectError, EffectSetting, FrameContext, Kind, Param, Previous, Stage, find};
 use crate::forward::{Forward, ForwardError, SceneLight};
 use crate::instrument::Instrument;
+use crate::noise::MapErrors;
 use crate::psf::OperatorConfig;
 use crate::session::Role;
 use ndarray::{Array2, Zip};
@@ -112,6 +113,8 @@ pub struct Model<'a> {
     pub forward: Forward,
     /// The frames.
     pub seen: &'a Observations,
+    /// What the maps of the sensor leave of its true patterns.
+    pub maps: MapErrors,
     /// Exposure of the calibration, ms.
     exposure_ms: f64,
 }
@@ -126,6 +129,7 @@ impl<'a> Model<'a> {
         Ok(Self {
             forward: Forward::with_all_depths(&bare, OperatorConfig::default())?,
             seen,
+            maps: instrument.quality.maps,
             exposure_ms: instrument.psf.exposure_ms,
         })
     }

@@ -8,9 +8,13 @@ use super::score::pseudo_inverse;
 use crate::effects::Stage;
 use crate::forward::{ForwardError, SceneLight};
 use ndarray::{Array1, Array2};
+use std::sync::Arc;
 
 /// Most steps.
 const STEPS: usize = 7;
+
+/// What the optics make of each frame's object; shared, since few effects change it.
+pub type Scenes = Arc<[Option<SceneLight>]>;
 
 /// A state at its best fit.
 #[derive(Clone)]
@@ -20,7 +24,7 @@ pub struct Fitted {
     /// What it predicts.
     pub predicted: Vec<Predicted>,
     /// The optics' part of that.
-    pub scenes: Vec<Option<SceneLight>>,
+    pub scenes: Scenes,
     /// chi-squared of the fitted cells.
     pub chi2: f64,
     /// chi-squared and pixels of the held-out cells.
@@ -46,13 +50,25 @@ pub fn own_columns(model: &Model<'_>, state: &State) -> Vec<Column> {
 ///
 /// # Errors
 /// An object is no light.
-pub fn refit(model: &Model<'_>, mut state: State) -> Result<Fitted, ForwardError> {
+pub fn refit(model: &Model<'_>, state: State) -> Result<Fitted, ForwardError> {
+    let scenes = model.scenes(&model.chain(&state.terms))?.into();
+    refit_from(model, state, scenes)
+}
+
+/// [`refit`] where the optics' part is known already.
+///
+/// # Errors
+/// An object is no light.
+pub fn refit_from(model: &Model<'_>, mut state: State, scenes: Scenes) -> Result<Fitted, ForwardError> {
     let columns: Vec<Column> = nuisances(model).into_iter().chain(own_columns(model, &state)).collect();
-    let mut at = Point::of(model, &state, &columns)?;
+    // Only what acts on the emission itself goes through the optics again.
+    let emission = state.terms.iter().any(|t| t.effect.descriptor().stage == Stage::Object);
+    let mut at = Point::of(model, &state, &columns, scenes)?;
     let mut damping = 1e-3;
     for _ in 0..STEPS {
         let proposal = at.step(model, &state, &columns, damping);
-        let next = Point::of(model, &proposal, &columns)?;
+        let scenes = if emission { model.scenes(&model.chain(&proposal.terms))?.into() } else { at.scenes.clone() };
+        let next = Point::of(model, &proposal, &columns, scenes)?;
         let fall = at.chi2 - next.chi2;
         if fall > 0.0 {
             (state, at) = (proposal, next);
@@ -80,7 +96,7 @@ pub fn refit(model: &Model<'_>, mut state: State) -> Result<Fitted, ForwardError
 /// A state with its linear problem.
 struct Point {
     predicted: Vec<Predicted>,
-    scenes: Vec<Option<SceneLight>>,
+    scenes: Scenes,
     gram: Array2<f64>,
     chi2: f64,
     pixels: usize,
@@ -88,8 +104,7 @@ struct Point {
 }
 
 impl Point {
-    fn of(model: &Model<'_>, state: &State, columns: &[Column]) -> Result<Self, ForwardError> {
-        let scenes = model.scenes(&model.chain(&state.terms))?;
+    fn of(model: &Model<'_>, state: &State, columns: &[Column], scenes: Scenes) -> Result<Self, ForwardError> {
         let predicted = model.predict(state, &scenes);
         let design = Design::compute(model, state, &[], columns.to_vec(), &predicted, &scenes, &[])?;
         let r = design.residual();

@@ -16,8 +16,8 @@ use rayon::prelude::*;
 /// Features of one level of light: variance; correlation along the row, along the column, diagonally; variance that rows and that
 /// columns share.
 const FEATURES: usize = 6;
-/// Pairs of repeats that the effect of a column is drawn on, a level.
-const DRAWN: usize = 2;
+/// Pairs of repeats that the effect of a column is drawn on, a level: the random numbers cancel, one tells.
+const DRAWN: usize = 1;
 
 /// Pairs of repeats of the same light.
 struct Level {
@@ -53,7 +53,10 @@ pub(super) fn cells(
                     let (sum, pixels) = measured(now, model, level);
                     let sigma = sampling(model, now, level, pixels);
                     let base = noise_features(model, &model.chain(&state.terms), level, now);
-                    let plain = noise_features(model, &Chain::default(), level, now);
+                    let plain = match state.terms.iter().any(noisy) {
+                        true => noise_features(model, &Chain::default(), level, now),
+                        false => base,
+                    };
                     let change = derivative
                         .iter()
                         .map(|d| match d {

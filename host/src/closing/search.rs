@@ -2,7 +2,7 @@
 
 use super::design::{Design, nuisances};
 use super::model::{Column, Model, State, Term};
-use super::refit::{Fitted, own_columns, refit};
+use super::refit::{Fitted, own_columns, refit, refit_from};
 use super::score::{Scores, Test};
 use super::stats::holm;
 use super::tables::{self, TableFit};
@@ -229,10 +229,10 @@ impl Replicas {
 pub fn replicas(model: &Model<'_>, instrument: &Instrument, state: &State) -> Result<Replicas, ForwardError> {
     let chain = model.chain(&state.terms);
     let light = |psf: &LowRankPsf| {
-        let other = Instrument { psf: psf.clone(), effects: Vec::new(), ..instrument.clone() };
+        let other = Instrument { psf: psf.clone(), effects: Vec::new(), replicates: Vec::new(), ..instrument.clone() };
         Model::new(&other, model.seen)?.scenes(&chain)
     };
-    Ok(Replicas { light: reps(instrument).iter().map(light).collect::<Result<_, _>>()? })
+    Ok(Replicas { light: instrument.replicates.iter().map(light).collect::<Result<_, _>>()? })
 }
 
 /// Scores everything that could be added to a state.
@@ -367,7 +367,13 @@ impl<'m, 'a> Search<'m, 'a> {
         // Whoever is far behind in the linear score does not catch up in the full fit.
         for c in finalists.iter().filter(|c| c.worth() > 0.5 * top) {
             tell(c.term.id());
-            let fit = refit(self.model, with(self.model, &self.now.state, c))?;
+            let next = with(self.model, &self.now.state, c);
+            let emission = c.term.effect.descriptor().stage == Stage::Object;
+            let fit = if emission {
+                refit(self.model, next)?
+            } else {
+                refit_from(self.model, next, self.now.scenes.clone())?
+            };
             let fall = self.now.chi2 - fit.chi2;
             let worth = match &c.test {
                 // The scatter between clusters and the calibration's errors weigh on the full fit as on the score.
@@ -414,7 +420,7 @@ impl<'m, 'a> Search<'m, 'a> {
 
 /// Effects with a table, as candidates.
 fn tabled(model: &Model<'_>, now: &Fitted) -> Vec<Candidate> {
-    let fits = tables::fit(model, &now.state, &now.predicted, &tables::Left::default());
+    let fits = tables::fit(model, &now.state, &now.predicted);
     let candidate =
         |t: TableFit| Candidate { term: t.term.clone(), columns: Vec::new(), test: None, starts: 1, table: Some(t) };
     fits.into_iter().map(candidate).collect()
@@ -439,7 +445,4 @@ fn log(candidates: &[Candidate]) {
             tracing::info!("{} table: z {:.2}, size {:?} +- {:.2e}", c.term.id(), t.z, t.term.params.first(), t.sigma);
         }
     }
-}
-pub(super) fn reps(_i: &Instrument) -> &[LowRankPsf] {
-    &[]
 }

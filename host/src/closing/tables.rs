@@ -37,7 +37,13 @@ struct Half {
 }
 
 /// Fits every table effect of the catalogue that is not in the state.
-pub fn fit(model: &Model<'_>, state: &State, now: &[Predicted], left: &Left) -> Vec<TableFit> {
+pub fn fit(model: &Model<'_>, state: &State, now: &[Predicted]) -> Vec<TableFit> {
+    // What the calibration's own maps leave of a pattern is no news.
+    let left = |acts| match acts {
+        TableUse::Response => model.maps.response.powi(2),
+        TableUse::DarkRate => 0.0,
+        TableUse::Offset => model.maps.offset_dn.powi(2),
+    };
     registry()
         .par_iter()
         .filter(|e| !state.terms.iter().any(|t| t.id() == e.descriptor().id))
@@ -46,9 +52,9 @@ pub fn fit(model: &Model<'_>, state: &State, now: &[Predicted], left: &Left) -> 
             let halves = [0, 1].map(|h| half(model, now, kind.acts, h));
             let [Some(a), Some(b)] = halves else { return None };
             let found = match kind.group {
-                TableGroup::Pixel => pixels(&a, &b, left.of(kind.acts)),
+                TableGroup::Pixel => pixels(&a, &b, left(kind.acts)),
                 TableGroup::SparsePixels => sparse(&a, &b),
-                TableGroup::Spots => spots(&a, &b, left.of(kind.acts)),
+                TableGroup::Spots => spots(&a, &b, left(kind.acts)),
                 TableGroup::Row | TableGroup::Column => None,
             }?;
             let lenses = model.lenses();
@@ -60,25 +66,6 @@ pub fn fit(model: &Model<'_>, state: &State, now: &[Predicted], left: &Left) -> 
             Some(TableFit { term, z: found.z, p: two_sided(found.z.max(0.0)) / 2.0, sigma: found.sigma })
         })
         .collect()
-}
-
-/// What the calibration's own maps leave of a pattern, variance a pixel.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Left {
-    /// Of the response, relative.
-    pub response: f64,
-    /// Of the offset, DN^2.
-    pub offset_dn2: f64,
-}
-
-impl Left {
-    fn of(&self, acts: TableUse) -> f64 {
-        match acts {
-            TableUse::Response => self.response,
-            TableUse::DarkRate => 0.0,
-            TableUse::Offset => self.offset_dn2,
-        }
-    }
 }
 
 struct Shape {

@@ -3,7 +3,7 @@
 use super::light_unit::{fit_light_unit, set_light_unit};
 use super::model::Model;
 use super::replicates::replicates;
-use super::{Instrument, LightUnit, sensor_only};
+use super::{Instrument, LightUnit, Quality, sensor_only};
 use crate::bead::{BeadError, BeadScale, BeadScan, SensorMaps, cut_windows, fit_chief_rays};
 use crate::forward::ForwardError;
 use crate::linalg::NotConverged;
@@ -115,7 +115,7 @@ pub fn calibrate(
         Instrument {
             psf,
             replicates,
-            quality: model.quality(rays.rms_px),
+            quality: Quality { maps: noise.left, ..model.quality(rays.rms_px) },
             diagnostics: model.diagnostics(&windows, &planes, noise.photon_transfer),
             manifest,
             noise: noise.model,

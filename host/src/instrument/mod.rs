@@ -18,7 +18,7 @@ pub use calibrate::{CalibrateConfig, CalibrateError, Calibration, calibrate};
 pub use file::{INSTRUMENT_KIND, INSTRUMENT_VERSION, InstrumentError};
 
 use crate::effects::EffectSetting;
-use crate::noise::{NoiseModel, inverse_response};
+use crate::noise::{MapErrors, NoiseModel, inverse_response};
 use crate::psf::nodes::Taps;
 use crate::session::Manifest;
 use ndarray::{Array1, Array2, Array4, Array5, Axis, s};
@@ -165,6 +165,8 @@ pub struct Quality {
     pub noise_floor: f64,
     /// Distance of the foci from their chief rays (Eq. 1), rms over both axes, px: distortion and noise.
     pub chief_ray_rms_px: f64,
+    /// What the maps of the sensor leave of its true patterns.
+    pub maps: MapErrors,
 }
 
 /// Curves and maps of the calibration, for reports and `inspect`; no figure depends on them.

@@ -176,6 +176,7 @@ impl Model {
             one_psf_error: self.one_psf,
             noise_floor: self.approximation.noise_floor(),
             chief_ray_rms_px,
+            ..Quality::default()
         }
     }
 

@@ -120,7 +120,7 @@ impl PixelStats {
     ///
     /// The mean of few frames holds noise of variance `variance / n`: offsets are shrunk by the part of their spread that
     /// is noise, but for pixels that stand out (hot ones), which are kept as they are.
-    pub(super) fn offsets(&self, variance: Option<f64>) -> (f64, Array2<f32>) {
+    pub(super) fn offsets(&self, variance: Option<f64>) -> (f64, Array2<f32>, f64) {
         let means = self.means();
         let mut sorted: Vec<f64> = means.iter().copied().collect();
         sorted.sort_by(f64::total_cmp);
@@ -133,7 +133,9 @@ impl PixelStats {
             sorted.iter().filter(|m| inside(**m)).map(|m| (m - black).powi(2)).sum::<f64>() / f64::max(count, 1.0);
         let noise = variance.map_or(0.0, |v| v / self.frames());
         let kept = if scatter > 0.0 { (1.0 - noise / scatter).max(0.0) } else { 0.0 };
-        (black, means.mapv(|m| ((m - black) * if inside(m) { kept } else { 1.0 }) as f32))
+        // What the shrunk offsets leave of the true ones: the smaller of the two spreads, nearly.
+        let left = (noise * kept).max(0.0).sqrt();
+        (black, means.mapv(|m| ((m - black) * if inside(m) { kept } else { 1.0 }) as f32), left)
     }
 }
 

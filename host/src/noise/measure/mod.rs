@@ -40,6 +40,16 @@ impl Default for NoiseConfig {
     }
 }
 
+/// What the maps of a sensor leave of its true patterns, rms over the pixels; 0 where there is no map.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MapErrors {
+    /// Of the offsets, DN.
+    pub offset_dn: f64,
+    /// Of the responses, relative.
+    pub response: f64,
+}
+
 /// What the frames say of the sensor.
 #[derive(Clone, Debug)]
 pub struct NoiseCalibration {
@@ -50,6 +60,8 @@ pub struct NoiseCalibration {
     /// Response of each pixel relative to the mean, [sensor rows, sensor cols]; None: the flats show no spread beyond their noise,
     /// or there are no darks to tell it from offsets.
     pub response: Option<Array2<f32>>,
+    /// What these maps leave of the true patterns.
+    pub left: MapErrors,
     /// Photon transfer, [level, (mean above black, variance, fitted variance)], DN and DN^2.
     pub photon_transfer: Array2<f32>,
     /// Figures that the session cannot tell, and what follows.
@@ -149,6 +161,7 @@ struct Dark {
     offset: Array2<f32>,
     level: Option<Summary>,
     frames: f64,
+    offset_left_dn: f64,
 }
 
 /// Measures the noise of a session's sensor. `step` is called once a frame.
@@ -207,7 +220,18 @@ pub fn measure_noise(
         sources,
     };
     let photon_transfer = curve(&levels, dark_level, &transfer);
-    Ok(NoiseCalibration { model, offset_dn: dark.map(|d| d.offset), response, photon_transfer, notes })
+    let left = MapErrors {
+        offset_dn: dark.as_ref().map_or(0.0, |d| d.offset_left_dn),
+        response: response.as_ref().map_or(0.0, |(_, left)| *left),
+    };
+    Ok(NoiseCalibration {
+        model,
+        offset_dn: dark.map(|d| d.offset),
+        response: response.map(|(map, _)| map),
+        left,
+        photon_transfer,
+        notes,
+    })
 }
 
 fn gain(
@@ -277,9 +301,9 @@ fn measure_darks(session: &Session, saturation_dn: f64, step: &mut impl FnMut())
     };
     let stats = read_group(session, Role::Dark, group, step)?;
     let level = stats.summary(0.0, None, saturation_dn);
-    let (black, offset) = stats.offsets(level.map(|l| l.variance));
+    let (black, offset, offset_left_dn) = stats.offsets(level.map(|l| l.variance));
     let frames = group.frames.len() as f64;
-    Ok(Some(Dark { black, offset, level: level.map(|l| Summary { mean: 0.0, ..l }), frames }))
+    Ok(Some(Dark { black, offset, level: level.map(|l| Summary { mean: 0.0, ..l }), frames, offset_left_dn }))
 }
 
 /// What the flats say.
@@ -287,7 +311,7 @@ struct Flats {
     /// Mean and variance of each light level, from darkest to brightest; levels of one frame or in saturation are left out.
     levels: Vec<Summary>,
     /// Response of each pixel; None without darks, since offsets would pass for it.
-    response: Option<Array2<f32>>,
+    response: Option<(Array2<f32>, f64)>,
 }
 
 fn measure_flats(

@@ -83,7 +83,7 @@ impl ResponseSums {
     /// Response of each pixel relative to the mean; None where the flats show no spread beyond their noise.
     ///
     /// `offset_dn2` is the variance of the offsets that were taken off all levels.
-    pub(super) fn finish(self, offset_dn2: f64) -> Option<Array2<f32>> {
+    pub(super) fn finish(self, offset_dn2: f64) -> Option<(Array2<f32>, f64)> {
         let maps = self.maps?;
         // Relative response less one, and the variance that noise gives it; nothing is known without weight.
         let known = maps.weight.iter().zip(&maps.excess).zip(&maps.per_dn).map(|((w, e), p)| {
@@ -105,7 +105,8 @@ impl ResponseSums {
             (1.0 + kept * off) as f32
         };
         let values = pixels.into_iter().map(|p| p.map_or(1.0, response)).collect();
-        Array2::from_shape_vec(maps.weight.dim(), values).ok()
+        let left = spread.between * spread.noise / total;
+        Array2::from_shape_vec(maps.weight.dim(), values).ok().map(|map| (map, left.sqrt()))
     }
 }
 
@@ -262,7 +263,7 @@ mod tests {
             let level = Level { light_dn: &light_dn, frames: 8.0, summary: Summary { mean, variance, sigma } };
             sums.add(&level, 0.7).unwrap();
         }
-        (truth, sums.finish(0.0))
+        (truth, sums.finish(0.0).map(|(map, _)| map))
     }
 
     fn rms(a: impl Iterator<Item = f64>) -> f64 {
