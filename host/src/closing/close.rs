@@ -401,12 +401,15 @@ fn rejected(model: &Model<'_>, rest: &[Candidate], state: &State, found: &[Found
         let Some((name, p)) = expanded.iter().find(|(_, p)| p.kind == Kind::Strength) else { continue };
         let candidate = rest.iter().find(|c| c.term.id() == d.id);
         let test = candidate.and_then(|c| c.test.as_ref());
-        let upper_limit = candidate.and_then(|c| c.upper_limit());
+        let first = candidate.and_then(Candidate::first);
+        // 95 % of a normal variable lie below 1.645 standard deviations.
+        let upper_limit = first.map(|(value, sigma)| value.abs() + 1.645 * sigma);
         let told = upper_limit.is_some_and(|u| u.is_finite() && u < (p.max - p.off).abs().max((p.off - p.min).abs()));
         out.push(Rejected {
             id: d.id.into(),
             param: name.clone(),
             upper_limit: upper_limit.filter(|_| told),
+            sigma: first.map(|(_, sigma)| sigma).filter(|_| told),
             unit: p.unit.into(),
             z: test.map_or(0.0, |t| t.z),
             needs: (!told).then(|| needs(d.stage, d.id).into()),

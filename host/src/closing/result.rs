@@ -66,6 +66,8 @@ pub struct Rejected {
     pub param: String,
     /// What that is below with 95 % confidence (its absolute value); None: this session cannot tell.
     pub upper_limit: Option<f64>,
+    /// Standard error that it would have had: the sensitivity of the session; None: it cannot tell.
+    pub sigma: Option<f64>,
     /// Its unit.
     pub unit: String,
     /// Strength of the evidence for it.

@@ -46,14 +46,13 @@ impl Candidate {
         self.test.as_ref().map_or(1.0, |t| (t.p * self.starts as f64).min(1.0))
     }
 
-    /// What its first strength is below, with 95 % confidence.
-    pub fn upper_limit(&self) -> Option<f64> {
+    /// Estimate and standard error of its first strength.
+    pub fn first(&self) -> Option<(f64, f64)> {
         if let Some(table) = &self.table {
-            let size = table.term.params.first().copied().unwrap_or(0.0);
-            return Some(size + 1.645 * table.sigma);
+            return Some((table.term.params.first().copied().unwrap_or(0.0), table.sigma));
         }
         let t = self.test.as_ref()?;
-        Some(t.theta.first()?.abs() + 1.645 * t.covariance.get((0, 0))?.sqrt())
+        Some((*t.theta.first()?, t.covariance.get((0, 0))?.sqrt()))
     }
 
     /// What it earns beyond its price.
