@@ -9,7 +9,7 @@ use std::path::Path;
 /// Kinds of files that the verbs exchange.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum FileKind {
-    /// A safetensors artifact of the kind that its header names: `instrument`, `checkpoint`, `shard`, `evaluation`.
+    /// A safetensors artifact of the kind that its header names: `instrument`, `checkpoint`, `shard`, `evaluation`, `closing`.
     Artifact(String),
     /// The network file of a device.
     Blob,

@@ -1,6 +1,7 @@
 //! `demo`: nothing but the verbs in a row, on the virtual instrument.
 
 use super::evaluate::table;
+use super::hidden::Hidden;
 use super::{Cli, Outcome, Run};
 use crate::artifact;
 use crate::evaluate::{Evaluation, MethodFigures};
@@ -29,7 +30,11 @@ pub struct Args {
 /// One verb with its options, and what it is for.
 struct Chapter {
     what: &'static str,
+    /// Name of its figures; the verb, unless that comes twice.
+    name: String,
     words: Vec<String>,
+    /// Added to the seed of the run: the second session has other scenes and other noise.
+    seed: u64,
 }
 
 /// Runs the verb.
@@ -40,11 +45,12 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let start = Instant::now();
     let folder = &args.output;
     prepare(folder)?;
-    let chapters = chapters(args, folder);
+    let hidden = Hidden::draw(run.seed);
+    let chapters = chapters(args, folder, &hidden);
     let mut figures = serde_json::Map::new();
     for (i, chapter) in chapters.iter().enumerate() {
         let (json, seconds) = play(chapter, run, [i + 1, chapters.len()], start)?;
-        let name = chapter.words[0].clone();
+        let name = chapter.name.clone();
         artifact::write_whole(&folder.join(format!("{name}.json")), format!("{json}\n").as_bytes())?;
         let mut entry = json;
         if let Some(fields) = entry.as_object_mut() {
@@ -52,7 +58,9 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         }
         figures.insert(name, entry);
     }
-    closing(folder, &figures, start.elapsed().as_secs_f64())
+    let (line, found) = hidden.outcome(&folder.join(CLOSED))?;
+    figures.insert("hidden".into(), found);
+    closing(folder, &figures, &line, start.elapsed().as_secs_f64())
 }
 
 /// Marks a folder as one that a demo may replace.
@@ -78,7 +86,10 @@ fn prepare(folder: &Path) -> anyhow::Result<()> {
     Ok(artifact::write_whole(&folder.join(MARKER), text.as_bytes())?)
 }
 
-fn chapters(args: &Args, folder: &Path) -> Vec<Chapter> {
+/// The instrument whose loop is closed.
+const CLOSED: &str = "closed.safetensors";
+
+fn chapters(args: &Args, folder: &Path, hidden: &Hidden) -> Vec<Chapter> {
     let at = |name: &str| folder.join(name).display().to_string();
     let chapter = |what, text: &str| {
         // `@name` stands for a file of the folder, whose path may hold blanks.
@@ -86,13 +97,17 @@ fn chapters(args: &Args, folder: &Path) -> Vec<Chapter> {
             Some((before, name)) => format!("{before}{}", at(name)),
             None => w.to_string(),
         };
-        Chapter { what, words: text.split_whitespace().map(word).collect() }
+        let words: Vec<String> = text.split_whitespace().map(word).collect();
+        Chapter { what, name: words[0].clone(), words, seed: 0 }
     };
     let bench = format!("bench @session --frames {}", args.frames);
     let train = format!(
         "train @pairs --instrument @instrument.safetensors -o @network.safetensors --preset nano --steps {}",
         args.steps
     );
+    let changed = format!("bench @hidden --frames {SCENES} --effect {}", hidden.option());
+    let what = "the same instrument after something has happened to it, which the next chapter is not told";
+    let changed = Chapter { name: "changed".into(), seed: 1, ..chapter(what, &changed) };
     vec![
         chapter("the virtual instrument measures darks, flats, a bead scan and scenes of known truth", &bench),
         chapter(
@@ -115,13 +130,21 @@ fn chapters(args: &Args, folder: &Path) -> Vec<Chapter> {
             "evaluate @session --with @network.safetensors --with @network.omm --with @instrument.safetensors \
              --stack device=@device.npy -o @evaluation.safetensors",
         ),
+        changed,
+        chapter(
+            "closing the loop: what does the calibrated model lack now?",
+            &format!("close @hidden --instrument @instrument.safetensors -o @{CLOSED}"),
+        ),
         chapter(
             "one page of it all",
-            "report @evaluation.safetensors @device.json @network.omm @instrument.safetensors @network.safetensors @session \
+            "report @evaluation.safetensors @closed.closing @device.json @network.omm @instrument.safetensors @network.safetensors @session \
              -o @report.html",
         ),
     ]
 }
+
+/// Scenes of the second session.
+const SCENES: usize = 8;
 
 /// Runs a chapter as a command line of its own, inside this process.
 fn play(chapter: &Chapter, run: &Run, [number, of]: [usize; 2], begin: Instant) -> anyhow::Result<(Value, f64)> {
@@ -134,7 +157,7 @@ fn play(chapter: &Chapter, run: &Run, [number, of]: [usize; 2], begin: Instant) 
     let start = Instant::now();
     let words = std::iter::once("ommatidia".to_string()).chain(chapter.words.iter().cloned());
     let mut cli = Cli::try_parse_from(words).with_context(|| format!("`ommatidia {}`", chapter.words.join(" ")))?;
-    cli.run = run.clone();
+    cli.run = Run { seed: run.seed.wrapping_add(chapter.seed), ..run.clone() };
     let outcome = cli.run().with_context(|| format!("`ommatidia {}`", chapter.words.join(" ")))?;
     let seconds = start.elapsed().as_secs_f64();
     for line in outcome.text.lines() {
@@ -146,7 +169,12 @@ fn play(chapter: &Chapter, run: &Run, [number, of]: [usize; 2], begin: Instant) 
 }
 
 /// The table, what was aimed at, and where the report is.
-fn closing(folder: &Path, figures: &serde_json::Map<String, Value>, seconds: f64) -> anyhow::Result<Outcome> {
+fn closing(
+    folder: &Path,
+    figures: &serde_json::Map<String, Value>,
+    hidden: &str,
+    seconds: f64,
+) -> anyhow::Result<Outcome> {
     let (evaluation, _) = Evaluation::read(&folder.join("evaluation.safetensors"))?;
     let methods = &evaluation.summary.methods;
     let device = figures.get("device").unwrap_or(&Value::Null);
@@ -164,6 +192,7 @@ fn closing(folder: &Path, figures: &serde_json::Map<String, Value>, seconds: f64
             if t.holds { "holds" } else { "MISSED" }
         );
     }
+    let _ = writeln!(text, "\n{hidden}");
     let page = folder.join("report.html");
     let page = page.canonicalize().unwrap_or(page);
     let _ = writeln!(text, "\n{} in all. The report is {}", report::seconds(seconds), page.display());
@@ -212,7 +241,7 @@ mod tests {
     #[test]
     fn each_chapter_is_a_command_line_that_the_program_takes() {
         let args = Args { output: "a folder".into(), frames: 4, steps: 10 };
-        for chapter in chapters(&args, &args.output) {
+        for chapter in chapters(&args, &args.output, &Hidden::draw(1)) {
             let words = std::iter::once("ommatidia".to_string()).chain(chapter.words.iter().cloned());
             let parsed = Cli::try_parse_from(words);
             assert!(parsed.is_ok(), "{}: {}", chapter.words.join(" "), parsed.unwrap_err());

@@ -1,6 +1,9 @@
 //! `inspect`: what a file is.
 
 use super::{Outcome, Run};
+use crate::closing::file;
+use crate::closing::omnibus::Dependence;
+use crate::closing::result::{self, Closing, Effect};
 use crate::kind::FileKind;
 use crate::session::{FrameReader, Session};
 use crate::{artifact, report};
@@ -13,7 +16,7 @@ use std::path::{Path, PathBuf};
 /// Options of `inspect`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Instrument, checkpoint, evaluation, network file, session folder, stack of frames, or JSON that a verb printed
+    /// Instrument, checkpoint, evaluation, account of a closed loop, network file, session folder, stack of frames, or JSON that a verb printed
     artifact: PathBuf,
 }
 
@@ -38,8 +41,46 @@ pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
         }
     };
     let mut text = format!("{}\n", path.display());
-    list(&mut text, &json, 1);
+    // The body of an account is long: people get its figures, programs all of it.
+    let mut shown = json.clone();
+    if json["kind"] == file::KIND
+        && let Some(fields) = shown.as_object_mut()
+    {
+        let closing: Closing = serde_json::from_value(json["body"]["closing"].clone())
+            .with_context(|| format!("{}: the account is damaged", path.display()))?;
+        fields.insert("body".into(), summary(&closing));
+    }
+    list(&mut text, &shown, 1);
     Ok(Outcome { json, text })
+}
+
+/// The main figures of an account.
+fn summary(c: &Closing) -> Value {
+    let effect = |e: &Effect| {
+        let most = e.params.iter().filter(|v| v.sigma > 0.0).max_by(|a, b| {
+            let stands_out = |v: &result::Value| (v.value / v.sigma).abs();
+            stands_out(a).total_cmp(&stands_out(b))
+        });
+        let value =
+            most.map_or(String::new(), |v| format!(", {} = {:.4} +- {:.4} {}", v.name, v.value, v.sigma, v.unit));
+        format!("{} ({:.1} sigma){}", e.id, e.z, value.trim_end_matches(" 1"))
+    };
+    let strongest = |d: &[Dependence]| {
+        let most = d.iter().max_by(|a, b| a.z.total_cmp(&b.z));
+        most.map_or("nothing tested".into(), |d| format!("{:.1} sigma, {}", d.z, d.covariate.words()))
+    };
+    json!({
+        "session": c.session,
+        "chi2 / pixel": format!("{:.4} -> {:.4}", c.before.chi2_ndf, c.after.chi2_ndf),
+        "NRMSE": format!("{:.4} -> {:.4}", c.before.nrmse, c.after.nrmse),
+        "held-out frames": c.held_out_frames,
+        "structure before": strongest(&c.dependences_before),
+        "structure after": strongest(&c.dependences_after),
+        "effects": c.effects.iter().map(effect).collect::<Vec<_>>().join("; "),
+        "not found": c.rejected.len(),
+        "catalogue incomplete": c.catalogue_incomplete,
+        "faults of the record": c.faults.len(),
+    })
 }
 
 fn of_artifact(path: &Path) -> anyhow::Result<Value> {

@@ -7,6 +7,7 @@ mod common;
 mod demo;
 mod device;
 mod evaluate;
+mod hidden;
 mod inspect;
 mod manual;
 mod predict;

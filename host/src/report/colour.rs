@@ -2,7 +2,7 @@
 
 use colorous::Gradient;
 
-/// A colour map. Both grow evenly in lightness from black, so a step of signal looks the same everywhere.
+/// A colour map. Those of light grow evenly in lightness from black, so a step of signal looks the same everywhere.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ColourMap {
     /// Black, violet, red, yellow, white: light.
@@ -11,7 +11,14 @@ pub enum ColourMap {
     Viridis,
     /// Black to white: raw frames.
     Grey,
+    /// Blue, white, red: what may lie on either side of zero, which is white. What is no number is [`ABSENT`].
+    Diverging,
 }
+
+/// Colour of a pixel that says nothing.
+pub const ABSENT: [u8; 3] = [150, 154, 158];
+/// Its place in the palette of [`ColourMap::Diverging`], whose levels are the 255 before it: an odd number, so that zero has one.
+pub const ABSENT_LEVEL: u8 = 255;
 
 impl ColourMap {
     /// Red, green, blue at `t` in 0..=1.
@@ -23,6 +30,10 @@ impl ColourMap {
                 let level = (255.0 * t.clamp(0.0, 1.0)).round() as u8;
                 return [level; 3];
             }
+            Self::Diverging => {
+                let c = colorous::RED_BLUE.eval_continuous(1.0 - t.clamp(0.0, 1.0));
+                return [c.r, c.g, c.b];
+            }
         };
         let colour = gradient.eval_continuous(t.clamp(0.0, 1.0));
         [colour.r, colour.g, colour.b]
@@ -30,7 +41,14 @@ impl ColourMap {
 
     /// The 256 colours of an 8-bit picture.
     pub fn palette(self) -> Vec<u8> {
-        (0..=255).flat_map(|i| self.at(f64::from(i) / 255.0)).collect()
+        let levels = f64::from(self.levels());
+        let absent = (self == Self::Diverging).then_some(ABSENT);
+        (0..=self.levels()).map(|i| self.at(f64::from(i) / levels)).chain(absent).flatten().collect()
+    }
+
+    /// The highest level of an 8-bit picture.
+    pub fn levels(self) -> u8 {
+        if self == Self::Diverging { ABSENT_LEVEL - 1 } else { 255 }
     }
 
     /// A CSS gradient from low (left) to high (right).
@@ -75,6 +93,10 @@ mod tests {
         assert_eq!(ColourMap::Grey.at(1.0), [255; 3]);
         assert_eq!(ColourMap::Grey.at(-3.0), [0; 3]);
         assert_eq!(ColourMap::Inferno.palette().len(), 768);
+        let palette = ColourMap::Diverging.palette();
+        assert_eq!((palette.len(), &palette[765..]), (768, ABSENT.as_slice()));
+        let [blue, zero, red] = [0, 127, 254].map(|i: usize| [palette[3 * i], palette[3 * i + 1], palette[3 * i + 2]]);
+        assert!(blue[2] > blue[0] && red[0] > red[2] && zero.iter().all(|v| *v > 240), "{blue:?} {zero:?} {red:?}");
         assert!(ColourMap::Grey.css().starts_with("linear-gradient(to right,#000000,"));
     }
 }

@@ -33,7 +33,7 @@ pub enum ReportError {
     Chart(String),
     /// The file is of a kind that a report does not show.
     #[error(
-        "{path}: expected an instrument, checkpoint, blob, evaluation, session folder or the JSON of a verb, found {found}"
+        "{path}: expected an instrument, checkpoint, blob, evaluation, closing, session folder or the JSON of a verb, found {found}"
     )]
     Kind {
         /// The file.

@@ -1,11 +1,13 @@
 //! Artifacts rendered to one HTML file that needs nothing else. Computes no figure: each stands in an artifact.
 
 mod chart;
+mod closing;
 mod colour;
 mod device;
 mod error;
 mod optics;
 mod page;
+mod panel;
 mod picture;
 mod scenes;
 #[cfg(test)]
@@ -17,10 +19,12 @@ pub use error::ReportError;
 pub use scenes::{bytes, seconds};
 
 use crate::artifact;
+use crate::closing::file::{self as account, Account};
 use crate::evaluate::Evaluation;
 use crate::instrument::Instrument;
 use crate::kind::FileKind;
 use crate::session::Session;
+use closing::Asked;
 use maud::{Markup, html};
 use ommatidia_shared::blob::{Header, Network};
 use page::{Key, Numbers, Section};
@@ -38,6 +42,7 @@ struct Piece {
 enum Content {
     Instrument(Box<Instrument>),
     Evaluation(Box<Evaluation>),
+    Closing(Box<Account>, Asked),
     Checkpoint,
     Blob(Box<Header>, u64),
     Session(Box<Session>),
@@ -45,44 +50,48 @@ enum Content {
     Other,
 }
 
-/// Renders files to one page: instruments, checkpoints, evaluations, network files, session folders, JSON of verbs.
+/// Renders files to one page: instruments, checkpoints, evaluations, accounts of closed loops, network files, session folders, JSON of verbs.
 ///
 /// # Errors
 /// A file cannot be read or is of no kind that a report shows.
 pub fn render(paths: &[PathBuf]) -> Result<String, ReportError> {
     let pieces = paths.iter().map(|p| load(p)).collect::<Result<Vec<_>, _>>()?;
     let mut numbers = Numbers::default();
-    let chapters: [(&'static str, &'static str, Chapter); 6] = [
-        ("scenes", "Reconstructions", |p, n| match &p.content {
+    let chapters: [(&'static str, &'static str, Chapter); 8] = [
+        ("scenes", "Reconstructions", |p, _, n| match &p.content {
             Content::Evaluation(e) => Ok(Some(scenes::pictures(e, n)?)),
             _ => Ok(None),
         }),
-        ("methods", "Methods compared", |p, n| match &p.content {
+        ("methods", "Methods compared", |p, _, n| match &p.content {
             Content::Evaluation(e) => Ok(Some(scenes::figures(e, n)?)),
             _ => Ok(None),
         }),
-        ("device", "On the device", |p, n| match &p.content {
+        ("device", "On the device", |p, _, n| match &p.content {
             Content::Device => Ok(Some(device::device(&p.json, n))),
             Content::Blob(header, bytes) => Ok(Some(device::blob(header, *bytes, n))),
             _ => Ok(None),
         }),
-        ("optics", "Optics", |p, n| match &p.content {
+        ("residual", "Residual", |p, all, n| loop_of(p, Asked::Residual, all, n)),
+        ("closing", "Closing the loop", |p, all, n| loop_of(p, Asked::Close, all, n)),
+        ("optics", "Optics", |p, _, n| match &p.content {
             Content::Instrument(i) => Ok(Some(optics::optics(i, n)?)),
             _ => Ok(None),
         }),
-        ("sensor", "Sensor", |p, n| match &p.content {
+        ("sensor", "Sensor", |p, _, n| match &p.content {
             Content::Instrument(i) => Ok(Some(optics::noise(i, n)?)),
             _ => Ok(None),
         }),
-        ("training", "Training", |p, n| match &p.content {
+        ("training", "Training", |p, _, n| match &p.content {
             Content::Checkpoint => Ok(Some(training::training(&p.json, n)?)),
             _ => Ok(None),
         }),
     ];
     let mut sections = Vec::new();
     for (id, title, chapter) in chapters {
-        let parts =
-            pieces.iter().filter_map(|p| chapter(p, &mut numbers).transpose()).collect::<Result<Vec<_>, _>>()?;
+        let parts = pieces
+            .iter()
+            .filter_map(|p| chapter(p, &pieces, &mut numbers).transpose())
+            .collect::<Result<Vec<_>, _>>()?;
         if !parts.is_empty() {
             // Tables of a device and of its network file stand side by side.
             let class = if id == "device" { "two" } else { "" };
@@ -93,7 +102,20 @@ pub fn render(paths: &[PathBuf]) -> Result<String, ReportError> {
     Ok(page::document(&heading(&pieces), &lead(&pieces), &keys(&pieces), &sections))
 }
 
-type Chapter = fn(&Piece, &mut Numbers) -> Result<Option<Markup>, ReportError>;
+/// Renders a piece, with what the others say of it.
+type Chapter = fn(&Piece, &[Piece], &mut Numbers) -> Result<Option<Markup>, ReportError>;
+
+/// The chapter of an account, if that was asked for. The lenses are those of the first instrument.
+fn loop_of(piece: &Piece, asked: Asked, all: &[Piece], numbers: &mut Numbers) -> Result<Option<Markup>, ReportError> {
+    let instrument = all.iter().find_map(|p| match &p.content {
+        Content::Instrument(i) => Some(&**i),
+        _ => None,
+    });
+    match &piece.content {
+        Content::Closing(a, of) if *of == asked => closing::chapter(a, asked, instrument, numbers).map(Some),
+        _ => Ok(None),
+    }
+}
 
 fn load(path: &Path) -> Result<Piece, ReportError> {
     let kind = FileKind::of(path)?;
@@ -105,6 +127,7 @@ fn load(path: &Path) -> Result<Piece, ReportError> {
             match name.as_str() {
                 "instrument" => Content::Instrument(Box::new(Instrument::read(path)?)),
                 "evaluation" => Content::Evaluation(Box::new(Evaluation::read(path)?.0)),
+                account::KIND => Content::Closing(Box::new(Account::read(path)?), asked(path)?),
                 "checkpoint" => Content::Checkpoint,
                 _ => Content::Other,
             },
@@ -126,9 +149,16 @@ fn load(path: &Path) -> Result<Piece, ReportError> {
     Ok(Piece { path: path.into(), json, content })
 }
 
+/// What an account is of: its verb says.
+fn asked(path: &Path) -> Result<Asked, ReportError> {
+    let verb = &artifact::inspect(path)?["provenance"]["verb"];
+    Ok(if verb == "residual" { Asked::Residual } else { Asked::Close })
+}
+
 fn heading(pieces: &[Piece]) -> String {
     let name = pieces.iter().find_map(|p| match &p.content {
         Content::Evaluation(e) => Some(e.summary.session.clone()),
+        Content::Closing(a, _) => Some(a.closing.session.clone()),
         Content::Instrument(i) => Some(i.manifest.name.clone()),
         Content::Session(s) => Some(s.manifest().name.clone()),
         _ => None,
@@ -196,6 +226,8 @@ fn describe(piece: &Piece) -> String {
     let kind = match &piece.content {
         Content::Instrument(_) => "instrument",
         Content::Evaluation(_) => "evaluation",
+        Content::Closing(_, Asked::Close) => "account of a closed loop",
+        Content::Closing(_, Asked::Residual) => "residual",
         Content::Checkpoint => "checkpoint",
         Content::Blob(..) => "network file",
         Content::Session(_) => "session",

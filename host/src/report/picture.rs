@@ -1,7 +1,7 @@
 //! Pictures: an array through a colour map into a PNG that stands inside the page.
 
 use super::ReportError;
-use super::colour::ColourMap;
+use super::colour::{ABSENT_LEVEL, ColourMap};
 use base64::Engine;
 use maud::{Markup, PreEscaped, html};
 use ndarray::ArrayView2;
@@ -40,8 +40,13 @@ impl Scale {
             Tone::Linear => t,
             Tone::SquareRoot => t.sqrt(),
         };
-        // An empty range or a value that is no number shows as dark.
-        if t.is_finite() { (255.0 * t).round() as u8 } else { 0 }
+        let levels = f64::from(self.map.levels());
+        match t.is_finite() {
+            true => (levels * t).round() as u8,
+            false if self.map == ColourMap::Diverging => ABSENT_LEVEL,
+            // An empty range or a value that is no number shows as dark.
+            false => 0,
+        }
     }
 
     /// A colour bar with its ends and its unit.

@@ -124,7 +124,7 @@ fn scene(e: &Evaluation, p: usize, numbers: &mut Numbers) -> Result<Markup, Repo
 }
 
 /// From the 1st to the 99.8th percentile, so that neither a defect nor a glint sets the scale.
-fn raw_scale(raw: ArrayView2<'_, f32>) -> Scale {
+pub(super) fn raw_scale(raw: ArrayView2<'_, f32>) -> Scale {
     Scale::linear(percentile(raw, 0.01), percentile(raw, 0.998), ColourMap::Grey)
 }
 

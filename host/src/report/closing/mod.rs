@@ -1,0 +1,111 @@
+//! The loop that was closed: what the residual looked like, what was found in it, what remains, what was looked for in vain.
+
+mod effects;
+mod lenses;
+mod limits;
+mod maps;
+mod panels;
+mod story;
+#[cfg(test)]
+mod tests;
+mod words;
+
+use super::ReportError;
+use super::page::{self, Key, Numbers};
+use crate::closing::file::Account;
+use crate::closing::omnibus::Dependence;
+use crate::closing::result::Closing;
+use crate::instrument::Instrument;
+use maud::{Markup, html};
+
+/// Whether effects were looked for, or the residual alone was asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Asked {
+    /// `residual`: before and after are the same.
+    Residual,
+    /// `close`.
+    Close,
+}
+
+/// The chapter. `instrument` says where the lenses are, if it is at hand.
+///
+/// # Errors
+/// A picture cannot be encoded.
+pub fn chapter(
+    account: &Account,
+    asked: Asked,
+    instrument: Option<&Instrument>,
+    numbers: &mut Numbers,
+) -> Result<Markup, ReportError> {
+    let c = &account.closing;
+    Ok(html! {
+        (story::faults(c))
+        (page::keys(&keys(c, asked)))
+        (story::story(c, asked))
+        (maps::maps(account, asked, numbers)?)
+        (panels::panels(c, asked, numbers))
+        @if asked == Asked::Close { (effects::table(c, instrument, numbers)) (limits::limits(c, numbers)) }
+        @if let Some(i) = instrument { (lenses::maps(account, asked, i, numbers)?) }
+    })
+}
+
+/// The main figures.
+fn keys(c: &Closing, asked: Asked) -> Vec<Key> {
+    let both = |before: String, after: String| match asked {
+        Asked::Close if before != after => format!("{before} → {after}"),
+        _ => before,
+    };
+    let key = |name: &str, value: String, note: String, holds: Option<bool>| Key {
+        name: name.into(),
+        value,
+        unit: "",
+        note,
+        holds,
+    };
+    let (b, a) = (c.before, c.after);
+    let mut keys = vec![
+        key(
+            "χ² per pixel",
+            both(format!("{:.3}", b.chi2_ndf), format!("{:.3}", a.chi2_ndf)),
+            format!("{}; noise alone: 1", words::held_out(c)),
+            None,
+        ),
+        key(
+            "NRMSE",
+            both(format!("{:.2}", 100.0 * b.nrmse), format!("{:.2} %", 100.0 * a.nrmse)),
+            "the same; noise is part of it".into(),
+            None,
+        ),
+    ];
+    if keys[1].value.ends_with(|d: char| d.is_ascii_digit()) {
+        keys[1].value.push_str(" %");
+    }
+    let worst = |all: &[Dependence]| {
+        all.iter().min_by(|a, b| words::strongest_first(a, b)).map_or(String::new(), words::evidence)
+    };
+    if !c.dependences_before.is_empty() {
+        keys.push(key(
+            "Structure in the residual",
+            both(worst(&c.dependences_before), worst(&c.dependences_after)),
+            format!("the strongest of {} tests", c.dependences_before.len()),
+            None,
+        ));
+    }
+    if asked == Asked::Close {
+        let found = story::added(c).count();
+        let names: Vec<String> = story::added(c).map(|e| words::name(&e.id)).collect();
+        let note = match found {
+            0 => format!("of {} looked for", c.rejected.len()),
+            _ => names.join(", "),
+        };
+        keys.push(key("Effects found", found.to_string(), note, None));
+    }
+    let (verdict, note) = match (c.catalogue_incomplete, asked) {
+        (true, Asked::Close) => ("incomplete", "structure is left that no known effect explains"),
+        (false, Asked::Close) => ("complete", "no structure is left"),
+        (true, Asked::Residual) => ("lacks something", "the residual has structure: close the loop"),
+        (false, Asked::Residual) => ("holds", "the residual has no structure"),
+    };
+    keys.push(key("The model", verdict.into(), note.into(), Some(!c.catalogue_incomplete)));
+    keys
+}

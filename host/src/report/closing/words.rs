@@ -1,0 +1,121 @@
+//! Names, numbers and units as a reader expects them.
+
+use crate::closing::omnibus::Dependence;
+use crate::closing::result::Closing;
+
+/// An effect's name in words: ids have no blanks.
+pub fn name(id: &str) -> String {
+    id.replace('_', " ")
+}
+
+/// Significance.
+pub fn sigma(z: f64) -> String {
+    match z.abs() {
+        a if a >= 100.0 => format!("{z:.0} σ"),
+        _ => format!("{:.1} σ", z + 0.0),
+    }
+}
+
+/// Significance of a test: beyond about 36 standard deviations its probability has no number.
+pub fn evidence(d: &Dependence) -> String {
+    if d.p < 1e-280 { format!("> {:.0} σ", d.z.floor()) } else { sigma(d.z) }
+}
+
+/// Strongest first; those beyond all numbers by how far they exceed what noise makes.
+pub fn strongest_first(a: &Dependence, b: &Dependence) -> std::cmp::Ordering {
+    let excess = |d: &Dependence| d.chi2 / d.expected.max(1e-9);
+    b.z.total_cmp(&a.z).then(excess(b).total_cmp(&excess(a)))
+}
+
+/// A unit; "1" is none.
+pub fn unit(unit: &str) -> String {
+    match unit {
+        "1" => String::new(),
+        u => u.replace("^2", "²").replace("^-2", "⁻²").replace("um", "µm").replace("e-", "e⁻"),
+    }
+}
+
+/// A value and its error, both to the second figure of the error.
+pub fn plus_minus(value: f64, error: f64) -> String {
+    if !(error > 0.0 && error.is_finite() && value.is_finite()) {
+        return super::super::picture::number(value);
+    }
+    let size = value.abs().max(error).log10().floor() as i32;
+    let power = if (-3..5).contains(&size) { 0 } else { size };
+    let scale = 10f64.powi(power);
+    let decimals = (1 - (error / scale).log10().floor() as i32).clamp(0, 7) as usize;
+    let (v, e) = (value / scale, error / scale);
+    match power {
+        0 => format!("{v:.decimals$} ± {e:.decimals$}"),
+        _ => format!("({v:.decimals$} ± {e:.decimals$}) × 10{}", raised(power)),
+    }
+}
+
+/// A number with its power of ten, if it needs one.
+pub fn number(value: f64) -> String {
+    let size = value.abs().log10().floor();
+    if value == 0.0 || (-3.0..5.0).contains(&size) || !size.is_finite() {
+        return super::super::picture::number(value);
+    }
+    format!("{:.1} × 10{}", value / 10f64.powf(size), raised(size as i32))
+}
+
+fn raised(power: i32) -> String {
+    let digit = |c: char| match c {
+        '-' => '⁻',
+        '1' => '¹',
+        '2' => '²',
+        '3' => '³',
+        c => c.to_digit(10).and_then(|d| char::from_u32(0x2070 + d)).unwrap_or(c),
+    };
+    power.to_string().chars().map(digit).collect()
+}
+
+/// Several things in a sentence.
+pub fn list(items: &[String], last: &str) -> String {
+    match items {
+        [] => String::new(),
+        [one] => one.clone(),
+        [first @ .., end] => format!("{} {last} {end}", first.join(", ")),
+    }
+}
+
+/// What the figures are told of.
+pub fn held_out(c: &Closing) -> String {
+    match (c.held_out_frames.len(), c.held_out_blocks) {
+        (1, _) => "1 held-out frame".into(),
+        (n, _) if n > 1 => format!("{n} held-out frames"),
+        (_, [n, of]) => format!("{n} of {of} blocks held out"),
+    }
+}
+
+/// The text with a capital.
+pub fn capital(text: &str) -> String {
+    let mut letters = text.chars();
+    letters.next().map_or(String::new(), |first| first.to_uppercase().chain(letters).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_have_two_figures() {
+        assert_eq!(plus_minus(0.40213, 0.00432), "0.4021 ± 0.0043");
+        assert_eq!(plus_minus(-12.3, 0.96), "-12.30 ± 0.96");
+        assert_eq!(plus_minus(2.0e-5, 3.0e-6), "(2.00 ± 0.30) × 10⁻⁵");
+        assert_eq!(plus_minus(123_456.0, 2345.0), "(1.235 ± 0.023) × 10⁵");
+        assert_eq!(plus_minus(3.0, 0.0), "3");
+        assert_eq!((number(2.5e-12).as_str(), number(0.5).as_str()), ("2.5 × 10⁻¹²", "0.5"));
+    }
+
+    #[test]
+    fn sentences_list_what_they_hold() {
+        let of = |n: &[&str]| list(&n.iter().map(|s| (*s).to_string()).collect::<Vec<_>>(), "and");
+        assert_eq!([of(&[]), of(&["a"]), of(&["a", "b", "c"])], ["", "a", "a, b and c"]);
+        assert_eq!(
+            (name("charge_diffusion"), unit("1"), unit("px^2")),
+            ("charge diffusion".into(), String::new(), "px²".into())
+        );
+    }
+}
