@@ -5,7 +5,7 @@ use super::super::panel::{Panel, Series};
 use super::super::picture::number;
 use super::{story, words};
 use crate::closing::result::{Closing, Effect, Value};
-use crate::effects::{COVARIATES, KNOTS};
+use crate::effects::{COVARIATES, KNOTS, find};
 use crate::instrument::Instrument;
 use maud::{Markup, html};
 
@@ -25,11 +25,11 @@ pub fn table(c: &Closing, instrument: Option<&Instrument>, numbers: &mut Numbers
         } }
         tbody { @for e in &effects {
             tr.head {
-                td { b { (words::name(&e.id)) } }
+                td.nowrap { b { (words::name(&e.id)) } }
                 td { (e.stage) } td.n { (words::sigma(e.z)) } td { (share(e.excess_explained)) }
                 td { (values(e)) } td { (lookalikes(e)) }
             }
-            tr.words { td colspan="6" { (words::capital(&e.description)) } }
+            tr.words { td colspan="6" { (what(e)) } }
         } }
     };
     let text = "In the order in which they were added. Evidence: score test beside the nuisances (light of each scene, black level), \
@@ -38,6 +38,15 @@ pub fn table(c: &Closing, instrument: Option<&Instrument>, numbers: &mut Numbers
                 square of the correlation of their marks.";
     let charts: Vec<Markup> = effects.iter().flat_map(|e| charts(e, instrument, numbers)).collect();
     html! { div.effects { (numbers.table("Effects found.", text, rows)) } @if !charts.is_empty() { div.two { @for c in charts { (c) } } } }
+}
+
+/// What an effect does: the catalogue's words, or the account's where it has no name.
+fn what(e: &Effect) -> &str {
+    if e.known {
+        find(&e.id).map_or(e.description.as_str(), |known| known.descriptor().summary)
+    } else {
+        &e.description
+    }
 }
 
 fn share(share: Option<f64>) -> Markup {
@@ -55,6 +64,7 @@ fn lookalikes(e: &Effect) -> Markup {
     html! {
         @if names.is_empty() { span.soft { "nothing else in the catalogue" } }
         @else {
+            @if e.overlap < words::ALIKE { span.soft { "explains as much, but differently: " } }
             (words::list(&names, "or")) span.soft { " (" (format!("{:.2}", e.overlap)) ")" }
             @if let Some(by) = &e.separate_by { div.soft { (words::capital(by)) } }
         }
@@ -65,7 +75,8 @@ fn lookalikes(e: &Effect) -> Markup {
 fn values(e: &Effect) -> Markup {
     let list = |values: &[&Value]| html! { @for v in values { div { (value(v)) } } };
     let shown: Vec<&Value> = e.params.iter().filter(|v| v.sigma > 0.0).collect();
-    let chosen: Vec<&Value> = e.params.iter().filter(|v| v.sigma <= 0.0).collect();
+    // The seed of a table says nothing of its size.
+    let chosen: Vec<&Value> = e.params.iter().filter(|v| v.sigma <= 0.0 && v.name != "seed").collect();
     html! {
         @if shown.len() <= FEW {
             (list(&shown))
@@ -78,7 +89,7 @@ fn values(e: &Effect) -> Markup {
 
 fn value(v: &Value) -> Markup {
     let unit = words::unit(&v.unit);
-    html! { span.soft { (words::name(&v.name)) " = " } span.nowrap { (words::plus_minus(v.value, v.sigma)) @if !unit.is_empty() { " " (unit) } } }
+    html! { span.soft { (words::param(&v.name)) " = " } span.nowrap { (words::plus_minus(v.value, v.sigma)) @if !unit.is_empty() { " " (unit) } } }
 }
 
 /// Charts of the values that come in rows: one a lens, or the knots of a curve.
@@ -107,7 +118,7 @@ fn row(e: &Effect, name: &str, values: &[&Value], instrument: Option<&Instrument
     let label = |i: usize| cols.map_or_else(|| (i + 1).to_string(), |c| format!("{}, {}", i / c + 1, i % c + 1));
     let every = n.div_ceil(10);
     let panel = Panel {
-        alt: format!("{} of {} by index", words::name(name), words::name(&e.id)),
+        alt: format!("{} of {} by index", words::param(name), words::name(&e.id)),
         size: [520.0, 210.0],
         labels: (0..n).step_by(every).map(|i| (at(i), label(i))).collect(),
         x_name: if cols.is_some() { "lens (row, column)".into() } else { "index".into() },
@@ -122,7 +133,7 @@ fn row(e: &Effect, name: &str, values: &[&Value], instrument: Option<&Instrument
     let title = format!(
         "{}: {}{}.",
         words::capital(&words::name(&e.id)),
-        words::name(name),
+        words::param(name),
         unit.map_or(String::new(), |u| format!(" ({u})"))
     );
     numbers.figure(&title, "Bars: one standard error.", panel.render())

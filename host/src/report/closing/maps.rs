@@ -8,7 +8,7 @@ use super::super::scenes::raw_scale;
 use super::Asked;
 use crate::closing::file::Account;
 use maud::{Markup, html};
-use ndarray::{Array2, ArrayView2, Axis, s};
+use ndarray::{Array2, Array3, ArrayView2, Axis, s};
 
 /// Ends of the colour scale, standard deviations.
 const LIMIT: f64 = 4.0;
@@ -30,12 +30,23 @@ pub fn maps(account: &Account, asked: Asked, numbers: &mut Numbers) -> Result<Ma
     if account.measured_dn.iter().len() == 0 {
         return Ok(html! {});
     }
-    let figures =
-        (0..account.frames.len()).map(|i| frame(account, asked, i, numbers)).collect::<Result<Vec<_>, _>>()?;
+    // What no fit has seen first, then where most was explained: the first is shown large.
+    let told = |all: &Array3<f32>, i: usize| rms(all.index_axis(Axis(0), i)).powi(2);
+    let rank = |i: &usize| {
+        let unseen = account.closing.held_out_frames.contains(&account.frames[*i]);
+        (unseen, told(&account.before, *i) - told(&account.after, *i))
+    };
+    let mut order: Vec<(usize, (bool, f64))> = (0..account.frames.len()).map(|i| (i, rank(&i))).collect();
+    order.sort_by(|(_, a), (_, b)| b.0.cmp(&a.0).then(b.1.total_cmp(&a.1)));
+    let figures = order
+        .into_iter()
+        .enumerate()
+        .map(|(n, (i, _))| frame(account, asked, i, n == 0, numbers))
+        .collect::<Result<Vec<_>, _>>()?;
     Ok(html! { @for f in figures { (f) } })
 }
 
-fn frame(account: &Account, asked: Asked, i: usize, numbers: &mut Numbers) -> Result<Markup, ReportError> {
+fn frame(account: &Account, asked: Asked, i: usize, first: bool, numbers: &mut Numbers) -> Result<Markup, ReportError> {
     let number = account.frames[i];
     let unseen = account.closing.held_out_frames.contains(&number);
     let measured = account.measured_dn.index_axis(Axis(0), i);
@@ -65,17 +76,24 @@ fn frame(account: &Account, asked: Asked, i: usize, numbers: &mut Numbers) -> Re
             plates.push(map("Pixel by pixel", told(before), pixels(before))?);
         }
     }
-    // The first is shown large: the mean over the pixels below it, so that the eye has one thing to compare.
-    let class = if i == 0 && asked == Asked::Close { "plates first" } else { "plates" };
-    let columns = plates.len();
+    let bars =
+        html! { (grey.bar("DN")) (scale().bar("σ")) div.scale { i.absent {} "says nothing (defect, saturated)" } };
+    let large = first && asked == Asked::Close;
+    if large {
+        // Below the measured frame there is room for what one must know to read the rest.
+        plates.insert(3, html! { div.plate.key { (bars) p { (caption(factor)) } } });
+    }
+    let class = if large { "plates first" } else { "plates" };
+    let columns = if asked == Asked::Close { 5 } else { 3 };
     let body = html! {
-        div class=(class) style=[(class == "plates").then(|| format!("grid-template-columns:repeat({columns},1fr)"))] {
+        div class=(class) style=[(!large).then(|| format!("grid-template-columns:repeat({columns},1fr)"))] {
             @for plate in plates { (plate) }
         }
-        div.bars { (grey.bar("DN")) (scale().bar("σ")) span.scale { i.absent {} "says nothing (defect, saturated)" } }
+        @if !large { div.bars { (bars) } }
     };
-    let text = match i {
-        0 => caption(factor),
+    let text = match (first, large) {
+        (true, false) => caption(factor),
+        (true, true) => "Below: the same, pixel by pixel.".into(),
         _ => "As the figure before.".into(),
     };
     let held = if unseen { ", which no fit has seen" } else { "" };

@@ -52,8 +52,8 @@ pub fn chapter(
 /// The main figures.
 fn keys(c: &Closing, asked: Asked) -> Vec<Key> {
     let both = |before: String, after: String| match asked {
-        Asked::Close if before != after => format!("{before} → {after}"),
-        _ => before,
+        Asked::Close => format!("{before} → {after}"),
+        Asked::Residual => before,
     };
     let key = |name: &str, value: String, note: String, holds: Option<bool>| Key {
         name: name.into(),
@@ -72,14 +72,11 @@ fn keys(c: &Closing, asked: Asked) -> Vec<Key> {
         ),
         key(
             "NRMSE",
-            both(format!("{:.2}", 100.0 * b.nrmse), format!("{:.2} %", 100.0 * a.nrmse)),
+            format!("{} %", both(format!("{:.2}", 100.0 * b.nrmse), format!("{:.2}", 100.0 * a.nrmse))),
             "the same; noise is part of it".into(),
             None,
         ),
     ];
-    if keys[1].value.ends_with(|d: char| d.is_ascii_digit()) {
-        keys[1].value.push_str(" %");
-    }
     let worst = |all: &[Dependence]| {
         all.iter().min_by(|a, b| words::strongest_first(a, b)).map_or(String::new(), words::evidence)
     };

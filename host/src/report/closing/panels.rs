@@ -101,9 +101,13 @@ fn labels(d: &Dependence, at: &dyn Fn(usize) -> f64) -> Vec<(f64, String)> {
             };
             let mut places = vec![0, n / 2, n - 1];
             places.dedup();
+            let largest = d.at.iter().fold(0.0f64, |m, v| m.max(v.abs()));
             let text = |i: usize| {
-                let v = d.at[i];
-                let v = if v.abs() >= 10.0 { v.round() } else { v };
+                let v = match d.at[i] {
+                    v if v.abs() < 2e-3 * largest => 0.0,
+                    v if v.abs() >= 10.0 => v.round(),
+                    v => v,
+                };
                 format!("{}{}", number(v).replace('-', "−"), if i + 1 == n { unit } else { "" })
             };
             places.into_iter().map(|i| (at(i), text(i))).collect()

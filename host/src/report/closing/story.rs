@@ -5,6 +5,9 @@ use crate::closing::omnibus::Dependence;
 use crate::closing::result::{Closing, Effect, Value};
 use maud::{Markup, html};
 
+/// Effects that explain less than this share of the excess are named, not told.
+const MAIN: f64 = 0.05;
+
 /// The effects that were added to the instrument: faults of the record are told by themselves.
 pub fn added(c: &Closing) -> impl Iterator<Item = &Effect> {
     c.effects.iter().filter(|e| e.stage != "record")
@@ -59,21 +62,38 @@ fn found(c: &Closing) -> Markup {
         return html! { b { "Nothing was added: " } "no effect of the catalogue improves the prediction of held-out data beyond chance. \
         How small each of them must be is told below. " };
     }
+    let (main, small): (Vec<&Effect>, Vec<&Effect>) =
+        effects.iter().copied().partition(|e| e.id == effects[0].id || e.excess_explained.is_none_or(|f| f >= MAIN));
     html! {
-        @for (i, e) in effects.iter().enumerate() {
-            @if i == 0 { "What was missing is " } @else { "Then " }
-            b { (title(e)) }
-            @if let Some(v) = leading(e) { ", " (v) }
-            " (" (words::sigma(e.z))
-            @if let Some(f) = e.excess_explained { ", " (format!("{:.0} %", 100.0 * f)) " of the excess over noise" }
-            "). "
-            @if !e.ambiguity.is_empty() {
-                @let others: Vec<String> = e.ambiguity.iter().map(|id| words::name(id)).collect();
-                "This session cannot tell it from " (words::list(&others, "or"))
-                " (overlap " (format!("{:.2}", e.overlap)) ")"
-                @if let Some(by) = &e.separate_by { "; to tell them apart, measure " i { (by) } }
-                ". "
+        @for (i, e) in main.iter().enumerate() { (sentence(e, i)) }
+        @if !small.is_empty() {
+            @let names: Vec<String> = small.iter().map(|e| words::name(&e.id)).collect();
+            @let share: f64 = small.iter().filter_map(|e| e.excess_explained).sum();
+            "Smaller terms came after: " (words::list(&names, "and")) " (" (format!("{:.0} %", 100.0 * share)) " of the excess"
+            @if small.len() > 1 { " together" } "). "
+        }
+    }
+}
+
+/// An effect that is told in full.
+fn sentence(e: &Effect, i: usize) -> Markup {
+    let others: Vec<String> = e.ambiguity.iter().map(|id| words::name(id)).collect();
+    html! {
+        @if i == 0 { "What was missing is " } @else { "Then " }
+        b { (title(e)) }
+        @if let Some(v) = leading(e) { ", " (v) }
+        " (" (words::sigma(e.z))
+        @if let Some(f) = e.excess_explained { ", " (format!("{:.0} %", 100.0 * f)) " of the excess over noise" }
+        "). "
+        @if !others.is_empty() {
+            @if e.overlap >= words::ALIKE {
+                "This session hardly tells it from " (words::list(&others, "or")) " (overlap " (format!("{:.2}", e.overlap)) ")"
+            } @else {
+                "Just then " (words::list(&others, "or")) " would have explained as much, with a mark of its own (overlap "
+                (format!("{:.2}", e.overlap)) ")"
             }
+            @if let Some(by) = &e.separate_by { "; to be sure: " i { (by) } }
+            ". "
         }
     }
 }
@@ -93,7 +113,7 @@ fn leading(e: &Effect) -> Option<String> {
     let most = measured.into_iter().max_by(|a, b| (a.value / a.sigma).abs().total_cmp(&(b.value / b.sigma).abs()))?;
     let unit = words::unit(&most.unit);
     let number = words::plus_minus(most.value, most.sigma);
-    Some(format!("{} = {number}{}{unit}", words::name(&most.name), if unit.is_empty() { "" } else { " " }))
+    Some(format!("{} = {number}{}{unit}", words::param(&most.name), if unit.is_empty() { "" } else { " " }))
 }
 
 fn rest(c: &Closing, asked: Asked) -> Markup {

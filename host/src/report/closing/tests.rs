@@ -100,7 +100,7 @@ fn the_chapter_tells_what_was_found_what_not_and_what_remains() {
         &page,
         &["1.620 → 1.004", "2 held-out frames", "18.0 σ → 0.2 σ", "<b>charge diffusion</b>", "93 % of the excess"],
     );
-    holds(&page, &["sigma px = 0.4021 ± 0.0043 px", "tell it from defocus", "a bead scan at several depths"]);
+    holds(&page, &["sigma = 0.4021 ± 0.0043 px", "tells it from defocus", "a bead scan at several depths"]);
     holds(
         &page,
         &["Frame 3, which no fit has seen.", "Frame 5.", "Residual before", "Residual after", "Lens by lens."],

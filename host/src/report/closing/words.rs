@@ -5,7 +5,21 @@ use crate::closing::result::Closing;
 
 /// An effect's name in words: ids have no blanks.
 pub fn name(id: &str) -> String {
-    id.replace('_', " ")
+    let word = |w| match w {
+        "prnu" => "PRNU",
+        "dsnu" => "DSNU",
+        "adc" => "ADC",
+        w => w,
+    };
+    id.split('_').map(word).collect::<Vec<_>>().join(" ")
+}
+
+/// A parameter's name in words, without the unit that follows its value anyway.
+pub fn param(name: &str) -> String {
+    let units = ["px", "px2", "um", "dn", "e", "s", "ms", "hz", "mrad"];
+    let words: Vec<&str> = name.split('_').collect();
+    let kept = words.iter().enumerate().filter(|(i, w)| *i == 0 || words[i - 1] == "per" || !units.contains(*w));
+    kept.map(|(_, w)| *w).collect::<Vec<_>>().join(" ")
 }
 
 /// Significance.
@@ -21,10 +35,13 @@ pub fn evidence(d: &Dependence) -> String {
     if d.p < 1e-280 { format!("> {:.0} σ", d.z.floor()) } else { sigma(d.z) }
 }
 
-/// Strongest first; those beyond all numbers by how far they exceed what noise makes.
+/// Strongest first; those beyond all numbers by how much the residual changes along the covariate.
 pub fn strongest_first(a: &Dependence, b: &Dependence) -> std::cmp::Ordering {
-    let excess = |d: &Dependence| d.chi2 / d.expected.max(1e-9);
-    b.z.total_cmp(&a.z).then(excess(b).total_cmp(&excess(a)))
+    let spread = |d: &Dependence| {
+        let ends = d.mean.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |r, m| (r.0.min(*m), r.1.max(*m)));
+        (ends.1 - ends.0).max(0.0)
+    };
+    b.z.total_cmp(&a.z).then(spread(b).total_cmp(&spread(a)))
 }
 
 /// A unit; "1" is none.
@@ -80,6 +97,9 @@ pub fn list(items: &[String], last: &str) -> String {
     }
 }
 
+/// Squares of correlation from which on two marks are alike.
+pub const ALIKE: f64 = 0.5;
+
 /// What the figures are told of.
 pub fn held_out(c: &Closing) -> String {
     match (c.held_out_frames.len(), c.held_out_blocks) {
@@ -113,6 +133,7 @@ mod tests {
     fn sentences_list_what_they_hold() {
         let of = |n: &[&str]| list(&n.iter().map(|s| (*s).to_string()).collect::<Vec<_>>(), "and");
         assert_eq!([of(&[]), of(&["a"]), of(&["a", "b", "c"])], ["", "a", "a, b and c"]);
+        assert_eq!(["sigma_px", "row_px_3", "rate_per_s", "dn"].map(param), ["sigma", "row 3", "rate per s", "dn"]);
         assert_eq!(
             (name("charge_diffusion"), unit("1"), unit("px^2")),
             ("charge diffusion".into(), String::new(), "px²".into())
