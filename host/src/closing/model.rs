@@ -386,12 +386,15 @@ impl<'a> Model<'a> {
         Ok(Some(self.dn(k, light, chain, previous, state.black_dn)))
     }
 
-    /// What of a change of the expected frame can be seen in frame `k`: all of it, or what is sharper than the smooth part.
+    /// What of a change of the expected frame can be seen in frame `k`: all of it, or what is sharper than the smooth part. A
+    /// change that is mostly smooth cannot be told from the specimen: nothing of it is seen.
     pub fn visible(&self, k: usize, change: Array2<f32>) -> Array2<f32> {
-        match self.seen.frames[k].shown {
-            Shown::Unknown => &change - &smooth(&change),
-            _ => change,
+        if self.seen.frames[k].shown != Shown::Unknown {
+            return change;
         }
+        let sharp = &change - &smooth(&change);
+        let power = |image: &Array2<f32>| image.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>();
+        if power(&sharp) < 0.5 * power(&change) { Array2::zeros(change.dim()) } else { sharp }
     }
 }
 

@@ -142,7 +142,11 @@ pub fn test(model: &Model<'_>, now: &[Predicted], replicas: &[Vec<Option<Array2<
     if frames.is_empty() {
         return Vec::new();
     }
-    let bins: Vec<Bins> = Covariate::ALL.par_iter().filter_map(|c| Bins::of(*c, model, now, &frames)).collect();
+    // The sharp part of an unknown specimen is its own: only what is fixed to the sensor can be held against the model.
+    let unknown = model.seen.frames[frames[0]].shown == Shown::Unknown;
+    let fixed = |c: &Covariate| matches!(c, Covariate::RowParity | Covariate::ColumnParity | Covariate::Checkerboard);
+    let tested: Vec<Covariate> = Covariate::ALL.into_iter().filter(|c| !unknown || fixed(c)).collect();
+    let bins: Vec<Bins> = tested.par_iter().filter_map(|c| Bins::of(*c, model, now, &frames)).collect();
     let residual: Vec<Vec<f32>> = frames.iter().map(|k| gather(model, &now[*k], &now[*k].residual_dn)).collect();
     let directions: Vec<Vec<Option<Vec<f32>>>> = replicas
         .iter()
