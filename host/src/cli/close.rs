@@ -4,8 +4,9 @@ use super::{Outcome, Run};
 use crate::artifact::Provenance;
 use crate::closing::close::{close, same_layout};
 use crate::closing::observe::{Budget, Observations};
+use crate::closing::recalibrate;
 use crate::closing::result::{Closing, Effect};
-use crate::instrument::Instrument;
+use crate::instrument::{CalibrateConfig, Instrument};
 use crate::session::Session;
 use anyhow::Context;
 use std::fmt::Write;
@@ -26,6 +27,9 @@ pub struct Args {
     /// Instrument file to write; the account of it is written beside it, with suffix .closing
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
+    /// The bead frames were normalised by who measured them, as for calibrate: where the PSFs must be calibrated anew
+    #[arg(long)]
+    normalise_beads: bool,
     /// Render the account to one HTML file
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
@@ -42,11 +46,16 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     same_layout(&instrument.manifest, session.manifest()).with_context(|| args.session.display().to_string())?;
     let mut seen = Observations::read(&session, &instrument, &Budget::default())?;
     let bar = run.spinner("close");
-    let closed = close(&instrument, &mut seen, &session.manifest().name, run.seed, |what| {
+    let mut closed = close(&instrument, &mut seen, &session.manifest().name, run.seed, |what| {
         bar.set_message(what.to_string());
         bar.tick();
     })
     .with_context(|| args.session.display().to_string())?;
+    if recalibrate::needed(&closed, &session) {
+        bar.set_message("calibrating anew");
+        let config = CalibrateConfig { normalise_beads: args.normalise_beads, ..CalibrateConfig::default() };
+        recalibrate::recalibrate(&mut closed, &session, &instrument, &config)?;
+    }
     bar.finish_and_clear();
     let provenance = |verb| -> anyhow::Result<Provenance> {
         let mut p = Provenance::new(verb, run.seed, &Budget::default())

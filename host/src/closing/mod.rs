@@ -9,6 +9,7 @@ pub mod file;
 pub mod model;
 pub mod observe;
 pub mod omnibus;
+pub mod recalibrate;
 pub mod record;
 pub mod refit;
 mod repeats;

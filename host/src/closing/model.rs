@@ -79,6 +79,8 @@ pub struct Predicted {
     pub inverse_sigma: Array2<f32>,
     /// Measured minus expected, DN (of an unknown specimen: the part sharper than its smooth part).
     pub residual_dn: Array2<f32>,
+    /// Light of the frame over the instrument's unit: that of its stack; of a bead its own, at its best.
+    pub scale: f64,
 }
 
 /// A column of the design: what a small change of one value does to the frames.
@@ -239,18 +241,25 @@ impl<'a> Model<'a> {
         // Errors stay those of the calibration: a fit that may widen them would like nothing better.
         let noise = self.forward.noise();
         let n = self.seen.frames.len();
-        let lights: Vec<(Array2<f32>, Array2<f32>)> = (0..n)
+        let lights: Vec<(Array2<f32>, Array2<f32>, f64)> = (0..n)
             .into_par_iter()
             .map(|k| {
-                let sum = self.sum_e(k, scenes[k].as_ref(), &chain, state.scale[self.seen.frames[k].stack]);
+                let f = &self.seen.frames[k];
+                let mut scale = state.scale[f.stack];
+                let mut sum = self.sum_e(k, scenes[k].as_ref(), &chain, scale);
+                if matches!(f.shown, Shown::Bead(..)) {
+                    let own = self.own_scale(f, &sum);
+                    scale *= own;
+                    sum *= own as f32;
+                }
                 let light = self.forward.on_sensor(sum.clone(), &chain, &self.context(k, None));
-                (sum, light)
+                (sum, light, scale)
             })
             .collect();
         lights
             .par_iter()
             .enumerate()
-            .map(|(k, (sum_e, light_e))| {
+            .map(|(k, (sum_e, light_e, scale))| {
                 let f = &self.seen.frames[k];
                 let previous = f.previous.map(|p| &lights[p].1);
                 let dn = self.dn(k, light_e.clone(), &chain, previous, state.black_dn);
@@ -270,9 +279,27 @@ impl<'a> Model<'a> {
                         }
                     },
                 );
-                Predicted { sum_e: sum_e.clone(), light_e: light_e.clone(), dn, inverse_sigma, residual_dn }
+                Predicted {
+                    sum_e: sum_e.clone(),
+                    light_e: light_e.clone(),
+                    dn,
+                    inverse_sigma,
+                    residual_dn,
+                    scale: *scale,
+                }
             })
             .collect()
+    }
+
+    /// Light of a bead's frame over what is expected, by least squares: who measured single beads may have normalised each.
+    fn own_scale(&self, f: &Frame, sum_e: &Array2<f32>) -> f64 {
+        let noise = self.forward.noise();
+        let (mut top, mut bottom) = (0.0, 0.0);
+        for (y, e) in f.measured.iter().zip(sum_e) {
+            top += (f64::from(*y) - noise.black_level_dn) * f64::from(*e);
+            bottom += f64::from(*e).powi(2) * noise.gain_dn_per_e;
+        }
+        if bottom > 0.0 && top > 0.0 { top / bottom } else { 1.0 }
     }
 
     fn dn(
@@ -359,8 +386,7 @@ impl<'a> Model<'a> {
         previous: Option<&Array2<f32>>,
         scenes: &[Option<SceneLight>],
     ) -> Result<Option<Array2<f32>>, ForwardError> {
-        let f = &self.seen.frames[k];
-        let scale = state.scale[f.stack];
+        let scale = here.scale;
         let sum = match (stage, &scenes[k]) {
             (Stage::Record, _) => return Ok(None),
             (Stage::Object | Stage::Geometry | Stage::Lens, None) => return Ok(None),

@@ -1,0 +1,93 @@
+//! When the PSFs vary more over the field than the model lets them, a number is no cure: the model needs more terms. They are
+//! calibrated anew on the session's own bead scan: once on the beads that may be fitted, for the figures on those that may not,
+//! and once on all of them, for the instrument.
+
+use super::close::{Closed, figures};
+use super::model::Model;
+use super::observe::{Budget, Observations};
+use super::refit::refit;
+use crate::instrument::{CalibrateConfig, Instrument, calibrate};
+use crate::session::{Existing, FrameInfo, Role, SampleType, Session, SessionWriter, StackEntry, StackSpec};
+use anyhow::Context;
+use std::path::Path;
+
+/// Id of the effect that asks for it.
+pub const ASKED_BY: &str = "rank_truncation";
+
+/// Whether the loop found that the model has too few terms, and the session has beads but no known scenes to tell more by.
+pub fn needed(closed: &Closed, session: &Session) -> bool {
+    let known = session.stacks_of(Role::Scene).any(|s| s.entry().truth.is_some());
+    let asked = closed.account.closing.effects.iter().any(|e| e.id == ASKED_BY);
+    asked && !known && session.stacks_of(Role::Bead).next().is_some()
+}
+
+/// Puts the new calibration in the place of the old one, with figures on the beads that its first form has not seen.
+///
+/// # Errors
+/// The session cannot be read or calibrated, or there is no room for a copy of its beads.
+pub fn recalibrate(
+    closed: &mut Closed,
+    session: &Session,
+    before: &Instrument,
+    config: &CalibrateConfig,
+) -> anyhow::Result<()> {
+    let folder = tempfile::tempdir().context("a folder for the beads that may be fitted")?;
+    let part = folder.path().join("training");
+    training_beads(session, before, &part)?;
+    let first = calibrate(&Session::open(&part)?, config, || {})?.instrument;
+    let seen = Observations::read(session, &first, &Budget::default())?;
+    let model = Model::new(&first, &seen)?;
+    let fitted = refit(&model, model.state(&first)?)?;
+    let whole = calibrate(session, config, || {})?.instrument;
+    let closing = &mut closed.account.closing;
+    closing.after = figures(&model, &fitted);
+    let terms = [before, &whole].map(|i| i.psf.basis.dim().1);
+    if let Some(effect) = closing.effects.iter_mut().find(|e| e.id == ASKED_BY) {
+        effect.description = format!(
+            "the PSF varies over the field more than {} terms a lens let it: calibrated anew with {}; NRMSE on beads that were left out \
+             {:.4} -> {:.4}",
+            terms[0], terms[1], closing.before.nrmse, closing.after.nrmse
+        );
+    }
+    closing.notes.push(
+        "the PSFs were calibrated anew on the session's own beads; what was found of chief rays and field dependence is inside their basis"
+            .into(),
+    );
+    closed.instrument = whole;
+    Ok(())
+}
+
+/// Writes a session of the beads that may be fitted, with all that is not beads as it is.
+fn training_beads(session: &Session, before: &Instrument, target: &Path) -> anyhow::Result<()> {
+    let seen = Observations::read(session, before, &Budget { beads: usize::MAX, ..Budget::default() })?;
+    let manifest = crate::session::Manifest { stacks: Vec::new(), ..session.manifest().clone() };
+    let mut writer = SessionWriter::create(target, &manifest, Existing::Keep)?;
+    for (s, stack) in session.stacks().iter().enumerate().filter(|(_, stack)| stack.role() != Role::Scene) {
+        let mut frames = stack.frames()?;
+        let taken: Vec<usize> = match stack.role() {
+            Role::Bead => seen.frames.iter().filter(|f| f.stack == s && !f.held_out).map(|f| f.info.frame).collect(),
+            _ => (0..stack.len()).collect(),
+        };
+        let name = format!("stack{s}");
+        let (rows, cols) = (session.manifest().sensor.rows, session.manifest().sensor.cols);
+        let spec = StackSpec { frames: taken.len(), rows, cols, samples: SampleType::F32, pixel_um: None };
+        let mut out = writer.frames(&format!("{name}.npy"), spec)?;
+        for i in &taken {
+            out.push(frames.read(*i)?.view())?;
+        }
+        out.finish()?;
+        let rows: Vec<FrameInfo> =
+            taken.iter().enumerate().map(|(n, i)| FrameInfo { frame: n, ..stack.info()[*i].clone() }).collect();
+        writer.table(&format!("{name}.csv"), &rows)?;
+        writer.add(StackEntry {
+            role: stack.role(),
+            file: format!("{name}.npy"),
+            exposure_ms: stack.entry().exposure_ms,
+            table: Some(format!("{name}.csv")),
+            truth: None,
+            expected: None,
+        });
+    }
+    writer.finish()?;
+    Ok(())
+}
