@@ -65,22 +65,27 @@ fn summary(c: &Closing) -> Value {
             most.map_or(String::new(), |v| format!(", {} = {:.4} +- {:.4} {}", v.name, v.value, v.sigma, v.unit));
         format!("{} ({:.1} sigma){}", e.id, e.z, value.trim_end_matches(" 1"))
     };
-    let strongest = |d: &[Dependence]| {
-        let most = d.iter().max_by(|a, b| a.z.total_cmp(&b.z));
-        most.map_or("nothing tested".into(), |d| format!("{:.1} sigma, {}", d.z, d.covariate.words()))
+    let strongest = |all: &[Dependence]| {
+        let most = all.iter().map(|d| d.z).fold(0.0, f64::max);
+        let strong = all.iter().filter(|d| d.z > 4.0).count();
+        format!("{most:.1} sigma at most, {strong} of {} covariates beyond 4", all.len())
     };
-    json!({
+    let mut figures = json!({
         "session": c.session,
         "chi2 / pixel": format!("{:.4} -> {:.4}", c.before.chi2_ndf, c.after.chi2_ndf),
         "NRMSE": format!("{:.4} -> {:.4}", c.before.nrmse, c.after.nrmse),
         "held-out frames": c.held_out_frames,
         "structure before": strongest(&c.dependences_before),
         "structure after": strongest(&c.dependences_after),
-        "effects": c.effects.iter().map(effect).collect::<Vec<_>>().join("; "),
+        "effects": c.effects.len(),
         "not found": c.rejected.len(),
         "catalogue incomplete": c.catalogue_incomplete,
         "faults of the record": c.faults.len(),
-    })
+    });
+    for (i, e) in c.effects.iter().enumerate() {
+        figures[format!("effect {}", i + 1)] = effect(e).into();
+    }
+    figures
 }
 
 fn of_artifact(path: &Path) -> anyhow::Result<Value> {

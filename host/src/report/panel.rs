@@ -68,11 +68,12 @@ impl Panel {
             let _ = write!(svg, "<path class=\"band\" d=\"M{}Z\"/>", path.join("L"));
         }
         for series in &self.series {
-            let at: Vec<String> = series.points.iter().map(|p| format!("{:.1} {:.1}", x(p[0]), y(p[1]))).collect();
+            let points: Vec<&[f64; 3]> = series.points.iter().filter(|p| p[1].is_finite()).collect();
+            let at: Vec<String> = points.iter().map(|p| format!("{:.1} {:.1}", x(p[0]), y(p[1]))).collect();
             if series.joined && at.len() > 1 {
                 let _ = write!(svg, "<path class=\"line {}\" d=\"M{}\"/>", series.class, at.join("L"));
             }
-            for p in &series.points {
+            for p in points {
                 if p[2] > 0.0 {
                     let (a, b) = (y((p[1] - p[2]).clamp(low, high)), y((p[1] + p[2]).clamp(low, high)));
                     let _ = write!(svg, "<path class=\"line {}\" d=\"M{:.1} {a:.1}V{b:.1}\"/>", series.class, x(p[0]));
@@ -166,7 +167,7 @@ mod tests {
         for part in ["a &lt; b", "line after", "<circle", "class=\"zero\""] {
             assert!(svg.contains(part), "{part}");
         }
-        for empty in [panel(Vec::new()), panel(vec![[0.5, 0.0, 0.0]])] {
+        for empty in [panel(Vec::new()), panel(vec![[0.5, 0.0, 0.0], [0.7, f64::NAN, 0.0]])] {
             assert!(!empty.svg().contains("NaN"));
         }
     }

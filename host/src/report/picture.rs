@@ -57,7 +57,7 @@ impl Scale {
         };
         html! {
             div.scale role="img" aria-label={ "Colour scale from " (number(self.low)) " to " (number(self.high)) " " (unit) } {
-                span { (number(self.low)) }
+                span { (number(self.low).replace('-', "−")) }
                 i style={ "background:" (self.map.css()) } {}
                 span { (number(self.high)) " " (unit) (tone) }
             }

@@ -20,7 +20,7 @@ pub fn table(c: &Closing, instrument: Option<&Instrument>, numbers: &mut Numbers
     }
     let rows = html! {
         thead { tr {
-            th { "Effect" } th { "Acts on" } th.n { "Evidence" } th { "Share of the excess" } th { "Values" small { "± standard error" } }
+            th { "Effect" } th { "Stage" } th.n { "Evidence" } th { "Share of the excess" } th { "Values" small { "± standard error" } }
             th { "Could also be" small { "what would tell" } }
         } }
         tbody { @for e in &effects {

@@ -73,7 +73,7 @@ fn keys(c: &Closing, asked: Asked) -> Vec<Key> {
         key(
             "NRMSE",
             format!("{} %", both(format!("{:.2}", 100.0 * b.nrmse), format!("{:.2}", 100.0 * a.nrmse))),
-            "the same; noise is part of it".into(),
+            "of the same; noise is part of it".into(),
             None,
         ),
     ];

@@ -107,13 +107,15 @@ fn title(e: &Effect) -> String {
 fn leading(e: &Effect) -> Option<String> {
     let strength = |v: &&Value| v.sigma > 0.0 && v.value.is_finite();
     let measured: Vec<&Value> = e.params.iter().filter(strength).collect();
-    if measured.len() > 4 {
+    let many = measured.len() > 4;
+    if many && !e.known {
         return None;
     }
     let most = measured.into_iter().max_by(|a, b| (a.value / a.sigma).abs().total_cmp(&(b.value / b.sigma).abs()))?;
     let unit = words::unit(&most.unit);
     let number = words::plus_minus(most.value, most.sigma);
-    Some(format!("{} = {number}{}{unit}", words::param(&most.name), if unit.is_empty() { "" } else { " " }))
+    let name = if many { "at most".to_string() } else { format!("{} =", words::param(&most.name)) };
+    Some(format!("{name} {number}{}{unit}", if unit.is_empty() { "" } else { " " }))
 }
 
 fn rest(c: &Closing, asked: Asked) -> Markup {

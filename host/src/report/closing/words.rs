@@ -16,7 +16,7 @@ pub fn name(id: &str) -> String {
 
 /// A parameter's name in words, without the unit that follows its value anyway.
 pub fn param(name: &str) -> String {
-    let units = ["px", "px2", "um", "dn", "e", "s", "ms", "hz", "mrad"];
+    let units = ["px", "px2", "um", "dn", "e", "s", "ms", "mrad"];
     let words: Vec<&str> = name.split('_').collect();
     let kept = words.iter().enumerate().filter(|(i, w)| *i == 0 || words[i - 1] == "per" || !units.contains(*w));
     kept.map(|(_, w)| *w).collect::<Vec<_>>().join(" ")
@@ -25,14 +25,14 @@ pub fn param(name: &str) -> String {
 /// Significance.
 pub fn sigma(z: f64) -> String {
     match z.abs() {
-        a if a >= 100.0 => format!("{z:.0} σ"),
-        _ => format!("{:.1} σ", z + 0.0),
+        a if a >= 100.0 => format!("{z:.0}\u{a0}σ"),
+        _ => format!("{:.1}\u{a0}σ", z + 0.0),
     }
 }
 
 /// Significance of a test: beyond about 36 standard deviations its probability has no number.
 pub fn evidence(d: &Dependence) -> String {
-    if d.p < 1e-280 { format!("> {:.0} σ", d.z.floor()) } else { sigma(d.z) }
+    if d.p < 1e-280 { format!(">\u{a0}{:.0}\u{a0}σ", d.z.floor()) } else { sigma(d.z) }
 }
 
 /// Strongest first; those beyond all numbers by how much the residual changes along the covariate.
@@ -62,10 +62,11 @@ pub fn plus_minus(value: f64, error: f64) -> String {
     let scale = 10f64.powi(power);
     let decimals = (1 - (error / scale).log10().floor() as i32).clamp(0, 7) as usize;
     let (v, e) = (value / scale, error / scale);
-    match power {
+    let text = match power {
         0 => format!("{v:.decimals$} ± {e:.decimals$}"),
         _ => format!("({v:.decimals$} ± {e:.decimals$}) × 10{}", raised(power)),
-    }
+    };
+    text.replace('-', "−")
 }
 
 /// A number with its power of ten, if it needs one.
@@ -122,7 +123,7 @@ mod tests {
     #[test]
     fn errors_have_two_figures() {
         assert_eq!(plus_minus(0.40213, 0.00432), "0.4021 ± 0.0043");
-        assert_eq!(plus_minus(-12.3, 0.96), "-12.30 ± 0.96");
+        assert_eq!(plus_minus(-12.3, 0.96), "−12.30 ± 0.96");
         assert_eq!(plus_minus(2.0e-5, 3.0e-6), "(2.00 ± 0.30) × 10⁻⁵");
         assert_eq!(plus_minus(123_456.0, 2345.0), "(1.235 ± 0.023) × 10⁵");
         assert_eq!(plus_minus(3.0, 0.0), "3");
