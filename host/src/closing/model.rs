@@ -128,8 +128,11 @@ impl<'a> Model<'a> {
     /// The tables of the instrument disagree.
     pub fn new(instrument: &Instrument, seen: &'a Observations) -> Result<Self, ForwardError> {
         let bare = Instrument { effects: Vec::new(), ..instrument.clone() };
+        // The plane that the specimens are in; beads at other depths are predicted in it as well.
+        let z_um = seen.frames.iter().find(|f| matches!(f.shown, Shown::Object(_))).map_or(0.0, |f| f.info.z_um);
+        let depth = instrument.psf.depth_nearest(z_um);
         Ok(Self {
-            forward: Forward::with_all_depths(&bare, OperatorConfig::default())?,
+            forward: Forward::with_all_depths(&bare, OperatorConfig { depth, ..OperatorConfig::default() })?,
             seen,
             maps: instrument.quality.maps,
             exposure_ms: instrument.psf.exposure_ms,
