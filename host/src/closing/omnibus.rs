@@ -8,6 +8,7 @@ use super::model::{Model, Predicted};
 use super::observe::Shown;
 use super::stats::{chi2_tail, sigmas};
 use crate::effects::blur_within;
+use crate::noise::MapErrors;
 use crate::rng::stream;
 use ndarray::Array2;
 use rand::Rng;
@@ -162,7 +163,7 @@ pub fn test(model: &Model<'_>, now: &[Predicted], replicas: &[Vec<Option<Array2<
     let draws: Vec<Vec<(f64, Vec<f64>)>> = (0..DRAWS)
         .into_par_iter()
         .map(|d| {
-            let drawn = draw(&residual, &directions, &templates, seed, d as u64);
+            let drawn = draw(&residual, &directions, &templates, model.maps, seed, d as u64);
             bins.iter().map(|b| b.statistic(model, &frames, &drawn)).map(|s| (s.chi2, s.mean)).collect()
         })
         .collect();
@@ -217,11 +218,13 @@ fn gather(model: &Model<'_>, here: &Predicted, image: &Array2<f32>) -> Vec<f32> 
     out
 }
 
-/// Residuals as the model makes them: noise, calibration errors, the light of the frames and the black level fitted.
+/// Residuals as the model makes them: noise, calibration errors, what the maps of the sensor leave, which is the same in all frames; the
+/// light of the frames and the black level fitted.
 fn draw(
     like: &[Vec<f32>],
     directions: &[Vec<Option<Vec<f32>>>],
     templates: &[[Vec<f32>; 2]],
+    maps: MapErrors,
     seed: u64,
     index: u64,
 ) -> Vec<Vec<f32>> {
@@ -240,12 +243,20 @@ fn draw(
     let n = directions.len() as f32;
     let xi: Vec<f32> = directions.iter().map(|_| normal() * ((n - 1.0) / n).sqrt()).collect();
     let mean_xi = xi.iter().sum::<f32>() / n.max(1.0);
+    let pixels = like.first().map_or(0, Vec::len);
+    let mut pattern = |rms: f64| -> Vec<f32> {
+        if rms > 0.0 { (0..pixels).map(|_| rms as f32 * normal()).collect() } else { vec![0.0; pixels] }
+    };
+    let patterns = [pattern(maps.response), pattern(maps.offset_dn)];
     let mut drawn: Vec<Vec<f32>> = like
         .iter()
         .enumerate()
         .map(|(f, frame)| {
             // A pixel that is not looked at has no residual.
             let mut r: Vec<f32> = frame.iter().map(|v| if *v == 0.0 { 0.0 } else { normal() }).collect();
+            for (pattern, template) in patterns.iter().zip(&templates[f]) {
+                r.iter_mut().zip(pattern.iter().zip(template)).for_each(|(r, (p, t))| *r += p * t);
+            }
             for (xi, direction) in xi.iter().zip(directions) {
                 if let Some(d) = &direction[f] {
                     r.iter_mut().zip(d).for_each(|(r, d)| *r += (xi - mean_xi) * d);
