@@ -152,7 +152,10 @@ fn pixels(a: &Half, b: &Half, left: f64) -> Option<Shape> {
 fn sparse(a: &Half, b: &Half) -> Option<Shape> {
     let both = mean(a, b);
     let mut table = Array2::zeros(both.value.dim());
-    let (mut largest, mut sigma, mut z) = (0.0f64, 0.0, 0.0f64);
+    let (mut largest, mut z) = (0.0f64, 0.0f64);
+    // Of a pixel as good as most: what the session could tell, where nothing stands out.
+    let weight = f64::from(both.weight.mean().unwrap_or(0.0));
+    let mut sigma = if weight > 0.0 { 1.0 / weight.sqrt() } else { 0.0 };
     Zip::indexed(&both.value).and(&both.weight).for_each(|at, v, w| {
         let stands_out = |h: &Half| h.value[at] * h.weight[at].sqrt();
         let least = f64::from(stands_out(a).min(stands_out(b)));
