@@ -94,6 +94,22 @@ pub fn close(
     seen: &mut Observations,
     session: &str,
     seed: u64,
+    tell: impl FnMut(&str),
+) -> Result<Closed, CloseError> {
+    close_without(instrument, seen, session, seed, &[], tell)
+}
+
+/// [`close`] with a smaller catalogue: the effects `exclude`d are not tried. What the loop says where the true effect is not
+/// among its candidates tells how far it can be trusted.
+///
+/// # Errors
+/// As [`close`].
+pub fn close_without(
+    instrument: &Instrument,
+    seen: &mut Observations,
+    session: &str,
+    seed: u64,
+    exclude: &[String],
     mut tell: impl FnMut(&str),
 ) -> Result<Closed, CloseError> {
     if seen.frames.is_empty() {
@@ -112,6 +128,7 @@ pub fn close(
     let dependences_before = omnibus::test(&model, &first.predicted, &replicas.of(&model, &first)?, seed);
     tell("catalogue");
     let mut search = Search::new(&model, &replicas, first);
+    search.exclude = exclude.to_vec();
     search.run(catalogue, true, &mut tell)?;
     let mut dependences = omnibus::test(&model, &search.now.predicted, &replicas.of(&model, &search.now)?, seed);
     let rest = std::mem::take(&mut search.rest);

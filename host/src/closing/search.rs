@@ -306,12 +306,14 @@ pub struct Search<'m, 'a> {
     pub found: Vec<Found>,
     /// The last scores of what was not added.
     pub rest: Vec<Candidate>,
+    /// Ids that are not tried.
+    pub exclude: Vec<String>,
 }
 
 impl<'m, 'a> Search<'m, 'a> {
     /// Starts from a fit.
     pub fn new(model: &'m Model<'a>, replicas: &'m Replicas, now: Fitted) -> Self {
-        Self { model, replicas, now, found: Vec::new(), rest: Vec::new() }
+        Self { model, replicas, now, found: Vec::new(), rest: Vec::new(), exclude: Vec::new() }
     }
 
     /// Adds one effect after another, as long as the scores, the full fit and the held-out data agree; with `tables`, those that
@@ -322,11 +324,13 @@ impl<'m, 'a> Search<'m, 'a> {
     pub fn run(&mut self, trials: Trials, tables: bool, tell: &mut impl FnMut(&str)) -> Result<(), ForwardError> {
         let mut refused: Vec<&'static str> = Vec::new();
         loop {
-            let terms = trials(self.model, &self.now.state, &evidence(self.model, &self.now));
+            let mut terms = trials(self.model, &self.now.state, &evidence(self.model, &self.now));
+            let excluded = |id: &str| self.exclude.iter().any(|e| e == id);
+            terms.retain(|t| !excluded(t.id()));
             let of_frames = self.replicas.of(self.model, &self.now)?;
             let (design, taken, mut candidates) = score(self.model, &self.now, &of_frames, &terms)?;
             if tables {
-                candidates.extend(tabled(self.model, &self.now));
+                candidates.extend(tabled(self.model, &self.now).into_iter().filter(|c| !excluded(c.term.id())));
             }
             candidates.sort_by(|a, b| b.worth().total_cmp(&a.worth()));
             log(&candidates);
