@@ -6,7 +6,7 @@ use super::config::BenchConfig;
 use super::optics::{Moves, Point, VirtualOptics};
 use super::sensor::VirtualSensor;
 use super::truth::{BenchTruth, TRUTH_FILE};
-use crate::effects::{Chain, EffectSetting, FrameContext, Layout, Previous, Record, Stage};
+use crate::effects::{Chain, Effect, EffectSetting, FrameContext, Layout, Previous, Record, Stage};
 use crate::rng;
 use crate::scene::Scenes;
 use crate::session::{
@@ -147,14 +147,44 @@ impl VirtualInstrument {
     /// # Errors
     /// The place is taken by something that is no virtual session, or cannot be written.
     pub fn measure(&self, target: &Path, seed: u64, done: impl Fn(usize) + Sync) -> Result<Summary, BenchError> {
+        self.measure_some(target, seed, &[Role::Dark, Role::Flat, Role::Bead, Role::Scene], done)
+    }
+
+    /// Measures the stacks of some roles alone, each to the same bits as in the whole session.
+    ///
+    /// # Errors
+    /// As [`VirtualInstrument::measure`].
+    pub fn measure_some(
+        &self,
+        target: &Path,
+        seed: u64,
+        roles: &[Role],
+        done: impl Fn(usize) + Sync,
+    ) -> Result<Summary, BenchError> {
         let mut writer = SessionWriter::create(target, &self.config.manifest(), Existing::ReplaceIfHas(TRUTH_FILE))?;
-        self.darks(&mut writer, seed, &done)?;
-        self.flats(&mut writer, seed, &done)?;
-        let bead_peak_e = self.beads(&mut writer, seed, &done)?;
-        let scene_peak_e = self.specimens(&mut writer, seed, &done)?;
+        let has = |role: Role| roles.contains(&role);
+        if has(Role::Dark) {
+            self.darks(&mut writer, seed, &done)?;
+        }
+        if has(Role::Flat) {
+            self.flats(&mut writer, seed, &done)?;
+        }
+        let bead_peak_e = if has(Role::Bead) { self.beads(&mut writer, seed, &done)? } else { 0.0 };
+        let scene_peak_e = if has(Role::Scene) { self.specimens(&mut writer, seed, &done)? } else { 0.0 };
         writer.extra(TRUTH_FILE, self.truth(seed)?.as_bytes())?;
         writer.finish()?;
-        Ok(Summary { frames: self.counts(), bead_peak_e, scene_peak_e, full_scale_e: self.config.full_scale_e() })
+        let mut frames = self.counts();
+        frames.retain(|name, _| roles.iter().any(|r| r.name() == *name));
+        Ok(Summary { frames, bead_peak_e, scene_peak_e, full_scale_e: self.config.full_scale_e() })
+    }
+
+    /// Adds an effect that no catalogue holds: for studies of what happens then. The record of the session does not name it.
+    ///
+    /// # Errors
+    /// Its table does not fit the sensor.
+    pub fn with_foreign(mut self, effect: &'static dyn Effect, params: Vec<f64>) -> Result<Self, BenchError> {
+        self.effects.push(effect, params, None, Layout::of(&self.config.manifest()))?;
+        Ok(self)
     }
 
     fn truth(&self, seed: u64) -> Result<String, BenchError> {
