@@ -28,4 +28,5 @@ pub mod report;
 pub mod rng;
 pub mod scene;
 pub mod session;
+pub mod study;
 pub mod train;

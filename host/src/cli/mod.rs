@@ -16,6 +16,7 @@ mod reconstruct;
 mod report;
 mod residual;
 mod simulate;
+mod study;
 mod train;
 
 pub use common::{Outcome, Run};
@@ -55,6 +56,9 @@ enum Verb {
         after_help = "Example:\n  ommatidia close session --instrument instrument.safetensors -o closed.safetensors"
     )]
     Close(close::Args),
+    /// Measure how far `close` can be trusted: many virtual sessions with undeclared effects in them
+    #[command(after_help = "Example:\n  ommatidia study -o study --quick")]
+    Study(study::Args),
     /// Compute the frames that an instrument is expected to show for given objects
     #[command(after_help = "Example:\n  ommatidia predict instrument.safetensors objects.npy -o frames.npy")]
     Predict(predict::Args),
@@ -102,6 +106,7 @@ impl Cli {
             Verb::Calibrate(a) => calibrate::run(a, run),
             Verb::Residual(a) => residual::run(a, run),
             Verb::Close(a) => close::run(a, run),
+            Verb::Study(a) => study::run(a, run),
             Verb::Predict(a) => predict::run(a, run),
             Verb::Simulate(a) => simulate::run(a, run),
             Verb::Train(a) => train::run(a, run),

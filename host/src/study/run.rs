@@ -1,0 +1,101 @@
+//! A whole study: instruments, cases, figures.
+
+use super::plan::{Case, Size, cases};
+use super::record::{Ledger, Outcome, read_all};
+use super::subject::{Sensitivities, Subject};
+use super::summary::Summary;
+use super::text::page;
+use super::trial;
+use anyhow::Context;
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+
+/// Figures of the study.
+pub const JSON: &str = "study.json";
+/// Its page.
+pub const PAGE: &str = "study.md";
+
+/// What came of a study.
+pub struct Study {
+    /// Every session, also those of earlier runs into the same folder.
+    pub outcomes: Vec<Outcome>,
+    /// The figures.
+    pub summary: Summary,
+}
+
+/// Runs what of a study is not in `dir` yet: each case whose number is `shard[0]` modulo `shard[1]`; then writes figures and page of all
+/// that is there. `tell` is called with the cases that are done, and how many there are.
+///
+/// Sessions are closed side by side, each on one thread: the outcome does not depend on how many.
+///
+/// # Errors
+/// The folder cannot be written, or an instrument not be calibrated. A session that cannot be closed is no error but an outcome.
+pub fn run(dir: &Path, size: &Size, shard: [usize; 2], tell: impl Fn(usize, usize) + Sync) -> anyhow::Result<Study> {
+    std::fs::create_dir_all(dir).with_context(|| dir.display().to_string())?;
+    let prepare = |n: &u64| Subject::prepare(*n, size.seed, dir);
+    let numbers: Vec<u64> = (0..size.instruments).collect();
+    let subjects = side_by_side(&numbers, prepare)?.into_iter().collect::<anyhow::Result<Vec<_>>>()?;
+    let sensitivities: Vec<Sensitivities> = subjects.iter().map(|s| s.sensitivities.clone()).collect();
+    let ended: BTreeSet<String> = read_all(dir)?.into_iter().map(|o| o.case.key).collect();
+    let mine = |(i, _): &(usize, Case)| i % shard[1].max(1) == shard[0];
+    let all = cases(size, &sensitivities).into_iter().enumerate().filter(mine);
+    let todo: Vec<Case> = all.map(|(_, c)| c).filter(|c| !ended.contains(&c.key)).collect();
+    let ledger = Ledger::open(dir, shard)?;
+    let done = AtomicUsize::new(0);
+    let one = |case: &Case| -> std::io::Result<()> {
+        if let Some(subject) = subjects.get(case.instrument as usize) {
+            ledger.push(&trial::run(subject, case))?;
+        }
+        tell(done.fetch_add(1, Ordering::Relaxed) + 1, todo.len());
+        Ok(())
+    };
+    side_by_side(&todo, one)?
+        .into_iter()
+        .collect::<std::io::Result<Vec<()>>>()
+        .with_context(|| dir.display().to_string())?;
+    conclude(dir, size, &sensitivities)
+}
+
+/// Writes figures and page of all sessions in a folder.
+fn conclude(dir: &Path, size: &Size, sensitivities: &[Sensitivities]) -> anyhow::Result<Study> {
+    let outcomes = read_all(dir)?;
+    let summary = Summary::of(&outcomes);
+    let json = serde_json::json!({
+        "size": size, "sensitivities": sensitivities, "summary": summary, "sessions": outcomes,
+    });
+    crate::artifact::write_whole(&dir.join(JSON), &serde_json::to_vec_pretty(&json)?)?;
+    let page = page(size, sensitivities, &outcomes, &summary);
+    crate::artifact::write_whole(&dir.join(PAGE), page.as_bytes())?;
+    Ok(Study { outcomes, summary })
+}
+
+/// Calls `each` for all items on as many threads as there are for parallel work, each of which works alone: what an item's own parallel
+/// parts would wait for is then never another item. Results are in the order of the items.
+fn side_by_side<T: Sync, R: Send>(items: &[T], each: impl Fn(&T) -> R + Sync) -> anyhow::Result<Vec<R>> {
+    let next = AtomicUsize::new(0);
+    let results = Mutex::new(Vec::new());
+    let work = || -> anyhow::Result<()> {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
+        loop {
+            let i = next.fetch_add(1, Ordering::Relaxed);
+            let Some(item) = items.get(i) else { return Ok(()) };
+            let result = pool.install(|| each(item));
+            results.lock().unwrap_or_else(PoisonError::into_inner).push((i, result));
+        }
+    };
+    std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..rayon::current_num_threads().max(1)).map(|_| scope.spawn(work)).collect();
+        for t in threads {
+            match t.join() {
+                Ok(result) => result?,
+                Err(panic) => std::panic::resume_unwind(panic),
+            }
+        }
+        anyhow::Ok(())
+    })?;
+    let mut results = results.into_inner().unwrap_or_else(PoisonError::into_inner);
+    results.sort_by_key(|(i, _)| *i);
+    Ok(results.into_iter().map(|(_, r)| r).collect())
+}

@@ -1,0 +1,259 @@
+//! The page of a study.
+
+use super::plan::{Question, Size};
+use super::record::Outcome;
+use super::subject::Sensitivities;
+use super::summary::{ByStrength, Outside, Share, Summary};
+use std::collections::BTreeSet;
+use std::fmt::Write;
+
+/// Writes the page.
+pub fn page(size: &Size, sensitivities: &[Sensitivities], all: &[Outcome], s: &Summary) -> String {
+    let mut out = String::new();
+    // Writing to a string cannot fail.
+    let _ = head(&mut out, size, s)
+        .and_then(|()| nulls(&mut out, s))
+        .and_then(|()| single(&mut out, s))
+        .and_then(|()| named(&mut out, s))
+        .and_then(|()| pairs(&mut out, all, s))
+        .and_then(|()| beyond(&mut out, all, s))
+        .and_then(|()| records(&mut out, all, s))
+        .and_then(|()| sensitivity(&mut out, sensitivities));
+    out
+}
+
+/// `12 of 40 (30 %, 18 to 45 %)`.
+fn share(s: Share) -> String {
+    if s.n == 0 {
+        return "-".into();
+    }
+    format!("{} of {} ({:.0} %, {:.0} to {:.0} %)", s.k, s.n, 100.0 * s.share(), 100.0 * s.low, 100.0 * s.high)
+}
+
+fn brief(s: Share) -> String {
+    if s.n == 0 { "-".into() } else { format!("{}/{} ({:.0} %)", s.k, s.n, 100.0 * s.share()) }
+}
+
+fn number(v: Option<f64>) -> String {
+    v.map_or_else(|| "-".into(), |v| format!("{v:.2}"))
+}
+
+fn head(out: &mut String, size: &Size, s: &Summary) -> std::fmt::Result {
+    writeln!(
+        out,
+        "# How far the loop can be trusted\n\n\
+         Written by `ommatidia study`: {} sessions of the virtual instrument, {} instruments of 3 x 3 lenses on 98 x 98 pixels, each\n\
+         calibrated once from a session of its own (bead scan at three depths, darks, flats). A session to close has 8 scenes of known\n\
+         objects, 12 flats at three levels and two exposures, 8 darks at two exposures. The bench computes its frames by physical optics\n\
+         and knows nothing of the model. Whatever is put into a session is not declared anywhere.\n\n\
+         **1 sigma** of an effect is the sensitivity of such a session: the standard error that `close` tells for the effect's first\n\
+         strength where nothing is there: noise, scatter between blocks and frames, calibration. (Foreign effects: the noise of the scenes\n\
+         alone.) Shares are told with their 95 % interval (Wilson).\n",
+        s.sessions, size.instruments
+    )?;
+    writeln!(
+        out,
+        "Closing a session took {:.1} s (median; mean {:.1} s, longest {:.1} s) on one thread. {} sessions failed.\n",
+        s.seconds[0], s.seconds[1], s.seconds[2], s.failed
+    )
+}
+
+fn nulls(out: &mut String, s: &Summary) -> std::fmt::Result {
+    writeln!(out, "## Nothing there\n")?;
+    writeln!(out, "Something was found in {} sessions.", share(s.null_found))?;
+    writeln!(out, "Called incomplete without anything found: {}.", share(s.null_incomplete))?;
+    let named: Vec<String> = s.null_named.iter().map(|(id, n)| format!("`{id}` {n}")).collect();
+    if !named.is_empty() {
+        writeln!(out, "What was found: {}.", named.join(", "))?;
+    }
+    writeln!(
+        out,
+        "chi-squared a pixel on held-out scenes: {:.4} with the calibrated model, {:.4} with the bench's noise-free frames.\n",
+        s.null_chi2[0], s.null_chi2[1]
+    )
+}
+
+fn single(out: &mut String, s: &Summary) -> std::fmt::Result {
+    writeln!(out, "## One undeclared effect of the catalogue\n")?;
+    writeln!(
+        out,
+        "| sigma | anything found | true effect first | of those without a lookalike (rho < 0.7) | found or in the ambiguity set | \
+         another first | explained F (sessions) |\n|---|---|---|---|---|---|---|"
+    )?;
+    for b in &s.single {
+        writeln!(
+            out,
+            "| {} | {} | {} | {} | {} | {} | {} ({}) |",
+            b.sigmas,
+            brief(b.detected),
+            share(b.first),
+            brief(b.first_where_alone),
+            share(b.covered),
+            brief(b.other_first),
+            number(b.explained),
+            b.with_excess
+        )?;
+    }
+    writeln!(
+        out,
+        "\nF = (chi2 before - chi2 after) / (chi2 before - chi2 of the noise-free frames) on held-out scenes, median of the sessions\n\
+         whose excess is beyond five standard errors.\n\n\
+         Pulls, (value - truth) / sigma of the first strength, where the true effect was found under its name:\n\n\
+         | sigma | pulls | mean | rms | robust rms |\n|---|---|---|---|---|"
+    )?;
+    let pull = |b: &ByStrength| {
+        format!(
+            "| {} | {} | {} | {} | {} |",
+            b.sigmas,
+            b.pulls,
+            number(b.pull_mean),
+            number(b.pull_rms),
+            number(b.pull_robust)
+        )
+    };
+    for b in &s.single {
+        writeln!(out, "{}", pull(b))?;
+    }
+    writeln!(out)
+}
+
+/// The confusion matrix, without its zeros.
+fn named(out: &mut String, s: &Summary) -> std::fmt::Result {
+    let strengths: Vec<String> = s.single.iter().map(|b| b.sigmas.to_string()).collect();
+    let truths: BTreeSet<&str> = s.confusion.iter().map(|c| c.truth.as_str()).collect();
+    if truths.is_empty() {
+        return Ok(());
+    }
+    writeln!(
+        out,
+        "### What was found first\n\nA dot: nothing. In brackets the largest squared correlation that the loop told of what it found \
+         with a lookalike;\n`*`: the true effect was in the ambiguity set or found later.\n\n| true effect | {} |\n|---|{}",
+        strengths.iter().map(|k| format!("{k} sigma")).collect::<Vec<_>>().join(" | "),
+        "---|".repeat(strengths.len())
+    )?;
+    for truth in truths {
+        let cell = |k: &String| {
+            let mut found: Vec<String> = Vec::new();
+            for c in s.confusion.iter().filter(|c| c.truth == truth) {
+                let Some(n) = c.sessions.get(k) else { continue };
+                let times = if *n > 1 { format!("{n} x ") } else { String::new() };
+                found.push(match c.found.as_str() {
+                    "nothing" => format!("{times}."),
+                    id if id == truth => format!("{times}**right**"),
+                    id => {
+                        let told = if c.covered > 0 { "*" } else { "" };
+                        format!("{times}`{id}`{told} ({:.2})", c.overlap)
+                    }
+                });
+            }
+            found.join(", ")
+        };
+        writeln!(out, "| `{truth}` | {} |", strengths.iter().map(cell).collect::<Vec<_>>().join(" | "))?;
+    }
+    writeln!(out)
+}
+
+/// What was put in, and what was found, of one session.
+fn line(o: &Outcome) -> String {
+    let put: Vec<String> =
+        o.case.injected.iter().map(|i| format!("`{}` {} = {:.3e}", i.id, i.param, i.value)).collect();
+    let found: Vec<String> = o
+        .found
+        .iter()
+        .map(|f| {
+            let could =
+                if f.ambiguity.is_empty() { String::new() } else { format!(" (or {})", f.ambiguity.join(", ")) };
+            format!("`{}`{could}", f.id)
+        })
+        .collect();
+    let found = if found.is_empty() { ".".into() } else { found.join("; ") };
+    let incomplete = if o.incomplete { "yes" } else { "no" };
+    let strength = o.case.injected.first().map_or(0.0, |i| i.sigmas);
+    format!("| {} | {strength} | {found} | {incomplete} | {} |", put.join(", "), number(o.held_out.explained()))
+}
+
+const SESSIONS: &str = "| put in | sigma | found | called incomplete | explained F |\n|---|---|---|---|---|";
+
+fn lines(out: &mut String, all: &[Outcome], question: Question) -> std::fmt::Result {
+    let mut of: Vec<&Outcome> = all.iter().filter(|o| o.case.question == question && o.error.is_none()).collect();
+    of.sort_by(|a, b| a.case.key.cmp(&b.case.key));
+    if of.is_empty() {
+        return writeln!(out);
+    }
+    writeln!(out, "\n{SESSIONS}")?;
+    for o in of {
+        writeln!(out, "{}", line(o))?;
+    }
+    writeln!(out)
+}
+
+fn pairs(out: &mut String, all: &[Outcome], s: &Summary) -> std::fmt::Result {
+    writeln!(
+        out,
+        "## Two at once\n\nBoth told (found or in an ambiguity set): {}; one at least: {}.",
+        share(s.pairs_both),
+        share(s.pairs_one)
+    )?;
+    lines(out, all, Question::Pair)
+}
+
+fn outside(out: &mut String, title: &str, o: &Outside) -> std::fmt::Result {
+    writeln!(
+        out,
+        "| {title} | {} | {} | {} | {} |",
+        share(o.noticed),
+        share(o.abstains),
+        share(o.false_naming),
+        number(o.explained)
+    )
+}
+
+fn beyond(out: &mut String, all: &[Outcome], s: &Summary) -> std::fmt::Result {
+    writeln!(
+        out,
+        "## The true effect is not among the candidates\n\n\
+         False naming: an effect of the catalogue is named, and nothing says that the catalogue is incomplete.\n\n\
+         | | noticed | called incomplete | false naming | explained F |\n|---|---|---|---|---|"
+    )?;
+    outside(out, "catalogue less the true effect, 30 sigma", &s.minus_one)?;
+    for (k, o) in &s.foreign {
+        outside(out, &format!("foreign effects, {k} sigma of the noise"), o)?;
+    }
+    writeln!(out, "\n### Catalogue less the true effect")?;
+    lines(out, all, Question::MinusOne)?;
+    writeln!(out, "### Foreign effects")?;
+    lines(out, all, Question::Foreign)
+}
+
+fn records(out: &mut String, all: &[Outcome], s: &Summary) -> std::fmt::Result {
+    writeln!(
+        out,
+        "## Wrong statements\n\nA gain that the calibration states 5 % too high is traced to the gain in {}.\n\
+         Faults of the records (truths exchanged, upside down, turned left to right, exposure 1.25 times what is written) are found in\n\
+         the right frame in {}.",
+        share(s.gain),
+        share(s.records)
+    )?;
+    lines(out, all, Question::Gain)?;
+    lines(out, all, Question::Records)
+}
+
+fn sensitivity(out: &mut String, all: &[Sensitivities]) -> std::fmt::Result {
+    writeln!(
+        out,
+        "## What a session tells\n\n| effect | strength | 1 sigma, each instrument | unit |\n|---|---|---|---|"
+    )?;
+    let ids: BTreeSet<&String> = all.iter().flat_map(|s| s.of.keys()).collect();
+    for id in ids {
+        let of: Vec<_> = all.iter().filter_map(|s| s.of.get(id)).collect();
+        let sigmas: Vec<String> = of.iter().map(|s| format!("{:.2e}", s.sigma)).collect();
+        let (param, unit) = of.first().map_or(("", ""), |s| (s.param.as_str(), s.unit.as_str()));
+        writeln!(out, "| `{id}` | {param} | {} | {unit} |", sigmas.join(", "))?;
+    }
+    let cannot: BTreeSet<&str> = all.iter().flat_map(|s| s.cannot.iter().map(String::as_str)).collect();
+    if !cannot.is_empty() {
+        let list: Vec<String> = cannot.iter().map(|c| format!("`{c}`")).collect();
+        writeln!(out, "\nNot told by such a session, and not counted: {}.", list.join(", "))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,91 @@
+//! Runs one case: measure, close, compare.
+
+use super::foreign;
+use super::plan::{Case, Question};
+use super::record::{FoundEffect, HeldOut, Outcome};
+use super::subject::Subject;
+use crate::closing::close::close_without;
+use crate::closing::observe::{Budget, Observations};
+use crate::closing::result::Closing;
+use crate::effects::EffectSetting;
+use crate::instrument::Instrument;
+use crate::session::{Role, Session};
+use anyhow::Context;
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+/// From how many standard deviations on a dependence of the residual is told.
+const TELL: f64 = 5.0;
+
+/// Runs a case. What goes wrong is its outcome, too.
+pub fn run(subject: &Subject, case: &Case) -> Outcome {
+    let fail = |e: anyhow::Error| Outcome { case: case.clone(), error: Some(format!("{e:#}")), ..Outcome::default() };
+    attempt(subject, case).unwrap_or_else(fail)
+}
+
+fn attempt(subject: &Subject, case: &Case) -> anyhow::Result<Outcome> {
+    let mut settings = Vec::new();
+    for it in case.injected.iter().filter(|_| case.question != Question::Foreign) {
+        let mut params = vec![(it.param.as_str(), it.value)];
+        params.extend(it.others.iter().map(|(name, v)| (name.as_str(), *v)));
+        settings.push(EffectSetting::new(&it.id, &params));
+    }
+    let mut bench = subject.config.build_like(&subject.bench, &settings)?;
+    for it in case.injected.iter().filter(|_| case.question == Question::Foreign) {
+        let effect = foreign::find(&it.id).with_context(|| format!("`{}`: no foreign effect", it.id))?;
+        bench = bench.with_foreign(effect, vec![it.value])?;
+    }
+    let folder = tempfile::tempdir()?;
+    let session = subject.session(&bench, &folder.path().join("session"), case.seed)?;
+    let mut instrument = subject.instrument.clone();
+    instrument.noise.gain_dn_per_e *= case.gain;
+    let mut seen = Observations::read(&session, &instrument, &Budget::default())?;
+    let started = Instant::now();
+    let closed = close_without(&instrument, &mut seen, &case.key, case.seed, &case.excluded, |_| {})?;
+    let seconds = started.elapsed().as_secs_f64();
+    let closing = closed.account.closing;
+    let (floor, pixels) = floor(&session, &seen, &subject.instrument)?;
+    let structure = closing.dependences_after.iter().filter(|d| d.z > TELL);
+    Ok(Outcome {
+        case: case.clone(),
+        incomplete: closing.catalogue_incomplete,
+        structure: structure.map(|d| d.covariate.words().to_string()).collect(),
+        held_out: HeldOut { before: closing.before.chi2_ndf, after: closing.after.chi2_ndf, floor, pixels },
+        found: found(closing),
+        seconds,
+        error: None,
+    })
+}
+
+fn found(closing: Closing) -> Vec<FoundEffect> {
+    let one = |e: crate::closing::result::Effect| FoundEffect {
+        id: e.id,
+        known: e.known,
+        z: e.z,
+        ambiguity: e.ambiguity,
+        overlap: e.overlap,
+        excess_explained: e.excess_explained,
+        params: e.params.into_iter().map(|v| (v.name, [v.value, v.sigma])).collect::<BTreeMap<_, _>>(),
+        description: e.description,
+    };
+    closing.effects.into_iter().map(one).collect()
+}
+
+/// chi-squared a pixel of the held-out scenes against the noise-free frames of the bench, and the pixels.
+fn floor(session: &Session, seen: &Observations, instrument: &Instrument) -> anyhow::Result<(f64, usize)> {
+    let stack = session.stacks_of(Role::Scene).next().context("no scene was measured")?;
+    let mut expected = stack.expected()?.context("the bench wrote no noise-free frames")?;
+    let noise = &instrument.noise;
+    let (mut chi2, mut n) = (0.0, 0usize);
+    for f in seen.frames.iter().filter(|f| f.role == Role::Scene && f.held_out) {
+        let mu = expected.read(f.info.frame)?;
+        for (y, mu) in f.measured.iter().zip(&mu) {
+            let variance = noise.variance_dn2(f64::from(*mu));
+            if f64::from(*mu) + 4.0 * variance.sqrt() < noise.saturation_dn {
+                chi2 += f64::from(y - mu).powi(2) / variance;
+                n += 1;
+            }
+        }
+    }
+    Ok((chi2 / n.max(1) as f64, n))
+}
