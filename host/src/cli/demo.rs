@@ -47,7 +47,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     prepare(folder)?;
     let hidden = Hidden::draw(run.seed);
     let chapters = chapters(args, folder, &hidden);
-    let mut figures = serde_json::Map::new();
+    let (mut figures, mut line) = (serde_json::Map::new(), String::new());
     for (i, chapter) in chapters.iter().enumerate() {
         let (json, seconds) = play(chapter, run, [i + 1, chapters.len()], start)?;
         let name = chapter.name.clone();
@@ -56,10 +56,15 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         if let Some(fields) = entry.as_object_mut() {
             fields.insert("chapter_seconds".into(), json!(seconds));
         }
+        if name == "close" {
+            let (told, found) = hidden.outcome(&folder.join(CLOSED))?;
+            let json = format!("{}\n", json!({ "hidden": found }));
+            artifact::write_whole(&folder.join(HIDDEN), json.as_bytes())?;
+            figures.insert("hidden".into(), found);
+            line = told;
+        }
         figures.insert(name, entry);
     }
-    let (line, found) = hidden.outcome(&folder.join(CLOSED))?;
-    figures.insert("hidden".into(), found);
     closing(folder, &figures, &line, start.elapsed().as_secs_f64())
 }
 
@@ -88,6 +93,8 @@ fn prepare(folder: &Path) -> anyhow::Result<()> {
 
 /// The instrument whose loop is closed.
 const CLOSED: &str = "closed.safetensors";
+/// What was hidden from the loop and what it found: the report tells it.
+const HIDDEN: &str = "hidden.json";
 
 fn chapters(args: &Args, folder: &Path, hidden: &Hidden) -> Vec<Chapter> {
     let at = |name: &str| folder.join(name).display().to_string();
@@ -137,7 +144,7 @@ fn chapters(args: &Args, folder: &Path, hidden: &Hidden) -> Vec<Chapter> {
         ),
         chapter(
             "one page of it all",
-            "report @evaluation.safetensors @closed.closing @device.json @network.omm @instrument.safetensors @network.safetensors @session \
+            "report @evaluation.safetensors @hidden.json @closed.closing @device.json @network.omm @instrument.safetensors @network.safetensors @session \
              -o @report.html",
         ),
     ]

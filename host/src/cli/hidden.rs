@@ -63,28 +63,48 @@ impl Hidden {
     }
 
     fn line(&self, c: &Closing) -> String {
-        let found: Vec<String> = c.effects.iter().map(|e| self.told(e)).collect();
-        let found = if found.is_empty() { "nothing".into() } else { found.join("; ") };
+        // In full: the first, and the one that was hidden; the others by name.
+        let (told, rest): (Vec<_>, Vec<_>) =
+            c.effects.iter().enumerate().partition(|(i, e)| *i == 0 || e.id == self.id);
+        let mut found: Vec<String> = told.into_iter().map(|(_, e)| self.told(e)).collect();
+        if found.is_empty() {
+            found.push("nothing".into());
+        }
+        if !rest.is_empty() {
+            let names: Vec<&str> = rest.iter().map(|(_, e)| e.id.as_str()).collect();
+            found.push(format!("less of {}", names.join(", ")));
+        }
         format!(
-            "hidden effect: {} ({} = {}) -> found: {found}, chi2 {:.3} -> {:.3}",
-            self.id, self.param, self.strength, c.before.chi2_ndf, c.after.chi2_ndf
+            "hidden effect: {} ({} = {}) -> found: {}, chi2 {:.3} -> {:.3}",
+            self.id,
+            self.param,
+            self.strength,
+            found.join("; "),
+            c.before.chi2_ndf,
+            c.after.chi2_ndf
         )
+    }
+
+    /// The value that was hidden, if the effect has it.
+    fn own<'e>(&self, e: &'e Effect) -> Option<&'e Value> {
+        e.params.iter().find(|v| e.id == self.id && v.name == self.param)
     }
 
     /// An effect with the value that was hidden, or with the one that stands out most.
     fn told(&self, e: &Effect) -> String {
         let stands_out = |v: &&Value| if v.sigma > 0.0 { (v.value / v.sigma).abs() } else { 0.0 };
-        let own = e.params.iter().find(|v| e.id == self.id && v.name == self.param);
         let most = || e.params.iter().max_by(|a, b| stands_out(a).total_cmp(&stands_out(b)));
         let value = |v: &Value| format!(": {} = {:.4} +- {:.4} {}", v.name, v.value, v.sigma, v.unit);
         let or = if e.ambiguity.is_empty() { String::new() } else { format!(" (or {})", e.ambiguity.join(", ")) };
-        format!("{}{}{or}", e.id, own.or_else(most).map_or(String::new(), value).trim_end_matches(" 1"))
+        format!("{}{}{or}", e.id, self.own(e).or_else(most).map_or(String::new(), value).trim_end_matches(" 1"))
     }
 
     fn figures(&self, c: &Closing) -> Json {
         let named = |e: &Effect| e.id == self.id || e.ambiguity.iter().any(|a| a == self.id);
+        let own = c.effects.iter().find_map(|e| self.own(e));
         json!({
             "id": self.id, "param": self.param, "strength": self.strength,
+            "value": own.map(|v| v.value), "sigma": own.map(|v| v.sigma), "unit": own.map(|v| &v.unit),
             "found": c.effects.first().map(|e| &e.id), "named": c.effects.iter().any(|e| e.id == self.id),
             "among": c.effects.iter().any(named), "chi2_before": c.before.chi2_ndf, "chi2_after": c.after.chi2_ndf,
         })
@@ -144,6 +164,9 @@ mod tests {
             "hidden effect: lens_gain (change_2 = 0.08) -> found: lens_gain: change_2 = 0.0800 +- 0.0010, chi2 1.500 -> 1.010"
         );
         assert_eq!(hidden.figures(&c)["named"], true);
+        assert_eq!(hidden.figures(&c)["value"].as_f64().map(|v| (v * 1e3).round()), Some(80.0));
+        c.effects.push(Effect { id: "halo".into(), ..c.effects[0].clone() });
+        assert!(hidden.line(&c).contains("0.0010; less of halo, chi2"), "{}", hidden.line(&c));
         c.effects.clear();
         assert!(hidden.line(&c).contains("found: nothing"));
     }

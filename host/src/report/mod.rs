@@ -47,6 +47,8 @@ enum Content {
     Blob(Box<Header>, u64),
     Session(Box<Session>),
     Device,
+    /// What a demo hid from the loop.
+    Hidden,
     Other,
 }
 
@@ -113,6 +115,7 @@ fn loop_of(piece: &Piece, asked: Asked, all: &[Piece], numbers: &mut Numbers) ->
     });
     match &piece.content {
         Content::Closing(a, of) if *of == asked => closing::chapter(a, asked, instrument, numbers).map(Some),
+        Content::Hidden if asked == Asked::Close => Ok(Some(closing::hidden(&piece.json["hidden"]))),
         _ => Ok(None),
     }
 }
@@ -141,7 +144,11 @@ fn load(path: &Path) -> Result<Piece, ReportError> {
         FileKind::Json => {
             let json: Value = serde_json::from_slice(&read()?)
                 .map_err(|e| artifact::ArtifactError::Format { path: path.into(), detail: e.to_string() })?;
-            let content = if json.get("bit_exact").is_some() { Content::Device } else { Content::Other };
+            let content = match &json {
+                v if v.get("bit_exact").is_some() => Content::Device,
+                v if v.get("hidden").is_some() => Content::Hidden,
+                _ => Content::Other,
+            };
             (json, content)
         }
         other => return Err(ReportError::Kind { path: path.into(), found: other.to_string() }),
@@ -232,6 +239,7 @@ fn describe(piece: &Piece) -> String {
         Content::Blob(..) => "network file",
         Content::Session(_) => "session",
         Content::Device => "device run",
+        Content::Hidden => "what was hidden from the loop",
         Content::Other => piece.json["kind"].as_str().unwrap_or("figures of a verb"),
     };
     format!("— {kind}{written}")

@@ -235,7 +235,8 @@ pub fn keys(e: &Evaluation) -> Vec<Key> {
         let loss = network.psnr_db - blob.psnr_db;
         keys.push(Key {
             name: "Lost to half precision".into(),
-            value: format!("{loss:.3}"),
+            // A loss that rounds to nothing has no sign.
+            value: format!("{loss:.3}").replace("-0.000", "0.000"),
             unit: "dB",
             note: "target: 0.1 dB or less".into(),
             holds: Some(loss <= 0.1),

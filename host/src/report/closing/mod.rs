@@ -1,6 +1,7 @@
 //! The loop that was closed: what the residual looked like, what was found in it, what remains, what was looked for in vain.
 
 mod effects;
+mod hidden;
 mod lenses;
 mod limits;
 mod maps;
@@ -9,6 +10,8 @@ mod story;
 #[cfg(test)]
 mod tests;
 mod words;
+
+pub use hidden::hidden;
 
 use super::ReportError;
 use super::page::{self, Key, Numbers};
