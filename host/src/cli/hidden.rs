@@ -20,7 +20,7 @@ pub struct Hidden {
 }
 
 /// What may be hidden: id, first parameter and strength. Each is far above what the demo's session can tell.
-const HIDDEN: [(&str, &str, f64); 8] = [
+const HIDDEN: [(&str, &str, f64); 7] = [
     ("array_shift", "row_px", 0.25),
     ("lens_gain", "change_0", 0.08),
     ("charge_diffusion", "sigma_px", 0.45),
@@ -28,7 +28,6 @@ const HIDDEN: [(&str, &str, f64); 8] = [
     ("nonlinearity", "beta", 0.03),
     ("veiling_glare", "beta", 0.02),
     ("pixel_mosaic", "checker", 0.01),
-    ("motion_blur", "var_row_px2", 0.2),
 ];
 /// Lenses of the demo instrument.
 const LENSES: u32 = 9;
