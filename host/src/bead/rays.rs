@@ -73,8 +73,8 @@ pub fn fit_chief_rays(scan: &mut BeadScan, manifest: &Manifest, mut step: impl F
     Ok(RayFit { geometry: Geometry { anchors_px: fit.anchors, magnification, dead }, rms_px: fit.rms_px, warnings })
 }
 
-/// Passes over the bead frames, that of the windows counted.
-pub(crate) const PASSES: u64 = 2 + ROUNDS as u64;
+/// Passes over the bead frames, those of the extent and of the windows counted.
+pub(crate) const PASSES: u64 = 3 + ROUNDS as u64;
 
 struct Fit {
     anchors: Vec<[f64; 2]>,

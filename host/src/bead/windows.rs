@@ -41,7 +41,8 @@ pub struct LensWindows {
     pub variance_dn2: Array1<f64>,
 }
 
-/// Cuts the windows of all lenses out of a scan, reading each frame once.
+/// Cuts the windows of all lenses out of a scan, reading each frame once. The windows have the manifest's side; `nominal_px` is the
+/// side that must lie on the sensor without complaint.
 ///
 /// # Errors
 /// A frame cannot be read, holds no light in any window, or is overexposed.
@@ -49,7 +50,7 @@ pub fn cut_windows(
     scan: &mut BeadScan,
     manifest: &Manifest,
     geometry: &Geometry,
-    scale: BeadScale,
+    (scale, nominal_px): (BeadScale, usize),
     mut step: impl FnMut(),
 ) -> Result<(Vec<LensWindows>, Vec<Warning>), BeadError> {
     let side = manifest.optics.psf_window_px;
@@ -63,7 +64,8 @@ pub fn cut_windows(
         let frame = scan.light_dn(n)?;
         let (mut saturated_here, mut total) = (0, 0.0);
         for l in (0..lenses).filter(|l| !geometry.dead[*l]) {
-            let window = Window::cut(&frame, &scan.beads[n], corner(manifest, geometry, l), side);
+            let window =
+                Window::cut(&frame, &scan.beads[n], corner(manifest, geometry, l), [side, nominal_px.min(side)]);
             if window.saturated > SATURATED_ALLOWED {
                 let (path, frame) = (scan.path(n).into(), scan.beads[n].frame);
                 let (allowed, found) = (SATURATED_ALLOWED, window.saturated);
@@ -162,7 +164,7 @@ struct Window {
 }
 
 impl Window {
-    fn cut(frame: &Array2<f32>, bead: &Bead, corner: [isize; 2], side: usize) -> Self {
+    fn cut(frame: &Array2<f32>, bead: &Bead, corner: [isize; 2], [side, nominal]: [usize; 2]) -> Self {
         let whole = bead.at_px.map(f64::round);
         let mut back = [whole[0] - bead.at_px[0], whole[1] - bead.at_px[1]];
         if back.iter().all(|d| d.abs() < SAME_PIXEL) {
@@ -179,7 +181,8 @@ impl Window {
         let raw = Array2::from_shape_fn((big, big), |(r, c)| pixel(r, c));
         let inner = s![margin..margin + side, margin..margin + side];
         let saturated = raw.slice(inner).iter().flatten().filter(|v| !v.is_finite()).count();
-        let truncated = raw.slice(inner).iter().any(Option::is_none);
+        let (low, high) = ((big - nominal) / 2, (big + nominal) / 2);
+        let truncated = raw.slice(s![low..high, low..high]).iter().any(Option::is_none);
         let total = raw.iter().flatten().filter(|v| v.is_finite()).map(|v| f64::from(*v)).sum();
         let light = shifted(raw.mapv(|v| v.filter(|v| v.is_finite()).unwrap_or(0.0)).view(), back, 0);
         let measured = raw.mapv(|v| v.is_some_and(f32::is_finite));

@@ -24,6 +24,9 @@ pub struct Args {
     /// Most basis PSFs that are tried
     #[arg(long, value_name = "K", default_value_t = CalibrateConfig::default().max_rank)]
     max_rank: usize,
+    /// Side of the windows that hold one focus, pixels, odd (default: psf_window_px of the session, widened to hold the light)
+    #[arg(long, value_name = "PX")]
+    window: Option<usize>,
     /// One PSF a lens for the whole field, the mean of the bead scan, instead of the spatially varying model
     #[arg(long, conflicts_with_all = ["rank", "max_rank"])]
     one_psf: bool,
@@ -50,6 +53,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let config = CalibrateConfig {
         rank: args.rank,
         max_rank: args.max_rank,
+        window_px: args.window,
         one_psf: args.one_psf,
         replicates: args.replicates,
         normalise_beads: args.normalise_beads,
@@ -87,6 +91,7 @@ fn figures(calibration: &Calibration) -> serde_json::Value {
         "black_level_dn": i.noise.black_level_dn,
         "noise_sources": i.noise.sources,
         "rank": rank(i),
+        "window_px": i.manifest.optics.psf_window_px,
         "replicates": i.replicates.len(),
         "response_rms": response_rms(i),
         "depths_um": i.psf.node_depths_um,
@@ -159,6 +164,7 @@ fn table(args: &Args, calibration: &Calibration) -> String {
         let depths: Vec<String> = i.psf.node_depths_um.iter().map(ToString::to_string).collect();
         line("depths", depths.join(", "), "um");
     }
+    line("window", format!("{} px", i.manifest.optics.psf_window_px), "holds a focus");
     line("approximation error", format!("{:.4}", q.approximation_error), "NRMSE on the bead scan");
     line("off-grid error", format!("{:.4}", q.off_grid_error), "NRMSE on positions left out (checkerboard)");
     line("  of one PSF a lens", format!("{:.4}", q.one_psf_error), "the same positions");

@@ -4,7 +4,7 @@ use super::light_unit::{fit_light_unit, set_light_unit};
 use super::model::Model;
 use super::replicates::replicates;
 use super::{Instrument, LightUnit, Quality, sensor_only};
-use crate::bead::{BeadError, BeadScale, BeadScan, SensorMaps, cut_windows, fit_chief_rays};
+use crate::bead::{BeadError, BeadScale, BeadScan, Extent, SensorMaps, cut_windows, extent, fit_chief_rays};
 use crate::forward::ForwardError;
 use crate::linalg::NotConverged;
 use crate::noise::{NoiseCalibration, NoiseConfig, NoiseError, inverse_response, measure_noise};
@@ -14,6 +14,9 @@ use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+/// Foci further from their chief rays than this, rms, px, say nothing about the extent of a focus.
+const WANDER_PX: f64 = 0.3;
+
 /// How an instrument is calibrated.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -22,6 +25,8 @@ pub struct CalibrateConfig {
     pub rank: Option<usize>,
     /// Most terms that are tried where the rank is chosen.
     pub max_rank: usize,
+    /// Side of the windows that hold one focus, px, odd; None: the nominal one, widened until next to no light falls outside.
+    pub window_px: Option<usize>,
     /// One PSF a lens for the whole field instead of the low-rank model.
     pub one_psf: bool,
     /// Refits with a part of the beads left out, which tell how uncertain the PSF model is; 0: none.
@@ -37,6 +42,7 @@ impl Default for CalibrateConfig {
         Self {
             rank: None,
             max_rank: 32,
+            window_px: None,
             one_psf: false,
             replicates: 8,
             normalise_beads: false,
@@ -72,6 +78,12 @@ pub enum CalibrateError {
     /// The numbers.
     #[error(transparent)]
     NotConverged(#[from] NotConverged),
+    /// The window.
+    #[error("window: expected an odd number of pixels, found {found}")]
+    Window {
+        /// What was asked for.
+        found: usize,
+    },
     /// The rank.
     #[error("rank: expected 1 to {most} (the bead frames at hand), found {found}")]
     Rank {
@@ -93,7 +105,7 @@ pub fn calibrate(
     config: &CalibrateConfig,
     mut step: impl FnMut(),
 ) -> Result<Calibration, CalibrateError> {
-    let manifest = Manifest { stacks: Vec::new(), ..session.manifest().clone() };
+    let mut manifest = Manifest { stacks: Vec::new(), ..session.manifest().clone() };
     let noise = measure_noise(session, &config.noise, &mut step)?;
     let mut notes: Vec<String> = noise.notes.iter().map(ToString::to_string).collect();
     let mut instrument = if sensor_only::applies(session) {
@@ -102,8 +114,19 @@ pub fn calibrate(
     } else {
         let mut scan = BeadScan::open(session, noise.model, maps(&noise))?;
         let rays = fit_chief_rays(&mut scan, &manifest, &mut step)?;
+        let nominal = manifest.optics.psf_window_px;
+        manifest.optics.psf_window_px = match config.window_px {
+            Some(found) if found.is_multiple_of(2) => return Err(CalibrateError::Window { found }),
+            Some(side) => side,
+            None => {
+                let extent = extent(&mut scan, &manifest, &rays.geometry, &mut step)?;
+                let (side, note) = window(nominal, extent, rays.rms_px);
+                notes.extend(note);
+                side
+            }
+        };
         let scale = if config.normalise_beads { BeadScale::PerFrame } else { BeadScale::Physical };
-        let (windows, warnings) = cut_windows(&mut scan, &manifest, &rays.geometry, scale, &mut step)?;
+        let (windows, warnings) = cut_windows(&mut scan, &manifest, &rays.geometry, (scale, nominal), &mut step)?;
         let planes = planes(&scan);
         let fit = FitConfig { rank: config.rank, max_rank: config.max_rank, one_psf: config.one_psf, scale };
         let dead = &rays.geometry.dead;
@@ -136,6 +159,20 @@ pub fn calibrate(
         None => {}
     }
     Ok(Calibration { instrument, notes })
+}
+
+/// The window to take: wider than the nominal one where foci have tails. Where they wander about their chief rays instead, the
+/// light outside is that of displaced foci, and the nominal window is what was meant to be measured.
+fn window(nominal: usize, extent: Extent, rms_px: f64) -> (usize, Option<String>) {
+    if extent.side_px <= nominal || rms_px <= WANDER_PX {
+        return (extent.side_px.max(nominal), None);
+    }
+    let (percent, side) = (100.0 * extent.outside, extent.side_px);
+    let note = format!(
+        "{percent:.2} % of the light falls outside windows of {nominal} px, from foci that lie {rms_px:.2} px off their chief rays; \
+         --window {side} would hold it"
+    );
+    (nominal, Some(note))
 }
 
 fn maps(noise: &NoiseCalibration) -> SensorMaps {

@@ -30,7 +30,8 @@ use serde::{Deserialize, Serialize};
 /// the small numbers as JSON and whose tensors are the arrays, so that Python reads it as it is.
 #[derive(Clone, Debug)]
 pub struct Instrument {
-    /// Sizes, pitches and names of the session that it was calibrated from (its stacks left out).
+    /// Sizes, pitches and names of the session that it was calibrated from; its stacks left out, and the window as wide as that of
+    /// the basis PSFs.
     pub manifest: Manifest,
     /// Noise of the sensor.
     pub noise: NoiseModel,

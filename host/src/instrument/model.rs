@@ -154,6 +154,11 @@ impl Model {
         self.nodes.psf(&self.models, self.rank)
     }
 
+    /// The windows with what was not measured filled in: refits then need not fill it again.
+    pub(super) fn filled(&self, windows: &[LensWindows]) -> Vec<LensWindows> {
+        self.models.filled(windows, self.rank)
+    }
+
     /// The same model, of the same rank and smoothness, from the beads of `planes` alone.
     pub(super) fn refit(
         &self,

@@ -43,7 +43,8 @@ pub(super) fn replicates(
         return Ok((Vec::new(), Some(note)));
     }
     let groups = groups(planes, asked);
-    let refit = |j: usize| model.refit(windows, dead, select(planes, |bead| groups[bead] != j));
+    let windows = model.filled(windows);
+    let refit = |j: usize| model.refit(&windows, dead, select(planes, |bead| groups[bead] != j));
     Ok(((0..asked).map(refit).collect::<Result<_, _>>()?, None))
 }
 

@@ -217,6 +217,21 @@ impl LensModels {
         Ok(Self { fits, beads, planes, smoothers })
     }
 
+    /// The windows with what was not measured filled in by the first `rank` terms.
+    pub fn filled(&self, windows: &[LensWindows], rank: usize) -> Vec<LensWindows> {
+        let fill = |(w, fit): (&LensWindows, &Option<LensFit>)| {
+            let (Some(known), Some(fit)) = (&w.known, fit) else { return w.clone() };
+            let model = fit.decomposition.windows(rank);
+            let mut light_dn = w.light_dn.clone();
+            for (row, bead) in self.beads.iter().enumerate() {
+                let pixels = light_dn.row_mut(*bead).into_iter().zip(known.row(*bead)).zip(model.row(row));
+                pixels.filter(|((_, k), _)| !**k).for_each(|((v, _), m)| *v = *m);
+            }
+            LensWindows { light_dn, known: None, variance_dn2: w.variance_dn2.clone() }
+        };
+        windows.iter().zip(&self.fits).map(fill).collect()
+    }
+
     /// Coefficients of all lenses at `targets` (one array of positions a plane), [position, k], from smooth fields through those
     /// at the beads; None: a dead lens.
     ///

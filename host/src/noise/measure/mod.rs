@@ -434,7 +434,7 @@ impl Transfer {
         }
         let mut s = [0.0; 5];
         for p in &points {
-            let w = 1.0 / (p.sigma.powi(2) + (MODEL_ERROR * p.variance).powi(2)).max(f64::MIN_POSITIVE);
+            let w = 1.0 / (p.sigma.powi(2) + (MODEL_ERROR * p.variance.max(ROUNDING_DN2)).powi(2));
             let y = p.variance - ROUNDING_DN2;
             for (sum, v) in s.iter_mut().zip([w, w * p.mean, w * p.mean * p.mean, w * y, w * p.mean * y]) {
                 *sum += v;
