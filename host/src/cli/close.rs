@@ -4,8 +4,8 @@ use super::{Outcome, Run};
 use crate::artifact::Provenance;
 use crate::closing::close::{close, same_layout};
 use crate::closing::observe::{Budget, Observations};
-use crate::closing::recalibrate;
 use crate::closing::result::{Closing, Effect};
+use crate::closing::{recalibrate, retrain};
 use crate::instrument::{CalibrateConfig, Instrument};
 use crate::session::Session;
 use anyhow::Context;
@@ -30,6 +30,13 @@ pub struct Args {
     /// The bead frames were normalised by who measured them, as for calibrate: where the PSFs must be calibrated anew
     #[arg(long)]
     normalise_beads: bool,
+    /// Fine-tune this network on the closed instrument, write it beside the output with suffix .network, and compare the two on
+    /// held-out scenes
+    #[arg(long, value_name = "CHECKPOINT")]
+    retrain: Option<PathBuf>,
+    /// Steps of fine-tuning
+    #[arg(long, value_name = "N", default_value_t = 1000, requires = "retrain")]
+    steps: u64,
     /// Render the account to one HTML file
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
@@ -67,8 +74,22 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         Ok(p)
     };
     let account = account_path(&args.output);
-    closed.account.write(&account, provenance("close")?)?;
     closed.instrument.write(&args.output, provenance("close")?)?;
+    if let Some(checkpoint) = &args.retrain {
+        let bar = run.progress(args.steps, "retrain");
+        let network = args.output.with_extension("network");
+        let retrained = retrain::retrain(
+            &session,
+            (&closed.instrument, &args.output),
+            (checkpoint, &network),
+            &closed.account.closing.held_out_frames,
+            (args.steps, run.seed),
+            |step| bar.set_position(step),
+        )?;
+        bar.finish_and_clear();
+        closed.account.closing.retrained = Some(retrained);
+    }
+    closed.account.write(&account, provenance("close")?)?;
     if let Some(report) = &args.report {
         let page = crate::report::render(&[account.clone(), args.output.clone()])?;
         crate::artifact::write_whole(report, page.as_bytes())?;
@@ -120,6 +141,18 @@ pub fn table(closing: &Closing, output: &Path, account: &Path, seconds: f64) -> 
     let blind: Vec<&str> = closing.rejected.iter().filter(|r| r.upper_limit.is_none()).map(|r| r.id.as_str()).collect();
     if !blind.is_empty() {
         let _ = writeln!(out, "this session cannot tell: {}", blind.join(", "));
+    }
+    if let Some(r) = &closing.retrained {
+        let _ = writeln!(
+            out,
+            "network on {} held-out scenes: {:.2} dB, SSIM {:.3} -> {:.2} dB, SSIM {:.3} after {} steps on the closed instrument",
+            r.frames.len(),
+            r.psnr_db_before,
+            r.ssim_before,
+            r.psnr_db_after,
+            r.ssim_after,
+            r.steps
+        );
     }
     for note in &closing.notes {
         let _ = writeln!(out, "note: {note}");

@@ -73,7 +73,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let source = Simulated::new(config.build(&instrument, &args.input, run.seed)?);
     let plan = source.plan();
     let (network, peak_e) = (args.preset.network(plan.frame, plan.object), plan.peak_e);
-    let task = Task { source: &source, network, noise: plan.noise, maps: maps(&instrument) };
+    let task = Task { source: &source, network, noise: plan.noise, maps: maps(&instrument)? };
     train(args, run, task, peak_e, ("instrument", &args.input))
 }
 
@@ -88,11 +88,12 @@ fn maps_for(path: &Path, frame: [usize; 2]) -> anyhow::Result<SensorMaps> {
         sensor[0],
         sensor[1]
     );
-    Ok(maps(&instrument))
+    maps(&instrument)
 }
 
-fn maps(instrument: &Instrument) -> SensorMaps {
-    SensorMaps { offset_dn: instrument.offset_dn.clone(), inverse_gain: instrument.inverse_response() }
+pub(super) fn maps(instrument: &Instrument) -> anyhow::Result<SensorMaps> {
+    let tables = instrument.sensor_tables()?;
+    Ok(SensorMaps { offset_dn: tables.offset_dn, inverse_gain: tables.inverse_response })
 }
 
 fn train(

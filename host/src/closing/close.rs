@@ -162,6 +162,7 @@ pub fn close_without(
         faults,
         dependences_before,
         dependences_after: dependences,
+        retrained: None,
         notes,
     };
     let account = pictured(&model, &before, &now, closing);

@@ -14,6 +14,7 @@ pub mod record;
 pub mod refit;
 mod repeats;
 pub mod result;
+pub mod retrain;
 pub mod score;
 pub mod search;
 pub mod stats;

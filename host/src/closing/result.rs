@@ -2,6 +2,7 @@
 
 use super::omnibus::Dependence;
 use super::record::Fault;
+use super::retrain::Retrained;
 use serde::{Deserialize, Serialize};
 
 /// How well frames that no fit has seen are predicted.
@@ -101,6 +102,9 @@ pub struct Closing {
     pub dependences_before: Vec<Dependence>,
     /// The same, after.
     pub dependences_after: Vec<Dependence>,
+    /// The network before and after, where it was fine-tuned on the closed instrument.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub retrained: Option<Retrained>,
     /// What the user should know.
     pub notes: Vec<String>,
 }

@@ -365,10 +365,16 @@ impl<'m, 'a> Search<'m, 'a> {
         finalists: &[&'c Candidate],
         tell: &mut impl FnMut(&str),
     ) -> Result<Result<(Fitted, &'c Candidate, f64), &'static str>, ForwardError> {
-        let mut best: Option<(f64, Fitted, &Candidate)> = None;
         let top = finalists.iter().map(|c| c.worth()).fold(0.0, f64::max);
         // Whoever is far behind in the linear score does not catch up in the full fit.
-        for c in finalists.iter().filter(|c| c.worth() > 0.5 * top) {
+        let near: Vec<&&Candidate> = finalists.iter().filter(|c| c.worth() > 0.5 * top).collect();
+        // The scatter between clusters and the calibration's errors weigh on the full fits as on the scores, and on all alike: an effect
+        // of many values must not win by what it takes of the calibration's own errors.
+        let weight = |c: &Candidate| c.test.as_ref().map_or(1.0, |t| (t.gain / t.t.max(1e-9)).max(1.0));
+        let heaviest = near.iter().map(|c| weight(c)).fold(1.0, f64::max);
+        let mut best: Option<(f64, Fitted, &Candidate)> = None;
+        let mut least = f64::INFINITY;
+        for c in near {
             tell(c.term.id());
             let next = with(self.model, &self.now.state, c);
             let emission = c.term.effect.descriptor().stage == Stage::Object;
@@ -377,14 +383,12 @@ impl<'m, 'a> Search<'m, 'a> {
             } else {
                 refit_from(self.model, next, self.now.scenes.clone())?
             };
-            let fall = self.now.chi2 - fit.chi2;
-            let worth = match &c.test {
-                // The scatter between clusters and the calibration's errors weigh on the full fit as on the score.
-                Some(t) => fall * (t.t / t.gain.max(1e-9)).min(1.0) - PRICE * c.columns.len() as f64,
-                None => c.worth(),
-            };
-            tracing::info!("  fitted {:?}: fall {fall:.1}, worth {worth:.1}", fit.state.terms.last());
-            if best.as_ref().is_none_or(|b| worth > b.0) {
+            let (fall, price) = (self.now.chi2 - fit.chi2, PRICE * c.columns.len() as f64);
+            tracing::info!("  fitted {:?}: fall {fall:.1}, price {price:.0}", fit.state.terms.last());
+            let cost = price * heaviest - fall;
+            if cost < least {
+                least = cost;
+                let worth = if c.table.is_some() { c.worth() } else { fall / weight(c) - price };
                 best = Some((worth, fit, *c));
             }
         }

@@ -7,6 +7,7 @@ pub(crate) mod fixture;
 mod light_unit;
 mod model;
 mod replicates;
+mod sensor_maps;
 mod sensor_only;
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
@@ -16,6 +17,7 @@ mod tests;
 
 pub use calibrate::{CalibrateConfig, CalibrateError, Calibration, calibrate};
 pub use file::{INSTRUMENT_KIND, INSTRUMENT_VERSION, InstrumentError};
+pub use sensor_maps::SensorTables;
 
 use crate::effects::EffectSetting;
 use crate::noise::{MapErrors, NoiseModel, inverse_response};

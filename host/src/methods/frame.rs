@@ -15,13 +15,15 @@ pub struct FrameCorrection {
 }
 
 impl FrameCorrection {
-    /// The correction that calibration found.
+    /// The correction that calibration, and the loop, found.
     pub fn new(instrument: &Instrument) -> Self {
         let sensor = &instrument.manifest.sensor;
+        // An instrument whose effects make no sense is refused where it is read or its model planned.
+        let tables = instrument.sensor_tables().unwrap_or_default();
         Self {
             black_level_dn: instrument.noise.black_level_dn as f32,
-            offset_dn: instrument.offset_dn.clone(),
-            inverse_response: instrument.inverse_response(),
+            offset_dn: tables.offset_dn,
+            inverse_response: tables.inverse_response,
             shape: (sensor.rows, sensor.cols),
         }
     }

@@ -105,6 +105,27 @@ impl<'a> Trainer<'a> {
         Ok(run)
     }
 
+    /// A run that starts from the best weights of another: for an instrument that was closed.
+    ///
+    /// # Errors
+    /// As [`Trainer::new`]; or the checkpoint at `path` holds another network.
+    pub fn fine_tune(task: Task<'a>, training: TrainConfig, path: &Path) -> Result<Self, TrainError> {
+        let from = Checkpoint::read(path)?;
+        if from.body.network != task.network {
+            return Err(TrainError::Resume {
+                path: path.into(),
+                field: "network",
+                expected: format!("{:?}", task.network),
+                found: format!("{:?}", from.body.network),
+            });
+        }
+        // The start is given: nothing is to be fitted first.
+        let mut run = Self::new(task, TrainConfig { start: Start::Random, ..training })?;
+        run.state.adam = Adam::new(&from.weights);
+        (run.state.weights, run.state.current) = (from.weights.clone(), from.weights);
+        Ok(run)
+    }
+
     /// Takes up the run that wrote the checkpoint at `path`; the rest of it gives the same bits as if it had never stopped.
     ///
     /// # Errors
