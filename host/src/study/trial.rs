@@ -79,8 +79,10 @@ fn floor(session: &Session, seen: &Observations, instrument: &Instrument) -> any
     let (mut chi2, mut n) = (0.0, 0usize);
     for f in seen.frames.iter().filter(|f| f.role == Role::Scene && f.held_out) {
         let mu = expected.read(f.info.frame)?;
-        for (y, mu) in f.measured.iter().zip(&mu) {
-            let variance = noise.variance_dn2(f64::from(*mu));
+        // The fixed pattern of the offset makes no noise.
+        let lit = instrument.offset_dn.as_ref().map_or_else(|| mu.clone(), |offset| &mu - offset);
+        for ((y, mu), lit) in f.measured.iter().zip(&mu).zip(&lit) {
+            let variance = noise.variance_dn2(f64::from(*lit));
             if f64::from(*mu) + 4.0 * variance.sqrt() < noise.saturation_dn {
                 chi2 += f64::from(y - mu).powi(2) / variance;
                 n += 1;
