@@ -76,13 +76,15 @@ fn floor(session: &Session, seen: &Observations, instrument: &Instrument) -> any
     let stack = session.stacks_of(Role::Scene).next().context("no scene was measured")?;
     let mut expected = stack.expected()?.context("the bench wrote no noise-free frames")?;
     let noise = &instrument.noise;
+    let dark = noise.variance_dn2(noise.black_level_dn);
     let (mut chi2, mut n) = (0.0, 0usize);
     for f in seen.frames.iter().filter(|f| f.role == Role::Scene && f.held_out) {
         let mu = expected.read(f.info.frame)?;
-        // The fixed pattern of the offset makes no noise.
+        // The fixed pattern of the offset makes no noise; what its map errs by is as often below as above.
         let lit = instrument.offset_dn.as_ref().map_or_else(|| mu.clone(), |offset| &mu - offset);
         for ((y, mu), lit) in f.measured.iter().zip(&mu).zip(&lit) {
-            let variance = noise.variance_dn2(f64::from(*lit));
+            let light = f64::from(*lit) - noise.black_level_dn;
+            let variance = (dark + noise.gain_dn_per_e * light).max(0.25 * dark);
             if f64::from(*mu) + 4.0 * variance.sqrt() < noise.saturation_dn {
                 chi2 += f64::from(y - mu).powi(2) / variance;
                 n += 1;
