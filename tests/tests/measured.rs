@@ -33,3 +33,42 @@ fn measured_spots_are_predicted_where_they_were_left_out() {
     let raw = calibrate(&session, &CalibrateConfig::default(), || {}).unwrap().instrument.quality;
     assert!((raw.one_psf_error - 0.298).abs() < 0.002, "{raw:?}");
 }
+
+/// A water bear under a miniscope whose colour mosaic nobody declared. Without optics, darks or truth only what is fixed to the
+/// sensor can be told from the specimen: the loop finds the mosaic in the upper half of the frame, and nothing else, and takes it out of the
+/// lower half.
+#[test]
+fn measured_mosaic_is_found_and_removed() {
+    use ommatidia_host::closing::close::close;
+    use ommatidia_host::closing::observe::{Budget, Observations};
+    let Some(folder) = measured_data("measured_mosaic_is_found_and_removed", "sessions/tardigrade") else { return };
+    let session = Session::open(&folder).unwrap();
+    let instrument = calibrate(&session, &CalibrateConfig::default(), || {}).unwrap().instrument;
+    let mut seen = Observations::read(&session, &instrument, &Budget::default()).unwrap();
+    let closed = close(&instrument, &mut seen, "water bear", 1, |_| ()).unwrap();
+    let effects = &closed.account.closing.effects;
+    assert!(effects.len() == 1 && effects[0].id == "pixel_mosaic", "{effects:?}");
+    let gain = |name: &str| effects[0].params.iter().find(|p| p.name == name).unwrap().value;
+    let (checker, rows, cols) = (gain("checker"), gain("rows"), gain("cols"));
+    // Checkerboard of the lit part of the half that no fit has seen, DN, before and after.
+    let frame = session.stacks()[0].frames().unwrap().read(0).unwrap();
+    let sign = |n: usize| if n.is_multiple_of(2) { 1.0 } else { -1.0 };
+    let corrected = ndarray::Array2::from_shape_fn(frame.dim(), |(r, c)| {
+        let gain = 1.0 + checker * sign(r + c) + rows * sign(r) + cols * sign(c);
+        (f64::from(frame[[r, c]]) / gain) as f32
+    });
+    let amplitude = |image: &ndarray::Array2<f32>| {
+        let (mut sum, mut n) = (0.0, 0.0);
+        for (i, cell) in image.exact_chunks((2, 2)).into_iter().enumerate() {
+            let row = 2 * (i / 550);
+            if row >= 550 && cell.iter().all(|v| *v > 40.0) {
+                let d = |a: usize, b: usize| f64::from(cell[[a, b]]);
+                sum += (d(0, 0) - d(0, 1) - d(1, 0) + d(1, 1)) / 4.0;
+                n += 1.0;
+            }
+        }
+        sum / n
+    };
+    let (before, after) = (amplitude(&frame), amplitude(&corrected));
+    assert!(before > 1.5 && after.abs() < 0.03, "{before} {after}");
+}

@@ -224,6 +224,9 @@ fn closed(instrument: &Instrument, model: &Model<'_>, state: &State) -> Instrume
     Instrument { effects, ..instrument.clone() }
 }
 
+/// What is left after pruning: the fit, what was found, and the test of each term.
+type Pruned = (Fitted, Vec<Found>, Vec<Option<Test>>);
+
 /// Takes back what is no longer needed beside the rest; gives the test of each term that stays.
 fn prune(
     model: &Model<'_>,
@@ -231,7 +234,7 @@ fn prune(
     mut now: Fitted,
     mut found: Vec<Found>,
     own: usize,
-) -> Result<(Fitted, Vec<Found>, Vec<Option<Test>>), ForwardError> {
+) -> Result<Pruned, ForwardError> {
     loop {
         let columns: Vec<Column> = nuisances(model).into_iter().chain(own_columns(model, &now.state)).collect();
         let of_frames = replicas.of(model, &now)?;

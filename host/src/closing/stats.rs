@@ -4,7 +4,8 @@ use puruspe::{betai, erfc, gammq, inverfc};
 
 /// Probability that a chi-squared variable of `ndf` degrees of freedom exceeds `x`.
 pub fn chi2_tail(x: f64, ndf: f64) -> f64 {
-    if !(x > 0.0 && ndf > 0.0 && x.is_finite() && ndf.is_finite()) {
+    let counts = |v: f64| v.is_finite() && v > 0.0;
+    if !counts(x) || !counts(ndf) {
         return 1.0;
     }
     if ndf > 2e3 {
@@ -18,10 +19,10 @@ pub fn chi2_tail(x: f64, ndf: f64) -> f64 {
 
 /// Probability that an F variable of `d` and `nu` degrees of freedom exceeds `f`; `nu` may be infinite.
 pub fn f_tail(f: f64, d: f64, nu: f64) -> f64 {
-    if !(f > 0.0 && d > 0.0 && f.is_finite()) {
+    if !f.is_finite() || f <= 0.0 || d <= 0.0 {
         return 1.0;
     }
-    if !(nu < 1e5) {
+    if nu.is_nan() || nu >= 1e5 {
         return chi2_tail(f * d, d);
     }
     betai(nu / 2.0, d / 2.0, nu / (nu + d * f)).clamp(0.0, 1.0)
@@ -29,7 +30,7 @@ pub fn f_tail(f: f64, d: f64, nu: f64) -> f64 {
 
 /// Standard deviations of a normal variable whose two-sided tail has probability `p`.
 pub fn sigmas(p: f64) -> f64 {
-    if !(p < 1.0) { 0.0 } else { std::f64::consts::SQRT_2 * inverfc(p.max(1e-290)) }
+    if p.is_nan() || p >= 1.0 { 0.0 } else { std::f64::consts::SQRT_2 * inverfc(p.max(1e-290)) }
 }
 
 /// Two-sided tail of a normal variable at `z` standard deviations.
