@@ -5,7 +5,7 @@ use crate::effects::FrameContext;
 use crate::forward::Forward;
 use crate::psf::OperatorConfig;
 use crate::session::{Role, Session};
-use std::collections::BTreeMap;
+use std::collections::btree_map::{BTreeMap, Entry};
 
 /// Scene frames with truth that the light unit is fitted to.
 const UNIT_FRAMES: usize = 16;
@@ -24,11 +24,13 @@ pub(super) fn fit_light_unit(session: &Session, instrument: &Instrument) -> Resu
         for info in stack.info().iter().take(UNIT_FRAMES) {
             let (mut frame, object) = (frames.read(info.frame)?, truths.read(info.frame)?);
             let depth = instrument.psf.depth_nearest(info.z_um);
-            if !at_depths.contains_key(&depth) {
-                let config = OperatorConfig { depth, ..OperatorConfig::default() };
-                at_depths.insert(depth, Forward::with_config(instrument, config)?);
-            }
-            let Some(forward) = at_depths.get(&depth) else { continue };
+            let forward = match at_depths.entry(depth) {
+                Entry::Occupied(planned) => planned.into_mut(),
+                Entry::Vacant(place) => {
+                    let config = OperatorConfig { depth, ..OperatorConfig::default() };
+                    place.insert(Forward::with_config(instrument, config)?)
+                }
+            };
             let cx =
                 FrameContext { exposure_ms: info.exposure_ms, illumination: info.illumination, ..forward.context() };
             let light_e = forward.expected_e(object.view(), &cx)?;

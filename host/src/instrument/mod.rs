@@ -50,7 +50,8 @@ pub struct Instrument {
     ///
     /// For any figure s that is predicted with each of them in the place of `psf` (see [`Instrument::replicate`]) the variance
     /// that calibration gives it is `(J-1)/J * sum_j (s_j - mean s)^2`. Each has a basis of its own: basis and coefficients of
-    /// two of them cannot be mixed. Chief rays and noise are those of the instrument in all of them.
+    /// two of them cannot be mixed. Chief rays, noise and light unit are those of the
+    /// instrument in all of them: the error of the light unit, one scale common to all predictions, is not in that variance.
     pub replicates: Vec<LowRankPsf>,
     /// Effects that the loop has added to the model, in the order in which they were accepted.
     pub effects: Vec<EffectSetting>,

@@ -82,7 +82,7 @@ mod tests {
         for side in [9, 13, 16] {
             let at_px = Array2::from_shape_fn((side * side, 2), |(i, a)| [i / side, i % side][a] as f64 * 7.3);
             let plane = Plane { z_um: 0.0, beads: (0..side * side).collect(), at_px };
-            let groups = groups(&[plane.clone()], 8);
+            let groups = groups(std::slice::from_ref(&plane), 8);
             for j in 0..8 {
                 let here: Vec<usize> = (0..side * side).filter(|n| groups[*n] == j).collect();
                 assert!(here.len() >= side * side / 8, "{side} {j}: {}", here.len());

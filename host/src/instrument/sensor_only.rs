@@ -51,7 +51,7 @@ pub(super) fn instrument(
         response: noise.response,
         effects: Vec::new(),
         light_unit: LightUnit::Dn,
-        quality: Quality::default(),
+        quality: Quality { maps: noise.left, ..Quality::default() },
         diagnostics: Diagnostics { photon_transfer: noise.photon_transfer, ..Diagnostics::default() },
     })
 }

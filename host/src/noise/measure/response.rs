@@ -267,8 +267,8 @@ mod tests {
     }
 
     fn rms(a: impl Iterator<Item = f64>) -> f64 {
-        let (sum, count) = a.fold((0.0, 0.0), |(s, n), v| (s + v * v, n + 1.0));
-        (sum / count as f64).sqrt()
+        let (sum, count) = a.fold((0.0, 0.0f64), |(s, n), v| (s + v * v, n + 1.0));
+        (sum / count).sqrt()
     }
 
     #[test]
