@@ -40,7 +40,9 @@ pub fn run(dir: &Path, size: &Size, shard: [usize; 2], tell: impl Fn(usize, usiz
     let sensitivities: Vec<Sensitivities> = subjects.iter().map(|s| s.sensitivities.clone()).collect();
     let ended: BTreeSet<String> = read_all(dir)?.into_iter().map(|o| o.case.key).collect();
     let mine = |(i, _): &(usize, Case)| i % shard[1].max(1) == shard[0];
-    let all = cases(size, &sensitivities).into_iter().enumerate().filter(mine);
+    let all = cases(size, &sensitivities);
+    let planned = all.len();
+    let all = all.into_iter().enumerate().filter(mine);
     let todo: Vec<Case> = all.map(|(_, c)| c).filter(|c| !ended.contains(&c.key)).collect();
     let ledger = Ledger::open(dir, shard)?;
     let done = AtomicUsize::new(0);
@@ -55,18 +57,18 @@ pub fn run(dir: &Path, size: &Size, shard: [usize; 2], tell: impl Fn(usize, usiz
         .into_iter()
         .collect::<std::io::Result<Vec<()>>>()
         .with_context(|| dir.display().to_string())?;
-    conclude(dir, size, &sensitivities)
+    conclude(dir, size, planned, &sensitivities)
 }
 
 /// Writes figures and page of all sessions in a folder.
-fn conclude(dir: &Path, size: &Size, sensitivities: &[Sensitivities]) -> anyhow::Result<Study> {
+fn conclude(dir: &Path, size: &Size, planned: usize, sensitivities: &[Sensitivities]) -> anyhow::Result<Study> {
     let outcomes = read_all(dir)?;
     let summary = Summary::of(&outcomes);
     let json = serde_json::json!({
-        "size": size, "sensitivities": sensitivities, "summary": summary, "sessions": outcomes,
+        "size": size, "planned": planned, "sensitivities": sensitivities, "summary": summary, "sessions": outcomes,
     });
     crate::artifact::write_whole(&dir.join(JSON), &serde_json::to_vec_pretty(&json)?)?;
-    let page = page(size, sensitivities, &outcomes, &summary);
+    let page = page(size, planned, sensitivities, &outcomes, &summary);
     crate::artifact::write_whole(&dir.join(PAGE), page.as_bytes())?;
     Ok(Study { outcomes, summary })
 }

@@ -8,10 +8,10 @@ use std::collections::BTreeSet;
 use std::fmt::Write;
 
 /// Writes the page.
-pub fn page(size: &Size, sensitivities: &[Sensitivities], all: &[Outcome], s: &Summary) -> String {
+pub fn page(size: &Size, planned: usize, sensitivities: &[Sensitivities], all: &[Outcome], s: &Summary) -> String {
     let mut out = String::new();
     // Writing to a string cannot fail.
-    let _ = head(&mut out, size, s)
+    let _ = head(&mut out, size, planned, s)
         .and_then(|()| nulls(&mut out, s))
         .and_then(|()| single(&mut out, s))
         .and_then(|()| named(&mut out, s))
@@ -38,11 +38,11 @@ fn number(v: Option<f64>) -> String {
     v.map_or_else(|| "-".into(), |v| format!("{v:.2}"))
 }
 
-fn head(out: &mut String, size: &Size, s: &Summary) -> std::fmt::Result {
+fn head(out: &mut String, size: &Size, planned: usize, s: &Summary) -> std::fmt::Result {
     writeln!(
         out,
         "# How far the loop can be trusted\n\n\
-         Written by `ommatidia study`: {} sessions of the virtual instrument, {} instruments of 3 x 3 lenses on 98 x 98 pixels, each\n\
+         Written by `ommatidia study`: {} of {planned} planned sessions of the virtual instrument, {} instruments of 3 x 3 lenses on 98 x 98 pixels, each\n\
          calibrated once from a session of its own (bead scan at three depths, darks, flats). A session to close has 8 scenes of known\n\
          objects, 12 flats at three levels and two exposures, 8 darks at two exposures. The bench computes its frames by physical optics\n\
          and knows nothing of the model. Whatever is put into a session is not declared anywhere.\n\n\
@@ -53,7 +53,7 @@ fn head(out: &mut String, size: &Size, s: &Summary) -> std::fmt::Result {
     )?;
     writeln!(
         out,
-        "Closing a session took {:.1} s (median; mean {:.1} s, longest {:.1} s) on one thread. {} sessions failed.\n",
+        "Closing a session took {:.1} s (median; mean {:.1} s, longest {:.1} s) on one thread of a shared machine. {} sessions failed.\n",
         s.seconds[0], s.seconds[1], s.seconds[2], s.failed
     )
 }
