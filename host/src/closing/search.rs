@@ -337,13 +337,9 @@ impl<'m, 'a> Search<'m, 'a> {
             let p: Vec<f64> = candidates.iter().map(Candidate::p).collect();
             let significant = holm(&p, ALPHA);
             let open = |c: &Candidate| !refused.contains(&c.term.id()) && c.worth() > 0.0;
-            let finalists: Vec<&Candidate> = candidates
-                .iter()
-                .zip(&significant)
-                .filter(|(c, s)| **s && open(c))
-                .map(|(c, _)| c)
-                .take(FINALISTS)
-                .collect();
+            let able: Vec<&Candidate> =
+                candidates.iter().zip(&significant).filter(|(c, s)| **s && open(c)).map(|(c, _)| c).collect();
+            let finalists = finalists(&able);
             if finalists.is_empty() || self.found.len() >= MOST {
                 self.rest = candidates;
                 return Ok(());
@@ -365,16 +361,13 @@ impl<'m, 'a> Search<'m, 'a> {
         finalists: &[&'c Candidate],
         tell: &mut impl FnMut(&str),
     ) -> Result<Result<(Fitted, &'c Candidate, f64), &'static str>, ForwardError> {
-        let top = finalists.iter().map(|c| c.worth()).fold(0.0, f64::max);
-        // Whoever is far behind in the linear score does not catch up in the full fit.
-        let near: Vec<&&Candidate> = finalists.iter().filter(|c| c.worth() > 0.5 * top).collect();
         // The scatter between clusters and the calibration's errors weigh on the full fits as on the scores, and on all alike: an effect
         // of many values must not win by what it takes of the calibration's own errors.
         let weight = |c: &Candidate| c.test.as_ref().map_or(1.0, |t| (t.gain / t.t.max(1e-9)).max(1.0));
-        let heaviest = near.iter().map(|c| weight(c)).fold(1.0, f64::max);
+        let heaviest = finalists.iter().map(|c| weight(c)).fold(1.0, f64::max);
         let mut best: Option<(f64, Fitted, &Candidate)> = None;
         let mut least = f64::INFINITY;
-        for c in near {
+        for c in finalists {
             tell(c.term.id());
             let next = with(self.model, &self.now.state, c);
             let emission = c.term.effect.descriptor().stage == Stage::Object;
@@ -423,6 +416,22 @@ impl<'m, 'a> Search<'m, 'a> {
         let table_sigma = it.table.as_ref().map(|t| t.sigma);
         Found { id: it.term.id(), z, held_out_gain: gain, ambiguity, table_sigma }
     }
+}
+
+/// Who is fitted in full: the best by the test; and, of few values, whoever explains nearly as much by the noise alone, since a large
+/// effect is far from linear and its scores scatter for that reason.
+fn finalists<'c>(able: &[&'c Candidate]) -> Vec<&'c Candidate> {
+    let gain = |c: &Candidate| c.test.as_ref().map_or(0.0, |t| t.gain);
+    let (top, most) = able.iter().fold((0.0, 0.0), |m: (f64, f64), c| (m.0.max(c.worth()), m.1.max(gain(c))));
+    let mut chosen: Vec<&Candidate> = able.iter().filter(|c| c.worth() > 0.5 * top).take(FINALISTS).copied().collect();
+    let mut simple: Vec<&Candidate> = able
+        .iter()
+        .filter(|c| gain(c) > 0.7 * most && !chosen.iter().any(|b| b.term.id() == c.term.id()))
+        .copied()
+        .collect();
+    simple.sort_by_key(|c| c.columns.len());
+    chosen.extend(simple.into_iter().take(1));
+    chosen
 }
 
 /// Effects with a table, as candidates.
