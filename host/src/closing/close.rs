@@ -21,6 +21,9 @@ use thiserror::Error;
 /// Probability below which an omnibus test counts, all covariates together.
 const OMNIBUS: f64 = 0.01;
 
+/// A term stays if chi-squared rises by more than this without it, over the scatter between clusters.
+const NEEDED: f64 = 16.0;
+
 /// Why the loop could not be closed.
 #[derive(Debug, Error)]
 pub enum CloseError {
@@ -235,6 +238,7 @@ fn prune(
     mut found: Vec<Found>,
     own: usize,
 ) -> Result<Pruned, ForwardError> {
+    let mut needed: Vec<&str> = Vec::new();
     loop {
         let columns: Vec<Column> = nuisances(model).into_iter().chain(own_columns(model, &now.state)).collect();
         let of_frames = replicas.of(model, &now)?;
@@ -248,14 +252,22 @@ fn prune(
         let tests: Vec<Option<Test>> = (0..now.state.terms.len()).map(test).collect();
         // Wald: how far the strengths are from where the effect is absent.
         let weakest = (own..tests.len())
+            .filter(|t| !needed.contains(&now.state.terms[*t].id()))
             .filter_map(|t| Some((t, wald(model, &now.state.terms[t], tests[t].as_ref()?))))
             .max_by(|a, b| a.1.total_cmp(&b.1));
         match weakest {
             Some((t, p)) if p > super::search::ALPHA => {
                 let mut state = now.state.clone();
-                state.terms.remove(t);
-                found.remove(t - own);
-                now = refit(model, state)?;
+                let term = state.terms.remove(t);
+                let without = refit(model, state)?;
+                // Values that trade against one another are each uncertain while the term as a whole is not.
+                let weight = tests[t].as_ref().map_or(1.0, |test| test.phi);
+                if (without.chi2 - now.chi2) / weight > NEEDED {
+                    needed.push(term.id());
+                } else {
+                    found.remove(t - own);
+                    now = without;
+                }
             }
             _ => return Ok((now, found, tests)),
         }

@@ -25,7 +25,7 @@ pub struct Budget {
 
 impl Default for Budget {
     fn default() -> Self {
-        Self { scenes: 48, flats: 20, darks: 12, beads: 400, pixels: 200_000, blocks: 6 }
+        Self { scenes: 48, flats: 20, darks: 12, beads: 96, pixels: 200_000, blocks: 6 }
     }
 }
 

@@ -288,7 +288,8 @@ mod tests {
         let design = made_up(0.2, 5);
         let scores = Scores::new(&design, vec![0]);
         let t = scores.test(&[1]).unwrap();
-        assert!(t.z > 8.0 && t.gain > 60.0, "{t:?}");
+        // 11 sigma by the noise; fewer are told, since seven frames say little of the scatter between frames.
+        assert!(t.z > 4.0 && t.gain > 60.0, "{t:?}");
         assert!((scores.overlap(&[1], &t.theta, &[2]) - 0.64).abs() < 0.05);
         // 450 held-out pixels at (0.2 / 1)^2 each.
         let (gain, pixels) = scores.held_out_gain(&[1], |_| true);

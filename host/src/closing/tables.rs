@@ -27,6 +27,8 @@ pub struct TableFit {
 const SPOT: f32 = 5.0;
 /// Radius of the blur that spots are looked for with, pixels.
 const SPOT_PX: f64 = 1.5;
+/// Blur that a pattern of pixels is told from, standard deviation, pixels: it takes 2 % of a white one.
+const SMOOTH_PX: f64 = 2.0;
 /// The estimate of a remaining pattern may exceed what the calibration left by this factor before it counts.
 const TOLERANCE: f64 = 1.5;
 
@@ -121,8 +123,11 @@ fn mean(a: &Half, b: &Half) -> Half {
     Half { value, weight }
 }
 
-/// A pattern of all pixels: the variance that both halves share, beyond what the calibration leaves.
+/// A pattern of all pixels: the variance that both halves share, beyond what the calibration leaves. What is smooth over pixels (shade, spots,
+/// a step) is no property of single pixels and is taken out first.
 fn pixels(a: &Half, b: &Half, left: f64) -> Option<Shape> {
+    let sharp = |h: &Half| Half { value: &h.value - &blur_within(&h.value, SMOOTH_PX), weight: h.weight.clone() };
+    let (a, b) = (&sharp(a), &sharp(b));
     let (mut shared, mut noise, mut n) = (0.0, 0.0, 0.0);
     // Hot pixels and dust are other effects: their values stand out, so they are left out here.
     Zip::from(&a.value).and(&b.value).and(&a.weight).and(&b.weight).for_each(|a, b, wa, wb| {
