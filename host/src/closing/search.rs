@@ -202,18 +202,18 @@ fn row_period(evidence: &Evidence<'_>) -> Option<f64> {
 }
 
 /// What the replicates cannot show: they err alike where foci are registered by fractions of a pixel. Measured on the virtual instrument,
-/// the calibrated PSF is too narrow by 0.003 to 0.016 px^2.
+/// the calibrated PSF is too narrow by 0.003 to 0.016 px^2 along either axis.
 const PSF_WIDTH_PX2: f64 = 0.012;
 
-/// Second differences along both axes; edges repeat.
-fn laplacian(image: &Array2<f32>) -> Array2<f32> {
+/// Second differences along an axis; edges repeat.
+fn second_difference(image: &Array2<f32>, axis: usize) -> Array2<f32> {
     let (rows, cols) = image.dim();
     Array2::from_shape_fn((rows, cols), |(r, c)| {
-        let near = image[[r.saturating_sub(1), c]]
-            + image[[(r + 1).min(rows - 1), c]]
-            + image[[r, c.saturating_sub(1)]]
-            + image[[r, (c + 1).min(cols - 1)]];
-        near - 4.0 * image[[r, c]]
+        let near = match axis {
+            0 => image[[r.saturating_sub(1), c]] + image[[(r + 1).min(rows - 1), c]],
+            _ => image[[r, c.saturating_sub(1)]] + image[[r, (c + 1).min(cols - 1)]],
+        };
+        near - 2.0 * image[[r, c]]
     })
 }
 
@@ -235,17 +235,18 @@ impl Replicas {
         };
         let mut all: Vec<Vec<Option<Array2<f32>>>> = self.light.iter().map(one).collect();
         if !all.is_empty() {
-            let n = all.len() as f64 + 2.0;
-            // Two more, one on either side, whose share of the jackknife's sum is the square of the systematic error.
+            let n = all.len() as f64 + 4.0;
+            // Two more for each axis, one on either side, whose share of the jackknife's sum is the square of the systematic error.
             let size = 0.5 * PSF_WIDTH_PX2 * (n / (n - 1.0) / 2.0).sqrt() * model.forward.noise().gain_dn_per_e;
-            let blurred = |sign: f64| {
+            let blurred = |axis: usize, sign: f64| {
                 let known = |k: usize| model.seen.frames[k].role == crate::session::Role::Scene && all[0][k].is_some();
-                let change =
-                    |k: usize| known(k).then(|| laplacian(&fitted.predicted[k].light_e) * (sign * size) as f32);
+                let change = |k: usize| {
+                    known(k).then(|| second_difference(&fitted.predicted[k].light_e, axis) * (sign * size) as f32)
+                };
                 (0..fitted.predicted.len()).map(change).collect::<Vec<_>>()
             };
-            let pair = [blurred(1.0), blurred(-1.0)];
-            all.extend(pair);
+            let more = [blurred(0, 1.0), blurred(0, -1.0), blurred(1, 1.0), blurred(1, -1.0)];
+            all.extend(more);
         }
         Ok(all)
     }
