@@ -159,7 +159,8 @@ fn prediction(args: &Args, scenes: &mut Scenes) -> anyhow::Result<Option<crate::
             let instrument = Instrument::read(path)?;
             let forward = Forward::new(&instrument)?;
             let count = scenes.count();
-            let sensor = Sensor { noise: &instrument.noise, offset_dn: instrument.offset_dn.as_ref() };
+            let noise = forward.noise_with(forward.effects());
+            let sensor = Sensor { noise: &noise, offset_dn: instrument.offset_dn.as_ref() };
             let figures = predict_figures(count, sensor, |i| scenes.triple(i, &forward));
             return Ok(Some(figures.with_context(|| path.display().to_string())?));
         }

@@ -3,8 +3,10 @@
 //! [`observe`] reads frames and fixes the hold-outs; [`model`] predicts them with effects and nuisances; [`design`] sums what a small
 //! change of each value would do; [`score`] tests and ranks.
 
+mod account;
 pub mod close;
 pub mod design;
+mod figures;
 pub mod file;
 pub mod model;
 pub mod observe;

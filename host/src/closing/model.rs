@@ -38,10 +38,25 @@ impl Term {
         self.effect.descriptor().expanded(lenses)
     }
 
-    /// The parameter that the frame depends on at first order even where the effect is absent.
+    /// Indices of the parameters that the effect is absent without.
     pub fn strengths(&self, lenses: usize) -> Vec<usize> {
         let all = self.expanded(lenses);
-        (0..all.len()).filter(|i| all[*i].1.kind == Kind::Strength).collect()
+        (0..all.len()).filter(|i| all[*i].1.is_strength()).collect()
+    }
+
+    /// Indices of the parameters that are fitted: all that are not chosen.
+    pub fn free(&self, lenses: usize) -> Vec<usize> {
+        let all = self.expanded(lenses);
+        (0..all.len()).filter(|i| all[*i].1.kind != Kind::Choice).collect()
+    }
+
+    /// The same with all its strengths at absence.
+    pub fn switched_off(&self, lenses: usize) -> Self {
+        let mut off = Self { table: None, ..self.clone() };
+        for (value, (_, p)) in off.params.iter_mut().zip(self.expanded(lenses)).filter(|(_, (_, p))| p.is_strength()) {
+            *value = p.off;
+        }
+        off
     }
 
     /// As it stands in an instrument.
@@ -73,6 +88,8 @@ pub struct Predicted {
     pub sum_e: Array2<f32>,
     /// Light on the sensor, electrons.
     pub light_e: Array2<f32>,
+    /// The same without what is left of the frame before, where anything is.
+    pub alone_e: Option<Array2<f32>>,
     /// Expected frame, DN.
     pub dn: Array2<f32>,
     /// One over the standard deviation of a pixel, DN; 0: not looked at.
@@ -81,6 +98,13 @@ pub struct Predicted {
     pub residual_dn: Array2<f32>,
     /// Light of the frame over the instrument's unit: that of its stack; of a bead its own, at its best.
     pub scale: f64,
+}
+
+impl Predicted {
+    /// The light that the next frame can have something left of: what is left of what was left is another order smaller.
+    pub fn alone_e(&self) -> &Array2<f32> {
+        self.alone_e.as_ref().unwrap_or(&self.light_e)
+    }
 }
 
 /// A column of the design: what a small change of one value does to the frames.
@@ -244,7 +268,7 @@ impl<'a> Model<'a> {
         // Errors stay those of the calibration: a fit that may widen them would like nothing better.
         let noise = self.forward.noise();
         let n = self.seen.frames.len();
-        let lights: Vec<(Array2<f32>, Array2<f32>, f64)> = (0..n)
+        let alone: Vec<(Array2<f32>, Array2<f32>, f64)> = (0..n)
             .into_par_iter()
             .map(|k| {
                 let f = &self.seen.frames[k];
@@ -259,12 +283,16 @@ impl<'a> Model<'a> {
                 (sum, light, scale)
             })
             .collect();
-        lights
+        alone
             .par_iter()
             .enumerate()
-            .map(|(k, (sum_e, light_e, scale))| {
+            .map(|(k, (sum_e, alone_e, scale))| {
                 let f = &self.seen.frames[k];
-                let previous = f.previous.map(|p| &lights[p].1);
+                let previous = f.previous.filter(|_| chain.needs_previous()).map(|p| &alone[p].1);
+                let light_e = match previous {
+                    None => alone_e.clone(),
+                    Some(_) => self.forward.on_sensor(sum_e.clone(), &chain, &self.context(k, previous)),
+                };
                 let dn = self.dn(k, light_e.clone(), &chain, previous, state.black_dn);
                 let (mut residual_dn, detail) = residual(f, &dn);
                 let top = noise.saturation_dn;
@@ -284,7 +312,8 @@ impl<'a> Model<'a> {
                 );
                 Predicted {
                     sum_e: sum_e.clone(),
-                    light_e: light_e.clone(),
+                    alone_e: previous.map(|_| alone_e.clone()),
+                    light_e,
                     dn,
                     inverse_sigma,
                     residual_dn,
@@ -320,7 +349,7 @@ impl<'a> Model<'a> {
         dn
     }
 
-    /// How the expected frame changes with a column's value, per unit of it, DN. None: not at all.
+    /// How the expected frame changes with a column's value, per unit of it ([`Param::inner`] of a parameter), DN. None: not at all.
     ///
     /// # Errors
     /// An object is no light.
@@ -334,7 +363,7 @@ impl<'a> Model<'a> {
         scenes: &[Option<SceneLight>],
     ) -> Result<Option<Array2<f32>>, ForwardError> {
         let (f, here) = (&self.seen.frames[k], &now[k]);
-        let previous = f.previous.map(|p| &now[p].light_e);
+        let previous = f.previous.map(|p| now[p].alone_e());
         let own = || self.chain(&state.terms);
         let (terms, which, param): (Vec<Term>, usize, usize) = match column {
             Column::Black => return Ok((f.shown != Shown::Unknown).then(|| Array2::ones(here.dn.dim()))),
@@ -345,8 +374,10 @@ impl<'a> Model<'a> {
                 // A tenth of the noise of a bright pixel, far above rounding.
                 let step = 1e-3;
                 let chain = own();
-                let light = self.forward.on_sensor(&here.sum_e * (1.0 + step as f32), &chain, &self.context(k, None));
-                let moved = self.dn(k, light, &chain, previous, state.black_dn);
+                let more = 1.0 + step as f32;
+                let before = previous.filter(|_| chain.needs_previous()).map(|p| p * more);
+                let light = self.forward.on_sensor(&here.sum_e * more, &chain, &self.context(k, before.as_ref()));
+                let moved = self.dn(k, light, &chain, before.as_ref(), state.black_dn);
                 return Ok(Some((moved - &here.dn) / step as f32));
             }
             Column::Trial { term, param } => {
@@ -359,12 +390,12 @@ impl<'a> Model<'a> {
         let effect = terms[which].effect;
         let expanded = terms[which].expanded(self.lenses());
         let p = expanded[param].1;
-        let value = terms[which].params[param];
-        let mut step = 0.5 * p.step;
-        if value + step > p.max {
+        let value = p.inner(terms[which].params[param]);
+        let mut step = 0.5 * p.inner(p.step);
+        if value + step > p.inner(p.max) {
             step = -step;
         }
-        terms[which].params[param] = value + step;
+        terms[which].params[param] = p.outer(value + step);
         let chain = self.chain(&terms);
         let lens = p.per_lens.then(|| {
             let first = expanded.iter().position(|(_, q)| std::ptr::eq(*q, p)).unwrap_or(param);
@@ -411,7 +442,7 @@ impl<'a> Model<'a> {
                 return Ok(Some(self.dn(k, here.light_e.clone(), chain, previous, state.black_dn)));
             }
         };
-        let light = self.forward.on_sensor(sum, chain, &self.context(k, None));
+        let light = self.forward.on_sensor(sum, chain, &self.context(k, previous));
         Ok(Some(self.dn(k, light, chain, previous, state.black_dn)))
     }
 

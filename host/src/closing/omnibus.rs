@@ -6,12 +6,14 @@
 
 use super::model::{Model, Predicted};
 use super::observe::Shown;
+use super::refit::Fitted;
+use super::repeats;
 use super::stats::{chi2_tail, sigmas};
 use crate::effects::blur_within;
 use crate::noise::MapErrors;
 use crate::rng::stream;
 use ndarray::Array2;
-use rand::Rng;
+use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -56,11 +58,14 @@ pub enum Covariate {
     Neighbours,
     /// The same pixel one frame on.
     NextFrame,
+    /// The noise of repeats: its variance; its correlation along the row, along the column and diagonally; what rows and what columns
+    /// share.
+    Repeats,
 }
 
 impl Covariate {
     /// All of them.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 17] = [
         Self::Row,
         Self::Column,
         Self::RowParity,
@@ -77,6 +82,7 @@ impl Covariate {
         Self::Frame,
         Self::Neighbours,
         Self::NextFrame,
+        Self::Repeats,
     ];
 
     /// In words.
@@ -98,6 +104,7 @@ impl Covariate {
             Self::Frame => "frame",
             Self::Neighbours => "residual of neighbouring pixels",
             Self::NextFrame => "residual of the next frame",
+            Self::Repeats => "noise of repeats: variance, neighbours, rows, columns",
         }
     }
 
@@ -113,7 +120,7 @@ pub struct Dependence {
     pub covariate: Covariate,
     /// Place of each bin: pixels, electrons, index, whichever the covariate counts in.
     pub at: Vec<f64>,
-    /// Mean residual of each bin in standard deviations of a pixel (correlation, for neighbours and frames).
+    /// Mean residual of each bin in standard deviations of a pixel (correlation, for neighbours and frames; standard errors, for repeats).
     pub mean: Vec<f64>,
     /// Standard deviation of that mean if the model is right: the null band.
     pub band: Vec<f64>,
@@ -137,8 +144,46 @@ struct Bins {
 /// No bin.
 const NONE: u16 = u16::MAX;
 
-/// Tests every covariate on the frames of known objects (of unknown specimens where there are no others), held-out ones left out.
-pub fn test(model: &Model<'_>, now: &[Predicted], replicas: &[Vec<Option<Array2<f32>>>], seed: u64) -> Vec<Dependence> {
+/// Tests every covariate on the frames of known objects (of unknown specimens where there are no others), and the noise on repeats;
+/// held-out frames left out.
+pub fn test(model: &Model<'_>, fitted: &Fitted, replicas: &[Vec<Option<Array2<f32>>>], seed: u64) -> Vec<Dependence> {
+    let mut all = on_scenes(model, &fitted.predicted, replicas, seed);
+    all.extend(on_repeats(repeats::residuals(model, &fitted.state, &fitted.predicted)));
+    all
+}
+
+/// The covariance channel: the features of repeats are sums over so many pixels that they are normal, and need no draws.
+fn on_repeats(levels: Vec<repeats::Features>) -> Option<Dependence> {
+    let n = levels.len() as f64;
+    if levels.is_empty() {
+        return None;
+    }
+    let mut mean = vec![0.0; repeats::FEATURES];
+    let mut chi2 = 0.0;
+    for level in &levels {
+        mean.iter_mut().zip(level).for_each(|(m, v)| *m += v / n);
+        chi2 += level.iter().map(|v| v * v).sum::<f64>();
+    }
+    let dof = n * repeats::FEATURES as f64;
+    let p = chi2_tail(chi2, dof);
+    Some(Dependence {
+        covariate: Covariate::Repeats,
+        at: (0..mean.len()).map(|i| i as f64).collect(),
+        band: vec![1.0 / n.sqrt(); mean.len()],
+        mean,
+        chi2,
+        expected: dof,
+        p,
+        z: sigmas(p),
+    })
+}
+
+fn on_scenes(
+    model: &Model<'_>,
+    now: &[Predicted],
+    replicas: &[Vec<Option<Array2<f32>>>],
+    seed: u64,
+) -> Vec<Dependence> {
     let frames = scenes(model);
     if frames.is_empty() {
         return Vec::new();
@@ -229,17 +274,7 @@ fn draw(
     index: u64,
 ) -> Vec<Vec<f32>> {
     let mut rng = stream(seed, "omnibus", index);
-    let mut spare = None;
-    let mut normal = move || -> f32 {
-        if let Some(z) = spare.take() {
-            return z;
-        }
-        let uniform = |w: u32| ((w >> 8) as f32 + 0.5) * (1.0 / 16_777_216.0);
-        let radius = (-2.0 * uniform(rng.next_u32()).ln()).sqrt();
-        let (sin, cos) = (std::f32::consts::TAU * uniform(rng.next_u32())).sin_cos();
-        spare = Some(radius * sin);
-        radius * cos
-    };
+    let mut normal = || -> f32 { StandardNormal.sample(&mut rng) };
     let n = directions.len() as f32;
     let xi: Vec<f32> = directions.iter().map(|_| normal() * ((n - 1.0) / n).sqrt()).collect();
     let mean_xi = xi.iter().sum::<f32>() / n.max(1.0);
@@ -359,7 +394,7 @@ impl Bins {
                 return Some(Self { covariate, of: Vec::new(), at: vec![1.0, 1.0, 2f64.sqrt(), 2.0, 2.0] });
             }
             Covariate::NextFrame if frames.len() > 1 => return Some(Self { covariate, of: Vec::new(), at: vec![1.0] }),
-            Covariate::NextFrame => return None,
+            Covariate::NextFrame | Covariate::Repeats => return None,
         };
         if values.iter().all(Vec::is_empty) {
             return None;

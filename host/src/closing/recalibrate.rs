@@ -2,7 +2,8 @@
 //! calibrated anew on the session's own bead scan: once on the beads that may be fitted, for the figures on those that may not,
 //! and once on all of them, for the instrument.
 
-use super::close::{Closed, figures};
+use super::close::Closed;
+use super::figures::figures;
 use super::model::Model;
 use super::observe::{Budget, Observations};
 use super::refit::refit;

@@ -3,6 +3,7 @@
 
 use super::model::{Model, State};
 use super::observe::{Observations, Shown};
+use crate::evaluate::Moments;
 use crate::forward::ForwardError;
 use ndarray::{Array2, Axis};
 use serde::{Deserialize, Serialize};
@@ -78,16 +79,14 @@ const LIGHT: f64 = 0.04;
 /// An object is no light.
 pub fn screen(
     seen: &mut Observations,
-    model_of: impl Fn(&Observations) -> Result<(State, Vec<Seen>), ForwardError>,
+    look: impl Fn(&Observations) -> Result<Vec<Seen>, ForwardError>,
 ) -> Result<Vec<Fault>, ForwardError> {
-    let (_, frames) = model_of(seen)?;
+    let mut frames = look(seen)?;
     let mut faults = objects(seen, &frames);
     if !faults.is_empty() {
-        let (_, frames) = model_of(seen)?;
-        faults.extend(exposures(seen, &frames));
-    } else {
-        faults.extend(exposures(seen, &frames));
+        frames = look(seen)?;
     }
+    faults.extend(exposures(seen, &frames));
     Ok(faults)
 }
 
@@ -241,16 +240,7 @@ fn fisher(a: f64, b: f64, n: usize) -> f64 {
     (z(b) - z(a)).abs() * (n.max(4) as f64 - 3.0).sqrt() / std::f64::consts::SQRT_2
 }
 
-/// Pearson correlation.
+/// Pearson correlation; 0 of images that do not vary.
 fn correlation(a: &Array2<f32>, b: &Array2<f32>) -> f64 {
-    let n = a.len().max(1) as f64;
-    let mut s = [0.0f64; 5];
-    for (a, b) in a.iter().zip(b) {
-        let (a, b) = (f64::from(*a), f64::from(*b));
-        for (sum, v) in s.iter_mut().zip([a, b, a * a, b * b, a * b]) {
-            *sum += v;
-        }
-    }
-    let (va, vb) = (s[2] - s[0] * s[0] / n, s[3] - s[1] * s[1] / n);
-    if va > 0.0 && vb > 0.0 { (s[4] - s[0] * s[1] / n) / (va * vb).sqrt() } else { 0.0 }
+    Moments::of(a.view(), b.view()).map_or(0.0, |m| m.pcc())
 }

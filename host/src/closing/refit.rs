@@ -5,7 +5,7 @@
 use super::design::{Design, nuisances};
 use super::model::{Column, Model, Predicted, State};
 use super::score::pseudo_inverse;
-use crate::effects::Stage;
+use crate::effects::{Kind, Stage};
 use crate::forward::{ForwardError, SceneLight};
 use ndarray::{Array1, Array2};
 use std::sync::Arc;
@@ -40,8 +40,7 @@ pub fn own_columns(model: &Model<'_>, state: &State) -> Vec<Column> {
         if t.effect.descriptor().stage == Stage::Record || t.table.is_some() {
             continue;
         }
-        let free = t.expanded(model.lenses()).into_iter().enumerate().filter(|(_, (_, p))| p.max > p.min);
-        columns.extend(free.map(|(param, _)| Column::Own { term, param }));
+        columns.extend(t.free(model.lenses()).into_iter().map(|param| Column::Own { term, param }));
     }
     columns
 }
@@ -135,9 +134,8 @@ impl Point {
                     let t = &mut next.terms[*term];
                     let p = t.expanded(model.lenses())[*param].1;
                     // A shape far from its place is worth nothing: never more than ten noticeable steps at once.
-                    let most =
-                        if matches!(p.kind, crate::effects::Kind::Shape(_)) { 10.0 * p.step } else { f64::INFINITY };
-                    t.params[*param] = (t.params[*param] + d.clamp(-most, most)).clamp(p.min, p.max);
+                    let most = if matches!(p.kind, Kind::Shape(_)) { 10.0 * p.step } else { f64::INFINITY };
+                    t.params[*param] = p.outer(p.inner(t.params[*param]) + d.clamp(-most, most));
                 }
                 Column::Trial { .. } => {}
             }

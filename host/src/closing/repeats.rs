@@ -7,15 +7,18 @@
 use super::design::Cell;
 use super::model::{Column, Model, Predicted, State, Term};
 use crate::effects::{Chain, Stage};
+use crate::linalg::symmetric_eigen;
 use crate::rng::stream;
 use crate::session::Role;
-use ndarray::{Array2, s};
+use ndarray::{Array1, Array2, s};
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
 /// Features of one level of light: variance; correlation along the row, along the column, diagonally; variance that rows and that
 /// columns share.
-const FEATURES: usize = 6;
+pub(super) const FEATURES: usize = 6;
+/// One number for each.
+pub(super) type Features = [f64; FEATURES];
 /// Pairs of repeats that the effect of a column is drawn on, a level: the random numbers cancel, one tells.
 const DRAWN: usize = 1;
 
@@ -34,54 +37,67 @@ pub(super) fn cells(
     replicates: usize,
     now: &[Predicted],
 ) -> Vec<Cell> {
-    let frames = &model.seen.frames;
     let derivative: Vec<Option<Drawn>> = columns.par_iter().map(|c| drawn(model, state, trials, c)).collect();
     [false, true]
         .into_iter()
         .filter_map(|held_out| {
             let levels = levels(model, held_out);
-            let rows = columns.len() + replicates + 1;
-            let n = levels.len() * FEATURES;
-            if n == 0 {
+            if levels.is_empty() {
                 return None;
             }
-            let mut x = Array2::<f32>::zeros((rows, n));
-            let parts: Vec<(usize, Vec<[f64; FEATURES]>, [f64; FEATURES])> = levels
+            let rows = columns.len() + replicates + 1;
+            let parts: Vec<(Vec<Features>, Features)> = levels
                 .par_iter()
-                .enumerate()
-                .map(|(i, level)| {
-                    let (sum, pixels) = measured(now, model, level);
-                    let sigma = sampling(model, now, level, pixels);
+                .map(|level| {
                     let base = noise_features(model, &model.chain(&state.terms), level, now);
-                    let plain = match state.terms.iter().any(noisy) {
-                        true => noise_features(model, &Chain::default(), level, now),
-                        false => base,
+                    let change = |d: &Option<Drawn>| match d {
+                        None => [0.0; FEATURES],
+                        Some(d) => {
+                            let with = noise_features(model, &d.chain, level, now);
+                            std::array::from_fn(|f| (with[f] - base[f]) / d.step)
+                        }
                     };
-                    let change = derivative
-                        .iter()
-                        .map(|d| match d {
-                            None => [0.0; FEATURES],
-                            Some(d) => {
-                                let with = noise_features(model, &d.chain, level, now);
-                                std::array::from_fn(|f| (with[f] - base[f]) / d.step / sigma[f])
-                            }
-                        })
-                        .collect();
-                    (i, change, std::array::from_fn(|f| (sum[f] - base[f] + plain[f]) / sigma[f]))
+                    (derivative.iter().map(change).collect(), excess(model, state, now, level, base))
                 })
                 .collect();
-            for (i, change, residual) in &parts {
-                for f in 0..FEATURES {
-                    for (row, c) in change.iter().enumerate() {
-                        x[[row, i * FEATURES + f]] = c[f] as f32;
-                    }
-                    x[[rows - 1, i * FEATURES + f]] = residual[f] as f32;
-                }
+            let sampling = Sampling::of(model, now, &levels);
+            let mut x = Array2::<f32>::zeros((rows, levels.len() * FEATURES));
+            let mut put = |row: usize, features: Vec<Features>| {
+                x.row_mut(row)
+                    .iter_mut()
+                    .zip(sampling.standardised(&features).iter().flatten())
+                    .for_each(|(x, v)| *x = *v as f32);
+            };
+            for (i, _) in derivative.iter().enumerate().filter(|(_, d)| d.is_some()) {
+                put(i, parts.iter().map(|(change, _)| change[i]).collect());
             }
-            let gram = x.dot(&x.t());
-            Some(Cell { frame: frames.len(), block: model.seen.blocks.len(), held_out, pixels: n, gram })
+            put(rows - 1, parts.iter().map(|(_, excess)| *excess).collect());
+            let (frame, block, pixels) = (model.seen.frames.len(), model.seen.blocks.len(), x.ncols());
+            Some(Cell { frame, block, held_out, pixels, gram: x.dot(&x.t()) })
         })
         .collect()
+}
+
+/// What the noise of repeats has that the model does not say, level by level in standard errors: independent normal variables if the
+/// model is right. Held-out repeats are left out.
+pub(super) fn residuals(model: &Model<'_>, state: &State, now: &[Predicted]) -> Vec<Features> {
+    let levels = levels(model, false);
+    let one = |level: &Level| {
+        let base = noise_features(model, &model.chain(&state.terms), level, now);
+        excess(model, state, now, level, base)
+    };
+    let raw: Vec<Features> = levels.par_iter().map(one).collect();
+    Sampling::of(model, now, &levels).standardised(&raw)
+}
+
+/// Measured features less what the effects of a state make of them; `base`: those of drawn noise under the state.
+fn excess(model: &Model<'_>, state: &State, now: &[Predicted], level: &Level, base: Features) -> Features {
+    let measured = measured(now, model, level);
+    let plain = match state.terms.iter().any(noisy) {
+        true => noise_features(model, &Chain::default(), level, now),
+        false => base,
+    };
+    std::array::from_fn(|f| measured[f] - base[f] + plain[f])
 }
 
 /// Whether an effect can change the noise at all.
@@ -89,7 +105,7 @@ fn noisy(term: &Term) -> bool {
     matches!(term.effect.descriptor().stage, Stage::Charge | Stage::Electronics)
 }
 
-/// A column's chain at a step.
+/// A column's chain at a step of its inner number.
 struct Drawn {
     chain: Chain,
     step: f64,
@@ -110,8 +126,9 @@ fn drawn(model: &Model<'_>, state: &State, trials: &[Term], column: &Column) -> 
     let p = terms[which].expanded(model.lenses())[param].1;
     let value = &mut terms[which].params[param];
     // Far enough to stand out of the drawn noise, whose random numbers are the same on both sides.
-    let step = if *value + 2.0 * p.step > p.max { -2.0 * p.step } else { 2.0 * p.step };
-    *value += step;
+    let (now, step) = (p.inner(*value), p.inner(2.0 * p.step));
+    let step = if now + step > p.inner(p.max) { -step } else { step };
+    *value = p.outer(now + step);
     Some(Drawn { chain: model.chain(&terms), step })
 }
 
@@ -136,23 +153,21 @@ fn levels(model: &Model<'_>, held_out: bool) -> Vec<Level> {
     keyed.into_iter().map(|(_, l)| l).collect()
 }
 
-/// Features of the measured pairs, what they are without excess taken off, and the pixels they are of.
-fn measured(now: &[Predicted], model: &Model<'_>, level: &Level) -> ([f64; FEATURES], f64) {
+/// Features of the measured pairs of a level.
+fn measured(now: &[Predicted], model: &Model<'_>, level: &Level) -> Features {
     let frames = &model.seen.frames;
-    let (mut sum, mut pixels) = ([0.0; FEATURES], 0.0);
+    let mut sum = [0.0; FEATURES];
     for (a, b) in &level.pairs {
         let expected = &now[*b].dn - &now[*a].dn;
         let mut d = &frames[*b].measured - &frames[*a].measured - expected;
         d.zip_mut_with(&now[*a].inverse_sigma, |d, w| *d *= w * std::f32::consts::FRAC_1_SQRT_2);
-        let f = features(d);
-        sum.iter_mut().zip(f).for_each(|(s, f)| *s += f);
-        pixels += now[*a].dn.len() as f64;
+        sum.iter_mut().zip(features(d)).for_each(|(s, f)| *s += f);
     }
-    (sum.map(|s| s / level.pairs.len() as f64), pixels)
+    sum.map(|s| s / level.pairs.len() as f64)
 }
 
 /// Features of a standardised difference; all are zero on average for white noise of variance one.
-fn features(mut d: Array2<f32>) -> [f64; FEATURES] {
+fn features(mut d: Array2<f32>) -> Features {
     // A lamp that flickers moves all pixels together: that is no noise of the sensor.
     let mean = d.mean().unwrap_or(0.0);
     d.mapv_inplace(|v| v - mean);
@@ -178,25 +193,62 @@ fn features(mut d: Array2<f32>) -> [f64; FEATURES] {
     [together(0, 0) - 1.0, together(0, 1), together(1, 0), together(1, 1), shared(0), shared(1)]
 }
 
-/// Standard errors of the features, with how well the calibration knows the variance.
-fn sampling(model: &Model<'_>, now: &[Predicted], level: &Level, pixels: f64) -> [f64; FEATURES] {
-    let (noise, pairs) = (model.forward.noise(), level.pairs.len() as f64);
-    let (rows, cols) = (model.seen.sensor[0] as f64, model.seen.sensor[1] as f64);
-    let light = level
-        .pairs
-        .first()
-        .map_or(0.0, |(a, _)| f64::from(now[*a].light_e.mean().unwrap_or(0.0)) * noise.gain_dn_per_e);
-    let read = (noise.gain_dn_per_e * noise.read_noise_e).powi(2);
-    let total = noise.gain_dn_per_e * light + read + 1.0 / 12.0;
-    let by_gain = noise.gain_sigma / noise.gain_dn_per_e * noise.gain_dn_per_e * light / total;
-    let by_reading = 2.0 * noise.read_noise_sigma / noise.read_noise_e.max(1e-9) * read / total;
-    let variance = (2.0 / pixels + by_gain.powi(2) + by_reading.powi(2)).sqrt();
-    let white = (1.0 / pixels).sqrt();
-    [variance, white, white, white, (2.0 / (rows * pairs)).sqrt(), (2.0 / (cols * pairs)).sqrt()]
+/// How uncertain the features of all levels are.
+struct Sampling {
+    /// V^-1/2 of the variances of all levels: what the calibration errs by in gain and read noise is the same at every level.
+    whitening: Array2<f64>,
+    /// Standard errors of the other features, level by level.
+    sigma: Vec<[f64; FEATURES - 1]>,
+}
+
+impl Sampling {
+    fn of(model: &Model<'_>, now: &[Predicted], levels: &[Level]) -> Self {
+        let noise = model.forward.noise();
+        let (rows, cols) = (model.seen.sensor[0] as f64, model.seen.sensor[1] as f64);
+        let read = (noise.gain_dn_per_e * noise.read_noise_e).powi(2);
+        // Relative errors of a level's variance: by its sample, by the gain, by the read noise.
+        let errors: Vec<[f64; 3]> = levels
+            .iter()
+            .map(|level| {
+                let mean = level.pairs.first().map_or(0.0, |(a, _)| f64::from(now[*a].light_e.mean().unwrap_or(0.0)));
+                let shot = noise.gain_dn_per_e.powi(2) * mean;
+                let total = shot + read + 1.0 / 12.0;
+                [
+                    (2.0 / (rows * cols * level.pairs.len() as f64)).sqrt(),
+                    noise.gain_sigma / noise.gain_dn_per_e * shot / total,
+                    2.0 * noise.read_noise_sigma / noise.read_noise_e.max(1e-9) * read / total,
+                ]
+            })
+            .collect();
+        let n = levels.len();
+        let v = Array2::from_shape_fn((n, n), |(i, j)| {
+            let (a, b) = (errors[i], errors[j]);
+            a[1] * b[1] + a[2] * b[2] + if i == j { a[0] * b[0] } else { 0.0 }
+        });
+        let whitening = symmetric_eigen(&v).map_or_else(
+            |_| Array2::from_diag(&v.diag().mapv(|v| 1.0 / v.max(1e-30).sqrt())),
+            |(values, vectors)| (&vectors * &values.mapv(|v| 1.0 / v.max(1e-30).sqrt())).dot(&vectors.t()),
+        );
+        let sigma = |level: &Level| {
+            let pairs = level.pairs.len() as f64;
+            let white = (1.0 / (rows * cols * pairs)).sqrt();
+            [white, white, white, (2.0 / (rows * pairs)).sqrt(), (2.0 / (cols * pairs)).sqrt()]
+        };
+        Self { whitening, sigma: levels.iter().map(sigma).collect() }
+    }
+
+    /// Features in standard errors.
+    fn standardised(&self, raw: &[Features]) -> Vec<Features> {
+        let variance = self.whitening.dot(&Array1::from_iter(raw.iter().map(|f| f[0])));
+        let one = |((raw, sigma), v): ((&Features, &[f64; FEATURES - 1]), &f64)| {
+            std::array::from_fn(|f| if f == 0 { *v } else { raw[f] / sigma[f - 1] })
+        };
+        raw.iter().zip(&self.sigma).zip(&variance).map(one).collect()
+    }
 }
 
 /// Features of noise drawn on a level under a chain, with the same random numbers whatever the chain.
-fn noise_features(model: &Model<'_>, chain: &Chain, level: &Level, now: &[Predicted]) -> [f64; FEATURES] {
+fn noise_features(model: &Model<'_>, chain: &Chain, level: &Level, now: &[Predicted]) -> Features {
     let noise = model.forward.noise_with(chain);
     let read = noise.read_noise_e as f32;
     let shot = (noise.gain_dn_per_e / model.forward.noise().gain_dn_per_e).sqrt() as f32;

@@ -6,9 +6,13 @@ use super::refit::{Fitted, own_columns, refit, refit_from};
 use super::score::{Scores, Test};
 use super::stats::holm;
 use super::tables::{self, TableFit};
-use crate::effects::{Effect, Evidence, EvidenceFrame, KNOTS, Kind, OPERATORS, Stage, WEIGHTS, find, registry};
+use crate::effects::{
+    Effect, Evidence, EvidenceFrame, KNOTS, Kind, OPERATORS, Stage, WEIGHTS, find, periods, registry,
+    second_differences,
+};
 use crate::forward::{ForwardError, SceneLight};
 use crate::instrument::{Instrument, LowRankPsf};
+use crate::session::Role;
 use ndarray::Array2;
 
 /// Family-wise probability that a complete model is called incomplete.
@@ -21,6 +25,8 @@ pub const AMBIGUOUS: f64 = 10.8;
 const MOST: usize = 6;
 /// How many of the best candidates are fitted in full.
 const FINALISTS: usize = 3;
+/// How many more are, which the best is easily taken for.
+const LOOKALIKES: usize = 2;
 
 /// An effect that was scored.
 #[derive(Clone, Debug)]
@@ -46,10 +52,10 @@ impl Candidate {
         self.test.as_ref().map_or(1.0, |t| (t.p * self.starts as f64).min(1.0))
     }
 
-    /// Estimate and standard error of its first strength.
+    /// Estimate and standard error of its first strength, as [`crate::effects::Param::inner`] has them.
     pub fn first(&self) -> Option<(f64, f64)> {
         if let Some(table) = &self.table {
-            return Some((table.term.params.first().copied().unwrap_or(0.0), table.sigma));
+            return Some((table.size, table.size_sigma));
         }
         let t = self.test.as_ref()?;
         Some((*t.theta.first()?, t.covariance.get((0, 0))?.sqrt()))
@@ -165,9 +171,12 @@ pub fn unknowns(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Ve
             }
         }
     }
-    let same =
-        |a: &Term, b: &Term| a.id() == b.id() && a.params[a.params.len() - 2..] == b.params[b.params.len() - 2..];
-    terms.retain(|t| !state.terms.iter().any(|s| same(s, t)));
+    let lenses = model.lenses();
+    let chosen = |t: &Term| -> Vec<f64> {
+        let all = t.expanded(lenses).into_iter().zip(&t.params);
+        all.filter(|((_, p), _)| p.kind == Kind::Choice).map(|(_, v)| *v).collect()
+    };
+    terms.retain(|t| !state.terms.iter().any(|s| s.id() == t.id() && chosen(s) == chosen(t)));
     terms
 }
 
@@ -175,7 +184,7 @@ pub fn unknowns(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Ve
 fn row_period(evidence: &Evidence<'_>) -> Option<f64> {
     let rows = evidence.frames.first()?.residual_dn.nrows();
     let (mut top, mut bottom) = (vec![0.0; rows], vec![0.0; rows]);
-    for f in evidence.frames.iter().filter(|f| f.cx.role != crate::session::Role::Dark) {
+    for f in evidence.frames.iter().filter(|f| f.cx.role != Role::Dark) {
         for (r, ((residual, light), weight)) in
             f.residual_dn.outer_iter().zip(f.light_e.outer_iter()).zip(f.weight.outer_iter()).enumerate()
         {
@@ -185,37 +194,12 @@ fn row_period(evidence: &Evidence<'_>) -> Option<f64> {
             }
         }
     }
-    let relative: Vec<f64> = top.iter().zip(&bottom).map(|(t, b): (&f64, &f64)| t / b.max(1e-30)).collect();
-    let power = |frequency: f64| {
-        let (mut c, mut s) = (0.0, 0.0);
-        for (r, v) in relative.iter().enumerate() {
-            let (sin, cos) = (std::f64::consts::TAU * frequency * r as f64).sin_cos();
-            c += v * cos;
-            s += v * sin;
-        }
-        c * c + s * s
-    };
-    let steps = 4 * rows;
-    let frequencies = (12..steps / 2).map(|i| i as f64 / steps as f64);
-    let best = frequencies.max_by(|a, b| power(*a).total_cmp(&power(*b)))?;
-    Some(1.0 / best)
+    periods(&top, &bottom).first().copied()
 }
 
 /// What the replicates cannot show: they err alike where foci are registered by fractions of a pixel. Measured on the virtual instrument,
 /// the calibrated PSF is too narrow by 0.003 to 0.016 px^2 along either axis.
 const PSF_WIDTH_PX2: f64 = 0.012;
-
-/// Second differences along an axis; edges repeat.
-fn second_difference(image: &Array2<f32>, axis: usize) -> Array2<f32> {
-    let (rows, cols) = image.dim();
-    Array2::from_shape_fn((rows, cols), |(r, c)| {
-        let near = match axis {
-            0 => image[[r.saturating_sub(1), c]] + image[[(r + 1).min(rows - 1), c]],
-            _ => image[[r, c.saturating_sub(1)]] + image[[r, (c + 1).min(cols - 1)]],
-        };
-        near - 2.0 * image[[r, c]]
-    })
-}
 
 /// The replicates of a calibration before the frames of a session: what each predicts, minus what the calibration does.
 pub struct Replicas {
@@ -224,10 +208,7 @@ pub struct Replicas {
 
 impl Replicas {
     /// For each replicate and frame the change of the expected frame, DN. None: no scene.
-    ///
-    /// # Errors
-    /// None so far; an object may be no light.
-    pub fn of(&self, model: &Model<'_>, fitted: &Fitted) -> Result<Vec<Vec<Option<Array2<f32>>>>, ForwardError> {
+    pub fn of(&self, model: &Model<'_>, fitted: &Fitted) -> Vec<Vec<Option<Array2<f32>>>> {
         let one = |scenes: &Vec<Option<SceneLight>>| {
             let predicted = model.predict(&fitted.state, scenes);
             let change = |k: usize| scenes[k].as_ref().map(|_| &predicted[k].dn - &fitted.predicted[k].dn);
@@ -237,18 +218,23 @@ impl Replicas {
         if !all.is_empty() {
             let n = all.len() as f64 + 4.0;
             // Two more for each axis, one on either side, whose share of the jackknife's sum is the square of the systematic error.
-            let size = 0.5 * PSF_WIDTH_PX2 * (n / (n - 1.0) / 2.0).sqrt() * model.forward.noise().gain_dn_per_e;
+            let size = (n / (n - 1.0) / 2.0).sqrt() * model.forward.noise().gain_dn_per_e;
             let blurred = |axis: usize, sign: f64| {
-                let known = |k: usize| model.seen.frames[k].role == crate::session::Role::Scene && all[0][k].is_some();
+                let mut widths = [0.0; 3];
+                widths[axis] = PSF_WIDTH_PX2;
+                let known = |k: usize| model.seen.frames[k].role == Role::Scene && all[0][k].is_some();
                 let change = |k: usize| {
-                    known(k).then(|| second_difference(&fitted.predicted[k].light_e, axis) * (sign * size) as f32)
+                    let light = &fitted.predicted[k].light_e;
+                    let mut wide = light.clone();
+                    second_differences(&mut wide, widths);
+                    (wide - light) * (sign * size) as f32
                 };
-                (0..fitted.predicted.len()).map(change).collect::<Vec<_>>()
+                (0..fitted.predicted.len()).map(|k| known(k).then(|| change(k))).collect::<Vec<_>>()
             };
             let more = [blurred(0, 1.0), blurred(0, -1.0), blurred(1, 1.0), blurred(1, -1.0)];
             all.extend(more);
         }
-        Ok(all)
+        all
     }
 }
 
@@ -265,8 +251,11 @@ pub fn replicas(model: &Model<'_>, instrument: &Instrument, state: &State) -> Re
     Ok(Replicas { light: instrument.replicates.iter().map(light).collect::<Result<_, _>>()? })
 }
 
-/// Scores everything that could be added to a state.
-fn score(
+/// Scores everything that could be added to a state: the design, its columns that are taken out of all, and the best start of each effect.
+///
+/// # Errors
+/// An object is no light.
+pub(super) fn score(
     model: &Model<'_>,
     fitted: &Fitted,
     replicas: &[Vec<Option<Array2<f32>>>],
@@ -302,10 +291,7 @@ fn score(
 fn one_sided(model: &Model<'_>, term: &Term, test: Test) -> Test {
     let strengths = term.strengths(model.lenses());
     let expanded = term.expanded(model.lenses());
-    let impossible = |i: usize| {
-        let p = expanded[strengths[i]].1;
-        (p.min == p.off && test.theta[i] < 0.0) || (p.max == p.off && test.theta[i] > 0.0)
-    };
+    let impossible = |i: usize| expanded[strengths[i]].1.forbidden_side() * test.theta[i] > 0.0;
     if test.theta.len() == 1 && impossible(0) { Test { t: 0.0, p: 1.0, z: 0.0, ..test } } else { test }
 }
 
@@ -317,7 +303,7 @@ fn with(model: &Model<'_>, state: &State, candidate: &Candidate) -> State {
         let expanded = term.expanded(model.lenses());
         for (i, v) in term.strengths(model.lenses()).into_iter().zip(&test.theta) {
             let p = expanded[i].1;
-            term.params[i] = (p.off + v).clamp(p.min, p.max);
+            term.params[i] = p.outer(p.inner(p.off) + v);
         }
     }
     next.terms.push(term);
@@ -358,7 +344,7 @@ impl<'m, 'a> Search<'m, 'a> {
             let mut terms = trials(self.model, &self.now.state, &evidence(self.model, &self.now));
             let excluded = |id: &str| self.exclude.iter().any(|e| e == id);
             terms.retain(|t| !excluded(t.id()));
-            let of_frames = self.replicas.of(self.model, &self.now)?;
+            let of_frames = self.replicas.of(self.model, &self.now);
             let (design, taken, mut candidates) = score(self.model, &self.now, &of_frames, &terms)?;
             if tables {
                 candidates.extend(tabled(self.model, &self.now).into_iter().filter(|c| !excluded(c.term.id())));
@@ -376,12 +362,12 @@ impl<'m, 'a> Search<'m, 'a> {
                 return Ok(());
             }
             match self.confirm(&finalists, tell)? {
-                Ok((best, candidate, gain)) => {
-                    let found = self.describe(&design, taken, &candidates, candidate, gain);
+                Verdict::Added(it) => {
+                    let found = self.describe(&design, taken, &candidates, &it);
                     self.found.push(found);
-                    self.now = best;
+                    self.now = it.fit;
                 }
-                Err(id) => refused.push(id),
+                Verdict::Refused(id) => refused.push(id),
             }
         }
     }
@@ -391,12 +377,13 @@ impl<'m, 'a> Search<'m, 'a> {
         &self,
         finalists: &[&'c Candidate],
         tell: &mut impl FnMut(&str),
-    ) -> Result<Result<(Fitted, &'c Candidate, f64), &'static str>, ForwardError> {
+    ) -> Result<Verdict<'c>, ForwardError> {
         // The scatter between clusters and the calibration's errors weigh on the full fits as on the scores, and on all alike: an effect
         // of many values must not win by what it takes of the calibration's own errors.
         let weight = |c: &Candidate| c.test.as_ref().map_or(1.0, |t| (t.gain / t.t.max(1e-9)).max(1.0));
         let heaviest = finalists.iter().map(|c| weight(c)).fold(1.0, f64::max);
         let mut best: Option<(f64, Fitted, &Candidate)> = None;
+        let mut costs: Vec<(&'static str, f64)> = Vec::new();
         let mut least = f64::INFINITY;
         for c in finalists {
             tell(c.term.id());
@@ -410,6 +397,7 @@ impl<'m, 'a> Search<'m, 'a> {
             let (fall, price) = (self.now.chi2 - fit.chi2, PRICE * c.columns.len() as f64);
             tracing::info!("  fitted {:?}: fall {fall:.1}, price {price:.0}", fit.state.terms.last());
             let cost = price * heaviest - fall;
+            costs.push((c.term.id(), cost));
             if cost < least {
                 least = cost;
                 let worth = if c.table.is_some() { c.worth() } else { fall / weight(c) - price };
@@ -417,51 +405,75 @@ impl<'m, 'a> Search<'m, 'a> {
             }
         }
         let Some((worth, fit, candidate)) = best else {
-            return Ok(Err(finalists.first().map_or("", |c| c.term.id())));
+            return Ok(Verdict::Refused(finalists.first().map_or("", |c| c.term.id())));
         };
         // chi-squared rewards wider errors: what acts on the noise alone is judged by held-out repeats, which the score holds.
         let gain = self.now.held_out.0 - fit.held_out.0;
-        let accepted = worth > 0.0 && gain > 0.0;
-        Ok(if accepted { Ok((fit, candidate, gain)) } else { Err(candidate.term.id()) })
+        if worth <= 0.0 || gain <= 0.0 {
+            return Ok(Verdict::Refused(candidate.term.id()));
+        }
+        let behind = costs.into_iter().map(|(id, cost)| (id, (cost - least) / heaviest)).collect();
+        Ok(Verdict::Added(Added { fit, candidate, gain, behind }))
     }
 
-    fn describe(
-        &self,
-        design: &Design,
-        taken: Vec<usize>,
-        candidates: &[Candidate],
-        it: &Candidate,
-        gain: f64,
-    ) -> Found {
+    /// What is told of an effect: how strong, and which others would do nearly as well: those fitted in full by their fits, the rest by
+    /// their scores.
+    fn describe(&self, design: &Design, taken: Vec<usize>, candidates: &[Candidate], added: &Added<'_>) -> Found {
+        let it = added.candidate;
         let scores = Scores::new(design, taken);
         let theta = it.test.as_ref().map_or(&[][..], |t| &t.theta);
-        let near =
-            |c: &&Candidate| c.term.id() != it.term.id() && c.worth() > it.worth() - AMBIGUOUS && c.worth() > 0.0;
+        let near = |c: &&Candidate| match added.behind.iter().find(|(id, _)| *id == c.term.id()) {
+            Some((_, behind)) => *behind < AMBIGUOUS,
+            None => c.worth() > it.worth() - AMBIGUOUS && c.worth() > 0.0,
+        };
         let mut ambiguity: Vec<(&'static str, f64)> = candidates
             .iter()
+            .filter(|c| c.term.id() != it.term.id())
             .filter(near)
             .map(|c| (c.term.id(), scores.overlap(&it.columns, theta, &c.columns)))
             .collect();
         ambiguity.sort_by(|a, b| b.1.total_cmp(&a.1));
         let z = it.table.as_ref().map(|t| t.z).or(it.test.as_ref().map(|t| t.z)).unwrap_or(0.0);
         let table_sigma = it.table.as_ref().map(|t| t.sigma);
-        Found { id: it.term.id(), z, held_out_gain: gain, ambiguity, table_sigma }
+        Found { id: it.term.id(), z, held_out_gain: added.gain, ambiguity, table_sigma }
     }
 }
 
-/// Who is fitted in full: the best by the test; and, of few values, whoever explains nearly as much by the noise alone, since a large
-/// effect is far from linear and its scores scatter for that reason.
+/// What became of the finalists.
+enum Verdict<'c> {
+    /// The best of them was added.
+    Added(Added<'c>),
+    /// The best of them does not stand; its id.
+    Refused(&'static str),
+}
+
+/// An effect that was added.
+struct Added<'c> {
+    fit: Fitted,
+    candidate: &'c Candidate,
+    /// Fall of chi-squared on held-out data.
+    gain: f64,
+    /// How far the fits of all finalists are behind its own, chi-squared over the scatter.
+    behind: Vec<(&'static str, f64)>,
+}
+
+/// Who is fitted in full: the best by the test; and, since a large effect is far from linear and its scores scatter for that reason, the
+/// simplest of those that explain nearly as much by the noise alone, and what the best is easily taken for.
 fn finalists<'c>(able: &[&'c Candidate]) -> Vec<&'c Candidate> {
     let gain = |c: &Candidate| c.test.as_ref().map_or(0.0, |t| t.gain);
     let (top, most) = able.iter().fold((0.0, 0.0), |m: (f64, f64), c| (m.0.max(c.worth()), m.1.max(gain(c))));
     let mut chosen: Vec<&Candidate> = able.iter().filter(|c| c.worth() > 0.5 * top).take(FINALISTS).copied().collect();
-    let mut simple: Vec<&Candidate> = able
-        .iter()
-        .filter(|c| gain(c) > 0.7 * most && !chosen.iter().any(|b| b.term.id() == c.term.id()))
-        .copied()
-        .collect();
+    let open = |chosen: &[&Candidate], c: &Candidate| !chosen.iter().any(|b| b.term.id() == c.term.id());
+    let mut simple: Vec<&Candidate> =
+        able.iter().filter(|c| gain(c) > 0.7 * most && open(&chosen, c)).copied().collect();
     simple.sort_by_key(|c| c.columns.len());
     chosen.extend(simple.into_iter().take(1));
+    let says = |a: &Candidate, b: &Candidate| a.term.effect.descriptor().lookalikes.iter().any(|l| l.id == b.term.id());
+    if let Some(best) = chosen.first().copied() {
+        let alike = |c: &&&Candidate| gain(c) > 0.2 * gain(best) && (says(best, c) || says(c, best));
+        let more: Vec<&Candidate> = able.iter().filter(alike).filter(|c| open(&chosen, c)).copied().collect();
+        chosen.extend(more.into_iter().take(LOOKALIKES));
+    }
     chosen
 }
 

@@ -19,6 +19,10 @@ pub struct TableFit {
     pub z: f64,
     /// Probability without the effect.
     pub p: f64,
+    /// The first parameter beyond what the calibration leaves, as [`crate::effects::Param::inner`] has it.
+    pub size: f64,
+    /// What of it would be told at one standard deviation.
+    pub size_sigma: f64,
     /// Standard error of the first parameter.
     pub sigma: f64,
 }
@@ -57,23 +61,31 @@ pub fn fit(model: &Model<'_>, state: &State, now: &[Predicted]) -> Vec<TableFit>
                 TableGroup::Pixel => pixels(&a, &b, left(kind.acts)),
                 TableGroup::SparsePixels => sparse(&a, &b),
                 TableGroup::Spots => spots(&a, &b, left(kind.acts)),
-                TableGroup::Row | TableGroup::Column => None,
             }?;
-            let lenses = model.lenses();
-            let mut params: Vec<f64> = e.descriptor().expanded(lenses).iter().map(|(_, p)| p.off).collect();
-            if let (Some(first), Some((_, p))) = (params.first_mut(), e.descriptor().expanded(lenses).first()) {
-                *first = found.size.clamp(p.min, p.max);
-            }
-            let term = Term { effect: *e, params, table: Some(found.table) };
-            Some(TableFit { term, z: found.z, p: two_sided(found.z.max(0.0)) / 2.0, sigma: found.sigma })
+            let expanded = e.descriptor().expanded(model.lenses());
+            let mut params: Vec<f64> = expanded.iter().map(|(_, p)| p.off).collect();
+            let first = expanded.first()?.1;
+            params[0] = first.outer(found.size);
+            Some(TableFit {
+                term: Term { effect: *e, params, table: Some(found.table) },
+                z: found.z,
+                p: two_sided(found.z.max(0.0)) / 2.0,
+                size: found.size,
+                size_sigma: found.error + found.doubt,
+                sigma: first.outer_sigma(found.size, found.error),
+            })
         })
         .collect()
 }
 
 struct Shape {
     table: Array2<f32>,
+    /// Variance of a pattern; value of what stands out most.
     size: f64,
-    sigma: f64,
+    /// Its standard error.
+    error: f64,
+    /// How uncertain it is what the calibration leaves of the like.
+    doubt: f64,
     z: f64,
 }
 
@@ -140,17 +152,16 @@ fn pixels(a: &Half, b: &Half, left: f64) -> Option<Shape> {
     if n < 100.0 {
         return None;
     }
-    let (variance, allowed) = (shared / n, TOLERANCE * left);
+    let variance = shared / n;
     let error = ((noise + 2.0 * variance.abs() * (noise * n).sqrt()).sqrt() + n.sqrt() * variance.abs()) / n;
-    let z = (variance - allowed) / error;
+    let z = (variance - TOLERANCE * left) / error;
     let both = mean(a, b);
     let keep = |v: &f32, w: &f32| {
         let w = f64::from(*w);
         if w > 0.0 { (f64::from(*v) * variance / (variance + 1.0 / w)) as f32 } else { 0.0 }
     };
     let table = Zip::from(&both.value).and(&both.weight).map_collect(keep);
-    let size = variance.max(0.0).sqrt();
-    Some(Shape { table, size, sigma: error / (2.0 * size).max(error.sqrt()), z })
+    Some(Shape { table, size: (variance - left).max(0.0), error, doubt: (TOLERANCE - 1.0) * left, z })
 }
 
 /// Single pixels that stand out in both halves.
@@ -176,7 +187,7 @@ fn sparse(a: &Half, b: &Half) -> Option<Shape> {
     // As many chances as pixels.
     let chances = both.value.len() as f64;
     let z = if z > 0.0 { super::stats::sigmas((two_sided(z) * chances).min(1.0)) } else { 0.0 };
-    Some(Shape { table, size: largest, sigma, z })
+    Some(Shape { table, size: largest, error: sigma, doubt: 0.0, z })
 }
 
 /// Spots: what stands out of a map that is smoothed to their size.
@@ -207,5 +218,5 @@ fn spots(a: &Half, b: &Half, left: f64) -> Option<Shape> {
     let near = blur_within(&core, 2.0 * SPOT_PX);
     let raw = mean(a, b);
     let table = Zip::from(&near).and(&raw.value).map_collect(|n, v| if *n > 0.02 { *v } else { 0.0 });
-    Some(Shape { table, size: deepest, sigma: f64::from(ea.hypot(eb)) / 2.0, z })
+    Some(Shape { table, size: deepest, error: f64::from(ea.hypot(eb)) / 2.0, doubt: 0.0, z })
 }

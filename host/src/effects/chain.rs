@@ -1,6 +1,6 @@
 //! The effects that are on, resolved and in order.
 
-use super::{Effect, EffectSetting, FrameContext, Kind, Ray, RayShift, Record, Stage, TableUse, find, ids};
+use super::{Effect, EffectSetting, FrameContext, Ray, RayShift, Record, Stage, TableUse, find, ids};
 use crate::noise::NoiseModel;
 use crate::session::Manifest;
 use ndarray::Array2;
@@ -121,8 +121,7 @@ impl Chain {
         layout: Layout,
     ) -> Result<(), EffectError> {
         let d = effect.descriptor();
-        let on =
-            d.expanded(layout.lenses).iter().zip(&params).any(|((_, p), v)| p.kind == Kind::Strength && p.off != *v);
+        let on = d.expanded(layout.lenses).iter().zip(&params).any(|((_, p), v)| p.is_strength() && p.off != *v);
         if !on && table.is_none() {
             return Ok(());
         }

@@ -14,7 +14,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     id: "charge_diffusion",
     stage: Stage::Light,
     summary: "g_sigma * mu before the Poisson draw: electrons wander before collection",
-    params: &[Param::strength("sigma_px", "px", 0.05, 0.0, 3.0)],
+    params: &[Param::square("sigma_px", "px", 0.05, 3.0)],
     lookalikes: &[
         Lookalike {
             id: "interpixel_capacitance",

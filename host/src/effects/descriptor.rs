@@ -43,8 +43,13 @@ impl Stage {
 pub enum Kind {
     /// The frame changes with it to first order even where the effect is absent: a score test finds it.
     Strength,
+    /// A strength that enters by its square, as standard deviations do: the frame changes with the square to first order, and not at all
+    /// with itself where the effect is absent. Absent at 0, never negative.
+    Square,
     /// It has no meaning while the effect is absent (a width, a period, a place): the values to try first.
     Shape(&'static [f64]),
+    /// It chooses among things that have nothing in between (an index, a seed, a range): given, never fitted.
+    Choice,
 }
 
 /// One parameter of an effect.
@@ -74,6 +79,16 @@ impl Param {
         Self { name, unit, off: 0.0, step, min, max, kind: Kind::Strength, per_lens: false }
     }
 
+    /// A strength that enters by its square.
+    pub const fn square(name: &'static str, unit: &'static str, step: f64, max: f64) -> Self {
+        Self { kind: Kind::Square, ..Self::strength(name, unit, step, 0.0, max) }
+    }
+
+    /// What is chosen and never fitted.
+    pub const fn choice(name: &'static str, unit: &'static str, off: f64, [min, max]: [f64; 2]) -> Self {
+        Self { name, unit, off, step: 1.0, min, max, kind: Kind::Choice, per_lens: false }
+    }
+
     /// A shape; `tried` are the values that screening starts from (empty: `off` alone, or what the data suggest).
     pub const fn shape(
         name: &'static str,
@@ -94,6 +109,35 @@ impl Param {
     /// The same, absent at another value than 0.
     pub const fn off_at(self, off: f64) -> Self {
         Self { off, ..self }
+    }
+
+    /// Whether the effect is absent where this is `off`.
+    pub fn is_strength(&self) -> bool {
+        matches!(self.kind, Kind::Strength | Kind::Square)
+    }
+
+    /// The number that the frame is linear in to first order: the value itself, or its square. Fits and tests work in it.
+    pub fn inner(&self, value: f64) -> f64 {
+        if self.kind == Kind::Square { value * value } else { value }
+    }
+
+    /// The value of an [`inner`](Self::inner) number, within its range.
+    pub fn outer(&self, inner: f64) -> f64 {
+        let value = if self.kind == Kind::Square { inner.max(0.0).sqrt() } else { inner };
+        value.clamp(self.min, self.max)
+    }
+
+    /// Standard error of the value, from that of the inner number: what one of those adds to it.
+    pub fn outer_sigma(&self, inner: f64, sigma: f64) -> f64 {
+        match self.kind {
+            Kind::Square => (inner.max(0.0) + sigma).sqrt() - inner.max(0.0).sqrt(),
+            _ => sigma,
+        }
+    }
+
+    /// Whether values on one side of `off` mean nothing: -1 below, 1 above, 0 neither.
+    pub fn forbidden_side(&self) -> f64 {
+        f64::from(i8::from(self.max == self.off) - i8::from(self.min == self.off))
     }
 }
 

@@ -12,7 +12,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     id: "dsnu",
     stage: Stage::Electronics,
     summary: "y + u pixel by pixel: uneven offset",
-    params: &[Param::strength("rms_dn", "DN", 0.3, 0.0, 1e4), Param::shape("seed", "1", 1.0, 1.0, [0.0, 1e9], &[])],
+    params: &[Param::square("rms_dn", "DN", 0.3, 1e4), Param::choice("seed", "1", 1.0, [0.0, 1e9])],
     lookalikes: &[
         Lookalike { id: "prnu", separate_by: "flats at two light levels: an offset does not grow with the light" },
         Lookalike { id: "hot_pixels", separate_by: "darks at several exposures: hot pixels grow with them" },

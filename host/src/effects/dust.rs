@@ -17,9 +17,9 @@ static DESCRIPTOR: Descriptor = Descriptor {
     summary: "mu (1 + u) in spots: dust casts shadows",
     params: &[
         Param::strength("depth", "1", 0.02, 0.0, 1.0),
-        Param::shape("number", "1", 8.0, 1.0, [0.0, 1e4], &[]),
+        Param::choice("number", "1", 8.0, [0.0, 1e4]),
         Param::shape("radius_px", "px", 3.0, 0.5, [0.0, 1e3], &[]),
-        Param::shape("seed", "1", 1.0, 1.0, [0.0, 1e9], &[]),
+        Param::choice("seed", "1", 1.0, [0.0, 1e9]),
     ],
     lookalikes: &[
         Lookalike { id: "prnu", separate_by: "flats: dust is dark spots of some pixels" },

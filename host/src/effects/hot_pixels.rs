@@ -18,8 +18,8 @@ static DESCRIPTOR: Descriptor = Descriptor {
     summary: "mu + u t in few pixels: they leak charge",
     params: &[
         Param::strength("rate_e_per_ms", "e-/px/ms", 2.0, 0.0, 1e6),
-        Param::shape("share", "1", 0.001, 0.0005, [0.0, 1.0], &[]),
-        Param::shape("seed", "1", 1.0, 1.0, [0.0, 1e9], &[]),
+        Param::choice("share", "1", 0.001, [0.0, 1.0]),
+        Param::choice("seed", "1", 1.0, [0.0, 1e9]),
     ],
     lookalikes: &[
         Lookalike { id: "dsnu", separate_by: "darks at several exposures: an offset does not grow with them" },

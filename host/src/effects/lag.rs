@@ -14,10 +14,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     id: "lag",
     stage: Stage::Light,
     summary: "mu + share mu_before exp(-dt / tau): charge of the frame before stays behind",
-    params: &[
-        Param::strength("share", "1", 0.001, 0.0, 1.0),
-        Param::shape("tau_s", "s", 0.05, 0.01, [1e-6, 1e4], &[0.05]),
-    ],
+    params: &[Param::strength("share", "1", 0.001, 0.0, 1.0), Param::choice("tau_s", "s", 0.05, [1e-6, 1e4])],
     lookalikes: &[
         Lookalike { id: "thermal_drift", separate_by: "a dark frame after a bright one" },
         Lookalike { id: "background", separate_by: "a dark frame after a bright one" },

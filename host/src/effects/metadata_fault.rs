@@ -23,7 +23,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
         flag("swapped_with_next"),
         flag("flip_rows"),
         flag("flip_cols"),
-        Param::shape("frame", "1", -1.0, 1.0, [-1.0, 1e9], &[-1.0]),
+        Param::choice("frame", "1", -1.0, [-1.0, 1e9]),
     ],
     lookalikes: &[
         Lookalike { id: "stage_scale", separate_by: "check the units and axes of the tables" },

@@ -64,10 +64,11 @@ pub use chain::{Chain, EffectError, Layout};
 pub use context::{FrameContext, Previous, Ray, RayShift, Record};
 pub use descriptor::{Descriptor, Kind, Lookalike, Param, Stage};
 pub use evidence::{Evidence, EvidenceFrame};
-pub use smooth::blur_within;
+pub use smooth::{blur_within, second_differences};
 pub use table::{Table, TableGroup, TableUse};
 pub use unknown_operator::{OPERATORS, WEIGHTS};
 pub use unknown_profile::{COVARIATES, KNOTS};
+pub(crate) use wave::periods;
 
 use crate::noise::NoiseModel;
 use ndarray::Array2;

@@ -12,7 +12,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     id: "prnu",
     stage: Stage::Light,
     summary: "mu (1 + u) pixel by pixel: uneven response",
-    params: &[Param::strength("rms", "1", 0.002, 0.0, 1.0), Param::shape("seed", "1", 1.0, 1.0, [0.0, 1e9], &[])],
+    params: &[Param::square("rms", "1", 0.002, 1.0), Param::choice("seed", "1", 1.0, [0.0, 1e9])],
     lookalikes: &[
         Lookalike { id: "vignetting", separate_by: "flats: vignetting is smooth" },
         Lookalike { id: "dust", separate_by: "flats: dust is dark spots of some pixels" },

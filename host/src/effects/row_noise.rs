@@ -14,7 +14,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     id: "row_noise",
     stage: Stage::Electronics,
     summary: "y + one normal number a row and frame: noise common to a row",
-    params: &[Param::strength("sigma_dn", "DN", 0.3, 0.0, 1e4)],
+    params: &[Param::square("sigma_dn", "DN", 0.3, 1e4)],
     lookalikes: &[
         Lookalike { id: "flicker_banding", separate_by: "darks: noise of the rows needs no light" },
         Lookalike { id: "row_pattern", separate_by: "repeats: a pattern is the same in every frame" },

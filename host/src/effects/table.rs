@@ -27,10 +27,6 @@ pub enum TableGroup {
     SparsePixels,
     /// Pixels near one another are alike: spots of some pixels.
     Spots,
-    /// One a row.
-    Row,
-    /// One a column.
-    Column,
 }
 
 /// A table: how it acts and what shares a value.

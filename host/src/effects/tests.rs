@@ -102,7 +102,7 @@ fn switched_off_is_absent_bit_for_bit_and_switched_on_acts_at_its_stage_only() {
         let mut hooked = Chain::default();
         hooked.push_even_if_off(*effect, off.clone());
         assert!(deeds(&hooked) == absent, "{} is not off", d.id);
-        for (i, (name, p)) in d.expanded(2).into_iter().enumerate().filter(|(_, (_, p))| p.kind == Kind::Strength) {
+        for (i, (name, p)) in d.expanded(2).into_iter().enumerate().filter(|(_, (_, p))| p.is_strength()) {
             let mut on = off.clone();
             on[i] += p.step;
             let mut chain = Chain::default();
@@ -126,7 +126,7 @@ fn descriptors_are_sound() {
     let mut seen = std::collections::BTreeSet::new();
     for d in registry().iter().map(|e| e.descriptor()) {
         assert!(seen.insert(d.id) && !d.params.is_empty() && !d.summary.is_empty(), "{}", d.id);
-        assert!(d.params.iter().any(|p| p.kind == Kind::Strength), "{}", d.id);
+        assert!(d.params.iter().any(|p| p.is_strength()), "{}", d.id);
         for l in d.lookalikes {
             assert!(find(l.id).is_some() && !l.separate_by.is_empty(), "{} and {}", d.id, l.id);
         }
@@ -417,7 +417,7 @@ fn nothing_panics_on_what_is_not_there() {
     for effect in registry() {
         let d = effect.descriptor();
         let on: Vec<f64> =
-            d.expanded(2).iter().map(|(_, p)| p.off + if p.kind == Kind::Strength { p.step } else { 0.0 }).collect();
+            d.expanded(2).iter().map(|(_, p)| p.off + if p.is_strength() { p.step } else { 0.0 }).collect();
         for shape in [(0, 0), (0, 5), (5, 0), (1, 1), (1, 7), (7, 1)] {
             for cx in [FrameContext::default(), FrameContext { lens: 7, exposure_ms: 0.0, ..context(&empty) }] {
                 let sensor = [shape.0, shape.1];
@@ -536,7 +536,7 @@ fn steps_are_a_few_sigma_of_one_typical_frame() {
     for effect in named.filter(|e| !e.noise_only() && e.descriptor().stage != Stage::Record) {
         let d = effect.descriptor();
         let off: Vec<f64> = d.expanded(9).iter().map(|(_, p)| p.off).collect();
-        for (i, (name, p)) in d.expanded(9).into_iter().enumerate().filter(|(_, (_, p))| p.kind == Kind::Strength) {
+        for (i, (name, p)) in d.expanded(9).into_iter().enumerate().filter(|(_, (_, p))| p.is_strength()) {
             // One lens stands for all.
             if p.per_lens && !name.ends_with("_4") {
                 continue;
@@ -574,9 +574,9 @@ fn parameter(p: &Param) -> String {
     let unit = if p.unit == "1" { String::new() } else { format!(", {}", p.unit) };
     let each = if p.per_lens { " of each lens" } else { "" };
     match p.kind {
-        Kind::Strength if p.off == 0.0 => format!("**{}**{each}{unit}", p.name),
-        Kind::Strength => format!("**{}**{each}{unit} (absent: {})", p.name, p.off),
-        Kind::Shape(_) => format!("{}{each}{unit} (default {})", p.name, p.off),
+        Kind::Strength | Kind::Square if p.off == 0.0 => format!("**{}**{each}{unit}", p.name),
+        Kind::Strength | Kind::Square => format!("**{}**{each}{unit} (absent: {})", p.name, p.off),
+        Kind::Shape(_) | Kind::Choice => format!("{}{each}{unit} (default {})", p.name, p.off),
     }
 }
 

@@ -41,8 +41,8 @@ static DESCRIPTOR: Descriptor = Descriptor {
     summary: "mu + amplitude w A[mu]: a term without a name",
     params: &[
         Param::strength("amplitude", "1", 0.01, -10.0, 10.0),
-        Param::shape("operator", "index", 0.0, 1.0, [0.0, 8.0], &[]),
-        Param::shape("weight", "index", 0.0, 1.0, [0.0, 7.0], &[]),
+        Param::choice("operator", "index", 0.0, [0.0, 8.0]),
+        Param::choice("weight", "index", 0.0, [0.0, 7.0]),
     ],
     lookalikes: &[],
 };

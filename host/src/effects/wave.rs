@@ -57,7 +57,7 @@ impl Spectrum {
 }
 
 /// Periods of the strongest waves in a signal, strongest first: its sums, and the weights of those sums.
-pub(super) fn periods(sums: &[f64], weights: &[f64]) -> Vec<f64> {
+pub(crate) fn periods(sums: &[f64], weights: &[f64]) -> Vec<f64> {
     let total: f64 = weights.iter().sum();
     if sums.len() < 4 || total <= 0.0 {
         return Vec::new();
@@ -66,13 +66,11 @@ pub(super) fn periods(sums: &[f64], weights: &[f64]) -> Vec<f64> {
     let mean = sums.iter().sum::<f64>() / total;
     let signal: Vec<f64> = sums.iter().zip(weights).map(|(s, w)| s - mean * w).collect();
     let spectrum = Spectrum::new(signal.len());
-    let mut power: Vec<(f64, usize)> = spectrum
-        .indices()
-        .map(|j| {
-            let [re, im] = spectrum.at(&signal, j);
-            (re * re + im * im, j)
-        })
-        .collect();
+    let at = |j: usize| {
+        let [re, im] = spectrum.at(&signal, j);
+        re * re + im * im
+    };
+    let mut power: Vec<(f64, usize)> = spectrum.indices().map(|j| (at(j), j)).collect();
     power.sort_by(|a, b| b.0.total_cmp(&a.0));
     let mut kept: Vec<usize> = Vec::new();
     for (p, j) in power {
@@ -80,5 +78,13 @@ pub(super) fn periods(sums: &[f64], weights: &[f64]) -> Vec<f64> {
             kept.push(j);
         }
     }
-    kept.into_iter().map(|j| 1.0 / spectrum.frequency(j)).collect()
+    // The top of the parabola through a peak and its neighbours.
+    let step = spectrum.frequency(1);
+    let refined = |j: usize| {
+        let (before, here, after) = (at(j.saturating_sub(1)), at(j), at(j + 1));
+        let bend = before - 2.0 * here + after;
+        let off = if bend < 0.0 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 };
+        1.0 / (spectrum.frequency(j) + off * step).min(0.5)
+    };
+    kept.into_iter().map(refined).collect()
 }

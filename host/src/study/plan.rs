@@ -1,7 +1,7 @@
 //! The cases of a study: what is put into which session, and what the loop is not told.
 
 use super::foreign::FOREIGN;
-use super::subject::{Sensitivities, strength_of};
+use super::subject::Sensitivities;
 use crate::effects::{Effect, Stage, find, registry};
 use crate::rng;
 use rand::Rng;
@@ -239,15 +239,14 @@ pub fn cases(size: &Size, sensitivities: &[Sensitivities]) -> Vec<Case> {
 /// An effect at a strength of so many standard errors. None: the session cannot tell it, or it cannot be that strong.
 fn injected(known: &Sensitivities, id: &str, sigmas: f64) -> Option<Injected> {
     let s = known.of.get(id)?;
-    let (off, max) = match find(id) {
+    // A standard error where the effect is absent is one of the number that the frame is linear in.
+    let (value, possible) = match find(id) {
         Some(effect) => {
-            let lenses = 1;
-            let expanded = effect.descriptor().expanded(lenses);
-            let (_, p) = expanded.first()?;
-            (p.off, p.max)
+            let p = effect.descriptor().params.first()?;
+            let inner = p.inner(p.off) + sigmas * p.inner(s.sigma);
+            (p.outer(inner), inner <= p.inner(p.max))
         }
-        None => (0.0, f64::INFINITY),
+        None => (sigmas * s.sigma, true),
     };
-    let value = off + strength_of(id, sigmas * s.sigma);
-    (value <= max).then(|| Injected { id: id.into(), param: s.param.clone(), sigmas, value, others: Vec::new() })
+    possible.then(|| Injected { id: id.into(), param: s.param.clone(), sigmas, value, others: Vec::new() })
 }

@@ -8,7 +8,7 @@ use crate::artifact::Provenance;
 use crate::bench::{BenchConfig, VirtualInstrument};
 use crate::closing::close::close;
 use crate::closing::observe::{Budget, Observations};
-use crate::effects::{Effect, find};
+use crate::effects::Effect;
 use crate::instrument::{CalibrateConfig, Instrument, calibrate};
 use crate::session::{Role, Session};
 use anyhow::Context;
@@ -195,16 +195,4 @@ fn calibrated(n: u64, seed: u64, like: &VirtualInstrument) -> anyhow::Result<Ins
     bench_config(n).build_like(like, &[])?.measure(&dir, (seed << 20) + n, |_| {})?;
     let config = CalibrateConfig { rank: Some(RANK), ..CalibrateConfig::default() };
     Ok(calibrate(&Session::open(&dir)?, &config, || {})?.instrument)
-}
-
-/// The strength whose effect is as large as a linear one of `theta` would be.
-///
-/// A few effects grow with the square of their strength; the loop's tests take the slope at half a step.
-pub fn strength_of(id: &str, theta: f64) -> f64 {
-    match (id, find(id)) {
-        ("charge_diffusion" | "row_noise", Some(effect)) => {
-            (theta * 0.5 * effect.descriptor().params.first().map_or(1.0, |p| p.step)).sqrt()
-        }
-        _ => theta,
-    }
 }

@@ -1,0 +1,236 @@
+//! What is told of a state: each effect in numbers and words, what was not found and how large it could be, what would tell lookalikes apart.
+
+use super::model::{Model, State, Term};
+use super::record::{Fault, FaultKind};
+use super::refit::Fitted;
+use super::result::{Effect, Rejected, Value};
+use super::score::Test;
+use super::search::{Candidate, Found};
+use crate::effects::{COVARIATES, KNOTS, OPERATORS, Stage, WEIGHTS, find, registry};
+
+/// What was found, faults of the records first; `own` effects were in the instrument before.
+pub(super) fn effects(
+    model: &Model<'_>,
+    before: &Fitted,
+    now: &Fitted,
+    found: &[Found],
+    tests: &[Option<Test>],
+    own: usize,
+    faults: &[Fault],
+) -> Vec<Effect> {
+    let mut effects: Vec<Effect> = faults.iter().map(fault).collect();
+    // What the noise alone leaves: one a pixel, less where the noise model is generous.
+    let pixels = now.held_out.1 as f64;
+    let excess = before.held_out.0 - pixels.min(now.held_out.0);
+    let mut unknown = 0;
+    for (i, f) in found.iter().enumerate() {
+        let term = &now.state.terms[own + i];
+        let d = term.effect.descriptor();
+        let known = !f.id.starts_with("unknown");
+        let id = if known {
+            f.id.to_string()
+        } else {
+            unknown += 1;
+            format!("unknown-{unknown}")
+        };
+        let test = tests.get(own + i).and_then(Option::as_ref);
+        let params: Vec<Value> = term
+            .expanded(model.lenses())
+            .into_iter()
+            .enumerate()
+            .map(|(j, (name, p))| {
+                // Values that are given and not fitted have no error; the others stand in the order of their columns.
+                let column = term.free(model.lenses()).iter().position(|i| *i == j);
+                let error = |c: &ndarray::Array2<f64>| {
+                    let variance = column.and_then(|i| c.get((i, i)).copied()).unwrap_or(0.0);
+                    p.outer_sigma(p.inner(term.params[j]), variance.max(0.0).sqrt())
+                };
+                let sigma = match &f.table_sigma {
+                    Some(sigma) if j == 0 => *sigma,
+                    _ => test.map_or(0.0, |t| error(&t.covariance)),
+                };
+                let sigma_noise = test.map_or(0.0, |t| error(&t.noise));
+                Value { name, value: term.params[j], sigma, sigma_noise, unit: p.unit.into() }
+            })
+            .collect();
+        let separate_by = f.ambiguity.first().map(|(other, _)| separate(f.id, other));
+        effects.push(Effect {
+            description: describe(term, &params),
+            id,
+            known,
+            stage: d.stage.part().into(),
+            z: f.z,
+            excess_explained: (excess > 3.0 * (2.0 * pixels).sqrt())
+                .then(|| (f.held_out_gain / excess).clamp(0.0, 1.0)),
+            held_out_gain: f.held_out_gain,
+            ambiguity: f.ambiguity.iter().map(|(id, _)| (*id).to_string()).collect(),
+            overlap: f.ambiguity.iter().map(|(_, rho)| *rho).fold(0.0, f64::max),
+            separate_by,
+            params,
+        });
+    }
+    effects
+}
+
+/// A fault of the record as an effect.
+pub(super) fn fault(fault: &Fault) -> Effect {
+    let (name, value, unit) = match fault.kind {
+        FaultKind::Shows { truth_of } => ("truth_of", truth_of as f64, "index"),
+        FaultKind::Flipped { rows, cols } => {
+            ("flipped", f64::from(u8::from(rows) + 2 * u8::from(cols)), "1 rows, 2 cols")
+        }
+        FaultKind::Exposure { factor } => ("exposure_factor", factor, "1"),
+    };
+    let told = |name: &str, value: f64, unit: &str| Value {
+        name: name.into(),
+        value,
+        sigma: 0.0,
+        sigma_noise: 0.0,
+        unit: unit.into(),
+    };
+    Effect {
+        id: "metadata_fault".into(),
+        known: true,
+        stage: Stage::Record.part().into(),
+        z: fault.z,
+        excess_explained: None,
+        held_out_gain: 0.0,
+        ambiguity: Vec::new(),
+        overlap: 0.0,
+        separate_by: None,
+        params: vec![told("frame", fault.frame as f64, "index"), told(name, value, unit)],
+        description: fault.words(),
+    }
+}
+
+/// What a user of the rejected list wants of each effect.
+pub(super) fn rejected(model: &Model<'_>, rest: &[Candidate], state: &State, found: &[Found]) -> Vec<Rejected> {
+    let lenses = model.lenses();
+    let mut out = Vec::new();
+    for effect in registry() {
+        let d = effect.descriptor();
+        let added = found.iter().any(|f| f.id == d.id) || state.terms.iter().any(|t| t.id() == d.id);
+        if added || d.id.starts_with("unknown") || d.stage == Stage::Record {
+            continue;
+        }
+        let expanded = d.expanded(lenses);
+        let Some((name, p)) = expanded.iter().find(|(_, p)| p.is_strength()) else { continue };
+        let candidate = rest.iter().find(|c| c.term.id() == d.id);
+        let test = candidate.and_then(|c| c.test.as_ref());
+        let first = candidate.and_then(Candidate::first);
+        // 95 % of a normal variable lie below 1.645 standard deviations; a value that cannot be there says no more than zero.
+        let size = |value: f64| if p.forbidden_side() * value > 0.0 { 0.0 } else { value.abs() };
+        let limit = first.map(|(value, sigma)| size(value) + 1.645 * sigma);
+        let [low, off, high] = [p.min, p.off, p.max].map(|v| p.inner(v));
+        let told = limit.is_some_and(|u| u.is_finite() && u < (high - off).abs().max((off - low).abs()));
+        // How far from absence that is, in the parameter's own unit.
+        let upper_limit = limit.filter(|_| told).map(|u| p.outer_sigma(0.0, u));
+        out.push(Rejected {
+            id: d.id.into(),
+            param: name.clone(),
+            upper_limit,
+            sigma: first.map(|(_, sigma)| p.outer_sigma(0.0, sigma)).filter(|_| told),
+            unit: p.unit.into(),
+            z: test.map_or(0.0, |t| t.z),
+            needs: (!told).then(|| needs(d.stage, d.id).into()),
+        });
+    }
+    out
+}
+
+/// What a session must hold to tell an effect.
+fn needs(stage: Stage, id: &str) -> &'static str {
+    match (stage, id) {
+        (_, "defocus" | "field_curvature") => "a bead scan at several depths",
+        (_, "exposure_offset") => "flats at several exposures",
+        (_, "dark_current" | "hot_pixels") => "darks at several exposures",
+        (_, "prnu" | "dust") => "flats",
+        (_, "lag") => "scenes one after the other, dark after bright",
+        (_, "lamp_drift" | "photobleaching" | "black_level_drift") => "a table with time_s",
+        (Stage::Object | Stage::Geometry | Stage::Lens, _) => "scenes of known objects",
+        (Stage::Charge | Stage::Electronics, _) => "repeats of darks and flats at several levels",
+        _ => "scenes of known objects, and flats",
+    }
+}
+
+/// The measurement that tells two effects apart.
+fn separate(id: &str, other: &str) -> String {
+    let says = |a: &str, b: &str| {
+        let d = find(a)?.descriptor();
+        d.lookalikes.iter().find(|l| l.id == b).map(|l| l.separate_by.to_string())
+    };
+    says(id, other).or_else(|| says(other, id)).unwrap_or_else(|| {
+        let stage = |id: &str| find(id).map(|e| e.descriptor().stage);
+        let hint = match (stage(id), stage(other)) {
+            (Some(Stage::Charge | Stage::Electronics), _) | (_, Some(Stage::Charge | Stage::Electronics)) => {
+                "repeats of even light: what comes after the Poisson draw correlates the noise"
+            }
+            (Some(Stage::Object), _) | (_, Some(Stage::Object)) => {
+                "the same specimen moved: what belongs to it moves with it"
+            }
+            _ => "more scenes, brighter and of other kinds",
+        };
+        hint.into()
+    })
+}
+
+/// An effect in words and numbers.
+fn describe(term: &Term, params: &[Value]) -> String {
+    let d = term.effect.descriptor();
+    let index = |i: usize| term.params.get(i).map_or(0, |v| *v as usize);
+    match d.id {
+        "unknown_operator" => format!(
+            "unknown: {} +- {} of {}, {}; acts on light before the Poisson draw; 1 degree of freedom; cause not identified; valid for \
+             light as bright as was measured",
+            short(params[0].value),
+            short(params[0].sigma),
+            OPERATORS.get(index(1)).unwrap_or(&"?"),
+            WEIGHTS.get(index(2)).unwrap_or(&"?")
+        ),
+        "unknown_profile" => {
+            let knots = &params[..KNOTS];
+            let (low, high) = knots.iter().fold((f64::MAX, f64::MIN), |r, v| (r.0.min(v.value), r.1.max(v.value)));
+            let sigma = knots.iter().map(|v| v.sigma).sum::<f64>() / knots.len() as f64;
+            let at = KNOTS;
+            let kind = if index(at + 1) == 0 { "a factor on the light" } else { "light added, e-/ms" };
+            let periodic = if index(at) == 6 {
+                format!(", period {:.2} px", term.params[at + 3] - term.params[at + 2])
+            } else {
+                String::new()
+            };
+            format!(
+                "unknown: {kind} over {}{periodic}, from {} to {} (each +- {}); {} degrees of freedom; cause not identified; valid from {} to {} \
+                 of it and nowhere else",
+                COVARIATES.get(index(at)).unwrap_or(&"?"),
+                short(low),
+                short(high),
+                short(sigma),
+                at,
+                short(term.params[at + 2]),
+                short(term.params[at + 3])
+            )
+        }
+        _ => {
+            let told: Vec<String> = params
+                .iter()
+                .filter(|v| v.sigma > 0.0 && (v.value / v.sigma).abs() > 2.0 || params.len() == 1)
+                .take(6)
+                .map(|v| format!("{} = {} +- {} {}", v.name, short(v.value), short(v.sigma), v.unit))
+                .collect();
+            format!("{}: {}", d.summary, told.join(", "))
+        }
+    }
+}
+
+/// Three figures.
+fn short(v: f64) -> String {
+    let size = v.abs();
+    if size == 0.0 {
+        "0".into()
+    } else if (1e-3..1e5).contains(&size) {
+        let digits = (2 - size.log10().floor() as i32).max(0) as usize;
+        format!("{v:.digits$}")
+    } else {
+        format!("{v:.2e}")
+    }
+}
