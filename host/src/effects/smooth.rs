@@ -65,6 +65,15 @@ pub fn blur_within(image: &Array2<f32>, sigma_px: f64) -> Array2<f32> {
     gaussian_blur(image, sigma_px) / gaussian_blur(&Array2::ones(image.dim()), sigma_px)
 }
 
+/// A pixel's light after a change of it: what was light does not fall below none.
+///
+/// Predicted light is a little negative where the errors of calibrated PSFs outweigh it. There the change is as it is: to raise it to
+/// zero would be a jump at the smallest strength, that takes out a part of the calibration's errors and so is found in any session.
+pub(super) fn changed(light: f32, change: f32) -> f32 {
+    let after = light + change;
+    if light < 0.0 { after } else { after.max(0.0) }
+}
+
 /// Blur of variances (row, col, covariance), px^2, in explicit steps of second differences; light stays, and stays positive.
 pub fn second_differences(image: &mut Array2<f32>, [row, col, cov]: [f64; 3]) {
     let steps = ((row.abs() + col.abs() + 2.0 * cov.abs()) / 0.5).ceil().max(1.0);
@@ -82,7 +91,7 @@ pub fn second_differences(image: &mut Array2<f32>, [row, col, cov]: [f64; 3]) {
                 let change = row * (up[c] + down[c] - 2.0 * here[c])
                     + col * (here[left] + here[right] - 2.0 * here[c])
                     + cov * (up[left] + down[right] - up[right] - down[left]);
-                image[[r, c]] = (here[c] + change).max(0.0);
+                image[[r, c]] = changed(here[c], change);
             }
         }
     }

@@ -293,6 +293,23 @@ fn worked_examples_of_images_beside_and_across() {
     assert!((fat[[2, 3]] - 1.0).abs() < 1e-4 && (fat[[2, 4]] - 996.0).abs() < 1e-3);
 }
 
+/// A prediction is a little negative where the errors of PSFs outweigh the light. An effect next to nothing then changes next to nothing.
+#[test]
+fn weak_effects_leave_light_below_zero_as_it_is() {
+    let previous = image();
+    let cx = context(&previous);
+    let below = image().mapv(|v| v - 12.0);
+    for (id, params) in [
+        ("motion_blur", vec![("var_row_px2", 1e-6), ("cov_px2", 1e-6)]),
+        ("rank_truncation", vec![("terms", 1e-6)]),
+        ("unknown_operator", vec![("amplitude", 1e-6), ("operator", 3.0)]),
+    ] {
+        let change = lit(id, &params, &below, &cx) - &below;
+        assert!(change.iter().all(|v| v.abs() < 1e-3), "{id}: {change}");
+        assert!(change.iter().any(|v| *v != 0.0), "{id}");
+    }
+}
+
 #[test]
 fn worked_examples_of_readout() {
     let previous = image();

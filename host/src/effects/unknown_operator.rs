@@ -4,6 +4,7 @@
 //! `mu -> mu + amplitude w(place, frame) A[mu]`, A one of [`OPERATORS`], w one of [`WEIGHTS`]; the operator says at which point of
 //! the way of the light something acts, not what it is.
 
+use super::smooth::changed;
 use super::{Descriptor, Effect, FrameContext, Param, Stage};
 use ndarray::{Array2, Zip};
 
@@ -59,7 +60,7 @@ impl Effect for UnknownOperator {
         let mut term = operated(light_e, p[1] as usize, cx);
         weigh(&mut term, p[2] as usize, cx);
         let a = p[0] as f32;
-        light_e.zip_mut_with(&term, |v, t| *v = (*v + a * t).max(0.0));
+        light_e.zip_mut_with(&term, |v, t| *v = changed(*v, a * t));
     }
 }
 
