@@ -14,6 +14,8 @@ mod sensor_only;
 pub(crate) mod testbed;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod width_tests;
 
 pub use calibrate::{CalibrateConfig, CalibrateError, Calibration, calibrate};
 pub use file::{INSTRUMENT_KIND, INSTRUMENT_VERSION, InstrumentError};
