@@ -74,12 +74,13 @@ fn templates(v: ArrayView2<'_, f64>) -> [f64; TEMPLATES] {
     ]
 }
 
-/// Foci that were registered by fractions of a pixel, and such as lay on the object grid, are as wide as they are.
+/// Foci that were registered by fractions of a pixel, and such as lay on the object grid, are as wide as they are: 3e-4 px^2 of tails
+/// are missing. Windows that leave 2e-4 of the light miss 6e-4, the nominal ones of 15 px 0.016.
 #[test]
 fn calibrated_foci_are_as_wide_as_they_are() {
     // Steps of 35/9 and of 5 object pixels.
     for scan in [10, 8] {
         let width = missing_width(&bright(scan));
-        assert!(width.iter().all(|w| w.abs() < 6e-4), "{scan}: {width:?} px^2");
+        assert!(width.iter().all(|w| w.abs() < 4.5e-4), "{scan}: {width:?} px^2");
     }
 }
