@@ -20,8 +20,8 @@ pub(super) fn effects(
 ) -> Vec<Effect> {
     let mut effects: Vec<Effect> = faults.iter().map(fault).collect();
     // What the noise alone leaves: one a pixel, less where the noise model is generous.
-    let pixels = now.held_out.1 as f64;
-    let excess = before.held_out.0 - pixels.min(now.held_out.0);
+    let pixels = now.held_out.pixels as f64;
+    let excess = before.held_out.chi2 - pixels.min(now.held_out.chi2);
     let mut unknown = 0;
     for (i, f) in found.iter().enumerate() {
         let term = &now.state.terms[own + i];
@@ -186,6 +186,12 @@ fn describe(term: &Term, params: &[Value]) -> String {
             short(params[0].sigma),
             OPERATORS.get(index(1)).unwrap_or(&"?"),
             WEIGHTS.get(index(2)).unwrap_or(&"?")
+        ),
+        "unknown_pattern" => format!(
+            "unknown: a factor on the light that is fixed to the sensor, rms {} +- {}, neither a law over the sensor nor a property of single \
+             pixels; measured pixel by pixel; cause not identified; valid on this sensor",
+            short(params[0].value),
+            short(params[0].sigma)
         ),
         "unknown_profile" => {
             let knots = &params[..KNOTS];

@@ -11,7 +11,7 @@ use super::record;
 use super::refit::{Fitted, own_columns, refit};
 use super::result::Closing;
 use super::score::{Scores, Test};
-use super::search::{self, Found, Replicas, Search, catalogue, replicas, unknowns};
+use super::search::{self, Found, Replicas, Search, Tables, catalogue, nothing, replicas, unknowns};
 use super::stats::f_tail;
 use crate::effects::EffectError;
 use crate::forward::ForwardError;
@@ -132,12 +132,14 @@ pub fn close_without(
     tell("catalogue");
     let mut search = Search::new(&model, &replicas, first);
     search.exclude = exclude.to_vec();
-    search.run(catalogue, true, &mut tell)?;
+    search.run(catalogue, Tables::Named, &mut tell)?;
     let mut dependences = omnibus::test(&model, &search.now, &replicas.of(&model, &search.now), seed);
     let mut rest = std::mem::take(&mut search.rest);
-    if structured(&dependences) {
+    // A name is believed only if nothing without one does better beside it.
+    if structured(&dependences) || !search.found.is_empty() {
         tell("terms without a name");
-        search.run(unknowns, false, &mut tell)?;
+        search.run(unknowns, Tables::None, &mut tell)?;
+        search.run(nothing, Tables::Unnamed, &mut tell)?;
         dependences = omnibus::test(&model, &search.now, &replicas.of(&model, &search.now), seed);
     }
     tell("pruning");
@@ -230,7 +232,12 @@ fn held_out_blocks(seen: &Observations) -> [usize; 2] {
 
 /// Whether any omnibus test passes.
 pub fn structured(dependences: &[Dependence]) -> bool {
-    dependences.iter().any(|d| d.p * (dependences.len() as f64) < OMNIBUS)
+    let mut passes = dependences.iter().filter(|d| d.p * (dependences.len() as f64) < OMNIBUS).peekable();
+    let any = passes.peek().is_some();
+    passes.for_each(|d| {
+        tracing::info!("residual against {}: z {:.1}, {:.1} for {:.1}", d.covariate.words(), d.z, d.chi2, d.expected)
+    });
+    any
 }
 
 /// The instrument with the effects of a state.
@@ -282,7 +289,7 @@ fn prune(
                 let without = refit(model, state)?;
                 // Values that trade against one another are each uncertain while the term as a whole is not.
                 let weight = tests[t].as_ref().map_or(1.0, |test| test.phi);
-                if (without.chi2 - now.chi2) / weight > NEEDED {
+                if (without.training.deviance - now.training.deviance) / weight > NEEDED {
                     needed.push(term.id());
                 } else {
                     found.remove(t - own);

@@ -23,6 +23,8 @@ pub struct Cell {
     pub pixels: usize,
     /// Gram matrix: columns, then replicates, then the residual.
     pub gram: Array2<f32>,
+    /// Sum of the logarithms of the variances, DN^2.
+    pub log_variance: f64,
 }
 
 /// All cells.
@@ -41,6 +43,29 @@ pub struct Design {
 pub struct Sums {
     /// Gram matrix of columns, replicates, residual.
     pub gram: Array2<f64>,
+    /// Pixels that count.
+    pub pixels: usize,
+    /// Sum of the logarithms of the variances, DN^2.
+    pub log_variance: f64,
+}
+
+impl Sums {
+    /// chi-squared and -2 ln of the likelihood (up to a constant): where the model itself says how large the noise is, chi-squared alone falls
+    /// with every effect that brings light into the dark.
+    pub fn misfit(&self) -> Misfit {
+        let last = self.gram.nrows().saturating_sub(1);
+        let chi2 = self.gram.get((last, last)).copied().unwrap_or(0.0);
+        Misfit { chi2, deviance: chi2 + self.log_variance, pixels: self.pixels }
+    }
+}
+
+/// How far a state is from some frames.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Misfit {
+    /// chi-squared.
+    pub chi2: f64,
+    /// -2 ln of the likelihood, up to a constant: states are compared by it.
+    pub deviance: f64,
     /// Pixels that count.
     pub pixels: usize,
 }
@@ -96,9 +121,11 @@ impl Design {
                     .map(|(block, span)| {
                         let part = x.slice(s![.., span.clone()]);
                         let gram = part.dot(&part.t());
-                        let pixels = seen.pixels[span.clone()].iter().filter(|p| weight[**p as usize] > 0.0).count();
+                        let used =
+                            || seen.pixels[span.clone()].iter().map(|p| weight[*p as usize]).filter(|w| *w > 0.0);
+                        let log_variance = used().map(|w| -2.0 * f64::from(w.ln())).sum();
                         let held_out = seen.frames[k].held_out || seen.held_out_blocks[block];
-                        Cell { frame: k, block, held_out, pixels, gram }
+                        Cell { frame: k, block, held_out, pixels: used().count(), gram, log_variance }
                     })
                     .collect::<Vec<_>>())
             })
@@ -121,10 +148,11 @@ impl Design {
     /// Sums over the cells that `take`s.
     pub fn sums(&self, take: impl Fn(&Cell) -> bool) -> Sums {
         let n = self.residual() + 1;
-        let mut sums = Sums { gram: Array2::zeros((n, n)), pixels: 0 };
+        let mut sums = Sums { gram: Array2::zeros((n, n)), pixels: 0, log_variance: 0.0 };
         for cell in self.cells.iter().filter(|c| take(c)) {
             sums.gram.zip_mut_with(&cell.gram, |s, v| *s += f64::from(*v));
             sums.pixels += cell.pixels;
+            sums.log_variance += cell.log_variance;
         }
         sums
     }

@@ -14,7 +14,7 @@ pub(super) fn judged(seen: &Observations) -> impl Iterator<Item = usize> + '_ {
 }
 
 /// Figures on what no fit has seen: held-out scenes, or the held-out blocks where no scene is.
-pub(super) fn figures(model: &Model<'_>, fitted: &Fitted) -> Figures {
+pub fn figures(model: &Model<'_>, fitted: &Fitted) -> Figures {
     let seen = model.seen;
     let mut frames: Vec<usize> = judged(seen).filter(|k| seen.frames[*k].held_out).collect();
     let whole = !frames.is_empty();

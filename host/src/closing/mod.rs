@@ -4,9 +4,11 @@
 //! change of each value would do; [`score`] tests and ranks.
 
 mod account;
+mod bins;
 pub mod close;
+pub mod covariate;
 pub mod design;
-mod figures;
+pub mod figures;
 pub mod file;
 pub mod model;
 pub mod observe;

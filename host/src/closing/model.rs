@@ -19,6 +19,8 @@ pub struct Term {
     pub params: Vec<f64>,
     /// Its table, where it has one.
     pub table: Option<Array2<f32>>,
+    /// Rms error of a table that was measured here, in its unit: the same in every frame.
+    pub table_error: f64,
 }
 
 impl std::fmt::Debug for Term {
@@ -52,7 +54,7 @@ impl Term {
 
     /// The same with all its strengths at absence.
     pub fn switched_off(&self, lenses: usize) -> Self {
-        let mut off = Self { table: None, ..self.clone() };
+        let mut off = Self { table: None, table_error: 0.0, ..self.clone() };
         for (value, (_, p)) in off.params.iter_mut().zip(self.expanded(lenses)).filter(|(_, (_, p))| p.is_strength()) {
             *value = p.off;
         }
@@ -179,7 +181,7 @@ impl<'a> Model<'a> {
             let effect = find(&s.id)?;
             let value = |(name, p): (String, &Param)| s.params.get(&name).copied().unwrap_or(p.off);
             let params = effect.descriptor().expanded(layout.lenses).into_iter().map(value).collect();
-            Some(Term { effect, params, table: s.table.clone() })
+            Some(Term { effect, params, table: s.table.clone(), table_error: 0.0 })
         };
         let stacks = self.seen.frames.iter().map(|f| f.stack + 1).max().unwrap_or(0);
         let mut scale = vec![1.0; stacks];

@@ -2,7 +2,7 @@
 //!
 //! Levenberg's damped Gauss-Newton on the cells that may be fitted, with the variance of the model at the current state.
 
-use super::design::{Design, nuisances};
+use super::design::{Design, Misfit, nuisances};
 use super::model::{Column, Model, Predicted, State};
 use super::score::pseudo_inverse;
 use crate::effects::{Kind, Stage};
@@ -25,12 +25,10 @@ pub struct Fitted {
     pub predicted: Vec<Predicted>,
     /// The optics' part of that.
     pub scenes: Scenes,
-    /// chi-squared of the fitted cells.
-    pub chi2: f64,
-    /// chi-squared and pixels of the held-out cells.
-    pub held_out: (f64, usize),
-    /// Pixels of the fitted cells.
-    pub pixels: usize,
+    /// How far it is from the cells that may be fitted.
+    pub training: Misfit,
+    /// How far it is from the held-out cells.
+    pub held_out: Misfit,
 }
 
 /// The columns of a state's own free values.
@@ -68,7 +66,7 @@ pub fn refit_from(model: &Model<'_>, mut state: State, scenes: Scenes) -> Result
         let proposal = at.step(model, &state, &columns, damping);
         let scenes = if emission { model.scenes(&model.chain(&proposal.terms))?.into() } else { at.scenes.clone() };
         let next = Point::of(model, &proposal, &columns, scenes)?;
-        let fall = at.chi2 - next.chi2;
+        let fall = at.training.deviance - next.training.deviance;
         if fall > 0.0 {
             (state, at) = (proposal, next);
             damping *= 0.2;
@@ -82,14 +80,7 @@ pub fn refit_from(model: &Model<'_>, mut state: State, scenes: Scenes) -> Result
             }
         }
     }
-    Ok(Fitted {
-        state,
-        chi2: at.chi2,
-        pixels: at.pixels,
-        held_out: at.held_out,
-        predicted: at.predicted,
-        scenes: at.scenes,
-    })
+    Ok(Fitted { state, training: at.training, held_out: at.held_out, predicted: at.predicted, scenes: at.scenes })
 }
 
 /// A state with its linear problem.
@@ -97,24 +88,21 @@ struct Point {
     predicted: Vec<Predicted>,
     scenes: Scenes,
     gram: Array2<f64>,
-    chi2: f64,
-    pixels: usize,
-    held_out: (f64, usize),
+    training: Misfit,
+    held_out: Misfit,
 }
 
 impl Point {
     fn of(model: &Model<'_>, state: &State, columns: &[Column], scenes: Scenes) -> Result<Self, ForwardError> {
         let predicted = model.predict(state, &scenes);
         let design = Design::compute(model, state, &[], columns.to_vec(), &predicted, &scenes, &[])?;
-        let r = design.residual();
-        let (sums, out) = (design.training(), design.sums(|c| c.held_out));
+        let sums = design.training();
         Ok(Self {
             predicted,
             scenes,
-            chi2: sums.gram[[r, r]],
-            pixels: sums.pixels,
+            training: sums.misfit(),
             gram: sums.gram,
-            held_out: (out.gram[[r, r]], out.pixels),
+            held_out: design.sums(|c| c.held_out).misfit(),
         })
     }
 

@@ -11,6 +11,7 @@ use crate::linalg::symmetric_eigen;
 use crate::rng::stream;
 use crate::session::Role;
 use ndarray::{Array1, Array2, s};
+use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
@@ -19,8 +20,8 @@ use rayon::prelude::*;
 pub(super) const FEATURES: usize = 6;
 /// One number for each.
 pub(super) type Features = [f64; FEATURES];
-/// Pairs of repeats that the effect of a column is drawn on, a level: the random numbers cancel, one tells.
-const DRAWN: usize = 1;
+/// How often the effect of a column is drawn on a level.
+const DRAWN: u64 = 2;
 
 /// Pairs of repeats of the same light.
 struct Level {
@@ -46,7 +47,7 @@ pub(super) fn cells(
                 return None;
             }
             let rows = columns.len() + replicates + 1;
-            let parts: Vec<(Vec<Features>, Features)> = levels
+            let parts: Vec<(Vec<Features>, Features, Features)> = levels
                 .par_iter()
                 .map(|level| {
                     let base = noise_features(model, &model.chain(&state.terms), level, now);
@@ -57,10 +58,12 @@ pub(super) fn cells(
                             std::array::from_fn(|f| (with[f] - base[f]) / d.step)
                         }
                     };
-                    (derivative.iter().map(change).collect(), excess(model, state, now, level, base))
+                    let (excess, expected) = excess(model, state, now, level, base);
+                    (derivative.iter().map(change).collect(), excess, expected)
                 })
                 .collect();
-            let sampling = Sampling::of(model, now, &levels);
+            let expected: Vec<Features> = parts.iter().map(|p| p.2).collect();
+            let sampling = Sampling::of(model, now, &levels, &expected);
             let mut x = Array2::<f32>::zeros((rows, levels.len() * FEATURES));
             let mut put = |row: usize, features: Vec<Features>| {
                 x.row_mut(row)
@@ -69,11 +72,11 @@ pub(super) fn cells(
                     .for_each(|(x, v)| *x = *v as f32);
             };
             for (i, _) in derivative.iter().enumerate().filter(|(_, d)| d.is_some()) {
-                put(i, parts.iter().map(|(change, _)| change[i]).collect());
+                put(i, parts.iter().map(|p| p.0[i]).collect());
             }
-            put(rows - 1, parts.iter().map(|(_, excess)| *excess).collect());
+            put(rows - 1, parts.iter().map(|p| p.1).collect());
             let (frame, block, pixels) = (model.seen.frames.len(), model.seen.blocks.len(), x.ncols());
-            Some(Cell { frame, block, held_out, pixels, gram: x.dot(&x.t()) })
+            Some(Cell { frame, block, held_out, pixels, gram: x.dot(&x.t()), log_variance: sampling.log_variance() })
         })
         .collect()
 }
@@ -86,22 +89,23 @@ pub(super) fn residuals(model: &Model<'_>, state: &State, now: &[Predicted]) -> 
         let base = noise_features(model, &model.chain(&state.terms), level, now);
         excess(model, state, now, level, base)
     };
-    let raw: Vec<Features> = levels.par_iter().map(one).collect();
-    Sampling::of(model, now, &levels).standardised(&raw)
+    let (raw, expected): (Vec<Features>, Vec<Features>) = levels.par_iter().map(one).unzip();
+    Sampling::of(model, now, &levels, &expected).standardised(&raw)
 }
 
-/// Measured features less what the effects of a state make of them; `base`: those of drawn noise under the state.
-fn excess(model: &Model<'_>, state: &State, now: &[Predicted], level: &Level, base: Features) -> Features {
+/// Measured features less what the effects of a state make of them, and what they make; `base`: features of drawn noise under the state.
+fn excess(model: &Model<'_>, state: &State, now: &[Predicted], level: &Level, base: Features) -> (Features, Features) {
     let measured = measured(now, model, level);
     let plain = match state.terms.iter().any(noisy) {
         true => noise_features(model, &Chain::default(), level, now),
         false => base,
     };
-    std::array::from_fn(|f| measured[f] - base[f] + plain[f])
+    let expected: Features = std::array::from_fn(|f| base[f] - plain[f]);
+    (std::array::from_fn(|f| measured[f] - expected[f]), expected)
 }
 
 /// Whether an effect can change the noise at all.
-fn noisy(term: &Term) -> bool {
+pub(super) fn noisy(term: &Term) -> bool {
     matches!(term.effect.descriptor().stage, Stage::Charge | Stage::Electronics)
 }
 
@@ -202,19 +206,22 @@ struct Sampling {
 }
 
 impl Sampling {
-    fn of(model: &Model<'_>, now: &[Predicted], levels: &[Level]) -> Self {
+    /// `expected`: what effects make of the features; larger variances scatter more.
+    fn of(model: &Model<'_>, now: &[Predicted], levels: &[Level], expected: &[Features]) -> Self {
         let noise = model.forward.noise();
         let (rows, cols) = (model.seen.sensor[0] as f64, model.seen.sensor[1] as f64);
         let read = (noise.gain_dn_per_e * noise.read_noise_e).powi(2);
         // Relative errors of a level's variance: by its sample, by the gain, by the read noise.
+        let more = |v: f64| (1.0 + v).max(0.5);
         let errors: Vec<[f64; 3]> = levels
             .iter()
-            .map(|level| {
+            .zip(expected)
+            .map(|(level, expected)| {
                 let mean = level.pairs.first().map_or(0.0, |(a, _)| f64::from(now[*a].light_e.mean().unwrap_or(0.0)));
                 let shot = noise.gain_dn_per_e.powi(2) * mean;
                 let total = shot + read + 1.0 / 12.0;
                 [
-                    (2.0 / (rows * cols * level.pairs.len() as f64)).sqrt(),
+                    more(expected[0]) * (2.0 / (rows * cols * level.pairs.len() as f64)).sqrt(),
                     noise.gain_sigma / noise.gain_dn_per_e * shot / total,
                     2.0 * noise.read_noise_sigma / noise.read_noise_e.max(1e-9) * read / total,
                 ]
@@ -229,12 +236,23 @@ impl Sampling {
             |_| Array2::from_diag(&v.diag().mapv(|v| 1.0 / v.max(1e-30).sqrt())),
             |(values, vectors)| (&vectors * &values.mapv(|v| 1.0 / v.max(1e-30).sqrt())).dot(&vectors.t()),
         );
-        let sigma = |level: &Level| {
-            let pairs = level.pairs.len() as f64;
-            let white = (1.0 / (rows * cols * pairs)).sqrt();
-            [white, white, white, (2.0 / (rows * pairs)).sqrt(), (2.0 / (cols * pairs)).sqrt()]
+        // Of an effect's own draw as well, which is about as long as one pair.
+        let sigma = |(level, expected): (&Level, &Features)| {
+            let shares = 1.0 / level.pairs.len() as f64;
+            let white = (shares / (rows * cols)).sqrt();
+            let lines = |n: f64, v: f64| (2.0 / n * (shares * more(v).powi(2) + v * v / DRAWN as f64)).sqrt();
+            [white, white, white, lines(rows, expected[4]), lines(cols, expected[5])]
         };
-        Self { whitening, sigma: levels.iter().map(sigma).collect() }
+        Self { whitening, sigma: levels.iter().zip(expected).map(sigma).collect() }
+    }
+
+    /// Sum of the logarithms of the features' variances.
+    fn log_variance(&self) -> f64 {
+        let lines = self.sigma.iter().flatten().map(|s| 2.0 * s.ln()).sum::<f64>();
+        // Of the variances the determinant is that of V, and V^-1/2 is what is kept.
+        let values =
+            symmetric_eigen(&self.whitening).map_or(0.0, |(values, _)| values.mapv(|v| v.max(1e-30).ln()).sum());
+        lines - 2.0 * values
     }
 
     /// Features in standard errors.
@@ -249,34 +267,45 @@ impl Sampling {
 
 /// Features of noise drawn on a level under a chain, with the same random numbers whatever the chain.
 fn noise_features(model: &Model<'_>, chain: &Chain, level: &Level, now: &[Predicted]) -> Features {
-    let noise = model.forward.noise_with(chain);
-    let read = noise.read_noise_e as f32;
-    let shot = (noise.gain_dn_per_e / model.forward.noise().gain_dn_per_e).sqrt() as f32;
     let mut sum = [0.0; FEATURES];
-    let drawn = level.pairs.len().min(DRAWN);
-    for (a, _) in level.pairs.iter().take(drawn) {
-        let cx = model.context(*a, None);
-        let light = &now[*a].light_e;
-        let quiet = {
-            let mut charge = light.clone();
-            chain.on_charge(&mut charge, &cx);
-            model.forward.to_dn(charge, chain, &cx)
-        };
-        let mut rng = stream(0x5eed, "noise features", *a as u64);
-        let mut charge = light.mapv(|e| {
-            let z: f32 = StandardNormal.sample(&mut rng);
-            e + shot * e.max(0.0).sqrt() * z
-        });
-        chain.on_charge(&mut charge, &cx);
-        charge.mapv_inplace(|q| {
-            let z: f32 = StandardNormal.sample(&mut rng);
-            q + read * z
-        });
-        let mut dn = model.forward.to_dn(charge, chain, &cx);
-        chain.on_reading(&mut dn, &cx, &mut stream(0x5eed, "reading", *a as u64));
-        let mut d = dn - quiet;
+    let Some((a, _)) = level.pairs.first() else { return sum };
+    for i in 0..DRAWN {
+        let mut rngs = ["noise features", "reading"].map(|what| stream(0x5eed, what, DRAWN * *a as u64 + i));
+        let mut d = noise_dn(model, chain, *a, &now[*a].light_e, &mut rngs);
         d.zip_mut_with(&now[*a].inverse_sigma, |d, w| *d *= w);
         sum.iter_mut().zip(features(d)).for_each(|(s, f)| *s += f);
     }
-    sum.map(|s| s / drawn.max(1) as f64)
+    sum.map(|s| s / DRAWN as f64)
+}
+
+/// Noise of frame `k` on a light, DN, under a chain: what it does to charge once the electrons are counted is in it. The second of the
+/// generators makes what the chain itself adds.
+pub(super) fn noise_dn(
+    model: &Model<'_>,
+    chain: &Chain,
+    k: usize,
+    light_e: &Array2<f32>,
+    [rng, reading]: &mut [impl Rng; 2],
+) -> Array2<f32> {
+    let noise = model.forward.noise_with(chain);
+    let read = noise.read_noise_e as f32;
+    let shot = (noise.gain_dn_per_e / model.forward.noise().gain_dn_per_e).sqrt() as f32;
+    let cx = model.context(k, None);
+    let quiet = {
+        let mut charge = light_e.clone();
+        chain.on_charge(&mut charge, &cx);
+        model.forward.to_dn(charge, chain, &cx)
+    };
+    let mut charge = light_e.mapv(|e| {
+        let z: f32 = StandardNormal.sample(rng);
+        e + shot * e.max(0.0).sqrt() * z
+    });
+    chain.on_charge(&mut charge, &cx);
+    charge.mapv_inplace(|q| {
+        let z: f32 = StandardNormal.sample(rng);
+        q + read * z
+    });
+    let mut dn = model.forward.to_dn(charge, chain, &cx);
+    chain.on_reading(&mut dn, &cx, reading);
+    dn - quiet
 }

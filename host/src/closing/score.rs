@@ -254,7 +254,14 @@ mod tests {
                         x[[row, p]] = *v;
                     }
                 }
-                cells.push(Cell { frame, block, held_out: frame == 7, pixels: 50, gram: x.dot(&x.t()) });
+                cells.push(Cell {
+                    frame,
+                    block,
+                    held_out: frame == 7,
+                    pixels: 50,
+                    gram: x.dot(&x.t()),
+                    log_variance: 0.0,
+                });
             }
         }
         Design { columns: vec![Column::Black; 3], replicates: 0, cells }

@@ -37,19 +37,19 @@ pub struct Candidate {
     pub columns: Vec<usize>,
     /// The test of its strengths; None: the session cannot tell it.
     pub test: Option<Test>,
-    /// Starts that were tried.
-    pub starts: usize,
+    /// How many independent starts the best was taken from.
+    pub chances: f64,
     /// Its table, where it has one instead of columns.
     pub table: Option<TableFit>,
 }
 
 impl Candidate {
-    /// Probability, paid for each start.
+    /// Probability, paid for each chance.
     pub fn p(&self) -> f64 {
         if let Some(table) = &self.table {
             return table.p;
         }
-        self.test.as_ref().map_or(1.0, |t| (t.p * self.starts as f64).min(1.0))
+        self.test.as_ref().map_or(1.0, |t| (t.p * self.chances).min(1.0))
     }
 
     /// Estimate and standard error of its first strength, as [`crate::effects::Param::inner`] has them.
@@ -66,7 +66,7 @@ impl Candidate {
         if let Some(table) = &self.table {
             return table.z * table.z.abs() - PRICE;
         }
-        self.test.as_ref().map_or(f64::NEG_INFINITY, |t| t.t - PRICE * (t.dof + 2.0 * (self.starts as f64).ln()))
+        self.test.as_ref().map_or(f64::NEG_INFINITY, |t| t.t - PRICE * t.dof - 2.0 * self.chances.ln())
     }
 }
 
@@ -100,7 +100,7 @@ pub fn catalogue(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> V
         if starts.is_empty() {
             starts = grid(effect, lenses);
         }
-        terms.extend(starts.into_iter().map(|params| Term { effect, params, table: None }));
+        terms.extend(starts.into_iter().map(|params| Term { effect, params, table: None, table_error: 0.0 }));
     }
     terms
 }
@@ -140,7 +140,12 @@ pub fn unknowns(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Ve
         for (operator, weight) in (0..OPERATORS.len()).flat_map(|o| (0..WEIGHTS.len()).map(move |w| (o, w))) {
             // The light of each stack and the black level are nuisances already.
             if (operator, weight) != (0, 0) {
-                terms.push(Term { effect, params: vec![0.0, operator as f64, weight as f64], table: None });
+                terms.push(Term {
+                    effect,
+                    params: vec![0.0, operator as f64, weight as f64],
+                    table: None,
+                    table_error: 0.0,
+                });
             }
         }
     }
@@ -167,7 +172,7 @@ pub fn unknowns(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Ve
             if high > low && !(covariate == 4 && additive == 1.0) {
                 let mut params = vec![0.0; KNOTS];
                 params.extend([f64::from(covariate), additive, low, high]);
-                terms.push(Term { effect, params, table: None });
+                terms.push(Term { effect, params, table: None, table_error: 0.0 });
             }
         }
     }
@@ -272,12 +277,14 @@ pub(super) fn score(
     }
     let design = Design::compute(model, &fitted.state, terms, columns, &fitted.predicted, &fitted.scenes, replicas)?;
     let scores = Scores::new(&design, taken.clone());
+    let scenes = model.seen.of(Role::Scene).count();
     let mut candidates: Vec<Candidate> = Vec::new();
     for (term, span) in terms.iter().zip(spans) {
         let columns: Vec<usize> = span.collect();
         let test = scores.test(&columns).map(|t| one_sided(model, term, t));
-        let starts = terms.iter().filter(|t| t.id() == term.id()).count();
-        let candidate = Candidate { term: term.clone(), columns, test, starts, table: None };
+        let starts = terms.iter().filter(|t| t.id() == term.id()).count() as f64;
+        let chances = starts.max(term.effect.chances(model.seen.sensor, scenes));
+        let candidate = Candidate { term: term.clone(), columns, test, chances, table: None };
         match candidates.iter_mut().find(|c| c.term.id() == term.id()) {
             Some(best) if candidate.worth() > best.worth() => *best = candidate,
             Some(_) => {}
@@ -313,6 +320,22 @@ fn with(model: &Model<'_>, state: &State, candidate: &Candidate) -> State {
 /// What is tried.
 pub type Trials = fn(&Model<'_>, &State, &Evidence<'_>) -> Vec<Term>;
 
+/// Which effects with a table are tried.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tables {
+    /// None.
+    None,
+    /// Those of the catalogue.
+    Named,
+    /// Those without a name.
+    Unnamed,
+}
+
+/// No effects but those with a table.
+pub fn nothing(_: &Model<'_>, _: &State, _: &Evidence<'_>) -> Vec<Term> {
+    Vec::new()
+}
+
 /// A search under way.
 pub struct Search<'m, 'a> {
     model: &'m Model<'a>,
@@ -333,12 +356,12 @@ impl<'m, 'a> Search<'m, 'a> {
         Self { model, replicas, now, found: Vec::new(), rest: Vec::new(), exclude: Vec::new() }
     }
 
-    /// Adds one effect after another, as long as the scores, the full fit and the held-out data agree; with `tables`, those that
-    /// need a table are tried beside the `trials`.
+    /// Adds one effect after another, as long as the scores, the full fit and the held-out data agree; effects that need a table are tried
+    /// beside the `trials`.
     ///
     /// # Errors
     /// An object is no light.
-    pub fn run(&mut self, trials: Trials, tables: bool, tell: &mut impl FnMut(&str)) -> Result<(), ForwardError> {
+    pub fn run(&mut self, trials: Trials, tables: Tables, tell: &mut impl FnMut(&str)) -> Result<(), ForwardError> {
         let mut refused: Vec<&'static str> = Vec::new();
         loop {
             let mut terms = trials(self.model, &self.now.state, &evidence(self.model, &self.now));
@@ -346,9 +369,7 @@ impl<'m, 'a> Search<'m, 'a> {
             terms.retain(|t| !excluded(t.id()));
             let of_frames = self.replicas.of(self.model, &self.now);
             let (design, taken, mut candidates) = score(self.model, &self.now, &of_frames, &terms)?;
-            if tables {
-                candidates.extend(tabled(self.model, &self.now).into_iter().filter(|c| !excluded(c.term.id())));
-            }
+            candidates.extend(tabled(self.model, &self.now, tables).into_iter().filter(|c| !excluded(c.term.id())));
             candidates.sort_by(|a, b| b.worth().total_cmp(&a.worth()));
             log(&candidates);
             let p: Vec<f64> = candidates.iter().map(Candidate::p).collect();
@@ -394,7 +415,7 @@ impl<'m, 'a> Search<'m, 'a> {
             } else {
                 refit_from(self.model, next, self.now.scenes.clone())?
             };
-            let (fall, price) = (self.now.chi2 - fit.chi2, PRICE * c.columns.len() as f64);
+            let (fall, price) = (self.now.training.deviance - fit.training.deviance, PRICE * c.columns.len() as f64);
             tracing::info!("  fitted {:?}: fall {fall:.1}, price {price:.0}", fit.state.terms.last());
             let cost = price * heaviest - fall;
             costs.push((c.term.id(), cost));
@@ -407,8 +428,7 @@ impl<'m, 'a> Search<'m, 'a> {
         let Some((worth, fit, candidate)) = best else {
             return Ok(Verdict::Refused(finalists.first().map_or("", |c| c.term.id())));
         };
-        // chi-squared rewards wider errors: what acts on the noise alone is judged by held-out repeats, which the score holds.
-        let gain = self.now.held_out.0 - fit.held_out.0;
+        let gain = self.now.held_out.deviance - fit.held_out.deviance;
         if worth <= 0.0 || gain <= 0.0 {
             return Ok(Verdict::Refused(candidate.term.id()));
         }
@@ -478,10 +498,13 @@ fn finalists<'c>(able: &[&'c Candidate]) -> Vec<&'c Candidate> {
 }
 
 /// Effects with a table, as candidates.
-fn tabled(model: &Model<'_>, now: &Fitted) -> Vec<Candidate> {
-    let fits = tables::fit(model, &now.state, &now.predicted);
+fn tabled(model: &Model<'_>, now: &Fitted, which: Tables) -> Vec<Candidate> {
+    let fits = match which {
+        Tables::None => Vec::new(),
+        Tables::Named | Tables::Unnamed => tables::fit(model, &now.state, &now.predicted, which == Tables::Named),
+    };
     let candidate =
-        |t: TableFit| Candidate { term: t.term.clone(), columns: Vec::new(), test: None, starts: 1, table: Some(t) };
+        |t: TableFit| Candidate { term: t.term.clone(), columns: Vec::new(), test: None, chances: 1.0, table: Some(t) };
     fits.into_iter().map(candidate).collect()
 }
 

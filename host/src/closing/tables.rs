@@ -7,7 +7,7 @@ use super::model::{Model, Predicted, State, Term};
 use super::stats::two_sided;
 use crate::effects::{TableGroup, TableUse, blur_within, registry};
 use crate::session::Role;
-use ndarray::{Array2, Zip};
+use ndarray::{Array2, Zip, s};
 use rayon::prelude::*;
 
 /// A table that the data ask for.
@@ -29,10 +29,14 @@ pub struct TableFit {
 
 /// Pixels from which spots are told, standard deviations of their smoothed value.
 const SPOT: f32 = 5.0;
+/// Pixels that stand out by so many standard deviations in each half are hot.
+const STANDS_OUT: f64 = 4.5;
 /// Radius of the blur that spots are looked for with, pixels.
 const SPOT_PX: f64 = 1.5;
 /// Blur that a pattern of pixels is told from, standard deviation, pixels: it takes 2 % of a white one.
 const SMOOTH_PX: f64 = 2.0;
+/// The same for the pattern that is told: it takes 0.1 %.
+const BROAD_PX: f64 = 8.0;
 /// The estimate of a remaining pattern may exceed what the calibration left by this factor before it counts.
 const TOLERANCE: f64 = 1.5;
 
@@ -42,32 +46,45 @@ struct Half {
     weight: Array2<f32>,
 }
 
-/// Fits every table effect of the catalogue that is not in the state.
-pub fn fit(model: &Model<'_>, state: &State, now: &[Predicted]) -> Vec<TableFit> {
-    // What the calibration's own maps leave of a pattern is no news.
-    let left = |acts| match acts {
+/// Variance of the pattern that the calibration's own maps leave: no news.
+fn left(model: &Model<'_>, acts: TableUse) -> f64 {
+    match acts {
         TableUse::Response => model.maps.response.powi(2),
         TableUse::DarkRate => 0.0,
         TableUse::Offset => model.maps.offset_dn.powi(2),
-    };
+    }
+}
+
+/// Fits every table effect that is not in the state: of the catalogue, or those without a name.
+pub fn fit(model: &Model<'_>, state: &State, now: &[Predicted], named: bool) -> Vec<TableFit> {
     registry()
         .par_iter()
+        .filter(|e| e.descriptor().id.starts_with("unknown") != named)
         .filter(|e| !state.terms.iter().any(|t| t.id() == e.descriptor().id))
         .filter_map(|e| {
             let kind = e.table()?;
             let halves = [0, 1].map(|h| half(model, now, kind.acts, h));
             let [Some(a), Some(b)] = halves else { return None };
             let found = match kind.group {
-                TableGroup::Pixel => pixels(&a, &b, left(kind.acts)),
+                TableGroup::Pixel => {
+                    let (fine, broad) = ([&a, &b].map(|h| sharp(h, SMOOTH_PX)), [&a, &b].map(|h| sharp(h, BROAD_PX)));
+                    // Judged where nothing smooth is left of it, told with all of it that is finer than shade.
+                    let found =
+                        pattern(&fine[0], &fine[1], left(model, kind.acts)).filter(|_| is_white(&fine[0], &fine[1]));
+                    found.and_then(|f| {
+                        Some(Shape { table: pattern(&broad[0], &broad[1], left(model, kind.acts))?.table, ..f })
+                    })
+                }
                 TableGroup::SparsePixels => sparse(&a, &b),
-                TableGroup::Spots => spots(&a, &b, left(kind.acts)),
+                TableGroup::Spots => spots(&a, &b, left(model, kind.acts)),
+                TableGroup::Pattern => pattern(&a, &b, left(model, kind.acts)),
             }?;
             let expanded = e.descriptor().expanded(model.lenses());
             let mut params: Vec<f64> = expanded.iter().map(|(_, p)| p.off).collect();
             let first = expanded.first()?.1;
             params[0] = first.outer(found.size);
             Some(TableFit {
-                term: Term { effect: *e, params, table: Some(found.table) },
+                term: Term { effect: *e, params, table: Some(found.table), table_error: found.table_error },
                 z: found.z,
                 p: two_sided(found.z.max(0.0)) / 2.0,
                 size: found.size,
@@ -78,6 +95,15 @@ pub fn fit(model: &Model<'_>, state: &State, now: &[Predicted]) -> Vec<TableFit>
         .collect()
 }
 
+/// Standard deviations by which even light and darkness share a pattern between halves of their frames: in the response, in the offset.
+/// None: too few frames.
+pub(super) fn shared(model: &Model<'_>, now: &[Predicted]) -> [Option<f64>; 2] {
+    [TableUse::Response, TableUse::Offset].map(|acts| {
+        let [Some(a), Some(b)] = [0, 1].map(|h| half(model, now, acts, h)) else { return None };
+        Some(pattern(&a, &b, left(model, acts))?.z)
+    })
+}
+
 struct Shape {
     table: Array2<f32>,
     /// Variance of a pattern; value of what stands out most.
@@ -86,6 +112,8 @@ struct Shape {
     error: f64,
     /// How uncertain it is what the calibration leaves of the like.
     doubt: f64,
+    /// Rms error of the table.
+    table_error: f64,
     z: f64,
 }
 
@@ -128,6 +156,23 @@ fn half(model: &Model<'_>, now: &[Predicted], acts: TableUse, which: usize) -> O
     Some(Half { value, weight: bottom })
 }
 
+/// Takes a slope over the sensor out: blurs end at its edges and would take it for something there.
+fn level(h: &Half) -> Half {
+    let (rows, cols) = h.value.dim();
+    let along = |i: usize, n: usize| i as f32 - (n as f32 - 1.0) / 2.0;
+    let (mut top, mut bottom) = ([0.0f64; 2], [0.0f64; 2]);
+    for ((r, c), v) in h.value.indexed_iter() {
+        for (i, x) in [along(r, rows), along(c, cols)].into_iter().enumerate() {
+            top[i] += f64::from(x * v);
+            bottom[i] += f64::from(x * x);
+        }
+    }
+    let slope = [0, 1].map(|i| (top[i] / f64::max(bottom[i], 1e-30)) as f32);
+    let mut value = h.value.clone();
+    Zip::indexed(&mut value).for_each(|(r, c), v| *v -= slope[0] * along(r, rows) + slope[1] * along(c, cols));
+    Half { value, weight: h.weight.clone() }
+}
+
 fn mean(a: &Half, b: &Half) -> Half {
     let weight = &a.weight + &b.weight;
     let mut value = &a.value * &a.weight + &b.value * &b.weight;
@@ -135,11 +180,41 @@ fn mean(a: &Half, b: &Half) -> Half {
     Half { value, weight }
 }
 
-/// A pattern of all pixels: the variance that both halves share, beyond what the calibration leaves. What is smooth over pixels (shade, spots,
-/// a step) is no property of single pixels and is taken out first.
-fn pixels(a: &Half, b: &Half, left: f64) -> Option<Shape> {
-    let sharp = |h: &Half| Half { value: &h.value - &blur_within(&h.value, SMOOTH_PX), weight: h.weight.clone() };
-    let (a, b) = (&sharp(a), &sharp(b));
+/// What is smooth over pixels (shade, spots, a step) is no property of single pixels.
+fn sharp(h: &Half, smooth_px: f64) -> Half {
+    let flat = level(h).value;
+    Half { value: &flat - &blur_within(&flat, smooth_px), weight: h.weight.clone() }
+}
+
+/// Whether what two halves share of a [`sharp`] pattern is as white as properties of single pixels are: a law or spots would make
+/// neighbours alike.
+fn is_white(a: &Half, b: &Half) -> bool {
+    let (rows, cols) = a.value.dim();
+    let together = |dr: usize, dc: usize| -> [f64; 2] {
+        let (here, there) = (s![..rows - dr, ..cols - dc], s![dr.., dc..]);
+        let mut sum = [0.0; 2];
+        for (a, b) in [(&a.value, &b.value), (&b.value, &a.value)] {
+            for (x, y) in a.slice(here).iter().zip(b.slice(there)) {
+                let v = f64::from(x * y);
+                sum[0] += v;
+                sum[1] += v * v;
+            }
+        }
+        sum
+    };
+    if rows < 3 || cols < 3 {
+        return false;
+    }
+    let [own, _] = together(0, 0);
+    // White patterns leave -0.06 of themselves to their neighbours, since their own blur was taken out.
+    [(0, 1), (1, 0), (1, 1), (0, 2), (2, 0)].iter().all(|(dr, dc)| {
+        let [sum, squares] = together(*dr, *dc);
+        sum < 0.1 * own.max(0.0) + 3.0 * squares.sqrt()
+    })
+}
+
+/// A pattern of all pixels: the variance that both halves share, beyond what the calibration leaves.
+fn pattern(a: &Half, b: &Half, left: f64) -> Option<Shape> {
     let (mut shared, mut noise, mut n) = (0.0, 0.0, 0.0);
     // Hot pixels and dust are other effects: their values stand out, so they are left out here.
     Zip::from(&a.value).and(&b.value).and(&a.weight).and(&b.weight).for_each(|a, b, wa, wb| {
@@ -161,38 +236,46 @@ fn pixels(a: &Half, b: &Half, left: f64) -> Option<Shape> {
         if w > 0.0 { (f64::from(*v) * variance / (variance + 1.0 / w)) as f32 } else { 0.0 }
     };
     let table = Zip::from(&both.value).and(&both.weight).map_collect(keep);
-    Some(Shape { table, size: (variance - left).max(0.0), error, doubt: (TOLERANCE - 1.0) * left, z })
+    // What is left of the pattern where a pixel's own noise took its share.
+    let posterior = |w: &f32| variance.max(0.0) / (1.0 + variance.max(0.0) * f64::from(*w));
+    let table_error = (both.weight.iter().map(posterior).sum::<f64>() / n).sqrt();
+    Some(Shape { table, size: (variance - left).max(0.0), error, doubt: (TOLERANCE - 1.0) * left, table_error, z })
 }
 
-/// Single pixels that stand out in both halves.
+/// Single pixels that stand out in both halves. Their size is the scale of an exponential distribution: the mean of those that stand out
+/// above what had to be passed to do so.
 fn sparse(a: &Half, b: &Half) -> Option<Shape> {
     let both = mean(a, b);
     let mut table = Array2::zeros(both.value.dim());
-    let (mut largest, mut z) = (0.0f64, 0.0f64);
+    let (mut z, mut sum, mut number) = (0.0f64, 0.0, 0.0f64);
     // Of a pixel as good as most: what the session could tell, where nothing stands out.
     let weight = f64::from(both.weight.mean().unwrap_or(0.0));
-    let mut sigma = if weight > 0.0 { 1.0 / weight.sqrt() } else { 0.0 };
-    Zip::indexed(&both.value).and(&both.weight).for_each(|at, v, w| {
+    let one = if weight > 0.0 { 1.0 / weight.sqrt() } else { 0.0 };
+    Zip::indexed(&both.value).for_each(|at, v| {
         let stands_out = |h: &Half| h.value[at] * h.weight[at].sqrt();
         let least = f64::from(stands_out(a).min(stands_out(b)));
-        if least > 4.5 {
+        if least > STANDS_OUT {
             table[at] = *v;
-            if f64::from(*v) > largest {
-                largest = f64::from(*v);
-                sigma = 1.0 / f64::from(*w).sqrt();
-            }
+            sum += f64::from(*v);
+            number += 1.0;
             z = z.max(least * std::f64::consts::SQRT_2);
         }
     });
     // As many chances as pixels.
     let chances = both.value.len() as f64;
     let z = if z > 0.0 { super::stats::sigmas((two_sided(z) * chances).min(1.0)) } else { 0.0 };
-    Some(Shape { table, size: largest, error: sigma, doubt: 0.0, z })
+    let passed = STANDS_OUT * std::f64::consts::SQRT_2 * one;
+    let size = if number > 0.0 { (sum / number - passed).max(one) } else { 0.0 };
+    let error = one.hypot(size / number.max(1.0).sqrt());
+    Some(Shape { table, size, error, doubt: 0.0, table_error: 0.0, z })
 }
 
 /// Spots: what stands out of a map that is smoothed to their size.
 fn spots(a: &Half, b: &Half, left: f64) -> Option<Shape> {
-    let smooth = |h: &Half| blur_within(&h.value, SPOT_PX) - blur_within(&h.value, 8.0 * SPOT_PX);
+    let smooth = |h: &Half| {
+        let flat = level(h).value;
+        blur_within(&flat, SPOT_PX) - blur_within(&flat, 8.0 * SPOT_PX)
+    };
     let (sa, sb) = (smooth(a), smooth(b));
     // What white noise is after the blur: 1 / (4 pi sigma^2) of its variance.
     let share = 1.0 / (4.0 * std::f64::consts::PI * SPOT_PX * SPOT_PX);
@@ -203,20 +286,36 @@ fn spots(a: &Half, b: &Half, left: f64) -> Option<Shape> {
     let (ea, eb) = (sigma_of(a), sigma_of(b));
     let both = (&sa + &sb) * 0.5;
     let mut core = Array2::from_elem(both.dim(), 0.0f32);
-    let (mut deepest, mut z) = (0.0f64, 0.0f64);
+    let mut deepest = (0, 0);
+    let mut z = 0.0f64;
+    let mut bright = 0.0f64;
     Zip::indexed(&both).for_each(|at, v| {
         let least = (-sa[at] / ea).min(-sb[at] / eb);
+        bright = bright.max(f64::from((sa[at] / ea).min(sb[at] / eb)));
         if least > SPOT {
             core[at] = 1.0;
-            deepest = deepest.max(-f64::from(*v));
+            if *v < both[deepest] {
+                deepest = at;
+            }
             z = z.max(f64::from(least));
         }
     });
+    // Spots are dark: what is bright as well is something else.
+    if bright > f64::from(SPOT) && bright > 0.5 * z {
+        return None;
+    }
     let chances = both.len() as f64 * share;
     let z = if z > 0.0 { super::stats::sigmas((two_sided(z) * chances).min(1.0)) } else { 0.0 };
     // The spot's own values, from the unsmoothed map, where a core is near.
     let near = blur_within(&core, 2.0 * SPOT_PX);
     let raw = mean(a, b);
     let table = Zip::from(&near).and(&raw.value).map_collect(|n, v| if *n > 0.02 { *v } else { 0.0 });
-    Some(Shape { table, size: deepest, error: f64::from(ea.hypot(eb)) / 2.0, doubt: 0.0, z })
+    // As deep as the nine pixels in the middle of the deepest.
+    let (rows, cols) = raw.value.dim();
+    let around = |i: usize, n: usize| i.saturating_sub(1)..(i + 2).min(n);
+    let window = s![around(deepest.0, rows), around(deepest.1, cols)];
+    let (values, weights) = (raw.value.slice(window), raw.weight.slice(window));
+    let error = 1.0 / f64::from(weights.sum()).max(1e-30).sqrt();
+    let size = if z > 0.0 { -f64::from(values.mean().unwrap_or(0.0)) } else { 0.0 };
+    Some(Shape { table, size, error, doubt: 0.0, table_error: 0.0, z })
 }

@@ -41,6 +41,10 @@ impl Effect for ColumnPattern {
         }
     }
 
+    fn chances(&self, [_, cols]: [usize; 2], _frames: usize) -> f64 {
+        cols as f64 / 2.0
+    }
+
     /// Peaks in the spectrum of the mean residual of the columns.
     fn guess(&self, evidence: &Evidence<'_>) -> Vec<Vec<f64>> {
         let (sums, weights) = lines(evidence, Axis(1));

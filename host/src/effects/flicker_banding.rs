@@ -51,6 +51,10 @@ impl Effect for FlickerBanding {
         }
     }
 
+    fn chances(&self, [rows, _]: [usize; 2], frames: usize) -> f64 {
+        (rows * frames.max(2)) as f64 / 4.0
+    }
+
     /// Peaks over (cycles a row, Hz) of the residual's rows, weighted by their light.
     fn guess(&self, evidence: &Evidence<'_>) -> Vec<Vec<f64>> {
         peaks(evidence).into_iter().map(|[per_row, hz]| vec![0.0, 0.0, per_row, hz]).collect()

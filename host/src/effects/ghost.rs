@@ -40,6 +40,11 @@ impl Effect for Ghost {
         }
     }
 
+    /// Twice as many centres as pixels along each axis; of those within a focus one counts.
+    fn chances(&self, [rows, cols]: [usize; 2], _frames: usize) -> f64 {
+        (4 * rows * cols) as f64 / 9.0
+    }
+
     /// The centres about which the turned light explains most of the residual.
     fn guess(&self, evidence: &Evidence<'_>) -> Vec<Vec<f64>> {
         centres(evidence).into_iter().map(|[row, col]| vec![0.0, row, col]).collect()

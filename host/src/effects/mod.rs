@@ -55,6 +55,7 @@ mod stage_scale;
 mod table;
 mod thermal_drift;
 mod unknown_operator;
+mod unknown_pattern;
 mod unknown_profile;
 mod veiling_glare;
 mod vignetting;
@@ -125,6 +126,11 @@ pub trait Effect: Send + Sync {
     fn guess(&self, _evidence: &Evidence<'_>) -> Vec<Vec<f64>> {
         Vec::new()
     }
+    /// From how many independent values a [`guess`](Effect::guess) takes the best on a sensor of [rows, cols], over `frames`: with so many
+    /// chances noise alone makes one that looks good.
+    fn chances(&self, _sensor: [usize; 2], _frames: usize) -> f64 {
+        1.0
+    }
 }
 
 /// An effect as it stands in an instrument file: its id and its parameters by name.
@@ -194,6 +200,7 @@ static REGISTRY: &[&dyn Effect] = &[
     &metadata_fault::MetadataFault,
     &unknown_operator::UnknownOperator,
     &unknown_profile::UnknownProfile,
+    &unknown_pattern::UnknownPattern,
 ];
 
 /// Every effect, in physical order of their stages.

@@ -40,6 +40,10 @@ impl Effect for RowPattern {
         }
     }
 
+    fn chances(&self, [rows, _]: [usize; 2], _frames: usize) -> f64 {
+        rows as f64 / 2.0
+    }
+
     /// Peaks in the spectrum of the mean residual of the rows.
     fn guess(&self, evidence: &Evidence<'_>) -> Vec<Vec<f64>> {
         let (sums, weights) = lines(evidence, Axis(0));

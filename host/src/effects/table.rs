@@ -27,6 +27,8 @@ pub enum TableGroup {
     SparsePixels,
     /// Pixels near one another are alike: spots of some pixels.
     Spots,
+    /// Each pixel has its own, and pixels near one another may be alike.
+    Pattern,
 }
 
 /// A table: how it acts and what shares a value.

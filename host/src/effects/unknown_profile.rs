@@ -57,6 +57,11 @@ impl Effect for UnknownProfile {
         &DESCRIPTOR
     }
 
+    /// Periods over rows.
+    fn chances(&self, [rows, _]: [usize; 2], _frames: usize) -> f64 {
+        rows as f64 / 2.0
+    }
+
     fn on_light(&self, p: &[f64], light_e: &mut Array2<f32>, cx: &FrameContext<'_>) {
         let (knots, shape) = p.split_at(KNOTS);
         if knots.iter().all(|v| *v == 0.0) {

@@ -2,9 +2,10 @@
 //! and what was found held against what was there.
 //!
 //! [`plan`] lists the cases, [`subject`] is one instrument under study, [`trial`] runs a case, [`record`] keeps its outcome, one line a
-//! session, so that a killed study goes on; [`summary`] makes the figures and [`text`] the page. [`foreign`] holds effects that the
+//! session, so that a killed study goes on; [`summary`] makes the figures and [`text`] the page. [`downstream`] asks what it is worth to the picture. [`foreign`] holds effects that the
 //! catalogue must not know.
 
+pub mod downstream;
 pub mod foreign;
 pub mod plan;
 pub mod record;

@@ -26,12 +26,22 @@ pub enum Question {
     Gain,
     /// Are faults of the records found?
     Records,
+    /// Does a network gain as much from the closed instrument as from the true one?
+    Reconstruction,
 }
 
 impl Question {
     /// All of them.
-    pub const ALL: [Self; 7] =
-        [Self::Null, Self::Single, Self::Pair, Self::MinusOne, Self::Foreign, Self::Gain, Self::Records];
+    pub const ALL: [Self; 8] = [
+        Self::Null,
+        Self::Single,
+        Self::Pair,
+        Self::MinusOne,
+        Self::Foreign,
+        Self::Gain,
+        Self::Records,
+        Self::Reconstruction,
+    ];
 }
 
 /// What is put in.
@@ -128,7 +138,8 @@ impl Size {
         self.only.is_empty() || self.only.iter().any(|o| o == id)
     }
 
-    fn asks(&self, question: Question) -> bool {
+    /// Whether a question is asked.
+    pub fn asks(&self, question: Question) -> bool {
         self.questions.is_empty() || self.questions.contains(&question)
     }
 }
@@ -152,6 +163,11 @@ const PAIR_SIGMAS: [f64; 2] = [10.0, 30.0];
 const MINUS_ONE_SIGMAS: f64 = 30.0;
 /// Strengths of foreign effects; their unit is the noise alone.
 const FOREIGN_SIGMAS: [f64; 3] = [10.0, 30.0, 100.0];
+/// Effects that a network is fine-tuned for, one of each kind.
+pub const DOWNSTREAM: [&str; 6] =
+    ["array_shift", "lens_gain", "defocus", "veiling_glare", "charge_diffusion", "vignetting"];
+/// Their strength: a picture does not show what is ten standard errors of a session.
+const DOWNSTREAM_SIGMAS: f64 = 100.0;
 /// By how much the gain is stated wrongly.
 const WRONG_GAIN: f64 = 1.05;
 
@@ -200,6 +216,14 @@ pub fn cases(size: &Size, sensitivities: &[Sensitivities]) -> Vec<Case> {
                     let case = Case { injected: vec![a_in, b_in], ..Case::default() };
                     push(round, format!("pair/{a}+{b}/{k}/{round}"), Question::Pair, instrument, case);
                 }
+            }
+        }
+        for id in
+            DOWNSTREAM.into_iter().filter(|id| round == 0 && size.asks(Question::Reconstruction) && size.wants(id))
+        {
+            if let Some(it) = one(id, DOWNSTREAM_SIGMAS) {
+                let case = Case { injected: vec![it], ..Case::default() };
+                push(round, format!("reconstruction/{id}"), Question::Reconstruction, instrument, case);
             }
         }
         for f in FOREIGN.iter().filter(|f| size.asks(Question::Foreign) && size.wants(f.descriptor().id)) {

@@ -1,5 +1,6 @@
 //! What came of one session, and the file of all of them: one JSON object a line, appended as sessions end.
 
+use super::downstream::Reconstruction;
 use super::plan::{Case, Injected};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -38,6 +39,9 @@ pub struct HeldOut {
     pub after: f64,
     /// The bench's own noise-free frames: nothing can be better, but by chance.
     pub floor: f64,
+    /// The instrument with what was put in, its values fitted: what can be explained. None: nothing was.
+    #[serde(default)]
+    pub truth: Option<f64>,
     /// Pixels.
     pub pixels: usize,
 }
@@ -45,7 +49,7 @@ pub struct HeldOut {
 impl HeldOut {
     /// Share of the explainable excess that was removed. None: there is none beyond five of its standard errors.
     pub fn explained(&self) -> Option<f64> {
-        let excess = self.before - self.floor;
+        let excess = self.before - self.truth?;
         let error = (2.0 / self.pixels.max(1) as f64).sqrt();
         (excess > 5.0 * error).then(|| (self.before - self.after) / excess)
     }
@@ -64,6 +68,9 @@ pub struct Outcome {
     pub structure: Vec<String>,
     /// Figures on held-out scenes.
     pub held_out: HeldOut,
+    /// What the picture gains, where that was asked.
+    #[serde(default)]
+    pub reconstruction: Option<Reconstruction>,
     /// Time to close, s; measuring the session is not in it.
     pub seconds: f64,
     /// Why there is no outcome.

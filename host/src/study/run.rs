@@ -34,7 +34,7 @@ pub struct Study {
 /// The folder cannot be written, or an instrument not be calibrated. A session that cannot be closed is no error but an outcome.
 pub fn run(dir: &Path, size: &Size, shard: [usize; 2], tell: impl Fn(usize, usize) + Sync) -> anyhow::Result<Study> {
     std::fs::create_dir_all(dir).with_context(|| dir.display().to_string())?;
-    let prepare = |n: &u64| Subject::prepare(*n, size.seed, dir);
+    let prepare = |n: &u64| Subject::prepare(*n, size, dir);
     let numbers: Vec<u64> = (0..size.instruments).collect();
     let subjects = side_by_side(&numbers, prepare)?.into_iter().collect::<anyhow::Result<Vec<_>>>()?;
     let sensitivities: Vec<Sensitivities> = subjects.iter().map(|s| s.sensitivities.clone()).collect();

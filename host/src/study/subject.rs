@@ -3,7 +3,9 @@
 //! It is small, so that a session takes seconds: 3 x 3 lenses on 98 x 98 pixels. All sessions of an instrument are held against one
 //! calibration, from a session of its own.
 
+use super::downstream;
 use super::foreign::FOREIGN;
+use super::plan::{Question, Size};
 use crate::artifact::Provenance;
 use crate::bench::{BenchConfig, VirtualInstrument};
 use crate::closing::close::close;
@@ -14,7 +16,7 @@ use crate::session::{Role, Session};
 use anyhow::Context;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Sessions without an effect that tell the sensitivity.
 const NULLS: u64 = 3;
@@ -51,6 +53,8 @@ pub struct Subject {
     pub instrument: Instrument,
     /// What its sessions can tell.
     pub sensitivities: Sensitivities,
+    /// A network that was trained on it, if a study asks for one.
+    pub network: PathBuf,
 }
 
 /// The bench of instrument `n`.
@@ -95,7 +99,8 @@ impl Subject {
     ///
     /// # Errors
     /// The folder cannot be written, or the instrument not be calibrated.
-    pub fn prepare(n: u64, seed: u64, dir: &Path) -> anyhow::Result<Self> {
+    pub fn prepare(n: u64, size: &Size, dir: &Path) -> anyhow::Result<Self> {
+        let seed = size.seed;
         let config = session_config(n);
         // Foci are kept for instruments that are built like another one.
         let bench = config.build_like(&config.build(&[])?, &[])?;
@@ -108,7 +113,12 @@ impl Subject {
                 instrument
             }
         };
-        let mut subject = Self { bench, config, instrument, sensitivities: Sensitivities::default() };
+        let network = dir.join(format!("network-{n}.checkpoint"));
+        // The questions that need a network are asked of the first instrument.
+        if n == 0 && size.asks(Question::Reconstruction) && !network.is_file() {
+            downstream::train(&instrument, &file, seed, &network).with_context(|| format!("network {n}"))?;
+        }
+        let mut subject = Self { bench, config, instrument, sensitivities: Sensitivities::default(), network };
         let file = dir.join(format!("sensitivity-{n}.json"));
         let known = std::fs::read(&file).ok().and_then(|b| serde_json::from_slice(&b).ok());
         subject.sensitivities = match known {

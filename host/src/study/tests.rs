@@ -26,7 +26,7 @@ fn outcome(key: &str, question: Question, truth: &str, found: &[(&str, f64)]) ->
     Outcome {
         case: Case { key: key.into(), question, injected: vec![injected], ..Case::default() },
         found: found.collect(),
-        held_out: HeldOut { before: 2.0, after: 1.1, floor: 1.0, pixels: 10_000 },
+        held_out: HeldOut { before: 2.0, after: 1.1, floor: 1.0, truth: Some(1.0), pixels: 10_000 },
         ..Outcome::default()
     }
 }

@@ -1,13 +1,17 @@
 //! Runs one case: measure, close, compare.
 
+use super::downstream;
 use super::foreign;
 use super::plan::{Case, Question};
 use super::record::{FoundEffect, HeldOut, Outcome};
 use super::subject::Subject;
 use crate::closing::close::close_without;
+use crate::closing::figures::figures;
+use crate::closing::model::{Model, Term};
 use crate::closing::observe::{Budget, Observations};
+use crate::closing::refit::refit;
 use crate::closing::result::Closing;
-use crate::effects::EffectSetting;
+use crate::effects::{Effect, EffectSetting, Param, find};
 use crate::instrument::Instrument;
 use crate::session::{Role, Session};
 use anyhow::Context;
@@ -43,15 +47,23 @@ fn attempt(subject: &Subject, case: &Case) -> anyhow::Result<Outcome> {
     let started = Instant::now();
     let closed = close_without(&instrument, &mut seen, &case.key, case.seed, &case.excluded, |_| {})?;
     let seconds = started.elapsed().as_secs_f64();
+    let reconstruction = match case.question {
+        Question::Reconstruction => {
+            Some(downstream::compare(subject, &bench, &closed.instrument, &settings, case.seed)?)
+        }
+        _ => None,
+    };
     let closing = closed.account.closing;
     let (floor, pixels) = floor(&session, &seen, &subject.instrument)?;
+    let truth = explainable(&instrument, &seen, case)?;
     let structure = closing.dependences_after.iter().filter(|d| d.z > TELL);
     Ok(Outcome {
         case: case.clone(),
         incomplete: closing.catalogue_incomplete,
         structure: structure.map(|d| d.covariate.words().to_string()).collect(),
-        held_out: HeldOut { before: closing.before.chi2_ndf, after: closing.after.chi2_ndf, floor, pixels },
+        held_out: HeldOut { before: closing.before.chi2_ndf, after: closing.after.chi2_ndf, floor, truth, pixels },
         found: found(closing),
+        reconstruction,
         seconds,
         error: None,
     })
@@ -69,6 +81,28 @@ fn found(closing: Closing) -> Vec<FoundEffect> {
         description: e.description,
     };
     closing.effects.into_iter().map(one).collect()
+}
+
+/// chi-squared a pixel on held-out scenes of the instrument with what was put in, the values fitted from the true ones. None: faults of records
+/// and of the gain, which are no effects of an instrument.
+fn explainable(instrument: &Instrument, seen: &Observations, case: &Case) -> anyhow::Result<Option<f64>> {
+    if matches!(case.question, Question::Records | Question::Gain) || case.injected.is_empty() {
+        return Ok(None);
+    }
+    let model = Model::new(instrument, seen)?;
+    let mut state = model.state(instrument)?;
+    for it in &case.injected {
+        let effect: &'static dyn Effect = match case.question {
+            Question::Foreign => foreign::find(&it.id).with_context(|| format!("`{}`: no foreign effect", it.id))?,
+            _ => find(&it.id).with_context(|| format!("`{}`: no effect", it.id))?,
+        };
+        let value = |(name, p): (String, &Param)| if name == it.param { it.value } else { p.off };
+        let params: Vec<f64> = effect.descriptor().expanded(model.lenses()).into_iter().map(value).collect();
+        let table = effect.table().map(|_| effect.draw_table(&params, seen.sensor));
+        state.terms.push(Term { effect, params, table, table_error: 0.0 });
+    }
+    let fitted = refit(&model, state)?;
+    Ok(Some(figures(&model, &fitted).chi2_ndf))
 }
 
 /// chi-squared a pixel of the held-out scenes against the noise-free frames of the bench, and the pixels.

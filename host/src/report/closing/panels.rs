@@ -25,7 +25,7 @@ pub fn panels(c: &Closing, asked: Asked, numbers: &mut Numbers) -> Markup {
         }
     };
     let text = "Mean residual in bins of each covariate, in standard deviations of one pixel (for neighbours and the next frame: \
-                correlation of residuals; for the noise of repeats: standard errors); bins hold about equally many pixels, over all scenes that may be fitted. Beside each name the \
+                correlation of residuals; for repeats and for flats and darks: standard errors); bins hold about equally many pixels, over all scenes that may be fitted. Beside each name the \
                 strength of the evidence that the residual depends on it at all, from draws of the model with noise and calibration \
                 errors.";
     numbers.figure("What the residual depends on.", text, body)
@@ -91,6 +91,7 @@ fn labels(d: &Dependence, at: &dyn Fn(usize) -> f64) -> Vec<(f64, String)> {
         Covariate::Neighbours => each(&["→ 1", "↓ 1", "↘ 1", "→ 2", "↓ 2"]),
         Covariate::NextFrame => each(&["one frame on"]),
         Covariate::Repeats => each(&["σ²", "→", "↓", "↘", "rows", "cols"]),
+        Covariate::FixedPattern => each(&["response", "offset"]),
         Covariate::Lens if n <= 9 => (0..n).map(|i| (at(i), (i + 1).to_string())).collect(),
         Covariate::Frame if n <= 9 => d.at.iter().enumerate().map(|(i, v)| (at(i), number(*v))).collect(),
         kind => {
@@ -128,5 +129,6 @@ fn follows(covariate: Covariate) -> bool {
             | Covariate::Neighbours
             | Covariate::NextFrame
             | Covariate::Repeats
+            | Covariate::FixedPattern
     )
 }

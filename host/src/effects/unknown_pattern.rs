@@ -1,0 +1,38 @@
+//! A pattern without a name: a factor on the light that is fixed to the sensor and is neither a property of single pixels nor a curve over
+//! any covariate; the loop measures it from even light.
+//!
+//! `mu -> mu (1 + u(pixel))`. Injected, u is drawn as normal numbers blurred to [`GRAIN_PX`].
+
+use super::{Descriptor, Effect, Param, Stage, Table, TableGroup, TableUse, blur_within, table};
+use ndarray::Array2;
+
+/// See the module.
+pub(super) struct UnknownPattern;
+
+/// Standard deviation of the blur that an injected pattern is drawn with, pixels.
+const GRAIN_PX: f64 = 3.0;
+
+static DESCRIPTOR: Descriptor = Descriptor {
+    id: "unknown_pattern",
+    stage: Stage::Light,
+    summary: "mu (1 + u), u a map of the sensor: a term without a name",
+    params: &[Param::square("rms", "1", 0.002, 1.0), Param::choice("seed", "1", 1.0, [0.0, 1e9])],
+    lookalikes: &[],
+};
+
+impl Effect for UnknownPattern {
+    fn descriptor(&self) -> &'static Descriptor {
+        &DESCRIPTOR
+    }
+
+    fn table(&self) -> Option<Table> {
+        Some(Table { acts: TableUse::Response, group: TableGroup::Pattern })
+    }
+
+    fn draw_table(&self, p: &[f64], sensor: [usize; 2]) -> Array2<f32> {
+        let soft = blur_within(&table::normal(sensor, 1.0, p[1], "unknown_pattern"), GRAIN_PX);
+        let rms = soft.iter().map(|v| f64::from(v * v)).sum::<f64>() / soft.len().max(1) as f64;
+        let factor = if rms > 0.0 { p[0] / rms.sqrt() } else { 0.0 };
+        soft.mapv(|v| v * factor as f32)
+    }
+}
