@@ -305,6 +305,10 @@ fn weak_effects_leave_light_below_zero_as_it_is() {
         ("motion_blur", vec![("var_row_px2", 1e-6), ("cov_px2", 1e-6)]),
         ("rank_truncation", vec![("terms", 1e-6)]),
         ("unknown_operator", vec![("amplitude", 1e-6), ("operator", 3.0)]),
+        (
+            "unknown_profile",
+            vec![("knot_00", 1e-6), ("covariate", 0.0), ("additive", 1.0), ("low", 0.0), ("high", 8.0)],
+        ),
     ] {
         let change = lit(id, &params, &below, &cx) - &below;
         assert!(change.iter().all(|v| v.abs() < 1e-3), "{id}: {change}");

@@ -3,6 +3,7 @@
 //! `mu -> mu (1 + s(v))` or `mu -> mu + s(v) t` (t the exposure, ms), s through [`KNOTS`] values at even places between `low` and
 //! `high` of the covariate v. Outside that range nothing is claimed: s is zero.
 
+use super::smooth::changed;
 use super::{Descriptor, Effect, FrameContext, Param, Stage};
 use ndarray::{Array2, Zip};
 
@@ -93,7 +94,7 @@ impl Effect for UnknownProfile {
             let i = (place as usize).min(KNOTS - 2);
             let part = place - i as f32;
             let s = knots[i] as f32 * (1.0 - part) + knots[i + 1] as f32 * part;
-            *v = if additive { (*v + s * cx.exposure_ms as f32).max(0.0) } else { *v * (1.0 + s).max(0.0) };
+            *v = if additive { changed(*v, s * cx.exposure_ms as f32) } else { *v * (1.0 + s).max(0.0) };
         });
     }
 }
