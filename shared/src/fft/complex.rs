@@ -49,6 +49,10 @@ impl Fft {
     #[inline(always)]
     pub fn process<const L: usize>(&self, data: &mut [Lanes<L>]) {
         let data = &mut data[..self.len];
+        #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+        if L == 1 {
+            return crate::num::arm::transform(super::strip::single(data));
+        }
         let mut quarter = if self.len.trailing_zeros().is_multiple_of(2) {
             data.as_chunks_mut::<4>().0.iter_mut().for_each(first_radix4);
             4

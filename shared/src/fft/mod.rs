@@ -13,6 +13,8 @@ mod twiddle;
 pub use complex::{Fft, Lanes};
 pub use plane::{Fft2, RowSource, Strip, StripSource};
 pub use real::RealFft;
+#[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+pub(crate) use twiddle::ROOT_TRIPLES;
 
 use core::fmt;
 

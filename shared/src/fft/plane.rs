@@ -34,15 +34,14 @@ pub struct Strip<'a, const L: usize> {
     first: usize,
     count: usize,
     lanes: &'a mut [Lanes<L>],
-    scratch: &'a mut [f32],
 }
 
 impl<const L: usize> Strip<'_, L> {
     /// Adds the product of two stored spectra: `re = (re + ar br) - ai bi`, `im = (im + ar bi) + ai br`.
     #[inline(always)]
     pub fn add_product(&mut self, a: &[f16], b: &[f16]) {
-        let Self { fft, row_len, first, count, lanes, scratch } = self;
-        strip::add_product([a, b], *row_len, *first, *count, *fft, lanes, scratch);
+        let Self { fft, row_len, first, count, lanes } = self;
+        strip::add_product([a, b], *row_len, *first, *count, *fft, lanes);
     }
 }
 
@@ -192,16 +191,11 @@ impl<S: RowSource, const L: usize> Forward<'_, S, L> {
             } else {
                 row.fill(0.0);
             }
-            for (n, pair) in row.as_chunks::<2>().0.iter().enumerate() {
-                let slot = &mut data[half.slot(n)];
-                slot[0][lane] = pair[0];
-                slot[1][lane] = pair[1];
-            }
+            strip::order_row(row, half, lane, data);
         }
-        self.plan.rows.forward(data);
         let row_len = self.plan.spectrum_len(1);
         let rows = &mut self.spectrum[first * row_len..(first + count) * row_len];
-        strip::store_rows(data, 0.5 * self.plan.row_scale, rows, row_len);
+        strip::forward_rows(self.plan.rows, data, self.plan.row_scale, rows, row_len);
     }
 
     #[inline(always)]
@@ -241,9 +235,9 @@ impl<S: StripSource, E: FnMut(usize, &[f32]), const L: usize> Inverse<'_, S, E, 
     #[inline(always)]
     fn columns(&mut self, first: usize, count: usize) {
         let (row_len, fft) = (self.plan.spectrum_len(1), self.plan.cols);
-        let (data, scratch) = strip::split::<L>(self.scratch, fft.len());
+        let (data, _) = strip::split::<L>(self.scratch, fft.len());
         data.fill([[0.0; L]; 2]);
-        self.source.add(Strip { fft, row_len, first, count, lanes: data, scratch });
+        self.source.add(Strip { fft, row_len, first, count, lanes: data });
         fft.process(data);
         let rows = &mut data[self.rows.clone()];
         strip::store(rows, self.plan.col_scale, Parts::Exchanged, self.halfway, row_len, first, count);
@@ -252,22 +246,12 @@ impl<S: StripSource, E: FnMut(usize, &[f32]), const L: usize> Inverse<'_, S, E, 
     #[inline(always)]
     fn emit_rows(&mut self, first: usize, count: usize) {
         let (row_len, fft) = (self.plan.spectrum_len(1), self.plan.rows);
-        let (half, quarter) = (fft.half().len(), fft.half().len() / 2);
-        let slot = |k| fft.half().slot(k);
-        let (data, scratch) = strip::split::<L>(self.scratch, half);
-        let (row, scratch) = scratch.split_at_mut(2 * half);
+        let (data, row) = strip::split::<L>(self.scratch, fft.half().len());
+        let row = &mut row[..self.plan.cols.len()];
         let from = &self.halfway[(first - self.rows.start) * row_len..][..count * row_len];
-        let from = strip::Rows::new::<L>(from, row_len, scratch);
-        data[slot(0)] = fft.tangle_ends(from.at(0)[0], from.at(half)[0]);
-        data[slot(quarter)] = fft.tangle_middle(from.at(quarter));
-        for k in 1..quarter {
-            [data[slot(k)], data[slot(half - k)]] = fft.tangle(k, from.at(k), from.at(half - k));
-        }
-        fft.inverse(data);
+        strip::inverse_rows(fft, from, row_len, data);
         for lane in 0..count {
-            for (pair, x) in row.as_chunks_mut::<2>().0.iter_mut().zip(&*data) {
-                *pair = [x[1][lane] * self.plan.row_scale, x[0][lane] * self.plan.row_scale];
-            }
+            strip::scale_row(data, lane, self.plan.row_scale, row);
             (self.emit)(first + lane, row);
         }
     }

@@ -38,8 +38,14 @@ impl RealFft {
     /// Transforms the pairs `(x[2 n], x[2 n + 1])`, each in its slot, to **twice** the spectrum, in natural order.
     #[inline(always)]
     pub fn forward<const L: usize>(&self, data: &mut [Lanes<L>]) {
-        let half = self.half.len();
         self.half.process(data);
+        self.untangle(data);
+    }
+
+    /// Takes the complex transform of the pairs to twice the spectrum.
+    #[inline(always)]
+    pub(super) fn untangle<const L: usize>(&self, data: &mut [Lanes<L>]) {
+        let half = self.half.len();
         let [re, im] = data[0];
         data[0] = [lane(|l| 2.0 * (re[l] + im[l])), lane(|l| 2.0 * (re[l] - im[l]))];
         let roots = Roots::new(2 * half);

@@ -1,10 +1,13 @@
 //! Between halves in slow memory and lanes in fast scratch: all that a strip of columns or a group of rows needs.
 //!
-//! A single lane goes through [`pairs`], for which a Cortex-M has instructions; more lanes through loops that
-//! become vector code. The values are the same.
+//! A single lane goes through loops for which a Cortex-M has instructions; more lanes through loops that become vector code.
+//! The values are the same.
 
 use super::complex::{Fft, Lanes};
-use crate::num::pairs::{self, Order, Parts};
+use super::real::RealFft;
+#[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+use crate::num::arm;
+use crate::num::pairs::{self, Parts};
 use crate::num::{f16, narrow, widen};
 
 /// Splits scratch into a strip of `len` complex numbers and the rest.
@@ -16,7 +19,7 @@ pub(super) fn split<const L: usize>(scratch: &mut [f32], len: usize) -> (&mut [L
 
 /// One lane as (re, im) pairs.
 #[inline(always)]
-fn single<const L: usize>(data: &mut [Lanes<L>]) -> &mut [[f32; 2]] {
+pub(super) fn single<const L: usize>(data: &mut [Lanes<L>]) -> &mut [[f32; 2]] {
     data.as_flattened_mut().as_flattened_mut().as_chunks_mut::<2>().0
 }
 
@@ -31,7 +34,7 @@ pub(super) fn load<const L: usize>(
     strip: &mut [Lanes<L>],
 ) {
     if L == 1 {
-        pairs::gather_pairs(&spectrum[2 * first..], row_len, Order::Reversed, single(strip));
+        pairs::gather_pairs(&spectrum[2 * first..], row_len, single(strip));
         return;
     }
     for (r, row) in spectrum.chunks_exact(row_len).enumerate().take(fft.len()) {
@@ -60,26 +63,93 @@ pub(super) fn store<const L: usize>(
     }
 }
 
-/// Numbers 0 to N/2 of a real transform of each lane into up to L rows of halves; number 0 carries the last one too.
+/// The pairs of a row, one lane of `data`, each in its slot.
 #[inline(always)]
-pub(super) fn store_rows<const L: usize>(data: &mut [Lanes<L>], scale: f32, rows: &mut [f16], row_len: usize) {
-    let [first, last] = data[0];
-    for (lane, row) in rows.chunks_exact_mut(row_len).enumerate().take(L) {
-        if L == 1 {
-            pairs::scatter_pairs(single(data), scale, Parts::InOrder, row, 2);
-        } else {
-            for (pair, x) in row.as_chunks_mut::<2>().0.iter_mut().zip(&*data) {
-                *pair = [narrow(x[0][lane] * scale), narrow(x[1][lane] * scale)];
-            }
-        }
-        row[1] = f16::ZERO;
-        row[0] = narrow(first[lane] * scale);
-        row[row_len - 2] = narrow(last[lane] * scale);
-        row[row_len - 1] = f16::ZERO;
+pub(super) fn order_row<const L: usize>(row: &[f32], half: Fft, lane: usize, data: &mut [Lanes<L>]) {
+    #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+    if L == 1 {
+        return arm::order_row(row, single(data));
+    }
+    for (n, pair) in row.as_chunks::<2>().0.iter().enumerate() {
+        let slot = &mut data[half.slot(n)];
+        slot[0][lane] = pair[0];
+        slot[1][lane] = pair[1];
     }
 }
 
-/// Adds the product of two spectra, columns `first..first + count`, to the strip, imaginary part first. `scratch`: four numbers a row.
+/// Real transforms of up to L rows, whose pairs lie in their slots, into rows of halves, scaled.
+#[inline(always)]
+pub(super) fn forward_rows<const L: usize>(
+    fft: RealFft,
+    data: &mut [Lanes<L>],
+    scale: f32,
+    rows: &mut [f16],
+    row_len: usize,
+) {
+    // The transform gives twice the spectrum.
+    let scale = 0.5 * scale;
+    fft.half().process(data);
+    #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+    if L == 1 {
+        let (data, half) = (single(data), fft.half().len());
+        let row = &mut rows[..row_len];
+        arm::untangle_row(data, scale, row);
+        let [[re, im], middle] = [data[0], data[half / 2]];
+        store_ends(2.0 * (re + im) * scale, 2.0 * (re - im) * scale, row);
+        row[half] = narrow(2.0 * middle[0] * scale);
+        row[half + 1] = narrow(-2.0 * middle[1] * scale);
+        return;
+    }
+    fft.untangle(data);
+    let [first, last] = data[0];
+    for (lane, row) in rows.chunks_exact_mut(row_len).enumerate().take(L) {
+        for (pair, x) in row.as_chunks_mut::<2>().0.iter_mut().zip(&*data) {
+            *pair = [narrow(x[0][lane] * scale), narrow(x[1][lane] * scale)];
+        }
+        store_ends(first[lane] * scale, last[lane] * scale, row);
+    }
+}
+
+/// Numbers 0 and N/2 of a row, which are real.
+#[inline(always)]
+fn store_ends(first: f32, last: f32, row: &mut [f16]) {
+    if let [re, im, .., last_re, last_im] = row {
+        (*re, *im) = (narrow(first), f16::ZERO);
+        (*last_re, *last_im) = (narrow(last), f16::ZERO);
+    }
+}
+
+/// Up to L rows of halves to N times the pairs of their inverse real transforms, imaginary part first.
+#[inline(always)]
+pub(super) fn inverse_rows<const L: usize>(fft: RealFft, rows: &[f16], row_len: usize, data: &mut [Lanes<L>]) {
+    let (half, quarter) = (fft.half().len(), fft.half().len() / 2);
+    let (slot, at) = (|k| fft.half().slot(k), |k| number::<L>(rows, row_len, k));
+    data[slot(0)] = fft.tangle_ends(at(0)[0], at(half)[0]);
+    data[slot(quarter)] = fft.tangle_middle(at(quarter));
+    #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+    if L == 1 {
+        arm::tangle_row(&rows[..row_len], single(data));
+        return fft.inverse(data);
+    }
+    for k in 1..quarter {
+        [data[slot(k)], data[slot(half - k)]] = fft.tangle(k, at(k), at(half - k));
+    }
+    fft.inverse(data);
+}
+
+/// One lane of pairs, imaginary part first, as a row, scaled.
+#[inline(always)]
+pub(super) fn scale_row<const L: usize>(data: &mut [Lanes<L>], lane: usize, scale: f32, row: &mut [f32]) {
+    #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+    if L == 1 {
+        return arm::scale_row(single(data), scale, row);
+    }
+    for (pair, x) in row.as_chunks_mut::<2>().0.iter_mut().zip(&*data) {
+        *pair = [x[1][lane] * scale, x[0][lane] * scale];
+    }
+}
+
+/// Adds the product of two spectra, columns `first..first + count`, to the strip, imaginary part first.
 ///
 /// `re = (re + kr xr) - ki xi`, `im = (im + kr xi) + ki xr`; the products are exact.
 #[inline(always)]
@@ -90,17 +160,9 @@ pub(crate) fn add_product<const L: usize>(
     count: usize,
     fft: Fft,
     strip: &mut [Lanes<L>],
-    scratch: &mut [f32],
 ) {
     if L == 1 {
-        let (wide, _) = scratch.as_chunks_mut::<2>();
-        let (wide_k, wide_x) = wide[..2 * fft.len()].split_at_mut(fft.len());
-        pairs::gather_pairs(&k[2 * first..], row_len, Order::Natural, wide_k);
-        pairs::gather_pairs(&x[2 * first..], row_len, Order::Natural, wide_x);
-        for (r, (k, x)) in wide_k.iter().zip(wide_x).enumerate() {
-            add(&mut strip[fft.slot(r)], [[k[0]; L], [k[1]; L]], [[x[0]; L], [x[1]; L]]);
-        }
-        return;
+        return pairs::add_products(&k[2 * first..], &x[2 * first..], row_len, single(strip));
     }
     let columns = 2 * first..2 * (first + count);
     for (r, (k, x)) in k.chunks_exact(row_len).zip(x.chunks_exact(row_len)).enumerate() {
@@ -116,37 +178,15 @@ fn add<const L: usize>([im, re]: &mut Lanes<L>, k: Lanes<L>, x: Lanes<L>) {
     }
 }
 
-/// Up to L consecutive rows of halves, number by number.
-pub(super) struct Rows<'a> {
-    rows: &'a [f16],
-    row_len: usize,
-    /// The only row, widened, if there is a single lane.
-    wide: &'a [f32],
-}
-
-impl<'a> Rows<'a> {
-    /// `scratch`: as many numbers as a row has halves.
-    #[inline(always)]
-    pub(super) fn new<const L: usize>(rows: &'a [f16], row_len: usize, scratch: &'a mut [f32]) -> Self {
-        if L == 1 {
-            crate::num::widen_slice(&rows[..row_len], &mut scratch[..row_len]);
-        }
-        Self { rows, row_len, wide: scratch }
+/// Number `k` of each of up to L rows; zeros in idle lanes.
+#[inline(always)]
+fn number<const L: usize>(rows: &[f16], row_len: usize, k: usize) -> Lanes<L> {
+    let mut x = [[0.0; L]; 2];
+    for (l, row) in rows.chunks_exact(row_len).enumerate().take(L) {
+        x[0][l] = widen(row[2 * k]);
+        x[1][l] = widen(row[2 * k + 1]);
     }
-
-    /// Number `k` of each row; zeros in idle lanes.
-    #[inline(always)]
-    pub(super) fn at<const L: usize>(&self, k: usize) -> Lanes<L> {
-        if L == 1 {
-            return [[self.wide[2 * k]; L], [self.wide[2 * k + 1]; L]];
-        }
-        let mut x = [[0.0; L]; 2];
-        for (l, row) in self.rows.chunks_exact(self.row_len).enumerate().take(L) {
-            x[0][l] = widen(row[2 * k]);
-            x[1][l] = widen(row[2 * k + 1]);
-        }
-        x
-    }
+    x
 }
 
 /// Widens up to L pairs (re, im); zeros in idle lanes.

@@ -5,6 +5,11 @@ use super::MAX_LEN;
 /// `e^(-2 pi i k / 1024)`. The last quarter is there so that a masked index needs no check.
 static ROOTS: [[f32; 2]; MAX_LEN] = roots();
 
+/// `e^(-2 pi i m k / 1024)` for m = 2, 1, 3: the roots of a butterfly of four numbers in bit-reversed order, side by side. Every
+/// shorter transform takes them in larger steps.
+#[cfg_attr(not(target_arch = "arm"), allow(dead_code))]
+pub(crate) static ROOT_TRIPLES: [[[f32; 2]; 3]; MAX_LEN / 4] = triples();
+
 /// The roots of unity of one transform length.
 #[derive(Clone, Copy)]
 pub(super) struct Roots {
@@ -46,6 +51,16 @@ const fn roots() -> [[f32; 2]; MAX_LEN] {
         k += 1;
     }
     roots
+}
+
+const fn triples() -> [[[f32; 2]; 3]; MAX_LEN / 4] {
+    let (roots, mut triples) = (roots(), [[[0.0; 2]; 3]; MAX_LEN / 4]);
+    let mut k = 0;
+    while k < triples.len() {
+        triples[k] = [roots[2 * k], roots[k], roots[3 * k]];
+        k += 1;
+    }
+    triples
 }
 
 const fn angle(k: usize) -> f64 {

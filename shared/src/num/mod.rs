@@ -7,8 +7,8 @@
 //! - Vector lanes run over independent outputs, never over a sum. A sum has one stated order.
 //! - NaN never reaches a cast to an integer; it is refused at the door ([`crate::pipeline`]).
 //!
-//! This is the only module of the crate that may hold `unsafe` code: the conversion instructions of the Cortex-M
-//! ([`widen_slice`], [`narrow_slice`]), and the choice of the instruction set at run time ([`simd`]).
+//! This is the only module of the crate that may hold `unsafe` code: the loops that are written in the Cortex-M's instructions
+//! (`arm`), and the choice of the instruction set at run time ([`simd`]).
 
 #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
 pub(crate) mod arm;

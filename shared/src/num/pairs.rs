@@ -1,16 +1,9 @@
 //! Columns of pairs of halves, such as complex numbers, that lie a stride apart.
 
-use super::convert::{narrow, widen};
+use super::convert::narrow;
+#[cfg(not(all(target_arch = "arm", target_abi = "eabihf")))]
+use super::convert::widen;
 use super::f16;
-
-/// Where pair `i` goes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Order {
-    /// To place `i`.
-    Natural,
-    /// To the place whose number has the bits of `i` reversed; the number of places is a power of two.
-    Reversed,
-}
 
 /// Which number of a pair comes first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,29 +14,61 @@ pub enum Parts {
     Exchanged,
 }
 
-/// Widens the pairs at `from[i * stride..][..2]` into `to`.
+/// Panics unless `halves` hold `len` pairs a stride apart.
 #[inline(always)]
-pub fn gather_pairs(from: &[f16], stride: usize, order: Order, to: &mut [[f32; 2]]) {
-    let len = to.len();
-    assert!(stride >= 2 && from.len() + stride >= len * stride + 2, "{} halves are too few", from.len());
-    assert!(order == Order::Natural || len.is_power_of_two() && len > 1, "{len} places are no power of two");
+pub(super) fn check(halves: usize, stride: usize, len: usize) {
+    assert!(stride >= 2 && halves + stride >= len * stride + 2, "{halves} halves are too few");
+}
+
+/// The number `i` of `len` with its bits reversed.
+#[cfg(not(all(target_arch = "arm", target_abi = "eabihf")))]
+#[inline(always)]
+const fn reversed(i: usize, len: usize) -> usize {
+    (i as u32).reverse_bits() as usize >> (u32::BITS - len.trailing_zeros())
+}
+
+/// Widens the pairs at `from[i * stride..][..2]` to the places of `to` whose numbers have the bits of `i` reversed. The number of
+/// places is a power of two, 4 at least.
+#[inline(always)]
+pub fn gather_pairs(from: &[f16], stride: usize, to: &mut [[f32; 2]]) {
     #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
-    let done = super::arm::gather_pairs(from, stride, order, to);
+    super::arm::gather_pairs(from, stride, to);
     #[cfg(not(all(target_arch = "arm", target_abi = "eabihf")))]
-    let done = 0;
-    for i in done..len {
-        let place = match order {
-            Order::Natural => i,
-            Order::Reversed => (i as u32).reverse_bits() as usize >> (u32::BITS - len.trailing_zeros()),
-        };
-        to[place] = [widen(from[i * stride]), widen(from[i * stride + 1])];
+    {
+        let len = to.len();
+        assert!(len.is_power_of_two() && len >= 4, "{len} places");
+        check(from.len(), stride, len);
+        for i in 0..len {
+            to[reversed(i, len)] = [widen(from[i * stride]), widen(from[i * stride + 1])];
+        }
+    }
+}
+
+/// Adds the products of the complex numbers (re, im) at `k[i * stride..][..2]` and `x[i * stride..][..2]`, imaginary part first, to the
+/// places of `to` whose numbers have the bits of `i` reversed: `re = (re + kr xr) - ki xi`, `im = (im + kr xi) + ki xr`.
+#[inline(always)]
+pub fn add_products(k: &[f16], x: &[f16], stride: usize, to: &mut [[f32; 2]]) {
+    #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+    super::arm::add_products(k, x, stride, to);
+    #[cfg(not(all(target_arch = "arm", target_abi = "eabihf")))]
+    {
+        let len = to.len();
+        assert!(len.is_power_of_two() && len >= 2, "{len} places");
+        check(k.len(), stride, len);
+        check(x.len(), stride, len);
+        for i in 0..len {
+            let [kr, ki, xr, xi] = [k[i * stride], k[i * stride + 1], x[i * stride], x[i * stride + 1]].map(widen);
+            let [im, re] = &mut to[reversed(i, len)];
+            *re = (*re + kr * xr) - ki * xi;
+            *im = (*im + kr * xi) + ki * xr;
+        }
     }
 }
 
 /// Scales by `scale`, a power of two, and narrows the pairs of `from` into `to[i * stride..][..2]`.
 #[inline(always)]
 pub fn scatter_pairs(from: &[[f32; 2]], scale: f32, parts: Parts, to: &mut [f16], stride: usize) {
-    assert!(stride >= 2 && to.len() + stride >= from.len() * stride + 2, "{} halves are too few", to.len());
+    check(to.len(), stride, from.len());
     #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
     let done = super::arm::scatter_pairs(from, scale, parts, to, stride);
     #[cfg(not(all(target_arch = "arm", target_abi = "eabihf")))]
@@ -60,14 +85,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pairs_go_where_the_order_says() {
+    fn pairs_go_to_reversed_places() {
         let halves: [f16; 70] = core::array::from_fn(|i| f16::from_f32(i as f32));
-        for (stride, order, second) in [(2, Order::Natural, 1), (9, Order::Natural, 1), (8, Order::Reversed, 4)] {
+        for stride in [2, 8, 9] {
             let mut pairs = [[-1.0; 2]; 8];
-            gather_pairs(&halves, stride, order, &mut pairs);
-            assert_eq!(pairs[second], [stride as f32, stride as f32 + 1.0]);
-            assert_eq!(pairs[7], [7.0 * stride as f32, 7.0 * stride as f32 + 1.0]);
+            gather_pairs(&halves, stride, &mut pairs);
+            for (place, i) in [(0, 0), (4, 1), (2, 2), (6, 3), (7, 7)] {
+                assert_eq!(pairs[place], [(i * stride) as f32, (i * stride + 1) as f32], "stride {stride}: {i}");
+            }
         }
+    }
+
+    #[test]
+    fn products_are_added_imaginary_part_first() {
+        let [k, x] = [[1.0, 2.0, 9.0, 3.0, -1.0, 9.0], [4.0, 0.5, 9.0, 2.0, 5.0, 9.0]].map(|x| x.map(f16::from_f32));
+        let mut sums = [[10.0, 20.0], [30.0, 40.0]];
+        add_products(&k, &x, 3, &mut sums);
+        assert_eq!(sums, [[10.0 + 8.5, 20.0 + 3.0], [30.0 + 13.0, 40.0 + 11.0]]);
     }
 
     #[test]

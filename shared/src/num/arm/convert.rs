@@ -1,0 +1,75 @@
+//! Conversions of slices.
+
+use super::asm_low;
+use crate::num::convert::{narrow, widen};
+use crate::num::f16;
+
+/// Widens `from` into the equally long `to`; eight in twelve instructions.
+pub(in crate::num) fn widen_slice(from: &[f16], to: &mut [f32]) {
+    let len = from.len().min(to.len());
+    let head = len.min(usize::from(!from.as_ptr().addr().is_multiple_of(4)));
+    let blocks = (len - head) / 8;
+    let tail = head + 8 * blocks;
+    for i in (0..head).chain(tail..len) {
+        to[i] = widen(from[i]);
+    }
+    if blocks == 0 {
+        return;
+    }
+    // SAFETY: 8 * blocks numbers from `head` on lie in both slices; the halves are word-aligned there.
+    unsafe {
+        asm_low!(
+            "2:",
+            "vldmia {from}!, {{s8-s11}}",
+            "vcvtb.f32.f16 s0, s8",
+            "vcvtt.f32.f16 s1, s8",
+            "vcvtb.f32.f16 s2, s9",
+            "vcvtt.f32.f16 s3, s9",
+            "vcvtb.f32.f16 s4, s10",
+            "vcvtt.f32.f16 s5, s10",
+            "vcvtb.f32.f16 s6, s11",
+            "vcvtt.f32.f16 s7, s11",
+            "vstmia {to}!, {{s0-s7}}",
+            "subs {blocks}, #1",
+            "bne 2b",
+            from = inout(reg) from.as_ptr().add(head) => _,
+            to = inout(reg) to.as_mut_ptr().add(head) => _,
+            blocks = inout(reg) blocks => _,
+        );
+    }
+}
+
+/// Narrows `from` into the equally long `to`; eight in twelve instructions.
+pub(in crate::num) fn narrow_slice(from: &[f32], to: &mut [f16]) {
+    let len = from.len().min(to.len());
+    let head = len.min(usize::from(!to.as_ptr().addr().is_multiple_of(4)));
+    let blocks = (len - head) / 8;
+    let tail = head + 8 * blocks;
+    for i in (0..head).chain(tail..len) {
+        to[i] = narrow(from[i]);
+    }
+    if blocks == 0 {
+        return;
+    }
+    // SAFETY: 8 * blocks numbers from `head` on lie in both slices; the halves are word-aligned there.
+    unsafe {
+        asm_low!(
+            "2:",
+            "vldmia {from}!, {{s0-s7}}",
+            "vcvtb.f16.f32 s8, s0",
+            "vcvtt.f16.f32 s8, s1",
+            "vcvtb.f16.f32 s9, s2",
+            "vcvtt.f16.f32 s9, s3",
+            "vcvtb.f16.f32 s10, s4",
+            "vcvtt.f16.f32 s10, s5",
+            "vcvtb.f16.f32 s11, s6",
+            "vcvtt.f16.f32 s11, s7",
+            "vstmia {to}!, {{s8-s11}}",
+            "subs {blocks}, #1",
+            "bne 2b",
+            from = inout(reg) from.as_ptr().add(head) => _,
+            to = inout(reg) to.as_mut_ptr().add(head) => _,
+            blocks = inout(reg) blocks => _,
+        );
+    }
+}
