@@ -7,7 +7,7 @@ use crate::blob::{Bank, Size, Tap};
 use crate::fft::{Fft2, RowSource, Strip, StripSource};
 use crate::image::ChwMut;
 use crate::num::simd::Simd;
-use crate::num::{f16, narrow};
+use crate::num::{f16, narrow_slice};
 
 /// Where the frame's rows come from.
 pub trait FrameSource {
@@ -108,9 +108,7 @@ impl<'a> FilterBank<'a> {
                     self.fft.inverse(simd, &sum, valid, halfway, scratch, |row, values| {
                         let to = output.row_mut(usize::from(channel), i * rows.step + row - top);
                         let to = &mut to[j * cols.step..][..columns.len()];
-                        for (to, &value) in to.iter_mut().zip(&values[columns.clone()]) {
-                            *to = narrow(value);
-                        }
+                        narrow_slice(&values[columns.clone()], to);
                     })?;
                 }
             }

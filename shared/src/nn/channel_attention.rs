@@ -8,7 +8,7 @@ use super::activation::Activation;
 use super::error::{NnError, check_scratch, check_shape, check_weights};
 use crate::image::Chw;
 use crate::num::simd::{Kernel, Simd, Vector};
-use crate::num::{f16, mac, widen};
+use crate::num::{f16, fused, mac, widen};
 
 /// Weights of the two 1x1 layers.
 #[derive(Clone, Copy, Debug)]
@@ -102,15 +102,7 @@ impl Kernel for Means<'_> {
 #[inline(always)]
 fn row_sum(row: &[f16]) -> f32 {
     let mut p = [0.0_f32; 8];
-    let (blocks, rest) = row.as_chunks::<8>();
-    for block in blocks {
-        for (p, &x) in p.iter_mut().zip(block) {
-            *p += widen(x);
-        }
-    }
-    for (p, &x) in p.iter_mut().zip(rest) {
-        *p += widen(x);
-    }
+    fused::add_eights(row, &mut p);
     ((p[0] + p[4]) + (p[2] + p[6])) + ((p[1] + p[5]) + (p[3] + p[7]))
 }
 

@@ -90,13 +90,12 @@ fn blocks<V: Vector, const O: usize>(
 ) {
     let (padded, pitch) = (padded(cols), pitch(cols));
     #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
-    if O == OUTPUTS {
-        for x in (0..cols).step_by(arm::COLUMNS) {
-            let mut acc = bias.map(|bias| [bias; arm::COLUMNS]);
-            arm::correlate(&input[x..], pitch, weights, &mut acc);
-            for (o, acc) in acc.iter().enumerate() {
-                sums[o * padded + x..][..arm::COLUMNS].copy_from_slice(acc);
-            }
+    if inputs > 0 {
+        let rows = arm::Rows { input, pitch, weights };
+        if O == OUTPUTS {
+            arm::correlate4(rows, cols, bias, sums, padded);
+        } else {
+            arm::correlate1(rows, cols, bias[0], sums, padded);
         }
         return;
     }

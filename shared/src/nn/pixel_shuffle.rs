@@ -3,16 +3,14 @@
 //! Channel order of PyTorch: `unshuffle(x)[4 c + 2 i + j][y][x] = x[c][2 y + i][2 x + j]`, and `shuffle` is its inverse.
 
 use crate::image::Chw;
-use crate::num::{f16, widen};
+use crate::num::{f16, fused};
 
 /// Widens row `row` of channel `channel` of the unshuffled `tensor` into `to` (`tensor.cols() / 2` long).
 #[inline(always)]
 pub fn widen_unshuffled_row(tensor: Chw<'_, f16>, channel: usize, row: usize, to: &mut [f32]) {
     let (i, j) = (channel / 2 % 2, channel % 2);
     let from = tensor.row(channel / 4, 2 * row + i);
-    for (to, pair) in to.iter_mut().zip(from.chunks_exact(2)) {
-        *to = widen(pair[j]);
-    }
+    fused::widen_alternate(from, j, to);
 }
 
 /// Where row `row` of channel `channel` goes when a tensor of 4 C channels is shuffled to C: channel, row, first column; its

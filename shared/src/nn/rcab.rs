@@ -8,7 +8,7 @@ use super::conv::{self, Addressing, Conv3x3, Store, Tensors};
 use super::error::{NnError, check_scratch};
 use crate::image::ChwMut;
 use crate::num::simd::{Kernel, Simd, Vector};
-use crate::num::{f16, mac, narrow, widen};
+use crate::num::{f16, fused};
 
 /// Weights of a block.
 #[derive(Clone, Copy, Debug)]
@@ -87,9 +87,7 @@ impl Kernel for AddScaled<'_> {
 
     #[inline(always)]
     fn run<V: Vector>(self) {
-        for (g, &t) in self.g.iter_mut().zip(self.t) {
-            *g = narrow(mac(widen(t), self.scale, widen(*g)));
-        }
+        fused::add_scaled(self.scale, self.t, self.g);
     }
 }
 

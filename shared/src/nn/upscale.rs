@@ -10,7 +10,7 @@ use super::packed::{self, OUTPUTS};
 use super::pixel_shuffle::shuffled;
 use crate::image::{Chw, PlaneMut};
 use crate::num::simd::{Kernel, Simd, Vector};
-use crate::num::{f16, narrow, narrow_slice, widen, widen_slice};
+use crate::num::{f16, fused, narrow_slice, widen_slice};
 
 /// Plan of the tail.
 #[derive(Clone, Copy, Debug)]
@@ -148,13 +148,13 @@ impl Upscale {
     #[inline(always)]
     fn shuffle(&self, sums: &[f32], first: usize, row: usize, fine: &mut [f32]) {
         let pitch = packed::pitch(2 * self.cols);
-        for (o, sums) in sums.chunks_exact(packed::padded(self.cols)).enumerate() {
-            let (channel, row, left) = shuffled(first + o, row);
+        // Channels come in pairs that lie side by side in a row.
+        for (pair, sums) in sums.chunks_exact(2 * packed::padded(self.cols)).enumerate() {
+            let (channel, row, left) = shuffled(first + 2 * pair, row);
             // Slots 0 and 1 hold the last two rows of the band before; column 0 is padding.
             let to = &mut fine[(row + 2) * self.fine_len() + channel * pitch + 1 + left..];
-            for (to, &sum) in to.iter_mut().step_by(2).zip(&sums[..self.cols]) {
-                *to = widen(narrow(sum));
-            }
+            let (even, odd) = sums.split_at(packed::padded(self.cols));
+            fused::round_interleaved(&even[..self.cols], &odd[..self.cols], &mut to[..2 * self.cols]);
         }
     }
 }

@@ -1,76 +1,98 @@
 //! Between binary16 and binary32: the same bits on every target.
 
+#[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+use super::arm as unit;
 use super::f16;
+#[cfg(not(all(target_arch = "arm", target_abi = "eabihf")))]
+use integer as unit;
 
-const INFINITY_F32: u32 = 0x7f80_0000;
-const SIGN_F32: u32 = 0x8000_0000;
-/// NaN as this crate writes it: quiet, positive, no payload.
-const NAN_F16: u16 = 0x7e00;
-
-/// Widens a half. Exact; a NaN becomes the one quiet NaN `0x7fc0_0000`.
-///
-/// Branch-free, so that a loop over it becomes vector code: the exponent is re-biased by one exact multiplication, which
-/// also brings subnormal halves to their normal form.
+/// Widens a half. Exact; a NaN becomes a NaN, the default one the quiet NaN `0x7fc0_0000`.
 #[inline(always)]
 pub fn widen(value: f16) -> f32 {
-    let bits = u32::from(value.to_bits());
-    let sign = (bits & 0x8000) << 16;
-    let magnitude = bits & 0x7fff;
-    // An integer below 2^24 times a power of two: exact, and never a subnormal operand (which Helium would flush).
-    let subnormal = (magnitude as f32 * SUBNORMAL_UNIT).to_bits();
-    let normal = (magnitude << 13) + ((127 - 15) << 23);
-    let finite = if magnitude < 0x0400 { subnormal } else { normal };
-    let special = if magnitude > 0x7c00 { 0x7fc0_0000 } else { INFINITY_F32 | sign };
-    f32::from_bits(if magnitude < 0x7c00 { finite | sign } else { special })
+    unit::widen(value)
 }
 
-/// The smallest positive half, 2^-24.
-const SUBNORMAL_UNIT: f32 = 1.0 / 16_777_216.0;
-
-/// Rounds to the nearest half, ties to even; beyond 65,520 to infinity; a NaN becomes the one quiet NaN `0x7e00`.
-///
-/// After F. Giesen's `float_to_half_fast3_rtne`: subnormal results round by one float addition, normal ones by an integer
-/// addition below the kept bits.
+/// Rounds to the nearest half, ties to even; beyond 65,520 to infinity; a NaN becomes a NaN, the default one `0x7e00`.
 #[inline(always)]
 pub fn narrow(value: f32) -> f16 {
-    let bits = value.to_bits();
-    let magnitude = bits & !SIGN_F32;
-    let sign = ((bits & SIGN_F32) >> 16) as u16;
-    // 0.5 has an ulp of 2^-24, the unit of the subnormal halves: the addition rounds to it.
-    let subnormal = (f32::from_bits(magnitude) + 0.5).to_bits().wrapping_sub(0.5_f32.to_bits());
-    let odd = (magnitude >> 13) & 1;
-    let normal = magnitude.wrapping_sub((127 - 15) << 23).wrapping_add(0x0fff + odd) >> 13;
-    let finite = if magnitude < ((127 - 14) << 23) { subnormal } else { normal };
-    let infinite = if magnitude >= ((127 + 16) << 23) { 0x7c00 } else { finite };
-    f16::from_bits(if magnitude > INFINITY_F32 { NAN_F16 } else { infinite as u16 | sign })
+    unit::narrow(value)
 }
 
 /// Widens `from` into the equally long `to`.
 #[inline(always)]
 pub fn widen_slice(from: &[f16], to: &mut [f32]) {
     debug_assert_eq!(from.len(), to.len());
-    #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
-    super::arm::widen_slice(from, to);
-    #[cfg(not(all(target_arch = "arm", target_abi = "eabihf")))]
-    for (to, &from) in to.iter_mut().zip(from) {
-        *to = widen(from);
-    }
+    unit::widen_slice(from, to);
 }
 
 /// Narrows `from` into the equally long `to`.
 #[inline(always)]
 pub fn narrow_slice(from: &[f32], to: &mut [f16]) {
     debug_assert_eq!(from.len(), to.len());
-    #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
-    super::arm::narrow_slice(from, to);
-    #[cfg(not(all(target_arch = "arm", target_abi = "eabihf")))]
-    for (to, &from) in to.iter_mut().zip(from) {
-        *to = narrow(from);
+    unit::narrow_slice(from, to);
+}
+
+/// By integers, for targets whose language has no conversion: branch-free, so that loops become vector code.
+#[cfg(not(all(target_arch = "arm", target_abi = "eabihf")))]
+mod integer {
+    use super::f16;
+
+    const INFINITY_F32: u32 = 0x7f80_0000;
+    const SIGN_F32: u32 = 0x8000_0000;
+    /// NaN as this crate writes it: quiet, positive, no payload.
+    pub(super) const NAN_F16: u16 = 0x7e00;
+    /// The smallest positive half, 2^-24.
+    const SUBNORMAL_UNIT: f32 = 1.0 / 16_777_216.0;
+
+    /// The exponent is re-biased by one exact multiplication, which also brings subnormal halves to their normal form. Every NaN
+    /// becomes the default one.
+    #[inline(always)]
+    pub(super) fn widen(value: f16) -> f32 {
+        let bits = u32::from(value.to_bits());
+        let sign = (bits & 0x8000) << 16;
+        let magnitude = bits & 0x7fff;
+        // An integer below 2^24 times a power of two: exact, and never a subnormal operand (which Helium would flush).
+        let subnormal = (magnitude as f32 * SUBNORMAL_UNIT).to_bits();
+        let normal = (magnitude << 13) + ((127 - 15) << 23);
+        let finite = if magnitude < 0x0400 { subnormal } else { normal };
+        let special = if magnitude > 0x7c00 { 0x7fc0_0000 } else { INFINITY_F32 | sign };
+        f32::from_bits(if magnitude < 0x7c00 { finite | sign } else { special })
+    }
+
+    /// After F. Giesen's `float_to_half_fast3_rtne`: subnormal results round by one float addition, normal ones by an integer
+    /// addition below the kept bits. Every NaN becomes the default one.
+    #[inline(always)]
+    pub(super) fn narrow(value: f32) -> f16 {
+        let bits = value.to_bits();
+        let magnitude = bits & !SIGN_F32;
+        let sign = ((bits & SIGN_F32) >> 16) as u16;
+        // 0.5 has an ulp of 2^-24, the unit of the subnormal halves: the addition rounds to it.
+        let subnormal = (f32::from_bits(magnitude) + 0.5).to_bits().wrapping_sub(0.5_f32.to_bits());
+        let odd = (magnitude >> 13) & 1;
+        let normal = magnitude.wrapping_sub((127 - 15) << 23).wrapping_add(0x0fff + odd) >> 13;
+        let finite = if magnitude < ((127 - 14) << 23) { subnormal } else { normal };
+        let infinite = if magnitude >= ((127 + 16) << 23) { 0x7c00 } else { finite };
+        f16::from_bits(if magnitude > INFINITY_F32 { NAN_F16 } else { infinite as u16 | sign })
+    }
+
+    #[inline(always)]
+    pub(super) fn widen_slice(from: &[f16], to: &mut [f32]) {
+        for (to, &from) in to.iter_mut().zip(from) {
+            *to = widen(from);
+        }
+    }
+
+    #[inline(always)]
+    pub(super) fn narrow_slice(from: &[f32], to: &mut [f16]) {
+        for (to, &from) in to.iter_mut().zip(from) {
+            *to = narrow(from);
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::integer::NAN_F16;
     use super::*;
     use proptest::prelude::*;
 

@@ -14,6 +14,7 @@
 pub(crate) mod arm;
 mod convert;
 mod function;
+pub mod fused;
 pub mod pairs;
 pub mod simd;
 

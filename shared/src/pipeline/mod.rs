@@ -23,7 +23,7 @@ use crate::filter::{FilterBank, FrameSource};
 use crate::image::{ChwMut, PlaneMut};
 use crate::nn::rcan::Rcan;
 use crate::num::simd::{Kernel, Simd, Vector};
-use crate::num::{f16, max_finite, narrow, widen};
+use crate::num::{f16, fused, max_finite};
 use crate::sensor::FixedPattern;
 
 /// Rows of a band beyond which the rows no longer stay in a workstation's caches.
@@ -212,7 +212,7 @@ impl Kernel for Normalise<'_> {
     fn run<V: Vector>(self) -> (f32, bool) {
         let (max, finite) = max_finite(self.values);
         if max > 0.0 && finite {
-            self.values.iter_mut().for_each(|x| *x = narrow(widen(*x) / max));
+            fused::divide(self.values, max);
         } else {
             self.values.fill(f16::ZERO);
         }

@@ -13,7 +13,7 @@ use super::packed::{self, OUTPUTS};
 use super::pixel_shuffle::widen_unshuffled_row;
 use crate::image::{Chw, ChwMut};
 use crate::num::simd::{Kernel, Simd, Vector};
-use crate::num::{f16, narrow, narrow_slice, widen, widen_slice};
+use crate::num::{f16, fused, narrow_slice, widen_slice};
 
 /// How the output is stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -197,15 +197,15 @@ impl Conv3x3 {
         let channels = sums.chunks_exact_mut(packed::padded(self.cols));
         for (o, sums) in channels.enumerate().take(self.outputs - first) {
             let sums = &mut sums[..self.cols];
-            self.activation.apply(sums);
             let to = tensors.output_row(first + o, row);
+            if (self.activation, self.store) == (Activation::Relu, Store::Replace) {
+                fused::narrow_relu(sums, to);
+                continue;
+            }
+            self.activation.apply(sums);
             match self.store {
                 Store::Replace => narrow_slice(sums, to),
-                Store::Accumulate => {
-                    for (to, &sum) in to.iter_mut().zip(&*sums) {
-                        *to = narrow(widen(*to) + sum);
-                    }
-                }
+                Store::Accumulate => fused::accumulate(sums, to),
             }
         }
     }

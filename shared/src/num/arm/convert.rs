@@ -1,8 +1,45 @@
-//! Conversions of slices.
+//! Conversions.
+
+use core::arch::asm;
 
 use super::asm_low;
-use crate::num::convert::{narrow, widen};
 use crate::num::f16;
+
+/// Widens a half.
+#[inline(always)]
+pub(in crate::num) fn widen(value: f16) -> f32 {
+    let mut bits = u32::from(value.to_bits());
+    // SAFETY: touches nothing but the registers named.
+    unsafe {
+        asm!(
+            "vmov s0, {bits}",
+            "vcvtb.f32.f16 s0, s0",
+            "vmov {bits}, s0",
+            bits = inout(reg) bits,
+            out("s0") _,
+            options(pure, nomem, nostack, preserves_flags)
+        );
+    }
+    f32::from_bits(bits)
+}
+
+/// Rounds to the nearest half.
+#[inline(always)]
+pub(in crate::num) fn narrow(value: f32) -> f16 {
+    let mut bits = value.to_bits();
+    // SAFETY: as above.
+    unsafe {
+        asm!(
+            "vmov s0, {bits}",
+            "vcvtb.f16.f32 s0, s0",
+            "vmov {bits}, s0",
+            bits = inout(reg) bits,
+            out("s0") _,
+            options(pure, nomem, nostack, preserves_flags)
+        );
+    }
+    f16::from_bits(bits as u16)
+}
 
 /// Widens `from` into the equally long `to`; eight in twelve instructions.
 pub(in crate::num) fn widen_slice(from: &[f16], to: &mut [f32]) {

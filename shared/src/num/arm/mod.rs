@@ -11,12 +11,14 @@ mod columns;
 mod convert;
 mod correlate;
 mod fft;
+mod fused;
 mod rows;
 
 pub(super) use columns::{add_products, gather_pairs, scatter_pairs};
-pub(super) use convert::{narrow_slice, widen_slice};
-pub(crate) use correlate::{COLUMNS, correlate};
+pub(super) use convert::{narrow, narrow_slice, widen, widen_slice};
+pub(crate) use correlate::{Rows, correlate1, correlate4};
 pub(crate) use fft::transform;
+pub(super) use fused::{accumulate, add_eights, add_scaled, divide, narrow_relu, round_interleaved, widen_alternate};
 pub(crate) use rows::{order_row, scale_row, tangle_row, untangle_row};
 
 /// `asm!` that clobbers s0-s15, which no caller expects to be kept.
