@@ -56,6 +56,23 @@ fn the_thinnest_network_agrees_bit_for_bit() {
     check(&THIN, 3);
 }
 
+/// The device's transforms are written in its own instructions, this machine's in Rust: every length that a board has room for, one
+/// column and one row more than a block of any loop.
+#[test]
+fn transforms_of_every_size_agree_bit_for_bit() {
+    check(&Shape { tile: 8, step: 4, frame: [13, 11], object: [10, 6], ..THIN }, 8);
+    for tile in [128, 256, 512] {
+        check(&Shape { tile, step: tile, channels: 1, maps: false, ..DENSE }, u64::from(tile));
+    }
+}
+
+/// Features whose rows do not begin at words, channels that fill no block.
+#[test]
+fn odd_rows_and_channels_agree_bit_for_bit() {
+    check(&Shape { width: 7, object: [30, 46], frame: [53, 47], ..DENSE }, 9);
+    check(&Shape { width: 5, object: [22, 26], ..TAPPED }, 10);
+}
+
 #[test]
 fn counts_repeat_exactly() {
     let (Some(first), Some(second)) = (check(&THIN, 4), check(&THIN, 4)) else { return };

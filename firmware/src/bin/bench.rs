@@ -13,13 +13,15 @@ use half::f16;
 use ommatidia_firmware::app::{region_begins, region_ends};
 use ommatidia_firmware::board::mps2_an500 as board;
 use ommatidia_shared::blob::{Bank, Header, MemoryPlan, Rcan, Sensor, Size, Tap, Weights};
-use ommatidia_shared::fft::{Fft2, RowSource, Strip, StripSource};
-use ommatidia_shared::image::{Chw, ChwMut};
+use ommatidia_shared::fft::{Fft, Fft2, RowSource, Strip, StripSource};
+use ommatidia_shared::image::{Chw, ChwMut, PlaneMut};
 use ommatidia_shared::nn::activation::Activation;
 use ommatidia_shared::nn::channel_attention::{self, ChannelAttention};
 use ommatidia_shared::nn::conv::{self, Addressing, Conv3x3, Store, Tensors};
+use ommatidia_shared::nn::upscale::Upscale;
+use ommatidia_shared::num::pairs::add_products;
 use ommatidia_shared::num::simd::Simd;
-use ommatidia_shared::num::{narrow, narrow_slice, widen_slice};
+use ommatidia_shared::num::{fused, narrow, narrow_slice, widen_slice};
 use ommatidia_shared::pipeline::{Memory, Pipeline};
 
 /// Why there is no count.
@@ -102,11 +104,21 @@ impl Bench {
         for side in [64, 128, 256] {
             self.transform(side)?;
         }
-        for channels in [16, 32] {
-            self.convolve(channels)?;
-            self.attend(channels)?;
+        for len in [64, 256] {
+            self.butterflies(len)?;
         }
+        self.product(256)?;
+        let (linear, relu, replace, add) = (Activation::Linear, Activation::Relu, Store::Replace, Store::Accumulate);
+        for channels in [16, 32] {
+            self.convolve("", Addressing::Direct, [channels, channels], (linear, replace))?;
+            self.convolve(" and ReLU", Addressing::Direct, [channels, channels], (relu, replace))?;
+            self.convolve(" and skip", Addressing::Direct, [channels, channels], (linear, add))?;
+            self.attend(channels)?;
+            self.tail(channels)?;
+        }
+        self.convolve(" of the unshuffled", Addressing::Unshuffled, [24, 16], (linear, replace))?;
         self.convert()?;
+        self.fused()?;
         self.reconstruct()
     }
 
@@ -130,23 +142,77 @@ impl Bench {
         })
     }
 
-    /// 3x3, C -> C, on the 48 x 48 features of a 96 x 96 object.
-    fn convolve(&mut self, channels: usize) -> Result<(), Failure> {
+    /// The transform of a single column, in fast memory: `len / 4` butterflies of four numbers a pass.
+    fn butterflies(&mut self, len: usize) -> Result<(), Failure> {
+        let fft = Fft::new(len).map_err(|_| "no transform of that length")?;
+        let data = self.fast[..2 * len].as_chunks_mut::<1>().0.as_chunks_mut::<2>().0;
+        let count = len / 4 * (len.trailing_zeros() / 2) as usize;
+        region(format_args!("complex FFT {len}, in place"), count, "radix-4 butterflies", || {
+            fft.process(data);
+            Ok::<_, Infallible>(())
+        })
+    }
+
+    /// A column of the spectrum times one of a filter, added to a sum.
+    fn product(&mut self, len: usize) -> Result<(), Failure> {
+        let stride = 2 * (len / 2 + 1);
+        let (k, x) = (&self.weights[..len * stride], &self.bulk[..len * stride]);
+        let sums = self.fast[..2 * len].as_chunks_mut::<2>().0;
+        region(format_args!("filter times spectrum, a column of {len}"), 4 * len, "MAC", || {
+            add_products(k, x, stride, sums);
+            Ok::<_, Infallible>(())
+        })
+    }
+
+    /// 3x3, on the 48 x 48 features of a 96 x 96 object.
+    fn convolve(
+        &mut self,
+        what: &str,
+        addressing: Addressing,
+        [inputs, outputs]: [usize; 2],
+        (activation, store): (Activation, Store),
+    ) -> Result<(), Failure> {
         let (rows, cols) = (48, 48);
-        let (activation, store) = (Activation::Linear, Store::Replace);
-        let conv = Conv3x3 { inputs: channels, outputs: channels, rows, cols, activation, store };
+        let conv = Conv3x3 { inputs, outputs, rows, cols, activation, store };
         let (weights, rest) = self.weights.split_at(conv.weights_len());
-        let parameters = conv::Parameters { weights, bias: &rest[..channels] };
-        let len = channels * rows * cols;
-        let (input, rest) = self.bulk.split_at_mut(len);
-        let input = Chw::new(input, channels, rows, cols).map_err(|_| "a shape is wrong")?;
-        let output = ChwMut::new(&mut rest[..len], channels, rows, cols).map_err(|_| "a shape is wrong")?;
-        let tensors = Tensors::Apart { input, addressing: Addressing::Direct, output };
+        let parameters = conv::Parameters { weights, bias: &rest[..outputs] };
+        let (input, rest) = self.bulk.split_at_mut(inputs * rows * cols);
+        let input = match addressing {
+            Addressing::Direct => Chw::new(input, inputs, rows, cols),
+            Addressing::Unshuffled => Chw::new(input, inputs / 4, 2 * rows, 2 * cols),
+        };
+        let input = input.map_err(|_| "a shape is wrong")?;
+        let output = ChwMut::new(&mut rest[..outputs * rows * cols], outputs, rows, cols);
+        let tensors = Tensors::Apart { input, addressing, output: output.map_err(|_| "a shape is wrong")? };
         let scratch = &mut *self.fast;
-        let products = 9 * channels * channels * rows * cols;
-        region(format_args!("3x3 convolution {channels}->{channels}, {rows}x{cols}"), products, "MAC", || {
+        let products = 9 * inputs * outputs * rows * cols;
+        region(format_args!("3x3 convolution {inputs}->{outputs}{what}, {rows}x{cols}"), products, "MAC", || {
             conv.process(Simd::detect(), parameters, tensors, scratch)
         })
+    }
+
+    /// Convolution to 4 W channels, pixel shuffle, convolution to one channel, sigmoid.
+    fn tail(&mut self, channels: usize) -> Result<(), Failure> {
+        let (rows, cols) = (48, 48);
+        let plan = Upscale { channels, rows, cols };
+        let (weights, rest) = self.weights.split_at(36 * channels * channels);
+        let (weights2, rest) = rest.split_at(9 * channels);
+        let parameters = [
+            conv::Parameters { weights, bias: &rest[..4 * channels] },
+            conv::Parameters { weights: weights2, bias: &rest[..1] },
+        ];
+        let input = Chw::new(&self.bulk[..channels * rows * cols], channels, rows, cols);
+        let input = input.map_err(|_| "a shape is wrong")?;
+        let output = PlaneMut::new(&mut self.object[..4 * rows * cols], 2 * rows, 2 * cols);
+        let output = output.map_err(|_| "a shape is wrong")?;
+        let scratch = &mut *self.fast;
+        let products = (36 * channels * channels + 36 * channels) * rows * cols;
+        region(
+            format_args!("pixel shuffle {channels}->1 with its convolutions, to {}x{}", 2 * rows, 2 * cols),
+            products,
+            "MAC",
+            || plan.process(Simd::detect(), parameters, input, output, scratch),
+        )
     }
 
     /// Channel attention with a bottleneck of C / 8.
@@ -183,13 +249,36 @@ impl Bench {
         })
     }
 
-    /// The demo's network: 214 x 214 sensor, 96 x 96 object, six dense filters of side 256, 16 features.
+    /// What goes with a load or a store.
+    fn fused(&mut self) -> Result<(), Failure> {
+        const LEN: usize = 1024;
+        let (t, g) = self.bulk[..2 * LEN].split_at_mut(LEN);
+        let (sums, rest) = self.fast.split_at_mut(LEN);
+        let sums = &*sums;
+        let count = |name: &str, work: &mut dyn FnMut()| {
+            region(format_args!("{name}, {LEN}"), LEN, "numbers", || {
+                work();
+                Ok::<_, Infallible>(())
+            })
+        };
+        count("ReLU at the store", &mut || fused::narrow_relu(sums, g))?;
+        count("skip at the store", &mut || fused::accumulate(sums, g))?;
+        count("attention times features and skip", &mut || fused::add_scaled(0.7, t, g))?;
+        count("pixel unshuffle at the load", &mut || fused::widen_alternate(&t[..LEN], 1, &mut rest[..LEN / 2]))?;
+        count("pixel shuffle at the store", &mut || {
+            fused::round_interleaved(&sums[..LEN / 2], &sums[LEN / 2..], &mut rest[..LEN]);
+        })
+    }
+
+    /// The demo's network: 214 x 214 sensor, 96 x 96 object, six dense filters of side 256, 16 features, the maps of the sensor.
     fn reconstruct(&mut self) -> Result<(), Failure> {
         let mut header = demo_header();
         header.memory = Pipeline::plan(&header).map_err(|_| "the header has no plan")?;
         let (spectra, rest) = self.weights.split_at(6 * 2 * 256 * 129);
         let count = ommatidia_shared::nn::rcan::weights_len(&header.rcan, header.bank.channels);
-        let weights = Weights { spectra, rcan: &rest[..count], offset_dn: None, inverse_gain: None };
+        let (rcan, rest) = rest.split_at(count);
+        let (offset, rest) = rest.split_at(214 * 214);
+        let weights = Weights { spectra, rcan, offset_dn: Some(offset), inverse_gain: Some(&rest[..214 * 214]) };
         let pipeline = Pipeline::new(&header, weights).map_err(|_| "the network is refused")?;
         let memory = Memory { fast: self.fast, bulk: self.bulk };
         let (frame, object) = (&self.frame[..pipeline.frame_len()], &mut self.object[..pipeline.output_len()]);
@@ -206,7 +295,7 @@ fn demo_header() -> Header {
         checkpoint: Default::default(),
         frame: Size { rows: 214, cols: 214 },
         object: Size { rows: 96, cols: 96 },
-        sensor: Sensor { black_level_dn: 64.0, saturation_dn: 4095, has_offset_map: false, has_gain_map: false },
+        sensor: Sensor { black_level_dn: 64.0, saturation_dn: 4095, has_offset_map: true, has_gain_map: true },
         bank: Bank {
             tile: 256,
             step: 256,

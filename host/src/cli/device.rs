@@ -3,7 +3,7 @@
 use super::{Outcome, Run};
 use crate::artifact::write_whole;
 use crate::blob::{BlobFile, raw_codes};
-use crate::device::{DeviceRun, Firmware, OperatorCount, Runtime, Wanted, count_operators, run as run_device};
+use crate::device::{DeviceRun, Firmware, Runtime, Wanted, count_operators, run as run_device, table};
 use crate::session::stack;
 use anyhow::Context;
 use clap::{Subcommand, ValueEnum};
@@ -94,25 +94,12 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
 fn count(args: &BenchArgs) -> anyhow::Result<Outcome> {
     let image = args.firmware.as_deref().map_or_else(|| Firmware::build("bench"), Firmware::given)?;
     let counts = count_operators(&image)?;
-    let mut text = String::from("| operator | work | instructions | per unit |\n|---|---|---|---|\n");
-    for count in &counts {
-        let OperatorCount { name, amount, unit, instructions } = count;
-        text += &format!("| {name} | {amount} {unit} | {instructions} | {:.2} |\n", count.per_unit());
-    }
     if let Some(path) = &args.output {
-        write_whole(path, format!("{TABLE_HEAD}{text}").as_bytes())?;
+        write_whole(path, table::page(&counts).as_bytes())?;
     }
+    let text = table::table(&counts);
     Ok(Outcome { json: json!({ "board": "mps2-an500", "operators": counts }), text })
 }
-
-/// What stands above the table.
-const TABLE_HEAD: &str = "# Instructions on the Cortex-M7
-
-Written by `cargo run --release -p ommatidia-host -- device bench -o docs/instructions.md`: the programs of
-`firmware/src/bin/bench.rs`, counted instruction by instruction under QEMU (`mps2-an500`). The counts repeat exactly. They know
-nothing of pipeline, caches or wait states. Transforms start from halves and end in halves; convolutions and the network read and write halves.
-
-";
 
 fn run_network(args: &RunArgs, run: &Run) -> anyhow::Result<Outcome> {
     let Board::Mps2An500 = args.board;

@@ -13,6 +13,7 @@ mod loopback;
 mod qemu;
 mod run;
 mod runtime;
+pub mod table;
 mod transport;
 
 pub use client::{Client, Patience};

@@ -104,4 +104,12 @@ mod tests {
         assert_eq!(Roots::new(8).at(2)[1], -1.0);
         assert_eq!(Roots::new(4).at(3)[1], 1.0);
     }
+
+    #[test]
+    fn triples_are_those_of_a_butterfly() {
+        for (k, triple) in ROOT_TRIPLES.iter().enumerate() {
+            let roots = Roots::new(MAX_LEN);
+            assert_eq!(*triple, [roots.at(2 * k), roots.at(k), roots.at(3 * k)]);
+        }
+    }
 }

@@ -86,7 +86,12 @@ pub fn header(shape: &Shape) -> Header {
             channels: shape.channels,
             taps: (0..shape.channels).flat_map(tap).collect(),
         },
-        rcan: Rcan { width: shape.width, groups: shape.groups, blocks: shape.blocks, reduction: shape.width.min(2) },
+        rcan: Rcan {
+            width: shape.width,
+            groups: shape.groups,
+            blocks: shape.blocks,
+            reduction: if shape.width.is_multiple_of(2) { 2 } else { shape.width },
+        },
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
     };
     header.memory = Pipeline::plan(&header).unwrap();
