@@ -4,24 +4,21 @@ use super::BenchError;
 use super::cache::FocusCache;
 use super::config::BenchConfig;
 use super::optics::{Moves, Point, VirtualOptics};
+use super::scenes::SCENES_AT_ONCE;
 use super::sensor::VirtualSensor;
 use super::truth::{BenchTruth, TRUTH_FILE};
-use crate::effects::{Chain, Effect, EffectSetting, FrameContext, Layout, Previous, Record, Stage};
+use crate::effects::{Chain, Effect, EffectSetting, FrameContext, Layout, Previous, Stage};
 use crate::rng;
 use crate::scene::Scenes;
 use crate::session::{
     Existing, FrameInfo, FrameWriter, Role, SampleType, SessionError, SessionWriter, StackEntry, StackSpec,
 };
-use ndarray::{Array2, Axis};
-use rand::RngExt;
+use ndarray::Array2;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
-
-/// Scenes whose light is summed at the same time: each PSF is computed once for all of them.
-const SCENES_AT_ONCE: usize = 16;
 
 /// The virtual instrument with its effects, ready to measure.
 #[derive(Debug)]
@@ -29,25 +26,25 @@ pub struct VirtualInstrument {
     pub(super) config: BenchConfig,
     pub(super) optics: VirtualOptics,
     anchors_px: Vec<[f64; 2]>,
-    sensor: VirtualSensor,
+    pub(super) sensor: VirtualSensor,
     settings: Vec<EffectSetting>,
-    effects: Chain,
-    scenes: Scenes,
-    cache: Arc<FocusCache>,
+    pub(super) effects: Chain,
+    pub(super) scenes: Scenes,
+    pub(super) cache: Arc<FocusCache>,
     /// Whether foci are kept: not where each is needed once.
-    keep: bool,
+    pub(super) keep: bool,
 }
 
 /// Light of a frame, and light and start, s, of the frame before it where an effect asks for that.
 #[derive(Clone)]
-struct Lit {
-    light_e: Array2<f32>,
-    before: Option<(Array2<f32>, f64)>,
+pub(super) struct Lit {
+    pub(super) light_e: Array2<f32>,
+    pub(super) before: Option<(Array2<f32>, f64)>,
 }
 
 impl Lit {
     /// The context of the frame with the one before it.
-    fn seen<'a>(&'a self, cx: FrameContext<'a>) -> FrameContext<'a> {
+    pub(super) fn seen<'a>(&'a self, cx: FrameContext<'a>) -> FrameContext<'a> {
         let previous = self.before.as_ref();
         FrameContext {
             previous: previous.map(|(light_e, start_s)| Previous { light_e, interval_s: cx.time_s - start_s }),
@@ -115,7 +112,7 @@ impl BenchConfig {
 }
 
 /// Whether an effect acts before the light is on the sensor, or on more than one frame.
-fn up_to_sensor(effects: &Chain) -> bool {
+pub(super) fn up_to_sensor(effects: &Chain) -> bool {
     let stages = [Stage::Object, Stage::Geometry, Stage::Lens, Stage::Light];
     effects.needs_previous() || stages.iter().any(|s| effects.acts_at(*s))
 }
@@ -207,13 +204,13 @@ impl VirtualInstrument {
     }
 
     /// A frame of a stack: exposed at even intervals, its light level 1.
-    fn info(&self, frame: usize) -> FrameInfo {
+    pub(super) fn info(&self, frame: usize) -> FrameInfo {
         let stacks = &self.config.stacks;
         let time_s = frame as f64 * stacks.interval_ms * 1e-3;
         FrameInfo { time_s, ..FrameInfo::plain(frame, stacks.exposure_ms) }
     }
 
-    fn context(&self, role: Role, info: &FrameInfo) -> FrameContext<'_> {
+    pub(super) fn context(&self, role: Role, info: &FrameInfo) -> FrameContext<'_> {
         FrameContext {
             role,
             array: [self.config.array.rows, self.config.array.cols],
@@ -230,13 +227,13 @@ impl VirtualInstrument {
         }
     }
 
-    fn spec(&self, frames: usize, samples: SampleType) -> StackSpec {
+    pub(super) fn spec(&self, frames: usize, samples: SampleType) -> StackSpec {
         let sensor = &self.config.sensor;
         StackSpec { frames, rows: sensor.rows, cols: sensor.cols, samples, pixel_um: Some(sensor.pixel_pitch_um) }
     }
 
     /// Exposes frames in order: light by `light`, noise of stream `what`; as many at a time as there are threads for.
-    fn expose(
+    pub(super) fn expose(
         &self,
         frames: &mut FrameWriter,
         infos: &[FrameInfo],
@@ -388,181 +385,8 @@ impl VirtualInstrument {
         self.effects.on_light(&mut light, cx);
         light
     }
-
-    /// What effects on the object make of unit emission at (y, x) um: an even object, interpolated there.
-    fn emission_at(&self, at_um: [f64; 2], cx: &FrameContext<'_>) -> f64 {
-        if !self.effects.acts_at(Stage::Object) {
-            return 1.0;
-        }
-        let grid = self.config.manifest().object;
-        let mut even = Array2::from_elem((grid.rows, grid.cols), 1.0f32);
-        self.effects.on_object(&mut even, cx);
-        let [r, c] = grid.pixel_of_um(at_um[0], at_um[1]);
-        let split = |at: f64, n: usize| {
-            let low = (at.floor().max(0.0) as usize).min(n.saturating_sub(2));
-            (low, (low + 1).min(n - 1), (at - low as f64).clamp(0.0, 1.0))
-        };
-        let ((r0, r1, fr), (c0, c1, fc)) = (split(r, grid.rows), split(c, grid.cols));
-        let value = |r: usize, c: usize| f64::from(even[[r, c]]);
-        let row = |r: usize| value(r, c0) * (1.0 - fc) + value(r, c1) * fc;
-        row(r0) * (1.0 - fr) + row(r1) * fr
-    }
-
-    fn specimens(
-        &self,
-        writer: &mut SessionWriter,
-        seed: u64,
-        done: &(impl Fn(usize) + Sync),
-    ) -> Result<f64, BenchError> {
-        let n = self.config.stacks.scene_frames;
-        let z_um = self.config.stacks.scene_z_um;
-        let infos: Vec<_> = (0..n).map(|i| FrameInfo { z_um, ..self.info(i) }).collect();
-        let object = &self.config.object;
-        let object_spec = StackSpec {
-            frames: n,
-            rows: object.rows,
-            cols: object.cols,
-            samples: SampleType::F32,
-            pixel_um: Some(object.pixel_um),
-        };
-        let mut frames = writer.frames("scene.npy", self.spec(n, SampleType::U16))?;
-        let mut truths = writer.frames("scene_truth.npy", object_spec)?;
-        let mut expected = writer.frames("scene_expected.npy", self.spec(n, SampleType::F32))?;
-        let (mut peak, mut written, mut waiting) = (0.0f64, 0, BTreeMap::new());
-        let mut before = None;
-        for batch in infos.chunks(SCENES_AT_ONCE) {
-            let (objects, lit) = self.scene_batch(batch, seed, &mut before);
-            for ((info, object), lit) in batch.iter().zip(&objects).zip(&lit) {
-                let (place, truth) = self.told(info, n, object);
-                waiting.insert(place, truth);
-                // A truth that stands in the place of a later one waits for those before it.
-                while let Some(truth) = waiting.remove(&written) {
-                    truths.push(truth.view())?;
-                    written += 1;
-                }
-                let cx = lit.seen(self.context(Role::Scene, info));
-                expected.push(self.sensor.expected(&lit.light_e, &self.effects, &cx).view())?;
-            }
-            let at = |info: &FrameInfo| lit[info.frame - batch[0].frame].clone();
-            peak = peak.max(self.expose(&mut frames, batch, (Role::Scene, seed, "bench/scene"), at, done)?);
-        }
-        frames.finish()?;
-        truths.finish()?;
-        expected.finish()?;
-        let told = |info: &FrameInfo| FrameInfo {
-            exposure_ms: info.exposure_ms / self.record(info, n).exposure_factor,
-            ..info.clone()
-        };
-        writer.table("scene.csv", &infos.iter().map(told).collect::<Vec<_>>())?;
-        let mut entry = entry(Role::Scene, "scene.npy", self.config.stacks.exposure_ms, Some("scene.csv"));
-        entry.truth = Some("scene_truth.npy".into());
-        entry.expected = Some("scene_expected.npy".into());
-        writer.add(entry);
-        Ok(peak)
-    }
-
-    /// How a model that knows of the faults reads the record of a scene.
-    fn record(&self, info: &FrameInfo, frames: usize) -> Record {
-        let mut record = Record::honest(info.frame, frames);
-        self.effects.on_record(&mut record, &self.context(Role::Scene, info));
-        record
-    }
-
-    /// Where the object of a scene is written in the truths, and how: so that [`Record::object`] of the same faults finds it there and
-    /// turns it back.
-    fn told(&self, info: &FrameInfo, frames: usize, object: &Array2<f32>) -> (usize, Array2<f32>) {
-        let record = self.record(info, frames);
-        // To flip is its own inverse.
-        let written = Record { truth: 0, ..record }.object(std::slice::from_ref(object));
-        (record.truth, written.unwrap_or_else(|| object.clone()))
-    }
-
-    /// Objects in units of the bead, and their light on the sensor, expected electrons; `before` is the last light of the batch before.
-    fn scene_batch(
-        &self,
-        infos: &[FrameInfo],
-        seed: u64,
-        before: &mut Option<(Array2<f32>, f64)>,
-    ) -> (Vec<Array2<f32>>, Vec<Lit>) {
-        let grid = self.config.manifest().object;
-        let draw = |info: &FrameInfo| self.scenes.draw(&grid, seed, "bench/specimen", info.frame as u64);
-        let mut objects: Vec<Array2<f32>> = infos.iter().map(draw).collect();
-        // The level of a scene is set by the clean optics, so that an effect changes the frames and not the specimens.
-        let mut clean = self.light_of(&objects, infos, &Chain::default());
-        let [low, high] = self.config.stacks.scene_peak.map(|p| (p * self.config.full_scale_e()).ln());
-        for ((object, light), info) in objects.iter_mut().zip(&mut clean).zip(infos) {
-            let mut rng = rng::stream(seed, "bench/level", info.frame as u64);
-            let peak = light.fold(f32::MIN_POSITIVE, |m, v| m.max(*v));
-            let scale = rng.random_range(low..=high).exp() as f32 / peak;
-            object.mapv_inplace(|v| v * scale);
-            light.mapv_inplace(|v| v * scale);
-        }
-        if !up_to_sensor(&self.effects) {
-            return (objects, clean.into_iter().map(|light_e| Lit { light_e, before: None }).collect());
-        }
-        drop(clean);
-        let mut lit = Vec::with_capacity(infos.len());
-        for (light, info) in self.light_of(&objects, infos, &self.effects).into_iter().zip(infos) {
-            let cx = self.context(Role::Scene, info);
-            let mut this = Lit { light_e: light.clone(), before: before.take() };
-            let seen = this.seen(cx);
-            let mut with = light.clone();
-            self.effects.on_light(&mut with, &seen);
-            if self.effects.needs_previous() {
-                let mut alone = light;
-                self.effects.on_light(&mut alone, &cx);
-                *before = Some((alone, info.time_s));
-            }
-            this.light_e = with;
-            lit.push(this);
-        }
-        (objects, lit)
-    }
-
-    /// Electrons that the lenses bring of objects (in units of the bead), with effects up to the lenses.
-    fn light_of(&self, objects: &[Array2<f32>], infos: &[FrameInfo], effects: &Chain) -> Vec<Array2<f32>> {
-        let contexts: Vec<_> = infos.iter().map(|i| self.context(Role::Scene, i)).collect();
-        let emitted: Vec<_> = objects
-            .iter()
-            .zip(&contexts)
-            .map(|(object, cx)| {
-                let mut emitted = object * cx.illumination as f32;
-                effects.on_object(&mut emitted, cx);
-                emitted
-            })
-            .collect();
-        let mut lights = vec![Array2::zeros((self.config.sensor.rows, self.config.sensor.cols)); objects.len()];
-        let z_um = self.config.stacks.scene_z_um;
-        let still = !effects.acts_at(Stage::Geometry);
-        let mut start = 0;
-        while start < objects.len() {
-            // Frames whose rays no effect can tell apart share their PSFs.
-            let alike = |i: &usize| still || self.optics.same_rays(effects, &contexts[start], &contexts[*i]);
-            let end = (start + 1..objects.len()).find(|i| !alike(i)).unwrap_or(objects.len());
-            let moves = Moves { effects, cx: &contexts[start] };
-            for l in 0..self.optics.lenses() {
-                let kept = if self.keep { self.cache.object(l, &self.optics, || self.object_points()) } else { None };
-                let flux = (self.config.scan.bead_e, z_um);
-                let images = self.optics.lens_images(l, &emitted[start..end], flux, moves, kept);
-                for (i, image) in (start..end).zip(images.axis_iter(Axis(0))) {
-                    let mut image = image.to_owned();
-                    effects.on_lens(&mut image, &FrameContext { lens: l, ..contexts[i] });
-                    lights[i] += &image;
-                }
-            }
-            start = end;
-        }
-        lights
-    }
-
-    /// Points of the object's pixels, row by row.
-    fn object_points(&self) -> Vec<Point> {
-        let (object, z_um) = (&self.config.object, self.config.stacks.scene_z_um);
-        let pixels = (0..object.rows).flat_map(|r| (0..object.cols).map(move |c| (r, c)));
-        pixels.map(|(r, c)| (self.optics.position_um(r, c), z_um)).collect()
-    }
 }
 
-fn entry(role: Role, file: &str, exposure_ms: f64, table: Option<&str>) -> StackEntry {
+pub(super) fn entry(role: Role, file: &str, exposure_ms: f64, table: Option<&str>) -> StackEntry {
     StackEntry { role, file: file.into(), exposure_ms, table: table.map(Into::into), truth: None, expected: None }
 }

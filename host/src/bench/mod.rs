@@ -11,6 +11,7 @@ mod error;
 mod lens;
 mod measure;
 mod optics;
+mod scenes;
 mod sensor;
 pub mod truth;
 

@@ -64,7 +64,12 @@ impl Bins {
                 (place(&|r, c| c - cx.anchors_px[nearest(r, c)][1]), false)
             }
             Covariate::Lens | Covariate::FieldRow | Covariate::FieldColumn => return None,
-            Covariate::Intensity => (per_frame(&|p, _| at_pixels(&p.light_e)), false),
+            Covariate::Intensity => {
+                // Predictions below what counts as lit differ by the calibration's errors alone: the lowest of them are those that err most.
+                let dark = 3.0 * model.forward.noise().read_noise_e;
+                let lit = |p: &Predicted| at_pixels(&p.light_e).into_iter().map(|e| e.max(dark)).collect();
+                (per_frame(&|p, _| lit(p)), false)
+            }
             Covariate::LocalMean => (per_frame(&|p, _| at_pixels(&blur_within(&p.light_e, 6.0))), false),
             Covariate::Sharpness => (
                 per_frame(&|p, _| {

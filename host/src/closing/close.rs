@@ -23,6 +23,10 @@ use thiserror::Error;
 /// Probability below which an omnibus test counts, all covariates together.
 const OMNIBUS: f64 = 0.01;
 
+/// What makes less than this of the variance of the noise is no structure to speak of, however sure: a calibration leaves some per cent, in no
+/// order that its replicates know of (light beyond the windows is 5e-5 of all).
+const SIZE: f64 = 1e-3;
+
 /// A term stays if chi-squared rises by more than this without it, over the scatter between clusters.
 const NEEDED: f64 = 16.0;
 
@@ -230,12 +234,22 @@ fn held_out_blocks(seen: &Observations) -> [usize; 2] {
     [seen.held_out_blocks.iter().filter(|h| **h).count(), seen.held_out_blocks.len()]
 }
 
-/// Whether any omnibus test passes.
+/// Whether any omnibus test passes, and matters.
 pub fn structured(dependences: &[Dependence]) -> bool {
-    let mut passes = dependences.iter().filter(|d| d.p * (dependences.len() as f64) < OMNIBUS).peekable();
+    let matters = |d: &&Dependence| d.size == 0.0 || d.size > SIZE;
+    let mut passes =
+        dependences.iter().filter(|d| d.p * (dependences.len() as f64) < OMNIBUS).filter(matters).peekable();
     let any = passes.peek().is_some();
     passes.for_each(|d| {
-        tracing::info!("residual against {}: z {:.1}, {:.1} for {:.1}", d.covariate.words(), d.z, d.chi2, d.expected)
+        tracing::info!(
+            "residual against {}: z {:.1}, {:.1} for {:.1}, {:?} +- {:?}",
+            d.covariate.words(),
+            d.z,
+            d.chi2,
+            d.expected,
+            d.mean,
+            d.band
+        )
     });
     any
 }
@@ -297,7 +311,10 @@ fn prune(
                     now = without;
                 }
             }
-            _ => return Ok(Pruned { now, found, tests, taken_back }),
+            _ => {
+                now.state = model.gauged(now.state);
+                return Ok(Pruned { now, found, tests, taken_back });
+            }
         }
     }
 }

@@ -199,6 +199,17 @@ impl<'a> Model<'a> {
         Ok(State { terms: instrument.effects.iter().filter_map(term).collect(), scale, black_dn: 0.0 })
     }
 
+    /// The same state with values that only its light can tell from others chosen by rule ([`Effect::gauge`]).
+    pub fn gauged(&self, mut state: State) -> State {
+        for t in &mut state.terms {
+            let factor = t.effect.gauge(&mut t.params);
+            let scenes = self.seen.frames.iter().filter(|f| matches!(f.shown, Shown::Object(_)));
+            let stacks: std::collections::BTreeSet<usize> = scenes.map(|f| f.stack).collect();
+            stacks.into_iter().for_each(|s| state.scale[s] *= factor);
+        }
+        state
+    }
+
     /// The chain of terms.
     pub fn chain<'t>(&self, terms: impl IntoIterator<Item = &'t Term>) -> Chain {
         let mut chain = Chain::default();

@@ -45,6 +45,7 @@ fn on_pixels(shared: [Option<f64>; 2]) -> Option<Dependence> {
         covariate: Covariate::FixedPattern,
         at: (0..mean.len()).map(|i| i as f64).collect(),
         band: vec![1.0; mean.len()],
+        size: 0.0,
         chi2: mean.iter().map(|v| v * v).sum(),
         mean,
         expected: n,
@@ -71,6 +72,7 @@ fn on_repeats(levels: Vec<repeats::Features>) -> Option<Dependence> {
         covariate: Covariate::Repeats,
         at: (0..mean.len()).map(|i| i as f64).collect(),
         band: vec![1.0 / n.sqrt(); mean.len()],
+        size: 0.0,
         mean,
         chi2,
         expected: dof,
@@ -131,16 +133,15 @@ fn on_scenes(model: &Model<'_>, fitted: &Fitted, replicas: &[Vec<Option<Array2<f
     bins.iter().enumerate().map(judged).collect()
 }
 
-/// What maps of the sensor leave: those of the calibration, and the tables of a state.
+/// What maps of the sensor leave: those of the calibration, or the tables of a state, which measured what those leave as well.
 fn left(model: &Model<'_>, state: &State) -> MapErrors {
-    let of = |acts: TableUse| -> f64 {
+    let of = |acts: TableUse, map: f64| {
         let mine = state.terms.iter().filter(|t| t.effect.table().is_some_and(|table| table.acts == acts));
-        mine.map(|t| t.table_error.powi(2)).sum()
+        mine.map(|t| t.table_error).filter(|e| *e > 0.0).reduce(f64::min).unwrap_or(map)
     };
-    let maps = model.maps;
     MapErrors {
-        response: (maps.response.powi(2) + of(TableUse::Response)).sqrt(),
-        offset_dn: (maps.offset_dn.powi(2) + of(TableUse::Offset)).sqrt(),
+        response: of(TableUse::Response, model.maps.response),
+        offset_dn: of(TableUse::Offset, model.maps.offset_dn),
     }
 }
 
@@ -162,6 +163,13 @@ fn judge(bins: &Bins, mut s: Statistic, null: &[&Statistic]) -> Dependence {
         s.chi2 = square(&s) / (1.0 + 1.0 / n);
         s.mean.iter_mut().zip(&middle).for_each(|(m, middle)| *m -= middle);
     }
+    let size = match bins.covariate.is_product() {
+        true => 0.0,
+        false => {
+            let excess = s.mean.iter().zip(&band).map(|(m, b)| m * m - b * b);
+            (excess.sum::<f64>() / s.mean.len().max(1) as f64).max(0.0)
+        }
+    };
     let expected = squares.iter().sum::<f64>() / n;
     let variance = squares.iter().map(|v| (v - expected).powi(2)).sum::<f64>() / (n - 1.0);
     // A scaled chi-squared of the same mean and variance.
@@ -171,6 +179,7 @@ fn judge(bins: &Bins, mut s: Statistic, null: &[&Statistic]) -> Dependence {
         at: bins.at.clone(),
         mean: s.mean,
         band,
+        size,
         chi2: s.chi2,
         expected,
         p,

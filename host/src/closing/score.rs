@@ -37,6 +37,8 @@ pub struct Test {
     pub z: f64,
     /// Scatter between clusters over the noise.
     pub phi: f64,
+    /// Share of the columns' own size that what is taken out leaves of them.
+    pub left: f64,
 }
 
 /// The design around a state, with what is taken out of every column.
@@ -131,6 +133,7 @@ impl<'d> Scores<'d> {
             p,
             z: strength(t, dof, p),
             phi,
+            left: q.diag().sum() / alone,
         })
     }
 

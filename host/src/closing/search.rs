@@ -8,7 +8,6 @@ use super::stats::holm;
 use super::tables::{self, TableFit};
 use crate::effects::{
     Effect, Evidence, EvidenceFrame, KNOTS, Kind, OPERATORS, Stage, WEIGHTS, find, periods, registry,
-    second_differences,
 };
 use crate::forward::{ForwardError, SceneLight};
 use crate::instrument::{Instrument, LowRankPsf};
@@ -23,6 +22,8 @@ const PRICE: f64 = 6.0;
 pub const AMBIGUOUS: f64 = 10.8;
 /// Most effects that are added.
 const MOST: usize = 6;
+/// A term without a name is no news where all but this share of it is what the model has already: it would trade against what is named.
+const DISTINCT: f64 = 0.1;
 /// How many of the best candidates are fitted in full.
 const FINALISTS: usize = 3;
 /// How many more are, which the best is easily taken for.
@@ -167,6 +168,10 @@ pub fn unknowns(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Ve
         if let Some(period) = row_period(evidence) {
             ranges.push((6, 0.0, period));
         }
+        // The light of even frames differs from pixel to pixel by a table alone, and that was measured on those frames.
+        if state.terms.iter().any(|t| t.table_error > 0.0) {
+            ranges.retain(|(covariate, ..)| *covariate != 4);
+        }
         for ((covariate, low, high), additive) in ranges.into_iter().flat_map(|r| [(r, 0.0), (r, 1.0)]) {
             // Light added by the light itself is the factor once more.
             if high > low && !(covariate == 4 && additive == 1.0) {
@@ -202,10 +207,6 @@ fn row_period(evidence: &Evidence<'_>) -> Option<f64> {
     periods(&top, &bottom).first().copied()
 }
 
-/// What the replicates cannot show: they err alike where foci are registered by fractions of a pixel. Measured on the virtual instrument,
-/// the calibrated PSF is too narrow by 0.003 to 0.016 px^2 along either axis.
-const PSF_WIDTH_PX2: f64 = 0.012;
-
 /// The replicates of a calibration before the frames of a session: what each predicts, minus what the calibration does.
 pub struct Replicas {
     light: Vec<Vec<Option<SceneLight>>>,
@@ -219,27 +220,7 @@ impl Replicas {
             let change = |k: usize| scenes[k].as_ref().map(|_| &predicted[k].dn - &fitted.predicted[k].dn);
             (0..predicted.len()).map(change).collect()
         };
-        let mut all: Vec<Vec<Option<Array2<f32>>>> = self.light.iter().map(one).collect();
-        if !all.is_empty() {
-            let n = all.len() as f64 + 4.0;
-            // Two more for each axis, one on either side, whose share of the jackknife's sum is the square of the systematic error.
-            let size = (n / (n - 1.0) / 2.0).sqrt() * model.forward.noise().gain_dn_per_e;
-            let blurred = |axis: usize, sign: f64| {
-                let mut widths = [0.0; 3];
-                widths[axis] = PSF_WIDTH_PX2;
-                let known = |k: usize| model.seen.frames[k].role == Role::Scene && all[0][k].is_some();
-                let change = |k: usize| {
-                    let light = &fitted.predicted[k].light_e;
-                    let mut wide = light.clone();
-                    second_differences(&mut wide, widths);
-                    (wide - light) * (sign * size) as f32
-                };
-                (0..fitted.predicted.len()).map(|k| known(k).then(|| change(k))).collect::<Vec<_>>()
-            };
-            let more = [blurred(0, 1.0), blurred(0, -1.0), blurred(1, 1.0), blurred(1, -1.0)];
-            all.extend(more);
-        }
-        all
+        self.light.iter().map(one).collect()
     }
 }
 
@@ -281,7 +262,8 @@ pub(super) fn score(
     let mut candidates: Vec<Candidate> = Vec::new();
     for (term, span) in terms.iter().zip(spans) {
         let columns: Vec<usize> = span.collect();
-        let test = scores.test(&columns).map(|t| one_sided(model, term, t));
+        let unnamed = term.id().starts_with("unknown");
+        let test = scores.test(&columns).filter(|t| !unnamed || t.left > DISTINCT).map(|t| one_sided(model, term, t));
         let starts = terms.iter().filter(|t| t.id() == term.id()).count() as f64;
         let chances = starts.max(term.effect.chances(model.seen.sensor, scenes));
         let candidate = Candidate { term: term.clone(), columns, test, chances, table: None };

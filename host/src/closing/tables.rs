@@ -33,9 +33,9 @@ const SPOT: f32 = 5.0;
 const STANDS_OUT: f64 = 4.5;
 /// Radius of the blur that spots are looked for with, pixels.
 const SPOT_PX: f64 = 1.5;
-/// Blur that a pattern of pixels is told from, standard deviation, pixels: it takes 2 % of a white one.
+/// Blur that a pattern of pixels is told from, standard deviation, pixels.
 const SMOOTH_PX: f64 = 2.0;
-/// The same for the pattern that is told: it takes 0.1 %.
+/// The same for the pattern that is told.
 const BROAD_PX: f64 = 8.0;
 /// The estimate of a remaining pattern may exceed what the calibration left by this factor before it counts.
 const TOLERANCE: f64 = 1.5;
@@ -68,16 +68,14 @@ pub fn fit(model: &Model<'_>, state: &State, now: &[Predicted], named: bool) -> 
             let found = match kind.group {
                 TableGroup::Pixel => {
                     let (fine, broad) = ([&a, &b].map(|h| sharp(h, SMOOTH_PX)), [&a, &b].map(|h| sharp(h, BROAD_PX)));
+                    let of = |[a, b]: &[Half; 2], smooth_px| pattern(a, b, left(model, kind.acts), kept(smooth_px));
                     // Judged where nothing smooth is left of it, told with all of it that is finer than shade.
-                    let found =
-                        pattern(&fine[0], &fine[1], left(model, kind.acts)).filter(|_| is_white(&fine[0], &fine[1]));
-                    found.and_then(|f| {
-                        Some(Shape { table: pattern(&broad[0], &broad[1], left(model, kind.acts))?.table, ..f })
-                    })
+                    let found = of(&fine, SMOOTH_PX).filter(|_| is_white(&fine[0], &fine[1]));
+                    found.and_then(|f| Some(Shape { table: of(&broad, BROAD_PX)?.table, ..f }))
                 }
                 TableGroup::SparsePixels => sparse(&a, &b),
                 TableGroup::Spots => spots(&a, &b, left(model, kind.acts)),
-                TableGroup::Pattern => pattern(&a, &b, left(model, kind.acts)),
+                TableGroup::Pattern => pattern(&a, &b, left(model, kind.acts), 1.0),
             }?;
             let expanded = e.descriptor().expanded(model.lenses());
             let mut params: Vec<f64> = expanded.iter().map(|(_, p)| p.off).collect();
@@ -100,7 +98,7 @@ pub fn fit(model: &Model<'_>, state: &State, now: &[Predicted], named: bool) -> 
 pub(super) fn shared(model: &Model<'_>, now: &[Predicted]) -> [Option<f64>; 2] {
     [TableUse::Response, TableUse::Offset].map(|acts| {
         let [Some(a), Some(b)] = [0, 1].map(|h| half(model, now, acts, h)) else { return None };
-        Some(pattern(&a, &b, left(model, acts))?.z)
+        Some(pattern(&a, &b, left(model, acts), 1.0)?.z)
     })
 }
 
@@ -186,6 +184,11 @@ fn sharp(h: &Half, smooth_px: f64) -> Half {
     Half { value: &flat - &blur_within(&flat, smooth_px), weight: h.weight.clone() }
 }
 
+/// Share of a white pattern's variance that [`sharp`] keeps: `1 - 2 g(0) + sum g^2` of a Gaussian g.
+fn kept(smooth_px: f64) -> f64 {
+    1.0 - 3.0 / (4.0 * std::f64::consts::PI * smooth_px * smooth_px)
+}
+
 /// Whether what two halves share of a [`sharp`] pattern is as white as properties of single pixels are: a law or spots would make
 /// neighbours alike.
 fn is_white(a: &Half, b: &Half) -> bool {
@@ -213,8 +216,9 @@ fn is_white(a: &Half, b: &Half) -> bool {
     })
 }
 
-/// A pattern of all pixels: the variance that both halves share, beyond what the calibration leaves.
-fn pattern(a: &Half, b: &Half, left: f64) -> Option<Shape> {
+/// A pattern of all pixels: the variance that both halves share, beyond what the calibration leaves. Of a white pattern's variance the halves hold
+/// the share `kept`.
+fn pattern(a: &Half, b: &Half, left: f64, kept: f64) -> Option<Shape> {
     let (mut shared, mut noise, mut n) = (0.0, 0.0, 0.0);
     // Hot pixels and dust are other effects: their values stand out, so they are left out here.
     Zip::from(&a.value).and(&b.value).and(&a.weight).and(&b.weight).for_each(|a, b, wa, wb| {
@@ -227,7 +231,7 @@ fn pattern(a: &Half, b: &Half, left: f64) -> Option<Shape> {
     if n < 100.0 {
         return None;
     }
-    let variance = shared / n;
+    let (variance, noise) = (shared / n / kept, noise / (kept * kept));
     let error = ((noise + 2.0 * variance.abs() * (noise * n).sqrt()).sqrt() + n.sqrt() * variance.abs()) / n;
     let z = (variance - TOLERANCE * left) / error;
     let both = mean(a, b);
@@ -251,8 +255,13 @@ fn sparse(a: &Half, b: &Half) -> Option<Shape> {
     // Of a pixel as good as most: what the session could tell, where nothing stands out.
     let weight = f64::from(both.weight.mean().unwrap_or(0.0));
     let one = if weight > 0.0 { 1.0 / weight.sqrt() } else { 0.0 };
+    // A pattern of all pixels makes none of them hot: they must stand out of that as well.
+    let mut sizes: Vec<f32> = both.value.iter().map(|v| v.abs()).collect();
+    sizes.sort_unstable_by(f32::total_cmp);
+    // The median size of a normal variable is 0.674 of its standard deviation.
+    let scatter = sizes.get(sizes.len() / 2).map_or(0.0, |v| (v / 0.674).powi(2));
     Zip::indexed(&both.value).for_each(|at, v| {
-        let stands_out = |h: &Half| h.value[at] * h.weight[at].sqrt();
+        let stands_out = |h: &Half| h.value[at] / (1.0 / h.weight[at].max(1e-30) + scatter).sqrt();
         let least = f64::from(stands_out(a).min(stands_out(b)));
         if least > STANDS_OUT {
             table[at] = *v;

@@ -30,4 +30,15 @@ impl Effect for LensGain {
             image_e.mapv_inplace(|v| v * (1.0 + change) as f32);
         }
     }
+
+    /// All lenses together are the light of the session: the middle one of them has not changed.
+    fn gauge(&self, p: &mut [f64]) -> f64 {
+        let mut sorted = p.to_vec();
+        sorted.sort_by(f64::total_cmp);
+        let common = 1.0 + sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
+        if common > 0.0 {
+            p.iter_mut().for_each(|v| *v = (1.0 + *v) / common - 1.0);
+        }
+        common.max(f64::MIN_POSITIVE)
+    }
 }

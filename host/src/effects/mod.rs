@@ -65,7 +65,7 @@ pub use chain::{Chain, EffectError, Layout};
 pub use context::{FrameContext, Previous, Ray, RayShift, Record};
 pub use descriptor::{Descriptor, Kind, Lookalike, Param, Stage};
 pub use evidence::{Evidence, EvidenceFrame};
-pub use smooth::{blur_within, second_differences};
+pub use smooth::blur_within;
 pub use table::{Table, TableGroup, TableUse};
 pub use unknown_operator::{OPERATORS, WEIGHTS};
 pub use unknown_profile::{COVARIATES, KNOTS};
@@ -125,6 +125,11 @@ pub trait Effect: Send + Sync {
     /// grid of the values that the shapes' [`Kind::Shape`] lists.
     fn guess(&self, _evidence: &Evidence<'_>) -> Vec<Vec<f64>> {
         Vec::new()
+    }
+    /// Chooses among values that a session cannot tell apart, since its own light takes up the difference: changes them, and gives the factor on
+    /// the light that makes up for it.
+    fn gauge(&self, _p: &mut [f64]) -> f64 {
+        1.0
     }
     /// From how many independent values a [`guess`](Effect::guess) takes the best on a sensor of [rows, cols], over `frames`: with so many
     /// chances noise alone makes one that looks good.

@@ -75,7 +75,7 @@ pub(super) fn changed(light: f32, change: f32) -> f32 {
 }
 
 /// Blur of variances (row, col, covariance), px^2, in explicit steps of second differences; light stays, and stays positive.
-pub fn second_differences(image: &mut Array2<f32>, [row, col, cov]: [f64; 3]) {
+pub(super) fn second_differences(image: &mut Array2<f32>, [row, col, cov]: [f64; 3]) {
     let steps = ((row.abs() + col.abs() + 2.0 * cov.abs()) / 0.5).ceil().max(1.0);
     let part = |v: f64| (v / steps) as f32;
     let (row, col, cov) = (part(row) / 2.0, part(col) / 2.0, part(cov) / 4.0);

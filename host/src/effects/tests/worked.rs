@@ -1,0 +1,202 @@
+//! Worked examples: numbers that a hand can check.
+
+use super::*;
+
+#[test]
+fn blurs_keep_the_light_and_have_the_stated_width() {
+    let mut point = Array2::<f32>::zeros((61, 61));
+    point[[30, 30]] = 1000.0;
+    let width2 = |i: &Array2<f32>| {
+        let moment: f64 = i.indexed_iter().map(|((r, _), v)| f64::from(*v) * (r as f64 - 30.0).powi(2)).sum();
+        moment / i.iter().map(|v| f64::from(*v)).sum::<f64>()
+    };
+    let blur = |id: &str, params: &[(&str, f64)]| {
+        let layout = Layout { lenses: 1, sensor: [61, 61] };
+        let chain = Chain::build(&[setting(id, params)], layout).unwrap();
+        let mut image = point.clone();
+        chain.on_light(&mut image, &FrameContext::default());
+        chain.on_charge(&mut image, &FrameContext::default());
+        (image.sum() / 1000.0, width2(&image))
+    };
+    let near = |(sum, got): (f32, f64), want: f64| {
+        assert!((sum - 1.0).abs() < 1e-4 && (got - want).abs() < 0.01 * want, "{sum} {got} {want}");
+    };
+    near(blur("charge_diffusion", &[("sigma_px", 0.3)]), 0.09);
+    near(blur("charge_diffusion", &[("sigma_px", 1.7)]), 2.89);
+    near(blur("halo", &[("weight", 0.25), ("sigma_px", 4.0)]), 4.0);
+    near(blur("interpixel_capacitance", &[("alpha", 0.01)]), 0.02);
+}
+
+#[test]
+fn worked_examples() {
+    let previous = image();
+    let cx = context(&previous);
+    let mut frame = Array2::from_elem((2, 2), 102.0f32);
+    chain("pixel_mosaic", &[("checker", 0.03), ("rows", 0.01)]).on_electronics(&mut frame, &cx);
+    assert_eq!(frame, ndarray::arr2(&[[106.0, 100.0], [98.0, 104.0]]));
+    let mut light = Array2::from_elem((1, 2), 5.0f32);
+    chain("background", &[("rate_e_per_ms", 0.2), ("gradient_col", 0.5)]).on_light(&mut light, &cx);
+    assert_eq!(light, ndarray::arr2(&[[6.5, 7.5]]));
+    let mut charge = Array2::from_elem((1, 1), 5000.0f32);
+    chain("nonlinearity", &[("beta", 0.02)]).on_charge(&mut charge, &cx);
+    assert_eq!(charge[[0, 0]], 4950.0);
+    assert_eq!(chain("array_shift", &[("col_px", -0.25)]).shift_ray(&RAY, &cx).px, [0.0, -0.25]);
+    let mut lens = Array2::from_elem((1, 1), 100.0f32);
+    chain("lens_gain", &[("change_0", -0.5), ("change_1", 3.0)]).on_lens(&mut lens, &cx);
+    assert_eq!(lens[[0, 0]], 50.0);
+}
+
+fn shifted(id: &str, params: &[(&str, f64)]) -> RayShift {
+    chain(id, params).shift_ray(&RAY, &context(&image()))
+}
+
+fn close(found: f64, want: f64) {
+    assert!((found - want).abs() < 1e-6 * want.abs().max(1e-6), "{found} instead of {want}");
+}
+
+#[test]
+fn worked_examples_of_chief_rays() {
+    let near = |found: RayShift, px: [f64; 2], z_um: f64| {
+        close(found.px[0], px[0]);
+        close(found.px[1], px[1]);
+        close(found.z_um, z_um);
+    };
+    // Anchor (-20, 15), field (10, -17), axis (12, -11) px of 1.85 um; 3 s.
+    near(shifted("array_rotation", &[("angle_mrad", 2.0)]), [0.03, 0.04], 0.0);
+    near(shifted("lens_decentre", &[("row_px_0", 0.5), ("row_px_1", 9.0), ("col_px_0", -0.25)]), [0.5, -0.25], 0.0);
+    near(shifted("magnification", &[("eps", 0.01)]), [0.12, -0.11], 0.0);
+    near(shifted("stage_scale", &[("row_by_row", 0.01), ("col_by_row", 0.1)]), [0.1, 1.0], 0.0);
+    near(shifted("thermal_drift", &[("col_px_per_s", 0.5)]), [0.0, 1.5], 0.0);
+    let r2_mm2 = 265.0 * 1.85e-3f64.powi(2);
+    near(shifted("radial_distortion", &[("k1_per_mm2", 2.0)]), [24.0 * r2_mm2, -22.0 * r2_mm2], 0.0);
+    near(shifted("defocus", &[("z_um", -30.0)]), [0.0, 0.0], -30.0);
+    near(shifted("field_curvature", &[("a_um_per_mm2", 1000.0)]), [0.0, 0.0], 1000.0 * r2_mm2);
+}
+
+/// The light `of` with an effect at all its stages of light and charge.
+fn lit(id: &str, params: &[(&str, f64)], of: &Array2<f32>, cx: &FrameContext<'_>) -> Array2<f32> {
+    let layout = Layout { lenses: 2, sensor: [of.nrows(), of.ncols()] };
+    let chain = Chain::build(&[setting(id, params)], layout).unwrap();
+    let mut image = of.clone();
+    chain.on_object(&mut image, cx);
+    chain.on_lens(&mut image, cx);
+    chain.on_light(&mut image, cx);
+    chain.on_charge(&mut image, cx);
+    image
+}
+
+fn electronic(id: &str, params: &[(&str, f64)], of: &Array2<f32>, cx: &FrameContext<'_>) -> Array2<f32> {
+    let mut image = of.clone();
+    chain(id, params).on_electronics(&mut image, cx);
+    image
+}
+
+#[test]
+fn worked_examples_of_factors() {
+    let previous = Array2::from_elem((1, 1), 1000.0);
+    let cx = context(&previous);
+    let one = Array2::from_elem((1, 1), 100.0f32);
+    let factor = |id: &str, params: &[(&str, f64)], cx: &FrameContext<'_>| f64::from(lit(id, params, &one, cx)[[0, 0]]);
+    let near = |found: f64, want: f64| assert!((found - want).abs() < 1e-4 * want, "{found} instead of {want}");
+    near(factor("photobleaching", &[("rate_per_s", 0.1)], &cx), 100.0 * (-0.3f64).exp());
+    let flat = FrameContext { role: Role::Flat, ..cx };
+    near(factor("photobleaching", &[("rate_per_s", 0.1)], &flat), 100.0);
+    near(factor("lamp_drift", &[("rate_per_s", 0.1)], &flat), 130.0);
+    near(factor("exposure_offset", &[("dt_ms", -2.0)], &cx), 80.0);
+    near(factor("lag", &[("share", 0.1), ("tau_s", 0.02)], &cx), 100.0 + 100.0 * (-1f64).exp());
+    // 30 C, 10 ms.
+    near(factor("dark_current", &[("rate_e_per_ms", 0.5), ("doubling_k", 5.0)], &cx), 120.0);
+    let dark = FrameContext { role: Role::Dark, ..cx };
+    near(factor("lamp_drift", &[("rate_per_s", 0.1)], &dark), 100.0);
+    // What would fill the converter fills the well.
+    let full = Array2::from_elem((3, 1), 1e4f32);
+    let well = lit("saturation", &[("below", 0.4)], &full, &cx);
+    assert!(well.iter().all(|q| (q - 6000.0).abs() < 0.1), "{well}");
+    let spilled = lit("saturation", &[("below", 0.4), ("spill", 0.5)], &full, &cx);
+    assert!((spilled[[0, 0]] - 7000.0).abs() < 0.1 && (spilled[[1, 0]] - 8000.0).abs() < 0.1, "{spilled}");
+    let vignetted = lit("vignetting", &[("v", 0.5)], &Array2::from_elem((3, 4), 100.0), &cx);
+    // Corner: (1^2 + 1.5^2) / (1.5^2 + 2^2) = 0.52.
+    near(f64::from(vignetted[[0, 3]]), 74.0);
+    let bands = lit(
+        "flicker_banding",
+        &[("m_sin", 0.1), ("cycles_per_row", 0.25), ("frame_hz", 0.25)],
+        &Array2::ones((4, 1)),
+        &cx,
+    );
+    // Three quarters of a turn at 3 s.
+    for (found, want) in bands.iter().zip([0.9, 1.0, 1.1, 1.0]) {
+        near(f64::from(*found), want);
+    }
+}
+
+#[test]
+fn worked_examples_of_images_beside_and_across() {
+    let previous = image();
+    let cx = context(&previous);
+    let mut spot = Array2::<f32>::zeros((9, 11));
+    spot[[2, 4]] = 1000.0;
+    // The centre of the sensor is (4, 5): a point at (2, 4) turned about (4.5, 5) is at (7, 6).
+    let ghost = lit("ghost", &[("ratio", 0.1), ("centre_row", 0.5)], &spot, &cx);
+    assert_eq!((ghost[[7, 6]], ghost[[2, 4]], ghost.sum()), (100.0, 1000.0, 1100.0));
+    let between = lit("ghost", &[("ratio", 0.1), ("centre_row", 0.5), ("centre_col", 0.25)], &spot, &cx);
+    assert_eq!((between[[7, 6]], between[[7, 7]]), (50.0, 50.0));
+    // Anchors 4.75 columns and a quarter of a row apart.
+    let leak = lit("lens_leakage", &[("kappa", 0.16)], &spot, &cx);
+    assert!(
+        (leak[[2, 9]] - 90.0).abs() < 1e-3 && (leak[[1, 8]] - 10.0).abs() < 1e-3 && (leak.sum() - 1160.0).abs() < 1e-2
+    );
+    let moving = lit("motion_blur", &[("var_row_px2", 0.2), ("cov_px2", 0.08)], &spot, &cx);
+    assert!((moving[[1, 4]] - 100.0).abs() < 1e-3 && (moving[[3, 5]] - 20.0).abs() < 1e-3 && moving[[3, 3]] == 0.0);
+    let bead = FrameContext { role: Role::Bead, ..cx };
+    assert_eq!(lit("motion_blur", &[("var_row_px2", 0.2)], &spot, &bead), spot);
+    let ranked = lit("rank_truncation", &[("terms", 0.4)], &spot, &cx);
+    assert!((ranked.sum() - 1000.0).abs() < 1e-2 && ranked[[2, 4]] < 1000.0 && ranked[[2, 5]] > 0.0);
+    // Squares: 1e6 / 1e4 x 0.02 / 2 to each neighbour.
+    let fat = lit("brighter_fatter", &[("alpha", 0.02)], &spot, &cx);
+    assert!((fat[[2, 3]] - 1.0).abs() < 1e-4 && (fat[[2, 4]] - 996.0).abs() < 1e-3);
+}
+
+/// A prediction is a little negative where the errors of PSFs outweigh the light. An effect next to nothing then changes next to nothing.
+#[test]
+fn weak_effects_leave_light_below_zero_as_it_is() {
+    let previous = image();
+    let cx = context(&previous);
+    let below = image().mapv(|v| v - 12.0);
+    for (id, params) in [
+        ("motion_blur", vec![("var_row_px2", 1e-6), ("cov_px2", 1e-6)]),
+        ("rank_truncation", vec![("terms", 1e-6)]),
+        ("unknown_operator", vec![("amplitude", 1e-6), ("operator", 3.0)]),
+        (
+            "unknown_profile",
+            vec![("knot_00", 1e-6), ("covariate", 0.0), ("additive", 1.0), ("low", 0.0), ("high", 8.0)],
+        ),
+    ] {
+        let change = lit(id, &params, &below, &cx) - &below;
+        assert!(change.iter().all(|v| v.abs() < 1e-3), "{id}: {change}");
+        assert!(change.iter().any(|v| *v != 0.0), "{id}");
+    }
+}
+
+#[test]
+fn worked_examples_of_readout() {
+    let previous = image();
+    let cx = context(&previous);
+    let rows = electronic("row_pattern", &[("amplitude_dn", 2.0), ("period_rows", 2.0)], &Array2::zeros((3, 1)), &cx);
+    assert_eq!(rows, ndarray::arr2(&[[2.0], [-2.0], [2.0]]));
+    let cols = electronic("column_pattern", &[("quadrature_dn", 2.0)], &Array2::zeros((1, 4)), &cx);
+    assert_eq!(cols.mapv(f32::round), ndarray::arr2(&[[0.0, 2.0, 0.0, -2.0]]));
+    let lagging = electronic("readout_lag", &[("share", 0.1)], &ndarray::arr2(&[[10.0, 110.0, 10.0]]), &cx);
+    assert_eq!(lagging, ndarray::arr2(&[[10.0, 100.0, 20.0]]));
+    assert_eq!(electronic("black_level_drift", &[("rate_dn_per_s", -1.0)], &Array2::ones((1, 1)), &cx)[[0, 0]], -2.0);
+    let codes = ndarray::arr2(&[[2501.0, 2503.0]]);
+    let jumped = electronic("adc_nonlinearity", &[("step_dn", 4.0)], &codes, &cx);
+    assert_eq!(jumped, ndarray::arr2(&[[2501.0, 2507.0]]));
+    let mut noise = sensor_noise();
+    chain("noise_scale", &[("read_noise", 0.5), ("gain", -0.1)]).on_noise(&mut noise);
+    assert_eq!((noise.read_noise_e, noise.gain_dn_per_e), (3.0, 0.45));
+    let mut frame = Array2::zeros((4000, 2));
+    chain("row_noise", &[("sigma_dn", 2.0)]).on_reading(&mut frame, &cx, &mut stream(1, "rows", 0));
+    assert_eq!(frame.column(0), frame.column(1));
+    let rms = (frame.mapv(|v: f32| v * v).mean().unwrap()).sqrt();
+    assert!((rms - 2.0).abs() < 0.1, "{rms}");
+}
