@@ -23,3 +23,6 @@ pub mod score;
 pub mod search;
 pub mod stats;
 pub mod tables;
+
+#[cfg(test)]
+mod tests;

@@ -328,3 +328,78 @@ fn spots(a: &Half, b: &Half, left: f64) -> Option<Shape> {
     let size = if z > 0.0 { -f64::from(values.mean().unwrap_or(0.0)) } else { 0.0 };
     Some(Shape { table, size, error, doubt: 0.0, table_error: 0.0, z })
 }
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+    use crate::rng::stream;
+    use rand_distr::{Distribution, Exp1, StandardNormal};
+
+    const SIDE: usize = 90;
+    const NOISE: f32 = 0.01;
+
+    /// Two halves that see the same pattern, each with noise of its own.
+    fn halves(pattern: impl Fn(usize, usize) -> f32) -> [Half; 2] {
+        [0, 1].map(|h| {
+            let mut rng = stream(11, "tables", h);
+            let value = Array2::from_shape_fn((SIDE, SIDE), |(r, c)| {
+                let z: f32 = StandardNormal.sample(&mut rng);
+                pattern(r, c) + NOISE * z
+            });
+            Half { value, weight: Array2::from_elem((SIDE, SIDE), 1.0 / (NOISE * NOISE)) }
+        })
+    }
+
+    fn white(rms: f32) -> Array2<f32> {
+        let mut rng = stream(12, "white", 0);
+        Array2::from_shape_simple_fn((SIDE, SIDE), || {
+            let z: f32 = StandardNormal.sample(&mut rng);
+            rms * z
+        })
+    }
+
+    #[test]
+    fn a_white_pattern_is_measured_without_bias_and_a_law_is_none() {
+        let own = white(0.008);
+        let judged = |halves: [Half; 2]| {
+            let [a, b] = halves.map(|h| sharp(&h, SMOOTH_PX));
+            (pattern(&a, &b, 0.0, kept(SMOOTH_PX)).unwrap(), is_white(&a, &b))
+        };
+        let (found, is) = judged(halves(|r, c| own[[r, c]]));
+        assert!(is && found.z > 20.0 && (found.size.sqrt() - 0.008).abs() < 3e-4, "{} {}", found.z, found.size.sqrt());
+        // A wave, a step and a slope with a pattern on it.
+        assert!(!judged(halves(|r, c| 0.02 * ((r + c) as f32 * 0.46).sin())).1);
+        assert!(!judged(halves(|_, c| if c < SIDE / 2 { 0.02 } else { 0.0 })).1);
+        assert!(judged(halves(|r, c| own[[r, c]] + 0.0005 * r as f32)).1);
+        assert!(judged(halves(|_, _| 0.0)).0.z.abs() < 4.0);
+    }
+
+    #[test]
+    fn dust_is_dark_and_a_wave_is_no_dust() {
+        let disc = |r: usize, c: usize| if (r as f32 - 40.0).hypot(c as f32 - 51.0) < 3.5 { -0.05 } else { 0.0 };
+        let [a, b] = halves(disc);
+        let found = spots(&a, &b, 0.0).unwrap();
+        assert!(found.z > 5.0 && (found.size - 0.05).abs() < 4.0 * found.error, "{} {}", found.z, found.size);
+        assert!(found.table[[40, 51]] < -0.02 && found.table[[10, 10]] == 0.0);
+        let [a, b] = halves(|r, c| 0.02 * ((r + c) as f32 * 0.46).sin());
+        assert!(spots(&a, &b, 0.0).is_none());
+    }
+
+    #[test]
+    fn hot_pixels_stand_out_of_a_pattern_too() {
+        let mut rng = stream(13, "hot", 0);
+        let mut table = Array2::<f32>::zeros((SIDE, SIDE));
+        for i in 0..60 {
+            let level: f32 = Exp1.sample(&mut rng);
+            table[[(i * 37) % SIDE, (i * 53) % SIDE]] = 0.3 * level;
+        }
+        let [a, b] = halves(|r, c| table[[r, c]]);
+        let found = sparse(&a, &b).unwrap();
+        assert!((found.size - 0.3).abs() < 3.0 * found.error && found.z > 5.0, "{} +- {}", found.size, found.error);
+        // A pattern of all pixels makes none of them hot.
+        let own = white(0.05);
+        let [a, b] = halves(|r, c| own[[r, c]]);
+        assert!(sparse(&a, &b).unwrap().z < 3.0);
+    }
+}

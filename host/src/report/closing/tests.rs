@@ -31,7 +31,17 @@ fn dependence(covariate: Covariate, bins: usize, size: f64) -> Dependence {
     let mean: Vec<f64> = (0..bins).map(|i| size * (i as f64).sin()).collect();
     let (p, z) = if size > 0.05 { (1e-9, 60.0 * size) } else { (0.4, 0.2) };
     let at = (0..bins).map(|i| i as f64 * 9.0).collect();
-    Dependence { covariate, at, mean, band: vec![0.01; bins], chi2: 50.0, expected: bins as f64, p, z }
+    Dependence {
+        covariate,
+        at,
+        mean,
+        band: vec![0.01; bins],
+        size: size * size,
+        chi2: 50.0,
+        expected: bins as f64,
+        p,
+        z,
+    }
 }
 
 /// An account in which diffusion was found.
