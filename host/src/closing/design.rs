@@ -87,6 +87,9 @@ impl Design {
     ) -> Result<Self, ForwardError> {
         let seen = model.seen;
         let rows = columns.len() + replicas.len() + 1;
+        // No state is better for driving pixels out of range: each counts as one of the noisiest.
+        let noise = model.forward.noise();
+        let unseen = 1.0 + noise.variance_dn2(noise.saturation_dn).ln();
         let cells = (0..seen.frames.len())
             .into_par_iter()
             .map(|k| {
@@ -121,11 +124,13 @@ impl Design {
                     .map(|(block, span)| {
                         let part = x.slice(s![.., span.clone()]);
                         let gram = part.dot(&part.t());
-                        let used =
-                            || seen.pixels[span.clone()].iter().map(|p| weight[*p as usize]).filter(|w| *w > 0.0);
-                        let log_variance = used().map(|w| -2.0 * f64::from(w.ln())).sum();
+                        let (mut pixels, mut log_variance) = (0, 0.0);
+                        for w in seen.pixels[span.clone()].iter().map(|p| weight[*p as usize]) {
+                            pixels += usize::from(w > 0.0);
+                            log_variance += if w > 0.0 { -2.0 * f64::from(w.ln()) } else { unseen };
+                        }
                         let held_out = seen.frames[k].held_out || seen.held_out_blocks[block];
-                        Cell { frame: k, block, held_out, pixels: used().count(), gram, log_variance }
+                        Cell { frame: k, block, held_out, pixels, gram, log_variance }
                     })
                     .collect::<Vec<_>>())
             })

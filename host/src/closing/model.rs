@@ -165,6 +165,11 @@ impl<'a> Model<'a> {
         })
     }
 
+    /// Whether nothing is known of any frame's light: a specimen has detail of every kind but that of the pixel grid.
+    pub fn is_blind(&self) -> bool {
+        self.seen.frames.iter().all(|f| f.shown == Shown::Unknown)
+    }
+
     /// Number of lenses.
     pub fn lenses(&self) -> usize {
         self.forward.layout().lenses
@@ -477,10 +482,10 @@ fn residual(f: &Frame, expected: &Array2<f32>) -> (Array2<f32>, Array2<f32>) {
     if f.shown != Shown::Unknown {
         return (difference, Array2::zeros(expected.dim()));
     }
-    let sharp = &difference - &smooth(&difference);
-    // The detail of the specimen is no noise; where there is much of it little can be told.
-    let detail = blur(&sharp.mapv(|v| v * v), 3.0 * SMOOTH_PX);
-    (sharp, detail)
+    let sharp = |image: &Array2<f32>| image - &smooth(image);
+    // The detail of the specimen is no noise; where there is much of it little can be told, whatever the model says.
+    let detail = blur(&sharp(&f.measured).mapv(|v| v * v), 3.0 * SMOOTH_PX);
+    (sharp(&difference), detail)
 }
 
 /// The smooth part of a frame.

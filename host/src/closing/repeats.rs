@@ -6,7 +6,8 @@
 
 use super::design::Cell;
 use super::model::{Column, Model, Predicted, State, Term};
-use crate::effects::{Chain, Stage};
+use super::observe::Shown;
+use crate::effects::{Chain, Stage, blur_within};
 use crate::linalg::symmetric_eigen;
 use crate::rng::stream;
 use crate::session::Role;
@@ -20,12 +21,31 @@ use rayon::prelude::*;
 pub(super) const FEATURES: usize = 6;
 /// One number for each.
 pub(super) type Features = [f64; FEATURES];
+/// Standard error of what is not known at all.
+const NOTHING: f64 = 1e9;
+/// Blur that is taken off what an unknown specimen does, standard deviation, pixels.
+const SMOOTH_PX: f64 = 4.0;
 /// How often the effect of a column is drawn on a level.
 const DRAWN: u64 = 2;
 
 /// Pairs of repeats of the same light.
 struct Level {
     pairs: Vec<(usize, usize)>,
+    /// Successive frames of an unknown specimen, which may move a little: they tell what rows and columns share, and nothing else.
+    unknown: bool,
+}
+
+impl Level {
+    /// Features of a standardised difference.
+    fn features(&self, d: Array2<f32>) -> Features {
+        if !self.unknown {
+            return features(d);
+        }
+        // What a specimen does from one frame to the next is smooth.
+        let sharp = &d - &blur_within(&d, SMOOTH_PX);
+        let [.., rows, cols] = features(sharp);
+        [0.0, 0.0, 0.0, 0.0, rows, cols]
+    }
 }
 
 /// The cells of the covariance channel: of the pairs that may be fitted, and of those held out. Their frame and block are
@@ -97,6 +117,8 @@ pub(super) fn residuals(model: &Model<'_>, state: &State, now: &[Predicted]) -> 
 fn excess(model: &Model<'_>, state: &State, now: &[Predicted], level: &Level, base: Features) -> (Features, Features) {
     let measured = measured(now, model, level);
     let plain = match state.terms.iter().any(noisy) {
+        // After a blur was taken off, white noise makes something of every feature.
+        _ if level.unknown => [0.0; FEATURES],
         true => noise_features(model, &Chain::default(), level, now),
         false => base,
     };
@@ -143,7 +165,9 @@ fn levels(model: &Model<'_>, held_out: bool) -> Vec<Level> {
         let Some(p) = f.previous else { continue };
         let q = &frames[p];
         let same = f.info.illumination == q.info.illumination && f.info.exposure_ms == q.info.exposure_ms;
-        if !matches!(f.role, Role::Dark | Role::Flat) || !same || f.held_out != held_out || q.held_out != held_out {
+        let unknown = f.shown == Shown::Unknown;
+        let repeats = unknown || matches!(f.role, Role::Dark | Role::Flat);
+        if !repeats || !same || f.held_out != held_out || q.held_out != held_out {
             continue;
         }
         let key = [f.stack as f64, f.info.illumination, f.info.exposure_ms];
@@ -151,7 +175,7 @@ fn levels(model: &Model<'_>, held_out: bool) -> Vec<Level> {
             // Pairs that share a frame are not independent.
             Some((_, level)) if level.pairs.iter().any(|(a, b)| *a == p || *b == p) => {}
             Some((_, level)) => level.pairs.push((p, k)),
-            None => keyed.push((key, Level { pairs: vec![(p, k)] })),
+            None => keyed.push((key, Level { pairs: vec![(p, k)], unknown })),
         }
     }
     keyed.into_iter().map(|(_, l)| l).collect()
@@ -160,14 +184,24 @@ fn levels(model: &Model<'_>, held_out: bool) -> Vec<Level> {
 /// Features of the measured pairs of a level.
 fn measured(now: &[Predicted], model: &Model<'_>, level: &Level) -> Features {
     let frames = &model.seen.frames;
-    let mut sum = [0.0; FEATURES];
-    for (a, b) in &level.pairs {
-        let expected = &now[*b].dn - &now[*a].dn;
-        let mut d = &frames[*b].measured - &frames[*a].measured - expected;
+    let one = |(a, b): &(usize, usize)| {
+        let mut d = &frames[*b].measured - &frames[*a].measured;
+        if !level.unknown {
+            d -= &(&now[*b].dn - &now[*a].dn);
+        }
         d.zip_mut_with(&now[*a].inverse_sigma, |d, w| *d *= w * std::f32::consts::FRAC_1_SQRT_2);
-        sum.iter_mut().zip(features(d)).for_each(|(s, f)| *s += f);
-    }
-    sum.map(|s| s / level.pairs.len() as f64)
+        level.features(d)
+    };
+    let all: Vec<Features> = level.pairs.iter().map(one).collect();
+    std::array::from_fn(|f| {
+        let mut values: Vec<f64> = all.iter().map(|v| v[f]).collect();
+        if level.unknown {
+            // A specimen that jumps, or a frame that was torn on its way, is in two pairs.
+            values.sort_by(f64::total_cmp);
+            return values[values.len() / 2];
+        }
+        values.iter().sum::<f64>() / values.len() as f64
+    })
 }
 
 /// Features of a standardised difference; all are zero on average for white noise of variance one.
@@ -220,6 +254,9 @@ impl Sampling {
                 let mean = level.pairs.first().map_or(0.0, |(a, _)| f64::from(now[*a].light_e.mean().unwrap_or(0.0)));
                 let shot = noise.gain_dn_per_e.powi(2) * mean;
                 let total = shot + read + 1.0 / 12.0;
+                if level.unknown {
+                    return [NOTHING, 0.0, 0.0];
+                }
                 [
                     more(expected[0]) * (2.0 / (rows * cols * level.pairs.len() as f64)).sqrt(),
                     noise.gain_sigma / noise.gain_dn_per_e * shot / total,
@@ -239,7 +276,7 @@ impl Sampling {
         // Of an effect's own draw as well, which is about as long as one pair.
         let sigma = |(level, expected): (&Level, &Features)| {
             let shares = 1.0 / level.pairs.len() as f64;
-            let white = (shares / (rows * cols)).sqrt();
+            let white = if level.unknown { NOTHING } else { (shares / (rows * cols)).sqrt() };
             let lines = |n: f64, v: f64| (2.0 / n * (shares * more(v).powi(2) + v * v / DRAWN as f64)).sqrt();
             [white, white, white, lines(rows, expected[4]), lines(cols, expected[5])]
         };
@@ -273,7 +310,7 @@ fn noise_features(model: &Model<'_>, chain: &Chain, level: &Level, now: &[Predic
         let mut rngs = ["noise features", "reading"].map(|what| stream(0x5eed, what, DRAWN * *a as u64 + i));
         let mut d = noise_dn(model, chain, *a, &now[*a].light_e, &mut rngs);
         d.zip_mut_with(&now[*a].inverse_sigma, |d, w| *d *= w);
-        sum.iter_mut().zip(features(d)).for_each(|(s, f)| *s += f);
+        sum.iter_mut().zip(level.features(d)).for_each(|(s, f)| *s += f);
     }
     sum.map(|s| s / DRAWN as f64)
 }

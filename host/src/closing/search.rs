@@ -94,7 +94,7 @@ pub fn catalogue(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> V
         let d = effect.descriptor();
         let taken = state.terms.iter().any(|t| t.id() == d.id);
         let skip = d.stage == Stage::Record || effect.table().is_some() || d.id.starts_with("unknown");
-        if taken || skip {
+        if taken || skip || model.is_blind() && !effect.is_of_the_grid() {
             continue;
         }
         let mut starts = effect.guess(evidence);
@@ -137,6 +137,9 @@ fn evidence<'c>(model: &'c Model<'_>, fitted: &'c Fitted) -> Evidence<'c> {
 /// The generic terms: operators by weights, and curves over covariates.
 pub fn unknowns(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<Term> {
     let mut terms = Vec::new();
+    if model.is_blind() {
+        return terms;
+    }
     if let Some(effect) = find("unknown_operator") {
         for (operator, weight) in (0..OPERATORS.len()).flat_map(|o| (0..WEIGHTS.len()).map(move |w| (o, w))) {
             // The light of each stack and the black level are nuisances already.

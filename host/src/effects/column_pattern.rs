@@ -50,4 +50,8 @@ impl Effect for ColumnPattern {
         let (sums, weights) = lines(evidence, Axis(1));
         periods(&sums, &weights).into_iter().map(|period| vec![0.0, 0.0, period]).collect()
     }
+
+    fn is_of_the_grid(&self) -> bool {
+        true
+    }
 }

@@ -117,6 +117,10 @@ pub trait Effect: Send + Sync {
     fn needs_previous(&self) -> bool {
         false
     }
+    /// Whether it follows the grid of the pixels, as no specimen does: then even a specimen that nobody knows shows it.
+    fn is_of_the_grid(&self) -> bool {
+        false
+    }
     /// Whether its strengths act on the noise alone, never on the expected frame.
     fn noise_only(&self) -> bool {
         false

@@ -40,4 +40,8 @@ impl Effect for PixelMosaic {
             *v = black + (*v - black) * gain as f32;
         }
     }
+
+    fn is_of_the_grid(&self) -> bool {
+        true
+    }
 }

@@ -41,4 +41,8 @@ impl Effect for RowNoise {
     fn noise_only(&self) -> bool {
         true
     }
+
+    fn is_of_the_grid(&self) -> bool {
+        true
+    }
 }

@@ -40,6 +40,10 @@ impl Effect for RowPattern {
         }
     }
 
+    fn is_of_the_grid(&self) -> bool {
+        true
+    }
+
     fn chances(&self, [rows, _]: [usize; 2], _frames: usize) -> f64 {
         rows as f64 / 2.0
     }
