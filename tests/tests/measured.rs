@@ -72,3 +72,43 @@ fn measured_mosaic_is_found_and_removed() {
     let (before, after) = (amplitude(&frame), amplitude(&corrected));
     assert!(before > 1.5 && after.abs() < 0.03, "{before} {after}");
 }
+
+/// A video of a wireless miniscope whose rows are each read with an offset of their own, new in every frame; a tenth of its frames were torn on
+/// their way. Nobody knows the specimen, but it is nearly the same from one frame to the next.
+#[test]
+fn measured_row_noise_of_a_video_is_named() {
+    use ommatidia_host::closing::close::close;
+    use ommatidia_host::closing::observe::{Budget, Observations};
+    let Some(folder) = measured_data("measured_row_noise_of_a_video_is_named", "miniscope") else { return };
+    let target = tempfile::tempdir().unwrap();
+    std::fs::copy(folder.join("mio_wireless_60x200x200.tif"), target.path().join("scene.tif")).unwrap();
+    let manifest = "format = 1\nname = \"video\"\n\
+        [sensor]\nrows = 200\ncols = 200\npixel_pitch_um = 1.0\nbit_depth = 8\n\
+        [array]\nrows = 1\ncols = 1\npitch_px = 0.0\n\
+        [optics]\nmagnification = 1.0\npsf_window_px = 15\n\
+        [object]\nrows = 200\ncols = 200\npixel_um = 1.0\n\
+        [[stack]]\nrole = \"scene\"\nfile = \"scene.tif\"\nexposure_ms = 1.0\n";
+    std::fs::write(target.path().join("session.toml"), manifest).unwrap();
+    let session = Session::open(target.path()).unwrap();
+    let instrument = calibrate(&session, &CalibrateConfig::default(), || {}).unwrap().instrument;
+    let mut seen = Observations::read(&session, &instrument, &Budget::default()).unwrap();
+    let closed = close(&instrument, &mut seen, "video", 1, |_| ()).unwrap();
+    let first = &closed.account.closing.effects[0];
+    let sigma = first.params[0].value;
+    // By hand: scatter of the rows' means in the difference of two frames, which has twice the variance of one, about the mean of the 17 rows
+    // around each; the middle of all pairs of frames.
+    let mut frames = session.stacks()[0].frames().unwrap();
+    let means: Vec<Vec<f64>> =
+        (0..60).map(|i| frames.read(i).unwrap().outer_iter().map(|r| f64::from(r.mean().unwrap())).collect()).collect();
+    let mut scatter: Vec<f64> = means
+        .windows(2)
+        .map(|w| {
+            let d: Vec<f64> = w[1].iter().zip(&w[0]).map(|(b, a)| b - a).collect();
+            let off = d.windows(17).map(|w| (w[8] - w.iter().sum::<f64>() / 17.0).powi(2));
+            (off.sum::<f64>() / (2.0 * (1.0 - 1.0 / 17.0) * (d.len() - 16) as f64)).sqrt()
+        })
+        .collect();
+    scatter.sort_by(f64::total_cmp);
+    let by_hand = scatter[scatter.len() / 2];
+    assert!(first.id == "row_noise" && (sigma / by_hand - 1.0).abs() < 0.25, "{} {sigma}, by hand {by_hand}", first.id);
+}

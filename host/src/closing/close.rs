@@ -11,8 +11,9 @@ use super::record;
 use super::refit::{Fitted, own_columns, refit};
 use super::result::Closing;
 use super::score::{Scores, Test};
-use super::search::{self, Found, Replicas, Search, Tables, catalogue, nothing, replicas, unknowns};
+use super::search::{self, Found, Replicas, Search, Tables, replicas};
 use super::stats::f_tail;
+use super::trials::{catalogue, nothing, unknowns};
 use crate::effects::EffectError;
 use crate::forward::ForwardError;
 use crate::instrument::Instrument;
@@ -140,7 +141,7 @@ pub fn close_without(
     let mut dependences = omnibus::test(&model, &search.now, &replicas.of(&model, &search.now), seed);
     let mut rest = std::mem::take(&mut search.rest);
     // A name is believed only if nothing without one does better beside it.
-    if structured(&dependences) || !search.found.is_empty() {
+    if (structured(&dependences) || !search.found.is_empty()) && !search.asks_for_calibration() {
         tell("terms without a name");
         search.run(unknowns, Tables::None, &mut tell)?;
         search.run(nothing, Tables::Unnamed, &mut tell)?;

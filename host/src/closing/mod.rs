@@ -23,6 +23,7 @@ pub mod score;
 pub mod search;
 pub mod stats;
 pub mod tables;
+pub mod trials;
 
 #[cfg(test)]
 mod tests;

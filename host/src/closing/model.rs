@@ -1,7 +1,9 @@
 //! The model that is being closed: an instrument, the effects it has so far, and the nuisances of a session.
 
 use super::observe::{Frame, Observations, Shown};
-use crate::effects::{Chain, Effect, EffectError, EffectSetting, FrameContext, Kind, Param, Previous, Stage, find};
+use crate::effects::{
+    Chain, Effect, EffectError, EffectSetting, FrameContext, Kind, Param, Previous, Stage, blur_within, find,
+};
 use crate::forward::{Forward, ForwardError, SceneLight};
 use crate::instrument::Instrument;
 use crate::noise::MapErrors;
@@ -168,6 +170,13 @@ impl<'a> Model<'a> {
     /// Whether nothing is known of any frame's light: a specimen has detail of every kind but that of the pixel grid.
     pub fn is_blind(&self) -> bool {
         self.seen.frames.iter().all(|f| f.shown == Shown::Unknown)
+    }
+
+    /// Whether beads stand in for scenes: then a PSF that varies more than the model lets it is no matter of a few values, but of a new
+    /// calibration (`super::recalibrate`), and whatever would be added beside it would stand for a part of that.
+    pub fn has_beads_alone(&self) -> bool {
+        let shown = |test: fn(&Shown) -> bool| self.seen.frames.iter().any(|f| test(&f.shown));
+        shown(|s| matches!(s, Shown::Bead(..))) && !shown(|s| matches!(s, Shown::Object(_)))
     }
 
     /// Number of lenses.
@@ -484,16 +493,11 @@ fn residual(f: &Frame, expected: &Array2<f32>) -> (Array2<f32>, Array2<f32>) {
     }
     let sharp = |image: &Array2<f32>| image - &smooth(image);
     // The detail of the specimen is no noise; where there is much of it little can be told, whatever the model says.
-    let detail = blur(&sharp(&f.measured).mapv(|v| v * v), 3.0 * SMOOTH_PX);
+    let detail = blur_within(&sharp(&f.measured).mapv(|v| v * v), 3.0 * SMOOTH_PX);
     (sharp(&difference), detail)
 }
 
 /// The smooth part of a frame.
 fn smooth(frame: &Array2<f32>) -> Array2<f32> {
-    blur(frame, SMOOTH_PX)
-}
-
-/// Gaussian blur that keeps an even frame even up to its edges.
-fn blur(frame: &Array2<f32>, sigma_px: f64) -> Array2<f32> {
-    crate::effects::blur_within(frame, sigma_px)
+    blur_within(frame, SMOOTH_PX)
 }

@@ -2,13 +2,13 @@
 
 use super::design::{Design, nuisances};
 use super::model::{Column, Model, State, Term};
+use super::recalibrate::ASKED_BY;
 use super::refit::{Fitted, own_columns, refit, refit_from};
 use super::score::{Scores, Test};
 use super::stats::holm;
 use super::tables::{self, TableFit};
-use crate::effects::{
-    Effect, Evidence, EvidenceFrame, KNOTS, Kind, OPERATORS, Stage, WEIGHTS, find, periods, registry,
-};
+use super::trials::{Trials, evidence};
+use crate::effects::Stage;
 use crate::forward::{ForwardError, SceneLight};
 use crate::instrument::{Instrument, LowRankPsf};
 use crate::session::Role;
@@ -84,130 +84,6 @@ pub struct Found {
     pub ambiguity: Vec<(&'static str, f64)>,
     /// Standard error of the size of its table, where it has one.
     pub table_sigma: Option<f64>,
-}
-
-/// Every effect of the catalogue that the expected frame or the noise can show, at each of its starts.
-pub fn catalogue(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<Term> {
-    let lenses = model.lenses();
-    let mut terms = Vec::new();
-    for effect in registry().iter().copied() {
-        let d = effect.descriptor();
-        let taken = state.terms.iter().any(|t| t.id() == d.id);
-        let skip = d.stage == Stage::Record || effect.table().is_some() || d.id.starts_with("unknown");
-        if taken || skip || model.is_blind() && !effect.is_of_the_grid() {
-            continue;
-        }
-        let mut starts = effect.guess(evidence);
-        if starts.is_empty() {
-            starts = grid(effect, lenses);
-        }
-        terms.extend(starts.into_iter().map(|params| Term { effect, params, table: None, table_error: 0.0 }));
-    }
-    terms
-}
-
-/// The starts that a descriptor lists: every combination of its shapes.
-fn grid(effect: &'static dyn Effect, lenses: usize) -> Vec<Vec<f64>> {
-    let mut starts = vec![Vec::new()];
-    for (_, p) in effect.descriptor().expanded(lenses) {
-        let values: &[f64] = match p.kind {
-            Kind::Shape(tried) if !tried.is_empty() => tried,
-            _ => &[p.off],
-        };
-        starts = starts.iter().flat_map(|s| values.iter().map(move |v| [s.as_slice(), &[*v]].concat())).collect();
-    }
-    starts
-}
-
-/// Residuals of the training frames, for effects that guess.
-fn evidence<'c>(model: &'c Model<'_>, fitted: &'c Fitted) -> Evidence<'c> {
-    let frame = |k: usize| {
-        let here = &fitted.predicted[k];
-        EvidenceFrame {
-            cx: model.context(k, None),
-            residual_dn: here.residual_dn.clone(),
-            light_e: here.light_e.clone(),
-            weight: here.inverse_sigma.mapv(|w| w * w),
-        }
-    };
-    let training = (0..model.seen.frames.len()).filter(|k| !model.seen.frames[*k].held_out);
-    Evidence { frames: training.map(frame).collect() }
-}
-
-/// The generic terms: operators by weights, and curves over covariates.
-pub fn unknowns(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<Term> {
-    let mut terms = Vec::new();
-    if model.is_blind() {
-        return terms;
-    }
-    if let Some(effect) = find("unknown_operator") {
-        for (operator, weight) in (0..OPERATORS.len()).flat_map(|o| (0..WEIGHTS.len()).map(move |w| (o, w))) {
-            // The light of each stack and the black level are nuisances already.
-            if (operator, weight) != (0, 0) {
-                terms.push(Term {
-                    effect,
-                    params: vec![0.0, operator as f64, weight as f64],
-                    table: None,
-                    table_error: 0.0,
-                });
-            }
-        }
-    }
-    if let Some(effect) = find("unknown_profile") {
-        let [rows, cols] = model.seen.sensor.map(|n| n as f64 - 1.0);
-        let lit = evidence.frames.iter().flat_map(|f| f.light_e.iter().copied()).fold(0.0f32, f32::max);
-        let times = evidence.frames.iter().map(|f| f.cx.time_s);
-        let (first, last) = times.fold((f64::MAX, f64::MIN), |r, t| (r.0.min(t), r.1.max(t)));
-        let mut ranges = vec![
-            (0, 0.0, rows),
-            (1, 0.0, cols),
-            (2, 0.0, rows.hypot(cols) / 2.0),
-            (3, 0.0, rows + cols),
-            (4, 0.0, f64::from(lit)),
-        ];
-        if last > first {
-            ranges.push((5, first, last));
-        }
-        if let Some(period) = row_period(evidence) {
-            ranges.push((6, 0.0, period));
-        }
-        // The light of even frames differs from pixel to pixel by a table alone, and that was measured on those frames.
-        if state.terms.iter().any(|t| t.table_error > 0.0) {
-            ranges.retain(|(covariate, ..)| *covariate != 4);
-        }
-        for ((covariate, low, high), additive) in ranges.into_iter().flat_map(|r| [(r, 0.0), (r, 1.0)]) {
-            // Light added by the light itself is the factor once more.
-            if high > low && !(covariate == 4 && additive == 1.0) {
-                let mut params = vec![0.0; KNOTS];
-                params.extend([f64::from(covariate), additive, low, high]);
-                terms.push(Term { effect, params, table: None, table_error: 0.0 });
-            }
-        }
-    }
-    let lenses = model.lenses();
-    let chosen = |t: &Term| -> Vec<f64> {
-        let all = t.expanded(lenses).into_iter().zip(&t.params);
-        all.filter(|((_, p), _)| p.kind == Kind::Choice).map(|(_, v)| *v).collect()
-    };
-    terms.retain(|t| !state.terms.iter().any(|s| s.id() == t.id() && chosen(s) == chosen(t)));
-    terms
-}
-
-/// The period over rows that the residuals of all frames show most of, px.
-fn row_period(evidence: &Evidence<'_>) -> Option<f64> {
-    let rows = evidence.frames.first()?.residual_dn.nrows();
-    let (mut top, mut bottom) = (vec![0.0; rows], vec![0.0; rows]);
-    for f in evidence.frames.iter().filter(|f| f.cx.role != Role::Dark) {
-        for (r, ((residual, light), weight)) in
-            f.residual_dn.outer_iter().zip(f.light_e.outer_iter()).zip(f.weight.outer_iter()).enumerate()
-        {
-            for ((y, e), w) in residual.iter().zip(&light).zip(&weight) {
-                top[r] += f64::from(y * e * w);
-                bottom[r] += f64::from(e * e * w);
-            }
-        }
-    }
-    periods(&top, &bottom).first().copied()
 }
 
 /// The replicates of a calibration before the frames of a session: what each predicts, minus what the calibration does.
@@ -302,9 +178,6 @@ fn with(model: &Model<'_>, state: &State, candidate: &Candidate) -> State {
     next
 }
 
-/// What is tried.
-pub type Trials = fn(&Model<'_>, &State, &Evidence<'_>) -> Vec<Term>;
-
 /// Which effects with a table are tried.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tables {
@@ -314,11 +187,6 @@ pub enum Tables {
     Named,
     /// Those without a name.
     Unnamed,
-}
-
-/// No effects but those with a table.
-pub fn nothing(_: &Model<'_>, _: &State, _: &Evidence<'_>) -> Vec<Term> {
-    Vec::new()
 }
 
 /// A search under way.
@@ -372,10 +240,19 @@ impl<'m, 'a> Search<'m, 'a> {
                     let found = self.describe(&design, taken, &candidates, &it);
                     self.found.push(found);
                     self.now = it.fit;
+                    if self.asks_for_calibration() {
+                        self.rest = candidates;
+                        return Ok(());
+                    }
                 }
                 Verdict::Refused(id) => refused.push(id),
             }
         }
+    }
+
+    /// Whether the next step is a new calibration, not another effect.
+    pub fn asks_for_calibration(&self) -> bool {
+        self.model.has_beads_alone() && self.found.iter().any(|f| f.id == ASKED_BY)
     }
 
     /// Fits the finalists in full and holds the best against what no fit has seen.

@@ -342,16 +342,24 @@ fn misfit(windows: &LensWindows, beads: &[usize], basis: &Array2<f32>, coefficie
     out
 }
 
-/// Splits beads in two halves so that each bead's neighbours are in the other one: a checkerboard on a regular scan, every
-/// second bead in order of position otherwise.
+/// Splits beads in two halves so that each bead's neighbours are in the other one: a checkerboard on a regular scan, every second row of a scan that
+/// is itself the one colour of a checkerboard, every second bead in order of position otherwise.
 pub fn checkerboard(planes: &[Plane], beads: usize) -> Vec<bool> {
     let mut train = vec![true; beads];
     for plane in planes {
         let (rows, cols) = (levels(plane.at_px.column(0)), levels(plane.at_px.column(1)));
         let count = |levels: &[usize]| levels.iter().max().map_or(0, |m| m + 1);
         let regular = count(&rows) * count(&cols) <= 2 * plane.beads.len();
+        let even = |i: &usize| (rows[*i] + cols[*i]).is_multiple_of(2);
+        let n = plane.beads.len();
+        let white = (0..n).filter(even).count();
+        let one_colour = 4 * white.min(n - white) < n;
         for (i, bead) in plane.beads.iter().enumerate() {
-            train[*bead] = if regular { (rows[i] + cols[i]).is_multiple_of(2) } else { i.is_multiple_of(2) };
+            train[*bead] = match (regular, one_colour) {
+                (true, false) => even(&i),
+                (true, true) => rows[i].is_multiple_of(2),
+                (false, _) => i.is_multiple_of(2),
+            };
         }
     }
     train
@@ -381,6 +389,15 @@ mod tests {
             assert!(i % 5 == 4 || train[i] != train[i + 1]);
             assert!(i >= 15 || train[i] != train[i + 5]);
         }
+    }
+
+    #[test]
+    fn one_colour_of_a_checkerboard_is_divided_by_rows() {
+        let places: Vec<(usize, usize)> =
+            (0..49).map(|i| (i / 7, i % 7)).filter(|(r, c)| (r + c).is_multiple_of(2)).collect();
+        let at_px = Array2::from_shape_fn((places.len(), 2), |(i, a)| [places[i].0, places[i].1][a] as f64 * 9.1);
+        let train = checkerboard(&[Plane { z_um: 0.0, beads: (0..places.len()).collect(), at_px }], places.len());
+        assert!(places.iter().zip(&train).all(|((r, _), t)| *t == r.is_multiple_of(2)));
     }
 
     #[test]

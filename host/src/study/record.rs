@@ -47,11 +47,12 @@ pub struct HeldOut {
 }
 
 impl HeldOut {
-    /// Share of the explainable excess that was removed. None: there is none beyond five of its standard errors.
+    /// Share of the explainable excess that was removed. None: there is none beyond five of its standard errors; the difference d of two
+    /// chi-squareds of the same frames has an error of 2 sqrt(d).
     pub fn explained(&self) -> Option<f64> {
         let excess = self.before - self.truth?;
-        let error = (2.0 / self.pixels.max(1) as f64).sqrt();
-        (excess > 5.0 * error).then(|| (self.before - self.after) / excess)
+        let fall = excess.max(0.0) * self.pixels as f64;
+        (fall > 5.0 * 2.0 * fall.sqrt()).then(|| (self.before - self.after) / excess)
     }
 }
 
