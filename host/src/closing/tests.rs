@@ -28,7 +28,9 @@ fn term(id: &str, values: &[(&str, f64)], lenses: usize) -> Term {
 /// Six scenes, 20 ms apart, as the instrument with `terms` draws them.
 fn observations(instrument: &Instrument, terms: &[Term]) -> Observations {
     let object = |k: usize| {
-        Array2::from_shape_fn((20, 22), |(r, c)| ((r * 31 + c * 17 + k * 53) % 29 == 0) as u8 as f32 * (3.0 + k as f32))
+        Array2::from_shape_fn((20, 22), |(r, c)| {
+            if (r * 31 + c * 17 + k * 53).is_multiple_of(29) { 3.0 + k as f32 } else { 0.0 }
+        })
     };
     let frame = |k: usize| Frame {
         stack: 0,
@@ -117,7 +119,7 @@ fn a_factor_common_to_all_lenses_is_light() {
     let scenes = model.scenes(&model.chain(&state.terms)).unwrap();
     let before = model.predict(&state, &scenes);
     let state = model.gauged(state);
-    assert!(state.terms[0].params.iter().any(|v| *v == 0.0) && state.scale[0] != 1.0);
+    assert!(state.terms[0].params.contains(&0.0) && state.scale[0] != 1.0);
     for (a, b) in before.iter().zip(model.predict(&state, &scenes)) {
         assert!(a.dn.iter().zip(&b.dn).all(|(a, b)| (a - b).abs() < 1e-3 * a.abs()));
     }

@@ -394,7 +394,7 @@ mod tests {
     #[test]
     fn one_colour_of_a_checkerboard_is_divided_by_rows() {
         let places: Vec<(usize, usize)> =
-            (0..49).map(|i| (i / 7, i % 7)).filter(|(r, c)| (r + c).is_multiple_of(2)).collect();
+            (0..49usize).map(|i| (i / 7, i % 7)).filter(|(r, c)| (r + c).is_multiple_of(2)).collect();
         let at_px = Array2::from_shape_fn((places.len(), 2), |(i, a)| [places[i].0, places[i].1][a] as f64 * 9.1);
         let train = checkerboard(&[Plane { z_um: 0.0, beads: (0..places.len()).collect(), at_px }], places.len());
         assert!(places.iter().zip(&train).all(|((r, _), t)| *t == r.is_multiple_of(2)));
