@@ -2,15 +2,12 @@
 
 use super::{Outcome, Run};
 use crate::artifact::{Provenance, file_hash};
-use crate::dataset::{DataSet, PLAN_FILE, SimulateConfig};
+use crate::dataset::{DataSet, PLAN_FILE};
 use crate::instrument::Instrument;
 use crate::train::{Body, Checkpoint, Next, Preset, SensorMaps, Simulated, Start, Task, TrainConfig, Trainer, weights};
 use anyhow::Context;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-
-/// Pairs that an instrument can show when no data set is made first: each is made when it is asked for.
-const PAIRS: usize = 100_000;
 
 /// Steps that are timed to turn minutes into steps.
 const TIMED: u64 = 8;
@@ -69,11 +66,10 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         return train(args, run, task, peak_e, ("dataset", &args.input.join(PLAN_FILE)));
     }
     let instrument = Instrument::read(&args.input)?;
-    let config = SimulateConfig { count: PAIRS, ..SimulateConfig::default() };
-    let source = Simulated::new(config.build(&instrument, &args.input, run.seed)?);
+    let source = Simulated::of(&instrument, &args.input, run.seed)?;
     let plan = source.plan();
     let (network, peak_e) = (args.preset.network(plan.frame, plan.object), plan.peak_e);
-    let task = Task { source: &source, network, noise: plan.noise, maps: maps(&instrument)? };
+    let task = Task { source: &source, network, noise: plan.noise, maps: SensorMaps::of(&instrument)? };
     train(args, run, task, peak_e, ("instrument", &args.input))
 }
 
@@ -88,12 +84,7 @@ fn maps_for(path: &Path, frame: [usize; 2]) -> anyhow::Result<SensorMaps> {
         sensor[0],
         sensor[1]
     );
-    maps(&instrument)
-}
-
-pub(super) fn maps(instrument: &Instrument) -> anyhow::Result<SensorMaps> {
-    let tables = instrument.sensor_tables()?;
-    Ok(SensorMaps { offset_dn: tables.offset_dn, inverse_gain: tables.inverse_response })
+    Ok(SensorMaps::of(&instrument)?)
 }
 
 fn train(

@@ -1,11 +1,12 @@
 //! What is told of a state: each effect in numbers and words, what was not found and how large it could be, what would tell lookalikes apart.
 
-use super::model::{Model, State, Term};
+use super::model::Model;
 use super::record::{Fault, FaultKind};
 use super::refit::Fitted;
 use super::result::{Effect, Rejected, Value};
 use super::score::Test;
 use super::search::{Candidate, Found};
+use super::state::{State, Term};
 use crate::effects::{COVARIATES, KNOTS, OPERATORS, Stage, WEIGHTS, find, registry};
 
 /// What was found, faults of the records first; `own` effects were in the instrument before.

@@ -1,9 +1,11 @@
 //! Residuals of the scenes summed in bins of a covariate.
 
 use super::covariate::Covariate;
-use super::model::{Model, Predicted};
+use super::model::Model;
+use super::state::Predicted;
 use crate::effects::blur_within;
 use ndarray::Array2;
+use std::ops::Range;
 
 /// Bins of a covariate that has no bins of its own.
 const BINS: usize = 24;
@@ -128,44 +130,40 @@ impl Bins {
         Some(Self { covariate, of, at })
     }
 
-    /// Sums of one cell by bin, and how many pixels they are of.
+    /// Puts each residual of one cell into its bin.
     fn cell(
         &self,
         model: &Model<'_>,
         residual: &[Vec<f32>],
         f: usize,
-        span: std::ops::Range<usize>,
-        sum: &mut [f64],
-        n: &mut [f64],
+        span: Range<usize>,
+        put: &mut impl FnMut(usize, f32),
     ) {
         if self.covariate.is_product() {
-            self.products(model, residual, f, span, sum, n);
+            let mut product = |lag: usize, a: f32, b: f32| {
+                if a != 0.0 && b != 0.0 {
+                    put(lag, a * b);
+                }
+            };
+            self.products(model, residual, f, span, &mut product);
             return;
         }
         for (b, r) in self.of[f][span.clone()].iter().zip(&residual[f][span]) {
             if *b != NONE && *r != 0.0 {
-                sum[*b as usize] += f64::from(*r);
-                n[*b as usize] += 1.0;
+                put(*b as usize, *r);
             }
         }
     }
 
-    /// Products of residuals: of neighbours, or of the same pixel in the next frame.
+    /// Pairs of residuals, by lag: of neighbours, or of the same pixel in the next frame.
     fn products(
         &self,
         model: &Model<'_>,
         residual: &[Vec<f32>],
         f: usize,
-        span: std::ops::Range<usize>,
-        sum: &mut [f64],
-        n: &mut [f64],
+        span: Range<usize>,
+        put: &mut impl FnMut(usize, f32, f32),
     ) {
-        let mut put = |i: usize, a: f32, b: f32| {
-            if a != 0.0 && b != 0.0 {
-                sum[i] += f64::from(a * b);
-                n[i] += 1.0;
-            }
-        };
         if self.covariate == Covariate::NextFrame {
             if let Some(next) = residual.get(f + 1) {
                 span.for_each(|i| put(0, residual[f][i], next[i]));
@@ -194,7 +192,10 @@ impl Bins {
         for f in 0..frames.len() {
             for span in &model.seen.blocks {
                 let (mut sum, mut n) = (vec![0.0; bins], vec![0.0; bins]);
-                self.cell(model, residual, f, span.clone(), &mut sum, &mut n);
+                self.cell(model, residual, f, span.clone(), &mut |b, v| {
+                    sum[b] += f64::from(v);
+                    n[b] += 1.0;
+                });
                 for b in 0..bins {
                     total[b] += sum[b];
                     // At least what white noise makes of it.

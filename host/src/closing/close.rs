@@ -4,16 +4,17 @@ use super::account::{effects, fault, rejected};
 use super::design::{Design, nuisances};
 use super::figures::{figures, judged, pictured};
 use super::file::Account;
-use super::model::{Column, Model, State, Term};
+use super::model::Model;
 use super::observe::{Observations, Shown};
 use super::omnibus::{self, Dependence};
 use super::record;
 use super::refit::{Fitted, own_columns, refit};
 use super::result::Closing;
 use super::score::{Scores, Test};
-use super::search::{self, Found, Replicas, Search, Tables, replicas};
+use super::search::{self, Found, Replicas, Search, replicas};
+use super::state::{Column, State, Term};
 use super::stats::f_tail;
-use super::trials::{catalogue, nothing, unknowns};
+use super::trials::Tried;
 use crate::effects::EffectError;
 use crate::forward::ForwardError;
 use crate::instrument::Instrument;
@@ -137,14 +138,14 @@ pub fn close_without(
     tell("catalogue");
     let mut search = Search::new(&model, &replicas, first);
     search.exclude = exclude.to_vec();
-    search.run(catalogue, Tables::Named, &mut tell)?;
+    search.run(Tried::Catalogue, &mut tell)?;
     let mut dependences = omnibus::test(&model, &search.now, &replicas.of(&model, &search.now), seed);
     let mut rest = std::mem::take(&mut search.rest);
     // A name is believed only if nothing without one does better beside it.
     if (structured(&dependences) || !search.found.is_empty()) && !search.asks_for_calibration() {
         tell("terms without a name");
-        search.run(unknowns, Tables::None, &mut tell)?;
-        search.run(nothing, Tables::Unnamed, &mut tell)?;
+        search.run(Tried::Curves, &mut tell)?;
+        search.run(Tried::Maps, &mut tell)?;
         dependences = omnibus::test(&model, &search.now, &replicas.of(&model, &search.now), seed);
     }
     tell("pruning");
@@ -237,7 +238,7 @@ fn held_out_blocks(seen: &Observations) -> [usize; 2] {
 
 /// Whether any omnibus test passes, and matters.
 pub fn structured(dependences: &[Dependence]) -> bool {
-    let matters = |d: &&Dependence| d.size == 0.0 || d.size > SIZE;
+    let matters = |d: &&Dependence| d.size.is_none_or(|size| size > SIZE);
     let mut passes =
         dependences.iter().filter(|d| d.p * (dependences.len() as f64) < OMNIBUS).filter(matters).peekable();
     let any = passes.peek().is_some();

@@ -109,9 +109,9 @@ pub struct Dependence {
     pub mean: Vec<f64>,
     /// Standard deviation of that mean if the model is right: the null band.
     pub band: Vec<f64>,
-    /// How much it matters: the part of a pixel's variance of noise that it makes, its error taken off. 0 where it is not of single pixels.
-    #[serde(default)]
-    pub size: f64,
+    /// How much it matters: the part of a pixel's variance of noise that it makes, its error taken off. None: it is not of single pixels.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub size: Option<f64>,
     /// Sum of squares over the bins against its error.
     pub chi2: f64,
     /// Its mean over draws of the model.

@@ -3,8 +3,9 @@
 //! A cell is one frame by one spatial block. For each cell the Gram matrix of all columns, of the calibration's replicates and of
 //! the residual is kept, so that hold-outs, clusters and bootstraps are sums over cells and never another pass over the frames.
 
-use super::model::{Column, Model, Predicted, State, Term};
+use super::model::Model;
 use super::observe::Shown;
+use super::state::{Column, Predicted, State, Term};
 use crate::forward::{ForwardError, SceneLight};
 use crate::session::Role;
 use ndarray::{Array2, s};

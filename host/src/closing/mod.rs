@@ -21,6 +21,7 @@ pub mod result;
 pub mod retrain;
 pub mod score;
 pub mod search;
+pub mod state;
 pub mod stats;
 pub mod tables;
 pub mod trials;

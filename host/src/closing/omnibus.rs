@@ -6,10 +6,11 @@
 
 use super::bins::{Bins, Statistic};
 pub use super::covariate::{Covariate, Dependence};
-use super::model::{Model, Predicted, State};
+use super::model::Model;
 use super::observe::Shown;
 use super::refit::Fitted;
 use super::repeats;
+use super::state::{Predicted, State};
 use super::stats::{chi2_tail, sigmas, two_sided};
 use super::tables;
 use crate::effects::TableUse;
@@ -45,7 +46,7 @@ fn on_pixels(shared: [Option<f64>; 2]) -> Option<Dependence> {
         covariate: Covariate::FixedPattern,
         at: (0..mean.len()).map(|i| i as f64).collect(),
         band: vec![1.0; mean.len()],
-        size: 0.0,
+        size: None,
         chi2: mean.iter().map(|v| v * v).sum(),
         mean,
         expected: n,
@@ -72,7 +73,7 @@ fn on_repeats(levels: Vec<repeats::Features>) -> Option<Dependence> {
         covariate: Covariate::Repeats,
         at: (0..mean.len()).map(|i| i as f64).collect(),
         band: vec![1.0 / n.sqrt(); mean.len()],
-        size: 0.0,
+        size: None,
         mean,
         chi2,
         expected: dof,
@@ -163,13 +164,10 @@ fn judge(bins: &Bins, mut s: Statistic, null: &[&Statistic]) -> Dependence {
         s.chi2 = square(&s) / (1.0 + 1.0 / n);
         s.mean.iter_mut().zip(&middle).for_each(|(m, middle)| *m -= middle);
     }
-    let size = match bins.covariate.is_product() {
-        true => 0.0,
-        false => {
-            let excess = s.mean.iter().zip(&band).map(|(m, b)| m * m - b * b);
-            (excess.sum::<f64>() / s.mean.len().max(1) as f64).max(0.0)
-        }
-    };
+    let size = (!bins.covariate.is_product()).then(|| {
+        let excess = s.mean.iter().zip(&band).map(|(m, b)| m * m - b * b);
+        (excess.sum::<f64>() / s.mean.len().max(1) as f64).max(0.0)
+    });
     let expected = squares.iter().sum::<f64>() / n;
     let variance = squares.iter().map(|v| (v - expected).powi(2)).sum::<f64>() / (n - 1.0);
     // A scaled chi-squared of the same mean and variance.

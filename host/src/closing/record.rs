@@ -1,8 +1,9 @@
 //! Metadata faults: what the session says of a frame and should not. They are looked for first, since they wreck every fit, and they
 //! are the commonest "mystery residual" of all.
 
-use super::model::{Model, State};
+use super::model::Model;
 use super::observe::{Observations, Shown};
+use super::state::State;
 use crate::evaluate::Moments;
 use crate::forward::ForwardError;
 use ndarray::{Array2, Axis};

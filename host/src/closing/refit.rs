@@ -3,8 +3,9 @@
 //! Levenberg's damped Gauss-Newton on the cells that may be fitted, with the variance of the model at the current state.
 
 use super::design::{Design, Misfit, nuisances};
-use super::model::{Column, Model, Predicted, State};
+use super::model::Model;
 use super::score::pseudo_inverse;
+use super::state::{Column, Predicted, State};
 use crate::effects::{Kind, Stage};
 use crate::forward::{ForwardError, SceneLight};
 use ndarray::{Array1, Array2};

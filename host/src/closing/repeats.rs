@@ -5,8 +5,9 @@
 //! what an effect does to it is found by drawing the same noise with and without the effect.
 
 use super::design::Cell;
-use super::model::{Column, Model, Predicted, State, Term};
+use super::model::Model;
 use super::observe::Shown;
+use super::state::{Column, Predicted, State, Term};
 use crate::effects::{Chain, Stage, blur_within};
 use crate::linalg::symmetric_eigen;
 use crate::rng::stream;

@@ -2,7 +2,6 @@
 //! has seen.
 
 use crate::artifact::Provenance;
-use crate::dataset::SimulateConfig;
 use crate::evaluate::{Case, Source, judge};
 use crate::instrument::Instrument;
 use crate::methods::FloatNetwork;
@@ -12,8 +11,6 @@ use anyhow::{Context, ensure};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// Pairs that are drawn from while fine-tuning; each is made when it is asked for.
-const PAIRS: usize = 100_000;
 /// Fine-tuning starts near a good place: the highest learning rates over those of the first training.
 const GENTLE: f64 = 0.3;
 
@@ -51,11 +48,9 @@ pub fn retrain(
     let stack = stack.context("--retrain: expected scenes with truth to judge by, found none")?;
     ensure!(!held_out.is_empty(), "--retrain: expected held-out scenes to judge by, found none");
     let before = Checkpoint::read(checkpoint)?;
-    let config = SimulateConfig { count: PAIRS, ..SimulateConfig::default() };
-    let source = Simulated::new(config.build(closed, file, seed)?);
+    let source = Simulated::of(closed, file, seed)?;
     let plan = source.plan();
-    let tables = closed.sensor_tables()?;
-    let maps = SensorMaps { offset_dn: tables.offset_dn, inverse_gain: tables.inverse_response };
+    let maps = SensorMaps::of(closed)?;
     let mut training = before.body.training.clone().with_steps(steps);
     training.peak_e = plan.peak_e;
     training.seed = seed;

@@ -48,8 +48,6 @@ pub struct Scores<'d> {
     given: Vec<usize>,
     /// (Z'Z)^-1.
     inverse: Array2<f64>,
-    /// Estimates of the nuisances alone.
-    nu_hat: Array1<f64>,
     /// Sums by cluster: spatial blocks over frames, and frames over blocks.
     clusters: [Vec<Array2<f64>>; 2],
 }
@@ -60,9 +58,6 @@ impl<'d> Scores<'d> {
         let sums = design.training();
         let z = sums.gram.select(ndarray::Axis(0), &given).select(ndarray::Axis(1), &given);
         let inverse = pseudo_inverse(&z);
-        let r = design.residual();
-        let zr = Array1::from_iter(given.iter().map(|i| sums.gram[[*i, r]]));
-        let nu_hat = inverse.dot(&zr);
         let by = |key: &dyn Fn(&super::design::Cell) -> usize| {
             let mut keys: Vec<usize> = design.cells.iter().filter(|c| !c.held_out).map(key).collect();
             keys.sort_unstable();
@@ -71,19 +66,7 @@ impl<'d> Scores<'d> {
             keys.into_iter().map(sum).collect::<Vec<_>>()
         };
         let clusters = [by(&|c| c.block), by(&|c| c.frame)];
-        Self { design, sums, given, inverse, nu_hat, clusters }
-    }
-
-    /// chi-squared and pixels of the fitted cells with the nuisances at their best.
-    pub fn chi2(&self) -> (f64, usize) {
-        let r = self.design.residual();
-        let zr: f64 = self.given.iter().zip(&self.nu_hat).map(|(i, v)| v * self.sums.gram[[*i, r]]).sum();
-        (self.sums.gram[[r, r]] - zr, self.sums.pixels)
-    }
-
-    /// Estimates of what is taken out.
-    pub fn given_estimates(&self) -> &Array1<f64> {
-        &self.nu_hat
+        Self { design, sums, given, inverse, clusters }
     }
 
     /// Rows of a Gram matrix with the nuisances taken out: (columns or replicates) by (columns, replicates, residual).
@@ -187,30 +170,6 @@ impl<'d> Scores<'d> {
         let inverse = pseudo_inverse(&self.projected(&self.sums.gram, other, other));
         if own > 0.0 { (cross.dot(&inverse.dot(&cross)) / own).clamp(0.0, 1.0) } else { 0.0 }
     }
-
-    /// Fall of chi-squared on the held-out cells that `take`s, when `columns` are fitted beside the given ones: everything from the
-    /// fitted cells, nothing from the held-out ones. Also the pixels.
-    pub fn held_out_gain(&self, columns: &[usize], take: impl Fn(&super::design::Cell) -> bool) -> (f64, usize) {
-        let out = self.design.sums(|c| c.held_out && take(c));
-        let r = self.design.residual();
-        let all: Vec<usize> = self.given.iter().chain(columns).copied().collect();
-        let gram = Array2::from_shape_fn((all.len(), all.len()), |(i, j)| self.sums.gram[[all[i], all[j]]]);
-        let right = Array1::from_iter(all.iter().map(|i| self.sums.gram[[*i, r]]));
-        let with = pseudo_inverse(&gram).dot(&right);
-        let mut without = Array1::zeros(all.len());
-        without.slice_mut(ndarray::s![..self.given.len()]).assign(&self.nu_hat);
-        let chi2 = |beta: &Array1<f64>| {
-            let mut sum = out.gram[[r, r]];
-            for (i, a) in all.iter().enumerate() {
-                sum -= 2.0 * beta[i] * out.gram[[*a, r]];
-                for (j, b) in all.iter().enumerate() {
-                    sum += beta[i] * beta[j] * out.gram[[*a, *b]];
-                }
-            }
-            sum
-        };
-        (chi2(&without) - chi2(&with), out.pixels)
-    }
 }
 
 /// Standard deviations that a statistic of `dof` degrees of freedom stands for; for tails beyond all tables by their asymptote.
@@ -235,7 +194,7 @@ pub fn pseudo_inverse(a: &Array2<f64>) -> Array2<f64> {
 #[allow(clippy::unwrap_used)]
 mod tests {
     use super::super::design::Cell;
-    use super::super::model::Column;
+    use super::super::state::Column;
     use super::*;
     use crate::rng::stream;
     use rand_distr::{Distribution, StandardNormal};
@@ -294,16 +253,13 @@ mod tests {
     }
 
     #[test]
-    fn lookalikes_overlap_and_held_out_cells_gain() {
+    fn lookalikes_overlap_and_a_nuisance_tells_nothing() {
         let design = made_up(0.2, 5);
         let scores = Scores::new(&design, vec![0]);
         let t = scores.test(&[1]).unwrap();
         // 11 sigma by the noise; fewer are told, since seven frames say little of the scatter between frames.
         assert!(t.z > 4.0 && t.gain > 60.0, "{t:?}");
         assert!((scores.overlap(&[1], &t.theta, &[2]) - 0.64).abs() < 0.05);
-        // 450 held-out pixels at (0.2 / 1)^2 each.
-        let (gain, pixels) = scores.held_out_gain(&[1], |_| true);
-        assert!(pixels == 450 && (gain - 18.0).abs() < 12.0, "{gain}");
         // A column that is the nuisance itself tells nothing.
         assert!(scores.test(&[0]).is_none());
     }

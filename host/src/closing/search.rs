@@ -1,13 +1,14 @@
 //! The search: score every effect of the catalogue, refit the best, accept on held-out data, until nothing is left.
 
 use super::design::{Design, nuisances};
-use super::model::{Column, Model, State, Term};
+use super::model::Model;
 use super::recalibrate::ASKED_BY;
 use super::refit::{Fitted, own_columns, refit, refit_from};
 use super::score::{Scores, Test};
+use super::state::{Column, State, Term};
 use super::stats::holm;
 use super::tables::{self, TableFit};
-use super::trials::{Trials, evidence};
+use super::trials::{Tried, evidence};
 use crate::effects::Stage;
 use crate::forward::{ForwardError, SceneLight};
 use crate::instrument::{Instrument, LowRankPsf};
@@ -178,17 +179,6 @@ fn with(model: &Model<'_>, state: &State, candidate: &Candidate) -> State {
     next
 }
 
-/// Which effects with a table are tried.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Tables {
-    /// None.
-    None,
-    /// Those of the catalogue.
-    Named,
-    /// Those without a name.
-    Unnamed,
-}
-
 /// A search under way.
 pub struct Search<'m, 'a> {
     model: &'m Model<'a>,
@@ -209,20 +199,19 @@ impl<'m, 'a> Search<'m, 'a> {
         Self { model, replicas, now, found: Vec::new(), rest: Vec::new(), exclude: Vec::new() }
     }
 
-    /// Adds one effect after another, as long as the scores, the full fit and the held-out data agree; effects that need a table are tried
-    /// beside the `trials`.
+    /// Adds one effect after another, as long as the scores, the full fit and the held-out data agree.
     ///
     /// # Errors
     /// An object is no light.
-    pub fn run(&mut self, trials: Trials, tables: Tables, tell: &mut impl FnMut(&str)) -> Result<(), ForwardError> {
+    pub fn run(&mut self, tried: Tried, tell: &mut impl FnMut(&str)) -> Result<(), ForwardError> {
         let mut refused: Vec<&'static str> = Vec::new();
         loop {
-            let mut terms = trials(self.model, &self.now.state, &evidence(self.model, &self.now));
+            let mut terms = tried.terms(self.model, &self.now.state, &evidence(self.model, &self.now));
             let excluded = |id: &str| self.exclude.iter().any(|e| e == id);
             terms.retain(|t| !excluded(t.id()));
             let of_frames = self.replicas.of(self.model, &self.now);
             let (design, taken, mut candidates) = score(self.model, &self.now, &of_frames, &terms)?;
-            candidates.extend(tabled(self.model, &self.now, tables).into_iter().filter(|c| !excluded(c.term.id())));
+            candidates.extend(tabled(self.model, &self.now, tried).into_iter().filter(|c| !excluded(c.term.id())));
             candidates.sort_by(|a, b| b.worth().total_cmp(&a.worth()));
             log(&candidates);
             let p: Vec<f64> = candidates.iter().map(Candidate::p).collect();
@@ -360,10 +349,10 @@ fn finalists<'c>(able: &[&'c Candidate]) -> Vec<&'c Candidate> {
 }
 
 /// Effects with a table, as candidates.
-fn tabled(model: &Model<'_>, now: &Fitted, which: Tables) -> Vec<Candidate> {
-    let fits = match which {
-        Tables::None => Vec::new(),
-        Tables::Named | Tables::Unnamed => tables::fit(model, &now.state, &now.predicted, which == Tables::Named),
+fn tabled(model: &Model<'_>, now: &Fitted, tried: Tried) -> Vec<Candidate> {
+    let fits = match tried {
+        Tried::Curves => Vec::new(),
+        Tried::Catalogue | Tried::Maps => tables::fit(model, &now.state, &now.predicted, tried == Tried::Catalogue),
     };
     let candidate =
         |t: TableFit| Candidate { term: t.term.clone(), columns: Vec::new(), test: None, chances: 1.0, table: Some(t) };

@@ -3,7 +3,8 @@
 //! Two halves of the frames give two independent estimates of each value; what they share is real, whatever the noise model says.
 //! Even light has no specimen in it, so that no error of the optics enters.
 
-use super::model::{Model, Predicted, State, Term};
+use super::model::Model;
+use super::state::{Predicted, State, Term};
 use super::stats::two_sided;
 use crate::effects::{TableGroup, TableUse, blur_within, registry};
 use crate::session::Role;

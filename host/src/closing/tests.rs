@@ -4,10 +4,11 @@
 #![allow(clippy::unwrap_used)]
 
 use super::design::nuisances;
-use super::model::{Column, Model, Term};
+use super::model::Model;
 use super::observe::{Frame, Observations, Shown};
 use super::refit::{own_columns, refit};
 use super::score::Scores;
+use super::state::{Column, Term};
 use crate::effects::{Kind, find};
 use crate::instrument::Instrument;
 use crate::instrument::fixture::instrument;
@@ -56,7 +57,7 @@ fn observations(instrument: &Instrument, terms: &[Term]) -> Observations {
         state.terms = terms.to_vec();
         let scenes = model.scenes(&model.chain(terms)).unwrap();
         let predicted = model.predict(&state, &scenes);
-        let draw = |(k, p): (usize, &super::model::Predicted)| {
+        let draw = |(k, p): (usize, &super::state::Predicted)| {
             let mut rng = stream(3, "closing/tests", k as u64);
             let mut dn = p.dn.clone();
             dn.zip_mut_with(&p.light_e, |v, e| {

@@ -1,22 +1,37 @@
 //! What the search tries: the effects of the catalogue at their starts, and terms without a name.
 
-use super::model::{Model, State, Term};
+use super::model::Model;
 use super::refit::Fitted;
+use super::state::{State, Term};
 use crate::effects::{
     Effect, Evidence, EvidenceFrame, KNOTS, Kind, OPERATORS, Stage, WEIGHTS, find, periods, registry,
 };
 use crate::session::Role;
 
 /// What is tried.
-pub type Trials = fn(&Model<'_>, &State, &Evidence<'_>) -> Vec<Term>;
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tried {
+    /// The effects of the catalogue.
+    Catalogue,
+    /// Operators and curves without a name.
+    Curves,
+    /// Maps of the sensor without a name.
+    Maps,
+}
 
-/// No effects but those with a table.
-pub fn nothing(_: &Model<'_>, _: &State, _: &Evidence<'_>) -> Vec<Term> {
-    Vec::new()
+impl Tried {
+    /// The terms, at their starts; those that are measured as a table are not among them.
+    pub(super) fn terms(self, model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<Term> {
+        match self {
+            Self::Catalogue => catalogue(model, state, evidence),
+            Self::Curves => unknowns(model, state, evidence),
+            Self::Maps => Vec::new(),
+        }
+    }
 }
 
 /// Every effect of the catalogue that the expected frame or the noise can show, at each of its starts.
-pub fn catalogue(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<Term> {
+fn catalogue(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<Term> {
     let lenses = model.lenses();
     let mut terms = Vec::new();
     for effect in registry().iter().copied() {
@@ -64,7 +79,7 @@ pub(super) fn evidence<'c>(model: &'c Model<'_>, fitted: &'c Fitted) -> Evidence
 }
 
 /// The generic terms: operators by weights, and curves over covariates.
-pub fn unknowns(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<Term> {
+fn unknowns(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<Term> {
     let mut terms = Vec::new();
     if model.is_blind() {
         return terms;

@@ -74,7 +74,7 @@ pub(super) fn changed(light: f32, change: f32) -> f32 {
     if light < 0.0 { after } else { after.max(0.0) }
 }
 
-/// Blur of variances (row, col, covariance), px^2, in explicit steps of second differences; light stays, and stays positive.
+/// Blur of variances (row, col, covariance), px^2, in explicit steps of second differences; no light is lost, and none of it falls below zero.
 pub(super) fn second_differences(image: &mut Array2<f32>, [row, col, cov]: [f64; 3]) {
     let steps = ((row.abs() + col.abs() + 2.0 * cov.abs()) / 0.5).ceil().max(1.0);
     let part = |v: f64| (v / steps) as f32;

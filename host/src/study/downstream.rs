@@ -7,7 +7,6 @@ use super::subject::Subject;
 use crate::artifact::Provenance;
 use crate::bench::VirtualInstrument;
 use crate::closing::retrain::{Retrained, retrain};
-use crate::dataset::SimulateConfig;
 use crate::effects::EffectSetting;
 use crate::instrument::Instrument;
 use crate::train::{Next, Preset, SensorMaps, Simulated, Task, Trainer};
@@ -18,8 +17,6 @@ use std::path::Path;
 const STEPS: u64 = 3000;
 /// Steps of fine-tuning.
 const FINE_STEPS: u64 = 1000;
-/// Pairs that are drawn from; each is made when it is asked for.
-const PAIRS: usize = 100_000;
 
 /// Mean PSNR of reconstructions of scenes that no training has seen, dB.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -37,11 +34,9 @@ pub struct Reconstruction {
 /// # Errors
 /// The instrument's parts disagree, or the file cannot be written.
 pub fn train(instrument: &Instrument, file: &Path, seed: u64, output: &Path) -> anyhow::Result<()> {
-    let config = SimulateConfig { count: PAIRS, ..SimulateConfig::default() };
-    let source = Simulated::new(config.build(instrument, file, seed)?);
+    let source = Simulated::of(instrument, file, seed)?;
     let plan = source.plan();
-    let tables = instrument.sensor_tables()?;
-    let maps = SensorMaps { offset_dn: tables.offset_dn, inverse_gain: tables.inverse_response };
+    let maps = SensorMaps::of(instrument)?;
     let network = Preset::Nano.network(plan.frame, plan.object);
     let mut training = Preset::Nano.training(plan.noise.full_scale_e(), seed).with_steps(STEPS);
     training.peak_e = plan.peak_e;

@@ -44,7 +44,8 @@ fn head(out: &mut String, size: &Size, planned: usize, s: &Summary) -> std::fmt:
         out,
         "# How far the loop can be trusted\n\n\
          Written by `ommatidia study`: {} of {planned} planned sessions of the virtual instrument, {} instruments of 3 x 3 lenses on 98 x 98 pixels, each\n\
-         calibrated once from a session of its own (bead scan at three depths, darks, flats). A session to close has 8 scenes of known\n\
+         calibrated once from a session of its own (bead scan at three depths, darks, flats); empty sessions take them in turn, each round of\n\
+         all other sessions has one. A session to close has 8 scenes of known\n\
          objects, 12 flats at three levels and two exposures, 8 darks at two exposures. The bench computes its frames by physical optics\n\
          and knows nothing of the model. Whatever is put into a session is not declared anywhere.\n\n\
          **1 sigma** of an effect is the sensitivity of such a session: the standard error that `close` tells for the effect's first\n\

@@ -4,6 +4,8 @@ use super::adam::{Adam, MeanNorms};
 use super::{NetworkConfig, TrainConfig, TrainError, weights};
 use crate::artifact::{self, ArtifactError, Header, Provenance, Tensors};
 use crate::evaluate::Case;
+use crate::forward::ForwardError;
+use crate::instrument::Instrument;
 use crate::noise::NoiseModel;
 use ndarray::{Array2, Array3, ArrayView2, Axis, Ix3};
 use serde::{Deserialize, Serialize};
@@ -68,6 +70,15 @@ pub struct SensorMaps {
 }
 
 impl SensorMaps {
+    /// Those of an instrument with its effects.
+    ///
+    /// # Errors
+    /// The parts of the instrument disagree.
+    pub fn of(instrument: &Instrument) -> Result<Self, ForwardError> {
+        let tables = instrument.sensor_tables()?;
+        Ok(Self { offset_dn: tables.offset_dn, inverse_gain: tables.inverse_response })
+    }
+
     /// Corrects light above black, DN, in C order: `(light - offset) * inverse_gain`.
     pub fn correct(&self, light_dn: &mut [f32]) {
         if let Some(offset) = &self.offset_dn {

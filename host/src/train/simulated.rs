@@ -1,7 +1,12 @@
 //! Pairs from data sets on disk, and pairs that are simulated when they are asked for.
 
 use super::source::{Pair, PairSource};
-use crate::dataset::{DataSet, DataSetPlan, Simulation};
+use crate::dataset::{DataSet, DataSetError, DataSetPlan, SimulateConfig, Simulation};
+use crate::instrument::Instrument;
+use std::path::Path;
+
+/// Pairs that an instrument can show when no data set is made first.
+const PAIRS: usize = 100_000;
 
 impl PairSource for DataSet {
     fn len(&self) -> usize {
@@ -21,6 +26,15 @@ pub struct Simulated {
 }
 
 impl Simulated {
+    /// As many pairs of an instrument (the file of which is named) as any training asks for, each made when it is asked for.
+    ///
+    /// # Errors
+    /// The file cannot be read, or its noise not be planned with.
+    pub fn of(instrument: &Instrument, file: &Path, seed: u64) -> Result<Self, DataSetError> {
+        let config = SimulateConfig { count: PAIRS, ..SimulateConfig::default() };
+        Ok(Self::new(config.build(instrument, file, seed)?))
+    }
+
     /// The pairs of a plan.
     pub fn new(simulation: Simulation) -> Self {
         Self { simulation }

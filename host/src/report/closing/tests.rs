@@ -36,7 +36,7 @@ fn dependence(covariate: Covariate, bins: usize, size: f64) -> Dependence {
         at,
         mean,
         band: vec![0.01; bins],
-        size: size * size,
+        size: Some(size * size),
         chi2: 50.0,
         expected: bins as f64,
         p,
