@@ -4,11 +4,13 @@ use crate::log::info;
 use embedded_hal::digital::OutputPin;
 use embedded_io::{Read, Write};
 use half::f16;
-use ommatidia_shared::device::{Arenas, Device, End, Footprint, Line, Monitor, RamFrame, RamObject, RamStore, serve};
+use ommatidia_shared::device::{Arenas, Device, End, Footprint, Line, Monitor, RamFrame, RamObject, Watchdog, serve};
+use ommatidia_shared::flash::MappedFlash;
+use ommatidia_shared::wire::StartCause;
 
 /// The parts of a board.
 #[derive(Debug)]
-pub struct Parts<'m, L, P> {
+pub struct Parts<'m, L, P, F, W> {
     /// Name that the host prints.
     pub name: &'static str,
     /// Serial line to the host.
@@ -17,10 +19,18 @@ pub struct Parts<'m, L, P> {
     pub line: &'m mut Line,
     /// Pin or LED that is high while a reconstruction is computed.
     pub trigger: P,
+    /// Resets the board when the program hangs.
+    pub watchdog: W,
+    /// Why the program was started.
+    pub started_by: StartCause,
     /// What the program takes of the memory.
     pub footprint: fn() -> Footprint,
-    /// Where the network file goes; begins at a multiple of [`ommatidia_shared::blob::ALIGN`].
-    pub blob: &'m mut [u8],
+    /// Cycles of the core so far, where they are counted; they wrap.
+    pub cycles: fn() -> Option<u32>,
+    /// Temperature in hundredths of a degree Celsius, where there is a sensor.
+    pub temperature_cdeg: fn() -> Option<i16>,
+    /// Where the network files are kept.
+    pub flash: F,
     /// Where the raw frame goes.
     pub frame: &'m mut [u16],
     /// Where the reconstruction goes.
@@ -33,38 +43,65 @@ pub struct Parts<'m, L, P> {
 ///
 /// # Errors
 /// Those of the line.
-pub fn run<L: Read + Write, P: OutputPin>(parts: Parts<'_, L, P>) -> Result<End, L::Error> {
-    let Parts { name, mut link, line, trigger, footprint, blob, frame, object, arenas } = parts;
+pub fn run<L: Read + Write, P: OutputPin, F: MappedFlash, W: Watchdog>(
+    parts: Parts<'_, L, P, F, W>,
+) -> Result<End, L::Error> {
+    let Parts { name, mut link, line, trigger, mut watchdog, started_by, footprint, cycles, temperature_cdeg, .. } =
+        parts;
+    watchdog.start();
     info!("{} is listening", name);
-    let monitor = Pins { trigger, footprint };
-    let (store, source, sink) = (RamStore::new(blob), RamFrame::new(frame), RamObject::new(object));
-    let end = serve(&mut link, line, &mut Device::new(name, store, source, sink, arenas, monitor));
+    let monitor = Board { trigger, watchdog, started_by, footprint, cycles, temperature_cdeg, began: None };
+    let (source, sink) = (RamFrame::new(parts.frame), RamObject::new(parts.object));
+    let end = serve(&mut link, line, &mut Device::new(name, parts.flash, source, sink, parts.arenas, monitor));
     info!("the host has left");
     end
 }
 
-/// Trigger pin and instruction markers.
-struct Pins<P> {
+/// Trigger pin, watchdog, counters and instruction markers.
+struct Board<P, W> {
     trigger: P,
+    watchdog: W,
+    started_by: StartCause,
     footprint: fn() -> Footprint,
+    cycles: fn() -> Option<u32>,
+    temperature_cdeg: fn() -> Option<i16>,
+    /// Cycles when the run began.
+    began: Option<u32>,
 }
 
-impl<P: OutputPin> Monitor for Pins<P> {
+impl<P: OutputPin, W: Watchdog> Monitor for Board<P, W> {
+    fn alive(&mut self) {
+        self.watchdog.feed();
+    }
+
     fn run_begins(&mut self) {
         info!("run");
+        self.watchdog.feed();
         // A pin that fails costs the trigger, not the reconstruction.
         let _ = self.trigger.set_high();
+        self.began = (self.cycles)();
         region_begins();
     }
 
-    fn run_ends(&mut self) {
+    fn run_ends(&mut self) -> Option<u32> {
         region_ends();
+        let cycles = (self.cycles)().zip(self.began).map(|(now, began)| now.wrapping_sub(began));
         let _ = self.trigger.set_low();
+        self.watchdog.feed();
         info!("done");
+        cycles
     }
 
     fn footprint(&self) -> Footprint {
         (self.footprint)()
+    }
+
+    fn temperature_cdeg(&mut self) -> Option<i16> {
+        (self.temperature_cdeg)()
+    }
+
+    fn start_cause(&self) -> StartCause {
+        self.started_by
     }
 }
 

@@ -10,6 +10,7 @@ pub mod blob;
 pub mod device;
 pub mod fft;
 pub mod filter;
+pub mod flash;
 pub mod image;
 pub mod nn;
 pub mod num;

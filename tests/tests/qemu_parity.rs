@@ -24,7 +24,7 @@ fn firmware() -> Option<Firmware> {
 fn check(shape: &Shape, seed: u64) -> Option<DeviceRun> {
     let firmware = firmware()?;
     let (blob, frames) = (networks::network(shape, seed), networks::frames(shape, 2, seed));
-    let device = run(&Runtime::Qemu(firmware), &blob, &frames, &mut |_| {}).unwrap();
+    let device = run(&Runtime::Qemu(firmware), &blob, &frames, None, &mut |_| {}).unwrap();
     assert_eq!(device.board, "mps2-an500");
     assert_eq!(device.objects.len(), 2);
     assert_eq!(device.differing_bits, 0);
@@ -87,7 +87,7 @@ fn counts_repeat_exactly() {
 fn the_logic_in_this_process_agrees_bit_for_bit() {
     for (shape, seed) in [(&DENSE, 5), (&TAPPED, 6), (&THIN, 7)] {
         let (blob, frames) = (networks::network(shape, seed), networks::frames(shape, 2, seed));
-        let device = run(&Runtime::Host(LoopbackConfig::default()), &blob, &frames, &mut |_| {}).unwrap();
+        let device = run(&Runtime::Host(LoopbackConfig::default()), &blob, &frames, None, &mut |_| {}).unwrap();
         assert_eq!((device.board.as_str(), device.differing_bits), ("host", 0));
     }
 }

@@ -142,14 +142,15 @@ fn a_damaged_network_is_refused_and_the_device_lives_on() {
 
 #[test]
 fn what_does_not_fit_is_refused_before_it_is_sent() {
-    let config = LoopbackConfig { blob_bytes: 1000, ..LoopbackConfig::default() };
+    // Two slots of a mark and a sector each, and two sectors for the starts.
+    let config = LoopbackConfig { flash_bytes: 6 * 4096, ..LoopbackConfig::default() };
     let (mut client, info) = Client::connect(Loopback::start(config).unwrap()).unwrap();
-    assert_eq!(info.blob_bytes, 1008);
+    assert_eq!(info.blob_bytes, 4096);
     let blob = networks::network(&DENSE, 1);
     let needed = blob.bytes().len() as u32;
     assert_eq!(
         refusal(client.send_blob(blob.bytes(), &mut |_| {})),
-        Refusal::NoRoom { what: Transfer::Blob, needed, available: 1008 }
+        Refusal::NoRoom { what: Transfer::Blob, needed, available: 4096 }
     );
 }
 

@@ -42,7 +42,7 @@ fn main() -> ! {
     let mut bench = Bench {
         fast: parts.arenas.fast,
         bulk: parts.arenas.bulk,
-        weights: bytemuck::cast_slice_mut(parts.blob),
+        weights: bytemuck::cast_slice_mut(parts.flash.into_memory()),
         frame: parts.frame,
         object: parts.object,
     };

@@ -1,16 +1,21 @@
 //! `device`: the firmware under QEMU, or its logic in this process.
 
+mod flash;
+mod status;
+mod target;
+
 use super::{Outcome, Run};
 use crate::artifact::write_whole;
 use crate::blob::{BlobFile, raw_codes};
-use crate::device::{DeviceRun, Firmware, Runtime, Wanted, count_operators, run as run_device, table};
+use crate::device::{DeviceRun, Firmware, count_operators, run as run_device, table};
 use crate::session::stack;
 use anyhow::Context;
-use clap::{Subcommand, ValueEnum};
+use clap::Subcommand;
 use ndarray::{Array3, Axis};
 use ommatidia_shared::blob::Size;
 use serde_json::json;
 use std::path::PathBuf;
+use target::Target;
 
 /// Options of `device`.
 #[derive(Debug, clap::Args)]
@@ -24,6 +29,12 @@ enum Action {
     /// Send a network and frames to the device, get reconstructions back, compare every bit with this machine's
     #[command(after_help = "Example:\n  ommatidia device run --with network.omm --frames frames.npy -o objects.npy")]
     Run(RunArgs),
+    /// Put a network into the flash of the device: into the slot that does not run, checked, committed, asked for
+    #[command(after_help = "Example:\n  ommatidia device flash --with network.omm --state board.flash")]
+    Flash(flash::Args),
+    /// Ask the device how it is: starts, slots, faults, dropped frames
+    #[command(after_help = "Example:\n  ommatidia device status --state board.flash")]
+    Status(status::Args),
     /// Count the instructions of each operator on the emulated Cortex-M7
     #[command(after_help = "Example:\n  ommatidia device bench -o docs/instructions.md")]
     Bench(BenchArgs),
@@ -53,31 +64,8 @@ struct RunArgs {
     /// Use the first N frames only
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     first: Option<u32>,
-    /// The board
-    #[arg(long, value_enum, default_value_t = Board::Mps2An500)]
-    board: Board,
-    /// Firmware image for the board (default: build it)
-    #[arg(long, value_name = "ELF")]
-    firmware: Option<PathBuf>,
-    /// What runs the firmware
-    #[arg(long, value_enum, default_value_t = On::Auto)]
-    on: On,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum Board {
-    /// Cortex-M7, ARM MPS2 with FPGA image AN500
-    Mps2An500,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum On {
-    /// QEMU if it and the firmware can be had, else this machine
-    Auto,
-    /// QEMU
-    Qemu,
-    /// The firmware's logic on this machine
-    Host,
+    #[command(flatten)]
+    target: Target,
 }
 
 /// Runs the verb.
@@ -87,6 +75,8 @@ enum On {
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     match &args.action {
         Action::Run(args) => run_network(args, run),
+        Action::Flash(args) => flash::run(args, run),
+        Action::Status(args) => status::run(args, run),
         Action::Bench(args) => count(args),
     }
 }
@@ -102,7 +92,6 @@ fn count(args: &BenchArgs) -> anyhow::Result<Outcome> {
 }
 
 fn run_network(args: &RunArgs, run: &Run) -> anyhow::Result<Outcome> {
-    let Board::Mps2An500 = args.board;
     let blob = BlobFile::read(&args.with)?;
     let header = blob.network()?.header;
     let stack = stack::read(&args.frames)?;
@@ -113,17 +102,10 @@ fn run_network(args: &RunArgs, run: &Run) -> anyhow::Result<Outcome> {
         .enumerate()
         .map(|(i, frame)| raw_codes(&header, frame).with_context(|| format!("{}: frame {i}", args.frames.display())))
         .collect::<anyhow::Result<Vec<_>>>()?;
-    let wanted = match args.on {
-        On::Auto => Wanted::Best,
-        On::Qemu => Wanted::Qemu,
-        On::Host => Wanted::Host,
-    };
-    let (runtime, fallback) = Runtime::choose(wanted, args.firmware.as_deref())?;
-    if let (Some(why), false) = (&fallback, run.quiet) {
-        eprintln!("note: the firmware's logic runs on this machine, not on the emulated board: {why}");
-    }
+    let runtime = args.target.runtime(run)?;
+    let state = args.target.state.as_deref();
     let bar = run.progress(1000, "device");
-    let device = run_device(&runtime, &blob, &frames, &mut |part| bar.set_position((1000.0 * part) as u64))?;
+    let device = run_device(&runtime, &blob, &frames, state, &mut |part| bar.set_position((1000.0 * part) as u64))?;
     bar.finish_and_clear();
     if let Some(output) = &args.output {
         stack::write(output, objects(&device, header.object)?.view())?;

@@ -5,7 +5,7 @@ use half::f16;
 use ommatidia_shared::wire::frame::decode;
 use ommatidia_shared::wire::{
     CHUNK, Deframer, Info, MAX_PACKET, Packet, Reply, Request, RunReport, SCHEMA_KEY, Telemetry, Transfer, VERSION,
-    encode,
+    checksum, encode,
 };
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -37,6 +37,8 @@ pub struct Client<T> {
     long: Patience,
     /// Bytes received and not yet looked at.
     pending: VecDeque<u8>,
+    /// Checksum of the frame that was sent last.
+    frame_crc: u32,
 }
 
 impl<T: Transport> Client<T> {
@@ -54,13 +56,26 @@ impl<T: Transport> Client<T> {
     /// The device is silent or speaks another version.
     pub fn connect_with(line: T, short: Patience, long: Patience) -> Result<(Self, Info), DeviceError> {
         let deframer = Box::new(Deframer::new());
-        let mut client = Self { line, seq: 0, deframer, short, long, pending: VecDeque::new() };
+        let mut client = Self { line, seq: 0, deframer, short, long, pending: VecDeque::new(), frame_crc: 0 };
+        let info = client.hello()?;
+        Ok((client, info))
+    }
+
+    /// Begins the conversation anew, after the device or the line was away.
+    ///
+    /// # Errors
+    /// The device is silent or speaks another version.
+    pub fn hello(&mut self) -> Result<Info, DeviceError> {
         let hello = Request::Hello { version: VERSION, schema: SCHEMA_KEY };
-        let info = client.ask(hello, short, |reply| match reply {
+        self.ask(hello, self.short, |reply| match reply {
             Reply::Hello(info) => Some(info),
             _ => None,
-        })?;
-        Ok((client, info))
+        })
+    }
+
+    /// The line, for tests that count what it did.
+    pub fn line(&self) -> &T {
+        &self.line
     }
 
     /// The line.
@@ -83,24 +98,27 @@ impl<T: Transport> Client<T> {
     /// The device refuses it or falls silent.
     pub fn send_frame(&mut self, codes: &[u16]) -> Result<(), DeviceError> {
         let bytes: Vec<u8> = codes.iter().flat_map(|code| code.to_le_bytes()).collect();
+        self.frame_crc = checksum(&bytes);
         self.transfer(Transfer::Frame, &bytes, &mut |_| {})
     }
 
     /// Has the frame reconstructed as run `id`.
     ///
     /// # Errors
-    /// The device refuses or falls silent.
+    /// The device refuses, falls silent, or reconstructed another frame than the last that was sent.
     pub fn reconstruct(&mut self, id: u32) -> Result<RunReport, DeviceError> {
-        self.ask(Request::Run { id }, self.long, |reply| match reply {
+        let report = self.ask(Request::Run { id }, self.long, |reply| match reply {
             Reply::Ran(report) => Some(report),
             _ => None,
-        })
+        })?;
+        same(report.frame_crc, self.frame_crc, "frame", id)?;
+        Ok(report)
     }
 
     /// Fetches the reconstruction of a run.
     ///
     /// # Errors
-    /// The device refuses or falls silent.
+    /// The device refuses or falls silent, or its bytes are not those that it computed.
     pub fn fetch(&mut self, report: &RunReport) -> Result<Vec<f16>, DeviceError> {
         let total = report.len as usize;
         let mut bytes = Vec::with_capacity(total);
@@ -113,6 +131,7 @@ impl<T: Transport> Client<T> {
             })?;
             bytes.extend(chunk);
         }
+        same(report.object_crc, checksum(&bytes), "reconstruction", report.id)?;
         Ok(bytes.as_chunks().0.iter().map(|half| f16::from_le_bytes(*half)).collect())
     }
 
@@ -207,6 +226,11 @@ impl<T: Transport> Client<T> {
             self.pending.extend(&buffer[..count]);
         }
     }
+}
+
+/// Two ends of a transfer agree.
+fn same(expected: u32, found: u32, what: &'static str, id: u32) -> Result<(), DeviceError> {
+    if expected == found { Ok(()) } else { Err(DeviceError::Damaged { what, id, expected, found }) }
 }
 
 fn done(reply: Reply<'_>) -> Option<()> {

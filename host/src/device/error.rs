@@ -2,7 +2,7 @@
 
 use crate::blob::BlobFileError;
 use ommatidia_shared::pipeline::PipelineError;
-use ommatidia_shared::wire::Refusal;
+use ommatidia_shared::wire::{Refusal, SlotReport};
 use std::path::PathBuf;
 use thiserror::Error;
 
@@ -62,6 +62,24 @@ pub enum DeviceError {
         request: String,
         /// What came.
         found: String,
+    },
+    /// Bytes changed on the way in spite of the checksums of their packets.
+    #[error("{what} {id}: expected CRC {expected:08x}, found {found:08x}; it is not used")]
+    Damaged {
+        /// Frame or reconstruction.
+        what: &'static str,
+        /// Its number.
+        id: u32,
+        /// Checksum at the end that it comes from.
+        expected: u32,
+        /// Checksum at the other end.
+        found: u32,
+    },
+    /// The network that runs is not the one that was sent.
+    #[error("the device runs {found:?} after the network was committed; send it again")]
+    NotCommitted {
+        /// The slot that runs.
+        found: Option<SlotReport>,
     },
     /// The device refuses.
     #[error("the device refuses: {0}")]

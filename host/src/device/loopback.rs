@@ -3,8 +3,12 @@
 use super::{DeviceError, Transport};
 use embedded_io::{ErrorType, Read, Write};
 use half::f16;
-use ommatidia_shared::device::{Arenas, Device, Line, RamFrame, RamObject, RamStore, Silent, serve};
+use ommatidia_shared::device::{Arenas, Device, Line, RamFrame, RamObject, Silent, serve};
+use ommatidia_shared::flash::RamFlash;
 use std::convert::Infallible;
+use std::fs::OpenOptions;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -12,8 +16,8 @@ use std::time::Duration;
 /// Memory of the device that is played.
 #[derive(Clone, Copy, Debug)]
 pub struct LoopbackConfig {
-    /// Room for the network file, bytes.
-    pub blob_bytes: usize,
+    /// Flash with two slots for network files, bytes.
+    pub flash_bytes: usize,
     /// Room for the raw frame, pixels.
     pub frame_px: usize,
     /// Room for the reconstruction, pixels.
@@ -28,7 +32,7 @@ impl Default for LoopbackConfig {
     /// The default board's memory.
     fn default() -> Self {
         Self {
-            blob_bytes: 4 << 20,
+            flash_bytes: 6 << 20,
             frame_px: 512 << 10,
             object_px: 512 << 10,
             fast_bytes: 512 << 10,
@@ -52,10 +56,18 @@ impl Loopback {
     /// # Errors
     /// The thread cannot be started.
     pub fn start(config: LoopbackConfig) -> Result<Self, DeviceError> {
+        Self::start_on(config, None)
+    }
+
+    /// Starts it with the flash that `state` holds, which is written back when the program ends.
+    ///
+    /// # Errors
+    /// The thread cannot be started.
+    pub fn start_on(config: LoopbackConfig, state: Option<PathBuf>) -> Result<Self, DeviceError> {
         let (to, inbox) = channel();
         let (outbox, from) = channel();
         let link = Link { inbox, outbox, pending: Vec::new() };
-        let thread = std::thread::Builder::new().name("device".into()).spawn(move || play(config, link))?;
+        let thread = std::thread::Builder::new().name("device".into()).spawn(move || play(config, link, state))?;
         Ok(Self { to: Some(to), from, pending: Vec::new(), thread: Some(thread) })
     }
 }
@@ -70,8 +82,12 @@ impl Drop for Loopback {
     }
 }
 
-fn play(config: LoopbackConfig, mut link: Link) {
-    let mut blob = vec![0u128; config.blob_bytes.div_ceil(16)];
+fn play(config: LoopbackConfig, mut link: Link, state: Option<PathBuf>) {
+    let mut flash = vec![0u128; config.flash_bytes.div_ceil(16)];
+    let flash: &mut [u8] = &mut bytemuck::cast_slice_mut(&mut flash)[..config.flash_bytes];
+    if let Some(bytes) = state.as_ref().and_then(|state| std::fs::read(state).ok()) {
+        flash.iter_mut().zip(bytes).for_each(|(to, from)| *to = from);
+    }
     let mut frame = vec![0u16; config.frame_px];
     let mut object = vec![f16::ZERO; config.object_px];
     let mut fast = vec![0f32; config.fast_bytes / size_of::<f32>()];
@@ -79,7 +95,7 @@ fn play(config: LoopbackConfig, mut link: Link) {
     let mut line = Box::new(Line::new());
     let mut device = Device::new(
         "host",
-        RamStore::new(bytemuck::cast_slice_mut(&mut blob)),
+        RamFlash::new(&mut *flash),
         RamFrame::new(&mut frame),
         RamObject::new(&mut object),
         Arenas { fast: &mut fast, bulk: &mut bulk },
@@ -89,6 +105,16 @@ fn play(config: LoopbackConfig, mut link: Link) {
         Ok(_) => {}
         Err(never) => match never {},
     }
+    if let Some(state) = state
+        && let Err(error) = keep(&state, flash)
+    {
+        tracing::error!("{}: the flash cannot be kept: {error}", state.display());
+    }
+}
+
+/// Writes the flash to the start of its file. What stands behind it, the rest of an emulated board's memory, stays.
+fn keep(state: &Path, flash: &[u8]) -> std::io::Result<()> {
+    OpenOptions::new().create(true).truncate(false).write(true).open(state)?.write_all(flash)
 }
 
 /// The device's end.

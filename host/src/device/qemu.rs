@@ -1,15 +1,17 @@
 //! The firmware under QEMU, over its emulated serial line.
 
 use super::{Counter, DeviceError, Firmware, Transport};
-use std::fs::File;
+use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Read, Seek};
 use std::net::UdpSocket;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 /// The machine that is emulated.
 const MACHINE: &str = "mps2-an500";
+/// Its memory that can stand in a file; the firmware's flash is the first part of it.
+const MEMORY_BYTES: u64 = 16 << 20;
 /// QEMU sends each byte of the UART as a datagram. So many bytes, with what the packet adds, stay below the 270 datagrams that
 /// the receive buffer of a Linux socket holds.
 const ANSWER_LEN: usize = 160;
@@ -34,16 +36,23 @@ pub struct Qemu {
 }
 
 impl Qemu {
-    /// Starts the firmware, with an instruction counter if there is one.
+    /// Starts the firmware, with an instruction counter if there is one. The board's flash is the file `state`, made if it is
+    /// missing: what is in it stays when the emulation ends, however it ends.
     ///
     /// # Errors
-    /// QEMU is missing or cannot be started.
-    pub fn start(firmware: &Firmware, counter: Option<&Counter>) -> Result<Self, DeviceError> {
+    /// QEMU is missing or cannot be started, or the file cannot be made.
+    pub fn start(firmware: &Firmware, counter: Option<&Counter>, state: Option<&Path>) -> Result<Self, DeviceError> {
         let program = find_qemu().ok_or(DeviceError::NoQemu)?;
         let (socket, serial) = open_line()?;
         let output = tempfile::tempfile()?;
         let mut command = Command::new(&program);
         command.args(["-M", MACHINE, "-display", "none", "-monitor", "none"]);
+        if let Some(state) = state {
+            OpenOptions::new().create(true).truncate(false).write(true).open(state)?.set_len(MEMORY_BYTES)?;
+            let memory =
+                format!("memory-backend-file,id=memory,size={MEMORY_BYTES},share=on,mem-path={}", state.display());
+            command.args(["-object", &memory, "-machine", "memory-backend=memory"]);
+        }
         command.args(["-chardev", &serial, "-serial", "chardev:line"]);
         // The multiplexer's escape character: one that no byte equals.
         command.args(["-echr", "0x100", "-semihosting-config", "enable=on,target=native"]);

@@ -1,10 +1,11 @@
 //! A network and frames to the device, reconstructions back, compared bit by bit with this machine's.
 
-use super::{Client, Counter, DeviceError, Loopback, Qemu, Runtime, Transport};
+use super::{Client, Counter, DeviceError, Runtime, Transport, flash};
 use crate::blob::BlobFile;
 use half::f16;
 use ommatidia_shared::pipeline::{Memory, Pipeline};
 use ommatidia_shared::wire::{RunReport, Telemetry};
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 /// What came back.
@@ -42,7 +43,7 @@ impl DeviceRun {
     }
 }
 
-/// Runs `frames` (codes, row by row) through the network on the device; `progress` hears what part of the way is done.
+/// Runs `frames` (codes, row by row) through the network on the device, whose flash is kept in the file `state`; `progress` hears what part of the way is done.
 ///
 /// # Errors
 /// The device cannot be started, refuses, or falls silent.
@@ -50,27 +51,19 @@ pub fn run(
     runtime: &Runtime,
     blob: &BlobFile,
     frames: &[Vec<u16>],
+    state: Option<&Path>,
     progress: &mut dyn FnMut(f64),
 ) -> Result<DeviceRun, DeviceError> {
-    match runtime {
-        Runtime::Host(config) => {
-            let (_, run) = converse(Loopback::start(*config)?, blob, frames, progress)?;
-            Ok(run)
+    let counter = match runtime {
+        Runtime::Host(_) => None,
+        Runtime::Qemu(_) => {
+            Counter::build().inspect_err(|error| tracing::warn!("instructions are not counted: {error}")).ok()
         }
-        Runtime::Qemu(firmware) => {
-            let counter = match Counter::build() {
-                Ok(counter) => Some(counter),
-                Err(error) => {
-                    tracing::warn!("instructions are not counted: {error}");
-                    None
-                }
-            };
-            let (qemu, mut run) = converse(Qemu::start(firmware, counter.as_ref())?, blob, frames, progress)?;
-            qemu.wait()?;
-            run.instructions = counter.map(|counter| counter.regions()).transpose()?;
-            Ok(run)
-        }
-    }
+    };
+    let (line, mut run) = converse(runtime.start(counter.as_ref(), state)?, blob, frames, progress)?;
+    line.wait()?;
+    run.instructions = counter.map(|counter| counter.regions()).transpose()?;
+    Ok(run)
 }
 
 /// The whole conversation; gives the line back once the program was asked to end.
@@ -85,7 +78,9 @@ fn converse<T: Transport>(
     let frame_bytes: usize = frames.iter().map(|frame| 2 * frame.len()).sum();
     let total = (blob.bytes().len() + frame_bytes) as f64;
     let start = Instant::now();
-    client.send_blob(blob.bytes(), &mut |bytes| progress(bytes as f64 / total))?;
+    if !flash::runs(&client.telemetry()?, blob) {
+        client.send_blob(blob.bytes(), &mut |bytes| progress(bytes as f64 / total))?;
+    }
     let upload = start.elapsed();
     let (mut objects, mut reports) = (Vec::new(), Vec::new());
     let mut sent = blob.bytes().len();

@@ -1,7 +1,8 @@
 //! What runs the device's program, and the choice of it.
 
-use super::{DeviceError, Firmware, LoopbackConfig, find_qemu};
+use super::{Counter, DeviceError, Firmware, Loopback, LoopbackConfig, Qemu, Transport, find_qemu};
 use std::path::Path;
+use std::time::Duration;
 
 /// What runs the device's program.
 #[derive(Clone, Debug)]
@@ -45,6 +46,62 @@ impl Runtime {
                 Ok((here, Some(why.to_string())))
             }
             Err(why) => Err(why),
+        }
+    }
+
+    /// Starts the device. Its flash is kept in the file `state`; without one it is empty at the start and lost at the end.
+    ///
+    /// # Errors
+    /// It cannot be started.
+    pub fn start(&self, counter: Option<&Counter>, state: Option<&Path>) -> Result<Running, DeviceError> {
+        match self {
+            Self::Qemu(firmware) => Qemu::start(firmware, counter, state).map(Running::Qemu),
+            Self::Host(config) => Loopback::start_on(*config, state.map(Path::to_path_buf)).map(Running::Host),
+        }
+    }
+}
+
+/// A device that runs, and the line to it.
+#[derive(Debug)]
+pub enum Running {
+    /// An emulated board.
+    Qemu(Qemu),
+    /// This process.
+    Host(Loopback),
+}
+
+impl Running {
+    /// Waits for a program that was asked to end.
+    ///
+    /// # Errors
+    /// It does not end, or ends with a failure.
+    pub fn wait(self) -> Result<(), DeviceError> {
+        match self {
+            Self::Qemu(qemu) => qemu.wait(),
+            Self::Host(_) => Ok(()),
+        }
+    }
+}
+
+impl Transport for Running {
+    fn send(&mut self, bytes: &[u8]) -> Result<(), DeviceError> {
+        match self {
+            Self::Qemu(line) => line.send(bytes),
+            Self::Host(line) => line.send(bytes),
+        }
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], patience: Duration) -> Result<usize, DeviceError> {
+        match self {
+            Self::Qemu(line) => line.receive(buffer, patience),
+            Self::Host(line) => line.receive(buffer, patience),
+        }
+    }
+
+    fn answer_len(&self) -> usize {
+        match self {
+            Self::Qemu(line) => line.answer_len(),
+            Self::Host(line) => line.answer_len(),
         }
     }
 }

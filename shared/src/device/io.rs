@@ -1,5 +1,6 @@
-//! Where a board puts its storage, its camera and its pins; and the versions that live in memory.
+//! Where a board puts its camera, its pins and its sensors; and the versions that live in memory.
 
+use crate::wire::StartCause;
 use core::fmt;
 use half::f16;
 
@@ -27,24 +28,6 @@ impl fmt::Display for IoError {
 }
 
 impl core::error::Error for IoError {}
-
-/// Where the network file lies: memory, or flash that is read in place.
-pub trait BlobStore {
-    /// Room, bytes.
-    fn capacity(&self) -> usize;
-    /// Forgets what is there and makes ready for `len` bytes; flash is erased here.
-    ///
-    /// # Errors
-    /// There is no such room.
-    fn begin(&mut self, len: usize) -> Result<(), IoError>;
-    /// Writes bytes at `offset`. They follow those written before, or repeat the last of them.
-    ///
-    /// # Errors
-    /// The bytes go past the length given to `begin`, or the hardware failed.
-    fn write(&mut self, offset: usize, bytes: &[u8]) -> Result<(), IoError>;
-    /// The file: as many bytes as were announced, from a multiple of [`crate::blob::ALIGN`].
-    fn bytes(&self) -> &[u8];
-}
 
 /// Where raw frames come from: the host, or a camera.
 pub trait FrameSource {
@@ -96,14 +79,28 @@ pub struct Footprint {
     pub stack_bytes: u32,
 }
 
-/// The board's view of the program: pins and counters.
+/// Resets the board unless it is fed in time. (`embedded-hal` 1.0 has no such trait.)
+pub trait Watchdog {
+    /// Begins to count.
+    fn start(&mut self);
+    /// The program is alive: count anew.
+    fn feed(&mut self);
+}
+
+/// The board's view of the program: pins, counters, sensors.
 pub trait Monitor {
+    /// A request was handled: feed the watchdog.
+    fn alive(&mut self);
     /// A reconstruction begins: raise the trigger pin.
     fn run_begins(&mut self);
-    /// It has ended: lower the pin.
-    fn run_ends(&mut self);
+    /// It has ended: lower the pin. Gives the cycles of the core since it began, where they are counted.
+    fn run_ends(&mut self) -> Option<u32>;
     /// What the program takes.
     fn footprint(&self) -> Footprint;
+    /// Temperature in hundredths of a degree Celsius, where there is a sensor.
+    fn temperature_cdeg(&mut self) -> Option<i16>;
+    /// Why the program was started.
+    fn start_cause(&self) -> StartCause;
 }
 
 /// No board.
@@ -111,43 +108,19 @@ pub trait Monitor {
 pub struct Silent;
 
 impl Monitor for Silent {
+    fn alive(&mut self) {}
     fn run_begins(&mut self) {}
-    fn run_ends(&mut self) {}
+    fn run_ends(&mut self) -> Option<u32> {
+        None
+    }
     fn footprint(&self) -> Footprint {
         Footprint::default()
     }
-}
-
-/// A network file in memory.
-#[derive(Debug)]
-pub struct RamStore<'m> {
-    memory: &'m mut [u8],
-    len: usize,
-}
-
-impl<'m> RamStore<'m> {
-    /// Puts files into `memory`, which begins at a multiple of [`crate::blob::ALIGN`].
-    pub fn new(memory: &'m mut [u8]) -> Self {
-        Self { memory, len: 0 }
+    fn temperature_cdeg(&mut self) -> Option<i16> {
+        None
     }
-}
-
-impl BlobStore for RamStore<'_> {
-    fn capacity(&self) -> usize {
-        self.memory.len()
-    }
-
-    fn begin(&mut self, len: usize) -> Result<(), IoError> {
-        self.len = fits(len, self.memory.len())?;
-        Ok(())
-    }
-
-    fn write(&mut self, offset: usize, bytes: &[u8]) -> Result<(), IoError> {
-        copy(offset, bytes, &mut self.memory[..self.len])
-    }
-
-    fn bytes(&self) -> &[u8] {
-        &self.memory[..self.len]
+    fn start_cause(&self) -> StartCause {
+        StartCause::Power
     }
 }
 
@@ -177,11 +150,11 @@ impl FrameSource for RamFrame<'_> {
 
     fn write(&mut self, offset: usize, bytes: &[u8]) -> Result<(), IoError> {
         // The codes are little-endian, and so is every target: see `blob`.
-        copy(offset, bytes, bytemuck::cast_slice_mut(&mut self.memory[..self.pixels]))
+        copy(offset, bytes, bytemuck::cast_slice_mut(self.memory.get_mut(..self.pixels).unwrap_or_default()))
     }
 
     fn frame(&mut self) -> Result<&[u16], IoError> {
-        Ok(&self.memory[..self.pixels])
+        Ok(self.memory.get(..self.pixels).unwrap_or_default())
     }
 }
 
@@ -206,7 +179,7 @@ impl FrameSink for RamObject<'_> {
 
     fn begin(&mut self, pixels: usize) -> Result<&mut [f16], IoError> {
         self.pixels = fits(pixels, self.memory.len())?;
-        Ok(&mut self.memory[..self.pixels])
+        Ok(self.memory.get_mut(..self.pixels).unwrap_or_default())
     }
 
     fn finish(&mut self) -> Result<(), IoError> {
@@ -214,7 +187,7 @@ impl FrameSink for RamObject<'_> {
     }
 
     fn object(&self) -> &[f16] {
-        &self.memory[..self.pixels]
+        self.memory.get(..self.pixels).unwrap_or_default()
     }
 }
 
@@ -226,6 +199,6 @@ fn copy(offset: usize, bytes: &[u8], memory: &mut [u8]) -> Result<(), IoError> {
     let available = memory.len();
     let needed = offset.saturating_add(bytes.len());
     let to = memory.get_mut(offset..needed).ok_or(IoError::NoRoom { needed, available })?;
-    to.copy_from_slice(bytes);
+    to.iter_mut().zip(bytes).for_each(|(to, from)| *to = *from);
     Ok(())
 }

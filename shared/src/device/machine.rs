@@ -1,10 +1,13 @@
 //! The state machine.
 
-use super::io::{BlobStore, FrameSink, FrameSource, IoError, Monitor};
+use super::io::{FrameSink, FrameSource, IoError, Monitor};
 use super::upload::Upload;
-use crate::blob::{MemoryPlan, Network};
+use crate::blob::{CRC, MemoryPlan, Network};
+use crate::flash::{MappedFlash, Slots};
 use crate::pipeline::{Memory, Pipeline, PipelineError};
-use crate::wire::{CHUNK, Info, Refusal, Reply, Request, RunReport, SCHEMA_KEY, Telemetry, Transfer, VERSION};
+use crate::wire::{
+    CHUNK, FrameError, Info, Refusal, Reply, Request, RunReport, SCHEMA_KEY, SlotReport, Telemetry, Transfer, VERSION,
+};
 use core::fmt::Write;
 use half::f16;
 use heapless::String;
@@ -26,45 +29,58 @@ impl Arenas<'_> {
     }
 }
 
-/// The device: storage, frames, working memory, and how far it has come.
+/// The device: flash, frames, working memory, and how far it has come.
 #[derive(Debug)]
-pub struct Device<'m, B, S, K, M> {
+pub struct Device<'m, F, S, K, M> {
     board: &'static str,
-    store: B,
+    slots: Slots<F>,
     source: S,
     sink: K,
     arenas: Arenas<'m>,
     monitor: M,
     blob: Upload,
+    /// The last transfer of a network file is what runs.
+    committed: bool,
     frame: Upload,
-    network: Loaded,
+    /// A frame was begun and not reconstructed.
+    frame_waits: bool,
     last_run: Option<RunReport>,
     telemetry: Telemetry,
 }
 
-/// Whether there is a network to run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Loaded {
-    No,
-    /// The store holds a file that was checked bit by bit.
-    Checked,
-}
-
-impl<'m, B: BlobStore, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, B, S, K, M> {
-    /// A device without a network.
-    pub fn new(board: &'static str, store: B, source: S, sink: K, arenas: Arenas<'m>, monitor: M) -> Self {
-        Self {
+impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F, S, K, M> {
+    /// A device that runs the newest sound network in its flash, if there is one.
+    pub fn new(board: &'static str, flash: F, source: S, sink: K, arenas: Arenas<'m>, monitor: M) -> Self {
+        let mut device = Self {
             board,
-            store,
+            slots: Slots::new(flash),
             source,
             sink,
             arenas,
             monitor,
             blob: Upload::none(Transfer::Blob),
+            committed: false,
             frame: Upload::none(Transfer::Frame),
-            network: Loaded::No,
+            frame_waits: false,
             last_run: None,
             telemetry: Telemetry::default(),
+        };
+        device.start();
+        device
+    }
+
+    /// Counts the start and takes the newest committed file that passes every check.
+    fn start(&mut self) {
+        self.telemetry.started_by = self.monitor.start_cause();
+        // A count that cannot be kept is no reason not to serve.
+        self.telemetry.starts = self.slots.count_start().unwrap_or(0);
+        for (slot, mark) in self.slots.committed().into_iter().flatten() {
+            self.monitor.alive();
+            if self.slots.file(slot, &mark).is_some_and(|file| self.check(file).is_ok()) {
+                self.slots.activate(slot, mark);
+                return;
+            }
+            self.telemetry.refused_slots += 1;
         }
     }
 
@@ -86,9 +102,17 @@ impl<'m, B: BlobStore, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, B, S
         done.unwrap_or_else(Reply::Refused)
     }
 
+    /// The program is alive.
+    pub fn alive(&mut self) {
+        self.monitor.alive();
+    }
+
     /// Counts a packet that was no request.
-    pub fn count_dropped(&mut self) {
+    pub fn count_dropped(&mut self, why: Option<FrameError>) {
         self.telemetry.dropped_packets = self.telemetry.dropped_packets.wrapping_add(1);
+        if matches!(why, Some(FrameError::Crc { .. })) {
+            self.telemetry.crc_errors = self.telemetry.crc_errors.wrapping_add(1);
+        }
     }
 
     /// Counts a request that had been answered before.
@@ -112,7 +136,7 @@ impl<'m, B: BlobStore, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, B, S
             version: VERSION,
             schema: SCHEMA_KEY,
             board,
-            blob_bytes: saturated(self.store.capacity()),
+            blob_bytes: saturated(self.slots.capacity()),
             frame_px: saturated(self.source.capacity()),
             object_px: saturated(self.sink.capacity()),
             fast_bytes: sizes.fast_bytes,
@@ -120,16 +144,19 @@ impl<'m, B: BlobStore, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, B, S
         })
     }
 
+    /// The network goes on running until another one is committed.
     fn begin_blob(&mut self, len: u32) -> Result<(), Refusal> {
-        self.network = Loaded::No;
-        self.last_run = None;
+        self.committed = false;
         self.blob.begin(0);
-        self.store.begin(len as usize).map_err(|e| storage(e, Transfer::Blob))?;
+        self.slots.begin(len as usize).map_err(|e| storage(e, Transfer::Blob))?;
         self.blob.begin(len);
         Ok(())
     }
 
     fn begin_frame(&mut self, len: u32) -> Result<(), Refusal> {
+        if core::mem::replace(&mut self.frame_waits, true) {
+            self.telemetry.dropped_frames = self.telemetry.dropped_frames.wrapping_add(1);
+        }
         self.last_run = None;
         self.frame.begin(0);
         // An odd byte is half a pixel: it is stored nowhere, and the length is refused before the run.
@@ -144,10 +171,10 @@ impl<'m, B: BlobStore, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, B, S
             Transfer::Frame => &mut self.frame,
         };
         let known = upload.accept(offset, data)?;
-        let (at, new) = (offset as usize + known, &data[known..]);
+        let (at, new) = (offset as usize + known, data.get(known..).unwrap_or_default());
         if !new.is_empty() {
             let stored = match what {
-                Transfer::Blob => self.store.write(at, new),
+                Transfer::Blob => self.slots.write(at, new),
                 Transfer::Frame => self.source.write(at, new),
             };
             stored.map_err(|e| storage(e, what))?;
@@ -156,13 +183,24 @@ impl<'m, B: BlobStore, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, B, S
         Ok(upload.received())
     }
 
-    /// Checks the network file bit by bit, and whether it can run here.
+    /// Checks the network file bit by bit where it lies in the flash, and marks it. From then on it runs.
     fn commit(&mut self) -> Result<(), Refusal> {
-        if self.network == Loaded::Checked {
+        if self.committed {
             return Ok(());
         }
         self.blob.complete()?;
-        let network = Network::decode(self.store.bytes()).map_err(Refusal::Blob)?;
+        // The last bytes are written here; the file is then looked at again, as what else it is checked against is borrowed too.
+        self.slots.finish().map_err(|e| storage(e, Transfer::Blob))?;
+        self.check(self.slots.staged_file().ok_or(Refusal::Storage)?)?;
+        self.slots.commit().map_err(|e| storage(e, Transfer::Blob))?;
+        self.committed = true;
+        self.last_run = None;
+        Ok(())
+    }
+
+    /// Whether a network file is sound in every bit and can run here.
+    fn check(&self, file: &[u8]) -> Result<(), Refusal> {
+        let network = Network::decode(file).map_err(Refusal::Blob)?;
         network.header.memory.fits(self.arenas.sizes()).map_err(Refusal::Blob)?;
         let pipeline = Pipeline::new(&network.header, network.weights).map_err(refusal)?;
         let (frame_px, object_px) = (self.source.capacity(), self.sink.capacity());
@@ -174,7 +212,6 @@ impl<'m, B: BlobStore, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, B, S
             let needed = saturated(pipeline.output_len());
             return Err(Refusal::ObjectRoom { needed, available: saturated(object_px) });
         }
-        self.network = Loaded::Checked;
         Ok(())
     }
 
@@ -182,24 +219,25 @@ impl<'m, B: BlobStore, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, B, S
         if let Some(report) = self.last_run.filter(|report| report.id == id) {
             return Ok(report);
         }
-        if self.network == Loaded::No {
-            return Err(Refusal::NoNetwork);
-        }
-        let network = Network::view(self.store.bytes()).map_err(Refusal::Blob)?;
+        let network = Network::view(self.slots.active_file().ok_or(Refusal::NoNetwork)?).map_err(Refusal::Blob)?;
         let pipeline = Pipeline::new(&network.header, network.weights).map_err(refusal)?;
         let (expected, found) = (saturated(2 * pipeline.frame_len()), self.frame.complete()?);
         if expected != found {
             return Err(Refusal::FrameLength { expected, found });
         }
         let frame = self.source.frame().map_err(|e| storage(e, Transfer::Frame))?;
+        let frame_crc = CRC.checksum(bytemuck::cast_slice(frame));
         let object = self.sink.begin(pipeline.output_len()).map_err(|_| Refusal::Storage)?;
         // More scratch than this does not help: the rest of the fast memory is not touched.
         let fast_len = self.arenas.fast.len().min(pipeline.fast_len_best());
-        let memory = Memory { fast: &mut self.arenas.fast[..fast_len], bulk: self.arenas.bulk };
+        let fast = self.arenas.fast.get_mut(..fast_len).unwrap_or_default();
         self.monitor.run_begins();
-        let stats = pipeline.run(frame, memory, object);
-        self.monitor.run_ends();
+        let stats = pipeline.run(frame, Memory { fast, bulk: self.arenas.bulk }, object);
+        let cycles = self.monitor.run_ends();
         let stats = stats.map_err(refusal)?;
+        let object_crc = CRC.checksum(bytemuck::cast_slice(object));
+        self.telemetry.cycles = cycles;
+        self.telemetry.saturated_px = self.telemetry.saturated_px.wrapping_add(stats.saturated_px.into());
         self.telemetry.fast_bytes = saturated(fast_len * size_of::<f32>());
         self.telemetry.bulk_bytes = network.header.memory.bulk_bytes;
         self.telemetry.frame_bytes = expected;
@@ -212,7 +250,10 @@ impl<'m, B: BlobStore, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, B, S
             saturated_px: stats.saturated_px,
             frame_max_dn: stats.frame_max_dn,
             filter_finite: stats.filter_finite,
+            frame_crc,
+            object_crc,
         };
+        self.frame_waits = false;
         self.last_run = Some(report);
         Ok(report)
     }
@@ -229,17 +270,28 @@ impl<'m, B: BlobStore, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, B, S
         if usize::from(len) > CHUNK || end > bytes.len() as u64 {
             return Err(past);
         }
-        Ok(Reply::Data { offset, data: &bytes[offset as usize..end as usize] })
+        let data = bytes.get(offset as usize..end as usize).ok_or(past)?;
+        Ok(Reply::Data { offset, data })
     }
 
-    fn telemetry(&self) -> Telemetry {
+    fn telemetry(&mut self) -> Telemetry {
         let footprint = self.monitor.footprint();
+        let active = self.slots.active();
+        let report = |(slot, mark)| SlotReport { slot, mark, runs: active == Some((slot, mark)) };
         Telemetry {
+            slots: self.slots.committed().map(|slot| slot.map(report)),
+            network: self.network_name(),
+            temperature_cdeg: self.monitor.temperature_cdeg(),
             image_bytes: footprint.image_bytes,
             static_bytes: footprint.static_bytes,
             stack_bytes: footprint.stack_bytes,
-            ..self.telemetry
+            ..self.telemetry.clone()
         }
+    }
+
+    fn network_name(&self) -> String<48> {
+        let network = self.slots.active_file().and_then(|file| Network::view(file).ok());
+        network.map_or_else(String::new, |network| network.header.name)
     }
 }
 

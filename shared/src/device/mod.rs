@@ -9,9 +9,6 @@ mod machine;
 mod serve;
 mod upload;
 
-pub use io::{BlobStore, Footprint, FrameSink, FrameSource, IoError, Monitor, RamFrame, RamObject, RamStore, Silent};
+pub use io::{Footprint, FrameSink, FrameSource, IoError, Monitor, RamFrame, RamObject, Silent, Watchdog};
 pub use machine::{Arenas, Device};
 pub use serve::{End, Line, Step, serve};
-
-#[cfg(test)]
-mod tests;

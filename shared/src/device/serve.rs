@@ -1,7 +1,8 @@
 //! A device on a line.
 
-use super::io::{BlobStore, FrameSink, FrameSource, Monitor};
+use super::io::{FrameSink, FrameSource, Monitor};
 use super::machine::Device;
+use crate::flash::MappedFlash;
 use crate::wire::frame::decode;
 use crate::wire::{Deframer, MAX_PACKET, Packet, Request, encode};
 use embedded_io::{Read, Write};
@@ -41,19 +42,22 @@ impl Line {
     }
 
     /// Takes a byte from the line; where it ends a request, the device handles it.
-    pub fn push<B: BlobStore, S: FrameSource, K: FrameSink, M: Monitor>(
+    pub fn push<F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor>(
         &mut self,
         byte: u8,
-        device: &mut Device<'_, B, S, K, M>,
+        device: &mut Device<'_, F, S, K, M>,
     ) -> Step<'_> {
         let packet = match self.deframer.push(byte) {
             Ok(None) => return Step::Nothing,
             Ok(Some(bytes)) => decode::<Packet<Request<'_>>>(bytes),
             Err(error) => Err(error),
         };
-        let Ok(Packet { seq, body }) = packet else {
-            device.count_dropped();
-            return Step::Nothing;
+        let Packet { seq, body } = match packet {
+            Ok(packet) => packet,
+            Err(error) => {
+                device.count_dropped(Some(error));
+                return Step::Nothing;
+            }
         };
         if !matches!(body, Request::Hello { .. }) {
             // Half the numbers lie behind the last one: they are late copies, answered long ago.
@@ -61,7 +65,7 @@ impl Line {
             if ahead == 0 {
                 device.count_repeated();
             } else if ahead > u16::MAX / 2 {
-                device.count_dropped();
+                device.count_dropped(None);
                 return Step::Nothing;
             }
         }
@@ -86,10 +90,10 @@ impl Default for Line {
 ///
 /// # Errors
 /// Those of the line.
-pub fn serve<L: Read + Write, B: BlobStore, S: FrameSource, K: FrameSink, M: Monitor>(
+pub fn serve<L: Read + Write, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor>(
     link: &mut L,
     line: &mut Line,
-    device: &mut Device<'_, B, S, K, M>,
+    device: &mut Device<'_, F, S, K, M>,
 ) -> Result<End, L::Error> {
     let mut bytes = [0; 64];
     loop {
@@ -97,7 +101,8 @@ pub fn serve<L: Read + Write, B: BlobStore, S: FrameSource, K: FrameSink, M: Mon
         if count == 0 {
             return Ok(End::Closed);
         }
-        for byte in &bytes[..count] {
+        device.alive();
+        for byte in bytes.get(..count).unwrap_or_default() {
             match line.push(*byte, device) {
                 Step::Nothing => {}
                 Step::Answer(answer) => link.write_all(answer)?,

@@ -44,6 +44,11 @@ impl fmt::Display for FrameError {
 
 impl core::error::Error for FrameError {}
 
+/// CRC-32 (ISO-HDLC) of bytes, as in packets, network files and [`RunReport`](super::RunReport).
+pub fn checksum(bytes: &[u8]) -> u32 {
+    CRC.checksum(bytes)
+}
+
 /// Writes a packet with its delimiters to the start of `out` and gives its bytes.
 ///
 /// # Errors

@@ -1,6 +1,7 @@
 //! The messages.
 
 use crate::blob::BlobError;
+use crate::flash::{Mark, Slot};
 use core::fmt;
 use heapless::String;
 use postcard_schema::Schema;
@@ -8,7 +9,7 @@ use postcard_schema::key::Key;
 use serde::{Deserialize, Serialize};
 
 /// Version of the conversation; it changes with whatever the schema key cannot see.
-pub const VERSION: u16 = 1;
+pub const VERSION: u16 = 2;
 /// Changes with every name and type in the messages.
 pub const SCHEMA_KEY: u64 = u64::from_le_bytes(
     Key::for_path::<(Packet<Request<'static>>, Packet<Reply<'static>>)>("ommatidia/wire").to_bytes(),
@@ -38,7 +39,7 @@ pub enum Request<'a> {
         /// [`SCHEMA_KEY`] of the host.
         schema: u64,
     },
-    /// A transfer to the device begins; what was there before is forgotten.
+    /// A transfer to the device begins; what came before it of the same kind is forgotten. A network that runs goes on running.
     Begin {
         /// What comes.
         what: Transfer,
@@ -54,7 +55,7 @@ pub enum Request<'a> {
         /// At most [`CHUNK`] bytes.
         data: &'a [u8],
     },
-    /// The network file is complete: check it and use it.
+    /// The network file is complete: check it, mark it as what runs from now on, and after every start.
     Commit,
     /// Reconstruct the frame.
     Run {
@@ -146,14 +147,59 @@ pub struct RunReport {
     pub frame_max_dn: f32,
     /// Whether every filter output stayed in the range of halves.
     pub filter_finite: bool,
+    /// CRC-32 of the raw frame that was reconstructed.
+    pub frame_crc: u32,
+    /// CRC-32 of the reconstruction.
+    pub object_crc: u32,
+}
+
+/// Why the device's program was started.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub enum StartCause {
+    /// Power, or a reset from outside.
+    #[default]
+    Power,
+    /// The watchdog: the program before had hung.
+    Watchdog,
+}
+
+/// A slot that holds a committed network file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct SlotReport {
+    /// Which one.
+    pub slot: Slot,
+    /// What its mark says.
+    pub mark: Mark,
+    /// Whether this is the network that runs.
+    pub runs: bool,
 }
 
 /// Figures of the device.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Telemetry {
+    /// Starts of the device, this one included; 0 where they cannot be counted.
+    pub starts: u32,
+    /// Why it was started.
+    pub started_by: StartCause,
+    /// Slots with a committed network file, the newest first.
+    pub slots: [Option<SlotReport>; 2],
+    /// Slots that were refused at the start: damaged, or of another version. Where one of them is newer, an older network runs.
+    pub refused_slots: u8,
+    /// Name of the network that runs; empty without one.
+    pub network: String<48>,
     /// Runs since the start.
     pub runs: u32,
-    /// Damaged or foreign packets since the start.
+    /// Cycles of the last run, where the core counts them.
+    pub cycles: Option<u32>,
+    /// Saturated pixels of all runs since the start.
+    pub saturated_px: u64,
+    /// Frames since the start that were begun and never reconstructed.
+    pub dropped_frames: u32,
+    /// Temperature in hundredths of a degree Celsius, where there is a sensor.
+    pub temperature_cdeg: Option<i16>,
+    /// Packets since the start whose checksum was wrong.
+    pub crc_errors: u32,
+    /// Damaged or foreign packets since the start, those with a wrong checksum included.
     pub dropped_packets: u32,
     /// Requests since the start that had been answered before.
     pub repeated_requests: u32,

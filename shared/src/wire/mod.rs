@@ -8,7 +8,8 @@
 pub mod frame;
 mod message;
 
-pub use frame::{Deframer, FrameError, encode};
+pub use frame::{Deframer, FrameError, checksum, encode};
 pub use message::{
-    CHUNK, Info, MAX_PACKET, Packet, Refusal, Reply, Request, RunReport, SCHEMA_KEY, Telemetry, Transfer, VERSION,
+    CHUNK, Info, MAX_PACKET, Packet, Refusal, Reply, Request, RunReport, SCHEMA_KEY, SlotReport, StartCause, Telemetry,
+    Transfer, VERSION,
 };

@@ -3,7 +3,7 @@
 
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
-use core::ptr::addr_of;
+use core::ptr::{addr_of, addr_of_mut};
 use half::f16;
 use ommatidia_shared::device::{Footprint, Line};
 
@@ -33,8 +33,6 @@ impl<T: bytemuck::Zeroable, const N: usize> Region<T, N> {
     }
 }
 
-#[unsafe(link_section = ".psram.blob")]
-static BLOB: Region<u8, { 4 << 20 }> = Region::new();
 #[unsafe(link_section = ".psram.frame")]
 static FRAME: Region<u16, { 512 << 10 }> = Region::new();
 #[unsafe(link_section = ".psram.object")]
@@ -56,9 +54,12 @@ pub(super) fn line() -> &'static mut Line {
     unsafe { &mut *LINE.0.get() }
 }
 
-pub(super) fn blob() -> &'static mut [u8] {
-    // SAFETY: called once, from `super::take`.
-    unsafe { BLOB.take() }
+/// The part of the PSRAM that plays the flash. It is neither loaded nor cleared, so it keeps what it holds over a reset, and under
+/// QEMU, where a file can stand behind the PSRAM, over the end of the emulation.
+pub(super) fn flash() -> &'static mut [u8] {
+    let (start, end) = (addr_of_mut!(_flash_start), addr_of!(_flash_end));
+    // SAFETY: called once, from `super::take`; `memory.x` keeps the bytes between the symbols free of anything else.
+    unsafe { core::slice::from_raw_parts_mut(start, end.addr() - start.addr()) }
 }
 
 pub(super) fn frame() -> &'static mut [u16] {
@@ -89,6 +90,8 @@ unsafe extern "C" {
     static __ebss: u8;
     static _stack_end: u32;
     static _stack_start: u32;
+    static mut _flash_start: u8;
+    static _flash_end: u8;
 }
 
 /// What the program takes. The image begins at address 0; its stack was painted before `main`.

@@ -3,36 +3,52 @@
 mod led;
 mod memory;
 mod uart;
+mod watchdog;
 
 pub use led::Led;
 pub use memory::footprint;
 pub use uart::Uart;
+pub use watchdog::{Dog, start_cause};
 
 use crate::app::Parts;
 use core::sync::atomic::{AtomicBool, Ordering};
+use cortex_m::peripheral::DWT;
 use cortex_m_semihosting::{debug, hprintln};
 use ommatidia_shared::device::Arenas;
+use ommatidia_shared::flash::RamFlash;
 
 /// Name of the board.
 pub const NAME: &str = "mps2-an500";
 
 /// The parts of the board, once.
-pub fn take() -> Option<Parts<'static, Uart, Led>> {
+pub fn take() -> Option<Parts<'static, Uart, Led, RamFlash<'static>, Dog>> {
     static TAKEN: AtomicBool = AtomicBool::new(false);
     if TAKEN.swap(true, Ordering::Relaxed) {
         return None;
     }
+    let watchdog = Dog::new(watchdog::PATIENCE_S);
     Some(Parts {
         name: NAME,
-        link: Uart::new(),
+        link: Uart::new(watchdog),
         line: memory::line(),
         trigger: Led::new(),
+        watchdog,
+        started_by: start_cause(),
         footprint,
-        blob: memory::blob(),
+        cycles,
+        // The board has no sensor.
+        temperature_cdeg: || None,
+        flash: RamFlash::new(memory::flash()),
         frame: memory::frame(),
         object: memory::object(),
         arenas: Arenas { fast: memory::fast(), bulk: memory::bulk() },
     })
+}
+
+/// The core's cycle counter. Under QEMU it stands still.
+fn cycles() -> Option<u32> {
+    let count = DWT::cycle_count();
+    (count != 0).then_some(count)
 }
 
 /// Ends the emulation with exit code 0.

@@ -1,12 +1,15 @@
 //! CMSDK UART (ARM Cortex-M System Design Kit, DDI 0479, section 4.3).
 #![allow(unsafe_code)] // registers are memory
 
+use super::Dog;
 use core::convert::Infallible;
 use core::ptr::{read_volatile, write_volatile};
 use cortex_m::asm;
 use cortex_m::interrupt::{self, InterruptNumber};
-use cortex_m::peripheral::NVIC;
+use cortex_m::peripheral::syst::SystClkSource;
+use cortex_m::peripheral::{NVIC, Peripherals, SCB};
 use embedded_io::{ErrorType, Read, ReadReady, Write};
+use ommatidia_shared::device::Watchdog;
 
 /// UART 0 of the MPS2 boards.
 const BASE: usize = 0x4000_4000;
@@ -23,6 +26,8 @@ const ENABLE_RX_INTERRUPT: u32 = 1 << 3;
 const CLEAR_RX_INTERRUPT: u32 = 2;
 /// The fastest rate that the UART has: its clock over 16.
 const FASTEST: u32 = 16;
+/// The longest time between two ticks, 0.67 s.
+const TICK_CYCLES: u32 = 0x00ff_ffff;
 
 /// Interrupt 0: UART 0 has received.
 #[derive(Clone, Copy)]
@@ -37,22 +42,32 @@ unsafe impl InterruptNumber for Received {
 
 /// UART 0: 8 data bits, no parity, one stop bit.
 ///
-/// Between bytes the core sleeps until the receive interrupt is pending. Interrupts stay masked, so that none is
-/// taken: waking is all it is for. Under QEMU this leaves the machine to the thread that brings the bytes.
+/// Between bytes the core sleeps until the receive interrupt or the tick is pending. Interrupts stay masked, so that none is
+/// taken: waking is all they are for. Under QEMU this leaves the machine to the thread that brings the bytes. Waiting is no hang:
+/// the tick wakes the core to feed the watchdog.
 #[derive(Debug)]
-pub struct Uart(());
+pub struct Uart {
+    watchdog: Dog,
+}
 
 impl Uart {
-    /// Switches the UART on, at its fastest rate.
-    pub(super) fn new() -> Self {
+    /// Switches the UART on, at its fastest rate, and the tick.
+    pub(super) fn new(watchdog: Dog) -> Self {
         interrupt::disable();
+        // SAFETY: the tick is used from here only.
+        let mut tick = unsafe { Peripherals::steal() }.SYST;
+        tick.set_clock_source(SystClkSource::Core);
+        tick.set_reload(TICK_CYCLES);
+        tick.clear_current();
+        tick.enable_counter();
+        tick.enable_interrupt();
         // SAFETY: device registers of this board, used from here only; the unmasked interrupt is never taken.
         unsafe {
             write_volatile(BAUDDIV, FASTEST);
             write_volatile(CTRL, ENABLE_TX_RX | ENABLE_RX_INTERRUPT);
             NVIC::unmask(Received);
         }
-        Self(())
+        Self { watchdog }
     }
 
     fn state(&self) -> u32 {
@@ -60,9 +75,11 @@ impl Uart {
         unsafe { read_volatile(STATE) }
     }
 
-    fn sleep_until_received(&self) {
+    fn sleep_until_received(&mut self) {
         while self.state() & RX_FULL == 0 {
             asm::wfi();
+            self.watchdog.feed();
+            SCB::clear_pendst();
             // SAFETY: clears the cause, then the pending mark; a byte that comes between sets both again.
             unsafe { write_volatile(INTCLEAR, CLEAR_RX_INTERRUPT) };
             NVIC::unpend(Received);

@@ -1,0 +1,25 @@
+//! Hangs once, so that a test sees the watchdog reset the board. The start after that tells its cause and ends.
+#![no_std]
+#![no_main]
+
+use cortex_m_semihosting::hprintln;
+use ommatidia_firmware::board::mps2_an500 as board;
+use ommatidia_shared::device::Watchdog;
+use ommatidia_shared::wire::StartCause;
+
+#[cortex_m_rt::entry]
+fn main() -> ! {
+    match board::start_cause() {
+        StartCause::Power => {
+            hprintln!("started by power");
+            board::Dog::new(1).start();
+            loop {
+                cortex_m::asm::nop();
+            }
+        }
+        StartCause::Watchdog => {
+            hprintln!("started by the watchdog");
+            board::exit()
+        }
+    }
+}

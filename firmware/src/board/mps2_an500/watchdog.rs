@@ -1,0 +1,74 @@
+//! CMSDK watchdog (ARM Cortex-M System Design Kit, DDI 0479, section 4.7).
+#![allow(unsafe_code)] // registers are memory
+
+use core::ptr::write_volatile;
+use core::sync::atomic::{AtomicU32, Ordering};
+use cortex_m_rt::exception;
+use ommatidia_shared::device::Watchdog;
+use ommatidia_shared::wire::StartCause;
+
+const BASE: usize = 0x4000_8000;
+const LOAD: *mut u32 = BASE as *mut u32;
+const CONTROL: *mut u32 = (BASE + 8) as *mut u32;
+const INTCLEAR: *mut u32 = (BASE + 12) as *mut u32;
+const LOCK: *mut u32 = (BASE + 0xc00) as *mut u32;
+
+/// Count, and reset when the count ends a second time.
+const INTERRUPT_AND_RESET: u32 = 3;
+const UNLOCK: u32 = 0x1acc_e551;
+/// The clock of the board.
+const CLOCK_HZ: u32 = 25_000_000;
+/// The longest reconstruction takes less, under an emulator as well.
+pub(super) const PATIENCE_S: u32 = 60;
+
+/// What the next start reads: [`HUNG`] after the watchdog's interrupt. Nothing clears it but the start that reads it.
+#[unsafe(link_section = ".uninit.note")]
+static NOTE: AtomicU32 = AtomicU32::new(0);
+const HUNG: u32 = 0x4d6f_7073;
+
+/// The watchdog. When its count ends it raises the non-maskable interrupt, which leaves a note for the next start; when it ends
+/// once more it resets the board: at the latest after twice the time that it is given.
+#[derive(Clone, Copy, Debug)]
+pub struct Dog {
+    seconds: u32,
+}
+
+impl Dog {
+    /// One that counts `seconds` (at most 171) between two meals, once it is started.
+    pub const fn new(seconds: u32) -> Self {
+        Self { seconds }
+    }
+}
+
+impl Watchdog for Dog {
+    fn start(&mut self) {
+        // SAFETY: device registers of this board, used from here only.
+        unsafe {
+            write_volatile(LOCK, UNLOCK);
+            write_volatile(LOAD, self.seconds.saturating_mul(CLOCK_HZ));
+            write_volatile(CONTROL, INTERRUPT_AND_RESET);
+        }
+    }
+
+    fn feed(&mut self) {
+        // SAFETY: as above. Clearing the interrupt starts the count anew.
+        unsafe { write_volatile(INTCLEAR, 1) };
+    }
+}
+
+/// Why the program was started; the next one that asks hears of power.
+pub fn start_cause() -> StartCause {
+    match NOTE.swap(0, Ordering::Relaxed) {
+        HUNG => StartCause::Watchdog,
+        _ => StartCause::Power,
+    }
+}
+
+/// The program has hung: the reset is left to the watchdog.
+#[exception]
+unsafe fn NonMaskableInt() {
+    NOTE.store(HUNG, Ordering::Relaxed);
+    loop {
+        cortex_m::asm::nop();
+    }
+}

@@ -1,0 +1,71 @@
+//! `device status`: how a device is.
+
+use super::target::Target;
+use crate::cli::{Outcome, Run};
+use crate::device::status;
+use ommatidia_shared::wire::{Info, SlotReport, Telemetry};
+use serde_json::{Value, json};
+
+/// Options of `device status`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    #[command(flatten)]
+    target: Target,
+}
+
+/// Runs the verb.
+pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
+    let (info, telemetry) = status(&args.target.runtime(run)?, args.target.state.as_deref())?;
+    Ok(Outcome { json: json(&info, &telemetry), text: text(&info, &telemetry) })
+}
+
+fn json(info: &Info, t: &Telemetry) -> Value {
+    let slot = |slot: &SlotReport| {
+        json!({
+            "slot": format!("{:?}", slot.slot), "generation": slot.mark.generation, "bytes": slot.mark.len,
+            "crc": format!("{:08x}", slot.mark.crc), "runs": slot.runs,
+        })
+    };
+    json!({
+        "board": info.board.as_str(), "network": t.network.as_str(),
+        "slots": t.slots.iter().flatten().map(slot).collect::<Vec<_>>(), "refused_slots": t.refused_slots,
+        "slot_bytes": info.blob_bytes, "starts": t.starts, "started_by": format!("{:?}", t.started_by).to_lowercase(),
+        "runs": t.runs, "cycles": t.cycles, "saturated_px": t.saturated_px, "dropped_frames": t.dropped_frames,
+        "temperature_c": t.temperature_cdeg.map(|cdeg| f64::from(cdeg) / 100.0),
+        "crc_errors": t.crc_errors, "dropped_packets": t.dropped_packets, "repeated_requests": t.repeated_requests,
+        "stack_bytes": t.stack_bytes, "image_bytes": t.image_bytes, "static_bytes": t.static_bytes,
+    })
+}
+
+fn text(info: &Info, t: &Telemetry) -> String {
+    let mut text = format!("board         {}\n", info.board);
+    let network = if t.network.is_empty() { "none: `ommatidia device flash` sends one" } else { &t.network };
+    text += &format!("network       {network}\n");
+    for slot in t.slots.iter().flatten() {
+        let runs = if slot.runs { ", runs" } else { "" };
+        let mark = slot.mark;
+        text += &format!(
+            "slot {:?}        {} bytes, CRC {:08x}, generation {}{runs}\n",
+            slot.slot, mark.len, mark.crc, mark.generation
+        );
+    }
+    if t.refused_slots > 0 {
+        text += &format!("refused       {} committed at the start: damaged, or of another version\n", t.refused_slots);
+    }
+    let known = |value: Option<String>| value.unwrap_or_else(|| "not measured".into());
+    text += &format!("starts        {}, the last by {}\n", t.starts, format!("{:?}", t.started_by).to_lowercase());
+    text += &format!(
+        "runs          {}, {} frames dropped, {} pixels saturated\n",
+        t.runs, t.dropped_frames, t.saturated_px
+    );
+    text += &format!("cycles        {}\n", known(t.cycles.map(|cycles| format!("{cycles} in the last run"))));
+    text += &format!(
+        "temperature   {}\n",
+        known(t.temperature_cdeg.map(|cdeg| format!("{:.2} C", f64::from(cdeg) / 100.0)))
+    );
+    text += &format!(
+        "line          {} CRC errors, {} packets dropped, {} requests repeated\n",
+        t.crc_errors, t.dropped_packets, t.repeated_requests
+    );
+    text
+}

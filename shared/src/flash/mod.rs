@@ -1,0 +1,44 @@
+//! Network files in flash: two slots, each with a commit mark, and a count of the starts.
+//!
+//! The flash of [`Slots`] is any NOR flash with the traits of `embedded-storage` that the core can read in place ([`MappedFlash`]):
+//!
+//! | sectors | what |
+//! |---|---|
+//! | 1 | mark of slot A, written twice |
+//! | n | network file of slot A |
+//! | 1 + n | the same of slot B |
+//! | 2 | starts counted, one sector at a time |
+//!
+//! A new file goes to the slot that does not run. Its old mark is erased first, its new mark written last, after every bit of the
+//! file was checked where it lies: whenever the power goes, one slot holds a whole file and a mark that says so. What a mark says of
+//! the file (length, checksum) is compared before a byte of it is used, and the file is decoded in full; where it fails, the other
+//! slot runs.
+
+mod mark;
+mod ram;
+mod slots;
+mod starts;
+
+pub use mark::{Mark, Slot};
+pub use ram::{RAM_SECTOR, RamFlash};
+pub use slots::Slots;
+
+use embedded_storage::nor_flash::NorFlash;
+
+/// Bytes that are written at once; a multiple of every write size that a flash may have.
+const UNIT: usize = 32;
+
+/// NOR flash that the core reads in place, from an address that is a multiple of [`crate::blob::ALIGN`].
+pub trait MappedFlash: NorFlash {
+    /// All of it.
+    fn mapped(&self) -> &[u8];
+}
+
+impl<F: MappedFlash> MappedFlash for &mut F {
+    fn mapped(&self) -> &[u8] {
+        (**self).mapped()
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,238 @@
+//! The two slots.
+
+use super::mark::{Mark, Slot};
+use super::{MappedFlash, UNIT, starts};
+use crate::device::IoError;
+use core::ops::Range;
+
+/// Two slots for network files.
+#[derive(Debug)]
+pub struct Slots<F> {
+    flash: F,
+    active: Option<Active>,
+    staged: Option<Staged>,
+}
+
+/// The file that runs.
+#[derive(Clone, Copy, Debug)]
+struct Active {
+    slot: Slot,
+    mark: Mark,
+}
+
+/// A file that is being written.
+#[derive(Clone, Copy, Debug)]
+struct Staged {
+    slot: Slot,
+    len: usize,
+    /// Bytes taken.
+    received: usize,
+    /// Bytes of them that are in the flash; the others are in `unit`.
+    written: usize,
+    unit: [u8; UNIT],
+}
+
+impl<F: MappedFlash> Slots<F> {
+    const SECTOR: usize = {
+        assert!(UNIT.is_multiple_of(F::WRITE_SIZE), "a unit must hold whole words of the flash");
+        assert!(F::ERASE_SIZE.is_multiple_of(2 * UNIT), "a sector must hold two marks, and files must be aligned");
+        F::ERASE_SIZE
+    };
+
+    /// The slots of a flash; none of them runs yet.
+    pub fn new(flash: F) -> Self {
+        Self { flash, active: None, staged: None }
+    }
+
+    /// Room for a network file, bytes.
+    pub fn capacity(&self) -> usize {
+        self.slot_len().saturating_sub(Self::SECTOR)
+    }
+
+    /// Counts a start of the device; gives the starts so far.
+    ///
+    /// # Errors
+    /// The flash failed.
+    pub fn count_start(&mut self) -> Result<u32, IoError> {
+        let at = 2 * self.slot_len();
+        starts::count(&mut self.flash, at, Self::SECTOR)
+    }
+
+    /// The slots with a mark and the files that these tell of, newest first.
+    pub fn committed(&self) -> [Option<(Slot, Mark)>; 2] {
+        let [a, b] = Slot::ALL.map(|slot| self.mark(slot).map(|mark| (slot, mark)));
+        match (&a, &b) {
+            (Some((_, old)), Some((_, new))) if new.is_newer_than(old) => [b, a],
+            (None, _) => [b, a],
+            _ => [a, b],
+        }
+    }
+
+    /// The file that a mark tells of; `None` where there is another one.
+    pub fn file(&self, slot: Slot, mark: &Mark) -> Option<&[u8]> {
+        let file = self.data(slot, mark.len as usize)?;
+        (Mark::of(file, mark.generation)? == *mark).then_some(file)
+    }
+
+    /// Has a committed file run.
+    pub fn activate(&mut self, slot: Slot, mark: Mark) {
+        self.active = Some(Active { slot, mark });
+    }
+
+    /// The slot that runs, and its mark.
+    pub fn active(&self) -> Option<(Slot, Mark)> {
+        self.active.map(|Active { slot, mark }| (slot, mark))
+    }
+
+    /// The file that runs.
+    pub fn active_file(&self) -> Option<&[u8]> {
+        let Active { slot, mark } = self.active?;
+        self.data(slot, mark.len as usize)
+    }
+
+    /// Makes the slot that does not run ready for `len` bytes. What it held is gone; what runs stays as it is.
+    ///
+    /// # Errors
+    /// There is no such room, or the flash failed.
+    pub fn begin(&mut self, len: usize) -> Result<(), IoError> {
+        self.staged = None;
+        let available = self.capacity();
+        if len > available {
+            return Err(IoError::NoRoom { needed: len, available });
+        }
+        let slot = self.active.map_or(Slot::A, |active| active.slot.other());
+        // From here on nothing can take what the slot holds for a committed file.
+        self.erase_sector(self.start(slot))?;
+        if self.mark(slot).is_some() {
+            return Err(IoError::Failed);
+        }
+        self.staged = Some(Staged { slot, len, received: 0, written: 0, unit: [0xff; UNIT] });
+        Ok(())
+    }
+
+    /// Writes the next bytes of the file. After an error the file must be begun anew.
+    ///
+    /// # Errors
+    /// They go past the announced length, are not the next ones, or the flash failed.
+    pub fn write(&mut self, offset: usize, bytes: &[u8]) -> Result<(), IoError> {
+        let mut staged = self.staged.take().ok_or(IoError::Failed)?;
+        let needed = offset.saturating_add(bytes.len());
+        if offset != staged.received || needed > staged.len {
+            return Err(IoError::NoRoom { needed, available: staged.len });
+        }
+        let mut rest = bytes;
+        while !rest.is_empty() {
+            let space = staged.unit.get_mut(staged.received % UNIT..).unwrap_or_default();
+            let (now, later) = rest.split_at(space.len().min(rest.len()));
+            space.iter_mut().zip(now).for_each(|(to, from)| *to = *from);
+            staged.received += now.len();
+            rest = later;
+            if staged.received.is_multiple_of(UNIT) {
+                self.write_unit(&mut staged)?;
+            }
+        }
+        self.staged = Some(staged);
+        Ok(())
+    }
+
+    /// Writes what is left in the buffer: [`Self::staged_file`] is complete then.
+    ///
+    /// # Errors
+    /// No file was begun, bytes are missing, or the flash failed.
+    pub fn finish(&mut self) -> Result<(), IoError> {
+        let mut staged = self.staged.take().ok_or(IoError::Failed)?;
+        if staged.received != staged.len {
+            return Err(IoError::Failed);
+        }
+        if staged.written < staged.received {
+            self.write_unit(&mut staged)?;
+        }
+        self.staged = Some(staged);
+        Ok(())
+    }
+
+    /// The file that is being written, where it lies in the flash.
+    pub fn staged_file(&self) -> Option<&[u8]> {
+        let staged = self.staged.as_ref()?;
+        self.data(staged.slot, staged.len)
+    }
+
+    /// Marks the finished file: from the last word of the mark on it is what runs, after a start as well.
+    ///
+    /// # Errors
+    /// No file was finished, or the flash failed.
+    pub fn commit(&mut self) -> Result<(), IoError> {
+        let Staged { slot, len, .. } = self.staged.take().ok_or(IoError::Failed)?;
+        let newest = self.committed()[0].map_or(0, |(_, mark)| mark.generation);
+        let file = self.data(slot, len).ok_or(IoError::Failed)?;
+        let mark = Mark::of(file, newest.wrapping_add(1)).ok_or(IoError::Failed)?;
+        let at = self.start(slot);
+        for copy in 0..2 {
+            write(&mut self.flash, at + copy * UNIT, &mark.encode())?;
+        }
+        if self.mark(slot) != Some(mark) {
+            return Err(IoError::Failed);
+        }
+        self.activate(slot, mark);
+        Ok(())
+    }
+
+    /// Bytes of a slot with its mark.
+    fn slot_len(&self) -> usize {
+        (self.flash.mapped().len() / Self::SECTOR).saturating_sub(2) / 2 * Self::SECTOR
+    }
+
+    fn start(&self, slot: Slot) -> usize {
+        match slot {
+            Slot::A => 0,
+            Slot::B => self.slot_len(),
+        }
+    }
+
+    /// The first `len` bytes for the file of a slot.
+    fn data(&self, slot: Slot, len: usize) -> Option<&[u8]> {
+        if len > self.capacity() {
+            return None;
+        }
+        let at = self.start(slot) + Self::SECTOR;
+        self.flash.mapped().get(at..at + len)
+    }
+
+    /// The mark of a slot: either copy will do, so that one flipped bit costs nothing.
+    fn mark(&self, slot: Slot) -> Option<Mark> {
+        if self.capacity() == 0 {
+            return None;
+        }
+        let at = self.start(slot);
+        let copy = |at: usize| Mark::decode(self.flash.mapped().get(at..at + UNIT)?);
+        copy(at).or_else(|| copy(at + UNIT))
+    }
+
+    /// Writes the buffer, which ends at the last byte received. A sector is erased when its first byte comes.
+    fn write_unit(&mut self, staged: &mut Staged) -> Result<(), IoError> {
+        let at = self.start(staged.slot) + Self::SECTOR + staged.written;
+        if at.is_multiple_of(Self::SECTOR) {
+            self.erase_sector(at)?;
+        }
+        write(&mut self.flash, at, &staged.unit)?;
+        staged.written = staged.received;
+        staged.unit = [0xff; UNIT];
+        Ok(())
+    }
+
+    fn erase_sector(&mut self, at: usize) -> Result<(), IoError> {
+        erase(&mut self.flash, at..at + Self::SECTOR)
+    }
+}
+
+pub(super) fn erase<F: MappedFlash>(flash: &mut F, range: Range<usize>) -> Result<(), IoError> {
+    flash.erase(address(range.start)?, address(range.end)?).map_err(|_| IoError::Failed)
+}
+
+pub(super) fn write<F: MappedFlash>(flash: &mut F, at: usize, unit: &[u8; UNIT]) -> Result<(), IoError> {
+    flash.write(address(at)?, unit).map_err(|_| IoError::Failed)
+}
+
+fn address(at: usize) -> Result<u32, IoError> {
+    u32::try_from(at).map_err(|_| IoError::Failed)
+}

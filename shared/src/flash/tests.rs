@@ -1,0 +1,133 @@
+//! Slots in memory: what is committed is found again, what is not is not. Power cuts are tried in the host's `device::faults`.
+
+#![allow(clippy::unwrap_used)]
+
+extern crate std;
+
+use super::*;
+use crate::device::IoError;
+use proptest::prelude::*;
+use std::vec;
+use std::vec::Vec;
+
+/// Room for 8,192 bytes in each slot.
+const FLASH: usize = (2 * 3 + 2) * RAM_SECTOR;
+
+fn fill(slots: &mut Slots<RamFlash<'_>>, file: &[u8], piece: usize) -> Result<(), IoError> {
+    slots.begin(file.len())?;
+    let mut at = 0;
+    for piece in file.chunks(piece) {
+        slots.write(at, piece)?;
+        at += piece.len();
+    }
+    slots.finish()
+}
+
+/// The file that a start finds.
+fn found(memory: &mut [u8]) -> Option<(Slot, u32, Vec<u8>)> {
+    let slots = Slots::new(RamFlash::new(memory));
+    let newest = slots.committed().into_iter().flatten();
+    newest.filter_map(|(slot, mark)| Some((slot, mark.generation, slots.file(slot, &mark)?.to_vec()))).next()
+}
+
+proptest! {
+    #[test]
+    fn what_is_committed_is_found_after_a_start(
+        files in prop::collection::vec(prop::collection::vec(any::<u8>(), 4..8192), 1..4),
+        piece in 1usize..3000, noise: u8,
+    ) {
+        let mut memory = vec![noise; FLASH];
+        for (i, file) in files.iter().enumerate() {
+            let mut slots = Slots::new(RamFlash::new(&mut memory));
+            if let Some((slot, mark)) = slots.committed()[0] {
+                slots.activate(slot, mark);
+            }
+            fill(&mut slots, file, piece).unwrap();
+            prop_assert_eq!(slots.staged_file().unwrap(), file.as_slice());
+            slots.commit().unwrap();
+            prop_assert_eq!(slots.active_file().unwrap(), file.as_slice());
+            let slot = Slot::ALL[i % 2];
+            prop_assert_eq!(found(&mut memory), Some((slot, i as u32 + 1, file.clone())));
+        }
+    }
+
+    #[test]
+    fn memory_of_any_content_holds_no_file_and_takes_one(memory in prop::collection::vec(any::<u8>(), 0..FLASH)) {
+        let mut memory = memory;
+        let room = memory.len() >= 2 * RAM_SECTOR;
+        prop_assert_eq!(found(&mut memory), None);
+        let mut slots = Slots::new(RamFlash::new(&mut memory));
+        let fits = slots.capacity() >= 100;
+        prop_assert_eq!(fill(&mut slots, &[7; 100], 9).is_ok(), fits);
+        prop_assert_eq!(slots.count_start().is_ok(), room);
+    }
+}
+
+#[test]
+fn an_unfinished_file_is_not_found_and_the_old_one_is() {
+    let mut memory = vec![0; FLASH];
+    let mut slots = Slots::new(RamFlash::new(&mut memory));
+    fill(&mut slots, &[1; 500], 100).unwrap();
+    slots.commit().unwrap();
+    fill(&mut slots, &[2; 500], 100).unwrap();
+    assert_eq!(found(&mut memory), Some((Slot::A, 1, vec![1; 500])));
+}
+
+#[test]
+fn one_flipped_bit_of_a_mark_costs_nothing_and_one_of_a_file_costs_the_file() {
+    let mut memory = vec![0; FLASH];
+    for byte in 1..3 {
+        let mut slots = Slots::new(RamFlash::new(&mut memory));
+        if let Some((slot, mark)) = slots.committed()[0] {
+            slots.activate(slot, mark);
+        }
+        fill(&mut slots, &[byte; 500], 100).unwrap();
+        slots.commit().unwrap();
+    }
+    let mark = 3 * RAM_SECTOR;
+    for bit in 0..8 * 2 * UNIT {
+        memory[mark + bit / 8] ^= 1 << (bit % 8);
+        assert_eq!(found(&mut memory), Some((Slot::B, 2, vec![2; 500])), "bit {bit}");
+        memory[mark + bit / 8] ^= 1 << (bit % 8);
+    }
+    // Bits before the last four bytes are seen by the network file's own checksum.
+    for bit in 8 * 496..8 * 500 {
+        memory[mark + RAM_SECTOR + bit / 8] ^= 1 << (bit % 8);
+        assert_eq!(found(&mut memory), Some((Slot::A, 1, vec![1; 500])), "bit {bit}");
+        memory[mark + RAM_SECTOR + bit / 8] ^= 1 << (bit % 8);
+    }
+}
+
+#[test]
+fn generations_may_wrap() {
+    let mark = |generation| Mark { generation, len: 4, crc: 0 };
+    assert!(mark(0).is_newer_than(&mark(u32::MAX)));
+    assert!(!mark(u32::MAX).is_newer_than(&mark(0)));
+    assert!(!mark(5).is_newer_than(&mark(5)));
+}
+
+#[test]
+fn bytes_that_do_not_follow_are_refused_and_nothing_is_committed() {
+    let mut memory = vec![0; FLASH];
+    let mut slots = Slots::new(RamFlash::new(&mut memory));
+    assert_eq!(slots.write(0, &[1]), Err(IoError::Failed));
+    slots.begin(10).unwrap();
+    assert!(slots.write(1, &[1]).is_err());
+    slots.begin(10).unwrap();
+    assert!(slots.write(0, &[1; 11]).is_err());
+    slots.begin(10).unwrap();
+    slots.write(0, &[1; 9]).unwrap();
+    assert_eq!(slots.finish(), Err(IoError::Failed));
+    assert_eq!(slots.commit(), Err(IoError::Failed));
+    let available = slots.capacity();
+    assert_eq!(slots.begin(available + 1), Err(IoError::NoRoom { needed: available + 1, available }));
+    assert_eq!(found(&mut memory), None);
+}
+
+#[test]
+fn starts_are_counted_beyond_a_sector() {
+    let mut memory = vec![0; FLASH];
+    for start in 1..=1000 {
+        assert_eq!(Slots::new(RamFlash::new(&mut memory)).count_start(), Ok(start));
+    }
+}
