@@ -134,6 +134,14 @@ pub enum Warning {
         /// Frames.
         frames: usize,
     },
+    /// Frames that were cut out of a picture.
+    #[error(
+        "{frames} bead frames were cut out of a picture: outside one box all their pixels are the same, and count as not measured"
+    )]
+    CutOut {
+        /// Frames.
+        frames: usize,
+    },
     /// Foci that hang over the edge of the sensor.
     #[error(
         "{windows} windows hang over the edge of the sensor: their missing parts come from the model of the others"

@@ -18,16 +18,7 @@ const MOST_GROWTH: usize = 2;
 /// Outermost rings, from which the level of the surroundings is taken.
 const LEVEL_RINGS: usize = 2;
 
-/// How far foci reach.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Extent {
-    /// Side of the smallest window, odd, px, from the nominal one up, that holds them.
-    pub side_px: usize,
-    /// Share of the light outside the nominal window.
-    pub outside: f64,
-}
-
-/// Measures how far the foci of a scan reach. Reads each frame once.
+/// Side of the smallest window, odd, px, from the nominal one up, that holds the foci of a scan. Reads each frame once.
 ///
 /// # Errors
 /// A frame cannot be read.
@@ -36,7 +27,7 @@ pub fn extent(
     manifest: &Manifest,
     geometry: &Geometry,
     mut step: impl FnMut(),
-) -> Result<Extent, BeadError> {
+) -> Result<usize, BeadError> {
     let nominal = manifest.optics.psf_window_px / 2;
     let mut reach = MOST_GROWTH * nominal + LEVEL_RINGS;
     if manifest.array.lenses() > 1 {
@@ -44,11 +35,14 @@ pub fn extent(
         reach = reach.min((manifest.array.pitch_px as usize).saturating_sub(nominal + 1));
     }
     if reach <= nominal + LEVEL_RINGS {
-        return Ok(Extent { side_px: manifest.optics.psf_window_px, outside: 0.0 });
+        return Ok(manifest.optics.psf_window_px);
     }
     let mut rings = Rings { sum: vec![0.0; reach + 1], count: vec![0.0; reach + 1] };
     for n in 0..scan.beads.len() {
-        let frame = scan.light_dn(n)?;
+        let (mut frame, cut) = scan.cut_light_dn(n)?;
+        if let Some(cut) = cut {
+            frame.indexed_iter_mut().filter(|((r, c), _)| !cut.holds(*r, *c)).for_each(|(_, v)| *v = f32::NAN);
+        }
         let at = scan.beads[n].at_px.map(|v| v.round() as isize);
         for l in (0..geometry.anchors_px.len()).filter(|l| !geometry.dead[*l]) {
             let corner = corner(manifest, geometry, l);
@@ -57,8 +51,7 @@ pub fn extent(
         step();
     }
     let noise = scan.noise();
-    let (half, outside) = rings.half(nominal, noise.variance_dn2(noise.black_level_dn));
-    Ok(Extent { side_px: 2 * half + 1, outside })
+    Ok(2 * rings.half(nominal, noise.variance_dn2(noise.black_level_dn)) + 1)
 }
 
 /// Light of square rings round all foci.
@@ -85,9 +78,8 @@ impl Rings {
         }
     }
 
-    /// The smallest half side, `least` or more, that leaves no more than [`OUTSIDE`], or nothing that stands out of the noise; and
-    /// the share that `least` leaves.
-    fn half(&self, least: usize, dark_dn2: f64) -> (usize, f64) {
+    /// The smallest half side, `least` or more, that leaves no more than [`OUTSIDE`], or nothing that stands out of the noise.
+    fn half(&self, least: usize, dark_dn2: f64) -> usize {
         let last = self.sum.len() - LEVEL_RINGS;
         let [sum, count] = [&self.sum, &self.count].map(|v| v[last..].iter().sum::<f64>());
         let level = sum / f64::max(count, 1.0);
@@ -101,7 +93,7 @@ impl Rings {
             let sigma = (half + 1..last).filter(seen).map(variance).sum::<f64>().sqrt();
             outside(*half) <= (OUTSIDE * total).max(SEEN * sigma)
         };
-        ((least..last - 1).find(holds).unwrap_or(last - 1), outside(least) / total)
+        (least..last - 1).find(holds).unwrap_or(last - 1)
     }
 }
 
@@ -117,7 +109,7 @@ mod tests {
         });
         let mut rings = Rings { sum: vec![0.0; 17], count: vec![0.0; 17] };
         (0..50).for_each(|_| rings.add(&frame, [40, 40]));
-        rings.half(7, 0.7).0
+        rings.half(7, 0.7)
     }
 
     #[test]

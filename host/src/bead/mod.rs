@@ -7,7 +7,7 @@ mod scan;
 mod windows;
 
 pub use error::{BeadError, Warning};
-pub use extent::{Extent, extent};
+pub use extent::extent;
 pub(crate) use rays::PASSES;
 pub use rays::{RayFit, fit_chief_rays};
 pub(crate) use scan::check_grid;

@@ -2,7 +2,7 @@
 
 use super::BeadError;
 use crate::noise::NoiseModel;
-use crate::session::{FrameReader, Manifest, Role, Session};
+use crate::session::{Cut, FrameReader, Manifest, Role, Session};
 use ndarray::Array2;
 use std::path::{Path, PathBuf};
 
@@ -100,8 +100,17 @@ impl BeadScan {
     /// # Errors
     /// The file cannot be read or holds values that are no numbers.
     pub fn light_dn(&mut self, n: usize) -> Result<Array2<f32>, BeadError> {
+        Ok(self.cut_light_dn(n)?.0)
+    }
+
+    /// [`Self::light_dn`], and the part of the frame that was measured, if not all of it was.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn cut_light_dn(&mut self, n: usize) -> Result<(Array2<f32>, Option<Cut>), BeadError> {
         let bead = &self.beads[n];
         let mut frame = self.readers[bead.stack].read(bead.frame)?;
+        let cut = Cut::of(&frame);
         let (black, top) = (self.noise.black_level_dn as f32, self.noise.saturation_dn as f32);
         frame.mapv_inplace(|v| if v >= top { f32::NAN } else { v - black });
         if let Some(offset) = &self.maps.offset_dn {
@@ -110,7 +119,7 @@ impl BeadScan {
         if let Some(inverse) = &self.maps.inverse_response {
             frame *= inverse;
         }
-        Ok(frame)
+        Ok((frame, cut))
     }
 }
 

@@ -9,7 +9,7 @@ use super::{Bead, BeadError, BeadScan, Warning};
 use crate::instrument::Geometry;
 use crate::noise::Source;
 use crate::psf::shift::shifted;
-use crate::session::Manifest;
+use crate::session::{Cut, Manifest};
 use ndarray::{Array1, Array2, Array3, ArrayViewMut2, Axis, s};
 
 /// Pixels round a window that are cut out with it where it is moved by a fraction.
@@ -59,13 +59,14 @@ pub fn cut_windows(
     let mut known = Array3::from_elem((lenses, beads, side * side), true);
     let mut variance = Array2::<f64>::zeros((lenses, side * side));
     let mut saturated = [0usize; 2];
-    let mut truncated = 0;
+    let (mut truncated, mut cuts) = (0, 0);
     for n in 0..beads {
-        let frame = scan.light_dn(n)?;
+        let (frame, cut) = scan.cut_light_dn(n)?;
+        cuts += usize::from(cut.is_some());
         let (mut saturated_here, mut total) = (0, 0.0);
         for l in (0..lenses).filter(|l| !geometry.dead[*l]) {
-            let window =
-                Window::cut(&frame, &scan.beads[n], corner(manifest, geometry, l), [side, nominal_px.min(side)]);
+            let corner = corner(manifest, geometry, l);
+            let window = Window::cut((&frame, cut.as_ref()), &scan.beads[n], corner, [side, nominal_px.min(side)]);
             if window.saturated > SATURATED_ALLOWED {
                 let (path, frame) = (scan.path(n).into(), scan.beads[n].frame);
                 let (allowed, found) = (SATURATED_ALLOWED, window.saturated);
@@ -88,6 +89,9 @@ pub fn cut_windows(
     }
     if truncated > 0 {
         warnings.push(Warning::Truncated { windows: truncated });
+    }
+    if cuts > 0 {
+        warnings.push(Warning::CutOut { frames: cuts });
     }
     warnings.extend(dim_lenses(&light, geometry));
     if scan.noise().sources.gain == Source::Nominal {
@@ -164,7 +168,12 @@ struct Window {
 }
 
 impl Window {
-    fn cut(frame: &Array2<f32>, bead: &Bead, corner: [isize; 2], [side, nominal]: [usize; 2]) -> Self {
+    fn cut(
+        (frame, cut): (&Array2<f32>, Option<&Cut>),
+        bead: &Bead,
+        corner: [isize; 2],
+        [side, nominal]: [usize; 2],
+    ) -> Self {
         let whole = bead.at_px.map(f64::round);
         let mut back = [whole[0] - bead.at_px[0], whole[1] - bead.at_px[1]];
         if back.iter().all(|d| d.abs() < SAME_PIXEL) {
@@ -176,21 +185,27 @@ impl Window {
         let big = side + 2 * margin;
         let pixel = |r: usize, c: usize| {
             let at = [origin[0] + r as isize, origin[1] + c as isize];
-            (at[0] >= 0 && at[1] >= 0).then(|| frame.get([at[0] as usize, at[1] as usize]).copied()).flatten()
+            (at[0] >= 0 && at[1] >= 0).then(|| [at[0] as usize, at[1] as usize])
         };
-        let raw = Array2::from_shape_fn((big, big), |(r, c)| pixel(r, c));
+        let on_sensor = Array2::from_shape_fn((big, big), |(r, c)| pixel(r, c).filter(|at| frame.get(*at).is_some()));
+        let measured = |at: &[usize; 2]| cut.is_none_or(|cut| cut.holds(at[0], at[1]));
+        let raw = on_sensor.mapv(|at| at.filter(measured).map(|at| frame[at]));
         let inner = s![margin..margin + side, margin..margin + side];
         let saturated = raw.slice(inner).iter().flatten().filter(|v| !v.is_finite()).count();
         let (low, high) = ((big - nominal) / 2, (big + nominal) / 2);
-        let truncated = raw.slice(s![low..high, low..high]).iter().any(Option::is_none);
+        let truncated = on_sensor.slice(s![low..high, low..high]).iter().any(Option::is_none);
         let total = raw.iter().flatten().filter(|v| v.is_finite()).map(|v| f64::from(*v)).sum();
         let light = shifted(raw.mapv(|v| v.filter(|v| v.is_finite()).unwrap_or(0.0)).view(), back, 0);
-        let measured = raw.mapv(|v| v.is_some_and(f32::is_finite));
-        // A moved pixel takes from its neighbours: it is known where they are.
+        let broken = Array2::from_shape_fn((big, big), |at| match on_sensor[at] {
+            Some(pixel) => !frame[pixel].is_finite(),
+            None => true,
+        });
+        // A moved pixel takes from its neighbours: it is known where they are. Whoever cut a frame out of a picture left the focus in it: next to
+        // the cut there is little to take.
         let blur = if back == [0.0, 0.0] { 0 } else { 2 };
         let known = Array2::from_shape_fn((side, side), |(r, c)| {
             let (r, c) = (r + margin, c + margin);
-            measured.slice(s![r - blur..=r + blur, c - blur..=c + blur]).iter().all(|m| *m)
+            raw[[r, c]].is_some() && !broken.slice(s![r - blur..=r + blur, c - blur..=c + blur]).iter().any(|b| *b)
         });
         Self { light: light.slice(inner).to_owned(), known, saturated, truncated, total }
     }

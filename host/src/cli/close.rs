@@ -2,7 +2,7 @@
 
 use super::{Outcome, Run};
 use crate::artifact::Provenance;
-use crate::closing::close::{close, same_layout};
+use crate::closing::close::{Given, close_with, same_layout};
 use crate::closing::observe::{Budget, Observations};
 use crate::closing::result::{Closing, Effect};
 use crate::closing::{recalibrate, retrain};
@@ -53,15 +53,17 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     same_layout(&instrument.manifest, session.manifest()).with_context(|| args.session.display().to_string())?;
     let mut seen = Observations::read(&session, &instrument, &Budget::default())?;
     let bar = run.spinner("close");
-    let mut closed = close(&instrument, &mut seen, &session.manifest().name, run.seed, |what| {
+    let config = CalibrateConfig { normalise_beads: args.normalise_beads, ..CalibrateConfig::default() };
+    let anew = recalibrate::anew(&session, &instrument, &config)?;
+    let given = Given { anew: anew.as_ref(), ..Given::default() };
+    let mut closed = close_with(&instrument, &mut seen, &session.manifest().name, run.seed, given, |what| {
         bar.set_message(what.to_string());
         bar.tick();
     })
     .with_context(|| args.session.display().to_string())?;
-    if recalibrate::needed(&closed, &session) {
+    if let Some(first) = anew.as_ref().filter(|_| recalibrate::needed(&closed)) {
         bar.set_message("calibrating anew");
-        let config = CalibrateConfig { normalise_beads: args.normalise_beads, ..CalibrateConfig::default() };
-        recalibrate::recalibrate(&mut closed, &session, &instrument, &config)?;
+        recalibrate::adopt(&mut closed, &session, [&instrument, first], &config)?;
     }
     bar.finish_and_clear();
     let provenance = |verb| -> anyhow::Result<Provenance> {

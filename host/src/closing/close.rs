@@ -105,20 +105,28 @@ pub fn close(
     seed: u64,
     tell: impl FnMut(&str),
 ) -> Result<Closed, CloseError> {
-    close_without(instrument, seen, session, seed, &[], tell)
+    close_with(instrument, seen, session, seed, Given::default(), tell)
 }
 
-/// [`close`] with a smaller catalogue: the effects `exclude`d are not tried. What the loop says where the true effect is not
-/// among its candidates tells how far it can be trusted.
+/// What else the loop is given.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Given<'a> {
+    /// Ids of effects that are not tried. What the loop says where the true effect is not among its candidates tells how far it can be trusted.
+    pub exclude: &'a [String],
+    /// A new calibration by the beads that may be fitted, where there is one ([`super::recalibrate`]).
+    pub anew: Option<&'a Instrument>,
+}
+
+/// [`close`], given more.
 ///
 /// # Errors
 /// As [`close`].
-pub fn close_without(
+pub fn close_with(
     instrument: &Instrument,
     seen: &mut Observations,
     session: &str,
     seed: u64,
-    exclude: &[String],
+    given: Given<'_>,
     mut tell: impl FnMut(&str),
 ) -> Result<Closed, CloseError> {
     if seen.frames.is_empty() {
@@ -137,7 +145,8 @@ pub fn close_without(
     let dependences_before = omnibus::test(&model, &first, &replicas.of(&model, &first), seed);
     tell("catalogue");
     let mut search = Search::new(&model, &replicas, first);
-    search.exclude = exclude.to_vec();
+    search.exclude = given.exclude.to_vec();
+    search.anew = given.anew.map(|anew| held_out_deviance(anew, seen)).transpose()?;
     search.run(Tried::Catalogue, &mut tell)?;
     let mut dependences = omnibus::test(&model, &search.now, &replicas.of(&model, &search.now), seed);
     let mut rest = std::mem::take(&mut search.rest);
@@ -156,7 +165,7 @@ pub fn close_without(
         // Their limits are those of what is not there.
         rest.retain(|c| !taken_back.iter().any(|t| t.id() == c.term.id()));
         let absent = taken_back.iter().map(|t| t.switched_off(model.lenses())).collect::<Vec<_>>();
-        rest.extend(search::score(&model, &now, &replicas.of(&model, &now), &absent)?.2);
+        rest.extend(search::score(&model, &now, &replicas.of(&model, &now), &absent)?.candidates);
         let ids: Vec<&str> = taken_back.iter().map(Term::id).collect();
         notes.push(format!(
             "added on the way and taken back, since not needed beside what was found later: {}",
@@ -226,6 +235,12 @@ pub fn residual(
         ..Closing::default()
     };
     Ok(pictured(&model, &fit, &fit, closing))
+}
+
+/// Deviance of what no fit has seen, by another instrument.
+fn held_out_deviance(instrument: &Instrument, seen: &Observations) -> Result<f64, CloseError> {
+    let model = Model::new(instrument, seen)?;
+    Ok(refit(&model, model.state(instrument)?)?.held_out.deviance)
 }
 
 fn held_out_frames(seen: &Observations) -> Vec<usize> {
@@ -305,7 +320,9 @@ fn prune(
                 let without = refit(model, state)?;
                 // Values that trade against one another are each uncertain while the term as a whole is not.
                 let weight = tests[t].as_ref().map_or(1.0, |test| test.phi);
-                if (without.training.deviance - now.training.deviance) / weight > NEEDED {
+                let rise = (without.training.deviance - now.training.deviance)
+                    .max(without.held_out.deviance - now.held_out.deviance);
+                if rise / weight > NEEDED {
                     needed.push(term.id());
                 } else {
                     found.remove(t - own);

@@ -49,13 +49,6 @@ impl<'a> Model<'a> {
         self.seen.frames.iter().all(|f| f.shown == Shown::Unknown)
     }
 
-    /// Whether beads stand in for scenes: then a PSF that varies more than the model lets it is no matter of a few values, but of a new
-    /// calibration (`super::recalibrate`), and whatever would be added beside it would stand for a part of that.
-    pub fn has_beads_alone(&self) -> bool {
-        let shown = |test: fn(&Shown) -> bool| self.seen.frames.iter().any(|f| test(&f.shown));
-        shown(|s| matches!(s, Shown::Bead(..))) && !shown(|s| matches!(s, Shown::Object(_)))
-    }
-
     /// Number of lenses.
     pub fn lenses(&self) -> usize {
         self.forward.layout().lenses
@@ -231,7 +224,8 @@ impl<'a> Model<'a> {
     fn own_scale(&self, f: &Frame, sum_e: &Array2<f32>) -> f64 {
         let noise = self.forward.noise();
         let (mut top, mut bottom) = (0.0, 0.0);
-        for (y, e) in f.measured.iter().zip(sum_e) {
+        let measured = |r: usize, c: usize| f.cut.as_ref().is_none_or(|cut| cut.holds(r, c));
+        for ((_, y), e) in f.measured.indexed_iter().zip(sum_e).filter(|((at, _), _)| measured(at.0, at.1)) {
             top += (f64::from(*y) - noise.black_level_dn) * f64::from(*e);
             bottom += f64::from(*e).powi(2) * noise.gain_dn_per_e;
         }
@@ -362,9 +356,12 @@ impl<'a> Model<'a> {
     }
 }
 
-/// Residual of a frame, DN, and the variance that its own unknown detail adds, DN^2.
+/// Residual of a frame, DN (no number where it was not measured), and the variance that its own unknown detail adds, DN^2.
 fn residual(f: &Frame, expected: &Array2<f32>) -> (Array2<f32>, Array2<f32>) {
-    let difference = &f.measured - expected;
+    let mut difference = &f.measured - expected;
+    if let Some(cut) = &f.cut {
+        difference.indexed_iter_mut().filter(|((r, c), _)| !cut.holds(*r, *c)).for_each(|(_, v)| *v = f32::NAN);
+    }
     if f.shown != Shown::Unknown {
         return (difference, Array2::zeros(expected.dim()));
     }

@@ -1,7 +1,7 @@
 //! The frames of a session that the loop looks at, and how they are divided before anything is fitted.
 
 use crate::instrument::Instrument;
-use crate::session::{FrameInfo, Role, Session, SessionError, Stack};
+use crate::session::{Cut, FrameInfo, Role, Session, SessionError, Stack};
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
@@ -55,6 +55,8 @@ pub struct Frame {
     pub info: FrameInfo,
     /// As measured, DN, [sensor rows, sensor cols].
     pub measured: Array2<f32>,
+    /// The part of it that was measured; None: all.
+    pub cut: Option<Cut>,
     /// What it shows.
     pub shown: Shown,
     /// Kept out of every fit.
@@ -159,10 +161,12 @@ fn read_stack(
             Role::Scene if everything => i % 4 == 3,
             Role::Scene => n / 2 % 4 == 3,
         };
+        let measured = reader.read(*i)?;
         frames.push(Frame {
             stack: s,
             role: stack.role(),
-            measured: reader.read(*i)?,
+            cut: if stack.role() == Role::Bead { Cut::of(&measured) } else { None },
+            measured,
             info,
             shown,
             held_out,

@@ -7,6 +7,7 @@ use super::figures::figures;
 use super::model::Model;
 use super::observe::{Budget, Observations};
 use super::refit::refit;
+use super::result::Figures;
 use crate::instrument::{CalibrateConfig, Instrument, calibrate};
 use crate::session::{Existing, FrameInfo, Role, SampleType, Session, SessionWriter, StackEntry, StackSpec};
 use anyhow::Context;
@@ -15,33 +16,45 @@ use std::path::Path;
 /// Id of the effect that asks for it.
 pub const ASKED_BY: &str = "rank_truncation";
 
-/// Whether the loop found that the model has too few terms, and the session has beads but no known scenes to tell more by.
-pub fn needed(closed: &Closed, session: &Session) -> bool {
-    let known = session.stacks_of(Role::Scene).any(|s| s.entry().truth.is_some());
-    let asked = closed.account.closing.effects.iter().any(|e| e.id == ASKED_BY);
-    asked && !known && session.stacks_of(Role::Bead).next().is_some()
-}
+/// By how much a new calibration must lower the NRMSE of held-out beads to count.
+const BETTER: f64 = 0.9;
 
-/// Puts the new calibration in the place of the old one, with figures on the beads that its first form has not seen.
+/// A new calibration by the beads that may be fitted, if the session has no known scenes to tell more by, and the beads that may not are the better
+/// for it.
 ///
 /// # Errors
 /// The session cannot be read or calibrated, or there is no room for a copy of its beads.
-pub fn recalibrate(
-    closed: &mut Closed,
-    session: &Session,
-    before: &Instrument,
-    config: &CalibrateConfig,
-) -> anyhow::Result<()> {
+pub fn anew(session: &Session, before: &Instrument, config: &CalibrateConfig) -> anyhow::Result<Option<Instrument>> {
+    let known = session.stacks_of(Role::Scene).any(|s| s.entry().truth.is_some());
+    if known || session.stacks_of(Role::Bead).next().is_none() {
+        return Ok(None);
+    }
     let folder = tempfile::tempdir().context("a folder for the beads that may be fitted")?;
     let part = folder.path().join("training");
     training_beads(session, before, &part)?;
     let first = calibrate(&Session::open(&part)?, config, || {})?.instrument;
-    let seen = Observations::read(session, &first, &Budget::default())?;
-    let model = Model::new(&first, &seen)?;
-    let fitted = refit(&model, model.state(&first)?)?;
+    let nrmse = |instrument| -> anyhow::Result<f64> { Ok(held_out(session, instrument)?.nrmse) };
+    Ok((nrmse(&first)? < BETTER * nrmse(before)?).then_some(first))
+}
+
+/// Whether the loop found that nothing less than a new calibration will do.
+pub fn needed(closed: &Closed) -> bool {
+    closed.account.closing.effects.iter().any(|e| e.id == ASKED_BY)
+}
+
+/// Puts a new calibration in the place of the old one: by all beads, with the figures of `first`, which has not seen all of them.
+///
+/// # Errors
+/// The session cannot be read or calibrated.
+pub fn adopt(
+    closed: &mut Closed,
+    session: &Session,
+    [before, first]: [&Instrument; 2],
+    config: &CalibrateConfig,
+) -> anyhow::Result<()> {
     let whole = calibrate(session, config, || {})?.instrument;
     let closing = &mut closed.account.closing;
-    closing.after = figures(&model, &fitted);
+    closing.after = held_out(session, first)?;
     let terms = [before, &whole].map(|i| i.psf.basis.dim().1);
     if let Some(effect) = closing.effects.iter_mut().find(|e| e.id == ASKED_BY) {
         effect.description = format!(
@@ -56,6 +69,16 @@ pub fn recalibrate(
     );
     closed.instrument = whole;
     Ok(())
+}
+
+/// Figures of an instrument on the beads that no fit has seen.
+///
+/// # Errors
+/// The session cannot be read, or is of another kind.
+pub fn held_out(session: &Session, instrument: &Instrument) -> anyhow::Result<Figures> {
+    let seen = Observations::read(session, instrument, &Budget::default())?;
+    let model = Model::new(instrument, &seen)?;
+    Ok(figures(&model, &refit(&model, model.state(instrument)?)?))
 }
 
 /// Writes a session of the beads that may be fitted, with all that is not beads as it is.

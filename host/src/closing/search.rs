@@ -117,7 +117,16 @@ pub fn replicas(model: &Model<'_>, instrument: &Instrument, state: &State) -> Re
     Ok(Replicas { light: instrument.replicates.iter().map(light).collect::<Result<_, _>>()? })
 }
 
-/// Scores everything that could be added to a state: the design, its columns that are taken out of all, and the best start of each effect.
+/// Scores of all that could be added to a state.
+pub(super) struct Scored {
+    design: Design,
+    /// Columns that are taken out of all others.
+    taken: Vec<usize>,
+    /// Each effect at its best start.
+    pub(super) candidates: Vec<Candidate>,
+}
+
+/// Scores everything that could be added to a state.
 ///
 /// # Errors
 /// An object is no light.
@@ -126,7 +135,7 @@ pub(super) fn score(
     fitted: &Fitted,
     replicas: &[Vec<Option<Array2<f32>>>],
     terms: &[Term],
-) -> Result<(Design, Vec<usize>, Vec<Candidate>), ForwardError> {
+) -> Result<Scored, ForwardError> {
     let given: Vec<Column> = nuisances(model).into_iter().chain(own_columns(model, &fitted.state)).collect();
     let taken: Vec<usize> = (0..given.len()).collect();
     let mut columns = given;
@@ -153,7 +162,7 @@ pub(super) fn score(
             None => candidates.push(candidate),
         }
     }
-    Ok((design, taken, candidates))
+    Ok(Scored { design, taken, candidates })
 }
 
 /// A single strength that cannot be below `off` is no evidence where it comes out there.
@@ -179,6 +188,9 @@ fn with(model: &Model<'_>, state: &State, candidate: &Candidate) -> State {
     next
 }
 
+/// The part of what a new calibration gains that an effect must reach to be believed instead.
+const ENOUGH: f64 = 0.5;
+
 /// A search under way.
 pub struct Search<'m, 'a> {
     model: &'m Model<'a>,
@@ -191,12 +203,14 @@ pub struct Search<'m, 'a> {
     pub rest: Vec<Candidate>,
     /// Ids that are not tried.
     pub exclude: Vec<String>,
+    /// Deviance of held-out beads after a new calibration, where one is the better for it.
+    pub anew: Option<f64>,
 }
 
 impl<'m, 'a> Search<'m, 'a> {
     /// Starts from a fit.
     pub fn new(model: &'m Model<'a>, replicas: &'m Replicas, now: Fitted) -> Self {
-        Self { model, replicas, now, found: Vec::new(), rest: Vec::new(), exclude: Vec::new() }
+        Self { model, replicas, now, found: Vec::new(), rest: Vec::new(), exclude: Vec::new(), anew: None }
     }
 
     /// Adds one effect after another, as long as the scores, the full fit and the held-out data agree.
@@ -210,7 +224,7 @@ impl<'m, 'a> Search<'m, 'a> {
             let excluded = |id: &str| self.exclude.iter().any(|e| e == id);
             terms.retain(|t| !excluded(t.id()));
             let of_frames = self.replicas.of(self.model, &self.now);
-            let (design, taken, mut candidates) = score(self.model, &self.now, &of_frames, &terms)?;
+            let Scored { design, taken, mut candidates } = score(self.model, &self.now, &of_frames, &terms)?;
             candidates.extend(tabled(self.model, &self.now, tried).into_iter().filter(|c| !excluded(c.term.id())));
             candidates.sort_by(|a, b| b.worth().total_cmp(&a.worth()));
             log(&candidates);
@@ -224,7 +238,8 @@ impl<'m, 'a> Search<'m, 'a> {
                 self.rest = candidates;
                 return Ok(());
             }
-            match self.confirm(&finalists, tell)? {
+            let verdict = self.confirm(&finalists, tell)?;
+            match self.or_anew(verdict, &candidates)? {
                 Verdict::Added(it) => {
                     let found = self.describe(&design, taken, &candidates, &it);
                     self.found.push(found);
@@ -241,7 +256,24 @@ impl<'m, 'a> Search<'m, 'a> {
 
     /// Whether the next step is a new calibration, not another effect.
     pub fn asks_for_calibration(&self) -> bool {
-        self.model.has_beads_alone() && self.found.iter().any(|f| f.id == ASKED_BY)
+        self.anew.is_some() && self.found.iter().any(|f| f.id == ASKED_BY)
+    }
+
+    /// The verdict, unless a new calibration is far better than any effect: then what stands for one. A new calibration follows whatever the PSFs do, so
+    /// that it is better than the right effect as well, but not by much.
+    fn or_anew<'c>(&self, verdict: Verdict<'c>, candidates: &'c [Candidate]) -> Result<Verdict<'c>, ForwardError> {
+        let Some(anew) = self.anew.filter(|_| self.found.is_empty()) else { return Ok(verdict) };
+        let before = self.now.held_out.deviance;
+        let gain = match &verdict {
+            Verdict::Added(it) => it.gain,
+            Verdict::Refused(_) => 0.0,
+        };
+        let sign = candidates.iter().find(|c| c.term.id() == ASKED_BY);
+        let Some(candidate) = sign.filter(|_| gain < ENOUGH * (before - anew)) else { return Ok(verdict) };
+        let fit = refit_from(self.model, with(self.model, &self.now.state, candidate), self.now.scenes.clone())?;
+        // All others were held against it, and lost.
+        let behind = candidates.iter().map(|c| (c.term.id(), f64::INFINITY)).collect();
+        Ok(Verdict::Added(Added { fit, candidate, gain: before - anew, behind }))
     }
 
     /// Fits the finalists in full and holds the best against what no fit has seen.

@@ -38,6 +38,7 @@ fn observations(instrument: &Instrument, terms: &[Term]) -> Observations {
         role: Role::Scene,
         info: FrameInfo { time_s: 0.02 * k as f64, ..FrameInfo::plain(k, 10.0) },
         measured: Array2::zeros((SENSOR[0], SENSOR[1])),
+        cut: None,
         shown: Shown::Object(k),
         held_out: k == 5,
         previous: k.checked_sub(1),

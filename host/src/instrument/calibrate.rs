@@ -4,7 +4,7 @@ use super::light_unit::{fit_light_unit, set_light_unit};
 use super::model::Model;
 use super::replicates::replicates;
 use super::{Instrument, LightUnit, Quality, sensor_only};
-use crate::bead::{BeadError, BeadScale, BeadScan, Extent, SensorMaps, cut_windows, extent, fit_chief_rays};
+use crate::bead::{BeadError, BeadScale, BeadScan, SensorMaps, cut_windows, extent, fit_chief_rays};
 use crate::forward::ForwardError;
 use crate::linalg::NotConverged;
 use crate::noise::{NoiseCalibration, NoiseConfig, NoiseError, inverse_response, measure_noise};
@@ -13,9 +13,6 @@ use crate::session::{Manifest, Role, Session, SessionError};
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
-
-/// Foci further from their chief rays than this, rms, px, say nothing about the extent of a focus.
-const WANDER_PX: f64 = 0.3;
 
 /// How an instrument is calibrated.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -119,10 +116,8 @@ pub fn calibrate(
             Some(found) if found.is_multiple_of(2) => return Err(CalibrateError::Window { found }),
             Some(side) => side,
             None => {
-                let extent = extent(&mut scan, &manifest, &rays.geometry, &mut step)?;
-                let (side, note) = window(nominal, extent, rays.rms_px);
-                notes.extend(note);
-                side
+                // Foci that wander about their chief rays need room as well as those that have tails.
+                extent(&mut scan, &manifest, &rays.geometry, &mut step)?.max(nominal)
             }
         };
         let scale = if config.normalise_beads { BeadScale::PerFrame } else { BeadScale::Physical };
@@ -159,20 +154,6 @@ pub fn calibrate(
         None => {}
     }
     Ok(Calibration { instrument, notes })
-}
-
-/// The window to take: wider than the nominal one where foci have tails. Where they wander about their chief rays instead, the
-/// light outside is that of displaced foci, and the nominal window is what was meant to be measured.
-fn window(nominal: usize, extent: Extent, rms_px: f64) -> (usize, Option<String>) {
-    if extent.side_px <= nominal || rms_px <= WANDER_PX {
-        return (extent.side_px.max(nominal), None);
-    }
-    let (percent, side) = (100.0 * extent.outside, extent.side_px);
-    let note = format!(
-        "{percent:.2} % of the light falls outside windows of {nominal} px, from foci that lie {rms_px:.2} px off their chief rays; \
-         --window {side} would hold it"
-    );
-    (nominal, Some(note))
 }
 
 fn maps(noise: &NoiseCalibration) -> SensorMaps {

@@ -50,8 +50,22 @@ pub fn decompose(
         return decompose_whole(windows, sigma, rank);
     };
     let mut filled = windows.to_owned();
-    let means = known_means(windows, Some(known));
-    Zip::indexed(&mut filled).and(known).for_each(|(_, p), v, k| {
+    fill(&mut filled, known, sigma, rank)?;
+    decompose_whole(filled.view(), sigma, rank)
+}
+
+/// Fills in what was not measured from the model of at most `rank` terms itself.
+///
+/// # Errors
+/// As [`decompose`].
+pub(super) fn fill(
+    filled: &mut Array2<f32>,
+    known: ArrayView2<'_, bool>,
+    sigma: ArrayView1<'_, f32>,
+    rank: usize,
+) -> Result<(), NotConverged> {
+    let means = known_means(filled.view(), known);
+    Zip::indexed(&mut *filled).and(known).for_each(|(_, p), v, k| {
         if !k {
             *v = means[p];
         }
@@ -60,13 +74,13 @@ pub fn decompose(
     for round in 0..FILL_ROUNDS {
         let terms = rank.min(1 + round / 2);
         let model = decompose_whole(filled.view(), sigma, terms)?.windows(terms);
-        Zip::from(&mut filled).and(known).and(&model).for_each(|v, k, m| {
+        Zip::from(&mut *filled).and(known).and(&model).for_each(|v, k, m| {
             if !k {
                 *v = *m;
             }
         });
     }
-    decompose_whole(filled.view(), sigma, rank)
+    Ok(())
 }
 
 fn decompose_whole(
@@ -104,10 +118,7 @@ fn gram(windows: ArrayView2<'_, f32>) -> Array2<f64> {
 }
 
 /// Mean of each pixel over the beads that show it.
-pub(super) fn known_means(windows: ArrayView2<'_, f32>, known: Option<ArrayView2<'_, bool>>) -> Array1<f32> {
-    let Some(known) = known else {
-        return windows.mean_axis(Axis(0)).unwrap_or_else(|| Array1::zeros(windows.ncols()));
-    };
+fn known_means(windows: ArrayView2<'_, f32>, known: ArrayView2<'_, bool>) -> Array1<f32> {
     Zip::from(windows.columns()).and(known.columns()).map_collect(|w, k| {
         let (sum, count) = w.iter().zip(k).filter(|(_, k)| **k).fold((0.0, 0.0), |(s, c), (v, _)| (s + v, c + 1.0));
         sum / f32::max(count, 1.0)

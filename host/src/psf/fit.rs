@@ -3,12 +3,15 @@
 //! [`super::decompose`] knows no positions and [`super::field`] no PSFs; here they meet: the coefficients of each lens's
 //! decomposition become smooth functions over the field.
 
-use super::decompose::{Decomposition, decompose, known_means};
+use super::decompose::{Decomposition, decompose, fill};
 use super::field::FieldSmoother;
 use crate::bead::{BeadScale, LensWindows};
 use crate::linalg::NotConverged;
 use ndarray::{Array1, Array2, ArrayView2, Axis, s};
 use rayon::prelude::*;
+
+/// Terms that what was not measured is filled in with, before windows are averaged.
+const FILL_TERMS: usize = 16;
 
 /// How the model is fitted.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -211,7 +214,7 @@ impl LensModels {
         let lens = |l: usize| match terms {
             _ if dead[l] => Ok(None),
             Terms::Truncated { most, .. } => fit_lens(&windows[l], &beads, most).map(Some),
-            Terms::OnePsf => Ok(Some(mean_psf(&windows[l], &planes))),
+            Terms::OnePsf => mean_psf(&windows[l], &planes).map(Some),
         };
         let fits = (0..windows.len()).into_par_iter().map(lens).collect::<Result<Vec<_>, NotConverged>>()?;
         Ok(Self { fits, beads, planes, smoothers })
@@ -266,23 +269,27 @@ impl LensModels {
 }
 
 /// The mean PSF of each plane, with constant coefficients: the shift-invariant model.
-fn mean_psf(windows: &LensWindows, planes: &[Plane]) -> LensFit {
+///
+/// What was not measured is filled in first, as for the low-rank model: a pixel that only some beads show is no mean over all of them.
+fn mean_psf(windows: &LensWindows, planes: &[Plane]) -> Result<LensFit, NotConverged> {
     let (count, px) = (planes.iter().map(|p| p.beads.len()).sum(), windows.light_dn.ncols());
     let mut basis = Array2::<f32>::zeros((planes.len(), px));
     let mut coefficients = Array2::zeros((count, planes.len()));
     let mut singular_values = Vec::new();
     let mut row = 0;
     for (k, plane) in planes.iter().enumerate() {
-        let light = windows.light_dn.select(Axis(0), &plane.beads);
-        let known = windows.known.as_ref().map(|k| k.select(Axis(0), &plane.beads));
-        let mean = known_means(light.view(), known.as_ref().map(|k| k.view()));
+        let mut light = windows.light_dn.select(Axis(0), &plane.beads);
+        if let Some(known) = windows.known.as_ref().map(|k| k.select(Axis(0), &plane.beads)) {
+            fill(&mut light, known.view(), sigma(windows).view(), FILL_TERMS)?;
+        }
+        let mean = light.mean_axis(Axis(0)).unwrap_or_else(|| Array1::zeros(light.ncols()));
         let norm = mean.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt().max(f64::MIN_POSITIVE);
         basis.row_mut(k).assign(&mean.mapv(|v| (f64::from(v) / norm) as f32));
         coefficients.slice_mut(s![row..row + plane.beads.len(), k]).fill(norm);
         row += plane.beads.len();
         singular_values.push(norm * (plane.beads.len() as f64).sqrt());
     }
-    LensFit { decomposition: Decomposition { basis, coefficients, singular_values } }
+    Ok(LensFit { decomposition: Decomposition { basis, coefficients, singular_values } })
 }
 
 /// Misfit of the model fitted to the beads of `train` at all other beads of `planes`, over all living lenses.

@@ -2,6 +2,7 @@
 //!
 //! [`Session::open`] checks all of it; [`stack`] reads and writes frames one at a time; [`SessionWriter`] makes one.
 
+mod cut;
 mod error;
 mod manifest;
 mod open;
@@ -12,6 +13,7 @@ mod tests;
 mod validate;
 mod write;
 
+pub use cut::Cut;
 pub use error::SessionError;
 pub use manifest::{ArrayGeometry, Manifest, ObjectGrid, Optics, Role, SensorSpec, StackEntry};
 pub use open::{MANIFEST, Session, Stack, TruthReader};

@@ -5,7 +5,7 @@ use super::foreign;
 use super::plan::{Case, Question};
 use super::record::{FoundEffect, HeldOut, Outcome};
 use super::subject::Subject;
-use crate::closing::close::close_without;
+use crate::closing::close::{Given, close_with};
 use crate::closing::figures::figures;
 use crate::closing::model::Model;
 use crate::closing::observe::{Budget, Observations};
@@ -46,7 +46,8 @@ fn attempt(subject: &Subject, case: &Case) -> anyhow::Result<Outcome> {
     instrument.noise.gain_dn_per_e *= case.gain;
     let mut seen = Observations::read(&session, &instrument, &Budget::default())?;
     let started = Instant::now();
-    let closed = close_without(&instrument, &mut seen, &case.key, case.seed, &case.excluded, |_| {})?;
+    let given = Given { exclude: &case.excluded, anew: None };
+    let closed = close_with(&instrument, &mut seen, &case.key, case.seed, given, |_| {})?;
     let seconds = started.elapsed().as_secs_f64();
     let reconstruction = match case.question {
         Question::Reconstruction => {

@@ -1,0 +1,56 @@
+//! Frames that were cut out of a picture: what lies outside the cut was not measured.
+
+use ndarray::Array2;
+use std::ops::Range;
+
+/// The part of a frame that was measured.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Cut([Range<usize>; 2]);
+
+impl Cut {
+    /// The box outside which every pixel has exactly the same value, if that is most of the frame. None: all of it was measured, since no
+    /// sensor gives the same code over most of a frame that shows light.
+    pub fn of(frame: &Array2<f32>) -> Option<Self> {
+        let (rows, cols) = frame.dim();
+        if frame.is_empty() {
+            return None;
+        }
+        // The box may lie in one corner; the others then agree.
+        let mut corners = [(0, 0), (0, cols - 1), (rows - 1, 0), (rows - 1, cols - 1)].map(|at| frame[at]);
+        corners.sort_by(f32::total_cmp);
+        let outside = if corners[0] == corners[1] { corners[1] } else { corners[2] };
+        let mut found: Option<[Range<usize>; 2]> = None;
+        for ((r, c), _) in frame.indexed_iter().filter(|(_, v)| **v != outside) {
+            let grown = |b: &Range<usize>, i: usize| b.start.min(i)..b.end.max(i + 1);
+            found = Some(match &found {
+                None => [r..r + 1, c..c + 1],
+                Some([y, x]) => [grown(y, r), grown(x, c)],
+            });
+        }
+        found.filter(|[y, x]| 2 * y.len() * x.len() <= rows * cols).map(Self)
+    }
+
+    /// Whether a pixel was measured.
+    pub fn holds(&self, row: usize, col: usize) -> bool {
+        self.0[0].contains(&row) && self.0[1].contains(&col)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_spot_on_exact_darkness_was_cut_out_and_a_noisy_frame_was_not() {
+        let spot = |r: usize, c: usize| if (3..8).contains(&r) && c < 4 { 1.0 + (r * c) as f32 } else { 7.5 };
+        let cut = Cut::of(&Array2::from_shape_fn((20, 30), |(r, c)| spot(r, c)));
+        assert_eq!(cut, Some(Cut([3..8, 0..4])));
+        assert!(cut.is_some_and(|c| c.holds(7, 3) && !c.holds(7, 4)));
+        assert_eq!(Cut::of(&Array2::from_shape_fn((20, 30), |(r, c)| spot(r, c) + ((r + c) % 2) as f32)), None);
+        assert_eq!(Cut::of(&Array2::zeros((5, 5))), None);
+        // In the corner itself.
+        let corner =
+            Cut::of(&Array2::from_shape_fn((20, 30), |(r, c)| if r < 5 && c < 5 { 9.0 + c as f32 } else { 0.0 }));
+        assert_eq!(corner, Some(Cut([0..5, 0..5])));
+    }
+}
