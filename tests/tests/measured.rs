@@ -49,6 +49,97 @@ fn measured_spots_call_for_a_new_calibration() {
     assert!(anew(&session, &first, &config).unwrap().is_none());
 }
 
+/// A bead moved through the focus of a microscope with an engineered pupil: a model of one plane misses all others, and a new calibration by
+/// every second plane predicts those between.
+#[test]
+fn measured_depth_calls_for_a_new_calibration() {
+    use ommatidia_host::closing::recalibrate::{anew, held_out};
+    let Some(data) = measured_data("measured_depth_calls_for_a_new_calibration", "engineered_psf") else { return };
+    for (mask, frames) in [("crlb1", 56), ("tetrapod", 54)] {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::copy(data.join(format!("bead_stack_{mask}.tif")), folder.path().join("bead.tif")).unwrap();
+        let z_um = |i: usize| 0.1 * i as f64 - 0.05 * (frames - 1) as f64;
+        let rows: String = (0..frames).map(|i| format!("{i},0,0,{:.3}\n", z_um(i))).collect();
+        std::fs::write(folder.path().join("bead.csv"), format!("frame,x_um,y_um,z_um\n{rows}")).unwrap();
+        std::fs::write(folder.path().join("session.toml"), ONE_BEAD).unwrap();
+        let session = Session::open(folder.path()).unwrap();
+        let config = CalibrateConfig { normalise_beads: true, replicates: 0, ..CalibrateConfig::default() };
+        let mut one = calibrate(&session, &config, || {}).unwrap().instrument;
+        one.psf = one.psf.at_depth(0.0);
+        let first = anew(&session, &one, &config).unwrap().unwrap();
+        let [before, after] = [&one, &first].map(|i| held_out(&session, i).unwrap().nrmse);
+        assert!(before > 0.6 && after < 0.2, "{mask} {before} {after}");
+    }
+}
+
+const ONE_BEAD: &str = r#"format = 1
+name = "one bead through an engineered pupil"
+[sensor]
+rows = 121
+cols = 121
+pixel_pitch_um = 11.0
+bit_depth = 16
+[array]
+rows = 1
+cols = 1
+pitch_px = 0.0
+[optics]
+magnification = 100.0
+psf_window_px = 61
+[object]
+rows = 31
+cols = 31
+pixel_um = 0.11
+[[stack]]
+role = "bead"
+file = "bead.tif"
+exposure_ms = 1.0
+table = "bead.csv"
+"#;
+
+/// Maps of the gain and the offset of real pixels, on the virtual instrument: both are named, and what they did to scenes that no fit has seen is
+/// taken out.
+#[test]
+fn measured_pixel_maps_are_named_and_corrected() {
+    use ommatidia_host::closing::close::close;
+    use ommatidia_host::closing::observe::{Budget, Observations};
+    use ommatidia_host::effects::EffectSetting;
+    use ommatidia_host::session::FrameReader;
+    use ommatidia_host::study::subject::bench_config;
+    let Some(data) = measured_data("measured_pixel_maps_are_named_and_corrected", "scmos_maps") else { return };
+    let mut bench = bench_config(0);
+    (bench.scan.rows, bench.scan.cols, bench.scan.depths_um) = (9, 9, vec![0.0]);
+    let folder = tempfile::tempdir().unwrap();
+    let measure = |name: &str, effects: &[EffectSetting]| {
+        bench.build(effects).unwrap().measure(&folder.path().join(name), 7, |_| {}).unwrap();
+        Session::open(folder.path().join(name)).unwrap()
+    };
+    let config = CalibrateConfig { rank: Some(10), ..CalibrateConfig::default() };
+    let instrument = calibrate(&measure("calibration", &[]), &config, || {}).unwrap().instrument;
+    // A corner of each map, relative to its median; what no pixel with light can have is dead.
+    let corner = |file: &str| {
+        let whole = FrameReader::open(&data.join(file)).unwrap().read(0).unwrap();
+        let map = whole.slice_move(ndarray::s![..98, ..98]);
+        let mut sorted: Vec<f32> = map.iter().copied().collect();
+        sorted.sort_by(f32::total_cmp);
+        (sorted[sorted.len() / 2], map)
+    };
+    let (gain, gains) = corner("acsn_gain_256.tif");
+    let (offset, offsets) = corner("acsn_offset_256.tif");
+    let with = |id: &str, table| EffectSetting { table: Some(table), ..EffectSetting::new(id, &[]) };
+    let session = measure(
+        "session",
+        &[with("prnu", gains.mapv(|g| (g / gain - 1.0).clamp(-1.0, 1.0))), with("dsnu", offsets.mapv(|o| o - offset))],
+    );
+    let mut seen = Observations::read(&session, &Budget::default()).unwrap();
+    let closing = close(&instrument, &mut seen, "maps", 1, |_| ()).unwrap().account.closing;
+    let named: Vec<&str> = closing.effects.iter().map(|e| e.id.as_str()).collect();
+    // What is left of the maps is their slow part, which no pixel has of its own.
+    assert_eq!(named[..2], ["dsnu", "prnu"], "{named:?}");
+    let excess = (closing.after.chi2_ndf - 1.0) / (closing.before.chi2_ndf - 1.0);
+    assert!(excess < 0.02, "{:?} {:?}", closing.before, closing.after);
+}
+
 /// A water bear under a miniscope whose colour mosaic nobody declared. Without optics, darks or truth only what is fixed to the
 /// sensor can be told from the specimen: the loop finds the mosaic in the upper half of the frame, and nothing else, and takes it out of the
 /// lower half.
@@ -59,7 +150,7 @@ fn measured_mosaic_is_found_and_removed() {
     let Some(folder) = measured_data("measured_mosaic_is_found_and_removed", "sessions/tardigrade") else { return };
     let session = Session::open(&folder).unwrap();
     let instrument = calibrate(&session, &CalibrateConfig::default(), || {}).unwrap().instrument;
-    let mut seen = Observations::read(&session, &instrument, &Budget::default()).unwrap();
+    let mut seen = Observations::read(&session, &Budget::default()).unwrap();
     let closed = close(&instrument, &mut seen, "water bear", 1, |_| ()).unwrap();
     let effects = &closed.account.closing.effects;
     assert!(effects.len() == 1 && effects[0].id == "pixel_mosaic", "{effects:?}");
@@ -106,7 +197,7 @@ fn measured_row_noise_of_a_video_is_named() {
     std::fs::write(target.path().join("session.toml"), manifest).unwrap();
     let session = Session::open(target.path()).unwrap();
     let instrument = calibrate(&session, &CalibrateConfig::default(), || {}).unwrap().instrument;
-    let mut seen = Observations::read(&session, &instrument, &Budget::default()).unwrap();
+    let mut seen = Observations::read(&session, &Budget::default()).unwrap();
     let closed = close(&instrument, &mut seen, "video", 1, |_| ()).unwrap();
     let first = &closed.account.closing.effects[0];
     let sigma = first.params[0].value;

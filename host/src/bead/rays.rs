@@ -12,6 +12,8 @@ use ndarray::{Array2, ArrayView2, s};
 
 /// How far the summed light of a lens must stand above its surroundings, in robust standard deviations, to be a focus.
 const FOCUS_CONTRAST: f64 = 8.0;
+/// Beads that lie closer together than this, nominal sensor pixels, lie in one place.
+const LEAST_SPAN_PX: f64 = 1.0;
 /// Rounds of centroids and regression.
 const ROUNDS: usize = 3;
 
@@ -262,22 +264,24 @@ fn regress(frames: &[Vec<Centroid>], before: Fit, dead: &[bool], scan: &BeadScan
         return Err(BeadError::NoFocus { path, lenses: dead.len(), expected: FOCUS_CONTRAST, found: 0.0 });
     }
     let lenses = before.anchors.len();
+    // Beads in one place (a scan of depth alone) say nothing about the magnification: it stays what the manifest says.
+    let moved = span(all.iter().flat_map(|c| c.displacement)) >= LEAST_SPAN_PX;
     let mut anchors = before.anchors;
     let (mut slope, mut rms_px, mut weights) = (before.slope, 0.0, vec![1.0; 2 * all.len()]);
     for _ in 0..6 {
-        // Columns: row anchors, column anchors, slope.
+        // Columns: row anchors, column anchors, slope over the nominal one.
         let mut a = Array2::<f64>::zeros((2 * all.len(), 2 * lenses + 1));
         let mut b = Array2::<f64>::zeros((2 * all.len(), 1));
         for (i, centroid) in all.iter().enumerate() {
             for axis in 0..2 {
                 let (row, w) = (2 * i + axis, weights[2 * i + axis]);
                 a[[row, axis * lenses + centroid.lens]] = w;
-                a[[row, 2 * lenses]] = w * centroid.displacement[axis];
-                b[[row, 0]] = w * centroid.at[axis];
+                a[[row, 2 * lenses]] = if moved { w * centroid.displacement[axis] } else { 0.0 };
+                b[[row, 0]] = w * (centroid.at[axis] - centroid.displacement[axis]);
             }
         }
         let Ok(x) = least_squares(&a, &b) else { break };
-        slope = x[[2 * lenses, 0]];
+        slope = 1.0 + x[[2 * lenses, 0]];
         for l in (0..lenses).filter(|l| all.iter().any(|c| c.lens == *l)) {
             anchors[l] = [x[[l, 0]], x[[lenses + l, 0]]];
         }
@@ -293,6 +297,11 @@ fn regress(frames: &[Vec<Centroid>], before: Fit, dead: &[bool], scan: &BeadScan
         weights.iter_mut().zip(&misfit).for_each(|(w, v)| *w = (scale / v.abs().max(scale)).sqrt());
     }
     Ok(Fit { anchors, slope, rms_px })
+}
+
+fn span(values: impl Iterator<Item = f64>) -> f64 {
+    let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+    high - low
 }
 
 fn median_abs(values: &[f64]) -> f64 {

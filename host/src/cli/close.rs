@@ -51,7 +51,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let session = Session::open(&args.session)?;
     let instrument = Instrument::read(&args.instrument)?;
     same_layout(&instrument.manifest, session.manifest()).with_context(|| args.session.display().to_string())?;
-    let mut seen = Observations::read(&session, &instrument, &Budget::default())?;
+    let mut seen = Observations::read(&session, &Budget::default())?;
     let bar = run.spinner("close");
     let config = CalibrateConfig { normalise_beads: args.normalise_beads, ..CalibrateConfig::default() };
     let anew = recalibrate::anew(&session, &instrument, &config)?;

@@ -35,7 +35,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let session = Session::open(&args.session)?;
     let instrument = Instrument::read(&args.instrument)?;
     same_layout(&instrument.manifest, session.manifest()).with_context(|| args.session.display().to_string())?;
-    let mut seen = Observations::read(&session, &instrument, &Budget::default())?;
+    let mut seen = Observations::read(&session, &Budget::default())?;
     let account = residual(&instrument, &mut seen, &session.manifest().name, run.seed)
         .with_context(|| args.session.display().to_string())?;
     let provenance = Provenance::new("residual", run.seed, &Budget::default())

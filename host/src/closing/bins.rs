@@ -84,6 +84,16 @@ impl Bins {
                 let before = |k: usize| seen.frames[k].previous.map(|p| at_pixels(&now[p].light_e));
                 (per_frame(&|_, k| before(k).unwrap_or_default()), false)
             }
+            Covariate::TotalLight | Covariate::Depth => {
+                let of = |k: usize| match covariate {
+                    Covariate::Depth => seen.frames[k].info.z_um,
+                    _ => f64::from(now[k].light_e.sum()),
+                };
+                if frames.iter().all(|k| of(*k) == of(frames[0])) {
+                    return None;
+                }
+                (per_frame(&|_, k| vec![of(k); seen.pixels.len()]), false)
+            }
             Covariate::Frame => {
                 if frames.len() < 2 {
                     return None;

@@ -32,6 +32,10 @@ pub enum Covariate {
     Sharpness,
     /// Light of the pixel in the frame before.
     PreviousFrame,
+    /// Light of the whole frame.
+    TotalLight,
+    /// Depth of what the frame shows.
+    Depth,
     /// The frame.
     Frame,
     /// Neighbours in space: correlation of the residual at small distances.
@@ -47,7 +51,7 @@ pub enum Covariate {
 
 impl Covariate {
     /// All of them.
-    pub const ALL: [Self; 18] = [
+    pub const ALL: [Self; 20] = [
         Self::Row,
         Self::Column,
         Self::RowParity,
@@ -61,6 +65,8 @@ impl Covariate {
         Self::LocalMean,
         Self::Sharpness,
         Self::PreviousFrame,
+        Self::TotalLight,
+        Self::Depth,
         Self::Frame,
         Self::Neighbours,
         Self::NextFrame,
@@ -84,6 +90,8 @@ impl Covariate {
             Self::LocalMean => "expected light around the pixel",
             Self::Sharpness => "expected light against its surroundings",
             Self::PreviousFrame => "light of the frame before",
+            Self::TotalLight => "light of the whole frame",
+            Self::Depth => "depth",
             Self::Frame => "frame",
             Self::Neighbours => "residual of neighbouring pixels",
             Self::NextFrame => "residual of the next frame",

@@ -11,6 +11,8 @@ use crate::session::Role;
 use ndarray::{Array2, Zip};
 use rayon::prelude::*;
 
+/// Depths closer than this are the same, um: what tables round to.
+const SAME_DEPTH_UM: f64 = 1e-3;
 /// Standard deviation of the blur that an unknown specimen's smooth part is taken by, pixels.
 const SMOOTH_PX: f64 = 2.0;
 
@@ -33,7 +35,7 @@ impl<'a> Model<'a> {
     /// The tables of the instrument disagree.
     pub fn new(instrument: &Instrument, seen: &'a Observations) -> Result<Self, ForwardError> {
         let bare = Instrument { effects: Vec::new(), ..instrument.clone() };
-        // The plane that the specimens are in; beads at other depths are predicted in it as well.
+        // The plane that the first specimen is in; others are interpolated.
         let z_um = seen.frames.iter().find(|f| matches!(f.shown, Shown::Object(_))).map_or(0.0, |f| f.info.z_um);
         let depth = instrument.psf.depth_nearest(z_um);
         Ok(Self {
@@ -131,10 +133,19 @@ impl<'a> Model<'a> {
     fn scene(&self, k: usize, chain: &Chain) -> Result<Option<SceneLight>, ForwardError> {
         let cx = self.context(k, None);
         match &self.seen.frames[k].shown {
-            Shown::Object(truth) => Ok(Some(self.forward.scene(self.seen.truths[*truth].view(), chain, &cx)?)),
-            Shown::Bead(at, _) => Ok(Some(self.forward.point(*at, chain, &cx)?)),
+            Shown::Object(truth) => {
+                let scene = self.forward.scene(self.seen.truths[*truth].view(), chain, &cx)?;
+                Ok(Some(scene.at_depth(self.depth_of(k))))
+            }
+            Shown::Bead(at) => Ok(Some(self.forward.point(*at, chain, &cx)?.at_depth(self.depth_of(k)))),
             Shown::Even | Shown::Dark | Shown::Unknown => Ok(None),
         }
+    }
+
+    /// Depth of what frame `k` shows, um: as the session says, and nothing finer than what a table is rounded to.
+    fn depth_of(&self, k: usize) -> f64 {
+        let (z, own) = (self.seen.frames[k].info.z_um, self.forward.depth_um());
+        if (z - own).abs() < SAME_DEPTH_UM { own } else { z }
     }
 
     /// Light of frame `k` before what acts on it on the sensor, electrons.

@@ -1,6 +1,5 @@
 //! The frames of a session that the loop looks at, and how they are divided before anything is fitted.
 
-use crate::instrument::Instrument;
 use crate::session::{Cut, FrameInfo, Role, Session, SessionError, Stack};
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
@@ -34,8 +33,8 @@ impl Default for Budget {
 pub enum Shown {
     /// A known object: index into [`Observations::truths`].
     Object(usize),
-    /// A bead: object pixel (row, col), fractional, and index of its depth in the instrument.
-    Bead([f64; 2], usize),
+    /// A bead: object pixel (row, col), fractional.
+    Bead([f64; 2]),
     /// Even light.
     Even,
     /// No light.
@@ -90,7 +89,7 @@ impl Observations {
     ///
     /// # Errors
     /// A frame or truth cannot be read.
-    pub fn read(session: &Session, instrument: &Instrument, budget: &Budget) -> Result<Self, SessionError> {
+    pub fn read(session: &Session, budget: &Budget) -> Result<Self, SessionError> {
         let sensor = [session.manifest().sensor.rows, session.manifest().sensor.cols];
         let (mut frames, mut truths) = (Vec::new(), Vec::new());
         let known = session.stacks_of(Role::Scene).any(|s| s.entry().truth.is_some());
@@ -102,7 +101,7 @@ impl Observations {
                 Role::Bead if known => 0,
                 Role::Bead => budget.beads,
             };
-            read_stack(session, stack, s, most, instrument, &mut frames, &mut truths)?;
+            read_stack(session, stack, s, most, &mut frames, &mut truths)?;
         }
         let (pixels, blocks) = pixels(sensor, budget);
         let single = frames.iter().filter(|f: &&Frame| matches!(f.role, Role::Scene | Role::Bead)).count() < 4;
@@ -124,7 +123,6 @@ fn read_stack(
     stack: &Stack,
     s: usize,
     most: usize,
-    instrument: &Instrument,
     frames: &mut Vec<Frame>,
     truths: &mut Vec<Array2<f32>>,
 ) -> Result<(), SessionError> {
@@ -143,12 +141,7 @@ fn read_stack(
                 Shown::Object(truths.len() - 1)
             }
             (Role::Scene, None) => Shown::Unknown,
-            (Role::Bead, _) => {
-                let depths = &instrument.psf.node_depths_um;
-                let off = |z: &f64| (z - info.z_um).abs();
-                let depth = (0..depths.len()).min_by(|a, b| off(&depths[*a]).total_cmp(&off(&depths[*b])));
-                Shown::Bead(session.manifest().object.pixel_of_um(info.y_um, info.x_um), depth.unwrap_or(0))
-            }
+            (Role::Bead, _) => Shown::Bead(session.manifest().object.pixel_of_um(info.y_um, info.x_um)),
             (Role::Flat, _) => Shown::Even,
             (Role::Dark, _) => Shown::Dark,
         };

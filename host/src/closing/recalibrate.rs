@@ -31,7 +31,7 @@ pub fn anew(session: &Session, before: &Instrument, config: &CalibrateConfig) ->
     }
     let folder = tempfile::tempdir().context("a folder for the beads that may be fitted")?;
     let part = folder.path().join("training");
-    training_beads(session, before, &part)?;
+    training_beads(session, &part)?;
     let first = calibrate(&Session::open(&part)?, config, || {})?.instrument;
     let nrmse = |instrument| -> anyhow::Result<f64> { Ok(held_out(session, instrument)?.nrmse) };
     Ok((nrmse(&first)? < BETTER * nrmse(before)?).then_some(first))
@@ -76,14 +76,14 @@ pub fn adopt(
 /// # Errors
 /// The session cannot be read, or is of another kind.
 pub fn held_out(session: &Session, instrument: &Instrument) -> anyhow::Result<Figures> {
-    let seen = Observations::read(session, instrument, &Budget::default())?;
+    let seen = Observations::read(session, &Budget::default())?;
     let model = Model::new(instrument, &seen)?;
     Ok(figures(&model, &refit(&model, model.state(instrument)?)?))
 }
 
 /// Writes a session of the beads that may be fitted, with all that is not beads as it is.
-fn training_beads(session: &Session, before: &Instrument, target: &Path) -> anyhow::Result<()> {
-    let seen = Observations::read(session, before, &Budget { beads: usize::MAX, ..Budget::default() })?;
+fn training_beads(session: &Session, target: &Path) -> anyhow::Result<()> {
+    let seen = Observations::read(session, &Budget { beads: usize::MAX, ..Budget::default() })?;
     let manifest = crate::session::Manifest { stacks: Vec::new(), ..session.manifest().clone() };
     let mut writer = SessionWriter::create(target, &manifest, Existing::Keep)?;
     for (s, stack) in session.stacks().iter().enumerate().filter(|(_, stack)| stack.role() != Role::Scene) {

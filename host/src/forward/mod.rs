@@ -67,6 +67,16 @@ pub struct SceneLight {
     lenses: Vec<Option<Vec<LensImage>>>,
     /// What the place of a lone source leaves to the next whole object pixel, (row, col).
     shift_px: [f64; 2],
+    /// Depth, um; None: that of the plane that was planned.
+    z_um: Option<f64>,
+}
+
+impl SceneLight {
+    /// The same object at another depth. The model must be planned at every depth ([`Forward::with_all_depths`]); between them it is
+    /// interpolated, outside them the last one holds.
+    pub fn at_depth(self, z_um: f64) -> Self {
+        Self { z_um: Some(z_um), ..self }
+    }
 }
 
 impl Forward {
@@ -122,6 +132,11 @@ impl Forward {
     /// The optics alone, without effects: light in DN above black at the exposure of the calibration.
     pub fn operator(&self) -> &LowRankOperator {
         &self.planes[self.plane]
+    }
+
+    /// Depth of the plane that was planned, um.
+    pub fn depth_um(&self) -> f64 {
+        self.depths_um[self.plane]
     }
 
     /// The noise model of the calibration.
@@ -189,7 +204,7 @@ impl Forward {
         for plane in &self.planes {
             plane.each_lens(emitted.view(), |l, image| lenses[l].get_or_insert_with(Vec::new).push(image))?;
         }
-        Ok(SceneLight { lenses, shift_px: [0.0; 2] })
+        Ok(SceneLight { lenses, shift_px: [0.0; 2], z_um: None })
     }
 
     /// What the optics make of a unit source at object pixel (row, col), fractional.
@@ -245,13 +260,14 @@ impl Forward {
         let here = planes.get(self.plane)?;
         let mut image = LensImage { origin: here.origin, light: here.light.mapv(|v| v * electrons) };
         let [dy, dx] = scene.shift_px;
-        if !effects.acts_at(Stage::Geometry) && [dy, dx] == [0.0, 0.0] {
+        let own = self.depths_um[self.plane];
+        let z = scene.z_um.unwrap_or(own);
+        if !effects.acts_at(Stage::Geometry) && [dy, dx] == [0.0, 0.0] && z == own {
             return Some(image);
         }
         let mut shifts = self.shifts(lens, &image, effects, &FrameContext { lens, ..*cx });
         shifts.mapv_inplace(|s| RayShift { px: [s.px[0] + dy, s.px[1] + dx], ..s });
-        if shifts.iter().any(|s| s.z_um != 0.0) {
-            let z = self.depths_um[self.plane];
+        if shifts.iter().any(|s| z + s.z_um != own) {
             for (p, other) in planes.iter().enumerate() {
                 // Interpolation over depth is linear in the planes: each gets the share that belongs to the pixel's depth.
                 let shares = shifts.mapv(|s| {

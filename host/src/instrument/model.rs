@@ -52,7 +52,8 @@ impl Nodes {
         let [rows, cols] = [self.rows_px.len(), self.cols_px.len()];
         let grid =
             Array2::from_shape_fn((rows * cols, 2), |(i, a)| [self.rows_px[i / cols], self.cols_px[i % cols]][a]);
-        let fields = models.at(&vec![grid; self.depths_um.len()])?;
+        let targets: Vec<_> = self.depths_um.iter().map(|z| (*z, grid.clone())).collect();
+        let fields = models.at(&targets)?;
         let lenses = models.fits.len();
         let mut basis = Array4::zeros((lenses, rank, self.side, self.side));
         let mut coefficients = Array5::zeros((lenses, rank, self.depths_um.len(), rows, cols));

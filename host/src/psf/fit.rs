@@ -5,11 +5,14 @@
 
 use super::decompose::{Decomposition, decompose, fill};
 use super::field::FieldSmoother;
+use super::nodes::Taps;
 use crate::bead::{BeadScale, LensWindows};
 use crate::linalg::NotConverged;
 use ndarray::{Array1, Array2, ArrayView2, Axis, s};
 use rayon::prelude::*;
 
+/// Fewer beads at a depth say nothing of the field between them.
+const FEW: usize = 4;
 /// Terms that what was not measured is filled in with, before windows are averaged.
 const FILL_TERMS: usize = 16;
 
@@ -206,7 +209,13 @@ impl LensModels {
     ///
     /// # Errors
     /// The windows hold values that are no numbers.
-    pub fn fit(windows: &[LensWindows], dead: &[bool], planes: Vec<Plane>, terms: Terms) -> Result<Self, NotConverged> {
+    pub fn fit(
+        windows: &[LensWindows],
+        dead: &[bool],
+        mut planes: Vec<Plane>,
+        terms: Terms,
+    ) -> Result<Self, NotConverged> {
+        planes.retain(|p| !p.beads.is_empty());
         let beads: Vec<usize> = planes.iter().flat_map(|p| p.beads.clone()).collect();
         let orders = terms.spline_orders();
         let smoothers =
@@ -235,22 +244,30 @@ impl LensModels {
         windows.iter().zip(&self.fits).map(fill).collect()
     }
 
-    /// Coefficients of all lenses at `targets` (one array of positions a plane), [position, k], from smooth fields through those
-    /// at the beads; None: a dead lens.
+    /// Coefficients of all lenses at `targets` (depth, um, and positions), [position, k], from smooth fields through those at the
+    /// beads, interpolated between depths; None: a dead lens.
     ///
     /// # Errors
     /// A coefficient is no number.
-    pub fn at(&self, targets: &[Array2<f64>]) -> Result<Vec<Option<Vec<Array2<f64>>>>, NotConverged> {
+    pub fn at(&self, targets: &[(f64, Array2<f64>)]) -> Result<Vec<Option<Vec<Array2<f64>>>>, NotConverged> {
         let row_of = |bead: &usize| self.beads.iter().position(|b| b == bead);
-        let planes = || self.planes.iter().zip(&self.smoothers).zip(targets);
+        let depths: Vec<f64> = self.planes.iter().map(|p| p.z_um).collect();
         let lens = |fit: &Option<LensFit>| {
             let Some(fit) = fit else { return Ok(None) };
-            let field = |((plane, smoother), target): ((&Plane, &FieldSmoother), &Array2<f64>)| {
+            let field = |(plane, smoother): (&Plane, &FieldSmoother)| {
                 let rows: Vec<usize> = plane.beads.iter().filter_map(row_of).collect();
-                let here = fit.decomposition.coefficients.select(Axis(0), &rows);
-                Ok(smoother.fit(here.view())?.at(target.view()))
+                smoother.fit(fit.decomposition.coefficients.select(Axis(0), &rows).view())
             };
-            planes().map(field).collect::<Result<Vec<_>, NotConverged>>().map(Some)
+            let fields =
+                self.planes.iter().zip(&self.smoothers).map(field).collect::<Result<Vec<_>, NotConverged>>()?;
+            let value = |(z_um, at): &(f64, Array2<f64>)| {
+                let taps = Taps::at(&depths, *z_um);
+                let mut sum = Array2::zeros((at.nrows(), fit.decomposition.basis.nrows()));
+                let used = taps.weights.iter().zip(&fields[taps.first..]).take(taps.count);
+                used.filter(|(w, _)| **w != 0.0).for_each(|(w, f)| sum.scaled_add(f64::from(*w), &f.at(at.view())));
+                sum
+            };
+            Ok(Some(targets.iter().map(value).collect()))
         };
         self.fits.par_iter().map(lens).collect()
     }
@@ -260,7 +277,7 @@ impl LensModels {
     /// # Errors
     /// A coefficient is no number.
     pub fn misfit(&self, windows: &[LensWindows], planes: &[Plane]) -> Result<Misfit, NotConverged> {
-        let targets: Vec<Array2<f64>> = planes.iter().map(|p| p.at_px.clone()).collect();
+        let targets: Vec<(f64, Array2<f64>)> = planes.iter().map(|p| (p.z_um, p.at_px.clone())).collect();
         let fields = self.at(&targets)?;
         let lenses = self.fits.iter().zip(&fields).zip(windows);
         let parts = lenses.filter_map(|((fit, fields), w)| Some(predicted(w, fit.as_ref()?, fields.as_ref()?, planes)));
@@ -350,9 +367,14 @@ fn misfit(windows: &LensWindows, beads: &[usize], basis: &Array2<f32>, coefficie
 }
 
 /// Splits beads in two halves so that each bead's neighbours are in the other one: a checkerboard on a regular scan, every second row of a scan that
-/// is itself the one colour of a checkerboard, every second bead in order of position otherwise.
+/// is itself the one colour of a checkerboard, every second bead in order of position otherwise; of a scan of depth at a few positions,
+/// every second depth.
 pub fn checkerboard(planes: &[Plane], beads: usize) -> Vec<bool> {
     let mut train = vec![true; beads];
+    if planes.iter().all(|p| p.beads.len() < FEW) {
+        planes.iter().enumerate().for_each(|(i, p)| p.beads.iter().for_each(|b| train[*b] = i.is_multiple_of(2)));
+        return train;
+    }
     for plane in planes {
         let (rows, cols) = (levels(plane.at_px.column(0)), levels(plane.at_px.column(1)));
         let count = |levels: &[usize]| levels.iter().max().map_or(0, |m| m + 1);
@@ -396,6 +418,23 @@ mod tests {
             assert!(i % 5 == 4 || train[i] != train[i + 1]);
             assert!(i >= 15 || train[i] != train[i + 5]);
         }
+    }
+
+    #[test]
+    fn a_scan_of_depth_alone_is_divided_by_depths_and_predicted_between_them() {
+        // The light wanders smoothly from one pixel to the next with depth.
+        let plane = |i: usize| Plane { z_um: i as f64, beads: vec![i], at_px: ndarray::arr2(&[[5.0, 5.0]]) };
+        let planes: Vec<Plane> = (0..11).map(plane).collect();
+        let light = Array2::from_shape_fn((11, 2), |(i, p)| {
+            let share = (0.1 * i as f32).sin();
+            if p == 0 { 1.0 - share } else { share }
+        });
+        let windows = LensWindows { light_dn: light, known: None, variance_dn2: ndarray::arr1(&[1.0, 1.0]) };
+        let train = checkerboard(&planes, 11);
+        assert!(train.iter().enumerate().all(|(i, t)| *t == (i % 2 == 0)));
+        let terms = Terms::Truncated { most: 2, spline_order: 2 };
+        let misfit = hold_out(&[windows], &[false], &planes, &train, terms).unwrap();
+        assert!(misfit.nrmse(2, BeadScale::Physical) < 1e-3, "{}", misfit.nrmse(2, BeadScale::Physical));
     }
 
     #[test]

@@ -147,7 +147,7 @@ impl Subject {
         for i in 0..NULLS {
             let folder = tempfile::tempdir()?;
             let session = self.session(&self.bench, &folder.path().join("session"), (seed << 20) + 77_000 + i)?;
-            let mut seen = Observations::read(&session, &self.instrument, &Budget::default())?;
+            let mut seen = Observations::read(&session, &Budget::default())?;
             let closed = close(&self.instrument, &mut seen, "null", seed, |_| {})?;
             for r in closed.account.closing.rejected {
                 let entry = sigmas.entry(r.id).or_insert_with(|| (r.param, r.unit, Vec::new()));

@@ -44,7 +44,7 @@ fn attempt(subject: &Subject, case: &Case) -> anyhow::Result<Outcome> {
     let session = subject.session(&bench, &folder.path().join("session"), case.seed)?;
     let mut instrument = subject.instrument.clone();
     instrument.noise.gain_dn_per_e *= case.gain;
-    let mut seen = Observations::read(&session, &instrument, &Budget::default())?;
+    let mut seen = Observations::read(&session, &Budget::default())?;
     let started = Instant::now();
     let given = Given { exclude: &case.excluded, anew: None };
     let closed = close_with(&instrument, &mut seen, &case.key, case.seed, given, |_| {})?;

@@ -96,7 +96,8 @@ fn labels(d: &Dependence, at: &dyn Fn(usize) -> f64) -> Vec<(f64, String)> {
         Covariate::Frame if n <= 9 => d.at.iter().enumerate().map(|(i, v)| (at(i), number(*v))).collect(),
         kind => {
             let unit = match kind {
-                Covariate::Intensity | Covariate::LocalMean | Covariate::PreviousFrame => " e⁻",
+                Covariate::Intensity | Covariate::LocalMean | Covariate::PreviousFrame | Covariate::TotalLight => " e⁻",
+                Covariate::Depth => " µm",
                 Covariate::Row | Covariate::Column | Covariate::Radius => " px",
                 Covariate::FieldRow | Covariate::FieldColumn => " px",
                 _ => "",
