@@ -1,11 +1,11 @@
 //! Moving the parts of an image by different fractions of a pixel, as effects on chief rays ask.
 //!
-//! `out(q) = J(q) in(q - d(q))`, J = 1 - div d: a source keeps its light where the displacement varies. Interpolation by a
-//! Lanczos-windowed sinc of 2 x 5 taps an axis, normalised; a displacement field that varies little over a PSF moves sources as
-//! the chief rays do.
+//! `out(q) = J(q) in(q - d(q))`, J = 1 - div d: a source keeps its light where the displacement varies; a displacement field that varies little
+//! over a PSF moves sources as the chief rays do. Interpolation is by the polynomial through 2 x 5 pixels an axis (Lagrange), of all weights of that
+//! length the flattest at low frequencies: centroids move by exactly what is asked. A windowed sinc moves them by up to 3 % more or less, as the
+//! fraction of the pixel has it.
 
 use ndarray::Array2;
-use std::f64::consts::PI;
 use std::sync::LazyLock;
 
 /// Taps on each side.
@@ -15,16 +15,13 @@ const STEPS: usize = 512;
 
 /// Weights for a sample `i / STEPS` of a pixel past tap `REACH - 1`.
 static WEIGHTS: LazyLock<Vec<[f32; 2 * REACH]>> = LazyLock::new(|| {
-    let sinc = |x: f64| if x == 0.0 { 1.0 } else { (PI * x).sin() / (PI * x) };
     (0..=STEPS)
         .map(|i| {
-            let at = i as f64 / STEPS as f64;
-            let raw: [f64; 2 * REACH] = std::array::from_fn(|t| {
-                let x = t as f64 - (REACH as f64 - 1.0) - at;
-                if x.abs() < REACH as f64 { sinc(x) * sinc(x / REACH as f64) } else { 0.0 }
-            });
-            let sum: f64 = raw.iter().sum();
-            raw.map(|w| (w / sum) as f32)
+            let at = (REACH - 1) as f64 + i as f64 / STEPS as f64;
+            std::array::from_fn(|t| {
+                let others = (0..2 * REACH).filter(|u| *u != t);
+                others.map(|u| (at - u as f64) / (t as f64 - u as f64)).product::<f64>() as f32
+            })
         })
         .collect()
 });
@@ -71,6 +68,24 @@ pub(super) fn warp(image: &Array2<f32>, shift: &Array2<[f64; 2]>) -> Array2<f32>
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// What the fit of a shift rests on: a few per cent of a hundredth of a pixel would be several standard errors.
+    #[test]
+    fn centroids_move_by_what_is_asked() {
+        let centroid = |image: &Array2<f32>| {
+            let sum: f64 = image.iter().map(|v| f64::from(*v)).sum();
+            image.indexed_iter().map(|((r, _), v)| r as f64 * f64::from(*v)).sum::<f64>() / sum
+        };
+        for d in [0.01, 0.05, 0.25, 0.4, 0.5, 0.75, 1.3] {
+            let image = gauss([15.2, 16.0]);
+            let moved = warp(&image, &Array2::from_elem((31, 33), [d, 0.0]));
+            assert!(
+                (centroid(&moved) - centroid(&image) - d).abs() < 2e-5,
+                "{d} {}",
+                centroid(&moved) - centroid(&image)
+            );
+        }
+    }
 
     fn gauss(centre: [f64; 2]) -> Array2<f32> {
         Array2::from_shape_fn((31, 33), |(r, c)| {
