@@ -72,6 +72,46 @@ fn measured_depth_calls_for_a_new_calibration() {
     }
 }
 
+/// A cell that fades to 28 % under a camera whose gain is about 1.15 DN/e- (1.1 to 1.2 by hand): no darks, no flats, and both ends of the movie tell it.
+#[test]
+fn measured_movie_tells_the_gain() {
+    let Some(data) = measured_data("measured_movie_tells_the_gain", "engineered_psf") else { return };
+    for part in ["001-100", "401-500"] {
+        let folder = tempfile::tempdir().unwrap();
+        let file = data.join(format!("livecell_psf1_frames{part}.tif"));
+        std::fs::copy(file, folder.path().join("scene.tif")).unwrap();
+        std::fs::write(folder.path().join("session.toml"), LIVE_CELL).unwrap();
+        let session = Session::open(folder.path()).unwrap();
+        let noise = calibrate(&session, &CalibrateConfig::default(), || {}).unwrap().instrument.noise;
+        let (gain, sigma) = (noise.gain_dn_per_e, noise.gain_sigma);
+        assert!(sigma < 0.12 && (gain - 1.15).abs() < 2.0 * sigma, "{part} {gain} {sigma}");
+    }
+}
+
+const LIVE_CELL: &str = r#"format = 1
+name = "live cell"
+[sensor]
+rows = 256
+cols = 256
+pixel_pitch_um = 11.0
+bit_depth = 16
+[array]
+rows = 1
+cols = 1
+pitch_px = 0.0
+[optics]
+magnification = 1.0
+psf_window_px = 15
+[object]
+rows = 256
+cols = 256
+pixel_um = 11.0
+[[stack]]
+role = "scene"
+file = "scene.tif"
+exposure_ms = 100.0
+"#;
+
 const ONE_BEAD: &str = r#"format = 1
 name = "one bead through an engineered pupil"
 [sensor]

@@ -6,6 +6,7 @@
 //! taken off.
 
 mod response;
+mod video;
 
 use super::stats::{PixelStats, Summary};
 use super::{NoiseModel, Source, Sources};
@@ -106,6 +107,16 @@ pub enum NoiseNote {
         /// What is missing.
         reason: &'static str,
     },
+    /// Gain from a video.
+    #[error(
+        "gain {gain_dn_per_e:.3} +- {sigma:.3} DN/e- is from differences of the scenes' frames (no flats): it holds as far as the specimen keeps still.          Measure flats at several light levels, two frames or more each, or give --gain"
+    )]
+    GainOfVideo {
+        /// The value that is used.
+        gain_dn_per_e: f64,
+        /// Its standard error.
+        sigma: f64,
+    },
     /// Nothing shows the read noise.
     #[error(
         "read noise is nominal, {read_noise_e} e-: noise drawn in dark parts and the weights of faint light depend on it. \
@@ -200,10 +211,22 @@ pub fn measure_noise(
     };
     let dark_level = dark.as_ref().and_then(|d| d.level);
     let Flats { levels, response } = measure_flats(session, black, dark.as_ref(), saturation_dn, &mut step)?;
-    let transfer = Transfer::fit(&levels, dark_level);
+    let mut transfer = Transfer::fit(&levels, dark_level);
+    // A gain that the user gave is better than one from a specimen.
+    let given = config.nominal_gain_dn_per_e != NoiseConfig::default().nominal_gain_dn_per_e;
+    let mut of_video = false;
+    if transfer.is_err() && !given {
+        if let Some(found) = video::transfer(session, black, saturation_dn)? {
+            notes.push(NoiseNote::GainOfVideo { gain_dn_per_e: found.slope, sigma: found.slope_sigma });
+            (transfer, of_video) = (Ok(found), true);
+        }
+    }
     let mut sources =
         Sources { black_level: dark.as_ref().map_or(Source::Inferred, |_| Source::Measured), ..Sources::default() };
     let (gain, gain_sigma) = gain(session, &transfer, config, &mut sources, &mut notes)?;
+    if of_video {
+        sources.gain = Source::Inferred;
+    }
     let (read_noise_e, read_noise_sigma) = read_noise(
         ReadNoise { dark: dark_level, transfer: transfer.as_ref().ok(), background, gain: (gain, gain_sigma) },
         config,
