@@ -215,11 +215,12 @@ pub fn measure_noise(
     // A gain that the user gave is better than one from a specimen.
     let given = config.nominal_gain_dn_per_e != NoiseConfig::default().nominal_gain_dn_per_e;
     let mut of_video = false;
-    if transfer.is_err() && !given {
-        if let Some(found) = video::transfer(session, black, saturation_dn)? {
-            notes.push(NoiseNote::GainOfVideo { gain_dn_per_e: found.slope, sigma: found.slope_sigma });
-            (transfer, of_video) = (Ok(found), true);
-        }
+    if transfer.is_err()
+        && !given
+        && let Some(found) = video::transfer(session, black, saturation_dn)?
+    {
+        notes.push(NoiseNote::GainOfVideo { gain_dn_per_e: found.slope, sigma: found.slope_sigma });
+        (transfer, of_video) = (Ok(found), true);
     }
     let mut sources =
         Sources { black_level: dark.as_ref().map_or(Source::Inferred, |_| Source::Measured), ..Sources::default() };
