@@ -7,6 +7,7 @@
 #![warn(missing_docs)]
 
 pub mod blob;
+pub mod boards;
 pub mod device;
 pub mod fft;
 pub mod filter;

@@ -1,10 +1,10 @@
-//! The program on the default board.
+//! The program on its board.
 #![no_std]
 #![no_main]
 
 #[cfg(feature = "probe")]
 use defmt_rtt as _;
-use ommatidia_firmware::{app, board::mps2_an500 as board};
+use ommatidia_firmware::{app, board::this as board};
 
 #[cortex_m_rt::entry]
 fn main() -> ! {

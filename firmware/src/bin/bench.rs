@@ -11,7 +11,7 @@ use core::hint::black_box;
 use cortex_m_semihosting::hprintln;
 use half::f16;
 use ommatidia_firmware::app::{region_begins, region_ends};
-use ommatidia_firmware::board::mps2_an500 as board;
+use ommatidia_firmware::board::this as board;
 use ommatidia_shared::blob::{Bank, Header, MemoryPlan, Rcan, Sensor, Size, Tap, Weights};
 use ommatidia_shared::fft::{Fft, Fft2, RowSource, Strip, StripSource};
 use ommatidia_shared::image::{Chw, ChwMut, PlaneMut};

@@ -3,7 +3,7 @@
 #![no_main]
 
 use cortex_m_semihosting::hprintln;
-use ommatidia_firmware::board::mps2_an500 as board;
+use ommatidia_firmware::board::this as board;
 use ommatidia_shared::device::Watchdog;
 use ommatidia_shared::wire::StartCause;
 

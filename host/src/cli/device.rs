@@ -7,12 +7,13 @@ mod target;
 use super::{Outcome, Run};
 use crate::artifact::write_whole;
 use crate::blob::{BlobFile, raw_codes};
-use crate::device::{DeviceRun, Firmware, count_operators, run as run_device, table};
+use crate::device::{BoardCounts, DeviceRun, count_board, run as run_device, table};
 use crate::session::stack;
 use anyhow::Context;
 use clap::Subcommand;
 use ndarray::{Array3, Axis};
 use ommatidia_shared::blob::Size;
+use ommatidia_shared::boards::{BOARDS, Board};
 use serde_json::json;
 use std::path::PathBuf;
 use target::Target;
@@ -35,7 +36,7 @@ enum Action {
     /// Ask the device how it is: starts, slots, faults, dropped frames
     #[command(after_help = "Example:\n  ommatidia device status --state board.flash")]
     Status(status::Args),
-    /// Count the instructions of each operator on the emulated Cortex-M7
+    /// Count the instructions of each operator on the emulated boards, and what the program takes of their memory
     #[command(after_help = "Example:\n  ommatidia device bench -o docs/instructions.md")]
     Bench(BenchArgs),
 }
@@ -45,9 +46,9 @@ struct BenchArgs {
     /// Where the table goes, Markdown
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// Image of the bench program (default: build it)
-    #[arg(long, value_name = "ELF")]
-    firmware: Option<PathBuf>,
+    /// A board; may be given more than once (default: all)
+    #[arg(long, value_parser = target::boards())]
+    board: Vec<Board>,
 }
 
 #[derive(Debug, clap::Args)]
@@ -82,13 +83,16 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
 }
 
 fn count(args: &BenchArgs) -> anyhow::Result<Outcome> {
-    let image = args.firmware.as_deref().map_or_else(|| Firmware::build("bench"), Firmware::given)?;
-    let counts = count_operators(&image)?;
+    let emulated = BOARDS.into_iter().filter(|board| board.emulated);
+    let boards = if args.board.is_empty() { emulated.collect() } else { args.board.clone() };
+    let counts = boards.into_iter().map(count_board).collect::<Result<Vec<_>, _>>()?;
     if let Some(path) = &args.output {
         write_whole(path, table::page(&counts).as_bytes())?;
     }
-    let text = table::table(&counts);
-    Ok(Outcome { json: json!({ "board": "mps2-an500", "operators": counts }), text })
+    let text: Vec<String> =
+        counts.iter().map(|counts| format!("{}\n{}", counts.board.name, table::table(counts))).collect();
+    let board = |counts: &BoardCounts| json!({ "board": counts.board.name, "core": counts.board.core, "memory": counts.footprint, "operators": counts.operators });
+    Ok(Outcome { json: json!({ "boards": counts.iter().map(board).collect::<Vec<_>>() }), text: text.join("\n") })
 }
 
 fn run_network(args: &RunArgs, run: &Run) -> anyhow::Result<Outcome> {

@@ -1,7 +1,8 @@
 //! Instructions of each operator on the emulated core.
 
 use super::qemu::run_to_end;
-use super::{Counter, DeviceError, Firmware};
+use super::{Counter, DeviceError, Firmware, Footprint, footprint};
+use ommatidia_shared::boards::Board;
 use serde::Serialize;
 
 /// What one operator costs.
@@ -24,11 +25,31 @@ impl OperatorCount {
     }
 }
 
+/// What the program costs on one board.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BoardCounts {
+    /// The board.
+    pub board: Board,
+    /// What the program takes of its memory.
+    pub footprint: Footprint,
+    /// What each operator costs.
+    pub operators: Vec<OperatorCount>,
+}
+
+/// Builds the programs for a board, runs them, counts.
+///
+/// # Errors
+/// QEMU, a compiler or the sources are missing, or a program fails.
+pub fn count_board(board: Board) -> Result<BoardCounts, DeviceError> {
+    let operators = count_operators(&Firmware::build(board, "bench")?)?;
+    Ok(BoardCounts { board, footprint: footprint(&Firmware::build(board, "app")?)?, operators })
+}
+
 /// Runs the `bench` program and counts each of its regions.
 ///
 /// # Errors
 /// QEMU, the C compiler or the image is missing, or the program fails.
-pub fn count_operators(bench: &Firmware) -> Result<Vec<OperatorCount>, DeviceError> {
+fn count_operators(bench: &Firmware) -> Result<Vec<OperatorCount>, DeviceError> {
     let counter = Counter::build()?;
     let printed = run_to_end(bench, Some(&counter))?;
     let mut counts = Vec::new();

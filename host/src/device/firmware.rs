@@ -1,18 +1,17 @@
 //! The firmware image: given, or built from this workspace.
 
 use super::DeviceError;
+use ommatidia_shared::boards::Board;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// Where the image runs.
-const TARGET: &str = "thumbv7em-none-eabihf";
-
-/// Names a folder of images that are built already.
+/// Names a folder of images that are built already, `BOARD/TARGET/firmware/PROGRAM` in it.
 const IMAGES: &str = "OMMATIDIA_FIRMWARE";
 
-/// An image on disk.
+/// An image on disk, for a board.
 #[derive(Clone, Debug)]
 pub struct Firmware {
+    board: Board,
     path: PathBuf,
 }
 
@@ -21,34 +20,40 @@ impl Firmware {
     ///
     /// # Errors
     /// There is no such file.
-    pub fn given(path: &Path) -> Result<Self, DeviceError> {
+    pub fn given(board: Board, path: &Path) -> Result<Self, DeviceError> {
         if path.is_file() {
-            return Ok(Self { path: path.into() });
+            return Ok(Self { board, path: path.into() });
         }
         Err(DeviceError::NoFirmware { detail: format!("{}: no such file", path.display()) })
     }
 
-    /// Builds program `bin` (`app` or `bench`) for the emulated board; with `OMMATIDIA_FIRMWARE` = a folder of images that another
+    /// Builds program `bin` (`app` or `bench`) for a board; with `OMMATIDIA_FIRMWARE` = a folder of images that another
     /// toolchain has built, takes it from there.
     ///
     /// # Errors
     /// The sources or the compiler for the target are missing, or the build fails.
-    pub fn build(bin: &str) -> Result<Self, DeviceError> {
+    pub fn build(board: Board, bin: &str) -> Result<Self, DeviceError> {
         if let Some(folder) = std::env::var_os(IMAGES) {
-            return Self::given(&Path::new(&folder).join(bin));
+            let path = Path::new(&folder).join(board.name).join(board.target).join("firmware").join(bin);
+            return Self::given(board, &path);
         }
         let missing = |detail: String| DeviceError::NoFirmware { detail };
         let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
         if !workspace.join("firmware/Cargo.toml").is_file() {
             return Err(missing("the sources of this program are not here".into()));
         }
-        if !can_build() {
-            return Err(missing(format!("no compiler for the board; `rustup target add {TARGET}` installs one")));
+        if !can_build(board) {
+            let target = board.target;
+            return Err(missing(format!("no compiler for the board; `rustup target add {target}` installs one")));
         }
         let output = Command::new("cargo")
             .current_dir(&workspace)
-            .args(["build", "--profile", "firmware", "-p", "ommatidia-firmware", "--features", "mps2-an500"])
-            .args(["--target", TARGET, "--bin", bin, "--message-format", "json-render-diagnostics"])
+            .args(["build", "--profile", "firmware", "-p", "ommatidia-firmware", "--features", board.name])
+            .args(["--target", board.target, "--bin", bin, "--message-format", "json-render-diagnostics"])
+            // A folder a board: their images have the same names.
+            .arg("--target-dir")
+            .arg(target_dir(&workspace).join("boards").join(board.name))
+            .env("CARGO_ENCODED_RUSTFLAGS", board.rustflags.join("\x1f"))
             // Incremental builds divide the code otherwise, and its instructions are counted.
             .env("CARGO_INCREMENTAL", "0")
             .output()
@@ -59,8 +64,13 @@ impl Firmware {
             return Err(DeviceError::FirmwareBuild { log: last });
         }
         executable(&output.stdout, bin)
-            .map(|path| Self { path })
+            .map(|path| Self { board, path })
             .ok_or_else(|| missing(format!("the build made no program `{bin}`")))
+    }
+
+    /// The board that it runs on.
+    pub fn board(&self) -> Board {
+        self.board
     }
 
     /// The file.
@@ -69,9 +79,14 @@ impl Firmware {
     }
 }
 
+/// Where cargo builds.
+fn target_dir(workspace: &Path) -> PathBuf {
+    std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| workspace.join("target"), PathBuf::from)
+}
+
 /// Whether the compiler has the target's core library.
-fn can_build() -> bool {
-    let output = Command::new("rustc").args(["--print", "target-libdir", "--target", TARGET]).output();
+fn can_build(board: Board) -> bool {
+    let output = Command::new("rustc").args(["--print", "target-libdir", "--target", board.target]).output();
     output.is_ok_and(|output| {
         output.status.success() && Path::new(String::from_utf8_lossy(&output.stdout).trim()).is_dir()
     })

@@ -8,10 +8,6 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// The machine that is emulated.
-const MACHINE: &str = "mps2-an500";
-/// Its memory that can stand in a file; the firmware's flash is the first part of it.
-const MEMORY_BYTES: u64 = 16 << 20;
 /// QEMU sends each byte of the UART as a datagram. So many bytes, with what the packet adds, stay below the 270 datagrams that
 /// the receive buffer of a Linux socket holds.
 const ANSWER_LEN: usize = 160;
@@ -46,11 +42,12 @@ impl Qemu {
         let (socket, serial) = open_line()?;
         let output = tempfile::tempfile()?;
         let mut command = Command::new(&program);
-        command.args(["-M", MACHINE, "-display", "none", "-monitor", "none"]);
+        command.args(["-M", firmware.board().name, "-display", "none", "-monitor", "none"]);
         if let Some(state) = state {
-            OpenOptions::new().create(true).truncate(false).write(true).open(state)?.set_len(MEMORY_BYTES)?;
+            let bytes = firmware.board().memory_bytes;
+            OpenOptions::new().create(true).truncate(false).write(true).open(state)?.set_len(bytes)?;
             let memory =
-                format!("memory-backend-file,id=memory,size={MEMORY_BYTES},share=on,mem-path={}", state.display());
+                format!("memory-backend-file,id=memory,size={bytes},share=on,mem-path={}", state.display());
             command.args(["-object", &memory, "-machine", "memory-backend=memory"]);
         }
         command.args(["-chardev", &serial, "-serial", "chardev:line"]);
@@ -117,7 +114,7 @@ pub(super) fn run_to_end(firmware: &Firmware, counter: Option<&Counter>) -> Resu
 /// The emulator with an image, without a line.
 fn emulator(firmware: &Firmware, counter: Option<&Counter>) -> Result<Command, DeviceError> {
     let mut command = Command::new(find_qemu().ok_or(DeviceError::NoQemu)?);
-    command.args(["-M", MACHINE, "-display", "none", "-monitor", "none"]);
+    command.args(["-M", firmware.board().name, "-display", "none", "-monitor", "none"]);
     command.args(["-semihosting-config", "enable=on,target=native"]);
     if let Some(counter) = counter {
         command.args(["-plugin", &counter.argument()]);

@@ -1,6 +1,7 @@
 //! What runs the device's program, and the choice of it.
 
 use super::{Counter, DeviceError, Firmware, Loopback, LoopbackConfig, Qemu, Transport, find_qemu};
+use ommatidia_shared::boards::Board;
 use std::path::Path;
 use std::time::Duration;
 
@@ -29,14 +30,17 @@ impl Runtime {
     ///
     /// # Errors
     /// QEMU or the firmware was asked for and is not there, or the firmware does not build.
-    pub fn choose(wanted: Wanted, image: Option<&Path>) -> Result<(Self, Option<String>), DeviceError> {
+    pub fn choose(board: Board, wanted: Wanted, image: Option<&Path>) -> Result<(Self, Option<String>), DeviceError> {
         let here = Self::Host(LoopbackConfig::default());
         if wanted == Wanted::Host {
             return Ok((here, None));
         }
         let found = match find_qemu() {
             None => Err(DeviceError::NoQemu),
-            Some(_) => image.map_or_else(|| Firmware::build("app"), Firmware::given),
+            Some(_) => match image {
+                Some(image) => Firmware::given(board, image),
+                None => Firmware::build(board, "app"),
+            },
         };
         match found {
             Ok(firmware) => Ok((Self::Qemu(firmware), None)),

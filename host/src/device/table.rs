@@ -1,121 +1,181 @@
 //! The table of instructions in `docs/instructions.md`: written, read back, and compared with new counts.
 
-use super::OperatorCount;
+use super::{BoardCounts, Footprint, OperatorCount};
+use ommatidia_shared::boards::Board;
 
 /// How much a count may grow before the page must be written anew: another compiler arranges what stands round the loops a little
 /// differently.
 const TOLERANCE: f64 = 0.02;
 
-/// What the best C library for the core takes for the same work, instructions per unit of it: counted under QEMU 7.2, the better of gcc
-/// 12 (-O3, -Ofast) and clang 19.
-const PEERS: [(&str, f64, &str); 4] = [
-    ("2-D real FFT 64x64, forward", 242_856.0 / 4096.0, "microfft, f32"),
-    ("2-D real FFT 64x64, filter, inverse", 574_135.0 / 4096.0, "CMSIS-DSP, f32"),
-    ("2-D real FFT 128x128, filter, inverse", 2_399_654.0 / 16384.0, "CMSIS-DSP, f32"),
-    ("3x3 convolution 32->32, 48x48", 1.48, "best C"),
+/// A library's count of an operator: instructions per unit of its work, and whose.
+type Peer = (&'static str, f64, &'static str);
+
+/// What C libraries take for the same work, counted under QEMU 7.2 with the better of gcc 12 (-O3, -Ofast) and clang 19.
+const PEERS: [(&str, &[Peer]); 2] = [
+    (
+        "mps2-an500",
+        &[
+            ("2-D real FFT 64x64, forward", 242_856.0 / 4096.0, "microfft, f32"),
+            ("2-D real FFT 64x64, filter, inverse", 574_135.0 / 4096.0, "CMSIS-DSP, f32"),
+            ("2-D real FFT 128x128, filter, inverse", 2_399_654.0 / 16384.0, "CMSIS-DSP, f32"),
+            ("3x3 convolution 32->32, 48x48", 1.48, "best C"),
+        ],
+    ),
+    (
+        "mps3-an547",
+        &[
+            ("2-D real FFT 64x64, forward", 105_666.0 / 4096.0, "CMSIS-DSP, f32"),
+            ("2-D real FFT 64x64, forward", 76_188.0 / 4096.0, "CMSIS-DSP, f16"),
+            ("2-D real FFT 64x64, filter, inverse", 200_386.0 / 4096.0, "CMSIS-DSP, f32"),
+            ("2-D real FFT 64x64, filter, inverse", 150_256.0 / 4096.0, "CMSIS-DSP, f16"),
+            ("2-D real FFT 128x128, filter, inverse", 765_186.0 / 16384.0, "CMSIS-DSP, f32"),
+            ("2-D real FFT 128x128, filter, inverse", 515_760.0 / 16384.0, "CMSIS-DSP, f16"),
+            ("3x3 convolution 32->32, 48x48", 0.69, "CMSIS-NN, f32"),
+            ("3x3 convolution 32->32, 48x48", 0.36, "CMSIS-NN, sums in f16"),
+        ],
+    ),
 ];
 
-const HEAD: &str = "# Instructions on the Cortex-M7
+const HEAD: &str = "# Instructions and memory on the microcontroller
 
 Written by `cargo run --release -p ommatidia-host -- device bench -o docs/instructions.md`: the programs of
-`firmware/src/bin/bench.rs`, counted instruction by instruction under QEMU (`mps2-an500`). The counts repeat exactly. They know
-nothing of pipeline, caches or wait states. Transforms start from halves and end in halves, but for the complex ones in place;
-convolutions and the network read and write halves. The libraries work on singles; their counts were taken earlier under QEMU
-7.2 (the better of gcc 12 and clang 19) and are not repeated by the command.
+`firmware/src/bin/bench.rs`, counted instruction by instruction under QEMU, one table a board. The counts repeat exactly. They know
+nothing of pipeline, caches or wait states; an instruction of Helium, the vector extension of the Cortex-M55, is one instruction here and
+takes that core two cycles. Transforms start from halves and end in halves, but for the complex ones in place; convolutions and the network
+read and write halves. On every board the bits are those of the workstation. The libraries work on singles (f32) or on halves throughout
+(f16), which no two machines need agree on; their counts were taken earlier under QEMU 7.2 (the better of gcc 12 and clang 19) and are not
+repeated by the command.
 
-A test of `cargo verify` counts anew and fails where a count has grown by more than 2 %, where the table lacks an operator, or where a
+A test of `cargo verify` counts anew and fails where a figure has grown by more than 2 %, where a table lacks an operator, or where a
 library is ahead. After a change that is meant, write the page anew with the command above, or by
 `OMMATIDIA_RENEW=1 cargo test --release -p ommatidia-tests --test instructions`.
-
 ";
 
-/// The table, Markdown.
-pub fn table(counts: &[OperatorCount]) -> String {
-    let mut text = String::from(
-        "| operator | work | instructions | per unit of work | best C library, per unit |\n|---|---|---|---|---|\n",
+/// The tables of a board, Markdown.
+pub fn table(counts: &BoardCounts) -> String {
+    let Footprint { image_bytes, static_bytes, stack_bytes } = counts.footprint;
+    let mut text = format!(
+        "| memory of the program | bytes |\n|---|---|\n| code and constants | {image_bytes} |\n| variables | {static_bytes} |\n\
+         | deepest stack | {stack_bytes} |\n\n\
+         | operator | work | instructions | per unit of work | C libraries, per unit |\n|---|---|---|---|---|\n"
     );
-    for count in counts {
+    for count in &counts.operators {
         let OperatorCount { name, amount, unit, instructions } = count;
-        let peer = peer(name).map_or(String::new(), |(per_unit, who)| format!("{per_unit:.2} ({who})"));
-        text += &format!("| {name} | {amount} {unit} | {instructions} | {:.2} | {peer} |\n", count.per_unit());
+        let peers: Vec<String> =
+            peers(counts.board.name, name).map(|(_, per_unit, who)| format!("{per_unit:.2} ({who})")).collect();
+        let (per_unit, peers) = (count.per_unit(), peers.join(", "));
+        text += &format!("| {name} | {amount} {unit} | {instructions} | {per_unit:.2} | {peers} |\n");
     }
     text
 }
 
-/// The page: the table and what it says.
-pub fn page(counts: &[OperatorCount]) -> String {
-    format!("{HEAD}{}", table(counts))
+/// The page: the tables and what they say.
+pub fn page(boards: &[BoardCounts]) -> String {
+    let section = |counts: &BoardCounts| format!("\n{}\n\n{}", heading(counts.board), table(counts));
+    HEAD.to_string() + &boards.iter().map(section).collect::<String>()
 }
 
-/// What is wrong with `counts`, one line each: counts that have grown beyond those of `page`, operators that only one of them has,
+fn heading(board: Board) -> String {
+    format!("## {} (`{}`)", board.core, board.name)
+}
+
+/// What is wrong with `counts`, one line each: figures that have grown beyond those of `page`, operators that only one of them has,
 /// operators behind a library.
-pub fn complaints(page: &str, counts: &[OperatorCount]) -> Vec<String> {
-    let committed = read(page);
+pub fn complaints(page: &str, counts: &BoardCounts) -> Vec<String> {
+    let committed = read(page, counts.board);
+    let Footprint { image_bytes, static_bytes, stack_bytes } = counts.footprint;
+    let sizes = [("code and constants", image_bytes), ("variables", static_bytes), ("deepest stack", stack_bytes)];
+    let sizes = sizes.into_iter().map(|(name, bytes)| (name, u64::from(bytes)));
+    let operators = counts.operators.iter().map(|count| (count.name.as_str(), count.instructions));
+    let found: Vec<(&str, u64)> = sizes.chain(operators).collect();
     let mut complaints = Vec::new();
-    for count in counts {
-        let OperatorCount { name, instructions, .. } = count;
+    for (name, now) in &found {
         match committed.iter().find(|(committed, _)| committed == name) {
             None => complaints.push(format!("{name}: not in the table")),
-            Some((_, before)) if *instructions as f64 > *before as f64 * (1.0 + TOLERANCE) => {
-                let percent = 100.0 * (*instructions as f64 / *before as f64 - 1.0);
-                complaints.push(format!("{name}: {before} -> {instructions} instructions, {percent:.1} % more"));
+            Some((_, before)) if *now as f64 > *before as f64 * (1.0 + TOLERANCE) => {
+                let percent = 100.0 * (*now as f64 / *before as f64 - 1.0);
+                complaints.push(format!("{name}: {before} -> {now}, {percent:.1} % more"));
             }
             Some(_) => {}
         }
-        if let Some((per_unit, who)) = peer(name).filter(|(per_unit, _)| count.per_unit() > *per_unit) {
-            complaints.push(format!("{name}: {:.2} a unit of work, behind {who} with {per_unit:.2}", count.per_unit()));
+    }
+    for count in &counts.operators {
+        for (name, per_unit, who) in peers(counts.board.name, &count.name).filter(|peer| count.per_unit() > peer.1) {
+            let found = count.per_unit();
+            complaints.push(format!("{name}: {found:.2} a unit of work, behind {who} with {per_unit:.2}"));
         }
     }
-    let gone = committed.iter().filter(|(name, _)| counts.iter().all(|count| count.name != *name));
+    let gone = committed.iter().filter(|(name, _)| found.iter().all(|(found, _)| found != name));
     complaints.extend(gone.map(|(name, _)| format!("{name}: in the table, but no longer counted")));
     complaints
 }
 
-fn peer(name: &str) -> Option<(f64, &'static str)> {
-    PEERS.iter().find(|(operator, ..)| *operator == name).map(|&(_, per_unit, who)| (per_unit, who))
+fn peers(board: &str, operator: &str) -> impl Iterator<Item = &'static Peer> {
+    let of_board = PEERS.iter().filter(move |(name, _)| *name == board).flat_map(|(_, peers)| peers.iter());
+    of_board.filter(move |(name, ..)| *name == operator)
 }
 
-/// Operator and instructions of each row.
-fn read(page: &str) -> Vec<(String, u64)> {
+/// Name and figure of each row of a board's tables.
+fn read(page: &str, board: Board) -> Vec<(String, u64)> {
     let row = |line: &str| {
-        let mut cells = line.strip_prefix('|')?.split('|').map(str::trim);
-        let (name, instructions) = (cells.next()?, cells.nth(1)?.parse().ok()?);
-        Some((name.to_string(), instructions))
+        let cells: Vec<&str> = line.strip_prefix('|')?.strip_suffix('|')?.split('|').map(str::trim).collect();
+        let figure = if cells.len() == 2 { cells.get(1)? } else { cells.get(2)? };
+        Some((cells.first()?.to_string(), figure.parse().ok()?))
     };
-    page.lines().filter_map(row).collect()
+    let heading = heading(board);
+    let section = page.lines().skip_while(|line| **line != heading).skip(1);
+    section.take_while(|line| !line.starts_with("## ")).filter_map(row).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    use ommatidia_shared::boards::{MPS2_AN386, MPS2_AN500, MPS3_AN547};
+
     fn count(name: &str, amount: u64, instructions: u64) -> OperatorCount {
         OperatorCount { name: name.into(), amount, unit: "px".into(), instructions }
     }
 
+    fn on(board: Board, operators: &[OperatorCount]) -> BoardCounts {
+        let footprint = Footprint { image_bytes: 50_000, static_bytes: 4000, stack_bytes: 5000 };
+        BoardCounts { board, footprint, operators: operators.to_vec() }
+    }
+
     #[test]
     fn a_page_agrees_with_the_counts_it_was_written_from() {
-        let counts = [count("2-D real FFT 64x64, forward", 4096, 160_000), count("a, b", 3, 17)];
-        assert_eq!(complaints(&page(&counts), &counts), Vec::<String>::new());
-        assert!(page(&counts).contains("| 160000 | 39.06 | 59.29 (microfft, f32) |"));
+        let boards = [MPS2_AN500, MPS3_AN547, MPS2_AN386].map(|board| {
+            let instructions = if board == MPS3_AN547 { 70_000 } else { 160_000 };
+            on(board, &[count("2-D real FFT 64x64, forward", 4096, instructions), count("a, b", 3, 17)])
+        });
+        let page = page(&boards);
+        for counts in &boards {
+            assert_eq!(complaints(&page, counts), Vec::<String>::new());
+        }
+        assert!(page.contains("| 160000 | 39.06 | 59.29 (microfft, f32) |"));
+        assert!(page.contains("| 70000 | 17.09 | 25.80 (CMSIS-DSP, f32), 18.60 (CMSIS-DSP, f16) |"));
+        assert!(page.contains("| 160000 | 39.06 |  |"), "no library was counted on the Cortex-M4F");
     }
 
     #[test]
     fn growth_beyond_two_percent_is_told_and_less_is_not() {
-        let page = page(&[count("a", 1, 1000), count("b", 1, 1000), count("c", 1, 1000)]);
-        let found = complaints(&page, &[count("a", 1, 1020), count("b", 1, 1021), count("c", 1, 500)]);
-        assert_eq!(found, ["b: 1000 -> 1021 instructions, 2.1 % more"]);
+        let page = page(&[on(MPS2_AN500, &[count("a", 1, 1000), count("b", 1, 1000), count("c", 1, 1000)])]);
+        let mut counts = on(MPS2_AN500, &[count("a", 1, 1020), count("b", 1, 1021), count("c", 1, 500)]);
+        counts.footprint.image_bytes = 60_000;
+        let found = complaints(&page, &counts);
+        assert_eq!(found, ["code and constants: 50000 -> 60000, 20.0 % more", "b: 1000 -> 1021, 2.1 % more"]);
     }
 
     #[test]
     fn operators_that_come_or_go_are_told() {
-        let found = complaints(&page(&[count("a", 1, 1)]), &[count("b", 1, 1)]);
+        let page = page(&[on(MPS2_AN500, &[count("a", 1, 1)]), on(MPS3_AN547, &[count("b", 1, 1)])]);
+        let found = complaints(&page, &on(MPS2_AN500, &[count("b", 1, 1)]));
         assert_eq!(found, ["b: not in the table", "a: in the table, but no longer counted"]);
     }
 
     #[test]
     fn an_operator_behind_a_library_is_told_whatever_the_page_says() {
-        let counts = [count("3x3 convolution 32->32, 48x48", 100, 149)];
-        assert_eq!(complaints(&page(&counts), &counts).len(), 1);
+        let counts = on(MPS2_AN500, &[count("3x3 convolution 32->32, 48x48", 100, 149)]);
+        assert_eq!(complaints(&page(std::slice::from_ref(&counts)), &counts).len(), 1);
     }
 }

@@ -12,7 +12,11 @@ use crate::num::pairs::Parts;
 use crate::num::simd::{Kernel, Simd, Vector};
 
 /// Rows or columns that are transformed side by side where scratch allows.
-const WIDE: usize = if cfg!(target_arch = "arm") { 1 } else { 8 };
+const WIDE: usize = match (cfg!(target_arch = "arm"), strip::HELIUM) {
+    (false, _) => 8,
+    (true, true) => 4,
+    (true, false) => 1,
+};
 
 /// Where the input rows come from.
 pub trait RowSource {
@@ -182,29 +186,44 @@ impl<S: RowSource, const L: usize> Kernel for Forward<'_, S, L> {
 impl<S: RowSource, const L: usize> Forward<'_, S, L> {
     #[inline(always)]
     fn rows(&mut self, first: usize, count: usize) {
-        let (len, half) = (self.plan.len(), self.plan.rows.half());
-        let (data, row) = strip::split::<L>(self.scratch, half.len());
-        let row = &mut row[..len];
-        for lane in 0..L {
-            if lane < count {
-                self.source.load(first + lane, row);
-            } else {
-                row.fill(0.0);
-            }
-            strip::order_row(row, half, lane, data);
+        if !strip::holds::<L>(count) || !self.try_rows::<L>(first, count) {
+            (first..first + count).for_each(|row| {
+                self.try_rows::<1>(row, 1);
+            });
         }
+    }
+
+    /// Rows `first..first + count`, `N` side by side; false, and nothing done, where that would change a bit.
+    #[inline(always)]
+    fn try_rows<const N: usize>(&mut self, first: usize, count: usize) -> bool {
+        let (len, half) = (self.plan.len(), self.plan.rows.half());
+        let (data, rows) = strip::split::<N>(self.scratch, half.len());
+        strip::order_rows(|lane, row| self.source.load(first + lane, row), len, count, half, rows, data);
         let row_len = self.plan.spectrum_len(1);
         let rows = &mut self.spectrum[first * row_len..(first + count) * row_len];
-        strip::forward_rows(self.plan.rows, data, self.plan.row_scale, rows, row_len);
+        strip::forward_rows(self.plan.rows, data, self.plan.row_scale, rows, row_len)
     }
 
     #[inline(always)]
     fn columns(&mut self, first: usize, count: usize) {
+        if !strip::holds::<L>(count) || !self.try_columns::<L>(first, count) {
+            (first..first + count).for_each(|column| {
+                self.try_columns::<1>(column, 1);
+            });
+        }
+    }
+
+    /// As [`Self::try_rows`].
+    #[inline(always)]
+    fn try_columns<const N: usize>(&mut self, first: usize, count: usize) -> bool {
         let (row_len, fft) = (self.plan.spectrum_len(1), self.plan.cols);
-        let (data, _) = strip::split::<L>(self.scratch, fft.len());
+        let (data, _) = strip::split::<N>(self.scratch, fft.len());
         strip::load(self.spectrum, row_len, first, count, fft, data);
-        fft.process(data);
-        strip::store(data, self.plan.col_scale, Parts::InOrder, self.spectrum, row_len, first, count);
+        let exact = strip::transform(fft, data);
+        if exact {
+            strip::store(data, self.plan.col_scale, Parts::InOrder, self.spectrum, row_len, first, count);
+        }
+        exact
     }
 }
 
@@ -234,26 +253,45 @@ impl<S: StripSource, E: FnMut(usize, &[f32]), const L: usize> Kernel for Inverse
 impl<S: StripSource, E: FnMut(usize, &[f32]), const L: usize> Inverse<'_, S, E, L> {
     #[inline(always)]
     fn columns(&mut self, first: usize, count: usize) {
+        if !strip::holds::<L>(count) || !self.try_columns::<L>(first, count) {
+            (first..first + count).for_each(|column| {
+                self.try_columns::<1>(column, 1);
+            });
+        }
+    }
+
+    /// As [`Forward::try_rows`].
+    #[inline(always)]
+    fn try_columns<const N: usize>(&mut self, first: usize, count: usize) -> bool {
         let (row_len, fft) = (self.plan.spectrum_len(1), self.plan.cols);
-        let (data, _) = strip::split::<L>(self.scratch, fft.len());
-        data.fill([[0.0; L]; 2]);
+        let (data, _) = strip::split::<N>(self.scratch, fft.len());
+        data.fill([[0.0; N]; 2]);
         self.source.add(Strip { fft, row_len, first, count, lanes: data });
-        fft.process(data);
-        let rows = &mut data[self.rows.clone()];
-        strip::store(rows, self.plan.col_scale, Parts::Exchanged, self.halfway, row_len, first, count);
+        let exact = strip::transform(fft, data);
+        if exact {
+            let rows = &mut data[self.rows.clone()];
+            strip::store(rows, self.plan.col_scale, Parts::Exchanged, self.halfway, row_len, first, count);
+        }
+        exact
     }
 
     #[inline(always)]
     fn emit_rows(&mut self, first: usize, count: usize) {
-        let (row_len, fft) = (self.plan.spectrum_len(1), self.plan.rows);
-        let (data, row) = strip::split::<L>(self.scratch, fft.half().len());
-        let row = &mut row[..self.plan.cols.len()];
-        let from = &self.halfway[(first - self.rows.start) * row_len..][..count * row_len];
-        strip::inverse_rows(fft, from, row_len, data);
-        for lane in 0..count {
-            strip::scale_row(data, lane, self.plan.row_scale, row);
-            (self.emit)(first + lane, row);
+        if !strip::holds::<L>(count) || !self.try_emit_rows::<L>(first, count) {
+            (first..first + count).for_each(|row| {
+                self.try_emit_rows::<1>(row, 1);
+            });
         }
+    }
+
+    /// As [`Forward::try_rows`].
+    #[inline(always)]
+    fn try_emit_rows<const N: usize>(&mut self, first: usize, count: usize) -> bool {
+        let (row_len, fft) = (self.plan.spectrum_len(1), self.plan.rows);
+        let (data, rows) = strip::split::<N>(self.scratch, fft.half().len());
+        let from = &self.halfway[(first - self.rows.start) * row_len..][..count * row_len];
+        let emit = |lane, row: &[f32]| (self.emit)(first + lane, row);
+        strip::inverse_rows(fft, from, row_len, self.plan.row_scale, data, rows, emit)
     }
 }
 

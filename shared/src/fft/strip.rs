@@ -1,12 +1,15 @@
 //! Between halves in slow memory and lanes in fast scratch: all that a strip of columns or a group of rows needs.
 //!
-//! A single lane goes through loops for which a Cortex-M has instructions; more lanes through loops that become vector code.
-//! The values are the same.
+//! A single lane goes through loops for which a Cortex-M has instructions, four lanes through loops in Helium where the core has it;
+//! other numbers of lanes through loops that become vector code. The values are the same. Where Helium cannot tell that they are,
+//! the functions say so, and the caller goes lane by lane.
 
 use super::complex::{Fft, Lanes};
 use super::real::RealFft;
 #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
 use crate::num::arm;
+#[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
+use crate::num::arm::helium;
 use crate::num::pairs::{self, Parts};
 use crate::num::{f16, narrow, widen};
 
@@ -15,6 +18,22 @@ use crate::num::{f16, narrow, widen};
 pub(super) fn split<const L: usize>(scratch: &mut [f32], len: usize) -> (&mut [Lanes<L>], &mut [f32]) {
     let (strip, rest) = scratch.split_at_mut(2 * L * len);
     (strip.as_chunks_mut::<L>().0.as_chunks_mut::<2>().0, rest)
+}
+
+/// Whether L lanes can hold `count` rows or columns: Helium's loops leave no lane idle.
+#[inline(always)]
+pub(super) const fn holds<const L: usize>(count: usize) -> bool {
+    count == L || (count < L && !HELIUM)
+}
+
+/// Whether the core has Helium.
+pub(super) const HELIUM: bool = cfg!(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"));
+
+/// Four lanes as what Helium's loops take.
+#[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
+#[inline(always)]
+fn four<const L: usize>(data: &mut [Lanes<L>]) -> &mut [Lanes<4>] {
+    data.as_flattened_mut().as_flattened_mut().as_chunks_mut::<4>().0.as_chunks_mut::<2>().0
 }
 
 /// One lane as (re, im) pairs.
@@ -37,9 +56,24 @@ pub(super) fn load<const L: usize>(
         pairs::gather_pairs(&spectrum[2 * first..], row_len, single(strip));
         return;
     }
+    #[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
+    if L == 4 {
+        return helium::gather_columns(&spectrum[2 * first..], row_len, four(strip));
+    }
     for (r, row) in spectrum.chunks_exact(row_len).enumerate().take(fft.len()) {
         strip[fft.slot(r)] = widen_pairs::<L>(&row[2 * first..2 * (first + count)]);
     }
+}
+
+/// Transforms a strip in its slots.
+#[inline(always)]
+pub(super) fn transform<const L: usize>(fft: Fft, strip: &mut [Lanes<L>]) -> bool {
+    #[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
+    if L == 4 {
+        return helium::transform_columns(four(strip));
+    }
+    fft.process(strip);
+    true
 }
 
 /// The reverse of [`load`] for numbers in natural order, scaled.
@@ -57,15 +91,46 @@ pub(super) fn store<const L: usize>(
         pairs::scatter_pairs(single(strip), scale, parts, &mut spectrum[2 * first..], row_len);
         return;
     }
+    #[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
+    if L == 4 {
+        return helium::scatter_columns(four(strip), scale, parts, &mut spectrum[2 * first..], row_len);
+    }
     for (row, x) in spectrum.chunks_exact_mut(row_len).zip(&*strip) {
         let x = if parts == Parts::InOrder { *x } else { [x[1], x[0]] };
         narrow_pairs(&x, scale, &mut row[2 * first..2 * (first + count)]);
     }
 }
 
+/// The pairs of `count` rows of `len` numbers, a lane of `data` each, each pair in its slot; `load` gives the rows, `rows` is scratch.
+#[inline(always)]
+pub(super) fn order_rows<const L: usize>(
+    mut load: impl FnMut(usize, &mut [f32]),
+    len: usize,
+    count: usize,
+    half: Fft,
+    rows: &mut [f32],
+    data: &mut [Lanes<L>],
+) {
+    #[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
+    if L == 4 {
+        let rows = &mut rows[..4 * len];
+        rows.chunks_exact_mut(len).enumerate().for_each(|(lane, row)| load(lane, row));
+        return helium::order_rows(rows, four(data));
+    }
+    let row = &mut rows[..len];
+    for lane in 0..L {
+        if lane < count {
+            load(lane, row);
+        } else {
+            row.fill(0.0);
+        }
+        order_row(row, half, lane, data);
+    }
+}
+
 /// The pairs of a row, one lane of `data`, each in its slot.
 #[inline(always)]
-pub(super) fn order_row<const L: usize>(row: &[f32], half: Fft, lane: usize, data: &mut [Lanes<L>]) {
+fn order_row<const L: usize>(row: &[f32], half: Fft, lane: usize, data: &mut [Lanes<L>]) {
     #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
     if L == 1 {
         return arm::order_row(row, single(data));
@@ -85,9 +150,13 @@ pub(super) fn forward_rows<const L: usize>(
     scale: f32,
     rows: &mut [f16],
     row_len: usize,
-) {
+) -> bool {
     // The transform gives twice the spectrum.
     let scale = 0.5 * scale;
+    #[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
+    if L == 4 {
+        return helium::forward_rows(four(data), scale, &mut rows[..4 * row_len]);
+    }
     fft.half().process(data);
     #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
     if L == 1 {
@@ -98,7 +167,7 @@ pub(super) fn forward_rows<const L: usize>(
         store_ends(2.0 * (re + im) * scale, 2.0 * (re - im) * scale, row);
         row[half] = narrow(2.0 * middle[0] * scale);
         row[half + 1] = narrow(-2.0 * middle[1] * scale);
-        return;
+        return true;
     }
     fft.untangle(data);
     let [first, last] = data[0];
@@ -108,6 +177,7 @@ pub(super) fn forward_rows<const L: usize>(
         }
         store_ends(first[lane] * scale, last[lane] * scale, row);
     }
+    true
 }
 
 /// Numbers 0 and N/2 of a row, which are real.
@@ -119,27 +189,57 @@ fn store_ends(first: f32, last: f32, row: &mut [f16]) {
     }
 }
 
-/// Up to L rows of halves to N times the pairs of their inverse real transforms, imaginary part first.
+/// Inverse real transforms of up to L rows of halves, scaled; each goes to `emit(lane, row)`, by way of `rows`.
 #[inline(always)]
-pub(super) fn inverse_rows<const L: usize>(fft: RealFft, rows: &[f16], row_len: usize, data: &mut [Lanes<L>]) {
+pub(super) fn inverse_rows<const L: usize>(
+    fft: RealFft,
+    from: &[f16],
+    row_len: usize,
+    scale: f32,
+    data: &mut [Lanes<L>],
+    rows: &mut [f32],
+    mut emit: impl FnMut(usize, &[f32]),
+) -> bool {
     let (half, quarter) = (fft.half().len(), fft.half().len() / 2);
-    let (slot, at) = (|k| fft.half().slot(k), |k| number::<L>(rows, row_len, k));
+    let (slot, at) = (|k| fft.half().slot(k), |k| number::<L>(from, row_len, k));
     data[slot(0)] = fft.tangle_ends(at(0)[0], at(half)[0]);
     data[slot(quarter)] = fft.tangle_middle(at(quarter));
+    #[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
+    if L == 4 {
+        let rows = &mut rows[..8 * half];
+        let exact = helium::inverse_rows(from, four(data), scale, rows);
+        if exact {
+            rows.chunks_exact(2 * half).enumerate().for_each(|(lane, row)| emit(lane, row));
+        }
+        return exact;
+    }
+    tangle_rows(fft, from, row_len, data);
+    fft.inverse(data);
+    let row = &mut rows[..2 * half];
+    for lane in 0..from.len() / row_len {
+        scale_row(data, lane, scale, row);
+        emit(lane, row);
+    }
+    true
+}
+
+/// What [`RealFft::inverse`] wants in the slots of all numbers but 0 and N/4.
+#[inline(always)]
+fn tangle_rows<const L: usize>(fft: RealFft, rows: &[f16], row_len: usize, data: &mut [Lanes<L>]) {
     #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
     if L == 1 {
-        arm::tangle_row(&rows[..row_len], single(data));
-        return fft.inverse(data);
+        return arm::tangle_row(&rows[..row_len], single(data));
     }
-    for k in 1..quarter {
+    let half = fft.half().len();
+    let (slot, at) = (|k| fft.half().slot(k), |k| number::<L>(rows, row_len, k));
+    for k in 1..half / 2 {
         [data[slot(k)], data[slot(half - k)]] = fft.tangle(k, at(k), at(half - k));
     }
-    fft.inverse(data);
 }
 
 /// One lane of pairs, imaginary part first, as a row, scaled.
 #[inline(always)]
-pub(super) fn scale_row<const L: usize>(data: &mut [Lanes<L>], lane: usize, scale: f32, row: &mut [f32]) {
+fn scale_row<const L: usize>(data: &mut [Lanes<L>], lane: usize, scale: f32, row: &mut [f32]) {
     #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
     if L == 1 {
         return arm::scale_row(single(data), scale, row);
@@ -163,6 +263,10 @@ pub(crate) fn add_product<const L: usize>(
 ) {
     if L == 1 {
         return pairs::add_products(&k[2 * first..], &x[2 * first..], row_len, single(strip));
+    }
+    #[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
+    if L == 4 {
+        return helium::add_product_columns(&k[2 * first..], &x[2 * first..], row_len, four(strip));
     }
     let columns = 2 * first..2 * (first + count);
     for (r, (k, x)) in k.chunks_exact(row_len).zip(x.chunks_exact(row_len)).enumerate() {

@@ -3,13 +3,15 @@
 use crate::cli::Run;
 use crate::device::{Runtime, Wanted};
 use clap::ValueEnum;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use ommatidia_shared::boards::{BOARDS, Board, MPS2_AN500};
 use std::path::PathBuf;
 
 /// Options that name a device.
 #[derive(Debug, clap::Args)]
 pub(super) struct Target {
     /// The board
-    #[arg(long, value_enum, default_value_t = Board::Mps2An500)]
+    #[arg(long, value_parser = boards(), default_value = MPS2_AN500.name)]
     board: Board,
     /// Firmware image for the board (default: build it)
     #[arg(long, value_name = "ELF")]
@@ -22,10 +24,11 @@ pub(super) struct Target {
     pub(super) state: Option<PathBuf>,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum Board {
-    /// Cortex-M7, ARM MPS2 with FPGA image AN500
-    Mps2An500,
+/// The boards that QEMU emulates, by name.
+pub(super) fn boards() -> impl TypedValueParser<Value = Board> {
+    let emulated = BOARDS.into_iter().filter(|board| board.emulated);
+    let values: Vec<_> = emulated.map(|board| PossibleValue::new(board.name).help(board.core)).collect();
+    PossibleValuesParser::new(values).try_map(|name| Board::named(&name).ok_or("no such board"))
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -41,13 +44,12 @@ enum On {
 impl Target {
     /// What runs the device; tells where it is the second choice.
     pub(super) fn runtime(&self, run: &Run) -> anyhow::Result<Runtime> {
-        let Board::Mps2An500 = self.board;
         let wanted = match self.on {
             On::Auto => Wanted::Best,
             On::Qemu => Wanted::Qemu,
             On::Host => Wanted::Host,
         };
-        let (runtime, fallback) = Runtime::choose(wanted, self.firmware.as_deref())?;
+        let (runtime, fallback) = Runtime::choose(self.board, wanted, self.firmware.as_deref())?;
         if let (Some(why), false) = (&fallback, run.quiet) {
             eprintln!("note: the firmware's logic runs on this machine, not on the emulated board: {why}");
         }

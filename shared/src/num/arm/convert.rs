@@ -2,6 +2,7 @@
 
 use core::arch::asm;
 
+#[cfg(not(feature = "helium"))]
 use super::asm_low;
 use crate::num::f16;
 
@@ -42,6 +43,7 @@ pub(in crate::num) fn narrow(value: f32) -> f16 {
 }
 
 /// Widens `from` into the equally long `to`; eight in twelve instructions.
+#[cfg(not(feature = "helium"))]
 pub(in crate::num) fn widen_slice(from: &[f16], to: &mut [f32]) {
     let len = from.len().min(to.len());
     let head = len.min(usize::from(!from.as_ptr().addr().is_multiple_of(4)));
@@ -77,6 +79,7 @@ pub(in crate::num) fn widen_slice(from: &[f16], to: &mut [f32]) {
 }
 
 /// Narrows `from` into the equally long `to`; eight in twelve instructions.
+#[cfg(not(feature = "helium"))]
 pub(in crate::num) fn narrow_slice(from: &[f32], to: &mut [f16]) {
     let len = from.len().min(to.len());
     let head = len.min(usize::from(!to.as_ptr().addr().is_multiple_of(4)));

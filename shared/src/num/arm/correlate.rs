@@ -1,6 +1,6 @@
 //! The inner loop of the 3x3 convolution.
 
-use super::asm_all;
+use super::{Rows, asm_all};
 
 /// One output channel of one tap: four columns from input register `x` on, times weight register `w`.
 macro_rules! tap {
@@ -70,27 +70,6 @@ macro_rules! kernel_row {
 
 /// Columns of a block of four output channels, and of a block of one.
 const COLUMNS: [usize; 2] = [4, 8];
-
-/// What a row of a 3x3 correlation reads.
-#[derive(Clone, Copy)]
-pub(crate) struct Rows<'a> {
-    /// Three widened rows of all channels, `[3, channels, pitch]`.
-    pub(crate) input: &'a [f32],
-    /// Distance between the rows: the columns rounded up to a multiple of eight and two more.
-    pub(crate) pitch: usize,
-    /// `[channels, 3, 3, outputs]`.
-    pub(crate) weights: &'a [f32],
-}
-
-impl Rows<'_> {
-    /// Whether all that the loops read and write is there, for `outputs` channels and sums `distance` apart.
-    fn check(&self, outputs: usize, distance: usize, sums: usize) -> usize {
-        let channels = self.weights.len() / (9 * outputs);
-        assert!(channels > 0 && self.pitch >= distance + 2 && distance.is_multiple_of(8), "rows of {distance}");
-        assert!(self.input.len() >= 3 * channels * self.pitch && sums >= outputs * distance, "{sums} sums");
-        channels
-    }
-}
 
 /// One row of four output channels, a block of 4 by 4 at a time: 157 instructions an input channel for 144 products.
 ///

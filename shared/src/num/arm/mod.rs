@@ -9,17 +9,37 @@
 
 mod columns;
 mod convert;
+#[cfg(not(feature = "helium"))]
 mod correlate;
+mod divide;
 mod fft;
+#[cfg(not(feature = "helium"))]
 mod fused;
+#[cfg(feature = "helium")]
+pub(crate) mod helium;
 mod rows;
+mod window;
 
 pub(super) use columns::{add_products, gather_pairs, scatter_pairs};
-pub(super) use convert::{narrow, narrow_slice, widen, widen_slice};
-pub(crate) use correlate::{Rows, correlate1, correlate4};
+pub(super) use convert::{narrow, widen};
+pub(super) use divide::divide;
 pub(crate) use fft::transform;
-pub(super) use fused::{accumulate, add_eights, add_scaled, divide, narrow_relu, round_interleaved, widen_alternate};
 pub(crate) use rows::{order_row, scale_row, tangle_row, untangle_row};
+pub(crate) use window::Rows;
+
+#[cfg(not(feature = "helium"))]
+pub(crate) use correlate::{correlate1, correlate4};
+#[cfg(feature = "helium")]
+pub(super) use helium::{
+    accumulate, add_eights, add_scaled, narrow_relu, narrow_slice, round_interleaved, widen_alternate, widen_slice,
+};
+#[cfg(feature = "helium")]
+pub(crate) use helium::{correlate1, correlate4};
+#[cfg(not(feature = "helium"))]
+pub(super) use {
+    convert::{narrow_slice, widen_slice},
+    fused::{accumulate, add_eights, add_scaled, narrow_relu, round_interleaved, widen_alternate},
+};
 
 /// `asm!` that clobbers s0-s15, which no caller expects to be kept.
 macro_rules! asm_low {

@@ -1,8 +1,9 @@
 //! The steps of `cargo verify`, cheapest first.
 
 use crate::counts::Counts;
-use crate::toolchain::{self, THUMB};
+use crate::toolchain;
 use anyhow::{Context, Result};
+use ommatidia_shared::boards::BOARDS;
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
 
@@ -17,7 +18,7 @@ pub fn all() -> Vec<Step> {
     let step = |name, run| Step { name, run };
     vec![
         step("formatting", || check(cargo(["fmt", "--all", "--check"]))),
-        step("firmware image", firmware_image),
+        step("firmware images", firmware_images),
         step("emulator", || toolchain::ensure_qemu().map(|()| Counts::check(true))),
         step("tests of shared, debug build with overflow checks", || tests(&["-p", "ommatidia-shared"])),
         step("all tests", || tests(&["--release", "--workspace"])),
@@ -43,13 +44,17 @@ fn documentation() -> Result<Counts> {
     check(command)
 }
 
-fn firmware_image() -> Result<Counts> {
-    let mut command = toolchain::thumb()?.cargo();
-    command.args(["build", "--profile", "firmware", "-p", "ommatidia-firmware", "--features", "mps2-an500"]);
-    // Incremental builds divide the code otherwise: the counts of instructions would be those of another image.
-    command.env("CARGO_INCREMENTAL", "0");
-    command.args(["--bins", "--target", THUMB]);
-    check(command)
+/// The programs of every board: one check a board.
+fn firmware_images() -> Result<Counts> {
+    let toolchain = toolchain::thumb()?;
+    let mut counts = Counts::default();
+    for board in BOARDS {
+        let mut command = toolchain.cargo(board);
+        command.args(["build", "--profile", "firmware", "-p", "ommatidia-firmware", "--features", board.name]);
+        command.args(["--bins", "--target", board.target]);
+        counts += check(command)?;
+    }
+    Ok(counts)
 }
 
 /// Runs the tests of the given packages and counts them. A test that finds no measured data writes its name and

@@ -1,27 +1,25 @@
-//! What the firmware needs beyond the host's Rust: the ARM target and the emulator. Installed where they are missing.
+//! What the firmware needs beyond the host's Rust: the ARM targets and the emulator. Installed where they are missing.
 
 use anyhow::{Context, Result, bail};
+use ommatidia_shared::boards::{BOARDS, Board};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-
-/// The default target of the firmware: Cortex-M7 with its FPU.
-pub const THUMB: &str = "thumbv7em-none-eabihf";
 
 /// Debian's packages that build for ARM where rustup cannot fetch the target.
 const DEBIAN_RUST: &[&str] = &["rustc-web", "cargo-web", "rust-web-src", "gcc-arm-none-eabi"];
 
-/// A compiler for [`THUMB`].
+/// A compiler for the boards.
 pub enum Toolchain {
-    /// The host's own toolchain with the target's standard library.
+    /// The host's own toolchain with the targets' core libraries.
     Rustup,
     /// Debian's compiler, which builds `core` from source.
     Debian,
 }
 
 impl Toolchain {
-    /// `cargo` of this toolchain; the caller adds the arguments.
-    pub fn cargo(&self) -> Command {
-        match self {
+    /// `cargo` of this toolchain, building for `board`; the caller adds the arguments.
+    pub fn cargo(&self, board: Board) -> Command {
+        let mut command = match self {
             Self::Rustup => Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into())),
             Self::Debian => {
                 let mut command = Command::new("/usr/bin/cargo");
@@ -30,16 +28,21 @@ impl Toolchain {
                     .env("RUSTC", "/usr/bin/rustc")
                     .env("RUSTC_BOOTSTRAP", "1")
                     .env("CARGO_UNSTABLE_BUILD_STD", "core")
-                    .env("CARGO_TARGET_DIR", self.target_dir())
-                    .env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER", "arm-none-eabi-ld");
+                    .env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER", "arm-none-eabi-ld")
+                    .env("CARGO_TARGET_THUMBV8M_MAIN_NONE_EABIHF_LINKER", "arm-none-eabi-ld");
                 command
             }
-        }
+        };
+        command.env("CARGO_TARGET_DIR", self.images().join(board.name));
+        command.env("CARGO_ENCODED_RUSTFLAGS", board.rustflags.join("\x1f"));
+        // Incremental builds divide the code otherwise: the counts of instructions would be those of another image.
+        command.env("CARGO_INCREMENTAL", "0");
+        command
     }
 
-    /// Where the firmware images that this toolchain builds lie.
+    /// Where the firmware images that this toolchain builds lie, a folder a board.
     pub fn images(&self) -> PathBuf {
-        self.target_dir().join(THUMB).join("firmware")
+        self.target_dir().join("boards")
     }
 
     /// The two toolchains' target folders are kept apart.
@@ -53,18 +56,22 @@ impl Toolchain {
     }
 }
 
-/// Finds or installs a compiler for [`THUMB`].
+/// Finds or installs a compiler for the boards.
 pub fn thumb() -> Result<Toolchain> {
-    if has_target() || run("rustup", &["target", "add", THUMB]) {
+    let mut targets: Vec<&str> = BOARDS.iter().map(|board| board.target).collect();
+    targets.sort_unstable();
+    targets.dedup();
+    if targets.iter().all(|target| has_target(target) || run("rustup", &["target", "add", target])) {
         return Ok(Toolchain::Rustup);
     }
-    println!("rustup cannot add {THUMB}; trying Debian's packages");
+    println!("rustup cannot add {}; trying Debian's packages", targets.join(" or "));
     let debian = || Path::new("/usr/bin/cargo").exists() && Path::new("/usr/bin/arm-none-eabi-ld").exists();
     if debian() || (apt_install(DEBIAN_RUST) && debian()) {
         return Ok(Toolchain::Debian);
     }
     bail!(
-        "no compiler for {THUMB}: run `rustup target add {THUMB}`, or on Debian `apt-get install {}`",
+        "no compiler for {0}: run `rustup target add {0}`, or on Debian `apt-get install {1}`",
+        targets.join(" "),
         DEBIAN_RUST.join(" ")
     )
 }
@@ -82,11 +89,11 @@ pub fn ensure_qemu() -> Result<()> {
     Ok(())
 }
 
-fn has_target() -> bool {
+fn has_target(target: &str) -> bool {
     Command::new("rustup")
         .args(["target", "list", "--installed"])
         .output()
-        .is_ok_and(|o| String::from_utf8_lossy(&o.stdout).lines().any(|l| l.trim() == THUMB))
+        .is_ok_and(|o| String::from_utf8_lossy(&o.stdout).lines().any(|l| l.trim() == target))
 }
 
 fn apt_install(packages: &[&str]) -> bool {

@@ -1,11 +1,12 @@
-//! User LED 0 of the MPS2 (FPGAIO block, ARM DAI 0500, table 4-6).
+//! User LED 0 (FPGAIO block: ARM DAI 0500, table 4-6; the same register on all boards of the family).
 #![allow(unsafe_code)] // registers are memory
 
+use super::map::MAP;
 use core::convert::Infallible;
 use core::ptr::{read_volatile, write_volatile};
 use embedded_hal::digital::{ErrorType, OutputPin};
 
-const FPGAIO_LED: *mut u32 = 0x4002_8000 as *mut u32;
+const FPGAIO_LED: *mut u32 = MAP.leds as *mut u32;
 const LED_0: u32 = 1;
 
 /// User LED 0.

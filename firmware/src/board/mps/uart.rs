@@ -2,6 +2,7 @@
 #![allow(unsafe_code)] // registers are memory
 
 use super::Dog;
+use super::map::MAP;
 use core::convert::Infallible;
 use core::ptr::{read_volatile, write_volatile};
 use cortex_m::asm;
@@ -11,8 +12,7 @@ use cortex_m::peripheral::{NVIC, Peripherals, SCB};
 use embedded_io::{ErrorType, Read, ReadReady, Write};
 use ommatidia_shared::device::Watchdog;
 
-/// UART 0 of the MPS2 boards.
-const BASE: usize = 0x4000_4000;
+const BASE: usize = MAP.uart;
 const DATA: *mut u32 = BASE as *mut u32;
 const STATE: *mut u32 = (BASE + 4) as *mut u32;
 const CTRL: *mut u32 = (BASE + 8) as *mut u32;
@@ -29,14 +29,14 @@ const FASTEST: u32 = 16;
 /// The longest time between two ticks, 0.67 s.
 const TICK_CYCLES: u32 = 0x00ff_ffff;
 
-/// Interrupt 0: UART 0 has received.
+/// The interrupt: UART 0 has received.
 #[derive(Clone, Copy)]
 struct Received;
 
 // SAFETY: the number is that of the board's vector table.
 unsafe impl InterruptNumber for Received {
     fn number(self) -> u16 {
-        0
+        MAP.received
     }
 }
 

@@ -1,13 +1,14 @@
 //! CMSDK watchdog (ARM Cortex-M System Design Kit, DDI 0479, section 4.7).
 #![allow(unsafe_code)] // registers are memory
 
+use super::map::MAP;
 use core::ptr::write_volatile;
 use core::sync::atomic::{AtomicU32, Ordering};
 use cortex_m_rt::exception;
 use ommatidia_shared::device::Watchdog;
 use ommatidia_shared::wire::StartCause;
 
-const BASE: usize = 0x4000_8000;
+const BASE: usize = MAP.watchdog;
 const LOAD: *mut u32 = BASE as *mut u32;
 const CONTROL: *mut u32 = (BASE + 8) as *mut u32;
 const INTCLEAR: *mut u32 = (BASE + 12) as *mut u32;
@@ -16,8 +17,6 @@ const LOCK: *mut u32 = (BASE + 0xc00) as *mut u32;
 /// Count, and reset when the count ends a second time.
 const INTERRUPT_AND_RESET: u32 = 3;
 const UNLOCK: u32 = 0x1acc_e551;
-/// The clock of the board.
-const CLOCK_HZ: u32 = 25_000_000;
 /// The longest reconstruction takes less, under an emulator as well.
 pub(super) const PATIENCE_S: u32 = 60;
 
@@ -45,7 +44,7 @@ impl Watchdog for Dog {
         // SAFETY: device registers of this board, used from here only.
         unsafe {
             write_volatile(LOCK, UNLOCK);
-            write_volatile(LOAD, self.seconds.saturating_mul(CLOCK_HZ));
+            write_volatile(LOAD, self.seconds.saturating_mul(MAP.watchdog_hz));
             write_volatile(CONTROL, INTERRUPT_AND_RESET);
         }
     }

@@ -1,6 +1,7 @@
 //! What lies where: arenas and buffers in sections of `memory.x`, and how much the program itself takes.
 #![allow(unsafe_code)] // sections and linker symbols
 
+use super::map::MAP;
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
 use core::ptr::{addr_of, addr_of_mut};
@@ -39,9 +40,8 @@ static FRAME: Region<u16, { 512 << 10 }> = Region::new();
 static OBJECT: Region<f16, { 512 << 10 }> = Region::new();
 #[unsafe(link_section = ".psram.bulk")]
 static BULK: Region<f16, { 4 << 20 }> = Region::new();
-/// 512 KB, the tightly coupled memory of an i.MX RT1176.
 #[unsafe(link_section = ".uninit.fast")]
-static FAST: Region<f32, { 128 << 10 }> = Region::new();
+static FAST: Region<f32, { MAP.fast_len }> = Region::new();
 static LINE: Once = Once(UnsafeCell::new(Line::new()));
 
 struct Once(UnsafeCell<Line>);

@@ -1,6 +1,8 @@
-//! ARM MPS2 with FPGA image AN500 (ARM DAI 0500): Cortex-M7, three memories, a UART. QEMU calls it `mps2-an500`.
+//! ARM's MPS2 and MPS3 boards with an FPGA image of one core: memories, a UART, an LED. QEMU emulates them under the names of the
+//! features.
 
 mod led;
+mod map;
 mod memory;
 mod uart;
 mod watchdog;
@@ -18,7 +20,7 @@ use ommatidia_shared::device::Arenas;
 use ommatidia_shared::flash::RamFlash;
 
 /// Name of the board.
-pub const NAME: &str = "mps2-an500";
+pub const NAME: &str = map::BOARD.name;
 
 /// The parts of the board, once.
 pub fn take() -> Option<Parts<'static, Uart, Led, RamFlash<'static>, Dog>> {

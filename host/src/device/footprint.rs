@@ -1,0 +1,62 @@
+//! What the program takes of a board's memory.
+
+use super::{DeviceError, Firmware, Runtime, run};
+use crate::blob::BlobFile;
+use half::f16;
+use ommatidia_shared::blob::{Bank, Header, MemoryPlan, Rcan, Sensor, Size, Tap, Weights};
+use ommatidia_shared::pipeline::Pipeline;
+use serde::Serialize;
+
+/// What the program takes of a board's memory, besides the buffers of the network.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct Footprint {
+    /// Code and constants, bytes.
+    pub image_bytes: u32,
+    /// Variables, bytes.
+    pub static_bytes: u32,
+    /// The deepest that the stack has been, bytes.
+    pub stack_bytes: u32,
+}
+
+/// Runs a small network on the emulated board and asks it.
+///
+/// # Errors
+/// QEMU is missing, or the program fails.
+pub fn footprint(app: &Firmware) -> Result<Footprint, DeviceError> {
+    let (blob, frame) = small_network()?;
+    let telemetry = run(&Runtime::Qemu(app.clone()), &blob, &[frame], None, &mut |_| {})?.telemetry;
+    let (image_bytes, static_bytes, stack_bytes) =
+        (telemetry.image_bytes, telemetry.static_bytes, telemetry.stack_bytes);
+    Ok(Footprint { image_bytes, static_bytes, stack_bytes })
+}
+
+/// A network with every operator in it, all weights zero, and a frame for it: how deep the stack gets does not depend on the sizes.
+fn small_network() -> Result<(BlobFile, Vec<u16>), DeviceError> {
+    let mut header = Header {
+        name: Default::default(),
+        checkpoint: Default::default(),
+        frame: Size { rows: 16, cols: 16 },
+        object: Size { rows: 8, cols: 8 },
+        sensor: Sensor { black_level_dn: 64.0, saturation_dn: 4095, has_offset_map: true, has_gain_map: true },
+        bank: Bank { tile: 16, step: 16, channels: 2, taps: tap(0).chain(tap(1)).collect() },
+        rcan: Rcan { width: 4, groups: 1, blocks: 1, reduction: 2 },
+        memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
+    };
+    header.memory = Pipeline::plan(&header).map_err(DeviceError::Pipeline)?;
+    let lens = header.section_lens().map_err(|source| {
+        let path = "the small network".into();
+        crate::blob::BlobFileError::Blob { path, source }
+    })?;
+    let zeros = vec![f16::ZERO; lens.spectra.max(lens.rcan).max(lens.offset_dn).max(lens.inverse_gain) as usize];
+    let weights = Weights {
+        spectra: &zeros[..lens.spectra as usize],
+        rcan: &zeros[..lens.rcan as usize],
+        offset_dn: Some(&zeros[..lens.offset_dn as usize]),
+        inverse_gain: Some(&zeros[..lens.inverse_gain as usize]),
+    };
+    Ok((BlobFile::new(&header, &weights)?, vec![100; 256]))
+}
+
+fn tap(channel: u8) -> impl Iterator<Item = Tap> {
+    std::iter::once(Tap { channel, dy: 0, dx: 0 })
+}

@@ -1,0 +1,343 @@
+//! The complex transform of [`crate::fft`] for four columns side by side: the scalar algorithm, in each lane.
+//!
+//! A product is rounded before it is added: products and sums are instructions of their own. Eight registers hold four complex numbers
+//! of four lanes and nothing else, so real parts are finished before imaginary parts are loaded.
+
+use super::super::asm_all;
+use super::{Four, asm_push};
+use crate::fft::ROOT_TRIPLES;
+
+/// cos 45 degrees as the table of roots has it.
+const DIAGONAL: f32 = ROOT_TRIPLES[128][1][0];
+
+/// Bytes of a complex number of four lanes.
+const SIZE: usize = size_of::<Four>();
+
+/// Transforms numbers in bit-reversed order into natural order. The length is a power of two from 4 to 1024.
+pub(super) fn transform(data: &mut [Four]) {
+    radix4_of_ones(data.as_chunks_mut().0);
+    let mut quarter = if data.len().trailing_zeros().is_multiple_of(2) {
+        4
+    } else {
+        radix2_of_eighths(data.as_chunks_mut().0);
+        8
+    };
+    while quarter < data.len() {
+        for block in data.chunks_exact_mut(4 * quarter) {
+            radix4(block, quarter);
+        }
+        quarter *= 4;
+    }
+}
+
+/// The rest of a butterfly: b0 and b1 are sum and difference of numbers 0 and 1, s and d those of numbers 2 and 3.
+macro_rules! real_parts {
+    ($a0:literal $c1:literal $s:literal $b0:literal, $p0:literal $p2:literal) => {
+        concat!(
+            "vadd.f32 ",
+            $b0,
+            ", ",
+            $a0,
+            ", ",
+            $c1,
+            "\n",
+            "vsub.f32 ",
+            $a0,
+            ", ",
+            $a0,
+            ", ",
+            $c1,
+            "\n",
+            "vadd.f32 ",
+            $c1,
+            ", ",
+            $b0,
+            ", ",
+            $s,
+            "\n",
+            "vsub.f32 ",
+            $b0,
+            ", ",
+            $b0,
+            ", ",
+            $s,
+            "\n",
+            "vstrw.32 ",
+            $c1,
+            ", ",
+            $p0,
+            "\n",
+            "vstrw.32 ",
+            $b0,
+            ", ",
+            $p2,
+            "\n",
+        )
+    };
+}
+
+/// Butterflies of four neighbours; 34 instructions for four numbers of four lanes.
+#[inline(always)]
+fn radix4_of_ones(data: &mut [[Four; 4]]) {
+    if data.is_empty() {
+        return;
+    }
+    // SAFETY: reads and writes the elements of `data` one after the other.
+    unsafe {
+        asm_all!(
+            "dls lr, {n}",
+            "2:",
+            "vldrw.u32 q1, [{p}, #64]",
+            "vldrw.u32 q3, [{p}, #96]",
+            "vadd.f32 q4, q1, q3",
+            "vsub.f32 q1, q1, q3",
+            "vldrw.u32 q0, [{p}]",
+            "vldrw.u32 q2, [{p}, #32]",
+            real_parts!("q0" "q2" "q4" "q3", "[{p}]" "[{p}, #64]"),
+            // q0: b1 real, q1: d real.
+            "vldrw.u32 q2, [{p}, #80]",
+            "vldrw.u32 q3, [{p}, #112]",
+            "vadd.f32 q4, q2, q3",
+            "vsub.f32 q2, q2, q3",
+            "vldrw.u32 q3, [{p}, #16]",
+            "vldrw.u32 q5, [{p}, #48]",
+            real_parts!("q3" "q5" "q4" "q6", "[{p}, #16]" "[{p}, #80]"),
+            // q3: b1 imaginary, q2: d imaginary. The difference times -i.
+            "vadd.f32 q4, q0, q2",
+            "vsub.f32 q5, q3, q1",
+            "vstrw.32 q4, [{p}, #32]",
+            "vsub.f32 q0, q0, q2",
+            "vstrw.32 q5, [{p}, #48]",
+            "vadd.f32 q3, q3, q1",
+            "vstrw.32 q0, [{p}, #96]",
+            "vstrw.32 q3, [{p}, #112]",
+            "adds {p}, #128",
+            "le lr, 2b",
+            n = in(reg) data.len(),
+            p = inout(reg) data.as_mut_ptr() => _,
+            out("lr") _,
+        );
+    }
+}
+
+/// Numbers k and k + 4 joined where the root is a plain sign: `o` real, imaginary after the turn; `plus`, `minus`: how they are added.
+macro_rules! join {
+    ($e:literal $o:literal, $or:literal $oi:literal, $plus:literal $minus:literal) => {
+        concat!(
+            "vldrw.u32 q0, [{p}, #",
+            $e,
+            "]\n",
+            "vldrw.u32 q1, [{p}, #",
+            $e,
+            "+16]\n",
+            "vldrw.u32 ",
+            $or,
+            ", [{p}, #",
+            $o,
+            "]\n",
+            "vldrw.u32 ",
+            $oi,
+            ", [{p}, #",
+            $o,
+            "+16]\n",
+            "vadd.f32 q4, q0, q2\n",
+            $plus,
+            " q5, q1, q3\n",
+            "vsub.f32 q0, q0, q2\n",
+            $minus,
+            " q1, q1, q3\n",
+            "vstrw.32 q4, [{p}, #",
+            $e,
+            "]\n",
+            "vstrw.32 q5, [{p}, #",
+            $e,
+            "+16]\n",
+            "vstrw.32 q0, [{p}, #",
+            $o,
+            "]\n",
+            "vstrw.32 q1, [{p}, #",
+            $o,
+            "+16]\n",
+        )
+    };
+}
+
+/// The same where the odd number is first multiplied: `product` takes q2, q3 to the product.
+macro_rules! join_product {
+    ($e:literal $o:literal, $product:expr) => {
+        concat!(
+            "vldrw.u32 q2, [{p}, #",
+            $o,
+            "]\n",
+            "vldrw.u32 q3, [{p}, #",
+            $o,
+            "+16]\n",
+            $product,
+            "vldrw.u32 q0, [{p}, #",
+            $e,
+            "]\n",
+            "vldrw.u32 q1, [{p}, #",
+            $e,
+            "+16]\n",
+            "vadd.f32 q4, q0, q2\n",
+            "vadd.f32 q5, q1, q3\n",
+            "vsub.f32 q0, q0, q2\n",
+            "vsub.f32 q1, q1, q3\n",
+            "vstrw.32 q4, [{p}, #",
+            $e,
+            "]\n",
+            "vstrw.32 q5, [{p}, #",
+            $e,
+            "+16]\n",
+            "vstrw.32 q0, [{p}, #",
+            $o,
+            "]\n",
+            "vstrw.32 q1, [{p}, #",
+            $o,
+            "+16]\n",
+        )
+    };
+}
+
+/// Joins transforms of four numbers by twos: what makes a butterfly of eight of two of four. 58 instructions for eight numbers of four
+/// lanes.
+#[inline(always)]
+fn radix2_of_eighths(data: &mut [[Four; 8]]) {
+    if data.is_empty() {
+        return;
+    }
+    // SAFETY: reads and writes the elements of `data` one after the other.
+    unsafe {
+        asm_all!(
+            "dls lr, {n}",
+            "2:",
+            join!("0" "128", "q2" "q3", "vadd.f32" "vsub.f32"),
+            // Times (d, -d).
+            join_product!("32" "160", concat!(
+                "vmul.f32 q4, q2, {d}\n",
+                "vmul.f32 q5, q3, {d}\n",
+                "vadd.f32 q2, q4, q5\n",
+                "vsub.f32 q3, q5, q4\n",
+            )),
+            // Times -i: the parts change places, and the imaginary one its sign.
+            join!("64" "192", "q3" "q2", "vsub.f32" "vadd.f32"),
+            // Times (-d, -d).
+            join_product!("96" "224", concat!(
+                "vmul.f32 q4, q2, {minus}\n",
+                "vmul.f32 q5, q3, {d}\n",
+                "vadd.f32 q2, q5, q4\n",
+                "vsub.f32 q3, q4, q5\n",
+            )),
+            "add {p}, {p}, #256",
+            "le lr, 2b",
+            n = in(reg) data.len(),
+            p = inout(reg) data.as_mut_ptr() => _,
+            d = in(reg) DIAGONAL.to_bits(),
+            minus = in(reg) (-DIAGONAL).to_bits(),
+            out("lr") _,
+        );
+    }
+}
+
+/// Joins four transforms of `quarter` numbers into one; 53 instructions for a butterfly of four lanes.
+#[inline(always)]
+fn radix4(block: &mut [Four], quarter: usize) {
+    if block.len() != 4 * quarter || quarter < 2 || quarter > ROOT_TRIPLES.len() {
+        return;
+    }
+    let step = size_of_val(&ROOT_TRIPLES) / quarter;
+    // SAFETY: reads and writes each number of the block once; the table is walked in `quarter` steps. The third pointer runs 16 bytes
+    // behind. r6 belongs to the compiler and is restored.
+    unsafe {
+        let p = block.as_mut_ptr();
+        asm_push!(
+            "push {{r6}}",
+            "mov r6, r0",
+            // The first roots are 1.
+            "vldrw.u32 q0, [r12, #16]!",
+            "vldrw.u32 q3, [r6]",
+            "vadd.f32 q4, q0, q3",
+            "vsub.f32 q1, q0, q3",
+            "vldrw.u32 q0, [r10]",
+            "vldrw.u32 q2, [r11]",
+            real_parts!("q0" "q2" "q4" "q3", "[r10]" "[r12]"),
+            "vldrw.u32 q2, [r12, #16]",
+            "vldrw.u32 q3, [r6, #16]",
+            "vadd.f32 q4, q2, q3",
+            "vsub.f32 q2, q2, q3",
+            "vldrw.u32 q3, [r10, #16]",
+            "vldrw.u32 q5, [r11, #16]",
+            real_parts!("q3" "q5" "q4" "q6", "[r10, #16]" "[r12, #16]!"),
+            "vadd.f32 q4, q0, q2",
+            "vsub.f32 q5, q3, q1",
+            "vsub.f32 q0, q0, q2",
+            "vadd.f32 q3, q3, q1",
+            "vstrw.32 q5, [r11, #16]",
+            "vstrw.32 q4, [r11], #32",
+            "vstrw.32 q3, [r6, #16]",
+            "vstrw.32 q0, [r6], #32",
+            "add r10, r10, #32",
+            "dls lr, r1",
+            "2:",
+            "add r8, r8, r9",
+            "ldm r8, {{r0-r5}}",
+            // c2 = a2 w1 to q2, q0.
+            "vldrw.u32 q0, [r12, #16]!",
+            "vldrw.u32 q1, [r12, #16]",
+            "vmul.f32 q2, q0, r2",
+            "vmul.f32 q3, q1, r3",
+            "vmul.f32 q0, q0, r3",
+            "vmul.f32 q1, q1, r2",
+            "vsub.f32 q2, q2, q3",
+            "vadd.f32 q0, q0, q1",
+            // c3 = a3 w3 to q4, q1.
+            "vldrw.u32 q1, [r6]",
+            "vldrw.u32 q3, [r6, #16]",
+            "vmul.f32 q4, q1, r4",
+            "vmul.f32 q5, q3, r5",
+            "vmul.f32 q1, q1, r5",
+            "vmul.f32 q3, q3, r4",
+            "vsub.f32 q4, q4, q5",
+            "vadd.f32 q1, q1, q3",
+            // s to q3, q5; d to q2, q0.
+            "vadd.f32 q3, q2, q4",
+            "vsub.f32 q2, q2, q4",
+            "vadd.f32 q5, q0, q1",
+            "vsub.f32 q0, q0, q1",
+            // c1 = a1 w2 to q6, q1.
+            "vldrw.u32 q1, [r11]",
+            "vldrw.u32 q4, [r11, #16]",
+            "vmul.f32 q6, q1, r0",
+            "vmul.f32 q7, q4, r1",
+            "vmul.f32 q1, q1, r1",
+            "vmul.f32 q4, q4, r0",
+            "vsub.f32 q6, q6, q7",
+            "vadd.f32 q1, q1, q4",
+            "vldrw.u32 q4, [r10]",
+            real_parts!("q4" "q6" "q3" "q7", "[r10]" "[r12]"),
+            // q4: b1 real.
+            "vldrw.u32 q3, [r10, #16]",
+            real_parts!("q3" "q1" "q5" "q6", "[r10, #16]" "[r12, #16]!"),
+            // q3: b1 imaginary.
+            "vadd.f32 q5, q4, q0",
+            "vsub.f32 q6, q3, q2",
+            "vsub.f32 q4, q4, q0",
+            "vadd.f32 q3, q3, q2",
+            "vstrw.32 q6, [r11, #16]",
+            "vstrw.32 q5, [r11], #32",
+            "vstrw.32 q3, [r6, #16]",
+            "vstrw.32 q4, [r6], #32",
+            "add r10, r10, #32",
+            "le lr, 2b",
+            "pop {{r6}}",
+            inout("r0") p.add(3 * quarter) => _,
+            inout("r1") quarter - 1 => _,
+            inout("r8") ROOT_TRIPLES.as_ptr() => _,
+            in("r9") step,
+            inout("r10") p => _,
+            inout("r11") p.add(quarter) => _,
+            inout("r12") p.add(2 * quarter).byte_sub(SIZE / 2) => _,
+            out("r2") _, out("r3") _, out("r4") _, out("r5") _, out("lr") _,
+        );
+    }
+}

@@ -1,0 +1,286 @@
+//! Rows of real transforms, four side by side: what [`crate::fft`] does before and after the complex transform of half their length.
+
+use super::super::asm_all;
+use super::{Four, shift, transform, unflushed};
+use crate::fft::ROOT_TRIPLES;
+use crate::num::f16;
+
+/// Addresses of four rows that lie `stride` bytes apart.
+fn rows_at<T>(first: *const T, stride: usize) -> [usize; 4] {
+    [0, 1, 2, 3].map(|row| first.addr() + row * stride)
+}
+
+/// Distance in the table between the roots `e^(-2 pi i k / n)` of neighbouring k, and the first of them, k = 1.
+fn roots(n: usize) -> (usize, *const [f32; 2]) {
+    let stride = (4 * ROOT_TRIPLES.len() / n).min(ROOT_TRIPLES.len() - 1);
+    (stride * size_of_val(&ROOT_TRIPLES[0]), &ROOT_TRIPLES[stride][1])
+}
+
+/// Places of a transform that these loops can run over.
+fn fits(len: usize) -> bool {
+    len.is_power_of_two() && len >= 4 && len <= 2 * ROOT_TRIPLES.len()
+}
+
+/// Copies the pairs of four rows, one behind the other, to the places with their numbers' bits reversed; 8 instructions for a pair of
+/// each row.
+pub(crate) fn order_rows(rows: &[f32], to: &mut [Four]) {
+    let len = to.len();
+    assert!(fits(len) && rows.len() == 8 * len, "rows of {} numbers", rows.len());
+    let from = rows_at(rows.as_ptr(), 2 * len * size_of::<f32>());
+    // SAFETY: a pair is read of each row and written to its place, for all pairs of a row.
+    unsafe {
+        asm_all!(
+            "vldrw.u32 q7, [{from}]",
+            "vsub.i32 q7, q7, {eight}",
+            "dls lr, {n}",
+            "2:",
+            "rbit {t}, {i}",
+            "vldrw.u32 q1, [q7, #12]",
+            "add {t}, {t}, {to}",
+            "vldrw.u32 q0, [q7, #8]!",
+            "add {i}, {i}, {one}",
+            "vstrw.32 q1, [{t}, #16]",
+            "vstrw.32 q0, [{t}]",
+            "le lr, 2b",
+            t = out(reg) _,
+            from = in(reg) &from,
+            eight = in(reg) 8,
+            i = inout(reg) 0 => _,
+            one = in(reg) 1_u32 << shift(len),
+            n = in(reg) len,
+            to = in(reg) to.as_mut_ptr(),
+            out("lr") _,
+        );
+    }
+}
+
+/// Real transforms of four rows whose pairs lie in their places, scaled, into four rows of halves one behind the other. False, and
+/// nothing written, where Helium flushed a number.
+pub(crate) fn forward_rows(data: &mut [Four], scale: f32, rows: &mut [f16]) -> bool {
+    let half = data.len();
+    assert!(fits(half) && rows.len() == 4 * (2 * half + 2), "rows of {} halves", rows.len());
+    let exact = unflushed(|| {
+        transform(data);
+        untangle(data);
+    });
+    if exact {
+        narrow_rows(data, scale, rows);
+    }
+    exact
+}
+
+/// [`crate::fft::RealFft`]'s second half of a forward transform, four lanes; 25 instructions for two numbers.
+#[inline(always)]
+fn untangle(data: &mut [Four]) {
+    let half = data.len();
+    let (step, root) = roots(2 * half);
+    // SAFETY: numbers 1 to half - 1 are read and written from both ends, then number 0 and the one in the middle; as many roots lie in
+    // the table.
+    unsafe {
+        let p = data.as_mut_ptr();
+        asm_all!(
+            "dls lr, {n}",
+            "2:",
+            "vldrw.u32 q0, [{z}]",
+            "vldrw.u32 q2, [{m}]",
+            "vldrw.u32 q1, [{z}, #16]",
+            "vldrw.u32 q3, [{m}, #16]",
+            "ldrd {c}, {s}, [{w}]",
+            // even = z + conj m to q4, q5; odd = -i (z - conj m) to q6, q7
+            "vadd.f32 q4, q0, q2",
+            "vsub.f32 q7, q2, q0",
+            "vsub.f32 q5, q1, q3",
+            "vadd.f32 q6, q1, q3",
+            // odd times the root to q0, q6
+            "vmul.f32 q0, q6, {c}",
+            "vmul.f32 q1, q7, {s}",
+            "vmul.f32 q6, q6, {s}",
+            "vmul.f32 q7, q7, {c}",
+            "vsub.f32 q0, q0, q1",
+            "vadd.f32 q6, q6, q7",
+            // even + odd, conj(even - odd)
+            "vadd.f32 q1, q4, q0",
+            "vsub.f32 q4, q4, q0",
+            "vadd.f32 q7, q5, q6",
+            "vsub.f32 q6, q6, q5",
+            "vstrw.32 q7, [{z}, #16]",
+            "vstrw.32 q1, [{z}], #32",
+            "vstrw.32 q6, [{m}, #16]",
+            "vstrw.32 q4, [{m}], #-32",
+            "add {w}, {w}, {step}",
+            "le lr, 2b",
+            // The middle: (2 re, -2 im). Number 0: (2 (re + im), 2 (re - im)).
+            "vldrw.u32 q0, [{z}]",
+            "vldrw.u32 q1, [{z}, #16]",
+            "vadd.f32 q0, q0, q0",
+            "vadd.f32 q1, q1, q1",
+            "vneg.f32 q1, q1",
+            "vstrw.32 q0, [{z}]",
+            "vstrw.32 q1, [{z}, #16]",
+            "vldrw.u32 q0, [{p}]",
+            "vldrw.u32 q1, [{p}, #16]",
+            "vadd.f32 q2, q0, q1",
+            "vsub.f32 q3, q0, q1",
+            "vadd.f32 q2, q2, q2",
+            "vadd.f32 q3, q3, q3",
+            "vstrw.32 q2, [{p}]",
+            "vstrw.32 q3, [{p}, #16]",
+            c = out(reg) _,
+            s = out(reg) _,
+            n = in(reg) half / 2 - 1,
+            p = in(reg) p,
+            z = inout(reg) p.add(1) => _,
+            m = inout(reg) p.add(half - 1) => _,
+            w = inout(reg) root => _,
+            step = in(reg) step,
+            out("lr") _,
+        );
+    }
+}
+
+/// Scales and narrows four lanes into four rows; number 0 carries those at 0 and N/2, which are real. 8 instructions for a number of
+/// each row.
+#[inline(always)]
+fn narrow_rows(data: &[Four], scale: f32, rows: &mut [f16]) {
+    let half = data.len();
+    let to = rows_at(rows.as_ptr(), (2 * half + 2) * size_of::<f16>());
+    // SAFETY: half + 1 pairs of each row are written, the addresses being those of `rows`.
+    unsafe {
+        asm_all!(
+            "vldrw.u32 q7, [{to}]",
+            "vadd.i32 q6, q7, {end}",
+            "vmov.i32 q2, #0",
+            "vmov.i32 q3, #0",
+            "vldrw.u32 q0, [{p}], #16",
+            "vldrw.u32 q1, [{p}], #16",
+            "vmul.f32 q0, q0, {scale}",
+            "vmul.f32 q1, q1, {scale}",
+            "vcvtb.f16.f32 q2, q0",
+            "vcvtb.f16.f32 q3, q1",
+            "vstrw.32 q2, [q7]",
+            "vstrw.32 q3, [q6]",
+            "dls lr, {n}",
+            "2:",
+            "vldrw.u32 q0, [{p}], #16",
+            "vldrw.u32 q1, [{p}], #16",
+            "vmul.f32 q0, q0, {scale}",
+            "vmul.f32 q1, q1, {scale}",
+            "vcvtb.f16.f32 q2, q0",
+            "vcvtt.f16.f32 q2, q1",
+            "vstrw.32 q2, [q7, #4]!",
+            "le lr, 2b",
+            n = in(reg) half - 1,
+            end = in(reg) 2 * half * size_of::<f16>(),
+            scale = in(reg) scale.to_bits(),
+            to = in(reg) &to,
+            p = inout(reg) data.as_ptr() => _,
+            out("lr") _,
+        );
+    }
+}
+
+/// Inverse real transforms of four rows of halves one behind the other, scaled, into four rows of numbers; `data` is scratch. Numbers 0,
+/// N/4 and N/2 of each row come tangled in `data` already. False where Helium flushed a number.
+pub(crate) fn inverse_rows(from: &[f16], data: &mut [Four], scale: f32, rows: &mut [f32]) -> bool {
+    let half = data.len();
+    assert!(fits(half) && from.len() == 4 * (2 * half + 2), "rows of {} halves", from.len());
+    assert!(rows.len() == 8 * half, "rows of {} numbers", rows.len());
+    unflushed(|| {
+        tangle(from, data);
+        transform(data);
+        scale_rows(data, scale, rows);
+    })
+}
+
+/// [`crate::fft::RealFft::tangle`] for k from 1 to N/4 - 1, four lanes; 33 instructions for two numbers.
+#[inline(always)]
+fn tangle(from: &[f16], to: &mut [Four]) {
+    let half = to.len();
+    let (step, root) = roots(2 * half);
+    let rows = rows_at(from.as_ptr(), (2 * half + 2) * size_of::<f16>());
+    // SAFETY: numbers 1 to half - 1 of each row are read from both ends, and `to` has a place for each; as many roots lie in the table.
+    unsafe {
+        asm_all!(
+            "vldrw.u32 q6, [{rows}]",
+            "vadd.i32 q7, q6, {end}",
+            "dls lr, {n}",
+            "2:",
+            "vldrw.u32 q0, [q6, #4]!",
+            "vldrw.u32 q1, [q7, #-4]!",
+            "vcvtb.f32.f16 q2, q0",
+            "vcvtt.f32.f16 q3, q0",
+            "vcvtb.f32.f16 q4, q1",
+            "vcvtt.f32.f16 q5, q1",
+            "ldrd {t}, {u}, [{w}]",
+            "add {w}, {w}, {step}",
+            // even to q0, q1; (x - conj m) to q2, q3
+            "vadd.f32 q0, q2, q4",
+            "vsub.f32 q1, q3, q5",
+            "vsub.f32 q2, q2, q4",
+            "vadd.f32 q3, q3, q5",
+            // times the conjugate root to q4, q5
+            "vmul.f32 q4, q2, {t}",
+            "vmul.f32 q5, q3, {u}",
+            "vadd.f32 q4, q4, q5",
+            "vmul.f32 q5, q3, {t}",
+            "vmul.f32 q2, q2, {u}",
+            "vsub.f32 q5, q5, q2",
+            // even + i odd, conj(even - i odd), imaginary part first
+            "vadd.f32 q2, q1, q4",
+            "vsub.f32 q3, q0, q5",
+            "vsub.f32 q4, q4, q1",
+            "vadd.f32 q0, q0, q5",
+            "rbit {t}, {k}",
+            "add {t}, {t}, {to}",
+            "vstrw.32 q2, [{t}]",
+            "vstrw.32 q3, [{t}, #16]",
+            // The place of half - k.
+            "rsb {u}, {k}, #0x08000000",
+            "rbit {u}, {u}",
+            "add {u}, {u}, {to}",
+            "vstrw.32 q4, [{u}]",
+            "vstrw.32 q0, [{u}, #16]",
+            "add {k}, {k}, {one}",
+            "le lr, 2b",
+            t = out(reg) _,
+            u = out(reg) _,
+            n = in(reg) half / 2 - 1,
+            end = in(reg) 2 * half * size_of::<f16>(),
+            rows = in(reg) &rows,
+            w = inout(reg) root => _,
+            step = in(reg) step,
+            k = inout(reg) 1_u32 << shift(half) => _,
+            one = in(reg) 1_u32 << shift(half),
+            to = in(reg) to.as_mut_ptr(),
+            out("lr") _,
+        );
+    }
+}
+
+/// Scales pairs, the second number first, into four rows; 7 instructions for a pair of each row.
+#[inline(always)]
+fn scale_rows(from: &[Four], scale: f32, rows: &mut [f32]) {
+    let to = rows_at(rows.as_ptr(), 2 * from.len() * size_of::<f32>());
+    // SAFETY: goes through `from` and the four rows once.
+    unsafe {
+        asm_all!(
+            "vldrw.u32 q7, [{to}]",
+            "vsub.i32 q7, q7, {eight}",
+            "dls lr, {n}",
+            "2:",
+            "vldrw.u32 q0, [{p}], #16",
+            "vldrw.u32 q1, [{p}], #16",
+            "vmul.f32 q0, q0, {scale}",
+            "vmul.f32 q1, q1, {scale}",
+            "vstrw.32 q0, [q7, #12]",
+            "vstrw.32 q1, [q7, #8]!",
+            "le lr, 2b",
+            n = in(reg) from.len(),
+            eight = in(reg) 8,
+            scale = in(reg) scale.to_bits(),
+            to = in(reg) &to,
+            p = inout(reg) from.as_ptr() => _,
+            out("lr") _,
+        );
+    }
+}
