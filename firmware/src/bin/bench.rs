@@ -94,7 +94,7 @@ struct Product<'a>(&'a [f16], &'a [f16]);
 
 impl StripSource for Product<'_> {
     #[inline(always)]
-    fn add<const L: usize>(&self, mut strip: Strip<'_, L>) {
+    fn add<const L: usize>(&self, strip: &mut Strip<'_, L>) {
         strip.add_product(self.0, self.1);
     }
 }

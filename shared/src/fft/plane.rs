@@ -26,8 +26,8 @@ pub trait RowSource {
 
 /// Where the spectrum of an inverse transform comes from.
 pub trait StripSource {
-    /// Adds columns of the spectrum to the zeroed strip.
-    fn add<const L: usize>(&self, strip: Strip<'_, L>);
+    /// Adds columns of the spectrum to the strip, which is zero before.
+    fn add<const L: usize>(&self, strip: &mut Strip<'_, L>);
 }
 
 /// Columns `first..first + count` of a spectrum, one a lane, in fast scratch.
@@ -37,6 +37,8 @@ pub struct Strip<'a, const L: usize> {
     row_len: usize,
     first: usize,
     count: usize,
+    /// Nothing was added yet, and `lanes` hold anything.
+    empty: bool,
     lanes: &'a mut [Lanes<L>],
 }
 
@@ -44,8 +46,17 @@ impl<const L: usize> Strip<'_, L> {
     /// Adds the product of two stored spectra: `re = (re + ar br) - ai bi`, `im = (im + ar bi) + ai br`.
     #[inline(always)]
     pub fn add_product(&mut self, a: &[f16], b: &[f16]) {
-        let Self { fft, row_len, first, count, lanes } = self;
-        strip::add_product([a, b], *row_len, *first, *count, *fft, lanes);
+        let empty = core::mem::replace(&mut self.empty, false);
+        strip::add_product([a, b], self.row_len, (self.first, self.count), self.fft, empty, self.lanes);
+    }
+
+    /// Transforms what was added.
+    #[inline(always)]
+    fn transform(self) -> bool {
+        if self.empty {
+            self.lanes.fill([[0.0; L]; 2]);
+        }
+        strip::transform(self.fft, self.lanes)
     }
 }
 
@@ -196,12 +207,11 @@ impl<S: RowSource, const L: usize> Forward<'_, S, L> {
     /// Rows `first..first + count`, `N` side by side; false, and nothing done, where that would change a bit.
     #[inline(always)]
     fn try_rows<const N: usize>(&mut self, first: usize, count: usize) -> bool {
-        let (len, half) = (self.plan.len(), self.plan.rows.half());
-        let (data, rows) = strip::split::<N>(self.scratch, half.len());
-        strip::order_rows(|lane, row| self.source.load(first + lane, row), len, count, half, rows, data);
-        let row_len = self.plan.spectrum_len(1);
+        let (fft, row_len) = (self.plan.rows, self.plan.spectrum_len(1));
+        let scratch = strip::split::<N>(self.scratch, fft.half().len());
         let rows = &mut self.spectrum[first * row_len..(first + count) * row_len];
-        strip::forward_rows(self.plan.rows, data, self.plan.row_scale, rows, row_len)
+        let load = |lane, row: &mut [f32]| self.source.load(first + lane, row);
+        strip::forward_rows(load, count, fft, self.plan.row_scale, scratch, rows)
     }
 
     #[inline(always)]
@@ -218,8 +228,7 @@ impl<S: RowSource, const L: usize> Forward<'_, S, L> {
     fn try_columns<const N: usize>(&mut self, first: usize, count: usize) -> bool {
         let (row_len, fft) = (self.plan.spectrum_len(1), self.plan.cols);
         let (data, _) = strip::split::<N>(self.scratch, fft.len());
-        strip::load(self.spectrum, row_len, first, count, fft, data);
-        let exact = strip::transform(fft, data);
+        let exact = strip::forward_columns(self.spectrum, row_len, first, count, fft, data);
         if exact {
             strip::store(data, self.plan.col_scale, Parts::InOrder, self.spectrum, row_len, first, count);
         }
@@ -265,9 +274,9 @@ impl<S: StripSource, E: FnMut(usize, &[f32]), const L: usize> Inverse<'_, S, E, 
     fn try_columns<const N: usize>(&mut self, first: usize, count: usize) -> bool {
         let (row_len, fft) = (self.plan.spectrum_len(1), self.plan.cols);
         let (data, _) = strip::split::<N>(self.scratch, fft.len());
-        data.fill([[0.0; N]; 2]);
-        self.source.add(Strip { fft, row_len, first, count, lanes: data });
-        let exact = strip::transform(fft, data);
+        let mut strip = Strip { fft, row_len, first, count, empty: true, lanes: &mut *data };
+        self.source.add(&mut strip);
+        let exact = strip.transform();
         if exact {
             let rows = &mut data[self.rows.clone()];
             strip::store(rows, self.plan.col_scale, Parts::Exchanged, self.halfway, row_len, first, count);
@@ -317,7 +326,7 @@ mod tests {
     struct Stored<'a>(&'a [f16], Vec<f16>);
 
     impl StripSource for Stored<'_> {
-        fn add<const L: usize>(&self, mut strip: Strip<'_, L>) {
+        fn add<const L: usize>(&self, strip: &mut Strip<'_, L>) {
             strip.add_product(self.0, &self.1);
         }
     }

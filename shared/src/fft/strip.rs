@@ -42,9 +42,28 @@ pub(super) fn single<const L: usize>(data: &mut [Lanes<L>]) -> &mut [[f32; 2]] {
     data.as_flattened_mut().as_flattened_mut().as_chunks_mut::<2>().0
 }
 
-/// Columns `first..first + count` of a spectrum whose rows are `row_len` halves, each row in its slot; zeros in idle lanes.
+/// Transforms columns `first..first + count` of a spectrum whose rows are `row_len` halves.
 #[inline(always)]
-pub(super) fn load<const L: usize>(
+pub(super) fn forward_columns<const L: usize>(
+    spectrum: &[f16],
+    row_len: usize,
+    first: usize,
+    count: usize,
+    fft: Fft,
+    strip: &mut [Lanes<L>],
+) -> bool {
+    #[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
+    if L == 4 {
+        return helium::forward_columns(&spectrum[2 * first..], row_len, four(strip));
+    }
+    load(spectrum, row_len, first, count, fft, strip);
+    fft.process(strip);
+    true
+}
+
+/// Columns `first..first + count` of a spectrum, each row in its slot; zeros in idle lanes.
+#[inline(always)]
+fn load<const L: usize>(
     spectrum: &[f16],
     row_len: usize,
     first: usize,
@@ -55,10 +74,6 @@ pub(super) fn load<const L: usize>(
     if L == 1 {
         pairs::gather_pairs(&spectrum[2 * first..], row_len, single(strip));
         return;
-    }
-    #[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
-    if L == 4 {
-        return helium::gather_columns(&spectrum[2 * first..], row_len, four(strip));
     }
     for (r, row) in spectrum.chunks_exact(row_len).enumerate().take(fft.len()) {
         strip[fft.slot(r)] = widen_pairs::<L>(&row[2 * first..2 * (first + count)]);
@@ -76,7 +91,7 @@ pub(super) fn transform<const L: usize>(fft: Fft, strip: &mut [Lanes<L>]) -> boo
     true
 }
 
-/// The reverse of [`load`] for numbers in natural order, scaled.
+/// Stores numbers in natural order, scaled, to columns of a spectrum.
 #[inline(always)]
 pub(super) fn store<const L: usize>(
     strip: &mut [Lanes<L>],
@@ -101,23 +116,26 @@ pub(super) fn store<const L: usize>(
     }
 }
 
-/// The pairs of `count` rows of `len` numbers, a lane of `data` each, each pair in its slot; `load` gives the rows, `rows` is scratch.
+/// Real transforms of `count` rows into rows of halves, scaled; `load` gives the rows, `data` and `scratch` are scratch.
 #[inline(always)]
-pub(super) fn order_rows<const L: usize>(
+pub(super) fn forward_rows<const L: usize>(
     mut load: impl FnMut(usize, &mut [f32]),
-    len: usize,
     count: usize,
-    half: Fft,
-    rows: &mut [f32],
-    data: &mut [Lanes<L>],
-) {
+    fft: RealFft,
+    scale: f32,
+    (data, scratch): (&mut [Lanes<L>], &mut [f32]),
+    rows: &mut [f16],
+) -> bool {
+    // The transform gives twice the spectrum.
+    let (half, scale) = (fft.half(), 0.5 * scale);
+    let (len, row_len) = (2 * half.len(), 2 * half.len() + 2);
     #[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
     if L == 4 {
-        let rows = &mut rows[..4 * len];
-        rows.chunks_exact_mut(len).enumerate().for_each(|(lane, row)| load(lane, row));
-        return helium::order_rows(rows, four(data));
+        let from = &mut scratch[..4 * len];
+        from.chunks_exact_mut(len).enumerate().for_each(|(lane, row)| load(lane, row));
+        return helium::forward_rows(from, four(data), scale, rows);
     }
-    let row = &mut rows[..len];
+    let row = &mut scratch[..len];
     for lane in 0..L {
         if lane < count {
             load(lane, row);
@@ -126,6 +144,9 @@ pub(super) fn order_rows<const L: usize>(
         }
         order_row(row, half, lane, data);
     }
+    half.process(data);
+    untangle_rows(fft, data, scale, rows, row_len);
+    true
 }
 
 /// The pairs of a row, one lane of `data`, each in its slot.
@@ -142,22 +163,9 @@ fn order_row<const L: usize>(row: &[f32], half: Fft, lane: usize, data: &mut [La
     }
 }
 
-/// Real transforms of up to L rows, whose pairs lie in their slots, into rows of halves, scaled.
+/// What is done to up to L rows behind the complex transform of half their length.
 #[inline(always)]
-pub(super) fn forward_rows<const L: usize>(
-    fft: RealFft,
-    data: &mut [Lanes<L>],
-    scale: f32,
-    rows: &mut [f16],
-    row_len: usize,
-) -> bool {
-    // The transform gives twice the spectrum.
-    let scale = 0.5 * scale;
-    #[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
-    if L == 4 {
-        return helium::forward_rows(four(data), scale, &mut rows[..4 * row_len]);
-    }
-    fft.half().process(data);
+fn untangle_rows<const L: usize>(fft: RealFft, data: &mut [Lanes<L>], scale: f32, rows: &mut [f16], row_len: usize) {
     #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
     if L == 1 {
         let (data, half) = (single(data), fft.half().len());
@@ -167,7 +175,7 @@ pub(super) fn forward_rows<const L: usize>(
         store_ends(2.0 * (re + im) * scale, 2.0 * (re - im) * scale, row);
         row[half] = narrow(2.0 * middle[0] * scale);
         row[half + 1] = narrow(-2.0 * middle[1] * scale);
-        return true;
+        return;
     }
     fft.untangle(data);
     let [first, last] = data[0];
@@ -177,7 +185,6 @@ pub(super) fn forward_rows<const L: usize>(
         }
         store_ends(first[lane] * scale, last[lane] * scale, row);
     }
-    true
 }
 
 /// Numbers 0 and N/2 of a row, which are real.
@@ -200,10 +207,7 @@ pub(super) fn inverse_rows<const L: usize>(
     rows: &mut [f32],
     mut emit: impl FnMut(usize, &[f32]),
 ) -> bool {
-    let (half, quarter) = (fft.half().len(), fft.half().len() / 2);
-    let (slot, at) = (|k| fft.half().slot(k), |k| number::<L>(from, row_len, k));
-    data[slot(0)] = fft.tangle_ends(at(0)[0], at(half)[0]);
-    data[slot(quarter)] = fft.tangle_middle(at(quarter));
+    let half = fft.half().len();
     #[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
     if L == 4 {
         let rows = &mut rows[..8 * half];
@@ -223,16 +227,18 @@ pub(super) fn inverse_rows<const L: usize>(
     true
 }
 
-/// What [`RealFft::inverse`] wants in the slots of all numbers but 0 and N/4.
+/// What [`RealFft::inverse`] wants in the slots.
 #[inline(always)]
 fn tangle_rows<const L: usize>(fft: RealFft, rows: &[f16], row_len: usize, data: &mut [Lanes<L>]) {
+    let (half, quarter) = (fft.half().len(), fft.half().len() / 2);
+    let (slot, at) = (|k| fft.half().slot(k), |k| number::<L>(rows, row_len, k));
+    data[slot(0)] = fft.tangle_ends(at(0)[0], at(half)[0]);
+    data[slot(quarter)] = fft.tangle_middle(at(quarter));
     #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
     if L == 1 {
         return arm::tangle_row(&rows[..row_len], single(data));
     }
-    let half = fft.half().len();
-    let (slot, at) = (|k| fft.half().slot(k), |k| number::<L>(rows, row_len, k));
-    for k in 1..half / 2 {
+    for k in 1..quarter {
         [data[slot(k)], data[slot(half - k)]] = fft.tangle(k, at(k), at(half - k));
     }
 }
@@ -249,24 +255,27 @@ fn scale_row<const L: usize>(data: &mut [Lanes<L>], lane: usize, scale: f32, row
     }
 }
 
-/// Adds the product of two spectra, columns `first..first + count`, to the strip, imaginary part first.
+/// Adds the product of two spectra, columns `first..first + count`, to the strip, imaginary part first; to zeros where the strip is `empty`.
 ///
 /// `re = (re + kr xr) - ki xi`, `im = (im + kr xi) + ki xr`; the products are exact.
 #[inline(always)]
 pub(crate) fn add_product<const L: usize>(
     [k, x]: [&[f16]; 2],
     row_len: usize,
-    first: usize,
-    count: usize,
+    (first, count): (usize, usize),
     fft: Fft,
+    empty: bool,
     strip: &mut [Lanes<L>],
 ) {
-    if L == 1 {
-        return pairs::add_products(&k[2 * first..], &x[2 * first..], row_len, single(strip));
-    }
     #[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
     if L == 4 {
-        return helium::add_product_columns(&k[2 * first..], &x[2 * first..], row_len, four(strip));
+        return helium::add_product_columns(&k[2 * first..], &x[2 * first..], row_len, empty, four(strip));
+    }
+    if empty {
+        strip.fill([[0.0; L]; 2]);
+    }
+    if L == 1 {
+        return pairs::add_products(&k[2 * first..], &x[2 * first..], row_len, single(strip));
     }
     let columns = 2 * first..2 * (first + count);
     for (r, (k, x)) in k.chunks_exact(row_len).zip(x.chunks_exact(row_len)).enumerate() {

@@ -179,7 +179,7 @@ struct TapSum<'a> {
 
 impl StripSource for TapSum<'_> {
     #[inline(always)]
-    fn add<const L: usize>(&self, mut strip: Strip<'_, L>) {
+    fn add<const L: usize>(&self, strip: &mut Strip<'_, L>) {
         let taps: &[Tap] = &self.plan.bank.taps;
         for (tap, spectrum) in taps.iter().zip(self.spectra.chunks_exact(self.plan.spectrum_len())) {
             let window = (self.tile.0 + i32::from(tap.dy), self.tile.1 + i32::from(tap.dx));

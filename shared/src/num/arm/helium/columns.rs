@@ -2,7 +2,7 @@
 //! are the low halves of their words, imaginary parts the high ones.
 
 use super::super::asm_all;
-use super::{Four, shift, transform, unflushed};
+use super::{Four, shift, transform, transform_further, unflushed};
 use crate::num::f16;
 use crate::num::pairs::Parts;
 
@@ -12,10 +12,18 @@ fn check(halves: usize, stride: usize, len: usize) {
     assert!(stride >= 8 && halves + stride >= len * stride + 8, "{halves} halves are too few");
 }
 
-/// Widens the pairs at `from[i * stride..][..8]` to the places of `to` whose numbers have the bits of `i` reversed. 28 instructions for
-/// four.
+/// Transforms four columns, the pairs at `from[i * stride..][..8]`, into `to`. False where Helium flushed a number.
+pub(crate) fn forward_columns(from: &[f16], stride: usize, to: &mut [Four]) -> bool {
+    unflushed(|| {
+        gather(from, stride, to);
+        transform_further(to);
+    })
+}
+
+/// Widens pairs to the places with their numbers' bits reversed, by way of the butterflies of four neighbours. 45 instructions for four
+/// numbers.
 #[inline(always)]
-pub(crate) fn gather_columns(from: &[f16], stride: usize, to: &mut [Four]) {
+fn gather(from: &[f16], stride: usize, to: &mut [Four]) {
     let len = to.len();
     assert!(len.is_power_of_two() && len >= 4, "{len} places");
     check(from.len(), stride, len);
@@ -27,28 +35,47 @@ pub(crate) fn gather_columns(from: &[f16], stride: usize, to: &mut [Four]) {
             "dls lr, {n}",
             "2:",
             // Numbers i, i + n/2, i + n/4, i + 3n/4 lie side by side when their bits are reversed.
-            "rbit {t}, {i}",
-            "vldrh.u16 q0, [{p0}]",
-            "add {t}, {t}, {to}",
-            "vldrh.u16 q1, [{p2}]",
-            "vcvtb.f32.f16 q4, q0",
             "vldrh.u16 q2, [{p1}]",
-            "vcvtt.f32.f16 q5, q0",
+            "rbit {t}, {i}",
             "vldrh.u16 q3, [{p3}]",
-            "vcvtb.f32.f16 q6, q1",
-            "vstrw.32 q4, [{t}]",
-            "vcvtt.f32.f16 q7, q1",
-            "vstrw.32 q5, [{t}, #16]",
             "vcvtb.f32.f16 q4, q2",
-            "vstrw.32 q6, [{t}, #32]",
-            "vcvtt.f32.f16 q5, q2",
+            "vldrh.u16 q0, [{p0}]",
+            "vcvtb.f32.f16 q5, q3",
+            "vldrh.u16 q1, [{p2}]",
+            "vadd.f32 q6, q4, q5",
+            "add {t}, {t}, {to}",
+            "vsub.f32 q4, q4, q5",
+            "vcvtb.f32.f16 q5, q0",
+            "vcvtb.f32.f16 q7, q1",
+            "vadd.f32 q3, q5, q7",
+            "vsub.f32 q5, q5, q7",
+            "vadd.f32 q7, q3, q6",
+            "vsub.f32 q3, q3, q6",
+            "vstrw.32 q7, [{t}]",
+            "vstrw.32 q3, [{t}, #64]",
+            // Imaginary parts. No register was left for number 3.
+            "vldrh.u16 q3, [{p3}]",
+            "vcvtt.f32.f16 q2, q2",
+            "vcvtt.f32.f16 q3, q3",
+            "vcvtt.f32.f16 q0, q0",
+            "vadd.f32 q6, q2, q3",
+            "vcvtt.f32.f16 q1, q1",
+            "vsub.f32 q2, q2, q3",
+            "vadd.f32 q3, q0, q1",
+            "vsub.f32 q0, q0, q1",
+            "vadd.f32 q7, q3, q6",
+            "vsub.f32 q3, q3, q6",
+            "vstrw.32 q7, [{t}, #16]",
+            "vstrw.32 q3, [{t}, #80]",
+            // The difference times -i.
+            "vadd.f32 q7, q5, q2",
+            "vsub.f32 q5, q5, q2",
+            "vstrw.32 q7, [{t}, #32]",
+            "vsub.f32 q7, q0, q4",
+            "vstrw.32 q5, [{t}, #96]",
+            "vadd.f32 q0, q0, q4",
             "vstrw.32 q7, [{t}, #48]",
-            "vcvtb.f32.f16 q6, q3",
-            "vstrw.32 q4, [{t}, #64]",
-            "vcvtt.f32.f16 q7, q3",
-            "vstrw.32 q5, [{t}, #80]",
-            "vstrw.32 q6, [{t}, #96]",
-            "vstrw.32 q7, [{t}, #112]",
+            "vstrw.32 q0, [{t}, #112]",
             "add {p0}, {p0}, {stride}",
             "add {p1}, {p1}, {stride}",
             "add {p2}, {p2}, {stride}",
@@ -70,49 +97,84 @@ pub(crate) fn gather_columns(from: &[f16], stride: usize, to: &mut [Four]) {
     }
 }
 
+/// The loop of [`add_product_columns`]: where the sums of a place begin, first and second number.
+macro_rules! products {
+    ($im0:literal $re0:literal $im1:literal $re1:literal, $k:ident, $x:ident, $stride:ident, $to:ident, $len:ident) => {{
+        let far = $len / 2 * $stride;
+        asm_all!(
+            "dls lr, {n}",
+            "2:",
+            // Numbers i and i + n/2 lie side by side when their bits are reversed.
+            "rbit {t}, {i}",
+            "vldrh.u16 q0, [{k0}]",
+            "add {t}, {t}, {to}",
+            "vldrh.u16 q1, [{x0}]",
+            "vcvtb.f32.f16 q2, q0",
+            $im0,
+            "vcvtt.f32.f16 q3, q0",
+            $re0,
+            "vcvtb.f32.f16 q4, q1",
+            "vcvtt.f32.f16 q5, q1",
+            "vldrh.u16 q0, [{k1}]",
+            "vfma.f32 q7, q2, q4",
+            "vldrh.u16 q1, [{x1}]",
+            "vfma.f32 q6, q2, q5",
+            "add {k0}, {k0}, {stride}",
+            "vfms.f32 q7, q3, q5",
+            "add {x0}, {x0}, {stride}",
+            "vfma.f32 q6, q3, q4",
+            "vcvtb.f32.f16 q2, q0",
+            "vstrw.32 q7, [{t}, #16]",
+            "vcvtt.f32.f16 q3, q0",
+            "vstrw.32 q6, [{t}]",
+            "vcvtb.f32.f16 q4, q1",
+            $im1,
+            "vcvtt.f32.f16 q5, q1",
+            $re1,
+            "vfma.f32 q7, q2, q4",
+            "add {k1}, {k1}, {stride}",
+            "vfma.f32 q6, q2, q5",
+            "add {x1}, {x1}, {stride}",
+            "vfms.f32 q7, q3, q5",
+            "add {i}, {i}, {one}",
+            "vfma.f32 q6, q3, q4",
+            "vstrw.32 q7, [{t}, #48]",
+            "vstrw.32 q6, [{t}, #32]",
+            "le lr, 2b",
+            t = out(reg) _,
+            n = in(reg) $len / 2,
+            k0 = inout(reg) $k.as_ptr() => _,
+            k1 = inout(reg) $k.as_ptr().add(far) => _,
+            x0 = inout(reg) $x.as_ptr() => _,
+            x1 = inout(reg) $x.as_ptr().add(far) => _,
+            stride = in(reg) $stride * size_of::<f16>(),
+            i = inout(reg) 0 => _,
+            one = in(reg) 1_u32 << shift($len),
+            to = in(reg) $to.as_mut_ptr(),
+            out("lr") _,
+        )
+    }};
+}
+
 /// Adds the products of two spectra, four columns of them, imaginary part first, to the places of `to` whose numbers have the bits of
-/// `i` reversed. All products are exact, and sums multiples of 2^-48. 20 instructions a number.
+/// `i` reversed; to zeros where `first` says that nothing is there yet. All products are exact, and sums multiples of 2^-48. 36
+/// instructions for two numbers.
 #[inline(always)]
-pub(crate) fn add_product_columns(k: &[f16], x: &[f16], stride: usize, to: &mut [Four]) {
+pub(crate) fn add_product_columns(k: &[f16], x: &[f16], stride: usize, first: bool, to: &mut [Four]) {
     let len = to.len();
     assert!(len.is_power_of_two() && len >= 2, "{len} places");
     check(k.len(), stride, len);
     check(x.len(), stride, len);
     // SAFETY: the pairs and the places are there.
     unsafe {
-        asm_all!(
-            "dls lr, {n}",
-            "2:",
-            "rbit {t}, {i}",
-            "vldrh.u16 q0, [{k}]",
-            "add {t}, {t}, {to}",
-            "vldrh.u16 q1, [{x}]",
-            "vcvtb.f32.f16 q2, q0",
-            "vldrw.u32 q6, [{t}]",
-            "vcvtt.f32.f16 q3, q0",
-            "vldrw.u32 q7, [{t}, #16]",
-            "vcvtb.f32.f16 q4, q1",
-            "vcvtt.f32.f16 q5, q1",
-            "vfma.f32 q7, q2, q4",
-            "vfma.f32 q6, q2, q5",
-            "vfms.f32 q7, q3, q5",
-            "vfma.f32 q6, q3, q4",
-            "add {k}, {k}, {stride}",
-            "vstrw.32 q7, [{t}, #16]",
-            "add {x}, {x}, {stride}",
-            "vstrw.32 q6, [{t}]",
-            "add {i}, {i}, {one}",
-            "le lr, 2b",
-            t = out(reg) _,
-            n = in(reg) len,
-            k = inout(reg) k.as_ptr() => _,
-            x = inout(reg) x.as_ptr() => _,
-            stride = in(reg) stride * size_of::<f16>(),
-            i = inout(reg) 0 => _,
-            one = in(reg) 1_u32 << shift(len),
-            to = in(reg) to.as_mut_ptr(),
-            out("lr") _,
-        );
+        if first {
+            products!("vmov.i32 q6, #0" "vmov.i32 q7, #0" "vmov.i32 q6, #0" "vmov.i32 q7, #0", k, x, stride, to, len);
+        } else {
+            products!(
+                "vldrw.u32 q6, [{t}]" "vldrw.u32 q7, [{t}, #16]" "vldrw.u32 q6, [{t}, #32]" "vldrw.u32 q7, [{t}, #48]",
+                k, x, stride, to, len
+            );
+        }
     }
 }
 
@@ -125,29 +187,49 @@ pub(crate) fn transform_columns(data: &mut [Four]) -> bool {
 macro_rules! scatter {
     ($first:literal, $second:literal, $from:ident, $scale:ident, $to:ident, $stride:ident) => {
         asm_all!(
-            "dls lr, {n}",
+            "wls lr, {n}, 3f",
             "2:",
             "vldrw.u32 q0, [{from}], #16",
             "vldrw.u32 q1, [{from}], #16",
             "vmul.f32 q0, q0, {scale}",
+            "vldrw.u32 q2, [{from}], #16",
             "vmul.f32 q1, q1, {scale}",
-            concat!($first, ".f16.f32 q2, q0"),
-            concat!($second, ".f16.f32 q2, q1"),
-            "vstrh.16 q2, [{to}]",
+            "vldrw.u32 q3, [{from}], #16",
+            "vmul.f32 q2, q2, {scale}",
+            "vmul.f32 q3, q3, {scale}",
+            concat!($first, ".f16.f32 q4, q0"),
+            concat!($second, ".f16.f32 q4, q1"),
+            concat!($first, ".f16.f32 q5, q2"),
+            "vstrh.16 q4, [{to}]",
+            concat!($second, ".f16.f32 q5, q3"),
+            "add {to}, {to}, {stride}",
+            "vstrh.16 q5, [{to}]",
             "add {to}, {to}, {stride}",
             "le lr, 2b",
+            "3:",
+            // An odd number is left.
+            "wls lr, {odd}, 4f",
+            "vldrw.u32 q0, [{from}], #16",
+            "vldrw.u32 q1, [{from}], #16",
+            "vmul.f32 q0, q0, {scale}",
+            "vmul.f32 q1, q1, {scale}",
+            concat!($first, ".f16.f32 q4, q0"),
+            concat!($second, ".f16.f32 q4, q1"),
+            "vstrh.16 q4, [{to}]",
+            "4:",
             scale = in(reg) $scale.to_bits(),
             from = inout(reg) $from.as_ptr() => _,
             to = inout(reg) $to.as_mut_ptr() => _,
             stride = in(reg) $stride * size_of::<f16>(),
-            n = in(reg) $from.len(),
+            n = in(reg) $from.len() / 2,
+            odd = in(reg) $from.len() % 2,
             out("lr") _,
         )
     };
 }
 
-/// Scales by `scale`, a power of two, and narrows four columns into `to[i * stride..][..8]`; 9 instructions a number. A number that is
-/// flushed here is far below the smallest half.
+/// Scales by `scale`, a power of two, and narrows four columns into `to[i * stride..][..8]`; 17 instructions for two numbers. A number
+/// that is flushed here is far below the smallest half.
 #[inline(always)]
 pub(crate) fn scatter_columns(from: &[Four], scale: f32, parts: Parts, to: &mut [f16], stride: usize) {
     if from.is_empty() {

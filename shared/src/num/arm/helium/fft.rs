@@ -16,6 +16,11 @@ const SIZE: usize = size_of::<Four>();
 /// Transforms numbers in bit-reversed order into natural order. The length is a power of two from 4 to 1024.
 pub(super) fn transform(data: &mut [Four]) {
     radix4_of_ones(data.as_chunks_mut().0);
+    transform_further(data);
+}
+
+/// The same behind the butterflies of four neighbours, which those who bring the numbers can do on the way.
+pub(super) fn transform_further(data: &mut [Four]) {
     let mut quarter = if data.len().trailing_zeros().is_multiple_of(2) {
         4
     } else {

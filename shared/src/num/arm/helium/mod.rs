@@ -12,13 +12,13 @@ mod fft;
 mod fused;
 mod rows;
 
-pub(crate) use columns::{add_product_columns, gather_columns, scatter_columns, transform_columns};
+pub(crate) use columns::{add_product_columns, forward_columns, scatter_columns, transform_columns};
 pub(crate) use correlate::{correlate1, correlate4};
-use fft::transform;
+use fft::{transform, transform_further};
 pub(in crate::num) use fused::{
     accumulate, add_eights, add_scaled, narrow_relu, narrow_slice, round_interleaved, widen_alternate, widen_slice,
 };
-pub(crate) use rows::{forward_rows, inverse_rows, order_rows};
+pub(crate) use rows::{forward_rows, inverse_rows};
 
 /// `asm!` that clobbers every vector register and uses the stack.
 macro_rules! asm_push {

@@ -1,7 +1,7 @@
 //! Rows of real transforms, four side by side: what [`crate::fft`] does before and after the complex transform of half their length.
 
 use super::super::asm_all;
-use super::{Four, shift, transform, unflushed};
+use super::{Four, shift, transform, transform_further, unflushed};
 use crate::fft::ROOT_TRIPLES;
 use crate::num::f16;
 
@@ -21,52 +21,92 @@ fn fits(len: usize) -> bool {
     len.is_power_of_two() && len >= 4 && len <= 2 * ROOT_TRIPLES.len()
 }
 
-/// Copies the pairs of four rows, one behind the other, to the places with their numbers' bits reversed; 8 instructions for a pair of
-/// each row.
-pub(crate) fn order_rows(rows: &[f32], to: &mut [Four]) {
-    let len = to.len();
-    assert!(fits(len) && rows.len() == 8 * len, "rows of {} numbers", rows.len());
-    let from = rows_at(rows.as_ptr(), 2 * len * size_of::<f32>());
-    // SAFETY: a pair is read of each row and written to its place, for all pairs of a row.
-    unsafe {
-        asm_all!(
-            "vldrw.u32 q7, [{from}]",
-            "vsub.i32 q7, q7, {eight}",
-            "dls lr, {n}",
-            "2:",
-            "rbit {t}, {i}",
-            "vldrw.u32 q1, [q7, #12]",
-            "add {t}, {t}, {to}",
-            "vldrw.u32 q0, [q7, #8]!",
-            "add {i}, {i}, {one}",
-            "vstrw.32 q1, [{t}, #16]",
-            "vstrw.32 q0, [{t}]",
-            "le lr, 2b",
-            t = out(reg) _,
-            from = in(reg) &from,
-            eight = in(reg) 8,
-            i = inout(reg) 0 => _,
-            one = in(reg) 1_u32 << shift(len),
-            n = in(reg) len,
-            to = in(reg) to.as_mut_ptr(),
-            out("lr") _,
-        );
-    }
-}
-
-/// Real transforms of four rows whose pairs lie in their places, scaled, into four rows of halves one behind the other. False, and
-/// nothing written, where Helium flushed a number.
-pub(crate) fn forward_rows(data: &mut [Four], scale: f32, rows: &mut [f16]) -> bool {
+/// Real transforms of four rows, one behind the other in `from`, scaled, into four rows of halves; `data` is scratch. False, and nothing
+/// written, where Helium flushed a number.
+pub(crate) fn forward_rows(from: &[f32], data: &mut [Four], scale: f32, rows: &mut [f16]) -> bool {
     let half = data.len();
-    assert!(fits(half) && rows.len() == 4 * (2 * half + 2), "rows of {} halves", rows.len());
+    assert!(fits(half) && from.len() == 8 * half, "rows of {} numbers", from.len());
+    assert!(rows.len() == 4 * (2 * half + 2), "rows of {} halves", rows.len());
     let exact = unflushed(|| {
-        transform(data);
+        order(from, data);
+        transform_further(data);
         untangle(data);
     });
     if exact {
         narrow_rows(data, scale, rows);
     }
     exact
+}
+
+/// Copies the pairs of four rows to the places with their numbers' bits reversed, by way of the butterflies of four neighbours; 42
+/// instructions for four pairs of each row.
+#[inline(always)]
+fn order(rows: &[f32], to: &mut [Four]) {
+    let len = to.len();
+    let from = rows_at(rows.as_ptr(), 2 * len * size_of::<f32>());
+    // SAFETY: four pairs are read of each row and written to their places, for all pairs of a row.
+    unsafe {
+        asm_all!(
+            "vldrw.u32 q7, [{from}]",
+            "vsub.i32 q7, q7, {eight}",
+            "dls lr, {n}",
+            "2:",
+            // Numbers i, i + n/2, i + n/4, i + 3n/4 lie side by side when their bits are reversed.
+            "rbit {t}, {i}",
+            "vldrw.u32 q0, [q7, #8]!",
+            "add {t}, {t}, {to}",
+            "vadd.i32 q7, q7, {quarter}",
+            "vldrw.u32 q1, [q7]",
+            "vadd.i32 q7, q7, {quarter}",
+            "vldrw.u32 q2, [q7]",
+            "vadd.i32 q7, q7, {quarter}",
+            "vldrw.u32 q3, [q7]",
+            "vadd.f32 q4, q0, q2",
+            "vsub.f32 q0, q0, q2",
+            "vadd.f32 q2, q1, q3",
+            "vsub.f32 q1, q1, q3",
+            "vadd.f32 q3, q4, q2",
+            "vsub.f32 q4, q4, q2",
+            "vstrw.32 q3, [{t}]",
+            // Imaginary parts, on the way back.
+            "vldrw.u32 q2, [q7, #4]",
+            "vsub.i32 q7, q7, {quarter}",
+            "vstrw.32 q4, [{t}, #64]",
+            "vldrw.u32 q3, [q7, #4]",
+            "vsub.i32 q7, q7, {quarter}",
+            "vldrw.u32 q4, [q7, #4]",
+            "vsub.i32 q7, q7, {quarter}",
+            "vldrw.u32 q5, [q7, #4]",
+            "vadd.f32 q6, q4, q2",
+            "vsub.f32 q4, q4, q2",
+            "vadd.f32 q2, q5, q3",
+            "vsub.f32 q5, q5, q3",
+            "vadd.f32 q3, q2, q6",
+            "vsub.f32 q2, q2, q6",
+            "vstrw.32 q3, [{t}, #16]",
+            "vstrw.32 q2, [{t}, #80]",
+            // The difference times -i.
+            "vadd.f32 q3, q0, q4",
+            "vsub.f32 q0, q0, q4",
+            "vstrw.32 q3, [{t}, #32]",
+            "vsub.f32 q2, q5, q1",
+            "vstrw.32 q0, [{t}, #96]",
+            "vadd.f32 q5, q5, q1",
+            "vstrw.32 q2, [{t}, #48]",
+            "vstrw.32 q5, [{t}, #112]",
+            "add {i}, {i}, {one}",
+            "le lr, 2b",
+            t = out(reg) _,
+            from = in(reg) &from,
+            eight = in(reg) 8,
+            quarter = in(reg) 2 * len * size_of::<f32>() / 4,
+            i = inout(reg) 0 => _,
+            one = in(reg) 1_u32 << shift(len),
+            n = in(reg) len / 4,
+            to = in(reg) to.as_mut_ptr(),
+            out("lr") _,
+        );
+    }
 }
 
 /// [`crate::fft::RealFft`]'s second half of a forward transform, four lanes; 25 instructions for two numbers.
@@ -179,8 +219,8 @@ fn narrow_rows(data: &[Four], scale: f32, rows: &mut [f16]) {
     }
 }
 
-/// Inverse real transforms of four rows of halves one behind the other, scaled, into four rows of numbers; `data` is scratch. Numbers 0,
-/// N/4 and N/2 of each row come tangled in `data` already. False where Helium flushed a number.
+/// Inverse real transforms of four rows of halves one behind the other, scaled, into four rows of numbers; `data` is scratch. False where
+/// Helium flushed a number.
 pub(crate) fn inverse_rows(from: &[f16], data: &mut [Four], scale: f32, rows: &mut [f32]) -> bool {
     let half = data.len();
     assert!(fits(half) && from.len() == 4 * (2 * half + 2), "rows of {} halves", from.len());
@@ -192,17 +232,36 @@ pub(crate) fn inverse_rows(from: &[f16], data: &mut [Four], scale: f32, rows: &m
     })
 }
 
-/// [`crate::fft::RealFft::tangle`] for k from 1 to N/4 - 1, four lanes; 33 instructions for two numbers.
+/// [`crate::fft::RealFft`]'s first half of an inverse transform, four lanes; 33 instructions for two numbers.
 #[inline(always)]
 fn tangle(from: &[f16], to: &mut [Four]) {
     let half = to.len();
     let (step, root) = roots(2 * half);
     let rows = rows_at(from.as_ptr(), (2 * half + 2) * size_of::<f16>());
-    // SAFETY: numbers 1 to half - 1 of each row are read from both ends, and `to` has a place for each; as many roots lie in the table.
+    // SAFETY: numbers 0 to half of each row are read, from both ends, and `to` has a place for each; as many roots lie in the table.
     unsafe {
         asm_all!(
             "vldrw.u32 q6, [{rows}]",
             "vadd.i32 q7, q6, {end}",
+            // Numbers 0 and N/2: (first - last, first + last).
+            "vldrw.u32 q0, [q6]",
+            "vldrw.u32 q1, [q7]",
+            "vcvtb.f32.f16 q0, q0",
+            "vcvtb.f32.f16 q1, q1",
+            "vsub.f32 q2, q0, q1",
+            "vadd.f32 q3, q0, q1",
+            "vstrw.32 q2, [{to}]",
+            "vstrw.32 q3, [{to}, #16]",
+            // The middle, in place 1: (-2 im, 2 re).
+            "vadd.i32 q2, q6, {middle}",
+            "vldrw.u32 q0, [q2]",
+            "vcvtb.f32.f16 q1, q0",
+            "vcvtt.f32.f16 q0, q0",
+            "vadd.f32 q0, q0, q0",
+            "vneg.f32 q0, q0",
+            "vadd.f32 q1, q1, q1",
+            "vstrw.32 q0, [{to}, #32]",
+            "vstrw.32 q1, [{to}, #48]",
             "dls lr, {n}",
             "2:",
             "vldrw.u32 q0, [q6, #4]!",
@@ -245,6 +304,7 @@ fn tangle(from: &[f16], to: &mut [Four]) {
             t = out(reg) _,
             u = out(reg) _,
             n = in(reg) half / 2 - 1,
+            middle = in(reg) half * size_of::<f16>(),
             end = in(reg) 2 * half * size_of::<f16>(),
             rows = in(reg) &rows,
             w = inout(reg) root => _,
