@@ -18,8 +18,14 @@ pub struct Board {
 }
 
 /// Cortex-M7: the board that is taken where none is named.
-pub const MPS2_AN500: Board =
-    Board { name: "mps2-an500", core: "Cortex-M7", target: "thumbv7em-none-eabihf", rustflags: &[], emulated: true };
+pub const MPS2_AN500: Board = Board {
+    name: "mps2-an500",
+    core: "Cortex-M7",
+    target: "thumbv7em-none-eabihf",
+    rustflags: &[],
+    emulated: true,
+    memory_bytes: 16 << 20,
+};
 
 /// Cortex-M55 with Helium. The compiler's own vector loops are off: vectors flush subnormal numbers to zero, which only the routines
 /// written for it take account of.

@@ -46,8 +46,7 @@ impl Qemu {
         if let Some(state) = state {
             let bytes = firmware.board().memory_bytes;
             OpenOptions::new().create(true).truncate(false).write(true).open(state)?.set_len(bytes)?;
-            let memory =
-                format!("memory-backend-file,id=memory,size={bytes},share=on,mem-path={}", state.display());
+            let memory = format!("memory-backend-file,id=memory,size={bytes},share=on,mem-path={}", state.display());
             command.args(["-object", &memory, "-machine", "memory-backend=memory"]);
         }
         command.args(["-chardev", &serial, "-serial", "chardev:line"]);

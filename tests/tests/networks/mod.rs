@@ -100,13 +100,17 @@ pub fn header(shape: &Shape) -> Header {
 
 /// A network file with weights drawn under `seed`: spectra like those of a narrow filter, layers that keep their scale.
 pub fn network(shape: &Shape, seed: u64) -> BlobFile {
-    let header = header(shape);
+    network_of(&header(shape), seed)
+}
+
+/// The same for a header of one's own.
+pub fn network_of(header: &Header, seed: u64) -> BlobFile {
     let lens = header.section_lens().unwrap();
     let draw = |what: &str, len: u64, centre: f32, spread: f32| -> Vec<f16> {
         let mut rng = rng::stream(seed, what, 0);
         (0..len).map(|_| f16::from_f32(centre + spread * rng.random_range(-1.0..1.0f32))).collect()
     };
-    let layer = (3.0 / (9.0 * f32::from(shape.width))).sqrt();
+    let layer = (3.0 / (9.0 * f32::from(header.rcan.width))).sqrt();
     let spectra = draw("spectra", lens.spectra, 0.1, 1.0);
     let rcan = draw("rcan", lens.rcan, 0.0, layer);
     let offset = draw("offset", lens.offset_dn, 0.0, 8.0);
@@ -114,10 +118,10 @@ pub fn network(shape: &Shape, seed: u64) -> BlobFile {
     let weights = Weights {
         spectra: &spectra,
         rcan: &rcan,
-        offset_dn: shape.maps.then_some(&offset),
-        inverse_gain: shape.maps.then_some(&gain),
+        offset_dn: header.sensor.has_offset_map.then_some(&offset),
+        inverse_gain: header.sensor.has_gain_map.then_some(&gain),
     };
-    BlobFile::new(&header, &weights).unwrap()
+    BlobFile::new(header, &weights).unwrap()
 }
 
 /// Raw frames, 12-bit codes.

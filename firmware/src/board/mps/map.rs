@@ -34,8 +34,22 @@ pub(super) struct Map {
 
 /// MPS2 (ARM DAI 0500 and 0386, memory map and interrupts). The scratch is the 512 KB of tightly coupled memory of an i.MX RT1176.
 #[cfg(not(feature = "mps3-an547"))]
-pub(super) const MAP: Map = Map { uart: 0x4000_4000, received: 0, leds: 0x4002_8000, watchdog: 0x4000_8000, watchdog_hz: 25_000_000, fast_len: 128 << 10 };
+pub(super) const MAP: Map = Map {
+    uart: 0x4000_4000,
+    received: 0,
+    leds: 0x4002_8000,
+    watchdog: 0x4000_8000,
+    watchdog_hz: 25_000_000,
+    fast_len: 128 << 10,
+};
 
 /// MPS3 (ARM DAI 0547, tables 3-1 and 5-1). The scratch leaves room for the program's own data in the 512 KB of the DTCM.
 #[cfg(feature = "mps3-an547")]
-pub(super) const MAP: Map = Map { uart: 0x4930_3000, received: 33, leds: 0x4930_2000, watchdog: 0x4802_e000, watchdog_hz: 32_768, fast_len: 96 << 10 };
+pub(super) const MAP: Map = Map {
+    uart: 0x4930_3000,
+    received: 33,
+    leds: 0x4930_2000,
+    watchdog: 0x4802_e000,
+    watchdog_hz: 32_768,
+    fast_len: 96 << 10,
+};
