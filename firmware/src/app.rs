@@ -4,13 +4,15 @@ use crate::log::info;
 use embedded_hal::digital::OutputPin;
 use embedded_io::{Read, Write};
 use half::f16;
-use ommatidia_shared::device::{Arenas, Device, End, Footprint, Line, Monitor, RamFrame, RamObject, Watchdog, serve};
+use ommatidia_shared::device::{
+    Arenas, Device, End, Footprint, FrameSource, Line, Monitor, RamObject, Watchdog, serve,
+};
 use ommatidia_shared::flash::MappedFlash;
 use ommatidia_shared::wire::StartCause;
 
 /// The parts of a board.
 #[derive(Debug)]
-pub struct Parts<'m, L, P, F, W> {
+pub struct Parts<'m, L, P, F, W, S> {
     /// Name that the host prints.
     pub name: &'static str,
     /// Serial line to the host.
@@ -31,8 +33,8 @@ pub struct Parts<'m, L, P, F, W> {
     pub temperature_cdeg: fn() -> Option<i16>,
     /// Where the network files are kept.
     pub flash: F,
-    /// Where the raw frame goes.
-    pub frame: &'m mut [u16],
+    /// Where raw frames come from.
+    pub source: S,
     /// Where the reconstruction goes.
     pub object: &'m mut [f16],
     /// Working memory.
@@ -43,15 +45,15 @@ pub struct Parts<'m, L, P, F, W> {
 ///
 /// # Errors
 /// Those of the line.
-pub fn run<L: Read + Write, P: OutputPin, F: MappedFlash, W: Watchdog>(
-    parts: Parts<'_, L, P, F, W>,
+pub fn run<L: Read + Write, P: OutputPin, F: MappedFlash, W: Watchdog, S: FrameSource>(
+    parts: Parts<'_, L, P, F, W, S>,
 ) -> Result<End, L::Error> {
     let Parts { name, mut link, line, trigger, mut watchdog, started_by, footprint, cycles, temperature_cdeg, .. } =
         parts;
     watchdog.start();
     info!("{} is listening", name);
     let monitor = Board { trigger, watchdog, started_by, footprint, cycles, temperature_cdeg, began: None };
-    let (source, sink) = (RamFrame::new(parts.frame), RamObject::new(parts.object));
+    let (source, sink) = (parts.source, RamObject::new(parts.object));
     let end = serve(&mut link, line, &mut Device::new(name, parts.flash, source, sink, parts.arenas, monitor));
     info!("the host has left");
     end

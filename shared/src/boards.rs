@@ -48,8 +48,18 @@ pub const MPS2_AN386: Board = Board {
     memory_bytes: 16 << 20,
 };
 
+/// A board that can be bought, with an image sensor: STM32H743ZI.
+pub const NUCLEO_H743ZI: Board = Board {
+    name: "nucleo-h743zi",
+    core: "Cortex-M7",
+    target: "thumbv7em-none-eabihf",
+    rustflags: &[],
+    emulated: false,
+    memory_bytes: 0,
+};
+
 /// All boards.
-pub const BOARDS: [Board; 3] = [MPS2_AN500, MPS3_AN547, MPS2_AN386];
+pub const BOARDS: [Board; 4] = [MPS2_AN500, MPS3_AN547, MPS2_AN386, NUCLEO_H743ZI];
 
 impl Board {
     /// The board of that name.

@@ -9,6 +9,7 @@ use networks::{DENSE, Shape, TAPPED, THIN};
 use ommatidia_host::blob::BlobFile;
 use ommatidia_host::device::{DeviceError, DeviceRun, Firmware, LoopbackConfig, Runtime, find_qemu, run};
 use ommatidia_shared::boards::{BOARDS, MPS3_AN547};
+use ommatidia_shared::device::Footprint;
 
 /// The firmware for each board. Where QEMU or a target is missing the test counts as skipped; under `cargo verify`, which installs them,
 /// it fails.
@@ -51,7 +52,9 @@ fn check_blob(blob: &BlobFile, frames: &[Vec<u16>]) -> Option<Vec<DeviceRun>> {
 fn a_dense_network_agrees_bit_for_bit() {
     let plan = networks::header(&DENSE).memory;
     for device in check(&DENSE, 1).into_iter().flatten() {
-        assert!(device.telemetry.stack_bytes > 256, "{:?}", device.telemetry);
+        let (stack, variables) = (device.telemetry.stack_bytes, device.telemetry.static_bytes);
+        assert!(stack > 256, "{:?}", device.telemetry);
+        assert!(stack <= Footprint::MOST_RAM / 2 && variables <= Footprint::MOST_RAM / 2, "{:?}", device.telemetry);
         assert!(device.telemetry.image_bytes > 10_000, "{:?}", device.telemetry);
         assert_eq!(device.telemetry.bulk_bytes, plan.bulk_bytes);
         assert!(device.telemetry.fast_bytes >= plan.fast_bytes);

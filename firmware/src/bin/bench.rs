@@ -43,7 +43,7 @@ fn main() -> ! {
         fast: parts.arenas.fast,
         bulk: parts.arenas.bulk,
         weights: bytemuck::cast_slice_mut(parts.flash.into_memory()),
-        frame: parts.frame,
+        frame: parts.source.into_memory(),
         object: parts.object,
     };
     fill(bench.bulk, 1, 1.0);

@@ -1,6 +1,13 @@
 //! One board, or one family of boards, a module; [`this`] is the one that the program is built for.
 
-#[cfg(all(any(feature = "mps2-an500", feature = "mps3-an547", feature = "mps2-an386"), target_os = "none"))]
+#[cfg(all(feature = "board", target_os = "none"))]
+mod memory;
+#[cfg(all(feature = "emulated", target_os = "none"))]
 pub mod mps;
-#[cfg(all(any(feature = "mps2-an500", feature = "mps3-an547", feature = "mps2-an386"), target_os = "none"))]
+#[cfg(all(feature = "nucleo-h743zi", target_os = "none"))]
+pub mod nucleo;
+
+#[cfg(all(feature = "emulated", target_os = "none"))]
 pub use mps as this;
+#[cfg(all(feature = "nucleo-h743zi", not(feature = "emulated"), target_os = "none"))]
+pub use nucleo as this;

@@ -21,7 +21,7 @@ pub struct Args {
     /// Most bytes that the network file may have
     #[arg(long, value_name = "BYTES")]
     flash: Option<u64>,
-    /// Most bytes of memory that it may need while it runs
+    /// Most bytes of memory that it may need while it runs, the program's own included
     #[arg(long, value_name = "BYTES")]
     ram: Option<u64>,
     /// Side of the transforms, pixels: the filters are cut into taps [default: one transform of the whole frame]
@@ -56,7 +56,7 @@ pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
 
 fn text(path: &Path, r: &QuantizeReport) -> String {
     let mut text = format!(
-        "{}\n  {} bytes: filters {} ({} taps of {} x {}), enhancement {}\n  memory: {} bytes fast, {} bytes bulk\n  energy of the filters kept: {:.4}\n",
+        "{}\n  {} bytes: filters {} ({} taps of {} x {}), enhancement {}\n  memory: {} bytes: {} fast, {} bulk, {} frame, {} reconstruction, at most {} variables and stack\n  energy of the filters kept: {:.4}\n",
         path.display(),
         r.file_bytes,
         r.spectra_bytes,
@@ -64,8 +64,12 @@ fn text(path: &Path, r: &QuantizeReport) -> String {
         r.tile,
         r.tile,
         r.rcan_bytes,
+        r.ram_bytes,
         r.fast_bytes,
         r.bulk_bytes,
+        r.frame_bytes,
+        r.object_bytes,
+        r.program_bytes,
         r.energy_kept,
     );
     for step in &r.steps {

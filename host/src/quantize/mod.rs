@@ -67,7 +67,7 @@ pub fn quantize(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) ->
     let len = blob::encode(&header, &weights, &mut bytes)?;
     bytes.truncate(len);
     budget("flash", config.flash_bytes, bytes.len() as u64)?;
-    budget("RAM", config.ram_bytes, u64::from(header.memory.fast_bytes) + u64::from(header.memory.bulk_bytes))?;
+    budget("RAM", config.ram_bytes, report::ram_bytes(&header))?;
     let report = QuantizeReport::new(
         checkpoint,
         &bank,

@@ -5,7 +5,8 @@ use super::bank::PlannedBank;
 use crate::evaluate::{Case, compare};
 use crate::methods::{Blob, FloatNetwork, Reconstruct};
 use crate::train::Checkpoint;
-use ommatidia_shared::blob::Header;
+use ommatidia_shared::blob::{Header, MemoryPlan, Size};
+use ommatidia_shared::device::Footprint;
 use serde::Serialize;
 
 /// Mean figures over the held-out frames.
@@ -40,6 +41,14 @@ pub struct QuantizeReport {
     pub fast_bytes: u32,
     /// Bulk memory that it needs.
     pub bulk_bytes: u32,
+    /// Raw frame.
+    pub frame_bytes: u32,
+    /// Reconstruction.
+    pub object_bytes: u32,
+    /// Variables and stack of the program, at most.
+    pub program_bytes: u32,
+    /// All of the device's memory: scratch, bulk, frame, reconstruction, program.
+    pub ram_bytes: u64,
     /// Side of the transforms, pixels.
     pub tile: u16,
     /// Taps of the filters.
@@ -85,6 +94,10 @@ impl QuantizeReport {
             rcan_bytes,
             fast_bytes: header.memory.fast_bytes,
             bulk_bytes: header.memory.bulk_bytes,
+            frame_bytes: plane_bytes(header.frame),
+            object_bytes: plane_bytes(header.object),
+            program_bytes: Footprint::MOST_RAM,
+            ram_bytes: ram_bytes(header),
             tile: header.bank.tile,
             taps: bank.taps(),
             energy_kept: bank.energy_kept,
@@ -94,6 +107,18 @@ impl QuantizeReport {
             loss_db: float - file,
         })
     }
+}
+
+/// Memory that a device needs for a network, bytes, its program included.
+pub(super) fn ram_bytes(header: &Header) -> u64 {
+    let MemoryPlan { fast_bytes, bulk_bytes } = header.memory;
+    let planes = [header.frame, header.object].map(plane_bytes);
+    [fast_bytes, bulk_bytes, planes[0], planes[1], Footprint::MOST_RAM].into_iter().map(u64::from).sum()
+}
+
+/// Two bytes a pixel.
+fn plane_bytes(size: Size) -> u32 {
+    2 * u32::from(size.rows) * u32::from(size.cols)
 }
 
 /// Mean figures of a method.

@@ -33,6 +33,10 @@ impl core::error::Error for IoError {}
 pub trait FrameSource {
     /// Room, pixels.
     fn capacity(&self) -> usize;
+    /// Whether frames come by themselves: the host need not send any.
+    fn live(&self) -> bool {
+        false
+    }
     /// Makes ready for a frame of `pixels` from the host.
     ///
     /// # Errors
@@ -77,6 +81,12 @@ pub struct Footprint {
     pub static_bytes: u32,
     /// The deepest that the stack has been, bytes.
     pub stack_bytes: u32,
+}
+
+impl Footprint {
+    /// The most that variables and stack take together on any board, bytes; each half of it. So the memory of a network is known when
+    /// its file is made. Tests over the boards hold it.
+    pub const MOST_RAM: u32 = 16 << 10;
 }
 
 /// Resets the board unless it is fed in time. (`embedded-hal` 1.0 has no such trait.)
@@ -135,6 +145,11 @@ impl<'m> RamFrame<'m> {
     /// Puts frames into `memory`.
     pub fn new(memory: &'m mut [u16]) -> Self {
         Self { memory, pixels: 0 }
+    }
+
+    /// The memory, whatever is in it.
+    pub fn into_memory(self) -> &'m mut [u16] {
+        self.memory
     }
 }
 

@@ -3,7 +3,8 @@
 #[cfg(any(
     all(feature = "mps2-an500", feature = "mps3-an547"),
     all(feature = "mps2-an500", feature = "mps2-an386"),
-    all(feature = "mps3-an547", feature = "mps2-an386")
+    all(feature = "mps3-an547", feature = "mps2-an386"),
+    feature = "nucleo-h743zi"
 ))]
 compile_error!("the programs are built for one board: choose one of its features");
 

@@ -16,14 +16,14 @@ use crate::app::Parts;
 use core::sync::atomic::{AtomicBool, Ordering};
 use cortex_m::peripheral::DWT;
 use cortex_m_semihosting::{debug, hprintln};
-use ommatidia_shared::device::Arenas;
+use ommatidia_shared::device::{Arenas, RamFrame};
 use ommatidia_shared::flash::RamFlash;
 
 /// Name of the board.
 pub const NAME: &str = map::BOARD.name;
 
 /// The parts of the board, once.
-pub fn take() -> Option<Parts<'static, Uart, Led, RamFlash<'static>, Dog>> {
+pub fn take() -> Option<Parts<'static, Uart, Led, RamFlash<'static>, Dog, RamFrame<'static>>> {
     static TAKEN: AtomicBool = AtomicBool::new(false);
     if TAKEN.swap(true, Ordering::Relaxed) {
         return None;
@@ -41,7 +41,7 @@ pub fn take() -> Option<Parts<'static, Uart, Led, RamFlash<'static>, Dog>> {
         // The board has no sensor.
         temperature_cdeg: || None,
         flash: RamFlash::new(memory::flash()),
-        frame: memory::frame(),
+        source: RamFrame::new(memory::frame()),
         object: memory::object(),
         arenas: Arenas { fast: memory::fast(), bulk: memory::bulk() },
     })

@@ -1,0 +1,72 @@
+//! What lies where: arenas and buffers in sections of the memory map, and how much the program itself takes.
+#![allow(unsafe_code)] // sections and linker symbols
+
+use super::camera::Frame;
+use crate::board::memory::{self, Once, Region};
+use core::ops::Range;
+use core::ptr::addr_of;
+use half::f16;
+use ommatidia_shared::device::{Footprint, Line};
+
+#[unsafe(link_section = ".sram.frames")]
+static FRAMES: Region<u32, { 2 * size_of::<Frame>() / 4 }> = Region::new();
+#[unsafe(link_section = ".sram.object")]
+static OBJECT: Region<f16, { 96 * 96 }> = Region::new();
+#[unsafe(link_section = ".axi.bulk")]
+static BULK: Region<f16, { 152 << 10 }> = Region::new();
+#[unsafe(link_section = ".axi.fast")]
+static FAST: Region<f32, { 52 << 10 }> = Region::new();
+#[unsafe(link_section = ".uninit.line")]
+static BUFFERS: Region<[u8; 2048], 2> = Region::new();
+static LINE: Once = Once::new();
+
+pub(super) fn line() -> &'static mut Line {
+    // SAFETY: called once, from `super::take`.
+    unsafe { LINE.take() }
+}
+
+/// What goes to the host, and what comes from it: a packet each, and room for what comes while it is handled.
+pub(super) fn line_buffers() -> [&'static mut [u8]; 2] {
+    // SAFETY: called once, from `super::take`.
+    let [send, receive] = unsafe { BUFFERS.take() };
+    [send, receive]
+}
+
+pub(super) fn frames() -> [&'static mut Frame; 2] {
+    // SAFETY: called once, from `super::take`.
+    let frames = unsafe { FRAMES.take() };
+    match frames.as_chunks_mut().0 {
+        [first, second] => [first, second],
+        _ => super::fail(&"there is no room for two frames"),
+    }
+}
+
+pub(super) fn object() -> &'static mut [f16] {
+    // SAFETY: called once, from `super::take`.
+    unsafe { OBJECT.take() }
+}
+
+pub(super) fn bulk() -> &'static mut [f16] {
+    // SAFETY: called once, from `super::take`.
+    unsafe { BULK.take() }
+}
+
+pub(super) fn fast() -> &'static mut [f32] {
+    // SAFETY: called once, from `super::take`.
+    unsafe { FAST.take() }
+}
+
+unsafe extern "C" {
+    static _flash_start: u8;
+    static _flash_end: u8;
+}
+
+/// The sectors for network files.
+pub(super) fn flash_range() -> Range<*const u8> {
+    addr_of!(_flash_start)..addr_of!(_flash_end)
+}
+
+/// What the program takes; the image begins with the flash.
+pub fn footprint() -> Footprint {
+    memory::footprint(0x0800_0000)
+}
