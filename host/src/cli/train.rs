@@ -4,7 +4,10 @@ use super::{Outcome, Run};
 use crate::artifact::{Provenance, file_hash};
 use crate::dataset::{DataSet, PLAN_FILE};
 use crate::instrument::Instrument;
-use crate::train::{Body, Checkpoint, Next, Preset, SensorMaps, Simulated, Start, Task, TrainConfig, Trainer, weights};
+use crate::train::{
+    Body, Checkpoint, Family, FamilyName, Lenses, NetworkConfig, Next, Preset, SensorMaps, Simulated, Start, Task,
+    TrainConfig, Trainer, weights,
+};
 use anyhow::Context;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -24,6 +27,12 @@ pub struct Args {
     /// Size of the network and its schedule
     #[arg(long, value_enum, default_value_t)]
     preset: Preset,
+    /// The network, or a peer of it that is trained the same way on the same pairs; peers need the instrument
+    #[arg(long, value_enum, default_value_t)]
+    network: FamilyName,
+    /// Fourier filters, or PSFs [default: the preset's]
+    #[arg(long, value_name = "N")]
+    filters: Option<usize>,
     /// Steps of the optimiser [default: the preset's]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     steps: Option<u64>,
@@ -39,10 +48,13 @@ pub struct Args {
     /// Highest learning rate of the filters [default: the preset's]
     #[arg(long, value_name = "RATE")]
     filter_learning_rate: Option<f64>,
-    /// What the filters are before the first step [default: the preset's]
+    /// What the filters are before the first step [default: the preset's; psf for peers]
     #[arg(long, value_enum)]
     start: Option<Start>,
-    /// Instrument whose fixed pattern the network shall correct, with a data set
+    /// Validations without a higher SSIM after which the run ends early [default: never]
+    #[arg(long, value_name = "N")]
+    patience: Option<u64>,
+    /// Instrument whose fixed pattern the network shall correct, and whose lenses a peer starts from, with a data set
     #[arg(long, value_name = "FILE")]
     instrument: Option<PathBuf>,
     /// Take up the run that wrote the checkpoint; it ends in the same bits as if it had never stopped
@@ -59,22 +71,46 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     if args.input.is_dir() {
         let set = DataSet::open(&args.input)?;
         let plan = set.plan();
-        let (network, peak_e) = (args.preset.network(plan.frame, plan.object), plan.peak_e);
-        let maps =
-            args.instrument.as_deref().map_or_else(|| Ok(SensorMaps::default()), |path| maps_for(path, plan.frame))?;
+        let (maps, lenses) = match &args.instrument {
+            Some(path) => of_instrument(path, plan.frame)?,
+            None => (SensorMaps::default(), None),
+        };
+        let network = network(args, plan.frame, plan.object, lenses.as_ref())?;
         let task = Task { source: &set, network, noise: plan.noise, maps };
-        return train(args, run, task, peak_e, ("dataset", &args.input.join(PLAN_FILE)));
+        return train(args, run, task, (plan.peak_e, lenses.as_ref()), ("dataset", &args.input.join(PLAN_FILE)));
     }
     let instrument = Instrument::read(&args.input)?;
     let source = Simulated::of(&instrument, &args.input, run.seed)?;
     let plan = source.plan();
-    let (network, peak_e) = (args.preset.network(plan.frame, plan.object), plan.peak_e);
+    let lenses = Some(Lenses::of(&instrument)?);
+    let network = network(args, plan.frame, plan.object, lenses.as_ref())?;
     let task = Task { source: &source, network, noise: plan.noise, maps: SensorMaps::of(&instrument)? };
-    train(args, run, task, peak_e, ("instrument", &args.input))
+    train(args, run, task, (plan.peak_e, lenses.as_ref()), ("instrument", &args.input))
 }
 
-/// Maps of an instrument for frames of a data set, which must have its size.
-fn maps_for(path: &Path, frame: [usize; 2]) -> anyhow::Result<SensorMaps> {
+/// The network that is asked for.
+fn network(
+    args: &Args,
+    frame: [usize; 2],
+    object: [usize; 2],
+    lenses: Option<&Lenses>,
+) -> anyhow::Result<NetworkConfig> {
+    let plain = args.preset.network(frame, object);
+    let plain = NetworkConfig { channels: args.filters.unwrap_or(plain.channels), ..plain };
+    Ok(match args.network {
+        FamilyName::SvFourierNet => plain,
+        FamilyName::MultiWienerNet => NetworkConfig { family: Family::MultiWienerNet, ..plain },
+        FamilyName::MultiFlatNet => NetworkConfig { family: Family::MultiFlatNet, ..plain },
+        FamilyName::Cm2Net => {
+            let lenses =
+                lenses.context("--network cm2net: expected --instrument FILE, whose lenses it cuts out, found none")?;
+            args.preset.cm2net(lenses.cm2net(plain))
+        }
+    })
+}
+
+/// Maps and lenses of an instrument for frames of a data set, which must have its size.
+fn of_instrument(path: &Path, frame: [usize; 2]) -> anyhow::Result<(SensorMaps, Option<Lenses>)> {
     let instrument = Instrument::read(path)?;
     let sensor = [instrument.manifest.sensor.rows, instrument.manifest.sensor.cols];
     let (path, [rows, cols]) = (path.display(), frame);
@@ -84,26 +120,29 @@ fn maps_for(path: &Path, frame: [usize; 2]) -> anyhow::Result<SensorMaps> {
         sensor[0],
         sensor[1]
     );
-    Ok(SensorMaps::of(&instrument)?)
+    Ok((SensorMaps::of(&instrument)?, Some(Lenses::of(&instrument)?)))
 }
 
 fn train(
     args: &Args,
     run: &Run,
     task: Task<'_>,
-    peak_e: [f64; 2],
+    (peak_e, lenses): ([f64; 2], Option<&Lenses>),
     (role, input): (&str, &Path),
 ) -> anyhow::Result<Outcome> {
     let mut training = settings(args, run, &task, peak_e)?;
     if let Some(minutes) = args.minutes {
-        training = fit(training, &task, minutes)?;
+        training = fit(training, &task, lenses, minutes)?;
     }
     let mut provenance = Provenance::new("train", run.seed, &training);
     provenance.inputs.insert(role.into(), file_hash(input)?);
     let steps = training.steps;
     let pairs = task.source.len();
-    let mut trainer =
-        if args.resume { Trainer::resume(task, training, &args.output)? } else { Trainer::new(task, training)? };
+    let mut trainer = if args.resume {
+        Trainer::resume_with_lenses(task, training, lenses, &args.output)?
+    } else {
+        Trainer::with_lenses(task, training, lenses)?
+    };
     let begin = trainer.checkpoint().body.step;
     let bar = run.progress(steps, "train");
     bar.set_position(begin);
@@ -133,7 +172,8 @@ fn settings(args: &Args, run: &Run, task: &Task<'_>, peak_e: [f64; 2]) -> anyhow
         (None, true) => Some(Checkpoint::read(&args.output)?.body.training.steps),
         (steps, _) => steps,
     };
-    let mut training = args.preset.training(task.noise.full_scale_e(), run.seed);
+    let training = args.preset.training(task.noise.full_scale_e(), run.seed);
+    let mut training = Preset::for_family(training, args.network, task.network.filter_size);
     training.peak_e = peak_e;
     if let Some(steps) = steps {
         training = training.with_steps(steps);
@@ -142,13 +182,14 @@ fn settings(args: &Args, run: &Run, task: &Task<'_>, peak_e: [f64; 2]) -> anyhow
     training.learning_rate = args.learning_rate.unwrap_or(training.learning_rate);
     training.filter_learning_rate = args.filter_learning_rate.unwrap_or(training.filter_learning_rate);
     training.start = args.start.unwrap_or(training.start);
+    training.patience = args.patience.unwrap_or(training.patience);
     Ok(training)
 }
 
 /// As many steps as fit into the time.
-fn fit(training: TrainConfig, task: &Task<'_>, minutes: f64) -> anyhow::Result<TrainConfig> {
+fn fit(training: TrainConfig, task: &Task<'_>, lenses: Option<&Lenses>, minutes: f64) -> anyhow::Result<TrainConfig> {
     anyhow::ensure!(minutes.is_finite() && minutes > 0.0, "--minutes: expected a positive number, found {minutes}");
-    let mut trial = Trainer::new(task.clone(), training.clone())?;
+    let mut trial = Trainer::with_lenses(task.clone(), training.clone(), lenses)?;
     trial.step()?;
     let start = Instant::now();
     for _ in 0..TIMED {

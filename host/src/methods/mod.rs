@@ -1,5 +1,6 @@
 //! Ways from a raw frame to an object: the network, and the methods that it must beat.
 
+mod admm;
 mod blob;
 mod central;
 mod error;
@@ -8,9 +9,10 @@ mod network;
 mod registry;
 mod richardson_lucy;
 #[cfg(test)]
-mod testing;
+pub(crate) mod testing;
 mod wiener;
 
+pub use admm::{AdmmConfig, LowRankAdmm, ShiftInvariantAdmm};
 pub use blob::{Blob, NetworkFileError};
 pub use central::Central;
 pub use error::MethodError;
@@ -41,7 +43,12 @@ pub fn title(name: &str) -> String {
         "svfouriernet" => "SV-FourierNet, float",
         "svfouriernet-blob" => "SV-FourierNet, blob on the host",
         "device" => "SV-FourierNet, device",
+        "multiwienernet" => "MultiWienerNet",
+        "multiflatnet" => "MultiFlatNet",
+        "cm2net" => "CM2Net",
         "wiener" => "Wiener, centre PSF",
+        "admm" => "ADMM with TV, all PSFs",
+        "admm-lsi" => "ADMM with TV, centre PSF",
         "richardson-lucy" => "Richardson-Lucy, all PSFs",
         "central" => "Central lens alone",
         other => other,

@@ -1,9 +1,9 @@
-//! The float network of a checkpoint.
+//! The float network of a checkpoint, of any family.
 
 use super::Reconstruct;
 use crate::train::network::{Mode, Network, values};
 use crate::train::ops::fourier::Fourier;
-use crate::train::{Checkpoint, Sight, TrainError};
+use crate::train::{Checkpoint, FamilyName, NetworkConfig, Seen, Sight, TrainError};
 use burn::tensor::activation::sigmoid;
 use ndarray::{Array2, ArrayView2};
 use std::path::Path;
@@ -14,8 +14,7 @@ pub struct FloatNetwork {
     network: Network,
     plan: Arc<Fourier>,
     sight: Sight,
-    frame: [usize; 2],
-    object: [usize; 2],
+    config: NetworkConfig,
 }
 
 impl FloatNetwork {
@@ -28,7 +27,12 @@ impl FloatNetwork {
         let plan = Arc::new(Fourier::new(config.fourier()));
         let network = Network::new(config, &plan, &checkpoint.weights, Mode::Infer)?;
         let sight = Sight::new(&checkpoint.body, &checkpoint.maps);
-        Ok(Self { network, plan, sight, frame: config.frame, object: config.object })
+        Ok(Self { network, plan, sight, config: config.clone() })
+    }
+
+    /// Its family.
+    pub fn family(&self) -> FamilyName {
+        self.config.family.name()
     }
 
     /// Reads a checkpoint.
@@ -42,13 +46,14 @@ impl FloatNetwork {
 
 impl Reconstruct for FloatNetwork {
     fn name(&self) -> &str {
-        "svfouriernet"
+        self.family().as_str()
     }
 
     fn reconstruct(&self, frame_dn: ArrayView2<'_, f32>) -> anyhow::Result<Array2<f32>> {
         self.sight.check(frame_dn)?;
-        let spectrum = self.plan.rfft2(&self.sight.normalised(frame_dn), self.frame);
-        let out = values(sigmoid(self.network.logits(Arc::new(vec![spectrum]))));
-        Ok(Array2::from_shape_vec((self.object[0], self.object[1]), out)?)
+        let seen = Seen::of(&self.config, &self.plan, &self.sight.normalised(frame_dn));
+        let out = values(sigmoid(self.network.say(vec![seen]).logits));
+        let [rows, cols] = self.config.object;
+        Ok(Array2::from_shape_vec((rows, cols), out)?)
     }
 }

@@ -5,7 +5,7 @@ use crate::session::ArrayGeometry;
 use ndarray::{Array4, Array5};
 
 /// `side` x `side` lenses, 20 px apart about the centre of the sensor; each PSF is one pixel, the same all over the field.
-pub(super) fn instrument(side: usize, sensor: [usize; 2], object: [usize; 2]) -> Instrument {
+pub(crate) fn instrument(side: usize, sensor: [usize; 2], object: [usize; 2]) -> Instrument {
     let lenses = side * side;
     let middle = |n: usize| (n as f64 - 1.0) / 2.0;
     let anchor = |l: usize| {

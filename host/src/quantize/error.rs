@@ -29,6 +29,9 @@ pub enum QuantizeError {
         /// The value.
         found: f32,
     },
+    /// A device runs one network alone.
+    #[error("expected a checkpoint of an SV-FourierNet, found one of {0}: peers run on the host")]
+    Family(&'static str),
     /// A size is none that a device can have.
     #[error("{field}: expected {expected}, found {found}")]
     Size {

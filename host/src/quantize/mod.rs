@@ -10,7 +10,7 @@ mod tests;
 pub use error::QuantizeError;
 pub use report::{Quality, QuantizeReport, Step};
 
-use crate::train::Checkpoint;
+use crate::train::{Checkpoint, Family};
 use bank::PlannedBank;
 use ommatidia_shared::blob::{self, Header, MemoryPlan, Sensor, Size, Weights};
 use ommatidia_shared::num::f16;
@@ -48,6 +48,9 @@ pub struct Quantized {
 /// A weight is no number or too large for a half, a size is none that a device can have, or the budget is too small.
 pub fn quantize(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) -> Result<Quantized, QuantizeError> {
     let network = &checkpoint.body.network;
+    if network.family != Family::SvFourierNet {
+        return Err(QuantizeError::Family(network.family.name().as_str()));
+    }
     pack::check_finite(&checkpoint.weights)?;
     let bank = PlannedBank::new(checkpoint, config)?;
     let spectra = bank.spectra()?;

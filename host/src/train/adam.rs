@@ -1,6 +1,6 @@
 //! Adam (D. P. Kingma, J. Ba, arXiv:1412.6980, algorithm 1) on named arrays, and the guard in front of it.
 
-use super::weights::FILTERS;
+use super::weights::is_filter;
 use crate::artifact::Tensors;
 use ndarray::Zip;
 use serde::{Deserialize, Serialize};
@@ -24,7 +24,7 @@ pub enum Group {
 
 /// The group of a parameter.
 pub fn group(name: &str) -> Group {
-    if FILTERS.contains(&name) { Group::Filters } else { Group::Layers }
+    if is_filter(name) { Group::Filters } else { Group::Layers }
 }
 
 /// Running mean lengths of the gradients of filters and layers; 0: none seen yet.
@@ -112,6 +112,7 @@ impl Adam {
 
 #[cfg(test)]
 mod tests {
+    use super::super::weights::FILTERS;
     use super::*;
     use burn::optim::{AdamConfig, Optimizer};
     use burn::tensor::{Device, Tensor, TensorData};

@@ -1,10 +1,10 @@
 //! The shape of the network.
 
-use super::TrainError;
 use super::ops::fourier::FourierSizes;
+use super::{Family, TrainError};
 use serde::{Deserialize, Serialize};
 
-/// Shape of an SV-FourierNet: the Fourier filter bank and the light RCAN behind it.
+/// Shape of a network: a filter bank and the light RCAN behind it.
 ///
 /// A raw frame is corrected, padded to `filter_size` with the frame's centre at the filter's centre, transformed, multiplied by each of the
 /// `channels` filters, transformed back, cropped to the object round the centre, divided by its global maximum, enhanced.
@@ -27,6 +27,9 @@ pub struct NetworkConfig {
     pub blocks: usize,
     /// Channel reduction of the attention.
     pub reduction: usize,
+    /// Which network; CM2Net has `channels` views and `blocks` residual blocks of `width` features in each of its two parts.
+    #[serde(default)]
+    pub family: Family,
 }
 
 impl NetworkConfig {
@@ -56,6 +59,11 @@ impl NetworkConfig {
         }
         if self.reduction == 0 || self.reduction > self.width {
             return wrong("reduction", format!("1 to width = {}", self.width), self.reduction);
+        }
+        if let Family::Cm2Net { crops } = &self.family
+            && crops.len() != self.channels
+        {
+            return wrong("crops", format!("channels = {}", self.channels), crops.len());
         }
         Ok(())
     }

@@ -1,9 +1,9 @@
-//! The network in float, on burn.
+//! The networks in float, on burn: a bank of filters and the RCAN behind it, or CM2Net.
 
 use super::ops::fourier::{Fourier, Spectrum};
-use super::ops::{conv3x3, filter_bank};
-use super::weights::{self, FILTERS, name};
-use super::{NetworkConfig, TrainError};
+use super::ops::{conv3x3, filter_bank, kernel_spectra};
+use super::weights::{self, FILTERS, KERNELS, LOG_K, PSFS, name};
+use super::{Family, NetworkConfig, Seen, TrainError, seen};
 use crate::artifact::Tensors;
 use burn::tensor::activation::{relu, sigmoid};
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
@@ -22,11 +22,25 @@ pub enum Mode {
     Infer,
 }
 
-/// An SV-FourierNet with its parameters.
+/// Divides the sum of two branches of like size (CM2Net).
+const HALF_POWER: f32 = std::f32::consts::SQRT_2;
+
+/// What a network says of frames.
+pub struct Said {
+    /// Logits, [batch, 1, object rows, object cols]; the reconstruction is their sigmoid.
+    pub logits: Tensor<4>,
+    /// Logits of what each lens alone would show, [batch, lenses, object rows, object cols], of a CM2Net.
+    pub views: Option<Tensor<4>>,
+}
+
+/// A network with its parameters.
 pub struct Network {
     config: NetworkConfig,
     plan: Arc<Fourier>,
     parameters: BTreeMap<String, Tensor<1>>,
+    device: Device,
+    /// Filters that nothing changes any more.
+    bank: Option<[Tensor<1>; 2]>,
 }
 
 impl Network {
@@ -56,14 +70,99 @@ impl Network {
             let leaf = Tensor::<1>::from_data(TensorData::new(values, [n]), &device);
             parameters.insert(name, if mode == Mode::Train { leaf.require_grad() } else { leaf });
         }
-        Ok(Self { config: config.clone(), plan: Arc::clone(plan), parameters })
+        let mut network = Self { config: config.clone(), plan: Arc::clone(plan), parameters, device, bank: None };
+        if mode == Mode::Infer && !matches!(config.family, Family::Cm2Net { .. }) {
+            network.bank = Some(network.filters());
+        }
+        Ok(network)
     }
 
-    /// Logits, [batch, 1, object rows, object cols], of frames given by their spectra; the reconstruction is their sigmoid.
-    pub fn logits(&self, spectra: Arc<Vec<Spectrum>>) -> Tensor<4> {
-        let [re, im] = FILTERS.map(|f| self.parameter(f));
-        let filtered = filter_bank(&self.plan, spectra, re, im);
-        self.enhance(normalise(filtered))
+    /// What the network says of frames.
+    pub fn say(&self, frames: Vec<Seen>) -> Said {
+        if let Family::Cm2Net { .. } = self.config.family {
+            let x = self.crops(&frames);
+            return self.join(x);
+        }
+        let spectra = frames.into_iter().filter_map(|f| match f {
+            Seen::Spectrum(s) => Some(s),
+            Seen::Crops(_) => None,
+        });
+        let [re, im] = self.bank.clone().unwrap_or_else(|| self.filters());
+        let filtered = filter_bank(&self.plan, Arc::new(spectra.collect::<Vec<Spectrum>>()), re, im);
+        Said { logits: self.enhance(normalise(filtered)), views: None }
+    }
+
+    /// The filters in frequency, real and imaginary parts, [channels * T * (T/2+1)]; of a network that has a bank.
+    pub fn filters(&self) -> [Tensor<1>; 2] {
+        match self.config.family {
+            Family::MultiWienerNet => {
+                let [re, im] = kernel_spectra(&self.plan, self.parameter(PSFS));
+                let (c, n) = (self.config.channels, re.dims()[0]);
+                let k = self.parameter(LOG_K).exp().reshape([c, 1]).expand([c, n / c]).reshape([n]);
+                let power = re.clone().square() + im.clone().square() + k;
+                [re / power.clone(), im.neg() / power]
+            }
+            Family::MultiFlatNet => kernel_spectra(&self.plan, self.parameter(KERNELS)),
+            _ => FILTERS.map(|f| self.parameter(f)),
+        }
+    }
+
+    fn crops(&self, frames: &[Seen]) -> Tensor<4> {
+        let [rows, cols] = self.config.object;
+        let values: Vec<f32> = frames
+            .iter()
+            .flat_map(|f| match f {
+                Seen::Crops(crops) => crops.as_slice(),
+                Seen::Spectrum(_) => &[],
+            })
+            .copied()
+            .collect();
+        Tensor::from_data(TensorData::new(values, [frames.len(), self.config.channels, rows, cols]), &self.device)
+    }
+
+    /// CM2Net: views [batch, lenses, rows, cols], freed of one another, then joined.
+    fn join(&self, x: Tensor<4>) -> Said {
+        let views = self.part(name::DEMIX, x);
+        let logits = self.conv(name::END, self.part(name::JOIN, sigmoid(views.clone())));
+        Said { logits, views: Some(views) }
+    }
+
+    fn part(&self, part: &str, x: Tensor<4>) -> Tensor<4> {
+        let first = relu(self.conv(&name::part(part, 1), x));
+        let mut y = first.clone();
+        for b in 0..self.config.blocks {
+            let inner = relu(self.conv(&name::part_block(part, b, 1), y.clone()));
+            y = (self.conv(&name::part_block(part, b, 2), inner) + y) / HALF_POWER;
+        }
+        self.conv(&name::part(part, 2), (y + first) / HALF_POWER)
+    }
+
+    /// Gradient of one reconstructed pixel (row, col) to the normalised frame `x`, [frame rows, frame cols], its maximum held fixed.
+    ///
+    /// The network must have been made with [`Mode::Train`].
+    pub fn pixel_gradient(&self, x: &[f32], [row, col]: [usize; 2]) -> Vec<f32> {
+        let frame = vec![Seen::of(&self.config, &self.plan, x)];
+        let [rows, cols] = self.config.object;
+        let leaf = |values: Vec<f32>| {
+            let shape = [1, self.config.channels, rows, cols];
+            Tensor::<4>::from_data(TensorData::new(values, shape), &self.device).require_grad()
+        };
+        let pixel =
+            |logits: Tensor<4>| sigmoid(logits).slice([0..1, 0..1, row..row + 1, col..col + 1]).sum().backward();
+        let gradient = |x: Tensor<4>, g: Gradients| {
+            let mut g = g;
+            x.grad_remove(&mut g).map_or_else(|| vec![0.0; rows * cols * self.config.channels], values)
+        };
+        if let Family::Cm2Net { crops } = &self.config.family {
+            let x = leaf(values(self.crops(&frame).inner()));
+            let g = pixel(self.join(x.clone()).logits);
+            return seen::paste(&gradient(x, g), &self.config, crops);
+        }
+        let [re, im] = self.filters().map(|f| values(f.inner()));
+        let filters = self.plan.filters(&re, &im);
+        let y = leaf(self.plan.forward(&[frame[0].spectrum().to_vec()], &filters));
+        let g = pixel(self.enhance(normalise(y.clone())));
+        self.plan.backward_to_frame(&filters, &gradient(y, g))
     }
 
     /// The RCAN: [batch, C, rows, cols] -> logits [batch, 1, rows, cols].

@@ -11,7 +11,6 @@
 //! PSF of that part, learned without any PSF. The enhancement then has to join parts instead of having to find the foci first.
 
 use super::TrainError;
-use super::ops::fourier::Spectrum;
 use super::source::Loader;
 use super::weights::{FILTERS, array};
 use crate::artifact::Tensors;
@@ -38,8 +37,8 @@ pub fn fit(loader: &Loader<'_>, pairs: &[usize], tensors: &mut Tensors) -> Resul
     let mut cross = vec![vec![Complex32::default(); t * bins]; parts.len()];
     for (i, chunk) in pairs.chunks(CHUNK).enumerate() {
         for example in loader.examples(chunk, "regression", i as u64)? {
-            power.iter_mut().zip(&example.spectrum).for_each(|(p, x)| *p += x.norm_sqr());
-            add_cross(loader, &example.spectrum, &example.target, &parts, &mut cross);
+            power.iter_mut().zip(example.seen.spectrum()).for_each(|(p, x)| *p += x.norm_sqr());
+            add_cross(loader, example.seen.spectrum(), &example.target, &parts, &mut cross);
         }
     }
     let ridge = RIDGE * power.iter().sum::<f32>() / power.len() as f32;
@@ -61,7 +60,7 @@ pub fn fit(loader: &Loader<'_>, pairs: &[usize], tensors: &mut Tensors) -> Resul
     Ok(())
 }
 
-fn add_cross(loader: &Loader<'_>, x: &Spectrum, target: &[f32], parts: &[Vec<f32>], cross: &mut [Vec<Complex32>]) {
+fn add_cross(loader: &Loader<'_>, x: &[Complex32], target: &[f32], parts: &[Vec<f32>], cross: &mut [Vec<Complex32>]) {
     use rayon::prelude::*;
     cross.par_iter_mut().zip(parts).for_each(|(cross, part)| {
         let object: Vec<f32> = target.iter().zip(part).map(|(o, m)| o * m).collect();
@@ -125,12 +124,13 @@ mod tests {
             maps: &SensorMaps::default(),
             peak_e: [4000.0, 5000.0],
             seed: 3,
+            lenses: None,
         };
         let mut tensors = weights::random(&network, 1);
         fit(&loader, &(0..20).collect::<Vec<_>>(), &mut tensors).unwrap();
         let filters = plan.filters(tensors[FILTERS[0]].as_slice().unwrap(), tensors[FILTERS[1]].as_slice().unwrap());
         let example = loader.examples(&[22], "test", 0).unwrap().remove(0);
-        let y = plan.forward(&[example.spectrum], &filters);
+        let y = plan.forward(&[example.seen.spectrum().to_vec()], &filters);
         let sum: Vec<f64> = (0..256).map(|p| (0..6).map(|c| f64::from(y[c * 256 + p])).sum()).collect();
         let truth: Vec<f64> = example.target.iter().map(|&v| f64::from(v)).collect();
         let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;

@@ -1,7 +1,7 @@
 //! How a network is trained, and the presets.
 
 use super::trainer::same;
-use super::{NetworkConfig, TrainError};
+use super::{Family, FamilyName, NetworkConfig, TrainError};
 use serde::{Deserialize, Serialize};
 
 /// One part in this many of the steps is warm-up.
@@ -18,6 +18,8 @@ pub enum Start {
     Random,
     /// The linear filters that fit the training pairs best, one for each part of the field ([`super::regression`]).
     Regression,
+    /// Calibrated PSFs, or their pseudo-inverses where filters are learned ([`super::Lenses`]).
+    Psf,
 }
 
 /// How a network is trained.
@@ -46,6 +48,9 @@ pub struct TrainConfig {
     pub held_out: f64,
     /// Most held-out pairs that a validation looks at.
     pub validation_pairs: usize,
+    /// Validations without a better one after which a run ends early; 0: never.
+    #[serde(default)]
+    pub patience: u64,
     /// What the filters are before the first step.
     pub start: Start,
     /// Seed of all that is drawn.
@@ -97,7 +102,7 @@ impl TrainConfig {
         let numbers = |c: &Self| {
             [c.learning_rate, c.filter_learning_rate, c.final_rate, c.clip, c.peak_e[0], c.peak_e[1], c.held_out]
         };
-        let counts = |c: &Self| (c.batch, c.warmup, c.validate_every, c.validation_pairs, c.start, c.seed);
+        let counts = |c: &Self| (c.batch, c.warmup, c.validate_every, c.validation_pairs, c.patience, c.start, c.seed);
         counts(self) == counts(other) && numbers(self).into_iter().zip(numbers(other)).all(|(a, b)| same(a, b))
     }
 
@@ -143,6 +148,37 @@ impl Preset {
             groups,
             blocks,
             reduction,
+            family: Family::SvFourierNet,
+        }
+    }
+
+    /// The parts of a CM2Net: features, and residual blocks in each of its two parts. The paper's has 20 blocks of 48; the others take about as many
+    /// multiplications a step as the same preset's SV-FourierNet takes seconds' worth of.
+    pub fn cm2net(self, network: NetworkConfig) -> NetworkConfig {
+        let (width, blocks) = match self {
+            Self::Nano => (16, 3),
+            Self::Lite => (24, 8),
+            Self::Paper => (48, 20),
+        };
+        NetworkConfig { width, blocks, reduction: 1, ..network }
+    }
+
+    /// What another family changes in a schedule: peers that learn in space start from PSFs, and learn them at a rate that suits their size.
+    pub fn for_family(training: TrainConfig, family: FamilyName, filter_size: usize) -> TrainConfig {
+        let t = filter_size as f64;
+        match family {
+            FamilyName::SvFourierNet => training,
+            FamilyName::Cm2Net => TrainConfig { learning_rate: training.learning_rate / 5.0, ..training },
+            // Squares of PSFs sum to 1, so values are about 1/T.
+            FamilyName::MultiWienerNet => TrainConfig {
+                start: Start::Psf,
+                filter_learning_rate: training.filter_learning_rate * 25.6 / t,
+                ..training
+            },
+            // A step in space of size a moves frequencies by about a T.
+            FamilyName::MultiFlatNet => {
+                TrainConfig { start: Start::Psf, filter_learning_rate: training.filter_learning_rate / t, ..training }
+            }
         }
     }
 
@@ -167,6 +203,7 @@ impl Preset {
             validate_every: (steps / VALIDATIONS).max(1),
             held_out: 0.1,
             validation_pairs: 16,
+            patience: 0,
             start,
             seed,
         }

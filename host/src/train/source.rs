@@ -1,7 +1,7 @@
 //! Where training pairs come from, and how they become what the network sees.
 
-use super::ops::fourier::{Fourier, Spectrum};
-use super::{NetworkConfig, SensorMaps, TrainError};
+use super::ops::fourier::Fourier;
+use super::{Family, Lenses, NetworkConfig, Seen, SensorMaps, TrainError};
 use crate::evaluate::Case;
 use crate::noise::{NoiseModel, draw_electrons};
 use crate::rng;
@@ -49,10 +49,12 @@ impl PairSource for Vec<Pair> {
 /// What the network sees and what it shall say.
 #[derive(Clone, Debug)]
 pub struct Example {
-    /// Spectrum of the normalised frame.
-    pub spectrum: Spectrum,
+    /// The normalised frame.
+    pub seen: Seen,
     /// Object divided by its maximum, in C order.
     pub target: Vec<f32>,
+    /// What each lens alone would show, for a network that is told so; see [`Lenses::views`].
+    pub views: Option<Vec<f32>>,
 }
 
 /// Makes examples of pairs: draws the photon budget and the noise, corrects, normalises, transforms.
@@ -72,6 +74,8 @@ pub struct Loader<'a> {
     pub peak_e: [f64; 2],
     /// Seed of the draws.
     pub seed: u64,
+    /// The calibrated lenses, for a network that is told what each would show.
+    pub lenses: Option<&'a Lenses>,
 }
 
 impl std::fmt::Debug for dyn PairSource + '_ {
@@ -89,9 +93,19 @@ impl Loader<'_> {
         let one = |(i, &pair): (usize, &usize)| {
             let (mut light, target) = self.draw(pair, &mut self.stream(pairs.len(), i, what, draw))?;
             self.maps.correct(&mut light);
-            Ok(Example { spectrum: self.plan.rfft2(&normalise(&light), self.network.frame), target })
+            let seen = Seen::of(self.network, self.plan, &normalise(&light));
+            Ok(Example { seen, views: self.views(pair, &target)?, target })
         };
         pairs.par_iter().enumerate().map(one).collect()
+    }
+
+    fn views(&self, index: usize, target: &[f32]) -> Result<Option<Vec<f32>>, TrainError> {
+        let (Family::Cm2Net { .. }, Some(lenses)) = (&self.network.family, self.lenses) else {
+            return Ok(None);
+        };
+        let [rows, cols] = self.network.object;
+        let object = ArrayView2::from_shape((rows, cols), target).unwrap_or_else(|_| unreachable!("`draw` checked it"));
+        lenses.views(object).map(Some).map_err(|source| TrainError::Source { index, source: source.into() })
     }
 
     /// The same frames as the sensor delivers them, DN, [frame rows, frame cols], and their targets.
@@ -159,6 +173,7 @@ fn check(index: usize, what: &'static str, image: ArrayView2<'_, f32>, size: [us
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 pub(super) mod tests {
+    use super::super::ops::fourier::Spectrum;
     use super::*;
 
     /// A sensor like the demo's.
@@ -212,12 +227,13 @@ pub(super) mod tests {
             maps: &SensorMaps::default(),
             peak_e: [500.0, 5000.0],
             seed: 3,
+            lenses: None,
         };
         let a = loader.examples(&[0, 1], "train", 4).unwrap();
         let b = loader.examples(&[0, 1], "train", 4).unwrap();
         let c = loader.examples(&[0, 1], "train", 5).unwrap();
-        assert_eq!(a[1].spectrum, b[1].spectrum);
-        assert_ne!(a[1].spectrum, c[1].spectrum);
+        assert_eq!(a[1].seen, b[1].seen);
+        assert_ne!(a[1].seen, c[1].seen);
         assert_eq!(a[0].target.iter().copied().fold(0.0, f32::max), 1.0);
     }
 
@@ -235,6 +251,7 @@ pub(super) mod tests {
             maps: &SensorMaps::default(),
             peak_e: [500.0, 5000.0],
             seed: 3,
+            lenses: None,
         };
         let error = loader.examples(&[0, 1], "train", 0).unwrap_err().to_string();
         assert!(error.contains("pair 1") && error.contains("frame"), "{error}");
@@ -252,9 +269,17 @@ pub(super) mod tests {
         let seen = |source: &Vec<Pair>, maps: &SensorMaps| {
             // So bright that noise is nothing.
             let peak = f64::from(source[0].expected_e.iter().copied().fold(0.0, f32::max)) * 8.0;
-            let loader =
-                Loader { source, network: &network, plan: &plan, noise: &noise, maps, peak_e: [peak; 2], seed: 3 };
-            loader.examples(&[0], "train", 0).unwrap().remove(0).spectrum
+            let loader = Loader {
+                source,
+                network: &network,
+                plan: &plan,
+                noise: &noise,
+                maps,
+                peak_e: [peak; 2],
+                seed: 3,
+                lenses: None,
+            };
+            loader.examples(&[0], "train", 0).unwrap().remove(0).seen.spectrum().to_vec()
         };
         let (clean, corrected) = (seen(&even, &SensorMaps::default()), seen(&uneven, &maps));
         let norm = |s: &Spectrum| s.iter().map(|v| v.norm_sqr()).sum::<f32>().sqrt();

@@ -3,10 +3,10 @@
 use super::adam::{Adam, Group};
 use super::checkpoint::{Body, Checkpoint, CurvePoint, SensorMaps};
 use super::loss::bce_mse;
-use super::network::{Mode, Network, values};
-use super::ops::fourier::{Fourier, Spectrum};
+use super::network::{Mode, Network, Said, values};
+use super::ops::fourier::Fourier;
 use super::source::{Example, Loader, PairSource};
-use super::{NetworkConfig, Start, TrainConfig, TrainError, regression, weights};
+use super::{Family, Lenses, NetworkConfig, Seen, Start, TrainConfig, TrainError, regression, weights};
 use crate::artifact::{Provenance, Tensors};
 use crate::evaluate::compare;
 use crate::noise::NoiseModel;
@@ -61,6 +61,7 @@ pub enum Next {
 /// A training run.
 pub struct Trainer<'a> {
     task: Task<'a>,
+    lenses: Option<&'a Lenses>,
     plan: Arc<Fourier>,
     train: Vec<usize>,
     held_out: Vec<usize>,
@@ -75,6 +76,14 @@ impl<'a> Trainer<'a> {
     /// # Errors
     /// The configuration makes no sense, there are too few pairs, or a pair does not fit.
     pub fn new(task: Task<'a>, training: TrainConfig) -> Result<Self, TrainError> {
+        Self::with_lenses(task, training, None)
+    }
+
+    /// A run from the start of a network that knows the calibrated lenses.
+    ///
+    /// # Errors
+    /// As [`Trainer::new`]; or the network needs the lenses and has none.
+    pub fn with_lenses(task: Task<'a>, training: TrainConfig, lenses: Option<&'a Lenses>) -> Result<Self, TrainError> {
         task.network.check()?;
         training.check()?;
         let seed = training.seed;
@@ -91,14 +100,18 @@ impl<'a> Trainer<'a> {
         let adam = Adam::new(&current);
         let state =
             Checkpoint { body, weights: current.clone(), maps: task.maps.clone(), cases: Vec::new(), current, adam };
-        let mut run = Self::with_state(task, state)?;
+        let mut run = Self::with_state(task, state, lenses)?;
         let kept = (CASE_PIXELS / (run.task.network.frame[0] * run.task.network.frame[1]))
             .clamp(1, CASES)
             .min(run.held_out.len());
         run.state.cases = run.loader().cases(&run.held_out[..kept], "validation", 0)?;
-        if run.state.body.training.start == Start::Regression {
+        let start = run.state.body.training.start;
+        if start != Start::Random {
             let mut fitted = run.state.current.clone();
-            regression::fit(&run.loader(), &run.train, &mut fitted)?;
+            match run.lenses {
+                Some(lenses) if start == Start::Psf => lenses.start(&run.task.network, &run.plan, &mut fitted)?,
+                _ => regression::fit(&run.loader(), &run.train, &mut fitted)?,
+            }
             run.state.weights = fitted.clone();
             run.state.current = fitted;
         }
@@ -132,6 +145,19 @@ impl<'a> Trainer<'a> {
     /// As [`Trainer::new`]; the checkpoint cannot be read; or it was made with another network, sensor or settings (more `steps` is no
     /// reason to refuse).
     pub fn resume(task: Task<'a>, training: TrainConfig, path: &Path) -> Result<Self, TrainError> {
+        Self::resume_with_lenses(task, training, None, path)
+    }
+
+    /// [`Trainer::resume`] of a network that knows the calibrated lenses.
+    ///
+    /// # Errors
+    /// As [`Trainer::resume`].
+    pub fn resume_with_lenses(
+        task: Task<'a>,
+        training: TrainConfig,
+        lenses: Option<&'a Lenses>,
+        path: &Path,
+    ) -> Result<Self, TrainError> {
         let mut state = Checkpoint::read(path)?;
         let differ = |field, expected: String, found: String| {
             Err(TrainError::Resume { path: path.into(), field, expected, found })
@@ -147,12 +173,28 @@ impl<'a> Trainer<'a> {
             return differ("training", format!("{training:?}"), format!("{:?}", body.training));
         }
         (state.body.training, state.body.noise) = (training, task.noise);
-        Self::with_state(task, state)
+        Self::with_state(task, state, lenses)
     }
 
-    fn with_state(task: Task<'a>, state: Checkpoint) -> Result<Self, TrainError> {
+    fn with_state(task: Task<'a>, state: Checkpoint, lenses: Option<&'a Lenses>) -> Result<Self, TrainError> {
         let plan = Arc::new(Fourier::new(task.network.fourier()));
         let training = &state.body.training;
+        let (family, start) = (&task.network.family, training.start);
+        let unfit = |field, expected: &str, found: &str| {
+            Err(TrainError::Config { field, expected: expected.into(), found: found.into() })
+        };
+        if lenses.is_none() && (start == Start::Psf || matches!(family, Family::Cm2Net { .. })) {
+            return unfit("instrument", "one whose lenses the network can know", "none");
+        }
+        match (family, start) {
+            (Family::Cm2Net { .. }, Start::Psf | Start::Regression) => {
+                return unfit("start", "random, for a CM2Net", "filters");
+            }
+            (Family::MultiWienerNet | Family::MultiFlatNet, Start::Regression) => {
+                return unfit("start", "random or psf, for filters in space", "regression");
+            }
+            _ => (),
+        }
         let count = task.source.len();
         if count < FEWEST {
             return Err(TrainError::TooFew { expected: FEWEST, found: count });
@@ -162,7 +204,7 @@ impl<'a> Trainer<'a> {
         let kept = ((count as f64 * training.held_out).round() as usize).clamp(1, count - 1);
         let mut held_out = pairs.split_off(count - kept);
         held_out.truncate(training.validation_pairs.max(1));
-        Ok(Self { task, plan, train: pairs, held_out, state, recent: (0.0, 0) })
+        Ok(Self { task, lenses, plan, train: pairs, held_out, state, recent: (0.0, 0) })
     }
 
     fn loader(&self) -> Loader<'_> {
@@ -175,6 +217,7 @@ impl<'a> Trainer<'a> {
             maps: &self.task.maps,
             peak_e,
             seed,
+            lenses: self.lenses,
         }
     }
 
@@ -183,7 +226,15 @@ impl<'a> Trainer<'a> {
         &self.state
     }
 
-    /// Runs to the end, or until `watch` says stop; writes a checkpoint at `path` at each validation.
+    /// Whether the held-out pairs have not looked better for `patience` validations. It follows from the curve, so a run that is taken up stops where
+    /// it would have stopped.
+    pub fn is_done(&self) -> bool {
+        let body = &self.state.body;
+        let since = body.curve.iter().filter(|p| p.step > body.best_step).count() as u64;
+        body.step >= body.training.steps || (body.training.patience > 0 && since >= body.training.patience)
+    }
+
+    /// Runs to the end, until it has stopped getting better, or until `watch` says stop; writes a checkpoint at `path` at each validation.
     ///
     /// # Errors
     /// A pair cannot be had, the loss is no number any more, or the checkpoint cannot be written.
@@ -193,7 +244,7 @@ impl<'a> Trainer<'a> {
         provenance: &Provenance,
         mut watch: impl FnMut(Progress) -> Next,
     ) -> Result<(), TrainError> {
-        while self.state.body.step < self.state.body.training.steps {
+        while !self.is_done() {
             let loss = self.step()?;
             let (step, TrainConfig { steps, validate_every, .. }) = (self.state.body.step, &self.state.body.training);
             let point = if step % validate_every == 0 || step == *steps { Some(self.validate()?) } else { None };
@@ -216,8 +267,8 @@ impl<'a> Trainer<'a> {
         let training = self.state.body.training.clone();
         let examples = self.loader().examples(&self.batch(step), "train", step)?;
         let network = Network::new(&self.task.network, &self.plan, &self.state.current, Mode::Train)?;
-        let (spectra, targets) = split(examples);
-        let loss = self.loss(network.logits(spectra), targets, Mode::Train);
+        let (frames, targets) = split(examples);
+        let loss = self.loss(network.say(frames), targets, Mode::Train);
         let value: f32 = loss.clone().inner().into_scalar();
         let mut gradients = network.gradients(loss.backward());
         if !value.is_finite() || gradients.values().flatten().any(|g| !g.is_finite()) {
@@ -254,16 +305,24 @@ impl<'a> Trainer<'a> {
             .collect()
     }
 
-    fn loss(&self, logits: Tensor<4>, targets: Vec<f32>, mode: Mode) -> Tensor<1> {
+    /// The same loss for what is reconstructed and, where a network says it, for what each lens alone would show.
+    fn loss(&self, said: Said, targets: Targets, mode: Mode) -> Tensor<1> {
         let device = match mode {
             Mode::Train => Device::flex().autodiff(),
             Mode::Infer => Device::flex(),
         };
-        let shape = logits.dims();
-        bce_mse(logits, Tensor::from_data(TensorData::new(targets, shape), &device))
+        let held_against = |logits: Tensor<4>, targets: Vec<f32>| {
+            let shape = logits.dims();
+            bce_mse(logits, Tensor::from_data(TensorData::new(targets, shape), &device))
+        };
+        let loss = held_against(said.logits, targets.objects);
+        match said.views {
+            Some(views) => loss + held_against(views, targets.views),
+            None => loss,
+        }
     }
 
-    /// Looks at the held-out pairs, always with the same draws of noise, and keeps the weights if they are the best so far by PSNR.
+    /// Looks at the held-out pairs, always with the same draws of noise, and keeps the weights if they are the best so far by SSIM, as the paper does.
     ///
     /// # Errors
     /// A pair cannot be had or judged.
@@ -274,10 +333,10 @@ impl<'a> Trainer<'a> {
         let (mut loss, mut psnr_db, mut ssim) = (0.0, 0.0, 0.0);
         for (example, &index) in examples.into_iter().zip(&self.held_out) {
             let target = example.target.clone();
-            let (spectra, targets) = split(vec![example]);
-            let logits = network.logits(spectra);
-            let found = values(sigmoid(logits.clone()));
-            loss += f64::from(self.loss(logits, targets, Mode::Infer).into_scalar::<f32>());
+            let (frames, targets) = split(vec![example]);
+            let said = network.say(frames);
+            let found = values(sigmoid(said.logits.clone()));
+            loss += f64::from(self.loss(said, targets, Mode::Infer).into_scalar::<f32>());
             let view = |v| ArrayView2::from_shape((rows, cols), v);
             let (Ok(x), Ok(t)) = (view(&found), view(&target)) else {
                 unreachable!("the network and the loader give object pixels")
@@ -292,7 +351,7 @@ impl<'a> Trainer<'a> {
         let [train_loss, validation_loss, psnr_db, ssim] =
             [train_loss, loss / n, psnr_db / n, ssim / n].map(|v| v as f32);
         let point = CurvePoint { step: body.step, train_loss, validation_loss, psnr_db, ssim };
-        if body.curve.iter().all(|p| point.psnr_db > p.psnr_db) {
+        if body.curve.iter().all(|p| point.ssim > p.ssim) {
             body.best_step = body.step;
             self.state.weights = Tensors::clone(&self.state.current);
         }
@@ -311,10 +370,24 @@ fn same_noise(a: &NoiseModel, b: &NoiseModel) -> bool {
     values(a).into_iter().zip(values(b)).all(|(a, b)| same(a, b))
 }
 
-/// Spectra and targets of a batch, each in one piece.
-fn split(examples: Vec<Example>) -> (Arc<Vec<Spectrum>>, Vec<f32>) {
-    let (spectra, targets): (Vec<_>, Vec<_>) = examples.into_iter().map(|e| (e.spectrum, e.target)).unzip();
-    (Arc::new(spectra), targets.concat())
+/// What a batch is held against, each in one piece.
+#[derive(Clone)]
+struct Targets {
+    objects: Vec<f32>,
+    /// Empty for networks that are not told.
+    views: Vec<f32>,
+}
+
+/// Frames and targets of a batch.
+fn split(examples: Vec<Example>) -> (Vec<Seen>, Targets) {
+    let mut targets = Targets { objects: Vec::new(), views: Vec::new() };
+    let mut frames = Vec::new();
+    for example in examples {
+        targets.objects.extend(example.target);
+        targets.views.extend(example.views.unwrap_or_default());
+        frames.push(example.seen);
+    }
+    (frames, targets)
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! The network's parameters: names, shapes, and what they are before training.
 
-use super::NetworkConfig;
+use super::{Family, NetworkConfig};
 use crate::artifact::{self, ArtifactError, Tensors};
 use crate::rng;
 use ndarray::{ArrayD, IxDyn};
@@ -10,6 +10,18 @@ use std::path::Path;
 
 /// Names of the filters' real and imaginary parts.
 pub const FILTERS: [&str; 2] = ["deconvolution.psfs_re", "deconvolution.psfs_im"];
+
+/// Name of the PSFs of a MultiWienerNet.
+pub const PSFS: &str = "deconvolution.psfs";
+/// Name of the logarithms of its regularisations: so they stay positive.
+pub const LOG_K: &str = "deconvolution.log_k";
+/// Name of the filters that are learned in space.
+pub const KERNELS: &str = "deconvolution.filters";
+
+/// Whether a parameter is a filter, not a layer behind the filters.
+pub fn is_filter(name: &str) -> bool {
+    FILTERS.contains(&name) || name == PSFS || name == KERNELS
+}
 
 /// The layers behind the filters, by the names that the reference gives them.
 pub mod name {
@@ -32,6 +44,23 @@ pub mod name {
         format!("enhancement.rgs.{group}.module.{block}.module.3.module.{}", 1 + 2 * which)
     }
 
+    /// Part of a CM2Net that frees the views of one another.
+    pub const DEMIX: &str = "demix";
+    /// Part of a CM2Net that joins the views.
+    pub const JOIN: &str = "recon";
+    /// The last convolution of a CM2Net.
+    pub const END: &str = "endconv";
+
+    /// First (`which` = 1) or second (2) convolution of a part, before and behind its blocks.
+    pub fn part(part: &str, which: usize) -> String {
+        format!("{part}.conv{which}")
+    }
+
+    /// First (`which` = 1) or second (2) convolution of a block of a part.
+    pub fn part_block(part: &str, block: usize, which: usize) -> String {
+        format!("{part}.resblocks.{block}.conv{which}")
+    }
+
     /// Convolution at the end of a group.
     pub fn group(group: usize, blocks: usize) -> String {
         format!("enhancement.rgs.{group}.module.{blocks}")
@@ -41,6 +70,9 @@ pub mod name {
 /// Layers behind the filters in the order of their use: name, outputs, inputs, side of the kernel.
 pub fn layers(config: &NetworkConfig) -> Vec<(String, [usize; 3])> {
     let (w, bottleneck) = (config.width, config.bottleneck());
+    if let Family::Cm2Net { .. } = config.family {
+        return cm2net(config);
+    }
     let mut layers = vec![(name::HEAD.to_string(), [w, 4 * config.channels, 3])];
     for g in 0..config.groups {
         for b in 0..config.blocks {
@@ -57,25 +89,43 @@ pub fn layers(config: &NetworkConfig) -> Vec<(String, [usize; 3])> {
     layers
 }
 
+fn cm2net(config: &NetworkConfig) -> Vec<(String, [usize; 3])> {
+    let (w, c) = (config.width, config.channels);
+    let part = |part: &'static str| {
+        let blocks = (0..config.blocks).flat_map(move |b| [1, 2].map(|i| (name::part_block(part, b, i), [w, w, 3])));
+        [(name::part(part, 1), [w, c, 3])].into_iter().chain(blocks).chain([(name::part(part, 2), [c, w, 3])])
+    };
+    part(name::DEMIX).chain(part(name::JOIN)).chain([(name::END.to_string(), [1, c, 3])]).collect()
+}
+
 /// Every parameter's name and shape; convolutions [outputs, inputs, side, side], filters [C, T, T/2+1].
 pub fn shapes(config: &NetworkConfig) -> Vec<(String, Vec<usize>)> {
     let t = config.filter_size;
-    let filters = FILTERS.map(|f| (f.to_string(), vec![config.channels, t, t / 2 + 1]));
+    let c = config.channels;
+    let filters: Vec<(&str, Vec<usize>)> = match config.family {
+        Family::SvFourierNet => FILTERS.map(|f| (f, vec![c, t, t / 2 + 1])).to_vec(),
+        Family::MultiWienerNet => vec![(PSFS, vec![c, t, t]), (LOG_K, vec![c])],
+        Family::MultiFlatNet => vec![(KERNELS, vec![c, t, t])],
+        Family::Cm2Net { .. } => Vec::new(),
+    };
+    let filters = filters.into_iter().map(|(name, shape)| (name.to_string(), shape));
     let layers = layers(config).into_iter().flat_map(|(name, [outputs, inputs, side])| {
         [(format!("{name}.weight"), vec![outputs, inputs, side, side]), (format!("{name}.bias"), vec![outputs])]
     });
-    filters.into_iter().chain(layers).collect()
+    filters.chain(layers).collect()
 }
 
 /// Parameters before training: filters 0.001 x U[0, 1] (paper, section 2D), convolutions normal with variance
-/// 2 / fan-in (K. He et al., arXiv:1502.01852, Eq. 10), biases 0.
+/// 2 / fan-in (K. He et al., arXiv:1502.01852, Eq. 10), biases 0, regularisations 0.001.
 pub fn random(config: &NetworkConfig, seed: u64) -> Tensors {
     let mut tensors = Tensors::new();
     for (i, (name, shape)) in shapes(config).into_iter().enumerate() {
         let mut rng = rng::stream(seed, "weights", i as u64);
         let n = shape.iter().product();
-        let values = if FILTERS.contains(&name.as_str()) {
+        let values = if is_filter(&name) {
             (0..n).map(|_| 1e-3 * rng.random::<f32>()).collect()
+        } else if name == LOG_K {
+            vec![1e-3f32.ln(); n]
         } else if name.ends_with(".weight") {
             let deviation = (2.0 / shape[1..].iter().product::<usize>() as f32).sqrt();
             (0..n).map(|_| deviation * Distribution::<f32>::sample(&StandardNormal, &mut rng)).collect()

@@ -207,6 +207,11 @@ impl LowRankOperator {
         self.lenses.len()
     }
 
+    /// Sensor pixel of object pixel (0, 0) behind each lens; None: dead.
+    pub fn corners(&self) -> Vec<Option<[isize; 2]>> {
+        self.lenses.iter().map(|l| l.as_ref().map(|plan| plan.corner)).collect()
+    }
+
     /// A x: the light of all lenses on the sensor, DN.
     ///
     /// # Errors

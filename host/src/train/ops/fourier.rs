@@ -87,7 +87,7 @@ impl Fourier {
         let mut y = vec![0.0; spectra.len() * filters.len() * rows * cols];
         y.par_chunks_exact_mut(rows * cols).enumerate().for_each(|(i, y)| {
             let (x, k) = (&spectra[i / filters.len()], &filters[i % filters.len()]);
-            self.irfft2(x.iter().zip(k).map(|(x, k)| x * k).collect(), y);
+            self.irfft2(x.iter().zip(k).map(|(x, k)| x * k).collect(), self.sizes.object, y);
         });
         y
     }
@@ -120,6 +120,57 @@ impl Fourier {
         (sums.iter().flatten().map(|s| s.re).collect(), sums.iter().flatten().map(|s| s.im).collect())
     }
 
+    /// Spectra as PyTorch keeps filters: real and imaginary parts [channels, T, T/2+1].
+    pub fn parts(&self, spectra: &[Spectrum]) -> (Vec<f32>, Vec<f32>) {
+        let (t, bins) = (self.sizes.filter_size, self.bins());
+        let mut rows = vec![Complex32::default(); spectra.len() * t * bins];
+        rows.par_chunks_exact_mut(t * bins).zip(spectra).for_each(|(out, s)| transpose(s, out, bins, t));
+        (rows.iter().map(|v| v.re).collect(), rows.iter().map(|v| v.im).collect())
+    }
+
+    /// Spectra of kernels [channels, T, T] as [`Fourier::parts`].
+    pub fn kernel_parts(&self, kernels: &[f32]) -> (Vec<f32>, Vec<f32>) {
+        let t = self.sizes.filter_size;
+        let spectra: Vec<Spectrum> = kernels.par_chunks_exact(t * t).map(|k| self.rfft2(k, [t, t])).collect();
+        self.parts(&spectra)
+    }
+
+    /// Gradient of a loss with respect to kernels, [channels, T, T], from its gradients with respect to [`Fourier::kernel_parts`]:
+    /// `dh = Re sum (g_re + i g_im) exp(i k n)` over the stored half, of which `irfft2` counts inner columns twice.
+    pub fn kernel_gradient(&self, re: &[f32], im: &[f32]) -> Vec<f32> {
+        let t = self.sizes.filter_size;
+        let one = |mut g: Spectrum| {
+            for (col, bins) in g.chunks_exact_mut(t).enumerate() {
+                let weight = if col == 0 || 2 * col == t { 1.0 } else { 0.5 } * (t * t) as f32;
+                bins.iter_mut().for_each(|g| *g *= weight);
+            }
+            self.whole(g)
+        };
+        self.filters(re, im).into_par_iter().flat_map_iter(one).collect()
+    }
+
+    /// The whole field, [T, T], of a half spectrum.
+    pub fn whole(&self, spectrum: Spectrum) -> Vec<f32> {
+        let t = self.sizes.filter_size;
+        let mut out = vec![0.0; t * t];
+        self.irfft2(spectrum, [t, t], &mut out);
+        out
+    }
+
+    /// Gradient of a loss with respect to a frame, [frame rows, frame cols], from its gradient `g` with respect to the output [channels, object rows,
+    /// object cols]: the transpose of the bank, `crop(irfft2(sum_c conj(K_c) rfft2(pad(g_c))))`.
+    pub fn backward_to_frame(&self, filters: &[Spectrum], g: &[f32]) -> Vec<f32> {
+        let ([rows, cols], plane) = (self.sizes.frame, self.sizes.object[0] * self.sizes.object[1]);
+        let mut sum = vec![Complex32::default(); self.sizes.filter_size * self.bins()];
+        for (k, g) in filters.iter().zip(g.chunks_exact(plane)) {
+            let g = self.rfft2(g, self.sizes.object);
+            sum.iter_mut().zip(k).zip(g).for_each(|((s, k), g)| *s += k.conj() * g);
+        }
+        let mut out = vec![0.0; rows * cols];
+        self.irfft2(sum, self.sizes.frame, &mut out);
+        out
+    }
+
     /// Half spectrum of an image of `size` in the middle of a T x T field of zeros.
     pub fn rfft2(&self, image: &[f32], size: [usize; 2]) -> Spectrum {
         let (t, bins) = (self.sizes.filter_size, self.bins());
@@ -140,14 +191,14 @@ impl Fourier {
         spectrum
     }
 
-    /// The object's part of the image with this half spectrum, `out` [object rows, object cols].
+    /// The middle, of `size`, of the image with this half spectrum.
     ///
     /// As in every real inverse, imaginary parts at column frequencies zero and Nyquist do not count after the
     /// transform along the columns.
-    fn irfft2(&self, mut spectrum: Spectrum, out: &mut [f32]) {
+    fn irfft2(&self, mut spectrum: Spectrum, size: [usize; 2], out: &mut [f32]) {
         let (t, bins) = (self.sizes.filter_size, self.bins());
-        let [height, width] = self.sizes.object;
-        let [top, left] = self.sizes.object.map(|side| (t - side) / 2);
+        let [height, width] = size;
+        let [top, left] = size.map(|side| (t - side) / 2);
         self.cols_inverse.process(&mut spectrum);
         let mut rows = vec![Complex32::default(); height * bins];
         transpose_from(&spectrum, &mut rows, t, top, height, bins);
@@ -273,6 +324,25 @@ mod tests {
             for (a, b) in y.iter().zip(naive(s, &x, &re, &im)) {
                 assert!((f64::from(*a) - b).abs() < 1e-5, "{s:?}: {a} {b}");
             }
+        }
+    }
+
+    /// Both directions of a linear map: `<g, F h> = <F' g, h>`.
+    #[test]
+    fn transposes_are_transposes() {
+        let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(&a, &b)| f64::from(a) * f64::from(b)).sum::<f64>();
+        for s in cases() {
+            let (plan, t) = (Fourier::new(s), s.filter_size);
+            let n = s.channels * t * (t / 2 + 1);
+            let (h, gr, gi) = (noise(s.channels * t * t, 8), noise(n, 9), noise(n, 10));
+            let (re, im) = plan.kernel_parts(&h);
+            let (left, right) = (dot(&re, &gr) + dot(&im, &gi), dot(&plan.kernel_gradient(&gr, &gi), &h));
+            assert!((left - right).abs() < 1e-4, "{s:?}: {left} {right}");
+            let (x, g) = (noise(s.frame[0] * s.frame[1], 11), noise(s.channels * s.object[0] * s.object[1], 12));
+            let filters = plan.filters(&gr, &gi);
+            let y = plan.forward(&plan.spectra(&x), &filters);
+            let (left, right) = (dot(&y, &g), dot(&plan.backward_to_frame(&filters, &g), &x));
+            assert!((left - right).abs() < 1e-4, "{s:?}: {left} {right}");
         }
     }
 

@@ -62,6 +62,48 @@ pub fn filter_bank(plan: &Arc<Fourier>, spectra: Arc<Vec<Spectrum>>, re: Tensor<
     Tensor::from_primitive::<Autodiff<Flex>>(y)
 }
 
+/// Spectra of kernels `h` [channels * T * T]: real, then imaginary parts, each [channels * T * (T/2+1)].
+pub fn kernel_spectra(plan: &Arc<Fourier>, h: Tensor<1>) -> [Tensor<1>; 2] {
+    let run = |h: &Primitive| {
+        let (mut re, im) = plan.kernel_parts(&values(h));
+        re.extend(im);
+        let n = re.len();
+        primitive(re, &[n])
+    };
+    let parts = if h.is_autodiff() {
+        let (h, n0) = tracked(h).into_parts();
+        let y = run(&h);
+        let operator = Spectra { plan: Arc::clone(plan) };
+        let y = match operator.prepare::<NoCheckpointing>([n0]).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => prep.finish((), y),
+            OpsKind::UnTracked(prep) => prep.finish(y),
+        };
+        Tensor::<1>::from_primitive::<Autodiff<Flex>>(y)
+    } else {
+        Tensor::<1>::from_primitive::<Flex>(run(&plain(h)))
+    };
+    let n = parts.dims()[0] / 2;
+    [parts.clone().slice([0..n]), parts.slice([n..2 * n])]
+}
+
+#[derive(Debug)]
+struct Spectra {
+    plan: Arc<Fourier>,
+}
+
+impl Backward<Flex, 1> for Spectra {
+    type State = ();
+
+    fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _: &mut Checkpointer) {
+        let g = grads.consume::<Flex>(&ops.node);
+        let g = values(&g);
+        let (re, im) = g.split_at(g.len() / 2);
+        let h = self.plan.kernel_gradient(re, im);
+        let (n, [parent]) = (h.len(), ops.parents.map(|p| p.map(|n| n.id)));
+        register(grads, parent, h, &[n]);
+    }
+}
+
 #[derive(Debug)]
 struct Conv {
     sizes: Conv3x3,

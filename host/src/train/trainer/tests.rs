@@ -27,10 +27,10 @@ fn gradients_are_the_slope_of_the_loss() {
     let pairs = foci(6, 40, 16, 10);
     let run = Trainer::new(task(&pairs), training(1, Start::Regression)).unwrap();
     let examples = run.loader().examples(&[0, 1], "train", 0).unwrap();
-    let (spectra, targets) = split(examples);
+    let (frames, targets) = split(examples);
     let loss = |tensors: &Tensors, mode| {
         let network = Network::new(&run.task.network, &run.plan, tensors, mode).unwrap();
-        let loss = run.loss(network.logits(Arc::clone(&spectra)), targets.clone(), mode);
+        let loss = run.loss(network.say(frames.clone()), targets.clone(), mode);
         (network, loss)
     };
     let (network, value) = loss(&run.state.current, Mode::Train);
@@ -60,7 +60,7 @@ fn training_lowers_the_loss_and_keeps_the_best() {
     let curve = &run.checkpoint().body.curve;
     assert_eq!(curve.len(), 20);
     assert!(curve[19].validation_loss < 0.7 * curve[0].validation_loss, "{curve:?}");
-    let best = curve.iter().max_by(|a, b| a.psnr_db.total_cmp(&b.psnr_db)).unwrap();
+    let best = curve.iter().max_by(|a, b| a.ssim.total_cmp(&b.ssim)).unwrap();
     let read = Checkpoint::read(&path).unwrap();
     assert_eq!(read.body.best_step, best.step);
     assert_eq!(read.weights, run.checkpoint().weights);
