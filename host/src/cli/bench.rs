@@ -3,6 +3,7 @@
 use super::{Outcome, Run};
 use crate::bench::BenchConfig;
 use crate::effects::{self, EffectError, EffectSetting};
+use crate::evaluate::resolution;
 use std::path::PathBuf;
 
 /// Options of `bench`.
@@ -20,6 +21,9 @@ pub struct Args {
     /// Number of scene frames
     #[arg(long, value_name = "N")]
     frames: Option<usize>,
+    /// Scenes are resolution targets, one period each, at half of full scale: for `resolution`
+    #[arg(long, conflicts_with = "frames")]
+    targets: bool,
 }
 
 /// Runs the verb.
@@ -31,6 +35,11 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let mut config = args.config.as_deref().map_or_else(|| Ok(BenchConfig::default()), BenchConfig::read)?;
     if let Some(n) = args.frames {
         config.stacks.scene_frames = n;
+    }
+    if args.targets {
+        config.scenes.targets = true;
+        let (object, stacks) = (config.manifest().object, &mut config.stacks);
+        (stacks.scene_frames, stacks.scene_peak) = (resolution::frames(&object), [0.5; 2]);
     }
     let settings = args.effect.iter().map(|e| setting(e)).collect::<anyhow::Result<Vec<_>>>()?;
     let instrument = config.build(&settings)?;

@@ -46,13 +46,13 @@ fn named_stack(text: &str) -> Result<(String, PathBuf), String> {
 }
 
 /// A method or a stack, with its name in the table.
-struct Entry {
-    name: String,
+pub(super) struct Entry {
+    pub(super) name: String,
     source: PathBuf,
-    from: From,
+    pub(super) from: From,
 }
 
-enum From {
+pub(super) enum From {
     Method(Box<dyn Reconstruct>),
     Stack(Array3<f32>),
 }
@@ -65,7 +65,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let session = Session::open(&args.session)?;
     let mut scenes = Scenes::of(&session, args.frames.map(|n| n as usize))?;
     let manifest = session.manifest();
-    let entries = entries(args, run, scenes.count())?;
+    let entries = entries(&args.with, &args.methods, &args.stacks, run, scenes.count())?;
     let pictured = pictured(scenes.count(), args.pictures);
     let bar = run.progress((entries.len() * scenes.count()) as u64, "evaluate");
     let mut evaluation = Evaluation {
@@ -108,17 +108,24 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     Ok(outcome(args, &evaluation.summary))
 }
 
-fn entries(args: &Args, run: &Run, frames: usize) -> anyhow::Result<Vec<Entry>> {
+/// What is to be judged: networks, methods made from instruments, stacks.
+pub(super) fn entries(
+    with: &[PathBuf],
+    methods: &[MethodKind],
+    stacks: &[(String, PathBuf)],
+    run: &Run,
+    frames: usize,
+) -> anyhow::Result<Vec<Entry>> {
     let mut entries: Vec<Entry> = Vec::new();
-    for path in &args.with {
+    for path in with {
         let instrument = is_instrument(path)?;
-        let kinds = if instrument { args.methods.clone() } else { vec![MethodKind::default_for(path)?] };
+        let kinds = if instrument { methods.to_vec() } else { vec![MethodKind::default_for(path)?] };
         for kind in kinds.into_iter().filter(|k| !instrument || k.needs_instrument()) {
             let method = kind.open(path, run.seed)?;
             entries.push(Entry { name: method.name().into(), source: path.clone(), from: From::Method(method) });
         }
     }
-    for (name, path) in &args.stacks {
+    for (name, path) in stacks {
         let objects = stack::read(path)?;
         let found = objects.len_of(Axis(0));
         ensure!(found >= frames, "{}: expected {frames} objects, one a scene frame, found {found}", path.display());

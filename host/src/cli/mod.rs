@@ -1,13 +1,16 @@
 //! The command line: one verb a file, each thin: parse, call the library, print.
 
+mod ablate;
 mod bench;
 mod calibrate;
 mod close;
 mod common;
 mod demo;
 mod device;
+mod erf;
 mod evaluate;
 mod hidden;
+mod import_pth;
 mod inspect;
 mod manual;
 mod predict;
@@ -15,6 +18,7 @@ mod quantize;
 mod reconstruct;
 mod report;
 mod residual;
+mod resolution;
 mod simulate;
 mod study;
 mod train;
@@ -79,12 +83,35 @@ enum Verb {
         after_help = "Example:\n  ommatidia evaluate session --with network.omm --with instrument.safetensors --methods wiener,central"
     )]
     Evaluate(evaluate::Args),
+    /// Find the finest bars that methods still show, at the centre and the edges of the field
+    #[command(
+        after_help = "Example:\n  ommatidia resolution targets --with network.safetensors --with instrument.safetensors --methods wiener,central"
+    )]
+    Resolution(resolution::Args),
+    /// Hold a network's effective receptive fields against PSFs, and its filters against pseudo-inverses
+    #[command(
+        after_help = "Example:\n  ommatidia erf network.safetensors --instrument instrument.safetensors -o erf.safetensors"
+    )]
+    Erf(erf::Args),
+    /// Train networks that differ in one thing each, and make the table
+    #[command(
+        after_help = "Example:\n  ommatidia ablate pairs --instrument instrument.safetensors --session session -o ablation"
+    )]
+    Ablate(ablate::Args),
     /// Render artifacts to one HTML file
     #[command(after_help = "Example:\n  ommatidia report instrument.safetensors evaluation.safetensors -o report.html")]
     Report(report::Args),
     /// Run the firmware, under QEMU or on a board
     #[command(after_help = "Example:\n  ommatidia device run --with network.omm --frames frames.npy -o objects.npy")]
     Device(device::Args),
+    /// Turn the published PyTorch weights of an SV-FourierNet into a checkpoint
+    #[command(
+        after_help = "Example:\n  ommatidia import-pth svfourier.pth -o published.safetensors --instrument instrument.safetensors"
+    )]
+    ImportPth(import_pth::Args),
+    /// Write the weights of a checkpoint as the published network keeps them
+    #[command(after_help = "Example:\n  ommatidia export network.safetensors -o weights.safetensors")]
+    Export(import_pth::Export),
     /// Say what a file is
     #[command(after_help = "Example:\n  ommatidia inspect instrument.safetensors")]
     Inspect(inspect::Args),
@@ -113,8 +140,13 @@ impl Cli {
             Verb::Quantize(a) => quantize::run(a, run),
             Verb::Reconstruct(a) => reconstruct::run(a, run),
             Verb::Evaluate(a) => evaluate::run(a, run),
+            Verb::Resolution(a) => resolution::run(a, run),
+            Verb::Erf(a) => erf::run(a, run),
+            Verb::Ablate(a) => ablate::run(a, run),
             Verb::Report(a) => report::run(a, run),
             Verb::Device(a) => device::run(a, run),
+            Verb::ImportPth(a) => import_pth::run(a, run),
+            Verb::Export(a) => import_pth::export(a, run),
             Verb::Inspect(a) => inspect::run(a, run),
             Verb::Completions(a) => manual::completions(a),
             Verb::Man(a) => manual::man(a),

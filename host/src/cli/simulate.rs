@@ -83,5 +83,5 @@ fn scenes(args: &Args) -> SceneConfig {
         ([], None) => Specimen::ALL.to_vec(),
         (chosen, _) => chosen.to_vec(),
     };
-    SceneConfig { specimens, images: args.images.clone() }
+    SceneConfig { specimens, images: args.images.clone(), targets: false }
 }

@@ -1,6 +1,6 @@
 //! One method over all scenes of known truth.
 
-use super::{Figures, MethodFigures, Rings, compare, measured, scaled};
+use super::{Figures, MethodFigures, Rings, Spectra, compare, measured, scaled};
 use crate::methods::Reconstruct;
 use crate::session::ObjectGrid;
 use anyhow::Context;
@@ -40,7 +40,7 @@ pub fn judge(
     mut case: impl FnMut(usize) -> anyhow::Result<Case>,
     mut done: impl FnMut(),
 ) -> anyhow::Result<(MethodFigures, Array3<f32>)> {
-    let mut rings = Rings::new(grid, RINGS);
+    let (mut rings, mut spectra) = (Rings::new(grid, RINGS), Spectra::new(grid));
     let mut pictures = Array3::zeros((pictured.len(), grid.rows, grid.cols));
     let mut result = MethodFigures::default();
     let (mut seconds, mut peak) = (0.0, None);
@@ -61,6 +61,7 @@ pub fn judge(
         };
         let figures = compare(object.view(), case.truth.view()).with_context(named)?;
         rings.add(object.view(), case.truth.view(), figures.scale);
+        spectra.add(object.view(), case.truth.view(), figures.scale);
         if let Some(p) = pictured.iter().position(|&p| p == i) {
             pictures.index_axis_mut(Axis(0), p).assign(&scaled(&object, figures.scale));
         }
@@ -68,7 +69,7 @@ pub fn judge(
         done();
     }
     summarise(&mut result);
-    result.field = rings.figures();
+    (result.field, result.spectra) = (rings.figures(), spectra.figures());
     if matches!(source, Source::Method(_)) && count > 0 {
         result.seconds_per_frame = Some(seconds / count as f64);
         result.peak_bytes = peak;

@@ -4,9 +4,12 @@ mod compare;
 mod field;
 mod metrics;
 mod prediction;
+pub mod receptive;
 pub mod record;
+pub mod resolution;
 mod resources;
 mod scenes;
+mod spectrum;
 mod ssim;
 
 pub use compare::{Case, Source, judge};
@@ -16,4 +19,5 @@ pub use prediction::{PredictionFigures, Sensor, Triple, chi_squared, predict_fig
 pub use record::{Evaluation, MethodFigures, Summary};
 pub use resources::measured;
 pub use scenes::Scenes;
+pub use spectrum::{RingSpectrum, Spectra};
 pub use ssim::{SsimError, ssim};

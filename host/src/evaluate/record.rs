@@ -1,6 +1,6 @@
 //! The evaluation: every figure and picture of a comparison of methods, as one artifact that a report can render.
 
-use super::{Figures, PredictionFigures, Ring};
+use super::{Figures, PredictionFigures, Ring, RingSpectrum};
 use crate::artifact::{self, ArtifactError, Header, Provenance, Tensors};
 use crate::session::{ObjectGrid, SensorSpec};
 use ndarray::{Array3, Axis, Ix3};
@@ -37,6 +37,9 @@ pub struct MethodFigures {
     pub frames: Vec<Figures>,
     /// Figures by field radius.
     pub field: Vec<Ring>,
+    /// Power spectra by field radius.
+    #[serde(default)]
+    pub spectra: Vec<RingSpectrum>,
 }
 
 /// What the header of the artifact holds.

@@ -5,7 +5,7 @@ use crate::artifact::Tensors;
 use crate::evaluate::Case;
 use crate::train::ops::fourier::Fourier;
 use crate::train::weights::FILTERS;
-use crate::train::{Checkpoint, Sight};
+use crate::train::{Checkpoint, Sight, Support, lags};
 use ndarray::ArrayD;
 use ommatidia_shared::blob::{Bank, MAX_TAPS, Tap};
 use ommatidia_shared::num::f16;
@@ -49,8 +49,10 @@ impl PlannedBank {
             return Err(QuantizeError::Size { field: "filter_size", expected: "a power of two".into(), found: t });
         }
         let spectra: Vec<Vec<Complex32>> = spectra(checkpoint).into_iter().map(|s| hermitian(s, t)).collect();
-        let mut bank =
-            if tile == t { dense(t, spectra) } else { tapped(t, tile, &spectra, config.energy.unwrap_or(ENERGY))? };
+        // Filters that were held to these taps keep all of them.
+        let held = checkpoint.body.support.as_ref().is_some_and(|s| s.tile == tile);
+        let energy = config.energy.unwrap_or(if held { 1.0 - 1e-6 } else { ENERGY });
+        let mut bank = if tile == t { dense(t, spectra) } else { tapped(t, tile, &spectra, energy)? };
         bank.scale_log2 = scale_log2(checkpoint, &bank.filters);
         Ok(bank)
     }
@@ -86,6 +88,12 @@ impl PlannedBank {
             })?;
         }
         Ok(bank)
+    }
+
+    /// The lags that the taps hold.
+    pub fn support(&self) -> Support {
+        let taps = self.taps.iter().map(|(tap, _)| (tap.channel, tap.dy, tap.dx)).collect();
+        Support { tile: self.tile, taps }
     }
 
     /// Number of taps.
@@ -133,7 +141,7 @@ fn tapped(t: usize, tile: usize, spectra: &[Vec<Complex32>], energy: f64) -> Res
     for (channel, kernel) in (0u8..).zip(&kernels) {
         for (dy, dx) in (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (dy as i8, dx as i8))) {
             let tap = Tap { channel, dy, dx };
-            blocks.push((lags(t, step, tap).map(|(at, _)| f64::from(kernel[at]).powi(2)).sum(), tap));
+            blocks.push((lags(t, step, [dy, dx]).map(|(at, _)| f64::from(kernel[at]).powi(2)).sum(), tap));
         }
     }
     let total: f64 = blocks.iter().map(|b| b.0).sum();
@@ -152,7 +160,7 @@ fn tapped(t: usize, tile: usize, spectra: &[Vec<Complex32>], energy: f64) -> Res
         return Err(QuantizeError::Energy { tile, expected: energy, found: kept / total, most: MAX_TAPS });
     }
     for (_, tap) in blocks.drain(count..) {
-        lags(t, step, tap).for_each(|(at, _)| kernels[usize::from(tap.channel)][at] = 0.0);
+        lags(t, step, [tap.dy, tap.dx]).for_each(|(at, _)| kernels[usize::from(tap.channel)][at] = 0.0);
     }
     let mut taps: Vec<_> =
         blocks.iter().map(|&(_, tap)| (tap, cut(&kernels[usize::from(tap.channel)], t, &small, step, tap))).collect();
@@ -162,23 +170,11 @@ fn tapped(t: usize, tile: usize, spectra: &[Vec<Complex32>], energy: f64) -> Res
     Ok(PlannedBank { tile, step, channels: spectra.len(), taps, energy_kept: kept / total, scale_log2: 0, filters })
 }
 
-/// The lags of a tap: index in the whole kernel (T x T), and lag relative to the tap, rows and columns.
-fn lags(t: usize, step: usize, tap: Tap) -> impl Iterator<Item = (usize, [i32; 2])> {
-    let (half, t, s) = (step as i32 / 2, t as i32, step as i32);
-    // The kernel's own lags are -T/2 <= lag < T/2, so the outermost blocks are cut short.
-    let along = move |d: i8| {
-        (-half..half).map(move |l| (l - i32::from(d) * s, l)).filter(move |(lag, _)| (-t / 2..t / 2).contains(lag))
-    };
-    along(tap.dy).flat_map(move |(y, ly)| {
-        along(tap.dx).map(move |(x, lx)| ((y.rem_euclid(t) * t + x.rem_euclid(t)) as usize, [ly, lx]))
-    })
-}
-
 /// The spectrum of one tap.
 fn cut(kernel: &[f32], t: usize, small: &Plane, step: usize, tap: Tap) -> Vec<Complex32> {
     let tile = small.side as i32;
     let mut block = vec![0.0; small.side * small.side];
-    for (at, [y, x]) in lags(t, step, tap) {
+    for (at, [y, x]) in lags(t, step, [tap.dy, tap.dx]) {
         block[(y.rem_euclid(tile) * tile + x.rem_euclid(tile)) as usize] = kernel[at];
     }
     small.forward(&block)

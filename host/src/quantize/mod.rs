@@ -10,7 +10,7 @@ mod tests;
 pub use error::QuantizeError;
 pub use report::{Quality, QuantizeReport, Step};
 
-use crate::train::{Checkpoint, Family};
+use crate::train::{Checkpoint, Family, Support};
 use bank::PlannedBank;
 use ommatidia_shared::blob::{self, Header, MemoryPlan, Sensor, Size, Weights};
 use ommatidia_shared::num::f16;
@@ -79,6 +79,20 @@ pub fn quantize(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) ->
         [spectra.len(), rcan.len()].map(|n| n * size_of::<f16>()),
     )?;
     Ok(Quantized { bytes, report })
+}
+
+/// The taps of `tile` that keep the part `energy` of a checkpoint's filters, and the part that they keep: what fine-tuning holds filters to.
+///
+/// # Errors
+/// The network is of another family, the tile is none that a device can have, or no set of taps keeps as much.
+pub fn support(checkpoint: &Checkpoint, tile: usize, energy: f64) -> Result<(Support, f64), QuantizeError> {
+    let family = checkpoint.body.network.family.name();
+    if checkpoint.body.network.family != Family::SvFourierNet {
+        return Err(QuantizeError::Family(family.as_str()));
+    }
+    let config = QuantizeConfig { tile: Some(tile), energy: Some(energy), ..QuantizeConfig::default() };
+    let bank = PlannedBank::new(checkpoint, &config)?;
+    Ok((bank.support(), bank.energy_kept))
 }
 
 fn header(

@@ -8,6 +8,7 @@ mod error;
 mod optics;
 mod page;
 mod panel;
+mod peers;
 mod picture;
 mod scenes;
 #[cfg(test)]
@@ -21,6 +22,7 @@ pub use scenes::{bytes, seconds};
 use crate::artifact;
 use crate::closing::file::{self as account, Account};
 use crate::evaluate::Evaluation;
+use crate::evaluate::receptive::{self, Receptive};
 use crate::instrument::Instrument;
 use crate::kind::FileKind;
 use crate::session::Session;
@@ -49,6 +51,11 @@ enum Content {
     Device,
     /// What a demo hid from the loop.
     Hidden,
+    /// What `resolution` found.
+    Resolution,
+    /// What `ablate` found.
+    Ablation,
+    Receptive(Box<Receptive>),
     Other,
 }
 
@@ -59,13 +66,26 @@ enum Content {
 pub fn render(paths: &[PathBuf]) -> Result<String, ReportError> {
     let pieces = paths.iter().map(|p| load(p)).collect::<Result<Vec<_>, _>>()?;
     let mut numbers = Numbers::default();
-    let chapters: [(&'static str, &'static str, Chapter); 8] = [
+    let chapters: [(&'static str, &'static str, Chapter); 11] = [
         ("scenes", "Reconstructions", |p, _, n| match &p.content {
             Content::Evaluation(e) => Ok(Some(scenes::pictures(e, n)?)),
             _ => Ok(None),
         }),
         ("methods", "Methods compared", |p, _, n| match &p.content {
             Content::Evaluation(e) => Ok(Some(scenes::figures(e, n)?)),
+            _ => Ok(None),
+        }),
+        ("resolution", "Resolution", |p, _, n| match &p.content {
+            Content::Resolution => Ok(Some(peers::resolution(&p.json, n)?)),
+            Content::Evaluation(e) => peers::spectra(e, n),
+            _ => Ok(None),
+        }),
+        ("receptive", "Receptive field", |p, _, n| match &p.content {
+            Content::Receptive(r) => Ok(Some(peers::receptive(r, n)?)),
+            _ => Ok(None),
+        }),
+        ("ablation", "Ablations", |p, _, n| match &p.content {
+            Content::Ablation => Ok(Some(peers::ablation(&p.json, n))),
             _ => Ok(None),
         }),
         ("device", "On the device", |p, _, n| match &p.content {
@@ -132,6 +152,7 @@ fn load(path: &Path) -> Result<Piece, ReportError> {
                 "evaluation" => Content::Evaluation(Box::new(Evaluation::read(path)?.0)),
                 account::KIND => Content::Closing(Box::new(Account::read(path)?), asked(path)?),
                 "checkpoint" => Content::Checkpoint,
+                receptive::KIND => Content::Receptive(Box::new(Receptive::read(path)?)),
                 _ => Content::Other,
             },
         ),
@@ -147,6 +168,8 @@ fn load(path: &Path) -> Result<Piece, ReportError> {
             let content = match &json {
                 v if v.get("bit_exact").is_some() => Content::Device,
                 v if v.get("hidden").is_some() => Content::Hidden,
+                v if v.get("resolution").is_some() => Content::Resolution,
+                v if v.get("ablation").is_some() => Content::Ablation,
                 _ => Content::Other,
             };
             (json, content)
@@ -240,6 +263,9 @@ fn describe(piece: &Piece) -> String {
         Content::Session(_) => "session",
         Content::Device => "device run",
         Content::Hidden => "what was hidden from the loop",
+        Content::Resolution => "resolution",
+        Content::Ablation => "ablations",
+        Content::Receptive(_) => "receptive fields",
         Content::Other => piece.json["kind"].as_str().unwrap_or("figures of a verb"),
     };
     format!("— {kind}{written}")

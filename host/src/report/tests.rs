@@ -66,6 +66,7 @@ fn evaluation() -> Evaluation {
         seconds_per_frame: seconds,
         peak_bytes: seconds.map(|_| 123_000_000),
         frames: vec![Figures { psnr_db, ..Figures::default() }; 8],
+        spectra: Vec::new(),
         field: (0..6)
             .map(|i| Ring {
                 inner_um: 30.0 * i as f64,

@@ -8,6 +8,7 @@ mod canvas;
 mod cells;
 mod images;
 mod neurons;
+pub mod resolution;
 mod target;
 mod vessels;
 mod worms;
@@ -67,11 +68,14 @@ pub struct SceneConfig {
     pub specimens: Vec<Specimen>,
     /// A folder of grey .tif or .png pictures to cut scenes from as well; as likely as all specimens together.
     pub images: Option<PathBuf>,
+    /// Instead of all these: resolution targets, one period a scene ([`resolution`]).
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub targets: bool,
 }
 
 impl Default for SceneConfig {
     fn default() -> Self {
-        Self { specimens: Specimen::ALL.to_vec(), images: None }
+        Self { specimens: Specimen::ALL.to_vec(), images: None, targets: false }
     }
 }
 
@@ -80,6 +84,7 @@ impl Default for SceneConfig {
 pub struct Scenes {
     specimens: Vec<Specimen>,
     images: Option<ImageFolder>,
+    targets: bool,
 }
 
 impl SceneConfig {
@@ -92,7 +97,7 @@ impl SceneConfig {
         if self.specimens.is_empty() && images.is_none() {
             return Err(SceneError::Nothing);
         }
-        Ok(Scenes { specimens: self.specimens.clone(), images })
+        Ok(Scenes { specimens: self.specimens.clone(), images, targets: self.targets })
     }
 }
 
@@ -100,6 +105,10 @@ impl Scenes {
     /// Scene `index` of `seed` for `what` (so that training never sees the scenes of a bench), [rows, cols] of `grid`,
     /// >= 0, maximum 1. Kinds take turns.
     pub fn draw(&self, grid: &ObjectGrid, seed: u64, what: &str, index: u64) -> Array2<f32> {
+        if self.targets {
+            let periods = resolution::PERIODS_PX;
+            return resolution::target(grid, periods[index as usize % periods.len()]);
+        }
         let mut rng = rng::stream(seed, what, index);
         if let Some(images) = &self.images
             && (self.specimens.is_empty() || rng.random_bool(0.5))

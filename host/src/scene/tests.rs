@@ -51,7 +51,7 @@ fn a_disc_smaller_than_a_pixel_keeps_its_light() {
 #[test]
 fn pictures_become_scenes() {
     let dir = tempfile::tempdir().unwrap();
-    let config = |images| SceneConfig { specimens: Vec::new(), images };
+    let config = |images| SceneConfig { specimens: Vec::new(), images, targets: false };
     assert!(config(None).build().unwrap_err().to_string().contains("specimens"));
     assert!(config(Some(dir.path().into())).build().unwrap_err().to_string().contains("found none"));
     // A picture of 3 x 3 blocks as large as object pixels times two, on a pedestal of 100.

@@ -1,7 +1,7 @@
 //! The checkpoint: a trained network, how it came to be, and all that is needed to go on.
 
 use super::adam::{Adam, MeanNorms};
-use super::{NetworkConfig, TrainConfig, TrainError, weights};
+use super::{NetworkConfig, Support, TrainConfig, TrainError, weights};
 use crate::artifact::{self, ArtifactError, Header, Provenance, Tensors};
 use crate::evaluate::Case;
 use crate::forward::ForwardError;
@@ -58,6 +58,9 @@ pub struct Body {
     pub step: u64,
     /// Lengths of past gradients.
     pub norms: MeanNorms,
+    /// The lags that the filters are held to; None: all.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub support: Option<Support>,
 }
 
 /// Corrections of the sensor that come before the network.
@@ -114,7 +117,9 @@ impl Checkpoint {
     /// The file cannot be written.
     pub fn write(&self, path: &Path, provenance: Provenance) -> Result<(), ArtifactError> {
         let mut tensors = self.weights.clone();
-        for (prefix, of) in [(CURRENT, &self.current), (FIRST, &self.adam.first), (SECOND, &self.adam.second)] {
+        // Weights that no step has touched need no optimiser beside them: at the paper's size it is three times their bytes.
+        let state = [(CURRENT, &self.current), (FIRST, &self.adam.first), (SECOND, &self.adam.second)];
+        for (prefix, of) in state.into_iter().filter(|_| self.body.step > 0) {
             tensors.extend(of.iter().map(|(name, t)| (format!("{prefix}{name}"), t.clone())));
         }
         for (name, map) in [(OFFSET, &self.maps.offset_dn), (GAIN, &self.maps.inverse_gain)] {
@@ -143,9 +148,13 @@ impl Checkpoint {
         let body = header.body;
         body.network.check()?;
         let weights = weights::take(path, &body.network, &mut tensors, "")?;
-        let current = weights::take(path, &body.network, &mut tensors, CURRENT)?;
-        let first = weights::take(path, &body.network, &mut tensors, FIRST)?;
-        let second = weights::take(path, &body.network, &mut tensors, SECOND)?;
+        let (current, first, second) = if body.step > 0 {
+            let mut state = |prefix| weights::take(path, &body.network, &mut tensors, prefix);
+            (state(CURRENT)?, state(FIRST)?, state(SECOND)?)
+        } else {
+            let fresh = Adam::new(&weights);
+            (weights.clone(), fresh.first, fresh.second)
+        };
         let cases = cases(path, &body.network, &mut tensors)?;
         let shape = body.network.frame.map(Some);
         let mut map = |name: &str| -> Result<Option<Array2<f32>>, ArtifactError> {
@@ -163,6 +172,10 @@ impl Checkpoint {
 
 /// The held-out frames and objects.
 fn cases(path: &Path, network: &NetworkConfig, tensors: &mut Tensors) -> Result<Vec<Case>, ArtifactError> {
+    // Imported weights have none.
+    if !tensors.contains_key(FRAMES) {
+        return Ok(Vec::new());
+    }
     let mut stack = |name: &str, size: [usize; 2], count: Option<usize>| -> Result<Array3<f32>, ArtifactError> {
         let stack = artifact::take(path, tensors, name, &[count, Some(size[0]), Some(size[1])])?;
         Ok(stack.into_dimensionality::<Ix3>().unwrap_or_default())

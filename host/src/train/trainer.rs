@@ -6,7 +6,7 @@ use super::loss::bce_mse;
 use super::network::{Mode, Network, Said, values};
 use super::ops::fourier::Fourier;
 use super::source::{Example, Loader, PairSource};
-use super::{Family, Lenses, NetworkConfig, Seen, Start, TrainConfig, TrainError, regression, weights};
+use super::{Family, Lenses, NetworkConfig, Seen, Start, Support, TrainConfig, TrainError, regression, weights};
 use crate::artifact::{Provenance, Tensors};
 use crate::evaluate::compare;
 use crate::noise::NoiseModel;
@@ -96,6 +96,7 @@ impl<'a> Trainer<'a> {
             best_step: 0,
             step: 0,
             norms: Default::default(),
+            support: None,
         };
         let adam = Adam::new(&current);
         let state =
@@ -123,6 +124,19 @@ impl<'a> Trainer<'a> {
     /// # Errors
     /// As [`Trainer::new`]; or the checkpoint at `path` holds another network.
     pub fn fine_tune(task: Task<'a>, training: TrainConfig, path: &Path) -> Result<Self, TrainError> {
+        Self::fine_tune_within(task, training, (None, None), path)
+    }
+
+    /// [`Trainer::fine_tune`] of a network that knows the calibrated lenses, with the filters held to a device's taps.
+    ///
+    /// # Errors
+    /// As [`Trainer::fine_tune`].
+    pub fn fine_tune_within(
+        task: Task<'a>,
+        training: TrainConfig,
+        (lenses, support): (Option<&'a Lenses>, Option<Support>),
+        path: &Path,
+    ) -> Result<Self, TrainError> {
         let from = Checkpoint::read(path)?;
         if from.body.network != task.network {
             return Err(TrainError::Resume {
@@ -133,9 +147,12 @@ impl<'a> Trainer<'a> {
             });
         }
         // The start is given: nothing is to be fitted first.
-        let mut run = Self::new(task, TrainConfig { start: Start::Random, ..training })?;
+        let mut run = Self::with_lenses(task, TrainConfig { start: Start::Random, ..training }, lenses)?;
+        run.state.body.support = support.or(from.body.support);
         run.state.adam = Adam::new(&from.weights);
         (run.state.weights, run.state.current) = (from.weights.clone(), from.weights);
+        run.hold();
+        run.state.weights = run.state.current.clone();
         Ok(run)
     }
 
@@ -283,8 +300,17 @@ impl<'a> Trainer<'a> {
         });
         state.body.norms = state.adam.norms;
         state.body.step += 1;
+        self.hold();
         self.recent = (self.recent.0 + f64::from(value), self.recent.1 + 1);
         Ok(f64::from(value))
+    }
+
+    /// Holds the filters to the taps that they may have.
+    fn hold(&mut self) {
+        if let Some(support) = self.state.body.support.take() {
+            support.project(&self.plan, &mut self.state.current);
+            self.state.body.support = Some(support);
+        }
     }
 
     /// Pairs of a step: epochs in an order of their own, one after the other, so that any step can be found again.

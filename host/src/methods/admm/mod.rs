@@ -37,14 +37,14 @@ pub struct AdmmConfig {
 }
 
 impl AdmmConfig {
-    /// For the low-rank model: 30 iterations of 3 steps. tau was chosen on simulated scenes, never on those that a method is judged on.
+    /// For the low-rank model: 30 iterations of 6 steps. tau was chosen on simulated scenes, never on those that a method is judged on.
     pub fn low_rank() -> Self {
-        Self { iterations: 30, inner: 3, tv: 0.1, penalty: 0.01 }
+        Self { iterations: 30, inner: 6, tv: 0.1, penalty: 0.01 }
     }
 
-    /// For one PSF: 100 iterations, which cost less than two of the low-rank model.
+    /// For one PSF: 100 iterations, each of five transforms.
     pub fn shift_invariant() -> Self {
-        Self { iterations: 100, inner: 0, tv: 0.1, penalty: 0.01 }
+        Self { iterations: 100, inner: 0, tv: 0.03, penalty: 0.01 }
     }
 
     /// Plans the method with the low-rank model of an instrument.

@@ -24,8 +24,27 @@ fn training(steps: u64, start: Start) -> TrainConfig {
 /// to a few parts in a thousand at this step.
 #[test]
 fn gradients_are_the_slope_of_the_loss() {
-    let pairs = foci(6, 40, 16, 10);
-    let run = Trainer::new(task(&pairs), training(1, Start::Regression)).unwrap();
+    slopes_agree(NetworkConfig::clone(&task(&Vec::new()).network), Start::Regression);
+}
+
+/// As above, through the kernels' spectra, the Wiener formula, and both losses of a CM2Net.
+#[test]
+fn gradients_of_peers_are_the_slopes_of_their_losses() {
+    let plain = task(&Vec::new()).network;
+    for family in [Family::MultiWienerNet, Family::MultiFlatNet] {
+        slopes_agree(NetworkConfig { family, ..plain.clone() }, Start::Psf);
+    }
+    slopes_agree(lenses().cm2net(plain), Start::Random);
+}
+
+fn lenses() -> Lenses {
+    Lenses::of(&crate::methods::testing::instrument(3, [40, 40], [16, 16])).unwrap()
+}
+
+fn slopes_agree(network: NetworkConfig, start: Start) {
+    let (pairs, lenses) = (foci(6, 40, 16, 10), lenses());
+    let task = Task { network, ..task(&pairs) };
+    let run = Trainer::with_lenses(task, training(1, start), Some(&lenses)).unwrap();
     let examples = run.loader().examples(&[0, 1], "train", 0).unwrap();
     let (frames, targets) = split(examples);
     let loss = |tensors: &Tensors, mode| {
@@ -38,7 +57,8 @@ fn gradients_are_the_slope_of_the_loss() {
     assert_eq!(gradients.len(), run.state.current.len(), "every parameter has a gradient");
     for (name, g) in &gradients {
         let norm = g.iter().map(|&g| f64::from(g).powi(2)).sum::<f64>().sqrt();
-        let size = if weights::FILTERS.contains(&name.as_str()) { 2e-5 } else { 2e-3 };
+        let length = run.state.current[name].iter().map(|&p| f64::from(p).powi(2)).sum::<f64>().sqrt();
+        let size = if weights::is_filter(name) { 4e-4 * length } else { 2e-3 };
         let along = |sign: f64| {
             let mut moved = run.state.current.clone();
             let step = moved.get_mut(name).unwrap().iter_mut().zip(g);
@@ -64,6 +84,45 @@ fn training_lowers_the_loss_and_keeps_the_best() {
     let read = Checkpoint::read(&path).unwrap();
     assert_eq!(read.body.best_step, best.step);
     assert_eq!(read.weights, run.checkpoint().weights);
+}
+
+#[test]
+fn peers_learn_and_are_taken_up_in_the_same_bits() {
+    let (pairs, lenses) = (foci(12, 40, 16, 10), lenses());
+    let folder = tempfile::tempdir().unwrap();
+    let plain = task(&pairs).network;
+    let wiener = NetworkConfig { family: Family::MultiWienerNet, ..plain.clone() };
+    for (network, start) in [(wiener, Start::Psf), (lenses.cm2net(plain), Start::Random)] {
+        let task = || Task { network: network.clone(), ..task(&pairs) };
+        let [whole, halved] = ["whole", "halved"].map(|name| folder.path().join(name));
+        let (provenance, training) = (Provenance::default(), training(12, start));
+        let mut run = Trainer::with_lenses(task(), training.clone(), Some(&lenses)).unwrap();
+        run.run(&whole, &provenance, |_| Next::Continue).unwrap();
+        let curve = &run.checkpoint().body.curve;
+        assert!(curve[3].validation_loss < curve[0].validation_loss, "{curve:?}");
+        let mut run = Trainer::with_lenses(task(), training.clone(), Some(&lenses)).unwrap();
+        run.run(&halved, &provenance, |p| if p.step == 7 { Next::Stop } else { Next::Continue }).unwrap();
+        let mut run = Trainer::resume_with_lenses(task(), training, Some(&lenses), &halved).unwrap();
+        run.run(&halved, &provenance, |_| Next::Continue).unwrap();
+        assert!(std::fs::read(whole).unwrap() == std::fs::read(halved).unwrap());
+    }
+    let blind =
+        Trainer::new(Task { network: lenses.cm2net(task(&pairs).network), ..task(&pairs) }, training(3, Start::Random));
+    assert!(matches!(blind, Err(TrainError::Config { field: "instrument", .. })));
+}
+
+#[test]
+fn a_run_that_gets_no_better_ends_early() {
+    let pairs = foci(10, 40, 16, 10);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("net");
+    let mut run = Trainer::new(task(&pairs), TrainConfig { patience: 2, ..training(300, Start::Random) }).unwrap();
+    // With every step doing nothing, the first validation stays the best.
+    run.state.body.training.learning_rate = 1e-30;
+    run.state.body.training.filter_learning_rate = 1e-30;
+    run.run(&path, &Provenance::default(), |_| Next::Continue).unwrap();
+    let body = &run.checkpoint().body;
+    assert!(body.step == 9 && body.best_step == 3 && run.is_done(), "{body:?}");
 }
 
 #[test]

@@ -1,0 +1,106 @@
+//! `resolution`: the finest bars that methods still show, by place in the field.
+
+use super::evaluate::{From, entries};
+use super::{Outcome, Run};
+use crate::artifact::write_whole;
+use crate::evaluate::Scenes;
+use crate::evaluate::resolution::{Resolution, frames, is_target, read, summarise};
+use crate::methods::{MethodKind, title};
+use crate::scene::resolution::PERIODS_PX;
+use crate::session::Session;
+use anyhow::{Context, ensure};
+use std::fmt::Write;
+use std::path::PathBuf;
+
+/// Options of `resolution`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Folder of a session that `bench --targets` measured
+    session: PathBuf,
+    /// Checkpoint, network file, or instrument (may be given again)
+    #[arg(long = "with", value_name = "FILE", required = true)]
+    with: Vec<PathBuf>,
+    /// Methods to make from an instrument
+    #[arg(long, value_name = "METHOD", value_delimiter = ',', default_value = "wiener,central")]
+    methods: Vec<MethodKind>,
+    /// Keep all figures and line profiles as JSON, for `report`
+    #[arg(short, long, value_name = "JSON")]
+    output: Option<PathBuf>,
+}
+
+/// Runs the verb.
+///
+/// # Errors
+/// The session shows no targets, a file cannot be read or does not fit, or the output cannot be written.
+pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
+    let session = Session::open(&args.session)?;
+    let mut scenes = Scenes::of(&session, None)?;
+    let grid = session.manifest().object;
+    let entries = entries(&args.with, &args.methods, &[], run, scenes.count())?;
+    let named = || args.session.display().to_string();
+    ensure!(
+        scenes.count() == frames(&grid) && is_target(&grid, 0, scenes.case(0)?.truth.view()),
+        "{}: expected the scenes of `bench --targets`, found others",
+        named()
+    );
+    let bar = run.progress((entries.len() * scenes.count()) as u64, "resolution");
+    let mut found: Vec<Resolution> = Vec::new();
+    for entry in &entries {
+        let From::Method(method) = &entry.from else {
+            continue;
+        };
+        let mut readings = Vec::new();
+        for (i, period) in PERIODS_PX.into_iter().enumerate().take(scenes.count()) {
+            let frame = scenes.case(i).with_context(named)?.frame_dn;
+            let object = method.reconstruct(frame.view()).with_context(|| format!("scene frame {i}"))?;
+            readings.extend(read(&grid, period, object.view()));
+            bar.inc(1);
+        }
+        found.push(summarise(&entry.name, &grid, readings));
+    }
+    bar.finish_and_clear();
+    let finest = |r: &Resolution| [r.centre_um, r.edges_um].map(|v| v.unwrap_or(f64::INFINITY));
+    found.sort_by(|a, b| {
+        let ([a0, a1], [b0, b1]) = (finest(a), finest(b));
+        a1.total_cmp(&b1).then(a0.total_cmp(&b0))
+    });
+    let json = serde_json::json!({
+        "session": session.manifest().name, "object_pixel_um": grid.pixel_um, "periods_px": PERIODS_PX, "resolution": found,
+    });
+    if let Some(output) = &args.output {
+        write_whole(output, format!("{json}\n").as_bytes())?;
+    }
+    Ok(Outcome { text: text(&found, grid.pixel_um), json })
+}
+
+fn text(found: &[Resolution], pixel_um: f64) -> String {
+    let width = found.iter().map(|r| title(&r.name).chars().count()).max().unwrap_or(0).max(6);
+    let mut text = format!(
+        "finest line pair resolved along both axes, um; contrast of the pair of {} um, mean\n{:width$}  {:>8} {:>8}   {:>8} {:>8}\n",
+        3.0 * pixel_um,
+        "method",
+        "centre",
+        "edges",
+        "centre",
+        "edges"
+    );
+    for r in found {
+        let um = |v: Option<f64>| v.map_or("-".into(), |v| format!("{v:.1}"));
+        let contrast = |centre: bool| {
+            let of = r.readings.iter().filter(|r| r.period_px == 3.0 && (r.place == "centre") == centre);
+            let all: Vec<f64> = of.map(|r| r.contrast).collect();
+            all.iter().sum::<f64>() / all.len().max(1) as f64
+        };
+        // Writing to a string cannot fail.
+        let _ = writeln!(
+            text,
+            "{:width$}  {:>8} {:>8}   {:>8.3} {:>8.3}",
+            title(&r.name),
+            um(r.centre_um),
+            um(r.edges_um),
+            contrast(true),
+            contrast(false)
+        );
+    }
+    text
+}

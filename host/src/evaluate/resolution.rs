@@ -1,0 +1,163 @@
+//! Resolution from targets of known bars: the finest line pair that a method still shows as bars, by place in the field.
+
+use crate::scene::resolution::{Group, PERIODS_PX, groups, target};
+use crate::session::ObjectGrid;
+use ndarray::{Array2, ArrayView2, Axis};
+use serde::{Deserialize, Serialize};
+
+/// Bars count as resolved where each gap between them is darker than this part of both its neighbours (Rayleigh's criterion for slits).
+const RAYLEIGH: f64 = 0.81;
+
+/// How one group of bars is shown.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Reading {
+    /// Where in the field.
+    pub place: String,
+    /// Whether bars follow one another along `rows` or `cols`.
+    pub along: String,
+    /// Line pair, object pixels.
+    pub period_px: f64,
+    /// (bars - gaps) / (bars + gaps).
+    pub contrast: f64,
+    /// Whether all bars stand apart.
+    pub resolved: bool,
+    /// Light along the group, mean over the middle half of the bars, its maximum 1; one value a pixel, from two pixels before the first bar.
+    pub profile: Vec<f64>,
+}
+
+/// The resolution of one method.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Resolution {
+    /// Name of the method.
+    pub name: String,
+    /// Finest line pair resolved along both axes at the field's centre, um; None: none.
+    pub centre_um: Option<f64>,
+    /// The same at every edge of the field, um.
+    pub edges_um: Option<f64>,
+    /// Every group.
+    pub readings: Vec<Reading>,
+}
+
+/// Number of frames that a target session of this grid has.
+pub fn frames(grid: &ObjectGrid) -> usize {
+    PERIODS_PX.iter().filter(|p| !groups(grid, **p).is_empty()).count()
+}
+
+/// Whether a truth is the target of frame `i`, in whatever unit.
+pub fn is_target(grid: &ObjectGrid, i: usize, truth: ArrayView2<'_, f32>) -> bool {
+    let Some(&period) = PERIODS_PX.get(i) else {
+        return false;
+    };
+    let wanted = target(grid, period);
+    let peak = truth.iter().copied().fold(0.0, f32::max) / wanted.iter().copied().fold(f32::MIN_POSITIVE, f32::max);
+    peak > 0.0 && truth.iter().zip(&wanted).all(|(t, w)| (t / peak - w).abs() < 1e-3)
+}
+
+/// Reads the groups of one reconstructed target.
+pub fn read(grid: &ObjectGrid, period: f64, image: ArrayView2<'_, f32>) -> Vec<Reading> {
+    groups(grid, period).iter().map(|g| reading(g, image)).collect()
+}
+
+fn reading(g: &Group, image: ArrayView2<'_, f32>) -> Reading {
+    // Rows of `image` become the axis along which bars follow one another.
+    let image = if g.axis == 0 { image } else { image.reversed_axes() };
+    let (from, across) = (g.start[g.axis], g.start[1 - g.axis]);
+    let middle = (across + g.length / 4.0).floor() as usize..(across + 0.75 * g.length).ceil() as usize;
+    let (first, last) = ((from - 2.0).max(0.0) as usize, ((from + 2.5 * g.period + 2.0) as usize).min(image.nrows()));
+    let part: Array2<f64> = image.slice(ndarray::s![first..last, middle]).mapv(f64::from);
+    let profile = part.mean_axis(Axis(1)).unwrap_or_default().to_vec();
+    // The light of pixel i is that of its middle, i + 1/2.
+    let at = |position: f64| {
+        let x = (position - first as f64 - 0.5).max(0.0);
+        let (low, rest) = (x.floor() as usize, x.fract());
+        let value = |i: usize| profile.get(i).copied().unwrap_or(0.0);
+        value(low) * (1.0 - rest) + value(low + 1) * rest
+    };
+    let bars = [0.25, 1.25, 2.25].map(|k| at(from + k * g.period));
+    let gaps = [0.75, 1.75].map(|k| at(from + k * g.period));
+    let (bright, dark) = (bars.iter().sum::<f64>() / 3.0, gaps.iter().sum::<f64>() / 2.0);
+    let contrast = if bright + dark > 0.0 { (bright - dark) / (bright + dark) } else { 0.0 };
+    let resolved = (0..2).all(|i| gaps[i] < RAYLEIGH * bars[i].min(bars[i + 1]));
+    let peak = profile.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
+    Reading {
+        place: g.place.into(),
+        along: ["rows", "cols"][g.axis].into(),
+        period_px: g.period,
+        contrast,
+        resolved,
+        profile: profile.into_iter().map(|v| v / peak).collect(),
+    }
+}
+
+/// The finest line pairs of a method's readings.
+pub fn summarise(name: &str, grid: &ObjectGrid, readings: Vec<Reading>) -> Resolution {
+    let finest = |wanted: &dyn Fn(&str) -> bool| {
+        let mut finest = None;
+        for period in PERIODS_PX.into_iter().rev() {
+            let mut of = readings.iter().filter(|r| r.period_px == period && wanted(&r.place)).peekable();
+            if of.peek().is_none() {
+                continue;
+            }
+            // A finer pair does not count where a coarser one is lost: it would be aliasing.
+            if !of.all(|r| r.resolved) {
+                break;
+            }
+            finest = Some(period * grid.pixel_um);
+        }
+        finest
+    };
+    let (centre_um, edges_um) = (finest(&|p| p == "centre"), finest(&|p| p != "centre"));
+    Resolution { name: name.into(), centre_um, edges_um, readings }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    const GRID: ObjectGrid = ObjectGrid { rows: 96, cols: 80, pixel_um: 2.0 };
+
+    /// A Gaussian of this width along both axes, as its definition.
+    fn blurred(image: &Array2<f32>, sigma: f64) -> Array2<f32> {
+        let kernel = |d: f64| (-0.5 * (d / sigma).powi(2)).exp();
+        let pass = |image: &Array2<f32>| {
+            Array2::from_shape_fn((image.ncols(), image.nrows()), |(c, r)| {
+                let sum: f64 = (0..image.nrows()).map(|i| f64::from(image[[i, c]]) * kernel(i as f64 - r as f64)).sum();
+                (sum / (sigma * std::f64::consts::TAU.sqrt())) as f32
+            })
+        };
+        pass(&pass(image))
+    }
+
+    #[test]
+    fn a_target_is_resolved_as_it_is() {
+        let all = PERIODS_PX.iter().flat_map(|&p| read(&GRID, p, target(&GRID, p).view())).collect();
+        let found = summarise("truth", &GRID, all);
+        assert_eq!((found.centre_um, found.edges_um), (Some(4.0), Some(4.0)));
+        assert!(found.readings.iter().filter(|r| r.period_px == 4.0).all(|r| r.contrast > 0.99));
+    }
+
+    /// A Gaussian takes a sine of period p down to `exp(-2 (pi sigma / p)^2)` of its contrast, a square wave's first harmonic of 4/pi to as much.
+    #[test]
+    fn blur_costs_the_contrast_that_it_must() {
+        let image = blurred(&target(&GRID, 6.0), 1.2);
+        let expected = 4.0 / std::f64::consts::PI * (-2.0 * (std::f64::consts::PI * 1.2 / 6.0).powi(2)).exp();
+        for r in read(&GRID, 6.0, image.view()) {
+            // Three bars are no endless grating: to a tenth.
+            assert!((r.contrast - expected).abs() < 0.1, "{} {expected}", r.contrast);
+        }
+        let coarse = |sigma| {
+            let one = |&p: &f64| read(&GRID, p, blurred(&target(&GRID, p), sigma).view());
+            summarise("", &GRID, PERIODS_PX.iter().flat_map(one).collect()).centre_um.unwrap()
+        };
+        assert!(coarse(0.5) < coarse(0.9) && coarse(0.9) < coarse(1.3));
+    }
+
+    #[test]
+    fn a_target_is_known_from_its_frame() {
+        assert!(is_target(&GRID, 2, (target(&GRID, 3.0) * 7.0).view()));
+        assert!(!is_target(&GRID, 1, target(&GRID, 3.0).view()));
+        assert!(!is_target(&GRID, 9, target(&GRID, 3.0).view()));
+        assert_eq!(frames(&GRID), 7);
+    }
+}
