@@ -83,7 +83,7 @@ pub fn kernel_spectra(plan: &Arc<Fourier>, h: Tensor<1>) -> [Tensor<1>; 2] {
         Tensor::<1>::from_primitive::<Flex>(run(&plain(h)))
     };
     let n = parts.dims()[0] / 2;
-    [parts.clone().slice([0..n]), parts.slice([n..2 * n])]
+    [parts.clone().narrow(0, 0, n), parts.narrow(0, n, n)]
 }
 
 #[derive(Debug)]
