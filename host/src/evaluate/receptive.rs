@@ -402,7 +402,8 @@ mod tests {
         let path = folder.path().join("erf");
         found.write(&path, Provenance::default()).unwrap();
         let read = Receptive::read(&path).unwrap();
-        assert_eq!((read.summary, read.fields), (found.summary.clone(), found.fields));
+        assert_eq!((read.fields, read.psfs, read.inverses), (found.fields, found.psfs, found.inverses));
+        assert!(read.summary.places[3].name == "beyond" && read.summary.filters.len() == 1);
         assert!(found.summary.filters[0].on_lattice > 0.9, "{:?}", found.summary);
     }
 

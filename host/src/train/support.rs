@@ -77,7 +77,8 @@ mod tests {
         };
         let first = kernels(&tensors);
         let lit = |channel: usize| first[channel * t * t..][..t * t].iter().filter(|v| v.abs() > 1e-9).count();
-        assert!(lit(0) > 110 && lit(0) <= 128 && lit(1) > 50 && lit(1) <= 64, "{} {}", lit(0), lit(1));
+        // The third block of columns is cut in half by the end of the kernel.
+        assert!(lit(0) > 90 && lit(0) <= 96 && lit(1) > 50 && lit(1) <= 64, "{} {}", lit(0), lit(1));
         support.project(&plan, &mut tensors);
         assert!(first.iter().zip(kernels(&tensors)).all(|(a, b)| (a - b).abs() < 1e-8));
     }
