@@ -47,7 +47,8 @@ impl<'a> Network<'a> {
         if layout.file_len != bytes.len() {
             return Err(wrong_section(&layout, &header, bytes.len()));
         }
-        let [spectra, rcan, offset, gain] = layout.sections.map(|(at, len)| halves(&bytes[at..at + len]));
+        let [spectra, rcan, offset, gain] =
+            layout.sections.map(|(at, len)| halves(bytes.get(at..at + len).unwrap_or_default()));
         let sensor = header.sensor;
         let weights = Weights {
             spectra: spectra?,

@@ -178,7 +178,7 @@ impl Header {
         if !tile_ok || bank.channels == 0 {
             return wrong(HeaderField::Bank);
         }
-        let sorted = bank.taps.windows(2).all(|pair| pair[0].order() < pair[1].order());
+        let sorted = bank.taps.is_sorted_by(|a, b| a.order() < b.order());
         if !sorted || bank.taps.is_empty() || bank.taps.iter().any(|tap| tap.channel >= bank.channels) {
             return wrong(HeaderField::Taps);
         }

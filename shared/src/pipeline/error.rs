@@ -122,7 +122,11 @@ impl fmt::Display for PipelineError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Field { field, expected, found } => write!(f, "{field}: expected {expected}, found {found}"),
-            Self::BlackLevel { found } => write!(f, "sensor.black_level_dn: expected a finite level, found {found}"),
+            // Words, not the number: the device would have to carry all that prints a float.
+            Self::BlackLevel { found } => {
+                let found = if found.is_nan() { "none" } else { "an infinite one" };
+                write!(f, "sensor.black_level_dn: expected a finite level, found {found}")
+            }
             Self::Filter(error) => error.fmt(f),
             Self::Network(error) => error.fmt(f),
             Self::Shape(error) => error.fmt(f),

@@ -1,10 +1,11 @@
 //! Packets on a line of bytes: postcard, CRC-32, COBS, a zero on either side.
 
+use super::cobs::{Encoder, decode_in_place};
 use crate::blob::CRC;
 use core::fmt;
 use heapless::Vec;
+use postcard::ser_flavors::Flavor;
 use postcard::ser_flavors::crc::CrcModifier;
-use postcard::ser_flavors::{Cobs, Flavor, Slice};
 use serde::{Deserialize, Serialize};
 
 /// The byte between packets. COBS leaves none in them.
@@ -58,14 +59,14 @@ pub fn encode<'a>(message: &impl Serialize, out: &'a mut [u8]) -> Result<&'a [u8
     let (first, rest) = out.split_first_mut().ok_or(FrameError::TooLong)?;
     *first = DELIMITER;
     let len = encode_body(message, rest).map_err(|_| FrameError::TooLong)?;
-    Ok(&out[..=len])
+    out.get(..=len).ok_or(FrameError::TooLong)
 }
 
 fn encode_body(message: &impl Serialize, out: &mut [u8]) -> postcard::Result<usize> {
-    let flavor = CrcModifier::new(Cobs::try_new(Slice::new(out))?, CRC.digest());
+    let flavor = CrcModifier::new(Encoder::new(out), CRC.digest());
     let mut serializer = postcard::Serializer { output: flavor };
     message.serialize(&mut serializer)?;
-    Ok(serializer.output.finalize()?.len())
+    serializer.output.finalize()
 }
 
 /// Reads the message of a packet, given without its delimiters, in place.
@@ -73,7 +74,7 @@ fn encode_body(message: &impl Serialize, out: &mut [u8]) -> postcard::Result<usi
 /// # Errors
 /// Whatever is wrong with the bytes.
 pub fn decode<'a, T: Deserialize<'a>>(packet: &'a mut [u8]) -> Result<T, FrameError> {
-    let len = cobs::decode_in_place(packet).map_err(|_| FrameError::Encoding)?;
+    let len = decode_in_place(packet).ok_or(FrameError::Encoding)?;
     let (body, crc) =
         packet.get(..len).and_then(|bytes| bytes.split_last_chunk::<CRC_LEN>()).ok_or(FrameError::Encoding)?;
     let (expected, found) = (u32::from_le_bytes(*crc), CRC.checksum(body));

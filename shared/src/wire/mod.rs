@@ -5,6 +5,7 @@
 //! flips is dropped whole. The host asks again until it is answered. The device may do a thing twice without harm: data
 //! carry their offset, a run its number, and requests older than the last are stale copies, which it ignores.
 
+mod cobs;
 pub mod frame;
 mod message;
 
