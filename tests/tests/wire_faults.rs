@@ -38,7 +38,7 @@ fn expected() -> Vec<Vec<f16>> {
 }
 
 fn check(lose: f64, repeat: f64, flip: f64) {
-    let line = Faulty::new(loopback(), Faults { lose, repeat, flip, seed: 7 });
+    let line = Faulty::new(loopback(), Faults { lose, repeat, flip, seed: 7, ..Faults::default() });
     let (objects, telemetry, line) = converse(line);
     assert_eq!(objects, expected());
     assert!(line.damaged > 10, "{} damaged bytes prove nothing", line.damaged);
@@ -97,7 +97,7 @@ fn requests_that_come_twice_are_done_once() {
 
 #[test]
 fn a_dead_line_is_reported() {
-    let line = Faulty::new(loopback(), Faults { lose: 1.0, repeat: 0.0, flip: 0.0, seed: 1 });
+    let line = Faulty::new(loopback(), Faults { lose: 1.0, seed: 1, ..Faults::default() });
     let few = Patience { attempts: 3, ..QUICK };
     let error = Client::connect_with(line, few, few).map(|_| ()).unwrap_err();
     assert!(matches!(error, DeviceError::Silent { attempts: 3, .. }), "{error}");

@@ -55,10 +55,15 @@ impl<T: Transport> Client<T> {
     /// # Errors
     /// The device is silent or speaks another version.
     pub fn connect_with(line: T, short: Patience, long: Patience) -> Result<(Self, Info), DeviceError> {
-        let deframer = Box::new(Deframer::new());
-        let mut client = Self { line, seq: 0, deframer, short, long, pending: VecDeque::new(), frame_crc: 0 };
+        let mut client = Self::over(line, short, long);
         let info = client.hello()?;
         Ok((client, info))
+    }
+
+    /// A conversation that [`Self::hello`] is to open.
+    pub fn over(line: T, short: Patience, long: Patience) -> Self {
+        let deframer = Box::new(Deframer::new());
+        Self { line, seq: 0, deframer, short, long, pending: VecDeque::new(), frame_crc: 0 }
     }
 
     /// Begins the conversation anew, after the device or the line was away.
@@ -223,6 +228,9 @@ impl<T: Transport> Client<T> {
             }
             let mut buffer = [0; 4096];
             let count = self.line.receive(&mut buffer, left)?;
+            if count == 0 && self.line.silent() {
+                return Ok(None);
+            }
             self.pending.extend(&buffer[..count]);
         }
     }

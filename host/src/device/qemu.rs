@@ -6,6 +6,7 @@ use std::io::{ErrorKind, Read, Seek};
 use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// QEMU sends each byte of the UART as a datagram. So many bytes, with what the packet adds, stay below the 270 datagrams that
@@ -26,7 +27,7 @@ pub fn find_qemu() -> Option<PathBuf> {
 /// pipe. A datagram may be lost; the protocol bears it.
 #[derive(Debug)]
 pub struct Qemu {
-    child: Child,
+    child: Arc<Mutex<Child>>,
     socket: UdpSocket,
     output: File,
 }
@@ -59,7 +60,12 @@ impl Qemu {
         command.stdin(Stdio::null()).stdout(output.try_clone()?).stderr(output.try_clone()?);
         let child =
             command.spawn().map_err(|source| DeviceError::Start { program: program.display().to_string(), source })?;
-        Ok(Self { child, socket, output })
+        Ok(Self { child: Arc::new(Mutex::new(child)), socket, output })
+    }
+
+    /// What ends the emulator at once, as a power cut does.
+    pub fn killer(&self) -> Killer {
+        Killer(Arc::clone(&self.child))
     }
 
     /// Waits for a program that was asked to end.
@@ -69,7 +75,8 @@ impl Qemu {
     pub fn wait(mut self) -> Result<(), DeviceError> {
         let deadline = Instant::now() + END_WITHIN;
         while Instant::now() < deadline {
-            match self.child.try_wait()? {
+            let status = lock(&self.child).try_wait()?;
+            match status {
                 Some(status) if status.success() => return Ok(()),
                 Some(_) => return Err(self.stopped("failure".into())),
                 None => std::thread::sleep(Duration::from_millis(5)),
@@ -80,7 +87,8 @@ impl Qemu {
 
     /// Nothing came; that is fine as long as the emulator runs.
     fn still_running(&mut self) -> Result<usize, DeviceError> {
-        match self.child.try_wait()? {
+        let status = lock(&self.child).try_wait()?;
+        match status {
             Some(status) => Err(self.stopped(status.to_string())),
             None => Ok(0),
         }
@@ -95,6 +103,25 @@ impl Qemu {
         };
         DeviceError::Stopped { status, output }
     }
+}
+
+/// Ends an emulator at once.
+#[derive(Clone, Debug)]
+pub struct Killer(Arc<Mutex<Child>>);
+
+impl Killer {
+    /// Ends it, if it has not ended.
+    pub fn kill(&self) {
+        // Both fail only where the emulator has ended already.
+        let mut child = lock(&self.0);
+        let _ = child.kill();
+        let _ = child.wait();
+    }
+}
+
+/// The child is whole whatever became of a thread that held it.
+fn lock(child: &Mutex<Child>) -> MutexGuard<'_, Child> {
+    child.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Runs a program that talks to nobody until it ends; gives what it printed.
@@ -140,9 +167,7 @@ fn open_line() -> Result<(UdpSocket, String), DeviceError> {
 
 impl Drop for Qemu {
     fn drop(&mut self) {
-        // Both fail only where the emulator has ended already.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        self.killer().kill();
     }
 }
 

@@ -18,6 +18,11 @@ pub trait Transport {
     /// The line is gone.
     fn receive(&mut self, buffer: &mut [u8], patience: Duration) -> Result<usize, DeviceError>;
 
+    /// Whether nothing can come before something is sent. Where there is a clock on the other side nobody knows.
+    fn silent(&self) -> bool {
+        false
+    }
+
     /// The most bytes of data in one answer that the line carries without losing some.
     fn answer_len(&self) -> usize {
         CHUNK
