@@ -5,7 +5,12 @@ use crate::toolchain;
 use anyhow::{Context, Result};
 use ommatidia_shared::boards::BOARDS;
 use std::io::{BufRead, BufReader};
+use std::path::Path;
 use std::process::{Command, Stdio};
+
+/// The programs in `fuzz/fuzz_targets`, and how long each runs.
+const FUZZ_TARGETS: [&str; 4] = ["blob", "wire", "device", "session"];
+const FUZZ_SECONDS: u32 = 15;
 
 /// One step: it either counts tests or is one check.
 pub struct Step {
@@ -22,6 +27,7 @@ pub fn all() -> Vec<Step> {
         step("emulator", || toolchain::ensure_qemu().map(|()| Counts::check(true))),
         step("tests of shared, debug build with overflow checks", || tests(&["-p", "ommatidia-shared"])),
         step("all tests", || tests(&["--release", "--workspace"])),
+        step("hostile input", hostile_input),
         step("lints", || check(cargo(["clippy", "--release", "--workspace", "--all-targets", "--", "-D", "warnings"]))),
         step("documentation", documentation),
     ]
@@ -53,6 +59,33 @@ fn firmware_images() -> Result<Counts> {
         command.args(["build", "--profile", "firmware", "-p", "ommatidia-firmware", "--features", board.name]);
         command.args(["--bins", "--target", board.target]);
         counts += check(command)?;
+    }
+    Ok(counts)
+}
+
+/// Builds the fuzz targets with coverage and the address sanitizer, and runs each for [`FUZZ_SECONDS`] from its seeds.
+fn hostile_input() -> Result<Counts> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let (target, host) = (toolchain::target_dir().join("fuzz"), toolchain::host()?);
+    toolchain::ensure_cpp()?;
+    let mut build = cargo(["build", "--release", "--manifest-path"]);
+    build.arg(root.join("fuzz/Cargo.toml")).args(["--target", &host, "--target-dir"]).arg(&target);
+    // The sanitizer is not stable; the compiler that has it is.
+    build.env("RUSTC_BOOTSTRAP", "1").env("RUSTFLAGS", toolchain::FUZZ_FLAGS);
+    let mut counts = check(build)?;
+    for name in FUZZ_TARGETS {
+        let (corpus, found) = (target.join("corpus").join(name), target.join("found"));
+        std::fs::create_dir_all(&corpus)?;
+        std::fs::create_dir_all(&found)?;
+        let mut run = Command::new(target.join(&host).join("release").join(name));
+        run.arg(format!("-max_total_time={FUZZ_SECONDS}")).args([
+            "-max_len=16384",
+            "-rss_limit_mb=4096",
+            "-timeout=30",
+        ]);
+        run.args(["-verbosity=0", "-print_final_stats=1"]).arg(format!("-artifact_prefix={}/{name}-", found.display()));
+        run.arg(corpus).arg(root.join("fuzz/seeds").join(name));
+        counts += check(run)?;
     }
     Ok(counts)
 }

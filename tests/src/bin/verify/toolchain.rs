@@ -47,13 +47,40 @@ impl Toolchain {
 
     /// The two toolchains' target folders are kept apart.
     fn target_dir(&self) -> PathBuf {
-        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
-        let target = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), PathBuf::from);
         match self {
-            Self::Rustup => target,
-            Self::Debian => target.join("debian"),
+            Self::Rustup => target_dir(),
+            Self::Debian => target_dir().join("debian"),
         }
     }
+}
+
+/// Cargo's target folder.
+pub fn target_dir() -> PathBuf {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), PathBuf::from)
+}
+
+/// What `cargo fuzz` gives the compiler: coverage for libFuzzer, and the address sanitizer.
+pub const FUZZ_FLAGS: &str = "--cfg fuzzing -Zsanitizer=address -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
+    -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
+    -Cllvm-args=-sanitizer-coverage-trace-compares";
+
+/// The triple of this machine.
+pub fn host() -> Result<String> {
+    let output = Command::new("rustc").arg("-vV").output().context("rustc could not be started")?;
+    let text = String::from_utf8_lossy(&output.stdout);
+    let host = text.lines().find_map(|line| line.strip_prefix("host: "));
+    Ok(host.context("rustc does not say what it runs on")?.to_string())
+}
+
+/// Finds or installs the C++ compiler that libFuzzer is built with.
+pub fn ensure_cpp() -> Result<()> {
+    let version = || Command::new("c++").arg("--version").stdout(Stdio::null()).status();
+    if version().is_err() {
+        apt_install(&["g++"]);
+    }
+    version().context("no C++ compiler: install one (Debian: `apt-get install g++`)")?;
+    Ok(())
 }
 
 /// Finds or installs a compiler for the boards.
