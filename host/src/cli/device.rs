@@ -1,7 +1,9 @@
 //! `device`: the firmware under QEMU, or its logic in this process.
 
+mod faults;
 mod flash;
 mod status;
+mod stream;
 mod target;
 
 use super::{Outcome, Run};
@@ -33,9 +35,17 @@ enum Action {
     /// Put a network into the flash of the device: into the slot that does not run, checked, committed, asked for
     #[command(after_help = "Example:\n  ommatidia device flash --with network.omm --state board.flash")]
     Flash(flash::Args),
+    /// Stream frames through the device: reconstructions live in the browser, and recorded
+    #[command(
+        after_help = "Example:\n  ommatidia device stream --with network.omm --frames frames.npy --fps 2 --view 127.0.0.1:8080 -o objects.tif"
+    )]
+    Stream(stream::Args),
     /// Ask the device how it is: starts, slots, faults, dropped frames
     #[command(after_help = "Example:\n  ommatidia device status --state board.flash")]
     Status(status::Args),
+    /// Cut the power, flip bits, damage the line, and tell what became of networks and frames
+    #[command(after_help = "Example:\n  ommatidia device faults -o docs/faults.md")]
+    Faults(faults::Args),
     /// Count the instructions of each operator on the emulated boards, and what the program takes of their memory
     #[command(after_help = "Example:\n  ommatidia device bench -o docs/instructions.md")]
     Bench(BenchArgs),
@@ -78,6 +88,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         Action::Run(args) => run_network(args, run),
         Action::Flash(args) => flash::run(args, run),
         Action::Status(args) => status::run(args, run),
+        Action::Stream(args) => stream::run(args, run),
+        Action::Faults(args) => faults::run(args),
         Action::Bench(args) => count(args),
     }
 }
