@@ -61,7 +61,7 @@ pub fn stream(
     runtime: &Runtime,
     state: Option<&Path>,
     blob: &BlobFile,
-    mut feed: FrameFeed<'_>,
+    feed: FrameFeed<'_>,
     view: &View,
 ) -> anyhow::Result<StreamReport> {
     let (mut client, info) = Client::connect(runtime.start(None, state)?)?;

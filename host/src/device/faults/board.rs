@@ -41,7 +41,8 @@ pub(super) fn killed(app: &Firmware) -> Result<Row, DeviceError> {
         let (_, telemetry) = status(&runtime, Some(&state))?;
         let runs_old = runs(&telemetry, &old.blob);
         let runs_new = runs(&telemetry, &new.blob);
-        tally.blobs_lost += u64::from(!(runs_old || runs_new) || (result.is_ok() && !runs_new));
+        let kept = runs_new || (runs_old && result.is_err());
+        tally.blobs_lost += u64::from(!kept);
         let again = run(&runtime, &new.blob, std::slice::from_ref(&new.frame), Some(&state), &mut |_| {})?;
         tally.wrong += again.differing_bits.min(1);
     }

@@ -61,9 +61,9 @@ pub fn target_dir() -> PathBuf {
 }
 
 /// What `cargo fuzz` gives the compiler: coverage for libFuzzer, and the address sanitizer.
-pub const FUZZ_FLAGS: &str = "--cfg fuzzing -Zsanitizer=address -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
+pub const FUZZ_FLAGS: &str = "-Zsanitizer=address -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
     -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
-    -Cllvm-args=-sanitizer-coverage-trace-compares";
+    -Cllvm-args=-sanitizer-coverage-trace-compares --cfg fuzzing";
 
 /// The triple of this machine.
 pub fn host() -> Result<String> {
