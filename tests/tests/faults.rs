@@ -3,11 +3,12 @@
 
 use ommatidia_host::device::faults::{complaints, page, try_board, try_here};
 use ommatidia_host::device::{DeviceError, Firmware, find_qemu};
+use ommatidia_shared::boards::MPS2_AN500;
 use std::path::Path;
 
 /// The images, or what is missing to run them.
 fn images() -> Result<(Firmware, Firmware), String> {
-    match (Firmware::build("app"), Firmware::build("watchdog")) {
+    match (Firmware::build(MPS2_AN500, "app"), Firmware::build(MPS2_AN500, "watchdog")) {
         (Ok(_), Ok(_)) if find_qemu().is_none() => Err("qemu-system-arm is not on the PATH".into()),
         (Ok(app), Ok(watchdog)) => Ok((app, watchdog)),
         (Err(DeviceError::NoFirmware { detail }), _) => Err(detail),

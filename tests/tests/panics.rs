@@ -8,6 +8,7 @@
 #![allow(clippy::unwrap_used)]
 
 use ommatidia_host::device::{DeviceError, Firmware};
+use ommatidia_shared::boards::MPS2_AN500;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Bounds checks of the arithmetic, at most, by folder of `shared/src`.
@@ -18,7 +19,7 @@ const BEHIND: [&str; 3] = ["core/src/slice/", "core/src/iter/", "cortex-m-semiho
 
 #[test]
 fn no_byte_from_outside_reaches_a_panic() {
-    let image = match Firmware::build("app") {
+    let image = match Firmware::build(MPS2_AN500, "app") {
         Ok(firmware) => std::fs::read(firmware.path()).unwrap(),
         Err(DeviceError::NoFirmware { detail }) => {
             assert!(std::env::var_os("OMMATIDIA_REQUIRE_QEMU").is_none(), "{detail}");

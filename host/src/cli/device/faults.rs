@@ -3,6 +3,7 @@
 use crate::artifact::write_whole;
 use crate::cli::Outcome;
 use crate::device::{Firmware, faults};
+use ommatidia_shared::boards::MPS2_AN500;
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -17,7 +18,7 @@ pub(super) struct Args {
 /// Runs the verb.
 pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let mut rows = faults::try_here()?;
-    rows.extend(faults::try_board(&Firmware::build("app")?, &Firmware::build("watchdog")?)?);
+    rows.extend(faults::try_board(&Firmware::build(MPS2_AN500, "app")?, &Firmware::build(MPS2_AN500, "watchdog")?)?);
     if let Some(path) = &args.output {
         write_whole(path, faults::page(&rows).as_bytes())?;
     }
