@@ -76,7 +76,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
 fn text(found: &[Resolution], pixel_um: f64) -> String {
     let width = found.iter().map(|r| title(&r.name).chars().count()).max().unwrap_or(0).max(6);
     let mut text = format!(
-        "finest line pair resolved along both axes, um; contrast of the pair of {} um, mean\n{:width$}  {:>8} {:>8}   {:>8} {:>8}\n",
+        "finest line pair resolved along both axes, um; contrast of the pair of {:.1} um, mean\n{:width$}  {:>8} {:>8}   {:>8} {:>8}\n",
         3.0 * pixel_um,
         "method",
         "centre",
