@@ -109,7 +109,8 @@ pub enum NoiseNote {
     },
     /// Gain from a video.
     #[error(
-        "gain {gain_dn_per_e:.3} +- {sigma:.3} DN/e- is from differences of the scenes' frames (no flats): it holds as far as the specimen keeps still.          Measure flats at several light levels, two frames or more each, or give --gain"
+        "gain {gain_dn_per_e:.3} +- {sigma:.3} DN/e- is from differences of the scenes' frames (no flats): it holds as far as the \
+         specimen keeps still. Measure flats at several light levels, two frames or more each, or give --gain"
     )]
     GainOfVideo {
         /// The value that is used.
