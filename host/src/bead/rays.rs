@@ -64,7 +64,7 @@ pub fn fit_chief_rays(scan: &mut BeadScan, manifest: &Manifest, mut step: impl F
             frames.push(centroids(scan, n, manifest, &fit, &dead, radius)?);
             step();
         }
-        fit = regress(&frames, fit, &dead, scan)?;
+        fit = regress(&frames, fit, &dead, (scan, manifest))?;
     }
     let nominal = manifest.optics.magnification;
     let magnification = nominal * fit.slope;
@@ -257,11 +257,15 @@ fn centroid(frame: &Array2<f32>, at: [f64; 2], radius: isize, sigma: f64) -> Opt
 }
 
 /// Huber regression of all centroids on an anchor a lens and one slope.
-fn regress(frames: &[Vec<Centroid>], before: Fit, dead: &[bool], scan: &BeadScan) -> Result<Fit, BeadError> {
+fn regress(
+    frames: &[Vec<Centroid>],
+    before: Fit,
+    dead: &[bool],
+    (scan, m): (&mut BeadScan, &Manifest),
+) -> Result<Fit, BeadError> {
     let all: Vec<&Centroid> = frames.iter().flatten().collect();
-    if let Some(n) = frames.iter().position(Vec::is_empty).filter(|_| all.is_empty()) {
-        let path = scan.path(n).into();
-        return Err(BeadError::NoFocus { path, lenses: dead.len(), expected: FOCUS_CONTRAST, found: 0.0 });
+    if all.is_empty() {
+        return Err(no_centroid(scan, &before, dead.len(), m)?);
     }
     let lenses = before.anchors.len();
     // Beads in one place (a scan of depth alone) say nothing about the magnification: it stays what the manifest says.
@@ -297,6 +301,26 @@ fn regress(frames: &[Vec<Centroid>], before: Fit, dead: &[bool], scan: &BeadScan
         weights.iter_mut().zip(&misfit).for_each(|(w, v)| *w = (scale / v.abs().max(scale)).sqrt());
     }
     Ok(Fit { anchors, slope, rms_px })
+}
+
+/// Why no focus of a whole scan has a centroid: the first frame that was overexposed, or nothing but noise.
+fn no_centroid(scan: &mut BeadScan, fit: &Fit, lenses: usize, m: &Manifest) -> Result<BeadError, BeadError> {
+    let half = (m.optics.psf_window_px / 2) as isize;
+    for n in 0..scan.beads.len() {
+        let frame = scan.light_dn(n)?;
+        let displacement = displacement(m, scan.beads[n].at_px);
+        for (lens, anchor) in fit.anchors.iter().enumerate() {
+            let low = [0, 1].map(|i| (anchor[i] + fit.slope * displacement[i]).round() as isize - half);
+            let inside = |v: isize, n: usize| v.clamp(0, n as isize) as usize;
+            let span = |a: usize| inside(low[a], frame.shape()[a])..inside(low[a] + 2 * half + 1, frame.shape()[a]);
+            let found = frame.slice(s![span(0), span(1)]).iter().filter(|v| !v.is_finite()).count();
+            if found > 0 {
+                let (path, frame) = (scan.path(n).into(), scan.beads[n].frame);
+                return Ok(BeadError::Saturated { path, frame, lens, allowed: 0, found });
+            }
+        }
+    }
+    Ok(BeadError::NoFocus { path: scan.path(0).into(), lenses, expected: FOCUS_CONTRAST, found: 0.0 })
 }
 
 fn span(values: impl Iterator<Item = f64>) -> f64 {

@@ -10,7 +10,7 @@ use crate::instrument::Geometry;
 use crate::noise::Source;
 use crate::psf::shift::shifted;
 use crate::session::{Cut, Manifest};
-use ndarray::{Array1, Array2, Array3, ArrayViewMut2, Axis, s};
+use ndarray::{Array1, Array2, s};
 
 /// Pixels round a window that are cut out with it where it is moved by a fraction.
 const MARGIN: usize = 6;
@@ -41,6 +41,18 @@ pub struct LensWindows {
     pub variance_dn2: Array1<f64>,
 }
 
+impl LensWindows {
+    /// Beads that say something through this lens: of which a pixel in the middle half of the window was measured. The others fell off
+    /// the sensor.
+    pub fn seen(&self) -> Vec<bool> {
+        let Some(known) = &self.known else { return vec![true; self.light_dn.nrows()] };
+        let side = (known.ncols() as f64).sqrt().round() as usize;
+        let middle = |p: &usize| [p / side, p % side].iter().all(|v| v.abs_diff(side / 2) <= side / 4);
+        let middle: Vec<usize> = (0..known.ncols()).filter(middle).collect();
+        known.outer_iter().map(|row| middle.iter().any(|p| row[*p])).collect()
+    }
+}
+
 /// Cuts the windows of all lenses out of a scan, reading each frame once. The windows have the manifest's side; `nominal_px` is the
 /// side that must lie on the sensor without complaint.
 ///
@@ -55,9 +67,13 @@ pub fn cut_windows(
 ) -> Result<(Vec<LensWindows>, Vec<Warning>), BeadError> {
     let side = manifest.optics.psf_window_px;
     let (lenses, beads) = (manifest.array.lenses(), scan.beads.len());
-    let mut light = Array3::<f32>::zeros((lenses, beads, side * side));
-    let mut known = Array3::from_elem((lenses, beads, side * side), true);
-    let mut variance = Array2::<f64>::zeros((lenses, side * side));
+    // Most of the memory of a calibration: one array a lens, never copied.
+    let window = |_| LensWindows {
+        light_dn: Array2::zeros((beads, side * side)),
+        known: None,
+        variance_dn2: Array1::zeros(side * side),
+    };
+    let mut windows: Vec<LensWindows> = (0..lenses).map(window).collect();
     let mut saturated = [0usize; 2];
     let (mut truncated, mut cuts) = (0, 0);
     for n in 0..beads {
@@ -75,12 +91,15 @@ pub fn cut_windows(
             saturated_here += window.saturated;
             total += window.total;
             truncated += usize::from(window.truncated);
-            light.slice_mut(s![l, n, ..]).assign(&window.light.flatten());
-            known.slice_mut(s![l, n, ..]).assign(&window.known.flatten());
+            windows[l].light_dn.row_mut(n).assign(&window.light.flatten());
+            if window.known.iter().any(|k| !k) {
+                let all = || Array2::from_elem((beads, side * side), true);
+                windows[l].known.get_or_insert_with(all).row_mut(n).assign(&window.known.flatten());
+            }
         }
         saturated[0] += saturated_here;
         saturated[1] += usize::from(saturated_here > 0);
-        to_scale(scan, n, (scale, total), light.index_axis_mut(Axis(1), n), &mut variance)?;
+        to_scale(scan, n, (scale, total), &mut windows)?;
         step();
     }
     let mut warnings = Vec::new();
@@ -93,22 +112,14 @@ pub fn cut_windows(
     if cuts > 0 {
         warnings.push(Warning::CutOut { frames: cuts });
     }
-    warnings.extend(dim_lenses(&light, geometry));
+    warnings.extend(dim_lenses(&windows, geometry));
     if scan.noise().sources.gain == Source::Nominal {
-        for mut row in variance.outer_iter_mut() {
-            let mean = row.mean().unwrap_or(0.0);
-            row.fill(mean);
+        for window in &mut windows {
+            let mean = window.variance_dn2.mean().unwrap_or(0.0);
+            window.variance_dn2.fill(mean);
         }
     }
-    let window = |l: usize| {
-        let known = known.index_axis(Axis(0), l);
-        LensWindows {
-            light_dn: light.index_axis(Axis(0), l).to_owned(),
-            known: known.iter().any(|k| !k).then(|| known.to_owned()),
-            variance_dn2: variance.row(l).to_owned(),
-        }
-    };
-    Ok(((0..lenses).map(window).collect(), warnings))
+    Ok((windows, warnings))
 }
 
 /// Sensor pixel of object pixel (0, 0) through lens `l`.
@@ -117,18 +128,18 @@ pub(crate) fn corner(manifest: &Manifest, geometry: &Geometry, l: usize) -> [isi
     [0, 1].map(|a| (geometry.anchors_px[l][a] - (size[a] as f64 - 1.0) / 2.0).round() as isize)
 }
 
-/// Brings the windows of one frame, [lens, px], to the reference exposure, or to unit light if the scan was normalised. The
+/// Brings the windows of frame `n` to the reference exposure, or to unit light if the scan was normalised. The
 /// light that counts, `total`, includes the margins: what distortion moves out of a window is still light of the bead.
 fn to_scale(
     scan: &BeadScan,
     n: usize,
     (scale, total): (BeadScale, f64),
-    mut windows: ArrayViewMut2<'_, f32>,
-    variance: &mut Array2<f64>,
+    windows: &mut [LensWindows],
 ) -> Result<(), BeadError> {
     let noise = scan.noise();
-    let side = (windows.ncols() as f64).sqrt() + 2.0 * MARGIN as f64;
-    let sigma = noise.variance_dn2(noise.black_level_dn).sqrt() * side * (windows.nrows() as f64).sqrt();
+    let px = windows.first().map_or(0, |w| w.light_dn.ncols());
+    let side = (px as f64).sqrt() + 2.0 * MARGIN as f64;
+    let sigma = noise.variance_dn2(noise.black_level_dn).sqrt() * side * (windows.len() as f64).sqrt();
     // Below three standard errors nothing of the frame can be told from darkness.
     if total <= 3.0 * sigma {
         return Err(BeadError::Dark { path: scan.path(n).into(), frame: scan.beads[n].frame, found: total, sigma });
@@ -137,16 +148,18 @@ fn to_scale(
         BeadScale::Physical => scan.beads[n].to_reference,
         BeadScale::PerFrame => 1.0 / total,
     };
-    for ((l, p), v) in windows.indexed_iter_mut() {
-        let here = noise.variance_dn2(noise.black_level_dn + f64::from(*v)) * factor * factor;
-        variance[[l, p]] += here / scan.beads.len() as f64;
-        *v = (f64::from(*v) * factor) as f32;
+    for window in windows {
+        for (v, variance) in window.light_dn.row_mut(n).into_iter().zip(&mut window.variance_dn2) {
+            let here = noise.variance_dn2(noise.black_level_dn + f64::from(*v)) * factor * factor;
+            *variance += here / scan.beads.len() as f64;
+            *v = (f64::from(*v) * factor) as f32;
+        }
     }
     Ok(())
 }
 
-fn dim_lenses(light: &Array3<f32>, geometry: &Geometry) -> Vec<Warning> {
-    let totals: Vec<f64> = light.outer_iter().map(|w| w.iter().map(|v| f64::from(*v)).sum()).collect();
+fn dim_lenses(windows: &[LensWindows], geometry: &Geometry) -> Vec<Warning> {
+    let totals: Vec<f64> = windows.iter().map(|w| w.light_dn.iter().map(|v| f64::from(*v)).sum()).collect();
     let mut living: Vec<f64> = totals.iter().zip(&geometry.dead).filter(|(_, d)| !**d).map(|(t, _)| *t).collect();
     living.sort_by(f64::total_cmp);
     let median = living.get(living.len() / 2).copied().unwrap_or(0.0);
@@ -208,5 +221,21 @@ impl Window {
             raw[[r, c]].is_some() && !broken.slice(s![r - blur..=r + blur, c - blur..=c + blur]).iter().any(|b| *b)
         });
         Self { light: light.slice(inner).to_owned(), known, saturated, truncated, total }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_focus_that_fell_off_the_sensor_is_not_seen_and_one_that_hangs_over_the_edge_is() {
+        let side = 9;
+        // The rows below the given one lie on the sensor.
+        let known = Array2::from_shape_fn((3, side * side), |(n, p)| p / side < [9, 4, 2][n]);
+        let light_dn = Array2::zeros(known.dim());
+        let windows = LensWindows { light_dn, known: Some(known), variance_dn2: Array1::zeros(side * side) };
+        assert_eq!(windows.seen(), [true, true, false]);
+        assert_eq!(LensWindows { known: None, ..windows }.seen(), [true; 3]);
     }
 }

@@ -35,6 +35,9 @@ pub struct VirtualInstrument {
     pub(super) keep: bool,
 }
 
+/// Stacks that a calibration is made from.
+pub(super) const CALIBRATION_ROLES: [Role; 3] = [Role::Dark, Role::Flat, Role::Bead];
+
 /// Light of a frame, and light and start, s, of the frame before it where an effect asks for that.
 #[derive(Clone)]
 pub(super) struct Lit {
@@ -160,13 +163,13 @@ impl VirtualInstrument {
     ) -> Result<Summary, BenchError> {
         let mut writer = SessionWriter::create(target, &self.config.manifest(), Existing::ReplaceIfHas(TRUTH_FILE))?;
         let has = |role: Role| roles.contains(&role);
-        if has(Role::Dark) {
-            self.darks(&mut writer, seed, &done)?;
+        let mut bead_peak_e = 0.0;
+        for role in CALIBRATION_ROLES.into_iter().filter(|r| has(*r)) {
+            let peak_e = self.stack(&mut writer, (role, seed), &done)?;
+            if role == Role::Bead {
+                bead_peak_e = peak_e;
+            }
         }
-        if has(Role::Flat) {
-            self.flats(&mut writer, seed, &done)?;
-        }
-        let bead_peak_e = if has(Role::Bead) { self.beads(&mut writer, seed, &done)? } else { 0.0 };
         let scene_peak_e = if has(Role::Scene) { self.specimens(&mut writer, seed, &done)? } else { 0.0 };
         writer.extra(TRUTH_FILE, self.truth(seed)?.as_bytes())?;
         writer.finish()?;
@@ -232,12 +235,18 @@ impl VirtualInstrument {
         StackSpec { frames, rows: sensor.rows, cols: sensor.cols, samples, pixel_um: Some(sensor.pixel_pitch_um) }
     }
 
-    /// Exposes frames in order: light by `light`, noise of stream `what`; as many at a time as there are threads for.
+    /// The frame that the sensor makes of light.
+    pub(super) fn read_out(&self, lit: &Lit, (role, seed): (Role, u64), info: &FrameInfo) -> Array2<f32> {
+        let mut rng = rng::stream(seed, &format!("bench/{}", role.name()), info.frame as u64);
+        self.sensor.expose(&lit.light_e, &self.effects, &lit.seen(self.context(role, info)), &mut rng)
+    }
+
+    /// Exposes frames in order: light by `light`; as many at a time as there are threads for.
     pub(super) fn expose(
         &self,
         frames: &mut FrameWriter,
         infos: &[FrameInfo],
-        (role, seed, what): (Role, u64, &str),
+        (role, seed): (Role, u64),
         light: impl Fn(&FrameInfo) -> Lit + Sync,
         done: &(impl Fn(usize) + Sync),
     ) -> Result<f64, SessionError> {
@@ -247,10 +256,7 @@ impl VirtualInstrument {
                 .par_iter()
                 .map(|info| {
                     let lit = light(info);
-                    let mut rng = rng::stream(seed, what, info.frame as u64);
-                    let cx = lit.seen(self.context(role, info));
-                    let frame = self.sensor.expose(&lit.light_e, &self.effects, &cx, &mut rng);
-                    (lit.light_e.fold(0.0f32, |m, v| m.max(*v)), frame)
+                    (lit.light_e.fold(0.0f32, |m, v| m.max(*v)), self.read_out(&lit, (role, seed), info))
                 })
                 .collect();
             for (brightest, frame) in exposed {
@@ -262,20 +268,14 @@ impl VirtualInstrument {
         Ok(f64::from(peak))
     }
 
-    /// Light of one frame of a stack, by `light`, after that of the frame before it where an effect asks for it.
+    /// Light of one frame of darks, flats or beads, after that of the frame before it where an effect asks for it.
     ///
     /// The frame before is seen as if none had come before it: what an effect carries on it carries once.
-    fn lit(
-        &self,
-        role: Role,
-        infos: &[FrameInfo],
-        info: &FrameInfo,
-        light: impl Fn(&FrameInfo, &FrameContext<'_>) -> Array2<f32>,
-    ) -> Lit {
+    pub(super) fn lit(&self, role: Role, infos: &[FrameInfo], info: &FrameInfo) -> Lit {
         let previous = info.frame.checked_sub(1).and_then(|i| infos.get(i)).filter(|_| self.effects.needs_previous());
-        let before = previous.map(|p| (light(p, &self.context(role, p)), p.time_s));
+        let before = previous.map(|p| (self.light(role, p, &self.context(role, p)), p.time_s));
         let mut lit = Lit { light_e: Array2::zeros((0, 0)), before };
-        lit.light_e = light(info, &lit.seen(self.context(role, info)));
+        lit.light_e = self.light(role, info, &lit.seen(self.context(role, info)));
         lit
     }
 
@@ -299,31 +299,71 @@ impl VirtualInstrument {
         frames.map(info).collect()
     }
 
-    fn darks(&self, writer: &mut SessionWriter, seed: u64, done: &(impl Fn(usize) + Sync)) -> Result<(), BenchError> {
-        let infos = self.ladder(&self.config.dark_exposures_ms(), &[0.0], self.config.stacks.dark_frames);
-        let mut frames = writer.frames("dark.npy", self.spec(infos.len(), SampleType::U16))?;
-        let light = |info: &FrameInfo| self.lit(Role::Dark, &infos, info, |_, cx| self.even_light(0.0, cx));
-        self.expose(&mut frames, &infos, (Role::Dark, seed, "bench/dark"), light, done)?;
-        frames.finish()?;
-        writer.table("dark.csv", &infos)?;
-        writer.add(entry(Role::Dark, "dark.npy", self.config.stacks.exposure_ms, Some("dark.csv")));
-        Ok(())
+    /// What is known of each frame of a stack of darks, flats or beads.
+    pub(super) fn infos(&self, role: Role) -> Vec<FrameInfo> {
+        let (config, stacks) = (&self.config, &self.config.stacks);
+        match role {
+            Role::Dark => self.ladder(&config.dark_exposures_ms(), &[0.0], stacks.dark_frames),
+            Role::Flat => self.ladder(&config.flat_exposures_ms(), &stacks.flat_levels, stacks.flat_frames),
+            Role::Bead => {
+                let place = |(i, ([y_um, x_um], z_um)): (usize, Point)| FrameInfo { x_um, y_um, z_um, ..self.info(i) };
+                self.scan_points().into_iter().enumerate().map(place).collect()
+            }
+            Role::Scene => Vec::new(),
+        }
     }
 
-    fn flats(&self, writer: &mut SessionWriter, seed: u64, done: &(impl Fn(usize) + Sync)) -> Result<(), BenchError> {
-        let stacks = &self.config.stacks;
-        let infos = self.ladder(&self.config.flat_exposures_ms(), &stacks.flat_levels, stacks.flat_frames);
-        let mut frames = writer.frames("flat.npy", self.spec(infos.len(), SampleType::U16))?;
-        let even = |info: &FrameInfo, cx: &FrameContext<'_>| {
-            let level = info.illumination * self.config.full_scale_e() * (info.exposure_ms / stacks.exposure_ms);
-            self.even_light(level, cx)
-        };
-        let light = |info: &FrameInfo| self.lit(Role::Flat, &infos, info, even);
-        self.expose(&mut frames, &infos, (Role::Flat, seed, "bench/flat"), light, done)?;
+    /// Light of a frame of darks, flats or beads.
+    fn light(&self, role: Role, info: &FrameInfo, cx: &FrameContext<'_>) -> Array2<f32> {
+        match role {
+            Role::Bead => {
+                self.bead_light((([info.y_um, info.x_um], info.z_um), self.keep.then_some(info.frame)), cx)
+            }
+            Role::Flat => {
+                let exposure = info.exposure_ms / self.config.stacks.exposure_ms;
+                self.even_light(info.illumination * self.config.full_scale_e() * exposure, cx)
+            }
+            Role::Dark | Role::Scene => self.even_light(0.0, cx),
+        }
+    }
+
+    /// Measures darks, flats or beads; the brightest expected pixel, electrons.
+    fn stack(
+        &self,
+        writer: &mut SessionWriter,
+        (role, seed): (Role, u64),
+        done: &(impl Fn(usize) + Sync),
+    ) -> Result<f64, BenchError> {
+        let infos = self.infos(role);
+        let entry = self.entry(role);
+        let mut frames = writer.frames(&entry.file, self.spec(infos.len(), SampleType::U16))?;
+        if self.keep && role == Role::Bead {
+            // Before the frames are shared out among threads that all want the same foci.
+            for l in 0..self.optics.lenses() {
+                self.cache.scan(l, &self.optics, || self.scan_points());
+            }
+        }
+        let lit = |info: &FrameInfo| self.lit(role, &infos, info);
+        let peak = self.expose(&mut frames, &infos, (role, seed), lit, done)?;
         frames.finish()?;
-        writer.table("flat.csv", &infos)?;
-        writer.add(entry(Role::Flat, "flat.npy", stacks.exposure_ms, Some("flat.csv")));
-        Ok(())
+        if let Some(table) = &entry.table {
+            writer.table(table, &infos)?;
+        }
+        writer.add(entry);
+        Ok(peak)
+    }
+
+    /// The entry of a stack in the manifest.
+    pub(super) fn entry(&self, role: Role) -> StackEntry {
+        let name = role.name();
+        StackEntry {
+            role,
+            file: format!("{name}.npy"),
+            exposure_ms: self.config.stacks.exposure_ms,
+            table: Some(format!("{name}.csv")),
+            truth: None,
+            expected: None,
+        }
     }
 
     /// Positions of the scan, (y, x) um: even steps from edge to edge of the object; a single one at its centre.
@@ -341,27 +381,6 @@ impl VirtualInstrument {
     fn scan_points(&self) -> Vec<Point> {
         let positions = self.scan_um();
         self.config.scan.depths_um.iter().flat_map(|z| positions.iter().map(move |at_um| (*at_um, *z))).collect()
-    }
-
-    fn beads(&self, writer: &mut SessionWriter, seed: u64, done: &(impl Fn(usize) + Sync)) -> Result<f64, BenchError> {
-        let place = |(i, ([y_um, x_um], z_um)): (usize, Point)| FrameInfo { x_um, y_um, z_um, ..self.info(i) };
-        let infos: Vec<_> = self.scan_points().into_iter().enumerate().map(place).collect();
-        let mut frames = writer.frames("bead.npy", self.spec(infos.len(), SampleType::U16))?;
-        if self.keep {
-            // Before the frames are shared out among threads that all want the same foci.
-            for l in 0..self.optics.lenses() {
-                self.cache.scan(l, &self.optics, || self.scan_points());
-            }
-        }
-        let bead = |info: &FrameInfo, cx: &FrameContext<'_>| {
-            self.bead_light((([info.y_um, info.x_um], info.z_um), self.keep.then_some(info.frame)), cx)
-        };
-        let light = |info: &FrameInfo| self.lit(Role::Bead, &infos, info, bead);
-        let peak = self.expose(&mut frames, &infos, (Role::Bead, seed, "bench/bead"), light, done)?;
-        frames.finish()?;
-        writer.table("bead.csv", &infos)?;
-        writer.add(entry(Role::Bead, "bead.npy", self.config.stacks.exposure_ms, Some("bead.csv")));
-        Ok(peak)
     }
 
     /// Expected electrons of the bead at a point; `kept` is its index in the scan where its foci are kept.
@@ -385,8 +404,4 @@ impl VirtualInstrument {
         self.effects.on_light(&mut light, cx);
         light
     }
-}
-
-pub(super) fn entry(role: Role, file: &str, exposure_ms: f64, table: Option<&str>) -> StackEntry {
-    StackEntry { role, file: file.into(), exposure_ms, table: table.map(Into::into), truth: None, expected: None }
 }

@@ -9,6 +9,7 @@ mod cache;
 mod config;
 mod error;
 mod lens;
+mod live;
 mod measure;
 mod optics;
 mod scenes;

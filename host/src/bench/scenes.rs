@@ -1,7 +1,7 @@
 //! Scenes that the virtual instrument measures: specimens, what is told of them, their light through the lenses.
 
 use super::BenchError;
-use super::measure::{Lit, VirtualInstrument, entry, up_to_sensor};
+use super::measure::{Lit, VirtualInstrument, up_to_sensor};
 use super::optics::{Moves, Point};
 use crate::effects::{Chain, FrameContext, Record, Stage};
 use crate::rng;
@@ -70,7 +70,7 @@ impl VirtualInstrument {
                 expected.push(self.sensor.expected(&lit.light_e, &self.effects, &cx).view())?;
             }
             let at = |info: &FrameInfo| lit[info.frame - batch[0].frame].clone();
-            peak = peak.max(self.expose(&mut frames, batch, (Role::Scene, seed, "bench/scene"), at, done)?);
+            peak = peak.max(self.expose(&mut frames, batch, (Role::Scene, seed), at, done)?);
         }
         frames.finish()?;
         truths.finish()?;
@@ -80,7 +80,7 @@ impl VirtualInstrument {
             ..info.clone()
         };
         writer.table("scene.csv", &infos.iter().map(told).collect::<Vec<_>>())?;
-        let mut entry = entry(Role::Scene, "scene.npy", self.config.stacks.exposure_ms, Some("scene.csv"));
+        let mut entry = self.entry(Role::Scene);
         entry.truth = Some("scene_truth.npy".into());
         entry.expected = Some("scene_expected.npy".into());
         writer.add(entry);

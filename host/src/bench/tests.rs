@@ -366,3 +366,29 @@ fn the_bench_does_not_know_the_low_rank_model() {
     }
     assert!(seen > 20);
 }
+
+#[test]
+fn frames_made_on_the_fly_are_those_that_would_be_written_and_calibrate_to_the_same_instrument() {
+    use crate::instrument::{CalibrateConfig, calibrate};
+    use std::sync::Arc;
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("s");
+    let config = BenchConfig { scan: ScanConfig { rows: 3, ..small().scan }, ..small() };
+    let settings = [effect("lag", "share", 0.1)];
+    let built = config.build(&settings).unwrap();
+    built.measure(&path, 5, |_| ()).unwrap();
+    let (written, live) = (Session::open(&path).unwrap(), Arc::new(built).live(&path, 5));
+    for (a, b) in written.stacks().iter().zip(live.stacks()) {
+        assert_eq!((a.info(), a.role()), (b.info(), b.role()));
+        let (mut x, mut y) = (a.frames().unwrap(), b.frames().unwrap());
+        // In any order, as from a file.
+        for i in (0..a.len()).rev().chain(0..a.len()) {
+            assert_eq!(x.read(i).unwrap(), y.read(i).unwrap());
+        }
+        assert!(y.read(a.len()).is_err());
+    }
+    let config = CalibrateConfig { rank: Some(2), ..CalibrateConfig::default() };
+    let instrument = |session| calibrate(session, &config, || ()).unwrap().instrument;
+    let (a, b) = (instrument(&written), instrument(&live));
+    assert_eq!((a.psf.basis, a.noise), (b.psf.basis, b.noise));
+}

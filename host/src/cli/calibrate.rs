@@ -2,18 +2,21 @@
 
 use super::{Outcome, Run};
 use crate::artifact::Provenance;
+use crate::bench::BenchConfig;
 use crate::instrument::{CalibrateConfig, Calibration, Instrument, LightUnit, calibrate};
 use crate::noise::{NoiseConfig, Source};
-use crate::session::{Role, Session};
+use crate::session::{Role, Session, Stack};
 use serde_json::json;
 use std::fmt::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Options of `calibrate`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: ommatidia calibrate session/ -o lab.instrument")]
 pub struct Args {
-    /// Folder of the measured session
+    /// Folder of the measured session; or the configuration of a virtual instrument (.toml, as for `bench`), whose frames are made as
+    /// they are asked for instead of filling a disk
     session: PathBuf,
     /// Instrument file to write
     #[arg(short, long, value_name = "FILE")]
@@ -49,7 +52,7 @@ pub struct Args {
 /// # Errors
 /// The session cannot be read or calibrated, or the instrument not be written.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
-    let session = Session::open(&args.session)?;
+    let session = open(&args.session, run.seed)?;
     let config = CalibrateConfig {
         rank: args.rank,
         max_rank: args.max_rank,
@@ -65,12 +68,23 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     for note in &calibration.notes {
         tracing::warn!("{note}");
     }
-    let mut provenance = Provenance::new("calibrate", run.seed, &config).with_input(&session.manifest_path())?;
-    for stack in session.stacks() {
-        provenance = provenance.with_input(&stack.path())?;
-    }
+    let inputs = if session.is_made() {
+        vec![args.session.clone()]
+    } else {
+        std::iter::once(session.manifest_path()).chain(session.stacks().iter().map(Stack::path)).collect()
+    };
+    let provenance = Provenance::new("calibrate", run.seed, &config);
+    let provenance = inputs.iter().try_fold(provenance, |p, input| p.with_input(input))?;
     calibration.instrument.write(&args.output, provenance)?;
     Ok(Outcome { json: figures(&calibration), text: table(args, &calibration) })
+}
+
+/// The session in a folder, or that of a virtual instrument.
+fn open(path: &Path, seed: u64) -> anyhow::Result<Session> {
+    if path.is_file() && path.extension().is_some_and(|e| e == "toml") {
+        return Ok(Arc::new(BenchConfig::read(path)?.build(&[])?).live(path, seed));
+    }
+    Ok(Session::open(path)?)
 }
 
 /// Frames that are read, each pass counted.
@@ -97,6 +111,8 @@ fn figures(calibration: &Calibration) -> serde_json::Value {
         "depths_um": i.psf.node_depths_um,
         "sensor_only": i.sensor_only(),
         "approximation_error": i.quality.approximation_error,
+        "whole_array_rank": i.whole_array_rank(),
+        "error_by_rank": by_rank(i),
         "off_grid_error": i.quality.off_grid_error,
         "one_psf_error": i.quality.one_psf_error,
         "noise_floor": i.quality.noise_floor,
@@ -107,6 +123,15 @@ fn figures(calibration: &Calibration) -> serde_json::Value {
         "light_unit": i.light_unit,
         "notes": calibration.notes,
     })
+}
+
+/// Errors against the rank: on the scan, all lenses decomposed together, on positions left out.
+fn by_rank(i: &Instrument) -> Vec<serde_json::Value> {
+    let d = &i.diagnostics;
+    let row = |(k, row): (usize, ndarray::ArrayView1<'_, f32>)| {
+        json!({ "rank": row[0], "scan": row[1], "whole_array": d.whole_array_error.get(k), "held_out": row[2] })
+    };
+    d.error_by_rank.outer_iter().enumerate().map(row).collect()
 }
 
 fn rank(i: &Instrument) -> usize {
@@ -166,6 +191,9 @@ fn table(args: &Args, calibration: &Calibration) -> String {
     }
     line("window", format!("{} px", i.manifest.optics.psf_window_px), "holds a focus");
     line("approximation error", format!("{:.4}", q.approximation_error), "NRMSE on the bead scan");
+    if let Some(whole) = i.whole_array_rank() {
+        line("  rank, whole array", whole.to_string(), "of one decomposition of all lenses, for the same error");
+    }
     line("off-grid error", format!("{:.4}", q.off_grid_error), "NRMSE on positions left out (checkerboard)");
     line("  of one PSF a lens", format!("{:.4}", q.one_psf_error), "the same positions");
     line("  of noise alone", format!("{:.4}", q.noise_floor), "in these bead frames");

@@ -134,7 +134,7 @@ pub fn calibrate(
             psf,
             replicates,
             quality: Quality { maps: noise.left, ..model.quality(rays.rms_px) },
-            diagnostics: model.diagnostics(&windows, &planes, noise.photon_transfer),
+            diagnostics: model.diagnostics(&windows, &planes, noise.photon_transfer)?,
             manifest,
             noise: noise.model,
             offset_dn: noise.offset_dn,

@@ -78,6 +78,7 @@ impl Instrument {
             ("diagnostics.bead_nrmse".into(), d.bead_nrmse.clone().into_dyn()),
             ("diagnostics.singular_values".into(), d.singular_values.clone().into_dyn()),
             ("diagnostics.error_by_rank".into(), d.error_by_rank.clone().into_dyn()),
+            ("diagnostics.whole_array_error".into(), d.whole_array_error.clone().into_dyn()),
             ("diagnostics.photon_transfer".into(), d.photon_transfer.clone().into_dyn()),
         ]);
         for (name, map) in [("offset_dn", &self.offset_dn), ("response", &self.response)] {
@@ -111,6 +112,11 @@ impl Instrument {
         let nodes = [body.node_depths_um.len(), body.node_rows_px.len(), body.node_cols_px.len()].map(Some);
         let stored = (0..).map(replicate_names).take_while(|n| n.iter().any(|n| tensors.contains_key(n)));
         let stored: Vec<[String; 2]> = stored.collect();
+        // Instruments of earlier versions lack it.
+        let whole_array_error = match tensors.contains_key("diagnostics.whole_array_error") {
+            true => fixed::<Ix1>(artifact::take(path, &mut tensors, "diagnostics.whole_array_error", &[None])?),
+            false => Array::zeros(0),
+        };
         let mut take = |name: &str, shape: &[Option<usize>]| artifact::take(path, &mut tensors, name, shape);
         let basis = take("psf.basis", &[Some(lenses), None, Some(window), Some(window)])?;
         let rank = basis.shape()[1];
@@ -139,6 +145,7 @@ impl Instrument {
             bead_nrmse: fixed::<Ix1>(take("diagnostics.bead_nrmse", &[None])?),
             singular_values: fixed::<Ix2>(take("diagnostics.singular_values", &[None, None])?),
             error_by_rank: fixed::<Ix2>(take("diagnostics.error_by_rank", &[None, None])?),
+            whole_array_error,
             photon_transfer: fixed::<Ix2>(take("diagnostics.photon_transfer", &[None, None])?),
         };
         let sensor = [Some(body.manifest.sensor.rows), Some(body.manifest.sensor.cols)];

@@ -79,6 +79,13 @@ impl Instrument {
         Some(Self { psf, replicates: Vec::new(), ..self.clone() })
     }
 
+    /// Rank at which one decomposition of all lenses together errs as little on the scan as this model; None: not known, or beyond what
+    /// was looked at.
+    pub fn whole_array_rank(&self) -> Option<usize> {
+        let errors = &self.diagnostics.whole_array_error;
+        Some(1 + errors.iter().position(|e| f64::from(*e) <= self.quality.approximation_error)?)
+    }
+
     /// Whether the optics was never measured: there was no bead scan, and the model stands for the sensor alone.
     pub fn sensor_only(&self) -> bool {
         self.diagnostics.positions_px.is_empty() && self.psf.basis.len_of(Axis(1)) == 1
@@ -188,6 +195,8 @@ pub struct Diagnostics {
     pub singular_values: Array2<f32>,
     /// Error against rank, [rank tried, (rank, approximation error, off-grid error)].
     pub error_by_rank: Array2<f32>,
+    /// NRMSE on the scan of one decomposition of all lenses together, by its rank from 1; empty: not known.
+    pub whole_array_error: Array1<f32>,
     /// Photon transfer, [level, (mean above black in DN, temporal variance in DN^2, fitted variance in DN^2)].
     pub photon_transfer: Array2<f32>,
 }

@@ -93,19 +93,19 @@ impl Choice {
     }
 
     /// The order of the splines, like the rank, is what predicts best where it was not fitted.
-    fn best(
-        config: FitConfig,
-        most: usize,
-        hold_out: impl Fn(Terms) -> Result<Misfit, NotConverged>,
-    ) -> Result<Self, CalibrateError> {
+    fn best(config: FitConfig, most: usize, halves: &Halves<'_>) -> Result<Self, CalibrateError> {
         if let Some(found) = config.rank.filter(|r| *r == 0 || *r > most) {
             return Err(CalibrateError::Rank { most, found });
         }
         let tried = config.rank.unwrap_or(0).max(config.max_rank).min(most);
+        let with = |spline_order| Terms::Truncated { most: tried, spline_order };
+        // One decomposition of each half serves all orders.
+        let mut fitted = halves.fit(with(ORDERS[0]))?;
         let mut best: Option<(f64, Self)> = None;
         for spline_order in ORDERS {
-            let terms = Terms::Truncated { most: tried, spline_order };
-            let held_out = hold_out(terms)?;
+            let terms = with(spline_order);
+            fitted = halves.smoothed(fitted, terms)?;
+            let held_out = halves.misfit(&fitted)?;
             let rank = config.rank.unwrap_or_else(|| held_out.best_rank(config.scale));
             let error = held_out.nrmse(rank.min(held_out.ranks()), config.scale);
             if best.as_ref().is_none_or(|(least, _)| error < *least) {
@@ -113,6 +113,36 @@ impl Choice {
             }
         }
         best.map(|(_, choice)| choice).ok_or(CalibrateError::Rank { most, found: 0 })
+    }
+}
+
+/// The two halves of a checkerboard, each of which tells how well the other predicts it.
+struct Halves<'a> {
+    windows: &'a [LensWindows],
+    dead: &'a [bool],
+    planes: [Vec<Plane>; 2],
+}
+
+impl<'a> Halves<'a> {
+    fn new(windows: &'a [LensWindows], dead: &'a [bool], planes: &[Plane]) -> Self {
+        let beads = planes.iter().map(|p| p.beads.len()).sum();
+        let even = fit::checkerboard(planes, beads);
+        Self { windows, dead, planes: [true, false].map(|half| fit::select(planes, |n| even[n] == half)) }
+    }
+
+    fn fit(&self, terms: Terms) -> Result<[LensModels; 2], NotConverged> {
+        let [a, b] = &self.planes;
+        let fit = |planes| LensModels::fit(self.windows, self.dead, planes, terms);
+        Ok([fit(a)?, fit(b)?])
+    }
+
+    fn smoothed(&self, [a, b]: [LensModels; 2], terms: Terms) -> Result<[LensModels; 2], NotConverged> {
+        Ok([a.smoothed(&self.planes[0], terms)?, b.smoothed(&self.planes[1], terms)?])
+    }
+
+    /// Misfit of each half at the beads of the other.
+    fn misfit(&self, [a, b]: &[LensModels; 2]) -> Result<Misfit, NotConverged> {
+        Ok(a.misfit(self.windows, &self.planes[1])?.join(&b.misfit(self.windows, &self.planes[0])?))
     }
 }
 
@@ -125,16 +155,11 @@ impl Model {
         (manifest, exposure_ms): (&Manifest, f64),
     ) -> Result<Self, CalibrateError> {
         let beads: usize = planes.iter().map(|p| p.beads.len()).sum();
-        let even = fit::checkerboard(planes, beads);
-        let odd: Vec<bool> = even.iter().map(|t| !t).collect();
-        let hold_out = |terms| -> Result<Misfit, NotConverged> {
-            let half = |train| fit::hold_out(windows, dead, planes, train, terms);
-            Ok(half(&even)?.join(&half(&odd)?))
-        };
-        let one = hold_out(Terms::OnePsf)?;
+        let halves = Halves::new(windows, dead, planes);
+        let one = halves.misfit(&halves.fit(Terms::OnePsf)?)?;
         let one_psf = one.nrmse(one.ranks(), config.scale);
-        let choice = if config.one_psf { Choice::one_psf(one, planes) } else { Choice::best(config, beads, hold_out)? };
-        let models = LensModels::fit(windows, dead, planes.to_vec(), choice.terms)?;
+        let choice = if config.one_psf { Choice::one_psf(one, planes) } else { Choice::best(config, beads, &halves)? };
+        let models = LensModels::fit(windows, dead, planes, choice.terms)?;
         let order: Vec<usize> = planes.iter().flat_map(|p| p.beads.clone()).collect();
         let living = windows.iter().zip(&models.fits).filter_map(|(w, fit)| Some((w, fit.as_ref()?)));
         let approximations: Vec<Misfit> = living.map(|(w, fit)| fit::approximation(w, fit, &order)).collect();
@@ -171,7 +196,7 @@ impl Model {
             Terms::Truncated { spline_order, .. } => Terms::Truncated { most: self.rank, spline_order },
             Terms::OnePsf => Terms::OnePsf,
         };
-        self.nodes.psf(&LensModels::fit(windows, dead, planes, terms)?, self.rank)
+        self.nodes.psf(&LensModels::fit(windows, dead, &planes, terms)?, self.rank)
     }
 
     pub(super) fn quality(&self, chief_ray_rms_px: f64) -> Quality {
@@ -191,14 +216,20 @@ impl Model {
         windows: &[LensWindows],
         planes: &[Plane],
         photon_transfer: Array2<f32>,
-    ) -> Diagnostics {
+    ) -> Result<Diagnostics, NotConverged> {
         let beads: Vec<usize> = planes.iter().flat_map(|p| p.beads.clone()).collect();
         let places =
             planes.iter().flat_map(|p| p.at_px.outer_iter().map(|a| [a[0] as f32, a[1] as f32]).collect::<Vec<_>>());
         let positions_px: Vec<[f32; 2]> = places.collect();
         let ranks = self.approximation.ranks().min(self.held_out.ranks());
         let fits = &self.models.fits;
-        Diagnostics {
+        // Twice the rank of single lenses: as far as the two are worth comparing. Its errors know no free scale.
+        let whole = match self.scale {
+            BeadScale::Physical => self.models.whole_array(windows, &beads, 2 * self.approximation.ranks())?,
+            BeadScale::PerFrame => Vec::new(),
+        };
+        Ok(Diagnostics {
+            whole_array_error: whole.into_iter().map(|v| v as f32).collect(),
             pcc: pearson_map(windows, &beads, &positions_px),
             positions_px: Array2::from_shape_fn((beads.len(), 2), |(i, a)| positions_px[i][a]),
             bead_nrmse: self.smooth.by_bead(self.rank.min(self.smooth.ranks()), self.scale),
@@ -212,7 +243,7 @@ impl Model {
                 _ => self.held_out.nrmse(i + 1, self.scale) as f32,
             }),
             photon_transfer,
-        }
+        })
     }
 }
 

@@ -9,10 +9,16 @@
 //! maximisation; Srebro & Jaakkola, ICML 2003).
 
 use crate::linalg::{NotConverged, symmetric_eigen};
+use crate::rng;
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, Zip, s};
+use rand_distr::{Distribution, StandardNormal};
 
 /// Rounds of filling in missing pixels.
 const FILL_ROUNDS: usize = 30;
+/// Directions that a subspace has beyond the terms that are asked of it (Halko, Martinsson & Tropp, SIAM Review 53, 2011).
+const OVERSAMPLING: usize = 8;
+/// Pixels that are summed at a time in f64.
+const CHUNK_PX: usize = 4096;
 
 /// A low-rank description of windows.
 #[derive(Clone, Debug)]
@@ -23,6 +29,8 @@ pub struct Decomposition {
     pub coefficients: Array2<f64>,
     /// Singular values of the weighted windows, all of them, largest first.
     pub singular_values: Vec<f64>,
+    /// Products of the weighted windows with one another, [bead, bead].
+    pub gram: Array2<f64>,
 }
 
 impl Decomposition {
@@ -65,31 +73,89 @@ pub(super) fn fill(
     rank: usize,
 ) -> Result<(), NotConverged> {
     let means = known_means(filled.view(), known);
+    let broken: Vec<usize> = (0..known.nrows()).filter(|n| known.row(*n).iter().any(|k| !k)).collect();
     Zip::indexed(&mut *filled).and(known).for_each(|(_, p), v, k| {
         if !k {
             *v = means[p];
         }
     });
+    let mut weighted = &*filled / &sigma.insert_axis(Axis(0));
+    let mut space = Subspace::start(weighted.view(), rank)?;
     // Few terms first: what is missing follows the broad shape before it follows details.
     for round in 0..FILL_ROUNDS {
-        let terms = rank.min(1 + round / 2);
-        let model = decompose_whole(filled.view(), sigma, terms)?.windows(terms);
-        Zip::from(&mut *filled).and(known).and(&model).for_each(|v, k, m| {
+        space.turn(weighted.view())?;
+        let basis = space.leading(rank.min(1 + round / 2));
+        for n in &broken {
+            let model = basis.dot(&weighted.row(*n)).dot(&basis);
+            Zip::from(weighted.row_mut(*n)).and(known.row(*n)).and(&model).for_each(|v, k, m| {
+                if !k {
+                    *v = *m;
+                }
+            });
+        }
+    }
+    for n in broken {
+        let row = filled.row_mut(n);
+        Zip::from(row).and(known.row(n)).and(weighted.row(n)).and(sigma).for_each(|v, k, w, s| {
             if !k {
-                *v = *m;
+                *v = w * s;
             }
         });
     }
     Ok(())
 }
 
+/// The leading right singular vectors of windows that change little from one look to the next: subspace iteration, which costs two
+/// products with the windows a look instead of a whole decomposition.
+struct Subspace {
+    /// Orthonormal rows, most of the windows first, [q, px].
+    basis: Array2<f32>,
+}
+
+impl Subspace {
+    /// A random start, and two looks.
+    fn start(windows: ArrayView2<'_, f32>, rank: usize) -> Result<Self, NotConverged> {
+        let q = (rank + OVERSAMPLING).min(windows.nrows());
+        let mut rng = rng::stream(0, "psf/subspace", 0);
+        let mix: Array2<f32> = Array2::from_shape_simple_fn((q, windows.nrows()), || StandardNormal.sample(&mut rng));
+        let mut space = Self { basis: orthonormal(mix.dot(&windows))? };
+        (0..2).try_for_each(|_| space.turn(windows))?;
+        Ok(space)
+    }
+
+    /// Turns towards the leading vectors of `windows` [bead, px].
+    fn turn(&mut self, windows: ArrayView2<'_, f32>) -> Result<(), NotConverged> {
+        let seen = orthonormal(self.basis.dot(&windows.t()))?;
+        self.basis = orthonormal(seen.dot(&windows))?;
+        Ok(())
+    }
+
+    fn leading(&self, terms: usize) -> ArrayView2<'_, f32> {
+        self.basis.slice(s![..terms.min(self.basis.nrows()), ..])
+    }
+}
+
+/// Orthonormal rows that span those of `rows`, along their principal axes, largest first; what lies below rounding is left out.
+fn orthonormal(rows: Array2<f32>) -> Result<Array2<f32>, NotConverged> {
+    let (values, vectors) = symmetric_eigen(&gram(rows.view()))?;
+    let n = values.len();
+    let largest = values.last().copied().unwrap_or(0.0);
+    let kept = values.iter().filter(|v| **v > 1e-10 * largest).count();
+    let turn = Array2::from_shape_fn((kept, n), |(i, j)| {
+        (vectors[[j, n - 1 - i]] / values[n - 1 - i].max(f64::MIN_POSITIVE).sqrt()) as f32
+    });
+    Ok(turn.dot(&rows))
+}
+
+/// The decomposition of windows of which every pixel is known.
 fn decompose_whole(
     windows: ArrayView2<'_, f32>,
     sigma: ArrayView1<'_, f32>,
     rank: usize,
 ) -> Result<Decomposition, NotConverged> {
     let weighted = &windows / &sigma.insert_axis(Axis(0));
-    let (values, vectors) = symmetric_eigen(&gram(weighted.view()))?;
+    let gram = gram(weighted.view());
+    let (values, vectors) = symmetric_eigen(&gram)?;
     let n = windows.nrows();
     let singular_values: Vec<f64> = values.iter().rev().map(|v| v.max(0.0).sqrt()).collect();
     // What lies below rounding of the largest is nothing.
@@ -105,13 +171,13 @@ fn decompose_whole(
         basis.row_mut(k).mapv_inplace(|v| (f64::from(v) * sign / norm) as f32);
         coefficients.column_mut(k).mapv_inplace(|c| c * norm * sign);
     }
-    Ok(Decomposition { basis, coefficients, singular_values })
+    Ok(Decomposition { basis, coefficients, singular_values, gram })
 }
 
 /// `windows windows'`, summed in f64 over chunks of pixels.
 fn gram(windows: ArrayView2<'_, f32>) -> Array2<f64> {
     let n = windows.nrows();
-    windows.axis_chunks_iter(Axis(1), 4096).fold(Array2::zeros((n, n)), |sum, chunk| {
+    windows.axis_chunks_iter(Axis(1), CHUNK_PX).fold(Array2::zeros((n, n)), |sum, chunk| {
         let chunk = chunk.mapv(f64::from);
         sum + chunk.dot(&chunk.t())
     })

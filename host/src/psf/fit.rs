@@ -7,12 +7,15 @@ use super::decompose::{Decomposition, decompose, fill};
 use super::field::FieldSmoother;
 use super::nodes::Taps;
 use crate::bead::{BeadScale, LensWindows};
-use crate::linalg::NotConverged;
-use ndarray::{Array1, Array2, ArrayView2, Axis, s};
+use crate::linalg::{NotConverged, symmetric_eigen};
+use ndarray::{Array1, Array2, ArrayView2, Axis, CowArray, Zip, s};
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// Fewer beads at a depth say nothing of the field between them.
 const FEW: usize = 4;
+/// Pixels that are summed at a time.
+const CHUNK_PX: usize = 4096;
 /// Terms that what was not measured is filled in with, before windows are averaged.
 const FILL_TERMS: usize = 16;
 
@@ -75,6 +78,8 @@ impl Terms {
 pub struct LensFit {
     /// Basis and coefficients at the beads.
     pub decomposition: Decomposition,
+    /// The beads that it was made of, in the order of the coefficients.
+    pub beads: Vec<usize>,
 }
 
 /// Sums of squares over beads, by rank 1, 2, ..: what NRMSE with and without a free scale a bead is made of.
@@ -172,7 +177,7 @@ pub fn fit_lens(windows: &LensWindows, beads: &[usize], max_rank: usize) -> Resu
     let known = windows.known.as_ref().map(|k| k.select(Axis(0), beads));
     let rank = max_rank.min(beads.len());
     let decomposition = decompose(light.view(), known.as_ref().map(|k| k.view()), sigma(windows).view(), rank)?;
-    Ok(LensFit { decomposition })
+    Ok(LensFit { decomposition, beads: beads.to_vec() })
 }
 
 /// Noise of each pixel; where the model says none, even.
@@ -181,9 +186,17 @@ fn sigma(windows: &LensWindows) -> Array1<f32> {
     windows.variance_dn2.mapv(|v| if floor > 0.0 { v.max(floor).sqrt() as f32 } else { 1.0 })
 }
 
-/// Misfit of a TSVD at the beads that it was made of (coefficients as decomposed: the approximation error of Eq. 2).
+/// Misfit of a TSVD at those of `beads` that it was made of (coefficients as decomposed: the approximation error of Eq. 2).
 pub fn approximation(windows: &LensWindows, fit: &LensFit, beads: &[usize]) -> Misfit {
-    misfit(windows, beads, &fit.decomposition.basis, fit.decomposition.coefficients.view())
+    let found = misfit(windows, &fit.beads, &fit.decomposition.basis, fit.decomposition.coefficients.view());
+    let mut all = Misfit::new(beads.len(), found.ranks());
+    for (i, bead) in beads.iter().enumerate() {
+        let Some(from) = fit.beads.iter().position(|b| b == bead) else { continue };
+        all.pt.row_mut(i).assign(&found.pt.row(from));
+        all.pp.row_mut(i).assign(&found.pp.row(from));
+        (all.tt[i], all.noise[i]) = (found.tt[from], found.noise[from]);
+    }
+    all
 }
 
 /// Misfit at beads whose coefficients come from the smooth fields, [bead of the plane, k] a plane.
@@ -193,55 +206,123 @@ pub fn predicted(windows: &LensWindows, fit: &LensFit, fields: &[Array2<f64>], p
     parts.fold(Misfit::new(0, basis.nrows()), |all, part| all.join(&part))
 }
 
-/// Models of all lenses, fitted to the same beads.
+/// Models of all lenses.
 #[derive(Clone, Debug)]
 pub struct LensModels {
     /// One a lens; None: dead.
     pub fits: Vec<Option<LensFit>>,
-    /// Beads, in the order of the rows of each decomposition.
-    beads: Vec<usize>,
+    fields: Vec<Option<Arc<LensFields>>>,
+}
+
+/// How the coefficients of lenses that see the same beads become functions over the field.
+#[derive(Debug)]
+struct LensFields {
     planes: Vec<Plane>,
     smoothers: Vec<FieldSmoother>,
 }
 
 impl LensModels {
-    /// Fits every living lens to the beads of `planes`.
+    /// Fits every living lens to those beads of `planes` that it sees.
     ///
     /// # Errors
     /// The windows hold values that are no numbers.
     pub fn fit(
         windows: &[LensWindows],
         dead: &[bool],
-        mut planes: Vec<Plane>,
+        planes: &[Plane],
         terms: Terms,
     ) -> Result<Self, NotConverged> {
-        planes.retain(|p| !p.beads.is_empty());
-        let beads: Vec<usize> = planes.iter().flat_map(|p| p.beads.clone()).collect();
-        let orders = terms.spline_orders();
-        let smoothers =
-            planes.iter().map(|p| FieldSmoother::plan(p.at_px.view(), &orders)).collect::<Result<Vec<_>, _>>()?;
-        let lens = |l: usize| match terms {
-            _ if dead[l] => Ok(None),
-            Terms::Truncated { most, .. } => fit_lens(&windows[l], &beads, most).map(Some),
-            Terms::OnePsf => mean_psf(&windows[l], &planes).map(Some),
+        let lens = |l: usize| {
+            let seen = windows[l].seen();
+            let planes = select(planes, |n| seen[n]);
+            let beads: Vec<usize> = planes.iter().flat_map(|p| p.beads.clone()).collect();
+            match terms {
+                _ if dead[l] || beads.is_empty() => Ok(None),
+                Terms::Truncated { most, .. } => fit_lens(&windows[l], &beads, most).map(Some),
+                Terms::OnePsf => mean_psf(&windows[l], &planes).map(Some),
+            }
         };
         let fits = (0..windows.len()).into_par_iter().map(lens).collect::<Result<Vec<_>, NotConverged>>()?;
-        Ok(Self { fits, beads, planes, smoothers })
+        Self { fits, fields: Vec::new() }.smoothed(planes, terms)
+    }
+
+    /// The same decompositions with coefficients that are smooth by other splines.
+    ///
+    /// # Errors
+    /// A position is no number.
+    pub fn smoothed(self, planes: &[Plane], terms: Terms) -> Result<Self, NotConverged> {
+        let orders = terms.spline_orders();
+        let mut planned: Vec<(&[usize], Arc<LensFields>)> = Vec::new();
+        let mut fields = Vec::new();
+        for fit in &self.fits {
+            let Some(fit) = fit else {
+                fields.push(None);
+                continue;
+            };
+            let found = planned.iter().find(|(beads, _)| *beads == fit.beads).map(|(_, f)| Arc::clone(f));
+            let plan = match found {
+                Some(plan) => plan,
+                None => {
+                    let mut planes = select(planes, |n| fit.beads.contains(&n));
+                    planes.retain(|p| !p.beads.is_empty());
+                    let smoothers = planes.iter().map(|p| FieldSmoother::plan(p.at_px.view(), &orders));
+                    let smoothers = smoothers.collect::<Result<Vec<_>, _>>()?;
+                    let plan = Arc::new(LensFields { planes, smoothers });
+                    planned.push((&fit.beads, Arc::clone(&plan)));
+                    plan
+                }
+            };
+            fields.push(Some(plan));
+        }
+        Ok(Self { fields, ..self })
     }
 
     /// The windows with what was not measured filled in by the first `rank` terms.
     pub fn filled(&self, windows: &[LensWindows], rank: usize) -> Vec<LensWindows> {
-        let fill = |(w, fit): (&LensWindows, &Option<LensFit>)| {
-            let (Some(known), Some(fit)) = (&w.known, fit) else { return w.clone() };
-            let model = fit.decomposition.windows(rank);
-            let mut light_dn = w.light_dn.clone();
-            for (row, bead) in self.beads.iter().enumerate() {
-                let pixels = light_dn.row_mut(*bead).into_iter().zip(known.row(*bead)).zip(model.row(row));
-                pixels.filter(|((_, k), _)| !**k).for_each(|((v, _), m)| *v = *m);
+        windows.iter().zip(&self.fits).map(|(w, fit)| filled(w, fit.as_ref(), rank)).collect()
+    }
+
+    /// NRMSE of one decomposition of the windows of all lenses together, by its rank from 1 to `most`: what the whole array costs
+    /// where lenses of different aberrations share their coefficients (Xue et al., Optica 9, 1009, 2022). Beads as in `order`; what was not
+    /// measured is filled in. Empty where the lenses have no decomposition.
+    ///
+    /// # Errors
+    /// The windows hold values that are no numbers.
+    pub fn whole_array(&self, windows: &[LensWindows], order: &[usize], most: usize) -> Result<Vec<f64>, NotConverged> {
+        let mut gram = Array2::<f64>::zeros((order.len(), order.len()));
+        for fit in self.fits.iter().flatten() {
+            let own = &fit.decomposition.gram;
+            let place: Vec<Option<usize>> = fit.beads.iter().map(|b| order.iter().position(|o| o == b)).collect();
+            if own.is_empty() {
+                return Ok(Vec::new());
             }
-            LensWindows { light_dn, known: None, variance_dn2: w.variance_dn2.clone() }
-        };
-        windows.iter().zip(&self.fits).map(fill).collect()
+            for ((i, j), v) in own.indexed_iter() {
+                if let (Some(i), Some(j)) = (place[i], place[j]) {
+                    gram[[i, j]] += v;
+                }
+            }
+        }
+        let (_, vectors) = symmetric_eigen(&gram)?;
+        let n = order.len();
+        let left = Array2::from_shape_fn((most.min(n), n), |(k, i)| vectors[[i, n - 1 - k]] as f32);
+        // Given its coefficients, a pixel's share in the basis is its projection, whatever its weight.
+        let parts = windows.par_iter().zip(&self.fits).filter_map(|(w, fit)| Some((w, fit.as_ref()?))).map(|(w, fit)| {
+            let light = filled(w, Some(fit), fit.decomposition.basis.nrows()).light_dn.select(Axis(0), order);
+            let square = |row: ndarray::ArrayView1<'_, f32>| row.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>();
+            let kept: Vec<f64> = left.dot(&light).outer_iter().map(square).collect();
+            (light.outer_iter().map(square).sum::<f64>(), kept)
+        });
+        let mut left_over = vec![0.0; left.nrows()];
+        let mut all = 0.0;
+        for (total, kept) in parts.collect::<Vec<_>>() {
+            all += total;
+            let mut rest = total;
+            left_over.iter_mut().zip(kept).for_each(|(sum, k)| {
+                rest -= k;
+                *sum += rest.max(0.0);
+            });
+        }
+        Ok(left_over.iter().map(|v| (v / all).sqrt()).collect())
     }
 
     /// Coefficients of all lenses at `targets` (depth, um, and positions), [position, k], from smooth fields through those at the
@@ -250,16 +331,15 @@ impl LensModels {
     /// # Errors
     /// A coefficient is no number.
     pub fn at(&self, targets: &[(f64, Array2<f64>)]) -> Result<Vec<Option<Vec<Array2<f64>>>>, NotConverged> {
-        let row_of = |bead: &usize| self.beads.iter().position(|b| b == bead);
-        let depths: Vec<f64> = self.planes.iter().map(|p| p.z_um).collect();
-        let lens = |fit: &Option<LensFit>| {
-            let Some(fit) = fit else { return Ok(None) };
+        let lens = |(fit, fields): (&Option<LensFit>, &Option<Arc<LensFields>>)| {
+            let (Some(fit), Some(LensFields { planes, smoothers })) = (fit, fields.as_deref()) else { return Ok(None) };
+            let row_of = |bead: &usize| fit.beads.iter().position(|b| b == bead);
+            let depths: Vec<f64> = planes.iter().map(|p| p.z_um).collect();
             let field = |(plane, smoother): (&Plane, &FieldSmoother)| {
                 let rows: Vec<usize> = plane.beads.iter().filter_map(row_of).collect();
                 smoother.fit(fit.decomposition.coefficients.select(Axis(0), &rows).view())
             };
-            let fields =
-                self.planes.iter().zip(&self.smoothers).map(field).collect::<Result<Vec<_>, NotConverged>>()?;
+            let fields = planes.iter().zip(smoothers).map(field).collect::<Result<Vec<_>, NotConverged>>()?;
             let value = |(z_um, at): &(f64, Array2<f64>)| {
                 let taps = Taps::at(&depths, *z_um);
                 let mut sum = Array2::zeros((at.nrows(), fit.decomposition.basis.nrows()));
@@ -269,7 +349,7 @@ impl LensModels {
             };
             Ok(Some(targets.iter().map(value).collect()))
         };
-        self.fits.par_iter().map(lens).collect()
+        self.fits.par_iter().zip(&self.fields).map(lens).collect()
     }
 
     /// Misfit at the beads of `planes`, which need not be those that were fitted, over all living lenses.
@@ -283,6 +363,18 @@ impl LensModels {
         let parts = lenses.filter_map(|((fit, fields), w)| Some(predicted(w, fit.as_ref()?, fields.as_ref()?, planes)));
         Ok(sum_over_lenses(&parts.collect::<Vec<_>>()))
     }
+}
+
+/// The windows of a lens with what was not measured filled in by the first `rank` terms.
+fn filled(w: &LensWindows, fit: Option<&LensFit>, rank: usize) -> LensWindows {
+    let (Some(known), Some(fit)) = (&w.known, fit) else { return w.clone() };
+    let model = fit.decomposition.windows(rank);
+    let mut light_dn = w.light_dn.clone();
+    for (row, bead) in fit.beads.iter().enumerate() {
+        let pixels = light_dn.row_mut(*bead).into_iter().zip(known.row(*bead)).zip(model.row(row));
+        pixels.filter(|((_, k), _)| !**k).for_each(|((v, _), m)| *v = *m);
+    }
+    LensWindows { light_dn, known: None, variance_dn2: w.variance_dn2.clone() }
 }
 
 /// The mean PSF of each plane, with constant coefficients: the shift-invariant model.
@@ -306,22 +398,8 @@ fn mean_psf(windows: &LensWindows, planes: &[Plane]) -> Result<LensFit, NotConve
         row += plane.beads.len();
         singular_values.push(norm * (plane.beads.len() as f64).sqrt());
     }
-    Ok(LensFit { decomposition: Decomposition { basis, coefficients, singular_values } })
-}
-
-/// Misfit of the model fitted to the beads of `train` at all other beads of `planes`, over all living lenses.
-///
-/// # Errors
-/// The windows hold values that are no numbers.
-pub fn hold_out(
-    windows: &[LensWindows],
-    dead: &[bool],
-    planes: &[Plane],
-    train: &[bool],
-    terms: Terms,
-) -> Result<Misfit, NotConverged> {
-    let fitted = LensModels::fit(windows, dead, select(planes, |n| train[n]), terms)?;
-    fitted.misfit(windows, &select(planes, |n| !train[n]))
+    let beads = planes.iter().flat_map(|p| p.beads.clone()).collect();
+    Ok(LensFit { decomposition: Decomposition { basis, coefficients, singular_values, gram: Array2::zeros((0, 0)) }, beads })
 }
 
 /// The beads of each plane that `keep` names.
@@ -347,20 +425,43 @@ pub fn sum_over_lenses(parts: &[Misfit]) -> Misfit {
 }
 
 /// Misfit of `coefficients` [bead, k] times `basis` [k, px] at `beads`, for each rank; unknown pixels do not count.
+///
+/// All from `<basis, measured>` and `<basis, basis>`, summed in f64: predictions are never formed.
 fn misfit(windows: &LensWindows, beads: &[usize], basis: &Array2<f32>, coefficients: ArrayView2<'_, f64>) -> Misfit {
     let ranks = basis.nrows();
     let mut out = Misfit::new(beads.len(), ranks);
+    let mut with_measured = Array2::<f64>::zeros((beads.len(), ranks));
+    let mut with_itself = Array2::<f64>::zeros((ranks, ranks));
+    let px = basis.ncols();
+    for first in (0..px).step_by(CHUNK_PX) {
+        let here = s![.., first..(first + CHUNK_PX).min(px)];
+        let part = basis.slice(here).mapv(f64::from);
+        let mut measured = windows.light_dn.slice(here).select(Axis(0), beads).mapv(f64::from);
+        if let Some(known) = &windows.known {
+            Zip::from(&mut measured).and(&known.slice(here).select(Axis(0), beads)).for_each(|v, k| {
+                if !k {
+                    *v = 0.0;
+                }
+            });
+        }
+        with_measured += &measured.dot(&part.t());
+        with_itself += &part.dot(&part.t());
+        out.tt += &measured.mapv(|v| v * v).sum_axis(Axis(1));
+    }
+    let noise = windows.variance_dn2.sum();
     for (i, bead) in beads.iter().enumerate() {
-        let known = |p: usize| windows.known.as_ref().is_none_or(|k| k[[*bead, p]]);
-        let target = windows.light_dn.row(*bead);
-        let mut prediction = Array1::<f32>::zeros(target.len());
-        let sum = |f: &dyn Fn(usize) -> f64| (0..target.len()).filter(|p| known(*p)).map(f).sum::<f64>();
-        out.tt[i] = sum(&|p| f64::from(target[p]).powi(2));
-        out.noise[i] = sum(&|p| windows.variance_dn2[p]);
+        let known = windows.known.as_ref().map(|k| k.row(*bead));
+        let missing: Vec<usize> = known.map_or_else(Vec::new, |k| (0..px).filter(|p| !k[*p]).collect());
+        let lost = basis.select(Axis(1), &missing).mapv(f64::from);
+        let norms = if missing.is_empty() { with_itself.view().into() } else { CowArray::from(&with_itself - &lost.dot(&lost.t())) };
+        out.noise[i] = noise - missing.iter().map(|p| windows.variance_dn2[*p]).sum::<f64>();
+        let (mut pt, mut pp) = (0.0, 0.0);
         for k in 0..ranks {
-            prediction.scaled_add(coefficients[[i, k]] as f32, &basis.row(k));
-            out.pt[[i, k]] = sum(&|p| f64::from(prediction[p]) * f64::from(target[p]));
-            out.pp[[i, k]] = sum(&|p| f64::from(prediction[p]).powi(2));
+            let c = coefficients[[i, k]];
+            pt += c * with_measured[[i, k]];
+            let crossed: f64 = (0..k).map(|j| coefficients[[i, j]] * norms[[j, k]]).sum();
+            pp += c * (c * norms[[k, k]] + 2.0 * crossed);
+            (out.pt[[i, k]], out.pp[[i, k]]) = (pt, pp);
         }
     }
     out
@@ -433,8 +534,31 @@ mod tests {
         let train = checkerboard(&planes, 11);
         assert!(train.iter().enumerate().all(|(i, t)| *t == (i % 2 == 0)));
         let terms = Terms::Truncated { most: 2, spline_order: 2 };
-        let misfit = hold_out(&[windows], &[false], &planes, &train, terms).unwrap();
+        let models = LensModels::fit(&[windows.clone()], &[false], &select(&planes, |n| train[n]), terms).unwrap();
+        let misfit = models.misfit(&[windows], &select(&planes, |n| !train[n])).unwrap();
         assert!(misfit.nrmse(2, BeadScale::Physical) < 1e-3, "{}", misfit.nrmse(2, BeadScale::Physical));
+    }
+
+    #[test]
+    fn lenses_of_different_aberrations_need_more_terms_together_than_each_alone() {
+        use rand_distr::{Distribution, StandardNormal};
+        // Two terms a lens whose coefficients have nothing to do with those of the other lens.
+        let mut rng = crate::rng::stream(3, "whole array", 0);
+        let mut random = |shape| Array2::<f32>::from_shape_simple_fn(shape, || StandardNormal.sample(&mut rng));
+        let mut lens = || LensWindows {
+            light_dn: random((30, 2)).dot(&random((2, 49))),
+            known: None,
+            variance_dn2: Array1::ones(49),
+        };
+        let windows = [lens(), lens()];
+        let at_px = Array2::from_shape_fn((30, 2), |(i, a)| [i / 6, i % 6][a] as f64);
+        let planes = [Plane { z_um: 0.0, beads: (0..30).collect(), at_px }];
+        let terms = Terms::Truncated { most: 4, spline_order: 2 };
+        let models = LensModels::fit(&windows, &[false, false], &planes, terms).unwrap();
+        let whole = models.whole_array(&windows, &planes[0].beads, 6).unwrap();
+        assert!(whole[1] > 0.2 && whole[2] > 0.05 && whole[3] < 1e-3, "{whole:?}");
+        let own = approximation(&windows[0], models.fits[0].as_ref().unwrap(), &planes[0].beads);
+        assert!(own.nrmse(2, BeadScale::Physical) < 1e-3);
     }
 
     #[test]

@@ -191,6 +191,7 @@ fn rank(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup, Report
     let column = |c: usize| -> Vec<[f64; 2]> {
         d.error_by_rank.outer_iter().map(|r| [f64::from(r[0]), 100.0 * f64::from(r[c])]).collect()
     };
+    let whole = d.whole_array_error.iter().enumerate().map(|(k, e)| [k as f64 + 1.0, 100.0 * f64::from(*e)]).collect();
     let floor: Vec<[f64; 2]> = column(0).into_iter().map(|p| [p[0], 100.0 * instrument.quality.noise_floor]).collect();
     let error = Chart {
         alt: "Error of the low-rank model against its rank".into(),
@@ -204,14 +205,19 @@ fn rank(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup, Report
                 colour: 2,
                 marks: Marks::Dots,
             },
+            Line { label: "all lenses decomposed together".into(), points: whole, colour: 3, marks: Marks::None },
             Line { label: "noise of the bead frames alone".into(), points: floor, colour: 5, marks: Marks::None },
         ],
     };
     let text = format!(
         "a, singular values of each lens’s foci (one line a lens). b, error of the model against its rank; this instrument keeps K = {rank}: \
-         {:.2} % on the scan, {:.2} % on positions left out.",
+         {:.2} % on the scan, {:.2} % on positions left out.{}",
         100.0 * instrument.quality.approximation_error,
-        100.0 * instrument.quality.off_grid_error
+        100.0 * instrument.quality.off_grid_error,
+        match instrument.whole_array_rank() {
+            Some(whole) => format!(" One decomposition of the whole array needs {whole} terms for the same error on the scan."),
+            None => String::new(),
+        }
     );
     let body = html! {
         div.two {

@@ -19,14 +19,13 @@ impl Cut {
         let mut corners = [(0, 0), (0, cols - 1), (rows - 1, 0), (rows - 1, cols - 1)].map(|at| frame[at]);
         corners.sort_by(f32::total_cmp);
         let outside = if corners[0] == corners[1] { corners[1] } else { corners[2] };
-        let mut found: Option<[Range<usize>; 2]> = None;
-        for ((r, c), _) in frame.indexed_iter().filter(|(_, v)| **v != outside) {
-            let grown = |b: &Range<usize>, i: usize| b.start.min(i)..b.end.max(i + 1);
-            found = Some(match &found {
-                None => [r..r + 1, c..c + 1],
-                Some([y, x]) => [grown(y, r), grown(x, c)],
-            });
-        }
+        // From the edges inwards: of a frame that was measured everywhere next to nothing is looked at.
+        let row = |r: &usize| frame.row(*r).iter().any(|v| *v != outside);
+        let col = |c: &usize| frame.column(*c).iter().any(|v| *v != outside);
+        let span = |first: Option<usize>, last: Option<usize>| Some(first?..last? + 1);
+        let found = span((0..rows).find(row), (0..rows).rev().find(row))
+            .zip(span((0..cols).find(col), (0..cols).rev().find(col)))
+            .map(|(r, c)| [r, c]);
         found.filter(|[y, x]| 2 * y.len() * x.len() <= rows * cols).map(Self)
     }
 

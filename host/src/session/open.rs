@@ -1,9 +1,10 @@
 //! Opens a session and checks all of it before anything is computed.
 
-use super::stack::{FrameReader, SampleType};
+use super::stack::{FrameReader, FrameSource, SampleType};
 use super::table::{self, FrameInfo};
 use super::{Manifest, Role, SessionError, StackEntry};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Name of the manifest in a session's folder.
 pub const MANIFEST: &str = "session.toml";
@@ -22,6 +23,8 @@ pub struct Stack {
     entry: StackEntry,
     dir: PathBuf,
     info: Vec<FrameInfo>,
+    /// Makes the frames where there is no file of them.
+    maker: Option<Arc<dyn FrameSource>>,
 }
 
 impl Session {
@@ -40,6 +43,22 @@ impl Session {
         let stacks = manifest.stacks.iter().map(|entry| Stack::open(dir, &path, &manifest, entry));
         let stacks = stacks.collect::<Result<_, _>>()?;
         Ok(Self { dir: dir.into(), manifest, stacks })
+    }
+
+    /// A session whose frames are made as they are asked for, `name` standing for its folder in messages: entries, what is known of
+    /// each frame, and who makes it.
+    pub(crate) fn made(
+        name: &Path,
+        manifest: Manifest,
+        stacks: Vec<(StackEntry, Vec<FrameInfo>, Arc<dyn FrameSource>)>,
+    ) -> Self {
+        let stack = |(entry, info, maker)| Stack { entry, dir: name.into(), info, maker: Some(maker) };
+        Self { dir: name.into(), manifest, stacks: stacks.into_iter().map(stack).collect() }
+    }
+
+    /// Whether its frames are made and not read.
+    pub fn is_made(&self) -> bool {
+        self.stacks.iter().any(|s| s.maker.is_some())
     }
 
     /// The session's folder.
@@ -113,7 +132,7 @@ impl Stack {
                 companion(&dir.join(name), shape)?;
             }
         }
-        Ok(Self { entry: entry.clone(), dir: dir.into(), info })
+        Ok(Self { entry: entry.clone(), dir: dir.into(), info, maker: None })
     }
 
     /// What its frames show.
@@ -147,7 +166,10 @@ impl Stack {
     /// # Errors
     /// The file was taken away or changed since the session was opened.
     pub fn frames(&self) -> Result<FrameReader, SessionError> {
-        FrameReader::open(&self.path())
+        match &self.maker {
+            Some(maker) => Ok(FrameReader::made(&self.path(), Arc::clone(maker))),
+            None => FrameReader::open(&self.path()),
+        }
     }
 
     /// A reader of the known objects, [object rows, object cols], in a unit common to the stack.

@@ -5,8 +5,9 @@
 //! ```
 //! `place_l` puts object pixel (r, c) at sensor pixel `corner_l + (r, c)`, `corner_l = round(anchor_l - centre)`: one object
 //! pixel is one sensor pixel, and what that leaves (sub-pixel remainder, distortion) lies in the basis PSFs. Light that falls
-//! off the sensor is cut. The convolutions run block by block over the object (overlap-add), with the spectra of the basis
-//! kept; the memory is bounded by the block, not by the object. All in f32; the result does not depend on the number of threads.
+//! off the sensor is cut. The convolutions run block by block over the object (overlap-add); the memory is bounded by the block, not
+//! by the object. The spectra of the basis are kept where they take little memory, and made anew for one lens at a time where they
+//! would take much. All in f32; the result does not depend on the number of threads.
 
 use super::nodes::Taps;
 use super::shift::shifted_windows;
@@ -15,6 +16,7 @@ use crate::instrument::{Geometry, Instrument};
 use ndarray::{Array2, Array3, ArrayView2, ArrayView3, Axis, s};
 use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
+use std::borrow::Cow;
 use thiserror::Error;
 
 /// Why an operator could not be planned or applied.
@@ -65,13 +67,15 @@ pub enum OperatorError {
 pub struct OperatorConfig {
     /// Index into the depths of the model.
     pub depth: usize,
-    /// Largest transform, pixels a side; a whole object that fits is one block.
+    /// Largest transform, pixels a side, as far as the windows allow.
     pub max_transform_px: usize,
+    /// Spectra of the basis PSFs of all lenses are kept if they take no more than this, bytes.
+    pub most_spectra_bytes: usize,
 }
 
 impl Default for OperatorConfig {
     fn default() -> Self {
-        Self { depth: 0, max_transform_px: 1024 }
+        Self { depth: 0, max_transform_px: 1536, most_spectra_bytes: 512 << 20 }
     }
 }
 
@@ -80,10 +84,18 @@ impl Default for OperatorConfig {
 struct LensPlan {
     /// Sensor pixel of object pixel (0, 0).
     corner: [isize; 2],
-    /// Spectra of the basis PSFs, [k, spectrum], with the transform's 1 / (rows * cols) in them.
-    spectra: Vec<Complex32>,
+    basis: Basis,
     /// Coefficients at the nodes, [k, node row, node col], DN for a unit source.
     coefficients: Array3<f32>,
+}
+
+/// The basis PSFs of a lens.
+#[derive(Clone, Debug)]
+enum Basis {
+    /// Their spectra, [k, spectrum], with the transform's 1 / (rows * cols) in them.
+    Spectra(Vec<Complex32>),
+    /// Themselves, [k, window, window].
+    Windows(Array3<f32>),
 }
 
 /// The planned operator: objects [object rows, object cols] -> light on the sensor [sensor rows, sensor cols].
@@ -161,8 +173,10 @@ impl LowRankOperator {
         // A kernel that moves by a fraction of a pixel spreads a little: keep its tails.
         let margin = if sub_pixel { 4 } else { 0 };
         let window = psf.basis.dim().2 + 2 * margin;
-        let transform = object.map(|n| fast_size((n + window - 1).min(config.max_transform_px.max(2 * window))));
+        let transform = object.map(|n| best_transform(n, window, config.max_transform_px));
         let fft = RealFft2::new(transform[0], transform[1]);
+        let terms = moves.len() * psf.basis.dim().1;
+        let kept = terms * fft.spectrum_len() * size_of::<Complex32>() <= config.most_spectra_bytes;
         let lenses = moves
             .par_iter()
             .enumerate()
@@ -177,7 +191,8 @@ impl LowRankOperator {
                 let corner =
                     [0, 1].map(|a| (calibrated.anchors_px[l][a] - centre[a]).round() as isize + whole[a] as isize);
                 let coefficients = psf.coefficients.slice(s![l, .., config.depth, .., ..]).to_owned();
-                Some(LensPlan { corner, spectra: spectra_of(&fft, kernels.view()), coefficients })
+                let basis = if kept { Basis::Spectra(spectra_of(&fft, kernels.view())) } else { Basis::Windows(kernels) };
+                Some(LensPlan { corner, basis, coefficients })
             })
             .collect();
         Ok(Self {
@@ -232,16 +247,21 @@ impl LowRankOperator {
         mut take: impl FnMut(usize, LensImage),
     ) -> Result<(), OperatorError> {
         same_shape("object", self.object, object.dim())?;
-        let group = rayon::current_num_threads().max(1);
-        for first in (0..self.lenses.len()).step_by(group) {
-            let last = (first + group).min(self.lenses.len());
-            let images: Vec<_> = (first..last)
+        for group in self.groups() {
+            let images: Vec<_> = group
                 .into_par_iter()
                 .filter_map(|l| self.lenses[l].as_ref().map(|plan| (l, self.lens_image(plan, object))))
                 .collect();
             images.into_iter().for_each(|(l, image)| take(l, image));
         }
         Ok(())
+    }
+
+    /// Lenses that are worked on at the same time: as many as there are threads, or one, where the spectra are made for it.
+    fn groups(&self) -> impl Iterator<Item = Span> + use<> {
+        let made = self.lenses.iter().flatten().any(|plan| matches!(plan.basis, Basis::Windows(_)));
+        let (n, size) = (self.lenses.len(), if made { 1 } else { rayon::current_num_threads().max(1) });
+        (0..n).step_by(size).map(move |first| first..(first + size).min(n))
     }
 
     /// A' y: from a frame (light, DN) back to the object grid.
@@ -252,10 +272,19 @@ impl LowRankOperator {
         same_shape("frame", self.sensor, frame.dim())?;
         let mut object = Array2::zeros(self.object);
         let blocks: Vec<_> = self.blocks().collect();
-        let parts: Vec<Array2<f32>> =
-            blocks.par_iter().map_init(|| self.work(), |work, block| self.adjoint_block(block, frame, work)).collect();
-        for ((r, c), part) in blocks.iter().zip(parts) {
-            object.slice_mut(s![r.clone(), c.clone()]).assign(&part);
+        for group in self.groups() {
+            let plans: Vec<&LensPlan> = group.filter_map(|l| self.lenses[l].as_ref()).collect();
+            let spectra: Vec<_> = plans.iter().map(|plan| self.spectra(plan)).collect();
+            let tasks: Vec<_> = (0..plans.len()).flat_map(|p| (0..blocks.len()).map(move |b| (p, b))).collect();
+            let part = |w: &mut Work, &(p, b): &(usize, usize)| {
+                self.adjoint_block((plans[p], &spectra[p]), &blocks[b], frame, w)
+            };
+            let parts: Vec<_> = tasks.par_iter().map_init(|| self.work(), part).collect();
+            for ((_, b), part) in tasks.iter().zip(parts) {
+                let (r, c) = &blocks[*b];
+                let mut target = object.slice_mut(s![r.clone(), c.clone()]);
+                part.iter().for_each(|part| target += part);
+            }
         }
         Ok(object)
     }
@@ -282,9 +311,10 @@ impl LowRankOperator {
 
     fn lens_image(&self, plan: &LensPlan, object: ArrayView2<'_, f32>) -> LensImage {
         let blocks: Vec<_> = self.blocks().collect();
+        let spectra = self.spectra(plan);
         let parts: Vec<Array2<f32>> = blocks
             .par_iter()
-            .map_init(|| self.work(), |work, block| self.forward_block(plan, block, object, work))
+            .map_init(|| self.work(), |work, block| self.forward_block((plan, &spectra), block, object, work))
             .collect();
         let [rows, cols] = self.object.map(|n| n + self.window - 1);
         let mut light = Array2::zeros((rows, cols));
@@ -299,7 +329,7 @@ impl LowRankOperator {
     /// `sum_k (M_k . O) * B_k` over one block: [block rows + window - 1, block cols + window - 1].
     fn forward_block(
         &self,
-        plan: &LensPlan,
+        (plan, spectra): (&LensPlan, &[Complex32]),
         (r, c): &(Span, Span),
         object: ArrayView2<'_, f32>,
         w: &mut Work,
@@ -321,7 +351,7 @@ impl LowRankOperator {
                 }
             }
             self.fft.forward(&w.image, &mut w.spectrum, &mut w.scratch);
-            for ((sum, x), b) in w.sum.iter_mut().zip(&w.spectrum).zip(self.spectrum(plan, k)) {
+            for ((sum, x), b) in w.sum.iter_mut().zip(&w.spectrum).zip(&spectra[k * w.spectrum.len()..]) {
                 *sum += x * b;
             }
         }
@@ -329,46 +359,51 @@ impl LowRankOperator {
         Array2::from_shape_fn(size, |(i, j)| w.image[i * cols + j])
     }
 
-    /// `sum_lk M_lk . (B_lk correlated with the frame)` over one block: [block rows, block cols].
-    fn adjoint_block(&self, (r, c): &(Span, Span), frame: ArrayView2<'_, f32>, w: &mut Work) -> Array2<f32> {
-        let mut object = Array2::zeros((r.len(), c.len()));
+    /// `sum_k M_k . (B_k correlated with the frame)` of one lens over one block, [block rows, block cols]; None: all of it falls off
+    /// the sensor.
+    fn adjoint_block(
+        &self,
+        (plan, spectra): (&LensPlan, &[Complex32]),
+        (r, c): &(Span, Span),
+        frame: ArrayView2<'_, f32>,
+        w: &mut Work,
+    ) -> Option<Array2<f32>> {
         let cols = self.fft.shape()[1];
         let half = (self.window / 2) as isize;
-        for plan in self.lenses.iter().flatten() {
-            w.image.fill(0.0);
-            let origin = [plan.corner[0] - half + r.start as isize, plan.corner[1] - half + c.start as isize];
-            let size = [r.len() + self.window - 1, c.len() + self.window - 1];
-            let (Some((fr, br)), Some((fc, bc))) =
-                (overlap(origin[0], size[0], self.sensor[0]), overlap(origin[1], size[1], self.sensor[1]))
-            else {
-                continue;
-            };
-            for (from, to) in fr.zip(br) {
-                let row = frame.slice(s![from, fc.clone()]);
-                let target = &mut w.image[to * cols + bc.start..to * cols + bc.end];
-                target.iter_mut().zip(row).for_each(|(t, v)| *t = *v);
+        let origin = [plan.corner[0] - half + r.start as isize, plan.corner[1] - half + c.start as isize];
+        let size = [r.len() + self.window - 1, c.len() + self.window - 1];
+        let (fr, br) = overlap(origin[0], size[0], self.sensor[0])?;
+        let (fc, bc) = overlap(origin[1], size[1], self.sensor[1])?;
+        w.image.fill(0.0);
+        for (from, to) in fr.zip(br) {
+            let row = frame.slice(s![from, fc.clone()]);
+            let target = &mut w.image[to * cols + bc.start..to * cols + bc.end];
+            target.iter_mut().zip(row).for_each(|(t, v)| *t = *v);
+        }
+        self.fft.forward(&w.image, &mut w.spectrum, &mut w.scratch);
+        let mut object = Array2::zeros((r.len(), c.len()));
+        for (k, map) in plan.coefficients.outer_iter().enumerate() {
+            for ((sum, y), b) in w.sum.iter_mut().zip(&w.spectrum).zip(&spectra[k * w.spectrum.len()..]) {
+                *sum = y * b.conj();
             }
-            self.fft.forward(&w.image, &mut w.spectrum, &mut w.scratch);
-            for (k, map) in plan.coefficients.outer_iter().enumerate() {
-                for ((sum, y), b) in w.sum.iter_mut().zip(&w.spectrum).zip(self.spectrum(plan, k)) {
-                    *sum = y * b.conj();
-                }
-                self.fft.inverse(&mut w.sum, &mut w.image, &mut w.scratch);
-                for (i, mut target) in object.outer_iter_mut().enumerate() {
-                    self.map_row(map, r.start + i, &mut w.node_row);
-                    let row = &w.image[i * cols..i * cols + c.len()];
-                    for ((out, v), taps) in target.iter_mut().zip(row).zip(&self.col_taps[c.clone()]) {
-                        *out += v * taps.apply(&w.node_row);
-                    }
+            self.fft.inverse(&mut w.sum, &mut w.image, &mut w.scratch);
+            for (i, mut target) in object.outer_iter_mut().enumerate() {
+                self.map_row(map, r.start + i, &mut w.node_row);
+                let row = &w.image[i * cols..i * cols + c.len()];
+                for ((out, v), taps) in target.iter_mut().zip(row).zip(&self.col_taps[c.clone()]) {
+                    *out += v * taps.apply(&w.node_row);
                 }
             }
         }
-        object
+        Some(object)
     }
 
-    fn spectrum<'a>(&self, plan: &'a LensPlan, k: usize) -> &'a [Complex32] {
-        let n = self.fft.spectrum_len();
-        &plan.spectra[k * n..(k + 1) * n]
+    /// Spectra of the basis PSFs of a lens, [k, spectrum].
+    fn spectra<'a>(&self, plan: &'a LensPlan) -> Cow<'a, [Complex32]> {
+        match &plan.basis {
+            Basis::Spectra(spectra) => Cow::Borrowed(spectra),
+            Basis::Windows(windows) => Cow::Owned(spectra_of(&self.fft, windows.view())),
+        }
     }
 
     /// Coefficients along one object row at the column nodes.
@@ -389,18 +424,32 @@ fn same_shape(what: &'static str, expected: [usize; 2], found: (usize, usize)) -
     if expected == found { Ok(()) } else { Err(OperatorError::Shape { what, expected, found }) }
 }
 
+/// The transform that costs least for an object of `n` pixels a side: few large blocks waste little on the margin of the window, but
+/// a transform may not be larger than `most`, unless the window asks for it.
+fn best_transform(n: usize, window: usize, most: usize) -> usize {
+    let most = most.max(2 * window);
+    let fewest = n.div_ceil(most + 1 - window).max(1);
+    let of = |blocks: usize| fast_size(n.div_ceil(blocks) + window - 1);
+    let cost = |blocks: &usize| (blocks * of(*blocks)) as f64 * (of(*blocks) as f64).ln();
+    let best = (fewest..=fewest + 2).min_by(|a, b| cost(a).total_cmp(&cost(b)));
+    of(best.unwrap_or(fewest))
+}
+
 /// Spectra of kernels [k, window, window], scaled by 1 / (rows * cols) of the transform.
 fn spectra_of(fft: &RealFft2, kernels: ArrayView3<'_, f32>) -> Vec<Complex32> {
     let [rows, cols] = fft.shape();
     let scale = 1.0 / (rows * cols) as f32;
-    let (n, mut scratch, mut image) = (fft.spectrum_len(), fft.scratch(), vec![0.0; rows * cols]);
+    let n = fft.spectrum_len();
     let mut out = vec![Complex32::default(); kernels.len_of(Axis(0)) * n];
-    for (kernel, spectrum) in kernels.outer_iter().zip(out.chunks_exact_mut(n)) {
-        for ((r, c), v) in kernel.indexed_iter() {
-            image[r * cols + c] = v * scale;
-        }
-        fft.forward(&image, spectrum, &mut scratch);
-    }
+    out.par_chunks_exact_mut(n).enumerate().for_each_init(
+        || (fft.scratch(), vec![0.0; rows * cols]),
+        |(scratch, image), (k, spectrum)| {
+            for ((r, c), v) in kernels.index_axis(Axis(0), k).indexed_iter() {
+                image[r * cols + c] = v * scale;
+            }
+            fft.forward(image, spectrum, scratch);
+        },
+    );
     out
 }
 

@@ -38,7 +38,7 @@ fn naive(i: &Instrument, object: &Array2<f32>) -> Array2<f64> {
 }
 
 fn plan(i: &Instrument, max_transform_px: usize) -> LowRankOperator {
-    LowRankOperator::plan(i, &i.geometry, OperatorConfig { depth: 0, max_transform_px }).unwrap()
+    LowRankOperator::plan(i, &i.geometry, OperatorConfig { max_transform_px, ..OperatorConfig::default() }).unwrap()
 }
 
 #[test]
@@ -55,6 +55,28 @@ fn equals_the_sum_term_by_term_whatever_the_blocks() {
             }
         }
     }
+}
+
+#[test]
+fn spectra_that_are_made_anew_give_the_bits_of_those_that_are_kept() {
+    let i = instrument([31, 23], [40, 37], 5, 3);
+    let (o, y) = (noise([31, 23], 4), noise([40, 37], 5));
+    for max_transform_px in [1024, 18] {
+        let kept = plan(&i, max_transform_px);
+        let config = OperatorConfig { max_transform_px, most_spectra_bytes: 0, depth: 0 };
+        let made = LowRankOperator::plan(&i, &i.geometry, config).unwrap();
+        assert_eq!(kept.apply(o.view()).unwrap(), made.apply(o.view()).unwrap());
+        assert_eq!(kept.adjoint(y.view()).unwrap(), made.adjoint(y.view()).unwrap());
+    }
+}
+
+#[test]
+fn transforms_hold_the_object_in_few_blocks() {
+    // The paper's size: two blocks of 1200 and the window make 1440.
+    assert_eq!(best_transform(2400, 241, 1536), 1440);
+    assert_eq!(best_transform(96, 21, 1536), 120);
+    // A window that is larger than the bound has its way.
+    assert!(best_transform(100, 61, 32) >= 100usize.div_ceil(3) + 60);
 }
 
 #[test]
@@ -139,7 +161,7 @@ proptest::proptest! {
         let i = instrument([rows, cols], [37, 44], 2 * half + 1, rank);
         let mut moved = i.geometry.clone();
         moved.anchors_px[1][0] += shift;
-        let a = LowRankOperator::plan(&i, &moved, OperatorConfig { depth: 0, max_transform_px }).unwrap();
+        let a = LowRankOperator::plan(&i, &moved, OperatorConfig { max_transform_px, ..OperatorConfig::default() }).unwrap();
         let (x, y) = (noise([rows, cols], seed), noise([37, 44], seed + 1));
         let dot = |a: &Array2<f32>, b: &Array2<f32>| a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>();
         let norm = |a: &Array2<f32>| dot(a, a).sqrt();

@@ -18,7 +18,7 @@ mod reader;
 mod tif;
 mod writer;
 
-pub use reader::FrameReader;
+pub use reader::{FrameReader, FrameSource};
 pub use writer::{FrameWriter, StackSpec};
 
 use super::SessionError;

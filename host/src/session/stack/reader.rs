@@ -3,7 +3,19 @@
 use super::{Container, SampleType, npy, tif};
 use crate::session::SessionError;
 use ndarray::Array2;
+use rayon::prelude::*;
+use std::fmt::Debug;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Makes the frames of a stack instead of keeping them in a file: a frame is made anew each time that it is read.
+pub trait FrameSource: Debug + Send + Sync {
+    /// Frames, rows and columns.
+    fn shape(&self) -> [usize; 3];
+
+    /// Frame `i`, [rows, cols], DN; the same each time.
+    fn frame(&self, i: usize) -> Array2<f32>;
+}
 
 /// Reads frames of a stack, one at a time, in any order; holds one frame in memory.
 #[derive(Debug)]
@@ -20,6 +32,11 @@ pub struct FrameReader {
 enum Source {
     Npy(npy::NpySource),
     Tif(Box<tif::TifSource>),
+    Made {
+        maker: Arc<dyn FrameSource>,
+        /// Frames made ahead, as many at a time as there are threads for, and the index of the first.
+        ahead: (usize, Vec<Option<Array2<f32>>>),
+    },
 }
 
 /// What a container tells of its stack.
@@ -51,6 +68,13 @@ impl FrameReader {
             });
         }
         Ok(Self { path: path.into(), len, rows, cols, samples, source })
+    }
+
+    /// Reads frames that are made as they are asked for; `name` stands for the file in messages.
+    pub(crate) fn made(name: &Path, maker: Arc<dyn FrameSource>) -> Self {
+        let [len, rows, cols] = maker.shape();
+        let source = Source::Made { maker, ahead: (0, Vec::new()) };
+        Self { path: name.into(), len, rows, cols, samples: SampleType::U16, source }
     }
 
     /// Number of frames, at least one.
@@ -92,6 +116,7 @@ impl FrameReader {
         let values = match &mut self.source {
             Source::Npy(s) => s.read(&self.path, i)?,
             Source::Tif(s) => s.read(&self.path, i)?,
+            Source::Made { maker, ahead } => take_made(maker.as_ref(), ahead, i, self.len).into_raw_vec_and_offset().0,
         };
         if let Some(at) = values.iter().position(|v| !v.is_finite()) {
             return Err(SessionError::value(
@@ -110,4 +135,20 @@ impl FrameReader {
             remedy: "write the stack again",
         })
     }
+}
+
+/// Frame `i`, made together with those that are likely to be asked for next.
+fn take_made(
+    maker: &dyn FrameSource,
+    (first, frames): &mut (usize, Vec<Option<Array2<f32>>>),
+    i: usize,
+    len: usize,
+) -> Array2<f32> {
+    if let Some(found) = i.checked_sub(*first).and_then(|at| frames.get_mut(at)).and_then(Option::take) {
+        return found;
+    }
+    let last = (i + rayon::current_num_threads()).min(len);
+    *first = i;
+    *frames = (i..last).into_par_iter().map(|n| Some(maker.frame(n))).collect();
+    frames[0].take().unwrap_or_else(|| maker.frame(i))
 }
