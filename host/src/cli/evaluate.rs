@@ -2,7 +2,8 @@
 
 use super::{Outcome, Run};
 use crate::artifact::Provenance;
-use crate::evaluate::{Evaluation, MethodFigures, Scenes, Sensor, Source, Summary, judge, predict_figures};
+use crate::evaluate::{Evaluation, MethodFigures, Predicted, PredictionFigures, Scenes, Sensor, Source, Summary, in_sigmas, judge, predict_figures,
+    with_scale};
 use crate::forward::Forward;
 use crate::instrument::Instrument;
 use crate::kind::FileKind;
@@ -71,6 +72,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let mut evaluation = Evaluation {
         raw_dn: Array3::zeros((pictured.len(), manifest.sensor.rows, manifest.sensor.cols)),
         truths: Array3::zeros((pictured.len(), manifest.object.rows, manifest.object.cols)),
+        predicted: None,
         reconstructions: Vec::new(),
         summary: Summary {
             session: manifest.name.clone(),
@@ -99,7 +101,9 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         evaluation.summary.methods.push(figures);
         evaluation.reconstructions.push(pictures);
     }
-    evaluation.summary.prediction = prediction(args, &mut scenes)?;
+    if let Some((figures, predicted)) = prediction(args, &mut scenes, &pictured)? {
+        (evaluation.summary.prediction, evaluation.predicted) = (Some(figures), Some(predicted));
+    }
     bar.finish_and_clear();
     evaluation.sort();
     if let Some(output) = &args.output {
@@ -160,7 +164,12 @@ fn pictured(count: usize, most: usize) -> Vec<usize> {
     (0..n).map(|i| i * count / n).collect()
 }
 
-fn prediction(args: &Args, scenes: &mut Scenes) -> anyhow::Result<Option<crate::evaluate::PredictionFigures>> {
+/// How well the first instrument predicts the scenes, and its predictions of those that are pictured.
+fn prediction(
+    args: &Args,
+    scenes: &mut Scenes,
+    pictured: &[usize],
+) -> anyhow::Result<Option<(PredictionFigures, Predicted)>> {
     for path in &args.with {
         if is_instrument(path)? {
             let instrument = Instrument::read(path)?;
@@ -169,7 +178,17 @@ fn prediction(args: &Args, scenes: &mut Scenes) -> anyhow::Result<Option<crate::
             let noise = forward.noise_with(forward.effects());
             let sensor = Sensor { noise: &noise, offset_dn: instrument.offset_dn.as_ref() };
             let figures = predict_figures(count, sensor, |i| scenes.triple(i, &forward));
-            return Ok(Some(figures.with_context(|| path.display().to_string())?));
+            let figures = figures.with_context(|| path.display().to_string())?;
+            let size = (pictured.len(), instrument.manifest.sensor.rows, instrument.manifest.sensor.cols);
+            let mut predicted = Predicted { frames_dn: Array3::zeros(size), residual_sigma: Array3::zeros(size) };
+            for (p, i) in pictured.iter().enumerate() {
+                let triple = scenes.triple(*i, &forward)?;
+                let scaled = with_scale(&triple.predicted, figures.scale, noise.black_level_dn);
+                let residual = in_sigmas(triple.measured.view(), scaled.view(), sensor)?;
+                predicted.residual_sigma.index_axis_mut(Axis(0), p).assign(&residual);
+                predicted.frames_dn.index_axis_mut(Axis(0), p).assign(&scaled);
+            }
+            return Ok(Some((figures, predicted)));
         }
     }
     Ok(None)

@@ -68,10 +68,21 @@ pub struct Evaluation {
     pub summary: Summary,
     /// Raw frames, DN, [pictured, sensor rows, sensor cols].
     pub raw_dn: Array3<f32>,
+    /// The same frames beside what the model predicts from the truths; None where no instrument was given.
+    pub predicted: Option<Predicted>,
     /// Truths, [pictured, object rows, object cols].
     pub truths: Array3<f32>,
     /// Reconstructions of each method in the unit of the truth, each [pictured, object rows, object cols].
     pub reconstructions: Vec<Array3<f32>>,
+}
+
+/// Predictions of the pictured frames, each [pictured, sensor rows, sensor cols].
+#[derive(Clone, Debug)]
+pub struct Predicted {
+    /// As the model predicts them, DN.
+    pub frames_dn: Array3<f32>,
+    /// (measured - predicted), standard deviations of the noise model.
+    pub residual_sigma: Array3<f32>,
 }
 
 impl Evaluation {
@@ -83,6 +94,10 @@ impl Evaluation {
         let mut tensors = Tensors::new();
         tensors.insert("raw_dn".into(), self.raw_dn.clone().into_dyn());
         tensors.insert("truths".into(), self.truths.clone().into_dyn());
+        if let Some(predicted) = &self.predicted {
+            tensors.insert("predicted_dn".into(), predicted.frames_dn.clone().into_dyn());
+            tensors.insert("residual_sigma".into(), predicted.residual_sigma.clone().into_dyn());
+        }
         for (method, pictures) in self.summary.methods.iter().zip(&self.reconstructions) {
             tensors.insert(tensor_name(&method.name), pictures.clone().into_dyn());
         }
@@ -100,15 +115,23 @@ impl Evaluation {
         let pictures = Some(summary.pictured.len());
         let sensor = [pictures, Some(summary.sensor.rows), Some(summary.sensor.cols)];
         let object = [pictures, Some(summary.object.rows), Some(summary.object.cols)];
+        let has_prediction = tensors.contains_key("predicted_dn");
         let mut take = |name: &str, shape: &[Option<usize>; 3]| -> Result<Array3<f32>, ArtifactError> {
             let tensor = artifact::take(path, &mut tensors, name, shape)?;
             let format = |e: ndarray::ShapeError| ArtifactError::Format { path: path.into(), detail: e.to_string() };
             tensor.into_dimensionality::<Ix3>().map_err(format)
         };
         let (raw_dn, truths) = (take("raw_dn", &sensor)?, take("truths", &object)?);
+        let predicted = match has_prediction {
+            true => Some(Predicted {
+                frames_dn: take("predicted_dn", &sensor)?,
+                residual_sigma: take("residual_sigma", &sensor)?,
+            }),
+            false => None,
+        };
         let reconstructions =
             summary.methods.iter().map(|m| take(&tensor_name(&m.name), &object)).collect::<Result<_, _>>()?;
-        Ok((Self { summary, raw_dn, truths, reconstructions }, header.provenance))
+        Ok((Self { summary, raw_dn, predicted, truths, reconstructions }, header.provenance))
     }
 
     /// Puts the methods with the highest PSNR first.
@@ -148,6 +171,10 @@ pub(crate) mod tests {
                 prediction: None,
             },
             raw_dn: Array3::from_elem((2, 5, 6), 70.0),
+            predicted: Some(Predicted {
+                frames_dn: Array3::from_elem((2, 5, 6), 69.0),
+                residual_sigma: Array3::from_elem((2, 5, 6), 0.5),
+            }),
             truths: Array3::from_elem((2, 3, 4), 1.0),
             reconstructions: vec![Array3::from_elem((2, 3, 4), 0.5), Array3::from_elem((2, 3, 4), 0.9)],
         }

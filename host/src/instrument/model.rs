@@ -223,9 +223,9 @@ impl Model {
         let positions_px: Vec<[f32; 2]> = places.collect();
         let ranks = self.approximation.ranks().min(self.held_out.ranks());
         let fits = &self.models.fits;
-        // Twice the rank of single lenses: as far as the two are worth comparing. Its errors know no free scale.
+        // Three times the rank of single lenses: as far as the two are worth comparing. Its errors know no free scale.
         let whole = match self.scale {
-            BeadScale::Physical => self.models.whole_array(windows, &beads, 2 * self.approximation.ranks())?,
+            BeadScale::Physical => self.models.whole_array(windows, &beads, 3 * self.approximation.ranks())?,
             BeadScale::PerFrame => Vec::new(),
         };
         Ok(Diagnostics {

@@ -10,6 +10,7 @@ mod page;
 mod panel;
 mod peers;
 mod picture;
+mod prediction;
 mod scenes;
 #[cfg(test)]
 mod tests;
@@ -66,7 +67,7 @@ enum Content {
 pub fn render(paths: &[PathBuf]) -> Result<String, ReportError> {
     let pieces = paths.iter().map(|p| load(p)).collect::<Result<Vec<_>, _>>()?;
     let mut numbers = Numbers::default();
-    let chapters: [(&'static str, &'static str, Chapter); 11] = [
+    let chapters: [(&'static str, &'static str, Chapter); 12] = [
         ("scenes", "Reconstructions", |p, _, n| match &p.content {
             Content::Evaluation(e) => Ok(Some(scenes::pictures(e, n)?)),
             _ => Ok(None),
@@ -86,6 +87,10 @@ pub fn render(paths: &[PathBuf]) -> Result<String, ReportError> {
         }),
         ("ablation", "Ablations", |p, _, n| match &p.content {
             Content::Ablation => Ok(Some(peers::ablation(&p.json, n))),
+            _ => Ok(None),
+        }),
+        ("prediction", "Measured and predicted", |p, _, n| match &p.content {
+            Content::Evaluation(e) => prediction::prediction(e, n),
             _ => Ok(None),
         }),
         ("device", "On the device", |p, _, n| match &p.content {

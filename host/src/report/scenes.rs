@@ -24,27 +24,27 @@ pub fn colour(name: &str) -> usize {
 
 /// A detail of the object: upper left corner and side, pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Detail {
+pub(super) struct Detail {
     row: usize,
     col: usize,
     side: usize,
-    letter: &'static str,
+    pub(super) letter: &'static str,
 }
 
 impl Detail {
-    fn mark(&self, rows: usize, cols: usize) -> Mark {
+    pub(super) fn mark(&self, rows: usize, cols: usize) -> Mark {
         let (w, h) = (cols as f64, rows as f64);
         let side = self.side as f64;
         Mark::Box([self.col as f64 / w, self.row as f64 / h, side / w, side / h], self.letter)
     }
 
-    fn of<'a>(&self, image: &ArrayView2<'a, f32>) -> ArrayView2<'a, f32> {
+    pub(super) fn of<'a>(&self, image: &ArrayView2<'a, f32>) -> ArrayView2<'a, f32> {
         image.slice_move(s![self.row..self.row + self.side, self.col..self.col + self.side])
     }
 }
 
 /// Two details a quarter of the object wide: the one with most light near the centre, and the one with most towards the edge.
-fn details(truth: ArrayView2<'_, f32>) -> Vec<Detail> {
+pub(super) fn details(truth: ArrayView2<'_, f32>) -> Vec<Detail> {
     let (rows, cols) = truth.dim();
     let side = (rows.min(cols) / 4).max(1);
     let off_centre = |d: &Detail| {

@@ -99,6 +99,10 @@ fn evaluation() -> Evaluation {
                 .map(|l| 400.0 * truth(p, (r + 100 - 30 * (l / 3)) % 100, (c + 100 - 30 * (l % 3)) % 100, 1.5))
                 .sum::<f32>()
         }),
+        predicted: Some(crate::evaluate::Predicted {
+            frames_dn: Array3::from_elem((2, 120, 120), 80.0),
+            residual_sigma: Array3::from_shape_fn((2, 120, 120), |(_, r, c)| (r as f32 - c as f32) / 40.0),
+        }),
         truths: stack(1.5),
         reconstructions: vec![stack(1.6), stack(1.6), stack(1.6), stack(2.2), stack(3.5)],
     }
@@ -116,6 +120,15 @@ impl PredictionFiguresFixture {
             chi2_ndf: 1.012,
             chi2_ndf_expected: 1.002,
             lit_pixels: 123_456,
+            by_radius: (0..8u32)
+                .map(|i| crate::evaluate::ResidualRing {
+                    inner_px: 10.0 * f64::from(i),
+                    outer_px: 10.0 * f64::from(i + 1),
+                    pixels: 1000,
+                    chi2_ndf: 1.0 + 0.01 * f64::from(i),
+                    bias: 1e-4 * f64::from(i),
+                })
+                .collect(),
         }
     }
 }
