@@ -46,6 +46,7 @@ fn instrument(object: usize, sensor: [usize; 2], window: usize) -> Instrument {
         },
         offset_dn: None,
         response: None,
+        reading_dn2: None,
         geometry: Geometry {
             anchors_px: vec![sensor.map(|n| (n as f64 - 1.0) / 2.0)],
             magnification: 1.0,
@@ -111,7 +112,8 @@ impl WholeFrames {
         let mut frame = Array2::zeros((self.sensor[0], self.sensor[1]));
         // Object pixel (0, 0) as the operator places it, and half a window.
         let half = self.kernels[0].nrows() / 2;
-        let corner = self.sensor.map(|n| ((n as f64 - 1.0) / 2.0 - (object.nrows() as f64 - 1.0) / 2.0).round() as usize);
+        let corner =
+            self.sensor.map(|n| ((n as f64 - 1.0) / 2.0 - (object.nrows() as f64 - 1.0) / 2.0).round() as usize);
         for (map, kernel) in self.maps.iter().zip(&self.kernels) {
             image.fill(0.0);
             for ((r, c), o) in object.indexed_iter() {

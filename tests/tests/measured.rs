@@ -180,6 +180,89 @@ fn measured_pixel_maps_are_named_and_corrected() {
     assert!(excess < 0.02, "{:?} {:?}", closing.before, closing.after);
 }
 
+/// Gain and read noise of every pixel of a real sensor, of which some are far worse than the others: darks and flats drawn with them give the gain
+/// back within its interval, and the read noise of each pixel, without which a dark frame has outliers that no common noise explains.
+#[test]
+fn measured_noise_of_pixels_comes_back_from_darks_and_flats() {
+    use ommatidia_host::noise::draw_electrons;
+    use ommatidia_host::rng;
+    use ommatidia_host::session::{
+        Existing, FrameInfo, FrameReader, Manifest, SampleType, SessionWriter, StackEntry, StackSpec,
+    };
+    let Some(data) = measured_data("measured_noise_of_pixels_comes_back_from_darks_and_flats", "scmos_maps") else {
+        return;
+    };
+    const SIDE: usize = 200;
+    let map = |file: &str| {
+        let whole = FrameReader::open(&data.join(file)).unwrap().read(0).unwrap();
+        whole.slice_move(ndarray::s![..SIDE, ..SIDE])
+    };
+    let (gain, read_dn2) = (map("gain_adu_per_e_512.tif"), map("variance_adu2_512.tif"));
+    // A few of the fits that made the map failed: no pixel has a gain below zero.
+    let gain = gain.mapv(|g| if g > 0.5 { g } else { 2.18 });
+    let manifest = format!(
+        "format = 1\nname = \"maps\"\nstack = []\n\
+        [sensor]\nrows = {SIDE}\ncols = {SIDE}\npixel_pitch_um = 1.0\nbit_depth = 16\n\
+        [array]\nrows = 1\ncols = 1\npitch_px = 0.0\n[optics]\nmagnification = 1.0\npsf_window_px = 15\n\
+        [object]\nrows = {SIDE}\ncols = {SIDE}\npixel_um = 1.0\n"
+    );
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("session");
+    let manifest = Manifest::parse(&target, &manifest).unwrap();
+    let frame = |what: &str, i: usize, electrons: f32| {
+        let mut rng = rng::stream(9, what, i as u64);
+        let mut charge = vec![electrons; SIDE * SIDE];
+        draw_electrons(&mut charge, 0.0, &mut rng);
+        let mut reading = vec![0.0; SIDE * SIDE];
+        draw_electrons(&mut reading, 1.0, &mut rng);
+        let pixel = |(r, c)| {
+            let p = r * SIDE + c;
+            (100.0 + gain[[r, c]] * charge[p] + read_dn2[[r, c]].sqrt() * reading[p]).round().clamp(0.0, 65_535.0)
+        };
+        ndarray::Array2::from_shape_fn((SIDE, SIDE), pixel)
+    };
+    let mut writer = SessionWriter::create(&target, &manifest, Existing::Keep).unwrap();
+    let levels = [300.0, 1000.0, 3000.0, 8000.0];
+    for (role, name, count) in [(Role::Dark, "dark", 32), (Role::Flat, "flat", 32)] {
+        let spec = StackSpec { frames: count, rows: SIDE, cols: SIDE, samples: SampleType::U16, pixel_um: None };
+        let mut frames = writer.frames(&format!("{name}.npy"), spec).unwrap();
+        let light = |i: usize| if role == Role::Dark { 0.0 } else { levels[i / 8] };
+        (0..count).for_each(|i| frames.push(frame(name, i, light(i)).view()).unwrap());
+        frames.finish().unwrap();
+        let info = |i| FrameInfo { illumination: f64::from(light(i)).max(1.0), ..FrameInfo::plain(i, 10.0) };
+        writer.table(&format!("{name}.csv"), &(0..count).map(info).collect::<Vec<_>>()).unwrap();
+        let (file, table) = (format!("{name}.npy"), Some(format!("{name}.csv")));
+        writer.add(StackEntry { role, file, exposure_ms: 10.0, table, truth: None, expected: None });
+    }
+    writer.finish().unwrap();
+    let i = calibrate(&Session::open(&target).unwrap(), &CalibrateConfig::default(), || {}).unwrap().instrument;
+    let quantile = |values: &ndarray::Array2<f32>, q: f64| {
+        let mut sorted: Vec<f32> = values.iter().copied().collect();
+        sorted.sort_by(f32::total_cmp);
+        f64::from(sorted[((sorted.len() - 1) as f64 * q) as usize])
+    };
+    let mean_gain = f64::from(gain.mean().unwrap());
+    let off = (i.noise.gain_dn_per_e - mean_gain).abs();
+    assert!(off < 4.0 * i.noise.gain_sigma && i.noise.gain_sigma < 0.005 * mean_gain, "{:?} {mean_gain}", i.noise);
+    let found = i.reading_dn2.unwrap();
+    // The read noise of the median pixel and of the worst in a hundred, DN rms.
+    for (q, allowed) in [(0.5, 0.04), (0.99, 0.1)] {
+        let (a, b) = (quantile(&found, q).sqrt(), (quantile(&read_dn2, q) + 1.0 / 12.0).sqrt());
+        assert!((a / b - 1.0).abs() < allowed, "{q}: {a} {b}");
+    }
+    // A dark that nothing has seen, in standard deviations: by pixel, and by the common noise.
+    let dark = frame("another", 0, 0.0) - 100.0;
+    let offset = i.offset_dn.unwrap();
+    let common = i.noise.variance_dn2(i.noise.black_level_dn);
+    let beyond = |variance: &dyn Fn((usize, usize)) -> f64| {
+        let z = |(at, v): ((usize, usize), &f32)| (f64::from(*v) - f64::from(offset[at])).powi(2) / variance(at);
+        dark.indexed_iter().filter(|pixel| z(*pixel) > 16.0).count()
+    };
+    let (by_pixel, by_all) = (beyond(&|at| f64::from(found[at])), beyond(&|_| common));
+    // Four standard deviations: 2.5 of 40,000 by chance, a few more since each pixel's variance is of 32 frames.
+    assert!(by_pixel < 40 && by_all > 10 * by_pixel, "{by_pixel} {by_all}");
+}
+
 /// A water bear under a miniscope whose colour mosaic nobody declared. Without optics, darks or truth only what is fixed to the
 /// sensor can be told from the specimen: the loop finds the mosaic in the upper half of the frame, and nothing else, and takes it out of the
 /// lower half.

@@ -44,6 +44,8 @@ pub struct SensorMaps {
     pub offset_dn: Option<Array2<f32>>,
     /// One over the response to light.
     pub inverse_response: Option<Array2<f32>>,
+    /// Pixels that say nothing (telegraph, hot, dead).
+    pub useless: Option<Array2<bool>>,
 }
 
 impl BeadScan {
@@ -95,6 +97,11 @@ impl BeadScan {
         &self.noise
     }
 
+    /// Whether a pixel says something.
+    pub fn useful(&self, at: [usize; 2]) -> bool {
+        self.maps.useless.as_ref().is_none_or(|useless| !useless[at])
+    }
+
     /// Frame of bead `n`: light in DN above black on pixels of mean response, as it was exposed, and NaN where the pixel was saturated.
     ///
     /// # Errors
@@ -119,7 +126,22 @@ impl BeadScan {
         if let Some(inverse) = &self.maps.inverse_response {
             frame *= inverse;
         }
+        if let Some(useless) = &self.maps.useless {
+            bridge(&mut frame, useless);
+        }
         Ok((frame, cut))
+    }
+}
+
+/// Puts the mean of the useful ones among its eight neighbours in the place of each useless pixel.
+fn bridge(frame: &mut Array2<f32>, useless: &Array2<bool>) {
+    for ((r, c), _) in useless.indexed_iter().filter(|(_, u)| **u) {
+        let (rows, cols) =
+            (r.saturating_sub(1)..(r + 2).min(frame.nrows()), c.saturating_sub(1)..(c + 2).min(frame.ncols()));
+        let near =
+            rows.flat_map(|r| cols.clone().map(move |c| [r, c])).filter(|at| !useless[*at] && frame[*at].is_finite());
+        let (sum, count) = near.fold((0.0, 0.0), |(s, n), at| (s + frame[at], n + 1.0));
+        frame[[r, c]] = if count > 0.0 { sum / count } else { 0.0 };
     }
 }
 

@@ -5,7 +5,7 @@
 //! the middle of an object pixel would: the scan step is free. A bead in the middle of an object pixel is not moved at all.
 //! Distortion and the sub-pixel part of the anchors stay in the windows.
 
-use super::{Bead, BeadError, BeadScan, Warning};
+use super::{BeadError, BeadScan, Warning};
 use crate::instrument::Geometry;
 use crate::noise::Source;
 use crate::psf::shift::shifted;
@@ -82,7 +82,7 @@ pub fn cut_windows(
         let (mut saturated_here, mut total) = (0, 0.0);
         for l in (0..lenses).filter(|l| !geometry.dead[*l]) {
             let corner = corner(manifest, geometry, l);
-            let window = Window::cut((&frame, cut.as_ref()), &scan.beads[n], corner, [side, nominal_px.min(side)]);
+            let window = Window::cut((&frame, cut.as_ref()), (scan, n), corner, [side, nominal_px.min(side)]);
             if window.saturated > SATURATED_ALLOWED {
                 let (path, frame) = (scan.path(n).into(), scan.beads[n].frame);
                 let (allowed, found) = (SATURATED_ALLOWED, window.saturated);
@@ -183,10 +183,11 @@ struct Window {
 impl Window {
     fn cut(
         (frame, cut): (&Array2<f32>, Option<&Cut>),
-        bead: &Bead,
+        (scan, n): (&BeadScan, usize),
         corner: [isize; 2],
         [side, nominal]: [usize; 2],
     ) -> Self {
+        let bead = &scan.beads[n];
         let whole = bead.at_px.map(f64::round);
         let mut back = [whole[0] - bead.at_px[0], whole[1] - bead.at_px[1]];
         if back.iter().all(|d| d.abs() < SAME_PIXEL) {
@@ -210,7 +211,7 @@ impl Window {
         let total = raw.iter().flatten().filter(|v| v.is_finite()).map(|v| f64::from(*v)).sum();
         let light = shifted(raw.mapv(|v| v.filter(|v| v.is_finite()).unwrap_or(0.0)).view(), back, 0);
         let broken = Array2::from_shape_fn((big, big), |at| match on_sensor[at] {
-            Some(pixel) => !frame[pixel].is_finite(),
+            Some(pixel) => !frame[pixel].is_finite() || !scan.useful(pixel),
             None => true,
         });
         // A moved pixel takes from its neighbours: it is known where they are. Whoever cut a frame out of a picture left the focus in it: next to

@@ -316,9 +316,7 @@ impl VirtualInstrument {
     /// Light of a frame of darks, flats or beads.
     fn light(&self, role: Role, info: &FrameInfo, cx: &FrameContext<'_>) -> Array2<f32> {
         match role {
-            Role::Bead => {
-                self.bead_light((([info.y_um, info.x_um], info.z_um), self.keep.then_some(info.frame)), cx)
-            }
+            Role::Bead => self.bead_light((([info.y_um, info.x_um], info.z_um), self.keep.then_some(info.frame)), cx),
             Role::Flat => {
                 let exposure = info.exposure_ms / self.config.stacks.exposure_ms;
                 self.even_light(info.illumination * self.config.full_scale_e() * exposure, cx)

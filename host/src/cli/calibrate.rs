@@ -4,7 +4,7 @@ use super::{Outcome, Run};
 use crate::artifact::Provenance;
 use crate::bench::BenchConfig;
 use crate::instrument::{CalibrateConfig, Calibration, Instrument, LightUnit, calibrate};
-use crate::noise::{NoiseConfig, Source};
+use crate::noise::{NoiseConfig, ROUNDING_DN2, Source};
 use crate::session::{Role, Session, Stack};
 use serde_json::json;
 use std::fmt::Write;
@@ -108,6 +108,7 @@ fn figures(calibration: &Calibration) -> serde_json::Value {
         "window_px": i.manifest.optics.psf_window_px,
         "replicates": i.replicates.len(),
         "response_rms": response_rms(i),
+        "pixel_read_noise_e": reading_e(i).map(|[median, p99, max]| json!({ "median": median, "p99": p99, "max": max })),
         "depths_um": i.psf.node_depths_um,
         "sensor_only": i.sensor_only(),
         "approximation_error": i.quality.approximation_error,
@@ -128,9 +129,7 @@ fn figures(calibration: &Calibration) -> serde_json::Value {
 /// Errors against the rank: on the scan, all lenses decomposed together, on positions left out.
 fn by_rank(i: &Instrument) -> Vec<serde_json::Value> {
     let d = &i.diagnostics;
-    let row = |(k, row): (usize, ndarray::ArrayView1<'_, f32>)| {
-        json!({ "rank": row[0], "scan": row[1], "whole_array": d.whole_array_error.get(k), "held_out": row[2] })
-    };
+    let row = |(k, row): (usize, ndarray::ArrayView1<'_, f32>)| json!({ "rank": row[0], "scan": row[1], "whole_array": d.whole_array_error.get(k), "held_out": row[2] });
     d.error_by_rank.outer_iter().enumerate().map(row).collect()
 }
 
@@ -143,6 +142,14 @@ fn response_rms(i: &Instrument) -> Option<f64> {
     let map = i.response.as_ref()?;
     let square: f64 = map.iter().map(|r| (f64::from(*r) - 1.0).powi(2)).sum();
     Some((square / map.len().max(1) as f64).sqrt())
+}
+
+/// Read noise of single pixels, electrons rms: median, 99th percentile, largest; none: they are alike.
+fn reading_e(i: &Instrument) -> Option<[f64; 3]> {
+    let mut sorted: Vec<f32> = i.reading_dn2.as_ref()?.iter().copied().collect();
+    sorted.sort_by(f32::total_cmp);
+    let at = |q: f64| (f64::from(sorted[((sorted.len() - 1) as f64 * q) as usize]) - ROUNDING_DN2).max(0.0).sqrt();
+    Some([0.5, 0.99, 1.0].map(|q| at(q) / i.noise.gain_dn_per_e))
 }
 
 fn dead(i: &Instrument) -> Vec<usize> {
@@ -165,6 +172,10 @@ fn table(args: &Args, calibration: &Calibration) -> String {
     line("black level", format!("{:.2} DN", n.black_level_dn), source(n.sources.black_level));
     line("gain", format!("{:.4} +- {:.4} DN/e-", n.gain_dn_per_e, n.gain_sigma), source(n.sources.gain));
     line("read noise", format!("{:.3} +- {:.3} e-", n.read_noise_e, n.read_noise_sigma), source(n.sources.read_noise));
+    if let Some([median, p99, max]) = reading_e(i) {
+        let spread = format!("median {median:.2}, p99 {p99:.2}, largest {max:.1} e-");
+        line("read noise by pixel", spread, "from the darks");
+    }
     if let Some(rms) = response_rms(i) {
         line("pixel response", format!("{:.3} % rms", 100.0 * rms), "divided out, noise taken back");
     }

@@ -2,8 +2,10 @@
 
 use super::{Outcome, Run};
 use crate::artifact::Provenance;
-use crate::evaluate::{Evaluation, MethodFigures, Predicted, PredictionFigures, Scenes, Sensor, Source, Summary, in_sigmas, judge, predict_figures,
-    with_scale};
+use crate::evaluate::{
+    Evaluation, MethodFigures, Predicted, PredictionFigures, Scenes, Sensor, Source, Summary, in_sigmas, judge,
+    predict_figures, with_scale,
+};
 use crate::forward::Forward;
 use crate::instrument::Instrument;
 use crate::kind::FileKind;
@@ -176,7 +178,8 @@ fn prediction(
             let forward = Forward::new(&instrument)?;
             let count = scenes.count();
             let noise = forward.noise_with(forward.effects());
-            let sensor = Sensor { noise: &noise, offset_dn: instrument.offset_dn.as_ref() };
+            let sensor =
+                Sensor { noise: &noise, offset_dn: instrument.offset_dn.as_ref(), reading_dn2: forward.reading_dn2() };
             let figures = predict_figures(count, sensor, |i| scenes.triple(i, &forward));
             let figures = figures.with_context(|| path.display().to_string())?;
             let size = (pictured.len(), instrument.manifest.sensor.rows, instrument.manifest.sensor.cols);

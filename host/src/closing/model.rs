@@ -206,10 +206,16 @@ impl<'a> Model<'a> {
                 let top = noise.saturation_dn;
                 let mut inverse_sigma = Array2::zeros(dn.dim());
                 // The fixed pattern of the offset makes no noise: the variance is that of the light.
-                let lit = light_e.mapv(|e| noise.black_level_dn + noise.gain_dn_per_e * f64::from(e));
-                Zip::from(&mut inverse_sigma).and(&dn).and(&detail).and(&mut residual_dn).and(&lit).for_each(
-                    |w, &mu, &v, r, &lit| {
-                        let sigma = (noise.variance_dn2(lit) + f64::from(v)).sqrt();
+                let mut variance = light_e
+                    .mapv(|e| noise.variance_dn2(noise.black_level_dn + noise.gain_dn_per_e * f64::from(e)) as f32);
+                if let Some(reading) = self.forward.reading_dn2() {
+                    // What the reading of a pixel has beyond that of the others.
+                    let common = self.forward.noise().variance_dn2(noise.black_level_dn) as f32;
+                    variance.zip_mut_with(reading, |v, r| *v += r - common);
+                }
+                Zip::from(&mut inverse_sigma).and(&dn).and(&detail).and(&mut residual_dn).and(&variance).for_each(
+                    |w, &mu, &v, r, &variance| {
+                        let sigma = (f64::from(variance) + f64::from(v)).sqrt();
                         // What may touch the highest code says nothing; the model says which pixels, not the noise.
                         let usable = f64::from(mu) + 4.0 * sigma < top && r.is_finite();
                         *w = if usable { (1.0 / sigma) as f32 } else { 0.0 };

@@ -15,8 +15,10 @@ mod ssim;
 pub use compare::{Case, Source, judge};
 pub use field::{Ring, Rings};
 pub use metrics::{Figures, MetricError, Moments, compare, psnr_db, scaled};
-pub use prediction::{PredictionFigures, ResidualRing, Sensor, Triple, chi_squared, in_sigmas, predict_figures, with_scale};
-pub use record::{Evaluation, Predicted, MethodFigures, Summary};
+pub use prediction::{
+    PredictionFigures, ResidualRing, Sensor, Triple, chi_squared, in_sigmas, predict_figures, with_scale,
+};
+pub use record::{Evaluation, MethodFigures, Predicted, Summary};
 pub use resources::measured;
 pub use scenes::Scenes;
 pub use spectrum::{RingSpectrum, Spectra};

@@ -162,11 +162,14 @@ fn each(
         Some(map) => same_shape(map.dim()).map(|()| map.view())?,
         None => dark.broadcast(expected_dn.dim()).unwrap_or(dark.view()),
     };
+    if let Some(map) = sensor.reading_dn2 {
+        same_shape(map.dim())?;
+    }
     let noise = sensor.noise;
     Zip::indexed(measured_dn).and(expected_dn).and(offset).for_each(|at, &y, &mu, &offset| {
         let level_dn = f64::from(mu) - f64::from(offset);
         let (light_dn, off_dn) = (level_dn - noise.black_level_dn, f64::from(y) - f64::from(mu));
-        take(at, Residual { light_dn, off_dn, variance_dn2: noise.variance_dn2(level_dn) });
+        take(at, Residual { light_dn, off_dn, variance_dn2: sensor.variance_dn2(at, level_dn) });
     });
     Ok(())
 }
@@ -197,6 +200,17 @@ pub struct Sensor<'a> {
     pub noise: &'a NoiseModel,
     /// Its fixed pattern relative to the black level, DN, [sensor rows, sensor cols]; None: none is known.
     pub offset_dn: Option<&'a Array2<f32>>,
+    /// Variance of the reading of each pixel, DN^2, [sensor rows, sensor cols]; None: that of `noise` holds for all of them.
+    pub reading_dn2: Option<&'a Array2<f32>>,
+}
+
+impl Sensor<'_> {
+    /// Variance of a pixel at an expected level without its offset, DN^2.
+    fn variance_dn2(&self, at: (usize, usize), level_dn: f64) -> f64 {
+        let beyond =
+            self.reading_dn2.map_or(0.0, |m| f64::from(m[at]) - self.noise.variance_dn2(self.noise.black_level_dn));
+        self.noise.variance_dn2(level_dn) + beyond
+    }
 }
 
 /// The figures of a stack. `frame(i)` gives the i-th of `count` frames; it is called twice for each, so that memory holds one.
@@ -268,7 +282,7 @@ mod tests {
     }
 
     fn sensor(noise: &NoiseModel) -> Sensor<'_> {
-        Sensor { noise, offset_dn: None }
+        Sensor { noise, offset_dn: None, reading_dn2: None }
     }
 
     fn scene(i: usize) -> Triple {
@@ -328,12 +342,12 @@ mod tests {
         let noise = noise();
         let offset = ndarray::array![[10.0f32, 10.0]];
         let expected = ndarray::array![[74.0f32, 84.0]];
-        let sensor = Sensor { noise: &noise, offset_dn: Some(&offset) };
+        let sensor = Sensor { noise: &noise, offset_dn: Some(&offset), reading_dn2: None };
         let (chi, n) = chi_squared((&expected + 1.0).view(), expected.view(), sensor).unwrap();
         // The first pixel is dark; the second has 10 DN of light: variance 0.4 * 10 + 0.64 + 1/12.
         assert!(n == 1 && (chi - 1.0 / (4.0 + 0.64 + 1.0 / 12.0)).abs() < 1e-9, "{chi} {n}");
         let wrong = Array2::zeros((3, 3));
-        let sensor = Sensor { noise: &noise, offset_dn: Some(&wrong) };
+        let sensor = Sensor { noise: &noise, offset_dn: Some(&wrong), reading_dn2: None };
         assert!(chi_squared(expected.view(), expected.view(), sensor).is_err());
     }
 }

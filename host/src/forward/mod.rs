@@ -10,7 +10,7 @@ mod warp;
 
 use crate::effects::{Chain, EffectError, FrameContext, Layout, Ray, RayShift, Stage};
 use crate::instrument::{Geometry, Instrument};
-use crate::noise::{NoiseModel, draw_electrons};
+use crate::noise::{NoiseModel, ROUNDING_DN2, draw_electrons};
 use crate::optics::MicrolensArray;
 use crate::psf::nodes::Taps;
 use crate::psf::{LensImage, LowRankOperator, OperatorConfig, OperatorError};
@@ -56,6 +56,7 @@ pub struct Forward {
     effects: Chain,
     noise: NoiseModel,
     offset_dn: Option<Array2<f32>>,
+    reading_dn2: Option<Array2<f32>>,
     response: Option<Array2<f32>>,
     exposure_ms: f64,
 }
@@ -124,6 +125,7 @@ impl Forward {
             effects,
             noise: instrument.noise,
             offset_dn: instrument.offset_dn.clone(),
+            reading_dn2: instrument.reading_dn2.clone(),
             response: instrument.response.clone(),
             exposure_ms: instrument.psf.exposure_ms,
         })
@@ -149,6 +151,11 @@ impl Forward {
         let mut noise = self.noise;
         effects.on_noise(&mut noise);
         noise
+    }
+
+    /// Variance of the reading of each pixel, rounding included, DN^2; None: the noise model's holds for all of them.
+    pub fn reading_dn2(&self) -> Option<&Array2<f32>> {
+        self.reading_dn2.as_ref()
     }
 
     /// The effects of the instrument.
@@ -347,20 +354,27 @@ impl Forward {
         rng: &mut impl Rng,
     ) -> Array2<f32> {
         let noise = self.noise_with(effects);
-        let read = noise.read_noise_e as f32;
+        let read = self.reading_e(&noise);
         // More electrons for the same DN: the gain alone is wrong, not the light.
         let more = (self.noise.gain_dn_per_e / noise.gain_dn_per_e) as f32;
         if more != 1.0 {
             light_e *= more;
         }
-        if effects.acts_at(Stage::Charge) {
-            draw_in_place(&mut light_e, 0.0, rng);
-            effects.on_charge(&mut light_e, cx);
-            let mut reading = Array2::zeros(light_e.dim());
-            draw_in_place(&mut reading, read, rng);
-            light_e += &reading;
-        } else {
-            draw_in_place(&mut light_e, read, rng);
+        match read {
+            Reading::Common(read) if !effects.acts_at(Stage::Charge) => draw_in_place(&mut light_e, read, rng),
+            read => {
+                draw_in_place(&mut light_e, 0.0, rng);
+                effects.on_charge(&mut light_e, cx);
+                let mut reading = Array2::zeros(light_e.dim());
+                match read {
+                    Reading::Common(read) => draw_in_place(&mut reading, read, rng),
+                    Reading::ByPixel(read) => {
+                        draw_in_place(&mut reading, 1.0, rng);
+                        reading *= &read;
+                    }
+                }
+                light_e += &reading;
+            }
         }
         if more != 1.0 {
             light_e /= more;
@@ -370,6 +384,14 @@ impl Forward {
         let top = self.noise.saturation_dn as f32;
         frame.mapv_inplace(|v| v.round().clamp(0.0, top));
         frame
+    }
+
+    /// Read noise, electrons rms, as `noise` has it: of each pixel where they differ.
+    fn reading_e(&self, noise: &NoiseModel) -> Reading {
+        let Some(map) = &self.reading_dn2 else { return Reading::Common(noise.read_noise_e as f32) };
+        // An effect on the noise scales that of all pixels.
+        let scale = noise.read_noise_e / self.noise.read_noise_e / self.noise.gain_dn_per_e;
+        Reading::ByPixel(map.mapv(|v| (scale * (f64::from(v) - ROUNDING_DN2).max(0.0).sqrt()) as f32))
     }
 
     /// Charge, electrons -> DN, before rounding and clipping.
@@ -382,6 +404,13 @@ impl Forward {
         effects.on_electronics(&mut charge_e, cx);
         charge_e
     }
+}
+
+/// Read noise, electrons rms.
+enum Reading {
+    Common(f32),
+    /// Of each pixel, [sensor rows, sensor cols].
+    ByPixel(Array2<f32>),
 }
 
 fn draw_in_place(values: &mut Array2<f32>, read_noise_e: f32, rng: &mut impl Rng) {

@@ -105,6 +105,12 @@ pub fn calibrate(
     let mut manifest = Manifest { stacks: Vec::new(), ..session.manifest().clone() };
     let noise = measure_noise(session, &config.noise, &mut step)?;
     let mut notes: Vec<String> = noise.notes.iter().map(ToString::to_string).collect();
+    if let Some(useless) = noise.useless() {
+        let pixels = useless.iter().filter(|u| **u).count();
+        notes.push(format!(
+            "{pixels} pixels are noisy or dead (telegraph, hot): left out of the foci, weighted down elsewhere"
+        ));
+    }
     let mut instrument = if sensor_only::applies(session) {
         notes.push(sensor_only::NOTE.into());
         sensor_only::instrument(session, manifest, noise)?
@@ -139,6 +145,7 @@ pub fn calibrate(
             noise: noise.model,
             offset_dn: noise.offset_dn,
             response: noise.response,
+            reading_dn2: noise.reading_dn2,
             geometry: rays.geometry,
             effects: Vec::new(),
             light_unit: LightUnit::Bead,
@@ -157,7 +164,11 @@ pub fn calibrate(
 }
 
 fn maps(noise: &NoiseCalibration) -> SensorMaps {
-    SensorMaps { offset_dn: noise.offset_dn.clone(), inverse_response: noise.response.as_ref().map(inverse_response) }
+    SensorMaps {
+        offset_dn: noise.offset_dn.clone(),
+        inverse_response: noise.response.as_ref().map(inverse_response),
+        useless: noise.useless(),
+    }
 }
 
 /// Beads by depth, ascending.

@@ -81,7 +81,8 @@ impl Instrument {
             ("diagnostics.whole_array_error".into(), d.whole_array_error.clone().into_dyn()),
             ("diagnostics.photon_transfer".into(), d.photon_transfer.clone().into_dyn()),
         ]);
-        for (name, map) in [("offset_dn", &self.offset_dn), ("response", &self.response)] {
+        let maps = [("offset_dn", &self.offset_dn), ("response", &self.response), ("reading_dn2", &self.reading_dn2)];
+        for (name, map) in maps {
             if let Some(map) = map {
                 tensors.insert(name.into(), map.clone().into_dyn());
             }
@@ -154,6 +155,7 @@ impl Instrument {
             false => Ok(None),
         };
         let (offset_dn, response) = (map("offset_dn", &sensor)?, map("response", &sensor)?);
+        let reading_dn2 = map("reading_dn2", &sensor)?;
         let mut effects = body.effects;
         for (i, effect) in effects.iter_mut().enumerate() {
             effect.table = map(&table_name(i), &[None, None])?;
@@ -163,6 +165,7 @@ impl Instrument {
             noise: body.noise,
             offset_dn,
             response,
+            reading_dn2,
             geometry: body.geometry,
             psf,
             replicates,

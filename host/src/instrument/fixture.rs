@@ -31,6 +31,7 @@ pub(crate) fn instrument(object: [usize; 2], sensor: [usize; 2], window: usize, 
         },
         offset_dn: None,
         response: None,
+        reading_dn2: None,
         geometry: Geometry {
             anchors_px: vec![[centre[0] + 0.3, centre[1] - 12.2], [centre[0] - 12.0, centre[1] + 6.4]],
             magnification: 1.0,

@@ -44,6 +44,9 @@ pub struct Instrument {
     /// Per-pixel response to light relative to the mean, lamp shading left out, [sensor rows, sensor cols]; None: the flats
     /// do not tell it.
     pub response: Option<Array2<f32>>,
+    /// Variance of the reading of each pixel, rounding included, DN^2, [sensor rows, sensor cols]; None: the pixels are alike as far as
+    /// the darks tell, and `noise` holds for all of them.
+    pub reading_dn2: Option<Array2<f32>>,
     /// Chief rays.
     pub geometry: Geometry,
     /// Low-rank spatially varying PSFs.

@@ -49,6 +49,7 @@ pub(super) fn instrument(
         noise: noise.model,
         offset_dn: noise.offset_dn,
         response: noise.response,
+        reading_dn2: noise.reading_dn2,
         effects: Vec::new(),
         light_unit: LightUnit::Dn,
         quality: Quality { maps: noise.left, ..Quality::default() },

@@ -8,7 +8,7 @@ mod measure;
 mod stats;
 
 pub use draw::{draw_electrons, draw_poisson};
-pub use measure::{MapErrors, NoiseCalibration, NoiseConfig, NoiseError, NoiseNote, measure_noise};
+pub use measure::{MapErrors, NoiseCalibration, NoiseConfig, NoiseError, NoiseNote, ROUNDING_DN2, measure_noise};
 
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};

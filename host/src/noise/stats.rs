@@ -73,6 +73,12 @@ impl PixelStats {
         light
     }
 
+    /// Temporal variance of each pixel, and its degrees of freedom; of two frames or more.
+    pub(super) fn variances(&self) -> (Array2<f64>, f64) {
+        let (n, freedom) = (self.frames(), self.frames() - 1.0);
+        (Zip::from(&self.sum).and(&self.squares).map_collect(|s, q| (q - s * s / n) / freedom), freedom)
+    }
+
     /// Mean and temporal variance; None with fewer than two frames, or where over 1 % of the pixels are saturated.
     ///
     /// Saturated pixels are left out, and so are pixels whose variance cannot come from the common noise (telegraph, hot).
@@ -81,8 +87,7 @@ impl PixelStats {
         if n < 2.0 {
             return None;
         }
-        let freedom = n - 1.0;
-        let variances = Zip::from(&self.sum).and(&self.squares).map_collect(|s, q| (q - s * s / n) / freedom);
+        let (variances, freedom) = self.variances();
         let unsaturated = self.top.mapv(|t| f64::from(t) < saturation_dn);
         let usable = unsaturated.iter().filter(|u| **u).count();
         if (usable as f64) < 0.99 * unsaturated.len() as f64 {

@@ -226,12 +226,7 @@ impl LensModels {
     ///
     /// # Errors
     /// The windows hold values that are no numbers.
-    pub fn fit(
-        windows: &[LensWindows],
-        dead: &[bool],
-        planes: &[Plane],
-        terms: Terms,
-    ) -> Result<Self, NotConverged> {
+    pub fn fit(windows: &[LensWindows], dead: &[bool], planes: &[Plane], terms: Terms) -> Result<Self, NotConverged> {
         let lens = |l: usize| {
             let seen = windows[l].seen();
             let planes = select(planes, |n| seen[n]);
@@ -306,12 +301,13 @@ impl LensModels {
         let n = order.len();
         let left = Array2::from_shape_fn((most.min(n), n), |(k, i)| vectors[[i, n - 1 - k]] as f32);
         // Given its coefficients, a pixel's share in the basis is its projection, whatever its weight.
-        let parts = windows.par_iter().zip(&self.fits).filter_map(|(w, fit)| Some((w, fit.as_ref()?))).map(|(w, fit)| {
-            let light = filled(w, Some(fit), fit.decomposition.basis.nrows()).light_dn.select(Axis(0), order);
-            let square = |row: ndarray::ArrayView1<'_, f32>| row.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>();
-            let kept: Vec<f64> = left.dot(&light).outer_iter().map(square).collect();
-            (light.outer_iter().map(square).sum::<f64>(), kept)
-        });
+        let parts =
+            windows.par_iter().zip(&self.fits).filter_map(|(w, fit)| Some((w, fit.as_ref()?))).map(|(w, fit)| {
+                let light = filled(w, Some(fit), fit.decomposition.basis.nrows()).light_dn.select(Axis(0), order);
+                let square = |row: ndarray::ArrayView1<'_, f32>| row.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>();
+                let kept: Vec<f64> = left.dot(&light).outer_iter().map(square).collect();
+                (light.outer_iter().map(square).sum::<f64>(), kept)
+            });
         let mut left_over = vec![0.0; left.nrows()];
         let mut all = 0.0;
         for (total, kept) in parts.collect::<Vec<_>>() {
@@ -399,7 +395,10 @@ fn mean_psf(windows: &LensWindows, planes: &[Plane]) -> Result<LensFit, NotConve
         singular_values.push(norm * (plane.beads.len() as f64).sqrt());
     }
     let beads = planes.iter().flat_map(|p| p.beads.clone()).collect();
-    Ok(LensFit { decomposition: Decomposition { basis, coefficients, singular_values, gram: Array2::zeros((0, 0)) }, beads })
+    Ok(LensFit {
+        decomposition: Decomposition { basis, coefficients, singular_values, gram: Array2::zeros((0, 0)) },
+        beads,
+    })
 }
 
 /// The beads of each plane that `keep` names.
@@ -453,7 +452,11 @@ fn misfit(windows: &LensWindows, beads: &[usize], basis: &Array2<f32>, coefficie
         let known = windows.known.as_ref().map(|k| k.row(*bead));
         let missing: Vec<usize> = known.map_or_else(Vec::new, |k| (0..px).filter(|p| !k[*p]).collect());
         let lost = basis.select(Axis(1), &missing).mapv(f64::from);
-        let norms = if missing.is_empty() { with_itself.view().into() } else { CowArray::from(&with_itself - &lost.dot(&lost.t())) };
+        let norms = if missing.is_empty() {
+            with_itself.view().into()
+        } else {
+            CowArray::from(&with_itself - &lost.dot(&lost.t()))
+        };
         out.noise[i] = noise - missing.iter().map(|p| windows.variance_dn2[*p]).sum::<f64>();
         let (mut pt, mut pp) = (0.0, 0.0);
         for k in 0..ranks {

@@ -215,7 +215,8 @@ fn rank(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup, Report
         100.0 * instrument.quality.approximation_error,
         100.0 * instrument.quality.off_grid_error,
         match instrument.whole_array_rank() {
-            Some(whole) => format!(" One decomposition of the whole array needs {whole} terms for the same error on the scan."),
+            Some(whole) =>
+                format!(" One decomposition of the whole array needs {whole} terms for the same error on the scan."),
             None => String::new(),
         }
     );

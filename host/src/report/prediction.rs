@@ -59,7 +59,9 @@ pub fn prediction(e: &Evaluation, numbers: &mut Numbers) -> Result<Option<Markup
     let edge = rings.iter().fold(0.0f64, |m, r| m.max(r.outer_px));
     let line = |label: &str, points, colour, marks| Line { label: label.into(), points, colour, marks };
     let chi2 = Chart {
-        alt: "Chi-squared per pixel of measured frames against the prediction, by distance from the middle of the sensor".into(),
+        alt:
+            "Chi-squared per pixel of measured frames against the prediction, by distance from the middle of the sensor"
+                .into(),
         x: Axis::between("Distance from the middle of the sensor (px)", 0.0, edge),
         y: Axis::linear("χ² per lit pixel"),
         lines: vec![

@@ -5,6 +5,7 @@
 //! term is the rounding to whole DN. Lamp flicker moves all pixels together: its variance is measured on the frame means and
 //! taken off.
 
+mod reading;
 mod response;
 mod video;
 
@@ -61,12 +62,35 @@ pub struct NoiseCalibration {
     /// Response of each pixel relative to the mean, [sensor rows, sensor cols]; None: the flats show no spread beyond their noise,
     /// or there are no darks to tell it from offsets.
     pub response: Option<Array2<f32>>,
+    /// Variance of the reading of each pixel, rounding included, DN^2, [sensor rows, sensor cols]; None: the pixels are alike, or there
+    /// are too few darks to tell.
+    pub reading_dn2: Option<Array2<f32>>,
     /// What these maps leave of the true patterns.
     pub left: MapErrors,
     /// Photon transfer, [level, (mean above black, variance, fitted variance)], DN and DN^2.
     pub photon_transfer: Array2<f32>,
     /// Figures that the session cannot tell, and what follows.
     pub notes: Vec<NoiseNote>,
+}
+
+/// A pixel whose reading scatters this many times as much as the common one is of no use in a focus.
+const USELESS: f32 = 5.0;
+/// Nor is one that answers to light with less than this share of the mean, or with more than the other.
+const ANSWERS: std::ops::Range<f32> = 0.5..2.0;
+
+impl NoiseCalibration {
+    /// Pixels that say nothing of a focus: telegraph and hot ones, whose readings scatter far more than those of the others, and dead ones,
+    /// [sensor rows, sensor cols]; None: there are none.
+    pub fn useless(&self) -> Option<Array2<bool>> {
+        let common_dn2 = self.model.variance_dn2(self.model.black_level_dn) as f32;
+        let noisy = self.reading_dn2.as_ref().map(|map| map.mapv(|v| v > USELESS * USELESS * common_dn2));
+        let dead = self.response.as_ref().map(|map| map.mapv(|r| !ANSWERS.contains(&r)));
+        let both = match (noisy, dead) {
+            (Some(a), Some(b)) => Some(&a | &b),
+            (a, b) => a.or(b),
+        };
+        both.filter(|map| map.iter().any(|useless| *useless))
+    }
 }
 
 /// A figure that the session cannot tell, and what follows.
@@ -174,6 +198,7 @@ struct Dark {
     level: Option<Summary>,
     frames: f64,
     offset_left_dn: f64,
+    reading_dn2: Option<Array2<f32>>,
 }
 
 /// Measures the noise of a session's sensor. `step` is called once a frame.
@@ -249,9 +274,11 @@ pub fn measure_noise(
         offset_dn: dark.as_ref().map_or(0.0, |d| d.offset_left_dn),
         response: response.as_ref().map_or(0.0, |(_, left)| *left),
     };
+    let (offset_dn, reading_dn2) = dark.map_or((None, None), |d| (Some(d.offset), d.reading_dn2));
     Ok(NoiseCalibration {
         model,
-        offset_dn: dark.map(|d| d.offset),
+        offset_dn,
+        reading_dn2,
         response: response.map(|(map, _)| map),
         left,
         photon_transfer,
@@ -328,7 +355,12 @@ fn measure_darks(session: &Session, saturation_dn: f64, step: &mut impl FnMut())
     let level = stats.summary(0.0, None, saturation_dn);
     let (black, offset, offset_left_dn) = stats.offsets(level.map(|l| l.variance));
     let frames = group.frames.len() as f64;
-    Ok(Some(Dark { black, offset, level: level.map(|l| Summary { mean: 0.0, ..l }), frames, offset_left_dn }))
+    let level = level.map(|l| Summary { mean: 0.0, ..l });
+    let reading_dn2 = level.and_then(|_| {
+        let (variances, freedom) = stats.variances();
+        reading::by_pixel(&variances, freedom)
+    });
+    Ok(Some(Dark { black, offset, level, frames, offset_left_dn, reading_dn2 }))
 }
 
 /// What the flats say.

@@ -191,7 +191,8 @@ impl LowRankOperator {
                 let corner =
                     [0, 1].map(|a| (calibrated.anchors_px[l][a] - centre[a]).round() as isize + whole[a] as isize);
                 let coefficients = psf.coefficients.slice(s![l, .., config.depth, .., ..]).to_owned();
-                let basis = if kept { Basis::Spectra(spectra_of(&fft, kernels.view())) } else { Basis::Windows(kernels) };
+                let basis =
+                    if kept { Basis::Spectra(spectra_of(&fft, kernels.view())) } else { Basis::Windows(kernels) };
                 Some(LensPlan { corner, basis, coefficients })
             })
             .collect();
