@@ -117,7 +117,7 @@ impl VirtualInstrument {
         let mut clean = self.light_of(&objects, infos, &Chain::default());
         let [low, high] = self.config.stacks.scene_peak.map(|p| (p * self.config.full_scale_e()).ln());
         for ((object, light), info) in objects.iter_mut().zip(&mut clean).zip(infos) {
-            let mut rng = rng::stream(seed, "bench/level", info.frame as u64);
+            let mut rng = rng::stream(seed, "bench/level", self.scenes.video(info.frame as u64));
             let peak = light.fold(f32::MIN_POSITIVE, |m, v| m.max(*v));
             let scale = rng.random_range(low..=high).exp() as f32 / peak;
             object.mapv_inplace(|v| v * scale);

@@ -20,12 +20,15 @@ pub struct Args {
     /// Number of pairs
     #[arg(long, value_name = "N")]
     count: usize,
-    /// Kind of specimen (may be given again; default: all kinds, or none with --images)
+    /// Kind of specimen (may be given again; default: all kinds but sections, or none with --images)
     #[arg(long, value_name = "KIND")]
     specimen: Vec<Specimen>,
     /// Folder of grey .tif or .png pictures to cut objects from
     #[arg(long, value_name = "DIR")]
     images: Option<PathBuf>,
+    /// Frames of each scene: with more than one, scenes are short videos in which worms move, 20 ms from frame to frame
+    #[arg(long, value_name = "FRAMES", default_value_t = 1)]
+    video: usize,
     /// Brightest pixel of a frame, electrons: drawn between LOW and HIGH [default: 10 % to 80 % of full scale]
     #[arg(long, num_args = 2, value_names = ["LOW", "HIGH"])]
     peak_e: Option<Vec<f64>>,
@@ -80,8 +83,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
 
 fn scenes(args: &Args) -> SceneConfig {
     let specimens = match (&args.specimen[..], &args.images) {
-        ([], None) => Specimen::ALL.to_vec(),
+        ([], None) => Specimen::USUAL.to_vec(),
         (chosen, _) => chosen.to_vec(),
     };
-    SceneConfig { specimens, images: args.images.clone(), targets: false }
+    SceneConfig { specimens, images: args.images.clone(), video_frames: args.video, ..SceneConfig::default() }
 }

@@ -200,7 +200,7 @@ impl Simulation {
             return Err(DataSetError::Black { index: i });
         }
         let [low, high] = self.plan.peak_e.map(f64::ln);
-        let mut rng = rng::stream(seed, "simulate/light", i as u64);
+        let mut rng = rng::stream(seed, "simulate/light", self.scenes.video(i as u64));
         let light = (rng.random_range(low..=high).exp() / f64::from(peak)) as f32;
         if self.linear {
             frame.mapv_inplace(|v| v * light);

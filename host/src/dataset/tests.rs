@@ -19,7 +19,7 @@ fn instrument() -> Instrument {
 }
 
 fn config() -> SimulateConfig {
-    let scenes = SceneConfig { specimens: vec![Specimen::Beads, Specimen::Target], images: None, targets: false };
+    let scenes = SceneConfig { specimens: vec![Specimen::Beads, Specimen::Target], ..SceneConfig::default() };
     SimulateConfig { count: 7, shard_pairs: 3, scenes, peak_e: Some([1000.0, 5000.0]) }
 }
 

@@ -89,6 +89,13 @@ impl Canvas {
         }
     }
 
+    /// Takes most of the light away where a shape covers it; `distance` as in [`Self::paint`].
+    pub(super) fn dim(&mut self, ends: [Point; 2], reach_um: f64, distance: impl Fn(Point) -> f64) {
+        let mut cover = Self::new(&self.grid);
+        cover.paint(ends, reach_um, Blend::Max, |p| (distance(p), 0.9));
+        self.light.zip_mut_with(&cover.light, |light, cover| *light *= 1.0 - cover);
+    }
+
     /// A disc, whatever its size, with the light of its area.
     pub(super) fn disc(&mut self, centre: Point, radius_um: f64, value: f64, blend: Blend) {
         let (radius, value) = self.at_least_a_pixel(radius_um, value);

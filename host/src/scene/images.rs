@@ -13,6 +13,16 @@ pub enum SceneError {
     /// Neither specimens nor pictures.
     #[error("specimens: expected at least one kind or a folder of pictures, found none; name one")]
     Nothing,
+    /// No video.
+    #[error(
+        "video: expected one frame or more, and an interval of zero or more, found {frames} frames, {interval_s} s apart"
+    )]
+    Video {
+        /// Frames of a video.
+        frames: usize,
+        /// Time between them, s.
+        interval_s: f64,
+    },
     /// The folder cannot be listed.
     #[error("{path}: {source}; name a folder of .tif or .png pictures")]
     Folder {

@@ -9,6 +9,7 @@ mod cells;
 mod images;
 mod neurons;
 pub mod resolution;
+mod section;
 mod target;
 mod vessels;
 mod worms;
@@ -39,22 +40,26 @@ pub enum Specimen {
     Worms,
     /// Resolution targets: three-bar groups and Siemens stars.
     Target,
+    /// Brain sections: layers of labelled cells over a glowing, mottled ground, with dark tracts and vessels.
+    Section,
 }
 
 impl Specimen {
-    /// All kinds.
-    pub const ALL: [Self; 6] = [Self::Beads, Self::Cells, Self::Neurons, Self::Vessels, Self::Worms, Self::Target];
+    /// The kinds that scenes are drawn from where none is named: those that leave most of the field dark, as the instrument's users label
+    /// their samples.
+    pub const USUAL: [Self; 6] = [Self::Beads, Self::Cells, Self::Neurons, Self::Vessels, Self::Worms, Self::Target];
 
-    /// One specimen of this kind, [rows, cols] of `grid`, >= 0, maximum 1.
-    pub fn draw(self, grid: &ObjectGrid, rng: &mut impl Rng) -> Array2<f32> {
+    /// One specimen of this kind at `time_s`, [rows, cols] of `grid`, >= 0, maximum 1. Worms move; all else keeps still.
+    pub fn draw(self, grid: &ObjectGrid, time_s: f64, rng: &mut impl Rng) -> Array2<f32> {
         let mut canvas = Canvas::new(grid);
         match self {
             Self::Beads => beads::draw(&mut canvas, rng),
             Self::Cells => cells::draw(&mut canvas, rng),
             Self::Neurons => neurons::draw(&mut canvas, rng),
             Self::Vessels => vessels::draw(&mut canvas, rng),
-            Self::Worms => worms::draw(&mut canvas, rng),
+            Self::Worms => worms::draw(&mut canvas, time_s, rng),
             Self::Target => target::draw(&mut canvas, rng),
+            Self::Section => section::draw(&mut canvas, rng),
         }
         normalised(canvas.into_light())
     }
@@ -71,11 +76,35 @@ pub struct SceneConfig {
     /// Instead of all these: resolution targets, one period a scene ([`resolution`]).
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub targets: bool,
+    /// Frames of each scene: more than one make short videos.
+    #[serde(skip_serializing_if = "is_one")]
+    pub video_frames: usize,
+    /// Time from one frame of a video to the next, s.
+    #[serde(skip_serializing_if = "is_usual_interval")]
+    pub video_interval_s: f64,
+}
+
+/// Time from frame to frame of a video where none is named, s.
+const INTERVAL_S: f64 = 0.02;
+
+// What is as it always was is left out of records.
+fn is_one(n: &usize) -> bool {
+    *n == 1
+}
+
+fn is_usual_interval(s: &f64) -> bool {
+    *s == INTERVAL_S
 }
 
 impl Default for SceneConfig {
     fn default() -> Self {
-        Self { specimens: Specimen::ALL.to_vec(), images: None, targets: false }
+        Self {
+            specimens: Specimen::USUAL.to_vec(),
+            images: None,
+            targets: false,
+            video_frames: 1,
+            video_interval_s: INTERVAL_S,
+        }
     }
 }
 
@@ -85,6 +114,8 @@ pub struct Scenes {
     specimens: Vec<Specimen>,
     images: Option<ImageFolder>,
     targets: bool,
+    video_frames: usize,
+    video_interval_s: f64,
 }
 
 impl SceneConfig {
@@ -97,25 +128,41 @@ impl SceneConfig {
         if self.specimens.is_empty() && images.is_none() {
             return Err(SceneError::Nothing);
         }
-        Ok(Scenes { specimens: self.specimens.clone(), images, targets: self.targets })
+        if self.video_frames == 0 || !(self.video_interval_s.is_finite() && self.video_interval_s >= 0.0) {
+            return Err(SceneError::Video { frames: self.video_frames, interval_s: self.video_interval_s });
+        }
+        Ok(Scenes {
+            specimens: self.specimens.clone(),
+            images,
+            targets: self.targets,
+            video_frames: self.video_frames,
+            video_interval_s: self.video_interval_s,
+        })
     }
 }
 
 impl Scenes {
+    /// Number of the video that frame `index` belongs to.
+    pub fn video(&self, index: u64) -> u64 {
+        index / self.video_frames as u64
+    }
+
     /// Scene `index` of `seed` for `what` (so that training never sees the scenes of a bench), [rows, cols] of `grid`,
-    /// >= 0, maximum 1. Kinds take turns.
+    /// >= 0, maximum 1. Kinds take turns, and so do the frames of a video.
     pub fn draw(&self, grid: &ObjectGrid, seed: u64, what: &str, index: u64) -> Array2<f32> {
         if self.targets {
             let periods = resolution::PERIODS_PX;
             return resolution::target(grid, periods[index as usize % periods.len()]);
         }
+        let time_s = (index % self.video_frames as u64) as f64 * self.video_interval_s;
+        let index = self.video(index);
         let mut rng = rng::stream(seed, what, index);
         if let Some(images) = &self.images
             && (self.specimens.is_empty() || rng.random_bool(0.5))
         {
             return normalised(images.draw(grid, &mut rng));
         }
-        self.specimens[index as usize % self.specimens.len()].draw(grid, &mut rng)
+        self.specimens[index as usize % self.specimens.len()].draw(grid, time_s, &mut rng)
     }
 }
 

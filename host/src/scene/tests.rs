@@ -7,15 +7,16 @@ const GRID: ObjectGrid = ObjectGrid { rows: 96, cols: 80, pixel_um: 2.8 };
 
 #[test]
 fn specimens_are_light_and_depend_on_seed_and_index_only() {
-    for kind in Specimen::ALL {
-        let draw = |seed, index| kind.draw(&GRID, &mut rng::stream(seed, "test", index));
+    for kind in Specimen::USUAL.into_iter().chain([Specimen::Section]) {
+        let draw = |seed, index| kind.draw(&GRID, 0.0, &mut rng::stream(seed, "test", index));
         for index in 0..8 {
             let light = draw(3, index);
             assert_eq!(light.dim(), (96, 80));
             assert!(light.iter().all(|v| (0.0..=1.0).contains(v)), "{kind:?}");
             assert_eq!(light.fold(0.0f32, |m, v| m.max(*v)), 1.0, "{kind:?} {index}");
-            // A specimen is neither a dot nor a sheet of light.
-            let lit = light.iter().filter(|v| **v > 0.05).count();
+            // A specimen is neither a dot nor a sheet of light; tissue glows nearly everywhere, but not evenly.
+            let level = if kind == Specimen::Section { 0.5 } else { 0.05 };
+            let lit = light.iter().filter(|v| **v > level).count();
             assert!((20..96 * 80 * 3 / 4).contains(&lit), "{kind:?} {index}: {lit}");
         }
         assert_eq!(draw(3, 1), draw(3, 1));
@@ -51,7 +52,7 @@ fn a_disc_smaller_than_a_pixel_keeps_its_light() {
 #[test]
 fn pictures_become_scenes() {
     let dir = tempfile::tempdir().unwrap();
-    let config = |images| SceneConfig { specimens: Vec::new(), images, targets: false };
+    let config = |images| SceneConfig { specimens: Vec::new(), images, ..SceneConfig::default() };
     assert!(config(None).build().unwrap_err().to_string().contains("specimens"));
     assert!(config(Some(dir.path().into())).build().unwrap_err().to_string().contains("found none"));
     // A picture of 3 x 3 blocks as large as object pixels times two, on a pedestal of 100.
@@ -65,4 +66,25 @@ fn pictures_become_scenes() {
     assert_eq!(scene.fold(1.0f32, |m, v| m.min(*v)), 0.0, "the pedestal is gone");
     std::fs::write(dir.path().join("b.png"), b"no picture").unwrap();
     assert!(config(Some(dir.path().into())).build().unwrap_err().to_string().contains("b.png"));
+}
+
+#[test]
+fn worms_of_a_video_move_and_all_else_keeps_still() {
+    let video = |kind, frames| {
+        let config = SceneConfig { specimens: vec![kind], video_frames: frames, ..SceneConfig::default() };
+        let scenes = config.build().unwrap();
+        move |i| scenes.draw(&GRID, 5, "test", i)
+    };
+    let (worms, cells) = (video(Specimen::Worms, 4), video(Specimen::Cells, 4));
+    assert_eq!(cells(0), cells(3));
+    assert_ne!(cells(3), cells(4));
+    // 20 ms move the body by less than its own thickness, and 40 move it further.
+    let overlap = |a: &Array2<f32>, b: &Array2<f32>| (a * b).sum() / ((a * a).sum() * (b * b).sum()).sqrt();
+    let frames = [0, 1, 2].map(worms);
+    let (near, far) = (overlap(&frames[0], &frames[1]), overlap(&frames[0], &frames[2]));
+    assert!(near < 0.999 && near > 0.6 && far < near, "{near} {far}");
+    // The first frame of a video is the scene that would be drawn without one.
+    let still = SceneConfig { specimens: vec![Specimen::Worms], ..SceneConfig::default() }.build().unwrap();
+    assert_eq!(video(Specimen::Worms, 4)(4), still.draw(&GRID, 5, "test", 1));
+    assert!(SceneConfig { video_frames: 0, ..SceneConfig::default() }.build().is_err());
 }

@@ -1,14 +1,19 @@
-//! Undulating worms with a tapering body and bright gut granules.
+//! Undulating worms with a tapering body and bright gut granules. In time a wave runs down the body and the worm glides along its heading.
 
 use super::canvas::{Blend, Canvas, Point, add, direction, length, log_uniform, polar, sub};
 use rand::{Rng, RngExt};
 use std::f64::consts::{PI, TAU};
 
-pub(super) fn draw(canvas: &mut Canvas, rng: &mut impl Rng) {
+/// Undulations a second of a swimming worm (C. elegans in water: about 1.8; Gray & Lissmann, J. Exp. Biol. 41, 135, 1964).
+const HZ: f64 = 1.8;
+/// Body lengths that it glides in one undulation.
+const STRIDE: f64 = 0.12;
+
+pub(super) fn draw(canvas: &mut Canvas, time_s: f64, rng: &mut impl Rng) {
     for _ in 0..canvas.number(log_uniform(rng, 20.0, 110.0)) {
         let brightness = log_uniform(rng, 0.25, 1.0);
         let thickest = rng.random_range(5.0..9.0);
-        let body = midline(canvas.anywhere(rng), rng);
+        let body = midline(canvas.anywhere(rng), time_s, rng);
         let n = body.len() as f64;
         let radius = |i: usize| thickest * (PI * (i as f64 + 0.6) / (n + 0.2)).sin().max(0.0).powf(0.6);
         for i in 1..body.len() {
@@ -22,19 +27,34 @@ pub(super) fn draw(canvas: &mut Canvas, rng: &mut impl Rng) {
     }
 }
 
-/// Points along the body, about 6 um apart.
-fn midline(head: Point, rng: &mut impl Rng) -> Vec<Point> {
+/// Points along the body, about 6 um apart, from the head, which goes first.
+fn midline(head: Point, time_s: f64, rng: &mut impl Rng) -> Vec<Point> {
     let body_um = rng.random_range(110.0..240.0);
     let (heading, phase) = (direction(rng), direction(rng));
     let (bend, waves) = (rng.random_range(0.4..1.0), rng.random_range(0.8..1.8));
     let steps = (body_um / 6.0) as usize;
-    let mut points = vec![head];
-    let mut at = head;
-    for k in 0..steps {
-        let angle = heading + bend * (TAU * waves * k as f64 / steps as f64 + phase).sin();
-        at = add(at, polar(6.0, angle));
-        points.push(at);
+    // The wave runs from the head to the tail.
+    let posture = |time_s: f64| {
+        let mut points = vec![head];
+        let mut at = head;
+        for k in 0..steps {
+            let angle = heading + bend * (TAU * (waves * k as f64 / steps as f64 - HZ * time_s) + phase).sin();
+            at = add(at, polar(6.0, angle));
+            points.push(at);
+        }
+        points
+    };
+    let mut points = posture(time_s);
+    debug_assert!(points.iter().all(|at| length(sub(*at, head)) <= body_um));
+    if time_s != 0.0 {
+        // Nothing holds the worm but the water: its middle glides, against the direction in which the points follow the head.
+        let middle = |points: &[Point]| {
+            let sum = points.iter().fold([0.0; 2], |sum, p| add(sum, *p));
+            sum.map(|v| v / points.len() as f64)
+        };
+        let to = add(middle(&posture(0.0)), polar(-STRIDE * body_um * HZ * time_s, heading));
+        let by = sub(to, middle(&points));
+        points.iter_mut().for_each(|p| *p = add(*p, by));
     }
-    debug_assert!(length(sub(at, head)) <= body_um);
     points
 }
