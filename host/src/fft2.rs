@@ -1,12 +1,15 @@
 //! Two-dimensional real FFT on the host: plan, scratch, process.
 //!
 //! The spectrum of a [rows, cols] image is kept transposed, [cols/2 + 1, rows], so that both passes run over contiguous
-//! memory. Nothing is normalised: `inverse(forward(x)) = rows * cols * x`.
+//! memory; the first pass goes over rows, the second over a few columns at a time, which stay in the cache. Nothing is normalised: `inverse(forward(x)) = rows * cols * x`.
 
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use rustfft::Fft;
 use rustfft::num_complex::Complex32;
 use std::sync::Arc;
+
+/// Columns that are worked on together: two lines of the cache of each row.
+const TILE: usize = 16;
 
 /// A planned real transform of [rows, cols] images.
 #[derive(Clone)]
@@ -22,7 +25,14 @@ pub struct RealFft2 {
 /// Working memory of a [`RealFft2`]; one a thread.
 #[derive(Clone, Debug)]
 pub struct Fft2Scratch {
-    half: Vec<Complex32>,
+    /// The half-transformed image, [tile of columns, row, column of the tile]: both passes run through it in order.
+    tiles: Vec<Complex32>,
+    /// Rows that hold anything.
+    held: Vec<bool>,
+    /// One row of it, whole tiles.
+    line: Vec<Complex32>,
+    /// One tile, [column, row].
+    tile: Vec<Complex32>,
     row: Vec<f32>,
     fft: Vec<Complex32>,
 }
@@ -68,7 +78,15 @@ impl RealFft2 {
         let zero = Complex32::default();
         let fft = self.row_forward.get_scratch_len().max(self.row_inverse.get_scratch_len());
         let fft = fft.max(self.col_forward.get_inplace_scratch_len()).max(self.col_inverse.get_inplace_scratch_len());
-        Fft2Scratch { half: vec![zero; self.spectrum_len()], row: vec![0.0; self.cols], fft: vec![zero; fft] }
+        let padded = self.half_cols().next_multiple_of(TILE);
+        Fft2Scratch {
+            tiles: vec![zero; self.rows * padded],
+            held: vec![false; self.rows],
+            line: vec![zero; padded],
+            tile: vec![zero; TILE * self.rows],
+            row: vec![0.0; self.cols],
+            fft: vec![zero; fft],
+        }
     }
 
     /// Image [rows, cols] -> spectrum [cols/2 + 1, rows]. Rows that are all zero cost nothing in the first pass.
@@ -77,37 +95,90 @@ impl RealFft2 {
     /// A slice has another length than the plan: a fault of the caller, never of data.
     pub fn forward(&self, image: &[f32], spectrum: &mut [Complex32], s: &mut Fft2Scratch) {
         assert_eq!((image.len(), spectrum.len()), (self.rows * self.cols, self.spectrum_len()));
-        let half = self.half_cols();
-        for (row, out) in image.chunks_exact(self.cols).zip(s.half.chunks_exact_mut(half)) {
-            if row.iter().all(|v| *v == 0.0) {
-                out.fill(Complex32::default());
-                continue;
-            }
-            s.row.copy_from_slice(row);
-            let done = self.row_forward.process_with_scratch(&mut s.row, out, &mut s.fft);
-            debug_assert!(done.is_ok());
-        }
-        transpose(&s.half, spectrum, self.rows, half);
-        self.col_forward.process_with_scratch(spectrum, &mut s.fft);
+        let load = |r: usize, row: &mut [f32]| {
+            let from = &image[r * self.cols..(r + 1) * self.cols];
+            row.copy_from_slice(from);
+            from.iter().any(|v| *v != 0.0)
+        };
+        self.forward_with(load, |c, column| spectrum[c * self.rows..(c + 1) * self.rows].copy_from_slice(column), s);
     }
 
-    /// Spectrum [cols/2 + 1, rows] -> image [rows, cols], times `rows * cols`; the spectrum is used up.
+    /// The same, of an image whose rows are made as they are asked for: `load(r, row)` fills row `r` [cols] and says whether it holds
+    /// anything; `take(c, column)` gets each column [rows] of the half spectrum. Neither image nor spectrum need ever be stored.
+    pub fn forward_with(
+        &self,
+        mut load: impl FnMut(usize, &mut [f32]) -> bool,
+        mut take: impl FnMut(usize, &[Complex32]),
+        s: &mut Fft2Scratch,
+    ) {
+        let Fft2Scratch { tiles, held, line, tile, row, fft } = s;
+        for (r, held) in held.iter_mut().enumerate() {
+            *held = load(r, row);
+            if *held {
+                let done = self.row_forward.process_with_scratch(row, &mut line[..self.half_cols()], fft);
+                debug_assert!(done.is_ok());
+                for (strip, part) in tiles.chunks_exact_mut(self.rows * TILE).zip(line.chunks_exact(TILE)) {
+                    strip[r * TILE..(r + 1) * TILE].copy_from_slice(part);
+                }
+            }
+        }
+        for (t, strip) in tiles.chunks_exact(self.rows * TILE).enumerate() {
+            for ((r, part), held) in strip.chunks_exact(TILE).enumerate().zip(held.iter()) {
+                for (c, v) in part.iter().enumerate() {
+                    tile[c * self.rows + r] = if *held { *v } else { Complex32::default() };
+                }
+            }
+            let columns = TILE.min(self.half_cols() - t * TILE);
+            let used = &mut tile[..columns * self.rows];
+            self.col_forward.process_with_scratch(used, fft);
+            used.chunks_exact(self.rows).enumerate().for_each(|(c, column)| take(t * TILE + c, column));
+        }
+    }
+
+    /// Spectrum [cols/2 + 1, rows] -> image [rows, cols], times `rows * cols`.
     ///
     /// # Panics
     /// A slice has another length than the plan: a fault of the caller, never of data.
-    pub fn inverse(&self, spectrum: &mut [Complex32], image: &mut [f32], s: &mut Fft2Scratch) {
+    pub fn inverse(&self, spectrum: &[Complex32], image: &mut [f32], s: &mut Fft2Scratch) {
         assert_eq!((image.len(), spectrum.len()), (self.rows * self.cols, self.spectrum_len()));
+        let load =
+            |c: usize, column: &mut [Complex32]| column.copy_from_slice(&spectrum[c * self.rows..(c + 1) * self.rows]);
+        self.inverse_with(load, |r, row| image[r * self.cols..(r + 1) * self.cols].copy_from_slice(row), self.rows, s);
+    }
+
+    /// The same, of a spectrum whose columns are made as they are asked for: `load(c, column)` fills column `c` [rows]; `take(r, row)` gets
+    /// each of the first `rows` rows [cols] of the image.
+    pub fn inverse_with(
+        &self,
+        mut load: impl FnMut(usize, &mut [Complex32]),
+        mut take: impl FnMut(usize, &[f32]),
+        rows: usize,
+        s: &mut Fft2Scratch,
+    ) {
+        let Fft2Scratch { tiles, line, tile, row, fft, .. } = s;
         let half = self.half_cols();
-        self.col_inverse.process_with_scratch(spectrum, &mut s.fft);
-        transpose(spectrum, &mut s.half, half, self.rows);
-        for (row, out) in s.half.chunks_exact_mut(half).zip(image.chunks_exact_mut(self.cols)) {
-            // The imaginary parts at zero and at Nyquist are rounding noise; the transform wants them gone.
-            row[0].im = 0.0;
-            if self.cols.is_multiple_of(2) {
-                row[half - 1].im = 0.0;
+        for (t, strip) in tiles.chunks_exact_mut(self.rows * TILE).enumerate() {
+            let used = &mut tile[..TILE.min(half - t * TILE) * self.rows];
+            used.chunks_exact_mut(self.rows).enumerate().for_each(|(c, column)| load(t * TILE + c, column));
+            self.col_inverse.process_with_scratch(used, fft);
+            for (r, part) in strip.chunks_exact_mut(TILE).enumerate().take(rows) {
+                for (c, v) in part.iter_mut().enumerate() {
+                    *v = tile[c * self.rows + r];
+                }
             }
-            let done = self.row_inverse.process_with_scratch(row, out, &mut s.fft);
+        }
+        for r in 0..rows.min(self.rows) {
+            for (strip, part) in tiles.chunks_exact(self.rows * TILE).zip(line.chunks_exact_mut(TILE)) {
+                part.copy_from_slice(&strip[r * TILE..(r + 1) * TILE]);
+            }
+            // The imaginary parts at zero and at Nyquist are rounding noise; the transform wants them gone.
+            line[0].im = 0.0;
+            if self.cols.is_multiple_of(2) {
+                line[half - 1].im = 0.0;
+            }
+            let done = self.row_inverse.process_with_scratch(&mut line[..half], row, fft);
             debug_assert!(done.is_ok());
+            take(r, row);
         }
     }
 }
@@ -127,20 +198,6 @@ pub fn fast_size(n: usize) -> usize {
         size += 2;
     }
     size
-}
-
-/// [rows, cols] -> [cols, rows], in tiles that stay in cache.
-fn transpose(from: &[Complex32], to: &mut [Complex32], rows: usize, cols: usize) {
-    const TILE: usize = 16;
-    for r0 in (0..rows).step_by(TILE) {
-        for c0 in (0..cols).step_by(TILE) {
-            for c in c0..(c0 + TILE).min(cols) {
-                for r in r0..(r0 + TILE).min(rows) {
-                    to[c * rows + r] = from[r * cols + c];
-                }
-            }
-        }
-    }
 }
 
 #[cfg(test)]
@@ -181,7 +238,7 @@ mod tests {
                 }
             }
             let mut back = vec![9.0; rows * cols];
-            plan.inverse(&mut spectrum, &mut back, &mut s);
+            plan.inverse(&spectrum, &mut back, &mut s);
             for (a, b) in back.iter().zip(&x) {
                 assert!((a / (rows * cols) as f32 - b).abs() < 1e-6);
             }

@@ -3,8 +3,10 @@
 use super::{Outcome, Run};
 use crate::artifact::Provenance;
 use crate::bench::BenchConfig;
+use crate::evaluate::measured;
 use crate::instrument::{CalibrateConfig, Calibration, Instrument, LightUnit, calibrate};
 use crate::noise::{NoiseConfig, ROUNDING_DN2, Source};
+use crate::report::bytes;
 use crate::session::{Role, Session, Stack};
 use serde_json::json;
 use std::fmt::Write;
@@ -63,7 +65,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         noise: NoiseConfig { nominal_gain_dn_per_e: args.gain, nominal_read_noise_e: args.read_noise },
     };
     let bar = run.progress(steps(&session), "calibrate");
-    let calibration = calibrate(&session, &config, || bar.inc(1))?;
+    let (calibration, seconds, peak_bytes) = measured(|| calibrate(&session, &config, || bar.inc(1)));
+    let calibration = calibration?;
     bar.finish_and_clear();
     for note in &calibration.notes {
         tracing::warn!("{note}");
@@ -76,7 +79,12 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let provenance = Provenance::new("calibrate", run.seed, &config);
     let provenance = inputs.iter().try_fold(provenance, |p, input| p.with_input(input))?;
     calibration.instrument.write(&args.output, provenance)?;
-    Ok(Outcome { json: figures(&calibration), text: table(args, &calibration) })
+    let mut json = figures(&calibration);
+    (json["seconds"], json["peak_bytes"]) = (json!(seconds), json!(peak_bytes));
+    let mut text = table(args, &calibration);
+    // Writing to a string cannot fail.
+    let _ = writeln!(text, "{:.0} s, {} at most", seconds, peak_bytes.map_or("memory unknown".into(), bytes));
+    Ok(Outcome { json, text })
 }
 
 /// The session in a folder, or that of a virtual instrument.

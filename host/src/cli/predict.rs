@@ -1,6 +1,7 @@
 //! `predict`: the frames that an instrument is expected to show for given objects.
 
 use super::{Outcome, Run};
+use crate::evaluate::measured;
 use crate::forward::Forward;
 use crate::instrument::Instrument;
 use crate::psf::OperatorConfig;
@@ -9,7 +10,6 @@ use crate::session::{FrameReader, FrameWriter, SampleType, StackSpec};
 use anyhow::{Context, ensure};
 use serde_json::json;
 use std::path::PathBuf;
-use std::time::Instant;
 
 /// Options of `predict`.
 #[derive(Debug, clap::Args)]
@@ -37,6 +37,10 @@ pub struct Args {
     /// Depth of the objects, um, interpolated between the calibrated ones
     #[arg(long, value_name = "UM", allow_negative_numbers = true)]
     z_um: Option<f64>,
+    /// The other way, for solvers of your own: frames, DN above black, [n, sensor rows, sensor cols], back to the object grid by the exact
+    /// transpose of the optics (no effects, no response of pixels)
+    #[arg(long, conflicts_with_all = ["noise", "exposure_ms", "illumination"])]
+    adjoint: bool,
 }
 
 /// Runs the verb.
@@ -57,16 +61,17 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let depth = args.depth.unwrap_or_else(|| instrument.psf.depth_nearest(0.0));
     let config = OperatorConfig { depth, ..OperatorConfig::default() };
     let forward = Forward::with_config(&instrument, config).with_context(|| args.instrument.display().to_string())?;
-    let mut objects = FrameReader::open(&args.objects)?;
-    let [rows, cols] = forward.operator().object_shape();
+    let mut inputs = FrameReader::open(&args.objects)?;
+    let (object, sensor) = (forward.operator().object_shape(), forward.operator().sensor_shape());
+    let (what, [rows, cols], to) = if args.adjoint { ("frames", sensor, object) } else { ("objects", object, sensor) };
     ensure!(
-        [objects.rows(), objects.cols()] == [rows, cols],
-        "{}: objects: expected [n, {rows}, {cols}] (the object grid of {}), found [{}, {}, {}]; resample them",
+        [inputs.rows(), inputs.cols()] == [rows, cols],
+        "{}: {what}: expected [n, {rows}, {cols}] (the grid of {}), found [{}, {}, {}]; resample them",
         args.objects.display(),
         args.instrument.display(),
-        objects.len(),
-        objects.rows(),
-        objects.cols()
+        inputs.len(),
+        inputs.rows(),
+        inputs.cols()
     );
     let mut cx = forward.context();
     cx.exposure_ms = args.exposure_ms.unwrap_or(cx.exposure_ms);
@@ -74,34 +79,48 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     for (field, value) in [("--exposure-ms", cx.exposure_ms), ("--illumination", cx.illumination)] {
         ensure!(value.is_finite() && value >= 0.0, "{field}: expected a finite value, zero or more, found {value}");
     }
-    let [rows, cols] = forward.operator().sensor_shape();
-    let spec = StackSpec { frames: objects.len(), rows, cols, samples: SampleType::F32, pixel_um: None };
-    let mut frames = FrameWriter::create(&args.output, spec)?;
-    let bar = run.progress(objects.len() as u64, "predict");
-    let begin = Instant::now();
-    for i in 0..objects.len() {
-        let object = objects.read(i)?;
-        cx.frame = i;
-        let at = || format!("{}: object {i}", args.objects.display());
-        let frame = if args.noise {
-            let light = forward.expected_e(object.view(), &cx).with_context(at)?;
-            forward.draw_dn(light, &cx, &mut rng::stream(run.seed, "predict", i as u64))
-        } else {
-            forward.expected_dn(object.view(), &cx).with_context(at)?
-        };
-        frames.push(frame.view())?;
-        bar.inc(1);
-    }
-    let seconds = begin.elapsed().as_secs_f64() / objects.len().max(1) as f64;
-    frames.finish()?;
+    let [rows, cols] = to;
+    let spec = StackSpec { frames: inputs.len(), rows, cols, samples: SampleType::F32, pixel_um: None };
+    let mut outputs = FrameWriter::create(&args.output, spec)?;
+    let bar = run.progress(inputs.len() as u64, "predict");
+    let mut all = || -> anyhow::Result<()> {
+        for i in 0..inputs.len() {
+            let input = inputs.read(i)?;
+            cx.frame = i;
+            let at = || format!("{}: {what} {i}", args.objects.display());
+            let output = if args.adjoint {
+                forward.operator().adjoint(input.view()).with_context(at)?
+            } else if args.noise {
+                let light = forward.expected_e(input.view(), &cx).with_context(at)?;
+                forward.draw_dn(light, &cx, &mut rng::stream(run.seed, "predict", i as u64))
+            } else {
+                forward.expected_dn(input.view(), &cx).with_context(at)?
+            };
+            outputs.push(output.view())?;
+            bar.inc(1);
+        }
+        Ok(())
+    };
+    let (done, seconds, peak_bytes) = measured(&mut all);
+    done?;
+    let seconds = seconds / inputs.len().max(1) as f64;
+    outputs.finish()?;
     bar.finish_and_clear();
+    let made = match (args.adjoint, args.noise) {
+        (true, _) => "transposed",
+        (_, true) => "noise drawn",
+        _ => "expected values",
+    };
     let text = format!(
-        "{} frames of {rows} x {cols}, {}, {:.1} ms each\n-> {}\n",
-        objects.len(),
-        if args.noise { "noise drawn" } else { "expected values" },
+        "{} {} of {rows} x {cols}, {made}, {:.1} ms each\n-> {}\n",
+        inputs.len(),
+        if args.adjoint { "objects" } else { "frames" },
         1e3 * seconds,
         args.output.display()
     );
-    let json = json!({ "frames": objects.len(), "rows": rows, "cols": cols, "noise": args.noise, "seconds_per_frame": seconds });
+    let json = json!({
+        "frames": inputs.len(), "rows": rows, "cols": cols, "noise": args.noise, "adjoint": args.adjoint,
+        "seconds_per_frame": seconds, "peak_bytes": peak_bytes,
+    });
     Ok(Outcome { json, text })
 }

@@ -45,6 +45,54 @@ impl Taps {
     }
 }
 
+/// Weights of a row of pixels, kept so that many values are interpolated at once: runs of pixels between the same nodes.
+#[derive(Clone, Debug)]
+pub struct TapRow {
+    /// First node of each run, and the pixel where it ends.
+    runs: Vec<(usize, usize)>,
+    /// Nodes used.
+    count: usize,
+    /// Weight of each node used, by pixel.
+    weights: [Vec<f32>; 4],
+}
+
+impl TapRow {
+    /// Weights for each of `n` pixels.
+    pub fn for_pixels(nodes: &[f64], n: usize) -> Self {
+        let taps = Taps::for_pixels(nodes, n);
+        let mut runs: Vec<(usize, usize)> = Vec::new();
+        for (i, tap) in taps.iter().enumerate() {
+            match runs.last_mut() {
+                Some((first, end)) if *first == tap.first => *end = i + 1,
+                _ => runs.push((tap.first, i + 1)),
+            }
+        }
+        let weights = [0, 1, 2, 3].map(|k| taps.iter().map(|t| t.weights[k]).collect());
+        Self { runs, count: taps.first().map_or(1, |t| t.count), weights }
+    }
+
+    /// The interpolated values of `values`, one a node, at the pixels `pixels`: as [`Taps::apply`] gives them, bit for bit.
+    pub fn apply(&self, pixels: std::ops::Range<usize>, values: &[f32], out: &mut [f32]) {
+        let mut from = pixels.start;
+        for (first, end) in &self.runs {
+            let to = (*end).min(pixels.end);
+            if to <= from {
+                continue;
+            }
+            let out = &mut out[from - pixels.start..to - pixels.start];
+            for (k, weights) in self.weights.iter().enumerate().take(self.count) {
+                let value = values[first + k];
+                let terms = out.iter_mut().zip(&weights[from..to]);
+                match k {
+                    0 => terms.for_each(|(o, w)| *o = value * w),
+                    _ => terms.for_each(|(o, w)| *o += value * w),
+                }
+            }
+            from = to;
+        }
+    }
+}
+
 /// `n` nodes evenly over the pixels 0 ..= last, ends included; one node lies in the middle.
 pub fn even_nodes(pixels: usize, n: usize) -> Vec<f64> {
     let last = pixels.saturating_sub(1) as f64;
@@ -67,6 +115,20 @@ mod tests {
         for i in 0..=90 {
             let x = -3.0 + i as f64 / 10.0;
             assert!((f64::from(Taps::at(&nodes, x).apply(&values)) - f(x)).abs() < 1e-5);
+        }
+    }
+
+    #[test]
+    fn a_row_at_once_has_the_bits_of_its_pixels() {
+        for nodes in [vec![4.0], vec![0.0, 7.5, 20.0], even_nodes(30, 7)] {
+            let values: Vec<f32> = (0..nodes.len()).map(|i| (i as f32 * 1.7).sin()).collect();
+            let (row, taps) = (TapRow::for_pixels(&nodes, 30), Taps::for_pixels(&nodes, 30));
+            for pixels in [0..30, 5..6, 3..29] {
+                let mut out = vec![9.0; pixels.len()];
+                row.apply(pixels.clone(), &values, &mut out);
+                let want: Vec<f32> = pixels.map(|i| taps[i].apply(&values)).collect();
+                assert_eq!(out, want);
+            }
         }
     }
 

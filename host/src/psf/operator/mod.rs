@@ -9,7 +9,7 @@
 //! by the object. The spectra of the basis are kept where they take little memory, and made anew for one lens at a time where they
 //! would take much. All in f32; the result does not depend on the number of threads.
 
-use super::nodes::Taps;
+use super::nodes::{TapRow, Taps};
 use super::shift::shifted_windows;
 use crate::fft2::{Fft2Scratch, RealFft2, fast_size};
 use crate::instrument::{Geometry, Instrument};
@@ -110,7 +110,7 @@ pub struct LowRankOperator {
     fft: RealFft2,
     lenses: Vec<Option<LensPlan>>,
     row_taps: Vec<Taps>,
-    col_taps: Vec<Taps>,
+    col_taps: TapRow,
 }
 
 /// The image of one lens: its window on the sensor plane, parts off the sensor included.
@@ -148,10 +148,11 @@ fn overlap(origin: isize, n: usize, limit: usize) -> Option<(Span, Span)> {
 /// Per-thread working memory.
 struct Work {
     scratch: Fft2Scratch,
-    image: Vec<f32>,
+    /// A spectrum, [cols/2 + 1, rows].
     spectrum: Vec<Complex32>,
-    sum: Vec<Complex32>,
+    /// Coefficients of a row of the object: at the nodes, at the pixels.
     node_row: Vec<f32>,
+    map_row: Vec<f32>,
 }
 
 impl LowRankOperator {
@@ -204,7 +205,7 @@ impl LowRankOperator {
             fft,
             lenses,
             row_taps: Taps::for_pixels(&psf.node_rows_px, object[0]),
-            col_taps: Taps::for_pixels(&psf.node_cols_px, object[1]),
+            col_taps: TapRow::for_pixels(&psf.node_cols_px, object[1]),
         })
     }
 
@@ -291,14 +292,11 @@ impl LowRankOperator {
     }
 
     fn work(&self) -> Work {
-        let [rows, cols] = self.fft.shape();
-        let zero = vec![Complex32::default(); self.fft.spectrum_len()];
         Work {
             scratch: self.fft.scratch(),
-            image: vec![0.0; rows * cols],
-            sum: zero.clone(),
-            spectrum: zero,
+            spectrum: vec![Complex32::default(); self.fft.spectrum_len()],
             node_row: Vec::new(),
+            map_row: Vec::new(),
         }
     }
 
@@ -336,28 +334,38 @@ impl LowRankOperator {
         w: &mut Work,
     ) -> Array2<f32> {
         let size = (r.len() + self.window - 1, c.len() + self.window - 1);
-        let block = object.slice(s![r.clone(), c.clone()]);
+        let block: Vec<f32> = object.slice(s![r.clone(), c.clone()]).iter().copied().collect();
         if block.iter().all(|v| *v == 0.0) {
             return Array2::zeros(size);
         }
-        let cols = self.fft.shape()[1];
-        w.sum.fill(Complex32::default());
-        for (k, map) in plan.coefficients.outer_iter().enumerate() {
-            w.image.fill(0.0);
-            for (i, source) in block.outer_iter().enumerate() {
-                self.map_row(map, r.start + i, &mut w.node_row);
-                let row = &mut w.image[i * cols..i * cols + c.len()];
-                for ((out, o), taps) in row.iter_mut().zip(source).zip(&self.col_taps[c.clone()]) {
-                    *out = o * taps.apply(&w.node_row);
-                }
-            }
-            self.fft.forward(&w.image, &mut w.spectrum, &mut w.scratch);
-            for ((sum, x), b) in w.sum.iter_mut().zip(&w.spectrum).zip(&spectra[k * w.spectrum.len()..]) {
-                *sum += x * b;
-            }
+        let rows = self.fft.shape()[0];
+        let Work { scratch, spectrum: sum, node_row, map_row } = w;
+        sum.fill(Complex32::default());
+        for (map, basis) in plan.coefficients.outer_iter().zip(spectra.chunks_exact(sum.len())) {
+            let weighted = |i: usize, row: &mut [f32]| {
+                let Some(source) = block.get(i * c.len()..(i + 1) * c.len()) else { return false };
+                self.map_row(map, (r.start + i, c), node_row, map_row);
+                let (inside, outside) = row.split_at_mut(c.len());
+                inside.iter_mut().zip(source).zip(&*map_row).for_each(|((out, o), m)| *out = o * m);
+                outside.fill(0.0);
+                inside.iter().any(|v| *v != 0.0)
+            };
+            let add = |column: usize, values: &[Complex32]| {
+                let here = column * rows..(column + 1) * rows;
+                let sum = sum[here.clone()].iter_mut();
+                sum.zip(values).zip(&basis[here]).for_each(|((sum, x), b)| *sum += x * b);
+            };
+            self.fft.forward_with(weighted, add, scratch);
         }
-        self.fft.inverse(&mut w.sum, &mut w.image, &mut w.scratch);
-        Array2::from_shape_fn(size, |(i, j)| w.image[i * cols + j])
+        let mut light = Array2::zeros(size);
+        let load = |column: usize, to: &mut [Complex32]| {
+            to.copy_from_slice(&sum[column * rows..(column + 1) * rows]);
+        };
+        let take = |i: usize, row: &[f32]| {
+            light.row_mut(i).iter_mut().zip(row).for_each(|(to, v)| *to = *v);
+        };
+        self.fft.inverse_with(load, take, size.0, scratch);
+        light
     }
 
     /// `sum_k M_k . (B_k correlated with the frame)` of one lens over one block, [block rows, block cols]; None: all of it falls off
@@ -369,34 +377,41 @@ impl LowRankOperator {
         frame: ArrayView2<'_, f32>,
         w: &mut Work,
     ) -> Option<Array2<f32>> {
-        let cols = self.fft.shape()[1];
+        let rows = self.fft.shape()[0];
         let half = (self.window / 2) as isize;
         let origin = [plan.corner[0] - half + r.start as isize, plan.corner[1] - half + c.start as isize];
         let size = [r.len() + self.window - 1, c.len() + self.window - 1];
         let (fr, br) = overlap(origin[0], size[0], self.sensor[0])?;
         let (fc, bc) = overlap(origin[1], size[1], self.sensor[1])?;
-        w.image.fill(0.0);
-        for (from, to) in fr.zip(br) {
-            let row = frame.slice(s![from, fc.clone()]);
-            let target = &mut w.image[to * cols + bc.start..to * cols + bc.end];
-            target.iter_mut().zip(row).for_each(|(t, v)| *t = *v);
-        }
-        self.fft.forward(&w.image, &mut w.spectrum, &mut w.scratch);
-        let mut object = Array2::zeros((r.len(), c.len()));
-        for (k, map) in plan.coefficients.outer_iter().enumerate() {
-            for ((sum, y), b) in w.sum.iter_mut().zip(&w.spectrum).zip(&spectra[k * w.spectrum.len()..]) {
-                *sum = y * b.conj();
+        let Work { scratch, spectrum, node_row, map_row } = w;
+        let seen = |i: usize, row: &mut [f32]| {
+            if !br.contains(&i) {
+                return false;
             }
-            self.fft.inverse(&mut w.sum, &mut w.image, &mut w.scratch);
-            for (i, mut target) in object.outer_iter_mut().enumerate() {
-                self.map_row(map, r.start + i, &mut w.node_row);
-                let row = &w.image[i * cols..i * cols + c.len()];
-                for ((out, v), taps) in target.iter_mut().zip(row).zip(&self.col_taps[c.clone()]) {
-                    *out += v * taps.apply(&w.node_row);
-                }
-            }
+            row.fill(0.0);
+            let from = frame.slice(s![fr.start + i - br.start, fc.clone()]);
+            row[bc.clone()].iter_mut().zip(from).for_each(|(to, v)| *to = *v);
+            true
+        };
+        let keep = |column: usize, values: &[Complex32]| {
+            spectrum[column * rows..(column + 1) * rows].copy_from_slice(values);
+        };
+        self.fft.forward_with(seen, keep, scratch);
+        let mut object = vec![0.0f32; r.len() * c.len()];
+        for (map, basis) in plan.coefficients.outer_iter().zip(spectra.chunks_exact(spectrum.len())) {
+            let correlated = |column: usize, to: &mut [Complex32]| {
+                let here = column * rows..(column + 1) * rows;
+                let from = spectrum[here.clone()].iter().zip(&basis[here]);
+                to.iter_mut().zip(from).for_each(|(to, (y, b))| *to = y * b.conj());
+            };
+            let weigh = |i: usize, row: &[f32]| {
+                self.map_row(map, (r.start + i, c), node_row, map_row);
+                let target = &mut object[i * c.len()..(i + 1) * c.len()];
+                target.iter_mut().zip(row).zip(&*map_row).for_each(|((out, v), m)| *out += v * m);
+            };
+            self.fft.inverse_with(correlated, weigh, r.len(), scratch);
         }
-        Some(object)
+        Array2::from_shape_vec((r.len(), c.len()), object).ok()
     }
 
     /// Spectra of the basis PSFs of a lens, [k, spectrum].
@@ -407,16 +422,19 @@ impl LowRankOperator {
         }
     }
 
-    /// Coefficients along one object row at the column nodes.
-    fn map_row(&self, map: ArrayView2<'_, f32>, row: usize, out: &mut Vec<f32>) {
+    /// Coefficients along a part of an object row, by way of those at the column nodes.
+    fn map_row(&self, map: ArrayView2<'_, f32>, (row, cols): (usize, &Span), nodes: &mut Vec<f32>, out: &mut Vec<f32>) {
         let taps = &self.row_taps[row];
-        out.clear();
-        out.resize(map.ncols(), 0.0);
+        nodes.clear();
+        nodes.resize(map.ncols(), 0.0);
         for (i, weight) in taps.weights.iter().enumerate().take(taps.count) {
-            for (o, v) in out.iter_mut().zip(map.row(taps.first + i)) {
+            for (o, v) in nodes.iter_mut().zip(map.row(taps.first + i)) {
                 *o += weight * v;
             }
         }
+        out.clear();
+        out.resize(cols.len(), 0.0);
+        self.col_taps.apply(cols.clone(), nodes, out);
     }
 }
 
@@ -443,12 +461,18 @@ fn spectra_of(fft: &RealFft2, kernels: ArrayView3<'_, f32>) -> Vec<Complex32> {
     let n = fft.spectrum_len();
     let mut out = vec![Complex32::default(); kernels.len_of(Axis(0)) * n];
     out.par_chunks_exact_mut(n).enumerate().for_each_init(
-        || (fft.scratch(), vec![0.0; rows * cols]),
-        |(scratch, image), (k, spectrum)| {
-            for ((r, c), v) in kernels.index_axis(Axis(0), k).indexed_iter() {
-                image[r * cols + c] = v * scale;
-            }
-            fft.forward(image, spectrum, scratch);
+        || fft.scratch(),
+        |scratch, (k, spectrum)| {
+            let kernel = kernels.index_axis(Axis(0), k);
+            let load = |r: usize, row: &mut [f32]| {
+                if r >= kernel.nrows() {
+                    return false;
+                }
+                row.fill(0.0);
+                row.iter_mut().zip(kernel.row(r)).for_each(|(to, v)| *to = v * scale);
+                true
+            };
+            fft.forward_with(load, |c, column| spectrum[c * rows..(c + 1) * rows].copy_from_slice(column), scratch);
         },
     );
     out
