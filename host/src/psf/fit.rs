@@ -219,6 +219,20 @@ pub struct LensModels {
 struct LensFields {
     planes: Vec<Plane>,
     smoothers: Vec<FieldSmoother>,
+    /// Where the lens was seen in each plane: rows and columns, from and to, object pixels.
+    limits: Vec<[[f64; 2]; 2]>,
+}
+
+/// Rows and columns, from and to, that the beads `seen` of a plane reach. Infinite where they reach as far as those of the whole plane: a
+/// function may be followed beyond the scan, but not to where the foci fall far off the sensor and nothing holds it.
+fn limits_of(seen: &Plane, all: &Plane) -> [[f64; 2]; 2] {
+    let range = |plane: &Plane, a: usize| {
+        plane.at_px.column(a).iter().fold([f64::INFINITY, f64::NEG_INFINITY], |r, v| [r[0].min(*v), r[1].max(*v)])
+    };
+    [0, 1].map(|a| {
+        let ([low, high], [least, most]) = (range(seen, a), range(all, a));
+        [if low > least { low } else { f64::NEG_INFINITY }, if high < most { high } else { f64::INFINITY }]
+    })
 }
 
 impl LensModels {
@@ -258,11 +272,14 @@ impl LensModels {
             let plan = match found {
                 Some(plan) => plan,
                 None => {
-                    let mut planes = select(planes, |n| fit.beads.contains(&n));
-                    planes.retain(|p| !p.beads.is_empty());
+                    let mut seen = select(planes, |n| fit.beads.contains(&n));
+                    let limits = seen.iter().zip(planes).filter(|(p, _)| !p.beads.is_empty());
+                    let limits = limits.map(|(seen, all)| limits_of(seen, all)).collect();
+                    seen.retain(|p| !p.beads.is_empty());
+                    let planes = seen;
                     let smoothers = planes.iter().map(|p| FieldSmoother::plan(p.at_px.view(), &orders));
                     let smoothers = smoothers.collect::<Result<Vec<_>, _>>()?;
-                    let plan = Arc::new(LensFields { planes, smoothers });
+                    let plan = Arc::new(LensFields { planes, smoothers, limits });
                     planned.push((&fit.beads, Arc::clone(&plan)));
                     plan
                 }
@@ -328,7 +345,8 @@ impl LensModels {
     /// A coefficient is no number.
     pub fn at(&self, targets: &[(f64, Array2<f64>)]) -> Result<Vec<Option<Vec<Array2<f64>>>>, NotConverged> {
         let lens = |(fit, fields): (&Option<LensFit>, &Option<Arc<LensFields>>)| {
-            let (Some(fit), Some(LensFields { planes, smoothers })) = (fit, fields.as_deref()) else { return Ok(None) };
+            let (Some(fit), Some(fields)) = (fit, fields.as_deref()) else { return Ok(None) };
+            let LensFields { planes, smoothers, limits } = fields;
             let row_of = |bead: &usize| fit.beads.iter().position(|b| b == bead);
             let depths: Vec<f64> = planes.iter().map(|p| p.z_um).collect();
             let field = |(plane, smoother): (&Plane, &FieldSmoother)| {
@@ -339,8 +357,13 @@ impl LensModels {
             let value = |(z_um, at): &(f64, Array2<f64>)| {
                 let taps = Taps::at(&depths, *z_um);
                 let mut sum = Array2::zeros((at.nrows(), fit.decomposition.basis.nrows()));
-                let used = taps.weights.iter().zip(&fields[taps.first..]).take(taps.count);
-                used.filter(|(w, _)| **w != 0.0).for_each(|(w, f)| sum.scaled_add(f64::from(*w), &f.at(at.view())));
+                let near = fields[taps.first..].iter().zip(&limits[taps.first..]);
+                let used = taps.weights.iter().zip(near).take(taps.count);
+                used.filter(|(w, _)| **w != 0.0).for_each(|(w, (f, limits))| {
+                    let within =
+                        Array2::from_shape_fn(at.dim(), |(i, a)| at[[i, a]].max(limits[a][0]).min(limits[a][1]));
+                    sum.scaled_add(f64::from(*w), &f.at(within.view()));
+                });
                 sum
             };
             Ok(Some(targets.iter().map(value).collect()))
@@ -562,6 +585,20 @@ mod tests {
         assert!(whole[1] > 0.2 && whole[2] > 0.05 && whole[3] < 1e-3, "{whole:?}");
         let own = approximation(&windows[0], models.fits[0].as_ref().unwrap(), &planes[0].beads);
         assert!(own.nrmse(2, BeadScale::Physical) < 1e-3);
+    }
+
+    #[test]
+    fn functions_are_held_where_the_foci_fall_off_the_sensor() {
+        let plane = |beads: &[usize]| Plane {
+            z_um: 0.0,
+            beads: beads.to_vec(),
+            at_px: Array2::from_shape_fn((beads.len(), 2), |(i, a)| [beads[i] / 3, beads[i] % 3][a] as f64 * 10.0),
+        };
+        let all = plane(&[0, 1, 2, 3, 4, 5, 6, 7, 8]);
+        let free = [f64::NEG_INFINITY, f64::INFINITY];
+        assert_eq!(limits_of(&all, &all), [free, free]);
+        // The first row was not seen.
+        assert_eq!(limits_of(&plane(&[3, 4, 5, 6, 7, 8]), &all), [[10.0, f64::INFINITY], free]);
     }
 
     #[test]
