@@ -8,7 +8,7 @@ use ommatidia_shared::device::{
     Arenas, Device, End, Footprint, FrameSource, Line, Monitor, RamObject, Watchdog, serve,
 };
 use ommatidia_shared::flash::MappedFlash;
-use ommatidia_shared::wire::StartCause;
+use ommatidia_shared::wire::{Activity, StartCause};
 
 /// The parts of a board.
 #[derive(Debug)]
@@ -31,6 +31,8 @@ pub struct Parts<'m, L, P, F, W, S> {
     pub cycles: fn() -> Option<u32>,
     /// Temperature in hundredths of a degree Celsius, where there is a sensor.
     pub temperature_cdeg: fn() -> Option<i16>,
+    /// How the core spends its time, where there is a clock.
+    pub activity: fn() -> Option<Activity>,
     /// Where the network files are kept.
     pub flash: F,
     /// Where raw frames come from.
@@ -48,11 +50,11 @@ pub struct Parts<'m, L, P, F, W, S> {
 pub fn run<L: Read + Write, P: OutputPin, F: MappedFlash, W: Watchdog, S: FrameSource>(
     parts: Parts<'_, L, P, F, W, S>,
 ) -> Result<End, L::Error> {
-    let Parts { name, mut link, line, trigger, mut watchdog, started_by, footprint, cycles, temperature_cdeg, .. } =
-        parts;
+    let Parts { name, mut link, line, trigger, mut watchdog, started_by, footprint, cycles, .. } = parts;
+    let Parts { temperature_cdeg, activity, .. } = parts;
     watchdog.start();
     info!("{} is listening", name);
-    let monitor = Board { trigger, watchdog, started_by, footprint, cycles, temperature_cdeg, began: None };
+    let monitor = Board { trigger, watchdog, started_by, footprint, cycles, temperature_cdeg, activity, began: None };
     let (source, sink) = (parts.source, RamObject::new(parts.object));
     let end = serve(&mut link, line, &mut Device::new(name, parts.flash, source, sink, parts.arenas, monitor));
     info!("the host has left");
@@ -67,6 +69,7 @@ struct Board<P, W> {
     footprint: fn() -> Footprint,
     cycles: fn() -> Option<u32>,
     temperature_cdeg: fn() -> Option<i16>,
+    activity: fn() -> Option<Activity>,
     /// Cycles when the run began.
     began: Option<u32>,
 }
@@ -104,6 +107,10 @@ impl<P: OutputPin, W: Watchdog> Monitor for Board<P, W> {
 
     fn start_cause(&self) -> StartCause {
         self.started_by
+    }
+
+    fn activity(&self) -> Option<Activity> {
+        (self.activity)()
     }
 }
 

@@ -1,27 +1,28 @@
 //! Faults put in on purpose lose no network and no frame: what `docs/faults.md` says.
 #![allow(clippy::unwrap_used)]
 
-use ommatidia_host::device::faults::{complaints, page, try_board, try_here};
+use ommatidia_host::device::faults::{complaints, page, try_boards, try_here};
 use ommatidia_host::device::{DeviceError, Firmware, find_qemu};
-use ommatidia_shared::boards::MPS2_AN500;
+use ommatidia_shared::boards::BOARDS;
 use std::path::Path;
 
 /// The images, or what is missing to run them.
-fn images() -> Result<(Firmware, Firmware), String> {
-    match (Firmware::build(MPS2_AN500, "app"), Firmware::build(MPS2_AN500, "watchdog")) {
-        (Ok(_), Ok(_)) if find_qemu().is_none() => Err("qemu-system-arm is not on the PATH".into()),
-        (Ok(app), Ok(watchdog)) => Ok((app, watchdog)),
-        (Err(DeviceError::NoFirmware { detail }), _) => Err(detail),
-        (Err(error), _) | (_, Err(error)) => panic!("{error}"),
+fn images(bin: &str) -> Result<Vec<Firmware>, String> {
+    let boards = BOARDS.into_iter().filter(|board| board.emulated);
+    match boards.map(|board| Firmware::build(board, bin)).collect() {
+        Ok(_) if find_qemu().is_none() => Err("qemu-system-arm is not on the PATH".into()),
+        Ok(images) => Ok(images),
+        Err(DeviceError::NoFirmware { detail }) => Err(detail),
+        Err(error) => panic!("{error}"),
     }
 }
 
 #[test]
 fn no_network_and_no_frame_is_lost() {
     let mut rows = try_here().unwrap();
-    match images() {
-        Ok((app, watchdog)) => rows.extend(try_board(&app, &watchdog).unwrap()),
-        Err(missing) => {
+    match (images("app"), images("watchdog")) {
+        (Ok(apps), Ok(watchdogs)) => rows.extend(try_boards(&apps, &watchdogs).unwrap()),
+        (Err(missing), _) | (_, Err(missing)) => {
             assert!(std::env::var_os("OMMATIDIA_REQUIRE_QEMU").is_none(), "{missing}");
             ommatidia_tests::skip("no_network_and_no_frame_is_lost, on the emulated board", &missing);
         }

@@ -33,7 +33,7 @@ fn no_operator_takes_more_instructions_than_the_page_says() {
     };
     let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/instructions.md");
     if std::env::var_os("OMMATIDIA_RENEW").is_some() {
-        std::fs::write(&page, table::page(&counts)).unwrap();
+        std::fs::write(&page, table::page(&counts).unwrap()).unwrap();
     }
     let page = std::fs::read_to_string(&page).unwrap_or_default();
     let complaint = |counts: &BoardCounts| {
@@ -43,5 +43,6 @@ fn no_operator_takes_more_instructions_than_the_page_says() {
             .collect::<Vec<_>>()
     };
     let complaints: Vec<String> = counts.iter().flat_map(complaint).collect();
+    assert!(table::rates_follow(&page).unwrap(), "the frame rates are not those of the tables: write the page anew");
     assert!(complaints.is_empty(), "docs/instructions.md against this tree:\n{}", complaints.join("\n"));
 }

@@ -7,9 +7,10 @@ mod networks;
 
 use networks::{DENSE, Shape, TAPPED, THIN};
 use ommatidia_host::blob::BlobFile;
-use ommatidia_host::device::{DeviceError, DeviceRun, Firmware, LoopbackConfig, Runtime, find_qemu, run};
+use ommatidia_host::device::{DeviceError, DeviceRun, Firmware, LoopbackConfig, Runtime, Work, find_qemu, run};
 use ommatidia_shared::boards::{BOARDS, MPS3_AN547};
 use ommatidia_shared::device::Footprint;
+use ommatidia_shared::image::Region;
 
 /// The firmware for each board. Where QEMU or a target is missing the test counts as skipped; under `cargo verify`, which installs them,
 /// it fails.
@@ -34,7 +35,7 @@ fn check(shape: &Shape, seed: u64) -> Option<Vec<DeviceRun>> {
 fn check_blob(blob: &BlobFile, frames: &[Vec<u16>]) -> Option<Vec<DeviceRun>> {
     let runs = firmware()?.into_iter().map(|firmware| {
         let board = firmware.board().name;
-        let device = run(&Runtime::Qemu(firmware), blob, frames, None, &mut |_| {}).unwrap();
+        let device = run(&Runtime::Qemu(firmware), blob, frames.into(), None, &mut |_| {}).unwrap();
         assert_eq!(device.board, board);
         assert_eq!(device.objects.len(), 2);
         assert_eq!(device.differing_bits, 0, "{board}");
@@ -111,6 +112,34 @@ fn numbers_that_helium_flushes_agree_bit_for_bit() {
     }
 }
 
+/// A region of the object is computed alone, and is the region cut from the whole.
+#[test]
+fn regions_agree_bit_for_bit_with_the_whole() {
+    let regions = [
+        (&DENSE, [Region { row: 9, col: 13, rows: 6, cols: 8 }, Region { row: 0, col: 35, rows: 24, cols: 1 }]),
+        (&TAPPED, [Region { row: 30, col: 0, rows: 8, cols: 11 }, Region { row: 17, col: 18, rows: 1, cols: 1 }]),
+    ];
+    let Some(boards) = firmware() else { return };
+    for (shape, regions) in regions {
+        let (blob, frames) = (networks::network(shape, 12), networks::frames(shape, 1, 12));
+        let whole = run_on(&boards[0], &blob, Work::from(frames.as_slice()));
+        for region in regions {
+            let expected = networks::cut(&whole.objects[0], shape, region);
+            for board in &boards {
+                let device = run_on(board, &blob, Work { frames: &frames, region: Some(region) });
+                assert_eq!(device.objects[0], expected, "{} {region}", device.board);
+                if let (Some(part), Some(all)) = (&device.instructions, &whole.instructions) {
+                    assert!(device.board != whole.board || part[0] < all[0], "{region}: {part:?} {all:?}");
+                }
+            }
+        }
+    }
+}
+
+fn run_on(firmware: &Firmware, blob: &BlobFile, work: Work<'_>) -> DeviceRun {
+    run(&Runtime::Qemu(firmware.clone()), blob, work, None, &mut |_| {}).unwrap()
+}
+
 #[test]
 fn counts_repeat_exactly() {
     let (Some(first), Some(second)) = (check(&THIN, 4), check(&THIN, 4)) else { return };
@@ -127,7 +156,8 @@ fn counts_repeat_exactly() {
 fn the_logic_in_this_process_agrees_bit_for_bit() {
     for (shape, seed) in [(&DENSE, 5), (&TAPPED, 6), (&THIN, 7)] {
         let (blob, frames) = (networks::network(shape, seed), networks::frames(shape, 2, seed));
-        let device = run(&Runtime::Host(LoopbackConfig::default()), &blob, &frames, None, &mut |_| {}).unwrap();
+        let device =
+            run(&Runtime::Host(LoopbackConfig::default()), &blob, frames.as_slice().into(), None, &mut |_| {}).unwrap();
         assert_eq!((device.board.as_str(), device.differing_bits), ("host", 0));
     }
 }

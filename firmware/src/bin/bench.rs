@@ -14,7 +14,7 @@ use ommatidia_firmware::app::{region_begins, region_ends};
 use ommatidia_firmware::board::this as board;
 use ommatidia_shared::blob::{Bank, Header, MemoryPlan, Rcan, Sensor, Size, Tap, Weights};
 use ommatidia_shared::fft::{Fft, Fft2, RowSource, Strip, StripSource};
-use ommatidia_shared::image::{Chw, ChwMut, PlaneMut};
+use ommatidia_shared::image::{Chw, ChwMut, PlaneMut, Region};
 use ommatidia_shared::nn::activation::Activation;
 use ommatidia_shared::nn::channel_attention::{self, ChannelAttention};
 use ommatidia_shared::nn::conv::{self, Addressing, Conv3x3, Store, Tensors};
@@ -211,7 +211,7 @@ impl Bench {
             format_args!("pixel shuffle {channels}->1 with its convolutions, to {}x{}", 2 * rows, 2 * cols),
             products,
             "MAC",
-            || plan.process(Simd::detect(), parameters, input, output, scratch),
+            || plan.process(Simd::detect(), parameters, input, [0, 0], output, scratch),
         )
     }
 
@@ -270,26 +270,41 @@ impl Bench {
         })
     }
 
-    /// The demo's network: 214 x 214 sensor, 96 x 96 object, six dense filters of side 256, 16 features, the maps of the sensor.
+    /// The presets of the host's `train`, on a 214 x 214 sensor with its maps and a 96 x 96 object; of the first one regions too.
     fn reconstruct(&mut self) -> Result<(), Failure> {
-        let mut header = demo_header();
+        let rcan = |width, blocks, reduction| Rcan { width, groups: 2, blocks, reduction };
+        self.network("nano", &header(6, rcan(16, 1, 8)), &[48, 16])?;
+        self.network("lite", &header(9, rcan(24, 2, 12)), &[])?;
+        self.network("paper", &header(9, rcan(32, 3, 16)), &[])
+    }
+
+    /// A network on a whole frame, then for squares of these sides in the middle alone.
+    fn network(&mut self, name: &str, header: &Header, sides: &[u16]) -> Result<(), Failure> {
+        let mut header = header.clone();
         header.memory = Pipeline::plan(&header).map_err(|_| "the header has no plan")?;
-        let (spectra, rest) = self.weights.split_at(6 * 2 * 256 * 129);
+        let (spectra, rest) = self.weights.split_at(usize::from(header.bank.channels) * 2 * 256 * 129);
         let count = ommatidia_shared::nn::rcan::weights_len(&header.rcan, header.bank.channels);
         let (rcan, rest) = rest.split_at(count);
         let (offset, rest) = rest.split_at(214 * 214);
         let weights = Weights { spectra, rcan, offset_dn: Some(offset), inverse_gain: Some(&rest[..214 * 214]) };
         let pipeline = Pipeline::new(&header, weights).map_err(|_| "the network is refused")?;
-        let memory = Memory { fast: self.fast, bulk: self.bulk };
-        let (frame, object) = (&self.frame[..pipeline.frame_len()], &mut self.object[..pipeline.output_len()]);
-        let px = pipeline.output_len();
-        region(format_args!("whole `nano` network, 214x214 px to 96x96 px"), px, "px", || {
-            pipeline.run(frame, memory, object)
-        })
+        let frame = &self.frame[..pipeline.frame_len()];
+        let mut part = |what: Arguments<'_>, part: Region| {
+            let memory = Memory { fast: self.fast, bulk: self.bulk };
+            let object = &mut self.object[..part.pixels()];
+            region(what, part.pixels(), "px", || pipeline.run_region(frame, part, memory, object))
+        };
+        part(format_args!("whole `{name}` network, 214x214 px to 96x96 px"), pipeline.whole())?;
+        for &side in sides {
+            let first = (96 - side) / 2;
+            let middle = Region { row: first, col: first, rows: side, cols: side };
+            part(format_args!("`{name}` network, {side}x{side} px in the middle alone"), middle)?;
+        }
+        Ok(())
     }
 }
 
-fn demo_header() -> Header {
+fn header(channels: u8, rcan: Rcan) -> Header {
     Header {
         name: Default::default(),
         checkpoint: Default::default(),
@@ -299,10 +314,10 @@ fn demo_header() -> Header {
         bank: Bank {
             tile: 256,
             step: 256,
-            channels: 6,
-            taps: (0..6).map(|channel| Tap { channel, dy: 0, dx: 0 }).collect(),
+            channels,
+            taps: (0..channels).map(|channel| Tap { channel, dy: 0, dx: 0 }).collect(),
         },
-        rcan: Rcan { width: 16, groups: 2, blocks: 1, reduction: 8 },
+        rcan,
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
     }
 }

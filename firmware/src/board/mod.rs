@@ -1,6 +1,8 @@
 //! One board, or one family of boards, a module; `this` is the one that the program is built for.
 
 #[cfg(all(feature = "board", target_os = "none"))]
+mod activity;
+#[cfg(all(feature = "board", target_os = "none"))]
 mod memory;
 #[cfg(all(feature = "emulated", target_os = "none"))]
 pub mod mps;

@@ -9,13 +9,13 @@ mod target;
 use super::{Outcome, Run};
 use crate::artifact::write_whole;
 use crate::blob::{BlobFile, raw_codes};
-use crate::device::{BoardCounts, DeviceRun, count_board, run as run_device, table};
+use crate::device::{BoardCounts, DeviceRun, Work, count_board, run as run_device, table};
 use crate::session::stack;
 use anyhow::Context;
 use clap::Subcommand;
 use ndarray::{Array3, Axis};
-use ommatidia_shared::blob::Size;
 use ommatidia_shared::boards::{BOARDS, Board};
+use ommatidia_shared::image::Region;
 use serde_json::json;
 use std::path::PathBuf;
 use target::Target;
@@ -30,14 +30,16 @@ pub struct Args {
 #[derive(Debug, Subcommand)]
 enum Action {
     /// Send a network and frames to the device, get reconstructions back, compare every bit with this machine's
-    #[command(after_help = "Example:\n  ommatidia device run --with network.omm --frames frames.npy -o objects.npy")]
+    #[command(
+        after_help = "Examples:\n  ommatidia device run --with network.omm --frames frames.npy -o objects.npy\n  ommatidia device run --with network.omm --frames frames.npy --roi 32,32,24,24"
+    )]
     Run(RunArgs),
     /// Put a network into the flash of the device: into the slot that does not run, checked, committed, asked for
     #[command(after_help = "Example:\n  ommatidia device flash --with network.omm --state board.flash")]
     Flash(flash::Args),
     /// Stream frames through the device: reconstructions live in the browser, and recorded
     #[command(
-        after_help = "Example:\n  ommatidia device stream --with network.omm --frames frames.npy --fps 2 --view 127.0.0.1:8080 -o objects.tif"
+        after_help = "Examples:\n  ommatidia device stream --with network.omm --frames frames.npy --fps 2 --view 127.0.0.1:8080 -o objects.tif\n  ommatidia device stream --with network.omm --live 100 --fps 30 --every 30 --roi 32,32,24,24"
     )]
     Stream(stream::Args),
     /// Ask the device how it is: starts, slots, faults, dropped frames
@@ -75,6 +77,9 @@ struct RunArgs {
     /// Use the first N frames only
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     first: Option<u32>,
+    /// Reconstruct this region of the object only, pixels: the same bits as cut out of the whole
+    #[arg(long, value_name = "ROW,COL,ROWS,COLS", value_parser = target::region)]
+    roi: Option<Region>,
     #[command(flatten)]
     target: Target,
 }
@@ -99,7 +104,7 @@ fn count(args: &BenchArgs) -> anyhow::Result<Outcome> {
     let boards = if args.board.is_empty() { emulated.collect() } else { args.board.clone() };
     let counts = boards.into_iter().map(count_board).collect::<Result<Vec<_>, _>>()?;
     if let Some(path) = &args.output {
-        write_whole(path, table::page(&counts).as_bytes())?;
+        write_whole(path, table::page(&counts)?.as_bytes())?;
     }
     let text: Vec<String> =
         counts.iter().map(|counts| format!("{}\n{}", counts.board.name, table::table(counts))).collect();
@@ -120,17 +125,19 @@ fn run_network(args: &RunArgs, run: &Run) -> anyhow::Result<Outcome> {
         .collect::<anyhow::Result<Vec<_>>>()?;
     let runtime = args.target.runtime(run)?;
     let state = args.target.state.as_deref();
+    let work = Work { frames: &frames, region: args.roi };
     let bar = run.progress(1000, "device");
-    let device = run_device(&runtime, &blob, &frames, state, &mut |part| bar.set_position((1000.0 * part) as u64))?;
+    let device = run_device(&runtime, &blob, work, state, &mut |part| bar.set_position((1000.0 * part) as u64))?;
     bar.finish_and_clear();
+    let region = args.roi.unwrap_or(Region::whole(header.object.rows, header.object.cols));
     if let Some(output) = &args.output {
-        stack::write(output, objects(&device, header.object)?.view())?;
+        stack::write(output, objects(&device, region)?.view())?;
     }
     Ok(outcome(&device, &blob, frames.len()))
 }
 
 /// The reconstructions as one stack.
-fn objects(device: &DeviceRun, size: Size) -> anyhow::Result<Array3<f32>> {
+fn objects(device: &DeviceRun, size: Region) -> anyhow::Result<Array3<f32>> {
     let shape = (device.objects.len(), usize::from(size.rows), usize::from(size.cols));
     let values = device.objects.iter().flatten().map(|half| half.to_f32()).collect();
     Array3::from_shape_vec(shape, values).context("a reconstruction has another size than the network says")

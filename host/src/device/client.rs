@@ -2,6 +2,7 @@
 
 use super::{DeviceError, Transport};
 use half::f16;
+use ommatidia_shared::image::Region;
 use ommatidia_shared::wire::frame::decode;
 use ommatidia_shared::wire::{
     CHUNK, Deframer, Info, MAX_PACKET, Packet, Reply, Request, RunReport, SCHEMA_KEY, Telemetry, Transfer, VERSION,
@@ -107,17 +108,25 @@ impl<T: Transport> Client<T> {
         self.transfer(Transfer::Frame, &bytes, &mut |_| {})
     }
 
-    /// Has the frame reconstructed as run `id`.
+    /// Has the frame that was sent last reconstructed as run `id`: `region` of the object, or all of it.
     ///
     /// # Errors
     /// The device refuses, falls silent, or reconstructed another frame than the last that was sent.
-    pub fn reconstruct(&mut self, id: u32) -> Result<RunReport, DeviceError> {
-        let report = self.ask(Request::Run { id }, self.long, |reply| match reply {
-            Reply::Ran(report) => Some(report),
-            _ => None,
-        })?;
+    pub fn reconstruct(&mut self, id: u32, region: Option<Region>) -> Result<RunReport, DeviceError> {
+        let report = self.reconstruct_live(id, region)?;
         same(report.frame_crc, self.frame_crc, "frame", id)?;
         Ok(report)
+    }
+
+    /// The same for the frame that the device's camera sees, where no frame was sent since the last run.
+    ///
+    /// # Errors
+    /// The device refuses or falls silent.
+    pub fn reconstruct_live(&mut self, id: u32, region: Option<Region>) -> Result<RunReport, DeviceError> {
+        self.ask(Request::Run { id, region }, self.long, |reply| match reply {
+            Reply::Ran(report) if region.is_none_or(|region| region == report.region) => Some(report),
+            _ => None,
+        })
     }
 
     /// Fetches the reconstruction of a run.

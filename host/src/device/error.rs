@@ -55,6 +55,12 @@ pub enum DeviceError {
         /// How often.
         attempts: u32,
     },
+    /// Frames were to come from a camera.
+    #[error("{board} has no camera that answers; give the frames with `--frames STACK`")]
+    NoCamera {
+        /// The board.
+        board: String,
+    },
     /// An answer to something else.
     #[error("the device answered `{request}` with something else: {found}")]
     Unexpected {

@@ -24,7 +24,7 @@ pub struct Footprint {
 /// QEMU is missing, or the program fails.
 pub fn footprint(app: &Firmware) -> Result<Footprint, DeviceError> {
     let (blob, frame) = small_network()?;
-    let telemetry = run(&Runtime::Qemu(app.clone()), &blob, &[frame], None, &mut |_| {})?.telemetry;
+    let telemetry = run(&Runtime::Qemu(app.clone()), &blob, [frame].as_slice().into(), None, &mut |_| {})?.telemetry;
     let (image_bytes, static_bytes, stack_bytes) =
         (telemetry.image_bytes, telemetry.static_bytes, telemetry.stack_bytes);
     Ok(Footprint { image_bytes, static_bytes, stack_bytes })

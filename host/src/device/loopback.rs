@@ -3,7 +3,7 @@
 use super::{DeviceError, Transport};
 use embedded_io::{ErrorType, Read, Write};
 use half::f16;
-use ommatidia_shared::device::{Arenas, Device, Line, RamFrame, RamObject, Silent, serve};
+use ommatidia_shared::device::{Arenas, Device, FrameSource, IoError, Line, RamFrame, RamObject, Silent, serve};
 use ommatidia_shared::flash::RamFlash;
 use std::convert::Infallible;
 use std::fs::OpenOptions;
@@ -26,6 +26,8 @@ pub struct LoopbackConfig {
     pub fast_bytes: usize,
     /// Bulk memory, bytes.
     pub bulk_bytes: usize,
+    /// Pixels of the frames of a camera that is played ([`camera_frame`]); 0 for none.
+    pub camera_px: usize,
 }
 
 impl Default for LoopbackConfig {
@@ -37,6 +39,7 @@ impl Default for LoopbackConfig {
             object_px: 512 << 10,
             fast_bytes: 512 << 10,
             bulk_bytes: 8 << 20,
+            camera_px: 0,
         }
     }
 }
@@ -82,7 +85,8 @@ impl Drop for Loopback {
     }
 }
 
-fn play(config: LoopbackConfig, mut link: Link, state: Option<PathBuf>) {
+/// Runs the program on a line until it closes.
+fn play<L: Read + Write>(config: LoopbackConfig, mut link: L, state: Option<PathBuf>) {
     let mut flash = vec![0u128; config.flash_bytes.div_ceil(16)];
     let flash: &mut [u8] = &mut bytemuck::cast_slice_mut(&mut flash)[..config.flash_bytes];
     if let Some(bytes) = state.as_ref().and_then(|state| std::fs::read(state).ok()) {
@@ -96,19 +100,57 @@ fn play(config: LoopbackConfig, mut link: Link, state: Option<PathBuf>) {
     let mut device = Device::new(
         "host",
         RamFlash::new(&mut *flash),
-        RamFrame::new(&mut frame),
+        Camera { host: RamFrame::new(&mut frame), pixels: config.camera_px, next: 0, frame: Vec::new() },
         RamObject::new(&mut object),
         Arenas { fast: &mut fast, bulk: &mut bulk },
         Silent,
     );
-    match serve(&mut link, &mut line, &mut device) {
-        Ok(_) => {}
-        Err(never) => match never {},
-    }
+    // A line that fails is a line that is closed.
+    let _ = serve(&mut link, &mut line, &mut device);
     if let Some(state) = state
         && let Err(error) = keep(&state, flash)
     {
         tracing::error!("{}: the flash cannot be kept: {error}", state.display());
+    }
+}
+
+/// What the played camera sees, frame by frame: codes that move.
+pub fn camera_frame(frame: usize, pixels: usize) -> Vec<u16> {
+    (0..pixels).map(|i| 64 + ((i * 7919 + frame * 613) % 4000) as u16).collect()
+}
+
+/// Frames of the host, or of a camera that is played.
+struct Camera<'m> {
+    host: RamFrame<'m>,
+    pixels: usize,
+    next: usize,
+    frame: Vec<u16>,
+}
+
+impl FrameSource for Camera<'_> {
+    fn capacity(&self) -> usize {
+        self.host.capacity()
+    }
+
+    fn live(&self) -> bool {
+        self.pixels > 0
+    }
+
+    fn begin(&mut self, pixels: usize) -> Result<(), IoError> {
+        self.host.begin(pixels)
+    }
+
+    fn write(&mut self, offset: usize, bytes: &[u8]) -> Result<(), IoError> {
+        self.host.write(offset, bytes)
+    }
+
+    fn frame(&mut self) -> Result<&[u16], IoError> {
+        if !self.live() {
+            return self.host.frame();
+        }
+        self.frame = camera_frame(self.next, self.pixels);
+        self.next += 1;
+        Ok(&self.frame)
     }
 }
 

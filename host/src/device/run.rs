@@ -3,10 +3,27 @@
 use super::{Client, Counter, DeviceError, Runtime, Transport, flash};
 use crate::blob::BlobFile;
 use half::f16;
+use ommatidia_shared::image::Region;
 use ommatidia_shared::pipeline::{Memory, Pipeline};
 use ommatidia_shared::wire::{RunReport, Telemetry};
 use std::path::Path;
 use std::time::{Duration, Instant};
+
+/// What is to be reconstructed.
+#[derive(Clone, Copy, Debug)]
+pub struct Work<'a> {
+    /// Raw frames, codes row by row.
+    pub frames: &'a [Vec<u16>],
+    /// Region of the object; all of it where there is none.
+    pub region: Option<Region>,
+}
+
+impl<'a> From<&'a [Vec<u16>]> for Work<'a> {
+    /// Whole objects.
+    fn from(frames: &'a [Vec<u16>]) -> Self {
+        Self { frames, region: None }
+    }
+}
 
 /// What came back.
 #[derive(Clone, Debug)]
@@ -43,14 +60,14 @@ impl DeviceRun {
     }
 }
 
-/// Runs `frames` (codes, row by row) through the network on the device, whose flash is kept in the file `state`; `progress` hears what part of the way is done.
+/// Runs frames through the network on the device, whose flash is kept in the file `state`; `progress` hears what part of the way is done.
 ///
 /// # Errors
 /// The device cannot be started, refuses, or falls silent.
 pub fn run(
     runtime: &Runtime,
     blob: &BlobFile,
-    frames: &[Vec<u16>],
+    work: Work<'_>,
     state: Option<&Path>,
     progress: &mut dyn FnMut(f64),
 ) -> Result<DeviceRun, DeviceError> {
@@ -60,7 +77,7 @@ pub fn run(
             Counter::build().inspect_err(|error| tracing::warn!("instructions are not counted: {error}")).ok()
         }
     };
-    let (line, mut run) = converse(runtime.start(counter.as_ref(), state)?, blob, frames, progress)?;
+    let (line, mut run) = converse(runtime.start(counter.as_ref(), state)?, blob, work, progress)?;
     line.wait()?;
     run.instructions = counter.map(|counter| counter.regions()).transpose()?;
     Ok(run)
@@ -70,9 +87,10 @@ pub fn run(
 fn converse<T: Transport>(
     line: T,
     blob: &BlobFile,
-    frames: &[Vec<u16>],
+    work: Work<'_>,
     progress: &mut dyn FnMut(f64),
 ) -> Result<(T, DeviceRun), DeviceError> {
+    let Work { frames, region } = work;
     let (mut client, info) = Client::connect(line)?;
     // A frame weighs as much as its bytes, the network file as its own.
     let frame_bytes: usize = frames.iter().map(|frame| 2 * frame.len()).sum();
@@ -86,7 +104,7 @@ fn converse<T: Transport>(
     let mut sent = blob.bytes().len();
     for (id, frame) in (1..).zip(frames) {
         client.send_frame(frame)?;
-        let report = client.reconstruct(id)?;
+        let report = client.reconstruct(id, region)?;
         objects.push(client.fetch(&report)?);
         reports.push(report);
         sent += 2 * frame.len();
@@ -95,7 +113,7 @@ fn converse<T: Transport>(
     let frames_took = start.elapsed() - upload;
     let telemetry = client.telemetry()?;
     let line = client.quit();
-    let expected = reference(blob, frames)?;
+    let expected = reference(blob, work)?;
     let differing_bits = differing_bits(&expected, &objects);
     let run = DeviceRun {
         board: info.board.as_str().into(),
@@ -113,17 +131,18 @@ fn converse<T: Transport>(
 /// The reconstructions that this machine computes, through no line and no device.
 ///
 /// # Errors
-/// The network or a frame is refused.
-pub fn reference(blob: &BlobFile, frames: &[Vec<u16>]) -> Result<Vec<Vec<f16>>, DeviceError> {
+/// The network, a frame or the region is refused.
+pub fn reference(blob: &BlobFile, work: Work<'_>) -> Result<Vec<Vec<f16>>, DeviceError> {
     let network = blob.network()?;
     let pipeline = Pipeline::new(&network.header, network.weights).map_err(DeviceError::Pipeline)?;
     let mut fast = vec![0.0; pipeline.fast_len_best().max(pipeline.fast_len())];
     let mut bulk = vec![f16::ZERO; pipeline.bulk_len()];
-    let mut objects = Vec::with_capacity(frames.len());
-    for frame in frames {
-        let mut object = vec![f16::ZERO; pipeline.output_len()];
+    let region = work.region.unwrap_or(pipeline.whole());
+    let mut objects = Vec::with_capacity(work.frames.len());
+    for frame in work.frames {
+        let mut object = vec![f16::ZERO; region.pixels()];
         let memory = Memory { fast: &mut fast, bulk: &mut bulk };
-        pipeline.run(frame, memory, &mut object).map_err(DeviceError::Pipeline)?;
+        pipeline.run_region(frame, region, memory, &mut object).map_err(DeviceError::Pipeline)?;
         objects.push(object);
     }
     Ok(objects)

@@ -1,8 +1,9 @@
 //! Frames in, reconstructions out, at the rate that holds: what comes faster is dropped, counted and told.
 
-use super::{Client, DeviceError, Runtime, Transport, View, upload};
+use super::{Client, DeviceError, Runtime, Transport, upload};
 use crate::blob::BlobFile;
 use half::f16;
+use ommatidia_shared::image::Region;
 use ommatidia_shared::wire::{RunReport, Telemetry};
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -17,8 +18,10 @@ pub struct StreamedFrame {
     pub frame: usize,
     /// When its reconstruction was there, since the stream began.
     pub at: Duration,
-    /// Frames of the source that were dropped since the one before.
+    /// Frames that were dropped since the one before.
     pub dropped_before: usize,
+    /// Frames that were dropped so far.
+    pub dropped: usize,
     /// What the run saw.
     pub report: RunReport,
     /// The reconstruction, row by row.
@@ -30,9 +33,9 @@ pub struct StreamedFrame {
 pub struct StreamReport {
     /// Board that the device says it is.
     pub board: String,
-    /// Frames that were reconstructed, in their order.
-    pub frames: Vec<StreamedFrame>,
-    /// Frames of the source that were not: they came too fast, or the line lost them.
+    /// Frames that were reconstructed.
+    pub reconstructed: usize,
+    /// Frames that were to be reconstructed and were not: they came too fast, or the line lost them.
     pub dropped: usize,
     /// Of these, frames that failed on the line.
     pub failed: usize,
@@ -42,89 +45,122 @@ pub struct StreamReport {
     pub telemetry: Telemetry,
 }
 
-/// Where frames come from: `read` gives frame number `n` of `len`, codes row by row; `fps` come in a second, or each when the one
-/// before is done.
+/// Where frames come from.
+pub enum Frames<'a> {
+    /// This machine: gives frame number `n`, codes row by row.
+    Stack(&'a mut dyn FnMut(usize) -> anyhow::Result<Vec<u16>>),
+    /// The device's camera.
+    Camera,
+}
+
+/// Frames and their rhythm.
 pub struct FrameFeed<'a> {
     /// Number of frames.
     pub len: usize,
-    /// Frames a second; `None` waits for the device.
+    /// Frames that come in a second; `None`: each when the one before is done.
     pub fps: Option<f64>,
-    /// Gives a frame.
-    pub read: &'a mut dyn FnMut(usize) -> anyhow::Result<Vec<u16>>,
+    /// Every so many frames one is reconstructed; the device sleeps meanwhile.
+    pub nth: usize,
+    /// Region of the object that is reconstructed; all of it where there is none.
+    pub region: Option<Region>,
+    /// Where they come from.
+    pub source: Frames<'a>,
 }
 
-/// Streams a feed through the device and shows it on `view`.
+/// Streams a feed through the device; `show` takes each reconstruction as it comes, and none is kept.
 ///
 /// # Errors
-/// The device cannot be started, refuses, or fails on several frames in a row.
+/// The device cannot be started, refuses, or fails on several frames in a row; or `show` fails.
 pub fn stream(
     runtime: &Runtime,
     state: Option<&Path>,
     blob: &BlobFile,
-    feed: FrameFeed<'_>,
-    view: &View,
+    mut feed: FrameFeed<'_>,
+    show: &mut dyn FnMut(&StreamedFrame) -> anyhow::Result<()>,
 ) -> anyhow::Result<StreamReport> {
     let (mut client, info) = Client::connect(runtime.start(None, state)?)?;
+    if matches!(feed.source, Frames::Camera) && !info.live {
+        return Err(DeviceError::NoCamera { board: info.board.as_str().into() }.into());
+    }
     upload(&mut client, &info, blob, &mut |_| {})?;
-    let size = blob.network()?.header.object;
     let start = Instant::now();
-    let (mut frames, mut failed, mut in_a_row) = (Vec::<StreamedFrame>::new(), 0, 0);
-    let mut next = 0;
+    let (mut reconstructed, mut failed, mut in_a_row) = (0, 0, 0);
+    let (mut next, mut first_missed) = (0, 0);
     while next < feed.len {
-        let frame = due(&feed, next, start);
-        let dropped_before = frame - frames.last().map_or(0, |last| last.frame + 1);
-        match one(&mut client, &(feed.read)(frame)?, frame as u32 + 1) {
+        let frame = feed.due(next, start);
+        match feed.one(&mut client, frame) {
             Ok((report, object)) => {
                 in_a_row = 0;
-                let shown = StreamedFrame { frame, at: start.elapsed(), dropped_before, report, object };
-                view.show(&shown, [size.rows.into(), size.cols.into()], frame - frames.len());
-                frames.push(shown);
+                let dropped_before = (frame - first_missed) / feed.nth;
+                let dropped = frame / feed.nth - reconstructed;
+                show(&StreamedFrame { frame, at: start.elapsed(), dropped_before, dropped, report, object })?;
+                (reconstructed, first_missed) = (reconstructed + 1, frame + feed.nth);
             }
-            // A frame that was damaged or lost is not shown; the next one comes.
-            Err(DeviceError::Damaged { .. } | DeviceError::Silent { .. }) if in_a_row + 1 < FAILURES => {
+            Err(error) if in_a_row + 1 < FAILURES && lost(&error) => {
                 (failed, in_a_row) = (failed + 1, in_a_row + 1);
                 client.hello()?;
             }
-            Err(error) => return Err(error.into()),
+            Err(error) => return Err(error),
         }
-        next = frame + 1;
+        next = frame + feed.nth;
     }
     let took = start.elapsed();
     let telemetry = client.telemetry()?;
     client.quit().wait()?;
-    let (board, dropped) = (info.board.as_str().into(), feed.len - frames.len());
-    Ok(StreamReport { board, frames, dropped, failed, took, telemetry })
+    let (board, dropped) = (info.board.as_str().into(), feed.len.div_ceil(feed.nth) - reconstructed);
+    Ok(StreamReport { board, reconstructed, dropped, failed, took, telemetry })
 }
 
-/// The newest frame that has come, `next` at the earliest; waits for `next` where it has not.
-fn due(feed: &FrameFeed<'_>, next: usize, start: Instant) -> usize {
-    let Some(fps) = feed.fps else { return next };
-    let comes = Duration::from_secs_f64(next as f64 / fps);
-    std::thread::sleep(comes.saturating_sub(start.elapsed()));
-    let newest = (start.elapsed().as_secs_f64() * fps) as usize;
-    newest.clamp(next, feed.len - 1)
+/// A frame that was damaged or lost is not shown; the next one comes.
+fn lost(error: &anyhow::Error) -> bool {
+    matches!(error.downcast_ref(), Some(DeviceError::Damaged { .. } | DeviceError::Silent { .. }))
 }
 
-fn one<T: Transport>(client: &mut Client<T>, codes: &[u16], id: u32) -> Result<(RunReport, Vec<f16>), DeviceError> {
-    client.send_frame(codes)?;
-    let report = client.reconstruct(id)?;
-    let object = client.fetch(&report)?;
-    Ok((report, object))
+impl FrameFeed<'_> {
+    /// The newest frame that has come and is to be reconstructed, `next` at the earliest; waits for `next` where it has not.
+    fn due(&self, next: usize, start: Instant) -> usize {
+        let Some(fps) = self.fps else { return next };
+        let comes = Duration::from_secs_f64(next as f64 / fps);
+        std::thread::sleep(comes.saturating_sub(start.elapsed()));
+        let newest = (start.elapsed().as_secs_f64() * fps) as usize;
+        newest.clamp(next, self.len - 1) / self.nth * self.nth
+    }
+
+    fn one<T: Transport>(&mut self, client: &mut Client<T>, frame: usize) -> anyhow::Result<(RunReport, Vec<f16>)> {
+        let id = frame as u32 + 1;
+        let report = match &mut self.source {
+            Frames::Stack(read) => {
+                client.send_frame(&read(frame)?)?;
+                client.reconstruct(id, self.region)?
+            }
+            Frames::Camera => client.reconstruct_live(id, self.region)?,
+        };
+        let object = client.fetch(&report)?;
+        Ok((report, object))
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn feed(fps: Option<f64>, nth: usize) -> FrameFeed<'static> {
+        FrameFeed { len: 10, fps, nth, region: None, source: Frames::Camera }
+    }
+
     #[test]
     fn what_comes_too_fast_is_passed_over_and_what_comes_later_is_waited_for() {
-        let mut read = |_| Ok(Vec::new());
-        let feed = FrameFeed { len: 10, fps: Some(100.0), read: &mut read };
         let start = Instant::now().checked_sub(Duration::from_millis(45)).unwrap();
-        assert!(due(&feed, 0, start) >= 4);
-        assert_eq!(due(&feed, 9, start), 9);
+        assert!(feed(Some(100.0), 1).due(0, start) >= 4);
+        assert_eq!(feed(Some(100.0), 1).due(9, start), 9);
         assert!(start.elapsed() >= Duration::from_millis(90));
-        let feed = FrameFeed { fps: None, ..feed };
-        assert_eq!(due(&feed, 3, start), 3);
+        assert_eq!(feed(None, 1).due(3, start), 3);
+    }
+
+    #[test]
+    fn only_every_nth_frame_is_due() {
+        let start = Instant::now().checked_sub(Duration::from_secs(60)).unwrap();
+        assert_eq!([0, 4, 8].map(|next| feed(Some(100.0), 4).due(next, start)), [8; 3]);
+        assert_eq!([0, 4, 8].map(|next| feed(None, 4).due(next, start)), [0, 4, 8]);
     }
 }

@@ -1,7 +1,7 @@
 //! The table of instructions in `docs/instructions.md`: written, read back, and compared with new counts.
 
-use super::{BoardCounts, Footprint, OperatorCount};
-use ommatidia_shared::boards::Board;
+use super::{BoardCounts, DeviceError, Footprint, OperatorCount, rates};
+use ommatidia_shared::boards::{BOARDS, Board};
 
 /// How much a count may grow before the page must be written anew: another compiler arranges what stands round the loops a little
 /// differently.
@@ -72,10 +72,40 @@ pub fn table(counts: &BoardCounts) -> String {
     text
 }
 
-/// The page: the tables and what they say.
-pub fn page(boards: &[BoardCounts]) -> String {
+/// The page: the tables, what they say, and the frame rates that follow from them.
+///
+/// # Errors
+/// A preset has no plan.
+pub fn page(boards: &[BoardCounts]) -> Result<String, DeviceError> {
     let section = |counts: &BoardCounts| format!("\n{}\n\n{}", heading(counts.board), table(counts));
-    HEAD.to_string() + &boards.iter().map(section).collect::<String>()
+    Ok(HEAD.to_string() + &boards.iter().map(section).collect::<String>() + &rates::section(boards)?)
+}
+
+/// Whether the frame rates of a page are those that follow from its tables.
+///
+/// # Errors
+/// A preset has no plan.
+pub fn rates_follow(page: &str) -> Result<bool, DeviceError> {
+    let boards: Vec<BoardCounts> = BOARDS.into_iter().filter_map(|board| counts(page, board)).collect();
+    let rates = rates::section(&boards)?;
+    Ok(!rates.is_empty() && page.ends_with(&rates))
+}
+
+/// The counts that a page holds of a board.
+fn counts(page: &str, board: Board) -> Option<BoardCounts> {
+    let rows = cells(page, board);
+    let size = |name: &str| rows.iter().find(|row| row[0] == name)?.get(1)?.parse().ok();
+    let footprint = Footprint {
+        image_bytes: size("code and constants")?,
+        static_bytes: size("variables")?,
+        stack_bytes: size("deepest stack")?,
+    };
+    let operator = |row: &Vec<String>| {
+        let (amount, unit) = row.get(1)?.split_once(' ')?;
+        let (amount, instructions) = (amount.parse().ok()?, row.get(2)?.parse().ok()?);
+        Some(OperatorCount { name: row[0].clone(), amount, unit: unit.into(), instructions })
+    };
+    Some(BoardCounts { board, footprint, operators: rows.iter().filter_map(operator).collect() })
 }
 
 fn heading(board: Board) -> String {
@@ -121,10 +151,18 @@ fn peers(board: &str, operator: &str) -> impl Iterator<Item = &'static Peer> {
 
 /// Name and figure of each row of a board's tables.
 fn read(page: &str, board: Board) -> Vec<(String, u64)> {
-    let row = |line: &str| {
-        let cells: Vec<&str> = line.strip_prefix('|')?.strip_suffix('|')?.split('|').map(str::trim).collect();
+    let row = |cells: Vec<String>| {
         let figure = if cells.len() == 2 { cells.get(1)? } else { cells.get(2)? };
-        Some((cells.first()?.to_string(), figure.parse().ok()?))
+        let figure = figure.parse().ok()?;
+        Some((cells.into_iter().next()?, figure))
+    };
+    cells(page, board).into_iter().filter_map(row).collect()
+}
+
+/// The rows of a board's tables.
+fn cells(page: &str, board: Board) -> Vec<Vec<String>> {
+    let row = |line: &str| -> Option<Vec<String>> {
+        Some(line.strip_prefix('|')?.strip_suffix('|')?.split('|').map(|cell| cell.trim().into()).collect())
     };
     let heading = heading(board);
     let section = page.lines().skip_while(|line| **line != heading).skip(1);
@@ -152,7 +190,7 @@ mod tests {
             let instructions = if board == MPS3_AN547 { 70_000 } else { 160_000 };
             on(board, &[count("2-D real FFT 64x64, forward", 4096, instructions), count("a, b", 3, 17)])
         });
-        let page = page(&boards);
+        let page = page(&boards).unwrap();
         for counts in &boards {
             assert_eq!(complaints(&page, counts), Vec::<String>::new());
         }
@@ -163,7 +201,7 @@ mod tests {
 
     #[test]
     fn growth_beyond_two_percent_is_told_and_less_is_not() {
-        let page = page(&[on(MPS2_AN500, &[count("a", 1, 1000), count("b", 1, 1000), count("c", 1, 1000)])]);
+        let page = page(&[on(MPS2_AN500, &[count("a", 1, 1000), count("b", 1, 1000), count("c", 1, 1000)])]).unwrap();
         let mut counts = on(MPS2_AN500, &[count("a", 1, 1020), count("b", 1, 1021), count("c", 1, 500)]);
         counts.footprint.image_bytes = 60_000;
         let found = complaints(&page, &counts);
@@ -172,7 +210,7 @@ mod tests {
 
     #[test]
     fn operators_that_come_or_go_are_told() {
-        let page = page(&[on(MPS2_AN500, &[count("a", 1, 1)]), on(MPS3_AN547, &[count("b", 1, 1)])]);
+        let page = page(&[on(MPS2_AN500, &[count("a", 1, 1)]), on(MPS3_AN547, &[count("b", 1, 1)])]).unwrap();
         let found = complaints(&page, &on(MPS2_AN500, &[count("b", 1, 1)]));
         assert_eq!(found, ["b: not in the table", "a: in the table, but no longer counted"]);
     }
@@ -180,6 +218,6 @@ mod tests {
     #[test]
     fn an_operator_behind_a_library_is_told_whatever_the_page_says() {
         let counts = on(MPS2_AN500, &[count("3x3 convolution 32->32, 48x48", 100, 149)]);
-        assert_eq!(complaints(&page(std::slice::from_ref(&counts)), &counts).len(), 1);
+        assert_eq!(complaints(&page(std::slice::from_ref(&counts)).unwrap(), &counts).len(), 1);
     }
 }

@@ -56,8 +56,8 @@ impl View {
         self.address
     }
 
-    /// Shows a reconstruction of `rows` x `cols` pixels, its maximum white; `dropped` frames were dropped so far.
-    pub fn show(&self, frame: &StreamedFrame, [rows, cols]: [usize; 2], dropped: usize) {
+    /// Shows a reconstruction, its maximum white.
+    pub fn show(&self, frame: &StreamedFrame) {
         if self.address.is_none() {
             return;
         }
@@ -65,14 +65,14 @@ impl View {
         let max = values.iter().copied().fold(f32::MIN_POSITIVE, f32::max);
         let grey: Vec<u8> = values.iter().map(|value| (255.0 * value / max).round() as u8).collect();
         let mut png = Vec::new();
-        let mut encoder = png::Encoder::new(&mut png, cols as u32, rows as u32);
+        let mut encoder = png::Encoder::new(&mut png, frame.report.region.cols.into(), frame.report.region.rows.into());
         encoder.set_color(png::ColorType::Grayscale);
         encoder.set_depth(png::BitDepth::Eight);
         if encoder.write_header().and_then(|mut writer| writer.write_image_data(&grey)).is_err() {
             return;
         }
         let state = json!({
-            "frame": frame.frame, "seconds": frame.at.as_secs_f64(), "dropped": dropped,
+            "frame": frame.frame, "seconds": frame.at.as_secs_f64(), "dropped": frame.dropped,
             "dropped_before": frame.dropped_before, "saturated_px": frame.report.saturated_px, "max": max,
         });
         *self.shown.lock().unwrap_or_else(PoisonError::into_inner) = Shown { png, state: state.to_string() };
@@ -109,6 +109,7 @@ fn answer(mut browser: &TcpStream, shown: &Mutex<Shown>) -> std::io::Result<()> 
 mod tests {
     use super::*;
     use half::f16;
+    use ommatidia_shared::image::Region;
     use ommatidia_shared::wire::RunReport;
     use std::io::Read;
 
@@ -127,6 +128,7 @@ mod tests {
         let address = view.address().unwrap();
         let report = RunReport {
             id: 1,
+            region: Region::whole(2, 3),
             len: 12,
             saturated_px: 5,
             frame_max_dn: 1.0,
@@ -135,8 +137,8 @@ mod tests {
             object_crc: 0,
         };
         let object = [0.0, 0.25, 0.5, 0.0, 0.0, 0.0].map(f16::from_f32).to_vec();
-        let frame = StreamedFrame { frame: 7, at: Duration::ZERO, dropped_before: 2, report, object };
-        view.show(&frame, [2, 3], 3);
+        let frame = StreamedFrame { frame: 7, at: Duration::ZERO, dropped_before: 2, dropped: 3, report, object };
+        view.show(&frame);
         let text = |path| String::from_utf8_lossy(&get(address, path)).into_owned();
         assert!(text("/").contains("frame.png"));
         assert!(text("/state").contains("\"dropped\":3"), "{}", text("/state"));

@@ -17,6 +17,6 @@ pub use cut::Cut;
 pub use error::SessionError;
 pub use manifest::{ArrayGeometry, Manifest, ObjectGrid, Optics, Role, SensorSpec, StackEntry};
 pub use open::{MANIFEST, Session, Stack, TruthReader};
-pub use stack::{FrameReader, FrameSource, FrameWriter, SampleType, StackSpec};
+pub use stack::{FrameReader, FrameSource, FrameWriter, Recording, SampleType, StackSpec};
 pub use table::FrameInfo;
 pub use write::{Existing, SessionWriter};

@@ -1,6 +1,6 @@
 //! Where a board puts its camera, its pins and its sensors; and the versions that live in memory.
 
-use crate::wire::StartCause;
+use crate::wire::{Activity, StartCause};
 use core::fmt;
 use half::f16;
 
@@ -111,6 +111,10 @@ pub trait Monitor {
     fn temperature_cdeg(&mut self) -> Option<i16>;
     /// Why the program was started.
     fn start_cause(&self) -> StartCause;
+    /// How the core spends its time, where there is a clock.
+    fn activity(&self) -> Option<Activity> {
+        None
+    }
 }
 
 /// No board.

@@ -4,6 +4,7 @@ use super::io::{FrameSink, FrameSource, IoError, Monitor};
 use super::upload::Upload;
 use crate::blob::{CRC, MemoryPlan, Network};
 use crate::flash::{MappedFlash, Slots};
+use crate::image::Region;
 use crate::pipeline::{Memory, Pipeline, PipelineError};
 use crate::wire::{
     CHUNK, FrameError, Info, Refusal, Reply, Request, RunReport, SCHEMA_KEY, SlotReport, Telemetry, Transfer, VERSION,
@@ -94,7 +95,7 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
                 self.chunk(what, offset, data).map(|offset| Reply::Received { offset })
             }
             Request::Commit => self.commit().map(|()| Reply::Done),
-            Request::Run { id } => self.run(id).map(Reply::Ran),
+            Request::Run { id, region } => self.run(id, region).map(Reply::Ran),
             Request::Read { id, offset, len } => return self.read(id, offset, len).unwrap_or_else(Reply::Refused),
             Request::Telemetry => Ok(Reply::Telemetry(self.telemetry())),
             Request::Quit => Ok(Reply::Done),
@@ -141,6 +142,7 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
             object_px: saturated(self.sink.capacity()),
             fast_bytes: sizes.fast_bytes,
             bulk_bytes: sizes.bulk_bytes,
+            live: self.source.live(),
         })
     }
 
@@ -215,12 +217,14 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
         Ok(())
     }
 
-    fn run(&mut self, id: u32) -> Result<RunReport, Refusal> {
-        if let Some(report) = self.last_run.filter(|report| report.id == id) {
-            return Ok(report);
-        }
+    fn run(&mut self, id: u32, region: Option<Region>) -> Result<RunReport, Refusal> {
         let network = Network::view(self.slots.active_file().ok_or(Refusal::NoNetwork)?).map_err(Refusal::Blob)?;
         let pipeline = Pipeline::new(&network.header, network.weights).map_err(refusal)?;
+        let region = region.unwrap_or(pipeline.whole());
+        if let Some(report) = self.last_run.filter(|report| (report.id, report.region) == (id, region)) {
+            return Ok(report);
+        }
+        pipeline.check_region(region).map_err(refusal)?;
         let expected = saturated(2 * pipeline.frame_len());
         if self.frame_waits || !self.source.live() {
             let found = self.frame.complete()?;
@@ -230,12 +234,12 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
         }
         let frame = self.source.frame().map_err(|e| storage(e, Transfer::Frame))?;
         let frame_crc = CRC.checksum(bytemuck::cast_slice(frame));
-        let object = self.sink.begin(pipeline.output_len()).map_err(|_| Refusal::Storage)?;
+        let object = self.sink.begin(region.pixels()).map_err(|_| Refusal::Storage)?;
         // More scratch than this does not help: the rest of the fast memory is not touched.
         let fast_len = self.arenas.fast.len().min(pipeline.fast_len_best());
         let fast = self.arenas.fast.get_mut(..fast_len).unwrap_or_default();
         self.monitor.run_begins();
-        let stats = pipeline.run(frame, Memory { fast, bulk: self.arenas.bulk }, object);
+        let stats = pipeline.run_region(frame, region, Memory { fast, bulk: self.arenas.bulk }, object);
         let cycles = self.monitor.run_ends();
         let stats = stats.map_err(refusal)?;
         let object_crc = CRC.checksum(bytemuck::cast_slice(object));
@@ -244,12 +248,13 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
         self.telemetry.fast_bytes = saturated(fast_len * size_of::<f32>());
         self.telemetry.bulk_bytes = network.header.memory.bulk_bytes;
         self.telemetry.frame_bytes = expected;
-        self.telemetry.object_bytes = saturated(2 * pipeline.output_len());
+        self.telemetry.object_bytes = saturated(2 * region.pixels());
         self.telemetry.runs = self.telemetry.runs.wrapping_add(1);
         self.sink.finish().map_err(|_| Refusal::Storage)?;
         let report = RunReport {
             id,
-            len: saturated(2 * pipeline.output_len()),
+            region,
+            len: saturated(2 * region.pixels()),
             saturated_px: stats.saturated_px,
             frame_max_dn: stats.frame_max_dn,
             filter_finite: stats.filter_finite,
@@ -285,6 +290,7 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
             slots: self.slots.committed().map(|slot| slot.map(report)),
             network: self.network_name(),
             temperature_cdeg: self.monitor.temperature_cdeg(),
+            activity: self.monitor.activity(),
             image_bytes: footprint.image_bytes,
             static_bytes: footprint.static_bytes,
             stack_bytes: footprint.stack_bytes,

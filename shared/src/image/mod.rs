@@ -1,9 +1,11 @@
 //! Borrowed images: (row, col) planes with a stride, and channel-row-col (CHW) tensors without one.
 
 mod plane;
+mod region;
 mod tensor;
 
 pub use plane::{Plane, PlaneMut};
+pub use region::Region;
 pub use tensor::{Chw, ChwMut};
 
 /// The buffer does not hold the shape.

@@ -1,6 +1,6 @@
 //! Tensors of (channel, row, col).
 
-use super::ShapeError;
+use super::{Region, ShapeError};
 
 /// A borrowed tensor: element (k, r, c) lies at `(k * rows + r) * cols + c`.
 #[derive(Clone, Copy, Debug)]
@@ -128,6 +128,26 @@ impl<'a, T> ChwMut<'a, T> {
         Chw { data: self.data, channels: self.channels, rows: self.rows, cols: self.cols }
     }
 
+    /// Keeps a window of each channel, moved to the front of the buffer; panics where the window does not lie in the shape.
+    pub fn cut(self, window: Region) -> Self
+    where
+        T: Copy,
+    {
+        let Self { data, channels, rows, cols } = self;
+        let [row, col, height, width] = [window.row, window.col, window.rows, window.cols].map(usize::from);
+        if [height, width] == [rows, cols] {
+            return Self { data, channels, rows, cols };
+        }
+        for channel in 0..channels {
+            for r in 0..height {
+                // No row moves backwards, so none is overwritten before it has moved.
+                let from = (channel * rows + row + r) * cols + col;
+                data.copy_within(from..from + width, (channel * height + r) * width);
+            }
+        }
+        Self { data: &mut data[..channels * height * width], channels, rows: height, cols: width }
+    }
+
     /// Lends the tensor for writing.
     #[inline(always)]
     pub fn reborrow(&mut self) -> ChwMut<'_, T> {
@@ -137,6 +157,8 @@ impl<'a, T> ChwMut<'a, T> {
 
 #[cfg(test)]
 mod tests {
+    extern crate std;
+
     use super::*;
 
     #[test]
@@ -149,5 +171,18 @@ mod tests {
         tensor.row_mut(0, 1)[3] = 99;
         assert_eq!(tensor.as_chw().channel(0)[7], 99);
         assert_eq!(Chw::new(&data, 2, 3, 5).unwrap_err(), ShapeError { expected: 30, found: 24 });
+    }
+
+    #[test]
+    fn a_window_is_cut_out_of_every_channel() {
+        let mut data: [usize; 24] = core::array::from_fn(|i| i);
+        let tensor = ChwMut::new(&mut data, 2, 3, 4).unwrap().cut(Region { row: 1, col: 1, rows: 2, cols: 2 });
+        assert_eq!(tensor.shape(), [2, 2, 2]);
+        assert_eq!([0, 1].map(|k| tensor.as_chw().channel(k).to_vec()), [[5, 6, 9, 10], [17, 18, 21, 22]]);
+        let mut data: [usize; 24] = core::array::from_fn(|i| i);
+        assert_eq!(
+            ChwMut::new(&mut data, 2, 3, 4).unwrap().cut(Region::whole(3, 4)).as_chw().row(1, 2),
+            [20, 21, 22, 23]
+        );
     }
 }

@@ -14,6 +14,9 @@
 //! ```
 //! Every tensor named here is rounded to half once, when it is stored; so is the output of the inner `relu(conv(g))`.
 //!
+//! A region of the output costs less than all of it: what comes after the last attention is computed for the features that the region
+//! takes, and no others, with the same bits. All before it is computed in full, because attention is a mean over the whole frame.
+//!
 //! [`layout`] gives the order of the weights in the network file: the order of execution, each layer's weights before its biases.
 
 use super::activation::Activation;
@@ -23,7 +26,7 @@ use super::error::{NnError, check_scratch, check_shape, check_weights};
 use super::rcab::{self, Rcab};
 use super::upscale::Upscale;
 use crate::blob;
-use crate::image::{Chw, ChwMut, PlaneMut};
+use crate::image::{Chw, ChwMut, PlaneMut, Region};
 use crate::num::f16;
 use crate::num::simd::Simd;
 
@@ -202,7 +205,7 @@ impl Rcan {
     }
 
     /// Runs the network. The last [`Self::input_len`] halves of `arena` hold the filtered channels (C, 2 h, 2 w), divided by
-    /// their maximum; `output` is (2 h, 2 w), 0 to 1. The arena is overwritten.
+    /// their maximum; `output` is `region` of the result (2 h, 2 w), 0 to 1. The arena is overwritten.
     ///
     /// # Errors
     /// [`NnError`] where the weights, the arena, the output or the scratch do not fit the plan.
@@ -211,13 +214,14 @@ impl Rcan {
         simd: Simd,
         weights: &[f16],
         arena: &mut [f16],
+        region: Region,
         output: PlaneMut<'_, f16>,
         scratch: &mut [f32],
     ) -> Result<(), NnError> {
         check_weights(weights_len(&self.shape, self.filters as u8), weights.len())?;
         check_scratch(self.arena_len(), arena.len())?;
         check_scratch(self.scratch_len(1), scratch.len())?;
-        check_shape([1, 2 * self.rows, 2 * self.cols], [1, output.rows(), output.cols()])?;
+        check_shape([1, region.rows.into(), region.cols.into()], [1, output.rows(), output.cols()])?;
         let mut layers = Layers { entries: layout(&self.shape, self.filters as u8), rest: weights };
         let (head, rest) = arena.split_at_mut(self.feature_len());
         let input = &rest[rest.len() - self.input_len()..];
@@ -228,17 +232,37 @@ impl Rcan {
         let (g, rest) = rest.split_at_mut(self.feature_len());
         let t = &mut rest[..self.feature_len()];
         y.copy_from_slice(head);
-        for _ in 0..self.shape.groups {
+        let mut part = Part { plan: *self, window: Region::whole(self.rows as u16, self.cols as u16) };
+        for group in 0..self.shape.groups {
             g.copy_from_slice(y);
             for _ in 0..self.shape.blocks {
                 let parameters = layers.next_block();
                 self.rcab().process(simd, parameters, self.features(g)?, self.features(t)?, scratch)?;
             }
-            self.skip(simd, layers.next_conv(), g, y, scratch)?;
+            if group + 1 == self.shape.groups {
+                part = part.cut(self.window(region, 3), [g, y, head])?;
+            }
+            part.plan.skip(simd, layers.next_conv(), g, y, scratch)?;
         }
-        self.skip(simd, layers.next_conv(), y, head, scratch)?;
+        part = part.cut(self.window(region, 2), [y, head])?;
+        part.plan.skip(simd, layers.next_conv(), y, head, scratch)?;
+        part = part.cut(self.window(region, 1), [head])?;
         let tail = [layers.next_conv(), layers.next_conv()];
-        self.upscale().process(simd, tail, self.features(head)?.as_chw(), output, scratch)
+        let origin = [region.row - 2 * part.window.row, region.col - 2 * part.window.col].map(usize::from);
+        let features = part.plan.features(head)?;
+        part.plan.upscale().process(simd, tail, features.as_chw(), origin, output, scratch)
+    }
+
+    /// The features that a region of the output takes through `convs` convolutions and the last one, which is at full resolution.
+    fn window(&self, region: Region, convs: u16) -> Region {
+        let axis = |first: u16, len: u16, all: usize| {
+            let start = (first.saturating_sub(1) / 2).saturating_sub(convs);
+            let end = ((first + len) / 2 + 1 + convs).min(all as u16);
+            (start, end - start)
+        };
+        let (row, rows) = axis(region.row, region.rows, self.rows);
+        let (col, cols) = axis(region.col, region.cols, self.cols);
+        Region { row, col, rows, cols }
     }
 
     /// `to = to + conv(from)`.
@@ -255,8 +279,10 @@ impl Rcan {
         self.conv().process(simd, parameters, tensors, scratch)
     }
 
+    /// The tensor at the front of `data`.
     fn features<'a>(&self, data: &'a mut [f16]) -> Result<ChwMut<'a, f16>, NnError> {
         let found = data.len();
+        let data = data.get_mut(..self.feature_len()).unwrap_or_default();
         ChwMut::new(data, self.width(), self.rows, self.cols)
             .map_err(|error| NnError::Scratch { expected: error.expected, found })
     }
@@ -264,6 +290,27 @@ impl Rcan {
     fn input<'a>(&self, data: &'a [f16]) -> Result<Chw<'a, f16>, NnError> {
         Chw::new(data, self.filters, 2 * self.rows, 2 * self.cols)
             .map_err(|error| NnError::Scratch { expected: error.expected, found: error.found })
+    }
+}
+
+/// The network for a window of the features. What a convolution makes at its edges lacks what lies beyond, and is cut off before the next,
+/// unless the edge is the frame's.
+#[derive(Clone, Copy)]
+struct Part {
+    plan: Rcan,
+    window: Region,
+}
+
+impl Part {
+    /// The part for a window in this one's, to which the tensors are cut.
+    fn cut<const N: usize>(self, window: Region, tensors: [&mut [f16]; N]) -> Result<Self, NnError> {
+        let Self { plan, window: from } = self;
+        for tensor in tensors {
+            let (row, col) = (window.row - from.row, window.col - from.col);
+            plan.features(tensor)?.cut(Region { row, col, ..window });
+        }
+        let (rows, cols) = (window.rows.into(), window.cols.into());
+        Ok(Self { plan: Rcan { rows, cols, ..plan }, window })
     }
 }
 
@@ -314,14 +361,18 @@ mod tests {
     const TOLERANCE: f64 = 1.0e-3;
 
     fn run(simd: Simd, band: usize, weights: &[f16], input: &[f16]) -> Vec<f16> {
+        run_region(simd, band, weights, input, Region::whole(14, 20))
+    }
+
+    fn run_region(simd: Simd, band: usize, weights: &[f16], input: &[f16], region: Region) -> Vec<f16> {
         let plan = Rcan::new(SHAPE, 3, OBJECT);
         let mut arena = vec![f16::NAN; plan.arena_len()];
         let start = arena.len() - plan.input_len();
         arena[start..].copy_from_slice(input);
-        let mut output = vec![f16::NAN; 280];
+        let mut output = vec![f16::NAN; region.pixels()];
         let mut scratch = vec![f32::NAN; plan.scratch_len(band)];
-        let plane = PlaneMut::new(&mut output, 14, 20).unwrap();
-        plan.process(simd, weights, &mut arena, plane, &mut scratch).unwrap();
+        let plane = PlaneMut::new(&mut output, region.rows.into(), region.cols.into()).unwrap();
+        plan.process(simd, weights, &mut arena, region, plane, &mut scratch).unwrap();
         output
     }
 
@@ -338,6 +389,24 @@ mod tests {
         assert!(error < TOLERANCE, "{error:e}");
         for band in [2, 3, 7, 100] {
             assert_eq!(run(Simd::PORTABLE, band, &weights, &input), found, "bands of {band} rows");
+        }
+    }
+
+    #[test]
+    fn every_region_is_a_cut_of_the_whole() {
+        let mut noise = Noise(11);
+        let weights = noise.halves(weights_len(&SHAPE, 3), 0.15);
+        let input = noise.halves(3 * 280, 1.0);
+        let whole = run(Simd::detect(), 2, &weights, &input);
+        for row in 0..14_u16 {
+            for rows in 1..=14 - row {
+                for (col, cols) in [(0, 20), (0, 1), (19, 1), (7, 4), (8, 5), (1, 18)] {
+                    let region = Region { row, col, rows, cols };
+                    let cut = |r: u16| &whole[usize::from(r) * 20 + usize::from(col)..][..usize::from(cols)];
+                    let expected: Vec<f16> = (row..row + rows).flat_map(cut).copied().collect();
+                    assert_eq!(run_region(Simd::detect(), 3, &weights, &input, region), expected, "{region}");
+                }
+            }
         }
     }
 

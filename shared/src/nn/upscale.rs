@@ -50,7 +50,7 @@ impl Upscale {
         self.coarse_len() + 2 * self.fine_len()
     }
 
-    /// `input` (channels, rows, cols) -> `output` (2 rows, 2 cols), 0 to 1.
+    /// `input` (channels, rows, cols) -> `output`, the part of the result (2 rows, 2 cols) that begins at `origin`, 0 to 1.
     ///
     /// # Errors
     /// [`NnError`] where a tensor, the weights or the scratch do not fit the plan; nothing is written then.
@@ -59,17 +59,19 @@ impl Upscale {
         simd: Simd,
         [conv, conv2]: [Parameters<'_>; 2],
         input: Chw<'_, f16>,
+        origin: [usize; 2],
         output: PlaneMut<'_, f16>,
         scratch: &mut [f32],
     ) -> Result<(), NnError> {
         check_shape([self.channels, self.rows, self.cols], input.shape())?;
-        check_shape([1, 2 * self.rows, 2 * self.cols], [1, output.rows(), output.cols()])?;
+        let end = [origin[0] + output.rows(), origin[1] + output.cols()];
+        check_shape([1, 2 * self.rows, 2 * self.cols], [1, end[0].max(2 * self.rows), end[1].max(2 * self.cols)])?;
         check_weights(36 * self.channels * self.channels, conv.weights.len())?;
         check_weights(4 * self.channels, conv.bias.len())?;
         check_weights(9 * self.channels, conv2.weights.len())?;
         check_weights(1, conv2.bias.len())?;
         check_scratch(self.scratch_len(1), scratch.len())?;
-        simd.run(Job { plan: *self, conv, conv2, input, output, scratch });
+        simd.run(Job { plan: *self, conv, conv2, input, origin, output, scratch });
         Ok(())
     }
 }
@@ -79,6 +81,7 @@ struct Job<'a> {
     conv: Parameters<'a>,
     conv2: Parameters<'a>,
     input: Chw<'a, f16>,
+    origin: [usize; 2],
     output: PlaneMut<'a, f16>,
     scratch: &'a mut [f32],
 }
@@ -88,7 +91,7 @@ impl Kernel for Job<'_> {
 
     #[inline(always)]
     fn run<V: Vector>(self) {
-        let Self { plan, conv, conv2, input, mut output, scratch } = self;
+        let Self { plan, conv, conv2, input, origin: [top, left], mut output, scratch } = self;
         let band = ((scratch.len() - plan.fixed_len()) / plan.row_len()).min(plan.rows);
         let (packed, scratch) = scratch.split_at_mut(packed::packed_len(plan.channels, 4 * plan.channels));
         let (packed2, scratch) = scratch.split_at_mut(packed::packed_len(plan.channels, 1));
@@ -96,6 +99,9 @@ impl Kernel for Job<'_> {
         let (sums2, scratch) = scratch.split_at_mut(packed::padded(2 * plan.cols));
         let (coarse, scratch) = scratch.split_at_mut((band + 2) * plan.coarse_len());
         let fine = &mut scratch[..(2 * band + 3) * plan.fine_len()];
+        let wanted = top..top + output.rows();
+        // Feature rows that a wanted row takes.
+        let coarse_wanted = top.saturating_sub(1) / 2..wanted.end / 2 + 1;
         let weights2 = packed::pack(conv2.weights, plan.channels, 1, 0, packed2);
         fine.fill(0.0);
         for start in (0..plan.rows).step_by(band) {
@@ -105,7 +111,7 @@ impl Kernel for Job<'_> {
             for first in (0..4 * plan.channels).step_by(OUTPUTS) {
                 let weights = packed::pack(conv.weights, plan.channels, 4 * plan.channels, first, packed);
                 let bias = packed::bias(conv.bias, first);
-                for row in 0..height {
+                for row in (0..height).filter(|row| coarse_wanted.contains(&(start + row))) {
                     let input = &coarse[row * plan.coarse_len()..][..3 * plan.coarse_len()];
                     packed::row::<V>(input, plan.channels, 4 * plan.channels, plan.cols, weights, bias, sums);
                     plan.shuffle(sums, first, row, fine);
@@ -116,12 +122,14 @@ impl Kernel for Job<'_> {
                 fine[(2 * height + 2) * plan.fine_len()..][..plan.fine_len()].fill(0.0);
             }
             let bias2 = packed::bias(conv2.bias, 0);
-            for row in (2 * start).saturating_sub(1)..2 * (start + height) - usize::from(!last) {
+            let rows = (2 * start).saturating_sub(1)..2 * (start + height) - usize::from(!last);
+            for row in rows.start.max(wanted.start)..rows.end.min(wanted.end) {
                 let input = &fine[(row + 1 - 2 * start) * plan.fine_len()..][..3 * plan.fine_len()];
                 packed::row::<V>(input, plan.channels, 1, 2 * plan.cols, weights2, bias2, sums2);
-                let sums = &mut sums2[..2 * plan.cols];
+                let to = output.row_mut(row - top);
+                let sums = &mut sums2[left..left + to.len()];
                 Activation::Sigmoid.apply(sums);
-                narrow_slice(sums, output.row_mut(row));
+                narrow_slice(sums, to);
             }
         }
     }
@@ -197,7 +205,7 @@ mod tests {
             let parameters = [0, 1].map(|i| Parameters { weights: &self.weights[i], bias: &self.bias[i] });
             let input = Chw::new(&self.input, channels, rows, cols).unwrap();
             let plane = PlaneMut::new(&mut output, 2 * rows, 2 * cols).unwrap();
-            self.plan.process(simd, parameters, input, plane, &mut scratch[..len]).unwrap();
+            self.plan.process(simd, parameters, input, [0, 0], plane, &mut scratch[..len]).unwrap();
             assert!(scratch[len..].iter().all(|x| x.is_nan()), "wrote behind the scratch");
             output
         }

@@ -2,9 +2,9 @@
 
 use core::fmt;
 
-use crate::blob::MemoryPlan;
+use crate::blob::{MemoryPlan, Size};
 use crate::filter::FilterError;
-use crate::image::ShapeError;
+use crate::image::{Region, ShapeError};
 use crate::nn::NnError;
 
 /// A section of the weights.
@@ -84,9 +84,16 @@ pub enum PipelineError {
         /// Pixels given.
         found: usize,
     },
+    /// The region is empty or reaches out of the object.
+    Region {
+        /// The object.
+        object: Size,
+        /// The region asked for.
+        found: Region,
+    },
     /// The output has another length.
     Output {
-        /// Pixels by the header.
+        /// Pixels of the region.
         expected: usize,
         /// Pixels given.
         found: usize,
@@ -140,6 +147,13 @@ impl fmt::Display for PipelineError {
                 expected.fast_bytes, expected.bulk_bytes, found.fast_bytes, found.bulk_bytes
             ),
             Self::Frame { expected, found } => write!(f, "raw frame: expected {expected} pixels, found {found}"),
+            Self::Region { object, found } => {
+                write!(
+                    f,
+                    "region {found} (row,col,rows,cols): it must lie in the {} x {} pixels",
+                    object.rows, object.cols
+                )
+            }
             Self::Output { expected, found } => write!(f, "output: expected {expected} pixels, found {found}"),
             Self::Memory { expected, found } => {
                 memory(f, "fast", expected.fast_bytes, found.fast_bytes)?;

@@ -20,7 +20,7 @@ pub use error::{PipelineError, Section};
 
 use crate::blob::{Header, MemoryPlan, Weights};
 use crate::filter::{FilterBank, FrameSource};
-use crate::image::{ChwMut, PlaneMut};
+use crate::image::{ChwMut, PlaneMut, Region};
 use crate::nn::rcan::Rcan;
 use crate::num::simd::{Kernel, Simd, Vector};
 use crate::num::{f16, fused, max_finite};
@@ -125,8 +125,25 @@ impl<'a> Pipeline<'a> {
     /// [`PipelineError::Frame`], [`PipelineError::Output`] or [`PipelineError::Memory`] where a slice has the wrong length; nothing is
     /// written then.
     pub fn run(&self, frame: &[u16], memory: Memory<'_>, output: &mut [f16]) -> Result<Stats, PipelineError> {
+        self.run_region(frame, self.whole(), memory, output)
+    }
+
+    /// Reconstructs `region` of the object alone: `output` is (region rows, region cols), and every bit is that of [`Self::run`]. The
+    /// filters and the network up to its last attention are computed in full all the same, as both divide by what the whole frame
+    /// holds; see [`crate::nn::rcan`].
+    ///
+    /// # Errors
+    /// As [`Self::run`]; [`PipelineError::Region`] where the region is empty or reaches out of the object.
+    pub fn run_region(
+        &self,
+        frame: &[u16],
+        region: Region,
+        memory: Memory<'_>,
+        output: &mut [f16],
+    ) -> Result<Stats, PipelineError> {
         let Memory { fast, bulk } = memory;
-        self.check_lengths(frame, fast, bulk, output)?;
+        self.check_region(region)?;
+        self.check_lengths(frame, fast, bulk, (region.pixels(), output.len()))?;
         let bulk = &mut bulk[..self.bulk_len()];
         let (saturated_px, frame_max_dn) = self.survey(frame, fast);
         let source = Corrected { pipeline: self, frame, max: frame_max_dn };
@@ -136,17 +153,38 @@ impl<'a> Pipeline<'a> {
         self.filter.process(self.simd, &source, self.weights.spectra, tensor, arena, fast)?;
         let (filter_max, filter_finite) = self.simd.run(Normalise { values: channels });
         let arena = bulk.len() - self.rcan.arena_len();
-        let output = PlaneMut::new(output, object[0], object[1])?;
-        self.rcan.process(self.simd, self.weights.rcan, &mut bulk[arena..], output, fast)?;
+        let output = PlaneMut::new(output, region.rows.into(), region.cols.into())?;
+        self.rcan.process(self.simd, self.weights.rcan, &mut bulk[arena..], region, output, fast)?;
         Ok(Stats { saturated_px, frame_max_dn, filter_max, filter_finite })
     }
 
-    fn check_lengths(&self, frame: &[u16], fast: &[f32], bulk: &[f16], output: &[f16]) -> Result<(), PipelineError> {
+    /// All of the object.
+    pub fn whole(&self) -> Region {
+        Region::whole(self.header.object.rows, self.header.object.cols)
+    }
+
+    /// Whether a region lies in the object.
+    ///
+    /// # Errors
+    /// [`PipelineError::Region`] where it does not.
+    pub fn check_region(&self, region: Region) -> Result<(), PipelineError> {
+        let object = self.header.object;
+        let inside = region.lies_in(object.rows, object.cols);
+        if inside { Ok(()) } else { Err(PipelineError::Region { object, found: region }) }
+    }
+
+    fn check_lengths(
+        &self,
+        frame: &[u16],
+        fast: &[f32],
+        bulk: &[f16],
+        output: (usize, usize),
+    ) -> Result<(), PipelineError> {
         if frame.len() != self.frame_len() {
             return Err(PipelineError::Frame { expected: self.frame_len(), found: frame.len() });
         }
-        if output.len() != self.output_len() {
-            return Err(PipelineError::Output { expected: self.output_len(), found: output.len() });
+        if output.0 != output.1 {
+            return Err(PipelineError::Output { expected: output.0, found: output.1 });
         }
         let expected = self.header.memory;
         let found = MemoryPlan { fast_bytes: bytes(size_of_val(fast)), bulk_bytes: bytes(size_of_val(bulk)) };

@@ -2,6 +2,7 @@
 
 use crate::blob::BlobError;
 use crate::flash::{Mark, Slot};
+use crate::image::Region;
 use core::fmt;
 use heapless::String;
 use postcard_schema::Schema;
@@ -9,7 +10,7 @@ use postcard_schema::key::Key;
 use serde::{Deserialize, Serialize};
 
 /// Version of the conversation; it changes with whatever the schema key cannot see.
-pub const VERSION: u16 = 2;
+pub const VERSION: u16 = 3;
 /// Changes with every name and type in the messages.
 pub const SCHEMA_KEY: u64 = u64::from_le_bytes(
     Key::for_path::<(Packet<Request<'static>>, Packet<Reply<'static>>)>("ommatidia/wire").to_bytes(),
@@ -59,8 +60,10 @@ pub enum Request<'a> {
     Commit,
     /// Reconstruct the frame.
     Run {
-        /// Number of the frame; a run of the same number and frame is done once.
+        /// Number of the frame; a run of the same number, frame and region is done once.
         id: u32,
+        /// The region of the reconstruction that is wanted; all of it where there is none.
+        region: Option<Region>,
     },
     /// Bytes of the reconstruction: little-endian halves, row by row.
     Read {
@@ -132,6 +135,8 @@ pub struct Info {
     pub fast_bytes: u32,
     /// Bulk memory, bytes.
     pub bulk_bytes: u32,
+    /// It has a camera: frames need not be sent.
+    pub live: bool,
 }
 
 /// What a run saw: see [`crate::pipeline::Stats`].
@@ -139,6 +144,8 @@ pub struct Info {
 pub struct RunReport {
     /// Number of the run.
     pub id: u32,
+    /// What was reconstructed.
+    pub region: Region,
     /// Bytes of the reconstruction.
     pub len: u32,
     /// Pixels of the raw frame at or above the saturation code.
@@ -161,6 +168,15 @@ pub enum StartCause {
     Power,
     /// The watchdog: the program before had hung.
     Watchdog,
+}
+
+/// How the core spends its time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct Activity {
+    /// Since the start, ms.
+    pub total_ms: u32,
+    /// Of these, asleep until a byte came, ms.
+    pub asleep_ms: u32,
 }
 
 /// A slot that holds a committed network file.
@@ -189,6 +205,8 @@ pub struct Telemetry {
     pub network: String<48>,
     /// Runs since the start.
     pub runs: u32,
+    /// How the core spends its time, where there is a clock.
+    pub activity: Option<Activity>,
     /// Cycles of the last run, where the core counts them.
     pub cycles: Option<u32>,
     /// Saturated pixels of all runs since the start.

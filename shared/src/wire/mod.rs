@@ -11,6 +11,6 @@ mod message;
 
 pub use frame::{Deframer, FrameError, checksum, encode};
 pub use message::{
-    CHUNK, Info, MAX_PACKET, Packet, Refusal, Reply, Request, RunReport, SCHEMA_KEY, SlotReport, StartCause, Telemetry,
-    Transfer, VERSION,
+    Activity, CHUNK, Info, MAX_PACKET, Packet, Refusal, Reply, Request, RunReport, SCHEMA_KEY, SlotReport, StartCause,
+    Telemetry, Transfer, VERSION,
 };

@@ -5,6 +5,7 @@ use half::f16;
 use ommatidia_host::blob::BlobFile;
 use ommatidia_host::rng;
 use ommatidia_shared::blob::{Bank, Header, MemoryPlan, Rcan, Sensor, Size, Tap, Weights};
+use ommatidia_shared::image::Region;
 use ommatidia_shared::pipeline::Pipeline;
 use rand::RngExt;
 
@@ -132,4 +133,11 @@ pub fn frames(shape: &Shape, count: u64, seed: u64) -> Vec<Vec<u16>> {
         (0..pixels).map(|_| rng.random_range(40..=4095u16)).collect()
     };
     (0..count).map(frame).collect()
+}
+
+/// A region of an object.
+pub fn cut(object: &[f16], shape: &Shape, region: Region) -> Vec<f16> {
+    let [first, len, cols] = [region.col, region.cols, shape.object[1]].map(usize::from);
+    let rows = (region.row..region.row + region.rows).map(usize::from);
+    rows.flat_map(|row| &object[row * cols + first..][..len]).copied().collect()
 }

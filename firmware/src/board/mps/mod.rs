@@ -1,6 +1,7 @@
 //! ARM's MPS2 and MPS3 boards with an FPGA image of one core: memories, a UART, an LED. QEMU emulates them under the names of the
 //! features.
 
+mod clock;
 mod led;
 mod map;
 mod memory;
@@ -28,6 +29,7 @@ pub fn take() -> Option<Parts<'static, Uart, Led, RamFlash<'static>, Dog, RamFra
     if TAKEN.swap(true, Ordering::Relaxed) {
         return None;
     }
+    clock::begin();
     let watchdog = Dog::new(watchdog::PATIENCE_S);
     Some(Parts {
         name: NAME,
@@ -40,6 +42,7 @@ pub fn take() -> Option<Parts<'static, Uart, Led, RamFlash<'static>, Dog, RamFra
         cycles,
         // The board has no sensor.
         temperature_cdeg: || None,
+        activity: clock::activity,
         flash: RamFlash::new(memory::flash()),
         source: RamFrame::new(memory::frame()),
         object: memory::object(),

@@ -1,8 +1,8 @@
 //! CMSDK UART (ARM Cortex-M System Design Kit, DDI 0479, section 4.3).
 #![allow(unsafe_code)] // registers are memory
 
-use super::Dog;
 use super::map::MAP;
+use super::{Dog, clock};
 use core::convert::Infallible;
 use core::ptr::{read_volatile, write_volatile};
 use cortex_m::asm;
@@ -77,7 +77,9 @@ impl Uart {
 
     fn sleep_until_received(&mut self) {
         while self.state() & RX_FULL == 0 {
+            let before = clock::now();
             asm::wfi();
+            clock::slept(before);
             self.watchdog.feed();
             SCB::clear_pendst();
             // SAFETY: clears the cause, then the pending mark; a byte that comes between sets both again.

@@ -4,6 +4,7 @@
 use super::map::MAP;
 use core::ptr::write_volatile;
 use core::sync::atomic::{AtomicU32, Ordering};
+use cortex_m::peripheral::SCB;
 use cortex_m_rt::exception;
 use ommatidia_shared::device::Watchdog;
 use ommatidia_shared::wire::StartCause;
@@ -18,15 +19,15 @@ const LOCK: *mut u32 = (BASE + 0xc00) as *mut u32;
 const INTERRUPT_AND_RESET: u32 = 3;
 const UNLOCK: u32 = 0x1acc_e551;
 /// The longest reconstruction takes less, under an emulator as well.
-pub(super) const PATIENCE_S: u32 = 60;
+pub(super) const PATIENCE_S: u32 = 30;
 
 /// What the next start reads: [`HUNG`] after the watchdog's interrupt. Nothing clears it but the start that reads it.
 #[unsafe(link_section = ".uninit.note")]
 static NOTE: AtomicU32 = AtomicU32::new(0);
 const HUNG: u32 = 0x4d6f_7073;
 
-/// The watchdog. When its count ends it raises the non-maskable interrupt, which leaves a note for the next start; when it ends
-/// once more it resets the board: at the latest after twice the time that it is given.
+/// The watchdog. When its count ends it raises the non-maskable interrupt, which leaves a note for the next start and resets the board;
+/// should that fail, the watchdog resets it when its count ends once more.
 #[derive(Clone, Copy, Debug)]
 pub struct Dog {
     seconds: u32,
@@ -63,11 +64,9 @@ pub fn start_cause() -> StartCause {
     }
 }
 
-/// The program has hung: the reset is left to the watchdog.
+/// The program has hung.
 #[exception]
 unsafe fn NonMaskableInt() {
     NOTE.store(HUNG, Ordering::Relaxed);
-    loop {
-        cortex_m::asm::nop();
-    }
+    SCB::sys_reset()
 }

@@ -12,6 +12,7 @@
 //! The data cache stays off: DMA and flash change memory behind it.
 
 mod camera;
+mod clock;
 mod flash;
 mod link;
 mod memory;
@@ -26,12 +27,12 @@ use core::convert::Infallible;
 use core::sync::atomic::{AtomicBool, Ordering};
 use cortex_m::peripheral::DWT;
 use embassy_stm32::gpio::{Level, Output, Speed};
-use embassy_stm32::peripherals::IWDG1;
+use embassy_stm32::pac::IWDG1;
+use embassy_stm32::pac::iwdg::vals::{Key, Pr};
 use embassy_stm32::rcc::{
     AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllDiv, PllMul, PllPreDiv, PllSource, Sysclk, VoltageScale,
 };
 use embassy_stm32::time::Hertz;
-use embassy_stm32::wdg::IndependentWatchdog;
 use embassy_stm32::{Config, pac};
 use embedded_hal::digital::{ErrorType, OutputPin};
 use ommatidia_shared::boards;
@@ -41,8 +42,8 @@ use ommatidia_shared::wire::StartCause;
 /// Name of the board.
 pub const NAME: &str = boards::NUCLEO_H743ZI.name;
 
-/// The longest that the watchdog waits (ST RM0433, section 47.3), microseconds.
-const PATIENCE_US: u32 = 32_000_000;
+/// The watchdog waits for so many times 256 / 32 kHz, its longest (ST RM0433, section 47.3): 32.8 s.
+const PATIENCE: u16 = 0xfff;
 
 /// The parts of the board, once. Without a sensor that answers there is no camera, and frames come from the host.
 pub fn take() -> Option<Parts<'static, Link, Trigger, InternalFlash, Dog, Camera>> {
@@ -57,6 +58,8 @@ pub fn take() -> Option<Parts<'static, Link, Trigger, InternalFlash, Dog, Camera
     core.SCB.enable_icache();
     core.DCB.enable_trace();
     core.DWT.enable_cycle_counter();
+    clock::begin(core.SYST);
+    let watchdog = Dog(());
     let camera = Camera::new(
         camera::Pins {
             dcmi: p.DCMI,
@@ -75,14 +78,15 @@ pub fn take() -> Option<Parts<'static, Link, Trigger, InternalFlash, Dog, Camera
     );
     Some(Parts {
         name: NAME,
-        link: Link::new(p.USART3, p.PD9, p.PD8, memory::line_buffers())?,
+        link: Link::new(p.USART3, p.PD9, p.PD8, memory::line_buffers(), watchdog)?,
         line: memory::line(),
         trigger: Trigger(Output::new(p.PB0, Level::Low, Speed::Low)),
-        watchdog: Dog(IndependentWatchdog::new(p.IWDG1, PATIENCE_US)),
+        watchdog,
         started_by,
         footprint,
         cycles: || Some(DWT::cycle_count()),
         temperature_cdeg: || None,
+        activity: clock::activity,
         flash: InternalFlash::new(p.FLASH),
         source: camera,
         object: memory::object(),
@@ -130,16 +134,20 @@ fn start_cause() -> StartCause {
     if hung { StartCause::Watchdog } else { StartCause::Power }
 }
 
-/// The independent watchdog.
-pub struct Dog(IndependentWatchdog<'static, IWDG1>);
+/// The independent watchdog. The program feeds it, and the line while it waits.
+#[derive(Clone, Copy)]
+pub struct Dog(());
 
 impl Watchdog for Dog {
     fn start(&mut self) {
-        self.0.unleash();
+        IWDG1.kr().write(|w| w.set_key(Key::ENABLE));
+        IWDG1.pr().write(|w| w.set_pr(Pr::DIVIDE_BY256));
+        IWDG1.rlr().write(|w| w.set_rl(PATIENCE));
+        IWDG1.kr().write(|w| w.set_key(Key::START));
     }
 
     fn feed(&mut self) {
-        self.0.pet();
+        IWDG1.kr().write(|w| w.set_key(Key::RESET));
     }
 }
 

@@ -3,7 +3,7 @@
 use crate::artifact::write_whole;
 use crate::cli::Outcome;
 use crate::device::{Firmware, faults};
-use ommatidia_shared::boards::MPS2_AN500;
+use ommatidia_shared::boards::BOARDS;
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -18,7 +18,11 @@ pub(super) struct Args {
 /// Runs the verb.
 pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let mut rows = faults::try_here()?;
-    rows.extend(faults::try_board(&Firmware::build(MPS2_AN500, "app")?, &Firmware::build(MPS2_AN500, "watchdog")?)?);
+    let build = |bin| {
+        let emulated = BOARDS.into_iter().filter(|board| board.emulated);
+        emulated.map(|board| Firmware::build(board, bin)).collect::<Result<Vec<_>, _>>()
+    };
+    rows.extend(faults::try_boards(&build("app")?, &build("watchdog")?)?);
     if let Some(path) = &args.output {
         write_whole(path, faults::page(&rows).as_bytes())?;
     }

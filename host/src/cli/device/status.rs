@@ -30,11 +30,27 @@ fn json(info: &Info, t: &Telemetry) -> Value {
         "board": info.board.as_str(), "network": t.network.as_str(),
         "slots": t.slots.iter().flatten().map(slot).collect::<Vec<_>>(), "refused_slots": t.refused_slots,
         "slot_bytes": info.blob_bytes, "starts": t.starts, "started_by": format!("{:?}", t.started_by).to_lowercase(),
-        "runs": t.runs, "cycles": t.cycles, "saturated_px": t.saturated_px, "dropped_frames": t.dropped_frames,
+        "runs": t.runs, "cycles": t.cycles, "active_fraction": active_fraction(t), "camera": info.live, "saturated_px": t.saturated_px, "dropped_frames": t.dropped_frames,
         "temperature_c": t.temperature_cdeg.map(|cdeg| f64::from(cdeg) / 100.0),
         "crc_errors": t.crc_errors, "dropped_packets": t.dropped_packets, "repeated_requests": t.repeated_requests,
         "stack_bytes": t.stack_bytes, "image_bytes": t.image_bytes, "static_bytes": t.static_bytes,
     })
+}
+
+/// The share of the time since its start that the core was awake, where the board has a clock.
+pub(super) fn active_fraction(t: &Telemetry) -> Option<f64> {
+    let activity = t.activity.filter(|activity| activity.total_ms > 0)?;
+    Some(1.0 - f64::from(activity.asleep_ms) / f64::from(activity.total_ms))
+}
+
+/// The same in words.
+pub(super) fn active_text(t: &Telemetry) -> String {
+    match (active_fraction(t), t.activity) {
+        (Some(active), Some(activity)) => {
+            format!("{:.1} % of {:.1} s", 100.0 * active, f64::from(activity.total_ms) / 1000.0)
+        }
+        _ => "not measured".into(),
+    }
 }
 
 fn text(info: &Info, t: &Telemetry) -> String {
@@ -59,6 +75,8 @@ fn text(info: &Info, t: &Telemetry) -> String {
         t.runs, t.dropped_frames, t.saturated_px
     );
     text += &format!("cycles        {}\n", known(t.cycles.map(|cycles| format!("{cycles} in the last run"))));
+    text += &format!("awake         {}\n", active_text(t));
+    text += &format!("camera        {}\n", if info.live { "yes" } else { "none: frames come from the host" });
     text += &format!(
         "temperature   {}\n",
         known(t.temperature_cdeg.map(|cdeg| format!("{:.2} C", f64::from(cdeg) / 100.0)))

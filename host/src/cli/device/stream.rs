@@ -1,15 +1,16 @@
 //! `device stream`: frames in, reconstructions out, a live view in the browser.
 
 use super::target::Target;
-use crate::artifact::write_whole;
 use crate::blob::{BlobFile, raw_codes};
 use crate::cli::{Outcome, Run};
-use crate::device::{FrameFeed, StreamReport, View, stream};
-use crate::session::{FrameReader, FrameWriter, SampleType, StackSpec};
+use crate::device::{FrameFeed, Frames, StreamReport, StreamedFrame, View, stream};
+use crate::session::{FrameReader, Recording};
 use anyhow::Context;
 use ndarray::Array2;
-use ommatidia_shared::blob::Size;
+use ommatidia_shared::image::Region;
 use serde_json::json;
+use std::fs::File;
+use std::io::Write;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
@@ -20,16 +21,25 @@ pub(super) struct Args {
     #[arg(long, value_name = "BLOB")]
     with: PathBuf,
     /// Raw frames, DN: .npy or .tif
-    #[arg(long, value_name = "STACK")]
-    frames: PathBuf,
+    #[arg(long, value_name = "STACK", required_unless_present = "live")]
+    frames: Option<PathBuf>,
+    /// Take N frames from the device's own camera
+    #[arg(long, value_name = "N", conflicts_with = "frames", value_parser = clap::value_parser!(u32).range(1..))]
+    live: Option<u32>,
     /// Frames that come in a second; those that the device has no time for are dropped and counted (default: each waits for the device)
     #[arg(long, value_name = "RATE", value_parser = rate)]
     fps: Option<f64>,
+    /// Duty cycle: reconstruct every N-th frame only; the device sleeps meanwhile
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    every: u32,
+    /// Reconstruct this region of the object only, pixels
+    #[arg(long, value_name = "ROW,COL,ROWS,COLS", value_parser = super::target::region)]
+    roi: Option<Region>,
     /// Show the reconstructions in a browser at this address, e.g. 127.0.0.1:8080
     #[arg(long, value_name = "ADDRESS")]
     view: Option<SocketAddr>,
-    /// Record the reconstructions: OME-TIFF or .npy, by suffix; their numbers and times go to a .csv beside it
-    #[arg(short, long, value_name = "STACK")]
+    /// Record the reconstructions as they come: an OME-TIFF that is readable at any time; their numbers and times go to a .csv beside it
+    #[arg(short, long, value_name = "TIF")]
     output: Option<PathBuf>,
     #[command(flatten)]
     target: Target,
@@ -44,7 +54,9 @@ fn rate(text: &str) -> Result<f64, String> {
 pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let blob = BlobFile::read(&args.with)?;
     let header = blob.network()?.header;
-    let mut reader = FrameReader::open(&args.frames)?;
+    let mut reader = args.frames.as_deref().map(FrameReader::open).transpose()?;
+    let len = reader.as_ref().map_or(args.live.unwrap_or_default() as usize, FrameReader::len);
+    let region = args.roi.unwrap_or(Region::whole(header.object.rows, header.object.cols));
     let runtime = args.target.runtime(run)?;
     let view = match args.view {
         None => View::none(),
@@ -53,53 +65,69 @@ pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     if let (Some(address), false) = (view.address(), run.quiet) {
         eprintln!("live view: http://{address}/");
     }
-    let bar = run.progress(reader.len() as u64, "stream");
+    let mut record = args.output.as_deref().map(|path| Record::create(path, region)).transpose()?;
+    let bar = run.progress(len as u64, "stream");
     let mut read = |i: usize| {
-        bar.set_position(i as u64);
+        let reader = reader.as_mut().context("there are no frames on this machine")?;
         let frame = reader.read(i)?;
-        raw_codes(&header, frame.view()).with_context(|| format!("{}: frame {i}", args.frames.display()))
+        raw_codes(&header, frame.view()).with_context(|| format!("{}: frame {i}", reader.path().display()))
     };
-    let len = FrameReader::open(&args.frames)?.len();
-    let feed = FrameFeed { len, fps: args.fps, read: &mut read };
-    let report = stream(&runtime, args.target.state.as_deref(), &blob, feed, &view)?;
+    let source = if args.frames.is_some() { Frames::Stack(&mut read) } else { Frames::Camera };
+    let feed = FrameFeed { len, fps: args.fps, nth: args.every as usize, region: args.roi, source };
+    let report = stream(&runtime, args.target.state.as_deref(), &blob, feed, &mut |frame| {
+        bar.set_position(frame.frame as u64 + 1);
+        view.show(frame);
+        record.as_mut().map_or(Ok(()), |record| record.push(frame))
+    })?;
     bar.finish_and_clear();
-    if let Some(output) = &args.output {
-        record(output, &report, header.object)?;
-    }
-    Ok(outcome(&report))
+    Ok(outcome(&report, len))
 }
 
-/// Writes the reconstructions, and beside them which frame each is and when it was there.
-fn record(path: &Path, report: &StreamReport, size: Size) -> anyhow::Result<()> {
-    let (rows, cols) = (size.rows.into(), size.cols.into());
-    let spec = StackSpec { frames: report.frames.len(), rows, cols, samples: SampleType::F32, pixel_um: None };
-    let mut writer = FrameWriter::create(path, spec)?;
-    let mut table = String::from("page,frame,time_s,dropped_before,saturated_px\n");
-    for (page, frame) in report.frames.iter().enumerate() {
+/// The reconstructions, and beside them which frame each is and when it was there.
+struct Record {
+    stack: Recording,
+    table: File,
+    pages: usize,
+}
+
+impl Record {
+    fn create(path: &Path, region: Region) -> anyhow::Result<Self> {
+        let stack = Recording::create(path, [region.rows.into(), region.cols.into()])?;
+        let table = path.with_extension("csv");
+        let mut table = File::create(&table).with_context(|| table.display().to_string())?;
+        table.write_all(b"page,frame,time_s,dropped_before,saturated_px\n")?;
+        Ok(Self { stack, table, pages: 0 })
+    }
+
+    fn push(&mut self, frame: &StreamedFrame) -> anyhow::Result<()> {
+        let StreamedFrame { report, dropped_before, .. } = frame;
         let values = frame.object.iter().map(|half| half.to_f32()).collect();
-        writer.push(Array2::from_shape_vec((rows, cols), values)?.view())?;
-        let (time, saturated) = (frame.at.as_secs_f64(), frame.report.saturated_px);
-        table += &format!("{page},{},{time:.6},{},{saturated}\n", frame.frame, frame.dropped_before);
+        let shape = (report.region.rows.into(), report.region.cols.into());
+        self.stack.push(Array2::from_shape_vec(shape, values)?.view())?;
+        let (page, time, saturated) = (self.pages, frame.at.as_secs_f64(), report.saturated_px);
+        writeln!(self.table, "{page},{},{time:.6},{dropped_before},{saturated}", frame.frame)?;
+        self.pages += 1;
+        Ok(())
     }
-    writer.finish()?;
-    Ok(write_whole(&path.with_extension("csv"), table.as_bytes())?)
 }
 
-fn outcome(report: &StreamReport) -> Outcome {
-    let (shown, seconds) = (report.frames.len(), report.took.as_secs_f64());
+fn outcome(report: &StreamReport, came: usize) -> Outcome {
+    let (shown, seconds) = (report.reconstructed, report.took.as_secs_f64());
+    let left_out = came - shown - report.dropped;
     let rate = shown as f64 / seconds.max(1e-9);
     let t = &report.telemetry;
     let json = json!({
-        "board": report.board, "frames": shown + report.dropped, "reconstructed": shown, "dropped": report.dropped,
+        "board": report.board, "frames": came, "reconstructed": shown, "dropped": report.dropped, "left_out": left_out,
         "failed_on_the_line": report.failed, "seconds": seconds, "frames_per_second": rate,
+        "active_fraction": super::status::active_fraction(t),
         "device_dropped_frames": t.dropped_frames, "crc_errors": t.crc_errors, "dropped_packets": t.dropped_packets,
     });
     let text = format!(
-        "board         {}\nframes        {} came, {shown} reconstructed, {} dropped ({} of them by the line)\nrate          {rate:.2} a second\n",
+        "board         {}\nframes        {came} came, {shown} reconstructed, {} dropped ({} of them by the line), {left_out} left out\nrate          {rate:.2} a second\nawake         {}\n",
         report.board,
-        shown + report.dropped,
         report.dropped,
         report.failed,
+        super::status::active_text(t),
     );
     Outcome { json, text }
 }

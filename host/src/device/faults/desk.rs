@@ -60,7 +60,7 @@ impl Network {
         let blob = BlobFile::new(&header, &weights)?;
         let mut rng = rng::stream(seed, "frame", 0);
         let frame: Vec<u16> = (0..usize::from(SIDE) * usize::from(SIDE)).map(|_| rng.random_range(40..=4095)).collect();
-        let object = reference(&blob, std::slice::from_ref(&frame))?.pop().unwrap_or_default();
+        let object = reference(&blob, std::slice::from_ref(&frame).into())?.pop().unwrap_or_default();
         Ok(Self { blob, frame, object })
     }
 }
@@ -132,7 +132,7 @@ pub(super) fn reconstructs(device: &mut Tried<'_, '_>, network: &Network) -> boo
     if transfer(device, Transfer::Frame, &frame).is_err() {
         return false;
     }
-    let Reply::Ran(report) = device.handle(Request::Run { id: 1 }) else { return false };
+    let Reply::Ran(report) = device.handle(Request::Run { id: 1, region: None }) else { return false };
     let request = Request::Read { id: 1, offset: 0, len: report.len as u16 };
     let expected: Vec<u8> = network.object.iter().flat_map(|half| half.to_le_bytes()).collect();
     matches!(device.handle(request), Reply::Data { data, .. } if data == expected)

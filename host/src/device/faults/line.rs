@@ -52,7 +52,7 @@ fn line(name: &'static str, faults: Faults) -> Result<Row, DeviceError> {
         for id in 1..=FRAMES {
             let object = again(&mut client, |client| {
                 client.send_frame(&network.frame)?;
-                let report = client.reconstruct(id)?;
+                let report = client.reconstruct(id, None)?;
                 client.fetch(&report)
             });
             match object {

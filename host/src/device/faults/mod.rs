@@ -75,10 +75,10 @@ pub fn try_here() -> Result<Vec<Row>, DeviceError> {
     Ok(rows)
 }
 
-/// Tries what only an emulated board has: `app` is killed within uploads, `watchdog` hangs.
+/// Tries what only emulated boards have: each of `apps` is killed within uploads, each of `watchdogs` hangs.
 ///
 /// # Errors
 /// QEMU is missing.
-pub fn try_board(app: &Firmware, watchdog: &Firmware) -> Result<Vec<Row>, DeviceError> {
-    Ok(vec![board::killed(app)?, board::hung(watchdog)?])
+pub fn try_boards(apps: &[Firmware], watchdogs: &[Firmware]) -> Result<Vec<Row>, DeviceError> {
+    Ok(vec![board::killed(apps)?, board::hung(watchdogs)?])
 }

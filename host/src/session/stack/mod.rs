@@ -15,10 +15,12 @@
 mod npy;
 mod ome;
 mod reader;
+mod recording;
 mod tif;
 mod writer;
 
 pub use reader::{FrameReader, FrameSource};
+pub use recording::Recording;
 pub use writer::{FrameWriter, StackSpec};
 
 use super::SessionError;

@@ -2,8 +2,8 @@
 
 use super::{SampleType, StackSpec};
 
-/// OME-XML, schema 2016-06: one image, one channel, the frames along T.
-pub(super) fn description(spec: &StackSpec) -> String {
+/// OME-XML, schema 2016-06: one image, one channel, the frames, of this number, along T.
+pub(super) fn description(spec: &StackSpec, frames: &str) -> String {
     let kind = match spec.samples {
         SampleType::U8 => "uint8",
         SampleType::U16 => "uint16",
@@ -32,7 +32,7 @@ pub(super) fn description(spec: &StackSpec) -> String {
         big = big_endian,
         cols = spec.cols,
         rows = spec.rows,
-        frames = spec.frames,
+        frames = frames,
         pixel = pixel,
     )
 }

@@ -86,7 +86,7 @@ impl FrameWriter {
         self.check(frame)?;
         let spec = &self.spec;
         let values = frame.iter().copied();
-        let description = (self.pushed == 0).then(|| ome::description(spec));
+        let description = (self.pushed == 0).then(|| ome::description(spec, &spec.frames.to_string()));
         match &mut self.sink {
             Sink::Npy(out) => {
                 let bytes: Vec<u8> = match spec.samples {
@@ -172,7 +172,7 @@ fn npy_header(out: File, spec: &StackSpec) -> std::io::Result<BufWriter<File>> {
     Ok(out)
 }
 
-fn push_page<K: TiffKind>(
+pub(super) fn push_page<K: TiffKind>(
     out: &mut TiffEncoder<File, K>,
     spec: &StackSpec,
     values: Vec<f32>,

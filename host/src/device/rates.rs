@@ -1,0 +1,204 @@
+//! Frames a second that each part can hold, by preset: instructions that were counted, cycles by a stated model, memory by the plan.
+
+use super::BoardCounts;
+use super::DeviceError;
+use crate::train::Preset;
+use ommatidia_shared::blob::{Bank, Header, MemoryPlan, Rcan, Sensor, Size, Tap};
+use ommatidia_shared::boards::{Board, MPS2_AN386, MPS2_AN500, MPS3_AN547};
+use ommatidia_shared::filter::Geometry;
+use ommatidia_shared::nn::rcan::{Entry, Layer, layout};
+use ommatidia_shared::pipeline::Pipeline;
+
+/// A chip that can be bought.
+struct Part {
+    name: &'static str,
+    /// The emulated board with its core.
+    board: Board,
+    mhz: f64,
+    /// Cycles an instruction.
+    cycles: f64,
+    ram_kib: u64,
+    /// `None`: outside, as large as one likes.
+    flash_kib: Option<u64>,
+}
+
+const PARTS: [Part; 4] = [
+    Part { name: "STM32H743", board: MPS2_AN500, mhz: 480.0, cycles: 1.0, ram_kib: 992, flash_kib: Some(2048) },
+    Part { name: "i.MX RT1176", board: MPS2_AN500, mhz: 1000.0, cycles: 1.0, ram_kib: 2048, flash_kib: None },
+    Part { name: "STM32N657", board: MPS3_AN547, mhz: 800.0, cycles: 2.0, ram_kib: 4300, flash_kib: None },
+    Part { name: "ATSAMD51J20", board: MPS2_AN386, mhz: 120.0, cycles: 3.0, ram_kib: 256, flash_kib: Some(1024) },
+];
+
+const HEAD: &str = "
+## Frame rates
+
+Frames a second = clock / (instructions a frame x cycles an instruction). The cycles are a model, measured on no silicon: one an instruction on the Cortex-M7,
+whose second pipeline has to make up for wait states; two on the Cortex-M55, as if all were Helium's (Arm: two beats of 64 bits on this core); three on the
+Cortex-M4F, as if all were `VFMA` (Arm DDI 0439, table 7-1). On the last two real frames take less. The time of the line and the exposure are not in it.
+
+The frames of 214x214 pixels were counted under QEMU, in the tables above. Those of 608x608 pixels, the sensor of the wire-free miniscopes, were not: their instructions are the
+numbers of multiply-accumulates, transforms, tiles and pixels times what each costs in the tables above, with transforms of 128x128 in steps of 64 and nine taps a channel. The
+correction of the sensor is not in that sum";
+
+const TABLE: &str = "
+
+| network | part | instructions a frame | frames a second | RAM, KiB | flash, KiB |
+|---|---|---|---|---|---|
+";
+
+/// A preset on frames of one size.
+struct Network {
+    preset: &'static str,
+    header: Header,
+}
+
+impl Network {
+    /// Dense filters where `taps` is empty, else these offsets in steps of 64 pixels.
+    fn new(preset: Preset, frame: u16, object: u16, taps: &[i8]) -> Result<Self, DeviceError> {
+        let network = preset.network([frame.into(); 2], [object.into(); 2]);
+        let [channels, width, groups, blocks, reduction] =
+            [network.channels, network.width, network.groups, network.blocks, network.reduction].map(|n| n as u8);
+        let (tile, step) =
+            if taps.is_empty() { (network.filter_size as u16, network.filter_size as u16) } else { (128, 64) };
+        let offsets: &[i8] = if taps.is_empty() { &[0] } else { taps };
+        let of_channel =
+            |channel| offsets.iter().flat_map(move |&dy| offsets.iter().map(move |&dx| Tap { channel, dy, dx }));
+        let mut header = Header {
+            name: Default::default(),
+            checkpoint: Default::default(),
+            frame: Size { rows: frame, cols: frame },
+            object: Size { rows: object, cols: object },
+            sensor: Sensor { black_level_dn: 64.0, saturation_dn: 4095, has_offset_map: true, has_gain_map: true },
+            bank: Bank { tile, step, channels, taps: (0..channels).flat_map(of_channel).collect() },
+            rcan: Rcan { width, groups, blocks, reduction },
+            memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
+        };
+        header.memory = Pipeline::plan(&header).map_err(DeviceError::Pipeline)?;
+        let preset = match preset {
+            Preset::Nano => "nano",
+            Preset::Lite => "lite",
+            Preset::Paper => "paper",
+        };
+        Ok(Self { preset, header })
+    }
+
+    fn name(&self) -> String {
+        let Header { frame, object, .. } = &self.header;
+        format!("`{}` network, {}x{} px to {}x{} px", self.preset, frame.rows, frame.cols, object.rows, object.cols)
+    }
+
+    /// Instructions of a frame where they were counted.
+    fn counted(&self, counts: &BoardCounts) -> Option<f64> {
+        let name = format!("whole {}", self.name());
+        counts.operators.iter().find(|count| count.name == name).map(|count| count.instructions as f64)
+    }
+
+    /// The same from what operators cost; `None` where one of them was not counted.
+    fn estimated(&self, counts: &BoardCounts) -> Option<f64> {
+        let find = |name: &str| counts.operators.iter().find(|count| count.name == name);
+        let cost = |name: String| find(&name).map(|count| count.per_unit());
+        let Header { object, bank, rcan, .. } = &self.header;
+        let px = f64::from(object.rows / 2) * f64::from(object.cols / 2);
+        // The costs of 16 channels hold for those of 24, and are a little above.
+        let width = if rcan.width < 32 { 16 } else { 32 };
+        let features = f64::from(rcan.width) * px;
+        let mut sum = 0.0;
+        for Entry { layer, outputs, inputs, kernel } in layout(rcan, bank.channels) {
+            let macs = (outputs * inputs * kernel * kernel) as f64 * px;
+            let conv = |what: &str| cost(format!("3x3 convolution {width}->{width}{what}, 48x48"));
+            sum += match layer {
+                Layer::Head => macs * cost("3x3 convolution 24->16 of the unshuffled, 48x48".into())?,
+                Layer::BlockConv { conv: 0, .. } => macs * conv(" and ReLU")?,
+                Layer::BlockConv { .. } => macs * conv("")?,
+                Layer::GroupConv { .. } | Layer::Conv1 => macs * conv(" and skip")?,
+                Layer::Squeeze { .. } => features * cost(format!("channel attention, {width} channels, 48x48"))?,
+                Layer::Excite { .. } => features * cost("attention times features and skip, 1024".into())?,
+                Layer::Upscale => macs * cost(format!("pixel shuffle {width}->1 with its convolutions, to 96x96"))?,
+                Layer::Conv2 => 4.0 * macs * cost(format!("pixel shuffle {width}->1 with its convolutions, to 96x96"))?,
+            };
+        }
+        Some(sum + self.filters(&|name| find(&name).map(|count| count.instructions as f64), &cost)?)
+    }
+
+    /// Transforms and products of the filters.
+    fn filters(&self, total: &dyn Fn(String) -> Option<f64>, cost: &dyn Fn(String) -> Option<f64>) -> Option<f64> {
+        let Header { frame, object, bank, .. } = &self.header;
+        let Geometry { rows, cols } = Geometry::new(bank, *frame, *object).ok()?;
+        let side = bank.tile;
+        let forward = total(format!("2-D real FFT {side}x{side}, forward"))?;
+        let inverse = total(format!("2-D real FFT {side}x{side}, filter, inverse"))? - forward;
+        let lit = |axis: ommatidia_shared::filter::Axis| {
+            let last = axis.tiles() as i32 - 1 + axis.offsets.1;
+            (axis.offsets.0..=last).filter(|&i| !axis.occupied(i).is_empty()).count()
+        };
+        let tiles = (rows.tiles() * cols.tiles()) as f64;
+        // One product is in the count of the inverse.
+        let products = tiles * (bank.taps.len() - usize::from(bank.channels)) as f64;
+        let macs = 4.0 * f64::from(side) * f64::from(side / 2 + 1);
+        let product = macs * cost("filter times spectrum, a column of 256".into())?;
+        Some((lit(rows) * lit(cols)) as f64 * forward + tiles * f64::from(bank.channels) * inverse + products * product)
+    }
+
+    fn row(&self, part: &Part, counts: &BoardCounts) -> Option<String> {
+        let instructions = self.counted(counts).or_else(|| self.estimated(counts))?;
+        let about = if self.counted(counts).is_some() { "" } else { "about " };
+        let rate = part.mhz * 1e6 / (instructions * part.cycles);
+        let lens = self.header.section_lens().ok()?;
+        let halves = [lens.spectra, lens.rcan, lens.offset_dn, lens.inverse_gain].into_iter().sum::<u64>();
+        // The header takes less than a kilobyte.
+        let flash = kib(u64::from(counts.footprint.image_bytes) + 2 * halves) + 1;
+        let Header { frame, object, memory, .. } = &self.header;
+        let planes = [frame, object].map(|size| 2 * u64::from(size.rows) * u64::from(size.cols));
+        let program = counts.footprint.static_bytes + counts.footprint.stack_bytes;
+        let fixed = [memory.fast_bytes, memory.bulk_bytes, program].into_iter().map(u64::from).sum::<u64>();
+        let ram = kib(fixed + planes.into_iter().sum::<u64>());
+        let name = self.name();
+        let of = |needed: u64, there: Option<u64>| match there {
+            Some(there) if needed > there => format!("{needed} of {there}: **does not fit**"),
+            Some(there) => format!("{needed} of {there}"),
+            None => format!("{needed}, outside the chip"),
+        };
+        Some(format!(
+            "| {name} | {} | {about}{:.0} million | {} | {} | {} |\n",
+            part.name,
+            instructions / 1e6,
+            if rate < 0.995 { format!("{rate:.2}") } else { format!("{rate:.1}") },
+            of(ram, Some(part.ram_kib)),
+            of(flash, part.flash_kib),
+        ))
+    }
+}
+
+fn kib(bytes: u64) -> u64 {
+    bytes.div_ceil(1024)
+}
+
+/// The section of the page on frame rates; empty where the networks were not counted.
+///
+/// # Errors
+/// A preset has no plan.
+pub fn section(boards: &[BoardCounts]) -> Result<String, DeviceError> {
+    let presets = [Preset::Nano, Preset::Lite, Preset::Paper];
+    let small = presets.map(|preset| Network::new(preset, 214, 96, &[])).into_iter().collect::<Result<Vec<_>, _>>()?;
+    let large =
+        presets.map(|preset| Network::new(preset, 608, 304, &[-2, 0, 2])).into_iter().collect::<Result<Vec<_>, _>>()?;
+    let of = |board: Board| boards.iter().find(|counts| counts.board == board);
+    let rows: String = small
+        .iter()
+        .chain(&large)
+        .flat_map(|network| PARTS.iter().filter_map(move |part| network.row(part, of(part.board)?)))
+        .collect();
+    // How far the sum is off where the count is known.
+    let off = |counts| {
+        small
+            .iter()
+            .filter_map(move |network: &Network| Some(network.estimated(counts)? / network.counted(counts)? - 1.0))
+    };
+    let (low, high) = boards.iter().flat_map(off).fold((f64::MAX, f64::MIN), |(l, h), x| (l.min(x), h.max(x)));
+    if rows.is_empty() || low > high {
+        return Ok(String::new());
+    }
+    let check =
+        format!("; for the networks that were counted it is off by {:+.1} to {:+.1} %.", 100.0 * low, 100.0 * high);
+    Ok([HEAD, &check, TABLE, &rows].concat())
+}
