@@ -4,11 +4,12 @@
 //! header (kind, version, provenance, and the small numbers of that kind), and whose tensors are the arrays. Python reads it
 //! with `safetensors.numpy.load_file`. Files appear whole or not at all.
 
-use ndarray::{ArrayD, IxDyn};
-use safetensors::tensor::{Dtype, Metadata, SafeTensors, TensorView};
+use ndarray::{ArrayBase, ArrayD, Data, IxDyn};
+use safetensors::tensor::{Dtype, Metadata, TensorInfo};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
+use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -128,20 +129,47 @@ const HEADER_KEY: &str = "ommatidia";
 ///
 /// # Errors
 /// The folder is missing or not writable, or the disk is full; nothing is left behind.
-pub fn write<T: Serialize>(path: &Path, header: &Header<T>, tensors: &Tensors) -> Result<(), ArtifactError> {
+pub fn write<T: Serialize, S: Data<Elem = f32>>(
+    path: &Path,
+    header: &Header<T>,
+    tensors: &BTreeMap<String, ArrayBase<S, IxDyn>>,
+) -> Result<(), ArtifactError> {
     let json = serde_json::to_string(header).map_err(|e| format_error(path, e))?;
-    let bytes: Vec<(String, Vec<usize>, Vec<u8>)> = tensors
-        .iter()
-        .map(|(name, t)| (name.clone(), t.shape().to_vec(), t.iter().flat_map(|v| v.to_le_bytes()).collect()))
-        .collect();
-    let views = bytes
-        .iter()
-        .map(|(name, shape, data)| TensorView::new(Dtype::F32, shape.clone(), data).map(|v| (name.clone(), v)))
-        .collect::<Result<Vec<_>, _>>()
-        .map_err(|e| format_error(path, e))?;
-    let meta = HashMap::from([(HEADER_KEY.to_string(), json)]);
-    let file = safetensors::serialize(views, Some(meta)).map_err(|e| format_error(path, e))?;
-    write_whole(path, &file)
+    write_tensors(path, HashMap::from([(HEADER_KEY.to_string(), json)]), tensors)
+}
+
+/// Writes tensors as safetensors, whole or not at all, one after the other: besides them no memory is needed.
+///
+/// # Errors
+/// As [`write`].
+pub fn write_tensors<S: Data<Elem = f32>>(
+    path: &Path,
+    metadata: HashMap<String, String>,
+    tensors: &BTreeMap<String, ArrayBase<S, IxDyn>>,
+) -> Result<(), ArtifactError> {
+    let mut end = 0;
+    let infos = tensors.iter().map(|(name, t)| {
+        let begin = end;
+        end += size_of::<f32>() * t.len();
+        (name.clone(), TensorInfo { dtype: Dtype::F32, shape: t.shape().to_vec(), data_offsets: (begin, end) })
+    });
+    let meta = Metadata::new(Some(metadata), infos.collect()).map_err(|e| format_error(path, e))?;
+    let mut json = serde_json::to_vec(&meta).map_err(|e| format_error(path, e))?;
+    // The format wants what follows aligned.
+    json.resize(json.len().next_multiple_of(8), b' ');
+    write_parts(path, |file| {
+        file.write_all(&(json.len() as u64).to_le_bytes())?;
+        file.write_all(&json)?;
+        tensors.values().try_for_each(|t| file.write_all(&bytes(t)))
+    })
+}
+
+/// The values of a tensor, little-endian.
+fn bytes<S: Data<Elem = f32>>(tensor: &ArrayBase<S, IxDyn>) -> Cow<'_, [u8]> {
+    match tensor.as_slice() {
+        Some(values) if cfg!(target_endian = "little") => Cow::Borrowed(bytemuck::cast_slice(values)),
+        _ => Cow::Owned(tensor.iter().flat_map(|v| v.to_le_bytes()).collect()),
+    }
 }
 
 /// Reads an artifact of the given kind and version.
@@ -149,15 +177,10 @@ pub fn write<T: Serialize>(path: &Path, header: &Header<T>, tensors: &Tensors) -
 /// # Errors
 /// The file is missing, no artifact, of another kind or version, cut short, or holds values that are no numbers.
 pub fn read<T: DeserializeOwned>(path: &Path, kind: &str, version: u32) -> Result<(Header<T>, Tensors), ArtifactError> {
-    let mut bytes = Vec::new();
-    std::fs::File::open(path).and_then(|mut f| f.read_to_end(&mut bytes)).map_err(|e| io_error(path, e))?;
-    let header = checked_header(path, raw_header(path, &bytes)?, kind, version)?;
-    let file = SafeTensors::deserialize(&bytes).map_err(|e| format_error(path, e))?;
-    let mut tensors = Tensors::new();
-    for (name, view) in file.tensors() {
-        tensors.insert(name.clone(), tensor(path, &name, &view)?);
-    }
-    Ok((header, tensors))
+    let index = Index::open(path, kind, version)?;
+    let read = |name: &String| Ok((name.clone(), index.read(name)?));
+    let tensors = index.tensors.keys().map(read).collect::<Result<Tensors, ArtifactError>>()?;
+    Ok((index.header, tensors))
 }
 
 fn checked_header<T: DeserializeOwned>(
@@ -182,8 +205,7 @@ fn checked_header<T: DeserializeOwned>(
 /// # Errors
 /// The file is missing or no artifact.
 pub fn inspect(path: &Path) -> Result<serde_json::Value, ArtifactError> {
-    let bytes = std::fs::read(path).map_err(|e| io_error(path, e))?;
-    raw_header(path, &bytes)
+    ommatidia_header(path, &metadata(path)?.0)
 }
 
 /// Names and shapes of the tensors of an artifact, by name.
@@ -191,14 +213,28 @@ pub fn inspect(path: &Path) -> Result<serde_json::Value, ArtifactError> {
 /// # Errors
 /// The file is missing or no artifact.
 pub fn shapes(path: &Path) -> Result<BTreeMap<String, Vec<usize>>, ArtifactError> {
-    let bytes = std::fs::read(path).map_err(|e| io_error(path, e))?;
-    let (_, meta) = SafeTensors::read_metadata(&bytes).map_err(|e| format_error(path, e))?;
-    Ok(meta.tensors().into_iter().map(|(name, info)| (name, info.shape.clone())).collect())
+    Ok(metadata(path)?.0.tensors().into_iter().map(|(name, info)| (name, info.shape.clone())).collect())
 }
 
-fn raw_header(path: &Path, bytes: &[u8]) -> Result<serde_json::Value, ArtifactError> {
-    let (_, meta) = SafeTensors::read_metadata(bytes).map_err(|e| format_error(path, e))?;
-    ommatidia_header(path, &meta)
+/// What a file says of its tensors, and where their bytes begin; the file is as long as it says.
+fn metadata(path: &Path) -> Result<(Metadata, u64), ArtifactError> {
+    let mut file = std::fs::File::open(path).map_err(|e| io_error(path, e))?;
+    let size = file.metadata().map_err(|e| io_error(path, e))?.len();
+    let mut start = [0u8; 8];
+    file.read_exact(&mut start).map_err(|e| format_error(path, e))?;
+    let length = u64::from_le_bytes(start);
+    if length > size {
+        return Err(format_error(path, "its header is longer than the file"));
+    }
+    let mut bytes = Vec::new();
+    file.take(length).read_to_end(&mut bytes).map_err(|e| io_error(path, e))?;
+    let meta: Metadata = serde_json::from_slice(&bytes).map_err(|e| format_error(path, e))?;
+    let data = 8 + length;
+    let expected = data.saturating_add(meta.data_len() as u64);
+    if size != expected {
+        return Err(format_error(path, format!("expected {expected} bytes, found {size}")));
+    }
+    Ok((meta, data))
 }
 
 fn ommatidia_header(path: &Path, meta: &Metadata) -> Result<serde_json::Value, ArtifactError> {
@@ -208,20 +244,6 @@ fn ommatidia_header(path: &Path, meta: &Metadata) -> Result<serde_json::Value, A
         .and_then(|m| m.get(HEADER_KEY))
         .ok_or_else(|| format_error(path, "no Ommatidia header in its metadata"))?;
     serde_json::from_str(json).map_err(|e| format_error(path, e))
-}
-
-fn tensor(path: &Path, name: &str, view: &TensorView<'_>) -> Result<ArrayD<f32>, ArtifactError> {
-    let wrong = |expected: &str, found: String| ArtifactError::Tensor {
-        path: path.into(),
-        name: name.into(),
-        expected: expected.into(),
-        found,
-    };
-    if view.dtype() != Dtype::F32 {
-        return Err(wrong("float32", format!("{:?}", view.dtype())));
-    }
-    let values = finite_values(path, name, view.data())?;
-    ArrayD::from_shape_vec(IxDyn(view.shape()), values).map_err(|e| format_error(path, e))
 }
 
 fn finite_values(path: &Path, name: &str, bytes: &[u8]) -> Result<Vec<f32>, ArtifactError> {
@@ -272,23 +294,8 @@ impl<T: DeserializeOwned> Index<T> {
     /// # Errors
     /// As [`read`], except for the values, which are checked when they are read.
     pub fn open(path: &Path, kind: &str, version: u32) -> Result<Self, ArtifactError> {
-        let mut file = std::fs::File::open(path).map_err(|e| io_error(path, e))?;
-        let size = file.metadata().map_err(|e| io_error(path, e))?.len();
-        let mut start = [0u8; 8];
-        file.read_exact(&mut start).map_err(|e| format_error(path, e))?;
-        let length = u64::from_le_bytes(start);
-        if length > size {
-            return Err(format_error(path, "its header is longer than the file"));
-        }
-        let mut bytes = Vec::new();
-        file.take(length).read_to_end(&mut bytes).map_err(|e| io_error(path, e))?;
-        let meta: Metadata = serde_json::from_slice(&bytes).map_err(|e| format_error(path, e))?;
+        let (meta, data) = metadata(path)?;
         let header = checked_header(path, ommatidia_header(path, &meta)?, kind, version)?;
-        let data = 8 + length;
-        let expected = data.saturating_add(meta.data_len() as u64);
-        if size != expected {
-            return Err(format_error(path, format!("expected {expected} bytes, found {size}")));
-        }
         let mut tensors = BTreeMap::new();
         for (name, info) in meta.tensors() {
             let bytes = info.shape.iter().try_fold(4usize, |n, s| n.checked_mul(*s));
@@ -316,6 +323,14 @@ impl<T> Index<T> {
         self.tensors.get(name).map(|t| t.0.as_slice()).ok_or_else(|| self.wrong(name, "a tensor", "none".into()))
     }
 
+    /// A whole tensor.
+    ///
+    /// # Errors
+    /// There is no such tensor, it cannot be read, or it holds values that are no numbers.
+    pub fn read(&self, name: &str) -> Result<ArrayD<f32>, ArtifactError> {
+        self.read_from(name, self.shape(name)?, 0)
+    }
+
     /// Entry `i` along the first axis of a tensor.
     ///
     /// # Errors
@@ -328,14 +343,19 @@ impl<T> Index<T> {
         if i >= len {
             return Err(self.wrong(name, "an entry that is there", format!("{i} of {len}")));
         }
-        let bytes = 4 * entry.iter().product::<usize>();
-        let start = self.tensors[name].1 + (i * bytes) as u64;
-        let mut buffer = vec![0u8; bytes];
+        self.read_from(name, entry, 4 * (i * entry.iter().product::<usize>()) as u64)
+    }
+
+    /// The part of a tensor of this shape that begins `skip` bytes behind its own begin.
+    fn read_from(&self, name: &str, shape: &[usize], skip: u64) -> Result<ArrayD<f32>, ArtifactError> {
+        let mut buffer = vec![0u8; 4 * shape.iter().product::<usize>()];
         std::fs::File::open(&self.path)
-            .and_then(|mut f| f.seek(SeekFrom::Start(start)).and_then(|_| f.read_exact(&mut buffer)))
+            .and_then(|mut f| {
+                f.seek(SeekFrom::Start(self.tensors[name].1 + skip)).and_then(|_| f.read_exact(&mut buffer))
+            })
             .map_err(|e| io_error(&self.path, e))?;
         let values = finite_values(&self.path, name, &buffer)?;
-        ArrayD::from_shape_vec(IxDyn(entry), values).map_err(|e| format_error(&self.path, e))
+        ArrayD::from_shape_vec(IxDyn(shape), values).map_err(|e| format_error(&self.path, e))
     }
 
     fn wrong(&self, name: &str, expected: &str, found: String) -> ArtifactError {
@@ -348,8 +368,16 @@ impl<T> Index<T> {
 /// # Errors
 /// The folder is missing or not writable, or the disk is full; nothing is left behind.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), ArtifactError> {
+    write_parts(path, |file| file.write_all(bytes))
+}
+
+/// [`write_whole`] of what comes piece by piece.
+fn write_parts(
+    path: &Path,
+    parts: impl FnOnce(&mut std::fs::File) -> std::io::Result<()>,
+) -> Result<(), ArtifactError> {
     let mut file = temporary_beside(path).map_err(|e| io_error(path, e))?;
-    file.write_all(bytes).and_then(|()| file.as_file().sync_all()).map_err(|e| io_error(path, e))?;
+    parts(file.as_file_mut()).and_then(|()| file.as_file().sync_all()).map_err(|e| io_error(path, e))?;
     file.persist(path).map_err(|e| io_error(path, e.error))?;
     Ok(())
 }

@@ -47,8 +47,7 @@ pub struct Export {
 /// The file is no such state dictionary, or the checkpoint cannot be written.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let named = || args.weights.display().to_string();
-    let bytes = std::fs::read(&args.weights).with_context(named)?;
-    let checkpoint = pth::import(&bytes, around(args)?).with_context(named)?;
+    let checkpoint = pth::import(&args.weights, around(args)?).with_context(named)?;
     let config = serde_json::json!({ "network": checkpoint.body.network });
     let mut provenance = Provenance::new("import-pth", run.seed, &config).with_input(&args.weights)?;
     if let Some(path) = &args.instrument {

@@ -61,13 +61,14 @@ pub struct Args {
     /// Instrument whose fixed pattern the network shall correct, and whose lenses a peer starts from, with a data set
     #[arg(long, value_name = "FILE")]
     instrument: Option<PathBuf>,
-    /// Start from the best weights of a checkpoint, with a third of the learning rates
+    /// Start from the best weights of a checkpoint, with a third of the preset's learning rates
     #[arg(long, value_name = "CHECKPOINT", conflicts_with_all = ["start", "minutes"])]
     from: Option<PathBuf>,
-    /// Hold the filters to the taps of a device's transforms of this side, pixels, while fine-tuning: `quantize --tile` then costs next to nothing
-    #[arg(long, value_name = "T", requires = "from")]
+    /// Hold the filters to the taps of a device's transforms of this side, pixels: `quantize --tile` then costs next to nothing. The taps are those with
+    /// the most energy in the filters that the run starts from, or in the pseudo-inverses of the instrument's PSFs
+    #[arg(long, value_name = "T")]
     tile: Option<usize>,
-    /// Part of the filters' energy that the taps must keep at the start
+    /// Part of that energy that the taps must keep
     #[arg(long, value_name = "PART", requires = "tile", default_value_t = 0.9)]
     energy: f64,
     /// Take up the run that wrote the checkpoint; it ends in the same bits as if it had never stopped
@@ -153,25 +154,35 @@ fn train(
     let pairs = task.source.len();
     let mut trainer = if args.resume {
         Trainer::resume_with_lenses(task, training, lenses, &args.output)?
-    } else if let Some(from) = &args.from {
-        provenance = provenance.with_input(from)?;
-        let support = args
-            .tile
-            .map(|tile| quantize::support(&Checkpoint::read(from)?, tile, args.energy).map_err(anyhow::Error::from));
-        let support = support.transpose()?.map(|(support, kept)| {
-            tracing::info!("{} taps keep {kept:.4} of the filters' energy", support.taps.len());
-            support
-        });
-        Trainer::fine_tune_within(task, training, (lenses, support), from)?
     } else {
-        Trainer::with_lenses(task, training, lenses)?
+        let fresh = match &args.from {
+            Some(from) => {
+                provenance = provenance.with_input(from)?;
+                Trainer::fine_tune(task.clone(), training.clone(), lenses, from)?
+            }
+            None => Trainer::with_lenses(task.clone(), training.clone(), lenses)?,
+        };
+        match args.tile {
+            None => fresh,
+            Some(tile) => {
+                let taps = |told: &Trainer<'_>| quantize::support(told.checkpoint(), tile, args.energy);
+                let (support, kept) = match &args.from {
+                    Some(_) => taps(&fresh)?,
+                    None => taps(&Trainer::with_lenses(task, TrainConfig { start: Start::Psf, ..training }, lenses)?)?,
+                };
+                tracing::info!("{} taps keep {kept:.4} of the filters' energy", support.taps.len());
+                fresh.within(support)
+            }
+        }
     };
     let begin = trainer.checkpoint().body.step;
     let bar = run.progress(steps, "train");
     bar.set_position(begin);
     let start = Instant::now();
+    let mut taken = Vec::new();
     trainer.run(&args.output, &provenance, |progress| {
         bar.set_position(progress.step);
+        taken.push(progress.seconds);
         if let Some(p) = progress.point {
             tracing::info!(
                 "step {}: loss {:.4}, held out {:.4}, {:.2} dB, SSIM {:.3}",
@@ -186,7 +197,7 @@ fn train(
     })?;
     bar.finish_and_clear();
     let seconds = start.elapsed().as_secs_f64();
-    report(&args.output, &trainer.checkpoint().body, pairs, begin, seconds)
+    report(&args.output, &trainer.checkpoint().body, pairs, begin, (seconds, median(taken)))
 }
 
 /// The preset's settings and what the command line changes in them.
@@ -202,13 +213,13 @@ fn settings(args: &Args, run: &Run, task: &Task<'_>, peak_e: [f64; 2]) -> anyhow
         training = training.with_steps(steps);
     }
     training.batch = args.batch.unwrap_or(training.batch);
-    training.learning_rate = args.learning_rate.unwrap_or(training.learning_rate);
-    training.filter_learning_rate = args.filter_learning_rate.unwrap_or(training.filter_learning_rate);
     if args.from.is_some() {
         training.learning_rate *= GENTLE;
         training.filter_learning_rate *= GENTLE;
         training.start = Start::Random;
     }
+    training.learning_rate = args.learning_rate.unwrap_or(training.learning_rate);
+    training.filter_learning_rate = args.filter_learning_rate.unwrap_or(training.filter_learning_rate);
     training.start = args.start.unwrap_or(training.start);
     training.patience = args.patience.unwrap_or(training.patience);
     Ok(training)
@@ -227,7 +238,13 @@ fn fit(training: TrainConfig, task: &Task<'_>, lenses: Option<&Lenses>, minutes:
     Ok(training.with_steps(steps.max(1)))
 }
 
-fn report(path: &Path, body: &Body, pairs: usize, begin: u64, seconds: f64) -> anyhow::Result<Outcome> {
+/// The median; 0 of nothing.
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
+}
+
+fn report(path: &Path, body: &Body, pairs: usize, begin: u64, (seconds, step): (f64, f64)) -> anyhow::Result<Outcome> {
     let best =
         body.curve.iter().find(|p| p.step == body.best_step).context("the run ended before its first validation")?;
     let parameters: usize =
@@ -235,14 +252,15 @@ fn report(path: &Path, body: &Body, pairs: usize, begin: u64, seconds: f64) -> a
     let rate = if seconds > 0.0 { (body.step - begin) as f64 / seconds } else { 0.0 };
     let json = serde_json::json!({
         "checkpoint": path, "network": body.network, "parameters": parameters, "pairs": pairs, "steps": body.step, "seconds": seconds,
-        "steps_per_second": rate, "best_step": body.best_step, "psnr_db": best.psnr_db, "ssim": best.ssim,
+        "steps_per_second": rate, "step_seconds": step, "best_step": body.best_step, "psnr_db": best.psnr_db, "ssim": best.ssim,
         "validation_loss": best.validation_loss, "curve": body.curve,
     });
     let text = format!(
-        "{}\n  {} parameters, {} steps in {seconds:.1} s ({rate:.1} a second)\n  best on held-out pairs at step {}: {:.2} dB, SSIM {:.3}\n",
+        "{}\n  {} parameters, {} steps in {seconds:.1} s ({rate:.1} a second; {:.1} ms a step alone)\n  best on held-out pairs at step {}: {:.2} dB, SSIM {:.3}\n",
         path.display(),
         parameters,
         body.step,
+        1e3 * step,
         body.best_step,
         best.psnr_db,
         best.ssim,

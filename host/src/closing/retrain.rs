@@ -58,7 +58,7 @@ pub fn retrain(
     training.filter_learning_rate *= GENTLE;
     let task = Task { source: &source, network: before.body.network.clone(), noise: plan.noise, maps };
     let provenance = Provenance::new("close --retrain", seed, &training).with_input(checkpoint)?.with_input(file)?;
-    let mut trainer = Trainer::fine_tune(task, training, checkpoint)?;
+    let mut trainer = Trainer::fine_tune(task, training, None, checkpoint)?;
     trainer.run(output, &provenance, |progress| {
         step(progress.step);
         Next::Continue

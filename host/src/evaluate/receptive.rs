@@ -326,6 +326,7 @@ mod tests {
             step: 0,
             norms: MeanNorms::default(),
             support: None,
+            slowed: 0,
         };
         let maps = SensorMaps::default();
         let adam = Default::default();

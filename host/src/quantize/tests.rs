@@ -57,6 +57,7 @@ fn checkpoint() -> Checkpoint {
         step: 0,
         norms: MeanNorms::default(),
         support: None,
+        slowed: 0,
     };
     let pattern =
         |a: f32, b: f32| Array2::from_shape_fn((FRAME[0], FRAME[1]), |(r, c)| a + b * ((r * 7 + c * 3) % 16) as f32);

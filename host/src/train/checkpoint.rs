@@ -7,8 +7,9 @@ use crate::evaluate::Case;
 use crate::forward::ForwardError;
 use crate::instrument::Instrument;
 use crate::noise::NoiseModel;
-use ndarray::{Array2, Array3, ArrayView2, Axis, Ix3};
+use ndarray::{Array2, Array3, ArrayView2, ArrayViewD, Axis, Ix3};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Kind of the artifact.
@@ -61,6 +62,13 @@ pub struct Body {
     /// The lags that the filters are held to; None: all.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub support: Option<Support>,
+    /// Times that the loss was no number and the run went back to its last checkpoint, each time with half the learning rates.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub slowed: u32,
+}
+
+fn is_zero(n: &u32) -> bool {
+    *n == 0
 }
 
 /// Corrections of the sensor that come before the network.
@@ -116,23 +124,25 @@ impl Checkpoint {
     /// # Errors
     /// The file cannot be written.
     pub fn write(&self, path: &Path, provenance: Provenance) -> Result<(), ArtifactError> {
-        let mut tensors = self.weights.clone();
+        let mut tensors: BTreeMap<String, ArrayViewD<'_, f32>> =
+            self.weights.iter().map(|(name, t)| (name.clone(), t.view())).collect();
         // Weights that no step has touched need no optimiser beside them: at the paper's size it is three times their bytes.
         let state = [(CURRENT, &self.current), (FIRST, &self.adam.first), (SECOND, &self.adam.second)];
         for (prefix, of) in state.into_iter().filter(|_| self.body.step > 0) {
-            tensors.extend(of.iter().map(|(name, t)| (format!("{prefix}{name}"), t.clone())));
+            tensors.extend(of.iter().map(|(name, t)| (format!("{prefix}{name}"), t.view())));
         }
         for (name, map) in [(OFFSET, &self.maps.offset_dn), (GAIN, &self.maps.inverse_gain)] {
             if let Some(map) = map {
-                tensors.insert(name.into(), map.clone().into_dyn());
+                tensors.insert(name.into(), map.view().into_dyn());
             }
         }
         let stack = |image: &dyn Fn(&Case) -> ArrayView2<'_, f32>| {
             ndarray::stack(Axis(0), &self.cases.iter().map(image).collect::<Vec<_>>()).map(Array3::into_dyn)
         };
-        if let (Ok(frames), Ok(objects)) = (stack(&|c| c.frame_dn.view()), stack(&|c| c.truth.view())) {
-            tensors.insert(FRAMES.into(), frames);
-            tensors.insert(OBJECTS.into(), objects);
+        let stacks = (stack(&|c| c.frame_dn.view()), stack(&|c| c.truth.view()));
+        if let (Ok(frames), Ok(objects)) = &stacks {
+            tensors.insert(FRAMES.into(), frames.view());
+            tensors.insert(OBJECTS.into(), objects.view());
         }
         let header = Header { kind: KIND.into(), version: VERSION, provenance, body: self.body.clone() };
         artifact::write(path, &header, &tensors)

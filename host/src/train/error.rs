@@ -46,7 +46,9 @@ pub enum TrainError {
         found: usize,
     },
     /// The loss is no number any more.
-    #[error("step {step}: the loss is {loss}; the last checkpoint stands; resume it with a lower learning rate")]
+    #[error(
+        "step {step}: the loss is {loss}; train anew with a lower --learning-rate and --filter-learning-rate (the last checkpoint, if there is one, stands)"
+    )]
     Diverged {
         /// The step.
         step: u64,

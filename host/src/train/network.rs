@@ -65,7 +65,7 @@ impl Network {
                     found,
                 });
             };
-            let values: Vec<f32> = tensor.iter().copied().collect();
+            let values = tensor.as_slice().map_or_else(|| tensor.iter().copied().collect(), <[f32]>::to_vec);
             let n = values.len();
             let leaf = Tensor::<1>::from_data(TensorData::new(values, [n]), &device);
             parameters.insert(name, if mode == Mode::Train { leaf.require_grad() } else { leaf });

@@ -15,15 +15,20 @@ use burn::tensor::activation::sigmoid;
 use burn::tensor::{Device, Tensor, TensorData};
 use ndarray::ArrayView2;
 use rand::seq::SliceRandom;
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Instant;
 
 /// Fewest pairs that can be divided into training and validation.
 const FEWEST: usize = 4;
 
 /// Most held-out frames that a checkpoint keeps, and most pixels of them together.
-const CASES: usize = 8;
+const CASES: usize = 16;
 const CASE_PIXELS: usize = 1 << 22;
+
+/// Times that a run goes back to its last checkpoint with half the learning rates before it gives up.
+const MOST_SLOWED: u32 = 6;
 
 /// What training needs besides its settings.
 #[derive(Clone, Debug)]
@@ -45,6 +50,8 @@ pub struct Progress {
     pub step: u64,
     /// Loss of this step.
     pub loss: f64,
+    /// What the step took, seconds; looking at the held-out pairs and writing not counted.
+    pub seconds: f64,
     /// The validation after it, if there was one.
     pub point: Option<CurvePoint>,
 }
@@ -66,6 +73,10 @@ pub struct Trainer<'a> {
     train: Vec<usize>,
     held_out: Vec<usize>,
     state: Checkpoint,
+    /// Whether its checkpoint lies on disk.
+    kept: bool,
+    /// The examples of a step, drawn while the one before it was taken.
+    next: Option<(u64, Vec<Example>)>,
     /// Loss since the last validation: sum and count.
     recent: (f64, u64),
 }
@@ -97,6 +108,7 @@ impl<'a> Trainer<'a> {
             step: 0,
             norms: Default::default(),
             support: None,
+            slowed: 0,
         };
         let adam = Adam::new(&current);
         let state =
@@ -119,22 +131,14 @@ impl<'a> Trainer<'a> {
         Ok(run)
     }
 
-    /// A run that starts from the best weights of another: for an instrument that was closed.
+    /// A run that starts from the best weights of another, and within its taps: for an instrument that was closed, or for a device.
     ///
     /// # Errors
-    /// As [`Trainer::new`]; or the checkpoint at `path` holds another network.
-    pub fn fine_tune(task: Task<'a>, training: TrainConfig, path: &Path) -> Result<Self, TrainError> {
-        Self::fine_tune_within(task, training, (None, None), path)
-    }
-
-    /// [`Trainer::fine_tune`] of a network that knows the calibrated lenses, with the filters held to a device's taps.
-    ///
-    /// # Errors
-    /// As [`Trainer::fine_tune`].
-    pub fn fine_tune_within(
+    /// As [`Trainer::with_lenses`]; or the checkpoint at `path` holds another network.
+    pub fn fine_tune(
         task: Task<'a>,
         training: TrainConfig,
-        (lenses, support): (Option<&'a Lenses>, Option<Support>),
+        lenses: Option<&'a Lenses>,
         path: &Path,
     ) -> Result<Self, TrainError> {
         let from = Checkpoint::read(path)?;
@@ -148,12 +152,21 @@ impl<'a> Trainer<'a> {
         }
         // The start is given: nothing is to be fitted first.
         let mut run = Self::with_lenses(task, TrainConfig { start: Start::Random, ..training }, lenses)?;
-        run.state.body.support = support.or(from.body.support);
         run.state.adam = Adam::new(&from.weights);
         (run.state.weights, run.state.current) = (from.weights.clone(), from.weights);
-        run.hold();
-        run.state.weights = run.state.current.clone();
-        Ok(run)
+        Ok(match from.body.support {
+            Some(support) => run.within(support),
+            None => run,
+        })
+    }
+
+    /// The same with the filters held to a device's taps from now on.
+    #[must_use]
+    pub fn within(mut self, support: Support) -> Self {
+        self.state.body.support = Some(support);
+        self.hold();
+        self.state.weights = self.state.current.clone();
+        self
     }
 
     /// Takes up the run that wrote the checkpoint at `path`; the rest of it gives the same bits as if it had never stopped.
@@ -190,7 +203,8 @@ impl<'a> Trainer<'a> {
             return differ("training", format!("{training:?}"), format!("{:?}", body.training));
         }
         (state.body.training, state.body.noise) = (training, task.noise);
-        Self::with_state(task, state, lenses)
+        let run = Self::with_state(task, state, lenses)?;
+        Ok(Self { kept: true, ..run })
     }
 
     fn with_state(task: Task<'a>, state: Checkpoint, lenses: Option<&'a Lenses>) -> Result<Self, TrainError> {
@@ -221,7 +235,7 @@ impl<'a> Trainer<'a> {
         let kept = ((count as f64 * training.held_out).round() as usize).clamp(1, count - 1);
         let mut held_out = pairs.split_off(count - kept);
         held_out.truncate(training.validation_pairs.max(1));
-        Ok(Self { task, lenses, plan, train: pairs, held_out, state, recent: (0.0, 0) })
+        Ok(Self { task, lenses, plan, train: pairs, held_out, state, kept: false, next: None, recent: (0.0, 0) })
     }
 
     fn loader(&self) -> Loader<'_> {
@@ -251,10 +265,11 @@ impl<'a> Trainer<'a> {
         body.step >= body.training.steps || (body.training.patience > 0 && since >= body.training.patience)
     }
 
-    /// Runs to the end, until it has stopped getting better, or until `watch` says stop; writes a checkpoint at `path` at each validation.
+    /// Runs to the end, until it has stopped getting better, or until `watch` says stop; writes a checkpoint at `path` at each validation, and goes
+    /// back to it, with half the learning rates, where the loss is no number any more.
     ///
     /// # Errors
-    /// A pair cannot be had, the loss is no number any more, or the checkpoint cannot be written.
+    /// A pair cannot be had, the loss is no number whatever the learning rates, or the checkpoint cannot be written.
     pub fn run(
         &mut self,
         path: &Path,
@@ -262,16 +277,39 @@ impl<'a> Trainer<'a> {
         mut watch: impl FnMut(Progress) -> Next,
     ) -> Result<(), TrainError> {
         while !self.is_done() {
-            let loss = self.step()?;
+            let begin = Instant::now();
+            let loss = match self.step() {
+                Err(TrainError::Diverged { step, .. }) if self.kept && self.state.body.slowed < MOST_SLOWED => {
+                    self.go_back(path)?;
+                    let to = self.state.body.step;
+                    tracing::warn!(
+                        "step {step}: the loss is no number; on from step {to} with half the learning rates"
+                    );
+                    continue;
+                }
+                loss => loss?,
+            };
+            let seconds = begin.elapsed().as_secs_f64();
             let (step, TrainConfig { steps, validate_every, .. }) = (self.state.body.step, &self.state.body.training);
             let point = if step % validate_every == 0 || step == *steps { Some(self.validate()?) } else { None };
             if point.is_some() {
                 self.state.write(path, provenance.clone())?;
+                self.kept = true;
             }
-            if watch(Progress { step, loss, point }) == Next::Stop {
+            if watch(Progress { step, loss, seconds, point }) == Next::Stop {
                 break;
             }
         }
+        Ok(())
+    }
+
+    /// To the last checkpoint, with half the learning rates that led away from it. A run that was killed meanwhile finds the same way.
+    fn go_back(&mut self, path: &Path) -> Result<(), TrainError> {
+        let body = &self.state.body;
+        let (slowed, training) = (body.slowed + 1, body.training.clone());
+        self.state = Checkpoint::read(path)?;
+        (self.state.body.slowed, self.state.body.training) = (slowed, training);
+        self.recent = (0.0, 0);
         Ok(())
     }
 
@@ -282,16 +320,22 @@ impl<'a> Trainer<'a> {
     pub fn step(&mut self) -> Result<f64, TrainError> {
         let step = self.state.body.step;
         let training = self.state.body.training.clone();
-        let examples = self.loader().examples(&self.batch(step), "train", step)?;
-        let network = Network::new(&self.task.network, &self.plan, &self.state.current, Mode::Train)?;
-        let (frames, targets) = split(examples);
-        let loss = self.loss(network.say(frames), targets, Mode::Train);
-        let value: f32 = loss.clone().inner().into_scalar();
-        let mut gradients = network.gradients(loss.backward());
+        let examples = match self.next.take() {
+            Some((at, examples)) if at == step => examples,
+            _ => self.draw(step)?,
+        };
+        // Drawing noise is work for one core, a step of a small network not for all.
+        let (descent, next) = rayon::join(
+            || self.descent(examples),
+            || if step + 1 < training.steps { self.draw(step + 1).ok() } else { None },
+        );
+        let (value, mut gradients) = descent?;
+        // What failed is drawn again, and fails, when its turn has come.
+        self.next = next.map(|examples| (step + 1, examples));
         if !value.is_finite() || gradients.values().flatten().any(|g| !g.is_finite()) {
             return Err(TrainError::Diverged { step, loss: value });
         }
-        let rate = training.rate(step);
+        let rate = training.rate(step) * 0.5f64.powi(self.state.body.slowed as i32);
         let state = &mut self.state;
         state.adam.clip(&mut gradients, training.clip);
         state.adam.step(&mut state.current, &gradients, |group| match group {
@@ -303,6 +347,20 @@ impl<'a> Trainer<'a> {
         self.hold();
         self.recent = (self.recent.0 + f64::from(value), self.recent.1 + 1);
         Ok(f64::from(value))
+    }
+
+    /// The examples of a step.
+    fn draw(&self, step: u64) -> Result<Vec<Example>, TrainError> {
+        self.loader().examples(&self.batch(step), "train", step)
+    }
+
+    /// The loss of examples, and its gradients.
+    fn descent(&self, examples: Vec<Example>) -> Result<(f32, BTreeMap<String, Vec<f32>>), TrainError> {
+        let network = Network::new(&self.task.network, &self.plan, &self.state.current, Mode::Train)?;
+        let (frames, targets) = split(examples);
+        let loss = self.loss(network.say(frames), targets, Mode::Train);
+        let value: f32 = loss.clone().inner().into_scalar();
+        Ok((value, network.gradients(loss.backward())))
     }
 
     /// Holds the filters to the taps that they may have.

@@ -3,23 +3,19 @@
 //! The published network crops one pixel later than ours (from h/2 + 1 - side/2), so its filters are multiplied by the phase of that shift on the way
 //! in, and by its inverse on the way out; all else is the same parameter under the same name.
 
-mod pickle;
 #[cfg(test)]
 mod tests;
-mod zip;
 
 use super::adam::Adam;
 use super::weights::{self, FILTERS};
 use super::{Body, Checkpoint, Family, MeanNorms, NetworkConfig, Preset, SensorMaps, TrainError};
-use crate::artifact::{ArtifactError, Tensors, write_whole};
+use crate::artifact::{ArtifactError, Tensors, write_tensors};
 use crate::noise::NoiseModel;
-use half::f16;
+use half::{bf16, f16};
 use ndarray::{ArrayD, IxDyn};
-use pickle::{Tensor, Value};
+use pytorch_reader::{DType, PytorchError, PytorchReader, Tensor};
 use rustfft::num_complex::Complex32;
-use safetensors::tensor::{Dtype, TensorView};
-use std::collections::{BTreeMap, HashMap};
-use std::ops::Range;
+use std::collections::HashMap;
 use std::path::Path;
 use thiserror::Error;
 
@@ -32,15 +28,9 @@ const UNUSED: [&str; 3] = ["deconvolution.conv.weight", "deconvolution.conv.bias
 /// Why weights cannot be imported.
 #[derive(Debug, Error)]
 pub enum PthError {
-    /// The archive.
-    #[error("expected a PyTorch file (a zip archive), found {0}")]
-    Zip(&'static str),
-    /// The pickle.
-    #[error("expected a state dictionary, found a pickle with {0}")]
-    Pickle(&'static str),
-    /// An instruction of the pickle.
-    #[error("expected a state dictionary, found a pickle with the instruction {0:#04x}, which none needs")]
-    Opcode(u8),
+    /// The file is not PyTorch's.
+    #[error("expected a state dictionary as `torch.save` writes it: {0}")]
+    File(#[from] PytorchError),
     /// A parameter.
     #[error("parameter `{name}`: expected {expected}, found {found}")]
     Parameter {
@@ -75,26 +65,19 @@ pub struct Surroundings {
     pub maps: SensorMaps,
 }
 
-/// The checkpoint of a state dictionary; `{"model": state dictionary, ...}` is understood, too.
+/// The checkpoint of a state dictionary, which may lie deeper in the file: `{"model": state dictionary, ...}`, or of parallel training (`module.`).
 ///
 /// # Errors
-/// The bytes are no PyTorch file, a parameter is missing or has a shape that fits no network, or sizes are not told.
-pub fn import(bytes: &[u8], around: Surroundings) -> Result<Checkpoint, PthError> {
-    let files = zip::entries(bytes)?;
-    let (folder, at) = files
-        .iter()
-        .find_map(|(name, at)| Some((name.strip_suffix("data.pkl")?, at)))
-        .ok_or(PthError::Zip("no data.pkl in it"))?;
-    let root = pickle::read(&bytes[at.clone()])?;
-    let nested = root.pairs().find(|(name, _)| *name == "model").map(|(_, state)| state);
+/// It is no PyTorch file, a parameter is missing or has a shape that fits no network, or sizes are not told.
+pub fn import(path: &Path, around: Surroundings) -> Result<Checkpoint, PthError> {
+    let found = PytorchReader::new(path)?.into_tensors();
+    let prefix = found.keys().find_map(|name| name.strip_suffix(FILTERS[0])).unwrap_or_default();
     let mut tensors = Tensors::new();
-    for (name, value) in nested.unwrap_or(&root).pairs() {
-        // Parallel training puts a word in front.
-        let name = name.strip_prefix("module.").unwrap_or(name);
-        if let Value::Tensor(tensor) = value
+    for (name, tensor) in &found {
+        if let Some(name) = name.strip_prefix(prefix)
             && !UNUSED.contains(&name)
         {
-            tensors.insert(name.into(), values(bytes, &files, folder, name, tensor)?);
+            tensors.insert(name.into(), values(tensor)?);
         }
     }
     let network = shape(&tensors, &around)?;
@@ -118,6 +101,7 @@ pub fn import(bytes: &[u8], around: Surroundings) -> Result<Checkpoint, PthError
         step: 0,
         norms: MeanNorms::default(),
         support: None,
+        slowed: 0,
     };
     let adam = Adam::new(&tensors);
     Ok(Checkpoint { body, weights: tensors.clone(), maps: around.maps, cases: Vec::new(), current: tensors, adam })
@@ -139,64 +123,34 @@ pub fn export(checkpoint: &Checkpoint, path: &Path) -> Result<usize, PthError> {
     tensors.insert(UNUSED[0].into(), ArrayD::zeros(IxDyn(&[c, c, 3, 3])));
     tensors.insert(UNUSED[1].into(), ArrayD::zeros(IxDyn(&[c])));
     tensors.insert(UNUSED[2].into(), ArrayD::from_elem(IxDyn(&[1]), 0.25));
-    let format = |e: safetensors::SafeTensorError| ArtifactError::Format { path: path.into(), detail: e.to_string() };
-    let bytes: Vec<(&String, &[usize], Vec<u8>)> =
-        tensors.iter().map(|(name, t)| (name, t.shape(), t.iter().flat_map(|v| v.to_le_bytes()).collect())).collect();
-    let views = bytes
-        .iter()
-        .map(|(name, shape, data)| Ok((name.as_str(), TensorView::new(Dtype::F32, shape.to_vec(), data)?)))
-        .collect::<Result<Vec<_>, _>>()
-        .map_err(format)?;
     let meta = HashMap::from([("format".to_string(), "pt".to_string())]);
-    write_whole(path, &safetensors::serialize(views, Some(meta)).map_err(format)?)?;
+    write_tensors(path, meta, &tensors)?;
     Ok(tensors.len())
 }
 
-/// The values of a tensor in C order.
-fn values(
-    bytes: &[u8],
-    files: &BTreeMap<String, Range<usize>>,
-    folder: &str,
-    name: &str,
-    t: &Tensor,
-) -> Result<ArrayD<f32>, PthError> {
-    let wrong =
-        |expected: &str, found: String| PthError::Parameter { name: name.into(), expected: expected.into(), found };
-    let file =
-        files.get(&format!("{folder}data/{}", t.key)).ok_or_else(|| wrong("its values in the file", "none".into()))?;
-    let data = &bytes[file.clone()];
-    let size = match t.class.as_str() {
-        "FloatStorage" => 4,
-        "DoubleStorage" => 8,
-        "HalfStorage" => 2,
-        other => return Err(wrong("numbers of 16, 32 or 64 bits", other.into())),
+/// The values of a tensor.
+fn values(tensor: &Tensor) -> Result<ArrayD<f32>, PthError> {
+    let wrong = |expected: &str, found: String| PthError::Parameter {
+        name: tensor.name.clone(),
+        expected: expected.into(),
+        found,
     };
-    let one = |at: usize| -> Option<f32> {
-        let b = data.get(at.checked_mul(size)?..)?.get(..size)?;
-        Some(match size {
-            2 => f16::from_le_bytes([b[0], b[1]]).to_f32(),
-            4 => f32::from_le_bytes([b[0], b[1], b[2], b[3]]),
-            _ => f64::from_le_bytes([b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]]) as f32,
-        })
+    let bytes = tensor.read().map_err(|e| wrong("its values in the file", e.to_string()))?;
+    let two = |b: &[u8]| [b[0], b[1]];
+    let four = |b: &[u8]| [b[0], b[1], b[2], b[3]];
+    let eight = |b: &[u8]| [b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]];
+    // The reader gives the machine's byte order.
+    let values: Vec<f32> = match tensor.dtype() {
+        DType::F16 => bytes.chunks_exact(2).map(|b| f16::from_ne_bytes(two(b)).to_f32()).collect(),
+        DType::BF16 => bytes.chunks_exact(2).map(|b| bf16::from_ne_bytes(two(b)).to_f32()).collect(),
+        DType::F32 => bytes.chunks_exact(4).map(|b| f32::from_ne_bytes(four(b))).collect(),
+        DType::F64 => bytes.chunks_exact(8).map(|b| f64::from_ne_bytes(eight(b)) as f32).collect(),
+        other => return Err(wrong("floating-point numbers", format!("{other:?}"))),
     };
-    let count = t.shape.iter().try_fold(1usize, |n, &side| n.checked_mul(side));
-    // Views that repeat values could be larger than any memory.
-    let count = count.filter(|n| *n <= data.len() / size && t.shape.len() == t.strides.len());
-    let count = count.ok_or_else(|| wrong("as many values as its shape says", format!("{} bytes", data.len())))?;
-    let mut out = Vec::with_capacity(count);
-    for i in 0..count {
-        let (mut rest, mut at) = (i, Some(t.offset));
-        for (&side, &stride) in t.shape.iter().zip(&t.strides).rev() {
-            at = at.and_then(|at| at.checked_add((rest % side).checked_mul(stride)?));
-            rest /= side;
-        }
-        let value = at.and_then(one).ok_or_else(|| wrong("values within its file", "some beyond it".into()))?;
-        if !value.is_finite() {
-            return Err(wrong("finite values", value.to_string()));
-        }
-        out.push(value);
+    match values.iter().find(|v| !v.is_finite()) {
+        Some(v) => Err(wrong("finite values", v.to_string())),
+        None => Ok(weights::array(tensor.shape(), values)),
     }
-    Ok(weights::array(&t.shape, out))
 }
 
 /// The shape of the network, told from the shapes of its parameters.

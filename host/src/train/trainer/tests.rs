@@ -167,3 +167,23 @@ fn a_loss_that_is_no_number_stops_the_run() {
     run.state.current.values_mut().next().unwrap().fill(f32::NAN);
     assert!(matches!(run.step(), Err(TrainError::Diverged { step: 0, .. })));
 }
+
+#[test]
+fn a_run_goes_back_to_its_last_checkpoint_and_on_more_slowly() {
+    let pairs = foci(10, 40, 16, 10);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("net");
+    let provenance = Provenance::default();
+    let mut run = Trainer::new(task(&pairs), training(9, Start::Random)).unwrap();
+    run.run(&path, &provenance, |p| if p.step == 5 { Next::Stop } else { Next::Continue }).unwrap();
+    run.state.current.values_mut().next().unwrap().fill(f32::NAN);
+    let mut steps = Vec::new();
+    run.run(&path, &provenance, |p| {
+        steps.push(p.step);
+        Next::Continue
+    })
+    .unwrap();
+    assert_eq!(steps, [4, 5, 6, 7, 8, 9]);
+    let read = Checkpoint::read(&path).unwrap();
+    assert_eq!((read.body.step, read.body.slowed), (9, 1));
+}
