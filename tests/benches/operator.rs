@@ -126,7 +126,7 @@ impl WholeFrames {
             }
             self.fft.forward(&image, &mut b, &mut scratch);
             a.iter_mut().zip(&b).for_each(|(x, y)| *x *= y);
-            self.fft.inverse(&mut a, &mut image, &mut scratch);
+            self.fft.inverse(&a, &mut image, &mut scratch);
             let scale = 1.0 / (rows * cols) as f32;
             for ((r, c), v) in frame.indexed_iter_mut() {
                 *v += scale * image[(r + half) * cols + c + half];

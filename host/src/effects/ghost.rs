@@ -115,9 +115,9 @@ fn centres(evidence: &Evidence<'_>) -> Vec<[f64; 2]> {
             sum.iter_mut().zip(a.iter().zip(&b)).for_each(|(s, (a, b))| *s += a * b);
         }
     }
-    let mut inverse = |mut spectrum: Vec<_>| {
+    let mut inverse = |spectrum: Vec<_>| {
         let mut image = vec![0.0f32; size[0] * size[1]];
-        fft.inverse(&mut spectrum, &mut image, &mut work);
+        fft.inverse(&spectrum, &mut image, &mut work);
         image
     };
     let (matched, power) = (inverse(match_sum), inverse(power_sum));

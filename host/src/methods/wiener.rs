@@ -196,11 +196,11 @@ fn padded_spectrum(fft: &RealFft2, image: ArrayView2<'_, f32>) -> Vec<Complex32>
 }
 
 /// The image of a spectrum, normalised.
-fn image_of(fft: &RealFft2, mut spectrum: Vec<Complex32>) -> Array2<f32> {
+fn image_of(fft: &RealFft2, spectrum: Vec<Complex32>) -> Array2<f32> {
     let [rows, cols] = fft.shape();
     let norm = 1.0 / (rows * cols) as f32;
     let mut image = vec![0.0; rows * cols];
-    fft.inverse(&mut spectrum, &mut image, &mut fft.scratch());
+    fft.inverse(&spectrum, &mut image, &mut fft.scratch());
     Array2::from_shape_fn((rows, cols), |(r, c)| image[r * cols + c] * norm)
 }
 

@@ -241,7 +241,7 @@ mod tests {
         use rand_distr::{Distribution, StandardNormal};
         let x = windows();
         let sigma = Array1::from_shape_fn(121, |p| if p % 11 == 10 { 1.0 } else { 0.01 });
-        let mut rng = crate::rng::stream(2, "weights", 0);
+        let mut rng = rng::stream(2, "weights", 0);
         let noisy = &x
             + &Array2::from_shape_fn(x.dim(), |(_, p)| {
                 let z: f32 = StandardNormal.sample(&mut rng);

@@ -560,8 +560,9 @@ mod tests {
         let train = checkerboard(&planes, 11);
         assert!(train.iter().enumerate().all(|(i, t)| *t == (i % 2 == 0)));
         let terms = Terms::Truncated { most: 2, spline_order: 2 };
-        let models = LensModels::fit(&[windows.clone()], &[false], &select(&planes, |n| train[n]), terms).unwrap();
-        let misfit = models.misfit(&[windows], &select(&planes, |n| !train[n])).unwrap();
+        let windows = [windows];
+        let models = LensModels::fit(&windows, &[false], &select(&planes, |n| train[n]), terms).unwrap();
+        let misfit = models.misfit(&windows, &select(&planes, |n| !train[n])).unwrap();
         assert!(misfit.nrmse(2, BeadScale::Physical) < 1e-3, "{}", misfit.nrmse(2, BeadScale::Physical));
     }
 

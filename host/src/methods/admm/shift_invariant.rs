@@ -144,10 +144,10 @@ fn spectrum(fft: &RealFft2, image: &Array2<f32>) -> Vec<Complex32> {
     out
 }
 
-fn image_of(fft: &RealFft2, mut spectrum: Vec<Complex32>) -> Array2<f32> {
+fn image_of(fft: &RealFft2, spectrum: Vec<Complex32>) -> Array2<f32> {
     let [rows, cols] = fft.shape();
     let mut image = vec![0.0; rows * cols];
-    fft.inverse(&mut spectrum, &mut image, &mut fft.scratch());
+    fft.inverse(&spectrum, &mut image, &mut fft.scratch());
     let scale = 1.0 / (rows * cols) as f32;
     Array2::from_shape_fn((rows, cols), |(r, c)| image[r * cols + c] * scale)
 }
