@@ -141,7 +141,7 @@ pub fn write<T: Serialize, S: Data<Elem = f32>>(
 /// Writes tensors as safetensors, whole or not at all, one after the other: besides them no memory is needed.
 ///
 /// # Errors
-/// As [`write`].
+/// As [`write()`].
 pub fn write_tensors<S: Data<Elem = f32>>(
     path: &Path,
     metadata: HashMap<String, String>,

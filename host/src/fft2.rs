@@ -103,8 +103,8 @@ impl RealFft2 {
         self.forward_with(load, |c, column| spectrum[c * self.rows..(c + 1) * self.rows].copy_from_slice(column), s);
     }
 
-    /// The same, of an image whose rows are made as they are asked for: `load(r, row)` fills row `r` [cols] and says whether it holds
-    /// anything; `take(c, column)` gets each column [rows] of the half spectrum. Neither image nor spectrum need ever be stored.
+    /// The same, of an image whose rows are made as they are asked for: `load(r, row)` fills row `r` (`cols` values) and says whether it holds
+    /// anything; `take(c, column)` gets each column (`rows` values) of the half spectrum. Neither image nor spectrum need ever be stored.
     pub fn forward_with(
         &self,
         mut load: impl FnMut(usize, &mut [f32]) -> bool,
@@ -146,8 +146,8 @@ impl RealFft2 {
         self.inverse_with(load, |r, row| image[r * self.cols..(r + 1) * self.cols].copy_from_slice(row), self.rows, s);
     }
 
-    /// The same, of a spectrum whose columns are made as they are asked for: `load(c, column)` fills column `c` [rows]; `take(r, row)` gets
-    /// each of the first `rows` rows [cols] of the image.
+    /// The same, of a spectrum whose columns are made as they are asked for: `load(c, column)` fills column `c` (as many values as the image has rows); `take(r,
+    /// row)` gets each of the first `rows` rows of the image.
     pub fn inverse_with(
         &self,
         mut load: impl FnMut(usize, &mut [Complex32]),

@@ -3,6 +3,7 @@
 use super::measure::{CALIBRATION_ROLES, VirtualInstrument};
 use crate::session::{FrameInfo, FrameSource, Role, Session};
 use ndarray::Array2;
+use rayon::prelude::*;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -21,8 +22,15 @@ impl FrameSource for LiveStack {
         [self.infos.len(), sensor.rows, sensor.cols]
     }
 
-    fn frame(&self, i: usize) -> Array2<f32> {
-        let info = &self.infos[i];
+    fn frames_from(&self, i: usize) -> Vec<Array2<f32>> {
+        // As many at a time as there are threads for.
+        let last = (i + rayon::current_num_threads()).min(self.infos.len());
+        self.infos[i..last].par_iter().map(|info| self.frame(info)).collect()
+    }
+}
+
+impl LiveStack {
+    fn frame(&self, info: &FrameInfo) -> Array2<f32> {
         let lit = self.instrument.lit(self.role, &self.infos, info);
         self.instrument.read_out(&lit, (self.role, self.seed), info)
     }

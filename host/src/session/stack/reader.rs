@@ -3,7 +3,7 @@
 use super::{Container, SampleType, npy, tif};
 use crate::session::SessionError;
 use ndarray::Array2;
-use rayon::prelude::*;
+use std::collections::VecDeque;
 use std::fmt::Debug;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -13,8 +13,8 @@ pub trait FrameSource: Debug + Send + Sync {
     /// Frames, rows and columns.
     fn shape(&self) -> [usize; 3];
 
-    /// Frame `i`, [rows, cols], DN; the same each time.
-    fn frame(&self, i: usize) -> Array2<f32>;
+    /// Frame `i`, [rows, cols], DN, the same each time; and as many of those after it as are made along with it.
+    fn frames_from(&self, i: usize) -> Vec<Array2<f32>>;
 }
 
 /// Reads frames of a stack, one at a time, in any order; holds one frame in memory.
@@ -34,8 +34,8 @@ enum Source {
     Tif(Box<tif::TifSource>),
     Made {
         maker: Arc<dyn FrameSource>,
-        /// Frames made ahead, as many at a time as there are threads for, and the index of the first.
-        ahead: (usize, Vec<Option<Array2<f32>>>),
+        /// Frames made ahead, and the index of the first.
+        ahead: (usize, VecDeque<Array2<f32>>),
     },
 }
 
@@ -73,7 +73,7 @@ impl FrameReader {
     /// Reads frames that are made as they are asked for; `name` stands for the file in messages.
     pub(crate) fn made(name: &Path, maker: Arc<dyn FrameSource>) -> Self {
         let [len, rows, cols] = maker.shape();
-        let source = Source::Made { maker, ahead: (0, Vec::new()) };
+        let source = Source::Made { maker, ahead: (0, VecDeque::new()) };
         Self { path: name.into(), len, rows, cols, samples: SampleType::U16, source }
     }
 
@@ -116,7 +116,13 @@ impl FrameReader {
         let values = match &mut self.source {
             Source::Npy(s) => s.read(&self.path, i)?,
             Source::Tif(s) => s.read(&self.path, i)?,
-            Source::Made { maker, ahead } => take_made(maker.as_ref(), ahead, i, self.len).into_raw_vec_and_offset().0,
+            Source::Made { maker, ahead: (next, frames) } => {
+                if *next != i || frames.is_empty() {
+                    *frames = maker.frames_from(i).into();
+                }
+                *next = i + 1;
+                frames.pop_front().unwrap_or_default().into_raw_vec_and_offset().0
+            }
         };
         if let Some(at) = values.iter().position(|v| !v.is_finite()) {
             return Err(SessionError::value(
@@ -135,20 +141,4 @@ impl FrameReader {
             remedy: "write the stack again",
         })
     }
-}
-
-/// Frame `i`, made together with those that are likely to be asked for next.
-fn take_made(
-    maker: &dyn FrameSource,
-    (first, frames): &mut (usize, Vec<Option<Array2<f32>>>),
-    i: usize,
-    len: usize,
-) -> Array2<f32> {
-    if let Some(found) = i.checked_sub(*first).and_then(|at| frames.get_mut(at)).and_then(Option::take) {
-        return found;
-    }
-    let last = (i + rayon::current_num_threads()).min(len);
-    *first = i;
-    *frames = (i..last).into_par_iter().map(|n| Some(maker.frame(n))).collect();
-    frames[0].take().unwrap_or_else(|| maker.frame(i))
 }
