@@ -162,6 +162,9 @@ impl<T: Transport> Client<T> {
 
     /// Has the program end, where a program can. That it ends without an answer is no failure.
     pub fn quit(mut self) -> T {
+        if !self.line.ends() {
+            return self.line;
+        }
         let once = Patience { attempts: 2, ..self.short };
         let _ = self.ask(Request::Quit, once, done);
         self.line

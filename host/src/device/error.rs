@@ -44,6 +44,26 @@ pub enum DeviceError {
         /// What it printed.
         output: String,
     },
+    /// The serial port cannot be opened.
+    #[error("{port}: the serial port cannot be opened ({source}); {advice}")]
+    Port {
+        /// The port.
+        port: String,
+        /// What the system said.
+        source: serialport::Error,
+        /// What to do.
+        advice: &'static str,
+    },
+    /// The board behind a serial port has gone.
+    #[error(
+        "{port}: the board is gone ({source}). What was on its way is lost: an upload, or the reconstructions of `device run`; what `device stream` recorded and the network in its flash stay. Plug it in and start again"
+    )]
+    Unplugged {
+        /// The port.
+        port: String,
+        /// What the system said.
+        source: std::io::Error,
+    },
     /// The line failed.
     #[error("the line to the device failed: {0}")]
     Line(#[from] std::io::Error),

@@ -31,7 +31,7 @@ pub fn footprint(app: &Firmware) -> Result<Footprint, DeviceError> {
 }
 
 /// A network with every operator in it, all weights zero, and a frame for it: how deep the stack gets does not depend on the sizes.
-fn small_network() -> Result<(BlobFile, Vec<u16>), DeviceError> {
+pub(super) fn small_network() -> Result<(BlobFile, Vec<u16>), DeviceError> {
     let mut header = Header {
         name: Default::default(),
         checkpoint: Default::default(),

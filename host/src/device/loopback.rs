@@ -86,7 +86,7 @@ impl Drop for Loopback {
 }
 
 /// Runs the program on a line until it closes.
-fn play<L: Read + Write>(config: LoopbackConfig, mut link: L, state: Option<PathBuf>) {
+pub(super) fn play<L: Read + Write>(config: LoopbackConfig, mut link: L, state: Option<PathBuf>) {
     let mut flash = vec![0u128; config.flash_bytes.div_ceil(16)];
     let flash: &mut [u8] = &mut bytemuck::cast_slice_mut(&mut flash)[..config.flash_bytes];
     if let Some(bytes) = state.as_ref().and_then(|state| std::fs::read(state).ok()) {

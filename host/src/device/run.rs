@@ -72,7 +72,7 @@ pub fn run(
     progress: &mut dyn FnMut(f64),
 ) -> Result<DeviceRun, DeviceError> {
     let counter = match runtime {
-        Runtime::Host(_) => None,
+        Runtime::Host(_) | Runtime::Serial { .. } => None,
         Runtime::Qemu(_) => {
             Counter::build().inspect_err(|error| tracing::warn!("instructions are not counted: {error}")).ok()
         }

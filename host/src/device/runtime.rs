@@ -1,6 +1,6 @@
 //! What runs the device's program, and the choice of it.
 
-use super::{Counter, DeviceError, Firmware, Loopback, LoopbackConfig, Qemu, Transport, find_qemu};
+use super::{Counter, DeviceError, Firmware, Loopback, LoopbackConfig, Qemu, Serial, Transport, find_qemu};
 use ommatidia_shared::boards::Board;
 use std::path::Path;
 use std::time::Duration;
@@ -12,6 +12,13 @@ pub enum Runtime {
     Qemu(Firmware),
     /// This process runs the firmware's logic.
     Host(LoopbackConfig),
+    /// A board behind a serial port.
+    Serial {
+        /// The port.
+        port: String,
+        /// Bits a second.
+        baud: u32,
+    },
 }
 
 /// What the user wants it to run on.
@@ -60,6 +67,7 @@ impl Runtime {
     pub fn start(&self, counter: Option<&Counter>, state: Option<&Path>) -> Result<Running, DeviceError> {
         match self {
             Self::Qemu(firmware) => Qemu::start(firmware, counter, state).map(Running::Qemu),
+            Self::Serial { port, baud } => Serial::open(port, *baud).map(Running::Serial),
             Self::Host(config) => Loopback::start_on(*config, state.map(Path::to_path_buf)).map(Running::Host),
         }
     }
@@ -72,6 +80,8 @@ pub enum Running {
     Qemu(Qemu),
     /// This process.
     Host(Loopback),
+    /// A board.
+    Serial(Serial),
 }
 
 impl Running {
@@ -82,7 +92,7 @@ impl Running {
     pub fn wait(self) -> Result<(), DeviceError> {
         match self {
             Self::Qemu(qemu) => qemu.wait(),
-            Self::Host(_) => Ok(()),
+            Self::Host(_) | Self::Serial(_) => Ok(()),
         }
     }
 }
@@ -92,6 +102,7 @@ impl Transport for Running {
         match self {
             Self::Qemu(line) => line.send(bytes),
             Self::Host(line) => line.send(bytes),
+            Self::Serial(line) => line.send(bytes),
         }
     }
 
@@ -99,6 +110,7 @@ impl Transport for Running {
         match self {
             Self::Qemu(line) => line.receive(buffer, patience),
             Self::Host(line) => line.receive(buffer, patience),
+            Self::Serial(line) => line.receive(buffer, patience),
         }
     }
 
@@ -106,6 +118,15 @@ impl Transport for Running {
         match self {
             Self::Qemu(line) => line.answer_len(),
             Self::Host(line) => line.answer_len(),
+            Self::Serial(line) => line.answer_len(),
+        }
+    }
+
+    fn ends(&self) -> bool {
+        match self {
+            Self::Qemu(line) => line.ends(),
+            Self::Host(line) => line.ends(),
+            Self::Serial(line) => line.ends(),
         }
     }
 }

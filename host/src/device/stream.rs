@@ -86,9 +86,12 @@ pub fn stream(
     let start = Instant::now();
     let (mut reconstructed, mut failed, mut in_a_row) = (0, 0, 0);
     let (mut next, mut first_missed) = (0, 0);
+    // A board that went on since an earlier stream still holds its last run, and would give it again for the same number. A frame
+    // that is sent ends that; one of the camera does not.
+    let first_id: u32 = if matches!(feed.source, Frames::Camera) { rand::random() } else { 1 };
     while next < feed.len {
         let frame = feed.due(next, start);
-        match feed.one(&mut client, frame) {
+        match feed.one(&mut client, frame, first_id.wrapping_add(frame as u32)) {
             Ok((report, object)) => {
                 in_a_row = 0;
                 let dropped_before = (frame - first_missed) / feed.nth;
@@ -126,8 +129,12 @@ impl FrameFeed<'_> {
         newest.clamp(next, self.len - 1) / self.nth * self.nth
     }
 
-    fn one<T: Transport>(&mut self, client: &mut Client<T>, frame: usize) -> anyhow::Result<(RunReport, Vec<f16>)> {
-        let id = frame as u32 + 1;
+    fn one<T: Transport>(
+        &mut self,
+        client: &mut Client<T>,
+        frame: usize,
+        id: u32,
+    ) -> anyhow::Result<(RunReport, Vec<f16>)> {
         let report = match &mut self.source {
             Frames::Stack(read) => {
                 client.send_frame(&read(frame)?)?;

@@ -23,6 +23,11 @@ pub trait Transport {
         false
     }
 
+    /// Whether the program ends with the conversation. A board's goes on.
+    fn ends(&self) -> bool {
+        true
+    }
+
     /// The most bytes of data in one answer that the line carries without losing some.
     fn answer_len(&self) -> usize {
         CHUNK

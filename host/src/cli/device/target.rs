@@ -1,7 +1,7 @@
 //! Which device, and what runs it.
 
 use crate::cli::Run;
-use crate::device::{Runtime, Wanted};
+use crate::device::{BAUD, Runtime, Wanted};
 use clap::ValueEnum;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use ommatidia_shared::boards::{BOARDS, Board, MPS2_AN500};
@@ -23,6 +23,12 @@ pub(super) struct Target {
     /// File that is the flash of the device; made if it is missing (default: a flash that is empty, and lost at the end)
     #[arg(long, value_name = "FILE")]
     pub(super) state: Option<PathBuf>,
+    /// Serial port of a real board, e.g. /dev/ttyACM0 or COM3
+    #[arg(long, value_name = "PORT", conflicts_with_all = ["board", "firmware", "on", "state"])]
+    port: Option<String>,
+    /// Bits a second on that port
+    #[arg(long, value_name = "RATE", default_value_t = BAUD, requires = "port")]
+    baud: u32,
 }
 
 /// The boards that QEMU emulates, by name.
@@ -54,6 +60,9 @@ enum On {
 impl Target {
     /// What runs the device; tells where it is the second choice.
     pub(super) fn runtime(&self, run: &Run) -> anyhow::Result<Runtime> {
+        if let Some(port) = self.port.clone() {
+            return Ok(Runtime::Serial { port, baud: self.baud });
+        }
         let wanted = match self.on {
             On::Auto => Wanted::Best,
             On::Qemu => Wanted::Qemu,

@@ -1,0 +1,213 @@
+//! A real board behind a serial port.
+
+use super::{DeviceError, Transport};
+use serialport::SerialPort;
+use std::io::ErrorKind;
+use std::time::Duration;
+
+/// Bits a second of the boards' lines.
+pub const BAUD: u32 = 921_600;
+
+/// The longest wait for bytes, so that a board that was unplugged is noticed.
+const WAIT: Duration = Duration::from_millis(200);
+/// The longest wait for a line that takes no more bytes.
+const SEND_WITHIN: Duration = Duration::from_secs(1);
+
+/// A serial port with a board behind it: 8 data bits, no parity, one stop bit. The link layer is that of every other line.
+#[derive(Debug)]
+pub struct Serial {
+    port: Box<dyn SerialPort>,
+    name: String,
+}
+
+impl Serial {
+    /// Opens a port, e.g. `/dev/ttyACM0` or `COM3`, and drops what came before anybody listened.
+    ///
+    /// # Errors
+    /// There is no such port, or it may not be used.
+    pub fn open(name: &str, baud: u32) -> Result<Self, DeviceError> {
+        let refused = |source: serialport::Error| {
+            let advice = advice(source.kind());
+            DeviceError::Port { port: name.into(), source, advice }
+        };
+        let port = serialport::new(name, baud).timeout(WAIT).open().map_err(refused)?;
+        port.clear(serialport::ClearBuffer::Input).map_err(refused)?;
+        Ok(Self { port, name: name.into() })
+    }
+
+    fn gone(&self, source: std::io::Error) -> DeviceError {
+        DeviceError::Unplugged { port: self.name.clone(), source }
+    }
+}
+
+/// What to do about a port that cannot be opened.
+fn advice(kind: serialport::ErrorKind) -> &'static str {
+    use serialport::ErrorKind::{Io, NoDevice};
+    match kind {
+        Io(ErrorKind::NotFound) => "is the board plugged in? Linux lists its ports with `ls /dev/ttyACM* /dev/ttyUSB*`",
+        Io(ErrorKind::PermissionDenied) => {
+            "join the group that may use it (Debian, Ubuntu: `sudo usermod -aG dialout $USER`) and log in again"
+        }
+        NoDevice => "close the other program that uses it, or plug the board in",
+        _ => "is it a serial port, and does it know that rate (`--baud`)?",
+    }
+}
+
+impl Transport for Serial {
+    fn send(&mut self, bytes: &[u8]) -> Result<(), DeviceError> {
+        self.port.set_timeout(SEND_WITHIN).map_err(|error| self.gone(error.into()))?;
+        match self.port.write_all(bytes) {
+            // A line that takes no more bytes for now loses them; the host asks again.
+            Err(error) if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::WouldBlock) => Ok(()),
+            sent => sent.map_err(|error| self.gone(error)),
+        }
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], patience: Duration) -> Result<usize, DeviceError> {
+        let wait = patience.clamp(Duration::from_millis(1), WAIT);
+        self.port.set_timeout(wait).map_err(|error| self.gone(error.into()))?;
+        match self.port.read(buffer) {
+            Ok(0) => Err(self.gone(ErrorKind::UnexpectedEof.into())),
+            Err(error) if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted) => Ok(0),
+            came => came.map_err(|error| self.gone(error)),
+        }
+    }
+
+    /// A board goes on running when the host leaves.
+    fn ends(&self) -> bool {
+        false
+    }
+}
+
+#[cfg(test)]
+#[cfg(unix)]
+mod tests {
+    use super::*;
+    use crate::device::footprint::small_network;
+    use crate::device::loopback::{LoopbackConfig, play};
+    use crate::device::{Client, FrameFeed, Frames, Runtime, Work, camera_frame, run, status, stream};
+    use serialport::TTYPort;
+    use std::io::{Read, Write};
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicBool, Ordering};
+    use std::thread::JoinHandle;
+
+    /// The device's end of a pseudo terminal. It stays while nobody has the other end open.
+    struct Link {
+        port: TTYPort,
+        unplugged: Arc<AtomicBool>,
+    }
+
+    impl embedded_io::ErrorType for Link {
+        type Error = std::convert::Infallible;
+    }
+
+    impl embedded_io::Read for Link {
+        fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Self::Error> {
+            while !self.unplugged.load(Ordering::Relaxed) {
+                match self.port.read(buffer) {
+                    Ok(count) if count > 0 => return Ok(count),
+                    _ => std::thread::sleep(Duration::from_millis(1)),
+                }
+            }
+            Ok(0)
+        }
+    }
+
+    impl embedded_io::Write for Link {
+        fn write(&mut self, buffer: &[u8]) -> Result<usize, Self::Error> {
+            Ok(self.port.write(buffer).unwrap_or(buffer.len()))
+        }
+
+        fn flush(&mut self) -> Result<(), Self::Error> {
+            Ok(())
+        }
+    }
+
+    /// A device behind a pseudo terminal.
+    struct Board {
+        port: String,
+        unplugged: Arc<AtomicBool>,
+        device: JoinHandle<()>,
+    }
+
+    impl Board {
+        fn plugged(config: LoopbackConfig) -> Self {
+            let (theirs, ours) = TTYPort::pair().unwrap();
+            let unplugged = Arc::new(AtomicBool::new(false));
+            let link = Link { port: theirs, unplugged: Arc::clone(&unplugged) };
+            let device = std::thread::spawn(move || play(config, link, None));
+            Self { port: ours.name().unwrap(), unplugged, device }
+        }
+
+        fn runtime(&self) -> Runtime {
+            Runtime::Serial { port: self.port.clone(), baud: BAUD }
+        }
+
+        fn unplug(self) {
+            self.unplugged.store(true, Ordering::Relaxed);
+            self.device.join().unwrap();
+        }
+    }
+
+    #[test]
+    fn a_board_behind_a_serial_port_gives_the_same_bits_and_goes_on() {
+        let board = Board::plugged(LoopbackConfig::default());
+        let (blob, frame) = small_network().unwrap();
+        for runs in 1..3 {
+            let frames: [Vec<u16>; 1] = [frame.iter().map(|code| code + runs).collect()];
+            let run = run(&board.runtime(), &blob, Work::from(frames.as_slice()), None, &mut |_| {}).unwrap();
+            assert_eq!((run.board.as_str(), run.differing_bits, run.objects.len()), ("host", 0, 1));
+            let (_, telemetry) = status(&board.runtime(), None).unwrap();
+            assert_eq!((telemetry.runs, telemetry.slots.iter().flatten().count()), (u32::from(runs), 1));
+        }
+        board.unplug();
+    }
+
+    #[test]
+    fn a_camera_gives_a_new_frame_to_every_stream() {
+        let (blob, frame) = small_network().unwrap();
+        let pixels = frame.len();
+        let board = Board::plugged(LoopbackConfig { camera_px: pixels, ..LoopbackConfig::default() });
+        for n in 0..2 {
+            let feed = FrameFeed { len: 1, fps: None, nth: 1, region: None, source: Frames::Camera };
+            let mut seen = Vec::new();
+            stream(&board.runtime(), None, &blob, feed, &mut |frame| {
+                seen.push(frame.report.frame_crc);
+                Ok(())
+            })
+            .unwrap();
+            let bytes: Vec<u8> = camera_frame(n, pixels).iter().flat_map(|code| code.to_le_bytes()).collect();
+            assert_eq!(seen, [ommatidia_shared::wire::checksum(&bytes)]);
+        }
+        board.unplug();
+    }
+
+    #[test]
+    fn a_board_that_is_unplugged_is_told_at_once() {
+        let board = Board::plugged(LoopbackConfig::default());
+        let (mut client, _) = Client::connect(Serial::open(&board.port, BAUD).unwrap()).unwrap();
+        board.unplug();
+        let start = std::time::Instant::now();
+        let error = client.telemetry().unwrap_err();
+        assert!(matches!(error, DeviceError::Unplugged { .. }), "{error}");
+        assert!(start.elapsed() < Duration::from_secs(2));
+        assert!(["lost", "Plug it in"].iter().all(|words| error.to_string().contains(words)), "{error}");
+    }
+
+    #[test]
+    fn a_port_that_cannot_be_opened_is_told_with_what_to_do() {
+        let told = |port: &str| Serial::open(port, BAUD).unwrap_err().to_string();
+        let missing = told("/dev/no-such-port");
+        assert!(missing.contains("/dev/no-such-port") && missing.contains("plugged in"), "{missing}");
+        let no_port = told("/dev/null");
+        assert!(no_port.contains("is it a serial port"), "{no_port}");
+        let board = Board::plugged(LoopbackConfig::default());
+        let first = Serial::open(&board.port, BAUD).unwrap();
+        let taken = told(&board.port);
+        assert!(taken.contains("other program"), "{taken}");
+        drop(first);
+        board.unplug();
+        assert!(advice(serialport::ErrorKind::Io(ErrorKind::PermissionDenied)).contains("dialout"));
+    }
+}
