@@ -4,7 +4,7 @@ use super::{SampleType, reader::Shape};
 use crate::session::SessionError;
 use npyz::{DType, Endianness, NpyHeader, Order, TypeChar};
 use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 
 const KIND: &str = ".npy";
@@ -50,12 +50,34 @@ impl NpySource {
     }
 }
 
+/// Longest header that is read, bytes: those of plain arrays have a hundred or two.
+const MOST_HEADER: usize = 4096;
+/// Most brackets that it may open: those of a plain array are two.
+const MOST_BRACKETS: usize = 4;
+
 /// The header, and where the data begin.
+///
+/// A parser of nested brackets takes twice the time for each that hostile bytes open, so they are counted first.
 fn read_header(file: &mut File) -> std::io::Result<(NpyHeader, u64)> {
-    let mut buffered = BufReader::new(file);
-    let header = NpyHeader::from_reader(&mut buffered)?;
-    let start = buffered.stream_position()?;
-    Ok((header, start))
+    let refuse = |what: String| Err(std::io::Error::new(std::io::ErrorKind::InvalidData, what));
+    let mut start = [0; 12];
+    file.read_exact(&mut start)?;
+    // Magic, version, then the length of the rest: two bytes in version 1, four after it.
+    let length = match start[6] {
+        1 => 10 + usize::from(u16::from_le_bytes([start[8], start[9]])),
+        _ => (u32::from_le_bytes([start[8], start[9], start[10], start[11]]) as usize).saturating_add(12),
+    };
+    if length > MOST_HEADER {
+        return refuse(format!("its header says {length} bytes, more than {MOST_HEADER}"));
+    }
+    let mut header = vec![0; length.max(start.len())];
+    file.seek(SeekFrom::Start(0))?;
+    file.read_exact(&mut header)?;
+    let brackets = header.iter().filter(|b| b"([{".contains(b)).count();
+    if brackets > MOST_BRACKETS {
+        return refuse(format!("its header opens {brackets} brackets, more than a plain array's"));
+    }
+    Ok((NpyHeader::from_reader(header.as_slice())?, length as u64))
 }
 
 fn sample_type(path: &Path, dtype: &DType) -> Result<(SampleType, Endianness), SessionError> {
@@ -101,5 +123,24 @@ fn decode(bytes: &[u8], samples: SampleType, endianness: Endianness) -> Vec<f32>
             .map(|b| [b[0], b[1], b[2], b[3]])
             .map(|b| if big { f32::from_be_bytes(b) } else { f32::from_le_bytes(b) })
             .collect(),
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+    use std::io::Write;
+
+    #[test]
+    fn a_header_of_nested_brackets_is_refused_at_once() {
+        let text = format!("{{'descr': '<u2', 'fortran_order': False, 'shape': {}1", "(".repeat(60));
+        let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+        bytes.extend((text.len() as u16).to_le_bytes());
+        bytes.extend(text.as_bytes());
+        let mut file = tempfile::NamedTempFile::with_suffix(".npy").unwrap();
+        file.write_all(&bytes).unwrap();
+        let error = NpySource::open(file.path()).err().unwrap().to_string();
+        assert!(error.contains("brackets"), "{error}");
     }
 }
