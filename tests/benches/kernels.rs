@@ -8,7 +8,7 @@ use half::f16;
 use ommatidia_host::fft2::RealFft2;
 use ommatidia_host::rng;
 use ommatidia_shared::blob::{Bank, Size, Tap};
-use ommatidia_shared::filter::{FilterBank, FrameSource};
+use ommatidia_shared::filter::{FilterBank, Filters, FrameSource};
 use ommatidia_shared::image::{Chw, ChwMut};
 use ommatidia_shared::nn::activation::Activation;
 use ommatidia_shared::nn::conv::{Addressing, Conv3x3, Parameters, Store, Tensors};
@@ -43,10 +43,11 @@ fn filter_bank(c: &mut Criterion) {
         step: T as u16,
         channels: CHANNELS as u8,
         taps: (0..CHANNELS as u8).map(|channel| Tap { channel, dy: 0, dx: 0 }).collect(),
+        blocks: None,
     };
     let plan = FilterBank::new(&bank, Size { rows: 214, cols: 214 }, Size { rows: 96, cols: 96 }).unwrap();
     let frame = Frame(random("frame", 214 * 214), 214);
-    let spectra = halves("spectra", plan.spectra_len());
+    let spectra = halves("spectra", plan.spectrum_len() * usize::from(bank.channels));
     let mut output = vec![f16::ZERO; plan.output_len()];
     let mut arena = vec![f16::ZERO; plan.arena_len()];
     let mut scratch = vec![0.0; plan.scratch_len_wide()];
@@ -54,7 +55,8 @@ fn filter_bank(c: &mut Criterion) {
     group.bench_function("shared", |b| {
         b.iter(|| {
             let output = ChwMut::new(&mut output, CHANNELS, 96, 96).unwrap();
-            plan.process(Simd::detect(), black_box(&frame), &spectra, output, &mut arena, &mut scratch).unwrap();
+            let filters = Filters { halves: &spectra, index: &[] };
+            plan.process(Simd::detect(), black_box(&frame), filters, output, &mut arena, &mut scratch).unwrap();
         });
     });
     let fft = RealFft2::new(T, T);

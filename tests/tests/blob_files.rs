@@ -5,16 +5,20 @@ mod networks;
 
 use half::f16;
 use ommatidia_host::blob::BlobFile;
-use ommatidia_shared::blob::{Bank, Header, MemoryPlan, Rcan, Sensor, Size, Tap, VERSION, Weights};
+use ommatidia_shared::blob::{Bank, Blocks, Header, MemoryPlan, Rcan, Sensor, Size, Tap, VERSION, Weights};
 use ommatidia_shared::pipeline::{Memory, Pipeline};
 use proptest::prelude::*;
 use std::path::Path;
 
-/// A file of version 1, written once by [`write_the_golden_file`] and never again.
-const GOLDEN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/golden/network-v1.omm");
+/// A file of version 2, written once and never again, and one of version 1.
+const GOLDEN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/golden/network-v2.omm");
+const GOLDEN_1: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/golden/network-v1.omm");
+
+/// Where the blocks of the golden file lie: two kernels of 4 x 4 blocks.
+const GOLDEN_INDEX: [u16; 14] = [0, 0, 2, 3, 3, 3, 4, 4, 5, 1, 3, 0, 2, 3];
 
 fn golden_header() -> Header {
-    Header {
+    let mut header = Header {
         name: "golden".try_into().unwrap(),
         checkpoint: "0123456789abcdef".try_into().unwrap(),
         frame: Size { rows: 10, cols: 12 },
@@ -22,16 +26,16 @@ fn golden_header() -> Header {
         sensor: Sensor { black_level_dn: 64.5, saturation_dn: 4095, has_offset_map: true, has_gain_map: true },
         bank: Bank {
             tile: 16,
-            step: 8,
+            step: 16,
             channels: 2,
-            taps: [(0, -1, 0), (0, 0, 0), (1, 0, 1)]
-                .map(|(channel, dy, dx)| Tap { channel, dy, dx })
-                .into_iter()
-                .collect(),
+            taps: (0..2).map(|channel| Tap { channel, dy: 0, dx: 0 }).collect(),
+            blocks: Some(Blocks { side: 4, count: 5 }),
         },
         rcan: Rcan { width: 2, groups: 1, blocks: 1, reduction: 2 },
-        memory: MemoryPlan { fast_bytes: 1, bulk_bytes: 70_000 },
-    }
+        memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
+    };
+    header.memory = Pipeline::plan(&header).unwrap();
+    header
 }
 
 /// Multiples of 1/16 from -1 to 1, never twice the same in a row.
@@ -40,21 +44,29 @@ fn golden_weight(section: usize, i: usize) -> f16 {
 }
 
 #[test]
-fn the_golden_file_of_version_1_still_decodes() {
-    assert_eq!(VERSION, 1, "keep this file refused by name, and add a golden file of the new version");
+fn the_golden_file_of_version_2_still_decodes() {
+    assert_eq!(VERSION, 2, "keep this file refused by name, and add a golden file of the new version");
     let file = BlobFile::read(Path::new(GOLDEN)).unwrap();
     let network = file.network().unwrap();
     assert_eq!(network.header, golden_header());
     let weights = network.weights;
-    // 3 taps of 16 x 9 complex numbers; conv 8->2, 2 x 2->2, attention 2->1->2, 2->2, 2->2, 2->8, 2->1; 10 x 12 pixels.
+    // 5 blocks of 4 x 4 lags; conv 8->2, 2 x 2->2, attention 2->1->2, 2->2, 2->2, 2->8, 2->1; 10 x 12 pixels.
     let rcan = 146 + 2 * 38 + 7 + 38 + 38 + 152 + 19;
-    let sections = [weights.spectra, weights.rcan, weights.offset_dn.unwrap(), weights.inverse_gain.unwrap()];
-    assert_eq!(sections.map(<[f16]>::len), [3 * 16 * 9 * 2, rcan, 120, 120]);
+    let sections = [weights.filters, weights.rcan, weights.offset_dn.unwrap(), weights.inverse_gain.unwrap()];
+    assert_eq!(sections.map(<[f16]>::len), [5 * 16, rcan, 120, 120]);
     for (section, halves) in sections.iter().enumerate() {
         for (i, half) in halves.iter().enumerate() {
             assert_eq!(half.to_bits(), golden_weight(section, i).to_bits(), "section {section}, half {i}");
         }
     }
+    assert_eq!(weights.index, GOLDEN_INDEX);
+    Pipeline::new(&network.header, weights).unwrap();
+}
+
+#[test]
+fn a_file_of_version_1_is_refused_by_name() {
+    let error = BlobFile::read(Path::new(GOLDEN_1)).unwrap_err().to_string();
+    assert!(error.contains("version 2, found 1") && error.contains("quantize"), "{error}");
 }
 
 /// With a new version of the format: `OMMATIDIA_WRITE_GOLDEN=1` writes the file that this test then compares with.
@@ -62,11 +74,12 @@ fn the_golden_file_of_version_1_still_decodes() {
 fn the_golden_file_is_what_this_version_writes() {
     let header = golden_header();
     let lens = header.section_lens().unwrap();
-    let lens = [lens.spectra, lens.rcan, lens.offset_dn, lens.inverse_gain];
+    let lens = [lens.filters, lens.rcan, lens.offset_dn, lens.inverse_gain];
     let sections: Vec<Vec<f16>> =
         lens.iter().enumerate().map(|(s, len)| (0..*len as usize).map(|i| golden_weight(s, i)).collect()).collect();
     let weights = Weights {
-        spectra: &sections[0],
+        filters: &sections[0],
+        index: &GOLDEN_INDEX,
         rcan: &sections[1],
         offset_dn: Some(&sections[2]),
         inverse_gain: Some(&sections[3]),
@@ -98,6 +111,7 @@ prop_compose! {
         channels in mostly(2u8..4, any::<u8>()),
         taps in prop::collection::vec((0u8..2, -2i8..2, mostly(-2i8..2, any::<i8>())), 2..6),
         rcan in (mostly(1u8..8, any::<u8>()), 0u8..3, 0u8..3, mostly(Just(1), any::<u8>())),
+        kernels in mostly(Just(None), (mostly((0u32..4).prop_map(|n| 1 << n), any::<u16>()), 0u16..9).prop_map(Some)),
         memory: (u32, u32), planned in mostly(Just(true), Just(false)),
     ) -> Header {
         let mut taps = taps;
@@ -112,6 +126,7 @@ prop_compose! {
             bank: Bank {
                 tile, step, channels,
                 taps: taps.into_iter().map(|(channel, dy, dx)| Tap { channel, dy, dx }).collect(),
+                blocks: kernels.map(|(side, count)| Blocks { side, count }),
             },
             rcan: Rcan { width: rcan.0, groups: rcan.1, blocks: rcan.2, reduction: rcan.3 },
             memory: MemoryPlan { fast_bytes: memory.0, bulk_bytes: memory.1 },
@@ -130,13 +145,15 @@ proptest! {
     fn strange_headers_are_refused_or_run(header in strange_headers()) {
         let small = |len: u64| len < 1 << 20;
         let Ok(lens) = header.section_lens() else { return Ok(()) };
-        let lens = [lens.spectra, lens.rcan, lens.offset_dn, lens.inverse_gain];
+        let index = vec![0; lens.index.min(1 << 16) as usize];
+        let lens = [lens.filters, lens.rcan, lens.offset_dn, lens.inverse_gain];
         if header.check().is_err() || !lens.into_iter().all(small) {
             return Ok(());
         }
         let sections = lens.map(|len| vec![f16::from_f32(0.25); len as usize]);
         let weights = Weights {
-            spectra: &sections[0],
+            filters: &sections[0],
+            index: &index,
             rcan: &sections[1],
             offset_dn: header.sensor.has_offset_map.then_some(&sections[2]),
             inverse_gain: header.sensor.has_gain_map.then_some(&sections[3]),

@@ -5,7 +5,7 @@
 
 mod networks;
 
-use networks::{DENSE, Shape, TAPPED, THIN};
+use networks::{DENSE, PRUNED, Shape, TAPPED, THIN};
 use ommatidia_host::blob::BlobFile;
 use ommatidia_host::device::{DeviceError, DeviceRun, Firmware, LoopbackConfig, Runtime, Work, find_qemu, run};
 use ommatidia_shared::boards::{BOARDS, MPS3_AN547};
@@ -65,6 +65,12 @@ fn a_dense_network_agrees_bit_for_bit() {
 #[test]
 fn a_tapped_network_agrees_bit_for_bit() {
     check(&TAPPED, 2);
+}
+
+#[test]
+fn a_pruned_network_agrees_bit_for_bit() {
+    check(&PRUNED, 4);
+    check(&Shape { tile: 256, step: 256, channels: 1, kernels: Some((4, 300)), ..PRUNED }, 5);
 }
 
 #[test]

@@ -4,15 +4,16 @@
 
 mod networks;
 
-use networks::{DENSE, Shape, TAPPED, THIN};
+use networks::{DENSE, PRUNED, Shape, TAPPED, THIN};
 use ommatidia_host::device::{DeviceError, LoopbackConfig, Runtime, Work, reference, run};
 use ommatidia_shared::image::Region;
 
 /// Networks that differ in what a region depends on.
-fn shapes() -> [Shape; 8] {
+fn shapes() -> [Shape; 9] {
     [
         DENSE,
         TAPPED,
+        PRUNED,
         THIN,
         Shape { tile: 128, step: 128, channels: 1, maps: false, ..DENSE },
         Shape { tile: 32, step: 8, ..TAPPED },

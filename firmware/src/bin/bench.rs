@@ -316,6 +316,7 @@ fn header(channels: u8, rcan: Rcan) -> Header {
             step: 256,
             channels,
             taps: (0..channels).map(|channel| Tap { channel, dy: 0, dx: 0 }).collect(),
+            blocks: None,
         },
         rcan,
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },

@@ -29,6 +29,14 @@ pub struct Run {
     pub quiet: bool,
 }
 
+/// A part of something, more than none and at most all of it.
+pub(super) fn part(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(part) if part > 0.0 && part <= 1.0 => Ok(part),
+        _ => Err("expected a number above 0, at most 1".into()),
+    }
+}
+
 impl Run {
     /// A progress bar over `len` steps on stderr; silent with `--quiet` and where stderr is no terminal.
     pub fn progress(&self, len: u64, what: &'static str) -> ProgressBar {

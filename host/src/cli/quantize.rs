@@ -24,7 +24,12 @@ pub struct Args {
     /// Most bytes of memory that it may need while it runs, the program's own included
     #[arg(long, value_name = "BYTES")]
     ram: Option<u64>,
-    /// Side of the transforms, pixels: the filters are cut into taps [default: one transform of the whole frame]
+    /// Keep the strongest blocks of the filters' kernels, as many as fit into this part of the dense filters' bytes; the device transforms them. Without
+    /// it: what they were held to in training, else all, else as much as fits into --flash
+    #[arg(long, value_name = "PART", conflicts_with = "tile", value_parser = super::common::part)]
+    prune: Option<f64>,
+    /// Side of the transforms, pixels: the filters are cut into taps [default: that of the taps they were held to in training, else one transform of
+    /// the whole frame]
     #[arg(long, value_name = "T")]
     tile: Option<usize>,
     /// Part of the filters' energy that the taps must keep [default: 0.95]
@@ -46,6 +51,7 @@ pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
         ram_bytes: args.ram,
         tile: args.tile,
         energy: args.energy,
+        prune: args.prune,
     };
     let made = quantize(&checkpoint, &file_hash(&args.checkpoint)?, &config)?;
     write_whole(&args.output, &made.bytes)?;
@@ -55,14 +61,16 @@ pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
 }
 
 fn text(path: &Path, r: &QuantizeReport) -> String {
+    let filters = match r.blocks {
+        0 => format!("{} taps of {} x {}", r.taps, r.tile, r.tile),
+        blocks => format!("{blocks} blocks of {} x {} lags", r.block_side, r.block_side),
+    };
     let mut text = format!(
-        "{}\n  {} bytes: filters {} ({} taps of {} x {}), enhancement {}\n  memory: {} bytes: {} fast, {} bulk, {} frame, {} reconstruction, at most {} variables and stack\n  energy of the filters kept: {:.4}\n",
+        "{}\n  {} bytes: filters {} ({filters}, {:.1} % of dense ones), enhancement {}\n  memory: {} bytes: {} fast, {} bulk, {} frame, {} reconstruction, at most {} variables and stack\n  energy of the filters kept: {:.4}\n",
         path.display(),
         r.file_bytes,
-        r.spectra_bytes,
-        r.taps,
-        r.tile,
-        r.tile,
+        r.filter_bytes,
+        100.0 * r.filter_bytes as f64 / r.dense_filter_bytes as f64,
         r.rcan_bytes,
         r.ram_bytes,
         r.fast_bytes,

@@ -4,7 +4,7 @@ use super::{Outcome, Run};
 use crate::artifact::{Provenance, file_hash};
 use crate::dataset::{DataSet, PLAN_FILE};
 use crate::instrument::Instrument;
-use crate::quantize;
+use crate::quantize::{self, QuantizeConfig};
 use crate::train::{
     Body, Checkpoint, Family, FamilyName, Lenses, NetworkConfig, Next, Preset, SensorMaps, Simulated, Start, Task,
     TrainConfig, Trainer, weights,
@@ -64,8 +64,12 @@ pub struct Args {
     /// Start from the best weights of a checkpoint, with a third of the preset's learning rates
     #[arg(long, value_name = "CHECKPOINT", conflicts_with_all = ["start", "minutes"])]
     from: Option<PathBuf>,
-    /// Hold the filters to the taps of a device's transforms of this side, pixels: `quantize --tile` then costs next to nothing. The taps are those with
-    /// the most energy in the filters that the run starts from, or in the pseudo-inverses of the instrument's PSFs
+    /// Prune the filters and hold them to it: they keep the strongest blocks of their kernels, as many as fit into this part of the dense filters'
+    /// bytes, so that `quantize` loses next to nothing. Strength is that in the filters that the run starts from with --from, or else in the
+    /// pseudo-inverses of the instrument's PSFs
+    #[arg(long, value_name = "PART", conflicts_with = "tile", value_parser = super::common::part)]
+    prune: Option<f64>,
+    /// Hold the filters to the taps of a device's transforms of this side, pixels, chosen as with --prune
     #[arg(long, value_name = "T")]
     tile: Option<usize>,
     /// Part of that energy that the taps must keep
@@ -162,17 +166,25 @@ fn train(
             }
             None => Trainer::with_lenses(task.clone(), training.clone(), lenses)?,
         };
-        match args.tile {
-            None => fresh,
-            Some(tile) => {
-                let taps = |told: &Trainer<'_>| quantize::support(told.checkpoint(), tile, args.energy);
-                let (support, kept) = match &args.from {
-                    Some(_) => taps(&fresh)?,
-                    None => taps(&Trainer::with_lenses(task, TrainConfig { start: Start::Psf, ..training }, lenses)?)?,
-                };
-                tracing::info!("{} taps keep {kept:.4} of the filters' energy", support.taps.len());
-                fresh.within(support)
+        if args.tile.is_some() || args.prune.is_some() {
+            let energy = args.tile.map(|_| args.energy);
+            let config = QuantizeConfig { tile: args.tile, energy, prune: args.prune, ..QuantizeConfig::default() };
+            let chosen = match &args.from {
+                Some(_) => quantize::support(fresh.checkpoint(), &config)?,
+                None => {
+                    let told = TrainConfig { start: Start::Psf, ..training };
+                    quantize::support(Trainer::with_lenses(task, told, lenses)?.checkpoint(), &config)?
+                }
+            };
+            match chosen {
+                Some((support, kept)) => {
+                    tracing::info!("{support} keep {kept:.4} of the filters' energy");
+                    fresh.within(support)
+                }
+                None => fresh,
             }
+        } else {
+            fresh
         }
     };
     let begin = trainer.checkpoint().body.step;

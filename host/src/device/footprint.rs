@@ -38,7 +38,7 @@ pub(super) fn small_network() -> Result<(BlobFile, Vec<u16>), DeviceError> {
         frame: Size { rows: 16, cols: 16 },
         object: Size { rows: 8, cols: 8 },
         sensor: Sensor { black_level_dn: 64.0, saturation_dn: 4095, has_offset_map: true, has_gain_map: true },
-        bank: Bank { tile: 16, step: 16, channels: 2, taps: tap(0).chain(tap(1)).collect() },
+        bank: Bank { tile: 16, step: 16, channels: 2, taps: tap(0).chain(tap(1)).collect(), blocks: None },
         rcan: Rcan { width: 4, groups: 1, blocks: 1, reduction: 2 },
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
     };
@@ -47,9 +47,10 @@ pub(super) fn small_network() -> Result<(BlobFile, Vec<u16>), DeviceError> {
         let path = "the small network".into();
         crate::blob::BlobFileError::Blob { path, source }
     })?;
-    let zeros = vec![f16::ZERO; lens.spectra.max(lens.rcan).max(lens.offset_dn).max(lens.inverse_gain) as usize];
+    let zeros = vec![f16::ZERO; lens.filters.max(lens.rcan).max(lens.offset_dn).max(lens.inverse_gain) as usize];
     let weights = Weights {
-        spectra: &zeros[..lens.spectra as usize],
+        filters: &zeros[..lens.filters as usize],
+        index: &[],
         rcan: &zeros[..lens.rcan as usize],
         offset_dn: Some(&zeros[..lens.offset_dn as usize]),
         inverse_gain: Some(&zeros[..lens.inverse_gain as usize]),

@@ -69,7 +69,7 @@ impl Network {
             frame: Size { rows: frame, cols: frame },
             object: Size { rows: object, cols: object },
             sensor: Sensor { black_level_dn: 64.0, saturation_dn: 4095, has_offset_map: true, has_gain_map: true },
-            bank: Bank { tile, step, channels, taps: (0..channels).flat_map(of_channel).collect() },
+            bank: Bank { tile, step, channels, taps: (0..channels).flat_map(of_channel).collect(), blocks: None },
             rcan: Rcan { width, groups, blocks, reduction },
             memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
         };
@@ -144,7 +144,7 @@ impl Network {
         let about = if self.counted(counts).is_some() { "" } else { "about " };
         let rate = part.mhz * 1e6 / (instructions * part.cycles);
         let lens = self.header.section_lens().ok()?;
-        let halves = [lens.spectra, lens.rcan, lens.offset_dn, lens.inverse_gain].into_iter().sum::<u64>();
+        let halves = [lens.filters, lens.index, lens.rcan, lens.offset_dn, lens.inverse_gain].into_iter().sum::<u64>();
         // The header takes less than a kilobyte.
         let flash = kib(u64::from(counts.footprint.image_bytes) + 2 * halves) + 1;
         let Header { frame, object, memory, .. } = &self.header;

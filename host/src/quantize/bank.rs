@@ -1,70 +1,113 @@
-//! The filters as the bank of a device: one transform of the whole padded frame, or small transforms and taps.
+//! The filters as the bank of a device: one transform of the whole padded frame, whose filters are spectra or pruned kernels, or small transforms
+//! and taps.
 
+use super::choose::choose;
+use super::plane::Plane;
 use super::{QuantizeConfig, QuantizeError, narrow, pack};
 use crate::artifact::Tensors;
 use crate::evaluate::Case;
 use crate::train::ops::fourier::Fourier;
 use crate::train::weights::FILTERS;
-use crate::train::{Checkpoint, Sight, Support, lags};
+use crate::train::{Checkpoint, Sight, Support, block_lags, lags};
 use ndarray::ArrayD;
-use ommatidia_shared::blob::{Bank, MAX_TAPS, Tap};
+use ommatidia_shared::blob::{Bank, Blocks, MAX_TAPS, Tap};
 use ommatidia_shared::num::f16;
 use rustfft::num_complex::Complex32;
-use rustfft::{Fft, FftPlanner};
-use std::sync::Arc;
-
-/// Part of the energy that taps keep where nothing else is asked for.
-const ENERGY: f64 = 0.95;
 
 /// A filter bank, ready to be written down.
 pub struct PlannedBank {
     tile: usize,
     step: usize,
     channels: usize,
-    taps: Vec<(Tap, Vec<Complex32>)>,
-    /// Part of the filters' energy that the taps keep.
+    taps: Vec<Tap>,
+    form: Form,
+    /// Which lags the filters keep; none: all.
+    pub support: Option<Support>,
+    /// Part of the filters' energy that is kept.
     pub energy_kept: f64,
-    /// All spectra are multiplied by two to this power, so that the largest output is near 1.
+    /// All filters are multiplied by two to this power, so that the largest output is near 1.
     pub scale_log2: i32,
-    /// The filters that the taps stand for, by the names of the checkpoint.
+    /// The filters that are kept, by the names of the checkpoint.
     pub filters: Tensors,
+}
+
+/// What the file holds of the filters.
+enum Form {
+    /// A spectrum a tap.
+    Spectra(Vec<Vec<Complex32>>),
+    /// Blocks of lags.
+    Kernels { blocks: Blocks, lags: Vec<f32>, index: Vec<u16> },
 }
 
 impl PlannedBank {
     /// Plans the bank of a checkpoint.
     ///
     /// # Errors
-    /// The transform's side is no power of two, or the taps cannot keep the energy that is asked for.
+    /// The transform's side is no power of two, or what is asked for cannot be kept.
     pub fn new(checkpoint: &Checkpoint, config: &QuantizeConfig) -> Result<Self, QuantizeError> {
-        let t = checkpoint.body.network.filter_size;
-        let tile = config.tile.unwrap_or(t);
-        if !tile.is_power_of_two() || tile > t || tile < 8 {
-            return Err(QuantizeError::Size {
-                field: "tile",
-                expected: format!("a power of two from 8 to {t}"),
-                found: tile,
-            });
-        }
+        let sizes = checkpoint.body.network.fourier();
+        let t = sizes.filter_size;
         if !t.is_power_of_two() {
             return Err(QuantizeError::Size { field: "filter_size", expected: "a power of two".into(), found: t });
         }
+        let full = Plane::new(t);
         let spectra: Vec<Vec<Complex32>> = spectra(checkpoint).into_iter().map(|s| hermitian(s, t)).collect();
-        // Filters that were held to these taps keep all of them.
-        let held = checkpoint.body.support.as_ref().is_some_and(|s| s.tile == tile);
-        let energy = config.energy.unwrap_or(if held { 1.0 - 1e-6 } else { ENERGY });
-        let mut bank = if tile == t { dense(t, spectra) } else { tapped(t, tile, &spectra, energy)? };
+        let mut kernels: Vec<Vec<f32>> = spectra.iter().map(|s| full.inverse(s)).collect();
+        let support = choose(checkpoint, &kernels, config)?;
+        let mut energy_kept = 1.0;
+        if let Some(support) = &support {
+            let energy = |kernels: &[Vec<f32>]| kernels.iter().flatten().map(|v| f64::from(*v).powi(2)).sum::<f64>();
+            let all = energy(&kernels);
+            let lags = kernels.iter_mut().flatten();
+            lags.zip(support.held(&sizes)).filter(|(_, held)| !held).for_each(|(lag, _)| *lag = 0.0);
+            energy_kept = if all > 0.0 { energy(&kernels) / all } else { 1.0 };
+        }
+        let pruned = || -> Vec<_> { kernels.iter().map(|k| full.forward(k)).collect() };
+        let dense: Vec<Tap> = (0..sizes.channels as u8).map(|channel| Tap { channel, dy: 0, dx: 0 }).collect();
+        let (tile, step, taps, form, filters) = match &support {
+            None => (t, t, dense, Form::Spectra(spectra.clone()), tensors(t, &spectra)),
+            Some(Support::Blocks { side, blocks }) => {
+                let lags = blocks.iter().flat_map(|&(channel, row, col)| {
+                    let kernel = &kernels[usize::from(channel)];
+                    block_lags(&sizes, *side, [row, col]).map(|at| kernel[at])
+                });
+                let count = Blocks { side: narrow("block", *side)?, count: narrow("blocks", blocks.len())? };
+                let index = index(blocks, sizes.channels, t / side);
+                let form = Form::Kernels { blocks: count, lags: lags.collect(), index };
+                (t, t, dense, form, tensors(t, &pruned()))
+            }
+            Some(Support::Taps { tile, taps }) => {
+                let (small, step) = (Plane::new(*tile), tile / 2);
+                let mut taps: Vec<Tap> = taps.iter().map(|&(channel, dy, dx)| Tap { channel, dy, dx }).collect();
+                taps.sort_by_key(|tap| tap.order());
+                let spectra = taps.iter().map(|&tap| cut(&kernels[usize::from(tap.channel)], t, &small, step, tap));
+                (*tile, step, taps.clone(), Form::Spectra(spectra.collect()), tensors(t, &pruned()))
+            }
+        };
+        let mut bank =
+            Self { tile, step, channels: sizes.channels, taps, form, support, energy_kept, scale_log2: 0, filters };
         bank.scale_log2 = scale_log2(checkpoint, &bank.filters);
         Ok(bank)
     }
 
-    /// The spectra in the order of the taps, scaled, each T rows of T/2+1 complex halves.
+    /// The filters as the file holds them: spectra in the order of the taps, each T rows of T/2+1 complex halves, or blocks of lags, and
+    /// the index of these.
     ///
     /// # Errors
     /// A value leaves the range of halves.
-    pub fn spectra(&self) -> Result<Vec<f16>, QuantizeError> {
+    pub fn filters(&self) -> Result<(Vec<f16>, &[u16]), QuantizeError> {
         let scale = 2f32.powi(self.scale_log2);
-        let values = self.taps.iter().flat_map(|(_, s)| s).flat_map(|v| [v.re * scale, v.im * scale]);
-        pack::halves("spectra", values)
+        match &self.form {
+            Form::Spectra(spectra) => {
+                let values = spectra.iter().flatten().flat_map(|v| [v.re * scale, v.im * scale]);
+                Ok((pack::halves("filters", values)?, &[]))
+            }
+            Form::Kernels { lags, index, .. } => {
+                // The device scales the transform of a kernel by 1/T.
+                let scale = scale * self.tile as f32;
+                Ok((pack::halves("filters", lags.iter().map(|v| v * scale))?, index))
+            }
+        }
     }
 
     /// Its shape.
@@ -72,14 +115,17 @@ impl PlannedBank {
     /// # Errors
     /// A size is too large.
     pub fn describe(&self) -> Result<Bank, QuantizeError> {
-        let channels = narrow("channels", self.channels)?;
         let mut bank = Bank {
             tile: narrow("tile", self.tile)?,
             step: narrow("step", self.step)?,
-            channels,
+            channels: narrow("channels", self.channels)?,
             taps: Default::default(),
+            blocks: match self.form {
+                Form::Spectra(_) => None,
+                Form::Kernels { blocks, .. } => Some(blocks),
+            },
         };
-        for (tap, _) in &self.taps {
+        for tap in &self.taps {
             let found = self.taps.len();
             bank.taps.push(*tap).map_err(|_| QuantizeError::Size {
                 field: "taps",
@@ -88,17 +134,6 @@ impl PlannedBank {
             })?;
         }
         Ok(bank)
-    }
-
-    /// The lags that the taps hold.
-    pub fn support(&self) -> Support {
-        let taps = self.taps.iter().map(|(tap, _)| (tap.channel, tap.dy, tap.dx)).collect();
-        Support { tile: self.tile, taps }
-    }
-
-    /// Number of taps.
-    pub fn taps(&self) -> usize {
-        self.taps.len()
     }
 }
 
@@ -124,50 +159,11 @@ fn hermitian(mut spectrum: Vec<Complex32>, t: usize) -> Vec<Complex32> {
     spectrum
 }
 
-fn dense(t: usize, spectra: Vec<Vec<Complex32>>) -> PlannedBank {
-    let filters = tensors(t, &spectra);
-    let taps: Vec<_> = (0u8..).zip(spectra).map(|(channel, s)| (Tap { channel, dy: 0, dx: 0 }, s)).collect();
-    PlannedBank { tile: t, step: t, channels: taps.len(), taps, energy_kept: 1.0, scale_log2: 0, filters }
-}
-
-/// Cuts each filter's kernel into blocks of `tile / 2` lags and keeps the blocks with the most energy.
-///
-/// A tap (dy, dx) covers the lags `l - dy S`, `-S/2 <= l < S/2`, of its channel's kernel ([`ommatidia_shared::filter`]).
-fn tapped(t: usize, tile: usize, spectra: &[Vec<Complex32>], energy: f64) -> Result<PlannedBank, QuantizeError> {
-    let (full, small, step) = (Plane::new(t), Plane::new(tile), tile / 2);
-    let mut kernels: Vec<Vec<f32>> = spectra.iter().map(|s| full.inverse(s)).collect();
-    let reach = (t / 2 / step) as i32;
-    let mut blocks: Vec<(f64, Tap)> = Vec::new();
-    for (channel, kernel) in (0u8..).zip(&kernels) {
-        for (dy, dx) in (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (dy as i8, dx as i8))) {
-            let tap = Tap { channel, dy, dx };
-            blocks.push((lags(t, step, [dy, dx]).map(|(at, _)| f64::from(kernel[at]).powi(2)).sum(), tap));
-        }
-    }
-    let total: f64 = blocks.iter().map(|b| b.0).sum();
-    blocks.sort_by(|a, b| b.0.total_cmp(&a.0));
-    // No channel may go without a tap: the best of each comes first.
-    let mut seen = vec![false; spectra.len()];
-    let (best, rest): (Vec<_>, Vec<_>) =
-        blocks.into_iter().partition(|(_, tap)| !std::mem::replace(&mut seen[usize::from(tap.channel)], true));
-    let mut blocks = [best, rest].concat();
-    let (mut kept, mut count) = (0.0, 0);
-    while count < spectra.len().min(MAX_TAPS) || (kept < energy * total && count < blocks.len().min(MAX_TAPS)) {
-        kept += blocks[count].0;
-        count += 1;
-    }
-    if kept < energy * total {
-        return Err(QuantizeError::Energy { tile, expected: energy, found: kept / total, most: MAX_TAPS });
-    }
-    for (_, tap) in blocks.drain(count..) {
-        lags(t, step, [tap.dy, tap.dx]).for_each(|(at, _)| kernels[usize::from(tap.channel)][at] = 0.0);
-    }
-    let mut taps: Vec<_> =
-        blocks.iter().map(|&(_, tap)| (tap, cut(&kernels[usize::from(tap.channel)], t, &small, step, tap))).collect();
-    taps.sort_by_key(|(tap, _)| tap.order());
-    let pruned: Vec<_> = kernels.iter().map(|k| full.forward(k)).collect();
-    let filters = tensors(t, &pruned);
-    Ok(PlannedBank { tile, step, channels: spectra.len(), taps, energy_kept: kept / total, scale_log2: 0, filters })
+/// Where sorted blocks lie, as a compressed sparse row matrix of `rows` rows a channel ([`ommatidia_shared::blob::Weights::index`]).
+fn index(blocks: &[(u8, u16, u16)], channels: usize, rows: usize) -> Vec<u16> {
+    let row_of = |&(channel, row, _): &(u8, u16, u16)| usize::from(channel) * rows + usize::from(row);
+    let starts = (0..=channels * rows).map(|row| blocks.partition_point(|block| row_of(block) < row) as u16);
+    starts.chain(blocks.iter().map(|block| block.2)).collect()
 }
 
 /// The spectrum of one tap.
@@ -202,43 +198,4 @@ fn scale_log2(checkpoint: &Checkpoint, filters: &Tensors) -> i32 {
     };
     let max = checkpoint.cases.iter().map(largest).fold(0.0, f32::max);
     if max > 0.0 { -(max.log2().round() as i32) } else { 0 }
-}
-
-/// Real 2-D transforms of one side, half spectra as T rows of T/2+1; not scaled forward, by 1/T^2 inverse.
-struct Plane {
-    side: usize,
-    forward: Arc<dyn Fft<f32>>,
-    inverse: Arc<dyn Fft<f32>>,
-}
-
-impl Plane {
-    fn new(side: usize) -> Self {
-        let mut planner = FftPlanner::new();
-        Self { side, forward: planner.plan_fft_forward(side), inverse: planner.plan_fft_inverse(side) }
-    }
-
-    fn forward(&self, image: &[f32]) -> Vec<Complex32> {
-        let full = self.both(&self.forward, image.iter().map(|&v| Complex32::new(v, 0.0)).collect());
-        full.chunks_exact(self.side).flat_map(|row| row[..self.side / 2 + 1].to_vec()).collect()
-    }
-
-    fn inverse(&self, spectrum: &[Complex32]) -> Vec<f32> {
-        let (t, bins) = (self.side, self.side / 2 + 1);
-        let at = |row: usize, col: usize| {
-            if col < bins { spectrum[row * bins + col] } else { spectrum[(t - row) % t * bins + t - col].conj() }
-        };
-        let full = (0..t * t).map(|i| at(i / t, i % t)).collect();
-        let scale = 1.0 / (t * t) as f32;
-        self.both(&self.inverse, full).iter().map(|v| v.re * scale).collect()
-    }
-
-    /// Along the rows, then along the columns.
-    fn both(&self, fft: &Arc<dyn Fft<f32>>, mut plane: Vec<Complex32>) -> Vec<Complex32> {
-        let t = self.side;
-        for _ in 0..2 {
-            fft.process(&mut plane);
-            plane = (0..t * t).map(|i| plane[i % t * t + i / t]).collect();
-        }
-        plane
-    }
 }

@@ -58,7 +58,7 @@ pub enum QuantizeError {
     },
     /// The device has too little memory.
     #[error(
-        "{what}: expected at most {expected} bytes, found {found}: {missing} bytes are missing; use a smaller preset or a smaller tile"
+        "{what}: expected at most {expected} bytes, found {found}: {missing} bytes are missing; use a smaller preset, or `--prune` for less flash"
     )]
     Budget {
         /// Which memory.

@@ -1,8 +1,10 @@
 //! Checkpoint -> network file of a device: filters to taps, weights to halves, memory plan, budget.
 
 mod bank;
+mod choose;
 mod error;
 mod pack;
+mod plane;
 mod report;
 #[cfg(test)]
 mod tests;
@@ -31,7 +33,12 @@ pub struct QuantizeConfig {
     pub tile: Option<usize>,
     /// Part of the filters' energy that the taps must keep.
     pub energy: Option<f64>,
+    /// Part of the dense filters' bytes that the strongest blocks of their kernels may take, with their index.
+    pub prune: Option<f64>,
 }
+
+/// Bytes by which a pruned file may be longer than its filters: a longer header, gaps before sections.
+const SLACK: u64 = 64;
 
 /// A network file, and what making it cost.
 #[derive(Clone, Debug)]
@@ -42,18 +49,37 @@ pub struct Quantized {
     pub report: QuantizeReport,
 }
 
-/// Makes the network file of a checkpoint; `hash` is the SHA-256 of the checkpoint's file, hexadecimal.
+/// Makes the network file of a checkpoint; `hash` is the SHA-256 of the checkpoint's file, hexadecimal. Filters that were held to some lags while they
+/// were trained keep these; others are pruned where the file would not fit into the flash.
 ///
 /// # Errors
 /// A weight is no number or too large for a half, a size is none that a device can have, or the budget is too small.
 pub fn quantize(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) -> Result<Quantized, QuantizeError> {
+    let whole = make(checkpoint, hash, config)?;
+    let found = whole.bytes.len() as u64;
+    let free = checkpoint.body.support.is_none() && config.tile.is_none() && config.prune.is_none();
+    let made = match config.flash_bytes {
+        Some(flash) if free && found > flash => {
+            let dense = whole.report.dense_filter_bytes as u64;
+            let part = (dense + flash).saturating_sub(found + SLACK) as f64 / dense as f64;
+            // Where not even one block a channel fits, the whole file tells how much is missing.
+            make(checkpoint, hash, &QuantizeConfig { prune: Some(part), ..config.clone() }).unwrap_or(whole)
+        }
+        _ => whole,
+    };
+    budget("flash", config.flash_bytes, made.bytes.len() as u64)?;
+    budget("RAM", config.ram_bytes, made.report.ram_bytes)?;
+    Ok(made)
+}
+
+fn make(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) -> Result<Quantized, QuantizeError> {
     let network = &checkpoint.body.network;
     if network.family != Family::SvFourierNet {
         return Err(QuantizeError::Family(network.family.name().as_str()));
     }
     pack::check_finite(&checkpoint.weights)?;
     let bank = PlannedBank::new(checkpoint, config)?;
-    let spectra = bank.spectra()?;
+    let (filters, index) = bank.filters()?;
     let rcan = pack::rcan(network, &checkpoint.weights)?;
     let offset =
         checkpoint.maps.offset_dn.as_ref().map(|map| pack::halves("offset_dn", map.iter().copied())).transpose()?;
@@ -64,35 +90,31 @@ pub fn quantize(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) ->
         .map(|map| pack::halves("inverse_gain", map.iter().copied()))
         .transpose()?;
     let weights =
-        Weights { spectra: &spectra, rcan: &rcan, offset_dn: offset.as_deref(), inverse_gain: gain.as_deref() };
+        Weights { filters: &filters, index, rcan: &rcan, offset_dn: offset.as_deref(), inverse_gain: gain.as_deref() };
     let header = header(checkpoint, hash, config, &bank)?;
     let mut bytes = vec![0; blob::encoded_len(&header)?];
     let len = blob::encode(&header, &weights, &mut bytes)?;
     bytes.truncate(len);
-    budget("flash", config.flash_bytes, bytes.len() as u64)?;
-    budget("RAM", config.ram_bytes, report::ram_bytes(&header))?;
-    let report = QuantizeReport::new(
-        checkpoint,
-        &bank,
-        &header,
-        &bytes,
-        [spectra.len(), rcan.len()].map(|n| n * size_of::<f16>()),
-    )?;
+    let lens = [filters.len() + index.len(), rcan.len()].map(|n| n * size_of::<f16>());
+    let report = QuantizeReport::new(checkpoint, &bank, &header, &bytes, lens)?;
     Ok(Quantized { bytes, report })
 }
 
-/// The taps of `tile` that keep the part `energy` of a checkpoint's filters, and the part that they keep: what fine-tuning holds filters to.
+/// What a checkpoint's filters would be cut or pruned to, and the part of their energy that this keeps: what fine-tuning holds filters to. None: they
+/// stay whole.
 ///
 /// # Errors
-/// The network is of another family, the tile is none that a device can have, or no set of taps keeps as much.
-pub fn support(checkpoint: &Checkpoint, tile: usize, energy: f64) -> Result<(Support, f64), QuantizeError> {
+/// The network is of another family, or what is asked for cannot be kept.
+pub fn support(
+    checkpoint: &Checkpoint,
+    config: &QuantizeConfig,
+) -> Result<Option<(Support, f64)>, QuantizeError> {
     let family = checkpoint.body.network.family.name();
     if checkpoint.body.network.family != Family::SvFourierNet {
         return Err(QuantizeError::Family(family.as_str()));
     }
-    let config = QuantizeConfig { tile: Some(tile), energy: Some(energy), ..QuantizeConfig::default() };
-    let bank = PlannedBank::new(checkpoint, &config)?;
-    Ok((bank.support(), bank.energy_kept))
+    let bank = PlannedBank::new(checkpoint, config)?;
+    Ok(bank.support.map(|support| (support, bank.energy_kept)))
 }
 
 fn header(

@@ -4,7 +4,7 @@ use super::QuantizeError;
 use super::bank::PlannedBank;
 use crate::evaluate::{Case, compare};
 use crate::methods::{Blob, FloatNetwork, Reconstruct};
-use crate::train::Checkpoint;
+use crate::train::{Checkpoint, Support};
 use ommatidia_shared::blob::{Header, MemoryPlan, Size};
 use ommatidia_shared::device::Footprint;
 use serde::Serialize;
@@ -33,8 +33,11 @@ pub struct Step {
 pub struct QuantizeReport {
     /// Length of the file.
     pub file_bytes: usize,
-    /// Of this, spectra of the filters.
-    pub spectra_bytes: usize,
+    /// Of this, the filters: spectra, or blocks of lags with their index.
+    #[serde(rename = "spectra_bytes")]
+    pub filter_bytes: usize,
+    /// What the spectra of all filters would take, none pruned.
+    pub dense_filter_bytes: usize,
     /// Of this, weights of the enhancement.
     pub rcan_bytes: usize,
     /// Fast scratch that it needs.
@@ -53,6 +56,10 @@ pub struct QuantizeReport {
     pub tile: u16,
     /// Taps of the filters.
     pub taps: usize,
+    /// Blocks of lags that the filters are pruned to; 0 where the file holds spectra.
+    pub blocks: usize,
+    /// Side of a block, lags; 0 where the file holds spectra.
+    pub block_side: usize,
     /// Part of the filters' energy that is kept.
     pub energy_kept: f64,
     /// The filters are multiplied by two to this power.
@@ -71,7 +78,7 @@ impl QuantizeReport {
         bank: &PlannedBank,
         header: &Header,
         bytes: &[u8],
-        [spectra_bytes, rcan_bytes]: [usize; 2],
+        [filter_bytes, rcan_bytes]: [usize; 2],
     ) -> Result<Self, QuantizeError> {
         let cases = &checkpoint.cases;
         let mut steps = Vec::new();
@@ -81,16 +88,20 @@ impl QuantizeReport {
             Ok(quality.psnr_db)
         };
         let float = add("float", &FloatNetwork::new(checkpoint)?)?;
-        if bank.taps() > checkpoint.body.network.channels {
+        if let Some(support) = &bank.support {
             let mut pruned = checkpoint.clone();
             pruned.weights.extend(bank.filters.clone());
-            add("taps", &FloatNetwork::new(&pruned)?)?;
+            let step = if matches!(support, Support::Taps { .. }) { "taps" } else { "blocks" };
+            add(step, &FloatNetwork::new(&pruned)?)?;
         }
+        let blocks = header.bank.blocks;
+        let network = &checkpoint.body.network;
         let refused = |error: anyhow::Error| QuantizeError::Case { index: 0, detail: error.to_string() };
         let file = add("file", &Blob::new(bytes.to_vec()).map_err(|e| refused(e.into()))?)?;
         Ok(Self {
             file_bytes: bytes.len(),
-            spectra_bytes,
+            filter_bytes,
+            dense_filter_bytes: 2 * network.channels * network.filter_size * (network.filter_size + 2),
             rcan_bytes,
             fast_bytes: header.memory.fast_bytes,
             bulk_bytes: header.memory.bulk_bytes,
@@ -99,7 +110,9 @@ impl QuantizeReport {
             program_bytes: Footprint::MOST_RAM,
             ram_bytes: ram_bytes(header),
             tile: header.bank.tile,
-            taps: bank.taps(),
+            taps: header.bank.taps.len(),
+            blocks: blocks.map_or(0, |b| b.count.into()),
+            block_side: blocks.map_or(0, |b| b.side.into()),
             energy_kept: bank.energy_kept,
             scale_log2: bank.scale_log2,
             frames: cases.len(),

@@ -140,6 +140,54 @@ fn compact(weights: &mut Tensors, t: usize) {
     }
 }
 
+/// The device transforms the kernels that the pruned file holds to the spectra that the dense one holds.
+#[test]
+fn blocks_of_compact_kernels_are_the_whole_filter() {
+    let mut checkpoint = checkpoint();
+    let t = checkpoint.body.network.filter_size;
+    compact(&mut checkpoint.weights, t);
+    let config = QuantizeConfig { prune: Some(0.5), ..Default::default() };
+    let made = quantize(&checkpoint, "", &config).unwrap();
+    let report = &made.report;
+    assert!(report.energy_kept >= 0.999_999, "{report:?}");
+    assert!(report.filter_bytes <= report.dense_filter_bytes / 2, "{report:?}");
+    assert!(report.filter_bytes + 34 > report.dense_filter_bytes / 2, "room for one block more: {report:?}");
+    assert_eq!(report.steps.iter().map(|s| s.step).collect::<Vec<_>>(), ["float", "blocks", "file"]);
+    let (float, blob) = (FloatNetwork::new(&checkpoint).unwrap(), Blob::new(made.bytes).unwrap());
+    assert!(difference(&float, &blob, &frame(9)) < 0.01);
+}
+
+/// A file that would not fit is pruned to what fits, to the last block; where nothing fits the whole file tells how much is missing.
+#[test]
+fn what_does_not_fit_into_the_flash_is_pruned() {
+    let checkpoint = checkpoint();
+    let whole = quantize(&checkpoint, "", &QuantizeConfig::default()).unwrap().report;
+    for less in [1, 100, 5000, whole.filter_bytes * 9 / 10] {
+        let flash = (whole.file_bytes - less) as u64;
+        let config = QuantizeConfig { flash_bytes: Some(flash), ..Default::default() };
+        let made = quantize(&checkpoint, "", &config).unwrap();
+        let found = made.bytes.len() as u64;
+        assert!(found <= flash && found + 200 > flash, "{found} of {flash}");
+        assert!(made.report.blocks > 0 && made.report.energy_kept < 1.0);
+        Blob::new(made.bytes).unwrap();
+    }
+}
+
+/// What was held to blocks while it was trained is written as these, whatever else would be stronger.
+#[test]
+fn blocks_of_a_training_are_kept() {
+    let mut checkpoint = checkpoint();
+    let blocks = vec![(0, 3, 4), (1, 0, 0), (2, 15, 15)];
+    checkpoint.body.support = Some(Support::Blocks { side: 4, blocks });
+    let plan = crate::train::ops::fourier::Fourier::new(checkpoint.body.network.fourier());
+    checkpoint.body.support.as_ref().unwrap().project(&plan, &mut checkpoint.weights);
+    let made = quantize(&checkpoint, "", &QuantizeConfig::default()).unwrap();
+    assert_eq!((made.report.blocks, made.report.block_side), (3, 4));
+    assert!(made.report.energy_kept > 0.999_999);
+    let (float, blob) = (FloatNetwork::new(&checkpoint).unwrap(), Blob::new(made.bytes).unwrap());
+    assert!(difference(&float, &blob, &frame(9)) < 0.02);
+}
+
 #[test]
 fn a_small_device_is_told_how_much_is_missing() {
     let checkpoint = checkpoint();

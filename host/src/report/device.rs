@@ -46,7 +46,12 @@ pub fn blob(header: &Header, file_bytes: u64, numbers: &mut Numbers) -> Markup {
         ("Reconstruction".into(), html! { (header.object.rows) " × " (header.object.cols) }),
         (
             "Filter bank".into(),
-            html! { (bank.channels) " channels, " (bank.taps.len()) " taps of " (bank.tile) " × " (bank.tile) },
+            match bank.blocks {
+                None => html! { (bank.channels) " channels, " (bank.taps.len()) " taps of " (bank.tile) " × " (bank.tile) },
+                Some(blocks) => html! {
+                    (bank.channels) " channels of " (bank.tile) " × " (bank.tile) ", pruned to " (blocks.count) " blocks of " (blocks.side) " × " (blocks.side)
+                },
+            },
         ),
         ("Enhancement".into(), html! { (rcan.width) " features, " (rcan.groups) " × " (rcan.blocks) " blocks" }),
         ("Fast memory".into(), html! { (bytes(u64::from(header.memory.fast_bytes))) }),

@@ -157,6 +157,7 @@ impl Checkpoint {
         let (header, mut tensors) = artifact::read::<Body>(path, KIND, VERSION)?;
         let body = header.body;
         body.network.check()?;
+        body.support.as_ref().map_or(Ok(()), |support| support.check(&body.network.fourier()))?;
         let weights = weights::take(path, &body.network, &mut tensors, "")?;
         let (current, first, second) = if body.step > 0 {
             let mut state = |prefix| weights::take(path, &body.network, &mut tensors, prefix);

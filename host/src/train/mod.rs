@@ -31,5 +31,5 @@ pub use settings::{Preset, Start, TrainConfig};
 pub use sight::Sight;
 pub use simulated::Simulated;
 pub use source::{Example, Loader, Pair, PairSource, normalise};
-pub use support::{Support, lags};
+pub use support::{Support, block_lags, lags};
 pub use trainer::{Next, Progress, Task, Trainer};

@@ -1,20 +1,32 @@
-//! Filters that a device can afford: each kernel holds a few blocks of lags and nothing else.
+//! Filters that a device can afford: each kernel holds some blocks of lags and nothing else.
 
-use super::ops::fourier::{Fourier, Spectrum};
+use super::ops::fourier::{Fourier, FourierSizes, Spectrum};
+use super::TrainError;
 use super::weights::FILTERS;
 use crate::artifact::Tensors;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// The lags that filters may have. A tap (dy, dx) covers the lags `l - d S`, `-S/2 <= l < S/2`, S = tile / 2, of its channel's kernel
-/// (`ommatidia_shared::filter`).
+/// The lags that filters may have.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Support {
-    /// Side of the device's transforms, pixels.
-    pub tile: usize,
-    /// Taps: channel, block row, block column.
-    pub taps: Vec<(u8, i8, i8)>,
+#[serde(untagged, deny_unknown_fields)]
+pub enum Support {
+    /// Those of the taps of small transforms. A tap (dy, dx) covers the lags `l - d S`, `-S/2 <= l < S/2`, S = tile / 2, of its channel's kernel
+    /// (`ommatidia_shared::filter`).
+    Taps {
+        /// Side of the device's transforms, pixels.
+        tile: usize,
+        /// Taps: channel, block row, block column.
+        taps: Vec<(u8, i8, i8)>,
+    },
+    /// Those of blocks that a dense filter's kernel was pruned to. A block (row, col) covers the lags `B (row, col) + (0 .. B) - L` of its channel's
+    /// kernel, L = floor((T - object) / 2): element 0 of the plane that a device transforms holds lag -L.
+    Blocks {
+        /// Side of a block, B lags.
+        side: usize,
+        /// Blocks: channel, block row, block column, in this order.
+        blocks: Vec<(u8, u16, u16)>,
+    },
 }
 
 /// The lags of a tap: index in the whole kernel (T x T), and lag relative to the tap, rows and columns.
@@ -29,15 +41,76 @@ pub fn lags(t: usize, step: usize, [dy, dx]: [i8; 2]) -> impl Iterator<Item = (u
     })
 }
 
-impl Support {
-    /// Takes all other lags out of the filters among `tensors`: the nearest filters that the taps can hold.
-    pub fn project(&self, plan: &Fourier, tensors: &mut Tensors) {
-        let (sizes, step) = (plan.sizes(), self.tile / 2);
-        let (t, c) = (sizes.filter_size, sizes.channels);
-        let mut kept = vec![false; c * t * t];
-        for &(channel, dy, dx) in &self.taps {
-            lags(t, step, [dy, dx]).for_each(|(at, _)| kept[usize::from(channel) * t * t + at] = true);
+/// The lags of a block as indices in the whole kernel (T x T), row by row.
+pub fn block_lags(sizes: &FourierSizes, side: usize, block: [u16; 2]) -> impl Iterator<Item = usize> + use<> {
+    let t = sizes.filter_size;
+    let [first_row, first_col] =
+        [0, 1].map(|axis| usize::from(block[axis]) * side + t - (t - sizes.object[axis].min(t)) / 2);
+    (0..side * side).map(move |i| (first_row + i / side) % t * t + (first_col + i % side) % t)
+}
+
+impl std::fmt::Display for Support {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Taps { tile, taps } => write!(f, "{} taps of {tile} x {tile}", taps.len()),
+            Self::Blocks { side, blocks } => write!(f, "{} blocks of {side} x {side} lags", blocks.len()),
         }
+    }
+}
+
+impl Support {
+    /// Whether a network of these sizes can be held to it.
+    ///
+    /// # Errors
+    /// [`TrainError::Config`]: a channel or a block that the network does not have, or blocks out of order.
+    pub fn check(&self, sizes: &FourierSizes) -> Result<(), TrainError> {
+        let t = sizes.filter_size;
+        let wrong = |expected: String| {
+            Err(TrainError::Config { field: "support", expected, found: self.to_string() })
+        };
+        match self {
+            Self::Taps { tile, taps } => {
+                if *tile < 2 || *tile > t || taps.iter().any(|tap| usize::from(tap.0) >= sizes.channels) {
+                    return wrong(format!("taps of at most {t} x {t} of {} channels", sizes.channels));
+                }
+            }
+            Self::Blocks { side, blocks } => {
+                let across = t.checked_div(*side).unwrap_or(0);
+                let inside = |&(channel, row, col): &(u8, u16, u16)| {
+                    usize::from(channel) < sizes.channels && [row, col].iter().all(|&at| usize::from(at) < across)
+                };
+                let sorted = blocks.is_sorted_by(|a, b| a < b);
+                if !sorted || across * side != t || !blocks.iter().all(inside) {
+                    return wrong(format!("blocks of {} kernels of {t} x {t} lags, in order", sizes.channels));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether each lag of each kernel is held, [channels, T, T].
+    pub fn held(&self, sizes: &FourierSizes) -> Vec<bool> {
+        let t = sizes.filter_size;
+        let mut held = vec![false; sizes.channels * t * t];
+        let mut hold = |channel: u8, at: usize| held[usize::from(channel) * t * t + at] = true;
+        match self {
+            Self::Taps { tile, taps } => {
+                for &(channel, dy, dx) in taps {
+                    lags(t, tile / 2, [dy, dx]).for_each(|(at, _)| hold(channel, at));
+                }
+            }
+            Self::Blocks { side, blocks } => {
+                for &(channel, row, col) in blocks {
+                    block_lags(sizes, *side, [row, col]).for_each(|at| hold(channel, at));
+                }
+            }
+        }
+        held
+    }
+
+    /// Takes all other lags out of the filters among `tensors`: the nearest filters that can be held.
+    pub fn project(&self, plan: &Fourier, tensors: &mut Tensors) {
+        let (held, t) = (self.held(&plan.sizes()), plan.sizes().filter_size);
         let [Some(mut re), Some(mut im)] = FILTERS.map(|name| tensors.remove(name)) else {
             return;
         };
@@ -45,9 +118,9 @@ impl Support {
             let spectra: Vec<Spectrum> = plan.filters(re, im);
             let kernels: Vec<f32> = spectra
                 .into_par_iter()
-                .zip(kept.par_chunks_exact(t * t))
-                .flat_map_iter(|(s, kept)| {
-                    plan.whole(s).into_iter().zip(kept).map(|(v, k)| if *k { v } else { 0.0 }).collect::<Vec<_>>()
+                .zip(held.par_chunks_exact(t * t))
+                .flat_map_iter(|(s, held)| {
+                    plan.whole(s).into_iter().zip(held).map(|(v, h)| if *h { v } else { 0.0 }).collect::<Vec<_>>()
                 })
                 .collect();
             let (new_re, new_im) = plan.kernel_parts(&kernels);
@@ -64,22 +137,52 @@ mod tests {
     use super::*;
     use crate::train::{NetworkConfig, Preset, weights};
 
-    #[test]
-    fn what_is_projected_lies_in_the_taps_and_stays() {
-        let network = NetworkConfig { channels: 2, ..Preset::Nano.network([20, 24], [8, 8]) };
-        let (plan, t) = (Fourier::new(network.fourier()), 32);
-        let support = Support { tile: 16, taps: vec![(0, 0, 0), (0, 1, -2), (1, 0, 1)] };
-        let mut tensors = weights::random(&network, 3);
+    /// Lags that are not zero in each kernel after one projection; a second one changes nothing.
+    fn lit(support: &Support, network: &NetworkConfig) -> Vec<usize> {
+        let (plan, t) = (Fourier::new(network.fourier()), network.filter_size);
+        let mut tensors = weights::random(network, 3);
         support.project(&plan, &mut tensors);
         let kernels = |tensors: &Tensors| -> Vec<f32> {
             let [re, im] = FILTERS.map(|f| tensors[f].as_slice().unwrap().to_vec());
             plan.filters(&re, &im).into_iter().flat_map(|s| plan.whole(s)).collect()
         };
         let first = kernels(&tensors);
-        let lit = |channel: usize| first[channel * t * t..][..t * t].iter().filter(|v| v.abs() > 1e-9).count();
-        // The third block of columns is cut in half by the end of the kernel.
-        assert!(lit(0) > 90 && lit(0) <= 96 && lit(1) > 50 && lit(1) <= 64, "{} {}", lit(0), lit(1));
         support.project(&plan, &mut tensors);
         assert!(first.iter().zip(kernels(&tensors)).all(|(a, b)| (a - b).abs() < 1e-8));
+        first.chunks_exact(t * t).map(|k| k.iter().filter(|v| v.abs() > 1e-9).count()).collect()
+    }
+
+    #[test]
+    fn what_is_projected_lies_in_the_taps_and_stays() {
+        let network = NetworkConfig { channels: 2, ..Preset::Nano.network([20, 24], [8, 8]) };
+        let support = Support::Taps { tile: 16, taps: vec![(0, 0, 0), (0, 1, -2), (1, 0, 1)] };
+        let lit = lit(&support, &network);
+        // The third block of columns is cut in half by the end of the kernel.
+        assert!(lit[0] > 90 && lit[0] <= 96 && lit[1] > 50 && lit[1] <= 64, "{lit:?}");
+    }
+
+    #[test]
+    fn what_no_network_has_is_refused() {
+        let sizes = NetworkConfig { channels: 2, ..Preset::Nano.network([20, 24], [8, 8]) }.fourier();
+        let blocks = |side, blocks: &[(u8, u16, u16)]| Support::Blocks { side, blocks: blocks.to_vec() }.check(&sizes);
+        assert!(blocks(4, &[(0, 0, 0), (0, 0, 7), (1, 7, 0)]).is_ok());
+        for (side, wrong) in [(0, (0, 0, 0)), (3, (0, 0, 0)), (4, (2, 0, 0)), (4, (0, 8, 0)), (4, (0, 0, 8))] {
+            assert!(blocks(side, &[wrong]).is_err(), "{side} {wrong:?}");
+        }
+        assert!(blocks(4, &[(1, 0, 0), (0, 0, 0)]).is_err());
+        let taps = |tile, tap| Support::Taps { tile, taps: vec![tap] }.check(&sizes);
+        assert!(taps(16, (1, -9, 3)).is_ok());
+        assert!(taps(16, (2, 0, 0)).is_err() && taps(64, (0, 0, 0)).is_err() && taps(0, (0, 0, 0)).is_err());
+    }
+
+    #[test]
+    fn what_is_projected_lies_in_the_blocks_and_stays() {
+        let network = NetworkConfig { channels: 2, ..Preset::Nano.network([20, 24], [8, 10]) };
+        let support = Support::Blocks { side: 4, blocks: vec![(0, 3, 2), (0, 7, 7), (1, 0, 0)] };
+        let lit = lit(&support, &network);
+        assert!(lit[0] > 28 && lit[0] <= 32 && lit[1] > 14 && lit[1] <= 16, "{lit:?}");
+        // L = (12, 11): block (3, 2) begins at lag (0, -3), 29 columns round.
+        let first: Vec<usize> = block_lags(&network.fourier(), 4, [3, 2]).take(5).collect();
+        assert_eq!(first, [29, 30, 31, 0, 32 + 29]);
     }
 }

@@ -6,7 +6,6 @@ use super::layout::{
     VERSION, VERSION_AT,
 };
 use super::{BlobError, Header, HeaderField, Weights};
-use half::f16;
 
 /// A network: its header, and its weights where the file lies.
 #[derive(Clone, Debug)]
@@ -29,7 +28,7 @@ impl<'a> Network<'a> {
             return Err(BlobError::Crc { expected: crc, found });
         }
         let network = Self::view(bytes)?;
-        for (section, halves) in network.weights.in_order() {
+        for (section, halves) in network.weights.halves() {
             check_finite(section, halves)?;
         }
         Ok(network)
@@ -47,14 +46,15 @@ impl<'a> Network<'a> {
         if layout.file_len != bytes.len() {
             return Err(wrong_section(&layout, &header, bytes.len()));
         }
-        let [spectra, rcan, offset, gain] =
-            layout.sections.map(|(at, len)| halves(bytes.get(at..at + len).unwrap_or_default()));
+        let [filters, index, rcan, offset, gain] =
+            layout.sections.map(|(at, len)| bytes.get(at..at + len).unwrap_or_default());
         let sensor = header.sensor;
         let weights = Weights {
-            spectra: spectra?,
-            rcan: rcan?,
-            offset_dn: if sensor.has_offset_map { Some(offset?) } else { None },
-            inverse_gain: if sensor.has_gain_map { Some(gain?) } else { None },
+            filters: numbers(filters)?,
+            index: numbers(index)?,
+            rcan: numbers(rcan)?,
+            offset_dn: if sensor.has_offset_map { Some(numbers(offset)?) } else { None },
+            inverse_gain: if sensor.has_gain_map { Some(numbers(gain)?) } else { None },
         };
         Ok(Self { header, weights })
     }
@@ -106,14 +106,14 @@ fn decode_header(bytes: &[u8], len: usize) -> Result<Header, BlobError> {
 /// Names the first section that runs past the end of the file, or else the last one, which is too short for it.
 fn wrong_section(layout: &Layout, header: &Header, file_len: usize) -> BlobError {
     let end = file_len.saturating_sub(CRC_LEN);
-    let lens = header.section_lens().map_or([0; 4], |lens| lens.in_order());
-    let past = layout.sections.iter().position(|(at, len)| at + len > end).unwrap_or(3);
+    let lens = header.section_lens().map_or([0; 5], |lens| lens.in_order());
+    let past = layout.sections.iter().position(|(at, len)| at + len > end).unwrap_or(lens.len() - 1);
     let found = end.saturating_sub(layout.sections[past].0) / 2;
     BlobError::SectionLength { section: super::Section::ALL[past], expected: lens[past], found: found as u64 }
 }
 
-/// Little-endian halves in place.
-fn halves(bytes: &[u8]) -> Result<&[f16], BlobError> {
+/// Little-endian halves, or words, in place.
+fn numbers<T: bytemuck::AnyBitPattern>(bytes: &[u8]) -> Result<&[T], BlobError> {
     const { assert!(cfg!(target_endian = "little"), "weights are read in place, so the target must be little-endian") };
     bytemuck::try_cast_slice(bytes).map_err(|_| misaligned(bytes))
 }

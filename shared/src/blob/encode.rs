@@ -33,14 +33,16 @@ pub fn encode(header: &Header, weights: &Weights<'_>, out: &mut [u8]) -> Result<
     file.fill(0);
     write_preamble(file, head.len());
     file[HEADER_AT..HEADER_AT + head.len()].copy_from_slice(head);
-    for (i, ((section, halves), expected)) in weights.in_order().into_iter().zip(lens.in_order()).enumerate() {
-        if halves.len() as u64 != expected {
-            return Err(BlobError::SectionLength { section, expected, found: halves.len() as u64 });
-        }
+    for (section, halves) in weights.halves() {
         check_finite(section, halves)?;
+    }
+    for (i, ((section, words), expected)) in weights.words().into_iter().zip(lens.in_order()).enumerate() {
+        if words.len() as u64 != expected {
+            return Err(BlobError::SectionLength { section, expected, found: words.len() as u64 });
+        }
         let (at, bytes) = layout.sections[i];
-        for (slot, half) in file[at..at + bytes].chunks_exact_mut(2).zip(halves) {
-            slot.copy_from_slice(&half.to_le_bytes());
+        for (slot, word) in file[at..at + bytes].chunks_exact_mut(2).zip(words) {
+            slot.copy_from_slice(&word.to_le_bytes());
         }
     }
     let (body, crc) = file.split_at_mut(layout.file_len - CRC_LEN);
@@ -73,14 +75,20 @@ pub(super) fn check_finite(section: Section, halves: &[f16]) -> Result<(), BlobE
 }
 
 impl<'a> Weights<'a> {
-    /// The sections in the order of the file.
-    pub(super) fn in_order(&self) -> [(Section, &'a [f16]); 4] {
+    /// The sections of halves.
+    pub(super) fn halves(&self) -> [(Section, &'a [f16]); 4] {
         let maps = [self.offset_dn.unwrap_or(&[]), self.inverse_gain.unwrap_or(&[])];
         [
-            (Section::Spectra, self.spectra),
+            (Section::Filters, self.filters),
             (Section::Rcan, self.rcan),
             (Section::Offset, maps[0]),
             (Section::InverseGain, maps[1]),
         ]
+    }
+
+    /// All sections in the order of the file, as bits.
+    fn words(&self) -> [(Section, &'a [u16]); 5] {
+        let [filters, rcan, offset, gain] = self.halves().map(|(section, halves)| (section, bytemuck::cast_slice(halves)));
+        [filters, (Section::Index, self.index), rcan, offset, gain]
     }
 }

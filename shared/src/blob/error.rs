@@ -8,8 +8,10 @@ use serde::{Deserialize, Serialize};
 /// A weight section of the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum Section {
-    /// Spectra of the filter bank.
-    Spectra,
+    /// Spectra of the filter bank, or blocks of its kernels.
+    Filters,
+    /// Where the blocks lie.
+    Index,
     /// Weights and biases of the enhancement network.
     Rcan,
     /// Offset map of the sensor.
@@ -20,12 +22,13 @@ pub enum Section {
 
 impl Section {
     /// All sections in the order of the file.
-    pub const ALL: [Self; 4] = [Self::Spectra, Self::Rcan, Self::Offset, Self::InverseGain];
+    pub const ALL: [Self; 5] = [Self::Filters, Self::Index, Self::Rcan, Self::Offset, Self::InverseGain];
 
     /// Name in messages.
     pub fn name(self) -> &'static str {
         match self {
-            Self::Spectra => "spectra",
+            Self::Filters => "filters",
+            Self::Index => "index",
             Self::Rcan => "rcan",
             Self::Offset => "offset map",
             Self::InverseGain => "inverse gain map",
@@ -94,7 +97,7 @@ pub enum BlobError {
     SectionLength {
         /// Which weights.
         section: Section,
-        /// Halves that the header asks for.
+        /// Halves, or words of the index, that the header asks for.
         expected: u64,
         /// Halves that there are (or can be).
         found: u64,
@@ -148,7 +151,7 @@ impl fmt::Display for BlobError {
             }
             Self::Header { field } => write!(f, "header field `{field:?}` holds what no network can have"),
             Self::SectionLength { section, expected, found } => {
-                write!(f, "section `{}`: expected {expected} halves, found {found}", section.name())
+                write!(f, "section `{}`: expected {expected} numbers, found {found}", section.name())
             }
             Self::NonFinite { section, index } => {
                 write!(f, "section `{}`: expected finite weights, found none at index {index}", section.name())

@@ -50,6 +50,22 @@ impl Tap {
     }
 }
 
+/// Kernels that are stored in space, a few blocks of lags each; all other lags are zero ([`crate::filter`]).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct Blocks {
+    /// Side B of a block, lags; a power of two, at most T.
+    pub side: u16,
+    /// Blocks of all channels together.
+    pub count: u16,
+}
+
+impl Blocks {
+    /// Blocks in a row, and in a column, of a kernel of side `tile`.
+    pub const fn across(self, tile: u16) -> usize {
+        (tile / self.side) as usize
+    }
+}
+
 /// The Fourier filter bank: uniformly partitioned overlap-save convolution.
 ///
 /// With `tile` = the padded frame and one tap at (0, 0) a channel it is the dense layer of the paper.
@@ -61,8 +77,10 @@ pub struct Bank {
     pub step: u16,
     /// Number of output channels C.
     pub channels: u8,
-    /// Taps, sorted by (channel, dy, dx). Each has a spectrum of T x (T/2+1) complex halves in the weights.
+    /// Taps, sorted by (channel, dy, dx). Each has a spectrum of T x (T/2+1) complex halves in the weights, or, with `blocks`, a kernel.
     pub taps: Vec<Tap, MAX_TAPS>,
+    /// The weights hold kernels in space instead of spectra: one tap at (0, 0) a channel, one tile that holds the whole frame.
+    pub blocks: Option<Blocks>,
 }
 
 /// The enhancement network: a light residual channel-attention network.
@@ -127,8 +145,10 @@ pub struct Header {
 /// Number of halves in each weight section, in the order of the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SectionLens {
-    /// Spectra of the taps.
-    pub spectra: u64,
+    /// Spectra of the taps, or blocks of their kernels.
+    pub filters: u64,
+    /// Where the blocks lie, words of 16 bits; 0 for spectra.
+    pub index: u64,
     /// Weights and biases of the RCAN.
     pub rcan: u64,
     /// Offset map; 0 without one.
@@ -148,8 +168,19 @@ impl Header {
         if self.rcan.reduction == 0 {
             return Err(BlobError::Header { field: HeaderField::Rcan });
         }
+        if self.bank.blocks.is_some_and(|b| !b.side.is_power_of_two() || b.side > self.bank.tile) {
+            return Err(BlobError::Header { field: HeaderField::Blocks });
+        }
+        let (filters, index) = match self.bank.blocks {
+            None => (self.bank.taps.len() as u64 * tile * (tile / 2 + 1) * 2, 0),
+            Some(blocks) => {
+                let rows = u64::from(self.bank.channels) * blocks.across(self.bank.tile) as u64;
+                (u64::from(blocks.count) * u64::from(blocks.side).pow(2), rows + 1 + u64::from(blocks.count))
+            }
+        };
         Ok(SectionLens {
-            spectra: self.bank.taps.len() as u64 * tile * (tile / 2 + 1) * 2,
+            filters,
+            index,
             rcan: weights_len(&self.rcan, self.bank.channels) as u64,
             offset_dn: if self.sensor.has_offset_map { pixels } else { 0 },
             inverse_gain: if self.sensor.has_gain_map { pixels } else { 0 },
@@ -201,15 +232,21 @@ pub enum HeaderField {
     Bank,
     /// [`Bank::taps`].
     Taps,
+    /// [`Bank::blocks`].
+    Blocks,
     /// [`Header::rcan`].
     Rcan,
 }
 
-/// The weights of a network, borrowed from wherever the file lies. All are IEEE halves.
+/// The weights of a network, borrowed from wherever the file lies. All but the index are IEEE halves.
 #[derive(Clone, Copy, Debug)]
 pub struct Weights<'a> {
-    /// Spectra of the taps in the order of [`Bank::taps`], each T rows of T/2+1 complex numbers (re, im).
-    pub spectra: &'a [half::f16],
+    /// Spectra of the taps in the order of [`Bank::taps`], each T rows of T/2+1 complex numbers (re, im). With [`Bank::blocks`] the blocks in the
+    /// order of the index, each B rows of B lags.
+    pub filters: &'a [half::f16],
+    /// Where the blocks lie, as in a compressed sparse row matrix: for each row of blocks of each channel the number of blocks before it, then the
+    /// number of all; then the column of each block. Empty for spectra.
+    pub index: &'a [u16],
     /// Weights and biases of the RCAN in the order in which they are used; see `nn::rcan`.
     pub rcan: &'a [half::f16],
     /// Offset of each pixel relative to the black level, DN, [frame rows, frame cols].

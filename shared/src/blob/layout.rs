@@ -7,7 +7,7 @@ use postcard_schema::key::Key;
 /// The first eight bytes of every network file.
 pub const MAGIC: [u8; 8] = *b"OMMATIDI";
 /// Version of the layout; it changes with whatever the schema key cannot see.
-pub const VERSION: u16 = 1;
+pub const VERSION: u16 = 2;
 /// Changes with every name and type in [`Header`].
 pub const SCHEMA_KEY: u64 = u64::from_le_bytes(Key::for_path::<Header>("ommatidia/blob").to_bytes());
 /// Sections, and the file itself, begin at multiples of this many bytes.
@@ -29,19 +29,19 @@ pub(crate) const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Layout {
     /// Start and length in bytes, in the order of [`Section::ALL`].
-    pub sections: [(usize, usize); 4],
+    pub sections: [(usize, usize); 5],
     /// Length of the file with its CRC, bytes.
     pub file_len: usize,
 }
 
 impl Layout {
-    /// The layout of a file with `header_len` bytes of header and sections of `lens` halves.
+    /// The layout of a file with `header_len` bytes of header and sections of `lens` numbers of 16 bits.
     ///
     /// # Errors
     /// [`BlobError::SectionLength`] where a section could not be addressed.
     pub fn new(header_len: usize, lens: &SectionLens) -> Result<Self, BlobError> {
         let mut at = HEADER_AT + header_len;
-        let mut sections = [(0, 0); 4];
+        let mut sections = [(0, 0); 5];
         for ((slot, section), halves) in sections.iter_mut().zip(Section::ALL).zip(lens.in_order()) {
             let too_long = BlobError::SectionLength { section, expected: halves, found: (u32::MAX / 2) as u64 };
             at = at.next_multiple_of(ALIGN);
@@ -56,7 +56,7 @@ impl Layout {
 
 impl SectionLens {
     /// The lengths in the order of [`Section::ALL`].
-    pub(super) fn in_order(&self) -> [u64; 4] {
-        [self.spectra, self.rcan, self.offset_dn, self.inverse_gain]
+    pub(super) fn in_order(&self) -> [u64; 5] {
+        [self.filters, self.index, self.rcan, self.offset_dn, self.inverse_gain]
     }
 }

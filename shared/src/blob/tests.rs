@@ -31,6 +31,7 @@ impl Aligned {
 #[derive(Clone, Debug, Default)]
 struct Owned {
     sections: [Vec<f16>; 4],
+    index: Vec<u16>,
 }
 
 impl Owned {
@@ -47,13 +48,15 @@ impl Owned {
                 })
                 .collect()
         };
-        Self { sections: [lens.spectra, lens.rcan, lens.offset_dn, lens.inverse_gain].map(&mut draw) }
+        let sections = [lens.filters, lens.rcan, lens.offset_dn, lens.inverse_gain].map(&mut draw);
+        Self { sections, index: (0..lens.index).map(|i| (i * 977) as u16).collect() }
     }
 
     fn weights(&self, sensor: &Sensor) -> Weights<'_> {
-        let [spectra, rcan, offset, gain] = &self.sections;
+        let [filters, rcan, offset, gain] = &self.sections;
         Weights {
-            spectra,
+            filters,
+            index: &self.index,
             rcan,
             offset_dn: sensor.has_offset_map.then_some(offset.as_slice()),
             inverse_gain: sensor.has_gain_map.then_some(gain.as_slice()),
@@ -80,6 +83,7 @@ fn small() -> Header {
             step: 2,
             channels: 1,
             taps: [Tap { channel: 0, dy: 0, dx: 0 }, Tap { channel: 0, dy: 0, dx: 1 }].into_iter().collect(),
+            blocks: None,
         },
         rcan: Rcan { width: 1, groups: 0, blocks: 0, reduction: 1 },
         memory: MemoryPlan { fast_bytes: 100, bulk_bytes: 2000 },
@@ -90,7 +94,7 @@ prop_compose! {
     fn headers()(
         name in "[a-z]{0,12}", tile in 1u32..5, step in 1u16..3, channels in 1u8..4, taps in 1usize..5,
         rows in 1u16..9, cols in 1u16..9, black in 0.0f32..200.0, maps: (bool, bool),
-        rcan in (1u8..5, 0u8..3, 0u8..3), memory: (u32, u32),
+        rcan in (1u8..5, 0u8..3, 0u8..3), memory: (u32, u32), blocks in prop::option::of((0u32..2, 0u16..5)),
     ) -> Header {
         let tap = |i: usize| Tap { channel: 0, dy: -1, dx: i as i8 };
         Header {
@@ -99,7 +103,9 @@ prop_compose! {
             frame: Size { rows, cols },
             object: Size { rows: 2 * rows, cols: 2 * cols },
             sensor: Sensor { black_level_dn: black, saturation_dn: 1023, has_offset_map: maps.0, has_gain_map: maps.1 },
-            bank: Bank { tile: 1 << tile, step, channels, taps: (0..taps).map(tap).collect() },
+            bank: Bank { tile: 1 << tile, step, channels, taps: (0..taps).map(tap).collect(),
+                blocks: blocks.map(|(side, count)| Blocks { side: 1 << side, count }),
+            },
             rcan: Rcan { width: rcan.0, groups: rcan.1, blocks: rcan.2, reduction: 1 },
             memory: MemoryPlan { fast_bytes: memory.0, bulk_bytes: memory.1 },
         }
@@ -127,7 +133,8 @@ proptest! {
         let network = Network::decode(aligned.bytes()).unwrap();
         let expected = owned.weights(&header.sensor);
         prop_assert_eq!(&network.header, &header);
-        prop_assert_eq!(bits(network.weights.spectra), bits(expected.spectra));
+        prop_assert_eq!(bits(network.weights.filters), bits(expected.filters));
+        prop_assert_eq!(network.weights.index, expected.index);
         prop_assert_eq!(bits(network.weights.rcan), bits(expected.rcan));
         prop_assert_eq!(network.weights.offset_dn.map(bits), expected.offset_dn.map(bits));
         prop_assert_eq!(network.weights.inverse_gain.map(bits), expected.inverse_gain.map(bits));
@@ -153,7 +160,7 @@ proptest! {
         }
         if let Ok(network) = Network::decode(Aligned::new(&bytes).bytes()) {
             let lens = network.header.section_lens().unwrap();
-            prop_assert_eq!(network.weights.spectra.len() as u64, lens.spectra);
+            prop_assert_eq!(network.weights.filters.len() as u64, lens.filters);
             prop_assert_eq!(network.weights.rcan.len() as u64, lens.rcan);
         }
     }
@@ -200,14 +207,14 @@ fn each_refusal_names_its_reason() {
         refusal(layout::HEADER_LEN_AT, &u32::MAX.to_le_bytes()),
         BlobError::Header { field: HeaderField::Encoding }
     );
-    let (at, _) = sections(&header)[1];
+    let (at, _) = sections(&header)[2];
     assert_eq!(refusal(at + 6, &f16::NAN.to_le_bytes()), BlobError::NonFinite { section: Section::Rcan, index: 3 });
     let mut damaged = good.clone();
     damaged[at] ^= 1;
     assert!(matches!(Network::decode(Aligned::new(&damaged).bytes()), Err(BlobError::Crc { .. })));
 }
 
-fn sections(header: &Header) -> [(usize, usize); 4] {
+fn sections(header: &Header) -> [(usize, usize); 5] {
     let mut buffer = [0; layout::MAX_HEADER_LEN];
     let len = postcard::to_slice(header, &mut buffer).unwrap().len();
     layout::Layout::new(len, &header.section_lens().unwrap()).unwrap().sections
@@ -242,10 +249,10 @@ fn the_encoder_refuses_what_it_could_not_read() {
     let owned = Owned::new(&header, 1);
     let weights = owned.weights(&header.sensor);
     let mut out = std::vec![0; encoded_len(&header).unwrap()];
-    let spectra = &weights.spectra[1..];
+    let filters = &weights.filters[1..];
     assert_eq!(
-        encode(&header, &Weights { spectra, ..weights }, &mut out),
-        Err(BlobError::SectionLength { section: Section::Spectra, expected: 48, found: 47 })
+        encode(&header, &Weights { filters, ..weights }, &mut out),
+        Err(BlobError::SectionLength { section: Section::Filters, expected: 48, found: 47 })
     );
     let len = out.len();
     assert_eq!(
@@ -257,12 +264,20 @@ fn the_encoder_refuses_what_it_could_not_read() {
 }
 
 #[test]
-fn rcan_weights_are_counted_layer_by_layer() {
+fn weights_are_counted() {
     // conv 12->4: 436; group: 1 x (2 conv 4->4: 296; attention 4->2->4: 22) + conv 4->4: 148; conv 4->4: 148;
     // conv 4->16: 592; conv 4->1: 37.
     let rcan = Rcan { width: 4, groups: 1, blocks: 1, reduction: 2 };
     let header = Header { rcan, bank: Bank { channels: 3, ..small().bank }, ..small() };
     assert_eq!(header.section_lens().unwrap().rcan, 436 + 296 + 22 + 148 + 148 + 592 + 37);
+    let bank = |side, count| Bank { blocks: Some(Blocks { side, count }), ..small().bank };
+    let blocks = Header { bank: Bank { tile: 16, channels: 2, ..bank(4, 7) }, ..small() };
+    let lens = blocks.section_lens().unwrap();
+    assert_eq!((lens.filters, lens.index), (7 * 16, 2 * 4 + 1 + 7));
+    for side in [0, 3, 8] {
+        let wrong = Header { bank: bank(side, 7), ..small() };
+        assert_eq!(wrong.check(), Err(BlobError::Header { field: HeaderField::Blocks }), "{side}");
+    }
     let none = Header { rcan: Rcan { reduction: 0, ..rcan }, ..header };
     assert_eq!(none.check(), Err(BlobError::Header { field: HeaderField::Rcan }));
 }

@@ -3,6 +3,7 @@
 use core::ops::Range;
 
 use super::geometry::{Axis, FilterError, Geometry};
+use super::kernel::{Filters, Kernels};
 use crate::blob::{Bank, Size, Tap};
 use crate::fft::{Fft2, RowSource, Strip, StripSource};
 use crate::image::ChwMut;
@@ -43,9 +44,22 @@ impl<'a> FilterBank<'a> {
         self.fft.spectrum_len(self.fft.len())
     }
 
-    /// Halves of all spectra.
-    pub fn spectra_len(&self) -> usize {
-        self.spectrum_len() * self.bank.taps.len()
+    /// Whether these are filters of this bank: their number, and where blocks lie.
+    ///
+    /// # Errors
+    /// [`FilterError::Length`], [`FilterError::Index`].
+    pub fn check(&self, filters: Filters<'_>) -> Result<(), FilterError> {
+        self.kernels(filters).map(|_| ())
+    }
+
+    /// [`Self::check`], and the kernels where the file holds these.
+    fn kernels<'f>(&self, filters: Filters<'f>) -> Result<Option<Kernels<'f>>, FilterError> {
+        let expected = match self.bank.blocks {
+            None => self.spectrum_len() * self.bank.taps.len(),
+            Some(blocks) => usize::from(blocks.count) * usize::from(blocks.side).pow(2),
+        };
+        check_len(expected, filters.halves.len())?;
+        self.bank.blocks.map(|blocks| Kernels::new(self.bank, blocks, filters)).transpose()
     }
 
     /// Halves of the output.
@@ -53,9 +67,14 @@ impl<'a> FilterBank<'a> {
         self.bank.channels as usize * self.geometry.rows.object * self.geometry.cols.object
     }
 
-    /// Halves of arena that [`Self::process`] needs: the spectra of the windows in use and one half-transformed tile.
+    /// Halves of arena that [`Self::process`] needs: the spectra of the windows in use, one half-transformed tile and, where the file holds
+    /// kernels, the spectrum of one.
     pub const fn arena_len(&self) -> usize {
-        self.cache_len() + self.fft.spectrum_len(self.geometry.rows.valid())
+        self.cache_len() + self.fft.spectrum_len(self.geometry.rows.valid()) + self.kernel_len()
+    }
+
+    const fn kernel_len(&self) -> usize {
+        if self.bank.blocks.is_some() { self.spectrum_len() } else { 0 }
     }
 
     /// Spectra of as many rows of windows as one row of tiles reads.
@@ -76,23 +95,22 @@ impl<'a> FilterBank<'a> {
     /// Filters a frame: `output` is (channels, object rows, object columns).
     ///
     /// # Errors
-    /// [`FilterError`] where a buffer is too short or the spectra or the output have another length.
+    /// [`FilterError`] where a buffer is too short or the filters or the output are none of this bank.
     pub fn process(
         &self,
         simd: Simd,
         frame: &impl FrameSource,
-        spectra: &[f16],
+        filters: Filters<'_>,
         mut output: ChwMut<'_, f16>,
         arena: &mut [f16],
         scratch: &mut [f32],
     ) -> Result<(), FilterError> {
         let Geometry { rows, cols } = self.geometry;
-        let check =
-            |expected, found| if expected == found { Ok(()) } else { Err(FilterError::Length { expected, found }) };
-        check(self.spectra_len(), spectra.len())?;
-        check(self.output_len(), output.shape().iter().product())?;
-        check(self.arena_len(), arena.len().min(self.arena_len()))?;
-        let (cache, halfway) = arena.split_at_mut(self.cache_len());
+        let kernels = self.kernels(filters)?;
+        check_len(self.output_len(), output.shape().iter().product())?;
+        check_len(self.arena_len(), arena.len().min(self.arena_len()))?;
+        let (cache, arena) = arena.split_at_mut(self.cache_len());
+        let (spectrum, halfway) = arena.split_at_mut(self.kernel_len());
         for i in 0..rows.tiles() {
             // The rows of windows that the tile row before has not read.
             let first = if i == 0 { *rows.windows(0).start() } else { *rows.windows(i).end() };
@@ -101,8 +119,18 @@ impl<'a> FilterBank<'a> {
             }
             for j in 0..cols.tiles() {
                 for channel in 0..self.bank.channels {
-                    let sum = TapSum { plan: self, spectra, cache, channel, tile: (i as i32, j as i32) };
-                    let (top, left) = (rows.lead(), cols.lead());
+                    let taps = self.taps(channel);
+                    let spectra = match &kernels {
+                        None => &filters.halves[taps.start * self.spectrum_len()..],
+                        Some(kernels) => {
+                            let kernel = kernels.of(channel);
+                            self.fft.forward(simd, &kernel, kernel.occupied(), spectrum, scratch)?;
+                            &*spectrum
+                        }
+                    };
+                    let sum =
+                        TapSum { plan: self, taps: &self.bank.taps[taps], spectra, cache, tile: (i as i32, j as i32) };
+                    let [top, left] = self.valid_from();
                     let valid = top..top + rows.tile_len(i);
                     let columns = left..left + cols.tile_len(j);
                     self.fft.inverse(simd, &sum, valid, halfway, scratch, |row, values| {
@@ -114,6 +142,19 @@ impl<'a> FilterBank<'a> {
             }
         }
         Ok(())
+    }
+
+    /// The taps of a channel.
+    fn taps(&self, channel: u8) -> Range<usize> {
+        let before = |channel| self.bank.taps.partition_point(|tap| u16::from(tap.channel) < channel);
+        before(channel.into())..before(u16::from(channel) + 1)
+    }
+
+    /// Where the valid part of a tile begins, rows and columns.
+    fn valid_from(&self) -> [usize; 2] {
+        let Geometry { rows, cols } = self.geometry;
+        // A kernel in space begins with the lag -L: see `super::kernel`.
+        [rows, cols].map(|axis| if self.bank.blocks.is_some() { 2 * axis.lead() } else { axis.lead() })
     }
 
     /// Transforms the windows of row `m` that touch the frame.
@@ -148,6 +189,10 @@ impl<'a> FilterBank<'a> {
     }
 }
 
+fn check_len(expected: usize, found: usize) -> Result<(), FilterError> {
+    if expected == found { Ok(()) } else { Err(FilterError::Length { expected, found }) }
+}
+
 /// The rows of one window.
 struct WindowRows<'a, F> {
     frame: &'a F,
@@ -171,21 +216,19 @@ impl<F: FrameSource> RowSource for WindowRows<'_, F> {
 /// The spectrum of one output tile of one channel.
 struct TapSum<'a> {
     plan: &'a FilterBank<'a>,
+    /// The taps of the channel, and their spectra.
+    taps: &'a [Tap],
     spectra: &'a [f16],
     cache: &'a [f16],
-    channel: u8,
     tile: (i32, i32),
 }
 
 impl StripSource for TapSum<'_> {
     #[inline(always)]
     fn add<const L: usize>(&self, strip: &mut Strip<'_, L>) {
-        let taps: &[Tap] = &self.plan.bank.taps;
-        for (tap, spectrum) in taps.iter().zip(self.spectra.chunks_exact(self.plan.spectrum_len())) {
+        for (tap, spectrum) in self.taps.iter().zip(self.spectra.chunks_exact(self.plan.spectrum_len())) {
             let window = (self.tile.0 + i32::from(tap.dy), self.tile.1 + i32::from(tap.dx));
-            if tap.channel == self.channel
-                && let Some(slot) = self.plan.slot(window.0, window.1)
-            {
+            if let Some(slot) = self.plan.slot(window.0, window.1) {
                 strip.add_product(spectrum, &self.cache[slot]);
             }
         }

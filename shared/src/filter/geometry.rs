@@ -35,6 +35,13 @@ pub enum FilterError {
         /// The first such channel.
         channel: u8,
     },
+    /// Kernels need one tap at (0, 0) a channel and one tile that holds the whole frame.
+    Kernels,
+    /// The index of the blocks is out of order.
+    Index {
+        /// Row of blocks, counted over all channels, where that shows.
+        row: usize,
+    },
     /// A buffer has another length.
     Length {
         /// Elements that the plan needs.
@@ -60,6 +67,10 @@ impl fmt::Display for FilterError {
             }
             Self::Order { tap } => write!(f, "filter bank: tap {tap} is not in the order (channel, dy, dx)"),
             Self::NoTap { channel } => write!(f, "filter bank: channel {channel} has no tap"),
+            Self::Kernels => f.write_str(
+                "filter bank: kernels need one tap at (0, 0) a channel and one tile that holds the whole frame",
+            ),
+            Self::Index { row } => write!(f, "filter bank: the index of the blocks is out of order in row {row}"),
             Self::Length { expected, found } => write!(f, "filter bank: expected {expected} elements, found {found}"),
         }
     }
@@ -83,6 +94,11 @@ pub struct Axis {
 }
 
 impl Axis {
+    /// One tile, whose only window holds the whole frame.
+    pub fn is_whole(&self) -> bool {
+        self.tiles() == 1 && self.offsets == (0, 0) && self.tile >= self.frame
+    }
+
     /// Number of output tiles.
     pub const fn tiles(&self) -> usize {
         self.object.div_ceil(self.step)
@@ -172,10 +188,14 @@ impl Geometry {
                 (low.min(offset), high.max(offset))
             }),
         };
-        Ok(Self {
+        let geometry = Self {
             rows: axis(frame.rows, object.rows, |tap| tap.dy),
             cols: axis(frame.cols, object.cols, |tap| tap.dx),
-        })
+        };
+        if bank.blocks.is_some() && ![geometry.rows, geometry.cols].iter().all(Axis::is_whole) {
+            return Err(FilterError::Kernels);
+        }
+        Ok(geometry)
     }
 }
 

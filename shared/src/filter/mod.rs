@@ -18,6 +18,10 @@
 //! With T >= n and one tap at (0, 0) a channel, S >= m, there is one tile and one window, and it holds the whole frame, which begins at
 //! `floor((T - n) / 2)`: the dense layer, a circular convolution on the padded plane, object crop at `floor((T - m) / 2)`.
 //!
+//! # Kernels in space
+//! A dense filter that was pruned to a few blocks of lags is stored as these blocks, and transformed by the device: a tenth of the bytes for one
+//! transform more a channel (the module `kernel`). What follows is the same.
+//!
 //! # Numbers
 //! The window is transformed once for all channels ([`crate::fft`], scaled by 1/T, stored as halves). The sum over the taps of a channel
 //! is taken in the spectrum in binary32, in the order of the file: `re = (re + kr xr) - ki xi`, `im = (im + kr xi) + ki xr`, the products
@@ -29,9 +33,11 @@
 
 mod bank;
 mod geometry;
+mod kernel;
 
 pub use bank::{FilterBank, FrameSource};
 pub use geometry::{Axis, FilterError, Geometry};
+pub use kernel::Filters;
 
 #[cfg(test)]
 mod tests;

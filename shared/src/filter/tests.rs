@@ -6,7 +6,7 @@ use std::vec;
 use std::vec::Vec;
 
 use super::*;
-use crate::blob::{Bank, Size, Tap};
+use crate::blob::{Bank, Blocks, Size, Tap};
 use crate::image::ChwMut;
 use crate::naive::{self, Noise};
 use crate::num::{f16, simd::Simd};
@@ -37,6 +37,10 @@ fn spectrum(kernel: &[f64], n: usize) -> Vec<f16> {
 }
 
 fn run(bank: &Bank, spectra: &[f16], frame: &[f32], size: Size, object: Size, wide: bool) -> Vec<f16> {
+    run_filters(bank, Filters { halves: spectra, index: &[] }, frame, size, object, wide)
+}
+
+fn run_filters(bank: &Bank, filters: Filters<'_>, frame: &[f32], size: Size, object: Size, wide: bool) -> Vec<f16> {
     let plan = FilterBank::new(bank, size, object).unwrap();
     let mut output = vec![f16::NAN; plan.output_len()];
     let mut arena = vec![f16::NAN; plan.arena_len() + 3];
@@ -47,14 +51,14 @@ fn run(bank: &Bank, spectra: &[f16], frame: &[f32], size: Size, object: Size, wi
     let simd = if wide { Simd::detect() } else { Simd::PORTABLE };
     let source = Frame(frame, usize::from(size.cols));
     let arena_len = plan.arena_len();
-    plan.process(simd, &source, spectra, tensor, &mut arena[..arena_len], &mut scratch[..len]).unwrap();
+    plan.process(simd, &source, filters, tensor, &mut arena[..arena_len], &mut scratch[..len]).unwrap();
     assert!(arena[arena_len..].iter().all(|x| x.is_nan()) && scratch[len..].iter().all(|x| x.is_nan()));
     output
 }
 
 fn dense_bank(tile: u16, step: u16, channels: u8) -> Bank {
     let taps = (0..channels).map(|channel| Tap { channel, dy: 0, dx: 0 }).collect();
-    Bank { tile, step, channels, taps }
+    Bank { tile, step, channels, taps, blocks: None }
 }
 
 /// Centre of the padded plane, circular convolution, centre crop: the paper's layer, spelled out in space.
@@ -122,8 +126,9 @@ fn the_dense_layer_is_circular_convolution_on_the_padded_plane() {
 
 /// Splits a kernel of side n into taps of a small transform, each with the lags -S/2 <= l < S/2 about -dy S, -dx S.
 fn tapped(kernels: &[Vec<f64>], n: i32, tile: i32, step: i32) -> (Bank, Vec<f16>) {
+    let (tile_px, step_px) = (tile as u16, step as u16);
     let mut bank =
-        Bank { tile: tile as u16, step: step as u16, channels: kernels.len() as u8, taps: Default::default() };
+        Bank { tile: tile_px, step: step_px, channels: kernels.len() as u8, taps: Default::default(), blocks: None };
     let mut spectra = vec![];
     let reach = n / 2 / step;
     for (channel, kernel) in kernels.iter().enumerate() {
@@ -167,6 +172,82 @@ fn the_tapped_form_equals_the_dense_one_for_compact_foci() {
     }
 }
 
+/// The blocks of kernels of side n that hold anything, times n as the device scales both its transforms, and their index.
+fn in_blocks(kernels: &[Vec<f64>], n: usize, side: usize, object: Size) -> (Bank, Vec<f16>, Vec<u16>) {
+    let (mut halves, mut starts, mut columns) = (vec![], vec![0], vec![]);
+    let lead = [object.rows, object.cols].map(|m| (n - usize::from(m)) / 2);
+    for kernel in kernels {
+        for row in 0..n / side {
+            for column in 0..n / side {
+                let lag = |i: usize, axis: usize| (i + n - lead[axis]) % n;
+                let at = |i: usize| lag(row * side + i / side, 0) * n + lag(column * side + i % side, 1);
+                let block: Vec<f64> = (0..side * side).map(|i| kernel[at(i)] * n as f64).collect();
+                if block.iter().any(|&k| k != 0.0) {
+                    halves.extend(block.into_iter().map(f16::from_f64));
+                    columns.push(column as u16);
+                }
+            }
+            starts.push(columns.len() as u16);
+        }
+    }
+    let blocks = Some(Blocks { side: side as u16, count: columns.len() as u16 });
+    let bank = Bank { blocks, ..dense_bank(n as u16, n as u16, kernels.len() as u8) };
+    (bank, halves, [starts, columns].concat())
+}
+
+#[test]
+fn kernels_in_blocks_equal_their_spectra() {
+    let (n, size) = (64, Size { rows: 51, cols: 54 });
+    // Round the origin, at the ends of the plane, and none at all.
+    let lags: [&[(i32, i32)]; 3] = [&[(0, 0), (-15, 4), (7, -12)], &[(31, -32), (-2, -9)], &[]];
+    let kernels: Vec<Vec<f64>> = lags.iter().enumerate().map(|(i, lags)| foci(n, lags, 7 + i as u32)).collect();
+    let frame = frame(size);
+    for object in [Size { rows: 24, cols: 24 }, Size { rows: 20, cols: 26 }, Size { rows: 6, cols: 50 }] {
+        let expected: Vec<f64> = kernels.iter().flat_map(|k| by_definition(k, n, &frame, size, object)).collect();
+        for side in [1, 4, 8, 64] {
+            let (bank, halves, index) = in_blocks(&kernels, n, side, object);
+            let filters = Filters { halves: &halves, index: &index };
+            let found = run_filters(&bank, filters, &frame, size, object, true);
+            let error = naive::error(&found, &expected);
+            assert!(error < TOLERANCE, "B = {side}, object {object:?}: {error:e}");
+            assert_eq!(run_filters(&bank, filters, &frame, size, object, false), found);
+        }
+    }
+}
+
+#[test]
+fn an_index_out_of_order_is_refused() {
+    let (size, object) = (Size { rows: 14, cols: 14 }, Size { rows: 8, cols: 8 });
+    let (bank, halves, good) = in_blocks(&[foci(16, &[(0, 0), (5, 5)], 1), foci(16, &[(2, -3)], 2)], 16, 4, object);
+    let plan = FilterBank::new(&bank, size, object).unwrap();
+    let check = |index: &[u16]| plan.check(Filters { halves: &halves, index });
+    assert_eq!(check(&good), Ok(()));
+    // Whatever one number of the index becomes: refused, or a network that runs.
+    for at in 0..good.len() {
+        for value in [0, 1, 3, 4, 15, good[at].wrapping_sub(1), good[at] + 1, u16::MAX] {
+            let mut index = good.clone();
+            index[at] = value;
+            let in_order = |index: &[u16]| {
+                let (starts, columns) = index.split_at(9);
+                let ends = starts[0] == 0 && starts[8] == columns.len() as u16 && starts.is_sorted();
+                let rows = || starts.windows(2).map(|w| &columns[usize::from(w[0])..usize::from(w[1])]);
+                ends && rows().all(|row| row.is_sorted_by(|a, b| a < b) && row.iter().all(|c| *c < 4))
+            };
+            assert_eq!(check(&index).is_ok(), in_order(&index), "{at}: {value}");
+            if check(&index).is_ok() {
+                run_filters(&bank, Filters { halves: &halves, index: &index }, &[0.5; 14 * 14], size, object, true);
+            }
+        }
+    }
+    assert_eq!(check(&good[1..]), Err(FilterError::Index { row: 0 }));
+    assert_eq!(check(&[]), Err(FilterError::Index { row: 0 }));
+    let short = plan.check(Filters { halves: &halves[1..], index: &good });
+    assert_eq!(short, Err(FilterError::Length { expected: halves.len(), found: halves.len() - 1 }));
+    let refuse = |bank: &Bank, size| FilterBank::new(bank, size, object).unwrap_err();
+    assert_eq!(refuse(&Bank { step: 4, ..bank.clone() }, size), FilterError::Kernels);
+    assert_eq!(refuse(&bank, Size { rows: 17, cols: 4 }), FilterError::Kernels);
+}
+
 #[test]
 fn the_geometry_is_the_documented_one() {
     let (size, object) = (Size { rows: 214, cols: 213 }, Size { rows: 96, cols: 96 });
@@ -174,7 +255,7 @@ fn the_geometry_is_the_documented_one() {
     assert_eq!((dense.rows.tiles(), dense.rows.lead(), dense.rows.object_origin()), (1, 80, 59));
     assert_eq!((dense.rows.occupied(0), dense.cols.occupied(0)), (21..235, 21..234));
     let taps = [(-1, 0), (0, 2)].map(|(dy, dx)| Tap { channel: 0, dy, dx });
-    let bank = Bank { tile: 64, step: 32, channels: 1, taps: taps.into_iter().collect() };
+    let bank = Bank { tile: 64, step: 32, channels: 1, taps: taps.into_iter().collect(), blocks: None };
     let tapped = Geometry::new(&bank, size, object).unwrap();
     assert_eq!((tapped.rows.tiles(), tapped.rows.lead(), tapped.rows.lags()), (3, 16, -16..=16));
     assert_eq!((tapped.rows.windows(1), tapped.cols.windows(1)), (0..=1, 1..=3));
@@ -189,7 +270,13 @@ fn contradictions_are_refused() {
     let (size, object) = (Size { rows: 8, cols: 8 }, Size { rows: 8, cols: 8 });
     let refuse = |bank: &Bank| FilterBank::new(bank, size, object).unwrap_err();
     let tap = |channel, dy, dx| Tap { channel, dy, dx };
-    let bank = |channels, taps: &[Tap]| Bank { tile: 16, step: 8, channels, taps: taps.iter().copied().collect() };
+    let bank = |channels, taps: &[Tap]| Bank {
+        tile: 16,
+        step: 8,
+        channels,
+        taps: taps.iter().copied().collect(),
+        blocks: None,
+    };
     assert_eq!(refuse(&dense_bank(16, 17, 1)), FilterError::Step { tile: 16, step: 17 });
     assert_eq!(refuse(&dense_bank(16, 0, 1)), FilterError::Step { tile: 16, step: 0 });
     assert_eq!(refuse(&dense_bank(24, 8, 1)), FilterError::Fft(crate::fft::FftError::Size { found: 24 }));

@@ -2,34 +2,10 @@
 
 use core::fmt;
 
-use crate::blob::{MemoryPlan, Size};
+use crate::blob::{MemoryPlan, Section, Size};
 use crate::filter::FilterError;
 use crate::image::{Region, ShapeError};
 use crate::nn::NnError;
-
-/// A section of the weights.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Section {
-    /// Spectra of the filter bank.
-    Spectra,
-    /// Weights of the enhancement network.
-    Rcan,
-    /// Offset map.
-    OffsetMap,
-    /// Inverse gain map.
-    GainMap,
-}
-
-impl fmt::Display for Section {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Spectra => "spectra",
-            Self::Rcan => "rcan",
-            Self::OffsetMap => "offset map",
-            Self::GainMap => "inverse gain map",
-        })
-    }
-}
 
 /// What the pipeline refuses.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -138,9 +114,11 @@ impl fmt::Display for PipelineError {
             Self::Network(error) => error.fmt(f),
             Self::Shape(error) => error.fmt(f),
             Self::Length { section, expected, found } => {
-                write!(f, "weights, {section}: expected {expected} halves, found {found}")
+                write!(f, "weights, {}: expected {expected} halves, found {found}", section.name())
             }
-            Self::NotFinite { section, index } => write!(f, "weights, {section}: half {index} is not finite"),
+            Self::NotFinite { section, index } => {
+                write!(f, "weights, {}: half {index} is not finite", section.name())
+            }
             Self::Plan { expected, found } => write!(
                 f,
                 "memory plan: expected {} + {} bytes, found {} + {}; quantize the network anew",

@@ -16,10 +16,10 @@
 mod error;
 mod validate;
 
-pub use error::{PipelineError, Section};
+pub use error::PipelineError;
 
 use crate::blob::{Header, MemoryPlan, Weights};
-use crate::filter::{FilterBank, FrameSource};
+use crate::filter::{FilterBank, Filters, FrameSource};
 use crate::image::{ChwMut, PlaneMut, Region};
 use crate::nn::rcan::Rcan;
 use crate::num::simd::{Kernel, Simd, Vector};
@@ -150,7 +150,8 @@ impl<'a> Pipeline<'a> {
         let (arena, channels) = bulk.split_at_mut(bulk.len() - self.rcan.input_len());
         let object = [usize::from(self.header.object.rows), usize::from(self.header.object.cols)];
         let tensor = ChwMut::new(channels, usize::from(self.header.bank.channels), object[0], object[1])?;
-        self.filter.process(self.simd, &source, self.weights.spectra, tensor, arena, fast)?;
+        let filters = Filters { halves: self.weights.filters, index: self.weights.index };
+        self.filter.process(self.simd, &source, filters, tensor, arena, fast)?;
         let (filter_max, filter_finite) = self.simd.run(Normalise { values: channels });
         let arena = bulk.len() - self.rcan.arena_len();
         let output = PlaneMut::new(output, region.rows.into(), region.cols.into())?;

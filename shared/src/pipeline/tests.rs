@@ -7,7 +7,7 @@ use std::vec;
 use std::vec::Vec;
 
 use super::*;
-use crate::blob::{Bank, Rcan as RcanShape, Sensor, Size, Tap};
+use crate::blob::{Bank, Rcan as RcanShape, Section, Sensor, Size, Tap};
 use crate::filter::FilterError;
 use crate::naive::{self, Noise, Tensor, wide};
 use crate::nn::rcan;
@@ -44,6 +44,7 @@ impl Case {
                 step: TILE as u16,
                 channels: 2,
                 taps: (0..2).map(|channel| Tap { channel, dy: 0, dx: 0 }).collect(),
+                blocks: None,
             },
             rcan: RCAN,
             memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
@@ -62,7 +63,7 @@ impl Case {
 
     fn weights(&self) -> Weights<'_> {
         let (offset_dn, inverse_gain) = (Some(self.offset.as_slice()), Some(self.gain.as_slice()));
-        Weights { spectra: &self.spectra, rcan: &self.rcan, offset_dn, inverse_gain }
+        Weights { filters: &self.spectra, index: &[], rcan: &self.rcan, offset_dn, inverse_gain }
     }
 
     fn pipeline(&self) -> Pipeline<'_> {
@@ -225,7 +226,7 @@ fn bad_headers_are_refused_by_field() {
     assert!(matches!(refuse(|h| h.rcan.blocks = 3), PipelineError::Length { section: Section::Rcan, .. }));
     assert!(matches!(
         refuse(|h| h.sensor.has_gain_map = false),
-        PipelineError::Length { section: Section::GainMap, .. }
+        PipelineError::Length { section: Section::InverseGain, .. }
     ));
 }
 
@@ -237,10 +238,10 @@ fn weights_that_are_not_finite_are_refused_by_place() {
         Pipeline::new(&case.header, case.weights()).unwrap_err()
     };
     let at = |section, index| PipelineError::NotFinite { section, index };
-    assert_eq!(refuse(|case| case.spectra[9] = f16::NAN), at(Section::Spectra, 9));
+    assert_eq!(refuse(|case| case.spectra[9] = f16::NAN), at(Section::Filters, 9));
     assert_eq!(refuse(|case| case.rcan[100] = f16::INFINITY), at(Section::Rcan, 100));
-    assert_eq!(refuse(|case| case.offset[0] = f16::NEG_INFINITY), at(Section::OffsetMap, 0));
-    assert_eq!(refuse(|case| case.gain[809] = f16::NAN), at(Section::GainMap, 809));
-    let short = PipelineError::Length { section: Section::Spectra, expected: 2176, found: 2175 };
+    assert_eq!(refuse(|case| case.offset[0] = f16::NEG_INFINITY), at(Section::Offset, 0));
+    assert_eq!(refuse(|case| case.gain[809] = f16::NAN), at(Section::InverseGain, 809));
+    let short = PipelineError::Filter(FilterError::Length { expected: 2176, found: 2175 });
     assert_eq!(refuse(|case| case.spectra.truncate(2175)), short);
 }

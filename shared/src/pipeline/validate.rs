@@ -1,8 +1,8 @@
 //! The checks at the door.
 
-use super::error::{PipelineError, Section};
-use crate::blob::{Header, Weights};
-use crate::filter::FilterBank;
+use super::error::PipelineError;
+use crate::blob::{Header, Section, Weights};
+use crate::filter::{FilterBank, Filters};
 use crate::nn::rcan::{self, Rcan};
 use crate::num::f16;
 
@@ -43,10 +43,12 @@ fn check(
 pub(super) fn weights(header: &Header, filter: &FilterBank<'_>, weights: &Weights<'_>) -> Result<(), PipelineError> {
     let pixels = usize::from(header.frame.rows) * usize::from(header.frame.cols);
     let map = |present: bool| if present { pixels } else { 0 };
-    section(Section::Spectra, filter.spectra_len(), weights.spectra)?;
+    let filters = Filters { halves: weights.filters, index: weights.index };
+    filter.check(filters)?;
+    section(Section::Filters, filters.halves.len(), filters.halves)?;
     section(Section::Rcan, rcan::weights_len(&header.rcan, header.bank.channels), weights.rcan)?;
-    section(Section::OffsetMap, map(header.sensor.has_offset_map), weights.offset_dn.unwrap_or(&[]))?;
-    section(Section::GainMap, map(header.sensor.has_gain_map), weights.inverse_gain.unwrap_or(&[]))
+    section(Section::Offset, map(header.sensor.has_offset_map), weights.offset_dn.unwrap_or(&[]))?;
+    section(Section::InverseGain, map(header.sensor.has_gain_map), weights.inverse_gain.unwrap_or(&[]))
 }
 
 fn section(section: Section, expected: usize, weights: &[f16]) -> Result<(), PipelineError> {

@@ -4,10 +4,11 @@
 use half::f16;
 use ommatidia_host::blob::BlobFile;
 use ommatidia_host::rng;
-use ommatidia_shared::blob::{Bank, Header, MemoryPlan, Rcan, Sensor, Size, Tap, Weights};
+use ommatidia_shared::blob::{Bank, Blocks, Header, MemoryPlan, Rcan, Sensor, Size, Tap, Weights};
 use ommatidia_shared::image::Region;
 use ommatidia_shared::pipeline::Pipeline;
 use rand::RngExt;
+use rand::seq::SliceRandom;
 
 /// Shape of a network.
 #[derive(Clone, Copy, Debug)]
@@ -23,6 +24,8 @@ pub struct Shape {
     pub groups: u8,
     pub blocks: u8,
     pub maps: bool,
+    /// Kernels in space: side and number of blocks.
+    pub kernels: Option<(u16, u16)>,
 }
 
 /// The paper's form: one tap a channel, one tile that holds the whole frame.
@@ -37,6 +40,7 @@ pub const DENSE: Shape = Shape {
     groups: 2,
     blocks: 1,
     maps: true,
+    kernels: None,
 };
 
 /// The sparse form: foci on several tiles, an object that no tile divides.
@@ -51,7 +55,11 @@ pub const TAPPED: Shape = Shape {
     groups: 1,
     blocks: 2,
     maps: false,
+    kernels: None,
 };
+
+/// The pruned form: the dense one's kernels in space, a few blocks of lags each.
+pub const PRUNED: Shape = Shape { kernels: Some((4, 90)), ..DENSE };
 
 /// A network as thin as can be on a single column of tiles.
 pub const THIN: Shape = Shape {
@@ -65,6 +73,7 @@ pub const THIN: Shape = Shape {
     groups: 0,
     blocks: 0,
     maps: false,
+    kernels: None,
 };
 
 /// The header of a network of this shape, its memory plan filled in.
@@ -86,6 +95,7 @@ pub fn header(shape: &Shape) -> Header {
             step: shape.step,
             channels: shape.channels,
             taps: (0..shape.channels).flat_map(tap).collect(),
+            blocks: shape.kernels.map(|(side, count)| Blocks { side, count }),
         },
         rcan: Rcan {
             width: shape.width,
@@ -112,17 +122,32 @@ pub fn network_of(header: &Header, seed: u64) -> BlobFile {
         (0..len).map(|_| f16::from_f32(centre + spread * rng.random_range(-1.0..1.0f32))).collect()
     };
     let layer = (3.0 / (9.0 * f32::from(header.rcan.width))).sqrt();
-    let spectra = draw("spectra", lens.spectra, 0.1, 1.0);
+    let filters = draw("filters", lens.filters, 0.1, 1.0);
+    let index = index(&header.bank, &mut rng::stream(seed, "index", 0));
     let rcan = draw("rcan", lens.rcan, 0.0, layer);
     let offset = draw("offset", lens.offset_dn, 0.0, 8.0);
     let gain = draw("gain", lens.inverse_gain, 1.0, 0.1);
     let weights = Weights {
-        spectra: &spectra,
+        filters: &filters,
+        index: &index,
         rcan: &rcan,
         offset_dn: header.sensor.has_offset_map.then_some(&offset),
         inverse_gain: header.sensor.has_gain_map.then_some(&gain),
     };
     BlobFile::new(header, &weights).unwrap()
+}
+
+/// Where the blocks of a bank lie: drawn from all places alike.
+fn index(bank: &Bank, rng: &mut impl rand::Rng) -> Vec<u16> {
+    let Some(blocks) = bank.blocks else { return Vec::new() };
+    let across = blocks.across(bank.tile);
+    let mut places: Vec<usize> = (0..usize::from(bank.channels) * across * across).collect();
+    places.shuffle(rng);
+    places.truncate(blocks.count.into());
+    places.sort_unstable();
+    let before = |row: usize| places.partition_point(|place| place / across < row) as u16;
+    let starts = (0..=usize::from(bank.channels) * across).map(before);
+    starts.chain(places.iter().map(|place| (place % across) as u16)).collect()
 }
 
 /// Raw frames, 12-bit codes.

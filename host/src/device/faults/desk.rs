@@ -43,6 +43,7 @@ impl Network {
                 step: 8,
                 channels: 1,
                 taps: [Tap { channel: 0, dy: 0, dx: 0 }].into_iter().collect(),
+                blocks: None,
             },
             rcan: Rcan { width: 2, groups: 1, blocks: 1, reduction: 2 },
             memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
@@ -54,9 +55,9 @@ impl Network {
         };
         let lens = header.section_lens().map_err(|e| DeviceError::Refused(Refusal::Blob(e)))?;
         let sections =
-            [draw(lens.spectra, 0.1), draw(lens.rcan, 0.0), draw(lens.offset_dn, 0.0), draw(lens.inverse_gain, 1.0)];
-        let [spectra, rcan, offset, gain] = &sections;
-        let weights = Weights { spectra, rcan, offset_dn: Some(offset), inverse_gain: Some(gain) };
+            [draw(lens.filters, 0.1), draw(lens.rcan, 0.0), draw(lens.offset_dn, 0.0), draw(lens.inverse_gain, 1.0)];
+        let [filters, rcan, offset, gain] = &sections;
+        let weights = Weights { filters, index: &[], rcan, offset_dn: Some(offset), inverse_gain: Some(gain) };
         let blob = BlobFile::new(&header, &weights)?;
         let mut rng = rng::stream(seed, "frame", 0);
         let frame: Vec<u16> = (0..usize::from(SIDE) * usize::from(SIDE)).map(|_| rng.random_range(40..=4095)).collect();
