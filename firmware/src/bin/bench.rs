@@ -12,7 +12,7 @@ use cortex_m_semihosting::hprintln;
 use half::f16;
 use ommatidia_firmware::app::{region_begins, region_ends};
 use ommatidia_firmware::board::this as board;
-use ommatidia_shared::blob::{Bank, Header, MemoryPlan, Rcan, Sensor, Size, Tap, Weights};
+use ommatidia_shared::blob::{Bank, Blocks, Header, MemoryPlan, Rcan, Sensor, Size, Tap, Weights};
 use ommatidia_shared::fft::{Fft, Fft2, RowSource, Strip, StripSource};
 use ommatidia_shared::image::{Chw, ChwMut, PlaneMut, Region};
 use ommatidia_shared::nn::activation::Activation;
@@ -273,7 +273,10 @@ impl Bench {
     /// The presets of the host's `train`, on a 214 x 214 sensor with its maps and a 96 x 96 object; of the first one regions too.
     fn reconstruct(&mut self) -> Result<(), Failure> {
         let rcan = |width, blocks, reduction| Rcan { width, groups: 2, blocks, reduction };
-        self.network("nano", &header(6, rcan(16, 1, 8)), &[48, 16])?;
+        let nano = header(6, rcan(16, 1, 8));
+        self.network("nano", &nano, &[48, 16])?;
+        let blocks = Some(Blocks { side: 4, count: (KERNELS * KERNEL_BLOCKS) as u16 });
+        self.network("nano, filters pruned", &Header { bank: Bank { blocks, ..nano.bank.clone() }, ..nano }, &[])?;
         self.network("lite", &header(9, rcan(24, 2, 12)), &[])?;
         self.network("paper", &header(9, rcan(32, 3, 16)), &[])
     }
@@ -282,11 +285,13 @@ impl Bench {
     fn network(&mut self, name: &str, header: &Header, sides: &[u16]) -> Result<(), Failure> {
         let mut header = header.clone();
         header.memory = Pipeline::plan(&header).map_err(|_| "the header has no plan")?;
-        let (spectra, rest) = self.weights.split_at(usize::from(header.bank.channels) * 2 * 256 * 129);
+        let lens = header.section_lens().map_err(|_| "the header is refused")?;
+        let (filters, rest) = self.weights.split_at(lens.filters as usize);
+        let index = &INDEX[..lens.index as usize];
         let count = ommatidia_shared::nn::rcan::weights_len(&header.rcan, header.bank.channels);
         let (rcan, rest) = rest.split_at(count);
         let (offset, rest) = rest.split_at(214 * 214);
-        let weights = Weights { spectra, rcan, offset_dn: Some(offset), inverse_gain: Some(&rest[..214 * 214]) };
+        let weights = Weights { filters, index, rcan, offset_dn: Some(offset), inverse_gain: Some(&rest[..214 * 214]) };
         let pipeline = Pipeline::new(&header, weights).map_err(|_| "the network is refused")?;
         let frame = &self.frame[..pipeline.frame_len()];
         let mut part = |what: Arguments<'_>, part: Region| {
@@ -303,6 +308,28 @@ impl Bench {
         Ok(())
     }
 }
+
+/// Kernels of `nano`, and blocks of 4 x 4 lags that each keeps at a tenth of the bytes; 16 in each of 24 rows that are
+/// spread over three quarters of the kernel, about as in a trained network.
+const KERNELS: usize = 6;
+const KERNEL_BLOCKS: usize = 384;
+const INDEX: [u16; KERNELS * 64 + 1 + KERNELS * KERNEL_BLOCKS] = {
+    let mut index = [0; KERNELS * 64 + 1 + KERNELS * KERNEL_BLOCKS];
+    let (mut row, mut count) = (0, 0);
+    while row < KERNELS * 64 {
+        if row % 2 == 0 && row % 64 >= 8 && row % 64 < 56 {
+            let mut block = 0;
+            while block < 16 {
+                index[KERNELS * 64 + 1 + count] = 4 * block as u16;
+                (block, count) = (block + 1, count + 1);
+            }
+        }
+        row += 1;
+        index[row] = count as u16;
+    }
+    assert!(count == KERNELS * KERNEL_BLOCKS);
+    index
+};
 
 fn header(channels: u8, rcan: Rcan) -> Header {
     Header {

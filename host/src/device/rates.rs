@@ -2,8 +2,9 @@
 
 use super::BoardCounts;
 use super::DeviceError;
+use crate::quantize::BLOCK;
 use crate::train::Preset;
-use ommatidia_shared::blob::{Bank, Header, MemoryPlan, Rcan, Sensor, Size, Tap};
+use ommatidia_shared::blob::{Bank, Blocks, Header, MemoryPlan, Rcan, Sensor, Size, Tap};
 use ommatidia_shared::boards::{Board, MPS2_AN386, MPS2_AN500, MPS3_AN547};
 use ommatidia_shared::filter::Geometry;
 use ommatidia_shared::nn::rcan::{Entry, Layer, layout};
@@ -36,7 +37,8 @@ Frames a second = clock / (instructions a frame x cycles an instruction). The cy
 whose second pipeline has to make up for wait states; two on the Cortex-M55, as if all were Helium's (Arm: two beats of 64 bits on this core); three on the
 Cortex-M4F, as if all were `VFMA` (Arm DDI 0439, table 7-1). On the last two real frames take less. The time of the line and the exposure are not in it.
 
-The frames of 214x214 pixels were counted under QEMU, in the tables above. Those of 608x608 pixels, the sensor of the wire-free miniscopes, were not: their instructions are the
+The frames of 214x214 pixels were counted under QEMU, in the tables above. Pruned filters take a tenth of the flash (`quantize --prune 0.1`) and are transformed on the device;
+these frames were counted for `nano`, for the others the transforms of kernels without an empty row are added. Frames of 608x608 pixels, the sensor of the wire-free miniscopes, were not counted: their instructions are the
 numbers of multiply-accumulates, transforms, tiles and pixels times what each costs in the tables above, with transforms of 128x128 in steps of 64 and nine taps a channel. The
 correction of the sensor is not in that sum";
 
@@ -48,7 +50,7 @@ const TABLE: &str = "
 
 /// A preset on frames of one size.
 struct Network {
-    preset: &'static str,
+    preset: String,
     header: Header,
 }
 
@@ -79,7 +81,19 @@ impl Network {
             Preset::Lite => "lite",
             Preset::Paper => "paper",
         };
-        Ok(Self { preset, header })
+        Ok(Self { preset: preset.into(), header })
+    }
+
+    /// The same with dense filters pruned to a tenth of their bytes.
+    fn pruned(&self) -> Result<Self, DeviceError> {
+        let mut header = self.header.clone();
+        let (tile, channels) = (u32::from(header.bank.tile), u32::from(header.bank.channels));
+        let side = BLOCK as u32;
+        let index = 2 * (channels * tile / side + 1);
+        let count = (channels * 2 * tile * (tile + 2) / 10 - index) / (2 * side * side + 2);
+        header.bank.blocks = Some(Blocks { side: side as u16, count: count as u16 });
+        header.memory = Pipeline::plan(&header).map_err(DeviceError::Pipeline)?;
+        Ok(Self { preset: format!("{}, filters pruned", self.preset), header })
     }
 
     fn name(&self) -> String {
@@ -136,7 +150,14 @@ impl Network {
         let products = tiles * (bank.taps.len() - usize::from(bank.channels)) as f64;
         let macs = 4.0 * f64::from(side) * f64::from(side / 2 + 1);
         let product = macs * cost("filter times spectrum, a column of 256".into())?;
-        Some((lit(rows) * lit(cols)) as f64 * forward + tiles * f64::from(bank.channels) * inverse + products * product)
+        // Kernels in space are transformed, most of their rows at least.
+        let kernels = if bank.blocks.is_some() { f64::from(bank.channels) * forward } else { 0.0 };
+        Some(
+            kernels
+                + (lit(rows) * lit(cols)) as f64 * forward
+                + tiles * f64::from(bank.channels) * inverse
+                + products * product,
+        )
     }
 
     fn row(&self, part: &Part, counts: &BoardCounts) -> Option<String> {
@@ -180,11 +201,13 @@ fn kib(bytes: u64) -> u64 {
 pub fn section(boards: &[BoardCounts]) -> Result<String, DeviceError> {
     let presets = [Preset::Nano, Preset::Lite, Preset::Paper];
     let small = presets.map(|preset| Network::new(preset, 214, 96, &[])).into_iter().collect::<Result<Vec<_>, _>>()?;
+    let pruned = small.iter().map(Network::pruned).collect::<Result<Vec<_>, _>>()?;
     let large =
         presets.map(|preset| Network::new(preset, 608, 304, &[-2, 0, 2])).into_iter().collect::<Result<Vec<_>, _>>()?;
     let of = |board: Board| boards.iter().find(|counts| counts.board == board);
     let rows: String = small
         .iter()
+        .chain(&pruned)
         .chain(&large)
         .flat_map(|network| PARTS.iter().filter_map(move |part| network.row(part, of(part.board)?)))
         .collect();

@@ -54,9 +54,8 @@ fn taps(t: usize, tile: usize, kernels: &[Vec<f32>], energy: f64) -> Result<Supp
         }
     }
     let total: f64 = parts.iter().map(|p| p.0).sum();
-    let (taps, kept) = strongest(parts, |tap| tap.0, kernels.len(), |count, kept| {
-        count < MAX_TAPS && kept < energy * total
-    });
+    let (taps, kept) =
+        strongest(parts, |tap| tap.0, kernels.len(), |count, kept| count < MAX_TAPS && kept < energy * total);
     if kept < energy * total {
         return Err(QuantizeError::Energy { tile, expected: energy, found: kept / total, most: MAX_TAPS });
     }

@@ -14,6 +14,7 @@ pub use report::{Quality, QuantizeReport, Step};
 
 use crate::train::{Checkpoint, Family, Support};
 use bank::PlannedBank;
+pub use choose::BLOCK;
 use ommatidia_shared::blob::{self, Header, MemoryPlan, Sensor, Size, Weights};
 use ommatidia_shared::num::f16;
 use ommatidia_shared::pipeline::Pipeline;
@@ -105,10 +106,7 @@ fn make(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) -> Result<
 ///
 /// # Errors
 /// The network is of another family, or what is asked for cannot be kept.
-pub fn support(
-    checkpoint: &Checkpoint,
-    config: &QuantizeConfig,
-) -> Result<Option<(Support, f64)>, QuantizeError> {
+pub fn support(checkpoint: &Checkpoint, config: &QuantizeConfig) -> Result<Option<(Support, f64)>, QuantizeError> {
     let family = checkpoint.body.network.family.name();
     if checkpoint.body.network.family != Family::SvFourierNet {
         return Err(QuantizeError::Family(family.as_str()));

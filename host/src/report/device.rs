@@ -47,7 +47,9 @@ pub fn blob(header: &Header, file_bytes: u64, numbers: &mut Numbers) -> Markup {
         (
             "Filter bank".into(),
             match bank.blocks {
-                None => html! { (bank.channels) " channels, " (bank.taps.len()) " taps of " (bank.tile) " × " (bank.tile) },
+                None => {
+                    html! { (bank.channels) " channels, " (bank.taps.len()) " taps of " (bank.tile) " × " (bank.tile) }
+                }
                 Some(blocks) => html! {
                     (bank.channels) " channels of " (bank.tile) " × " (bank.tile) ", pruned to " (blocks.count) " blocks of " (blocks.side) " × " (blocks.side)
                 },

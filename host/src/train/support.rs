@@ -1,7 +1,7 @@
 //! Filters that a device can afford: each kernel holds some blocks of lags and nothing else.
 
-use super::ops::fourier::{Fourier, FourierSizes, Spectrum};
 use super::TrainError;
+use super::ops::fourier::{Fourier, FourierSizes, Spectrum};
 use super::weights::FILTERS;
 use crate::artifact::Tensors;
 use rayon::prelude::*;
@@ -65,9 +65,7 @@ impl Support {
     /// [`TrainError::Config`]: a channel or a block that the network does not have, or blocks out of order.
     pub fn check(&self, sizes: &FourierSizes) -> Result<(), TrainError> {
         let t = sizes.filter_size;
-        let wrong = |expected: String| {
-            Err(TrainError::Config { field: "support", expected, found: self.to_string() })
-        };
+        let wrong = |expected: String| Err(TrainError::Config { field: "support", expected, found: self.to_string() });
         match self {
             Self::Taps { tile, taps } => {
                 if *tile < 2 || *tile > t || taps.iter().any(|tap| usize::from(tap.0) >= sizes.channels) {

@@ -88,7 +88,8 @@ impl<'a> Weights<'a> {
 
     /// All sections in the order of the file, as bits.
     fn words(&self) -> [(Section, &'a [u16]); 5] {
-        let [filters, rcan, offset, gain] = self.halves().map(|(section, halves)| (section, bytemuck::cast_slice(halves)));
+        let [filters, rcan, offset, gain] =
+            self.halves().map(|(section, halves)| (section, bytemuck::cast_slice(halves)));
         [filters, (Section::Index, self.index), rcan, offset, gain]
     }
 }

@@ -25,7 +25,9 @@ mod layout;
 pub use decode::Network;
 pub use encode::{encode, encoded_len};
 pub use error::{BlobError, Section};
-pub use header::{Bank, Blocks, Header, HeaderField, MAX_TAPS, MemoryPlan, Rcan, SectionLens, Sensor, Size, Tap, Weights};
+pub use header::{
+    Bank, Blocks, Header, HeaderField, MAX_TAPS, MemoryPlan, Rcan, SectionLens, Sensor, Size, Tap, Weights,
+};
 pub(crate) use layout::CRC;
 pub use layout::{ALIGN, MAGIC, SCHEMA_KEY, VERSION};
 

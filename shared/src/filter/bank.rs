@@ -3,7 +3,7 @@
 use core::ops::Range;
 
 use super::geometry::{Axis, FilterError, Geometry};
-use super::kernel::{Filters, Kernels};
+use super::kernel::{Filters, Kernel, Kernels};
 use crate::blob::{Bank, Size, Tap};
 use crate::fft::{Fft2, RowSource, Strip, StripSource};
 use crate::image::ChwMut;
@@ -96,10 +96,10 @@ impl<'a> FilterBank<'a> {
     ///
     /// # Errors
     /// [`FilterError`] where a buffer is too short or the filters or the output are none of this bank.
-    pub fn process(
+    pub fn process<F: FrameSource>(
         &self,
         simd: Simd,
-        frame: &impl FrameSource,
+        frame: &F,
         filters: Filters<'_>,
         mut output: ChwMut<'_, f16>,
         arena: &mut [f16],
@@ -124,7 +124,8 @@ impl<'a> FilterBank<'a> {
                         None => &filters.halves[taps.start * self.spectrum_len()..],
                         Some(kernels) => {
                             let kernel = kernels.of(channel);
-                            self.fft.forward(simd, &kernel, kernel.occupied(), spectrum, scratch)?;
+                            let occupied = kernel.occupied();
+                            self.transform(simd, &Rows::Kernel::<F>(kernel), occupied, spectrum, scratch)?;
                             &*spectrum
                         }
                     };
@@ -171,10 +172,23 @@ impl<'a> FilterBank<'a> {
         for n in cols.offsets.0..=last {
             if let Some(slot) = self.slot(m, n) {
                 let window = WindowRows { frame, rows, cols, m, occupied: cols.occupied(n), n };
-                self.fft.forward(simd, &window, rows.occupied(m), &mut cache[slot], scratch)?;
+                self.transform(simd, &Rows::Window(window), rows.occupied(m), &mut cache[slot], scratch)?;
             }
         }
         Ok(())
+    }
+
+    /// The one place where planes are transformed: the transform is large, and inlined.
+    #[inline(never)]
+    fn transform<F: FrameSource>(
+        &self,
+        simd: Simd,
+        rows: &Rows<'_, F>,
+        occupied: Range<usize>,
+        spectrum: &mut [f16],
+        scratch: &mut [f32],
+    ) -> Result<(), FilterError> {
+        Ok(self.fft.forward(simd, rows, occupied, spectrum, scratch)?)
     }
 
     /// Where the spectrum of window (m, n) lies in the cache; `None` if the window misses the frame, so that it is zero.
@@ -193,6 +207,21 @@ fn check_len(expected: usize, found: usize) -> Result<(), FilterError> {
     if expected == found { Ok(()) } else { Err(FilterError::Length { expected, found }) }
 }
 
+/// What is transformed.
+enum Rows<'a, F> {
+    Window(WindowRows<'a, F>),
+    Kernel(Kernel<'a>),
+}
+
+impl<F: FrameSource> RowSource for Rows<'_, F> {
+    fn load(&self, row: usize, to: &mut [f32]) {
+        match self {
+            Self::Window(window) => window.load(row, to),
+            Self::Kernel(kernel) => kernel.load(row, to),
+        }
+    }
+}
+
 /// The rows of one window.
 struct WindowRows<'a, F> {
     frame: &'a F,
@@ -203,7 +232,7 @@ struct WindowRows<'a, F> {
     occupied: Range<usize>,
 }
 
-impl<F: FrameSource> RowSource for WindowRows<'_, F> {
+impl<F: FrameSource> WindowRows<'_, F> {
     fn load(&self, row: usize, to: &mut [f32]) {
         let frame_row = (self.rows.window_origin(self.m) + row as i32) as usize;
         let first = self.cols.window_origin(self.n) + self.occupied.start as i32;

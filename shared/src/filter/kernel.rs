@@ -11,7 +11,6 @@ use core::ops::Range;
 
 use super::geometry::FilterError;
 use crate::blob::{Bank, Blocks};
-use crate::fft::RowSource;
 use crate::num::{f16, widen_slice};
 
 /// The filters of a bank as the file holds them.
@@ -86,10 +85,9 @@ impl Kernel<'_> {
             (None, _) => 0..0,
         }
     }
-}
 
-impl RowSource for Kernel<'_> {
-    fn load(&self, row: usize, to: &mut [f32]) {
+    /// Writes a row of the plane, all of it.
+    pub(super) fn load(&self, row: usize, to: &mut [f32]) {
         to.fill(0.0);
         let Kernels { side, columns, lags, .. } = self.all;
         for block in self.all.blocks(self.first + row / side) {
