@@ -145,26 +145,41 @@ fn next_conv(x: &Tensor, outputs: usize, weights: &mut Cursor<'_>) -> Tensor {
     conv3x3(x, w, b)
 }
 
-/// `t` and `g + s t`.
-pub(crate) fn rcab(g: &Tensor, hidden: usize, weights: &mut Cursor<'_>) -> Tensor {
+/// `t` and `g + s t`, with s of this tensor or whatever `choose` makes of it.
+pub(crate) fn rcab(
+    g: &Tensor,
+    hidden: usize,
+    weights: &mut Cursor<'_>,
+    choose: &mut dyn FnMut(Vec<f64>) -> Vec<f64>,
+) -> Tensor {
     let width = g.shape[0];
     let inner = next_conv(g, width, weights).map(relu);
     let t = next_conv(&inner, width, weights);
     let squeeze = [weights.take(width * hidden), weights.take(hidden)];
     let excite = [weights.take(width * hidden), weights.take(width)];
-    let scale = attention(&t, squeeze, excite);
+    let scale = choose(attention(&t, squeeze, excite));
     g.plus(&Tensor::build(t.shape, |k, r, c| scale[k] * t.at(k, r as isize, c as isize)))
 }
 
 /// The enhancement network: groups, blocks, width, width of the bottleneck.
-pub(crate) fn rcan(x: &Tensor, [groups, blocks, width, hidden]: [usize; 4], weights: &[f64]) -> Tensor {
+pub(crate) fn rcan(x: &Tensor, shape: [usize; 4], weights: &[f64]) -> Tensor {
+    rcan_with(x, shape, weights, &mut |own| own)
+}
+
+/// The same where `choose` is shown the scales of each channel attention, block by block, and says which are used.
+pub(crate) fn rcan_with(
+    x: &Tensor,
+    [groups, blocks, width, hidden]: [usize; 4],
+    weights: &[f64],
+    choose: &mut dyn FnMut(Vec<f64>) -> Vec<f64>,
+) -> Tensor {
     let mut weights = Cursor(weights);
     let head = next_conv(&unshuffle(x), width, &mut weights);
     let mut y = head.clone();
     for _ in 0..groups {
         let mut g = y.clone();
         for _ in 0..blocks {
-            g = rcab(&g, hidden, &mut weights);
+            g = rcab(&g, hidden, &mut weights, choose);
         }
         y = y.plus(&next_conv(&g, width, &mut weights));
     }

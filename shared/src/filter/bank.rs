@@ -6,7 +6,7 @@ use super::geometry::{Axis, FilterError, Geometry};
 use super::kernel::{Filters, Kernel, Kernels};
 use crate::blob::{Bank, Size, Tap};
 use crate::fft::{Fft2, RowSource, Strip, StripSource};
-use crate::image::ChwMut;
+use crate::image::{ChwMut, Region};
 use crate::num::simd::Simd;
 use crate::num::{f16, narrow_slice};
 
@@ -16,11 +16,12 @@ pub trait FrameSource {
     fn load(&self, row: usize, first: usize, to: &mut [f32]);
 }
 
-/// Plan of a filter bank.
+/// Plan of a filter bank for an object, or for a part of it.
 #[derive(Clone, Copy, Debug)]
 pub struct FilterBank<'a> {
     bank: &'a Bank,
     geometry: Geometry,
+    part: Region,
     fft: Fft2,
 }
 
@@ -31,7 +32,18 @@ impl<'a> FilterBank<'a> {
     /// [`FilterError`] where the bank contradicts itself.
     pub fn new(bank: &'a Bank, frame: Size, object: Size) -> Result<Self, FilterError> {
         let geometry = Geometry::new(bank, frame, object)?;
-        Ok(Self { bank, geometry, fft: Fft2::new(usize::from(bank.tile))? })
+        let part = Region::whole(object.rows, object.cols);
+        Ok(Self { bank, geometry, part, fft: Fft2::new(usize::from(bank.tile))? })
+    }
+
+    /// The same bank for a part of the object: only the tiles that it touches are made, from the windows that they read. The bits are those of
+    /// the whole.
+    ///
+    /// # Errors
+    /// [`FilterError::Part`] where the part is empty or reaches out of the object.
+    pub fn of_part(self, part: Region) -> Result<Self, FilterError> {
+        let [rows, cols] = [self.geometry.rows, self.geometry.cols].map(|axis| axis.object as u16);
+        if part.lies_in(rows, cols) { Ok(Self { part, ..self }) } else { Err(FilterError::Part { found: part }) }
     }
 
     /// The geometry.
@@ -64,11 +76,11 @@ impl<'a> FilterBank<'a> {
 
     /// Halves of the output.
     pub const fn output_len(&self) -> usize {
-        self.bank.channels as usize * self.geometry.rows.object * self.geometry.cols.object
+        self.bank.channels as usize * self.part.pixels()
     }
 
-    /// Halves of arena that [`Self::process`] needs: the spectra of the windows in use, one half-transformed tile and, where the file holds
-    /// kernels, the spectrum of one.
+    /// Halves of arena that [`Self::process`] needs, for a part as for the whole: the spectra of the windows in use, one half-transformed tile and,
+    /// where the file holds kernels, the spectrum of one.
     pub const fn arena_len(&self) -> usize {
         self.cache_len() + self.fft.spectrum_len(self.geometry.rows.valid()) + self.kernel_len()
     }
@@ -92,7 +104,7 @@ impl<'a> FilterBank<'a> {
         self.fft.scratch_len_wide()
     }
 
-    /// Filters a frame: `output` is (channels, object rows, object columns).
+    /// Filters a frame: `output` is (channels, rows, columns) of the object, or of its part.
     ///
     /// # Errors
     /// [`FilterError`] where a buffer is too short or the filters or the output are none of this bank.
@@ -111,13 +123,17 @@ impl<'a> FilterBank<'a> {
         check_len(self.arena_len(), arena.len().min(self.arena_len()))?;
         let (cache, arena) = arena.split_at_mut(self.cache_len());
         let (spectrum, halfway) = arena.split_at_mut(self.kernel_len());
-        for i in 0..rows.tiles() {
+        let [part_rows, part_cols] = self.part.ranges();
+        let [top, left] = self.valid_from();
+        let (down, across) = (rows.tiles_of(&part_rows), cols.tiles_of(&part_cols));
+        for i in down.clone() {
             // The rows of windows that the tile row before has not read.
-            let first = if i == 0 { *rows.windows(0).start() } else { *rows.windows(i).end() };
+            let first = if i == down.start { *rows.windows(i).start() } else { *rows.windows(i).end() };
             for m in first..=*rows.windows(i).end() {
-                self.transform_windows(simd, frame, m, cache, scratch)?;
+                self.transform_windows(simd, frame, m, &across, cache, scratch)?;
             }
-            for j in 0..cols.tiles() {
+            for j in across.clone() {
+                let (valid, columns) = (rows.results(i, &part_rows, top), cols.results(j, &part_cols, left));
                 for channel in 0..self.bank.channels {
                     let taps = self.taps(channel);
                     let spectra = match &kernels {
@@ -131,13 +147,10 @@ impl<'a> FilterBank<'a> {
                     };
                     let sum =
                         TapSum { plan: self, taps: &self.bank.taps[taps], spectra, cache, tile: (i as i32, j as i32) };
-                    let [top, left] = self.valid_from();
-                    let valid = top..top + rows.tile_len(i);
-                    let columns = left..left + cols.tile_len(j);
-                    self.fft.inverse(simd, &sum, valid, halfway, scratch, |row, values| {
-                        let to = output.row_mut(usize::from(channel), i * rows.step + row - top);
-                        let to = &mut to[j * cols.step..][..columns.len()];
-                        narrow_slice(&values[columns.clone()], to);
+                    self.fft.inverse(simd, &sum, valid.clone(), halfway, scratch, |row, values| {
+                        let to = output.row_mut(usize::from(channel), i * rows.step + row - top - part_rows.start);
+                        let to = &mut to[j * cols.step + columns.start - left - part_cols.start..];
+                        narrow_slice(&values[columns.clone()], &mut to[..columns.len()]);
                     })?;
                 }
             }
@@ -158,18 +171,18 @@ impl<'a> FilterBank<'a> {
         [rows, cols].map(|axis| if self.bank.blocks.is_some() { 2 * axis.lead() } else { axis.lead() })
     }
 
-    /// Transforms the windows of row `m` that touch the frame.
+    /// Transforms the windows of row `m` that tiles `across` read and that touch the frame.
     fn transform_windows(
         &self,
         simd: Simd,
         frame: &impl FrameSource,
         m: i32,
+        across: &Range<usize>,
         cache: &mut [f16],
         scratch: &mut [f32],
     ) -> Result<(), FilterError> {
         let Geometry { rows, cols } = self.geometry;
-        let last = *cols.windows(cols.tiles() - 1).end();
-        for n in cols.offsets.0..=last {
+        for n in *cols.windows(across.start).start()..=*cols.windows(across.end - 1).end() {
             if let Some(slot) = self.slot(m, n) {
                 let window = WindowRows { frame, rows, cols, m, occupied: cols.occupied(n), n };
                 self.transform(simd, &Rows::Window(window), rows.occupied(m), &mut cache[slot], scratch)?;

@@ -5,6 +5,7 @@ use core::ops::{Range, RangeInclusive};
 
 use crate::blob::{Bank, Size};
 use crate::fft::FftError;
+use crate::image::Region;
 
 /// What a filter bank refuses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,6 +43,11 @@ pub enum FilterError {
         /// Row of blocks, counted over all channels, where that shows.
         row: usize,
     },
+    /// A part of the object is empty or reaches out of it.
+    Part {
+        /// The part asked for.
+        found: Region,
+    },
     /// A buffer has another length.
     Length {
         /// Elements that the plan needs.
@@ -71,6 +77,7 @@ impl fmt::Display for FilterError {
                 "filter bank: kernels need one tap at (0, 0) a channel and one tile that holds the whole frame",
             ),
             Self::Index { row } => write!(f, "filter bank: the index of the blocks is out of order in row {row}"),
+            Self::Part { found } => write!(f, "filter bank: the part {found} reaches out of the object"),
             Self::Length { expected, found } => write!(f, "filter bank: expected {expected} elements, found {found}"),
         }
     }
@@ -118,6 +125,18 @@ impl Axis {
     pub const fn tile_len(&self, i: usize) -> usize {
         let rest = self.object - i * self.step;
         if rest < self.valid() { rest } else { self.valid() }
+    }
+
+    /// The output tiles that hold object pixels `part`, of which there is at least one.
+    pub const fn tiles_of(&self, part: &Range<usize>) -> Range<usize> {
+        part.start / self.step..part.end.div_ceil(self.step)
+    }
+
+    /// The results of the transform of tile `i` that are object pixels of `part`, where the first pixel of a tile is result `lead`.
+    pub fn results(&self, i: usize, part: &Range<usize>, lead: usize) -> Range<usize> {
+        let first = i * self.step;
+        let (start, end) = (part.start.max(first), part.end.min(first + self.tile_len(i)));
+        start - first + lead..end - first + lead
     }
 
     /// Frame pixel under object pixel 0 (D).

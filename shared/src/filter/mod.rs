@@ -22,6 +22,10 @@
 //! A dense filter that was pruned to a few blocks of lags is stored as these blocks, and transformed by the device: a tenth of the bytes for one
 //! transform more a channel (the module `kernel`). What follows is the same.
 //!
+//! # Parts
+//! A part of the object takes the tiles that it touches, of each the rows that it holds, and the windows that these tiles read. Nothing else is
+//! transformed, and no bit is another ([`FilterBank::of_part`]).
+//!
 //! # Numbers
 //! The window is transformed once for all channels ([`crate::fft`], scaled by 1/T, stored as halves). The sum over the taps of a channel
 //! is taken in the spectrum in binary32, in the order of the file: `re = (re + kr xr) - ki xi`, `im = (im + kr xi) + ki xr`, the products

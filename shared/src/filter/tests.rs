@@ -7,7 +7,7 @@ use std::vec::Vec;
 
 use super::*;
 use crate::blob::{Bank, Blocks, Size, Tap};
-use crate::image::ChwMut;
+use crate::image::{ChwMut, Region};
 use crate::naive::{self, Noise};
 use crate::num::{f16, simd::Simd};
 
@@ -53,6 +53,17 @@ fn run_filters(bank: &Bank, filters: Filters<'_>, frame: &[f32], size: Size, obj
     let arena_len = plan.arena_len();
     plan.process(simd, &source, filters, tensor, &mut arena[..arena_len], &mut scratch[..len]).unwrap();
     assert!(arena[arena_len..].iter().all(|x| x.is_nan()) && scratch[len..].iter().all(|x| x.is_nan()));
+    output
+}
+
+/// The same for a part of the object.
+fn run_part(bank: &Bank, filters: Filters<'_>, frame: &[f32], size: Size, object: Size, part: Region) -> Vec<f16> {
+    let plan = FilterBank::new(bank, size, object).unwrap().of_part(part).unwrap();
+    let (mut output, mut arena) = (vec![f16::NAN; plan.output_len()], vec![f16::NAN; plan.arena_len()]);
+    let mut scratch = vec![f32::NAN; plan.scratch_len()];
+    let tensor = ChwMut::new(&mut output, bank.channels.into(), part.rows.into(), part.cols.into()).unwrap();
+    let source = Frame(frame, usize::from(size.cols));
+    plan.process(Simd::detect(), &source, filters, tensor, &mut arena, &mut scratch).unwrap();
     output
 }
 
@@ -286,4 +297,34 @@ fn contradictions_are_refused() {
     assert_eq!(refuse(&bank(1, &[tap(1, 0, 0)])), FilterError::Channel { channels: 1, found: 1 });
     assert_eq!(refuse(&bank(1, &[tap(0, 0, 1), tap(0, 0, 0)])), FilterError::Order { tap: 1 });
     assert_eq!(refuse(&bank(1, &[tap(0, 0, 0), tap(0, 0, 0)])), FilterError::Order { tap: 1 });
+}
+
+#[test]
+fn a_part_is_cut_from_the_whole() {
+    let (n, size, object) = (64, Size { rows: 51, cols: 54 }, Size { rows: 24, cols: 26 });
+    let kernels = [foci(n, &[(0, 0), (-15, 4)], 7), foci(n, &[(3, 14)], 8)];
+    let frame = frame(size);
+    let spectra = kernels.iter().flat_map(|kernel| spectrum(kernel, n)).collect();
+    let banks = [(16, 8), (32, 16), (32, 8)].map(|(tile, step)| {
+        let (bank, spectra) = tapped(&kernels, n as i32, tile, step);
+        (bank, spectra, vec![])
+    });
+    let dense = [(dense_bank(64, 64, 2), spectra, vec![]), in_blocks(&kernels, n, 8, object)];
+    for (bank, halves, index) in banks.into_iter().chain(dense) {
+        let filters = Filters { halves: &halves, index: &index };
+        let whole = run_filters(&bank, filters, &frame, size, object, true);
+        for [row, col, rows, cols] in [[0, 0, 24, 26], [0, 0, 1, 1], [23, 25, 1, 1], [7, 8, 2, 8], [8, 3, 16, 20]] {
+            let part = Region { row, col, rows, cols };
+            let found = run_part(&bank, filters, &frame, size, object, part);
+            let [rows, cols] = part.ranges();
+            let at = |k: usize, r: usize, c: usize| whole[(k * 24 + r) * 26 + c];
+            let row = |k, r| cols.clone().map(move |c| at(k, r, c));
+            let expected: Vec<f16> =
+                (0..2).flat_map(|k| rows.clone().flat_map(move |r| row(k, r).collect::<Vec<_>>())).collect();
+            assert_eq!(found, expected, "T = {}, S = {}, {part}", bank.tile, bank.step);
+        }
+        let outside = Region { row: 23, col: 0, rows: 2, cols: 1 };
+        let plan = FilterBank::new(&bank, size, object).unwrap();
+        assert_eq!(plan.of_part(outside).unwrap_err(), FilterError::Part { found: outside });
+    }
 }

@@ -1,5 +1,7 @@
 //! Rectangles of a plane.
 
+use core::ops::Range;
+
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
@@ -31,6 +33,19 @@ impl Region {
     pub fn lies_in(&self, rows: u16, cols: u16) -> bool {
         let fits = |first: u16, len: u16, all: u16| len > 0 && u32::from(first) + u32::from(len) <= u32::from(all);
         fits(self.row, self.rows, rows) && fits(self.col, self.cols, cols)
+    }
+
+    /// Its rows and its columns.
+    pub fn ranges(&self) -> [Range<usize>; 2] {
+        [(self.row, self.rows), (self.col, self.cols)].map(|(first, len)| {
+            let first = usize::from(first);
+            first..first + usize::from(len)
+        })
+    }
+
+    /// The same rectangle counted from the first pixel of `outer`, in which it lies.
+    pub const fn inside(&self, outer: Self) -> Self {
+        Self { row: self.row.saturating_sub(outer.row), col: self.col.saturating_sub(outer.col), ..*self }
     }
 }
 

@@ -23,6 +23,26 @@ pub struct Parameters<'a> {
     pub excite_bias: &'a [f16],
 }
 
+/// Where the weights of the channels come from: those of one block, or of all blocks in the order of execution.
+#[derive(Debug)]
+pub enum Scales<'s> {
+    /// From the whole frame at hand; written down where there is a place for them.
+    Measured(Option<&'s mut [f32]>),
+    /// From another frame, all of it, for which they were written down.
+    Held(&'s [f32]),
+}
+
+impl Scales<'_> {
+    /// Those of the next block, of `channels` channels.
+    pub(super) fn next(&mut self, channels: usize) -> Scales<'_> {
+        match self {
+            Self::Measured(None) => Scales::Measured(None),
+            Self::Measured(Some(rest)) => Scales::Measured(rest.split_off_mut(..channels)),
+            Self::Held(rest) => Scales::Held(rest.split_off(..channels).unwrap_or_default()),
+        }
+    }
+}
+
 /// Plan of a channel attention.
 #[derive(Clone, Copy, Debug)]
 pub struct ChannelAttention {

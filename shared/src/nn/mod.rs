@@ -7,6 +7,7 @@ pub mod activation;
 pub mod channel_attention;
 pub mod conv;
 mod error;
+mod features;
 mod packed;
 pub mod pixel_shuffle;
 pub mod rcab;
@@ -14,3 +15,4 @@ pub mod rcan;
 pub mod upscale;
 
 pub use error::NnError;
+pub use features::Features;

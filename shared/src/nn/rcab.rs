@@ -1,12 +1,15 @@
 //! Residual channel-attention block: `g = g + s * t` with `t = conv(relu(conv(g)))` and `s` the [channel attention](super::channel_attention) of t.
 //!
 //! t is stored as halves; `s * t` is rounded to binary32, then added, then rounded to half.
+//!
+//! s is the mean of a whole frame. Where it is not measured but held from another frame, a block can work on a window of the features alone.
 
 use super::activation::Activation;
-use super::channel_attention::{self, ChannelAttention};
+use super::channel_attention::{self, ChannelAttention, Scales};
 use super::conv::{self, Addressing, Conv3x3, Store, Tensors};
 use super::error::{NnError, check_scratch};
-use crate::image::ChwMut;
+use super::features::Features;
+use crate::image::Region;
 use crate::num::simd::{Kernel, Simd, Vector};
 use crate::num::{f16, fused};
 
@@ -26,50 +29,61 @@ pub struct Rcab {
     pub channels: usize,
     /// Width W/r of the attention's bottleneck.
     pub hidden: usize,
-    /// Rows of the frame.
-    pub rows: usize,
-    /// Columns of the frame.
-    pub cols: usize,
+    /// The features that each of the two convolutions makes: the frame, or windows of it, the second in the first.
+    pub windows: [Region; 2],
 }
 
 impl Rcab {
-    const fn conv(&self, activation: Activation) -> Conv3x3 {
-        let Self { channels, rows, cols, .. } = *self;
-        Conv3x3 { inputs: channels, outputs: channels, rows, cols, activation, store: Store::Replace }
+    const fn conv(&self, window: Region, activation: Activation) -> Conv3x3 {
+        let (inputs, outputs) = (self.channels, self.channels);
+        let (rows, cols) = (window.rows as usize, window.cols as usize);
+        Conv3x3 { inputs, outputs, rows, cols, activation, store: Store::Replace }
     }
 
     const fn attention(&self) -> ChannelAttention {
-        let Self { channels, hidden, rows, cols } = *self;
-        ChannelAttention { channels, hidden, rows, cols }
+        let Self { channels, hidden, windows: [_, Region { rows, cols, .. }] } = *self;
+        ChannelAttention { channels, hidden, rows: rows as usize, cols: cols as usize }
     }
 
     /// Numbers of scratch for bands of `band` rows; with 1 the least that [`Self::process`] works with.
     pub const fn scratch_len(&self, band: usize) -> usize {
-        let conv = self.conv(Activation::Linear).scratch_len(band);
+        let conv = self.conv(self.windows[0], Activation::Linear).scratch_len(band);
         let attention = self.channels + self.attention().scratch_len();
         if conv > attention { conv } else { attention }
     }
 
-    /// Adds the block's residual to `g`; `t` is overwritten. Both are (channels, rows, cols).
+    /// Adds the block's residual to `g` and cuts it to the second window; `t` is overwritten, and needs as much room.
     ///
     /// # Errors
-    /// [`NnError`] where a tensor, the weights or the scratch do not fit the plan.
+    /// [`NnError`] where a tensor, the weights, the scales or the scratch do not fit the plan.
     pub fn process(
         &self,
         simd: Simd,
         parameters: Parameters<'_>,
-        mut g: ChwMut<'_, f16>,
-        mut t: ChwMut<'_, f16>,
+        scales: Scales<'_>,
+        g: &mut Features<'_>,
+        t: &mut [f16],
         scratch: &mut [f32],
     ) -> Result<(), NnError> {
         check_scratch(self.scratch_len(1), scratch.len())?;
-        let first = Tensors::Apart { input: g.as_chw(), addressing: Addressing::Direct, output: t.reborrow() };
-        self.conv(Activation::Relu).process(simd, parameters.convs[0], first, scratch)?;
+        let [outer, inner] = self.windows;
+        let mut t = Features::new(t, self.channels, outer);
+        let (input, output) = (g.cut(outer)?, t.cut(outer)?);
+        let first = Tensors::Apart { input: input.as_chw(), addressing: Addressing::Direct, output };
+        self.conv(outer, Activation::Relu).process(simd, parameters.convs[0], first, scratch)?;
+        let (mut g, mut t) = (g.cut(inner)?, t.cut(inner)?);
         let second = Tensors::InPlace(t.reborrow());
-        self.conv(Activation::Linear).process(simd, parameters.convs[1], second, scratch)?;
-        let (scale, scratch) = scratch.split_at_mut(self.channels);
-        self.attention().process(simd, parameters.attention, t.as_chw(), scale, scratch)?;
-        for (channel, &scale) in scale.iter().enumerate() {
+        self.conv(inner, Activation::Linear).process(simd, parameters.convs[1], second, scratch)?;
+        let (own, scratch) = scratch.split_at_mut(self.channels);
+        let scales = match scales {
+            Scales::Held(scales) => scales,
+            Scales::Measured(place) => {
+                self.attention().process(simd, parameters.attention, t.as_chw(), own, scratch)?;
+                place.into_iter().flat_map(|place| place.iter_mut().zip(&*own)).for_each(|(to, scale)| *to = *scale);
+                own
+            }
+        };
+        for (channel, &scale) in scales.iter().enumerate() {
             simd.run(AddScaled { scale, t: t.as_chw().channel(channel), g: g.channel_mut(channel) });
         }
         Ok(())
@@ -104,7 +118,7 @@ mod tests {
     const TOLERANCE: f64 = 8.0e-4;
 
     fn run(plan: Rcab, simd: Simd, band: usize, weights: &[f16], input: &[f16]) -> Vec<f16> {
-        let Rcab { channels, hidden, rows, cols } = plan;
+        let Rcab { channels, hidden, windows: [window, _] } = plan;
         let mut rest = weights;
         let mut take = |len: usize| {
             let (taken, tail) = rest.split_at(len);
@@ -120,20 +134,21 @@ mod tests {
         };
         let (mut g, mut t) = (input.to_vec(), vec![f16::NAN; input.len()]);
         let mut scratch = vec![f32::NAN; plan.scratch_len(band)];
-        let [g_tensor, t_tensor] =
-            [&mut g, &mut t].map(|data| ChwMut::new(data.as_mut_slice(), channels, rows, cols).unwrap());
-        plan.process(simd, Parameters { convs, attention }, g_tensor, t_tensor, &mut scratch).unwrap();
+        let mut features = Features::new(&mut g, channels, window);
+        let parameters = Parameters { convs, attention };
+        plan.process(simd, parameters, Scales::Measured(None), &mut features, &mut t, &mut scratch).unwrap();
         g
     }
 
     #[test]
     fn agrees_with_the_definition_whatever_the_band() {
-        let plan = Rcab { channels: 8, hidden: 2, rows: 11, cols: 13 };
+        let plan = Rcab { channels: 8, hidden: 2, windows: [Region::whole(11, 13); 2] };
         let mut noise = Noise(6);
         let weights = noise.halves(2 * (9 * 64 + 8) + 2 * 16 + 10, 0.2);
         let input = noise.halves(8 * 11 * 13, 1.0);
         let wide_weights = wide(&weights);
-        let expected = naive::rcab(&Tensor::new([8, 11, 13], wide(&input)), 2, &mut Cursor(&wide_weights));
+        let expected =
+            naive::rcab(&Tensor::new([8, 11, 13], wide(&input)), 2, &mut Cursor(&wide_weights), &mut |own| own);
         let found = run(plan, Simd::detect(), 1, &weights, &input);
         let error = naive::error(&found, &expected.data);
         assert!(error < TOLERANCE, "{error:e}");

@@ -67,6 +67,17 @@ pub enum PipelineError {
         /// The region asked for.
         found: Region,
     },
+    /// There is another number of scales than the network has.
+    Scales {
+        /// Scales of the network.
+        expected: usize,
+        /// Scales given.
+        found: usize,
+    },
+    /// What is held is of a frame without light, or of one whose filters left the range of halves.
+    NothingHeld,
+    /// What is held does not fit the frame: one of its maxima is more than [twice](super::GROWTH) as large, or the frame's less than half.
+    Outgrown,
     /// The output has another length.
     Output {
         /// Pixels of the region.
@@ -132,6 +143,11 @@ impl fmt::Display for PipelineError {
                     object.rows, object.cols
                 )
             }
+            Self::Scales { expected, found } => write!(f, "scales: expected {expected}, found {found}"),
+            Self::NothingHeld => {
+                f.write_str("no statistics of the field are held: the frame that they are of had no light")
+            }
+            Self::Outgrown => f.write_str("the frame is too bright or too dark for the statistics that are held"),
             Self::Output { expected, found } => write!(f, "output: expected {expected} pixels, found {found}"),
             Self::Memory { expected, found } => {
                 memory(f, "fast", expected.fast_bytes, found.fast_bytes)?;

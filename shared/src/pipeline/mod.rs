@@ -7,21 +7,26 @@
 //! f   = f / max over all c of f                       all zeros where that is <= 0 or an f is not finite
 //! out = rcan(f)                                       see crate::nn::rcan; halves, 0 to 1
 //! ```
-//! Both divisions are divisions, rounded once to binary32; f is stored as halves before and after.
+//! Both divisions are divisions, rounded once to binary32; f is stored as halves before and after. The maxima can also be held from an earlier
+//! frame ([`Field`]).
 //!
 //! The configuration ([`Pipeline`]) is immutable and borrows the network file; the mutable state is the caller's memory
 //! ([`Memory`]): fast scratch and a bulk arena, of the sizes of [`Pipeline::plan`] or larger. More fast scratch means taller bands and
 //! wider strips, hence speed; never other bits. What the memory holds before does not matter.
 
 mod error;
+mod field;
+mod holder;
 mod validate;
 
 pub use error::PipelineError;
+pub use field::{Field, GROWTH, Stats};
+pub use holder::Holder;
 
 use crate::blob::{Header, MemoryPlan, Weights};
 use crate::filter::{FilterBank, Filters, FrameSource};
 use crate::image::{ChwMut, PlaneMut, Region};
-use crate::nn::rcan::Rcan;
+use crate::nn::rcan::{self, Rcan};
 use crate::num::simd::{Kernel, Simd, Vector};
 use crate::num::{f16, fused, max_finite};
 use crate::sensor::FixedPattern;
@@ -36,20 +41,6 @@ pub struct Memory<'m> {
     pub fast: &'m mut [f32],
     /// Bulk arena.
     pub bulk: &'m mut [f16],
-}
-
-/// What a run saw.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Stats {
-    /// Pixels of the raw frame at or above the saturation code.
-    pub saturated_px: u32,
-    /// Maximum of the corrected frame, DN. Where it is not positive the frame was taken as zero.
-    pub frame_max_dn: f32,
-    /// Maximum of all filter outputs for the frame divided by its maximum. Where it is not positive, or
-    /// [`Self::filter_finite`] is false, the network saw zeros.
-    pub filter_max: f32,
-    /// No filter output left the range of halves.
-    pub filter_finite: bool,
 }
 
 /// A network, checked and ready to run.
@@ -114,6 +105,11 @@ impl<'a> Pipeline<'a> {
         usize::from(self.header.object.rows) * usize::from(self.header.object.cols)
     }
 
+    /// Scales of all channel attentions: what [`Field`] writes down and holds besides two maxima.
+    pub const fn scales_len(&self) -> usize {
+        self.rcan.scales_len()
+    }
+
     /// The header.
     pub const fn header(&self) -> &'a Header {
         self.header
@@ -128,9 +124,7 @@ impl<'a> Pipeline<'a> {
         self.run_region(frame, self.whole(), memory, output)
     }
 
-    /// Reconstructs `region` of the object alone: `output` is (region rows, region cols), and every bit is that of [`Self::run`]. The
-    /// filters and the network up to its last attention are computed in full all the same, as both divide by what the whole frame
-    /// holds; see [`crate::nn::rcan`].
+    /// Reconstructs `region` of the object alone: `output` is (region rows, region cols), and every bit is that of [`Self::run`].
     ///
     /// # Errors
     /// As [`Self::run`]; [`PipelineError::Region`] where the region is empty or reaches out of the object.
@@ -141,21 +135,43 @@ impl<'a> Pipeline<'a> {
         memory: Memory<'_>,
         output: &mut [f16],
     ) -> Result<Stats, PipelineError> {
+        self.run_with(frame, region, Field::Measured(None), memory, output)
+    }
+
+    /// The same with a say in what depends on the whole field: measured, it is exact; held from another frame, only the region is computed.
+    ///
+    /// # Errors
+    /// As [`Self::run_region`]; [`PipelineError::Scales`] where `field` is of another network; [`PipelineError::NothingHeld`];
+    /// [`PipelineError::Outgrown`], and then the output is not written.
+    pub fn run_with(
+        &self,
+        frame: &[u16],
+        region: Region,
+        field: Field<'_>,
+        memory: Memory<'_>,
+        output: &mut [f16],
+    ) -> Result<Stats, PipelineError> {
         let Memory { fast, bulk } = memory;
         self.check_region(region)?;
         self.check_lengths(frame, fast, bulk, (region.pixels(), output.len()))?;
+        let (held, scales) = field.split(self.scales_len())?;
         let bulk = &mut bulk[..self.bulk_len()];
         let (saturated_px, frame_max_dn) = self.survey(frame, fast);
-        let source = Corrected { pipeline: self, frame, max: frame_max_dn };
-        let (arena, channels) = bulk.split_at_mut(bulk.len() - self.rcan.input_len());
-        let object = [usize::from(self.header.object.rows), usize::from(self.header.object.cols)];
-        let tensor = ChwMut::new(channels, usize::from(self.header.bank.channels), object[0], object[1])?;
+        held.map_or(Ok(()), |held| held.fits_frame(frame_max_dn))?;
+        let source = Corrected { pipeline: self, frame, max: held.map_or(frame_max_dn, |held| held.frame_max_dn) };
+        let part = self.rcan.input(region, held.is_some());
+        let filter = self.filter.of_part(part)?;
+        let (arena, channels) = bulk.split_at_mut(bulk.len() - filter.output_len());
+        let tensor = ChwMut::new(channels, usize::from(self.header.bank.channels), part.rows.into(), part.cols.into())?;
         let filters = Filters { halves: self.weights.filters, index: self.weights.index };
-        self.filter.process(self.simd, &source, filters, tensor, arena, fast)?;
-        let (filter_max, filter_finite) = self.simd.run(Normalise { values: channels });
+        filter.process(self.simd, &source, filters, tensor, arena, fast)?;
+        let by = held.map(|held| held.filter_max);
+        let (filter_max, filter_finite) = self.simd.run(Normalise { values: channels, by });
+        held.map_or(Ok(()), |held| held.fits_filters(filter_max, filter_finite))?;
         let arena = bulk.len() - self.rcan.arena_len();
         let output = PlaneMut::new(output, region.rows.into(), region.cols.into())?;
-        self.rcan.process(self.simd, self.weights.rcan, &mut bulk[arena..], region, output, fast)?;
+        let parameters = rcan::Parameters { weights: self.weights.rcan, scales };
+        self.rcan.process(self.simd, parameters, &mut bulk[arena..], region, output, fast)?;
         Ok(Stats { saturated_px, frame_max_dn, filter_max, filter_finite })
     }
 
@@ -239,9 +255,10 @@ impl FrameSource for Corrected<'_> {
     }
 }
 
-/// Divides by the maximum; gives the maximum and whether all values are finite.
+/// Divides by the maximum, or by a number that is given; gives the maximum and whether all values are finite.
 struct Normalise<'a> {
     values: &'a mut [f16],
+    by: Option<f32>,
 }
 
 impl Kernel for Normalise<'_> {
@@ -250,8 +267,9 @@ impl Kernel for Normalise<'_> {
     #[inline(always)]
     fn run<V: Vector>(self) -> (f32, bool) {
         let (max, finite) = max_finite(self.values);
-        if max > 0.0 && finite {
-            fused::divide(self.values, max);
+        let by = self.by.unwrap_or(max);
+        if by > 0.0 && finite {
+            fused::divide(self.values, by);
         } else {
             self.values.fill(f16::ZERO);
         }

@@ -84,10 +84,20 @@ impl Case {
 
     /// The whole way in f64: frame maximum, filter maximum, reconstruction.
     fn expected(&self) -> (f64, f64, Tensor) {
+        let (maxima, out) = self.expected_with(None, &mut |own| own);
+        (maxima[0], maxima[1], out)
+    }
+
+    /// The same divided by maxima of another frame; `choose` says which scales are used.
+    fn expected_with(
+        &self,
+        held: Option<[f64; 2]>,
+        choose: &mut dyn FnMut(Vec<f64>) -> Vec<f64>,
+    ) -> ([f64; 2], Tensor) {
         let (offset, gain) = (wide(&self.offset), wide(&self.gain));
         let correct = |(i, &code): (usize, &u16)| (f64::from(code) - 64.5 - offset[i]) * gain[i];
         let x: Vec<f64> = self.frame.iter().enumerate().map(correct).collect();
-        let frame_max = x.iter().copied().fold(f64::MIN, f64::max);
+        let frame_max = held.map_or(x.iter().copied().fold(f64::MIN, f64::max), |held| held[0]);
         let mut plane = vec![[0.0, 0.0]; TILE * TILE];
         for (i, x) in x.iter().enumerate() {
             plane[((TILE - 27) / 2 + i / 30) * TILE + (TILE - 30) / 2 + i % 30][0] = x / frame_max;
@@ -95,9 +105,9 @@ impl Case {
         let plane = crate::fft::naive::dft2(&plane, TILE, false);
         let channels: Vec<f64> =
             self.spectra.chunks(TILE * (TILE + 2)).flat_map(|k| filter(&plane, &wide(k))).collect();
-        let filter_max = channels.iter().copied().fold(f64::MIN, f64::max);
+        let filter_max = held.map_or(channels.iter().copied().fold(f64::MIN, f64::max), |held| held[1]);
         let x = Tensor::new([2, 14, 12], channels).map(|x| x / filter_max);
-        (frame_max, filter_max, naive::rcan(&x, [2, 2, 8, 2], &wide(&self.rcan)))
+        ([frame_max, filter_max], naive::rcan_with(&x, [2, 2, 8, 2], &wide(&self.rcan), choose))
     }
 }
 
@@ -244,4 +254,150 @@ fn weights_that_are_not_finite_are_refused_by_place() {
     assert_eq!(refuse(|case| case.gain[809] = f16::NAN), at(Section::InverseGain, 809));
     let short = PipelineError::Filter(FilterError::Length { expected: 2176, found: 2175 });
     assert_eq!(refuse(|case| case.spectra.truncate(2175)), short);
+}
+
+/// A network on a frame so large that a region is computed from a part of everything.
+fn wide_case() -> Case {
+    let mut noise = Noise(14);
+    let mut case = Case::new();
+    let (frame, object) = (Size { rows: 60, cols: 63 }, Size { rows: 50, cols: 52 });
+    let bank = Bank {
+        tile: 32,
+        step: 16,
+        channels: 2,
+        taps: (0..2).flat_map(|channel| [-1, 1].map(|dy| Tap { channel, dy, dx: 0 })).collect(),
+        blocks: None,
+    };
+    let rcan = RcanShape { width: 4, groups: 1, blocks: 1, reduction: 2 };
+    let mut header = Header { frame, object, bank, rcan, ..case.header.clone() };
+    header.memory = Pipeline::plan(&header).unwrap();
+    let pixels = 60 * 63;
+    case.offset = noise.halves(pixels, 4.0);
+    case.gain = vec![f16::ONE; pixels];
+    case.spectra = noise.halves(4 * 2 * 32 * 17, 0.5);
+    case.rcan = noise.halves(rcan::weights_len(&rcan, 2), 0.4);
+    case.frame = (0..pixels).map(|_| (600.0 + 500.0 * noise.next()) as u16).collect();
+    case.header = header;
+    case
+}
+
+fn run_with(case: &Case, frame: &[u16], region: Region, field: Field<'_>) -> Result<(Vec<f16>, Stats), PipelineError> {
+    let pipeline = case.pipeline();
+    let (mut fast, mut bulk) = (vec![f32::NAN; pipeline.fast_len()], vec![f16::NAN; pipeline.bulk_len()]);
+    let mut output = vec![f16::NAN; region.pixels()];
+    let stats = pipeline.run_with(frame, region, field, Memory { fast: &mut fast, bulk: &mut bulk }, &mut output)?;
+    Ok((output, stats))
+}
+
+#[test]
+fn a_region_held_from_its_own_frame_has_every_bit() {
+    let case = wide_case();
+    let mut scales = vec![f32::NAN; case.pipeline().scales_len()];
+    for [row, col, rows, cols] in [[0, 0, 50, 52], [20, 22, 9, 8], [0, 51, 50, 1], [49, 0, 1, 1], [17, 16, 16, 17]] {
+        let region = Region { row, col, rows, cols };
+        let (exact, stats) = run_with(&case, &case.frame, region, Field::Measured(Some(&mut scales))).unwrap();
+        let (held, seen) = run_with(&case, &case.frame, region, Field::Held(stats, &scales)).unwrap();
+        assert_eq!(held, exact, "{region}");
+        assert_eq!((seen.saturated_px, seen.frame_max_dn), (stats.saturated_px, stats.frame_max_dn));
+        assert!(seen.filter_max <= stats.filter_max);
+    }
+}
+
+#[test]
+fn every_region_held_from_another_frame_is_a_cut_of_the_whole_so_computed() {
+    let case = wide_case();
+    let mut scales = vec![f32::NAN; case.pipeline().scales_len()];
+    let whole = case.pipeline().whole();
+    let (_, stats) = run_with(&case, &case.frame, whole, Field::Measured(Some(&mut scales))).unwrap();
+    let now: Vec<u16> = case.frame.iter().rev().map(|code| code / 4 * 3).collect();
+    let (all, _) = run_with(&case, &now, whole, Field::Held(stats, &scales)).unwrap();
+    let (exact, _) = run_with(&case, &now, whole, Field::Measured(None)).unwrap();
+    assert_ne!(all, exact, "statistics that do nothing would pass");
+    for (row, rows) in [(0, 1), (0, 7), (15, 1), (16, 3), (20, 25), (49, 1)] {
+        for (col, cols) in [(0, 1), (0, 52), (31, 2), (40, 12), (51, 1)] {
+            let region = Region { row, col, rows, cols };
+            let [rows, cols] = region.ranges();
+            let expected: Vec<f16> = rows.flat_map(|r| &all[r * 52..][cols.clone()]).copied().collect();
+            assert_eq!(run_with(&case, &now, region, Field::Held(stats, &scales)).unwrap().0, expected, "{region}");
+        }
+    }
+}
+
+#[test]
+fn what_is_held_from_another_frame_agrees_with_f64() {
+    let (before, mut now) = (Case::new(), Case::new());
+    now.frame.iter_mut().for_each(|code| *code = 64 + (*code).rotate_left(2) % 700);
+    let whole = before.pipeline().whole();
+    let mut scales = vec![f32::NAN; before.pipeline().scales_len()];
+    let (_, stats) = run_with(&before, &before.frame, whole, Field::Measured(Some(&mut scales))).unwrap();
+    let mut written = Vec::new();
+    let (maxima, _) = before.expected_with(None, &mut |own| {
+        written.extend(own.iter().copied());
+        own
+    });
+    let mut blocks = written.chunks(8);
+    let (_, expected) = now.expected_with(Some(maxima), &mut |_| blocks.next().unwrap().to_vec());
+    let (_, own) = now.expected_with(None, &mut |own| own);
+    let found = run_with(&before, &now.frame, whole, Field::Held(stats, &scales)).unwrap().0;
+    assert!(naive::error(&found, &expected.data) < TOLERANCE, "{:e}", naive::error(&found, &expected.data));
+    assert!(naive::error(&found, &own.data) > 4.0 * TOLERANCE, "statistics that do nothing would pass");
+}
+
+#[test]
+fn what_is_held_must_fit() {
+    let case = wide_case();
+    let (region, mut scales) = (Region { row: 3, col: 4, rows: 5, cols: 6 }, vec![0.0; 4]);
+    let (_, stats) = run_with(&case, &case.frame, region, Field::Measured(Some(&mut scales))).unwrap();
+    let run = |frame: &[u16], field: Field<'_>| run_with(&case, frame, region, field).map(|_| ());
+    assert_eq!(run(&case.frame, Field::Held(stats, &scales)), Ok(()));
+    let another = PipelineError::Scales { expected: 4, found: 3 };
+    assert_eq!(run(&case.frame, Field::Held(stats, &scales[1..])), Err(another));
+    assert_eq!(run(&case.frame, Field::Measured(Some(&mut [0.0; 3]))), Err(another));
+    let dark = Stats { frame_max_dn: 0.0, ..stats };
+    assert_eq!(run(&case.frame, Field::Held(dark, &scales)), Err(PipelineError::NothingHeld));
+    let bright: Vec<u16> = case.frame.iter().map(|code| 3 * code).collect();
+    let dim: Vec<u16> = case.frame.iter().map(|code| 64 + code / 4).collect();
+    let faint = Stats { filter_max: stats.filter_max / 100.0, ..stats };
+    assert_eq!(run(&bright, Field::Held(stats, &scales)), Err(PipelineError::Outgrown));
+    assert_eq!(run(&dim, Field::Held(stats, &scales)), Err(PipelineError::Outgrown));
+    assert_eq!(run(&case.frame, Field::Held(faint, &scales)), Err(PipelineError::Outgrown));
+}
+
+/// The frames are what they are; what is told is how old the statistics of each are.
+#[test]
+fn a_holder_measures_when_it_must() {
+    let case = wide_case();
+    let pipeline = case.pipeline();
+    let (mut fast, mut bulk) = (vec![f32::NAN; pipeline.fast_len() + 4], vec![f16::NAN; pipeline.bulk_len()]);
+    let region = Region { row: 30, col: 4, rows: 5, cols: 6 };
+    let bright: Vec<u16> = case.frame.iter().map(|code| 3 * code).collect();
+    let dark = vec![10; case.frame.len()];
+    let mut holder = Holder::default();
+    let mut age = |frame: &[u16], hold: u16| {
+        let (mut output, memory) = (vec![f16::NAN; 30], Memory { fast: &mut fast, bulk: &mut bulk });
+        let (stats, age) = holder.run(&pipeline, frame, (region, hold), memory, &mut output).unwrap();
+        if age == 0 {
+            let exact = run_with(&case, frame, region, Field::Measured(None)).unwrap();
+            assert_eq!((output, stats), exact);
+        }
+        age
+    };
+    assert_eq!([(); 5].map(|()| age(&case.frame, 2)), [0, 1, 2, 0, 1], "every third one is exact");
+    assert_eq!(
+        [0, 1, 1, 5, 5].map(|hold| age(&case.frame, hold)),
+        [0, 1, 0, 1, 2],
+        "so is every one that may not be old"
+    );
+    assert_eq!([&bright, &bright, &case.frame].map(|frame| age(frame, 9)), [0, 1, 0], "another brightness");
+    assert_eq!([&dark, &dark, &case.frame].map(|frame| age(frame, 9)), [0, 0, 0], "darkness leaves nothing");
+    assert_eq!(age(&case.frame, 9), 1);
+    holder.forget();
+    let (mut output, memory) = (vec![f16::NAN; 30], Memory { fast: &mut fast, bulk: &mut bulk });
+    assert_eq!(holder.run(&pipeline, &case.frame, (region, 9), memory, &mut output).unwrap().1, 0);
+    let mut short = |hold| {
+        let memory = Memory { fast: &mut fast[1..], bulk: &mut bulk };
+        holder.run(&pipeline, &case.frame, (region, hold), memory, &mut output)
+    };
+    assert_eq!(short(0).unwrap().1, 0);
+    assert!(short(1).unwrap_err().to_string().contains("(4 missing)"));
 }

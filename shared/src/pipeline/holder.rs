@@ -1,0 +1,70 @@
+//! Statistics of the field that are held over the frames of a stream.
+
+use super::{Field, Memory, Pipeline, PipelineError, Stats};
+use crate::blob::MemoryPlan;
+use crate::image::Region;
+use crate::num::f16;
+
+/// What was measured last. The scales lie in the last [`Pipeline::scales_len`] numbers of the fast memory, which must be the same, and
+/// untouched, from run to run.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Holder {
+    /// What the run that measured saw, and how many runs ago.
+    held: Option<(Stats, u16)>,
+}
+
+impl Holder {
+    /// Nothing is held any more: the network, the memory or the scene is another.
+    pub fn forget(&mut self) {
+        self.held = None;
+    }
+
+    /// Reconstructs a region with the field's statistics of at most `hold` runs ago, and tells how many: 0 where they are measured in this very
+    /// frame, so that the region is exact. That is where `hold` is 0, where nothing so young is held, and where what is held no longer fits
+    /// ([`PipelineError::Outgrown`]).
+    ///
+    /// # Errors
+    /// As [`Pipeline::run_with`]; [`PipelineError::Memory`] where something is to be held and the fast memory has no room for the scales.
+    pub fn run(
+        &mut self,
+        pipeline: &Pipeline<'_>,
+        frame: &[u16],
+        (region, hold): (Region, u16),
+        Memory { fast, bulk }: Memory<'_>,
+        output: &mut [f16],
+    ) -> Result<(Stats, u16), PipelineError> {
+        let kept = pipeline.scales_len();
+        let Some(least) = fast.len().checked_sub(kept).filter(|&rest| rest >= pipeline.fast_len()) else {
+            self.forget();
+            return match hold {
+                0 => Ok((pipeline.run_region(frame, region, Memory { fast, bulk }, output)?, 0)),
+                _ => Err(no_room(pipeline, fast.len(), bulk.len())),
+            };
+        };
+        let (fast, scales) = fast.split_at_mut(least);
+        if let Some((stats, age)) = self.held.filter(|&(_, age)| age < hold) {
+            let memory = Memory { fast: &mut *fast, bulk: &mut *bulk };
+            match pipeline.run_with(frame, region, Field::Held(stats, scales), memory, output) {
+                Err(PipelineError::Outgrown) => {}
+                Err(error) => return Err(error),
+                Ok(now) => {
+                    self.held = Some((stats, age + 1));
+                    return Ok((now, age + 1));
+                }
+            }
+        }
+        self.forget();
+        let stats = pipeline.run_with(frame, region, Field::Measured(Some(scales)), Memory { fast, bulk }, output)?;
+        self.held = stats.can_be_held().then_some((stats, 0));
+        Ok((stats, 0))
+    }
+}
+
+fn no_room(pipeline: &Pipeline<'_>, fast: usize, bulk: usize) -> PipelineError {
+    let bytes = |numbers: usize, each: usize| u32::try_from(numbers * each).unwrap_or(u32::MAX);
+    let fast_bytes = bytes(pipeline.fast_len() + pipeline.scales_len(), size_of::<f32>());
+    PipelineError::Memory {
+        expected: MemoryPlan { fast_bytes, ..pipeline.header().memory },
+        found: MemoryPlan { fast_bytes: bytes(fast, size_of::<f32>()), bulk_bytes: bytes(bulk, size_of::<f16>()) },
+    }
+}
