@@ -7,7 +7,7 @@ mod networks;
 
 use networks::{DENSE, PRUNED, Shape, TAPPED, THIN};
 use ommatidia_host::blob::BlobFile;
-use ommatidia_host::device::{DeviceError, DeviceRun, Firmware, LoopbackConfig, Runtime, Work, find_qemu, run};
+use ommatidia_host::device::{DeviceError, DeviceRun, Firmware, LoopbackConfig, Runtime, Scope, Work, find_qemu, run};
 use ommatidia_shared::boards::{BOARDS, MPS3_AN547};
 use ommatidia_shared::device::Footprint;
 use ommatidia_shared::image::Region;
@@ -132,11 +132,41 @@ fn regions_agree_bit_for_bit_with_the_whole() {
         for region in regions {
             let expected = networks::cut(&whole.objects[0], shape, region);
             for board in &boards {
-                let device = run_on(board, &blob, Work { frames: &frames, region: Some(region) });
+                let device = run_on(board, &blob, Work { frames: &frames, scope: region.into() });
                 assert_eq!(device.objects[0], expected, "{} {region}", device.board);
                 if let (Some(part), Some(all)) = (&device.instructions, &whole.instructions) {
                     assert!(device.board != whole.board || part[0] < all[0], "{region}: {part:?} {all:?}");
                 }
+            }
+        }
+    }
+}
+
+/// A region whose field is held from an earlier frame: from the same one it has every bit of the whole, from another one the bits that this
+/// machine makes of it.
+#[test]
+fn regions_with_a_held_field_agree_bit_for_bit() {
+    // So wide and shallow that a region in the middle takes a part of everything.
+    const WIDE: Shape = Shape { tile: 16, step: 8, frame: [70, 76], object: [60, 64], ..TAPPED };
+    let regions = [
+        (&DENSE, Region { row: 9, col: 13, rows: 6, cols: 8 }),
+        (&TAPPED, Region { row: 30, col: 0, rows: 8, cols: 11 }),
+        (&TAPPED, Region { row: 0, col: 29, rows: 1, cols: 1 }),
+        (&WIDE, Region { row: 26, col: 28, rows: 6, cols: 5 }),
+    ];
+    let Some(boards) = firmware() else { return };
+    for (shape, region) in regions {
+        let mut frames = networks::frames(shape, 2, 13);
+        frames.insert(0, frames[0].clone());
+        let scope = Scope { hold: 2, ..region.into() };
+        for board in &boards {
+            let device = run_on(board, &networks::network(shape, 13), Work { frames: &frames, scope });
+            let ages: Vec<u16> = device.reports.iter().map(|report| report.field_age).collect();
+            assert_eq!((ages, device.differing_bits), (vec![0, 1, 2], 0), "{} {region}", device.board);
+            assert_eq!(device.objects[0], device.objects[1], "{} {region}", device.board);
+            assert_ne!(device.objects[1], device.objects[2], "{} {region}", device.board);
+            if let (true, Some(counts)) = (shape.object == WIDE.object, &device.instructions) {
+                assert!(counts[1] < counts[0] * 2 / 3, "{region}: little was saved: {counts:?}");
             }
         }
     }

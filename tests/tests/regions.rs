@@ -1,11 +1,14 @@
 //! Regions of interest: a region that is computed alone has every bit of the region cut from the whole, on networks, frame sizes and
-//! tile sizes of many kinds. `qemu_parity` tries some of it on the boards.
+//! tile sizes of many kinds; one whose field is held from an earlier frame says so, and is what this machine makes of it. `qemu_parity` tries
+//! some of it on the boards.
 #![allow(clippy::unwrap_used)]
 
 mod networks;
 
 use networks::{DENSE, PRUNED, Shape, TAPPED, THIN};
-use ommatidia_host::device::{DeviceError, LoopbackConfig, Runtime, Work, reference, run};
+use ommatidia_host::device::{
+    Client, DeviceError, DeviceRun, Loopback, LoopbackConfig, Runtime, Scope, Work, reference, run,
+};
 use ommatidia_shared::image::Region;
 
 /// Networks that differ in what a region depends on.
@@ -50,7 +53,7 @@ fn every_region_is_the_cut_of_the_whole() {
         let (blob, frames) = (networks::network(&shape, seed), networks::frames(&shape, 1, seed));
         let whole = reference(&blob, frames.as_slice().into()).unwrap();
         for region in regions(&shape) {
-            let work = Work { frames: &frames, region: Some(region) };
+            let work = Work { frames: &frames, scope: region.into() };
             let expected = networks::cut(&whole[0], &shape, region);
             assert_eq!(reference(&blob, work).unwrap()[0], expected, "{region} of {shape:?}");
             let device = run(&Runtime::Host(LoopbackConfig::default()), &blob, work, None, &mut |_| {}).unwrap();
@@ -63,11 +66,81 @@ fn every_region_is_the_cut_of_the_whole() {
 fn a_region_outside_is_refused_in_words() {
     let (blob, frames) = (networks::network(&DENSE, 1), networks::frames(&DENSE, 1, 1));
     for (row, col, rows, cols) in [(24, 0, 1, 1), (0, 30, 2, 7), (3, 3, 0, 4), (65535, 0, 65535, 1)] {
-        let work = Work { frames: &frames, region: Some(Region { row, col, rows, cols }) };
+        let work = Work { frames: &frames, scope: Region { row, col, rows, cols }.into() };
         let error = run(&Runtime::Host(LoopbackConfig::default()), &blob, work, None, &mut |_| {}).unwrap_err();
         assert!(matches!(error, DeviceError::Refused(_)), "{error:?}");
         let text = error.to_string();
         assert!(text.contains("must lie in the 24 x 36 pixels"), "{text}");
         assert!(reference(&blob, work).is_err());
     }
+}
+
+fn on_this_machine(shape: &Shape, seed: u64, work: Work<'_>) -> DeviceRun {
+    run(&Runtime::Host(LoopbackConfig::default()), &networks::network(shape, seed), work, None, &mut |_| {}).unwrap()
+}
+
+/// The same frame again and again: what is held from it is what would be measured.
+#[test]
+fn a_region_held_from_its_own_frame_is_the_cut_of_the_whole() {
+    for (seed, shape) in (40..).zip(shapes()) {
+        let frames = vec![networks::frames(&shape, 1, seed).remove(0); 3];
+        let whole = reference(&networks::network(&shape, seed), frames[..1].into()).unwrap();
+        for region in regions(&shape) {
+            let device =
+                on_this_machine(&shape, seed, Work { frames: &frames, scope: Scope { hold: 2, ..region.into() } });
+            let reports: Vec<_> = device.reports.iter().map(|report| (report.field_id, report.field_age)).collect();
+            assert_eq!(reports, [(1, 0), (1, 1), (1, 2)]);
+            let expected = networks::cut(&whole[0], &shape, region);
+            assert!(device.objects.iter().all(|object| *object == expected), "{region} of {shape:?}");
+            assert!(device.deviation.unwrap().worst_db > 150.0);
+        }
+    }
+}
+
+#[test]
+fn a_region_held_from_another_frame_says_so_and_agrees_bit_for_bit() {
+    let (mut different, mut tried) = (0, 0);
+    for (seed, shape) in (60..).zip(shapes()) {
+        let frames = networks::frames(&shape, 5, seed);
+        for region in regions(&shape) {
+            let device =
+                on_this_machine(&shape, seed, Work { frames: &frames, scope: Scope { hold: 2, ..region.into() } });
+            assert_eq!(device.differing_bits, 0);
+            let reports: Vec<_> = device.reports.iter().map(|report| (report.field_id, report.field_age)).collect();
+            assert_eq!(reports, [(1, 0), (1, 1), (1, 2), (4, 0), (4, 1)], "{region} of {shape:?}");
+            assert_eq!(device.telemetry.held_runs, 3);
+            let exact = reference(&networks::network(&shape, seed), Work { frames: &frames, scope: region.into() });
+            let exact = exact.unwrap();
+            assert_eq!([&device.objects[0], &device.objects[3]], [&exact[0], &exact[3]]);
+            (different, tried) = (different + usize::from(device.objects[1] != exact[1]), tried + 1);
+        }
+    }
+    assert!(2 * different > tried, "statistics that do nothing would pass: {different} of {tried}");
+}
+
+/// What is held is of this network and of this conversation, or not held.
+#[test]
+fn another_network_and_another_conversation_begin_with_nothing_held() {
+    let blobs = [1, 2].map(|seed| networks::network(&DENSE, seed));
+    let frame = networks::frames(&DENSE, 1, 1).remove(0);
+    let scope = Scope { hold: 9, ..Region { row: 5, col: 6, rows: 3, cols: 4 }.into() };
+    let (mut client, _) = Client::connect(Loopback::start(LoopbackConfig::default()).unwrap()).unwrap();
+    let mut id = 0;
+    let mut age = |client: &mut Client<Loopback>, scope: Scope| {
+        id += 1;
+        client.send_frame(&frame).unwrap();
+        client.reconstruct(id, scope).unwrap().field_age
+    };
+    for blob in blobs {
+        client.send_blob(blob.bytes(), &mut |_| {}).unwrap();
+        assert_eq!([(); 3].map(|()| age(&mut client, scope)), [0, 1, 2]);
+    }
+    client.hello().unwrap();
+    assert_eq!([(); 2].map(|()| age(&mut client, scope)), [0, 1]);
+    assert_eq!([(); 2].map(|()| age(&mut client, Scope { hold: 0, ..scope })), [0; 2], "exact when asked for");
+    assert_eq!(age(&mut client, Scope { region: None, ..scope }), 1, "the statistics are those of any exact run");
+    // The same run is done once; asked for otherwise it is another.
+    client.send_frame(&frame).unwrap();
+    let ages = [9, 9, 0].map(|hold| client.reconstruct(100, Scope { hold, ..scope }).unwrap().field_age);
+    assert_eq!(ages, [2, 2, 0]);
 }

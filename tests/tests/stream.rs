@@ -5,7 +5,8 @@ mod networks;
 
 use networks::DENSE;
 use ommatidia_host::device::{
-    DeviceError, Firmware, FrameFeed, Frames, LoopbackConfig, Runtime, camera_frame, find_qemu, reference, stream,
+    DeviceError, Firmware, FrameFeed, Frames, LoopbackConfig, Runtime, Scope, camera_frame, find_qemu, reference,
+    stream,
 };
 use ommatidia_shared::boards::{BOARDS, Board};
 use ommatidia_shared::image::Region;
@@ -17,7 +18,7 @@ fn the_frames_of_a_camera_need_not_be_sent() {
     let blob = networks::network(&DENSE, 30);
     let camera_px = 40 * 52;
     let runtime = Runtime::Host(LoopbackConfig { camera_px, ..LoopbackConfig::default() });
-    let feed = FrameFeed { len: 7, fps: None, nth: 3, region: Some(REGION), source: Frames::Camera };
+    let feed = FrameFeed { len: 7, fps: None, nth: 3, scope: REGION.into(), source: Frames::Camera };
     let mut shown = Vec::new();
     let report = stream(&runtime, None, &blob, feed, &mut |frame| {
         shown.push(frame.clone());
@@ -33,10 +34,25 @@ fn the_frames_of_a_camera_need_not_be_sent() {
     }
 }
 
+/// Approximate frames are told from exact ones, and which frame their statistics are of, whatever numbers the runs have.
+#[test]
+fn a_stream_tells_which_frame_its_field_is_of() {
+    let runtime = Runtime::Host(LoopbackConfig { camera_px: 40 * 52, ..LoopbackConfig::default() });
+    let scope = Scope { hold: 2, ..REGION.into() };
+    let feed = FrameFeed { len: 14, fps: None, nth: 2, scope, source: Frames::Camera };
+    let mut shown = Vec::new();
+    let report = stream(&runtime, None, &networks::network(&DENSE, 32), feed, &mut |frame| {
+        shown.push((frame.frame, frame.field_frame, frame.report.field_age));
+        Ok(())
+    });
+    assert_eq!(report.unwrap().held, 4);
+    assert_eq!(shown, [(0, 0, 0), (2, 0, 1), (4, 0, 2), (6, 6, 0), (8, 6, 1), (10, 6, 2), (12, 12, 0)]);
+}
+
 #[test]
 fn a_device_without_a_camera_says_so() {
     let runtime = Runtime::Host(LoopbackConfig::default());
-    let feed = FrameFeed { len: 1, fps: None, nth: 1, region: None, source: Frames::Camera };
+    let feed = FrameFeed { len: 1, fps: None, nth: 1, scope: Scope::default(), source: Frames::Camera };
     let error = stream(&runtime, None, &networks::network(&DENSE, 1), feed, &mut |_| Ok(())).unwrap_err();
     assert!(matches!(error.downcast_ref(), Some(DeviceError::NoCamera { .. })), "{error}");
 }
@@ -63,7 +79,7 @@ fn a_board_sleeps_between_frames() {
         let name = firmware.board().name;
         let mut read = |n: usize| Ok(frames[n].clone());
         let source = Frames::Stack(&mut read);
-        let feed = FrameFeed { len: 5, fps: Some(2.0), nth: 2, region: None, source };
+        let feed = FrameFeed { len: 5, fps: Some(2.0), nth: 2, scope: Scope::default(), source };
         let report = stream(&Runtime::Qemu(firmware), None, &blob, feed, &mut |_| Ok(())).unwrap();
         let activity = report.telemetry.activity.unwrap();
         assert_eq!(report.reconstructed + report.dropped, 3, "{name}");

@@ -6,7 +6,7 @@ mod networks;
 use half::f16;
 use networks::{DENSE, TAPPED};
 use ommatidia_host::device::{
-    Client, DeviceError, Faults, Faulty, Loopback, LoopbackConfig, Patience, Transport, reference,
+    Client, DeviceError, Faults, Faulty, Loopback, LoopbackConfig, Patience, Scope, Transport, reference,
 };
 use ommatidia_shared::blob::BlobError;
 use ommatidia_shared::wire::{Packet, Refusal, Reply, Request, SCHEMA_KEY, Telemetry, Transfer, VERSION, encode};
@@ -22,7 +22,7 @@ fn converse<T: Transport>(line: T) -> (Vec<Vec<f16>>, Telemetry, T) {
     let mut objects = Vec::new();
     for (id, frame) in (1..).zip(networks::frames(&DENSE, 2, 1)) {
         client.send_frame(&frame).unwrap();
-        let report = client.reconstruct(id, None).unwrap();
+        let report = client.reconstruct(id, Scope::default()).unwrap();
         objects.push(client.fetch(&report).unwrap());
     }
     let telemetry = client.telemetry().unwrap();
@@ -129,15 +129,15 @@ fn a_damaged_network_is_refused_and_the_device_lives_on() {
     let mut bytes = good.bytes().to_vec();
     bytes[700] ^= 4;
     assert!(matches!(refusal(client.send_blob(&bytes, &mut |_| {})), Refusal::Blob(BlobError::Crc { .. })));
-    assert_eq!(refusal(client.reconstruct(1, None).map(|_| ())), Refusal::NoNetwork);
+    assert_eq!(refusal(client.reconstruct(1, Scope::default()).map(|_| ())), Refusal::NoNetwork);
     client.send_blob(good.bytes(), &mut |_| {}).unwrap();
-    let short = refusal(client.reconstruct(1, None).map(|_| ()));
+    let short = refusal(client.reconstruct(1, Scope::default()).map(|_| ()));
     assert!(matches!(short, Refusal::Incomplete { what: Transfer::Frame, .. }), "{short}");
     client.send_frame(&[64; 20]).unwrap();
-    let wrong = refusal(client.reconstruct(1, None).map(|_| ()));
+    let wrong = refusal(client.reconstruct(1, Scope::default()).map(|_| ()));
     assert_eq!(wrong, Refusal::FrameLength { expected: 2 * 50 * 44, found: 40 });
     client.send_frame(&networks::frames(&TAPPED, 1, 1)[0]).unwrap();
-    client.reconstruct(1, None).unwrap();
+    client.reconstruct(1, Scope::default()).unwrap();
 }
 
 #[test]

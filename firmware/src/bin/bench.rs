@@ -22,7 +22,7 @@ use ommatidia_shared::nn::upscale::Upscale;
 use ommatidia_shared::num::pairs::add_products;
 use ommatidia_shared::num::simd::Simd;
 use ommatidia_shared::num::{fused, narrow, narrow_slice, widen_slice};
-use ommatidia_shared::pipeline::{Memory, Pipeline};
+use ommatidia_shared::pipeline::{Field, Memory, Pipeline};
 
 /// Why there is no count.
 type Failure = &'static str;
@@ -294,16 +294,26 @@ impl Bench {
         let weights = Weights { filters, index, rcan, offset_dn: Some(offset), inverse_gain: Some(&rest[..214 * 214]) };
         let pipeline = Pipeline::new(&header, weights).map_err(|_| "the network is refused")?;
         let frame = &self.frame[..pipeline.frame_len()];
-        let mut part = |what: Arguments<'_>, part: Region| {
-            let memory = Memory { fast: self.fast, bulk: self.bulk };
+        let (fast, scales) = self.fast.split_at_mut(self.fast.len() - pipeline.scales_len());
+        let mut part = |what: Arguments<'_>, part: Region, field: Field<'_>| {
+            let memory = Memory { fast: &mut *fast, bulk: &mut *self.bulk };
             let object = &mut self.object[..part.pixels()];
-            region(what, part.pixels(), "px", || pipeline.run_region(frame, part, memory, object))
+            let mut saw = Err("it did not run");
+            region(what, part.pixels(), "px", || {
+                let run = pipeline.run_with(frame, part, field, memory, object);
+                run.map(|stats| saw = Ok(stats))
+            })?;
+            saw
         };
-        part(format_args!("whole `{name}` network, 214x214 px to 96x96 px"), pipeline.whole())?;
+        let field = Field::Measured(Some(&mut *scales));
+        let whole = part(format_args!("whole `{name}` network, 214x214 px to 96x96 px"), pipeline.whole(), field)?;
         for &side in sides {
             let first = (96 - side) / 2;
             let middle = Region { row: first, col: first, rows: side, cols: side };
-            part(format_args!("`{name}` network, {side}x{side} px in the middle alone"), middle)?;
+            let exact = format_args!("`{name}` network, {side}x{side} px in the middle alone");
+            part(exact, middle, Field::Measured(None))?;
+            let held = format_args!("`{name}` network, {side}x{side} px in the middle, field held");
+            part(held, middle, Field::Held(whole, scales))?;
         }
         Ok(())
     }

@@ -2,6 +2,7 @@
 
 mod faults;
 mod flash;
+mod scope;
 mod status;
 mod stream;
 mod target;
@@ -31,7 +32,7 @@ pub struct Args {
 enum Action {
     /// Send a network and frames to the device, get reconstructions back, compare every bit with this machine's
     #[command(
-        after_help = "Examples:\n  ommatidia device run --with network.omm --frames frames.npy -o objects.npy\n  ommatidia device run --with network.omm --frames frames.npy --roi 32,32,24,24"
+        after_help = "Examples:\n  ommatidia device run --with network.omm --frames frames.npy -o objects.npy\n  ommatidia device run --with network.omm --frames frames.npy --roi 32,32,24,24\n  ommatidia device run --with network.omm --frames frames.npy --roi 32,32,24,24 --hold"
     )]
     Run(RunArgs),
     /// Put a network into the flash of the device: into the slot that does not run, checked, committed, asked for
@@ -39,7 +40,7 @@ enum Action {
     Flash(flash::Args),
     /// Stream frames through the device: reconstructions live in the browser, and recorded
     #[command(
-        after_help = "Examples:\n  ommatidia device stream --with network.omm --frames frames.npy --fps 2 --view 127.0.0.1:8080 -o objects.tif\n  ommatidia device stream --with network.omm --live 100 --fps 30 --every 30 --roi 32,32,24,24"
+        after_help = "Examples:\n  ommatidia device stream --with network.omm --frames frames.npy --fps 2 --view 127.0.0.1:8080 -o objects.tif\n  ommatidia device stream --with network.omm --live 100 --fps 30 --every 30 --roi 32,32,24,24\n  ommatidia device stream --with network.omm --frames frames.npy --roi 32,32,24,24 --hold 9"
     )]
     Stream(stream::Args),
     /// Ask the device how it is: starts, slots, faults, dropped frames
@@ -77,9 +78,8 @@ struct RunArgs {
     /// Use the first N frames only
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     first: Option<u32>,
-    /// Reconstruct this region of the object only, pixels: the same bits as cut out of the whole
-    #[arg(long, value_name = "ROW,COL,ROWS,COLS", value_parser = target::region)]
-    roi: Option<Region>,
+    #[command(flatten)]
+    scope: scope::Args,
     #[command(flatten)]
     target: Target,
 }
@@ -125,11 +125,11 @@ fn run_network(args: &RunArgs, run: &Run) -> anyhow::Result<Outcome> {
         .collect::<anyhow::Result<Vec<_>>>()?;
     let runtime = args.target.runtime(run)?;
     let state = args.target.state.as_deref();
-    let work = Work { frames: &frames, region: args.roi };
+    let work = Work { frames: &frames, scope: args.scope.scope() };
     let bar = run.progress(1000, "device");
     let device = run_device(&runtime, &blob, work, state, &mut |part| bar.set_position((1000.0 * part) as u64))?;
     bar.finish_and_clear();
-    let region = args.roi.unwrap_or(Region::whole(header.object.rows, header.object.cols));
+    let region = args.scope.region(&header);
     if let Some(output) = &args.output {
         stack::write(output, objects(&device, region)?.view())?;
     }
@@ -152,9 +152,12 @@ fn outcome(device: &DeviceRun, blob: &BlobFile, frames: usize) -> Outcome {
     let ram = measured(device.ram_bytes());
     let instructions = device.instructions.as_ref().and_then(|counts| counts.iter().max().copied());
     let seconds = device.frames.as_secs_f64() / frames.max(1) as f64;
+    let ages: Vec<u16> = device.reports.iter().map(|report| report.field_age).collect();
+    let held = ages.iter().filter(|&&age| age > 0).count();
     let json = json!({
         "board": device.board, "frames": frames, "bit_exact": device.bit_exact(),
-        "differing_bits": device.differing_bits, "instructions": instructions,
+        "differing_bits": device.differing_bits, "field_ages": ages, "held": held,
+        "held_psnr_db": device.deviation.map(|d| json!({ "mean": d.mean_db, "worst": d.worst_db })), "instructions": instructions,
         "ram_bytes": ram, "flash_bytes": flash, "stack_bytes": measured(t.stack_bytes.into()),
         "image_bytes": measured(t.image_bytes.into()), "blob_bytes": blob.bytes().len(),
         "static_bytes": measured(t.static_bytes.into()), "fast_bytes": t.fast_bytes, "bulk_bytes": t.bulk_bytes,
@@ -168,8 +171,12 @@ fn outcome(device: &DeviceRun, blob: &BlobFile, frames: usize) -> Outcome {
         n => format!("{n} bits differ from this machine's"),
     };
     let text = format!(
-        "board         {}\nframes        {frames}, {seconds:.2} s each\nagreement     {verdict}\ninstructions  {}\nRAM           {}\nflash         {}\nstack         {}\n",
+        "board         {}\nframes        {frames}, {seconds:.2} s each\nagreement     {verdict}\nfield         {}{}\ninstructions  {}\nRAM           {}\nflash         {}\nstack         {}\n",
         device.board,
+        scope::told(held, frames),
+        device.deviation.map_or(String::new(), |d| {
+            format!(": PSNR {:.1} dB against exact ones, {:.1} dB at worst", d.mean_db, d.worst_db)
+        }),
         figure(instructions, " a frame"),
         figure(ram, " bytes"),
         figure(flash, " bytes"),

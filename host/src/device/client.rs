@@ -1,8 +1,7 @@
 //! The host's end of the conversation: ask, wait, ask again.
 
-use super::{DeviceError, Transport};
+use super::{DeviceError, Scope, Transport};
 use half::f16;
-use ommatidia_shared::image::Region;
 use ommatidia_shared::wire::frame::decode;
 use ommatidia_shared::wire::{
     CHUNK, Deframer, Info, MAX_PACKET, Packet, Reply, Request, RunReport, SCHEMA_KEY, Telemetry, Transfer, VERSION,
@@ -108,12 +107,12 @@ impl<T: Transport> Client<T> {
         self.transfer(Transfer::Frame, &bytes, &mut |_| {})
     }
 
-    /// Has the frame that was sent last reconstructed as run `id`: `region` of the object, or all of it.
+    /// Has the frame that was sent last reconstructed as run `id`.
     ///
     /// # Errors
     /// The device refuses, falls silent, or reconstructed another frame than the last that was sent.
-    pub fn reconstruct(&mut self, id: u32, region: Option<Region>) -> Result<RunReport, DeviceError> {
-        let report = self.reconstruct_live(id, region)?;
+    pub fn reconstruct(&mut self, id: u32, scope: Scope) -> Result<RunReport, DeviceError> {
+        let report = self.reconstruct_live(id, scope)?;
         same(report.frame_crc, self.frame_crc, "frame", id)?;
         Ok(report)
     }
@@ -122,9 +121,12 @@ impl<T: Transport> Client<T> {
     ///
     /// # Errors
     /// The device refuses or falls silent.
-    pub fn reconstruct_live(&mut self, id: u32, region: Option<Region>) -> Result<RunReport, DeviceError> {
-        self.ask(Request::Run { id, region }, self.long, |reply| match reply {
-            Reply::Ran(report) if region.is_none_or(|region| region == report.region) => Some(report),
+    pub fn reconstruct_live(&mut self, id: u32, scope: Scope) -> Result<RunReport, DeviceError> {
+        let Scope { region, hold } = scope;
+        let asked =
+            |report: &RunReport| region.is_none_or(|region| region == report.region) && report.field_age <= hold;
+        self.ask(Request::Run { id, region, hold }, self.long, |reply| match reply {
+            Reply::Ran(report) if asked(&report) => Some(report),
             _ => None,
         })
     }

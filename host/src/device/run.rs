@@ -1,10 +1,9 @@
 //! A network and frames to the device, reconstructions back, compared bit by bit with this machine's.
 
-use super::{Client, Counter, DeviceError, Runtime, Transport, flash};
+use super::{Client, Counter, Deviation, DeviceError, Runtime, Scope, Transport, flash};
 use crate::blob::BlobFile;
 use half::f16;
-use ommatidia_shared::image::Region;
-use ommatidia_shared::pipeline::{Memory, Pipeline};
+use ommatidia_shared::pipeline::{Holder, Memory, Pipeline};
 use ommatidia_shared::wire::{RunReport, Telemetry};
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -14,14 +13,14 @@ use std::time::{Duration, Instant};
 pub struct Work<'a> {
     /// Raw frames, codes row by row.
     pub frames: &'a [Vec<u16>],
-    /// Region of the object; all of it where there is none.
-    pub region: Option<Region>,
+    /// What of each.
+    pub scope: Scope,
 }
 
 impl<'a> From<&'a [Vec<u16>]> for Work<'a> {
-    /// Whole objects.
+    /// Whole objects, exactly.
     fn from(frames: &'a [Vec<u16>]) -> Self {
-        Self { frames, region: None }
+        Self { frames, scope: Scope::default() }
     }
 }
 
@@ -36,6 +35,8 @@ pub struct DeviceRun {
     pub reports: Vec<RunReport>,
     /// Bits that differ from this machine's run of the same network and frames.
     pub differing_bits: u64,
+    /// How far the frames with held statistics are from exact ones, which this machine computes; `None` where all are exact.
+    pub deviation: Option<Deviation>,
     /// Instructions of each reconstruction; `None` where they cannot be counted.
     pub instructions: Option<Vec<u64>>,
     /// Figures of the device.
@@ -90,7 +91,7 @@ fn converse<T: Transport>(
     work: Work<'_>,
     progress: &mut dyn FnMut(f64),
 ) -> Result<(T, DeviceRun), DeviceError> {
-    let Work { frames, region } = work;
+    let Work { frames, scope } = work;
     let (mut client, info) = Client::connect(line)?;
     // A frame weighs as much as its bytes, the network file as its own.
     let frame_bytes: usize = frames.iter().map(|frame| 2 * frame.len()).sum();
@@ -104,7 +105,7 @@ fn converse<T: Transport>(
     let mut sent = blob.bytes().len();
     for (id, frame) in (1..).zip(frames) {
         client.send_frame(frame)?;
-        let report = client.reconstruct(id, region)?;
+        let report = client.reconstruct(id, scope)?;
         objects.push(client.fetch(&report)?);
         reports.push(report);
         sent += 2 * frame.len();
@@ -117,6 +118,7 @@ fn converse<T: Transport>(
     let differing_bits = differing_bits(&expected, &objects);
     let run = DeviceRun {
         board: info.board.as_str().into(),
+        deviation: deviation(blob, work, &objects, &reports)?,
         objects,
         reports,
         differing_bits,
@@ -135,17 +137,33 @@ fn converse<T: Transport>(
 pub fn reference(blob: &BlobFile, work: Work<'_>) -> Result<Vec<Vec<f16>>, DeviceError> {
     let network = blob.network()?;
     let pipeline = Pipeline::new(&network.header, network.weights).map_err(DeviceError::Pipeline)?;
-    let mut fast = vec![0.0; pipeline.fast_len_best().max(pipeline.fast_len())];
+    let mut fast = vec![0.0; pipeline.fast_len_best().max(pipeline.fast_len()) + pipeline.scales_len()];
     let mut bulk = vec![f16::ZERO; pipeline.bulk_len()];
-    let region = work.region.unwrap_or(pipeline.whole());
-    let mut objects = Vec::with_capacity(work.frames.len());
+    let Scope { region, hold } = work.scope;
+    let region = region.unwrap_or(pipeline.whole());
+    let (mut field, mut objects) = (Holder::default(), Vec::with_capacity(work.frames.len()));
     for frame in work.frames {
         let mut object = vec![f16::ZERO; region.pixels()];
         let memory = Memory { fast: &mut fast, bulk: &mut bulk };
-        pipeline.run_region(frame, region, memory, &mut object).map_err(DeviceError::Pipeline)?;
+        field.run(&pipeline, frame, (region, hold), memory, &mut object).map_err(DeviceError::Pipeline)?;
         objects.push(object);
     }
     Ok(objects)
+}
+
+/// Compares the frames whose statistics are held with exact ones.
+fn deviation(
+    blob: &BlobFile,
+    work: Work<'_>,
+    objects: &[Vec<f16>],
+    reports: &[RunReport],
+) -> Result<Option<Deviation>, DeviceError> {
+    if reports.iter().all(|report| report.field_age == 0) {
+        return Ok(None);
+    }
+    let exact = reference(blob, Work { scope: Scope { hold: 0, ..work.scope }, ..work })?;
+    let held = objects.iter().zip(&exact).zip(reports).filter(|(_, report)| report.field_age > 0);
+    Ok(Deviation::of(held.map(|((held, exact), _)| (held.as_slice(), exact.as_slice()))))
 }
 
 /// Bits in which two stacks of halves differ; halves that only one of them has count in full.

@@ -85,7 +85,7 @@ mod tests {
     use super::*;
     use crate::device::footprint::small_network;
     use crate::device::loopback::{LoopbackConfig, play};
-    use crate::device::{Client, FrameFeed, Frames, Runtime, Work, camera_frame, run, status, stream};
+    use crate::device::{Client, FrameFeed, Frames, Runtime, Scope, Work, camera_frame, run, status, stream};
     use serialport::TTYPort;
     use std::io::{Read, Write};
     use std::sync::Arc;
@@ -170,7 +170,7 @@ mod tests {
         let pixels = frame.len();
         let board = Board::plugged(LoopbackConfig { camera_px: pixels, ..LoopbackConfig::default() });
         for n in 0..2 {
-            let feed = FrameFeed { len: 1, fps: None, nth: 1, region: None, source: Frames::Camera };
+            let feed = FrameFeed { len: 1, fps: None, nth: 1, scope: Scope::default(), source: Frames::Camera };
             let mut seen = Vec::new();
             stream(&board.runtime(), None, &blob, feed, &mut |frame| {
                 seen.push(frame.report.frame_crc);

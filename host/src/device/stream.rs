@@ -1,9 +1,8 @@
 //! Frames in, reconstructions out, at the rate that holds: what comes faster is dropped, counted and told.
 
-use super::{Client, DeviceError, Runtime, Transport, upload};
+use super::{Client, DeviceError, Runtime, Scope, Transport, upload};
 use crate::blob::BlobFile;
 use half::f16;
-use ommatidia_shared::image::Region;
 use ommatidia_shared::wire::{RunReport, Telemetry};
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -22,6 +21,8 @@ pub struct StreamedFrame {
     pub dropped_before: usize,
     /// Frames that were dropped so far.
     pub dropped: usize,
+    /// The frame whose statistics of the field were taken: this one where the reconstruction is exact.
+    pub field_frame: usize,
     /// What the run saw.
     pub report: RunReport,
     /// The reconstruction, row by row.
@@ -39,6 +40,8 @@ pub struct StreamReport {
     pub dropped: usize,
     /// Of these, frames that failed on the line.
     pub failed: usize,
+    /// Of the reconstructed, those that are approximate: with statistics of the field held from an earlier frame.
+    pub held: usize,
     /// Wall time of all frames.
     pub took: Duration,
     /// Figures of the device at the end.
@@ -61,8 +64,8 @@ pub struct FrameFeed<'a> {
     pub fps: Option<f64>,
     /// Every so many frames one is reconstructed; the device sleeps meanwhile.
     pub nth: usize,
-    /// Region of the object that is reconstructed; all of it where there is none.
-    pub region: Option<Region>,
+    /// What of each is reconstructed.
+    pub scope: Scope,
     /// Where they come from.
     pub source: Frames<'a>,
 }
@@ -84,7 +87,7 @@ pub fn stream(
     }
     upload(&mut client, &info, blob, &mut |_| {})?;
     let start = Instant::now();
-    let (mut reconstructed, mut failed, mut in_a_row) = (0, 0, 0);
+    let (mut reconstructed, mut held, mut failed, mut in_a_row) = (0, 0, 0, 0);
     let (mut next, mut first_missed) = (0, 0);
     // A board that went on since an earlier stream still holds its last run, and would give it again for the same number. A frame
     // that is sent ends that; one of the camera does not.
@@ -96,8 +99,18 @@ pub fn stream(
                 in_a_row = 0;
                 let dropped_before = (frame - first_missed) / feed.nth;
                 let dropped = frame / feed.nth - reconstructed;
-                show(&StreamedFrame { frame, at: start.elapsed(), dropped_before, dropped, report, object })?;
+                let field_frame = report.field_id.wrapping_sub(first_id) as usize;
+                show(&StreamedFrame {
+                    frame,
+                    at: start.elapsed(),
+                    dropped_before,
+                    dropped,
+                    field_frame,
+                    report,
+                    object,
+                })?;
                 (reconstructed, first_missed) = (reconstructed + 1, frame + feed.nth);
+                held += usize::from(report.field_age > 0);
             }
             Err(error) if in_a_row + 1 < FAILURES && lost(&error) => {
                 (failed, in_a_row) = (failed + 1, in_a_row + 1);
@@ -111,7 +124,7 @@ pub fn stream(
     let telemetry = client.telemetry()?;
     client.quit().wait()?;
     let (board, dropped) = (info.board.as_str().into(), feed.len.div_ceil(feed.nth) - reconstructed);
-    Ok(StreamReport { board, reconstructed, dropped, failed, took, telemetry })
+    Ok(StreamReport { board, reconstructed, dropped, failed, held, took, telemetry })
 }
 
 /// A frame that was damaged or lost is not shown; the next one comes.
@@ -138,9 +151,9 @@ impl FrameFeed<'_> {
         let report = match &mut self.source {
             Frames::Stack(read) => {
                 client.send_frame(&read(frame)?)?;
-                client.reconstruct(id, self.region)?
+                client.reconstruct(id, self.scope)?
             }
-            Frames::Camera => client.reconstruct_live(id, self.region)?,
+            Frames::Camera => client.reconstruct_live(id, self.scope)?,
         };
         let object = client.fetch(&report)?;
         Ok((report, object))
@@ -152,7 +165,7 @@ mod tests {
     use super::*;
 
     fn feed(fps: Option<f64>, nth: usize) -> FrameFeed<'static> {
-        FrameFeed { len: 10, fps, nth, region: None, source: Frames::Camera }
+        FrameFeed { len: 10, fps, nth, scope: Scope::default(), source: Frames::Camera }
     }
 
     #[test]

@@ -74,6 +74,7 @@ impl View {
         let state = json!({
             "frame": frame.frame, "seconds": frame.at.as_secs_f64(), "dropped": frame.dropped,
             "dropped_before": frame.dropped_before, "saturated_px": frame.report.saturated_px, "max": max,
+            "field_frame": frame.field_frame, "exact": frame.report.field_age == 0,
         });
         *self.shown.lock().unwrap_or_else(PoisonError::into_inner) = Shown { png, state: state.to_string() };
     }
@@ -129,6 +130,8 @@ mod tests {
         let report = RunReport {
             id: 1,
             region: Region::whole(2, 3),
+            field_id: 1,
+            field_age: 4,
             len: 12,
             saturated_px: 5,
             frame_max_dn: 1.0,
@@ -137,11 +140,14 @@ mod tests {
             object_crc: 0,
         };
         let object = [0.0, 0.25, 0.5, 0.0, 0.0, 0.0].map(f16::from_f32).to_vec();
-        let frame = StreamedFrame { frame: 7, at: Duration::ZERO, dropped_before: 2, dropped: 3, report, object };
+        let (at, field_frame) = (Duration::ZERO, 3);
+        let frame = StreamedFrame { frame: 7, at, dropped_before: 2, dropped: 3, field_frame, report, object };
         view.show(&frame);
         let text = |path| String::from_utf8_lossy(&get(address, path)).into_owned();
         assert!(text("/").contains("frame.png"));
-        assert!(text("/state").contains("\"dropped\":3"), "{}", text("/state"));
+        for told in ["\"dropped\":3", "\"exact\":false", "\"field_frame\":3"] {
+            assert!(text("/state").contains(told), "{}", text("/state"));
+        }
         assert!(text("/elsewhere").starts_with("HTTP/1.1 404"));
         let picture = get(address, "/frame.png?n=1");
         let at = picture.windows(4).position(|bytes| bytes == b"\r\n\r\n").unwrap() + 4;

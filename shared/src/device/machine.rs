@@ -5,7 +5,7 @@ use super::upload::Upload;
 use crate::blob::{CRC, MemoryPlan, Network};
 use crate::flash::{MappedFlash, Slots};
 use crate::image::Region;
-use crate::pipeline::{Memory, Pipeline, PipelineError};
+use crate::pipeline::{Holder, Memory, Pipeline, PipelineError};
 use crate::wire::{
     CHUNK, FrameError, Info, Refusal, Reply, Request, RunReport, SCHEMA_KEY, SlotReport, Telemetry, Transfer, VERSION,
 };
@@ -46,6 +46,11 @@ pub struct Device<'m, F, S, K, M> {
     /// A frame was begun and not reconstructed.
     frame_waits: bool,
     last_run: Option<RunReport>,
+    /// What that run was asked to hold.
+    last_hold: u16,
+    /// Statistics of the field, and which run measured them.
+    field: Holder,
+    field_id: u32,
     telemetry: Telemetry,
 }
 
@@ -64,6 +69,9 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
             frame: Upload::none(Transfer::Frame),
             frame_waits: false,
             last_run: None,
+            last_hold: 0,
+            field: Holder::default(),
+            field_id: 0,
             telemetry: Telemetry::default(),
         };
         device.start();
@@ -95,7 +103,7 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
                 self.chunk(what, offset, data).map(|offset| Reply::Received { offset })
             }
             Request::Commit => self.commit().map(|()| Reply::Done),
-            Request::Run { id, region } => self.run(id, region).map(Reply::Ran),
+            Request::Run { id, region, hold } => self.run(id, region, hold).map(Reply::Ran),
             Request::Read { id, offset, len } => return self.read(id, offset, len).unwrap_or_else(Reply::Refused),
             Request::Telemetry => Ok(Reply::Telemetry(self.telemetry())),
             Request::Quit => Ok(Reply::Done),
@@ -121,7 +129,9 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
         self.telemetry.repeated_requests = self.telemetry.repeated_requests.wrapping_add(1);
     }
 
-    fn hello(&self, version: u16, schema: u64) -> Result<Info, Refusal> {
+    /// A conversation begins, perhaps hours after the last one: what it left of the field is of another scene.
+    fn hello(&mut self, version: u16, schema: u64) -> Result<Info, Refusal> {
+        self.field.forget();
         if version != VERSION {
             return Err(Refusal::Version { expected: VERSION, found: version });
         }
@@ -197,6 +207,7 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
         self.slots.commit().map_err(|e| storage(e, Transfer::Blob))?;
         self.committed = true;
         self.last_run = None;
+        self.field.forget();
         Ok(())
     }
 
@@ -217,11 +228,12 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
         Ok(())
     }
 
-    fn run(&mut self, id: u32, region: Option<Region>) -> Result<RunReport, Refusal> {
+    fn run(&mut self, id: u32, region: Option<Region>, hold: u16) -> Result<RunReport, Refusal> {
         let network = Network::view(self.slots.active_file().ok_or(Refusal::NoNetwork)?).map_err(Refusal::Blob)?;
         let pipeline = Pipeline::new(&network.header, network.weights).map_err(refusal)?;
         let region = region.unwrap_or(pipeline.whole());
-        if let Some(report) = self.last_run.filter(|report| (report.id, report.region) == (id, region)) {
+        let asked = (id, region, hold);
+        if let Some(report) = self.last_run.filter(|report| (report.id, report.region, self.last_hold) == asked) {
             return Ok(report);
         }
         pipeline.check_region(region).map_err(refusal)?;
@@ -236,12 +248,16 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
         let frame_crc = CRC.checksum(bytemuck::cast_slice(frame));
         let object = self.sink.begin(region.pixels()).map_err(|_| Refusal::Storage)?;
         // More scratch than this does not help: the rest of the fast memory is not touched.
-        let fast_len = self.arenas.fast.len().min(pipeline.fast_len_best());
+        let fast_len = self.arenas.fast.len().min(pipeline.fast_len_best() + pipeline.scales_len());
         let fast = self.arenas.fast.get_mut(..fast_len).unwrap_or_default();
         self.monitor.run_begins();
-        let stats = pipeline.run_region(frame, region, Memory { fast, bulk: self.arenas.bulk }, object);
+        let memory = Memory { fast, bulk: self.arenas.bulk };
+        let run = self.field.run(&pipeline, frame, (region, hold), memory, object);
         let cycles = self.monitor.run_ends();
-        let stats = stats.map_err(refusal)?;
+        let (stats, field_age) = run.map_err(refusal)?;
+        if field_age == 0 {
+            self.field_id = id;
+        }
         let object_crc = CRC.checksum(bytemuck::cast_slice(object));
         self.telemetry.cycles = cycles;
         self.telemetry.saturated_px = self.telemetry.saturated_px.wrapping_add(stats.saturated_px.into());
@@ -250,10 +266,13 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
         self.telemetry.frame_bytes = expected;
         self.telemetry.object_bytes = saturated(2 * region.pixels());
         self.telemetry.runs = self.telemetry.runs.wrapping_add(1);
+        self.telemetry.held_runs = self.telemetry.held_runs.wrapping_add((field_age > 0).into());
         self.sink.finish().map_err(|_| Refusal::Storage)?;
         let report = RunReport {
             id,
             region,
+            field_id: self.field_id,
+            field_age,
             len: saturated(2 * region.pixels()),
             saturated_px: stats.saturated_px,
             frame_max_dn: stats.frame_max_dn,
@@ -262,7 +281,7 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
             object_crc,
         };
         self.frame_waits = false;
-        self.last_run = Some(report);
+        (self.last_run, self.last_hold) = (Some(report), hold);
         Ok(report)
     }
 

@@ -60,10 +60,13 @@ pub enum Request<'a> {
     Commit,
     /// Reconstruct the frame.
     Run {
-        /// Number of the frame; a run of the same number, frame and region is done once.
+        /// Number of the frame; a run of the same number, frame, region and hold is done once.
         id: u32,
         /// The region of the reconstruction that is wanted; all of it where there is none.
         region: Option<Region>,
+        /// How many runs old the statistics of the field may be that the run takes; 0: its own, so that every bit is that of the whole. Where
+        /// the device holds none so young, it measures them and is exact.
+        hold: u16,
     },
     /// Bytes of the reconstruction: little-endian halves, row by row.
     Read {
@@ -146,6 +149,10 @@ pub struct RunReport {
     pub id: u32,
     /// What was reconstructed.
     pub region: Region,
+    /// Number of the run that measured the statistics of the field: see [`crate::pipeline::Field`].
+    pub field_id: u32,
+    /// How many runs ago that was. 0: in this one, so the reconstruction is exact; else it is approximate.
+    pub field_age: u16,
     /// Bytes of the reconstruction.
     pub len: u32,
     /// Pixels of the raw frame at or above the saturation code.
@@ -205,6 +212,8 @@ pub struct Telemetry {
     pub network: String<48>,
     /// Runs since the start.
     pub runs: u32,
+    /// Of these, runs that took statistics of the field which an earlier one had measured.
+    pub held_runs: u32,
     /// How the core spends its time, where there is a clock.
     pub activity: Option<Activity>,
     /// Cycles of the last run, where the core counts them.

@@ -30,7 +30,7 @@ fn json(info: &Info, t: &Telemetry) -> Value {
         "board": info.board.as_str(), "network": t.network.as_str(),
         "slots": t.slots.iter().flatten().map(slot).collect::<Vec<_>>(), "refused_slots": t.refused_slots,
         "slot_bytes": info.blob_bytes, "starts": t.starts, "started_by": format!("{:?}", t.started_by).to_lowercase(),
-        "runs": t.runs, "cycles": t.cycles, "active_fraction": active_fraction(t), "camera": info.live, "saturated_px": t.saturated_px, "dropped_frames": t.dropped_frames,
+        "runs": t.runs, "held_runs": t.held_runs, "cycles": t.cycles, "active_fraction": active_fraction(t), "camera": info.live, "saturated_px": t.saturated_px, "dropped_frames": t.dropped_frames,
         "temperature_c": t.temperature_cdeg.map(|cdeg| f64::from(cdeg) / 100.0),
         "crc_errors": t.crc_errors, "dropped_packets": t.dropped_packets, "repeated_requests": t.repeated_requests,
         "stack_bytes": t.stack_bytes, "image_bytes": t.image_bytes, "static_bytes": t.static_bytes,
@@ -71,8 +71,8 @@ fn text(info: &Info, t: &Telemetry) -> String {
     let known = |value: Option<String>| value.unwrap_or_else(|| "not measured".into());
     text += &format!("starts        {}, the last by {}\n", t.starts, format!("{:?}", t.started_by).to_lowercase());
     text += &format!(
-        "runs          {}, {} frames dropped, {} pixels saturated\n",
-        t.runs, t.dropped_frames, t.saturated_px
+        "runs          {}, {} of them with the field held, {} frames dropped, {} pixels saturated\n",
+        t.runs, t.held_runs, t.dropped_frames, t.saturated_px
     );
     text += &format!("cycles        {}\n", known(t.cycles.map(|cycles| format!("{cycles} in the last run"))));
     text += &format!("awake         {}\n", active_text(t));

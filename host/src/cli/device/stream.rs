@@ -32,13 +32,12 @@ pub(super) struct Args {
     /// Duty cycle: reconstruct every N-th frame only; the device sleeps meanwhile
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     every: u32,
-    /// Reconstruct this region of the object only, pixels
-    #[arg(long, value_name = "ROW,COL,ROWS,COLS", value_parser = super::target::region)]
-    roi: Option<Region>,
+    #[command(flatten)]
+    scope: super::scope::Args,
     /// Show the reconstructions in a browser at this address, e.g. 127.0.0.1:8080
     #[arg(long, value_name = "ADDRESS")]
     view: Option<SocketAddr>,
-    /// Record the reconstructions as they come: an OME-TIFF that is readable at any time; their numbers and times go to a .csv beside it
+    /// Record the reconstructions as they come: an OME-TIFF that is readable at any time; their numbers and times, and the frames that statistics of the field are of, go to a .csv beside it
     #[arg(short, long, value_name = "TIF")]
     output: Option<PathBuf>,
     #[command(flatten)]
@@ -56,7 +55,7 @@ pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let header = blob.network()?.header;
     let mut reader = args.frames.as_deref().map(FrameReader::open).transpose()?;
     let len = reader.as_ref().map_or(args.live.unwrap_or_default() as usize, FrameReader::len);
-    let region = args.roi.unwrap_or(Region::whole(header.object.rows, header.object.cols));
+    let region = args.scope.region(&header);
     let runtime = args.target.runtime(run)?;
     let view = match args.view {
         None => View::none(),
@@ -73,7 +72,7 @@ pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         raw_codes(&header, frame.view()).with_context(|| format!("{}: frame {i}", reader.path().display()))
     };
     let source = if args.frames.is_some() { Frames::Stack(&mut read) } else { Frames::Camera };
-    let feed = FrameFeed { len, fps: args.fps, nth: args.every as usize, region: args.roi, source };
+    let feed = FrameFeed { len, fps: args.fps, nth: args.every as usize, scope: args.scope.scope(), source };
     let report = stream(&runtime, args.target.state.as_deref(), &blob, feed, &mut |frame| {
         bar.set_position(frame.frame as u64 + 1);
         view.show(frame);
@@ -95,7 +94,7 @@ impl Record {
         let stack = Recording::create(path, [region.rows.into(), region.cols.into()])?;
         let table = path.with_extension("csv");
         let mut table = File::create(&table).with_context(|| table.display().to_string())?;
-        table.write_all(b"page,frame,time_s,dropped_before,saturated_px\n")?;
+        table.write_all(b"page,frame,time_s,dropped_before,saturated_px,field_frame\n")?;
         Ok(Self { stack, table, pages: 0 })
     }
 
@@ -105,7 +104,8 @@ impl Record {
         let shape = (report.region.rows.into(), report.region.cols.into());
         self.stack.push(Array2::from_shape_vec(shape, values)?.view())?;
         let (page, time, saturated) = (self.pages, frame.at.as_secs_f64(), report.saturated_px);
-        writeln!(self.table, "{page},{},{time:.6},{dropped_before},{saturated}", frame.frame)?;
+        let StreamedFrame { frame, field_frame, .. } = frame;
+        writeln!(self.table, "{page},{frame},{time:.6},{dropped_before},{saturated},{field_frame}")?;
         self.pages += 1;
         Ok(())
     }
@@ -118,15 +118,16 @@ fn outcome(report: &StreamReport, came: usize) -> Outcome {
     let t = &report.telemetry;
     let json = json!({
         "board": report.board, "frames": came, "reconstructed": shown, "dropped": report.dropped, "left_out": left_out,
-        "failed_on_the_line": report.failed, "seconds": seconds, "frames_per_second": rate,
+        "failed_on_the_line": report.failed, "held": report.held, "seconds": seconds, "frames_per_second": rate,
         "active_fraction": super::status::active_fraction(t),
         "device_dropped_frames": t.dropped_frames, "crc_errors": t.crc_errors, "dropped_packets": t.dropped_packets,
     });
     let text = format!(
-        "board         {}\nframes        {came} came, {shown} reconstructed, {} dropped ({} of them by the line), {left_out} left out\nrate          {rate:.2} a second\nawake         {}\n",
+        "board         {}\nframes        {came} came, {shown} reconstructed, {} dropped ({} of them by the line), {left_out} left out\nfield         {}\nrate          {rate:.2} a second\nawake         {}\n",
         report.board,
         report.dropped,
         report.failed,
+        super::scope::told(report.held, shown),
         super::status::active_text(t),
     );
     Outcome { json, text }

@@ -5,7 +5,6 @@ use crate::device::{BAUD, Runtime, Wanted};
 use clap::ValueEnum;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use ommatidia_shared::boards::{BOARDS, Board, MPS2_AN500};
-use ommatidia_shared::image::Region;
 use std::path::PathBuf;
 
 /// Options that name a device.
@@ -36,15 +35,6 @@ pub(super) fn boards() -> impl TypedValueParser<Value = Board> {
     let emulated = BOARDS.into_iter().filter(|board| board.emulated);
     let values: Vec<_> = emulated.map(|board| PossibleValue::new(board.name).help(board.core)).collect();
     PossibleValuesParser::new(values).try_map(|name| Board::named(&name).ok_or("no such board"))
-}
-
-/// A region as it is written on the command line.
-pub(super) fn region(text: &str) -> Result<Region, String> {
-    let numbers: Vec<u16> = text.split(',').map_while(|number| number.trim().parse().ok()).collect();
-    match (numbers.as_slice(), text.split(',').count()) {
-        (&[row, col, rows, cols], 4) => Ok(Region { row, col, rows, cols }),
-        _ => Err("expected four numbers of pixels, `ROW,COL,ROWS,COLS`: the first row and column, and how many".into()),
-    }
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]

@@ -133,7 +133,7 @@ pub(super) fn reconstructs(device: &mut Tried<'_, '_>, network: &Network) -> boo
     if transfer(device, Transfer::Frame, &frame).is_err() {
         return false;
     }
-    let Reply::Ran(report) = device.handle(Request::Run { id: 1, region: None }) else { return false };
+    let Reply::Ran(report) = device.handle(Request::Run { id: 1, region: None, hold: 0 }) else { return false };
     let request = Request::Read { id: 1, offset: 0, len: report.len as u16 };
     let expected: Vec<u8> = network.object.iter().flat_map(|half| half.to_le_bytes()).collect();
     matches!(device.handle(request), Reply::Data { data, .. } if data == expected)

@@ -2,7 +2,7 @@
 
 use super::desk::Network;
 use super::{Row, Tally};
-use crate::device::{Client, DeviceError, Faults, Faulty, Patience, Transport, flash};
+use crate::device::{Client, DeviceError, Faults, Faulty, Patience, Scope, Transport, flash};
 use half::f16;
 use ommatidia_shared::device::{Arenas, Device, Line, RamFrame, RamObject, Silent, Step};
 use ommatidia_shared::flash::RamFlash;
@@ -52,7 +52,7 @@ fn line(name: &'static str, faults: Faults) -> Result<Row, DeviceError> {
         for id in 1..=FRAMES {
             let object = again(&mut client, |client| {
                 client.send_frame(&network.frame)?;
-                let report = client.reconstruct(id, None)?;
+                let report = client.reconstruct(id, Scope::default())?;
                 client.fetch(&report)
             });
             match object {
