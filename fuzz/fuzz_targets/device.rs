@@ -27,8 +27,8 @@ fuzz_target!(|data: &[u8]| {
         line.push(*byte, &mut device);
     }
     while let Ok((request, rest)) = postcard::take_from_bytes::<Request<'_>>(requests) {
-        if let Reply::Ran(report) = device.handle(request) {
-            assert!(report.len > 0);
+        if let (Reply::Ran(report), Request::Run { hold, .. }) = (device.handle(request), request) {
+            assert!(report.len > 0 && report.field_age <= hold);
         }
         requests = rest;
     }

@@ -6,9 +6,11 @@ use crate::quantize::BLOCK;
 use crate::train::Preset;
 use ommatidia_shared::blob::{Bank, Blocks, Header, MemoryPlan, Rcan, Sensor, Size, Tap};
 use ommatidia_shared::boards::{Board, MPS2_AN386, MPS2_AN500, MPS3_AN547};
-use ommatidia_shared::filter::Geometry;
-use ommatidia_shared::nn::rcan::{Entry, Layer, layout};
+use ommatidia_shared::filter::{Axis, Geometry};
+use ommatidia_shared::image::Region;
+use ommatidia_shared::nn::rcan::{Entry, Layer, Rcan as RcanPlan, layout};
 use ommatidia_shared::pipeline::Pipeline;
+use std::ops::Range;
 
 /// A chip that can be bought.
 struct Part {
@@ -42,16 +44,25 @@ these frames were counted for `nano`, for the others the transforms of kernels w
 numbers of multiply-accumulates, transforms, tiles and pixels times what each costs in the tables above, with transforms of 128x128 in steps of 64 and nine taps a channel. The
 correction of the sensor is not in that sum";
 
+const HELD: &str = " Rows that say *field held* are of a square in the middle of the object (`device stream --roi --hold`): of ten frames one is exact, nine take the
+statistics of the field from it, and the figures are means over the ten.";
+
 const TABLE: &str = "
 
 | network | part | instructions a frame | frames a second | RAM, KiB | flash, KiB |
 |---|---|---|---|---|---|
 ";
 
+/// Frames with the field held to one that is exact: what `--hold` does where it is given no number.
+const HOLD: f64 = 9.0;
+
 /// A preset on frames of one size.
+#[derive(Clone)]
 struct Network {
     preset: String,
     header: Header,
+    /// Side of the square in the middle that is wanted, the field held; all of the object where there is none.
+    square: Option<u16>,
 }
 
 impl Network {
@@ -81,7 +92,7 @@ impl Network {
             Preset::Lite => "lite",
             Preset::Paper => "paper",
         };
-        Ok(Self { preset: preset.into(), header })
+        Ok(Self { preset: preset.into(), header, square: None })
     }
 
     /// The same with dense filters pruned to a tenth of their bytes.
@@ -93,71 +104,103 @@ impl Network {
         let count = (channels * 2 * tile * (tile + 2) / 10 - index) / (2 * side * side + 2);
         header.bank.blocks = Some(Blocks { side: side as u16, count: count as u16 });
         header.memory = Pipeline::plan(&header).map_err(DeviceError::Pipeline)?;
-        Ok(Self { preset: format!("{}, filters pruned", self.preset), header })
+        Ok(Self { preset: format!("{}, filters pruned", self.preset), header, square: None })
+    }
+
+    /// The same for a square in the middle, the field held.
+    fn held(&self, side: u16) -> Self {
+        Self { square: Some(side), ..self.clone() }
     }
 
     fn name(&self) -> String {
         let Header { frame, object, .. } = &self.header;
-        format!("`{}` network, {}x{} px to {}x{} px", self.preset, frame.rows, frame.cols, object.rows, object.cols)
+        let whole = format!(
+            "`{}` network, {}x{} px to {}x{} px",
+            self.preset, frame.rows, frame.cols, object.rows, object.cols
+        );
+        self.square.map_or(whole.clone(), |side| format!("{whole}, {side}x{side} px in the middle, field held"))
     }
 
-    /// Instructions of a frame where they were counted.
+    /// Instructions of a frame where they were counted: as [`Self::estimated`].
     fn counted(&self, counts: &BoardCounts) -> Option<f64> {
-        let name = format!("whole {}", self.name());
-        counts.operators.iter().find(|count| count.name == name).map(|count| count.instructions as f64)
+        let find = |name: String| counts.operators.iter().find(|count| count.name == name);
+        let count = |name: String| find(name).map(|count| count.instructions as f64);
+        let whole = count(format!("whole {}", Self { square: None, ..self.clone() }.name()))?;
+        let Some(side) = self.square else { return Some(whole) };
+        let square = |what: &str| count(format!("`{}` network, {side}x{side} px in the middle{what}", self.preset));
+        Some((square(" alone")? + HOLD * square(", field held")?) / (HOLD + 1.0))
     }
 
-    /// The same from what operators cost; `None` where one of them was not counted.
+    /// The same from what operators cost, the exact frame among the held ones taken as whole; `None` where one of them was not counted.
     fn estimated(&self, counts: &BoardCounts) -> Option<f64> {
+        let Header { object, .. } = &self.header;
+        let whole = self.sum(counts, Region::whole(object.rows, object.cols), false)?;
+        let Some(side) = self.square else { return Some(whole) };
+        let (row, col) = ((object.rows - side) / 2, (object.cols - side) / 2);
+        let held = self.sum(counts, Region { row, col, rows: side, cols: side }, true)?;
+        Some((whole + HOLD * held) / (HOLD + 1.0))
+    }
+
+    /// Instructions of a region, exact where it is the whole.
+    fn sum(&self, counts: &BoardCounts, region: Region, held: bool) -> Option<f64> {
         let find = |name: &str| counts.operators.iter().find(|count| count.name == name);
         let cost = |name: String| find(&name).map(|count| count.per_unit());
         let Header { object, bank, rcan, .. } = &self.header;
-        let px = f64::from(object.rows / 2) * f64::from(object.cols / 2);
+        let plan = RcanPlan::new(*rcan, bank.channels, *object);
         // The costs of 16 channels hold for those of 24, and are a little above.
         let width = if rcan.width < 32 { 16 } else { 32 };
-        let features = f64::from(rcan.width) * px;
+        let mut left = plan.depth();
         let mut sum = 0.0;
         for Entry { layer, outputs, inputs, kernel } in layout(rcan, bank.channels) {
-            let macs = (outputs * inputs * kernel * kernel) as f64 * px;
+            let px = plan.window(region, left).pixels() as f64;
+            let (macs, features) = ((outputs * inputs * kernel * kernel) as f64 * px, f64::from(rcan.width) * px);
             let conv = |what: &str| cost(format!("3x3 convolution {width}->{width}{what}, 48x48"));
             sum += match layer {
                 Layer::Head => macs * cost("3x3 convolution 24->16 of the unshuffled, 48x48".into())?,
                 Layer::BlockConv { conv: 0, .. } => macs * conv(" and ReLU")?,
                 Layer::BlockConv { .. } => macs * conv("")?,
                 Layer::GroupConv { .. } | Layer::Conv1 => macs * conv(" and skip")?,
+                // Nothing is measured where it is held.
+                Layer::Squeeze { .. } if held => 0.0,
                 Layer::Squeeze { .. } => features * cost(format!("channel attention, {width} channels, 48x48"))?,
                 Layer::Excite { .. } => features * cost("attention times features and skip, 1024".into())?,
                 Layer::Upscale => macs * cost(format!("pixel shuffle {width}->1 with its convolutions, to 96x96"))?,
                 Layer::Conv2 => 4.0 * macs * cost(format!("pixel shuffle {width}->1 with its convolutions, to 96x96"))?,
             };
+            left -= usize::from(kernel == 3 && left > 1);
         }
-        Some(sum + self.filters(&|name| find(&name).map(|count| count.instructions as f64), &cost)?)
+        let part = plan.input(region, held);
+        Some(sum + self.filters(part, &|name| find(&name).map(|count| count.instructions as f64), &cost)?)
     }
 
-    /// Transforms and products of the filters.
-    fn filters(&self, total: &dyn Fn(String) -> Option<f64>, cost: &dyn Fn(String) -> Option<f64>) -> Option<f64> {
+    /// Transforms and products of the filters for a part of the object.
+    fn filters(
+        &self,
+        part: Region,
+        total: &dyn Fn(String) -> Option<f64>,
+        cost: &dyn Fn(String) -> Option<f64>,
+    ) -> Option<f64> {
         let Header { frame, object, bank, .. } = &self.header;
         let Geometry { rows, cols } = Geometry::new(bank, *frame, *object).ok()?;
         let side = bank.tile;
         let forward = total(format!("2-D real FFT {side}x{side}, forward"))?;
         let inverse = total(format!("2-D real FFT {side}x{side}, filter, inverse"))? - forward;
-        let lit = |axis: ommatidia_shared::filter::Axis| {
-            let last = axis.tiles() as i32 - 1 + axis.offsets.1;
-            (axis.offsets.0..=last).filter(|&i| !axis.occupied(i).is_empty()).count()
+        let [down, across] = part.ranges();
+        let [down, across] = [rows.tiles_of(&down), cols.tiles_of(&across)];
+        let lit = |axis: Axis, tiles: &Range<usize>| {
+            let (first, last) = (*axis.windows(tiles.start).start(), *axis.windows(tiles.end - 1).end());
+            (first..=last).filter(|&i| !axis.occupied(i).is_empty()).count()
         };
-        let tiles = (rows.tiles() * cols.tiles()) as f64;
+        let tiles = (down.len() * across.len()) as f64;
+        let windows = (lit(rows, &down) * lit(cols, &across)) as f64;
         // One product is in the count of the inverse.
         let products = tiles * (bank.taps.len() - usize::from(bank.channels)) as f64;
         let macs = 4.0 * f64::from(side) * f64::from(side / 2 + 1);
         let product = macs * cost("filter times spectrum, a column of 256".into())?;
         // Kernels in space are transformed, most of their rows at least.
         let kernels = if bank.blocks.is_some() { f64::from(bank.channels) * forward } else { 0.0 };
-        Some(
-            kernels
-                + (lit(rows) * lit(cols)) as f64 * forward
-                + tiles * f64::from(bank.channels) * inverse
-                + products * product,
-        )
+        let inverses = tiles * f64::from(bank.channels) * inverse;
+        Some(kernels + windows * forward + inverses + products * product)
     }
 
     fn row(&self, part: &Part, counts: &BoardCounts) -> Option<String> {
@@ -204,11 +247,15 @@ pub fn section(boards: &[BoardCounts]) -> Result<String, DeviceError> {
     let pruned = small.iter().map(Network::pruned).collect::<Result<Vec<_>, _>>()?;
     let large =
         presets.map(|preset| Network::new(preset, 608, 304, &[-2, 0, 2])).into_iter().collect::<Result<Vec<_>, _>>()?;
+    let squares = [small[0].held(48), small[0].held(16)];
+    let large_squares: Vec<Network> = large.iter().map(|network| network.held(48)).collect();
     let of = |board: Board| boards.iter().find(|counts| counts.board == board);
     let rows: String = small
         .iter()
         .chain(&pruned)
+        .chain(&squares)
         .chain(&large)
+        .chain(&large_squares)
         .flat_map(|network| PARTS.iter().filter_map(move |part| network.row(part, of(part.board)?)))
         .collect();
     // How far the sum is off where the count is known.
@@ -223,5 +270,5 @@ pub fn section(boards: &[BoardCounts]) -> Result<String, DeviceError> {
     }
     let check =
         format!("; for the networks that were counted it is off by {:+.1} to {:+.1} %.", 100.0 * low, 100.0 * high);
-    Ok([HEAD, &check, TABLE, &rows].concat())
+    Ok([HEAD, &check, HELD, TABLE, &rows].concat())
 }

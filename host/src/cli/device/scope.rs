@@ -11,8 +11,8 @@ pub(super) struct Args {
     #[arg(long, value_name = "ROW,COL,ROWS,COLS", value_parser = region)]
     roi: Option<Region>,
     /// Approximate, and faster: N frames one after the other take what depends on the whole field (brightness, channel attention) from an exact
-    /// frame before them, and only the region and what it needs round it is computed. Without N: 29, so that every thirtieth frame is exact
-    #[arg(long, value_name = "N", requires = "roi", num_args = 0..=1, default_missing_value = "29", value_parser = clap::value_parser!(u16).range(1..))]
+    /// frame before them, and only the region and what it needs round it is computed. Without N: 9, so that every tenth frame is exact
+    #[arg(long, value_name = "N", requires = "roi", num_args = 0..=1, default_missing_value = "9", value_parser = clap::value_parser!(u16).range(1..))]
     hold: Option<u16>,
 }
 

@@ -96,7 +96,7 @@ impl Rcan {
     }
 
     /// Convolutions of features, one after the other.
-    const fn depth(&self) -> usize {
+    pub const fn depth(&self) -> usize {
         1 + self.shape.groups as usize * (2 * self.shape.blocks as usize + 1) + 2
     }
 
@@ -203,7 +203,7 @@ impl Rcan {
     }
 
     /// The features that a region of the output takes through `left` convolutions of features and the last one, which is at full resolution.
-    fn window(&self, region: Region, left: usize) -> Region {
+    pub fn window(&self, region: Region, left: usize) -> Region {
         let [rows, cols] = region.ranges();
         let axis = |part: core::ops::Range<usize>, all: usize| {
             let start = (part.start.saturating_sub(1) / 2).saturating_sub(left);
