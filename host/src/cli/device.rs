@@ -150,14 +150,17 @@ fn outcome(device: &DeviceRun, blob: &BlobFile, frames: usize) -> Outcome {
     let measured = |value: u64| (!on_host).then_some(value);
     let flash = measured(u64::from(t.image_bytes) + blob.bytes().len() as u64);
     let ram = measured(device.ram_bytes());
-    let instructions = device.instructions.as_ref().and_then(|counts| counts.iter().max().copied());
-    let seconds = device.frames.as_secs_f64() / frames.max(1) as f64;
     let ages: Vec<u16> = device.reports.iter().map(|report| report.field_age).collect();
     let held = ages.iter().filter(|&&age| age > 0).count();
+    let instructions = device.instructions.as_ref().and_then(|counts| counts.iter().max().copied());
+    let of_held = device.instructions.iter().flatten().zip(&ages).filter(|(_, age)| **age > 0);
+    let held_instructions = of_held.map(|(count, _)| *count).max();
+    let seconds = device.frames.as_secs_f64() / frames.max(1) as f64;
     let json = json!({
         "board": device.board, "frames": frames, "bit_exact": device.bit_exact(),
         "differing_bits": device.differing_bits, "field_ages": ages, "held": held,
-        "held_psnr_db": device.deviation.map(|d| json!({ "mean": d.mean_db, "worst": d.worst_db })), "instructions": instructions,
+        "held_psnr_db": device.deviation.map(|d| json!({ "mean": d.mean_db, "worst": d.worst_db })),
+        "instructions": instructions, "held_instructions": held_instructions,
         "ram_bytes": ram, "flash_bytes": flash, "stack_bytes": measured(t.stack_bytes.into()),
         "image_bytes": measured(t.image_bytes.into()), "blob_bytes": blob.bytes().len(),
         "static_bytes": measured(t.static_bytes.into()), "fast_bytes": t.fast_bytes, "bulk_bytes": t.bulk_bytes,
@@ -171,13 +174,14 @@ fn outcome(device: &DeviceRun, blob: &BlobFile, frames: usize) -> Outcome {
         n => format!("{n} bits differ from this machine's"),
     };
     let text = format!(
-        "board         {}\nframes        {frames}, {seconds:.2} s each\nagreement     {verdict}\nfield         {}{}\ninstructions  {}\nRAM           {}\nflash         {}\nstack         {}\n",
+        "board         {}\nframes        {frames}, {seconds:.2} s each\nagreement     {verdict}\nfield         {}{}\ninstructions  {}{}\nRAM           {}\nflash         {}\nstack         {}\n",
         device.board,
         scope::told(held, frames),
         device.deviation.map_or(String::new(), |d| {
             format!(": PSNR {:.1} dB against exact ones, {:.1} dB at worst", d.mean_db, d.worst_db)
         }),
         figure(instructions, " a frame"),
+        held_instructions.map_or(String::new(), |count| format!(", {count} where the field is held")),
         figure(ram, " bytes"),
         figure(flash, " bytes"),
         figure(measured(t.stack_bytes.into()), " bytes"),

@@ -31,7 +31,7 @@ impl Args {
 pub(super) fn told(held: usize, frames: usize) -> String {
     match held {
         0 => "measured in every frame: exact".into(),
-        _ => format!("measured in {} frames, held in {held}, which are approximate", frames - held),
+        _ => format!("measured in {} of {frames} frames, held in the others, which are approximate", frames - held),
     }
 }
 
