@@ -60,9 +60,12 @@ pub struct Blocks {
 }
 
 impl Blocks {
-    /// Blocks in a row, and in a column, of a kernel of side `tile`.
+    /// Blocks in a row, and in a column, of a kernel of side `tile`; 0 where a block has no side, which no bank may have.
     pub const fn across(self, tile: u16) -> usize {
-        (tile / self.side) as usize
+        match tile.checked_div(self.side) {
+            Some(across) => across as usize,
+            None => 0,
+        }
     }
 }
 
