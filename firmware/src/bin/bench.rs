@@ -13,7 +13,7 @@ use half::f16;
 use ommatidia_firmware::app::{region_begins, region_ends};
 use ommatidia_firmware::board::this as board;
 use ommatidia_shared::blob::{Bank, Blocks, Header, MemoryPlan, Rcan, Sensor, Size, Tap, Weights};
-use ommatidia_shared::fft::{Fft, Fft2, RowSource, Strip, StripSource};
+use ommatidia_shared::fft::{Fft, Fft2, ProductSource, RowSource};
 use ommatidia_shared::image::{Chw, ChwMut, PlaneMut, Region};
 use ommatidia_shared::nn::activation::Activation;
 use ommatidia_shared::nn::channel_attention::{self, ChannelAttention};
@@ -92,10 +92,9 @@ impl RowSource for Rows<'_> {
 /// A spectrum times a filter.
 struct Product<'a>(&'a [f16], &'a [f16]);
 
-impl StripSource for Product<'_> {
-    #[inline(always)]
-    fn add<const L: usize>(&self, strip: &mut Strip<'_, L>) {
-        strip.add_product(self.0, self.1);
+impl ProductSource for Product<'_> {
+    fn products(&self) -> impl Iterator<Item = [&[f16]; 2]> {
+        core::iter::once([self.0, self.1])
     }
 }
 

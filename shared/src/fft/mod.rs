@@ -11,7 +11,7 @@ mod strip;
 mod twiddle;
 
 pub use complex::{Fft, Lanes};
-pub use plane::{Fft2, RowSource, Strip, StripSource};
+pub use plane::{Fft2, ProductSource, RowSource};
 pub use real::RealFft;
 #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
 pub(crate) use twiddle::ROOT_TRIPLES;

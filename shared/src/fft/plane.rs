@@ -4,7 +4,7 @@
 //! memory. Both directions are scaled by 1/T (unitary), as exact powers of two: the spectrum of a plane within [-1, 1] stays
 //! within [-T, T], far from the largest half. Half-transformed rows are rounded to half too.
 
-use super::complex::{Fft, Lanes};
+use super::complex::Fft;
 use super::real::RealFft;
 use super::{FftError, check_len, strip};
 use crate::num::f16;
@@ -25,39 +25,9 @@ pub trait RowSource {
 }
 
 /// Where the spectrum of an inverse transform comes from.
-pub trait StripSource {
-    /// Adds columns of the spectrum to the strip, which is zero before.
-    fn add<const L: usize>(&self, strip: &mut Strip<'_, L>);
-}
-
-/// Columns `first..first + count` of a spectrum, one a lane, in fast scratch.
-#[derive(Debug)]
-pub struct Strip<'a, const L: usize> {
-    fft: Fft,
-    row_len: usize,
-    first: usize,
-    count: usize,
-    /// Nothing was added yet, and `lanes` hold anything.
-    empty: bool,
-    lanes: &'a mut [Lanes<L>],
-}
-
-impl<const L: usize> Strip<'_, L> {
-    /// Adds the product of two stored spectra: `re = (re + ar br) - ai bi`, `im = (im + ar bi) + ai br`.
-    #[inline(always)]
-    pub fn add_product(&mut self, a: &[f16], b: &[f16]) {
-        let empty = core::mem::replace(&mut self.empty, false);
-        strip::add_product([a, b], self.row_len, (self.first, self.count), self.fft, empty, self.lanes);
-    }
-
-    /// Transforms what was added.
-    #[inline(always)]
-    fn transform(self) -> bool {
-        if self.empty {
-            self.lanes.fill([[0.0; L]; 2]);
-        }
-        strip::transform(self.fft, self.lanes)
-    }
+pub trait ProductSource {
+    /// Pairs of stored spectra; the sum of their products is transformed.
+    fn products(&self) -> impl Iterator<Item = [&[f16]; 2]>;
 }
 
 /// Plan of a T x T real transform.
@@ -150,7 +120,7 @@ impl Fft2 {
     pub fn inverse(
         &self,
         simd: Simd,
-        source: &impl StripSource,
+        source: &impl ProductSource,
         rows: core::ops::Range<usize>,
         halfway: &mut [f16],
         scratch: &mut [f32],
@@ -245,7 +215,7 @@ struct Inverse<'a, S, E, const L: usize> {
     emit: E,
 }
 
-impl<S: StripSource, E: FnMut(usize, &[f32]), const L: usize> Kernel for Inverse<'_, S, E, L> {
+impl<S: ProductSource, E: FnMut(usize, &[f32]), const L: usize> Kernel for Inverse<'_, S, E, L> {
     type Output = ();
 
     #[inline(always)]
@@ -259,7 +229,7 @@ impl<S: StripSource, E: FnMut(usize, &[f32]), const L: usize> Kernel for Inverse
     }
 }
 
-impl<S: StripSource, E: FnMut(usize, &[f32]), const L: usize> Inverse<'_, S, E, L> {
+impl<S: ProductSource, E: FnMut(usize, &[f32]), const L: usize> Inverse<'_, S, E, L> {
     #[inline(always)]
     fn columns(&mut self, first: usize, count: usize) {
         if !strip::holds::<L>(count) || !self.try_columns::<L>(first, count) {
@@ -274,9 +244,7 @@ impl<S: StripSource, E: FnMut(usize, &[f32]), const L: usize> Inverse<'_, S, E, 
     fn try_columns<const N: usize>(&mut self, first: usize, count: usize) -> bool {
         let (row_len, fft) = (self.plan.spectrum_len(1), self.plan.cols);
         let (data, _) = strip::split::<N>(self.scratch, fft.len());
-        let mut strip = Strip { fft, row_len, first, count, empty: true, lanes: &mut *data };
-        self.source.add(&mut strip);
-        let exact = strip.transform();
+        let exact = strip::inverse_columns(self.source.products(), row_len, (first, count), fft, data);
         if exact {
             let rows = &mut data[self.rows.clone()];
             strip::store(rows, self.plan.col_scale, Parts::Exchanged, self.halfway, row_len, first, count);
@@ -325,9 +293,9 @@ mod tests {
     /// A spectrum and as many ones.
     struct Stored<'a>(&'a [f16], Vec<f16>);
 
-    impl StripSource for Stored<'_> {
-        fn add<const L: usize>(&self, strip: &mut Strip<'_, L>) {
-            strip.add_product(self.0, &self.1);
+    impl ProductSource for Stored<'_> {
+        fn products(&self) -> impl Iterator<Item = [&[f16]; 2]> {
+            core::iter::once([self.0, &self.1])
         }
     }
 

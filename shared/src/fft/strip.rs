@@ -80,13 +80,33 @@ fn load<const L: usize>(
     }
 }
 
-/// Transforms a strip in its slots.
+/// Transforms the sum of products of two spectra, columns `first..first + count`, imaginary part first.
+///
+/// `re = (re + kr xr) - ki xi`, `im = (im + kr xi) + ki xr`; the products are exact. The first is added to -0, which leaves it as it is.
 #[inline(always)]
-pub(super) fn transform<const L: usize>(fft: Fft, strip: &mut [Lanes<L>]) -> bool {
+pub(super) fn inverse_columns<'s, const L: usize>(
+    products: impl Iterator<Item = [&'s [f16]; 2]>,
+    row_len: usize,
+    (first, count): (usize, usize),
+    fft: Fft,
+    strip: &mut [Lanes<L>],
+) -> bool {
     #[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
     if L == 4 {
-        return helium::transform_columns(four(strip));
+        let strip = four(strip);
+        let products = &mut products.map(|product| product.map(|spectrum| &spectrum[2 * first..]));
+        let begin = [products.next(), products.next()];
+        if let [Some(only), None] = begin {
+            return helium::transform_product_columns(only, row_len, strip);
+        }
+        strip.fill([[-0.0; 4]; 2]);
+        for product in begin.into_iter().flatten().chain(products) {
+            helium::add_product_columns(product, row_len, strip);
+        }
+        return helium::transform_columns(strip);
     }
+    strip.fill([[-0.0; L]; 2]);
+    products.for_each(|product| add_product(product, row_len, (first, count), fft, strip));
     fft.process(strip);
     true
 }
@@ -255,25 +275,15 @@ fn scale_row<const L: usize>(data: &mut [Lanes<L>], lane: usize, scale: f32, row
     }
 }
 
-/// Adds the product of two spectra, columns `first..first + count`, to the strip, imaginary part first; to zeros where the strip is `empty`.
-///
-/// `re = (re + kr xr) - ki xi`, `im = (im + kr xi) + ki xr`; the products are exact.
+/// Adds the product of two spectra, columns `first..first + count`, to the strip.
 #[inline(always)]
-pub(crate) fn add_product<const L: usize>(
+fn add_product<const L: usize>(
     [k, x]: [&[f16]; 2],
     row_len: usize,
     (first, count): (usize, usize),
     fft: Fft,
-    empty: bool,
     strip: &mut [Lanes<L>],
 ) {
-    #[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
-    if L == 4 {
-        return helium::add_product_columns(&k[2 * first..], &x[2 * first..], row_len, empty, four(strip));
-    }
-    if empty {
-        strip.fill([[0.0; L]; 2]);
-    }
     if L == 1 {
         return pairs::add_products(&k[2 * first..], &x[2 * first..], row_len, single(strip));
     }

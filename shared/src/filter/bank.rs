@@ -5,7 +5,7 @@ use core::ops::Range;
 use super::geometry::{Axis, FilterError, Geometry};
 use super::kernel::{Filters, Kernel, Kernels};
 use crate::blob::{Bank, Size, Tap};
-use crate::fft::{Fft2, RowSource, Strip, StripSource};
+use crate::fft::{Fft2, ProductSource, RowSource};
 use crate::image::{ChwMut, Region};
 use crate::num::simd::Simd;
 use crate::num::{f16, narrow_slice};
@@ -265,14 +265,13 @@ struct TapSum<'a> {
     tile: (i32, i32),
 }
 
-impl StripSource for TapSum<'_> {
+impl ProductSource for TapSum<'_> {
     #[inline(always)]
-    fn add<const L: usize>(&self, strip: &mut Strip<'_, L>) {
-        for (tap, spectrum) in self.taps.iter().zip(self.spectra.chunks_exact(self.plan.spectrum_len())) {
+    fn products(&self) -> impl Iterator<Item = [&[f16]; 2]> {
+        let spectra = self.spectra.chunks_exact(self.plan.spectrum_len());
+        self.taps.iter().zip(spectra).filter_map(|(tap, spectrum)| {
             let window = (self.tile.0 + i32::from(tap.dy), self.tile.1 + i32::from(tap.dx));
-            if let Some(slot) = self.plan.slot(window.0, window.1) {
-                strip.add_product(spectrum, &self.cache[slot]);
-            }
-        }
+            Some([spectrum, &self.cache[self.plan.slot(window.0, window.1)?]])
+        })
     }
 }

@@ -2,7 +2,8 @@
 //! are the low halves of their words, imaginary parts the high ones.
 
 use super::super::asm_all;
-use super::{Four, shift, transform, transform_further, unflushed};
+use super::fft::{transform, transform_further};
+use super::{Four, shift, unflushed};
 use crate::num::f16;
 use crate::num::pairs::Parts;
 
@@ -97,10 +98,17 @@ fn gather(from: &[f16], stride: usize, to: &mut [Four]) {
     }
 }
 
-/// The loop of [`add_product_columns`]: where the sums of a place begin, first and second number.
-macro_rules! products {
-    ($im0:literal $re0:literal $im1:literal $re1:literal, $k:ident, $x:ident, $stride:ident, $to:ident, $len:ident) => {{
-        let far = $len / 2 * $stride;
+/// Adds the products of two spectra, four columns of them, imaginary part first, to the places of `to` whose numbers have the bits of
+/// `i` reversed. All products are exact, and sums multiples of 2^-48. 36 instructions for two numbers.
+#[inline(always)]
+pub(crate) fn add_product_columns([k, x]: [&[f16]; 2], stride: usize, to: &mut [Four]) {
+    let len = to.len();
+    assert!(len.is_power_of_two() && len >= 2, "{len} places");
+    check(k.len(), stride, len);
+    check(x.len(), stride, len);
+    let far = len / 2 * stride;
+    // SAFETY: the pairs and the places are there.
+    unsafe {
         asm_all!(
             "dls lr, {n}",
             "2:",
@@ -110,9 +118,9 @@ macro_rules! products {
             "add {t}, {t}, {to}",
             "vldrh.u16 q1, [{x0}]",
             "vcvtb.f32.f16 q2, q0",
-            $im0,
+            "vldrw.u32 q6, [{t}]",
             "vcvtt.f32.f16 q3, q0",
-            $re0,
+            "vldrw.u32 q7, [{t}, #16]",
             "vcvtb.f32.f16 q4, q1",
             "vcvtt.f32.f16 q5, q1",
             "vldrh.u16 q0, [{k1}]",
@@ -128,9 +136,9 @@ macro_rules! products {
             "vcvtt.f32.f16 q3, q0",
             "vstrw.32 q6, [{t}]",
             "vcvtb.f32.f16 q4, q1",
-            $im1,
+            "vldrw.u32 q6, [{t}, #32]",
             "vcvtt.f32.f16 q5, q1",
-            $re1,
+            "vldrw.u32 q7, [{t}, #48]",
             "vfma.f32 q7, q2, q4",
             "add {k1}, {k1}, {stride}",
             "vfma.f32 q6, q2, q5",
@@ -142,40 +150,140 @@ macro_rules! products {
             "vstrw.32 q6, [{t}, #32]",
             "le lr, 2b",
             t = out(reg) _,
-            n = in(reg) $len / 2,
-            k0 = inout(reg) $k.as_ptr() => _,
-            k1 = inout(reg) $k.as_ptr().add(far) => _,
-            x0 = inout(reg) $x.as_ptr() => _,
-            x1 = inout(reg) $x.as_ptr().add(far) => _,
-            stride = in(reg) $stride * size_of::<f16>(),
+            n = in(reg) len / 2,
+            k0 = inout(reg) k.as_ptr() => _,
+            k1 = inout(reg) k.as_ptr().add(far) => _,
+            x0 = inout(reg) x.as_ptr() => _,
+            x1 = inout(reg) x.as_ptr().add(far) => _,
+            stride = in(reg) stride * size_of::<f16>(),
             i = inout(reg) 0 => _,
-            one = in(reg) 1_u32 << shift($len),
-            to = in(reg) $to.as_mut_ptr(),
+            one = in(reg) 1_u32 << shift(len),
+            to = in(reg) to.as_mut_ptr(),
             out("lr") _,
         )
-    }};
+    }
 }
 
-/// Adds the products of two spectra, four columns of them, imaginary part first, to the places of `to` whose numbers have the bits of
-/// `i` reversed; to zeros where `first` says that nothing is there yet. All products are exact, and sums multiples of 2^-48. 36
-/// instructions for two numbers.
+/// The product of the pairs at `k` and `x`, which step on behind it: imaginary and real part. Also uses q0, q1 and `xr`.
+macro_rules! product {
+    ($im:literal $re:literal, $xr:literal, $step:literal) => {
+        concat!(
+            "vldrh.u16 q0, [{k}]\n",
+            "vldrh.u16 q1, [{x}]\n",
+            "vcvtb.f32.f16 ",
+            $im,
+            ", q0\n",
+            "add {k}, {k}, ",
+            $step,
+            "\n",
+            "vcvtb.f32.f16 ",
+            $xr,
+            ", q1\n",
+            "add {x}, {x}, ",
+            $step,
+            "\n",
+            "vcvtt.f32.f16 q0, q0\n",
+            "vcvtt.f32.f16 q1, q1\n",
+            "vmul.f32 ",
+            $re,
+            ", ",
+            $im,
+            ", ",
+            $xr,
+            "\n",
+            "vmul.f32 ",
+            $im,
+            ", ",
+            $im,
+            ", q1\n",
+            "vfms.f32 ",
+            $re,
+            ", q0, q1\n",
+            "vfma.f32 ",
+            $im,
+            ", q0, ",
+            $xr,
+            "\n",
+        )
+    };
+}
+
+/// Puts the products of two spectra, four columns of them, imaginary part first, to the places with their numbers' bits reversed, by way
+/// of the butterflies of four neighbours. All products are exact, and sums multiples of 2^-48. 82 instructions for four numbers.
 #[inline(always)]
-pub(crate) fn add_product_columns(k: &[f16], x: &[f16], stride: usize, first: bool, to: &mut [Four]) {
+fn multiply([k, x]: [&[f16]; 2], stride: usize, to: &mut [Four]) {
     let len = to.len();
-    assert!(len.is_power_of_two() && len >= 2, "{len} places");
+    assert!(len.is_power_of_two() && len >= 4, "{len} places");
     check(k.len(), stride, len);
     check(x.len(), stride, len);
-    // SAFETY: the pairs and the places are there.
+    let stride = stride * size_of::<f16>();
+    let quarter = len / 4 * stride;
+    // SAFETY: of numbers i + n/4, i + 3n/4, i, i + n/2 the pairs are read in this order; `to` has a place for each.
     unsafe {
-        if first {
-            products!("vmov.i32 q6, #0" "vmov.i32 q7, #0" "vmov.i32 q6, #0" "vmov.i32 q7, #0", k, x, stride, to, len);
-        } else {
-            products!(
-                "vldrw.u32 q6, [{t}]" "vldrw.u32 q7, [{t}, #16]" "vldrw.u32 q6, [{t}, #32]" "vldrw.u32 q7, [{t}, #48]",
-                k, x, stride, to, len
-            );
-        }
+        asm_all!(
+            "dls lr, {n}",
+            "2:",
+            "rbit {t}, {i}",
+            "add {i}, {i}, {one}",
+            product!("q2" "q3", "q4", "{half}"),
+            "add {t}, {t}, {to}",
+            product!("q4" "q5", "q6", "{back}"),
+            // Sum and difference; no register is left for more than the first part of the difference.
+            "vadd.f32 q6, q2, q4",
+            "vsub.f32 q2, q2, q4",
+            "vstrw.32 q6, [{t}, #64]",
+            "vadd.f32 q4, q3, q5",
+            "vsub.f32 q3, q3, q5",
+            "vstrw.32 q4, [{t}, #80]",
+            "vstrw.32 q3, [{t}, #96]",
+            product!("q3" "q4", "q5", "{half}"),
+            product!("q5" "q6", "q7", "{next}"),
+            "vadd.f32 q0, q3, q5",
+            "vldrw.u32 q7, [{t}, #64]",
+            "vsub.f32 q3, q3, q5",
+            "vadd.f32 q1, q4, q6",
+            "vsub.f32 q4, q4, q6",
+            "vadd.f32 q5, q0, q7",
+            "vsub.f32 q0, q0, q7",
+            "vldrw.u32 q7, [{t}, #80]",
+            "vstrw.32 q5, [{t}]",
+            "vadd.f32 q6, q1, q7",
+            "vstrw.32 q0, [{t}, #64]",
+            "vsub.f32 q1, q1, q7",
+            "vstrw.32 q6, [{t}, #16]",
+            // The difference times -i.
+            "vldrw.u32 q7, [{t}, #96]",
+            "vstrw.32 q1, [{t}, #80]",
+            "vadd.f32 q5, q3, q7",
+            "vsub.f32 q3, q3, q7",
+            "vstrw.32 q5, [{t}, #32]",
+            "vsub.f32 q6, q4, q2",
+            "vstrw.32 q3, [{t}, #96]",
+            "vadd.f32 q4, q4, q2",
+            "vstrw.32 q6, [{t}, #48]",
+            "vstrw.32 q4, [{t}, #112]",
+            "le lr, 2b",
+            t = out(reg) _,
+            n = in(reg) len / 4,
+            k = inout(reg) k.as_ptr().byte_add(quarter) => _,
+            x = inout(reg) x.as_ptr().byte_add(quarter) => _,
+            half = in(reg) 2 * quarter,
+            back = in(reg) -3 * (quarter as isize),
+            next = in(reg) stride as isize - quarter as isize,
+            i = inout(reg) 0 => _,
+            one = in(reg) 1_u32 << shift(len),
+            to = in(reg) to.as_mut_ptr(),
+            out("lr") _,
+        );
     }
+}
+
+/// Transforms the product of two spectra, four columns of them, imaginary part first, into `to`. False where Helium flushed a number.
+pub(crate) fn transform_product_columns(product: [&[f16]; 2], stride: usize, to: &mut [Four]) -> bool {
+    unflushed(|| {
+        multiply(product, stride, to);
+        transform_further(to);
+    })
 }
 
 /// Transforms four columns in their places. False where Helium flushed a number.

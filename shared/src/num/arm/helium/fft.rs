@@ -4,7 +4,7 @@
 //! of four lanes and nothing else, so real parts are finished before imaginary parts are loaded.
 
 use super::super::asm_all;
-use super::{Four, asm_push};
+use super::{Four, asm_push, rows_at};
 use crate::fft::ROOT_TRIPLES;
 
 /// cos 45 degrees as the table of roots has it.
@@ -21,16 +21,25 @@ pub(super) fn transform(data: &mut [Four]) {
 
 /// The same behind the butterflies of four neighbours, which those who bring the numbers can do on the way.
 pub(super) fn transform_further(data: &mut [Four]) {
-    let mut quarter = if data.len().trailing_zeros().is_multiple_of(2) {
+    join_up_to(data.len(), data);
+}
+
+/// The same but for the last pass, which those who take the numbers away can do. Not for less than 16 numbers.
+pub(super) fn transform_but_last(data: &mut [Four]) {
+    radix4_of_ones(data.as_chunks_mut().0);
+    join_up_to(data.len() / 4, data);
+}
+
+/// Joins transforms of four numbers into transforms of `len`.
+fn join_up_to(len: usize, data: &mut [Four]) {
+    let mut quarter = if len.trailing_zeros().is_multiple_of(2) {
         4
     } else {
         radix2_of_eighths(data.as_chunks_mut().0);
         8
     };
-    while quarter < data.len() {
-        for block in data.chunks_exact_mut(4 * quarter) {
-            radix4(block, quarter);
-        }
+    while quarter < len {
+        radix4(data, quarter);
         quarter *= 4;
     }
 }
@@ -244,26 +253,93 @@ fn radix2_of_eighths(data: &mut [[Four; 8]]) {
     }
 }
 
-/// Joins four transforms of `quarter` numbers into one; 53 instructions for a butterfly of four lanes.
+/// Numbers 1, 2 and 3 of a butterfly times the next roots: real and imaginary part of the sum of numbers 2 and 3 to q3, q5, of their
+/// difference to q2, q0, of number 1 to q6, q1. What is given is where each part of each number lies.
+macro_rules! turned {
+    ($a1r:literal $a1i:literal, $a2r:literal $a2i:literal, $a3r:literal $a3i:literal) => {
+        concat!(
+            "add r8, r8, r9\n",
+            "ldm r8, {{r0-r5}}\n",
+            // c2 = a2 w1 to q2, q0.
+            "vldrw.u32 q0, ",
+            $a2r,
+            "\n",
+            "vldrw.u32 q1, ",
+            $a2i,
+            "\n",
+            "vmul.f32 q2, q0, r2\n",
+            "vmul.f32 q3, q1, r3\n",
+            "vmul.f32 q0, q0, r3\n",
+            "vmul.f32 q1, q1, r2\n",
+            "vsub.f32 q2, q2, q3\n",
+            "vadd.f32 q0, q0, q1\n",
+            // c3 = a3 w3 to q4, q1.
+            "vldrw.u32 q1, ",
+            $a3r,
+            "\n",
+            "vldrw.u32 q3, ",
+            $a3i,
+            "\n",
+            "vmul.f32 q4, q1, r4\n",
+            "vmul.f32 q5, q3, r5\n",
+            "vmul.f32 q1, q1, r5\n",
+            "vmul.f32 q3, q3, r4\n",
+            "vsub.f32 q4, q4, q5\n",
+            "vadd.f32 q1, q1, q3\n",
+            "vadd.f32 q3, q2, q4\n",
+            "vsub.f32 q2, q2, q4\n",
+            "vadd.f32 q5, q0, q1\n",
+            "vsub.f32 q0, q0, q1\n",
+            // c1 = a1 w2 to q6, q1.
+            "vldrw.u32 q1, ",
+            $a1r,
+            "\n",
+            "vldrw.u32 q4, ",
+            $a1i,
+            "\n",
+            "vmul.f32 q6, q1, r0\n",
+            "vmul.f32 q7, q4, r1\n",
+            "vmul.f32 q1, q1, r1\n",
+            "vmul.f32 q4, q4, r0\n",
+            "vsub.f32 q6, q6, q7\n",
+            "vadd.f32 q1, q1, q4\n",
+        )
+    };
+}
+
+/// Joins transforms of `quarter` numbers by fours; 52 instructions for a butterfly of four lanes.
 #[inline(always)]
-fn radix4(block: &mut [Four], quarter: usize) {
-    if block.len() != 4 * quarter || quarter < 2 || quarter > ROOT_TRIPLES.len() {
+fn radix4(data: &mut [Four], quarter: usize) {
+    let blocks = data.len() / (4 * quarter);
+    if blocks == 0 || quarter < 2 || quarter > ROOT_TRIPLES.len() {
         return;
     }
-    let step = size_of_val(&ROOT_TRIPLES) / quarter;
-    // SAFETY: reads and writes each number of the block once; the table is walked in `quarter` steps. The third pointer runs 16 bytes
-    // behind. r6 belongs to the compiler and is restored.
+    let skip = 3 * quarter * SIZE;
+    // SAFETY: reads and writes each number of each block once; the table is walked in `quarter` steps. The pointers come to a block by
+    // the three quarters that lie between; the first and the third run another 16 bytes behind. r6 belongs to the compiler and is restored.
     unsafe {
-        let p = block.as_mut_ptr();
+        let p = data.as_mut_ptr().wrapping_byte_sub(skip);
         asm_push!(
             "push {{r6}}",
             "mov r6, r0",
+            "push {{r2-r5}}",
+            "3:",
+            "ldm sp, {{r0-r3}}",
+            "add r10, r10, r0",
+            "add r11, r11, r0",
+            "add r12, r12, r0",
+            "add r6, r6, r0",
+            "mov r8, r1",
+            "dls lr, r2",
+            // Nothing below changes the condition.
+            "subs r3, #1",
+            "str r3, [sp, #12]",
             // The first roots are 1.
             "vldrw.u32 q0, [r12, #16]!",
             "vldrw.u32 q3, [r6]",
             "vadd.f32 q4, q0, q3",
             "vsub.f32 q1, q0, q3",
-            "vldrw.u32 q0, [r10]",
+            "vldrw.u32 q0, [r10, #16]!",
             "vldrw.u32 q2, [r11]",
             real_parts!("q0" "q2" "q4" "q3", "[r10]" "[r12]"),
             "vldrw.u32 q2, [r12, #16]",
@@ -272,7 +348,7 @@ fn radix4(block: &mut [Four], quarter: usize) {
             "vsub.f32 q2, q2, q3",
             "vldrw.u32 q3, [r10, #16]",
             "vldrw.u32 q5, [r11, #16]",
-            real_parts!("q3" "q5" "q4" "q6", "[r10, #16]" "[r12, #16]!"),
+            real_parts!("q3" "q5" "q4" "q6", "[r10, #16]!" "[r12, #16]!"),
             "vadd.f32 q4, q0, q2",
             "vsub.f32 q5, q3, q1",
             "vsub.f32 q0, q0, q2",
@@ -281,48 +357,13 @@ fn radix4(block: &mut [Four], quarter: usize) {
             "vstrw.32 q4, [r11], #32",
             "vstrw.32 q3, [r6, #16]",
             "vstrw.32 q0, [r6], #32",
-            "add r10, r10, #32",
-            "dls lr, r1",
             "2:",
-            "add r8, r8, r9",
-            "ldm r8, {{r0-r5}}",
-            // c2 = a2 w1 to q2, q0.
-            "vldrw.u32 q0, [r12, #16]!",
-            "vldrw.u32 q1, [r12, #16]",
-            "vmul.f32 q2, q0, r2",
-            "vmul.f32 q3, q1, r3",
-            "vmul.f32 q0, q0, r3",
-            "vmul.f32 q1, q1, r2",
-            "vsub.f32 q2, q2, q3",
-            "vadd.f32 q0, q0, q1",
-            // c3 = a3 w3 to q4, q1.
-            "vldrw.u32 q1, [r6]",
-            "vldrw.u32 q3, [r6, #16]",
-            "vmul.f32 q4, q1, r4",
-            "vmul.f32 q5, q3, r5",
-            "vmul.f32 q1, q1, r5",
-            "vmul.f32 q3, q3, r4",
-            "vsub.f32 q4, q4, q5",
-            "vadd.f32 q1, q1, q3",
-            // s to q3, q5; d to q2, q0.
-            "vadd.f32 q3, q2, q4",
-            "vsub.f32 q2, q2, q4",
-            "vadd.f32 q5, q0, q1",
-            "vsub.f32 q0, q0, q1",
-            // c1 = a1 w2 to q6, q1.
-            "vldrw.u32 q1, [r11]",
-            "vldrw.u32 q4, [r11, #16]",
-            "vmul.f32 q6, q1, r0",
-            "vmul.f32 q7, q4, r1",
-            "vmul.f32 q1, q1, r1",
-            "vmul.f32 q4, q4, r0",
-            "vsub.f32 q6, q6, q7",
-            "vadd.f32 q1, q1, q4",
-            "vldrw.u32 q4, [r10]",
+            turned!("[r11]" "[r11, #16]", "[r12, #16]!" "[r12, #16]", "[r6]" "[r6, #16]"),
+            "vldrw.u32 q4, [r10, #16]!",
             real_parts!("q4" "q6" "q3" "q7", "[r10]" "[r12]"),
             // q4: b1 real.
             "vldrw.u32 q3, [r10, #16]",
-            real_parts!("q3" "q1" "q5" "q6", "[r10, #16]" "[r12, #16]!"),
+            real_parts!("q3" "q1" "q5" "q6", "[r10, #16]!" "[r12, #16]!"),
             // q3: b1 imaginary.
             "vadd.f32 q5, q4, q0",
             "vsub.f32 q6, q3, q2",
@@ -332,17 +373,125 @@ fn radix4(block: &mut [Four], quarter: usize) {
             "vstrw.32 q5, [r11], #32",
             "vstrw.32 q3, [r6, #16]",
             "vstrw.32 q4, [r6], #32",
-            "add r10, r10, #32",
             "le lr, 2b",
+            "bne 3b",
+            "add sp, sp, #16",
+            "pop {{r6}}",
+            inout("r0") p.wrapping_add(3 * quarter) => _,
+            inout("r2") skip => _,
+            inout("r3") ROOT_TRIPLES.as_ptr() => _,
+            inout("r4") quarter - 1 => _,
+            inout("r5") blocks => _,
+            in("r9") size_of_val(&ROOT_TRIPLES) / quarter,
+            inout("r10") p.wrapping_byte_sub(SIZE / 2) => _,
+            inout("r11") p.wrapping_add(quarter) => _,
+            inout("r12") p.wrapping_add(2 * quarter).wrapping_byte_sub(SIZE / 2) => _,
+            out("r1") _, out("r8") _, out("lr") _,
+        );
+    }
+}
+
+/// The rest of a butterfly whose numbers go to four rows: `a0` is where the parts of number 0 lie. The stack holds the scale, the bytes of
+/// a row's quarter and of its half, and the four addresses.
+macro_rules! pairs_to_rows {
+    ($a0r:literal $a0i:literal) => {
+        concat!(
+            "ldm sp, {{r0-r2}}\n",
+            "vldrw.u32 q4, ",
+            $a0r,
+            "\n",
+            "vadd.f32 q7, q4, q6\n",
+            "vsub.f32 q4, q4, q6\n",
+            "vadd.f32 q6, q7, q3\n",
+            "vsub.f32 q7, q7, q3\n",
+            "vldrw.u32 q3, [sp, #12]\n",
+            "vmul.f32 q6, q6, r0\n",
+            "vmul.f32 q7, q7, r0\n",
+            "vstrw.32 q6, [q3, #12]\n",
+            "vadd.i32 q3, q3, r2\n",
+            "vldrw.u32 q6, ",
+            $a0i,
+            "\n",
+            "vstrw.32 q7, [q3, #12]\n",
+            "vadd.f32 q7, q6, q1\n",
+            "vsub.f32 q6, q6, q1\n",
+            "vadd.f32 q1, q7, q5\n",
+            "vsub.f32 q7, q7, q5\n",
+            "vmul.f32 q1, q1, r0\n",
+            "vmul.f32 q7, q7, r0\n",
+            "vadd.f32 q5, q4, q0\n",
+            "vstrw.32 q7, [q3, #8]\n",
+            "vsub.f32 q4, q4, q0\n",
+            "vadd.i32 q3, q3, r1\n",
+            "vmul.f32 q4, q4, r0\n",
+            "vsub.f32 q7, q6, q2\n",
+            "vstrw.32 q4, [q3, #12]\n",
+            "vadd.f32 q6, q6, q2\n",
+            "vmul.f32 q5, q5, r0\n",
+            "vmul.f32 q6, q6, r0\n",
+            "vstrw.32 q6, [q3, #8]\n",
+            "vsub.i32 q3, q3, r2\n",
+            "vmul.f32 q7, q7, r0\n",
+            "vstrw.32 q5, [q3, #12]\n",
+            "vstrw.32 q7, [q3, #8]\n",
+            "vsub.i32 q3, q3, r1\n",
+            "vstrw.32 q1, [q3, #8]!\n",
+            "vstrw.32 q3, [sp, #12]\n",
+        )
+    };
+}
+
+/// The last pass of a transform of pairs, imaginary part first, which it scales and puts into four rows, the second number first; 67
+/// instructions for a butterfly of four lanes. Not for less than 16 numbers.
+#[inline(always)]
+pub(super) fn last_to_rows(data: &[Four], scale: f32, rows: &mut [f32]) {
+    let quarter = data.len() / 4;
+    assert!(quarter >= 2 && quarter <= ROOT_TRIPLES.len(), "{quarter} butterflies");
+    assert!(rows.len() == 8 * data.len(), "rows of {} numbers", rows.len());
+    // They run a pair behind.
+    let to = rows_at(rows.as_mut_ptr(), 2 * data.len() * size_of::<f32>()).map(|row| row.wrapping_sub(8));
+    // SAFETY: reads each number once, and writes it to its place in each of the four rows; the table is walked in `quarter` steps. r6
+    // belongs to the compiler and is restored.
+    unsafe {
+        let p = data.as_ptr();
+        asm_push!(
+            "push {{r6}}",
+            "mov r6, r0",
+            "vldrw.u32 q0, [r2]",
+            "vpush {{d0-d1}}",
+            "lsl r4, r1, #3",
+            "lsl r5, r1, #4",
+            "push {{r3-r5}}",
+            "sub lr, r1, #1",
+            // The first roots are 1.
+            "vldrw.u32 q0, [r12], #16",
+            "vldrw.u32 q1, [r6], #16",
+            "vadd.f32 q3, q0, q1",
+            "vsub.f32 q2, q0, q1",
+            "vldrw.u32 q4, [r12], #16",
+            "vldrw.u32 q1, [r6], #16",
+            "vadd.f32 q5, q4, q1",
+            "vsub.f32 q0, q4, q1",
+            "vldrw.u32 q6, [r11], #16",
+            "vldrw.u32 q1, [r11], #16",
+            pairs_to_rows!("[r10], #16" "[r10], #16"),
+            "dls lr, lr",
+            "2:",
+            turned!("[r11], #16" "[r11], #16", "[r12], #16" "[r12], #16", "[r6], #16" "[r6], #16"),
+            pairs_to_rows!("[r10], #16" "[r10], #16"),
+            "le lr, 2b",
+            "add sp, sp, #28",
             "pop {{r6}}",
             inout("r0") p.add(3 * quarter) => _,
-            inout("r1") quarter - 1 => _,
+            inout("r1") quarter => _,
+            inout("r2") &to => _,
+            inout("r3") scale.to_bits() => _,
             inout("r8") ROOT_TRIPLES.as_ptr() => _,
-            in("r9") step,
+            in("r9") size_of_val(&ROOT_TRIPLES) / quarter,
             inout("r10") p => _,
             inout("r11") p.add(quarter) => _,
-            inout("r12") p.add(2 * quarter).byte_sub(SIZE / 2) => _,
-            out("r2") _, out("r3") _, out("r4") _, out("r5") _, out("lr") _,
+            inout("r12") p.add(2 * quarter) => _,
+            out("r4") _, out("r5") _, out("lr") _,
         );
     }
 }

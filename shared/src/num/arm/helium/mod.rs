@@ -12,9 +12,10 @@ mod fft;
 mod fused;
 mod rows;
 
-pub(crate) use columns::{add_product_columns, forward_columns, scatter_columns, transform_columns};
+pub(crate) use columns::{
+    add_product_columns, forward_columns, scatter_columns, transform_columns, transform_product_columns,
+};
 pub(crate) use correlate::{correlate1, correlate4};
-use fft::{transform, transform_further};
 pub(in crate::num) use fused::{
     accumulate, add_eights, add_scaled, narrow_relu, narrow_slice, round_interleaved, widen_alternate, widen_slice,
 };
@@ -36,6 +37,11 @@ use asm_push;
 /// A complex number of four lanes: real parts, imaginary parts.
 pub(crate) type Four = [[f32; 4]; 2];
 
+/// Addresses of four rows that lie `stride` bytes apart.
+fn rows_at<T>(first: *const T, stride: usize) -> [usize; 4] {
+    [0, 1, 2, 3].map(|row| first.addr() + row * stride)
+}
+
 /// How far a place among `len` is shifted to the left, so that reversing the bits of the count gives the place's offset in bytes.
 const fn shift(len: usize) -> u32 {
     (u32::BITS - size_of::<Four>().trailing_zeros()).saturating_sub(len.trailing_zeros())
@@ -45,7 +51,8 @@ const fn shift(len: usize) -> u32 {
 /// (Arm DDI 0553, FPProcessException).
 const FLUSHED: u32 = 1 << 3 | 1 << 7;
 
-/// Does `work`, and says whether Helium flushed no number meanwhile. The work must not narrow to halves, which sets the same marks.
+/// Does `work`, and says whether Helium flushed no number meanwhile. Narrowing to halves sets the same marks: work
+/// that does it restores them.
 #[inline(always)]
 fn unflushed(work: impl FnOnce()) -> bool {
     // SAFETY: the marks have no effect but this.

@@ -1,14 +1,10 @@
 //! Rows of real transforms, four side by side: what [`crate::fft`] does before and after the complex transform of half their length.
 
 use super::super::asm_all;
-use super::{Four, shift, transform, transform_further, unflushed};
+use super::fft::{last_to_rows, transform_but_last, transform_further};
+use super::{Four, rows_at, shift, unflushed};
 use crate::fft::ROOT_TRIPLES;
 use crate::num::f16;
-
-/// Addresses of four rows that lie `stride` bytes apart.
-fn rows_at<T>(first: *const T, stride: usize) -> [usize; 4] {
-    [0, 1, 2, 3].map(|row| first.addr() + row * stride)
-}
 
 /// Distance in the table between the roots `e^(-2 pi i k / n)` of neighbouring k, and the first of them, k = 1.
 fn roots(n: usize) -> (usize, *const [f32; 2]) {
@@ -21,21 +17,17 @@ fn fits(len: usize) -> bool {
     len.is_power_of_two() && len >= 4 && len <= 2 * ROOT_TRIPLES.len()
 }
 
-/// Real transforms of four rows, one behind the other in `from`, scaled, into four rows of halves; `data` is scratch. False, and nothing
-/// written, where Helium flushed a number.
+/// Real transforms of four rows, one behind the other in `from`, scaled, into four rows of halves; `data` is scratch. False where Helium
+/// flushed a number.
 pub(crate) fn forward_rows(from: &[f32], data: &mut [Four], scale: f32, rows: &mut [f16]) -> bool {
     let half = data.len();
     assert!(fits(half) && from.len() == 8 * half, "rows of {} numbers", from.len());
     assert!(rows.len() == 4 * (2 * half + 2), "rows of {} halves", rows.len());
-    let exact = unflushed(|| {
+    unflushed(|| {
         order(from, data);
         transform_further(data);
-        untangle(data);
-    });
-    if exact {
-        narrow_rows(data, scale, rows);
-    }
-    exact
+        untangle(data, scale, rows);
+    })
 }
 
 /// Copies the pairs of four rows to the places with their numbers' bits reversed, by way of the butterflies of four neighbours; 42
@@ -109,68 +101,95 @@ fn order(rows: &[f32], to: &mut [Four]) {
     }
 }
 
-/// [`crate::fft::RealFft`]'s second half of a forward transform, four lanes; 25 instructions for two numbers.
+/// [`crate::fft::RealFft`]'s second half of a forward transform, scaled and narrowed into four rows; number 0 carries those at 0 and N/2,
+/// which are real. 33 instructions for two numbers.
 #[inline(always)]
-fn untangle(data: &mut [Four]) {
+fn untangle(data: &[Four], scale: f32, rows: &mut [f16]) {
     let half = data.len();
     let (step, root) = roots(2 * half);
-    // SAFETY: numbers 1 to half - 1 are read and written from both ends, then number 0 and the one in the middle; as many roots lie in
-    // the table.
+    let to = rows_at(rows.as_mut_ptr(), (2 * half + 2) * size_of::<f16>());
+    // SAFETY: number 0 is read, then 1 to half - 1 from both ends, then the one in the middle; half + 1 pairs of each row are written, the
+    // addresses being those of `rows`; as many roots lie in the table. The status before numbers are narrowed is restored behind it.
     unsafe {
-        let p = data.as_mut_ptr();
         asm_all!(
+            "vldrw.u32 q7, [{to}]",
+            "vadd.i32 q6, q7, {end}",
+            // Number 0: (2 (re + im), 2 (re - im)).
+            "vldrw.u32 q1, [{z}, #16]",
+            "vldrw.u32 q0, [{z}], #32",
+            "vadd.f32 q2, q0, q1",
+            "vsub.f32 q3, q0, q1",
+            "vadd.f32 q2, q2, q2",
+            "vadd.f32 q3, q3, q3",
+            "vmrs {t}, fpscr",
+            "vmul.f32 q2, q2, {scale}",
+            "vmul.f32 q3, q3, {scale}",
+            "vmov.i32 q0, #0",
+            "vmov.i32 q1, #0",
+            "vcvtb.f16.f32 q0, q2",
+            "vcvtb.f16.f32 q1, q3",
+            "vmsr fpscr, {t}",
+            "vstrw.32 q0, [q7]",
+            "vstrw.32 q1, [q6]",
             "dls lr, {n}",
             "2:",
-            "vldrw.u32 q0, [{z}]",
-            "vldrw.u32 q2, [{m}]",
             "vldrw.u32 q1, [{z}, #16]",
             "vldrw.u32 q3, [{m}, #16]",
-            "ldrd {c}, {s}, [{w}]",
-            // even = z + conj m to q4, q5; odd = -i (z - conj m) to q6, q7
-            "vadd.f32 q4, q0, q2",
-            "vsub.f32 q7, q2, q0",
-            "vsub.f32 q5, q1, q3",
-            "vadd.f32 q6, q1, q3",
-            // odd times the root to q0, q6
-            "vmul.f32 q0, q6, {c}",
-            "vmul.f32 q1, q7, {s}",
-            "vmul.f32 q6, q6, {s}",
-            "vmul.f32 q7, q7, {c}",
-            "vsub.f32 q0, q0, q1",
-            "vadd.f32 q6, q6, q7",
-            // even + odd, conj(even - odd)
-            "vadd.f32 q1, q4, q0",
-            "vsub.f32 q4, q4, q0",
-            "vadd.f32 q7, q5, q6",
-            "vsub.f32 q6, q6, q5",
-            "vstrw.32 q7, [{z}, #16]",
-            "vstrw.32 q1, [{z}], #32",
-            "vstrw.32 q6, [{m}, #16]",
-            "vstrw.32 q4, [{m}], #-32",
+            "vldrw.u32 q0, [{z}], #32",
+            "vldrw.u32 q5, [{m}], #-32",
+            "ldrd {t}, {u}, [{w}]",
             "add {w}, {w}, {step}",
+            // even = z + conj m to q4, q2; odd = -i (z - conj m) to q1, q0
+            "vadd.f32 q4, q0, q5",
+            "vsub.f32 q2, q1, q3",
+            "vadd.f32 q1, q1, q3",
+            "vsub.f32 q0, q5, q0",
+            // odd times the root to q3, q1
+            "vmul.f32 q3, q1, {t}",
+            "vmul.f32 q5, q0, {u}",
+            "vmul.f32 q1, q1, {u}",
+            "vmul.f32 q0, q0, {t}",
+            "vsub.f32 q3, q3, q5",
+            "vadd.f32 q1, q1, q0",
+            // even + odd, conj(even - odd)
+            "vadd.f32 q0, q4, q3",
+            "vsub.f32 q4, q4, q3",
+            "vadd.f32 q3, q2, q1",
+            "vsub.f32 q1, q1, q2",
+            "vmrs {t}, fpscr",
+            "vmul.f32 q0, q0, {scale}",
+            "vmul.f32 q4, q4, {scale}",
+            "vmul.f32 q3, q3, {scale}",
+            "vmul.f32 q1, q1, {scale}",
+            "vcvtb.f16.f32 q0, q0",
+            "vcvtb.f16.f32 q4, q4",
+            "vcvtt.f16.f32 q0, q3",
+            "vcvtt.f16.f32 q4, q1",
+            "vmsr fpscr, {t}",
+            "vstrw.32 q0, [q7, #4]!",
+            "vstrw.32 q4, [q6, #-4]!",
             "le lr, 2b",
-            // The middle: (2 re, -2 im). Number 0: (2 (re + im), 2 (re - im)).
+            // The middle: (2 re, -2 im).
             "vldrw.u32 q0, [{z}]",
             "vldrw.u32 q1, [{z}, #16]",
             "vadd.f32 q0, q0, q0",
             "vadd.f32 q1, q1, q1",
             "vneg.f32 q1, q1",
-            "vstrw.32 q0, [{z}]",
-            "vstrw.32 q1, [{z}, #16]",
-            "vldrw.u32 q0, [{p}]",
-            "vldrw.u32 q1, [{p}, #16]",
-            "vadd.f32 q2, q0, q1",
-            "vsub.f32 q3, q0, q1",
-            "vadd.f32 q2, q2, q2",
-            "vadd.f32 q3, q3, q3",
-            "vstrw.32 q2, [{p}]",
-            "vstrw.32 q3, [{p}, #16]",
-            c = out(reg) _,
-            s = out(reg) _,
+            "vmrs {t}, fpscr",
+            "vmul.f32 q0, q0, {scale}",
+            "vmul.f32 q1, q1, {scale}",
+            "vcvtb.f16.f32 q0, q0",
+            "vcvtt.f16.f32 q0, q1",
+            "vmsr fpscr, {t}",
+            "vstrw.32 q0, [q7, #4]",
+            t = out(reg) _,
+            u = out(reg) _,
             n = in(reg) half / 2 - 1,
-            p = in(reg) p,
-            z = inout(reg) p.add(1) => _,
-            m = inout(reg) p.add(half - 1) => _,
+            end = in(reg) 2 * half * size_of::<f16>(),
+            scale = in(reg) scale.to_bits(),
+            to = in(reg) &to,
+            z = inout(reg) data.as_ptr() => _,
+            m = inout(reg) data.as_ptr().add(half - 1) => _,
             w = inout(reg) root => _,
             step = in(reg) step,
             out("lr") _,
@@ -178,58 +197,17 @@ fn untangle(data: &mut [Four]) {
     }
 }
 
-/// Scales and narrows four lanes into four rows; number 0 carries those at 0 and N/2, which are real. 8 instructions for a number of
-/// each row.
-#[inline(always)]
-fn narrow_rows(data: &[Four], scale: f32, rows: &mut [f16]) {
-    let half = data.len();
-    let to = rows_at(rows.as_ptr(), (2 * half + 2) * size_of::<f16>());
-    // SAFETY: half + 1 pairs of each row are written, the addresses being those of `rows`.
-    unsafe {
-        asm_all!(
-            "vldrw.u32 q7, [{to}]",
-            "vadd.i32 q6, q7, {end}",
-            "vmov.i32 q2, #0",
-            "vmov.i32 q3, #0",
-            "vldrw.u32 q0, [{p}], #16",
-            "vldrw.u32 q1, [{p}], #16",
-            "vmul.f32 q0, q0, {scale}",
-            "vmul.f32 q1, q1, {scale}",
-            "vcvtb.f16.f32 q2, q0",
-            "vcvtb.f16.f32 q3, q1",
-            "vstrw.32 q2, [q7]",
-            "vstrw.32 q3, [q6]",
-            "dls lr, {n}",
-            "2:",
-            "vldrw.u32 q0, [{p}], #16",
-            "vldrw.u32 q1, [{p}], #16",
-            "vmul.f32 q0, q0, {scale}",
-            "vmul.f32 q1, q1, {scale}",
-            "vcvtb.f16.f32 q2, q0",
-            "vcvtt.f16.f32 q2, q1",
-            "vstrw.32 q2, [q7, #4]!",
-            "le lr, 2b",
-            n = in(reg) half - 1,
-            end = in(reg) 2 * half * size_of::<f16>(),
-            scale = in(reg) scale.to_bits(),
-            to = in(reg) &to,
-            p = inout(reg) data.as_ptr() => _,
-            out("lr") _,
-        );
-    }
-}
-
 /// Inverse real transforms of four rows of halves one behind the other, scaled, into four rows of numbers; `data` is scratch. False where
-/// Helium flushed a number.
+/// Helium flushed a number, and where the rows are shorter than these loops.
 pub(crate) fn inverse_rows(from: &[f16], data: &mut [Four], scale: f32, rows: &mut [f32]) -> bool {
     let half = data.len();
     assert!(fits(half) && from.len() == 4 * (2 * half + 2), "rows of {} halves", from.len());
-    assert!(rows.len() == 8 * half, "rows of {} numbers", rows.len());
-    unflushed(|| {
-        tangle(from, data);
-        transform(data);
-        scale_rows(data, scale, rows);
-    })
+    half >= 16
+        && unflushed(|| {
+            tangle(from, data);
+            transform_but_last(data);
+            last_to_rows(data, scale, rows);
+        })
 }
 
 /// [`crate::fft::RealFft`]'s first half of an inverse transform, four lanes; 33 instructions for two numbers.
@@ -312,34 +290,6 @@ fn tangle(from: &[f16], to: &mut [Four]) {
             k = inout(reg) 1_u32 << shift(half) => _,
             one = in(reg) 1_u32 << shift(half),
             to = in(reg) to.as_mut_ptr(),
-            out("lr") _,
-        );
-    }
-}
-
-/// Scales pairs, the second number first, into four rows; 7 instructions for a pair of each row.
-#[inline(always)]
-fn scale_rows(from: &[Four], scale: f32, rows: &mut [f32]) {
-    let to = rows_at(rows.as_ptr(), 2 * from.len() * size_of::<f32>());
-    // SAFETY: goes through `from` and the four rows once.
-    unsafe {
-        asm_all!(
-            "vldrw.u32 q7, [{to}]",
-            "vsub.i32 q7, q7, {eight}",
-            "dls lr, {n}",
-            "2:",
-            "vldrw.u32 q0, [{p}], #16",
-            "vldrw.u32 q1, [{p}], #16",
-            "vmul.f32 q0, q0, {scale}",
-            "vmul.f32 q1, q1, {scale}",
-            "vstrw.32 q0, [q7, #12]",
-            "vstrw.32 q1, [q7, #8]!",
-            "le lr, 2b",
-            n = in(reg) from.len(),
-            eight = in(reg) 8,
-            scale = in(reg) scale.to_bits(),
-            to = in(reg) &to,
-            p = inout(reg) from.as_ptr() => _,
             out("lr") _,
         );
     }
