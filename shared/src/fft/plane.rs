@@ -1,8 +1,8 @@
 //! The 2-D real transform in strips.
 //!
 //! Rows, then columns, a few side by side, in fast scratch; the spectrum, T x (T/2 + 1) pairs of halves (re, im), may lie in slow
-//! memory. Both directions are scaled by 1/T (unitary), as exact powers of two: the spectrum of a plane within [-1, 1] stays
-//! within [-T, T], far from the largest half. Half-transformed rows are rounded to half too.
+//! memory. Both directions are scaled by 1/T (unitary), an exact power of two, behind their second pass. Half-transformed rows are rounded
+//! to half too: those of a plane within [-1, 1] stay within [-2 T, 2 T], its spectrum within [-T, T], far from the largest half.
 
 use super::complex::Fft;
 use super::real::RealFft;
@@ -35,8 +35,7 @@ pub trait ProductSource {
 pub struct Fft2 {
     rows: RealFft,
     cols: Fft,
-    row_scale: f32,
-    col_scale: f32,
+    scale: f32,
 }
 
 impl Fft2 {
@@ -46,8 +45,7 @@ impl Fft2 {
     /// [`FftError::Size`] unless `len` is a power of two from 8 to [`super::MAX_LEN`].
     pub fn new(len: usize) -> Result<Self, FftError> {
         let (rows, cols) = (RealFft::new(len)?, Fft::new(len)?);
-        let col_scale = (0..len.trailing_zeros() / 2).fold(1.0, |scale, _| scale * 0.5);
-        Ok(Self { rows, cols, row_scale: 1.0 / (len as f32 * col_scale), col_scale })
+        Ok(Self { rows, cols, scale: 1.0 / len as f32 })
     }
 
     /// Side T.
@@ -181,7 +179,7 @@ impl<S: RowSource, const L: usize> Forward<'_, S, L> {
         let scratch = strip::split::<N>(self.scratch, fft.half().len());
         let rows = &mut self.spectrum[first * row_len..(first + count) * row_len];
         let load = |lane, row: &mut [f32]| self.source.load(first + lane, row);
-        strip::forward_rows(load, count, fft, self.plan.row_scale, scratch, rows)
+        strip::forward_rows(load, count, fft, scratch, rows)
     }
 
     #[inline(always)]
@@ -200,7 +198,9 @@ impl<S: RowSource, const L: usize> Forward<'_, S, L> {
         let (data, _) = strip::split::<N>(self.scratch, fft.len());
         let exact = strip::forward_columns(self.spectrum, row_len, first, count, fft, data);
         if exact {
-            strip::store(data, self.plan.col_scale, Parts::InOrder, self.spectrum, row_len, first, count);
+            // The rows were twice their transforms.
+            let parts = Parts::Scaled(0.5 * self.plan.scale);
+            strip::store(data, parts, self.spectrum, row_len, first, count);
         }
         exact
     }
@@ -247,7 +247,7 @@ impl<S: ProductSource, E: FnMut(usize, &[f32]), const L: usize> Inverse<'_, S, E
         let exact = strip::inverse_columns(self.source.products(), row_len, (first, count), fft, data);
         if exact {
             let rows = &mut data[self.rows.clone()];
-            strip::store(rows, self.plan.col_scale, Parts::Exchanged, self.halfway, row_len, first, count);
+            strip::store(rows, Parts::Exchanged, self.halfway, row_len, first, count);
         }
         exact
     }
@@ -268,7 +268,7 @@ impl<S: ProductSource, E: FnMut(usize, &[f32]), const L: usize> Inverse<'_, S, E
         let (data, rows) = strip::split::<N>(self.scratch, fft.half().len());
         let from = &self.halfway[(first - self.rows.start) * row_len..][..count * row_len];
         let emit = |lane, row: &[f32]| (self.emit)(first + lane, row);
-        strip::inverse_rows(fft, from, row_len, self.plan.row_scale, data, rows, emit)
+        strip::inverse_rows(fft, from, row_len, self.plan.scale, data, rows, emit)
     }
 }
 

@@ -111,11 +111,10 @@ pub(super) fn inverse_columns<'s, const L: usize>(
     true
 }
 
-/// Stores numbers in natural order, scaled, to columns of a spectrum.
+/// Stores numbers in natural order to columns of a spectrum.
 #[inline(always)]
 pub(super) fn store<const L: usize>(
     strip: &mut [Lanes<L>],
-    scale: f32,
     parts: Parts,
     spectrum: &mut [f16],
     row_len: usize,
@@ -123,37 +122,34 @@ pub(super) fn store<const L: usize>(
     count: usize,
 ) {
     if L == 1 {
-        pairs::scatter_pairs(single(strip), scale, parts, &mut spectrum[2 * first..], row_len);
+        pairs::scatter_pairs(single(strip), parts, &mut spectrum[2 * first..], row_len);
         return;
     }
     #[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
     if L == 4 {
-        return helium::scatter_columns(four(strip), scale, parts, &mut spectrum[2 * first..], row_len);
+        return helium::scatter_columns(four(strip), parts, &mut spectrum[2 * first..], row_len);
     }
     for (row, x) in spectrum.chunks_exact_mut(row_len).zip(&*strip) {
-        let x = if parts == Parts::InOrder { *x } else { [x[1], x[0]] };
-        narrow_pairs(&x, scale, &mut row[2 * first..2 * (first + count)]);
+        narrow_pairs(x, parts, &mut row[2 * first..2 * (first + count)]);
     }
 }
 
-/// Real transforms of `count` rows into rows of halves, scaled; `load` gives the rows, `data` and `scratch` are scratch.
+/// Twice the real transforms of `count` rows into rows of halves; `load` gives the rows, `data` and `scratch` are scratch.
 #[inline(always)]
 pub(super) fn forward_rows<const L: usize>(
     mut load: impl FnMut(usize, &mut [f32]),
     count: usize,
     fft: RealFft,
-    scale: f32,
     (data, scratch): (&mut [Lanes<L>], &mut [f32]),
     rows: &mut [f16],
 ) -> bool {
-    // The transform gives twice the spectrum.
-    let (half, scale) = (fft.half(), 0.5 * scale);
+    let half = fft.half();
     let (len, row_len) = (2 * half.len(), 2 * half.len() + 2);
     #[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
     if L == 4 {
         let from = &mut scratch[..4 * len];
         from.chunks_exact_mut(len).enumerate().for_each(|(lane, row)| load(lane, row));
-        return helium::forward_rows(from, four(data), scale, rows);
+        return helium::forward_rows(from, four(data), rows);
     }
     let row = &mut scratch[..len];
     for lane in 0..L {
@@ -165,7 +161,7 @@ pub(super) fn forward_rows<const L: usize>(
         order_row(row, half, lane, data);
     }
     half.process(data);
-    untangle_rows(fft, data, scale, rows, row_len);
+    untangle_rows(fft, data, rows, row_len);
     true
 }
 
@@ -185,25 +181,25 @@ fn order_row<const L: usize>(row: &[f32], half: Fft, lane: usize, data: &mut [La
 
 /// What is done to up to L rows behind the complex transform of half their length.
 #[inline(always)]
-fn untangle_rows<const L: usize>(fft: RealFft, data: &mut [Lanes<L>], scale: f32, rows: &mut [f16], row_len: usize) {
+fn untangle_rows<const L: usize>(fft: RealFft, data: &mut [Lanes<L>], rows: &mut [f16], row_len: usize) {
     #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
     if L == 1 {
         let (data, half) = (single(data), fft.half().len());
         let row = &mut rows[..row_len];
-        arm::untangle_row(data, scale, row);
+        arm::untangle_row(data, row);
         let [[re, im], middle] = [data[0], data[half / 2]];
-        store_ends(2.0 * (re + im) * scale, 2.0 * (re - im) * scale, row);
-        row[half] = narrow(2.0 * middle[0] * scale);
-        row[half + 1] = narrow(-2.0 * middle[1] * scale);
+        store_ends(2.0 * (re + im), 2.0 * (re - im), row);
+        row[half] = narrow(2.0 * middle[0]);
+        row[half + 1] = narrow(-2.0 * middle[1]);
         return;
     }
     fft.untangle(data);
     let [first, last] = data[0];
     for (lane, row) in rows.chunks_exact_mut(row_len).enumerate().take(L) {
         for (pair, x) in row.as_chunks_mut::<2>().0.iter_mut().zip(&*data) {
-            *pair = [narrow(x[0][lane] * scale), narrow(x[1][lane] * scale)];
+            *pair = [narrow(x[0][lane]), narrow(x[1][lane])];
         }
-        store_ends(first[lane] * scale, last[lane] * scale, row);
+        store_ends(first[lane], last[lane], row);
     }
 }
 
@@ -327,17 +323,17 @@ fn widen_pairs<const L: usize>(pairs: &[f16]) -> Lanes<L> {
     x
 }
 
-/// Scales and narrows up to L pairs.
+/// Narrows up to L pairs.
 #[inline(always)]
-fn narrow_pairs<const L: usize>(x: &Lanes<L>, scale: f32, pairs: &mut [f16]) {
+fn narrow_pairs<const L: usize>(x: &Lanes<L>, parts: Parts, pairs: &mut [f16]) {
     let (pairs, _) = pairs.as_chunks_mut::<2>();
     if let Some(pairs) = pairs.first_chunk_mut::<L>() {
         for l in 0..L {
-            pairs[l] = [narrow(x[0][l] * scale), narrow(x[1][l] * scale)];
+            pairs[l] = parts.of([x[0][l], x[1][l]]);
         }
         return;
     }
     for (l, pair) in pairs.iter_mut().enumerate() {
-        *pair = [narrow(x[0][l] * scale), narrow(x[1][l] * scale)];
+        *pair = parts.of([x[0][l], x[1][l]]);
     }
 }

@@ -5,13 +5,24 @@ use super::convert::narrow;
 use super::convert::widen;
 use super::f16;
 
-/// Which number of a pair comes first.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// How pairs go to halves.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Parts {
-    /// The first one.
-    InOrder,
-    /// The second one.
+    /// Both numbers times a power of two.
+    Scaled(f32),
+    /// The second number first.
     Exchanged,
+}
+
+impl Parts {
+    /// One pair.
+    #[inline(always)]
+    pub fn of(self, [a, b]: [f32; 2]) -> [f16; 2] {
+        match self {
+            Self::Scaled(scale) => [narrow(a * scale), narrow(b * scale)],
+            Self::Exchanged => [narrow(b), narrow(a)],
+        }
+    }
 }
 
 /// Panics unless `halves` hold `len` pairs a stride apart.
@@ -65,18 +76,16 @@ pub fn add_products(k: &[f16], x: &[f16], stride: usize, to: &mut [[f32; 2]]) {
     }
 }
 
-/// Scales by `scale`, a power of two, and narrows the pairs of `from` into `to[i * stride..][..2]`.
+/// Narrows the pairs of `from` into `to[i * stride..][..2]`.
 #[inline(always)]
-pub fn scatter_pairs(from: &[[f32; 2]], scale: f32, parts: Parts, to: &mut [f16], stride: usize) {
+pub fn scatter_pairs(from: &[[f32; 2]], parts: Parts, to: &mut [f16], stride: usize) {
     check(to.len(), stride, from.len());
     #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
-    let done = super::arm::scatter_pairs(from, scale, parts, to, stride);
+    let done = super::arm::scatter_pairs(from, parts, to, stride);
     #[cfg(not(all(target_arch = "arm", target_abi = "eabihf")))]
     let done = 0;
-    for (i, &[a, b]) in from.iter().enumerate().skip(done) {
-        let [a, b] = if parts == Parts::InOrder { [a, b] } else { [b, a] };
-        to[i * stride] = narrow(a * scale);
-        to[i * stride + 1] = narrow(b * scale);
+    for (i, &pair) in from.iter().enumerate().skip(done) {
+        to[i * stride..][..2].copy_from_slice(&parts.of(pair));
     }
 }
 
@@ -107,12 +116,13 @@ mod tests {
     #[test]
     fn pairs_come_from_where_they_go() {
         let pairs: [[f32; 2]; 7] = core::array::from_fn(|i| [2.0 * i as f32, 2.0 * i as f32 + 1.0]);
-        for (stride, parts, flip) in [(2, Parts::InOrder, 0), (5, Parts::InOrder, 0), (4, Parts::Exchanged, 1)] {
+        let double = Parts::Scaled(2.0);
+        for (stride, parts, flip) in [(2, double, 0), (5, double, 0), (4, Parts::Exchanged, 1)] {
             let mut halves = [f16::NEG_ONE; 40];
-            scatter_pairs(&pairs, 0.5, parts, &mut halves, stride);
+            scatter_pairs(&pairs, parts, &mut halves, stride);
             for (i, half) in halves.iter().enumerate() {
                 let (pair, part) = (i / stride, i % stride);
-                let expected = if pair < 7 && part < 2 { (2 * pair + (part ^ flip)) as f32 / 2.0 } else { -1.0 };
+                let expected = if pair < 7 && part < 2 { (2 * pair + (part ^ flip)) as f32 * (2 - flip) as f32 } else { -1.0 };
                 assert_eq!(half.to_f32(), expected, "stride {stride}: {i}");
             }
         }

@@ -291,20 +291,18 @@ pub(crate) fn transform_columns(data: &mut [Four]) -> bool {
     unflushed(|| transform(data))
 }
 
-/// The loop of [`scatter_columns`]: which half of the word each number goes to.
+/// The loop of [`scatter_columns`]: what is done first with numbers in two and in one, and which half of the word each part goes to.
 macro_rules! scatter {
-    ($first:literal, $second:literal, $from:ident, $scale:ident, $to:ident, $stride:ident) => {
+    ($two:literal, $one:literal, $first:literal $second:literal, $from:ident, $to:ident, $stride:ident $(, $scale:ident)?) => {
         asm_all!(
             "wls lr, {n}, 3f",
             "2:",
             "vldrw.u32 q0, [{from}], #16",
             "vldrw.u32 q1, [{from}], #16",
-            "vmul.f32 q0, q0, {scale}",
             "vldrw.u32 q2, [{from}], #16",
-            "vmul.f32 q1, q1, {scale}",
             "vldrw.u32 q3, [{from}], #16",
-            "vmul.f32 q2, q2, {scale}",
-            "vmul.f32 q3, q3, {scale}",
+            $two,
+            $one,
             concat!($first, ".f16.f32 q4, q0"),
             concat!($second, ".f16.f32 q4, q1"),
             concat!($first, ".f16.f32 q5, q2"),
@@ -319,13 +317,12 @@ macro_rules! scatter {
             "wls lr, {odd}, 4f",
             "vldrw.u32 q0, [{from}], #16",
             "vldrw.u32 q1, [{from}], #16",
-            "vmul.f32 q0, q0, {scale}",
-            "vmul.f32 q1, q1, {scale}",
+            $one,
             concat!($first, ".f16.f32 q4, q0"),
             concat!($second, ".f16.f32 q4, q1"),
             "vstrh.16 q4, [{to}]",
             "4:",
-            scale = in(reg) $scale.to_bits(),
+            $(scale = in(reg) $scale.to_bits(),)?
             from = inout(reg) $from.as_ptr() => _,
             to = inout(reg) $to.as_mut_ptr() => _,
             stride = in(reg) $stride * size_of::<f16>(),
@@ -336,10 +333,10 @@ macro_rules! scatter {
     };
 }
 
-/// Scales by `scale`, a power of two, and narrows four columns into `to[i * stride..][..8]`; 17 instructions for two numbers. A number
-/// that is flushed here is far below the smallest half.
+/// Narrows four columns into `to[i * stride..][..8]`; 13 instructions for two numbers, 17 where they are scaled. A number that is flushed
+/// here is far below the smallest half.
 #[inline(always)]
-pub(crate) fn scatter_columns(from: &[Four], scale: f32, parts: Parts, to: &mut [f16], stride: usize) {
+pub(crate) fn scatter_columns(from: &[Four], parts: Parts, to: &mut [f16], stride: usize) {
     if from.is_empty() {
         return;
     }
@@ -347,8 +344,12 @@ pub(crate) fn scatter_columns(from: &[Four], scale: f32, parts: Parts, to: &mut 
     // SAFETY: the pairs and their places are there.
     unsafe {
         match parts {
-            Parts::InOrder => scatter!("vcvtb", "vcvtt", from, scale, to, stride),
-            Parts::Exchanged => scatter!("vcvtt", "vcvtb", from, scale, to, stride),
+            Parts::Scaled(scale) => scatter!(
+                "vmul.f32 q2, q2, {scale}\nvmul.f32 q3, q3, {scale}",
+                "vmul.f32 q0, q0, {scale}\nvmul.f32 q1, q1, {scale}",
+                "vcvtb" "vcvtt", from, to, stride, scale
+            ),
+            Parts::Exchanged => scatter!("", "", "vcvtt" "vcvtb", from, to, stride),
         }
     }
 }

@@ -17,16 +17,16 @@ fn fits(len: usize) -> bool {
     len.is_power_of_two() && len >= 4 && len <= 2 * ROOT_TRIPLES.len()
 }
 
-/// Real transforms of four rows, one behind the other in `from`, scaled, into four rows of halves; `data` is scratch. False where Helium
+/// Twice the real transforms of four rows, one behind the other in `from`, into four rows of halves; `data` is scratch. False where Helium
 /// flushed a number.
-pub(crate) fn forward_rows(from: &[f32], data: &mut [Four], scale: f32, rows: &mut [f16]) -> bool {
+pub(crate) fn forward_rows(from: &[f32], data: &mut [Four], rows: &mut [f16]) -> bool {
     let half = data.len();
     assert!(fits(half) && from.len() == 8 * half, "rows of {} numbers", from.len());
     assert!(rows.len() == 4 * (2 * half + 2), "rows of {} halves", rows.len());
     unflushed(|| {
         order(from, data);
         transform_further(data);
-        untangle(data, scale, rows);
+        untangle(data, rows);
     })
 }
 
@@ -101,10 +101,10 @@ fn order(rows: &[f32], to: &mut [Four]) {
     }
 }
 
-/// [`crate::fft::RealFft`]'s second half of a forward transform, scaled and narrowed into four rows; number 0 carries those at 0 and N/2,
-/// which are real. 33 instructions for two numbers.
+/// [`crate::fft::RealFft`]'s second half of a forward transform, narrowed into four rows; number 0 carries those at 0 and N/2, which are
+/// real. 29 instructions for two numbers.
 #[inline(always)]
-fn untangle(data: &[Four], scale: f32, rows: &mut [f16]) {
+fn untangle(data: &[Four], rows: &mut [f16]) {
     let half = data.len();
     let (step, root) = roots(2 * half);
     let to = rows_at(rows.as_mut_ptr(), (2 * half + 2) * size_of::<f16>());
@@ -122,8 +122,6 @@ fn untangle(data: &[Four], scale: f32, rows: &mut [f16]) {
             "vadd.f32 q2, q2, q2",
             "vadd.f32 q3, q3, q3",
             "vmrs {t}, fpscr",
-            "vmul.f32 q2, q2, {scale}",
-            "vmul.f32 q3, q3, {scale}",
             "vmov.i32 q0, #0",
             "vmov.i32 q1, #0",
             "vcvtb.f16.f32 q0, q2",
@@ -157,10 +155,6 @@ fn untangle(data: &[Four], scale: f32, rows: &mut [f16]) {
             "vadd.f32 q3, q2, q1",
             "vsub.f32 q1, q1, q2",
             "vmrs {t}, fpscr",
-            "vmul.f32 q0, q0, {scale}",
-            "vmul.f32 q4, q4, {scale}",
-            "vmul.f32 q3, q3, {scale}",
-            "vmul.f32 q1, q1, {scale}",
             "vcvtb.f16.f32 q0, q0",
             "vcvtb.f16.f32 q4, q4",
             "vcvtt.f16.f32 q0, q3",
@@ -176,8 +170,6 @@ fn untangle(data: &[Four], scale: f32, rows: &mut [f16]) {
             "vadd.f32 q1, q1, q1",
             "vneg.f32 q1, q1",
             "vmrs {t}, fpscr",
-            "vmul.f32 q0, q0, {scale}",
-            "vmul.f32 q1, q1, {scale}",
             "vcvtb.f16.f32 q0, q0",
             "vcvtt.f16.f32 q0, q1",
             "vmsr fpscr, {t}",
@@ -186,7 +178,6 @@ fn untangle(data: &[Four], scale: f32, rows: &mut [f16]) {
             u = out(reg) _,
             n = in(reg) half / 2 - 1,
             end = in(reg) 2 * half * size_of::<f16>(),
-            scale = in(reg) scale.to_bits(),
             to = in(reg) &to,
             z = inout(reg) data.as_ptr() => _,
             m = inout(reg) data.as_ptr().add(half - 1) => _,
