@@ -196,13 +196,8 @@ impl<S: RowSource, const L: usize> Forward<'_, S, L> {
     fn try_columns<const N: usize>(&mut self, first: usize, count: usize) -> bool {
         let (row_len, fft) = (self.plan.spectrum_len(1), self.plan.cols);
         let (data, _) = strip::split::<N>(self.scratch, fft.len());
-        let exact = strip::forward_columns(self.spectrum, row_len, first, count, fft, data);
-        if exact {
-            // The rows were twice their transforms.
-            let parts = Parts::Scaled(0.5 * self.plan.scale);
-            strip::store(data, parts, self.spectrum, row_len, first, count);
-        }
-        exact
+        // The rows are twice their transforms.
+        strip::forward_columns(self.spectrum, row_len, (first, count), fft, 0.5 * self.plan.scale, data)
     }
 }
 

@@ -42,22 +42,23 @@ pub(super) fn single<const L: usize>(data: &mut [Lanes<L>]) -> &mut [[f32; 2]] {
     data.as_flattened_mut().as_flattened_mut().as_chunks_mut::<2>().0
 }
 
-/// Transforms columns `first..first + count` of a spectrum whose rows are `row_len` halves.
+/// Transforms columns `first..first + count` of a spectrum whose rows are `row_len` halves, and scales them.
 #[inline(always)]
 pub(super) fn forward_columns<const L: usize>(
-    spectrum: &[f16],
+    spectrum: &mut [f16],
     row_len: usize,
-    first: usize,
-    count: usize,
+    (first, count): (usize, usize),
     fft: Fft,
+    scale: f32,
     strip: &mut [Lanes<L>],
 ) -> bool {
     #[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
     if L == 4 {
-        return helium::forward_columns(&spectrum[2 * first..], row_len, four(strip));
+        return helium::forward_columns(&mut spectrum[2 * first..], row_len, scale, four(strip));
     }
     load(spectrum, row_len, first, count, fft, strip);
     fft.process(strip);
+    store(strip, Parts::Scaled(scale), spectrum, row_len, first, count);
     true
 }
 

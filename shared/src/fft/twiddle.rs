@@ -105,6 +105,22 @@ mod tests {
         assert_eq!(Roots::new(4).at(3)[1], 1.0);
     }
 
+    /// What transforms of up to 256 halves rest on where small numbers are flushed: halves are multiples of 2^-24, and a product with a
+    /// root is rounded to 24 bits.
+    #[test]
+    fn no_transform_of_256_halves_comes_near_the_smallest_single() {
+        for len in [16, 32, 64, 128, 256] {
+            let mut finest = 2.0_f64.powi(-24);
+            let mut pass = len;
+            while pass > 4 {
+                let parts = (0..pass).flat_map(|k| Roots::new(pass).at(k)).filter(|&part| part != 0.0);
+                finest *= f64::from(parts.map(f32::abs).fold(1.0, f32::min)) * 2.0_f64.powi(-24);
+                pass /= 4;
+            }
+            assert!(finest > f64::from(f32::MIN_POSITIVE) * 1e5, "{len}: {finest:e}");
+        }
+    }
+
     #[test]
     fn triples_are_those_of_a_butterfly() {
         for (k, triple) in ROOT_TRIPLES.iter().enumerate() {

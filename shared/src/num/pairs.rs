@@ -122,7 +122,8 @@ mod tests {
             scatter_pairs(&pairs, parts, &mut halves, stride);
             for (i, half) in halves.iter().enumerate() {
                 let (pair, part) = (i / stride, i % stride);
-                let expected = if pair < 7 && part < 2 { (2 * pair + (part ^ flip)) as f32 * (2 - flip) as f32 } else { -1.0 };
+                let expected =
+                    if pair < 7 && part < 2 { (2 * pair + (part ^ flip)) as f32 * (2 - flip) as f32 } else { -1.0 };
                 assert_eq!(half.to_f32(), expected, "stride {stride}: {i}");
             }
         }

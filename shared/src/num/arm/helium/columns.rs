@@ -2,23 +2,39 @@
 //! are the low halves of their words, imaginary parts the high ones.
 
 use super::super::asm_all;
-use super::fft::{transform, transform_further};
+use super::fft::{join, last_to_columns, transform};
 use super::{Four, shift, unflushed};
 use crate::num::f16;
 use crate::num::pairs::Parts;
 
 /// Whether `halves` hold `len` groups of four pairs a stride apart.
 #[inline(always)]
-fn check(halves: usize, stride: usize, len: usize) {
+pub(super) fn check(halves: usize, stride: usize, len: usize) {
     assert!(stride >= 8 && halves + stride >= len * stride + 8, "{halves} halves are too few");
 }
 
-/// Transforms four columns, the pairs at `from[i * stride..][..8]`, into `to`. False where Helium flushed a number.
-pub(crate) fn forward_columns(from: &[f16], stride: usize, to: &mut [Four]) -> bool {
-    unflushed(|| {
-        gather(from, stride, to);
-        transform_further(to);
-    })
+/// Transforms four columns, the pairs at `columns[i * stride..][..8]`, in place, scaled; `data` is scratch. False, and nothing written, where
+/// Helium flushed a number.
+///
+/// Halves are multiples of 2^-24. A pass with the roots of n, none of whose parts but zero is below sin(2 pi / n), rounds to multiples at most
+/// 2^24 / sin(2 pi / n) times finer. Up to 256 there are three such passes, which leaves multiples of 2^-107: nothing can be flushed, and
+/// the last pass goes to the columns at once.
+pub(crate) fn forward_columns(columns: &mut [f16], stride: usize, scale: f32, data: &mut [Four]) -> bool {
+    let len = data.len();
+    if (16..=256).contains(&len) {
+        gather(columns, stride, data);
+        join(len / 4, data);
+        last_to_columns(data, scale, columns, stride);
+        return true;
+    }
+    let exact = unflushed(|| {
+        gather(columns, stride, data);
+        join(len, data);
+    });
+    if exact {
+        scatter_columns(data, Parts::Scaled(scale), columns, stride);
+    }
+    exact
 }
 
 /// Widens pairs to the places with their numbers' bits reversed, by way of the butterflies of four neighbours. 45 instructions for four
@@ -282,7 +298,7 @@ fn multiply([k, x]: [&[f16]; 2], stride: usize, to: &mut [Four]) {
 pub(crate) fn transform_product_columns(product: [&[f16]; 2], stride: usize, to: &mut [Four]) -> bool {
     unflushed(|| {
         multiply(product, stride, to);
-        transform_further(to);
+        join(to.len(), to);
     })
 }
 

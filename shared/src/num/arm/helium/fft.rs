@@ -4,8 +4,10 @@
 //! of four lanes and nothing else, so real parts are finished before imaginary parts are loaded.
 
 use super::super::asm_all;
+use super::columns::check;
 use super::{Four, asm_push, rows_at};
 use crate::fft::ROOT_TRIPLES;
+use crate::num::f16;
 
 /// cos 45 degrees as the table of roots has it.
 const DIAGONAL: f32 = ROOT_TRIPLES[128][1][0];
@@ -16,22 +18,15 @@ const SIZE: usize = size_of::<Four>();
 /// Transforms numbers in bit-reversed order into natural order. The length is a power of two from 4 to 1024.
 pub(super) fn transform(data: &mut [Four]) {
     radix4_of_ones(data.as_chunks_mut().0);
-    transform_further(data);
+    join(data.len(), data);
 }
 
-/// The same behind the butterflies of four neighbours, which those who bring the numbers can do on the way.
-pub(super) fn transform_further(data: &mut [Four]) {
-    join_up_to(data.len(), data);
-}
-
-/// The same but for the last pass, which those who take the numbers away can do. Not for less than 16 numbers.
-pub(super) fn transform_but_last(data: &mut [Four]) {
-    radix4_of_ones(data.as_chunks_mut().0);
-    join_up_to(data.len() / 4, data);
-}
-
-/// Joins transforms of four numbers into transforms of `len`.
-fn join_up_to(len: usize, data: &mut [Four]) {
+/// Joins transforms of four numbers into transforms of `len`: the first pass can be left to those who bring the numbers, and where there
+/// are 16 at least, the last one to those who take them away; `len` is a quarter of them then.
+///
+/// Not inlined: its loops are long, and five routines want them.
+#[inline(never)]
+pub(super) fn join(len: usize, data: &mut [Four]) {
     let mut quarter = if len.trailing_zeros().is_multiple_of(2) {
         4
     } else {
@@ -92,7 +87,7 @@ macro_rules! real_parts {
 
 /// Butterflies of four neighbours; 34 instructions for four numbers of four lanes.
 #[inline(always)]
-fn radix4_of_ones(data: &mut [[Four; 4]]) {
+pub(super) fn radix4_of_ones(data: &mut [[Four; 4]]) {
     if data.is_empty() {
         return;
     }
@@ -254,7 +249,7 @@ fn radix2_of_eighths(data: &mut [[Four; 8]]) {
 }
 
 /// Numbers 1, 2 and 3 of a butterfly times the next roots: real and imaginary part of the sum of numbers 2 and 3 to q3, q5, of their
-/// difference to q2, q0, of number 1 to q6, q1. What is given is where each part of each number lies.
+/// difference to q2, q0, of number 1 to q6, q1. Given is where the parts of each lie.
 macro_rules! turned {
     ($a1r:literal $a1i:literal, $a2r:literal $a2i:literal, $a3r:literal $a3i:literal) => {
         concat!(
@@ -391,15 +386,31 @@ fn radix4(data: &mut [Four], quarter: usize) {
     }
 }
 
-/// The rest of a butterfly whose numbers go to four rows: `a0` is where the parts of number 0 lie. The stack holds the scale, the bytes of
+/// The same where the roots are 1: the first butterfly of a pass.
+macro_rules! not_turned {
+    () => {
+        concat!(
+            "vldrw.u32 q0, [r12], #16\n",
+            "vldrw.u32 q1, [r6], #16\n",
+            "vadd.f32 q3, q0, q1\n",
+            "vsub.f32 q2, q0, q1\n",
+            "vldrw.u32 q4, [r12], #16\n",
+            "vldrw.u32 q1, [r6], #16\n",
+            "vadd.f32 q5, q4, q1\n",
+            "vsub.f32 q0, q4, q1\n",
+            "vldrw.u32 q6, [r11], #16\n",
+            "vldrw.u32 q1, [r11], #16\n",
+        )
+    };
+}
+
+/// The rest of a butterfly whose numbers go to four rows. The stack holds the scale, the bytes of
 /// a row's quarter and of its half, and the four addresses.
-macro_rules! pairs_to_rows {
-    ($a0r:literal $a0i:literal) => {
+macro_rules! to_rows {
+    () => {
         concat!(
             "ldm sp, {{r0-r2}}\n",
-            "vldrw.u32 q4, ",
-            $a0r,
-            "\n",
+            "vldrw.u32 q4, [r10], #16\n",
             "vadd.f32 q7, q4, q6\n",
             "vsub.f32 q4, q4, q6\n",
             "vadd.f32 q6, q7, q3\n",
@@ -409,9 +420,7 @@ macro_rules! pairs_to_rows {
             "vmul.f32 q7, q7, r0\n",
             "vstrw.32 q6, [q3, #12]\n",
             "vadd.i32 q3, q3, r2\n",
-            "vldrw.u32 q6, ",
-            $a0i,
-            "\n",
+            "vldrw.u32 q6, [r10], #16\n",
             "vstrw.32 q7, [q3, #12]\n",
             "vadd.f32 q7, q6, q1\n",
             "vsub.f32 q6, q6, q1\n",
@@ -446,8 +455,7 @@ macro_rules! pairs_to_rows {
 #[inline(always)]
 pub(super) fn last_to_rows(data: &[Four], scale: f32, rows: &mut [f32]) {
     let quarter = data.len() / 4;
-    assert!(quarter >= 2 && quarter <= ROOT_TRIPLES.len(), "{quarter} butterflies");
-    assert!(rows.len() == 8 * data.len(), "rows of {} numbers", rows.len());
+    assert!((4..=ROOT_TRIPLES.len()).contains(&quarter) && rows.len() == 8 * data.len(), "{quarter} butterflies");
     // They run a pair behind.
     let to = rows_at(rows.as_mut_ptr(), 2 * data.len() * size_of::<f32>()).map(|row| row.wrapping_sub(8));
     // SAFETY: reads each number once, and writes it to its place in each of the four rows; the table is walked in `quarter` steps. r6
@@ -463,22 +471,12 @@ pub(super) fn last_to_rows(data: &[Four], scale: f32, rows: &mut [f32]) {
             "lsl r5, r1, #4",
             "push {{r3-r5}}",
             "sub lr, r1, #1",
-            // The first roots are 1.
-            "vldrw.u32 q0, [r12], #16",
-            "vldrw.u32 q1, [r6], #16",
-            "vadd.f32 q3, q0, q1",
-            "vsub.f32 q2, q0, q1",
-            "vldrw.u32 q4, [r12], #16",
-            "vldrw.u32 q1, [r6], #16",
-            "vadd.f32 q5, q4, q1",
-            "vsub.f32 q0, q4, q1",
-            "vldrw.u32 q6, [r11], #16",
-            "vldrw.u32 q1, [r11], #16",
-            pairs_to_rows!("[r10], #16" "[r10], #16"),
+            not_turned!(),
+            to_rows!(),
             "dls lr, lr",
             "2:",
             turned!("[r11], #16" "[r11], #16", "[r12], #16" "[r12], #16", "[r6], #16" "[r6], #16"),
-            pairs_to_rows!("[r10], #16" "[r10], #16"),
+            to_rows!(),
             "le lr, 2b",
             "add sp, sp, #28",
             "pop {{r6}}",
@@ -492,6 +490,98 @@ pub(super) fn last_to_rows(data: &[Four], scale: f32, rows: &mut [f32]) {
             inout("r11") p.add(quarter) => _,
             inout("r12") p.add(2 * quarter) => _,
             out("r4") _, out("r5") _, out("lr") _,
+        );
+    }
+}
+
+/// The rest of a butterfly whose numbers go to columns of halves, scaled. The stack holds where the first goes, the distance to the second,
+/// that to the next butterfly's first, and the scale. No register is left for both parts of number 0, so its second one is loaded twice.
+macro_rules! to_columns {
+    () => {
+        concat!(
+            "ldm sp, {{r0-r3}}\n",
+            "vldrw.u32 q4, [r10], #16\n",
+            "vadd.f32 q7, q4, q6\n",
+            "vsub.f32 q4, q4, q6\n",
+            "vadd.f32 q6, q7, q3\n",
+            "vsub.f32 q7, q7, q3\n",
+            "vldrw.u32 q3, [r10]\n",
+            "vmul.f32 q6, q6, r3\n",
+            "vadd.f32 q3, q3, q1\n",
+            "vmul.f32 q7, q7, r3\n",
+            "vadd.f32 q3, q3, q5\n",
+            "vcvtb.f16.f32 q6, q6\n",
+            "vmul.f32 q3, q3, r3\n",
+            "vcvtb.f16.f32 q7, q7\n",
+            "vcvtt.f16.f32 q6, q3\n",
+            "vldrw.u32 q3, [r10], #16\n",
+            "add r4, r0, r1\n",
+            "vstrh.16 q6, [r0]\n",
+            "vadd.f32 q6, q3, q1\n",
+            "vsub.f32 q3, q3, q1\n",
+            "vsub.f32 q6, q6, q5\n",
+            "vadd.f32 q5, q4, q0\n",
+            "vmul.f32 q6, q6, r3\n",
+            "vsub.f32 q4, q4, q0\n",
+            "vcvtt.f16.f32 q7, q6\n",
+            "add r5, r4, r1\n",
+            "vsub.f32 q6, q3, q2\n",
+            "vstrh.16 q7, [r5]\n",
+            "vadd.f32 q3, q3, q2\n",
+            "vmul.f32 q5, q5, r3\n",
+            "vmul.f32 q4, q4, r3\n",
+            "vcvtb.f16.f32 q5, q5\n",
+            "vmul.f32 q6, q6, r3\n",
+            "vcvtb.f16.f32 q4, q4\n",
+            "vmul.f32 q3, q3, r3\n",
+            "vcvtt.f16.f32 q5, q6\n",
+            "add r5, r5, r1\n",
+            "vcvtt.f16.f32 q4, q3\n",
+            "vstrh.16 q5, [r4]\n",
+            "add r0, r0, r2\n",
+            "vstrh.16 q4, [r5]\n",
+            "str r0, [sp]\n",
+        )
+    };
+}
+
+/// The last pass of a transform, whose numbers are scaled and narrowed into `columns[i * stride..][..8]`; 73 instructions for a butterfly of
+/// four lanes. Not for less than 16 numbers.
+#[inline(always)]
+pub(super) fn last_to_columns(data: &[Four], scale: f32, columns: &mut [f16], stride: usize) {
+    let quarter = data.len() / 4;
+    assert!((4..=ROOT_TRIPLES.len()).contains(&quarter), "{quarter} butterflies");
+    check(columns.len(), stride, data.len());
+    let stride = stride * size_of::<f16>();
+    // SAFETY: reads each number, and writes it to its place in the columns; the table is walked in `quarter` steps. r6 belongs to the
+    // compiler and is restored.
+    unsafe {
+        let p = data.as_ptr();
+        asm_push!(
+            "push {{r6}}",
+            "mov r6, r0",
+            "push {{r2-r5}}",
+            not_turned!(),
+            to_columns!(),
+            "dls lr, lr",
+            "2:",
+            turned!("[r11], #16" "[r11], #16", "[r12], #16" "[r12], #16", "[r6], #16" "[r6], #16"),
+            to_columns!(),
+            "le lr, 2b",
+            "add sp, sp, #16",
+            "pop {{r6}}",
+            inout("r0") p.add(3 * quarter) => _,
+            inout("r2") columns.as_mut_ptr() => _,
+            inout("r3") quarter * stride => _,
+            inout("r4") stride => _,
+            inout("r5") scale.to_bits() => _,
+            inout("r8") ROOT_TRIPLES.as_ptr() => _,
+            in("r9") size_of_val(&ROOT_TRIPLES) / quarter,
+            inout("r10") p => _,
+            inout("r11") p.add(quarter) => _,
+            inout("r12") p.add(2 * quarter) => _,
+            inout("lr") quarter - 1 => _,
+            out("r1") _,
         );
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! Helium flushes subnormal singles to zero, operands and results; halves it converts in full. Where every number that can come is a
 //! multiple of a power of two far above 2^-126, as all sums of products of halves are (2^-48), that changes nothing, and the
-//! routine says so. Transforms have no such bound: they run under [`unflushed`], which reads from the unit whether it flushed anything,
+//! routine says so. Most transforms have no such bound: they run under [`unflushed`], which reads from the unit whether it flushed anything,
 //! and are done again by the scalar unit, which flushes nothing, where it did.
 //! NaN: Helium makes the default NaN of every NaN, which converts as the rest of [`crate::num`] says.
 

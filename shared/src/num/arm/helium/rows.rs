@@ -1,7 +1,7 @@
 //! Rows of real transforms, four side by side: what [`crate::fft`] does before and after the complex transform of half their length.
 
 use super::super::asm_all;
-use super::fft::{last_to_rows, transform_but_last, transform_further};
+use super::fft::{join, last_to_rows, radix4_of_ones};
 use super::{Four, rows_at, shift, unflushed};
 use crate::fft::ROOT_TRIPLES;
 use crate::num::f16;
@@ -21,11 +21,11 @@ fn fits(len: usize) -> bool {
 /// flushed a number.
 pub(crate) fn forward_rows(from: &[f32], data: &mut [Four], rows: &mut [f16]) -> bool {
     let half = data.len();
-    assert!(fits(half) && from.len() == 8 * half, "rows of {} numbers", from.len());
-    assert!(rows.len() == 4 * (2 * half + 2), "rows of {} halves", rows.len());
+    let lens = [from.len(), rows.len()];
+    assert!(fits(half) && lens == [8 * half, 4 * (2 * half + 2)], "rows of {lens:?} numbers");
     unflushed(|| {
         order(from, data);
-        transform_further(data);
+        join(data.len(), data);
         untangle(data, rows);
     })
 }
@@ -196,7 +196,8 @@ pub(crate) fn inverse_rows(from: &[f16], data: &mut [Four], scale: f32, rows: &m
     half >= 16
         && unflushed(|| {
             tangle(from, data);
-            transform_but_last(data);
+            radix4_of_ones(data.as_chunks_mut().0);
+            join(half / 4, data);
             last_to_rows(data, scale, rows);
         })
 }
