@@ -85,11 +85,15 @@ impl LowRankAdmm {
             for a in 0..2 {
                 dual_u[a] += &(&slope[a] - &u[a]);
             }
+            let before = w.clone();
             Zip::from(&mut w).and(&mut dual).and(&x).for_each(|w, dual, &x| {
                 *w = (x + *dual).max(0.0);
                 *dual += x - *w;
             });
             watch(&w);
+            if self.config.has_settled(before.view(), w.view()) {
+                break;
+            }
         }
         Ok(w)
     }

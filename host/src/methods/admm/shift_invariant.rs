@@ -114,11 +114,15 @@ impl ShiftInvariantAdmm {
                 dual_u[a] += &(&slope[a] - &u[a]);
             }
             let raised = &x + &dual;
+            let before = w.slice(on_object).to_owned();
             w.fill(0.0);
             // Outside the object there is none.
             Zip::from(w.slice_mut(on_object)).and(raised.slice(on_object)).for_each(|w, &r| *w = r.max(0.0));
             dual = raised - &w;
             watch(w.slice(on_object));
+            if self.config.has_settled(before.view(), w.slice(on_object)) {
+                break;
+            }
         }
         w.slice(on_object).to_owned()
     }

@@ -87,7 +87,7 @@ fn cost(method: &LowRankAdmm, y: &Array2<f32>, tau: f32, x: &Array2<f32>) -> f64
 
 #[test]
 fn it_converges_to_the_minimum() {
-    let config = AdmmConfig { iterations: 400, inner: 3, tv: 0.0, penalty: 0.03 };
+    let config = AdmmConfig { iterations: 400, settled: 0.0, inner: 3, tv: 0.0, penalty: 0.03 };
     let method = config.build_low_rank(&blurred()).unwrap();
     let y = method.apply(&(object() / 100.0)).unwrap() + random(60, 60, 8) * 0.01;
     let tau = 2e-3;
@@ -105,12 +105,27 @@ fn it_converges_to_the_minimum() {
 }
 
 #[test]
+fn it_ends_where_it_has_settled() {
+    let config = AdmmConfig::low_rank();
+    let method = config.build_low_rank(&blurred()).unwrap();
+    let y = method.apply(&(object() / 100.0)).unwrap() + random(60, 60, 8) * 0.01;
+    let mut seen = Vec::new();
+    let x = method.solve(&y, 2e-3, |x| seen.push(x.clone())).unwrap();
+    let n = seen.len();
+    assert!(n > 5 && n < config.iterations && x == seen[n - 1], "{n}");
+    let apart = |i: usize| (&seen[i] - &x).mapv(|v| v * v).sum().sqrt() / x.mapv(|v| v * v).sum().sqrt();
+    assert!(apart(n - 2) < 2e-3 && apart(n / 2) < 0.05, "{} {}", apart(n - 2), apart(n / 2));
+}
+
+#[test]
 fn both_models_agree_where_the_psf_does_not_vary() {
     let instrument = blurred();
     let frame = frame(&instrument);
-    let one =
-        AdmmConfig { iterations: 600, ..AdmmConfig::shift_invariant() }.build_shift_invariant(&instrument).unwrap();
-    let all = AdmmConfig { iterations: 300, ..AdmmConfig::low_rank() }.build_low_rank(&instrument).unwrap();
+    let one = AdmmConfig { iterations: 600, settled: 0.0, ..AdmmConfig::shift_invariant() }
+        .build_shift_invariant(&instrument)
+        .unwrap();
+    let all =
+        AdmmConfig { iterations: 300, settled: 0.0, ..AdmmConfig::low_rank() }.build_low_rank(&instrument).unwrap();
     let (a, b) = (one.reconstruct(frame.view()).unwrap(), all.reconstruct(frame.view()).unwrap());
     let apart = compare(a.view(), b.view()).unwrap();
     assert!(apart.nrmse < 0.02, "{apart:?}");
