@@ -38,7 +38,7 @@ struct Build {
     optics: OpticsConfig,
     aberrations: AberrationConfig,
     object: ObjectConfig,
-    scene_z_um: f64,
+    scene_z_um: Option<f64>,
     scan: [usize; 2],
     depths_um: Vec<f64>,
 }
@@ -109,7 +109,7 @@ fn build_of(config: &BenchConfig) -> Build {
         optics: config.optics.clone(),
         aberrations: config.aberrations.clone(),
         object: config.object.clone(),
-        scene_z_um: config.stacks.scene_z_um,
+        scene_z_um: config.stacks.scene_depths_um.first().copied(),
         scan: [config.scan.rows, config.scan.cols],
         depths_um: config.scan.depths_um.clone(),
     }

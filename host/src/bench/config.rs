@@ -163,11 +163,11 @@ pub struct StackConfig {
     pub flat_exposures_ms: Vec<f64>,
     /// Flat frames a level and exposure.
     pub flat_frames: usize,
-    /// Scene frames.
+    /// Scenes.
     pub scene_frames: usize,
-    /// Depth of the specimens, um.
-    #[serde(skip_serializing_if = "is_zero")]
-    pub scene_z_um: f64,
+    /// Depths of the specimens, um: every scene is taken at each.
+    #[serde(skip_serializing_if = "in_focus_only")]
+    pub scene_depths_um: Vec<f64>,
     /// Brightest pixel of a scene, share of full scale: drawn between these, its logarithm evenly.
     pub scene_peak: [f64; 2],
 }
@@ -175,10 +175,6 @@ pub struct StackConfig {
 // What is as it always was is left out of a session's truth.
 fn in_focus_only(depths_um: &[f64]) -> bool {
     depths_um == [0.0]
-}
-
-fn is_zero(v: &f64) -> bool {
-    *v == 0.0
 }
 
 impl Default for BenchConfig {
@@ -274,7 +270,7 @@ impl Default for StackConfig {
             flat_exposures_ms: Vec::new(),
             flat_frames: 8,
             scene_frames: 12,
-            scene_z_um: 0.0,
+            scene_depths_um: vec![0.0],
             scene_peak: [0.25, 0.7],
         }
     }
@@ -299,6 +295,11 @@ impl BenchConfig {
     /// True magnification, image per object.
     pub fn true_magnification(&self) -> f64 {
         self.optics.magnification * (1.0 + self.optics.magnification_error)
+    }
+
+    /// Scene frames: every scene at each depth.
+    pub fn scene_count(&self) -> usize {
+        self.stacks.scene_frames * self.stacks.scene_depths_um.len()
     }
 
     /// Exposures of the darks, ms.
@@ -384,6 +385,7 @@ impl BenchConfig {
             ("stacks.dark_frames", stacks.dark_frames),
             ("stacks.flat_frames", stacks.flat_frames),
             ("stacks.scene_frames", stacks.scene_frames),
+            ("stacks.scene_depths_um", stacks.scene_depths_um.len()),
             ("stacks.flat_levels", stacks.flat_levels.len()),
         ] {
             if n == 0 {
@@ -398,11 +400,12 @@ impl BenchConfig {
                 return wrong(field, "numbers above zero", v.to_string());
             }
         }
-        if let Some(z) = self.scan.depths_um.iter().find(|z| !z.is_finite()) {
-            return wrong("scan.depths_um", "finite depths", z.to_string());
-        }
-        if !stacks.scene_z_um.is_finite() {
-            return wrong("stacks.scene_z_um", "a finite depth", stacks.scene_z_um.to_string());
+        for (field, depths) in
+            [("scan.depths_um", &self.scan.depths_um), ("stacks.scene_depths_um", &stacks.scene_depths_um)]
+        {
+            if let Some(z) = depths.iter().find(|z| !z.is_finite()) {
+                return wrong(field, "finite depths", z.to_string());
+            }
         }
         let [low, high] = stacks.scene_peak;
         if !(low > 0.0 && high >= low && high.is_finite()) {

@@ -80,7 +80,7 @@ impl BenchConfig {
         let effects = Chain::build(settings, Layout::of(&self.manifest()))?;
         // Scenes pass the optics in batches, and once more with effects; kept foci help from the second time on.
         let again = !effects.acts_at(Stage::Geometry) && up_to_sensor(&effects);
-        let passes = self.stacks.scene_frames.div_ceil(SCENES_AT_ONCE) * if again { 2 } else { 1 };
+        let passes = self.scene_count().div_ceil(SCENES_AT_ONCE) * if again { 2 } else { 1 };
         Ok(VirtualInstrument {
             config: self.clone(),
             anchors_px: optics.anchors_px(),
@@ -138,7 +138,7 @@ impl VirtualInstrument {
             ("dark", stacks.dark_frames * self.config.dark_exposures_ms().len()),
             ("flat", stacks.flat_levels.len() * stacks.flat_frames * self.config.flat_exposures_ms().len()),
             ("bead", scan.rows * scan.cols * scan.depths_um.len()),
-            ("scene", stacks.scene_frames),
+            ("scene", self.config.scene_count()),
         ])
     }
 

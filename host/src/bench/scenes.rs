@@ -40,9 +40,9 @@ impl VirtualInstrument {
         seed: u64,
         done: &(impl Fn(usize) + Sync),
     ) -> Result<f64, BenchError> {
-        let n = self.config.stacks.scene_frames;
-        let z_um = self.config.stacks.scene_z_um;
-        let infos: Vec<_> = (0..n).map(|i| FrameInfo { z_um, ..self.info(i) }).collect();
+        let (n, stacks) = (self.config.scene_count(), &self.config.stacks);
+        let at = |i: usize| FrameInfo { z_um: stacks.scene_depths_um[i / stacks.scene_frames], ..self.info(i) };
+        let infos: Vec<_> = (0..n).map(at).collect();
         let object = &self.config.object;
         let object_spec = StackSpec {
             frames: n,
@@ -111,13 +111,15 @@ impl VirtualInstrument {
         before: &mut Option<(Array2<f32>, f64)>,
     ) -> (Vec<Array2<f32>>, Vec<Lit>) {
         let grid = self.config.manifest().object;
-        let draw = |info: &FrameInfo| self.scenes.draw(&grid, seed, "bench/specimen", info.frame as u64);
+        // Every depth sees the same scenes.
+        let scene = |info: &FrameInfo| (info.frame % self.config.stacks.scene_frames) as u64;
+        let draw = |info: &FrameInfo| self.scenes.draw(&grid, seed, "bench/specimen", scene(info));
         let mut objects: Vec<Array2<f32>> = infos.iter().map(draw).collect();
         // The level of a scene is set by the clean optics, so that an effect changes the frames and not the specimens.
         let mut clean = self.light_of(&objects, infos, &Chain::default());
         let [low, high] = self.config.stacks.scene_peak.map(|p| (p * self.config.full_scale_e()).ln());
         for ((object, light), info) in objects.iter_mut().zip(&mut clean).zip(infos) {
-            let mut rng = rng::stream(seed, "bench/level", self.scenes.video(info.frame as u64));
+            let mut rng = rng::stream(seed, "bench/level", self.scenes.video(scene(info)));
             let peak = light.fold(f32::MIN_POSITIVE, |m, v| m.max(*v));
             let scale = rng.random_range(low..=high).exp() as f32 / peak;
             object.mapv_inplace(|v| v * scale);
@@ -158,16 +160,19 @@ impl VirtualInstrument {
             })
             .collect();
         let mut lights = vec![Array2::zeros((self.config.sensor.rows, self.config.sensor.cols)); objects.len()];
-        let z_um = self.config.stacks.scene_z_um;
         let still = !effects.acts_at(Stage::Geometry);
         let mut start = 0;
         while start < objects.len() {
-            // Frames whose rays no effect can tell apart share their PSFs.
-            let alike = |i: &usize| still || self.optics.same_rays(effects, &contexts[start], &contexts[*i]);
+            let z_um = infos[start].z_um;
+            // Frames whose rays neither depth nor an effect can tell apart share their PSFs.
+            let alike = |i: &usize| {
+                infos[*i].z_um == z_um && (still || self.optics.same_rays(effects, &contexts[start], &contexts[*i]))
+            };
             let end = (start + 1..objects.len()).find(|i| !alike(i)).unwrap_or(objects.len());
             let moves = Moves { effects, cx: &contexts[start] };
             for l in 0..self.optics.lenses() {
-                let kept = if self.keep { self.cache.object(l, &self.optics, || self.object_points()) } else { None };
+                let keeps = self.keep && z_um == self.first_depth_um();
+                let kept = if keeps { self.cache.object(l, &self.optics, || self.object_points()) } else { None };
                 let flux = (self.config.scan.bead_e, z_um);
                 let images = self.optics.lens_images(l, &emitted[start..end], flux, moves, kept);
                 for (i, image) in (start..end).zip(images.axis_iter(Axis(0))) {
@@ -181,9 +186,14 @@ impl VirtualInstrument {
         lights
     }
 
+    /// The depth whose foci are kept, um.
+    fn first_depth_um(&self) -> f64 {
+        self.config.stacks.scene_depths_um.first().copied().unwrap_or(0.0)
+    }
+
     /// Points of the object's pixels, row by row.
     fn object_points(&self) -> Vec<Point> {
-        let (object, z_um) = (&self.config.object, self.config.stacks.scene_z_um);
+        let (object, z_um) = (&self.config.object, self.first_depth_um());
         let pixels = (0..object.rows).flat_map(|r| (0..object.cols).map(move |c| (r, c)));
         pixels.map(|(r, c)| (self.optics.position_um(r, c), z_um)).collect()
     }

@@ -215,7 +215,7 @@ fn kept_foci_give_the_same_bytes() {
     config.scan.depths_um = vec![-20.0, 20.0];
     let first = config.build(&[]).unwrap();
     let mut other = config.clone();
-    other.stacks.scene_z_um = 30.0;
+    other.stacks.scene_depths_um = vec![30.0];
     for settings in [
         vec![],
         vec![effect("halo", "weight", 0.1)],
@@ -286,7 +286,7 @@ fn the_same_fault_of_the_record_puts_it_right() {
 fn depths_and_exposures_are_scanned() {
     let mut config = small();
     config.scan.depths_um = vec![-40.0, 0.0];
-    config.stacks.scene_z_um = -40.0;
+    config.stacks.scene_depths_um = vec![-40.0, 20.0];
     config.stacks.flat_exposures_ms = vec![5.0, 40.0];
     config.stacks.dark_exposures_ms = vec![1.0, 100.0];
     let dir = tempfile::tempdir().unwrap();
@@ -299,11 +299,18 @@ fn depths_and_exposures_are_scanned() {
     let stack = |role| session.need(role).unwrap()[0];
     let depths: Vec<f64> = stack(Role::Bead).info().iter().map(|i| i.z_um).collect();
     assert_eq!(depths, [vec![-40.0; 6], vec![0.0; 6]].concat());
-    assert!(stack(Role::Scene).info().iter().all(|i| i.z_um == -40.0));
+    let mean = |role, i| f64::from(stack(role).frames().unwrap().read(i).unwrap().mean().unwrap());
+    let scenes: Vec<f64> = stack(Role::Scene).info().iter().map(|i| i.z_um).collect();
+    assert_eq!(scenes, [vec![-40.0; 3], vec![20.0; 3]].concat());
+    // The same specimens at both depths, whatever scale their light has; other frames.
+    let mut truths = stack(Role::Scene).truth().unwrap().unwrap();
+    let [near, far] = [1, 4].map(|i| truths.read(i).unwrap());
+    let [a, b] = [&near, &far].map(|t| t / t.fold(0.0f32, |m, v| m.max(*v)));
+    assert!((&a - &b).iter().all(|d| d.abs() < 1e-5));
+    assert_ne!(mean(Role::Scene, 1), mean(Role::Scene, 4));
     let flats = stack(Role::Flat);
     let levels: Vec<_> = flats.info().iter().map(|i| (i.exposure_ms, i.illumination)).collect();
     assert_eq!(levels[..4], [(5.0, 0.2), (5.0, 0.2), (5.0, 0.4), (5.0, 0.4)]);
-    let mean = |role, i| f64::from(stack(role).frames().unwrap().read(i).unwrap().mean().unwrap());
     // 0.2 of full scale in 10 ms, half of it in 5, four times in 40; 0.4 DN an electron of dark current.
     let full = config.full_scale_e() * 0.4;
     assert!((mean(Role::Flat, 0) - 64.0 - 0.1 * full - 4.0).abs() < 2.0);
@@ -317,7 +324,10 @@ fn depths_and_exposures_are_scanned() {
 fn configurations_are_checked() {
     let toml = toml::to_string(&small()).unwrap();
     // What a session's truth says of an instrument without scans is what it always said.
-    assert!(!toml.contains("depths_um") && !toml.contains("exposures_ms") && !toml.contains("scene_z_um"), "{toml}");
+    assert!(
+        !toml.contains("depths_um") && !toml.contains("exposures_ms") && !toml.contains("scene_depths_um"),
+        "{toml}"
+    );
     assert_eq!(toml::from_str::<BenchConfig>(&toml).unwrap(), small());
     assert_eq!(toml::from_str::<BenchConfig>("").unwrap(), BenchConfig::default());
     assert!(toml::from_str::<BenchConfig>("[sensor]\nrow = 3").unwrap_err().to_string().contains("row"));
@@ -341,7 +351,8 @@ fn configurations_are_checked() {
     refused(|c| c.scan.rows = 0, "scan.rows");
     refused(|c| c.scan.depths_um = vec![], "scan.depths_um");
     refused(|c| c.stacks.dark_exposures_ms = vec![0.0], "stacks.dark_exposures_ms");
-    refused(|c| c.stacks.scene_z_um = f64::INFINITY, "stacks.scene_z_um");
+    refused(|c| c.stacks.scene_depths_um = vec![f64::INFINITY], "stacks.scene_depths_um");
+    refused(|c| c.stacks.scene_depths_um = vec![], "stacks.scene_depths_um");
     let unknown = small().build(&[effect("gremlin", "x", 1.0)]).unwrap_err().to_string();
     assert!(unknown.contains("gremlin") && unknown.contains("halo"), "{unknown}");
 }

@@ -24,6 +24,9 @@ pub struct Args {
     /// Scenes are resolution targets, one period each, at half of full scale: for `resolution`
     #[arg(long, conflicts_with = "frames")]
     targets: bool,
+    /// Depths of the specimens, um: every scene is taken at each
+    #[arg(long, value_name = "UM", value_delimiter = ',', allow_hyphen_values = true)]
+    depths: Vec<f64>,
 }
 
 /// Runs the verb.
@@ -40,6 +43,9 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         config.scenes.targets = true;
         let (object, stacks) = (config.manifest().object, &mut config.stacks);
         (stacks.scene_frames, stacks.scene_peak) = (resolution::frames(&object), [0.5; 2]);
+    }
+    if !args.depths.is_empty() {
+        config.stacks.scene_depths_um = args.depths.clone();
     }
     let settings = args.effect.iter().map(|e| setting(e)).collect::<anyhow::Result<Vec<_>>>()?;
     let instrument = config.build(&settings)?;

@@ -1,10 +1,10 @@
-//! `resolution`: the finest bars that methods still show, by place in the field.
+//! `resolution`: the finest bars that methods still show, by place in the field and by depth.
 
 use super::evaluate::{From, entries};
 use super::{Outcome, Run};
 use crate::artifact::write_whole;
 use crate::evaluate::Scenes;
-use crate::evaluate::resolution::{Resolution, frames, is_target, read, summarise};
+use crate::evaluate::resolution::{DepthRange, Resolution, depth_range, frames, is_target, read, summarise};
 use crate::methods::{MethodKind, title};
 use crate::scene::resolution::PERIODS_PX;
 use crate::session::Session;
@@ -38,8 +38,11 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let grid = session.manifest().object;
     let entries = entries(&args.with, &args.methods, &[], run, scenes.count())?;
     let named = || args.session.display().to_string();
+    let targets = frames(&grid);
     ensure!(
-        scenes.count() == frames(&grid) && is_target(&grid, 0, scenes.case(0)?.truth.view()),
+        scenes.count() > 0
+            && scenes.count().is_multiple_of(targets)
+            && is_target(&grid, 0, scenes.case(0)?.truth.view()),
         "{}: expected the scenes of `bench --targets`, found others",
         named()
     );
@@ -49,36 +52,47 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         let From::Method(method) = &entry.from else {
             continue;
         };
-        let mut readings = Vec::new();
-        for (i, period) in PERIODS_PX.into_iter().enumerate().take(scenes.count()) {
-            let frame = scenes.case(i).with_context(named)?.frame_dn;
-            let object = method.reconstruct(frame.view()).with_context(|| format!("scene frame {i}"))?;
-            readings.extend(read(&grid, period, object.view()));
-            bar.inc(1);
+        for first in (0..scenes.count()).step_by(targets) {
+            let mut readings = Vec::new();
+            for (i, period) in (first..).zip(PERIODS_PX.into_iter().take(targets)) {
+                let frame = scenes.case(i).with_context(named)?.frame_dn;
+                let object = method.reconstruct(frame.view()).with_context(|| format!("scene frame {i}"))?;
+                readings.extend(read(&grid, period, object.view()));
+                bar.inc(1);
+            }
+            found.push(summarise(&entry.name, scenes.z_um(first), &grid, readings));
         }
-        found.push(summarise(&entry.name, &grid, readings));
     }
     bar.finish_and_clear();
     let finest = |r: &Resolution| [r.centre_um, r.edges_um].map(|v| v.unwrap_or(f64::INFINITY));
     found.sort_by(|a, b| {
         let ([a0, a1], [b0, b1]) = (finest(a), finest(b));
-        a1.total_cmp(&b1).then(a0.total_cmp(&b0))
+        let by_depth = a.z_um.abs().total_cmp(&b.z_um.abs()).then(a.z_um.total_cmp(&b.z_um));
+        by_depth.then(a1.total_cmp(&b1)).then(a0.total_cmp(&b0))
     });
-    let json = serde_json::json!({
+    let names = found.iter().take_while(|r| r.z_um == found[0].z_um).map(|r| r.name.clone());
+    let of = |name: &str| found.iter().filter(|r| r.name == name).collect::<Vec<_>>();
+    let ranges: Vec<DepthRange> = names.map(|name| depth_range(&name, &of(&name))).collect();
+    let several = scenes.count() > targets;
+    let mut json = serde_json::json!({
         "session": session.manifest().name, "object_pixel_um": grid.pixel_um, "periods_px": PERIODS_PX, "resolution": found,
     });
+    if several {
+        json["depth_ranges"] = serde_json::to_value(&ranges)?;
+    }
     if let Some(output) = &args.output {
         write_whole(output, format!("{json}\n").as_bytes())?;
     }
-    Ok(Outcome { text: text(&found, grid.pixel_um), json })
+    Ok(Outcome { text: text(&found, if several { &ranges } else { &[] }, grid.pixel_um), json })
 }
 
-fn text(found: &[Resolution], pixel_um: f64) -> String {
+fn text(found: &[Resolution], ranges: &[DepthRange], pixel_um: f64) -> String {
     let width = found.iter().map(|r| title(&r.name).chars().count()).max().unwrap_or(0).max(6);
     let mut text = format!(
-        "finest line pair resolved along both axes, um; contrast of the pair of {:.1} um, mean\n{:width$}  {:>8} {:>8}   {:>8} {:>8}\n",
+        "finest line pair resolved along both axes, um; contrast of the pair of {:.1} um, mean\n{:width$}  {:>8}  {:>8} {:>8}   {:>8} {:>8}\n",
         3.0 * pixel_um,
         "method",
+        "depth",
         "centre",
         "edges",
         "centre",
@@ -94,13 +108,21 @@ fn text(found: &[Resolution], pixel_um: f64) -> String {
         // Writing to a string cannot fail.
         let _ = writeln!(
             text,
-            "{:width$}  {:>8} {:>8}   {:>8.3} {:>8.3}",
+            "{:width$}  {:>8}  {:>8} {:>8}   {:>8.3} {:>8.3}",
             title(&r.name),
+            r.z_um,
             um(r.centre_um),
             um(r.edges_um),
             contrast(true),
             contrast(false)
         );
+    }
+    for r in ranges {
+        let range = match r.range_um {
+            Some([low, high]) => format!("{low} to {high} um"),
+            None => "none: not resolved in focus".into(),
+        };
+        let _ = writeln!(text, "keeps its resolution in depth, {}: {range}", title(&r.name));
     }
     text
 }

@@ -30,6 +30,9 @@ pub struct Reading {
 pub struct Resolution {
     /// Name of the method.
     pub name: String,
+    /// Depth of the targets, um.
+    #[serde(default)]
+    pub z_um: f64,
     /// Finest line pair resolved along both axes at the field's centre, um; None: none.
     pub centre_um: Option<f64>,
     /// The same at every edge of the field, um.
@@ -38,7 +41,37 @@ pub struct Resolution {
     pub readings: Vec<Reading>,
 }
 
-/// Number of frames that a target session of this grid has.
+/// Coarser by at most this factor, resolution still counts as that in focus.
+const KEPT: f64 = 1.25;
+
+/// Depths over which a method keeps its resolution.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct DepthRange {
+    /// Name of the method.
+    pub name: String,
+    /// Lowest and highest depth of the range, um; None: the bars are not resolved in focus either.
+    pub range_um: Option<[f64; 2]>,
+}
+
+/// The depths round the one nearest to 0 um, of those measured, over which the finest line pairs of a method's centre and edges stay within
+/// [`KEPT`] of those at that depth. `found` is one method at several depths, in any order.
+pub fn depth_range(name: &str, found: &[&Resolution]) -> DepthRange {
+    let mut found = found.to_vec();
+    found.sort_by(|a, b| a.z_um.total_cmp(&b.z_um));
+    let focus = (0..found.len()).min_by(|a, b| found[*a].z_um.abs().total_cmp(&found[*b].z_um.abs()));
+    let range = focus.and_then(|focus| {
+        let (centre, edges) = (found[focus].centre_um?, found[focus].edges_um?);
+        let holds = |r: &&&Resolution| {
+            r.centre_um.is_some_and(|um| um <= KEPT * centre) && r.edges_um.is_some_and(|um| um <= KEPT * edges)
+        };
+        let low = found[..=focus].iter().rev().take_while(holds).last()?;
+        let high = found[focus..].iter().take_while(holds).last()?;
+        Some([low.z_um, high.z_um])
+    });
+    DepthRange { name: name.into(), range_um: range }
+}
+
+/// Number of frames that a target session of this grid has at each depth.
 pub fn frames(grid: &ObjectGrid) -> usize {
     PERIODS_PX.iter().filter(|p| !groups(grid, **p).is_empty()).count()
 }
@@ -89,8 +122,8 @@ fn reading(g: &Group, image: ArrayView2<'_, f32>) -> Reading {
     }
 }
 
-/// The finest line pairs of a method's readings.
-pub fn summarise(name: &str, grid: &ObjectGrid, readings: Vec<Reading>) -> Resolution {
+/// The finest line pairs of a method's readings at one depth.
+pub fn summarise(name: &str, z_um: f64, grid: &ObjectGrid, readings: Vec<Reading>) -> Resolution {
     let finest = |wanted: &dyn Fn(&str) -> bool| {
         let mut finest = None;
         for period in PERIODS_PX.into_iter().rev() {
@@ -107,7 +140,7 @@ pub fn summarise(name: &str, grid: &ObjectGrid, readings: Vec<Reading>) -> Resol
         finest
     };
     let (centre_um, edges_um) = (finest(&|p| p == "centre"), finest(&|p| p != "centre"));
-    Resolution { name: name.into(), centre_um, edges_um, readings }
+    Resolution { name: name.into(), z_um, centre_um, edges_um, readings }
 }
 
 #[cfg(test)]
@@ -132,7 +165,7 @@ mod tests {
     #[test]
     fn a_target_is_resolved_as_it_is() {
         let all = PERIODS_PX.iter().flat_map(|&p| read(&GRID, p, target(&GRID, p).view())).collect();
-        let found = summarise("truth", &GRID, all);
+        let found = summarise("truth", 0.0, &GRID, all);
         assert_eq!((found.centre_um, found.edges_um), (Some(4.0), Some(4.0)));
         assert!(found.readings.iter().filter(|r| r.period_px == 4.0).all(|r| r.contrast > 0.99));
     }
@@ -148,9 +181,26 @@ mod tests {
         }
         let coarse = |sigma| {
             let one = |&p: &f64| read(&GRID, p, blurred(&target(&GRID, p), sigma).view());
-            summarise("", &GRID, PERIODS_PX.iter().flat_map(one).collect()).centre_um.unwrap()
+            summarise("", 0.0, &GRID, PERIODS_PX.iter().flat_map(one).collect()).centre_um.unwrap()
         };
         assert!(coarse(0.5) < coarse(0.9) && coarse(0.9) < coarse(1.3));
+    }
+
+    #[test]
+    fn the_depth_range_ends_where_bars_are_lost_and_does_not_begin_again() {
+        let at = |z_um, centre_um, edges_um| Resolution { z_um, centre_um, edges_um, ..Resolution::default() };
+        let mut found = vec![
+            at(40.0, Some(8.0), Some(8.0)),
+            at(20.0, None, Some(8.0)),
+            at(1.0, Some(8.0), Some(10.0)),
+            at(-20.0, Some(10.0), Some(12.0)),
+            at(-40.0, Some(8.0), Some(13.0)),
+        ];
+        let range = |found: &[Resolution]| depth_range("", &found.iter().collect::<Vec<_>>()).range_um;
+        assert_eq!(range(&found), Some([-20.0, 1.0]));
+        found[2].edges_um = None;
+        assert_eq!(range(&found), None);
+        assert_eq!(range(&[]), None);
     }
 
     #[test]

@@ -48,6 +48,12 @@ impl Scenes {
         self.index.len()
     }
 
+    /// Depth of the object of scene `i`, um.
+    pub fn z_um(&self, i: usize) -> f64 {
+        let (s, frame) = self.index[i];
+        self.stacks[s].info.get(frame).map_or(0.0, |info| info.z_um)
+    }
+
     /// Frame and known object of scene `i`.
     ///
     /// # Errors

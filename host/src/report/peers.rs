@@ -25,7 +25,9 @@ const SIDE: usize = 160;
 /// # Errors
 /// The figures are not those of `resolution`, or a chart cannot be drawn.
 pub fn resolution(json: &Value, numbers: &mut Numbers) -> Result<Markup, ReportError> {
-    let found: Vec<Resolution> = serde_json::from_value(json["resolution"].clone()).unwrap_or_default();
+    let all: Vec<Resolution> = serde_json::from_value(json["resolution"].clone()).unwrap_or_default();
+    let focus_um = all.iter().map(|r| r.z_um).min_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or(0.0);
+    let (found, elsewhere): (Vec<Resolution>, Vec<Resolution>) = all.iter().cloned().partition(|r| r.z_um == focus_um);
     let pixel_um = json["object_pixel_um"].as_f64().unwrap_or(1.0);
     let um = |v: Option<f64>| v.map_or("–".to_string(), number);
     let table = html! {
@@ -61,7 +63,39 @@ pub fn resolution(json: &Value, numbers: &mut Numbers) -> Result<Markup, ReportE
         "Profiles across three bars of {} µm a line pair, mean over the middle half of the bars.",
         number(DRAWN_PX * pixel_um)
     );
-    Ok(html! { (table) (numbers.figure("Line profiles.", &text, body)) })
+    let depth = if elsewhere.is_empty() {
+        html! {}
+    } else {
+        over_depth(&all, &found, numbers)?
+    };
+    Ok(html! { (table) (numbers.figure("Line profiles.", &text, body)) (depth) })
+}
+
+/// The finest line pairs of each method over the depth of the targets.
+fn over_depth(all: &[Resolution], methods: &[Resolution], numbers: &mut Numbers) -> Result<Markup, ReportError> {
+    let chart = |what: &str, finest: fn(&Resolution) -> Option<f64>| {
+        let line = |method: &Resolution| {
+            let of = all.iter().filter(|r| r.name == method.name);
+            let mut points: Vec<[f64; 2]> = of.filter_map(|r| Some([r.z_um, finest(r)?])).collect();
+            points.sort_by(|a, b| a[0].total_cmp(&b[0]));
+            Line { label: title(&method.name), points, colour: colour(&method.name), marks: Marks::Dots }
+        };
+        let chart = Chart {
+            alt: format!("Finest line pair over depth, {what}"),
+            x: Axis::linear("Depth (µm)"),
+            y: Axis::linear("Finest line pair (µm)"),
+            lines: methods.iter().map(line).filter(|line| !line.points.is_empty()).collect(),
+        };
+        chart.render()
+    };
+    let body = html! {
+        div.two {
+            div.plate { p.name { "a  Centre" } (chart("centre", |r| r.centre_um)?) }
+            div.plate { p.name { "b  Edges" } (chart("edges", |r| r.edges_um)?) }
+        }
+    };
+    let text = "The same targets at other depths. Where a method has no point it resolves none of the line pairs.";
+    Ok(numbers.figure("Resolution over depth.", text, body))
 }
 
 /// Fourier ring correlation of the innermost and the outermost part of the field.
