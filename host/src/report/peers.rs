@@ -63,12 +63,9 @@ pub fn resolution(json: &Value, numbers: &mut Numbers) -> Result<Markup, ReportE
         "Profiles across three bars of {} µm a line pair, mean over the middle half of the bars.",
         number(DRAWN_PX * pixel_um)
     );
-    let depth = if elsewhere.is_empty() {
-        html! {}
-    } else {
-        over_depth(&all, &found, numbers)?
-    };
-    Ok(html! { (table) (numbers.figure("Line profiles.", &text, body)) (depth) })
+    let profiles = numbers.figure("Line profiles.", &text, body);
+    let depth = if elsewhere.is_empty() { html! {} } else { over_depth(&all, &found, numbers)? };
+    Ok(html! { (table) (profiles) (depth) })
 }
 
 /// The finest line pairs of each method over the depth of the targets.
