@@ -64,7 +64,11 @@ pub fn resolution(json: &Value, numbers: &mut Numbers) -> Result<Markup, ReportE
         number(DRAWN_PX * pixel_um)
     );
     let profiles = numbers.figure("Line profiles.", &text, body);
-    let depth = if elsewhere.is_empty() { html! {} } else { over_depth(&all, &found, numbers)? };
+    let depth = if elsewhere.is_empty() {
+        html! {}
+    } else {
+        over_depth(&all, &found, numbers)?
+    };
     Ok(html! { (table) (profiles) (depth) })
 }
 
