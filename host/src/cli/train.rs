@@ -6,8 +6,8 @@ use crate::dataset::{DataSet, PLAN_FILE};
 use crate::instrument::Instrument;
 use crate::quantize::{self, QuantizeConfig};
 use crate::train::{
-    Body, Checkpoint, Family, FamilyName, Lenses, NetworkConfig, Next, Preset, SensorMaps, Simulated, Start, Task,
-    TrainConfig, Trainer, weights,
+    Body, Checkpoint, Family, FamilyName, Lenses, NetworkConfig, Next, Place, Preset, SensorMaps, Simulated, Start,
+    Task, TrainConfig, Trainer, weights,
 };
 use anyhow::Context;
 use std::path::{Path, PathBuf};
@@ -75,6 +75,9 @@ pub struct Args {
     /// Part of that energy that the taps must keep
     #[arg(long, value_name = "PART", requires = "tile", default_value_t = 0.9)]
     energy: f64,
+    /// Where to compute. Adam and the drawing of noise stay on the cores
+    #[arg(long, value_enum, default_value_t)]
+    device: Place,
     /// Take up the run that wrote the checkpoint; it ends in the same bits as if it had never stopped
     #[arg(long)]
     resume: bool,
@@ -156,7 +159,8 @@ fn train(
     provenance.inputs.insert(role.into(), file_hash(input)?);
     let steps = training.steps;
     let pairs = task.source.len();
-    let mut trainer = if args.resume {
+    args.device.check()?;
+    let trainer = if args.resume {
         Trainer::resume_with_lenses(task, training, lenses, &args.output)?
     } else {
         let fresh = match &args.from {
@@ -187,6 +191,7 @@ fn train(
             fresh
         }
     };
+    let mut trainer = trainer.at(args.device);
     let begin = trainer.checkpoint().body.step;
     let bar = run.progress(steps, "train");
     bar.set_position(begin);

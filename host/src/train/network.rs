@@ -3,7 +3,7 @@
 use super::ops::fourier::{Fourier, Spectrum};
 use super::ops::{conv3x3, filter_bank, kernel_spectra};
 use super::weights::{self, FILTERS, KERNELS, LOG_K, PSFS, name};
-use super::{Family, NetworkConfig, Seen, TrainError, seen};
+use super::{Family, NetworkConfig, Place, Seen, TrainError, seen};
 use crate::artifact::Tensors;
 use burn::tensor::activation::{relu, sigmoid};
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
@@ -44,16 +44,28 @@ pub struct Network {
 }
 
 impl Network {
-    /// A network with these parameters (all of [`weights::shapes`]).
+    /// A network with these parameters (all of [`weights::shapes`]), on this machine's cores.
     ///
     /// # Errors
     /// The configuration makes no network, or a parameter is missing.
     pub fn new(config: &NetworkConfig, plan: &Arc<Fourier>, tensors: &Tensors, mode: Mode) -> Result<Self, TrainError> {
+        Self::on(Place::Cpu, config, plan, tensors, mode)
+    }
+
+    /// [`Network::new`] at a place.
+    ///
+    /// # Errors
+    /// As [`Network::new`]; or this program cannot compute there.
+    pub fn on(
+        place: Place,
+        config: &NetworkConfig,
+        plan: &Arc<Fourier>,
+        tensors: &Tensors,
+        mode: Mode,
+    ) -> Result<Self, TrainError> {
         config.check()?;
-        let device = match mode {
-            Mode::Train => Device::flex().autodiff(),
-            Mode::Infer => Device::flex(),
-        };
+        place.check()?;
+        let device = place.device(mode);
         let mut parameters = BTreeMap::new();
         for (name, shape) in weights::shapes(config) {
             let found = tensors.get(&name).filter(|t| t.shape() == shape);

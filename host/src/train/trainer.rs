@@ -6,13 +6,13 @@ use super::loss::bce_mse;
 use super::network::{Mode, Network, Said, values};
 use super::ops::fourier::Fourier;
 use super::source::{Example, Loader, PairSource};
-use super::{Family, Lenses, NetworkConfig, Seen, Start, Support, TrainConfig, TrainError, regression, weights};
+use super::{Family, Lenses, NetworkConfig, Place, Seen, Start, Support, TrainConfig, TrainError, regression, weights};
 use crate::artifact::{Provenance, Tensors};
 use crate::evaluate::compare;
 use crate::noise::NoiseModel;
 use crate::rng;
 use burn::tensor::activation::sigmoid;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Tensor, TensorData};
 use ndarray::ArrayView2;
 use rand::seq::SliceRandom;
 use std::collections::BTreeMap;
@@ -69,6 +69,7 @@ pub enum Next {
 pub struct Trainer<'a> {
     task: Task<'a>,
     lenses: Option<&'a Lenses>,
+    place: Place,
     plan: Arc<Fourier>,
     train: Vec<usize>,
     held_out: Vec<usize>,
@@ -235,7 +236,18 @@ impl<'a> Trainer<'a> {
         let kept = ((count as f64 * training.held_out).round() as usize).clamp(1, count - 1);
         let mut held_out = pairs.split_off(count - kept);
         held_out.truncate(training.validation_pairs.max(1));
-        Ok(Self { task, lenses, plan, train: pairs, held_out, state, kept: false, next: None, recent: (0.0, 0) })
+        Ok(Self {
+            task,
+            lenses,
+            place: Place::Cpu,
+            plan,
+            train: pairs,
+            held_out,
+            state,
+            kept: false,
+            next: None,
+            recent: (0.0, 0),
+        })
     }
 
     fn loader(&self) -> Loader<'_> {
@@ -250,6 +262,16 @@ impl<'a> Trainer<'a> {
             seed,
             lenses: self.lenses,
         }
+    }
+
+    /// The same, computed elsewhere from now on.
+    #[must_use]
+    pub fn at(self, place: Place) -> Self {
+        Self { place, ..self }
+    }
+
+    fn network(&self, mode: Mode) -> Result<Network, TrainError> {
+        Network::on(self.place, &self.task.network, &self.plan, &self.state.current, mode)
     }
 
     /// How it stands.
@@ -356,7 +378,7 @@ impl<'a> Trainer<'a> {
 
     /// The loss of examples, and its gradients.
     fn descent(&self, examples: Vec<Example>) -> Result<(f32, BTreeMap<String, Vec<f32>>), TrainError> {
-        let network = Network::new(&self.task.network, &self.plan, &self.state.current, Mode::Train)?;
+        let network = self.network(Mode::Train)?;
         let (frames, targets) = split(examples);
         let loss = self.loss(network.say(frames), targets, Mode::Train);
         let value: f32 = loss.clone().inner().into_scalar();
@@ -391,10 +413,7 @@ impl<'a> Trainer<'a> {
 
     /// The same loss for what is reconstructed and, where a network says it, for what each lens alone would show.
     fn loss(&self, said: Said, targets: Targets, mode: Mode) -> Tensor<1> {
-        let device = match mode {
-            Mode::Train => Device::flex().autodiff(),
-            Mode::Infer => Device::flex(),
-        };
+        let device = self.place.device(mode);
         let held_against = |logits: Tensor<4>, targets: Vec<f32>| {
             let shape = logits.dims();
             bce_mse(logits, Tensor::from_data(TensorData::new(targets, shape), &device))
@@ -411,7 +430,7 @@ impl<'a> Trainer<'a> {
     /// # Errors
     /// A pair cannot be had or judged.
     pub fn validate(&mut self) -> Result<CurvePoint, TrainError> {
-        let network = Network::new(&self.task.network, &self.plan, &self.state.current, Mode::Infer)?;
+        let network = self.network(Mode::Infer)?;
         let [rows, cols] = self.task.network.object;
         let examples = self.loader().examples(&self.held_out, "validation", 0)?;
         let (mut loss, mut psnr_db, mut ssim) = (0.0, 0.0, 0.0);

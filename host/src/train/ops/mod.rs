@@ -1,8 +1,9 @@
 //! Differentiable operators of our own, where burn's are too slow or missing.
 //!
 //! Each has a plain half on slices ([`conv`], [`fourier`]), tested by itself, and a thin half here that hangs it into burn's
-//! graph. Weights are flat tensors: the operators know their shapes.
+//! graph. Weights are flat tensors: the operators know their shapes. Tensors on other devices go through burn's own operators ([`anywhere`]).
 
+pub mod anywhere;
 pub mod conv;
 pub mod fourier;
 
@@ -13,7 +14,7 @@ use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Flex};
-use burn::tensor::{Tensor, TensorData};
+use burn::tensor::{Device, Tensor, TensorData};
 use conv::Conv3x3;
 use fourier::{Fourier, Spectrum};
 use std::sync::Arc;
@@ -23,6 +24,9 @@ type Primitive = FloatTensor<Flex>;
 /// 3x3 convolution with zero padding: `x` (batch, inputs, rows, cols), `weight` (outputs * inputs * 9), `bias` (outputs) ->
 /// [batch, outputs, rows, cols].
 pub fn conv3x3(x: Tensor<4>, weight: Tensor<1>, bias: Tensor<1>) -> Tensor<4> {
+    if !is_ours(&x) {
+        return anywhere::conv3x3(x, weight, bias);
+    }
     let [batch, inputs, rows, cols] = x.dims();
     let sizes = Conv3x3 { batch, inputs, outputs: bias.dims()[0], rows, cols };
     if !weight.is_autodiff() {
@@ -44,6 +48,9 @@ pub fn conv3x3(x: Tensor<4>, weight: Tensor<1>, bias: Tensor<1>) -> Tensor<4> {
 ///
 /// Frames are data, so no gradient goes to them.
 pub fn filter_bank(plan: &Arc<Fourier>, spectra: Arc<Vec<Spectrum>>, re: Tensor<1>, im: Tensor<1>) -> Tensor<4> {
+    if !is_ours(&re) {
+        return anywhere::filter_bank(plan, &spectra, re, im);
+    }
     let run = |re: &Primitive, im: &Primitive| {
         let [rows, cols] = plan.sizes().object;
         let y = plan.forward(&spectra, &plan.filters(&values(re), &values(im)));
@@ -64,6 +71,9 @@ pub fn filter_bank(plan: &Arc<Fourier>, spectra: Arc<Vec<Spectrum>>, re: Tensor<
 
 /// Spectra of kernels `h` [channels * T * T]: real, then imaginary parts, each [channels * T * (T/2+1)].
 pub fn kernel_spectra(plan: &Arc<Fourier>, h: Tensor<1>) -> [Tensor<1>; 2] {
+    if !is_ours(&h) {
+        return anywhere::kernel_spectra(plan, h);
+    }
     let run = |h: &Primitive| {
         let (mut re, im) = plan.kernel_parts(&values(h));
         re.extend(im);
@@ -84,6 +94,11 @@ pub fn kernel_spectra(plan: &Arc<Fourier>, h: Tensor<1>) -> [Tensor<1>; 2] {
     };
     let n = parts.dims()[0] / 2;
     [parts.clone().narrow(0, 0, n), parts.narrow(0, n, n)]
+}
+
+/// Whether a tensor lies where our operators are.
+fn is_ours<const D: usize>(tensor: &Tensor<D>) -> bool {
+    tensor.device().inner() == Device::flex()
 }
 
 #[derive(Debug)]
