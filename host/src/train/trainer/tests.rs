@@ -187,3 +187,26 @@ fn a_run_goes_back_to_its_last_checkpoint_and_on_more_slowly() {
     let read = Checkpoint::read(&path).unwrap();
     assert_eq!((read.body.step, read.body.slowed), (9, 1));
 }
+
+/// A step that is too long may end where the loss is a number, but a large one: from there a network does not find back.
+#[test]
+fn a_run_goes_back_where_its_held_out_loss_has_burst() {
+    let pairs = foci(10, 40, 16, 10);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("net");
+    let provenance = Provenance::default();
+    let mut run = Trainer::new(task(&pairs), training(9, Start::Random)).unwrap();
+    run.run(&path, &provenance, |p| if p.step == 5 { Next::Stop } else { Next::Continue }).unwrap();
+    let tail = format!("{}.bias", weights::name::TAIL);
+    run.state.current.get_mut(&tail).unwrap().fill(20.0);
+    let mut steps = Vec::new();
+    run.run(&path, &provenance, |p| {
+        steps.push(p.step);
+        Next::Continue
+    })
+    .unwrap();
+    assert_eq!(steps, [4, 5, 6, 7, 8, 9]);
+    let read = Checkpoint::read(&path).unwrap();
+    assert_eq!((read.body.step, read.body.slowed), (9, 1));
+    assert!(read.body.curve.iter().all(|p| p.validation_loss < 10.0), "{:?}", read.body.curve);
+}
