@@ -54,7 +54,7 @@ pub struct DepthRange {
 }
 
 /// The depths round the one nearest to 0 um, of those measured, over which the finest line pairs of a method's centre and edges stay within
-/// [`KEPT`] of those at that depth. `found` is one method at several depths, in any order.
+/// a quarter of those at that depth. `found` is one method at several depths, in any order.
 pub fn depth_range(name: &str, found: &[&Resolution]) -> DepthRange {
     let mut found = found.to_vec();
     found.sort_by(|a, b| a.z_um.total_cmp(&b.z_um));
