@@ -168,15 +168,15 @@ fn a_loss_that_is_no_number_stops_the_run() {
     assert!(matches!(run.step(), Err(TrainError::Diverged { step: 0, .. })));
 }
 
-#[test]
-fn a_run_goes_back_to_its_last_checkpoint_and_on_more_slowly() {
+/// A run of 9 steps whose weights `spoil` changes after the 5th: it goes back to the checkpoint of the 3rd, and on at half the rates.
+fn goes_back_after(spoil: impl Fn(&mut Tensors)) -> Checkpoint {
     let pairs = foci(10, 40, 16, 10);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("net");
     let provenance = Provenance::default();
     let mut run = Trainer::new(task(&pairs), training(9, Start::Random)).unwrap();
     run.run(&path, &provenance, |p| if p.step == 5 { Next::Stop } else { Next::Continue }).unwrap();
-    run.state.current.values_mut().next().unwrap().fill(f32::NAN);
+    spoil(&mut run.state.current);
     let mut steps = Vec::new();
     run.run(&path, &provenance, |p| {
         steps.push(p.step);
@@ -186,27 +186,18 @@ fn a_run_goes_back_to_its_last_checkpoint_and_on_more_slowly() {
     assert_eq!(steps, [4, 5, 6, 7, 8, 9]);
     let read = Checkpoint::read(&path).unwrap();
     assert_eq!((read.body.step, read.body.slowed), (9, 1));
+    read
+}
+
+#[test]
+fn a_run_goes_back_where_its_loss_is_no_number() {
+    goes_back_after(|weights| weights.values_mut().next().unwrap().fill(f32::NAN));
 }
 
 /// A step that is too long may end where the loss is a number, but a large one: from there a network does not find back.
 #[test]
 fn a_run_goes_back_where_its_held_out_loss_has_burst() {
-    let pairs = foci(10, 40, 16, 10);
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("net");
-    let provenance = Provenance::default();
-    let mut run = Trainer::new(task(&pairs), training(9, Start::Random)).unwrap();
-    run.run(&path, &provenance, |p| if p.step == 5 { Next::Stop } else { Next::Continue }).unwrap();
     let tail = format!("{}.bias", weights::name::TAIL);
-    run.state.current.get_mut(&tail).unwrap().fill(20.0);
-    let mut steps = Vec::new();
-    run.run(&path, &provenance, |p| {
-        steps.push(p.step);
-        Next::Continue
-    })
-    .unwrap();
-    assert_eq!(steps, [4, 5, 6, 7, 8, 9]);
-    let read = Checkpoint::read(&path).unwrap();
-    assert_eq!((read.body.step, read.body.slowed), (9, 1));
+    let read = goes_back_after(|weights| weights.get_mut(&tail).unwrap().fill(20.0));
     assert!(read.body.curve.iter().all(|p| p.validation_loss < 10.0), "{:?}", read.body.curve);
 }
