@@ -1,10 +1,11 @@
 //! `train`: data set or instrument -> checkpoint.
 
 use super::{Outcome, Run};
-use crate::artifact::{Provenance, file_hash};
+use crate::artifact::{Provenance, file_hash, write_whole};
 use crate::dataset::{DataSet, PLAN_FILE};
 use crate::instrument::Instrument;
 use crate::quantize::{self, QuantizeConfig};
+use crate::report;
 use crate::train::{
     Body, Checkpoint, Family, FamilyName, Lenses, NetworkConfig, Next, Place, Preset, SensorMaps, Simulated, Start,
     Task, TrainConfig, Trainer, weights,
@@ -78,6 +79,9 @@ pub struct Args {
     /// Where to compute. Adam and the drawing of noise stay on the cores
     #[arg(long, value_enum, default_value_t)]
     device: Place,
+    /// Page with the curves and sample pictures, written anew with each checkpoint: for the browser, while it trains
+    #[arg(long, value_name = "HTML")]
+    page: Option<PathBuf>,
     /// Take up the run that wrote the checkpoint; it ends in the same bits as if it had never stopped
     #[arg(long)]
     resume: bool,
@@ -209,12 +213,20 @@ fn train(
                 p.psnr_db,
                 p.ssim
             );
+            // A page that cannot be written costs no training.
+            if let Some(Err(error)) = args.page.as_deref().map(|page| write_page(page, &args.output)) {
+                tracing::warn!("{error:#}");
+            }
         }
         Next::Continue
     })?;
     bar.finish_and_clear();
     let seconds = start.elapsed().as_secs_f64();
-    report(&args.output, &trainer.checkpoint().body, pairs, begin, (seconds, median(taken)))
+    outcome(&args.output, &trainer.checkpoint().body, pairs, begin, (seconds, median(taken)))
+}
+
+fn write_page(page: &Path, checkpoint: &Path) -> anyhow::Result<()> {
+    Ok(write_whole(page, report::render(&[checkpoint.into()])?.as_bytes())?)
 }
 
 /// The preset's settings and what the command line changes in them.
@@ -261,7 +273,7 @@ fn median(mut values: Vec<f64>) -> f64 {
     values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
-fn report(path: &Path, body: &Body, pairs: usize, begin: u64, (seconds, step): (f64, f64)) -> anyhow::Result<Outcome> {
+fn outcome(path: &Path, body: &Body, pairs: usize, begin: u64, (seconds, step): (f64, f64)) -> anyhow::Result<Outcome> {
     let best =
         body.curve.iter().find(|p| p.step == body.best_step).context("the run ended before its first validation")?;
     let parameters: usize =

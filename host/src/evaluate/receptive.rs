@@ -330,7 +330,7 @@ mod tests {
         };
         let maps = SensorMaps::default();
         let adam = Default::default();
-        Checkpoint { body, current: weights.clone(), weights, maps, cases: Vec::new(), adam }
+        Checkpoint { body, current: weights.clone(), weights, maps, cases: Vec::new(), samples: Vec::new(), adam }
     }
 
     fn small() -> (Instrument, NetworkConfig) {

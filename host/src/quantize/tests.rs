@@ -64,7 +64,15 @@ fn checkpoint() -> Checkpoint {
     let maps = SensorMaps { offset_dn: Some(pattern(-2.0, 0.25)), inverse_gain: Some(pattern(0.9375, 0.0078125)) };
     let truth = Array2::from_shape_fn((OBJECT[0], OBJECT[1]), |(r, c)| ((r + c) % 5) as f32);
     let cases = (0..2).map(|i| Case { frame_dn: frame(i), truth: truth.clone() }).collect();
-    Checkpoint { body, weights: weights.clone(), maps, cases, current: weights, adam: Default::default() }
+    Checkpoint {
+        body,
+        weights: weights.clone(),
+        maps,
+        cases,
+        samples: Vec::new(),
+        current: weights,
+        adam: Default::default(),
+    }
 }
 
 fn difference(a: &dyn Reconstruct, b: &dyn Reconstruct, frame: &Array2<f32>) -> f32 {

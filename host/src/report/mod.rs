@@ -27,6 +27,7 @@ use crate::evaluate::receptive::{self, Receptive};
 use crate::instrument::Instrument;
 use crate::kind::FileKind;
 use crate::session::Session;
+use crate::train::Sample;
 use closing::Asked;
 use maud::{Markup, html};
 use ommatidia_shared::blob::{Header, Network};
@@ -46,7 +47,7 @@ enum Content {
     Instrument(Box<Instrument>),
     Evaluation(Box<Evaluation>),
     Closing(Box<Account>, Asked),
-    Checkpoint,
+    Checkpoint(Vec<Sample>),
     Blob(Box<Header>, u64),
     Session(Box<Session>),
     Device,
@@ -109,7 +110,7 @@ pub fn render(paths: &[PathBuf]) -> Result<String, ReportError> {
             _ => Ok(None),
         }),
         ("training", "Training", |p, _, n| match &p.content {
-            Content::Checkpoint => Ok(Some(training::training(&p.json, n)?)),
+            Content::Checkpoint(samples) => Ok(Some(training::training(&p.json, samples, n)?)),
             _ => Ok(None),
         }),
     ];
@@ -156,7 +157,7 @@ fn load(path: &Path) -> Result<Piece, ReportError> {
                 "instrument" => Content::Instrument(Box::new(Instrument::read(path)?)),
                 "evaluation" => Content::Evaluation(Box::new(Evaluation::read(path)?.0)),
                 account::KIND => Content::Closing(Box::new(Account::read(path)?), asked(path)?),
-                "checkpoint" => Content::Checkpoint,
+                "checkpoint" => Content::Checkpoint(Sample::of(path)?),
                 receptive::KIND => Content::Receptive(Box::new(Receptive::read(path)?)),
                 _ => Content::Other,
             },
@@ -263,7 +264,7 @@ fn describe(piece: &Piece) -> String {
         Content::Evaluation(_) => "evaluation",
         Content::Closing(_, Asked::Close) => "account of a closed loop",
         Content::Closing(_, Asked::Residual) => "residual",
-        Content::Checkpoint => "checkpoint",
+        Content::Checkpoint(_) => "checkpoint",
         Content::Blob(..) => "network file",
         Content::Session(_) => "session",
         Content::Device => "device run",

@@ -129,7 +129,7 @@ pub(super) fn raw_scale(raw: ArrayView2<'_, f32>) -> Scale {
 }
 
 /// From 0 to the 99.7th percentile of the truth (to its maximum where so few pixels are lit).
-fn truth_scale(truth: ArrayView2<'_, f32>) -> Scale {
+pub(super) fn truth_scale(truth: ArrayView2<'_, f32>) -> Scale {
     let high = match percentile(truth, 0.997) {
         high if high > 0.0 => high,
         _ => percentile(truth, 1.0),

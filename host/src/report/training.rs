@@ -3,7 +3,9 @@
 use super::ReportError;
 use super::chart::{Axis, Chart, Line, Marks};
 use super::page::{Numbers, pairs};
-use super::picture::number;
+use super::picture::{number, picture};
+use super::scenes::{raw_scale, truth_scale};
+use crate::train::Sample;
 use maud::{Markup, html};
 use serde_json::Value;
 
@@ -11,7 +13,7 @@ use serde_json::Value;
 ///
 /// # Errors
 /// A chart cannot be drawn.
-pub fn training(header: &Value, numbers: &mut Numbers) -> Result<Markup, ReportError> {
+pub fn training(header: &Value, samples: &[Sample], numbers: &mut Numbers) -> Result<Markup, ReportError> {
     let body = &header["body"];
     let curve: &[Value] = body["curve"].as_array().map_or(&[], Vec::as_slice);
     let line = |key: &str, label: &str, colour| Line {
@@ -42,13 +44,36 @@ pub fn training(header: &Value, numbers: &mut Numbers) -> Result<Markup, ReportE
         }
     };
     let figure = numbers.figure("Training.", &text, figure);
+    let samples = if samples.is_empty() {
+        html! {}
+    } else {
+        pictures(samples, numbers)?
+    };
     let shape = pairs_of(&body["network"]);
     let table = numbers.table(
         "Network.",
         "Shape of the network: Fourier filter bank, then a light residual channel-attention network.",
         pairs(&shape),
     );
-    Ok(html! { (figure) div style="max-width:640px" { (table) } })
+    Ok(html! { (figure) (samples) div style="max-width:640px" { (table) } })
+}
+
+/// Held-out frames, their objects, and what the kept weights make of them.
+fn pictures(samples: &[Sample], numbers: &mut Numbers) -> Result<Markup, ReportError> {
+    let mut plates = Vec::new();
+    for (i, Sample { case, found }) in samples.iter().enumerate() {
+        let (raw, truth) = (raw_scale(case.frame_dn.view()), truth_scale(case.truth.view()));
+        for (name, image, scale) in
+            [("Raw frame", &case.frame_dn, &raw), ("Truth", &case.truth, &truth), ("Reconstruction", found, &truth)]
+        {
+            let picture = picture(image.view(), scale, &format!("{name} {i} of those held out"), &[])?;
+            plates.push(html! { div.plate { p.name { (name) } (picture) } });
+        }
+    }
+    let body = html! { div.plates style="grid-template-columns:repeat(3,1fr)" { @for plate in plates { (plate) } } };
+    let text = "Frames that no step has seen, their objects, and the reconstructions of the kept weights, each at one free scale; truth and \
+                reconstruction share a colour scale from 0 to the 99.7th percentile of the truth.";
+    Ok(numbers.figure("Held out.", text, body))
 }
 
 /// The fields of a JSON object as rows of a table, in words.

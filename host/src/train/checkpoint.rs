@@ -21,6 +21,7 @@ const OFFSET: &str = "sensor.offset_dn";
 const GAIN: &str = "sensor.inverse_gain";
 const FRAMES: &str = "validation.frames_dn";
 const OBJECTS: &str = "validation.objects";
+const SAMPLES: &str = "validation.reconstructions";
 const CURRENT: &str = "optim.weight.";
 const FIRST: &str = "optim.first.";
 const SECOND: &str = "optim.second.";
@@ -112,6 +113,8 @@ pub struct Checkpoint {
     pub maps: SensorMaps,
     /// Held-out frames as the sensor delivers them, with their objects: whoever changes the network can see what it costs.
     pub cases: Vec<Case>,
+    /// What the best weights make of the first of these, each at one free scale of its object: for people to look at while it trains.
+    pub samples: Vec<Array2<f32>>,
     /// The weights after the last step.
     pub current: Tensors,
     /// The optimiser.
@@ -144,6 +147,11 @@ impl Checkpoint {
             tensors.insert(FRAMES.into(), frames.view());
             tensors.insert(OBJECTS.into(), objects.view());
         }
+        let samples = ndarray::stack(Axis(0), &self.samples.iter().map(|image| image.view()).collect::<Vec<_>>());
+        let samples = samples.map(Array3::into_dyn);
+        if let Ok(samples) = &samples {
+            tensors.insert(SAMPLES.into(), samples.view());
+        }
         let header = Header { kind: KIND.into(), version: VERSION, provenance, body: self.body.clone() };
         artifact::write(path, &header, &tensors)
     }
@@ -167,6 +175,7 @@ impl Checkpoint {
             (weights.clone(), fresh.first, fresh.second)
         };
         let cases = cases(path, &body.network, &mut tensors)?;
+        let samples = samples(path, &body.network, &mut tensors)?;
         let shape = body.network.frame.map(Some);
         let mut map = |name: &str| -> Result<Option<Array2<f32>>, ArtifactError> {
             if !tensors.contains_key(name) {
@@ -177,8 +186,48 @@ impl Checkpoint {
         };
         let maps = SensorMaps { offset_dn: map(OFFSET)?, inverse_gain: map(GAIN)? };
         let adam = Adam { steps: body.step, first, second, norms: body.norms };
-        Ok(Self { body, weights, maps, cases, current, adam })
+        Ok(Self { body, weights, maps, cases, samples, current, adam })
     }
+}
+
+/// A held-out frame, its object, and what the best weights make of it.
+#[derive(Clone, Debug)]
+pub struct Sample {
+    /// The frame and its object.
+    pub case: Case,
+    /// The reconstruction, at one free scale of the object.
+    pub found: Array2<f32>,
+}
+
+impl Sample {
+    /// Those that a checkpoint keeps; nothing else of the file is read.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::read`].
+    pub fn of(path: &Path) -> Result<Vec<Self>, ArtifactError> {
+        let index = artifact::Index::<Body>::open(path, KIND, VERSION)?;
+        // Imported weights have none, and runs that have not been judged yet.
+        let count = index.shape(SAMPLES).ok().and_then(|shape| shape.first().copied()).unwrap_or(0);
+        let image = |name, i| Ok(index.read_entry(name, i)?.into_dimensionality().unwrap_or_default());
+        let sample = |i| {
+            Ok(Self {
+                case: Case { frame_dn: image(FRAMES, i)?, truth: image(OBJECTS, i)? },
+                found: image(SAMPLES, i)?,
+            })
+        };
+        (0..count).map(sample).collect()
+    }
+}
+
+/// The stored reconstructions.
+fn samples(path: &Path, network: &NetworkConfig, tensors: &mut Tensors) -> Result<Vec<Array2<f32>>, ArtifactError> {
+    if !tensors.contains_key(SAMPLES) {
+        return Ok(Vec::new());
+    }
+    let [rows, cols] = network.object.map(Some);
+    let stack = artifact::take(path, tensors, SAMPLES, &[None, rows, cols])?;
+    let stack: Array3<f32> = stack.into_dimensionality::<Ix3>().unwrap_or_default();
+    Ok(stack.outer_iter().map(|image| image.to_owned()).collect())
 }
 
 /// The held-out frames and objects.

@@ -22,7 +22,7 @@ mod trainer;
 pub mod weights;
 
 pub use adam::MeanNorms;
-pub use checkpoint::{Body, Checkpoint, CurvePoint, KIND, SensorMaps, VERSION};
+pub use checkpoint::{Body, Checkpoint, CurvePoint, KIND, Sample, SensorMaps, VERSION};
 pub use config::NetworkConfig;
 pub use error::TrainError;
 pub use family::{Family, FamilyName};

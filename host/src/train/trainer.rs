@@ -1,14 +1,16 @@
 //! The loop: draw, forward, backward, step; validate and save now and then.
 
-use super::adam::{Adam, Group};
-use super::checkpoint::{Body, Checkpoint, CurvePoint, SensorMaps};
+mod start;
+
+use super::adam::Group;
+use super::checkpoint::{Checkpoint, CurvePoint, SensorMaps};
 use super::loss::bce_mse;
 use super::network::{Mode, Network, Said, values};
 use super::ops::fourier::Fourier;
 use super::source::{Example, Loader, PairSource};
-use super::{Family, Lenses, NetworkConfig, Place, Seen, Start, Support, TrainConfig, TrainError, regression, weights};
+use super::{Lenses, NetworkConfig, Place, Seen, TrainConfig, TrainError};
 use crate::artifact::{Provenance, Tensors};
-use crate::evaluate::compare;
+use crate::evaluate::{compare, scaled};
 use crate::noise::NoiseModel;
 use crate::rng;
 use burn::tensor::activation::sigmoid;
@@ -20,12 +22,8 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Fewest pairs that can be divided into training and validation.
-const FEWEST: usize = 4;
-
-/// Most held-out frames that a checkpoint keeps, and most pixels of them together.
-const CASES: usize = 16;
-const CASE_PIXELS: usize = 1 << 22;
+/// Reconstructions of held-out frames that a checkpoint keeps for people to look at.
+const SAMPLES: usize = 3;
 
 /// Times that a run goes back to its last checkpoint with half the learning rates before it gives up.
 const MOST_SLOWED: u32 = 6;
@@ -86,173 +84,6 @@ pub struct Trainer<'a> {
 }
 
 impl<'a> Trainer<'a> {
-    /// A run from the start.
-    ///
-    /// # Errors
-    /// The configuration makes no sense, there are too few pairs, or a pair does not fit.
-    pub fn new(task: Task<'a>, training: TrainConfig) -> Result<Self, TrainError> {
-        Self::with_lenses(task, training, None)
-    }
-
-    /// A run from the start of a network that knows the calibrated lenses.
-    ///
-    /// # Errors
-    /// As [`Trainer::new`]; or the network needs the lenses and has none.
-    pub fn with_lenses(task: Task<'a>, training: TrainConfig, lenses: Option<&'a Lenses>) -> Result<Self, TrainError> {
-        task.network.check()?;
-        training.check()?;
-        let seed = training.seed;
-        let current = weights::random(&task.network, seed);
-        let body = Body {
-            network: task.network.clone(),
-            noise: task.noise,
-            training,
-            curve: Vec::new(),
-            best_step: 0,
-            step: 0,
-            norms: Default::default(),
-            support: None,
-            slowed: 0,
-        };
-        let adam = Adam::new(&current);
-        let state =
-            Checkpoint { body, weights: current.clone(), maps: task.maps.clone(), cases: Vec::new(), current, adam };
-        let mut run = Self::with_state(task, state, lenses)?;
-        let kept = (CASE_PIXELS / (run.task.network.frame[0] * run.task.network.frame[1]))
-            .clamp(1, CASES)
-            .min(run.held_out.len());
-        run.state.cases = run.loader().cases(&run.held_out[..kept], "validation", 0)?;
-        let start = run.state.body.training.start;
-        if start != Start::Random {
-            let mut fitted = run.state.current.clone();
-            match run.lenses {
-                Some(lenses) if start == Start::Psf => lenses.start(&run.task.network, &run.plan, &mut fitted)?,
-                _ => regression::fit(&run.loader(), &run.train, &mut fitted)?,
-            }
-            run.state.weights = fitted.clone();
-            run.state.current = fitted;
-        }
-        Ok(run)
-    }
-
-    /// A run that starts from the best weights of another, and within its taps: for an instrument that was closed, or for a device.
-    ///
-    /// # Errors
-    /// As [`Trainer::with_lenses`]; or the checkpoint at `path` holds another network.
-    pub fn fine_tune(
-        task: Task<'a>,
-        training: TrainConfig,
-        lenses: Option<&'a Lenses>,
-        path: &Path,
-    ) -> Result<Self, TrainError> {
-        let from = Checkpoint::read(path)?;
-        if from.body.network != task.network {
-            return Err(TrainError::Resume {
-                path: path.into(),
-                field: "network",
-                expected: format!("{:?}", task.network),
-                found: format!("{:?}", from.body.network),
-            });
-        }
-        // The start is given: nothing is to be fitted first.
-        let mut run = Self::with_lenses(task, TrainConfig { start: Start::Random, ..training }, lenses)?;
-        run.state.adam = Adam::new(&from.weights);
-        (run.state.weights, run.state.current) = (from.weights.clone(), from.weights);
-        Ok(match from.body.support {
-            Some(support) => run.within(support),
-            None => run,
-        })
-    }
-
-    /// The same with the filters held to a device's taps from now on.
-    #[must_use]
-    pub fn within(mut self, support: Support) -> Self {
-        self.state.body.support = Some(support);
-        self.hold();
-        self.state.weights = self.state.current.clone();
-        self
-    }
-
-    /// Takes up the run that wrote the checkpoint at `path`; the rest of it gives the same bits as if it had never stopped.
-    ///
-    /// # Errors
-    /// As [`Trainer::new`]; the checkpoint cannot be read; or it was made with another network, sensor or settings (more `steps` is no
-    /// reason to refuse).
-    pub fn resume(task: Task<'a>, training: TrainConfig, path: &Path) -> Result<Self, TrainError> {
-        Self::resume_with_lenses(task, training, None, path)
-    }
-
-    /// [`Trainer::resume`] of a network that knows the calibrated lenses.
-    ///
-    /// # Errors
-    /// As [`Trainer::resume`].
-    pub fn resume_with_lenses(
-        task: Task<'a>,
-        training: TrainConfig,
-        lenses: Option<&'a Lenses>,
-        path: &Path,
-    ) -> Result<Self, TrainError> {
-        let mut state = Checkpoint::read(path)?;
-        let differ = |field, expected: String, found: String| {
-            Err(TrainError::Resume { path: path.into(), field, expected, found })
-        };
-        let body = &state.body;
-        if body.network != task.network {
-            return differ("network", format!("{:?}", task.network), format!("{:?}", body.network));
-        }
-        if !same_noise(&body.noise, &task.noise) || state.maps != task.maps {
-            return differ("noise", format!("{:?}", task.noise), format!("{:?}", body.noise));
-        }
-        if !body.training.same_but_steps(&training) {
-            return differ("training", format!("{training:?}"), format!("{:?}", body.training));
-        }
-        (state.body.training, state.body.noise) = (training, task.noise);
-        let run = Self::with_state(task, state, lenses)?;
-        Ok(Self { kept: true, ..run })
-    }
-
-    fn with_state(task: Task<'a>, state: Checkpoint, lenses: Option<&'a Lenses>) -> Result<Self, TrainError> {
-        let plan = Arc::new(Fourier::new(task.network.fourier()));
-        let training = &state.body.training;
-        let (family, start) = (&task.network.family, training.start);
-        let unfit = |field, expected: &str, found: &str| {
-            Err(TrainError::Config { field, expected: expected.into(), found: found.into() })
-        };
-        if lenses.is_none() && (start == Start::Psf || matches!(family, Family::Cm2Net { .. })) {
-            return unfit("instrument", "one whose lenses the network can know", "none");
-        }
-        match (family, start) {
-            (Family::Cm2Net { .. }, Start::Psf | Start::Regression) => {
-                return unfit("start", "random, for a CM2Net", "filters");
-            }
-            (Family::MultiWienerNet | Family::MultiFlatNet, Start::Regression) => {
-                return unfit("start", "random or psf, for filters in space", "regression");
-            }
-            _ => (),
-        }
-        let count = task.source.len();
-        if count < FEWEST {
-            return Err(TrainError::TooFew { expected: FEWEST, found: count });
-        }
-        let mut pairs: Vec<usize> = (0..count).collect();
-        pairs.shuffle(&mut rng::stream(training.seed, "hold out", 0));
-        let kept = ((count as f64 * training.held_out).round() as usize).clamp(1, count - 1);
-        let mut held_out = pairs.split_off(count - kept);
-        held_out.truncate(training.validation_pairs.max(1));
-        Ok(Self {
-            task,
-            lenses,
-            place: Place::Cpu,
-            plan,
-            train: pairs,
-            held_out,
-            state,
-            kept: false,
-            next: None,
-            recent: (0.0, 0),
-        })
-    }
-
     fn loader(&self) -> Loader<'_> {
         let TrainConfig { peak_e, seed, .. } = self.state.body.training;
         Loader {
@@ -446,6 +277,7 @@ impl<'a> Trainer<'a> {
         let [rows, cols] = self.task.network.object;
         let examples = self.loader().examples(&self.held_out, "validation", 0)?;
         let (mut loss, mut psnr_db, mut ssim) = (0.0, 0.0, 0.0);
+        let mut samples = Vec::new();
         for (example, &index) in examples.into_iter().zip(&self.held_out) {
             let target = example.target.clone();
             let (frames, targets) = split(vec![example]);
@@ -458,6 +290,11 @@ impl<'a> Trainer<'a> {
             };
             let figures = compare(x, t).map_err(|source| TrainError::Source { index, source: source.into() })?;
             (psnr_db, ssim) = (psnr_db + figures.psnr_db, ssim + figures.ssim);
+            // Cases are the first of the held-out pairs, in units of their own.
+            if let Some(case) = self.state.cases.get(samples.len()).filter(|_| samples.len() < SAMPLES) {
+                let own = compare(x, case.truth.view());
+                samples.push(scaled(&x.to_owned(), own.map_or(0.0, |figures| figures.scale)));
+            }
         }
         let n = self.held_out.len() as f64;
         let (sum, count) = std::mem::take(&mut self.recent);
@@ -469,6 +306,7 @@ impl<'a> Trainer<'a> {
         if body.curve.iter().all(|p| point.ssim > p.ssim) {
             body.best_step = body.step;
             self.state.weights = Tensors::clone(&self.state.current);
+            self.state.samples = samples;
         }
         self.state.body.curve.push(point);
         Ok(point)
@@ -478,11 +316,6 @@ impl<'a> Trainer<'a> {
 /// Whether two numbers agree but for what writing and reading them as JSON may cost.
 pub(super) fn same(a: f64, b: f64) -> bool {
     (a - b).abs() <= 1e-12 * a.abs().max(b.abs())
-}
-
-fn same_noise(a: &NoiseModel, b: &NoiseModel) -> bool {
-    let values = |n: &NoiseModel| [n.black_level_dn, n.gain_dn_per_e, n.read_noise_e, n.saturation_dn];
-    values(a).into_iter().zip(values(b)).all(|(a, b)| same(a, b))
 }
 
 /// What a batch is held against, each in one piece.

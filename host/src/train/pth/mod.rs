@@ -104,7 +104,15 @@ pub fn import(path: &Path, around: Surroundings) -> Result<Checkpoint, PthError>
         slowed: 0,
     };
     let adam = Adam::new(&tensors);
-    Ok(Checkpoint { body, weights: tensors.clone(), maps: around.maps, cases: Vec::new(), current: tensors, adam })
+    Ok(Checkpoint {
+        body,
+        weights: tensors.clone(),
+        maps: around.maps,
+        cases: Vec::new(),
+        samples: Vec::new(),
+        current: tensors,
+        adam,
+    })
 }
 
 /// Writes the weights of a checkpoint as safetensors that `load_state_dict` of the published module takes.
