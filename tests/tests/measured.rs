@@ -1,7 +1,7 @@
 //! Real measurements: the method on other real optics. Where the data are absent these tests count as skipped.
 #![allow(clippy::unwrap_used)]
 
-use ommatidia_host::instrument::{CalibrateConfig, calibrate};
+use ommatidia_host::calibrate::{CalibrateConfig, calibrate};
 use ommatidia_host::session::{Role, Session};
 use ommatidia_tests::measured_data;
 

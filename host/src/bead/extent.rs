@@ -5,7 +5,7 @@
 
 use super::windows::corner;
 use super::{BeadError, BeadScan};
-use crate::instrument::Geometry;
+use crate::psf::ChiefRays;
 use crate::session::Manifest;
 
 /// Share of the light of a focus that may fall outside its window. What is missing far out makes predicted scenes too sharp: of windows
@@ -25,7 +25,7 @@ const LEVEL_RINGS: usize = 2;
 pub fn extent(
     scan: &mut BeadScan,
     manifest: &Manifest,
-    geometry: &Geometry,
+    rays: &ChiefRays,
     mut step: impl FnMut(),
 ) -> Result<usize, BeadError> {
     let nominal = manifest.optics.psf_window_px / 2;
@@ -44,8 +44,8 @@ pub fn extent(
             frame.indexed_iter_mut().filter(|((r, c), _)| !cut.holds(*r, *c)).for_each(|(_, v)| *v = f32::NAN);
         }
         let at = scan.beads[n].at_px.map(|v| v.round() as isize);
-        for l in (0..geometry.anchors_px.len()).filter(|l| !geometry.dead[*l]) {
-            let corner = corner(manifest, geometry, l);
+        for l in (0..rays.anchors_px.len()).filter(|l| !rays.dead[*l]) {
+            let corner = corner(manifest, rays, l);
             rings.add(&frame, [corner[0] + at[0], corner[1] + at[1]]);
         }
         step();

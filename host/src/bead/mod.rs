@@ -12,4 +12,4 @@ pub(crate) use rays::PASSES;
 pub use rays::{RayFit, fit_chief_rays};
 pub(crate) use scan::check_grid;
 pub use scan::{Bead, BeadScan, SensorMaps};
-pub use windows::{BeadScale, LensWindows, cut_windows};
+pub use windows::{BeadCut, cut_windows};

@@ -5,8 +5,8 @@
 //! linear regression of all centroids ends it (Huber's weights; *Robust Statistics*, 1981).
 
 use super::{BeadError, BeadScan, Warning};
-use crate::instrument::Geometry;
 use crate::linalg::least_squares;
+use crate::psf::ChiefRays;
 use crate::session::Manifest;
 use ndarray::{Array2, ArrayView2, s};
 
@@ -21,7 +21,7 @@ const ROUNDS: usize = 3;
 #[derive(Clone, Debug)]
 pub struct RayFit {
     /// The chief rays.
-    pub geometry: Geometry,
+    pub rays: ChiefRays,
     /// Distance of the centroids from the fit, rms over both axes, px: distortion and noise.
     pub rms_px: f64,
     /// Dead lenses.
@@ -72,7 +72,7 @@ pub fn fit_chief_rays(scan: &mut BeadScan, manifest: &Manifest, mut step: impl F
         return Err(BeadError::Magnification { path: scan.path(0).into(), expected: nominal, found: magnification });
     }
     let warnings = dead.iter().enumerate().filter(|(_, d)| **d).map(|(lens, _)| Warning::DeadLens { lens }).collect();
-    Ok(RayFit { geometry: Geometry { anchors_px: fit.anchors, magnification, dead }, rms_px: fit.rms_px, warnings })
+    Ok(RayFit { rays: ChiefRays { anchors_px: fit.anchors, magnification, dead }, rms_px: fit.rms_px, warnings })
 }
 
 /// Passes over the bead frames, those of the extent and of the windows counted.

@@ -380,7 +380,7 @@ fn the_bench_does_not_know_the_low_rank_model() {
 
 #[test]
 fn frames_made_on_the_fly_are_those_that_would_be_written_and_calibrate_to_the_same_instrument() {
-    use crate::instrument::{CalibrateConfig, calibrate};
+    use crate::calibrate::{CalibrateConfig, calibrate};
     use std::sync::Arc;
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("s");

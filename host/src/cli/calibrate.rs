@@ -3,8 +3,9 @@
 use super::{Outcome, Run};
 use crate::artifact::Provenance;
 use crate::bench::BenchConfig;
+use crate::calibrate::{CalibrateConfig, Calibration, calibrate};
 use crate::evaluate::measured;
-use crate::instrument::{CalibrateConfig, Calibration, Instrument, LightUnit, calibrate};
+use crate::instrument::{Instrument, LightUnit};
 use crate::noise::{NoiseConfig, ROUNDING_DN2, Source};
 use crate::report::bytes;
 use crate::session::{Role, Session, Stack};

@@ -2,11 +2,12 @@
 
 use super::{Outcome, Run};
 use crate::artifact::Provenance;
+use crate::calibrate::CalibrateConfig;
 use crate::closing::close::{Given, close_with, same_layout};
 use crate::closing::observe::{Budget, Observations};
 use crate::closing::result::{Closing, Effect};
 use crate::closing::{recalibrate, retrain};
-use crate::instrument::{CalibrateConfig, Instrument};
+use crate::instrument::Instrument;
 use crate::session::Session;
 use anyhow::Context;
 use std::fmt::Write;

@@ -11,7 +11,8 @@ use super::tables::{self, TableFit};
 use super::trials::{Tried, evidence};
 use crate::effects::Stage;
 use crate::forward::{ForwardError, SceneLight};
-use crate::instrument::{Instrument, LowRankPsf};
+use crate::instrument::Instrument;
+use crate::psf::LowRankPsf;
 use crate::session::Role;
 use ndarray::Array2;
 

@@ -11,9 +11,9 @@ use super::score::Scores;
 use super::state::{Column, Term};
 use crate::effects::{Kind, find};
 use crate::instrument::Instrument;
-use crate::instrument::fixture::instrument;
 use crate::rng::stream;
 use crate::session::{FrameInfo, Role};
+use crate::testing::instrument;
 use ndarray::Array2;
 use rand_distr::{Distribution, StandardNormal};
 

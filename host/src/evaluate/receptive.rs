@@ -311,8 +311,8 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use crate::artifact::Tensors;
-    use crate::methods::testing::instrument;
     use crate::noise::NoiseModel;
+    use crate::testing::square_array as instrument;
     use crate::train::{Body, MeanNorms, Preset, SensorMaps, weights};
     use burn::tensor::activation::sigmoid;
 

@@ -6,14 +6,17 @@
 //! Without the two draws in brackets the result is the expected frame. [`Forward`] is planned once and used for many frames;
 //! [`Forward::scene`] keeps what the optics make of an object, so that one effect after another can be tried on it.
 
+mod sensor_maps;
 mod warp;
 
+pub use sensor_maps::SensorTables;
+
 use crate::effects::{Chain, EffectError, FrameContext, Layout, Ray, RayShift, Stage};
-use crate::instrument::{Geometry, Instrument};
+use crate::instrument::Instrument;
 use crate::noise::{NoiseModel, ROUNDING_DN2, draw_electrons};
 use crate::optics::MicrolensArray;
 use crate::psf::nodes::Taps;
-use crate::psf::{LensImage, LowRankOperator, OperatorConfig, OperatorError};
+use crate::psf::{ChiefRays, LensImage, LowRankOperator, OperatorConfig, OperatorError};
 use ndarray::{Array2, ArrayView2, Zip};
 use rand::Rng;
 use thiserror::Error;
@@ -48,7 +51,7 @@ pub struct Forward {
     depths_um: Vec<f64>,
     /// The plane that is in focus.
     plane: usize,
-    geometry: Geometry,
+    geometry: ChiefRays,
     array: [usize; 2],
     layout: Layout,
     object_pixel_um: f64,
@@ -112,7 +115,9 @@ impl Forward {
     fn plan(instrument: &Instrument, effects: Chain, config: OperatorConfig, all: bool) -> Result<Self, ForwardError> {
         let (manifest, depths) = (&instrument.manifest, &instrument.psf.node_depths_um);
         let used = if all { 0..depths.len() } else { config.depth..config.depth + 1 };
-        let plane = |depth| LowRankOperator::plan(instrument, &instrument.geometry, OperatorConfig { depth, ..config });
+        let plane = |depth| {
+            LowRankOperator::plan(instrument.optics(), &instrument.geometry, OperatorConfig { depth, ..config })
+        };
         Ok(Self {
             planes: used.clone().map(plane).collect::<Result<_, _>>()?,
             plane: config.depth - used.start,

@@ -1,9 +1,10 @@
 //! The instrument on disk: an artifact of kind `instrument`.
 
-use super::{Diagnostics, Geometry, Instrument, LightUnit, LowRankPsf, Quality};
+use super::{Diagnostics, Instrument, LightUnit, Quality};
 use crate::artifact::{self, ArtifactError, Header, Provenance, Tensors};
 use crate::effects::EffectSetting;
 use crate::noise::NoiseModel;
+use crate::psf::{ChiefRays, LowRankPsf};
 use crate::session::Manifest;
 use ndarray::{Array, ArrayD, Dimension, Ix1, Ix2, Ix4, Ix5};
 use serde::{Deserialize, Serialize};
@@ -41,7 +42,7 @@ pub enum InstrumentError {
 struct Body {
     manifest: Manifest,
     noise: NoiseModel,
-    geometry: Geometry,
+    geometry: ChiefRays,
     node_depths_um: Vec<f64>,
     node_rows_px: Vec<f64>,
     node_cols_px: Vec<f64>,
@@ -217,8 +218,8 @@ fn check(path: &Path, body: &Body) -> Result<(), InstrumentError> {
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 mod tests {
-    use super::super::fixture::instrument;
     use super::*;
+    use crate::testing::instrument;
 
     #[test]
     fn comes_back_as_it_was_written() {

@@ -1,31 +1,14 @@
 //! The instrument: everything that calibration learned, in one file.
 
-mod calibrate;
 mod file;
-#[cfg(test)]
-pub(crate) mod fixture;
-mod light_unit;
-mod model;
-mod replicates;
-mod sensor_maps;
-mod sensor_only;
-#[cfg(test)]
-#[allow(clippy::unwrap_used)]
-pub(crate) mod testbed;
-#[cfg(test)]
-mod tests;
-#[cfg(test)]
-mod width_tests;
 
-pub use calibrate::{CalibrateConfig, CalibrateError, Calibration, calibrate};
 pub use file::{INSTRUMENT_KIND, INSTRUMENT_VERSION, InstrumentError};
-pub use sensor_maps::SensorTables;
 
 use crate::effects::EffectSetting;
 use crate::noise::{MapErrors, NoiseModel, inverse_response};
-use crate::psf::nodes::Taps;
+use crate::psf::{CalibratedOptics, ChiefRays, LowRankPsf};
 use crate::session::Manifest;
-use ndarray::{Array1, Array2, Array4, Array5, Axis, s};
+use ndarray::{Array1, Array2, Axis};
 use serde::{Deserialize, Serialize};
 
 /// The calibrated model of one instrument. Lenses are numbered row by row, `l = i * array.cols + j`.
@@ -48,7 +31,7 @@ pub struct Instrument {
     /// the darks tell, and `noise` holds for all of them.
     pub reading_dn2: Option<Array2<f32>>,
     /// Chief rays.
-    pub geometry: Geometry,
+    pub geometry: ChiefRays,
     /// Low-rank spatially varying PSFs.
     pub psf: LowRankPsf,
     /// The PSF model as J fits with a group of beads left out each give it; empty: its uncertainty is not known.
@@ -82,6 +65,17 @@ impl Instrument {
         Some(Self { psf, replicates: Vec::new(), ..self.clone() })
     }
 
+    /// What the forward operator is planned from.
+    pub fn optics(&self) -> CalibratedOptics<'_> {
+        let m = &self.manifest;
+        CalibratedOptics {
+            psf: &self.psf,
+            rays: &self.geometry,
+            object: [m.object.rows, m.object.cols],
+            sensor: [m.sensor.rows, m.sensor.cols],
+        }
+    }
+
     /// Rank at which one decomposition of all lenses together errs as little on the scan as this model; None: not known, or beyond what
     /// was looked at.
     pub fn whole_array_rank(&self) -> Option<usize> {
@@ -92,61 +86,6 @@ impl Instrument {
     /// Whether the optics was never measured: there was no bead scan, and the model stands for the sensor alone.
     pub fn sensor_only(&self) -> bool {
         self.diagnostics.positions_px.is_empty() && self.psf.basis.len_of(Axis(1)) == 1
-    }
-}
-
-/// Chief rays, Eq. 1 of the paper: the focus of a source at object position (y, x) lies at
-/// `anchor_l + magnification / pixel_pitch * (y, x)`, sensor pixels, for each lens l.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Geometry {
-    /// Focus of the on-axis source (x = y = 0) through each lens, [row, col], sensor pixels (0 = centre of first pixel).
-    pub anchors_px: Vec<[f64; 2]>,
-    /// Magnification, image per object; positive, since image coordinates are already un-inverted.
-    pub magnification: f64,
-    /// Lenses that show no focus at all (dead or blocked): they add nothing.
-    pub dead: Vec<bool>,
-}
-
-/// Per-lens truncated SVD, Eq. 2: `H_l(p; x, y) = sum_k M_lk(x, y) B_lk(p)`, p relative to the chief ray.
-///
-/// A window's centre pixel is `corner_l + (r, c)` for object pixel (r, c), with `corner_l = round(anchor_l - centre)`:
-/// one object pixel is one sensor pixel; the sub-pixel remainder and whatever distortion
-/// is left are inside the basis PSFs.
-#[derive(Clone, Debug)]
-pub struct LowRankPsf {
-    /// Basis PSFs B, [lens, k, window, window], unit norm each.
-    pub basis: Array4<f32>,
-    /// Coefficients M at the nodes of a regular grid over the object, [lens, k, depth, node row, node col]: DN above
-    /// black for a unit source in the session's light unit at `exposure_ms`.
-    pub coefficients: Array5<f32>,
-    /// Depths z of the nodes, um, ascending; one entry where the bead was scanned in one plane.
-    pub node_depths_um: Vec<f64>,
-    /// Object rows (fractional pixels) of the grid nodes, ascending.
-    pub node_rows_px: Vec<f64>,
-    /// Object columns (fractional pixels) of the grid nodes, ascending.
-    pub node_cols_px: Vec<f64>,
-    /// Exposure that the coefficients are for, ms.
-    pub exposure_ms: f64,
-}
-
-impl LowRankPsf {
-    /// Index of the depth nearest to `z_um`.
-    pub fn depth_nearest(&self, z_um: f64) -> usize {
-        let off = |i: &usize| (self.node_depths_um[*i] - z_um).abs();
-        (0..self.node_depths_um.len()).min_by(|a, b| off(a).total_cmp(&off(b))).unwrap_or(0)
-    }
-
-    /// The model at one depth, interpolated between the calibrated ones; outside them the last one holds.
-    pub fn at_depth(&self, z_um: f64) -> Self {
-        let taps = Taps::at(&self.node_depths_um, z_um);
-        let mut coefficients = self.coefficients.slice(s![.., .., ..1, .., ..]).to_owned();
-        coefficients.fill(0.0);
-        for (i, weight) in taps.weights.iter().enumerate().take(taps.count) {
-            let depth = taps.first + i;
-            coefficients.scaled_add(*weight, &self.coefficients.slice(s![.., .., depth..depth + 1, .., ..]));
-        }
-        Self { coefficients, node_depths_um: vec![z_um], ..self.clone() }
     }
 }
 

@@ -65,7 +65,7 @@ fn bilinear(image: &Array2<f32>, row: f64, col: f64) -> f32 {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use super::super::testing::instrument;
+    use crate::testing::square_array as instrument;
     use super::*;
 
     #[test]

@@ -53,7 +53,7 @@ impl FrameCorrection {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use super::super::testing::instrument;
+    use crate::testing::square_array as instrument;
     use super::*;
 
     #[test]

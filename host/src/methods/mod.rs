@@ -8,8 +8,6 @@ mod frame;
 mod network;
 mod registry;
 mod richardson_lucy;
-#[cfg(test)]
-pub(crate) mod testing;
 mod wiener;
 
 pub use admm::{AdmmConfig, LowRankAdmm, ShiftInvariantAdmm};

@@ -95,7 +95,7 @@ impl Reconstruct for RichardsonLucy {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use super::super::testing::instrument;
+    use crate::testing::square_array as instrument;
     use super::*;
     use crate::evaluate::compare;
 

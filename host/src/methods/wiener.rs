@@ -226,7 +226,7 @@ fn golden_section(f: impl Fn(f64) -> anyhow::Result<f64>, mut low: f64, mut high
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use super::super::testing::instrument;
+    use crate::testing::square_array as instrument;
     use super::*;
     use rand::RngExt;
     use rand_distr::{Distribution, Normal};

@@ -5,8 +5,9 @@ use super::chart::{Axis, Chart, Line, Marks};
 use super::colour::ColourMap;
 use super::page::{Numbers, pairs};
 use super::picture::{Scale, Tone, number, picture};
-use crate::instrument::{Instrument, LowRankPsf};
+use crate::instrument::Instrument;
 use crate::noise::Source;
+use crate::psf::LowRankPsf;
 use maud::{Markup, html};
 use ndarray::{Array2, ArrayView2, Axis as Dim, s};
 

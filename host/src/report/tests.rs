@@ -2,8 +2,8 @@
 use super::*;
 use crate::artifact::{Header as ArtifactHeader, Provenance, Tensors};
 use crate::evaluate::{Figures, MethodFigures, Ring, Summary};
-use crate::instrument::fixture;
 use crate::session::{ArrayGeometry, ObjectGrid, SensorSpec};
+use crate::testing;
 use ndarray::{Array1, Array2, Array3, Array4, Array5};
 use serde_json::json;
 
@@ -11,7 +11,7 @@ const SIDE: usize = 48;
 
 /// Nine lenses whose foci widen outwards.
 fn instrument() -> Instrument {
-    let mut i = fixture::instrument([SIDE, SIDE], [120, 120], 15, 2);
+    let mut i = testing::instrument([SIDE, SIDE], [120, 120], 15, 2);
     i.manifest.name = "Synthetic".into();
     i.manifest.array = ArrayGeometry { rows: 3, cols: 3, pitch_px: 30.0 };
     i.geometry.anchors_px = (0..9).map(|l| [30.0 * (l / 3) as f64 + 29.5, 30.0 * (l % 3) as f64 + 29.5]).collect();

@@ -3,8 +3,8 @@ use super::tv::{Edge, gradient, gradient_transposed, shrink, total_variation};
 use super::*;
 use crate::evaluate::compare;
 use crate::methods::Reconstruct;
-use crate::methods::testing::instrument;
 use crate::rng;
+use crate::testing::square_array as instrument;
 use rand::RngExt;
 
 fn random(rows: usize, cols: usize, index: u64) -> Array2<f32> {

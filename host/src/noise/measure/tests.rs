@@ -1,7 +1,7 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
-use crate::instrument::testbed::Testbed;
+use crate::testing::Testbed;
 
 fn measured(bed: &Testbed) -> NoiseCalibration {
     let folder = tempfile::tempdir().unwrap();

@@ -12,7 +12,8 @@
 use super::nodes::{TapRow, Taps};
 use super::shift::shifted_windows;
 use crate::fft2::{Fft2Scratch, RealFft2, fast_size};
-use crate::instrument::{Geometry, Instrument};
+use crate::psf::chief_rays::ChiefRays;
+use crate::psf::low_rank::LowRankPsf;
 use ndarray::{Array2, Array3, ArrayView2, ArrayView3, Axis, s};
 use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
@@ -60,6 +61,19 @@ pub enum OperatorError {
         /// Entries that were found.
         found: usize,
     },
+}
+
+/// The calibrated optics that an operator is planned from.
+#[derive(Clone, Copy, Debug)]
+pub struct CalibratedOptics<'a> {
+    /// Basis PSFs and coefficient maps.
+    pub psf: &'a LowRankPsf,
+    /// Chief rays of the calibration.
+    pub rays: &'a ChiefRays,
+    /// Rows and columns of objects.
+    pub object: [usize; 2],
+    /// Rows and columns of frames.
+    pub sensor: [usize; 2],
 }
 
 /// How the operator is planned.
@@ -156,19 +170,17 @@ struct Work {
 }
 
 impl LowRankOperator {
-    /// Plans the operator of an instrument whose chief rays lie where `geometry` says (the instrument's own, or moved
-    /// from there by an effect).
+    /// Plans the operator with its chief rays at `rays`: those of the calibration (`optics.rays`), or moved from there by
+    /// an effect.
     ///
     /// # Errors
-    /// The tables of the instrument disagree, the depth does not exist, or the magnification differs.
-    pub fn plan(instrument: &Instrument, geometry: &Geometry, config: OperatorConfig) -> Result<Self, OperatorError> {
-        let (psf, manifest) = (&instrument.psf, &instrument.manifest);
-        let object = [manifest.object.rows, manifest.object.cols];
-        check(instrument, geometry, config)?;
-        let calibrated = &instrument.geometry;
+    /// The tables disagree in size, the depth does not exist, or the magnification of `rays` is not that of the calibration.
+    pub fn plan(optics: CalibratedOptics<'_>, rays: &ChiefRays, config: OperatorConfig) -> Result<Self, OperatorError> {
+        let CalibratedOptics { psf, rays: calibrated, object, sensor } = optics;
+        check(optics, rays, config)?;
         let centre = object.map(|n| (n as f64 - 1.0) / 2.0);
-        let moves: Vec<[f64; 2]> = (0..geometry.anchors_px.len())
-            .map(|l| [0, 1].map(|a| geometry.anchors_px[l][a] - calibrated.anchors_px[l][a]))
+        let moves: Vec<[f64; 2]> = (0..rays.anchors_px.len())
+            .map(|l| [0, 1].map(|a| rays.anchors_px[l][a] - calibrated.anchors_px[l][a]))
             .collect();
         let sub_pixel = moves.iter().flatten().any(|d| d.fract() != 0.0);
         // A kernel that moves by a fraction of a pixel spreads a little: keep its tails.
@@ -182,7 +194,7 @@ impl LowRankOperator {
             .par_iter()
             .enumerate()
             .map(|(l, shift)| {
-                if geometry.dead[l] {
+                if rays.dead[l] {
                     return None;
                 }
                 let whole = shift.map(f64::round);
@@ -199,7 +211,7 @@ impl LowRankOperator {
             .collect();
         Ok(Self {
             object,
-            sensor: [manifest.sensor.rows, manifest.sensor.cols],
+            sensor,
             window,
             step: [0, 1].map(|a| (transform[a] + 1 - window).min(object[a])),
             fft,
@@ -478,16 +490,15 @@ fn spectra_of(fft: &RealFft2, kernels: ArrayView3<'_, f32>) -> Vec<Complex32> {
     out
 }
 
-fn check(instrument: &Instrument, geometry: &Geometry, config: OperatorConfig) -> Result<(), OperatorError> {
-    let psf = &instrument.psf;
-    let lenses = instrument.manifest.array.lenses();
+fn check(optics: CalibratedOptics<'_>, rays: &ChiefRays, config: OperatorConfig) -> Result<(), OperatorError> {
+    let CalibratedOptics { psf, rays: calibrated, .. } = optics;
+    let lenses = calibrated.anchors_px.len();
     let (m_lenses, rank, depths, node_rows, node_cols) = psf.coefficients.dim();
     let expect = |field, expected, found| {
         if expected == found { Ok(()) } else { Err(OperatorError::Field { field, expected, found }) }
     };
-    expect("geometry.anchors_px", lenses, geometry.anchors_px.len())?;
-    expect("geometry.dead", lenses, geometry.dead.len())?;
-    expect("geometry.anchors_px (calibrated)", lenses, instrument.geometry.anchors_px.len())?;
+    expect("geometry.anchors_px", lenses, rays.anchors_px.len())?;
+    expect("geometry.dead", lenses, rays.dead.len())?;
     expect("psf.basis (lenses)", lenses, psf.basis.dim().0)?;
     expect("psf.coefficients (lenses)", lenses, m_lenses)?;
     expect("psf.coefficients (rank)", psf.basis.dim().1, rank)?;
@@ -496,7 +507,7 @@ fn check(instrument: &Instrument, geometry: &Geometry, config: OperatorConfig) -
     if config.depth >= depths {
         return Err(OperatorError::Depth { found: config.depth, depths });
     }
-    let (expected, found) = (instrument.geometry.magnification, geometry.magnification);
+    let (expected, found) = (calibrated.magnification, rays.magnification);
     if expected != found {
         return Err(OperatorError::Magnification { expected, found });
     }

@@ -4,7 +4,7 @@ use super::*;
 use crate::closing::omnibus::{Covariate, Dependence};
 use crate::closing::record::{Fault, FaultKind};
 use crate::closing::result::{Effect, Figures, Rejected, Value};
-use crate::instrument::fixture;
+use crate::testing;
 use ndarray::Array3;
 
 fn value(name: &str, value: f64, sigma: f64, unit: &str) -> Value {
@@ -90,7 +90,7 @@ fn account() -> Account {
 }
 
 fn render(account: &Account, asked: Asked) -> String {
-    let mut instrument = fixture::instrument([24, 24], [40, 60], 5, 2);
+    let mut instrument = testing::instrument([24, 24], [40, 60], 5, 2);
     instrument.manifest.array.pitch_px = 20.0;
     let page = chapter(account, asked, Some(&instrument), &mut Numbers::default()).unwrap().into_string();
     assert!(!page.contains("NaN") && !page.contains("inf "), "a number is none");

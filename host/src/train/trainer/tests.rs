@@ -38,7 +38,7 @@ fn gradients_of_peers_are_the_slopes_of_their_losses() {
 }
 
 fn lenses() -> Lenses {
-    Lenses::of(&crate::methods::testing::instrument(3, [40, 40], [16, 16])).unwrap()
+    Lenses::of(&crate::testing::square_array(3, [40, 40], [16, 16])).unwrap()
 }
 
 fn slopes_agree(network: NetworkConfig, start: Start) {

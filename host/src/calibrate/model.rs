@@ -1,11 +1,12 @@
 //! The low-rank model of all lenses: its rank and smoothness by held-out error, its maps at the nodes, its errors.
 
-use super::{CalibrateError, Diagnostics, LowRankPsf, Quality};
-use crate::bead::{BeadScale, LensWindows};
+use super::error::CalibrateError;
+use crate::instrument::{Diagnostics, Quality};
 use crate::linalg::NotConverged;
 use crate::psf::field::ORDERS;
 use crate::psf::fit::{self, FitConfig, LensModels, Misfit, Plane, Terms};
 use crate::psf::nodes::even_nodes;
+use crate::psf::{BeadScale, LensWindows, LowRankPsf};
 use crate::session::Manifest;
 use ndarray::{Array1, Array2, Array4, Array5, s};
 
@@ -23,6 +24,16 @@ pub(super) struct Model {
     approximation: Misfit,
     smooth: Misfit,
     scale: BeadScale,
+}
+
+/// How the model is fitted and stored.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ModelConfig<'a> {
+    pub fit: FitConfig,
+    /// Sizes of object and windows.
+    pub manifest: &'a Manifest,
+    /// Exposure that the windows are brought to, ms.
+    pub exposure_ms: f64,
 }
 
 /// Where coefficient maps are stored, and what a basis PSF is.
@@ -151,8 +162,7 @@ impl Model {
         windows: &[LensWindows],
         dead: &[bool],
         planes: &[Plane],
-        config: FitConfig,
-        (manifest, exposure_ms): (&Manifest, f64),
+        ModelConfig { fit: config, manifest, exposure_ms }: ModelConfig<'_>,
     ) -> Result<Self, CalibrateError> {
         let beads: usize = planes.iter().map(|p| p.beads.len()).sum();
         let halves = Halves::new(windows, dead, planes);

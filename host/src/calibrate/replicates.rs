@@ -4,23 +4,33 @@
 //! The groups are spread over the field, so that each refit leaves a thin, even set of gaps: beads are counted along a curve
 //! that fills the plane, every J-th one to the same group.
 
-use super::LowRankPsf;
 use super::model::Model;
-use crate::bead::LensWindows;
 use crate::linalg::NotConverged;
 use crate::psf::fit::{Plane, select};
+use crate::psf::{LensWindows, LowRankPsf};
 use ndarray::ArrayView2;
 
 /// Replicates take no more than this, bytes.
 pub const MOST_BYTES: usize = 256 << 20;
 
-/// The refits of a model, and why there are fewer than were asked for.
+/// What the refits of a model start from.
+pub(super) struct ReplicateRequest<'a> {
+    /// The model from all beads; its size bounds the memory.
+    pub psf: &'a LowRankPsf,
+    /// Bead windows, one set a lens.
+    pub windows: &'a [LensWindows],
+    /// Lenses that show no focus.
+    pub dead: &'a [bool],
+    /// Beads by depth.
+    pub planes: &'a [Plane],
+    /// Number of refits; 0: none.
+    pub count: usize,
+}
+
+/// The refits of a model, and a note where there are fewer than requested.
 pub(super) fn replicates(
     model: &Model,
-    psf: &LowRankPsf,
-    (windows, dead): (&[LensWindows], &[bool]),
-    planes: &[Plane],
-    asked: usize,
+    ReplicateRequest { psf, windows, dead, planes, count: asked }: ReplicateRequest<'_>,
 ) -> Result<(Vec<LowRankPsf>, Option<String>), NotConverged> {
     if asked == 0 {
         return Ok((Vec::new(), None));

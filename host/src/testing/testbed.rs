@@ -12,37 +12,37 @@ use std::path::Path;
 
 /// What the bench measures, and how it is built.
 #[derive(Clone)]
-pub(crate) struct Testbed {
-    pub(crate) manifest: Manifest,
-    pub(crate) anchors_px: Vec<[f64; 2]>,
+pub struct Testbed {
+    pub manifest: Manifest,
+    pub anchors_px: Vec<[f64; 2]>,
     /// Light that each lens passes, relative.
-    pub(crate) lens_gain: Vec<f64>,
-    pub(crate) gain_dn_per_e: f64,
-    pub(crate) read_noise_e: f64,
-    pub(crate) black_level_dn: f64,
+    pub lens_gain: Vec<f64>,
+    pub gain_dn_per_e: f64,
+    pub read_noise_e: f64,
+    pub black_level_dn: f64,
     /// Electrons of a bead through a lens of gain 1.
-    pub(crate) bead_e: f64,
+    pub bead_e: f64,
     /// Makes the noise.
-    pub(crate) seed: u64,
+    pub seed: u64,
     /// Depths of the bead scan, um; foci widen by 1 % of their width a um.
-    pub(crate) depths_um: Vec<f64>,
+    pub depths_um: Vec<f64>,
     /// Bead positions a side.
-    pub(crate) scan: usize,
-    pub(crate) dark_frames: usize,
+    pub scan: usize,
+    pub dark_frames: usize,
     /// Flat levels, electrons.
-    pub(crate) flat_levels_e: Vec<f64>,
-    pub(crate) flat_frames: usize,
+    pub flat_levels_e: Vec<f64>,
+    pub flat_frames: usize,
     /// Spread of the pixels' responses, rms.
-    pub(crate) prnu: f64,
+    pub prnu: f64,
     /// Lamp flicker of flats, rms.
-    pub(crate) flicker: f64,
-    pub(crate) scenes: usize,
+    pub flicker: f64,
+    pub scenes: usize,
     /// Changes bead frame n, DN, before it is written.
-    pub(crate) spoil: fn(usize, &mut Array2<f32>),
+    pub spoil: fn(usize, &mut Array2<f32>),
 }
 
 impl Testbed {
-    pub(crate) fn new() -> Self {
+    pub fn new() -> Self {
         Self {
             manifest: Manifest {
                 format: 1,
@@ -103,7 +103,7 @@ impl Testbed {
     }
 
     /// A known object: sparse points in units of half a bead.
-    pub(crate) fn object(&self, i: usize) -> Array2<f32> {
+    pub fn object(&self, i: usize) -> Array2<f32> {
         Array2::from_shape_fn((self.manifest.object.rows, self.manifest.object.cols), |(r, c)| {
             let hash = (r * 7919 + c * 104_729 + i * 31) % 97;
             if hash == 5 { 0.1 + 0.05 * ((r + c) % 4) as f32 } else { 0.0 }
@@ -111,12 +111,12 @@ impl Testbed {
     }
 
     /// Electrons that scene `i` is expected to give in focus.
-    pub(crate) fn expected_e(&self, i: usize) -> Array2<f64> {
+    pub fn expected_e(&self, i: usize) -> Array2<f64> {
         self.expected_at(i, 0.0)
     }
 
     /// Electrons that scene `i` is expected to give at a depth.
-    pub(crate) fn expected_at(&self, i: usize, z_um: f64) -> Array2<f64> {
+    pub fn expected_at(&self, i: usize, z_um: f64) -> Array2<f64> {
         let mut frame = self.dark();
         for ((r, c), o) in self.object(i).indexed_iter().filter(|(_, o)| **o > 0.0) {
             self.add_source(&mut frame, ([r as f64, c as f64], z_um), 0.5 * self.bead_e * f64::from(*o));
@@ -125,7 +125,7 @@ impl Testbed {
     }
 
     /// Response of each pixel.
-    pub(crate) fn response(&self) -> Array2<f64> {
+    pub fn response(&self) -> Array2<f64> {
         let mut rng = rng::stream(77, "response", 0);
         self.dark().mapv(|_| 1.0 + self.prnu * Distribution::<f64>::sample(&StandardNormal, &mut rng))
     }
@@ -157,7 +157,7 @@ impl Testbed {
     }
 
     /// Writes the session.
-    pub(crate) fn write(&self, dir: &Path) {
+    pub fn write(&self, dir: &Path) {
         let mut writer = SessionWriter::create(dir, &self.manifest, Existing::Keep).unwrap();
         let dark = self.dark();
         let darks: Vec<_> = (0..self.dark_frames).map(|i| self.draw(&dark, "dark", i)).collect();

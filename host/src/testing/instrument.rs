@@ -1,12 +1,14 @@
 //! A small made-up instrument for tests: 1 x 2 lenses, smooth coefficient maps, random basis.
 
-use super::*;
-use crate::noise::Sources;
+use crate::instrument::{Diagnostics, Instrument, LightUnit, Quality};
+use crate::noise::{NoiseModel, Sources};
 use crate::psf::nodes::even_nodes;
-use crate::session::{ArrayGeometry, ObjectGrid, Optics, SensorSpec};
+use crate::psf::{ChiefRays, LowRankPsf};
+use crate::session::{ArrayGeometry, Manifest, ObjectGrid, Optics, SensorSpec};
+use ndarray::{Array4, Array5};
 
 /// An instrument of the given object, sensor, window and rank; its lenses' images overlap and hang over the edges.
-pub(crate) fn instrument(object: [usize; 2], sensor: [usize; 2], window: usize, rank: usize) -> Instrument {
+pub fn instrument(object: [usize; 2], sensor: [usize; 2], window: usize, rank: usize) -> Instrument {
     let value = |i: usize| ((i * 7919 + 31) % 997) as f32 / 997.0;
     let nodes = [even_nodes(object[0], 5), even_nodes(object[1], 6)];
     let centre = sensor.map(|n| (n as f64 - 1.0) / 2.0);
@@ -32,7 +34,7 @@ pub(crate) fn instrument(object: [usize; 2], sensor: [usize; 2], window: usize, 
         offset_dn: None,
         response: None,
         reading_dn2: None,
-        geometry: Geometry {
+        geometry: ChiefRays {
             anchors_px: vec![[centre[0] + 0.3, centre[1] - 12.2], [centre[0] - 12.0, centre[1] + 6.4]],
             magnification: 1.0,
             dead: vec![false; 2],

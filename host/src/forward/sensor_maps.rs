@@ -1,9 +1,9 @@
 //! What the sensor of an instrument, with all that the loop added to it, does to darkness and to even light: the tables that
 //! networks, devices and the classical methods correct raw frames with.
 
-use super::Instrument;
+use super::{Forward, ForwardError};
 use crate::effects::{Chain, Layout, Stage};
-use crate::forward::{Forward, ForwardError};
+use crate::instrument::Instrument;
 use ndarray::{Array2, Zip};
 
 /// Share of full scale of the even light that responses are read at.
@@ -49,9 +49,9 @@ impl Instrument {
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 mod tests {
-    use super::super::fixture::instrument;
     use super::*;
     use crate::effects::EffectSetting;
+    use crate::testing::instrument;
 
     #[test]
     fn what_the_loop_found_of_the_sensor_reaches_the_tables() {

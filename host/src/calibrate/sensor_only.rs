@@ -1,8 +1,10 @@
 //! A session without a bead scan: the sensor as it was measured behind optics that copy one object pixel to one sensor pixel.
 
-use super::{CalibrateError, Diagnostics, Geometry, Instrument, LightUnit, LowRankPsf, Quality};
+use super::error::CalibrateError;
 use crate::bead::check_grid;
+use crate::instrument::{Diagnostics, Instrument, LightUnit, Quality};
 use crate::noise::NoiseCalibration;
+use crate::psf::{ChiefRays, LowRankPsf};
 use crate::session::{Manifest, Role, Session};
 use ndarray::{Array4, Array5};
 
@@ -40,7 +42,7 @@ pub(super) fn instrument(
             exposure_ms: first.map_or(1.0, |s| s.entry().exposure_ms),
         },
         replicates: Vec::new(),
-        geometry: Geometry {
+        geometry: ChiefRays {
             anchors_px: vec![middle],
             magnification: manifest.optics.magnification,
             dead: vec![false],

@@ -1,8 +1,9 @@
 //! The unit of light in objects: beads, or what the truths of the scenes count in.
 
-use super::{CalibrateError, Instrument, LightUnit};
+use super::error::CalibrateError;
 use crate::effects::FrameContext;
 use crate::forward::Forward;
+use crate::instrument::{Instrument, LightUnit};
 use crate::psf::OperatorConfig;
 use crate::session::{Role, Session};
 use std::collections::btree_map::{BTreeMap, Entry};

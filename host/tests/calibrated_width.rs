@@ -2,13 +2,13 @@
 
 #![allow(clippy::unwrap_used)]
 
-use super::*;
-use crate::bench::truth::{BenchTruth, TRUTH_FILE};
-use crate::bench::{ArrayConfig, BenchConfig, ScanConfig, SensorConfig};
-use crate::forward::Forward;
-use crate::linalg::least_squares;
-use crate::session::{Role, Session};
 use ndarray::{Array2, ArrayView2};
+use ommatidia_host::bench::truth::{BenchTruth, TRUTH_FILE};
+use ommatidia_host::bench::{ArrayConfig, BenchConfig, ScanConfig, SensorConfig};
+use ommatidia_host::calibrate::{CalibrateConfig, calibrate};
+use ommatidia_host::forward::Forward;
+use ommatidia_host::linalg::least_squares;
+use ommatidia_host::session::{Role, Session};
 
 /// Second differences are halved: the coefficients of templates are variances, px^2.
 const TEMPLATES: usize = 6;

@@ -1,18 +1,18 @@
 //! Session -> instrument: noise, chief rays, windows, low-rank model, light unit, and how good it all is.
 
+use super::error::CalibrateError;
 use super::light_unit::{fit_light_unit, set_light_unit};
-use super::model::Model;
-use super::replicates::replicates;
-use super::{Instrument, LightUnit, Quality, sensor_only};
-use crate::bead::{BeadError, BeadScale, BeadScan, SensorMaps, cut_windows, extent, fit_chief_rays};
-use crate::forward::ForwardError;
-use crate::linalg::NotConverged;
-use crate::noise::{NoiseCalibration, NoiseConfig, NoiseError, inverse_response, measure_noise};
+use super::model::{Model, ModelConfig};
+use super::replicates::{ReplicateRequest, replicates};
+use super::sensor_only;
+use crate::bead::{BeadCut, BeadScan, SensorMaps, cut_windows, extent, fit_chief_rays};
+use crate::instrument::{Instrument, LightUnit, Quality};
+use crate::noise::{NoiseCalibration, NoiseConfig, inverse_response, measure_noise};
+use crate::psf::BeadScale;
 use crate::psf::fit::{FitConfig, Plane};
-use crate::session::{Manifest, Role, Session, SessionError};
+use crate::session::{Manifest, Role, Session};
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
-use thiserror::Error;
 
 /// How an instrument is calibrated.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -57,40 +57,6 @@ pub struct Calibration {
     pub notes: Vec<String>,
 }
 
-/// Why a session cannot be calibrated.
-#[derive(Debug, Error)]
-pub enum CalibrateError {
-    /// The session.
-    #[error(transparent)]
-    Session(#[from] SessionError),
-    /// The noise.
-    #[error(transparent)]
-    Noise(#[from] NoiseError),
-    /// The bead scan.
-    #[error(transparent)]
-    Bead(#[from] BeadError),
-    /// The model of the result.
-    #[error(transparent)]
-    Forward(#[from] ForwardError),
-    /// The numbers.
-    #[error(transparent)]
-    NotConverged(#[from] NotConverged),
-    /// The window.
-    #[error("window: expected an odd number of pixels, found {found}")]
-    Window {
-        /// What was asked for.
-        found: usize,
-    },
-    /// The rank.
-    #[error("rank: expected 1 to {most} (the bead frames at hand), found {found}")]
-    Rank {
-        /// Largest that the data allow.
-        most: usize,
-        /// What was asked for.
-        found: usize,
-    },
-}
-
 /// Calibrates the instrument of a session; `step` is called about once for each frame that is read.
 ///
 /// A session without a bead scan gives an instrument whose optics is the identity, where object and sensor share one grid.
@@ -116,37 +82,41 @@ pub fn calibrate(
         sensor_only::instrument(session, manifest, noise)?
     } else {
         let mut scan = BeadScan::open(session, noise.model, maps(&noise))?;
-        let rays = fit_chief_rays(&mut scan, &manifest, &mut step)?;
+        let fitted = fit_chief_rays(&mut scan, &manifest, &mut step)?;
         let nominal = manifest.optics.psf_window_px;
         manifest.optics.psf_window_px = match config.window_px {
             Some(found) if found.is_multiple_of(2) => return Err(CalibrateError::Window { found }),
             Some(side) => side,
             None => {
                 // Foci that wander about their chief rays need room as well as those that have tails.
-                extent(&mut scan, &manifest, &rays.geometry, &mut step)?.max(nominal)
+                extent(&mut scan, &manifest, &fitted.rays, &mut step)?.max(nominal)
             }
         };
         let scale = if config.normalise_beads { BeadScale::PerFrame } else { BeadScale::Physical };
-        let (windows, warnings) = cut_windows(&mut scan, &manifest, &rays.geometry, (scale, nominal), &mut step)?;
+        let cut = BeadCut { scale, nominal_px: nominal };
+        let (windows, warnings) = cut_windows(&mut scan, &manifest, &fitted.rays, cut, &mut step)?;
         let planes = planes(&scan);
         let fit = FitConfig { rank: config.rank, max_rank: config.max_rank, one_psf: config.one_psf, scale };
-        let dead = &rays.geometry.dead;
-        let model = Model::fit(&windows, dead, &planes, fit, (&manifest, scan.exposure_ms))?;
+        let dead = &fitted.rays.dead;
+        let target = ModelConfig { fit, manifest: &manifest, exposure_ms: scan.exposure_ms };
+        let model = Model::fit(&windows, dead, &planes, target)?;
         let psf = model.psf()?;
-        let (replicates, note) = replicates(&model, &psf, (&windows, dead), &planes, config.replicates)?;
-        notes.extend(rays.warnings.iter().chain(&warnings).map(ToString::to_string));
+        let request =
+            ReplicateRequest { psf: &psf, windows: &windows, dead, planes: &planes, count: config.replicates };
+        let (replicates, note) = replicates(&model, request)?;
+        notes.extend(fitted.warnings.iter().chain(&warnings).map(ToString::to_string));
         notes.extend(note);
         Instrument {
             psf,
             replicates,
-            quality: Quality { maps: noise.left, ..model.quality(rays.rms_px) },
+            quality: Quality { maps: noise.left, ..model.quality(fitted.rms_px) },
             diagnostics: model.diagnostics(&windows, &planes, noise.photon_transfer)?,
             manifest,
             noise: noise.model,
             offset_dn: noise.offset_dn,
             response: noise.response,
             reading_dn2: noise.reading_dn2,
-            geometry: rays.geometry,
+            geometry: fitted.rays,
             effects: Vec::new(),
             light_unit: LightUnit::Bead,
         }

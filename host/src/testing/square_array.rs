@@ -1,11 +1,11 @@
 //! A small instrument for the tests of this module.
 
-use crate::instrument::{Instrument, fixture};
+use crate::instrument::Instrument;
 use crate::session::ArrayGeometry;
 use ndarray::{Array4, Array5};
 
 /// `side` x `side` lenses, 20 px apart about the centre of the sensor; each PSF is one pixel, the same all over the field.
-pub(crate) fn instrument(side: usize, sensor: [usize; 2], object: [usize; 2]) -> Instrument {
+pub fn square_array(side: usize, sensor: [usize; 2], object: [usize; 2]) -> Instrument {
     let lenses = side * side;
     let middle = |n: usize| (n as f64 - 1.0) / 2.0;
     let anchor = |l: usize| {
@@ -14,7 +14,7 @@ pub(crate) fn instrument(side: usize, sensor: [usize; 2], object: [usize; 2]) ->
     };
     let mut basis = Array4::zeros((lenses, 1, 3, 3));
     basis.slice_mut(ndarray::s![.., .., 1, 1]).fill(1.0);
-    let mut instrument = fixture::instrument(object, sensor, 3, 1);
+    let mut instrument = super::instrument(object, sensor, 3, 1);
     instrument.manifest.array = ArrayGeometry { rows: side, cols: side, pitch_px: 20.0 };
     instrument.geometry.anchors_px = (0..lenses).map(anchor).collect();
     instrument.geometry.dead = vec![false; lenses];

@@ -2,14 +2,16 @@
 
 #![allow(clippy::unwrap_used)]
 
-use super::testbed::Testbed;
-use super::*;
-use crate::bench::truth::{BenchTruth, TRUTH_FILE};
-use crate::bench::{ArrayConfig, BenchConfig, ScanConfig};
-use crate::forward::Forward;
-use crate::noise::Source;
-use crate::psf::OperatorConfig;
-use crate::session::{Role, Session};
+use ndarray::{Array2, Axis};
+use ommatidia_host::bench::truth::{BenchTruth, TRUTH_FILE};
+use ommatidia_host::bench::{ArrayConfig, BenchConfig, ScanConfig};
+use ommatidia_host::calibrate::{CalibrateConfig, Calibration, calibrate};
+use ommatidia_host::forward::Forward;
+use ommatidia_host::instrument::{Instrument, LightUnit};
+use ommatidia_host::noise::Source;
+use ommatidia_host::psf::OperatorConfig;
+use ommatidia_host::session::{Role, Session};
+use ommatidia_host::testing::Testbed;
 
 fn run(bed: &Testbed, config: CalibrateConfig) -> Result<Calibration, String> {
     let folder = tempfile::tempdir().unwrap();
@@ -157,7 +159,7 @@ fn each_depth_has_its_own_psfs_and_those_between_are_interpolated() {
 /// One measured frame and nothing else: the sensor alone.
 #[test]
 fn a_session_without_beads_gives_the_sensor_alone() {
-    use crate::session::*;
+    use ommatidia_host::session::*;
     let mut manifest = Testbed::new().manifest;
     (manifest.object.rows, manifest.object.cols) = (manifest.sensor.rows, manifest.sensor.cols);
     manifest.array = ArrayGeometry { rows: 1, cols: 1, pitch_px: 0.0 };
@@ -179,14 +181,14 @@ fn a_session_without_beads_gives_the_sensor_alone() {
     assert!(notes.iter().any(|n| n.contains("only the sensor is modelled")), "{notes:?}");
     assert!(notes.iter().any(|n| n.contains("quantile of the scenes")) && instrument.noise.black_level_dn == 20.0);
     let path = folder.path().join("a.instrument");
-    instrument.write(&path, crate::artifact::Provenance::new("calibrate", 1, &())).unwrap();
+    instrument.write(&path, ommatidia_host::artifact::Provenance::new("calibrate", 1, &())).unwrap();
     let read = Instrument::read(&path).unwrap();
     assert!(read.sensor_only() && read.light_unit == LightUnit::Dn);
     let forward = Forward::new(&read).unwrap();
     let object = Array2::from_shape_fn((118, 122), |(r, c)| (r * 7 + c * 3) as f32);
     let frame = forward.expected_dn(object.view(), &forward.context()).unwrap();
     assert!(frame.iter().zip(&object).all(|(f, o)| (f - 20.0 - o).abs() < 1e-2));
-    let page = crate::report::render(&[path]).unwrap();
+    let page = ommatidia_host::report::render(&[path]).unwrap();
     assert!(page.contains("only the sensor is modelled"));
     manifest.object.rows -= 1;
     let error = write(&folder.path().join("b"), &manifest).unwrap_err();
