@@ -1,4 +1,4 @@
-//! From a bead scan to PSF samples: find the chief rays, cut the windows, check what was measured.
+//! From a bead scan to PSF samples: fits the chief rays, cuts the windows round the foci, and checks the frames.
 
 mod error;
 mod extent;

@@ -1,9 +1,9 @@
-//! Windows round the chief rays: the samples that the low-rank model is made of.
+//! Cuts the windows round the chief rays: the samples that the low-rank model is fitted to.
 //!
-//! The model puts object pixel (r, c) of lens l at sensor pixel `corner_l + (r, c)`. A bead at a fractional object position u is
-//! cut out round `corner_l + round(u)` and moved by `round(u) - u` (band-limited), so that every window shows what a source in
-//! the middle of an object pixel would: the scan step is free. A bead in the middle of an object pixel is not moved at all.
-//! Distortion and the sub-pixel part of the anchors stay in the windows.
+//! The model puts object pixel (r, c) of lens l at sensor pixel `corner_l + (r, c)`. A bead at a fractional object
+//! position u is cut out round `corner_l + round(u)` and shifted by `round(u) - u` (band-limited interpolation), so
+//! that every window shows a source at the centre of an object pixel, whatever the step of the scan. A bead at the
+//! centre of an object pixel is not shifted. Distortion and the sub-pixel part of the anchors stay in the windows.
 
 use super::{BeadError, BeadScan, Warning};
 use crate::noise::Source;
@@ -12,11 +12,11 @@ use crate::psf::{BeadScale, ChiefRays, LensWindows};
 use crate::session::{Cut, Manifest};
 use ndarray::{Array1, Array2, s};
 
-/// Pixels round a window that are cut out with it where it is moved by a fraction.
+/// Margin round a window, px, for its shift by a fraction of a pixel.
 const MARGIN: usize = 6;
-/// Saturated pixels in one window that are masked; more mean an overexposed bead.
+/// Largest number of saturated pixels in one window that are masked; more are an overexposed bead.
 const SATURATED_ALLOWED: usize = 2;
-/// Fractions below this are the middle of the pixel (rounding of positions in the table).
+/// Shifts below this, px, are rounding errors of the positions in the table, and are ignored.
 const SAME_PIXEL: f64 = 1e-3;
 
 /// How bead windows are cut.
@@ -24,11 +24,13 @@ const SAME_PIXEL: f64 = 1e-3;
 pub struct BeadCut {
     /// Whether the brightness of the frames is kept.
     pub scale: BeadScale,
-    /// Side of the central part of each window, px, that must lie on the sensor; otherwise a warning counts the window as truncated.
+    /// Side of the central part of each window, px, that must lie on the sensor; otherwise a warning counts the window
+    /// as truncated.
     pub nominal_px: usize,
 }
 
-/// Cuts the windows of all lenses out of a scan, reading each frame once. The windows have the side `manifest.optics.psf_window_px`.
+/// Cuts the windows of all lenses out of a scan, reading each frame once. The windows have the side
+/// `manifest.optics.psf_window_px`.
 ///
 /// # Errors
 /// A frame cannot be read, holds no light in any window, or is overexposed.
@@ -102,8 +104,8 @@ pub(crate) fn corner(manifest: &Manifest, rays: &ChiefRays, l: usize) -> [isize;
     [0, 1].map(|a| (rays.anchors_px[l][a] - (size[a] as f64 - 1.0) / 2.0).round() as isize)
 }
 
-/// Brings the windows of frame `n` to the reference exposure, or to unit light if the scan was normalised. The
-/// light that counts, `total`, includes the margins: what distortion moves out of a window is still light of the bead.
+/// Scales the windows of frame `n` to the reference exposure, or to unit light for a normalised scan. `total` includes
+/// the light in the margins: light that distortion moves out of a window still belongs to the bead.
 fn to_scale(
     scan: &BeadScan,
     n: usize,
@@ -114,7 +116,7 @@ fn to_scale(
     let px = windows.first().map_or(0, |w| w.light_dn.ncols());
     let side = (px as f64).sqrt() + 2.0 * MARGIN as f64;
     let sigma = noise.variance_dn2(noise.black_level_dn).sqrt() * side * (windows.len() as f64).sqrt();
-    // Below three standard errors nothing of the frame can be told from darkness.
+    // Below three standard errors the frame cannot be distinguished from a dark one.
     if total <= 3.0 * sigma {
         return Err(BeadError::Dark { path: scan.path(n).into(), frame: scan.beads[n].frame, found: total, sigma });
     }
@@ -150,7 +152,7 @@ struct Window {
     known: Array2<bool>,
     saturated: usize,
     truncated: bool,
-    /// Light in the window and its margin, DN.
+    /// Light in the window and its margin, DN above black.
     total: f64,
 }
 
@@ -188,8 +190,8 @@ impl Window {
             Some(pixel) => !frame[pixel].is_finite() || !scan.useful(pixel),
             None => true,
         });
-        // A moved pixel takes from its neighbours: it is known where they are. Whoever cut a frame out of a picture left the focus in it: next to
-        // the cut there is little to take.
+        // A shifted pixel depends on its neighbours: it is known where they are. The edge of a cropped frame is left
+        // out of this: the crop holds the focus, and next to its edge there is little light.
         let blur = if back == [0.0, 0.0] { 0 } else { 2 };
         let known = Array2::from_shape_fn((side, side), |(r, c)| {
             let (r, c) = (r + margin, c + margin);

@@ -13,30 +13,30 @@ pub enum CalibrateError {
     /// The session.
     #[error(transparent)]
     Session(#[from] SessionError),
-    /// The noise.
+    /// The noise measurement.
     #[error(transparent)]
     Noise(#[from] NoiseError),
     /// The bead scan.
     #[error(transparent)]
     Bead(#[from] BeadError),
-    /// The model of the result.
+    /// The forward model of the calibrated instrument.
     #[error(transparent)]
     Forward(#[from] ForwardError),
-    /// The numbers.
+    /// A decomposition failed.
     #[error(transparent)]
     NotConverged(#[from] NotConverged),
-    /// The window.
+    /// The window has an even side.
     #[error("window: expected an odd number of pixels, found {found}")]
     Window {
-        /// What was asked for.
+        /// The requested value.
         found: usize,
     },
-    /// The rank.
-    #[error("rank: expected 1 to {most} (the bead frames at hand), found {found}")]
+    /// The rank is zero or larger than the number of beads.
+    #[error("rank: expected 1 to {most} (the number of bead frames), found {found}")]
     Rank {
-        /// Largest that the data allow.
+        /// Largest rank that the data allow.
         most: usize,
-        /// What was asked for.
+        /// The requested value.
         found: usize,
     },
 }

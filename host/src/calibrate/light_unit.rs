@@ -1,4 +1,4 @@
-//! The unit of light in objects: beads, or what the truths of the scenes count in.
+//! The unit of light in objects: the bead, or the unit of the scene truths.
 
 use super::error::CalibrateError;
 use crate::effects::FrameContext;
@@ -8,11 +8,12 @@ use crate::psf::OperatorConfig;
 use crate::session::{Role, Session};
 use std::collections::btree_map::{BTreeMap, Entry};
 
-/// Scene frames with truth that the light unit is fitted to.
+/// Largest number of scene frames with truth that the light unit is fitted to.
 const UNIT_FRAMES: usize = 16;
 
-/// How many of the bead's light one truth unit is: the slope of measured on predicted light, pooled over the scenes with
-/// truth, each with a level of its own (so that an even background does not enter). None: no such scenes, or no light in them.
+/// Fits the light of one truth unit in units of the bead: the slope of measured against predicted light, pooled over
+/// the scenes with truth. Each frame has an intercept of its own, so that a uniform background has no influence. None
+/// where there are no such scenes or no light in them.
 ///
 /// The weights come from the prediction alone, never from the noisy frame, so the slope is unbiased.
 pub(super) fn fit_light_unit(session: &Session, instrument: &Instrument) -> Result<Option<f64>, CalibrateError> {
@@ -61,7 +62,7 @@ fn moments(pairs: impl Iterator<Item = (f64, f64)>) -> (f64, f64) {
     (s[3] - s[1] * s[2] / n, s[4] - s[1] * s[1] / n)
 }
 
-/// Changes the unit of objects to truth units, of which one holds `old_per_unit` of the old ones.
+/// Changes the unit of objects to truth units; one truth unit is `old_per_unit` old units.
 pub(super) fn set_light_unit(instrument: &mut Instrument, old_per_unit: f64) {
     for psf in std::iter::once(&mut instrument.psf).chain(&mut instrument.replicates) {
         psf.coefficients.mapv_inplace(|v| (f64::from(v) * old_per_unit) as f32);

@@ -1,4 +1,4 @@
-//! The low-rank model of all lenses: its rank and smoothness by held-out error, its maps at the nodes, its errors.
+//! Fits the low-rank model of all lenses: rank and smoothness by held-out error, coefficient maps at the nodes, errors.
 
 use super::error::CalibrateError;
 use crate::instrument::{Diagnostics, Quality};
@@ -10,7 +10,7 @@ use crate::psf::{BeadScale, LensWindows, LowRankPsf};
 use crate::session::Manifest;
 use ndarray::{Array1, Array2, Array4, Array5, s};
 
-/// Most nodes a side of a coefficient map.
+/// Largest number of nodes along one side of a coefficient map.
 const MOST_NODES: usize = 65;
 
 /// The low-rank model of all lenses, with its errors.
@@ -36,7 +36,7 @@ pub(super) struct ModelConfig<'a> {
     pub exposure_ms: f64,
 }
 
-/// Where coefficient maps are stored, and what a basis PSF is.
+/// The nodes of the coefficient maps, and the size of a basis PSF.
 #[derive(Clone, Debug)]
 pub(super) struct Nodes {
     rows_px: Vec<f64>,
@@ -58,7 +58,7 @@ impl Nodes {
         }
     }
 
-    /// The model of the lenses at the nodes, `rank` terms each.
+    /// The model of all lenses at the nodes, with `rank` terms each.
     pub(super) fn psf(&self, models: &LensModels, rank: usize) -> Result<LowRankPsf, NotConverged> {
         let [rows, cols] = [self.rows_px.len(), self.cols_px.len()];
         let grid =
@@ -91,7 +91,7 @@ impl Nodes {
     }
 }
 
-/// Rank, terms and held-out error that a fit settles on.
+/// The chosen rank and terms, with their held-out error.
 struct Choice {
     rank: usize,
     terms: Terms,
@@ -103,7 +103,7 @@ impl Choice {
         Self { rank: planes.len(), terms: Terms::OnePsf, held_out }
     }
 
-    /// The order of the splines, like the rank, is what predicts best where it was not fitted.
+    /// The order of the splines and the rank with the least held-out error.
     fn best(config: FitConfig, most: usize, halves: &Halves<'_>) -> Result<Self, CalibrateError> {
         if let Some(found) = config.rank.filter(|r| *r == 0 || *r > most) {
             return Err(CalibrateError::Rank { most, found });
@@ -127,7 +127,7 @@ impl Choice {
     }
 }
 
-/// The two halves of a checkerboard, each of which tells how well the other predicts it.
+/// The two halves of a checkerboard, which predict each other.
 struct Halves<'a> {
     windows: &'a [LensWindows],
     dead: &'a [bool],
@@ -190,12 +190,12 @@ impl Model {
         self.nodes.psf(&self.models, self.rank)
     }
 
-    /// The windows with what was not measured filled in: refits then need not fill it again.
+    /// The windows with unmeasured pixels filled in, so that refits need not repeat it.
     pub(super) fn filled(&self, windows: &[LensWindows]) -> Vec<LensWindows> {
         self.models.filled(windows, self.rank)
     }
 
-    /// The same model, of the same rank and smoothness, from the beads of `planes` alone.
+    /// Refits a model of the same rank and smoothness to the beads of `planes` alone.
     pub(super) fn refit(
         &self,
         windows: &[LensWindows],
@@ -257,7 +257,8 @@ impl Model {
     }
 }
 
-/// Pearson correlation of each bead's windows, all lenses together, with those of the bead nearest to the middle of the scan.
+/// Pearson correlation of each bead's windows (all lenses) with those of the bead nearest to the middle of the scan,
+/// [bead].
 fn pearson_map(windows: &[LensWindows], beads: &[usize], positions: &[[f32; 2]]) -> Array1<f32> {
     let n = positions.len().max(1) as f32;
     let middle = [0, 1].map(|a| positions.iter().map(|p| p[a]).sum::<f32>() / n);

@@ -1,8 +1,8 @@
-//! How uncertain the PSF model is: the model fitted again and again with every J-th bead left out (delete-a-group jackknife;
-//! Shao & Tu, *The Jackknife and Bootstrap*, 1995, ch. 2).
+//! The uncertainty of the PSF model by a delete-a-group jackknife (Shao & Tu, *The Jackknife and Bootstrap*, 1995, ch.
+//! 2): J refits, each of which leaves out one group of beads.
 //!
-//! The groups are spread over the field, so that each refit leaves a thin, even set of gaps: beads are counted along a curve
-//! that fills the plane, every J-th one to the same group.
+//! The groups are spread over the field, so that each refit leaves evenly distributed gaps: beads are counted along a
+//! space-filling curve, and every J-th one belongs to the same group.
 
 use super::model::Model;
 use crate::linalg::NotConverged;
@@ -10,14 +10,14 @@ use crate::psf::fit::{Plane, select};
 use crate::psf::{LensWindows, LowRankPsf};
 use ndarray::ArrayView2;
 
-/// Replicates take no more than this, bytes.
+/// Largest memory of all replicates, bytes.
 pub const MOST_BYTES: usize = 256 << 20;
 
 /// What the refits of a model start from.
 pub(super) struct ReplicateRequest<'a> {
     /// The model from all beads; its size bounds the memory.
     pub psf: &'a LowRankPsf,
-    /// Bead windows, one set a lens.
+    /// Bead windows of each lens.
     pub windows: &'a [LensWindows],
     /// Lenses that show no focus.
     pub dead: &'a [bool],
@@ -39,7 +39,8 @@ pub(super) fn replicates(
     if bytes > MOST_BYTES {
         let (found, most) = (bytes >> 20, MOST_BYTES >> 20);
         let note = format!(
-            "no replicates of the PSF model: {asked} would take {found} MB, more than {most}; its uncertainty is not known"
+            "no replicates of the PSF model: {asked} would take {found} MB, the limit is {most} MB; the uncertainty \
+             of the model is not known"
         );
         return Ok((Vec::new(), Some(note)));
     }
@@ -47,8 +48,9 @@ pub(super) fn replicates(
     let fewest = planes.iter().map(|p| p.beads.len()).min().unwrap_or(0);
     if asked < 2 || fewest < 2 * asked {
         let note = format!(
-            "no replicates of the PSF model: {asked} groups of two beads or more at each depth expected, found {fewest} beads; \
-             its uncertainty is not known"
+            "no replicates of the PSF model: expected {asked} groups of two beads or more at each depth, found \
+             {fewest} beads; \
+             the uncertainty of the model is not known"
         );
         return Ok((Vec::new(), Some(note)));
     }
@@ -58,7 +60,7 @@ pub(super) fn replicates(
     Ok(((0..asked).map(refit).collect::<Result<_, _>>()?, None))
 }
 
-/// Group 0 .. count-1 of each bead.
+/// Group (0 to count - 1) of each bead.
 fn groups(planes: &[Plane], count: usize) -> Vec<usize> {
     let beads = planes.iter().flat_map(|p| &p.beads).max().map_or(0, |n| n + 1);
     let mut groups = vec![0; beads];
@@ -71,7 +73,7 @@ fn groups(planes: &[Plane], count: usize) -> Vec<usize> {
     groups
 }
 
-/// Place of each position on Morton's curve: the bits of row and column by turns.
+/// Index of each position on Morton's space-filling curve, which interleaves the bits of row and column.
 fn along_curve(at_px: ArrayView2<'_, f64>) -> Vec<u64> {
     let range =
         |a: usize| at_px.column(a).iter().fold([f64::INFINITY, f64::NEG_INFINITY], |r, v| [r[0].min(*v), r[1].max(*v)]);

@@ -1,4 +1,5 @@
-//! A session without a bead scan: the sensor as it was measured behind optics that copy one object pixel to one sensor pixel.
+//! A session without a bead scan: the sensor as measured, behind optics that copy each object pixel to one sensor
+//! pixel.
 
 use super::error::CalibrateError;
 use crate::bead::check_grid;
@@ -8,11 +9,12 @@ use crate::psf::{ChiefRays, LowRankPsf};
 use crate::session::{Manifest, Role, Session};
 use ndarray::{Array4, Array5};
 
-/// Said whenever the optics is not measured.
-pub(super) const NOTE: &str = "no bead scan: only the sensor is modelled; the optics copies each object pixel to its sensor pixel, and one unit of \
-     light is 1 DN on it";
+/// Note for the user where the optics were not measured.
+pub(super) const NOTE: &str = "no bead scan: only the sensor is modelled; the optics copy each object pixel to its \
+                               sensor pixel, and one unit of \
+     light is 1 DN there";
 
-/// Whether the optics may be left out: no beads, and object and sensor share one grid behind one lens.
+/// Whether only the sensor can be calibrated: there are no beads, and object and sensor share one grid behind one lens.
 pub(super) fn applies(session: &Session) -> bool {
     let m = session.manifest();
     session.stacks_of(Role::Bead).next().is_none()
@@ -20,7 +22,7 @@ pub(super) fn applies(session: &Session) -> bool {
         && [m.object.rows, m.object.cols] == [m.sensor.rows, m.sensor.cols]
 }
 
-/// The instrument of such a session.
+/// The instrument of a session without a bead scan, with the identity as its optics.
 pub(super) fn instrument(
     session: &Session,
     manifest: Manifest,

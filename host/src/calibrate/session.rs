@@ -1,4 +1,4 @@
-//! Session -> instrument: noise, chief rays, windows, low-rank model, light unit, and how good it all is.
+//! Session -> instrument: noise, chief rays, bead windows, low-rank model, light unit, errors.
 
 use super::error::CalibrateError;
 use super::light_unit::{fit_light_unit, set_light_unit};
@@ -14,23 +14,25 @@ use crate::session::{Manifest, Role, Session};
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
-/// How an instrument is calibrated.
+/// Settings of a calibration.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CalibrateConfig {
-    /// Terms a lens; None: chosen by held-out error.
+    /// Number of terms (rank) of each lens; None: chosen by held-out error.
     pub rank: Option<usize>,
-    /// Most terms that are tried where the rank is chosen.
+    /// Largest rank that is tried where the rank is chosen.
     pub max_rank: usize,
-    /// Side of the windows that hold one focus, px, odd; None: the nominal one, widened until next to no light falls outside.
+    /// Side of the window that holds one focus, px, odd; None: the nominal side, widened until almost no light falls
+    /// outside.
     pub window_px: Option<usize>,
-    /// One PSF a lens for the whole field instead of the low-rank model.
+    /// Fits one PSF for the whole field of each lens instead of the low-rank model.
     pub one_psf: bool,
-    /// Refits with a part of the beads left out, which tell how uncertain the PSF model is; 0: none.
+    /// Number of jackknife refits (each leaves out a group of beads) that estimate the uncertainty of the PSF model. 0
+    /// disables them.
     pub replicates: usize,
-    /// The bead frames were normalised by who measured them: their brightness means nothing.
+    /// The bead frames are already normalised one by one: their brightness is not physical.
     pub normalise_beads: bool,
-    /// Nominal noise where the session cannot tell it.
+    /// Nominal noise, used where the session does not determine it.
     pub noise: NoiseConfig,
 }
 
@@ -48,7 +50,7 @@ impl Default for CalibrateConfig {
     }
 }
 
-/// An instrument and what its user should know.
+/// A calibrated instrument and notes for its user.
 #[derive(Clone, Debug)]
 pub struct Calibration {
     /// The instrument.
@@ -57,9 +59,10 @@ pub struct Calibration {
     pub notes: Vec<String>,
 }
 
-/// Calibrates the instrument of a session; `step` is called about once for each frame that is read.
+/// Calibrates the instrument of a session. `step` is called about once for each frame that is read, for progress bars.
 ///
-/// A session without a bead scan gives an instrument whose optics is the identity, where object and sensor share one grid.
+/// A session without a bead scan, whose object and sensor share one grid, gives an instrument whose optics are the
+/// identity.
 ///
 /// # Errors
 /// The session holds no usable bead scan, or a frame cannot be read.
@@ -74,7 +77,7 @@ pub fn calibrate(
     if let Some(useless) = noise.useless() {
         let pixels = useless.iter().filter(|u| **u).count();
         notes.push(format!(
-            "{pixels} pixels are noisy or dead (telegraph, hot): left out of the foci, weighted down elsewhere"
+            "{pixels} pixels are noisy, hot or dead: left out of the foci, and given less weight elsewhere"
         ));
     }
     let mut instrument = if sensor_only::applies(session) {
@@ -124,9 +127,7 @@ pub fn calibrate(
     match fit_light_unit(session, &instrument)? {
         Some(unit) => set_light_unit(&mut instrument, unit),
         None if session.stacks_of(Role::Scene).any(|s| s.entry().truth.is_some()) => {
-            notes.push(
-                "the scenes show no light where their truths have some: objects stay in units of the bead".into(),
-            );
+            notes.push("the scenes show no light where their truths do: objects stay in units of the bead".into());
         }
         None => {}
     }

@@ -1,10 +1,30 @@
-//! Scene -> frame: the optics of an instrument, then what else it does, in physical order.
+//! Object -> frame: the optics of an instrument, then its effects, in physical order.
 //!
 //! ```text
 //! object -> each lens -> chief rays -> light on the sensor -> (Poisson) -> charge -> (reading) -> DN
 //! ```
-//! Without the two draws in brackets the result is the expected frame. [`Forward`] is planned once and used for many frames;
-//! [`Forward::scene`] keeps what the optics make of an object, so that one effect after another can be tried on it.
+//! Without the two random draws in brackets the result is the expected frame. [`Forward`] is planned once and used for
+//! many frames. [`Forward::scene`] keeps the image of an object through each lens, so that effects can be tried on it
+//! one after another.
+//!
+//! ```
+//! use ndarray::Array2;
+//! use ommatidia_host::forward::Forward;
+//!
+//! let instrument = ommatidia_host::testing::instrument([9, 11], [30, 33], 5, 3);
+//! let forward = Forward::new(&instrument)?;
+//! let context = forward.context();
+//!
+//! // Without light the expected frame is the black level.
+//! let dark = forward.expected_dn(Array2::zeros((9, 11)).view(), &context)?;
+//! assert!(dark.iter().all(|dn| *dn == 64.0));
+//!
+//! // Expected electrons are linear in the object.
+//! let one = forward.expected_e(Array2::ones((9, 11)).view(), &context)?;
+//! let two = forward.expected_e(Array2::from_elem((9, 11), 2.0).view(), &context)?;
+//! assert!((two.sum() / one.sum() - 2.0).abs() < 1e-5);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod sensor_maps;
 mod warp;
@@ -24,20 +44,20 @@ use thiserror::Error;
 /// Why a frame could not be computed.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum ForwardError {
-    /// The optics.
+    /// The optical operator.
     #[error(transparent)]
     Operator(#[from] OperatorError),
-    /// The effects.
+    /// An effect.
     #[error(transparent)]
     Effect(#[from] EffectError),
-    /// An object holds a value that is no number or below zero.
+    /// An object holds a non-finite or negative value.
     #[error("object pixel ({row}, {col}): expected a finite value >= 0, found {found}")]
     Object {
         /// Row.
         row: usize,
         /// Column.
         col: usize,
-        /// What was found.
+        /// The value.
         found: f32,
     },
 }
@@ -45,11 +65,11 @@ pub enum ForwardError {
 /// The forward model of one instrument at one depth.
 #[derive(Clone, Debug)]
 pub struct Forward {
-    /// One an operated depth: all of the instrument's, or only the one that is looked at.
+    /// One operator for each planned depth: all depths of the instrument, or a single one.
     planes: Vec<LowRankOperator>,
     /// Depths of the planes, um.
     depths_um: Vec<f64>,
-    /// The plane that is in focus.
+    /// Index of the plane of the object.
     plane: usize,
     geometry: ChiefRays,
     array: [usize; 2],
@@ -64,20 +84,20 @@ pub struct Forward {
     exposure_ms: f64,
 }
 
-/// What the optics make of one object: the images of the lenses, DN above black at the exposure of the calibration.
+/// The image of one object through each lens, DN above black at the exposure of the calibration.
 #[derive(Clone, Debug)]
 pub struct SceneLight {
-    /// By lens (None: dead), one image a plane.
+    /// For each lens (None: dead), one image for each plane.
     lenses: Vec<Option<Vec<LensImage>>>,
-    /// What the place of a lone source leaves to the next whole object pixel, (row, col).
+    /// Offset of a point source from the nearest object pixel, [row, col], px.
     shift_px: [f64; 2],
-    /// Depth, um; None: that of the plane that was planned.
+    /// Depth, um; None: that of the planned plane.
     z_um: Option<f64>,
 }
 
 impl SceneLight {
-    /// The same object at another depth. The model must be planned at every depth ([`Forward::with_all_depths`]); between them it is
-    /// interpolated, outside them the last one holds.
+    /// The same object at depth `z_um`. The model must be planned at every depth ([`Forward::with_all_depths`]). It is
+    /// interpolated between depths; beyond them the nearest depth holds.
     pub fn at_depth(self, z_um: f64) -> Self {
         Self { z_um: Some(z_um), ..self }
     }
@@ -93,20 +113,20 @@ impl Forward {
         Self::with_config(instrument, OperatorConfig { depth, ..OperatorConfig::default() })
     }
 
-    /// Plans the model.
+    /// Plans the model at the depth `config.depth`.
     ///
     /// # Errors
-    /// As [`Forward::new`]; also if the depth does not exist.
+    /// The tables of the instrument disagree, it names an effect that does not exist, or there is no such depth.
     pub fn with_config(instrument: &Instrument, config: OperatorConfig) -> Result<Self, ForwardError> {
         let effects = Chain::build(&instrument.effects, Layout::of(&instrument.manifest))?;
         let all = effects.acts_at(Stage::Geometry);
         Self::plan(instrument, effects, config, all)
     }
 
-    /// Plans the model at every depth, so that effects which move sources in depth can be tried on it.
+    /// Plans the model at every depth, so that effects can move sources in depth.
     ///
     /// # Errors
-    /// As [`Forward::new`].
+    /// The tables of the instrument disagree, or it names an effect that does not exist.
     pub fn with_all_depths(instrument: &Instrument, config: OperatorConfig) -> Result<Self, ForwardError> {
         let effects = Chain::build(&instrument.effects, Layout::of(&instrument.manifest))?;
         Self::plan(instrument, effects, config, true)
@@ -136,12 +156,12 @@ impl Forward {
         })
     }
 
-    /// The optics alone, without effects: light in DN above black at the exposure of the calibration.
+    /// The optical operator without effects: light in DN above black at the exposure of the calibration.
     pub fn operator(&self) -> &LowRankOperator {
         &self.planes[self.plane]
     }
 
-    /// Depth of the plane that was planned, um.
+    /// Depth of the planned plane, um.
     pub fn depth_um(&self) -> f64 {
         self.depths_um[self.plane]
     }
@@ -151,14 +171,15 @@ impl Forward {
         &self.noise
     }
 
-    /// The noise model with what effects change of it.
+    /// The noise model as changed by `effects`.
     pub fn noise_with(&self, effects: &Chain) -> NoiseModel {
         let mut noise = self.noise;
         effects.on_noise(&mut noise);
         noise
     }
 
-    /// Variance of the reading of each pixel, rounding included, DN^2; None: the noise model's holds for all of them.
+    /// Variance of the reading of each pixel, rounding included, DN^2, [sensor rows, sensor cols]; None where the noise
+    /// model holds for all pixels.
     pub fn reading_dn2(&self) -> Option<&Array2<f32>> {
         self.reading_dn2.as_ref()
     }
@@ -168,12 +189,12 @@ impl Forward {
         &self.effects
     }
 
-    /// What the parameters of effects are sized by.
+    /// The sizes on which the parameters of effects depend.
     pub fn layout(&self) -> Layout {
         self.layout
     }
 
-    /// A frame as in the calibration: its exposure, illumination 1, time 0.
+    /// The context of a frame as in the calibration: its exposure, illumination 1, time 0.
     pub fn context(&self) -> FrameContext<'_> {
         FrameContext {
             exposure_ms: self.exposure_ms,
@@ -191,16 +212,16 @@ impl Forward {
     /// [object rows, object cols] in the session's light unit.
     ///
     /// # Errors
-    /// The object has the wrong shape or a value that is no light.
+    /// The object has the wrong shape, or a non-finite or negative value.
     pub fn expected_e(&self, object: ArrayView2<'_, f32>, cx: &FrameContext<'_>) -> Result<Array2<f32>, ForwardError> {
         let scene = self.scene(object, &self.effects, cx)?;
         Ok(self.light_e(&scene, &self.effects, cx))
     }
 
-    /// What the optics make of an object, with the effects that act on its emission.
+    /// The image of an object through each lens, with the effects that act on its emission.
     ///
     /// # Errors
-    /// The object has the wrong shape or a value that is no light.
+    /// The object has the wrong shape, or a non-finite or negative value.
     pub fn scene(
         &self,
         object: ArrayView2<'_, f32>,
@@ -219,10 +240,10 @@ impl Forward {
         Ok(SceneLight { lenses, shift_px: [0.0; 2], z_um: None })
     }
 
-    /// What the optics make of a unit source at object pixel (row, col), fractional.
+    /// The image of a point source of unit light at the fractional object pixel `at_px` = [row, col].
     ///
     /// # Errors
-    /// The place lies outside the object.
+    /// The position lies outside the object.
     pub fn point(&self, at_px: [f64; 2], effects: &Chain, cx: &FrameContext<'_>) -> Result<SceneLight, ForwardError> {
         let [rows, cols] = self.operator().object_shape();
         let whole = at_px.map(|v| v.round().max(0.0) as usize);
@@ -232,7 +253,7 @@ impl Forward {
         Ok(SceneLight { shift_px: [0, 1].map(|a| at_px[a] - whole[a] as f64), ..scene })
     }
 
-    /// Expected electrons of a scene, [sensor rows, sensor cols], with the given effects from the chief rays on.
+    /// Expected electrons of a scene, [sensor rows, sensor cols], with `effects` of all stages from the chief rays on.
     pub fn light_e(&self, scene: &SceneLight, effects: &Chain, cx: &FrameContext<'_>) -> Array2<f32> {
         let mut light = Array2::zeros(self.operator().sensor_shape());
         let per_lens = effects.acts_at(Stage::Lens);
@@ -256,7 +277,8 @@ impl Forward {
         whole
     }
 
-    /// The sum of all lenses, electrons, with what acts on light on the sensor.
+    /// Applies the effects that act on the light on the sensor, and the response of its pixels, to `light_e`
+    /// (electrons, the sum of all lenses).
     pub fn on_sensor(&self, mut light_e: Array2<f32>, effects: &Chain, cx: &FrameContext<'_>) -> Array2<f32> {
         effects.on_light(&mut light_e, cx);
         if let Some(response) = &self.response {
@@ -265,7 +287,7 @@ impl Forward {
         light_e
     }
 
-    /// The image of one lens, electrons, its parts where the effects on chief rays put them.
+    /// The image of one lens, electrons, displaced by the effects that act on chief rays.
     fn moved(&self, scene: &SceneLight, lens: usize, effects: &Chain, cx: &FrameContext<'_>) -> Option<LensImage> {
         let planes = scene.lenses.get(lens)?.as_ref()?;
         let electrons = (cx.exposure_ms / self.exposure_ms * cx.illumination / self.noise.gain_dn_per_e) as f32;
@@ -281,7 +303,8 @@ impl Forward {
         shifts.mapv_inplace(|s| RayShift { px: [s.px[0] + dy, s.px[1] + dx], ..s });
         if shifts.iter().any(|s| z + s.z_um != own) {
             for (p, other) in planes.iter().enumerate() {
-                // Interpolation over depth is linear in the planes: each gets the share that belongs to the pixel's depth.
+                // Interpolation over depth is linear in the planes: each gets the share that belongs to the pixel's
+                // depth.
                 let shares = shifts.mapv(|s| {
                     let taps = Taps::at(&self.depths_um, z + s.z_um);
                     let own = p.checked_sub(taps.first).filter(|i| *i < taps.count).map_or(0.0, |i| taps.weights[i]);
@@ -330,12 +353,12 @@ impl Forward {
     /// The expected frame, DN, [sensor rows, sensor cols]: no noise, no rounding; clipped at saturation.
     ///
     /// # Errors
-    /// As [`Forward::expected_e`].
+    /// The object has the wrong shape, or a non-finite or negative value.
     pub fn expected_dn(&self, object: ArrayView2<'_, f32>, cx: &FrameContext<'_>) -> Result<Array2<f32>, ForwardError> {
         Ok(self.frame_dn(self.expected_e(object, cx)?, &self.effects, cx))
     }
 
-    /// The expected frame, DN, for expected electrons: no noise, no rounding; clipped at saturation.
+    /// The expected frame, DN, of expected electrons `light_e`: no noise, no rounding; clipped at saturation.
     pub fn frame_dn(&self, light_e: Array2<f32>, effects: &Chain, cx: &FrameContext<'_>) -> Array2<f32> {
         let mut charge = light_e;
         effects.on_charge(&mut charge, cx);
@@ -345,12 +368,13 @@ impl Forward {
         frame
     }
 
-    /// One drawn frame for expected electrons `light_e` (of [`Forward::expected_e`]): whole DN, 0 to saturation.
+    /// A noisy frame drawn for expected electrons `light_e` (from [`Forward::expected_e`]): integer DN, 0 to
+    /// saturation.
     pub fn draw_dn(&self, light_e: Array2<f32>, cx: &FrameContext<'_>, rng: &mut impl Rng) -> Array2<f32> {
         self.draw_with(light_e, &self.effects, cx, rng)
     }
 
-    /// [`Forward::draw_dn`] with the given effects.
+    /// As [`Forward::draw_dn`], with `effects` in place of those of the instrument.
     pub fn draw_with(
         &self,
         mut light_e: Array2<f32>,
@@ -391,7 +415,7 @@ impl Forward {
         frame
     }
 
-    /// Read noise, electrons rms, as `noise` has it: of each pixel where they differ.
+    /// Read noise, electrons rms, under the noise model `noise`; for each pixel where pixels differ.
     fn reading_e(&self, noise: &NoiseModel) -> Reading {
         let Some(map) = &self.reading_dn2 else { return Reading::Common(noise.read_noise_e as f32) };
         // An effect on the noise scales that of all pixels.
@@ -399,7 +423,7 @@ impl Forward {
         Reading::ByPixel(map.mapv(|v| (scale * (f64::from(v) - ROUNDING_DN2).max(0.0).sqrt()) as f32))
     }
 
-    /// Charge, electrons -> DN, before rounding and clipping.
+    /// Converts charge in electrons to DN, before rounding and clipping.
     pub fn to_dn(&self, mut charge_e: Array2<f32>, effects: &Chain, cx: &FrameContext<'_>) -> Array2<f32> {
         let (gain, black) = (self.noise.gain_dn_per_e as f32, self.noise.black_level_dn as f32);
         charge_e.mapv_inplace(|q| black + gain * q);
@@ -414,7 +438,7 @@ impl Forward {
 /// Read noise, electrons rms.
 enum Reading {
     Common(f32),
-    /// Of each pixel, [sensor rows, sensor cols].
+    /// One value for each pixel, [sensor rows, sensor cols].
     ByPixel(Array2<f32>),
 }
 

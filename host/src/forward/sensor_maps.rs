@@ -1,5 +1,5 @@
-//! What the sensor of an instrument, with all that the loop added to it, does to darkness and to even light: the tables that
-//! networks, devices and the classical methods correct raw frames with.
+//! What the sensor of an instrument, with all that the loop added to it, does to darkness and to even light: the tables
+//! that networks, devices and the classical methods correct raw frames with.
 
 use super::{Forward, ForwardError};
 use crate::effects::{Chain, Layout, Stage};
@@ -19,7 +19,8 @@ pub struct SensorTables {
 }
 
 impl Instrument {
-    /// The tables: as calibrated, or, where effects act on the sensor, as darkness and even light come out of the model.
+    /// The tables: as calibrated, or, where effects act on the sensor, as darkness and even light come out of the
+    /// model.
     ///
     /// # Errors
     /// The parts of the instrument disagree.

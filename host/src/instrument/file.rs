@@ -13,7 +13,7 @@ use thiserror::Error;
 
 /// Kind of the artifact.
 pub const INSTRUMENT_KIND: &str = "instrument";
-/// Version of its layout.
+/// Version of the file layout.
 pub const INSTRUMENT_VERSION: u32 = 1;
 
 /// Why an instrument could not be read or written.
@@ -22,7 +22,7 @@ pub enum InstrumentError {
     /// The file.
     #[error(transparent)]
     Artifact(#[from] ArtifactError),
-    /// A field of the header makes no sense.
+    /// A field of the header has an impossible value.
     #[error("{path}: field `{field}`: expected {expected}, found {found}; calibrate again")]
     Field {
         /// The file.
@@ -36,7 +36,7 @@ pub enum InstrumentError {
     },
 }
 
-/// The small numbers of an instrument.
+/// The JSON header of an instrument's file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Body {
@@ -53,7 +53,7 @@ struct Body {
 }
 
 impl Instrument {
-    /// Writes the instrument: whole, or not at all.
+    /// Writes the instrument. The file appears whole or not at all.
     ///
     /// # Errors
     /// The folder is missing or not writable.
@@ -178,12 +178,12 @@ impl Instrument {
     }
 }
 
-/// Tensor that holds the table of the i-th effect.
+/// Name of the tensor that holds the table of effect `i`.
 fn table_name(i: usize) -> String {
     format!("effects.{i}.table")
 }
 
-/// Tensors of the j-th replicate: basis, coefficients.
+/// Names of the tensors of replicate `j`: basis, coefficients.
 fn replicate_names(j: usize) -> [String; 2] {
     ["basis", "coefficients"].map(|part| format!("replicates.{j}.{part}"))
 }

@@ -65,8 +65,8 @@ fn bilinear(image: &Array2<f32>, row: f64, col: f64) -> f32 {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use crate::testing::square_array as instrument;
     use super::*;
+    use crate::testing::square_array as instrument;
 
     #[test]
     fn it_shows_what_lies_at_the_chief_ray() {

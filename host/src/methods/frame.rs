@@ -53,8 +53,8 @@ impl FrameCorrection {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use crate::testing::square_array as instrument;
     use super::*;
+    use crate::testing::square_array as instrument;
 
     #[test]
     fn black_level_and_fixed_pattern_go() {

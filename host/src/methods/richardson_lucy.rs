@@ -95,9 +95,9 @@ impl Reconstruct for RichardsonLucy {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use crate::testing::square_array as instrument;
     use super::*;
     use crate::evaluate::compare;
+    use crate::testing::square_array as instrument;
 
     fn object() -> Array2<f32> {
         Array2::from_shape_fn((20, 20), |(r, c)| if (r * 7 + c * 3) % 11 == 0 { 100.0 } else { 2.0 })

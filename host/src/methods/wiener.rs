@@ -226,8 +226,8 @@ fn golden_section(f: impl Fn(f64) -> anyhow::Result<f64>, mut low: f64, mut high
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use crate::testing::square_array as instrument;
     use super::*;
+    use crate::testing::square_array as instrument;
     use rand::RngExt;
     use rand_distr::{Distribution, Normal};
 

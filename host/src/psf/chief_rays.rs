@@ -7,10 +7,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ChiefRays {
-    /// Focus of the on-axis source (x = y = 0) through each lens, [row, col], sensor pixels (0 = centre of first pixel).
+    /// Focus of the on-axis source (x = y = 0) through each lens, [row, col], sensor pixels (0: centre of the first
+    /// pixel).
     pub anchors_px: Vec<[f64; 2]>,
     /// Magnification, image per object; positive, since image coordinates are already un-inverted.
     pub magnification: f64,
-    /// Lenses that show no focus at all (dead or blocked): they add nothing.
+    /// True for each lens that shows no focus (dead or blocked); it contributes no light.
     pub dead: Vec<bool>,
 }

@@ -2,13 +2,14 @@
 
 use ndarray::{Array1, Array2};
 
-/// Whether the brightness of the bead frames means anything.
+/// Whether the brightness of the bead frames is physical.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum BeadScale {
-    /// One bead, one exposure: what varies is vignetting, and belongs to the model.
+    /// All frames show the same bead at the same exposure: brightness that varies over the field is vignetting, part of
+    /// the model.
     #[default]
     Physical,
-    /// Each frame was normalised by who measured it: bring all frames to the same total light.
+    /// The frames are already normalised one by one: all are brought to the same total light.
     PerFrame,
 }
 
@@ -17,16 +18,16 @@ pub enum BeadScale {
 pub struct LensWindows {
     /// Light at the reference exposure, DN, [bead, window * window].
     pub light_dn: Array2<f32>,
-    /// Which pixels were measured, [bead, window * window]; None: all.
+    /// Measured pixels, [bead, window * window]; None: all were measured.
     pub known: Option<Array2<bool>>,
-    /// Variance of each pixel by the noise model, mean over the beads, DN^2 at the reference exposure, [window * window];
-    /// even where the gain is nominal, since weights by a guess are worse than none.
+    /// Variance of each pixel by the noise model, averaged over the beads, DN^2 at the reference exposure, [window *
+    /// window]. Uniform where the gain is nominal: weights from a guessed gain are worse than none.
     pub variance_dn2: Array1<f64>,
 }
 
 impl LensWindows {
-    /// Beads that say something through this lens: of which a pixel in the middle half of the window was measured. The others fell off
-    /// the sensor.
+    /// For each bead, whether its focus lies on the sensor: at least one pixel in the middle half of the window was
+    /// measured.
     pub fn seen(&self) -> Vec<bool> {
         let Some(known) = &self.known else { return vec![true; self.light_dn.nrows()] };
         let side = (known.ncols() as f64).sqrt().round() as usize;

@@ -1,4 +1,4 @@
-//! A small made-up instrument for tests: 1 x 2 lenses, smooth coefficient maps, random basis.
+//! A small synthetic instrument: 1 x 2 lenses, smooth coefficient maps, pseudo-random basis PSFs.
 
 use crate::instrument::{Diagnostics, Instrument, LightUnit, Quality};
 use crate::noise::{NoiseModel, Sources};
@@ -7,7 +7,8 @@ use crate::psf::{ChiefRays, LowRankPsf};
 use crate::session::{ArrayGeometry, Manifest, ObjectGrid, Optics, SensorSpec};
 use ndarray::{Array4, Array5};
 
-/// An instrument of the given object, sensor, window and rank; its lenses' images overlap and hang over the edges.
+/// An instrument with the given rows and columns of object and sensor, side of the window (px) and rank. The images of
+/// its two lenses overlap and extend beyond the sensor.
 pub fn instrument(object: [usize; 2], sensor: [usize; 2], window: usize, rank: usize) -> Instrument {
     let value = |i: usize| ((i * 7919 + 31) % 997) as f32 / 997.0;
     let nodes = [even_nodes(object[0], 5), even_nodes(object[1], 6)];

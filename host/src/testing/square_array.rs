@@ -1,10 +1,11 @@
-//! A small instrument for the tests of this module.
+//! A small synthetic instrument with a square array of lenses whose PSFs are single pixels.
 
 use crate::instrument::Instrument;
 use crate::session::ArrayGeometry;
 use ndarray::{Array4, Array5};
 
-/// `side` x `side` lenses, 20 px apart about the centre of the sensor; each PSF is one pixel, the same all over the field.
+/// An instrument of `side` x `side` lenses, 20 px apart about the centre of the sensor. Each PSF is one pixel, constant
+/// over the field. `sensor` and `object` are [rows, cols].
 pub fn square_array(side: usize, sensor: [usize; 2], object: [usize; 2]) -> Instrument {
     let lenses = side * side;
     let middle = |n: usize| (n as f64 - 1.0) / 2.0;

@@ -1,5 +1,5 @@
-//! A made-up bench for tests: analytic foci whose width, stretch and brightness change over the field, drawn noise, a session
-//! on disk. It shares nothing with the low-rank model: each focus is a formula.
+//! A synthetic bench for tests: analytic foci whose width, elongation and brightness vary over the field, drawn noise,
+//! and a session on disk. It shares nothing with the low-rank model: each focus is a formula.
 
 use crate::rng;
 use crate::session::{
@@ -10,38 +10,47 @@ use ndarray::Array2;
 use rand_distr::{Distribution, Normal, Poisson, StandardNormal};
 use std::path::Path;
 
-/// What the bench measures, and how it is built.
+/// The bench: its optics, its sensor, and the frames that it measures.
 #[derive(Clone)]
 pub struct Testbed {
+    /// Sizes of sensor, array, optics and object.
     pub manifest: Manifest,
+    /// Focus of the on-axis source through each lens, [row, col], px.
     pub anchors_px: Vec<[f64; 2]>,
-    /// Light that each lens passes, relative.
+    /// Relative transmission of each lens.
     pub lens_gain: Vec<f64>,
+    /// Gain, DN per electron.
     pub gain_dn_per_e: f64,
+    /// Read noise, electrons rms.
     pub read_noise_e: f64,
+    /// Black level, DN.
     pub black_level_dn: f64,
     /// Electrons of a bead through a lens of gain 1.
     pub bead_e: f64,
-    /// Makes the noise.
+    /// Seed of the noise.
     pub seed: u64,
-    /// Depths of the bead scan, um; foci widen by 1 % of their width a um.
+    /// Depths of the bead scan, um; foci widen by 1 % per um.
     pub depths_um: Vec<f64>,
-    /// Bead positions a side.
+    /// Bead positions along one side of the scan.
     pub scan: usize,
+    /// Number of dark frames.
     pub dark_frames: usize,
     /// Flat levels, electrons.
     pub flat_levels_e: Vec<f64>,
+    /// Number of flat frames at each level.
     pub flat_frames: usize,
-    /// Spread of the pixels' responses, rms.
+    /// Pixel response non-uniformity, rms, relative.
     pub prnu: f64,
-    /// Lamp flicker of flats, rms.
+    /// Lamp flicker of the flats, rms, relative.
     pub flicker: f64,
+    /// Number of scene frames with truth.
     pub scenes: usize,
-    /// Changes bead frame n, DN, before it is written.
+    /// Changes bead frame n (DN) before it is written.
     pub spoil: fn(usize, &mut Array2<f32>),
 }
 
 impl Testbed {
+    /// A bench of 2 x 2 lenses with a bead scan of 9 x 9 positions.
     pub fn new() -> Self {
         Self {
             manifest: Manifest {
@@ -102,7 +111,7 @@ impl Testbed {
         Array2::zeros((self.manifest.sensor.rows, self.manifest.sensor.cols))
     }
 
-    /// A known object: sparse points in units of half a bead.
+    /// The object of scene `i`, [object rows, object cols]: sparse points, in units of half a bead.
     pub fn object(&self, i: usize) -> Array2<f32> {
         Array2::from_shape_fn((self.manifest.object.rows, self.manifest.object.cols), |(r, c)| {
             let hash = (r * 7919 + c * 104_729 + i * 31) % 97;
@@ -110,12 +119,12 @@ impl Testbed {
         })
     }
 
-    /// Electrons that scene `i` is expected to give in focus.
+    /// Expected electrons of scene `i` in focus, [sensor rows, sensor cols].
     pub fn expected_e(&self, i: usize) -> Array2<f64> {
         self.expected_at(i, 0.0)
     }
 
-    /// Electrons that scene `i` is expected to give at a depth.
+    /// Expected electrons of scene `i` at depth `z_um`, [sensor rows, sensor cols].
     pub fn expected_at(&self, i: usize, z_um: f64) -> Array2<f64> {
         let mut frame = self.dark();
         for ((r, c), o) in self.object(i).indexed_iter().filter(|(_, o)| **o > 0.0) {
@@ -124,7 +133,7 @@ impl Testbed {
         frame
     }
 
-    /// Response of each pixel.
+    /// Response of each pixel, [sensor rows, sensor cols].
     pub fn response(&self) -> Array2<f64> {
         let mut rng = rng::stream(77, "response", 0);
         self.dark().mapv(|_| 1.0 + self.prnu * Distribution::<f64>::sample(&StandardNormal, &mut rng))
@@ -156,7 +165,10 @@ impl Testbed {
         [place(n / self.scan, self.manifest.object.rows), place(n % self.scan, self.manifest.object.cols)]
     }
 
-    /// Writes the session.
+    /// Writes the session into folder `dir`.
+    ///
+    /// # Panics
+    /// A file cannot be written.
     pub fn write(&self, dir: &Path) {
         let mut writer = SessionWriter::create(dir, &self.manifest, Existing::Keep).unwrap();
         let dark = self.dark();

@@ -6,7 +6,7 @@ use crate::psf::decompose::{Decomposition, decompose, fill};
 use crate::psf::windows::LensWindows;
 use ndarray::{Array1, Array2, Axis, s};
 
-/// Terms that what was not measured is filled in with, before windows are averaged.
+/// Rank of the model that fills in unmeasured pixels before windows are averaged.
 const FILL_TERMS: usize = 16;
 
 /// The fitted model of one lens.
@@ -14,14 +14,14 @@ const FILL_TERMS: usize = 16;
 pub struct LensFit {
     /// Basis and coefficients at the beads.
     pub decomposition: Decomposition,
-    /// The beads that it was made of, in the order of the coefficients.
+    /// Indices of the fitted beads, in the order of the coefficients.
     pub beads: Vec<usize>,
 }
 
-/// Decomposes the windows of one lens.
+/// Decomposes the windows of one lens at `beads` (indices) into at most `max_rank` terms.
 ///
 /// # Errors
-/// The windows hold values that are no numbers.
+/// The windows hold non-finite values.
 pub fn fit_lens(windows: &LensWindows, beads: &[usize], max_rank: usize) -> Result<LensFit, NotConverged> {
     let light = windows.light_dn.select(Axis(0), beads);
     let known = windows.known.as_ref().map(|k| k.select(Axis(0), beads));
@@ -30,13 +30,13 @@ pub fn fit_lens(windows: &LensWindows, beads: &[usize], max_rank: usize) -> Resu
     Ok(LensFit { decomposition, beads: beads.to_vec() })
 }
 
-/// Noise of each pixel; where the model says none, even.
+/// Standard deviation of the noise of each pixel [px]; 1 where the noise model gives none.
 pub(super) fn sigma(windows: &LensWindows) -> Array1<f32> {
     let floor = 1e-6 * windows.variance_dn2.iter().fold(0.0f64, |m, v| m.max(*v));
     windows.variance_dn2.mapv(|v| if floor > 0.0 { v.max(floor).sqrt() as f32 } else { 1.0 })
 }
 
-/// The windows of a lens with what was not measured filled in by the first `rank` terms.
+/// The windows of a lens, their unmeasured pixels filled in by the first `rank` terms.
 pub(super) fn filled(w: &LensWindows, fit: Option<&LensFit>, rank: usize) -> LensWindows {
     let (Some(known), Some(fit)) = (&w.known, fit) else { return w.clone() };
     let model = fit.decomposition.windows(rank);
@@ -50,7 +50,8 @@ pub(super) fn filled(w: &LensWindows, fit: Option<&LensFit>, rank: usize) -> Len
 
 /// The mean PSF of each plane, with constant coefficients: the shift-invariant model.
 ///
-/// What was not measured is filled in first, as for the low-rank model: a pixel that only some beads show is no mean over all of them.
+/// Unmeasured pixels are filled in first, as for the low-rank model; otherwise the mean of a pixel would cover some
+/// beads only.
 pub(super) fn mean_psf(windows: &LensWindows, planes: &[Plane]) -> Result<LensFit, NotConverged> {
     let (count, px) = (planes.iter().map(|p| p.beads.len()).sum(), windows.light_dn.ncols());
     let mut basis = Array2::<f32>::zeros((planes.len(), px));

@@ -11,16 +11,16 @@ use ndarray::{Array2, Axis};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// How the model is fitted.
+/// Settings of the fit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FitConfig {
-    /// Terms a lens; None: chosen by held-out error.
+    /// Number of terms (rank) of each lens; None: chosen by held-out error.
     pub rank: Option<usize>,
-    /// Most terms that are tried.
+    /// Largest rank that is tried.
     pub max_rank: usize,
-    /// One PSF a lens instead.
+    /// Fits one PSF for the whole field of each lens instead.
     pub one_psf: bool,
-    /// Whether the errors leave one scale a bead free.
+    /// Whether errors are counted with one free scale for each bead.
     pub scale: BeadScale,
 }
 
@@ -30,14 +30,14 @@ impl Default for FitConfig {
     }
 }
 
-/// What the model of a lens is made of.
+/// The kind of model that is fitted to each lens.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Terms {
-    /// The leading terms of the decomposition, their coefficients smooth over the field.
+    /// The leading terms of the decomposition, with coefficients that are smooth over the field.
     Truncated {
-        /// Most terms.
+        /// Number of terms at most.
         most: usize,
-        /// Order of the splines.
+        /// Order m of the smoothing splines.
         spline_order: usize,
     },
     /// One PSF for the whole field: the mean of the beads at each depth.
@@ -45,7 +45,7 @@ pub enum Terms {
 }
 
 impl Terms {
-    /// Orders that splines are planned for; none: constants.
+    /// Orders of the splines; empty: constant coefficients.
     fn spline_orders(self) -> Vec<usize> {
         match self {
             Self::Truncated { spline_order, .. } => vec![spline_order],
@@ -54,25 +54,26 @@ impl Terms {
     }
 }
 
-/// Models of all lenses.
+/// The fitted models of all lenses.
 #[derive(Clone, Debug)]
 pub struct LensModels {
-    /// One a lens; None: dead.
+    /// One entry for each lens; None for a dead lens.
     pub fits: Vec<Option<LensFit>>,
     fields: Vec<Option<Arc<LensFields>>>,
 }
 
-/// How the coefficients of lenses that see the same beads become functions over the field.
+/// Smoothing splines shared by the lenses that see the same beads.
 #[derive(Debug)]
 struct LensFields {
     planes: Vec<Plane>,
     smoothers: Vec<FieldSmoother>,
-    /// Where the lens was seen in each plane: rows and columns, from and to, object pixels.
+    /// Range of rows and of columns in which each plane was seen, object pixels.
     limits: Vec<[[f64; 2]; 2]>,
 }
 
-/// Rows and columns, from and to, that the beads `seen` of a plane reach. Infinite where they reach as far as those of the whole plane: a
-/// function may be followed beyond the scan, but not to where the foci fall far off the sensor and nothing holds it.
+/// Range of rows and of columns that the beads `seen` of a plane cover. A side is infinite where they reach as far as
+/// all beads of the plane: a function may be extrapolated beyond the scan, but not to where the foci fall off the
+/// sensor and no data constrain it.
 pub(super) fn limits_of(seen: &Plane, all: &Plane) -> [[f64; 2]; 2] {
     let range = |plane: &Plane, a: usize| {
         plane.at_px.column(a).iter().fold([f64::INFINITY, f64::NEG_INFINITY], |r, v| [r[0].min(*v), r[1].max(*v)])
@@ -84,10 +85,10 @@ pub(super) fn limits_of(seen: &Plane, all: &Plane) -> [[f64; 2]; 2] {
 }
 
 impl LensModels {
-    /// Fits every living lens to those beads of `planes` that it sees.
+    /// Fits every living lens to those beads of `planes` whose foci lie on the sensor.
     ///
     /// # Errors
-    /// The windows hold values that are no numbers.
+    /// The windows hold non-finite values.
     pub fn fit(windows: &[LensWindows], dead: &[bool], planes: &[Plane], terms: Terms) -> Result<Self, NotConverged> {
         let lens = |l: usize| {
             let seen = windows[l].seen();
@@ -103,10 +104,10 @@ impl LensModels {
         Self { fits, fields: Vec::new() }.smoothed(planes, terms)
     }
 
-    /// The same decompositions with coefficients that are smooth by other splines.
+    /// Keeps the decompositions and smooths their coefficients by other splines.
     ///
     /// # Errors
-    /// A position is no number.
+    /// A position is not finite.
     pub fn smoothed(self, planes: &[Plane], terms: Terms) -> Result<Self, NotConverged> {
         let orders = terms.spline_orders();
         let mut planned: Vec<(&[usize], Arc<LensFields>)> = Vec::new();
@@ -137,17 +138,17 @@ impl LensModels {
         Ok(Self { fields, ..self })
     }
 
-    /// The windows with what was not measured filled in by the first `rank` terms.
+    /// The windows of all lenses, their unmeasured pixels filled in by the first `rank` terms.
     pub fn filled(&self, windows: &[LensWindows], rank: usize) -> Vec<LensWindows> {
         windows.iter().zip(&self.fits).map(|(w, fit)| filled(w, fit.as_ref(), rank)).collect()
     }
 
-    /// NRMSE of one decomposition of the windows of all lenses together, by its rank from 1 to `most`: what the whole array costs
-    /// where lenses of different aberrations share their coefficients (Xue et al., Optica 9, 1009, 2022). Beads as in `order`; what was not
-    /// measured is filled in. Empty where the lenses have no decomposition.
+    /// NRMSE of one joint decomposition of the windows of all lenses, for rank 1 to `most`: the error of a model in
+    /// which lenses of different aberrations share their coefficients (Xue et al., Optica 9, 1009, 2022). Beads are in
+    /// the order of `order`; unmeasured pixels are filled in. Empty where the lenses have no decomposition.
     ///
     /// # Errors
-    /// The windows hold values that are no numbers.
+    /// The windows hold non-finite values.
     pub fn whole_array(&self, windows: &[LensWindows], order: &[usize], most: usize) -> Result<Vec<f64>, NotConverged> {
         let mut gram = Array2::<f64>::zeros((order.len(), order.len()));
         for fit in self.fits.iter().flatten() {
@@ -186,11 +187,12 @@ impl LensModels {
         Ok(left_over.iter().map(|v| (v / all).sqrt()).collect())
     }
 
-    /// Coefficients of all lenses at `targets` (depth, um, and positions), [position, k], from smooth fields through those at the
-    /// beads, interpolated between depths; None: a dead lens.
+    /// Coefficients of all lenses at `targets` (depth in um, positions [n, (row, col)] in object pixels): one array
+    /// [position, k] for each target, None for a dead lens. Values come from the smooth fields and are interpolated
+    /// between depths.
     ///
     /// # Errors
-    /// A coefficient is no number.
+    /// A coefficient is not finite.
     pub fn at(&self, targets: &[(f64, Array2<f64>)]) -> Result<Vec<Option<Vec<Array2<f64>>>>, NotConverged> {
         let lens = |(fit, fields): (&Option<LensFit>, &Option<Arc<LensFields>>)| {
             let (Some(fit), Some(fields)) = (fit, fields.as_deref()) else { return Ok(None) };
@@ -219,10 +221,10 @@ impl LensModels {
         self.fits.par_iter().zip(&self.fields).map(lens).collect()
     }
 
-    /// Misfit at the beads of `planes`, which need not be those that were fitted, over all living lenses.
+    /// Misfit at the beads of `planes`, summed over all living lenses. The beads may be others than the fitted ones.
     ///
     /// # Errors
-    /// A coefficient is no number.
+    /// A coefficient is not finite.
     pub fn misfit(&self, windows: &[LensWindows], planes: &[Plane]) -> Result<Misfit, NotConverged> {
         let targets: Vec<(f64, Array2<f64>)> = planes.iter().map(|p| (p.z_um, p.at_px.clone())).collect();
         let fields = self.at(&targets)?;

@@ -1,14 +1,15 @@
-//! Errors of a model on bead windows, for all ranks at once.
+//! Errors of a model on bead windows, for all ranks at once: sums of squares from which NRMSE follows with and without
+//! a free scale for each bead.
 
 use super::lens_fit::LensFit;
 use super::planes::Plane;
 use crate::psf::windows::{BeadScale, LensWindows};
 use ndarray::{Array1, Array2, ArrayView2, Axis, CowArray, Zip, s};
 
-/// Pixels that are summed at a time.
+/// Pixels per chunk of a sum.
 const CHUNK_PX: usize = 4096;
 
-/// Sums of squares over beads, by rank 1, 2, ..: what NRMSE with and without a free scale a bead is made of.
+/// Sums of products over the pixels of each bead, for rank 1, 2, ...
 #[derive(Clone, Debug)]
 pub struct Misfit {
     /// `<prediction, measured>`, [bead, rank].
@@ -17,7 +18,7 @@ pub struct Misfit {
     pp: Array2<f64>,
     /// `<measured, measured>`, [bead].
     tt: Array1<f64>,
-    /// Expected noise, [bead].
+    /// Expected sum of squares of the noise, [bead].
     noise: Array1<f64>,
 }
 
@@ -39,7 +40,7 @@ impl Misfit {
         self
     }
 
-    /// Both halves of a hold-out, bead after bead.
+    /// The beads of both halves of a hold-out, one half after the other.
     pub fn join(&self, other: &Self) -> Self {
         let two = |a: &Array2<f64>, b: &Array2<f64>| {
             let ranks = a.ncols().min(b.ncols());
@@ -53,12 +54,12 @@ impl Misfit {
         }
     }
 
-    /// Number of ranks, from 1.
+    /// Number of ranks; the first is rank 1.
     pub fn ranks(&self) -> usize {
         self.pt.ncols()
     }
 
-    /// Squared misfit of bead `n` at `rank`.
+    /// Squared misfit of bead `n` at `rank` (1 or more), DN^2.
     fn squared(&self, n: usize, rank: usize, scale: BeadScale) -> f64 {
         let (pt, pp, tt) = (self.pt[[n, rank - 1]], self.pp[[n, rank - 1]], self.tt[n]);
         match scale {
@@ -81,12 +82,12 @@ impl Misfit {
         })
     }
 
-    /// The part of [`Self::nrmse`] that the noise of the measured windows alone makes.
+    /// NRMSE that the noise of the measured windows alone causes: a lower limit of [`Self::nrmse`].
     pub fn noise_floor(&self) -> f64 {
         (self.noise.sum() / self.tt.sum()).sqrt()
     }
 
-    /// The smallest rank whose squared misfit is within a thousandth of the least.
+    /// The smallest rank whose squared misfit exceeds the least one by at most a thousandth.
     pub fn best_rank(&self, scale: BeadScale) -> usize {
         let squares: Vec<f64> = (1..=self.ranks()).map(|k| self.nrmse(k, scale).powi(2)).collect();
         let least = squares.iter().fold(f64::INFINITY, |m, v| m.min(*v));
@@ -94,7 +95,8 @@ impl Misfit {
     }
 }
 
-/// Misfit of a TSVD at those of `beads` that it was made of (coefficients as decomposed: the approximation error of Eq. 2).
+/// Misfit of a TSVD at those of `beads` that were fitted, with the coefficients of the decomposition: the approximation
+/// error of Eq. 2.
 pub fn approximation(windows: &LensWindows, fit: &LensFit, beads: &[usize]) -> Misfit {
     let found = misfit(windows, &fit.beads, &fit.decomposition.basis, fit.decomposition.coefficients.view());
     let mut all = Misfit::new(beads.len(), found.ranks());
@@ -107,14 +109,14 @@ pub fn approximation(windows: &LensWindows, fit: &LensFit, beads: &[usize]) -> M
     all
 }
 
-/// Misfit at beads whose coefficients come from the smooth fields, [bead of the plane, k] a plane.
+/// Misfit at beads whose coefficients come from the smooth fields: `fields` holds [bead, k] for each plane.
 pub fn predicted(windows: &LensWindows, fit: &LensFit, fields: &[Array2<f64>], planes: &[Plane]) -> Misfit {
     let basis = &fit.decomposition.basis;
     let parts = fields.iter().zip(planes).map(|(c, plane)| misfit(windows, &plane.beads, basis, c.view()));
     parts.fold(Misfit::new(0, basis.nrows()), |all, part| all.join(&part))
 }
 
-/// Adds up the misfits of lenses, up to the rank that all of them have.
+/// Adds up the misfits of lenses, up to the largest rank that all of them have.
 pub fn sum_over_lenses(parts: &[Misfit]) -> Misfit {
     let ranks = parts.iter().map(Misfit::ranks).min().unwrap_or(0);
     let beads = parts.first().map_or(0, |p| p.tt.len());
@@ -126,9 +128,9 @@ pub fn sum_over_lenses(parts: &[Misfit]) -> Misfit {
     parts.iter().fold(Misfit::new(beads, ranks), |sum, m| sum.add(&cut(m)))
 }
 
-/// Misfit of `coefficients` [bead, k] times `basis` [k, px] at `beads`, for each rank; unknown pixels do not count.
+/// Misfit of `coefficients` [bead, k] times `basis` [k, px] at `beads`, for each rank; unmeasured pixels do not count.
 ///
-/// All from `<basis, measured>` and `<basis, basis>`, summed in f64: predictions are never formed.
+/// All sums follow from `<basis, measured>` and `<basis, basis>` in f64; predictions are never formed.
 pub(super) fn misfit(
     windows: &LensWindows,
     beads: &[usize],

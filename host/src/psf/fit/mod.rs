@@ -1,7 +1,7 @@
 //! Windows at scattered positions -> the low-rank model, with its error on positions that were left out.
 //!
-//! [`super::decompose`] knows no positions and [`super::field`] knows no PSFs; here they meet: the coefficients of each lens's
-//! decomposition become smooth functions over the field.
+//! [`super::decompose`] knows no positions and [`super::field`] knows no PSFs; here they meet: the coefficients of each
+//! lens's decomposition become smooth functions over the field.
 
 mod lens_fit;
 mod lenses;

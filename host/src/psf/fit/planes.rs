@@ -1,8 +1,8 @@
-//! Beads by depth, and their division into two halves of which each predicts the other.
+//! Beads grouped by depth, and their division into two halves that predict each other.
 
 use ndarray::{Array2, Axis};
 
-/// Fewer beads at a depth say nothing of the field between them.
+/// Fewest beads at a depth from which the field between them can be interpolated.
 const FEW: usize = 4;
 
 /// Beads at one depth: their indices and positions.
@@ -10,13 +10,13 @@ const FEW: usize = 4;
 pub struct Plane {
     /// Depth, um.
     pub z_um: f64,
-    /// Indices of its beads.
+    /// Indices of the beads at this depth.
     pub beads: Vec<usize>,
     /// Their positions, object pixels, [bead, (row, col)].
     pub at_px: Array2<f64>,
 }
 
-/// The beads of each plane that `keep` names.
+/// The beads of each plane for whose index `keep` is true.
 pub fn select(planes: &[Plane], keep: impl Fn(usize) -> bool) -> Vec<Plane> {
     let part = |p: &Plane| {
         let rows: Vec<usize> = (0..p.beads.len()).filter(|i| keep(p.beads[*i])).collect();
@@ -26,9 +26,11 @@ pub fn select(planes: &[Plane], keep: impl Fn(usize) -> bool) -> Vec<Plane> {
     planes.iter().map(part).collect()
 }
 
-/// Splits beads in two halves so that each bead's neighbours are in the other one: a checkerboard on a regular scan, every second row of a scan that
-/// is itself the one colour of a checkerboard, every second bead in order of position otherwise; of a scan of depth at a few positions,
-/// every second depth.
+/// Splits beads into two halves (true: fit, false: hold out) such that each bead's neighbours lie in the other half.
+///
+/// A regular scan is split as a checkerboard. A scan that is itself one colour of a checkerboard is split by every
+/// second row, an irregular scan by every second bead in order of position, and a depth scan at few positions by every
+/// second depth.
 pub fn checkerboard(planes: &[Plane], beads: usize) -> Vec<bool> {
     let mut train = vec![true; beads];
     if planes.iter().all(|p| p.beads.len() < FEW) {
@@ -54,7 +56,7 @@ pub fn checkerboard(planes: &[Plane], beads: usize) -> Vec<bool> {
     train
 }
 
-/// Rank of each value among the distinct ones (a hundredth of a pixel is the same).
+/// Index of each value among the distinct ones; values within a hundredth of a pixel count as equal.
 fn levels(values: ndarray::ArrayView1<'_, f64>) -> Vec<usize> {
     let mut distinct: Vec<i64> = values.iter().map(|v| (v * 100.0).round() as i64).collect();
     distinct.sort_unstable();

@@ -3,11 +3,12 @@
 //! ```text
 //! g = sum_l place_l( sum_k (M_lk . O) * B_lk )
 //! ```
-//! `place_l` puts object pixel (r, c) at sensor pixel `corner_l + (r, c)`, `corner_l = round(anchor_l - centre)`: one object
-//! pixel is one sensor pixel, and what that leaves (sub-pixel remainder, distortion) lies in the basis PSFs. Light that falls
-//! off the sensor is cut. The convolutions run block by block over the object (overlap-add); the memory is bounded by the block, not
-//! by the object. The spectra of the basis are kept where they take little memory, and made anew for one lens at a time where they
-//! would take much. All in f32; the result does not depend on the number of threads.
+//! `place_l` puts object pixel (r, c) at sensor pixel `corner_l + (r, c)`, with `corner_l = round(anchor_l - centre)`.
+//! One object pixel is one sensor pixel; the sub-pixel remainder and distortion are part of the basis PSFs. Light that
+//! falls off the sensor is cut. The convolutions run block by block over the object (overlap-add), so that the memory
+//! is bounded by the block and not by the object. The spectra of the basis PSFs are kept where they take little memory,
+//! and otherwise recomputed for one lens at a time. All arithmetic is f32; the result does not depend on the number of
+//! threads.
 
 use super::nodes::{TapRow, Taps};
 use super::shift::shifted_windows;
@@ -33,10 +34,10 @@ pub enum OperatorError {
         /// Rows and columns that were found.
         found: [usize; 2],
     },
-    /// The depth does not exist.
+    /// There is no such depth.
     #[error("depth index {found}: the instrument was calibrated at {depths} depths")]
     Depth {
-        /// Index that was asked for.
+        /// The requested index.
         found: usize,
         /// Number of depths.
         depths: usize,
@@ -48,10 +49,10 @@ pub enum OperatorError {
     Magnification {
         /// Magnification of the calibration.
         expected: f64,
-        /// Magnification that was asked for.
+        /// The requested magnification.
         found: f64,
     },
-    /// The instrument's tables disagree with one another.
+    /// Two tables of the instrument have different lengths.
     #[error("instrument field `{field}`: expected {expected} entries, found {found}; calibrate again")]
     Field {
         /// Which field.
@@ -76,14 +77,15 @@ pub struct CalibratedOptics<'a> {
     pub sensor: [usize; 2],
 }
 
-/// How the operator is planned.
+/// Settings of a planned operator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OperatorConfig {
-    /// Index into the depths of the model.
+    /// Index of the depth, in the order of `LowRankPsf::node_depths_um`.
     pub depth: usize,
-    /// Largest transform, pixels a side, as far as the windows allow.
+    /// Largest side of a transform, pixels; a window that needs more overrides it.
     pub max_transform_px: usize,
-    /// Spectra of the basis PSFs of all lenses are kept if they take no more than this, bytes.
+    /// Memory limit for the spectra of the basis PSFs of all lenses, bytes. Above it they are recomputed at each
+    /// application.
     pub most_spectra_bytes: usize,
 }
 
@@ -93,7 +95,7 @@ impl Default for OperatorConfig {
     }
 }
 
-/// One lens, planned.
+/// The plan of one lens.
 #[derive(Clone, Debug)]
 struct LensPlan {
     /// Sensor pixel of object pixel (0, 0).
@@ -106,13 +108,13 @@ struct LensPlan {
 /// The basis PSFs of a lens.
 #[derive(Clone, Debug)]
 enum Basis {
-    /// Their spectra, [k, spectrum], with the transform's 1 / (rows * cols) in them.
+    /// Their spectra, [k, spectrum], scaled by 1 / (rows * cols) of the transform.
     Spectra(Vec<Complex32>),
-    /// Themselves, [k, window, window].
+    /// The basis PSFs themselves, [k, window, window]; spectra are computed at each application.
     Windows(Array3<f32>),
 }
 
-/// The planned operator: objects [object rows, object cols] -> light on the sensor [sensor rows, sensor cols].
+/// The planned operator A: object [object rows, object cols] -> light on the sensor [sensor rows, sensor cols].
 ///
 /// Units: DN above black for an object in the session's light unit, at the exposure of the calibration.
 #[derive(Clone, Debug)]
@@ -152,7 +154,7 @@ impl LensImage {
 
 type Span = std::ops::Range<usize>;
 
-/// Where an extent of `n` pixels from `origin` meets 0..limit: the span there, and the span in the extent.
+/// The part of `n` pixels from `origin` that lies in 0..limit: as a range of 0..limit, and as a range of the n pixels.
 fn overlap(origin: isize, n: usize, limit: usize) -> Option<(Span, Span)> {
     let low = origin.max(0);
     let high = (origin + n as isize).min(limit as isize);
@@ -164,17 +166,18 @@ struct Work {
     scratch: Fft2Scratch,
     /// A spectrum, [cols/2 + 1, rows].
     spectrum: Vec<Complex32>,
-    /// Coefficients of a row of the object: at the nodes, at the pixels.
+    /// Coefficients along one row of the object, at the nodes.
     node_row: Vec<f32>,
     map_row: Vec<f32>,
 }
 
 impl LowRankOperator {
-    /// Plans the operator with its chief rays at `rays`: those of the calibration (`optics.rays`), or moved from there by
-    /// an effect.
+    /// Plans the operator with its chief rays at `rays`: those of the calibration (`optics.rays`), or moved from there
+    /// by an effect.
     ///
     /// # Errors
-    /// The tables disagree in size, the depth does not exist, or the magnification of `rays` is not that of the calibration.
+    /// The tables disagree in size, the depth does not exist, or the magnification of `rays` is not that of the
+    /// calibration.
     pub fn plan(optics: CalibratedOptics<'_>, rays: &ChiefRays, config: OperatorConfig) -> Result<Self, OperatorError> {
         let CalibratedOptics { psf, rays: calibrated, object, sensor } = optics;
         check(optics, rays, config)?;
@@ -241,20 +244,22 @@ impl LowRankOperator {
         self.lenses.iter().map(|l| l.as_ref().map(|plan| plan.corner)).collect()
     }
 
-    /// A x: the light of all lenses on the sensor, DN.
+    /// A x: the light of all lenses on the sensor, DN above black, [sensor rows, sensor cols], for an object
+    /// [object rows, object cols].
     ///
     /// # Errors
-    /// The object has another shape than the plan.
+    /// The object does not have the planned shape.
     pub fn apply(&self, object: ArrayView2<'_, f32>) -> Result<Array2<f32>, OperatorError> {
         let mut frame = Array2::zeros(self.sensor);
         self.each_lens(object, |_, image| image.add_to(&mut frame))?;
         Ok(frame)
     }
 
-    /// The image of each living lens, in the order of the lenses, as they become ready; a few at a time are in memory.
+    /// Calls `take` with the image of each living lens, in the order of the lenses. Only a few images are in memory at
+    /// a time.
     ///
     /// # Errors
-    /// The object has another shape than the plan.
+    /// The object does not have the planned shape.
     pub fn each_lens(
         &self,
         object: ArrayView2<'_, f32>,
@@ -271,17 +276,19 @@ impl LowRankOperator {
         Ok(())
     }
 
-    /// Lenses that are worked on at the same time: as many as there are threads, or one, where the spectra are made for it.
+    /// Lenses that are computed at the same time: as many as there are threads, or one where its spectra are
+    /// recomputed.
     fn groups(&self) -> impl Iterator<Item = Span> + use<> {
         let made = self.lenses.iter().flatten().any(|plan| matches!(plan.basis, Basis::Windows(_)));
         let (n, size) = (self.lenses.len(), if made { 1 } else { rayon::current_num_threads().max(1) });
         (0..n).step_by(size).map(move |first| first..(first + size).min(n))
     }
 
-    /// A' y: from a frame (light, DN) back to the object grid.
+    /// A' y: the exact transpose, from a frame [sensor rows, sensor cols] to the object grid [object rows, object
+    /// cols].
     ///
     /// # Errors
-    /// The frame has another shape than the plan.
+    /// The frame does not have the planned shape.
     pub fn adjoint(&self, frame: ArrayView2<'_, f32>) -> Result<Array2<f32>, OperatorError> {
         same_shape("frame", self.sensor, frame.dim())?;
         let mut object = Array2::zeros(self.object);
@@ -312,7 +319,7 @@ impl LowRankOperator {
         }
     }
 
-    /// The blocks of the object: spans of rows and columns.
+    /// The blocks of the object, as ranges of rows and columns.
     fn blocks(&self) -> impl Iterator<Item = (Span, Span)> + '_ {
         let spans = move |a: usize| {
             (0..self.object[a]).step_by(self.step[a]).map(move |i| i..(i + self.step[a]).min(self.object[a]))
@@ -380,8 +387,8 @@ impl LowRankOperator {
         light
     }
 
-    /// `sum_k M_k . (B_k correlated with the frame)` of one lens over one block, [block rows, block cols]; None: all of it falls off
-    /// the sensor.
+    /// `sum_k M_k . (B_k correlated with the frame)` of one lens over one block, [block rows, block cols]; None where
+    /// the block's image lies entirely off the sensor.
     fn adjoint_block(
         &self,
         (plan, spectra): (&LensPlan, &[Complex32]),
@@ -434,7 +441,7 @@ impl LowRankOperator {
         }
     }
 
-    /// Coefficients along a part of an object row, by way of those at the column nodes.
+    /// Interpolates the coefficients along part of an object row, first to the column nodes, then to the pixels.
     fn map_row(&self, map: ArrayView2<'_, f32>, (row, cols): (usize, &Span), nodes: &mut Vec<f32>, out: &mut Vec<f32>) {
         let taps = &self.row_taps[row];
         nodes.clear();
@@ -455,8 +462,8 @@ fn same_shape(what: &'static str, expected: [usize; 2], found: (usize, usize)) -
     if expected == found { Ok(()) } else { Err(OperatorError::Shape { what, expected, found }) }
 }
 
-/// The transform that costs least for an object of `n` pixels a side: few large blocks waste little on the margin of the window, but
-/// a transform may not be larger than `most`, unless the window asks for it.
+/// Side of the cheapest transform for an object of `n` pixels a side. Large blocks waste little on the margin of the
+/// window; a transform is no larger than `most`, unless the window needs it.
 fn best_transform(n: usize, window: usize, most: usize) -> usize {
     let most = most.max(2 * window);
     let fewest = n.div_ceil(most + 1 - window).max(1);
