@@ -26,41 +26,23 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod error;
+mod scene_light;
 mod sensor_maps;
 mod warp;
 
+pub use error::ForwardError;
+pub use scene_light::SceneLight;
 pub use sensor_maps::SensorTables;
 
-use crate::effects::{Chain, EffectError, FrameContext, Layout, Ray, RayShift, Stage};
+use crate::effects::{Chain, FrameContext, Layout, Ray, RayShift, Stage};
 use crate::instrument::Instrument;
 use crate::noise::{NoiseModel, ROUNDING_DN2, draw_electrons};
 use crate::optics::MicrolensArray;
 use crate::psf::nodes::Taps;
-use crate::psf::{ChiefRays, LensImage, LowRankOperator, OperatorConfig, OperatorError};
+use crate::psf::{ChiefRays, LensImage, LowRankOperator, OperatorConfig};
 use ndarray::{Array2, ArrayView2, Zip};
 use rand::Rng;
-use thiserror::Error;
-
-/// Why a frame could not be computed.
-#[derive(Clone, Debug, PartialEq, Error)]
-pub enum ForwardError {
-    /// The optical operator.
-    #[error(transparent)]
-    Operator(#[from] OperatorError),
-    /// An effect.
-    #[error(transparent)]
-    Effect(#[from] EffectError),
-    /// An object holds a non-finite or negative value.
-    #[error("object pixel ({row}, {col}): expected a finite value >= 0, found {found}")]
-    Object {
-        /// Row.
-        row: usize,
-        /// Column.
-        col: usize,
-        /// The value.
-        found: f32,
-    },
-}
 
 /// The forward model of one instrument at one depth.
 #[derive(Clone, Debug)]
@@ -82,25 +64,6 @@ pub struct Forward {
     reading_dn2: Option<Array2<f32>>,
     response: Option<Array2<f32>>,
     exposure_ms: f64,
-}
-
-/// The image of one object through each lens, DN above black at the exposure of the calibration.
-#[derive(Clone, Debug)]
-pub struct SceneLight {
-    /// For each lens (None: dead), one image for each plane.
-    lenses: Vec<Option<Vec<LensImage>>>,
-    /// Offset of a point source from the nearest object pixel, [row, col], px.
-    shift_px: [f64; 2],
-    /// Depth, um; None: that of the planned plane.
-    z_um: Option<f64>,
-}
-
-impl SceneLight {
-    /// The same object at depth `z_um`. The model must be planned at every depth ([`Forward::with_all_depths`]). It is
-    /// interpolated between depths; beyond them the nearest depth holds.
-    pub fn at_depth(self, z_um: f64) -> Self {
-        Self { z_um: Some(z_um), ..self }
-    }
 }
 
 impl Forward {

@@ -10,90 +10,24 @@
 //! and otherwise recomputed for one lens at a time. All arithmetic is f32; the result does not depend on the number of
 //! threads.
 
+mod config;
+mod error;
+mod image;
+
+pub use config::{CalibratedOptics, OperatorConfig};
+pub use error::OperatorError;
+pub use image::LensImage;
+
 use super::nodes::{TapRow, Taps};
 use super::shift::shifted_windows;
 use crate::fft2::{Fft2Scratch, RealFft2, fast_size};
 use crate::psf::chief_rays::ChiefRays;
-use crate::psf::low_rank::LowRankPsf;
+use config::check;
+use image::{Span, overlap};
 use ndarray::{Array2, Array3, ArrayView2, ArrayView3, Axis, s};
 use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
 use std::borrow::Cow;
-use thiserror::Error;
-
-/// Why an operator could not be planned or applied.
-#[derive(Clone, Debug, PartialEq, Error)]
-pub enum OperatorError {
-    /// An array has the wrong shape.
-    #[error("{what}: expected {expected:?}, found {found:?}")]
-    Shape {
-        /// Which array.
-        what: &'static str,
-        /// Rows and columns that were expected.
-        expected: [usize; 2],
-        /// Rows and columns that were found.
-        found: [usize; 2],
-    },
-    /// There is no such depth.
-    #[error("depth index {found}: the instrument was calibrated at {depths} depths")]
-    Depth {
-        /// The requested index.
-        found: usize,
-        /// Number of depths.
-        depths: usize,
-    },
-    /// An effect changes the magnification, which needs a new calibration.
-    #[error(
-        "effective magnification {found}: the basis PSFs were calibrated at {expected}; only chief rays may be moved"
-    )]
-    Magnification {
-        /// Magnification of the calibration.
-        expected: f64,
-        /// The requested magnification.
-        found: f64,
-    },
-    /// Two tables of the instrument have different lengths.
-    #[error("instrument field `{field}`: expected {expected} entries, found {found}; calibrate again")]
-    Field {
-        /// Which field.
-        field: &'static str,
-        /// Entries that were expected.
-        expected: usize,
-        /// Entries that were found.
-        found: usize,
-    },
-}
-
-/// The calibrated optics that an operator is planned from.
-#[derive(Clone, Copy, Debug)]
-pub struct CalibratedOptics<'a> {
-    /// Basis PSFs and coefficient maps.
-    pub psf: &'a LowRankPsf,
-    /// Chief rays of the calibration.
-    pub rays: &'a ChiefRays,
-    /// Rows and columns of objects.
-    pub object: [usize; 2],
-    /// Rows and columns of frames.
-    pub sensor: [usize; 2],
-}
-
-/// Settings of a planned operator.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct OperatorConfig {
-    /// Index of the depth, in the order of `LowRankPsf::node_depths_um`.
-    pub depth: usize,
-    /// Largest side of a transform, pixels; a window that needs more overrides it.
-    pub max_transform_px: usize,
-    /// Memory limit for the spectra of the basis PSFs of all lenses, bytes. Above it they are recomputed at each
-    /// application.
-    pub most_spectra_bytes: usize,
-}
-
-impl Default for OperatorConfig {
-    fn default() -> Self {
-        Self { depth: 0, max_transform_px: 1536, most_spectra_bytes: 512 << 20 }
-    }
-}
 
 /// The plan of one lens.
 #[derive(Clone, Debug)]
@@ -127,38 +61,6 @@ pub struct LowRankOperator {
     lenses: Vec<Option<LensPlan>>,
     row_taps: Vec<Taps>,
     col_taps: TapRow,
-}
-
-/// The image of one lens: its window on the sensor plane, parts off the sensor included.
-#[derive(Clone, Debug)]
-pub struct LensImage {
-    /// Sensor pixel of the first element; may be negative.
-    pub origin: [isize; 2],
-    /// Light, DN.
-    pub light: Array2<f32>,
-}
-
-impl LensImage {
-    /// Adds the part that lies on the sensor to `frame`.
-    pub fn add_to(&self, frame: &mut Array2<f32>) {
-        let (rows, cols) = frame.dim();
-        let (h, w) = self.light.dim();
-        let (Some((fr, lr)), Some((fc, lc))) = (overlap(self.origin[0], h, rows), overlap(self.origin[1], w, cols))
-        else {
-            return;
-        };
-        let mut target = frame.slice_mut(s![fr, fc]);
-        target += &self.light.slice(s![lr, lc]);
-    }
-}
-
-type Span = std::ops::Range<usize>;
-
-/// The part of `n` pixels from `origin` that lies in 0..limit: as a range of 0..limit, and as a range of the n pixels.
-fn overlap(origin: isize, n: usize, limit: usize) -> Option<(Span, Span)> {
-    let low = origin.max(0);
-    let high = (origin + n as isize).min(limit as isize);
-    (low < high).then(|| (low as usize..high as usize, (low - origin) as usize..(high - origin) as usize))
 }
 
 /// Per-thread working memory.
@@ -495,30 +397,6 @@ fn spectra_of(fft: &RealFft2, kernels: ArrayView3<'_, f32>) -> Vec<Complex32> {
         },
     );
     out
-}
-
-fn check(optics: CalibratedOptics<'_>, rays: &ChiefRays, config: OperatorConfig) -> Result<(), OperatorError> {
-    let CalibratedOptics { psf, rays: calibrated, .. } = optics;
-    let lenses = calibrated.anchors_px.len();
-    let (m_lenses, rank, depths, node_rows, node_cols) = psf.coefficients.dim();
-    let expect = |field, expected, found| {
-        if expected == found { Ok(()) } else { Err(OperatorError::Field { field, expected, found }) }
-    };
-    expect("geometry.anchors_px", lenses, rays.anchors_px.len())?;
-    expect("geometry.dead", lenses, rays.dead.len())?;
-    expect("psf.basis (lenses)", lenses, psf.basis.dim().0)?;
-    expect("psf.coefficients (lenses)", lenses, m_lenses)?;
-    expect("psf.coefficients (rank)", psf.basis.dim().1, rank)?;
-    expect("psf.node_rows_px", node_rows, psf.node_rows_px.len())?;
-    expect("psf.node_cols_px", node_cols, psf.node_cols_px.len())?;
-    if config.depth >= depths {
-        return Err(OperatorError::Depth { found: config.depth, depths });
-    }
-    let (expected, found) = (calibrated.magnification, rays.magnification);
-    if expected != found {
-        return Err(OperatorError::Magnification { expected, found });
-    }
-    Ok(())
 }
 
 #[cfg(test)]
