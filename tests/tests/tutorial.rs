@@ -64,7 +64,8 @@ fn number(word: &str) -> Option<(f64, String)> {
     Some((inner.parse().ok()?, around))
 }
 
-/// The program, built as this test was: it lies two folders above the test, and is built if it is missing.
+/// The program, built as this test was: it lies two folders above the test (`cargo test --workspace` builds it), and is built here
+/// if it is missing.
 fn program() -> PathBuf {
     let test = std::env::current_exe().unwrap();
     let profile = test.parent().and_then(Path::parent).unwrap();
