@@ -1,6 +1,6 @@
 //! The inner loop of the 3x3 convolution.
 
-use super::{Rows, asm_all};
+use super::Rows;
 
 /// One output channel of one tap: four columns from input register `x` on, times weight register `w`.
 macro_rules! tap {

@@ -1,7 +1,6 @@
 //! Rows of real transforms, of one lane: what [`crate::fft`] does before and after the complex transform of half their length.
 
 use super::columns::shift;
-use super::{asm_all, asm_low};
 use crate::fft::ROOT_TRIPLES;
 use crate::num::f16;
 

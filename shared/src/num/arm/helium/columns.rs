@@ -1,7 +1,6 @@
 //! Columns of pairs of halves, four side by side, and the transform between. Sixteen bytes hold the pairs of four columns: real parts
 //! are the low halves of their words, imaginary parts the high ones.
 
-use super::super::asm_all;
 use super::fft::{join, last_to_columns, transform};
 use super::{Four, shift, unflushed};
 use crate::num::f16;

@@ -3,7 +3,6 @@
 //! A product is rounded before it is added: products and sums are instructions of their own. Eight registers hold four complex numbers
 //! of four lanes and nothing else, so real parts are finished before imaginary parts are loaded.
 
-use super::super::asm_all;
 use super::columns::check;
 use super::{Four, asm_push, rows_at};
 use crate::fft::ROOT_TRIPLES;
@@ -43,44 +42,12 @@ pub(super) fn join(len: usize, data: &mut [Four]) {
 macro_rules! real_parts {
     ($a0:literal $c1:literal $s:literal $b0:literal, $p0:literal $p2:literal) => {
         concat!(
-            "vadd.f32 ",
-            $b0,
-            ", ",
-            $a0,
-            ", ",
-            $c1,
-            "\n",
-            "vsub.f32 ",
-            $a0,
-            ", ",
-            $a0,
-            ", ",
-            $c1,
-            "\n",
-            "vadd.f32 ",
-            $c1,
-            ", ",
-            $b0,
-            ", ",
-            $s,
-            "\n",
-            "vsub.f32 ",
-            $b0,
-            ", ",
-            $b0,
-            ", ",
-            $s,
-            "\n",
-            "vstrw.32 ",
-            $c1,
-            ", ",
-            $p0,
-            "\n",
-            "vstrw.32 ",
-            $b0,
-            ", ",
-            $p2,
-            "\n",
+            op!("vadd.f32" $b0 $a0 $c1),
+            op!("vsub.f32" $a0 $a0 $c1),
+            op!("vadd.f32" $c1 $b0 $s),
+            op!("vsub.f32" $b0 $b0 $s),
+            op!("vstrw.32" $c1 $p0),
+            op!("vstrw.32" $b0 $p2),
         )
     };
 }

@@ -4,7 +4,6 @@
 //! The numbers are halves, sums of products of halves, and halves times a weight of channel attention (0, or 2^-26 at least): multiples
 //! of 2^-76, so that nothing is flushed.
 
-use super::super::asm_all;
 use crate::num::{f16, narrow, widen};
 
 /// Widens `from` into the equally long `to`; eight in six instructions.

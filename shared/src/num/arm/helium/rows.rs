@@ -1,6 +1,5 @@
 //! Rows of real transforms, four side by side: what [`crate::fft`] does before and after the complex transform of half their length.
 
-use super::super::asm_all;
 use super::fft::{join, last_to_rows, radix4_of_ones};
 use super::{Four, rows_at, shift, unflushed};
 use crate::fft::ROOT_TRIPLES;
