@@ -30,7 +30,7 @@ impl fmt::Display for IoError {
 impl core::error::Error for IoError {}
 
 /// Where raw frames come from: the host, or a camera.
-pub trait FrameSource {
+pub trait FrameInput {
     /// Room, pixels.
     fn capacity(&self) -> usize;
     /// Whether frames come by themselves: the host need not send any.
@@ -157,7 +157,7 @@ impl<'m> RamFrame<'m> {
     }
 }
 
-impl FrameSource for RamFrame<'_> {
+impl FrameInput for RamFrame<'_> {
     fn capacity(&self) -> usize {
         self.memory.len()
     }

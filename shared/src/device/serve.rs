@@ -1,6 +1,6 @@
 //! A device on a line.
 
-use super::io::{FrameSink, FrameSource, Monitor};
+use super::io::{FrameInput, FrameSink, Monitor};
 use super::machine::Device;
 use crate::flash::MappedFlash;
 use crate::wire::frame::decode;
@@ -42,7 +42,7 @@ impl Line {
     }
 
     /// Takes a byte from the line; where it ends a request, the device handles it.
-    pub fn push<F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor>(
+    pub fn push<F: MappedFlash, S: FrameInput, K: FrameSink, M: Monitor>(
         &mut self,
         byte: u8,
         device: &mut Device<'_, F, S, K, M>,
@@ -90,7 +90,7 @@ impl Default for Line {
 ///
 /// # Errors
 /// Those of the line.
-pub fn serve<L: Read + Write, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor>(
+pub fn serve<L: Read + Write, F: MappedFlash, S: FrameInput, K: FrameSink, M: Monitor>(
     link: &mut L,
     line: &mut Line,
     device: &mut Device<'_, F, S, K, M>,

@@ -136,6 +136,22 @@ impl Fft2 {
     }
 }
 
+/// Calls `self.method::<L>(first, count)` for strips of up to L rows or columns of a range. A strip that L lanes cannot hold, or in which
+/// they would change a bit (the method then returns false and does nothing), goes lane by lane.
+macro_rules! in_strips {
+    ($self:ident.$method:ident, $lanes:ident, $range:expr) => {
+        let range = $range;
+        for first in range.clone().step_by($lanes) {
+            let count = $lanes.min(range.end - first);
+            if !strip::holds::<$lanes>(count) || !$self.$method::<$lanes>(first, count) {
+                (first..first + count).for_each(|one| {
+                    $self.$method::<1>(one, 1);
+                });
+            }
+        }
+    };
+}
+
 struct Forward<'a, S, const L: usize> {
     plan: &'a Fft2,
     source: &'a S,
@@ -153,28 +169,15 @@ impl<S: RowSource, const L: usize> Kernel for Forward<'_, S, L> {
         let occupied = self.occupied.clone();
         self.spectrum[..occupied.start * row_len].fill(f16::ZERO);
         self.spectrum[occupied.end * row_len..].fill(f16::ZERO);
-        for first in occupied.clone().step_by(L) {
-            self.rows(first, L.min(occupied.end - first));
-        }
-        for first in (0..self.plan.width()).step_by(L) {
-            self.columns(first, L.min(self.plan.width() - first));
-        }
+        in_strips!(self.rows, L, occupied);
+        in_strips!(self.columns, L, 0..self.plan.width());
     }
 }
 
 impl<S: RowSource, const L: usize> Forward<'_, S, L> {
-    #[inline(always)]
-    fn rows(&mut self, first: usize, count: usize) {
-        if !strip::holds::<L>(count) || !self.try_rows::<L>(first, count) {
-            (first..first + count).for_each(|row| {
-                self.try_rows::<1>(row, 1);
-            });
-        }
-    }
-
     /// Rows `first..first + count`, `N` side by side; false, and nothing done, where that would change a bit.
     #[inline(always)]
-    fn try_rows<const N: usize>(&mut self, first: usize, count: usize) -> bool {
+    fn rows<const N: usize>(&mut self, first: usize, count: usize) -> bool {
         let (fft, row_len) = (self.plan.rows, self.plan.spectrum_len(1));
         let scratch = strip::split::<N>(self.scratch, fft.half().len());
         let rows = &mut self.spectrum[first * row_len..(first + count) * row_len];
@@ -182,18 +185,9 @@ impl<S: RowSource, const L: usize> Forward<'_, S, L> {
         strip::forward_rows(load, count, fft, scratch, rows)
     }
 
+    /// Columns, as [`Self::rows`].
     #[inline(always)]
-    fn columns(&mut self, first: usize, count: usize) {
-        if !strip::holds::<L>(count) || !self.try_columns::<L>(first, count) {
-            (first..first + count).for_each(|column| {
-                self.try_columns::<1>(column, 1);
-            });
-        }
-    }
-
-    /// As [`Self::try_rows`].
-    #[inline(always)]
-    fn try_columns<const N: usize>(&mut self, first: usize, count: usize) -> bool {
+    fn columns<const N: usize>(&mut self, first: usize, count: usize) -> bool {
         let (row_len, fft) = (self.plan.spectrum_len(1), self.plan.cols);
         let (data, _) = strip::split::<N>(self.scratch, fft.len());
         // The rows are twice their transforms.
@@ -215,28 +209,15 @@ impl<S: ProductSource, E: FnMut(usize, &[f32]), const L: usize> Kernel for Inver
 
     #[inline(always)]
     fn run<V: Vector>(mut self) {
-        for first in (0..self.plan.width()).step_by(L) {
-            self.columns(first, L.min(self.plan.width() - first));
-        }
-        for first in self.rows.clone().step_by(L) {
-            self.emit_rows(first, L.min(self.rows.end - first));
-        }
+        in_strips!(self.columns, L, 0..self.plan.width());
+        in_strips!(self.emit_rows, L, self.rows.clone());
     }
 }
 
 impl<S: ProductSource, E: FnMut(usize, &[f32]), const L: usize> Inverse<'_, S, E, L> {
+    /// Columns, as [`Forward::rows`].
     #[inline(always)]
-    fn columns(&mut self, first: usize, count: usize) {
-        if !strip::holds::<L>(count) || !self.try_columns::<L>(first, count) {
-            (first..first + count).for_each(|column| {
-                self.try_columns::<1>(column, 1);
-            });
-        }
-    }
-
-    /// As [`Forward::try_rows`].
-    #[inline(always)]
-    fn try_columns<const N: usize>(&mut self, first: usize, count: usize) -> bool {
+    fn columns<const N: usize>(&mut self, first: usize, count: usize) -> bool {
         let (row_len, fft) = (self.plan.spectrum_len(1), self.plan.cols);
         let (data, _) = strip::split::<N>(self.scratch, fft.len());
         let exact = strip::inverse_columns(self.source.products(), row_len, (first, count), fft, data);
@@ -247,18 +228,9 @@ impl<S: ProductSource, E: FnMut(usize, &[f32]), const L: usize> Inverse<'_, S, E
         exact
     }
 
+    /// Rows of the plane, as [`Forward::rows`].
     #[inline(always)]
-    fn emit_rows(&mut self, first: usize, count: usize) {
-        if !strip::holds::<L>(count) || !self.try_emit_rows::<L>(first, count) {
-            (first..first + count).for_each(|row| {
-                self.try_emit_rows::<1>(row, 1);
-            });
-        }
-    }
-
-    /// As [`Forward::try_rows`].
-    #[inline(always)]
-    fn try_emit_rows<const N: usize>(&mut self, first: usize, count: usize) -> bool {
+    fn emit_rows<const N: usize>(&mut self, first: usize, count: usize) -> bool {
         let (row_len, fft) = (self.plan.spectrum_len(1), self.plan.rows);
         let (data, rows) = strip::split::<N>(self.scratch, fft.half().len());
         let from = &self.halfway[(first - self.rows.start) * row_len..][..count * row_len];

@@ -11,7 +11,7 @@ use crate::num::simd::Simd;
 use crate::num::{f16, narrow_slice};
 
 /// Where the frame's rows come from.
-pub trait FrameSource {
+pub trait FrameRows {
     /// Writes columns `first..first + to.len()` of frame row `row` into `to`.
     fn load(&self, row: usize, first: usize, to: &mut [f32]);
 }
@@ -108,7 +108,7 @@ impl<'a> FilterBank<'a> {
     ///
     /// # Errors
     /// [`FilterError`] where a buffer is too short or the filters or the output are none of this bank.
-    pub fn process<F: FrameSource>(
+    pub fn process<F: FrameRows>(
         &self,
         simd: Simd,
         frame: &F,
@@ -175,7 +175,7 @@ impl<'a> FilterBank<'a> {
     fn transform_windows(
         &self,
         simd: Simd,
-        frame: &impl FrameSource,
+        frame: &impl FrameRows,
         m: i32,
         across: &Range<usize>,
         cache: &mut [f16],
@@ -193,7 +193,7 @@ impl<'a> FilterBank<'a> {
 
     /// The one place where planes are transformed: the transform is large, and inlined.
     #[inline(never)]
-    fn transform<F: FrameSource>(
+    fn transform<F: FrameRows>(
         &self,
         simd: Simd,
         rows: &Rows<'_, F>,
@@ -226,7 +226,7 @@ enum Rows<'a, F> {
     Kernel(Kernel<'a>),
 }
 
-impl<F: FrameSource> RowSource for Rows<'_, F> {
+impl<F: FrameRows> RowSource for Rows<'_, F> {
     fn load(&self, row: usize, to: &mut [f32]) {
         match self {
             Self::Window(window) => window.load(row, to),
@@ -245,7 +245,7 @@ struct WindowRows<'a, F> {
     occupied: Range<usize>,
 }
 
-impl<F: FrameSource> WindowRows<'_, F> {
+impl<F: FrameRows> WindowRows<'_, F> {
     fn load(&self, row: usize, to: &mut [f32]) {
         let frame_row = (self.rows.window_origin(self.m) + row as i32) as usize;
         let first = self.cols.window_origin(self.n) + self.occupied.start as i32;

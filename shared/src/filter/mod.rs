@@ -39,7 +39,7 @@ mod bank;
 mod geometry;
 mod kernel;
 
-pub use bank::{FilterBank, FrameSource};
+pub use bank::{FilterBank, FrameRows};
 pub use geometry::{Axis, FilterError, Geometry};
 pub use kernel::Filters;
 

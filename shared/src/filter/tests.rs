@@ -17,7 +17,7 @@ const TOLERANCE: f64 = 1.5e-3;
 
 struct Frame<'a>(&'a [f32], usize);
 
-impl FrameSource for Frame<'_> {
+impl FrameRows for Frame<'_> {
     fn load(&self, row: usize, first: usize, to: &mut [f32]) {
         to.copy_from_slice(&self.0[row * self.1 + first..][..to.len()]);
     }

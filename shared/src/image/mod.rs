@@ -4,9 +4,9 @@ mod plane;
 mod region;
 mod tensor;
 
-pub use plane::{Plane, PlaneMut};
+pub use plane::{Plane, PlaneMut, Strided};
 pub use region::Region;
-pub use tensor::{Chw, ChwMut};
+pub use tensor::{Chw, ChwMut, Tensor};
 
 /// The buffer does not hold the shape.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

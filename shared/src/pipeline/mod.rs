@@ -24,7 +24,7 @@ pub use field::{Field, GROWTH, Stats};
 pub use holder::Holder;
 
 use crate::blob::{Header, MemoryPlan, Weights};
-use crate::filter::{FilterBank, Filters, FrameSource};
+use crate::filter::{FilterBank, Filters, FrameRows};
 use crate::image::{ChwMut, PlaneMut, Region};
 use crate::nn::rcan::{self, Rcan};
 use crate::num::simd::{Kernel, Simd, Vector};
@@ -243,7 +243,7 @@ struct Corrected<'a> {
     max: f32,
 }
 
-impl FrameSource for Corrected<'_> {
+impl FrameRows for Corrected<'_> {
     fn load(&self, row: usize, first: usize, to: &mut [f32]) {
         if self.max > 0.0 {
             let start = row * usize::from(self.pipeline.header.frame.cols) + first;

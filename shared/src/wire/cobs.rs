@@ -2,10 +2,11 @@
 //!
 //! Written here so that no byte of a packet can lead to a panic: there is no index that is not looked up.
 
-use super::frame::DELIMITER;
 use postcard::ser_flavors::Flavor;
 use postcard::{Error, Result};
 
+/// The byte between packets. Encoded bytes hold none.
+pub(super) const DELIMITER: u8 = 0;
 /// The code of a full group: 254 bytes follow, and no zero after them.
 const FULL: u8 = 0xff;
 

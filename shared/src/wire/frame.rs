@@ -1,6 +1,6 @@
 //! Packets on a line of bytes: postcard, CRC-32, COBS, a zero on either side.
 
-use super::cobs::{Encoder, decode_in_place};
+use super::cobs::{DELIMITER, Encoder, decode_in_place};
 use crate::blob::CRC;
 use core::fmt;
 use heapless::Vec;
@@ -8,8 +8,6 @@ use postcard::ser_flavors::Flavor;
 use postcard::ser_flavors::crc::CrcModifier;
 use serde::{Deserialize, Serialize};
 
-/// The byte between packets. COBS leaves none in them.
-pub const DELIMITER: u8 = 0;
 const CRC_LEN: usize = 4;
 
 /// Why a packet was dropped.
