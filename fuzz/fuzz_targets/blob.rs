@@ -21,7 +21,7 @@ fuzz_target!(|data: &[u8]| {
         forged(file);
     }
     let Ok(network) = Network::decode(file) else { return };
-    let Ok(pipeline) = Pipeline::new(&network.header, network.weights) else { return };
+    let Ok(pipeline) = Pipeline::new(&network) else { return };
     if [pipeline.fast_len(), pipeline.bulk_len(), pipeline.frame_len()].iter().any(|len| *len > MAX_NUMBERS) {
         return;
     }

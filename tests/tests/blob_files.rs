@@ -48,8 +48,8 @@ fn the_golden_file_of_version_2_still_decodes() {
     assert_eq!(VERSION, 2, "keep this file refused by name, and add a golden file of the new version");
     let file = BlobFile::read(Path::new(GOLDEN)).unwrap();
     let network = file.network().unwrap();
-    assert_eq!(network.header, golden_header());
-    let weights = network.weights;
+    assert_eq!(network.header(), &golden_header());
+    let weights = network.weights();
     // 5 blocks of 4 x 4 lags; conv 8->2, 2 x 2->2, attention 2->1->2, 2->2, 2->2, 2->8, 2->1; 10 x 12 pixels.
     let rcan = 146 + 2 * 38 + 7 + 38 + 38 + 152 + 19;
     let sections = [weights.filters, weights.rcan, weights.offset_dn.unwrap(), weights.inverse_gain.unwrap()];
@@ -60,7 +60,7 @@ fn the_golden_file_of_version_2_still_decodes() {
         }
     }
     assert_eq!(weights.index, GOLDEN_INDEX);
-    Pipeline::new(&network.header, weights).unwrap();
+    Pipeline::new(&network).unwrap();
 }
 
 #[test]
@@ -160,7 +160,7 @@ proptest! {
         };
         let file = BlobFile::new(&header, &weights).unwrap();
         let network = file.network().unwrap();
-        let Ok(pipeline) = Pipeline::new(&network.header, network.weights) else { return Ok(()) };
+        let Ok(pipeline) = Pipeline::new(&network) else { return Ok(()) };
         let mut fast = vec![0.0; pipeline.fast_len()];
         let mut bulk = vec![f16::ZERO; pipeline.bulk_len()];
         let mut object = vec![f16::NAN; pipeline.output_len()];

@@ -12,7 +12,7 @@ use cortex_m_semihosting::hprintln;
 use half::f16;
 use ommatidia_firmware::app::{region_begins, region_ends};
 use ommatidia_firmware::board::this as board;
-use ommatidia_shared::blob::{Bank, Blocks, Header, MemoryPlan, Rcan, Sensor, Size, Tap, Weights};
+use ommatidia_shared::blob::{Bank, Blocks, Header, MemoryPlan, Network, Rcan, Sensor, Size, Tap, Weights};
 use ommatidia_shared::fft::{Fft, Fft2, ProductSource, RowSource};
 use ommatidia_shared::image::{Chw, ChwMut, PlaneMut, Region};
 use ommatidia_shared::nn::activation::Activation;
@@ -291,7 +291,8 @@ impl Bench {
         let (rcan, rest) = rest.split_at(count);
         let (offset, rest) = rest.split_at(214 * 214);
         let weights = Weights { filters, index, rcan, offset_dn: Some(offset), inverse_gain: Some(&rest[..214 * 214]) };
-        let pipeline = Pipeline::new(&header, weights).map_err(|_| "the network is refused")?;
+        let network = Network::new(header, weights).map_err(|_| "the weights are refused")?;
+        let pipeline = Pipeline::new(&network).map_err(|_| "the network is refused")?;
         let frame = &self.frame[..pipeline.frame_len()];
         let (fast, scales) = self.fast.split_at_mut(self.fast.len() - pipeline.scales_len());
         let mut part = |what: Arguments<'_>, part: Region, field: Field<'_>| {

@@ -136,7 +136,7 @@ fn converse<T: Transport>(
 /// The network, a frame or the region is refused.
 pub fn reference(blob: &BlobFile, work: Work<'_>) -> Result<Vec<Vec<f16>>, DeviceError> {
     let network = blob.network()?;
-    let pipeline = Pipeline::new(&network.header, network.weights).map_err(DeviceError::Pipeline)?;
+    let pipeline = Pipeline::new(&network).map_err(DeviceError::Pipeline)?;
     let mut fast = vec![0.0; pipeline.fast_len_best().max(pipeline.fast_len()) + pipeline.scales_len()];
     let mut bulk = vec![f16::ZERO; pipeline.bulk_len()];
     let Scope { region, hold } = work.scope;

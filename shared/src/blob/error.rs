@@ -1,6 +1,6 @@
 //! Why bytes are no network.
 
-use super::{HeaderField, MemoryPlan};
+use super::header::{HeaderField, MemoryPlan};
 use core::fmt;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};

@@ -1,7 +1,5 @@
 //! What a network file says of itself: every shape that the device needs before it touches a weight.
 
-use super::BlobError;
-use crate::nn::rcan::weights_len;
 use heapless::{String, Vec};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
@@ -111,19 +109,6 @@ pub struct MemoryPlan {
     pub bulk_bytes: u32,
 }
 
-impl MemoryPlan {
-    /// Whether the plan fits into the memory of a device.
-    ///
-    /// # Errors
-    /// [`BlobError::Memory`] says what is needed and what there is.
-    pub fn fits(self, available: Self) -> Result<(), BlobError> {
-        if self.fast_bytes <= available.fast_bytes && self.bulk_bytes <= available.bulk_bytes {
-            return Ok(());
-        }
-        Err(BlobError::Memory { needed: self, available })
-    }
-}
-
 /// Everything that a runtime needs to know before it reads a weight.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Header {
@@ -158,66 +143,6 @@ pub struct SectionLens {
     pub offset_dn: u64,
     /// Inverse gain map; 0 without one.
     pub inverse_gain: u64,
-}
-
-impl Header {
-    /// How many halves each weight section of this network has.
-    ///
-    /// # Errors
-    /// [`BlobError::Header`] names the field that no network can have.
-    pub fn section_lens(&self) -> Result<SectionLens, BlobError> {
-        let tile = u64::from(self.bank.tile);
-        let pixels = u64::from(self.frame.rows) * u64::from(self.frame.cols);
-        if self.rcan.reduction == 0 {
-            return Err(BlobError::Header { field: HeaderField::Rcan });
-        }
-        if self.bank.blocks.is_some_and(|b| !b.side.is_power_of_two() || b.side > self.bank.tile) {
-            return Err(BlobError::Header { field: HeaderField::Blocks });
-        }
-        let (filters, index) = match self.bank.blocks {
-            None => (self.bank.taps.len() as u64 * tile * (tile / 2 + 1) * 2, 0),
-            Some(blocks) => {
-                let rows = u64::from(self.bank.channels) * blocks.across(self.bank.tile) as u64;
-                (u64::from(blocks.count) * u64::from(blocks.side).pow(2), rows + 1 + u64::from(blocks.count))
-            }
-        };
-        Ok(SectionLens {
-            filters,
-            index,
-            rcan: weights_len(&self.rcan, self.bank.channels) as u64,
-            offset_dn: if self.sensor.has_offset_map { pixels } else { 0 },
-            inverse_gain: if self.sensor.has_gain_map { pixels } else { 0 },
-        })
-    }
-
-    /// Whether the numbers of the header make sense together.
-    ///
-    /// # Errors
-    /// [`BlobError::Header`] names the field that no network can have.
-    pub fn check(&self) -> Result<(), BlobError> {
-        let wrong = |field| Err(BlobError::Header { field });
-        let bank = &self.bank;
-        let empty = |size: Size| size.rows == 0 || size.cols == 0;
-        if empty(self.frame) {
-            return wrong(HeaderField::Frame);
-        }
-        if empty(self.object) || !self.object.rows.is_multiple_of(2) || !self.object.cols.is_multiple_of(2) {
-            return wrong(HeaderField::Object);
-        }
-        if !self.sensor.black_level_dn.is_finite() || f32::from(self.sensor.saturation_dn) <= self.sensor.black_level_dn
-        {
-            return wrong(HeaderField::Sensor);
-        }
-        let tile_ok = bank.tile.is_power_of_two() && bank.tile >= 2 && (1..=bank.tile).contains(&bank.step);
-        if !tile_ok || bank.channels == 0 {
-            return wrong(HeaderField::Bank);
-        }
-        let sorted = bank.taps.is_sorted_by(|a, b| a.order() < b.order());
-        if !sorted || bank.taps.is_empty() || bank.taps.iter().any(|tap| tap.channel >= bank.channels) {
-            return wrong(HeaderField::Taps);
-        }
-        self.section_lens().map(|_| ())
-    }
 }
 
 /// Part of the header.

@@ -1,6 +1,7 @@
 //! Where things lie in the file.
 
-use super::{BlobError, Header, Section, SectionLens};
+use super::error::{BlobError, Section};
+use super::header::{Header, SectionLens};
 use crc::{CRC_32_ISO_HDLC, Crc};
 use postcard_schema::key::Key;
 

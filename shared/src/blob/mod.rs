@@ -16,13 +16,14 @@
 //! All numbers are little-endian. [`Network::decode`] borrows: the weights are used where the file lies, so the
 //! file must begin at a multiple of [`ALIGN`].
 
+mod check;
 mod decode;
 mod encode;
 mod error;
 mod header;
 mod layout;
 
-pub use decode::Network;
+pub use decode::{Network, Verified};
 pub use encode::{encode, encoded_len};
 pub use error::{BlobError, Section};
 pub use header::{

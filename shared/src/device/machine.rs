@@ -2,7 +2,7 @@
 
 use super::io::{FrameInput, FrameSink, IoError, Monitor};
 use super::upload::Upload;
-use crate::blob::{CRC, MemoryPlan, Network};
+use crate::blob::{CRC, MemoryPlan, Network, Verified};
 use crate::flash::{MappedFlash, Slots};
 use crate::image::Region;
 use crate::pipeline::{Holder, Memory, Pipeline, PipelineError};
@@ -35,6 +35,8 @@ impl Arenas<'_> {
 pub struct Device<'m, F, S, K, M> {
     board: &'static str,
     slots: Slots<F>,
+    /// Proof that the file in the active slot was checked.
+    verified: Option<Verified>,
     source: S,
     sink: K,
     arenas: Arenas<'m>,
@@ -60,6 +62,7 @@ impl<'m, F: MappedFlash, S: FrameInput, K: FrameSink, M: Monitor> Device<'m, F, 
         let mut device = Self {
             board,
             slots: Slots::new(flash),
+            verified: None,
             source,
             sink,
             arenas,
@@ -85,8 +88,9 @@ impl<'m, F: MappedFlash, S: FrameInput, K: FrameSink, M: Monitor> Device<'m, F, 
         self.telemetry.starts = self.slots.count_start().unwrap_or(0);
         for (slot, mark) in self.slots.committed().into_iter().flatten() {
             self.monitor.alive();
-            if self.slots.file(slot, &mark).is_some_and(|file| self.check(file).is_ok()) {
+            if let Some(verified) = self.slots.file(slot, &mark).and_then(|file| self.check(file).ok()) {
                 self.slots.activate(slot, mark);
+                self.verified = Some(verified);
                 return;
             }
             self.telemetry.refused_slots += 1;
@@ -203,19 +207,21 @@ impl<'m, F: MappedFlash, S: FrameInput, K: FrameSink, M: Monitor> Device<'m, F, 
         self.blob.complete()?;
         // The last bytes are written here; the file is then looked at again, as what else it is checked against is borrowed too.
         self.slots.finish().map_err(|e| storage(e, Transfer::Blob))?;
-        self.check(self.slots.staged_file().ok_or(Refusal::Storage)?)?;
+        let verified = self.check(self.slots.staged_file().ok_or(Refusal::Storage)?)?;
         self.slots.commit().map_err(|e| storage(e, Transfer::Blob))?;
+        self.verified = Some(verified);
         self.committed = true;
         self.last_run = None;
         self.field.forget();
         Ok(())
     }
 
-    /// Whether a network file is sound in every bit and can run here.
-    fn check(&self, file: &[u8]) -> Result<(), Refusal> {
-        let network = Network::decode(file).map_err(Refusal::Blob)?;
-        network.header.memory.fits(self.arenas.sizes()).map_err(Refusal::Blob)?;
-        let pipeline = Pipeline::new(&network.header, network.weights).map_err(refusal)?;
+    /// Checks every bit of a network file, and that the network can run here.
+    fn check(&self, file: &[u8]) -> Result<Verified, Refusal> {
+        let verified = Verified::check(file).map_err(Refusal::Blob)?;
+        let network = verified.open(file).map_err(Refusal::Blob)?;
+        network.header().memory.fits(self.arenas.sizes()).map_err(Refusal::Blob)?;
+        let pipeline = Pipeline::new(&network).map_err(refusal)?;
         let (frame_px, object_px) = (self.source.capacity(), self.sink.capacity());
         if pipeline.frame_len() > frame_px {
             let needed = saturated(2 * pipeline.frame_len());
@@ -225,12 +231,12 @@ impl<'m, F: MappedFlash, S: FrameInput, K: FrameSink, M: Monitor> Device<'m, F, 
             let needed = saturated(pipeline.output_len());
             return Err(Refusal::ObjectRoom { needed, available: saturated(object_px) });
         }
-        Ok(())
+        Ok(verified)
     }
 
     fn run(&mut self, id: u32, region: Option<Region>, hold: u16) -> Result<RunReport, Refusal> {
-        let network = Network::view(self.slots.active_file().ok_or(Refusal::NoNetwork)?).map_err(Refusal::Blob)?;
-        let pipeline = Pipeline::new(&network.header, network.weights).map_err(refusal)?;
+        let network = active_network(&self.slots, self.verified)?;
+        let pipeline = Pipeline::new(&network).map_err(refusal)?;
         let region = region.unwrap_or(pipeline.whole());
         let asked = (id, region, hold);
         if let Some(report) = self.last_run.filter(|report| (report.id, report.region, self.last_hold) == asked) {
@@ -262,7 +268,7 @@ impl<'m, F: MappedFlash, S: FrameInput, K: FrameSink, M: Monitor> Device<'m, F, 
         self.telemetry.cycles = cycles;
         self.telemetry.saturated_px = self.telemetry.saturated_px.wrapping_add(stats.saturated_px.into());
         self.telemetry.fast_bytes = saturated(fast_len * size_of::<f32>());
-        self.telemetry.bulk_bytes = network.header.memory.bulk_bytes;
+        self.telemetry.bulk_bytes = network.header().memory.bulk_bytes;
         self.telemetry.frame_bytes = expected;
         self.telemetry.object_bytes = saturated(2 * region.pixels());
         self.telemetry.runs = self.telemetry.runs.wrapping_add(1);
@@ -318,9 +324,14 @@ impl<'m, F: MappedFlash, S: FrameInput, K: FrameSink, M: Monitor> Device<'m, F, 
     }
 
     fn network_name(&self) -> String<48> {
-        let network = self.slots.active_file().and_then(|file| Network::view(file).ok());
-        network.map_or_else(String::new, |network| network.header.name)
+        active_network(&self.slots, self.verified).map_or_else(|_| String::new(), |network| network.into_header().name)
     }
+}
+
+/// The network that runs.
+fn active_network<F: MappedFlash>(slots: &Slots<F>, verified: Option<Verified>) -> Result<Network<'_>, Refusal> {
+    let (file, verified) = slots.active_file().zip(verified).ok_or(Refusal::NoNetwork)?;
+    verified.open(file).map_err(Refusal::Blob)
 }
 
 fn saturated(n: usize) -> u32 {

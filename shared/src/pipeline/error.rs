@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-use crate::blob::{MemoryPlan, Section, Size};
+use crate::blob::{MemoryPlan, Size};
 use crate::filter::FilterError;
 use crate::image::{Region, ShapeError};
 use crate::nn::NnError;
@@ -30,22 +30,6 @@ pub enum PipelineError {
     Network(NnError),
     /// A buffer does not hold its shape. It means a defect of this crate.
     Shape(ShapeError),
-    /// A weight section has another length than the header says; 0 halves where the header says that there is none.
-    Length {
-        /// Which one.
-        section: Section,
-        /// Halves by the header.
-        expected: usize,
-        /// Halves found.
-        found: usize,
-    },
-    /// A weight is infinite or NaN.
-    NotFinite {
-        /// In which section.
-        section: Section,
-        /// Number of the half in the section.
-        index: usize,
-    },
     /// The memory plan in the header is not the plan of this version.
     Plan {
         /// The plan for these shapes.
@@ -124,12 +108,6 @@ impl fmt::Display for PipelineError {
             Self::Filter(error) => error.fmt(f),
             Self::Network(error) => error.fmt(f),
             Self::Shape(error) => error.fmt(f),
-            Self::Length { section, expected, found } => {
-                write!(f, "weights, {}: expected {expected} halves, found {found}", section.name())
-            }
-            Self::NotFinite { section, index } => {
-                write!(f, "weights, {}: half {index} is not finite", section.name())
-            }
             Self::Plan { expected, found } => write!(
                 f,
                 "memory plan: expected {} + {} bytes, found {} + {}; quantize the network anew",

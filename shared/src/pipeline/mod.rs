@@ -23,7 +23,7 @@ pub use error::PipelineError;
 pub use field::{Field, GROWTH, Stats};
 pub use holder::Holder;
 
-use crate::blob::{Header, MemoryPlan, Weights};
+use crate::blob::{Header, MemoryPlan, Network, Weights};
 use crate::filter::{FilterBank, Filters, FrameRows};
 use crate::image::{ChwMut, PlaneMut, Region};
 use crate::nn::rcan::{self, Rcan};
@@ -55,13 +55,16 @@ pub struct Pipeline<'a> {
 }
 
 impl<'a> Pipeline<'a> {
-    /// Checks every shape, length and weight, and that the memory plan in the header is [`Self::plan`]'s.
+    /// Plans every operator of a network. Its weights have been checked with it ([`Network`]); here the shapes are, and that the memory
+    /// plan in the header is [`Self::plan`]'s.
     ///
     /// # Errors
-    /// [`PipelineError`].
-    pub fn new(header: &'a Header, weights: Weights<'a>) -> Result<Self, PipelineError> {
+    /// [`PipelineError::Field`], [`PipelineError::BlackLevel`] or [`PipelineError::Filter`] where a shape is impossible or the index of the
+    /// blocks is out of order; [`PipelineError::Plan`].
+    pub fn new(network: &'a Network<'_>) -> Result<Self, PipelineError> {
+        let (header, weights) = (network.header(), network.weights());
         let (filter, rcan) = validate::shapes(header)?;
-        validate::weights(header, &filter, &weights)?;
+        filter.check(Filters { halves: weights.filters, index: weights.index })?;
         let (expected, found) = (memory_plan(header, &filter, &rcan)?, header.memory);
         if expected != found {
             return Err(PipelineError::Plan { expected, found });
