@@ -1,7 +1,7 @@
 //! The complex transform: radix 4, decimation in time, in place.
 
+use super::error::{FftError, MAX_LEN};
 use super::twiddle::Roots;
-use super::{FftError, MAX_LEN};
 
 /// One complex number in each of L lanes: real parts, imaginary parts.
 pub type Lanes<const L: usize> = [[f32; L]; 2];

@@ -5,8 +5,9 @@
 //! to half too: those of a plane within [-1, 1] stay within [-2 T, 2 T], its spectrum within [-T, T], far from the largest half.
 
 use super::complex::Fft;
+use super::error::{FftError, check_len};
 use super::real::RealFft;
-use super::{FftError, check_len, strip};
+use super::strip;
 use crate::num::f16;
 use crate::num::pairs::Parts;
 use crate::num::simd::{Kernel, Simd, Vector};

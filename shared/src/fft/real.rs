@@ -3,8 +3,8 @@
 //! Source of the identities: Press et al., Numerical Recipes, 3rd ed., section 12.3.2, "FFT of single real function".
 
 use super::complex::{Fft, Lanes, mul};
+use super::error::{FftError, MAX_LEN};
 use super::twiddle::Roots;
-use super::{FftError, MAX_LEN};
 
 /// Plan of a real transform, 8 to [`MAX_LEN`] long.
 ///

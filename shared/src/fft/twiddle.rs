@@ -1,6 +1,6 @@
 //! Roots of unity, made at compile time in f64 and rounded once.
 
-use super::MAX_LEN;
+use super::error::MAX_LEN;
 
 /// `e^(-2 pi i k / 1024)`. The last quarter is there so that a masked index needs no check.
 static ROOTS: [[f32; 2]; MAX_LEN] = roots();

@@ -1,6 +1,6 @@
 //! The mark that makes a file count.
 
-use super::UNIT;
+use super::mapped::UNIT;
 use crate::blob::CRC;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};

@@ -14,31 +14,16 @@
 //! the file (length, checksum) is compared before a byte of it is used, and the file is decoded in full; where it fails, the other
 //! slot runs.
 
+mod mapped;
 mod mark;
 mod ram;
 mod slots;
 mod starts;
 
+pub use mapped::MappedFlash;
 pub use mark::{Mark, Slot};
 pub use ram::{RAM_SECTOR, RamFlash};
 pub use slots::Slots;
-
-use embedded_storage::nor_flash::NorFlash;
-
-/// Bytes that are written at once; a multiple of every write size that a flash may have.
-const UNIT: usize = 32;
-
-/// NOR flash that the core reads in place, from an address that is a multiple of [`crate::blob::ALIGN`].
-pub trait MappedFlash: NorFlash {
-    /// All of it.
-    fn mapped(&self) -> &[u8];
-}
-
-impl<F: MappedFlash> MappedFlash for &mut F {
-    fn mapped(&self) -> &[u8] {
-        (**self).mapped()
-    }
-}
 
 #[cfg(test)]
 mod tests;

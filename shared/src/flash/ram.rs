@@ -1,6 +1,6 @@
 //! Memory that behaves as NOR flash: for boards whose flash is emulated, and for the workstation.
 
-use super::MappedFlash;
+use super::mapped::MappedFlash;
 use embedded_storage::nor_flash::{
     ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash, check_erase, check_read, check_write,
 };

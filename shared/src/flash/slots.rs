@@ -1,9 +1,9 @@
 //! The two slots.
 
+use super::mapped::{MappedFlash, UNIT, erase, write};
 use super::mark::{Mark, Slot};
-use super::{MappedFlash, UNIT, starts};
+use super::starts;
 use crate::device::IoError;
-use core::ops::Range;
 
 /// Two slots for network files.
 #[derive(Debug)]
@@ -223,16 +223,4 @@ impl<F: MappedFlash> Slots<F> {
     fn erase_sector(&mut self, at: usize) -> Result<(), IoError> {
         erase(&mut self.flash, at..at + Self::SECTOR)
     }
-}
-
-pub(super) fn erase<F: MappedFlash>(flash: &mut F, range: Range<usize>) -> Result<(), IoError> {
-    flash.erase(address(range.start)?, address(range.end)?).map_err(|_| IoError::Failed)
-}
-
-pub(super) fn write<F: MappedFlash>(flash: &mut F, at: usize, unit: &[u8; UNIT]) -> Result<(), IoError> {
-    flash.write(address(at)?, unit).map_err(|_| IoError::Failed)
-}
-
-fn address(at: usize) -> Result<u32, IoError> {
-    u32::try_from(at).map_err(|_| IoError::Failed)
 }

@@ -1,8 +1,7 @@
 //! The count of starts: entries one after the other in one of two sectors; the other is erased when the first is full, so that the
 //! highest count is never in the sector that is erased.
 
-use super::slots::{erase, write};
-use super::{MappedFlash, UNIT};
+use super::mapped::{MappedFlash, UNIT, erase, write};
 use crate::device::IoError;
 
 /// Adds an entry to the two sectors at `at`; gives the count in it.

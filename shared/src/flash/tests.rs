@@ -4,6 +4,7 @@
 
 extern crate std;
 
+use super::mapped::UNIT;
 use super::*;
 use crate::device::IoError;
 use proptest::prelude::*;

@@ -2,7 +2,7 @@
 
 use core::ops::{Deref, DerefMut};
 
-use super::ShapeError;
+use super::error::ShapeError;
 
 /// A plane over a borrowed buffer `D`: element (r, c) lies at `r * stride + c`.
 #[derive(Clone, Copy, Debug)]

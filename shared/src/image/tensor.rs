@@ -2,7 +2,8 @@
 
 use core::ops::Deref;
 
-use super::{Region, ShapeError};
+use super::error::ShapeError;
+use super::region::Region;
 
 /// A tensor over a borrowed buffer `D`: element (k, r, c) lies at `(k * rows + r) * cols + c`.
 ///

@@ -1,5 +1,7 @@
-//! The transcendental function of the network: one code for every target.
+//! The multiply-accumulate, the maximum, and the one transcendental function of the network: one code for every target.
 
+use super::convert::widen;
+use super::f16;
 use micromath::F32Ext;
 
 /// Beyond this argument the logistic function is 0 or 1 to within half a unit of the smallest half.
@@ -17,6 +19,24 @@ pub fn sigmoid(x: f32) -> f32 {
     let magnitude = if magnitude < SATURATED { magnitude } else { SATURATED };
     let tail = 1.0 / (1.0 + F32Ext::exp(magnitude));
     if x < 0.0 { tail } else { 1.0 - tail }
+}
+
+/// `a * b + c` with two roundings: the product is rounded, then the sum.
+#[inline(always)]
+pub fn mac(a: f32, b: f32, c: f32) -> f32 {
+    c + a * b
+}
+
+/// Largest value of a slice by `>`, and whether all values are finite. Empty: `(-inf, true)`.
+pub fn max_finite(values: &[f16]) -> (f32, bool) {
+    let mut finite = true;
+    let mut max = f32::NEG_INFINITY;
+    for &value in values {
+        finite &= value.is_finite();
+        let value = widen(value);
+        max = if value > max { value } else { max };
+    }
+    (max, finite)
 }
 
 #[cfg(test)]

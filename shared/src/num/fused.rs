@@ -3,7 +3,8 @@
 #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
 use super::arm;
 use super::convert::{narrow, widen};
-use super::{f16, mac};
+use super::f16;
+use super::function::mac;
 
 /// How many leading elements the target's own loop has done; none where there is no such loop.
 macro_rules! done_on_arm {

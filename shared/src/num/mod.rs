@@ -19,23 +19,5 @@ pub mod pairs;
 pub mod simd;
 
 pub use convert::{narrow, narrow_slice, widen, widen_slice};
-pub use function::sigmoid;
+pub use function::{mac, max_finite, sigmoid};
 pub use half::f16;
-
-/// `a * b + c` with two roundings: the product is rounded, then the sum.
-#[inline(always)]
-pub fn mac(a: f32, b: f32, c: f32) -> f32 {
-    c + a * b
-}
-
-/// Largest value of a slice by `>`, and whether all values are finite. Empty: `(-inf, true)`.
-pub fn max_finite(values: &[f16]) -> (f32, bool) {
-    let mut finite = true;
-    let mut max = f32::NEG_INFINITY;
-    for &value in values {
-        finite &= value.is_finite();
-        let value = widen(value);
-        max = if value > max { value } else { max };
-    }
-    (max, finite)
-}

@@ -6,7 +6,7 @@
 //! and what the convolutions and filters need around it, no more, and the result is approximate, but for a frame that is the same. Both
 //! maxima are held together, so brightness stays on the scale of the frame that they are of.
 
-use super::PipelineError;
+use super::error::PipelineError;
 use crate::nn::channel_attention::Scales;
 
 /// How much brighter or darker than the frame that is held a frame may be. The network was trained on maxima of 1; far above, features would

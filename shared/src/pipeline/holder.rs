@@ -1,6 +1,8 @@
 //! Statistics of the field that are held over the frames of a stream.
 
-use super::{Field, Memory, Pipeline, PipelineError, Stats};
+use super::error::PipelineError;
+use super::field::{Field, Stats};
+use super::reconstruct::{Memory, Pipeline};
 use crate::blob::MemoryPlan;
 use crate::image::Region;
 use crate::num::f16;

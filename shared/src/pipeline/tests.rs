@@ -8,10 +8,14 @@ use std::vec;
 use std::vec::Vec;
 
 use super::*;
-use crate::blob::{Bank, BlobError, Rcan as RcanShape, Section, Sensor, Size, Tap};
+use crate::blob::{
+    Bank, BlobError, Header, MemoryPlan, Network, Rcan as RcanShape, Section, Sensor, Size, Tap, Weights,
+};
 use crate::filter::FilterError;
+use crate::image::Region;
 use crate::naive::{self, Noise, Tensor, wide};
 use crate::nn::rcan;
+use crate::num::f16;
 
 const FRAME: Size = Size { rows: 27, cols: 30 };
 const OBJECT: Size = Size { rows: 14, cols: 12 };
