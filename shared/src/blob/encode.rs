@@ -10,18 +10,18 @@ use super::layout::{
 /// Length of the file that [`encode`] writes for this header, bytes.
 ///
 /// # Errors
-/// [`BlobError::Header`] where the header holds what no network can have.
+/// [`BlobError::Header`] where a value of the header is impossible.
 pub fn encoded_len(header: &Header) -> Result<usize, BlobError> {
     let mut buffer = [0; MAX_HEADER_LEN];
     header.check()?;
     Ok(Layout::new(header_bytes(header, &mut buffer)?.len(), &header.section_lens()?)?.file_len)
 }
 
-/// Writes a network file to the start of `out` and gives its length, bytes.
+/// Writes a network file to the start of `out` and returns its length, bytes. The bytes behind it stay as they are.
 ///
 /// # Errors
-/// [`BlobError::Header`] where the header holds what no network can have, [`BlobError::SectionLength`] where the
-/// weights do not match it, [`BlobError::NonFinite`], and [`BlobError::NoRoom`].
+/// [`BlobError::Header`] where a value of the header is impossible, [`BlobError::SectionLength`] where a section of the weights has another
+/// length than the header says, [`BlobError::NonFinite`] where a weight is infinite or NaN, [`BlobError::NoRoom`] where `out` is too short.
 pub fn encode(header: &Header, weights: &Weights<'_>, out: &mut [u8]) -> Result<usize, BlobError> {
     weights.check(header)?;
     let mut buffer = [0; MAX_HEADER_LEN];

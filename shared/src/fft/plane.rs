@@ -144,7 +144,9 @@ macro_rules! in_strips {
         let range = $range;
         for first in range.clone().step_by($lanes) {
             let count = $lanes.min(range.end - first);
-            if !strip::holds::<$lanes>(count) || !$self.$method::<$lanes>(first, count) {
+            let done = strip::holds::<$lanes>(count) && $self.$method::<$lanes>(first, count);
+            // One lane holds every strip of one and changes no bit.
+            if const { $lanes > 1 } && !done {
                 (first..first + count).for_each(|one| {
                     $self.$method::<1>(one, 1);
                 });

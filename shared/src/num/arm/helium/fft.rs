@@ -96,81 +96,48 @@ pub(super) fn radix4_of_ones(data: &mut [[Four; 4]]) {
     }
 }
 
-/// Numbers k and k + 4 joined where the root is a plain sign: `o` real, imaginary after the turn; `plus`, `minus`: how they are added.
-macro_rules! join {
-    ($e:literal $o:literal, $or:literal $oi:literal, $plus:literal $minus:literal) => {
+/// Loads or stores a complex number of four lanes: its two registers, and its offset in the block, bytes.
+macro_rules! number {
+    ($name:literal $re:literal $im:literal, $at:literal) => {
+        concat!($name, " ", $re, ", [{p}, #", $at, "]\n", $name, " ", $im, ", [{p}, #", $at, "+16]\n")
+    };
+}
+
+/// Sum and difference of the numbers in q0, q1 and q2, q3, stored at offsets `e` and `o`; `plus`, `minus`: how the imaginary parts are added.
+macro_rules! sum_and_difference {
+    ($e:literal $o:literal, $plus:literal $minus:literal) => {
         concat!(
-            "vldrw.u32 q0, [{p}, #",
-            $e,
-            "]\n",
-            "vldrw.u32 q1, [{p}, #",
-            $e,
-            "+16]\n",
-            "vldrw.u32 ",
-            $or,
-            ", [{p}, #",
-            $o,
-            "]\n",
-            "vldrw.u32 ",
-            $oi,
-            ", [{p}, #",
-            $o,
-            "+16]\n",
             "vadd.f32 q4, q0, q2\n",
             $plus,
             " q5, q1, q3\n",
             "vsub.f32 q0, q0, q2\n",
             $minus,
             " q1, q1, q3\n",
-            "vstrw.32 q4, [{p}, #",
-            $e,
-            "]\n",
-            "vstrw.32 q5, [{p}, #",
-            $e,
-            "+16]\n",
-            "vstrw.32 q0, [{p}, #",
-            $o,
-            "]\n",
-            "vstrw.32 q1, [{p}, #",
-            $o,
-            "+16]\n",
+            number!("vstrw.32" "q4" "q5", $e),
+            number!("vstrw.32" "q0" "q1", $o),
         )
     };
 }
 
-/// The same where the odd number is first multiplied: `product` takes q2, q3 to the product.
+/// Joins the numbers at offsets `e` and `o` where the root is a plain sign; `or`, `oi`: where the parts of the second are loaded to.
+macro_rules! join {
+    ($e:literal $o:literal, $or:literal $oi:literal, $plus:literal $minus:literal) => {
+        concat!(
+            number!("vldrw.u32" "q0" "q1", $e),
+            number!("vldrw.u32" $or $oi, $o),
+            sum_and_difference!($e $o, $plus $minus),
+        )
+    };
+}
+
+/// The same where the second number is first multiplied: `product` multiplies q2, q3 in place.
 macro_rules! join_product {
     ($e:literal $o:literal, $product:expr) => {
         concat!(
-            "vldrw.u32 q2, [{p}, #",
-            $o,
-            "]\n",
-            "vldrw.u32 q3, [{p}, #",
-            $o,
-            "+16]\n",
+            number!("vldrw.u32" "q2" "q3", $o),
             $product,
-            "vldrw.u32 q0, [{p}, #",
-            $e,
-            "]\n",
-            "vldrw.u32 q1, [{p}, #",
-            $e,
-            "+16]\n",
-            "vadd.f32 q4, q0, q2\n",
-            "vadd.f32 q5, q1, q3\n",
-            "vsub.f32 q0, q0, q2\n",
-            "vsub.f32 q1, q1, q3\n",
-            "vstrw.32 q4, [{p}, #",
-            $e,
-            "]\n",
-            "vstrw.32 q5, [{p}, #",
-            $e,
-            "+16]\n",
-            "vstrw.32 q0, [{p}, #",
-            $o,
-            "]\n",
-            "vstrw.32 q1, [{p}, #",
-            $o,
-            "+16]\n",
+            number!("vldrw.u32" "q0" "q1", $e),
+            sum_and_difference!($e $o, "vadd.f32" "vsub.f32"),
         )
     };
 }
