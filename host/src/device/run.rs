@@ -3,7 +3,7 @@
 use super::{Client, Counter, Deviation, DeviceError, Runtime, Scope, Transport, flash};
 use crate::blob::BlobFile;
 use half::f16;
-use ommatidia_shared::pipeline::{Holder, Memory, Pipeline};
+use ommatidia_shared::pipeline::{HeldRegion, Holder, Memory, Pipeline};
 use ommatidia_shared::wire::{RunReport, Telemetry};
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -145,7 +145,7 @@ pub fn reference(blob: &BlobFile, work: Work<'_>) -> Result<Vec<Vec<f16>>, Devic
     for frame in work.frames {
         let mut object = vec![f16::ZERO; region.pixels()];
         let memory = Memory { fast: &mut fast, bulk: &mut bulk };
-        field.run(&pipeline, frame, (region, hold), memory, &mut object).map_err(DeviceError::Pipeline)?;
+        field.run(&pipeline, frame, HeldRegion { region, hold }, memory, &mut object).map_err(DeviceError::Pipeline)?;
         objects.push(object);
     }
     Ok(objects)

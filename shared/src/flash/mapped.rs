@@ -4,12 +4,12 @@ use crate::device::IoError;
 use core::ops::Range;
 use embedded_storage::nor_flash::NorFlash;
 
-/// Bytes that are written at once; a multiple of every write size that a flash may have.
+/// Bytes that are written at once: a multiple of the write size of every flash.
 pub(super) const UNIT: usize = 32;
 
-/// NOR flash that the core reads in place, from an address that is a multiple of [`crate::blob::ALIGN`].
+/// NOR flash that the core reads in place. It begins at an address that is a multiple of [`crate::blob::ALIGN`].
 pub trait MappedFlash: NorFlash {
-    /// All of it.
+    /// The content of the whole flash.
     fn mapped(&self) -> &[u8];
 }
 

@@ -14,16 +14,16 @@ use crate::sensor::FixedPattern;
 /// Rows of a band beyond which the rows no longer stay in a workstation's caches.
 const BEST_BAND: usize = 16;
 
-/// The caller's memory. Its content before a run does not matter.
+/// The memory of a run. Its content before the run does not matter.
 #[derive(Debug)]
 pub struct Memory<'m> {
-    /// Fast scratch.
+    /// Fast scratch, [`Pipeline::fast_len`] numbers at least.
     pub fast: &'m mut [f32],
-    /// Bulk arena.
+    /// Bulk arena, [`Pipeline::bulk_len`] halves at least.
     pub bulk: &'m mut [f16],
 }
 
-/// A network, checked and ready to run.
+/// A network that is ready to run on frames.
 #[derive(Clone, Copy, Debug)]
 pub struct Pipeline<'a> {
     header: &'a Header,
@@ -35,8 +35,8 @@ pub struct Pipeline<'a> {
 }
 
 impl<'a> Pipeline<'a> {
-    /// Plans every operator of a network. Its weights have been checked with it ([`Network`]); here the shapes are, and that the memory
-    /// plan in the header is [`Self::plan`]'s.
+    /// Plans every operator of a network, and checks that the memory plan in its header is that of [`Self::plan`]. The weights are not looked at
+    /// again: a [`Network`] has been checked.
     ///
     /// # Errors
     /// [`PipelineError::Field`], [`PipelineError::BlackLevel`] or [`PipelineError::Filter`] where a shape is impossible or the index of the
@@ -53,64 +53,64 @@ impl<'a> Pipeline<'a> {
         Ok(Self { header, weights, pattern, filter, rcan, simd: Simd::detect() })
     }
 
-    /// The memory that a network needs at least: a function of the header's shapes alone, the same on every machine.
+    /// Memory that a network needs at least. It follows from the shapes in the header alone and is the same on every machine.
     ///
     /// # Errors
-    /// [`PipelineError`] where the header contradicts itself.
+    /// [`PipelineError::Field`], [`PipelineError::BlackLevel`] or [`PipelineError::Filter`] where a shape is impossible.
     pub fn plan(header: &Header) -> Result<MemoryPlan, PipelineError> {
         let (filter, rcan) = validate::shapes(header)?;
         memory_plan(header, &filter, &rcan)
     }
 
-    /// Numbers of fast scratch beyond which more does not help.
+    /// Length of fast scratch beyond which more does not help, numbers.
     pub fn fast_len_best(&self) -> usize {
         let frame = usize::from(self.header.frame.cols);
         self.filter.scratch_len_wide().max(self.rcan.scratch_len(BEST_BAND)) + frame
     }
 
-    /// Numbers of fast scratch needed at least.
+    /// Length of fast scratch needed at least, numbers.
     pub fn fast_len(&self) -> usize {
         self.header.memory.fast_bytes as usize / size_of::<f32>()
     }
 
-    /// Halves of bulk memory needed.
+    /// Length of the bulk arena needed, halves.
     pub fn bulk_len(&self) -> usize {
         self.header.memory.bulk_bytes as usize / size_of::<f16>()
     }
 
-    /// Pixels of a raw frame.
+    /// Length of a raw frame, pixels.
     pub fn frame_len(&self) -> usize {
         usize::from(self.header.frame.rows) * usize::from(self.header.frame.cols)
     }
 
-    /// Pixels of the reconstruction.
+    /// Length of the whole reconstruction, pixels.
     pub fn output_len(&self) -> usize {
         usize::from(self.header.object.rows) * usize::from(self.header.object.cols)
     }
 
-    /// Scales of all channel attentions: what [`Field`] writes down and holds besides two maxima.
+    /// Number of scales of all channel attentions, for [`Field`].
     pub const fn scales_len(&self) -> usize {
         self.rcan.scales_len()
     }
 
-    /// The header.
+    /// The header of the network.
     pub const fn header(&self) -> &'a Header {
         self.header
     }
 
-    /// Reconstructs one frame: `frame` are the raw codes (frame rows, frame cols), `output` is (object rows, object cols), 0 to 1.
+    /// Reconstructs a frame. `frame` holds the raw codes (frame rows, frame cols), DN; `output` is (object rows, object cols), 0 to 1.
     ///
     /// # Errors
-    /// [`PipelineError::Frame`], [`PipelineError::Output`] or [`PipelineError::Memory`] where a slice has the wrong length; nothing is
-    /// written then.
+    /// [`PipelineError::Frame`] or [`PipelineError::Output`] where a slice has the wrong length, [`PipelineError::Memory`] where the memory is too
+    /// small. Nothing is written then.
     pub fn run(&self, frame: &[u16], memory: Memory<'_>, output: &mut [f16]) -> Result<Stats, PipelineError> {
         self.run_region(frame, self.whole(), memory, output)
     }
 
-    /// Reconstructs `region` of the object alone: `output` is (region rows, region cols), and every bit is that of [`Self::run`].
+    /// Reconstructs only `region` of the object. `output` is (region rows, region cols), 0 to 1, with the bits of [`Self::run`].
     ///
     /// # Errors
-    /// As [`Self::run`]; [`PipelineError::Region`] where the region is empty or reaches out of the object.
+    /// As [`Self::run`]; [`PipelineError::Region`] where the region is empty or reaches beyond the object.
     pub fn run_region(
         &self,
         frame: &[u16],
@@ -121,11 +121,12 @@ impl<'a> Pipeline<'a> {
         self.run_with(frame, region, Field::Measured(None), memory, output)
     }
 
-    /// The same with a say in what depends on the whole field: measured, it is exact; held from another frame, only the region is computed.
+    /// Reconstructs `region` of the object with the statistics of the field from `field`. Measured in this frame, the region is exact. Held from
+    /// another frame, only the region and its surroundings are computed.
     ///
     /// # Errors
-    /// As [`Self::run_region`]; [`PipelineError::Scales`] where `field` is of another network; [`PipelineError::NothingHeld`];
-    /// [`PipelineError::Outgrown`], and then the output is not written.
+    /// As [`Self::run_region`]; [`PipelineError::Scales`] where `field` belongs to another network; [`PipelineError::NothingHeld`] and
+    /// [`PipelineError::Outgrown`] where the held statistics cannot be used. The output is not written then.
     pub fn run_with(
         &self,
         frame: &[u16],
@@ -158,15 +159,15 @@ impl<'a> Pipeline<'a> {
         Ok(Stats { saturated_px, frame_max_dn, filter_max, filter_finite })
     }
 
-    /// All of the object.
+    /// The region of the whole object.
     pub fn whole(&self) -> Region {
         Region::whole(self.header.object.rows, self.header.object.cols)
     }
 
-    /// Whether a region lies in the object.
+    /// Checks that a region lies in the object.
     ///
     /// # Errors
-    /// [`PipelineError::Region`] where it does not.
+    /// [`PipelineError::Region`] where it is empty or reaches beyond the object.
     pub fn check_region(&self, region: Region) -> Result<(), PipelineError> {
         let object = self.header.object;
         let inside = region.lies_in(object.rows, object.cols);
@@ -194,7 +195,7 @@ impl<'a> Pipeline<'a> {
         Ok(())
     }
 
-    /// Saturated pixels and the maximum of the corrected frame.
+    /// Number of saturated pixels, and the maximum of the corrected frame, DN.
     fn survey(&self, frame: &[u16], fast: &mut [f32]) -> (u32, f32) {
         let cols = usize::from(self.header.frame.cols);
         let row = &mut fast[..cols];
@@ -214,7 +215,7 @@ fn memory_plan(header: &Header, filter: &FilterBank<'_>, rcan: &Rcan) -> Result<
     Ok(MemoryPlan { fast_bytes: bytes(fast * size_of::<f32>()), bulk_bytes: bytes(bulk * size_of::<f16>()) })
 }
 
-/// Saturating, as a length that does not fit is large enough or much too large.
+/// Length as 32 bits. It saturates: a length that does not fit is large enough or much too large.
 fn bytes(len: usize) -> u32 {
     u32::try_from(len).unwrap_or(u32::MAX)
 }
@@ -238,7 +239,7 @@ impl FrameRows for Corrected<'_> {
     }
 }
 
-/// Divides by the maximum, or by a number that is given; gives the maximum and whether all values are finite.
+/// Divides by the maximum, or by `by` where it is given. Returns the maximum and whether all values are finite.
 struct Normalise<'a> {
     values: &'a mut [f16],
     by: Option<f32>,

@@ -383,7 +383,7 @@ fn what_is_held_must_fit() {
     assert_eq!(run(&case.frame, Field::Held(faint, &scales)), Err(PipelineError::Outgrown));
 }
 
-/// The frames are what they are; what is told is how old the statistics of each are.
+/// Checks the age of the statistics of each frame.
 #[test]
 fn a_holder_measures_when_it_must() {
     let case = wide_case();
@@ -395,7 +395,7 @@ fn a_holder_measures_when_it_must() {
     let mut holder = Holder::default();
     let mut age = |frame: &[u16], hold: u16| {
         let (mut output, memory) = (vec![f16::NAN; 30], Memory { fast: &mut fast, bulk: &mut bulk });
-        let (stats, age) = holder.run(&pipeline, frame, (region, hold), memory, &mut output).unwrap();
+        let (stats, age) = holder.run(&pipeline, frame, HeldRegion { region, hold }, memory, &mut output).unwrap();
         if age == 0 {
             let exact = run_with(&case, frame, region, Field::Measured(None)).unwrap();
             assert_eq!((output, stats), exact);
@@ -413,10 +413,10 @@ fn a_holder_measures_when_it_must() {
     assert_eq!(age(&case.frame, 9), 1);
     holder.forget();
     let (mut output, memory) = (vec![f16::NAN; 30], Memory { fast: &mut fast, bulk: &mut bulk });
-    assert_eq!(holder.run(&pipeline, &case.frame, (region, 9), memory, &mut output).unwrap().1, 0);
+    assert_eq!(holder.run(&pipeline, &case.frame, HeldRegion { region, hold: 9 }, memory, &mut output).unwrap().1, 0);
     let mut short = |hold| {
         let memory = Memory { fast: &mut fast[1..], bulk: &mut bulk };
-        holder.run(&pipeline, &case.frame, (region, hold), memory, &mut output)
+        holder.run(&pipeline, &case.frame, HeldRegion { region, hold }, memory, &mut output)
     };
     assert_eq!(short(0).unwrap().1, 0);
     assert!(short(1).unwrap_err().to_string().contains("(4 missing)"));

@@ -1,11 +1,11 @@
-//! The checks at the door.
+//! The checks of a header before anything is computed.
 
 use super::error::PipelineError;
 use crate::blob::Header;
 use crate::filter::FilterBank;
 use crate::nn::rcan::Rcan;
 
-/// The largest side of a frame or an object, so that no product of shapes overflows 32 bits.
+/// Largest side of a frame or an object, pixels: with it no product of shapes overflows 32 bits.
 const MAX_SIDE: u32 = 4096;
 
 /// Checks the shapes of a header and plans the operators.

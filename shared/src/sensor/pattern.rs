@@ -10,16 +10,16 @@ pub struct FixedPattern<'a> {
     pub black_level_dn: f32,
     /// The highest code, DN. A pixel at or above it is saturated.
     pub saturation_dn: u16,
-    /// Columns of the maps.
+    /// Columns of the maps, pixels.
     pub cols: usize,
-    /// Offset of each pixel relative to the black level, DN.
+    /// Offset of each pixel relative to the black level, DN, row by row. None: 0.
     pub offset_dn: Option<&'a [f16]>,
-    /// Inverse relative gain of each pixel.
+    /// Inverse relative gain of each pixel, row by row. None: 1.
     pub inverse_gain: Option<&'a [f16]>,
 }
 
 impl<'a> FixedPattern<'a> {
-    /// The fixed pattern that a network file describes.
+    /// The fixed pattern in a network file.
     pub fn new(header: &Header, weights: &Weights<'a>) -> Self {
         Self {
             black_level_dn: header.sensor.black_level_dn,
@@ -30,14 +30,15 @@ impl<'a> FixedPattern<'a> {
         }
     }
 
-    /// Offset and inverse gain of a pixel.
+    /// Offset, DN, and inverse gain of a pixel.
     #[inline(always)]
     fn pixel(&self, row: usize, col: usize) -> (f32, f32) {
         let at = row * self.cols + col;
         (self.offset_dn.map_or(0.0, |map| widen(map[at])), self.inverse_gain.map_or(1.0, |map| widen(map[at])))
     }
 
-    /// Corrects columns `first..first + to.len()` of row `row` of a raw frame, given as `codes`; DN.
+    /// Corrects columns `first..first + to.len()` of row `row` of a raw frame. `codes` holds the codes of these columns, and `to` receives the
+    /// signal, DN.
     #[inline(always)]
     pub fn correct(&self, row: usize, first: usize, codes: &[u16], to: &mut [f32]) {
         for (to, &code) in to.iter_mut().zip(codes) {
@@ -56,18 +57,18 @@ impl<'a> FixedPattern<'a> {
         }
     }
 
-    /// Saturated pixels among `codes`.
+    /// Number of codes at or above the saturation code.
     #[inline(always)]
     pub fn saturated(&self, codes: &[u16]) -> u32 {
         codes.iter().map(|&code| u32::from(code >= self.saturation_dn)).sum()
     }
 
-    /// The inverse of [`Self::correct`]: what the sensor reads for `signal` (DN, finite). A defect pixel reads its offset.
+    /// Inverse of [`Self::correct`]: the codes of the sensor for `signal`, finite, DN. The code of a defective pixel is that without light.
     pub fn apply(&self, row: usize, first: usize, signal: &[f32], codes: &mut [u16]) {
         for (col, (code, &signal)) in (first..).zip(codes.iter_mut().zip(signal)) {
             let (offset, inverse_gain) = self.pixel(row, col);
             let signal = if inverse_gain == 0.0 { 0.0 } else { signal / inverse_gain };
-            // The cast saturates: the sum is clamped at 0 by it, at the highest code below.
+            // The cast saturates at 0; the highest code is the other bound.
             let rounded = (signal + offset + self.black_level_dn + 0.5) as u32;
             *code = rounded.min(u32::from(self.saturation_dn)) as u16;
         }
@@ -96,7 +97,7 @@ mod tests {
         pattern.correct(0, 0, &[64, 70, 100], &mut row);
         assert_eq!(row, [0.0, 2.25, 78.0]);
         pattern.correct(1, 0, &[4000, 60, 4095], &mut row);
-        assert_eq!(row, [0.0, -5.3125, 3017.25], "a defect pixel is dark, a dark one stays negative");
+        assert_eq!(row, [0.0, -5.3125, 3017.25], "a defective pixel is dark, a dark one stays negative");
         pattern.correct(1, 1, &[60, 4095], &mut row[..2]);
         assert_eq!(row[..2], [-5.3125, 3017.25], "part of a row");
         assert_eq!(pattern.saturated(&[4094, 4095, 65535]), 2);
