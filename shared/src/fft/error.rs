@@ -2,15 +2,15 @@
 
 use core::fmt;
 
-/// The largest transform.
+/// Length of the longest transform.
 pub const MAX_LEN: usize = 1024;
 
-/// What a transform refuses.
+/// Why a transform refuses its size or a buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FftError {
     /// Not a power of two from 8 to [`MAX_LEN`].
     Size {
-        /// The size asked for.
+        /// Size given.
         found: usize,
     },
     /// A buffer is too short.

@@ -1,8 +1,8 @@
 //! The 2-D real transform in strips.
 //!
-//! Rows, then columns, a few side by side, in fast scratch; the spectrum, T x (T/2 + 1) pairs of halves (re, im), may lie in slow
-//! memory. Both directions are scaled by 1/T (unitary), an exact power of two, behind their second pass. Half-transformed rows are rounded
-//! to half too: those of a plane within [-1, 1] stay within [-2 T, 2 T], its spectrum within [-T, T], far from the largest half.
+//! Rows, then columns are transformed, a few side by side, in fast scratch. The spectrum, T x (T/2 + 1) pairs of halves (re, im), may lie in
+//! slow memory. Both directions are scaled by 1/T (unitary), an exact power of two, after their second pass. Half-transformed rows are rounded
+//! to halves too: those of a plane within [-1, 1] stay within [-2 T, 2 T], its spectrum within [-T, T], far from the largest half.
 
 use super::complex::Fft;
 use super::error::{FftError, check_len};
@@ -19,15 +19,15 @@ const WIDE: usize = match (cfg!(target_arch = "arm"), strip::HELIUM) {
     (true, false) => 1,
 };
 
-/// Where the input rows come from.
+/// Source of the rows of a plane.
 pub trait RowSource {
-    /// Writes row `row` of the plane, all of it, into `to`.
+    /// Writes the whole row `row` of the plane, T numbers, into `to`.
     fn load(&self, row: usize, to: &mut [f32]);
 }
 
-/// Where the spectrum of an inverse transform comes from.
+/// Source of the spectrum of an inverse transform.
 pub trait ProductSource {
-    /// Pairs of stored spectra; the sum of their products is transformed.
+    /// Pairs of stored spectra. The sum of their products is transformed.
     fn products(&self) -> impl Iterator<Item = [&[f16]; 2]>;
 }
 
@@ -55,7 +55,7 @@ impl Fft2 {
         self.cols.len()
     }
 
-    /// Never: there is no empty transform.
+    /// Always false: no transform is empty.
     pub const fn is_empty(&self) -> bool {
         false
     }
@@ -66,19 +66,19 @@ impl Fft2 {
         self.len() / 2 + 1
     }
 
-    /// Halves of `rows` rows of the spectrum.
+    /// Length of `rows` rows of the spectrum, halves.
     #[inline(always)]
     pub const fn spectrum_len(&self, rows: usize) -> usize {
         2 * self.width() * rows
     }
 
-    /// Numbers of scratch that the transforms work with at least. With eight times as much they use wide lanes where the target
-    /// has them; the result is the same.
+    /// Length of scratch needed at least, numbers. With [`Self::scratch_len_wide`] the transforms use several lanes where the target has vectors.
+    /// The result is the same.
     pub const fn scratch_len(&self) -> usize {
         self.scratch_for(1)
     }
 
-    /// Scratch beyond which more does not help.
+    /// Length of scratch beyond which more does not help, numbers.
     pub const fn scratch_len_wide(&self) -> usize {
         self.scratch_for(WIDE)
     }
@@ -88,7 +88,7 @@ impl Fft2 {
         2 * self.len() * lanes + 4 * self.len()
     }
 
-    /// Transforms the plane whose rows `occupied` come from `source`, all others being zero.
+    /// Transforms the plane whose rows `occupied` come from `source`. All other rows are zero. `spectrum` receives T rows of T/2 + 1 numbers.
     ///
     /// # Errors
     /// [`FftError::Buffer`] where `spectrum` or `scratch` is too short.
@@ -110,9 +110,9 @@ impl Fft2 {
         Ok(())
     }
 
-    /// Transforms back: rows `rows` of the plane go to `emit(row, values)`, each of T numbers. `halfway` holds
-    /// [`Self::spectrum_len`] of these rows. The imaginary parts of columns 0 and T/2 after the column transforms are ignored, as in
-    /// every complex-to-real transform.
+    /// Transforms back, and calls `emit(row, values)` with the T numbers of each row in `rows`. `halfway` has the length
+    /// [`Self::spectrum_len`] of these rows. The imaginary parts of columns 0 and T/2 after the column transforms are ignored, as in every
+    /// complex-to-real transform.
     ///
     /// # Errors
     /// [`FftError::Buffer`] where `halfway` or `scratch` is too short.
@@ -178,7 +178,7 @@ impl<S: RowSource, const L: usize> Kernel for Forward<'_, S, L> {
 }
 
 impl<S: RowSource, const L: usize> Forward<'_, S, L> {
-    /// Rows `first..first + count`, `N` side by side; false, and nothing done, where that would change a bit.
+    /// Transforms rows `first..first + count`, `N` side by side. Returns false, and does nothing, where that would change a bit.
     #[inline(always)]
     fn rows<const N: usize>(&mut self, first: usize, count: usize) -> bool {
         let (fft, row_len) = (self.plan.rows, self.plan.spectrum_len(1));

@@ -1,12 +1,12 @@
-//! Roots of unity, made at compile time in f64 and rounded once.
+//! Roots of unity, computed at compile time in f64 and rounded once.
 
 use super::error::MAX_LEN;
 
-/// `e^(-2 pi i k / 1024)`. The last quarter is there so that a masked index needs no check.
+/// `e^(-2 pi i k / 1024)`. The table covers the whole circle, so that a masked index needs no check.
 static ROOTS: [[f32; 2]; MAX_LEN] = roots();
 
-/// `e^(-2 pi i m k / 1024)` for m = 2, 1, 3: the roots of a butterfly of four numbers in bit-reversed order, side by side. Every
-/// shorter transform takes them in larger steps.
+/// `e^(-2 pi i m k / 1024)` for m = 2, 1, 3: the roots of a butterfly of four numbers in bit-reversed order, side by side. Shorter transforms
+/// use the table in larger steps.
 #[cfg_attr(not(target_arch = "arm"), allow(dead_code))]
 pub(crate) static ROOT_TRIPLES: [[[f32; 2]; 3]; MAX_LEN / 4] = triples();
 

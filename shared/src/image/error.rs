@@ -1,6 +1,6 @@
 //! What a view of a buffer refuses.
 
-/// The buffer does not hold the shape.
+/// The length of a buffer does not fit a shape.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ShapeError {
     /// Elements that the shape needs.

@@ -1,4 +1,4 @@
-//! Borrowed images: (row, col) planes with a stride, and channel-row-col (CHW) tensors without one.
+//! Borrowed images: planes (row, col) with a stride, and tensors (channel, row, col) without one.
 
 mod error;
 mod plane;
