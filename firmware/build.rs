@@ -1,8 +1,9 @@
 //! Gives the linker the memory map of the board; does nothing on the workstation.
 //!
-//! The linker script of `cortex-m-rt` includes `memory.x`, and the linker takes the one at the top of the repository, where cargo starts
-//! it, whatever its search path. That file holds the map of the default board and includes `board.x`, which is the file in `memory/` that
-//! is named like the board. `board.x` and what it includes are copied to the output folder, which is on the search path.
+//! The linker script of `cortex-m-rt` includes `memory.x`, and the linker takes the one at the top of the repository,
+//! where cargo starts it, whatever its search path. That file holds the map of the default board and includes
+//! `board.x`, which is the file in `memory/` that is named like the board. `board.x` and what it includes are copied to
+//! the output folder, which is on the search path.
 
 use std::path::{Path, PathBuf};
 use std::{env, fs, io};

@@ -1,4 +1,5 @@
-//! Any requests in any order, on a flash of any content: the device answers each, and what runs is always a whole network.
+//! Any requests in any order, on a flash of any content: the device answers each, and what runs is always a whole
+//! network.
 #![no_main]
 
 use half::f16;

@@ -13,7 +13,8 @@ pub struct Board {
     pub rustflags: &'static [&'static str],
     /// Whether QEMU emulates the board.
     pub emulated: bool,
-    /// Size of the emulated memory that a file can back, bytes. The flash with the network files is the first part of it. 0 without an emulator.
+    /// Size of the emulated memory that a file can back, bytes. The flash with the network files is the first part of
+    /// it. 0 without an emulator.
     pub memory_bytes: u64,
 }
 
@@ -27,8 +28,8 @@ pub const MPS2_AN500: Board = Board {
     memory_bytes: 16 << 20,
 };
 
-/// Arm MPS3 with FPGA image AN547, a Cortex-M55 with the vector extension Helium. Helium flushes subnormal numbers to zero, which only the
-/// routines written for it allow for. So the compiler must not make vector loops of its own.
+/// Arm MPS3 with FPGA image AN547, a Cortex-M55 with the vector extension Helium. Helium flushes subnormal numbers to
+/// zero, which only the routines written for it allow for. So the compiler must not make vector loops of its own.
 pub const MPS3_AN547: Board = Board {
     name: "mps3-an547",
     core: "Cortex-M55",

@@ -122,7 +122,9 @@ prop_compose! {
             checkpoint: "".try_into().unwrap(),
             frame: Size { rows: frame.0, cols: frame.1 },
             object: Size { rows: object.0, cols: object.1 },
-            sensor: Sensor { black_level_dn: black, saturation_dn: saturation, has_offset_map: maps.0, has_gain_map: maps.1 },
+            sensor: Sensor {
+                black_level_dn: black, saturation_dn: saturation, has_offset_map: maps.0, has_gain_map: maps.1
+            },
             bank: Bank {
                 tile, step, channels,
                 taps: taps.into_iter().map(|(channel, dy, dx)| Tap { channel, dy, dx }).collect(),

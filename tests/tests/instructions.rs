@@ -19,8 +19,8 @@ fn counts(board: Board) -> Result<BoardCounts, String> {
     }
 }
 
-/// Where something is missing the test counts as skipped; under `cargo verify`, which installs it, it fails. With `OMMATIDIA_RENEW` it
-/// writes the page.
+/// Where something is missing the test counts as skipped; under `cargo verify`, which installs it, it fails. With
+/// `OMMATIDIA_RENEW` it writes the page.
 #[test]
 fn no_operator_takes_more_instructions_than_the_page_says() {
     let boards = BOARDS.into_iter().filter(|board| board.emulated);
@@ -43,6 +43,6 @@ fn no_operator_takes_more_instructions_than_the_page_says() {
             .collect::<Vec<_>>()
     };
     let complaints: Vec<String> = counts.iter().flat_map(complaint).collect();
-    assert!(table::rates_follow(&page).unwrap(), "the frame rates are not those of the tables: write the page anew");
+    assert!(table::rates_follow(&page).unwrap(), "the frame rates do not follow from the tables: write the page again");
     assert!(complaints.is_empty(), "docs/instructions.md against this tree:\n{}", complaints.join("\n"));
 }

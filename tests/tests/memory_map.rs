@@ -1,5 +1,5 @@
-//! Each image is linked with the memory map of its own board. The linker reads `memory.x`, the map of the default board, for every board
-//! (see there); this test finds an image that was put into the regions of another one.
+//! Each image is linked with the memory map of its own board. The linker reads `memory.x`, the map of the default
+//! board, for every board (see there); this test finds an image that was put into the regions of another one.
 #![allow(clippy::unwrap_used)]
 
 use ommatidia_host::device::{DeviceError, Firmware};
@@ -42,7 +42,8 @@ fn region(board: Board, name: &str) -> u32 {
 fn symbol(image: &[u8], name: &str) -> Option<u32> {
     let word = |at: usize| image.get(at..at + 4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]));
     let (table, count) = (word(32)? as usize, word(48)? as usize & 0xffff);
-    // Section headers have 40 bytes: type at 4, offset at 16, length at 20, linked section at 24. Symbol tables are of type 2.
+    // Section headers have 40 bytes: type at 4, offset at 16, length at 20, linked section at 24. Symbol tables are of
+    // type 2.
     let section = |i: usize| table + 40 * i;
     let symbols = (0..count).map(section).find(|at| word(at + 4) == Some(2))?;
     let names = word(section(word(symbols + 24)? as usize) + 16)? as usize;

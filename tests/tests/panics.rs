@@ -1,10 +1,11 @@
 //! No byte from outside leads to a panic of the firmware: the image that is flashed holds none where bytes come in.
 //!
-//! Every place that can panic passes its source location to the panic, so the locations that the linker has kept in the image are the
-//! places that can be reached. Wire, network file, flash, state machine and boards must have none. The arithmetic has bounds checks: of
-//! indices that follow from shapes alone, which `Pipeline::new` has checked, never from the values of pixels, weights or messages.
-//! Strange shapes are tried by `strange_headers_are_refused_or_run` and by the fuzz target `blob`. Should one panic all the same, the
-//! watchdog starts the device anew, and the network is still in its flash.
+//! Every place that can panic passes its source location to the panic, so the locations that the linker has kept in the
+//! image are the places that can be reached. Wire, network file, flash, state machine and boards must have none. The
+//! arithmetic has bounds checks: of indices that follow from shapes alone, which `Pipeline::new` has checked, never
+//! from the values of pixels, weights or messages. Strange shapes are tried by `strange_headers_are_refused_or_run` and
+//! by the fuzz target `blob`. Should one panic all the same, the watchdog starts the device anew, and the network is
+//! still in its flash.
 #![allow(clippy::unwrap_used)]
 
 use ommatidia_host::device::{DeviceError, Firmware};
@@ -70,7 +71,8 @@ struct Place {
     col: u32,
 }
 
-/// All `core::panic::Location`s in the loaded segments of a 32-bit ELF image: pointer and length of a file's name, line, column.
+/// All `core::panic::Location`s in the loaded segments of a 32-bit ELF image: pointer and length of a file's name,
+/// line, column.
 fn locations(image: &[u8]) -> BTreeSet<Place> {
     let word = |at: usize| image.get(at..at + 4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize);
     let (table, count) = (word(28).unwrap(), word(44).unwrap() & 0xffff);

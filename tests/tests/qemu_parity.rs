@@ -12,8 +12,8 @@ use ommatidia_shared::boards::{BOARDS, MPS3_AN547};
 use ommatidia_shared::device::Footprint;
 use ommatidia_shared::image::Region;
 
-/// The firmware for each board. Where QEMU or a target is missing the test counts as skipped; under `cargo verify`, which installs them,
-/// it fails.
+/// The firmware for each board. Where QEMU or a target is missing the test counts as skipped; under `cargo verify`,
+/// which installs them, it fails.
 fn firmware() -> Option<Vec<Firmware>> {
     let boards = BOARDS.into_iter().filter(|board| board.emulated);
     let missing = match boards.map(|board| Firmware::build(board, "app")).collect() {
@@ -78,8 +78,8 @@ fn the_thinnest_network_agrees_bit_for_bit() {
     check(&THIN, 3);
 }
 
-/// The device's transforms are written in its own instructions, this machine's in Rust: every length that a board has room for, one
-/// column and one row more than a block of any loop.
+/// The device's transforms are written in its own instructions, this machine's in Rust: every length that a board has
+/// room for, one column and one row more than a block of any loop.
 #[test]
 fn transforms_of_every_size_agree_bit_for_bit() {
     check(&Shape { tile: 8, step: 4, frame: [13, 11], object: [10, 6], ..THIN }, 8);
@@ -95,8 +95,8 @@ fn odd_rows_and_channels_agree_bit_for_bit() {
     check(&Shape { width: 5, object: [22, 26], ..TAPPED }, 10);
 }
 
-/// Helium flushes numbers below 2^-126 to zero, and the transforms that meet such numbers are done again without it. A black level
-/// of 2e-41 DN makes all of a dark pixel such a number; dark rows hold nothing else.
+/// Helium flushes numbers below 2^-126 to zero, and the transforms that meet such numbers are done again without it. A
+/// black level of 2e-41 DN makes all of a dark pixel such a number; dark rows hold nothing else.
 #[test]
 fn numbers_that_helium_flushes_agree_bit_for_bit() {
     let shape = Shape { maps: false, ..DENSE };
@@ -142,8 +142,8 @@ fn regions_agree_bit_for_bit_with_the_whole() {
     }
 }
 
-/// A region whose field is held from an earlier frame: from the same one it has every bit of the whole, from another one the bits that this
-/// machine makes of it.
+/// A region whose field is held from an earlier frame: from the same one it has every bit of the whole, from another
+/// one the bits that this machine makes of it.
 #[test]
 fn regions_with_a_held_field_agree_bit_for_bit() {
     // So wide and shallow that a region in the middle takes a part of everything.

@@ -1,6 +1,6 @@
-//! Regions of interest: a region that is computed alone has every bit of the region cut from the whole, on networks, frame sizes and
-//! tile sizes of many kinds; one whose field is held from an earlier frame says so, and is what this machine makes of it. `qemu_parity` tries
-//! some of it on the boards.
+//! Regions of interest: a region that is computed alone has every bit of the region cut from the whole, on networks,
+//! frame sizes and tile sizes of many kinds; one whose field is held from an earlier frame says so, and is what this
+//! machine makes of it. `qemu_parity` tries some of it on the boards.
 #![allow(clippy::unwrap_used)]
 
 mod networks;

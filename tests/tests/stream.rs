@@ -1,4 +1,5 @@
-//! `device stream`: a source with a rhythm, a device that takes what it has time for, a recording that is there at any time.
+//! `device stream`: a source with a rhythm, a device that takes what it has time for, a recording that is there at any
+//! time.
 #![allow(clippy::unwrap_used)]
 
 mod networks;
@@ -34,7 +35,8 @@ fn the_frames_of_a_camera_need_not_be_sent() {
     }
 }
 
-/// Approximate frames are told from exact ones, and which frame their statistics are of, whatever numbers the runs have.
+/// Approximate frames are told from exact ones, and which frame their statistics are of, whatever numbers the runs
+/// have.
 #[test]
 fn a_stream_tells_which_frame_its_field_is_of() {
     let runtime = Runtime::Host(LoopbackConfig { camera_px: 40 * 52, ..LoopbackConfig::default() });

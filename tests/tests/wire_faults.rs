@@ -178,7 +178,7 @@ fn another_version_and_late_copies_are_turned_away() {
     assert_eq!(ask(&mut line, 10, begin).unwrap(), "Done");
     let chunk = |offset, data| Request::Chunk { what: Transfer::Frame, offset, data };
     assert_eq!(ask(&mut line, 11, chunk(0, &[1; 4])).unwrap(), "Received { offset: 4 }");
-    assert_eq!(ask(&mut line, 10, begin), None, "a late copy must not begin the transfer anew");
+    assert_eq!(ask(&mut line, 10, begin), None, "a late copy must not begin the transfer again");
     assert_eq!(ask(&mut line, 11, chunk(0, &[1; 4])).unwrap(), "Received { offset: 4 }");
     let gap = ask(&mut line, 12, chunk(6, &[1; 2])).unwrap();
     assert!(gap.starts_with("Refused(OutOfOrder { expected: 4, found: 6"), "{gap}");

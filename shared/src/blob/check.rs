@@ -87,8 +87,8 @@ fn check_finite(section: Section, halves: &[f16]) -> Result<(), BlobError> {
 }
 
 impl<'a> Weights<'a> {
-    /// Checks that these are the weights of a network with this header: that the header is possible, each section has its length, and every
-    /// half is finite.
+    /// Checks that these are the weights of a network with this header: that the header is possible, each section has
+    /// its length, and every half is finite.
     ///
     /// # Errors
     /// [`BlobError::Header`], [`BlobError::SectionLength`], [`BlobError::NonFinite`].

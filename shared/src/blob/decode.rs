@@ -10,8 +10,9 @@ use core::cmp::Ordering;
 
 /// A network that has been checked: its header, and its weights where they lie.
 ///
-/// There is no other way to a network than the three that check it: [`Network::decode`], [`Network::new`], and [`Verified::open`] for a
-/// file that was checked before. So whatever takes a `Network`, as [`crate::pipeline::Pipeline`] does, need not look at its weights again.
+/// There is no other way to a network than the three that check it: [`Network::decode`], [`Network::new`], and
+/// [`Verified::open`] for a file that was checked before. So whatever takes a `Network`, as
+/// [`crate::pipeline::Pipeline`] does, need not look at its weights again.
 #[derive(Clone, Debug)]
 pub struct Network<'a> {
     header: Header,
@@ -22,8 +23,8 @@ impl<'a> Network<'a> {
     /// A network of a header and weights that lie in memory.
     ///
     /// # Errors
-    /// [`BlobError::Header`] where a value of the header is impossible, [`BlobError::SectionLength`] where a section of the weights has
-    /// another length than the header says, [`BlobError::NonFinite`] where a weight is infinite or NaN.
+    /// [`BlobError::Header`] where a value of the header is impossible, [`BlobError::SectionLength`] where a section of
+    /// the weights has another length than the header says, [`BlobError::NonFinite`] where a weight is infinite or NaN.
     pub fn new(header: Header, weights: Weights<'a>) -> Result<Self, BlobError> {
         weights.check(&header)?;
         let maps = header.sensor;
@@ -32,7 +33,8 @@ impl<'a> Network<'a> {
         Ok(Self { header, weights: Weights { offset_dn, inverse_gain, ..weights } })
     }
 
-    /// Reads a network file and checks every bit of it: length, magic, version, schema, CRC, header, and that all weights are finite.
+    /// Reads a network file and checks every bit of it: length, magic, version, schema, CRC, header, and that all
+    /// weights are finite.
     ///
     /// # Errors
     /// The first thing that is wrong with `bytes`. No bytes make it panic or read elsewhere.
@@ -77,8 +79,9 @@ impl<'a> Network<'a> {
     }
 }
 
-/// Proof that a network file has passed every check of [`Network::decode`]: its length and its checksum. It is kept where the file itself
-/// cannot be borrowed for so long, and opens the file again without a second look at all its bytes.
+/// Proof that a network file has passed every check of [`Network::decode`]: its length and its checksum. It is kept
+/// where the file itself cannot be borrowed for so long, and opens the file again without a second look at all its
+/// bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Verified {
     len: usize,
@@ -100,11 +103,13 @@ impl Verified {
         Ok(Self { len: bytes.len(), crc })
     }
 
-    /// Reads the file that was checked. Its header is decoded again; checksum and weights are not computed or looked at again.
+    /// Reads the file that was checked. Its header is decoded again; checksum and weights are not computed or looked at
+    /// again.
     ///
     /// # Errors
-    /// [`BlobError::TooShort`], [`BlobError::TooLong`] or [`BlobError::Crc`] where `bytes` are another file than the one that was checked,
-    /// which ends with this checksum; otherwise as [`Network::decode`], and only where its memory has changed since.
+    /// [`BlobError::TooShort`], [`BlobError::TooLong`] or [`BlobError::Crc`] where `bytes` are another file than the
+    /// one that was checked, which ends with this checksum; otherwise as [`Network::decode`], and only where its memory
+    /// has changed since.
     pub fn open(self, bytes: &[u8]) -> Result<Network<'_>, BlobError> {
         let (_, found) = check_preamble(bytes)?;
         check_len(self.len as u64, bytes.len() as u64)?;

@@ -20,8 +20,9 @@ pub fn encoded_len(header: &Header) -> Result<usize, BlobError> {
 /// Writes a network file to the start of `out` and returns its length, bytes. The bytes behind it stay as they are.
 ///
 /// # Errors
-/// [`BlobError::Header`] where a value of the header is impossible, [`BlobError::SectionLength`] where a section of the weights has another
-/// length than the header says, [`BlobError::NonFinite`] where a weight is infinite or NaN, [`BlobError::NoRoom`] where `out` is too short.
+/// [`BlobError::Header`] where a value of the header is impossible, [`BlobError::SectionLength`] where a section of the
+/// weights has another length than the header says, [`BlobError::NonFinite`] where a weight is infinite or NaN,
+/// [`BlobError::NoRoom`] where `out` is too short.
 pub fn encode(header: &Header, weights: &Weights<'_>, out: &mut [u8]) -> Result<usize, BlobError> {
     weights.check(header)?;
     let mut buffer = [0; MAX_HEADER_LEN];

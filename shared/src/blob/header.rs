@@ -29,8 +29,8 @@ pub struct Sensor {
     pub has_gain_map: bool,
 }
 
-/// One partition of the filter of one channel: it convolves the input window that lies `dy, dx` steps from the output tile
-/// ([`crate::filter`]).
+/// One partition of the filter of one channel: it convolves the input window that lies `dy, dx` steps from the output
+/// tile ([`crate::filter`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Tap {
     /// Output channel.
@@ -58,7 +58,8 @@ pub struct Blocks {
 }
 
 impl Blocks {
-    /// Blocks along each side of a kernel of side `tile`; 0 where the side of a block is 0, which [`Header::check`] refuses.
+    /// Blocks along each side of a kernel of side `tile`; 0 where the side of a block is 0, which [`Header::check`]
+    /// refuses.
     pub const fn across(self, tile: u16) -> usize {
         match tile.checked_div(self.side) {
             Some(across) => across as usize,
@@ -69,8 +70,8 @@ impl Blocks {
 
 /// The Fourier filter bank: uniformly partitioned overlap-save convolution.
 ///
-/// With `tile` = the padded frame and one tap at (0, 0) in each channel it is the dense Fourier layer of SV-FourierNet (Yang et al. 2024,
-/// section 3B).
+/// With `tile` = the padded frame and one tap at (0, 0) in each channel it is the dense Fourier layer of SV-FourierNet
+/// (Yang et al. 2024, section 3B).
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Bank {
     /// Side T of the transform, pixels; a power of two.
@@ -79,11 +80,11 @@ pub struct Bank {
     pub step: u16,
     /// Number of output channels C.
     pub channels: u8,
-    /// Taps in ascending order of (channel, dy, dx). Each has a spectrum of T x (T/2 + 1) complex halves in the weights or, with `blocks`, a
-    /// kernel.
+    /// Taps in ascending order of (channel, dy, dx). Each has a spectrum of T x (T/2 + 1) complex halves in the weights
+    /// or, with `blocks`, a kernel.
     pub taps: Vec<Tap, MAX_TAPS>,
-    /// Given where the weights hold kernels in space instead of spectra. The bank then has one tap at (0, 0) in each channel, and one tile that
-    /// holds the whole frame.
+    /// Given where the weights hold kernels in space instead of spectra. The bank then has one tap at (0, 0) in each
+    /// channel, and one tile that holds the whole frame.
     pub blocks: Option<Blocks>,
 }
 
@@ -172,11 +173,11 @@ pub enum HeaderField {
 /// The weights of a network, borrowed from the file. All but the index are IEEE halves.
 #[derive(Clone, Copy, Debug)]
 pub struct Weights<'a> {
-    /// Spectra of the taps in the order of [`Bank::taps`], each T rows of T/2 + 1 complex numbers (re, im). With [`Bank::blocks`] the blocks in
-    /// the order of the index, each B rows of B lags.
+    /// Spectra of the taps in the order of [`Bank::taps`], each T rows of T/2 + 1 complex numbers (re, im). With
+    /// [`Bank::blocks`] the blocks in the order of the index, each B rows of B lags.
     pub filters: &'a [half::f16],
-    /// Positions of the blocks, as in a compressed sparse row matrix: for each row of blocks of each channel the number of blocks before it,
-    /// then the number of all blocks; then the column of each block. Empty for spectra.
+    /// Positions of the blocks, as in a compressed sparse row matrix: for each row of blocks of each channel the number
+    /// of blocks before it, then the number of all blocks; then the column of each block. Empty for spectra.
     pub index: &'a [u16],
     /// Weights and biases of the RCAN in the order in which they are used ([`crate::nn::rcan::layout`]).
     pub rcan: &'a [half::f16],

@@ -13,22 +13,23 @@
 //! | - | | the sections of [`Weights`], each at the next multiple of [`ALIGN`]; gaps are zero |
 //! | - | 4 | CRC-32 (ISO-HDLC) of all bytes before it |
 //!
-//! All numbers are little-endian. [`Network::decode`] borrows: the weights are read in place, so the file must lie at an address that is a
-//! multiple of [`ALIGN`].
+//! All numbers are little-endian. [`Network::decode`] borrows: the weights are read in place, so the file must lie at
+//! an address that is a multiple of [`ALIGN`].
 //!
 //! ```
-//! use ommatidia_shared::blob::{Bank, BlobError, Header, MemoryPlan, Network, Rcan, Sensor, Size, Tap, Verified, Weights};
-//! use ommatidia_shared::blob::{encode, encoded_len};
+//! use ommatidia_shared::blob::{Bank, Header, MemoryPlan, Rcan, Sensor, Size, Tap};
+//! use ommatidia_shared::blob::{BlobError, Network, Verified, Weights, encode, encoded_len};
 //! use ommatidia_shared::num::f16;
 //!
 //! // One filter of 8 x 8 pixels and an enhancement network of one feature.
+//! let taps = [Tap { channel: 0, dy: 0, dx: 0 }].into_iter().collect();
 //! let header = Header {
 //!     name: "example".try_into().unwrap(),
 //!     checkpoint: "0123456789abcdef".try_into().unwrap(),
 //!     frame: Size { rows: 8, cols: 8 },
 //!     object: Size { rows: 4, cols: 4 },
 //!     sensor: Sensor { black_level_dn: 64.0, saturation_dn: 1023, has_offset_map: false, has_gain_map: false },
-//!     bank: Bank { tile: 8, step: 8, channels: 1, taps: [Tap { channel: 0, dy: 0, dx: 0 }].into_iter().collect(), blocks: None },
+//!     bank: Bank { tile: 8, step: 8, channels: 1, taps, blocks: None },
 //!     rcan: Rcan { width: 1, groups: 1, blocks: 1, reduction: 1 },
 //!     memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
 //! };

@@ -147,7 +147,9 @@ proptest! {
 
     /// A forger who makes the CRC right may change any word: the file is refused or stays a network in bounds.
     #[test]
-    fn forged_bytes_never_panic(at in 0usize..200, with in prop::collection::vec(any::<u8>(), 1..5), cut in 0usize..40) {
+    fn forged_bytes_never_panic(
+        at in 0usize..200, with in prop::collection::vec(any::<u8>(), 1..5), cut in 0usize..40
+    ) {
         let header = small();
         let mut bytes = file(&header, &Owned::new(&header, 7));
         bytes.truncate(bytes.len() - cut);

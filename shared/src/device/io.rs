@@ -84,8 +84,8 @@ pub struct Footprint {
 }
 
 impl Footprint {
-    /// Upper bound of variables and stack together on any board, bytes, each at most half of it. With it the memory of a network is known when
-    /// its file is written. Tests on the emulated boards check the bound.
+    /// Upper bound of variables and stack together on any board, bytes, each at most half of it. With it the memory of
+    /// a network is known when its file is written. Tests on the emulated boards check the bound.
     pub const MOST_RAM: u32 = 16 << 10;
 }
 
@@ -103,7 +103,8 @@ pub trait Monitor {
     fn alive(&mut self);
     /// Called before a reconstruction: raises the trigger pin.
     fn run_begins(&mut self);
-    /// Called after a reconstruction: lowers the pin. Returns the cycles of the core since [`Self::run_begins`], where they are counted.
+    /// Called after a reconstruction: lowers the pin. Returns the cycles of the core since [`Self::run_begins`], where
+    /// they are counted.
     fn run_ends(&mut self) -> Option<u32>;
     /// Memory that the program occupies.
     fn footprint(&self) -> Footprint;

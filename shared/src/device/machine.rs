@@ -134,7 +134,8 @@ impl<'m, F: MappedFlash, S: FrameInput, K: FrameSink, M: Monitor> Device<'m, F, 
         self.telemetry.repeated_requests = self.telemetry.repeated_requests.wrapping_add(1);
     }
 
-    /// Begins a conversation, perhaps hours after the last one: statistics of the field from then belong to another scene.
+    /// Begins a conversation, perhaps hours after the last one: statistics of the field from then belong to another
+    /// scene.
     fn hello(&mut self, version: u16, schema: u64) -> Result<Info, Refusal> {
         self.field.forget();
         if version != VERSION {

@@ -1,8 +1,9 @@
 //! The device's program without its board: how it handles each request of the host.
 //!
-//! It is here and not in the firmware so that the workstation can run the same program where there is neither board nor emulator. [`Device`]
-//! is the state machine, and [`serve`] connects it to a line. A board implements the traits: [`FrameInput`] for its camera, [`FrameSink`] for
-//! the reconstruction, [`Monitor`] for pins and counters, [`Watchdog`], and [`crate::flash::MappedFlash`] for its flash.
+//! It is here and not in the firmware so that the workstation can run the same program where there is neither board nor
+//! emulator. [`Device`] is the state machine, and [`serve`] connects it to a line. A board implements the traits:
+//! [`FrameInput`] for its camera, [`FrameSink`] for the reconstruction, [`Monitor`] for pins and counters,
+//! [`Watchdog`], and [`crate::flash::MappedFlash`] for its flash.
 
 mod io;
 mod machine;

@@ -16,7 +16,8 @@ pub enum End {
     Closed,
 }
 
-/// The device's end of a line: its buffers and the sequence number of the last request. It has about 5 KB: keep it off the stack.
+/// The device's end of a line: its buffers and the sequence number of the last request. It has about 5 KB: keep it off
+/// the stack.
 #[derive(Debug)]
 pub struct Line {
     deframer: Deframer<MAX_PACKET>,

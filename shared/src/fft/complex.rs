@@ -8,8 +8,8 @@ pub type Lanes<const L: usize> = [[f32; L]; 2];
 
 /// Plan of a complex transform, 4 to [`MAX_LEN`] long.
 ///
-/// `X[k] = sum_n x[n] e^(-2 pi i n k / N)`, without scaling. The inverse is the same transform with real and imaginary parts
-/// exchanged before and after. Relative error (r.m.s. over the spectrum) below 3e-7 for every size.
+/// `X[k] = sum_n x[n] e^(-2 pi i n k / N)`, without scaling. The inverse is the same transform with real and imaginary
+/// parts exchanged before and after. Relative error (r.m.s. over the spectrum) below 3e-7 for every size.
 #[derive(Clone, Copy, Debug)]
 pub struct Fft {
     len: usize,
@@ -45,7 +45,8 @@ impl Fft {
         (n as u32).reverse_bits() as usize >> (u32::BITS - self.len.trailing_zeros())
     }
 
-    /// Transforms `data` in place: N numbers in the order of [`Self::slot`] to N numbers in natural order. Panics where there are less.
+    /// Transforms `data` in place: N numbers in the order of [`Self::slot`] to N numbers in natural order. Panics where
+    /// there are less.
     #[inline(always)]
     pub fn process<const L: usize>(&self, data: &mut [Lanes<L>]) {
         let data = &mut data[..self.len];

@@ -1,8 +1,8 @@
 //! Discrete Fourier transforms of power-of-two size: computed in binary32, 2-D spectra stored as halves.
 //!
-//! A transform is planned once for its size and then runs on buffers of the caller. The code works on a number of *lanes*: independent columns
-//! (or rows) that go through the same scalar algorithm side by side. So the number of lanes does not change a bit of the result. Products in
-//! butterflies are rounded before they are added.
+//! A transform is planned once for its size and then runs on buffers of the caller. The code works on a number of
+//! *lanes*: independent columns (or rows) that go through the same scalar algorithm side by side. So the number of
+//! lanes does not change a bit of the result. Products in butterflies are rounded before they are added.
 //!
 //! ```
 //! use ommatidia_shared::fft::{Fft2, ProductSource, RowSource};

@@ -1,8 +1,9 @@
 //! The 2-D real transform in strips.
 //!
-//! Rows, then columns are transformed, a few side by side, in fast scratch. The spectrum, T x (T/2 + 1) pairs of halves (re, im), may lie in
-//! slow memory. Both directions are scaled by 1/T (unitary), an exact power of two, after their second pass. Half-transformed rows are rounded
-//! to halves too: those of a plane within [-1, 1] stay within [-2 T, 2 T], its spectrum within [-T, T], far from the largest half.
+//! Rows, then columns are transformed, a few side by side, in fast scratch. The spectrum, T x (T/2 + 1) pairs of halves
+//! (re, im), may lie in slow memory. Both directions are scaled by 1/T (unitary), an exact power of two, after their
+//! second pass. Half-transformed rows are rounded to halves too: those of a plane within [-1, 1] stay within [-2 T, 2
+//! T], its spectrum within [-T, T], far from the largest half.
 
 use super::complex::Fft;
 use super::error::{FftError, check_len};
@@ -72,8 +73,8 @@ impl Fft2 {
         2 * self.width() * rows
     }
 
-    /// Length of scratch needed at least, numbers. With [`Self::scratch_len_wide`] the transforms use several lanes where the target has vectors.
-    /// The result is the same.
+    /// Length of scratch needed at least, numbers. With [`Self::scratch_len_wide`] the transforms use several lanes
+    /// where the target has vectors. The result is the same.
     pub const fn scratch_len(&self) -> usize {
         self.scratch_for(1)
     }
@@ -88,7 +89,8 @@ impl Fft2 {
         2 * self.len() * lanes + 4 * self.len()
     }
 
-    /// Transforms the plane whose rows `occupied` come from `source`. All other rows are zero. `spectrum` receives T rows of T/2 + 1 numbers.
+    /// Transforms the plane whose rows `occupied` come from `source`. All other rows are zero. `spectrum` receives T
+    /// rows of T/2 + 1 numbers.
     ///
     /// # Errors
     /// [`FftError::Buffer`] where `spectrum` or `scratch` is too short.
@@ -110,9 +112,9 @@ impl Fft2 {
         Ok(())
     }
 
-    /// Transforms back, and calls `emit(row, values)` with the T numbers of each row in `rows`. `halfway` has the length
-    /// [`Self::spectrum_len`] of these rows. The imaginary parts of columns 0 and T/2 after the column transforms are ignored, as in every
-    /// complex-to-real transform.
+    /// Transforms back, and calls `emit(row, values)` with the T numbers of each row in `rows`. `halfway` has the
+    /// length [`Self::spectrum_len`] of these rows. The imaginary parts of columns 0 and T/2 after the column
+    /// transforms are ignored, as in every complex-to-real transform.
     ///
     /// # Errors
     /// [`FftError::Buffer`] where `halfway` or `scratch` is too short.
@@ -137,8 +139,8 @@ impl Fft2 {
     }
 }
 
-/// Calls `self.method::<L>(first, count)` for strips of up to L rows or columns of a range. A strip that L lanes cannot hold, or in which
-/// they would change a bit (the method then returns false and does nothing), goes lane by lane.
+/// Calls `self.method::<L>(first, count)` for strips of up to L rows or columns of a range. A strip that L lanes cannot
+/// hold, or in which they would change a bit (the method then returns false and does nothing), goes lane by lane.
 macro_rules! in_strips {
     ($self:ident.$method:ident, $lanes:ident, $range:expr) => {
         let range = $range;
@@ -178,7 +180,8 @@ impl<S: RowSource, const L: usize> Kernel for Forward<'_, S, L> {
 }
 
 impl<S: RowSource, const L: usize> Forward<'_, S, L> {
-    /// Transforms rows `first..first + count`, `N` side by side. Returns false, and does nothing, where that would change a bit.
+    /// Transforms rows `first..first + count`, `N` side by side. Returns false, and does nothing, where that would
+    /// change a bit.
     #[inline(always)]
     fn rows<const N: usize>(&mut self, first: usize, count: usize) -> bool {
         let (fft, row_len) = (self.plan.rows, self.plan.spectrum_len(1));

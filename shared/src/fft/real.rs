@@ -62,7 +62,8 @@ impl RealFft {
         data[half / 2] = [lane(|l| 2.0 * re[l]), lane(|l| -2.0 * im[l])];
     }
 
-    /// Converts numbers `k` and `N/2 - k` of a spectrum, 0 < k < N/4, to the input of [`Self::inverse`] in these places.
+    /// Converts numbers `k` and `N/2 - k` of a spectrum, 0 < k < N/4, to the input of [`Self::inverse`] in these
+    /// places.
     #[inline(always)]
     pub fn tangle<const L: usize>(&self, k: usize, x: Lanes<L>, m: Lanes<L>) -> [Lanes<L>; 2] {
         let [cos, sin] = Roots::new(2 * self.half.len()).at(k);
@@ -87,7 +88,8 @@ impl RealFft {
         [lane(|l| -2.0 * x[1][l]), lane(|l| 2.0 * x[0][l])]
     }
 
-    /// Transforms the converted numbers, each in its slot, to **N times** the pairs `(x[2 n + 1], x[2 n])`: imaginary part first.
+    /// Transforms the converted numbers, each in its slot, to **N times** the pairs `(x[2 n + 1], x[2 n])`: imaginary
+    /// part first.
     #[inline(always)]
     pub fn inverse<const L: usize>(&self, data: &mut [Lanes<L>]) {
         self.half.process(data);

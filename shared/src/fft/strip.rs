@@ -1,8 +1,8 @@
 //! Strips of columns or rows: from halves in slow memory to lanes in fast scratch, and back.
 //!
-//! A single lane uses the Cortex-M routines, and four lanes use those in Helium where the core has it. Other numbers of lanes use loops that
-//! the compiler vectorizes. The values are the same. Where a Helium routine cannot guarantee that, it returns false, and the caller goes lane
-//! by lane.
+//! A single lane uses the Cortex-M routines, and four lanes use those in Helium where the core has it. Other numbers of
+//! lanes use loops that the compiler vectorizes. The values are the same. Where a Helium routine cannot guarantee that,
+//! it returns false, and the caller goes lane by lane.
 
 use super::complex::{Fft, Lanes};
 use super::real::RealFft;
@@ -83,7 +83,8 @@ fn load<const L: usize>(
 
 /// Transforms the sum of products of two spectra, columns `first..first + count`, imaginary part first.
 ///
-/// `re = (re + kr xr) - ki xi`, `im = (im + kr xi) + ki xr`; the products are exact. The first is added to -0, which leaves it as it is.
+/// `re = (re + kr xr) - ki xi`, `im = (im + kr xi) + ki xr`; the products are exact. The first is added to -0, which
+/// leaves it as it is.
 #[inline(always)]
 pub(super) fn inverse_columns<'s, const L: usize>(
     products: impl Iterator<Item = [&'s [f16]; 2]>,
@@ -135,7 +136,8 @@ pub(super) fn store<const L: usize>(
     }
 }
 
-/// Writes twice the real transforms of `count` rows to rows of halves. `load` supplies the rows; `data` and `scratch` are scratch.
+/// Writes twice the real transforms of `count` rows to rows of halves. `load` supplies the rows; `data` and `scratch`
+/// are scratch.
 #[inline(always)]
 pub(super) fn forward_rows<const L: usize>(
     mut load: impl FnMut(usize, &mut [f32]),
@@ -213,7 +215,8 @@ fn store_ends(first: f32, last: f32, row: &mut [f16]) {
     }
 }
 
-/// Computes the inverse real transforms of up to L rows of halves, scaled, and calls `emit(lane, row)` with each. `rows` is scratch.
+/// Computes the inverse real transforms of up to L rows of halves, scaled, and calls `emit(lane, row)` with each.
+/// `rows` is scratch.
 #[inline(always)]
 pub(super) fn inverse_rows<const L: usize>(
     fft: RealFft,

@@ -29,16 +29,16 @@ impl<'a> FilterBank<'a> {
     /// Plans a bank for a frame and an object.
     ///
     /// # Errors
-    /// [`FilterError::Step`], [`FilterError::Channel`], [`FilterError::Order`], [`FilterError::NoTap`], [`FilterError::Kernels`] or
-    /// [`FilterError::Fft`] where the bank is impossible.
+    /// [`FilterError::Step`], [`FilterError::Channel`], [`FilterError::Order`], [`FilterError::NoTap`],
+    /// [`FilterError::Kernels`] or [`FilterError::Fft`] where the bank is impossible.
     pub fn new(bank: &'a Bank, frame: Size, object: Size) -> Result<Self, FilterError> {
         let geometry = Geometry::new(bank, frame, object)?;
         let part = Region::whole(object.rows, object.cols);
         Ok(Self { bank, geometry, part, fft: Fft2::new(usize::from(bank.tile))? })
     }
 
-    /// The plan of the same bank for a part of the object. Only the tiles that the part touches are computed. The result has the bits of the
-    /// whole.
+    /// The plan of the same bank for a part of the object. Only the tiles that the part touches are computed. The
+    /// result has the bits of the whole.
     ///
     /// # Errors
     /// [`FilterError::Part`] where the part is empty or reaches beyond the object.
@@ -80,8 +80,8 @@ impl<'a> FilterBank<'a> {
         self.bank.channels as usize * self.part.pixels()
     }
 
-    /// Length of the arena for [`Self::process`], halves, the same for a part as for the whole: the spectra of the windows in use, one
-    /// half-transformed tile and, where the file holds kernels, the spectrum of one of them.
+    /// Length of the arena for [`Self::process`], halves, the same for a part as for the whole: the spectra of the
+    /// windows in use, one half-transformed tile and, where the file holds kernels, the spectrum of one of them.
     pub const fn arena_len(&self) -> usize {
         self.cache_len() + self.fft.spectrum_len(self.geometry.rows.valid()) + self.kernel_len()
     }
@@ -108,8 +108,8 @@ impl<'a> FilterBank<'a> {
     /// Filters a frame. `output` is (channels, rows, columns) of the object, or of the part of it that was planned for.
     ///
     /// # Errors
-    /// [`FilterError::Length`] where the filters, the output or the arena have a wrong length, [`FilterError::Index`] where the index of the blocks
-    /// is out of order, [`FilterError::Fft`] where the scratch is too short.
+    /// [`FilterError::Length`] where the filters, the output or the arena have a wrong length, [`FilterError::Index`]
+    /// where the index of the blocks is out of order, [`FilterError::Fft`] where the scratch is too short.
     pub fn process<F: FrameRows>(
         &self,
         simd: Simd,
@@ -206,7 +206,8 @@ impl<'a> FilterBank<'a> {
         Ok(self.fft.forward(simd, rows, occupied, spectrum, scratch)?)
     }
 
-    /// Place of the spectrum of window (m, n) in the cache; `None` where the window does not overlap the frame and is zero.
+    /// Place of the spectrum of window (m, n) in the cache; `None` where the window does not overlap the frame and is
+    /// zero.
     fn slot(&self, m: i32, n: i32) -> Option<Range<usize>> {
         let Geometry { rows, cols } = self.geometry;
         if rows.occupied(m).is_empty() || cols.occupied(n).is_empty() {

@@ -36,7 +36,8 @@ pub enum FilterError {
         /// The first such channel.
         channel: u8,
     },
-    /// The bank stores kernels, but does not have one tap at (0, 0) in each channel and one tile that holds the whole frame.
+    /// The bank stores kernels, but does not have one tap at (0, 0) in each channel and one tile that holds the whole
+    /// frame.
     Kernels,
     /// The index of the blocks is out of order.
     Index {
@@ -132,7 +133,8 @@ impl Axis {
         part.start / self.step..part.end.div_ceil(self.step)
     }
 
-    /// Results of the transform of tile `i` that are object pixels in `part`. The first pixel of a tile is result `lead`.
+    /// Results of the transform of tile `i` that are object pixels in `part`. The first pixel of a tile is result
+    /// `lead`.
     pub fn results(&self, i: usize, part: &Range<usize>, lead: usize) -> Range<usize> {
         let first = i * self.step;
         let (start, end) = (part.start.max(first), part.end.min(first + self.tile_len(i)));
@@ -191,7 +193,8 @@ impl Geometry {
     /// Computes the geometry, and checks the step, the channels and the order of the taps.
     ///
     /// # Errors
-    /// [`FilterError::Step`], [`FilterError::Channel`], [`FilterError::Order`], [`FilterError::NoTap`], [`FilterError::Kernels`].
+    /// [`FilterError::Step`], [`FilterError::Channel`], [`FilterError::Order`], [`FilterError::NoTap`],
+    /// [`FilterError::Kernels`].
     pub fn new(bank: &Bank, frame: Size, object: Size) -> Result<Self, FilterError> {
         if bank.step == 0 || bank.step > bank.tile {
             return Err(FilterError::Step { tile: bank.tile, step: bank.step });

@@ -1,11 +1,13 @@
 //! Pruned filters, stored as blocks of their kernels.
 //!
-//! Learned kernels consist of a few foci, and nearly all other lags are small. The spectrum of a pruned kernel has as many numbers as that of a
-//! full one, but the kernel itself has few. So the file holds blocks of B x B lags and a compressed sparse row index of their positions. The
-//! device transforms one kernel at a time to the spectrum that it would otherwise have read from the file.
+//! Learned kernels consist of a few foci, and nearly all other lags are small. The spectrum of a pruned kernel has as
+//! many numbers as that of a full one, but the kernel itself has few. So the file holds blocks of B x B lags and a
+//! compressed sparse row index of their positions. The device transforms one kernel at a time to the spectrum that it
+//! would otherwise have read from the file.
 //!
-//! Element (r, c) of the T x T plane holds lag (r - Lr, c - Lc), where L is the first valid result of a tile. Kernels around lag zero then
-//! occupy neighbouring rows, all other rows need no transform, and the valid part moves from L to 2 L.
+//! Element (r, c) of the T x T plane holds lag (r - Lr, c - Lc), where L is the first valid result of a tile. Kernels
+//! around lag zero then occupy neighbouring rows, all other rows need no transform, and the valid part moves from L to
+//! 2 L.
 
 use core::ops::Range;
 
@@ -39,8 +41,8 @@ impl<'a> Kernels<'a> {
     /// The blocks at the positions in the index.
     ///
     /// # Errors
-    /// [`FilterError::Index`] unless the blocks of each row follow those of the row before, in ascending order of their columns and inside the
-    /// kernel.
+    /// [`FilterError::Index`] unless the blocks of each row follow those of the row before, in ascending order of their
+    /// columns and inside the kernel.
     pub(super) fn new(bank: &Bank, blocks: Blocks, filters: Filters<'a>) -> Result<Self, FilterError> {
         let (side, rows) = (usize::from(blocks.side), blocks.across(bank.tile));
         let starts = rows * usize::from(bank.channels) + 1;

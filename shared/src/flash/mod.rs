@@ -1,6 +1,7 @@
 //! Network files in flash: two slots, each with a commit mark, and a count of the starts.
 //!
-//! The flash of [`Slots`] is any NOR flash with the traits of `embedded-storage` that the core can read in place ([`MappedFlash`]):
+//! The flash of [`Slots`] is any NOR flash with the traits of `embedded-storage` that the core can read in place
+//! ([`MappedFlash`]):
 //!
 //! | sectors | what |
 //! |---|---|
@@ -9,9 +10,10 @@
 //! | 1 + n | the same for slot B |
 //! | 2 | count of the starts, one sector at a time |
 //!
-//! A new file goes to the slot that is not active. The old mark of that slot is erased first. The new mark is written last, after every bit of
-//! the file was checked in place. So one slot holds a complete file with its mark whenever the power fails. At a start the length and the
-//! checksum in the mark are compared with the file, and every bit of the file is checked. Where that fails, the other slot becomes active.
+//! A new file goes to the slot that is not active. The old mark of that slot is erased first. The new mark is written
+//! last, after every bit of the file was checked in place. So one slot holds a complete file with its mark whenever the
+//! power fails. At a start the length and the checksum in the mark are compared with the file, and every bit of the
+//! file is checked. Where that fails, the other slot becomes active.
 //!
 //! ```
 //! use ommatidia_shared::flash::{RAM_SECTOR, RamFlash, Slot, Slots};

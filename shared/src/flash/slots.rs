@@ -90,7 +90,8 @@ impl<F: MappedFlash> Slots<F> {
         self.data(slot, mark.len as usize)
     }
 
-    /// Prepares the slot that is not active for a file of `len` bytes. Its old file is lost; the active file is not touched.
+    /// Prepares the slot that is not active for a file of `len` bytes. Its old file is lost; the active file is not
+    /// touched.
     ///
     /// # Errors
     /// [`IoError::NoRoom`] where it does not fit, [`IoError::Failed`] where the flash failed.
@@ -113,8 +114,8 @@ impl<F: MappedFlash> Slots<F> {
     /// Writes the next bytes of the file, which belong at `offset`. After an error the file must be begun again.
     ///
     /// # Errors
-    /// [`IoError::NoRoom`] where they go past the announced length or are not the next ones, [`IoError::Failed`] where no file was begun or the
-    /// flash failed.
+    /// [`IoError::NoRoom`] where they go past the announced length or are not the next ones, [`IoError::Failed`] where
+    /// no file was begun or the flash failed.
     pub fn write(&mut self, offset: usize, bytes: &[u8]) -> Result<(), IoError> {
         let mut staged = self.staged.take().ok_or(IoError::Failed)?;
         let needed = offset.saturating_add(bytes.len());

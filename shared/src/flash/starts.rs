@@ -1,7 +1,7 @@
 //! The count of the starts of the device.
 //!
-//! Each start adds an entry to one of two sectors. When that sector is full, the other one is erased and takes the next entry. So the highest
-//! count is never in the sector that is erased.
+//! Each start adds an entry to one of two sectors. When that sector is full, the other one is erased and takes the next
+//! entry. So the highest count is never in the sector that is erased.
 
 use super::mapped::{MappedFlash, UNIT, erase, write};
 use crate::device::IoError;

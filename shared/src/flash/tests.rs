@@ -1,4 +1,5 @@
-//! Slots in memory: committed files are found after a start, others are not. The host's `device::faults` tests power failures.
+//! Slots in memory: committed files are found after a start, others are not. The host's `device::faults` tests power
+//! failures.
 
 #![allow(clippy::unwrap_used)]
 

@@ -19,7 +19,8 @@ pub type Plane<'a, T> = Strided<&'a [T]>;
 /// A plane that can be read and written.
 pub type PlaneMut<'a, T> = Strided<&'a mut [T]>;
 
-/// Elements from the first to the last of a plane, or an impossible number where `stride < cols` or the product overflows.
+/// Elements from the first to the last of a plane, or an impossible number where `stride < cols` or the product
+/// overflows.
 fn span(rows: usize, cols: usize, stride: usize) -> usize {
     if rows == 0 || cols == 0 {
         return 0;

@@ -107,8 +107,8 @@ impl<T> Tensor<&mut [T]> {
         Tensor { data: self.data, channels: self.channels, rows: self.rows, cols: self.cols }
     }
 
-    /// Keeps a window of each channel, which moves to the front of the buffer: a tensor of (channels, window rows, window columns). Panics
-    /// where the window does not lie in the shape.
+    /// Keeps a window of each channel, which moves to the front of the buffer: a tensor of (channels, window rows,
+    /// window columns). Panics where the window does not lie in the shape.
     pub fn cut(self, window: Region) -> Self
     where
         T: Copy,

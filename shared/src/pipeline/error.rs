@@ -58,10 +58,11 @@ pub enum PipelineError {
         /// Scales given.
         found: usize,
     },
-    /// The held statistics are those of a frame without light, or of one with filter outputs outside the range of halves.
+    /// The held statistics are those of a frame without light, or of one with filter outputs outside the range of
+    /// halves.
     NothingHeld,
-    /// The held statistics do not fit the frame: its maximum is more than [`GROWTH`](super::GROWTH) times the held one or less than the held one
-    /// divided by that, or its filter outputs are too large in the same way.
+    /// The held statistics do not fit the frame: its maximum is more than [`GROWTH`](super::GROWTH) times the held one
+    /// or less than the held one divided by that, or its filter outputs are too large in the same way.
     Outgrown,
     /// The output buffer has another length.
     Output {

@@ -16,8 +16,8 @@ pub struct HeldRegion {
     pub hold: u16,
 }
 
-/// Statistics of the field that were measured last. The scales lie in the last [`Pipeline::scales_len`] numbers of the fast memory, which the
-/// caller must keep untouched from run to run.
+/// Statistics of the field that were measured last. The scales lie in the last [`Pipeline::scales_len`] numbers of the
+/// fast memory, which the caller must keep untouched from run to run.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Holder {
     /// What the run that measured them returned, and its age in runs.
@@ -30,12 +30,14 @@ impl Holder {
         self.held = None;
     }
 
-    /// Reconstructs a region with statistics of the field that are at most `request.hold` runs old. Returns what the run measured, and the age of
-    /// the statistics. The age is 0 where they were measured in this frame, so that the region is exact. That is the case where `hold` is 0,
-    /// where nothing young enough is held, and where the held statistics no longer fit ([`PipelineError::Outgrown`]).
+    /// Reconstructs a region with statistics of the field that are at most `request.hold` runs old. Returns what the
+    /// run measured, and the age of the statistics. The age is 0 where they were measured in this frame, so that the
+    /// region is exact. That is the case where `hold` is 0, where nothing young enough is held, and where the held
+    /// statistics no longer fit ([`PipelineError::Outgrown`]).
     ///
     /// # Errors
-    /// As [`Pipeline::run_with`]; [`PipelineError::Memory`] where `hold` is not 0 and the fast memory has no room for the scales.
+    /// As [`Pipeline::run_with`]; [`PipelineError::Memory`] where `hold` is not 0 and the fast memory has no room for
+    /// the scales.
     pub fn run(
         &mut self,
         pipeline: &Pipeline<'_>,

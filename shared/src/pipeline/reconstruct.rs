@@ -35,12 +35,12 @@ pub struct Pipeline<'a> {
 }
 
 impl<'a> Pipeline<'a> {
-    /// Plans every operator of a network, and checks that the memory plan in its header is that of [`Self::plan`]. The weights are not looked at
-    /// again: a [`Network`] has been checked.
+    /// Plans every operator of a network, and checks that the memory plan in its header is that of [`Self::plan`]. The
+    /// weights are not looked at again: a [`Network`] has been checked.
     ///
     /// # Errors
-    /// [`PipelineError::Field`], [`PipelineError::BlackLevel`] or [`PipelineError::Filter`] where a shape is impossible or the index of the
-    /// blocks is out of order; [`PipelineError::Plan`].
+    /// [`PipelineError::Field`], [`PipelineError::BlackLevel`] or [`PipelineError::Filter`] where a shape is impossible
+    /// or the index of the blocks is out of order; [`PipelineError::Plan`].
     pub fn new(network: &'a Network<'_>) -> Result<Self, PipelineError> {
         let (header, weights) = (network.header(), network.weights());
         let (filter, rcan) = validate::shapes(header)?;
@@ -53,10 +53,12 @@ impl<'a> Pipeline<'a> {
         Ok(Self { header, weights, pattern, filter, rcan, simd: Simd::detect() })
     }
 
-    /// Memory that a network needs at least. It follows from the shapes in the header alone and is the same on every machine.
+    /// Memory that a network needs at least. It follows from the shapes in the header alone and is the same on every
+    /// machine.
     ///
     /// # Errors
-    /// [`PipelineError::Field`], [`PipelineError::BlackLevel`] or [`PipelineError::Filter`] where a shape is impossible.
+    /// [`PipelineError::Field`], [`PipelineError::BlackLevel`] or [`PipelineError::Filter`] where a shape is
+    /// impossible.
     pub fn plan(header: &Header) -> Result<MemoryPlan, PipelineError> {
         let (filter, rcan) = validate::shapes(header)?;
         memory_plan(header, &filter, &rcan)
@@ -98,16 +100,18 @@ impl<'a> Pipeline<'a> {
         self.header
     }
 
-    /// Reconstructs a frame. `frame` holds the raw codes (frame rows, frame cols), DN; `output` is (object rows, object cols), 0 to 1.
+    /// Reconstructs a frame. `frame` holds the raw codes (frame rows, frame cols), DN; `output` is (object rows, object
+    /// cols), 0 to 1.
     ///
     /// # Errors
-    /// [`PipelineError::Frame`] or [`PipelineError::Output`] where a slice has the wrong length, [`PipelineError::Memory`] where the memory is too
-    /// small. Nothing is written then.
+    /// [`PipelineError::Frame`] or [`PipelineError::Output`] where a slice has the wrong length,
+    /// [`PipelineError::Memory`] where the memory is too small. Nothing is written then.
     pub fn run(&self, frame: &[u16], memory: Memory<'_>, output: &mut [f16]) -> Result<Stats, PipelineError> {
         self.run_region(frame, self.whole(), memory, output)
     }
 
-    /// Reconstructs only `region` of the object. `output` is (region rows, region cols), 0 to 1, with the bits of [`Self::run`].
+    /// Reconstructs only `region` of the object. `output` is (region rows, region cols), 0 to 1, with the bits of
+    /// [`Self::run`].
     ///
     /// # Errors
     /// As [`Self::run`]; [`PipelineError::Region`] where the region is empty or reaches beyond the object.
@@ -121,12 +125,13 @@ impl<'a> Pipeline<'a> {
         self.run_with(frame, region, Field::Measured(None), memory, output)
     }
 
-    /// Reconstructs `region` of the object with the statistics of the field from `field`. Measured in this frame, the region is exact. Held from
-    /// another frame, only the region and its surroundings are computed.
+    /// Reconstructs `region` of the object with the statistics of the field from `field`. Measured in this frame, the
+    /// region is exact. Held from another frame, only the region and its surroundings are computed.
     ///
     /// # Errors
-    /// As [`Self::run_region`]; [`PipelineError::Scales`] where `field` belongs to another network; [`PipelineError::NothingHeld`] and
-    /// [`PipelineError::Outgrown`] where the held statistics cannot be used. The output is not written then.
+    /// As [`Self::run_region`]; [`PipelineError::Scales`] where `field` belongs to another network;
+    /// [`PipelineError::NothingHeld`] and [`PipelineError::Outgrown`] where the held statistics cannot be used. The
+    /// output is not written then.
     pub fn run_with(
         &self,
         frame: &[u16],

@@ -4,8 +4,9 @@
 //! signal = ((code - black) - offset) * inverse_gain
 //! code   = clamp(round(signal / inverse_gain + offset + black))
 //! ```
-//! in DN, pixel by pixel. `offset` is relative to the black level. `inverse_gain` is 1 for a nominal pixel and **0 for a defective one**, whose
-//! corrected signal is then 0. The corrected signal may be negative: read noise is not clipped.
+//! in DN, pixel by pixel. `offset` is relative to the black level. `inverse_gain` is 1 for a nominal pixel and **0 for
+//! a defective one**, whose corrected signal is then 0. The corrected signal may be negative: read noise is not
+//! clipped.
 //!
 //! ```
 //! use ommatidia_shared::num::f16;

@@ -37,8 +37,8 @@ impl<'a> FixedPattern<'a> {
         (self.offset_dn.map_or(0.0, |map| widen(map[at])), self.inverse_gain.map_or(1.0, |map| widen(map[at])))
     }
 
-    /// Corrects columns `first..first + to.len()` of row `row` of a raw frame. `codes` holds the codes of these columns, and `to` receives the
-    /// signal, DN.
+    /// Corrects columns `first..first + to.len()` of row `row` of a raw frame. `codes` holds the codes of these
+    /// columns, and `to` receives the signal, DN.
     #[inline(always)]
     pub fn correct(&self, row: usize, first: usize, codes: &[u16], to: &mut [f32]) {
         for (to, &code) in to.iter_mut().zip(codes) {
@@ -63,7 +63,8 @@ impl<'a> FixedPattern<'a> {
         codes.iter().map(|&code| u32::from(code >= self.saturation_dn)).sum()
     }
 
-    /// Inverse of [`Self::correct`]: the codes of the sensor for `signal`, finite, DN. The code of a defective pixel is that without light.
+    /// Inverse of [`Self::correct`]: the codes of the sensor for `signal`, finite, DN. The code of a defective pixel is
+    /// that without light.
     pub fn apply(&self, row: usize, first: usize, signal: &[f32], codes: &mut [u16]) {
         for (col, (code, &signal)) in (first..).zip(codes.iter_mut().zip(signal)) {
             let (offset, inverse_gain) = self.pixel(row, col);

@@ -1,5 +1,5 @@
-//! COBS (Cheshire and Baker, "Consistent Overhead Byte Stuffing", IEEE/ACM Trans. Networking 7, 1999): bytes without zeros, so that a zero can
-//! end a packet.
+//! COBS (Cheshire and Baker, "Consistent Overhead Byte Stuffing", IEEE/ACM Trans. Networking 7, 1999): bytes without
+//! zeros, so that a zero can end a packet.
 //!
 //! This implementation checks every index, so no byte of a packet can lead to a panic.
 
@@ -60,7 +60,8 @@ impl Flavor for Encoder<'_> {
     }
 }
 
-/// Decodes `bytes` in place and returns the number of decoded bytes at their beginning; `None` where the encoding is broken.
+/// Decodes `bytes` in place and returns the number of decoded bytes at their beginning; `None` where the encoding is
+/// broken.
 pub(super) fn decode_in_place(bytes: &mut [u8]) -> Option<usize> {
     let (mut from, mut to) = (0, 0);
     while from < bytes.len() {

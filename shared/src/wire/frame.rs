@@ -48,8 +48,8 @@ pub fn checksum(bytes: &[u8]) -> u32 {
     CRC.checksum(bytes)
 }
 
-/// Writes a packet with its delimiters to the start of `out` and returns its bytes. [`MAX_PACKET`](super::MAX_PACKET) bytes are enough for
-/// every message.
+/// Writes a packet with its delimiters to the start of `out` and returns its bytes. [`MAX_PACKET`](super::MAX_PACKET)
+/// bytes are enough for every message.
 ///
 /// # Errors
 /// [`FrameError::TooLong`] where `out` is too short.
@@ -68,11 +68,12 @@ fn encode_body(message: &impl Serialize, out: &mut [u8]) -> postcard::Result<usi
     serializer.output.finalize()
 }
 
-/// Decodes the message of a packet, which is given without its delimiters. The message borrows from `packet`, which is decoded in place.
+/// Decodes the message of a packet, which is given without its delimiters. The message borrows from `packet`, which is
+/// decoded in place.
 ///
 /// # Errors
-/// [`FrameError::Encoding`] where the bytes are not COBS-encoded, [`FrameError::Crc`] where they are damaged, [`FrameError::Message`] where they
-/// are no message of type `T`.
+/// [`FrameError::Encoding`] where the bytes are not COBS-encoded, [`FrameError::Crc`] where they are damaged,
+/// [`FrameError::Message`] where they are no message of type `T`.
 pub fn decode<'a, T: Deserialize<'a>>(packet: &'a mut [u8]) -> Result<T, FrameError> {
     let len = decode_in_place(packet).ok_or(FrameError::Encoding)?;
     let (body, crc) =

@@ -17,8 +17,8 @@ pub const SCHEMA_KEY: u64 = u64::from_le_bytes(
 );
 /// Largest number of data bytes in one message.
 pub const CHUNK: usize = 2048;
-/// Largest number of bytes of a packet on the line, delimiters included: the data, up to 96 bytes of message and CRC around them, and the
-/// overhead of COBS.
+/// Largest number of bytes of a packet on the line, delimiters included: the data, up to 96 bytes of message and CRC
+/// around them, and the overhead of COBS.
 pub const MAX_PACKET: usize = CHUNK + 96 + (CHUNK + 96) / 254 + 3;
 
 /// A message and its sequence number.
@@ -40,7 +40,8 @@ pub enum Request<'a> {
         /// [`SCHEMA_KEY`] of the host.
         schema: u64,
     },
-    /// Begins a transfer to the device. An earlier transfer of the same kind is discarded. The active network stays active.
+    /// Begins a transfer to the device. An earlier transfer of the same kind is discarded. The active network stays
+    /// active.
     Begin {
         /// What is transferred.
         what: Transfer,
@@ -56,16 +57,19 @@ pub enum Request<'a> {
         /// At most [`CHUNK`] bytes.
         data: &'a [u8],
     },
-    /// The network file is complete: the device is to check it and to make it the active one, now and after every start.
+    /// The network file is complete: the device is to check it and to make it the active one, now and after every
+    /// start.
     Commit,
     /// Reconstructs the frame.
     Run {
-        /// Number of the run, which the host chooses. The device runs a request of the same number, region and hold on the same frame only once.
+        /// Number of the run, which the host chooses. The device runs a request of the same number, region and hold on
+        /// the same frame only once.
         id: u32,
         /// Region to reconstruct; the whole object where there is none.
         region: Option<Region>,
-        /// Largest age of the statistics of the field that the run may take from an earlier run, in runs. With 0 the run measures them in its
-        /// own frame, and every bit of the region is that of the whole. So it does where the device holds none that are young enough.
+        /// Largest age of the statistics of the field that the run may take from an earlier run, in runs. With 0 the
+        /// run measures them in its own frame, and every bit of the region is that of the whole. So it does where the
+        /// device holds none that are young enough.
         hold: u16,
     },
     /// Requests bytes of the reconstruction: little-endian halves, row by row.
@@ -151,7 +155,8 @@ pub struct RunReport {
     pub region: Region,
     /// Number of the run that measured the statistics of the field: see [`crate::pipeline::Field`].
     pub field_id: u32,
-    /// Age of these statistics, in runs. 0: measured in this run, so the reconstruction is exact. Otherwise it is approximate.
+    /// Age of these statistics, in runs. 0: measured in this run, so the reconstruction is exact. Otherwise it is
+    /// approximate.
     pub field_age: u16,
     /// Length of the reconstruction, bytes.
     pub len: u32,
@@ -206,8 +211,8 @@ pub struct Telemetry {
     pub started_by: StartCause,
     /// Slots with a committed network file, the newest first.
     pub slots: [Option<SlotReport>; 2],
-    /// Number of slots that were refused at this start because their file is damaged or has another version. If one of them is the newer slot,
-    /// an older network is active.
+    /// Number of slots that were refused at this start because their file is damaged or has another version. If one of
+    /// them is the newer slot, an older network is active.
     pub refused_slots: u8,
     /// Name of the active network; empty without one.
     pub network: String<48>,
@@ -241,7 +246,8 @@ pub struct Telemetry {
     pub object_bytes: u32,
     /// Code and constants of the program, bytes; 0 on the workstation.
     pub image_bytes: u32,
-    /// Static variables of the program without the buffers for frame, reconstruction and arenas, bytes; 0 on the workstation.
+    /// Static variables of the program without the buffers for frame, reconstruction and arenas, bytes; 0 on the
+    /// workstation.
     pub static_bytes: u32,
     /// Largest depth of the stack since the start, bytes; 0 on the workstation.
     pub stack_bytes: u32,
@@ -338,7 +344,8 @@ impl fmt::Display for Refusal {
             }
             Self::Schema { expected, found } => write!(
                 f,
-                "its messages have schema {expected:016x}, those of this program {found:016x}; install matching firmware"
+                "its messages have schema {expected:016x}, those of this program {found:016x}; install matching \
+                 firmware"
             ),
             Self::NoRoom { what, needed, available } => {
                 write!(f, "{what:?}: {needed} bytes needed, {available} available")

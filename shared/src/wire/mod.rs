@@ -1,9 +1,9 @@
 //! The messages between host and device.
 //!
-//! The host sends a [`Request`], and the device answers with one [`Reply`] of the same sequence number. A packet is a message in the encoding of
-//! postcard and its CRC-32, COBS-encoded between zero bytes ([`frame`]). A packet that the line damages is dropped. The host repeats a request
-//! until it gets the reply. A repeated request does no harm: data carry their offset, a run its number, and the device ignores requests that
-//! are older than the last one.
+//! The host sends a [`Request`], and the device answers with one [`Reply`] of the same sequence number. A packet is a
+//! message in the encoding of postcard and its CRC-32, COBS-encoded between zero bytes ([`frame`]). A packet that the
+//! line damages is dropped. The host repeats a request until it gets the reply. A repeated request does no harm: data
+//! carry their offset, a run its number, and the device ignores requests that are older than the last one.
 //!
 //! ```
 //! use ommatidia_shared::wire::frame::decode;

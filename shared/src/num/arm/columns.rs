@@ -1,7 +1,7 @@
 //! Columns of pairs of halves, such as complex numbers, a stride apart: see [`crate::num::pairs`].
 //!
-//! Places are counted shifted to the left, so that reversing the bits of the count gives the offset of the place in bytes. Pairs
-//! i and i + n/2 lie side by side when the bits are reversed, and i + n/4 and i + 3n/4 behind them.
+//! Places are counted shifted to the left, so that reversing the bits of the count gives the offset of the place in
+//! bytes. Pairs i and i + n/2 lie side by side when the bits are reversed, and i + n/4 and i + 3n/4 behind them.
 
 use crate::num::f16;
 use crate::num::pairs::{Parts, check};
@@ -50,8 +50,8 @@ pub(in crate::num) fn gather_pairs(from: &[f16], stride: usize, to: &mut [[f32; 
     }
 }
 
-/// Adds the products of `to.len()` pairs of k and x, each to the place with its number's bits reversed, imaginary part first; 31
-/// instructions for two. All products are exact.
+/// Adds the products of `to.len()` pairs of k and x, each to the place with its number's bits reversed, imaginary part
+/// first; 31 instructions for two. All products are exact.
 #[inline(always)]
 pub(in crate::num) fn add_products(k: &[f16], x: &[f16], stride: usize, to: &mut [[f32; 2]]) {
     let len = to.len();
@@ -102,7 +102,10 @@ pub(in crate::num) fn add_products(k: &[f16], x: &[f16], stride: usize, to: &mut
 
 /// The loop of [`scatter_pairs`]: what is done first, and which half of the word each number goes to.
 macro_rules! scatter {
-    ($scaled:expr, $first:literal $second:literal, $from:ident, $to:ident, $stride:ident, $n:ident $(, $scale:ident)?) => {
+    (
+        $scaled:expr, $first:literal $second:literal,
+        $from:ident, $to:ident, $stride:ident, $n:ident $(, $scale:ident)?
+    ) => {
         asm_all!(
             "2:",
             "vldmia {from}!, {{s0-s7}}",

@@ -1,7 +1,8 @@
-//! The complex transform of [`crate::fft`]: the same butterflies in the same order, the data in registers from load to store.
+//! The complex transform of [`crate::fft`]: the same butterflies in the same order, the data in registers from load to
+//! store.
 //!
-//! A product of complex numbers takes four instructions; `vmla` and `vmls` round the product before they add it. Negations go
-//! into the additions that follow, which changes no bit.
+//! A product of complex numbers takes four instructions; `vmla` and `vmls` round the product before they add it.
+//! Negations go into the additions that follow, which changes no bit.
 
 use crate::fft::ROOT_TRIPLES;
 
@@ -17,7 +18,8 @@ macro_rules! product {
     };
 }
 
-/// The butterfly of four numbers in bit-reversed order, from `a` to `o`, which may be the same registers; `t`: eight others.
+/// The butterfly of four numbers in bit-reversed order, from `a` to `o`, which may be the same registers; `t`: eight
+/// others.
 macro_rules! butterfly {
     (
         $a0r:literal $a0i:literal $a1r:literal $a1i:literal $a2r:literal $a2i:literal $a3r:literal $a3i:literal,
@@ -46,8 +48,8 @@ macro_rules! butterfly {
     };
 }
 
-/// Transforms numbers (re, im) in bit-reversed order into natural order: [`crate::fft::Fft::process`] of one lane. The length is
-/// a power of two from 4 to 1024.
+/// Transforms numbers (re, im) in bit-reversed order into natural order: [`crate::fft::Fft::process`] of one lane. The
+/// length is a power of two from 4 to 1024.
 pub(crate) fn transform(data: &mut [[f32; 2]]) {
     let mut quarter = if data.len().trailing_zeros().is_multiple_of(2) {
         first_radix4(data.as_chunks_mut().0);
@@ -163,7 +165,8 @@ macro_rules! turn {
     };
 }
 
-/// Loads two numbers of each quarter of a block: column 0 to s0-s1, s4-s5, s8-s9, s12-s13, column 1 to the registers between.
+/// Loads two numbers of each quarter of a block: column 0 to s0-s1, s4-s5, s8-s9, s12-s13, column 1 to the registers
+/// between.
 macro_rules! load_columns {
     () => {
         concat!(
@@ -214,8 +217,8 @@ fn radix4(data: &mut [[f32; 2]], quarter: usize) {
     }
     let roots = ROOT_TRIPLES.as_ptr_range();
     let bytes = quarter * size_of::<[f32; 2]>();
-    // SAFETY: each block is read and written once, two columns of four numbers at a time; `quarter` is an even power of two, so
-    // that the table is walked from its second step to its end.
+    // SAFETY: each block is read and written once, two columns of four numbers at a time; `quarter` is an even power of
+    // two, so that the table is walked from its second step to its end.
     unsafe {
         let p = data.as_mut_ptr();
         asm_all!(

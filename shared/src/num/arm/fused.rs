@@ -1,5 +1,5 @@
-//! What [`crate::num::fused`] does, eight elements at a time. Each function returns how many elements it has done: none where a
-//! slice of halves does not begin at a word.
+//! What [`crate::num::fused`] does, eight elements at a time. Each function returns how many elements it has done: none
+//! where a slice of halves does not begin at a word.
 
 use crate::num::f16;
 
