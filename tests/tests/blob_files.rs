@@ -10,11 +10,11 @@ use ommatidia_shared::pipeline::{Memory, Pipeline};
 use proptest::prelude::*;
 use std::path::Path;
 
-/// A file of version 2, written once and never again, and one of version 1.
+/// A file of version 2 that is never rewritten, and one of version 1.
 const GOLDEN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/golden/network-v2.omm");
 const GOLDEN_1: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/golden/network-v1.omm");
 
-/// Where the blocks of the golden file lie: two kernels of 4 x 4 blocks.
+/// Index of the blocks of the golden file: two kernels of 4 x 4 blocks.
 const GOLDEN_INDEX: [u16; 14] = [0, 0, 2, 3, 3, 3, 4, 4, 5, 1, 3, 0, 2, 3];
 
 fn golden_header() -> Header {
@@ -38,7 +38,7 @@ fn golden_header() -> Header {
     header
 }
 
-/// Multiples of 1/16 from -1 to 1, never twice the same in a row.
+/// Multiples of 1/16 from -1 to 1; neighbours differ.
 fn golden_weight(section: usize, i: usize) -> f16 {
     f16::from_f32(((i * 7 + section * 5) % 33) as f32 / 16.0 - 1.0)
 }
@@ -91,7 +91,7 @@ fn the_golden_file_is_what_this_version_writes() {
     assert!(file.bytes() == std::fs::read(GOLDEN).unwrap(), "{GOLDEN} differs from what is written today");
 }
 
-/// What a network may have, now and then anything.
+/// Mostly a value that a network may have, sometimes any value.
 fn mostly<T: std::fmt::Debug>(
     sound: impl Strategy<Value = T>,
     strange: impl Strategy<Value = T>,
