@@ -3,7 +3,7 @@
 use super::{DeviceError, Transport};
 use embedded_io::{ErrorType, Read, Write};
 use half::f16;
-use ommatidia_shared::device::{Arenas, Device, FrameSource, IoError, Line, RamFrame, RamObject, Silent, serve};
+use ommatidia_shared::device::{Arenas, Device, FrameInput, IoError, Line, RamFrame, RamObject, Silent, serve};
 use ommatidia_shared::flash::RamFlash;
 use std::convert::Infallible;
 use std::fs::OpenOptions;
@@ -127,7 +127,7 @@ struct Camera<'m> {
     frame: Vec<u16>,
 }
 
-impl FrameSource for Camera<'_> {
+impl FrameInput for Camera<'_> {
     fn capacity(&self) -> usize {
         self.host.capacity()
     }

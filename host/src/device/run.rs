@@ -3,7 +3,7 @@
 use super::{Client, Counter, Deviation, DeviceError, Runtime, Scope, Transport, flash};
 use crate::blob::BlobFile;
 use half::f16;
-use ommatidia_shared::pipeline::{Holder, Memory, Pipeline};
+use ommatidia_shared::pipeline::{HeldRegion, Holder, Memory, Pipeline};
 use ommatidia_shared::wire::{RunReport, Telemetry};
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -136,7 +136,7 @@ fn converse<T: Transport>(
 /// The network, a frame or the region is refused.
 pub fn reference(blob: &BlobFile, work: Work<'_>) -> Result<Vec<Vec<f16>>, DeviceError> {
     let network = blob.network()?;
-    let pipeline = Pipeline::new(&network.header, network.weights).map_err(DeviceError::Pipeline)?;
+    let pipeline = Pipeline::new(&network).map_err(DeviceError::Pipeline)?;
     let mut fast = vec![0.0; pipeline.fast_len_best().max(pipeline.fast_len()) + pipeline.scales_len()];
     let mut bulk = vec![f16::ZERO; pipeline.bulk_len()];
     let Scope { region, hold } = work.scope;
@@ -145,7 +145,7 @@ pub fn reference(blob: &BlobFile, work: Work<'_>) -> Result<Vec<Vec<f16>>, Devic
     for frame in work.frames {
         let mut object = vec![f16::ZERO; region.pixels()];
         let memory = Memory { fast: &mut fast, bulk: &mut bulk };
-        field.run(&pipeline, frame, (region, hold), memory, &mut object).map_err(DeviceError::Pipeline)?;
+        field.run(&pipeline, frame, HeldRegion { region, hold }, memory, &mut object).map_err(DeviceError::Pipeline)?;
         objects.push(object);
     }
     Ok(objects)

@@ -41,7 +41,7 @@ fn rotten(desk: &mut Desk, flash: &[u128], bit: usize, expected: &Network, recon
     desk.flip(bit);
     desk.life(Fault::None, 0, |device| {
         let telemetry = telemetry(device);
-        let named = expected.blob.network().is_ok_and(|network| network.header.name == telemetry.network);
+        let named = expected.blob.network().is_ok_and(|network| network.header().name == telemetry.network);
         (named && (!reconstruct || reconstructs(device, expected)), telemetry.refused_slots)
     })
 }
@@ -92,7 +92,7 @@ pub(super) fn bad_networks() -> Result<Row, DeviceError> {
             (refused, i % 16 != 0 || reconstructs(device, &old))
         });
         let named = desk.life(Fault::None, 0, |device| telemetry(device).network);
-        let kept = old.blob.network().is_ok_and(|network| network.header.name == named);
+        let kept = old.blob.network().is_ok_and(|network| network.header().name == named);
         tally.try_one(refused);
         tally.blobs_lost += u64::from(!runs || !kept);
     }
