@@ -1,14 +1,9 @@
 //! `close`: what an instrument lacks, found in a session and added.
 
+use super::retrain::Networks;
 use super::{Outcome, Run};
-use crate::artifact::Provenance;
-use crate::closing::close::{Given, close_with, same_layout};
-use crate::closing::observe::{Budget, Observations};
-use crate::closing::result::{Closing, Effect};
-use crate::closing::{recalibrate, retrain};
-use crate::instrument::{CalibrateConfig, Instrument};
-use crate::session::Session;
-use anyhow::Context;
+use crate::closing::{CloseOutcome, CloseRequest, Closing, Effect, FineTuning, Progress, close_session};
+use crate::instrument::CalibrateConfig;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -45,68 +40,41 @@ pub struct Args {
 /// Runs the verb.
 ///
 /// # Errors
-/// A file cannot be read or written, or session and instrument are not of one kind.
+/// A file cannot be read or written, or session and instrument have different layouts.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let started = Instant::now();
-    let session = Session::open(&args.session)?;
-    let instrument = Instrument::read(&args.instrument)?;
-    same_layout(&instrument.manifest, session.manifest()).with_context(|| args.session.display().to_string())?;
-    let mut seen = Observations::read(&session, &Budget::default())?;
-    let bar = run.spinner("close");
-    let config = CalibrateConfig { normalise_beads: args.normalise_beads, ..CalibrateConfig::default() };
-    let anew = recalibrate::anew(&session, &instrument, &config)?;
-    let given = Given { anew: anew.as_ref(), ..Given::default() };
-    let mut closed = close_with(&instrument, &mut seen, &session.manifest().name, run.seed, given, |what| {
-        bar.set_message(what.to_string());
-        bar.tick();
-    })
-    .with_context(|| args.session.display().to_string())?;
-    if let Some(first) = anew.as_ref().filter(|_| recalibrate::needed(&closed)) {
-        bar.set_message("calibrating anew");
-        recalibrate::adopt(&mut closed, &session, [&instrument, first], &config)?;
-    }
-    bar.finish_and_clear();
-    let provenance = |verb| -> anyhow::Result<Provenance> {
-        let mut p = Provenance::new(verb, run.seed, &Budget::default())
-            .with_input(&session.manifest_path())?
-            .with_input(&args.instrument)?;
-        for stack in session.stacks() {
-            p = p.with_input(&stack.path())?;
-        }
-        Ok(p)
+    let fine_tuning = args.retrain.as_deref();
+    let request = CloseRequest {
+        session: &args.session,
+        instrument: &args.instrument,
+        output: &args.output,
+        calibration: CalibrateConfig { normalise_beads: args.normalise_beads, ..CalibrateConfig::default() },
+        fine_tuning: fine_tuning.map(|checkpoint| FineTuning { trainer: &Networks, checkpoint, steps: args.steps }),
+        seed: run.seed,
     };
-    let account = account_path(&args.output);
-    closed.instrument.write(&args.output, provenance("close")?)?;
-    if let Some(checkpoint) = &args.retrain {
-        let bar = run.progress(args.steps, "retrain");
-        let network = args.output.with_extension("network");
-        let retrained = retrain::retrain(
-            &session,
-            (&closed.instrument, &args.output),
-            (checkpoint, &network),
-            &closed.account.closing.held_out_frames,
-            (args.steps, run.seed),
-            |step| bar.set_position(step),
-        )?;
-        bar.finish_and_clear();
-        closed.account.closing.retrained = Some(retrained);
-    }
-    closed.account.write(&account, provenance("close")?)?;
+    let mut bar = run.spinner("close");
+    let CloseOutcome { closed, account_file } = close_session(&request, &mut |progress| match progress {
+        Progress::Step(name) => {
+            bar.set_message(name.to_string());
+            bar.tick();
+        }
+        Progress::FineTuning => {
+            bar.finish_and_clear();
+            bar = run.progress(args.steps, "retrain");
+        }
+        Progress::FineTuned(steps) => bar.set_position(steps),
+    })?;
+    bar.finish_and_clear();
     if let Some(report) = &args.report {
-        let page = crate::report::render(&[account.clone(), args.output.clone()])?;
+        let page = crate::report::render(&[account_file.clone(), args.output.clone()])?;
         crate::artifact::write_whole(report, page.as_bytes())?;
     }
     let seconds = started.elapsed().as_secs_f64();
     let closing = &closed.account.closing;
     let mut json = serde_json::to_value(closing)?;
     json["seconds"] = seconds.into();
-    json["account"] = account.display().to_string().into();
-    Ok(Outcome { json, text: table(closing, &args.output, &account, seconds) })
-}
-
-/// The file of the account: the instrument's with another suffix.
-pub fn account_path(output: &Path) -> PathBuf {
-    output.with_extension("closing")
+    json["account"] = account_file.display().to_string().into();
+    Ok(Outcome { json, text: table(closing, &args.output, &account_file, seconds) })
 }
 
 /// The account as a table.

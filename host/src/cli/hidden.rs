@@ -1,8 +1,6 @@
 //! What the virtual instrument hides in a demo: an effect that the loop is not told of, drawn by the seed.
 
-use super::close::account_path;
-use crate::closing::file::Account;
-use crate::closing::result::{Closing, Effect, Value};
+use crate::closing::{Account, Closing, Effect, Value, account_path};
 use crate::rng::stream;
 use rand::Rng;
 use serde_json::{Value as Json, json};
@@ -114,7 +112,7 @@ impl Hidden {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::closing::result::Figures;
+    use crate::closing::Figures;
     use crate::effects;
 
     #[test]

@@ -1,12 +1,7 @@
 //! `residual`: measured minus predicted, and what it depends on.
 
 use super::{Outcome, Run};
-use crate::artifact::Provenance;
-use crate::closing::close::{residual, same_layout};
-use crate::closing::observe::{Budget, Observations};
-use crate::instrument::Instrument;
-use crate::session::Session;
-use anyhow::Context;
+use crate::closing::{ResidualOutcome, ResidualRequest, residual_session};
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -32,15 +27,8 @@ pub struct Args {
 /// # Errors
 /// A file cannot be read or written, or session and instrument are not of one kind.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
-    let session = Session::open(&args.session)?;
-    let instrument = Instrument::read(&args.instrument)?;
-    same_layout(&instrument.manifest, session.manifest()).with_context(|| args.session.display().to_string())?;
-    let mut seen = Observations::read(&session, &Budget::default())?;
-    let account = residual(&instrument, &mut seen, &session.manifest().name, run.seed)
-        .with_context(|| args.session.display().to_string())?;
-    let provenance = Provenance::new("residual", run.seed, &Budget::default())
-        .with_input(&session.manifest_path())?
-        .with_input(&args.instrument)?;
+    let request = ResidualRequest { session: &args.session, instrument: &args.instrument, seed: run.seed };
+    let ResidualOutcome { account, provenance } = residual_session(&request)?;
     if let Some(output) = &args.output {
         account.write(output, provenance.clone())?;
     }

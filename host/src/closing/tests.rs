@@ -3,12 +3,9 @@
 
 #![allow(clippy::unwrap_used)]
 
-use super::design::nuisances;
-use super::model::Model;
-use super::observe::{Frame, Observations, Shown};
-use super::refit::{own_columns, refit};
-use super::score::Scores;
-use super::state::{Column, Term};
+use super::data::{Frame, Observations, Shown};
+use super::evidence::Scores;
+use super::fit::{Column, Design, Model, Predicted, Term, nuisances, own_columns, refit};
 use crate::effects::{Kind, find};
 use crate::instrument::Instrument;
 use crate::instrument::fixture::instrument;
@@ -58,7 +55,7 @@ fn observations(instrument: &Instrument, terms: &[Term]) -> Observations {
         state.terms = terms.to_vec();
         let scenes = model.scenes(&model.chain(terms)).unwrap();
         let predicted = model.predict(&state, &scenes);
-        let draw = |(k, p): (usize, &super::state::Predicted)| {
+        let draw = |(k, p): (usize, &Predicted)| {
             let mut rng = stream(3, "closing/tests", k as u64);
             let mut dn = p.dn.clone();
             dn.zip_mut_with(&p.light_e, |v, e| {
@@ -84,9 +81,7 @@ fn fitted(put_in: &Term, param: usize) -> (f64, f64) {
     state.terms.push(put_in.switched_off(model.lenses()));
     let fit = refit(&model, state).unwrap();
     let columns: Vec<Column> = nuisances(&model).into_iter().chain(own_columns(&model, &fit.state)).collect();
-    let design =
-        super::design::Design::compute(&model, &fit.state, &[], columns.clone(), &fit.predicted, &fit.scenes, &[])
-            .unwrap();
+    let design = Design::compute(&model, &fit.state, &[], columns.clone(), &fit.predicted, &fit.scenes, &[]).unwrap();
     let mine: Vec<usize> = (0..columns.len()).filter(|i| matches!(columns[*i], Column::Own { .. })).collect();
     let others = (0..columns.len()).filter(|i| !mine.contains(i)).collect();
     let test = Scores::new(&design, others).test(&mine).unwrap();
@@ -138,8 +133,7 @@ fn light_that_only_widens_the_errors_is_no_better_fit() {
     state.terms.push(term("background", &[("rate_e_per_ms", 5.0)], 2));
     state.black_dn -= 5.0 * 10.0 * 0.5;
     let predicted = model.predict(&state, &plain.scenes);
-    let design =
-        super::design::Design::compute(&model, &state, &[], nuisances(&model), &predicted, &plain.scenes, &[]).unwrap();
+    let design = Design::compute(&model, &state, &[], nuisances(&model), &predicted, &plain.scenes, &[]).unwrap();
     let wide = design.training().misfit();
     assert!(wide.chi2 < 0.9 * plain.training.chi2 && wide.deviance > plain.training.deviance + 100.0, "{wide:?}");
 }

@@ -4,7 +4,7 @@ use super::super::page::Numbers;
 use super::super::panel::{Panel, Series};
 use super::super::picture::number;
 use super::{story, words};
-use crate::closing::result::{Closing, Effect, Value};
+use crate::closing::{Closing, Effect, Value};
 use crate::effects::{COVARIATES, KNOTS, find};
 use crate::instrument::Instrument;
 use maud::{Markup, html};

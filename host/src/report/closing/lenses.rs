@@ -5,7 +5,7 @@ use super::super::page::Numbers;
 use super::super::picture::picture;
 use super::Asked;
 use super::maps::{scale, smoothed};
-use crate::closing::file::Account;
+use crate::closing::Account;
 use crate::instrument::Instrument;
 use maud::{Markup, html};
 use ndarray::{Array2, Array3, ArrayView2, s};

@@ -2,7 +2,7 @@
 
 use super::super::page::Numbers;
 use super::words;
-use crate::closing::result::{Closing, Rejected};
+use crate::closing::{Closing, Rejected};
 use maud::{Markup, html};
 use std::collections::BTreeMap;
 

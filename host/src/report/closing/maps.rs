@@ -6,7 +6,7 @@ use super::super::page::Numbers;
 use super::super::picture::{Scale, picture};
 use super::super::scenes::raw_scale;
 use super::Asked;
-use crate::closing::file::Account;
+use crate::closing::Account;
 use maud::{Markup, html};
 use ndarray::{Array2, Array3, ArrayView2, Axis, s};
 

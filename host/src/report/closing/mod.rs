@@ -15,9 +15,7 @@ pub use hidden::hidden;
 
 use super::ReportError;
 use super::page::{self, Key, Numbers};
-use crate::closing::file::Account;
-use crate::closing::omnibus::Dependence;
-use crate::closing::result::Closing;
+use crate::closing::{Account, Closing, Dependence};
 use crate::instrument::Instrument;
 use maud::{Markup, html};
 

@@ -4,8 +4,7 @@ use super::super::page::Numbers;
 use super::super::panel::{Panel, Series};
 use super::super::picture::number;
 use super::{Asked, words};
-use crate::closing::omnibus::{Covariate, Dependence};
-use crate::closing::result::Closing;
+use crate::closing::{Closing, Covariate, Dependence};
 use maud::{Markup, html};
 
 /// The panels; nothing where nothing was tested.

@@ -1,8 +1,7 @@
 //! The loop in plain words, and the faults of the record before anything else.
 
 use super::{Asked, words};
-use crate::closing::omnibus::Dependence;
-use crate::closing::result::{Closing, Effect, Value};
+use crate::closing::{Closing, Dependence, Effect, Value};
 use maud::{Markup, html};
 
 /// Effects that explain less than this share of the excess are named, not told.

@@ -1,9 +1,7 @@
 #![allow(clippy::unwrap_used)]
 use super::super::page::Numbers;
 use super::*;
-use crate::closing::omnibus::{Covariate, Dependence};
-use crate::closing::record::{Fault, FaultKind};
-use crate::closing::result::{Effect, Figures, Rejected, Value};
+use crate::closing::{Covariate, Effect, Fault, FaultKind, Figures, Rejected, Value};
 use crate::instrument::fixture;
 use ndarray::Array3;
 

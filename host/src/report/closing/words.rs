@@ -1,7 +1,6 @@
 //! Names, numbers and units as a reader expects them.
 
-use crate::closing::omnibus::Dependence;
-use crate::closing::result::Closing;
+use crate::closing::{Closing, Dependence};
 
 /// An effect's name in words: ids have no blanks.
 pub fn name(id: &str) -> String {

@@ -1,7 +1,7 @@
 //! The model that is being closed: an instrument, the effects it has so far, and the nuisances of a session.
 
-use super::observe::{Frame, Observations, Shown};
 use super::state::{Column, Predicted, State, Term};
+use crate::closing::data::{Frame, Observations, Shown};
 use crate::effects::{Chain, EffectError, EffectSetting, FrameContext, Param, Previous, Stage, blur_within, find};
 use crate::forward::{Forward, ForwardError, SceneLight};
 use crate::instrument::Instrument;

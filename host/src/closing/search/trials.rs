@@ -1,12 +1,13 @@
 //! What the search tries: the effects of the catalogue at their starts, and terms without a name.
 
-use super::model::Model;
-use super::refit::Fitted;
-use super::state::{State, Term};
+use crate::closing::fit::{Fitted, Model, State, Term};
 use crate::effects::{
     Effect, Evidence, EvidenceFrame, KNOTS, Kind, OPERATORS, Stage, WEIGHTS, find, periods, registry,
 };
 use crate::session::Role;
+
+/// Id of the effect that stands for PSFs that must be calibrated again.
+pub const NEEDS_CALIBRATION: &str = "rank_truncation";
 
 /// What is tried.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,7 +22,7 @@ pub enum Tried {
 
 impl Tried {
     /// The terms, at their starts; those that are measured as a table are not among them.
-    pub(super) fn terms(self, model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<Term> {
+    pub(crate) fn terms(self, model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<Term> {
         match self {
             Self::Catalogue => catalogue(model, state, evidence),
             Self::Curves => unknowns(model, state, evidence),
@@ -64,7 +65,7 @@ fn grid(effect: &'static dyn Effect, lenses: usize) -> Vec<Vec<f64>> {
 }
 
 /// Residuals of the training frames, for effects that guess.
-pub(super) fn evidence<'c>(model: &'c Model<'_>, fitted: &'c Fitted) -> Evidence<'c> {
+pub(crate) fn evidence<'c>(model: &'c Model<'_>, fitted: &'c Fitted) -> Evidence<'c> {
     let frame = |k: usize| {
         let here = &fitted.predicted[k];
         EvidenceFrame {

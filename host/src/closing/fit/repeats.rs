@@ -4,10 +4,10 @@
 //! level of light, the correlation of neighbours, what whole rows or columns share. Each such feature is known to its sampling error;
 //! what an effect does to it is found by drawing the same noise with and without the effect.
 
-use super::design::Cell;
+use super::cell::Cell;
 use super::model::Model;
-use super::observe::Shown;
 use super::state::{Column, Predicted, State, Term};
+use crate::closing::data::Shown;
 use crate::effects::{Chain, Stage, blur_within};
 use crate::linalg::symmetric_eigen;
 use crate::rng::stream;
@@ -19,9 +19,9 @@ use rayon::prelude::*;
 
 /// Features of one level of light: variance; correlation along the row, along the column, diagonally; variance that rows and that
 /// columns share.
-pub(super) const FEATURES: usize = 6;
+pub(crate) const FEATURES: usize = 6;
 /// One number for each.
-pub(super) type Features = [f64; FEATURES];
+pub(crate) type Features = [f64; FEATURES];
 /// Standard error of what is not known at all.
 const NOTHING: f64 = 1e9;
 /// Blur that is taken off what an unknown specimen does, standard deviation, pixels.
@@ -51,7 +51,7 @@ impl Level {
 
 /// The cells of the covariance channel: of the pairs that may be fitted, and of those held out. Their frame and block are
 /// one past the last.
-pub(super) fn cells(
+pub(crate) fn cells(
     model: &Model<'_>,
     state: &State,
     trials: &[Term],
@@ -104,7 +104,7 @@ pub(super) fn cells(
 
 /// What the noise of repeats has that the model does not say, level by level in standard errors: independent normal variables if the
 /// model is right. Held-out repeats are left out.
-pub(super) fn residuals(model: &Model<'_>, state: &State, now: &[Predicted]) -> Vec<Features> {
+pub(crate) fn residuals(model: &Model<'_>, state: &State, now: &[Predicted]) -> Vec<Features> {
     let levels = levels(model, false);
     let one = |level: &Level| {
         let base = noise_features(model, &model.chain(&state.terms), level, now);
@@ -128,7 +128,7 @@ fn excess(model: &Model<'_>, state: &State, now: &[Predicted], level: &Level, ba
 }
 
 /// Whether an effect can change the noise at all.
-pub(super) fn noisy(term: &Term) -> bool {
+pub(crate) fn noisy(term: &Term) -> bool {
     matches!(term.effect.descriptor().stage, Stage::Charge | Stage::Electronics)
 }
 
@@ -318,7 +318,7 @@ fn noise_features(model: &Model<'_>, chain: &Chain, level: &Level, now: &[Predic
 
 /// Noise of frame `k` on a light, DN, under a chain: what it does to charge once the electrons are counted is in it. The second of the
 /// generators makes what the chain itself adds.
-pub(super) fn noise_dn(
+pub(crate) fn noise_dn(
     model: &Model<'_>,
     chain: &Chain,
     k: usize,

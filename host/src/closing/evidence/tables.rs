@@ -3,9 +3,8 @@
 //! Two halves of the frames give two independent estimates of each value; what they share is real, whatever the noise model says.
 //! Even light has no specimen in it, so that no error of the optics enters.
 
-use super::model::Model;
-use super::state::{Predicted, State, Term};
-use super::stats::two_sided;
+use super::stats::{sigmas, two_sided};
+use crate::closing::fit::{Model, Predicted, State, Term};
 use crate::effects::{TableGroup, TableUse, blur_within, registry};
 use crate::session::Role;
 use ndarray::{Array2, Zip, s};
@@ -96,7 +95,7 @@ pub fn fit(model: &Model<'_>, state: &State, now: &[Predicted], named: bool) -> 
 
 /// Standard deviations by which even light and darkness share a pattern between halves of their frames: in the response, in the offset.
 /// None: too few frames.
-pub(super) fn shared(model: &Model<'_>, now: &[Predicted]) -> [Option<f64>; 2] {
+pub(crate) fn shared(model: &Model<'_>, now: &[Predicted]) -> [Option<f64>; 2] {
     [TableUse::Response, TableUse::Offset].map(|acts| {
         let [Some(a), Some(b)] = [0, 1].map(|h| half(model, now, acts, h)) else { return None };
         Some(pattern(&a, &b, left(model, acts), 1.0)?.z)
@@ -273,7 +272,7 @@ fn sparse(a: &Half, b: &Half) -> Option<Shape> {
     });
     // As many chances as pixels.
     let chances = both.value.len() as f64;
-    let z = if z > 0.0 { super::stats::sigmas((two_sided(z) * chances).min(1.0)) } else { 0.0 };
+    let z = if z > 0.0 { sigmas((two_sided(z) * chances).min(1.0)) } else { 0.0 };
     let passed = STANDS_OUT * std::f64::consts::SQRT_2 * one;
     let size = if number > 0.0 { (sum / number - passed).max(one) } else { 0.0 };
     let error = one.hypot(size / number.max(1.0).sqrt());
@@ -315,7 +314,7 @@ fn spots(a: &Half, b: &Half, left: f64) -> Option<Shape> {
         return None;
     }
     let chances = both.len() as f64 * share;
-    let z = if z > 0.0 { super::stats::sigmas((two_sided(z) * chances).min(1.0)) } else { 0.0 };
+    let z = if z > 0.0 { sigmas((two_sided(z) * chances).min(1.0)) } else { 0.0 };
     // The spot's own values, from the unsmoothed map, where a core is near.
     let near = blur_within(&core, 2.0 * SPOT_PX);
     let raw = mean(a, b);

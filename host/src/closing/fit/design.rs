@@ -3,30 +3,15 @@
 //! A cell is one frame by one spatial block. For each cell the Gram matrix of all columns, of the calibration's replicates and of
 //! the residual is kept, so that hold-outs, clusters and bootstraps are sums over cells and never another pass over the frames.
 
+use super::cell::Cell;
 use super::model::Model;
-use super::observe::Shown;
+use super::repeats;
 use super::state::{Column, Predicted, State, Term};
+use crate::closing::data::{Observations, Shown};
 use crate::forward::{ForwardError, SceneLight};
 use crate::session::Role;
 use ndarray::{Array2, s};
 use rayon::prelude::*;
-
-/// One frame by one block.
-#[derive(Clone, Debug)]
-pub struct Cell {
-    /// Frame.
-    pub frame: usize,
-    /// Spatial block.
-    pub block: usize,
-    /// Kept out of every fit.
-    pub held_out: bool,
-    /// Pixels that count.
-    pub pixels: usize,
-    /// Gram matrix: columns, then replicates, then the residual.
-    pub gram: Array2<f32>,
-    /// Sum of the logarithms of the variances, DN^2.
-    pub log_variance: f64,
-}
 
 /// All cells.
 #[derive(Clone, Debug)]
@@ -137,7 +122,7 @@ impl Design {
             })
             .collect::<Result<Vec<_>, ForwardError>>()?;
         let mut cells: Vec<Cell> = cells.into_iter().flatten().collect();
-        cells.extend(super::repeats::cells(model, state, trials, &columns, replicas.len(), now));
+        cells.extend(repeats::cells(model, state, trials, &columns, replicas.len(), now));
         Ok(Self { columns, replicates: replicas.len(), cells })
     }
 
@@ -170,7 +155,7 @@ impl Design {
 }
 
 /// Takes the component along the frame's own light out of each row.
-fn own_light(x: &mut Array2<f32>, here: &Predicted, black_dn: f64, seen: &super::observe::Observations) {
+fn own_light(x: &mut Array2<f32>, here: &Predicted, black_dn: f64, seen: &Observations) {
     let (Some(dn), Some(weight)) = (here.dn.as_slice(), here.inverse_sigma.as_slice()) else { return };
     let light: Vec<f32> =
         seen.pixels.iter().map(|p| (dn[*p as usize] - black_dn as f32) * weight[*p as usize]).collect();

@@ -148,7 +148,7 @@ fn read_stack(
         let previous = (n > 0 && chosen[n - 1] + 1 == *i).then(|| first + n - 1);
         // A checkerboard of bead positions, else every fourth frame.
         let held_out = match stack.role() {
-            Role::Bead => i % 2 == 1,
+            Role::Bead => bead_is_held_out(*i),
             // Repeats stay together.
             Role::Dark | Role::Flat => n / 2 % 4 == 3,
             Role::Scene if everything => i % 4 == 3,
@@ -167,6 +167,12 @@ fn read_stack(
         });
     }
     Ok(())
+}
+
+/// Whether frame `i` of a bead stack is kept out of every fit: of a scan row by row with an odd number of columns, one colour of the
+/// checkerboard of positions.
+pub(crate) fn bead_is_held_out(i: usize) -> bool {
+    i % 2 == 1
 }
 
 /// At most `most` of `n` frames, evenly spread, in pairs of neighbours: repeats, and frames with the frame before them.

@@ -101,7 +101,7 @@ impl Covariate {
     }
 
     /// Whether it is tested by products of two residuals.
-    pub(super) fn is_product(self) -> bool {
+    pub(crate) fn is_product(self) -> bool {
         matches!(self, Self::Neighbours | Self::NextFrame)
     }
 }

@@ -4,7 +4,7 @@
 
 use super::design::{Design, Misfit, nuisances};
 use super::model::Model;
-use super::score::pseudo_inverse;
+use super::solve::pseudo_inverse;
 use super::state::{Column, Predicted, State};
 use crate::effects::{Kind, Stage};
 use crate::forward::{ForwardError, SceneLight};

@@ -1,16 +1,14 @@
 //! What is told of a state: each effect in numbers and words, what was not found and how large it could be, what would tell lookalikes apart.
 
-use super::model::Model;
-use super::record::{Fault, FaultKind};
-use super::refit::Fitted;
 use super::result::{Effect, Rejected, Value};
-use super::score::Test;
-use super::search::{Candidate, Found};
-use super::state::{State, Term};
+use crate::closing::data::{Fault, FaultKind};
+use crate::closing::evidence::Test;
+use crate::closing::fit::{Fitted, Model, State, Term};
+use crate::closing::search::{Candidate, Found};
 use crate::effects::{COVARIATES, KNOTS, OPERATORS, Stage, WEIGHTS, find, registry};
 
 /// What was found, faults of the records first; `own` effects were in the instrument before.
-pub(super) fn effects(
+pub(crate) fn effects(
     model: &Model<'_>,
     before: &Fitted,
     now: &Fitted,
@@ -74,7 +72,7 @@ pub(super) fn effects(
 }
 
 /// A fault of the record as an effect.
-pub(super) fn fault(fault: &Fault) -> Effect {
+pub(crate) fn fault(fault: &Fault) -> Effect {
     let (name, value, unit) = match fault.kind {
         FaultKind::Shows { truth_of } => ("truth_of", truth_of as f64, "index"),
         FaultKind::Flipped { rows, cols } => {
@@ -105,7 +103,7 @@ pub(super) fn fault(fault: &Fault) -> Effect {
 }
 
 /// What a user of the rejected list wants of each effect.
-pub(super) fn rejected(model: &Model<'_>, rest: &[Candidate], state: &State, found: &[Found]) -> Vec<Rejected> {
+pub(crate) fn rejected(model: &Model<'_>, rest: &[Candidate], state: &State, found: &[Found]) -> Vec<Rejected> {
     let lenses = model.lenses();
     let mut out = Vec::new();
     for effect in registry() {

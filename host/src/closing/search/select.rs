@@ -1,24 +1,18 @@
 //! The search: score every effect of the catalogue, refit the best, accept on held-out data, until nothing is left.
 
-use super::design::{Design, nuisances};
-use super::model::Model;
-use super::recalibrate::ASKED_BY;
-use super::refit::{Fitted, own_columns, refit, refit_from};
-use super::score::{Scores, Test};
-use super::state::{Column, State, Term};
-use super::stats::holm;
-use super::tables::{self, TableFit};
-use super::trials::{Tried, evidence};
+use super::candidate::{Candidate, Found, PRICE};
+use super::trials::{NEEDS_CALIBRATION, Tried, evidence};
+use crate::closing::evidence::{Scores, TableFit, Test, holm, tables};
+use crate::closing::fit::{
+    Column, Design, Fitted, Model, Replicas, State, Term, nuisances, own_columns, refit, refit_from,
+};
 use crate::effects::Stage;
-use crate::forward::{ForwardError, SceneLight};
-use crate::instrument::{Instrument, LowRankPsf};
+use crate::forward::ForwardError;
 use crate::session::Role;
 use ndarray::Array2;
 
 /// Family-wise probability that a complete model is called incomplete.
 pub const ALPHA: f64 = 0.02;
-/// What one more value must earn in chi-squared.
-const PRICE: f64 = 6.0;
 /// Effects whose chi-squared is no further from the best are told with it.
 pub const AMBIGUOUS: f64 = 10.8;
 /// Most effects that are added.
@@ -30,107 +24,20 @@ const FINALISTS: usize = 3;
 /// How many more are, which the best is easily taken for.
 const LOOKALIKES: usize = 2;
 
-/// An effect that was scored.
-#[derive(Clone, Debug)]
-pub struct Candidate {
-    /// The effect at its best start.
-    pub term: Term,
-    /// Columns of its strengths in the design.
-    pub columns: Vec<usize>,
-    /// The test of its strengths; None: the session cannot tell it.
-    pub test: Option<Test>,
-    /// How many independent starts the best was taken from.
-    pub chances: f64,
-    /// Its table, where it has one instead of columns.
-    pub table: Option<TableFit>,
-}
-
-impl Candidate {
-    /// Probability, paid for each chance.
-    pub fn p(&self) -> f64 {
-        if let Some(table) = &self.table {
-            return table.p;
-        }
-        self.test.as_ref().map_or(1.0, |t| (t.p * self.chances).min(1.0))
-    }
-
-    /// Estimate and standard error of its first strength, as [`crate::effects::Param::inner`] has them.
-    pub fn first(&self) -> Option<(f64, f64)> {
-        if let Some(table) = &self.table {
-            return Some((table.size, table.size_sigma));
-        }
-        let t = self.test.as_ref()?;
-        Some((*t.theta.first()?, t.covariance.get((0, 0))?.sqrt()))
-    }
-
-    /// What it earns beyond its price.
-    fn worth(&self) -> f64 {
-        if let Some(table) = &self.table {
-            return table.z * table.z.abs() - PRICE;
-        }
-        self.test.as_ref().map_or(f64::NEG_INFINITY, |t| t.t - PRICE * t.dof - 2.0 * self.chances.ln())
-    }
-}
-
-/// An effect that was found.
-#[derive(Clone, Debug)]
-pub struct Found {
-    /// Its id.
-    pub id: &'static str,
-    /// Strength of the evidence when it was found.
-    pub z: f64,
-    /// Fall of chi-squared on held-out data when it was added.
-    pub held_out_gain: f64,
-    /// Effects that would explain nearly the same: id, and the overlap.
-    pub ambiguity: Vec<(&'static str, f64)>,
-    /// Standard error of the size of its table, where it has one.
-    pub table_sigma: Option<f64>,
-}
-
-/// The replicates of a calibration before the frames of a session: what each predicts, minus what the calibration does.
-pub struct Replicas {
-    light: Vec<Vec<Option<SceneLight>>>,
-}
-
-impl Replicas {
-    /// For each replicate and frame the change of the expected frame, DN. None: no scene.
-    pub fn of(&self, model: &Model<'_>, fitted: &Fitted) -> Vec<Vec<Option<Array2<f32>>>> {
-        let one = |scenes: &Vec<Option<SceneLight>>| {
-            let predicted = model.predict(&fitted.state, scenes);
-            let change = |k: usize| scenes[k].as_ref().map(|_| &predicted[k].dn - &fitted.predicted[k].dn);
-            (0..predicted.len()).map(change).collect()
-        };
-        self.light.iter().map(one).collect()
-    }
-}
-
-/// Puts the replicates of an instrument's calibration before the frames.
-///
-/// # Errors
-/// A replicate does not fit the instrument.
-pub fn replicas(model: &Model<'_>, instrument: &Instrument, state: &State) -> Result<Replicas, ForwardError> {
-    let chain = model.chain(&state.terms);
-    let light = |psf: &LowRankPsf| {
-        let other = Instrument { psf: psf.clone(), effects: Vec::new(), replicates: Vec::new(), ..instrument.clone() };
-        Model::new(&other, model.seen)?.scenes(&chain)
-    };
-    Ok(Replicas { light: instrument.replicates.iter().map(light).collect::<Result<_, _>>()? })
-}
-
 /// Scores of all that could be added to a state.
-pub(super) struct Scored {
+pub(crate) struct Scored {
     design: Design,
     /// Columns that are taken out of all others.
     taken: Vec<usize>,
     /// Each effect at its best start.
-    pub(super) candidates: Vec<Candidate>,
+    pub(crate) candidates: Vec<Candidate>,
 }
 
 /// Scores everything that could be added to a state.
 ///
 /// # Errors
 /// An object is no light.
-pub(super) fn score(
+pub(crate) fn score(
     model: &Model<'_>,
     fitted: &Fitted,
     replicas: &[Vec<Option<Array2<f32>>>],
@@ -203,14 +110,14 @@ pub struct Search<'m, 'a> {
     pub rest: Vec<Candidate>,
     /// Ids that are not tried.
     pub exclude: Vec<String>,
-    /// Deviance of held-out beads after a new calibration, where one is the better for it.
-    pub anew: Option<f64>,
+    /// Deviance of the held-out cells under a trial calibration, if that is better than the old one.
+    pub trial_deviance: Option<f64>,
 }
 
 impl<'m, 'a> Search<'m, 'a> {
     /// Starts from a fit.
     pub fn new(model: &'m Model<'a>, replicas: &'m Replicas, now: Fitted) -> Self {
-        Self { model, replicas, now, found: Vec::new(), rest: Vec::new(), exclude: Vec::new(), anew: None }
+        Self { model, replicas, now, found: Vec::new(), rest: Vec::new(), exclude: Vec::new(), trial_deviance: None }
     }
 
     /// Adds one effect after another, as long as the scores, the full fit and the held-out data agree.
@@ -239,12 +146,12 @@ impl<'m, 'a> Search<'m, 'a> {
                 return Ok(());
             }
             let verdict = self.confirm(&finalists, tell)?;
-            match self.or_anew(verdict, &candidates)? {
+            match self.or_calibration(verdict, &candidates)? {
                 Verdict::Added(it) => {
                     let found = self.describe(&design, taken, &candidates, &it);
                     self.found.push(found);
                     self.now = it.fit;
-                    if self.asks_for_calibration() {
+                    if self.needs_calibration() {
                         self.rest = candidates;
                         return Ok(());
                     }
@@ -255,25 +162,29 @@ impl<'m, 'a> Search<'m, 'a> {
     }
 
     /// Whether the next step is a new calibration, not another effect.
-    pub fn asks_for_calibration(&self) -> bool {
-        self.anew.is_some() && self.found.iter().any(|f| f.id == ASKED_BY)
+    pub fn needs_calibration(&self) -> bool {
+        self.trial_deviance.is_some() && self.found.iter().any(|f| f.id == NEEDS_CALIBRATION)
     }
 
     /// The verdict, unless a new calibration is far better than any effect: then what stands for one. A new calibration follows whatever the PSFs do, so
     /// that it is better than the right effect as well, but not by much.
-    fn or_anew<'c>(&self, verdict: Verdict<'c>, candidates: &'c [Candidate]) -> Result<Verdict<'c>, ForwardError> {
-        let Some(anew) = self.anew.filter(|_| self.found.is_empty()) else { return Ok(verdict) };
+    fn or_calibration<'c>(
+        &self,
+        verdict: Verdict<'c>,
+        candidates: &'c [Candidate],
+    ) -> Result<Verdict<'c>, ForwardError> {
+        let Some(trial) = self.trial_deviance.filter(|_| self.found.is_empty()) else { return Ok(verdict) };
         let before = self.now.held_out.deviance;
         let gain = match &verdict {
             Verdict::Added(it) => it.gain,
             Verdict::Refused(_) => 0.0,
         };
-        let sign = candidates.iter().find(|c| c.term.id() == ASKED_BY);
-        let Some(candidate) = sign.filter(|_| gain < ENOUGH * (before - anew)) else { return Ok(verdict) };
+        let sign = candidates.iter().find(|c| c.term.id() == NEEDS_CALIBRATION);
+        let Some(candidate) = sign.filter(|_| gain < ENOUGH * (before - trial)) else { return Ok(verdict) };
         let fit = refit_from(self.model, with(self.model, &self.now.state, candidate), self.now.scenes.clone())?;
         // All others were held against it, and lost.
         let behind = candidates.iter().map(|c| (c.term.id(), f64::INFINITY)).collect();
-        Ok(Verdict::Added(Added { fit, candidate, gain: before - anew, behind }))
+        Ok(Verdict::Added(Added { fit, candidate, gain: before - trial, behind }))
     }
 
     /// Fits the finalists in full and holds the best against what no fit has seen.

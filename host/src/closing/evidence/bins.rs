@@ -1,8 +1,7 @@
 //! Residuals of the scenes summed in bins of a covariate.
 
 use super::covariate::Covariate;
-use super::model::Model;
-use super::state::Predicted;
+use crate::closing::fit::{Model, Predicted};
 use crate::effects::blur_within;
 use ndarray::Array2;
 use std::ops::Range;
@@ -11,26 +10,26 @@ use std::ops::Range;
 const BINS: usize = 24;
 
 /// Bins of a covariate for the scenes: bin of each looked-at pixel of each frame (or none), and the places of the bins.
-pub(super) struct Bins {
-    pub(super) covariate: Covariate,
+pub(crate) struct Bins {
+    pub(crate) covariate: Covariate,
     of: Vec<Vec<u16>>,
-    pub(super) at: Vec<f64>,
+    pub(crate) at: Vec<f64>,
 }
 
 /// No bin.
 const NONE: u16 = u16::MAX;
 
 /// Sums of residuals in bins.
-pub(super) struct Statistic {
+pub(crate) struct Statistic {
     /// Sum of squares over the bins against the scatter between cells.
-    pub(super) chi2: f64,
+    pub(crate) chi2: f64,
     /// Mean of each bin.
-    pub(super) mean: Vec<f64>,
+    pub(crate) mean: Vec<f64>,
 }
 
 impl Bins {
     /// None: the session has no such covariate.
-    pub(super) fn of(covariate: Covariate, model: &Model<'_>, now: &[Predicted], frames: &[usize]) -> Option<Self> {
+    pub(crate) fn of(covariate: Covariate, model: &Model<'_>, now: &[Predicted], frames: &[usize]) -> Option<Self> {
         let seen = model.seen;
         let [rows, cols] = seen.sensor;
         let cx = model.forward.context();
@@ -196,7 +195,7 @@ impl Bins {
     }
 
     /// Sums over all cells: one frame by one block each.
-    pub(super) fn statistic(&self, model: &Model<'_>, frames: &[usize], residual: &[Vec<f32>]) -> Statistic {
+    pub(crate) fn statistic(&self, model: &Model<'_>, frames: &[usize], residual: &[Vec<f32>]) -> Statistic {
         let bins = self.at.len();
         let (mut total, mut square, mut count) = (vec![0.0; bins], vec![0.0; bins], vec![0.0; bins]);
         for f in 0..frames.len() {

@@ -9,9 +9,8 @@
 //! C: what the calibration's own uncertainty does to the score, from its delete-a-group replicates. T = s' V^-1 s is compared
 //! with F(d, nu), nu counting how well V itself is known.
 
-use super::design::{Design, Sums};
 use super::stats::{f_tail, sigmas};
-use crate::linalg::symmetric_eigen;
+use crate::closing::fit::{Cell, Design, Sums, pseudo_inverse};
 use ndarray::{Array1, Array2};
 
 /// A score test of some columns, given others.
@@ -58,7 +57,7 @@ impl<'d> Scores<'d> {
         let sums = design.training();
         let z = sums.gram.select(ndarray::Axis(0), &given).select(ndarray::Axis(1), &given);
         let inverse = pseudo_inverse(&z);
-        let by = |key: &dyn Fn(&super::design::Cell) -> usize| {
+        let by = |key: &dyn Fn(&Cell) -> usize| {
             let mut keys: Vec<usize> = design.cells.iter().filter(|c| !c.held_out).map(key).collect();
             keys.sort_unstable();
             keys.dedup();
@@ -177,25 +176,11 @@ fn strength(t: f64, dof: f64, p: f64) -> f64 {
     if p > 1e-280 { sigmas(p) } else { (t - (dof - 1.0) * (t / dof).max(1.0).ln()).max(0.0).sqrt() }
 }
 
-/// Inverse of a symmetric matrix; directions that its scaled form does not tell are left out.
-pub fn pseudo_inverse(a: &Array2<f64>) -> Array2<f64> {
-    let scale = a.diag().mapv(|v| if v > 0.0 { 1.0 / v.sqrt() } else { 0.0 });
-    let n = a.nrows();
-    let scaled = Array2::from_shape_fn((n, n), |(i, j)| 0.5 * (a[[i, j]] + a[[j, i]]) * scale[i] * scale[j]);
-    let Ok((values, vectors)) = symmetric_eigen(&scaled) else { return Array2::zeros((n, n)) };
-    // Gram matrices are summed from f32 products: below this a direction is rounding.
-    let floor = 3e-6;
-    let inverse = values.mapv(|v| if v > floor { 1.0 / v } else { 0.0 });
-    let full = (&vectors * &inverse).dot(&vectors.t());
-    Array2::from_shape_fn((n, n), |(i, j)| full[[i, j]] * scale[i] * scale[j])
-}
-
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 mod tests {
-    use super::super::design::Cell;
-    use super::super::state::Column;
     use super::*;
+    use crate::closing::fit::Column;
     use crate::rng::stream;
     use rand_distr::{Distribution, StandardNormal};
 

@@ -1,6 +1,6 @@
 //! The account of closing a loop on disk: an artifact of kind `closing`, which a report renders.
 
-use super::result::Closing;
+use super::result::{Account, Closing};
 use crate::artifact::{self, ArtifactError, Header, Provenance, Tensors};
 use ndarray::{Array3, Ix3};
 use serde::{Deserialize, Serialize};
@@ -10,21 +10,6 @@ use std::path::Path;
 pub const KIND: &str = "closing";
 /// Version of its layout.
 pub const VERSION: u32 = 1;
-
-/// The account with its pictures.
-#[derive(Clone, Debug)]
-pub struct Account {
-    /// Figures.
-    pub closing: Closing,
-    /// Frames that are pictured, as the session numbers them.
-    pub frames: Vec<usize>,
-    /// Measured, DN, [pictured, sensor rows, sensor cols].
-    pub measured_dn: Array3<f32>,
-    /// Residual before in standard deviations, the same shape; 0 where a pixel says nothing.
-    pub before: Array3<f32>,
-    /// Residual after.
-    pub after: Array3<f32>,
-}
 
 #[derive(Serialize, Deserialize)]
 struct Body {

@@ -5,14 +5,11 @@
 //! and calibration errors, the nuisances fitted as in the data. Tables are not trusted here (Protocol 6).
 
 use super::bins::{Bins, Statistic};
-pub use super::covariate::{Covariate, Dependence};
-use super::model::Model;
-use super::observe::Shown;
-use super::refit::Fitted;
-use super::repeats;
-use super::state::{Predicted, State};
+use super::covariate::{Covariate, Dependence};
 use super::stats::{chi2_tail, sigmas, two_sided};
 use super::tables;
+use crate::closing::data::Shown;
+use crate::closing::fit::{Fitted, Model, Predicted, State, repeats};
 use crate::effects::TableUse;
 use crate::noise::MapErrors;
 use crate::rng::stream;
@@ -20,6 +17,13 @@ use ndarray::Array2;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
+
+/// Probability below which an omnibus test counts, all covariates together.
+const OMNIBUS: f64 = 0.01;
+
+/// What makes less than this of the variance of the noise is no structure to speak of, however sure: a calibration leaves some per cent, in no
+/// order that its replicates know of (light beyond the windows is 5e-5 of all).
+const SIZE: f64 = 1e-3;
 
 /// Draws that the thresholds come from.
 const DRAWS: usize = 48;
@@ -31,6 +35,26 @@ pub fn test(model: &Model<'_>, fitted: &Fitted, replicas: &[Vec<Option<Array2<f3
     all.extend(on_repeats(repeats::residuals(model, &fitted.state, &fitted.predicted)));
     all.extend(on_pixels(tables::shared(model, &fitted.predicted)));
     all
+}
+
+/// Whether any omnibus test passes, and matters.
+pub fn structured(dependences: &[Dependence]) -> bool {
+    let matters = |d: &&Dependence| d.size.is_none_or(|size| size > SIZE);
+    let mut passes =
+        dependences.iter().filter(|d| d.p * (dependences.len() as f64) < OMNIBUS).filter(matters).peekable();
+    let any = passes.peek().is_some();
+    passes.for_each(|d| {
+        tracing::info!(
+            "residual against {}: z {:.1}, {:.1} for {:.1}, {:?} +- {:?}",
+            d.covariate.words(),
+            d.z,
+            d.chi2,
+            d.expected,
+            d.mean,
+            d.band
+        )
+    });
+    any
 }
 
 /// What the two halves of even light and darkness share; the larger of response and offset counts.

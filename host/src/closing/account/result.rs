@@ -1,20 +1,12 @@
 //! What came of closing the loop, as other programs and reports read it.
 
-use super::omnibus::Dependence;
-use super::record::Fault;
 use super::retrain::Retrained;
+use crate::closing::data::Fault;
+use crate::closing::evidence::{Dependence, Figures};
+use crate::closing::search::NEEDS_CALIBRATION;
+use crate::instrument::Instrument;
+use ndarray::Array3;
 use serde::{Deserialize, Serialize};
-
-/// How well frames that no fit has seen are predicted.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Figures {
-    /// chi-squared a pixel, errors by the noise model.
-    pub chi2_ndf: f64,
-    /// `|measured - predicted| / |measured|` of the light above black; noise is part of it.
-    pub nrmse: f64,
-    /// Pearson correlation coefficient.
-    pub pcc: f64,
-}
 
 /// A fitted value.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -107,4 +99,34 @@ pub struct Closing {
     pub retrained: Option<Retrained>,
     /// What the user should know.
     pub notes: Vec<String>,
+}
+
+/// The account with its pictures.
+#[derive(Clone, Debug)]
+pub struct Account {
+    /// Figures.
+    pub closing: Closing,
+    /// Frames that are pictured, as the session numbers them.
+    pub frames: Vec<usize>,
+    /// Measured, DN, [pictured, sensor rows, sensor cols].
+    pub measured_dn: Array3<f32>,
+    /// Residual before in standard deviations, the same shape; 0 where a pixel says nothing.
+    pub before: Array3<f32>,
+    /// Residual after.
+    pub after: Array3<f32>,
+}
+
+/// An instrument that was closed, with the account of it.
+pub struct Closed {
+    /// The instrument with what was found.
+    pub instrument: Instrument,
+    /// The account.
+    pub account: Account,
+}
+
+impl Closed {
+    /// Whether the search ended with the need for a new calibration: no single effect explains how the PSFs vary.
+    pub fn needs_calibration(&self) -> bool {
+        self.account.closing.effects.iter().any(|e| e.id == NEEDS_CALIBRATION)
+    }
 }
