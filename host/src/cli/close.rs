@@ -1,4 +1,4 @@
-//! `close`: what an instrument lacks, found in a session and added.
+//! `close`: finds the effects that an instrument lacks and adds them.
 
 use super::retrain::Networks;
 use super::{Outcome, Run};
@@ -10,29 +10,28 @@ use std::time::Instant;
 
 /// Options of `close`.
 #[derive(Debug, clap::Args)]
-#[command(
-    after_help = "Example: ommatidia close session/ --instrument lab.instrument -o closed.instrument --report close.html"
-)]
+#[command(after_help = "Example: ommatidia close session/ --instrument lab.instrument -o closed.instrument --report \
+                  close.html")]
 pub struct Args {
     /// Folder of the measured session
     session: PathBuf,
     /// Instrument file to close
     #[arg(long, value_name = "FILE")]
     instrument: PathBuf,
-    /// Instrument file to write; the account of it is written beside it, with suffix .closing
+    /// Instrument file to write; the account is written beside it, with suffix .closing
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// The bead frames were normalised by who measured them, as for calibrate: where the PSFs must be calibrated anew
+    /// The bead frames are already normalised, as for calibrate; used if the PSFs must be calibrated again
     #[arg(long)]
     normalise_beads: bool,
-    /// Fine-tune this network on the closed instrument, write it beside the output with suffix .network, and compare the two on
-    /// held-out scenes
+    /// Fine-tune this network on the closed instrument, write it beside the output with suffix .network, and compare
+    /// both networks on held-out scenes
     #[arg(long, value_name = "CHECKPOINT")]
     retrain: Option<PathBuf>,
     /// Steps of fine-tuning
     #[arg(long, value_name = "N", default_value_t = 1000, requires = "retrain")]
     steps: u64,
-    /// Render the account to one HTML file
+    /// Write a report of the account to this HTML file
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
 }
@@ -81,7 +80,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
 pub fn table(closing: &Closing, output: &Path, account: &Path, seconds: f64) -> String {
     let mut out = String::new();
     // Writing to a string cannot fail.
-    let _ = writeln!(out, "{:<24} {:>12} {:>12}   on what no fit has seen", "", "before", "after");
+    let _ = writeln!(out, "{:<24} {:>12} {:>12}   on held-out data", "", "before", "after");
     let (b, a) = (closing.before, closing.after);
     for (name, before, after) in
         [("chi2 / pixel", b.chi2_ndf, a.chi2_ndf), ("NRMSE (with noise)", b.nrmse, a.nrmse), ("PCC", b.pcc, a.pcc)]
@@ -89,33 +88,35 @@ pub fn table(closing: &Closing, output: &Path, account: &Path, seconds: f64) -> 
         let _ = writeln!(out, "{name:<24} {before:>12.5} {after:>12.5}");
     }
     if closing.effects.is_empty() {
-        let _ = writeln!(out, "\nnothing found");
+        let _ = writeln!(out, "\nno effect found");
     }
     for e in &closing.effects {
         let _ = writeln!(out, "\n{} ({}, z = {:.1}){}", e.id, e.stage, e.z, explained(e));
         let _ = writeln!(out, "  {}", e.description);
         if !e.ambiguity.is_empty() {
             let separate = e.separate_by.as_deref().unwrap_or("more data");
-            let _ = writeln!(out, "  could also be {}; to tell them apart: {separate}", e.ambiguity.join(", "));
+            let _ = writeln!(out, "  could also be {}; to distinguish them: {separate}", e.ambiguity.join(", "));
         }
     }
     if closing.catalogue_incomplete {
-        let _ = writeln!(out, "\nThe residual still shows structure that no effect of the catalogue explains.");
+        let _ = writeln!(out, "\nThe residual still has structure that no effect of the catalogue explains.");
     }
     let limits: Vec<String> = closing
         .rejected
         .iter()
         .filter_map(|r| Some(format!("{} {} < {:.2e} {}", r.id, r.param, r.upper_limit?, r.unit)))
         .collect();
-    let _ = writeln!(out, "\nnot found (95 % limits): {}", limits.join("; "));
-    let blind: Vec<&str> = closing.rejected.iter().filter(|r| r.upper_limit.is_none()).map(|r| r.id.as_str()).collect();
-    if !blind.is_empty() {
-        let _ = writeln!(out, "this session cannot tell: {}", blind.join(", "));
+    let _ = writeln!(out, "\nnot found (upper limits, 95 %): {}", limits.join("; "));
+    let untestable: Vec<&str> =
+        closing.rejected.iter().filter(|r| r.upper_limit.is_none()).map(|r| r.id.as_str()).collect();
+    if !untestable.is_empty() {
+        let _ = writeln!(out, "not testable with this session: {}", untestable.join(", "));
     }
     if let Some(r) = &closing.retrained {
         let _ = writeln!(
             out,
-            "network on {} held-out scenes: {:.2} dB, SSIM {:.3} -> {:.2} dB, SSIM {:.3} after {} steps on the closed instrument",
+            "network on {} held-out scenes: {:.2} dB, SSIM {:.3} -> {:.2} dB, SSIM {:.3} after {} steps on the closed \
+             instrument",
             r.frames.len(),
             r.psnr_db_before,
             r.ssim_before,

@@ -14,10 +14,10 @@ pub struct Args {
     /// Instrument file
     #[arg(long, value_name = "FILE")]
     instrument: PathBuf,
-    /// Write figures and residual maps to an artifact
+    /// Write the account, with residual maps, to this file
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// Render them to one HTML file
+    /// Write a report of the account to this HTML file
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
 }
@@ -25,7 +25,7 @@ pub struct Args {
 /// Runs the verb.
 ///
 /// # Errors
-/// A file cannot be read or written, or session and instrument are not of one kind.
+/// A file cannot be read or written, or session and instrument have different layouts.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let request = ResidualRequest { session: &args.session, instrument: &args.instrument, seed: run.seed };
     let ResidualOutcome { account, provenance } = residual_session(&request)?;
@@ -44,7 +44,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     // Writing to a string cannot fail.
     let _ = writeln!(
         text,
-        "chi2 / pixel {:.4}, NRMSE {:.4}, PCC {:.5} on what no fit has seen\n",
+        "chi2 / pixel {:.4}, NRMSE {:.4}, PCC {:.5} on held-out data\n",
         c.before.chi2_ndf, c.before.nrmse, c.before.pcc
     );
     for fault in &c.faults {

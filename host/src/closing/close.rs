@@ -1,6 +1,6 @@
 //! Closes the loop on observations in memory: screening of the records, first fit, search, pruning, account.
 
-use super::account::{Account, Closed, Closing, effects, fault, pictured, rejected};
+use super::account::{Account, Closed, Closing, Findings, effects, fault, pictured, rejected};
 use super::data::{Fault, Observations, Shown};
 use super::evidence::{figures, judged, omnibus, structured};
 use super::fit::{Model, State, Term, record, refit, replicas};
@@ -22,7 +22,8 @@ pub enum CloseError {
     Effect(#[from] EffectError),
     /// Instrument and session have different layouts.
     #[error(
-        "the instrument was calibrated for {expected}, the session has {found}; calibrate on a session of this instrument"
+        "the instrument was calibrated for {expected}, the session has {found}; calibrate on a session of this \
+         instrument"
     )]
     Layout {
         /// Layout of the instrument.
@@ -44,8 +45,8 @@ pub struct CloseOptions<'a> {
     pub seed: u64,
     /// Ids of effects that are not tried, for tests of the loop with the true effect missing from the catalogue.
     pub exclude: &'a [String],
-    /// An instrument that was calibrated on the training beads of the session, if it predicts the held-out beads better than the
-    /// old one ([`super::search::trial_calibration`]). The search compares effects with what it gains.
+    /// An instrument that was calibrated on the training beads of the session, if it predicts the held-out beads better
+    /// than the old one ([`super::search::trial_calibration`]). The search compares effects with what it gains.
     pub trial_calibration: Option<&'a Instrument>,
 }
 
@@ -64,14 +65,15 @@ pub fn check_layout(instrument: &Manifest, session: &Manifest) -> Result<(), Clo
     if expected == found { Ok(()) } else { Err(CloseError::Layout { expected, found }) }
 }
 
-/// Searches for the effects that an instrument lacks and adds them. Faults of the session's records are corrected in `seen` before
-/// anything is fitted. Calls `progress` with the name of each step that begins.
+/// Searches for the effects that an instrument lacks and adds them. Faults of the session's records are corrected in
+/// `seen` before anything is fitted. Calls `progress` with the name of each step that begins.
 ///
 /// # Errors
 /// The parts of the instrument disagree, an object holds negative light, or there is no frame.
 ///
 /// # Examples
-/// A virtual instrument is calibrated; then its array is shifted by a quarter of a pixel, and the loop finds that from two scenes:
+/// A virtual instrument is calibrated; then its array is shifted by a quarter of a pixel, and the loop finds that from
+/// two scenes:
 /// ```no_run
 /// todo!()
 /// ```
@@ -127,11 +129,12 @@ pub fn close(
     }
     let unknown = found.iter().any(|f| f.id.starts_with("unknown"));
     let catalogue_incomplete = unknown || structured(&dependences);
-    let effects = effects(&model, &before, &now, &found, &tests, own, &faults);
+    let findings = Findings { before: &before, now: &now, own, found: &found, tests: &tests };
+    let effects = effects(&model, findings, &faults);
     if instrument.replicates.is_empty() && seen.of(Role::Scene).next().is_some() {
         notes.push(
-            "the instrument has no calibration replicates, so the uncertainty of the calibration is unknown and small effects may \
-             be errors of the calibration; calibrate again"
+            "the instrument has no calibration replicates, so the uncertainty of the calibration is unknown and small \
+             effects may be errors of the calibration; calibrate again"
                 .into(),
         );
     }
@@ -154,8 +157,8 @@ pub fn close(
     Ok(Closed { instrument: with_effects(instrument, &model, &now.state), account })
 }
 
-/// Measures the residual of a session and tests it, without a search for effects: the account has the same figures before and
-/// after, and no effects but faults of the records. Of the options, the session's name and the seed count.
+/// Measures the residual of a session and tests it, without a search for effects: the account has the same figures
+/// before and after, and no effects but faults of the records. Of the options, the session's name and the seed count.
 ///
 /// # Errors
 /// As [`close()`].

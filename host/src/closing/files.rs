@@ -27,7 +27,8 @@ pub struct CloseRequest<'a> {
     pub seed: u64,
 }
 
-/// A network that is fine-tuned on the closed instrument. The result is written beside the output, with suffix `.network`.
+/// A network that is fine-tuned on the closed instrument. The result is written beside the output, with suffix
+/// `.network`.
 #[derive(Clone, Copy)]
 pub struct FineTuning<'a> {
     /// What trains it.
@@ -57,11 +58,12 @@ pub enum Progress<'a> {
     FineTuned(u64),
 }
 
-/// Closes the loop for a session on disk: reads session and instrument, searches for effects, recalibrates where the session
-/// requires it, fine-tunes a network if one is given, and writes the closed instrument and the account.
+/// Closes the loop for a session on disk: reads session and instrument, searches for effects, recalibrates where the
+/// session requires it, fine-tunes a network if one is given, and writes the closed instrument and the account.
 ///
 /// # Errors
-/// A file cannot be read or written, session and instrument have different layouts, or the session holds no frame to compare with.
+/// A file cannot be read or written, session and instrument have different layouts, or the session holds no frame to
+/// compare with.
 pub fn close_session(
     request: &CloseRequest<'_>,
     progress: &mut dyn FnMut(Progress<'_>),

@@ -6,7 +6,7 @@
 //! |---|---|
 //! | [`data`] | reads the frames of a session and fixes the hold-outs before any fit |
 //! | [`fit`] | predicts the frames from a state (effects and nuisance parameters) and fits that state |
-//! | [`evidence`] | tests the residual of a fit: omnibus tests, score tests, tables of pixels, figures on held-out data |
+//! | [`evidence`] | tests the residual of a fit: omnibus tests, score tests, pixel tables, figures on held-out data |
 //! | [`search`] | adds effects that the evidence supports and removes those that are not needed |
 //! | [`account`] | reports what was found, with errors, detection limits and ambiguities |
 //!

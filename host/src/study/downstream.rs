@@ -1,8 +1,9 @@
-//! What closing the loop is worth to the picture: a network that was fine-tuned on the closed instrument beside one that was
-//! fine-tuned on the true instrument.
+//! What closing the loop is worth to the picture: a network that was fine-tuned on the closed instrument beside one
+//! that was fine-tuned on the true instrument.
 //!
-//! Both start from one network, trained on the calibrated instrument, and take the same steps on the same scenes; both reconstruct frames of
-//! another session of the changed instrument. The true instrument is the calibrated one with the injected effects at their true values.
+//! Both start from one network, trained on the calibrated instrument, and take the same steps on the same scenes; both
+//! reconstruct frames of another session of the changed instrument. The true instrument is the calibrated one with the
+//! injected effects at their true values.
 
 use super::subject::Subject;
 use crate::artifact::Provenance;

@@ -14,8 +14,8 @@ pub struct Recalibrated<'a> {
     pub trial: &'a Instrument,
 }
 
-/// Calibrates on all beads of the session and puts the result in the place of the closed instrument. The figures "after" are
-/// those of the trial calibration, which did not use the held-out beads.
+/// Calibrates on all beads of the session and puts the result in the place of the closed instrument. The figures
+/// "after" are those of the trial calibration, which did not use the held-out beads.
 ///
 /// # Errors
 /// The session cannot be read or calibrated.
@@ -32,14 +32,15 @@ pub fn adopt(
     let terms = [before, &whole].map(|i| i.psf.basis.dim().1);
     if let Some(effect) = closing.effects.iter_mut().find(|e| e.id == NEEDS_CALIBRATION) {
         effect.description = format!(
-            "the PSF varies over the field more than {} terms per lens can describe: recalibrated with {} terms, foci {:.2} px rms \
-             off their chief rays (distortion) kept inside the windows; NRMSE on held-out beads {:.4} -> {:.4}",
+            "the PSF varies over the field more than {} terms per lens can describe: recalibrated with {} terms, foci \
+             {:.2} px rms off their chief rays (distortion) kept inside the windows; NRMSE on held-out beads {:.4} -> \
+             {:.4}",
             terms[0], terms[1], whole.quality.chief_ray_rms_px, closing.before.nrmse, closing.after.nrmse
         );
     }
     closing.notes.push(
-        "the PSFs were recalibrated on the session's own beads; their basis now contains the changes of chief rays and of the PSF \
-         over the field"
+        "the PSFs were recalibrated on the session's own beads; their basis now contains the changes of chief rays and \
+         of the PSF over the field"
             .into(),
     );
     closed.instrument = whole;

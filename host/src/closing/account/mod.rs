@@ -1,7 +1,7 @@
 //! The account of a closed loop: effects with errors, detection limits, ambiguities, figures before and after.
 //!
-//! [`result`] defines it, [`describe`] writes the effects, [`pictures`] adds residual maps, [`adopt`] records a new calibration,
-//! [`retrain`] what a fine-tuned network gains, [`file`] stores it all.
+//! [`result`] defines it, [`describe`] writes the effects, [`pictures`] adds residual maps, [`adopt`] records a new
+//! calibration, [`retrain`] what a fine-tuned network gains, [`file`] stores it all.
 
 pub(crate) mod adopt;
 pub(crate) mod describe;
@@ -11,7 +11,7 @@ pub mod result;
 pub mod retrain;
 
 pub use adopt::{Recalibrated, adopt};
-pub(crate) use describe::{effects, fault, rejected};
+pub(crate) use describe::{Findings, effects, fault, rejected};
 pub use file::{KIND, VERSION};
 pub(crate) use pictures::pictured;
 pub use result::{Account, Closed, Closing, Effect, Rejected, Value};

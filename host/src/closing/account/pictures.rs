@@ -1,4 +1,4 @@
-//! The account with pictures of what the states leave.
+//! The residual maps of the account.
 
 use super::result::{Account, Closing};
 use crate::closing::evidence::figures::judged;

@@ -1,4 +1,4 @@
-//! What came of closing the loop, as other programs and reports read it.
+//! The result of closing the loop, as files, reports and other programs read it.
 
 use super::retrain::Retrained;
 use crate::closing::data::Fault;
@@ -15,110 +15,111 @@ pub struct Value {
     pub name: String,
     /// Its value.
     pub value: f64,
-    /// Its standard error: noise, scatter between blocks and frames, and the calibration's own uncertainty.
+    /// Its standard error: noise, scatter between blocks and frames, and uncertainty of the calibration.
     pub sigma: f64,
-    /// The part of the standard error that the noise alone makes (Fisher).
+    /// Its standard error by the noise alone (Fisher information).
     pub sigma_noise: f64,
     /// Its unit.
     pub unit: String,
 }
 
-/// An effect that was found and added.
+/// An effect that was added to the instrument, or a fault of a record.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Effect {
-    /// Its id in the catalogue, or `unknown-1`, ..
+    /// Its id in the catalogue; `unknown-1`, `unknown-2` and so on for terms without a name.
     pub id: String,
-    /// Whether the catalogue knows it.
+    /// Whether it is an effect of the catalogue.
     pub known: bool,
     /// `optics`, `charge`, `electronics` or `record`.
     pub stage: String,
     /// Strength of the evidence, standard deviations.
     pub z: f64,
-    /// Share of the excess of chi-squared over the noise on held-out data that it explains; None: the excess is within its error.
+    /// Share of the excess of chi-squared over the noise that it explains, on held-out data; None: the excess is not
+    /// significant.
     pub excess_explained: Option<f64>,
-    /// Fall of chi-squared on held-out data.
+    /// Fall of the deviance of held-out data when it was added.
     pub held_out_gain: f64,
     /// Effects that would explain the data nearly as well.
     pub ambiguity: Vec<String>,
-    /// Square of the correlation of its template with that of the closest of them, nuisances taken out.
+    /// Squared correlation of its signature with the most similar of these, with everything fitted projected out.
     pub overlap: f64,
-    /// The measurement that would tell them apart.
+    /// The measurement that would distinguish them.
     pub separate_by: Option<String>,
-    /// Its values.
+    /// Its parameters.
     pub params: Vec<Value>,
-    /// In words and numbers.
+    /// Description with values and errors.
     pub description: String,
 }
 
-/// An effect that was not found.
+/// An effect that was not detected.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Rejected {
     /// Its id.
     pub id: String,
-    /// Its first strength.
+    /// Name of its first strength.
     pub param: String,
-    /// What that is below with 95 % confidence (its absolute value); None: this session cannot tell.
+    /// Upper limit on the absolute value of that strength at 95 % confidence; None: not testable with this session.
     pub upper_limit: Option<f64>,
-    /// Standard error that it would have had: the sensitivity of the session; None: it cannot tell.
+    /// Sensitivity: the standard error of that strength; None: not testable with this session.
     pub sigma: Option<f64>,
     /// Its unit.
     pub unit: String,
-    /// Strength of the evidence for it.
+    /// Strength of the evidence for it, standard deviations.
     pub z: f64,
-    /// What would be needed, where this session cannot tell.
+    /// The measurement that would make it testable.
     pub needs: Option<String>,
 }
 
-/// What came of closing the loop.
+/// The result of closing the loop.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Closing {
     /// Name of the session.
     pub session: String,
-    /// The instrument as it was, on held-out frames; scale and black level fitted.
+    /// Figures of the instrument as given, on held-out data; light and black level are fitted to the other data.
     pub before: Figures,
-    /// With what was added.
+    /// Figures with the added effects.
     pub after: Figures,
-    /// Scenes that no fit has seen, as the session numbers them.
+    /// Held-out scenes or beads: indices in their stack.
     pub held_out_frames: Vec<usize>,
-    /// Spatial blocks of the other frames that no fit has seen, of how many.
+    /// Number of held-out spatial blocks of the other frames, and of all blocks.
     pub held_out_blocks: [usize; 2],
-    /// What was added, in order.
+    /// Faults of the records, then the effects that were added, in order.
     pub effects: Vec<Effect>,
-    /// What was not.
+    /// Effects that were not detected.
     pub rejected: Vec<Rejected>,
     /// Whether the residual still shows structure that no effect of the catalogue explains.
     pub catalogue_incomplete: bool,
-    /// Faults of the session's records that were put right before the fit.
+    /// Faults of the session's records, which were corrected before the fit.
     pub faults: Vec<Fault>,
-    /// The residual against every covariate, before.
+    /// Tests of the residual against every covariate, before.
     pub dependences_before: Vec<Dependence>,
-    /// The same, after.
+    /// The same with the added effects.
     pub dependences_after: Vec<Dependence>,
-    /// The network before and after, where it was fine-tuned on the closed instrument.
+    /// Figures of a network before and after its fine-tuning on the closed instrument, if there was one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub retrained: Option<Retrained>,
-    /// What the user should know.
+    /// Notes for the user.
     pub notes: Vec<String>,
 }
 
-/// The account with its pictures.
+/// The account: the result with residual maps.
 #[derive(Clone, Debug)]
 pub struct Account {
-    /// Figures.
+    /// The result.
     pub closing: Closing,
-    /// Frames that are pictured, as the session numbers them.
+    /// Frames of the maps: indices in their stack.
     pub frames: Vec<usize>,
-    /// Measured, DN, [pictured, sensor rows, sensor cols].
+    /// Measured frames, DN, [frames, sensor rows, sensor cols].
     pub measured_dn: Array3<f32>,
-    /// Residual before in standard deviations, the same shape; 0 where a pixel says nothing.
+    /// Residual before, standard deviations, same shape; 0 at pixels that are not used.
     pub before: Array3<f32>,
-    /// Residual after.
+    /// Residual after, likewise.
     pub after: Array3<f32>,
 }
 
-/// An instrument that was closed, with the account of it.
+/// A closed instrument with its account.
 pub struct Closed {
-    /// The instrument with what was found.
+    /// The instrument with the added effects.
     pub instrument: Instrument,
     /// The account.
     pub account: Account,

@@ -45,11 +45,11 @@ pub struct RetrainRequest<'a> {
 
 /// Fine-tunes networks. The crate that knows networks implements it; closing the loop needs only this interface.
 pub trait Retrain {
-    /// Fine-tunes the network, writes it to `request.output` and compares the two on the held-out scenes. Calls `progress` with
-    /// the number of steps that are done.
+    /// Fine-tunes the network, writes it to `request.output` and compares the two on the held-out scenes. Calls
+    /// `progress` with the number of steps that are done.
     ///
     /// # Errors
-    /// The checkpoint has another size than the instrument, a file cannot be read or written, or the session has no scene with a
-    /// known object.
+    /// The checkpoint has another size than the instrument, a file cannot be read or written, or the session has no
+    /// scene with a known object.
     fn retrain(&self, request: &RetrainRequest<'_>, progress: &mut dyn FnMut(u64)) -> anyhow::Result<Retrained>;
 }

@@ -1,8 +1,8 @@
-//! Faults of a session's records.
+//! Faults of a session's records: what the session states of a frame and the frame contradicts.
 
 use serde::{Deserialize, Serialize};
 
-/// A fault of one frame's record.
+/// A fault in the record of one frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Fault {
     /// Index of the frame in its stack, as the session numbers it.
@@ -13,7 +13,7 @@ pub struct Fault {
     pub z: f64,
     /// Correlation of the frame with what the record predicts.
     pub correlation_before: f64,
-    /// The same once the record is put right.
+    /// The same with the corrected record.
     pub correlation_after: f64,
 }
 
@@ -21,31 +21,31 @@ pub struct Fault {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FaultKind {
-    /// The frame shows the object that is written down for another frame.
+    /// The frame shows the object that is recorded for another frame.
     Shows {
-        /// That frame.
+        /// Index of that frame in its stack.
         truth_of: usize,
     },
-    /// The object is written down upside down or the wrong way round.
+    /// The object is recorded flipped.
     Flipped {
-        /// Rows.
+        /// The order of rows is reversed.
         rows: bool,
-        /// Columns.
+        /// The order of columns is reversed.
         cols: bool,
     },
-    /// The exposure or light level is written down wrong.
+    /// The recorded exposure or light level is wrong.
     Exposure {
-        /// True over written.
+        /// True exposure over the recorded one.
         factor: f64,
     },
 }
 
 impl Fault {
-    /// In words.
+    /// The fault in one sentence, without a full stop.
     pub fn words(&self) -> String {
         match self.kind {
             FaultKind::Shows { truth_of } => {
-                format!("scene frame {} shows the object that is written down for frame {truth_of}", self.frame)
+                format!("scene frame {} shows the object that is recorded for frame {truth_of}", self.frame)
             }
             FaultKind::Flipped { rows, cols } => {
                 let axis = match (rows, cols) {
@@ -53,10 +53,10 @@ impl Fault {
                     (true, false) => "upside down",
                     _ => "mirrored left to right",
                 };
-                format!("the object of scene frame {} is written down {axis}", self.frame)
+                format!("the object of scene frame {} is recorded {axis}", self.frame)
             }
             FaultKind::Exposure { factor } => {
-                format!("scene frame {} was exposed {factor:.4} times as much as is written down", self.frame)
+                format!("scene frame {} received {factor:.4} times the recorded exposure", self.frame)
             }
         }
     }

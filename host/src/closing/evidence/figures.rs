@@ -1,27 +1,28 @@
-//! How well a state predicts what no fit has seen, and pictures of what it leaves.
+//! How well a state predicts held-out data.
 
 use crate::closing::data::Observations;
 use crate::closing::fit::{Fitted, Model};
 use crate::session::Role;
 use serde::{Deserialize, Serialize};
 
-/// How well frames that no fit has seen are predicted.
+/// How well held-out data are predicted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Figures {
-    /// chi-squared a pixel, errors by the noise model.
+    /// chi-squared per pixel, with the variance of the noise model.
     pub chi2_ndf: f64,
-    /// `|measured - predicted| / |measured|` of the light above black; noise is part of it.
+    /// `||measured - predicted|| / ||measured||` of the light above the black level; noise contributes to it.
     pub nrmse: f64,
     /// Pearson correlation coefficient.
     pub pcc: f64,
 }
 
-/// The frames that figures are told of.
+/// The frames that the figures are computed from: scenes and beads.
 pub(crate) fn judged(seen: &Observations) -> impl Iterator<Item = usize> + '_ {
     (0..seen.frames.len()).filter(|k| matches!(seen.frames[*k].role, Role::Scene | Role::Bead))
 }
 
-/// Figures on what no fit has seen: held-out scenes, or the held-out blocks where no scene is.
+/// Figures on held-out data: the held-out scenes and beads, or, if no frame is held out, the held-out blocks of all of
+/// them.
 pub fn figures(model: &Model<'_>, fitted: &Fitted) -> Figures {
     let seen = model.seen;
     let mut frames: Vec<usize> = judged(seen).filter(|k| seen.frames[*k].held_out).collect();

@@ -2,19 +2,19 @@
 
 use ndarray::Array2;
 
-/// One frame by one block.
+/// Sums over the pixels of one frame in one spatial block.
 #[derive(Clone, Debug)]
 pub struct Cell {
-    /// Frame.
+    /// Index of the frame.
     pub frame: usize,
-    /// Spatial block.
+    /// Index of the spatial block.
     pub block: usize,
-    /// Kept out of every fit.
+    /// Whether it is kept out of every fit.
     pub held_out: bool,
-    /// Pixels that count.
+    /// Number of pixels that are used.
     pub pixels: usize,
-    /// Gram matrix: columns, then replicates, then the residual.
+    /// Gram matrix in units of the noise, [n, n]: columns of the design, then replicates, then the residual.
     pub gram: Array2<f32>,
-    /// Sum of the logarithms of the variances, DN^2.
+    /// Sum of the logarithms of the pixels' variances in DN^2.
     pub log_variance: f64,
 }

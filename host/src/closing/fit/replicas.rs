@@ -1,4 +1,4 @@
-//! The replicates of a calibration before the frames of a session.
+//! The uncertainty of the calibration: how its replicates change the predicted frames.
 
 use super::model::Model;
 use super::refit::Fitted;
@@ -7,13 +7,14 @@ use crate::forward::{ForwardError, SceneLight};
 use crate::instrument::{Instrument, LowRankPsf};
 use ndarray::Array2;
 
-/// The replicates of a calibration before the frames of a session: what each predicts, minus what the calibration does.
+/// The light behind the optics of each replicate of a calibration, for the frames of a session.
 pub struct Replicas {
     light: Vec<Vec<Option<SceneLight>>>,
 }
 
 impl Replicas {
-    /// For each replicate and frame the change of the expected frame, DN. None: no scene.
+    /// For each replicate and frame the expected frame minus that of the calibration, DN, [sensor rows, sensor cols].
+    /// None for frames without a known object.
     pub fn of(&self, model: &Model<'_>, fitted: &Fitted) -> Vec<Vec<Option<Array2<f32>>>> {
         let one = |scenes: &Vec<Option<SceneLight>>| {
             let predicted = model.predict(&fitted.state, scenes);
@@ -24,7 +25,7 @@ impl Replicas {
     }
 }
 
-/// Puts the replicates of an instrument's calibration before the frames.
+/// Computes the light behind the optics of each replicate of an instrument's calibration.
 ///
 /// # Errors
 /// A replicate does not fit the instrument.

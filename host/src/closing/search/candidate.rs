@@ -1,28 +1,28 @@
-//! Effects that were scored, and effects that were found.
+//! Effects that were scored (candidates), and effects that were added (found).
 
 use crate::closing::evidence::{TableFit, Test};
 use crate::closing::fit::Term;
 
-/// What one more value must earn in chi-squared.
-pub(crate) const PRICE: f64 = 6.0;
+/// Penalty of each additional parameter, in units of chi-squared.
+pub(crate) const PENALTY: f64 = 6.0;
 
-/// An effect that was scored.
+/// An effect with its score test.
 #[derive(Clone, Debug)]
 pub struct Candidate {
-    /// The effect at its best start.
+    /// The effect at the best of its starting values.
     pub term: Term,
-    /// Columns of its strengths in the design.
+    /// Columns of its strengths in the design matrix.
     pub columns: Vec<usize>,
-    /// The test of its strengths; None: the session cannot tell it.
+    /// The test of its strengths; None: this session does not determine it.
     pub test: Option<Test>,
-    /// How many independent starts the best was taken from.
+    /// Number of independent starting values that the best was selected from.
     pub chances: f64,
-    /// Its table, where it has one instead of columns.
+    /// Its estimated table, for an effect with a table instead of columns.
     pub table: Option<TableFit>,
 }
 
 impl Candidate {
-    /// Probability, paid for each chance.
+    /// Probability of such evidence without the effect, corrected for the number of starting values (Bonferroni).
     pub fn p(&self) -> f64 {
         if let Some(table) = &self.table {
             return table.p;
@@ -30,35 +30,53 @@ impl Candidate {
         self.test.as_ref().map_or(1.0, |t| (t.p * self.chances).min(1.0))
     }
 
-    /// Estimate and standard error of its first strength, as [`crate::effects::Param::inner`] has them.
-    pub fn first(&self) -> Option<(f64, f64)> {
+    /// Estimate of its first strength. None: this session does not determine it.
+    pub fn first(&self) -> Option<Estimate> {
         if let Some(table) = &self.table {
-            return Some((table.size, table.size_sigma));
+            return Some(Estimate { value: table.size, sigma: table.size_sigma });
         }
         let t = self.test.as_ref()?;
-        Some((*t.theta.first()?, t.covariance.get((0, 0))?.sqrt()))
+        Some(Estimate { value: *t.theta.first()?, sigma: t.covariance.get((0, 0))?.sqrt() })
     }
 
-    /// What it earns beyond its price.
+    /// Test statistic less the penalties for its parameters and starting values. Candidates are ranked by it.
     pub(crate) fn worth(&self) -> f64 {
         if let Some(table) = &self.table {
-            return table.z * table.z.abs() - PRICE;
+            return table.z * table.z.abs() - PENALTY;
         }
-        self.test.as_ref().map_or(f64::NEG_INFINITY, |t| t.t - PRICE * t.dof - 2.0 * self.chances.ln())
+        self.test.as_ref().map_or(f64::NEG_INFINITY, |t| t.t - PENALTY * t.dof - 2.0 * self.chances.ln())
     }
 }
 
-/// An effect that was found.
+/// An estimated strength in the unit of [`crate::effects::Param::inner`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Estimate {
+    /// Distance from the value at which the effect is absent.
+    pub value: f64,
+    /// Standard error.
+    pub sigma: f64,
+}
+
+/// An effect that would explain the data nearly as well as another.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Alternative {
+    /// Its id.
+    pub id: &'static str,
+    /// Squared correlation of the signatures of the two effects, with everything fitted projected out.
+    pub overlap: f64,
+}
+
+/// An effect that was added.
 #[derive(Clone, Debug)]
 pub struct Found {
     /// Its id.
     pub id: &'static str,
-    /// Strength of the evidence when it was found.
+    /// Strength of the evidence when it was added, standard deviations.
     pub z: f64,
-    /// Fall of chi-squared on held-out data when it was added.
+    /// Fall of the deviance of held-out data when it was added.
     pub held_out_gain: f64,
-    /// Effects that would explain nearly the same: id, and the overlap.
-    pub ambiguity: Vec<(&'static str, f64)>,
-    /// Standard error of the size of its table, where it has one.
+    /// Effects that would explain the data nearly as well, most similar first.
+    pub ambiguity: Vec<Alternative>,
+    /// Standard error of the size of its table, for an effect with a table.
     pub table_sigma: Option<f64>,
 }

@@ -1,4 +1,4 @@
-//! Backward elimination: effects that are no longer needed beside the others are taken back.
+//! Backward elimination: effects that are not needed beside the others are removed again.
 
 use super::candidate::Found;
 use super::select::ALPHA;
@@ -9,20 +9,21 @@ use crate::closing::fit::{
 use crate::forward::ForwardError;
 use ndarray::Array1;
 
-/// A term stays if chi-squared rises by more than this without it, over the scatter between clusters.
+/// A term is kept if its removal raises the deviance by more than this, over the scatter between clusters.
 const NEEDED: f64 = 16.0;
 
-/// What is left after pruning.
+/// Result of the pruning.
 pub(crate) struct Pruned {
     pub(crate) now: Fitted,
     pub(crate) found: Vec<Found>,
-    /// The test of each term.
+    /// The test of each term of the state.
     pub(crate) tests: Vec<Option<Test>>,
-    /// Terms that are no longer needed.
+    /// Terms that were removed.
     pub(crate) removed: Vec<Term>,
 }
 
-/// Takes back what is no longer needed beside the rest; gives the test of each term that stays.
+/// Removes terms that are not needed beside the others, the least significant first, and tests those that are kept. The
+/// first `own` terms of the state belong to the instrument and are kept.
 pub(crate) fn prune(
     model: &Model<'_>,
     replicas: &Replicas,
@@ -35,7 +36,7 @@ pub(crate) fn prune(
     loop {
         let columns: Vec<Column> = nuisances(model).into_iter().chain(own_columns(model, &now.state)).collect();
         let of_frames = replicas.of(model, &now);
-        let design = Design::compute(model, &now.state, &[], columns.clone(), &now.predicted, &now.scenes, &of_frames)?;
+        let design = Design::compute(model, now.expansion(&[]), columns.clone(), &of_frames)?;
         let test = |t: usize| -> Option<Test> {
             let of_term = |c: &Column| matches!(c, Column::Own { term, .. } if *term == t);
             let mine: Vec<usize> = (0..columns.len()).filter(|i| of_term(&columns[*i])).collect();
@@ -43,7 +44,7 @@ pub(crate) fn prune(
             Scores::new(&design, others).test(&mine)
         };
         let tests: Vec<Option<Test>> = (0..now.state.terms.len()).map(test).collect();
-        // Wald: how far the strengths are from where the effect is absent.
+        // Wald tests of the strengths.
         let weakest = (own..tests.len())
             .filter(|t| !needed.contains(&now.state.terms[*t].id()))
             .filter_map(|t| Some((t, wald(model, &now.state.terms[t], tests[t].as_ref()?))))
@@ -53,7 +54,7 @@ pub(crate) fn prune(
                 let mut state = now.state.clone();
                 let term = state.terms.remove(t);
                 let without = refit(model, state)?;
-                // Values that trade against one another are each uncertain while the term as a whole is not.
+                // Correlated parameters are uncertain one by one although the term as a whole is not.
                 let weight = tests[t].as_ref().map_or(1.0, |test| test.phi);
                 let rise = (without.training.deviance - now.training.deviance)
                     .max(without.held_out.deviance - now.held_out.deviance);
@@ -73,10 +74,10 @@ pub(crate) fn prune(
     }
 }
 
-/// Probability of strengths this far from absence.
+/// Wald test: probability that the strengths of a term are this far from the values at which it is absent.
 fn wald(model: &Model<'_>, term: &Term, test: &Test) -> f64 {
     let (expanded, free) = (term.expanded(model.lenses()), term.free(model.lenses()));
-    // Where each strength stands among the columns of the term.
+    // Positions of the strengths among the columns of the term.
     let strengths: Vec<usize> = (0..free.len()).filter(|i| expanded[free[*i]].1.is_strength()).collect();
     let d = Array1::from_iter(strengths.iter().map(|i| {
         let p = expanded[free[*i]].1;

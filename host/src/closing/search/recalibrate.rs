@@ -1,6 +1,6 @@
-//! Recalibration: when the PSFs vary more over the field than the model allows, no single effect explains it, and the model needs
-//! more terms. A trial calibration on the training beads of the session, judged on the held-out beads, measures how much better
-//! the model could be.
+//! Recalibration: when the PSFs vary more over the field than the model allows, no single effect explains it, and the
+//! model needs more terms. A trial calibration on the training beads of the session, judged on the held-out beads,
+//! measures how much better the model could be.
 
 use crate::closing::data::{Budget, Observations, bead_is_held_out};
 use crate::closing::evidence::{Figures, figures};
@@ -13,9 +13,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// A new calibration counts if it lowers the NRMSE of held-out beads below this share of the old one's.
 const BETTER: f64 = 0.9;
 
-/// Calibrates on the training beads of a session, all but one colour of the checkerboard. Returns the instrument if it predicts
-/// the held-out beads clearly better than `before` does (NRMSE lower by a tenth). Returns None as well where the session has no
-/// beads, or has scenes with known objects, which judge the model better than beads.
+/// Calibrates on the training beads of a session, all but one colour of the checkerboard. Returns the instrument if it
+/// predicts the held-out beads clearly better than `before` does (NRMSE lower by a tenth). Returns None as well where
+/// the session has no beads, or has scenes with known objects, which judge the model better than beads.
 ///
 /// # Errors
 /// The session cannot be read or calibrated.
@@ -33,8 +33,8 @@ pub fn trial_calibration(
     Ok((nrmse(&trial)? < BETTER * nrmse(before)?).then_some(trial))
 }
 
-/// How well an instrument predicts the held-out frames of a session, with the light of each stack and the black level fitted to
-/// the other frames.
+/// How well an instrument predicts the held-out frames of a session, with the light of each stack and the black level
+/// fitted to the other frames.
 ///
 /// # Errors
 /// The session cannot be read, or has another layout than the instrument.
@@ -44,7 +44,8 @@ pub fn held_out_figures(session: &Session, instrument: &Instrument) -> anyhow::R
     Ok(figures(&model, &refit(&model, model.state(instrument)?)?))
 }
 
-/// The session without its scenes and held-out beads. Its frames are read from the files of the session when they are needed.
+/// The session without its scenes and held-out beads. Its frames are read from the files of the session when they are
+/// needed.
 fn without_held_out_beads(session: &Session) -> Result<Session, SessionError> {
     let mut stacks = Vec::new();
     for stack in session.stacks().iter().filter(|s| s.role() != Role::Scene) {
