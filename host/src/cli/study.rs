@@ -1,5 +1,6 @@
 //! `study`: how far `close` can be trusted.
 
+use super::retrain::Networks;
 use super::{Outcome, Run};
 use crate::study::plan::Size;
 use crate::study::run::{JSON, PAGE, run as study};
@@ -56,7 +57,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         }
     };
     let bar = run.progress(0, "study");
-    let found = study(&args.output, &size, args.shard, |done, all| {
+    let found = study(&args.output, &size, args.shard, &Networks, |done, all| {
         bar.set_length(all as u64);
         bar.set_position(done as u64);
     })?;

@@ -21,7 +21,7 @@ pub use error::ReportError;
 pub use scenes::{bytes, seconds};
 
 use crate::artifact;
-use crate::closing::file::{self as account, Account};
+use crate::closing::account::{self, Account};
 use crate::evaluate::Evaluation;
 use crate::evaluate::receptive::{self, Receptive};
 use crate::instrument::Instrument;

@@ -1,19 +1,28 @@
-//! How well a state predicts what no fit has seen, and pictures of what it leaves.
+//! How well a state predicts held-out data.
 
-use super::file::Account;
-use super::model::Model;
-use super::observe::Observations;
-use super::refit::Fitted;
-use super::result::{Closing, Figures};
+use crate::closing::data::Observations;
+use crate::closing::fit::{Fitted, Model};
 use crate::session::Role;
-use ndarray::{Array2, Array3};
+use serde::{Deserialize, Serialize};
 
-/// The frames that figures are told of.
-pub(super) fn judged(seen: &Observations) -> impl Iterator<Item = usize> + '_ {
+/// How well held-out data are predicted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Figures {
+    /// chi-squared per pixel, with the variance of the noise model.
+    pub chi2_ndf: f64,
+    /// `||measured - predicted|| / ||measured||` of the light above the black level; noise contributes to it.
+    pub nrmse: f64,
+    /// Pearson correlation coefficient.
+    pub pcc: f64,
+}
+
+/// The frames that the figures are computed from: scenes and beads.
+pub(crate) fn judged(seen: &Observations) -> impl Iterator<Item = usize> + '_ {
     (0..seen.frames.len()).filter(|k| matches!(seen.frames[*k].role, Role::Scene | Role::Bead))
 }
 
-/// Figures on what no fit has seen: held-out scenes, or the held-out blocks where no scene is.
+/// Figures on held-out data: the held-out scenes and beads, or, if no frame is held out, the held-out blocks of all of
+/// them.
 pub fn figures(model: &Model<'_>, fitted: &Fitted) -> Figures {
     let seen = model.seen;
     let mut frames: Vec<usize> = judged(seen).filter(|k| seen.frames[*k].held_out).collect();
@@ -52,27 +61,4 @@ pub fn figures(model: &Model<'_>, fitted: &Fitted) -> Figures {
     let (vy, vm, c) = (s[3] - s[1] * s[1] / m, s[4] - s[2] * s[2] / m, s[5] - s[1] * s[2] / m);
     let pcc = if vy > 0.0 && vm > 0.0 { c / (vy * vm).sqrt() } else { 0.0 };
     Figures { chi2_ndf: chi2 / f64::max(n, 1.0), nrmse: (error / f64::max(light, 1e-30)).sqrt(), pcc }
-}
-
-/// The account with the residuals of up to four scenes, held-out ones first.
-pub(super) fn pictured(model: &Model<'_>, before: &Fitted, now: &Fitted, closing: Closing) -> Account {
-    let seen = model.seen;
-    let mut frames: Vec<usize> = judged(seen).collect();
-    frames.sort_by_key(|k| !seen.frames[*k].held_out);
-    frames.truncate(4);
-    let pull = |f: &Fitted, k: usize| &f.predicted[k].residual_dn * &f.predicted[k].inverse_sigma;
-    let stack = |image: &dyn Fn(usize) -> Array2<f32>| {
-        let mut out = Array3::zeros((frames.len(), seen.sensor[0], seen.sensor[1]));
-        for (k, mut target) in frames.iter().zip(out.outer_iter_mut()) {
-            target.assign(&image(*k));
-        }
-        out
-    };
-    Account {
-        measured_dn: stack(&|k| seen.frames[k].measured.clone()),
-        before: stack(&|k| pull(before, k)),
-        after: stack(&|k| pull(now, k)),
-        frames: frames.iter().map(|k| seen.frames[*k].info.frame).collect(),
-        closing,
-    }
 }

@@ -1,38 +1,47 @@
-//! The full joint fit: all effects of a state, shapes included, together with the nuisances.
+//! The joint fit of all parameters of a state, shapes included, with the nuisance parameters.
 //!
-//! Levenberg's damped Gauss-Newton on the cells that may be fitted, with the variance of the model at the current state.
+//! Damped Gauss-Newton steps (Levenberg, Q. Appl. Math. 2, 164, 1944; Marquardt, J. SIAM 11, 431, 1963) on the training
+//! cells, with the variance of the model at the current state. Steps are accepted by the deviance.
 
+use super::derivative::Expansion;
 use super::design::{Design, Misfit, nuisances};
 use super::model::Model;
-use super::score::pseudo_inverse;
-use super::state::{Column, Predicted, State};
+use super::solve::pseudo_inverse;
+use super::state::{Column, Predicted, State, Term};
 use crate::effects::{Kind, Stage};
 use crate::forward::{ForwardError, SceneLight};
 use ndarray::{Array1, Array2};
 use std::sync::Arc;
 
-/// Most steps.
+/// Maximum number of steps.
 const STEPS: usize = 7;
 
-/// What the optics make of each frame's object; shared, since few effects change it.
+/// The light of each frame's object behind the optics ([`Model::scenes`]); shared, since few effects change it.
 pub type Scenes = Arc<[Option<SceneLight>]>;
 
-/// A state at its best fit.
+/// A fitted state.
 #[derive(Clone)]
 pub struct Fitted {
     /// The state.
     pub state: State,
-    /// What it predicts.
+    /// The predicted frames.
     pub predicted: Vec<Predicted>,
-    /// The optics' part of that.
+    /// The light behind the optics, from which they were predicted.
     pub scenes: Scenes,
-    /// How far it is from the cells that may be fitted.
+    /// Misfit of the training cells.
     pub training: Misfit,
-    /// How far it is from the held-out cells.
+    /// Misfit of the held-out cells.
     pub held_out: Misfit,
 }
 
-/// The columns of a state's own free values.
+impl Fitted {
+    /// The point around which scores are computed, with trial terms beside those of the state.
+    pub fn expansion<'a>(&'a self, trials: &'a [Term]) -> Expansion<'a> {
+        Expansion { state: &self.state, trials, predicted: &self.predicted, scenes: &self.scenes }
+    }
+}
+
+/// The columns of a state's free parameters.
 pub fn own_columns(model: &Model<'_>, state: &State) -> Vec<Column> {
     let mut columns = Vec::new();
     for (term, t) in state.terms.iter().enumerate() {
@@ -44,22 +53,22 @@ pub fn own_columns(model: &Model<'_>, state: &State) -> Vec<Column> {
     columns
 }
 
-/// Fits a state from where it stands.
+/// Fits a state to the training cells, starting from its present values.
 ///
 /// # Errors
-/// An object is no light.
+/// An object holds negative or non-finite light.
 pub fn refit(model: &Model<'_>, state: State) -> Result<Fitted, ForwardError> {
     let scenes = model.scenes(&model.chain(&state.terms))?.into();
     refit_from(model, state, scenes)
 }
 
-/// [`refit`] where the optics' part is known already.
+/// [`refit`] with the light behind the optics given, which must be that of the state.
 ///
 /// # Errors
-/// An object is no light.
+/// An object holds negative or non-finite light.
 pub fn refit_from(model: &Model<'_>, mut state: State, scenes: Scenes) -> Result<Fitted, ForwardError> {
     let columns: Vec<Column> = nuisances(model).into_iter().chain(own_columns(model, &state)).collect();
-    // Only what acts on the emission itself goes through the optics again.
+    // Only effects on the emission change the light behind the optics.
     let emission = state.terms.iter().any(|t| t.effect.descriptor().stage == Stage::Object);
     let mut at = Point::of(model, &state, &columns, scenes)?;
     let mut damping = 1e-3;
@@ -84,7 +93,7 @@ pub fn refit_from(model: &Model<'_>, mut state: State, scenes: Scenes) -> Result
     Ok(Fitted { state, training: at.training, held_out: at.held_out, predicted: at.predicted, scenes: at.scenes })
 }
 
-/// A state with its linear problem.
+/// The linearised problem at one state.
 struct Point {
     predicted: Vec<Predicted>,
     scenes: Scenes,
@@ -96,7 +105,8 @@ struct Point {
 impl Point {
     fn of(model: &Model<'_>, state: &State, columns: &[Column], scenes: Scenes) -> Result<Self, ForwardError> {
         let predicted = model.predict(state, &scenes);
-        let design = Design::compute(model, state, &[], columns.to_vec(), &predicted, &scenes, &[])?;
+        let at = Expansion { state, trials: &[], predicted: &predicted, scenes: &scenes };
+        let design = Design::compute(model, at, columns.to_vec(), &[])?;
         let sums = design.training();
         Ok(Self {
             predicted,
@@ -107,7 +117,7 @@ impl Point {
         })
     }
 
-    /// The state after one damped step, every value in its range.
+    /// The state after one damped step, with every value kept in its range.
     fn step(&self, model: &Model<'_>, state: &State, columns: &[Column], damping: f64) -> State {
         let n = columns.len();
         let mut hessian = self.gram.slice(ndarray::s![..n, ..n]).to_owned();
@@ -122,7 +132,7 @@ impl Point {
                 Column::Own { term, param } => {
                     let t = &mut next.terms[*term];
                     let p = t.expanded(model.lenses())[*param].1;
-                    // A shape far from its place is worth nothing: never more than ten noticeable steps at once.
+                    // The linearisation of a shape holds near its value only: at most ten of its steps at once.
                     let most = if matches!(p.kind, Kind::Shape(_)) { 10.0 * p.step } else { f64::INFINITY };
                     t.params[*param] = p.outer(p.inner(t.params[*param]) + d.clamp(-most, most));
                 }

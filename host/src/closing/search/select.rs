@@ -1,137 +1,45 @@
-//! The search: score every effect of the catalogue, refit the best, accept on held-out data, until nothing is left.
+//! Forward selection: score every trial term, fit the best in full, accept it on held-out data, until none is
+//! significant.
 
-use super::design::{Design, nuisances};
-use super::model::Model;
-use super::recalibrate::ASKED_BY;
-use super::refit::{Fitted, own_columns, refit, refit_from};
-use super::score::{Scores, Test};
-use super::state::{Column, State, Term};
-use super::stats::holm;
-use super::tables::{self, TableFit};
-use super::trials::{Tried, evidence};
+use super::candidate::{Alternative, Candidate, Found, PENALTY};
+use super::trials::{NEEDS_CALIBRATION, Tried, evidence};
+use crate::closing::evidence::{Scores, TableFit, Test, holm, tables};
+use crate::closing::fit::{
+    Column, Design, Fitted, Model, Replicas, State, Term, nuisances, own_columns, refit, refit_from,
+};
 use crate::effects::Stage;
-use crate::forward::{ForwardError, SceneLight};
-use crate::instrument::Instrument;
-use crate::psf::LowRankPsf;
+use crate::forward::ForwardError;
 use crate::session::Role;
 use ndarray::Array2;
 
-/// Family-wise probability that a complete model is called incomplete.
+/// Family-wise error rate: probability that an effect is significant although the model is complete (Holm).
 pub const ALPHA: f64 = 0.02;
-/// What one more value must earn in chi-squared.
-const PRICE: f64 = 6.0;
-/// Effects whose chi-squared is no further from the best are told with it.
+/// Effects within this chi-squared of the best are ambiguous with it.
 pub const AMBIGUOUS: f64 = 10.8;
-/// Most effects that are added.
+/// Maximum number of effects that are added.
 const MOST: usize = 6;
-/// A term without a name is no news where all but this share of it is what the model has already: it would trade against what is named.
+/// A term without a name is tried only if at least this share of its squared norm is independent of the model's
+/// columns.
 const DISTINCT: f64 = 0.1;
-/// How many of the best candidates are fitted in full.
+/// Number of the best candidates that are fitted in full.
 const FINALISTS: usize = 3;
-/// How many more are, which the best is easily taken for.
+/// Number of effects similar to the best that are fitted in full as well.
 const LOOKALIKES: usize = 2;
 
-/// An effect that was scored.
-#[derive(Clone, Debug)]
-pub struct Candidate {
-    /// The effect at its best start.
-    pub term: Term,
-    /// Columns of its strengths in the design.
-    pub columns: Vec<usize>,
-    /// The test of its strengths; None: the session cannot tell it.
-    pub test: Option<Test>,
-    /// How many independent starts the best was taken from.
-    pub chances: f64,
-    /// Its table, where it has one instead of columns.
-    pub table: Option<TableFit>,
-}
-
-impl Candidate {
-    /// Probability, paid for each chance.
-    pub fn p(&self) -> f64 {
-        if let Some(table) = &self.table {
-            return table.p;
-        }
-        self.test.as_ref().map_or(1.0, |t| (t.p * self.chances).min(1.0))
-    }
-
-    /// Estimate and standard error of its first strength, as [`crate::effects::Param::inner`] has them.
-    pub fn first(&self) -> Option<(f64, f64)> {
-        if let Some(table) = &self.table {
-            return Some((table.size, table.size_sigma));
-        }
-        let t = self.test.as_ref()?;
-        Some((*t.theta.first()?, t.covariance.get((0, 0))?.sqrt()))
-    }
-
-    /// What it earns beyond its price.
-    fn worth(&self) -> f64 {
-        if let Some(table) = &self.table {
-            return table.z * table.z.abs() - PRICE;
-        }
-        self.test.as_ref().map_or(f64::NEG_INFINITY, |t| t.t - PRICE * t.dof - 2.0 * self.chances.ln())
-    }
-}
-
-/// An effect that was found.
-#[derive(Clone, Debug)]
-pub struct Found {
-    /// Its id.
-    pub id: &'static str,
-    /// Strength of the evidence when it was found.
-    pub z: f64,
-    /// Fall of chi-squared on held-out data when it was added.
-    pub held_out_gain: f64,
-    /// Effects that would explain nearly the same: id, and the overlap.
-    pub ambiguity: Vec<(&'static str, f64)>,
-    /// Standard error of the size of its table, where it has one.
-    pub table_sigma: Option<f64>,
-}
-
-/// The replicates of a calibration before the frames of a session: what each predicts, minus what the calibration does.
-pub struct Replicas {
-    light: Vec<Vec<Option<SceneLight>>>,
-}
-
-impl Replicas {
-    /// For each replicate and frame the change of the expected frame, DN. None: no scene.
-    pub fn of(&self, model: &Model<'_>, fitted: &Fitted) -> Vec<Vec<Option<Array2<f32>>>> {
-        let one = |scenes: &Vec<Option<SceneLight>>| {
-            let predicted = model.predict(&fitted.state, scenes);
-            let change = |k: usize| scenes[k].as_ref().map(|_| &predicted[k].dn - &fitted.predicted[k].dn);
-            (0..predicted.len()).map(change).collect()
-        };
-        self.light.iter().map(one).collect()
-    }
-}
-
-/// Puts the replicates of an instrument's calibration before the frames.
-///
-/// # Errors
-/// A replicate does not fit the instrument.
-pub fn replicas(model: &Model<'_>, instrument: &Instrument, state: &State) -> Result<Replicas, ForwardError> {
-    let chain = model.chain(&state.terms);
-    let light = |psf: &LowRankPsf| {
-        let other = Instrument { psf: psf.clone(), effects: Vec::new(), replicates: Vec::new(), ..instrument.clone() };
-        Model::new(&other, model.seen)?.scenes(&chain)
-    };
-    Ok(Replicas { light: instrument.replicates.iter().map(light).collect::<Result<_, _>>()? })
-}
-
-/// Scores of all that could be added to a state.
-pub(super) struct Scored {
+/// Scores of all trial terms beside a state.
+pub(crate) struct Scored {
     design: Design,
-    /// Columns that are taken out of all others.
+    /// Columns that are projected out of all others.
     taken: Vec<usize>,
-    /// Each effect at its best start.
-    pub(super) candidates: Vec<Candidate>,
+    /// Each effect at the best of its starting values.
+    pub(crate) candidates: Vec<Candidate>,
 }
 
-/// Scores everything that could be added to a state.
+/// Scores trial terms beside a fitted state.
 ///
 /// # Errors
-/// An object is no light.
-pub(super) fn score(
+/// An object holds negative or non-finite light.
+pub(crate) fn score(
     model: &Model<'_>,
     fitted: &Fitted,
     replicas: &[Vec<Option<Array2<f32>>>],
@@ -146,7 +54,7 @@ pub(super) fn score(
         columns.extend(term.strengths(model.lenses()).into_iter().map(|param| Column::Trial { term: t, param }));
         spans.push(first..columns.len());
     }
-    let design = Design::compute(model, &fitted.state, terms, columns, &fitted.predicted, &fitted.scenes, replicas)?;
+    let design = Design::compute(model, fitted.expansion(terms), columns, replicas)?;
     let scores = Scores::new(&design, taken.clone());
     let scenes = model.seen.of(Role::Scene).count();
     let mut candidates: Vec<Candidate> = Vec::new();
@@ -166,7 +74,7 @@ pub(super) fn score(
     Ok(Scored { design, taken, candidates })
 }
 
-/// A single strength that cannot be below `off` is no evidence where it comes out there.
+/// Sets the evidence of a single strength to zero if its estimate has the forbidden sign.
 fn one_sided(model: &Model<'_>, term: &Term, test: Test) -> Test {
     let strengths = term.strengths(model.lenses());
     let expanded = term.expanded(model.lenses());
@@ -174,7 +82,7 @@ fn one_sided(model: &Model<'_>, term: &Term, test: Test) -> Test {
     if test.theta.len() == 1 && impossible(0) { Test { t: 0.0, p: 1.0, z: 0.0, ..test } } else { test }
 }
 
-/// The state with a candidate added at its estimate.
+/// The state with a candidate added at its estimated strengths.
 fn with(model: &Model<'_>, state: &State, candidate: &Candidate) -> State {
     let mut next = state.clone();
     let mut term = candidate.term.clone();
@@ -189,36 +97,37 @@ fn with(model: &Model<'_>, state: &State, candidate: &Candidate) -> State {
     next
 }
 
-/// The part of what a new calibration gains that an effect must reach to be believed instead.
+/// Share of the gain of a trial calibration that an effect must reach to be accepted instead of it.
 const ENOUGH: f64 = 0.5;
 
-/// A search under way.
+/// A search in progress.
 pub struct Search<'m, 'a> {
     model: &'m Model<'a>,
     replicas: &'m Replicas,
-    /// The state so far, at its best fit.
+    /// The present state, fitted.
     pub now: Fitted,
-    /// What was added so far.
+    /// Effects that were added so far.
     pub found: Vec<Found>,
-    /// The last scores of what was not added.
+    /// Candidates of the last step that were not added, with their scores.
     pub rest: Vec<Candidate>,
-    /// Ids that are not tried.
+    /// Ids of effects that are not tried.
     pub exclude: Vec<String>,
-    /// Deviance of held-out beads after a new calibration, where one is the better for it.
-    pub anew: Option<f64>,
+    /// Deviance of the held-out cells under a trial calibration, if that is better than the old one.
+    pub trial_deviance: Option<f64>,
 }
 
 impl<'m, 'a> Search<'m, 'a> {
-    /// Starts from a fit.
+    /// Starts from a fitted state.
     pub fn new(model: &'m Model<'a>, replicas: &'m Replicas, now: Fitted) -> Self {
-        Self { model, replicas, now, found: Vec::new(), rest: Vec::new(), exclude: Vec::new(), anew: None }
+        Self { model, replicas, now, found: Vec::new(), rest: Vec::new(), exclude: Vec::new(), trial_deviance: None }
     }
 
-    /// Adds one effect after another, as long as the scores, the full fit and the held-out data agree.
+    /// Adds one effect after another as long as the score test is significant and the full fit improves both the
+    /// training and the held-out data. Calls `progress` with the id of each effect that is fitted.
     ///
     /// # Errors
-    /// An object is no light.
-    pub fn run(&mut self, tried: Tried, tell: &mut impl FnMut(&str)) -> Result<(), ForwardError> {
+    /// An object holds negative or non-finite light.
+    pub fn run(&mut self, tried: Tried, progress: &mut impl FnMut(&str)) -> Result<(), ForwardError> {
         let mut refused: Vec<&'static str> = Vec::new();
         loop {
             let mut terms = tried.terms(self.model, &self.now.state, &evidence(self.model, &self.now));
@@ -239,13 +148,13 @@ impl<'m, 'a> Search<'m, 'a> {
                 self.rest = candidates;
                 return Ok(());
             }
-            let verdict = self.confirm(&finalists, tell)?;
-            match self.or_anew(verdict, &candidates)? {
+            let verdict = self.confirm(&finalists, progress)?;
+            match self.or_calibration(verdict, &candidates)? {
                 Verdict::Added(it) => {
                     let found = self.describe(&design, taken, &candidates, &it);
                     self.found.push(found);
                     self.now = it.fit;
-                    if self.asks_for_calibration() {
+                    if self.needs_calibration() {
                         self.rest = candidates;
                         return Ok(());
                     }
@@ -255,43 +164,48 @@ impl<'m, 'a> Search<'m, 'a> {
         }
     }
 
-    /// Whether the next step is a new calibration, not another effect.
-    pub fn asks_for_calibration(&self) -> bool {
-        self.anew.is_some() && self.found.iter().any(|f| f.id == ASKED_BY)
+    /// Whether the next step must be a new calibration, not another effect.
+    pub fn needs_calibration(&self) -> bool {
+        self.trial_deviance.is_some() && self.found.iter().any(|f| f.id == NEEDS_CALIBRATION)
     }
 
-    /// The verdict, unless a new calibration is far better than any effect: then what stands for one. A new calibration follows whatever the PSFs do, so
-    /// that it is better than the right effect as well, but not by much.
-    fn or_anew<'c>(&self, verdict: Verdict<'c>, candidates: &'c [Candidate]) -> Result<Verdict<'c>, ForwardError> {
-        let Some(anew) = self.anew.filter(|_| self.found.is_empty()) else { return Ok(verdict) };
+    /// The verdict, or, if the trial calibration is far better than any effect, the effect that stands for a new
+    /// calibration. A calibration adapts to any change of the PSFs, so it is better than the right effect as well, but
+    /// not by much.
+    fn or_calibration<'c>(
+        &self,
+        verdict: Verdict<'c>,
+        candidates: &'c [Candidate],
+    ) -> Result<Verdict<'c>, ForwardError> {
+        let Some(trial) = self.trial_deviance.filter(|_| self.found.is_empty()) else { return Ok(verdict) };
         let before = self.now.held_out.deviance;
         let gain = match &verdict {
             Verdict::Added(it) => it.gain,
             Verdict::Refused(_) => 0.0,
         };
-        let sign = candidates.iter().find(|c| c.term.id() == ASKED_BY);
-        let Some(candidate) = sign.filter(|_| gain < ENOUGH * (before - anew)) else { return Ok(verdict) };
+        let sign = candidates.iter().find(|c| c.term.id() == NEEDS_CALIBRATION);
+        let Some(candidate) = sign.filter(|_| gain < ENOUGH * (before - trial)) else { return Ok(verdict) };
         let fit = refit_from(self.model, with(self.model, &self.now.state, candidate), self.now.scenes.clone())?;
-        // All others were held against it, and lost.
+        // All other effects were compared with it and are worse.
         let behind = candidates.iter().map(|c| (c.term.id(), f64::INFINITY)).collect();
-        Ok(Verdict::Added(Added { fit, candidate, gain: before - anew, behind }))
+        Ok(Verdict::Added(Added { fit, candidate, gain: before - trial, behind }))
     }
 
-    /// Fits the finalists in full and holds the best against what no fit has seen.
+    /// Fits the finalists in full and checks the best on held-out data.
     fn confirm<'c>(
         &self,
         finalists: &[&'c Candidate],
-        tell: &mut impl FnMut(&str),
+        progress: &mut impl FnMut(&str),
     ) -> Result<Verdict<'c>, ForwardError> {
-        // The scatter between clusters and the calibration's errors weigh on the full fits as on the scores, and on all alike: an effect
-        // of many values must not win by what it takes of the calibration's own errors.
+        // The scatter between clusters and the errors of the calibration weight the full fits as they do the scores,
+        // with one weight for all: an effect with many parameters must not win by fitting errors of the calibration.
         let weight = |c: &Candidate| c.test.as_ref().map_or(1.0, |t| (t.gain / t.t.max(1e-9)).max(1.0));
         let heaviest = finalists.iter().map(|c| weight(c)).fold(1.0, f64::max);
         let mut best: Option<(f64, Fitted, &Candidate)> = None;
         let mut costs: Vec<(&'static str, f64)> = Vec::new();
         let mut least = f64::INFINITY;
         for c in finalists {
-            tell(c.term.id());
+            progress(c.term.id());
             let next = with(self.model, &self.now.state, c);
             let emission = c.term.effect.descriptor().stage == Stage::Object;
             let fit = if emission {
@@ -299,7 +213,7 @@ impl<'m, 'a> Search<'m, 'a> {
             } else {
                 refit_from(self.model, next, self.now.scenes.clone())?
             };
-            let (fall, price) = (self.now.training.deviance - fit.training.deviance, PRICE * c.columns.len() as f64);
+            let (fall, price) = (self.now.training.deviance - fit.training.deviance, PENALTY * c.columns.len() as f64);
             tracing::info!("  fitted {:?}: fall {fall:.1}, price {price:.0}", fit.state.terms.last());
             let cost = price * heaviest - fall;
             costs.push((c.term.id(), cost));
@@ -320,8 +234,8 @@ impl<'m, 'a> Search<'m, 'a> {
         Ok(Verdict::Added(Added { fit, candidate, gain, behind }))
     }
 
-    /// What is told of an effect: how strong, and which others would do nearly as well: those fitted in full by their fits, the rest by
-    /// their scores.
+    /// The added effect with its evidence and its ambiguities: finalists are compared by their full fits, other effects
+    /// by their scores.
     fn describe(&self, design: &Design, taken: Vec<usize>, candidates: &[Candidate], added: &Added<'_>) -> Found {
         let it = added.candidate;
         let scores = Scores::new(design, taken);
@@ -330,39 +244,40 @@ impl<'m, 'a> Search<'m, 'a> {
             Some((_, behind)) => *behind < AMBIGUOUS,
             None => c.worth() > it.worth() - AMBIGUOUS && c.worth() > 0.0,
         };
-        let mut ambiguity: Vec<(&'static str, f64)> = candidates
+        let mut ambiguity: Vec<Alternative> = candidates
             .iter()
             .filter(|c| c.term.id() != it.term.id())
             .filter(near)
-            .map(|c| (c.term.id(), scores.overlap(&it.columns, theta, &c.columns)))
+            .map(|c| Alternative { id: c.term.id(), overlap: scores.overlap(&it.columns, theta, &c.columns) })
             .collect();
-        ambiguity.sort_by(|a, b| b.1.total_cmp(&a.1));
+        ambiguity.sort_by(|a, b| b.overlap.total_cmp(&a.overlap));
         let z = it.table.as_ref().map(|t| t.z).or(it.test.as_ref().map(|t| t.z)).unwrap_or(0.0);
         let table_sigma = it.table.as_ref().map(|t| t.sigma);
         Found { id: it.term.id(), z, held_out_gain: added.gain, ambiguity, table_sigma }
     }
 }
 
-/// What became of the finalists.
+/// Result of the full fits.
 enum Verdict<'c> {
-    /// The best of them was added.
+    /// The best finalist is added.
     Added(Added<'c>),
-    /// The best of them does not stand; its id.
+    /// The best finalist, given by its id, does not improve the fit or the held-out data.
     Refused(&'static str),
 }
 
-/// An effect that was added.
+/// An effect that is added.
 struct Added<'c> {
     fit: Fitted,
     candidate: &'c Candidate,
-    /// Fall of chi-squared on held-out data.
+    /// Fall of the deviance of held-out data.
     gain: f64,
-    /// How far the fits of all finalists are behind its own, chi-squared over the scatter.
+    /// Id of each effect that was compared, and how much larger its deviance is, over the scatter.
     behind: Vec<(&'static str, f64)>,
 }
 
-/// Who is fitted in full: the best by the test; and, since a large effect is far from linear and its scores scatter for that reason, the
-/// simplest of those that explain nearly as much by the noise alone, and what the best is easily taken for.
+/// The candidates that are fitted in full: the best by the score test; and, since the scores of a large effect are far
+/// from linear, the simplest of those that explain nearly as much by the noise alone, and the effects that the
+/// catalogue lists as similar to the best.
 fn finalists<'c>(able: &[&'c Candidate]) -> Vec<&'c Candidate> {
     let gain = |c: &Candidate| c.test.as_ref().map_or(0.0, |t| t.gain);
     let (top, most) = able.iter().fold((0.0, 0.0), |m: (f64, f64), c| (m.0.max(c.worth()), m.1.max(gain(c))));
@@ -381,7 +296,7 @@ fn finalists<'c>(able: &[&'c Candidate]) -> Vec<&'c Candidate> {
     chosen
 }
 
-/// Effects with a table, as candidates.
+/// Candidates with an estimated table.
 fn tabled(model: &Model<'_>, now: &Fitted, tried: Tried) -> Vec<Candidate> {
     let fits = match tried {
         Tried::Curves => Vec::new(),

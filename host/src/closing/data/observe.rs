@@ -1,24 +1,24 @@
-//! The frames of a session that the loop looks at, and how they are divided before anything is fitted.
+//! The frames of a session that the loop uses, and the hold-outs, which are fixed before anything is fitted.
 
 use crate::session::{Cut, FrameInfo, Role, Session, SessionError, Stack};
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
-/// How much of a session is looked at.
+/// How much of a session is used.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Budget {
-    /// Most scenes.
+    /// Maximum number of scenes.
     pub scenes: usize,
-    /// Most flats.
+    /// Maximum number of flats.
     pub flats: usize,
-    /// Most darks.
+    /// Maximum number of darks.
     pub darks: usize,
-    /// Most bead frames; they are looked at where no scene has a truth.
+    /// Maximum number of bead frames. They are used if no scene has a known object.
     pub beads: usize,
-    /// Most pixels of a frame: of a larger one an even sample.
+    /// Maximum number of pixels of a frame. Of a larger frame an even sample is used.
     pub pixels: usize,
-    /// Spatial blocks a side.
+    /// Spatial blocks along each side of the frame.
     pub blocks: usize,
 }
 
@@ -39,7 +39,7 @@ pub enum Shown {
     Even,
     /// No light.
     Dark,
-    /// Something unknown: only what is sharper than its smooth part can be judged.
+    /// An unknown specimen: only detail that is sharper than its smooth part can be compared with a model.
     Unknown,
 }
 
@@ -50,32 +50,32 @@ pub struct Frame {
     pub stack: usize,
     /// Role of the stack.
     pub role: Role,
-    /// What the session says of it.
+    /// Its record in the session.
     pub info: FrameInfo,
     /// As measured, DN, [sensor rows, sensor cols].
     pub measured: Array2<f32>,
-    /// The part of it that was measured; None: all.
+    /// The part of the frame that was measured; None: all of it.
     pub cut: Option<Cut>,
     /// What it shows.
     pub shown: Shown,
-    /// Kept out of every fit.
+    /// Whether it is kept out of every fit.
     pub held_out: bool,
-    /// Index of the frame before it in the same stack, if that one is here too.
+    /// Index of the preceding frame of the same stack, if that is among the frames that are used.
     pub previous: Option<usize>,
 }
 
-/// The frames, with the truths of the scenes.
+/// The frames, with the objects of the scenes.
 #[derive(Clone, Debug)]
 pub struct Observations {
     /// Frames, stack by stack, in order.
     pub frames: Vec<Frame>,
-    /// Objects that frames show, as the session says.
+    /// Known objects, [object rows, object cols], as the session records them.
     pub truths: Vec<Array2<f32>>,
-    /// Pixels that are looked at, flat indices, block by block.
+    /// Pixels that are used: flat indices into a frame, block by block.
     pub pixels: Vec<u32>,
-    /// Spans of `pixels`, one a spatial block, row by row.
+    /// Range of `pixels` of each spatial block; blocks are in row order.
     pub blocks: Vec<std::ops::Range<usize>>,
-    /// Blocks kept out of every fit.
+    /// Whether a block is kept out of every fit.
     pub held_out_blocks: Vec<bool>,
     /// Rows and columns of the sensor.
     pub sensor: [usize; 2],
@@ -84,11 +84,12 @@ pub struct Observations {
 impl Observations {
     /// Reads the frames.
     ///
-    /// The hold-outs are fixed here, before any fit, by rule and not by chance: every fourth scene, every fourth pair of flats and darks, and every
-    /// eighth spatial block; of a session with a single frame the lower half.
+    /// The hold-outs are fixed here, before any fit, by rule and not by chance: every fourth scene, every fourth pair
+    /// of flats and darks, every second bead and every eighth spatial block; with fewer than four scenes or beads, the
+    /// lower half of the frame.
     ///
     /// # Errors
-    /// A frame or truth cannot be read.
+    /// A frame or an object cannot be read.
     pub fn read(session: &Session, budget: &Budget) -> Result<Self, SessionError> {
         let sensor = [session.manifest().sensor.rows, session.manifest().sensor.cols];
         let (mut frames, mut truths) = (Vec::new(), Vec::new());
@@ -112,7 +113,7 @@ impl Observations {
         Ok(Self { frames, truths, pixels, blocks, held_out_blocks, sensor })
     }
 
-    /// Which frames have the role.
+    /// Indices of the frames with a role.
     pub fn of(&self, role: Role) -> impl Iterator<Item = usize> + '_ {
         (0..self.frames.len()).filter(move |k| self.frames[*k].role == role)
     }
@@ -146,9 +147,9 @@ fn read_stack(
             (Role::Dark, _) => Shown::Dark,
         };
         let previous = (n > 0 && chosen[n - 1] + 1 == *i).then(|| first + n - 1);
-        // A checkerboard of bead positions, else every fourth frame.
+        // Every second bead, else every fourth frame.
         let held_out = match stack.role() {
-            Role::Bead => i % 2 == 1,
+            Role::Bead => bead_is_held_out(*i),
             // Repeats stay together.
             Role::Dark | Role::Flat => n / 2 % 4 == 3,
             Role::Scene if everything => i % 4 == 3,
@@ -169,7 +170,14 @@ fn read_stack(
     Ok(())
 }
 
-/// At most `most` of `n` frames, evenly spread, in pairs of neighbours: repeats, and frames with the frame before them.
+/// Whether frame `i` of a bead stack is kept out of every fit. In a raster scan with an odd number of columns the
+/// held-out beads form one colour of a checkerboard.
+pub(crate) fn bead_is_held_out(i: usize) -> bool {
+    i % 2 == 1
+}
+
+/// At most `most` of `n` frames, evenly spread, in pairs of neighbours: repeats need pairs, and effects of the
+/// preceding frame too.
 fn in_pairs(n: usize, most: usize) -> Vec<usize> {
     if n <= most {
         return (0..n).collect();
@@ -185,7 +193,7 @@ fn in_pairs(n: usize, most: usize) -> Vec<usize> {
     out
 }
 
-/// An even sample of the pixels, block by block.
+/// An even sample of the pixels, block by block, and the range of each block.
 fn pixels([rows, cols]: [usize; 2], budget: &Budget) -> (Vec<u32>, Vec<std::ops::Range<usize>>) {
     let side = budget.blocks.max(1);
     let every = (rows * cols).div_ceil(budget.pixels.max(1));
@@ -195,7 +203,7 @@ fn pixels([rows, cols]: [usize; 2], budget: &Budget) -> (Vec<u32>, Vec<std::ops:
         let start = pixels.len();
         for r in i * rows / side..(i + 1) * rows / side {
             let row = j * cols / side..(j + 1) * cols / side;
-            // A Weyl sequence: even, and without the parity of rows or columns.
+            // A Weyl sequence is even and favours neither odd nor even rows and columns.
             let taken =
                 |c: &usize| every <= 1 || ((r * cols + c) as f64 * 0.618_033_988_75).fract() * (every as f64) < 1.0;
             pixels.extend(row.filter(taken).map(|c| (r * cols + c) as u32));

@@ -1,30 +1,15 @@
-//! The account of closing a loop on disk: an artifact of kind `closing`, which a report renders.
+//! The account as an artifact of kind `closing`.
 
-use super::result::Closing;
+use super::result::{Account, Closing};
 use crate::artifact::{self, ArtifactError, Header, Provenance, Tensors};
 use ndarray::{Array3, Ix3};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// Kind of the artifact.
+/// Kind of the artifact in its header.
 pub const KIND: &str = "closing";
 /// Version of its layout.
 pub const VERSION: u32 = 1;
-
-/// The account with its pictures.
-#[derive(Clone, Debug)]
-pub struct Account {
-    /// Figures.
-    pub closing: Closing,
-    /// Frames that are pictured, as the session numbers them.
-    pub frames: Vec<usize>,
-    /// Measured, DN, [pictured, sensor rows, sensor cols].
-    pub measured_dn: Array3<f32>,
-    /// Residual before in standard deviations, the same shape; 0 where a pixel says nothing.
-    pub before: Array3<f32>,
-    /// Residual after.
-    pub after: Array3<f32>,
-}
 
 #[derive(Serialize, Deserialize)]
 struct Body {
@@ -33,7 +18,7 @@ struct Body {
 }
 
 impl Account {
-    /// Writes the artifact: whole, or not at all.
+    /// Writes the artifact, whole or not at all.
     ///
     /// # Errors
     /// See [`artifact::write`].
@@ -49,7 +34,7 @@ impl Account {
     /// Reads the artifact.
     ///
     /// # Errors
-    /// The file is missing, of another kind, or a picture is missing or of the wrong shape.
+    /// The file is missing or of another kind, or a residual map is missing or has the wrong shape.
     pub fn read(path: &Path) -> Result<Self, ArtifactError> {
         let (header, mut tensors) = artifact::read::<Body>(path, KIND, VERSION)?;
         let shape = [Some(header.body.frames.len()), None, None];

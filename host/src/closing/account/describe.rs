@@ -1,26 +1,33 @@
-//! What is told of a state: each effect in numbers and words, what was not found and how large it could be, what would tell lookalikes apart.
+//! Describes the result of a search: each effect in numbers and words, detection limits of the others, and the
+//! measurements that would distinguish similar effects.
 
-use super::model::Model;
-use super::record::{Fault, FaultKind};
-use super::refit::Fitted;
 use super::result::{Effect, Rejected, Value};
-use super::score::Test;
-use super::search::{Candidate, Found};
-use super::state::{State, Term};
+use crate::closing::data::{Fault, FaultKind};
+use crate::closing::evidence::Test;
+use crate::closing::fit::{Fitted, Model, State, Term};
+use crate::closing::search::{Candidate, Found};
 use crate::effects::{COVARIATES, KNOTS, OPERATORS, Stage, WEIGHTS, find, registry};
 
-/// What was found, faults of the records first; `own` effects were in the instrument before.
-pub(super) fn effects(
-    model: &Model<'_>,
-    before: &Fitted,
-    now: &Fitted,
-    found: &[Found],
-    tests: &[Option<Test>],
-    own: usize,
-    faults: &[Fault],
-) -> Vec<Effect> {
+/// The result of a search.
+#[derive(Clone, Copy)]
+pub(crate) struct Findings<'a> {
+    /// The first fit.
+    pub(crate) before: &'a Fitted,
+    /// The last fit.
+    pub(crate) now: &'a Fitted,
+    /// Number of terms that the instrument had before; they come first in the state.
+    pub(crate) own: usize,
+    /// The added effects, in the order of the other terms.
+    pub(crate) found: &'a [Found],
+    /// The test of each term.
+    pub(crate) tests: &'a [Option<Test>],
+}
+
+/// Describes the faults of the records, then the added effects.
+pub(crate) fn effects(model: &Model<'_>, findings: Findings<'_>, faults: &[Fault]) -> Vec<Effect> {
+    let Findings { before, now, own, found, tests } = findings;
     let mut effects: Vec<Effect> = faults.iter().map(fault).collect();
-    // What the noise alone leaves: one a pixel, less where the noise model is generous.
+    // The expectation of chi-squared by noise alone is one per pixel, less if the noise model overestimates the noise.
     let pixels = now.held_out.pixels as f64;
     let excess = before.held_out.chi2 - pixels.min(now.held_out.chi2);
     let mut unknown = 0;
@@ -40,7 +47,7 @@ pub(super) fn effects(
             .into_iter()
             .enumerate()
             .map(|(j, (name, p))| {
-                // Values that are given and not fitted have no error; the others stand in the order of their columns.
+                // Parameters that are not fitted have no error; the others are in the order of their columns.
                 let column = term.free(model.lenses()).iter().position(|i| *i == j);
                 let error = |c: &ndarray::Array2<f64>| {
                     let variance = column.and_then(|i| c.get((i, i)).copied()).unwrap_or(0.0);
@@ -54,7 +61,7 @@ pub(super) fn effects(
                 Value { name, value: term.params[j], sigma, sigma_noise, unit: p.unit.into() }
             })
             .collect();
-        let separate_by = f.ambiguity.first().map(|(other, _)| separate(f.id, other));
+        let separate_by = f.ambiguity.first().map(|other| separate(f.id, other.id));
         effects.push(Effect {
             description: describe(term, &params),
             id,
@@ -64,8 +71,8 @@ pub(super) fn effects(
             excess_explained: (excess > 3.0 * (2.0 * pixels).sqrt())
                 .then(|| (f.held_out_gain / excess).clamp(0.0, 1.0)),
             held_out_gain: f.held_out_gain,
-            ambiguity: f.ambiguity.iter().map(|(id, _)| (*id).to_string()).collect(),
-            overlap: f.ambiguity.iter().map(|(_, rho)| *rho).fold(0.0, f64::max),
+            ambiguity: f.ambiguity.iter().map(|a| a.id.to_string()).collect(),
+            overlap: f.ambiguity.iter().map(|a| a.overlap).fold(0.0, f64::max),
             separate_by,
             params,
         });
@@ -73,8 +80,8 @@ pub(super) fn effects(
     effects
 }
 
-/// A fault of the record as an effect.
-pub(super) fn fault(fault: &Fault) -> Effect {
+/// A fault of a record in the form of an effect.
+pub(crate) fn fault(fault: &Fault) -> Effect {
     let (name, value, unit) = match fault.kind {
         FaultKind::Shows { truth_of } => ("truth_of", truth_of as f64, "index"),
         FaultKind::Flipped { rows, cols } => {
@@ -82,7 +89,7 @@ pub(super) fn fault(fault: &Fault) -> Effect {
         }
         FaultKind::Exposure { factor } => ("exposure_factor", factor, "1"),
     };
-    let told = |name: &str, value: f64, unit: &str| Value {
+    let known = |name: &str, value: f64, unit: &str| Value {
         name: name.into(),
         value,
         sigma: 0.0,
@@ -99,13 +106,13 @@ pub(super) fn fault(fault: &Fault) -> Effect {
         ambiguity: Vec::new(),
         overlap: 0.0,
         separate_by: None,
-        params: vec![told("frame", fault.frame as f64, "index"), told(name, value, unit)],
+        params: vec![known("frame", fault.frame as f64, "index"), known(name, value, unit)],
         description: fault.words(),
     }
 }
 
-/// What a user of the rejected list wants of each effect.
-pub(super) fn rejected(model: &Model<'_>, rest: &[Candidate], state: &State, found: &[Found]) -> Vec<Rejected> {
+/// Detection limits of all effects of the catalogue that were not added.
+pub(crate) fn rejected(model: &Model<'_>, rest: &[Candidate], state: &State, found: &[Found]) -> Vec<Rejected> {
     let lenses = model.lenses();
     let mut out = Vec::new();
     for effect in registry() {
@@ -119,34 +126,35 @@ pub(super) fn rejected(model: &Model<'_>, rest: &[Candidate], state: &State, fou
         let candidate = rest.iter().find(|c| c.term.id() == d.id);
         let test = candidate.and_then(|c| c.test.as_ref());
         let first = candidate.and_then(Candidate::first);
-        // 95 % of a normal variable lie below 1.645 standard deviations; a value that cannot be there says no more than zero.
+        // 95 % of a normal variable lie below 1.645 standard deviations; an estimate with the forbidden sign counts as
+        // zero.
         let size = |value: f64| if p.forbidden_side() * value > 0.0 { 0.0 } else { value.abs() };
-        let limit = first.map(|(value, sigma)| size(value) + 1.645 * sigma);
+        let limit = first.map(|f| size(f.value) + 1.645 * f.sigma);
         let [low, off, high] = [p.min, p.off, p.max].map(|v| p.inner(v));
-        let told = limit.is_some_and(|u| u.is_finite() && u < (high - off).abs().max((off - low).abs()));
-        // How far from absence that is, in the parameter's own unit.
-        let upper_limit = limit.filter(|_| told).map(|u| p.outer_sigma(0.0, u));
+        let testable = limit.is_some_and(|u| u.is_finite() && u < (high - off).abs().max((off - low).abs()));
+        // In the unit of the parameter.
+        let upper_limit = limit.filter(|_| testable).map(|u| p.outer_sigma(0.0, u));
         out.push(Rejected {
             id: d.id.into(),
             param: name.clone(),
             upper_limit,
-            sigma: first.map(|(_, sigma)| p.outer_sigma(0.0, sigma)).filter(|_| told),
+            sigma: first.map(|f| p.outer_sigma(0.0, f.sigma)).filter(|_| testable),
             unit: p.unit.into(),
             z: test.map_or(0.0, |t| t.z),
-            needs: (!told).then(|| needs(d.stage, d.id).into()),
+            needs: (!testable).then(|| needs(d.stage, d.id).into()),
         });
     }
     out
 }
 
-/// What a session must hold to tell an effect.
+/// The measurement that makes an effect testable.
 fn needs(stage: Stage, id: &str) -> &'static str {
     match (stage, id) {
         (_, "defocus" | "field_curvature") => "a bead scan at several depths",
         (_, "exposure_offset") => "flats at several exposures",
         (_, "dark_current" | "hot_pixels") => "darks at several exposures",
         (_, "prnu" | "dust") => "flats",
-        (_, "lag") => "scenes one after the other, dark after bright",
+        (_, "lag") => "scenes in quick succession, dark after bright",
         (_, "lamp_drift" | "photobleaching" | "black_level_drift") => "a table with time_s",
         (Stage::Object | Stage::Geometry | Stage::Lens, _) => "scenes of known objects",
         (Stage::Charge | Stage::Electronics, _) => "repeats of darks and flats at several levels",
@@ -154,7 +162,7 @@ fn needs(stage: Stage, id: &str) -> &'static str {
     }
 }
 
-/// The measurement that tells two effects apart.
+/// The measurement that distinguishes two effects.
 fn separate(id: &str, other: &str) -> String {
     let says = |a: &str, b: &str| {
         let d = find(a)?.descriptor();
@@ -164,10 +172,10 @@ fn separate(id: &str, other: &str) -> String {
         let stage = |id: &str| find(id).map(|e| e.descriptor().stage);
         let hint = match (stage(id), stage(other)) {
             (Some(Stage::Charge | Stage::Electronics), _) | (_, Some(Stage::Charge | Stage::Electronics)) => {
-                "repeats of even light: what comes after the Poisson draw correlates the noise"
+                "repeated flats: effects after the Poisson draw correlate the noise"
             }
             (Some(Stage::Object), _) | (_, Some(Stage::Object)) => {
-                "the same specimen moved: what belongs to it moves with it"
+                "the same specimen at another position: effects of the specimen move with it"
             }
             _ => "more scenes, brighter and of other kinds",
         };
@@ -175,22 +183,22 @@ fn separate(id: &str, other: &str) -> String {
     })
 }
 
-/// An effect in words and numbers.
+/// Description of an effect with values and errors.
 fn describe(term: &Term, params: &[Value]) -> String {
     let d = term.effect.descriptor();
     let index = |i: usize| term.params.get(i).map_or(0, |v| *v as usize);
     match d.id {
         "unknown_operator" => format!(
-            "unknown: {} +- {} of {}, {}; acts on light before the Poisson draw; 1 degree of freedom; cause not identified; valid for \
-             light as bright as was measured",
+            "unknown: {} +- {} of {}, {}; acts on light before the Poisson draw; 1 degree of freedom; cause not \
+             identified; valid in the measured range of light",
             short(params[0].value),
             short(params[0].sigma),
             OPERATORS.get(index(1)).unwrap_or(&"?"),
             WEIGHTS.get(index(2)).unwrap_or(&"?")
         ),
         "unknown_pattern" => format!(
-            "unknown: a factor on the light that is fixed to the sensor, rms {} +- {}, neither a law over the sensor nor a property of single \
-             pixels; measured pixel by pixel; cause not identified; valid on this sensor",
+            "unknown: a factor on the light that is fixed to the sensor, rms {} +- {}, neither smooth over the sensor \
+             nor independent from pixel to pixel; measured pixel by pixel; cause not identified; valid for this sensor",
             short(params[0].value),
             short(params[0].sigma)
         ),
@@ -206,8 +214,8 @@ fn describe(term: &Term, params: &[Value]) -> String {
                 String::new()
             };
             format!(
-                "unknown: {kind} over {}{periodic}, from {} to {} (each +- {}); {} degrees of freedom; cause not identified; valid from {} to {} \
-                 of it and nowhere else",
+                "unknown: {kind} over {}{periodic}, from {} to {} (each +- {}); {} degrees of freedom; cause not \
+                 identified; valid from {} to {} of that quantity only",
                 COVARIATES.get(index(at)).unwrap_or(&"?"),
                 short(low),
                 short(high),
@@ -218,18 +226,18 @@ fn describe(term: &Term, params: &[Value]) -> String {
             )
         }
         _ => {
-            let told: Vec<String> = params
+            let values: Vec<String> = params
                 .iter()
                 .filter(|v| v.sigma > 0.0 && (v.value / v.sigma).abs() > 2.0 || params.len() == 1)
                 .take(6)
                 .map(|v| format!("{} = {} +- {} {}", v.name, short(v.value), short(v.sigma), v.unit))
                 .collect();
-            format!("{}: {}", d.summary, told.join(", "))
+            format!("{}: {}", d.summary, values.join(", "))
         }
     }
 }
 
-/// Three figures.
+/// A number with three significant digits.
 fn short(v: f64) -> String {
     let size = v.abs();
     if size == 0.0 {

@@ -1,64 +1,73 @@
-//! Score tests: how much better columns would make the model, and how sure that is.
+//! Score tests (Rao, Proc. Camb. Phil. Soc. 44, 50, 1948): how much additional columns would improve a fit, without a
+//! fit.
 //!
-//! With templates X in units of the noise, nuisances Z and residual r: s = X'(1 - P_Z) r and Q = X'(1 - P_Z) X give the estimate
-//! theta = Q^-1 s without a fit. Its variance is Q^-1 V Q^-1 with
+//! With templates X in units of the noise, nuisance columns Z, their projector P_Z and the residual r, the score is
+//! s = X'(1 - P_Z) r. With Q = X'(1 - P_Z) X the estimate is theta = Q^-1 s. Its covariance is Q^-1 V Q^-1 with
 //! ```text
 //! V = phi Q + C
 //! ```
-//! phi >= 1: scatter of the scores between spatial blocks (or frames) beyond the noise (White, Econometrica 48, 817, 1980, clustered);
-//! C: what the calibration's own uncertainty does to the score, from its delete-a-group replicates. T = s' V^-1 s is compared
-//! with F(d, nu), nu counting how well V itself is known.
+//! phi >= 1: scatter of the scores between spatial blocks, or between frames, over that of the noise (White,
+//! Econometrica 48, 817, 1980, with clusters). C: covariance of the score by the uncertainty of the calibration, from
+//! its delete-a-group jackknife replicates. T = s' V^-1 s over its d degrees of freedom is compared with F(d, nu); nu
+//! are the effective degrees of freedom of V (Satterthwaite, Biometrics Bull. 2, 110, 1946).
 
-use super::design::{Design, Sums};
 use super::stats::{f_tail, sigmas};
-use crate::linalg::symmetric_eigen;
+use crate::closing::fit::{Cell, Design, Sums, pseudo_inverse};
 use ndarray::{Array1, Array2};
 
-/// A score test of some columns, given others.
+/// Score test of some columns, with others projected out.
 #[derive(Clone, Debug)]
 pub struct Test {
-    /// Estimated values.
+    /// Estimated values, one for each column.
     pub theta: Vec<f64>,
-    /// Their covariance.
+    /// Covariance of `theta`.
     pub covariance: Array2<f64>,
-    /// The part of it that the noise alone makes.
+    /// Covariance of `theta` by the noise alone.
     pub noise: Array2<f64>,
-    /// Fall of chi-squared that they would bring, by the noise alone.
+    /// Expected fall of chi-squared.
     pub gain: f64,
-    /// The same with all that is known of the errors: the test statistic.
+    /// Test statistic T: the same with scatter and calibration in its error.
     pub t: f64,
-    /// Degrees of freedom: columns that the data can tell.
+    /// Degrees of freedom: linearly independent columns.
     pub dof: f64,
-    /// How well the variance is known.
+    /// Effective degrees of freedom of the variance.
     pub nu: f64,
-    /// Probability of a larger statistic without the effect.
+    /// Probability of a larger statistic if the effect is absent.
     pub p: f64,
-    /// The same as standard deviations of a normal variable.
+    /// The same as standard deviations of a normal variable (two-sided).
     pub z: f64,
-    /// Scatter between clusters over the noise.
+    /// Scatter between clusters over that of the noise, at least 1.
     pub phi: f64,
-    /// Share of the columns' own size that what is taken out leaves of them.
+    /// Share of the columns' squared norm that remains after the projection.
     pub left: f64,
 }
 
-/// The design around a state, with what is taken out of every column.
+/// Scatter of scores between clusters.
+struct Scatter {
+    /// Over that of the noise, at least 1.
+    phi: f64,
+    /// Degrees of freedom that it is estimated with.
+    degrees: f64,
+}
+
+/// Score tests of a linearised problem with given columns projected out.
 pub struct Scores<'d> {
     design: &'d Design,
     sums: Sums,
     given: Vec<usize>,
     /// (Z'Z)^-1.
     inverse: Array2<f64>,
-    /// Sums by cluster: spatial blocks over frames, and frames over blocks.
+    /// Gram matrices by cluster: one for each spatial block, and one for each frame.
     clusters: [Vec<Array2<f64>>; 2],
 }
 
 impl<'d> Scores<'d> {
-    /// Takes the columns `given` out, over the cells that may be fitted.
+    /// Prepares tests on the training cells with the columns `given` projected out.
     pub fn new(design: &'d Design, given: Vec<usize>) -> Self {
         let sums = design.training();
         let z = sums.gram.select(ndarray::Axis(0), &given).select(ndarray::Axis(1), &given);
         let inverse = pseudo_inverse(&z);
-        let by = |key: &dyn Fn(&super::design::Cell) -> usize| {
+        let by = |key: &dyn Fn(&Cell) -> usize| {
             let mut keys: Vec<usize> = design.cells.iter().filter(|c| !c.held_out).map(key).collect();
             keys.sort_unstable();
             keys.dedup();
@@ -69,7 +78,7 @@ impl<'d> Scores<'d> {
         Self { design, sums, given, inverse, clusters }
     }
 
-    /// Rows of a Gram matrix with the nuisances taken out: (columns or replicates) by (columns, replicates, residual).
+    /// Part of a Gram matrix, `rows` by `cols`, with the given columns projected out.
     fn projected(&self, gram: &Array2<f64>, rows: &[usize], cols: &[usize]) -> Array2<f64> {
         let pick = |r: &[usize], c: &[usize]| Array2::from_shape_fn((r.len(), c.len()), |(i, j)| gram[[r[i], c[j]]]);
         let total = |r: &[usize]| {
@@ -80,7 +89,7 @@ impl<'d> Scores<'d> {
             + b.dot(&pick(&self.given, &self.given)).dot(&c.t())
     }
 
-    /// Tests columns. None: the data cannot tell them from the nuisances.
+    /// Tests columns. None: they are linearly dependent on the given columns, so the data do not determine them.
     pub fn test(&self, columns: &[usize]) -> Option<Test> {
         let r = self.design.residual();
         let q = self.projected(&self.sums.gram, columns, columns);
@@ -93,15 +102,15 @@ impl<'d> Scores<'d> {
         let s = self.projected(&self.sums.gram, columns, &[r]).column(0).to_owned();
         let theta = q_inverse.dot(&s);
         let gain = s.dot(&theta);
-        let (phi, clusters) = self.scatter(columns, r, &theta, &q_inverse, dof);
+        let Scatter { phi, degrees } = self.scatter(columns, r, &theta, &q_inverse, dof);
         let c = self.calibration(columns);
         let v = &q * phi + &c;
         let t = s.dot(&pseudo_inverse(&v).dot(&s)).max(0.0);
-        // How well V is known: its parts weighted by what they add (Satterthwaite).
+        // Effective degrees of freedom of V: its parts weighted by their shares (Satterthwaite).
         let replicates = self.design.replicates as f64;
         let by_calibration = (pseudo_inverse(&v).dot(&c).diag().sum() / dof).clamp(0.0, 1.0);
         let by_scatter = (1.0 - 1.0 / phi) * (1.0 - by_calibration);
-        let spread = by_calibration.powi(2) / (replicates - 1.0).max(1.0) + by_scatter.powi(2) / clusters.max(1.0);
+        let spread = by_calibration.powi(2) / (replicates - 1.0).max(1.0) + by_scatter.powi(2) / degrees.max(1.0);
         let nu = if spread > 0.0 { 1.0 / spread } else { f64::INFINITY };
         let p = f_tail(t / dof, dof, nu);
         let covariance = q_inverse.dot(&v).dot(&q_inverse);
@@ -120,16 +129,9 @@ impl<'d> Scores<'d> {
         })
     }
 
-    /// Scatter of the scores between clusters over what the noise makes, at least 1, and the number of clusters that tell it.
-    fn scatter(
-        &self,
-        columns: &[usize],
-        r: usize,
-        theta: &Array1<f64>,
-        q_inverse: &Array2<f64>,
-        dof: f64,
-    ) -> (f64, f64) {
-        let mut worst = (1.0, 1e6);
+    /// Scatter of the scores between clusters over that of the noise, for the kind of cluster where it is larger.
+    fn scatter(&self, columns: &[usize], r: usize, theta: &Array1<f64>, q_inverse: &Array2<f64>, dof: f64) -> Scatter {
+        let mut worst = Scatter { phi: 1.0, degrees: 1e6 };
         for clusters in &self.clusters {
             let mut sum = 0.0;
             for gram in clusters {
@@ -139,16 +141,16 @@ impl<'d> Scores<'d> {
                 sum += u.dot(&q_inverse.dot(&u));
             }
             let n = clusters.len() as f64;
-            // The estimate takes a share of the scatter with it.
+            // The estimate uses up one of n clusters.
             let phi = sum / dof * n / (n - 1.0).max(1.0);
-            if n > 3.0 && phi > worst.0 {
-                worst = (phi, n * dof);
+            if n > 3.0 && phi > worst.phi {
+                worst = Scatter { phi, degrees: n * dof };
             }
         }
         worst
     }
 
-    /// Covariance of a score that the calibration's uncertainty makes: delete-a-group jackknife.
+    /// Covariance of the scores by the uncertainty of the calibration: delete-a-group jackknife.
     fn calibration(&self, columns: &[usize]) -> Array2<f64> {
         let rows: Vec<usize> = self.design.replicate_rows().collect();
         let n = rows.len() as f64;
@@ -161,8 +163,8 @@ impl<'d> Scores<'d> {
         m.dot(&m.t()) * ((n - 1.0) / n)
     }
 
-    /// Share of what `found` columns at values `theta` explain that `other` columns could explain as well: the square of the
-    /// correlation of the two, everything given taken out.
+    /// Squared correlation between the signature of the columns `found` at values `theta` and the closest signature of
+    /// the columns `other`, with the given columns projected out: 0 to 1.
     pub fn overlap(&self, found: &[usize], theta: &[f64], other: &[usize]) -> f64 {
         let theta = Array1::from_vec(theta.to_vec());
         let own = theta.dot(&self.projected(&self.sums.gram, found, found).dot(&theta));
@@ -172,30 +174,17 @@ impl<'d> Scores<'d> {
     }
 }
 
-/// Standard deviations that a statistic of `dof` degrees of freedom stands for; for tails beyond all tables by their asymptote.
+/// Significance of a statistic with `dof` degrees of freedom, standard deviations; by the asymptote for tails below
+/// 1e-280.
 fn strength(t: f64, dof: f64, p: f64) -> f64 {
     if p > 1e-280 { sigmas(p) } else { (t - (dof - 1.0) * (t / dof).max(1.0).ln()).max(0.0).sqrt() }
-}
-
-/// Inverse of a symmetric matrix; directions that its scaled form does not tell are left out.
-pub fn pseudo_inverse(a: &Array2<f64>) -> Array2<f64> {
-    let scale = a.diag().mapv(|v| if v > 0.0 { 1.0 / v.sqrt() } else { 0.0 });
-    let n = a.nrows();
-    let scaled = Array2::from_shape_fn((n, n), |(i, j)| 0.5 * (a[[i, j]] + a[[j, i]]) * scale[i] * scale[j]);
-    let Ok((values, vectors)) = symmetric_eigen(&scaled) else { return Array2::zeros((n, n)) };
-    // Gram matrices are summed from f32 products: below this a direction is rounding.
-    let floor = 3e-6;
-    let inverse = values.mapv(|v| if v > floor { 1.0 / v } else { 0.0 });
-    let full = (&vectors * &inverse).dot(&vectors.t());
-    Array2::from_shape_fn((n, n), |(i, j)| full[[i, j]] * scale[i] * scale[j])
 }
 
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 mod tests {
-    use super::super::design::Cell;
-    use super::super::state::Column;
     use super::*;
+    use crate::closing::fit::Column;
     use crate::rng::stream;
     use rand_distr::{Distribution, StandardNormal};
 
@@ -244,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn without_an_effect_tails_are_what_they_say() {
+    fn without_an_effect_tail_probabilities_are_right() {
         let small =
             (0..200).filter(|seed| Scores::new(&made_up(0.0, 1000 + seed), vec![0]).test(&[1, 2]).unwrap().p < 0.1);
         let n = small.count();
@@ -253,14 +242,14 @@ mod tests {
     }
 
     #[test]
-    fn lookalikes_overlap_and_a_nuisance_tells_nothing() {
+    fn similar_columns_overlap_and_a_nuisance_column_is_not_testable() {
         let design = made_up(0.2, 5);
         let scores = Scores::new(&design, vec![0]);
         let t = scores.test(&[1]).unwrap();
-        // 11 sigma by the noise; fewer are told, since seven frames say little of the scatter between frames.
+        // 11 sigma by the noise; fewer remain, since seven frames determine the scatter between frames poorly.
         assert!(t.z > 4.0 && t.gain > 60.0, "{t:?}");
         assert!((scores.overlap(&[1], &t.theta, &[2]) - 0.64).abs() < 0.05);
-        // A column that is the nuisance itself tells nothing.
+        // A column that is the nuisance itself cannot be tested.
         assert!(scores.test(&[0]).is_none());
     }
 

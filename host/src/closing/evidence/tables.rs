@@ -1,44 +1,43 @@
-//! Effects without a law: a value for each pixel (or spot), estimated from even light and darks.
+//! Effects with a table: a value for each pixel, or for spots, estimated from flats and darks.
 //!
-//! Two halves of the frames give two independent estimates of each value; what they share is real, whatever the noise model says.
-//! Even light has no specimen in it, so that no error of the optics enters.
+//! Two halves of the frames give two independent estimates of each value. Only what both have in common counts, which
+//! does not rest on the noise model. Flats show no object, so errors of the optics do not enter.
 
-use super::model::Model;
-use super::state::{Predicted, State, Term};
-use super::stats::two_sided;
+use super::stats::{sigmas, two_sided};
+use crate::closing::fit::{Model, Predicted, State, Term};
 use crate::effects::{TableGroup, TableUse, blur_within, registry};
 use crate::session::Role;
 use ndarray::{Array2, Zip, s};
 use rayon::prelude::*;
 
-/// A table that the data ask for.
+/// An estimated table.
 #[derive(Clone, Debug)]
 pub struct TableFit {
-    /// The effect with its estimated table, its first parameter the rms (or largest value) of the table.
+    /// The effect with its estimated table; its first parameter is the rms or the largest value of the table.
     pub term: Term,
     /// Significance, standard deviations.
     pub z: f64,
-    /// Probability without the effect.
+    /// Probability of a larger value if the effect is absent.
     pub p: f64,
-    /// The first parameter beyond what the calibration leaves, as [`crate::effects::Param::inner`] has it.
+    /// The first parameter less the error of the calibration's maps, in the unit of [`crate::effects::Param::inner`].
     pub size: f64,
-    /// What of it would be told at one standard deviation.
+    /// Standard error of `size`, with the uncertainty of that map error.
     pub size_sigma: f64,
     /// Standard error of the first parameter.
     pub sigma: f64,
 }
 
-/// Pixels from which spots are told, standard deviations of their smoothed value.
+/// Threshold of spots in the smoothed map, standard deviations.
 const SPOT: f32 = 5.0;
-/// Pixels that stand out by so many standard deviations in each half are hot.
+/// Threshold of hot pixels in each half, standard deviations.
 const STANDS_OUT: f64 = 4.5;
-/// Radius of the blur that spots are looked for with, pixels.
+/// Standard deviation of the Gaussian blur for the detection of spots, pixels.
 const SPOT_PX: f64 = 1.5;
-/// Blur that a pattern of pixels is told from, standard deviation, pixels.
+/// Standard deviation of the Gaussian blur that is subtracted to test for a pattern of single pixels, pixels.
 const SMOOTH_PX: f64 = 2.0;
-/// The same for the pattern that is told.
+/// The same for the table of the pattern, which keeps coarser structure.
 const BROAD_PX: f64 = 8.0;
-/// The estimate of a remaining pattern may exceed what the calibration left by this factor before it counts.
+/// A pattern counts if its variance exceeds that of the map errors by this factor.
 const TOLERANCE: f64 = 1.5;
 
 /// An estimate of a table: values and inverse variances.
@@ -47,7 +46,7 @@ struct Half {
     weight: Array2<f32>,
 }
 
-/// Variance of the pattern that the calibration's own maps leave: no news.
+/// Variance of the errors of the calibration's maps, which the frames show as a pattern as well.
 fn left(model: &Model<'_>, acts: TableUse) -> f64 {
     match acts {
         TableUse::Response => model.maps.response.powi(2),
@@ -56,7 +55,8 @@ fn left(model: &Model<'_>, acts: TableUse) -> f64 {
     }
 }
 
-/// Fits every table effect that is not in the state: of the catalogue, or those without a name.
+/// Estimates every effect with a table that is not in the state: those of the catalogue (`named`), or those without a
+/// name.
 pub fn fit(model: &Model<'_>, state: &State, now: &[Predicted], named: bool) -> Vec<TableFit> {
     registry()
         .par_iter()
@@ -70,7 +70,7 @@ pub fn fit(model: &Model<'_>, state: &State, now: &[Predicted], named: bool) -> 
                 TableGroup::Pixel => {
                     let (fine, broad) = ([&a, &b].map(|h| sharp(h, SMOOTH_PX)), [&a, &b].map(|h| sharp(h, BROAD_PX)));
                     let of = |[a, b]: &[Half; 2], smooth_px| pattern(a, b, left(model, kind.acts), kept(smooth_px));
-                    // Judged where nothing smooth is left of it, told with all of it that is finer than shade.
+                    // Tested with a fine blur subtracted; the table keeps everything finer than shading.
                     let found = of(&fine, SMOOTH_PX).filter(|_| is_white(&fine[0], &fine[1]));
                     found.and_then(|f| Some(Shape { table: of(&broad, BROAD_PX)?.table, ..f }))
                 }
@@ -94,9 +94,9 @@ pub fn fit(model: &Model<'_>, state: &State, now: &[Predicted], named: bool) -> 
         .collect()
 }
 
-/// Standard deviations by which even light and darkness share a pattern between halves of their frames: in the response, in the offset.
-/// None: too few frames.
-pub(super) fn shared(model: &Model<'_>, now: &[Predicted]) -> [Option<f64>; 2] {
+/// Significance of a pattern common to two halves of the flats and darks: of the response, of the offset. None: too few
+/// frames.
+pub(crate) fn shared(model: &Model<'_>, now: &[Predicted]) -> [Option<f64>; 2] {
     [TableUse::Response, TableUse::Offset].map(|acts| {
         let [Some(a), Some(b)] = [0, 1].map(|h| half(model, now, acts, h)) else { return None };
         Some(pattern(&a, &b, left(model, acts), 1.0)?.z)
@@ -105,11 +105,11 @@ pub(super) fn shared(model: &Model<'_>, now: &[Predicted]) -> [Option<f64>; 2] {
 
 struct Shape {
     table: Array2<f32>,
-    /// Variance of a pattern; value of what stands out most.
+    /// Variance of a pattern, or depth or scale of spots and hot pixels.
     size: f64,
     /// Its standard error.
     error: f64,
-    /// How uncertain it is what the calibration leaves of the like.
+    /// Uncertainty of the map errors that were subtracted.
     doubt: f64,
     /// Rms error of the table.
     table_error: f64,
@@ -131,7 +131,7 @@ fn half(model: &Model<'_>, now: &[Predicted], acts: TableUse, which: usize) -> O
         }
         let here = &now[k];
         let t = f.info.exposure_ms as f32;
-        // Lamp and black level of the single frame are no pattern.
+        // The mean of a single frame depends on lamp and black level and is no pattern.
         let mean = here.residual_dn.mean().unwrap_or(0.0);
         Zip::from(&mut top)
             .and(&mut bottom)
@@ -155,7 +155,7 @@ fn half(model: &Model<'_>, now: &[Predicted], acts: TableUse, which: usize) -> O
     Some(Half { value, weight: bottom })
 }
 
-/// Takes a slope over the sensor out: blurs end at its edges and would take it for something there.
+/// Subtracts a linear slope over the sensor, which a blur would turn into structure at the edges.
 fn level(h: &Half) -> Half {
     let (rows, cols) = h.value.dim();
     let along = |i: usize, n: usize| i as f32 - (n as f32 - 1.0) / 2.0;
@@ -179,7 +179,7 @@ fn mean(a: &Half, b: &Half) -> Half {
     Half { value, weight }
 }
 
-/// What is smooth over pixels (shade, spots, a step) is no property of single pixels.
+/// Subtracts the smooth part: shading, spots and steps are no properties of single pixels.
 fn sharp(h: &Half, smooth_px: f64) -> Half {
     let flat = level(h).value;
     Half { value: &flat - &blur_within(&flat, smooth_px), weight: h.weight.clone() }
@@ -190,8 +190,8 @@ fn kept(smooth_px: f64) -> f64 {
     1.0 - 3.0 / (4.0 * std::f64::consts::PI * smooth_px * smooth_px)
 }
 
-/// Whether what two halves share of a [`sharp`] pattern is as white as properties of single pixels are: a law or spots would make
-/// neighbours alike.
+/// Whether the pattern common to two halves is white after [`sharp`], as properties of single pixels are. Shading or
+/// spots correlate neighbours.
 fn is_white(a: &Half, b: &Half) -> bool {
     let (rows, cols) = a.value.dim();
     let together = |dr: usize, dc: usize| -> [f64; 2] {
@@ -210,18 +210,18 @@ fn is_white(a: &Half, b: &Half) -> bool {
         return false;
     }
     let [own, _] = together(0, 0);
-    // White patterns leave -0.06 of themselves to their neighbours, since their own blur was taken out.
+    // The subtracted blur correlates the neighbours of a white pattern by -0.06.
     [(0, 1), (1, 0), (1, 1), (0, 2), (2, 0)].iter().all(|(dr, dc)| {
         let [sum, squares] = together(*dr, *dc);
         sum < 0.1 * own.max(0.0) + 3.0 * squares.sqrt()
     })
 }
 
-/// A pattern of all pixels: the variance that both halves share, beyond what the calibration leaves. Of a white pattern's variance the halves hold
-/// the share `kept`.
+/// A pattern of all pixels: the variance common to both halves, beyond that of the map errors (`left`). `kept` is the
+/// share of a white pattern's variance that the halves hold.
 fn pattern(a: &Half, b: &Half, left: f64, kept: f64) -> Option<Shape> {
     let (mut shared, mut noise, mut n) = (0.0, 0.0, 0.0);
-    // Hot pixels and dust are other effects: their values stand out, so they are left out here.
+    // Hot pixels and dust are other effects; outliers are left out here.
     Zip::from(&a.value).and(&b.value).and(&a.weight).and(&b.weight).for_each(|a, b, wa, wb| {
         if *wa > 0.0 && *wb > 0.0 && !(a * wa.sqrt() > 6.0 && b * wb.sqrt() > 6.0) {
             shared += f64::from(a * b);
@@ -241,25 +241,25 @@ fn pattern(a: &Half, b: &Half, left: f64, kept: f64) -> Option<Shape> {
         if w > 0.0 { (f64::from(*v) * variance / (variance + 1.0 / w)) as f32 } else { 0.0 }
     };
     let table = Zip::from(&both.value).and(&both.weight).map_collect(keep);
-    // What is left of the pattern where a pixel's own noise took its share.
+    // Variance of the pattern given the noisy estimate of the pixel.
     let posterior = |w: &f32| variance.max(0.0) / (1.0 + variance.max(0.0) * f64::from(*w));
     let table_error = (both.weight.iter().map(posterior).sum::<f64>() / n).sqrt();
     Some(Shape { table, size: (variance - left).max(0.0), error, doubt: (TOLERANCE - 1.0) * left, table_error, z })
 }
 
-/// Single pixels that stand out in both halves. Their size is the scale of an exponential distribution: the mean of those that stand out
-/// above what had to be passed to do so.
+/// Single pixels above the threshold in both halves. Their size is the scale of an exponential distribution: their mean
+/// above the threshold.
 fn sparse(a: &Half, b: &Half) -> Option<Shape> {
     let both = mean(a, b);
     let mut table = Array2::zeros(both.value.dim());
     let (mut z, mut sum, mut number) = (0.0f64, 0.0, 0.0f64);
-    // Of a pixel as good as most: what the session could tell, where nothing stands out.
+    // Standard error of a typical pixel: the sensitivity if no pixel is hot.
     let weight = f64::from(both.weight.mean().unwrap_or(0.0));
     let one = if weight > 0.0 { 1.0 / weight.sqrt() } else { 0.0 };
-    // A pattern of all pixels makes none of them hot: they must stand out of that as well.
+    // The threshold includes the scatter of a pattern of all pixels, which makes none of them hot.
     let mut sizes: Vec<f32> = both.value.iter().map(|v| v.abs()).collect();
     sizes.sort_unstable_by(f32::total_cmp);
-    // The median size of a normal variable is 0.674 of its standard deviation.
+    // The median absolute value of a normal variable is 0.674 of its standard deviation.
     let scatter = sizes.get(sizes.len() / 2).map_or(0.0, |v| (v / 0.674).powi(2));
     Zip::indexed(&both.value).for_each(|at, v| {
         let stands_out = |h: &Half| h.value[at] / (1.0 / h.weight[at].max(1e-30) + scatter).sqrt();
@@ -271,23 +271,23 @@ fn sparse(a: &Half, b: &Half) -> Option<Shape> {
             z = z.max(least * std::f64::consts::SQRT_2);
         }
     });
-    // As many chances as pixels.
+    // One trial for each pixel.
     let chances = both.value.len() as f64;
-    let z = if z > 0.0 { super::stats::sigmas((two_sided(z) * chances).min(1.0)) } else { 0.0 };
+    let z = if z > 0.0 { sigmas((two_sided(z) * chances).min(1.0)) } else { 0.0 };
     let passed = STANDS_OUT * std::f64::consts::SQRT_2 * one;
     let size = if number > 0.0 { (sum / number - passed).max(one) } else { 0.0 };
     let error = one.hypot(size / number.max(1.0).sqrt());
     Some(Shape { table, size, error, doubt: 0.0, table_error: 0.0, z })
 }
 
-/// Spots: what stands out of a map that is smoothed to their size.
+/// Dark spots: minima of a map that is smoothed to their size.
 fn spots(a: &Half, b: &Half, left: f64) -> Option<Shape> {
     let smooth = |h: &Half| {
         let flat = level(h).value;
         blur_within(&flat, SPOT_PX) - blur_within(&flat, 8.0 * SPOT_PX)
     };
     let (sa, sb) = (smooth(a), smooth(b));
-    // What white noise is after the blur: 1 / (4 pi sigma^2) of its variance.
+    // Share of the variance of white noise after the blur: 1 / (4 pi sigma^2).
     let share = 1.0 / (4.0 * std::f64::consts::PI * SPOT_PX * SPOT_PX);
     let sigma_of = |h: &Half| {
         let mean = f64::from(h.weight.mean().unwrap_or(0.0));
@@ -310,17 +310,17 @@ fn spots(a: &Half, b: &Half, left: f64) -> Option<Shape> {
             z = z.max(f64::from(least));
         }
     });
-    // Spots are dark: what is bright as well is something else.
+    // Dust is dark: a map with spots as bright is another effect.
     if bright > f64::from(SPOT) && bright > 0.5 * z {
         return None;
     }
     let chances = both.len() as f64 * share;
-    let z = if z > 0.0 { super::stats::sigmas((two_sided(z) * chances).min(1.0)) } else { 0.0 };
-    // The spot's own values, from the unsmoothed map, where a core is near.
+    let z = if z > 0.0 { sigmas((two_sided(z) * chances).min(1.0)) } else { 0.0 };
+    // The table keeps the unsmoothed values around each spot.
     let near = blur_within(&core, 2.0 * SPOT_PX);
     let raw = mean(a, b);
     let table = Zip::from(&near).and(&raw.value).map_collect(|n, v| if *n > 0.02 { *v } else { 0.0 });
-    // As deep as the nine pixels in the middle of the deepest.
+    // The depth is the mean of the nine pixels in the middle of the deepest spot.
     let (rows, cols) = raw.value.dim();
     let around = |i: usize, n: usize| i.saturating_sub(1)..(i + 2).min(n);
     let window = s![around(deepest.0, rows), around(deepest.1, cols)];
@@ -340,7 +340,7 @@ mod tests {
     const SIDE: usize = 90;
     const NOISE: f32 = 0.01;
 
-    /// Two halves that see the same pattern, each with noise of its own.
+    /// Two halves with the same pattern and independent noise.
     fn halves(pattern: impl Fn(usize, usize) -> f32) -> [Half; 2] {
         [0, 1].map(|h| {
             let mut rng = stream(11, "tables", h);
@@ -361,7 +361,7 @@ mod tests {
     }
 
     #[test]
-    fn a_white_pattern_is_measured_without_bias_and_a_law_is_none() {
+    fn a_white_pattern_is_measured_without_bias_and_a_smooth_one_is_rejected() {
         let own = white(0.008);
         let judged = |halves: [Half; 2]| {
             let [a, b] = halves.map(|h| sharp(&h, SMOOTH_PX));
@@ -369,7 +369,7 @@ mod tests {
         };
         let (found, is) = judged(halves(|r, c| own[[r, c]]));
         assert!(is && found.z > 20.0 && (found.size.sqrt() - 0.008).abs() < 3e-4, "{} {}", found.z, found.size.sqrt());
-        // A wave, a step and a slope with a pattern on it.
+        // A wave, a step, a slope with a pattern on it, nothing.
         assert!(!judged(halves(|r, c| 0.02 * ((r + c) as f32 * 0.46).sin())).1);
         assert!(!judged(halves(|_, c| if c < SIDE / 2 { 0.02 } else { 0.0 })).1);
         assert!(judged(halves(|r, c| own[[r, c]] + 0.0005 * r as f32)).1);
@@ -388,7 +388,7 @@ mod tests {
     }
 
     #[test]
-    fn hot_pixels_stand_out_of_a_pattern_too() {
+    fn hot_pixels_are_found_beside_a_pattern() {
         let mut rng = stream(13, "hot", 0);
         let mut table = Array2::<f32>::zeros((SIDE, SIDE));
         for i in 0..60 {

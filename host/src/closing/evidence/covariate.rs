@@ -1,8 +1,8 @@
-//! What a residual may depend on, and how it was found to.
+//! The covariates of the omnibus tests, and the result of a test.
 
 use serde::{Deserialize, Serialize};
 
-/// What a residual may depend on.
+/// A quantity that the residual may depend on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Covariate {
@@ -20,37 +20,37 @@ pub enum Covariate {
     Radius,
     /// The lens whose chief ray of the on-axis source is nearest.
     Lens,
-    /// Row from the anchor of that lens: place on the object.
+    /// Row relative to the anchor of that lens: the place on the object.
     FieldRow,
-    /// Column from the anchor of that lens.
+    /// Column relative to the anchor of that lens.
     FieldColumn,
     /// Expected light of the pixel.
     Intensity,
-    /// Mean expected light around it.
+    /// Mean expected light around the pixel.
     LocalMean,
-    /// Expected light against its surroundings: how sharp the picture is there.
+    /// Expected light relative to its surroundings: local sharpness of the image.
     Sharpness,
-    /// Light of the pixel in the frame before.
+    /// Light of the pixel in the preceding frame.
     PreviousFrame,
     /// Light of the whole frame.
     TotalLight,
-    /// Depth of what the frame shows.
+    /// Depth of the object.
     Depth,
-    /// The frame.
+    /// Index of the frame.
     Frame,
-    /// Neighbours in space: correlation of the residual at small distances.
+    /// Correlation of the residual with that of neighbouring pixels.
     Neighbours,
-    /// The same pixel one frame on.
+    /// Correlation of the residual with that of the same pixel in the next frame.
     NextFrame,
-    /// The noise of repeats: its variance; its correlation along the row, along the column and diagonally; what rows and what columns
-    /// share.
+    /// The noise of repeated frames: its variance; its correlation along the row, along the column and diagonally; the
+    /// variance common to rows and to columns.
     Repeats,
-    /// The same pixel in other frames of even light and of none: what the response and what the offset keep from frame to frame.
+    /// Pattern common to all flats and darks: of the response and of the offset.
     FixedPattern,
 }
 
 impl Covariate {
-    /// All of them.
+    /// All covariates.
     pub const ALL: [Self; 20] = [
         Self::Row,
         Self::Column,
@@ -74,7 +74,7 @@ impl Covariate {
         Self::FixedPattern,
     ];
 
-    /// In words.
+    /// Name for reports.
     pub fn words(self) -> &'static str {
         match self {
             Self::Row => "row",
@@ -82,50 +82,52 @@ impl Covariate {
             Self::RowParity => "row parity",
             Self::ColumnParity => "column parity",
             Self::Checkerboard => "checkerboard",
-            Self::Radius => "radius from the middle of the sensor",
+            Self::Radius => "distance from the middle of the sensor",
             Self::Lens => "lens",
-            Self::FieldRow => "row from the lens's anchor",
-            Self::FieldColumn => "column from the lens's anchor",
+            Self::FieldRow => "row relative to the anchor of the lens",
+            Self::FieldColumn => "column relative to the anchor of the lens",
             Self::Intensity => "expected light",
             Self::LocalMean => "expected light around the pixel",
-            Self::Sharpness => "expected light against its surroundings",
-            Self::PreviousFrame => "light of the frame before",
+            Self::Sharpness => "expected light relative to its surroundings",
+            Self::PreviousFrame => "light of the preceding frame",
             Self::TotalLight => "light of the whole frame",
             Self::Depth => "depth",
             Self::Frame => "frame",
             Self::Neighbours => "residual of neighbouring pixels",
             Self::NextFrame => "residual of the next frame",
-            Self::Repeats => "noise of repeats: variance, neighbours, rows, columns",
+            Self::Repeats => "noise of repeated frames: variance, neighbours, rows, columns",
             Self::FixedPattern => "the same pixel in other flats and darks",
         }
     }
 
-    /// Whether it is tested by products of two residuals.
-    pub(super) fn is_product(self) -> bool {
+    /// Whether the test uses products of two residuals.
+    pub(crate) fn is_product(self) -> bool {
         matches!(self, Self::Neighbours | Self::NextFrame)
     }
 }
 
-/// The residual against one covariate.
+/// Test of the residual against one covariate.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Dependence {
     /// The covariate.
     pub covariate: Covariate,
-    /// Place of each bin: pixels, electrons, index, whichever the covariate counts in.
+    /// Mean of the covariate in each bin, in its own unit: pixels, electrons, um, or an index.
     pub at: Vec<f64>,
-    /// Mean residual of each bin in standard deviations of a pixel (correlation, for neighbours and frames; standard errors, for repeats).
+    /// Mean residual of each bin, in standard deviations of a pixel. For neighbours and the next frame: correlation
+    /// coefficients. For repeats and fixed patterns: standard errors.
     pub mean: Vec<f64>,
-    /// Standard deviation of that mean if the model is right: the null band.
+    /// Standard deviation of that mean under the null hypothesis that the model is right.
     pub band: Vec<f64>,
-    /// How much it matters: the part of a pixel's variance of noise that it makes, its error taken off. None: it is not of single pixels.
+    /// Size of the dependence: mean square over the bins relative to the variance of a pixel's noise, with its
+    /// expectation under the null hypothesis subtracted. None for tests of products, repeats and fixed patterns.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub size: Option<f64>,
-    /// Sum of squares over the bins against its error.
+    /// Sum over the bins of the squared sum of residuals over its variance.
     pub chi2: f64,
-    /// Its mean over draws of the model.
+    /// Expected value of `chi2` if the model is right.
     pub expected: f64,
-    /// Probability of a larger one if the model is right.
+    /// Probability of a larger value if the model is right.
     pub p: f64,
-    /// The same as standard deviations.
+    /// The same as standard deviations of a normal variable (two-sided).
     pub z: f64,
 }

@@ -1,36 +1,36 @@
-//! Residuals of the scenes summed in bins of a covariate.
+//! Sums of the residuals of the scenes in bins of a covariate.
 
 use super::covariate::Covariate;
-use super::model::Model;
-use super::state::Predicted;
+use crate::closing::fit::{Model, Predicted};
 use crate::effects::blur_within;
 use ndarray::Array2;
 use std::ops::Range;
 
-/// Bins of a covariate that has no bins of its own.
+/// Number of bins of a continuous covariate.
 const BINS: usize = 24;
 
-/// Bins of a covariate for the scenes: bin of each looked-at pixel of each frame (or none), and the places of the bins.
-pub(super) struct Bins {
-    pub(super) covariate: Covariate,
+/// Bins of a covariate: the bin of each used pixel of each frame, and the mean of the covariate in each bin.
+pub(crate) struct Bins {
+    pub(crate) covariate: Covariate,
     of: Vec<Vec<u16>>,
-    pub(super) at: Vec<f64>,
+    pub(crate) at: Vec<f64>,
 }
 
-/// No bin.
+/// Marks a pixel without a bin.
 const NONE: u16 = u16::MAX;
 
-/// Sums of residuals in bins.
-pub(super) struct Statistic {
-    /// Sum of squares over the bins against the scatter between cells.
-    pub(super) chi2: f64,
-    /// Mean of each bin.
-    pub(super) mean: Vec<f64>,
+/// Statistics of the residuals in bins.
+pub(crate) struct Statistic {
+    /// Sum over the bins of the squared sum of residuals over its variance, which is estimated from the scatter between
+    /// cells.
+    pub(crate) chi2: f64,
+    /// Mean residual of each bin.
+    pub(crate) mean: Vec<f64>,
 }
 
 impl Bins {
-    /// None: the session has no such covariate.
-    pub(super) fn of(covariate: Covariate, model: &Model<'_>, now: &[Predicted], frames: &[usize]) -> Option<Self> {
+    /// Bins of a covariate for `frames`. None: the covariate does not vary in this session.
+    pub(crate) fn of(covariate: Covariate, model: &Model<'_>, now: &[Predicted], frames: &[usize]) -> Option<Self> {
         let seen = model.seen;
         let [rows, cols] = seen.sensor;
         let cx = model.forward.context();
@@ -67,7 +67,8 @@ impl Bins {
             }
             Covariate::Lens | Covariate::FieldRow | Covariate::FieldColumn => return None,
             Covariate::Intensity => {
-                // Predictions below what counts as lit differ by the calibration's errors alone: the lowest of them are those that err most.
+                // Dark pixels differ in their expected light by errors of the calibration alone, so they go into one
+                // bin.
                 let dark = 3.0 * model.forward.noise().read_noise_e;
                 let lit = |p: &Predicted| at_pixels(&p.light_e).into_iter().map(|e| e.max(dark)).collect();
                 (per_frame(&|p, _| lit(p)), false)
@@ -114,7 +115,7 @@ impl Bins {
         if values.iter().all(Vec::is_empty) {
             return None;
         }
-        // Bins of equal content, by the values of all frames together.
+        // Bins of equal numbers of pixels, over all frames.
         let mut sorted: Vec<f64> = values.iter().flat_map(|v| v.iter().step_by(37)).copied().collect();
         sorted.sort_by(f64::total_cmp);
         let edges: Vec<f64> = if whole {
@@ -140,7 +141,7 @@ impl Bins {
         Some(Self { covariate, of, at })
     }
 
-    /// Puts each residual of one cell into its bin.
+    /// Calls `put` with bin and value of each residual of one cell: frame `f`, pixels `span`.
     fn cell(
         &self,
         model: &Model<'_>,
@@ -165,7 +166,7 @@ impl Bins {
         }
     }
 
-    /// Pairs of residuals, by lag: of neighbours, or of the same pixel in the next frame.
+    /// Calls `put` with each pair of residuals and its lag: neighbours, or the same pixel in the next frame.
     fn products(
         &self,
         model: &Model<'_>,
@@ -180,7 +181,7 @@ impl Bins {
             }
             return;
         }
-        // Within a block pixels are stored row by row; a sampled frame has no neighbours to speak of.
+        // Within a block pixels are stored row by row; a sampled frame has hardly any neighbours.
         let cols = model.seen.sensor[1] as u32;
         let pixels = &model.seen.pixels[span.clone()];
         let r = &residual[f][span];
@@ -195,8 +196,8 @@ impl Bins {
         }
     }
 
-    /// Sums over all cells: one frame by one block each.
-    pub(super) fn statistic(&self, model: &Model<'_>, frames: &[usize], residual: &[Vec<f32>]) -> Statistic {
+    /// Sums over all cells.
+    pub(crate) fn statistic(&self, model: &Model<'_>, frames: &[usize], residual: &[Vec<f32>]) -> Statistic {
         let bins = self.at.len();
         let (mut total, mut square, mut count) = (vec![0.0; bins], vec![0.0; bins], vec![0.0; bins]);
         for f in 0..frames.len() {
@@ -208,7 +209,7 @@ impl Bins {
                 });
                 for b in 0..bins {
                     total[b] += sum[b];
-                    // At least what white noise makes of it.
+                    // At least the variance of white noise.
                     square[b] += (sum[b] * sum[b]).max(n[b]);
                     count[b] += n[b];
                 }

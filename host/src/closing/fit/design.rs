@@ -1,39 +1,26 @@
-//! The linear problem around a state: columns, residuals and calibration errors in units of the noise, summed in cells.
+//! The linearised problem around a state: columns, residuals and calibration errors in units of the noise, summed in
+//! cells.
 //!
-//! A cell is one frame by one spatial block. For each cell the Gram matrix of all columns, of the calibration's replicates and of
-//! the residual is kept, so that hold-outs, clusters and bootstraps are sums over cells and never another pass over the frames.
+//! A cell is one frame by one spatial block. It keeps the Gram matrix of all columns, of the calibration replicates and
+//! of the residual. Hold-outs and clusters are then sums over cells and need no further pass over the frames.
 
+use super::cell::Cell;
+use super::derivative::Expansion;
 use super::model::Model;
-use super::observe::Shown;
-use super::state::{Column, Predicted, State, Term};
-use crate::forward::{ForwardError, SceneLight};
+use super::repeats;
+use super::state::{Column, Predicted};
+use crate::closing::data::{Observations, Shown};
+use crate::forward::ForwardError;
 use crate::session::Role;
 use ndarray::{Array2, s};
 use rayon::prelude::*;
 
-/// One frame by one block.
-#[derive(Clone, Debug)]
-pub struct Cell {
-    /// Frame.
-    pub frame: usize,
-    /// Spatial block.
-    pub block: usize,
-    /// Kept out of every fit.
-    pub held_out: bool,
-    /// Pixels that count.
-    pub pixels: usize,
-    /// Gram matrix: columns, then replicates, then the residual.
-    pub gram: Array2<f32>,
-    /// Sum of the logarithms of the variances, DN^2.
-    pub log_variance: f64,
-}
-
-/// All cells.
+/// All cells of a linearised problem.
 #[derive(Clone, Debug)]
 pub struct Design {
-    /// What the columns are.
+    /// The columns.
     pub columns: Vec<Column>,
-    /// Number of replicates.
+    /// Number of calibration replicates.
     pub replicates: usize,
     /// The cells.
     pub cells: Vec<Cell>,
@@ -42,17 +29,17 @@ pub struct Design {
 /// Sums over cells.
 #[derive(Clone, Debug)]
 pub struct Sums {
-    /// Gram matrix of columns, replicates, residual.
+    /// Gram matrix of columns, replicates and residual, [n, n].
     pub gram: Array2<f64>,
-    /// Pixels that count.
+    /// Number of pixels that are used.
     pub pixels: usize,
-    /// Sum of the logarithms of the variances, DN^2.
+    /// Sum of the logarithms of the pixels' variances in DN^2.
     pub log_variance: f64,
 }
 
 impl Sums {
-    /// chi-squared and -2 ln of the likelihood (up to a constant): where the model itself says how large the noise is, chi-squared alone falls
-    /// with every effect that brings light into the dark.
+    /// chi-squared and deviance. The model determines the variance of the noise, so chi-squared alone would fall with
+    /// every effect that adds light to dark pixels; the deviance does not.
     pub fn misfit(&self) -> Misfit {
         let last = self.gram.nrows().saturating_sub(1);
         let chi2 = self.gram.get((last, last)).copied().unwrap_or(0.0);
@@ -60,41 +47,39 @@ impl Sums {
     }
 }
 
-/// How far a state is from some frames.
+/// Distance between a state and measured frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Misfit {
     /// chi-squared.
     pub chi2: f64,
-    /// -2 ln of the likelihood, up to a constant: states are compared by it.
+    /// -2 ln of the Gaussian likelihood, up to a constant. States are compared by it.
     pub deviance: f64,
-    /// Pixels that count.
+    /// Number of pixels that are used.
     pub pixels: usize,
 }
 
 impl Design {
-    /// Computes all cells. `replicas[j][k]` is the frame `k` as replicate j of the calibration predicts it, minus that of the
-    /// calibration, DN; empty where it has none.
+    /// Computes all cells. `replicas[j][k]` is frame `k` as replicate j of the calibration predicts it minus the
+    /// prediction of the calibration, DN, [sensor rows, sensor cols]; None if the frame does not depend on the
+    /// calibration.
     ///
     /// # Errors
-    /// An object is no light.
+    /// An object holds negative or non-finite light.
     pub fn compute(
         model: &Model<'_>,
-        state: &State,
-        trials: &[Term],
+        at: Expansion<'_>,
         columns: Vec<Column>,
-        now: &[Predicted],
-        scenes: &[Option<SceneLight>],
         replicas: &[Vec<Option<Array2<f32>>>],
     ) -> Result<Self, ForwardError> {
         let seen = model.seen;
         let rows = columns.len() + replicas.len() + 1;
-        // No state is better for driving pixels out of range: each counts as one of the noisiest.
+        // A state must not gain by driving pixels out of range: each unused pixel counts as one with the largest noise.
         let noise = model.forward.noise();
         let unseen = 1.0 + noise.variance_dn2(noise.saturation_dn).ln();
         let cells = (0..seen.frames.len())
             .into_par_iter()
             .map(|k| {
-                let here = &now[k];
+                let here = &at.predicted[k];
                 let mut x = Array2::<f32>::zeros((rows, seen.pixels.len()));
                 let weight = here.inverse_sigma.as_slice().unwrap_or(&[]);
                 let mut put = |row: usize, image: &Array2<f32>| {
@@ -104,7 +89,7 @@ impl Design {
                     }
                 };
                 for (i, column) in columns.iter().enumerate() {
-                    if let Some(d) = model.derivative(k, column, state, trials, now, scenes)? {
+                    if let Some(d) = model.derivative(k, column, at)? {
                         put(i, &model.visible(k, d));
                     }
                 }
@@ -115,7 +100,8 @@ impl Design {
                 }
                 put(rows - 1, &here.residual_dn);
                 if matches!(seen.frames[k].shown, Shown::Bead(..)) {
-                    // The light of each bead is its own: what a change of it looks like is taken out of everything.
+                    // The light of each bead is a nuisance parameter of its own: its column is projected out of all
+                    // rows.
                     own_light(&mut x, here, model.forward.noise().black_level_dn, seen);
                 }
                 Ok(seen
@@ -137,7 +123,7 @@ impl Design {
             })
             .collect::<Result<Vec<_>, ForwardError>>()?;
         let mut cells: Vec<Cell> = cells.into_iter().flatten().collect();
-        cells.extend(super::repeats::cells(model, state, trials, &columns, replicas.len(), now));
+        cells.extend(repeats::cells(model, at, &columns, replicas.len()));
         Ok(Self { columns, replicates: replicas.len(), cells })
     }
 
@@ -151,7 +137,7 @@ impl Design {
         self.columns.len()..self.residual()
     }
 
-    /// Sums over the cells that `take`s.
+    /// Sums over the cells for which `take` is true.
     pub fn sums(&self, take: impl Fn(&Cell) -> bool) -> Sums {
         let n = self.residual() + 1;
         let mut sums = Sums { gram: Array2::zeros((n, n)), pixels: 0, log_variance: 0.0 };
@@ -163,14 +149,14 @@ impl Design {
         sums
     }
 
-    /// Sums over what may be fitted.
+    /// Sums over the training cells: those that are not held out.
     pub fn training(&self) -> Sums {
         self.sums(|c| !c.held_out)
     }
 }
 
-/// Takes the component along the frame's own light out of each row.
-fn own_light(x: &mut Array2<f32>, here: &Predicted, black_dn: f64, seen: &super::observe::Observations) {
+/// Projects the frame's own light out of each row.
+fn own_light(x: &mut Array2<f32>, here: &Predicted, black_dn: f64, seen: &Observations) {
     let (Some(dn), Some(weight)) = (here.dn.as_slice(), here.inverse_sigma.as_slice()) else { return };
     let light: Vec<f32> =
         seen.pixels.iter().map(|p| (dn[*p as usize] - black_dn as f32) * weight[*p as usize]).collect();
@@ -185,7 +171,7 @@ fn own_light(x: &mut Array2<f32>, here: &Predicted, black_dn: f64, seen: &super:
     }
 }
 
-/// The columns of the nuisances: the light of each stack that has any, and the black level.
+/// The columns of the nuisance parameters: the light of each lit stack, and the black level.
 pub fn nuisances(model: &Model<'_>) -> Vec<Column> {
     let frames = &model.seen.frames;
     let lit = |s: &usize| {

@@ -1,14 +1,15 @@
-//! What the search tries: the effects of the catalogue at their starts, and terms without a name.
+//! The trial terms of the search: effects of the catalogue at their starting values, and terms without a name.
 
-use super::model::Model;
-use super::refit::Fitted;
-use super::state::{State, Term};
+use crate::closing::fit::{Fitted, Model, State, Term};
 use crate::effects::{
     Effect, Evidence, EvidenceFrame, KNOTS, Kind, OPERATORS, Stage, WEIGHTS, find, periods, registry,
 };
 use crate::session::Role;
 
-/// What is tried.
+/// Id of the effect that stands for PSFs that must be calibrated again.
+pub const NEEDS_CALIBRATION: &str = "rank_truncation";
+
+/// A family of trial terms.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tried {
     /// The effects of the catalogue.
@@ -20,8 +21,9 @@ pub enum Tried {
 }
 
 impl Tried {
-    /// The terms, at their starts; those that are measured as a table are not among them.
-    pub(super) fn terms(self, model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<Term> {
+    /// The terms at their starting values. Effects with a table are estimated instead
+    /// ([`crate::closing::evidence::tables`]).
+    pub(crate) fn terms(self, model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<Term> {
         match self {
             Self::Catalogue => catalogue(model, state, evidence),
             Self::Curves => unknowns(model, state, evidence),
@@ -30,7 +32,7 @@ impl Tried {
     }
 }
 
-/// Every effect of the catalogue that the expected frame or the noise can show, at each of its starts.
+/// Every effect of the catalogue that is not in the state and can show in these frames, at each of its starting values.
 fn catalogue(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<Term> {
     let lenses = model.lenses();
     let mut terms = Vec::new();
@@ -50,7 +52,7 @@ fn catalogue(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<T
     terms
 }
 
-/// The starts that a descriptor lists: every combination of its shapes.
+/// The starting values that a descriptor lists: every combination of its shapes.
 fn grid(effect: &'static dyn Effect, lenses: usize) -> Vec<Vec<f64>> {
     let mut starts = vec![Vec::new()];
     for (_, p) in effect.descriptor().expanded(lenses) {
@@ -63,8 +65,8 @@ fn grid(effect: &'static dyn Effect, lenses: usize) -> Vec<Vec<f64>> {
     starts
 }
 
-/// Residuals of the training frames, for effects that guess.
-pub(super) fn evidence<'c>(model: &'c Model<'_>, fitted: &'c Fitted) -> Evidence<'c> {
+/// Residuals of the training frames, for effects that estimate their starting values from them.
+pub(crate) fn evidence<'c>(model: &'c Model<'_>, fitted: &'c Fitted) -> Evidence<'c> {
     let frame = |k: usize| {
         let here = &fitted.predicted[k];
         EvidenceFrame {
@@ -78,7 +80,7 @@ pub(super) fn evidence<'c>(model: &'c Model<'_>, fitted: &'c Fitted) -> Evidence
     Evidence { frames: training.map(frame).collect() }
 }
 
-/// The generic terms: operators by weights, and curves over covariates.
+/// The terms without a name: operators by weights, and curves over covariates.
 fn unknowns(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<Term> {
     let mut terms = Vec::new();
     if model.is_blind() {
@@ -86,7 +88,7 @@ fn unknowns(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<Te
     }
     if let Some(effect) = find("unknown_operator") {
         for (operator, weight) in (0..OPERATORS.len()).flat_map(|o| (0..WEIGHTS.len()).map(move |w| (o, w))) {
-            // The light of each stack and the black level are nuisances already.
+            // Operator 0 with weight 0 is the light itself, a nuisance parameter already.
             if (operator, weight) != (0, 0) {
                 terms.push(Term {
                     effect,
@@ -115,12 +117,12 @@ fn unknowns(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<Te
         if let Some(period) = row_period(evidence) {
             ranges.push((6, 0.0, period));
         }
-        // The light of even frames differs from pixel to pixel by a table alone, and that was measured on those frames.
+        // The light of flats differs from pixel to pixel by tables alone, and those were estimated on the flats.
         if state.terms.iter().any(|t| t.table_error > 0.0) {
             ranges.retain(|(covariate, ..)| *covariate != 4);
         }
         for ((covariate, low, high), additive) in ranges.into_iter().flat_map(|r| [(r, 0.0), (r, 1.0)]) {
-            // Light added by the light itself is the factor once more.
+            // Light added in proportion to the light is a factor again.
             if high > low && !(covariate == 4 && additive == 1.0) {
                 let mut params = vec![0.0; KNOTS];
                 params.extend([f64::from(covariate), additive, low, high]);
@@ -137,7 +139,7 @@ fn unknowns(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<Te
     terms
 }
 
-/// The period over rows that the residuals of all frames show most of, px.
+/// The strongest period over rows in the residuals of all frames, pixels.
 fn row_period(evidence: &Evidence<'_>) -> Option<f64> {
     let rows = evidence.frames.first()?.residual_dn.nrows();
     let (mut top, mut bottom) = (vec![0.0; rows], vec![0.0; rows]);

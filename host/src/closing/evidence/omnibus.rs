@@ -1,18 +1,16 @@
-//! Omnibus tests: does the residual depend on anything at all, whatever the catalogue says?
+//! Omnibus tests: does the residual depend on anything at all? They need no catalogue of effects.
 //!
-//! For each covariate the residual of the scenes is summed in bins; the error of a bin's sum is its scatter between cells (one frame by
-//! one block) together with the calibration's own uncertainty. The sum of squares over bins is compared with draws of the model: noise
-//! and calibration errors, the nuisances fitted as in the data. Tables are not trusted here (Protocol 6).
+//! For each covariate the residual of the scenes is summed in bins; the error of a bin's sum is its scatter between
+//! cells (one frame by one block). The sum of squares over the bins is compared with residuals that are drawn from the
+//! model: noise and errors of the calibration, with the nuisance parameters projected out as in the data. The null
+//! distribution is a scaled chi-squared with the mean and variance of the draws.
 
 use super::bins::{Bins, Statistic};
-pub use super::covariate::{Covariate, Dependence};
-use super::model::Model;
-use super::observe::Shown;
-use super::refit::Fitted;
-use super::repeats;
-use super::state::{Predicted, State};
+use super::covariate::{Covariate, Dependence};
 use super::stats::{chi2_tail, sigmas, two_sided};
 use super::tables;
+use crate::closing::data::Shown;
+use crate::closing::fit::{Fitted, Model, Predicted, State, repeats};
 use crate::effects::TableUse;
 use crate::noise::MapErrors;
 use crate::rng::stream;
@@ -21,11 +19,19 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
-/// Draws that the thresholds come from.
+/// Family-wise probability below which omnibus tests are significant (Bonferroni over all covariates).
+const OMNIBUS: f64 = 0.01;
+
+/// Dependences with a smaller share of the noise variance do not count as structure, however significant: errors of a
+/// calibration that its replicates do not show reach that size (light outside the windows is 5e-5 of all light).
+const SIZE: f64 = 1e-3;
+
+/// Number of draws for the null distribution.
 const DRAWS: usize = 48;
 
-/// Tests every covariate on the frames of known objects (of unknown specimens where there are no others), and the noise on repeats;
-/// held-out frames left out.
+/// Tests the residual of a fit against every covariate, on the training frames with known objects (of unknown specimens
+/// if there are no others), and the noise on repeats. `replicas` are those of [`crate::closing::fit::Replicas::of`];
+/// `seed` is that of the draws.
 pub fn test(model: &Model<'_>, fitted: &Fitted, replicas: &[Vec<Option<Array2<f32>>>], seed: u64) -> Vec<Dependence> {
     let mut all = on_scenes(model, fitted, replicas, seed);
     all.extend(on_repeats(repeats::residuals(model, &fitted.state, &fitted.predicted)));
@@ -33,7 +39,27 @@ pub fn test(model: &Model<'_>, fitted: &Fitted, replicas: &[Vec<Option<Array2<f3
     all
 }
 
-/// What the two halves of even light and darkness share; the larger of response and offset counts.
+/// Whether any test is significant and its dependence large enough to matter.
+pub fn structured(dependences: &[Dependence]) -> bool {
+    let matters = |d: &&Dependence| d.size.is_none_or(|size| size > SIZE);
+    let mut passes =
+        dependences.iter().filter(|d| d.p * (dependences.len() as f64) < OMNIBUS).filter(matters).peekable();
+    let any = passes.peek().is_some();
+    passes.for_each(|d| {
+        tracing::info!(
+            "residual against {}: z {:.1}, {:.1} for {:.1}, {:?} +- {:?}",
+            d.covariate.words(),
+            d.z,
+            d.chi2,
+            d.expected,
+            d.mean,
+            d.band
+        )
+    });
+    any
+}
+
+/// The pattern common to two halves of the flats and darks; the larger of response and offset counts.
 fn on_pixels(shared: [Option<f64>; 2]) -> Option<Dependence> {
     let mean: Vec<f64> = shared.into_iter().flatten().collect();
     let largest = mean.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -55,7 +81,7 @@ fn on_pixels(shared: [Option<f64>; 2]) -> Option<Dependence> {
     })
 }
 
-/// The covariance channel: the features of repeats are sums over so many pixels that they are normal, and need no draws.
+/// The covariance channel. Its features are sums over many pixels, so they are normal and need no draws.
 fn on_repeats(levels: Vec<repeats::Features>) -> Option<Dependence> {
     let n = levels.len() as f64;
     if levels.is_empty() {
@@ -87,7 +113,7 @@ fn on_scenes(model: &Model<'_>, fitted: &Fitted, replicas: &[Vec<Option<Array2<f
     if frames.is_empty() {
         return Vec::new();
     }
-    // The sharp part of an unknown specimen is its own: only what is fixed to the sensor can be held against the model.
+    // The specimen has sharp detail of its own: only what is fixed to the pixel grid can be tested.
     let unknown = model.seen.frames[frames[0]].shown == Shown::Unknown;
     let fixed = |c: &Covariate| matches!(c, Covariate::RowParity | Covariate::ColumnParity | Covariate::Checkerboard);
     let tested: Vec<Covariate> = Covariate::ALL.into_iter().filter(|c| !unknown || fixed(c)).collect();
@@ -104,13 +130,13 @@ fn on_scenes(model: &Model<'_>, fitted: &Fitted, replicas: &[Vec<Option<Array2<f
             [gather(model, &now[*k], &light), gather(model, &now[*k], &Array2::ones(light.dim()))]
         })
         .collect();
-    // What acts on counted charge makes the noise of neighbours alike; white noise needs no such care.
+    // Effects on counted charge correlate the noise of neighbours; then the noise is drawn through their chain.
     let chain = fitted.state.terms.iter().any(repeats::noisy).then(|| model.chain(&fitted.state.terms));
     let noise = |f: usize, rngs: &mut [ChaCha8Rng; 2]| -> Vec<f32> {
         let frame = &residual[f];
         let seen = |v: &f32| *v != 0.0;
         match &chain {
-            // A pixel that is not looked at has no residual.
+            // A pixel that is not used has residual 0.
             None => frame.iter().map(|v| if seen(v) { StandardNormal.sample(&mut rngs[0]) } else { 0.0 }).collect(),
             Some(chain) => {
                 let here = &now[frames[f]];
@@ -134,7 +160,7 @@ fn on_scenes(model: &Model<'_>, fitted: &Fitted, replicas: &[Vec<Option<Array2<f
     bins.iter().enumerate().map(judged).collect()
 }
 
-/// What maps of the sensor leave: those of the calibration, or the tables of a state, which measured what those leave as well.
+/// Errors of the sensor maps: those of the calibration, or of the tables of a state, which refine them.
 fn left(model: &Model<'_>, state: &State) -> MapErrors {
     let of = |acts: TableUse, map: f64| {
         let mine = state.terms.iter().filter(|t| t.effect.table().is_some_and(|table| table.acts == acts));
@@ -146,21 +172,21 @@ fn left(model: &Model<'_>, state: &State) -> MapErrors {
     }
 }
 
-/// A statistic against draws of the model.
+/// Compares a statistic with draws of the model.
 fn judge(bins: &Bins, mut s: Statistic, null: &[&Statistic]) -> Dependence {
     let n = null.len() as f64;
     let mut squares: Vec<f64> = null.iter().map(|d| d.chi2).collect();
     let rms = |j: usize| (null.iter().map(|d| d.mean[j].powi(2)).sum::<f64>() / n).sqrt();
     let mut band: Vec<f64> = (0..s.mean.len()).map(rms).collect();
     if bins.covariate.is_product() {
-        // Of products the model itself expects something: what it expects is taken off, scatter is what is left.
+        // Products have a non-zero expectation under the model; it is subtracted.
         let middle: Vec<f64> = (0..s.mean.len()).map(|j| null.iter().map(|d| d.mean[j]).sum::<f64>() / n).collect();
         band = (0..s.mean.len()).map(|j| (rms(j).powi(2) - middle[j].powi(2)).max(0.0).sqrt()).collect();
         let square = |d: &Statistic| -> f64 {
             (0..middle.len()).map(|j| ((d.mean[j] - middle[j]) / band[j].max(1e-30)).powi(2)).sum()
         };
         squares = null.iter().map(|d| square(d)).collect();
-        // The middle of the draws is itself uncertain.
+        // The mean of the draws has an error itself.
         s.chi2 = square(&s) / (1.0 + 1.0 / n);
         s.mean.iter_mut().zip(&middle).for_each(|(m, middle)| *m -= middle);
     }
@@ -185,7 +211,7 @@ fn judge(bins: &Bins, mut s: Statistic, null: &[&Statistic]) -> Dependence {
     }
 }
 
-/// The frames that are looked at.
+/// The frames that are tested.
 fn scenes(model: &Model<'_>) -> Vec<usize> {
     let frames = &model.seen.frames;
     let open = |k: &usize| !frames[*k].held_out;
@@ -199,7 +225,7 @@ fn scenes(model: &Model<'_>) -> Vec<usize> {
     (0..frames.len()).filter(|k| frames[*k].shown == Shown::Unknown).collect()
 }
 
-/// Values at the looked-at pixels, in units of the noise; zero in held-out blocks.
+/// Values at the used pixels, in units of the noise; zero in held-out blocks.
 fn gather(model: &Model<'_>, here: &Predicted, image: &Array2<f32>) -> Vec<f32> {
     let (Some(image), Some(weight)) = (image.as_slice(), here.inverse_sigma.as_slice()) else { return Vec::new() };
     let seen = model.seen;
@@ -210,8 +236,8 @@ fn gather(model: &Model<'_>, here: &Predicted, image: &Array2<f32>) -> Vec<f32> 
     out
 }
 
-/// Residuals as the model makes them: noise, calibration errors, what the maps of the sensor leave, which is the same in all frames; the
-/// light of the frames and the black level fitted.
+/// Draws residuals of all frames from the model: noise, errors of the calibration and errors of the sensor maps, which
+/// are the same in all frames; the light of the frames and the black level are projected out.
 fn draw(
     noise: &impl Fn(usize, &mut [ChaCha8Rng; 2]) -> Vec<f32>,
     directions: &[Vec<Option<Vec<f32>>>],
@@ -248,7 +274,7 @@ fn draw(
     drawn
 }
 
-/// Takes out what the light of all frames and the black level can take.
+/// Projects out the light common to all frames and the black level.
 fn project(frames: &mut [Vec<f32>], templates: &[[Vec<f32>; 2]]) {
     let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(x, y)| f64::from(x * y)).sum::<f64>();
     let (mut g, mut s) = ([0.0; 3], [0.0; 2]);

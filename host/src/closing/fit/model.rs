@@ -1,8 +1,8 @@
-//! The model that is being closed: an instrument, the effects it has so far, and the nuisances of a session.
+//! The model that the loop closes: the instrument without its effects, and the frames of a session.
 
-use super::observe::{Frame, Observations, Shown};
-use super::state::{Column, Predicted, State, Term};
-use crate::effects::{Chain, EffectError, EffectSetting, FrameContext, Param, Previous, Stage, blur_within, find};
+use super::state::{Predicted, State, Term};
+use crate::closing::data::{Frame, Observations, Shown};
+use crate::effects::{Chain, EffectError, EffectSetting, FrameContext, Param, Previous, blur_within, find};
 use crate::forward::{Forward, ForwardError, SceneLight};
 use crate::instrument::Instrument;
 use crate::noise::MapErrors;
@@ -11,31 +11,31 @@ use crate::session::Role;
 use ndarray::{Array2, Zip};
 use rayon::prelude::*;
 
-/// Depths closer than this are the same, um: what tables round to.
+/// Depths closer than this are equal, um: tables are rounded to it.
 const SAME_DEPTH_UM: f64 = 1e-3;
-/// Standard deviation of the blur that an unknown specimen's smooth part is taken by, pixels.
+/// Standard deviation of the Gaussian blur that defines the smooth part of an unknown specimen, pixels.
 const SMOOTH_PX: f64 = 2.0;
 
-/// A session before an instrument.
+/// An instrument and the frames of a session.
 pub struct Model<'a> {
     /// The forward model of the instrument without its effects.
     pub forward: Forward,
     /// The frames.
     pub seen: &'a Observations,
-    /// What the maps of the sensor leave of its true patterns.
+    /// Errors of the sensor maps of the instrument.
     pub maps: MapErrors,
     /// Exposure of the calibration, ms.
     exposure_ms: f64,
 }
 
 impl<'a> Model<'a> {
-    /// Puts an instrument before a session's frames.
+    /// The model of a session's frames by an instrument.
     ///
     /// # Errors
-    /// The tables of the instrument disagree.
+    /// The tables of the instrument disagree in their sizes.
     pub fn new(instrument: &Instrument, seen: &'a Observations) -> Result<Self, ForwardError> {
         let bare = Instrument { effects: Vec::new(), ..instrument.clone() };
-        // The plane that the first specimen is in; others are interpolated.
+        // The depth of the first specimen; other depths are interpolated.
         let z_um = seen.frames.iter().find(|f| matches!(f.shown, Shown::Object(_))).map_or(0.0, |f| f.info.z_um);
         let depth = instrument.psf.depth_nearest(z_um);
         Ok(Self {
@@ -46,7 +46,8 @@ impl<'a> Model<'a> {
         })
     }
 
-    /// Whether nothing is known of any frame's light: a specimen has detail of every kind but that of the pixel grid.
+    /// Whether the light of no frame is known. Then only effects that follow the pixel grid can be tested, since the
+    /// specimen may have any other detail.
     pub fn is_blind(&self) -> bool {
         self.seen.frames.iter().all(|f| f.shown == Shown::Unknown)
     }
@@ -56,10 +57,10 @@ impl<'a> Model<'a> {
         self.forward.layout().lenses
     }
 
-    /// The state that an instrument stands for: its effects, every light as calibrated.
+    /// The state of an instrument: its effects, with the light of each stack as calibrated or, for flats, as measured.
     ///
     /// # Errors
-    /// It names an effect that does not exist.
+    /// The instrument names an effect that does not exist.
     pub fn state(&self, instrument: &Instrument) -> Result<State, EffectError> {
         let layout = self.forward.layout();
         Chain::build(&instrument.effects, layout)?;
@@ -85,7 +86,8 @@ impl<'a> Model<'a> {
         Ok(State { terms: instrument.effects.iter().filter_map(term).collect(), scale, black_dn: 0.0 })
     }
 
-    /// The same state with values that only its light can tell from others chosen by rule ([`crate::effects::Effect::gauge`]).
+    /// The same state in a standard gauge: a common factor of an effect and of the light is moved to the light
+    /// ([`crate::effects::Effect::gauge`]).
     pub fn gauged(&self, mut state: State) -> State {
         for t in &mut state.terms {
             let factor = t.effect.gauge(&mut t.params);
@@ -96,17 +98,17 @@ impl<'a> Model<'a> {
         state
     }
 
-    /// The chain of terms.
+    /// The effects of terms as one chain of the forward model.
     pub fn chain<'t>(&self, terms: impl IntoIterator<Item = &'t Term>) -> Chain {
         let mut chain = Chain::default();
         for t in terms {
-            // The tables of terms are made for this sensor.
+            // The tables of terms have the size of this sensor.
             let _ = chain.push(t.effect, t.params.clone(), t.table.as_ref(), self.forward.layout());
         }
         chain
     }
 
-    /// What hooks are told of frame `k`; `previous_e` is the light of the frame before.
+    /// The context of frame `k` for the hooks of effects; `previous_e` is the light of the preceding frame, electrons.
     pub fn context<'c>(&'c self, k: usize, previous_e: Option<&'c Array2<f32>>) -> FrameContext<'c> {
         let f = &self.seen.frames[k];
         let before = f.previous.map(|p| self.seen.frames[p].info.time_s);
@@ -122,15 +124,16 @@ impl<'a> Model<'a> {
         }
     }
 
-    /// What the optics make of each frame's object, with the terms that act on emission. None: flats, darks, unknowns.
+    /// The light of each frame's object behind the optics, with the effects on the emission. None for flats, darks and
+    /// unknown specimens.
     ///
     /// # Errors
-    /// An object is no light.
+    /// An object holds negative or non-finite light.
     pub fn scenes(&self, chain: &Chain) -> Result<Vec<Option<SceneLight>>, ForwardError> {
         (0..self.seen.frames.len()).into_par_iter().map(|k| self.scene(k, chain)).collect()
     }
 
-    fn scene(&self, k: usize, chain: &Chain) -> Result<Option<SceneLight>, ForwardError> {
+    pub(super) fn scene(&self, k: usize, chain: &Chain) -> Result<Option<SceneLight>, ForwardError> {
         let cx = self.context(k, None);
         match &self.seen.frames[k].shown {
             Shown::Object(truth) => {
@@ -142,14 +145,14 @@ impl<'a> Model<'a> {
         }
     }
 
-    /// Depth of what frame `k` shows, um: as the session says, and nothing finer than what a table is rounded to.
+    /// Depth of the object of frame `k`, um: as recorded, to the precision of a table.
     fn depth_of(&self, k: usize) -> f64 {
         let (z, own) = (self.seen.frames[k].info.z_um, self.forward.depth_um());
         if (z - own).abs() < SAME_DEPTH_UM { own } else { z }
     }
 
-    /// Light of frame `k` before what acts on it on the sensor, electrons.
-    fn sum_e(&self, k: usize, scene: Option<&SceneLight>, chain: &Chain, scale: f64) -> Array2<f32> {
+    /// Light of frame `k` before the effects on the sensor, electrons.
+    pub(super) fn sum_e(&self, k: usize, scene: Option<&SceneLight>, chain: &Chain, scale: f64) -> Array2<f32> {
         let (f, cx) = (&self.seen.frames[k], self.context(k, None));
         let mut sum = Array2::zeros((self.seen.sensor[0], self.seen.sensor[1]));
         match (&f.shown, scene) {
@@ -170,10 +173,10 @@ impl<'a> Model<'a> {
         sum
     }
 
-    /// What a state predicts of every frame.
+    /// Predicts every frame. `scenes` are those of [`Model::scenes`] for the same state.
     pub fn predict(&self, state: &State, scenes: &[Option<SceneLight>]) -> Vec<Predicted> {
         let chain = self.chain(&state.terms);
-        // Errors stay those of the calibration: a fit that may widen them would like nothing better.
+        // The noise model is that of the calibration: a fit must not gain by a larger variance.
         let noise = self.forward.noise();
         let n = self.seen.frames.len();
         let alone: Vec<(Array2<f32>, Array2<f32>, f64)> = (0..n)
@@ -205,18 +208,19 @@ impl<'a> Model<'a> {
                 let (mut residual_dn, detail) = residual(f, &dn);
                 let top = noise.saturation_dn;
                 let mut inverse_sigma = Array2::zeros(dn.dim());
-                // The fixed pattern of the offset makes no noise: the variance is that of the light.
+                // The fixed pattern of the offset is no noise: the variance depends on the light alone.
                 let mut variance = light_e
                     .mapv(|e| noise.variance_dn2(noise.black_level_dn + noise.gain_dn_per_e * f64::from(e)) as f32);
                 if let Some(reading) = self.forward.reading_dn2() {
-                    // What the reading of a pixel has beyond that of the others.
+                    // The read noise of single pixels beyond the common read noise.
                     let common = self.forward.noise().variance_dn2(noise.black_level_dn) as f32;
                     variance.zip_mut_with(reading, |v, r| *v += r - common);
                 }
                 Zip::from(&mut inverse_sigma).and(&dn).and(&detail).and(&mut residual_dn).and(&variance).for_each(
                     |w, &mu, &v, r, &variance| {
                         let sigma = (f64::from(variance) + f64::from(v)).sqrt();
-                        // What may touch the highest code says nothing; the model says which pixels, not the noise.
+                        // Pixels that may saturate are not used. The model selects them, since a selection by the noisy
+                        // values would be biased.
                         let usable = f64::from(mu) + 4.0 * sigma < top && r.is_finite();
                         *w = if usable { (1.0 / sigma) as f32 } else { 0.0 };
                         if !usable {
@@ -237,7 +241,8 @@ impl<'a> Model<'a> {
             .collect()
     }
 
-    /// Light of a bead's frame over what is expected, by least squares: who measured single beads may have normalised each.
+    /// Light of a bead's frame over the expected light, by least squares: bead frames may have been normalised one by
+    /// one.
     fn own_scale(&self, f: &Frame, sum_e: &Array2<f32>) -> f64 {
         let noise = self.forward.noise();
         let (mut top, mut bottom) = (0.0, 0.0);
@@ -249,7 +254,8 @@ impl<'a> Model<'a> {
         if bottom > 0.0 && top > 0.0 { top / bottom } else { 1.0 }
     }
 
-    fn dn(
+    /// The expected frame `k` for a light on the sensor, DN.
+    pub(super) fn dn(
         &self,
         k: usize,
         light_e: Array2<f32>,
@@ -264,105 +270,8 @@ impl<'a> Model<'a> {
         dn
     }
 
-    /// How the expected frame changes with a column's value, per unit of it ([`Param::inner`] of a parameter), DN. None: not at all.
-    ///
-    /// # Errors
-    /// An object is no light.
-    pub fn derivative(
-        &self,
-        k: usize,
-        column: &Column,
-        state: &State,
-        trials: &[Term],
-        now: &[Predicted],
-        scenes: &[Option<SceneLight>],
-    ) -> Result<Option<Array2<f32>>, ForwardError> {
-        let (f, here) = (&self.seen.frames[k], &now[k]);
-        let previous = f.previous.map(|p| now[p].alone_e());
-        let own = || self.chain(&state.terms);
-        let (terms, which, param): (Vec<Term>, usize, usize) = match column {
-            Column::Black => return Ok((f.shown != Shown::Unknown).then(|| Array2::ones(here.dn.dim()))),
-            Column::Scale(stack) => {
-                if *stack != f.stack || matches!(f.shown, Shown::Dark | Shown::Unknown) {
-                    return Ok(None);
-                }
-                // A tenth of the noise of a bright pixel, far above rounding.
-                let step = 1e-3;
-                let chain = own();
-                let more = 1.0 + step as f32;
-                let before = previous.filter(|_| chain.needs_previous()).map(|p| p * more);
-                let light = self.forward.on_sensor(&here.sum_e * more, &chain, &self.context(k, before.as_ref()));
-                let moved = self.dn(k, light, &chain, before.as_ref(), state.black_dn);
-                return Ok(Some((moved - &here.dn) / step as f32));
-            }
-            Column::Trial { term, param } => {
-                let terms = state.terms.iter().chain([&trials[*term]]).cloned().collect();
-                (terms, state.terms.len(), *param)
-            }
-            Column::Own { term, param } => (state.terms.clone(), *term, *param),
-        };
-        let mut terms = terms;
-        let effect = terms[which].effect;
-        let expanded = terms[which].expanded(self.lenses());
-        let p = expanded[param].1;
-        let value = p.inner(terms[which].params[param]);
-        let mut step = 0.5 * p.inner(p.step);
-        if value + step > p.inner(p.max) {
-            step = -step;
-        }
-        terms[which].params[param] = p.outer(value + step);
-        let chain = self.chain(&terms);
-        let lens = p.per_lens.then(|| {
-            let first = expanded.iter().position(|(_, q)| std::ptr::eq(*q, p)).unwrap_or(param);
-            param - first
-        });
-        let Some(moved) = self.moved(k, effect.descriptor().stage, lens, &chain, state, here, previous, scenes)? else {
-            return Ok(None);
-        };
-        Ok(Some((moved - &here.dn) / step as f32))
-    }
-
-    /// The expected frame under another chain that differs from `stage` on (in one lens only, if one is named).
-    #[allow(clippy::too_many_arguments)] // the state of one frame, passed on as it is
-    fn moved(
-        &self,
-        k: usize,
-        stage: Stage,
-        lens: Option<usize>,
-        chain: &Chain,
-        state: &State,
-        here: &Predicted,
-        previous: Option<&Array2<f32>>,
-        scenes: &[Option<SceneLight>],
-    ) -> Result<Option<Array2<f32>>, ForwardError> {
-        let scale = here.scale;
-        let sum = match (stage, &scenes[k]) {
-            (Stage::Record, _) => return Ok(None),
-            (Stage::Object | Stage::Geometry | Stage::Lens, None) => return Ok(None),
-            (Stage::Object, Some(_)) => {
-                let scene = self.scene(k, chain)?;
-                self.sum_e(k, scene.as_ref(), chain, scale)
-            }
-            (Stage::Geometry | Stage::Lens, Some(scene)) => match lens {
-                None => self.sum_e(k, Some(scene), chain, scale),
-                Some(l) => {
-                    let cx = self.context(k, None);
-                    let before = self.forward.lens_e(scene, l, &self.chain(&state.terms), &cx);
-                    let change = self.forward.lens_e(scene, l, chain, &cx) - before;
-                    &here.sum_e + &(change * scale as f32)
-                }
-            },
-            (Stage::Light, _) => here.sum_e.clone(),
-            (Stage::Charge | Stage::Electronics, _) => {
-                return Ok(Some(self.dn(k, here.light_e.clone(), chain, previous, state.black_dn)));
-            }
-        };
-        let light = self.forward.on_sensor(sum, chain, &self.context(k, previous));
-        Ok(Some(self.dn(k, light, chain, previous, state.black_dn)))
-    }
-
-    /// What of a change of the expected frame can be seen in frame `k`: all of it, or what is sharper than the smooth part. A
-    /// change that is mostly smooth cannot be told from the specimen: nothing of it is seen.
+    /// The part of a change of the expected frame that frame `k` can show: all of it, or, for an unknown specimen, its
+    /// sharp part. A change that is mostly smooth cannot be distinguished from the specimen and gives zero.
     pub fn visible(&self, k: usize, change: Array2<f32>) -> Array2<f32> {
         if self.seen.frames[k].shown != Shown::Unknown {
             return change;
@@ -373,7 +282,8 @@ impl<'a> Model<'a> {
     }
 }
 
-/// Residual of a frame, DN (no number where it was not measured), and the variance that its own unknown detail adds, DN^2.
+/// Residual of a frame, DN (NaN where it was not measured), and the variance that the detail of an unknown specimen
+/// adds, DN^2.
 fn residual(f: &Frame, expected: &Array2<f32>) -> (Array2<f32>, Array2<f32>) {
     let mut difference = &f.measured - expected;
     if let Some(cut) = &f.cut {
@@ -383,7 +293,7 @@ fn residual(f: &Frame, expected: &Array2<f32>) -> (Array2<f32>, Array2<f32>) {
         return (difference, Array2::zeros(expected.dim()));
     }
     let sharp = |image: &Array2<f32>| image - &smooth(image);
-    // The detail of the specimen is no noise; where there is much of it little can be told, whatever the model says.
+    // The detail of the specimen counts as noise: pixels with much of it get little weight.
     let detail = blur_within(&sharp(&f.measured).mapv(|v| v * v), 3.0 * SMOOTH_PX);
     (sharp(&difference), detail)
 }

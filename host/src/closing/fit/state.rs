@@ -1,18 +1,19 @@
-//! What a model is told of a session, what it predicts with it, and what of it can change.
+//! The state of a model: effects with their values, nuisance parameters, and the columns of the linearised fit.
 
 use crate::effects::{Effect, EffectSetting, Kind, Param};
 use ndarray::Array2;
 
-/// An effect with its values.
+/// An effect with its parameter values.
 #[derive(Clone)]
 pub struct Term {
     /// The effect.
     pub effect: &'static dyn Effect,
-    /// Its parameters in the order of [`crate::effects::Descriptor::expanded`].
+    /// Parameters in the order of [`crate::effects::Descriptor::expanded`].
     pub params: Vec<f64>,
-    /// Its table, where it has one.
+    /// Value of each pixel, [sensor rows, sensor cols], for effects with a table.
     pub table: Option<Array2<f32>>,
-    /// Rms error of a table that was measured here, in its unit: the same in every frame.
+    /// Rms error of a table that was estimated from this session, in the unit of the table; it is the same in every
+    /// frame.
     pub table_error: f64,
 }
 
@@ -28,24 +29,24 @@ impl Term {
         self.effect.descriptor().id
     }
 
-    /// Names and descriptions of its parameters.
+    /// Names and descriptions of its parameters, for an array of `lenses` lenses.
     pub fn expanded(&self, lenses: usize) -> Vec<(String, &'static Param)> {
         self.effect.descriptor().expanded(lenses)
     }
 
-    /// Indices of the parameters that the effect is absent without.
+    /// Indices of the strengths: the effect is absent if all of them are at their `off` value.
     pub fn strengths(&self, lenses: usize) -> Vec<usize> {
         let all = self.expanded(lenses);
         (0..all.len()).filter(|i| all[*i].1.is_strength()).collect()
     }
 
-    /// Indices of the parameters that are fitted: all that are not chosen.
+    /// Indices of the parameters that are fitted: all but choices.
     pub fn free(&self, lenses: usize) -> Vec<usize> {
         let all = self.expanded(lenses);
         (0..all.len()).filter(|i| all[*i].1.kind != Kind::Choice).collect()
     }
 
-    /// The same with all its strengths at absence.
+    /// The same term with all strengths at their `off` value and without a table.
     pub fn switched_off(&self, lenses: usize) -> Self {
         let mut off = Self { table: None, table_error: 0.0, ..self.clone() };
         for (value, (_, p)) in off.params.iter_mut().zip(self.expanded(lenses)).filter(|(_, (_, p))| p.is_strength()) {
@@ -54,7 +55,7 @@ impl Term {
         off
     }
 
-    /// As it stands in an instrument.
+    /// The term as an instrument file stores it.
     pub fn setting(&self, lenses: usize) -> EffectSetting {
         let names = self.expanded(lenses).into_iter().map(|(name, _)| name);
         EffectSetting {
@@ -65,53 +66,55 @@ impl Term {
     }
 }
 
-/// Effects and nuisances.
+/// Effects and nuisance parameters.
 #[derive(Clone, Debug)]
 pub struct State {
-    /// Effects, in the order in which they were found.
+    /// Effects: those of the instrument, then those that were added, in order.
     pub terms: Vec<Term>,
-    /// Light of each stack: of a scene stack, relative to the instrument's unit; of flats, electrons a unit of illumination.
+    /// Light of each stack: of scenes, relative to the light unit of the instrument; of flats, electrons per unit of
+    /// illumination.
     pub scale: Vec<f64>,
-    /// Black level relative to the instrument's, DN.
+    /// Black level minus that of the instrument, DN.
     pub black_dn: f64,
 }
 
-/// What a state predicts of one frame.
+/// What a state predicts for one frame. All images are [sensor rows, sensor cols].
 #[derive(Clone, Debug)]
 pub struct Predicted {
-    /// Light of all lenses before what acts on it on the sensor, electrons.
+    /// Light of all lenses before the effects on the sensor, electrons.
     pub sum_e: Array2<f32>,
     /// Light on the sensor, electrons.
     pub light_e: Array2<f32>,
-    /// The same without what is left of the frame before, where anything is.
+    /// The same without the remainder of the preceding frame, if an effect leaves one.
     pub alone_e: Option<Array2<f32>>,
     /// Expected frame, DN.
     pub dn: Array2<f32>,
-    /// One over the standard deviation of a pixel, DN; 0: not looked at.
+    /// One over the standard deviation of a pixel, 1/DN; 0: not used.
     pub inverse_sigma: Array2<f32>,
-    /// Measured minus expected, DN (of an unknown specimen: the part sharper than its smooth part).
+    /// Measured minus expected, DN (for an unknown specimen: minus its smooth part).
     pub residual_dn: Array2<f32>,
-    /// Light of the frame over the instrument's unit: that of its stack; of a bead its own, at its best.
+    /// Light of the frame relative to the light unit of the instrument: that of its stack; for a bead, its own
+    /// least-squares value.
     pub scale: f64,
 }
 
 impl Predicted {
-    /// The light that the next frame can have something left of: what is left of what was left is another order smaller.
+    /// The light of which the next frame may hold a remainder. Remainders of remainders are neglected.
     pub fn alone_e(&self) -> &Array2<f32> {
         self.alone_e.as_ref().unwrap_or(&self.light_e)
     }
 }
 
-/// A column of the design: what a small change of one value does to the frames.
+/// A column of the design matrix: the change of the frames with one value.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Column {
-    /// ln of the light of a stack.
+    /// ln of the light of a stack, by its index.
     Scale(usize),
     /// Black level.
     Black,
-    /// A parameter of a term that is tried beside the state's own.
+    /// A parameter of a trial term beside those of the state.
     Trial {
-        /// Index of the term among those tried.
+        /// Index of the term among the trial terms.
         term: usize,
         /// Index of the parameter.
         param: usize,

@@ -1,13 +1,15 @@
-//! The covariance channel: what frames of the same light differ by.
+//! The covariance channel: differences between frames of the same light.
 //!
-//! The difference of two repeats holds no mean model at all, so it tells whether the *noise* is as the model says: its variance by
-//! level of light, the correlation of neighbours, what whole rows or columns share. Each such feature is known to its sampling error;
-//! what an effect does to it is found by drawing the same noise with and without the effect.
+//! The expected frame cancels in the difference of two repeats, so the difference tests the *noise* model alone: the
+//! variance by level of light, the correlation of neighbours, the variance common to rows or columns. Each such feature
+//! has a known sampling error. The change of a feature by an effect is computed from noise drawn with and without the
+//! effect.
 
-use super::design::Cell;
+use super::cell::Cell;
+use super::derivative::{Expansion, Varied};
 use super::model::Model;
-use super::observe::Shown;
 use super::state::{Column, Predicted, State, Term};
+use crate::closing::data::Shown;
 use crate::effects::{Chain, Stage, blur_within};
 use crate::linalg::symmetric_eigen;
 use crate::rng::stream;
@@ -17,49 +19,44 @@ use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
-/// Features of one level of light: variance; correlation along the row, along the column, diagonally; variance that rows and that
-/// columns share.
-pub(super) const FEATURES: usize = 6;
-/// One number for each.
-pub(super) type Features = [f64; FEATURES];
-/// Standard error of what is not known at all.
-const NOTHING: f64 = 1e9;
-/// Blur that is taken off what an unknown specimen does, standard deviation, pixels.
+/// Number of features of one level of light: variance; correlation along the row, along the column, diagonally;
+/// variance common to the pixels of a row, of a column.
+pub(crate) const FEATURES: usize = 6;
+/// One value for each feature.
+pub(crate) type Features = [f64; FEATURES];
+/// Standard error of a feature that is not measured.
+const UNKNOWN: f64 = 1e9;
+/// Standard deviation of the Gaussian blur that removes the motion of an unknown specimen, pixels.
 const SMOOTH_PX: f64 = 4.0;
-/// How often the effect of a column is drawn on a level.
+/// Number of noise frames that are drawn for each level.
 const DRAWN: u64 = 2;
 
 /// Pairs of repeats of the same light.
 struct Level {
     pairs: Vec<(usize, usize)>,
-    /// Successive frames of an unknown specimen, which may move a little: they tell what rows and columns share, and nothing else.
+    /// Successive frames of an unknown specimen, which may move a little: they show the noise common to rows and
+    /// columns alone.
     unknown: bool,
 }
 
 impl Level {
-    /// Features of a standardised difference.
+    /// Features of a standardised difference, [sensor rows, sensor cols].
     fn features(&self, d: Array2<f32>) -> Features {
         if !self.unknown {
             return features(d);
         }
-        // What a specimen does from one frame to the next is smooth.
+        // The change of a specimen from one frame to the next is smooth.
         let sharp = &d - &blur_within(&d, SMOOTH_PX);
         let [.., rows, cols] = features(sharp);
         [0.0, 0.0, 0.0, 0.0, rows, cols]
     }
 }
 
-/// The cells of the covariance channel: of the pairs that may be fitted, and of those held out. Their frame and block are
-/// one past the last.
-pub(super) fn cells(
-    model: &Model<'_>,
-    state: &State,
-    trials: &[Term],
-    columns: &[Column],
-    replicates: usize,
-    now: &[Predicted],
-) -> Vec<Cell> {
-    let derivative: Vec<Option<Drawn>> = columns.par_iter().map(|c| drawn(model, state, trials, c)).collect();
+/// The cells of the covariance channel: one of the training pairs, one of the held-out pairs. Their indices of frame
+/// and block are one past the last.
+pub(crate) fn cells(model: &Model<'_>, at: Expansion<'_>, columns: &[Column], replicates: usize) -> Vec<Cell> {
+    let (state, now) = (at.state, at.predicted);
+    let derivative: Vec<Option<Drawn>> = columns.par_iter().map(|c| drawn(model, at, c)).collect();
     [false, true]
         .into_iter()
         .filter_map(|held_out| {
@@ -102,9 +99,9 @@ pub(super) fn cells(
         .collect()
 }
 
-/// What the noise of repeats has that the model does not say, level by level in standard errors: independent normal variables if the
-/// model is right. Held-out repeats are left out.
-pub(super) fn residuals(model: &Model<'_>, state: &State, now: &[Predicted]) -> Vec<Features> {
+/// Measured minus expected features of each level in standard errors: independent standard normal variables if the
+/// noise model is right. Held-out repeats are left out.
+pub(crate) fn residuals(model: &Model<'_>, state: &State, now: &[Predicted]) -> Vec<Features> {
     let levels = levels(model, false);
     let one = |level: &Level| {
         let base = noise_features(model, &model.chain(&state.terms), level, now);
@@ -114,11 +111,12 @@ pub(super) fn residuals(model: &Model<'_>, state: &State, now: &[Predicted]) -> 
     Sampling::of(model, now, &levels, &expected).standardised(&raw)
 }
 
-/// Measured features less what the effects of a state make of them, and what they make; `base`: features of drawn noise under the state.
+/// Measured features minus those that the effects of a state cause, and the latter. `base`: features of noise drawn
+/// under the state.
 fn excess(model: &Model<'_>, state: &State, now: &[Predicted], level: &Level, base: Features) -> (Features, Features) {
     let measured = measured(now, model, level);
     let plain = match state.terms.iter().any(noisy) {
-        // After a blur was taken off, white noise makes something of every feature.
+        // After the subtraction of a blur even white noise has non-zero features.
         _ if level.unknown => [0.0; FEATURES],
         true => noise_features(model, &Chain::default(), level, now),
         false => base,
@@ -127,32 +125,25 @@ fn excess(model: &Model<'_>, state: &State, now: &[Predicted], level: &Level, ba
     (std::array::from_fn(|f| measured[f] - expected[f]), expected)
 }
 
-/// Whether an effect can change the noise at all.
-pub(super) fn noisy(term: &Term) -> bool {
+/// Whether an effect changes the noise.
+pub(crate) fn noisy(term: &Term) -> bool {
     matches!(term.effect.descriptor().stage, Stage::Charge | Stage::Electronics)
 }
 
-/// A column's chain at a step of its inner number.
+/// The chain with one value changed by a step of its inner unit.
 struct Drawn {
     chain: Chain,
     step: f64,
 }
 
-fn drawn(model: &Model<'_>, state: &State, trials: &[Term], column: &Column) -> Option<Drawn> {
-    let (mut terms, which, param) = match column {
-        Column::Scale(_) | Column::Black => return None,
-        Column::Trial { term, param } => {
-            let terms: Vec<Term> = state.terms.iter().chain([&trials[*term]]).cloned().collect();
-            (terms, state.terms.len(), *param)
-        }
-        Column::Own { term, param } => (state.terms.clone(), *term, *param),
-    };
+fn drawn(model: &Model<'_>, at: Expansion<'_>, column: &Column) -> Option<Drawn> {
+    let Varied { mut terms, which, param } = at.varied(column)?;
     if !noisy(&terms[which]) {
         return None;
     }
     let p = terms[which].expanded(model.lenses())[param].1;
     let value = &mut terms[which].params[param];
-    // Far enough to stand out of the drawn noise, whose random numbers are the same on both sides.
+    // Large enough to exceed the rounding of the drawn noise; both sides use the same random numbers.
     let (now, step) = (p.inner(*value), p.inner(2.0 * p.step));
     let step = if now + step > p.inner(p.max) { -step } else { step };
     *value = p.outer(now + step);
@@ -173,7 +164,7 @@ fn levels(model: &Model<'_>, held_out: bool) -> Vec<Level> {
         }
         let key = [f.stack as f64, f.info.illumination, f.info.exposure_ms];
         match keyed.iter_mut().find(|(k, _)| *k == key) {
-            // Pairs that share a frame are not independent.
+            // Pairs with a common frame are not independent.
             Some((_, level)) if level.pairs.iter().any(|(a, b)| *a == p || *b == p) => {}
             Some((_, level)) => level.pairs.push((p, k)),
             None => keyed.push((key, Level { pairs: vec![(p, k)], unknown })),
@@ -197,7 +188,7 @@ fn measured(now: &[Predicted], model: &Model<'_>, level: &Level) -> Features {
     std::array::from_fn(|f| {
         let mut values: Vec<f64> = all.iter().map(|v| v[f]).collect();
         if level.unknown {
-            // A specimen that jumps, or a frame that was torn on its way, is in two pairs.
+            // The median is robust against a specimen that jumps or a frame that was damaged in transfer.
             values.sort_by(f64::total_cmp);
             return values[values.len() / 2];
         }
@@ -205,9 +196,9 @@ fn measured(now: &[Predicted], model: &Model<'_>, level: &Level) -> Features {
     })
 }
 
-/// Features of a standardised difference; all are zero on average for white noise of variance one.
+/// Features of a standardised difference; their mean is zero for white noise of variance one.
 fn features(mut d: Array2<f32>) -> Features {
-    // A lamp that flickers moves all pixels together: that is no noise of the sensor.
+    // A flicker of the lamp changes all pixels together and is no noise of the sensor.
     let mean = d.mean().unwrap_or(0.0);
     d.mapv_inplace(|v| v - mean);
     let (rows, cols) = d.dim();
@@ -232,21 +223,22 @@ fn features(mut d: Array2<f32>) -> Features {
     [together(0, 0) - 1.0, together(0, 1), together(1, 0), together(1, 1), shared(0), shared(1)]
 }
 
-/// How uncertain the features of all levels are.
+/// Errors of the features of all levels.
 struct Sampling {
-    /// V^-1/2 of the variances of all levels: what the calibration errs by in gain and read noise is the same at every level.
+    /// V^-1/2, [levels, levels], with V the covariance of the variances of all levels: errors of the calibrated gain
+    /// and read noise are common to all levels.
     whitening: Array2<f64>,
     /// Standard errors of the other features, level by level.
     sigma: Vec<[f64; FEATURES - 1]>,
 }
 
 impl Sampling {
-    /// `expected`: what effects make of the features; larger variances scatter more.
+    /// `expected`: the features that the effects of a state cause. Larger variances scatter more.
     fn of(model: &Model<'_>, now: &[Predicted], levels: &[Level], expected: &[Features]) -> Self {
         let noise = model.forward.noise();
         let (rows, cols) = (model.seen.sensor[0] as f64, model.seen.sensor[1] as f64);
         let read = (noise.gain_dn_per_e * noise.read_noise_e).powi(2);
-        // Relative errors of a level's variance: by its sample, by the gain, by the read noise.
+        // Relative errors of a level's variance: by its sample size, by the gain, by the read noise.
         let more = |v: f64| (1.0 + v).max(0.5);
         let errors: Vec<[f64; 3]> = levels
             .iter()
@@ -256,7 +248,7 @@ impl Sampling {
                 let shot = noise.gain_dn_per_e.powi(2) * mean;
                 let total = shot + read + 1.0 / 12.0;
                 if level.unknown {
-                    return [NOTHING, 0.0, 0.0];
+                    return [UNKNOWN, 0.0, 0.0];
                 }
                 [
                     more(expected[0]) * (2.0 / (rows * cols * level.pairs.len() as f64)).sqrt(),
@@ -274,10 +266,10 @@ impl Sampling {
             |_| Array2::from_diag(&v.diag().mapv(|v| 1.0 / v.max(1e-30).sqrt())),
             |(values, vectors)| (&vectors * &values.mapv(|v| 1.0 / v.max(1e-30).sqrt())).dot(&vectors.t()),
         );
-        // Of an effect's own draw as well, which is about as long as one pair.
+        // The drawn noise of an effect adds an error as well; it has about the size of one pair.
         let sigma = |(level, expected): (&Level, &Features)| {
             let shares = 1.0 / level.pairs.len() as f64;
-            let white = if level.unknown { NOTHING } else { (shares / (rows * cols)).sqrt() };
+            let white = if level.unknown { UNKNOWN } else { (shares / (rows * cols)).sqrt() };
             let lines = |n: f64, v: f64| (2.0 / n * (shares * more(v).powi(2) + v * v / DRAWN as f64)).sqrt();
             [white, white, white, lines(rows, expected[4]), lines(cols, expected[5])]
         };
@@ -287,7 +279,7 @@ impl Sampling {
     /// Sum of the logarithms of the features' variances.
     fn log_variance(&self) -> f64 {
         let lines = self.sigma.iter().flatten().map(|s| 2.0 * s.ln()).sum::<f64>();
-        // Of the variances the determinant is that of V, and V^-1/2 is what is kept.
+        // V^-1/2 is stored, so ln det V is minus twice the sum of its logarithms.
         let values =
             symmetric_eigen(&self.whitening).map_or(0.0, |(values, _)| values.mapv(|v| v.max(1e-30).ln()).sum());
         lines - 2.0 * values
@@ -303,7 +295,7 @@ impl Sampling {
     }
 }
 
-/// Features of noise drawn on a level under a chain, with the same random numbers whatever the chain.
+/// Features of noise drawn for a level under a chain. The random numbers do not depend on the chain.
 fn noise_features(model: &Model<'_>, chain: &Chain, level: &Level, now: &[Predicted]) -> Features {
     let mut sum = [0.0; FEATURES];
     let Some((a, _)) = level.pairs.first() else { return sum };
@@ -316,9 +308,9 @@ fn noise_features(model: &Model<'_>, chain: &Chain, level: &Level, now: &[Predic
     sum.map(|s| s / DRAWN as f64)
 }
 
-/// Noise of frame `k` on a light, DN, under a chain: what it does to charge once the electrons are counted is in it. The second of the
-/// generators makes what the chain itself adds.
-pub(super) fn noise_dn(
+/// Noise of frame `k` at a given light, DN, [sensor rows, sensor cols], with the effects of a chain on counted
+/// electrons. The second generator draws the noise that the chain itself adds.
+pub(crate) fn noise_dn(
     model: &Model<'_>,
     chain: &Chain,
     k: usize,

@@ -1,83 +1,24 @@
-//! Metadata faults: what the session says of a frame and should not. They are looked for first, since they wreck every fit, and they
-//! are the commonest "mystery residual" of all.
+//! Screening of the records: finds frames that contradict what the session states of them. It comes before the first
+//! fit, since a wrong record spoils every fit.
 
 use super::model::Model;
-use super::observe::{Observations, Shown};
 use super::state::State;
+use crate::closing::data::{Fault, FaultKind, Observations, Shown};
 use crate::evaluate::Moments;
 use crate::forward::ForwardError;
 use ndarray::{Array2, Axis};
-use serde::{Deserialize, Serialize};
 
-/// A fault of one frame's record.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Fault {
-    /// Index of the frame in its stack, as the session numbers it.
-    pub frame: usize,
-    /// What is wrong.
-    pub kind: FaultKind,
-    /// Strength of the evidence, standard deviations.
-    pub z: f64,
-    /// Correlation of the frame with what the record predicts.
-    pub correlation_before: f64,
-    /// The same once the record is put right.
-    pub correlation_after: f64,
-}
-
-/// What can be wrong with a record.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum FaultKind {
-    /// The frame shows the object that is written down for another frame.
-    Shows {
-        /// That frame.
-        truth_of: usize,
-    },
-    /// The object is written down upside down or the wrong way round.
-    Flipped {
-        /// Rows.
-        rows: bool,
-        /// Columns.
-        cols: bool,
-    },
-    /// The exposure or light level is written down wrong.
-    Exposure {
-        /// True over written.
-        factor: f64,
-    },
-}
-
-impl Fault {
-    /// In words.
-    pub fn words(&self) -> String {
-        match self.kind {
-            FaultKind::Shows { truth_of } => {
-                format!("scene frame {} shows the object that is written down for frame {truth_of}", self.frame)
-            }
-            FaultKind::Flipped { rows, cols } => {
-                let axis = match (rows, cols) {
-                    (true, true) => "turned by 180 degrees",
-                    (true, false) => "upside down",
-                    _ => "mirrored left to right",
-                };
-                format!("the object of scene frame {} is written down {axis}", self.frame)
-            }
-            FaultKind::Exposure { factor } => {
-                format!("scene frame {} was exposed {factor:.4} times as much as is written down", self.frame)
-            }
-        }
-    }
-}
-
-/// A record is doubted when another explains this share of what it leaves unexplained.
+/// Another record is accepted if it leaves less than this share of the unexplained variance (1 - correlation).
 const BETTER: f64 = 0.5;
-/// Frames whose light differs from the rest by this share are doubted, if the rest agree much better.
+/// An exposure is doubted if the light of its frame differs from the others by more than this share, and by much more
+/// than their scatter.
 const LIGHT: f64 = 0.04;
 
-/// Finds faults of the scenes' records and puts the observations right.
+/// Finds faults in the records of the scenes and corrects the observations. `look` compares the scenes with their
+/// records ([`look`]); it is called again after objects were corrected.
 ///
 /// # Errors
-/// An object is no light.
+/// An object holds negative or non-finite light.
 pub fn screen(
     seen: &mut Observations,
     look: impl Fn(&Observations) -> Result<Vec<Seen>, ForwardError>,
@@ -91,22 +32,32 @@ pub fn screen(
     Ok(faults)
 }
 
-/// A scene as measured and as each record would have it: light above black, DN.
+/// A scene as measured and as its records predict it: light above the black level, DN, [sensor rows, sensor cols].
 pub struct Seen {
     /// Index of the frame.
     pub frame: usize,
-    /// Measured.
+    /// As measured.
     pub measured: Array2<f32>,
-    /// Predicted by its own record.
+    /// As its own record predicts it.
     pub own: Array2<f32>,
-    /// Predicted for its own object, turned: rows, columns, both. Only where its own record does badly.
-    pub turned: Vec<([bool; 2], Array2<f32>)>,
+    /// As flips of its own object predict it. Computed only if its own record predicts it badly.
+    pub flipped: Vec<Flipped>,
 }
 
-/// Predictions for the screening.
+/// A scene as a flipped object predicts it.
+pub struct Flipped {
+    /// Whether rows are reversed.
+    pub rows: bool,
+    /// Whether columns are reversed.
+    pub cols: bool,
+    /// Predicted light above the black level, DN, [sensor rows, sensor cols].
+    pub light: Array2<f32>,
+}
+
+/// Predicts all scenes with known objects under a state.
 ///
 /// # Errors
-/// An object is no light.
+/// An object holds negative or non-finite light.
 pub fn look(model: &Model<'_>, state: &State) -> Result<Vec<Seen>, ForwardError> {
     let chain = model.chain(&state.terms);
     let scenes = model.scenes(&chain)?;
@@ -121,7 +72,7 @@ pub fn look(model: &Model<'_>, state: &State) -> Result<Vec<Seen>, ForwardError>
     };
     let mut all: Vec<Seen> = known
         .iter()
-        .map(|k| Seen { frame: *k, measured: &frames[*k].measured - black, own: light(*k), turned: Vec::new() })
+        .map(|k| Seen { frame: *k, measured: &frames[*k].measured - black, own: light(*k), flipped: Vec::new() })
         .collect();
     let agreement: Vec<f64> = all.iter().map(|s| correlation(&s.measured, &s.own)).collect();
     let mut sorted = agreement.clone();
@@ -133,17 +84,17 @@ pub fn look(model: &Model<'_>, state: &State) -> Result<Vec<Seen>, ForwardError>
         }
         let Shown::Object(truth) = frames[s.frame].shown else { continue };
         for [rows, cols] in [[true, false], [false, true], [true, true]] {
-            let object = turned(&model.seen.truths[truth], rows, cols);
+            let object = flipped(&model.seen.truths[truth], rows, cols);
             let cx = model.context(s.frame, None);
             let scene = model.forward.scene(object.view(), &chain, &cx)?;
             let light = model.forward.light_e(&scene, &chain, &cx);
-            s.turned.push(([rows, cols], light));
+            s.flipped.push(Flipped { rows, cols, light });
         }
     }
     Ok(all)
 }
 
-fn turned(object: &Array2<f32>, rows: bool, cols: bool) -> Array2<f32> {
+fn flipped(object: &Array2<f32>, rows: bool, cols: bool) -> Array2<f32> {
     let mut object = object.clone();
     if rows {
         object.invert_axis(Axis(0));
@@ -163,8 +114,7 @@ fn objects(seen: &mut Observations, frames: &[Seen]) -> Vec<Fault> {
             .filter(|j| *j != i && seen.frames[frames[*j].frame].stack == seen.frames[s.frame].stack)
             .map(|j| (correlation(&s.measured, &frames[j].own), j))
             .max_by(|a, b| a.0.total_cmp(&b.0));
-        let flip =
-            s.turned.iter().map(|(f, light)| (correlation(&s.measured, light), *f)).max_by(|a, b| a.0.total_cmp(&b.0));
+        let flip = s.flipped.iter().map(|f| (correlation(&s.measured, &f.light), f)).max_by(|a, b| a.0.total_cmp(&b.0));
         let better = |r: f64| 1.0 - r < BETTER * (1.0 - own);
         let frame = seen.frames[s.frame].info.frame;
         let fault = |kind, correlation_after| Fault {
@@ -180,10 +130,10 @@ fn objects(seen: &mut Observations, frames: &[Seen]) -> Vec<Fault> {
                 faults.push(fault(FaultKind::Shows { truth_of }, r));
                 shown.push((s.frame, seen.frames[frames[j].frame].shown.clone()));
             }
-            (_, Some((r, [rows, cols]))) if better(r) => {
+            (_, Some((r, &Flipped { rows, cols, .. }))) if better(r) => {
                 faults.push(fault(FaultKind::Flipped { rows, cols }, r));
                 if let Shown::Object(truth) = seen.frames[s.frame].shown {
-                    seen.truths.push(turned(&seen.truths[truth], rows, cols));
+                    seen.truths.push(flipped(&seen.truths[truth], rows, cols));
                     shown.push((s.frame, Shown::Object(seen.truths.len() - 1)));
                 }
             }
@@ -218,7 +168,7 @@ fn exposures(seen: &mut Observations, frames: &[Seen]) -> Vec<Fault> {
     let scatter = median(slopes.iter().map(|v| (v / usual - 1.0).abs()).collect());
     for (s, slope) in frames.iter().zip(&slopes) {
         let factor = slope / usual;
-        // One frame against the rest: a lamp that drifts moves them all.
+        // One frame against all others: a drift of the lamp changes all of them.
         if (factor - 1.0).abs() > LIGHT.max(12.0 * scatter) {
             let r = correlation(&s.measured, &s.own);
             let kind = FaultKind::Exposure { factor };
@@ -235,13 +185,13 @@ fn exposures(seen: &mut Observations, frames: &[Seen]) -> Vec<Fault> {
     faults
 }
 
-/// How far two correlations over `n` pixels are apart, standard deviations (Fisher's z).
+/// Difference of two correlation coefficients over `n` pixels, standard deviations (Fisher's z transformation).
 fn fisher(a: f64, b: f64, n: usize) -> f64 {
     let z = |r: f64| r.clamp(-0.999_999, 0.999_999).atanh();
     (z(b) - z(a)).abs() * (n.max(4) as f64 - 3.0).sqrt() / std::f64::consts::SQRT_2
 }
 
-/// Pearson correlation; 0 of images that do not vary.
+/// Pearson correlation coefficient; 0 if an image does not vary.
 fn correlation(a: &Array2<f32>, b: &Array2<f32>) -> f64 {
     Moments::of(a.view(), b.view()).map_or(0.0, |m| m.pcc())
 }
