@@ -89,7 +89,8 @@ impl Specimen {
 pub struct SceneConfig {
     /// Kinds of specimens; they take turns from scene to scene.
     pub specimens: Vec<Specimen>,
-    /// A folder of grey .tif or .png pictures, from which every second scene on average is cut.
+    /// A folder of grey .tif or .png pictures from which scenes are cut: half of the scenes on average, or all of them
+    /// without `specimens`.
     pub images: Option<PathBuf>,
     /// Draw resolution targets instead of specimens and pictures, one period for each scene ([`resolution`]).
     #[serde(skip_serializing_if = "std::ops::Not::not")]
