@@ -7,7 +7,9 @@ use crate::closing::data::{Budget, Observations, bead_is_held_out};
 use crate::closing::evidence::{Figures, figures};
 use crate::closing::fit::{Model, refit};
 use crate::instrument::Instrument;
-use crate::session::{FrameInfo, FrameReader, FrameSource, Manifest, Role, Session, SessionError, Stack, StackEntry};
+use crate::session::{
+    ComputedFrames, ComputedStack, FrameInfo, FrameReader, Manifest, Role, Session, SessionError, Stack, StackEntry,
+};
 use ndarray::Array2;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -55,12 +57,12 @@ fn without_held_out_beads(session: &Session) -> Result<Session, SessionError> {
         let info =
             indices.iter().enumerate().map(|(n, i)| FrameInfo { frame: n, ..stack.info()[*i].clone() }).collect();
         let entry = StackEntry { truth: None, expected: None, ..stack.entry().clone() };
-        let source: Arc<dyn FrameSource> = Arc::new(Selected::of(stack, indices)?);
-        stacks.push((entry, info, source));
+        let frames: Arc<dyn ComputedFrames> = Arc::new(Selected::of(stack, indices)?);
+        stacks.push(ComputedStack { entry, info, frames });
     }
-    let entries = stacks.iter().map(|(entry, ..)| entry.clone()).collect();
+    let entries = stacks.iter().map(|stack| stack.entry.clone()).collect();
     let manifest = Manifest { stacks: entries, ..session.manifest().clone() };
-    Ok(Session::made(session.dir(), manifest, stacks))
+    Ok(Session::computed(session.dir(), manifest, stacks))
 }
 
 /// Some frames of a stack.
@@ -80,7 +82,7 @@ impl Selected {
     }
 }
 
-impl FrameSource for Selected {
+impl ComputedFrames for Selected {
     fn shape(&self) -> [usize; 3] {
         [self.indices.len(), self.size[0], self.size[1]]
     }
