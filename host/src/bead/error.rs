@@ -1,5 +1,6 @@
 //! What can be wrong with a bead scan.
 
+use crate::sensor::MapShapeError;
 use crate::session::SessionError;
 use std::path::PathBuf;
 use thiserror::Error;
@@ -81,6 +82,9 @@ pub enum BeadError {
         /// Relative light level.
         illumination: f64,
     },
+    /// A sensor map has another shape than the session's sensor.
+    #[error(transparent)]
+    Maps(#[from] MapShapeError),
     /// The object grid is not that of the sensor.
     #[error(
         "session.toml: object.pixel_um: expected sensor.pixel_pitch_um / optics.magnification = {expected:.4} um within 2 %, \

@@ -4,8 +4,8 @@
 use super::model::Model;
 use super::observe::{Observations, Shown};
 use super::state::State;
-use crate::evaluate::Moments;
 use crate::forward::ForwardError;
+use crate::metrics::Moments;
 use ndarray::{Array2, Axis};
 use serde::{Deserialize, Serialize};
 

@@ -2,17 +2,15 @@
 //! has seen.
 
 use crate::artifact::Provenance;
-use crate::evaluate::{Case, Source, judge};
+use crate::evaluate::{Source, judge};
 use crate::instrument::Instrument;
 use crate::methods::FloatNetwork;
+use crate::metrics::Case;
 use crate::session::{Role, Session};
-use crate::train::{Checkpoint, Next, SensorMaps, Simulated, Task, Trainer};
+use crate::train::{Checkpoint, Next, Simulated, Task, Trainer};
 use anyhow::{Context, ensure};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
-
-/// Fine-tuning starts near a good place: the highest learning rates over those of the first training.
-const GENTLE: f64 = 0.3;
 
 /// Reconstruction before and after, on held-out scenes.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -50,12 +48,10 @@ pub fn retrain(
     let before = Checkpoint::read(checkpoint)?;
     let source = Simulated::of(closed, file, seed)?;
     let plan = source.plan();
-    let maps = SensorMaps::of(closed)?;
-    let mut training = before.body.training.clone().with_steps(steps);
+    let maps = closed.sensor_maps()?;
+    let mut training = before.body.training.clone().with_steps(steps).for_fine_tuning();
     training.peak_e = plan.peak_e;
     training.seed = seed;
-    training.learning_rate *= GENTLE;
-    training.filter_learning_rate *= GENTLE;
     let task = Task { source: &source, network: before.body.network.clone(), noise: plan.noise, maps };
     let provenance = Provenance::new("close --retrain", seed, &training).with_input(checkpoint)?.with_input(file)?;
     let mut trainer = Trainer::fine_tune(task, training, None, checkpoint)?;

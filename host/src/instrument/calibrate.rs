@@ -4,11 +4,12 @@ use super::light_unit::{fit_light_unit, set_light_unit};
 use super::model::Model;
 use super::replicates::replicates;
 use super::{Instrument, LightUnit, Quality, sensor_only};
-use crate::bead::{BeadError, BeadScale, BeadScan, SensorMaps, cut_windows, extent, fit_chief_rays};
+use crate::bead::{BeadError, BeadScale, BeadScan, cut_windows, extent, fit_chief_rays};
 use crate::forward::ForwardError;
 use crate::linalg::NotConverged;
 use crate::noise::{NoiseCalibration, NoiseConfig, NoiseError, inverse_response, measure_noise};
 use crate::psf::fit::{FitConfig, Plane};
+use crate::sensor::SensorMaps;
 use crate::session::{Manifest, Role, Session, SessionError};
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
@@ -167,7 +168,7 @@ fn maps(noise: &NoiseCalibration) -> SensorMaps {
     SensorMaps {
         offset_dn: noise.offset_dn.clone(),
         inverse_response: noise.response.as_ref().map(inverse_response),
-        useless: noise.useless(),
+        unusable: noise.useless(),
     }
 }
 

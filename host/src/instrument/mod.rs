@@ -19,7 +19,6 @@ mod width_tests;
 
 pub use calibrate::{CalibrateConfig, CalibrateError, Calibration, calibrate};
 pub use file::{INSTRUMENT_KIND, INSTRUMENT_VERSION, InstrumentError};
-pub use sensor_maps::SensorTables;
 
 use crate::effects::EffectSetting;
 use crate::noise::{MapErrors, NoiseModel, inverse_response};

@@ -9,7 +9,7 @@ use crate::bench::VirtualInstrument;
 use crate::closing::retrain::{Retrained, retrain};
 use crate::effects::EffectSetting;
 use crate::instrument::Instrument;
-use crate::train::{Next, Preset, SensorMaps, Simulated, Task, Trainer};
+use crate::train::{Next, Preset, Simulated, Task, Trainer};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -36,7 +36,7 @@ pub struct Reconstruction {
 pub fn train(instrument: &Instrument, file: &Path, seed: u64, output: &Path) -> anyhow::Result<()> {
     let source = Simulated::of(instrument, file, seed)?;
     let plan = source.plan();
-    let maps = SensorMaps::of(instrument)?;
+    let maps = instrument.sensor_maps()?;
     let network = Preset::Nano.network(plan.frame, plan.object);
     let mut training = Preset::Nano.training(plan.noise.full_scale_e(), seed).with_steps(STEPS);
     training.peak_e = plan.peak_e;
