@@ -4,7 +4,7 @@ use super::{Outcome, Run};
 use crate::artifact::Provenance;
 use crate::bench::BenchConfig;
 use crate::calibrate::{CalibrateConfig, Calibration, calibrate};
-use crate::evaluate::measured;
+use crate::evaluate::{Measured, measured};
 use crate::instrument::{Instrument, LightUnit};
 use crate::noise::{NoiseConfig, ROUNDING_DN2, Source};
 use crate::report::bytes;
@@ -66,7 +66,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         noise: NoiseConfig { nominal_gain_dn_per_e: args.gain, nominal_read_noise_e: args.read_noise },
     };
     let bar = run.progress(steps(&session), "calibrate");
-    let (calibration, seconds, peak_bytes) = measured(|| calibrate(&session, &config, || bar.inc(1)));
+    let Measured { result: calibration, seconds, peak_bytes } =
+        measured(|| calibrate(&session, &config, || bar.inc(1)));
     let calibration = calibration?;
     bar.finish_and_clear();
     for note in &calibration.notes {

@@ -1,7 +1,7 @@
 //! `predict`: the frames that an instrument is expected to show for given objects.
 
 use super::{Outcome, Run};
-use crate::evaluate::measured;
+use crate::evaluate::{Measured, measured};
 use crate::forward::Forward;
 use crate::instrument::Instrument;
 use crate::psf::OperatorConfig;
@@ -101,7 +101,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         }
         Ok(())
     };
-    let (done, seconds, peak_bytes) = measured(&mut all);
+    let Measured { result: done, seconds, peak_bytes } = measured(&mut all);
     done?;
     let seconds = seconds / inputs.len().max(1) as f64;
     outputs.finish()?;

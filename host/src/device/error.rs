@@ -1,6 +1,6 @@
 //! Why the device did not give reconstructions.
 
-use crate::blob::BlobFileError;
+use crate::network_file::NetworkFileError;
 use ommatidia_shared::pipeline::PipelineError;
 use ommatidia_shared::wire::{Refusal, SlotReport};
 use std::path::PathBuf;
@@ -112,7 +112,7 @@ pub enum DeviceError {
     Refused(Refusal),
     /// A file or a frame is no good.
     #[error(transparent)]
-    Blob(#[from] BlobFileError),
+    Blob(#[from] NetworkFileError),
     /// The pipeline refuses on this machine.
     #[error("{0}")]
     Pipeline(PipelineError),

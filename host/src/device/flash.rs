@@ -1,7 +1,7 @@
 //! A network into the flash of a device, and how the device is.
 
 use super::{Client, DeviceError, Runtime, Transport};
-use crate::blob::BlobFile;
+use crate::network_file::NetworkFile;
 use ommatidia_shared::blob::BlobError;
 use ommatidia_shared::wire::{Info, Refusal, SlotReport, Telemetry};
 use std::path::Path;
@@ -32,7 +32,7 @@ pub struct FlashReport {
 pub fn flash(
     runtime: &Runtime,
     state: Option<&Path>,
-    blob: &BlobFile,
+    blob: &NetworkFile,
     progress: &mut dyn FnMut(f64),
 ) -> Result<FlashReport, DeviceError> {
     let (mut client, info) = Client::connect(runtime.start(None, state)?)?;
@@ -48,7 +48,7 @@ pub fn flash(
 pub fn upload<T: Transport>(
     client: &mut Client<T>,
     info: &Info,
-    blob: &BlobFile,
+    blob: &NetworkFile,
     progress: &mut dyn FnMut(f64),
 ) -> Result<FlashReport, DeviceError> {
     let start = Instant::now();
@@ -91,7 +91,7 @@ pub fn status(runtime: &Runtime, state: Option<&Path>) -> Result<(Info, Telemetr
 }
 
 /// Whether a network is what the device runs: the length and the checksum of its file are.
-pub(super) fn runs(telemetry: &Telemetry, blob: &BlobFile) -> bool {
+pub(super) fn runs(telemetry: &Telemetry, blob: &NetworkFile) -> bool {
     let file = blob.bytes();
     let crc = file.last_chunk().map(|crc| u32::from_le_bytes(*crc));
     active(telemetry).is_some_and(|slot| slot.mark.len as usize == file.len() && Some(slot.mark.crc) == crc)

@@ -1,7 +1,7 @@
 //! A network and frames to the device, reconstructions back, compared bit by bit with this machine's.
 
 use super::{Client, Counter, Deviation, DeviceError, Runtime, Scope, Transport, flash};
-use crate::blob::BlobFile;
+use crate::network_file::NetworkFile;
 use half::f16;
 use ommatidia_shared::pipeline::{HeldRegion, Holder, Memory, Pipeline};
 use ommatidia_shared::wire::{RunReport, Telemetry};
@@ -67,7 +67,7 @@ impl DeviceRun {
 /// The device cannot be started, refuses, or falls silent.
 pub fn run(
     runtime: &Runtime,
-    blob: &BlobFile,
+    blob: &NetworkFile,
     work: Work<'_>,
     state: Option<&Path>,
     progress: &mut dyn FnMut(f64),
@@ -87,7 +87,7 @@ pub fn run(
 /// The whole conversation; gives the line back once the program was asked to end.
 fn converse<T: Transport>(
     line: T,
-    blob: &BlobFile,
+    blob: &NetworkFile,
     work: Work<'_>,
     progress: &mut dyn FnMut(f64),
 ) -> Result<(T, DeviceRun), DeviceError> {
@@ -134,7 +134,7 @@ fn converse<T: Transport>(
 ///
 /// # Errors
 /// The network, a frame or the region is refused.
-pub fn reference(blob: &BlobFile, work: Work<'_>) -> Result<Vec<Vec<f16>>, DeviceError> {
+pub fn reference(blob: &NetworkFile, work: Work<'_>) -> Result<Vec<Vec<f16>>, DeviceError> {
     let network = blob.network()?;
     let pipeline = Pipeline::new(&network).map_err(DeviceError::Pipeline)?;
     let mut fast = vec![0.0; pipeline.fast_len_best().max(pipeline.fast_len()) + pipeline.scales_len()];
@@ -153,7 +153,7 @@ pub fn reference(blob: &BlobFile, work: Work<'_>) -> Result<Vec<Vec<f16>>, Devic
 
 /// Compares the frames whose statistics are held with exact ones.
 fn deviation(
-    blob: &BlobFile,
+    blob: &NetworkFile,
     work: Work<'_>,
     objects: &[Vec<f16>],
     reports: &[RunReport],

@@ -1,6 +1,6 @@
 //! What of a frame is reconstructed, and how exactly.
 
-use crate::evaluate::psnr_db;
+use crate::metrics::psnr_db;
 use half::f16;
 use ommatidia_shared::image::Region;
 

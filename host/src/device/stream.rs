@@ -1,7 +1,7 @@
 //! Frames in, reconstructions out, at the rate that holds: what comes faster is dropped, counted and told.
 
 use super::{Client, DeviceError, Runtime, Scope, Transport, upload};
-use crate::blob::BlobFile;
+use crate::network_file::NetworkFile;
 use half::f16;
 use ommatidia_shared::wire::{RunReport, Telemetry};
 use std::path::Path;
@@ -77,7 +77,7 @@ pub struct FrameFeed<'a> {
 pub fn stream(
     runtime: &Runtime,
     state: Option<&Path>,
-    blob: &BlobFile,
+    blob: &NetworkFile,
     mut feed: FrameFeed<'_>,
     show: &mut dyn FnMut(&StreamedFrame) -> anyhow::Result<()>,
 ) -> anyhow::Result<StreamReport> {

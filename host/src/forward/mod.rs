@@ -33,7 +33,6 @@ mod warp;
 
 pub use error::ForwardError;
 pub use scene_light::SceneLight;
-pub use sensor_maps::SensorTables;
 
 use crate::effects::{Chain, FrameContext, Layout, Ray, RayShift, Stage};
 use crate::instrument::Instrument;

@@ -23,7 +23,7 @@ pub use scenes::{bytes, seconds};
 use crate::artifact;
 use crate::closing::account::{self, Account};
 use crate::evaluate::Evaluation;
-use crate::evaluate::receptive::{self, Receptive};
+use crate::evaluate::receptive::{self, ReceptiveFields};
 use crate::instrument::Instrument;
 use crate::kind::FileKind;
 use crate::session::Session;
@@ -57,7 +57,7 @@ enum Content {
     Resolution,
     /// What `ablate` found.
     Ablation,
-    Receptive(Box<Receptive>),
+    Receptive(Box<ReceptiveFields>),
     Other,
 }
 
@@ -158,7 +158,7 @@ fn load(path: &Path) -> Result<Piece, ReportError> {
                 "evaluation" => Content::Evaluation(Box::new(Evaluation::read(path)?.0)),
                 account::KIND => Content::Closing(Box::new(Account::read(path)?), asked(path)?),
                 "checkpoint" => Content::Checkpoint(Sample::of(path)?),
-                receptive::KIND => Content::Receptive(Box::new(Receptive::read(path)?)),
+                receptive::KIND => Content::Receptive(Box::new(ReceptiveFields::read(path)?)),
                 _ => Content::Other,
             },
         ),

@@ -1,8 +1,8 @@
 //! A device on the desk: its flash outlives it, as flash does.
 
 use super::flash::{Fault, FaultyFlash, SECTOR};
-use crate::blob::BlobFile;
 use crate::device::{DeviceError, reference};
+use crate::network_file::NetworkFile;
 use crate::rng;
 use half::f16;
 use ommatidia_shared::blob::{Bank, Header, MemoryPlan, Rcan, Sensor, Size, Tap, Weights};
@@ -24,7 +24,7 @@ pub(super) type Tried<'a, 'm> = Device<'a, &'a mut FaultyFlash<'m>, RamFrame<'a>
 /// A network, a frame, and what one makes of the other on this machine.
 #[derive(Debug)]
 pub(super) struct Network {
-    pub blob: BlobFile,
+    pub blob: NetworkFile,
     pub frame: Vec<u16>,
     pub object: Vec<f16>,
 }
@@ -58,7 +58,7 @@ impl Network {
             [draw(lens.filters, 0.1), draw(lens.rcan, 0.0), draw(lens.offset_dn, 0.0), draw(lens.inverse_gain, 1.0)];
         let [filters, rcan, offset, gain] = &sections;
         let weights = Weights { filters, index: &[], rcan, offset_dn: Some(offset), inverse_gain: Some(gain) };
-        let blob = BlobFile::new(&header, &weights)?;
+        let blob = NetworkFile::new(&header, &weights)?;
         let mut rng = rng::stream(seed, "frame", 0);
         let frame: Vec<u16> = (0..usize::from(SIDE) * usize::from(SIDE)).map(|_| rng.random_range(40..=4095)).collect();
         let object = reference(&blob, std::slice::from_ref(&frame).into())?.pop().unwrap_or_default();
