@@ -37,23 +37,23 @@ fn measured_spots_are_predicted_where_they_were_left_out() {
 /// The same spots, of an instrument that knows one PSF: a new calibration by one colour of the checkerboard predicts the spots of the other.
 #[test]
 fn measured_spots_call_for_a_new_calibration() {
-    use ommatidia_host::closing::recalibrate::{anew, held_out};
+    use ommatidia_host::closing::search::{held_out_figures, trial_calibration};
     let Some(folder) = measured_data("measured_spots_call_for_a_new_calibration", "sessions/fibre") else { return };
     let session = Session::open(&folder).unwrap();
     let config = CalibrateConfig { normalise_beads: true, replicates: 0, ..CalibrateConfig::default() };
     let one = calibrate(&session, &CalibrateConfig { one_psf: true, ..config }, || {}).unwrap().instrument;
-    let first = anew(&session, &one, &config).unwrap().unwrap();
-    let [before, after] = [&one, &first].map(|i| held_out(&session, i).unwrap().nrmse);
+    let first = trial_calibration(&session, &one, &config).unwrap().unwrap();
+    let [before, after] = [&one, &first].map(|i| held_out_figures(&session, i).unwrap().nrmse);
     assert!((0.24..0.3).contains(&before) && after <= 0.12, "{before} {after}");
     // Nothing is gained by doing it again.
-    assert!(anew(&session, &first, &config).unwrap().is_none());
+    assert!(trial_calibration(&session, &first, &config).unwrap().is_none());
 }
 
 /// A bead moved through the focus of a microscope with an engineered pupil: a model of one plane misses all others, and a new calibration by
 /// every second plane predicts those between.
 #[test]
 fn measured_depth_calls_for_a_new_calibration() {
-    use ommatidia_host::closing::recalibrate::{anew, held_out};
+    use ommatidia_host::closing::search::{held_out_figures, trial_calibration};
     let Some(data) = measured_data("measured_depth_calls_for_a_new_calibration", "engineered_psf") else { return };
     for (mask, frames) in [("crlb1", 56), ("tetrapod", 54)] {
         let folder = tempfile::tempdir().unwrap();
@@ -66,8 +66,8 @@ fn measured_depth_calls_for_a_new_calibration() {
         let config = CalibrateConfig { normalise_beads: true, replicates: 0, ..CalibrateConfig::default() };
         let mut one = calibrate(&session, &config, || {}).unwrap().instrument;
         one.psf = one.psf.at_depth(0.0);
-        let first = anew(&session, &one, &config).unwrap().unwrap();
-        let [before, after] = [&one, &first].map(|i| held_out(&session, i).unwrap().nrmse);
+        let first = trial_calibration(&session, &one, &config).unwrap().unwrap();
+        let [before, after] = [&one, &first].map(|i| held_out_figures(&session, i).unwrap().nrmse);
         assert!(before > 0.6 && after < 0.2, "{mask} {before} {after}");
     }
 }
@@ -141,8 +141,7 @@ table = "bead.csv"
 /// taken out.
 #[test]
 fn measured_pixel_maps_are_named_and_corrected() {
-    use ommatidia_host::closing::close::close;
-    use ommatidia_host::closing::observe::{Budget, Observations};
+    use ommatidia_host::closing::{Budget, CloseOptions, Observations, close};
     use ommatidia_host::effects::EffectSetting;
     use ommatidia_host::session::FrameReader;
     use ommatidia_host::study::subject::bench_config;
@@ -172,7 +171,7 @@ fn measured_pixel_maps_are_named_and_corrected() {
         &[with("prnu", gains.mapv(|g| (g / gain - 1.0).clamp(-1.0, 1.0))), with("dsnu", offsets.mapv(|o| o - offset))],
     );
     let mut seen = Observations::read(&session, &Budget::default()).unwrap();
-    let closing = close(&instrument, &mut seen, "maps", 1, |_| ()).unwrap().account.closing;
+    let closing = close(&instrument, &mut seen, &CloseOptions { session_name: "maps", seed: 1, ..CloseOptions::default() }, |_| ()).unwrap().account.closing;
     let named: Vec<&str> = closing.effects.iter().map(|e| e.id.as_str()).collect();
     // What is left of the maps is their slow part, which no pixel has of its own.
     assert_eq!(named[..2], ["dsnu", "prnu"], "{named:?}");
@@ -268,13 +267,12 @@ fn measured_noise_of_pixels_comes_back_from_darks_and_flats() {
 /// lower half.
 #[test]
 fn measured_mosaic_is_found_and_removed() {
-    use ommatidia_host::closing::close::close;
-    use ommatidia_host::closing::observe::{Budget, Observations};
+    use ommatidia_host::closing::{Budget, CloseOptions, Observations, close};
     let Some(folder) = measured_data("measured_mosaic_is_found_and_removed", "sessions/tardigrade") else { return };
     let session = Session::open(&folder).unwrap();
     let instrument = calibrate(&session, &CalibrateConfig::default(), || {}).unwrap().instrument;
     let mut seen = Observations::read(&session, &Budget::default()).unwrap();
-    let closed = close(&instrument, &mut seen, "water bear", 1, |_| ()).unwrap();
+    let closed = close(&instrument, &mut seen, &CloseOptions { session_name: "water bear", seed: 1, ..CloseOptions::default() }, |_| ()).unwrap();
     let effects = &closed.account.closing.effects;
     assert!(effects.len() == 1 && effects[0].id == "pixel_mosaic", "{effects:?}");
     let gain = |name: &str| effects[0].params.iter().find(|p| p.name == name).unwrap().value;
@@ -306,8 +304,7 @@ fn measured_mosaic_is_found_and_removed() {
 /// their way. Nobody knows the specimen, but it is nearly the same from one frame to the next.
 #[test]
 fn measured_row_noise_of_a_video_is_named() {
-    use ommatidia_host::closing::close::close;
-    use ommatidia_host::closing::observe::{Budget, Observations};
+    use ommatidia_host::closing::{Budget, CloseOptions, Observations, close};
     let Some(folder) = measured_data("measured_row_noise_of_a_video_is_named", "miniscope") else { return };
     let target = tempfile::tempdir().unwrap();
     std::fs::copy(folder.join("mio_wireless_60x200x200.tif"), target.path().join("scene.tif")).unwrap();
@@ -321,7 +318,7 @@ fn measured_row_noise_of_a_video_is_named() {
     let session = Session::open(target.path()).unwrap();
     let instrument = calibrate(&session, &CalibrateConfig::default(), || {}).unwrap().instrument;
     let mut seen = Observations::read(&session, &Budget::default()).unwrap();
-    let closed = close(&instrument, &mut seen, "video", 1, |_| ()).unwrap();
+    let closed = close(&instrument, &mut seen, &CloseOptions { session_name: "video", seed: 1, ..CloseOptions::default() }, |_| ()).unwrap();
     let first = &closed.account.closing.effects[0];
     let sigma = first.params[0].value;
     // By hand: scatter of the rows' means in the difference of two frames, which has twice the variance of one, about the mean of the 17 rows

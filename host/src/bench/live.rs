@@ -1,7 +1,7 @@
 //! A virtual session whose frames are made as they are asked for: what would fill a disk never touches one.
 
 use super::measure::{CALIBRATION_ROLES, VirtualInstrument};
-use crate::session::{FrameInfo, FrameSource, Role, Session};
+use crate::session::{FrameInfo, FrameSource, Role, Session, SessionError};
 use ndarray::Array2;
 use rayon::prelude::*;
 use std::path::Path;
@@ -22,10 +22,10 @@ impl FrameSource for LiveStack {
         [self.infos.len(), sensor.rows, sensor.cols]
     }
 
-    fn frames_from(&self, i: usize) -> Vec<Array2<f32>> {
+    fn frames_from(&self, i: usize) -> Result<Vec<Array2<f32>>, SessionError> {
         // As many at a time as there are threads for.
         let last = (i + rayon::current_num_threads()).min(self.infos.len());
-        self.infos[i..last].par_iter().map(|info| self.frame(info)).collect()
+        Ok(self.infos[i..last].par_iter().map(|info| self.frame(info)).collect())
     }
 }
 

@@ -1,6 +1,6 @@
 //! `bench`: the virtual instrument measures a session.
 
-use super::{Outcome, Run};
+use super::common::{Outcome, Run};
 use crate::bench::BenchConfig;
 use crate::effects::{self, EffectError, EffectSetting};
 use crate::evaluate::resolution;

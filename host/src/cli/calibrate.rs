@@ -1,6 +1,6 @@
 //! `calibrate`: session -> instrument.
 
-use super::{Outcome, Run};
+use super::common::{Outcome, Run};
 use crate::artifact::Provenance;
 use crate::bench::BenchConfig;
 use crate::calibrate::{CalibrateConfig, Calibration, calibrate};

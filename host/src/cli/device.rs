@@ -7,10 +7,10 @@ mod status;
 mod stream;
 mod target;
 
-use super::{Outcome, Run};
+use super::common::{Outcome, Run};
 use crate::artifact::write_whole;
 use crate::blob::{BlobFile, raw_codes};
-use crate::device::{BoardCounts, DeviceRun, Work, count_board, run as run_device, table};
+use crate::device::{BoardCounts, DeviceRun, RunRequest, count_board, run as run_device, table};
 use crate::session::stack;
 use anyhow::Context;
 use clap::Subcommand;
@@ -125,7 +125,7 @@ fn run_network(args: &RunArgs, run: &Run) -> anyhow::Result<Outcome> {
         .collect::<anyhow::Result<Vec<_>>>()?;
     let runtime = args.target.runtime(run)?;
     let state = args.target.state.as_deref();
-    let work = Work { frames: &frames, scope: args.scope.scope() };
+    let work = RunRequest { frames: &frames, scope: args.scope.scope() };
     let bar = run.progress(1000, "device");
     let device = run_device(&runtime, &blob, work, state, &mut |part| bar.set_position((1000.0 * part) as u64))?;
     bar.finish_and_clear();

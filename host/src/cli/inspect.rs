@@ -1,9 +1,7 @@
 //! `inspect`: what a file is.
 
-use super::{Outcome, Run};
-use crate::closing::file;
-use crate::closing::omnibus::Dependence;
-use crate::closing::result::{self, Closing, Effect};
+use super::common::{Outcome, Run};
+use crate::closing::{self, Closing, Dependence, Effect};
 use crate::kind::FileKind;
 use crate::session::{FrameReader, Session};
 use crate::{artifact, report};
@@ -43,7 +41,7 @@ pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
     let mut text = format!("{}\n", path.display());
     // The body of an account is long: people get its figures, programs all of it.
     let mut shown = json.clone();
-    if json["kind"] == file::KIND
+    if json["kind"] == closing::account::KIND
         && let Some(fields) = shown.as_object_mut()
     {
         let closing: Closing = serde_json::from_value(json["body"]["closing"].clone())
@@ -58,7 +56,7 @@ pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
 fn summary(c: &Closing) -> Value {
     let effect = |e: &Effect| {
         let most = e.params.iter().filter(|v| v.sigma > 0.0).max_by(|a, b| {
-            let stands_out = |v: &result::Value| (v.value / v.sigma).abs();
+            let stands_out = |v: &closing::Value| (v.value / v.sigma).abs();
             stands_out(a).total_cmp(&stands_out(b))
         });
         let value =

@@ -19,6 +19,7 @@ mod reconstruct;
 mod report;
 mod residual;
 mod resolution;
+mod retrain;
 mod simulate;
 mod study;
 mod train;

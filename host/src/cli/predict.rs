@@ -1,6 +1,6 @@
 //! `predict`: the frames that an instrument is expected to show for given objects.
 
-use super::{Outcome, Run};
+use super::common::{Outcome, Run};
 use crate::evaluate::measured;
 use crate::forward::Forward;
 use crate::instrument::Instrument;

@@ -1,6 +1,6 @@
 //! `report`: artifacts in, one HTML file out.
 
-use super::{Outcome, Run};
+use super::common::{Outcome, Run};
 use crate::{artifact, report};
 use std::path::PathBuf;
 

@@ -1,6 +1,6 @@
 //! `simulate`: training pairs made with an instrument.
 
-use super::{Outcome, Run};
+use super::common::{Outcome, Run};
 use crate::dataset::{Share, SimulateConfig};
 use crate::instrument::Instrument;
 use crate::scene::{SceneConfig, Specimen};

@@ -1,6 +1,7 @@
 //! `study`: how far `close` can be trusted.
 
-use super::{Outcome, Run};
+use super::retrain::Networks;
+use super::common::{Outcome, Run};
 use crate::study::plan::Size;
 use crate::study::run::{JSON, PAGE, run as study};
 use crate::study::summary::Share;
@@ -56,7 +57,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         }
     };
     let bar = run.progress(0, "study");
-    let found = study(&args.output, &size, args.shard, |done, all| {
+    let found = study(&args.output, &size, args.shard, &Networks, |done, all| {
         bar.set_length(all as u64);
         bar.set_position(done as u64);
     })?;

@@ -7,8 +7,8 @@ use crate::instrument::Instrument;
 use crate::quantize::{self, QuantizeConfig};
 use crate::report;
 use crate::train::{
-    Body, Checkpoint, Family, FamilyName, Lenses, NetworkConfig, Next, Place, Preset, SensorMaps, Simulated, Start,
-    Task, TrainConfig, Trainer, weights,
+    Body, Checkpoint, FINE_TUNE_RATE, Family, FamilyName, Lenses, NetworkConfig, Next, Place, Preset, SensorMaps,
+    Simulated, Start, Task, TrainConfig, Trainer, weights,
 };
 use anyhow::Context;
 use std::path::{Path, PathBuf};
@@ -16,9 +16,6 @@ use std::time::Instant;
 
 /// Steps that are timed to turn minutes into steps.
 const TIMED: u64 = 8;
-
-/// Fine-tuning starts near a good place: the highest learning rates over those of a training from the start.
-const GENTLE: f64 = 0.3;
 
 /// Options of `train`.
 #[derive(Debug, clap::Args)]
@@ -243,8 +240,8 @@ fn settings(args: &Args, run: &Run, task: &Task<'_>, peak_e: [f64; 2]) -> anyhow
     }
     training.batch = args.batch.unwrap_or(training.batch);
     if args.from.is_some() {
-        training.learning_rate *= GENTLE;
-        training.filter_learning_rate *= GENTLE;
+        training.learning_rate *= FINE_TUNE_RATE;
+        training.filter_learning_rate *= FINE_TUNE_RATE;
         training.start = Start::Random;
     }
     training.learning_rate = args.learning_rate.unwrap_or(training.learning_rate);

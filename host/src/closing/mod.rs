@@ -1,30 +1,33 @@
-//! Closing the loop: find the residual between model and measurement, trace it to an effect that the model lacks, add that effect.
+//! Closing the loop: measure the residual between model and measurement, find the effect that the model lacks, add it.
 //!
-//! [`observe`] reads frames and fixes the hold-outs; [`model`] predicts them with effects and nuisances; [`design`] sums what a small
-//! change of each value would do; [`score`] tests and ranks.
+//! The folders follow the data, and none imports a later one:
+//!
+//! | folder | what it does |
+//! |---|---|
+//! | [`data`] | reads the frames of a session and fixes the hold-outs before any fit |
+//! | [`fit`] | predicts the frames from a state (effects and nuisance parameters) and fits that state |
+//! | [`evidence`] | tests the residual of a fit: omnibus tests, score tests, pixel tables, figures on held-out data |
+//! | [`search`] | adds effects that the evidence supports and removes those that are not needed |
+//! | [`account`] | reports what was found, with errors, detection limits and ambiguities |
+//!
+//! [`close()`] runs all of it on observations in memory, [`close_session`] on files.
 
-mod account;
-mod bins;
-pub mod close;
-pub mod covariate;
-pub mod design;
-pub mod figures;
-pub mod file;
-pub mod model;
-pub mod observe;
-pub mod omnibus;
-pub mod recalibrate;
-pub mod record;
-pub mod refit;
-mod repeats;
-pub mod result;
-pub mod retrain;
-pub mod score;
+pub mod account;
+mod close;
+pub mod data;
+pub mod evidence;
+mod files;
+pub mod fit;
 pub mod search;
-pub mod state;
-pub mod stats;
-pub mod tables;
-pub mod trials;
+
+pub use account::{Account, Closed, Closing, Effect, Rejected, Retrain, RetrainRequest, Retrained, Value};
+pub use close::{CloseError, CloseOptions, check_layout, close, residual};
+pub use data::{Budget, Fault, FaultKind, Observations};
+pub use evidence::{Covariate, Dependence, Figures};
+pub use files::{
+    CloseOutcome, CloseRequest, FineTuning, Progress, ResidualOutcome, ResidualRequest, account_path, close_session,
+    residual_session,
+};
 
 #[cfg(test)]
 mod tests;

@@ -1,24 +1,27 @@
-//! What the program takes of a board's memory.
+//! Memory of the firmware on a board.
 
-use super::{DeviceError, Firmware, Runtime, run};
+use super::error::DeviceError;
+use super::firmware::Firmware;
+use super::run::run;
+use super::runtime::Runtime;
 use crate::blob::BlobFile;
 use half::f16;
 use ommatidia_shared::blob::{Bank, Header, MemoryPlan, Rcan, Sensor, Size, Tap, Weights};
 use ommatidia_shared::pipeline::Pipeline;
 use serde::Serialize;
 
-/// What the program takes of a board's memory, besides the buffers of the network.
+/// Memory of the firmware on a board, without the buffers of the network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Footprint {
     /// Code and constants, bytes.
     pub image_bytes: u32,
     /// Variables, bytes.
     pub static_bytes: u32,
-    /// The deepest that the stack has been, bytes.
+    /// Deepest stack so far, bytes.
     pub stack_bytes: u32,
 }
 
-/// Runs a small network on the emulated board and asks it.
+/// Runs a small network on the emulated board and reads the memory use from its telemetry.
 ///
 /// # Errors
 /// QEMU is missing, or the program fails.

@@ -7,9 +7,9 @@ use std::fmt::Write;
 /// A small chart. Places along x are fractions of its width.
 #[derive(Clone, Debug)]
 pub struct Panel {
-    /// What it shows, for those who cannot see it.
+    /// Description for screen readers.
     pub alt: String,
-    /// Width over height of the drawing, and its width in its own units: text has 11 of them.
+    /// Width and height of the drawing in its own units; text is 11 units high.
     pub size: [f64; 2],
     /// Labels along x: place and text.
     pub labels: Vec<(f64, String)>,

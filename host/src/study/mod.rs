@@ -10,6 +10,7 @@ pub mod foreign;
 pub mod plan;
 pub mod record;
 pub mod run;
+pub mod sensitivity;
 pub mod subject;
 pub mod summary;
 pub mod text;

@@ -1,7 +1,7 @@
 //! The cases of a study: what is put into which session, and what the loop is not told.
 
 use super::foreign::FOREIGN;
-use super::subject::Sensitivities;
+use super::sensitivity::Sensitivities;
 use crate::effects::{Effect, Stage, find, registry};
 use crate::rng;
 use rand::Rng;

@@ -1,8 +1,10 @@
 //! A whole study: instruments, cases, figures.
 
+use super::downstream::Networks;
 use super::plan::{Case, Size, cases};
 use super::record::{Ledger, Outcome, read_all};
-use super::subject::{Sensitivities, Subject};
+use super::sensitivity::Sensitivities;
+use super::subject::Subject;
 use super::summary::Summary;
 use super::text::page;
 use super::trial;
@@ -32,9 +34,15 @@ pub struct Study {
 ///
 /// # Errors
 /// The folder cannot be written, or an instrument not be calibrated. A session that cannot be closed is no error but an outcome.
-pub fn run(dir: &Path, size: &Size, shard: [usize; 2], tell: impl Fn(usize, usize) + Sync) -> anyhow::Result<Study> {
+pub fn run(
+    dir: &Path,
+    size: &Size,
+    shard: [usize; 2],
+    networks: &dyn Networks,
+    tell: impl Fn(usize, usize) + Sync,
+) -> anyhow::Result<Study> {
     std::fs::create_dir_all(dir).with_context(|| dir.display().to_string())?;
-    let prepare = |n: &u64| Subject::prepare(*n, size, dir);
+    let prepare = |n: &u64| Subject::prepare(*n, size, dir, networks);
     let numbers: Vec<u64> = (0..size.instruments).collect();
     let subjects = side_by_side(&numbers, prepare)?.into_iter().collect::<anyhow::Result<Vec<_>>>()?;
     let sensitivities: Vec<Sensitivities> = subjects.iter().map(|s| s.sensitivities.clone()).collect();
@@ -48,7 +56,7 @@ pub fn run(dir: &Path, size: &Size, shard: [usize; 2], tell: impl Fn(usize, usiz
     let done = AtomicUsize::new(0);
     let one = |case: &Case| -> std::io::Result<()> {
         if let Some(subject) = subjects.get(case.instrument as usize) {
-            ledger.push(&trial::run(subject, case))?;
+            ledger.push(&trial::run(subject, case, networks))?;
         }
         tell(done.fetch_add(1, Ordering::Relaxed) + 1, todo.len());
         Ok(())

@@ -3,19 +3,18 @@
 //! It is small, so that a session takes seconds: 3 x 3 lenses on 98 x 98 pixels. All sessions of an instrument are held against one
 //! calibration, from a session of its own.
 
-use super::downstream;
+use super::downstream::{self, Networks};
 use super::foreign::FOREIGN;
 use super::plan::{Question, Size};
+use super::sensitivity::{Sensitivities, Sensitivity};
 use crate::artifact::Provenance;
 use crate::bench::{BenchConfig, VirtualInstrument};
 use crate::calibrate::{CalibrateConfig, calibrate};
-use crate::closing::close::close;
-use crate::closing::observe::{Budget, Observations};
+use crate::closing::{Budget, CloseOptions, Observations, close};
 use crate::effects::Effect;
 use crate::instrument::Instrument;
 use crate::session::{Role, Session};
 use anyhow::Context;
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -23,26 +22,6 @@ use std::path::{Path, PathBuf};
 const NULLS: u64 = 3;
 /// Basis PSFs a lens: what the search for the best rank gives; fixed, since the search takes most of the time.
 const RANK: usize = 12;
-
-/// How well a session tells one strength.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Sensitivity {
-    /// Name of the strength.
-    pub param: String,
-    /// Its unit.
-    pub unit: String,
-    /// Standard error where the effect is absent: noise, scatter, calibration (of a foreign effect the noise alone).
-    pub sigma: f64,
-}
-
-/// What sessions of an instrument can tell.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Sensitivities {
-    /// By id of the effect.
-    pub of: BTreeMap<String, Sensitivity>,
-    /// Ids that they cannot tell.
-    pub cannot: Vec<String>,
-}
 
 /// An instrument under study.
 pub struct Subject {
@@ -100,7 +79,7 @@ impl Subject {
     ///
     /// # Errors
     /// The folder cannot be written, or the instrument not be calibrated.
-    pub fn prepare(n: u64, size: &Size, dir: &Path) -> anyhow::Result<Self> {
+    pub fn prepare(n: u64, size: &Size, dir: &Path, networks: &dyn Networks) -> anyhow::Result<Self> {
         let seed = size.seed;
         let config = session_config(n);
         // Foci are kept for instruments that are built like another one.
@@ -117,7 +96,7 @@ impl Subject {
         let network = dir.join(format!("network-{n}.checkpoint"));
         // The questions that need a network are asked of the first instrument.
         if n == 0 && size.asks(Question::Reconstruction) && !network.is_file() {
-            downstream::train(&instrument, &file, seed, &network).with_context(|| format!("network {n}"))?;
+            downstream::train(networks, &instrument, &file, seed, &network).with_context(|| format!("network {n}"))?;
         }
         let mut subject = Self { bench, config, instrument, sensitivities: Sensitivities::default(), network };
         let file = dir.join(format!("sensitivity-{n}.json"));
@@ -149,7 +128,8 @@ impl Subject {
             let folder = tempfile::tempdir()?;
             let session = self.session(&self.bench, &folder.path().join("session"), (seed << 20) + 77_000 + i)?;
             let mut seen = Observations::read(&session, &Budget::default())?;
-            let closed = close(&self.instrument, &mut seen, "null", seed, |_| {})?;
+            let options = CloseOptions { session_name: "null", seed, ..CloseOptions::default() };
+            let closed = close(&self.instrument, &mut seen, &options, |_| {})?;
             for r in closed.account.closing.rejected {
                 let entry = sigmas.entry(r.id).or_insert_with(|| (r.param, r.unit, Vec::new()));
                 entry.2.extend(r.sigma.filter(|s| *s > 0.0 && s.is_finite()));

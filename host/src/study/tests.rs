@@ -2,14 +2,31 @@
 
 #![allow(clippy::unwrap_used)]
 
+use super::downstream::{FirstTraining, TrainRequest};
 use super::foreign::FOREIGN;
 use super::plan::{Case, Injected, PAIRS, Question, Size, cases, catalogue};
 use super::record::{FoundEffect, HeldOut, Ledger, Outcome, read_all};
 use super::run::{JSON, PAGE, run};
-use super::subject::{Sensitivities, Sensitivity};
+use super::sensitivity::{Sensitivities, Sensitivity};
 use super::summary::{Share, Summary};
+use crate::closing::{Retrain, RetrainRequest, Retrained};
 use crate::effects::{Effect, FrameContext, find};
 use ndarray::Array2;
+
+/// Networks where none is asked for.
+struct Untrained;
+
+impl FirstTraining for Untrained {
+    fn train(&self, _: &TrainRequest<'_>) -> anyhow::Result<()> {
+        anyhow::bail!("this study trains no network")
+    }
+}
+
+impl Retrain for Untrained {
+    fn retrain(&self, _: &RetrainRequest<'_>, _: &mut dyn FnMut(u64)) -> anyhow::Result<Retrained> {
+        anyhow::bail!("this study trains no network")
+    }
+}
 
 fn outcome(key: &str, question: Question, truth: &str, found: &[(&str, f64)]) -> Outcome {
     let injected = Injected { id: truth.into(), param: "p".into(), sigmas: 10.0, value: 1.0, ..Injected::default() };
@@ -104,7 +121,7 @@ fn foreign_effects_do_something_and_nothing_when_off() {
 #[test]
 fn the_quick_study_finds_what_is_there() {
     let dir = tempfile::tempdir().unwrap();
-    let study = run(dir.path(), &Size::quick(1), [0, 1], |_, _| {}).unwrap();
+    let study = run(dir.path(), &Size::quick(1), [0, 1], &Untrained, |_, _| {}).unwrap();
     let told: Vec<String> = study
         .outcomes
         .iter()
@@ -120,7 +137,7 @@ fn the_quick_study_finds_what_is_there() {
     assert!(s.records.k >= 3 && s.records.n == 4, "{told}");
     assert!(s.foreign[0].1.noticed.k >= 1, "{told}");
     // A study that is whole is not run again.
-    let again = run(dir.path(), &Size::quick(1), [0, 1], |_, _| panic!("run again")).unwrap();
+    let again = run(dir.path(), &Size::quick(1), [0, 1], &Untrained, |_, _| panic!("run again")).unwrap();
     assert_eq!(again.outcomes, study.outcomes);
     assert!(dir.path().join(JSON).is_file() && dir.path().join(PAGE).is_file());
 }

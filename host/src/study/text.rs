@@ -2,7 +2,7 @@
 
 use super::plan::{Question, Size};
 use super::record::Outcome;
-use super::subject::Sensitivities;
+use super::sensitivity::Sensitivities;
 use super::summary::{ByStrength, Outside, Share, Summary};
 use std::collections::BTreeSet;
 use std::fmt::Write;

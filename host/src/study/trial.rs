@@ -1,17 +1,13 @@
 //! Runs one case: measure, close, compare.
 
-use super::downstream;
+use super::downstream::{self, Comparison, Networks};
 use super::foreign;
 use super::plan::{Case, Question};
 use super::record::{FoundEffect, HeldOut, Outcome};
 use super::subject::Subject;
-use crate::closing::close::{Given, close_with};
-use crate::closing::figures::figures;
-use crate::closing::model::Model;
-use crate::closing::observe::{Budget, Observations};
-use crate::closing::refit::refit;
-use crate::closing::result::Closing;
-use crate::closing::state::Term;
+use crate::closing::evidence::figures;
+use crate::closing::fit::{Model, Term, refit};
+use crate::closing::{Budget, CloseOptions, Closing, Observations, close};
 use crate::effects::{Effect, EffectSetting, Param, find};
 use crate::instrument::Instrument;
 use crate::session::{Role, Session};
@@ -23,12 +19,12 @@ use std::time::Instant;
 const TELL: f64 = 5.0;
 
 /// Runs a case. What goes wrong is its outcome, too.
-pub fn run(subject: &Subject, case: &Case) -> Outcome {
+pub fn run(subject: &Subject, case: &Case, networks: &dyn Networks) -> Outcome {
     let fail = |e: anyhow::Error| Outcome { case: case.clone(), error: Some(format!("{e:#}")), ..Outcome::default() };
-    attempt(subject, case).unwrap_or_else(fail)
+    attempt(subject, case, networks).unwrap_or_else(fail)
 }
 
-fn attempt(subject: &Subject, case: &Case) -> anyhow::Result<Outcome> {
+fn attempt(subject: &Subject, case: &Case, networks: &dyn Networks) -> anyhow::Result<Outcome> {
     let mut settings = Vec::new();
     for it in case.injected.iter().filter(|_| case.question != Question::Foreign) {
         let mut params = vec![(it.param.as_str(), it.value)];
@@ -46,12 +42,14 @@ fn attempt(subject: &Subject, case: &Case) -> anyhow::Result<Outcome> {
     instrument.noise.gain_dn_per_e *= case.gain;
     let mut seen = Observations::read(&session, &Budget::default())?;
     let started = Instant::now();
-    let given = Given { exclude: &case.excluded, anew: None };
-    let closed = close_with(&instrument, &mut seen, &case.key, case.seed, given, |_| {})?;
+    let options =
+        CloseOptions { session_name: &case.key, seed: case.seed, exclude: &case.excluded, ..CloseOptions::default() };
+    let closed = close(&instrument, &mut seen, &options, |_| {})?;
     let seconds = started.elapsed().as_secs_f64();
     let reconstruction = match case.question {
         Question::Reconstruction => {
-            Some(downstream::compare(subject, &bench, &closed.instrument, &settings, case.seed)?)
+            let (closed, injected, seed) = (&closed.instrument, &settings, case.seed);
+            Some(downstream::compare(networks, &Comparison { subject, bench: &bench, closed, injected, seed })?)
         }
         _ => None,
     };
@@ -72,7 +70,7 @@ fn attempt(subject: &Subject, case: &Case) -> anyhow::Result<Outcome> {
 }
 
 fn found(closing: Closing) -> Vec<FoundEffect> {
-    let one = |e: crate::closing::result::Effect| FoundEffect {
+    let one = |e: crate::closing::Effect| FoundEffect {
         id: e.id,
         known: e.known,
         z: e.z,

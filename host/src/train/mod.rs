@@ -29,7 +29,7 @@ pub use family::{Family, FamilyName};
 pub use lenses::{Lenses, pseudo_inverse};
 pub use place::Place;
 pub use seen::Seen;
-pub use settings::{Preset, Start, TrainConfig};
+pub use settings::{FINE_TUNE_RATE, Preset, Start, TrainConfig};
 pub use sight::Sight;
 pub use simulated::Simulated;
 pub use source::{Example, Loader, Pair, PairSource, normalise};

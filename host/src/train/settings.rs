@@ -10,6 +10,9 @@ const WARMUP: u64 = 50;
 /// Validations in a run.
 const VALIDATIONS: u64 = 20;
 
+/// Learning rates of a fine-tuning over those of a training from the start: it begins close to a good solution.
+pub const FINE_TUNE_RATE: f64 = 0.3;
+
 /// What the filters are before the first step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]

@@ -1,7 +1,7 @@
 //! `device faults`: the table of faults tried.
 
 use crate::artifact::write_whole;
-use crate::cli::Outcome;
+use crate::cli::common::Outcome;
 use crate::device::{Firmware, faults};
 use ommatidia_shared::boards::BOARDS;
 use serde_json::json;

@@ -2,7 +2,7 @@
 
 use super::target::Target;
 use crate::blob::BlobFile;
-use crate::cli::{Outcome, Run};
+use crate::cli::common::{Outcome, Run};
 use crate::device::flash;
 use serde_json::json;
 use std::path::PathBuf;

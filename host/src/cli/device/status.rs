@@ -1,7 +1,7 @@
 //! `device status`: how a device is.
 
 use super::target::Target;
-use crate::cli::{Outcome, Run};
+use crate::cli::common::{Outcome, Run};
 use crate::device::status;
 use ommatidia_shared::wire::{Info, SlotReport, Telemetry};
 use serde_json::{Value, json};

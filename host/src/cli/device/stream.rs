@@ -2,8 +2,8 @@
 
 use super::target::Target;
 use crate::blob::{BlobFile, raw_codes};
-use crate::cli::{Outcome, Run};
-use crate::device::{FrameFeed, Frames, StreamReport, StreamedFrame, View, stream};
+use crate::cli::common::{Outcome, Run};
+use crate::device::{FrameFeed, Frames, StreamReport, StreamedFrame, LiveView, stream};
 use crate::session::{FrameReader, Recording};
 use anyhow::Context;
 use ndarray::Array2;
@@ -58,8 +58,8 @@ pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let region = args.scope.region(&header);
     let runtime = args.target.runtime(run)?;
     let view = match args.view {
-        None => View::none(),
-        Some(address) => View::serve(address).with_context(|| format!("{address}: no view can be served there"))?,
+        None => LiveView::none(),
+        Some(address) => LiveView::serve(address).with_context(|| format!("{address}: no view can be served there"))?,
     };
     if let (Some(address), false) = (view.address(), run.quiet) {
         eprintln!("live view: http://{address}/");

@@ -1,7 +1,7 @@
 //! Which device, and what runs it.
 
-use crate::cli::Run;
-use crate::device::{BAUD, Runtime, Wanted};
+use crate::cli::common::Run;
+use crate::device::{BAUD, Runtime, RuntimeChoice};
 use clap::ValueEnum;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use ommatidia_shared::boards::{BOARDS, Board, MPS2_AN500};
@@ -54,9 +54,9 @@ impl Target {
             return Ok(Runtime::Serial { port, baud: self.baud });
         }
         let wanted = match self.on {
-            On::Auto => Wanted::Best,
-            On::Qemu => Wanted::Qemu,
-            On::Host => Wanted::Host,
+            On::Auto => RuntimeChoice::Best,
+            On::Qemu => RuntimeChoice::Qemu,
+            On::Host => RuntimeChoice::Host,
         };
         let (runtime, fallback) = Runtime::choose(self.board, wanted, self.firmware.as_deref())?;
         if let (Some(why), false) = (&fallback, run.quiet) {

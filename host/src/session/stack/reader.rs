@@ -14,7 +14,10 @@ pub trait FrameSource: Debug + Send + Sync {
     fn shape(&self) -> [usize; 3];
 
     /// Frame `i`, [rows, cols], DN, the same each time; and as many of those after it as are made along with it.
-    fn frames_from(&self, i: usize) -> Vec<Array2<f32>>;
+    ///
+    /// # Errors
+    /// What they are made from cannot be read.
+    fn frames_from(&self, i: usize) -> Result<Vec<Array2<f32>>, SessionError>;
 }
 
 /// Reads frames of a stack, one at a time, in any order; holds one frame in memory.
@@ -118,7 +121,7 @@ impl FrameReader {
             Source::Tif(s) => s.read(&self.path, i)?,
             Source::Made { maker, ahead: (next, frames) } => {
                 if *next != i || frames.is_empty() {
-                    *frames = maker.frames_from(i).into();
+                    *frames = maker.frames_from(i)?.into();
                 }
                 *next = i + 1;
                 frames.pop_front().unwrap_or_default().into_raw_vec_and_offset().0
