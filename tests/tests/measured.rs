@@ -171,7 +171,15 @@ fn measured_pixel_maps_are_named_and_corrected() {
         &[with("prnu", gains.mapv(|g| (g / gain - 1.0).clamp(-1.0, 1.0))), with("dsnu", offsets.mapv(|o| o - offset))],
     );
     let mut seen = Observations::read(&session, &Budget::default()).unwrap();
-    let closing = close(&instrument, &mut seen, &CloseOptions { session_name: "maps", seed: 1, ..CloseOptions::default() }, |_| ()).unwrap().account.closing;
+    let closing = close(
+        &instrument,
+        &mut seen,
+        &CloseOptions { session_name: "maps", seed: 1, ..CloseOptions::default() },
+        |_| (),
+    )
+    .unwrap()
+    .account
+    .closing;
     let named: Vec<&str> = closing.effects.iter().map(|e| e.id.as_str()).collect();
     // What is left of the maps is their slow part, which no pixel has of its own.
     assert_eq!(named[..2], ["dsnu", "prnu"], "{named:?}");
@@ -272,7 +280,13 @@ fn measured_mosaic_is_found_and_removed() {
     let session = Session::open(&folder).unwrap();
     let instrument = calibrate(&session, &CalibrateConfig::default(), || {}).unwrap().instrument;
     let mut seen = Observations::read(&session, &Budget::default()).unwrap();
-    let closed = close(&instrument, &mut seen, &CloseOptions { session_name: "water bear", seed: 1, ..CloseOptions::default() }, |_| ()).unwrap();
+    let closed = close(
+        &instrument,
+        &mut seen,
+        &CloseOptions { session_name: "water bear", seed: 1, ..CloseOptions::default() },
+        |_| (),
+    )
+    .unwrap();
     let effects = &closed.account.closing.effects;
     assert!(effects.len() == 1 && effects[0].id == "pixel_mosaic", "{effects:?}");
     let gain = |name: &str| effects[0].params.iter().find(|p| p.name == name).unwrap().value;
@@ -318,7 +332,13 @@ fn measured_row_noise_of_a_video_is_named() {
     let session = Session::open(target.path()).unwrap();
     let instrument = calibrate(&session, &CalibrateConfig::default(), || {}).unwrap().instrument;
     let mut seen = Observations::read(&session, &Budget::default()).unwrap();
-    let closed = close(&instrument, &mut seen, &CloseOptions { session_name: "video", seed: 1, ..CloseOptions::default() }, |_| ()).unwrap();
+    let closed = close(
+        &instrument,
+        &mut seen,
+        &CloseOptions { session_name: "video", seed: 1, ..CloseOptions::default() },
+        |_| (),
+    )
+    .unwrap();
     let first = &closed.account.closing.effects[0];
     let sigma = first.params[0].value;
     // By hand: scatter of the rows' means in the difference of two frames, which has twice the variance of one, about the mean of the 17 rows

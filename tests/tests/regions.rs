@@ -7,7 +7,7 @@ mod networks;
 
 use networks::{DENSE, PRUNED, Shape, TAPPED, THIN};
 use ommatidia_host::device::{
-    Client, DeviceError, DeviceRun, Loopback, LoopbackConfig, Runtime, Scope, RunRequest, reference, run,
+    Client, DeviceError, DeviceRun, Loopback, LoopbackConfig, RunRequest, Runtime, Scope, reference, run,
 };
 use ommatidia_shared::image::Region;
 
@@ -86,8 +86,11 @@ fn a_region_held_from_its_own_frame_is_the_cut_of_the_whole() {
         let frames = vec![networks::frames(&shape, 1, seed).remove(0); 3];
         let whole = reference(&networks::network(&shape, seed), frames[..1].into()).unwrap();
         for region in regions(&shape) {
-            let device =
-                on_this_machine(&shape, seed, RunRequest { frames: &frames, scope: Scope { hold: 2, ..region.into() } });
+            let device = on_this_machine(
+                &shape,
+                seed,
+                RunRequest { frames: &frames, scope: Scope { hold: 2, ..region.into() } },
+            );
             let reports: Vec<_> = device.reports.iter().map(|report| (report.field_id, report.field_age)).collect();
             assert_eq!(reports, [(1, 0), (1, 1), (1, 2)]);
             let expected = networks::cut(&whole[0], &shape, region);
@@ -103,13 +106,17 @@ fn a_region_held_from_another_frame_says_so_and_agrees_bit_for_bit() {
     for (seed, shape) in (60..).zip(shapes()) {
         let frames = networks::frames(&shape, 5, seed);
         for region in regions(&shape) {
-            let device =
-                on_this_machine(&shape, seed, RunRequest { frames: &frames, scope: Scope { hold: 2, ..region.into() } });
+            let device = on_this_machine(
+                &shape,
+                seed,
+                RunRequest { frames: &frames, scope: Scope { hold: 2, ..region.into() } },
+            );
             assert_eq!(device.differing_bits, 0);
             let reports: Vec<_> = device.reports.iter().map(|report| (report.field_id, report.field_age)).collect();
             assert_eq!(reports, [(1, 0), (1, 1), (1, 2), (4, 0), (4, 1)], "{region} of {shape:?}");
             assert_eq!(device.telemetry.held_runs, 3);
-            let exact = reference(&networks::network(&shape, seed), RunRequest { frames: &frames, scope: region.into() });
+            let exact =
+                reference(&networks::network(&shape, seed), RunRequest { frames: &frames, scope: region.into() });
             let exact = exact.unwrap();
             assert_eq!([&device.objects[0], &device.objects[3]], [&exact[0], &exact[3]]);
             (different, tried) = (different + usize::from(device.objects[1] != exact[1]), tried + 1);

@@ -6,7 +6,7 @@ mod networks;
 use half::f16;
 use networks::{DENSE, TAPPED};
 use ommatidia_host::device::{
-    Client, DeviceError, LineFaults, FaultyLine, Loopback, LoopbackConfig, RetryPolicy, Scope, Transport, reference,
+    Client, DeviceError, FaultyLine, LineFaults, Loopback, LoopbackConfig, RetryPolicy, Scope, Transport, reference,
 };
 use ommatidia_shared::blob::BlobError;
 use ommatidia_shared::wire::{Packet, Refusal, Reply, Request, SCHEMA_KEY, Telemetry, Transfer, VERSION, encode};

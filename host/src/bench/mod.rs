@@ -11,6 +11,7 @@ mod error;
 mod lens;
 mod live;
 mod measure;
+mod open;
 mod optics;
 mod scenes;
 mod sensor;
@@ -21,6 +22,7 @@ pub use config::{
 };
 pub use error::BenchError;
 pub use measure::{Summary, VirtualInstrument};
+pub use open::open_session;
 
 #[cfg(test)]
 mod tests;

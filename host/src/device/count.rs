@@ -1,10 +1,10 @@
 //! Counts the instructions of each operator on an emulated core.
 
-use super::qemu::run_to_end;
 use super::counter::Counter;
 use super::error::DeviceError;
 use super::firmware::Firmware;
 use super::footprint::{Footprint, footprint};
+use super::qemu::run_to_end;
 use ommatidia_shared::boards::Board;
 use serde::Serialize;
 

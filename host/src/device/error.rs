@@ -25,7 +25,8 @@ pub enum DeviceError {
     },
     /// There is no firmware image.
     #[error(
-        "no firmware image: {detail}; name one with `--firmware ELF`, or run the firmware's logic on this computer with \
+        "no firmware image: {detail}; name one with `--firmware ELF`, or run the firmware's logic on this computer \
+            with \
          `--on host`"
     )]
     NoFirmware {
@@ -58,7 +59,8 @@ pub enum DeviceError {
     },
     /// The board on a serial port was unplugged.
     #[error(
-        "{port}: the board was unplugged ({source}). A running upload and the reconstructions of `device run` are lost; \
+        "{port}: the board was unplugged ({source}). A running upload and the reconstructions of `device run` are \
+            lost; \
          recordings of `device stream` and the network in its flash are kept. Plug it in and start again"
     )]
     Unplugged {

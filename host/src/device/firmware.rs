@@ -27,8 +27,8 @@ impl Firmware {
         Err(DeviceError::NoFirmware { detail: format!("{}: no such file", path.display()) })
     }
 
-    /// Builds program `bin` (`app`, `bench` or `watchdog`) for a board. If the environment variable `OMMATIDIA_FIRMWARE` names
-    /// a folder of prebuilt images, takes the image from there.
+    /// Builds program `bin` (`app`, `bench` or `watchdog`) for a board. If the environment variable
+    /// `OMMATIDIA_FIRMWARE` names a folder of prebuilt images, takes the image from there.
     ///
     /// # Errors
     /// The sources or the compiler for the target are missing, or the build fails.

@@ -1,4 +1,4 @@
-//! Uploads a network into the flash of a device, and reads the status of the device.
+//! Uploads a network into the flash of a device.
 
 use super::client::Client;
 use super::error::DeviceError;
@@ -32,7 +32,8 @@ pub struct FlashReport {
 /// device is the file `state`. `progress` is called with the share that has arrived, 0 to 1.
 ///
 /// # Errors
-/// The device cannot be started, refuses the network, or stops answering in every attempt. It then runs its old network.
+/// The device cannot be started, refuses the network, or stops answering in every attempt. It then runs its old
+/// network.
 pub fn flash(
     runtime: &Runtime,
     state: Option<&Path>,
@@ -81,17 +82,6 @@ pub fn upload<T: Transport>(
             other => other?,
         }
     }
-}
-
-/// Identity and telemetry of the device.
-///
-/// # Errors
-/// The device cannot be started or stops answering.
-pub fn status(runtime: &Runtime, state: Option<&Path>) -> Result<(Info, Telemetry), DeviceError> {
-    let (mut client, info) = Client::connect(runtime.start(None, state)?)?;
-    let telemetry = client.telemetry()?;
-    client.quit().wait()?;
-    Ok((info, telemetry))
 }
 
 /// Whether the device runs this network, judged by the length and the checksum of its file.

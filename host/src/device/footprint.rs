@@ -33,7 +33,8 @@ pub fn footprint(app: &Firmware) -> Result<Footprint, DeviceError> {
     Ok(Footprint { image_bytes, static_bytes, stack_bytes })
 }
 
-/// A network with every operator in it, all weights zero, and a frame for it: how deep the stack gets does not depend on the sizes.
+/// A network with every operator in it, all weights zero, and a frame for it: how deep the stack gets does not depend
+/// on the sizes.
 pub(super) fn small_network() -> Result<(BlobFile, Vec<u16>), DeviceError> {
     let mut header = Header {
         name: Default::default(),

@@ -100,7 +100,8 @@ fn answer(mut browser: &TcpStream, shown: &Mutex<Shown>) -> std::io::Result<()> 
     let status = if kind.is_empty() { "404 Not Found" } else { "200 OK" };
     write!(
         browser,
-        "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {}\r\nCache-Control: no-store\r\nConnection: close\r\n\r\n",
+        "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {}\r\nCache-Control: no-store\r\nConnection: \
+            close\r\n\r\n",
         body.len()
     )?;
     browser.write_all(&body)

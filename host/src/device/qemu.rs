@@ -12,8 +12,8 @@ use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// QEMU sends each byte of the UART as a datagram. So many bytes, with what the packet adds, stay below the 270 datagrams that
-/// the receive buffer of a Linux socket holds.
+/// QEMU sends each byte of the UART as a datagram. So many bytes, with what the packet adds, stay below the 270
+/// datagrams that the receive buffer of a Linux socket holds.
 const ANSWER_LEN: usize = 160;
 /// A program that was asked to end does so within this time.
 const END_WITHIN: Duration = Duration::from_secs(10);
@@ -25,9 +25,9 @@ pub fn find_qemu() -> Option<PathBuf> {
 
 /// An emulated board.
 ///
-/// The UART is on a UDP port of the loopback interface, behind QEMU's multiplexer: the one back end that takes more than one
-/// byte from the host at a time (the emulated UART itself holds one), which makes it ten times as fast as a socket or a
-/// pipe. A datagram may be lost; the protocol tolerates it.
+/// The UART is on a UDP port of the loopback interface, behind QEMU's multiplexer: the one back end that takes more
+/// than one byte from the host at a time (the emulated UART itself holds one), which makes it ten times as fast as a
+/// socket or a pipe. A datagram may be lost; the protocol tolerates it.
 #[derive(Debug)]
 pub struct Qemu {
     child: Arc<Mutex<Child>>,

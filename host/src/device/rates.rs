@@ -1,4 +1,5 @@
-//! Frame rates of each preset on microcontrollers: counted instructions, assumed cycles per instruction, planned memory.
+//! Frame rates of each preset on microcontrollers: counted instructions, assumed cycles per instruction, planned
+//! memory.
 //!
 //! The counts can come from the page that [`super::table`] writes:
 //!
@@ -51,20 +52,22 @@ const PARTS: [Part; 4] = [
 const HEAD: &str = "
 ## Frame rates
 
-Frames per second = clock / (instructions per frame x cycles per instruction). The cycles per instruction are assumed, not measured on
-hardware. Cortex-M7: one, on the assumption that its second pipeline compensates for wait states. Cortex-M55: two, as if all instructions
-were Helium's (Arm: two beats of 64 bits on this core). Cortex-M4F: three, as if all instructions were `VFMA` (Arm DDI 0439, table 7-1).
-On the last two, real frames take less. The transfer over the serial line and the exposure are not included.
+Frames per second = clock / (instructions per frame x cycles per instruction). The cycles per instruction are assumed,
+not measured on hardware. Cortex-M7: one, on the assumption that its second pipeline compensates for wait states.
+Cortex-M55: two, as if all instructions were Helium's (Arm: two beats of 64 bits on this core). Cortex-M4F: three, as
+if all instructions were `VFMA` (Arm DDI 0439, table 7-1). On the last two, real frames take less. The transfer over
+the serial line and the exposure are not included.
 
-The instructions of frames of 214x214 pixels were counted under QEMU (tables above). Pruned filters take a tenth of the flash
-(`quantize --prune 0.1`) and are transformed on the device. Frames with pruned filters were counted for `nano`; for the other presets
-the transforms of kernels without an empty row are added. Frames of 608x608 pixels, the sensor of the wire-free miniscopes, were not
-counted. Their instructions are estimated: the numbers of multiply-accumulates, transforms, tiles and pixels times the cost of each in
-the tables above, with transforms of 128x128 in steps of 64 and nine taps per channel. The estimate does not include the correction of
-the sensor";
+The instructions of frames of 214x214 pixels were counted under QEMU (tables above). Pruned filters take a tenth of
+the flash (`quantize --prune 0.1`) and are transformed on the device. Frames with pruned filters were counted for
+`nano`; for the other presets the transforms of kernels without an empty row are added. Frames of 608x608 pixels, the
+sensor of the wire-free miniscopes, were not counted. Their instructions are estimated: the numbers of
+multiply-accumulates, transforms, tiles and pixels times the cost of each in the tables above, with transforms of
+128x128 in steps of 64 and nine taps per channel. The estimate does not include the correction of the sensor";
 
 const HELD: &str = " Rows
-marked *field held* are for a square in the middle of the object (`device stream --roi --hold`): of ten frames one is exact, and nine
+marked *field held* are for a square in the middle of the object (`device stream --roi --hold`): of ten frames one is \
+exact, and nine
 take the statistics of the field from it. Their figures are means over the ten.";
 
 const TABLE: &str = "
@@ -151,8 +154,8 @@ impl Network {
         Some((square(" alone")? + HOLD * square(", field held")?) / (HOLD + 1.0))
     }
 
-    /// Instructions per frame, estimated from the costs of its operators; the exact frame among the held ones covers the
-    /// whole object. `None` where an operator was not counted.
+    /// Instructions per frame, estimated from the costs of its operators; the exact frame among the held ones covers
+    /// the whole object. `None` where an operator was not counted.
     fn estimated(&self, counts: &BoardCounts) -> Option<f64> {
         let Header { object, .. } = &self.header;
         let whole = self.sum(counts, Region::whole(object.rows, object.cols), false)?;
@@ -289,7 +292,6 @@ pub fn section(boards: &[BoardCounts]) -> Result<String, DeviceError> {
     if rows.is_empty() || low > high {
         return Ok(String::new());
     }
-    let check =
-        format!("; for the counted networks it deviates by {:+.1} to {:+.1} %.", 100.0 * low, 100.0 * high);
+    let check = format!("; for the counted networks it deviates by {:+.1} to {:+.1} %.", 100.0 * low, 100.0 * high);
     Ok([HEAD, &check, HELD, TABLE, &rows].concat())
 }

@@ -68,7 +68,8 @@ impl DeviceRun {
 }
 
 /// Starts a device, uploads the network if it does not run already, reconstructs all frames, and compares them with the
-/// host's. The flash of an emulated device is the file `state`. `progress` is called with the share that is done, 0 to 1.
+/// host's. The flash of an emulated device is the file `state`. `progress` is called with the share that is done, 0 to
+/// 1.
 ///
 /// # Errors
 /// The device cannot be started, refuses a request, or stops answering.

@@ -44,7 +44,11 @@ impl Runtime {
     ///
     /// # Errors
     /// QEMU or the firmware was required and is missing, or the firmware does not build.
-    pub fn choose(board: Board, wanted: RuntimeChoice, image: Option<&Path>) -> Result<(Self, Option<String>), DeviceError> {
+    pub fn choose(
+        board: Board,
+        wanted: RuntimeChoice,
+        image: Option<&Path>,
+    ) -> Result<(Self, Option<String>), DeviceError> {
         let here = Self::Host(LoopbackConfig::default());
         if wanted == RuntimeChoice::Host {
             return Ok((here, None));
@@ -67,7 +71,8 @@ impl Runtime {
         }
     }
 
-    /// Starts the device. Its flash is kept in the file `state`; without one it is empty at the start and lost at the end.
+    /// Starts the device. Its flash is kept in the file `state`; without one it is empty at the start and lost at the
+    /// end.
     ///
     /// # Errors
     /// It cannot be started.

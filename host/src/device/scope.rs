@@ -9,8 +9,8 @@ use ommatidia_shared::image::Region;
 pub struct Scope {
     /// Region of the object; `None`: the whole object.
     pub region: Option<Region>,
-    /// Number of consecutive frames that may take the statistics of the field from an exact frame before them, which makes
-    /// them approximate; 0: every frame is exact. See [`ommatidia_shared::pipeline::Field`].
+    /// Number of consecutive frames that may take the statistics of the field from an exact frame before them, which
+    /// makes them approximate; 0: every frame is exact. See [`ommatidia_shared::pipeline::Field`].
     pub hold: u16,
 }
 
@@ -41,7 +41,8 @@ impl Deviation {
     }
 }
 
-/// Mean of `(s h - e)^2` over the square of the maximum of e; `s = <h, e> / <h, h>`. No sigmoid leaves a region of zeros.
+/// Mean of `(s h - e)^2` over the square of the maximum of e; `s = <h, e> / <h, h>`. No sigmoid leaves a region of
+/// zeros.
 fn relative_error(held: &[f16], exact: &[f16]) -> f64 {
     let sum = |f: fn(f64, f64) -> f64| held.iter().zip(exact).map(|(h, e)| f(h.to_f64(), e.to_f64())).sum::<f64>();
     let scale = sum(|h, e| h * e) / sum(|h, _| h * h).max(f64::MIN_POSITIVE);

@@ -86,7 +86,7 @@ mod tests {
     use super::*;
     use crate::device::footprint::small_network;
     use crate::device::loopback::{LoopbackConfig, play};
-    use crate::device::{Client, FrameFeed, Frames, Runtime, Scope, RunRequest, camera_frame, run, status, stream};
+    use crate::device::{Client, FrameFeed, Frames, RunRequest, Runtime, Scope, camera_frame, run, status, stream};
     use serialport::TTYPort;
     use std::io::{Read, Write};
     use std::sync::Arc;

@@ -94,8 +94,8 @@ pub fn stream(
     let start = Instant::now();
     let (mut reconstructed, mut held, mut failed, mut in_a_row) = (0, 0, 0, 0);
     let (mut next, mut first_missed) = (0, 0);
-    // A board that went on since an earlier stream still holds its last run, and would give it again for the same number. A frame
-    // that is sent ends that; one of the camera does not.
+    // A board that went on since an earlier stream still holds its last run, and would give it again for the same
+    // number. A frame that is sent ends that; one of the camera does not.
     let first_id: u32 = if matches!(feed.source, Frames::Camera) { rand::random() } else { 1 };
     while next < feed.len {
         let frame = feed.due(next, start);

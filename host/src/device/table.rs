@@ -12,7 +12,8 @@ const TOLERANCE: f64 = 0.02;
 /// A library's count of an operator: instructions per unit of its work, and whose.
 type Peer = (&'static str, f64, &'static str);
 
-/// Instructions of C libraries for the same work, counted under QEMU 7.2 with the better of gcc 12 (-O3, -Ofast) and clang 19.
+/// Instructions of C libraries for the same work, counted under QEMU 7.2 with the better of gcc 12 (-O3, -Ofast) and
+/// clang 19.
 const PEERS: [(&str, &[Peer]); 2] = [
     (
         "mps2-an500",
@@ -41,23 +42,25 @@ const PEERS: [(&str, &[Peer]); 2] = [
 const HEAD: &str = "# Instructions and memory on the microcontroller
 
 Written by `cargo run --release -p ommatidia-host -- device bench -o docs/instructions.md`: the programs of
-`firmware/src/bin/bench.rs`, counted instruction by instruction under QEMU, one table per board. The counts repeat exactly. They do not
-include pipeline, caches or wait states. An instruction of Helium, the vector extension of the Cortex-M55, counts as one here and takes
-two cycles on that core. Transforms read and write half precision (f16), except the complex ones, which work in place; convolutions and
-the network read and write half precision. Results have the same bits on every board as on the workstation. The C libraries work in
-single precision (f32) or in half precision throughout (f16), whose results may differ between machines. Their counts were taken
-earlier under QEMU 7.2 (the better of gcc 12 and clang 19); the command does not repeat them.
+`firmware/src/bin/bench.rs`, counted instruction by instruction under QEMU, one table per board. The counts repeat
+exactly. They do not include pipeline, caches or wait states. An instruction of Helium, the vector extension of the
+Cortex-M55, counts as one here and takes two cycles on that core. Transforms read and write half precision (f16),
+except the complex ones, which work in place; convolutions and the network read and write half precision. Results have
+the same bits on every board as on the workstation. The C libraries work in single precision (f32) or in half
+precision throughout (f16), whose results may differ between machines. Their counts were taken earlier under QEMU 7.2
+(the better of gcc 12 and clang 19); the command does not repeat them.
 
-A test of `cargo verify` counts again. It fails if a figure has grown by more than 2 %, if a table lacks an operator, or if a library
-needs fewer instructions. After an intended change, write the page again with the command above, or with
-`OMMATIDIA_RENEW=1 cargo test --release -p ommatidia-tests --test instructions`.
+A test of `cargo verify` counts again. It fails if a figure has grown by more than 2 %, if a table lacks an operator,
+or if a library needs fewer instructions. After an intended change, write the page again with the command above, or
+with `OMMATIDIA_RENEW=1 cargo test --release -p ommatidia-tests --test instructions`.
 ";
 
 /// The tables of a board, Markdown.
 pub fn table(counts: &BoardCounts) -> String {
     let Footprint { image_bytes, static_bytes, stack_bytes } = counts.footprint;
     let mut text = format!(
-        "| memory of the program | bytes |\n|---|---|\n| code and constants | {image_bytes} |\n| variables | {static_bytes} |\n\
+        "| memory of the program | bytes |\n|---|---|\n| code and constants | {image_bytes} |\n| variables | \
+            {static_bytes} |\n\
          | deepest stack | {stack_bytes} |\n\n\
          | operator | work | instructions | per unit of work | C libraries, per unit |\n|---|---|---|---|---|\n"
     );
@@ -111,8 +114,8 @@ fn heading(board: Board) -> String {
     format!("## {} (`{}`)", board.core, board.name)
 }
 
-/// Differences between `counts` and `page`, one line each: figures that have grown by more than 2 %, operators that only
-/// one of them has, operators that need more instructions than a library.
+/// Differences between `counts` and `page`, one line each: figures that have grown by more than 2 %, operators that
+/// only one of them has, operators that need more instructions than a library.
 pub fn complaints(page: &str, counts: &BoardCounts) -> Vec<String> {
     let committed = read(page, counts.board);
     let Footprint { image_bytes, static_bytes, stack_bytes } = counts.footprint;

@@ -221,9 +221,7 @@ mod tests {
     #[test]
     fn colours_come_from_the_page() {
         let html = chart(vec![[0.0, 1.0], [1.0, 0.5]], AxisKind::Linear).render().unwrap().into_string();
-        for text in
-            ["var(--ink)", "var(--grid)", "var(--c1)", "var(--c2)", "Rank", "Error", "aria-label=\"a chart\""]
-        {
+        for text in ["var(--ink)", "var(--grid)", "var(--c1)", "var(--c2)", "Rank", "Error", "aria-label=\"a chart\""] {
             assert!(html.contains(text), "{text} is missing");
         }
         assert!(!html.contains("#01") && !html.contains("#03"), "a placeholder is left");

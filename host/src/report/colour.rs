@@ -17,7 +17,8 @@ pub enum ColourMap {
 
 /// Colour of a pixel without a value.
 pub const ABSENT: [u8; 3] = [150, 154, 158];
-/// Its index in the palette of [`ColourMap::Diverging`]. The 255 levels before it are an odd number, so zero has its own.
+/// Its index in the palette of [`ColourMap::Diverging`]. The 255 levels before it are an odd number, so zero has its
+/// own.
 pub const ABSENT_LEVEL: u8 = 255;
 
 impl ColourMap {

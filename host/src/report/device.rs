@@ -33,7 +33,12 @@ pub fn device(json: &Value, numbers: &mut Numbers) -> Markup {
             _ => (sentence(key), html! { (short(value)) }),
         });
     }
-    let table = numbers.table("Firmware.", "Figures of a run of the firmware, as the device and its host reported them.", pairs(&rows));
+    let table = numbers.table(
+        "Firmware.",
+        "Figures of a run of the firmware, as the device and its host reported \
+        them.",
+        pairs(&rows),
+    );
     html! { div { (table) } }
 }
 
@@ -60,8 +65,10 @@ pub fn blob(header: &Header, file_bytes: u64, numbers: &mut Numbers) -> Markup {
         ("Fast memory".into(), html! { (bytes(u64::from(header.memory.fast_bytes))) }),
         ("Bulk memory".into(), html! { (bytes(u64::from(header.memory.bulk_bytes))) }),
     ];
-    let text =
-        format!("Network “{}”, made from checkpoint {}. Weights are stored in half precision.", header.name, header.checkpoint);
+    let text = format!(
+        "Network “{}”, made from checkpoint {}. Weights are stored in half precision.",
+        header.name, header.checkpoint
+    );
     html! { div { (numbers.table("Network file.", &text, pairs(&rows))) } }
 }
 
@@ -72,7 +79,13 @@ pub fn keys(json: &Value) -> Vec<Key> {
         let differ = json["differing_bits"].as_u64().map(grouped);
         let value = differ.unwrap_or_else(|| if exact { "0".into() } else { "some".into() });
         let note = json["board"].as_str().unwrap_or("").to_string();
-        keys.push(Key { name: "Bits that differ between device and host".into(), value, unit: "", note, holds: Some(exact) });
+        keys.push(Key {
+            name: "Bits that differ between device and host".into(),
+            value,
+            unit: "",
+            note,
+            holds: Some(exact),
+        });
     }
     if let Some(n) = json["instructions"].as_u64() {
         let value = super::picture::number(n as f64 / 1e6);

@@ -33,7 +33,8 @@ pub enum ReportError {
     Chart(String),
     /// The file is of a kind that a report does not show.
     #[error(
-        "{path}: expected an instrument, checkpoint, network file, evaluation, account of a closed loop, session folder or \
+        "{path}: expected an instrument, checkpoint, network file, evaluation, account of a closed loop, session \
+            folder or \
          the JSON that a command printed, found {found}"
     )]
     Kind {

@@ -229,7 +229,8 @@ fn lead(pieces: &[Piece]) -> String {
     });
     manifest.map_or(String::new(), |m| {
         format!(
-            "A multi-aperture miniscope with {} × {} lenses on a {} × {} pixel sensor (pitch {} µm, {} bit), observing an object of \
+            "A multi-aperture miniscope with {} × {} lenses on a {} × {} pixel sensor (pitch {} µm, {} bit), \
+                observing an object of \
              {} × {} pixels of {} µm at magnification {}.",
             m.array.rows,
             m.array.cols,

@@ -1,8 +1,8 @@
 //! The calibrated instrument: PSFs by lens and field, their correlation, singular values, and the noise of the sensor.
 
-use super::error::ReportError;
 use super::chart::{Axis, Chart, Line, Marks};
 use super::colour::ColourMap;
+use super::error::ReportError;
 use super::page::{Numbers, pairs};
 use super::picture::{Scale, Tone, number, picture};
 use crate::instrument::Instrument;
@@ -20,11 +20,9 @@ const GALLERY: usize = 5;
 /// A picture or chart cannot be made.
 pub fn optics(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup, ReportError> {
     if instrument.sensor_only() {
-        return Ok(
-            html! { p {
-                "No bead scan was measured: the optics is the identity, and only the sensor is modelled."
-            } },
-        );
+        return Ok(html! { p {
+            "No bead scan was measured: the optics is the identity, and only the sensor is modelled."
+        } });
     }
     let gallery = gallery(instrument, numbers)?;
     let correlation = correlation(instrument, numbers)?;
@@ -44,12 +42,14 @@ fn quality(instrument: &Instrument, numbers: &mut Numbers) -> Markup {
         ("Distance of foci from their chief rays, rms".into(), html! { (number(q.chief_ray_rms_px)) " px" }),
         ("Magnification".into(), html! { (number(instrument.geometry.magnification)) }),
     ];
-    let text = "Over all windows, without the black level. The distance of a focus from its chief ray is part of the model: it stays in \
+    let text = "Over all windows, without the black level. The distance of a focus from its chief ray is part of the \
+        model: it stays in \
                 the window.";
     html! { div style="max-width:640px" { (numbers.table("Calibration.", text, pairs(&rows))) } }
 }
 
-/// PSF of a lens at a node of the coefficient grid at the depth nearest to 0 um, Eq. 2: the basis weighted with the coefficients, DN.
+/// PSF of a lens at a node of the coefficient grid at the depth nearest to 0 um, Eq. 2: the basis weighted with the
+/// coefficients, DN.
 fn psf_at(psf: &LowRankPsf, lens: usize, row: usize, col: usize) -> Array2<f32> {
     let window = psf.basis.dim().2;
     let coefficients = psf.coefficients.slice(s![lens, .., psf.depth_nearest(0.0), row, col]);
@@ -95,8 +95,10 @@ fn gallery(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup, Rep
     let panels = panels.iter().enumerate().map(show).collect::<Result<Vec<_>, _>>()?;
     let um = instrument.manifest.sensor.pixel_pitch_um;
     let text = format!(
-        "Each panel: one lens (row, column); within it the image of a point source at {} × {} positions across the field, cut out \
-         at its chief ray, {window} × {window} pixels ({} µm on the sensor). All panels share one square-root scale, so \
+        "Each panel: one lens (row, column); within it the image of a point source at {} × {} positions across the \
+            field, cut out \
+         at its chief ray, {window} × {window} pixels ({} µm on the sensor). All panels share one square-root scale, \
+         so \
          vignetting is visible.",
         rows.len(),
         cols.len(),
@@ -142,7 +144,8 @@ fn correlation(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup,
         y: Axis::between("PCC", 0.0, 1.0),
         lines: vec![Line { label: "central profile".into(), points, colour: 1, marks: Marks::Dots }],
     };
-    let text = "a, Pearson correlation of the PSFs at each position with those on the axis; b, profile along the central line. Where \
+    let text = "a, Pearson correlation of the PSFs at each position with those on the axis; b, profile along the \
+        central line. Where \
                 it falls, one PSF does not describe the instrument.";
     let body = html! { div.two { (plate) div.plate { p.name { "b  Central line" } (chart.render()?) } } };
     Ok(numbers.figure("Spatial variance.", text, body))
@@ -215,13 +218,16 @@ fn rank(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup, Report
         ],
     };
     let text = format!(
-        "a, singular values of the windows of each lens (one line per lens). b, error of the model against its rank. This \
+        "a, singular values of the windows of each lens (one line per lens). b, error of the model against its rank. \
+            This \
          instrument has K = {rank}: {:.2} % on the scan, {:.2} % on held-out positions.{}",
         100.0 * instrument.quality.approximation_error,
         100.0 * instrument.quality.off_grid_error,
         match instrument.whole_array_rank() {
-            Some(whole) =>
-                format!(" One decomposition of all lenses together needs {whole} terms for the same error on the scan."),
+            Some(whole) => format!(
+                " One decomposition of all lenses together needs {whole} terms for the same error on the \
+                    scan."
+            ),
             None => String::new(),
         }
     );
@@ -272,7 +278,8 @@ pub fn noise(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup, R
             Line { label: "measured".into(), points: column(1), colour: 1, marks: Marks::Dots },
         ],
     };
-    let text = "Temporal variance of the flats against their mean signal. The slope is the gain; the intercept is the variance of read \
+    let text = "Temporal variance of the flats against their mean signal. The slope is the gain; the intercept is the \
+        variance of read \
                 noise and rounding.";
     let figure = numbers.figure("Photon transfer.", text, chart.render()?);
     Ok(html! { div.two { (figure) (table) } })

@@ -114,7 +114,8 @@ pub fn document(title: &str, lead: &str, key_figures: &[Key], sections: &[Sectio
                 main {
                     @for s in sections { section id=(s.id) { h2 { (s.title) } (s.body) } }
                 }
-                footer { "Rendered by ommatidia " (env!("CARGO_PKG_VERSION")) " from the artifacts listed under Provenance. "
+                footer { "Rendered by ommatidia " (env!("CARGO_PKG_VERSION")) " from the artifacts listed under \
+                    Provenance. "
                     "The page is self-contained and loads nothing from the internet." }
             }
         }

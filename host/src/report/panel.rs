@@ -55,7 +55,8 @@ impl Panel {
             let class = if *t == 0.0 { "zero" } else { "grid" };
             let _ = write!(
                 svg,
-                "<path class=\"{class}\" d=\"M{left} {0:.1}H{right}\"/><text x=\"{1}\" y=\"{2:.1}\" text-anchor=\"end\">{3}</text>",
+                "<path class=\"{class}\" d=\"M{left} {0:.1}H{right}\"/><text \
+                    x=\"{1}\" y=\"{2:.1}\" text-anchor=\"end\">{3}</text>",
                 y(*t),
                 left - 5.0,
                 y(*t) + 3.8,

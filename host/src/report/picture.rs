@@ -1,7 +1,7 @@
 //! Pictures: arrays mapped to colours and embedded in the page as PNG.
 
-use super::error::ReportError;
 use super::colour::{ABSENT_LEVEL, ColourMap};
+use super::error::ReportError;
 use base64::Engine;
 use maud::{Markup, PreEscaped, html};
 use ndarray::ArrayView2;
@@ -56,7 +56,8 @@ impl Scale {
             Tone::SquareRoot => ", square-root scale",
         };
         html! {
-            div.scale role="img" aria-label={ "Colour scale from " (number(self.low)) " to " (number(self.high)) " " (unit) } {
+            div.scale role="img" aria-label={ "Colour scale from " (number(self.low)) " to " (number(self.high)) " "
+                (unit) } {
                 span { (number(self.low).replace('-', "−")) }
                 i style={ "background:" (self.map.css()) } {}
                 span { (number(self.high)) " " (unit) (tone) }
@@ -124,7 +125,8 @@ fn overlay(mark: &Mark) -> Markup {
     let percent = |v: f64| format!("{:.2}%", 100.0 * v);
     html! {
         @match mark {
-            Mark::Bar(width, label) => span.bar aria-hidden="true" style={ "width:" (percent(*width)) } { b { (label) } },
+            Mark::Bar(width, label) => span.bar aria-hidden="true" style={ "width:" (percent(*width)) } { b { (label)
+                } },
             Mark::Box([x, y, w, h], letter) => span.box aria-hidden="true" style={
                 "left:" (percent(*x)) ";top:" (percent(*y)) ";width:" (percent(*w)) ";height:" (percent(*h))
             } { b { (letter) } },

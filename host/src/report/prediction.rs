@@ -1,9 +1,9 @@
 //! Measured beside predicted frames, with details, and the residual against the distance from the middle of the sensor
 //! (Fig. 2e of Yang et al. 2024).
 
-use super::error::ReportError;
 use super::chart::{Axis, Chart, Line, Marks};
 use super::colour::ColourMap;
+use super::error::ReportError;
 use super::page::Numbers;
 use super::picture::{Mark, Scale, picture};
 use super::scenes::{Detail, details, raw_scale};
@@ -46,8 +46,10 @@ pub fn prediction(e: &Evaluation, numbers: &mut Numbers) -> Result<Option<Markup
         plate("Predicted", predicted.frames_dn.index_axis(Dim(0), 0), &grey, "DN")?,
         plate("Measured − predicted", predicted.residual_sigma.index_axis(Dim(0), 0), &signed, "standard deviations")?,
     ];
-    let text = "A measured frame, the frame that the calibrated model predicts for the known object, both on one scale, and their difference \
-                in standard deviations of the noise model. a, b: details near the middle and towards the edge of the sensor.";
+    let text = "A measured frame, the frame that the calibrated model predicts for the known object, both on one \
+        scale, and their difference \
+                in standard deviations of the noise model. a, b: details near the middle and towards the edge of the \
+                sensor.";
     let body = html! { div.plates style="grid-template-columns:repeat(3,1fr)" { @for plate in plates { (plate) } } };
     let pictures = numbers.figure("Measured and predicted.", text, body);
     let rings: Vec<_> = figures.by_radius.iter().filter(|r| r.pixels > 0).collect();
@@ -80,7 +82,8 @@ pub fn prediction(e: &Evaluation, numbers: &mut Numbers) -> Result<Option<Markup
         ],
     };
     let text = format!(
-        "Lit pixels of {} frames in rings round the middle of the sensor. a, χ² per pixel: 1 where model and noise explain the \
+        "Lit pixels of {} frames in rings round the middle of the sensor. a, χ² per pixel: 1 where model and noise \
+            explain the \
          frames. b, mean residual: vignetting, shading or stray light that the model lacks would appear as a slope.",
         figures.frames
     );

@@ -1,8 +1,8 @@
 //! Reconstructions side by side, the table of methods, PSNR against field radius, and figures of predicted frames.
 
-use super::error::ReportError;
 use super::chart::{Axis, Chart, Line, Marks};
 use super::colour::ColourMap;
+use super::error::ReportError;
 use super::page::{Key, Numbers};
 use super::picture::{Mark, Scale, number, picture, scale_bar};
 use crate::evaluate::{Evaluation, MethodFigures, PredictionFigures};
@@ -43,8 +43,8 @@ impl Detail {
     }
 }
 
-/// Two details, a quarter of the object wide: the one with most light near the centre, and the one with most light towards
-/// the edge.
+/// Two details, a quarter of the object wide: the one with most light near the centre, and the one with most light
+/// towards the edge.
 pub(super) fn details(truth: ArrayView2<'_, f32>) -> Vec<Detail> {
     let (rows, cols) = truth.dim();
     let side = (rows.min(cols) / 4).max(1);
@@ -64,9 +64,12 @@ pub(super) fn details(truth: ArrayView2<'_, f32>) -> Vec<Detail> {
     [brightest("a", &|r| r < 0.2), brightest("b", &|r| r > 0.38)].into_iter().flatten().collect()
 }
 
-const CAPTION: &str = "The raw frame contains the overlapping views of all lenses. Truth and reconstructions share one linear colour scale, \
-                       from 0 to the 99.7th percentile of the truth; each reconstruction has one free scale factor and no offset. \
-                       a, b: details near the centre and towards the edge of the field. Beside each name: PSNR of this frame. Scale \
+const CAPTION: &str = "The raw frame contains the overlapping views of all lenses. Truth and reconstructions share \
+    one linear colour scale, \
+                       from 0 to the 99.7th percentile of the truth; each reconstruction has one free scale factor \
+                       and no offset. \
+                       a, b: details near the centre and towards the edge of the field. Beside each name: PSNR of \
+                       this frame. Scale \
                        bars: on the sensor for the raw frame, in the object for the others.";
 
 /// The scenes with their reconstructions, one figure a scene.
@@ -103,7 +106,8 @@ fn scene(e: &Evaluation, p: usize, numbers: &mut Numbers) -> Result<Markup, Repo
     let mut plates = vec![html! {
         div.plate {
             p.name { "Raw frame" span { (sensor.rows) " × " (sensor.cols) } }
-            (picture(raw, &raw_scale, "Raw frame of the sensor", &[scale_bar(sensor.cols as f64 * sensor.pixel_pitch_um)])?)
+            (picture(raw, &raw_scale, "Raw frame of the sensor", &[scale_bar(sensor.cols as f64 *
+                sensor.pixel_pitch_um)])?)
             (raw_scale.bar("DN"))
         }
     }];
@@ -164,7 +168,8 @@ pub fn figures(e: &Evaluation, numbers: &mut Numbers) -> Result<Markup, ReportEr
         } } }
     };
     let caption = format!(
-        "Mean over {} scenes of known truth in “{}”. PSNR with the maximum of the truth as peak; SSIM after Wang et al. (2004); one \
+        "Mean over {} scenes of known truth in “{}”. PSNR with the maximum of the truth as peak; SSIM after Wang et \
+            al. (2004); one \
          free scale per frame. Reconstructions read from a file have no time.",
         e.summary.frames, e.summary.session
     );
@@ -184,7 +189,8 @@ pub fn figures(e: &Evaluation, numbers: &mut Numbers) -> Result<Markup, ReportEr
     };
     let field = numbers.figure(
         "Quality across the field.",
-        "PSNR in rings of equal width round the centre of the field, relative to the peak of the whole frame. Aberrations and \
+        "PSNR in rings of equal width round the centre of the field, relative to the peak of the whole frame. \
+            Aberrations and \
          vignetting increase outwards.",
         chart.render()?,
     );
@@ -208,7 +214,8 @@ fn prediction(p: &PredictionFigures, numbers: &mut Numbers) -> Markup {
     }
     rows.push(("Lit pixels".into(), html! { (p.lit_pixels) }));
     let text = format!(
-        "{} scene frames compared with the calibrated model. χ² over lit pixels, whose expected signal exceeds three times the read \
+        "{} scene frames compared with the calibrated model. χ² over lit pixels, whose expected signal exceeds three \
+            times the read \
          noise; variance from the noise model at the expected signal.",
         p.frames
     );

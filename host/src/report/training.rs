@@ -1,7 +1,7 @@
 //! How a training went, read from the header of its checkpoint.
 
-use super::error::ReportError;
 use super::chart::{Axis, Chart, Line, Marks};
+use super::error::ReportError;
 use super::page::{Numbers, pairs};
 use super::picture::{number, picture};
 use super::scenes::{raw_scale, truth_scale};
@@ -35,10 +35,19 @@ pub fn training(header: &Value, samples: &[Sample], numbers: &mut Numbers) -> Re
         y: Axis::linear("PSNR (dB)"),
         lines: vec![line("psnr_db", "validation", 1)],
     };
-    let best =
-        body["best_step"].as_u64().map(|s| format!(" The checkpoint holds the weights of step {s}.")).unwrap_or_default();
-    let text =
-        format!("a, loss on training batches and on held-out scenes; b, PSNR of reconstructions of those scenes.{best}");
+    let best = body["best_step"]
+        .as_u64()
+        .map(|s| {
+            format!(
+                " The checkpoint holds the weights of step \
+            {s}."
+            )
+        })
+        .unwrap_or_default();
+    let text = format!(
+        "a, loss on training batches and on held-out scenes; b, PSNR of reconstructions of those \
+            scenes.{best}"
+    );
     let figure = html! {
         div.two {
             div.plate { p.name { "a  Loss" } (loss.render()?) }
@@ -73,8 +82,10 @@ fn pictures(samples: &[Sample], numbers: &mut Numbers) -> Result<Markup, ReportE
         }
     }
     let body = html! { div.plates style="grid-template-columns:repeat(3,1fr)" { @for plate in plates { (plate) } } };
-    let text = "Held-out frames, their objects, and the reconstructions with the weights of the checkpoint, each with one \
-                free scale; truth and reconstruction share a colour scale from 0 to the 99.7th percentile of the truth.";
+    let text = "Held-out frames, their objects, and the reconstructions with the weights of the checkpoint, each with \
+        one \
+                free scale; truth and reconstruction share a colour scale from 0 to the 99.7th percentile of the \
+                truth.";
     Ok(numbers.figure("Held-out scenes.", text, body))
 }
 

@@ -3,22 +3,22 @@
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// How well a session tells one strength.
+/// How well a session determines one strength.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Sensitivity {
     /// Name of the strength.
     pub param: String,
-    /// Its unit.
+    /// Its unit; `1`: relative.
     pub unit: String,
-    /// Standard error where the effect is absent: noise, scatter, calibration (of a foreign effect the noise alone).
+    /// Standard error when the effect is absent: noise, scatter and calibration (foreign effects: noise alone).
     pub sigma: f64,
 }
 
-/// What sessions of an instrument can tell.
+/// How well sessions of one instrument determine each effect.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Sensitivities {
     /// By id of the effect.
     pub of: BTreeMap<String, Sensitivity>,
-    /// Ids that they cannot tell.
+    /// Ids of effects that they cannot determine.
     pub cannot: Vec<String>,
 }

@@ -1,4 +1,4 @@
-//! `device faults`: the table of faults tried.
+//! `device faults`: injects faults and prints the table.
 
 use crate::artifact::write_whole;
 use crate::cli::common::Outcome;
@@ -10,7 +10,7 @@ use std::path::PathBuf;
 /// Options of `device faults`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Where the page goes, Markdown
+    /// Page to write, Markdown (default: only print the table)
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
 }

@@ -1,8 +1,8 @@
 //! A new calibration in the place of the old one, and its entry in the account.
 
 use super::result::Closed;
-use crate::closing::search::{NEEDS_CALIBRATION, held_out_figures};
 use crate::calibrate::{CalibrateConfig, calibrate};
+use crate::closing::search::{NEEDS_CALIBRATION, held_out_figures};
 use crate::instrument::Instrument;
 use crate::session::Session;
 

@@ -2,10 +2,10 @@
 //! model needs more terms. A trial calibration on the training beads of the session, judged on the held-out beads,
 //! measures how much better the model could be.
 
+use crate::calibrate::{CalibrateConfig, calibrate};
 use crate::closing::data::{Budget, Observations, bead_is_held_out};
 use crate::closing::evidence::{Figures, figures};
 use crate::closing::fit::{Model, refit};
-use crate::calibrate::{CalibrateConfig, calibrate};
 use crate::instrument::Instrument;
 use crate::session::{FrameInfo, FrameReader, FrameSource, Manifest, Role, Session, SessionError, Stack, StackEntry};
 use ndarray::Array2;

@@ -1,9 +1,9 @@
 //! Faults of bits: flips in the flash, and invalid network files.
 
-use super::test_device::{TestDevice, FLASH, Network, reconstructs, telemetry, upload};
 use super::flash::{Fault, SECTOR};
 use super::power::with;
 use super::tally::{Row, Tally};
+use super::test_device::{FLASH, Network, TestDevice, reconstructs, telemetry, upload};
 use crate::device::error::DeviceError;
 use ommatidia_shared::wire::Refusal;
 
@@ -29,13 +29,27 @@ pub(super) fn bit_rot() -> Result<[Row; 2], DeviceError> {
         files.blobs_lost += u64::from(!runs);
     }
     Ok([
-        marks.row("a bit of the commit mark flips while the power is off", "every bit of both copies; the other copy is used"),
-        files.row("a bit of the network flips while the power is off", "every bit; the older network runs, and `device status` reports it"),
+        marks.row(
+            "a bit of the commit mark flips while the power is off",
+            "every bit of both copies; the other copy \
+            is used",
+        ),
+        files.row(
+            "a bit of the network flips while the power is off",
+            "every bit; the older network runs, and \
+            `device status` reports it",
+        ),
     ])
 }
 
 /// Whether `expected` runs after a bit has flipped, and how many slots were refused.
-fn after_flip(device: &mut TestDevice, flash: &[u128], bit: usize, expected: &Network, reconstruct: bool) -> (bool, u8) {
+fn after_flip(
+    device: &mut TestDevice,
+    flash: &[u128],
+    bit: usize,
+    expected: &Network,
+    reconstruct: bool,
+) -> (bool, u8) {
     debug_assert!(bit < 8 * FLASH);
     device.restore(flash);
     device.flip(bit);

@@ -1,16 +1,17 @@
 //! Faults of an emulated board: the emulator is killed, or the program hangs.
 
-use super::test_device::Network;
 use super::tally::{Row, Tally};
-use crate::device::flash::runs;
-use crate::device::qemu::run_to_end;
+use super::test_device::Network;
 use crate::device::client::Client;
 use crate::device::error::DeviceError;
 use crate::device::firmware::Firmware;
-use crate::device::flash::{flash, status, upload};
+use crate::device::flash::runs;
+use crate::device::flash::{flash, upload};
 use crate::device::qemu::Qemu;
+use crate::device::qemu::run_to_end;
 use crate::device::run::run;
 use crate::device::runtime::Runtime;
+use crate::device::status::status;
 use std::fs::File;
 use std::io::Read;
 use std::time::Duration;
@@ -37,7 +38,8 @@ fn kill_uploads(app: &Firmware, tally: &mut Tally) -> Result<(), DeviceError> {
     let state = folder.path().join("flash");
     let runtime = Runtime::Qemu(app.clone());
     flash(&runtime, Some(&state), &old.blob, &mut |_| {})?;
-    // The flash is the first part of the board's memory; what stands behind it in the file may be large, and is scratch.
+    // The flash is the first part of the board's memory; what stands behind it in the file may be large, and is
+    // scratch.
     let mut before = Vec::new();
     File::open(&state)?.take(FLASH_BYTES).read_to_end(&mut before)?;
     for kill in 0..KILLS {

@@ -1,10 +1,10 @@
 //! Faults of the serial line: lost, repeated and flipped bytes, repeated packets, interruptions.
 
-use super::test_device::Network;
 use super::tally::{Row, Tally};
+use super::test_device::Network;
 use crate::device::client::{Client, RetryPolicy};
 use crate::device::error::DeviceError;
-use crate::device::faulty_line::{LineFaults, FaultyLine};
+use crate::device::faulty_line::{FaultyLine, LineFaults};
 use crate::device::flash;
 use crate::device::scope::Scope;
 use crate::device::transport::Transport;
@@ -34,7 +34,15 @@ fn kinds() -> [(&'static str, LineFaults); 7] {
         ),
         (
             "all of these",
-            LineFaults { lose: 2e-4, repeat: 2e-4, flip: 2e-4, resend: 0.05, outage: 2e-5, outage_bytes: 10_000, seed: 0 },
+            LineFaults {
+                lose: 2e-4,
+                repeat: 2e-4,
+                flip: 2e-4,
+                resend: 0.05,
+                outage: 2e-5,
+                outage_bytes: 10_000,
+                seed: 0,
+            },
         ),
     ]
 }

@@ -5,12 +5,12 @@
 
 mod bits;
 mod board;
-mod test_device;
 mod flash;
 mod line;
 mod page;
 mod power;
 mod tally;
+mod test_device;
 
 pub use page::{complaints, page, table};
 pub use tally::Row;
@@ -31,7 +31,8 @@ pub fn try_here() -> Result<Vec<Row>, DeviceError> {
     Ok(rows)
 }
 
-/// Injects the faults that need emulated boards: each of `apps` is killed during uploads, and each of `watchdogs` hangs.
+/// Injects the faults that need emulated boards: each of `apps` is killed during uploads, and each of `watchdogs`
+/// hangs.
 ///
 /// # Errors
 /// QEMU is missing, or a board fails otherwise.

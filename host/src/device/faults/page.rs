@@ -4,23 +4,26 @@ use super::tally::Row;
 
 const HEAD: &str = "# Fault injection
 
-Written by `cargo run --release -p ommatidia-host -- device faults -o docs/faults.md`. The table lists the injected faults, how
-many of each, and whether networks and frames survived (`host/src/device/faults`). A test of `cargo verify` injects all of them
-again. It fails if a network or a frame is lost, if a bit of a reconstruction is wrong, or if a number differs from this page.
-`OMMATIDIA_RENEW=1 cargo test --release -p ommatidia-tests --test faults` writes the page again.
+Written by `cargo run --release -p ommatidia-host -- device faults -o docs/faults.md`. The table lists the injected
+faults, how many of each, and whether networks and frames survived (`host/src/device/faults`). A test of `cargo
+verify` injects all of them again. It fails if a network or a frame is lost, if a bit of a reconstruction is wrong, or
+if a number differs from this page. `OMMATIDIA_RENEW=1 cargo test --release -p ommatidia-tests --test faults` writes
+the page again.
 
-The flash is simulated NOR flash: a step writes one word of 4 bytes or erases one sector of 4 KiB. When the power fails within a
-step, a random part of the bits of that step has changed. A network counts as lost if no network runs after the next start, or if
-another one runs than the one whose commit the device had acknowledged. A frame counts as lost if it cannot be reconstructed
-afterwards, after a new upload where that is needed. `seen` counts the faults that the device or the host noticed. On the serial
-line it counts the injected faults: each costs a packet, which the host requests again.
+The flash is simulated NOR flash: a step writes one word of 4 bytes or erases one sector of 4 KiB. When the power
+fails within a step, a random part of the bits of that step has changed. A network counts as lost if no network runs
+after the next start, or if another one runs than the one whose commit the device had acknowledged. A frame counts as
+lost if it cannot be reconstructed afterwards, after a new upload where that is needed. `seen` counts the faults that
+the device or the host noticed. On the serial line it counts the injected faults: each costs a packet, which the host
+requests again.
 
 ";
 
 /// The table, Markdown.
 pub fn table(rows: &[Row]) -> String {
     let mut text = String::from(
-        "| fault | how | tried | seen | networks lost | frames lost | wrong reconstructions |\n|---|---|---|---|---|---|---|\n",
+        "| fault | how | tried | seen | networks lost | frames lost | wrong reconstructions \
+            |\n|---|---|---|---|---|---|---|\n",
     );
     for Row { fault, how, tried, seen, blobs_lost, frames_lost, wrong } in rows {
         text += &format!("| {fault} | {how} | {tried} | {seen} | {blobs_lost} | {frames_lost} | {wrong} |\n");

@@ -1,8 +1,8 @@
 //! Power failures at every step of the flash.
 
-use super::test_device::{TestDevice, Network, reconstructs, telemetry, upload};
 use super::flash::Fault;
 use super::tally::{Row, Tally};
+use super::test_device::{Network, TestDevice, reconstructs, telemetry, upload};
 use crate::device::error::DeviceError;
 use crate::rng;
 use rand::RngExt;
@@ -83,7 +83,8 @@ pub(super) fn with(network: &Network) -> TestDevice {
     device
 }
 
-/// After a start: one of the networks runs, the new one if its commit was acknowledged; and a new upload of it succeeds.
+/// After a start: one of the networks runs, the new one if its commit was acknowledged; and a new upload of it
+/// succeeds.
 fn survives(device: &mut TestDevice, old: &Network, new: &Network, committed: bool) -> Tally {
     let mut tally = Tally::default();
     let runs = device.power_on(Fault::None, 0, |dut| {
@@ -91,8 +92,7 @@ fn survives(device: &mut TestDevice, old: &Network, new: &Network, committed: bo
         if runs_new { Some(true) } else { reconstructs(dut, old).then_some(false) }
     });
     tally.blobs_lost += u64::from(runs.is_none() || (committed && runs == Some(false)));
-    let again =
-        device.power_on(Fault::None, 0, |dut| upload(dut, new.blob.bytes()).is_ok() && reconstructs(dut, new));
+    let again = device.power_on(Fault::None, 0, |dut| upload(dut, new.blob.bytes()).is_ok() && reconstructs(dut, new));
     tally.frames_lost += u64::from(!again);
     tally
 }
