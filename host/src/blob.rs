@@ -2,7 +2,7 @@
 
 use crate::artifact::{ArtifactError, write_whole};
 use ndarray::ArrayView2;
-use ommatidia_shared::blob::{ALIGN, BlobError, Header, Network, Weights, encode, encoded_len};
+use ommatidia_shared::blob::{ALIGN, BlobError, Header, Network, Verified, Weights, encode, encoded_len};
 use ommatidia_shared::pipeline::PipelineError;
 use std::path::{Path, PathBuf};
 use thiserror::Error;
@@ -59,6 +59,7 @@ pub enum BlobFileError {
 pub struct BlobFile {
     words: Vec<u128>,
     len: usize,
+    verified: Verified,
 }
 
 const _: () = assert!(size_of::<u128>() == ALIGN);
@@ -73,7 +74,8 @@ impl BlobFile {
         let len = encoded_len(header).map_err(named)?;
         let mut words = vec![0u128; len.div_ceil(ALIGN)];
         encode(header, weights, bytemuck::cast_slice_mut(&mut words)).map_err(named)?;
-        Ok(Self { words, len })
+        let verified = Verified::check(&bytemuck::cast_slice(&words)[..len]).map_err(named)?;
+        Ok(Self { words, len, verified })
     }
 
     /// Takes the bytes of a network file.
@@ -83,9 +85,9 @@ impl BlobFile {
     pub fn from_bytes(path: &Path, bytes: &[u8]) -> Result<Self, BlobFileError> {
         let mut words = vec![0u128; bytes.len().div_ceil(ALIGN)];
         bytemuck::cast_slice_mut(&mut words)[..bytes.len()].copy_from_slice(bytes);
-        let file = Self { words, len: bytes.len() };
-        Network::decode(file.bytes()).map_err(|source| BlobFileError::Blob { path: path.into(), source })?;
-        Ok(file)
+        let named = |source| BlobFileError::Blob { path: path.into(), source };
+        let verified = Verified::check(&bytemuck::cast_slice(&words)[..bytes.len()]).map_err(named)?;
+        Ok(Self { words, len: bytes.len(), verified })
     }
 
     /// Reads a network file.
@@ -115,7 +117,7 @@ impl BlobFile {
     /// # Errors
     /// None: the bytes have been checked.
     pub fn network(&self) -> Result<Network<'_>, BlobFileError> {
-        Network::view(self.bytes()).map_err(|source| BlobFileError::Blob { path: "network file".into(), source })
+        self.verified.open(self.bytes()).map_err(|source| BlobFileError::Blob { path: "network file".into(), source })
     }
 }
 

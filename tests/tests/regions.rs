@@ -1,6 +1,6 @@
-//! Regions of interest: a region that is computed alone has every bit of the region cut from the whole, on networks, frame sizes and
-//! tile sizes of many kinds; one whose field is held from an earlier frame says so, and is what this machine makes of it. `qemu_parity` tries
-//! some of it on the boards.
+//! Regions of interest. A region that is computed alone has every bit of the region cut from the whole, for networks,
+//! frame sizes and tile sizes of many kinds. A region whose field is held from an earlier frame is reported as such and
+//! has the bits that this machine computes. `qemu_parity` repeats a part of it on the boards.
 #![allow(clippy::unwrap_used)]
 
 mod networks;
@@ -79,7 +79,7 @@ fn on_this_machine(shape: &Shape, seed: u64, work: RunRequest<'_>) -> DeviceRun 
     run(&Runtime::Host(LoopbackConfig::default()), &networks::network(shape, seed), work, None, &mut |_| {}).unwrap()
 }
 
-/// The same frame again and again: what is held from it is what would be measured.
+/// The same frame several times: the held statistics are those that would be measured.
 #[test]
 fn a_region_held_from_its_own_frame_is_the_cut_of_the_whole() {
     for (seed, shape) in (40..).zip(shapes()) {
@@ -125,7 +125,7 @@ fn a_region_held_from_another_frame_says_so_and_agrees_bit_for_bit() {
     assert!(2 * different > tried, "statistics that do nothing would pass: {different} of {tried}");
 }
 
-/// What is held is of this network and of this conversation, or not held.
+/// Statistics are held only for the same network and in the same conversation.
 #[test]
 fn another_network_and_another_conversation_begin_with_nothing_held() {
     let blobs = [1, 2].map(|seed| networks::network(&DENSE, seed));
@@ -146,7 +146,7 @@ fn another_network_and_another_conversation_begin_with_nothing_held() {
     assert_eq!([(); 2].map(|()| age(&mut client, scope)), [0, 1]);
     assert_eq!([(); 2].map(|()| age(&mut client, Scope { hold: 0, ..scope })), [0; 2], "exact when asked for");
     assert_eq!(age(&mut client, Scope { region: None, ..scope }), 1, "the statistics are those of any exact run");
-    // The same run is done once; asked for otherwise it is another.
+    // The same request is run once; with another `hold` it is another run.
     client.send_frame(&frame).unwrap();
     let ages = [9, 9, 0].map(|hold| client.reconstruct(100, Scope { hold, ..scope }).unwrap().field_age);
     assert_eq!(ages, [2, 2, 0]);

@@ -112,7 +112,7 @@ pub fn calibrate(
         Instrument {
             psf,
             replicates,
-            quality: Quality { maps: noise.left, ..model.quality(fitted.rms_px) },
+            quality: Quality { maps: noise.map_errors, ..model.quality(fitted.rms_px) },
             diagnostics: model.diagnostics(&windows, &planes, noise.photon_transfer)?,
             manifest,
             noise: noise.model,

@@ -73,7 +73,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     for note in &calibration.notes {
         tracing::warn!("{note}");
     }
-    let inputs = if session.is_made() {
+    let inputs = if session.is_computed() {
         vec![args.session.clone()]
     } else {
         std::iter::once(session.manifest_path()).chain(session.stacks().iter().map(Stack::path)).collect()

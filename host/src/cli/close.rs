@@ -4,6 +4,7 @@ use super::retrain::Networks;
 use super::{Outcome, Run};
 use crate::calibrate::CalibrateConfig;
 use crate::closing::{CloseOutcome, CloseRequest, Closing, Effect, FineTuning, Progress, close_session};
+
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;

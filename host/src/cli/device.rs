@@ -120,7 +120,7 @@ fn count(args: &BenchArgs) -> anyhow::Result<Outcome> {
 
 fn run_network(args: &RunArgs, run: &Run) -> anyhow::Result<Outcome> {
     let blob = BlobFile::read(&args.with)?;
-    let header = blob.network()?.header;
+    let header = blob.network()?.into_header();
     let stack = stack::read(&args.frames)?;
     let count = args.first.map_or(usize::MAX, |n| n as usize);
     let frames = stack

@@ -102,11 +102,11 @@ fn of_blob(path: &Path) -> anyhow::Result<Value> {
     let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
     let network = Network::decode(&bytes)
         .map_err(|e| anyhow::anyhow!("{}: {e}; quantize the checkpoint again", path.display()))?;
-    let header = serde_json::to_value(&network.header)?;
+    let header = serde_json::to_value(network.header())?;
     Ok(json!({
         "kind": "blob", "version": ommatidia_shared::blob::VERSION, "bytes": bytes.len(), "header": header,
-        "memory": { "fast": report::bytes(network.header.memory.fast_bytes.into()), "bulk":
-            report::bytes(network.header.memory.bulk_bytes.into()) },
+        "memory": { "fast": report::bytes(network.header().memory.fast_bytes.into()), "bulk":
+            report::bytes(network.header().memory.bulk_bytes.into()) },
     }))
 }
 

@@ -70,13 +70,6 @@ pub fn check_layout(instrument: &Manifest, session: &Manifest) -> Result<(), Clo
 ///
 /// # Errors
 /// The parts of the instrument disagree, an object holds negative light, or there is no frame.
-///
-/// # Examples
-/// A virtual instrument is calibrated; then its array is shifted by a quarter of a pixel, and the loop finds that from
-/// two scenes:
-/// ```no_run
-/// todo!()
-/// ```
 pub fn close(
     instrument: &Instrument,
     seen: &mut Observations,

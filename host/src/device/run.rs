@@ -9,7 +9,7 @@ use super::scope::{Deviation, Scope};
 use super::transport::Transport;
 use crate::blob::BlobFile;
 use half::f16;
-use ommatidia_shared::pipeline::{Holder, Memory, Pipeline};
+use ommatidia_shared::pipeline::{HeldRegion, Holder, Memory, Pipeline};
 use ommatidia_shared::wire::{RunReport, Telemetry};
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -144,7 +144,7 @@ fn converse<T: Transport>(
 /// The network, a frame or the region is refused.
 pub fn reference(blob: &BlobFile, work: RunRequest<'_>) -> Result<Vec<Vec<f16>>, DeviceError> {
     let network = blob.network()?;
-    let pipeline = Pipeline::new(&network.header, network.weights).map_err(DeviceError::Pipeline)?;
+    let pipeline = Pipeline::new(&network).map_err(DeviceError::Pipeline)?;
     let mut fast = vec![0.0; pipeline.fast_len_best().max(pipeline.fast_len()) + pipeline.scales_len()];
     let mut bulk = vec![f16::ZERO; pipeline.bulk_len()];
     let Scope { region, hold } = work.scope;
@@ -153,7 +153,7 @@ pub fn reference(blob: &BlobFile, work: RunRequest<'_>) -> Result<Vec<Vec<f16>>,
     for frame in work.frames {
         let mut object = vec![f16::ZERO; region.pixels()];
         let memory = Memory { fast: &mut fast, bulk: &mut bulk };
-        field.run(&pipeline, frame, (region, hold), memory, &mut object).map_err(DeviceError::Pipeline)?;
+        field.run(&pipeline, frame, HeldRegion { region, hold }, memory, &mut object).map_err(DeviceError::Pipeline)?;
         objects.push(object);
     }
     Ok(objects)

@@ -2,7 +2,7 @@
 
 use super::{MethodError, Reconstruct};
 use ndarray::{Array2, ArrayView2};
-use ommatidia_shared::blob::{ALIGN, BlobError, Header, Network};
+use ommatidia_shared::blob::{ALIGN, BlobError, Header, Verified};
 use ommatidia_shared::num::{f16, widen};
 use ommatidia_shared::pipeline::{Memory, Pipeline, PipelineError, Stats};
 use std::path::{Path, PathBuf};
@@ -33,6 +33,7 @@ pub struct Blob {
     bytes: Vec<u8>,
     start: usize,
     len: usize,
+    verified: Verified,
 }
 
 impl Blob {
@@ -45,9 +46,9 @@ impl Blob {
         let mut bytes = vec![0; len + ALIGN];
         let start = bytes.as_ptr().align_offset(ALIGN).min(ALIGN);
         bytes[start..start + len].copy_from_slice(&file);
-        let blob = Self { bytes, start, len };
-        let network = Network::decode(blob.bytes())?;
-        Pipeline::new(&network.header, network.weights)?;
+        let verified = Verified::check(&bytes[start..start + len])?;
+        let blob = Self { bytes, start, len, verified };
+        Pipeline::new(&verified.open(blob.bytes())?)?;
         Ok(blob)
     }
 
@@ -69,7 +70,7 @@ impl Blob {
     /// # Errors
     /// None for a file that [`Blob::new`] has accepted.
     pub fn header(&self) -> Result<Header, NetworkFileError> {
-        Ok(Network::view(self.bytes())?.header)
+        Ok(self.verified.open(self.bytes())?.into_header())
     }
 
     /// Runs the pipeline on raw codes, [frame rows, frame cols]: the reconstruction as halves, [object rows, object cols], bit for bit
@@ -78,8 +79,8 @@ impl Blob {
     /// # Errors
     /// The frame has another length.
     pub fn run(&self, codes: &[u16]) -> Result<(Vec<f16>, Stats), NetworkFileError> {
-        let network = Network::view(self.bytes())?;
-        let pipeline = Pipeline::new(&network.header, network.weights)?;
+        let network = self.verified.open(self.bytes())?;
+        let pipeline = Pipeline::new(&network)?;
         let mut fast = vec![0.0; pipeline.fast_len_best().max(pipeline.fast_len())];
         let mut bulk = vec![f16::ZERO; pipeline.bulk_len()];
         let mut output = vec![f16::ZERO; pipeline.output_len()];

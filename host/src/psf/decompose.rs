@@ -9,7 +9,7 @@
 //! that were not measured (off the sensor, saturated) are filled from the model itself until it no longer changes
 //! (expectation maximisation; Srebro & Jaakkola, ICML 2003).
 
-use crate::linalg::{NotConverged, symmetric_eigen};
+use crate::linalg::{NotConverged, SymmetricEigen, symmetric_eigen};
 use crate::rng;
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, Zip, s};
 use rand_distr::{Distribution, StandardNormal};
@@ -142,7 +142,7 @@ impl Subspace {
 /// Orthonormal rows that span those of `rows`, along their principal axes, largest first; directions below rounding
 /// error are dropped.
 fn orthonormal(rows: Array2<f32>) -> Result<Array2<f32>, NotConverged> {
-    let (values, vectors) = symmetric_eigen(&gram(rows.view()))?;
+    let SymmetricEigen { values, vectors } = symmetric_eigen(&gram(rows.view()))?;
     let n = values.len();
     let largest = values.last().copied().unwrap_or(0.0);
     let kept = values.iter().filter(|v| **v > 1e-10 * largest).count();
@@ -160,7 +160,7 @@ fn decompose_whole(
 ) -> Result<Decomposition, NotConverged> {
     let weighted = &windows / &sigma.insert_axis(Axis(0));
     let gram = gram(weighted.view());
-    let (values, vectors) = symmetric_eigen(&gram)?;
+    let SymmetricEigen { values, vectors } = symmetric_eigen(&gram)?;
     let n = windows.nrows();
     let singular_values: Vec<f64> = values.iter().rev().map(|v| v.max(0.0).sqrt()).collect();
     // What lies below rounding of the largest is nothing.

@@ -6,7 +6,7 @@
 //! cross-validation, `GCV = n |(I - A) y|^2 / tr(I - A)^2`; the order m is given, or chosen in the same way. Positions
 //! may be a grid or lie anywhere.
 
-use crate::linalg::{NotConverged, least_squares, symmetric_eigen};
+use crate::linalg::{NotConverged, SymmetricEigen, least_squares, symmetric_eigen};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
 
 /// Orders m that are tried: 2 is the thin-plate spline; higher orders reproduce polynomials of higher degree.
@@ -113,12 +113,12 @@ impl OrderPlan {
     fn new(order: usize, positions: &Array2<f64>) -> Result<Self, NotConverged> {
         let polynomials = polynomials(positions, order);
         // An orthonormal basis of the polynomials, then of what they leave.
-        let (values, vectors) = symmetric_eigen(&polynomials.dot(&polynomials.t()))?;
+        let SymmetricEigen { values, vectors } = symmetric_eigen(&polynomials.dot(&polynomials.t()))?;
         let largest = values[values.len() - 1];
         let rank = values.iter().filter(|v| **v > 1e-12 * largest).count();
         let rest = vectors.slice(s![.., ..positions.nrows() - rank]);
         let kernel = kernel_matrix(positions, positions, order);
-        let (eigenvalues, turn) = symmetric_eigen(&rest.t().dot(&kernel).dot(&rest))?;
+        let SymmetricEigen { values: eigenvalues, vectors: turn } = symmetric_eigen(&rest.t().dot(&kernel).dot(&rest))?;
         Ok(Self { order, polynomials, kernel, eigenvalues: eigenvalues.mapv(|e| e.max(0.0)), vectors: rest.dot(&turn) })
     }
 

@@ -184,7 +184,7 @@ fn load(path: &Path) -> Result<Piece, ReportError> {
         FileKind::Blob => {
             let bytes = read()?;
             let network = Network::decode(&bytes).map_err(|e| ReportError::blob(path, e))?;
-            (Value::Null, Content::Blob(Box::new(network.header.clone()), bytes.len() as u64))
+            (Value::Null, Content::Blob(Box::new(network.into_header()), bytes.len() as u64))
         }
         FileKind::Json => {
             let json: Value = serde_json::from_slice(&read()?)

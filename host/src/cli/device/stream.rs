@@ -50,7 +50,7 @@ fn rate(text: &str) -> Result<f64, String> {
 /// Runs the verb.
 pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let blob = BlobFile::read(&args.with)?;
-    let header = blob.network()?.header;
+    let header = blob.network()?.into_header();
     let mut reader = args.frames.as_deref().map(FrameReader::open).transpose()?;
     let len = reader.as_ref().map_or(args.live.unwrap_or_default() as usize, FrameReader::len);
     let region = args.scope.region(&header);

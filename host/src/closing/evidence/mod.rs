@@ -1,7 +1,8 @@
 //! Tests the residual of a fit.
 //!
 //! [`omnibus`] asks whether the residual depends on anything at all, [`score`] how much each effect of the catalogue
-//! would improve the fit, [`tables`] whether single pixels deviate, [`figures`] how well held-out data are predicted.
+//! would improve the fit, [`tables`] whether single pixels deviate, [`mod@figures`] how well held-out data are
+//! predicted.
 
 mod bins;
 pub mod covariate;

@@ -1,9 +1,9 @@
 //! Predicts the frames of a session from a state, and fits the state.
 //!
 //! [`state`] holds effects and nuisance parameters, [`model`] predicts frames, [`derivative`] their derivatives,
-//! [`design`] sums these over [`cell`]s, `repeats` adds what repeated frames show of the noise, [`refit`] finds the
-//! best state. [`record`] checks the session's records before the first fit; [`replicas`] gives the uncertainty of the
-//! calibration.
+//! [`design`] sums these over [`cell`]s, `repeats` adds what repeated frames show of the noise, [`mod@refit`] finds the
+//! best state. [`record`] checks the session's records before the first fit; [`mod@replicas`] gives the uncertainty of
+//! the calibration.
 
 pub mod cell;
 pub mod derivative;

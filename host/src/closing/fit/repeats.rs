@@ -11,7 +11,7 @@ use super::model::Model;
 use super::state::{Column, Predicted, State, Term};
 use crate::closing::data::Shown;
 use crate::effects::{Chain, Stage, blur_within};
-use crate::linalg::symmetric_eigen;
+use crate::linalg::{SymmetricEigen, symmetric_eigen};
 use crate::rng::stream;
 use crate::session::Role;
 use ndarray::{Array1, Array2, s};
@@ -264,7 +264,9 @@ impl Sampling {
         });
         let whitening = symmetric_eigen(&v).map_or_else(
             |_| Array2::from_diag(&v.diag().mapv(|v| 1.0 / v.max(1e-30).sqrt())),
-            |(values, vectors)| (&vectors * &values.mapv(|v| 1.0 / v.max(1e-30).sqrt())).dot(&vectors.t()),
+            |SymmetricEigen { values, vectors }| {
+                (&vectors * &values.mapv(|v| 1.0 / v.max(1e-30).sqrt())).dot(&vectors.t())
+            },
         );
         // The drawn noise of an effect adds an error as well; it has about the size of one pair.
         let sigma = |(level, expected): (&Level, &Features)| {
@@ -281,7 +283,7 @@ impl Sampling {
         let lines = self.sigma.iter().flatten().map(|s| 2.0 * s.ln()).sum::<f64>();
         // V^-1/2 is stored, so ln det V is minus twice the sum of its logarithms.
         let values =
-            symmetric_eigen(&self.whitening).map_or(0.0, |(values, _)| values.mapv(|v| v.max(1e-30).ln()).sum());
+            symmetric_eigen(&self.whitening).map_or(0.0, |eigen| eigen.values.mapv(|v| v.max(1e-30).ln()).sum());
         lines - 2.0 * values
     }
 

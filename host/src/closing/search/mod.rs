@@ -1,6 +1,6 @@
 //! Searches for the effects that a model lacks.
 //!
-//! [`trials`] lists what is tried, [`select`] adds one effect after another (forward selection), [`prune`] removes what
+//! [`trials`] lists what is tried, [`select`] adds one effect after another (forward selection), `prune` removes what
 //! is no longer needed (backward elimination), [`recalibrate`] measures what a new calibration would gain.
 
 pub mod candidate;

@@ -7,7 +7,9 @@ use crate::closing::data::{Budget, Observations, bead_is_held_out};
 use crate::closing::evidence::{Figures, figures};
 use crate::closing::fit::{Model, refit};
 use crate::instrument::Instrument;
-use crate::session::{FrameInfo, FrameReader, FrameSource, Manifest, Role, Session, SessionError, Stack, StackEntry};
+use crate::session::{
+    ComputedFrames, ComputedStack, FrameInfo, FrameReader, Manifest, Role, Session, SessionError, Stack, StackEntry,
+};
 use ndarray::Array2;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -55,12 +57,12 @@ fn without_held_out_beads(session: &Session) -> Result<Session, SessionError> {
         let info =
             indices.iter().enumerate().map(|(n, i)| FrameInfo { frame: n, ..stack.info()[*i].clone() }).collect();
         let entry = StackEntry { truth: None, expected: None, ..stack.entry().clone() };
-        let source: Arc<dyn FrameSource> = Arc::new(Selected::of(stack, indices)?);
-        stacks.push((entry, info, source));
+        let frames: Arc<dyn ComputedFrames> = Arc::new(Selected::of(stack, indices)?);
+        stacks.push(ComputedStack { entry, info, frames });
     }
-    let entries = stacks.iter().map(|(entry, ..)| entry.clone()).collect();
+    let entries = stacks.iter().map(|stack| stack.entry.clone()).collect();
     let manifest = Manifest { stacks: entries, ..session.manifest().clone() };
-    Ok(Session::made(session.dir(), manifest, stacks))
+    Ok(Session::computed(session.dir(), manifest, stacks))
 }
 
 /// Some frames of a stack.
@@ -80,7 +82,7 @@ impl Selected {
     }
 }
 
-impl FrameSource for Selected {
+impl ComputedFrames for Selected {
     fn shape(&self) -> [usize; 3] {
         [self.indices.len(), self.size[0], self.size[1]]
     }
@@ -88,5 +90,39 @@ impl FrameSource for Selected {
     fn frames_from(&self, i: usize) -> Result<Vec<Array2<f32>>, SessionError> {
         let mut reader = self.reader.lock().unwrap_or_else(PoisonError::into_inner);
         Ok(vec![reader.read(self.indices[i])?])
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+    use crate::bench::{BenchConfig, ScanConfig};
+
+    #[test]
+    fn held_out_beads_and_scenes_are_absent_and_all_other_frames_are_the_same() {
+        let mut config = BenchConfig::default();
+        (config.sensor.rows, config.sensor.cols) = (50, 70);
+        (config.array.rows, config.array.cols, config.array.pitch_px) = (1, 2, 20.0);
+        config.optics.psf_field_px = 31;
+        config.optics.aperture_um = 20.0;
+        (config.object.rows, config.object.cols) = (18, 22);
+        config.scan = ScanConfig { rows: 1, cols: 5, ..ScanConfig::default() };
+        (config.stacks.dark_frames, config.stacks.flat_frames, config.stacks.scene_frames) = (2, 1, 1);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("session");
+        config.build(&[]).unwrap().measure(&path, 3, |_| ()).unwrap();
+        let whole = Session::open(&path).unwrap();
+        let part = without_held_out_beads(&whole).unwrap();
+        assert!(part.stacks_of(Role::Scene).next().is_none());
+        for (all, some) in whole.stacks().iter().filter(|s| s.role() != Role::Scene).zip(part.stacks()) {
+            let step = if all.role() == Role::Bead { 2 } else { 1 };
+            assert_eq!((all.role(), all.len().div_ceil(step)), (some.role(), some.len()));
+            let (mut a, mut b) = (all.frames().unwrap(), some.frames().unwrap());
+            for i in 0..some.len() {
+                assert_eq!(a.read(step * i).unwrap(), b.read(i).unwrap());
+                assert_eq!(FrameInfo { frame: i, ..all.info()[step * i].clone() }, some.info()[i]);
+            }
+        }
     }
 }

@@ -55,7 +55,7 @@ fn after_flip(
     device.flip(bit);
     device.power_on(Fault::None, 0, |dut| {
         let telemetry = telemetry(dut);
-        let named = expected.blob.network().is_ok_and(|network| network.header.name == telemetry.network);
+        let named = expected.blob.network().is_ok_and(|network| network.header().name == telemetry.network);
         (named && (!reconstruct || reconstructs(dut, expected)), telemetry.refused_slots)
     })
 }
@@ -106,7 +106,7 @@ pub(super) fn bad_networks() -> Result<Row, DeviceError> {
             (refused, i % 16 != 0 || reconstructs(dut, &old))
         });
         let named = device.power_on(Fault::None, 0, |dut| telemetry(dut).network);
-        let kept = old.blob.network().is_ok_and(|network| network.header.name == named);
+        let kept = old.blob.network().is_ok_and(|network| network.header().name == named);
         tally.try_one(refused);
         tally.blobs_lost += u64::from(!runs || !kept);
     }

@@ -1,6 +1,11 @@
 #![allow(clippy::unwrap_used)]
 
+use super::session::gain;
+use super::transfer::Transfer;
 use super::*;
+use crate::noise::model::{Source, Sources};
+use crate::noise::stats::Summary;
+use crate::session::Session;
 use crate::testing::Testbed;
 
 fn measured(bed: &Testbed) -> NoiseCalibration {

@@ -163,7 +163,7 @@ impl LensModels {
                 }
             }
         }
-        let (_, vectors) = symmetric_eigen(&gram)?;
+        let vectors = symmetric_eigen(&gram)?.vectors;
         let n = order.len();
         let left = Array2::from_shape_fn((most.min(n), n), |(k, i)| vectors[[i, n - 1 - k]] as f32);
         // Given its coefficients, a pixel's share in the basis is its projection, whatever its weight.

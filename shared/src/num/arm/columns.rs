@@ -1,9 +1,8 @@
 //! Columns of pairs of halves, such as complex numbers, a stride apart: see [`crate::num::pairs`].
 //!
-//! Places are counted shifted to the left, so that reversing the bits of the count gives the offset of the place in bytes. Pairs
-//! i and i + n/2 lie side by side when the bits are reversed, and i + n/4 and i + 3n/4 behind them.
+//! Places are counted shifted to the left, so that reversing the bits of the count gives the offset of the place in
+//! bytes. Pairs i and i + n/2 lie side by side when the bits are reversed, and i + n/4 and i + 3n/4 behind them.
 
-use super::asm_low;
 use crate::num::f16;
 use crate::num::pairs::{Parts, check};
 
@@ -31,14 +30,7 @@ pub(in crate::num) fn gather_pairs(from: &[f16], stride: usize, to: &mut [[f32; 
             "add {p}, {p}, {stride}",
             "add {q}, {q}, {stride}",
             "rbit {t}, {i}",
-            "vcvtb.f32.f16 s4, s0",
-            "vcvtt.f32.f16 s5, s0",
-            "vcvtb.f32.f16 s6, s1",
-            "vcvtt.f32.f16 s7, s1",
-            "vcvtb.f32.f16 s8, s2",
-            "vcvtt.f32.f16 s9, s2",
-            "vcvtb.f32.f16 s10, s3",
-            "vcvtt.f32.f16 s11, s3",
+            widen_eight!("s0" "s1" "s2" "s3" => "s4" "s5" "s6" "s7" "s8" "s9" "s10" "s11"),
             "add {t}, {t}, {to}",
             "vstmia {t}, {{s4-s11}}",
             "add {i}, {i}, {one}",
@@ -58,8 +50,8 @@ pub(in crate::num) fn gather_pairs(from: &[f16], stride: usize, to: &mut [[f32; 
     }
 }
 
-/// Adds the products of `to.len()` pairs of k and x, each to the place with its number's bits reversed, imaginary part first; 31
-/// instructions for two. All products are exact.
+/// Adds the products of `to.len()` pairs of k and x, each to the place with its number's bits reversed, imaginary part
+/// first; 31 instructions for two. All products are exact.
 #[inline(always)]
 pub(in crate::num) fn add_products(k: &[f16], x: &[f16], stride: usize, to: &mut [[f32; 2]]) {
     let len = to.len();
@@ -81,14 +73,7 @@ pub(in crate::num) fn add_products(k: &[f16], x: &[f16], stride: usize, to: &mut
             "rbit {t}, {i}",
             "add {t}, {t}, {to}",
             "vldmia {t}, {{s4-s7}}",
-            "vcvtb.f32.f16 s8, s0",
-            "vcvtt.f32.f16 s9, s0",
-            "vcvtb.f32.f16 s10, s1",
-            "vcvtt.f32.f16 s11, s1",
-            "vcvtb.f32.f16 s12, s2",
-            "vcvtt.f32.f16 s13, s2",
-            "vcvtb.f32.f16 s14, s3",
-            "vcvtt.f32.f16 s15, s3",
+            widen_eight!("s0" "s1" "s2" "s3" => "s8" "s9" "s10" "s11" "s12" "s13" "s14" "s15"),
             "vfma.f32 s4, s8, s13",
             "vfma.f32 s5, s8, s12",
             "vfma.f32 s6, s10, s15",
@@ -117,8 +102,11 @@ pub(in crate::num) fn add_products(k: &[f16], x: &[f16], stride: usize, to: &mut
 
 /// The loop of [`scatter_pairs`]: what is done first, and which half of the word each number goes to.
 macro_rules! scatter {
-    ($scaled:expr, $first:literal $second:literal, $from:ident, $to:ident, $stride:ident, $n:ident $(, $scale:ident)?) => {
-        super::asm_all!(
+    (
+        $scaled:expr, $first:literal $second:literal,
+        $from:ident, $to:ident, $stride:ident, $n:ident $(, $scale:ident)?
+    ) => {
+        asm_all!(
             "2:",
             "vldmia {from}!, {{s0-s7}}",
             $scaled,

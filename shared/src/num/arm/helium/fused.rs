@@ -1,10 +1,9 @@
-//! What [`crate::num::fused`] does, eight elements at a time: even ones in one register, odd ones in another, as the conversions take
-//! and give them. Each function returns how many elements it has done.
+//! What [`crate::num::fused`] does, eight elements at a time: even ones in one register, odd ones in another, as the
+//! conversions take and give them. Each function returns how many elements it has done.
 //!
-//! The numbers are halves, sums of products of halves, and halves times a weight of channel attention (0, or 2^-26 at least): multiples
-//! of 2^-76, so that nothing is flushed.
+//! The numbers are halves, sums of products of halves, and halves times a weight of channel attention (0, or 2^-26 at
+//! least): multiples of 2^-76, so that nothing is flushed.
 
-use super::super::asm_all;
 use crate::num::{f16, narrow, widen};
 
 /// Widens `from` into the equally long `to`; eight in six instructions.

@@ -15,12 +15,13 @@
 //! Every tensor named here is rounded to half once, when it is stored; so is the output of the inner `relu(conv(g))`.
 //!
 //! # Regions
-//! A region of the output costs less than all of it. Before each convolution the features are cut to the window that the region takes through
-//! what is still to come; that changes no bit inside. But attention is a mean over the whole frame: where it is measured ([`Scales`]), the
-//! windows are the whole frame up to the last block, and only what comes after is saved. Where it is held from another frame, every window is
-//! cut, and so is the input.
+//! A region of the output costs less than the whole. Before each convolution the features are cut to the window that
+//! the region depends on through the rest of the network. That changes no bit inside. But attention depends on the
+//! whole frame: where its scales are measured ([`Scales`]), the windows are the whole frame up to the last block, and
+//! only later layers are cut. Where they are held from another frame, every window is cut, and so is the input.
 //!
-//! [`layout`](fn@layout) gives the order of the weights in the network file: the order of execution, each layer's weights before its biases.
+//! [`layout`](fn@layout) is the order of the weights in the network file: the order of execution, the weights of each
+//! layer before its biases.
 
 mod layout;
 
@@ -41,12 +42,12 @@ use crate::num::simd::Simd;
 /// Convolutions of features after the last attention: the last group's, `conv1`, and the one before the pixel shuffle.
 const AFTER_ATTENTION: usize = 3;
 
-/// What the network takes besides its input.
+/// Parameters of the network.
 #[derive(Debug)]
 pub struct Parameters<'a> {
     /// Weights in the order of [`layout`].
     pub weights: &'a [f16],
-    /// [`Rcan::scales_len`] scales of the channel attentions, and where they come from.
+    /// Source of the [`Rcan::scales_len`] scales of the channel attentions.
     pub scales: Scales<'a>,
 }
 
@@ -60,7 +61,7 @@ pub struct Rcan {
 }
 
 impl Rcan {
-    /// Plans for `channels` filters and an output of `object` pixels (even rows and columns).
+    /// Plans a network for `channels` filters and an output of `object` pixels, even in both directions.
     pub fn new(shape: blob::Rcan, channels: u8, object: blob::Size) -> Self {
         Self {
             shape,
@@ -74,33 +75,34 @@ impl Rcan {
         self.shape.width as usize
     }
 
-    /// Halves of one feature tensor (W, h, w).
+    /// Length of one feature tensor (W, h, w), halves.
     const fn feature_len(&self) -> usize {
         self.width() * self.rows * self.cols
     }
 
-    /// Halves of the input (C, 2 h, 2 w).
+    /// Length of the input (C, 2 h, 2 w), halves.
     pub const fn input_len(&self) -> usize {
         self.filters * 4 * self.rows * self.cols
     }
 
-    /// Halves of the arena that [`Self::process`] needs. The input lies at its end and is overwritten.
+    /// Length of the arena for [`Self::process`], halves. The input lies at its end and is overwritten.
     pub const fn arena_len(&self) -> usize {
         let (features, head) = (4 * self.feature_len(), self.feature_len() + self.input_len());
         if features > head { features } else { head }
     }
 
-    /// Scales of all channel attentions: W a block.
+    /// Number of scales of all channel attentions: W in each block.
     pub const fn scales_len(&self) -> usize {
         self.width() * self.shape.groups as usize * self.shape.blocks as usize
     }
 
-    /// Convolutions of features, one after the other.
+    /// Number of convolutions of features, one after the other.
     pub const fn depth(&self) -> usize {
         1 + self.shape.groups as usize * (2 * self.shape.blocks as usize + 1) + 2
     }
 
-    /// Numbers of scratch for bands of `band` rows; with 1 the least that [`Self::process`] works with.
+    /// Length of scratch for bands of `band` rows, numbers. With bands of 1 row it is what [`Self::process`] needs at
+    /// least.
     pub fn scratch_len(&self, band: usize) -> usize {
         let convs = self.head().scratch_len(band).max(self.conv().scratch_len(band));
         convs.max(self.rcab([self.whole(); 2]).scratch_len(band)).max(self.upscale().scratch_len(band))
@@ -130,24 +132,25 @@ impl Rcan {
         Upscale { channels: self.width(), rows: self.rows, cols: self.cols }
     }
 
-    /// The plan for a window of the features.
+    /// The plan of the same network for a window of the features.
     const fn on(&self, window: Region) -> Self {
         Self { rows: window.rows as usize, cols: window.cols as usize, ..*self }
     }
 
-    /// All features of a frame.
+    /// The window of all features.
     const fn whole(&self) -> Region {
         Region::whole(self.rows as u16, self.cols as u16)
     }
 
-    /// The part of the input that [`Self::process`] takes for a region of the output, pixels: all of it where scales are measured.
+    /// The part of the input that [`Self::process`] needs for a region of the output, pixels. `held`: whether the
+    /// attention scales are held from another frame; where they are measured, the whole input is needed.
     pub fn input(&self, region: Region, held: bool) -> Region {
         let Region { row, col, rows, cols } = self.first_window(region, held);
         Region { row: 2 * row, col: 2 * col, rows: 2 * rows, cols: 2 * cols }
     }
 
-    /// Runs the network. The end of `arena` holds the filtered channels (C, rows, columns of [`Self::input`]), divided by
-    /// their maximum; `output` is `region` of the result (2 h, 2 w), 0 to 1. The arena is overwritten.
+    /// Runs the network. The end of `arena` holds the filtered channels (C, rows, columns of [`Self::input`]), divided
+    /// by their maximum. `output` receives `region` of the result (2 h, 2 w), 0 to 1. The arena is overwritten.
     ///
     /// # Errors
     /// [`NnError`] where the weights, the scales, the arena, the output or the scratch do not fit the plan.
@@ -183,7 +186,7 @@ impl Rcan {
         let (g, t) = rest.split_at_mut(plan.feature_len());
         let [mut y, mut g] = [y, g].map(|data| Features::new(data, self.width(), first));
         y.copy_from(&head)?;
-        // Convolutions of features that are still to come.
+        // Number of convolutions of features that follow.
         let mut left = self.depth() - 1;
         for _ in 0..self.shape.groups {
             g.copy_from(&y)?;
@@ -202,7 +205,8 @@ impl Rcan {
         self.on(last).upscale().process(simd, tail, head.cut(last)?.as_chw(), origin, output, scratch)
     }
 
-    /// The features that a region of the output takes through `left` convolutions of features and the last one, which is at full resolution.
+    /// The features that a region of the output depends on through `left` convolutions of features and the last one,
+    /// which is at full resolution.
     pub fn window(&self, region: Region, left: usize) -> Region {
         let [rows, cols] = region.ranges();
         let axis = |part: core::ops::Range<usize>, all: usize| {
@@ -214,7 +218,7 @@ impl Rcan {
         Region { row, col, rows, cols }
     }
 
-    /// The features that the first convolution makes.
+    /// The features that the first convolution computes.
     fn first_window(&self, region: Region, held: bool) -> Region {
         if held { self.window(region, self.depth()) } else { self.whole() }
     }
@@ -239,7 +243,7 @@ impl Rcan {
     }
 }
 
-/// Hands out the weights layer by layer. The total length has been checked, so none is cut short.
+/// Divides the weights among the layers. The total length has been checked, so no layer gets too few.
 struct Layers<'a, I> {
     entries: I,
     rest: &'a [f16],

@@ -1,11 +1,12 @@
 //! 3x3 convolution (cross-correlation, as in PyTorch) with zero padding 1.
 //!
-//! `y[o][r][c] = f(b[o] + sum_{i, ky, kx} w[o][i][ky][kx] x[i][r + ky - 1][c + kx - 1])`, the sum in binary32, starting from the
-//! bias, in the order (i, ky, kx), padding included as zeros; then the activation; then, with [`Store::Accumulate`], the old
-//! value of y is added; then one rounding to half.
+//! `y[o][r][c] = f(b[o] + sum_{i, ky, kx} w[o][i][ky][kx] x[i][r + ky - 1][c + kx - 1])`, the sum in binary32, starting
+//! from the bias, in the order (i, ky, kx), padding included as zeros; then the activation; then, with
+//! [`Store::Accumulate`], the old value of y is added; then one rounding to half.
 //!
-//! The work goes by bands of rows: the rows of a band and one on either side are widened to scratch once, so the result may
-//! overwrite the input. The height of the band follows from the scratch memory given and does not change a bit of the result.
+//! The convolution works on bands of rows. The rows of a band and one on either side are widened to scratch once, so
+//! the result may overwrite the input. The height of the band follows from the length of the scratch and does not
+//! change a bit of the result.
 
 use super::activation::Activation;
 use super::error::{NnError, check_scratch, check_shape, check_weights};
@@ -27,7 +28,7 @@ pub enum Store {
 /// How the input is addressed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Addressing {
-    /// As it lies.
+    /// As it is stored.
     Direct,
     /// Through [PixelUnshuffle 2](super::pixel_shuffle): a tensor of (C, 2 h, 2 w) is read as (4 C, h, w).
     Unshuffled,
@@ -45,16 +46,16 @@ pub struct Parameters<'a> {
 /// What a convolution reads and writes.
 #[derive(Debug)]
 pub enum Tensors<'a> {
-    /// Input and output lie apart.
+    /// Input and output are different tensors.
     Apart {
-        /// (inputs, rows, cols), or twice the rows and columns with a quarter of the channels if unshuffled.
+        /// (inputs, rows, cols); (inputs / 4, 2 rows, 2 cols) where it is addressed as unshuffled.
         input: Chw<'a, f16>,
         /// How the input is addressed.
         addressing: Addressing,
         /// (outputs, rows, cols).
         output: ChwMut<'a, f16>,
     },
-    /// The output overwrites the input; inputs = outputs.
+    /// The output overwrites the input. Their numbers of channels are equal.
     InPlace(ChwMut<'a, f16>),
 }
 
@@ -76,27 +77,29 @@ pub struct Conv3x3 {
 }
 
 impl Conv3x3 {
-    /// Halves of the weights.
+    /// Length of the weights, halves.
     pub const fn weights_len(&self) -> usize {
         self.inputs * self.outputs * 9
     }
 
-    /// Numbers of scratch for bands of `band` rows; with 1 the least that [`Self::process`] works with.
+    /// Length of scratch for bands of `band` rows, numbers. With bands of 1 row it is what [`Self::process`] needs at
+    /// least.
     pub const fn scratch_len(&self, band: usize) -> usize {
         let weights_and_sums =
             packed::packed_len(self.inputs, self.outputs) + packed::block(self.outputs) * packed::padded(self.cols);
         weights_and_sums + (band + 2) * self.slot_len()
     }
 
-    /// One widened row of all input channels.
+    /// Length of one widened row of all input channels.
     const fn slot_len(&self) -> usize {
         self.inputs * packed::pitch(self.cols)
     }
 
-    /// Convolves.
+    /// Computes the convolution.
     ///
     /// # Errors
-    /// [`NnError`] where a tensor, the weights or the scratch do not fit the plan; nothing is written then.
+    /// [`NnError::Shape`], [`NnError::Weights`] or [`NnError::Scratch`] where an argument does not fit the plan.
+    /// Nothing is written then.
     pub fn process(
         &self,
         simd: Simd,
@@ -165,8 +168,8 @@ impl Kernel for Job<'_> {
 }
 
 impl Conv3x3 {
-    /// Makes slots 0..height + 2 hold rows start - 1..=start + height. Those that the band before left at the end are moved,
-    /// not read again: the output may have overwritten them.
+    /// Fills slots 0..height + 2 with rows start - 1..=start + height. The last two rows of the band before are moved
+    /// and not read again, as the output may have overwritten them.
     #[inline(always)]
     fn widen(&self, tensors: &Tensors<'_>, start: usize, height: usize, band: usize, slots: &mut [f32]) {
         let len = self.slot_len();
@@ -191,7 +194,7 @@ impl Conv3x3 {
         }
     }
 
-    /// Activation, skip and rounding of one row of a block of output channels.
+    /// Applies activation, skip connection and rounding to one row of a block of output channels.
     #[inline(always)]
     fn finish(&self, tensors: &mut Tensors<'_>, first: usize, row: usize, sums: &mut [f32]) {
         let channels = sums.chunks_exact_mut(packed::padded(self.cols));
