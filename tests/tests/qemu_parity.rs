@@ -6,7 +6,9 @@
 mod networks;
 
 use networks::{DENSE, PRUNED, Shape, TAPPED, THIN};
-use ommatidia_host::device::{DeviceError, DeviceRun, Firmware, LoopbackConfig, Runtime, Scope, Work, find_qemu, run};
+use ommatidia_host::device::{
+    DeviceError, DeviceRun, Firmware, LoopbackConfig, RunRequest, Runtime, Scope, find_qemu, run,
+};
 use ommatidia_host::network_file::NetworkFile;
 use ommatidia_shared::boards::{BOARDS, MPS3_AN547};
 use ommatidia_shared::device::Footprint;
@@ -128,11 +130,11 @@ fn regions_agree_bit_for_bit_with_the_whole() {
     let Some(boards) = firmware() else { return };
     for (shape, regions) in regions {
         let (blob, frames) = (networks::network(shape, 12), networks::frames(shape, 1, 12));
-        let whole = run_on(&boards[0], &blob, Work::from(frames.as_slice()));
+        let whole = run_on(&boards[0], &blob, RunRequest::from(frames.as_slice()));
         for region in regions {
             let expected = networks::cut(&whole.objects[0], shape, region);
             for board in &boards {
-                let device = run_on(board, &blob, Work { frames: &frames, scope: region.into() });
+                let device = run_on(board, &blob, RunRequest { frames: &frames, scope: region.into() });
                 assert_eq!(device.objects[0], expected, "{} {region}", device.board);
                 if let (Some(part), Some(all)) = (&device.instructions, &whole.instructions) {
                     assert!(device.board != whole.board || part[0] < all[0], "{region}: {part:?} {all:?}");
@@ -160,7 +162,7 @@ fn regions_with_a_held_field_agree_bit_for_bit() {
         frames.insert(0, frames[0].clone());
         let scope = Scope { hold: 2, ..region.into() };
         for board in &boards {
-            let device = run_on(board, &networks::network(shape, 13), Work { frames: &frames, scope });
+            let device = run_on(board, &networks::network(shape, 13), RunRequest { frames: &frames, scope });
             let ages: Vec<u16> = device.reports.iter().map(|report| report.field_age).collect();
             assert_eq!((ages, device.differing_bits), (vec![0, 1, 2], 0), "{} {region}", device.board);
             assert_eq!(device.objects[0], device.objects[1], "{} {region}", device.board);
@@ -172,7 +174,7 @@ fn regions_with_a_held_field_agree_bit_for_bit() {
     }
 }
 
-fn run_on(firmware: &Firmware, blob: &NetworkFile, work: Work<'_>) -> DeviceRun {
+fn run_on(firmware: &Firmware, blob: &NetworkFile, work: RunRequest<'_>) -> DeviceRun {
     run(&Runtime::Qemu(firmware.clone()), blob, work, None, &mut |_| {}).unwrap()
 }
 

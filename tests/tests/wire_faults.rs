@@ -6,14 +6,14 @@ mod networks;
 use half::f16;
 use networks::{DENSE, TAPPED};
 use ommatidia_host::device::{
-    Client, DeviceError, Faults, Faulty, Loopback, LoopbackConfig, Patience, Scope, Transport, reference,
+    Client, DeviceError, FaultyLine, LineFaults, Loopback, LoopbackConfig, RetryPolicy, Scope, Transport, reference,
 };
 use ommatidia_shared::blob::BlobError;
 use ommatidia_shared::wire::{Packet, Refusal, Reply, Request, SCHEMA_KEY, Telemetry, Transfer, VERSION, encode};
 use std::time::Duration;
 
-const QUICK: Patience =
-    Patience { first: Duration::from_millis(10), longest: Duration::from_millis(400), attempts: 200 };
+const QUICK: RetryPolicy =
+    RetryPolicy { first: Duration::from_millis(10), longest: Duration::from_millis(400), attempts: 200 };
 
 /// Two frames through the dense network over `line`.
 fn converse<T: Transport>(line: T) -> (Vec<Vec<f16>>, Telemetry, T) {
@@ -38,7 +38,7 @@ fn expected() -> Vec<Vec<f16>> {
 }
 
 fn check(lose: f64, repeat: f64, flip: f64) {
-    let line = Faulty::new(loopback(), Faults { lose, repeat, flip, seed: 7, ..Faults::default() });
+    let line = FaultyLine::new(loopback(), LineFaults { lose, repeat, flip, seed: 7, ..LineFaults::default() });
     let (objects, telemetry, line) = converse(line);
     assert_eq!(objects, expected());
     assert!(line.damaged > 10, "{} damaged bytes prove nothing", line.damaged);
@@ -97,8 +97,8 @@ fn requests_that_come_twice_are_done_once() {
 
 #[test]
 fn a_dead_line_is_reported() {
-    let line = Faulty::new(loopback(), Faults { lose: 1.0, seed: 1, ..Faults::default() });
-    let few = Patience { attempts: 3, ..QUICK };
+    let line = FaultyLine::new(loopback(), LineFaults { lose: 1.0, seed: 1, ..LineFaults::default() });
+    let few = RetryPolicy { attempts: 3, ..QUICK };
     let error = Client::connect_with(line, few, few).map(|_| ()).unwrap_err();
     assert!(matches!(error, DeviceError::Silent { attempts: 3, .. }), "{error}");
 }

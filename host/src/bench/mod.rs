@@ -41,6 +41,7 @@ mod instrument;
 mod lens;
 mod live;
 mod measure;
+mod open;
 mod optics;
 mod scenes;
 mod sensor;
@@ -52,6 +53,7 @@ pub use config::{
 };
 pub use error::BenchError;
 pub use instrument::{Summary, VirtualInstrument};
+pub use open::open_session;
 
 #[cfg(test)]
 mod tests;

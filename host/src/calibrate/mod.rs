@@ -22,6 +22,7 @@
 //! ```
 
 mod error;
+mod figures;
 mod light_unit;
 mod model;
 mod replicates;
@@ -29,4 +30,5 @@ mod sensor_only;
 mod session;
 
 pub use error::CalibrateError;
+pub use figures::{PixelReadNoise, frames_read, response_rms};
 pub use session::{CalibrateConfig, Calibration, calibrate};

@@ -1,6 +1,6 @@
-//! `inspect`: what a file is.
+//! `inspect`: describes a file.
 
-use super::{Outcome, Run};
+use super::common::{Outcome, Run};
 use crate::closing::{self, Closing, Dependence, Effect};
 use crate::kind::FileKind;
 use crate::session::{FrameReader, Session};
@@ -14,7 +14,8 @@ use std::path::{Path, PathBuf};
 /// Options of `inspect`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Instrument, checkpoint, evaluation, account of a closed loop, network file, session folder, stack of frames, or JSON that a verb printed
+    /// Instrument, checkpoint, evaluation, account of a closed loop, network file, session folder, stack of frames, or
+    /// JSON that a command printed
     artifact: PathBuf,
 }
 
@@ -39,7 +40,7 @@ pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
         }
     };
     let mut text = format!("{}\n", path.display());
-    // The body of an account is long: people get its figures, programs all of it.
+    // The body of an account is long: the text shows a summary, the JSON all of it.
     let mut shown = json.clone();
     if json["kind"] == closing::account::KIND
         && let Some(fields) = shown.as_object_mut()
@@ -104,7 +105,8 @@ fn of_blob(path: &Path) -> anyhow::Result<Value> {
     let header = serde_json::to_value(network.header())?;
     Ok(json!({
         "kind": "blob", "version": ommatidia_shared::blob::VERSION, "bytes": bytes.len(), "header": header,
-        "memory": { "fast": report::bytes(network.header().memory.fast_bytes.into()), "bulk": report::bytes(network.header().memory.bulk_bytes.into()) },
+        "memory": { "fast": report::bytes(network.header().memory.fast_bytes.into()), "bulk":
+            report::bytes(network.header().memory.bulk_bytes.into()) },
     }))
 }
 
@@ -177,7 +179,8 @@ mod tests {
     #[test]
     fn a_header_reads_as_a_list() {
         let mut text = String::new();
-        let value = json!({ "kind": "x", "body": { "size": [2, 3], "name": null }, "tensors": [{ "name": "a", "shape": [1] }] });
+        let value = json!({ "kind": "x", "body": { "size": [2, 3], "name": null }, "tensors": [{ "name": "a",
+            "shape": [1] }] });
         list(&mut text, &value, 1);
         assert_eq!(text, "  body:\n    name: -\n    size: [2, 3]\n  kind: x\n  tensors: 1\n    name a, shape [1]\n");
     }

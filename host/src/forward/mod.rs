@@ -27,11 +27,13 @@
 //! ```
 
 mod error;
+mod predict;
 mod scene_light;
 mod sensor_maps;
 mod warp;
 
 pub use error::ForwardError;
+pub use predict::{Depth, PredictError, PredictRequest, Predicted, Predictor};
 pub use scene_light::SceneLight;
 
 use crate::effects::{Chain, FrameContext, Layout, Ray, RayShift, Stage};

@@ -141,14 +141,18 @@ fn page() -> String {
     instrument().write(&path("instrument.safetensors"), Provenance::new("calibrate", 1, &())).unwrap();
     evaluation().write(&path("evaluation.safetensors"), Provenance::new("evaluate", 1, &())).unwrap();
     let curve: Vec<Value> = (0..40)
-        .map(|i| json!({"step": 20 * i, "train_loss": 0.3 * (-0.1 * f64::from(i)).exp() + 0.05, "validation_loss": 0.3 * (-0.09 * f64::from(i)).exp() + 0.06, "psnr_db": 15.0 + f64::from(i).sqrt() * 2.0}))
+        .map(|i| {
+            json!({"step": 20 * i, "train_loss": 0.3 * (-0.1 * f64::from(i)).exp() + 0.05, "validation_loss":
+            0.3 * (-0.09 * f64::from(i)).exp() + 0.06, "psnr_db": 15.0 + f64::from(i).sqrt() * 2.0})
+        })
         .collect();
     let body =
         json!({"curve": curve, "best_step": 780, "network": {"frame": [214, 214], "object": [96, 96], "channels": 6}});
     let header =
         ArtifactHeader { kind: "checkpoint".into(), version: 1, provenance: Provenance::new("train", 1, &()), body };
     artifact::write(&path("network.safetensors"), &header, &Tensors::new()).unwrap();
-    let device = json!({"bit_exact": true, "instructions": 123_456_789u64, "ram_bytes": 1_500_000u64, "flash_bytes": 400_000u64, "stack_bytes": 6_000u64, "board": "mps2-an500 (QEMU)"});
+    let device = json!({"bit_exact": true, "instructions": 123_456_789u64, "ram_bytes": 1_500_000u64, "flash_bytes":
+        400_000u64, "stack_bytes": 6_000u64, "board": "mps2-an500 (QEMU)"});
     std::fs::write(path("device.json"), device.to_string()).unwrap();
     let names = ["instrument.safetensors", "evaluation.safetensors", "network.safetensors", "device.json"];
     let paths: Vec<PathBuf> = names.iter().map(|n| path(n)).collect();

@@ -1,4 +1,4 @@
-//! Runs one case: measure, close, compare.
+//! Runs one case: measures a session, closes it, and compares the result with the truth.
 
 use super::downstream::{self, Comparison, Networks};
 use super::foreign;
@@ -15,10 +15,10 @@ use anyhow::Context;
 use std::collections::BTreeMap;
 use std::time::Instant;
 
-/// From how many standard deviations on a dependence of the residual is told.
-const TELL: f64 = 5.0;
+/// Standard deviations beyond which a dependence of the residual is reported.
+const REPORTED: f64 = 5.0;
 
-/// Runs a case. What goes wrong is its outcome, too.
+/// Runs a case. If it fails, the outcome holds the error.
 pub fn run(subject: &Subject, case: &Case, networks: &dyn Networks) -> Outcome {
     let fail = |e: anyhow::Error| Outcome { case: case.clone(), error: Some(format!("{e:#}")), ..Outcome::default() };
     attempt(subject, case, networks).unwrap_or_else(fail)
@@ -56,7 +56,7 @@ fn attempt(subject: &Subject, case: &Case, networks: &dyn Networks) -> anyhow::R
     let closing = closed.account.closing;
     let (floor, pixels) = floor(&session, &seen, &subject.instrument)?;
     let truth = explainable(&instrument, &seen, case)?;
-    let structure = closing.dependences_after.iter().filter(|d| d.z > TELL);
+    let structure = closing.dependences_after.iter().filter(|d| d.z > REPORTED);
     Ok(Outcome {
         case: case.clone(),
         incomplete: closing.catalogue_incomplete,
@@ -83,8 +83,8 @@ fn found(closing: Closing) -> Vec<FoundEffect> {
     closing.effects.into_iter().map(one).collect()
 }
 
-/// chi-squared a pixel on held-out scenes of the instrument with what was put in, the values fitted from the true ones. None: faults of records
-/// and of the gain, which are no effects of an instrument.
+/// chi-squared per pixel on held-out scenes of the instrument with the injected effects, their values fitted from the
+/// true ones. None for faults of records and of the gain, which are not effects of an instrument.
 fn explainable(instrument: &Instrument, seen: &Observations, case: &Case) -> anyhow::Result<Option<f64>> {
     if matches!(case.question, Question::Records | Question::Gain) || case.injected.is_empty() {
         return Ok(None);
@@ -105,7 +105,7 @@ fn explainable(instrument: &Instrument, seen: &Observations, case: &Case) -> any
     Ok(Some(figures(&model, &fitted).chi2_ndf))
 }
 
-/// chi-squared a pixel of the held-out scenes against the noise-free frames of the bench, and the pixels.
+/// chi-squared per pixel of the held-out scenes against the noise-free frames of the bench, and the number of pixels.
 fn floor(session: &Session, seen: &Observations, instrument: &Instrument) -> anyhow::Result<(f64, usize)> {
     let stack = session.stacks_of(Role::Scene).next().context("no scene was measured")?;
     let mut expected = stack.expected()?.context("the bench wrote no noise-free frames")?;

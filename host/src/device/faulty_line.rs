@@ -1,53 +1,54 @@
-//! A line that loses, repeats and flips bytes, repeats packets and goes away, for tests and for judging a real one.
+//! A line with injected faults: lost, repeated and flipped bytes, repeated packets, interruptions.
 
-use super::{DeviceError, Transport};
+use super::error::DeviceError;
+use super::transport::Transport;
 use crate::rng;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use std::time::Duration;
 
-/// How often what happens to a byte.
+/// Probabilities of the faults of a line; all zero by default.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Faults {
+pub struct LineFaults {
     /// Probability that a byte is lost.
     pub lose: f64,
-    /// Probability that it comes twice.
+    /// Probability that a byte is repeated.
     pub repeat: f64,
-    /// Probability that one of its bits is flipped.
+    /// Probability that one bit of a byte is flipped.
     pub flip: f64,
-    /// Probability that what is sent at once is sent twice, as by a bridge that retransmits on its own.
+    /// Probability that a whole packet is sent twice, as by a bridge that retransmits.
     pub resend: f64,
-    /// Probability that the line goes away at a byte.
+    /// Probability, per byte, that an interruption begins.
     pub outage: f64,
-    /// Bytes that are lost until it is back.
+    /// Bytes that are lost in an interruption.
     pub outage_bytes: u32,
-    /// Seed of all that happens.
+    /// Seed of all random draws.
     pub seed: u64,
 }
 
 /// A line with faults in both directions.
 #[derive(Debug)]
-pub struct Faulty<T> {
+pub struct FaultyLine<T> {
     line: T,
-    kinds: Faults,
+    kinds: LineFaults,
     rng: ChaCha8Rng,
-    /// Bytes until the line is back.
+    /// Bytes until the interruption ends.
     away: u32,
-    /// Bytes that were damaged so far, and packets sent twice.
+    /// Damaged bytes and repeated packets so far.
     pub damaged: u64,
-    /// The same, with each time that the line was away counted once.
+    /// As `damaged`, but each interruption counts once.
     pub faults: u64,
 }
 
-impl<T> Faulty<T> {
-    /// Puts faults on a line.
-    pub fn new(line: T, kinds: Faults) -> Self {
+impl<T> FaultyLine<T> {
+    /// Adds faults to a line.
+    pub fn new(line: T, kinds: LineFaults) -> Self {
         Self { line, kinds, rng: rng::stream(kinds.seed, "faulty line", 0), away: 0, damaged: 0, faults: 0 }
     }
 
     fn damage(&mut self, bytes: &[u8]) -> Vec<u8> {
         let mut out = Vec::with_capacity(bytes.len());
-        let Faults { lose, repeat, flip, outage, outage_bytes, .. } = self.kinds;
+        let LineFaults { lose, repeat, flip, outage, outage_bytes, .. } = self.kinds;
         for &byte in bytes {
             if self.away > 0 {
                 self.away -= 1;
@@ -77,7 +78,7 @@ impl<T> Faulty<T> {
     }
 }
 
-impl<T: Transport> Transport for Faulty<T> {
+impl<T: Transport> Transport for FaultyLine<T> {
     fn send(&mut self, bytes: &[u8]) -> Result<(), DeviceError> {
         let twice = self.kinds.resend > 0.0 && self.rng.random_bool(self.kinds.resend);
         if twice {

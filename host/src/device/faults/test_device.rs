@@ -1,7 +1,8 @@
-//! A device on the desk: its flash outlives it, as flash does.
+//! A simulated device whose flash keeps its content while the power is off.
 
 use super::flash::{Fault, FaultyFlash, SECTOR};
-use crate::device::{DeviceError, reference};
+use crate::device::error::DeviceError;
+use crate::device::run::reference;
 use crate::network_file::NetworkFile;
 use crate::rng;
 use half::f16;
@@ -18,10 +19,10 @@ pub(super) const FLASH: usize = (2 * 4 + 2) * SECTOR;
 const FAST: usize = 16 << 10;
 const BULK: usize = 64 << 10;
 
-/// The device that is tried.
-pub(super) type Tried<'a, 'm> = Device<'a, &'a mut FaultyFlash<'m>, RamFrame<'a>, RamObject<'a>, Silent>;
+/// The device under test.
+pub(super) type DeviceUnderTest<'a, 'm> = Device<'a, &'a mut FaultyFlash<'m>, RamFrame<'a>, RamObject<'a>, Silent>;
 
-/// A network, a frame, and what one makes of the other on this machine.
+/// A network, a frame, and the host's reconstruction of that frame.
 #[derive(Debug)]
 pub(super) struct Network {
     pub blob: NetworkFile,
@@ -66,20 +67,20 @@ impl Network {
     }
 }
 
-/// Memory of a device; only the flash means something.
-pub(super) struct Desk {
+/// Memory of a device; only the flash keeps its content.
+pub(super) struct TestDevice {
     flash: Vec<u128>,
     frame: Vec<u16>,
     object: Vec<f16>,
     fast: Vec<f32>,
     bulk: Vec<f16>,
-    /// Steps that the flash took in the last life of the device.
+    /// Steps of the flash while the device was on last.
     pub steps: u64,
-    /// The power went in the last life.
+    /// The power failed while the device was on last.
     pub cut: bool,
 }
 
-impl Desk {
+impl TestDevice {
     pub fn new() -> Self {
         Self {
             flash: vec![0; FLASH / size_of::<u128>()],
@@ -92,12 +93,12 @@ impl Desk {
         }
     }
 
-    /// The flash as it is now.
+    /// A copy of the flash.
     pub fn save(&self) -> Vec<u128> {
         self.flash.clone()
     }
 
-    /// The flash as it was.
+    /// Restores a copy of the flash.
     pub fn restore(&mut self, flash: &[u128]) {
         self.flash.copy_from_slice(flash);
     }
@@ -107,14 +108,14 @@ impl Desk {
         bytemuck::cast_slice_mut::<_, u8>(&mut self.flash)[bit / 8] ^= 1 << (bit % 8);
     }
 
-    /// Switches the device on with a fault to come, and off again when `live` is done.
-    pub fn life<R>(&mut self, fault: Fault, seed: u64, live: impl FnOnce(&mut Tried<'_, '_>) -> R) -> R {
+    /// Switches the device on with an injected fault, calls `work`, and switches it off.
+    pub fn power_on<R>(&mut self, fault: Fault, seed: u64, work: impl FnOnce(&mut DeviceUnderTest<'_, '_>) -> R) -> R {
         let rng = rng::stream(seed, "faulty flash", 0);
         let mut flash = FaultyFlash::new(bytemuck::cast_slice_mut(&mut self.flash), fault, rng);
         let arenas = Arenas { fast: &mut self.fast, bulk: &mut self.bulk };
         let (source, sink) = (RamFrame::new(&mut self.frame), RamObject::new(&mut self.object));
         let mut device = Device::new("desk", &mut flash, source, sink, arenas, Silent);
-        let result = live(&mut device);
+        let result = work(&mut device);
         drop(device);
         (self.steps, self.cut) = (flash.steps, flash.dead);
         result
@@ -122,13 +123,13 @@ impl Desk {
 }
 
 /// Sends bytes as a network file and has them committed.
-pub(super) fn upload(device: &mut Tried<'_, '_>, bytes: &[u8]) -> Result<(), Refusal> {
+pub(super) fn upload(device: &mut DeviceUnderTest<'_, '_>, bytes: &[u8]) -> Result<(), Refusal> {
     transfer(device, Transfer::Blob, bytes)?;
     accepted(&device.handle(Request::Commit))
 }
 
-/// Whether the device makes of the network's frame what this machine makes of it.
-pub(super) fn reconstructs(device: &mut Tried<'_, '_>, network: &Network) -> bool {
+/// Whether the device's reconstruction of the network's frame equals the host's.
+pub(super) fn reconstructs(device: &mut DeviceUnderTest<'_, '_>, network: &Network) -> bool {
     let frame: Vec<u8> = network.frame.iter().flat_map(|code| code.to_le_bytes()).collect();
     if transfer(device, Transfer::Frame, &frame).is_err() {
         return false;
@@ -139,15 +140,15 @@ pub(super) fn reconstructs(device: &mut Tried<'_, '_>, network: &Network) -> boo
     matches!(device.handle(request), Reply::Data { data, .. } if data == expected)
 }
 
-/// Figures of the device.
-pub(super) fn telemetry(device: &mut Tried<'_, '_>) -> Telemetry {
+/// Telemetry of the device.
+pub(super) fn telemetry(device: &mut DeviceUnderTest<'_, '_>) -> Telemetry {
     match device.handle(Request::Telemetry) {
         Reply::Telemetry(telemetry) => telemetry,
         _ => Telemetry::default(),
     }
 }
 
-fn transfer(device: &mut Tried<'_, '_>, what: Transfer, bytes: &[u8]) -> Result<(), Refusal> {
+fn transfer(device: &mut DeviceUnderTest<'_, '_>, what: Transfer, bytes: &[u8]) -> Result<(), Refusal> {
     accepted(&device.handle(Request::Begin { what, len: bytes.len() as u32 }))?;
     let mut offset = 0;
     for data in bytes.chunks(CHUNK) {

@@ -1,6 +1,6 @@
-//! A live view in the browser: one page, one picture, a few numbers, from this process.
+//! A live view in the browser: a page with the last reconstruction and its figures, served by this process.
 
-use super::StreamedFrame;
+use super::stream::StreamedFrame;
 use serde_json::json;
 use std::io::{BufRead, BufReader, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
@@ -8,27 +8,27 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 const PAGE: &str = include_str!("view.html");
-/// A browser that says nothing for so long is sent away.
+/// Time limit for one request of a browser.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// What is shown now.
+/// Content of the page.
 #[derive(Debug, Default)]
 struct Shown {
     /// The picture, PNG.
     png: Vec<u8>,
-    /// What is told of it, JSON.
+    /// Its figures, JSON.
     state: String,
 }
 
-/// The view. Nobody needs to look.
+/// The live view; it works with or without a browser.
 #[derive(Debug)]
-pub struct View {
+pub struct LiveView {
     shown: Arc<Mutex<Shown>>,
     address: Option<SocketAddr>,
 }
 
-impl View {
-    /// Shows nothing to nobody.
+impl LiveView {
+    /// A view that is not served.
     pub fn none() -> Self {
         Self { shown: Arc::default(), address: None }
     }
@@ -36,7 +36,7 @@ impl View {
     /// Serves the page at `address`, e.g. `127.0.0.1:8080`, until the process ends.
     ///
     /// # Errors
-    /// The address is taken, or not one of this machine.
+    /// The address is in use, or does not belong to this computer.
     pub fn serve(address: SocketAddr) -> std::io::Result<Self> {
         let listener = TcpListener::bind(address)?;
         let address = Some(listener.local_addr()?);
@@ -51,12 +51,12 @@ impl View {
         Ok(Self { shown, address })
     }
 
-    /// Where the page is.
+    /// Address of the page; `None` if it is not served.
     pub fn address(&self) -> Option<SocketAddr> {
         self.address
     }
 
-    /// Shows a reconstruction, its maximum white.
+    /// Shows a reconstruction; its maximum is white.
     pub fn show(&self, frame: &StreamedFrame) {
         if self.address.is_none() {
             return;
@@ -100,7 +100,8 @@ fn answer(mut browser: &TcpStream, shown: &Mutex<Shown>) -> std::io::Result<()> 
     let status = if kind.is_empty() { "404 Not Found" } else { "200 OK" };
     write!(
         browser,
-        "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {}\r\nCache-Control: no-store\r\nConnection: close\r\n\r\n",
+        "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {}\r\nCache-Control: no-store\r\nConnection: \
+            close\r\n\r\n",
         body.len()
     )?;
     browser.write_all(&body)
@@ -125,7 +126,7 @@ mod tests {
 
     #[test]
     fn a_browser_gets_the_page_the_picture_and_the_numbers() {
-        let view = View::serve("127.0.0.1:0".parse().unwrap()).unwrap();
+        let view = LiveView::serve("127.0.0.1:0".parse().unwrap()).unwrap();
         let address = view.address().unwrap();
         let report = RunReport {
             id: 1,
@@ -145,8 +146,8 @@ mod tests {
         view.show(&frame);
         let text = |path| String::from_utf8_lossy(&get(address, path)).into_owned();
         assert!(text("/").contains("frame.png"));
-        for told in ["\"dropped\":3", "\"exact\":false", "\"field_frame\":3"] {
-            assert!(text("/state").contains(told), "{}", text("/state"));
+        for field in ["\"dropped\":3", "\"exact\":false", "\"field_frame\":3"] {
+            assert!(text("/state").contains(field), "{}", text("/state"));
         }
         assert!(text("/elsewhere").starts_with("HTTP/1.1 404"));
         let picture = get(address, "/frame.png?n=1");
