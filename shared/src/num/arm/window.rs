@@ -12,8 +12,8 @@ pub(crate) struct Rows<'a> {
 }
 
 impl Rows<'_> {
-    /// Checks that the slices hold everything that the loops read and write, for `outputs` channels and rows of sums
-    /// that begin `distance` apart.
+    /// The number of input channels. Panics unless the slices hold everything that the loops read and write, for
+    /// `outputs` channels and rows of sums that begin `distance` apart.
     pub(super) fn check(&self, outputs: usize, distance: usize, sums: usize) -> usize {
         let channels = self.weights.len() / (9 * outputs);
         assert!(channels > 0 && self.pitch >= distance + 2 && distance.is_multiple_of(8), "rows of {distance}");
