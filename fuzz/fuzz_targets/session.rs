@@ -1,16 +1,9 @@
 //! One file of a sound session is replaced by the input: the session is refused in words, or read to its last frame.
 #![no_main]
 
-#[allow(dead_code, unused_imports, unreachable_pub)]
-#[path = "../../host/src/artifact/mod.rs"]
-mod artifact;
-#[allow(dead_code, unused_imports, unreachable_pub)]
-#[path = "../../host/src/session/mod.rs"]
-mod session;
-
 use libfuzzer_sys::fuzz_target;
-use session::stack::{SampleType, StackSpec};
-use session::*;
+use ommatidia_session::stack::{SampleType, StackSpec};
+use ommatidia_session::*;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 

@@ -5,8 +5,8 @@
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use half::f16;
-use ommatidia_host::fft2::RealFft2;
-use ommatidia_host::rng;
+use ommatidia_physics::fft2::RealFft2;
+use ommatidia_session::rng;
 use ommatidia_shared::blob::{Bank, Size, Tap};
 use ommatidia_shared::filter::{FilterBank, Filters, FrameRows};
 use ommatidia_shared::image::{Chw, ChwMut};

@@ -6,12 +6,12 @@
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use ndarray::{Array2, Array4, Array5, s};
-use ommatidia_host::fft2::{RealFft2, fast_size};
-use ommatidia_host::instrument::{Diagnostics, Instrument, LightUnit, Quality};
-use ommatidia_host::noise::{NoiseModel, Sources};
-use ommatidia_host::psf::nodes::{Taps, even_nodes};
-use ommatidia_host::psf::{ChiefRays, LowRankOperator, LowRankPsf, OperatorConfig};
-use ommatidia_host::session::{ArrayGeometry, Manifest, ObjectGrid, Optics, SensorSpec};
+use ommatidia_model::instrument::{Diagnostics, Instrument, LightUnit, Quality};
+use ommatidia_model::psf::nodes::{Taps, even_nodes};
+use ommatidia_model::psf::{ChiefRays, LowRankOperator, LowRankPsf, OperatorConfig};
+use ommatidia_physics::fft2::{RealFft2, fast_size};
+use ommatidia_physics::noise::{NoiseModel, Sources};
+use ommatidia_session::{ArrayGeometry, Manifest, ObjectGrid, Optics, SensorSpec};
 use rustfft::num_complex::Complex32;
 use std::hint::black_box;
 

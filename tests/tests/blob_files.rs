@@ -4,7 +4,7 @@
 mod networks;
 
 use half::f16;
-use ommatidia_host::network_file::NetworkFile;
+use ommatidia_network::network_file::NetworkFile;
 use ommatidia_shared::blob::{Bank, Blocks, Header, MemoryPlan, Rcan, Sensor, Size, Tap, VERSION, Weights};
 use ommatidia_shared::pipeline::{Memory, Pipeline};
 use proptest::prelude::*;

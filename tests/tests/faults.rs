@@ -1,8 +1,8 @@
 //! Injected faults lose no network and no frame: the figures of `docs/faults.md`.
 #![allow(clippy::unwrap_used)]
 
-use ommatidia_host::device::faults::{complaints, page, try_boards, try_here};
-use ommatidia_host::device::{DeviceError, Firmware, find_qemu};
+use ommatidia::device::faults::{complaints, page, try_boards, try_here};
+use ommatidia::device::{DeviceError, Firmware, find_qemu};
 use ommatidia_shared::boards::BOARDS;
 use std::path::Path;
 

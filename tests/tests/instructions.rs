@@ -1,7 +1,7 @@
 //! The instructions of each operator on each microcontroller are those of `docs/instructions.md`.
 #![allow(clippy::unwrap_used)]
 
-use ommatidia_host::device::{BoardCounts, DeviceError, count_board, find_qemu, table};
+use ommatidia::device::{BoardCounts, DeviceError, count_board, find_qemu, table};
 use ommatidia_shared::boards::{BOARDS, Board};
 use std::path::Path;
 

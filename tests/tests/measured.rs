@@ -1,8 +1,8 @@
 //! Real measurements: the method on other real optics. Where the data are absent these tests count as skipped.
 #![allow(clippy::unwrap_used)]
 
-use ommatidia_host::calibrate::{CalibrateConfig, calibrate};
-use ommatidia_host::session::{Role, Session};
+use ommatidia_model::calibrate::{CalibrateConfig, calibrate};
+use ommatidia_session::{Role, Session};
 use ommatidia_tests::measured_data;
 
 #[test]
@@ -38,7 +38,7 @@ fn measured_spots_are_predicted_where_they_were_left_out() {
 /// the spots of the other.
 #[test]
 fn measured_spots_call_for_a_new_calibration() {
-    use ommatidia_host::closing::search::{held_out_figures, trial_calibration};
+    use ommatidia_closing::search::{held_out_figures, trial_calibration};
     let Some(folder) = measured_data("measured_spots_call_for_a_new_calibration", "sessions/fibre") else { return };
     let session = Session::open(&folder).unwrap();
     let config = CalibrateConfig { normalise_beads: true, replicates: 0, ..CalibrateConfig::default() };
@@ -54,7 +54,7 @@ fn measured_spots_call_for_a_new_calibration() {
 /// a new calibration by every second plane predicts those between.
 #[test]
 fn measured_depth_calls_for_a_new_calibration() {
-    use ommatidia_host::closing::search::{held_out_figures, trial_calibration};
+    use ommatidia_closing::search::{held_out_figures, trial_calibration};
     let Some(data) = measured_data("measured_depth_calls_for_a_new_calibration", "engineered_psf") else { return };
     for (mask, frames) in [("crlb1", 56), ("tetrapod", 54)] {
         let folder = tempfile::tempdir().unwrap();
@@ -143,10 +143,10 @@ table = "bead.csv"
 /// scenes that no fit has seen is taken out.
 #[test]
 fn measured_pixel_maps_are_named_and_corrected() {
-    use ommatidia_host::closing::{Budget, CloseOptions, Observations, close};
-    use ommatidia_host::effects::EffectSetting;
-    use ommatidia_host::session::FrameReader;
-    use ommatidia_host::study::subject::bench_config;
+    use ommatidia_closing::study::subject::bench_config;
+    use ommatidia_closing::{Budget, CloseOptions, Observations, close};
+    use ommatidia_physics::effects::EffectSetting;
+    use ommatidia_session::FrameReader;
     let Some(data) = measured_data("measured_pixel_maps_are_named_and_corrected", "scmos_maps") else { return };
     let mut bench = bench_config(0);
     (bench.scan.rows, bench.scan.cols, bench.scan.depths_um) = (9, 9, vec![0.0]);
@@ -194,9 +194,9 @@ fn measured_pixel_maps_are_named_and_corrected() {
 /// has outliers that no common noise explains.
 #[test]
 fn measured_noise_of_pixels_comes_back_from_darks_and_flats() {
-    use ommatidia_host::noise::draw_electrons;
-    use ommatidia_host::rng;
-    use ommatidia_host::session::{
+    use ommatidia_physics::noise::draw_electrons;
+    use ommatidia_session::rng;
+    use ommatidia_session::{
         Existing, FrameInfo, FrameReader, Manifest, SampleType, SessionWriter, StackEntry, StackSpec,
     };
     let Some(data) = measured_data("measured_noise_of_pixels_comes_back_from_darks_and_flats", "scmos_maps") else {
@@ -278,7 +278,7 @@ fn measured_noise_of_pixels_comes_back_from_darks_and_flats() {
 /// nothing else, and takes it out of the lower half.
 #[test]
 fn measured_mosaic_is_found_and_removed() {
-    use ommatidia_host::closing::{Budget, CloseOptions, Observations, close};
+    use ommatidia_closing::{Budget, CloseOptions, Observations, close};
     let Some(folder) = measured_data("measured_mosaic_is_found_and_removed", "sessions/tardigrade") else { return };
     let session = Session::open(&folder).unwrap();
     let instrument = calibrate(&session, &CalibrateConfig::default(), || {}).unwrap().instrument;
@@ -321,7 +321,7 @@ fn measured_mosaic_is_found_and_removed() {
 /// its frames were torn on their way. Nobody knows the specimen, but it is nearly the same from one frame to the next.
 #[test]
 fn measured_row_noise_of_a_video_is_named() {
-    use ommatidia_host::closing::{Budget, CloseOptions, Observations, close};
+    use ommatidia_closing::{Budget, CloseOptions, Observations, close};
     let Some(folder) = measured_data("measured_row_noise_of_a_video_is_named", "miniscope") else { return };
     let target = tempfile::tempdir().unwrap();
     std::fs::copy(folder.join("mio_wireless_60x200x200.tif"), target.path().join("scene.tif")).unwrap();

@@ -2,7 +2,7 @@
 //! board, for every board (see there); this test finds an image that was put into the regions of another one.
 #![allow(clippy::unwrap_used)]
 
-use ommatidia_host::device::{DeviceError, Firmware};
+use ommatidia::device::{DeviceError, Firmware};
 use ommatidia_shared::boards::{BOARDS, Board, MPS2_AN500};
 use std::path::Path;
 

@@ -8,7 +8,7 @@
 //! shapes. If one should panic nevertheless, the watchdog restarts the device, and the network is still in its flash.
 #![allow(clippy::unwrap_used)]
 
-use ommatidia_host::device::{DeviceError, Firmware};
+use ommatidia::device::{DeviceError, Firmware};
 use ommatidia_shared::boards::{BOARDS, Board, MPS3_AN547};
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -6,10 +6,8 @@
 mod networks;
 
 use networks::{DENSE, PRUNED, Shape, TAPPED, THIN};
-use ommatidia_host::device::{
-    DeviceError, DeviceRun, Firmware, LoopbackConfig, RunRequest, Runtime, Scope, find_qemu, run,
-};
-use ommatidia_host::network_file::NetworkFile;
+use ommatidia::device::{DeviceError, DeviceRun, Firmware, LoopbackConfig, RunRequest, Runtime, Scope, find_qemu, run};
+use ommatidia_network::network_file::NetworkFile;
 use ommatidia_shared::boards::{BOARDS, MPS3_AN547};
 use ommatidia_shared::device::Footprint;
 use ommatidia_shared::image::Region;

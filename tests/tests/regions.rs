@@ -6,7 +6,7 @@
 mod networks;
 
 use networks::{DENSE, PRUNED, Shape, TAPPED, THIN};
-use ommatidia_host::device::{
+use ommatidia::device::{
     Client, DeviceError, DeviceRun, Loopback, LoopbackConfig, RunRequest, Runtime, Scope, reference, run,
 };
 use ommatidia_shared::image::Region;

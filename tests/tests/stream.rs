@@ -5,7 +5,7 @@
 mod networks;
 
 use networks::DENSE;
-use ommatidia_host::device::{
+use ommatidia::device::{
     DeviceError, Firmware, FrameFeed, Frames, LoopbackConfig, Runtime, Scope, camera_frame, find_qemu, reference,
     stream,
 };

@@ -5,7 +5,7 @@ mod networks;
 
 use half::f16;
 use networks::{DENSE, TAPPED};
-use ommatidia_host::device::{
+use ommatidia::device::{
     Client, DeviceError, FaultyLine, LineFaults, Loopback, LoopbackConfig, RetryPolicy, Scope, Transport, reference,
 };
 use ommatidia_shared::blob::BlobError;

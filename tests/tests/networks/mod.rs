@@ -2,8 +2,8 @@
 #![allow(clippy::unwrap_used, dead_code)]
 
 use half::f16;
-use ommatidia_host::network_file::NetworkFile;
-use ommatidia_host::rng;
+use ommatidia_network::network_file::NetworkFile;
+use ommatidia_session::rng;
 use ommatidia_shared::blob::{Bank, Blocks, Header, MemoryPlan, Rcan, Sensor, Size, Tap, Weights};
 use ommatidia_shared::image::Region;
 use ommatidia_shared::pipeline::Pipeline;

@@ -1,0 +1,132 @@
+//! A whole study: instruments, cases, figures.
+
+use super::downstream::Networks;
+use super::plan::{Case, Size, cases};
+use super::record::{Ledger, Outcome, read_all};
+use super::sensitivity::Sensitivities;
+use super::shard::Shard;
+use super::subject::Subject;
+use super::summary::Summary;
+use super::text::page;
+use super::trial;
+use anyhow::Context;
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+
+/// File of the figures.
+pub const JSON: &str = "study.json";
+/// File of the page.
+pub const PAGE: &str = "study.md";
+
+/// The result of a study.
+pub struct Study {
+    /// All sessions, including those of earlier runs into the same folder.
+    pub outcomes: Vec<Outcome>,
+    /// The figures.
+    pub summary: Summary,
+}
+
+/// What to run.
+#[derive(Clone, Copy, Debug)]
+pub struct StudyRequest<'a> {
+    /// Folder of the outcomes, figures and page.
+    pub dir: &'a Path,
+    /// Size of the study.
+    pub size: &'a Size,
+    /// The share of the cases to run.
+    pub shard: Shard,
+}
+
+/// How far a run is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Progress {
+    /// Cases that are done.
+    pub done: usize,
+    /// Cases of this run.
+    pub planned: usize,
+}
+
+/// Runs the cases of a study that belong to the shard and have no outcome in the folder yet, then writes figures and
+/// page of all outcomes in the folder. `progress` is called after each case.
+///
+/// Sessions are closed in parallel, each on one thread; the outcome does not depend on the number of threads.
+///
+/// # Errors
+/// The folder cannot be written, or an instrument cannot be calibrated. A session that cannot be closed is not an
+/// error: its outcome holds the reason.
+pub fn run(
+    request: &StudyRequest<'_>,
+    networks: &dyn Networks,
+    progress: impl Fn(Progress) + Sync,
+) -> anyhow::Result<Study> {
+    let StudyRequest { dir, size, shard } = *request;
+    std::fs::create_dir_all(dir).with_context(|| dir.display().to_string())?;
+    let prepare = |n: &u64| Subject::prepare(*n, size, dir, networks);
+    let numbers: Vec<u64> = (0..size.instruments).collect();
+    let subjects = side_by_side(&numbers, prepare)?.into_iter().collect::<anyhow::Result<Vec<_>>>()?;
+    let sensitivities: Vec<Sensitivities> = subjects.iter().map(|s| s.sensitivities.clone()).collect();
+    let ended: BTreeSet<String> = read_all(dir)?.into_iter().map(|o| o.case.key).collect();
+    let mine = |(i, _): &(usize, Case)| shard.has(*i);
+    let all = cases(size, &sensitivities);
+    let planned = all.len();
+    let all = all.into_iter().enumerate().filter(mine);
+    let todo: Vec<Case> = all.map(|(_, c)| c).filter(|c| !ended.contains(&c.key)).collect();
+    let ledger = Ledger::open(dir, shard)?;
+    let done = AtomicUsize::new(0);
+    let one = |case: &Case| -> std::io::Result<()> {
+        if let Some(subject) = subjects.get(case.instrument as usize) {
+            ledger.push(&trial::run(subject, case, networks))?;
+        }
+        progress(Progress { done: done.fetch_add(1, Ordering::Relaxed) + 1, planned: todo.len() });
+        Ok(())
+    };
+    side_by_side(&todo, one)?
+        .into_iter()
+        .collect::<std::io::Result<Vec<()>>>()
+        .with_context(|| dir.display().to_string())?;
+    conclude(dir, size, planned, &sensitivities)
+}
+
+/// Writes figures and page of all sessions in a folder.
+fn conclude(dir: &Path, size: &Size, planned: usize, sensitivities: &[Sensitivities]) -> anyhow::Result<Study> {
+    let outcomes = read_all(dir)?;
+    let summary = Summary::of(&outcomes);
+    let json = serde_json::json!({
+        "size": size, "planned": planned, "sensitivities": sensitivities, "summary": summary, "sessions": outcomes,
+    });
+    ommatidia_session::artifact::write_whole(&dir.join(JSON), &serde_json::to_vec_pretty(&json)?)?;
+    let page = page(size, planned, sensitivities, &outcomes, &summary);
+    ommatidia_session::artifact::write_whole(&dir.join(PAGE), page.as_bytes())?;
+    Ok(Study { outcomes, summary })
+}
+
+/// Calls `each` for all items, one item per thread of the pool; the parallel parts of an item run on its own thread, so
+/// they never wait for another item. Results are in the order of the items.
+fn side_by_side<T: Sync, R: Send>(items: &[T], each: impl Fn(&T) -> R + Sync) -> anyhow::Result<Vec<R>> {
+    let next = AtomicUsize::new(0);
+    let results = Mutex::new(Vec::new());
+    let work = || -> anyhow::Result<()> {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
+        loop {
+            let i = next.fetch_add(1, Ordering::Relaxed);
+            let Some(item) = items.get(i) else { return Ok(()) };
+            let result = pool.install(|| each(item));
+            results.lock().unwrap_or_else(PoisonError::into_inner).push((i, result));
+        }
+    };
+    std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..rayon::current_num_threads().max(1)).map(|_| scope.spawn(work)).collect();
+        for t in threads {
+            match t.join() {
+                Ok(result) => result?,
+                Err(panic) => std::panic::resume_unwind(panic),
+            }
+        }
+        anyhow::Ok(())
+    })?;
+    let mut results = results.into_inner().unwrap_or_else(PoisonError::into_inner);
+    results.sort_by_key(|(i, _)| *i);
+    Ok(results.into_iter().map(|(_, r)| r).collect())
+}

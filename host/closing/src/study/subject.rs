@@ -1,0 +1,191 @@
+//! One instrument under study: its bench, its calibration, and the sensitivity of its sessions.
+//!
+//! It is small, so that a session takes seconds: 3 x 3 lenses on 98 x 98 pixels. All sessions of an instrument are
+//! compared with one calibration, from a session of its own.
+
+use super::downstream::{self, Networks};
+use super::foreign::FOREIGN;
+use super::plan::{Question, Size};
+use super::sensitivity::{Sensitivities, Sensitivity};
+use crate::{Budget, CloseOptions, Observations, close};
+use anyhow::Context;
+use ommatidia_bench::{BenchConfig, VirtualInstrument};
+use ommatidia_model::calibrate::{CalibrateConfig, calibrate};
+use ommatidia_model::instrument::Instrument;
+use ommatidia_physics::effects::Effect;
+use ommatidia_session::artifact::Provenance;
+use ommatidia_session::{Role, Session};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Sessions without an effect that determine the sensitivity.
+const NULLS: u64 = 3;
+/// Basis PSFs per lens: the result of the search for the best rank, fixed because the search takes most of the time.
+const RANK: usize = 12;
+
+/// An instrument under study.
+pub struct Subject {
+    /// The bench without effects; its foci are reused for all sessions.
+    pub bench: VirtualInstrument,
+    /// The configuration of its sessions.
+    pub config: BenchConfig,
+    /// Its calibration.
+    pub instrument: Instrument,
+    /// How well its sessions determine each effect.
+    pub sensitivities: Sensitivities,
+    /// Checkpoint of a network trained on it, if the study needs one.
+    pub network: PathBuf,
+}
+
+/// The bench of instrument `n`.
+///
+/// Weak light and a fine scan: the errors of the calibration must stay below the noise, or every session shows them.
+pub fn bench_config(n: u64) -> BenchConfig {
+    let mut c = BenchConfig { instrument_seed: 500 + n, ..BenchConfig::default() };
+    (c.sensor.rows, c.sensor.cols) = (98, 98);
+    c.array.pitch_px = 26.0;
+    (c.object.rows, c.object.cols) = (30, 30);
+    c.optics.psf_field_px = 23;
+    c.optics.aperture_um = 28.9;
+    c.optics.object_distance_um = 300.0;
+    c.optics.distortion_px = 0.05;
+    c.aberrations.field_curvature = 0.05;
+    c.aberrations.astigmatism = 0.04;
+    c.aberrations.coma = 0.035;
+    (c.scan.rows, c.scan.cols) = (11, 11);
+    c.scan.depths_um = vec![-60.0, 0.0, 60.0];
+    c.scan.bead_e = 80_000.0;
+    c.stacks.interval_ms = 60.0;
+    c.stacks.dark_frames = 16;
+    c.stacks.dark_exposures_ms = vec![10.0, 40.0];
+    c.stacks.flat_levels = vec![0.1, 0.3, 0.6];
+    c.stacks.flat_exposures_ms = vec![5.0, 10.0];
+    c.stacks.flat_frames = 16;
+    c.stacks.scene_frames = 8;
+    c.stacks.scene_peak = [0.05, 0.18];
+    c
+}
+
+/// A session to close is shorter than one for calibration.
+fn session_config(n: u64) -> BenchConfig {
+    let mut c = bench_config(n);
+    c.stacks.dark_frames = 4;
+    c.stacks.flat_frames = 2;
+    c
+}
+
+impl Subject {
+    /// Builds instrument `n`, calibrates it and measures the sensitivity of its sessions. Results in `dir` from an
+    /// earlier run are reused.
+    ///
+    /// # Errors
+    /// The folder cannot be written, or the instrument cannot be calibrated.
+    pub fn prepare(n: u64, size: &Size, dir: &Path, networks: &dyn Networks) -> anyhow::Result<Self> {
+        let seed = size.seed;
+        let config = session_config(n);
+        // Foci are kept for instruments that are built like another one.
+        let bench = config.build_like(&config.build(&[])?, &[])?;
+        let file = dir.join(format!("instrument-{n}.instrument"));
+        let instrument = match Instrument::read(&file) {
+            Ok(instrument) => instrument,
+            Err(_) => {
+                let instrument = calibrated(n, seed, &bench)?;
+                instrument.write(&file, Provenance::new("study", seed, &bench_config(n)))?;
+                instrument
+            }
+        };
+        let network = dir.join(format!("network-{n}.checkpoint"));
+        // The questions that need a network are asked of the first instrument.
+        if n == 0 && size.asks(Question::Reconstruction) && !network.is_file() {
+            downstream::train(networks, &instrument, &file, seed, &network).with_context(|| format!("network {n}"))?;
+        }
+        let mut subject = Self { bench, config, instrument, sensitivities: Sensitivities::default(), network };
+        let file = dir.join(format!("sensitivity-{n}.json"));
+        let known = std::fs::read(&file).ok().and_then(|b| serde_json::from_slice(&b).ok());
+        subject.sensitivities = match known {
+            Some(known) => known,
+            None => {
+                let found = subject.look(seed).with_context(|| format!("instrument {n}"))?;
+                ommatidia_session::artifact::write_whole(&file, &serde_json::to_vec_pretty(&found)?)?;
+                found
+            }
+        };
+        Ok(subject)
+    }
+
+    /// Measures darks, flats and scenes of a session with a bench of this build.
+    ///
+    /// # Errors
+    /// The folder cannot be written.
+    pub fn session(&self, bench: &VirtualInstrument, dir: &Path, seed: u64) -> anyhow::Result<Session> {
+        bench.measure_some(dir, seed, &[Role::Dark, Role::Flat, Role::Scene], |_| {})?;
+        Ok(Session::open(dir)?)
+    }
+
+    fn look(&self, seed: u64) -> anyhow::Result<Sensitivities> {
+        let mut sigmas: BTreeMap<String, (String, String, Vec<f64>)> = BTreeMap::new();
+        let mut out = Sensitivities::default();
+        for i in 0..NULLS {
+            let folder = tempfile::tempdir()?;
+            let session = self.session(&self.bench, &folder.path().join("session"), (seed << 20) + 77_000 + i)?;
+            let mut seen = Observations::read(&session, &Budget::default())?;
+            let options = CloseOptions { session_name: "null", seed, ..CloseOptions::default() };
+            let closed = close(&self.instrument, &mut seen, &options, |_| {})?;
+            for r in closed.account.closing.rejected {
+                let entry = sigmas.entry(r.id).or_insert_with(|| (r.param, r.unit, Vec::new()));
+                entry.2.extend(r.sigma.filter(|s| *s > 0.0 && s.is_finite()));
+            }
+        }
+        for (id, (param, unit, mut values)) in sigmas {
+            values.sort_by(f64::total_cmp);
+            match values.get(values.len() / 2) {
+                Some(sigma) => {
+                    out.of.insert(id, Sensitivity { param, unit, sigma: *sigma });
+                }
+                None => out.cannot.push(id),
+            }
+        }
+        for foreign in &FOREIGN {
+            let d = foreign.descriptor();
+            let sigma = self.noise_alone(foreign, d.params[0].step, seed)?;
+            out.of.insert(d.id.into(), Sensitivity { param: d.params[0].name.into(), unit: "1".into(), sigma });
+        }
+        Ok(out)
+    }
+
+    /// Standard error of the strength of a foreign effect from the noise of the scenes alone, with the light level
+    /// fitted too.
+    fn noise_alone(&self, foreign: &'static dyn Effect, step: f64, seed: u64) -> anyhow::Result<f64> {
+        let frames = |bench: &VirtualInstrument| -> anyhow::Result<Vec<ndarray::Array2<f32>>> {
+            let folder = tempfile::tempdir()?;
+            let dir = folder.path().join("session");
+            bench.measure_some(&dir, (seed << 20) + 76_999, &[Role::Scene], |_| {})?;
+            let session = Session::open(&dir)?;
+            let stack = session.stacks().first().context("no scene was measured")?;
+            let mut reader = stack.expected()?.context("the bench wrote no noise-free frames")?;
+            (0..stack.len()).map(|i| Ok(reader.read(i)?)).collect()
+        };
+        let with = self.config.build_like(&self.bench, &[])?.with_foreign(foreign, vec![step])?;
+        let (clean, changed) = (frames(&self.bench)?, frames(&with)?);
+        let noise = &self.instrument.noise;
+        let (mut dd, mut ds, mut ss) = (0.0, 0.0, 0.0);
+        for (a, b) in clean.iter().zip(&changed) {
+            for (a, b) in a.iter().zip(b) {
+                let (d, s) = (f64::from(b - a) / step, f64::from(*a) - noise.black_level_dn);
+                let w = 1.0 / noise.variance_dn2(f64::from(*a));
+                dd += w * d * d;
+                ds += w * d * s;
+                ss += w * s * s;
+            }
+        }
+        Ok(1.0 / (dd - ds * ds / ss).max(1e-12).sqrt())
+    }
+}
+
+fn calibrated(n: u64, seed: u64, like: &VirtualInstrument) -> anyhow::Result<Instrument> {
+    let folder = tempfile::tempdir()?;
+    let dir = folder.path().join("calibration");
+    bench_config(n).build_like(like, &[])?.measure(&dir, (seed << 20) + n, |_| {})?;
+    let config = CalibrateConfig { rank: Some(RANK), ..CalibrateConfig::default() };
+    Ok(calibrate(&Session::open(&dir)?, &config, || {})?.instrument)
+}

@@ -1,0 +1,140 @@
+//! Fits to frames that the model itself drew recover the effects that were injected. (The study shows the same for
+//! frames of the independent virtual instrument.)
+
+#![allow(clippy::unwrap_used)]
+
+use super::data::{Frame, Observations, Shown};
+use super::evidence::Scores;
+use super::fit::{Column, Design, Expansion, Model, Predicted, Term, nuisances, own_columns, refit};
+use ndarray::Array2;
+use ommatidia_model::instrument::Instrument;
+use ommatidia_model::testing::instrument;
+use ommatidia_physics::effects::{Kind, find};
+use ommatidia_session::rng::stream;
+use ommatidia_session::{FrameInfo, Role};
+use rand_distr::{Distribution, StandardNormal};
+
+const SENSOR: [usize; 2] = [48, 52];
+
+fn term(id: &str, values: &[(&str, f64)], lenses: usize) -> Term {
+    let effect = find(id).unwrap();
+    let value = |name: &str, off: f64| values.iter().find(|(n, _)| *n == name).map_or(off, |(_, v)| *v);
+    let params = effect.descriptor().expanded(lenses).iter().map(|(name, p)| value(name, p.off)).collect();
+    Term { effect, params, table: None, table_error: 0.0 }
+}
+
+/// Six scenes, 20 ms apart, drawn from the instrument with `terms`.
+fn observations(instrument: &Instrument, terms: &[Term]) -> Observations {
+    let object = |k: usize| {
+        Array2::from_shape_fn((20, 22), |(r, c)| {
+            if (r * 31 + c * 17 + k * 53).is_multiple_of(29) { 3.0 + k as f32 } else { 0.0 }
+        })
+    };
+    let frame = |k: usize| Frame {
+        stack: 0,
+        role: Role::Scene,
+        info: FrameInfo { time_s: 0.02 * k as f64, ..FrameInfo::plain(k, 10.0) },
+        measured: Array2::zeros((SENSOR[0], SENSOR[1])),
+        cut: None,
+        shown: Shown::Object(k),
+        held_out: k == 5,
+        previous: k.checked_sub(1),
+    };
+    let n = SENSOR[0] * SENSOR[1];
+    let mut seen = Observations {
+        frames: (0..6).map(frame).collect(),
+        truths: (0..6).map(object).collect(),
+        pixels: (0..n as u32).collect(),
+        blocks: (0..4).map(|b| b * n / 4..(b + 1) * n / 4).collect(),
+        held_out_blocks: vec![false; 4],
+        sensor: SENSOR,
+    };
+    let made: Vec<Array2<f32>> = {
+        let model = Model::new(instrument, &seen).unwrap();
+        let mut state = model.state(instrument).unwrap();
+        state.terms = terms.to_vec();
+        let scenes = model.scenes(&model.chain(terms)).unwrap();
+        let predicted = model.predict(&state, &scenes);
+        let draw = |(k, p): (usize, &Predicted)| {
+            let mut rng = stream(3, "closing/tests", k as u64);
+            let mut dn = p.dn.clone();
+            dn.zip_mut_with(&p.light_e, |v, e| {
+                let z: f64 = StandardNormal.sample(&mut rng);
+                let noise = &instrument.noise;
+                *v +=
+                    (z * noise.variance_dn2(noise.black_level_dn + noise.gain_dn_per_e * f64::from(*e)).sqrt()) as f32;
+            });
+            dn
+        };
+        predicted.iter().enumerate().map(draw).collect()
+    };
+    seen.frames.iter_mut().zip(made).for_each(|(f, m)| f.measured = m);
+    seen
+}
+
+/// A parameter of an injected effect, fitted from absence, and its standard error.
+fn fitted(put_in: &Term, param: usize) -> (f64, f64) {
+    let instrument = instrument([20, 22], SENSOR, 9, 3);
+    let seen = observations(&instrument, std::slice::from_ref(put_in));
+    let model = Model::new(&instrument, &seen).unwrap();
+    let mut state = model.state(&instrument).unwrap();
+    state.terms.push(put_in.switched_off(model.lenses()));
+    let fit = refit(&model, state).unwrap();
+    let columns: Vec<Column> = nuisances(&model).into_iter().chain(own_columns(&model, &fit.state)).collect();
+    let design = Design::compute(&model, fit.expansion(&[]), columns.clone(), &[]).unwrap();
+    let mine: Vec<usize> = (0..columns.len()).filter(|i| matches!(columns[*i], Column::Own { .. })).collect();
+    let others = (0..columns.len()).filter(|i| !mine.contains(i)).collect();
+    let test = Scores::new(&design, others).test(&mine).unwrap();
+    let p = put_in.expanded(model.lenses())[param].1;
+    let value = fit.state.terms[0].params[param];
+    (value, p.outer_sigma(p.inner(value), test.covariance[[param, param]].sqrt()))
+}
+
+#[test]
+fn a_remainder_of_the_preceding_frame_is_found() {
+    let (value, sigma) = fitted(&term("lag", &[("share", 0.05)], 2), 0);
+    assert!(sigma > 0.0 && sigma < 0.01 && (value - 0.05).abs() < 4.0 * sigma, "{value} +- {sigma}");
+}
+
+#[test]
+fn a_standard_deviation_is_found_from_where_it_has_no_slope() {
+    let (value, sigma) = fitted(&term("charge_diffusion", &[("sigma_px", 0.4)], 2), 0);
+    assert!(sigma > 0.0 && sigma < 0.02 && (value - 0.4).abs() < 4.0 * sigma, "{value} +- {sigma}");
+    // Where it is absent its square is uncertain by sigma^2, itself by sigma.
+    let p = &find("charge_diffusion").unwrap().descriptor().params[0];
+    assert!((p.outer_sigma(0.0, 0.01) - 0.1).abs() < 1e-12 && (p.outer_sigma(0.16, 0.008) - 0.0099).abs() < 1e-3);
+    assert!(p.outer(-0.3) == 0.0 && p.kind == Kind::Square && p.forbidden_side() < 0.0);
+}
+
+#[test]
+fn a_factor_common_to_all_lenses_is_light() {
+    let instrument = instrument([20, 22], SENSOR, 9, 3);
+    let seen = observations(&instrument, &[]);
+    let model = Model::new(&instrument, &seen).unwrap();
+    let mut state = model.state(&instrument).unwrap();
+    state.terms.push(term("lens_gain", &[("change_0", 0.21), ("change_1", 0.1)], 2));
+    let scenes = model.scenes(&model.chain(&state.terms)).unwrap();
+    let before = model.predict(&state, &scenes);
+    let state = model.gauged(state);
+    assert!(state.terms[0].params.contains(&0.0) && state.scale[0] != 1.0);
+    for (a, b) in before.iter().zip(model.predict(&state, &scenes)) {
+        assert!(a.dn.iter().zip(&b.dn).all(|(a, b)| (a - b).abs() < 1e-3 * a.abs()));
+    }
+}
+
+#[test]
+fn light_that_only_widens_the_errors_is_no_better_fit() {
+    let instrument = instrument([20, 22], SENSOR, 9, 3);
+    let seen = observations(&instrument, &[]);
+    let model = Model::new(&instrument, &seen).unwrap();
+    let plain = refit(&model, model.state(&instrument).unwrap()).unwrap();
+    let mut state = plain.state.clone();
+    // A uniform background that the black level compensates: the same expected frame with more noise.
+    state.terms.push(term("background", &[("rate_e_per_ms", 5.0)], 2));
+    state.black_dn -= 5.0 * 10.0 * 0.5;
+    let predicted = model.predict(&state, &plain.scenes);
+    let at = Expansion { state: &state, trials: &[], predicted: &predicted, scenes: &plain.scenes };
+    let design = Design::compute(&model, at, nuisances(&model), &[]).unwrap();
+    let wide = design.training().misfit();
+    assert!(wide.chi2 < 0.9 * plain.training.chi2 && wide.deviance > plain.training.deviance + 100.0, "{wide:?}");
+}

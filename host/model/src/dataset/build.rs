@@ -1,0 +1,214 @@
+//! Simulates a data set with an instrument, shard by shard.
+
+use super::plan::{SHARD_KIND, VERSION};
+use super::reader::{ShardBody, open_shard};
+use super::{DataSetError, DataSetPlan};
+use crate::forward::Forward;
+use crate::instrument::Instrument;
+use ndarray::{Array2, Array3};
+use ommatidia_physics::scene::{SceneConfig, Scenes};
+use ommatidia_session::ObjectGrid;
+use ommatidia_session::artifact::{self, Header, Provenance, Tensors};
+use ommatidia_session::rng;
+use rand::RngExt;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+use std::str::FromStr;
+
+/// Settings of a data set.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SimulateConfig {
+    /// Number of pairs.
+    pub count: usize,
+    /// Pairs per shard.
+    pub shard_pairs: usize,
+    /// Specimens that objects are drawn from.
+    pub scenes: SceneConfig,
+    /// Range of the brightest pixel of a frame, electrons, drawn with a uniform logarithm; None: 10 % to 80 % of full
+    /// scale.
+    pub peak_e: Option<[f64; 2]>,
+}
+
+impl Default for SimulateConfig {
+    fn default() -> Self {
+        Self { count: 1024, shard_pairs: 64, scenes: SceneConfig::default(), peak_e: None }
+    }
+}
+
+/// The share of shards that this machine simulates: `index` of `of`, counted from one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Share {
+    index: usize,
+    of: usize,
+}
+
+impl Share {
+    /// Every shard.
+    pub const ALL: Self = Self { index: 1, of: 1 };
+
+    fn holds(self, shard: usize) -> bool {
+        shard % self.of == self.index - 1
+    }
+}
+
+impl FromStr for Share {
+    type Err = String;
+
+    /// Parses `I/N`, 1 <= I <= N.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parts = text.split_once('/').and_then(|(i, n)| Some((i.parse().ok()?, n.parse().ok()?)));
+        match parts {
+            Some((index, of)) if 1 <= index && index <= of => Ok(Self { index, of }),
+            _ => Err(format!("expected I/N with 1 <= I <= N, e.g. 1/4, found `{text}`")),
+        }
+    }
+}
+
+/// Result of a run of the simulation.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Progress {
+    /// Number of shards that were written.
+    pub made: usize,
+    /// Number of shards of this share that existed already.
+    pub kept: usize,
+    /// Number of shards of the whole data set that are still missing.
+    pub missing: usize,
+}
+
+/// A planned data set.
+#[derive(Debug)]
+pub struct Simulation {
+    plan: DataSetPlan,
+    scenes: Scenes,
+    forward: Forward,
+    grid: ObjectGrid,
+    linear: bool,
+}
+
+impl SimulateConfig {
+    /// Plans a data set of `instrument`; the provenance holds the hash of the instrument's `file`.
+    ///
+    /// # Errors
+    /// A setting is out of range, there are no scenes, or the instrument is inconsistent.
+    pub fn build(&self, instrument: &Instrument, file: &Path, seed: u64) -> Result<Simulation, DataSetError> {
+        let full = (instrument.noise.saturation_dn - instrument.noise.black_level_dn) / instrument.noise.gain_dn_per_e;
+        let peak_e = self.peak_e.unwrap_or([0.1 * full, 0.8 * full]);
+        self.check(peak_e)?;
+        let mut provenance = Provenance::new("simulate", seed, self);
+        // By role and not by path: every machine that shares the work must plan the same bytes.
+        provenance.inputs.insert("instrument".into(), artifact::file_hash(file)?);
+        let manifest = &instrument.manifest;
+        let plan = DataSetPlan {
+            kind: "dataset".into(),
+            version: VERSION,
+            provenance,
+            count: self.count,
+            shard_pairs: self.shard_pairs,
+            object: [manifest.object.rows, manifest.object.cols],
+            frame: [manifest.sensor.rows, manifest.sensor.cols],
+            noise: instrument.noise,
+            peak_e,
+        };
+        Ok(Simulation {
+            plan,
+            scenes: self.scenes.build()?,
+            forward: Forward::new(instrument)?,
+            grid: manifest.object,
+            linear: instrument.effects.is_empty(),
+        })
+    }
+
+    fn check(&self, peak_e: [f64; 2]) -> Result<(), DataSetError> {
+        let positive = |field, n: usize| match n {
+            0 => Err(DataSetError::Config { field, expected: "one or more", found: "0".into() }),
+            _ => Ok(()),
+        };
+        positive("count", self.count)?;
+        positive("shard_pairs", self.shard_pairs)?;
+        if peak_e[0] > 0.0 && peak_e[1] >= peak_e[0] && peak_e[1].is_finite() {
+            return Ok(());
+        }
+        let expected = "two ascending numbers of electrons above zero";
+        Err(DataSetError::Config { field: "peak_e", expected, found: format!("{peak_e:?}") })
+    }
+}
+
+impl Simulation {
+    /// The plan of the data set.
+    pub fn plan(&self) -> &DataSetPlan {
+        &self.plan
+    }
+
+    /// Writes the shards of `share` to folder `dir` and keeps those that exist. Calls `done` with the number of pairs
+    /// after each shard.
+    ///
+    /// # Errors
+    /// The folder holds another data set, is not writable, or an object shows no light.
+    pub fn run(&self, dir: &Path, share: Share, done: impl Fn(usize)) -> Result<Progress, DataSetError> {
+        self.plan.write_or_resume(dir)?;
+        let mut progress = Progress::default();
+        for k in (0..self.plan.shards()).filter(|k| share.holds(*k)) {
+            if open_shard(dir, &self.plan, k).is_ok() {
+                progress.kept += 1;
+            } else {
+                self.make(dir, k)?;
+                progress.made += 1;
+            }
+            done(self.plan.pairs_of(k).len());
+        }
+        let there = |k: &usize| DataSetPlan::shard_path(dir, *k).is_file();
+        progress.missing = self.plan.shards() - (0..self.plan.shards()).filter(there).count();
+        Ok(progress)
+    }
+
+    fn make(&self, dir: &Path, k: usize) -> Result<(), DataSetError> {
+        let pairs = self.plan.pairs_of(k);
+        let made: Vec<_> = pairs.clone().into_par_iter().map(|i| self.pair(i)).collect::<Result<_, _>>()?;
+        let [r, c] = self.plan.object;
+        let [rows, cols] = self.plan.frame;
+        let mut objects = Array3::zeros((pairs.len(), r, c));
+        let mut frames = Array3::zeros((pairs.len(), rows, cols));
+        for (i, (object, frame)) in made.into_iter().enumerate() {
+            objects.index_axis_mut(ndarray::Axis(0), i).assign(&object);
+            frames.index_axis_mut(ndarray::Axis(0), i).assign(&frame);
+        }
+        let path = DataSetPlan::shard_path(dir, k);
+        let plan = self.plan.hash().map_err(|e| DataSetError::Plan { path: path.clone(), detail: e.to_string() })?;
+        let header = Header {
+            kind: SHARD_KIND.into(),
+            version: VERSION,
+            provenance: self.plan.provenance.clone(),
+            body: ShardBody { shard: k, plan },
+        };
+        let tensors = Tensors::from([("objects".into(), objects.into_dyn()), ("frames_e".into(), frames.into_dyn())]);
+        Ok(artifact::write(&path, &header, &tensors)?)
+    }
+
+    /// Pair `i`: the object [object rows, object cols] with maximum 1, and its noise-free frame [sensor rows, sensor
+    /// cols] in electrons, scaled so that its brightest pixel has the drawn level.
+    ///
+    /// # Errors
+    /// No light reaches the sensor, or the forward model refuses the object.
+    pub fn pair(&self, i: usize) -> Result<(Array2<f32>, Array2<f32>), DataSetError> {
+        let seed = self.plan.provenance.seed;
+        let object = self.scenes.draw(&self.grid, seed, "simulate/scene", i as u64);
+        let cx = self.forward.context();
+        let mut frame = self.forward.expected_e(object.view(), &cx)?;
+        let peak = frame.fold(0.0f32, |m, v| m.max(*v));
+        if peak.is_nan() || peak <= 0.0 {
+            return Err(DataSetError::Black { index: i });
+        }
+        let [low, high] = self.plan.peak_e.map(f64::ln);
+        let mut rng = rng::stream(seed, "simulate/light", self.scenes.video(i as u64));
+        let light = (rng.random_range(low..=high).exp() / f64::from(peak)) as f32;
+        if self.linear {
+            frame.mapv_inplace(|v| v * light);
+        } else {
+            // An effect need not be proportional to the light: form the frame again at its level.
+            frame = self.forward.expected_e(object.mapv(|v| v * light).view(), &cx)?;
+        }
+        Ok((object, frame))
+    }
+}

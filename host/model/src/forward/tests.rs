@@ -1,0 +1,134 @@
+#![allow(clippy::unwrap_used)]
+
+use super::*;
+use crate::testing::instrument;
+use ommatidia_physics::effects::{EffectSetting, Previous, registry};
+use ommatidia_session::rng::stream;
+
+fn object() -> Array2<f32> {
+    Array2::from_shape_fn((12, 13), |(r, c)| ((r * 13 + c) * 7919 % 101) as f32 / 40.0)
+}
+
+fn made_up() -> Instrument {
+    let mut i = instrument([12, 13], [40, 41], 5, 2);
+    i.psf.basis.mapv_inplace(f32::abs);
+    i
+}
+
+/// The same with a second depth, where the lenses see less.
+fn made_up_in_depth() -> Instrument {
+    let mut i = made_up();
+    let deeper = i.psf.coefficients.mapv(|v| 0.5 * v);
+    i.psf.coefficients = ndarray::concatenate![ndarray::Axis(2), i.psf.coefficients, deeper];
+    i.psf.node_depths_um = vec![0.0, 50.0];
+    i
+}
+
+fn on(id: &str, params: &[(&str, f64)]) -> EffectSetting {
+    EffectSetting::new(id, params)
+}
+
+#[test]
+fn every_effect_switched_off_leaves_the_same_bits_and_switched_on_changes_the_frame() {
+    let plain = Forward::new(&made_up_in_depth()).unwrap();
+    let previous = Array2::from_elem((40, 41), 900.0f32);
+    let light = plain.expected_e(object().view(), &plain.context()).unwrap();
+    let peak = f64::from(light.fold(0.0f32, |m, v| m.max(*v)));
+    let cx = FrameContext {
+        frame: 1,
+        time_s: 2.0,
+        // Nearly full scale, where saturation begins.
+        exposure_ms: plain.context().exposure_ms * 0.9 * plain.noise().full_scale_e() / peak,
+        temperature_c: 30.0,
+        previous: Some(Previous { light_e: &previous, interval_s: 0.02 }),
+        ..plain.context()
+    };
+    let want = plain.expected_dn(object().view(), &cx).unwrap();
+    let drawn = |f: &Forward| f.draw_dn(f.expected_e(object().view(), &cx).unwrap(), &cx, &mut stream(3, "drawn", 0));
+    for effect in registry().iter().filter(|e| e.descriptor().stage != Stage::Record) {
+        let d = effect.descriptor();
+        let names = d.expanded(2);
+        let forward = |value: f64| {
+            let mut i = made_up_in_depth();
+            i.effects = vec![on(d.id, &[(names[0].0.as_str(), value)])];
+            Forward::new(&i).unwrap()
+        };
+        let (off, step) = (names[0].1.off, names[0].1.step);
+        assert_eq!(forward(off).expected_dn(object().view(), &cx).unwrap(), want, "{}", d.id);
+        let with = forward(off + step);
+        let (expected, reading) = (with.expected_dn(object().view(), &cx).unwrap(), drawn(&with));
+        assert_eq!(expected != want, !effect.noise_only(), "{}", d.id);
+        assert_ne!(reading, drawn(&plain), "{}", d.id);
+    }
+}
+
+#[test]
+fn units_run_from_coefficients_to_electrons_to_dn() {
+    let i = made_up();
+    let f = Forward::new(&i).unwrap();
+    let light_dn = f.operator().apply(object().view()).unwrap();
+    let mut cx = f.context();
+    cx.exposure_ms *= 3.0;
+    cx.illumination = 0.5;
+    let e = f.expected_e(object().view(), &cx).unwrap();
+    let dn = f.expected_dn(object().view(), &cx).unwrap();
+    for ((l, e), d) in light_dn.iter().zip(&e).zip(&dn) {
+        assert!((e - l * 1.5 / 0.5).abs() < 1e-3 && (d - (64.0 + 1.5 * l).min(4095.0)).abs() < 1e-3);
+    }
+}
+
+#[test]
+fn drawn_frames_have_the_expected_mean_and_the_models_variance() {
+    let i = made_up();
+    let f = Forward::new(&i).unwrap();
+    let cx = f.context();
+    let light = f.expected_e(object().view(), &cx).unwrap();
+    let want = f.expected_dn(object().view(), &cx).unwrap();
+    let (mut chi2, mut mean, frames) = (0.0, 0.0, 40);
+    for n in 0..frames {
+        let frame = f.draw_dn(light.clone(), &cx, &mut stream(5, "frame", n));
+        assert!(frame.iter().all(|v| v.fract() == 0.0));
+        for (y, mu) in frame.iter().zip(&want).filter(|(_, mu)| **mu < 4000.0) {
+            let d = f64::from(y - mu);
+            mean += d / frame_pixels(&want) / frames as f64;
+            chi2 += d * d / i.noise.variance_dn2(f64::from(*mu)) / frame_pixels(&want) / frames as f64;
+        }
+    }
+    // 40 x 1600 pixels: the mean of chi2 is known to 0.6 %, the mean to a few hundredths of a DN.
+    assert!((chi2 - 1.0).abs() < 0.03 && mean.abs() < 0.2, "{chi2} {mean}");
+}
+
+fn frame_pixels(want: &Array2<f32>) -> f64 {
+    want.iter().filter(|mu| **mu < 4000.0).count() as f64
+}
+
+#[test]
+fn charge_effects_act_after_the_draw() {
+    let mut i = made_up();
+    i.noise.read_noise_e = 0.0;
+    i.effects = vec![on("interpixel_capacitance", &[("alpha", 0.1)])];
+    let f = Forward::new(&i).unwrap();
+    let (mut own, mut shared) = (0.0, 0.0);
+    for n in 0..20 {
+        let frame = f.draw_dn(Array2::from_elem((40, 41), 1000.0), &f.context(), &mut stream(6, "ipc", n));
+        let d = frame.mapv(|v| f64::from(v) - 564.0);
+        own += d.iter().map(|v| v * v).sum::<f64>() / 32_800.0;
+        shared += d.windows((1, 2)).into_iter().map(|w| w[[0, 0]] * w[[0, 1]]).sum::<f64>() / 32_000.0;
+    }
+    // White noise v through the kernel: variance v (0.6^2 + 4 0.1^2), neighbour covariance v 2 0.6 0.1; v = 1000 g^2.
+    assert!((own - 250.0 * 0.40).abs() < 5.0 && (shared - 250.0 * 0.12).abs() < 4.0, "{own} {shared}");
+}
+
+#[test]
+fn light_that_is_none_is_refused() {
+    let f = Forward::new(&made_up()).unwrap();
+    for bad in [f32::NAN, -1.0, f32::INFINITY] {
+        let mut o = object();
+        o[[3, 4]] = bad;
+        let message = f.expected_dn(o.view(), &f.context()).unwrap_err().to_string();
+        assert!(message.starts_with("object pixel (3, 4): expected a finite value >= 0"), "{message}");
+    }
+    let mut i = made_up();
+    i.effects = vec![on("none", &[])];
+    assert!(matches!(Forward::new(&i), Err(ForwardError::Effect(_))));
+}

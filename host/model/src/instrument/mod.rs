@@ -1,0 +1,161 @@
+//! The instrument: the result of a calibration, as data, and its file.
+//!
+//! Nothing here computes: [`crate::calibrate`] makes instruments, [`crate::forward`] predicts frames with them.
+//!
+//! ```
+//! use ommatidia_session::artifact::Provenance;
+//! use ommatidia_model::instrument::Instrument;
+//!
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("lab.instrument");
+//! ommatidia_model::testing::instrument([9, 11], [30, 33], 5, 3).write(&path, Provenance::default())?;
+//! let instrument = Instrument::read(&path)?;
+//! assert_eq!(instrument.psf.basis.dim(), (2, 3, 5, 5)); // lenses, terms, window rows, window cols
+//! assert_eq!(instrument.noise.gain_dn_per_e, 0.5);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod file;
+
+pub use file::{INSTRUMENT_KIND, INSTRUMENT_VERSION, InstrumentError};
+
+use crate::psf::{CalibratedOptics, ChiefRays, LowRankPsf};
+use ndarray::{Array1, Array2, Axis};
+use ommatidia_physics::effects::EffectSetting;
+use ommatidia_physics::noise::{MapErrors, NoiseModel, inverse_response};
+use ommatidia_session::Manifest;
+use serde::{Deserialize, Serialize};
+
+/// The calibrated model of one instrument. Lenses are numbered row by row, `l = i * array.cols + j`.
+///
+/// On disk it is an artifact of kind `instrument`: a safetensors file whose metadata hold the provenance and
+/// the small numbers as JSON and whose tensors are the arrays, so that Python reads it as it is.
+#[derive(Clone, Debug)]
+pub struct Instrument {
+    /// Manifest of the calibrated session, without its stacks; `psf_window_px` is the side of the basis PSFs.
+    pub manifest: Manifest,
+    /// Noise of the sensor.
+    pub noise: NoiseModel,
+    /// Offset of each pixel from the black level, DN, [sensor rows, sensor cols]; None where no darks were measured.
+    pub offset_dn: Option<Array2<f32>>,
+    /// Response of each pixel to light relative to the mean, without lamp shading, [sensor rows, sensor cols]; None
+    /// where the flats do not determine it.
+    pub response: Option<Array2<f32>>,
+    /// Variance of the reading of each pixel, rounding included, DN^2, [sensor rows, sensor cols]; None where the darks
+    /// show no difference between pixels, so that `noise` holds for all of them.
+    pub reading_dn2: Option<Array2<f32>>,
+    /// Chief rays.
+    pub geometry: ChiefRays,
+    /// Low-rank spatially varying PSFs.
+    pub psf: LowRankPsf,
+    /// Jackknife replicates of the PSF model: J refits, each of which leaves out one group of beads. Empty where the
+    /// uncertainty is not known.
+    ///
+    /// Let s_j be any figure predicted with replicate j in place of `psf` (see [`Instrument::replicate`]). The variance
+    /// of s due to the calibration is `(J-1)/J * sum_j (s_j - mean s)^2`. Each replicate has a basis of its own; the
+    /// basis of one and the coefficients of another cannot be combined. Chief rays, noise and light unit are the same
+    /// in all, so that the error of the light unit (one scale common to all predictions) is not part of this variance.
+    pub replicates: Vec<LowRankPsf>,
+    /// Effects added by `close`, in the order in which they were accepted.
+    pub effects: Vec<EffectSetting>,
+    /// The unit of light in objects.
+    pub light_unit: LightUnit,
+    /// Errors of the model on the bead scan.
+    pub quality: Quality,
+    /// Curves and maps of the calibration, for reports.
+    pub diagnostics: Diagnostics,
+}
+
+impl Instrument {
+    /// Factor that corrects each pixel to the mean response, [sensor rows, sensor cols]; None where the response is not
+    /// known.
+    pub fn inverse_response(&self) -> Option<Array2<f32>> {
+        self.response.as_ref().map(inverse_response)
+    }
+}
+
+impl Instrument {
+    /// The instrument with its PSF model replaced by replicate `j`; None where there is no such replicate.
+    pub fn replicate(&self, j: usize) -> Option<Self> {
+        let psf = self.replicates.get(j)?.clone();
+        Some(Self { psf, replicates: Vec::new(), ..self.clone() })
+    }
+
+    /// The calibrated optics, from which [`crate::psf::LowRankOperator`] is planned.
+    pub fn optics(&self) -> CalibratedOptics<'_> {
+        let m = &self.manifest;
+        CalibratedOptics {
+            psf: &self.psf,
+            rays: &self.geometry,
+            object: [m.object.rows, m.object.cols],
+            sensor: [m.sensor.rows, m.sensor.cols],
+        }
+    }
+
+    /// Smallest rank at which one joint decomposition of all lenses has at most the error of this model on the scan;
+    /// None where it is not known or lies beyond the ranks that were tried.
+    pub fn whole_array_rank(&self) -> Option<usize> {
+        let errors = &self.diagnostics.whole_array_error;
+        Some(1 + errors.iter().position(|e| f64::from(*e) <= self.quality.approximation_error)?)
+    }
+
+    /// Whether only the sensor was calibrated: there was no bead scan, and the optics are the identity.
+    pub fn sensor_only(&self) -> bool {
+        self.diagnostics.positions_px.is_empty() && self.psf.basis.len_of(Axis(1)) == 1
+    }
+}
+
+/// The unit of light in objects.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LightUnit {
+    /// The bead of the calibration scan, in one object pixel.
+    #[default]
+    Bead,
+    /// The light that gives 1 DN above black at the exposure of the model (no bead scan was measured).
+    Dn,
+    /// The unit of the session's scene truths.
+    Truth {
+        /// Truth units in the light of one bead (of 1 DN, without a bead scan).
+        per_bead: f64,
+    },
+}
+
+/// How well the model reproduces the bead scan. NRMSE is `|measured - predicted| / |measured|` (Euclidean norms over
+/// all windows, black level taken off).
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Quality {
+    /// NRMSE of the rank-K model on the bead frames that it was fitted to.
+    pub approximation_error: f64,
+    /// NRMSE on bead positions that were left out (checkerboard).
+    pub off_grid_error: f64,
+    /// NRMSE on the left-out positions of a model with one PSF for each lens, the mean over the other positions.
+    pub one_psf_error: f64,
+    /// NRMSE that the noise of the bead frames alone causes.
+    pub noise_floor: f64,
+    /// Root-mean-square distance of the foci from their chief rays (Eq. 1), over both axes, px: distortion and noise.
+    pub chief_ray_rms_px: f64,
+    /// Estimated errors of the sensor maps.
+    pub maps: MapErrors,
+}
+
+/// Curves and maps of the calibration, for reports and `inspect`; no figure depends on them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Diagnostics {
+    /// Bead positions, object pixels, [bead, (row, col)].
+    pub positions_px: Array2<f32>,
+    /// Pearson correlation of each bead's foci with those of the bead nearest to the axis (Fig. 2a of the paper),
+    /// [bead].
+    pub pcc: Array1<f32>,
+    /// NRMSE of the rank-K model relative to each bead's own light, [bead].
+    pub bead_nrmse: Array1<f32>,
+    /// Singular values of each lens's windows, largest first, [lens, bead].
+    pub singular_values: Array2<f32>,
+    /// Error by rank, [rank tried, (rank, approximation error, off-grid error)].
+    pub error_by_rank: Array2<f32>,
+    /// NRMSE on the scan of one joint decomposition of all lenses, for rank 1, 2, ...; empty where it is not known.
+    pub whole_array_error: Array1<f32>,
+    /// Photon transfer, [level, (mean above black in DN, temporal variance in DN^2, fitted variance in DN^2)].
+    pub photon_transfer: Array2<f32>,
+}

@@ -1,0 +1,371 @@
+//! How well a model predicts frames: against noise-free expectations where they are known, and against measured frames.
+//!
+//! Model and session may count light in different units, so a whole stack is judged after one free scale of the light
+//! above the black level. The scale is 1 for a model that was calibrated in the session's own unit.
+
+use super::figures::{MetricError, Moments, squared_error};
+use ndarray::{Array2, ArrayView2, Zip};
+use ommatidia_physics::noise::NoiseModel;
+use serde::{Deserialize, Serialize};
+
+/// Pixels are *lit* where the expected signal exceeds this many times the read noise.
+const LIT_READ_NOISES: f64 = 3.0;
+
+/// How well a model predicts a stack of frames.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PredictionFigures {
+    /// Number of frames compared.
+    pub frames: usize,
+    /// The free scale of the predicted light.
+    pub scale: f64,
+    /// `||s p - e|| / ||e||` of the light above black over all frames: prediction p, reference e, scale s.
+    pub nrmse: f64,
+    /// Pearson correlation coefficient over all pixels of all frames.
+    pub pcc: f64,
+    /// Chi-squared per degree of freedom of the *measured* frames against the scaled prediction, over lit pixels.
+    pub chi2_ndf: f64,
+    /// The same against the noise-free expected frames: the value that a perfect optical model reaches with this noise
+    /// model; 0 where expected frames are unknown.
+    pub chi2_ndf_expected: f64,
+    /// Number of lit pixels.
+    pub lit_pixels: u64,
+    /// The residual by distance from the centre of the sensor.
+    #[serde(default)]
+    pub by_radius: Vec<ResidualRing>,
+}
+
+/// The residual of the lit pixels in one ring around the centre of the sensor.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ResidualRing {
+    /// Inner radius, px.
+    pub inner_px: f64,
+    /// Outer radius, px.
+    pub outer_px: f64,
+    /// Number of lit pixels.
+    pub pixels: u64,
+    /// Chi-squared per degree of freedom of the measured frames against the prediction; 0 without lit pixels.
+    pub chi2_ndf: f64,
+    /// Mean of (measured - predicted) relative to the mean light of the ring; 0 without lit pixels.
+    pub bias: f64,
+}
+
+/// Number of rings between the centre of the sensor and its corner.
+const RINGS: usize = 8;
+
+/// Sums over the lit pixels of each ring.
+struct Rings {
+    /// Of each ring: light above black, (measured - predicted), chi-squared, number of pixels.
+    sums: Vec<[f64; 4]>,
+    width_px: f64,
+    centre: [f64; 2],
+}
+
+impl Rings {
+    fn new((rows, cols): (usize, usize)) -> Self {
+        let centre = [rows, cols].map(|n| (n as f64 - 1.0) / 2.0);
+        let corner = centre[0].hypot(centre[1]) + 0.5;
+        Self { sums: vec![[0.0; 4]; RINGS], width_px: corner / RINGS as f64, centre }
+    }
+
+    fn add(&mut self, (r, c): (usize, usize), residual: &Residual) {
+        let radius = (r as f64 - self.centre[0]).hypot(c as f64 - self.centre[1]);
+        let ring = ((radius / self.width_px) as usize).min(RINGS - 1);
+        let values = [residual.light_dn, residual.off_dn, residual.chi2(), 1.0];
+        self.sums[ring].iter_mut().zip(values).for_each(|(sum, v)| *sum += v);
+    }
+
+    fn figures(&self) -> Vec<ResidualRing> {
+        let ring = |(i, [light, off, chi2, pixels]): (usize, &[f64; 4])| ResidualRing {
+            inner_px: i as f64 * self.width_px,
+            outer_px: (i + 1) as f64 * self.width_px,
+            pixels: *pixels as u64,
+            chi2_ndf: chi2 / pixels.max(1.0),
+            bias: if *light > 0.0 { off / light } else { 0.0 },
+        };
+        self.sums.iter().enumerate().map(ring).collect()
+    }
+}
+
+/// A measured pixel against its expectation.
+struct Residual {
+    /// Expected light above black and offset, DN.
+    light_dn: f64,
+    /// Measured minus expected, DN.
+    off_dn: f64,
+    /// Variance of the noise model, DN^2.
+    variance_dn2: f64,
+}
+
+impl Residual {
+    fn chi2(&self) -> f64 {
+        self.off_dn * self.off_dn / self.variance_dn2
+    }
+}
+
+/// One scene as predicted, as expected, and as measured; DN, black level included, each [sensor rows, sensor cols].
+#[derive(Clone, Debug)]
+pub struct FrameComparison {
+    /// The model's prediction, noise-free.
+    pub predicted: Array2<f32>,
+    /// The true expectation, noise-free; None where only a measured frame exists.
+    pub expected: Option<Array2<f32>>,
+    /// The measured frame.
+    pub measured: Array2<f32>,
+}
+
+/// Chi-squared and the pixels that it was summed over.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ChiSquared {
+    /// `sum((y - mu)^2 / var(mu))`.
+    pub sum: f64,
+    /// Number of pixels summed over: the degrees of freedom where nothing is fitted.
+    pub pixels: u64,
+}
+
+/// Chi-squared of a measured frame against its expectation over lit pixels; both DN, [sensor rows, sensor cols].
+///
+/// `chi2 = sum((y - mu)^2 / var(mu))` with the variance of the noise model at the expectation, over pixels whose
+/// expected light exceeds three times the read noise. The fixed pattern of `sensor` is part of `mu` but adds no photon
+/// noise.
+///
+/// # Errors
+/// The shapes differ.
+pub fn chi_squared(
+    measured_dn: ArrayView2<'_, f32>,
+    expected_dn: ArrayView2<'_, f32>,
+    sensor: SensorNoise<'_>,
+) -> Result<ChiSquared, MetricError> {
+    let mut chi2 = ChiSquared::default();
+    each_lit(measured_dn, expected_dn, sensor, |_, residual| {
+        chi2.sum += residual.chi2();
+        chi2.pixels += 1;
+    })?;
+    Ok(chi2)
+}
+
+/// Calls `take` with the position and the residual of each lit pixel.
+fn each_lit(
+    measured_dn: ArrayView2<'_, f32>,
+    expected_dn: ArrayView2<'_, f32>,
+    sensor: SensorNoise<'_>,
+    mut take: impl FnMut((usize, usize), Residual),
+) -> Result<(), MetricError> {
+    let least_dn = LIT_READ_NOISES * sensor.noise.read_noise_e * sensor.noise.gain_dn_per_e;
+    each(measured_dn, expected_dn, sensor, |at, residual| {
+        if residual.light_dn > least_dn {
+            take(at, residual);
+        }
+    })
+}
+
+/// Calls `take` with the position and the residual of each pixel.
+fn each(
+    measured_dn: ArrayView2<'_, f32>,
+    expected_dn: ArrayView2<'_, f32>,
+    sensor: SensorNoise<'_>,
+    mut take: impl FnMut((usize, usize), Residual),
+) -> Result<(), MetricError> {
+    let same_shape = |found: (usize, usize)| match expected_dn.dim() {
+        expected if expected == found => Ok(()),
+        expected => Err(MetricError::Shape { expected, found }),
+    };
+    same_shape(measured_dn.dim())?;
+    let dark = Array2::zeros((1, 1));
+    let offset = match sensor.offset_dn {
+        Some(map) => same_shape(map.dim()).map(|()| map.view())?,
+        None => dark.broadcast(expected_dn.dim()).unwrap_or(dark.view()),
+    };
+    if let Some(map) = sensor.reading_dn2 {
+        same_shape(map.dim())?;
+    }
+    let noise = sensor.noise;
+    Zip::indexed(measured_dn).and(expected_dn).and(offset).for_each(|at, &y, &mu, &offset| {
+        let level_dn = f64::from(mu) - f64::from(offset);
+        let (light_dn, off_dn) = (level_dn - noise.black_level_dn, f64::from(y) - f64::from(mu));
+        take(at, Residual { light_dn, off_dn, variance_dn2: sensor.variance_dn2(at, level_dn) });
+    });
+    Ok(())
+}
+
+/// `(measured - expected)` of each pixel in standard deviations of the noise model at the expectation; frames and
+/// result [sensor rows, sensor cols].
+///
+/// # Errors
+/// The shapes differ.
+pub fn in_sigmas(
+    measured_dn: ArrayView2<'_, f32>,
+    expected_dn: ArrayView2<'_, f32>,
+    sensor: SensorNoise<'_>,
+) -> Result<Array2<f32>, MetricError> {
+    let mut out = Array2::zeros(expected_dn.dim());
+    each(measured_dn, expected_dn, sensor, |at, r| out[at] = (r.off_dn / r.variance_dn2.sqrt()) as f32)?;
+    Ok(out)
+}
+
+/// A predicted frame, DN, with its light above the black level multiplied by `scale`.
+pub fn with_scale(predicted_dn: &Array2<f32>, scale: f64, black_level_dn: f64) -> Array2<f32> {
+    predicted_dn.mapv(|v| ((f64::from(v) - black_level_dn) * scale + black_level_dn) as f32)
+}
+
+/// The noise and fixed pattern of a sensor: what the likelihood of a frame depends on.
+#[derive(Clone, Copy, Debug)]
+pub struct SensorNoise<'a> {
+    /// Noise model of the sensor.
+    pub noise: &'a NoiseModel,
+    /// Fixed pattern relative to the black level, DN, [sensor rows, sensor cols]; None: unknown, taken as 0.
+    pub offset_dn: Option<&'a Array2<f32>>,
+    /// Variance of each pixel's reading without light, DN^2, [sensor rows, sensor cols]; None: `noise` holds for all
+    /// pixels.
+    pub reading_dn2: Option<&'a Array2<f32>>,
+}
+
+impl SensorNoise<'_> {
+    /// Variance, DN^2, of the pixel `at` (row, col) whose expected level without its offset is `level_dn`.
+    fn variance_dn2(&self, at: (usize, usize), level_dn: f64) -> f64 {
+        let beyond =
+            self.reading_dn2.map_or(0.0, |m| f64::from(m[at]) - self.noise.variance_dn2(self.noise.black_level_dn));
+        self.noise.variance_dn2(level_dn) + beyond
+    }
+}
+
+/// The figures of a stack of `count` frames. `frame(i)` returns the i-th; it is called twice for each frame, so that
+/// memory holds one at a time.
+///
+/// # Errors
+/// `frame` fails, shapes differ, a value is not finite, or all expectations are 0.
+pub fn prediction_figures(
+    count: usize,
+    sensor: SensorNoise<'_>,
+    mut frame: impl FnMut(usize) -> anyhow::Result<FrameComparison>,
+) -> anyhow::Result<PredictionFigures> {
+    let noise_black = sensor.noise.black_level_dn;
+    let black = noise_black as f32;
+    let mut sums = Moments::default();
+    for i in 0..count {
+        let f = frame(i)?;
+        let reference = f.expected.as_ref().unwrap_or(&f.measured);
+        sums.add(&Moments::of((&f.predicted - black).view(), (reference - black).view())?);
+    }
+    let scale = sums.scale()?;
+    let (mut error, mut model, mut truth, mut lit, mut lit_truth) = (0.0, 0.0, 0.0, 0u64, 0u64);
+    let mut rings: Option<Rings> = None;
+    for i in 0..count {
+        let f = frame(i)?;
+        let light = &f.predicted - black;
+        let reference = f.expected.as_ref().unwrap_or(&f.measured);
+        error += squared_error(light.view(), (reference - black).view(), scale);
+        let scaled = with_scale(&f.predicted, scale, noise_black);
+        let rings = rings.get_or_insert_with(|| Rings::new(scaled.dim()));
+        each_lit(f.measured.view(), scaled.view(), sensor, |at, residual| {
+            (model, lit) = (model + residual.chi2(), lit + 1);
+            rings.add(at, &residual);
+        })?;
+        if let Some(expected) = &f.expected {
+            let chi2 = chi_squared(f.measured.view(), expected.view(), sensor)?;
+            (truth, lit_truth) = (truth + chi2.sum, lit_truth + chi2.pixels);
+        }
+    }
+    Ok(PredictionFigures {
+        frames: count,
+        scale,
+        nrmse: error.sqrt() / sums.reference_norm(),
+        pcc: sums.pcc(),
+        chi2_ndf: model / lit.max(1) as f64,
+        chi2_ndf_expected: truth / lit_truth.max(1) as f64,
+        lit_pixels: lit,
+        by_radius: rings.map_or_else(Vec::new, |r| r.figures()),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use ommatidia_physics::noise::Sources;
+    use ommatidia_session::rng;
+    use rand_distr::{Distribution, Normal, Poisson};
+
+    fn noise() -> NoiseModel {
+        NoiseModel {
+            black_level_dn: 64.0,
+            gain_dn_per_e: 0.4,
+            gain_sigma: 0.0,
+            read_noise_e: 2.0,
+            read_noise_sigma: 0.0,
+            saturation_dn: 4095.0,
+            sources: Sources::default(),
+        }
+    }
+
+    fn sensor(noise: &NoiseModel) -> SensorNoise<'_> {
+        SensorNoise { noise, offset_dn: None, reading_dn2: None }
+    }
+
+    fn scene(i: usize) -> FrameComparison {
+        let noise = noise();
+        let electrons = |r: usize, c: usize| 40.0 + (r * c) as f64 * 0.5;
+        let expected = Array2::from_shape_fn((40, 50), |(r, c)| (64.0 + 0.4 * electrons(r, c)) as f32);
+        let mut random = rng::stream(11, "prediction test", i as u64);
+        let read = Normal::new(0.0, noise.read_noise_e).unwrap();
+        let measured = Array2::from_shape_fn((40, 50), |(r, c)| {
+            let e = Poisson::new(electrons(r, c)).unwrap().sample(&mut random) + read.sample(&mut random);
+            (64.0 + 0.4 * e).round() as f32
+        });
+        FrameComparison { predicted: expected.clone(), expected: Some(expected), measured }
+    }
+
+    #[test]
+    fn a_perfect_model_has_chi_squared_one() {
+        let f = prediction_figures(5, sensor(&noise()), |i| Ok(scene(i))).unwrap();
+        assert!((f.scale - 1.0).abs() < 1e-12 && f.nrmse < 1e-6 && f.pcc > 1.0 - 1e-9);
+        // chi2/ndf of n pixels scatters by sqrt(2/n): 0.014 for 10,000.
+        // The rings share all lit pixels, and none shows a bias where there is none.
+        assert_eq!(f.by_radius.iter().map(|r| r.pixels).sum::<u64>(), f.lit_pixels);
+        assert!(f.by_radius.iter().all(|r| r.bias.abs() < 0.01), "{:?}", f.by_radius);
+        assert!(f.lit_pixels == 10_000 && (f.chi2_ndf - 1.0).abs() < 0.06, "{f:?}");
+        assert!((f.chi2_ndf - f.chi2_ndf_expected).abs() < 1e-4);
+    }
+
+    #[test]
+    fn a_wrong_model_shows_in_each_figure_and_a_wrong_unit_in_the_scale_alone() {
+        let wrong = |i| {
+            let mut t = scene(i);
+            t.predicted.slice_mut(ndarray::s![..20, ..]).mapv_inplace(|v| 64.0 + (v - 64.0) * 1.2);
+            Ok(t)
+        };
+        let f = prediction_figures(2, sensor(&noise()), wrong).unwrap();
+        assert!(f.nrmse > 0.02 && f.chi2_ndf > 1.2, "{f:?}");
+        let unit = |i| {
+            let mut t = scene(i);
+            t.predicted.mapv_inplace(|v| 64.0 + (v - 64.0) * 4.0);
+            Ok(t)
+        };
+        let f = prediction_figures(2, sensor(&noise()), unit).unwrap();
+        assert!((f.scale - 0.25).abs() < 1e-6 && f.nrmse < 1e-5, "{f:?}");
+    }
+
+    #[test]
+    fn only_lit_pixels_count() {
+        let expected = ndarray::array![[64.0f32, 66.3, 66.5]];
+        let measured = ndarray::array![[164.0f32, 64.0, 66.5 + 1.0]];
+        let ChiSquared { sum: chi, pixels: n } =
+            chi_squared(measured.view(), expected.view(), sensor(&noise())).unwrap();
+        // Lit above 64 + 3 * 2 * 0.4 = 66.4 DN; there the variance is 0.4 * 2.5 + 0.64 + 1/12.
+        assert!(n == 1 && (chi - 1.0 / (1.0 + 0.64 + 1.0 / 12.0)).abs() < 1e-5, "{chi} {n}");
+    }
+
+    #[test]
+    fn a_fixed_pattern_makes_no_noise_and_no_light() {
+        let noise = noise();
+        let offset = ndarray::array![[10.0f32, 10.0]];
+        let expected = ndarray::array![[74.0f32, 84.0]];
+        let sensor = SensorNoise { noise: &noise, offset_dn: Some(&offset), reading_dn2: None };
+        let ChiSquared { sum: chi, pixels: n } =
+            chi_squared((&expected + 1.0).view(), expected.view(), sensor).unwrap();
+        // The first pixel is dark; the second has 10 DN of light: variance 0.4 * 10 + 0.64 + 1/12.
+        assert!(n == 1 && (chi - 1.0 / (4.0 + 0.64 + 1.0 / 12.0)).abs() < 1e-9, "{chi} {n}");
+        let wrong = Array2::zeros((3, 3));
+        let sensor = SensorNoise { noise: &noise, offset_dn: Some(&wrong), reading_dn2: None };
+        assert!(chi_squared(expected.view(), expected.view(), sensor).is_err());
+    }
+}

@@ -1,0 +1,219 @@
+#![allow(clippy::unwrap_used)]
+use super::*;
+use crate::methods::{FloatNetwork, Reconstruct};
+use crate::network_file::NetworkFile;
+use crate::train::weights::{self, FILTERS};
+use crate::train::{Checkpoint, FilterMask, NetworkConfig, Preset};
+use ndarray::Array2;
+use ommatidia_model::metrics::Case;
+use ommatidia_physics::noise::{NoiseModel, Sources};
+use ommatidia_physics::sensor::SensorMaps;
+use ommatidia_session::artifact::Tensors;
+use ommatidia_session::rng;
+use rand::RngExt;
+use std::path::Path;
+
+const FRAME: [usize; 2] = [44, 40];
+const OBJECT: [usize; 2] = [16, 20];
+
+fn noise() -> NoiseModel {
+    NoiseModel {
+        black_level_dn: 64.0,
+        gain_dn_per_e: 0.4,
+        gain_sigma: 0.0,
+        read_noise_e: 2.0,
+        read_noise_sigma: 0.0,
+        saturation_dn: 4095.0,
+        sources: Sources::default(),
+    }
+}
+
+/// Whole codes of a few smooth spots.
+fn frame(seed: u64) -> Array2<f32> {
+    let mut rng = rng::stream(seed, "frame", 0);
+    let spots: Vec<[f32; 3]> = (0..12)
+        .map(|_| [rng.random::<f32>() * 44.0, rng.random::<f32>() * 40.0, 200.0 + 2000.0 * rng.random::<f32>()])
+        .collect();
+    let light = |r: usize, c: usize| -> f32 {
+        spots.iter().map(|[y, x, a]| a * (-0.2 * ((r as f32 - y).powi(2) + (c as f32 - x).powi(2))).exp()).sum()
+    };
+    Array2::from_shape_fn((FRAME[0], FRAME[1]), |(r, c)| (64.0 + light(r, c)).round())
+}
+
+fn file(made: &Quantized) -> NetworkFile {
+    NetworkFile::from_bytes(Path::new("made"), &made.bytes).unwrap()
+}
+
+/// An untrained network with maps of the sensor.
+fn checkpoint() -> Checkpoint {
+    let network = NetworkConfig {
+        channels: 3,
+        width: 8,
+        reduction: 4,
+        groups: 2,
+        blocks: 2,
+        ..Preset::Nano.network(FRAME, OBJECT)
+    };
+    let weights = weights::random(&network, 5);
+    let pattern =
+        |a: f32, b: f32| Array2::from_shape_fn((FRAME[0], FRAME[1]), |(r, c)| a + b * ((r * 7 + c * 3) % 16) as f32);
+    let maps = SensorMaps {
+        offset_dn: Some(pattern(-2.0, 0.25)),
+        inverse_response: Some(pattern(0.9375, 0.0078125)),
+        unusable: None,
+    };
+    let truth = Array2::from_shape_fn((OBJECT[0], OBJECT[1]), |(r, c)| ((r + c) % 5) as f32);
+    let cases = (0..2).map(|i| Case { frame_dn: frame(i), truth: truth.clone() }).collect();
+    let untrained = Checkpoint::untrained(network, noise(), Preset::Nano.training(1e4, 1), weights);
+    Checkpoint { maps, cases, ..untrained }
+}
+
+fn difference(a: &dyn Reconstruct, b: &dyn Reconstruct, frame: &Array2<f32>) -> f32 {
+    let [a, b] = [a, b].map(|m| m.reconstruct(frame.view()).unwrap());
+    (&a - &b).iter().fold(0.0, |max, d| max.max(d.abs()))
+}
+
+/// Float network and network file are independent definitions of the same network. An untrained network is the most
+/// sensitive test: its outputs spread over (0, 1) and nothing is 0. Halves have 11 bits and there are 15 layers.
+#[test]
+fn the_file_computes_what_the_float_network_does() {
+    let checkpoint = checkpoint();
+    let made = quantize(
+        &checkpoint,
+        &"0123456789abcdef".repeat(4),
+        &QuantizeConfig { name: "test".into(), ..Default::default() },
+    )
+    .unwrap();
+    let (float, blob) = (FloatNetwork::new(&checkpoint).unwrap(), file(&made));
+    let found = float.reconstruct(frame(9).view()).unwrap();
+    let spread = found.iter().fold(0.0f32, |m, v| m.max(*v)) - found.iter().fold(1.0f32, |m, v| m.min(*v));
+    assert!(spread > 0.1, "{spread}");
+    assert!(difference(&float, &blob, &frame(9)) < 0.01);
+    assert_eq!(blob.header().unwrap().checkpoint.as_str(), "0123456789abcdef");
+    assert!(made.report.loss_db.abs() < 0.1, "{:?}", made.report);
+    assert_eq!(made.report.energy_kept, 1.0);
+}
+
+/// Filters whose kernels are a few compact spots fit into taps without loss.
+#[test]
+fn taps_of_compact_kernels_are_the_whole_filter() {
+    let mut checkpoint = checkpoint();
+    let t = checkpoint.body.network.filter_size;
+    compact(&mut checkpoint.weights, t);
+    let config = QuantizeConfig { tile: Some(16), energy: Some(0.999_999_9), ..Default::default() };
+    let made = quantize(&checkpoint, "", &config).unwrap();
+    assert!(made.report.taps > 3 && made.report.taps < 40, "{}", made.report.taps);
+    assert!(made.report.energy_kept >= 0.999_999_9);
+    let (float, blob) = (FloatNetwork::new(&checkpoint).unwrap(), file(&made));
+    assert!(difference(&float, &blob, &frame(9)) < 0.01);
+}
+
+/// A channel that is much weaker than the others still needs a tap.
+#[test]
+fn a_faint_channel_keeps_a_tap() {
+    let mut checkpoint = checkpoint();
+    for name in FILTERS {
+        checkpoint.weights.get_mut(name).unwrap().index_axis_mut(ndarray::Axis(0), 1).mapv_inplace(|v| 1e-3 * v);
+    }
+    let config = QuantizeConfig { tile: Some(32), energy: Some(0.2), ..Default::default() };
+    let made = quantize(&checkpoint, "", &config).unwrap();
+    let header = file(&made).header().unwrap();
+    assert!((0..3).all(|c| header.bank.taps.iter().any(|tap| tap.channel == c)));
+}
+
+/// Replaces each filter by three spots at lags of at most 12 pixels: sums of complex exponentials under a Gaussian.
+fn compact(weights: &mut Tensors, t: usize) {
+    let value = |c: usize, kr: usize, kc: usize| {
+        let (mut re, mut im) = (0.0f32, 0.0f32);
+        let k = |k: usize| if k > t / 2 { k as f32 - t as f32 } else { k as f32 } / t as f32;
+        for spot in 0..3 {
+            let (y, x) = ((c as f32 - 1.0) * 4.0 + spot as f32 * 6.0 - 7.0, 9.0 - 8.0 * spot as f32);
+            let angle = -std::f32::consts::TAU * (k(kr) * y + k(kc) * x);
+            let size = (-30.0 * (k(kr).powi(2) + k(kc).powi(2))).exp();
+            (re, im) = (re + size * angle.cos(), im + size * angle.sin());
+        }
+        [re, im]
+    };
+    for (part, name) in FILTERS.into_iter().enumerate() {
+        let filters = weights.get_mut(name).unwrap();
+        filters.indexed_iter_mut().for_each(|(at, v)| *v = value(at[0], at[1], at[2])[part]);
+    }
+}
+
+/// The device transforms the kernels that the pruned file holds to the spectra that the dense one holds.
+#[test]
+fn blocks_of_compact_kernels_are_the_whole_filter() {
+    let mut checkpoint = checkpoint();
+    let t = checkpoint.body.network.filter_size;
+    compact(&mut checkpoint.weights, t);
+    let config = QuantizeConfig { prune: Some(0.5), ..Default::default() };
+    let made = quantize(&checkpoint, "", &config).unwrap();
+    let report = &made.report;
+    assert!(report.energy_kept >= 0.999_999, "{report:?}");
+    assert!(report.filter_bytes <= report.dense_filter_bytes / 2, "{report:?}");
+    assert!(report.filter_bytes + 34 > report.dense_filter_bytes / 2, "room for one block more: {report:?}");
+    assert_eq!(report.steps.iter().map(|s| s.step).collect::<Vec<_>>(), ["float", "blocks", "file"]);
+    let (float, blob) = (FloatNetwork::new(&checkpoint).unwrap(), file(&made));
+    assert!(difference(&float, &blob, &frame(9)) < 0.01);
+}
+
+/// A file that would not fit is pruned to as many blocks as fit.
+#[test]
+fn what_does_not_fit_into_the_flash_is_pruned() {
+    let checkpoint = checkpoint();
+    let whole = quantize(&checkpoint, "", &QuantizeConfig::default()).unwrap().report;
+    for less in [1, 100, 5000, whole.filter_bytes * 9 / 10] {
+        let flash = (whole.file_bytes - less) as u64;
+        let config = QuantizeConfig { flash_bytes: Some(flash), ..Default::default() };
+        let made = quantize(&checkpoint, "", &config).unwrap();
+        let found = made.bytes.len() as u64;
+        assert!(found <= flash && found + 200 > flash, "{found} of {flash}");
+        assert!(made.report.blocks > 0 && made.report.energy_kept < 1.0);
+        file(&made);
+    }
+}
+
+/// Filters that were trained with a mask of blocks keep these blocks, even if others are stronger.
+#[test]
+fn blocks_of_a_training_are_kept() {
+    let mut checkpoint = checkpoint();
+    let blocks = vec![(0, 3, 4), (1, 0, 0), (2, 15, 15)];
+    checkpoint.body.filter_mask = Some(FilterMask::Blocks { side: 4, blocks });
+    let plan = crate::train::ops::fourier::Fourier::new(checkpoint.body.network.fourier());
+    checkpoint.body.filter_mask.as_ref().unwrap().project(&plan, &mut checkpoint.weights);
+    let made = quantize(&checkpoint, "", &QuantizeConfig::default()).unwrap();
+    assert_eq!((made.report.blocks, made.report.block_side), (3, 4));
+    assert!(made.report.energy_kept > 0.999_999);
+    let (float, blob) = (FloatNetwork::new(&checkpoint).unwrap(), file(&made));
+    assert!(difference(&float, &blob, &frame(9)) < 0.02);
+}
+
+#[test]
+fn the_error_of_a_small_device_names_how_much_is_missing() {
+    let checkpoint = checkpoint();
+    let error = |config| quantize(&checkpoint, "", &config).unwrap_err();
+    let flash = error(QuantizeConfig { flash_bytes: Some(20_000), ..Default::default() });
+    let QuantizeError::Budget { what: "flash", expected: 20_000, found, missing } = flash else { panic!("{flash}") };
+    assert_eq!(found - 20_000, missing);
+    let ram = error(QuantizeConfig { ram_bytes: Some(1000), ..Default::default() });
+    assert!(matches!(ram, QuantizeError::Budget { what: "RAM", .. }), "{ram}");
+    let tile = error(QuantizeConfig { tile: Some(48), ..Default::default() });
+    assert!(matches!(tile, QuantizeError::Size { field: "tile", found: 48, .. }), "{tile}");
+    let energy = error(QuantizeConfig { tile: Some(8), energy: Some(1.0), ..Default::default() });
+    assert!(matches!(energy, QuantizeError::Energy { tile: 8, .. }), "{energy}");
+}
+
+#[test]
+fn weights_that_do_not_fit_a_half_are_refused_by_name() {
+    let name = format!("{}.weight", weights::name::BODY);
+    for (value, range) in [(f32::NAN, false), (1e5, true)] {
+        let mut checkpoint = checkpoint();
+        checkpoint.weights.get_mut(&name).unwrap()[[0, 0, 1, 2]] = value;
+        let error = quantize(&checkpoint, "", &QuantizeConfig::default()).unwrap_err();
+        match error {
+            QuantizeError::NotFinite { name: found, index: 5, .. } if !range => assert_eq!(found, name),
+            QuantizeError::Range { name: found, index: 5, .. } if range => assert_eq!(found, name),
+            other => panic!("{other}"),
+        }
+    }
+}

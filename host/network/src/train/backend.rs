@@ -1,0 +1,53 @@
+//! Where float networks are computed, and whether gradients are recorded.
+
+use super::TrainError;
+use burn::tensor::Device;
+
+/// Whether gradients are recorded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mode {
+    /// Gradients are recorded, for training.
+    Train,
+    /// Gradients are not recorded, for inference.
+    Infer,
+}
+
+/// Where float networks are computed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum Backend {
+    /// On the CPU of this machine; every run gives the same bits.
+    #[default]
+    Cpu,
+    /// On a graphics card, through Vulkan, Metal or DirectX, in a program built with `--features gpu`. The order of
+    /// sums is not fixed there, so bits can differ from run to run.
+    Gpu,
+}
+
+impl Backend {
+    /// Checks that this program was built with the backend.
+    ///
+    /// # Errors
+    /// [`TrainError::Config`]: the program was built without it.
+    pub fn check(self) -> Result<(), TrainError> {
+        if self == Self::Gpu && !cfg!(feature = "gpu") {
+            return Err(TrainError::Config {
+                field: "device",
+                expected: "cpu, or a program built with `cargo build --release -p ommatidia --features gpu`".into(),
+                found: "gpu".into(),
+            });
+        }
+        Ok(())
+    }
+
+    pub(super) fn device(self, mode: Mode) -> Device {
+        let device = match self {
+            #[cfg(feature = "gpu")]
+            Self::Gpu => Device::wgpu(burn::tensor::DeviceKind::DefaultDevice),
+            _ => Device::flex(),
+        };
+        match mode {
+            Mode::Train => device.autodiff(),
+            Mode::Infer => device,
+        }
+    }
+}

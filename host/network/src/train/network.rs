@@ -1,0 +1,252 @@
+//! The networks in single precision, on burn: a bank of filters followed by an RCAN, or CM2Net.
+
+use super::ops::fourier::{Fourier, Spectrum};
+use super::ops::{conv3x3, filter_bank, kernel_spectra};
+use super::weights::{self, FILTERS, KERNELS, LOG_K, PSFS, name};
+use super::{Architecture, Backend, Mode, NetworkConfig, NetworkInput, TrainError, network_input};
+use burn::tensor::activation::{relu, sigmoid};
+use burn::tensor::{Device, Gradients, Tensor, TensorData};
+use ommatidia_session::artifact::Tensors;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// Lower bound of the maximum that filter outputs are divided by, so that frames without light stay finite.
+const DARK: f32 = 1e-12;
+
+/// Divisor of the sum of two branches in CM2Net, which keeps its variance.
+const HALF_POWER: f32 = std::f32::consts::SQRT_2;
+
+/// Output of a network for a batch of frames.
+pub struct NetworkOutput {
+    /// Logits, [batch, 1, object rows, object cols]; the reconstruction is their sigmoid.
+    pub logits: Tensor<4>,
+    /// Logits of the image of each lens alone, [batch, lenses, object rows, object cols]; of a CM2Net only.
+    pub views: Option<Tensor<4>>,
+}
+
+/// A network with its parameters on a device.
+pub struct Network {
+    config: NetworkConfig,
+    plan: Arc<Fourier>,
+    parameters: BTreeMap<String, Tensor<1>>,
+    device: Device,
+    /// The filters in frequency, computed once for inference.
+    bank: Option<[Tensor<1>; 2]>,
+}
+
+impl Network {
+    /// A network with the parameters `tensors` (all of [`weights::shapes`]) on the CPU.
+    ///
+    /// # Errors
+    /// The configuration is not valid, or a parameter is missing or has the wrong shape.
+    pub fn new(config: &NetworkConfig, plan: &Arc<Fourier>, tensors: &Tensors, mode: Mode) -> Result<Self, TrainError> {
+        Self::on(Backend::Cpu, config, plan, tensors, mode)
+    }
+
+    /// As [`Network::new`], on the given backend.
+    ///
+    /// # Errors
+    /// As [`Network::new`]; or the program was built without the backend.
+    pub fn on(
+        backend: Backend,
+        config: &NetworkConfig,
+        plan: &Arc<Fourier>,
+        tensors: &Tensors,
+        mode: Mode,
+    ) -> Result<Self, TrainError> {
+        config.check()?;
+        backend.check()?;
+        let device = backend.device(mode);
+        let mut parameters = BTreeMap::new();
+        for (name, shape) in weights::shapes(config) {
+            let found = tensors.get(&name).filter(|t| t.shape() == shape);
+            let Some(tensor) = found else {
+                let found = tensors.get(&name).map_or("none".into(), |t| format!("{:?}", t.shape()));
+                return Err(TrainError::Config {
+                    field: "weights",
+                    expected: format!("`{name}` of shape {shape:?}"),
+                    found,
+                });
+            };
+            let values = tensor.as_slice().map_or_else(|| tensor.iter().copied().collect(), <[f32]>::to_vec);
+            let n = values.len();
+            let leaf = Tensor::<1>::from_data(TensorData::new(values, [n]), &device);
+            parameters.insert(name, if mode == Mode::Train { leaf.require_grad() } else { leaf });
+        }
+        let mut network = Self { config: config.clone(), plan: Arc::clone(plan), parameters, device, bank: None };
+        if mode == Mode::Infer && !matches!(config.architecture, Architecture::Cm2Net { .. }) {
+            network.bank = Some(network.filters());
+        }
+        Ok(network)
+    }
+
+    /// Computes the output of a batch of inputs, which must be of this network's configuration.
+    pub fn forward(&self, frames: Vec<NetworkInput>) -> NetworkOutput {
+        if let Architecture::Cm2Net { .. } = self.config.architecture {
+            let x = self.crops(&frames);
+            return self.join(x);
+        }
+        let spectra = frames.into_iter().filter_map(|f| match f {
+            NetworkInput::Spectrum(s) => Some(s),
+            NetworkInput::Crops(_) => None,
+        });
+        let [re, im] = self.bank.clone().unwrap_or_else(|| self.filters());
+        let filtered = filter_bank(&self.plan, Arc::new(spectra.collect::<Vec<Spectrum>>()), re, im);
+        NetworkOutput { logits: self.enhance(normalise(filtered)), views: None }
+    }
+
+    /// Real and imaginary parts of the filters in frequency, each [channels * T * (T/2+1)]; for architectures with a
+    /// filter bank, which is all but CM2Net.
+    pub fn filters(&self) -> [Tensor<1>; 2] {
+        match self.config.architecture {
+            Architecture::MultiWienerNet => {
+                let [re, im] = kernel_spectra(&self.plan, self.parameter(PSFS));
+                let (c, n) = (self.config.channels, re.dims()[0]);
+                let k = self.parameter(LOG_K).exp().reshape([c, 1]).expand([c, n / c]).reshape([n]);
+                let power = re.clone().square() + im.clone().square() + k;
+                [re / power.clone(), im.neg() / power]
+            }
+            Architecture::MultiFlatNet => kernel_spectra(&self.plan, self.parameter(KERNELS)),
+            _ => FILTERS.map(|f| self.parameter(f)),
+        }
+    }
+
+    fn crops(&self, frames: &[NetworkInput]) -> Tensor<4> {
+        let [rows, cols] = self.config.object;
+        let values: Vec<f32> = frames
+            .iter()
+            .flat_map(|f| match f {
+                NetworkInput::Crops(crops) => crops.as_slice(),
+                NetworkInput::Spectrum(_) => &[],
+            })
+            .copied()
+            .collect();
+        Tensor::from_data(TensorData::new(values, [frames.len(), self.config.channels, rows, cols]), &self.device)
+    }
+
+    /// CM2Net behind its crops [batch, lenses, rows, cols]: views are demixed, then joined.
+    fn join(&self, x: Tensor<4>) -> NetworkOutput {
+        let views = self.part(name::DEMIX, x);
+        let logits = self.conv(name::END, self.part(name::JOIN, sigmoid(views.clone())));
+        NetworkOutput { logits, views: Some(views) }
+    }
+
+    /// One of the two parts of a CM2Net: a convolution, residual blocks, a convolution.
+    fn part(&self, part: &str, x: Tensor<4>) -> Tensor<4> {
+        let first = relu(self.conv(&name::part(part, 1), x));
+        let mut y = first.clone();
+        for b in 0..self.config.blocks {
+            let inner = relu(self.conv(&name::part_block(part, b, 1), y.clone()));
+            y = (self.conv(&name::part_block(part, b, 2), inner) + y) / HALF_POWER;
+        }
+        self.conv(&name::part(part, 2), (y + first) / HALF_POWER)
+    }
+
+    /// Gradient of one reconstructed pixel, [row, col], with respect to the normalised frame `x`, [frame rows * frame
+    /// cols] in C order. The maximum that the frame was divided by is held fixed.
+    ///
+    /// The network must have been made with [`Mode::Train`].
+    pub fn pixel_gradient(&self, x: &[f32], [row, col]: [usize; 2]) -> Vec<f32> {
+        let frame = vec![NetworkInput::of(&self.config, &self.plan, x)];
+        let [rows, cols] = self.config.object;
+        let leaf = |values: Vec<f32>| {
+            let shape = [1, self.config.channels, rows, cols];
+            Tensor::<4>::from_data(TensorData::new(values, shape), &self.device).require_grad()
+        };
+        let pixel =
+            |logits: Tensor<4>| sigmoid(logits).slice([0..1, 0..1, row..row + 1, col..col + 1]).sum().backward();
+        let gradient = |x: Tensor<4>, g: Gradients| {
+            let mut g = g;
+            x.grad_remove(&mut g).map_or_else(|| vec![0.0; rows * cols * self.config.channels], values)
+        };
+        if let Architecture::Cm2Net { crops } = &self.config.architecture {
+            let x = leaf(values(self.crops(&frame).inner()));
+            let g = pixel(self.join(x.clone()).logits);
+            return network_input::paste(&gradient(x, g), &self.config, crops);
+        }
+        let [re, im] = self.filters().map(|f| values(f.inner()));
+        let filters = self.plan.filters(&re, &im);
+        let y = leaf(self.plan.forward(&[frame[0].spectrum().to_vec()], &filters));
+        let g = pixel(self.enhance(normalise(y.clone())));
+        self.plan.backward_to_frame(&filters, &gradient(y, g))
+    }
+
+    /// The enhancement network (RCAN): [batch, C, rows, cols] -> logits [batch, 1, rows, cols].
+    fn enhance(&self, x: Tensor<4>) -> Tensor<4> {
+        let head = self.conv(name::HEAD, unshuffle(x));
+        let mut y = head.clone();
+        for g in 0..self.config.groups {
+            let mut inner = y.clone();
+            for b in 0..self.config.blocks {
+                inner = self.block(g, b, inner);
+            }
+            y = y + self.conv(&name::group(g, self.config.blocks), inner);
+        }
+        let y = head + self.conv(name::BODY, y);
+        self.conv(name::TAIL, shuffle(self.conv(name::UPSCALE, y)))
+    }
+
+    /// Residual block with channel attention.
+    fn block(&self, group: usize, block: usize, x: Tensor<4>) -> Tensor<4> {
+        let r = self.conv(&name::conv(group, block, 1), relu(self.conv(&name::conv(group, block, 0), x.clone())));
+        let [batch, width, _, _] = r.dims();
+        let means = r.clone().mean_dims(&[2, 3]).reshape([batch, width]);
+        let squeezed = relu(self.linear(&name::attention(group, block, 0), means));
+        let gate = sigmoid(self.linear(&name::attention(group, block, 1), squeezed));
+        x + r * gate.reshape([batch, width, 1, 1])
+    }
+
+    fn conv(&self, layer: &str, x: Tensor<4>) -> Tensor<4> {
+        conv3x3(x, self.parameter(&format!("{layer}.weight")), self.parameter(&format!("{layer}.bias")))
+    }
+
+    fn linear(&self, layer: &str, x: Tensor<2>) -> Tensor<2> {
+        let bias = self.parameter(&format!("{layer}.bias"));
+        let (outputs, inputs) = (bias.dims()[0], x.dims()[1]);
+        let weight = self.parameter(&format!("{layer}.weight")).reshape([outputs, inputs]);
+        x.matmul(weight.transpose()) + bias.reshape([1, outputs])
+    }
+
+    fn parameter(&self, name: &str) -> Tensor<1> {
+        match self.parameters.get(name) {
+            Some(tensor) => tensor.clone(),
+            None => unreachable!("`new` checked that every parameter is there; `{name}` is not a parameter"),
+        }
+    }
+
+    /// Gradients of all parameters by name, each flat in C order.
+    pub fn gradients(&self, mut gradients: Gradients) -> BTreeMap<String, Vec<f32>> {
+        let of = |(name, tensor): (&String, &Tensor<1>)| {
+            let gradient = tensor.grad_remove(&mut gradients)?;
+            Some((name.clone(), values(gradient)))
+        };
+        self.parameters.iter().filter_map(of).collect()
+    }
+}
+
+/// The values of a tensor in C order.
+pub fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    match tensor.into_data().try_into_vec() {
+        Ok(values) => values,
+        Err(error) => unreachable!("every tensor here is f32: {error:?}"),
+    }
+}
+
+/// Divides each image by the maximum over all its channels.
+fn normalise(x: Tensor<4>) -> Tensor<4> {
+    let [batch, c, h, w] = x.dims();
+    let max = x.clone().reshape([batch, c * h * w]).max_dim(1).clamp_min(DARK);
+    x / max.reshape([batch, 1, 1, 1])
+}
+
+/// PixelUnshuffle 2, channels in PyTorch's order: [batch, C, 2 h, 2 w] -> [batch, 4 C, h, w].
+fn unshuffle(x: Tensor<4>) -> Tensor<4> {
+    let [b, c, h, w] = x.dims();
+    x.reshape([b, c, h / 2, 2, w / 2, 2]).permute([0, 1, 3, 5, 2, 4]).reshape([b, 4 * c, h / 2, w / 2])
+}
+
+/// PixelShuffle 2, its inverse: [batch, 4 C, h, w] -> [batch, C, 2 h, 2 w].
+fn shuffle(x: Tensor<4>) -> Tensor<4> {
+    let [b, c, h, w] = x.dims();
+    x.reshape([b, c / 4, 2, 2, h, w]).permute([0, 1, 4, 2, 5, 3]).reshape([b, c / 4, 2 * h, 2 * w])
+}

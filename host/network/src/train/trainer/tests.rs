@@ -1,0 +1,206 @@
+#![allow(clippy::unwrap_used)]
+use super::super::testing::foci;
+use super::*;
+use crate::train::{Architecture, NetworkConfig, Pair, Preset, Start, weights};
+use ommatidia_physics::noise::NoiseModel;
+use ommatidia_physics::sensor::SensorMaps;
+
+fn task(pairs: &Vec<Pair>) -> Task<'_> {
+    let network = NetworkConfig { channels: 2, width: 4, reduction: 2, ..Preset::Nano.network([40, 40], [16, 16]) };
+    Task { source: pairs, network, noise: NoiseModel::nominal(), maps: SensorMaps::default() }
+}
+
+fn training(steps: u64, start: Start) -> TrainConfig {
+    TrainConfig {
+        steps,
+        batch: 2,
+        validate_every: 3,
+        warmup: 2,
+        start,
+        peak_e: [2000.0, 5000.0],
+        ..Preset::Nano.training(1e4, 5)
+    }
+}
+
+/// The derivative along a direction, by the chain of gradients and by a central difference. In f32 the difference of
+/// two losses is good to a few parts in a thousand at this step.
+#[test]
+fn gradients_are_the_slope_of_the_loss() {
+    slopes_agree(NetworkConfig::clone(&task(&Vec::new()).network), Start::Regression);
+}
+
+/// As above for the peers: through the spectra of kernels, the Wiener formula, and both losses of a CM2Net.
+#[test]
+fn gradients_of_peers_are_the_slopes_of_their_losses() {
+    let plain = task(&Vec::new()).network;
+    for architecture in [Architecture::MultiWienerNet, Architecture::MultiFlatNet] {
+        slopes_agree(NetworkConfig { architecture, ..plain.clone() }, Start::Psf);
+    }
+    slopes_agree(lenses().cm2net(plain), Start::Random);
+}
+
+fn lenses() -> Lenses {
+    Lenses::of(&ommatidia_model::testing::square_array(3, [40, 40], [16, 16])).unwrap()
+}
+
+fn slopes_agree(network: NetworkConfig, start: Start) {
+    let (pairs, lenses) = (foci(6, 40, 16, 10), lenses());
+    let task = Task { network, ..task(&pairs) };
+    let run = Trainer::with_lenses(task, training(1, start), Some(&lenses)).unwrap();
+    let examples = run.loader().examples(&[0, 1], Draw { name: "train", index: 0 }).unwrap();
+    let Batch { inputs, targets } = Batch::of(examples);
+    let loss = |tensors: &Tensors, mode| {
+        let network = Network::new(&run.task.network, &run.plan, tensors, mode).unwrap();
+        let loss = run.loss(network.forward(inputs.clone()), targets.clone(), mode);
+        (network, loss)
+    };
+    let (network, value) = loss(&run.state.current, Mode::Train);
+    let gradients = network.gradients(value.backward());
+    assert_eq!(gradients.len(), run.state.current.len(), "every parameter has a gradient");
+    for (name, g) in &gradients {
+        let norm = g.iter().map(|&g| f64::from(g).powi(2)).sum::<f64>().sqrt();
+        let length = run.state.current[name].iter().map(|&p| f64::from(p).powi(2)).sum::<f64>().sqrt();
+        let size = if weights::is_filter(name) { 4e-4 * length } else { 2e-3 };
+        let along = |sign: f64| {
+            let mut moved = run.state.current.clone();
+            let step = moved.get_mut(name).unwrap().iter_mut().zip(g);
+            step.for_each(|(p, &g)| *p += (sign * size * f64::from(g) / norm.max(1e-30)) as f32);
+            f64::from(loss(&moved, Mode::Infer).1.into_scalar::<f32>())
+        };
+        let slope = (along(1.0) - along(-1.0)) / (2.0 * size);
+        assert!((slope - norm).abs() < 0.03 * norm + 1e-4, "{name}: {slope} {norm}");
+    }
+}
+
+#[test]
+fn training_lowers_the_loss_and_keeps_the_best() {
+    let pairs = foci(20, 40, 16, 10);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("net");
+    let mut run = Trainer::new(task(&pairs), training(60, Start::Regression)).unwrap();
+    run.run(&path, &Provenance::default(), |_| Next::Continue).unwrap();
+    let curve = &run.checkpoint().body.curve;
+    assert_eq!(curve.len(), 20);
+    assert!(curve[19].validation_loss < 0.7 * curve[0].validation_loss, "{curve:?}");
+    let best = curve.iter().max_by(|a, b| a.ssim.total_cmp(&b.ssim)).unwrap();
+    let read = Checkpoint::read(&path).unwrap();
+    assert_eq!(read.body.best_step, best.step);
+    assert_eq!(read.weights, run.checkpoint().weights);
+}
+
+#[test]
+fn peers_learn_and_resume_with_the_same_bits() {
+    let (pairs, lenses) = (foci(12, 40, 16, 10), lenses());
+    let folder = tempfile::tempdir().unwrap();
+    let plain = task(&pairs).network;
+    let wiener = NetworkConfig { architecture: Architecture::MultiWienerNet, ..plain.clone() };
+    for (network, start) in [(wiener, Start::Psf), (lenses.cm2net(plain), Start::Random)] {
+        let task = || Task { network: network.clone(), ..task(&pairs) };
+        let [whole, halved] = ["whole", "halved"].map(|name| folder.path().join(name));
+        let (provenance, training) = (Provenance::default(), training(12, start));
+        let mut run = Trainer::with_lenses(task(), training.clone(), Some(&lenses)).unwrap();
+        run.run(&whole, &provenance, |_| Next::Continue).unwrap();
+        let curve = &run.checkpoint().body.curve;
+        assert!(curve[3].validation_loss < curve[0].validation_loss, "{curve:?}");
+        let mut run = Trainer::with_lenses(task(), training.clone(), Some(&lenses)).unwrap();
+        run.run(&halved, &provenance, |p| if p.step == 7 { Next::Stop } else { Next::Continue }).unwrap();
+        let mut run = Trainer::resume_with_lenses(task(), training, Some(&lenses), &halved).unwrap();
+        run.run(&halved, &provenance, |_| Next::Continue).unwrap();
+        assert!(std::fs::read(whole).unwrap() == std::fs::read(halved).unwrap());
+    }
+    let blind =
+        Trainer::new(Task { network: lenses.cm2net(task(&pairs).network), ..task(&pairs) }, training(3, Start::Random));
+    assert!(matches!(blind, Err(TrainError::Config { field: "instrument", .. })));
+}
+
+#[test]
+fn a_run_that_gets_no_better_ends_early() {
+    let pairs = foci(10, 40, 16, 10);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("net");
+    let mut run = Trainer::new(task(&pairs), TrainConfig { patience: 2, ..training(300, Start::Random) }).unwrap();
+    // With every step doing nothing, the first validation stays the best.
+    run.state.body.training.learning_rate = 1e-30;
+    run.state.body.training.filter_learning_rate = 1e-30;
+    run.run(&path, &Provenance::default(), |_| Next::Continue).unwrap();
+    let body = &run.checkpoint().body;
+    assert!(body.step == 9 && body.best_step == 3 && run.is_done(), "{body:?}");
+}
+
+#[test]
+fn a_run_that_was_stopped_ends_in_the_same_bits() {
+    let pairs = foci(10, 40, 16, 10);
+    let folder = tempfile::tempdir().unwrap();
+    let [whole, halved] = ["whole", "halved"].map(|name| folder.path().join(name));
+    let (provenance, training) = (Provenance::default(), training(9, Start::Random));
+    let mut run = Trainer::new(task(&pairs), training.clone()).unwrap();
+    run.run(&whole, &provenance, |_| Next::Continue).unwrap();
+    let mut run = Trainer::new(task(&pairs), training.clone()).unwrap();
+    // Stopped between two checkpoints: the steps after the last one are taken again.
+    run.run(&halved, &provenance, |p| if p.step == 5 { Next::Stop } else { Next::Continue }).unwrap();
+    let mut run = Trainer::resume(task(&pairs), training, &halved).unwrap();
+    assert_eq!(run.checkpoint().body.step, 3);
+    run.run(&halved, &provenance, |_| Next::Continue).unwrap();
+    assert!(std::fs::read(whole).unwrap() == std::fs::read(halved).unwrap());
+}
+
+#[test]
+fn another_network_is_not_resumed() {
+    let pairs = foci(10, 40, 16, 10);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("net");
+    Trainer::new(task(&pairs), training(3, Start::Random))
+        .unwrap()
+        .run(&path, &Provenance::default(), |_| Next::Continue)
+        .unwrap();
+    let mut other = task(&pairs);
+    other.network.channels = 3;
+    let error = Trainer::resume(other, training(3, Start::Random), &path).err().unwrap();
+    assert!(matches!(error, TrainError::Resume { field: "network", .. }), "{error}");
+    let mut faster = training(3, Start::Random);
+    faster.learning_rate *= 2.0;
+    assert!(matches!(Trainer::resume(task(&pairs), faster, &path), Err(TrainError::Resume { field: "training", .. })));
+}
+
+#[test]
+fn a_loss_that_is_not_finite_stops_the_run() {
+    let pairs = foci(10, 40, 16, 10);
+    let mut run = Trainer::new(task(&pairs), training(3, Start::Random)).unwrap();
+    run.state.current.values_mut().next().unwrap().fill(f32::NAN);
+    assert!(matches!(run.step(), Err(TrainError::Diverged { step: 0, .. })));
+}
+
+/// A run of 9 steps whose weights `spoil` changes after the 5th: it goes back to the checkpoint of the 3rd step and
+/// continues with half the learning rates.
+fn goes_back_after(spoil: impl Fn(&mut Tensors)) -> Checkpoint {
+    let pairs = foci(10, 40, 16, 10);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("net");
+    let provenance = Provenance::default();
+    let mut run = Trainer::new(task(&pairs), training(9, Start::Random)).unwrap();
+    run.run(&path, &provenance, |p| if p.step == 5 { Next::Stop } else { Next::Continue }).unwrap();
+    spoil(&mut run.state.current);
+    let mut steps = Vec::new();
+    run.run(&path, &provenance, |p| {
+        steps.push(p.step);
+        Next::Continue
+    })
+    .unwrap();
+    assert_eq!(steps, [4, 5, 6, 7, 8, 9]);
+    let read = Checkpoint::read(&path).unwrap();
+    assert_eq!((read.body.step, read.body.slowed), (9, 1));
+    read
+}
+
+#[test]
+fn a_run_goes_back_where_its_loss_is_not_finite() {
+    goes_back_after(|weights| weights.values_mut().next().unwrap().fill(f32::NAN));
+}
+
+/// A step that is too long can end at a finite but large loss, from which a network does not recover.
+#[test]
+fn a_run_goes_back_where_its_held_out_loss_has_diverged() {
+    let tail = format!("{}.bias", weights::name::TAIL);
+    let read = goes_back_after(|weights| weights.get_mut(&tail).unwrap().fill(20.0));
+    assert!(read.body.curve.iter().all(|p| p.validation_loss < 10.0), "{:?}", read.body.curve);
+}

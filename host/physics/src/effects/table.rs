@@ -1,0 +1,51 @@
+//! Tables, for effects that vary irregularly from pixel to pixel, row to row or column to column.
+//!
+//! An injected table is drawn from a few parameters (an rms, a number of spots, a seed). A fitted table is estimated
+//! from the residuals and stored in the setting. Both are applied in the same way.
+
+use ndarray::Array2;
+use ommatidia_session::rng;
+use rand_distr::{Distribution, StandardNormal};
+
+/// How a table `u` acts. It is [sensor rows, sensor cols], [rows, 1] or [1, cols].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TableUse {
+    /// Stage `Light`: `mu (1 + u)`.
+    Response,
+    /// Stage `Light`: `mu + u t`, u in electrons per ms, t the exposure.
+    DarkRate,
+    /// Stage `Electronics`: `y + u`, u in DN.
+    Offset,
+}
+
+/// Which pixels share a value of a table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TableGroup {
+    /// None: each pixel has its own value.
+    Pixel,
+    /// None, and only a few pixels have a value; the others are zero.
+    SparsePixels,
+    /// Neighbouring pixels: spots of several pixels.
+    Spots,
+    /// None, but values of neighbouring pixels may be similar.
+    Pattern,
+}
+
+/// Properties of a table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Table {
+    /// How the table acts on the frame.
+    pub acts: TableUse,
+    /// Which pixels share a value.
+    pub group: TableGroup,
+}
+
+/// A table of independent normal numbers of standard deviation `rms`, one for each pixel. The same seed draws the same
+/// table.
+pub(super) fn normal(sensor: [usize; 2], rms: f64, seed: f64, what: &str) -> Array2<f32> {
+    let mut rng = rng::stream(seed as u64, what, 0);
+    Array2::from_shape_simple_fn(sensor, || {
+        let z: f64 = StandardNormal.sample(&mut rng);
+        (rms * z) as f32
+    })
+}

@@ -1,0 +1,71 @@
+#![allow(clippy::unwrap_used)]
+
+use super::session::gain;
+use super::transfer::Transfer;
+use super::*;
+use crate::noise::model::{Source, Sources};
+use crate::noise::stats::Summary;
+use ommatidia_model::testing::Testbed;
+use ommatidia_session::Session;
+
+fn measured(bed: &Testbed) -> NoiseCalibration {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("session");
+    Testbed { scan: 2, scenes: 0, ..bed.clone() }.write(&path);
+    measure_noise(&Session::open(&path).unwrap(), &NoiseConfig::default(), || {}).unwrap()
+}
+
+#[test]
+fn gain_read_noise_and_offsets_come_out_of_a_flickering_lamp_and_a_fixed_pattern() {
+    for (gain, read) in [(0.4, 2.0), (1.1, 1.2), (0.25, 6.0)] {
+        let flat_levels_e = vec![200.0, 800.0, 2000.0];
+        let bed = Testbed { gain_dn_per_e: gain, read_noise_e: read, flicker: 0.02, flat_levels_e, ..Testbed::new() };
+        let n = measured(&bed);
+        assert!((n.model.gain_dn_per_e / gain - 1.0).abs() < 0.02, "{:?}", n.model);
+        assert!((n.model.read_noise_e / read - 1.0).abs() < 0.05, "{:?}", n.model);
+        assert!(n.notes.is_empty() && n.photon_transfer.nrows() == 4);
+        let offset = n.offset_dn.unwrap();
+        // The pattern is -1, 0, 1 by (13 r + 7 c) mod 3; the hot pixel keeps all of its offset.
+        let sigma = (gain * gain * read * read / 12.0).sqrt();
+        assert!((f64::from(offset[[0, 0]]) + 1.0).abs() < 5.0 * sigma, "{}", offset[[0, 0]]);
+        assert!(offset[[3, 5]] > 400.0);
+    }
+}
+
+#[test]
+fn levels_in_saturation_and_single_frames_are_left_out() {
+    let with = |levels: &[f64], flat_frames| {
+        measured(&Testbed { flat_levels_e: levels.to_vec(), flat_frames, ..Testbed::new() })
+    };
+    let (all, fewer) = (with(&[500.0, 4000.0, 12_000.0], 4), with(&[500.0, 4000.0], 4));
+    assert_eq!(all.photon_transfer.nrows(), 3);
+    assert!((all.model.gain_dn_per_e - fewer.model.gain_dn_per_e).abs() < 1e-9);
+    let single = with(&[500.0, 4000.0], 1);
+    assert_eq!(single.model.sources.gain, Source::Nominal);
+    assert!(single.notes.iter().any(|n| matches!(n, NoiseNote::NominalGain { .. })));
+    assert!(single.notes.iter().any(|n| matches!(n, NoiseNote::ReadNoiseInDn { .. })));
+}
+
+#[test]
+fn flats_without_darks_still_give_the_gain() {
+    let n = measured(&Testbed { dark_frames: 0, ..Testbed::new() });
+    assert!(
+        (n.model.gain_dn_per_e / 0.4 - 1.0).abs() < 0.02 && n.model.sources.gain == Source::Measured,
+        "{:?}",
+        n.model
+    );
+    assert_eq!(n.model.sources.black_level, Source::Inferred);
+}
+
+#[test]
+fn flats_whose_variance_falls_with_the_light_are_refused() {
+    let level = |mean, variance| Summary { mean, variance, sigma: 0.01 * variance };
+    let transfer = Transfer::fit(&[level(100.0, 50.0), level(1000.0, 20.0)], None).map_err(str::to_string).unwrap();
+    assert!(transfer.slope < 0.0);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("session");
+    Testbed { scan: 2, scenes: 0, ..Testbed::new() }.write(&path);
+    let session = Session::open(&path).unwrap();
+    let error = gain(&session, &Ok(transfer), &NoiseConfig::default(), &mut Sources::default(), &mut Vec::new());
+    assert!(error.unwrap_err().to_string().contains("flat.npy: photon transfer: expected the variance to grow"));
+}

@@ -1,0 +1,5 @@
+//! The `ommatidia` program.
+
+fn main() -> std::process::ExitCode {
+    crate::cli::main()
+}

@@ -1,0 +1,207 @@
+//! `calibrate`: session -> instrument.
+
+use super::common::{Outcome, Run};
+use ommatidia_bench::open_session;
+use ommatidia_model::calibrate::{CalibrateConfig, Calibration, PixelReadNoise, calibrate, frames_read, response_rms};
+use ommatidia_model::instrument::{Instrument, LightUnit};
+use ommatidia_network::evaluate::{Measured, measured};
+use ommatidia_physics::noise::{NoiseConfig, Source};
+use ommatidia_report::bytes;
+use ommatidia_session::Stack;
+use ommatidia_session::artifact::Provenance;
+use serde_json::json;
+use std::fmt::Write;
+use std::path::PathBuf;
+
+/// Options of `calibrate`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example: ommatidia calibrate session/ -o lab.instrument")]
+pub struct Args {
+    /// Folder of the measured session, or configuration of a virtual instrument (.toml, as for `bench`), whose frames
+    /// are computed when they are read instead of filling a disk
+    session: PathBuf,
+    /// Instrument file to write
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Number of basis PSFs per lens (default: chosen by the error on held-out positions)
+    #[arg(long, value_name = "K")]
+    rank: Option<usize>,
+    /// Maximum number of basis PSFs per lens that the search tries
+    #[arg(long, value_name = "K", default_value_t = CalibrateConfig::default().max_rank)]
+    max_rank: usize,
+    /// Side of the window round each focus, pixels, odd (default: psf_window_px of the session, widened to hold the
+    /// light)
+    #[arg(long, value_name = "PX")]
+    window: Option<usize>,
+    /// Use one PSF per lens for the whole field, the mean over the bead scan, instead of the spatially varying model
+    #[arg(long, conflicts_with_all = ["rank", "max_rank"])]
+    one_psf: bool,
+    /// Number of jackknife refits (each leaves out a group of beads) that estimate the uncertainty of the PSF model. 0
+    /// disables them
+    #[arg(long, value_name = "N", default_value_t = CalibrateConfig::default().replicates)]
+    replicates: usize,
+    /// The bead frames are already normalised: fit one free scale per frame
+    #[arg(long)]
+    normalise_beads: bool,
+    /// Gain, DN per electron, that is assumed if there are no flats
+    #[arg(long, value_name = "DN/E", default_value_t = NoiseConfig::default().nominal_gain_dn_per_e)]
+    gain: f64,
+    /// Read noise, electrons rms, that is assumed if the session does not determine it
+    #[arg(long, value_name = "E", default_value_t = NoiseConfig::default().nominal_read_noise_e)]
+    read_noise: f64,
+}
+
+/// Runs the verb.
+///
+/// # Errors
+/// The session cannot be read or calibrated, or the instrument cannot be written.
+pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
+    let session = open_session(&args.session, run.seed)?;
+    let config = CalibrateConfig {
+        rank: args.rank,
+        max_rank: args.max_rank,
+        window_px: args.window,
+        one_psf: args.one_psf,
+        replicates: args.replicates,
+        normalise_beads: args.normalise_beads,
+        noise: NoiseConfig { nominal_gain_dn_per_e: args.gain, nominal_read_noise_e: args.read_noise },
+    };
+    let bar = run.progress(frames_read(&session), "calibrate");
+    let Measured { result: calibration, seconds, peak_bytes } =
+        measured(|| calibrate(&session, &config, || bar.inc(1)));
+    let calibration = calibration?;
+    bar.finish_and_clear();
+    for note in &calibration.notes {
+        tracing::warn!("{note}");
+    }
+    let inputs = if session.is_computed() {
+        vec![args.session.clone()]
+    } else {
+        std::iter::once(session.manifest_path()).chain(session.stacks().iter().map(Stack::path)).collect()
+    };
+    let provenance = Provenance::new("calibrate", run.seed, &config);
+    let provenance = inputs.iter().try_fold(provenance, |p, input| p.with_input(input))?;
+    calibration.instrument.write(&args.output, provenance)?;
+    let mut json = figures(&calibration);
+    (json["seconds"], json["peak_bytes"]) = (json!(seconds), json!(peak_bytes));
+    let mut text = table(args, &calibration);
+    // Writing to a string cannot fail.
+    let _ = writeln!(text, "{:.0} s, at most {}", seconds, peak_bytes.map_or("unknown memory".into(), bytes));
+    Ok(Outcome { json, text })
+}
+
+fn figures(calibration: &Calibration) -> serde_json::Value {
+    let i = &calibration.instrument;
+    let cols = i.manifest.array.cols.max(1);
+    let anchors: Vec<Vec<[f64; 2]>> = i.geometry.anchors_px.chunks(cols).map(<[_]>::to_vec).collect();
+    json!({
+        "gain_dn_per_e": i.noise.gain_dn_per_e,
+        "gain_sigma_dn_per_e": i.noise.gain_sigma,
+        "read_noise_e": i.noise.read_noise_e,
+        "read_noise_sigma_e": i.noise.read_noise_sigma,
+        "black_level_dn": i.noise.black_level_dn,
+        "noise_sources": i.noise.sources,
+        "rank": rank(i),
+        "window_px": i.manifest.optics.psf_window_px,
+        "replicates": i.replicates.len(),
+        "response_rms": response_rms(i),
+        "pixel_read_noise_e": PixelReadNoise::of(i)
+            .map(|n| json!({ "median": n.median_e, "p99": n.p99_e, "max": n.max_e })),
+        "depths_um": i.psf.node_depths_um,
+        "sensor_only": i.sensor_only(),
+        "approximation_error": i.quality.approximation_error,
+        "whole_array_rank": i.whole_array_rank(),
+        "error_by_rank": by_rank(i),
+        "off_grid_error": i.quality.off_grid_error,
+        "one_psf_error": i.quality.one_psf_error,
+        "noise_floor": i.quality.noise_floor,
+        "anchors_px": anchors,
+        "magnification": i.geometry.magnification,
+        "chief_ray_rms_px": i.quality.chief_ray_rms_px,
+        "dead_lenses": dead(i),
+        "light_unit": i.light_unit,
+        "notes": calibration.notes,
+    })
+}
+
+/// Errors against the rank: on the scan, all lenses decomposed together, on positions left out.
+fn by_rank(i: &Instrument) -> Vec<serde_json::Value> {
+    let d = &i.diagnostics;
+    let row = |(k, row): (usize, ndarray::ArrayView1<'_, f32>)| {
+        json!({ "rank": row[0], "scan": row[1],
+        "whole_array": d.whole_array_error.get(k), "held_out": row[2] })
+    };
+    d.error_by_rank.outer_iter().enumerate().map(row).collect()
+}
+
+fn rank(i: &Instrument) -> usize {
+    i.psf.basis.dim().1
+}
+
+fn dead(i: &Instrument) -> Vec<usize> {
+    (0..i.geometry.dead.len()).filter(|l| i.geometry.dead[*l]).collect()
+}
+
+fn table(args: &Args, calibration: &Calibration) -> String {
+    let i = &calibration.instrument;
+    let (n, q) = (&i.noise, &i.quality);
+    let source = |s: Source| match s {
+        Source::Measured => "measured",
+        Source::Inferred => "inferred",
+        Source::Nominal => "nominal",
+    };
+    let mut out = String::new();
+    let mut line = |name: &str, value: String, note: &str| {
+        // Writing to a string cannot fail.
+        let _ = writeln!(out, "{name:<22} {value:>22}   {note}");
+    };
+    line("black level", format!("{:.2} DN", n.black_level_dn), source(n.sources.black_level));
+    line("gain", format!("{:.4} +- {:.4} DN/e-", n.gain_dn_per_e, n.gain_sigma), source(n.sources.gain));
+    line("read noise", format!("{:.3} +- {:.3} e-", n.read_noise_e, n.read_noise_sigma), source(n.sources.read_noise));
+    if let Some(PixelReadNoise { median_e, p99_e, max_e }) = PixelReadNoise::of(i) {
+        let spread = format!("median {median_e:.2}, p99 {p99_e:.2}, largest {max_e:.1} e-");
+        line("read noise by pixel", spread, "from the darks");
+    }
+    if let Some(rms) = response_rms(i) {
+        line("pixel response", format!("{:.3} % rms", 100.0 * rms), "standard deviation over the pixels");
+    }
+    if i.sensor_only() {
+        line("optics", "identity".into(), "no bead scan: only the sensor is modelled");
+        let _ = writeln!(out, "-> {}", args.output.display());
+        return out;
+    }
+    line("magnification", format!("{:.5}", i.geometry.magnification), "");
+    line("foci off chief rays", format!("{:.3} px rms", q.chief_ray_rms_px), "distortion and noise, part of the PSFs");
+    let why = match (args.one_psf, args.rank) {
+        (true, _) => "one PSF per lens",
+        (_, Some(_)) => "as asked",
+        _ => "smallest held-out error",
+    };
+    line("rank", rank(i).to_string(), why);
+    if i.psf.node_depths_um.len() > 1 {
+        let depths: Vec<String> = i.psf.node_depths_um.iter().map(ToString::to_string).collect();
+        line("depths", depths.join(", "), "um");
+    }
+    line("window", format!("{} px", i.manifest.optics.psf_window_px), "side of the window round a focus");
+    line("approximation error", format!("{:.4}", q.approximation_error), "NRMSE on the bead scan");
+    if let Some(whole) = i.whole_array_rank() {
+        line("  rank, whole array", whole.to_string(), "of one decomposition of all lenses with the same error");
+    }
+    line("off-grid error", format!("{:.4}", q.off_grid_error), "NRMSE on held-out positions (checkerboard)");
+    line("  of one PSF per lens", format!("{:.4}", q.one_psf_error), "the same positions");
+    line("  of noise alone", format!("{:.4}", q.noise_floor), "in the bead frames");
+    line("replicates", i.replicates.len().to_string(), "jackknife refits for the uncertainty of the PSFs");
+    match i.light_unit {
+        LightUnit::Dn => line("light unit", "DN".into(), "above black"),
+        LightUnit::Bead => line("light unit", "bead".into(), "one bead in one object pixel"),
+        LightUnit::Truth { per_bead } => {
+            line("light unit", "truth".into(), &format!("one bead is {per_bead:.4} units"))
+        }
+    }
+    for (l, [row, col]) in i.geometry.anchors_px.iter().enumerate() {
+        let note = if i.geometry.dead[l] { "dead" } else { "" };
+        line(&format!("anchor of lens {l}"), format!("({row:.3}, {col:.3}) px"), note);
+    }
+    let _ = writeln!(out, "-> {}", args.output.display());
+    out
+}

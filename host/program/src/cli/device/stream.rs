@@ -1,0 +1,110 @@
+//! `device stream`: frames in, reconstructions out, a live view in the browser.
+
+use super::target::Target;
+use crate::cli::common::{Outcome, Run};
+use crate::device::{FrameFeed, Frames, LiveView, StreamRecording, StreamReport, active_fraction, stream};
+use anyhow::Context;
+use ommatidia_network::network_file::NetworkFile;
+use ommatidia_session::FrameReader;
+use serde_json::json;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+/// Options of `device stream`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// Network file of a device, from `ommatidia quantize`
+    #[arg(long, value_name = "BLOB")]
+    with: PathBuf,
+    /// Raw frames, DN: .npy or .tif
+    #[arg(long, value_name = "STACK", required_unless_present = "live")]
+    frames: Option<PathBuf>,
+    /// Take N frames from the device's own camera
+    #[arg(long, value_name = "N", conflicts_with = "frames", value_parser = clap::value_parser!(u32).range(1..))]
+    live: Option<u32>,
+    /// Frame rate, frames per second; frames that arrive while the device is busy are dropped and counted (default:
+    /// each frame waits for the device)
+    #[arg(long, value_name = "RATE", value_parser = rate)]
+    fps: Option<f64>,
+    /// Reconstruct only every N-th frame; the device sleeps meanwhile
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    every: u32,
+    #[command(flatten)]
+    scope: super::scope::Args,
+    /// Show the reconstructions in a browser at this address, e.g. 127.0.0.1:8080
+    #[arg(long, value_name = "ADDRESS")]
+    view: Option<SocketAddr>,
+    /// Record the reconstructions to an OME-TIFF, readable at any time. A .csv beside it lists the number and time of
+    /// each, and the frame whose statistics of the field were used
+    #[arg(short, long, value_name = "TIF")]
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    target: Target,
+}
+
+fn rate(text: &str) -> Result<f64, String> {
+    let rate = text.parse().map_err(|e| format!("{e}"))?;
+    if (1e-3..1e6).contains(&rate) { Ok(rate) } else { Err("expected 0.001 to 1000000 frames a second".into()) }
+}
+
+/// Runs the verb.
+pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
+    let blob = NetworkFile::read(&args.with)?;
+    let header = blob.network()?.into_header();
+    let mut reader = args.frames.as_deref().map(FrameReader::open).transpose()?;
+    let len = reader.as_ref().map_or(args.live.unwrap_or_default() as usize, FrameReader::len);
+    let region = args.scope.region(&header);
+    let runtime = args.target.runtime(run)?;
+    let view = match args.view {
+        None => LiveView::none(),
+        Some(address) => LiveView::serve(address).with_context(|| {
+            format!(
+                "{address}: the live view cannot be served \
+            there"
+            )
+        })?,
+    };
+    if let (Some(address), false) = (view.address(), run.quiet) {
+        eprintln!("live view: http://{address}/");
+    }
+    let mut record = args.output.as_deref().map(|path| StreamRecording::create(path, region)).transpose()?;
+    let bar = run.progress(len as u64, "stream");
+    let mut read = |i: usize| {
+        let reader = reader.as_mut().context("no frames were given with --frames")?;
+        let frame = reader.read(i)?;
+        blob.codes(frame.view()).with_context(|| format!("{}: frame {i}", reader.path().display()))
+    };
+    let source = if args.frames.is_some() { Frames::Stack(&mut read) } else { Frames::Camera };
+    let feed = FrameFeed { len, fps: args.fps, nth: args.every as usize, scope: args.scope.scope(), source };
+    let report = stream(&runtime, args.target.state.as_deref(), &blob, feed, &mut |frame| {
+        bar.set_position(frame.frame as u64 + 1);
+        view.show(frame);
+        record.as_mut().map_or(Ok(()), |record| record.push(frame))
+    })?;
+    bar.finish_and_clear();
+    Ok(outcome(&report, len))
+}
+
+fn outcome(report: &StreamReport, came: usize) -> Outcome {
+    let (shown, seconds) = (report.reconstructed, report.took.as_secs_f64());
+    let left_out = came - shown - report.dropped;
+    let rate = shown as f64 / seconds.max(1e-9);
+    let t = &report.telemetry;
+    let json = json!({
+        "board": report.board, "frames": came, "reconstructed": shown, "dropped": report.dropped, "left_out": left_out,
+        "failed_on_the_line": report.failed, "held": report.held, "seconds": seconds, "frames_per_second": rate,
+        "active_fraction": active_fraction(t),
+        "device_dropped_frames": t.dropped_frames, "crc_errors": t.crc_errors, "dropped_packets": t.dropped_packets,
+    });
+    let text = format!(
+        "board         {}\nframes        {came} arrived, {shown} reconstructed, {} dropped ({} of them lost on the \
+            line), {left_out} skipped by --every\nfield         {}\nrate          {rate:.2} frames per \
+            second\nawake         {}\n",
+        report.board,
+        report.dropped,
+        report.failed,
+        super::scope::exactness(report.held, shown),
+        super::status::active_text(t),
+    );
+    Outcome { json, text }
+}

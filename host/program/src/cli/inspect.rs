@@ -1,0 +1,193 @@
+//! `inspect`: describes a file.
+
+use super::common::{Outcome, Run};
+use anyhow::{Context, bail};
+use ommatidia_closing::{self, Closing, Dependence, Effect};
+use ommatidia_session::artifact;
+use ommatidia_session::kind::FileKind;
+use ommatidia_session::{FrameReader, Session};
+use ommatidia_shared::blob::Network;
+use serde_json::{Value, json};
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+/// Options of `inspect`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Instrument, checkpoint, evaluation, account of a closed loop, network file, session folder, stack of frames, or
+    /// JSON that a command printed
+    artifact: PathBuf,
+}
+
+/// Runs the verb.
+///
+/// # Errors
+/// The file cannot be read, is damaged or of no known kind.
+pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
+    let path = &args.artifact;
+    let json = match FileKind::of(path)? {
+        FileKind::Artifact(_) => of_artifact(path)?,
+        FileKind::Blob => of_blob(path)?,
+        FileKind::Session => of_session(path)?,
+        FileKind::Stack => of_stack(path)?,
+        FileKind::Json => {
+            let text = std::fs::read(path).with_context(|| path.display().to_string())?;
+            let figures: Value = serde_json::from_slice(&text).with_context(|| path.display().to_string())?;
+            json!({ "kind": "json", "figures": figures })
+        }
+        found @ (FileKind::Folder | FileKind::Unknown) => {
+            bail!("{}: expected an artifact, a network file, a session or a stack, found {found}", path.display())
+        }
+    };
+    let mut text = format!("{}\n", path.display());
+    // The body of an account is long: the text shows a summary, the JSON all of it.
+    let mut shown = json.clone();
+    if json["kind"] == ommatidia_closing::account::KIND
+        && let Some(fields) = shown.as_object_mut()
+    {
+        let closing: Closing = serde_json::from_value(json["body"]["closing"].clone())
+            .with_context(|| format!("{}: the account is damaged", path.display()))?;
+        fields.insert("body".into(), summary(&closing));
+    }
+    list(&mut text, &shown, 1);
+    Ok(Outcome { json, text })
+}
+
+/// The main figures of an account.
+fn summary(c: &Closing) -> Value {
+    let effect = |e: &Effect| {
+        let most = e.params.iter().filter(|v| v.sigma > 0.0).max_by(|a, b| {
+            let stands_out = |v: &ommatidia_closing::Value| (v.value / v.sigma).abs();
+            stands_out(a).total_cmp(&stands_out(b))
+        });
+        let value =
+            most.map_or(String::new(), |v| format!(", {} = {:.4} +- {:.4} {}", v.name, v.value, v.sigma, v.unit));
+        format!("{} ({:.1} sigma){}", e.id, e.z, value.trim_end_matches(" 1"))
+    };
+    let strongest = |all: &[Dependence]| {
+        let most = all.iter().map(|d| d.z).fold(0.0, f64::max);
+        let strong = all.iter().filter(|d| d.z > 4.0).count();
+        format!("{most:.1} sigma at most, {strong} of {} covariates beyond 4", all.len())
+    };
+    let mut figures = json!({
+        "session": c.session,
+        "chi2 / pixel": format!("{:.4} -> {:.4}", c.before.chi2_ndf, c.after.chi2_ndf),
+        "NRMSE": format!("{:.4} -> {:.4}", c.before.nrmse, c.after.nrmse),
+        "held-out frames": c.held_out_frames,
+        "structure before": strongest(&c.dependences_before),
+        "structure after": strongest(&c.dependences_after),
+        "effects": c.effects.len(),
+        "not found": c.rejected.len(),
+        "catalogue incomplete": c.catalogue_incomplete,
+        "faults of the record": c.faults.len(),
+    });
+    for (i, e) in c.effects.iter().enumerate() {
+        figures[format!("effect {}", i + 1)] = effect(e).into();
+    }
+    figures
+}
+
+fn of_artifact(path: &Path) -> anyhow::Result<Value> {
+    let header = artifact::inspect(path)?;
+    let tensors: Vec<Value> =
+        artifact::shapes(path)?.into_iter().map(|(name, shape)| json!({ "name": name, "shape": shape })).collect();
+    let bytes = std::fs::metadata(path).map(|m| m.len()).unwrap_or(0);
+    Ok(json!({
+        "kind": header["kind"], "version": header["version"], "bytes": bytes, "provenance": header["provenance"],
+        "body": header["body"], "tensors": tensors,
+    }))
+}
+
+fn of_blob(path: &Path) -> anyhow::Result<Value> {
+    let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
+    let network = Network::decode(&bytes)
+        .map_err(|e| anyhow::anyhow!("{}: {e}; quantize the checkpoint again", path.display()))?;
+    let header = serde_json::to_value(network.header())?;
+    Ok(json!({
+        "kind": "blob", "version": ommatidia_shared::blob::VERSION, "bytes": bytes.len(), "header": header,
+        "memory": { "fast": ommatidia_report::bytes(network.header().memory.fast_bytes.into()), "bulk":
+            ommatidia_report::bytes(network.header().memory.bulk_bytes.into()) },
+    }))
+}
+
+fn of_session(path: &Path) -> anyhow::Result<Value> {
+    let session = Session::open(path)?;
+    let manifest = serde_json::to_value(session.manifest())?;
+    let frames =
+        session.stacks().iter().map(|s| json!({ "role": s.entry().role, "file": s.entry().file, "frames": s.len() }));
+    Ok(json!({ "kind": "session", "manifest": manifest, "stacks": frames.collect::<Vec<_>>() }))
+}
+
+fn of_stack(path: &Path) -> anyhow::Result<Value> {
+    let reader = FrameReader::open(path)?;
+    Ok(json!({
+        "kind": "stack", "frames": reader.len(), "rows": reader.rows(), "cols": reader.cols(),
+        "samples": reader.samples().name(),
+    }))
+}
+
+/// Values of more than this many characters are cut short in the text; `--json` holds them whole.
+const WIDTH: usize = 96;
+
+/// A JSON value as an indented list.
+fn list(text: &mut String, value: &Value, depth: usize) {
+    for (name, value) in value.as_object().into_iter().flatten() {
+        let indent = 2 * depth;
+        // Writing to a string cannot fail.
+        let _ = match value {
+            Value::Object(fields) if !fields.is_empty() => {
+                let _ = writeln!(text, "{:indent$}{name}:", "");
+                list(text, value, depth + 1);
+                Ok(())
+            }
+            Value::Array(items) if items.iter().any(Value::is_object) => {
+                let _ = writeln!(text, "{:indent$}{name}: {}", "", items.len());
+                for item in items.iter().take(40) {
+                    let _ = writeln!(text, "{:indent$}  {}", "", short(&line(item)));
+                }
+                Ok(())
+            }
+            other => writeln!(text, "{:indent$}{name}: {}", "", short(&line(other))),
+        };
+    }
+}
+
+/// A value on one line, without the quotes of JSON.
+fn line(value: &Value) -> String {
+    match value {
+        Value::String(s) => s.clone(),
+        Value::Null => "-".into(),
+        Value::Array(items) => format!("[{}]", items.iter().map(line).collect::<Vec<_>>().join(", ")),
+        Value::Object(fields) => {
+            fields.iter().map(|(name, value)| format!("{name} {}", line(value))).collect::<Vec<_>>().join(", ")
+        }
+        other => other.to_string(),
+    }
+}
+
+fn short(line: &str) -> String {
+    match line.char_indices().nth(WIDTH) {
+        Some((cut, _)) => format!("{}...", &line[..cut]),
+        None => line.into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_header_reads_as_a_list() {
+        let mut text = String::new();
+        let value = json!({ "kind": "x", "body": { "size": [2, 3], "name": null }, "tensors": [{ "name": "a",
+            "shape": [1] }] });
+        list(&mut text, &value, 1);
+        assert_eq!(text, "  body:\n    name: -\n    size: [2, 3]\n  kind: x\n  tensors: 1\n    name a, shape [1]\n");
+    }
+
+    #[test]
+    fn long_lines_are_cut_between_characters() {
+        assert_eq!(short(&"µ".repeat(200)).chars().count(), WIDTH + 3);
+        assert_eq!(short("abc"), "abc");
+    }
+}

@@ -1,0 +1,127 @@
+//! `predict`: expected frames for given objects.
+
+use super::common::{Outcome, Run};
+use anyhow::{Context, ensure};
+use ommatidia_model::forward::{Depth, PredictError, PredictRequest, Predicted, Predictor};
+use ommatidia_model::instrument::Instrument;
+use ommatidia_network::evaluate::{Measured, measured};
+use ommatidia_session::{FrameReader, FrameWriter, SampleType, StackSpec};
+use serde_json::json;
+use std::path::PathBuf;
+
+/// Options of `predict`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example: ommatidia predict lab.instrument objects.npy -o frames.npy")]
+pub struct Args {
+    /// Instrument file
+    instrument: PathBuf,
+    /// Objects, .npy or .tif, [n, object rows, object cols], in the light unit of the instrument
+    objects: PathBuf,
+    /// Frames to write, .npy or .tif, float32 [n, sensor rows, sensor cols], DN
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Add noise: whole DN, as the sensor would deliver (default: expected frames)
+    #[arg(long)]
+    noise: bool,
+    /// Exposure, ms (default: that of the calibration)
+    #[arg(long, value_name = "MS")]
+    exposure_ms: Option<f64>,
+    /// Light level, relative to the calibration
+    #[arg(long, value_name = "X", default_value_t = 1.0)]
+    illumination: f64,
+    /// Index of a calibrated depth, from 0 (default: the depth nearest to 0 um)
+    #[arg(long, value_name = "I", conflicts_with = "z_um")]
+    depth: Option<usize>,
+    /// Depth of the objects, um, interpolated between calibrated depths (default: see --depth)
+    #[arg(long, value_name = "UM", allow_negative_numbers = true)]
+    z_um: Option<f64>,
+    /// Apply the exact transpose of the optics instead, for your own solvers: from frames, DN above black, [n, sensor
+    /// rows, sensor cols], to the object grid, without effects and pixel response
+    #[arg(long, conflicts_with_all = ["noise", "exposure_ms", "illumination"])]
+    adjoint: bool,
+}
+
+impl Args {
+    fn predicted(&self) -> Predicted {
+        match (self.adjoint, self.noise) {
+            (true, _) => Predicted::Adjoint,
+            (_, true) => Predicted::Noisy,
+            _ => Predicted::Expected,
+        }
+    }
+
+    fn depth(&self) -> Depth {
+        match (self.depth, self.z_um) {
+            (Some(index), _) => Depth::Index(index),
+            (_, Some(z_um)) => Depth::Um(z_um),
+            _ => Depth::Focus,
+        }
+    }
+}
+
+/// Runs the verb.
+///
+/// # Errors
+/// A file cannot be read or written, or the objects do not have the shape of the instrument.
+pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
+    let instrument = Instrument::read(&args.instrument)?;
+    let request = PredictRequest {
+        output: args.predicted(),
+        depth: args.depth(),
+        exposure_ms: args.exposure_ms,
+        illumination: args.illumination,
+        seed: run.seed,
+    };
+    let predictor = Predictor::new(instrument, request).map_err(|e| match e {
+        PredictError::Forward(e) => anyhow::Error::new(e).context(args.instrument.display().to_string()),
+        e => e.into(),
+    })?;
+    let mut inputs = FrameReader::open(&args.objects)?;
+    let what = if args.adjoint { "frames" } else { "objects" };
+    let [rows, cols] = predictor.input_shape();
+    ensure!(
+        [inputs.rows(), inputs.cols()] == [rows, cols],
+        "{}: {what}: expected [n, {rows}, {cols}] (the grid of {}), found [{}, {}, {}]; resample them",
+        args.objects.display(),
+        args.instrument.display(),
+        inputs.len(),
+        inputs.rows(),
+        inputs.cols()
+    );
+    let [rows, cols] = predictor.output_shape();
+    let spec = StackSpec { frames: inputs.len(), rows, cols, samples: SampleType::F32, pixel_um: None };
+    let mut outputs = FrameWriter::create(&args.output, spec)?;
+    let bar = run.progress(inputs.len() as u64, "predict");
+    let mut all = || -> anyhow::Result<()> {
+        for i in 0..inputs.len() {
+            let input = inputs.read(i)?;
+            let at = || format!("{}: {what} {i}", args.objects.display());
+            let output = predictor.apply(i, input.view()).with_context(at)?;
+            outputs.push(output.view())?;
+            bar.inc(1);
+        }
+        Ok(())
+    };
+    let Measured { result: done, seconds, peak_bytes } = measured(&mut all);
+    done?;
+    let seconds = seconds / inputs.len().max(1) as f64;
+    outputs.finish()?;
+    bar.finish_and_clear();
+    let made = match args.predicted() {
+        Predicted::Adjoint => "transposed",
+        Predicted::Noisy => "with noise",
+        Predicted::Expected => "expected values",
+    };
+    let text = format!(
+        "{} {} of {rows} x {cols}, {made}, {:.1} ms each\n-> {}\n",
+        inputs.len(),
+        if args.adjoint { "objects" } else { "frames" },
+        1e3 * seconds,
+        args.output.display()
+    );
+    let json = json!({
+        "frames": inputs.len(), "rows": rows, "cols": cols, "noise": args.noise, "adjoint": args.adjoint,
+        "seconds_per_frame": seconds, "peak_bytes": peak_bytes,
+    });
+    Ok(Outcome { json, text })
+}

@@ -1,0 +1,90 @@
+//! `quantize`: checkpoint -> network file of a device.
+
+use super::{Outcome, Run};
+use ommatidia_network::quantize::{QuantizeConfig, QuantizeReport, quantize};
+use ommatidia_network::train::Checkpoint;
+use ommatidia_session::artifact::{file_hash, write_whole};
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+/// Options of `quantize`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Checkpoint
+    checkpoint: PathBuf,
+    /// Network file to write
+    #[arg(short, long, value_name = "BLOB")]
+    output: PathBuf,
+    /// Name to store in the network file [default: the checkpoint's file name]
+    #[arg(long)]
+    name: Option<String>,
+    /// Maximum length of the network file, bytes
+    #[arg(long, value_name = "BYTES")]
+    flash: Option<u64>,
+    /// Maximum memory of the device while it runs the network, bytes, its program included
+    #[arg(long, value_name = "BYTES")]
+    ram: Option<u64>,
+    /// Keep the strongest blocks of the filters' kernels, as many as fit into this fraction of the dense filters'
+    /// bytes; the device transforms them [default: the blocks or taps of the training, or else all; pruned to fit into
+    /// --flash]
+    #[arg(long, value_name = "PART", conflicts_with = "tile", value_parser = super::common::part)]
+    prune: Option<f64>,
+    /// Side of small transforms, pixels: the filters are cut into taps [default: the taps of the training, or else one
+    /// transform of the whole frame]
+    #[arg(long, value_name = "T")]
+    tile: Option<usize>,
+    /// Fraction of the filters' energy that the taps must keep [default: 0.95]
+    #[arg(long, value_name = "PART", requires = "tile")]
+    energy: Option<f64>,
+}
+
+/// Runs the verb.
+///
+/// # Errors
+/// The checkpoint cannot be read, a weight is not finite, the network does not fit into the budget, or the file cannot
+/// be written. Nothing is written then.
+pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
+    let checkpoint = Checkpoint::read(&args.checkpoint)?;
+    let stem = args.checkpoint.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+    let config = QuantizeConfig {
+        name: args.name.clone().unwrap_or(stem),
+        flash_bytes: args.flash,
+        ram_bytes: args.ram,
+        tile: args.tile,
+        energy: args.energy,
+        prune: args.prune,
+    };
+    let made = quantize(&checkpoint, &file_hash(&args.checkpoint)?, &config)?;
+    write_whole(&args.output, &made.bytes)?;
+    let mut json = serde_json::to_value(&made.report)?;
+    json["blob"] = serde_json::to_value(&args.output)?;
+    Ok(Outcome { json, text: text(&args.output, &made.report) })
+}
+
+fn text(path: &Path, r: &QuantizeReport) -> String {
+    let filters = match r.blocks {
+        0 => format!("{} taps of {} x {}", r.taps, r.tile, r.tile),
+        blocks => format!("{blocks} blocks of {} x {} lags", r.block_side, r.block_side),
+    };
+    let mut text = format!(
+        "{}\n  {} bytes: filters {} ({filters}, {:.1} % of dense ones), enhancement {}\n  memory: {} bytes: {} fast, \
+         {} bulk, {} frame, {} reconstruction, at most {} variables and stack\n  energy of the filters kept: {:.4}\n",
+        path.display(),
+        r.file_bytes,
+        r.filter_bytes,
+        100.0 * r.filter_bytes as f64 / r.dense_filter_bytes as f64,
+        r.rcan_bytes,
+        r.ram_bytes,
+        r.fast_bytes,
+        r.bulk_bytes,
+        r.frame_bytes,
+        r.object_bytes,
+        r.program_bytes,
+        r.energy_kept,
+    );
+    for step in &r.steps {
+        let _ = writeln!(text, "  {:>6}: {:.2} dB, SSIM {:.4}", step.step, step.quality.psnr_db, step.quality.ssim);
+    }
+    let _ = writeln!(text, "  loss by quantization: {:.3} dB over {} held-out frames", r.loss_db, r.frames);
+    text
+}

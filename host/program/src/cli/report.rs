@@ -1,0 +1,30 @@
+//! `report`: renders artifacts to one HTML file.
+
+use super::common::{Outcome, Run};
+use ommatidia_session::artifact;
+use std::path::PathBuf;
+
+/// Options of `report`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Instruments, checkpoints, network files, evaluations, accounts of closed loops, session folders, JSON that a
+    /// command printed
+    #[arg(required = true, value_name = "ARTIFACT")]
+    artifacts: Vec<PathBuf>,
+    /// HTML file to write
+    #[arg(short, long, value_name = "FILE", default_value = "report.html")]
+    output: PathBuf,
+}
+
+/// Runs the verb.
+///
+/// # Errors
+/// An artifact cannot be read or is of no kind that a report shows, or the page cannot be written.
+pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
+    let page = ommatidia_report::render(&args.artifacts)?;
+    artifact::write_whole(&args.output, page.as_bytes())?;
+    Ok(Outcome {
+        json: serde_json::json!({ "report": args.output, "bytes": page.len(), "artifacts": args.artifacts }),
+        text: format!("report: {} ({})\n", args.output.display(), ommatidia_report::bytes(page.len() as u64)),
+    })
+}

@@ -1,0 +1,63 @@
+//! `residual`: measured minus predicted, and what it depends on.
+
+use super::{Outcome, Run};
+use ommatidia_closing::{ResidualOutcome, ResidualRequest, residual_session};
+use std::fmt::Write;
+use std::path::PathBuf;
+
+/// Options of `residual`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example: ommatidia residual session/ --instrument lab.instrument --report residual.html")]
+pub struct Args {
+    /// Folder of the measured session
+    session: PathBuf,
+    /// Instrument file
+    #[arg(long, value_name = "FILE")]
+    instrument: PathBuf,
+    /// Write the account, with residual maps, to this file
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// Write a report of the account to this HTML file
+    #[arg(long, value_name = "FILE")]
+    report: Option<PathBuf>,
+}
+
+/// Runs the verb.
+///
+/// # Errors
+/// A file cannot be read or written, or session and instrument have different layouts.
+pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
+    let request = ResidualRequest { session: &args.session, instrument: &args.instrument, seed: run.seed };
+    let ResidualOutcome { account, provenance } = residual_session(&request)?;
+    if let Some(output) = &args.output {
+        account.write(output, provenance.clone())?;
+    }
+    if let Some(report) = &args.report {
+        let folder = tempfile::tempdir()?;
+        let file = folder.path().join("residual.closing");
+        account.write(&file, provenance)?;
+        let page = ommatidia_report::render(&[file, args.instrument.clone()])?;
+        ommatidia_session::artifact::write_whole(report, page.as_bytes())?;
+    }
+    let c = &account.closing;
+    let mut text = String::new();
+    // Writing to a string cannot fail.
+    let _ = writeln!(
+        text,
+        "chi2 / pixel {:.4}, NRMSE {:.4}, PCC {:.5} on held-out data\n",
+        c.before.chi2_ndf, c.before.nrmse, c.before.pcc
+    );
+    for fault in &c.faults {
+        let _ = writeln!(text, "record: {}", fault.words());
+    }
+    let _ = writeln!(text, "{:<40} {:>10} {:>10} {:>8}", "the residual depends on", "chi2", "expected", "sigma");
+    for d in &c.dependences_before {
+        let _ = writeln!(text, "{:<40} {:>10.1} {:>10.1} {:>8.1}", d.covariate.words(), d.chi2, d.expected, d.z);
+    }
+    let json = serde_json::json!({
+        "chi2_ndf": c.before.chi2_ndf, "nrmse": c.before.nrmse, "pcc": c.before.pcc,
+        "held_out_frames": c.held_out_frames, "faults": c.faults, "dependences": c.dependences_before,
+        "structured": c.catalogue_incomplete,
+    });
+    Ok(Outcome { json, text })
+}

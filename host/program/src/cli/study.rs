@@ -1,0 +1,102 @@
+//! `study`: measures how far `close` can be trusted.
+
+use super::common::{Outcome, Run};
+use super::retrain::Networks;
+use ommatidia_closing::study::plan::Size;
+use ommatidia_closing::study::run::{JSON, PAGE, StudyRequest, run as study};
+use ommatidia_closing::study::shard::Shard;
+use ommatidia_closing::study::summary::Share;
+use std::fmt::Write;
+use std::path::PathBuf;
+
+/// Options of `study`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example: ommatidia study -o study --quick")]
+pub struct Args {
+    /// Folder for the outcomes, study.json and study.md; an unfinished study in it is resumed
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+    /// Run a few sessions only, which checks in a minute or two that `close` and the study work
+    #[arg(long, conflicts_with_all = ["null", "seeds", "strengths", "only", "instruments"])]
+    quick: bool,
+    /// Number of sessions without an effect
+    #[arg(long, value_name = "N", default_value_t = Size::default().nulls)]
+    null: usize,
+    /// Number of repetitions of all other sessions, each with its own scenes and noise
+    #[arg(long, value_name = "N", default_value_t = Size::default().seeds)]
+    seeds: u64,
+    /// Number of instruments, used in turn
+    #[arg(long, value_name = "N", default_value_t = Size::default().instruments, value_parser =
+        clap::value_parser!(u64).range(1..))]
+    instruments: u64,
+    /// Strengths of single effects, in units of the standard error that a session gives for the effect
+    #[arg(long, value_name = "K,..", value_delimiter = ',', default_values_t = Size::default().strengths)]
+    strengths: Vec<f64>,
+    /// Ids of the effects to inject, separated by commas (default: all)
+    #[arg(long, value_name = "ID,..", value_delimiter = ',')]
+    only: Vec<String>,
+    /// Run only every N-th session, starting with number I (counted from 0), so that N computers share the work
+    #[arg(long, value_name = "I/N", default_value = "0/1")]
+    shard: Shard,
+}
+
+/// Runs the verb.
+///
+/// # Errors
+/// The folder cannot be written.
+pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
+    let size = if args.quick {
+        Size::quick(run.seed)
+    } else {
+        Size {
+            seed: run.seed,
+            instruments: args.instruments,
+            nulls: args.null,
+            seeds: args.seeds,
+            strengths: args.strengths.clone(),
+            only: args.only.clone(),
+            ..Size::default()
+        }
+    };
+    let bar = run.progress(0, "study");
+    let request = StudyRequest { dir: &args.output, size: &size, shard: args.shard };
+    let found = study(&request, &Networks, |progress| {
+        bar.set_length(progress.planned as u64);
+        bar.set_position(progress.done as u64);
+    })?;
+    bar.finish_and_clear();
+    let s = &found.summary;
+    let mut text = String::new();
+    let mut line = |name: &str, share: Share| {
+        // Writing to a string cannot fail.
+        let _ = writeln!(
+            text,
+            "{name:<52} {:>4} of {:<4} {:>4.0} % ({:.0} to {:.0} %)",
+            share.k,
+            share.n,
+            100.0 * share.share(),
+            100.0 * share.low,
+            100.0 * share.high
+        );
+    };
+    line("anything found in sessions without an effect", s.null_found);
+    for b in &s.single {
+        line(&format!("true effect first at {} sigma", b.sigmas), b.first);
+        line("  found or in the ambiguity set", b.covered);
+    }
+    line("pairs, both named", s.pairs_both);
+    line("false naming, true effect not a candidate", s.minus_one.false_naming);
+    for (k, o) in &s.foreign {
+        line(&format!("false naming, foreign effect at {k} sigma"), o.false_naming);
+    }
+    line("faults of records", s.records);
+    let _ = writeln!(
+        text,
+        "{} sessions, {:.1} s each\n-> {}\n-> {}",
+        s.sessions,
+        s.seconds[1],
+        args.output.join(JSON).display(),
+        args.output.join(PAGE).display()
+    );
+    Ok(Outcome { json: serde_json::to_value(s)?, text })
+}

@@ -1,0 +1,98 @@
+//! Power failures at every step of the flash.
+
+use super::flash::Fault;
+use super::tally::{Row, Tally};
+use super::test_device::{Network, TestDevice, reconstructs, telemetry, upload};
+use crate::device::error::DeviceError;
+use ommatidia_session::rng;
+use rand::RngExt;
+
+/// Trials in which the power fails twice, at two random steps.
+const TWICE: u64 = 2000;
+
+/// Interrupts an upload at every step; `torn`: within the step.
+pub(super) fn cut_uploads(torn: bool) -> Result<Row, DeviceError> {
+    let (old, new) = (Network::new(1)?, Network::new(2)?);
+    let (mut device, mut tally) = (with(&old), Tally::default());
+    let before = device.save();
+    device.power_on(Fault::None, 0, |dut| upload(dut, new.blob.bytes())).map_err(DeviceError::Refused)?;
+    for step in 0..device.steps {
+        device.restore(&before);
+        let fault = if torn { Fault::Torn(step) } else { Fault::Cut(step) };
+        let committed = device.power_on(fault, step, |dut| upload(dut, new.blob.bytes()).is_ok());
+        tally.try_one(device.cut);
+        tally.add(survives(&mut device, &old, &new, committed));
+    }
+    let fault = if torn { "power fails within a step of an upload" } else { "power fails before a step of an upload" };
+    Ok(tally.row(fault, "every word that it writes and every sector that it erases"))
+}
+
+/// Interrupts an upload, and then the next start or the second upload.
+pub(super) fn cut_twice() -> Result<Row, DeviceError> {
+    let (old, new) = (Network::new(1)?, Network::new(2)?);
+    let (mut device, mut tally) = (with(&old), Tally::default());
+    let before = device.save();
+    device.power_on(Fault::None, 0, |dut| upload(dut, new.blob.bytes())).map_err(DeviceError::Refused)?;
+    let steps = device.steps;
+    for seed in 0..TWICE {
+        device.restore(&before);
+        let mut rng = rng::stream(seed, "cut twice", 0);
+        let mut committed = false;
+        for _ in 0..2 {
+            // Every fourth cut is in the start itself.
+            let last = if rng.random_range(0..4) == 0 { 8 } else { steps };
+            let fault = Fault::Torn(rng.random_range(0..last));
+            committed |= device.power_on(fault, rng.random(), |dut| upload(dut, new.blob.bytes()).is_ok());
+        }
+        tally.try_one(device.cut);
+        tally.add(survives(&mut device, &old, &new, committed));
+    }
+    Ok(tally.row("power fails twice, within steps of uploads or starts", "random steps"))
+}
+
+/// Interrupts starts at every step, long enough to wrap the sectors that count starts three times; the count never
+/// decreases.
+pub(super) fn cut_starts() -> Result<Row, DeviceError> {
+    let network = Network::new(1)?;
+    let (mut device, mut tally) = (with(&network), Tally::default());
+    let mut count = 0;
+    for start in 0..400 {
+        let before = device.save();
+        device.power_on(Fault::None, 0, |_| ());
+        for step in 0..device.steps {
+            device.restore(&before);
+            device.power_on(Fault::Torn(step), 400 * step + start, |_| ());
+            tally.try_one(device.cut);
+            let (starts, runs) =
+                device.power_on(Fault::None, 0, |dut| (telemetry(dut).starts, telemetry(dut).slots[0].is_some()));
+            tally.blobs_lost += u64::from(starts <= count || !runs);
+        }
+        device.restore(&before);
+        count = device.power_on(Fault::None, 0, |dut| telemetry(dut).starts);
+    }
+    Ok(tally.row("power fails within a step of a start", "every step of 400 starts"))
+}
+
+/// A device that runs `network`, uploaded twice.
+pub(super) fn with(network: &Network) -> TestDevice {
+    let mut device = TestDevice::new();
+    for _ in 0..2 {
+        // It cannot be refused; if it were, every trial would fail.
+        let _ = device.power_on(Fault::None, 0, |dut| upload(dut, network.blob.bytes()));
+    }
+    device
+}
+
+/// After a start: one of the networks runs, the new one if its commit was acknowledged; and a new upload of it
+/// succeeds.
+fn survives(device: &mut TestDevice, old: &Network, new: &Network, committed: bool) -> Tally {
+    let mut tally = Tally::default();
+    let runs = device.power_on(Fault::None, 0, |dut| {
+        let runs_new = reconstructs(dut, new);
+        if runs_new { Some(true) } else { reconstructs(dut, old).then_some(false) }
+    });
+    tally.blobs_lost += u64::from(runs.is_none() || (committed && runs == Some(false)));
+    let again = device.power_on(Fault::None, 0, |dut| upload(dut, new.blob.bytes()).is_ok() && reconstructs(dut, new));
+    tally.frames_lost += u64::from(!again);
+    tally
+}

@@ -1,0 +1,33 @@
+//! Stacks of frames, [frames, rows, cols], in .npy or multi-page .tif files, read and written one frame at a time.
+//!
+//! ```
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! use ndarray::Array3;
+//! use ommatidia_session::stack::{self, FrameReader};
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("scene.npy");
+//! // Two frames of 3 x 4 pixels; frame f is f everywhere.
+//! stack::write(&path, Array3::from_shape_fn((2, 3, 4), |(f, _, _)| f as f32).view())?;
+//!
+//! let mut frames = FrameReader::open(&path)?;
+//! assert_eq!((frames.len(), frames.rows(), frames.cols()), (2, 3, 4));
+//! assert_eq!(frames.read(1)?.sum(), 12.0);
+//! assert!(frames.read(2).is_err());
+//! # Ok(())
+//! # }
+//! ```
+
+mod layout;
+mod npy;
+mod ome;
+mod reader;
+mod recording;
+mod tif;
+mod whole;
+mod writer;
+
+pub use layout::{SampleType, StackSpec};
+pub use reader::{ComputedFrames, FrameReader};
+pub use recording::Recording;
+pub use whole::{read, write};
+pub use writer::FrameWriter;

@@ -1,0 +1,145 @@
+//! Reads the frames of a stack one at a time.
+
+use super::layout::{Container, SampleType, Shape};
+use super::{npy, tif};
+use crate::error::SessionError;
+use ndarray::Array2;
+use std::collections::VecDeque;
+use std::fmt::Debug;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Computes the frames of a stack when they are read, instead of keeping them in a file.
+///
+/// A frame is computed again each time it is read.
+pub trait ComputedFrames: Debug + Send + Sync {
+    /// Size of the stack, [frames, rows, cols].
+    fn shape(&self) -> [usize; 3];
+
+    /// Frame `i`, [rows, cols], DN, followed by any later frames that were computed along with it. The same call
+    /// returns the same frames.
+    ///
+    /// # Errors
+    /// The data that the frames are computed from cannot be read.
+    fn frames_from(&self, i: usize) -> Result<Vec<Array2<f32>>, SessionError>;
+}
+
+/// Reads the frames of a stack one at a time, in any order, and holds one frame in memory.
+#[derive(Debug)]
+pub struct FrameReader {
+    path: PathBuf,
+    len: usize,
+    rows: usize,
+    cols: usize,
+    samples: SampleType,
+    source: Source,
+}
+
+#[derive(Debug)]
+enum Source {
+    Npy(npy::NpySource),
+    Tif(Box<tif::TifSource>),
+    Computed {
+        frames: Arc<dyn ComputedFrames>,
+        /// Index of the first frame that was computed ahead.
+        next: usize,
+        /// Frames computed ahead.
+        ahead: VecDeque<Array2<f32>>,
+    },
+}
+
+impl FrameReader {
+    /// Opens a stack and checks its header, its sample type and the size of the file.
+    ///
+    /// # Errors
+    /// The file is missing, neither .npy nor .tif, of a sample type other than uint8, uint16 and float32, not an array
+    /// [frames, rows, cols], empty, or cut short.
+    pub fn open(path: &Path) -> Result<Self, SessionError> {
+        let (shape, source) = match Container::of(path)? {
+            Container::Npy => npy::NpySource::open(path).map(|(shape, s)| (shape, Source::Npy(s)))?,
+            Container::Tif => tif::TifSource::open(path).map(|(shape, s)| (shape, Source::Tif(Box::new(s))))?,
+        };
+        let Shape { len, rows, cols, samples } = shape;
+        if len == 0 || rows == 0 || cols == 0 {
+            return Err(SessionError::Shape {
+                path: path.into(),
+                expected: "at least one frame of at least one pixel".into(),
+                found: format!("[{len}, {rows}, {cols}]"),
+                remedy: "write the stack again, with its frames",
+            });
+        }
+        Ok(Self { path: path.into(), len, rows, cols, samples, source })
+    }
+
+    /// A reader of frames that are computed when they are read. `name` stands for the file in error messages.
+    pub fn computed(name: &Path, frames: Arc<dyn ComputedFrames>) -> Self {
+        let [len, rows, cols] = frames.shape();
+        let source = Source::Computed { frames, next: 0, ahead: VecDeque::new() };
+        Self { path: name.into(), len, rows, cols, samples: SampleType::U16, source }
+    }
+
+    /// Number of frames, at least one.
+    #[allow(clippy::len_without_is_empty)] // an empty stack cannot be opened
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Rows of a frame.
+    pub fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// Columns of a frame.
+    pub fn cols(&self) -> usize {
+        self.cols
+    }
+
+    /// Type of the samples in the file; `U16` for computed frames.
+    pub fn samples(&self) -> SampleType {
+        self.samples
+    }
+
+    /// Path of the file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Reads frame `i`, [rows, cols], in the unit of the file.
+    ///
+    /// # Errors
+    /// There is no frame `i`, it cannot be read, or it holds a non-finite value.
+    pub fn read(&mut self, i: usize) -> Result<Array2<f32>, SessionError> {
+        if i >= self.len {
+            let last = self.len - 1;
+            let expected = format!("0 to {last}");
+            return Err(SessionError::value(&self.path, "frame index", expected, i, "choose a frame of the stack"));
+        }
+        let values = match &mut self.source {
+            Source::Npy(s) => s.read(&self.path, i)?,
+            Source::Tif(s) => s.read(&self.path, i)?,
+            Source::Computed { frames, next, ahead } => {
+                if *next != i || ahead.is_empty() {
+                    *ahead = frames.frames_from(i)?.into();
+                }
+                *next = i + 1;
+                ahead.pop_front().unwrap_or_default().into_raw_vec_and_offset().0
+            }
+        };
+        if let Some(at) = values.iter().position(|v| !v.is_finite()) {
+            return Err(SessionError::value(
+                &self.path,
+                format!("frame {i}, pixel ({}, {})", at / self.cols, at % self.cols),
+                "a finite number",
+                values[at],
+                "replace the damaged frame, or leave it out",
+            ));
+        }
+        let found = values.len();
+        Array2::from_shape_vec((self.rows, self.cols), values).map_err(|_| SessionError::Shape {
+            path: self.path.clone(),
+            expected: format!("{} samples in frame {i}", self.rows * self.cols),
+            found: found.to_string(),
+            remedy: "write the stack again",
+        })
+    }
+}

@@ -1,0 +1,190 @@
+//! Writes the frames of a stack one at a time. The file appears complete or not at all.
+
+use super::layout::{Container, SampleType, StackSpec};
+use super::ome;
+use crate::artifact;
+use crate::error::SessionError;
+use ndarray::ArrayView2;
+use npyz::WriterBuilder;
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+use tempfile::NamedTempFile;
+use tiff::TiffResult;
+use tiff::encoder::{TiffEncoder, TiffKind, TiffKindBig, TiffKindStandard, colortype};
+use tiff::tags::Tag;
+
+/// What to do about an error that only a mistake in this program can cause.
+pub(super) const CALLER_ERROR: &str = "this is an error in the program: please report it";
+
+/// Writes the frames of a stack one at a time, as .npy or OME-TIFF by the suffix of the file name. The file appears
+/// when [`FrameWriter::finish`] returns.
+#[derive(Debug)]
+pub struct FrameWriter {
+    path: PathBuf,
+    spec: StackSpec,
+    file: NamedTempFile,
+    sink: Sink,
+    pushed: usize,
+}
+
+enum Sink {
+    Npy(BufWriter<File>),
+    Tif(TiffEncoder<File, TiffKindStandard>),
+    BigTif(TiffEncoder<File, TiffKindBig>),
+}
+
+impl std::fmt::Debug for Sink {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Npy(_) => "Npy",
+            Self::Tif(_) => "Tif",
+            Self::BigTif(_) => "BigTif",
+        })
+    }
+}
+
+/// Largest plain TIFF, bytes: its offsets have 32 bits, and its tables need some room. Larger stacks become BigTIFF.
+const TIFF_BYTES: u64 = 4_000_000_000;
+
+impl FrameWriter {
+    /// Starts a stack of the size in `spec` that will appear at `path`.
+    ///
+    /// # Errors
+    /// The suffix is neither .npy nor .tif/.tiff, or the folder is missing or not writable.
+    pub fn create(path: &Path, spec: StackSpec) -> Result<Self, SessionError> {
+        let io = |e| SessionError::io(path, e);
+        let container = Container::of(path)?;
+        let file = artifact::temporary_beside(path).map_err(io)?;
+        let out = file.as_file().try_clone().map_err(io)?;
+        let bytes = spec.frames as u64 * (spec.rows * spec.cols * spec.samples.bytes() + 1024) as u64;
+        let tif = |e| SessionError::format(path, ".tif", e);
+        let sink = match container {
+            Container::Npy => Sink::Npy(npy_header(out, &spec).map_err(io)?),
+            Container::Tif if bytes < TIFF_BYTES => Sink::Tif(TiffEncoder::new(out).map_err(tif)?),
+            Container::Tif => Sink::BigTif(TiffEncoder::new_big(out).map_err(tif)?),
+        };
+        Ok(Self { path: path.into(), spec, file, sink, pushed: 0 })
+    }
+
+    /// Appends a frame, [rows, cols].
+    ///
+    /// # Errors
+    /// The frame has another size than announced, holds a non-finite value or one outside the range of the sample type,
+    /// there are more frames than announced, or the disk is full.
+    pub fn push(&mut self, frame: ArrayView2<'_, f32>) -> Result<(), SessionError> {
+        self.check(frame)?;
+        let spec = &self.spec;
+        let values = frame.iter().copied();
+        let description = (self.pushed == 0).then(|| ome::description(spec, &spec.frames.to_string()));
+        match &mut self.sink {
+            Sink::Npy(out) => {
+                let bytes: Vec<u8> = match spec.samples {
+                    SampleType::U8 => values.map(|v| v.round() as u8).collect(),
+                    SampleType::U16 => values.flat_map(|v| (v.round() as u16).to_le_bytes()).collect(),
+                    SampleType::F32 => values.flat_map(f32::to_le_bytes).collect(),
+                };
+                out.write_all(&bytes).map_err(|e| SessionError::io(&self.path, e))?;
+            }
+            Sink::Tif(out) => push_page(out, spec, values.collect(), description)
+                .map_err(|e| SessionError::format(&self.path, ".tif", e))?,
+            Sink::BigTif(out) => push_page(out, spec, values.collect(), description)
+                .map_err(|e| SessionError::format(&self.path, ".tif", e))?,
+        }
+        self.pushed += 1;
+        Ok(())
+    }
+
+    fn check(&self, frame: ArrayView2<'_, f32>) -> Result<(), SessionError> {
+        let spec = &self.spec;
+        if frame.dim() != (spec.rows, spec.cols) || self.pushed == spec.frames {
+            return Err(SessionError::Shape {
+                path: self.path.clone(),
+                expected: format!("{} frames of {} x {}", spec.frames, spec.rows, spec.cols),
+                found: format!("frame {} of {} x {}", self.pushed, frame.nrows(), frame.ncols()),
+                remedy: CALLER_ERROR,
+            });
+        }
+        let (low, high) = match spec.samples {
+            SampleType::U8 => (0.0, f32::from(u8::MAX)),
+            SampleType::U16 => (0.0, f32::from(u16::MAX)),
+            SampleType::F32 => (f32::MIN, f32::MAX),
+        };
+        match frame.indexed_iter().find(|(_, v)| !(low..=high).contains(*v)) {
+            None => Ok(()),
+            Some(((r, c), v)) => Err(SessionError::value(
+                &self.path,
+                format!("frame {}, pixel ({r}, {c})", self.pushed),
+                format!("a value that {} can hold, {low} to {high}", spec.samples.name()),
+                v,
+                "scale the frames, or write float32",
+            )),
+        }
+    }
+
+    /// Completes the stack: the file appears at its path.
+    ///
+    /// # Errors
+    /// Fewer frames were pushed than announced, or the disk is full. No file is left behind.
+    pub fn finish(self) -> Result<(), SessionError> {
+        let io = |e| SessionError::io(&self.path, e);
+        if self.pushed != self.spec.frames {
+            return Err(SessionError::Shape {
+                path: self.path.clone(),
+                expected: format!("{} frames", self.spec.frames),
+                found: self.pushed.to_string(),
+                remedy: CALLER_ERROR,
+            });
+        }
+        if let Sink::Npy(mut out) = self.sink {
+            out.flush().map_err(io)?;
+        }
+        self.file.as_file().sync_all().map_err(io)?;
+        self.file.persist(&self.path).map_err(|e| io(e.error))?;
+        Ok(())
+    }
+}
+
+fn npy_header(out: File, spec: &StackSpec) -> std::io::Result<BufWriter<File>> {
+    let mut out = BufWriter::new(out);
+    let shape = [spec.frames as u64, spec.rows as u64, spec.cols as u64];
+    let type_name = match spec.samples {
+        SampleType::U8 => "|u1",
+        SampleType::U16 => "<u2",
+        SampleType::F32 => "<f4",
+    };
+    let type_name = type_name.parse().map_err(|_| std::io::Error::other("unknown sample type"))?;
+    npyz::WriteOptions::new_header_only()
+        .dtype(npyz::DType::Plain(type_name))
+        .shape(&shape)
+        .writer(&mut out)
+        .write_header_only()?;
+    Ok(out)
+}
+
+pub(super) fn push_page<K: TiffKind>(
+    out: &mut TiffEncoder<File, K>,
+    spec: &StackSpec,
+    values: Vec<f32>,
+    description: Option<String>,
+) -> TiffResult<()> {
+    let (width, height) = (spec.cols as u32, spec.rows as u32);
+    macro_rules! page {
+        ($color:ty, $data:expr) => {{
+            let mut image = out.new_image::<$color>(width, height)?;
+            if let Some(text) = &description {
+                image.encoder().write_tag(Tag::ImageDescription, text.as_str())?;
+            }
+            image.write_data($data)
+        }};
+    }
+    match spec.samples {
+        SampleType::U8 => {
+            page!(colortype::Gray8, &values.iter().map(|v| v.round() as u8).collect::<Vec<_>>())
+        }
+        SampleType::U16 => {
+            page!(colortype::Gray16, &values.iter().map(|v| v.round() as u16).collect::<Vec<_>>())
+        }
+        SampleType::F32 => page!(colortype::Gray32Float, &values),
+    }
+}
