@@ -1,23 +1,21 @@
-//! The program: the parts of a board, and the conversation with the host.
+//! The program: it connects the parts of a board with the device that serves the host.
 
 use crate::log::info;
 use embedded_hal::digital::OutputPin;
 use embedded_io::{Read, Write};
 use half::f16;
-use ommatidia_shared::device::{
-    Arenas, Device, End, Footprint, FrameSource, Line, Monitor, RamObject, Watchdog, serve,
-};
+use ommatidia_shared::device::{Arenas, Device, End, Footprint, FrameInput, Line, Monitor, RamObject, Watchdog, serve};
 use ommatidia_shared::flash::MappedFlash;
 use ommatidia_shared::wire::{Activity, StartCause};
 
 /// The parts of a board.
 #[derive(Debug)]
 pub struct Parts<'m, L, P, F, W, S> {
-    /// Name that the host prints.
+    /// Name of the board.
     pub name: &'static str,
     /// Serial line to the host.
     pub link: L,
-    /// Buffers of the line.
+    /// Buffers of the serial line.
     pub line: &'m mut Line,
     /// Pin or LED that is high while a reconstruction is computed.
     pub trigger: P,
@@ -25,29 +23,29 @@ pub struct Parts<'m, L, P, F, W, S> {
     pub watchdog: W,
     /// Why the program was started.
     pub started_by: StartCause,
-    /// What the program takes of the memory.
+    /// Function that measures the memory that the program occupies.
     pub footprint: fn() -> Footprint,
-    /// Cycles of the core so far, where they are counted; they wrap.
+    /// Function that reads the cycle counter of the core, where there is one. It wraps at 32 bits.
     pub cycles: fn() -> Option<u32>,
-    /// Temperature in hundredths of a degree Celsius, where there is a sensor.
+    /// Function that measures the temperature in hundredths of a degree Celsius, where there is a sensor.
     pub temperature_cdeg: fn() -> Option<i16>,
-    /// How the core spends its time, where there is a clock.
+    /// Function that reports how long the core has run and slept, where there is a clock.
     pub activity: fn() -> Option<Activity>,
-    /// Where the network files are kept.
+    /// Flash with the network files.
     pub flash: F,
-    /// Where raw frames come from.
+    /// Source of raw frames.
     pub source: S,
-    /// Where the reconstruction goes.
+    /// Buffer of the reconstruction, pixels.
     pub object: &'m mut [f16],
-    /// Working memory.
+    /// Working memory of the pipeline.
     pub arenas: Arenas<'m>,
 }
 
-/// Serves the host until it asks the program to end.
+/// Serves the host until it asks the program to end or closes the line.
 ///
 /// # Errors
-/// Those of the line.
-pub fn run<L: Read + Write, P: OutputPin, F: MappedFlash, W: Watchdog, S: FrameSource>(
+/// Those of the serial line.
+pub fn run<L: Read + Write, P: OutputPin, F: MappedFlash, W: Watchdog, S: FrameInput>(
     parts: Parts<'_, L, P, F, W, S>,
 ) -> Result<End, L::Error> {
     let Parts { name, mut link, line, trigger, mut watchdog, started_by, footprint, cycles, .. } = parts;
@@ -70,7 +68,7 @@ struct Board<P, W> {
     cycles: fn() -> Option<u32>,
     temperature_cdeg: fn() -> Option<i16>,
     activity: fn() -> Option<Activity>,
-    /// Cycles when the run began.
+    /// Cycle counter when the run began.
     began: Option<u32>,
 }
 
@@ -82,7 +80,7 @@ impl<P: OutputPin, W: Watchdog> Monitor for Board<P, W> {
     fn run_begins(&mut self) {
         info!("run");
         self.watchdog.feed();
-        // A pin that fails costs the trigger, not the reconstruction.
+        // The reconstruction does not need the trigger: a pin that fails is ignored.
         let _ = self.trigger.set_high();
         self.began = (self.cycles)();
         region_begins();

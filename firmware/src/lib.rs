@@ -1,8 +1,9 @@
-//! The program beside the sensor: frames in, reconstructions out.
+//! The program of the microcontroller beside the sensor: it turns raw frames into reconstructions.
 //!
-//! What the program does with each request of the host stands in [`ommatidia_shared::device`], which runs on the
-//! workstation too. Here is what ties it to hardware: [`app`] puts the parts of a board together, [`board`] holds the
-//! boards, one a module, [`camera`] the image sensors. Any UART with `embedded-io` and any pin with `embedded-hal` will do.
+//! [`ommatidia_shared::device`] defines how the program handles each request of the host; it also runs on the
+//! workstation. This crate connects it to hardware: [`app`] puts the parts of a board together, [`board`] has a module
+//! for each board or family of boards, and [`camera`] has the image sensors. Any UART with `embedded-io` and any pin
+//! with `embedded-hal` can be used.
 //!
 //! Build the image of the default board with `cargo fw`; run it under QEMU with `cargo qemu --bin app`.
 #![no_std]

@@ -6,7 +6,7 @@ macro_rules! info {
     ($($argument:tt)*) => { defmt::info!($($argument)*) };
 }
 
-/// Without a probe there is nobody to tell.
+/// Does nothing: without a probe there is no log.
 #[cfg(not(feature = "probe"))]
 macro_rules! info {
     ($($argument:tt)*) => {};

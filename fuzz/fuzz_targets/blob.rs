@@ -1,6 +1,6 @@
-//! Bytes as a network file: refused, or a network that runs in the memory of its plan.
+//! Arbitrary bytes as a network file: they are refused, or are a network that runs in the memory of its plan.
 //!
-//! Every second input has magic, version, schema, length and checksum made right, as a forger would.
+//! Every second input gets the right magic, version, schema, length and checksum, so that it passes the first checks.
 #![no_main]
 
 use half::f16;
@@ -9,7 +9,7 @@ use ommatidia_shared::blob::{MAGIC, Network, SCHEMA_KEY, VERSION};
 use ommatidia_shared::pipeline::{Memory, Pipeline};
 use ommatidia_shared::wire::checksum;
 
-/// Networks that need more are refused, as a device would.
+/// Largest length of a buffer, numbers: larger networks are not run.
 const MAX_NUMBERS: usize = 1 << 18;
 
 fuzz_target!(|data: &[u8]| {
@@ -21,7 +21,7 @@ fuzz_target!(|data: &[u8]| {
         forged(file);
     }
     let Ok(network) = Network::decode(file) else { return };
-    let Ok(pipeline) = Pipeline::new(&network.header, network.weights) else { return };
+    let Ok(pipeline) = Pipeline::new(&network) else { return };
     if [pipeline.fast_len(), pipeline.bulk_len(), pipeline.frame_len()].iter().any(|len| *len > MAX_NUMBERS) {
         return;
     }
@@ -32,7 +32,7 @@ fuzz_target!(|data: &[u8]| {
     assert!(object.iter().all(|half| half.is_finite()));
 });
 
-/// Makes right what the first checks look at.
+/// Sets everything before the header, and the checksum, to valid values.
 fn forged(file: &mut [u8]) {
     file[..8].copy_from_slice(&MAGIC);
     file[8..10].copy_from_slice(&VERSION.to_le_bytes());

@@ -1,4 +1,5 @@
-//! Any requests in any order, on a flash of any content: the device answers each, and what runs is always a whole network.
+//! Arbitrary requests in any order, on a flash with arbitrary content: the device answers each, and the active network
+//! is always complete.
 #![no_main]
 
 use half::f16;
@@ -11,7 +12,7 @@ use ommatidia_shared::wire::{Reply, Request};
 const FLASH: usize = 8 * RAM_SECTOR;
 
 fuzz_target!(|data: &[u8]| {
-    // The first byte says how much of the input is in the flash at the start.
+    // The first byte determines how much of the input is in the flash at the start.
     let Some((split, data)) = data.split_first() else { return };
     let (content, mut requests) = data.split_at(data.len() * usize::from(*split) / 512);
     let mut flash = vec![0u128; FLASH / 16];

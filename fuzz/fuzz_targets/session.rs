@@ -1,8 +1,8 @@
 //! One file of a sound session is replaced by the input: the session is refused in words, or read to its last frame.
 #![no_main]
 
-#[allow(dead_code, unreachable_pub)]
-#[path = "../../host/src/artifact.rs"]
+#[allow(dead_code, unused_imports, unreachable_pub)]
+#[path = "../../host/src/artifact/mod.rs"]
 mod artifact;
 #[allow(dead_code, unused_imports, unreachable_pub)]
 #[path = "../../host/src/session/mod.rs"]

@@ -1,4 +1,4 @@
-//! Bytes on the line: packets are dropped or give messages that survive being sent again.
+//! Arbitrary bytes on the line: packets are dropped, or hold messages that can be encoded and decoded again.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

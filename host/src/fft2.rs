@@ -1,14 +1,33 @@
-//! Two-dimensional real FFT on the host: plan, scratch, process.
+//! Two-dimensional FFT of real images: plan a size, allocate scratch memory, transform.
 //!
-//! The spectrum of a [rows, cols] image is kept transposed, [cols/2 + 1, rows], so that both passes run over contiguous
-//! memory; the first pass goes over rows, the second over a few columns at a time, which stay in the cache. Nothing is normalised: `inverse(forward(x)) = rows * cols * x`.
+//! The spectrum `X[v, u] = sum_rc x[r, c] exp(-2 pi i (u r / rows + v c / cols))` of a [rows, cols] image is stored
+//! transposed, [cols/2 + 1, rows], so that both passes run over contiguous memory: the first over rows, the second over
+//! a few columns at a time that stay in the cache. Nothing is normalised: `inverse(forward(x)) = rows * cols * x`.
+//!
+//! ```
+//! use ommatidia_host::fft2::{RealFft2, fast_size};
+//! use rustfft::num_complex::Complex32;
+//! let plan = RealFft2::new(2, 4);
+//! let mut scratch = plan.scratch();
+//! let image = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0];
+//! let mut spectrum = vec![Complex32::default(); plan.spectrum_len()];
+//! plan.forward(&image, &mut spectrum, &mut scratch);
+//! assert_eq!(spectrum.len(), 6); // 3 columns of the half spectrum, 2 rows each
+//! assert!((spectrum[0].re - 36.0).abs() < 1e-5); // the sum of all pixels
+//! assert!((spectrum[1].re + 16.0).abs() < 1e-5); // upper row less lower row
+//!
+//! let mut back = [0.0; 8];
+//! plan.inverse(&spectrum, &mut back, &mut scratch);
+//! assert!(back.iter().zip(image).all(|(b, x)| (b / 8.0 - x).abs() < 1e-6));
+//! assert_eq!(fast_size(121), 128); // pad to sizes that transform fast
+//! ```
 
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use rustfft::Fft;
 use rustfft::num_complex::Complex32;
 use std::sync::Arc;
 
-/// Columns that are worked on together: two lines of the cache of each row.
+/// Columns that are transformed together: two cache lines of each row.
 const TILE: usize = 16;
 
 /// A planned real transform of [rows, cols] images.
@@ -22,16 +41,16 @@ pub struct RealFft2 {
     col_inverse: Arc<dyn Fft<f32>>,
 }
 
-/// Working memory of a [`RealFft2`]; one a thread.
+/// Working memory of a [`RealFft2`]; each thread needs its own.
 #[derive(Clone, Debug)]
 pub struct Fft2Scratch {
     /// The half-transformed image, [tile of columns, row, column of the tile]: both passes run through it in order.
     tiles: Vec<Complex32>,
-    /// Rows that hold anything.
+    /// Whether each row of the image holds a non-zero value.
     held: Vec<bool>,
-    /// One row of it, whole tiles.
+    /// One row of the half-transformed image, padded to whole tiles.
     line: Vec<Complex32>,
-    /// One tile, [column, row].
+    /// One tile, transposed: [column, row].
     tile: Vec<Complex32>,
     row: Vec<f32>,
     fft: Vec<Complex32>,
@@ -44,7 +63,7 @@ impl std::fmt::Debug for RealFft2 {
 }
 
 impl RealFft2 {
-    /// Plans transforms of [rows, cols] images, both at least 1.
+    /// Plans transforms of [rows, cols] images; both must be at least 1.
     pub fn new(rows: usize, cols: usize) -> Self {
         let mut real = RealFftPlanner::<f32>::new();
         let mut complex = rustfft::FftPlanner::<f32>::new();
@@ -68,12 +87,12 @@ impl RealFft2 {
         self.cols / 2 + 1
     }
 
-    /// Values in a spectrum.
+    /// Number of values in a spectrum, `rows * (cols / 2 + 1)`.
     pub fn spectrum_len(&self) -> usize {
         self.rows * self.half_cols()
     }
 
-    /// Fresh working memory.
+    /// Allocates working memory for this plan.
     pub fn scratch(&self) -> Fft2Scratch {
         let zero = Complex32::default();
         let fft = self.row_forward.get_scratch_len().max(self.row_inverse.get_scratch_len());
@@ -89,10 +108,11 @@ impl RealFft2 {
         }
     }
 
-    /// Image [rows, cols] -> spectrum [cols/2 + 1, rows]. Rows that are all zero cost nothing in the first pass.
+    /// Transforms an image [rows, cols] into its spectrum [cols/2 + 1, rows]. Rows of zeros are skipped in the first
+    /// pass.
     ///
     /// # Panics
-    /// A slice has another length than the plan: a fault of the caller, never of data.
+    /// A slice has another length than the plan, which is a mistake of the caller.
     pub fn forward(&self, image: &[f32], spectrum: &mut [Complex32], s: &mut Fft2Scratch) {
         assert_eq!((image.len(), spectrum.len()), (self.rows * self.cols, self.spectrum_len()));
         let load = |r: usize, row: &mut [f32]| {
@@ -103,8 +123,10 @@ impl RealFft2 {
         self.forward_with(load, |c, column| spectrum[c * self.rows..(c + 1) * self.rows].copy_from_slice(column), s);
     }
 
-    /// The same, of an image whose rows are made as they are asked for: `load(r, row)` fills row `r` (`cols` values) and says whether it holds
-    /// anything; `take(c, column)` gets each column (`rows` values) of the half spectrum. Neither image nor spectrum need ever be stored.
+    /// As [`RealFft2::forward`], without storing the image or the spectrum.
+    ///
+    /// `load(r, row)` fills row `r` of the image (`cols` values) and returns whether the row has a non-zero value.
+    /// `take(c, column)` receives column `c` of the half spectrum (`rows` values).
     pub fn forward_with(
         &self,
         mut load: impl FnMut(usize, &mut [f32]) -> bool,
@@ -135,10 +157,10 @@ impl RealFft2 {
         }
     }
 
-    /// Spectrum [cols/2 + 1, rows] -> image [rows, cols], times `rows * cols`.
+    /// Transforms a spectrum [cols/2 + 1, rows] into `rows * cols` times its image [rows, cols].
     ///
     /// # Panics
-    /// A slice has another length than the plan: a fault of the caller, never of data.
+    /// A slice has another length than the plan, which is a mistake of the caller.
     pub fn inverse(&self, spectrum: &[Complex32], image: &mut [f32], s: &mut Fft2Scratch) {
         assert_eq!((image.len(), spectrum.len()), (self.rows * self.cols, self.spectrum_len()));
         let load =
@@ -146,8 +168,10 @@ impl RealFft2 {
         self.inverse_with(load, |r, row| image[r * self.cols..(r + 1) * self.cols].copy_from_slice(row), self.rows, s);
     }
 
-    /// The same, of a spectrum whose columns are made as they are asked for: `load(c, column)` fills column `c` (as many values as the image has rows); `take(r,
-    /// row)` gets each of the first `rows` rows of the image.
+    /// As [`RealFft2::inverse`], without storing the spectrum or the image.
+    ///
+    /// `load(c, column)` fills column `c` of the half spectrum (as many values as the image has rows). `take(r, row)`
+    /// receives each of the first `rows` rows of the image; the others are not computed.
     pub fn inverse_with(
         &self,
         mut load: impl FnMut(usize, &mut [Complex32]),
@@ -171,7 +195,7 @@ impl RealFft2 {
             for (strip, part) in tiles.chunks_exact(self.rows * TILE).zip(line.chunks_exact_mut(TILE)) {
                 part.copy_from_slice(&strip[r * TILE..(r + 1) * TILE]);
             }
-            // The imaginary parts at zero and at Nyquist are rounding noise; the transform wants them gone.
+            // The imaginary parts at zero and at Nyquist are rounding noise; the transform requires them to be zero.
             line[0].im = 0.0;
             if self.cols.is_multiple_of(2) {
                 line[half - 1].im = 0.0;
@@ -183,7 +207,7 @@ impl RealFft2 {
     }
 }
 
-/// The smallest number >= `n` whose only prime factors are 2, 3 and 5 and that is even: a fast size.
+/// The smallest even number >= `n` whose only prime factors are 2, 3 and 5: a size that transforms fast.
 pub fn fast_size(n: usize) -> usize {
     let smooth = |mut m: usize| {
         for p in [2, 3, 5] {
@@ -210,7 +234,7 @@ mod tests {
         (0..rows * cols).map(|i| ((i * 7919 + 13) % 101) as f32 / 50.0 - 1.0).collect()
     }
 
-    /// The sum as it is written in books, in f64.
+    /// One value of the spectrum by its definition, in f64: (real, imaginary).
     fn naive(x: &[f32], rows: usize, cols: usize, u: usize, v: usize) -> [f64; 2] {
         let mut sum = [0.0; 2];
         for r in 0..rows {

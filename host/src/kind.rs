@@ -1,4 +1,4 @@
-//! What a file is, told from its content.
+//! Kinds of files, recognised by their content.
 
 use crate::artifact::{self, ArtifactError};
 use ommatidia_shared::blob;
@@ -6,22 +6,23 @@ use std::fmt;
 use std::io::Read;
 use std::path::Path;
 
-/// Kinds of files that the verbs exchange.
+/// Kind of a file or folder that the verbs read or write.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum FileKind {
-    /// A safetensors artifact of the kind that its header names: `instrument`, `checkpoint`, `shard`, `evaluation`, `closing`.
+    /// A safetensors artifact, with the kind in its header: `instrument`, `checkpoint`, `shard`, `evaluation` or
+    /// `closing`.
     Artifact(String),
     /// The network file of a device.
     Blob,
     /// The folder of a measured session.
     Session,
-    /// A folder without a manifest.
+    /// A folder without a session.toml.
     Folder,
-    /// What a verb printed with `--json`.
+    /// The output of a verb with `--json`.
     Json,
     /// A stack of frames, .npy or .tif.
     Stack,
-    /// Something else.
+    /// Any other file.
     Unknown,
 }
 
@@ -40,10 +41,10 @@ impl fmt::Display for FileKind {
 }
 
 impl FileKind {
-    /// Looks at the first bytes of a file, or into a folder.
+    /// Recognises a file by its first bytes, and a folder by its content.
     ///
     /// # Errors
-    /// The file cannot be read, or is an artifact whose header is damaged.
+    /// The file cannot be read, or it is an artifact whose header is damaged.
     pub fn of(path: &Path) -> Result<Self, ArtifactError> {
         if path.is_dir() {
             return Ok(if path.join(crate::session::MANIFEST).exists() { Self::Session } else { Self::Folder });
@@ -54,7 +55,7 @@ impl FileKind {
         Ok(match start.as_slice() {
             s if s.starts_with(&blob::MAGIC) => Self::Blob,
             s if s.starts_with(b"\x93NUMPY") || s.starts_with(b"II") || s.starts_with(b"MM") => Self::Stack,
-            // Eight bytes of length, then the JSON of the tensors.
+            // A safetensors file: eight bytes of length, then JSON.
             [_, _, _, _, _, _, _, _, b'{', ..] => {
                 let header = artifact::inspect(path)?;
                 Self::Artifact(header.get("kind").and_then(|k| k.as_str()).unwrap_or("").into())
@@ -72,7 +73,7 @@ mod tests {
     use crate::artifact::{Header, Provenance, Tensors};
 
     #[test]
-    fn each_kind_is_known_by_its_content() {
+    fn each_kind_is_recognised_by_its_content() {
         let folder = tempfile::tempdir().unwrap();
         let file = |name: &str, bytes: &[u8]| {
             let path = folder.path().join(name);

@@ -7,6 +7,7 @@
 pub mod artifact;
 pub mod bead;
 pub mod bench;
+pub mod calibrate;
 pub mod cli;
 pub mod closing;
 pub mod dataset;
@@ -31,4 +32,5 @@ pub mod scene;
 pub mod sensor;
 pub mod session;
 pub mod study;
+pub mod testing;
 pub mod train;

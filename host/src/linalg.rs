@@ -1,19 +1,44 @@
-//! The few dense decompositions that calibration needs, in f64, over faer.
+//! Dense linear algebra in f64: eigenpairs of symmetric matrices and least squares.
+//!
+//! ```
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! use ndarray::arr2;
+//! use ommatidia_host::linalg::{least_squares, symmetric_eigen};
+//! // The line 1 + 2 t through (0, 1), (1, 3) and (2, 5).
+//! let x = least_squares(&arr2(&[[1.0, 0.0], [1.0, 1.0], [1.0, 2.0]]), &arr2(&[[1.0], [3.0], [5.0]]))?;
+//! assert!((x[[0, 0]] - 1.0).abs() < 1e-9 && (x[[1, 0]] - 2.0).abs() < 1e-9);
+//!
+//! let eigen = symmetric_eigen(&arr2(&[[2.0, 1.0], [1.0, 2.0]]))?;
+//! assert!((eigen.values[0] - 1.0).abs() < 1e-12 && (eigen.values[1] - 3.0).abs() < 1e-12);
+//! // The eigenvector of 3 is (1, 1) / sqrt(2), up to its sign.
+//! assert!((eigen.vectors[[0, 1]] - eigen.vectors[[1, 1]]).abs() < 1e-12);
+//! # Ok(())
+//! # }
+//! ```
 
 use faer::{Mat, Side};
 use ndarray::{Array1, Array2};
 use thiserror::Error;
 
-/// A decomposition did not converge: the matrix holds values that are no numbers.
+/// An eigenvalue iteration did not converge; the field is the number of rows of the matrix.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[error("the eigenvalues of a {0} x {0} matrix did not converge: it holds values that are no numbers or out of range")]
+#[error("the eigenvalues of a {0} x {0} matrix did not converge: it holds non-finite or extreme values")]
 pub struct NotConverged(pub usize);
 
-/// Eigenvalues (ascending) and eigenvectors (columns) of a symmetric matrix, of which the lower half is read.
+/// Eigenpairs of a symmetric matrix of n rows.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SymmetricEigen {
+    /// The n eigenvalues, ascending.
+    pub values: Array1<f64>,
+    /// The eigenvectors as columns, [n, n], orthonormal, in the order of the eigenvalues.
+    pub vectors: Array2<f64>,
+}
+
+/// Eigenvalues and eigenvectors of the symmetric matrix `a`, [n, n]. Only its lower triangle is read.
 ///
 /// # Errors
-/// The iteration did not converge.
-pub fn symmetric_eigen(a: &Array2<f64>) -> Result<(Array1<f64>, Array2<f64>), NotConverged> {
+/// The iteration did not converge, e.g. because `a` holds non-finite values.
+pub fn symmetric_eigen(a: &Array2<f64>) -> Result<SymmetricEigen, NotConverged> {
     let n = a.nrows();
     let mat = Mat::from_fn(n, n, |i, j| a[[i, j]]);
     let eigen = mat.self_adjoint_eigen(Side::Lower).map_err(|_| NotConverged(n))?;
@@ -22,16 +47,17 @@ pub fn symmetric_eigen(a: &Array2<f64>) -> Result<(Array1<f64>, Array2<f64>), No
     if values.iter().any(|v| !v.is_finite()) {
         return Err(NotConverged(n));
     }
-    Ok((values, Array2::from_shape_fn((n, n), |(i, j)| vectors[(i, j)])))
+    Ok(SymmetricEigen { values, vectors: Array2::from_shape_fn((n, n), |(i, j)| vectors[(i, j)]) })
 }
 
-/// Least squares of least norm: x that minimises |a x - b|, column by column; directions of `a` below 1e-10 of the
-/// largest are left alone.
+/// Least squares: the `x` [n, k] of least norm that minimises `|a x - b|` for each column of `b`; `a` is [m, n], `b` is
+/// [m, k]. Directions whose singular value is negligible against the largest are set to zero. Solved by the normal
+/// equations.
 ///
 /// # Errors
-/// The iteration did not converge.
+/// The iteration did not converge, e.g. because `a` holds non-finite values.
 pub fn least_squares(a: &Array2<f64>, b: &Array2<f64>) -> Result<Array2<f64>, NotConverged> {
-    let (values, v) = symmetric_eigen(&a.t().dot(a))?;
+    let SymmetricEigen { values, vectors: v } = symmetric_eigen(&a.t().dot(a))?;
     let floor = values.iter().fold(0.0f64, |m, x| m.max(*x)) * 1e-20_f64.max(f64::EPSILON * a.nrows() as f64);
     let inverse = values.mapv(|x| if x > floor { 1.0 / x } else { 0.0 });
     let projected = v.t().dot(&a.t().dot(b));
@@ -47,7 +73,7 @@ mod tests {
     #[test]
     fn eigenpairs_of_a_known_matrix() {
         let a = arr2(&[[2.0, 1.0], [1.0, 2.0]]);
-        let (values, vectors) = symmetric_eigen(&a).unwrap();
+        let SymmetricEigen { values, vectors } = symmetric_eigen(&a).unwrap();
         assert!((values[0] - 1.0).abs() < 1e-12 && (values[1] - 3.0).abs() < 1e-12);
         let back = vectors.dot(&Array2::from_diag(&values)).dot(&vectors.t());
         assert!((back - a).iter().all(|d| d.abs() < 1e-12));

@@ -3,7 +3,7 @@
 use crate::artifact::{ArtifactError, write_whole};
 use crate::sensor::{FrameError, sensor_codes};
 use ndarray::ArrayView2;
-use ommatidia_shared::blob::{ALIGN, BlobError, Header, Network, Weights, encode, encoded_len};
+use ommatidia_shared::blob::{ALIGN, BlobError, Header, Network, Verified, Weights, encode, encoded_len};
 use ommatidia_shared::num::f16;
 use ommatidia_shared::pipeline::{Memory, Pipeline, PipelineError};
 use std::path::{Path, PathBuf};
@@ -49,6 +49,8 @@ pub enum NetworkFileError {
 pub struct NetworkFile {
     words: Vec<u128>,
     len: usize,
+    /// Proof that the bytes were checked: they are opened without checking them again.
+    verified: Verified,
 }
 
 const _: () = assert!(size_of::<u128>() == ALIGN);
@@ -63,7 +65,8 @@ impl NetworkFile {
         let len = encoded_len(header).map_err(named)?;
         let mut words = vec![0u128; len.div_ceil(ALIGN)];
         encode(header, weights, bytemuck::cast_slice_mut(&mut words)).map_err(named)?;
-        Ok(Self { words, len })
+        let verified = Verified::check(&bytemuck::cast_slice(&words)[..len]).map_err(named)?;
+        Ok(Self { words, len, verified })
     }
 
     /// Takes the bytes of a network file and checks them; `path` names them in errors.
@@ -73,11 +76,10 @@ impl NetworkFile {
     pub fn from_bytes(path: &Path, bytes: &[u8]) -> Result<Self, NetworkFileError> {
         let mut words = vec![0u128; bytes.len().div_ceil(ALIGN)];
         bytemuck::cast_slice_mut(&mut words)[..bytes.len()].copy_from_slice(bytes);
-        let file = Self { words, len: bytes.len() };
-        let network =
-            Network::decode(file.bytes()).map_err(|source| NetworkFileError::Format { path: path.into(), source })?;
-        Pipeline::new(&network.header, network.weights)
-            .map_err(|source| NetworkFileError::Pipeline { path: path.into(), source })?;
+        let named = |source| NetworkFileError::Format { path: path.into(), source };
+        let verified = Verified::check(&bytemuck::cast_slice(&words)[..bytes.len()]).map_err(named)?;
+        let file = Self { words, len: bytes.len(), verified };
+        Pipeline::new(&file.network()?).map_err(|source| NetworkFileError::Pipeline { path: path.into(), source })?;
         Ok(file)
     }
 
@@ -108,7 +110,9 @@ impl NetworkFile {
     /// # Errors
     /// None: the bytes have been checked.
     pub fn network(&self) -> Result<Network<'_>, NetworkFileError> {
-        Network::view(self.bytes()).map_err(|source| NetworkFileError::Format { path: "network file".into(), source })
+        self.verified
+            .open(self.bytes())
+            .map_err(|source| NetworkFileError::Format { path: "network file".into(), source })
     }
 
     /// The header: name, shapes, sensor, memory plan.
@@ -116,7 +120,7 @@ impl NetworkFile {
     /// # Errors
     /// None: the bytes have been checked.
     pub fn header(&self) -> Result<Header, NetworkFileError> {
-        Ok(self.network()?.header)
+        Ok(self.network()?.into_header())
     }
 
     /// The sensor codes of a raw frame, DN, [frame rows, frame cols], row by row; see [`sensor_codes`].
@@ -137,7 +141,7 @@ impl NetworkFile {
     pub fn run(&self, codes: &[u16]) -> Result<Vec<f16>, NetworkFileError> {
         let network = self.network()?;
         let refused = |source| NetworkFileError::Pipeline { path: "network file".into(), source };
-        let pipeline = Pipeline::new(&network.header, network.weights).map_err(refused)?;
+        let pipeline = Pipeline::new(&network).map_err(refused)?;
         let mut fast = vec![0.0; pipeline.fast_len_best().max(pipeline.fast_len())];
         let mut bulk = vec![f16::ZERO; pipeline.bulk_len()];
         let mut output = vec![f16::ZERO; pipeline.output_len()];

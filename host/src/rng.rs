@@ -1,13 +1,13 @@
-//! Random numbers that depend on nothing but a seed and the name and index of what is drawn.
+//! Random numbers that depend only on a seed and on the name and index of what is drawn.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use sha2::{Digest, Sha256};
 
-/// The generator for the `index`-th draw of `what` under `seed`.
+/// The random generator of draw number `index` of `what` under `seed`.
 ///
-/// Each frame, scene or batch asks for its own generator, so the result depends neither on the order of the
-/// work nor on the number of threads, and a killed run can be taken up anywhere.
+/// Each frame, scene or batch has its own generator. Results therefore depend neither on the order of the work nor on
+/// the number of threads, and an interrupted run can resume at any point.
 ///
 /// ```
 /// use ommatidia_host::rng;

@@ -1,23 +1,24 @@
 //! The boards that the firmware is built for.
 
-/// A board.
+/// A board and how the firmware is built for it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Board {
-    /// Its name: the feature of the firmware, QEMU's machine, and what the device says of itself.
+    /// Name: of the board, of the firmware's feature, and of QEMU's machine.
     pub name: &'static str,
-    /// Its core.
+    /// Processor core.
     pub core: &'static str,
-    /// The compiler's target.
+    /// Target triple of the compiler.
     pub target: &'static str,
-    /// What the compiler is told of the core, beyond the target.
+    /// Compiler flags for the core, besides the target.
     pub rustflags: &'static [&'static str],
-    /// Whether QEMU emulates it.
+    /// Whether QEMU emulates the board.
     pub emulated: bool,
-    /// Of the emulated memory the block that can stand in a file; the flash with the network files is the first part of it.
+    /// Size of the emulated memory that a file can back, bytes. The flash with the network files is the first part of
+    /// it. 0 without an emulator.
     pub memory_bytes: u64,
 }
 
-/// Cortex-M7: the board that is taken where none is named.
+/// Arm MPS2 with FPGA image AN500, a Cortex-M7: the default board.
 pub const MPS2_AN500: Board = Board {
     name: "mps2-an500",
     core: "Cortex-M7",
@@ -27,8 +28,8 @@ pub const MPS2_AN500: Board = Board {
     memory_bytes: 16 << 20,
 };
 
-/// Cortex-M55 with Helium. The compiler's own vector loops are off: vectors flush subnormal numbers to zero, which only the routines
-/// written for it take account of.
+/// Arm MPS3 with FPGA image AN547, a Cortex-M55 with the vector extension Helium. Helium flushes subnormal numbers to
+/// zero, which only the routines written for it allow for. So the compiler must not make vector loops of its own.
 pub const MPS3_AN547: Board = Board {
     name: "mps3-an547",
     core: "Cortex-M55",
@@ -38,7 +39,7 @@ pub const MPS3_AN547: Board = Board {
     memory_bytes: 2 << 30,
 };
 
-/// Cortex-M4F, the core of the wire-free miniscopes on heads today.
+/// Arm MPS2 with FPGA image AN386, a Cortex-M4F: the core of today's wire-free miniscopes.
 pub const MPS2_AN386: Board = Board {
     name: "mps2-an386",
     core: "Cortex-M4F",
@@ -48,7 +49,7 @@ pub const MPS2_AN386: Board = Board {
     memory_bytes: 16 << 20,
 };
 
-/// A board that can be bought, with an image sensor: STM32H743ZI.
+/// ST NUCLEO-H743ZI2 (STM32H743ZI, a Cortex-M7) with an image sensor.
 pub const NUCLEO_H743ZI: Board = Board {
     name: "nucleo-h743zi",
     core: "Cortex-M7",
@@ -58,11 +59,18 @@ pub const NUCLEO_H743ZI: Board = Board {
     memory_bytes: 0,
 };
 
-/// All boards.
+/// All boards, the default one first.
 pub const BOARDS: [Board; 4] = [MPS2_AN500, MPS3_AN547, MPS2_AN386, NUCLEO_H743ZI];
 
 impl Board {
-    /// The board of that name.
+    /// The board with this name, if there is one.
+    ///
+    /// ```
+    /// use ommatidia_shared::boards::Board;
+    ///
+    /// assert_eq!(Board::named("mps2-an500").unwrap().core, "Cortex-M7");
+    /// assert_eq!(Board::named("mps2-an999"), None);
+    /// ```
     pub fn named(name: &str) -> Option<Self> {
         BOARDS.into_iter().find(|board| board.name == name)
     }

@@ -1,8 +1,13 @@
-//! What host and device compute alike.
+//! The part of Ommatidia that the workstation and the microcontroller share: the network and its kernels, the network
+//! file, the messages between host and device, and the device's program without its board.
 //!
-//! `no_std`, no allocator, no global state. Weights, activations and spectra are *stored* in IEEE half
-//! precision; all arithmetic is IEEE single precision, round to nearest even, in one stated order per
-//! operator, so that a workstation and a microcontroller give the same bits.
+//! `no_std`, no allocator, no global state. Weights, activations and spectra are *stored* in IEEE half precision. All
+//! arithmetic is IEEE single precision, round to nearest even, in one stated order per operator. A workstation and a
+//! microcontroller therefore compute the same bits.
+//!
+//! Where to begin: [`blob::Network::decode`] reads a network file, [`pipeline::Pipeline`] runs it on raw frames,
+//! [`device::Device`] serves it over a line. [`fft`], [`filter`], [`nn`] and [`sensor`] hold the operators, [`num`] the
+//! number formats.
 #![no_std]
 #![warn(missing_docs)]
 

@@ -8,7 +8,7 @@ use half::f16;
 use ommatidia_host::fft2::RealFft2;
 use ommatidia_host::rng;
 use ommatidia_shared::blob::{Bank, Size, Tap};
-use ommatidia_shared::filter::{FilterBank, Filters, FrameSource};
+use ommatidia_shared::filter::{FilterBank, Filters, FrameRows};
 use ommatidia_shared::image::{Chw, ChwMut};
 use ommatidia_shared::nn::activation::Activation;
 use ommatidia_shared::nn::conv::{Addressing, Conv3x3, Parameters, Store, Tensors};
@@ -27,7 +27,7 @@ fn halves(what: &str, len: usize) -> Vec<f16> {
 
 struct Frame(Vec<f32>, usize);
 
-impl FrameSource for Frame {
+impl FrameRows for Frame {
     fn load(&self, row: usize, first: usize, to: &mut [f32]) {
         to.copy_from_slice(&self.0[row * self.1 + first..][..to.len()]);
     }

@@ -7,10 +7,10 @@
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use ndarray::{Array2, Array4, Array5, s};
 use ommatidia_host::fft2::{RealFft2, fast_size};
-use ommatidia_host::instrument::{Diagnostics, Geometry, Instrument, LightUnit, LowRankPsf, Quality};
+use ommatidia_host::instrument::{Diagnostics, Instrument, LightUnit, Quality};
 use ommatidia_host::noise::{NoiseModel, Sources};
 use ommatidia_host::psf::nodes::{Taps, even_nodes};
-use ommatidia_host::psf::{LowRankOperator, OperatorConfig};
+use ommatidia_host::psf::{ChiefRays, LowRankOperator, LowRankPsf, OperatorConfig};
 use ommatidia_host::session::{ArrayGeometry, Manifest, ObjectGrid, Optics, SensorSpec};
 use rustfft::num_complex::Complex32;
 use std::hint::black_box;
@@ -47,7 +47,7 @@ fn instrument(object: usize, sensor: [usize; 2], window: usize) -> Instrument {
         offset_dn: None,
         response: None,
         reading_dn2: None,
-        geometry: Geometry {
+        geometry: ChiefRays {
             anchors_px: vec![sensor.map(|n| (n as f64 - 1.0) / 2.0)],
             magnification: 1.0,
             dead: vec![false],
@@ -148,7 +148,7 @@ fn forward(c: &mut Criterion) {
         // As a large instrument is planned: the spectra of all lenses would not fit.
         let most_spectra_bytes = if object > 1000 { 0 } else { OperatorConfig::default().most_spectra_bytes };
         let config = OperatorConfig { most_spectra_bytes, ..OperatorConfig::default() };
-        let operator = LowRankOperator::plan(&i, &i.geometry, config).unwrap();
+        let operator = LowRankOperator::plan(i.optics(), &i.geometry, config).unwrap();
         let (got, want) = (operator.apply(o.view()).unwrap(), whole.apply(&o));
         let top = want.iter().fold(0.0f32, |m, v| m.max(v.abs()));
         assert!(got.iter().zip(&want).all(|(a, b)| (a - b).abs() < 1e-5 * top), "the two sums differ");

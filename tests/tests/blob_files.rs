@@ -10,11 +10,11 @@ use ommatidia_shared::pipeline::{Memory, Pipeline};
 use proptest::prelude::*;
 use std::path::Path;
 
-/// A file of version 2, written once and never again, and one of version 1.
+/// A file of version 2 that is never rewritten, and one of version 1.
 const GOLDEN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/golden/network-v2.omm");
 const GOLDEN_1: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/golden/network-v1.omm");
 
-/// Where the blocks of the golden file lie: two kernels of 4 x 4 blocks.
+/// Index of the blocks of the golden file: two kernels of 4 x 4 blocks.
 const GOLDEN_INDEX: [u16; 14] = [0, 0, 2, 3, 3, 3, 4, 4, 5, 1, 3, 0, 2, 3];
 
 fn golden_header() -> Header {
@@ -38,7 +38,7 @@ fn golden_header() -> Header {
     header
 }
 
-/// Multiples of 1/16 from -1 to 1, never twice the same in a row.
+/// Multiples of 1/16 from -1 to 1; neighbours differ.
 fn golden_weight(section: usize, i: usize) -> f16 {
     f16::from_f32(((i * 7 + section * 5) % 33) as f32 / 16.0 - 1.0)
 }
@@ -48,8 +48,8 @@ fn the_golden_file_of_version_2_still_decodes() {
     assert_eq!(VERSION, 2, "keep this file refused by name, and add a golden file of the new version");
     let file = NetworkFile::read(Path::new(GOLDEN)).unwrap();
     let network = file.network().unwrap();
-    assert_eq!(network.header, golden_header());
-    let weights = network.weights;
+    assert_eq!(network.header(), &golden_header());
+    let weights = network.weights();
     // 5 blocks of 4 x 4 lags; conv 8->2, 2 x 2->2, attention 2->1->2, 2->2, 2->2, 2->8, 2->1; 10 x 12 pixels.
     let rcan = 146 + 2 * 38 + 7 + 38 + 38 + 152 + 19;
     let sections = [weights.filters, weights.rcan, weights.offset_dn.unwrap(), weights.inverse_gain.unwrap()];
@@ -60,7 +60,7 @@ fn the_golden_file_of_version_2_still_decodes() {
         }
     }
     assert_eq!(weights.index, GOLDEN_INDEX);
-    Pipeline::new(&network.header, weights).unwrap();
+    Pipeline::new(&network).unwrap();
 }
 
 #[test]
@@ -91,7 +91,7 @@ fn the_golden_file_is_what_this_version_writes() {
     assert!(file.bytes() == std::fs::read(GOLDEN).unwrap(), "{GOLDEN} differs from what is written today");
 }
 
-/// What a network may have, now and then anything.
+/// Mostly a value that a network may have, sometimes any value.
 fn mostly<T: std::fmt::Debug>(
     sound: impl Strategy<Value = T>,
     strange: impl Strategy<Value = T>,
@@ -122,7 +122,9 @@ prop_compose! {
             checkpoint: "".try_into().unwrap(),
             frame: Size { rows: frame.0, cols: frame.1 },
             object: Size { rows: object.0, cols: object.1 },
-            sensor: Sensor { black_level_dn: black, saturation_dn: saturation, has_offset_map: maps.0, has_gain_map: maps.1 },
+            sensor: Sensor {
+                black_level_dn: black, saturation_dn: saturation, has_offset_map: maps.0, has_gain_map: maps.1
+            },
             bank: Bank {
                 tile, step, channels,
                 taps: taps.into_iter().map(|(channel, dy, dx)| Tap { channel, dy, dx }).collect(),
@@ -160,7 +162,7 @@ proptest! {
         };
         let file = NetworkFile::new(&header, &weights).unwrap();
         let network = file.network().unwrap();
-        let Ok(pipeline) = Pipeline::new(&network.header, network.weights) else { return Ok(()) };
+        let Ok(pipeline) = Pipeline::new(&network) else { return Ok(()) };
         let mut fast = vec![0.0; pipeline.fast_len()];
         let mut bulk = vec![f16::ZERO; pipeline.bulk_len()];
         let mut object = vec![f16::NAN; pipeline.output_len()];

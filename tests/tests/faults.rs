@@ -1,4 +1,4 @@
-//! Faults put in on purpose lose no network and no frame: what `docs/faults.md` says.
+//! Injected faults lose no network and no frame: the figures of `docs/faults.md`.
 #![allow(clippy::unwrap_used)]
 
 use ommatidia_host::device::faults::{complaints, page, try_boards, try_here};

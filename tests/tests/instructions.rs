@@ -1,11 +1,11 @@
-//! What each operator costs on each microcontroller is what `docs/instructions.md` says.
+//! The instructions of each operator on each microcontroller are those of `docs/instructions.md`.
 #![allow(clippy::unwrap_used)]
 
 use ommatidia_host::device::{BoardCounts, DeviceError, count_board, find_qemu, table};
 use ommatidia_shared::boards::{BOARDS, Board};
 use std::path::Path;
 
-/// The counts of this tree, or what is missing to take them.
+/// The counts of this tree, or what is missing to measure them.
 fn counts(board: Board) -> Result<BoardCounts, String> {
     if find_qemu().is_none() {
         return Err("qemu-system-arm is not on the PATH".into());
@@ -19,8 +19,8 @@ fn counts(board: Board) -> Result<BoardCounts, String> {
     }
 }
 
-/// Where something is missing the test counts as skipped; under `cargo verify`, which installs it, it fails. With `OMMATIDIA_RENEW` it
-/// writes the page.
+/// Where something is missing the test is reported as skipped; under `cargo verify`, which installs it, it fails. With
+/// `OMMATIDIA_RENEW` it writes the page.
 #[test]
 fn no_operator_takes_more_instructions_than_the_page_says() {
     let boards = BOARDS.into_iter().filter(|board| board.emulated);
@@ -43,6 +43,6 @@ fn no_operator_takes_more_instructions_than_the_page_says() {
             .collect::<Vec<_>>()
     };
     let complaints: Vec<String> = counts.iter().flat_map(complaint).collect();
-    assert!(table::rates_follow(&page).unwrap(), "the frame rates are not those of the tables: write the page anew");
+    assert!(table::rates_follow(&page).unwrap(), "the frame rates do not follow from the tables: write the page again");
     assert!(complaints.is_empty(), "docs/instructions.md against this tree:\n{}", complaints.join("\n"));
 }

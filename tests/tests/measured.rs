@@ -1,7 +1,7 @@
 //! Real measurements: the method on other real optics. Where the data are absent these tests count as skipped.
 #![allow(clippy::unwrap_used)]
 
-use ommatidia_host::instrument::{CalibrateConfig, calibrate};
+use ommatidia_host::calibrate::{CalibrateConfig, calibrate};
 use ommatidia_host::session::{Role, Session};
 use ommatidia_tests::measured_data;
 
@@ -19,8 +19,8 @@ fn measured_sessions_open() {
     assert_eq!(tardigrade.stacks()[0].frames().unwrap().read(0).unwrap().dim(), (1100, 1100));
 }
 
-/// Focal spots of a fibre microscope, 13 x 13, strongly field-dependent. With the checkerboard held out, one PSF misses them by
-/// 0.298 (known from the data's own analysis).
+/// Focal spots of a fibre microscope, 13 x 13, strongly field-dependent. With the checkerboard held out, one PSF misses
+/// them by 0.298 (known from the data's own analysis).
 #[test]
 fn measured_spots_are_predicted_where_they_were_left_out() {
     let Some(folder) = measured_data("measured_spots_are_predicted_where_they_were_left_out", "sessions/fibre") else {
@@ -34,26 +34,27 @@ fn measured_spots_are_predicted_where_they_were_left_out() {
     assert!((raw.one_psf_error - 0.298).abs() < 0.002, "{raw:?}");
 }
 
-/// The same spots, of an instrument that knows one PSF: a new calibration by one colour of the checkerboard predicts the spots of the other.
+/// The same spots, of an instrument that knows one PSF: a new calibration by one colour of the checkerboard predicts
+/// the spots of the other.
 #[test]
 fn measured_spots_call_for_a_new_calibration() {
-    use ommatidia_host::closing::recalibrate::{anew, held_out};
+    use ommatidia_host::closing::search::{held_out_figures, trial_calibration};
     let Some(folder) = measured_data("measured_spots_call_for_a_new_calibration", "sessions/fibre") else { return };
     let session = Session::open(&folder).unwrap();
     let config = CalibrateConfig { normalise_beads: true, replicates: 0, ..CalibrateConfig::default() };
     let one = calibrate(&session, &CalibrateConfig { one_psf: true, ..config }, || {}).unwrap().instrument;
-    let first = anew(&session, &one, &config).unwrap().unwrap();
-    let [before, after] = [&one, &first].map(|i| held_out(&session, i).unwrap().nrmse);
+    let first = trial_calibration(&session, &one, &config).unwrap().unwrap();
+    let [before, after] = [&one, &first].map(|i| held_out_figures(&session, i).unwrap().nrmse);
     assert!((0.24..0.3).contains(&before) && after <= 0.12, "{before} {after}");
     // Nothing is gained by doing it again.
-    assert!(anew(&session, &first, &config).unwrap().is_none());
+    assert!(trial_calibration(&session, &first, &config).unwrap().is_none());
 }
 
-/// A bead moved through the focus of a microscope with an engineered pupil: a model of one plane misses all others, and a new calibration by
-/// every second plane predicts those between.
+/// A bead moved through the focus of a microscope with an engineered pupil: a model of one plane misses all others, and
+/// a new calibration by every second plane predicts those between.
 #[test]
 fn measured_depth_calls_for_a_new_calibration() {
-    use ommatidia_host::closing::recalibrate::{anew, held_out};
+    use ommatidia_host::closing::search::{held_out_figures, trial_calibration};
     let Some(data) = measured_data("measured_depth_calls_for_a_new_calibration", "engineered_psf") else { return };
     for (mask, frames) in [("crlb1", 56), ("tetrapod", 54)] {
         let folder = tempfile::tempdir().unwrap();
@@ -66,13 +67,14 @@ fn measured_depth_calls_for_a_new_calibration() {
         let config = CalibrateConfig { normalise_beads: true, replicates: 0, ..CalibrateConfig::default() };
         let mut one = calibrate(&session, &config, || {}).unwrap().instrument;
         one.psf = one.psf.at_depth(0.0);
-        let first = anew(&session, &one, &config).unwrap().unwrap();
-        let [before, after] = [&one, &first].map(|i| held_out(&session, i).unwrap().nrmse);
+        let first = trial_calibration(&session, &one, &config).unwrap().unwrap();
+        let [before, after] = [&one, &first].map(|i| held_out_figures(&session, i).unwrap().nrmse);
         assert!(before > 0.6 && after < 0.2, "{mask} {before} {after}");
     }
 }
 
-/// A cell that fades to 28 % under a camera whose gain is about 1.15 DN/e- (1.1 to 1.2 by hand): no darks, no flats, and both ends of the movie tell it.
+/// A cell that fades to 28 % under a camera whose gain is about 1.15 DN/e- (1.1 to 1.2 by hand): no darks, no flats,
+/// and both ends of the movie tell it.
 #[test]
 fn measured_movie_tells_the_gain() {
     let Some(data) = measured_data("measured_movie_tells_the_gain", "engineered_psf") else { return };
@@ -137,12 +139,11 @@ exposure_ms = 1.0
 table = "bead.csv"
 "#;
 
-/// Maps of the gain and the offset of real pixels, on the virtual instrument: both are named, and what they did to scenes that no fit has seen is
-/// taken out.
+/// Maps of the gain and the offset of real pixels, on the virtual instrument: both are named, and what they did to
+/// scenes that no fit has seen is taken out.
 #[test]
 fn measured_pixel_maps_are_named_and_corrected() {
-    use ommatidia_host::closing::close::close;
-    use ommatidia_host::closing::observe::{Budget, Observations};
+    use ommatidia_host::closing::{Budget, CloseOptions, Observations, close};
     use ommatidia_host::effects::EffectSetting;
     use ommatidia_host::session::FrameReader;
     use ommatidia_host::study::subject::bench_config;
@@ -172,7 +173,15 @@ fn measured_pixel_maps_are_named_and_corrected() {
         &[with("prnu", gains.mapv(|g| (g / gain - 1.0).clamp(-1.0, 1.0))), with("dsnu", offsets.mapv(|o| o - offset))],
     );
     let mut seen = Observations::read(&session, &Budget::default()).unwrap();
-    let closing = close(&instrument, &mut seen, "maps", 1, |_| ()).unwrap().account.closing;
+    let closing = close(
+        &instrument,
+        &mut seen,
+        &CloseOptions { session_name: "maps", seed: 1, ..CloseOptions::default() },
+        |_| (),
+    )
+    .unwrap()
+    .account
+    .closing;
     let named: Vec<&str> = closing.effects.iter().map(|e| e.id.as_str()).collect();
     // What is left of the maps is their slow part, which no pixel has of its own.
     assert_eq!(named[..2], ["dsnu", "prnu"], "{named:?}");
@@ -180,8 +189,9 @@ fn measured_pixel_maps_are_named_and_corrected() {
     assert!(excess < 0.02, "{:?} {:?}", closing.before, closing.after);
 }
 
-/// Gain and read noise of every pixel of a real sensor, of which some are far worse than the others: darks and flats drawn with them give the gain
-/// back within its interval, and the read noise of each pixel, without which a dark frame has outliers that no common noise explains.
+/// Gain and read noise of every pixel of a real sensor, of which some are far worse than the others: darks and flats
+/// drawn with them give the gain back within its interval, and the read noise of each pixel, without which a dark frame
+/// has outliers that no common noise explains.
 #[test]
 fn measured_noise_of_pixels_comes_back_from_darks_and_flats() {
     use ommatidia_host::noise::draw_electrons;
@@ -263,18 +273,23 @@ fn measured_noise_of_pixels_comes_back_from_darks_and_flats() {
     assert!(by_pixel < 40 && by_all > 10 * by_pixel, "{by_pixel} {by_all}");
 }
 
-/// A water bear under a miniscope whose colour mosaic nobody declared. Without optics, darks or truth only what is fixed to the
-/// sensor can be told from the specimen: the loop finds the mosaic in the upper half of the frame, and nothing else, and takes it out of the
-/// lower half.
+/// A water bear under a miniscope whose colour mosaic nobody declared. Without optics, darks or truth only what is
+/// fixed to the sensor can be told from the specimen: the loop finds the mosaic in the upper half of the frame, and
+/// nothing else, and takes it out of the lower half.
 #[test]
 fn measured_mosaic_is_found_and_removed() {
-    use ommatidia_host::closing::close::close;
-    use ommatidia_host::closing::observe::{Budget, Observations};
+    use ommatidia_host::closing::{Budget, CloseOptions, Observations, close};
     let Some(folder) = measured_data("measured_mosaic_is_found_and_removed", "sessions/tardigrade") else { return };
     let session = Session::open(&folder).unwrap();
     let instrument = calibrate(&session, &CalibrateConfig::default(), || {}).unwrap().instrument;
     let mut seen = Observations::read(&session, &Budget::default()).unwrap();
-    let closed = close(&instrument, &mut seen, "water bear", 1, |_| ()).unwrap();
+    let closed = close(
+        &instrument,
+        &mut seen,
+        &CloseOptions { session_name: "water bear", seed: 1, ..CloseOptions::default() },
+        |_| (),
+    )
+    .unwrap();
     let effects = &closed.account.closing.effects;
     assert!(effects.len() == 1 && effects[0].id == "pixel_mosaic", "{effects:?}");
     let gain = |name: &str| effects[0].params.iter().find(|p| p.name == name).unwrap().value;
@@ -302,12 +317,11 @@ fn measured_mosaic_is_found_and_removed() {
     assert!(before > 1.5 && after.abs() < 0.03, "{before} {after}");
 }
 
-/// A video of a wireless miniscope whose rows are each read with an offset of their own, new in every frame; a tenth of its frames were torn on
-/// their way. Nobody knows the specimen, but it is nearly the same from one frame to the next.
+/// A video of a wireless miniscope whose rows are each read with an offset of their own, new in every frame; a tenth of
+/// its frames were torn on their way. Nobody knows the specimen, but it is nearly the same from one frame to the next.
 #[test]
 fn measured_row_noise_of_a_video_is_named() {
-    use ommatidia_host::closing::close::close;
-    use ommatidia_host::closing::observe::{Budget, Observations};
+    use ommatidia_host::closing::{Budget, CloseOptions, Observations, close};
     let Some(folder) = measured_data("measured_row_noise_of_a_video_is_named", "miniscope") else { return };
     let target = tempfile::tempdir().unwrap();
     std::fs::copy(folder.join("mio_wireless_60x200x200.tif"), target.path().join("scene.tif")).unwrap();
@@ -321,11 +335,17 @@ fn measured_row_noise_of_a_video_is_named() {
     let session = Session::open(target.path()).unwrap();
     let instrument = calibrate(&session, &CalibrateConfig::default(), || {}).unwrap().instrument;
     let mut seen = Observations::read(&session, &Budget::default()).unwrap();
-    let closed = close(&instrument, &mut seen, "video", 1, |_| ()).unwrap();
+    let closed = close(
+        &instrument,
+        &mut seen,
+        &CloseOptions { session_name: "video", seed: 1, ..CloseOptions::default() },
+        |_| (),
+    )
+    .unwrap();
     let first = &closed.account.closing.effects[0];
     let sigma = first.params[0].value;
-    // By hand: scatter of the rows' means in the difference of two frames, which has twice the variance of one, about the mean of the 17 rows
-    // around each; the middle of all pairs of frames.
+    // By hand: scatter of the rows' means in the difference of two frames, which has twice the variance of one, about
+    // the mean of the 17 rows around each; the middle of all pairs of frames.
     let mut frames = session.stacks()[0].frames().unwrap();
     let means: Vec<Vec<f64>> =
         (0..60).map(|i| frames.read(i).unwrap().outer_iter().map(|r| f64::from(r.mean().unwrap())).collect()).collect();

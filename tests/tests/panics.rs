@@ -1,17 +1,18 @@
-//! No byte from outside leads to a panic of the firmware: the image that is flashed holds none where bytes come in.
+//! No byte from outside leads to a panic of the firmware: the code that handles bytes from outside has no place that
+//! can panic.
 //!
-//! Every place that can panic passes its source location to the panic, so the locations that the linker has kept in the image are the
-//! places that can be reached. Wire, network file, flash, state machine and boards must have none. The arithmetic has bounds checks: of
-//! indices that follow from shapes alone, which `Pipeline::new` has checked, never from the values of pixels, weights or messages.
-//! Strange shapes are tried by `strange_headers_are_refused_or_run` and by the fuzz target `blob`. Should one panic all the same, the
-//! watchdog starts the device anew, and the network is still in its flash.
+//! Every place that can panic passes its source location to the panic. So the locations in the linked image are the
+//! places that can be reached. Messages, network file, flash, state machine and boards must have none. The arithmetic
+//! has bounds checks of indices that follow only from shapes, which `Pipeline::new` checks, and not from the values of
+//! pixels, weights or messages. The test `strange_headers_are_refused_or_run` and the fuzz target `blob` try unusual
+//! shapes. If one should panic nevertheless, the watchdog restarts the device, and the network is still in its flash.
 #![allow(clippy::unwrap_used)]
 
 use ommatidia_host::device::{DeviceError, Firmware};
 use ommatidia_shared::boards::{BOARDS, Board, MPS3_AN547};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Bounds checks of the arithmetic, at most, by folder of `shared/src`: without Helium, and with its routines.
+/// Largest number of bounds checks of the arithmetic in each folder of `shared/src`, without Helium and with it.
 const ARITHMETIC: [(&str, [usize; 2]); 7] = [
     ("fft", [23, 30]),
     ("filter", [26; 2]),
@@ -21,7 +22,7 @@ const ARITHMETIC: [(&str, [usize; 2]); 7] = [
     ("pipeline", [6; 2]),
     ("sensor", [2; 2]),
 ];
-/// What these bounds checks call in `core`, and the printing of a failure under the emulator.
+/// Code in `core` that these bounds checks call, and the code that prints a failure under the emulator.
 const BEHIND: [&str; 3] = ["core/src/slice/", "core/src/iter/", "cortex-m-semihosting-"];
 
 #[test]
@@ -70,7 +71,8 @@ struct Place {
     col: u32,
 }
 
-/// All `core::panic::Location`s in the loaded segments of a 32-bit ELF image: pointer and length of a file's name, line, column.
+/// All `core::panic::Location`s in the loaded segments of a 32-bit ELF image: pointer and length of a file's name,
+/// line, column.
 fn locations(image: &[u8]) -> BTreeSet<Place> {
     let word = |at: usize| image.get(at..at + 4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize);
     let (table, count) = (word(28).unwrap(), word(44).unwrap() & 0xffff);
@@ -93,7 +95,7 @@ fn locations(image: &[u8]) -> BTreeSet<Place> {
             if !(4..400).contains(&len) || !(1..10_000).contains(&line) || !(1..300).contains(&col) {
                 continue;
             }
-            // Names may end with a zero that is counted.
+            // The length of a name may include a zero at its end.
             if let Some(file) = text(name, len).map(|name| name.trim_end_matches('\0')).filter(|n| n.ends_with(".rs")) {
                 places.insert(Place { file: file.into(), line: line as u32, col: col as u32 });
             }

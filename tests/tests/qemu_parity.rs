@@ -1,19 +1,21 @@
-//! The firmware under QEMU gives, on every board, the bits that this machine gives.
+//! The firmware under QEMU computes, on every board, the bits that this machine computes.
 //!
-//! The tests need `qemu-system-arm` and the thumb targets, and say so plainly where these are missing.
+//! The tests need `qemu-system-arm` and the thumb targets. Where these are missing they are reported as skipped.
 #![allow(clippy::unwrap_used)]
 
 mod networks;
 
 use networks::{DENSE, PRUNED, Shape, TAPPED, THIN};
-use ommatidia_host::device::{DeviceError, DeviceRun, Firmware, LoopbackConfig, Runtime, Scope, Work, find_qemu, run};
+use ommatidia_host::device::{
+    DeviceError, DeviceRun, Firmware, LoopbackConfig, RunRequest, Runtime, Scope, find_qemu, run,
+};
 use ommatidia_host::network_file::NetworkFile;
 use ommatidia_shared::boards::{BOARDS, MPS3_AN547};
 use ommatidia_shared::device::Footprint;
 use ommatidia_shared::image::Region;
 
-/// The firmware for each board. Where QEMU or a target is missing the test counts as skipped; under `cargo verify`, which installs them,
-/// it fails.
+/// The firmware for each board. Where QEMU or a target is missing the test counts as skipped; under `cargo verify`,
+/// which installs them, it fails.
 fn firmware() -> Option<Vec<Firmware>> {
     let boards = BOARDS.into_iter().filter(|board| board.emulated);
     let missing = match boards.map(|board| Firmware::build(board, "app")).collect() {
@@ -27,7 +29,7 @@ fn firmware() -> Option<Vec<Firmware>> {
     None
 }
 
-/// One run a board.
+/// Runs the network on each board.
 fn check(shape: &Shape, seed: u64) -> Option<Vec<DeviceRun>> {
     check_blob(&networks::network(shape, seed), &networks::frames(shape, 2, seed))
 }
@@ -39,7 +41,7 @@ fn check_blob(blob: &NetworkFile, frames: &[Vec<u16>]) -> Option<Vec<DeviceRun>>
         assert_eq!(device.board, board);
         assert_eq!(device.objects.len(), 2);
         assert_eq!(device.differing_bits, 0, "{board}");
-        // A network that says the same everywhere would agree by accident.
+        // A network with the same output everywhere would agree by accident.
         let mut values: Vec<u16> = device.objects.iter().flatten().map(|half| half.to_bits()).collect();
         values.sort_unstable();
         values.dedup();
@@ -78,8 +80,8 @@ fn the_thinnest_network_agrees_bit_for_bit() {
     check(&THIN, 3);
 }
 
-/// The device's transforms are written in its own instructions, this machine's in Rust: every length that a board has room for, one
-/// column and one row more than a block of any loop.
+/// The transforms of the device are written in its own instructions, those of this machine in Rust. The test covers
+/// every length that a board has room for, and one column and one row more than a block of any loop.
 #[test]
 fn transforms_of_every_size_agree_bit_for_bit() {
     check(&Shape { tile: 8, step: 4, frame: [13, 11], object: [10, 6], ..THIN }, 8);
@@ -88,15 +90,15 @@ fn transforms_of_every_size_agree_bit_for_bit() {
     }
 }
 
-/// Features whose rows do not begin at words, channels that fill no block.
+/// Features whose rows do not begin at words, and channels that do not fill a block.
 #[test]
 fn odd_rows_and_channels_agree_bit_for_bit() {
     check(&Shape { width: 7, object: [30, 46], frame: [53, 47], ..DENSE }, 9);
     check(&Shape { width: 5, object: [22, 26], ..TAPPED }, 10);
 }
 
-/// Helium flushes numbers below 2^-126 to zero, and the transforms that meet such numbers are done again without it. A black level
-/// of 2e-41 DN makes all of a dark pixel such a number; dark rows hold nothing else.
+/// Helium flushes numbers below 2^-126 to zero. Transforms with such numbers are repeated without it. With a black
+/// level of 2e-41 DN every dark pixel is such a number, and some rows hold nothing else.
 #[test]
 fn numbers_that_helium_flushes_agree_bit_for_bit() {
     let shape = Shape { maps: false, ..DENSE };
@@ -118,7 +120,7 @@ fn numbers_that_helium_flushes_agree_bit_for_bit() {
     }
 }
 
-/// A region of the object is computed alone, and is the region cut from the whole.
+/// A region that is computed alone is the region cut from the whole.
 #[test]
 fn regions_agree_bit_for_bit_with_the_whole() {
     let regions = [
@@ -128,11 +130,11 @@ fn regions_agree_bit_for_bit_with_the_whole() {
     let Some(boards) = firmware() else { return };
     for (shape, regions) in regions {
         let (blob, frames) = (networks::network(shape, 12), networks::frames(shape, 1, 12));
-        let whole = run_on(&boards[0], &blob, Work::from(frames.as_slice()));
+        let whole = run_on(&boards[0], &blob, RunRequest::from(frames.as_slice()));
         for region in regions {
             let expected = networks::cut(&whole.objects[0], shape, region);
             for board in &boards {
-                let device = run_on(board, &blob, Work { frames: &frames, scope: region.into() });
+                let device = run_on(board, &blob, RunRequest { frames: &frames, scope: region.into() });
                 assert_eq!(device.objects[0], expected, "{} {region}", device.board);
                 if let (Some(part), Some(all)) = (&device.instructions, &whole.instructions) {
                     assert!(device.board != whole.board || part[0] < all[0], "{region}: {part:?} {all:?}");
@@ -142,8 +144,8 @@ fn regions_agree_bit_for_bit_with_the_whole() {
     }
 }
 
-/// A region whose field is held from an earlier frame: from the same one it has every bit of the whole, from another one the bits that this
-/// machine makes of it.
+/// A region whose field is held from an earlier frame. If that frame is equal, it has every bit of the whole; otherwise
+/// it has the bits that this machine computes.
 #[test]
 fn regions_with_a_held_field_agree_bit_for_bit() {
     // So wide and shallow that a region in the middle takes a part of everything.
@@ -160,7 +162,7 @@ fn regions_with_a_held_field_agree_bit_for_bit() {
         frames.insert(0, frames[0].clone());
         let scope = Scope { hold: 2, ..region.into() };
         for board in &boards {
-            let device = run_on(board, &networks::network(shape, 13), Work { frames: &frames, scope });
+            let device = run_on(board, &networks::network(shape, 13), RunRequest { frames: &frames, scope });
             let ages: Vec<u16> = device.reports.iter().map(|report| report.field_age).collect();
             assert_eq!((ages, device.differing_bits), (vec![0, 1, 2], 0), "{} {region}", device.board);
             assert_eq!(device.objects[0], device.objects[1], "{} {region}", device.board);
@@ -172,7 +174,7 @@ fn regions_with_a_held_field_agree_bit_for_bit() {
     }
 }
 
-fn run_on(firmware: &Firmware, blob: &NetworkFile, work: Work<'_>) -> DeviceRun {
+fn run_on(firmware: &Firmware, blob: &NetworkFile, work: RunRequest<'_>) -> DeviceRun {
     run(&Runtime::Qemu(firmware.clone()), blob, work, None, &mut |_| {}).unwrap()
 }
 

@@ -1,13 +1,13 @@
-//! Regions of interest: a region that is computed alone has every bit of the region cut from the whole, on networks, frame sizes and
-//! tile sizes of many kinds; one whose field is held from an earlier frame says so, and is what this machine makes of it. `qemu_parity` tries
-//! some of it on the boards.
+//! Regions of interest. A region that is computed alone has every bit of the region cut from the whole, for networks,
+//! frame sizes and tile sizes of many kinds. A region whose field is held from an earlier frame is reported as such and
+//! has the bits that this machine computes. `qemu_parity` repeats a part of it on the boards.
 #![allow(clippy::unwrap_used)]
 
 mod networks;
 
 use networks::{DENSE, PRUNED, Shape, TAPPED, THIN};
 use ommatidia_host::device::{
-    Client, DeviceError, DeviceRun, Loopback, LoopbackConfig, Runtime, Scope, Work, reference, run,
+    Client, DeviceError, DeviceRun, Loopback, LoopbackConfig, RunRequest, Runtime, Scope, reference, run,
 };
 use ommatidia_shared::image::Region;
 
@@ -53,7 +53,7 @@ fn every_region_is_the_cut_of_the_whole() {
         let (blob, frames) = (networks::network(&shape, seed), networks::frames(&shape, 1, seed));
         let whole = reference(&blob, frames.as_slice().into()).unwrap();
         for region in regions(&shape) {
-            let work = Work { frames: &frames, scope: region.into() };
+            let work = RunRequest { frames: &frames, scope: region.into() };
             let expected = networks::cut(&whole[0], &shape, region);
             assert_eq!(reference(&blob, work).unwrap()[0], expected, "{region} of {shape:?}");
             let device = run(&Runtime::Host(LoopbackConfig::default()), &blob, work, None, &mut |_| {}).unwrap();
@@ -66,7 +66,7 @@ fn every_region_is_the_cut_of_the_whole() {
 fn a_region_outside_is_refused_in_words() {
     let (blob, frames) = (networks::network(&DENSE, 1), networks::frames(&DENSE, 1, 1));
     for (row, col, rows, cols) in [(24, 0, 1, 1), (0, 30, 2, 7), (3, 3, 0, 4), (65535, 0, 65535, 1)] {
-        let work = Work { frames: &frames, scope: Region { row, col, rows, cols }.into() };
+        let work = RunRequest { frames: &frames, scope: Region { row, col, rows, cols }.into() };
         let error = run(&Runtime::Host(LoopbackConfig::default()), &blob, work, None, &mut |_| {}).unwrap_err();
         assert!(matches!(error, DeviceError::Refused(_)), "{error:?}");
         let text = error.to_string();
@@ -75,19 +75,22 @@ fn a_region_outside_is_refused_in_words() {
     }
 }
 
-fn on_this_machine(shape: &Shape, seed: u64, work: Work<'_>) -> DeviceRun {
+fn on_this_machine(shape: &Shape, seed: u64, work: RunRequest<'_>) -> DeviceRun {
     run(&Runtime::Host(LoopbackConfig::default()), &networks::network(shape, seed), work, None, &mut |_| {}).unwrap()
 }
 
-/// The same frame again and again: what is held from it is what would be measured.
+/// The same frame several times: the held statistics are those that would be measured.
 #[test]
 fn a_region_held_from_its_own_frame_is_the_cut_of_the_whole() {
     for (seed, shape) in (40..).zip(shapes()) {
         let frames = vec![networks::frames(&shape, 1, seed).remove(0); 3];
         let whole = reference(&networks::network(&shape, seed), frames[..1].into()).unwrap();
         for region in regions(&shape) {
-            let device =
-                on_this_machine(&shape, seed, Work { frames: &frames, scope: Scope { hold: 2, ..region.into() } });
+            let device = on_this_machine(
+                &shape,
+                seed,
+                RunRequest { frames: &frames, scope: Scope { hold: 2, ..region.into() } },
+            );
             let reports: Vec<_> = device.reports.iter().map(|report| (report.field_id, report.field_age)).collect();
             assert_eq!(reports, [(1, 0), (1, 1), (1, 2)]);
             let expected = networks::cut(&whole[0], &shape, region);
@@ -103,13 +106,17 @@ fn a_region_held_from_another_frame_says_so_and_agrees_bit_for_bit() {
     for (seed, shape) in (60..).zip(shapes()) {
         let frames = networks::frames(&shape, 5, seed);
         for region in regions(&shape) {
-            let device =
-                on_this_machine(&shape, seed, Work { frames: &frames, scope: Scope { hold: 2, ..region.into() } });
+            let device = on_this_machine(
+                &shape,
+                seed,
+                RunRequest { frames: &frames, scope: Scope { hold: 2, ..region.into() } },
+            );
             assert_eq!(device.differing_bits, 0);
             let reports: Vec<_> = device.reports.iter().map(|report| (report.field_id, report.field_age)).collect();
             assert_eq!(reports, [(1, 0), (1, 1), (1, 2), (4, 0), (4, 1)], "{region} of {shape:?}");
             assert_eq!(device.telemetry.held_runs, 3);
-            let exact = reference(&networks::network(&shape, seed), Work { frames: &frames, scope: region.into() });
+            let exact =
+                reference(&networks::network(&shape, seed), RunRequest { frames: &frames, scope: region.into() });
             let exact = exact.unwrap();
             assert_eq!([&device.objects[0], &device.objects[3]], [&exact[0], &exact[3]]);
             (different, tried) = (different + usize::from(device.objects[1] != exact[1]), tried + 1);
@@ -118,7 +125,7 @@ fn a_region_held_from_another_frame_says_so_and_agrees_bit_for_bit() {
     assert!(2 * different > tried, "statistics that do nothing would pass: {different} of {tried}");
 }
 
-/// What is held is of this network and of this conversation, or not held.
+/// Statistics are held only for the same network and in the same conversation.
 #[test]
 fn another_network_and_another_conversation_begin_with_nothing_held() {
     let blobs = [1, 2].map(|seed| networks::network(&DENSE, seed));
@@ -139,7 +146,7 @@ fn another_network_and_another_conversation_begin_with_nothing_held() {
     assert_eq!([(); 2].map(|()| age(&mut client, scope)), [0, 1]);
     assert_eq!([(); 2].map(|()| age(&mut client, Scope { hold: 0, ..scope })), [0; 2], "exact when asked for");
     assert_eq!(age(&mut client, Scope { region: None, ..scope }), 1, "the statistics are those of any exact run");
-    // The same run is done once; asked for otherwise it is another.
+    // The same request is run once; with another `hold` it is another run.
     client.send_frame(&frame).unwrap();
     let ages = [9, 9, 0].map(|hold| client.reconstruct(100, Scope { hold, ..scope }).unwrap().field_age);
     assert_eq!(ages, [2, 2, 0]);

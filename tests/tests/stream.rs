@@ -1,4 +1,5 @@
-//! `device stream`: a source with a rhythm, a device that takes what it has time for, a recording that is there at any time.
+//! `device stream`: frames at a given rate, a device that skips those that it has no time for, and a recording that can
+//! be read at any time.
 #![allow(clippy::unwrap_used)]
 
 mod networks;
@@ -34,9 +35,10 @@ fn the_frames_of_a_camera_need_not_be_sent() {
     }
 }
 
-/// Approximate frames are told from exact ones, and which frame their statistics are of, whatever numbers the runs have.
+/// The stream distinguishes approximate frames from exact ones and names the frame of their statistics, whatever the
+/// numbers of the runs.
 #[test]
-fn a_stream_tells_which_frame_its_field_is_of() {
+fn a_stream_names_the_frame_that_its_field_was_measured_in() {
     let runtime = Runtime::Host(LoopbackConfig { camera_px: 40 * 52, ..LoopbackConfig::default() });
     let scope = Scope { hold: 2, ..REGION.into() };
     let feed = FrameFeed { len: 14, fps: None, nth: 2, scope, source: Frames::Camera };
@@ -57,7 +59,7 @@ fn a_device_without_a_camera_says_so() {
     assert!(matches!(error.downcast_ref(), Some(DeviceError::NoCamera { .. })), "{error}");
 }
 
-/// One frame a second; the boards sleep in between, and say how much.
+/// One frame per second: the boards sleep in between, and report for how long.
 #[test]
 fn a_board_sleeps_between_frames() {
     let build = |board: Board| match Firmware::build(board, "app") {
@@ -83,7 +85,7 @@ fn a_board_sleeps_between_frames() {
         let report = stream(&Runtime::Qemu(firmware), None, &blob, feed, &mut |_| Ok(())).unwrap();
         let activity = report.telemetry.activity.unwrap();
         assert_eq!(report.reconstructed + report.dropped, 3, "{name}");
-        // Two seconds pass between the first frame and the last, most of which the core has nothing to do.
+        // Two seconds pass between the first and the last frame. The core has nothing to do for most of this time.
         assert!(activity.total_ms >= 1800 && activity.asleep_ms > 300, "{name}: {activity:?}");
         assert!(activity.asleep_ms < activity.total_ms, "{name}: {activity:?}");
         println!("{name}: {activity:?}, {:?}", report.took);

@@ -1,4 +1,4 @@
-//! A line that loses, repeats and flips bytes costs time, never a bit of the result.
+//! A line that loses, repeats and flips bytes slows the conversation down and changes no bit of the result.
 #![allow(clippy::unwrap_used)]
 
 mod networks;
@@ -6,14 +6,14 @@ mod networks;
 use half::f16;
 use networks::{DENSE, TAPPED};
 use ommatidia_host::device::{
-    Client, DeviceError, Faults, Faulty, Loopback, LoopbackConfig, Patience, Scope, Transport, reference,
+    Client, DeviceError, FaultyLine, LineFaults, Loopback, LoopbackConfig, RetryPolicy, Scope, Transport, reference,
 };
 use ommatidia_shared::blob::BlobError;
 use ommatidia_shared::wire::{Packet, Refusal, Reply, Request, SCHEMA_KEY, Telemetry, Transfer, VERSION, encode};
 use std::time::Duration;
 
-const QUICK: Patience =
-    Patience { first: Duration::from_millis(10), longest: Duration::from_millis(400), attempts: 200 };
+const QUICK: RetryPolicy =
+    RetryPolicy { first: Duration::from_millis(10), longest: Duration::from_millis(400), attempts: 200 };
 
 /// Two frames through the dense network over `line`.
 fn converse<T: Transport>(line: T) -> (Vec<Vec<f16>>, Telemetry, T) {
@@ -38,7 +38,7 @@ fn expected() -> Vec<Vec<f16>> {
 }
 
 fn check(lose: f64, repeat: f64, flip: f64) {
-    let line = Faulty::new(loopback(), Faults { lose, repeat, flip, seed: 7, ..Faults::default() });
+    let line = FaultyLine::new(loopback(), LineFaults { lose, repeat, flip, seed: 7, ..LineFaults::default() });
     let (objects, telemetry, line) = converse(line);
     assert_eq!(objects, expected());
     assert!(line.damaged > 10, "{} damaged bytes prove nothing", line.damaged);
@@ -73,7 +73,7 @@ fn all_at_once() {
     check(1e-4, 1e-4, 1e-4);
 }
 
-/// Sends every packet twice, as a bridge that retransmits on its own does.
+/// Sends every packet twice, like a bridge that retransmits by itself.
 struct Doubled(Loopback);
 
 impl Transport for Doubled {
@@ -97,8 +97,8 @@ fn requests_that_come_twice_are_done_once() {
 
 #[test]
 fn a_dead_line_is_reported() {
-    let line = Faulty::new(loopback(), Faults { lose: 1.0, seed: 1, ..Faults::default() });
-    let few = Patience { attempts: 3, ..QUICK };
+    let line = FaultyLine::new(loopback(), LineFaults { lose: 1.0, seed: 1, ..LineFaults::default() });
+    let few = RetryPolicy { attempts: 3, ..QUICK };
     let error = Client::connect_with(line, few, few).map(|_| ()).unwrap_err();
     assert!(matches!(error, DeviceError::Silent { attempts: 3, .. }), "{error}");
 }
@@ -142,7 +142,7 @@ fn a_damaged_network_is_refused_and_the_device_lives_on() {
 
 #[test]
 fn what_does_not_fit_is_refused_before_it_is_sent() {
-    // Two slots of a mark and a sector each, and two sectors for the starts.
+    // Two slots, each of a mark and a sector, and two sectors for the starts.
     let config = LoopbackConfig { flash_bytes: 6 * 4096, ..LoopbackConfig::default() };
     let (mut client, info) = Client::connect(Loopback::start(config).unwrap()).unwrap();
     assert_eq!(info.blob_bytes, 4096);
@@ -154,7 +154,7 @@ fn what_does_not_fit_is_refused_before_it_is_sent() {
     );
 }
 
-/// The answer to one request, sent as it stands.
+/// The answer to one request, which is sent once.
 fn ask(line: &mut Loopback, seq: u16, body: Request<'_>) -> Option<String> {
     let mut out = [0; 4096];
     line.send(encode(&Packet { seq, body }, &mut out).unwrap()).unwrap();
@@ -178,7 +178,7 @@ fn another_version_and_late_copies_are_turned_away() {
     assert_eq!(ask(&mut line, 10, begin).unwrap(), "Done");
     let chunk = |offset, data| Request::Chunk { what: Transfer::Frame, offset, data };
     assert_eq!(ask(&mut line, 11, chunk(0, &[1; 4])).unwrap(), "Received { offset: 4 }");
-    assert_eq!(ask(&mut line, 10, begin), None, "a late copy must not begin the transfer anew");
+    assert_eq!(ask(&mut line, 10, begin), None, "a late copy must not begin the transfer again");
     assert_eq!(ask(&mut line, 11, chunk(0, &[1; 4])).unwrap(), "Received { offset: 4 }");
     let gap = ask(&mut line, 12, chunk(6, &[1; 2])).unwrap();
     assert!(gap.starts_with("Refused(OutOfOrder { expected: 4, found: 6"), "{gap}");

@@ -12,7 +12,7 @@ use cortex_m_semihosting::hprintln;
 use half::f16;
 use ommatidia_firmware::app::{region_begins, region_ends};
 use ommatidia_firmware::board::this as board;
-use ommatidia_shared::blob::{Bank, Blocks, Header, MemoryPlan, Rcan, Sensor, Size, Tap, Weights};
+use ommatidia_shared::blob::{Bank, Blocks, Header, MemoryPlan, Network, Rcan, Sensor, Size, Tap, Weights};
 use ommatidia_shared::fft::{Fft, Fft2, ProductSource, RowSource};
 use ommatidia_shared::image::{Chw, ChwMut, PlaneMut, Region};
 use ommatidia_shared::nn::activation::Activation;
@@ -24,10 +24,10 @@ use ommatidia_shared::num::simd::Simd;
 use ommatidia_shared::num::{fused, narrow, narrow_slice, widen_slice};
 use ommatidia_shared::pipeline::{Field, Memory, Pipeline};
 
-/// Why there is no count.
+/// Why the program ends without counts.
 type Failure = &'static str;
 
-/// Memory to work in.
+/// Memory of the operators.
 struct Bench {
     fast: &'static mut [f32],
     bulk: &'static mut [f16],
@@ -57,7 +57,7 @@ fn main() -> ! {
     }
 }
 
-/// Halves from -`scale` to `scale`.
+/// Fills a slice with pseudo-random halves from -`scale` to `scale`.
 fn fill(halves: &mut [f16], seed: u32, scale: f32) {
     let mut state = seed;
     for half in halves {
@@ -66,7 +66,7 @@ fn fill(halves: &mut [f16], seed: u32, scale: f32) {
     }
 }
 
-/// Counts what `work` does.
+/// Marks the beginning and the end of `work` for the instruction counter.
 fn region<T, E>(
     name: Arguments<'_>,
     amount: usize,
@@ -248,7 +248,7 @@ impl Bench {
         })
     }
 
-    /// What goes with a load or a store.
+    /// Loops that convert while they load or store.
     fn fused(&mut self) -> Result<(), Failure> {
         const LEN: usize = 1024;
         let (t, g) = self.bulk[..2 * LEN].split_at_mut(LEN);
@@ -269,7 +269,8 @@ impl Bench {
         })
     }
 
-    /// The presets of the host's `train`, on a 214 x 214 sensor with its maps and a 96 x 96 object; of the first one regions too.
+    /// The presets of the host's `train`, on a 214 x 214 sensor with its maps and a 96 x 96 object; of the first one
+    /// regions too.
     fn reconstruct(&mut self) -> Result<(), Failure> {
         let rcan = |width, blocks, reduction| Rcan { width, groups: 2, blocks, reduction };
         let nano = header(6, rcan(16, 1, 8));
@@ -291,7 +292,8 @@ impl Bench {
         let (rcan, rest) = rest.split_at(count);
         let (offset, rest) = rest.split_at(214 * 214);
         let weights = Weights { filters, index, rcan, offset_dn: Some(offset), inverse_gain: Some(&rest[..214 * 214]) };
-        let pipeline = Pipeline::new(&header, weights).map_err(|_| "the network is refused")?;
+        let network = Network::new(header, weights).map_err(|_| "the weights are refused")?;
+        let pipeline = Pipeline::new(&network).map_err(|_| "the network is refused")?;
         let frame = &self.frame[..pipeline.frame_len()];
         let (fast, scales) = self.fast.split_at_mut(self.fast.len() - pipeline.scales_len());
         let mut part = |what: Arguments<'_>, part: Region, field: Field<'_>| {

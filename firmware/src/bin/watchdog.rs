@@ -1,4 +1,4 @@
-//! Hangs once, so that a test sees the watchdog reset the board. The start after that tells its cause and ends.
+//! Hangs once, so that a test can check that the watchdog resets the board. The next start prints its cause and ends.
 #![no_std]
 #![no_main]
 

@@ -1,11 +1,12 @@
-//! How the core spends its time: what the line sleeps, against the time since the start.
+//! Account of the time since the start, and of the time that the core slept in it.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 use ommatidia_shared::wire::Activity;
 
-/// The account of a board whose clock counts `PER_MS` ticks a millisecond and wraps at 32 bits. There is one thread.
+/// The account of a board whose clock counts `PER_MS` ticks per millisecond and wraps at 32 bits. Only one thread uses
+/// it.
 pub(super) struct Account<const PER_MS: u32> {
-    /// When the account was last brought up to date.
+    /// Clock at the last update of the account.
     last: AtomicU32,
     total: Sum<PER_MS>,
     asleep: Sum<PER_MS>,
@@ -16,18 +17,18 @@ impl<const PER_MS: u32> Account<PER_MS> {
         Self { last: AtomicU32::new(0), total: Sum::new(), asleep: Sum::new() }
     }
 
-    /// The clock starts to count.
+    /// Begins the account at clock `now`.
     pub(super) fn begin(&self, now: u32) {
         self.last.store(now, Ordering::Relaxed);
     }
 
-    /// The core has slept from `before` to `now`.
+    /// Records that the core has slept from `before` to `now`.
     pub(super) fn slept(&self, before: u32, now: u32) {
         self.asleep.add(now.wrapping_sub(before));
         self.pass(now);
     }
 
-    /// What it comes to.
+    /// Time since the start and time asleep, at clock `now`.
     pub(super) fn activity(&self, now: u32) -> Activity {
         self.pass(now);
         Activity { total_ms: self.total.ms(), asleep_ms: self.asleep.ms() }
@@ -39,7 +40,7 @@ impl<const PER_MS: u32> Account<PER_MS> {
     }
 }
 
-/// Ticks, added up as milliseconds.
+/// A sum of ticks, in milliseconds.
 struct Sum<const PER_MS: u32> {
     ms: AtomicU32,
     rest: AtomicU32,

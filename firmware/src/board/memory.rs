@@ -1,4 +1,4 @@
-//! What boards do with memory: sections that nothing clears, and the depth of the stack.
+//! Memory of the boards: sections that the start-up code does not initialize, and the depth of the stack.
 #![allow(unsafe_code)] // sections and linker symbols
 
 use core::cell::UnsafeCell;
@@ -6,11 +6,11 @@ use core::mem::MaybeUninit;
 use core::ptr::addr_of;
 use ommatidia_shared::device::{Footprint, Line};
 
-/// Memory that no start-up code clears.
+/// Memory that the start-up code does not initialize.
 #[repr(C, align(32))]
 pub(super) struct Region<T, const N: usize>(UnsafeCell<MaybeUninit<[T; N]>>);
 
-// SAFETY: each region is handed out once, through the board's `take`; there is one thread.
+// SAFETY: each region is borrowed once, in the `take` of the board; there is one thread.
 unsafe impl<T, const N: usize> Sync for Region<T, N> {}
 
 impl<T: bytemuck::Zeroable, const N: usize> Region<T, N> {
@@ -18,10 +18,10 @@ impl<T: bytemuck::Zeroable, const N: usize> Region<T, N> {
         Self(UnsafeCell::new(MaybeUninit::uninit()))
     }
 
-    /// The region, cleared.
+    /// Borrows the region, filled with zeros.
     ///
     /// # Safety
-    /// Called once.
+    /// Must be called only once.
     #[allow(clippy::mut_from_ref)]
     pub(super) unsafe fn take(&'static self) -> &'static mut [T; N] {
         // SAFETY: the caller calls once, so this is the only reference; all zeros is a value of T.
@@ -43,10 +43,10 @@ impl Once {
         Self(UnsafeCell::new(Line::new()))
     }
 
-    /// The buffers.
+    /// Borrows the buffers.
     ///
     /// # Safety
-    /// Called once.
+    /// Must be called only once.
     #[allow(clippy::mut_from_ref)]
     pub(super) unsafe fn take(&'static self) -> &'static mut Line {
         // SAFETY: the caller calls once.
@@ -64,7 +64,7 @@ unsafe extern "C" {
     static _stack_start: u32;
 }
 
-/// What the program takes, the image beginning at address `image`; its stack was painted before `main`.
+/// Memory that the program occupies. `image` is the address of the image. The stack was painted before `main`.
 pub(super) fn footprint(image: u32) -> Footprint {
     let at = |symbol: *const u8| symbol.addr() as u32;
     let (data, bss) = (at(addr_of!(__edata)) - at(addr_of!(__sdata)), at(addr_of!(__ebss)) - at(addr_of!(__sbss)));
@@ -75,7 +75,7 @@ pub(super) fn footprint(image: u32) -> Footprint {
     }
 }
 
-/// Bytes from the top of the stack down to the lowest word that was ever written.
+/// Bytes from the top of the stack to the lowest word that was ever written.
 fn stack_depth() -> u32 {
     let (mut word, top) = (addr_of!(_stack_end), addr_of!(_stack_start));
     // SAFETY: all words between the two symbols are memory of the stack.

@@ -1,4 +1,4 @@
-//! One board, or one family of boards, a module; `this` is the one that the program is built for.
+//! The boards: one module for each board or family of boards. `this` is the one that the program is built for.
 
 #[cfg(all(feature = "board", target_os = "none"))]
 mod activity;

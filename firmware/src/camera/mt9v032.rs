@@ -1,27 +1,27 @@
 //! MT9V032: 752 x 480 pixels of 6 um, global shutter, 10 bits; the sensor of the UCLA Miniscope V3.
 //!
-//! Registers: ON Semiconductor, "MT9V032 1/3-Inch Wide-VGA CMOS Digital Image Sensor", rev. 2015, table 8; where it is silent on limits,
-//! the Linux driver `drivers/media/i2c/mt9v032.c`. Registers have 16 bits, high byte first.
+//! Registers: ON Semiconductor, "MT9V032 1/3-Inch Wide-VGA CMOS Digital Image Sensor", rev. 2015, table 8; where it is
+//! silent on limits, the Linux driver `drivers/media/i2c/mt9v032.c`. Registers have 16 bits, high byte first.
 
 use core::fmt;
 use embedded_hal::i2c::I2c;
 
 /// Address on the bus with both address pins high.
 pub const ADDRESS: u8 = 0x5c;
-/// What R0x00 says: revision 3. Revisions 1 and 2 say 0x1311.
+/// Value of R0x00 in revision 3. In revisions 1 and 2 it is 0x1311.
 pub const CHIP_VERSION: u16 = 0x1313;
 const CHIP_VERSION_1: u16 = 0x1311;
 
 /// Pixels of the array.
 const ARRAY: [u16; 2] = [480, 752];
-/// First row and column with light.
+/// First row and column that are exposed to light.
 const FIRST: [u16; 2] = [5, 1];
-/// The shortest row, pixel clocks.
+/// Length of the shortest row, pixel clocks.
 const ROW_CLOCKS: u16 = 660;
-/// The shortest and the longest horizontal blanking, pixel clocks.
+/// Shortest and longest horizontal blanking, pixel clocks.
 const BLANKING: [u16; 2] = [43, 1023];
 
-/// The registers that are used.
+/// Addresses of the registers that are used.
 mod register {
     pub const CHIP_VERSION: u8 = 0x00;
     pub const COLUMN_START: u8 = 0x01;
@@ -41,31 +41,31 @@ mod register {
 
 /// R0x07: master mode, parallel output, exposure and readout at the same time.
 const RUN: u16 = 1 << 3 | 1 << 7 | 1 << 8;
-/// R0x0d: bits 8 and 9 are to be left set.
+/// R0x0d: bits 8 and 9 must stay set.
 const READ_MODE: u16 = 3 << 8;
 /// Vertical blanking, rows: the default.
 const VERTICAL_BLANKING: u16 = 45;
 
-/// Why the sensor does not deliver.
+/// Why the sensor refuses a setting or does not respond.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SensorError<E> {
     /// The bus failed.
     Bus(E),
-    /// Another chip answers.
+    /// Another chip responds.
     Version {
-        /// What it says.
+        /// Value of its version register.
         found: u16,
     },
-    /// The window does not fit the array.
+    /// The window does not fit the pixel array.
     Window {
-        /// What was asked for.
+        /// Window given.
         found: Window,
     },
-    /// Exposure or gain are out of their limits.
+    /// Exposure or gain are outside their limits.
     Setting {
-        /// The largest value.
+        /// Largest allowed value.
         largest: u16,
-        /// What was asked for.
+        /// Value given.
         found: u16,
     },
 }
@@ -73,7 +73,7 @@ pub enum SensorError<E> {
 impl<E: fmt::Debug> fmt::Display for SensorError<E> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Bus(error) => write!(f, "the sensor's bus: {error:?}"),
+            Self::Bus(error) => write!(f, "sensor: the bus failed: {error:?}"),
             Self::Version { found } => write!(f, "sensor: expected version {CHIP_VERSION:#06x}, found {found:#06x}"),
             Self::Window { found } => {
                 let Window { rows, cols, bin } = found;
@@ -95,24 +95,24 @@ impl<E> From<E> for SensorError<E> {
     }
 }
 
-/// The part of the array that is read, in its middle.
+/// The part of the pixel array that is read, in its middle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Window {
-    /// Rows that come out.
+    /// Rows of the frame.
     pub rows: u16,
-    /// Columns that come out.
+    /// Columns of the frame.
     pub cols: u16,
-    /// Rows and columns that are averaged to one: 1, 2 or 4.
+    /// Rows and columns of the array that are averaged to one pixel of the frame: 1, 2 or 4.
     pub bin: u16,
 }
 
 impl Window {
-    /// Pixels that come out.
+    /// Pixels of the frame.
     pub const fn pixels(&self) -> usize {
         self.rows as usize * self.cols as usize
     }
 
-    /// Rows and columns of the array that are read, if they fit.
+    /// Rows and columns of the array that are read; `None` where they do not fit.
     fn on_array(self) -> Option<[u16; 2]> {
         let Self { rows, cols, bin } = self;
         let fits = |n: u16, most: u16| n.checked_mul(bin).filter(|n| (1..=most).contains(n));
@@ -127,11 +127,11 @@ pub struct Mt9v032<B> {
 }
 
 impl<B: I2c> Mt9v032<B> {
-    /// Resets the sensor, makes sure of what it is, and stops all that changes frames by itself: automatic exposure and gain, and the
-    /// correction of row noise, which the calibration measures.
+    /// Resets the sensor, checks its version, and disables everything that changes frames by itself: automatic
+    /// exposure, automatic gain, and the correction of row noise, which the calibration measures.
     ///
     /// # Errors
-    /// The bus failed, or another chip answers.
+    /// [`SensorError::Bus`] where the bus failed, [`SensorError::Version`] where another chip responds.
     pub fn new(bus: B) -> Result<Self, SensorError<B::Error>> {
         let mut sensor = Self { bus };
         let found = sensor.read(register::CHIP_VERSION)?;
@@ -150,10 +150,10 @@ impl<B: I2c> Mt9v032<B> {
         Ok(sensor)
     }
 
-    /// Reads `window` from now on, and delivers frames.
+    /// Starts to deliver frames of `window`.
     ///
     /// # Errors
-    /// The window does not fit the array, or the bus failed.
+    /// [`SensorError::Window`] where it does not fit the array, [`SensorError::Bus`] where the bus failed.
     pub fn start(&mut self, window: Window) -> Result<(), SensorError<B::Error>> {
         let [rows, cols] = window.on_array().ok_or(SensorError::Window { found: window })?;
         let log2 = window.bin.trailing_zeros() as u16;
@@ -171,10 +171,10 @@ impl<B: I2c> Mt9v032<B> {
         Ok(self.write_all(&registers)?)
     }
 
-    /// Sets the exposure, in rows: each takes the window's columns and the blanking, in pixel clocks.
+    /// Sets the exposure, in rows. A row takes the columns of the window and the blanking, pixel clocks.
     ///
     /// # Errors
-    /// More than 32,767 or none, or the bus failed.
+    /// [`SensorError::Setting`] where `rows` is not from 1 to 32,767, [`SensorError::Bus`] where the bus failed.
     pub fn expose(&mut self, rows: u16) -> Result<(), SensorError<B::Error>> {
         self.set(register::TOTAL_SHUTTER_WIDTH, rows, [1, 32_767])
     }
@@ -182,7 +182,7 @@ impl<B: I2c> Mt9v032<B> {
     /// Sets the analog gain in sixteenths, 16 to 64.
     ///
     /// # Errors
-    /// The gain is out of its limits, or the bus failed.
+    /// [`SensorError::Setting`] where the gain is outside its limits, [`SensorError::Bus`] where the bus failed.
     pub fn amplify(&mut self, sixteenths: u16) -> Result<(), SensorError<B::Error>> {
         self.set(register::ANALOG_GAIN, sixteenths, [16, 64])
     }
@@ -234,7 +234,7 @@ mod tests {
         registers.iter().map(write).collect()
     }
 
-    /// What [`Mt9v032::new`] puts on the bus.
+    /// The transactions of [`Mt9v032::new`].
     fn opening() -> Vec<Transaction> {
         let registers = [(0x0c, 1), (0x0c, 0), (0x07, 0), (0xaf, 0), (0x70, 0), (0x06, 45)];
         [vec![version(CHIP_VERSION)], writes(&registers)].concat()
@@ -249,7 +249,8 @@ mod tests {
 
     #[test]
     fn a_window_lies_in_the_middle_and_its_rows_are_long_enough() {
-        // 214 rows and columns of the array: rows 138 to 351 of 5 to 484, columns 270 to 483 of 1 to 752; 214 + 446 = 660 clocks.
+        // 214 rows and columns of the array: rows 138 to 351 of 5 to 484, columns 270 to 483 of 1 to 752; 214 + 446 =
+        // 660 clocks.
         let plain = [(7, 0), (0x0d, 0x300), (1, 270), (2, 138), (4, 214), (3, 214), (5, 446), (7, 0x188)];
         // 428 of them, averaged by twos: 428 + 232 = 660 clocks.
         let binned = [(7, 0), (0x0d, 0x305), (1, 163), (2, 31), (4, 428), (3, 428), (5, 232), (7, 0x188)];

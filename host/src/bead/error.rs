@@ -1,4 +1,4 @@
-//! What can be wrong with a bead scan.
+//! Errors and warnings of a bead scan.
 
 use crate::sensor::MapShapeError;
 use crate::session::SessionError;
@@ -16,7 +16,7 @@ pub enum BeadError {
     TooFew {
         /// The file.
         path: PathBuf,
-        /// Fewest that serve.
+        /// Smallest number of frames.
         expected: usize,
         /// Frames of the stack.
         found: usize,
@@ -33,22 +33,22 @@ pub enum BeadError {
         frame: usize,
         /// Lens.
         lens: usize,
-        /// Saturated pixels that are masked without complaint.
+        /// Largest number of saturated pixels that are masked.
         allowed: usize,
         /// Saturated pixels in the window.
         found: usize,
     },
     /// No lens shows a focus.
     #[error(
-        "{path}: no focus found near any chief ray: the best of {lenses} lenses stands {found:.1} above its \
-         surroundings, expected {expected}; check that the bead was lit, and array.pitch_px and optics.magnification in session.toml"
+        "{path}: no focus found near any chief ray: the brightest of {lenses} lenses has a contrast of {found:.1} \
+         robust standard deviations, expected at least {expected}; check that the bead was lit, and array.pitch_px and optics.magnification in session.toml"
     )]
     NoFocus {
         /// The file.
         path: PathBuf,
         /// Number of lenses.
         lenses: usize,
-        /// Contrast that makes a focus.
+        /// Smallest contrast of a focus, robust standard deviations.
         expected: f64,
         /// Best contrast found.
         found: f64,
@@ -68,9 +68,10 @@ pub enum BeadError {
         /// Its standard error, DN.
         sigma: f64,
     },
-    /// Beads at several exposures of zero, or illuminations of zero.
+    /// An exposure or an illumination that is zero, negative or not finite.
     #[error(
-        "{path}: frame {frame}: expected an exposure and an illumination above zero, found {exposure_ms} ms and {illumination}"
+        "{path}: frame {frame}: expected an exposure and an illumination above zero, found {exposure_ms} ms and \
+         {illumination}"
     )]
     NoExposure {
         /// The file.
@@ -85,9 +86,10 @@ pub enum BeadError {
     /// A sensor map has another shape than the session's sensor.
     #[error(transparent)]
     Maps(#[from] MapShapeError),
-    /// The object grid is not that of the sensor.
+    /// One object pixel is not one sensor pixel.
     #[error(
-        "session.toml: object.pixel_um: expected sensor.pixel_pitch_um / optics.magnification = {expected:.4} um within 2 %, \
+        "session.toml: object.pixel_um: expected sensor.pixel_pitch_um / optics.magnification = {expected:.4} um \
+         within 2 %, \
          found {found:.4}; one object pixel must map to one sensor pixel"
     )]
     Grid {
@@ -98,7 +100,8 @@ pub enum BeadError {
     },
     /// The fitted magnification is far from the nominal one.
     #[error(
-        "{path}: magnification: expected about {expected:.4}, the foci say {found:.4}; correct optics.magnification (and object.pixel_um), \
+        "{path}: magnification: expected about {expected:.4} (session.toml), fitted from the foci {found:.4}; \
+         correct optics.magnification (and object.pixel_um), \
          or the positions in the table"
     )]
     Magnification {
@@ -111,19 +114,20 @@ pub enum BeadError {
     },
 }
 
-/// What a user should know though the calibration goes on.
+/// A problem that does not stop the calibration.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum Warning {
     /// A lens without light.
     #[error(
-        "lens {lens} shows no focus in any bead frame: marked dead, it adds nothing to predictions; clean or unblock it and measure again"
+        "lens {lens} shows no focus in any bead frame and is marked dead: predictions leave it out; clean or unblock \
+         it and measure again"
     )]
     DeadLens {
         /// Lens, counted row by row from 0.
         lens: usize,
     },
     /// A lens much dimmer than the others.
-    #[error("lens {lens} passes {share:.0} % of the light of the median lens: kept, with more noise")]
+    #[error("lens {lens} passes {share:.0} % of the light of the median lens: it is used, with more noise")]
     DimLens {
         /// Lens, counted row by row from 0.
         lens: usize,
@@ -131,24 +135,25 @@ pub enum Warning {
         share: f64,
     },
     /// Single saturated pixels.
-    #[error("{pixels} saturated pixels in {frames} bead frames were left out; a shorter exposure would show them")]
+    #[error("{pixels} saturated pixels in {frames} bead frames were left out; a shorter exposure avoids this")]
     SaturatedPixels {
         /// Pixels.
         pixels: usize,
         /// Frames.
         frames: usize,
     },
-    /// Frames that were cut out of a picture.
+    /// Frames that were cropped and padded.
     #[error(
-        "{frames} bead frames were cut out of a picture: outside one box all their pixels are the same, and count as not measured"
+        "{frames} bead frames were cropped and padded: outside a box all their pixels are equal, and count as not \
+         measured"
     )]
     CutOut {
         /// Frames.
         frames: usize,
     },
-    /// Foci that hang over the edge of the sensor.
+    /// Windows that extend beyond the sensor.
     #[error(
-        "{windows} windows hang over the edge of the sensor: their missing parts come from the model of the others"
+        "{windows} windows extend beyond the edge of the sensor: the low-rank model of the other windows fills them in"
     )]
     Truncated {
         /// Windows.

@@ -1,31 +1,32 @@
-//! How far foci reach: the window that the manifest names is widened until next to no light falls outside it.
+//! The extent of the foci: the nominal window is widened until almost no light falls outside it.
 //!
-//! The rings round all foci of a scan, added up, show tails far below the noise of a single frame. Light that falls out of the
+//! Square rings round all foci of a scan, summed, show tails far below the noise of a single frame. Light outside the
 //! window would be missing from every prediction, as a halo.
 
 use super::windows::corner;
 use super::{BeadError, BeadScan};
-use crate::instrument::Geometry;
+use crate::psf::ChiefRays;
 use crate::session::Manifest;
 
-/// Share of the light of a focus that may fall outside its window. What is missing far out makes predicted scenes too sharp: of windows
-/// that leave 2e-4, by some 0.001 px^2 along each axis; of such that leave this, by a third of that.
+/// Largest share of the light of a focus outside its window. Missing tails make predicted scenes too sharp: a share of
+/// 2e-4 narrows them by about 0.001 px^2 along each axis, this share by a third of that.
 const OUTSIDE: f64 = 5e-5;
-/// Standard errors that light outside must stand above the noise, to count.
+/// Smallest significance, in standard errors, of light outside the window.
 const SEEN: f64 = 2.0;
-/// The window grows to this many times its nominal half side at most.
+/// Largest growth of the half side, as a multiple of the nominal one.
 const MOST_GROWTH: usize = 2;
-/// Outermost rings, from which the level of the surroundings is taken.
+/// Number of outermost rings that give the level of the background.
 const LEVEL_RINGS: usize = 2;
 
-/// Side of the smallest window, odd, px, from the nominal one up, that holds the foci of a scan. Reads each frame once.
+/// Side of the smallest window, px, odd and at least the nominal one, that holds the foci of a scan. Reads each frame
+/// once and calls `step` after each.
 ///
 /// # Errors
 /// A frame cannot be read.
 pub fn extent(
     scan: &mut BeadScan,
     manifest: &Manifest,
-    geometry: &Geometry,
+    rays: &ChiefRays,
     mut step: impl FnMut(),
 ) -> Result<usize, BeadError> {
     let nominal = manifest.optics.psf_window_px / 2;
@@ -44,8 +45,8 @@ pub fn extent(
             frame.indexed_iter_mut().filter(|((r, c), _)| !cut.holds(*r, *c)).for_each(|(_, v)| *v = f32::NAN);
         }
         let at = scan.beads[n].at_px.map(|v| v.round() as isize);
-        for l in (0..geometry.anchors_px.len()).filter(|l| !geometry.dead[*l]) {
-            let corner = corner(manifest, geometry, l);
+        for l in (0..rays.anchors_px.len()).filter(|l| !rays.dead[*l]) {
+            let corner = corner(manifest, rays, l);
             rings.add(&frame, [corner[0] + at[0], corner[1] + at[1]]);
         }
         step();
@@ -78,7 +79,8 @@ impl Rings {
         }
     }
 
-    /// The smallest half side, `least` or more, that leaves no more than [`OUTSIDE`], or nothing that stands out of the noise.
+    /// The smallest half side, `least` or more, outside of which lies at most [`OUTSIDE`] of the light or no
+    /// significant light.
     fn half(&self, least: usize, dark_dn2: f64) -> usize {
         let last = self.sum.len() - LEVEL_RINGS;
         let [sum, count] = [&self.sum, &self.count].map(|v| v[last..].iter().sum::<f64>());

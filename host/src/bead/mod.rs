@@ -1,4 +1,4 @@
-//! From a bead scan to PSF samples: find the chief rays, cut the windows, check what was measured.
+//! From a bead scan to PSF samples: fits the chief rays, cuts the windows round the foci, and checks the frames.
 
 mod error;
 mod extent;
@@ -12,4 +12,4 @@ pub(crate) use rays::PASSES;
 pub use rays::{RayFit, fit_chief_rays};
 pub(crate) use scan::check_grid;
 pub use scan::{Bead, BeadScan};
-pub use windows::{BeadScale, LensWindows, cut_windows};
+pub use windows::{BeadCut, cut_windows};

@@ -1,30 +1,32 @@
-//! Chief rays (Eq. 1): an anchor a lens and one magnification, from the centroids of all foci.
+//! Fit of the chief rays (Eq. 1 of the paper): one anchor for each lens and one magnification, from the centroids of
+//! all foci.
 //!
-//! The frames, each moved back by its commanded position, are added up: every focus of one lens then falls on nearly one place,
-//! while all else is smeared. The best place for the whole nominal array, then for each lens near it, starts the fit; a robust
-//! linear regression of all centroids ends it (Huber's weights; *Robust Statistics*, 1981).
+//! The frames are shifted back by their stage positions and summed: all foci of a lens then coincide nearly, while
+//! everything else is smeared. The best position of the whole nominal array in this sum, then of each lens near it,
+//! starts the fit. A robust linear regression of all centroids (Huber weights; *Robust Statistics*, 1981) gives the
+//! result.
 
 use super::{BeadError, BeadScan, Warning};
-use crate::instrument::Geometry;
 use crate::linalg::least_squares;
+use crate::psf::ChiefRays;
 use crate::session::Manifest;
 use ndarray::{Array2, ArrayView2, s};
 
-/// How far the summed light of a lens must stand above its surroundings, in robust standard deviations, to be a focus.
+/// Smallest contrast of a focus in the summed frames, robust standard deviations.
 const FOCUS_CONTRAST: f64 = 8.0;
-/// Beads that lie closer together than this, nominal sensor pixels, lie in one place.
+/// Smallest span of the stage positions, nominal sensor pixels, from which the magnification is fitted.
 const LEAST_SPAN_PX: f64 = 1.0;
-/// Rounds of centroids and regression.
+/// Iterations of centroids and regression.
 const ROUNDS: usize = 3;
 
-/// Chief rays with their uncertainty.
+/// Fitted chief rays.
 #[derive(Clone, Debug)]
 pub struct RayFit {
     /// The chief rays.
-    pub geometry: Geometry,
-    /// Distance of the centroids from the fit, rms over both axes, px: distortion and noise.
+    pub rays: ChiefRays,
+    /// Root-mean-square distance of the centroids from the fit, over both axes, px: distortion and noise.
     pub rms_px: f64,
-    /// Dead lenses.
+    /// One warning for each dead lens.
     pub warnings: Vec<Warning>,
 }
 
@@ -36,7 +38,7 @@ struct Centroid {
     at: [f64; 2],
 }
 
-/// Fits the chief rays of all lenses.
+/// Fits the chief rays of all lenses; calls `step` once for each frame that is read.
 ///
 /// # Errors
 /// A frame cannot be read, no lens shows a focus, or the magnification is far from the nominal one.
@@ -72,10 +74,10 @@ pub fn fit_chief_rays(scan: &mut BeadScan, manifest: &Manifest, mut step: impl F
         return Err(BeadError::Magnification { path: scan.path(0).into(), expected: nominal, found: magnification });
     }
     let warnings = dead.iter().enumerate().filter(|(_, d)| **d).map(|(lens, _)| Warning::DeadLens { lens }).collect();
-    Ok(RayFit { geometry: Geometry { anchors_px: fit.anchors, magnification, dead }, rms_px: fit.rms_px, warnings })
+    Ok(RayFit { rays: ChiefRays { anchors_px: fit.anchors, magnification, dead }, rms_px: fit.rms_px, warnings })
 }
 
-/// Passes over the bead frames, those of the extent and of the windows counted.
+/// Number of times that a calibration reads each bead frame, for progress bars.
 pub(crate) const PASSES: u64 = 3 + ROUNDS as u64;
 
 struct Fit {
@@ -90,7 +92,7 @@ fn displacement(m: &Manifest, at_px: [f64; 2]) -> [f64; 2] {
     [(at_px[0] - (m.object.rows as f64 - 1.0) / 2.0) * scale, (at_px[1] - (m.object.cols as f64 - 1.0) / 2.0) * scale]
 }
 
-/// Adds a frame moved back by whole pixels; what was saturated counts as nothing.
+/// Adds a frame shifted back by whole pixels; saturated pixels (NaN) add nothing.
 fn add_moved(sum: &mut Array2<f32>, frame: &Array2<f32>, by: [f64; 2]) {
     let by = by.map(|d| d.round() as isize);
     let span = |n: usize, d: isize| {
@@ -105,7 +107,7 @@ fn add_moved(sum: &mut Array2<f32>, frame: &Array2<f32>, by: [f64; 2]) {
     sum.slice_mut(s![r, c]).zip_mut_with(&from, |t, v| *t += if v.is_finite() { *v } else { 0.0 });
 }
 
-/// Place of each lens's focus in the summed light, and its contrast.
+/// Position of each lens's focus in the summed frames, and its contrast.
 fn first_anchors(sum: &Array2<f32>, m: &Manifest) -> Vec<([f64; 2], f64)> {
     let smooth = box_blur(sum, 1);
     let (level, spread) = level_and_spread(smooth.view());
@@ -132,8 +134,8 @@ fn first_anchors(sum: &Array2<f32>, m: &Manifest) -> Vec<([f64; 2], f64)> {
         .collect()
 }
 
-/// The whole-pixel offset of the array at which all its foci together are brightest. Each focus counts by the root of its
-/// light above the surroundings, so that one bright lens does not outvote the others.
+/// The whole-pixel offset of the array at which all its foci together are brightest. Each focus counts by the root of
+/// its light above the surroundings, so that one bright lens does not outvote the others.
 fn best_offset(smooth: &Array2<f32>, nominal: &[[f64; 2]], centre: [f64; 2], reach: f64, floor: f64) -> [f64; 2] {
     let limit = [0, 1].map(|a| reach.min(centre[a]) as isize);
     let score = |dr: isize, dc: isize| {
@@ -159,7 +161,7 @@ fn best_offset(smooth: &Array2<f32>, nominal: &[[f64; 2]], centre: [f64; 2], rea
     best.1.map(|v| v as f64)
 }
 
-/// Brightest pixel within `radius` of a place, and its value.
+/// Brightest pixel within `radius` of a position, and its value.
 fn peak_near(image: &Array2<f32>, at: [f64; 2], radius: f64) -> ([f64; 2], f64) {
     let mut best = (at, f64::NEG_INFINITY);
     let span = |a: usize, n: usize| {
@@ -176,7 +178,7 @@ fn peak_near(image: &Array2<f32>, at: [f64; 2], radius: f64) -> ([f64; 2], f64) 
     best
 }
 
-/// Median, and 1.4826 times the median distance from it.
+/// Median, and 1.4826 times the median absolute deviation (the standard deviation of a normal distribution).
 fn level_and_spread(image: ArrayView2<'_, f32>) -> (f64, f64) {
     let mut values: Vec<f32> = image.iter().copied().collect();
     let median = |values: &mut Vec<f32>| {
@@ -202,7 +204,7 @@ fn box_blur(image: &Array2<f32>, radius: usize) -> Array2<f32> {
     })
 }
 
-/// Centroids of the foci of bead `n` that are bright and whole enough to have one.
+/// Centroids of those foci of bead `n` that are bright and complete.
 fn centroids(
     scan: &mut BeadScan,
     n: usize,
@@ -221,10 +223,10 @@ fn centroids(
     Ok(found.collect())
 }
 
-/// Centroid of the light in the window round `at`, the level of its border taken off; none if the window hangs over the edge,
-/// holds a saturated pixel, or no peak of 8 sigma.
+/// Centroid of the light in the window round `at`, less the median of its border. None if the window extends beyond the
+/// sensor, holds a saturated pixel, or has no peak of 8 sigma.
 ///
-/// No threshold: one would cut the faint flare of coma and move the centroid towards the bright core.
+/// There is no threshold: it would cut the faint flare of coma and move the centroid towards the bright core.
 fn centroid(frame: &Array2<f32>, at: [f64; 2], radius: isize, sigma: f64) -> Option<[f64; 2]> {
     let corner = at.map(|v| v.round() as isize - radius);
     let side = 2 * radius + 1;
@@ -303,7 +305,7 @@ fn regress(
     Ok(Fit { anchors, slope, rms_px })
 }
 
-/// Why no focus of a whole scan has a centroid: the first frame that was overexposed, or nothing but noise.
+/// The reason why no focus of a scan has a centroid: an overexposed frame, or no light.
 fn no_centroid(scan: &mut BeadScan, fit: &Fit, lenses: usize, m: &Manifest) -> Result<BeadError, BeadError> {
     let half = (m.optics.psf_window_px / 2) as isize;
     for n in 0..scan.beads.len() {

@@ -1,4 +1,4 @@
-//! The frames of a bead scan, black level taken off, one at a time.
+//! The frames of a bead scan, read one at a time and corrected for black level, offset and response.
 
 use super::BeadError;
 use crate::noise::NoiseModel;
@@ -7,30 +7,30 @@ use crate::session::{Cut, FrameReader, Manifest, Role, Session};
 use ndarray::Array2;
 use std::path::{Path, PathBuf};
 
-/// Fewest bead frames that make a calibration.
+/// Smallest number of bead frames of a calibration.
 const FEWEST: usize = 4;
 
-/// One bead frame: where the bead was and how it was exposed.
+/// Position and exposure of one bead frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bead {
-    /// Stack, counted among the bead stacks.
+    /// Index of its stack among the bead stacks.
     pub stack: usize,
-    /// Frame in its stack.
+    /// Index of the frame in its stack.
     pub frame: usize,
     /// Position on the object grid, fractional pixels, [row, col].
     pub at_px: [f64; 2],
     /// Depth, um.
     pub z_um: f64,
-    /// What turns its light into that of the reference exposure at illumination 1.
+    /// Factor that converts its light to the reference exposure at illumination 1.
     pub to_reference: f64,
 }
 
-/// A bead scan: positions in memory, frames on disk.
+/// A bead scan: positions are in memory, frames stay on disk.
 #[derive(Debug)]
 pub struct BeadScan {
     /// Every bead frame of the session.
     pub beads: Vec<Bead>,
-    /// Exposure that light is given for: that of the first bead stack, ms.
+    /// Reference exposure, ms: that of the first bead stack.
     pub exposure_ms: f64,
     paths: Vec<PathBuf>,
     readers: Vec<FrameReader>,
@@ -79,34 +79,35 @@ impl BeadScan {
         Ok(Self { beads, exposure_ms, paths, readers, maps, noise })
     }
 
-    /// The file that bead `n` lies in.
+    /// The file of bead `n`.
     pub fn path(&self, n: usize) -> &Path {
         &self.paths[self.beads[n].stack]
     }
 
-    /// The noise model that frames are read with.
+    /// The noise model of the sensor.
     pub fn noise(&self) -> &NoiseModel {
         &self.noise
     }
 
-    /// Whether a pixel says something.
+    /// Whether a pixel [row, col] is usable (neither hot nor dead).
     pub fn useful(&self, at: [usize; 2]) -> bool {
         self.maps.unusable.as_ref().is_none_or(|unusable| !unusable[at])
     }
 
-    /// Frame of bead `n`: light in DN above black on pixels of mean response, as it was exposed, and NaN where the
-    /// pixel was saturated.
+    /// Frame of bead `n`, [sensor rows, sensor cols]: light in DN above black at its own exposure, corrected for the
+    /// response of each pixel; NaN where the pixel is saturated.
     ///
     /// # Errors
-    /// The file cannot be read or holds values that are no numbers.
+    /// The file cannot be read or holds non-finite values.
     pub fn light_dn(&mut self, n: usize) -> Result<Array2<f32>, BeadError> {
         Ok(self.cut_light_dn(n)?.0)
     }
 
-    /// [`Self::light_dn`], and the part of the frame that was measured, if not all of it was.
+    /// As [`Self::light_dn`], with the measured box of a frame that was cropped and padded (None: all of it was
+    /// measured).
     ///
     /// # Errors
-    /// As there.
+    /// The file cannot be read or holds non-finite values.
     pub fn cut_light_dn(&mut self, n: usize) -> Result<(Array2<f32>, Option<Cut>), BeadError> {
         let bead = &self.beads[n];
         let mut frame = self.readers[bead.stack].read(bead.frame)?;
@@ -121,7 +122,7 @@ impl BeadScan {
     }
 }
 
-/// Puts the mean of the useful ones among its eight neighbours in the place of each useless pixel.
+/// Replaces each unusable pixel by the mean of the usable ones among its eight neighbours.
 fn bridge(frame: &mut Array2<f32>, useless: &Array2<bool>) {
     for ((r, c), _) in useless.indexed_iter().filter(|(_, u)| **u) {
         let (rows, cols) =
@@ -133,7 +134,10 @@ fn bridge(frame: &mut Array2<f32>, useless: &Array2<bool>) {
     }
 }
 
-/// One object pixel must be one sensor pixel.
+/// Checks that one object pixel is one sensor pixel within 2 %.
+///
+/// # Errors
+/// `object.pixel_um` differs from `sensor.pixel_pitch_um / optics.magnification` by more than 2 %.
 pub(crate) fn check_grid(m: &Manifest) -> Result<(), BeadError> {
     let expected = m.sensor.pixel_pitch_um / m.optics.magnification;
     let found = m.object.pixel_um;

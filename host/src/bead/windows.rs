@@ -1,68 +1,44 @@
-//! Windows round the chief rays: the samples that the low-rank model is made of.
+//! Cuts the windows round the chief rays: the samples that the low-rank model is fitted to.
 //!
-//! The model puts object pixel (r, c) of lens l at sensor pixel `corner_l + (r, c)`. A bead at a fractional object position u is
-//! cut out round `corner_l + round(u)` and moved by `round(u) - u` (band-limited), so that every window shows what a source in
-//! the middle of an object pixel would: the scan step is free. A bead in the middle of an object pixel is not moved at all.
-//! Distortion and the sub-pixel part of the anchors stay in the windows.
+//! The model puts object pixel (r, c) of lens l at sensor pixel `corner_l + (r, c)`. A bead at a fractional object
+//! position u is cut out round `corner_l + round(u)` and shifted by `round(u) - u` (band-limited interpolation), so
+//! that every window shows a source at the centre of an object pixel, whatever the step of the scan. A bead at the
+//! centre of an object pixel is not shifted. Distortion and the sub-pixel part of the anchors stay in the windows.
 
 use super::{BeadError, BeadScan, Warning};
-use crate::instrument::Geometry;
 use crate::noise::Source;
 use crate::psf::shift::shifted;
+use crate::psf::{BeadScale, ChiefRays, LensWindows};
 use crate::session::{Cut, Manifest};
 use ndarray::{Array1, Array2, s};
 
-/// Pixels round a window that are cut out with it where it is moved by a fraction.
+/// Margin round a window, px, for its shift by a fraction of a pixel.
 const MARGIN: usize = 6;
-/// Saturated pixels in one window that are masked; more mean an overexposed bead.
+/// Largest number of saturated pixels in one window that are masked; more are an overexposed bead.
 const SATURATED_ALLOWED: usize = 2;
-/// Fractions below this are the middle of the pixel (rounding of positions in the table).
+/// Shifts below this, px, are rounding errors of the positions in the table, and are ignored.
 const SAME_PIXEL: f64 = 1e-3;
 
-/// Whether the brightness of the bead frames means anything.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum BeadScale {
-    /// One bead, one exposure: what varies is vignetting, and belongs to the model.
-    #[default]
-    Physical,
-    /// Each frame was normalised by who measured it: bring all frames to the same total light.
-    PerFrame,
+/// How bead windows are cut.
+#[derive(Clone, Copy, Debug)]
+pub struct BeadCut {
+    /// Whether the brightness of the frames is kept.
+    pub scale: BeadScale,
+    /// Side of the central part of each window, px, that must lie on the sensor; otherwise a warning counts the window
+    /// as truncated.
+    pub nominal_px: usize,
 }
 
-/// The windows of one lens.
-#[derive(Clone, Debug)]
-pub struct LensWindows {
-    /// Light at the reference exposure, DN, [bead, window * window].
-    pub light_dn: Array2<f32>,
-    /// Which pixels were measured, [bead, window * window]; None: all.
-    pub known: Option<Array2<bool>>,
-    /// Variance of each pixel by the noise model, mean over the beads, DN^2 at the reference exposure, [window * window];
-    /// even where the gain is nominal, since weights by a guess are worse than none.
-    pub variance_dn2: Array1<f64>,
-}
-
-impl LensWindows {
-    /// Beads that say something through this lens: of which a pixel in the middle half of the window was measured. The others fell off
-    /// the sensor.
-    pub fn seen(&self) -> Vec<bool> {
-        let Some(known) = &self.known else { return vec![true; self.light_dn.nrows()] };
-        let side = (known.ncols() as f64).sqrt().round() as usize;
-        let middle = |p: &usize| [p / side, p % side].iter().all(|v| v.abs_diff(side / 2) <= side / 4);
-        let middle: Vec<usize> = (0..known.ncols()).filter(middle).collect();
-        known.outer_iter().map(|row| middle.iter().any(|p| row[*p])).collect()
-    }
-}
-
-/// Cuts the windows of all lenses out of a scan, reading each frame once. The windows have the manifest's side; `nominal_px` is the
-/// side that must lie on the sensor without complaint.
+/// Cuts the windows of all lenses out of a scan, reading each frame once. The windows have the side
+/// `manifest.optics.psf_window_px`.
 ///
 /// # Errors
 /// A frame cannot be read, holds no light in any window, or is overexposed.
 pub fn cut_windows(
     scan: &mut BeadScan,
     manifest: &Manifest,
-    geometry: &Geometry,
-    (scale, nominal_px): (BeadScale, usize),
+    rays: &ChiefRays,
+    BeadCut { scale, nominal_px }: BeadCut,
     mut step: impl FnMut(),
 ) -> Result<(Vec<LensWindows>, Vec<Warning>), BeadError> {
     let side = manifest.optics.psf_window_px;
@@ -80,8 +56,8 @@ pub fn cut_windows(
         let (frame, cut) = scan.cut_light_dn(n)?;
         cuts += usize::from(cut.is_some());
         let (mut saturated_here, mut total) = (0, 0.0);
-        for l in (0..lenses).filter(|l| !geometry.dead[*l]) {
-            let corner = corner(manifest, geometry, l);
+        for l in (0..lenses).filter(|l| !rays.dead[*l]) {
+            let corner = corner(manifest, rays, l);
             let window = Window::cut((&frame, cut.as_ref()), (scan, n), corner, [side, nominal_px.min(side)]);
             if window.saturated > SATURATED_ALLOWED {
                 let (path, frame) = (scan.path(n).into(), scan.beads[n].frame);
@@ -112,7 +88,7 @@ pub fn cut_windows(
     if cuts > 0 {
         warnings.push(Warning::CutOut { frames: cuts });
     }
-    warnings.extend(dim_lenses(&windows, geometry));
+    warnings.extend(dim_lenses(&windows, rays));
     if scan.noise().sources.gain == Source::Nominal {
         for window in &mut windows {
             let mean = window.variance_dn2.mean().unwrap_or(0.0);
@@ -123,13 +99,13 @@ pub fn cut_windows(
 }
 
 /// Sensor pixel of object pixel (0, 0) through lens `l`.
-pub(crate) fn corner(manifest: &Manifest, geometry: &Geometry, l: usize) -> [isize; 2] {
+pub(crate) fn corner(manifest: &Manifest, rays: &ChiefRays, l: usize) -> [isize; 2] {
     let size = [manifest.object.rows, manifest.object.cols];
-    [0, 1].map(|a| (geometry.anchors_px[l][a] - (size[a] as f64 - 1.0) / 2.0).round() as isize)
+    [0, 1].map(|a| (rays.anchors_px[l][a] - (size[a] as f64 - 1.0) / 2.0).round() as isize)
 }
 
-/// Brings the windows of frame `n` to the reference exposure, or to unit light if the scan was normalised. The
-/// light that counts, `total`, includes the margins: what distortion moves out of a window is still light of the bead.
+/// Scales the windows of frame `n` to the reference exposure, or to unit light for a normalised scan. `total` includes
+/// the light in the margins: light that distortion moves out of a window still belongs to the bead.
 fn to_scale(
     scan: &BeadScan,
     n: usize,
@@ -140,7 +116,7 @@ fn to_scale(
     let px = windows.first().map_or(0, |w| w.light_dn.ncols());
     let side = (px as f64).sqrt() + 2.0 * MARGIN as f64;
     let sigma = noise.variance_dn2(noise.black_level_dn).sqrt() * side * (windows.len() as f64).sqrt();
-    // Below three standard errors nothing of the frame can be told from darkness.
+    // Below three standard errors the frame cannot be distinguished from a dark one.
     if total <= 3.0 * sigma {
         return Err(BeadError::Dark { path: scan.path(n).into(), frame: scan.beads[n].frame, found: total, sigma });
     }
@@ -158,14 +134,14 @@ fn to_scale(
     Ok(())
 }
 
-fn dim_lenses(windows: &[LensWindows], geometry: &Geometry) -> Vec<Warning> {
+fn dim_lenses(windows: &[LensWindows], rays: &ChiefRays) -> Vec<Warning> {
     let totals: Vec<f64> = windows.iter().map(|w| w.light_dn.iter().map(|v| f64::from(*v)).sum()).collect();
-    let mut living: Vec<f64> = totals.iter().zip(&geometry.dead).filter(|(_, d)| !**d).map(|(t, _)| *t).collect();
+    let mut living: Vec<f64> = totals.iter().zip(&rays.dead).filter(|(_, d)| !**d).map(|(t, _)| *t).collect();
     living.sort_by(f64::total_cmp);
     let median = living.get(living.len() / 2).copied().unwrap_or(0.0);
     let dim = |(lens, total): (usize, &f64)| {
         let share = 100.0 * total / median;
-        (!geometry.dead[lens] && share < 30.0).then_some(Warning::DimLens { lens, share })
+        (!rays.dead[lens] && share < 30.0).then_some(Warning::DimLens { lens, share })
     };
     totals.iter().enumerate().filter_map(dim).collect()
 }
@@ -176,7 +152,7 @@ struct Window {
     known: Array2<bool>,
     saturated: usize,
     truncated: bool,
-    /// Light in the window and its margin, DN.
+    /// Light in the window and its margin, DN above black.
     total: f64,
 }
 
@@ -214,29 +190,13 @@ impl Window {
             Some(pixel) => !frame[pixel].is_finite() || !scan.useful(pixel),
             None => true,
         });
-        // A moved pixel takes from its neighbours: it is known where they are. Whoever cut a frame out of a picture left the focus in it: next to
-        // the cut there is little to take.
+        // A shifted pixel depends on its neighbours: it is known where they are. The edge of a cropped frame is left
+        // out of this: the crop holds the focus, and next to its edge there is little light.
         let blur = if back == [0.0, 0.0] { 0 } else { 2 };
         let known = Array2::from_shape_fn((side, side), |(r, c)| {
             let (r, c) = (r + margin, c + margin);
             raw[[r, c]].is_some() && !broken.slice(s![r - blur..=r + blur, c - blur..=c + blur]).iter().any(|b| *b)
         });
         Self { light: light.slice(inner).to_owned(), known, saturated, truncated, total }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_focus_that_fell_off_the_sensor_is_not_seen_and_one_that_hangs_over_the_edge_is() {
-        let side = 9;
-        // The rows below the given one lie on the sensor.
-        let known = Array2::from_shape_fn((3, side * side), |(n, p)| p / side < [9, 4, 2][n]);
-        let light_dn = Array2::zeros(known.dim());
-        let windows = LensWindows { light_dn, known: Some(known), variance_dn2: Array1::zeros(side * side) };
-        assert_eq!(windows.seen(), [true, true, false]);
-        assert_eq!(LensWindows { known: None, ..windows }.seen(), [true; 3]);
     }
 }

@@ -1,35 +1,18 @@
-//! Foci that are kept: where no effect moves the rays, the foci of the object pixels and of the bead scan are those of the instrument at
-//! rest, whatever it is that it measures.
+//! Stored foci of the object pixels and of the bead scan.
 //!
-//! Computing a focus is by far most of the work of a scene. Instruments of one build with other effects share what is kept.
+//! Computing foci is most of the work of a scene. As long as no effect moves the chief rays, the foci are the same in
+//! every measurement, so they are computed once. Instruments with the same optics and different effects share one
+//! cache.
 
 use super::config::{AberrationConfig, ArrayConfig, BenchConfig, ObjectConfig, OpticsConfig};
-use super::optics::{Focus, Point, VirtualOptics};
+use super::foci::{Foci, Point};
+use super::optics::VirtualOptics;
 use std::sync::OnceLock;
 
-/// Most memory for kept foci of the object, bytes; and as much for those of the scan.
+/// Largest memory for the foci of the object, bytes, and again for those of the scan.
 const LIMIT_BYTES: usize = 600_000_000;
 
-/// Foci of many points through one lens.
-#[derive(Debug)]
-pub(super) struct Foci {
-    /// Side of a PSF, pixels.
-    pub side: usize,
-    /// One a point.
-    pub focus: Vec<Focus>,
-    /// Shares of the light, one PSF a point.
-    pub share: Vec<f32>,
-}
-
-impl Foci {
-    /// Focus and PSF of a point.
-    pub(super) fn get(&self, point: usize) -> Option<(Focus, &[f32])> {
-        let len = self.side * self.side;
-        Some((*self.focus.get(point)?, self.share.get(point * len..(point + 1) * len)?))
-    }
-}
-
-/// All that foci depend on.
+/// Everything that the foci depend on.
 #[derive(Clone, Debug, PartialEq)]
 struct Build {
     instrument_seed: u64,
@@ -43,7 +26,7 @@ struct Build {
     depths_um: Vec<f64>,
 }
 
-/// Kept foci by lens; each lens is computed when it is first asked for.
+/// Stored foci by lens; those of a lens are computed on first use.
 #[derive(Debug)]
 pub(super) struct FocusCache {
     build: Build,
@@ -52,7 +35,7 @@ pub(super) struct FocusCache {
 }
 
 impl FocusCache {
-    /// Nothing kept yet; nothing ever, where it would take too much memory.
+    /// An empty cache. It stays empty if the foci would need too much memory.
     pub(super) fn new(config: &BenchConfig) -> Self {
         let (lenses, side) = (config.array.rows * config.array.cols, config.optics.psf_field_px);
         let slots = |points: usize| {
@@ -68,17 +51,17 @@ impl FocusCache {
         }
     }
 
-    /// Whether an instrument of this configuration has the same foci.
+    /// Whether an instrument of this configuration has the same foci as the cache.
     pub(super) fn fits(&self, config: &BenchConfig) -> bool {
         self.build == build_of(config)
     }
 
-    /// Foci of the object's pixels, row by row. None: too many to keep.
+    /// Foci of the object pixels through lens `l`, row by row; `None` if they need too much memory.
     pub(super) fn object(&self, l: usize, optics: &VirtualOptics, points: impl Fn() -> Vec<Point>) -> Option<&Foci> {
         kept(&self.object, l, optics, points)
     }
 
-    /// Foci of the bead scan in the order of its frames. None: too many to keep.
+    /// Foci of the bead scan through lens `l`, in the order of its frames; `None` if they need too much memory.
     pub(super) fn scan(&self, l: usize, optics: &VirtualOptics, points: impl Fn() -> Vec<Point>) -> Option<&Foci> {
         kept(&self.scan, l, optics, points)
     }
@@ -92,8 +75,8 @@ fn kept<'a>(
 ) -> Option<&'a Foci> {
     let slot = slots.get(l)?;
     if slot.get().is_none() {
-        // Not inside the lock: the threads that compute may take up another session that waits for the same lens. Should two compute
-        // it, both have the same bits.
+        // Not inside the lock: a thread that computes may start another session that waits for the same lens. If two
+        // threads compute the same foci, both get the same bits.
         let foci = optics.foci(l, &points());
         slot.set(foci).ok();
     }

@@ -1,32 +1,35 @@
-//! What the virtual instrument is built like. The default is the demo instrument.
+//! Configuration of the virtual instrument. The default is the demo instrument.
 
-use super::BenchError;
+use super::error::BenchError;
 use crate::scene::SceneConfig;
 use crate::session::{ArrayGeometry, Manifest, ObjectGrid, Optics, SensorSpec};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// What the virtual instrument is built like, and what it measures. As TOML: one table a field, every key optional.
+/// Number of scenes that pass the optics together: each PSF is computed once for all of them.
+pub(super) const SCENES_AT_ONCE: usize = 16;
+
+/// Properties of the virtual instrument, and what it measures. In TOML each field is a table; every key is optional.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BenchConfig {
-    /// Makes the instrument: its lenses, its sensor's patterns. The seed of a run draws noise and scenes only.
+    /// Seed of the lenses and of the sensor's fixed patterns. The seed of a run draws noise and scenes only.
     pub instrument_seed: u64,
     /// The image sensor.
     pub sensor: SensorConfig,
     /// The microlens array.
     pub array: ArrayConfig,
-    /// Its optics.
+    /// Optics common to all lenses.
     pub optics: OpticsConfig,
     /// Aberrations of the lenses.
     pub aberrations: AberrationConfig,
-    /// The grid of objects.
+    /// Pixel grid of the objects.
     pub object: ObjectConfig,
     /// The bead scan.
     pub scan: ScanConfig,
-    /// The stacks.
+    /// Numbers of frames, exposures and light levels.
     pub stacks: StackConfig,
-    /// What the scenes show.
+    /// Specimens of the scenes.
     pub scenes: SceneConfig,
 }
 
@@ -40,7 +43,7 @@ pub struct SensorConfig {
     pub cols: usize,
     /// Pixel pitch, um.
     pub pixel_pitch_um: f64,
-    /// Bits of the converter.
+    /// Bits of the analogue-to-digital converter, 1 to 16.
     pub bit_depth: u32,
     /// Conversion gain, DN per electron.
     pub gain_dn_per_e: f64,
@@ -48,9 +51,9 @@ pub struct SensorConfig {
     pub black_level_dn: f64,
     /// Read noise, electrons rms.
     pub read_noise_e: f64,
-    /// Fixed-pattern offset, DN rms.
+    /// Fixed pattern of offsets, DN rms.
     pub offset_rms_dn: f64,
-    /// Photo-response non-uniformity, rms.
+    /// Photo-response non-uniformity, relative, rms.
     pub prnu_rms: f64,
 }
 
@@ -62,9 +65,9 @@ pub struct ArrayConfig {
     pub rows: usize,
     /// Columns of lenses.
     pub cols: usize,
-    /// Nominal distance of neighbouring chief rays on the sensor, pixels.
+    /// Nominal distance between neighbouring chief rays on the sensor, pixels.
     pub pitch_px: f64,
-    /// Placement error of a lens as seen by its chief ray on the sensor, pixels rms in each direction.
+    /// Placement error of the lenses, as the displacement of their anchors on the sensor, pixels rms along each axis.
     pub placement_rms_px: f64,
 }
 
@@ -76,47 +79,50 @@ pub struct OpticsConfig {
     pub wavelength_um: f64,
     /// Distance from the object to the lenses, um.
     pub object_distance_um: f64,
-    /// Nominal magnification, image per object: what the manifest says.
+    /// Nominal magnification (image size over object size), as in the manifest.
     pub magnification: f64,
-    /// True magnification over the nominal one, less one: the array is never glued exactly where it was meant to be.
+    /// Relative error of the nominal magnification: true over nominal, minus one.
     pub magnification_error: f64,
     /// Diameter of a lens, um.
     pub aperture_um: f64,
-    /// Share of the radius over which the transmitted amplitude falls to zero, 0 to 1.
+    /// Share of the lens radius over which the transmitted amplitude falls to zero, 0 (hard edge) to 1.
     pub soft_edge: f64,
-    /// Angular response: tangent of the angle at which a lens passes half the light, besides cos^4.
+    /// Angular response of a lens: tangent of the angle at which it transmits half the light, in addition to the cos^4
+    /// law.
     pub half_response_tangent: f64,
-    /// Distortion: displacement of a focus, pixels, at the corner of the object seen by a lens on the axis; grows with the cube.
+    /// Distortion: displacement of a focus at the corner of the object for a lens on the optical axis, pixels. It grows
+    /// with the cube of the field angle.
     pub distortion_px: f64,
-    /// Window that the manifest gives for one focus, pixels; odd.
+    /// Side of the window for one focus in the manifest, pixels; odd.
     pub psf_window_px: usize,
-    /// Field in which a PSF is computed, pixels; odd, and wider than the window, so that its tails are real.
+    /// Side of the field in which a PSF is computed, pixels; odd, and at least the window, so that PSFs have tails.
     pub psf_field_px: usize,
-    /// Samples per pixel in each direction; odd.
+    /// Samples per pixel along each axis; odd.
     pub oversampling: usize,
 }
 
-/// Aberrations, waves rms (Noll). Field terms are those at the corner of the object, seen by a lens on the axis.
+/// Aberrations as Noll's Zernike coefficients, waves rms. Terms that vary over the field are given for the corner of
+/// the object and a lens on the optical axis.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct AberrationConfig {
-    /// Defocus everywhere.
+    /// Defocus, constant over the field.
     pub defocus: f64,
-    /// Spherical aberration everywhere.
+    /// Spherical aberration, constant over the field.
     pub spherical: f64,
-    /// Field curvature: defocus, with the square of the field angle.
+    /// Field curvature: defocus that grows with the square of the field angle.
     pub field_curvature: f64,
-    /// Astigmatism, with the square of the field angle.
+    /// Astigmatism, which grows with the square of the field angle.
     pub astigmatism: f64,
-    /// Coma, with the field angle.
+    /// Coma, which grows with the field angle.
     pub coma: f64,
-    /// Manufacturing: rms of each term from lens to lens.
+    /// Manufacturing tolerance: rms of each coefficient over the lenses.
     pub scatter: f64,
-    /// Manufacturing: rms of a lens's tilt, as defocus at the corner of the object.
+    /// Manufacturing tolerance: rms tilt of the lenses, as defocus at the corner of the object.
     pub tilt_scatter: f64,
 }
 
-/// The grid of objects.
+/// Pixel grid of the objects.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ObjectConfig {
@@ -128,7 +134,7 @@ pub struct ObjectConfig {
     pub pixel_um: f64,
 }
 
-/// The bead scan: even steps from edge to edge of the object.
+/// The bead scan, in even steps from edge to edge of the object.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ScanConfig {
@@ -136,43 +142,43 @@ pub struct ScanConfig {
     pub rows: usize,
     /// Columns of positions.
     pub cols: usize,
-    /// Depths, um: every position is taken at each.
+    /// Depths of the scan, um. Every position is measured at each depth.
     #[serde(skip_serializing_if = "in_focus_only")]
     pub depths_um: Vec<f64>,
-    /// Light of the bead through one lens straight above it, electrons.
+    /// Light of the bead through a lens straight above it, electrons.
     pub bead_e: f64,
 }
 
-/// The stacks.
+/// Numbers of frames, exposures and light levels of the stacks.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StackConfig {
-    /// Exposure of every frame that has no other, ms.
+    /// Exposure of every frame without another one, ms.
     pub exposure_ms: f64,
-    /// Time from frame to frame, ms.
+    /// Time from the start of one frame to the next, ms.
     pub interval_ms: f64,
-    /// Dark frames an exposure.
+    /// Number of dark frames at each exposure.
     pub dark_frames: usize,
-    /// Exposures of the darks, ms; none: `exposure_ms` alone.
+    /// Exposures of the darks, ms. Empty: only `exposure_ms`.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub dark_exposures_ms: Vec<f64>,
-    /// Light levels of the flats, share of full scale in `exposure_ms`.
+    /// Light levels of the flats, as shares of full scale at `exposure_ms`.
     pub flat_levels: Vec<f64>,
-    /// Exposures of the flats, ms: every level is taken at each; none: `exposure_ms` alone.
+    /// Exposures of the flats, ms. Every level is measured at each exposure. Empty: only `exposure_ms`.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub flat_exposures_ms: Vec<f64>,
-    /// Flat frames a level and exposure.
+    /// Number of flat frames at each level and exposure.
     pub flat_frames: usize,
-    /// Scenes.
+    /// Number of scenes at each depth.
     pub scene_frames: usize,
-    /// Depths of the specimens, um: every scene is taken at each.
+    /// Depths of the specimens, um. Every scene is measured at each depth.
     #[serde(skip_serializing_if = "in_focus_only")]
     pub scene_depths_um: Vec<f64>,
-    /// Brightest pixel of a scene, share of full scale: drawn between these, its logarithm evenly.
+    /// Range (low, high) of the brightest pixel of a scene, as shares of full scale; drawn log-uniformly.
     pub scene_peak: [f64; 2],
 }
 
-// What is as it always was is left out of a session's truth.
+// Default depths are left out of a session's truth, as in files written before depths existed.
 fn in_focus_only(depths_um: &[f64]) -> bool {
     depths_um == [0.0]
 }
@@ -277,27 +283,27 @@ impl Default for StackConfig {
 }
 
 impl BenchConfig {
-    /// Reads a TOML file; what it leaves out is as in the demo instrument.
+    /// Reads a configuration from a TOML file. Missing keys have the values of the demo instrument.
     ///
     /// # Errors
-    /// The file is missing, no valid TOML, or has an unknown key.
+    /// The file is missing, is not valid TOML, or has an unknown key.
     pub fn read(path: &Path) -> Result<Self, BenchError> {
         let text = std::fs::read_to_string(path).map_err(|source| BenchError::Io { path: path.into(), source })?;
         toml::from_str(&text).map_err(|e| BenchError::Syntax { path: path.into(), detail: e.to_string() })
     }
 
-    /// Full scale of the converter above the black level, electrons.
+    /// Full scale of the converter above the black level, electrons: `(2^bit_depth - 1 - black level) / gain`.
     pub fn full_scale_e(&self) -> f64 {
         let sensor = &self.sensor;
         ((2f64).powi(sensor.bit_depth as i32) - 1.0 - sensor.black_level_dn) / sensor.gain_dn_per_e
     }
 
-    /// True magnification, image per object.
+    /// True magnification: image size over object size.
     pub fn true_magnification(&self) -> f64 {
         self.optics.magnification * (1.0 + self.optics.magnification_error)
     }
 
-    /// Scene frames: every scene at each depth.
+    /// Number of scene frames: every scene at each depth.
     pub fn scene_count(&self) -> usize {
         self.stacks.scene_frames * self.stacks.scene_depths_um.len()
     }
@@ -316,7 +322,7 @@ impl BenchConfig {
         if exposures_ms.is_empty() { vec![self.stacks.exposure_ms] } else { exposures_ms.to_vec() }
     }
 
-    /// The manifest of what this instrument measures, without stacks.
+    /// The manifest of the instrument's sessions, without stacks.
     pub fn manifest(&self) -> Manifest {
         let (sensor, array, optics, object) = (&self.sensor, &self.array, &self.optics, &self.object);
         Manifest {
@@ -332,88 +338,6 @@ impl BenchConfig {
             optics: Optics { magnification: optics.magnification, psf_window_px: optics.psf_window_px },
             object: ObjectGrid { rows: object.rows, cols: object.cols, pixel_um: object.pixel_um },
             stacks: Vec::new(),
-        }
-    }
-
-    /// Checks what neither the manifest nor the pupil checks.
-    ///
-    /// # Errors
-    /// The first number that cannot be.
-    pub(super) fn check(&self) -> Result<(), BenchError> {
-        let wrong =
-            |field, expected: &str, found: String| Err(BenchError::Config { field, expected: expected.into(), found });
-        let (sensor, optics, stacks) = (&self.sensor, &self.optics, &self.stacks);
-        for (field, v) in [
-            ("sensor.gain_dn_per_e", sensor.gain_dn_per_e),
-            ("optics.object_distance_um", optics.object_distance_um),
-            ("optics.half_response_tangent", optics.half_response_tangent),
-            ("optics.magnification_error", 1.0 + self.optics.magnification_error),
-            ("scan.bead_e", self.scan.bead_e),
-            ("stacks.exposure_ms", stacks.exposure_ms),
-        ] {
-            if !(v.is_finite() && v > 0.0) {
-                return wrong(field, "a number above zero", v.to_string());
-            }
-        }
-        for (field, v) in [
-            ("sensor.black_level_dn", sensor.black_level_dn),
-            ("sensor.read_noise_e", sensor.read_noise_e),
-            ("sensor.offset_rms_dn", sensor.offset_rms_dn),
-            ("sensor.prnu_rms", sensor.prnu_rms),
-            ("array.placement_rms_px", self.array.placement_rms_px),
-            ("aberrations.scatter", self.aberrations.scatter),
-            ("aberrations.tilt_scatter", self.aberrations.tilt_scatter),
-            ("stacks.interval_ms", stacks.interval_ms),
-        ] {
-            if !(v.is_finite() && v >= 0.0) {
-                return wrong(field, "a number, zero or more", v.to_string());
-            }
-        }
-        if !(1..=16).contains(&sensor.bit_depth) {
-            return wrong("sensor.bit_depth", "1 to 16", sensor.bit_depth.to_string());
-        }
-        if self.full_scale_e().is_nan() || self.full_scale_e() <= 0.0 {
-            return wrong("sensor.black_level_dn", "less than the highest code", sensor.black_level_dn.to_string());
-        }
-        if optics.psf_field_px < optics.psf_window_px {
-            return wrong("optics.psf_field_px", "at least psf_window_px", optics.psf_field_px.to_string());
-        }
-        for (field, n) in [
-            ("scan.rows", self.scan.rows),
-            ("scan.cols", self.scan.cols),
-            ("scan.depths_um", self.scan.depths_um.len()),
-            ("stacks.dark_frames", stacks.dark_frames),
-            ("stacks.flat_frames", stacks.flat_frames),
-            ("stacks.scene_frames", stacks.scene_frames),
-            ("stacks.scene_depths_um", stacks.scene_depths_um.len()),
-            ("stacks.flat_levels", stacks.flat_levels.len()),
-        ] {
-            if n == 0 {
-                return wrong(field, "one or more", "0".into());
-            }
-        }
-        for (field, exposures) in [
-            ("stacks.dark_exposures_ms", &stacks.dark_exposures_ms),
-            ("stacks.flat_exposures_ms", &stacks.flat_exposures_ms),
-        ] {
-            if let Some(v) = exposures.iter().find(|v| !(v.is_finite() && **v > 0.0)) {
-                return wrong(field, "numbers above zero", v.to_string());
-            }
-        }
-        for (field, depths) in
-            [("scan.depths_um", &self.scan.depths_um), ("stacks.scene_depths_um", &stacks.scene_depths_um)]
-        {
-            if let Some(z) = depths.iter().find(|z| !z.is_finite()) {
-                return wrong(field, "finite depths", z.to_string());
-            }
-        }
-        let [low, high] = stacks.scene_peak;
-        if !(low > 0.0 && high >= low && high.is_finite()) {
-            return wrong("stacks.scene_peak", "two ascending shares above zero", format!("{:?}", stacks.scene_peak));
-        }
-        match stacks.flat_levels.iter().find(|l| !(l.is_finite() && **l >= 0.0)) {
-            Some(level) => wrong("stacks.flat_levels", "shares of full scale, zero or more", level.to_string()),
-            None => Ok(()),
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Why the virtual instrument cannot measure.
+//! Errors of the virtual instrument.
 
 use crate::effects::EffectError;
 use crate::optics::OpticsError;
@@ -15,19 +15,19 @@ pub enum BenchError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// The configuration is no valid TOML, or has an unknown key.
-    #[error("{path}: not a valid configuration: {detail}")]
+    /// The configuration is not valid TOML, or has an unknown key.
+    #[error("{path}: not a valid configuration: {detail}; correct the configuration")]
     Syntax {
         /// The file.
         path: PathBuf,
-        /// What the parser said, with line and column.
+        /// The parser's message, with line and column.
         detail: String,
     },
-    /// A number of the configuration cannot be.
-    #[error("{field}: expected {expected}, found {found}")]
+    /// A number of the configuration is impossible.
+    #[error("{field}: expected {expected}, found {found}; correct the configuration")]
     Config {
         /// The field.
         field: &'static str,
@@ -36,13 +36,13 @@ pub enum BenchError {
         /// What was found.
         found: String,
     },
-    /// A number of the optics cannot be.
+    /// A number of the optics is impossible.
     #[error("optics: {0}")]
     Optics(#[from] OpticsError),
-    /// An effect is unknown or its strength cannot be.
+    /// An effect is unknown, or one of its parameters is out of range.
     #[error(transparent)]
     Effect(#[from] EffectError),
-    /// There are no scenes.
+    /// The scenes cannot be drawn.
     #[error(transparent)]
     Scene(#[from] SceneError),
     /// The session cannot be written.

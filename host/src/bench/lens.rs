@@ -6,22 +6,22 @@ use crate::rng;
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// One lens as it was manufactured: where it sits, and how its wavefront errs over the field.
+/// One lens as it was manufactured: its place, and its wavefront error over the field.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Lens {
-    /// Focus of the on-axis source, sensor pixels.
+    /// Focus of the on-axis source (row, col), sensor pixels.
     pub anchor_px: [f64; 2],
-    /// Object position on the lens's axis, um.
+    /// Object position (y, x) on the axis of the lens, um.
     pub axis_um: [f64; 2],
-    /// Wavefront on the axis.
+    /// Wavefront error on the axis.
     at_axis: Wavefront,
-    /// Defocus that grows along a direction: the lens is tilted, waves rms at unit field.
+    /// Tilt of the lens: defocus that grows along each field axis, waves rms at unit field.
     tilt: [f64; 2],
     field: AberrationConfig,
 }
 
 impl Lens {
-    /// Makes lens (i, j); the same seed makes the same lens.
+    /// Draws lens (i, j) of the array; the same seed gives the same lens.
     pub(super) fn manufacture(config: &BenchConfig, array: &MicrolensArray, i: usize, j: usize) -> Self {
         let layout = ArrayLayout {
             rows: config.array.rows,
@@ -45,9 +45,11 @@ impl Lens {
         Self { anchor_px, axis_um, at_axis, tilt, field: aberrations.clone() }
     }
 
-    /// Wavefront at field `h` = (row, col): tangents of the angle to the lens's axis, 1 at the reference angle.
+    /// Wavefront error at field `h` = (row, col): tangents of the angle to the axis of the lens, in units of the
+    /// reference angle.
     ///
-    /// Seidel's third-order forms: coma with h, astigmatism and field curvature with h^2 (Born & Wolf, section 5.3).
+    /// Seidel's third-order forms: coma grows with h, astigmatism and field curvature with h^2 (Born & Wolf, section
+    /// 5.3).
     pub(super) fn wavefront(&self, h: [f64; 2]) -> Wavefront {
         let [y, x] = h;
         let mut w = self.at_axis;

@@ -1,7 +1,8 @@
-//! A virtual session whose frames are made as they are asked for: what would fill a disk never touches one.
+//! A virtual session whose frames are computed when they are read, for sessions too large for a disk.
 
-use super::measure::{CALIBRATION_ROLES, VirtualInstrument};
-use crate::session::{FrameInfo, FrameSource, Role, Session};
+use super::instrument::{Draw, VirtualInstrument};
+use super::stacks::CALIBRATION_ROLES;
+use crate::session::{ComputedFrames, ComputedStack, FrameInfo, Role, Session, SessionError};
 use ndarray::Array2;
 use rayon::prelude::*;
 use std::path::Path;
@@ -16,37 +17,36 @@ struct LiveStack {
     infos: Vec<FrameInfo>,
 }
 
-impl FrameSource for LiveStack {
+impl ComputedFrames for LiveStack {
     fn shape(&self) -> [usize; 3] {
         let sensor = &self.instrument.config.sensor;
         [self.infos.len(), sensor.rows, sensor.cols]
     }
 
-    fn frames_from(&self, i: usize) -> Vec<Array2<f32>> {
-        // As many at a time as there are threads for.
+    fn frames_from(&self, i: usize) -> Result<Vec<Array2<f32>>, SessionError> {
+        // One frame for each thread.
         let last = (i + rayon::current_num_threads()).min(self.infos.len());
-        self.infos[i..last].par_iter().map(|info| self.frame(info)).collect()
+        Ok(self.infos[i..last].par_iter().map(|info| self.frame(info)).collect())
     }
 }
 
 impl LiveStack {
     fn frame(&self, info: &FrameInfo) -> Array2<f32> {
         let lit = self.instrument.lit(self.role, &self.infos, info);
-        self.instrument.read_out(&lit, (self.role, self.seed), info)
+        self.instrument.read_out(&lit, Draw { role: self.role, seed: self.seed }, info)
     }
 }
 
 impl VirtualInstrument {
-    /// Darks, flats and bead scan of the session that [`VirtualInstrument::measure`] would write under `seed`, bit for bit, without
-    /// writing them; a frame is made each time that it is read. `name` stands for the folder in messages.
+    /// The darks, flats and bead scan that [`VirtualInstrument::measure`] would write under `seed`, with the same bits,
+    /// but computed when they are read. `name` stands for the session's folder in error messages.
     pub fn live(self: &Arc<Self>, name: &Path, seed: u64) -> Session {
         let stack = |role| {
-            let infos = self.infos(role);
-            let live = LiveStack { instrument: Arc::clone(self), role, seed, infos: infos.clone() };
-            let maker: Arc<dyn FrameSource> = Arc::new(live);
-            (self.entry(role), infos, maker)
+            let info = self.infos(role);
+            let live = LiveStack { instrument: Arc::clone(self), role, seed, infos: info.clone() };
+            ComputedStack { entry: self.entry(role), info, frames: Arc::new(live) }
         };
-        let stacks = CALIBRATION_ROLES.into_iter().map(stack).filter(|(_, infos, _)| !infos.is_empty());
-        Session::made(name, self.config.manifest(), stacks.collect())
+        let stacks = CALIBRATION_ROLES.into_iter().map(stack).filter(|s| !s.info.is_empty());
+        Session::computed(name, self.config.manifest(), stacks.collect())
     }
 }

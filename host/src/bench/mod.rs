@@ -1,26 +1,59 @@
 //! The virtual instrument: measures a session by physical optics.
 //!
-//! Each lens has a pupil with aberrations of its own that change over the field. The PSF of every lens at every point of the
-//! object is computed by diffraction, sampled finer than the pixels, and its light is summed on the sensor; then come the Poisson
-//! draw, the reading and the converter. Nothing here knows of the low-rank model that `calibrate` fits: [`truth`]
-//! says what was true, and only tests read it.
+//! Each lens has a pupil with its own aberrations, which change over the field. The PSF of every lens at every point of
+//! the object is computed by diffraction, sampled finer than the pixels, and its light is summed on the sensor. Poisson
+//! noise, read noise and the converter follow. The virtual instrument does not use the low-rank model that `calibrate`
+//! fits; [`truth`] holds the ground truth of a session, for tests.
+//!
+//! ```
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! use ommatidia_host::bench::{ArrayConfig, BenchConfig, ObjectConfig, ScanConfig};
+//! use ommatidia_host::effects::EffectSetting;
+//! use ommatidia_host::session::{Role, Session};
+//! // One lens before a small sensor; everything else is as in the demo instrument.
+//! let mut config = BenchConfig::default();
+//! (config.sensor.rows, config.sensor.cols) = (40, 40);
+//! config.array = ArrayConfig { rows: 1, cols: 1, pitch_px: 0.0, placement_rms_px: 0.0 };
+//! config.object = ObjectConfig { rows: 12, cols: 12, pixel_um: 2.8 };
+//! config.scan = ScanConfig { rows: 2, cols: 2, ..ScanConfig::default() };
+//! config.stacks.dark_frames = 2;
+//! config.stacks.scene_frames = 1;
+//! // Inject an effect: all chief rays are shifted by 1 pixel along the columns.
+//! let instrument = config.build(&[EffectSetting::new("array_shift", &[("col_px", 1.0)])])?;
+//!
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("session");
+//! let summary = instrument.measure(&path, 1, |_new_frames| ())?;
+//! assert_eq!((summary.frames["bead"], summary.frames["dark"]), (4, 2));
+//! let session = Session::open(&path)?;
+//! let dark = session.need(Role::Dark)?[0].frames()?.read(0)?;
+//! assert!((dark.mean().unwrap_or(0.0) - 64.0).abs() < 1.0); // the black level, DN
+//! # Ok(())
+//! # }
+//! ```
 
 mod cache;
+mod check;
 mod config;
 mod error;
+mod foci;
+mod instrument;
 mod lens;
 mod live;
 mod measure;
+mod open;
 mod optics;
 mod scenes;
 mod sensor;
+mod stacks;
 pub mod truth;
 
 pub use config::{
     AberrationConfig, ArrayConfig, BenchConfig, ObjectConfig, OpticsConfig, ScanConfig, SensorConfig, StackConfig,
 };
 pub use error::BenchError;
-pub use measure::{Summary, VirtualInstrument};
+pub use instrument::{Summary, VirtualInstrument};
+pub use open::open_session;
 
 #[cfg(test)]
 mod tests;

@@ -1,8 +1,8 @@
-//! Forms the light of objects on the sensor, point by point, each with its own PSF.
+//! Light of objects on the sensor, point by point, each point with its own PSF.
 
-use super::BenchError;
-use super::cache::Foci;
-use super::config::BenchConfig;
+use super::config::{BenchConfig, OpticsConfig};
+use super::error::BenchError;
+use super::foci::{Foci, Focus, Kept, Point};
 use super::lens::Lens;
 use crate::effects::{Chain, FrameContext, Ray, RayShift};
 use crate::optics::{MicrolensArray, Psf, PsfScratch, Pupil, PupilConfig};
@@ -10,7 +10,7 @@ use crate::session::ObjectGrid;
 use ndarray::{Array2, Array3, Axis, s};
 use rayon::prelude::*;
 
-/// Object rows that one task works on; the sum is over the bands in their order, so threads do not change a bit of it.
+/// Object rows of one task. The bands are summed in a fixed order, so the number of threads does not change any bit.
 const BAND_ROWS: usize = 8;
 
 /// The optics of the virtual instrument.
@@ -21,15 +21,15 @@ pub(super) struct VirtualOptics {
     lenses: Vec<Lens>,
     grid: ObjectGrid,
     sensor: [usize; 2],
-    /// Tangent of the field angle that aberrations are given for.
+    /// Tangent of the field angle for which the configuration states aberrations.
     reference_tangent: f64,
     half_response_tangent: f64,
     distortion_px: f64,
-    /// Defocus of a source that is 1 um out of focus, waves rms.
+    /// Defocus of a source at 1 um from the focal plane, waves rms.
     waves_per_um: f64,
 }
 
-/// Working memory for PSFs; one per thread.
+/// Working memory for PSFs; each thread needs its own.
 #[derive(Debug)]
 pub(super) struct Work {
     scratch: PsfScratch,
@@ -38,13 +38,13 @@ pub(super) struct Work {
 
 #[cfg(test)]
 impl Work {
-    /// The PSF that was computed last.
+    /// The PSF of the last call of [`VirtualOptics::focus`].
     pub(super) fn psf(&self) -> &Psf {
         &self.psf
     }
 }
 
-/// What effects do to chief rays in one frame.
+/// How effects move chief rays in one frame.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Moves<'a> {
     pub effects: &'a Chain,
@@ -57,19 +57,34 @@ impl Moves<'_> {
     }
 }
 
-/// A point of light: (y, x) um and depth, um.
-pub(super) type Point = ([f64; 2], f64);
+/// A point source.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PointSource<'a> {
+    pub point: Point,
+    /// Light of the source through a lens straight above it, electrons.
+    pub flux_e: f64,
+    /// Stored foci that include the point.
+    pub kept: Option<Kept<'a>>,
+}
 
-/// The focus of one point through one lens.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Focus {
-    /// Sensor pixel on which the PSF's middle pixel falls; may lie outside.
-    pub centre: [i64; 2],
-    /// Share of the light that the lens passes at this angle.
-    pub transmission: f64,
+/// Light that objects emit.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Emission<'a> {
+    /// Objects, each [object rows, object cols].
+    pub objects: &'a [Array2<f32>],
+    /// Light of one unit of an object pixel through a lens straight above it, electrons.
+    pub unit_e: f64,
+    /// Depth of the objects, um.
+    pub z_um: f64,
+    /// Stored foci of the object pixels at that depth, row by row.
+    pub kept: Option<&'a Foci>,
 }
 
 impl VirtualOptics {
+    /// Builds the lenses and plans their pupil.
+    ///
+    /// # Errors
+    /// A number of the configuration is impossible, or the aperture is wider than the distance of the lenses.
     pub(super) fn build(config: &BenchConfig) -> Result<Self, BenchError> {
         let optics = &config.optics;
         let array = MicrolensArray {
@@ -90,7 +105,7 @@ impl VirtualOptics {
         if config.array.rows * config.array.cols > 1 && optics.aperture_um > lens_pitch_um {
             return Err(BenchError::Config {
                 field: "optics.aperture_um",
-                expected: format!("at most the distance of the lenses, {lens_pitch_um:.1} um"),
+                expected: format!("at most the distance between lenses, {lens_pitch_um:.1} um"),
                 found: optics.aperture_um.to_string(),
             });
         }
@@ -110,16 +125,17 @@ impl VirtualOptics {
         })
     }
 
-    /// Foci of the on-axis source at rest, sensor px.
+    /// Anchor (row, col) of each lens without effects, sensor pixels.
     pub(super) fn anchors_px(&self) -> Vec<[f64; 2]> {
         self.lenses.iter().map(|l| l.anchor_px).collect()
     }
 
+    /// Allocates working memory.
     pub(super) fn work(&self) -> Work {
-        Work { scratch: self.pupil.scratch(), psf: Psf { side: 0, share: Vec::new() } }
+        Work { scratch: self.pupil.scratch(), psf: Psf::default() }
     }
 
-    /// The chief ray of the point at (y, x) um through lens `l`, by Eq. 1, as effects see it.
+    /// The chief ray of the point at (y, x) um through lens `l` by Eq. 1 of Yang et al. (2024), as effects see it.
     fn ray(&self, l: usize, at_um: [f64; 2]) -> Ray {
         let lens = &self.lenses[l];
         let scale = self.array.magnification / self.array.pixel_pitch_um;
@@ -134,9 +150,9 @@ impl VirtualOptics {
         }
     }
 
-    /// Computes the PSF of the point at (y, x) um and depth `z_um` through lens `l` into `work`, with what effects do to its ray.
-    pub(super) fn focus(&self, l: usize, at_um: [f64; 2], z_um: f64, moves: Moves<'_>, work: &mut Work) -> Focus {
-        let lens = &self.lenses[l];
+    /// Computes the PSF of a point through lens `l` into `work`, with the chief ray as effects move it.
+    pub(super) fn focus(&self, l: usize, point: Point, moves: Moves<'_>, work: &mut Work) -> Focus {
+        let (lens, at_um) = (&self.lenses[l], point.at_um);
         let tangents = self.array.tangents(lens.axis_um, at_um);
         let h = tangents.map(|t| t / self.reference_tangent);
         let square = h[0] * h[0] + h[1] * h[1];
@@ -146,7 +162,7 @@ impl VirtualOptics {
         let centre = ray.map(f64::round);
         let shift = [ray[0] - centre[0], ray[1] - centre[1]];
         let mut wavefront = lens.wavefront(h);
-        wavefront.coefficient[3] += self.waves_per_um * (z_um + moved.z_um);
+        wavefront.coefficient[3] += self.waves_per_um * (point.z_um + moved.z_um);
         self.pupil.psf(&wavefront, shift, &mut work.scratch, &mut work.psf);
         let tangent = tangents[0].hypot(tangents[1]);
         let cos4 = (1.0 + tangent * tangent).powi(-2);
@@ -154,7 +170,7 @@ impl VirtualOptics {
         Focus { centre: centre.map(|c| c as i64), transmission: cos4 * response }
     }
 
-    /// Foci of points through lens `l` where no effect moves a ray.
+    /// Foci of points through lens `l` without effects.
     pub(super) fn foci(&self, l: usize, points: &[Point]) -> Foci {
         let side = self.pupil.config().field_px;
         let mut foci =
@@ -164,15 +180,15 @@ impl VirtualOptics {
         let parts = foci.focus.par_iter_mut().zip(foci.share.par_chunks_exact_mut(side * side));
         parts.zip(points).for_each_init(
             || self.work(),
-            |work, ((focus, share), (at_um, z_um))| {
-                *focus = self.focus(l, *at_um, *z_um, at_rest, work);
+            |work, ((focus, share), point)| {
+                *focus = self.focus(l, *point, at_rest, work);
                 share.copy_from_slice(&work.psf.share);
             },
         );
         foci
     }
 
-    /// Whether the rays of all object pixels are the same in two frames.
+    /// Whether the chief rays of all object pixels are the same in two frames.
     pub(super) fn same_rays(&self, effects: &Chain, a: &FrameContext<'_>, b: &FrameContext<'_>) -> bool {
         let moves = |cx, ray: &Ray| Moves { effects, cx }.of(ray);
         (0..self.lenses.len()).all(|l| {
@@ -184,44 +200,42 @@ impl VirtualOptics {
         })
     }
 
-    /// Light of one point through lens `l`, electrons, added to `image`; `flux_e` is its light through a lens straight above it.
-    /// `kept` are foci and the index of the point among them.
+    /// Adds the light of one point through lens `l` to `image`, electrons.
     pub(super) fn add_point(
         &self,
         l: usize,
-        (point, kept): (Point, Option<(&Foci, usize)>),
-        flux_e: f64,
+        source: &PointSource<'_>,
         moves: Moves<'_>,
         work: &mut Work,
         image: &mut Array2<f32>,
     ) {
-        let (focus, share) = self.focus_or_kept(l, point, kept, moves, work);
-        let light = (flux_e * focus.transmission) as f32;
+        let (focus, share) = self.focus_or_kept(l, source.point, source.kept, moves, work);
+        let light = (source.flux_e * focus.transmission) as f32;
         self.each_row(focus, share, |r, c, shares| {
             let mut row = image.slice_mut(s![r, c..c + shares.len()]);
             row.iter_mut().zip(shares).for_each(|(v, share)| *v += light * share);
         });
     }
 
-    /// Focus and PSF of a point: the kept ones, unless an effect moves its ray.
+    /// Focus and PSF of a point: the stored ones, unless there are none or an effect moves its chief ray.
     fn focus_or_kept<'a>(
         &self,
         l: usize,
-        (at_um, z_um): Point,
-        kept: Option<(&'a Foci, usize)>,
+        point: Point,
+        kept: Option<Kept<'a>>,
         moves: Moves<'_>,
         work: &'a mut Work,
     ) -> (Focus, &'a [f32]) {
-        if let Some(found) = kept.and_then(|(foci, point)| foci.get(point))
-            && moves.of(&self.ray(l, at_um)) == RayShift::default()
+        if let Some(found) = kept.and_then(|k| k.foci.get(k.index))
+            && moves.of(&self.ray(l, point.at_um)) == RayShift::default()
         {
             return found;
         }
-        let focus = self.focus(l, at_um, z_um, moves, work);
+        let focus = self.focus(l, point, moves, work);
         (focus, &work.psf.share)
     }
 
-    /// Calls `put(row, first col, shares)` for each row of the PSF, as far as it lies on the sensor.
+    /// Calls `put(row, first col, shares)` for each row of the PSF on the sensor.
     fn each_row(&self, focus: Focus, share: &[f32], mut put: impl FnMut(usize, usize, &[f32])) {
         let side = self.pupil.config().field_px;
         let first = focus.centre.map(|c| c - (side / 2) as i64);
@@ -239,29 +253,18 @@ impl VirtualOptics {
         }
     }
 
-    /// Light of objects through lens `l`, electrons, [object, sensor rows, sensor cols]. One unit of an object's pixel is
-    /// `unit_e` electrons through a lens straight above it.
+    /// Light of objects through lens `l`, [object, sensor rows, sensor cols], electrons.
     ///
-    /// Each object pixel is a point at its centre, `z_um` deep; its PSF is taken from `kept`, or computed once for all objects and
-    /// forgotten.
-    pub(super) fn lens_images(
-        &self,
-        l: usize,
-        objects: &[Array2<f32>],
-        (unit_e, z_um): (f64, f64),
-        moves: Moves<'_>,
-        kept: Option<&Foci>,
-    ) -> Array3<f32> {
-        let mut images = Array3::zeros((objects.len(), self.sensor[0], self.sensor[1]));
+    /// Each object pixel is a point at its centre. Its PSF is taken from the stored foci, or computed once for all
+    /// objects.
+    pub(super) fn lens_images(&self, l: usize, emission: &Emission<'_>, moves: Moves<'_>) -> Array3<f32> {
+        let mut images = Array3::zeros((emission.objects.len(), self.sensor[0], self.sensor[1]));
         let bands: Vec<usize> = (0..self.grid.rows).step_by(BAND_ROWS).collect();
-        // Few bands are alive at a time, so memory does not grow with the object.
+        // Few bands exist at a time, so memory does not grow with the object.
         for group in bands.chunks(2 * rayon::current_num_threads()) {
             let lights: Vec<Band> = group
                 .par_iter()
-                .map_init(
-                    || self.work(),
-                    |work, first| self.band(l, *first, objects, (unit_e, z_um), (moves, kept), work),
-                )
+                .map_init(|| self.work(), |work, first| self.band(l, *first, emission, moves, work))
                 .collect();
             for band in lights {
                 let rows = band.first_row..band.first_row + band.light.len_of(Axis(1));
@@ -272,15 +275,8 @@ impl VirtualOptics {
         images
     }
 
-    fn band(
-        &self,
-        l: usize,
-        first: usize,
-        objects: &[Array2<f32>],
-        (unit_e, z_um): (f64, f64),
-        (moves, kept): (Moves<'_>, Option<&Foci>),
-        work: &mut Work,
-    ) -> Band {
+    fn band(&self, l: usize, first: usize, emission: &Emission<'_>, moves: Moves<'_>, work: &mut Work) -> Band {
+        let objects = emission.objects;
         let rows = first..(first + BAND_ROWS).min(self.grid.rows);
         let mut band = self.empty_band(l, &rows, objects.len(), moves);
         let [band_rows, cols] = [band.light.len_of(Axis(1)), self.sensor[1]];
@@ -296,9 +292,10 @@ impl VirtualOptics {
                 if !lit {
                     continue;
                 }
-                let kept = kept.map(|foci| (foci, r * self.grid.cols + c));
-                let (focus, share) = self.focus_or_kept(l, (self.position_um(r, c), z_um), kept, moves, work);
-                let unit = (unit_e * focus.transmission) as f32;
+                let kept = emission.kept.map(|foci| Kept { foci, index: r * self.grid.cols + c });
+                let point = Point { at_um: self.position_um(r, c), z_um: emission.z_um };
+                let (focus, share) = self.focus_or_kept(l, point, kept, moves, work);
+                let unit = (emission.unit_e * focus.transmission) as f32;
                 for (k, value) in values.iter().enumerate().filter(|(_, v)| **v != 0.0) {
                     let light = unit * value;
                     self.each_row(focus, share, |row, col, shares| {
@@ -312,17 +309,17 @@ impl VirtualOptics {
         band
     }
 
-    /// Room for the sensor rows that the foci of some object rows can touch.
+    /// An empty band of the sensor rows that the foci of some object rows can reach.
     fn empty_band(&self, l: usize, rows: &std::ops::Range<usize>, objects: usize, moves: Moves<'_>) -> Band {
         let ray = |r: usize| self.array.chief_ray_px(self.lenses[l].anchor_px, self.position_um(r, 0))[0];
-        // A focus reaches half the field; the distortion, which grows with the cube, is largest at a corner of the band.
+        // A focus reaches half the field. The distortion grows with the cube of the field: it is largest at a corner.
         let corners = [rows.start, rows.end - 1].map(|r| [0, self.grid.cols - 1].map(|c| self.position_um(r, c)));
         let cube = |at| {
             let [y, x] = self.array.tangents(self.lenses[l].axis_um, at);
             (y.hypot(x) / self.reference_tangent).powi(3)
         };
         let farthest = corners.as_flattened().iter().map(|at| cube(*at)).fold(0.0, f64::max);
-        // What effects add is smooth over the field: largest at the ends of the rows or on the axis.
+        // Shifts by effects are smooth over the field: largest at the ends of the rows or on the axis.
         let middle = self.position_um(rows.start, self.grid.cols / 2);
         let moved = |at: &[f64; 2]| moves.of(&self.ray(l, *at)).px[0].abs();
         let pushed = corners.as_flattened().iter().chain([&middle]).map(moved).fold(0.0, f64::max);
@@ -350,14 +347,14 @@ impl VirtualOptics {
     }
 }
 
-/// Defocus by distance, waves rms per um: a source z nearer to the lens has the path `z NA^2 / 2` more at the rim of the pupil, of which
-/// `1 / (2 sqrt 3)` is the rms of Noll's Z_4 (Born & Wolf, section 9.2).
-fn defocus_per_um(optics: &super::config::OpticsConfig) -> f64 {
+/// Defocus per distance from the focal plane, waves rms per um: a source nearer to the lens by z has a path longer by
+/// `z NA^2 / 2` at the rim of the pupil; the rms of Noll's Z_4 is `1 / (2 sqrt 3)` of that (Born & Wolf, section 9.2).
+fn defocus_per_um(optics: &OpticsConfig) -> f64 {
     let na = optics.aperture_um / 2.0 / optics.object_distance_um;
     na * na / 2.0 / optics.wavelength_um / (2.0 * 3f64.sqrt())
 }
 
-/// Light of some object rows on the sensor rows that it reaches.
+/// Light of some object rows on the sensor rows that it can reach.
 struct Band {
     first_row: usize,
     light: Array3<f32>,

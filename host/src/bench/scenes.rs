@@ -1,8 +1,10 @@
-//! Scenes that the virtual instrument measures: specimens, what is told of them, their light through the lenses.
+//! Scenes of the virtual instrument: specimens, their truth, and their light through the lenses.
 
-use super::BenchError;
-use super::measure::{Lit, VirtualInstrument, up_to_sensor};
-use super::optics::{Moves, Point};
+use super::config::SCENES_AT_ONCE;
+use super::error::BenchError;
+use super::foci::Point;
+use super::instrument::{Before, Draw, Lit, VirtualInstrument, up_to_sensor};
+use super::optics::{Emission, Moves};
 use crate::effects::{Chain, FrameContext, Record, Stage};
 use crate::rng;
 use crate::session::{FrameInfo, Role, SampleType, SessionWriter, StackSpec};
@@ -10,30 +12,8 @@ use ndarray::{Array2, Axis};
 use rand::RngExt;
 use std::collections::BTreeMap;
 
-/// Scenes whose light is summed at the same time: each PSF is computed once for all of them.
-pub(super) const SCENES_AT_ONCE: usize = 16;
-
 impl VirtualInstrument {
-    /// What effects on the object make of unit emission at (y, x) um: an even object, interpolated there.
-    pub(super) fn emission_at(&self, at_um: [f64; 2], cx: &FrameContext<'_>) -> f64 {
-        if !self.effects.acts_at(Stage::Object) {
-            return 1.0;
-        }
-        let grid = self.config.manifest().object;
-        let mut even = Array2::from_elem((grid.rows, grid.cols), 1.0f32);
-        self.effects.on_object(&mut even, cx);
-        let [r, c] = grid.pixel_of_um(at_um[0], at_um[1]);
-        let split = |at: f64, n: usize| {
-            let low = (at.floor().max(0.0) as usize).min(n.saturating_sub(2));
-            (low, (low + 1).min(n - 1), (at - low as f64).clamp(0.0, 1.0))
-        };
-        let ((r0, r1, fr), (c0, c1, fc)) = (split(r, grid.rows), split(c, grid.cols));
-        let value = |r: usize, c: usize| f64::from(even[[r, c]]);
-        let row = |r: usize| value(r, c0) * (1.0 - fc) + value(r, c1) * fc;
-        row(r0) * (1.0 - fr) + row(r1) * fr
-    }
-
-    /// Measures the scenes; the brightest expected pixel, electrons.
+    /// Measures the scenes. Returns the brightest expected pixel, electrons.
     pub(super) fn specimens(
         &self,
         writer: &mut SessionWriter,
@@ -59,9 +39,9 @@ impl VirtualInstrument {
         for batch in infos.chunks(SCENES_AT_ONCE) {
             let (objects, lit) = self.scene_batch(batch, seed, &mut before);
             for ((info, object), lit) in batch.iter().zip(&objects).zip(&lit) {
-                let (place, truth) = self.told(info, n, object);
+                let (place, truth) = self.recorded(info, n, object);
                 waiting.insert(place, truth);
-                // A truth that stands in the place of a later one waits for those before it.
+                // Truths are written in order: one with the place of a later scene waits.
                 while let Some(truth) = waiting.remove(&written) {
                     truths.push(truth.view())?;
                     written += 1;
@@ -70,16 +50,16 @@ impl VirtualInstrument {
                 expected.push(self.sensor.expected(&lit.light_e, &self.effects, &cx).view())?;
             }
             let at = |info: &FrameInfo| lit[info.frame - batch[0].frame].clone();
-            peak = peak.max(self.expose(&mut frames, batch, (Role::Scene, seed), at, done)?);
+            peak = peak.max(self.expose(&mut frames, batch, Draw { role: Role::Scene, seed }, at, done)?);
         }
         frames.finish()?;
         truths.finish()?;
         expected.finish()?;
-        let told = |info: &FrameInfo| FrameInfo {
+        let recorded = |info: &FrameInfo| FrameInfo {
             exposure_ms: info.exposure_ms / self.record(info, n).exposure_factor,
             ..info.clone()
         };
-        writer.table("scene.csv", &infos.iter().map(told).collect::<Vec<_>>())?;
+        writer.table("scene.csv", &infos.iter().map(recorded).collect::<Vec<_>>())?;
         let mut entry = self.entry(Role::Scene);
         entry.truth = Some("scene_truth.npy".into());
         entry.expected = Some("scene_expected.npy".into());
@@ -87,35 +67,31 @@ impl VirtualInstrument {
         Ok(peak)
     }
 
-    /// How a model that knows of the faults reads the record of a scene.
+    /// The record of a scene as a model that knows its faults reads it.
     fn record(&self, info: &FrameInfo, frames: usize) -> Record {
         let mut record = Record::honest(info.frame, frames);
         self.effects.on_record(&mut record, &self.context(Role::Scene, info));
         record
     }
 
-    /// Where the object of a scene is written in the truths, and how: so that [`Record::object`] of the same faults finds it there and
-    /// turns it back.
-    fn told(&self, info: &FrameInfo, frames: usize, object: &Array2<f32>) -> (usize, Array2<f32>) {
+    /// Place of a scene's object among the written truths, and the object as it is written there, so that
+    /// [`Record::object`] with the same faults restores it.
+    fn recorded(&self, info: &FrameInfo, frames: usize, object: &Array2<f32>) -> (usize, Array2<f32>) {
         let record = self.record(info, frames);
-        // To flip is its own inverse.
+        // A flip is its own inverse.
         let written = Record { truth: 0, ..record }.object(std::slice::from_ref(object));
         (record.truth, written.unwrap_or_else(|| object.clone()))
     }
 
-    /// Objects in units of the bead, and their light on the sensor, expected electrons; `before` is the last light of the batch before.
-    fn scene_batch(
-        &self,
-        infos: &[FrameInfo],
-        seed: u64,
-        before: &mut Option<(Array2<f32>, f64)>,
-    ) -> (Vec<Array2<f32>>, Vec<Lit>) {
+    /// Objects in units of the bead's light, and their light on the sensor, expected electrons. `before` is the last
+    /// frame of the previous batch, and is updated.
+    fn scene_batch(&self, infos: &[FrameInfo], seed: u64, before: &mut Option<Before>) -> (Vec<Array2<f32>>, Vec<Lit>) {
         let grid = self.config.manifest().object;
-        // Every depth sees the same scenes.
+        // The same scenes are measured at every depth.
         let scene = |info: &FrameInfo| (info.frame % self.config.stacks.scene_frames) as u64;
         let draw = |info: &FrameInfo| self.scenes.draw(&grid, seed, "bench/specimen", scene(info));
         let mut objects: Vec<Array2<f32>> = infos.iter().map(draw).collect();
-        // The level of a scene is set by the clean optics, so that an effect changes the frames and not the specimens.
+        // The light level of a scene is set without effects, so that effects change the frames and not the specimens.
         let mut clean = self.light_of(&objects, infos, &Chain::default());
         let [low, high] = self.config.stacks.scene_peak.map(|p| (p * self.config.full_scale_e()).ln());
         for ((object, light), info) in objects.iter_mut().zip(&mut clean).zip(infos) {
@@ -139,7 +115,7 @@ impl VirtualInstrument {
             if self.effects.needs_previous() {
                 let mut alone = light;
                 self.effects.on_light(&mut alone, &cx);
-                *before = Some((alone, info.time_s));
+                *before = Some(Before { light_e: alone, start_s: info.time_s });
             }
             this.light_e = with;
             lit.push(this);
@@ -147,7 +123,8 @@ impl VirtualInstrument {
         (objects, lit)
     }
 
-    /// Electrons that the lenses bring of objects (in units of the bead), with effects up to the lenses.
+    /// Light of objects (in units of the bead's light) on the sensor, expected electrons, with the effects on object,
+    /// rays and lenses.
     fn light_of(&self, objects: &[Array2<f32>], infos: &[FrameInfo], effects: &Chain) -> Vec<Array2<f32>> {
         let contexts: Vec<_> = infos.iter().map(|i| self.context(Role::Scene, i)).collect();
         let emitted: Vec<_> = objects
@@ -164,7 +141,7 @@ impl VirtualInstrument {
         let mut start = 0;
         while start < objects.len() {
             let z_um = infos[start].z_um;
-            // Frames whose rays neither depth nor an effect can tell apart share their PSFs.
+            // Frames at the same depth whose chief rays are equal share their PSFs.
             let alike = |i: &usize| {
                 infos[*i].z_um == z_um && (still || self.optics.same_rays(effects, &contexts[start], &contexts[*i]))
             };
@@ -173,8 +150,9 @@ impl VirtualInstrument {
             for l in 0..self.optics.lenses() {
                 let keeps = self.keep && z_um == self.first_depth_um();
                 let kept = if keeps { self.cache.object(l, &self.optics, || self.object_points()) } else { None };
-                let flux = (self.config.scan.bead_e, z_um);
-                let images = self.optics.lens_images(l, &emitted[start..end], flux, moves, kept);
+                let objects = &emitted[start..end];
+                let emission = Emission { objects, unit_e: self.config.scan.bead_e, z_um, kept };
+                let images = self.optics.lens_images(l, &emission, moves);
                 for (i, image) in (start..end).zip(images.axis_iter(Axis(0))) {
                     let mut image = image.to_owned();
                     effects.on_lens(&mut image, &FrameContext { lens: l, ..contexts[i] });
@@ -186,15 +164,15 @@ impl VirtualInstrument {
         lights
     }
 
-    /// The depth whose foci are kept, um.
+    /// The depth whose foci are stored, um.
     fn first_depth_um(&self) -> f64 {
         self.config.stacks.scene_depths_um.first().copied().unwrap_or(0.0)
     }
 
-    /// Points of the object's pixels, row by row.
+    /// Points at the object pixels, row by row.
     fn object_points(&self) -> Vec<Point> {
         let (object, z_um) = (&self.config.object, self.first_depth_um());
         let pixels = (0..object.rows).flat_map(|r| (0..object.cols).map(move |c| (r, c)));
-        pixels.map(|(r, c)| (self.optics.position_um(r, c), z_um)).collect()
+        pixels.map(|(r, c)| Point { at_um: self.optics.position_um(r, c), z_um }).collect()
     }
 }

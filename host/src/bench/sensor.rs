@@ -2,7 +2,7 @@
 
 use super::config::SensorConfig;
 use crate::effects::{Chain, FrameContext};
-use crate::noise::{NoiseModel, Sources};
+use crate::noise::NoiseModel;
 use crate::rng;
 use ndarray::{Array2, Zip};
 use rand::Rng;
@@ -10,7 +10,8 @@ use rand_distr::{Distribution, Normal, Poisson, StandardNormal};
 
 /// A sensor with its fixed patterns.
 ///
-/// `y = round(black + offset + gain (Poisson(light (1 + prnu)) + Normal(0, read noise)))`, clipped to the converter's codes.
+/// `y = round(black + offset + gain (Poisson(light (1 + prnu)) + Normal(0, read noise)))`, clipped to the converter's
+/// codes.
 #[derive(Clone, Debug)]
 pub(super) struct VirtualSensor {
     config: SensorConfig,
@@ -19,7 +20,7 @@ pub(super) struct VirtualSensor {
 }
 
 impl VirtualSensor {
-    /// Makes the sensor; the same seed makes the same patterns.
+    /// Draws the sensor; the same seed gives the same patterns.
     pub(super) fn manufacture(config: &SensorConfig, seed: u64) -> Self {
         let pattern = |what, mean: f64, rms: f64| {
             let mut rng = rng::stream(seed, what, 0);
@@ -35,12 +36,12 @@ impl VirtualSensor {
         }
     }
 
-    /// Highest code, DN.
+    /// Highest code of the converter, DN.
     fn top(&self) -> f32 {
         (2f32).powi(self.config.bit_depth as i32) - 1.0
     }
 
-    /// The expected frame, DN, for expected electrons: no noise, no rounding, clipped to the codes.
+    /// The expected frame for expected electrons `light_e`, DN, both [rows, cols]: clipped to the codes, not rounded.
     pub(super) fn expected(&self, light_e: &Array2<f32>, effects: &Chain, cx: &FrameContext<'_>) -> Array2<f32> {
         let mut charge = light_e * &self.response;
         effects.on_charge(&mut charge, cx);
@@ -50,7 +51,7 @@ impl VirtualSensor {
         frame
     }
 
-    /// One frame as it is read out, whole DN.
+    /// Draws the frame that the sensor reads for expected electrons `light_e`, whole DN, both [rows, cols].
     pub(super) fn expose(
         &self,
         light_e: &Array2<f32>,
@@ -59,15 +60,15 @@ impl VirtualSensor {
         rng: &mut impl Rng,
     ) -> Array2<f32> {
         let noise = self.noise(effects);
-        // Another gain at the same mean in DN: so many more electrons.
+        // An effect may change the gain at the same mean in DN: then there are this many times as many electrons.
         let more = self.config.gain_dn_per_e / noise.gain_dn_per_e;
         let mut charge = Zip::from(light_e).and(&self.response).map_collect(|light, response| {
             let mean = f64::from(light * response) * more;
-            // Poisson::new refuses nothing but means that are no number, zero or negative: no light, no electrons.
+            // Poisson::new fails only for means that are not above zero: no light, no electrons.
             Poisson::new(mean).map_or(0.0, |p| p.sample(rng) as f32)
         });
         effects.on_charge(&mut charge, cx);
-        // A standard deviation of the configuration, checked there to be finite.
+        // Never fails: the configuration checks that the read noise is finite.
         if let Ok(reading) = Normal::new(0.0, noise.read_noise_e) {
             charge.mapv_inplace(|q| q + reading.sample(rng) as f32);
         }
@@ -81,16 +82,14 @@ impl VirtualSensor {
         frame
     }
 
-    /// The sensor's own noise, as effects change it.
+    /// The noise model of the sensor, as effects change it.
     fn noise(&self, effects: &Chain) -> NoiseModel {
         let mut noise = NoiseModel {
             black_level_dn: self.config.black_level_dn,
             gain_dn_per_e: self.config.gain_dn_per_e,
-            gain_sigma: 0.0,
             read_noise_e: self.config.read_noise_e,
-            read_noise_sigma: 0.0,
             saturation_dn: f64::from(self.top()),
-            sources: Sources::default(),
+            ..NoiseModel::nominal()
         };
         effects.on_noise(&mut noise);
         noise

@@ -1,17 +1,17 @@
-//! What was true of a virtual session: for tests, never for another verb.
+//! Ground truth of a virtual session. Only tests and reports compare with it; no verb computes from it.
 
-use super::BenchConfig;
+use super::config::BenchConfig;
 use crate::effects::EffectSetting;
 use serde::{Deserialize, Serialize};
 
-/// Name of the file in the session's folder.
+/// Name of the ground-truth file in the session's folder.
 pub const TRUTH_FILE: &str = "bench_truth.json";
 
-/// What was true of a virtual session.
+/// Ground truth of a virtual session.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BenchTruth {
-    /// Program that made the session.
+    /// Name and version of the program that wrote the session.
     pub program: String,
     /// Seed of noise and scenes.
     pub seed: u64,
@@ -21,16 +21,16 @@ pub struct BenchTruth {
     pub read_noise_e: f64,
     /// Black level, DN.
     pub black_level_dn: f64,
-    /// Chief rays of the on-axis source: where the light of its foci is centred, sensor pixels: [lens row][lens col][row, col].
+    /// Anchors (the foci of the on-axis source), sensor pixels: [lens row][lens col][row, col].
     pub anchors_px: Vec<Vec<[f64; 2]>>,
-    /// True magnification, image per object.
+    /// True magnification: image size over object size.
     pub magnification: f64,
-    /// Object position on each lens's axis, um: [lens row][lens col][y, x].
+    /// Object position on the axis of each lens, um: [lens row][lens col][y, x].
     pub axes_um: Vec<Vec<[f64; 2]>>,
-    /// Light of one unit of truth through one lens straight above it, electrons: that of the bead.
+    /// Light of one unit of a truth through a lens straight above it, electrons: that of the bead.
     pub unit_e: f64,
-    /// Effects that were injected.
+    /// Injected effects.
     pub effects: Vec<EffectSetting>,
-    /// The instrument.
+    /// Configuration of the instrument.
     pub config: BenchConfig,
 }

@@ -1,8 +1,8 @@
 //! `bench`: the virtual instrument measures a session.
 
-use super::{Outcome, Run};
+use super::common::{Outcome, Run};
 use crate::bench::BenchConfig;
-use crate::effects::{self, EffectError, EffectSetting};
+use crate::effects::EffectSetting;
 use crate::evaluate::resolution;
 use std::path::PathBuf;
 
@@ -10,21 +10,24 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: ommatidia bench session --effect halo=0.05,sigma_px=20 --frames 24 --seed 7")]
 pub struct Args {
-    /// Folder of the session; one that a virtual instrument measured before is replaced
+    /// Folder of the session to write; a session of a virtual instrument in it is replaced
     session: PathBuf,
-    /// Configuration of the instrument, TOML [default: the demo instrument]
+    /// Configuration of the instrument, TOML (default: the demo instrument)
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Effect to inject: its strength, the first of its parameters, then others by name (may be given again)
+    /// Effect to inject, with its strength and further parameters by name; repeat the option for more effects (default:
+    /// none)
     #[arg(long, value_name = "ID=STRENGTH[,NAME=VALUE..]")]
     effect: Vec<String>,
-    /// Number of scene frames
+    /// Number of scene frames (default: that of the configuration)
     #[arg(long, value_name = "N")]
     frames: Option<usize>,
-    /// Scenes are resolution targets, one period each, at half of full scale: for `resolution`
+    /// Measure resolution targets as scenes, one bar period per frame, at half of full scale, for `ommatidia
+    /// resolution`
     #[arg(long, conflicts_with = "frames")]
     targets: bool,
-    /// Depths of the specimens, um: every scene is taken at each
+    /// Depths of the specimens, um, separated by commas; each scene is measured at each depth (default: that of the
+    /// configuration)
     #[arg(long, value_name = "UM", value_delimiter = ',', allow_hyphen_values = true)]
     depths: Vec<f64>,
 }
@@ -32,7 +35,7 @@ pub struct Args {
 /// Runs the verb.
 ///
 /// # Errors
-/// Whatever the library says.
+/// The configuration or an effect is invalid, or the session cannot be written.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let started = std::time::Instant::now();
     let mut config = args.config.as_deref().map_or_else(|| Ok(BenchConfig::default()), BenchConfig::read)?;
@@ -73,28 +76,9 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     Ok(Outcome { json, text })
 }
 
-/// Parses `ID=STRENGTH` and, after commas, `NAME=VALUE` of further parameters. Ranges and names are checked where it is built.
+/// An effect as the option gives it.
 fn setting(text: &str) -> anyhow::Result<EffectSetting> {
-    let wanted =
-        |what: &str| anyhow::anyhow!("--effect {text}: expected {what}; e.g. `halo=0.05` or `halo=0.05,sigma_px=20`");
-    let (id, values) = text.split_once('=').ok_or_else(|| wanted("ID=STRENGTH"))?;
-    let Some(effect) = effects::find(id) else {
-        return Err(EffectError::Unknown { found: id.into(), known: effects::ids().join(", ") }.into());
-    };
-    let number = |value: &str| value.trim().parse::<f64>().map_err(|_| wanted(&format!("a number, found `{value}`")));
-    let mut values = values.split(',');
-    let first = effect.descriptor().expanded(1).into_iter().next().map_or_else(String::new, |(name, _)| name);
-    let mut params = vec![(first, number(values.next().unwrap_or_default())?)];
-    for pair in values {
-        let (name, value) = pair.split_once('=').ok_or_else(|| wanted(&format!("NAME=VALUE, found `{pair}`")))?;
-        let name = name.trim();
-        if params.iter().any(|(known, _)| known == name) {
-            return Err(wanted(&format!("`{name}` once")));
-        }
-        params.push((name.into(), number(value)?));
-    }
-    let params: Vec<(&str, f64)> = params.iter().map(|(name, value)| (name.as_str(), *value)).collect();
-    Ok(EffectSetting::new(id, &params))
+    text.parse().map_err(|e| anyhow::anyhow!("--effect {text}: {e}"))
 }
 
 #[cfg(test)]

@@ -1,50 +1,52 @@
 //! `calibrate`: session -> instrument.
 
-use super::{Outcome, Run};
+use super::common::{Outcome, Run};
 use crate::artifact::Provenance;
-use crate::bench::BenchConfig;
+use crate::bench::open_session;
+use crate::calibrate::{CalibrateConfig, Calibration, PixelReadNoise, calibrate, frames_read, response_rms};
 use crate::evaluate::{Measured, measured};
-use crate::instrument::{CalibrateConfig, Calibration, Instrument, LightUnit, calibrate};
-use crate::noise::{NoiseConfig, ROUNDING_DN2, Source};
+use crate::instrument::{Instrument, LightUnit};
+use crate::noise::{NoiseConfig, Source};
 use crate::report::bytes;
-use crate::session::{Role, Session, Stack};
+use crate::session::Stack;
 use serde_json::json;
 use std::fmt::Write;
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::path::PathBuf;
 
 /// Options of `calibrate`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: ommatidia calibrate session/ -o lab.instrument")]
 pub struct Args {
-    /// Folder of the measured session; or the configuration of a virtual instrument (.toml, as for `bench`), whose frames are made as
-    /// they are asked for instead of filling a disk
+    /// Folder of the measured session, or configuration of a virtual instrument (.toml, as for `bench`), whose frames
+    /// are computed when they are read instead of filling a disk
     session: PathBuf,
     /// Instrument file to write
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Basis PSFs a lens (default: chosen by the error on positions that are left out)
+    /// Number of basis PSFs per lens (default: chosen by the error on held-out positions)
     #[arg(long, value_name = "K")]
     rank: Option<usize>,
-    /// Most basis PSFs that are tried
+    /// Maximum number of basis PSFs per lens that the search tries
     #[arg(long, value_name = "K", default_value_t = CalibrateConfig::default().max_rank)]
     max_rank: usize,
-    /// Side of the windows that hold one focus, pixels, odd (default: psf_window_px of the session, widened to hold the light)
+    /// Side of the window round each focus, pixels, odd (default: psf_window_px of the session, widened to hold the
+    /// light)
     #[arg(long, value_name = "PX")]
     window: Option<usize>,
-    /// One PSF a lens for the whole field, the mean of the bead scan, instead of the spatially varying model
+    /// Use one PSF per lens for the whole field, the mean over the bead scan, instead of the spatially varying model
     #[arg(long, conflicts_with_all = ["rank", "max_rank"])]
     one_psf: bool,
-    /// Refits with a part of the beads left out, which tell how uncertain the PSFs are (0: none)
+    /// Number of jackknife refits (each leaves out a group of beads) that estimate the uncertainty of the PSF model. 0
+    /// disables them
     #[arg(long, value_name = "N", default_value_t = CalibrateConfig::default().replicates)]
     replicates: usize,
-    /// The bead frames were normalised by who measured them: one free scale a frame
+    /// The bead frames are already normalised: fit one free scale per frame
     #[arg(long)]
     normalise_beads: bool,
-    /// Nominal gain, DN per electron, where there are no flats
+    /// Gain, DN per electron, that is assumed if there are no flats
     #[arg(long, value_name = "DN/E", default_value_t = NoiseConfig::default().nominal_gain_dn_per_e)]
     gain: f64,
-    /// Nominal read noise, electrons rms, where nothing shows it
+    /// Read noise, electrons rms, that is assumed if the session does not determine it
     #[arg(long, value_name = "E", default_value_t = NoiseConfig::default().nominal_read_noise_e)]
     read_noise: f64,
 }
@@ -52,9 +54,9 @@ pub struct Args {
 /// Runs the verb.
 ///
 /// # Errors
-/// The session cannot be read or calibrated, or the instrument not be written.
+/// The session cannot be read or calibrated, or the instrument cannot be written.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
-    let session = open(&args.session, run.seed)?;
+    let session = open_session(&args.session, run.seed)?;
     let config = CalibrateConfig {
         rank: args.rank,
         max_rank: args.max_rank,
@@ -64,7 +66,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         normalise_beads: args.normalise_beads,
         noise: NoiseConfig { nominal_gain_dn_per_e: args.gain, nominal_read_noise_e: args.read_noise },
     };
-    let bar = run.progress(steps(&session), "calibrate");
+    let bar = run.progress(frames_read(&session), "calibrate");
     let Measured { result: calibration, seconds, peak_bytes } =
         measured(|| calibrate(&session, &config, || bar.inc(1)));
     let calibration = calibration?;
@@ -72,7 +74,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     for note in &calibration.notes {
         tracing::warn!("{note}");
     }
-    let inputs = if session.is_made() {
+    let inputs = if session.is_computed() {
         vec![args.session.clone()]
     } else {
         std::iter::once(session.manifest_path()).chain(session.stacks().iter().map(Stack::path)).collect()
@@ -84,22 +86,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     (json["seconds"], json["peak_bytes"]) = (json!(seconds), json!(peak_bytes));
     let mut text = table(args, &calibration);
     // Writing to a string cannot fail.
-    let _ = writeln!(text, "{:.0} s, {} at most", seconds, peak_bytes.map_or("memory unknown".into(), bytes));
+    let _ = writeln!(text, "{:.0} s, at most {}", seconds, peak_bytes.map_or("unknown memory".into(), bytes));
     Ok(Outcome { json, text })
-}
-
-/// The session in a folder, or that of a virtual instrument.
-fn open(path: &Path, seed: u64) -> anyhow::Result<Session> {
-    if path.is_file() && path.extension().is_some_and(|e| e == "toml") {
-        return Ok(Arc::new(BenchConfig::read(path)?.build(&[])?).live(path, seed));
-    }
-    Ok(Session::open(path)?)
-}
-
-/// Frames that are read, each pass counted.
-fn steps(session: &Session) -> u64 {
-    let frames = |role| session.stacks_of(role).map(|s| s.len() as u64).sum::<u64>();
-    frames(Role::Dark) + frames(Role::Flat) + crate::bead::PASSES * frames(Role::Bead)
 }
 
 fn figures(calibration: &Calibration) -> serde_json::Value {
@@ -117,7 +105,8 @@ fn figures(calibration: &Calibration) -> serde_json::Value {
         "window_px": i.manifest.optics.psf_window_px,
         "replicates": i.replicates.len(),
         "response_rms": response_rms(i),
-        "pixel_read_noise_e": reading_e(i).map(|[median, p99, max]| json!({ "median": median, "p99": p99, "max": max })),
+        "pixel_read_noise_e": PixelReadNoise::of(i)
+            .map(|n| json!({ "median": n.median_e, "p99": n.p99_e, "max": n.max_e })),
         "depths_um": i.psf.node_depths_um,
         "sensor_only": i.sensor_only(),
         "approximation_error": i.quality.approximation_error,
@@ -138,27 +127,15 @@ fn figures(calibration: &Calibration) -> serde_json::Value {
 /// Errors against the rank: on the scan, all lenses decomposed together, on positions left out.
 fn by_rank(i: &Instrument) -> Vec<serde_json::Value> {
     let d = &i.diagnostics;
-    let row = |(k, row): (usize, ndarray::ArrayView1<'_, f32>)| json!({ "rank": row[0], "scan": row[1], "whole_array": d.whole_array_error.get(k), "held_out": row[2] });
+    let row = |(k, row): (usize, ndarray::ArrayView1<'_, f32>)| {
+        json!({ "rank": row[0], "scan": row[1],
+        "whole_array": d.whole_array_error.get(k), "held_out": row[2] })
+    };
     d.error_by_rank.outer_iter().enumerate().map(row).collect()
 }
 
 fn rank(i: &Instrument) -> usize {
     i.psf.basis.dim().1
-}
-
-/// Spread of the responses of the pixels, rms; none: no map.
-fn response_rms(i: &Instrument) -> Option<f64> {
-    let map = i.response.as_ref()?;
-    let square: f64 = map.iter().map(|r| (f64::from(*r) - 1.0).powi(2)).sum();
-    Some((square / map.len().max(1) as f64).sqrt())
-}
-
-/// Read noise of single pixels, electrons rms: median, 99th percentile, largest; none: they are alike.
-fn reading_e(i: &Instrument) -> Option<[f64; 3]> {
-    let mut sorted: Vec<f32> = i.reading_dn2.as_ref()?.iter().copied().collect();
-    sorted.sort_by(f32::total_cmp);
-    let at = |q: f64| (f64::from(sorted[((sorted.len() - 1) as f64 * q) as usize]) - ROUNDING_DN2).max(0.0).sqrt();
-    Some([0.5, 0.99, 1.0].map(|q| at(q) / i.noise.gain_dn_per_e))
 }
 
 fn dead(i: &Instrument) -> Vec<usize> {
@@ -181,12 +158,12 @@ fn table(args: &Args, calibration: &Calibration) -> String {
     line("black level", format!("{:.2} DN", n.black_level_dn), source(n.sources.black_level));
     line("gain", format!("{:.4} +- {:.4} DN/e-", n.gain_dn_per_e, n.gain_sigma), source(n.sources.gain));
     line("read noise", format!("{:.3} +- {:.3} e-", n.read_noise_e, n.read_noise_sigma), source(n.sources.read_noise));
-    if let Some([median, p99, max]) = reading_e(i) {
-        let spread = format!("median {median:.2}, p99 {p99:.2}, largest {max:.1} e-");
+    if let Some(PixelReadNoise { median_e, p99_e, max_e }) = PixelReadNoise::of(i) {
+        let spread = format!("median {median_e:.2}, p99 {p99_e:.2}, largest {max_e:.1} e-");
         line("read noise by pixel", spread, "from the darks");
     }
     if let Some(rms) = response_rms(i) {
-        line("pixel response", format!("{:.3} % rms", 100.0 * rms), "divided out, noise taken back");
+        line("pixel response", format!("{:.3} % rms", 100.0 * rms), "standard deviation over the pixels");
     }
     if i.sensor_only() {
         line("optics", "identity".into(), "no bead scan: only the sensor is modelled");
@@ -194,35 +171,31 @@ fn table(args: &Args, calibration: &Calibration) -> String {
         return out;
     }
     line("magnification", format!("{:.5}", i.geometry.magnification), "");
-    line(
-        "foci off chief rays",
-        format!("{:.3} px rms", q.chief_ray_rms_px),
-        "distortion and noise, kept in the windows",
-    );
+    line("foci off chief rays", format!("{:.3} px rms", q.chief_ray_rms_px), "distortion and noise, part of the PSFs");
     let why = match (args.one_psf, args.rank) {
-        (true, _) => "one PSF a lens",
+        (true, _) => "one PSF per lens",
         (_, Some(_)) => "as asked",
-        _ => "least held-out error",
+        _ => "smallest held-out error",
     };
     line("rank", rank(i).to_string(), why);
     if i.psf.node_depths_um.len() > 1 {
         let depths: Vec<String> = i.psf.node_depths_um.iter().map(ToString::to_string).collect();
         line("depths", depths.join(", "), "um");
     }
-    line("window", format!("{} px", i.manifest.optics.psf_window_px), "holds a focus");
+    line("window", format!("{} px", i.manifest.optics.psf_window_px), "side of the window round a focus");
     line("approximation error", format!("{:.4}", q.approximation_error), "NRMSE on the bead scan");
     if let Some(whole) = i.whole_array_rank() {
-        line("  rank, whole array", whole.to_string(), "of one decomposition of all lenses, for the same error");
+        line("  rank, whole array", whole.to_string(), "of one decomposition of all lenses with the same error");
     }
-    line("off-grid error", format!("{:.4}", q.off_grid_error), "NRMSE on positions left out (checkerboard)");
-    line("  of one PSF a lens", format!("{:.4}", q.one_psf_error), "the same positions");
-    line("  of noise alone", format!("{:.4}", q.noise_floor), "in these bead frames");
-    line("replicates", i.replicates.len().to_string(), "refits without a part of the beads: uncertainty of the PSFs");
+    line("off-grid error", format!("{:.4}", q.off_grid_error), "NRMSE on held-out positions (checkerboard)");
+    line("  of one PSF per lens", format!("{:.4}", q.one_psf_error), "the same positions");
+    line("  of noise alone", format!("{:.4}", q.noise_floor), "in the bead frames");
+    line("replicates", i.replicates.len().to_string(), "jackknife refits for the uncertainty of the PSFs");
     match i.light_unit {
         LightUnit::Dn => line("light unit", "DN".into(), "above black"),
         LightUnit::Bead => line("light unit", "bead".into(), "one bead in one object pixel"),
         LightUnit::Truth { per_bead } => {
-            line("light unit", "truth".into(), &format!("{per_bead:.4} of it make a bead"))
+            line("light unit", "truth".into(), &format!("one bead is {per_bead:.4} units"))
         }
     }
     for (l, [row, col]) in i.geometry.anchors_px.iter().enumerate() {

@@ -1,43 +1,38 @@
-//! `close`: what an instrument lacks, found in a session and added.
+//! `close`: finds the effects that an instrument lacks and adds them.
 
+use super::retrain::Networks;
 use super::{Outcome, Run};
-use crate::artifact::Provenance;
-use crate::closing::close::{Given, close_with, same_layout};
-use crate::closing::observe::{Budget, Observations};
-use crate::closing::result::{Closing, Effect};
-use crate::closing::{recalibrate, retrain};
-use crate::instrument::{CalibrateConfig, Instrument};
-use crate::session::Session;
-use anyhow::Context;
+use crate::calibrate::CalibrateConfig;
+use crate::closing::{CloseOutcome, CloseRequest, Closing, Effect, FineTuning, Progress, close_session};
+
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Options of `close`.
 #[derive(Debug, clap::Args)]
-#[command(
-    after_help = "Example: ommatidia close session/ --instrument lab.instrument -o closed.instrument --report close.html"
-)]
+#[command(after_help = "Example: ommatidia close session/ --instrument lab.instrument -o closed.instrument --report \
+                  close.html")]
 pub struct Args {
     /// Folder of the measured session
     session: PathBuf,
     /// Instrument file to close
     #[arg(long, value_name = "FILE")]
     instrument: PathBuf,
-    /// Instrument file to write; the account of it is written beside it, with suffix .closing
+    /// Instrument file to write; the account is written beside it, with suffix .closing
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// The bead frames were normalised by who measured them, as for calibrate: where the PSFs must be calibrated anew
+    /// The bead frames are already normalised, as for calibrate; used if the PSFs must be calibrated again
     #[arg(long)]
     normalise_beads: bool,
-    /// Fine-tune this network on the closed instrument, write it beside the output with suffix .network, and compare the two on
-    /// held-out scenes
+    /// Fine-tune this network on the closed instrument, write it beside the output with suffix .network, and compare
+    /// both networks on held-out scenes
     #[arg(long, value_name = "CHECKPOINT")]
     retrain: Option<PathBuf>,
     /// Steps of fine-tuning
     #[arg(long, value_name = "N", default_value_t = 1000, requires = "retrain")]
     steps: u64,
-    /// Render the account to one HTML file
+    /// Write a report of the account to this HTML file
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
 }
@@ -45,75 +40,48 @@ pub struct Args {
 /// Runs the verb.
 ///
 /// # Errors
-/// A file cannot be read or written, or session and instrument are not of one kind.
+/// A file cannot be read or written, or session and instrument have different layouts.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let started = Instant::now();
-    let session = Session::open(&args.session)?;
-    let instrument = Instrument::read(&args.instrument)?;
-    same_layout(&instrument.manifest, session.manifest()).with_context(|| args.session.display().to_string())?;
-    let mut seen = Observations::read(&session, &Budget::default())?;
-    let bar = run.spinner("close");
-    let config = CalibrateConfig { normalise_beads: args.normalise_beads, ..CalibrateConfig::default() };
-    let anew = recalibrate::anew(&session, &instrument, &config)?;
-    let given = Given { anew: anew.as_ref(), ..Given::default() };
-    let mut closed = close_with(&instrument, &mut seen, &session.manifest().name, run.seed, given, |what| {
-        bar.set_message(what.to_string());
-        bar.tick();
-    })
-    .with_context(|| args.session.display().to_string())?;
-    if let Some(first) = anew.as_ref().filter(|_| recalibrate::needed(&closed)) {
-        bar.set_message("calibrating anew");
-        recalibrate::adopt(&mut closed, &session, [&instrument, first], &config)?;
-    }
-    bar.finish_and_clear();
-    let provenance = |verb| -> anyhow::Result<Provenance> {
-        let mut p = Provenance::new(verb, run.seed, &Budget::default())
-            .with_input(&session.manifest_path())?
-            .with_input(&args.instrument)?;
-        for stack in session.stacks() {
-            p = p.with_input(&stack.path())?;
-        }
-        Ok(p)
+    let fine_tuning = args.retrain.as_deref();
+    let request = CloseRequest {
+        session: &args.session,
+        instrument: &args.instrument,
+        output: &args.output,
+        calibration: CalibrateConfig { normalise_beads: args.normalise_beads, ..CalibrateConfig::default() },
+        fine_tuning: fine_tuning.map(|checkpoint| FineTuning { trainer: &Networks, checkpoint, steps: args.steps }),
+        seed: run.seed,
     };
-    let account = account_path(&args.output);
-    closed.instrument.write(&args.output, provenance("close")?)?;
-    if let Some(checkpoint) = &args.retrain {
-        let bar = run.progress(args.steps, "retrain");
-        let network = args.output.with_extension("network");
-        let retrained = retrain::retrain(
-            &session,
-            (&closed.instrument, &args.output),
-            (checkpoint, &network),
-            &closed.account.closing.held_out_frames,
-            (args.steps, run.seed),
-            |step| bar.set_position(step),
-        )?;
-        bar.finish_and_clear();
-        closed.account.closing.retrained = Some(retrained);
-    }
-    closed.account.write(&account, provenance("close")?)?;
+    let mut bar = run.spinner("close");
+    let CloseOutcome { closed, account_file } = close_session(&request, &mut |progress| match progress {
+        Progress::Step(name) => {
+            bar.set_message(name.to_string());
+            bar.tick();
+        }
+        Progress::FineTuning => {
+            bar.finish_and_clear();
+            bar = run.progress(args.steps, "retrain");
+        }
+        Progress::FineTuned(steps) => bar.set_position(steps),
+    })?;
+    bar.finish_and_clear();
     if let Some(report) = &args.report {
-        let page = crate::report::render(&[account.clone(), args.output.clone()])?;
+        let page = crate::report::render(&[account_file.clone(), args.output.clone()])?;
         crate::artifact::write_whole(report, page.as_bytes())?;
     }
     let seconds = started.elapsed().as_secs_f64();
     let closing = &closed.account.closing;
     let mut json = serde_json::to_value(closing)?;
     json["seconds"] = seconds.into();
-    json["account"] = account.display().to_string().into();
-    Ok(Outcome { json, text: table(closing, &args.output, &account, seconds) })
-}
-
-/// The file of the account: the instrument's with another suffix.
-pub fn account_path(output: &Path) -> PathBuf {
-    output.with_extension("closing")
+    json["account"] = account_file.display().to_string().into();
+    Ok(Outcome { json, text: table(closing, &args.output, &account_file, seconds) })
 }
 
 /// The account as a table.
 pub fn table(closing: &Closing, output: &Path, account: &Path, seconds: f64) -> String {
     let mut out = String::new();
     // Writing to a string cannot fail.
-    let _ = writeln!(out, "{:<24} {:>12} {:>12}   on what no fit has seen", "", "before", "after");
+    let _ = writeln!(out, "{:<24} {:>12} {:>12}   on held-out data", "", "before", "after");
     let (b, a) = (closing.before, closing.after);
     for (name, before, after) in
         [("chi2 / pixel", b.chi2_ndf, a.chi2_ndf), ("NRMSE (with noise)", b.nrmse, a.nrmse), ("PCC", b.pcc, a.pcc)]
@@ -121,33 +89,35 @@ pub fn table(closing: &Closing, output: &Path, account: &Path, seconds: f64) -> 
         let _ = writeln!(out, "{name:<24} {before:>12.5} {after:>12.5}");
     }
     if closing.effects.is_empty() {
-        let _ = writeln!(out, "\nnothing found");
+        let _ = writeln!(out, "\nno effect found");
     }
     for e in &closing.effects {
         let _ = writeln!(out, "\n{} ({}, z = {:.1}){}", e.id, e.stage, e.z, explained(e));
         let _ = writeln!(out, "  {}", e.description);
         if !e.ambiguity.is_empty() {
             let separate = e.separate_by.as_deref().unwrap_or("more data");
-            let _ = writeln!(out, "  could also be {}; to tell them apart: {separate}", e.ambiguity.join(", "));
+            let _ = writeln!(out, "  could also be {}; to distinguish them: {separate}", e.ambiguity.join(", "));
         }
     }
     if closing.catalogue_incomplete {
-        let _ = writeln!(out, "\nThe residual still shows structure that no effect of the catalogue explains.");
+        let _ = writeln!(out, "\nThe residual still has structure that no effect of the catalogue explains.");
     }
     let limits: Vec<String> = closing
         .rejected
         .iter()
         .filter_map(|r| Some(format!("{} {} < {:.2e} {}", r.id, r.param, r.upper_limit?, r.unit)))
         .collect();
-    let _ = writeln!(out, "\nnot found (95 % limits): {}", limits.join("; "));
-    let blind: Vec<&str> = closing.rejected.iter().filter(|r| r.upper_limit.is_none()).map(|r| r.id.as_str()).collect();
-    if !blind.is_empty() {
-        let _ = writeln!(out, "this session cannot tell: {}", blind.join(", "));
+    let _ = writeln!(out, "\nnot found (upper limits, 95 %): {}", limits.join("; "));
+    let untestable: Vec<&str> =
+        closing.rejected.iter().filter(|r| r.upper_limit.is_none()).map(|r| r.id.as_str()).collect();
+    if !untestable.is_empty() {
+        let _ = writeln!(out, "not testable with this session: {}", untestable.join(", "));
     }
     if let Some(r) = &closing.retrained {
         let _ = writeln!(
             out,
-            "network on {} held-out scenes: {:.2} dB, SSIM {:.3} -> {:.2} dB, SSIM {:.3} after {} steps on the closed instrument",
+            "network on {} held-out scenes: {:.2} dB, SSIM {:.3} -> {:.2} dB, SSIM {:.3} after {} steps on the closed \
+             instrument",
             r.frames.len(),
             r.psnr_db_before,
             r.ssim_before,

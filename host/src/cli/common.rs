@@ -12,24 +12,24 @@ use tracing_subscriber::filter::LevelFilter;
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Global options")]
 pub struct Run {
-    /// Print exactly one JSON object on stdout; everything else goes to stderr
+    /// Print one JSON object to stdout instead of text; everything else goes to stderr
     #[arg(long, global = true)]
     pub json: bool,
-    /// Seed of all that is drawn; the same seed and inputs give the same bytes
+    /// Seed of all random draws; the same seed and inputs give the same bytes
     #[arg(long, global = true, default_value_t = 1, value_name = "N")]
     pub seed: u64,
-    /// Threads to use (default: all cores); the result does not depend on it
+    /// Number of threads (default: one per core); the result does not depend on it
     #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: Option<u16>,
-    /// Say more on stderr (twice: everything)
+    /// Log more to stderr; repeat for more detail
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     pub verbose: u8,
-    /// Say nothing on stderr but errors
+    /// Print only errors to stderr
     #[arg(short, long, global = true, conflicts_with = "verbose")]
     pub quiet: bool,
 }
 
-/// A part of something, more than none and at most all of it.
+/// Parses a share above 0, at most 1.
 pub(super) fn part(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(part) if part > 0.0 && part <= 1.0 => Ok(part),
@@ -50,7 +50,7 @@ impl Run {
         bar
     }
 
-    /// A line on stderr that says what is being done; silent as [`Run::progress`].
+    /// A line on stderr with the current work; silent as [`Run::progress`].
     pub fn spinner(&self, what: &'static str) -> ProgressBar {
         let bar = self.progress(0, what);
         let style = ProgressStyle::with_template("{spinner} {msg} {elapsed}");
@@ -84,7 +84,7 @@ impl Run {
     }
 }
 
-/// What a verb found: the figures for programs, and the same figures for people.
+/// The result of a verb: its figures for programs, and for people.
 #[derive(Clone, Debug, Default)]
 pub struct Outcome {
     /// Every figure that the verb prints.
@@ -107,7 +107,7 @@ pub(super) fn finish(run: &Run, result: anyhow::Result<Outcome>) -> ExitCode {
         }
         Err(error) => error,
     };
-    // Nobody is left to tell where stderr is closed as well.
+    // If stderr is closed too, nothing can be printed.
     let _ = writeln!(std::io::stderr(), "error: {}", cause_chain(&error));
     ExitCode::FAILURE
 }
@@ -139,7 +139,7 @@ mod tests {
     use clap::{CommandFactory, Parser};
 
     #[test]
-    fn a_cause_is_told_once() {
+    fn a_cause_is_printed_once() {
         let inner = std::io::Error::other("disk full");
         let error = anyhow::Error::new(inner).context("a.npy: disk full").context("no reconstruction was written");
         assert_eq!(cause_chain(&error), "no reconstruction was written\n  because: a.npy: disk full");

@@ -1,13 +1,12 @@
-//! `demo`: nothing but the verbs in a row, on the virtual instrument.
+//! `demo`: runs the other verbs one after another on the virtual instrument.
 
+use super::common::{Outcome, Run};
 use super::evaluate::table;
 use super::hidden::Hidden;
-use super::{Cli, Outcome, Run};
 use crate::artifact;
 use crate::evaluate::{Evaluation, MethodFigures};
 use crate::report;
 use anyhow::{Context, bail};
-use clap::Parser;
 use serde_json::{Value, json};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -16,18 +15,21 @@ use std::time::Instant;
 /// Options of `demo`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Folder for everything that the demo makes; that of an earlier demo is replaced
+    /// Folder for all results; the folder of an earlier demo is replaced
     #[arg(short, long, value_name = "DIR", default_value = "demo")]
     output: PathBuf,
-    /// Scenes that the methods are judged on
+    /// Number of scenes for the evaluation of the methods
     #[arg(long, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u64).range(2..))]
     frames: u64,
-    /// Training steps
+    /// Number of training steps
     #[arg(long, value_name = "N", default_value_t = 4000, value_parser = clap::value_parser!(u64).range(1..))]
     steps: u64,
 }
 
-/// One verb with its options, and what it is for.
+/// Parses a command line, program name included, and runs its verb under the given global options.
+pub type Execute = fn(Vec<String>, Run) -> anyhow::Result<Outcome>;
+
+/// One verb with its options, and its purpose.
 struct Chapter {
     what: &'static str,
     /// Name of its figures; the verb, unless that comes twice.
@@ -41,7 +43,7 @@ struct Chapter {
 ///
 /// # Errors
 /// The folder holds something else, or a verb fails; what the verbs before it made is left in the folder.
-pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
+pub fn run(args: &Args, run: &Run, execute: Execute) -> anyhow::Result<Outcome> {
     let start = Instant::now();
     let folder = &args.output;
     prepare(folder)?;
@@ -49,7 +51,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let chapters = chapters(args, folder, &hidden);
     let (mut figures, mut line) = (serde_json::Map::new(), String::new());
     for (i, chapter) in chapters.iter().enumerate() {
-        let (json, seconds) = play(chapter, run, [i + 1, chapters.len()], start)?;
+        let (json, seconds) = play(chapter, run, execute, [i + 1, chapters.len()], start)?;
         let name = chapter.name.clone();
         artifact::write_whole(&folder.join(format!("{name}.json")), format!("{json}\n").as_bytes())?;
         let mut entry = json;
@@ -57,11 +59,11 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
             fields.insert("chapter_seconds".into(), json!(seconds));
         }
         if name == "close" {
-            let (told, found) = hidden.outcome(&folder.join(CLOSED))?;
+            let (text, found) = hidden.outcome(&folder.join(CLOSED))?;
             let json = format!("{}\n", json!({ "hidden": found }));
             artifact::write_whole(&folder.join(HIDDEN), json.as_bytes())?;
             figures.insert("hidden".into(), found);
-            line = told;
+            line = text;
         }
         figures.insert(name, entry);
     }
@@ -77,7 +79,8 @@ fn prepare(folder: &Path) -> anyhow::Result<()> {
         let empty = std::fs::read_dir(folder).with_context(named)?.next().is_none();
         if !empty && !folder.join(MARKER).exists() {
             bail!(
-                "{}: expected a new or empty folder, or that of an earlier demo, found other files; name another with -o",
+                "{}: expected a new or empty folder, or that of an earlier demo, found other files; choose another \
+                    with -o",
                 named()
             );
         }
@@ -93,7 +96,7 @@ fn prepare(folder: &Path) -> anyhow::Result<()> {
 
 /// The instrument whose loop is closed.
 const CLOSED: &str = "closed.safetensors";
-/// What was hidden from the loop and what it found: the report tells it.
+/// The hidden effect and what `close` found, for the report.
 const HIDDEN: &str = "hidden.json";
 
 fn chapters(args: &Args, folder: &Path, hidden: &Hidden) -> Vec<Chapter> {
@@ -113,7 +116,7 @@ fn chapters(args: &Args, folder: &Path, hidden: &Hidden) -> Vec<Chapter> {
         args.steps
     );
     let changed = format!("bench @hidden --frames {SCENES} --effect {}", hidden.option());
-    let what = "the same instrument after something has happened to it, which the next chapter is not told";
+    let what = "a second session, of the same instrument with a hidden effect";
     let changed = Chapter { name: "changed".into(), seed: 1, ..chapter(what, &changed) };
     vec![
         chapter("the virtual instrument measures darks, flats, a bead scan and scenes of known truth", &bench),
@@ -121,30 +124,39 @@ fn chapters(args: &Args, folder: &Path, hidden: &Hidden) -> Vec<Chapter> {
             "noise, chief rays and low-rank PSFs from that session",
             "calibrate @session -o @instrument.safetensors",
         ),
-        chapter("training pairs with the calibrated model", "simulate @instrument.safetensors -o @pairs --count 1024"),
-        chapter("the network", &train),
         chapter(
-            "the network file of a device: half precision, memory plan",
+            "simulated training pairs of the calibrated model",
+            "simulate @instrument.safetensors -o @pairs \
+            --count 1024",
+        ),
+        chapter("training of the network", &train),
+        chapter(
+            "the network file for a device: half precision, memory plan",
             "quantize @network.safetensors -o @network.omm",
         ),
         chapter(
             "the firmware reconstructs the scenes",
             "device run --with @network.omm --frames @session/scene.npy -o @device.npy",
         ),
-        chapter("the host does the same", "reconstruct @session/scene.npy -o @objects.tif --with @network.omm"),
         chapter(
-            "all methods on the scenes, which nothing before has seen",
+            "the host reconstructs the same scenes",
+            "reconstruct @session/scene.npy -o @objects.tif --with \
+            @network.omm",
+        ),
+        chapter(
+            "comparison of all methods on the scenes, which no step before has used",
             "evaluate @session --with @network.safetensors --with @network.omm --with @instrument.safetensors \
              --stack device=@device.npy -o @evaluation.safetensors",
         ),
         changed,
         chapter(
-            "closing the loop: what does the calibrated model lack now?",
+            "closing the loop: which effect does the calibrated model lack now?",
             &format!("close @hidden --instrument @instrument.safetensors -o @{CLOSED}"),
         ),
         chapter(
-            "one page of it all",
-            "report @evaluation.safetensors @hidden.json @closed.closing @device.json @network.omm @instrument.safetensors @network.safetensors @session \
+            "one page with all results",
+            "report @evaluation.safetensors @hidden.json @closed.closing @device.json @network.omm \
+                @instrument.safetensors @network.safetensors @session \
              -o @report.html",
         ),
     ]
@@ -154,7 +166,13 @@ fn chapters(args: &Args, folder: &Path, hidden: &Hidden) -> Vec<Chapter> {
 const SCENES: usize = 8;
 
 /// Runs a chapter as a command line of its own, inside this process.
-fn play(chapter: &Chapter, run: &Run, [number, of]: [usize; 2], begin: Instant) -> anyhow::Result<(Value, f64)> {
+fn play(
+    chapter: &Chapter,
+    run: &Run,
+    execute: Execute,
+    [number, of]: [usize; 2],
+    begin: Instant,
+) -> anyhow::Result<(Value, f64)> {
     let say = |text: String| {
         if !run.quiet {
             eprintln!("{text}");
@@ -163,9 +181,8 @@ fn play(chapter: &Chapter, run: &Run, [number, of]: [usize; 2], begin: Instant) 
     say(format!("[{number}/{of}] {}\n      ommatidia {}", chapter.what, chapter.words.join(" ")));
     let start = Instant::now();
     let words = std::iter::once("ommatidia".to_string()).chain(chapter.words.iter().cloned());
-    let mut cli = Cli::try_parse_from(words).with_context(|| format!("`ommatidia {}`", chapter.words.join(" ")))?;
-    cli.run = Run { seed: run.seed.wrapping_add(chapter.seed), ..run.clone() };
-    let outcome = cli.run().with_context(|| format!("`ommatidia {}`", chapter.words.join(" ")))?;
+    let run = Run { seed: run.seed.wrapping_add(chapter.seed), ..run.clone() };
+    let outcome = execute(words.collect(), run).with_context(|| format!("`ommatidia {}`", chapter.words.join(" ")))?;
     let seconds = start.elapsed().as_secs_f64();
     for line in outcome.text.lines() {
         say(format!("      {line}"));
@@ -175,7 +192,7 @@ fn play(chapter: &Chapter, run: &Run, [number, of]: [usize; 2], begin: Instant) 
     Ok((outcome.json, seconds))
 }
 
-/// The table, what was aimed at, and where the report is.
+/// The table of methods, the targets, and the path of the report.
 fn closing(
     folder: &Path,
     figures: &serde_json::Map<String, Value>,
@@ -202,7 +219,7 @@ fn closing(
     let _ = writeln!(text, "\n{hidden}");
     let page = folder.join("report.html");
     let page = page.canonicalize().unwrap_or(page);
-    let _ = writeln!(text, "\n{} in all. The report is {}", report::seconds(seconds), page.display());
+    let _ = writeln!(text, "\nTotal time {}. Report: {}", report::seconds(seconds), page.display());
     let targets: Vec<Value> = targets
         .iter()
         .map(|t| json!({ "what": t.what, "found": t.found, "target": t.target, "holds": t.holds }))
@@ -210,7 +227,7 @@ fn closing(
     Ok(Outcome { json: json!({ "seconds": seconds, "report": page, "targets": targets, "chapters": figures }), text })
 }
 
-/// One thing that the demo has to show.
+/// A target of the demo.
 struct Target {
     what: &'static str,
     found: String,
@@ -223,18 +240,18 @@ fn targets(methods: &[MethodFigures], device: &Value) -> Vec<Target> {
     let mut targets = Vec::new();
     if let (Some(network), Some(wiener)) = (psnr("svfouriernet"), psnr("wiener")) {
         let gain = network - wiener;
-        let (what, target) = ("network over Wiener deconvolution", ">= 2 dB");
+        let (what, target) = ("network minus Wiener deconvolution", ">= 2 dB");
         targets.push(Target { what, found: format!("{gain:+.2} dB"), target, holds: gain >= 2.0 });
     }
     if let (Some(network), Some(blob)) = (psnr("svfouriernet"), psnr("svfouriernet-blob")) {
         let change = blob - network;
-        let (what, target) = ("network file against float", ">= -0.1 dB");
+        let (what, target) = ("network file minus float network", ">= -0.1 dB");
         targets.push(Target { what, found: format!("{change:+.3} dB"), target, holds: change >= -0.1 });
     }
     if let Some(exact) = device["bit_exact"].as_bool() {
         let bits = device["differing_bits"].as_u64().map(|n| n.to_string());
         let found = bits.unwrap_or_else(|| if exact { "0".into() } else { "some".into() });
-        let (what, target) = ("bits: device against host", "0");
+        let (what, target) = ("bits that differ, device and host", "0");
         targets.push(Target { what, found, target, holds: exact });
     }
     targets
@@ -244,6 +261,8 @@ fn targets(methods: &[MethodFigures], device: &Value) -> Vec<Target> {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use crate::cli::Cli;
+    use clap::Parser;
 
     #[test]
     fn each_chapter_is_a_command_line_that_the_program_takes() {
@@ -268,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn targets_say_what_was_measured() {
+    fn targets_show_the_measured_values() {
         let method = |name: &str, psnr_db| MethodFigures { name: name.into(), psnr_db, ..MethodFigures::default() };
         let methods = [method("svfouriernet", 25.0), method("svfouriernet-blob", 24.8), method("wiener", 22.0)];
         let found = targets(&methods, &json!({ "bit_exact": false, "differing_bits": 7 }));

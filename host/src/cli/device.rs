@@ -1,4 +1,4 @@
-//! `device`: the firmware under QEMU, or its logic in this process.
+//! `device`: runs the firmware on a board, under QEMU, or its logic in this process.
 
 mod faults;
 mod flash;
@@ -7,9 +7,9 @@ mod status;
 mod stream;
 mod target;
 
-use super::{Outcome, Run};
+use super::common::{Outcome, Run};
 use crate::artifact::write_whole;
-use crate::device::{BoardCounts, DeviceRun, Work, count_board, run as run_device, table};
+use crate::device::{BoardCounts, DeviceRun, RunRequest, count_board, run as run_device, table};
 use crate::network_file::NetworkFile;
 use crate::session::stack;
 use anyhow::Context;
@@ -30,52 +30,55 @@ pub struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Action {
-    /// Send a network and frames to the device, get reconstructions back, compare every bit with this machine's
-    #[command(
-        after_help = "Examples:\n  ommatidia device run --with network.omm --frames frames.npy -o objects.npy\n  ommatidia device run --with network.omm --frames frames.npy --roi 32,32,24,24\n  ommatidia device run --with network.omm --frames frames.npy --roi 32,32,24,24 --hold"
-    )]
+    /// Reconstruct frames on the device and compare every bit with the host's reconstruction
+    #[command(after_help = "Examples:\n  ommatidia device run --with network.omm --frames frames.npy -o \
+            objects.npy\n  ommatidia device run --with network.omm --frames frames.npy --roi 32,32,24,24\n  ommatidia \
+            device run --with network.omm --frames frames.npy --roi 32,32,24,24 --hold")]
     Run(RunArgs),
-    /// Put a network into the flash of the device: into the slot that does not run, checked, committed, asked for
+    /// Upload a network into the inactive flash slot of the device, commit it, and check that it runs
     #[command(after_help = "Example:\n  ommatidia device flash --with network.omm --state board.flash")]
     Flash(flash::Args),
-    /// Stream frames through the device: reconstructions live in the browser, and recorded
+    /// Stream frames through the device, with a live view in the browser and a recording
     #[command(
-        after_help = "Examples:\n  ommatidia device stream --with network.omm --frames frames.npy --fps 2 --view 127.0.0.1:8080 -o objects.tif\n  ommatidia device stream --with network.omm --live 100 --fps 30 --every 30 --roi 32,32,24,24\n  ommatidia device stream --with network.omm --frames frames.npy --roi 32,32,24,24 --hold 9"
+        after_help = "Examples:\n  ommatidia device stream --with network.omm --frames frames.npy --fps 2 --view \
+            127.0.0.1:8080 -o objects.tif\n  ommatidia device stream --with network.omm --live 100 --fps 30 --every \
+            30 --roi 32,32,24,24\n  ommatidia device stream --with network.omm --frames frames.npy --roi 32,32,24,24 \
+            --hold 9"
     )]
     Stream(stream::Args),
-    /// Ask the device how it is: starts, slots, faults, dropped frames
+    /// Print the status of the device: starts, flash slots, faults, dropped frames
     #[command(after_help = "Example:\n  ommatidia device status --state board.flash")]
     Status(status::Args),
-    /// Cut the power, flip bits, damage the line, and tell what became of networks and frames
+    /// Inject faults (power cuts, flipped bits, a bad line) and report whether networks and frames survive
     #[command(after_help = "Example:\n  ommatidia device faults -o docs/faults.md")]
     Faults(faults::Args),
-    /// Count the instructions of each operator on the emulated boards, and what the program takes of their memory
+    /// Count the instructions of each operator on the emulated boards, and the memory of the firmware
     #[command(after_help = "Example:\n  ommatidia device bench -o docs/instructions.md")]
     Bench(BenchArgs),
 }
 
 #[derive(Debug, clap::Args)]
 struct BenchArgs {
-    /// Where the table goes, Markdown
+    /// Page to write, Markdown (default: only print the tables)
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// A board; may be given more than once (default: all)
+    /// Board, by name; repeat the option for more (default: all emulated boards)
     #[arg(long, value_parser = target::boards())]
     board: Vec<Board>,
 }
 
 #[derive(Debug, clap::Args)]
 struct RunArgs {
-    /// Network file
+    /// Network file of a device, from `ommatidia quantize`
     #[arg(long, value_name = "BLOB")]
     with: PathBuf,
     /// Raw frames, DN: .npy or .tif
     #[arg(long, value_name = "STACK")]
     frames: PathBuf,
-    /// Where the reconstructions go: .npy or .tif
+    /// Reconstructions to write: .npy or .tif (default: none are written)
     #[arg(short, long, value_name = "STACK")]
     output: Option<PathBuf>,
-    /// Use the first N frames only
+    /// Use only the first N frames (default: all)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     first: Option<u32>,
     #[command(flatten)]
@@ -87,7 +90,7 @@ struct RunArgs {
 /// Runs the verb.
 ///
 /// # Errors
-/// Whatever the library says.
+/// The device cannot be started or fails, or a file cannot be read or written.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     match &args.action {
         Action::Run(args) => run_network(args, run),
@@ -108,13 +111,16 @@ fn count(args: &BenchArgs) -> anyhow::Result<Outcome> {
     }
     let text: Vec<String> =
         counts.iter().map(|counts| format!("{}\n{}", counts.board.name, table::table(counts))).collect();
-    let board = |counts: &BoardCounts| json!({ "board": counts.board.name, "core": counts.board.core, "memory": counts.footprint, "operators": counts.operators });
+    let board = |counts: &BoardCounts| {
+        json!({ "board": counts.board.name, "core": counts.board.core, "memory":
+        counts.footprint, "operators": counts.operators })
+    };
     Ok(Outcome { json: json!({ "boards": counts.iter().map(board).collect::<Vec<_>>() }), text: text.join("\n") })
 }
 
 fn run_network(args: &RunArgs, run: &Run) -> anyhow::Result<Outcome> {
     let blob = NetworkFile::read(&args.with)?;
-    let header = blob.network()?.header;
+    let header = blob.network()?.into_header();
     let stack = stack::read(&args.frames)?;
     let count = args.first.map_or(usize::MAX, |n| n as usize);
     let frames = stack
@@ -125,7 +131,7 @@ fn run_network(args: &RunArgs, run: &Run) -> anyhow::Result<Outcome> {
         .collect::<anyhow::Result<Vec<_>>>()?;
     let runtime = args.target.runtime(run)?;
     let state = args.target.state.as_deref();
-    let work = Work { frames: &frames, scope: args.scope.scope() };
+    let work = RunRequest { frames: &frames, scope: args.scope.scope() };
     let bar = run.progress(1000, "device");
     let device = run_device(&runtime, &blob, work, state, &mut |part| bar.set_position((1000.0 * part) as u64))?;
     bar.finish_and_clear();
@@ -140,7 +146,7 @@ fn run_network(args: &RunArgs, run: &Run) -> anyhow::Result<Outcome> {
 fn objects(device: &DeviceRun, size: Region) -> anyhow::Result<Array3<f32>> {
     let shape = (device.objects.len(), usize::from(size.rows), usize::from(size.cols));
     let values = device.objects.iter().flatten().map(|half| half.to_f32()).collect();
-    Array3::from_shape_vec(shape, values).context("a reconstruction has another size than the network says")
+    Array3::from_shape_vec(shape, values).context("a reconstruction does not have the size given in the network file")
 }
 
 fn outcome(device: &DeviceRun, blob: &NetworkFile, frames: usize) -> Outcome {
@@ -170,18 +176,20 @@ fn outcome(device: &DeviceRun, blob: &NetworkFile, frames: usize) -> Outcome {
     });
     let figure = |value: Option<u64>, unit: &str| value.map_or("not measured".into(), |v| format!("{v}{unit}"));
     let verdict = match device.differing_bits {
-        0 => "every bit equals this machine's".to_string(),
-        n => format!("{n} bits differ from this machine's"),
+        0 => "every bit equals the host's".to_string(),
+        n => format!("{n} bits differ from the host's"),
     };
     let text = format!(
-        "board         {}\nframes        {frames}, {seconds:.2} s each\nagreement     {verdict}\nfield         {}{}\ninstructions  {}{}\nRAM           {}\nflash         {}\nstack         {}\n",
+        "board         {}\nframes        {frames}, {seconds:.2} s \
+            each\n\
+            agreement     {verdict}\nfield         {}{}\ninstructions  {}{}\nRAM           {}\nflash         {}\nstack         {}\n",
         device.board,
-        scope::told(held, frames),
+        scope::exactness(held, frames),
         device.deviation.map_or(String::new(), |d| {
             format!(": PSNR {:.1} dB against exact ones, {:.1} dB at worst", d.mean_db, d.worst_db)
         }),
-        figure(instructions, " a frame"),
-        held_instructions.map_or(String::new(), |count| format!(", {count} where the field is held")),
+        figure(instructions, " per frame"),
+        held_instructions.map_or(String::new(), |count| format!(", {count} with the field held")),
         figure(ram, " bytes"),
         figure(flash, " bytes"),
         figure(measured(t.stack_bytes.into()), " bytes"),

@@ -1,8 +1,6 @@
-//! What the virtual instrument hides in a demo: an effect that the loop is not told of, drawn by the seed.
+//! The hidden effect of a demo: the seed selects an effect of the virtual instrument that the search must find.
 
-use super::close::account_path;
-use crate::closing::file::Account;
-use crate::closing::result::{Closing, Effect, Value};
+use crate::closing::{Account, Closing, Effect, Value, account_path};
 use crate::rng::stream;
 use rand::Rng;
 use serde_json::{Value as Json, json};
@@ -13,13 +11,14 @@ use std::path::Path;
 pub struct Hidden {
     /// Its id.
     pub id: &'static str,
-    /// The parameter that is not zero.
+    /// Name of the parameter that is changed.
     pub param: String,
     /// Its value.
     pub strength: f64,
 }
 
-/// What may be hidden: id, first parameter and strength. Each is far above what the demo's session can tell.
+/// Possible hidden effects: id, first parameter and strength. Each is far above the detection limit of the demo's
+/// session.
 const HIDDEN: [(&str, &str, f64); 7] = [
     ("array_shift", "row_px", 0.25),
     ("lens_gain", "change_0", 0.08),
@@ -33,7 +32,7 @@ const HIDDEN: [(&str, &str, f64); 7] = [
 const LENSES: u32 = 9;
 
 impl Hidden {
-    /// The effect that a seed hides.
+    /// The hidden effect for a seed.
     pub fn draw(seed: u64) -> Self {
         let mut rng = stream(seed, "demo/hidden", 0);
         let (id, param, strength) = HIDDEN[rng.next_u32() as usize % HIDDEN.len()];
@@ -44,7 +43,7 @@ impl Hidden {
         Self { id, param, strength }
     }
 
-    /// As `bench --effect` takes it: the first parameter, then the one that is meant.
+    /// The argument of `bench --effect`: the first parameter, then the changed one.
     pub fn option(&self) -> String {
         match HIDDEN.iter().find(|h| h.0 == self.id) {
             Some((_, first, _)) if *first != self.param => format!("{}=0,{}={}", self.id, self.param, self.strength),
@@ -52,20 +51,20 @@ impl Hidden {
         }
     }
 
-    /// What came of the search for it, for people and for programs.
+    /// The result of the search for it, as a line of text and as JSON. `closed` is the file of the closed instrument.
     ///
     /// # Errors
-    /// The account of the closed loop cannot be read.
+    /// The account beside that file cannot be read.
     pub fn outcome(&self, closed: &Path) -> anyhow::Result<(String, Json)> {
         let closing = Account::read(&account_path(closed))?.closing;
         Ok((self.line(&closing), self.figures(&closing)))
     }
 
     fn line(&self, c: &Closing) -> String {
-        // In full: the first, and the one that was hidden; the others by name.
-        let (told, rest): (Vec<_>, Vec<_>) =
+        // The first effect and the hidden one with their values, the others by name.
+        let (main, rest): (Vec<_>, Vec<_>) =
             c.effects.iter().enumerate().partition(|(i, e)| *i == 0 || e.id == self.id);
-        let mut found: Vec<String> = told.into_iter().map(|(_, e)| self.told(e)).collect();
+        let mut found: Vec<String> = main.into_iter().map(|(_, e)| self.words(e)).collect();
         if found.is_empty() {
             found.push("nothing".into());
         }
@@ -84,13 +83,13 @@ impl Hidden {
         )
     }
 
-    /// The value that was hidden, if the effect has it.
+    /// The value of the changed parameter, if the effect is the hidden one.
     fn own<'e>(&self, e: &'e Effect) -> Option<&'e Value> {
         e.params.iter().find(|v| e.id == self.id && v.name == self.param)
     }
 
-    /// An effect with the value that was hidden, or with the one that stands out most.
-    fn told(&self, e: &Effect) -> String {
+    /// An effect with the value of the changed parameter, or with its most significant one.
+    fn words(&self, e: &Effect) -> String {
         let stands_out = |v: &&Value| if v.sigma > 0.0 { (v.value / v.sigma).abs() } else { 0.0 };
         let most = || e.params.iter().max_by(|a, b| stands_out(a).total_cmp(&stands_out(b)));
         let value = |v: &Value| format!(": {} = {:.4} +- {:.4} {}", v.name, v.value, v.sigma, v.unit);
@@ -114,7 +113,7 @@ impl Hidden {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::closing::result::Figures;
+    use crate::closing::Figures;
     use crate::effects;
 
     #[test]
@@ -133,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn the_line_tells_the_hidden_value() {
+    fn the_line_gives_the_hidden_value() {
         let hidden = Hidden { id: "lens_gain", param: "change_2".into(), strength: 0.08 };
         assert_eq!(hidden.option(), "lens_gain=0,change_2=0.08");
         let value = |l: u8| Value {
@@ -160,7 +159,8 @@ mod tests {
         let mut c = Closing { effects: vec![effect], before: figures(1.5), after: figures(1.01), ..Closing::default() };
         assert_eq!(
             hidden.line(&c),
-            "hidden effect: lens_gain (change_2 = 0.08) -> found: lens_gain: change_2 = 0.0800 +- 0.0010, chi2 1.500 -> 1.010"
+            "hidden effect: lens_gain (change_2 = 0.08) -> found: lens_gain: change_2 = 0.0800 +- 0.0010, chi2 1.500 \
+             -> 1.010"
         );
         assert_eq!(hidden.figures(&c)["named"], true);
         assert_eq!(hidden.figures(&c)["value"].as_f64().map(|v| (v * 1e3).round()), Some(80.0));

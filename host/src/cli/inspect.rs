@@ -1,9 +1,7 @@
-//! `inspect`: what a file is.
+//! `inspect`: describes a file.
 
-use super::{Outcome, Run};
-use crate::closing::file;
-use crate::closing::omnibus::Dependence;
-use crate::closing::result::{self, Closing, Effect};
+use super::common::{Outcome, Run};
+use crate::closing::{self, Closing, Dependence, Effect};
 use crate::kind::FileKind;
 use crate::session::{FrameReader, Session};
 use crate::{artifact, report};
@@ -16,7 +14,8 @@ use std::path::{Path, PathBuf};
 /// Options of `inspect`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Instrument, checkpoint, evaluation, account of a closed loop, network file, session folder, stack of frames, or JSON that a verb printed
+    /// Instrument, checkpoint, evaluation, account of a closed loop, network file, session folder, stack of frames, or
+    /// JSON that a command printed
     artifact: PathBuf,
 }
 
@@ -41,9 +40,9 @@ pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
         }
     };
     let mut text = format!("{}\n", path.display());
-    // The body of an account is long: people get its figures, programs all of it.
+    // The body of an account is long: the text shows a summary, the JSON all of it.
     let mut shown = json.clone();
-    if json["kind"] == file::KIND
+    if json["kind"] == closing::account::KIND
         && let Some(fields) = shown.as_object_mut()
     {
         let closing: Closing = serde_json::from_value(json["body"]["closing"].clone())
@@ -58,7 +57,7 @@ pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
 fn summary(c: &Closing) -> Value {
     let effect = |e: &Effect| {
         let most = e.params.iter().filter(|v| v.sigma > 0.0).max_by(|a, b| {
-            let stands_out = |v: &result::Value| (v.value / v.sigma).abs();
+            let stands_out = |v: &closing::Value| (v.value / v.sigma).abs();
             stands_out(a).total_cmp(&stands_out(b))
         });
         let value =
@@ -103,10 +102,11 @@ fn of_blob(path: &Path) -> anyhow::Result<Value> {
     let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
     let network = Network::decode(&bytes)
         .map_err(|e| anyhow::anyhow!("{}: {e}; quantize the checkpoint again", path.display()))?;
-    let header = serde_json::to_value(&network.header)?;
+    let header = serde_json::to_value(network.header())?;
     Ok(json!({
         "kind": "blob", "version": ommatidia_shared::blob::VERSION, "bytes": bytes.len(), "header": header,
-        "memory": { "fast": report::bytes(network.header.memory.fast_bytes.into()), "bulk": report::bytes(network.header.memory.bulk_bytes.into()) },
+        "memory": { "fast": report::bytes(network.header().memory.fast_bytes.into()), "bulk":
+            report::bytes(network.header().memory.bulk_bytes.into()) },
     }))
 }
 
@@ -179,7 +179,8 @@ mod tests {
     #[test]
     fn a_header_reads_as_a_list() {
         let mut text = String::new();
-        let value = json!({ "kind": "x", "body": { "size": [2, 3], "name": null }, "tensors": [{ "name": "a", "shape": [1] }] });
+        let value = json!({ "kind": "x", "body": { "size": [2, 3], "name": null }, "tensors": [{ "name": "a",
+            "shape": [1] }] });
         list(&mut text, &value, 1);
         assert_eq!(text, "  body:\n    name: -\n    size: [2, 3]\n  kind: x\n  tensors: 1\n    name a, shape [1]\n");
     }

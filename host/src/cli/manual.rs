@@ -1,8 +1,8 @@
-//! `completions` and `man`: made from the same description as `--help`.
+//! `completions` and `man`: generated from the same description as `--help`.
 
-use super::{Cli, Outcome};
+use super::common::Outcome;
 use anyhow::Context;
-use clap::CommandFactory;
+use clap::Command;
 use clap_complete::Shell;
 
 /// Options of `completions`.
@@ -20,9 +20,9 @@ pub struct Man {}
 ///
 /// # Errors
 /// None: the signature is that of every verb.
-pub fn completions(args: &Completions) -> anyhow::Result<Outcome> {
+pub fn completions(args: &Completions, mut command: Command) -> anyhow::Result<Outcome> {
     let mut text = Vec::new();
-    clap_complete::generate(args.shell, &mut Cli::command(), "ommatidia", &mut text);
+    clap_complete::generate(args.shell, &mut command, "ommatidia", &mut text);
     outcome(args.shell.to_string(), text)
 }
 
@@ -30,8 +30,7 @@ pub fn completions(args: &Completions) -> anyhow::Result<Outcome> {
 ///
 /// # Errors
 /// None: the signature is that of every verb.
-pub fn man(_args: &Man) -> anyhow::Result<Outcome> {
-    let mut command = Cli::command();
+pub fn man(_args: &Man, mut command: Command) -> anyhow::Result<Outcome> {
     command.build();
     let mut text = Vec::new();
     clap_mangen::Man::new(command.clone()).render(&mut text).context("manual page")?;
@@ -53,10 +52,12 @@ fn outcome(kind: String, text: Vec<u8>) -> anyhow::Result<Outcome> {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use crate::cli::Cli;
+    use clap::CommandFactory;
 
     #[test]
     fn the_manual_names_every_verb() {
-        let text = man(&Man {}).unwrap().text;
+        let text = man(&Man {}, Cli::command()).unwrap().text;
         for verb in ["demo", "bench", "calibrate", "simulate", "train", "quantize", "reconstruct", "evaluate"] {
             assert!(text.contains(verb), "{verb} is missing");
         }
@@ -65,7 +66,7 @@ mod tests {
     #[test]
     fn completions_know_the_verbs() {
         for shell in [Shell::Bash, Shell::Zsh, Shell::Fish] {
-            let text = completions(&Completions { shell }).unwrap().text;
+            let text = completions(&Completions { shell }, Cli::command()).unwrap().text;
             assert!(text.contains("reconstruct"), "{shell}");
         }
     }

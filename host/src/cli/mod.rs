@@ -19,13 +19,14 @@ mod reconstruct;
 mod report;
 mod residual;
 mod resolution;
+mod retrain;
 mod simulate;
 mod study;
 mod train;
 
 pub use common::{Outcome, Run};
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 
 /// From the optical bench to the chip beside the sensor: calibrate, simulate, train, quantize, reconstruct.
 #[derive(Debug, Parser)]
@@ -38,64 +39,62 @@ pub struct Cli {
     verb: Verb,
 }
 
-/// Each verb's first line here is what `--help` says of it.
+/// The verbs; the first line of each is its description in `--help`.
 #[derive(Debug, Subcommand)]
 enum Verb {
-    /// All verbs in a row on the virtual instrument; ends in report.html and a printed table
+    /// Run the whole chain on the virtual instrument; ends with report.html and a printed table
     #[command(after_help = "Example:\n  ommatidia demo -o demo")]
     Demo(demo::Args),
-    /// Let the virtual instrument measure a session: darks, flats, a bead scan, scenes with truth
+    /// Measure a session with the virtual instrument: darks, flats, a bead scan, scenes of known truth
     #[command(after_help = "Example:\n  ommatidia bench session --frames 12 --seed 7")]
     Bench(bench::Args),
-    /// Learn the instrument from a session: noise, chief rays, low-rank spatially varying PSFs
+    /// Calibrate an instrument from a session: noise, chief rays, low-rank spatially varying PSFs
     #[command(after_help = "Example:\n  ommatidia calibrate session -o instrument.safetensors")]
     Calibrate(calibrate::Args),
-    /// Hold an instrument against a session: measured minus predicted, and what the residual depends on
+    /// Compare an instrument with a session: measured minus predicted, and what the residual depends on
     #[command(
         after_help = "Example:\n  ommatidia residual session --instrument instrument.safetensors --report residual.html"
     )]
     Residual(residual::Args),
-    /// Find what the instrument lacks, add it, and report before and after on held-out data
+    /// Find effects that the instrument lacks, add them, and report before and after on held-out data
     #[command(
         after_help = "Example:\n  ommatidia close session --instrument instrument.safetensors -o closed.safetensors"
     )]
     Close(close::Args),
-    /// Measure how far `close` can be trusted: many virtual sessions with undeclared effects in them
+    /// Measure how far `close` can be trusted, with many virtual sessions that have undeclared effects
     #[command(after_help = "Example:\n  ommatidia study -o study --quick")]
     Study(study::Args),
-    /// Compute the frames that an instrument is expected to show for given objects
+    /// Compute the expected frames of an instrument for given objects
     #[command(after_help = "Example:\n  ommatidia predict instrument.safetensors objects.npy -o frames.npy")]
     Predict(predict::Args),
-    /// Make training pairs with an instrument
+    /// Simulate training pairs with an instrument
     #[command(after_help = "Example:\n  ommatidia simulate instrument.safetensors -o pairs --count 500")]
     Simulate(simulate::Args),
     /// Train the network
     #[command(after_help = "Example:\n  ommatidia train pairs -o network.safetensors --preset nano")]
     Train(train::Args),
-    /// Turn a checkpoint into the network file of a device
+    /// Convert a checkpoint into the network file of a device
     #[command(after_help = "Example:\n  ommatidia quantize network.safetensors -o network.omm")]
     Quantize(quantize::Args),
     /// Reconstruct objects from raw frames
     #[command(after_help = "Example:\n  ommatidia reconstruct frames.npy -o objects.tif --with network.omm")]
     Reconstruct(reconstruct::Args),
     /// Compare methods on scenes of known truth
-    #[command(
-        after_help = "Example:\n  ommatidia evaluate session --with network.omm --with instrument.safetensors --methods wiener,central"
-    )]
+    #[command(after_help = "Example:\n  ommatidia evaluate session --with network.omm --with instrument.safetensors \
+            --methods wiener,central")]
     Evaluate(evaluate::Args),
-    /// Find the finest bars that methods still show, at the centre and the edges of the field
-    #[command(
-        after_help = "Example:\n  ommatidia resolution targets --with network.safetensors --with instrument.safetensors --methods wiener,central"
-    )]
+    /// Find the finest line pairs that methods resolve, at the centre and the edges of the field
+    #[command(after_help = "Example:\n  ommatidia resolution targets --with network.safetensors --with \
+            instrument.safetensors --methods wiener,central")]
     Resolution(resolution::Args),
-    /// Hold a network's effective receptive fields against PSFs, and its filters against pseudo-inverses
-    #[command(
-        after_help = "Example:\n  ommatidia erf network.safetensors --instrument instrument.safetensors -o erf.safetensors"
-    )]
+    /// Compare the effective receptive fields of a network with PSFs, and its filters with pseudo-inverses
+    #[command(after_help = "Example:\n  ommatidia erf network.safetensors --instrument instrument.safetensors -o \
+            erf.safetensors")]
     Erf(erf::Args),
-    /// Train networks that differ in one thing each, and make the table
+    /// Train networks that differ in one choice each, and print their figures in a table
     #[command(
-        after_help = "Example:\n  ommatidia ablate pairs --instrument instrument.safetensors --session session -o ablation"
+        after_help = "Example:\n  ommatidia ablate pairs --instrument instrument.safetensors --session session -o \
+            ablation"
     )]
     Ablate(ablate::Args),
     /// Render artifacts to one HTML file
@@ -104,18 +103,17 @@ enum Verb {
     /// Run the firmware, under QEMU or on a board
     #[command(after_help = "Example:\n  ommatidia device run --with network.omm --frames frames.npy -o objects.npy")]
     Device(device::Args),
-    /// Turn the published PyTorch weights of an SV-FourierNet into a checkpoint
-    #[command(
-        after_help = "Example:\n  ommatidia import-pth svfourier.pth -o published.safetensors --instrument instrument.safetensors"
-    )]
+    /// Convert the published PyTorch weights of an SV-FourierNet into a checkpoint
+    #[command(after_help = "Example:\n  ommatidia import-pth svfourier.pth -o published.safetensors --instrument \
+            instrument.safetensors")]
     ImportPth(import_pth::Args),
-    /// Write the weights of a checkpoint as the published network keeps them
+    /// Write the weights of a checkpoint in the layout of the published network
     #[command(after_help = "Example:\n  ommatidia export network.safetensors -o weights.safetensors")]
     Export(import_pth::Export),
-    /// Say what a file is
+    /// Describe a file
     #[command(after_help = "Example:\n  ommatidia inspect instrument.safetensors")]
     Inspect(inspect::Args),
-    /// Print the completions of a shell
+    /// Print completions for a shell
     #[command(hide = true, after_help = "Example:\n  ommatidia completions bash > ommatidia.bash")]
     Completions(manual::Completions),
     /// Print the manual page
@@ -124,11 +122,17 @@ enum Verb {
 }
 
 impl Cli {
+    /// Parses a command line and runs its verb under the given global options.
+    fn execute(words: Vec<String>, run: Run) -> anyhow::Result<Outcome> {
+        let cli = Self::try_parse_from(words)?;
+        Self { run, ..cli }.run()
+    }
+
     /// Runs the verb.
     fn run(&self) -> anyhow::Result<Outcome> {
         let run = &self.run;
         match &self.verb {
-            Verb::Demo(a) => demo::run(a, run),
+            Verb::Demo(a) => demo::run(a, run, Self::execute),
             Verb::Bench(a) => bench::run(a, run),
             Verb::Calibrate(a) => calibrate::run(a, run),
             Verb::Residual(a) => residual::run(a, run),
@@ -148,8 +152,8 @@ impl Cli {
             Verb::ImportPth(a) => import_pth::run(a, run),
             Verb::Export(a) => import_pth::export(a, run),
             Verb::Inspect(a) => inspect::run(a, run),
-            Verb::Completions(a) => manual::completions(a),
-            Verb::Man(a) => manual::man(a),
+            Verb::Completions(a) => manual::completions(a, Self::command()),
+            Verb::Man(a) => manual::man(a, Self::command()),
         }
     }
 }

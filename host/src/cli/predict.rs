@@ -1,11 +1,9 @@
-//! `predict`: the frames that an instrument is expected to show for given objects.
+//! `predict`: expected frames for given objects.
 
-use super::{Outcome, Run};
+use super::common::{Outcome, Run};
 use crate::evaluate::{Measured, measured};
-use crate::forward::Forward;
+use crate::forward::{Depth, PredictError, PredictRequest, Predicted, Predictor};
 use crate::instrument::Instrument;
-use crate::psf::OperatorConfig;
-use crate::rng;
 use crate::session::{FrameReader, FrameWriter, SampleType, StackSpec};
 use anyhow::{Context, ensure};
 use serde_json::json;
@@ -17,53 +15,70 @@ use std::path::PathBuf;
 pub struct Args {
     /// Instrument file
     instrument: PathBuf,
-    /// Objects, .npy or .tif, [n, object rows, object cols], in the session's light unit
+    /// Objects, .npy or .tif, [n, object rows, object cols], in the light unit of the instrument
     objects: PathBuf,
     /// Frames to write, .npy or .tif, float32 [n, sensor rows, sensor cols], DN
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Draw the noise: whole DN, as the sensor would read
+    /// Add noise: whole DN, as the sensor would deliver (default: expected frames)
     #[arg(long)]
     noise: bool,
     /// Exposure, ms (default: that of the calibration)
     #[arg(long, value_name = "MS")]
     exposure_ms: Option<f64>,
-    /// Light level relative to the calibration
+    /// Light level, relative to the calibration
     #[arg(long, value_name = "X", default_value_t = 1.0)]
     illumination: f64,
-    /// Index of the calibrated depth (default: the one nearest to 0 um)
+    /// Index of a calibrated depth, from 0 (default: the depth nearest to 0 um)
     #[arg(long, value_name = "I", conflicts_with = "z_um")]
     depth: Option<usize>,
-    /// Depth of the objects, um, interpolated between the calibrated ones
+    /// Depth of the objects, um, interpolated between calibrated depths (default: see --depth)
     #[arg(long, value_name = "UM", allow_negative_numbers = true)]
     z_um: Option<f64>,
-    /// The other way, for solvers of your own: frames, DN above black, [n, sensor rows, sensor cols], back to the object grid by the exact
-    /// transpose of the optics (no effects, no response of pixels)
+    /// Apply the exact transpose of the optics instead, for your own solvers: from frames, DN above black, [n, sensor
+    /// rows, sensor cols], to the object grid, without effects and pixel response
     #[arg(long, conflicts_with_all = ["noise", "exposure_ms", "illumination"])]
     adjoint: bool,
+}
+
+impl Args {
+    fn predicted(&self) -> Predicted {
+        match (self.adjoint, self.noise) {
+            (true, _) => Predicted::Adjoint,
+            (_, true) => Predicted::Noisy,
+            _ => Predicted::Expected,
+        }
+    }
+
+    fn depth(&self) -> Depth {
+        match (self.depth, self.z_um) {
+            (Some(index), _) => Depth::Index(index),
+            (_, Some(z_um)) => Depth::Um(z_um),
+            _ => Depth::Focus,
+        }
+    }
 }
 
 /// Runs the verb.
 ///
 /// # Errors
-/// A file cannot be read or written, or the objects do not fit the instrument.
+/// A file cannot be read or written, or the objects do not have the shape of the instrument.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
-    let mut instrument = Instrument::read(&args.instrument)?;
-    if let Some(z_um) = args.z_um {
-        let depths = &instrument.psf.node_depths_um;
-        let ends = depths.first().zip(depths.last());
-        ensure!(
-            ends.is_some_and(|(low, high)| (*low..=*high).contains(&z_um)),
-            "--z-um: expected a depth within those calibrated, {depths:?} um, found {z_um}"
-        );
-        instrument.psf = instrument.psf.at_depth(z_um);
-    }
-    let depth = args.depth.unwrap_or_else(|| instrument.psf.depth_nearest(0.0));
-    let config = OperatorConfig { depth, ..OperatorConfig::default() };
-    let forward = Forward::with_config(&instrument, config).with_context(|| args.instrument.display().to_string())?;
+    let instrument = Instrument::read(&args.instrument)?;
+    let request = PredictRequest {
+        output: args.predicted(),
+        depth: args.depth(),
+        exposure_ms: args.exposure_ms,
+        illumination: args.illumination,
+        seed: run.seed,
+    };
+    let predictor = Predictor::new(instrument, request).map_err(|e| match e {
+        PredictError::Forward(e) => anyhow::Error::new(e).context(args.instrument.display().to_string()),
+        e => e.into(),
+    })?;
     let mut inputs = FrameReader::open(&args.objects)?;
-    let (object, sensor) = (forward.operator().object_shape(), forward.operator().sensor_shape());
-    let (what, [rows, cols], to) = if args.adjoint { ("frames", sensor, object) } else { ("objects", object, sensor) };
+    let what = if args.adjoint { "frames" } else { "objects" };
+    let [rows, cols] = predictor.input_shape();
     ensure!(
         [inputs.rows(), inputs.cols()] == [rows, cols],
         "{}: {what}: expected [n, {rows}, {cols}] (the grid of {}), found [{}, {}, {}]; resample them",
@@ -73,29 +88,15 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         inputs.rows(),
         inputs.cols()
     );
-    let mut cx = forward.context();
-    cx.exposure_ms = args.exposure_ms.unwrap_or(cx.exposure_ms);
-    cx.illumination = args.illumination;
-    for (field, value) in [("--exposure-ms", cx.exposure_ms), ("--illumination", cx.illumination)] {
-        ensure!(value.is_finite() && value >= 0.0, "{field}: expected a finite value, zero or more, found {value}");
-    }
-    let [rows, cols] = to;
+    let [rows, cols] = predictor.output_shape();
     let spec = StackSpec { frames: inputs.len(), rows, cols, samples: SampleType::F32, pixel_um: None };
     let mut outputs = FrameWriter::create(&args.output, spec)?;
     let bar = run.progress(inputs.len() as u64, "predict");
     let mut all = || -> anyhow::Result<()> {
         for i in 0..inputs.len() {
             let input = inputs.read(i)?;
-            cx.frame = i;
             let at = || format!("{}: {what} {i}", args.objects.display());
-            let output = if args.adjoint {
-                forward.operator().adjoint(input.view()).with_context(at)?
-            } else if args.noise {
-                let light = forward.expected_e(input.view(), &cx).with_context(at)?;
-                forward.draw_dn(light, &cx, &mut rng::stream(run.seed, "predict", i as u64))
-            } else {
-                forward.expected_dn(input.view(), &cx).with_context(at)?
-            };
+            let output = predictor.apply(i, input.view()).with_context(at)?;
             outputs.push(output.view())?;
             bar.inc(1);
         }
@@ -106,10 +107,10 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let seconds = seconds / inputs.len().max(1) as f64;
     outputs.finish()?;
     bar.finish_and_clear();
-    let made = match (args.adjoint, args.noise) {
-        (true, _) => "transposed",
-        (_, true) => "noise drawn",
-        _ => "expected values",
+    let made = match args.predicted() {
+        Predicted::Adjoint => "transposed",
+        Predicted::Noisy => "with noise",
+        Predicted::Expected => "expected values",
     };
     let text = format!(
         "{} {} of {rows} x {cols}, {made}, {:.1} ms each\n-> {}\n",

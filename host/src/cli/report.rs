@@ -1,16 +1,17 @@
-//! `report`: artifacts in, one HTML file out.
+//! `report`: renders artifacts to one HTML file.
 
-use super::{Outcome, Run};
+use super::common::{Outcome, Run};
 use crate::{artifact, report};
 use std::path::PathBuf;
 
 /// Options of `report`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Instruments, checkpoints, network files, evaluations, session folders, JSON that a verb printed
+    /// Instruments, checkpoints, network files, evaluations, accounts of closed loops, session folders, JSON that a
+    /// command printed
     #[arg(required = true, value_name = "ARTIFACT")]
     artifacts: Vec<PathBuf>,
-    /// The page
+    /// HTML file to write
     #[arg(short, long, value_name = "FILE", default_value = "report.html")]
     output: PathBuf,
 }

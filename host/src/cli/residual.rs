@@ -1,12 +1,7 @@
 //! `residual`: measured minus predicted, and what it depends on.
 
 use super::{Outcome, Run};
-use crate::artifact::Provenance;
-use crate::closing::close::{residual, same_layout};
-use crate::closing::observe::{Budget, Observations};
-use crate::instrument::Instrument;
-use crate::session::Session;
-use anyhow::Context;
+use crate::closing::{ResidualOutcome, ResidualRequest, residual_session};
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -19,10 +14,10 @@ pub struct Args {
     /// Instrument file
     #[arg(long, value_name = "FILE")]
     instrument: PathBuf,
-    /// Write figures and residual maps to an artifact
+    /// Write the account, with residual maps, to this file
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// Render them to one HTML file
+    /// Write a report of the account to this HTML file
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
 }
@@ -30,17 +25,10 @@ pub struct Args {
 /// Runs the verb.
 ///
 /// # Errors
-/// A file cannot be read or written, or session and instrument are not of one kind.
+/// A file cannot be read or written, or session and instrument have different layouts.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
-    let session = Session::open(&args.session)?;
-    let instrument = Instrument::read(&args.instrument)?;
-    same_layout(&instrument.manifest, session.manifest()).with_context(|| args.session.display().to_string())?;
-    let mut seen = Observations::read(&session, &Budget::default())?;
-    let account = residual(&instrument, &mut seen, &session.manifest().name, run.seed)
-        .with_context(|| args.session.display().to_string())?;
-    let provenance = Provenance::new("residual", run.seed, &Budget::default())
-        .with_input(&session.manifest_path())?
-        .with_input(&args.instrument)?;
+    let request = ResidualRequest { session: &args.session, instrument: &args.instrument, seed: run.seed };
+    let ResidualOutcome { account, provenance } = residual_session(&request)?;
     if let Some(output) = &args.output {
         account.write(output, provenance.clone())?;
     }
@@ -56,7 +44,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     // Writing to a string cannot fail.
     let _ = writeln!(
         text,
-        "chi2 / pixel {:.4}, NRMSE {:.4}, PCC {:.5} on what no fit has seen\n",
+        "chi2 / pixel {:.4}, NRMSE {:.4}, PCC {:.5} on held-out data\n",
         c.before.chi2_ndf, c.before.nrmse, c.before.pcc
     );
     for fault in &c.faults {

@@ -1,6 +1,6 @@
-//! `simulate`: training pairs made with an instrument.
+//! `simulate`: simulates training pairs with an instrument.
 
-use super::{Outcome, Run};
+use super::common::{Outcome, Run};
 use crate::dataset::{Share, SimulateConfig};
 use crate::instrument::Instrument;
 use crate::scene::{SceneConfig, Specimen};
@@ -12,27 +12,28 @@ use std::path::PathBuf;
     after_help = "Example: ommatidia simulate instrument.omm -o pairs --count 1024 --specimen beads --specimen cells"
 )]
 pub struct Args {
-    /// Instrument to make the frames with
+    /// Instrument file to simulate frames with
     instrument: PathBuf,
-    /// Folder of the data set; a killed run is taken up where it was
+    /// Folder of the data set; an interrupted run is resumed
     #[arg(short, long, value_name = "DATASET")]
     output: PathBuf,
     /// Number of pairs
     #[arg(long, value_name = "N")]
     count: usize,
-    /// Kind of specimen (may be given again; default: all kinds but sections, or none with --images)
+    /// Kind of specimen; repeat the option for more (default: all kinds but sections, or none with --images)
     #[arg(long, value_name = "KIND")]
     specimen: Vec<Specimen>,
-    /// Folder of grey .tif or .png pictures to cut objects from
+    /// Folder of grey-scale .tif or .png pictures from which objects are cropped (default: none)
     #[arg(long, value_name = "DIR")]
     images: Option<PathBuf>,
-    /// Frames of each scene: with more than one, scenes are short videos in which worms move, 20 ms from frame to frame
+    /// Frames per scene; more than one makes short videos with moving worms, 20 ms from frame to frame
     #[arg(long, value_name = "FRAMES", default_value_t = 1)]
     video: usize,
-    /// Brightest pixel of a frame, electrons: drawn between LOW and HIGH [default: 10 % to 80 % of full scale]
+    /// Signal of the brightest pixel of a frame, electrons, drawn between LOW and HIGH (default: 10 % to 80 % of full
+    /// scale)
     #[arg(long, num_args = 2, value_names = ["LOW", "HIGH"])]
     peak_e: Option<Vec<f64>>,
-    /// Make only every N-th shard, beginning with the I-th, so that N machines share the work
+    /// Simulate only every N-th shard, starting with number I (counted from 1), so that N computers share the work
     #[arg(long, value_name = "I/N", default_value = "1/1")]
     shard: Share,
 }
@@ -40,7 +41,7 @@ pub struct Args {
 /// Runs the verb.
 ///
 /// # Errors
-/// Whatever the library says.
+/// The instrument cannot be read, the configuration is invalid, or the data set cannot be written.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let started = std::time::Instant::now();
     let instrument = Instrument::read(&args.instrument)?;
@@ -57,7 +58,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let plan = simulation.plan();
     let seconds = started.elapsed().as_secs_f64();
     let mut text = format!(
-        "{}: {} pairs, objects {}x{}, frames {}x{}, brightest pixel {:.0} to {:.0} e-\n{} shards made, {} kept, {:.1} s\n",
+        "{}: {} pairs, objects {}x{}, frames {}x{}, brightest pixel {:.0} to {:.0} e-\n{} shards made, {} kept, {:.1} \
+            s\n",
         args.output.display(),
         plan.count,
         plan.object[0],
@@ -71,7 +73,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         seconds,
     );
     if progress.missing > 0 {
-        text += &format!("{} shards are still missing: run the other shares\n", progress.missing);
+        text += &format!("{} shards are still missing: run the other --shard values\n", progress.missing);
     }
     let json = serde_json::json!({
         "dataset": args.output, "count": plan.count, "object": plan.object, "frame": plan.frame, "peak_e": plan.peak_e,

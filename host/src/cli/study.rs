@@ -1,8 +1,10 @@
-//! `study`: how far `close` can be trusted.
+//! `study`: measures how far `close` can be trusted.
 
-use super::{Outcome, Run};
+use super::common::{Outcome, Run};
+use super::retrain::Networks;
 use crate::study::plan::Size;
-use crate::study::run::{JSON, PAGE, run as study};
+use crate::study::run::{JSON, PAGE, StudyRequest, run as study};
+use crate::study::shard::Shard;
 use crate::study::summary::Share;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -11,30 +13,31 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: ommatidia study -o study --quick")]
 pub struct Args {
-    /// Folder for the sessions' outcomes, study.json and study.md; a study that is there already goes on
+    /// Folder for the outcomes, study.json and study.md; an unfinished study in it is resumed
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// A few sessions: whether loop and study work, in a minute or two
+    /// Run a few sessions only, which checks in a minute or two that `close` and the study work
     #[arg(long, conflicts_with_all = ["null", "seeds", "strengths", "only", "instruments"])]
     quick: bool,
-    /// Sessions without an effect
+    /// Number of sessions without an effect
     #[arg(long, value_name = "N", default_value_t = Size::default().nulls)]
     null: usize,
-    /// Repetitions of all other sessions, each with scenes and noise of its own
+    /// Number of repetitions of all other sessions, each with its own scenes and noise
     #[arg(long, value_name = "N", default_value_t = Size::default().seeds)]
     seeds: u64,
-    /// Instruments that take turns
-    #[arg(long, value_name = "N", default_value_t = Size::default().instruments, value_parser = clap::value_parser!(u64).range(1..))]
+    /// Number of instruments, used in turn
+    #[arg(long, value_name = "N", default_value_t = Size::default().instruments, value_parser =
+        clap::value_parser!(u64).range(1..))]
     instruments: u64,
-    /// Strengths of the effects, in units of what a session can tell
+    /// Strengths of single effects, in units of the standard error that a session gives for the effect
     #[arg(long, value_name = "K,..", value_delimiter = ',', default_values_t = Size::default().strengths)]
     strengths: Vec<f64>,
-    /// Effects to put in (default: all)
+    /// Ids of the effects to inject, separated by commas (default: all)
     #[arg(long, value_name = "ID,..", value_delimiter = ',')]
     only: Vec<String>,
-    /// Run only every N-th session, from the I-th on, counted from 0
-    #[arg(long, value_name = "I/N", value_parser = shard, default_value = "0/1")]
-    shard: [usize; 2],
+    /// Run only every N-th session, starting with number I (counted from 0), so that N computers share the work
+    #[arg(long, value_name = "I/N", default_value = "0/1")]
+    shard: Shard,
 }
 
 /// Runs the verb.
@@ -56,9 +59,10 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         }
     };
     let bar = run.progress(0, "study");
-    let found = study(&args.output, &size, args.shard, |done, all| {
-        bar.set_length(all as u64);
-        bar.set_position(done as u64);
+    let request = StudyRequest { dir: &args.output, size: &size, shard: args.shard };
+    let found = study(&request, &Networks, |progress| {
+        bar.set_length(progress.planned as u64);
+        bar.set_position(progress.done as u64);
     })?;
     bar.finish_and_clear();
     let s = &found.summary;
@@ -75,12 +79,12 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
             100.0 * share.high
         );
     };
-    line("found where nothing is", s.null_found);
+    line("anything found in sessions without an effect", s.null_found);
     for b in &s.single {
         line(&format!("true effect first at {} sigma", b.sigmas), b.first);
         line("  found or in the ambiguity set", b.covered);
     }
-    line("pairs, both told", s.pairs_both);
+    line("pairs, both named", s.pairs_both);
     line("false naming, true effect not a candidate", s.minus_one.false_naming);
     for (k, o) in &s.foreign {
         line(&format!("false naming, foreign effect at {k} sigma"), o.false_naming);
@@ -95,21 +99,4 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         args.output.join(PAGE).display()
     );
     Ok(Outcome { json: serde_json::to_value(s)?, text })
-}
-
-/// Parses `I/N`.
-fn shard(text: &str) -> Result<[usize; 2], String> {
-    let parts = text.split_once('/').and_then(|(i, n)| Some([i.parse().ok()?, n.parse().ok()?]));
-    parts.filter(|[i, n]| i < n).ok_or_else(|| "expected I/N with I below N, e.g. 0/2".into())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_shard_is_one_of_some() {
-        assert_eq!(shard("1/4"), Ok([1, 4]));
-        assert!(shard("4/4").is_err() && shard("1").is_err() && shard("a/b").is_err());
-    }
 }

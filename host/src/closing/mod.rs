@@ -1,30 +1,76 @@
-//! Closing the loop: find the residual between model and measurement, trace it to an effect that the model lacks, add that effect.
+//! Closing the loop: measure the residual between model and measurement, find the effect that the model lacks, add it.
 //!
-//! [`observe`] reads frames and fixes the hold-outs; [`model`] predicts them with effects and nuisances; [`design`] sums what a small
-//! change of each value would do; [`score`] tests and ranks.
+//! The folders follow the data, and none imports a later one:
+//!
+//! | folder | what it does |
+//! |---|---|
+//! | [`data`] | reads the frames of a session and fixes the hold-outs before any fit |
+//! | [`fit`] | predicts the frames from a state (effects and nuisance parameters) and fits that state |
+//! | [`evidence`] | tests the residual of a fit: omnibus tests, score tests, pixel tables, figures on held-out data |
+//! | [`search`] | adds effects that the evidence supports and removes those that are not needed |
+//! | [`account`] | reports what was found, with errors, detection limits and ambiguities |
+//!
+//! [`close()`] runs all of it on observations in memory, [`close_session`] on files.
+//!
+//! A small virtual instrument is calibrated; then its lens array is shifted by a quarter of a pixel, and the loop finds the
+//! shift from three scenes:
+//!
+//! ```
+//! # fn main() -> anyhow::Result<()> {
+//! use ommatidia_host::bench::{ArrayConfig, BenchConfig, ObjectConfig};
+//! use ommatidia_host::closing::{Budget, CloseOptions, Observations, close};
+//! use ommatidia_host::effects::EffectSetting;
+//! use ommatidia_host::instrument::{CalibrateConfig, calibrate};
+//! use ommatidia_host::session::{Role, Session};
+//!
+//! let mut bench = BenchConfig::default();
+//! (bench.sensor.rows, bench.sensor.cols) = (50, 70);
+//! bench.array = ArrayConfig { rows: 1, cols: 2, pitch_px: 20.0, placement_rms_px: 0.3 };
+//! bench.optics.aperture_um = 20.0;
+//! bench.optics.psf_window_px = 13;
+//! bench.optics.object_distance_um = 300.0;
+//! bench.optics.psf_field_px = 31;
+//! bench.object = ObjectConfig { rows: 18, cols: 22, pixel_um: 2.8 };
+//! (bench.scan.rows, bench.scan.cols) = (5, 5);
+//! (bench.stacks.dark_frames, bench.stacks.flat_frames, bench.stacks.scene_frames) = (4, 4, 3);
+//!
+//! let folder = tempfile::tempdir()?;
+//! let before = folder.path().join("before");
+//! bench.build(&[])?.measure(&before, 1, |_| ())?;
+//! let config = CalibrateConfig { rank: Some(4), replicates: 4, ..CalibrateConfig::default() };
+//! let instrument = calibrate(&Session::open(&before)?, &config, || {})?.instrument;
+//!
+//! let after = folder.path().join("after");
+//! let shift = EffectSetting::new("array_shift", &[("row_px", 0.25)]);
+//! bench.build(&[shift])?.measure_some(&after, 2, &[Role::Scene], |_| ())?;
+//! let mut seen = Observations::read(&Session::open(&after)?, &Budget::default())?;
+//! let closed = close(&instrument, &mut seen, &CloseOptions { seed: 1, ..CloseOptions::default() }, |_| ())?;
+//!
+//! let result = &closed.account.closing;
+//! let found = &result.effects[0];
+//! assert_eq!(found.id, "array_shift");
+//! assert!((found.params[0].value - 0.25).abs() < 0.02, "{:?}", found.params);
+//! assert!(result.after.chi2_ndf < result.before.chi2_ndf);
+//! # Ok(())
+//! # }
+//! ```
 
-mod account;
-mod bins;
-pub mod close;
-pub mod covariate;
-pub mod design;
-pub mod figures;
-pub mod file;
-pub mod model;
-pub mod observe;
-pub mod omnibus;
-pub mod recalibrate;
-pub mod record;
-pub mod refit;
-mod repeats;
-pub mod result;
-pub mod retrain;
-pub mod score;
+pub mod account;
+mod close;
+pub mod data;
+pub mod evidence;
+mod files;
+pub mod fit;
 pub mod search;
-pub mod state;
-pub mod stats;
-pub mod tables;
-pub mod trials;
+
+pub use account::{Account, Closed, Closing, Effect, Rejected, Retrain, RetrainRequest, Retrained, Value};
+pub use close::{CloseError, CloseOptions, check_layout, close, residual};
+pub use data::{Budget, Fault, FaultKind, Observations};
+pub use evidence::{Covariate, Dependence, Figures};
+pub use files::{
+    CloseOutcome, CloseRequest, FineTuning, Progress, ResidualOutcome, ResidualRequest, account_path, close_session,
+    residual_session,
+};
 
 #[cfg(test)]
 mod tests;

@@ -1,19 +1,16 @@
-//! The loop before frames that the model itself made: what was put in must come out. (That it comes out of frames of an independent bench, the
-//! study shows.)
+//! Fits to frames that the model itself drew recover the effects that were injected. (The study shows the same for
+//! frames of the independent virtual instrument.)
 
 #![allow(clippy::unwrap_used)]
 
-use super::design::nuisances;
-use super::model::Model;
-use super::observe::{Frame, Observations, Shown};
-use super::refit::{own_columns, refit};
-use super::score::Scores;
-use super::state::{Column, Term};
+use super::data::{Frame, Observations, Shown};
+use super::evidence::Scores;
+use super::fit::{Column, Design, Expansion, Model, Predicted, Term, nuisances, own_columns, refit};
 use crate::effects::{Kind, find};
 use crate::instrument::Instrument;
-use crate::instrument::fixture::instrument;
 use crate::rng::stream;
 use crate::session::{FrameInfo, Role};
+use crate::testing::instrument;
 use ndarray::Array2;
 use rand_distr::{Distribution, StandardNormal};
 
@@ -26,7 +23,7 @@ fn term(id: &str, values: &[(&str, f64)], lenses: usize) -> Term {
     Term { effect, params, table: None, table_error: 0.0 }
 }
 
-/// Six scenes, 20 ms apart, as the instrument with `terms` draws them.
+/// Six scenes, 20 ms apart, drawn from the instrument with `terms`.
 fn observations(instrument: &Instrument, terms: &[Term]) -> Observations {
     let object = |k: usize| {
         Array2::from_shape_fn((20, 22), |(r, c)| {
@@ -58,7 +55,7 @@ fn observations(instrument: &Instrument, terms: &[Term]) -> Observations {
         state.terms = terms.to_vec();
         let scenes = model.scenes(&model.chain(terms)).unwrap();
         let predicted = model.predict(&state, &scenes);
-        let draw = |(k, p): (usize, &super::state::Predicted)| {
+        let draw = |(k, p): (usize, &Predicted)| {
             let mut rng = stream(3, "closing/tests", k as u64);
             let mut dn = p.dn.clone();
             dn.zip_mut_with(&p.light_e, |v, e| {
@@ -75,7 +72,7 @@ fn observations(instrument: &Instrument, terms: &[Term]) -> Observations {
     seen
 }
 
-/// An effect that is fitted from absence, and its standard error.
+/// A parameter of an injected effect, fitted from absence, and its standard error.
 fn fitted(put_in: &Term, param: usize) -> (f64, f64) {
     let instrument = instrument([20, 22], SENSOR, 9, 3);
     let seen = observations(&instrument, std::slice::from_ref(put_in));
@@ -84,9 +81,7 @@ fn fitted(put_in: &Term, param: usize) -> (f64, f64) {
     state.terms.push(put_in.switched_off(model.lenses()));
     let fit = refit(&model, state).unwrap();
     let columns: Vec<Column> = nuisances(&model).into_iter().chain(own_columns(&model, &fit.state)).collect();
-    let design =
-        super::design::Design::compute(&model, &fit.state, &[], columns.clone(), &fit.predicted, &fit.scenes, &[])
-            .unwrap();
+    let design = Design::compute(&model, fit.expansion(&[]), columns.clone(), &[]).unwrap();
     let mine: Vec<usize> = (0..columns.len()).filter(|i| matches!(columns[*i], Column::Own { .. })).collect();
     let others = (0..columns.len()).filter(|i| !mine.contains(i)).collect();
     let test = Scores::new(&design, others).test(&mine).unwrap();
@@ -96,7 +91,7 @@ fn fitted(put_in: &Term, param: usize) -> (f64, f64) {
 }
 
 #[test]
-fn what_is_left_of_the_frame_before_is_found() {
+fn a_remainder_of_the_preceding_frame_is_found() {
     let (value, sigma) = fitted(&term("lag", &[("share", 0.05)], 2), 0);
     assert!(sigma > 0.0 && sigma < 0.01 && (value - 0.05).abs() < 4.0 * sigma, "{value} +- {sigma}");
 }
@@ -134,12 +129,12 @@ fn light_that_only_widens_the_errors_is_no_better_fit() {
     let model = Model::new(&instrument, &seen).unwrap();
     let plain = refit(&model, model.state(&instrument).unwrap()).unwrap();
     let mut state = plain.state.clone();
-    // An even level that the black level takes off again: the same picture with more noise.
+    // A uniform background that the black level compensates: the same expected frame with more noise.
     state.terms.push(term("background", &[("rate_e_per_ms", 5.0)], 2));
     state.black_dn -= 5.0 * 10.0 * 0.5;
     let predicted = model.predict(&state, &plain.scenes);
-    let design =
-        super::design::Design::compute(&model, &state, &[], nuisances(&model), &predicted, &plain.scenes, &[]).unwrap();
+    let at = Expansion { state: &state, trials: &[], predicted: &predicted, scenes: &plain.scenes };
+    let design = Design::compute(&model, at, nuisances(&model), &[]).unwrap();
     let wide = design.training().misfit();
     assert!(wide.chi2 < 0.9 * plain.training.chi2 && wide.deviance > plain.training.deviance + 100.0, "{wide:?}");
 }

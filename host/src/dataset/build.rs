@@ -1,4 +1,4 @@
-//! Makes a data set with an instrument, shard by shard.
+//! Simulates a data set with an instrument, shard by shard.
 
 use super::plan::{SHARD_KIND, VERSION};
 use super::reader::{ShardBody, open_shard};
@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 use std::path::Path;
 use std::str::FromStr;
 
-/// How a data set is made.
+/// Settings of a data set.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SimulateConfig {
@@ -24,9 +24,10 @@ pub struct SimulateConfig {
     pub count: usize,
     /// Pairs per shard.
     pub shard_pairs: usize,
-    /// What the objects are drawn from.
+    /// Specimens that objects are drawn from.
     pub scenes: SceneConfig,
-    /// Range of the brightest pixel of a frame, electrons, its logarithm drawn evenly; None: 10 % to 80 % of full scale.
+    /// Range of the brightest pixel of a frame, electrons, drawn with a uniform logarithm; None: 10 % to 80 % of full
+    /// scale.
     pub peak_e: Option<[f64; 2]>,
 }
 
@@ -36,7 +37,7 @@ impl Default for SimulateConfig {
     }
 }
 
-/// Which shards this machine makes: `index` of `of`, counted from one.
+/// The share of shards that this machine simulates: `index` of `of`, counted from one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Share {
     index: usize,
@@ -65,14 +66,14 @@ impl FromStr for Share {
     }
 }
 
-/// What a run of a simulation did.
+/// Result of a run of the simulation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Progress {
-    /// Shards that were made.
+    /// Number of shards that were written.
     pub made: usize,
-    /// Shards of this share that were there already.
+    /// Number of shards of this share that existed already.
     pub kept: usize,
-    /// Shards of the whole data set that are not there yet.
+    /// Number of shards of the whole data set that are still missing.
     pub missing: usize,
 }
 
@@ -87,10 +88,10 @@ pub struct Simulation {
 }
 
 impl SimulateConfig {
-    /// Plans a data set of `instrument`, which is hashed from its file.
+    /// Plans a data set of `instrument`; the provenance holds the hash of the instrument's `file`.
     ///
     /// # Errors
-    /// A number cannot be, there are no scenes, or the instrument is inconsistent.
+    /// A setting is out of range, there are no scenes, or the instrument is inconsistent.
     pub fn build(&self, instrument: &Instrument, file: &Path, seed: u64) -> Result<Simulation, DataSetError> {
         let full = (instrument.noise.saturation_dn - instrument.noise.black_level_dn) / instrument.noise.gain_dn_per_e;
         let peak_e = self.peak_e.unwrap_or([0.1 * full, 0.8 * full]);
@@ -135,13 +136,13 @@ impl SimulateConfig {
 }
 
 impl Simulation {
-    /// What will be made.
+    /// The plan of the data set.
     pub fn plan(&self) -> &DataSetPlan {
         &self.plan
     }
 
-    /// Makes the shards of `share` in folder `dir`; those that are there already are kept. Calls `done` with the number of
-    /// pairs after each shard.
+    /// Writes the shards of `share` to folder `dir` and keeps those that exist. Calls `done` with the number of pairs
+    /// after each shard.
     ///
     /// # Errors
     /// The folder holds another data set, is not writable, or an object shows no light.
@@ -185,8 +186,8 @@ impl Simulation {
         Ok(artifact::write(&path, &header, &tensors)?)
     }
 
-    /// Pair `i`: the object with maximum 1, and its frame at the light that puts the brightest pixel at its drawn level; electrons,
-    /// without noise.
+    /// Pair `i`: the object [object rows, object cols] with maximum 1, and its noise-free frame [sensor rows, sensor
+    /// cols] in electrons, scaled so that its brightest pixel has the drawn level.
     ///
     /// # Errors
     /// No light reaches the sensor, or the forward model refuses the object.

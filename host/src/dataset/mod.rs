@@ -5,9 +5,9 @@
 //! shard-00000.safetensors    `objects` [n, R, C], maximum 1; `frames_e` [n, rows, cols], expected electrons
 //! shard-00001.safetensors    ...
 //! ```
-//! Each shard appears whole or not at all and depends only on the plan and its number, so a killed run is taken up
-//! where it was, and machines share the work (`--shard I/N`) without talking to one another. Noise is not in it: training
-//! draws it anew each time a pair is seen.
+//! Each shard appears whole or not at all and depends only on the plan and its number. A killed run can therefore be
+//! resumed, and several machines can share the work (`--shard I/N`) without communication. The frames are free of
+//! noise: training draws new noise each time that it uses a pair.
 
 mod build;
 mod plan;

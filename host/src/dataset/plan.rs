@@ -1,4 +1,4 @@
-//! What a data set holds and how it was made.
+//! The plan of a data set: its contents and its settings.
 
 use crate::artifact::{self, ArtifactError, Provenance};
 use crate::forward::ForwardError;
@@ -18,7 +18,7 @@ pub(super) const VERSION: u32 = 1;
 /// Kind of the shards' artifacts.
 pub(super) const SHARD_KIND: &str = "shard";
 
-/// What a data set holds and how it was made.
+/// Contents and settings of a data set.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DataSetPlan {
@@ -36,9 +36,9 @@ pub struct DataSetPlan {
     pub object: [usize; 2],
     /// Rows and columns of a frame.
     pub frame: [usize; 2],
-    /// Noise to draw onto the frames.
+    /// Noise model that training draws from.
     pub noise: NoiseModel,
-    /// Range that the brightest pixel of each frame is drawn from, electrons.
+    /// Range of the brightest pixel of each frame, electrons.
     pub peak_e: [f64; 2],
 }
 
@@ -61,7 +61,7 @@ impl DataSetPlan {
         serde_json::to_string_pretty(self).map(|s| s + "\n")
     }
 
-    /// SHA-256 of the plan: shards name it, so that those of another plan are not taken for this one's.
+    /// SHA-256 of the plan. Shards store it, so that a shard of another plan is detected.
     pub(super) fn hash(&self) -> Result<String, serde_json::Error> {
         let digest = Sha256::digest(self.to_json()?.as_bytes());
         Ok(digest.iter().map(|b| format!("{b:02x}")).collect())
@@ -70,7 +70,7 @@ impl DataSetPlan {
     /// Reads the plan of the data set in `dir`.
     ///
     /// # Errors
-    /// It is missing, damaged, of another version, or its sizes cannot be.
+    /// The plan is missing, damaged, of another version, or has a size of zero.
     pub fn read(dir: &Path) -> Result<Self, DataSetError> {
         let path = dir.join(PLAN_FILE);
         let text = std::fs::read_to_string(&path).map_err(|source| DataSetError::Io { path: path.clone(), source })?;
@@ -88,7 +88,7 @@ impl DataSetPlan {
         Ok(plan)
     }
 
-    /// Writes the plan into `dir`, or takes up the one that is there if it is the same.
+    /// Writes the plan into `dir`, or accepts an existing equal one.
     pub(super) fn write_or_resume(&self, dir: &Path) -> Result<(), DataSetError> {
         let path = dir.join(PLAN_FILE);
         std::fs::create_dir_all(dir).map_err(|source| DataSetError::Io { path: dir.into(), source })?;
@@ -108,11 +108,11 @@ pub enum DataSetError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: std::io::Error,
     },
     /// The plan is damaged or of another version.
-    #[error("{path}: not a readable plan of a data set ({detail}); make the data set again")]
+    #[error("{path}: not a readable plan of a data set ({detail}); run `simulate` again")]
     Plan {
         /// The file.
         path: PathBuf,
@@ -121,13 +121,14 @@ pub enum DataSetError {
     },
     /// The folder holds a data set that was planned differently.
     #[error(
-        "{path}: another data set was begun here, with another instrument, seed or configuration; choose another folder, or remove this one"
+        "{path}: this folder holds a data set with another instrument, seed or configuration; choose another folder, \
+         or remove this one"
     )]
     Other {
         /// Its plan.
         path: PathBuf,
     },
-    /// A number of the configuration cannot be.
+    /// A setting is out of range.
     #[error("{field}: expected {expected}, found {found}")]
     Config {
         /// The field.
@@ -137,16 +138,16 @@ pub enum DataSetError {
         /// What was found.
         found: String,
     },
-    /// A shard has not been made yet.
+    /// Shards are missing.
     #[error(
-        "{path}: {missing} of {shards} shards are missing; run `simulate` again with the same options to make them"
+        "{path}: {missing} of {shards} shards are missing; run `simulate` again with the same options to write them"
     )]
     Incomplete {
         /// The folder.
         path: PathBuf,
-        /// How many are missing.
+        /// Number of missing shards.
         missing: usize,
-        /// How many there should be.
+        /// Number of shards of the plan.
         shards: usize,
     },
     /// A shard does not belong to this plan.
@@ -158,12 +159,12 @@ pub enum DataSetError {
     /// There is no such pair.
     #[error("pair {index}: the data set has {count}")]
     NoPair {
-        /// What was asked for.
+        /// The requested index.
         index: usize,
-        /// How many there are.
+        /// Number of pairs.
         count: usize,
     },
-    /// A specimen shows no light on the sensor.
+    /// No light of a specimen reaches the sensor.
     #[error("pair {index}: no light reaches the sensor; calibrate again, or leave out the dead lenses")]
     Black {
         /// The pair.

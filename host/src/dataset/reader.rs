@@ -7,17 +7,17 @@ use ndarray::{Array2, ArrayD, Ix2};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// What a shard says of itself.
+/// The header of a shard.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ShardBody {
-    /// Its number.
+    /// Index of the shard.
     pub shard: usize,
-    /// SHA-256 of the plan that it belongs to.
+    /// SHA-256 of the plan.
     pub plan: String,
 }
 
-/// A complete data set, read pair by pair; safe to share between threads.
+/// A complete data set, read pair by pair; it can be shared between threads.
 #[derive(Clone, Debug)]
 pub struct DataSet {
     dir: PathBuf,
@@ -42,12 +42,12 @@ impl DataSet {
         Ok(Self { dir: dir.into(), plan, shards })
     }
 
-    /// Its folder.
+    /// The folder of the data set.
     pub fn dir(&self) -> &Path {
         &self.dir
     }
 
-    /// What it holds and how it was made.
+    /// Contents and settings.
     pub fn plan(&self) -> &DataSetPlan {
         &self.plan
     }
@@ -61,7 +61,7 @@ impl DataSet {
     /// Pair `i`: the object, [R, C], maximum 1, and its expected frame, electrons, [rows, cols], without noise.
     ///
     /// # Errors
-    /// There is no such pair, or its shard was damaged since the data set was opened.
+    /// There is no such pair, or its shard has been damaged since the data set was opened.
     pub fn pair(&self, i: usize) -> Result<(Array2<f32>, Array2<f32>), DataSetError> {
         if i >= self.plan.count {
             return Err(DataSetError::NoPair { index: i, count: self.plan.count });

@@ -2,14 +2,15 @@
 
 use super::*;
 use crate::artifact;
-use crate::instrument::{Instrument, fixture};
+use crate::instrument::Instrument;
 use crate::scene::{SceneConfig, Specimen};
+use crate::testing;
 use ndarray::array;
 use std::path::Path;
 
 /// Its first lens copies each object pixel to one sensor pixel; its second one adds nothing.
 fn instrument() -> Instrument {
-    let mut instrument = fixture::instrument([16, 12], [20, 22], 3, 1);
+    let mut instrument = testing::instrument([16, 12], [20, 22], 3, 1);
     instrument.geometry.anchors_px = vec![[9.5, 10.5]; 2];
     instrument.psf.basis.fill(0.0);
     instrument.psf.basis[[0, 0, 1, 1]] = 1.0;

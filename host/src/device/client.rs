@@ -1,6 +1,8 @@
-//! The host's end of the conversation: ask, wait, ask again.
+//! The host's end of the serial protocol: sends requests, waits for replies, and retries.
 
-use super::{DeviceError, Scope, Transport};
+use super::error::DeviceError;
+use super::scope::Scope;
+use super::transport::Transport;
 use half::f16;
 use ommatidia_shared::wire::frame::decode;
 use ommatidia_shared::wire::{
@@ -10,9 +12,9 @@ use ommatidia_shared::wire::{
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-/// How long to wait for an answer, and how often to ask.
+/// How long to wait for a reply, and how often to send a request.
 #[derive(Clone, Copy, Debug)]
-pub struct Patience {
+pub struct RetryPolicy {
     /// Wait before the second attempt; each later wait is twice as long.
     pub first: Duration,
     /// The longest wait.
@@ -21,55 +23,55 @@ pub struct Patience {
     pub attempts: u32,
 }
 
-impl Patience {
-    /// For what the device does at once.
+impl RetryPolicy {
+    /// For requests that the device answers at once.
     pub const SHORT: Self = Self { first: Duration::from_millis(500), longest: Duration::from_secs(4), attempts: 12 };
-    /// For a reconstruction.
+    /// For reconstructions and commits.
     pub const LONG: Self = Self { first: Duration::from_secs(5), longest: Duration::from_secs(60), attempts: 15 };
 }
 
-/// The host's end of a line.
+/// The host's end of the serial protocol, over any [`Transport`].
 pub struct Client<T> {
     line: T,
     seq: u16,
     deframer: Box<Deframer<MAX_PACKET>>,
-    short: Patience,
-    long: Patience,
-    /// Bytes received and not yet looked at.
+    short: RetryPolicy,
+    long: RetryPolicy,
+    /// Bytes received and not yet decoded.
     pending: VecDeque<u8>,
     /// Checksum of the frame that was sent last.
     frame_crc: u32,
 }
 
 impl<T: Transport> Client<T> {
-    /// Opens the conversation.
+    /// Connects: sends the hello and checks version and schema.
     ///
     /// # Errors
-    /// The device is silent or speaks another version.
+    /// The device does not answer or has another protocol version.
     pub fn connect(line: T) -> Result<(Self, Info), DeviceError> {
-        Self::connect_with(line, Patience::SHORT, Patience::LONG)
+        Self::connect_with(line, RetryPolicy::SHORT, RetryPolicy::LONG)
     }
 
-    /// Opens the conversation with other waiting times: `short` for what is done at once, `long` for reconstructions.
+    /// Connects with other waiting times: `short` for requests that are answered at once, `long` for reconstructions.
     ///
     /// # Errors
-    /// The device is silent or speaks another version.
-    pub fn connect_with(line: T, short: Patience, long: Patience) -> Result<(Self, Info), DeviceError> {
+    /// The device does not answer or has another protocol version.
+    pub fn connect_with(line: T, short: RetryPolicy, long: RetryPolicy) -> Result<(Self, Info), DeviceError> {
         let mut client = Self::over(line, short, long);
         let info = client.hello()?;
         Ok((client, info))
     }
 
-    /// A conversation that [`Self::hello`] is to open.
-    pub fn over(line: T, short: Patience, long: Patience) -> Self {
+    /// A client that has not connected yet; [`Self::hello`] connects it.
+    pub fn over(line: T, short: RetryPolicy, long: RetryPolicy) -> Self {
         let deframer = Box::new(Deframer::new());
         Self { line, seq: 0, deframer, short, long, pending: VecDeque::new(), frame_crc: 0 }
     }
 
-    /// Begins the conversation anew, after the device or the line was away.
+    /// Sends the hello again, after the device was reset or the line was interrupted.
     ///
     /// # Errors
-    /// The device is silent or speaks another version.
+    /// The device does not answer or has another protocol version.
     pub fn hello(&mut self) -> Result<Info, DeviceError> {
         let hello = Request::Hello { version: VERSION, schema: SCHEMA_KEY };
         self.ask(hello, self.short, |reply| match reply {
@@ -78,49 +80,49 @@ impl<T: Transport> Client<T> {
         })
     }
 
-    /// The line, for tests that count what it did.
+    /// The line.
     pub fn line(&self) -> &T {
         &self.line
     }
 
-    /// The line.
+    /// Gives the line back.
     pub fn into_line(self) -> T {
         self.line
     }
 
-    /// Sends a network file and has it checked; `progress` hears how many bytes have arrived.
+    /// Sends a network file and commits it; `progress` is called with the number of bytes that have arrived.
     ///
     /// # Errors
-    /// The device refuses it or falls silent.
+    /// The device refuses it or stops answering.
     pub fn send_blob(&mut self, bytes: &[u8], progress: &mut dyn FnMut(usize)) -> Result<(), DeviceError> {
         self.transfer(Transfer::Blob, bytes, progress)?;
         self.ask(Request::Commit, self.long, done)
     }
 
-    /// Sends a raw frame, codes row by row.
+    /// Sends a raw frame: sensor codes, DN, row by row.
     ///
     /// # Errors
-    /// The device refuses it or falls silent.
+    /// The device refuses it or stops answering.
     pub fn send_frame(&mut self, codes: &[u16]) -> Result<(), DeviceError> {
         let bytes: Vec<u8> = codes.iter().flat_map(|code| code.to_le_bytes()).collect();
         self.frame_crc = checksum(&bytes);
         self.transfer(Transfer::Frame, &bytes, &mut |_| {})
     }
 
-    /// Has the frame that was sent last reconstructed as run `id`.
+    /// Reconstructs the frame that was sent last, as run `id`.
     ///
     /// # Errors
-    /// The device refuses, falls silent, or reconstructed another frame than the last that was sent.
+    /// The device refuses, stops answering, or reconstructed another frame than the one that was sent last.
     pub fn reconstruct(&mut self, id: u32, scope: Scope) -> Result<RunReport, DeviceError> {
         let report = self.reconstruct_live(id, scope)?;
         same(report.frame_crc, self.frame_crc, "frame", id)?;
         Ok(report)
     }
 
-    /// The same for the frame that the device's camera sees, where no frame was sent since the last run.
+    /// Reconstructs a frame of the device's camera, if no frame was sent since the last run.
     ///
     /// # Errors
-    /// The device refuses or falls silent.
+    /// The device refuses or stops answering.
     pub fn reconstruct_live(&mut self, id: u32, scope: Scope) -> Result<RunReport, DeviceError> {
         let Scope { region, hold } = scope;
         let asked =
@@ -131,10 +133,10 @@ impl<T: Transport> Client<T> {
         })
     }
 
-    /// Fetches the reconstruction of a run.
+    /// Fetches the reconstruction of a run: half-precision values, row by row.
     ///
     /// # Errors
-    /// The device refuses or falls silent, or its bytes are not those that it computed.
+    /// The device refuses or stops answering, or the checksum of the bytes does not match the device's.
     pub fn fetch(&mut self, report: &RunReport) -> Result<Vec<f16>, DeviceError> {
         let total = report.len as usize;
         let mut bytes = Vec::with_capacity(total);
@@ -151,10 +153,10 @@ impl<T: Transport> Client<T> {
         Ok(bytes.as_chunks().0.iter().map(|half| f16::from_le_bytes(*half)).collect())
     }
 
-    /// Figures of the device.
+    /// Telemetry of the device.
     ///
     /// # Errors
-    /// The device falls silent.
+    /// The device stops answering.
     pub fn telemetry(&mut self) -> Result<Telemetry, DeviceError> {
         self.ask(Request::Telemetry, self.short, |reply| match reply {
             Reply::Telemetry(telemetry) => Some(telemetry),
@@ -162,12 +164,12 @@ impl<T: Transport> Client<T> {
         })
     }
 
-    /// Has the program end, where a program can. That it ends without an answer is no failure.
+    /// Ends the program where it can end, and gives the line back. A missing reply is not an error.
     pub fn quit(mut self) -> T {
         if !self.line.ends() {
             return self.line;
         }
-        let once = Patience { attempts: 2, ..self.short };
+        let once = RetryPolicy { attempts: 2, ..self.short };
         let _ = self.ask(Request::Quit, once, done);
         self.line
     }
@@ -189,11 +191,11 @@ impl<T: Transport> Client<T> {
         Ok(())
     }
 
-    /// Asks until the answer with the same number comes; `read` takes what it expects of it.
+    /// Sends a request until the reply with the same number arrives; `read` extracts the expected reply.
     fn ask<R>(
         &mut self,
         request: Request<'_>,
-        patience: Patience,
+        patience: RetryPolicy,
         mut read: impl FnMut(Reply<'_>) -> Option<R>,
     ) -> Result<R, DeviceError> {
         self.seq = self.seq.wrapping_add(1);

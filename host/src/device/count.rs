@@ -1,16 +1,19 @@
-//! Instructions of each operator on the emulated core.
+//! Counts the instructions of each operator on an emulated core.
 
+use super::counter::Counter;
+use super::error::DeviceError;
+use super::firmware::Firmware;
+use super::footprint::{Footprint, footprint};
 use super::qemu::run_to_end;
-use super::{Counter, DeviceError, Firmware, Footprint, footprint};
 use ommatidia_shared::boards::Board;
 use serde::Serialize;
 
-/// What one operator costs.
+/// Instructions of one operator.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct OperatorCount {
     /// Operator and its shape.
     pub name: String,
-    /// How much work it is, in `unit`.
+    /// Amount of work, in `unit`.
     pub amount: u64,
     /// Unit of the work.
     pub unit: String,
@@ -25,18 +28,18 @@ impl OperatorCount {
     }
 }
 
-/// What the program costs on one board.
+/// Instructions and memory of the firmware on one board.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BoardCounts {
     /// The board.
     pub board: Board,
-    /// What the program takes of its memory.
+    /// Memory of the firmware.
     pub footprint: Footprint,
-    /// What each operator costs.
+    /// Instructions of each operator.
     pub operators: Vec<OperatorCount>,
 }
 
-/// Builds the programs for a board, runs them, counts.
+/// Builds the programs for a board, runs them under QEMU, and counts their instructions.
 ///
 /// # Errors
 /// QEMU, a compiler or the sources are missing, or a program fails.

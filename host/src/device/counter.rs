@@ -1,6 +1,6 @@
 //! Counts the instructions of the emulated core: a plugin of QEMU, built from source when it is needed.
 
-use super::DeviceError;
+use super::error::DeviceError;
 use std::path::PathBuf;
 use std::process::Command;
 use tempfile::TempDir;

@@ -1,4 +1,4 @@
-//! Why the device did not give reconstructions.
+//! Errors of the link to a device.
 
 use crate::network_file::NetworkFileError;
 use ommatidia_shared::pipeline::PipelineError;
@@ -6,12 +6,13 @@ use ommatidia_shared::wire::{Refusal, SlotReport};
 use std::path::PathBuf;
 use thiserror::Error;
 
-/// Why the device did not give reconstructions.
+/// Errors of the link to a device: starting it, talking to it, and using its answers.
 #[derive(Debug, Error)]
 pub enum DeviceError {
-    /// QEMU is not there.
+    /// QEMU is not installed.
     #[error(
-        "qemu-system-arm is not on the PATH; install it (Debian, Ubuntu: `apt-get install qemu-system-arm`; macOS: `brew install qemu`), or run the firmware's logic on this machine with `--on host`"
+        "qemu-system-arm is not on the PATH; install it (Debian, Ubuntu: `apt-get install qemu-system-arm`; macOS: \
+         `brew install qemu`), or run the firmware's logic on this computer with `--on host`"
     )]
     NoQemu,
     /// A program could not be started.
@@ -24,10 +25,12 @@ pub enum DeviceError {
     },
     /// There is no firmware image.
     #[error(
-        "no firmware image: {detail}; name one with `--firmware ELF`, or run the firmware's logic here with `--on host`"
+        "no firmware image: {detail}; name one with `--firmware ELF`, or run the firmware's logic on this computer \
+            with \
+         `--on host`"
     )]
     NoFirmware {
-        /// What was tried.
+        /// Where it was searched.
         detail: String,
     },
     /// The firmware does not build.
@@ -36,7 +39,7 @@ pub enum DeviceError {
         /// The end of the compiler's messages.
         log: String,
     },
-    /// The emulator ended.
+    /// The emulator stopped.
     #[error("the emulated board stopped ({status}): {output}")]
     Stopped {
         /// How it ended.
@@ -54,9 +57,11 @@ pub enum DeviceError {
         /// What to do.
         advice: &'static str,
     },
-    /// The board behind a serial port has gone.
+    /// The board on a serial port was unplugged.
     #[error(
-        "{port}: the board is gone ({source}). What was on its way is lost: an upload, or the reconstructions of `device run`; what `device stream` recorded and the network in its flash stay. Plug it in and start again"
+        "{port}: the board was unplugged ({source}). A running upload and the reconstructions of `device run` are \
+            lost; \
+         recordings of `device stream` and the network in its flash are kept. Plug it in and start again"
     )]
     Unplugged {
         /// The port.
@@ -64,53 +69,53 @@ pub enum DeviceError {
         /// What the system said.
         source: std::io::Error,
     },
-    /// The line failed.
-    #[error("the line to the device failed: {0}")]
+    /// The connection failed.
+    #[error("the connection to the device failed: {0}")]
     Line(#[from] std::io::Error),
-    /// No answer.
-    #[error("the device does not answer `{request}`: asked {attempts} times; check the line and the firmware")]
+    /// The device does not answer.
+    #[error("the device does not answer `{request}` after {attempts} attempts; check the cable and the firmware")]
     Silent {
-        /// What was asked.
+        /// The request.
         request: String,
-        /// How often.
+        /// Number of attempts.
         attempts: u32,
     },
-    /// Frames were to come from a camera.
-    #[error("{board} has no camera that answers; give the frames with `--frames STACK`")]
+    /// The board has no camera.
+    #[error("{board} has no working camera; give the frames with `--frames STACK`")]
     NoCamera {
         /// The board.
         board: String,
     },
-    /// An answer to something else.
-    #[error("the device answered `{request}` with something else: {found}")]
+    /// A reply of the wrong kind.
+    #[error("unexpected reply of the device to `{request}`: {found}")]
     Unexpected {
-        /// What was asked.
+        /// The request.
         request: String,
-        /// What came.
+        /// The reply.
         found: String,
     },
     /// Bytes changed on the way in spite of the checksums of their packets.
-    #[error("{what} {id}: expected CRC {expected:08x}, found {found:08x}; it is not used")]
+    #[error("{what} {id}: expected CRC {expected:08x}, found {found:08x}; it is discarded")]
     Damaged {
         /// Frame or reconstruction.
         what: &'static str,
         /// Its number.
         id: u32,
-        /// Checksum at the end that it comes from.
+        /// Checksum at the sender.
         expected: u32,
-        /// Checksum at the other end.
+        /// Checksum at the receiver.
         found: u32,
     },
     /// The network that runs is not the one that was sent.
-    #[error("the device runs {found:?} after the network was committed; send it again")]
+    #[error("after the commit the device still runs {found:?}; send the network again")]
     NotCommitted {
         /// The slot that runs.
         found: Option<SlotReport>,
     },
-    /// The device refuses.
+    /// The device refused a request.
     #[error("the device refuses: {0}")]
     Refused(Refusal),
-    /// A file or a frame is no good.
+    /// A network file or a frame is invalid.
     #[error(transparent)]
     Blob(#[from] NetworkFileError),
     /// The pipeline refuses on this machine.

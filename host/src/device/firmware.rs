@@ -1,6 +1,6 @@
-//! The firmware image: given, or built from this workspace.
+//! The firmware image: a given file, or built from this workspace.
 
-use super::DeviceError;
+use super::error::DeviceError;
 use ommatidia_shared::boards::Board;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -16,7 +16,7 @@ pub struct Firmware {
 }
 
 impl Firmware {
-    /// An image that the user names.
+    /// An existing image.
     ///
     /// # Errors
     /// There is no such file.
@@ -27,8 +27,8 @@ impl Firmware {
         Err(DeviceError::NoFirmware { detail: format!("{}: no such file", path.display()) })
     }
 
-    /// Builds program `bin` (`app` or `bench`) for a board; with `OMMATIDIA_FIRMWARE` = a folder of images that another
-    /// toolchain has built, takes it from there.
+    /// Builds program `bin` (`app`, `bench` or `watchdog`) for a board. If the environment variable
+    /// `OMMATIDIA_FIRMWARE` names a folder of prebuilt images, takes the image from there.
     ///
     /// # Errors
     /// The sources or the compiler for the target are missing, or the build fails.
@@ -40,7 +40,7 @@ impl Firmware {
         let missing = |detail: String| DeviceError::NoFirmware { detail };
         let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
         if !workspace.join("firmware/Cargo.toml").is_file() {
-            return Err(missing("the sources of this program are not here".into()));
+            return Err(missing("the source code of the firmware was not found".into()));
         }
         if !can_build(board) {
             let target = board.target;
@@ -65,7 +65,7 @@ impl Firmware {
         }
         executable(&output.stdout, bin)
             .map(|path| Self { board, path })
-            .ok_or_else(|| missing(format!("the build made no program `{bin}`")))
+            .ok_or_else(|| missing(format!("the build produced no program `{bin}`")))
     }
 
     /// The board that it runs on.
@@ -92,7 +92,7 @@ fn can_build(board: Board) -> bool {
     })
 }
 
-/// The executable that cargo's messages tell of.
+/// The executable named in the messages of cargo.
 fn executable(messages: &[u8], bin: &str) -> Option<PathBuf> {
     String::from_utf8_lossy(messages).lines().find_map(|line| {
         let message: serde_json::Value = serde_json::from_str(line).ok()?;

@@ -1,34 +1,39 @@
-//! A network into the flash of a device, and how the device is.
+//! Uploads a network into the flash of a device.
 
-use super::{Client, DeviceError, Runtime, Transport};
+use super::client::Client;
+use super::error::DeviceError;
+use super::runtime::Runtime;
+use super::transport::Transport;
 use crate::network_file::NetworkFile;
 use ommatidia_shared::blob::BlobError;
 use ommatidia_shared::wire::{Info, Refusal, SlotReport, Telemetry};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-/// How often an upload is begun anew after the line or the flash failed.
+/// How often an upload is tried after the line or the flash failed.
 const ATTEMPTS: u32 = 3;
 
-/// What became of a network file.
+/// Result of an upload.
 #[derive(Clone, Debug)]
 pub struct FlashReport {
-    /// Board that the device says it is.
+    /// Board, as the device reports it.
     pub board: String,
-    /// The slot that the file is in, and its mark.
+    /// The slot of the network, and its commit mark.
     pub slot: SlotReport,
-    /// Uploads that it took; 0 where the file was there already.
+    /// Number of uploads; 0 if the network was in the flash already.
     pub attempts: u32,
     /// Wall time.
     pub took: Duration,
-    /// Figures of the device afterwards.
+    /// Telemetry of the device afterwards.
     pub telemetry: Telemetry,
 }
 
-/// Sends a network to the slot of the device that does not run, has it checked and committed, and asks whether it runs.
+/// Sends a network to the inactive slot of the device, commits it, and checks that it runs. The flash of an emulated
+/// device is the file `state`. `progress` is called with the share that has arrived, 0 to 1.
 ///
 /// # Errors
-/// The device cannot be started, refuses the network, or falls silent again and again. It then runs what it ran before.
+/// The device cannot be started, refuses the network, or stops answering in every attempt. It then runs its old
+/// network.
 pub fn flash(
     runtime: &Runtime,
     state: Option<&Path>,
@@ -41,7 +46,7 @@ pub fn flash(
     Ok(report)
 }
 
-/// The same over a line that is open.
+/// As [`flash`], over an open connection.
 ///
 /// # Errors
 /// As [`flash`].
@@ -79,18 +84,7 @@ pub fn upload<T: Transport>(
     }
 }
 
-/// Who the device is, and its figures.
-///
-/// # Errors
-/// The device cannot be started or falls silent.
-pub fn status(runtime: &Runtime, state: Option<&Path>) -> Result<(Info, Telemetry), DeviceError> {
-    let (mut client, info) = Client::connect(runtime.start(None, state)?)?;
-    let telemetry = client.telemetry()?;
-    client.quit().wait()?;
-    Ok((info, telemetry))
-}
-
-/// Whether a network is what the device runs: the length and the checksum of its file are.
+/// Whether the device runs this network, judged by the length and the checksum of its file.
 pub(super) fn runs(telemetry: &Telemetry, blob: &NetworkFile) -> bool {
     let file = blob.bytes();
     let crc = file.last_chunk().map(|crc| u32::from_le_bytes(*crc));

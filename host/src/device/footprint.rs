@@ -1,24 +1,27 @@
-//! What the program takes of a board's memory.
+//! Memory of the firmware on a board.
 
-use super::{DeviceError, Firmware, Runtime, run};
+use super::error::DeviceError;
+use super::firmware::Firmware;
+use super::run::run;
+use super::runtime::Runtime;
 use crate::network_file::NetworkFile;
 use half::f16;
 use ommatidia_shared::blob::{Bank, Header, MemoryPlan, Rcan, Sensor, Size, Tap, Weights};
 use ommatidia_shared::pipeline::Pipeline;
 use serde::Serialize;
 
-/// What the program takes of a board's memory, besides the buffers of the network.
+/// Memory of the firmware on a board, without the buffers of the network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Footprint {
     /// Code and constants, bytes.
     pub image_bytes: u32,
     /// Variables, bytes.
     pub static_bytes: u32,
-    /// The deepest that the stack has been, bytes.
+    /// Deepest stack so far, bytes.
     pub stack_bytes: u32,
 }
 
-/// Runs a small network on the emulated board and asks it.
+/// Runs a small network on the emulated board and reads the memory use from its telemetry.
 ///
 /// # Errors
 /// QEMU is missing, or the program fails.
@@ -30,7 +33,8 @@ pub fn footprint(app: &Firmware) -> Result<Footprint, DeviceError> {
     Ok(Footprint { image_bytes, static_bytes, stack_bytes })
 }
 
-/// A network with every operator in it, all weights zero, and a frame for it: how deep the stack gets does not depend on the sizes.
+/// A network with every operator in it, all weights zero, and a frame for it: how deep the stack gets does not depend
+/// on the sizes.
 pub(super) fn small_network() -> Result<(NetworkFile, Vec<u16>), DeviceError> {
     let mut header = Header {
         name: Default::default(),

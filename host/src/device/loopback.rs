@@ -1,9 +1,10 @@
-//! The firmware's logic in this process: the very program of the device, on a thread and memory of its own.
+//! The firmware's logic in this process, on a thread with memory of its own.
 
-use super::{DeviceError, Transport};
+use super::error::DeviceError;
+use super::transport::Transport;
 use embedded_io::{ErrorType, Read, Write};
 use half::f16;
-use ommatidia_shared::device::{Arenas, Device, FrameSource, IoError, Line, RamFrame, RamObject, Silent, serve};
+use ommatidia_shared::device::{Arenas, Device, FrameInput, IoError, Line, RamFrame, RamObject, Silent, serve};
 use ommatidia_shared::flash::RamFlash;
 use std::convert::Infallible;
 use std::fs::OpenOptions;
@@ -13,7 +14,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-/// Memory of the device that is played.
+/// Memory of the simulated device.
 #[derive(Clone, Copy, Debug)]
 pub struct LoopbackConfig {
     /// Flash with two slots for network files, bytes.
@@ -26,12 +27,12 @@ pub struct LoopbackConfig {
     pub fast_bytes: usize,
     /// Bulk memory, bytes.
     pub bulk_bytes: usize,
-    /// Pixels of the frames of a camera that is played ([`camera_frame`]); 0 for none.
+    /// Pixels of the frames of a simulated camera ([`camera_frame`]); 0: no camera.
     pub camera_px: usize,
 }
 
 impl Default for LoopbackConfig {
-    /// The default board's memory.
+    /// The memory of the default board.
     fn default() -> Self {
         Self {
             flash_bytes: 6 << 20,
@@ -85,7 +86,7 @@ impl Drop for Loopback {
     }
 }
 
-/// Runs the program on a line until it closes.
+/// Runs the device's program on a line until the line closes.
 pub(super) fn play<L: Read + Write>(config: LoopbackConfig, mut link: L, state: Option<PathBuf>) {
     let mut flash = vec![0u128; config.flash_bytes.div_ceil(16)];
     let flash: &mut [u8] = &mut bytemuck::cast_slice_mut(&mut flash)[..config.flash_bytes];
@@ -110,16 +111,16 @@ pub(super) fn play<L: Read + Write>(config: LoopbackConfig, mut link: L, state: 
     if let Some(state) = state
         && let Err(error) = keep(&state, flash)
     {
-        tracing::error!("{}: the flash cannot be kept: {error}", state.display());
+        tracing::error!("{}: the flash cannot be saved: {error}", state.display());
     }
 }
 
-/// What the played camera sees, frame by frame: codes that move.
+/// Frame `frame` of the simulated camera: a moving pattern of `pixels` codes, DN.
 pub fn camera_frame(frame: usize, pixels: usize) -> Vec<u16> {
     (0..pixels).map(|i| 64 + ((i * 7919 + frame * 613) % 4000) as u16).collect()
 }
 
-/// Frames of the host, or of a camera that is played.
+/// Frames of the host, or of a simulated camera.
 struct Camera<'m> {
     host: RamFrame<'m>,
     pixels: usize,
@@ -127,7 +128,7 @@ struct Camera<'m> {
     frame: Vec<u16>,
 }
 
-impl FrameSource for Camera<'_> {
+impl FrameInput for Camera<'_> {
     fn capacity(&self) -> usize {
         self.host.capacity()
     }
@@ -154,7 +155,7 @@ impl FrameSource for Camera<'_> {
     }
 }
 
-/// Writes the flash to the start of its file. What stands behind it, the rest of an emulated board's memory, stays.
+/// Writes the flash to the start of its file and keeps the rest of the file (other memory of an emulated board).
 fn keep(state: &Path, flash: &[u8]) -> std::io::Result<()> {
     OpenOptions::new().create(true).truncate(false).write(true).open(state)?.write_all(flash)
 }

@@ -1,43 +1,48 @@
-//! The firmware, from the workstation: under QEMU over its serial line, or its logic in this process.
+//! The link from the host to a device: a board on a serial port, a board emulated by QEMU, or the firmware's logic in
+//! this process ([`Runtime`]).
 //!
-//! [`run`] sends a network and frames and gets reconstructions back; [`Client`] is the host's end of the conversation in
-//! [`ommatidia_shared::wire`], over any [`Transport`].
+//! [`run`] sends a network and frames and returns reconstructions; [`stream`] does so frame by frame; [`flash`] uploads
+//! a network. [`Client`] is the host's end of the protocol [`ommatidia_shared::wire`], over any [`Transport`].
 
 mod client;
 mod count;
 mod counter;
 mod error;
 pub mod faults;
-mod faulty;
+mod faulty_line;
 mod firmware;
 mod flash;
 mod footprint;
+mod live_view;
 mod loopback;
 mod qemu;
 pub mod rates;
+mod recording;
 mod run;
 mod runtime;
 mod scope;
 mod serial;
+mod status;
 mod stream;
 pub mod table;
 mod transport;
-mod view;
 
-pub use client::{Client, Patience};
+pub use client::{Client, RetryPolicy};
 pub use count::{BoardCounts, OperatorCount, count_board};
 pub use counter::Counter;
 pub use error::DeviceError;
-pub use faulty::{Faults, Faulty};
+pub use faulty_line::{FaultyLine, LineFaults};
 pub use firmware::Firmware;
-pub use flash::{FlashReport, flash, status, upload};
+pub use flash::{FlashReport, flash, upload};
 pub use footprint::{Footprint, footprint};
+pub use live_view::LiveView;
 pub use loopback::{Loopback, LoopbackConfig, camera_frame};
 pub use qemu::{Qemu, find_qemu};
-pub use run::{DeviceRun, Work, reference, run};
-pub use runtime::{Running, Runtime, Wanted};
+pub use recording::StreamRecording;
+pub use run::{DeviceRun, RunRequest, reference, run};
+pub use runtime::{DeviceLine, Runtime, RuntimeChoice};
 pub use scope::{Deviation, Scope};
 pub use serial::{BAUD, Serial};
+pub use status::{active_fraction, status};
 pub use stream::{FrameFeed, Frames, StreamReport, StreamedFrame, stream};
 pub use transport::Transport;
-pub use view::View;

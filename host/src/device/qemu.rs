@@ -1,6 +1,9 @@
-//! The firmware under QEMU, over its emulated serial line.
+//! An emulated board: the firmware under QEMU, over its emulated serial line.
 
-use super::{Counter, DeviceError, Firmware, Transport};
+use super::counter::Counter;
+use super::error::DeviceError;
+use super::firmware::Firmware;
+use super::transport::Transport;
 use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Read, Seek};
 use std::net::UdpSocket;
@@ -9,8 +12,8 @@ use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// QEMU sends each byte of the UART as a datagram. So many bytes, with what the packet adds, stay below the 270 datagrams that
-/// the receive buffer of a Linux socket holds.
+/// QEMU sends each byte of the UART as a datagram. So many bytes, with what the packet adds, stay below the 270
+/// datagrams that the receive buffer of a Linux socket holds.
 const ANSWER_LEN: usize = 160;
 /// A program that was asked to end does so within this time.
 const END_WITHIN: Duration = Duration::from_secs(10);
@@ -22,9 +25,9 @@ pub fn find_qemu() -> Option<PathBuf> {
 
 /// An emulated board.
 ///
-/// The UART is on a UDP port of the loopback interface, behind QEMU's multiplexer: the one back end that takes more than one
-/// byte from the host at a time (the emulated UART itself holds one), which makes it ten times as fast as a socket or a
-/// pipe. A datagram may be lost; the protocol bears it.
+/// The UART is on a UDP port of the loopback interface, behind QEMU's multiplexer: the one back end that takes more
+/// than one byte from the host at a time (the emulated UART itself holds one), which makes it ten times as fast as a
+/// socket or a pipe. A datagram may be lost; the protocol tolerates it.
 #[derive(Debug)]
 pub struct Qemu {
     child: Arc<Mutex<Child>>,
@@ -33,8 +36,8 @@ pub struct Qemu {
 }
 
 impl Qemu {
-    /// Starts the firmware, with an instruction counter if there is one. The board's flash is the file `state`, made if it is
-    /// missing: what is in it stays when the emulation ends, however it ends.
+    /// Starts the firmware, with an optional instruction counter. The flash of the board is the file `state`, which is
+    /// created if it is missing and keeps its content however the emulation ends.
     ///
     /// # Errors
     /// QEMU is missing or cannot be started, or the file cannot be made.
@@ -63,7 +66,7 @@ impl Qemu {
         Ok(Self { child: Arc::new(Mutex::new(child)), socket, output })
     }
 
-    /// What ends the emulator at once, as a power cut does.
+    /// A handle that kills the emulator, as a power cut would.
     pub fn killer(&self) -> Killer {
         Killer(Arc::clone(&self.child))
     }
@@ -82,7 +85,7 @@ impl Qemu {
                 None => std::thread::sleep(Duration::from_millis(5)),
             }
         }
-        Err(self.stopped("it was asked to end and did not".into()))
+        Err(self.stopped("it did not stop when asked to".into()))
     }
 
     /// Nothing came; that is fine as long as the emulator runs.
@@ -105,12 +108,12 @@ impl Qemu {
     }
 }
 
-/// Ends an emulator at once.
+/// Kills an emulator.
 #[derive(Clone, Debug)]
 pub struct Killer(Arc<Mutex<Child>>);
 
 impl Killer {
-    /// Ends it, if it has not ended.
+    /// Kills it, if it still runs.
     pub fn kill(&self) {
         // Both fail only where the emulator has ended already.
         let mut child = lock(&self.0);
@@ -124,7 +127,7 @@ fn lock(child: &Mutex<Child>) -> MutexGuard<'_, Child> {
     child.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Runs a program that talks to nobody until it ends; gives what it printed.
+/// Runs a program without a serial line to its end; returns its output.
 ///
 /// # Errors
 /// QEMU is missing, or the program fails.

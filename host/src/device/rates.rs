@@ -1,7 +1,24 @@
-//! Frames a second that each part can hold, by preset: instructions that were counted, cycles by a stated model, memory by the plan.
+//! Frame rates of each preset on microcontrollers: counted instructions, assumed cycles per instruction, planned
+//! memory.
+//!
+//! The counts can come from the page that [`super::table`] writes:
+//!
+//! ```
+//! use ommatidia_host::device::{BoardCounts, Footprint, OperatorCount, rates};
+//! use ommatidia_shared::boards::MPS2_AN500;
+//!
+//! let convolution = OperatorCount { name: "3x3".into(), amount: 1000, unit: "MAC".into(), instructions: 1130 };
+//! assert_eq!(convolution.per_unit(), 1.13);
+//!
+//! // Without a count of every operator of a network there is no estimate, and the section is empty.
+//! let footprint = Footprint { image_bytes: 110_000, static_bytes: 4_360, stack_bytes: 7_600 };
+//! let counts = BoardCounts { board: MPS2_AN500, footprint, operators: vec![convolution] };
+//! assert_eq!(rates::section(&[counts])?, "");
+//! # Ok::<(), ommatidia_host::device::DeviceError>(())
+//! ```
 
-use super::BoardCounts;
-use super::DeviceError;
+use super::count::BoardCounts;
+use super::error::DeviceError;
 use crate::quantize::BLOCK;
 use crate::train::Preset;
 use ommatidia_shared::blob::{Bank, Blocks, Header, MemoryPlan, Rcan, Sensor, Size, Tap};
@@ -12,16 +29,16 @@ use ommatidia_shared::nn::rcan::{Entry, Layer, Rcan as RcanPlan, layout};
 use ommatidia_shared::pipeline::Pipeline;
 use std::ops::Range;
 
-/// A chip that can be bought.
+/// A microcontroller on the market.
 struct Part {
     name: &'static str,
     /// The emulated board with its core.
     board: Board,
     mhz: f64,
-    /// Cycles an instruction.
+    /// Cycles per instruction, assumed.
     cycles: f64,
     ram_kib: u64,
-    /// `None`: outside, as large as one likes.
+    /// `None`: external flash of any size.
     flash_kib: Option<u64>,
 }
 
@@ -35,21 +52,27 @@ const PARTS: [Part; 4] = [
 const HEAD: &str = "
 ## Frame rates
 
-Frames a second = clock / (instructions a frame x cycles an instruction). The cycles are a model, measured on no silicon: one an instruction on the Cortex-M7,
-whose second pipeline has to make up for wait states; two on the Cortex-M55, as if all were Helium's (Arm: two beats of 64 bits on this core); three on the
-Cortex-M4F, as if all were `VFMA` (Arm DDI 0439, table 7-1). On the last two real frames take less. The time of the line and the exposure are not in it.
+Frames per second = clock / (instructions per frame x cycles per instruction). The cycles per instruction are assumed,
+not measured on hardware. Cortex-M7: one, on the assumption that its second pipeline compensates for wait states.
+Cortex-M55: two, as if all instructions were Helium's (Arm: two beats of 64 bits on this core). Cortex-M4F: three, as
+if all instructions were `VFMA` (Arm DDI 0439, table 7-1). On the last two, real frames take less. The transfer over
+the serial line and the exposure are not included.
 
-The frames of 214x214 pixels were counted under QEMU, in the tables above. Pruned filters take a tenth of the flash (`quantize --prune 0.1`) and are transformed on the device;
-these frames were counted for `nano`, for the others the transforms of kernels without an empty row are added. Frames of 608x608 pixels, the sensor of the wire-free miniscopes, were not counted: their instructions are the
-numbers of multiply-accumulates, transforms, tiles and pixels times what each costs in the tables above, with transforms of 128x128 in steps of 64 and nine taps a channel. The
-correction of the sensor is not in that sum";
+The instructions of frames of 214x214 pixels were counted under QEMU (tables above). Pruned filters take a tenth of
+the flash (`quantize --prune 0.1`) and are transformed on the device. Frames with pruned filters were counted for
+`nano`; for the other presets the transforms of kernels without an empty row are added. Frames of 608x608 pixels, the
+sensor of the wire-free miniscopes, were not counted. Their instructions are estimated: the numbers of
+multiply-accumulates, transforms, tiles and pixels times the cost of each in the tables above, with transforms of
+128x128 in steps of 64 and nine taps per channel. The estimate does not include the correction of the sensor";
 
-const HELD: &str = " Rows that say *field held* are of a square in the middle of the object (`device stream --roi --hold`): of ten frames one is exact, nine take the
-statistics of the field from it, and the figures are means over the ten.";
+const HELD: &str = " Rows
+marked *field held* are for a square in the middle of the object (`device stream --roi --hold`): of ten frames one is \
+exact, and nine
+take the statistics of the field from it. Their figures are means over the ten.";
 
 const TABLE: &str = "
 
-| network | part | instructions a frame | frames a second | RAM, KiB | flash, KiB |
+| network | part | instructions per frame | frames per second | RAM, KiB | flash, KiB |
 |---|---|---|---|---|---|
 ";
 
@@ -121,7 +144,7 @@ impl Network {
         self.square.map_or(whole.clone(), |side| format!("{whole}, {side}x{side} px in the middle, field held"))
     }
 
-    /// Instructions of a frame where they were counted: as [`Self::estimated`].
+    /// Counted instructions per frame; `None` where they were not counted.
     fn counted(&self, counts: &BoardCounts) -> Option<f64> {
         let find = |name: String| counts.operators.iter().find(|count| count.name == name);
         let count = |name: String| find(name).map(|count| count.instructions as f64);
@@ -131,7 +154,8 @@ impl Network {
         Some((square(" alone")? + HOLD * square(", field held")?) / (HOLD + 1.0))
     }
 
-    /// The same from what operators cost, the exact frame among the held ones taken as whole; `None` where one of them was not counted.
+    /// Instructions per frame, estimated from the costs of its operators; the exact frame among the held ones covers
+    /// the whole object. `None` where an operator was not counted.
     fn estimated(&self, counts: &BoardCounts) -> Option<f64> {
         let Header { object, .. } = &self.header;
         let whole = self.sum(counts, Region::whole(object.rows, object.cols), false)?;
@@ -237,10 +261,10 @@ fn kib(bytes: u64) -> u64 {
     bytes.div_ceil(1024)
 }
 
-/// The section of the page on frame rates; empty where the networks were not counted.
+/// The section on frame rates, Markdown; empty if no network was counted.
 ///
 /// # Errors
-/// A preset has no plan.
+/// The memory plan of a preset fails.
 pub fn section(boards: &[BoardCounts]) -> Result<String, DeviceError> {
     let presets = [Preset::Nano, Preset::Lite, Preset::Paper];
     let small = presets.map(|preset| Network::new(preset, 214, 96, &[])).into_iter().collect::<Result<Vec<_>, _>>()?;
@@ -268,7 +292,6 @@ pub fn section(boards: &[BoardCounts]) -> Result<String, DeviceError> {
     if rows.is_empty() || low > high {
         return Ok(String::new());
     }
-    let check =
-        format!("; for the networks that were counted it is off by {:+.1} to {:+.1} %.", 100.0 * low, 100.0 * high);
+    let check = format!("; for the counted networks it deviates by {:+.1} to {:+.1} %.", 100.0 * low, 100.0 * high);
     Ok([HEAD, &check, HELD, TABLE, &rows].concat())
 }

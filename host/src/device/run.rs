@@ -1,45 +1,51 @@
-//! A network and frames to the device, reconstructions back, compared bit by bit with this machine's.
+//! Sends a network and frames to a device and compares its reconstructions bit by bit with the host's.
 
-use super::{Client, Counter, Deviation, DeviceError, Runtime, Scope, Transport, flash};
+use super::client::Client;
+use super::counter::Counter;
+use super::error::DeviceError;
+use super::flash;
+use super::runtime::Runtime;
+use super::scope::{Deviation, Scope};
+use super::transport::Transport;
 use crate::network_file::NetworkFile;
 use half::f16;
-use ommatidia_shared::pipeline::{Holder, Memory, Pipeline};
+use ommatidia_shared::pipeline::{HeldRegion, Holder, Memory, Pipeline};
 use ommatidia_shared::wire::{RunReport, Telemetry};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-/// What is to be reconstructed.
+/// Frames to reconstruct.
 #[derive(Clone, Copy, Debug)]
-pub struct Work<'a> {
-    /// Raw frames, codes row by row.
+pub struct RunRequest<'a> {
+    /// Raw frames: sensor codes, DN, row by row.
     pub frames: &'a [Vec<u16>],
-    /// What of each.
+    /// Which region of each, and whether exactly.
     pub scope: Scope,
 }
 
-impl<'a> From<&'a [Vec<u16>]> for Work<'a> {
+impl<'a> From<&'a [Vec<u16>]> for RunRequest<'a> {
     /// Whole objects, exactly.
     fn from(frames: &'a [Vec<u16>]) -> Self {
         Self { frames, scope: Scope::default() }
     }
 }
 
-/// What came back.
+/// Reconstructions and figures of a run.
 #[derive(Clone, Debug)]
 pub struct DeviceRun {
-    /// Board that the device says it is.
+    /// Board, as the device reports it.
     pub board: String,
     /// Reconstructions, row by row.
     pub objects: Vec<Vec<f16>>,
-    /// What each run saw.
+    /// Report of the device on each frame.
     pub reports: Vec<RunReport>,
-    /// Bits that differ from this machine's run of the same network and frames.
+    /// Bits that differ from the host's reconstructions with the same network and frames.
     pub differing_bits: u64,
-    /// How far the frames with held statistics are from exact ones, which this machine computes; `None` where all are exact.
+    /// Deviation of frames with held statistics from exact ones, which the host computes; `None` if all are exact.
     pub deviation: Option<Deviation>,
-    /// Instructions of each reconstruction; `None` where they cannot be counted.
+    /// Instructions of each reconstruction; `None` if they cannot be counted.
     pub instructions: Option<Vec<u64>>,
-    /// Figures of the device.
+    /// Telemetry of the device.
     pub telemetry: Telemetry,
     /// Wall time of sending the network file.
     pub upload: Duration,
@@ -48,7 +54,7 @@ pub struct DeviceRun {
 }
 
 impl DeviceRun {
-    /// Every output bit equals this machine's.
+    /// Whether every output bit equals the host's.
     pub fn bit_exact(&self) -> bool {
         self.differing_bits == 0
     }
@@ -61,14 +67,16 @@ impl DeviceRun {
     }
 }
 
-/// Runs frames through the network on the device, whose flash is kept in the file `state`; `progress` hears what part of the way is done.
+/// Starts a device, uploads the network if it does not run already, reconstructs all frames, and compares them with the
+/// host's. The flash of an emulated device is the file `state`. `progress` is called with the share that is done, 0 to
+/// 1.
 ///
 /// # Errors
-/// The device cannot be started, refuses, or falls silent.
+/// The device cannot be started, refuses a request, or stops answering.
 pub fn run(
     runtime: &Runtime,
     blob: &NetworkFile,
-    work: Work<'_>,
+    work: RunRequest<'_>,
     state: Option<&Path>,
     progress: &mut dyn FnMut(f64),
 ) -> Result<DeviceRun, DeviceError> {
@@ -88,10 +96,10 @@ pub fn run(
 fn converse<T: Transport>(
     line: T,
     blob: &NetworkFile,
-    work: Work<'_>,
+    work: RunRequest<'_>,
     progress: &mut dyn FnMut(f64),
 ) -> Result<(T, DeviceRun), DeviceError> {
-    let Work { frames, scope } = work;
+    let RunRequest { frames, scope } = work;
     let (mut client, info) = Client::connect(line)?;
     // A frame weighs as much as its bytes, the network file as its own.
     let frame_bytes: usize = frames.iter().map(|frame| 2 * frame.len()).sum();
@@ -130,13 +138,13 @@ fn converse<T: Transport>(
     Ok((line, run))
 }
 
-/// The reconstructions that this machine computes, through no line and no device.
+/// The reconstructions that the host computes, without a device: half-precision values, row by row.
 ///
 /// # Errors
 /// The network, a frame or the region is refused.
-pub fn reference(blob: &NetworkFile, work: Work<'_>) -> Result<Vec<Vec<f16>>, DeviceError> {
+pub fn reference(blob: &NetworkFile, work: RunRequest<'_>) -> Result<Vec<Vec<f16>>, DeviceError> {
     let network = blob.network()?;
-    let pipeline = Pipeline::new(&network.header, network.weights).map_err(DeviceError::Pipeline)?;
+    let pipeline = Pipeline::new(&network).map_err(DeviceError::Pipeline)?;
     let mut fast = vec![0.0; pipeline.fast_len_best().max(pipeline.fast_len()) + pipeline.scales_len()];
     let mut bulk = vec![f16::ZERO; pipeline.bulk_len()];
     let Scope { region, hold } = work.scope;
@@ -145,23 +153,23 @@ pub fn reference(blob: &NetworkFile, work: Work<'_>) -> Result<Vec<Vec<f16>>, De
     for frame in work.frames {
         let mut object = vec![f16::ZERO; region.pixels()];
         let memory = Memory { fast: &mut fast, bulk: &mut bulk };
-        field.run(&pipeline, frame, (region, hold), memory, &mut object).map_err(DeviceError::Pipeline)?;
+        field.run(&pipeline, frame, HeldRegion { region, hold }, memory, &mut object).map_err(DeviceError::Pipeline)?;
         objects.push(object);
     }
     Ok(objects)
 }
 
-/// Compares the frames whose statistics are held with exact ones.
+/// Compares frames with held statistics with exact ones.
 fn deviation(
     blob: &NetworkFile,
-    work: Work<'_>,
+    work: RunRequest<'_>,
     objects: &[Vec<f16>],
     reports: &[RunReport],
 ) -> Result<Option<Deviation>, DeviceError> {
     if reports.iter().all(|report| report.field_age == 0) {
         return Ok(None);
     }
-    let exact = reference(blob, Work { scope: Scope { hold: 0, ..work.scope }, ..work })?;
+    let exact = reference(blob, RunRequest { scope: Scope { hold: 0, ..work.scope }, ..work })?;
     let held = objects.iter().zip(&exact).zip(reports).filter(|(_, report)| report.field_age > 0);
     Ok(Deviation::of(held.map(|((held, exact), _)| (held.as_slice(), exact.as_slice()))))
 }

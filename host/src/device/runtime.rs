@@ -1,18 +1,24 @@
-//! What runs the device's program, and the choice of it.
+//! Where the device's program runs: QEMU, this process, or a board.
 
-use super::{Counter, DeviceError, Firmware, Loopback, LoopbackConfig, Qemu, Serial, Transport, find_qemu};
+use super::counter::Counter;
+use super::error::DeviceError;
+use super::firmware::Firmware;
+use super::loopback::{Loopback, LoopbackConfig};
+use super::qemu::{Qemu, find_qemu};
+use super::serial::Serial;
+use super::transport::Transport;
 use ommatidia_shared::boards::Board;
 use std::path::Path;
 use std::time::Duration;
 
-/// What runs the device's program.
+/// Where the device's program runs.
 #[derive(Clone, Debug)]
 pub enum Runtime {
     /// QEMU runs the firmware.
     Qemu(Firmware),
     /// This process runs the firmware's logic.
     Host(LoopbackConfig),
-    /// A board behind a serial port.
+    /// A board on a serial port.
     Serial {
         /// The port.
         port: String,
@@ -21,25 +27,30 @@ pub enum Runtime {
     },
 }
 
-/// What the user wants it to run on.
+/// Where the user wants the program to run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Wanted {
+pub enum RuntimeChoice {
     /// QEMU, or an error.
     Qemu,
     /// This process.
     Host,
-    /// QEMU where it and the firmware can be had, else this process.
+    /// QEMU if it and the firmware are available, else this process.
     Best,
 }
 
 impl Runtime {
-    /// What was wanted, and why it is not QEMU where that was only the second choice. Builds the firmware unless `image` names it.
+    /// Chooses the runtime. Builds the firmware unless `image` names one. The second value gives the reason if
+    /// [`RuntimeChoice::Best`] had to fall back to this process.
     ///
     /// # Errors
-    /// QEMU or the firmware was asked for and is not there, or the firmware does not build.
-    pub fn choose(board: Board, wanted: Wanted, image: Option<&Path>) -> Result<(Self, Option<String>), DeviceError> {
+    /// QEMU or the firmware was required and is missing, or the firmware does not build.
+    pub fn choose(
+        board: Board,
+        wanted: RuntimeChoice,
+        image: Option<&Path>,
+    ) -> Result<(Self, Option<String>), DeviceError> {
         let here = Self::Host(LoopbackConfig::default());
-        if wanted == Wanted::Host {
+        if wanted == RuntimeChoice::Host {
             return Ok((here, None));
         }
         let found = match find_qemu() {
@@ -52,7 +63,7 @@ impl Runtime {
         match found {
             Ok(firmware) => Ok((Self::Qemu(firmware), None)),
             Err(why @ (DeviceError::NoQemu | DeviceError::NoFirmware { .. }))
-                if wanted == Wanted::Best && image.is_none() =>
+                if wanted == RuntimeChoice::Best && image.is_none() =>
             {
                 Ok((here, Some(why.to_string())))
             }
@@ -60,22 +71,23 @@ impl Runtime {
         }
     }
 
-    /// Starts the device. Its flash is kept in the file `state`; without one it is empty at the start and lost at the end.
+    /// Starts the device. Its flash is kept in the file `state`; without one it is empty at the start and lost at the
+    /// end.
     ///
     /// # Errors
     /// It cannot be started.
-    pub fn start(&self, counter: Option<&Counter>, state: Option<&Path>) -> Result<Running, DeviceError> {
+    pub fn start(&self, counter: Option<&Counter>, state: Option<&Path>) -> Result<DeviceLine, DeviceError> {
         match self {
-            Self::Qemu(firmware) => Qemu::start(firmware, counter, state).map(Running::Qemu),
-            Self::Serial { port, baud } => Serial::open(port, *baud).map(Running::Serial),
-            Self::Host(config) => Loopback::start_on(*config, state.map(Path::to_path_buf)).map(Running::Host),
+            Self::Qemu(firmware) => Qemu::start(firmware, counter, state).map(DeviceLine::Qemu),
+            Self::Serial { port, baud } => Serial::open(port, *baud).map(DeviceLine::Serial),
+            Self::Host(config) => Loopback::start_on(*config, state.map(Path::to_path_buf)).map(DeviceLine::Host),
         }
     }
 }
 
-/// A device that runs, and the line to it.
+/// A running device and the line to it.
 #[derive(Debug)]
-pub enum Running {
+pub enum DeviceLine {
     /// An emulated board.
     Qemu(Qemu),
     /// This process.
@@ -84,7 +96,7 @@ pub enum Running {
     Serial(Serial),
 }
 
-impl Running {
+impl DeviceLine {
     /// Waits for a program that was asked to end.
     ///
     /// # Errors
@@ -97,7 +109,7 @@ impl Running {
     }
 }
 
-impl Transport for Running {
+impl Transport for DeviceLine {
     fn send(&mut self, bytes: &[u8]) -> Result<(), DeviceError> {
         match self {
             Self::Qemu(line) => line.send(bytes),

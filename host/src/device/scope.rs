@@ -1,16 +1,16 @@
-//! What of a frame is reconstructed, and how exactly.
+//! Which region of a frame is reconstructed, and whether exactly.
 
 use crate::metrics::psnr_db;
 use half::f16;
 use ommatidia_shared::image::Region;
 
-/// What of each frame is reconstructed.
+/// Which region of each frame is reconstructed, and whether exactly.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Scope {
-    /// Region of the object; all of it where there is none.
+    /// Region of the object; `None`: the whole object.
     pub region: Option<Region>,
-    /// How many frames one after the other may take the statistics of the field from an exact one before them, and so be approximate; 0:
-    /// every frame is exact. See [`ommatidia_shared::pipeline::Field`].
+    /// Number of consecutive frames that may take the statistics of the field from an exact frame before them, which
+    /// makes them approximate; 0: every frame is exact. See [`ommatidia_shared::pipeline::Field`].
     pub hold: u16,
 }
 
@@ -21,8 +21,8 @@ impl From<Region> for Scope {
     }
 }
 
-/// How far the frames with held statistics are from exact ones: PSNR, dB, against the exact region of the same frame, with one free scale a
-/// frame, as brightness is not on the scale of the frame but of the one that is held.
+/// Deviation of frames with held statistics from exact ones: PSNR, dB, against the exact region of the same frame. Each
+/// frame has one free scale, since its brightness is on the scale of the frame whose statistics are held.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Deviation {
     /// Of the mean, over the frames, of the squared error relative to the frame's peak.
@@ -41,7 +41,8 @@ impl Deviation {
     }
 }
 
-/// Mean of `(s h - e)^2` over the square of the maximum of e; `s = <h, e> / <h, h>`. No sigmoid leaves a region of zeros.
+/// Mean of `(s h - e)^2` over the square of the maximum of e; `s = <h, e> / <h, h>`. No sigmoid leaves a region of
+/// zeros.
 fn relative_error(held: &[f16], exact: &[f16]) -> f64 {
     let sum = |f: fn(f64, f64) -> f64| held.iter().zip(exact).map(|(h, e)| f(h.to_f64(), e.to_f64())).sum::<f64>();
     let scale = sum(|h, e| h * e) / sum(|h, _| h * h).max(f64::MIN_POSITIVE);

@@ -1,11 +1,12 @@
-//! A real board behind a serial port.
+//! A board on a serial port.
 
-use super::{DeviceError, Transport};
+use super::error::DeviceError;
+use super::transport::Transport;
 use serialport::SerialPort;
 use std::io::ErrorKind;
 use std::time::Duration;
 
-/// Bits a second of the boards' lines.
+/// Default rate of the serial line, bits per second.
 pub const BAUD: u32 = 921_600;
 
 /// The longest wait for bytes, so that a board that was unplugged is noticed.
@@ -13,7 +14,7 @@ const WAIT: Duration = Duration::from_millis(200);
 /// The longest wait for a line that takes no more bytes.
 const SEND_WITHIN: Duration = Duration::from_secs(1);
 
-/// A serial port with a board behind it: 8 data bits, no parity, one stop bit. The link layer is that of every other line.
+/// A serial port with a board: 8 data bits, no parity, one stop bit.
 #[derive(Debug)]
 pub struct Serial {
     port: Box<dyn SerialPort>,
@@ -21,10 +22,10 @@ pub struct Serial {
 }
 
 impl Serial {
-    /// Opens a port, e.g. `/dev/ttyACM0` or `COM3`, and drops what came before anybody listened.
+    /// Opens a port, e.g. `/dev/ttyACM0` or `COM3`, at `baud` bits per second, and drops bytes received before.
     ///
     /// # Errors
-    /// There is no such port, or it may not be used.
+    /// The port does not exist, or access is denied.
     pub fn open(name: &str, baud: u32) -> Result<Self, DeviceError> {
         let refused = |source: serialport::Error| {
             let advice = advice(source.kind());
@@ -49,7 +50,7 @@ fn advice(kind: serialport::ErrorKind) -> &'static str {
             "join the group that may use it (Debian, Ubuntu: `sudo usermod -aG dialout $USER`) and log in again"
         }
         NoDevice => "close the other program that uses it, or plug the board in",
-        _ => "is it a serial port, and does it know that rate (`--baud`)?",
+        _ => "is it a serial port, and does it support that rate (`--baud`)?",
     }
 }
 
@@ -85,7 +86,7 @@ mod tests {
     use super::*;
     use crate::device::footprint::small_network;
     use crate::device::loopback::{LoopbackConfig, play};
-    use crate::device::{Client, FrameFeed, Frames, Runtime, Scope, Work, camera_frame, run, status, stream};
+    use crate::device::{Client, FrameFeed, Frames, RunRequest, Runtime, Scope, camera_frame, run, status, stream};
     use serialport::TTYPort;
     use std::io::{Read, Write};
     use std::sync::Arc;
@@ -156,7 +157,7 @@ mod tests {
         let (blob, frame) = small_network().unwrap();
         for runs in 1..3 {
             let frames: [Vec<u16>; 1] = [frame.iter().map(|code| code + runs).collect()];
-            let run = run(&board.runtime(), &blob, Work::from(frames.as_slice()), None, &mut |_| {}).unwrap();
+            let run = run(&board.runtime(), &blob, RunRequest::from(frames.as_slice()), None, &mut |_| {}).unwrap();
             assert_eq!((run.board.as_str(), run.differing_bits, run.objects.len()), ("host", 0, 1));
             let (_, telemetry) = status(&board.runtime(), None).unwrap();
             assert_eq!((telemetry.runs, telemetry.slots.iter().flatten().count()), (u32::from(runs), 1));
@@ -184,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn a_board_that_is_unplugged_is_told_at_once() {
+    fn a_board_that_is_unplugged_is_reported_at_once() {
         let board = Board::plugged(LoopbackConfig::default());
         let (mut client, _) = Client::connect(Serial::open(&board.port, BAUD).unwrap()).unwrap();
         board.unplug();
@@ -196,15 +197,15 @@ mod tests {
     }
 
     #[test]
-    fn a_port_that_cannot_be_opened_is_told_with_what_to_do() {
-        let told = |port: &str| Serial::open(port, BAUD).unwrap_err().to_string();
-        let missing = told("/dev/no-such-port");
+    fn a_port_that_cannot_be_opened_is_reported_with_advice() {
+        let message = |port: &str| Serial::open(port, BAUD).unwrap_err().to_string();
+        let missing = message("/dev/no-such-port");
         assert!(missing.contains("/dev/no-such-port") && missing.contains("plugged in"), "{missing}");
-        let no_port = told("/dev/null");
+        let no_port = message("/dev/null");
         assert!(no_port.contains("is it a serial port"), "{no_port}");
         let board = Board::plugged(LoopbackConfig::default());
         let first = Serial::open(&board.port, BAUD).unwrap();
-        let taken = told(&board.port);
+        let taken = message(&board.port);
         assert!(taken.contains("other program"), "{taken}");
         drop(first);
         board.unplug();

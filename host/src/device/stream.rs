@@ -1,13 +1,18 @@
-//! Frames in, reconstructions out, at the rate that holds: what comes faster is dropped, counted and told.
+//! Streams frames through a device. Frames that arrive while the device is busy are dropped and counted.
 
-use super::{Client, DeviceError, Runtime, Scope, Transport, upload};
+use super::client::Client;
+use super::error::DeviceError;
+use super::flash::upload;
+use super::runtime::Runtime;
+use super::scope::Scope;
+use super::transport::Transport;
 use crate::network_file::NetworkFile;
 use half::f16;
 use ommatidia_shared::wire::{RunReport, Telemetry};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-/// So many frames one after the other may fail before the stream ends.
+/// Number of consecutive failed frames that ends the stream.
 const FAILURES: u32 = 3;
 
 /// A frame that was reconstructed.
@@ -15,32 +20,32 @@ const FAILURES: u32 = 3;
 pub struct StreamedFrame {
     /// Its number in the source.
     pub frame: usize,
-    /// When its reconstruction was there, since the stream began.
+    /// Time of its reconstruction since the stream began.
     pub at: Duration,
-    /// Frames that were dropped since the one before.
+    /// Frames dropped since the previous reconstruction.
     pub dropped_before: usize,
-    /// Frames that were dropped so far.
+    /// Frames dropped so far.
     pub dropped: usize,
-    /// The frame whose statistics of the field were taken: this one where the reconstruction is exact.
+    /// Number of the frame whose statistics of the field were used: its own if the reconstruction is exact.
     pub field_frame: usize,
-    /// What the run saw.
+    /// Report of the device.
     pub report: RunReport,
     /// The reconstruction, row by row.
     pub object: Vec<f16>,
 }
 
-/// What a stream came to.
+/// Figures of a whole stream.
 #[derive(Clone, Debug)]
 pub struct StreamReport {
-    /// Board that the device says it is.
+    /// Board, as the device reports it.
     pub board: String,
     /// Frames that were reconstructed.
     pub reconstructed: usize,
-    /// Frames that were to be reconstructed and were not: they came too fast, or the line lost them.
+    /// Frames that should have been reconstructed and were not: they arrived too fast, or the line lost them.
     pub dropped: usize,
-    /// Of these, frames that failed on the line.
+    /// Of the dropped frames, those that the line lost.
     pub failed: usize,
-    /// Of the reconstructed, those that are approximate: with statistics of the field held from an earlier frame.
+    /// Of the reconstructed frames, those that are approximate (statistics of the field held from an earlier frame).
     pub held: usize,
     /// Wall time of all frames.
     pub took: Duration,
@@ -50,30 +55,30 @@ pub struct StreamReport {
 
 /// Where frames come from.
 pub enum Frames<'a> {
-    /// This machine: gives frame number `n`, codes row by row.
+    /// The host: returns frame `n`, sensor codes row by row.
     Stack(&'a mut dyn FnMut(usize) -> anyhow::Result<Vec<u16>>),
     /// The device's camera.
     Camera,
 }
 
-/// Frames and their rhythm.
+/// A sequence of frames to stream.
 pub struct FrameFeed<'a> {
     /// Number of frames.
     pub len: usize,
-    /// Frames that come in a second; `None`: each when the one before is done.
+    /// Frames per second; `None`: each frame waits for the device.
     pub fps: Option<f64>,
-    /// Every so many frames one is reconstructed; the device sleeps meanwhile.
+    /// Only every `nth` frame is reconstructed; the device sleeps meanwhile.
     pub nth: usize,
-    /// What of each is reconstructed.
+    /// Which region of each is reconstructed, and whether exactly.
     pub scope: Scope,
     /// Where they come from.
     pub source: Frames<'a>,
 }
 
-/// Streams a feed through the device; `show` takes each reconstruction as it comes, and none is kept.
+/// Streams frames through the device; `show` receives each reconstruction as it arrives, and none is kept.
 ///
 /// # Errors
-/// The device cannot be started, refuses, or fails on several frames in a row; or `show` fails.
+/// The device cannot be started, refuses a request, or fails on several consecutive frames; or `show` fails.
 pub fn stream(
     runtime: &Runtime,
     state: Option<&Path>,
@@ -89,8 +94,8 @@ pub fn stream(
     let start = Instant::now();
     let (mut reconstructed, mut held, mut failed, mut in_a_row) = (0, 0, 0, 0);
     let (mut next, mut first_missed) = (0, 0);
-    // A board that went on since an earlier stream still holds its last run, and would give it again for the same number. A frame
-    // that is sent ends that; one of the camera does not.
+    // A board that went on since an earlier stream still holds its last run, and would give it again for the same
+    // number. A frame that is sent ends that; one of the camera does not.
     let first_id: u32 = if matches!(feed.source, Frames::Camera) { rand::random() } else { 1 };
     while next < feed.len {
         let frame = feed.due(next, start);
@@ -133,7 +138,7 @@ fn lost(error: &anyhow::Error) -> bool {
 }
 
 impl FrameFeed<'_> {
-    /// The newest frame that has come and is to be reconstructed, `next` at the earliest; waits for `next` where it has not.
+    /// The newest frame that has arrived and is due, `next` at the earliest; waits for `next` if it has not arrived.
     fn due(&self, next: usize, start: Instant) -> usize {
         let Some(fps) = self.fps else { return next };
         let comes = Duration::from_secs_f64(next as f64 / fps);

@@ -1,16 +1,19 @@
 //! The table of instructions in `docs/instructions.md`: written, read back, and compared with new counts.
 
-use super::{BoardCounts, DeviceError, Footprint, OperatorCount, rates};
+use super::count::{BoardCounts, OperatorCount};
+use super::error::DeviceError;
+use super::footprint::Footprint;
+use super::rates;
 use ommatidia_shared::boards::{BOARDS, Board};
 
-/// How much a count may grow before the page must be written anew: another compiler arranges what stands round the loops a little
-/// differently.
+/// Relative growth of a count that the check accepts; compilers differ a little outside the loops.
 const TOLERANCE: f64 = 0.02;
 
 /// A library's count of an operator: instructions per unit of its work, and whose.
 type Peer = (&'static str, f64, &'static str);
 
-/// What C libraries take for the same work, counted under QEMU 7.2 with the better of gcc 12 (-O3, -Ofast) and clang 19.
+/// Instructions of C libraries for the same work, counted under QEMU 7.2 with the better of gcc 12 (-O3, -Ofast) and
+/// clang 19.
 const PEERS: [(&str, &[Peer]); 2] = [
     (
         "mps2-an500",
@@ -39,23 +42,25 @@ const PEERS: [(&str, &[Peer]); 2] = [
 const HEAD: &str = "# Instructions and memory on the microcontroller
 
 Written by `cargo run --release -p ommatidia-host -- device bench -o docs/instructions.md`: the programs of
-`firmware/src/bin/bench.rs`, counted instruction by instruction under QEMU, one table a board. The counts repeat exactly. They know
-nothing of pipeline, caches or wait states; an instruction of Helium, the vector extension of the Cortex-M55, is one instruction here and
-takes that core two cycles. Transforms start from halves and end in halves, but for the complex ones in place; convolutions and the network
-read and write halves. On every board the bits are those of the workstation. The libraries work on singles (f32) or on halves throughout
-(f16), which no two machines need agree on; their counts were taken earlier under QEMU 7.2 (the better of gcc 12 and clang 19) and are not
-repeated by the command.
+`firmware/src/bin/bench.rs`, counted instruction by instruction under QEMU, one table per board. The counts repeat
+exactly. They do not include pipeline, caches or wait states. An instruction of Helium, the vector extension of the
+Cortex-M55, counts as one here and takes two cycles on that core. Transforms read and write half precision (f16),
+except the complex ones, which work in place; convolutions and the network read and write half precision. Results have
+the same bits on every board as on the workstation. The C libraries work in single precision (f32) or in half
+precision throughout (f16), whose results may differ between machines. Their counts were taken earlier under QEMU 7.2
+(the better of gcc 12 and clang 19); the command does not repeat them.
 
-A test of `cargo verify` counts anew and fails where a figure has grown by more than 2 %, where a table lacks an operator, or where a
-library is ahead. After a change that is meant, write the page anew with the command above, or by
-`OMMATIDIA_RENEW=1 cargo test --release -p ommatidia-tests --test instructions`.
+A test of `cargo verify` counts again. It fails if a figure has grown by more than 2 %, if a table lacks an operator,
+or if a library needs fewer instructions. After an intended change, write the page again with the command above, or
+with `OMMATIDIA_RENEW=1 cargo test --release -p ommatidia-tests --test instructions`.
 ";
 
 /// The tables of a board, Markdown.
 pub fn table(counts: &BoardCounts) -> String {
     let Footprint { image_bytes, static_bytes, stack_bytes } = counts.footprint;
     let mut text = format!(
-        "| memory of the program | bytes |\n|---|---|\n| code and constants | {image_bytes} |\n| variables | {static_bytes} |\n\
+        "| memory of the program | bytes |\n|---|---|\n| code and constants | {image_bytes} |\n| variables | \
+            {static_bytes} |\n\
          | deepest stack | {stack_bytes} |\n\n\
          | operator | work | instructions | per unit of work | C libraries, per unit |\n|---|---|---|---|---|\n"
     );
@@ -69,19 +74,19 @@ pub fn table(counts: &BoardCounts) -> String {
     text
 }
 
-/// The page: the tables, what they say, and the frame rates that follow from them.
+/// The page, Markdown: one section per board, then the frame rates that follow from the counts.
 ///
 /// # Errors
-/// A preset has no plan.
+/// The memory plan of a preset fails.
 pub fn page(boards: &[BoardCounts]) -> Result<String, DeviceError> {
     let section = |counts: &BoardCounts| format!("\n{}\n\n{}", heading(counts.board), table(counts));
     Ok(HEAD.to_string() + &boards.iter().map(section).collect::<String>() + &rates::section(boards)?)
 }
 
-/// Whether the frame rates of a page are those that follow from its tables.
+/// Whether the frame rates on a page follow from its tables.
 ///
 /// # Errors
-/// A preset has no plan.
+/// The memory plan of a preset fails.
 pub fn rates_follow(page: &str) -> Result<bool, DeviceError> {
     let boards: Vec<BoardCounts> = BOARDS.into_iter().filter_map(|board| counts(page, board)).collect();
     let rates = rates::section(&boards)?;
@@ -109,8 +114,8 @@ fn heading(board: Board) -> String {
     format!("## {} (`{}`)", board.core, board.name)
 }
 
-/// What is wrong with `counts`, one line each: figures that have grown beyond those of `page`, operators that only one of them has,
-/// operators behind a library.
+/// Differences between `counts` and `page`, one line each: figures that have grown by more than 2 %, operators that
+/// only one of them has, operators that need more instructions than a library.
 pub fn complaints(page: &str, counts: &BoardCounts) -> Vec<String> {
     let committed = read(page, counts.board);
     let Footprint { image_bytes, static_bytes, stack_bytes } = counts.footprint;
@@ -133,7 +138,7 @@ pub fn complaints(page: &str, counts: &BoardCounts) -> Vec<String> {
         let found = count.per_unit();
         let ahead = |peer: &&Peer| found > peer.1;
         for (name, per_unit, who) in peers(counts.board.name, &count.name).filter(ahead) {
-            complaints.push(format!("{name}: {found:.2} a unit of work, behind {who} with {per_unit:.2}"));
+            complaints.push(format!("{name}: {found:.2} per unit of work, more than {who} with {per_unit:.2}"));
         }
     }
     let gone = committed.iter().filter(|(name, _)| found.iter().all(|(found, _)| found != name));
@@ -197,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn growth_beyond_two_percent_is_told_and_less_is_not() {
+    fn growth_beyond_two_percent_is_reported_and_less_is_not() {
         let page = page(&[on(MPS2_AN500, &[count("a", 1, 1000), count("b", 1, 1000), count("c", 1, 1000)])]).unwrap();
         let mut counts = on(MPS2_AN500, &[count("a", 1, 1020), count("b", 1, 1021), count("c", 1, 500)]);
         counts.footprint.image_bytes = 60_000;
@@ -206,14 +211,14 @@ mod tests {
     }
 
     #[test]
-    fn operators_that_come_or_go_are_told() {
+    fn operators_that_come_or_go_are_reported() {
         let page = page(&[on(MPS2_AN500, &[count("a", 1, 1)]), on(MPS3_AN547, &[count("b", 1, 1)])]).unwrap();
         let found = complaints(&page, &on(MPS2_AN500, &[count("b", 1, 1)]));
         assert_eq!(found, ["b: not in the table", "a: in the table, but no longer counted"]);
     }
 
     #[test]
-    fn an_operator_behind_a_library_is_told_whatever_the_page_says() {
+    fn an_operator_behind_a_library_is_reported_whatever_the_page_says() {
         let counts = on(MPS2_AN500, &[count("3x3 convolution 32->32, 48x48", 100, 149)]);
         assert_eq!(complaints(&page(std::slice::from_ref(&counts)).unwrap(), &counts).len(), 1);
     }

@@ -1,34 +1,34 @@
-//! A line to a device.
+//! The line to a device.
 
-use super::DeviceError;
+use super::error::DeviceError;
 use ommatidia_shared::wire::CHUNK;
 use std::time::Duration;
 
-/// A line of bytes to a device. It may lose, repeat and damage them.
+/// A byte stream to a device and back, which may lose, repeat or damage bytes.
 pub trait Transport {
     /// Sends bytes.
     ///
     /// # Errors
-    /// The line is gone.
+    /// The connection is closed.
     fn send(&mut self, bytes: &[u8]) -> Result<(), DeviceError>;
 
-    /// Waits for bytes, at most for `patience`; gives how many came, 0 for none.
+    /// Waits for bytes, at most for `patience`; returns how many arrived, 0 for none.
     ///
     /// # Errors
-    /// The line is gone.
+    /// The connection is closed.
     fn receive(&mut self, buffer: &mut [u8], patience: Duration) -> Result<usize, DeviceError>;
 
-    /// Whether nothing can come before something is sent. Where there is a clock on the other side nobody knows.
+    /// Whether no byte can arrive before the next one is sent; only lines without a clock know this.
     fn silent(&self) -> bool {
         false
     }
 
-    /// Whether the program ends with the conversation. A board's goes on.
+    /// Whether the program ends when the host quits. On a board it keeps running.
     fn ends(&self) -> bool {
         true
     }
 
-    /// The most bytes of data in one answer that the line carries without losing some.
+    /// Maximum data bytes in one reply that the line carries without loss.
     fn answer_len(&self) -> usize {
         CHUNK
     }

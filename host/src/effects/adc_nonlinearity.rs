@@ -1,17 +1,19 @@
-//! Converter with a step: beyond a code the readings jump, as where a second gain or a second reference takes over.
+//! Converter step: readings above one code are offset, e.g. where the converter switches to a second gain or reference.
 //!
-//! `y -> y + step` where `y - black > at` times full scale. Catalogue 36.
+//! `y -> y + step` where `y - black > at` times full scale.
 
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 use ndarray::Array2;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct AdcNonlinearity;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "adc_nonlinearity",
     stage: Stage::Electronics,
-    summary: "y + step above a share of full scale: the converter jumps at a code",
+    summary: "y + step above a share of full scale: a step of the converter at one code",
     params: &[
         Param::strength("step_dn", "DN", 1.0, -1e4, 1e4),
         Param::shape("at", "share of full scale", 0.25, 0.01, [0.0, 1.0], &[0.125, 0.25, 0.5]),
@@ -19,9 +21,12 @@ static DESCRIPTOR: Descriptor = Descriptor {
     lookalikes: &[
         Lookalike {
             id: "nonlinearity",
-            separate_by: "histogram of a bright ramp: a converter jumps at one code, a curve is smooth",
+            separate_by: "histogram of a bright ramp: a converter step is at one code, a nonlinearity is smooth",
         },
-        Lookalike { id: "saturation", separate_by: "histogram of a bright ramp" },
+        Lookalike {
+            id: "saturation",
+            separate_by: "histogram of a bright ramp: a converter step leaves a gap at one code",
+        },
     ],
 };
 

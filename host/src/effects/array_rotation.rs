@@ -1,23 +1,25 @@
-//! Turned array: the lenses sit on a grid that is turned on the sensor; each image keeps its own direction.
+//! Rotated array: the grid of lenses is rotated on the sensor; the image of each lens keeps its orientation.
 //!
-//! `anchor_l -> anchor_l + angle (col_l, -row_l)`, (row_l, col_l) = anchor from the centre of the array; a small angle, in mrad,
-//! positive from the column axis to the row axis (clockwise on a screen). Catalogue 4.
+//! `anchor_l -> anchor_l + angle (col_l, -row_l)`, where (row_l, col_l) is the anchor relative to the centre of the
+//! array. The angle is small, in mrad, positive from the column axis to the row axis (clockwise on a screen).
 
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Ray, RayShift, Stage};
+use super::context::{FrameContext, Ray, RayShift};
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct ArrayRotation;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "array_rotation",
     stage: Stage::Geometry,
-    summary: "anchor_l + angle (col_l, -row_l): the array is turned about its centre",
+    summary: "anchor_l + angle (col_l, -row_l): the array is rotated about its centre",
     params: &[Param::strength("angle_mrad", "mrad", 0.05, -200.0, 200.0)],
     lookalikes: &[
-        Lookalike { id: "lens_decentre", separate_by: "bead scan: a rotation moves all lenses by one law" },
+        Lookalike { id: "lens_decentre", separate_by: "bead scan: a rotation moves all lenses by one common angle" },
         Lookalike {
             id: "stage_scale",
-            separate_by: "bead scan: a skewed stage moves foci by the field, alike in every lens",
+            separate_by: "bead scan: a skewed stage moves foci in proportion to the field, equally in every lens",
         },
     ],
 };

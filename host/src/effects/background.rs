@@ -1,30 +1,32 @@
-//! Background: filter leak and autofluorescence, in proportion to exposure and lamp power.
+//! Background: light that leaks through the filters and autofluorescence, proportional to exposure and lamp power.
 //!
-//! `mu -> mu + rate t P (1 + gradient . s)`, s = position from the centre in half heights and half widths (-1..1).
-//! Catalogue 19.
+//! `mu -> mu + rate t P (1 + gradient . s)`, with the exposure t, the lamp power P, and the position s from the centre
+//! in half heights and half widths (-1..1).
 
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 use ndarray::Array2;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct Background;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "background",
     stage: Stage::Light,
-    summary: "mu + rate t P (1 + gradient . s): leak and autofluorescence, with a slope",
+    summary: "mu + rate t P (1 + gradient . s): filter leak and autofluorescence with a linear gradient",
     params: &[
         Param::strength("rate_e_per_ms", "e-/px/ms", 0.02, 0.0, 1e6),
         Param::shape("gradient_row", "1", 0.0, 0.1, [-1.0, 1.0], &[0.0]),
         Param::shape("gradient_col", "1", 0.0, 0.1, [-1.0, 1.0], &[0.0]),
     ],
     lookalikes: &[
-        Lookalike { id: "dark_current", separate_by: "frames with the lamp off" },
+        Lookalike { id: "dark_current", separate_by: "frames with the lamp off: background disappears" },
         Lookalike {
             id: "veiling_glare",
-            separate_by: "two light levels of the specimen: glare follows its light, background the lamp",
+            separate_by: "two light levels of the specimen: glare follows its light, background the lamp power",
         },
-        Lookalike { id: "black_level_drift", separate_by: "frames with the lamp off" },
+        Lookalike { id: "black_level_drift", separate_by: "frames with the lamp off: background disappears" },
     ],
 };
 

@@ -1,21 +1,26 @@
-//! Black-level drift: the mean signal without light wanders with time.
+//! Black-level drift: the mean signal without light changes with time.
 //!
-//! `y -> y + rate time`. Catalogue 35.
+//! `y -> y + rate time`.
 
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 use ndarray::Array2;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct BlackLevelDrift;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "black_level_drift",
     stage: Stage::Electronics,
-    summary: "y + rate time: the black level drifts",
+    summary: "y + rate time: the black level drifts with time",
     params: &[Param::strength("rate_dn_per_s", "DN/s", 0.5, -1e4, 1e4)],
     lookalikes: &[
-        Lookalike { id: "dark_current", separate_by: "darks at several exposures: a drift does not grow with them" },
-        Lookalike { id: "background", separate_by: "frames with the lamp off" },
+        Lookalike {
+            id: "dark_current",
+            separate_by: "darks at several exposures: a drift does not depend on the exposure",
+        },
+        Lookalike { id: "background", separate_by: "frames with the lamp off: background disappears" },
     ],
 };
 

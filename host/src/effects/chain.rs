@@ -1,50 +1,56 @@
-//! The effects that are on, resolved and in order.
+//! The effects that are switched on, resolved and in order.
 
-use super::{Effect, EffectSetting, FrameContext, Ray, RayShift, Record, Stage, TableUse, find, ids};
+use super::context::{FrameContext, Ray, RayShift, Record};
+use super::descriptor::{Param, Stage};
+use super::effect::{Effect, EffectSetting};
+use super::registry::{find, ids};
+use super::table::TableUse;
 use crate::noise::NoiseModel;
 use crate::session::Manifest;
 use ndarray::Array2;
 use thiserror::Error;
 
-/// Why a list of effects makes no sense.
+/// Why a list of effects cannot be applied.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum EffectError {
-    /// No such effect.
+    /// There is no effect of this id.
     #[error("effect `{found}`: unknown; known are {known}")]
     Unknown {
-        /// The id that was asked for.
+        /// The requested id.
         found: String,
-        /// The ids there are.
+        /// All ids.
         known: String,
     },
-    /// No such parameter.
+    /// The effect has no parameter of this name.
     #[error("effect `{id}`: no parameter `{found}`; it has {known}")]
     Param {
         /// The effect.
         id: &'static str,
-        /// The name that was asked for.
+        /// The requested name.
         found: String,
-        /// The names there are.
+        /// All names.
         known: String,
     },
-    /// A parameter out of its range.
+    /// A parameter is outside its range.
     #[error("effect `{id}`: parameter `{name}`: expected {min} to {max} {unit}, found {found}")]
     Range {
         /// The effect.
         id: &'static str,
         /// The parameter.
         name: &'static str,
-        /// Smallest value with a meaning.
+        /// Smallest allowed value.
         min: f64,
-        /// Largest value with a meaning.
+        /// Largest allowed value.
         max: f64,
-        /// Its unit.
+        /// Unit of the parameter.
         unit: &'static str,
-        /// What was given.
+        /// The value.
         found: f64,
     },
-    /// A table that does not fit the sensor.
-    #[error("effect `{id}`: table: expected {sensor:?} or one row or column of it, found {found:?}")]
+    /// A table does not fit the sensor.
+    #[error(
+        "effect `{id}`: table: expected the shape {sensor:?} of the sensor, one row or one column, found {found:?}"
+    )]
     Table {
         /// The effect.
         id: &'static str,
@@ -55,10 +61,10 @@ pub enum EffectError {
     },
 }
 
-/// What parameters and tables are sized by.
+/// Sizes on which the numbers of parameters and the shapes of tables depend.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Layout {
-    /// Lenses of the array.
+    /// Number of lenses of the array.
     pub lenses: usize,
     /// Rows and columns of the sensor.
     pub sensor: [usize; 2],
@@ -71,7 +77,7 @@ impl Layout {
     }
 }
 
-/// An effect with its parameters in the order of its descriptor.
+/// An effect with its parameters, in the order of [`super::Descriptor::expanded`].
 #[derive(Clone)]
 struct Active {
     effect: &'static dyn Effect,
@@ -79,9 +85,9 @@ struct Active {
     table: Option<(TableUse, Array2<f32>)>,
 }
 
-/// Effects in the order in which they were given; each acts at its own stage.
+/// Effects in the order of their settings; each acts at its own stage.
 ///
-/// An effect whose strengths are all `off` is left out: switched off and absent are the same bits.
+/// An effect with all strengths `off` is left out: switched off and absent give the same bits.
 #[derive(Clone, Default)]
 pub struct Chain {
     active: Vec<Active>,
@@ -94,10 +100,10 @@ impl std::fmt::Debug for Chain {
 }
 
 impl Chain {
-    /// Resolves settings.
+    /// Resolves settings for an instrument of this layout.
     ///
     /// # Errors
-    /// An effect or parameter is unknown, a value out of range, or a table of the wrong shape.
+    /// An effect or parameter is unknown, a value is out of range, or a table has the wrong shape.
     pub fn build(settings: &[EffectSetting], layout: Layout) -> Result<Self, EffectError> {
         let mut chain = Self::default();
         for setting in settings {
@@ -109,10 +115,11 @@ impl Chain {
         Ok(chain)
     }
 
-    /// One effect with its parameters in the order of [`super::Descriptor::expanded`].
+    /// Adds an effect with its parameters in the order of [`super::Descriptor::expanded`]. Without `table`, an effect
+    /// that has one draws it from its parameters.
     ///
     /// # Errors
-    /// A table of the wrong shape.
+    /// The table has the wrong shape.
     pub fn push(
         &mut self,
         effect: &'static dyn Effect,
@@ -139,13 +146,13 @@ impl Chain {
         Ok(())
     }
 
-    /// An effect whose hooks are called whether it is on or not.
+    /// Adds an effect whose hooks are called even if it is off.
     #[cfg(test)]
     pub(super) fn push_even_if_off(&mut self, effect: &'static dyn Effect, params: Vec<f64>) {
         self.active.push(Active { effect, params, table: None });
     }
 
-    /// Whether there is no effect at all.
+    /// Whether the chain has no effect.
     pub fn is_empty(&self) -> bool {
         self.active.is_empty()
     }
@@ -155,7 +162,7 @@ impl Chain {
         self.at(stage).next().is_some()
     }
 
-    /// Whether any effect needs the frame before.
+    /// Whether any effect depends on the previous frame.
     pub fn needs_previous(&self) -> bool {
         self.active.iter().any(|a| a.effect.needs_previous())
     }
@@ -164,24 +171,24 @@ impl Chain {
         self.active.iter().filter(move |a| a.effect.descriptor().stage == stage)
     }
 
-    /// Stage `Object`: emitted light, [object rows, object cols].
+    /// Stage `Object`: changes the emitted light, [object rows, object cols].
     pub fn on_object(&self, object: &mut Array2<f32>, cx: &FrameContext<'_>) {
         self.at(Stage::Object).for_each(|a| a.effect.on_object(&a.params, object, cx));
     }
 
-    /// Stage `Geometry`: how far a focus and its source are from where the calibration has them.
+    /// Stage `Geometry`: displacement of a focus and its source from the calibrated positions, summed over the effects.
     pub fn shift_ray(&self, ray: &Ray, cx: &FrameContext<'_>) -> RayShift {
         let mut sum = RayShift::default();
         self.at(Stage::Geometry).for_each(|a| sum += a.effect.shift_ray(&a.params, ray, cx));
         sum
     }
 
-    /// Stage `Lens`: electrons from lens `cx.lens`, [sensor rows, sensor cols].
+    /// Stage `Lens`: changes the light through lens `cx.lens`, [sensor rows, sensor cols], expected electrons.
     pub fn on_lens(&self, image_e: &mut Array2<f32>, cx: &FrameContext<'_>) {
         self.at(Stage::Lens).for_each(|a| a.effect.on_lens(&a.params, image_e, cx));
     }
 
-    /// Stage `Light`: expected electrons from all lenses, [sensor rows, sensor cols].
+    /// Stage `Light`: changes the light through all lenses, [sensor rows, sensor cols], expected electrons.
     pub fn on_light(&self, light_e: &mut Array2<f32>, cx: &FrameContext<'_>) {
         for a in self.at(Stage::Light) {
             match &a.table {
@@ -192,12 +199,12 @@ impl Chain {
         }
     }
 
-    /// Stage `Charge`: electrons, [sensor rows, sensor cols].
+    /// Stage `Charge`: changes the collected charge, [sensor rows, sensor cols], electrons.
     pub fn on_charge(&self, charge_e: &mut Array2<f32>, cx: &FrameContext<'_>) {
         self.at(Stage::Charge).for_each(|a| a.effect.on_charge(&a.params, charge_e, cx));
     }
 
-    /// Stage `Electronics`: DN, black level included, [sensor rows, sensor cols].
+    /// Stage `Electronics`: changes the frame, [sensor rows, sensor cols], DN with black level.
     pub fn on_electronics(&self, frame_dn: &mut Array2<f32>, cx: &FrameContext<'_>) {
         for a in self.at(Stage::Electronics) {
             match &a.table {
@@ -207,17 +214,17 @@ impl Chain {
         }
     }
 
-    /// Stage `Electronics`, drawn frames only: noise of the readout.
+    /// Stage `Electronics`, in noisy frames only: adds noise of the readout, [sensor rows, sensor cols], DN.
     pub fn on_reading(&self, frame_dn: &mut Array2<f32>, cx: &FrameContext<'_>, rng: &mut dyn rand::Rng) {
         self.active.iter().for_each(|a| a.effect.on_reading(&a.params, frame_dn, cx, rng));
     }
 
-    /// How the noise differs from the calibrated one.
+    /// Any stage: changes the noise model of the sensor.
     pub fn on_noise(&self, noise: &mut NoiseModel) {
         self.active.iter().for_each(|a| a.effect.on_noise(&a.params, noise));
     }
 
-    /// Stage `Record`: what the session says of a frame.
+    /// Stage `Record`: changes the session's record of a frame.
     pub fn on_record(&self, record: &mut Record, cx: &FrameContext<'_>) {
         self.active.iter().for_each(|a| a.effect.on_record(&a.params, record, cx));
     }
@@ -230,7 +237,7 @@ fn params_of(effect: &'static dyn Effect, setting: &EffectSetting, lenses: usize
         let known = expanded.iter().map(|(n, _)| n.as_str()).collect::<Vec<_>>().join(", ");
         return Err(EffectError::Param { id: d.id, found: found.clone(), known });
     }
-    let value = |(name, p): &(String, &'static super::Param)| {
+    let value = |(name, p): &(String, &'static Param)| {
         let found = setting.params.get(name).copied().unwrap_or(p.off);
         if (p.min..=p.max).contains(&found) {
             return Ok(found);

@@ -1,19 +1,22 @@
-//! Charge diffusion: photo-electrons wander before they are collected, so it blurs the light but leaves the noise white.
+//! Charge diffusion: photo-electrons diffuse before they are collected. This blurs the light and leaves the noise
+//! white.
 //!
-//! `mu -> g * mu`, g of standard deviation `sigma_px`, by explicit diffusion steps that keep the charge. Catalogue 22
-//! (Janesick, *Scientific Charge-Coupled Devices*, 2001, ch. 4).
+//! `mu -> g * mu`, a convolution with a Gaussian g of standard deviation `sigma_px`, by explicit diffusion steps that
+//! conserve the charge. Source: Janesick, *Scientific Charge-Coupled Devices*, 2001, ch. 4.
 
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 use super::smooth::diffuse;
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
 use ndarray::Array2;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct ChargeDiffusion;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "charge_diffusion",
     stage: Stage::Light,
-    summary: "g_sigma * mu before the Poisson draw: electrons wander before collection",
+    summary: "g_sigma * mu before the Poisson draw: electrons diffuse before they are collected",
     params: &[Param::square("sigma_px", "px", 0.05, 3.0)],
     lookalikes: &[
         Lookalike {
@@ -21,7 +24,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
             separate_by: "covariance of flats: capacitance correlates neighbours, diffusion does not",
         },
         Lookalike { id: "defocus", separate_by: "depth scan: diffusion is the same at every depth" },
-        Lookalike { id: "motion_blur", separate_by: "beads: diffusion is there too, motion is not" },
+        Lookalike { id: "motion_blur", separate_by: "beads: diffusion blurs them too, motion does not" },
     ],
 };
 

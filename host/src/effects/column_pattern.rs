@@ -1,27 +1,30 @@
-//! Column pattern: a fixed wave of the offset from column to column (one converter a column, or a few in turn).
+//! Column pattern: a fixed periodic offset over the columns, e.g. from one converter per column or a few in turn.
 //!
-//! `y -> y + amplitude cos(2 pi col / period) + quadrature sin(2 pi col / period)`. At a period of 2 (even and odd columns) the sine is
-//! zero in every column, and the amplitude says all. Catalogue 32.
+//! `y -> y + amplitude cos(2 pi col / period) + quadrature sin(2 pi col / period)`. At a period of 2 (even and odd
+//! columns) the sine is zero in every column, and only the amplitude matters.
 
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
+use super::evidence::Evidence;
 use super::row_pattern::lines;
 use super::wave::{periods, wave};
-use super::{Descriptor, Effect, Evidence, FrameContext, Lookalike, Param, Stage};
 use ndarray::{Array2, Axis};
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct ColumnPattern;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "column_pattern",
     stage: Stage::Electronics,
-    summary: "y + amplitude cos + quadrature sin of 2 pi col / period: fixed offset by column",
+    summary: "y + amplitude cos + quadrature sin of 2 pi col / period: a fixed periodic offset over the columns",
     params: &[
         Param::strength("amplitude_dn", "DN", 0.2, -1e4, 1e4),
         Param::strength("quadrature_dn", "DN", 0.2, -1e4, 1e4),
         Param::shape("period_cols", "columns", 4.0, 0.02, [1.0, 1e5], &[2.0, 4.0]),
     ],
     lookalikes: &[
-        Lookalike { id: "pixel_mosaic", separate_by: "darks: a gain that alternates does nothing without light" },
+        Lookalike { id: "pixel_mosaic", separate_by: "darks: an alternating gain has no effect without light" },
         Lookalike { id: "dsnu", separate_by: "darks: a pattern is the same in every row" },
     ],
 };
@@ -45,7 +48,7 @@ impl Effect for ColumnPattern {
         cols as f64 / 2.0
     }
 
-    /// Peaks in the spectrum of the mean residual of the columns.
+    /// Periods at the peaks in the spectrum of the columns' mean residuals.
     fn guess(&self, evidence: &Evidence<'_>) -> Vec<Vec<f64>> {
         let (sums, weights) = lines(evidence, Axis(1));
         periods(&sums, &weights).into_iter().map(|period| vec![0.0, 0.0, period]).collect()

@@ -1,28 +1,28 @@
-//! What a hook is told of the frame and of the ray that it acts on.
+//! The frame and the chief ray on which a hook acts.
 
 use crate::session::Role;
 use ndarray::Array2;
 
-/// What is known of the frame that is being formed.
+/// The frame that is being formed: its exposure, the array, and the sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameContext<'a> {
-    /// What it shows: specimens, a bead, even light, none.
+    /// What the frame shows: specimens, a bead, even light, or no light.
     pub role: Role,
-    /// Index in its stack.
+    /// Index of the frame in its stack.
     pub frame: usize,
-    /// When the exposure began, s.
+    /// Start of the exposure, s.
     pub time_s: f64,
     /// Exposure, ms.
     pub exposure_ms: f64,
     /// Relative light level.
     pub illumination: f64,
-    /// Temperature of the sensor, degrees C; 20 where it was not measured.
+    /// Temperature of the sensor, degrees C; 20 if it was not measured.
     pub temperature_c: f64,
-    /// Lens whose image is being formed (stages `Geometry` and `Lens` only), counted row by row.
+    /// Lens whose image is being formed, counted row by row; stages `Geometry` and `Lens` only.
     pub lens: usize,
     /// Rows and columns of lenses.
     pub array: [usize; 2],
-    /// Foci of the on-axis source, sensor pixels, one a lens.
+    /// Anchors (the foci of the on-axis source), one (row, col) for each lens, sensor pixels.
     pub anchors_px: &'a [[f64; 2]],
     /// Full scale of the converter above the black level, electrons.
     pub full_scale_e: f64,
@@ -30,16 +30,16 @@ pub struct FrameContext<'a> {
     pub black_level_dn: f64,
     /// Conversion gain, DN per electron.
     pub gain_dn_per_e: f64,
-    /// The frame before this one: None for the first of a stack.
+    /// The previous frame; `None` for the first frame of a stack.
     pub previous: Option<Previous<'a>>,
 }
 
-/// The frame that was read before.
+/// The previous frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Previous<'a> {
-    /// Its light, expected electrons.
+    /// Its light, [sensor rows, sensor cols], expected electrons.
     pub light_e: &'a Array2<f32>,
-    /// From the start of its exposure to the start of this one, s.
+    /// Time from the start of its exposure to the start of this one, s.
     pub interval_s: f64,
 }
 
@@ -68,24 +68,24 @@ impl Default for FrameContext<'_> {
 pub struct Ray {
     /// Lens, counted row by row.
     pub lens: usize,
-    /// Source, um from the centre of the object.
+    /// Position of the source relative to the centre of the object, um.
     pub object_um: [f64; 2],
-    /// Focus relative to the lens's anchor (the focus of the on-axis source), sensor px.
+    /// Focus relative to the anchor of the lens (the focus of the on-axis source), sensor pixels.
     pub field_px: [f64; 2],
-    /// Focus relative to where the lens's own axis meets the sensor, sensor px.
+    /// Focus relative to the point where the axis of the lens meets the sensor, sensor pixels.
     pub axis_px: [f64; 2],
-    /// The lens's anchor relative to the centre of the array, sensor px.
+    /// Anchor of the lens relative to the centre of the array, sensor pixels.
     pub anchor_px: [f64; 2],
     /// Pixel pitch of the sensor, um.
     pub pixel_pitch_um: f64,
 }
 
-/// How an effect moves a source and its focus.
+/// Displacement of a source and its focus by an effect.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RayShift {
-    /// Of the focus, sensor px, (row, col).
+    /// Displacement of the focus (row, col), sensor pixels.
     pub px: [f64; 2],
-    /// Of the source along the optical axis, um: positive towards larger z of the bead scan.
+    /// Displacement of the source along the optical axis, um; positive towards larger z of the bead scan.
     pub z_um: f64,
 }
 
@@ -97,28 +97,29 @@ impl std::ops::AddAssign for RayShift {
     }
 }
 
-/// What the session says of one frame.
+/// The session's record of one frame: which truth belongs to it, and its exposure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Record {
-    /// Frame of the stack whose truth this one shows.
+    /// Index of the written truth that this frame shows.
     pub truth: usize,
-    /// Frames of the stack.
+    /// Number of frames of the stack.
     pub frames: usize,
-    /// The truth is upside down.
+    /// Whether the written truth is upside down.
     pub flip_rows: bool,
-    /// The truth is turned left to right.
+    /// Whether the written truth is mirrored left to right.
     pub flip_cols: bool,
-    /// True exposure over the exposure that is written down.
+    /// True exposure over the written exposure.
     pub exposure_factor: f64,
 }
 
 impl Record {
-    /// A record that tells the truth.
+    /// A correct record of frame `frame` in a stack of `frames` frames.
     pub fn honest(frame: usize, frames: usize) -> Self {
         Self { truth: frame, frames, flip_rows: false, flip_cols: false, exposure_factor: 1.0 }
     }
 
-    /// The object that is shown, of those that are written down.
+    /// The object that the frame shows, [object rows, object cols], from the written `truths`; `None` if they are too
+    /// few.
     pub fn object(&self, truths: &[Array2<f32>]) -> Option<Array2<f32>> {
         let mut object = truths.get(self.truth)?.clone();
         if self.flip_rows {

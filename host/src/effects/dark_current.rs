@@ -1,12 +1,14 @@
-//! Dark current: charge that comes without light.
+//! Dark current: charge that is collected without light.
 //!
-//! `mu -> mu + rate t 2^((T - 20 C) / doubling)`, in every frame, whatever the lamp does. Catalogue 29 (the doubling every few
-//! kelvin: Janesick, *Scientific Charge-Coupled Devices*, 2001, ch. 7).
+//! `mu -> mu + rate t 2^((T - 20 C) / doubling)` in every frame, with the exposure t and the temperature T, independent
+//! of the lamp. Source of the doubling law: Janesick, *Scientific Charge-Coupled Devices*, 2001, ch. 7.
 
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 use ndarray::Array2;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct DarkCurrent;
 
 static DESCRIPTOR: Descriptor = Descriptor {
@@ -18,10 +20,10 @@ static DESCRIPTOR: Descriptor = Descriptor {
         Param::shape("doubling_k", "K", 8.0, 1.0, [1.0, 100.0], &[8.0]),
     ],
     lookalikes: &[
-        Lookalike { id: "background", separate_by: "frames with the lamp off" },
+        Lookalike { id: "background", separate_by: "frames with the lamp off: background disappears" },
         Lookalike {
             id: "black_level_drift",
-            separate_by: "darks at several exposures: a drift does not grow with them",
+            separate_by: "darks at several exposures: a drift does not depend on the exposure",
         },
     ],
 };

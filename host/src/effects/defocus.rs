@@ -1,10 +1,12 @@
-//! Defocus: the specimen lies at another depth than the calibration.
+//! Defocus: the specimen is at another depth than in the calibration.
 //!
-//! `h(z) -> h(z + z_um)`. The model can follow only as far as its bead scan went in depth. Catalogue 7.
+//! `h(z) -> h(z + z_um)`, where h(z) is the PSF at depth z. The model covers only the depths of its bead scan.
 
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Ray, RayShift, Stage};
+use super::context::{FrameContext, Ray, RayShift};
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct Defocus;
 
 static DESCRIPTOR: Descriptor = Descriptor {
@@ -18,8 +20,14 @@ static DESCRIPTOR: Descriptor = Descriptor {
             id: "interpixel_capacitance",
             separate_by: "flats: capacitance correlates the noise of neighbours",
         },
-        Lookalike { id: "field_curvature", separate_by: "depth scan at the centre and at the edge of the field" },
-        Lookalike { id: "motion_blur", separate_by: "a specimen at rest, or a shorter exposure" },
+        Lookalike {
+            id: "field_curvature",
+            separate_by: "depth scan at the centre and at the edge: only a curved field focuses at different depths",
+        },
+        Lookalike {
+            id: "motion_blur",
+            separate_by: "a specimen at rest, or a shorter exposure: motion blur disappears",
+        },
     ],
 };
 

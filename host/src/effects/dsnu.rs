@@ -1,21 +1,23 @@
-//! Dark-signal non-uniformity: each pixel has an offset of its own.
+//! Dark-signal non-uniformity: each pixel has its own offset.
 //!
-//! `y -> y + u`, u = a table, DN. Drawn: normal, of standard deviation `rms_dn`. Catalogue 31.
+//! `y -> y + u` with a table u, DN. Injected tables are normal with standard deviation `rms_dn`.
 
-use super::{Descriptor, Effect, Lookalike, Param, Stage, Table, TableGroup, TableUse, table};
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
+use super::table::{self, Table, TableGroup, TableUse};
 use ndarray::Array2;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct Dsnu;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "dsnu",
     stage: Stage::Electronics,
-    summary: "y + u pixel by pixel: uneven offset",
+    summary: "y + u: an offset for each pixel",
     params: &[Param::square("rms_dn", "DN", 0.3, 1e4), Param::choice("seed", "1", 1.0, [0.0, 1e9])],
     lookalikes: &[
         Lookalike { id: "prnu", separate_by: "flats at two light levels: an offset does not grow with the light" },
-        Lookalike { id: "hot_pixels", separate_by: "darks at several exposures: hot pixels grow with them" },
+        Lookalike { id: "hot_pixels", separate_by: "darks at several exposures: hot pixels grow with the exposure" },
     ],
 };
 

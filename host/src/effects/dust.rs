@@ -1,14 +1,16 @@
-//! Dust on the sensor's window: dark spots of some pixels.
+//! Dust on the sensor's window: dark spots of several pixels.
 //!
-//! `mu -> mu (1 + u)`, u = a table. Drawn: `number` discs at random places, `-depth` inside `radius_px`, with an edge of one pixel;
-//! where discs overlap the darker one counts. Catalogue 31.
+//! `mu -> mu (1 + u)` with a table u. Injected tables have `number` discs at random places, with the value `-depth`
+//! inside `radius_px` and an edge of one pixel; where discs overlap, the darker one counts.
 
-use super::{Descriptor, Effect, Lookalike, Param, Stage, Table, TableGroup, TableUse};
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
+use super::table::{Table, TableGroup, TableUse};
 use crate::rng;
 use ndarray::Array2;
 use rand::RngExt;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct Dust;
 
 static DESCRIPTOR: Descriptor = Descriptor {
@@ -22,7 +24,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
         Param::choice("seed", "1", 1.0, [0.0, 1e9]),
     ],
     lookalikes: &[
-        Lookalike { id: "prnu", separate_by: "flats: dust is dark spots of some pixels" },
+        Lookalike { id: "prnu", separate_by: "flats: dust makes dark spots of several pixels" },
         Lookalike { id: "vignetting", separate_by: "flats: vignetting is smooth over the whole sensor" },
         Lookalike { id: "lens_gain", separate_by: "flats: dust on the sensor is the same for every lens" },
     ],
@@ -42,7 +44,7 @@ impl Effect for Dust {
         let mut rng = rng::stream(p[3] as u64, "effects/dust", 0);
         for _ in 0..p[1] as usize {
             let at = sensor.map(|n| rng.random_range(0.0..n.max(1) as f64) - 0.5);
-            // A spot touches few pixels of a large sensor.
+            // A spot covers only a few pixels of a large sensor.
             let near = |a: usize| {
                 let (low, high) = (at[a] - p[2] - 1.0, at[a] + p[2] + 1.0);
                 (low.max(0.0) as usize).min(sensor[a])..(high.ceil().max(0.0) as usize).min(sensor[a])

@@ -1,4 +1,4 @@
-//! What the loop shows an effect that must guess its shape from the data: residuals beside the model's light.
+//! Residuals and the model's light, from which an effect guesses its shape parameters.
 
 use super::FrameContext;
 use ndarray::Array2;
@@ -6,19 +6,19 @@ use ndarray::Array2;
 /// Residuals of one frame.
 #[derive(Debug)]
 pub struct EvidenceFrame<'a> {
-    /// The frame.
+    /// Exposure, array and sensor of the frame.
     pub cx: FrameContext<'a>,
-    /// Measured minus predicted, DN; 0 where a pixel is masked, [sensor rows, sensor cols].
+    /// Measured minus predicted frame, [sensor rows, sensor cols], DN; 0 for masked pixels.
     pub residual_dn: Array2<f32>,
-    /// Expected light, electrons, [sensor rows, sensor cols].
+    /// Expected light, [sensor rows, sensor cols], electrons.
     pub light_e: Array2<f32>,
-    /// Inverse variance, DN^-2; 0 where a pixel is masked, [sensor rows, sensor cols].
+    /// Inverse variance, [sensor rows, sensor cols], DN^-2; 0 for masked pixels.
     pub weight: Array2<f32>,
 }
 
 /// Residuals of the training frames.
 #[derive(Debug, Default)]
 pub struct Evidence<'a> {
-    /// One a frame.
+    /// Residuals of each frame.
     pub frames: Vec<EvidenceFrame<'a>>,
 }

@@ -1,12 +1,14 @@
-//! Uneven excitation: emitted light falls off from a centre on the object.
+//! Uneven excitation: the emitted light falls off from a centre on the object.
 //!
-//! `O(p) -> O(p) (1 - falloff rho^2)`, rho = distance from the centre over half the diagonal of the object; first order of a
-//! Gaussian lamp profile. Fixed to the object, unlike vignetting. Catalogue 17.
+//! `O(p) -> O(p) (1 - falloff rho^2)`, where rho is the distance from the centre over half the diagonal of the object:
+//! the first order of a Gaussian lamp profile. Unlike vignetting, it is fixed to the object.
 
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 use ndarray::Array2;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct ExcitationProfile;
 
 static DESCRIPTOR: Descriptor = Descriptor {
@@ -21,9 +23,9 @@ static DESCRIPTOR: Descriptor = Descriptor {
     lookalikes: &[
         Lookalike {
             id: "vignetting",
-            separate_by: "move the specimen: an excitation profile moves with the object, vignetting stays on the sensor",
+            separate_by: "move the specimen: an excitation profile moves with it, vignetting does not",
         },
-        Lookalike { id: "photobleaching", separate_by: "the same specimen early and late" },
+        Lookalike { id: "photobleaching", separate_by: "the same specimen early and late: only bleaching dims it" },
     ],
 };
 

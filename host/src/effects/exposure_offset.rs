@@ -1,22 +1,30 @@
-//! Exposure offset: the shutter is open longer (or shorter) than it says, by the same time at every exposure.
+//! Exposure offset: every exposure is longer (or shorter) than recorded by the same time.
 //!
-//! `mu -> mu (t + dt) / t`, t = exposure. Catalogue 26.
+//! `mu -> mu (t + dt) / t` with the recorded exposure t.
 
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 use ndarray::Array2;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct ExposureOffset;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "exposure_offset",
     stage: Stage::Light,
-    summary: "mu (t + dt) / t: each exposure is longer by dt than it says",
+    summary: "mu (t + dt) / t: each exposure is longer by dt than recorded",
     params: &[Param::strength("dt_ms", "ms", 0.01, -1000.0, 1000.0)],
     lookalikes: &[
-        Lookalike { id: "nonlinearity", separate_by: "a ladder of lamp powers at one exposure" },
-        Lookalike { id: "metadata_fault", separate_by: "two exposures: an offset weighs less in the longer one" },
-        Lookalike { id: "lamp_drift", separate_by: "the first frame again at the end" },
+        Lookalike {
+            id: "nonlinearity",
+            separate_by: "several lamp powers at one exposure: only nonlinearity depends on the power",
+        },
+        Lookalike {
+            id: "metadata_fault",
+            separate_by: "two exposures: an exposure offset matters less in the longer one",
+        },
+        Lookalike { id: "lamp_drift", separate_by: "the first frame repeated at the end: only a drift changes it" },
     ],
 };
 

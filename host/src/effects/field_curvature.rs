@@ -1,20 +1,29 @@
-//! Field curvature: the best focus lies on a bowl about each lens's axis.
+//! Field curvature: the surface of best focus is curved about the axis of each lens.
 //!
-//! `z -> z + a r^2`, r = focus from where the lens's axis meets the sensor, mm; a in um/mm^2. Catalogue 8.
+//! `z -> z + a r^2`, where r is the distance of a focus from the point where the axis of the lens meets the sensor, mm,
+//! and a is in um/mm^2.
 
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Ray, RayShift, Stage};
+use super::context::{FrameContext, Ray, RayShift};
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct FieldCurvature;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "field_curvature",
     stage: Stage::Geometry,
-    summary: "h(z + a r^2) about each lens's axis: the field of best focus is curved",
+    summary: "h(z + a r^2) about the axis of each lens: the surface of best focus is curved",
     params: &[Param::strength("a_um_per_mm2", "um/mm^2", 200.0, -1e5, 1e5)],
     lookalikes: &[
-        Lookalike { id: "defocus", separate_by: "depth scan at the centre and at the edge of the field" },
-        Lookalike { id: "rank_truncation", separate_by: "depth scan, or a model of higher rank" },
+        Lookalike {
+            id: "defocus",
+            separate_by: "depth scan at the centre and at the edge: only a curved field focuses at different depths",
+        },
+        Lookalike {
+            id: "rank_truncation",
+            separate_by: "depth scan, or a model of higher rank: a higher rank removes a truncation",
+        },
     ],
 };
 

@@ -1,22 +1,27 @@
-//! Flicker banding: a rolling shutter under a pulsed lamp; bands across the frame that move from frame to frame.
+//! Flicker banding: a flickering lamp with a rolling shutter makes bands across the frame that move from frame to
+//! frame.
 //!
-//! `mu -> mu (1 + m_cos cos a + m_sin sin a)`, `a = 2 pi (cycles_per_row row + frame_hz time)`: a row is exposed `line time` after the one
-//! above, so a lamp of f Hz gives `cycles_per_row = f line time`; frames at even intervals show f only up to a multiple of their rate,
-//! and `frame_hz` may be any such alias. Catalogue 30.
+//! `mu -> mu (1 + m_cos cos a + m_sin sin a)`, `a = 2 pi (cycles_per_row row + frame_hz time)`. A row is exposed one
+//! line time after the row above, so a lamp at f Hz gives `cycles_per_row = f * line time`. Frames at even intervals
+//! determine f only up to a multiple of their rate; `frame_hz` may be any such alias.
 
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
+use super::evidence::Evidence;
 use super::wave::{Spectrum, wave};
-use super::{Descriptor, Effect, Evidence, FrameContext, Lookalike, Param, Stage};
 use crate::session::Role;
 use ndarray::Array2;
 use std::f64::consts::TAU;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct FlickerBanding;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "flicker_banding",
     stage: Stage::Light,
-    summary: "mu (1 + m_cos cos a + m_sin sin a), a = 2 pi (cycles_per_row row + frame_hz time): lamp flicker in a rolling shutter",
+    summary: "mu (1 + m_cos cos a + m_sin sin a), a = 2 pi (cycles_per_row row + frame_hz time): \
+              lamp flicker with a rolling shutter",
     params: &[
         Param::strength("m_cos", "1", 0.001, -1.0, 1.0),
         Param::strength("m_sin", "1", 0.001, -1.0, 1.0),
@@ -26,10 +31,10 @@ static DESCRIPTOR: Descriptor = Descriptor {
     lookalikes: &[
         Lookalike {
             id: "row_pattern",
-            separate_by: "darks, or later frames: a pattern stands still and needs no light",
+            separate_by: "darks, or later frames: a fixed pattern does not move and is there without light",
         },
-        Lookalike { id: "row_noise", separate_by: "darks: noise of the rows needs no light" },
-        Lookalike { id: "lamp_drift", separate_by: "rows of one frame: a drift is the same in all of them" },
+        Lookalike { id: "row_noise", separate_by: "darks: row noise is there without light" },
+        Lookalike { id: "lamp_drift", separate_by: "rows of one frame: a drift is the same in all rows" },
     ],
 };
 
@@ -42,7 +47,7 @@ impl Effect for FlickerBanding {
         if (p[0] == 0.0 && p[1] == 0.0) || cx.role == Role::Dark {
             return;
         }
-        // cos(b + c) and sin(b + c): c, of the time, goes into the two amplitudes.
+        // cos(b + c) and sin(b + c): the phase c from the time enters the two amplitudes.
         let (sin, cos) = (TAU * (p[3] * cx.time_s).fract()).sin_cos();
         let bands = wave(light_e.nrows(), p[0] * cos + p[1] * sin, p[1] * cos - p[0] * sin, 1.0 / p[2].max(1e-12));
         for (mut row, band) in light_e.outer_iter_mut().zip(bands) {
@@ -55,22 +60,25 @@ impl Effect for FlickerBanding {
         (rows * frames.max(2)) as f64 / 4.0
     }
 
-    /// Peaks over (cycles a row, Hz) of the residual's rows, weighted by their light.
+    /// Peaks over (cycles per row, Hz) in the spectrum of the rows' residuals, weighted by their light.
     fn guess(&self, evidence: &Evidence<'_>) -> Vec<Vec<f64>> {
         peaks(evidence).into_iter().map(|[per_row, hz]| vec![0.0, 0.0, per_row, hz]).collect()
     }
 }
 
-/// Frames that are looked at, and frequencies over time that are tried.
+/// Largest number of frames that are used.
 const FRAMES: usize = 64;
+/// Largest number of frequencies over time that are tried.
 const TIMES: usize = 257;
-/// Proposals.
+/// Number of proposals.
 const KEEP: usize = 3;
 
+/// The strongest waves over rows and time, as (cycles per row, Hz).
 fn peaks(evidence: &Evidence<'_>) -> Vec<[f64; 2]> {
     let lit: Vec<_> = evidence.frames.iter().filter(|f| f.cx.role != Role::Dark).take(FRAMES).collect();
     let Some(rows) = lit.first().map(|f| f.light_e.nrows()).filter(|n| *n >= 4) else { return Vec::new() };
-    // For each frame the sums of w R L by row, and the light's own part taken off: the scale of a frame is free.
+    // For each frame, the sums of w R L by row, minus the part in proportion to the light: the scale of a frame is
+    // free.
     let mut signals = Vec::new();
     for frame in &lit {
         let (mut sums, mut powers) = (vec![0.0; rows], vec![0.0; rows]);
@@ -116,8 +124,8 @@ fn peaks(evidence: &Evidence<'_>) -> Vec<[f64; 2]> {
     kept.into_iter().map(|(j, k)| [spectrum.frequency(j), times[k]]).collect()
 }
 
-/// Frequencies that frames at these times can tell apart: up to half the rate of the closest two, in steps of a quarter over the
-/// whole time. Zero alone where there is one time only.
+/// Frequencies that frames at these times distinguish, Hz: up to half the rate of the closest two frames, in steps of
+/// at most a quarter over the total time. Only zero if all frames have the same time.
 fn frequencies(times: &[f64]) -> Vec<f64> {
     let mut sorted = times.to_vec();
     sorted.sort_by(f64::total_cmp);

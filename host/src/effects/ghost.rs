@@ -1,31 +1,40 @@
-//! Ghost: a faint image of everything, turned by 180 degrees about a point of the sensor (light that went to and fro between
-//! two surfaces).
+//! Ghost: a faint image of the whole frame, rotated by 180 degrees about a point of the sensor, from light reflected
+//! between two surfaces.
 //!
-//! `mu(x) -> mu(x) + ratio mu(2 c - x)`, c = (centre_row, centre_col) from the centre of the sensor, px. Catalogue 13.
+//! `mu(x) -> mu(x) + ratio mu(2 c - x)` with c = (centre_row, centre_col) from the centre of the sensor, pixels.
 
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
+use super::evidence::Evidence;
 use super::smooth::gaussian_blur;
-use super::{Descriptor, Effect, Evidence, FrameContext, Lookalike, Param, Stage};
 use crate::fft2::{RealFft2, fast_size};
 use ndarray::{Array2, s};
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct Ghost;
 
-/// Farthest centre from the centre of the sensor, px.
+/// Largest distance of the point from the centre of the sensor along each axis, pixels.
 const REACH_PX: f64 = 1000.0;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "ghost",
     stage: Stage::Light,
-    summary: "mu(x) + ratio mu(2 c - x): a faint image turned about c",
+    summary: "mu(x) + ratio mu(2 c - x): a faint image, rotated by 180 degrees about c",
     params: &[
         Param::strength("ratio", "1", 0.0005, 0.0, 1.0),
         Param::shape("centre_row", "px", 0.0, 0.25, [-REACH_PX, REACH_PX], &[]),
         Param::shape("centre_col", "px", 0.0, 0.25, [-REACH_PX, REACH_PX], &[]),
     ],
     lookalikes: &[
-        Lookalike { id: "lens_leakage", separate_by: "move the bead: a ghost moves against it, a leak with it" },
-        Lookalike { id: "halo", separate_by: "a single bright bead off the centre" },
+        Lookalike {
+            id: "lens_leakage",
+            separate_by: "move the bead: a ghost moves in the opposite direction, a leak with it",
+        },
+        Lookalike {
+            id: "halo",
+            separate_by: "a single bright bead off the centre: a ghost appears on the other side of the centre",
+        },
     ],
 };
 
@@ -40,22 +49,22 @@ impl Effect for Ghost {
         }
     }
 
-    /// Twice as many centres as pixels along each axis; of those within a focus one counts.
+    /// There are twice as many centres as pixels along each axis; those within one focus (3 x 3) count once.
     fn chances(&self, [rows, cols]: [usize; 2], _frames: usize) -> f64 {
         (4 * rows * cols) as f64 / 9.0
     }
 
-    /// The centres about which the turned light explains most of the residual.
+    /// The centres about which the rotated light explains most of the residual.
     fn guess(&self, evidence: &Evidence<'_>) -> Vec<Vec<f64>> {
         centres(evidence).into_iter().map(|[row, col]| vec![0.0, row, col]).collect()
     }
 }
 
-/// `image(x) += ratio image(2 c - x)`, by linear interpolation; dark outside.
+/// `image(x) += ratio image(2 c - x)`, by linear interpolation; the image is dark outside.
 fn add_turned(image: &mut Array2<f32>, centre: [f64; 2], ratio: f64) {
     let from = image.clone();
     let (rows, cols) = from.dim();
-    // Pixel i shows pixel sum - i; the fraction is the same for all.
+    // Pixel i receives light from pixel sum - i; the fraction of a pixel is the same for all.
     let sum = [(rows as f64 - 1.0) + 2.0 * centre[0], (cols as f64 - 1.0) + 2.0 * centre[1]];
     let whole = sum.map(f64::floor);
     for corner in [[0, 0], [0, 1], [1, 0], [1, 1]] {
@@ -65,7 +74,7 @@ fn add_turned(image: &mut Array2<f32>, centre: [f64; 2], ratio: f64) {
             continue;
         }
         let [row_sum, col_sum] = [0, 1].map(|a| whole[a] as isize + corner[a]);
-        // i and sum - i both inside 0..n.
+        // Both i and sum - i must be inside 0..n.
         let range = |sum: isize, n: usize| (sum - n as isize + 1).max(0)..(sum + 1).min(n as isize);
         let (to_r, to_c) = (range(row_sum, rows), range(col_sum, cols));
         if to_r.is_empty() || to_c.is_empty() {
@@ -78,14 +87,17 @@ fn add_turned(image: &mut Array2<f32>, centre: [f64; 2], ratio: f64) {
     }
 }
 
-/// Blur whose result is taken off the light: a broad glow has no centre.
+/// Width of the blur that is subtracted from the light, pixels: a broad glow has no centre.
 const BROAD_PX: f64 = 5.0;
-/// How many centres to propose, and how far apart, px.
+/// Number of centres to propose.
 const KEEP: usize = 3;
+/// Smallest distance between them, pixels.
 const APART_PX: f64 = 3.0;
 
-/// For a sum of indices t, light turned about t/2 explains `(sum w R L(t - x))^2 / sum w L(t - x)^2` of the residual's square: both
-/// sums are convolutions.
+/// Centres (row, col) about which rotated light explains most of the residual, best first.
+///
+/// Light rotated about t/2 explains `(sum w R L(t - x))^2 / sum w L(t - x)^2` of the squared residual. Both sums are
+/// convolutions.
 fn centres(evidence: &Evidence<'_>) -> Vec<[f64; 2]> {
     let Some((rows, cols)) = evidence.frames.first().map(|f| f.light_e.dim()).filter(|(r, c)| *r > 1 && *c > 1) else {
         return Vec::new();
@@ -121,7 +133,7 @@ fn centres(evidence: &Evidence<'_>) -> Vec<[f64; 2]> {
         image
     };
     let (matched, power) = (inverse(match_sum), inverse(power_sum));
-    // Where hardly any light falls on the sensor when it is turned, the ratio of two roundings means nothing.
+    // Where hardly any rotated light falls on the sensor, the ratio consists of rounding errors.
     let floor = 0.02 * power.iter().fold(0.0f32, |m, v| m.max(*v));
     let gain = |i: usize| {
         if matched[i] > 0.0 && power[i] > floor { matched[i] * (matched[i] / power[i]) } else { 0.0 }

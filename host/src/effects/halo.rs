@@ -1,13 +1,15 @@
-//! Halo: a part of the light of each point is scattered far outside the PSF window (turbid media, dirty optics).
+//! Halo: part of the light of each point is scattered far outside the PSF window, e.g. by turbid media or dirty optics.
 //!
-//! `mu -> (1 - weight) mu + weight (g * mu)`, g a Gaussian of `sigma_px`; what is scattered off the sensor is lost.
-//! Catalogue 11.
+//! `mu -> (1 - weight) mu + weight (g * mu)` with a Gaussian g of standard deviation `sigma_px`. Light that is
+//! scattered off the sensor is lost.
 
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 use super::smooth::gaussian_blur;
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
 use ndarray::Array2;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct Halo;
 
 static DESCRIPTOR: Descriptor = Descriptor {
@@ -20,8 +22,14 @@ static DESCRIPTOR: Descriptor = Descriptor {
     ],
     lookalikes: &[
         Lookalike { id: "veiling_glare", separate_by: "a single bright bead: glare is even over the sensor" },
-        Lookalike { id: "charge_diffusion", separate_by: "a single bright bead: diffusion reaches a pixel or two" },
-        Lookalike { id: "ghost", separate_by: "a single bright bead off the centre" },
+        Lookalike {
+            id: "charge_diffusion",
+            separate_by: "a single bright bead: diffusion reaches only one or two pixels",
+        },
+        Lookalike {
+            id: "ghost",
+            separate_by: "a single bright bead off the centre: a ghost appears on the other side of the centre",
+        },
     ],
 };
 

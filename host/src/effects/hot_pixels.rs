@@ -1,29 +1,31 @@
-//! Hot pixels: few pixels with a large dark current.
+//! Hot pixels: a few pixels with a large dark current.
 //!
-//! `mu -> mu + u t`, u = a table, e-/ms. Drawn: a `share` of the pixels, each with `rate` times a number from an exponential
-//! distribution of mean 1. Catalogue 29.
+//! `mu -> mu + u t` with the exposure t and a table u, e-/ms. In injected tables a `share` of the pixels has `rate`
+//! times an exponentially distributed number of mean 1.
 
-use super::{Descriptor, Effect, Lookalike, Param, Stage, Table, TableGroup, TableUse};
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
+use super::table::{Table, TableGroup, TableUse};
 use crate::rng;
 use ndarray::Array2;
 use rand::RngExt;
 use rand_distr::{Distribution, Exp1};
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct HotPixels;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "hot_pixels",
     stage: Stage::Light,
-    summary: "mu + u t in few pixels: they leak charge",
+    summary: "mu + u t in a few pixels, which have a large dark current",
     params: &[
         Param::strength("rate_e_per_ms", "e-/px/ms", 2.0, 0.0, 1e6),
         Param::choice("share", "1", 0.001, [0.0, 1.0]),
         Param::choice("seed", "1", 1.0, [0.0, 1e9]),
     ],
     lookalikes: &[
-        Lookalike { id: "dsnu", separate_by: "darks at several exposures: an offset does not grow with them" },
-        Lookalike { id: "prnu", separate_by: "darks" },
+        Lookalike { id: "dsnu", separate_by: "darks at several exposures: an offset does not grow with the exposure" },
+        Lookalike { id: "prnu", separate_by: "darks: hot pixels are bright without light" },
     ],
 };
 

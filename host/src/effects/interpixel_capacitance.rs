@@ -1,20 +1,22 @@
-//! Interpixel capacitance: each pixel shows a part of its neighbours' charge; after the Poisson draw, so the noise of
-//! neighbours becomes correlated.
+//! Interpixel capacitance: each pixel reads part of the charge of its neighbours. It acts after the Poisson draw, so
+//! the noise of neighbours becomes correlated.
 //!
-//! `Q -> Q (1 - 4 alpha) + alpha (up + down + left + right)`; edge pixels keep what has no neighbour. Catalogue 23
-//! (Moore, Ninkov, Forrest, Opt. Eng. 45, 076402, 2006).
+//! `Q -> Q (1 - 4 alpha) + alpha (up + down + left + right)`; pixels at the edge keep the share of missing neighbours.
+//! Source: Moore, Ninkov, Forrest, Opt. Eng. 45, 076402, 2006.
 
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 use super::smooth::couple;
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
 use ndarray::Array2;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct InterpixelCapacitance;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "interpixel_capacitance",
     stage: Stage::Charge,
-    summary: "Q (1 - 4 alpha) + alpha sum of 4 neighbours, after the Poisson draw",
+    summary: "Q (1 - 4 alpha) + alpha sum of 4 neighbours, after the Poisson draw: neighbours share their charge",
     params: &[Param::strength("alpha", "1", 0.005, 0.0, 0.25)],
     lookalikes: &[
         Lookalike {
@@ -22,7 +24,10 @@ static DESCRIPTOR: Descriptor = Descriptor {
             separate_by: "covariance of flats: capacitance correlates neighbours, diffusion does not",
         },
         Lookalike { id: "defocus", separate_by: "flats: capacitance correlates the noise of neighbours" },
-        Lookalike { id: "readout_lag", separate_by: "covariance of flats: a lag has it along rows only" },
+        Lookalike {
+            id: "readout_lag",
+            separate_by: "covariance of flats: a readout lag correlates neighbours along rows only",
+        },
     ],
 };
 

@@ -1,24 +1,36 @@
-//! Lag: a part of the charge of the frame before stays behind.
+//! Lag: part of the charge of the previous frame remains in the pixels.
 //!
-//! `mu -> mu + share mu_before exp(-dt / tau)`, dt = from the start of one exposure to the next. It is added before the Poisson
-//! draw: what is left of Poisson counts, electron by electron, is Poisson again. Only the frame directly before counts. With
-//! frames at even intervals share and tau are one number, so tau is given. Catalogue 28.
+//! `mu -> mu + share mu_before exp(-dt / tau)`, where dt is the time from the start of one exposure to the next. The
+//! remaining charge is added before the Poisson draw: a random share of Poisson counts is again Poisson distributed.
+//! Only the previous frame counts. For frames at even intervals share and tau cannot be separated, so tau is set and
+//! not fitted.
 
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 use ndarray::Array2;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct Lag;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "lag",
     stage: Stage::Light,
-    summary: "mu + share mu_before exp(-dt / tau): charge of the frame before stays behind",
+    summary: "mu + share mu_before exp(-dt / tau): charge of the previous frame remains",
     params: &[Param::strength("share", "1", 0.001, 0.0, 1.0), Param::choice("tau_s", "s", 0.05, [1e-6, 1e4])],
     lookalikes: &[
-        Lookalike { id: "thermal_drift", separate_by: "a dark frame after a bright one" },
-        Lookalike { id: "background", separate_by: "a dark frame after a bright one" },
-        Lookalike { id: "ghost", separate_by: "the same specimen twice: a lag repeats it, a ghost turns it" },
+        Lookalike {
+            id: "thermal_drift",
+            separate_by: "a dark frame after a bright one: only a lag leaves an image in it",
+        },
+        Lookalike {
+            id: "background",
+            separate_by: "a dark frame after a bright one: only a lag leaves an image in it",
+        },
+        Lookalike {
+            id: "ghost",
+            separate_by: "the same specimen twice: a lag repeats its image, a ghost rotates it by 180 degrees",
+        },
     ],
 };
 

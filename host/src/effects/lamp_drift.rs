@@ -1,22 +1,27 @@
-//! Lamp drift: the lamp's power changes with time.
+//! Lamp drift: the power of the lamp changes with time.
 //!
-//! `mu -> mu (1 + rate time)`, in every frame that has light. Catalogue 21.
+//! `mu -> mu (1 + rate time)`, in every frame that has light.
 
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 use crate::session::Role;
 use ndarray::Array2;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct LampDrift;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "lamp_drift",
     stage: Stage::Light,
-    summary: "mu (1 + rate time): the lamp's power drifts",
+    summary: "mu (1 + rate time): the power of the lamp drifts with time",
     params: &[Param::strength("rate_per_s", "1/s", 0.01, -1e3, 1e3)],
     lookalikes: &[
-        Lookalike { id: "photobleaching", separate_by: "flats between the frames: bleaching spares them" },
-        Lookalike { id: "exposure_offset", separate_by: "the first frame again at the end" },
+        Lookalike { id: "photobleaching", separate_by: "flats between the frames: bleaching does not dim them" },
+        Lookalike {
+            id: "exposure_offset",
+            separate_by: "the first frame repeated at the end: only a drift changes it",
+        },
     ],
 };
 

@@ -1,20 +1,23 @@
-//! A lens passes more or less light than calibrated (dirt, a finger print, a new filter edge).
+//! Lens gain: a lens transmits more or less light than calibrated, e.g. because of dirt, a finger print or a filter
+//! edge.
 //!
-//! `mu_l -> (1 + change_l) mu_l`. Catalogue 15.
+//! `mu_l -> (1 + change_l) mu_l`.
 
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 use ndarray::Array2;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct LensGain;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "lens_gain",
     stage: Stage::Lens,
-    summary: "(1 + change_l) mu_l: lenses pass more or less light",
+    summary: "(1 + change_l) mu_l: each lens transmits more or less light",
     params: &[Param::strength("change", "1", 0.005, -1.0, 10.0).per_lens()],
     lookalikes: &[
-        Lookalike { id: "vignetting", separate_by: "flats: a lens's gain steps from image to image" },
+        Lookalike { id: "vignetting", separate_by: "flats: the gain of a lens changes in steps from image to image" },
         Lookalike { id: "dust", separate_by: "flats: dust on the sensor is the same for every lens" },
     ],
 };
@@ -31,7 +34,8 @@ impl Effect for LensGain {
         }
     }
 
-    /// All lenses together are the light of the session: the middle one of them has not changed.
+    /// A common factor of all lenses is the unknown light level of the session, so the median lens is defined as
+    /// unchanged.
     fn gauge(&self, p: &mut [f64]) -> f64 {
         let mut sorted = p.to_vec();
         sorted.sort_by(f64::total_cmp);

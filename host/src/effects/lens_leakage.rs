@@ -1,12 +1,13 @@
-//! Lens leakage: light of one lens's image appears once more behind each neighbouring lens (no baffles between them).
+//! Lens leakage: without baffles, light of the image of one lens appears again behind each neighbouring lens.
 //!
-//! `mu_l(x) -> mu_l(x) + kappa sum_n mu_l(x - (anchor_n - anchor_l))`, n = the up to four neighbours of l in the array.
-//! Catalogue 14.
+//! `mu_l(x) -> mu_l(x) + kappa sum_n mu_l(x - (anchor_n - anchor_l))` over the up to four neighbours n of lens l.
 
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 use ndarray::{Array2, s};
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct LensLeakage;
 
 static DESCRIPTOR: Descriptor = Descriptor {
@@ -15,7 +16,10 @@ static DESCRIPTOR: Descriptor = Descriptor {
     summary: "mu_l + kappa mu_l displaced to each neighbour's anchor: light leaks between lenses",
     params: &[Param::strength("kappa", "1", 0.0005, 0.0, 1.0)],
     lookalikes: &[
-        Lookalike { id: "ghost", separate_by: "move the bead: a leak moves with it, a ghost against it" },
+        Lookalike {
+            id: "ghost",
+            separate_by: "move the bead: a leak moves with it, a ghost in the opposite direction",
+        },
         Lookalike { id: "halo", separate_by: "a bead at the edge: a leak is as sharp as a focus" },
     ],
 };
@@ -59,7 +63,7 @@ fn neighbours(lens: usize, [rows, cols]: [usize; 2]) -> Vec<usize> {
     all
 }
 
-/// `to(x) += share from(x - by)`, by linear interpolation; dark outside.
+/// `to(x) += share from(x - by)`, by linear interpolation; the image is dark outside.
 fn add_displaced(to: &mut Array2<f32>, from: &Array2<f32>, by: [f64; 2], share: f64) {
     if !by.iter().all(|v| v.is_finite()) {
         return;
@@ -74,7 +78,7 @@ fn add_displaced(to: &mut Array2<f32>, from: &Array2<f32>, by: [f64; 2], share: 
         (corner, along(0) * along(1))
     }) {
         let at = [0, 1].map(|a| whole[a] as i64 + corner[a] as i64);
-        // Where source and target overlap along an axis of n pixels.
+        // Ranges of target and source that overlap along an axis of n pixels.
         let overlap = |d: i64, n: usize| {
             let (start, end) = (d.max(0), (n as i64 + d).min(n as i64));
             (start < end).then(|| (start as usize..end as usize, (start - d) as usize..(end - d) as usize))

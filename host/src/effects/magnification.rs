@@ -1,23 +1,26 @@
-//! Magnification: the gap between array and sensor is not the calibrated one, so every image grows about its lens's axis.
+//! Magnification: the gap between array and sensor differs from the calibrated one, so every image is scaled about the
+//! axis of its lens.
 //!
-//! `x -> x + eps x`, x = focus from where the lens's axis meets the sensor. Off-axis lenses move too: that parallax tells it from an
-//! error of the stage. Catalogue 6.
+//! `x -> x + eps x`, where x is a focus relative to the point where the axis of its lens meets the sensor. The anchors
+//! of off-axis lenses move too; this parallax distinguishes the effect from an error of the stage.
 
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Ray, RayShift, Stage};
+use super::context::{FrameContext, Ray, RayShift};
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct Magnification;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "magnification",
     stage: Stage::Geometry,
-    summary: "x (1 + eps) about each lens's axis: the gap behind the array has changed",
+    summary: "x (1 + eps) about the axis of each lens: the gap behind the array has changed",
     params: &[Param::strength("eps", "1", 0.0001, -0.5, 0.5)],
     lookalikes: &[
-        Lookalike { id: "stage_scale", separate_by: "a target of known pitch" },
+        Lookalike { id: "stage_scale", separate_by: "a target of known pitch, which does not depend on the stage" },
         Lookalike {
             id: "radial_distortion",
-            separate_by: "bead scan to the edge: distortion grows with the cube of the field",
+            separate_by: "bead scan to the edge: distortion grows with the cube of the field angle",
         },
         Lookalike { id: "defocus", separate_by: "depth scan: a changed gap also moves the anchors" },
     ],

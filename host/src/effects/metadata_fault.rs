@@ -1,13 +1,16 @@
-//! Metadata fault: the frame is right, what the session says of it is not.
+//! Metadata fault: the frame is correct, but the session's record of it is not.
 //!
-//! `exposure_factor` = true exposure over the one that is written down; `swapped_with_next`: the truths of the frame and of the next
-//! one have changed places; `flip_rows`, `flip_cols`: the written truth is upside down, or turned left to right. `frame` says which frame
-//! of the stack; -1: all of them (swapped: 0 with 1, 2 with 3, ..). Flags are on from 1/2. The same parameters that made the bench write
-//! a wrong record put it right in the model. Catalogue 39.
+//! `exposure_factor` is the true exposure over the written one. `swapped_with_next`: the truths of the frame and of the
+//! next one are exchanged. `flip_rows` and `flip_cols`: the written truth is upside down, or mirrored left to right.
+//! `frame` is the index of the frame in its stack; -1 stands for all frames (exchanged are 0 with 1, 2 with 3, ...).
+//! Flags are on from 1/2. With the same parameters, the bench writes a wrong record and the model corrects it.
 
-use super::{Descriptor, Effect, Evidence, FrameContext, Lookalike, Param, Record, Stage};
+use super::context::{FrameContext, Record};
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
+use super::evidence::{Evidence, EvidenceFrame};
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct MetadataFault;
 
 const fn flag(name: &'static str) -> Param {
@@ -17,7 +20,7 @@ const fn flag(name: &'static str) -> Param {
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "metadata_fault",
     stage: Stage::Record,
-    summary: "exposure times a factor, truth flipped or exchanged with the next: the record is wrong, not the frame",
+    summary: "wrong exposure, or truth flipped or exchanged with the next: the record is wrong, not the frame",
     params: &[
         Param::strength("exposure_factor", "1", 0.01, 0.001, 1000.0).off_at(1.0),
         flag("swapped_with_next"),
@@ -26,9 +29,12 @@ static DESCRIPTOR: Descriptor = Descriptor {
         Param::choice("frame", "1", -1.0, [-1.0, 1e9]),
     ],
     lookalikes: &[
-        Lookalike { id: "stage_scale", separate_by: "check the units and axes of the tables" },
-        Lookalike { id: "exposure_offset", separate_by: "two exposures: an offset weighs less in the longer one" },
-        Lookalike { id: "lamp_drift", separate_by: "the frames before and after: a lamp does not jump" },
+        Lookalike { id: "stage_scale", separate_by: "check the units and axes in the session's tables" },
+        Lookalike {
+            id: "exposure_offset",
+            separate_by: "two exposures: an exposure offset matters less in the longer one",
+        },
+        Lookalike { id: "lamp_drift", separate_by: "the frames before and after: a lamp drift is gradual" },
     ],
 };
 
@@ -50,9 +56,9 @@ impl Effect for MetadataFault {
         }
     }
 
-    /// All frames, and the frames that fit worst.
+    /// All frames, and each of the two frames that fit worst.
     fn guess(&self, evidence: &Evidence<'_>) -> Vec<Vec<f64>> {
-        let misfit = |f: &super::EvidenceFrame<'_>| -> f64 {
+        let misfit = |f: &EvidenceFrame<'_>| -> f64 {
             f.residual_dn.iter().zip(&f.weight).map(|(r, w)| f64::from(r * r * w)).sum()
         };
         let mut worst: Vec<(f64, usize)> = evidence.frames.iter().map(|f| (misfit(f), f.cx.frame)).collect();
@@ -62,7 +68,8 @@ impl Effect for MetadataFault {
     }
 }
 
-/// Where frame `i` goes when `which` and the next change places, or each even frame and the next; the last has no next.
+/// Index of frame `i` after `which` and the next frame are exchanged; with `None`, after each even frame and the next
+/// are. The last frame has no next.
 fn exchanged(i: usize, which: Option<usize>, frames: usize) -> usize {
     let first = which.unwrap_or(i - i % 2);
     if first + 1 >= frames {

@@ -1,30 +1,32 @@
 //! Motion blur: the specimen moves during the exposure.
 //!
-//! `mu -> mu + (var_row d2/dr2 + var_col d2/dc2 + 2 cov d2/drdc) mu / 2`: to second order the blur of any motion with these
-//! variances, px^2. Second differences move light between neighbours and keep its sum. Scenes only: stage and beads stand still.
-//! Catalogue 40.
+//! `mu -> mu + (var_row d2/dr2 + var_col d2/dc2 + 2 cov d2/drdc) mu / 2`: to second order, the blur of any motion with
+//! these variances, px^2. Second differences move light between neighbours and conserve it. Scenes only: the bead does
+//! not move.
 
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 use super::smooth::second_differences;
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
 use crate::session::Role;
 use ndarray::Array2;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct MotionBlur;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "motion_blur",
     stage: Stage::Light,
-    summary: "blur by the motion's variances var_row, var_col, cov: the specimen moves while exposed",
+    summary: "blur with variances var_row, var_col and covariance cov: the specimen moves during the exposure",
     params: &[
         Param::strength("var_row_px2", "px^2", 0.005, 0.0, 25.0),
         Param::strength("var_col_px2", "px^2", 0.005, 0.0, 25.0),
         Param::strength("cov_px2", "px^2", 0.005, -25.0, 25.0),
     ],
     lookalikes: &[
-        Lookalike { id: "defocus", separate_by: "repeats at a shorter exposure: motion shrinks with it" },
-        Lookalike { id: "rank_truncation", separate_by: "repeats at a shorter exposure: motion shrinks with it" },
-        Lookalike { id: "charge_diffusion", separate_by: "beads: diffusion is there too, motion is not" },
+        Lookalike { id: "defocus", separate_by: "repeats at a shorter exposure: motion blur shrinks" },
+        Lookalike { id: "rank_truncation", separate_by: "repeats at a shorter exposure: motion blur shrinks" },
+        Lookalike { id: "charge_diffusion", separate_by: "beads: diffusion blurs them too, motion does not" },
     ],
 };
 

@@ -1,22 +1,26 @@
-//! Noise scale: gain or read noise are not the calibrated ones, while frames have the expected mean.
+//! Noise scale: gain or read noise differ from the calibrated values, while frames have the expected mean.
 //!
-//! `read noise -> read noise (1 + read_noise)`, `gain -> gain (1 + gain)` at the same mean in DN: fewer electrons, and so a variance
-//! that is larger by as much. Only variances show it. Catalogue 37.
+//! `read noise -> read noise (1 + read_noise)` and `gain -> gain (1 + gain)` at the same mean in DN: a higher gain
+//! means fewer electrons and a larger variance. The effect shows only in variances.
 
-use super::{Descriptor, Effect, Lookalike, Param, Stage};
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 use crate::noise::NoiseModel;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct NoiseScale;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "noise_scale",
     stage: Stage::Electronics,
-    summary: "read noise (1 + read_noise), gain (1 + gain) at the same mean: the noise has changed",
+    summary: "read noise (1 + read_noise), gain (1 + gain) at the same mean: only the noise has changed",
     params: &[Param::strength("read_noise", "1", 0.1, -0.9, 100.0), Param::strength("gain", "1", 0.03, -0.9, 100.0)],
     lookalikes: &[
-        Lookalike { id: "brighter_fatter", separate_by: "covariance of flats: a wrong gain has none" },
-        Lookalike { id: "row_noise", separate_by: "covariance within rows: read noise has none" },
+        Lookalike {
+            id: "brighter_fatter",
+            separate_by: "covariance of flats: a wrong gain does not correlate neighbours",
+        },
+        Lookalike { id: "row_noise", separate_by: "covariance within rows: read noise is uncorrelated" },
     ],
 };
 

@@ -1,25 +1,36 @@
-//! Nonlinearity: the response bends down towards full scale.
+//! Nonlinearity: the response falls below a straight line towards full scale.
 //!
-//! `Q -> Q - beta Q^2 / full_scale`. Catalogue 25.
+//! `Q -> Q - beta Q^2 / full_scale`.
 
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 use ndarray::Array2;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct Nonlinearity;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "nonlinearity",
     stage: Stage::Charge,
-    summary: "Q - beta Q^2 / full scale: the response bends towards full scale",
+    summary: "Q - beta Q^2 / full scale: the response falls below a straight line towards full scale",
     params: &[Param::strength("beta", "1", 0.005, -0.5, 0.5)],
     lookalikes: &[
-        Lookalike { id: "exposure_offset", separate_by: "a ladder of lamp powers at one exposure" },
-        Lookalike { id: "saturation", separate_by: "leave out the brightest pixels: a bend of the response stays" },
-        Lookalike { id: "brighter_fatter", separate_by: "covariance of flats: a bend of the response has none" },
+        Lookalike {
+            id: "exposure_offset",
+            separate_by: "several lamp powers at one exposure: only nonlinearity depends on the power",
+        },
+        Lookalike {
+            id: "saturation",
+            separate_by: "leave out the brightest pixels: nonlinearity remains, saturation does not",
+        },
+        Lookalike {
+            id: "brighter_fatter",
+            separate_by: "covariance of flats: nonlinearity does not correlate neighbours",
+        },
         Lookalike {
             id: "adc_nonlinearity",
-            separate_by: "histogram of a bright ramp: a converter jumps at one code, a curve is smooth",
+            separate_by: "histogram of a bright ramp: a converter step is at one code, a nonlinearity is smooth",
         },
     ],
 };

@@ -1,12 +1,14 @@
-//! Photobleaching: dyes fade with the light that they have received.
+//! Photobleaching: dyes fade with the light they have received.
 //!
-//! `O -> O exp(-rate dose)`, dose = time x relative light level, s. Specimens and beads only. Catalogue 20.
+//! `O -> O exp(-rate dose)`, with the dose in s: time times relative light level. Specimens and beads only.
 
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 use crate::session::Role;
 use ndarray::Array2;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct Photobleaching;
 
 static DESCRIPTOR: Descriptor = Descriptor {
@@ -15,8 +17,8 @@ static DESCRIPTOR: Descriptor = Descriptor {
     summary: "O exp(-rate dose): dyes fade with the light they received",
     params: &[Param::strength("rate_per_s", "1/s", 0.01, 0.0, 1e3)],
     lookalikes: &[
-        Lookalike { id: "lamp_drift", separate_by: "flats between the frames: a lamp that fades dims them too" },
-        Lookalike { id: "excitation_profile", separate_by: "the same specimen early and late" },
+        Lookalike { id: "lamp_drift", separate_by: "flats between the frames: a fading lamp dims them too" },
+        Lookalike { id: "excitation_profile", separate_by: "the same specimen early and late: only bleaching dims it" },
     ],
 };
 

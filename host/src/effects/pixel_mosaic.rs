@@ -1,25 +1,28 @@
-//! Pixel mosaic: the four sites of each 2 x 2 cell differ in gain (left-over colour mosaic, shared readout).
+//! Pixel mosaic: the four pixels of each 2 x 2 cell differ in gain, e.g. because of a colour mosaic or a shared
+//! readout.
 //!
-//! `y -> black + (y - black) (1 + checker (-1)^(r+c) + rows (-1)^r + cols (-1)^c)`: three orthogonal contrasts. Catalogue 32.
+//! `y -> black + (y - black) (1 + checker (-1)^(r+c) + rows (-1)^r + cols (-1)^c)`: three orthogonal contrasts.
 
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 use ndarray::Array2;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct PixelMosaic;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "pixel_mosaic",
     stage: Stage::Electronics,
-    summary: "gain 1 + checker (-1)^(r+c) + rows (-1)^r + cols (-1)^c: 2 x 2 sites differ",
+    summary: "gain 1 + checker (-1)^(r+c) + rows (-1)^r + cols (-1)^c: the pixels of 2 x 2 cells differ",
     params: &[
         Param::strength("checker", "1", 0.005, -0.5, 0.5),
         Param::strength("rows", "1", 0.005, -0.5, 0.5),
         Param::strength("cols", "1", 0.005, -0.5, 0.5),
     ],
     lookalikes: &[
-        Lookalike { id: "row_pattern", separate_by: "darks: a gain that alternates does nothing without light" },
-        Lookalike { id: "column_pattern", separate_by: "darks: a gain that alternates does nothing without light" },
+        Lookalike { id: "row_pattern", separate_by: "darks: an alternating gain has no effect without light" },
+        Lookalike { id: "column_pattern", separate_by: "darks: an alternating gain has no effect without light" },
         Lookalike { id: "prnu", separate_by: "flats: a mosaic repeats every two pixels" },
     ],
 };

@@ -1,21 +1,23 @@
-//! Photo-response non-uniformity: pixels answer to light a little differently.
+//! Photo-response non-uniformity: the response to light differs from pixel to pixel.
 //!
-//! `mu -> mu (1 + u)`, u = a table. Drawn: normal, of standard deviation `rms`. Catalogue 31.
+//! `mu -> mu (1 + u)` with a table u. Injected tables are normal with standard deviation `rms`.
 
-use super::{Descriptor, Effect, Lookalike, Param, Stage, Table, TableGroup, TableUse, table};
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
+use super::table::{self, Table, TableGroup, TableUse};
 use ndarray::Array2;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct Prnu;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "prnu",
     stage: Stage::Light,
-    summary: "mu (1 + u) pixel by pixel: uneven response",
+    summary: "mu (1 + u): a response for each pixel",
     params: &[Param::square("rms", "1", 0.002, 1.0), Param::choice("seed", "1", 1.0, [0.0, 1e9])],
     lookalikes: &[
         Lookalike { id: "vignetting", separate_by: "flats: vignetting is smooth" },
-        Lookalike { id: "dust", separate_by: "flats: dust is dark spots of some pixels" },
+        Lookalike { id: "dust", separate_by: "flats: dust makes dark spots of several pixels" },
         Lookalike { id: "dsnu", separate_by: "flats at two light levels: an offset does not grow with the light" },
     ],
 };

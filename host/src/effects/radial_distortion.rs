@@ -1,24 +1,26 @@
-//! Radial distortion: foci are displaced along the radius from each lens's axis.
+//! Radial distortion: foci are displaced along the radius from the axis of their lens.
 //!
-//! `x -> x (1 + k1 r^2)`, x = focus from where the lens's axis meets the sensor, r = |x| in mm, k1 in mm^-2. Catalogue 5
-//! (Brown, Photogrammetric Engineering 32, 444, 1966: the first radial term).
+//! `x -> x (1 + k1 r^2)`, where x is a focus relative to the point where the axis of its lens meets the sensor, r = |x|
+//! in mm, and k1 is in mm^-2. Source: Brown, Photogrammetric Engineering 32, 444, 1966: the first radial term.
 
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Ray, RayShift, Stage};
+use super::context::{FrameContext, Ray, RayShift};
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct RadialDistortion;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "radial_distortion",
     stage: Stage::Geometry,
-    summary: "x (1 + k1 r^2) about each lens's axis",
+    summary: "x (1 + k1 r^2) about the axis of each lens: foci are displaced along the radius",
     params: &[Param::strength("k1_per_mm2", "mm^-2", 0.005, -20.0, 20.0)],
     lookalikes: &[
         Lookalike {
             id: "magnification",
-            separate_by: "bead scan to the edge: distortion grows with the cube of the field",
+            separate_by: "bead scan to the edge: distortion grows with the cube of the field angle",
         },
-        Lookalike { id: "stage_scale", separate_by: "bead scan: what the stage does is the same in every lens" },
+        Lookalike { id: "stage_scale", separate_by: "bead scan: an error of the stage is the same in every lens" },
     ],
 };
 

@@ -1,29 +1,37 @@
-//! Rank truncation: the PSF varies more over the field than the terms of the low-rank model let it.
+//! Rank truncation: the PSF varies more over the field than the terms of the low-rank model can represent.
 //!
-//! What the missing terms look like depends on the lens; what they have in common is that they grow away from where the model
-//! is exact. So the effect is a blur of variance `terms (r / R)^2` px^2 along each axis, r = distance from the lens's anchor,
-//! R = half the diagonal of the sensor: the smooth, field-dependent width that is left over. It marks the fault; the cure is
-//! to calibrate with more terms, not to keep this blur. It keeps the light. Catalogue 10.
+//! The shape of the missing terms depends on the lens, but they all grow with the distance from the place where the
+//! model is exact. The effect is therefore a blur of variance `terms (r / R)^2` px^2 along each axis, with the distance
+//! r from the anchor of the lens and half the diagonal R of the sensor. It conserves light. It only indicates the
+//! fault: the remedy is a calibration with more terms, not this blur.
 
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 use ndarray::Array2;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct RankTruncation;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "rank_truncation",
     stage: Stage::Lens,
-    summary: "blur of variance terms (r / R)^2 about each anchor: the PSF varies more than the model's rank allows",
+    summary: "blur of variance terms (r / R)^2 about each anchor: the PSF varies more than the model can follow",
     params: &[Param::strength("terms", "px^2", 0.02, 0.0, 10.0)],
     lookalikes: &[
-        Lookalike { id: "field_curvature", separate_by: "depth scan, or a model of higher rank" },
-        Lookalike { id: "motion_blur", separate_by: "a specimen at rest, or a shorter exposure" },
+        Lookalike {
+            id: "field_curvature",
+            separate_by: "depth scan, or a model of higher rank: a higher rank removes a truncation",
+        },
+        Lookalike {
+            id: "motion_blur",
+            separate_by: "a specimen at rest, or a shorter exposure: motion blur disappears",
+        },
         Lookalike { id: "charge_diffusion", separate_by: "bead scan: diffusion is the same over the field" },
     ],
 };
 
-/// Largest variance of one explicit step, px^2: two axes at once stay stable up to twice this.
+/// Largest variance of one explicit step, px^2. Steps along two axes are stable up to twice this.
 const STEP_PX2: f64 = 0.25;
 
 impl Effect for RankTruncation {
@@ -35,7 +43,7 @@ impl Effect for RankTruncation {
         let Some(anchor) = cx.anchors_px.get(cx.lens) else { return };
         let (rows, cols) = image_e.dim();
         let edge2 = ((rows * rows + cols * cols) as f64 / 4.0).max(1.0);
-        // Share of the edge's variance on each border between a pixel and the next, along an axis: (on the pixels, on the borders).
+        // (r / R)^2 along each axis, at the pixels (`on`) and at the borders between them (`between`).
         let square = |n: usize, at: f64, off: f64| -> Vec<f32> {
             (0..n).map(|i| ((i as f64 + off - at).powi(2) / edge2) as f32).collect()
         };
@@ -51,7 +59,7 @@ impl Effect for RankTruncation {
             let from = image_e.clone();
             for r in 0..rows {
                 for c in 0..cols {
-                    // What flows over a border leaves one side and enters the other.
+                    // The flow over a border leaves one pixel and enters the other.
                     if c + 1 < cols {
                         let flow = half * (on[0][r] + between[1][c]) * (from[[r, c]] - from[[r, c + 1]]);
                         image_e[[r, c]] -= flow;

@@ -1,23 +1,35 @@
-//! Readout lag: the amplifier has not settled when a pixel is read, so a part of the pixel before is left in it.
+//! Readout lag: the amplifier has not settled when a pixel is read, so part of the previous pixel remains in the
+//! reading.
 //!
-//! `y_x -> y_x + share (y_{x-1} - y_x)` along the row, in the order of the columns; the first column has none before it.
-//! Catalogue 34.
+//! `y_x -> y_x + share (y_{x-1} - y_x)` along the row, in the order of the columns; the first column has no previous
+//! pixel.
 
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 use ndarray::Array2;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct ReadoutLag;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "readout_lag",
     stage: Stage::Electronics,
-    summary: "y + share (y_before - y) along the row: the amplifier settles late",
+    summary: "y + share (y_before - y) along the row: the amplifier has not settled when a pixel is read",
     params: &[Param::strength("share", "1", 0.002, -0.5, 0.9)],
     lookalikes: &[
-        Lookalike { id: "rank_truncation", separate_by: "flip the readout: a coma of the lens stays, the lag turns" },
-        Lookalike { id: "interpixel_capacitance", separate_by: "covariance of flats: a lag has it along rows only" },
-        Lookalike { id: "array_shift", separate_by: "flip the readout: a shift of the array stays" },
+        Lookalike {
+            id: "rank_truncation",
+            separate_by: "reverse the readout direction: coma of a lens does not change, a lag changes sides",
+        },
+        Lookalike {
+            id: "interpixel_capacitance",
+            separate_by: "covariance of flats: a readout lag correlates neighbours along rows only",
+        },
+        Lookalike {
+            id: "array_shift",
+            separate_by: "reverse the readout direction: a shift of the array does not change",
+        },
     ],
 };
 

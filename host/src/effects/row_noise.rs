@@ -1,24 +1,26 @@
-//! Row noise: every reading of a row has an offset of its own, the same for all its pixels.
+//! Row noise: each row of each frame has a random offset, the same for all pixels of the row.
 //!
-//! `y -> y + n_row`, n normal of standard deviation `sigma_dn`, new in each frame. It changes no expected frame: only the
-//! covariance within rows shows it. Catalogue 32.
+//! `y -> y + n_row` with normal offsets n of standard deviation `sigma_dn`, independent in each frame. The expected
+//! frame does not change; the effect shows only in the covariance within rows.
 
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 use ndarray::Array2;
 use rand_distr::{Distribution, StandardNormal};
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct RowNoise;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "row_noise",
     stage: Stage::Electronics,
-    summary: "y + one normal number a row and frame: noise common to a row",
+    summary: "y + a normal number for each row and frame: noise common to the pixels of a row",
     params: &[Param::square("sigma_dn", "DN", 0.3, 1e4)],
     lookalikes: &[
-        Lookalike { id: "flicker_banding", separate_by: "darks: noise of the rows needs no light" },
-        Lookalike { id: "row_pattern", separate_by: "repeats: a pattern is the same in every frame" },
-        Lookalike { id: "noise_scale", separate_by: "covariance within rows: read noise has none" },
+        Lookalike { id: "flicker_banding", separate_by: "darks: row noise is there without light" },
+        Lookalike { id: "row_pattern", separate_by: "repeated frames: a pattern is the same in every frame" },
+        Lookalike { id: "noise_scale", separate_by: "covariance within rows: read noise is uncorrelated" },
     ],
 };
 

@@ -1,27 +1,30 @@
-//! Row pattern: a fixed wave of the offset from row to row.
+//! Row pattern: a fixed periodic offset over the rows.
 //!
-//! `y -> y + amplitude cos(2 pi row / period) + quadrature sin(2 pi row / period)`. At a period of 2 (even and odd rows) the sine is zero
-//! in every row, and the amplitude says all. Catalogue 32.
+//! `y -> y + amplitude cos(2 pi row / period) + quadrature sin(2 pi row / period)`. At a period of 2 (even and odd
+//! rows) the sine is zero in every row, and only the amplitude matters.
 
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
+use super::evidence::Evidence;
 use super::wave::{periods, wave};
-use super::{Descriptor, Effect, Evidence, FrameContext, Lookalike, Param, Stage};
 use ndarray::{Array2, Axis};
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct RowPattern;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "row_pattern",
     stage: Stage::Electronics,
-    summary: "y + amplitude cos + quadrature sin of 2 pi row / period: fixed offset by row",
+    summary: "y + amplitude cos + quadrature sin of 2 pi row / period: a fixed periodic offset over the rows",
     params: &[
         Param::strength("amplitude_dn", "DN", 0.2, -1e4, 1e4),
         Param::strength("quadrature_dn", "DN", 0.2, -1e4, 1e4),
         Param::shape("period_rows", "rows", 4.0, 0.02, [1.0, 1e5], &[2.0, 4.0]),
     ],
     lookalikes: &[
-        Lookalike { id: "flicker_banding", separate_by: "darks: a pattern is there too, and stands still" },
-        Lookalike { id: "row_noise", separate_by: "repeats: noise differs from frame to frame" },
+        Lookalike { id: "flicker_banding", separate_by: "darks: a fixed pattern is there too, and does not move" },
+        Lookalike { id: "row_noise", separate_by: "repeated frames: row noise differs from frame to frame" },
     ],
 };
 
@@ -48,14 +51,14 @@ impl Effect for RowPattern {
         rows as f64 / 2.0
     }
 
-    /// Peaks in the spectrum of the mean residual of the rows.
+    /// Periods at the peaks in the spectrum of the rows' mean residuals.
     fn guess(&self, evidence: &Evidence<'_>) -> Vec<Vec<f64>> {
         let (sums, weights) = lines(evidence, Axis(0));
         periods(&sums, &weights).into_iter().map(|period| vec![0.0, 0.0, period]).collect()
     }
 }
 
-/// Weighted residual and weight of each row (axis 0) or column (axis 1), over all frames.
+/// Sums over all frames, for each row (axis 0) or column (axis 1): weighted residuals, and weights.
 pub(super) fn lines(evidence: &Evidence<'_>, axis: Axis) -> (Vec<f64>, Vec<f64>) {
     let n = evidence.frames.first().map_or(0, |f| f.weight.len_of(axis));
     let (mut sums, mut weights) = (vec![0.0; n], vec![0.0; n]);

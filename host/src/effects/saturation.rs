@@ -1,26 +1,35 @@
-//! Saturation: pixels are full before the converter is.
+//! Saturation: the wells of the pixels are full below the full scale of the converter.
 //!
-//! `Q -> Q (1 + (W^-8 - 1) (Q / full scale)^8)^(-1/8)`, W = 1 - below: what would just fill the converter fills the well, W of it, and less
-//! charge is hardly touched. The smooth bend lets a fit start from a well that is as deep as the converter's range. Of the charge that
-//! finds no room, the share `spill` goes to the pixels above and below (blooming along the column), half each. Catalogue 27.
+//! `Q -> Q (1 + (W^-8 - 1) (Q / full scale)^8)^(-1/8)`, W = 1 - below: charge at full scale becomes W of full scale,
+//! the depth of the well, and small charges hardly change. Because the transition is smooth, a fit can start from a
+//! well as deep as the full scale. Of the lost charge, the share `spill` goes to the pixels above and below, half each
+//! (blooming along the column).
 
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 use ndarray::Array2;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct Saturation;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "saturation",
     stage: Stage::Charge,
-    summary: "Q bends to (1 - below) full scale, lost charge spills along the column: pixels are full early",
+    summary: "Q is limited to (1 - below) full scale, lost charge spills along the column: the wells are full early",
     params: &[
         Param::strength("below", "share of full scale", 0.1, 0.0, 0.95),
         Param::shape("spill", "1", 0.0, 0.1, [0.0, 1.0], &[0.0]),
     ],
     lookalikes: &[
-        Lookalike { id: "nonlinearity", separate_by: "leave out the brightest pixels: a bend of the response stays" },
-        Lookalike { id: "adc_nonlinearity", separate_by: "histogram of a bright ramp" },
+        Lookalike {
+            id: "nonlinearity",
+            separate_by: "leave out the brightest pixels: nonlinearity remains, saturation does not",
+        },
+        Lookalike {
+            id: "adc_nonlinearity",
+            separate_by: "histogram of a bright ramp: a converter step leaves a gap at one code",
+        },
     ],
 };
 

@@ -1,8 +1,8 @@
-//! Blurs that effects share.
+//! Blurs shared by several effects.
 
 use ndarray::{Array2, Axis, Zip, s};
 
-/// Gaussian blur of standard deviation `sigma_px`, cut at 4 sigma; dark outside.
+/// Gaussian blur of standard deviation `sigma_px`, cut off at 4 sigma; the image is dark outside.
 pub(super) fn gaussian_blur(image: &Array2<f32>, sigma_px: f64) -> Array2<f32> {
     let taps = gaussian_taps(sigma_px);
     let across = blur_rows(image, &taps);
@@ -10,7 +10,7 @@ pub(super) fn gaussian_blur(image: &Array2<f32>, sigma_px: f64) -> Array2<f32> {
     turned.t().as_standard_layout().into_owned()
 }
 
-/// Half of a symmetric kernel, centre first; the whole sums to 1.
+/// One half of the symmetric kernel, centre first; the whole kernel sums to 1.
 fn gaussian_taps(sigma_px: f64) -> Vec<f32> {
     let reach = (4.0 * sigma_px).ceil() as usize;
     let raw: Vec<f64> = (0..=reach).map(|i| (-0.5 * (i as f64 / sigma_px).powi(2)).exp()).collect();
@@ -31,16 +31,16 @@ fn blur_rows(image: &Array2<f32>, taps: &[f32]) -> Array2<f32> {
     out
 }
 
-/// Diffusion of variance `variance_px2` along each axis in explicit steps; nothing leaves the image.
+/// Diffusion of variance `variance_px2` along each axis in explicit steps. No light leaves the image.
 pub(super) fn diffuse(image: &mut Array2<f32>, variance_px2: f64) {
-    // One step of variance v moves v/2 to each neighbour; two axes at once stay stable up to v = 1/2.
+    // A step of variance v moves v/2 to each neighbour; steps along two axes are stable up to v = 1/2.
     let steps = (variance_px2 / 0.25).ceil().max(1.0);
     for _ in 0..steps as usize {
         couple(image, (variance_px2 / steps / 2.0) as f32);
     }
 }
 
-/// `v -> v (1 - 4 a) + a (up + down + left + right)`; a pixel at the edge keeps what has no neighbour.
+/// `v -> v (1 - 4 a) + a (up + down + left + right)`; pixels at the edge keep the share of missing neighbours.
 pub(super) fn couple(image: &mut Array2<f32>, a: f32) {
     let from = image.clone();
     let (rows, cols) = image.dim();
@@ -60,21 +60,24 @@ pub(super) fn couple(image: &mut Array2<f32>, a: f32) {
     }
 }
 
-/// Gaussian blur of what is inside the image: near an edge the mean of fewer pixels, so that an even image stays even.
+/// Gaussian blur of standard deviation `sigma_px`, normalised by the kernel inside the image, so that an even image
+/// stays even up to its edges. [rows, cols] in and out.
 pub fn blur_within(image: &Array2<f32>, sigma_px: f64) -> Array2<f32> {
     gaussian_blur(image, sigma_px) / gaussian_blur(&Array2::ones(image.dim()), sigma_px)
 }
 
-/// A pixel's light after a change of it: what was light does not fall below none.
+/// Light of a pixel after a change: light that was not negative is clamped at zero.
 ///
-/// Predicted light is a little negative where the errors of calibrated PSFs outweigh it. There the change is as it is: to raise it to
-/// zero would be a jump at the smallest strength, that takes out a part of the calibration's errors and so is found in any session.
+/// Predicted light can be slightly negative because of errors of the calibrated PSFs. There it is not clamped: clamping
+/// would remove part of these errors even at the smallest strength, and tests would then find the effect in any
+/// session.
 pub(super) fn changed(light: f32, change: f32) -> f32 {
     let after = light + change;
     if light < 0.0 { after } else { after.max(0.0) }
 }
 
-/// Blur of variances (row, col, covariance), px^2, in explicit steps of second differences; no light is lost, and none of it falls below zero.
+/// Blur of variances (row, col, covariance), px^2, in explicit steps of second differences. No light is lost, and light
+/// that was not negative stays so.
 pub(super) fn second_differences(image: &mut Array2<f32>, [row, col, cov]: [f64; 3]) {
     let steps = ((row.abs() + col.abs() + 2.0 * cov.abs()) / 0.5).ceil().max(1.0);
     let part = |v: f64| (v / steps) as f32;
@@ -83,7 +86,7 @@ pub(super) fn second_differences(image: &mut Array2<f32>, [row, col, cov]: [f64;
     for _ in 0..steps as usize {
         let from = image.clone();
         for r in 0..rows {
-            // The border repeats: nothing flows over it.
+            // The edge pixels are repeated outside: no light flows over the edge.
             let (up, down) = (from.row(r.saturating_sub(1)), from.row((r + 1).min(rows - 1)));
             let here = from.row(r);
             for c in 0..cols {

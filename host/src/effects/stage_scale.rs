@@ -1,11 +1,13 @@
-//! Stage scale: positions of sources, as the session gives them, are off by a linear map.
+//! Stage scale: the positions of sources in the session are wrong by a linear map.
 //!
-//! `s -> (I + A) s`, s = (row, col) from the centre of the object, so a focus moves by `A` times its field. The same in every lens.
-//! Catalogue 1.
+//! `s -> (I + A) s` with s = (row, col) from the centre of the object, so a focus is displaced by `A` times its field,
+//! equally in every lens.
 
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Ray, RayShift, Stage};
+use super::context::{FrameContext, Ray, RayShift};
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct StageScale;
 
 const fn entry(name: &'static str) -> Param {
@@ -15,12 +17,15 @@ const fn entry(name: &'static str) -> Param {
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "stage_scale",
     stage: Stage::Geometry,
-    summary: "(I + A) s: the positions of sources are scaled or skewed",
+    summary: "(I + A) s: the recorded positions of sources are scaled or skewed",
     params: &[entry("row_by_row"), entry("col_by_col"), entry("row_by_col"), entry("col_by_row")],
     lookalikes: &[
-        Lookalike { id: "magnification", separate_by: "a target of known pitch" },
-        Lookalike { id: "array_rotation", separate_by: "bead scan: a turned array moves whole images, lens by lens" },
-        Lookalike { id: "metadata_fault", separate_by: "check the units and axes of the tables" },
+        Lookalike { id: "magnification", separate_by: "a target of known pitch, which does not depend on the stage" },
+        Lookalike {
+            id: "array_rotation",
+            separate_by: "bead scan: a rotated array moves the whole image of each lens",
+        },
+        Lookalike { id: "metadata_fault", separate_by: "check the units and axes in the session's tables" },
     ],
 };
 

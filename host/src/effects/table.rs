@@ -1,7 +1,7 @@
-//! Effects whose strength differs from pixel to pixel, row to row or column to column without a law: a table of values.
+//! Tables, for effects that vary irregularly from pixel to pixel, row to row or column to column.
 //!
-//! Injected, the table is drawn from a few parameters (an rms, a number of spots, a seed); fitted, it is estimated
-//! from the residuals and carried in the setting. Applied, both are the same.
+//! An injected table is drawn from a few parameters (an rms, a number of spots, a seed). A fitted table is estimated
+//! from the residuals and stored in the setting. Both are applied in the same way.
 
 use crate::rng;
 use ndarray::Array2;
@@ -18,29 +18,30 @@ pub enum TableUse {
     Offset,
 }
 
-/// What shares one value of a table.
+/// Which pixels share a value of a table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TableGroup {
-    /// Each pixel has its own.
+    /// None: each pixel has its own value.
     Pixel,
-    /// Few pixels have one; the rest are zero.
+    /// None, and only a few pixels have a value; the others are zero.
     SparsePixels,
-    /// Pixels near one another are alike: spots of some pixels.
+    /// Neighbouring pixels: spots of several pixels.
     Spots,
-    /// Each pixel has its own, and pixels near one another may be alike.
+    /// None, but values of neighbouring pixels may be similar.
     Pattern,
 }
 
-/// A table: how it acts and what shares a value.
+/// Properties of a table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Table {
-    /// How it acts.
+    /// How the table acts on the frame.
     pub acts: TableUse,
-    /// What shares a value.
+    /// Which pixels share a value.
     pub group: TableGroup,
 }
 
-/// A table of normal numbers with that standard deviation, one a pixel; the same seed draws the same table.
+/// A table of independent normal numbers of standard deviation `rms`, one for each pixel. The same seed draws the same
+/// table.
 pub(super) fn normal(sensor: [usize; 2], rms: f64, seed: f64, what: &str) -> Array2<f32> {
     let mut rng = rng::stream(seed as u64, what, 0);
     Array2::from_shape_simple_fn(sensor, || {

@@ -1,23 +1,25 @@
-//! Thermal drift: the whole image wanders with time.
+//! Thermal drift: the whole image moves with time.
 //!
-//! `x -> x + v time`, v in px/s. Catalogue 3.
+//! `x -> x + v time`, v in px/s.
 
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Ray, RayShift, Stage};
+use super::context::{FrameContext, Ray, RayShift};
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct ThermalDrift;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "thermal_drift",
     stage: Stage::Geometry,
-    summary: "x + v time: the image wanders",
+    summary: "x + v time: the whole image moves with time",
     params: &[
         Param::strength("row_px_per_s", "px/s", 0.05, -1e3, 1e3),
         Param::strength("col_px_per_s", "px/s", 0.05, -1e3, 1e3),
     ],
     lookalikes: &[
-        Lookalike { id: "array_shift", separate_by: "a bead at rest, frame after frame" },
-        Lookalike { id: "lag", separate_by: "a dark frame after a bright one" },
+        Lookalike { id: "array_shift", separate_by: "repeated frames of a bead at rest: only a drift grows with time" },
+        Lookalike { id: "lag", separate_by: "a dark frame after a bright one: only a lag leaves an image in it" },
     ],
 };
 

@@ -1,14 +1,16 @@
-//! A term without a name: a linear operator on the light, weighted over the field, that the loop found where no effect of the
-//! catalogue would do.
+//! Unnamed term: a simple operator on the light, weighted over the field, which `close` tries if no effect of the
+//! catalogue explains the residuals.
 //!
-//! `mu -> mu + amplitude w(place, frame) A[mu]`, A one of [`OPERATORS`], w one of [`WEIGHTS`]; the operator says at which point of
-//! the way of the light something acts, not what it is.
+//! `mu -> mu + amplitude w(place, frame) A[mu]` with an operator A of [`OPERATORS`] and a weight w of [`WEIGHTS`]. The
+//! operator indicates how something acts on the light, not its cause.
 
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Param, Stage};
+use super::effect::Effect;
 use super::smooth::changed;
-use super::{Descriptor, Effect, FrameContext, Param, Stage};
 use ndarray::{Array2, Zip};
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct UnknownOperator;
 
 /// Names of the operators A.
@@ -39,7 +41,7 @@ pub const WEIGHTS: [&str; 8] = [
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "unknown_operator",
     stage: Stage::Light,
-    summary: "mu + amplitude w A[mu]: a term without a name",
+    summary: "mu + amplitude w A[mu]: an unnamed term, an operator A on the light with a weight w over the field",
     params: &[
         Param::strength("amplitude", "1", 0.01, -10.0, 10.0),
         Param::choice("operator", "index", 0.0, [0.0, 8.0]),

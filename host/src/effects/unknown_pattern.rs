@@ -1,21 +1,24 @@
-//! A pattern without a name: a factor on the light that is fixed to the sensor and is neither a property of single pixels nor a curve over
-//! any covariate; the loop measures it from even light.
+//! Unnamed pattern: a factor on the light that is fixed to the sensor and that neither single pixels nor a curve over
+//! any covariate explain. `close` measures it on even light.
 //!
-//! `mu -> mu (1 + u(pixel))`. Injected, u is drawn as normal numbers blurred to [`GRAIN_PX`].
+//! `mu -> mu (1 + u(pixel))`. Injected tables u are normal numbers blurred by [`GRAIN_PX`].
 
-use super::{Descriptor, Effect, Param, Stage, Table, TableGroup, TableUse, blur_within, table};
+use super::descriptor::{Descriptor, Param, Stage};
+use super::effect::Effect;
+use super::smooth::blur_within;
+use super::table::{self, Table, TableGroup, TableUse};
 use ndarray::Array2;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct UnknownPattern;
 
-/// Standard deviation of the blur that an injected pattern is drawn with, pixels.
+/// Standard deviation of the blur of injected patterns, pixels.
 const GRAIN_PX: f64 = 3.0;
 
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "unknown_pattern",
     stage: Stage::Light,
-    summary: "mu (1 + u), u a map of the sensor: a term without a name",
+    summary: "mu (1 + u): an unnamed term, a map u of the sensor",
     params: &[Param::square("rms", "1", 0.002, 1.0), Param::choice("seed", "1", 1.0, [0.0, 1e9])],
     lookalikes: &[],
 };

@@ -1,16 +1,18 @@
-//! A term without a name: a factor on the light, or light added, that depends on one covariate by a curve of straight pieces.
+//! Unnamed profile: a factor on the light, or added light, that depends on one covariate by a piecewise linear curve.
 //!
-//! `mu -> mu (1 + s(v))` or `mu -> mu + s(v) t` (t the exposure, ms), s through [`KNOTS`] values at even places between `low` and
-//! `high` of the covariate v. Outside that range nothing is claimed: s is zero.
+//! `mu -> mu (1 + s(v))`, or `mu -> mu + s(v) t` with the exposure t in ms. The curve s interpolates [`KNOTS`] values
+//! at even steps between `low` and `high` of the covariate v. Outside that range s is zero.
 
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Param, Stage};
+use super::effect::Effect;
 use super::smooth::changed;
-use super::{Descriptor, Effect, FrameContext, Param, Stage};
 use ndarray::{Array2, Zip};
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct UnknownProfile;
 
-/// Values of the curve.
+/// Number of values of the curve.
 pub const KNOTS: usize = 12;
 
 /// Names of the covariates.
@@ -31,7 +33,7 @@ const fn knot(name: &'static str) -> Param {
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "unknown_profile",
     stage: Stage::Light,
-    summary: "mu (1 + s(v)) or mu + s(v) t: a curve over one covariate, without a name",
+    summary: "mu (1 + s(v)) or mu + s(v) t: an unnamed term, a curve over one covariate v",
     params: &[
         knot("knot_00"),
         knot("knot_01"),
@@ -58,7 +60,7 @@ impl Effect for UnknownProfile {
         &DESCRIPTOR
     }
 
-    /// Periods over rows.
+    /// The number of independent periods over the rows.
     fn chances(&self, [rows, _]: [usize; 2], _frames: usize) -> f64 {
         rows as f64 / 2.0
     }
@@ -84,7 +86,7 @@ impl Effect for UnknownProfile {
                 3 => (r + c) as f32,
                 4 => *v,
                 5 => cx.time_s as f32,
-                // One period is the whole range.
+                // One period is the range from low to high.
                 _ => (r as f32 - low).rem_euclid(high - low) + low,
             };
             let place = (at - low) / step;

@@ -1,11 +1,13 @@
-//! Veiling glare: light that strays everywhere, in proportion to all the light there is.
+//! Veiling glare: stray light over the whole sensor, in proportion to the total light.
 //!
-//! `mu -> mu + beta mean(mu)`: beta is the stray fraction of the total flux, spread evenly over the sensor. Catalogue 12.
+//! `mu -> mu + beta mean(mu)`: beta is the stray fraction of the total light, spread evenly over the sensor.
 
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 use ndarray::Array2;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct VeilingGlare;
 
 static DESCRIPTOR: Descriptor = Descriptor {
@@ -16,7 +18,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     lookalikes: &[
         Lookalike {
             id: "background",
-            separate_by: "two light levels of the specimen: glare follows its light, background the lamp",
+            separate_by: "two light levels of the specimen: glare follows its light, background the lamp power",
         },
         Lookalike { id: "halo", separate_by: "a single bright bead: glare is even over the sensor" },
     ],

@@ -1,12 +1,14 @@
 //! Vignetting: light falls off from the centre of the sensor.
 //!
-//! `mu -> mu (1 - v r^2)`, r = distance from the centre of the sensor over half its diagonal. Fixed to the sensor, in frames of every
-//! kind. Catalogue 15.
+//! `mu -> mu (1 - v r^2)`, where r is the distance from the centre of the sensor over half its diagonal. The effect is
+//! fixed to the sensor and acts in frames of every role.
 
-use super::{Descriptor, Effect, FrameContext, Lookalike, Param, Stage};
+use super::context::FrameContext;
+use super::descriptor::{Descriptor, Lookalike, Param, Stage};
+use super::effect::Effect;
 use ndarray::Array2;
 
-/// See the module.
+/// The effect; its formula is in the documentation of the module.
 pub(super) struct Vignetting;
 
 static DESCRIPTOR: Descriptor = Descriptor {
@@ -15,8 +17,8 @@ static DESCRIPTOR: Descriptor = Descriptor {
     summary: "mu (1 - v r^2): light falls off from the centre of the sensor",
     params: &[Param::strength("v", "1", 0.003, -1.0, 1.0)],
     lookalikes: &[
-        Lookalike { id: "excitation_profile", separate_by: "move the specimen: vignetting stays on the sensor" },
-        Lookalike { id: "lens_gain", separate_by: "flats: a lens's gain steps from image to image" },
+        Lookalike { id: "excitation_profile", separate_by: "move the specimen: vignetting does not move" },
+        Lookalike { id: "lens_gain", separate_by: "flats: the gain of a lens changes in steps from image to image" },
         Lookalike { id: "prnu", separate_by: "flats: vignetting is smooth" },
     ],
 };

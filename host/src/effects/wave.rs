@@ -1,10 +1,10 @@
-//! Waves along rows or columns: what the effects that repeat have in common.
+//! Waves along rows or columns, shared by the periodic effects.
 
 use std::f64::consts::TAU;
 
-/// Steps of the frequency grid within `1 / n`: a wave between two grid points loses little.
+/// Number of frequencies tried within `1 / n`, so that a wave between two of them loses little power.
 const FINE: usize = 4;
-/// How many peaks to keep.
+/// Number of peaks to keep.
 const KEEP: usize = 3;
 
 /// `amplitude cos(2 pi i / period) + quadrature sin(2 pi i / period)` for i = 0 .. n-1.
@@ -16,30 +16,30 @@ pub(super) fn wave(n: usize, amplitude: f64, quadrature: f64, period: f64) -> Ve
     (0..n).map(value).collect()
 }
 
-/// Sums over n places of a signal times cos and -sin, at the frequencies `j / (4 n)`.
+/// Fourier sums of a signal of n values, at the frequencies `j / (4 n)`.
 pub(super) struct Spectrum {
     turns: Vec<(f64, f64)>,
     n: usize,
 }
 
 impl Spectrum {
-    /// For signals of `n` places.
+    /// Prepares sums for signals of `n` values.
     pub(super) fn new(n: usize) -> Self {
         let len = FINE * n;
         Self { turns: (0..len).map(|i| (TAU * i as f64 / len as f64).sin_cos()).collect(), n }
     }
 
-    /// Indices of the frequencies above what a constant or a slope can make, up to half a cycle a place.
+    /// Indices of the frequencies above those of a constant or a slope, up to half a cycle per value.
     pub(super) fn indices(&self) -> std::ops::RangeInclusive<usize> {
         FINE / 2..=FINE * self.n / 2
     }
 
-    /// Cycles a place at an index.
+    /// Frequency at an index, cycles per value.
     pub(super) fn frequency(&self, j: usize) -> f64 {
         j as f64 / (FINE * self.n) as f64
     }
 
-    /// Real and imaginary part at an index.
+    /// Real and imaginary part of the sum at an index.
     pub(super) fn at(&self, signal: &[f64], j: usize) -> [f64; 2] {
         let mut sum = [0.0; 2];
         for (i, v) in signal.iter().enumerate() {
@@ -50,19 +50,20 @@ impl Spectrum {
         sum
     }
 
-    /// Whether two indices are so close that one wave makes a peak at both.
+    /// Whether two indices are so close that a single wave can make a peak at both.
     pub(super) fn same(i: usize, j: usize) -> bool {
         i.abs_diff(j) < FINE + FINE / 2
     }
 }
 
-/// Periods of the strongest waves in a signal, strongest first: its sums, and the weights of those sums.
-pub(crate) fn periods(sums: &[f64], weights: &[f64]) -> Vec<f64> {
+/// Periods of the strongest waves in a signal, strongest first, in numbers of values. The signal is given as weighted
+/// sums and the weights of these sums.
+pub fn periods(sums: &[f64], weights: &[f64]) -> Vec<f64> {
     let total: f64 = weights.iter().sum();
     if sums.len() < 4 || total <= 0.0 {
         return Vec::new();
     }
-    // A constant would leak into the lowest frequencies.
+    // The mean is subtracted, because a constant leaks into the lowest frequencies.
     let mean = sums.iter().sum::<f64>() / total;
     let signal: Vec<f64> = sums.iter().zip(weights).map(|(s, w)| s - mean * w).collect();
     let spectrum = Spectrum::new(signal.len());
@@ -78,7 +79,7 @@ pub(crate) fn periods(sums: &[f64], weights: &[f64]) -> Vec<f64> {
             kept.push(j);
         }
     }
-    // The top of the parabola through a peak and its neighbours.
+    // The maximum of the parabola through a peak and its neighbours.
     let step = spectrum.frequency(1);
     let refined = |j: usize| {
         let (before, here, after) = (at(j.saturating_sub(1)), at(j), at(j + 1));

@@ -1,54 +1,60 @@
-//! Scene -> frame: the optics of an instrument, then what else it does, in physical order.
+//! Object -> frame: the optics of an instrument, then its effects, in physical order.
 //!
 //! ```text
 //! object -> each lens -> chief rays -> light on the sensor -> (Poisson) -> charge -> (reading) -> DN
 //! ```
-//! Without the two draws in brackets the result is the expected frame. [`Forward`] is planned once and used for many frames;
-//! [`Forward::scene`] keeps what the optics make of an object, so that one effect after another can be tried on it.
+//! Without the two random draws in brackets the result is the expected frame. [`Forward`] is planned once and used for
+//! many frames. [`Forward::scene`] keeps the image of an object through each lens, so that effects can be tried on it
+//! one after another.
+//!
+//! ```
+//! use ndarray::Array2;
+//! use ommatidia_host::forward::Forward;
+//!
+//! let instrument = ommatidia_host::testing::instrument([9, 11], [30, 33], 5, 3);
+//! let forward = Forward::new(&instrument)?;
+//! let context = forward.context();
+//!
+//! // Without light the expected frame is the black level.
+//! let dark = forward.expected_dn(Array2::zeros((9, 11)).view(), &context)?;
+//! assert!(dark.iter().all(|dn| *dn == 64.0));
+//!
+//! // Expected electrons are linear in the object.
+//! let one = forward.expected_e(Array2::ones((9, 11)).view(), &context)?;
+//! let two = forward.expected_e(Array2::from_elem((9, 11), 2.0).view(), &context)?;
+//! assert!((two.sum() / one.sum() - 2.0).abs() < 1e-5);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
+mod error;
+mod predict;
+mod scene_light;
+mod sensor_maps;
 mod warp;
 
-use crate::effects::{Chain, EffectError, FrameContext, Layout, Ray, RayShift, Stage};
-use crate::instrument::{Geometry, Instrument};
+pub use error::ForwardError;
+pub use predict::{Depth, PredictError, PredictRequest, Predicted, Predictor};
+pub use scene_light::SceneLight;
+
+use crate::effects::{Chain, FrameContext, Layout, Ray, RayShift, Stage};
+use crate::instrument::Instrument;
 use crate::noise::{NoiseModel, ROUNDING_DN2, draw_electrons};
 use crate::optics::MicrolensArray;
 use crate::psf::nodes::Taps;
-use crate::psf::{LensImage, LowRankOperator, OperatorConfig, OperatorError};
+use crate::psf::{ChiefRays, LensImage, LowRankOperator, OperatorConfig};
 use ndarray::{Array2, ArrayView2, Zip};
 use rand::Rng;
-use thiserror::Error;
-
-/// Why a frame could not be computed.
-#[derive(Clone, Debug, PartialEq, Error)]
-pub enum ForwardError {
-    /// The optics.
-    #[error(transparent)]
-    Operator(#[from] OperatorError),
-    /// The effects.
-    #[error(transparent)]
-    Effect(#[from] EffectError),
-    /// An object holds a value that is no number or below zero.
-    #[error("object pixel ({row}, {col}): expected a finite value >= 0, found {found}")]
-    Object {
-        /// Row.
-        row: usize,
-        /// Column.
-        col: usize,
-        /// What was found.
-        found: f32,
-    },
-}
 
 /// The forward model of one instrument at one depth.
 #[derive(Clone, Debug)]
 pub struct Forward {
-    /// One an operated depth: all of the instrument's, or only the one that is looked at.
+    /// One operator for each planned depth: all depths of the instrument, or a single one.
     planes: Vec<LowRankOperator>,
     /// Depths of the planes, um.
     depths_um: Vec<f64>,
-    /// The plane that is in focus.
+    /// Index of the plane of the object.
     plane: usize,
-    geometry: Geometry,
+    geometry: ChiefRays,
     array: [usize; 2],
     layout: Layout,
     object_pixel_um: f64,
@@ -61,25 +67,6 @@ pub struct Forward {
     exposure_ms: f64,
 }
 
-/// What the optics make of one object: the images of the lenses, DN above black at the exposure of the calibration.
-#[derive(Clone, Debug)]
-pub struct SceneLight {
-    /// By lens (None: dead), one image a plane.
-    lenses: Vec<Option<Vec<LensImage>>>,
-    /// What the place of a lone source leaves to the next whole object pixel, (row, col).
-    shift_px: [f64; 2],
-    /// Depth, um; None: that of the plane that was planned.
-    z_um: Option<f64>,
-}
-
-impl SceneLight {
-    /// The same object at another depth. The model must be planned at every depth ([`Forward::with_all_depths`]); between them it is
-    /// interpolated, outside them the last one holds.
-    pub fn at_depth(self, z_um: f64) -> Self {
-        Self { z_um: Some(z_um), ..self }
-    }
-}
-
 impl Forward {
     /// Plans the model at the depth nearest to 0 um.
     ///
@@ -90,20 +77,20 @@ impl Forward {
         Self::with_config(instrument, OperatorConfig { depth, ..OperatorConfig::default() })
     }
 
-    /// Plans the model.
+    /// Plans the model at the depth `config.depth`.
     ///
     /// # Errors
-    /// As [`Forward::new`]; also if the depth does not exist.
+    /// The tables of the instrument disagree, it names an effect that does not exist, or there is no such depth.
     pub fn with_config(instrument: &Instrument, config: OperatorConfig) -> Result<Self, ForwardError> {
         let effects = Chain::build(&instrument.effects, Layout::of(&instrument.manifest))?;
         let all = effects.acts_at(Stage::Geometry);
         Self::plan(instrument, effects, config, all)
     }
 
-    /// Plans the model at every depth, so that effects which move sources in depth can be tried on it.
+    /// Plans the model at every depth, so that effects can move sources in depth.
     ///
     /// # Errors
-    /// As [`Forward::new`].
+    /// The tables of the instrument disagree, or it names an effect that does not exist.
     pub fn with_all_depths(instrument: &Instrument, config: OperatorConfig) -> Result<Self, ForwardError> {
         let effects = Chain::build(&instrument.effects, Layout::of(&instrument.manifest))?;
         Self::plan(instrument, effects, config, true)
@@ -112,7 +99,9 @@ impl Forward {
     fn plan(instrument: &Instrument, effects: Chain, config: OperatorConfig, all: bool) -> Result<Self, ForwardError> {
         let (manifest, depths) = (&instrument.manifest, &instrument.psf.node_depths_um);
         let used = if all { 0..depths.len() } else { config.depth..config.depth + 1 };
-        let plane = |depth| LowRankOperator::plan(instrument, &instrument.geometry, OperatorConfig { depth, ..config });
+        let plane = |depth| {
+            LowRankOperator::plan(instrument.optics(), &instrument.geometry, OperatorConfig { depth, ..config })
+        };
         Ok(Self {
             planes: used.clone().map(plane).collect::<Result<_, _>>()?,
             plane: config.depth - used.start,
@@ -131,12 +120,12 @@ impl Forward {
         })
     }
 
-    /// The optics alone, without effects: light in DN above black at the exposure of the calibration.
+    /// The optical operator without effects: light in DN above black at the exposure of the calibration.
     pub fn operator(&self) -> &LowRankOperator {
         &self.planes[self.plane]
     }
 
-    /// Depth of the plane that was planned, um.
+    /// Depth of the planned plane, um.
     pub fn depth_um(&self) -> f64 {
         self.depths_um[self.plane]
     }
@@ -146,14 +135,15 @@ impl Forward {
         &self.noise
     }
 
-    /// The noise model with what effects change of it.
+    /// The noise model as changed by `effects`.
     pub fn noise_with(&self, effects: &Chain) -> NoiseModel {
         let mut noise = self.noise;
         effects.on_noise(&mut noise);
         noise
     }
 
-    /// Variance of the reading of each pixel, rounding included, DN^2; None: the noise model's holds for all of them.
+    /// Variance of the reading of each pixel, rounding included, DN^2, [sensor rows, sensor cols]; None where the noise
+    /// model holds for all pixels.
     pub fn reading_dn2(&self) -> Option<&Array2<f32>> {
         self.reading_dn2.as_ref()
     }
@@ -163,12 +153,12 @@ impl Forward {
         &self.effects
     }
 
-    /// What the parameters of effects are sized by.
+    /// The sizes on which the parameters of effects depend.
     pub fn layout(&self) -> Layout {
         self.layout
     }
 
-    /// A frame as in the calibration: its exposure, illumination 1, time 0.
+    /// The context of a frame as in the calibration: its exposure, illumination 1, time 0.
     pub fn context(&self) -> FrameContext<'_> {
         FrameContext {
             exposure_ms: self.exposure_ms,
@@ -186,16 +176,16 @@ impl Forward {
     /// [object rows, object cols] in the session's light unit.
     ///
     /// # Errors
-    /// The object has the wrong shape or a value that is no light.
+    /// The object has the wrong shape, or a non-finite or negative value.
     pub fn expected_e(&self, object: ArrayView2<'_, f32>, cx: &FrameContext<'_>) -> Result<Array2<f32>, ForwardError> {
         let scene = self.scene(object, &self.effects, cx)?;
         Ok(self.light_e(&scene, &self.effects, cx))
     }
 
-    /// What the optics make of an object, with the effects that act on its emission.
+    /// The image of an object through each lens, with the effects that act on its emission.
     ///
     /// # Errors
-    /// The object has the wrong shape or a value that is no light.
+    /// The object has the wrong shape, or a non-finite or negative value.
     pub fn scene(
         &self,
         object: ArrayView2<'_, f32>,
@@ -214,10 +204,10 @@ impl Forward {
         Ok(SceneLight { lenses, shift_px: [0.0; 2], z_um: None })
     }
 
-    /// What the optics make of a unit source at object pixel (row, col), fractional.
+    /// The image of a point source of unit light at the fractional object pixel `at_px` = [row, col].
     ///
     /// # Errors
-    /// The place lies outside the object.
+    /// The position lies outside the object.
     pub fn point(&self, at_px: [f64; 2], effects: &Chain, cx: &FrameContext<'_>) -> Result<SceneLight, ForwardError> {
         let [rows, cols] = self.operator().object_shape();
         let whole = at_px.map(|v| v.round().max(0.0) as usize);
@@ -227,7 +217,7 @@ impl Forward {
         Ok(SceneLight { shift_px: [0, 1].map(|a| at_px[a] - whole[a] as f64), ..scene })
     }
 
-    /// Expected electrons of a scene, [sensor rows, sensor cols], with the given effects from the chief rays on.
+    /// Expected electrons of a scene, [sensor rows, sensor cols], with `effects` of all stages from the chief rays on.
     pub fn light_e(&self, scene: &SceneLight, effects: &Chain, cx: &FrameContext<'_>) -> Array2<f32> {
         let mut light = Array2::zeros(self.operator().sensor_shape());
         let per_lens = effects.acts_at(Stage::Lens);
@@ -251,7 +241,8 @@ impl Forward {
         whole
     }
 
-    /// The sum of all lenses, electrons, with what acts on light on the sensor.
+    /// Applies the effects that act on the light on the sensor, and the response of its pixels, to `light_e`
+    /// (electrons, the sum of all lenses).
     pub fn on_sensor(&self, mut light_e: Array2<f32>, effects: &Chain, cx: &FrameContext<'_>) -> Array2<f32> {
         effects.on_light(&mut light_e, cx);
         if let Some(response) = &self.response {
@@ -260,7 +251,7 @@ impl Forward {
         light_e
     }
 
-    /// The image of one lens, electrons, its parts where the effects on chief rays put them.
+    /// The image of one lens, electrons, displaced by the effects that act on chief rays.
     fn moved(&self, scene: &SceneLight, lens: usize, effects: &Chain, cx: &FrameContext<'_>) -> Option<LensImage> {
         let planes = scene.lenses.get(lens)?.as_ref()?;
         let electrons = (cx.exposure_ms / self.exposure_ms * cx.illumination / self.noise.gain_dn_per_e) as f32;
@@ -276,7 +267,8 @@ impl Forward {
         shifts.mapv_inplace(|s| RayShift { px: [s.px[0] + dy, s.px[1] + dx], ..s });
         if shifts.iter().any(|s| z + s.z_um != own) {
             for (p, other) in planes.iter().enumerate() {
-                // Interpolation over depth is linear in the planes: each gets the share that belongs to the pixel's depth.
+                // Interpolation over depth is linear in the planes: each gets the share that belongs to the pixel's
+                // depth.
                 let shares = shifts.mapv(|s| {
                     let taps = Taps::at(&self.depths_um, z + s.z_um);
                     let own = p.checked_sub(taps.first).filter(|i| *i < taps.count).map_or(0.0, |i| taps.weights[i]);
@@ -325,12 +317,12 @@ impl Forward {
     /// The expected frame, DN, [sensor rows, sensor cols]: no noise, no rounding; clipped at saturation.
     ///
     /// # Errors
-    /// As [`Forward::expected_e`].
+    /// The object has the wrong shape, or a non-finite or negative value.
     pub fn expected_dn(&self, object: ArrayView2<'_, f32>, cx: &FrameContext<'_>) -> Result<Array2<f32>, ForwardError> {
         Ok(self.frame_dn(self.expected_e(object, cx)?, &self.effects, cx))
     }
 
-    /// The expected frame, DN, for expected electrons: no noise, no rounding; clipped at saturation.
+    /// The expected frame, DN, of expected electrons `light_e`: no noise, no rounding; clipped at saturation.
     pub fn frame_dn(&self, light_e: Array2<f32>, effects: &Chain, cx: &FrameContext<'_>) -> Array2<f32> {
         let mut charge = light_e;
         effects.on_charge(&mut charge, cx);
@@ -340,12 +332,13 @@ impl Forward {
         frame
     }
 
-    /// One drawn frame for expected electrons `light_e` (of [`Forward::expected_e`]): whole DN, 0 to saturation.
+    /// A noisy frame drawn for expected electrons `light_e` (from [`Forward::expected_e`]): integer DN, 0 to
+    /// saturation.
     pub fn draw_dn(&self, light_e: Array2<f32>, cx: &FrameContext<'_>, rng: &mut impl Rng) -> Array2<f32> {
         self.draw_with(light_e, &self.effects, cx, rng)
     }
 
-    /// [`Forward::draw_dn`] with the given effects.
+    /// As [`Forward::draw_dn`], with `effects` in place of those of the instrument.
     pub fn draw_with(
         &self,
         mut light_e: Array2<f32>,
@@ -386,7 +379,7 @@ impl Forward {
         frame
     }
 
-    /// Read noise, electrons rms, as `noise` has it: of each pixel where they differ.
+    /// Read noise, electrons rms, under the noise model `noise`; for each pixel where pixels differ.
     fn reading_e(&self, noise: &NoiseModel) -> Reading {
         let Some(map) = &self.reading_dn2 else { return Reading::Common(noise.read_noise_e as f32) };
         // An effect on the noise scales that of all pixels.
@@ -394,7 +387,7 @@ impl Forward {
         Reading::ByPixel(map.mapv(|v| (scale * (f64::from(v) - ROUNDING_DN2).max(0.0).sqrt()) as f32))
     }
 
-    /// Charge, electrons -> DN, before rounding and clipping.
+    /// Converts charge in electrons to DN, before rounding and clipping.
     pub fn to_dn(&self, mut charge_e: Array2<f32>, effects: &Chain, cx: &FrameContext<'_>) -> Array2<f32> {
         let (gain, black) = (self.noise.gain_dn_per_e as f32, self.noise.black_level_dn as f32);
         charge_e.mapv_inplace(|q| black + gain * q);
@@ -409,7 +402,7 @@ impl Forward {
 /// Read noise, electrons rms.
 enum Reading {
     Common(f32),
-    /// Of each pixel, [sensor rows, sensor cols].
+    /// One value for each pixel, [sensor rows, sensor cols].
     ByPixel(Array2<f32>),
 }
 

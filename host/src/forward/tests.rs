@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::effects::{EffectSetting, Previous, registry};
-use crate::instrument::fixture::instrument;
 use crate::rng::stream;
+use crate::testing::instrument;
 
 fn object() -> Array2<f32> {
     Array2::from_shape_fn((12, 13), |(r, c)| ((r * 13 + c) * 7919 % 101) as f32 / 40.0)

@@ -1,16 +1,17 @@
-//! Moving the parts of an image by different fractions of a pixel, as effects on chief rays ask.
+//! Displaces the parts of an image by different fractions of a pixel, for effects that act on chief rays.
 //!
-//! `out(q) = J(q) in(q - d(q))`, J = 1 - div d: a source keeps its light where the displacement varies; a displacement field that varies little
-//! over a PSF moves sources as the chief rays do. Interpolation is by the polynomial through 2 x 5 pixels an axis (Lagrange), of all weights of that
-//! length the flattest at low frequencies: centroids move by exactly what is asked. A windowed sinc moves them by up to 3 % more or less, as the
-//! fraction of the pixel has it.
+//! `out(q) = J(q) in(q - d(q))` with J = 1 - div d: a source keeps its light where the displacement d varies. A
+//! displacement that varies little over a PSF moves sources as their chief rays move. Interpolation is by the Lagrange
+//! polynomial through 10 pixels along each axis, of all weights of that length the flattest at low frequencies:
+//! centroids move by exactly d. A windowed sinc would move them by up to 3 % more or less, depending on the fraction of
+//! a pixel.
 
 use ndarray::Array2;
 use std::sync::LazyLock;
 
-/// Taps on each side.
+/// Interpolation taps on each side.
 const REACH: usize = 5;
-/// Steps that a pixel is divided into; weights between them are interpolated.
+/// Number of tabulated fractions of a pixel; weights between them are interpolated.
 const STEPS: usize = 512;
 
 /// Weights for a sample `i / STEPS` of a pixel past tap `REACH - 1`.
@@ -36,7 +37,8 @@ fn taps(x: f64) -> (isize, [f32; 2 * REACH]) {
     (floor as isize - (REACH as isize - 1), std::array::from_fn(|t| a[t] + part * (b[t] - a[t])))
 }
 
-/// The image with its content moved by `shift[(r, c)]` (row, col) pixels; dark outside. Where nothing moves the pixel is copied.
+/// The image with its content displaced by `shift[(r, c)]` = [row, col] pixels; zero outside. A pixel without
+/// displacement is copied.
 pub(super) fn warp(image: &Array2<f32>, shift: &Array2<[f64; 2]>) -> Array2<f32> {
     let (rows, cols) = image.dim();
     let Some(pixels) = image.as_slice() else { return image.clone() };
@@ -69,7 +71,8 @@ pub(super) fn warp(image: &Array2<f32>, shift: &Array2<[f64; 2]>) -> Array2<f32>
 mod tests {
     use super::*;
 
-    /// What the fit of a shift rests on: a few per cent of a hundredth of a pixel would be several standard errors.
+    /// The fit of a shift depends on this: an error of a few per cent of a hundredth of a pixel is several standard
+    /// errors.
     #[test]
     fn centroids_move_by_what_is_asked() {
         let centroid = |image: &Array2<f32>| {

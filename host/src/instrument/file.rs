@@ -1,9 +1,10 @@
 //! The instrument on disk: an artifact of kind `instrument`.
 
-use super::{Diagnostics, Geometry, Instrument, LightUnit, LowRankPsf, Quality};
+use super::{Diagnostics, Instrument, LightUnit, Quality};
 use crate::artifact::{self, ArtifactError, Header, Provenance, Tensors};
 use crate::effects::EffectSetting;
 use crate::noise::NoiseModel;
+use crate::psf::{ChiefRays, LowRankPsf};
 use crate::session::Manifest;
 use ndarray::{Array, ArrayD, Dimension, Ix1, Ix2, Ix4, Ix5};
 use serde::{Deserialize, Serialize};
@@ -12,7 +13,7 @@ use thiserror::Error;
 
 /// Kind of the artifact.
 pub const INSTRUMENT_KIND: &str = "instrument";
-/// Version of its layout.
+/// Version of the file layout.
 pub const INSTRUMENT_VERSION: u32 = 1;
 
 /// Why an instrument could not be read or written.
@@ -21,7 +22,7 @@ pub enum InstrumentError {
     /// The file.
     #[error(transparent)]
     Artifact(#[from] ArtifactError),
-    /// A field of the header makes no sense.
+    /// A field of the header has an impossible value.
     #[error("{path}: field `{field}`: expected {expected}, found {found}; calibrate again")]
     Field {
         /// The file.
@@ -35,13 +36,13 @@ pub enum InstrumentError {
     },
 }
 
-/// The small numbers of an instrument.
+/// The JSON header of an instrument's file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Body {
     manifest: Manifest,
     noise: NoiseModel,
-    geometry: Geometry,
+    geometry: ChiefRays,
     node_depths_um: Vec<f64>,
     node_rows_px: Vec<f64>,
     node_cols_px: Vec<f64>,
@@ -52,7 +53,7 @@ struct Body {
 }
 
 impl Instrument {
-    /// Writes the instrument: whole, or not at all.
+    /// Writes the instrument. The file appears whole or not at all.
     ///
     /// # Errors
     /// The folder is missing or not writable.
@@ -177,12 +178,12 @@ impl Instrument {
     }
 }
 
-/// Tensor that holds the table of the i-th effect.
+/// Name of the tensor that holds the table of effect `i`.
 fn table_name(i: usize) -> String {
     format!("effects.{i}.table")
 }
 
-/// Tensors of the j-th replicate: basis, coefficients.
+/// Names of the tensors of replicate `j`: basis, coefficients.
 fn replicate_names(j: usize) -> [String; 2] {
     ["basis", "coefficients"].map(|part| format!("replicates.{j}.{part}"))
 }
@@ -217,8 +218,8 @@ fn check(path: &Path, body: &Body) -> Result<(), InstrumentError> {
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 mod tests {
-    use super::super::fixture::instrument;
     use super::*;
+    use crate::testing::instrument;
 
     #[test]
     fn comes_back_as_it_was_written() {

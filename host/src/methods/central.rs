@@ -68,7 +68,7 @@ fn bilinear(image: &Array2<f32>, row: f64, col: f64) -> f32 {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::train::testing::instrument;
+    use crate::testing::square_array as instrument;
 
     #[test]
     fn it_shows_what_lies_at_the_chief_ray() {

@@ -20,7 +20,7 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use crate::sensor::FrameError;
-    use crate::train::testing::instrument;
+    use crate::testing::square_array as instrument;
     use ndarray::Array2;
 
     #[test]

@@ -102,7 +102,7 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use crate::metrics::compare;
-    use crate::train::testing::instrument;
+    use crate::testing::square_array as instrument;
 
     fn object() -> Array2<f32> {
         Array2::from_shape_fn((20, 20), |(r, c)| if (r * 7 + c * 3) % 11 == 0 { 100.0 } else { 2.0 })

@@ -1,20 +1,21 @@
-//! Drawing mixed Poisson-Gaussian noise, fast enough to do it anew for each training step.
+//! Draws mixed Poisson-Gaussian noise, fast enough for new noise in each training step.
 //!
-//! Below [`NORMAL_ABOVE_E`] electrons the counts are true Poisson draws (inversion). Above, they are normal with the first
-//! three cumulants of the Poisson law, rounded to whole electrons: `n + sqrt(n) z + (z^2 - 1) / 6` (Cornish-Fisher), never
-//! below zero. Mean and variance are then right to 1/(18 n) of the variance and the skewness to first order.
+//! Below [`NORMAL_ABOVE_E`] electrons, counts are drawn from the Poisson distribution by inversion. Above, they are
+//! normal variates with the first three cumulants of the Poisson distribution, `n + sqrt(n) z + (z^2 - 1) / 6`
+//! (Cornish-Fisher expansion), rounded to whole electrons and never negative. The mean is exact, the variance to a
+//! relative 1/(18 n), and the skewness to first order.
 
 use rand::Rng;
 
-/// Expected electrons from which the normal form is used.
+/// Number of expected electrons from which the normal approximation is used.
 pub const NORMAL_ABOVE_E: f32 = 30.0;
 
-/// Uniform on (0, 1) from the high bits of one word.
+/// A uniform number in (0, 1) from the high bits of one word.
 fn uniform(rng: &mut impl Rng) -> f32 {
     ((rng.next_u32() >> 8) as f32 + 0.5) * (1.0 / 16_777_216.0)
 }
 
-/// Normal variates by the Box-Muller transform, two a call to the generator.
+/// Normal variates by the Box-Muller transform, which yields two at a time.
 struct Normals {
     spare: Option<f32>,
 }
@@ -31,7 +32,7 @@ impl Normals {
     }
 }
 
-/// Replaces each expected number of electrons by a drawn one. Negative expectations count as zero.
+/// Replaces each expected number of electrons by a Poisson count. Negative expectations count as zero.
 pub fn draw_poisson(electrons: &mut [f32], rng: &mut impl Rng) {
     let mut normals = Normals { spare: None };
     for e in electrons {
@@ -39,7 +40,8 @@ pub fn draw_poisson(electrons: &mut [f32], rng: &mut impl Rng) {
     }
 }
 
-/// Replaces each expected number of electrons by a drawn count plus read noise of `read_noise_e` rms.
+/// Replaces each expected number of electrons by a Poisson count plus normal read noise of `read_noise_e` electrons
+/// rms.
 pub fn draw_electrons(electrons: &mut [f32], read_noise_e: f32, rng: &mut impl Rng) {
     let mut normals = Normals { spare: None };
     for e in electrons {
@@ -55,7 +57,7 @@ fn poisson(mean: f32, normals: &mut Normals, rng: &mut impl Rng) -> f32 {
     if mean <= 0.0 {
         return 0.0;
     }
-    // Inversion: walk up the distribution function. At most a few dozen steps below the limit.
+    // Inversion: walk up the distribution function. It takes a few dozen steps at most.
     let mut left = uniform(rng);
     let mut term = (-mean).exp();
     let mut count = 0.0;
@@ -89,7 +91,7 @@ mod tests {
             let m = f64::from(mean);
             let n = e.len() as f64;
             let [k1, k2, k3] = cumulants(&e);
-            // Five standard errors of each cumulant; rounding adds 1/12 to the variance of the normal form.
+            // Five standard errors of each cumulant; rounding adds 1/12 to the variance of the normal approximation.
             assert!((k1 - m).abs() < 5.0 * (m / n).sqrt(), "{mean}: {k1}");
             assert!((k2 - m).abs() < 5.0 * ((2.0 * m * m + m) / n).sqrt() + 1.0 / 12.0 + 1.0 / 18.0, "{mean}: {k2}");
             assert!((k3 - m).abs() < 5.0 * ((6.0 * m.powi(3) + 20.0 * m * m + m) / n).sqrt() + 0.1 * m, "{mean}: {k3}");

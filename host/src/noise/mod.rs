@@ -1,81 +1,35 @@
 //! The sensor's noise: mixed Poisson-Gaussian, in DN.
 //!
 //! A pixel that expects `n` electrons reads `y = black + gain * (Poisson(n) + Normal(0, read_noise))`, rounded to
-//! whole DN and clipped to `0..=saturation`, so `var(y) = gain * (E[y] - black) + (gain * read_noise)^2 + 1/12`.
+//! whole DN and clipped to `0..=saturation`. Its variance is
+//! `var(y) = gain * (E[y] - black) + (gain * read_noise)^2 + 1/12`.
+//!
+//! [`NoiseModel`] holds the values, [`measure_noise`] measures them on a session's darks and flats, and
+//! [`draw_electrons`] draws noise.
+//!
+//! ```
+//! use ommatidia_host::noise::{NoiseModel, draw_electrons};
+//! use ommatidia_host::rng;
+//! let noise = NoiseModel::nominal();
+//! // Black level 64 DN, gain 0.4 DN/e-, read noise 2 e-: at 1000 e- a pixel expects 464 DN.
+//! let variance_dn2 = noise.variance_dn2(464.0);
+//! assert!((variance_dn2 - (0.4 * 400.0 + 0.64 + 1.0 / 12.0)).abs() < 1e-9);
+//! assert_eq!(noise.full_scale_e(), (4095.0 - 64.0) / 0.4);
+//!
+//! // Drawn electrons have that variance, up to the rounding and the statistics of 10,000 pixels.
+//! let mut electrons = vec![1000.0; 10_000];
+//! draw_electrons(&mut electrons, noise.read_noise_e as f32, &mut rng::stream(1, "example", 0));
+//! let mean = electrons.iter().sum::<f32>() / 10_000.0;
+//! let variance_e2 = electrons.iter().map(|e| (e - mean).powi(2)).sum::<f32>() / 9_999.0;
+//! assert!((mean - 1000.0).abs() < 2.0);
+//! assert!((variance_e2 / 1004.0 - 1.0).abs() < 0.1);
+//! ```
 
 mod draw;
 mod measure;
+mod model;
 mod stats;
 
 pub use draw::{draw_electrons, draw_poisson};
 pub use measure::{MapErrors, NoiseCalibration, NoiseConfig, NoiseError, NoiseNote, ROUNDING_DN2, measure_noise};
-
-use ndarray::Array2;
-use serde::{Deserialize, Serialize};
-
-/// Where a figure of the noise model comes from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Source {
-    /// Measured on frames made for it.
-    Measured,
-    /// Read off other frames (the dark parts of the bead scan): may hold stray light.
-    Inferred,
-    /// Not measurable on the session: an assumed value.
-    #[default]
-    Nominal,
-}
-
-/// Where each figure of a [`NoiseModel`] comes from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Sources {
-    /// Of the black level.
-    pub black_level: Source,
-    /// Of the gain.
-    pub gain: Source,
-    /// Of the read noise.
-    pub read_noise: Source,
-}
-
-/// Calibrated noise of the sensor.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct NoiseModel {
-    /// Mean signal without light, DN.
-    pub black_level_dn: f64,
-    /// Conversion gain, DN per electron.
-    pub gain_dn_per_e: f64,
-    /// Standard error of the gain, DN per electron.
-    pub gain_sigma: f64,
-    /// Read noise, electrons rms, quantization excluded.
-    pub read_noise_e: f64,
-    /// Standard error of the read noise, electrons.
-    pub read_noise_sigma: f64,
-    /// The highest code, `2^bit_depth - 1`, DN.
-    pub saturation_dn: f64,
-    /// Where the figures come from.
-    #[serde(default)]
-    pub sources: Sources,
-}
-
-impl NoiseModel {
-    /// Variance, DN^2, of a pixel whose expected value is `expected_dn`: photons, reading and rounding.
-    ///
-    /// The variance comes from the model, never from the measured counts: weighting by counts biases a mean
-    /// (-5 % at 20 electrons).
-    pub fn variance_dn2(&self, expected_dn: f64) -> f64 {
-        let light = (expected_dn - self.black_level_dn).max(0.0);
-        self.gain_dn_per_e * light + (self.gain_dn_per_e * self.read_noise_e).powi(2) + 1.0 / 12.0
-    }
-
-    /// Full scale of the converter above the black level, electrons.
-    pub fn full_scale_e(&self) -> f64 {
-        (self.saturation_dn - self.black_level_dn) / self.gain_dn_per_e
-    }
-}
-
-/// One over the response of each pixel; 1 where it answers with less than half the mean: a dead pixel has no light to give back.
-pub fn inverse_response(response: &Array2<f32>) -> Array2<f32> {
-    response.mapv(|r| if r >= 0.5 { 1.0 / r } else { 1.0 })
-}
+pub use model::{NoiseModel, Source, Sources, inverse_response};

@@ -1,11 +1,11 @@
-//! Mean and variance of each pixel over the frames of one light level, and what they say together.
+//! Mean and variance of each pixel over the frames of one light level, and their summary over the pixels.
 
 use ndarray::{Array2, Zip};
 
-/// Clip of per-pixel variances: this many standard deviations of their sampling distribution above the mean.
+/// Per-pixel variances are clipped at this many standard deviations of their sampling distribution above the mean.
 const CLIP: f64 = 12.0;
 
-/// Running sums over frames; the frames themselves are not kept.
+/// Running sums over frames, each [rows, cols]; the frames themselves are not stored.
 pub(super) struct PixelStats {
     first: Option<Array2<f32>>,
     sum: Array2<f64>,
@@ -14,14 +14,24 @@ pub(super) struct PixelStats {
     frame_means: Vec<f64>,
 }
 
-/// One light level.
+/// Black level and fixed pattern of offsets.
+pub(super) struct Offsets {
+    /// Robust mean over the pixels, DN.
+    pub black_dn: f64,
+    /// Offset of each pixel from the black level, [rows, cols], DN.
+    pub offset_dn: Array2<f32>,
+    /// Rms difference between these offsets and the true ones, DN.
+    pub error_dn: f64,
+}
+
+/// Summary of one light level over the pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Summary {
     /// Mean light above black, DN.
     pub mean: f64,
-    /// Temporal variance of a pixel, DN^2; flicker of the lamp taken off.
+    /// Temporal variance of a pixel without the flicker of the lamp, DN^2.
     pub variance: f64,
-    /// Standard error of the variance.
+    /// Standard error of the variance, DN^2.
     pub sigma: f64,
 }
 
@@ -36,7 +46,7 @@ impl PixelStats {
         }
     }
 
-    /// Adds a frame. Values are taken relative to the first one, so that the squares keep their digits.
+    /// Adds a frame. Sums are of differences from the first frame, so that squares keep their precision.
     pub(super) fn add(&mut self, frame: &Array2<f32>) {
         let first = self.first.get_or_insert_with(|| frame.clone());
         Zip::from(&mut self.sum).and(&mut self.squares).and(&mut self.top).and(frame).and(&*first).for_each(
@@ -62,7 +72,7 @@ impl PixelStats {
         }
     }
 
-    /// Mean light above black and offset, DN; NaN where a frame was saturated.
+    /// Mean light above black level and offset, [rows, cols], DN; NaN where any frame was saturated.
     pub(super) fn light(&self, black: f64, offset: &Array2<f32>, saturation_dn: f64) -> Array2<f32> {
         let mut light = Zip::from(&self.means()).and(offset).map_collect(|m, o| (m - black) as f32 - o);
         Zip::from(&mut light).and(&self.top).for_each(|l, t| {
@@ -73,15 +83,17 @@ impl PixelStats {
         light
     }
 
-    /// Temporal variance of each pixel, and its degrees of freedom; of two frames or more.
+    /// Temporal variance of each pixel, DN^2, and its degrees of freedom. Needs two frames or more.
     pub(super) fn variances(&self) -> (Array2<f64>, f64) {
         let (n, freedom) = (self.frames(), self.frames() - 1.0);
         (Zip::from(&self.sum).and(&self.squares).map_collect(|s, q| (q - s * s / n) / freedom), freedom)
     }
 
-    /// Mean and temporal variance; None with fewer than two frames, or where over 1 % of the pixels are saturated.
+    /// Mean and temporal variance over the pixels; `None` with fewer than two frames, or if more than 1 % of the pixels
+    /// are saturated.
     ///
-    /// Saturated pixels are left out, and so are pixels whose variance cannot come from the common noise (telegraph, hot).
+    /// Saturated pixels are left out, and so are pixels with a variance that the common noise cannot explain (pixels
+    /// with telegraph noise, hot pixels).
     pub(super) fn summary(&self, black: f64, offset: Option<&Array2<f32>>, saturation_dn: f64) -> Option<Summary> {
         let n = self.frames();
         if n < 2.0 {
@@ -114,18 +126,18 @@ impl PixelStats {
         Some(Summary { mean, variance: white, sigma: white * (2.0 / (freedom * count)).sqrt() })
     }
 
-    /// Variance of the frame means over time: lamp flicker, and a little of everything else.
+    /// Variance of the frame means over time: lamp flicker and a small share of the pixel noise.
     fn frame_variance(&self) -> f64 {
         let n = self.frames();
         let mean = self.frame_means.iter().sum::<f64>() / n;
         self.frame_means.iter().map(|m| (m - mean).powi(2)).sum::<f64>() / (n - 1.0)
     }
 
-    /// Black level (robust mean) and each pixel's offset from it.
+    /// Black level and offset of each pixel; `variance` is the temporal variance of a pixel, DN^2.
     ///
-    /// The mean of few frames holds noise of variance `variance / n`: offsets are shrunk by the part of their spread that
-    /// is noise, but for pixels that stand out (hot ones), which are kept as they are.
-    pub(super) fn offsets(&self, variance: Option<f64>) -> (f64, Array2<f32>, f64) {
+    /// The mean of n frames has noise of variance `variance / n`. Offsets are therefore shrunk by the share of noise in
+    /// their spread, except those of outliers (hot pixels).
+    pub(super) fn offsets(&self, variance: Option<f64>) -> Offsets {
         let means = self.means();
         let mut sorted: Vec<f64> = means.iter().copied().collect();
         sorted.sort_by(f64::total_cmp);
@@ -138,21 +150,21 @@ impl PixelStats {
             sorted.iter().filter(|m| inside(**m)).map(|m| (m - black).powi(2)).sum::<f64>() / f64::max(count, 1.0);
         let noise = variance.map_or(0.0, |v| v / self.frames());
         let kept = if scatter > 0.0 { (1.0 - noise / scatter).max(0.0) } else { 0.0 };
-        // What the shrunk offsets leave of the true ones: the smaller of the two spreads, nearly.
-        let left = (noise * kept).max(0.0).sqrt();
-        (black, means.mapv(|m| ((m - black) * if inside(m) { kept } else { 1.0 }) as f32), left)
+        let offset_dn = means.mapv(|m| ((m - black) * if inside(m) { kept } else { 1.0 }) as f32);
+        // The posterior spread of a normal offset: nearly the smaller of the two spreads.
+        Offsets { black_dn: black, offset_dn, error_dn: (noise * kept).max(0.0).sqrt() }
     }
 }
 
-/// Largest per-pixel variance that the common noise explains: the mean of those below it and [`CLIP`] standard deviations of a
-/// chi-squared variable of that freedom.
+/// Largest per-pixel variance that the common noise can explain: [`CLIP`] standard deviations of a chi-squared variable
+/// of `freedom` degrees of freedom above the mean of the variances below the limit.
 fn clip_limit(variances: impl Iterator<Item = f64>, freedom: f64) -> f64 {
     let mut sorted: Vec<f64> = variances.collect();
     sorted.sort_by(f64::total_cmp);
     if sorted.is_empty() {
         return 0.0;
     }
-    // Wilson and Hilferty: the median of chi-squared over its mean.
+    // Wilson and Hilferty's approximation of the median of chi-squared over its mean.
     let mut mean = sorted[sorted.len() / 2] / (1.0 - 2.0 / (9.0 * freedom)).powi(3);
     let limit = |mean: f64| mean * (1.0 + CLIP * (2.0 / freedom).sqrt());
     for _ in 0..4 {

@@ -1,10 +1,10 @@
-//! Why optics cannot be built.
+//! Errors of optical configurations.
 
 use thiserror::Error;
 
-/// A number of an optical configuration cannot be.
+/// A number of an optical configuration is impossible.
 #[derive(Clone, Debug, PartialEq, Error)]
-#[error("{field}: expected {expected}, found {found}")]
+#[error("{field}: expected {expected}, found {found}; correct the configuration")]
 pub struct OpticsError {
     /// The field.
     pub field: &'static str,
@@ -15,8 +15,8 @@ pub struct OpticsError {
 }
 
 impl OpticsError {
-    /// Refuses a number that is not above zero.
-    pub(crate) fn unless_positive(field: &'static str, value: f64) -> Result<(), Self> {
+    /// Rejects a number that is not finite and above zero.
+    pub(super) fn unless_positive(field: &'static str, value: f64) -> Result<(), Self> {
         if value.is_finite() && value > 0.0 {
             return Ok(());
         }

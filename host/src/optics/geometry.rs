@@ -1,31 +1,32 @@
 //! Chief rays of a microlens array between an object plane and a sensor, in un-inverted image coordinates.
 
-/// A microlens array before a sensor: thin lenses in one plane, object and image distance common to all.
+/// A microlens array before a sensor: thin lenses in one plane, with a common object distance and image distance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MicrolensArray {
     /// Distance from the object plane to the lenses, um.
     pub object_distance_um: f64,
-    /// Magnification, image per object: image distance over object distance.
+    /// Magnification (image size over object size): image distance over object distance.
     pub magnification: f64,
     /// Pixel pitch of the sensor, um.
     pub pixel_pitch_um: f64,
 }
 
-/// Where the lenses of an array are meant to be.
+/// Nominal positions of the lenses of an array.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArrayLayout {
     /// Rows of lenses.
     pub rows: usize,
     /// Columns of lenses.
     pub cols: usize,
-    /// Distance of neighbouring chief rays of the on-axis source, sensor pixels.
+    /// Distance between neighbouring chief rays of the on-axis source, sensor pixels.
     pub pitch_px: f64,
     /// Rows and columns of the sensor.
     pub sensor: [usize; 2],
 }
 
 impl ArrayLayout {
-    /// Nominal focus of the on-axis source through lens (i, j), sensor pixels: the array is centred on the sensor.
+    /// Nominal focus (row, col) of the on-axis source through lens (i, j), sensor pixels. The array is centred on the
+    /// sensor.
     pub fn anchor_px(&self, i: usize, j: usize) -> [f64; 2] {
         let along = |k: usize, lenses: usize, pixels: usize| {
             (pixels as f64 - 1.0) / 2.0 + (k as f64 - (lenses as f64 - 1.0) / 2.0) * self.pitch_px
@@ -33,7 +34,7 @@ impl ArrayLayout {
         [along(i, self.rows, self.sensor[0]), along(j, self.cols, self.sensor[1])]
     }
 
-    /// Middle of the sensor, pixels.
+    /// Centre of the sensor (row, col), pixels.
     pub fn centre_px(&self) -> [f64; 2] {
         self.sensor.map(|n| (n as f64 - 1.0) / 2.0)
     }
@@ -45,23 +46,23 @@ impl MicrolensArray {
         self.magnification * self.object_distance_um
     }
 
-    /// Focus of the source at object position (y, x), um, through the lens with this anchor, sensor pixels: Eq. 1 of
-    /// the paper, un-inverted.
+    /// Focus (row, col) of the source at object position (y, x), um, through the lens with this anchor, sensor pixels:
+    /// Eq. 1 of Yang et al. (2024), un-inverted.
     pub fn chief_ray_px(&self, anchor_px: [f64; 2], object_um: [f64; 2]) -> [f64; 2] {
         let scale = self.magnification / self.pixel_pitch_um;
         [anchor_px[0] + scale * object_um[0], anchor_px[1] + scale * object_um[1]]
     }
 
-    /// The object position straight before a lens, um, where its image is best.
+    /// Object position (y, x) on the axis of a lens, um, where its image is best.
     ///
-    /// A lens at X (in the plane of the lenses) images the source at x to `X + m (X - x)` behind the array; turned round, the
-    /// anchor of the on-axis source is `-X (1 + m)`.
+    /// A lens at X in the plane of the lenses images the source at x to `X + m (X - x)` behind the array. In
+    /// un-inverted coordinates the anchor, the focus of the on-axis source, is therefore `-X (1 + m)`.
     pub fn axis_um(&self, anchor_px: [f64; 2], centre_px: [f64; 2]) -> [f64; 2] {
         let scale = -self.pixel_pitch_um / (1.0 + self.magnification);
         [scale * (anchor_px[0] - centre_px[0]), scale * (anchor_px[1] - centre_px[1])]
     }
 
-    /// Tangents (row, col) of the chief ray's angle to the axis of a lens.
+    /// Tangents (row, col) of the angle between a chief ray and the axis of its lens.
     pub fn tangents(&self, axis_um: [f64; 2], object_um: [f64; 2]) -> [f64; 2] {
         [0, 1].map(|k| (object_um[k] - axis_um[k]) / self.object_distance_um)
     }
@@ -76,7 +77,7 @@ mod tests {
     const LAYOUT: ArrayLayout = ArrayLayout { rows: 3, cols: 3, pitch_px: 50.0, sensor: [214, 200] };
 
     #[test]
-    fn the_middle_lens_is_at_the_middle() {
+    fn the_central_lens_is_at_the_centre() {
         assert_eq!(LAYOUT.anchor_px(1, 1), [106.5, 99.5]);
         assert_eq!(LAYOUT.anchor_px(0, 2), [56.5, 149.5]);
         assert_eq!(ARRAY.axis_um(LAYOUT.anchor_px(1, 1), LAYOUT.centre_px()), [0.0, 0.0]);
@@ -84,8 +85,8 @@ mod tests {
 
     #[test]
     fn chief_rays_are_straight_lines_through_the_lens() {
-        // By similar triangles: a source at x, a lens at X, the sensor a distance b behind it. The ray meets the sensor at
-        // X + (X - x) b / a; un-inverted coordinates count from the middle the other way.
+        // By similar triangles: a source at x, a lens at X, the sensor a distance b behind it. The ray meets the sensor
+        // at X + (X - x) b / a. Un-inverted coordinates have the opposite sign.
         let (a, b) = (ARRAY.object_distance_um, ARRAY.image_distance_um());
         let lens_um = [80.0, -35.0];
         let anchor = [0, 1].map(|k| LAYOUT.centre_px()[k] - lens_um[k] * (1.0 + b / a) / ARRAY.pixel_pitch_um);
@@ -97,7 +98,7 @@ mod tests {
                 assert!((found[k] - expected).abs() < 1e-9);
             }
         }
-        // The source straight before the lens has a ray along the axis.
+        // The chief ray of the source on the axis of the lens runs along that axis.
         let axis = ARRAY.axis_um(anchor, LAYOUT.centre_px());
         assert!((axis[0] - lens_um[0]).abs() < 1e-9 && (axis[1] - lens_um[1]).abs() < 1e-9);
         assert_eq!(ARRAY.tangents(axis, axis), [0.0, 0.0]);

@@ -1,6 +1,6 @@
 //! The point-spread function of an aberrated pupil, by Fourier transform, integrated over pixels.
 
-use super::OpticsError;
+use super::error::OpticsError;
 use super::zernike::{NOLL_COUNT, Wavefront, zernike};
 use rustfft::num_complex::Complex32;
 use rustfft::{Fft, FftPlanner};
@@ -18,17 +18,17 @@ pub struct PupilConfig {
     pub aperture_um: f64,
     /// Distance from the pupil to the sensor, um.
     pub distance_um: f64,
-    /// Share of the radius over which the transmitted amplitude falls to zero, 0 (hard edge) to 1.
+    /// Share of the pupil radius over which the transmitted amplitude falls to zero, 0 (hard edge) to 1.
     pub soft_edge: f64,
     /// Pixel pitch, um.
     pub pixel_um: f64,
-    /// Samples per pixel in each direction; odd, so that one lies on the centre of the pixel.
+    /// Samples per pixel along each axis; odd, so that one sample lies on the centre of the pixel.
     pub oversampling: usize,
-    /// Side of the field that is computed, pixels; odd. Light beyond it is folded back, so it must hold the whole PSF.
+    /// Side of the computed field, pixels; odd. Light beyond it is folded back, so the field must hold the whole PSF.
     pub field_px: usize,
 }
 
-/// A planned pupil: gives the PSF of any wavefront.
+/// A planned pupil, which computes the PSF of any wavefront.
 pub struct Pupil {
     config: PupilConfig,
     /// Samples per side of the field.
@@ -52,7 +52,7 @@ struct Sample {
     amplitude: f32,
 }
 
-/// Working memory of [`Pupil::psf`]; one per thread.
+/// Working memory of [`Pupil::psf`]; each thread needs its own.
 #[derive(Clone, Debug)]
 pub struct PsfScratch {
     field: Vec<Complex32>,
@@ -61,8 +61,8 @@ pub struct PsfScratch {
     intensity: Vec<f32>,
 }
 
-/// A PSF on pixels, [side, side] in C order; its total is the share of the light, 1 without losses.
-#[derive(Clone, Debug, PartialEq)]
+/// A PSF on pixels, [side, side] in C order. The sum over the pixels is 1.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Psf {
     /// Side, pixels; odd.
     pub side: usize,
@@ -77,7 +77,7 @@ impl std::fmt::Debug for Pupil {
 }
 
 impl PupilConfig {
-    /// Distance of neighbouring samples in the image, um.
+    /// Distance between neighbouring samples in the image, um.
     pub fn sample_um(&self) -> f64 {
         self.pixel_um / self.oversampling as f64
     }
@@ -85,8 +85,8 @@ impl PupilConfig {
     /// Plans the pupil.
     ///
     /// # Errors
-    /// A length is not above zero, a count is not odd, or the sampling is too coarse for the aperture: the field of the
-    /// image needs samples of `wavelength * distance / (2 aperture)` at most.
+    /// A length is not above zero, a count is not odd, `soft_edge` is not in 0 to 1, or the samples in the image are
+    /// farther apart than `wavelength * distance / (2 aperture)`, the Nyquist limit of the field.
     pub fn build(&self) -> Result<Pupil, OpticsError> {
         for (field, value) in [
             ("wavelength_um", self.wavelength_um),
@@ -106,7 +106,7 @@ impl PupilConfig {
         }
         let nyquist = self.wavelength_um * self.distance_um / (2.0 * self.aperture_um);
         if self.sample_um() > nyquist {
-            let expected = format!("enough for samples of {nyquist:.3} um in the image");
+            let expected = format!("enough for samples of at most {nyquist:.3} um in the image");
             return Err(OpticsError { field: "oversampling", expected, found: self.oversampling as f64 });
         }
         Ok(Pupil::plan(*self))
@@ -145,12 +145,12 @@ impl Pupil {
         Self { config, n, samples, zernikes, slopes, rows, energy, fft }
     }
 
-    /// Its configuration.
+    /// Configuration of the pupil.
     pub fn config(&self) -> &PupilConfig {
         &self.config
     }
 
-    /// Working memory.
+    /// Allocates working memory.
     pub fn scratch(&self) -> PsfScratch {
         let zero = Complex32::default();
         PsfScratch {
@@ -161,18 +161,19 @@ impl Pupil {
         }
     }
 
-    /// The PSF of a wavefront, its centroid `centroid_px` = (row, col) away from the centre of the middle pixel.
+    /// Computes the PSF of a wavefront into `psf`, with its centroid at `centroid_px` (row, col) from the centre of the
+    /// middle pixel.
     ///
-    /// The shift is a tilt of the wavefront, so it is exact at any fraction of a pixel. Coma moves the centroid of a focus away
-    /// from where an unaberrated one would be; that is taken off as well, so that a chief ray given for a source is where its
-    /// light falls. Piston and tilts of the wavefront change nothing. The total is 1 (Parseval).
+    /// The shift is a tilt of the wavefront, so it is exact for any fraction of a pixel. Coma moves the centroid of a
+    /// focus; this displacement is removed, so that the light of a source is centred on its chief ray. Piston and tilts
+    /// of the wavefront have no effect. The sum over the pixels is 1 (Parseval's theorem).
     pub fn psf(&self, wavefront: &Wavefront, centroid_px: [f64; 2], scratch: &mut PsfScratch, psf: &mut Psf) {
         self.intensity(wavefront, centroid_px, scratch);
         let (side, over, n) = (self.config.field_px, self.config.oversampling, self.n);
         psf.side = side;
         psf.share.clear();
         psf.share.resize(side * side, 0.0);
-        // The middle of the field is stored at index 0: pixel p covers samples p * over .. from -(n - 1) / 2 on.
+        // The middle of the field is stored at index 0: pixel p covers `over` samples from -(n - 1) / 2 + p * over on.
         for k in 0..n {
             let row = &scratch.intensity[((k + n.div_ceil(2)) % n) * n..][..n];
             let pixels = &mut psf.share[(k / over) * side..][..side];
@@ -184,7 +185,7 @@ impl Pupil {
         }
     }
 
-    /// Intensity on the fine grid, [n, n], the middle of the field at index (0, 0) and wrapped round; total 1.
+    /// Intensity on the fine grid, [n, n], with the middle of the field at index (0, 0), wrapped around; its sum is 1.
     ///
     /// With the pupil `A exp(2 pi i W)` the centroid of the image is `-n <A^2 dW/dm> / <A^2>` samples (the mean slope).
     fn intensity(&self, wavefront: &Wavefront, centroid_px: [f64; 2], scratch: &mut PsfScratch) {
@@ -220,7 +221,8 @@ impl Pupil {
     }
 }
 
-/// Transmitted amplitude at radius `rho` (1 at the edge); a hard edge cuts a sample of width `step` by its share.
+/// Transmitted amplitude at radius `rho` (1 at the edge). At a hard edge, a sample of width `step` counts by its share
+/// inside.
 fn amplitude(rho: f64, soft_edge: f64, step: f64) -> f64 {
     let start = 1.0 - soft_edge;
     if soft_edge < step {
@@ -230,7 +232,8 @@ fn amplitude(rho: f64, soft_edge: f64, step: f64) -> f64 {
     (FRAC_PI_2 * t).cos().powi(2).max(0.0) * if rho < 1.0 { 1.0 } else { 0.0 }
 }
 
-/// Mean of the slope of Z_j over the samples, weighted with their light; `step` is their distance, pupil radii.
+/// Mean slope of Z_j over the samples, weighted with their light, waves per sample; `step` is the distance between
+/// samples, pupil radii.
 fn mean_slope(j: usize, samples: &[Sample], step: f64) -> [f64; 2] {
     const H: f64 = 1e-4;
     let z = |y: f64, x: f64| zernike(j, y.hypot(x), y.atan2(x));
@@ -274,7 +277,7 @@ mod tests {
 
     fn psf_of(config: &PupilConfig, wavefront: &Wavefront, shift: [f64; 2]) -> Psf {
         let pupil = config.build().unwrap();
-        let mut psf = Psf { side: 0, share: Vec::new() };
+        let mut psf = Psf::default();
         pupil.psf(wavefront, shift, &mut pupil.scratch(), &mut psf);
         psf
     }
@@ -319,11 +322,11 @@ mod tests {
     }
 
     #[test]
-    fn the_light_is_centred_where_it_is_asked_for_whatever_the_aberrations() {
+    fn the_light_is_centred_at_the_given_place_for_any_aberrations() {
         let config = PupilConfig { soft_edge: 0.6, oversampling: 3, pixel_um: 1.5, field_px: 127, ..CLEAR };
         let mut coma = Wavefront::default();
         coma.coefficient[3..].copy_from_slice(&[0.1, 0.05, -0.1, 0.2, -0.1, 0.05, 0.0, 0.05]);
-        // Tilts are taken off.
+        // Tilts are removed.
         coma.coefficient[1] = 0.7;
         for shift in [[0.0, 0.0], [0.5, 0.0], [-0.27, 0.41], [3.0, -2.6]] {
             let found = centroid(&psf_of(&config, &coma, shift));

@@ -1,24 +1,24 @@
-//! Zernike polynomials on the unit disc, ordered and normalised after Noll (J. Opt. Soc. Am. 66, 207, 1976).
+//! Zernike polynomials on the unit disc, in the order and normalisation of Noll (J. Opt. Soc. Am. 66, 207, 1976).
 
-/// Number of polynomials that a [`Wavefront`] has: piston to primary spherical aberration.
+/// Number of polynomials in a [`Wavefront`]: piston to primary spherical aberration.
 pub const NOLL_COUNT: usize = 11;
 
-/// Coefficients of Noll's Z_1 to Z_11, waves rms: piston, two tilts, defocus, two astigmatisms, two comas, two trefoils,
-/// primary spherical. `coefficient[0]` is Z_1.
+/// A wavefront error as coefficients of Noll's Z_1 to Z_11: piston, two tilts, defocus, two astigmatisms, two comas,
+/// two trefoils, primary spherical aberration.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Wavefront {
-    /// Waves rms.
+    /// Coefficients, waves rms; `coefficient[0]` belongs to Z_1.
     pub coefficient: [f64; NOLL_COUNT],
 }
 
 impl Wavefront {
-    /// Rms of the wavefront without piston and tilts, waves: the coefficients are orthonormal.
+    /// Rms wavefront error without piston and tilts, waves (the polynomials are orthonormal).
     pub fn rms_waves(&self) -> f64 {
         self.coefficient[3..].iter().map(|c| c * c).sum::<f64>().sqrt()
     }
 }
 
-/// Radial degree n and azimuthal degree m of Noll's index j >= 1; m < 0 for the sine terms.
+/// Radial degree n and azimuthal degree m, as (n, m), of Noll's index j >= 1; m < 0 for the sine terms.
 pub fn noll(j: usize) -> (u32, i32) {
     let mut n = 0;
     let mut left = j.max(1) - 1;
@@ -26,14 +26,14 @@ pub fn noll(j: usize) -> (u32, i32) {
         n += 1;
         left -= n;
     }
-    // Within degree n the |m| ascend in steps of two: 0 2 2 4 4 .. or 1 1 3 3 ..
+    // Within degree n, |m| ascends in steps of two: 0 2 2 4 4 ... or 1 1 3 3 ...
     let m = (n % 2) + 2 * ((left + (n + 1) % 2) / 2);
     let sign = if m == 0 || j.is_multiple_of(2) { 1 } else { -1 };
     (n as u32, sign * m as i32)
 }
 
-/// Noll's Z_j at polar coordinates (rho, theta) of the unit disc, theta from the column axis to the row axis; rms 1
-/// over the disc.
+/// Noll's Z_j at the polar coordinates (rho, theta) of the unit disc, with theta in rad from the column axis to the row
+/// axis. Its rms over the disc is 1.
 pub fn zernike(j: usize, rho: f64, theta: f64) -> f64 {
     let (n, m) = noll(j);
     let k = m.unsigned_abs();
@@ -46,7 +46,7 @@ pub fn zernike(j: usize, rho: f64, theta: f64) -> f64 {
     }
 }
 
-/// Radial polynomial R_n^m, Noll's Eq. 2.
+/// Radial polynomial R_n^m (Noll's Eq. 2).
 fn radial(n: u32, m: u32, rho: f64) -> f64 {
     let factorial = |k: u32| (1..=k).map(f64::from).product::<f64>();
     (0..=(n - m) / 2)

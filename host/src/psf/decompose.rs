@@ -1,40 +1,42 @@
-//! Truncated singular value decomposition of one lens's windows (Eq. 2), with pixel weights and missing pixels.
+//! Truncated singular value decomposition (TSVD) of one lens's bead windows (Eq. 2 of the paper), with pixel weights
+//! and missing pixels.
 //!
 //! ```text
 //! H(p; n) ~ sum_k M_k(n) B_k(p)
 //! ```
-//! The decomposition minimises the misfit in units of each pixel's noise: windows are divided by `sigma(p)`, decomposed through
-//! the eigenvectors of their [bead, bead] Gram matrix, and the basis is multiplied by `sigma(p)` again. Pixels that were not
-//! measured (off the sensor, saturated) are filled from the model itself until it no longer changes (expectation
-//! maximisation; Srebro & Jaakkola, ICML 2003).
+//! The decomposition minimises the misfit in units of each pixel's noise: windows are divided by `sigma(p)`, decomposed
+//! through the eigenvectors of their [bead, bead] Gram matrix, and the basis is multiplied by `sigma(p)` again. Pixels
+//! that were not measured (off the sensor, saturated) are filled from the model itself until it no longer changes
+//! (expectation maximisation; Srebro & Jaakkola, ICML 2003).
 
-use crate::linalg::{NotConverged, symmetric_eigen};
+use crate::linalg::{NotConverged, SymmetricEigen, symmetric_eigen};
 use crate::rng;
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, Zip, s};
 use rand_distr::{Distribution, StandardNormal};
 
-/// Rounds of filling in missing pixels.
+/// Iterations that fill in missing pixels.
 const FILL_ROUNDS: usize = 30;
-/// Directions that a subspace has beyond the terms that are asked of it (Halko, Martinsson & Tropp, SIAM Review 53, 2011).
+/// Oversampling: directions of the subspace beyond the requested rank (Halko, Martinsson & Tropp, SIAM Review 53,
+/// 2011).
 const OVERSAMPLING: usize = 8;
-/// Pixels that are summed at a time in f64.
+/// Pixels per chunk of a sum in f64.
 const CHUNK_PX: usize = 4096;
 
-/// A low-rank description of windows.
+/// A truncated decomposition of bead windows.
 #[derive(Clone, Debug)]
 pub struct Decomposition {
-    /// Basis PSFs as rows of unit norm, largest share first, [k, px].
+    /// Basis PSFs as rows of unit norm, by descending singular value, [k, px].
     pub basis: Array2<f32>,
-    /// What each window holds of each, [bead, k].
+    /// Coefficient of each basis PSF in each window, [bead, k].
     pub coefficients: Array2<f64>,
-    /// Singular values of the weighted windows, all of them, largest first.
+    /// All singular values of the weighted windows, in descending order.
     pub singular_values: Vec<f64>,
-    /// Products of the weighted windows with one another, [bead, bead].
+    /// Gram matrix of the weighted windows, [bead, bead].
     pub gram: Array2<f64>,
 }
 
 impl Decomposition {
-    /// The windows as the first `rank` basis PSFs give them, [bead, px].
+    /// The windows reconstructed from the first `rank` basis PSFs, [bead, px].
     pub fn windows(&self, rank: usize) -> Array2<f32> {
         let rank = rank.min(self.basis.nrows());
         let coefficients = self.coefficients.slice(s![.., ..rank]).mapv(|c| c as f32);
@@ -42,12 +44,13 @@ impl Decomposition {
     }
 }
 
-/// Decomposes `windows` [bead, px] to at most `rank` terms.
+/// Decomposes `windows` [bead, px] into at most `rank` terms.
 ///
-/// `sigma` (px) is the noise of each pixel in any unit; `known` (bead, px) says which pixels were measured (None: all).
+/// `sigma` [px] is the standard deviation of the noise of each pixel, in any unit. `known` [bead, px] marks the
+/// measured pixels (None: all).
 ///
 /// # Errors
-/// The windows hold values that are no numbers.
+/// The windows hold non-finite values.
 pub fn decompose(
     windows: ArrayView2<'_, f32>,
     known: Option<ArrayView2<'_, bool>>,
@@ -62,10 +65,11 @@ pub fn decompose(
     decompose_whole(filled.view(), sigma, rank)
 }
 
-/// Fills in what was not measured from the model of at most `rank` terms itself.
+/// Fills in the pixels that were not measured (`known` is false) from the low-rank model of at most `rank` terms of
+/// `windows` [bead, px].
 ///
 /// # Errors
-/// As [`decompose`].
+/// The windows hold non-finite values.
 pub(super) fn fill(
     filled: &mut Array2<f32>,
     known: ArrayView2<'_, bool>,
@@ -105,15 +109,15 @@ pub(super) fn fill(
     Ok(())
 }
 
-/// The leading right singular vectors of windows that change little from one look to the next: subspace iteration, which costs two
-/// products with the windows a look instead of a whole decomposition.
+/// The leading right singular vectors of windows that change little between iterations. Subspace iteration costs two
+/// products with the windows an iteration instead of a whole decomposition.
 struct Subspace {
-    /// Orthonormal rows, most of the windows first, [q, px].
+    /// Orthonormal rows, by descending energy in the windows, [q, px].
     basis: Array2<f32>,
 }
 
 impl Subspace {
-    /// A random start, and two looks.
+    /// A random start, followed by two iterations.
     fn start(windows: ArrayView2<'_, f32>, rank: usize) -> Result<Self, NotConverged> {
         let q = (rank + OVERSAMPLING).min(windows.nrows());
         let mut rng = rng::stream(0, "psf/subspace", 0);
@@ -123,7 +127,7 @@ impl Subspace {
         Ok(space)
     }
 
-    /// Turns towards the leading vectors of `windows` [bead, px].
+    /// One iteration towards the leading vectors of `windows` [bead, px].
     fn turn(&mut self, windows: ArrayView2<'_, f32>) -> Result<(), NotConverged> {
         let seen = orthonormal(self.basis.dot(&windows.t()))?;
         self.basis = orthonormal(seen.dot(&windows))?;
@@ -135,9 +139,10 @@ impl Subspace {
     }
 }
 
-/// Orthonormal rows that span those of `rows`, along their principal axes, largest first; what lies below rounding is left out.
+/// Orthonormal rows that span those of `rows`, along their principal axes, largest first; directions below rounding
+/// error are dropped.
 fn orthonormal(rows: Array2<f32>) -> Result<Array2<f32>, NotConverged> {
-    let (values, vectors) = symmetric_eigen(&gram(rows.view()))?;
+    let SymmetricEigen { values, vectors } = symmetric_eigen(&gram(rows.view()))?;
     let n = values.len();
     let largest = values.last().copied().unwrap_or(0.0);
     let kept = values.iter().filter(|v| **v > 1e-10 * largest).count();
@@ -147,7 +152,7 @@ fn orthonormal(rows: Array2<f32>) -> Result<Array2<f32>, NotConverged> {
     Ok(turn.dot(&rows))
 }
 
-/// The decomposition of windows of which every pixel is known.
+/// The decomposition of windows without missing pixels.
 fn decompose_whole(
     windows: ArrayView2<'_, f32>,
     sigma: ArrayView1<'_, f32>,
@@ -155,7 +160,7 @@ fn decompose_whole(
 ) -> Result<Decomposition, NotConverged> {
     let weighted = &windows / &sigma.insert_axis(Axis(0));
     let gram = gram(weighted.view());
-    let (values, vectors) = symmetric_eigen(&gram)?;
+    let SymmetricEigen { values, vectors } = symmetric_eigen(&gram)?;
     let n = windows.nrows();
     let singular_values: Vec<f64> = values.iter().rev().map(|v| v.max(0.0).sqrt()).collect();
     // What lies below rounding of the largest is nothing.

@@ -1,20 +1,20 @@
 //! Smooth functions over the field from values at scattered places: polyharmonic smoothing splines.
 //!
-//! Knows nothing of PSFs. A function is `f(x) = sum_i c_i phi_m(|x - x_i|) + polynomial of degree < m` with
-//! `phi_m(r) = +-r^(2m-2) log r`; it minimises squared misfit + lambda * (m-th derivatives squared, over the plane)
+//! This module knows nothing of PSFs. A function is `f(x) = sum_i c_i phi_m(|x - x_i|) + polynomial of degree < m` with
+//! `phi_m(r) = +-r^(2m-2) log r`; it minimises the squared misfit + lambda * (m-th derivatives squared, over the plane)
 //! (Wahba, *Spline Models for Observational Data*, 1990, ch. 2). Lambda is chosen for each function by generalised
-//! cross-validation, `GCV = n |(I - A) y|^2 / tr(I - A)^2`; the order m is given, or chosen in the same way. Positions may be a
-//! grid or lie anywhere.
+//! cross-validation, `GCV = n |(I - A) y|^2 / tr(I - A)^2`; the order m is given, or chosen in the same way. Positions
+//! may be a grid or lie anywhere.
 
-use crate::linalg::{NotConverged, least_squares, symmetric_eigen};
+use crate::linalg::{NotConverged, SymmetricEigen, least_squares, symmetric_eigen};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
 
-/// Orders m that serve: 2 is the thin plate, higher ones follow polynomials longer.
+/// Orders m that are tried: 2 is the thin-plate spline; higher orders reproduce polynomials of higher degree.
 pub const ORDERS: [usize; 3] = [2, 3, 4];
-/// Smoothing parameters that are tried, relative to the largest eigenvalue: 10^-11 .. 10^2 in half decades.
+/// Number of smoothing parameters lambda that are tried: 10^-11 to 10^2 times the largest eigenvalue, in half decades.
 const LAMBDAS: std::ops::RangeInclusive<i32> = -22..=4;
 
-/// Smoothing splines planned for one set of positions; serves any number of functions given there.
+/// Smoothing splines planned for one set of positions, for any number of functions sampled there.
 #[derive(Clone, Debug)]
 pub struct FieldSmoother {
     positions: Array2<f64>,
@@ -30,7 +30,7 @@ pub struct Field {
     functions: Vec<Spline>,
 }
 
-/// One function: its kernel weights and polynomial. No weights: a constant.
+/// One function: its kernel weights and polynomial. Without weights it is a constant.
 #[derive(Clone, Debug)]
 struct Spline {
     order: usize,
@@ -38,7 +38,7 @@ struct Spline {
     polynomial: Array1<f64>,
 }
 
-/// To coordinates of order one.
+/// Scales positions to coordinates of order one.
 #[derive(Clone, Copy, Debug)]
 struct Scale {
     centre: [f64; 2],
@@ -67,15 +67,15 @@ struct OrderPlan {
     polynomials: Array2<f64>,
     kernel: Array2<f64>,
     eigenvalues: Array1<f64>,
-    /// Columns span the complement of the polynomials, in the eigenbasis of the kernel.
+    /// Its columns span the orthogonal complement of the polynomials, in the eigenbasis of the kernel.
     vectors: Array2<f64>,
 }
 
 impl FieldSmoother {
-    /// Plans for positions [n, (row, col)], with each of `orders` that has positions enough.
+    /// Plans for positions [n, (row, col)], with each of `orders` for which there are enough positions.
     ///
     /// # Errors
-    /// A position is no number.
+    /// A position is not finite.
     pub fn plan(positions: ArrayView2<'_, f64>, orders: &[usize]) -> Result<Self, NotConverged> {
         let scale = Scale::of(positions);
         let scaled = scale.apply(positions);
@@ -84,12 +84,12 @@ impl FieldSmoother {
         Ok(Self { positions: scaled, scale, orders })
     }
 
-    /// Smooth functions through `values` [n, functions].
+    /// Fits smooth functions to `values` [n, functions].
     ///
-    /// With too few positions for any order each function is the mean of its values.
+    /// Where there are too few positions for any order, each function is the mean of its values.
     ///
     /// # Errors
-    /// A value is no number.
+    /// A value is not finite.
     pub fn fit(&self, values: ArrayView2<'_, f64>) -> Result<Field, NotConverged> {
         let functions = values.axis_iter(Axis(1)).map(|y| self.fit_one(y)).collect::<Result<_, _>>()?;
         Ok(Field { positions: self.positions.clone(), scale: self.scale, functions })
@@ -113,16 +113,16 @@ impl OrderPlan {
     fn new(order: usize, positions: &Array2<f64>) -> Result<Self, NotConverged> {
         let polynomials = polynomials(positions, order);
         // An orthonormal basis of the polynomials, then of what they leave.
-        let (values, vectors) = symmetric_eigen(&polynomials.dot(&polynomials.t()))?;
+        let SymmetricEigen { values, vectors } = symmetric_eigen(&polynomials.dot(&polynomials.t()))?;
         let largest = values[values.len() - 1];
         let rank = values.iter().filter(|v| **v > 1e-12 * largest).count();
         let rest = vectors.slice(s![.., ..positions.nrows() - rank]);
         let kernel = kernel_matrix(positions, positions, order);
-        let (eigenvalues, turn) = symmetric_eigen(&rest.t().dot(&kernel).dot(&rest))?;
+        let SymmetricEigen { values: eigenvalues, vectors: turn } = symmetric_eigen(&rest.t().dot(&kernel).dot(&rest))?;
         Ok(Self { order, polynomials, kernel, eigenvalues: eigenvalues.mapv(|e| e.max(0.0)), vectors: rest.dot(&turn) })
     }
 
-    /// The least GCV and its lambda; none if the polynomials leave nothing.
+    /// The least GCV and its lambda; None where the polynomials fit exactly.
     fn choose(&self, y: ArrayView1<'_, f64>) -> Option<(f64, f64)> {
         let z = self.vectors.t().dot(&y);
         let largest = self.eigenvalues.iter().fold(0.0f64, |m, e| m.max(*e));
@@ -154,7 +154,7 @@ impl Field {
         self.functions.len()
     }
 
-    /// The functions at positions [m, (row, col)] -> [m, functions].
+    /// The functions evaluated at positions [m, (row, col)]: [m, functions].
     pub fn at(&self, positions: ArrayView2<'_, f64>) -> Array2<f64> {
         let scaled = self.scale.apply(positions);
         let mut out = Array2::zeros((positions.nrows(), self.functions.len()));
@@ -177,12 +177,12 @@ impl Field {
     }
 }
 
-/// Polynomials of degree < m in two variables.
+/// Number of monomials of degree < m in two variables.
 fn terms(m: usize) -> usize {
     m * (m + 1) / 2
 }
 
-/// [n, terms]: y^i x^j with i + j < m.
+/// The monomials y^i x^j with i + j < m at n positions, [n, terms].
 fn polynomials(positions: &Array2<f64>, m: usize) -> Array2<f64> {
     let powers: Vec<[i32; 2]> = (0..m as i32).flat_map(|i| (0..m as i32 - i).map(move |j| [i, j])).collect();
     Array2::from_shape_fn((positions.nrows(), powers.len()), |(n, t)| {

@@ -1,21 +1,31 @@
-//! From node values to any point between them: local cubic (Lagrange) interpolation along one axis.
+//! Local cubic (Lagrange) interpolation along one axis, from values at nodes to any point between them.
 //!
-//! Coefficient maps are stored on a coarse grid and worked out row by row where they are needed, so that the memory of a
-//! model does not grow with the object. Four nodes a point reproduce cubics exactly; the error falls with spacing^4.
+//! Coefficient maps are stored on a coarse grid and interpolated row by row, so that the memory of a model does not
+//! grow with the object. Four nodes reproduce cubics exactly; the error falls with the fourth power of their spacing.
+//!
+//! ```
+//! use ommatidia_host::psf::nodes::Taps;
+//!
+//! let nodes = [0.0, 10.0, 20.0, 30.0];
+//! let cubes = nodes.map(|x: f64| (x / 10.0).powi(3) as f32);
+//! let value = Taps::at(&nodes, 15.0).apply(&cubes);
+//! assert!((value - 3.375).abs() < 1e-5); // 1.5^3
+//! ```
 
 /// Weights of up to four neighbouring nodes for one point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Taps {
     /// Index of the first node.
     pub first: usize,
-    /// Nodes used: 1 to 4.
+    /// Number of nodes used, 1 to 4.
     pub count: usize,
-    /// Weight of each node used; the sum is 1.
+    /// Weight of each node used; their sum is 1.
     pub weights: [f32; 4],
 }
 
 impl Taps {
-    /// Weights that carry values at `nodes` (ascending, not empty) to `x`. Outside the nodes the end value holds.
+    /// Weights that interpolate values at `nodes` (ascending, not empty) at `x`. Outside the nodes the value of the
+    /// last node holds.
     pub fn at(nodes: &[f64], x: f64) -> Self {
         let count = nodes.len().clamp(1, 4);
         let Some((&low, &high)) = nodes.first().zip(nodes.last()) else {
@@ -33,24 +43,24 @@ impl Taps {
         Self { first, count, weights }
     }
 
-    /// Weights for each of `n` points 0, 1, .. n-1 (pixels).
+    /// Weights for each of the `n` pixels 0, 1, .. n-1.
     pub fn for_pixels(nodes: &[f64], n: usize) -> Vec<Self> {
         (0..n).map(|i| Self::at(nodes, i as f64)).collect()
     }
 
-    /// The interpolated value of `values`, one a node.
+    /// The interpolated value; `values` holds one entry for each node.
     pub fn apply(&self, values: &[f32]) -> f32 {
         let used = &values[self.first..self.first + self.count];
         used.iter().zip(&self.weights).map(|(v, w)| v * w).sum()
     }
 }
 
-/// Weights of a row of pixels, kept so that many values are interpolated at once: runs of pixels between the same nodes.
+/// Interpolation weights of a row of pixels, grouped into runs of pixels that lie between the same nodes.
 #[derive(Clone, Debug)]
 pub struct TapRow {
     /// First node of each run, and the pixel where it ends.
     runs: Vec<(usize, usize)>,
-    /// Nodes used.
+    /// Number of nodes used.
     count: usize,
     /// Weight of each node used, by pixel.
     weights: [Vec<f32>; 4],
@@ -71,7 +81,7 @@ impl TapRow {
         Self { runs, count: taps.first().map_or(1, |t| t.count), weights }
     }
 
-    /// The interpolated values of `values`, one a node, at the pixels `pixels`: as [`Taps::apply`] gives them, bit for bit.
+    /// Interpolates `values` (one for each node) at `pixels`, with the same bits as [`Taps::apply`].
     pub fn apply(&self, pixels: std::ops::Range<usize>, values: &[f32], out: &mut [f32]) {
         let mut from = pixels.start;
         for (first, end) in &self.runs {
@@ -93,7 +103,7 @@ impl TapRow {
     }
 }
 
-/// `n` nodes evenly over the pixels 0 ..= last, ends included; one node lies in the middle.
+/// `n` nodes spaced evenly over `size` pixels, both ends included; a single node lies in the middle.
 pub fn even_nodes(pixels: usize, n: usize) -> Vec<f64> {
     let last = pixels.saturating_sub(1) as f64;
     if n < 2 {

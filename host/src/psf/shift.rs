@@ -1,12 +1,13 @@
-//! Moving a small image by a fraction of a pixel: band-limited (sinc) interpolation of a window that is zero outside.
+//! Moves a small image by a fraction of a pixel: band-limited (sinc) interpolation of a window that is zero outside.
 //!
-//! `out(i) = sum_j in(j) sinc(i - j - d)` along each axis. For images without power beyond Nyquist this is exact, keeps the
-//! noise white, and its transpose is its inverse.
+//! `out(i) = sum_j in(j) sinc(i - j - d)` along each axis. For images without power beyond the Nyquist frequency this
+//! is exact, keeps white noise white, and its transpose is its inverse.
 
 use ndarray::{Array2, Array3, ArrayView2, ArrayView3, s};
 use std::f64::consts::PI;
 
-/// The image moved by `shift_px` (row, col; content goes towards larger indices), with `margin` more pixels on each side.
+/// The image moved by `shift_px` (row, col; positive: towards larger indices), extended by `margin` pixels on each
+/// side.
 pub fn shifted(image: ArrayView2<'_, f32>, shift_px: [f64; 2], margin: usize) -> Array2<f32> {
     let (rows, cols) = image.dim();
     if shift_px == [0.0, 0.0] {
@@ -17,7 +18,7 @@ pub fn shifted(image: ArrayView2<'_, f32>, shift_px: [f64; 2], margin: usize) ->
     sinc_matrix(rows, shift_px[0], margin).dot(&image).dot(&sinc_matrix(cols, shift_px[1], margin).t())
 }
 
-/// [`shifted`] for each of a stack of windows, [k, rows, cols].
+/// Moves each of a stack of windows [k, rows, cols] by `shift_px`, extended by `margin` pixels on each side.
 pub fn shifted_windows(windows: ArrayView3<'_, f32>, shift_px: [f64; 2], margin: usize) -> Array3<f32> {
     let (k, rows, cols) = windows.dim();
     let mut out = Array3::zeros((k, rows + 2 * margin, cols + 2 * margin));
@@ -27,7 +28,7 @@ pub fn shifted_windows(windows: ArrayView3<'_, f32>, shift_px: [f64; 2], margin:
     out
 }
 
-/// [n + 2 margin, n]: how each output pixel takes from the inputs.
+/// Interpolation matrix [n + 2 margin, n] along one axis.
 fn sinc_matrix(n: usize, shift: f64, margin: usize) -> Array2<f32> {
     Array2::from_shape_fn((n + 2 * margin, n), |(i, j)| sinc(i as f64 - margin as f64 - j as f64 - shift) as f32)
 }

@@ -1,28 +1,19 @@
 //! Line charts as SVG that takes its colours from the page, so that it follows a light or a dark theme.
 
-use super::ReportError;
-use super::ticks::Places;
+use super::error::ReportError;
+use super::ticks::{AxisKind, Places};
 use maud::{Markup, PreEscaped, html};
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
-
-/// How an axis counts.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum AxisKind {
-    /// Evenly.
-    Linear,
-    /// By decades.
-    Log10,
-}
 
 /// An axis.
 #[derive(Clone, Debug)]
 pub struct Axis {
     /// Label with its unit.
     pub label: &'static str,
-    /// How it counts.
+    /// Linear or logarithmic.
     pub kind: AxisKind,
-    /// Its ends; None: those of the data, and a margin.
+    /// Its ends; None: the range of the data.
     pub range: Option<[f64; 2]>,
 }
 
@@ -51,7 +42,7 @@ pub enum Marks {
 /// A chart.
 #[derive(Clone, Debug)]
 pub struct Chart {
-    /// What it shows, for those who cannot see it.
+    /// Description for screen readers.
     pub alt: String,
     /// Horizontal axis.
     pub x: Axis,
@@ -62,7 +53,7 @@ pub struct Chart {
 }
 
 const SIZE: (u32, u32) = (520, 320);
-/// Stand-ins that [`Chart::svg`] swaps for the page's own colours.
+/// Placeholders that [`Chart::svg`] replaces by the colours of the page.
 const INK: RGBColor = RGBColor(1, 1, 1);
 const GRID: RGBColor = RGBColor(2, 1, 1);
 const FONT: &str = "chart-font";
@@ -72,17 +63,17 @@ fn series_colour(i: usize) -> RGBColor {
 }
 
 impl Axis {
-    /// An even axis over the data.
+    /// A linear axis over the data.
     pub fn linear(label: &'static str) -> Self {
         Self { label, kind: AxisKind::Linear, range: None }
     }
 
-    /// An even axis between two ends.
+    /// A linear axis between two ends.
     pub fn between(label: &'static str, low: f64, high: f64) -> Self {
         Self { label, kind: AxisKind::Linear, range: Some([low, high]) }
     }
 
-    /// An axis by decades over the data.
+    /// A logarithmic axis over the data.
     pub fn log10(label: &'static str) -> Self {
         Self { label, kind: AxisKind::Log10, range: None }
     }
@@ -134,7 +125,7 @@ impl Chart {
         })
     }
 
-    /// The chart alone: its lines are alike and need no legend.
+    /// The chart without a legend, for lines that are all of one kind.
     ///
     /// # Errors
     /// The drawing fails.
@@ -201,7 +192,7 @@ impl Chart {
     }
 }
 
-/// Swaps the stand-ins for the page's variables, and lets the drawing grow with its column.
+/// Replaces the placeholders by the CSS variables of the page, and lets the drawing scale with its column.
 fn themed(svg: &str) -> String {
     let mut text = svg.replacen(
         &format!("<svg width=\"{}\" height=\"{}\"", SIZE.0, SIZE.1),
@@ -222,7 +213,7 @@ mod tests {
     use super::*;
 
     fn chart(points: Vec<[f64; 2]>, kind: AxisKind) -> Chart {
-        let y = Axis { label: "Error (1)", kind, range: None };
+        let y = Axis { label: "Error", kind, range: None };
         let line = |colour| Line { label: "a".into(), points: points.clone(), colour, marks: Marks::Dots };
         Chart { alt: "a chart".into(), x: Axis::linear("Rank"), y, lines: vec![line(1), line(2)] }
     }
@@ -230,12 +221,10 @@ mod tests {
     #[test]
     fn colours_come_from_the_page() {
         let html = chart(vec![[0.0, 1.0], [1.0, 0.5]], AxisKind::Linear).render().unwrap().into_string();
-        for text in
-            ["var(--ink)", "var(--grid)", "var(--c1)", "var(--c2)", "Rank", "Error (1)", "aria-label=\"a chart\""]
-        {
+        for text in ["var(--ink)", "var(--grid)", "var(--c1)", "var(--c2)", "Rank", "Error", "aria-label=\"a chart\""] {
             assert!(html.contains(text), "{text} is missing");
         }
-        assert!(!html.contains("#01") && !html.contains("#03"), "a stand-in is left");
+        assert!(!html.contains("#01") && !html.contains("#03"), "a placeholder is left");
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use colorous::Gradient;
 
-/// A colour map. Those of light grow evenly in lightness from black, so a step of signal looks the same everywhere.
+/// A colour map. Inferno and viridis are perceptually uniform: equal steps of signal look equal everywhere.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ColourMap {
     /// Black, violet, red, yellow, white: light.
@@ -11,13 +11,14 @@ pub enum ColourMap {
     Viridis,
     /// Black to white: raw frames.
     Grey,
-    /// Blue, white, red: what may lie on either side of zero, which is white. What is no number is [`ABSENT`].
+    /// Blue, white, red: signed values, zero white. Non-finite values are [`ABSENT`].
     Diverging,
 }
 
-/// Colour of a pixel that says nothing.
+/// Colour of a pixel without a value.
 pub const ABSENT: [u8; 3] = [150, 154, 158];
-/// Its place in the palette of [`ColourMap::Diverging`], whose levels are the 255 before it: an odd number, so that zero has one.
+/// Its index in the palette of [`ColourMap::Diverging`]. The 255 levels before it are an odd number, so zero has its
+/// own.
 pub const ABSENT_LEVEL: u8 = 255;
 
 impl ColourMap {

@@ -1,4 +1,4 @@
-//! What the device did and what it needs: the JSON of `device run`, and the header of a network file.
+//! Figures of `device run`, and the sizes of a network file.
 
 use super::page::{Key, Numbers, pairs};
 use super::scenes::bytes;
@@ -7,7 +7,7 @@ use maud::{Markup, html};
 use ommatidia_shared::blob::Header;
 use serde_json::Value;
 
-/// The figures of a run.
+/// The table of what `device run` printed with `--json`.
 pub fn device(json: &Value, numbers: &mut Numbers) -> Markup {
     let mut rows: Vec<(String, Markup)> = Vec::new();
     if let Some(board) = json["board"].as_str() {
@@ -17,7 +17,7 @@ pub fn device(json: &Value, numbers: &mut Numbers) -> Markup {
         rows.push(("Outputs equal to the host’s, bit for bit".into(), html! { (if exact { "yes" } else { "no" }) }));
     }
     if let Some(n) = json["instructions"].as_u64() {
-        rows.push(("Instructions a frame".into(), html! { (grouped(n)) }));
+        rows.push(("Instructions per frame".into(), html! { (grouped(n)) }));
     }
     for (key, name) in [("ram_bytes", "RAM"), ("flash_bytes", "Flash"), ("stack_bytes", "Stack")] {
         if let Some(n) = json[key].as_u64() {
@@ -33,11 +33,16 @@ pub fn device(json: &Value, numbers: &mut Numbers) -> Markup {
             _ => (sentence(key), html! { (short(value)) }),
         });
     }
-    let table = numbers.table("Firmware.", "As the device and its host reported it.", pairs(&rows));
+    let table = numbers.table(
+        "Firmware.",
+        "Figures of a run of the firmware, as the device and its host reported \
+        them.",
+        pairs(&rows),
+    );
     html! { div { (table) } }
 }
 
-/// What a network file asks of a device.
+/// The table of a network file: its sizes and the memory that it needs on a device.
 pub fn blob(header: &Header, file_bytes: u64, numbers: &mut Numbers) -> Markup {
     let (bank, rcan) = (&header.bank, &header.rcan);
     let rows = [
@@ -48,10 +53,11 @@ pub fn blob(header: &Header, file_bytes: u64, numbers: &mut Numbers) -> Markup {
             "Filter bank".into(),
             match bank.blocks {
                 None => {
-                    html! { (bank.channels) " channels, " (bank.taps.len()) " taps of " (bank.tile) " × " (bank.tile) }
+                    html! { (bank.channels) " filters, " (bank.taps.len()) " blocks of " (bank.tile) " × " (bank.tile) }
                 }
                 Some(blocks) => html! {
-                    (bank.channels) " channels of " (bank.tile) " × " (bank.tile) ", pruned to " (blocks.count) " blocks of " (blocks.side) " × " (blocks.side)
+                    (bank.channels) " filters of " (bank.tile) " × " (bank.tile) ", pruned to "
+                    (blocks.count) " blocks of " (blocks.side) " × " (blocks.side)
                 },
             },
         ),
@@ -59,23 +65,31 @@ pub fn blob(header: &Header, file_bytes: u64, numbers: &mut Numbers) -> Markup {
         ("Fast memory".into(), html! { (bytes(u64::from(header.memory.fast_bytes))) }),
         ("Bulk memory".into(), html! { (bytes(u64::from(header.memory.bulk_bytes))) }),
     ];
-    let text =
-        format!("Network “{}”, made from checkpoint {}. Weights are IEEE halves.", header.name, header.checkpoint);
+    let text = format!(
+        "Network “{}”, made from checkpoint {}. Weights are stored in half precision.",
+        header.name, header.checkpoint
+    );
     html! { div { (numbers.table("Network file.", &text, pairs(&rows))) } }
 }
 
-/// What a run adds to the key line.
+/// Key figures of a run.
 pub fn keys(json: &Value) -> Vec<Key> {
     let mut keys = Vec::new();
     if let Some(exact) = json["bit_exact"].as_bool() {
         let differ = json["differing_bits"].as_u64().map(grouped);
         let value = differ.unwrap_or_else(|| if exact { "0".into() } else { "some".into() });
         let note = json["board"].as_str().unwrap_or("").to_string();
-        keys.push(Key { name: "Bits: device against host".into(), value, unit: "differ", note, holds: Some(exact) });
+        keys.push(Key {
+            name: "Bits that differ between device and host".into(),
+            value,
+            unit: "",
+            note,
+            holds: Some(exact),
+        });
     }
     if let Some(n) = json["instructions"].as_u64() {
         let value = super::picture::number(n as f64 / 1e6);
-        keys.push(Key { name: "Instructions a frame".into(), value, unit: "million", ..Key::default() });
+        keys.push(Key { name: "Instructions per frame".into(), value, unit: "million", ..Key::default() });
     }
     if let (Some(ram), Some(flash)) = (json["ram_bytes"].as_u64(), json["flash_bytes"].as_u64()) {
         let note = format!("flash {}", bytes(flash));
@@ -84,7 +98,7 @@ pub fn keys(json: &Value) -> Vec<Key> {
     keys
 }
 
-/// A number in groups of three digits.
+/// An integer in groups of three digits.
 fn grouped(n: u64) -> String {
     let digits = n.to_string();
     let groups: Vec<&[u8]> = digits.as_bytes().rchunks(3).rev().collect();

@@ -33,7 +33,9 @@ pub enum ReportError {
     Chart(String),
     /// The file is of a kind that a report does not show.
     #[error(
-        "{path}: expected an instrument, checkpoint, blob, evaluation, closing, session folder or the JSON of a verb, found {found}"
+        "{path}: expected an instrument, checkpoint, network file, evaluation, account of a closed loop, session \
+            folder or \
+         the JSON that a command printed, found {found}"
     )]
     Kind {
         /// The file.

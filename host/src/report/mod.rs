@@ -1,4 +1,19 @@
-//! Artifacts rendered to one HTML file that needs nothing else. Computes no figure: each stands in an artifact.
+//! Renders artifacts to one self-contained HTML page. It computes no figure of merit: all come from the artifacts.
+//!
+//! ```
+//! use ommatidia_host::artifact::Provenance;
+//! use ommatidia_host::report::{bytes, render, seconds};
+//!
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("lab.instrument");
+//! let instrument = ommatidia_host::testing::instrument([9, 11], [30, 33], 5, 3);
+//! instrument.write(&path, Provenance::default())?;
+//!
+//! let page = render(&[path])?;
+//! assert!(page.contains("Low-rank model") && page.contains("0.5 DN/e"), "{page}");
+//! assert_eq!((seconds(0.0123), bytes(2048)), ("12.3 ms".to_string(), "2 KiB".to_string()));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod chart;
 mod closing;
@@ -21,7 +36,7 @@ pub use error::ReportError;
 pub use scenes::{bytes, seconds};
 
 use crate::artifact;
-use crate::closing::file::{self as account, Account};
+use crate::closing::account::{self, Account};
 use crate::evaluate::Evaluation;
 use crate::evaluate::receptive::{self, ReceptiveFields};
 use crate::instrument::Instrument;
@@ -38,7 +53,7 @@ use std::path::{Path, PathBuf};
 /// A file that was read for a report.
 struct Piece {
     path: PathBuf,
-    /// The header of an artifact, or what a verb printed.
+    /// The header of an artifact, or the JSON that a command printed.
     json: Value,
     content: Content,
 }
@@ -51,20 +66,23 @@ enum Content {
     Blob(Box<Header>, u64),
     Session(Box<Session>),
     Device,
-    /// What a demo hid from the loop.
+    /// The effect that a demo hid from the loop.
     Hidden,
-    /// What `resolution` found.
+    /// Figures of `resolution`.
     Resolution,
-    /// What `ablate` found.
+    /// Figures of `ablate`.
     Ablation,
     Receptive(Box<ReceptiveFields>),
     Other,
 }
 
-/// Renders files to one page: instruments, checkpoints, evaluations, accounts of closed loops, network files, session folders, JSON of verbs.
+/// Renders files to one HTML page: instruments, checkpoints, evaluations, accounts of closed loops, network files,
+/// session folders, and the JSON that commands print.
+///
+/// Chapters appear in a fixed order, whatever the order of `paths`. Pictures and styles are inside the page.
 ///
 /// # Errors
-/// A file cannot be read or is of no kind that a report shows.
+/// A file cannot be read, or is of a kind that a report does not show.
 pub fn render(paths: &[PathBuf]) -> Result<String, ReportError> {
     let pieces = paths.iter().map(|p| load(p)).collect::<Result<Vec<_>, _>>()?;
     let mut numbers = Numbers::default();
@@ -130,10 +148,10 @@ pub fn render(paths: &[PathBuf]) -> Result<String, ReportError> {
     Ok(page::document(&heading(&pieces), &lead(&pieces), &keys(&pieces), &sections))
 }
 
-/// Renders a piece, with what the others say of it.
+/// Renders a piece; the other pieces are there for context.
 type Chapter = fn(&Piece, &[Piece], &mut Numbers) -> Result<Option<Markup>, ReportError>;
 
-/// The chapter of an account, if that was asked for. The lenses are those of the first instrument.
+/// The chapter of an account, if the account is of the requested kind. The lenses are those of the first instrument.
 fn loop_of(piece: &Piece, asked: Asked, all: &[Piece], numbers: &mut Numbers) -> Result<Option<Markup>, ReportError> {
     let instrument = all.iter().find_map(|p| match &p.content {
         Content::Instrument(i) => Some(&**i),
@@ -166,7 +184,7 @@ fn load(path: &Path) -> Result<Piece, ReportError> {
         FileKind::Blob => {
             let bytes = read()?;
             let network = Network::decode(&bytes).map_err(|e| ReportError::blob(path, e))?;
-            (Value::Null, Content::Blob(Box::new(network.header.clone()), bytes.len() as u64))
+            (Value::Null, Content::Blob(Box::new(network.into_header()), bytes.len() as u64))
         }
         FileKind::Json => {
             let json: Value = serde_json::from_slice(&read()?)
@@ -185,7 +203,7 @@ fn load(path: &Path) -> Result<Piece, ReportError> {
     Ok(Piece { path: path.into(), json, content })
 }
 
-/// What an account is of: its verb says.
+/// Whether an account was written by `residual` or by `close`.
 fn asked(path: &Path) -> Result<Asked, ReportError> {
     let verb = &artifact::inspect(path)?["provenance"]["verb"];
     Ok(if verb == "residual" { Asked::Residual } else { Asked::Close })
@@ -211,7 +229,8 @@ fn lead(pieces: &[Piece]) -> String {
     });
     manifest.map_or(String::new(), |m| {
         format!(
-            "A multi-aperture miniscope with {} × {} lenses on a {} × {} pixel sensor (pitch {} µm, {} bit), seen on an object of \
+            "A multi-aperture miniscope with {} × {} lenses on a {} × {} pixel sensor (pitch {} µm, {} bit), \
+                observing an object of \
              {} × {} pixels of {} µm at magnification {}.",
             m.array.rows,
             m.array.cols,
@@ -239,7 +258,7 @@ fn keys(pieces: &[Piece]) -> Vec<Key> {
 fn provenance(pieces: &[Piece]) -> Markup {
     let pretty = |v: &Value| serde_json::to_string_pretty(v).unwrap_or_default();
     html! {
-        p { "Each artifact names the program, the seed, the configuration and the hashes of the files that it was made from." }
+        p { "Each artifact names the program, the seed, the configuration, and the hashes of its input files." }
         @for piece in pieces {
             details {
                 summary { code { (piece.path.display()) } " " (describe(piece)) }
@@ -268,11 +287,11 @@ fn describe(piece: &Piece) -> String {
         Content::Blob(..) => "network file",
         Content::Session(_) => "session",
         Content::Device => "device run",
-        Content::Hidden => "what was hidden from the loop",
+        Content::Hidden => "effect hidden from the loop",
         Content::Resolution => "resolution",
         Content::Ablation => "ablations",
         Content::Receptive(_) => "receptive fields",
-        Content::Other => piece.json["kind"].as_str().unwrap_or("figures of a verb"),
+        Content::Other => piece.json["kind"].as_str().unwrap_or("figures of a command"),
     };
     format!("— {kind}{written}")
 }

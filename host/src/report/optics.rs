@@ -1,12 +1,13 @@
-//! The calibrated instrument: PSFs by lens and field, their correlation, spectra, and the sensor's noise.
+//! The calibrated instrument: PSFs by lens and field, their correlation, singular values, and the noise of the sensor.
 
-use super::ReportError;
 use super::chart::{Axis, Chart, Line, Marks};
 use super::colour::ColourMap;
+use super::error::ReportError;
 use super::page::{Numbers, pairs};
 use super::picture::{Scale, Tone, number, picture};
-use crate::instrument::{Instrument, LowRankPsf};
+use crate::instrument::Instrument;
 use crate::noise::Source;
+use crate::psf::LowRankPsf;
 use maud::{Markup, html};
 use ndarray::{Array2, ArrayView2, Axis as Dim, s};
 
@@ -19,9 +20,9 @@ const GALLERY: usize = 5;
 /// A picture or chart cannot be made.
 pub fn optics(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup, ReportError> {
     if instrument.sensor_only() {
-        return Ok(
-            html! { p { "No bead scan was measured: the optics copies each object pixel to its sensor pixel, and only the sensor is modelled." } },
-        );
+        return Ok(html! { p {
+            "No bead scan was measured: the optics is the identity, and only the sensor is modelled."
+        } });
     }
     let gallery = gallery(instrument, numbers)?;
     let correlation = correlation(instrument, numbers)?;
@@ -34,18 +35,21 @@ fn quality(instrument: &Instrument, numbers: &mut Numbers) -> Markup {
     let q = &instrument.quality;
     let percent = |v: f64| html! { (format!("{:.2} %", 100.0 * v)) };
     let rows = [
-        ("NRMSE on the positions that it was made from".to_string(), percent(q.approximation_error)),
-        ("NRMSE on positions left out (checkerboard)".into(), percent(q.off_grid_error)),
-        ("— with one PSF a lens instead".into(), percent(q.one_psf_error)),
+        ("NRMSE on the fitted positions".to_string(), percent(q.approximation_error)),
+        ("NRMSE on held-out positions (checkerboard)".into(), percent(q.off_grid_error)),
+        ("— with one PSF per lens instead".into(), percent(q.one_psf_error)),
         ("— of the noise of the bead frames alone".into(), percent(q.noise_floor)),
-        ("Foci off their chief rays, rms".into(), html! { (number(q.chief_ray_rms_px)) " px" }),
+        ("Distance of foci from their chief rays, rms".into(), html! { (number(q.chief_ray_rms_px)) " px" }),
         ("Magnification".into(), html! { (number(instrument.geometry.magnification)) }),
     ];
-    let text = "Of all windows, black level taken off. What foci are off their chief rays stays in the windows and is part of the model.";
+    let text = "Over all windows, without the black level. The distance of a focus from its chief ray is part of the \
+        model: it stays in \
+                the window.";
     html! { div style="max-width:640px" { (numbers.table("Calibration.", text, pairs(&rows))) } }
 }
 
-/// PSF of a lens at a node of the coefficient grid at the depth nearest to 0 um, Eq. 2: the basis weighted with the coefficients, DN.
+/// PSF of a lens at a node of the coefficient grid at the depth nearest to 0 um, Eq. 2: the basis weighted with the
+/// coefficients, DN.
 fn psf_at(psf: &LowRankPsf, lens: usize, row: usize, col: usize) -> Array2<f32> {
     let window = psf.basis.dim().2;
     let coefficients = psf.coefficients.slice(s![lens, .., psf.depth_nearest(0.0), row, col]);
@@ -91,8 +95,11 @@ fn gallery(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup, Rep
     let panels = panels.iter().enumerate().map(show).collect::<Result<Vec<_>, _>>()?;
     let um = instrument.manifest.sensor.pixel_pitch_um;
     let text = format!(
-        "Each panel: one lens (row, column); within it the focus of a point source at {} × {} positions over the whole field, cut out at \
-         its chief ray, {window} × {window} pixels ({} µm on the sensor). One square-root scale for all, so vignetting shows.",
+        "Each panel: one lens (row, column); within it the image of a point source at {} × {} positions across the \
+            field, cut out \
+         at its chief ray, {window} × {window} pixels ({} µm on the sensor). All panels share one square-root scale, \
+         so \
+         vignetting is visible.",
         rows.len(),
         cols.len(),
         number(window as f64 * um)
@@ -137,13 +144,14 @@ fn correlation(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup,
         y: Axis::between("PCC", 0.0, 1.0),
         lines: vec![Line { label: "central profile".into(), points, colour: 1, marks: Marks::Dots }],
     };
-    let text = "a, Pearson correlation of all foci of a point source with those of the source on the axis; b, its central line. Where it \
-                falls, one PSF no longer describes the instrument.";
+    let text = "a, Pearson correlation of the PSFs at each position with those on the axis; b, profile along the \
+        central line. Where \
+                it falls, one PSF does not describe the instrument.";
     let body = html! { div.two { (plate) div.plate { p.name { "b  Central line" } (chart.render()?) } } };
     Ok(numbers.figure("Spatial variance.", text, body))
 }
 
-/// Values at scattered positions, on the grid of the distinct rows and columns among them; 0 where none was measured.
+/// Values at scattered positions, on the grid of their distinct rows and columns; 0 where none was measured.
 fn bead_map(positions_px: ArrayView2<'_, f32>, values: &[f32]) -> Array2<f32> {
     let distinct = |axis: usize| {
         let mut all: Vec<f32> = positions_px.column(axis).to_vec();
@@ -198,9 +206,9 @@ fn rank(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup, Report
         x: Axis::linear("Rank K"),
         y: Axis::log10("NRMSE (%)"),
         lines: vec![
-            Line { label: "positions that it was made from".into(), points: column(1), colour: 1, marks: Marks::Dots },
+            Line { label: "fitted positions".into(), points: column(1), colour: 1, marks: Marks::Dots },
             Line {
-                label: "positions left out (checkerboard)".into(),
+                label: "held-out positions (checkerboard)".into(),
                 points: column(2),
                 colour: 2,
                 marks: Marks::Dots,
@@ -210,13 +218,16 @@ fn rank(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup, Report
         ],
     };
     let text = format!(
-        "a, singular values of each lens’s foci (one line a lens). b, error of the model against its rank; this instrument keeps K = {rank}: \
-         {:.2} % on the scan, {:.2} % on positions left out.{}",
+        "a, singular values of the windows of each lens (one line per lens). b, error of the model against its rank. \
+            This \
+         instrument has K = {rank}: {:.2} % on the scan, {:.2} % on held-out positions.{}",
         100.0 * instrument.quality.approximation_error,
         100.0 * instrument.quality.off_grid_error,
         match instrument.whole_array_rank() {
-            Some(whole) =>
-                format!(" One decomposition of the whole array needs {whole} terms for the same error on the scan."),
+            Some(whole) => format!(
+                " One decomposition of all lenses together needs {whole} terms for the same error on the \
+                    scan."
+            ),
             None => String::new(),
         }
     );
@@ -229,7 +240,7 @@ fn rank(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup, Report
     Ok(numbers.figure("Low-rank model.", &text, body))
 }
 
-/// The sensor: noise figures and, where flats were measured, the photon transfer.
+/// The sensor: noise figures and, where flats were measured, the photon-transfer curve.
 ///
 /// # Errors
 /// The chart cannot be drawn.
@@ -249,8 +260,8 @@ pub fn noise(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup, R
     ];
     let source = [n.sources.black_level, n.sources.gain, n.sources.read_noise];
     let text = match source.iter().all(|s| *s == Source::Measured) {
-        true => "From darks and flats; ± one standard error.",
-        false => "± one standard error; figures that the session cannot tell are nominal or inferred.",
+        true => "Measured from darks and flats; ± one standard error.",
+        false => "± one standard error. Figures that the session cannot determine are nominal or inferred.",
     };
     let table = numbers.table("Sensor.", text, pairs(&rows));
     let transfer = &instrument.diagnostics.photon_transfer;
@@ -267,7 +278,9 @@ pub fn noise(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup, R
             Line { label: "measured".into(), points: column(1), colour: 1, marks: Marks::Dots },
         ],
     };
-    let text = "Temporal variance against mean signal of the flats: the slope is the gain, the intercept the read noise and rounding.";
+    let text = "Temporal variance of the flats against their mean signal. The slope is the gain; the intercept is the \
+        variance of read \
+                noise and rounding.";
     let figure = numbers.figure("Photon transfer.", text, chart.render()?);
     Ok(html! { div.two { (figure) (table) } })
 }

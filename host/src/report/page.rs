@@ -4,7 +4,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 const STYLE: &str = include_str!("style.css");
 
-/// Counts figures and tables.
+/// Numbers figures and tables.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Numbers {
     figures: usize,
@@ -18,22 +18,22 @@ pub struct Section {
     pub id: &'static str,
     /// Heading.
     pub title: &'static str,
-    /// What stands under it.
+    /// Content.
     pub body: Markup,
 }
 
-/// A figure of the key line: what it is, its value, and a word on it.
+/// A key figure at the top of the page: name, value and note.
 #[derive(Clone, Debug, Default)]
 pub struct Key {
-    /// What it is.
+    /// Name.
     pub name: String,
     /// Value.
     pub value: String,
-    /// Unit.
+    /// Unit; may be empty.
     pub unit: &'static str,
-    /// A word on it.
+    /// A note under the value; may be empty.
     pub note: String,
-    /// Whether a target holds; None where there is none.
+    /// Whether the target is met; None without a target.
     pub holds: Option<bool>,
 }
 
@@ -70,7 +70,7 @@ pub fn pairs(rows: &[(String, Markup)]) -> Markup {
     }
 }
 
-/// The line of key figures.
+/// The key figures.
 pub fn keys(keys: &[Key]) -> Markup {
     html! {
         dl.keys {
@@ -114,8 +114,9 @@ pub fn document(title: &str, lead: &str, key_figures: &[Key], sections: &[Sectio
                 main {
                     @for s in sections { section id=(s.id) { h2 { (s.title) } (s.body) } }
                 }
-                footer { "Rendered by ommatidia " (env!("CARGO_PKG_VERSION")) " from the artifacts listed under Provenance. "
-                    "The page holds all of its data and asks the network for nothing." }
+                footer { "Rendered by ommatidia " (env!("CARGO_PKG_VERSION")) " from the artifacts listed under \
+                    Provenance. "
+                    "The page is self-contained and loads nothing from the internet." }
             }
         }
     }

@@ -7,9 +7,9 @@ use std::fmt::Write;
 /// A small chart. Places along x are fractions of its width.
 #[derive(Clone, Debug)]
 pub struct Panel {
-    /// What it shows, for those who cannot see it.
+    /// Description for screen readers.
     pub alt: String,
-    /// Width over height of the drawing, and its width in its own units: text has 11 of them.
+    /// Width and height of the drawing in its own units; text is 11 units high.
     pub size: [f64; 2],
     /// Labels along x: place and text.
     pub labels: Vec<(f64, String)>,
@@ -55,7 +55,8 @@ impl Panel {
             let class = if *t == 0.0 { "zero" } else { "grid" };
             let _ = write!(
                 svg,
-                "<path class=\"{class}\" d=\"M{left} {0:.1}H{right}\"/><text x=\"{1}\" y=\"{2:.1}\" text-anchor=\"end\">{3}</text>",
+                "<path class=\"{class}\" d=\"M{left} {0:.1}H{right}\"/><text \
+                    x=\"{1}\" y=\"{2:.1}\" text-anchor=\"end\">{3}</text>",
                 y(*t),
                 left - 5.0,
                 y(*t) + 3.8,

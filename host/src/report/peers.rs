@@ -1,8 +1,8 @@
-//! What the paper asks of a network beyond its error: resolution by place, power spectra by radius, receptive fields, filters, ablations.
+//! Figures of methods beyond their error: resolution by place, spectra by radius, receptive fields, filters, ablations.
 
-use super::ReportError;
 use super::chart::{Axis, Chart, Line, Marks};
 use super::colour::ColourMap;
+use super::error::ReportError;
 use super::page::Numbers;
 use super::picture::{Scale, number, picture};
 use super::scenes::colour;
@@ -20,10 +20,11 @@ const DRAWN_PX: f64 = 3.0;
 const PICTURED: usize = 9;
 const SIDE: usize = 160;
 
-/// The finest bars of each method, and profiles of one line pair.
+/// The finest resolved line pair of each method, and profiles of one line pair. `json`: what `resolution --json`
+/// printed.
 ///
 /// # Errors
-/// The figures are not those of `resolution`, or a chart cannot be drawn.
+/// A chart cannot be drawn.
 pub fn resolution(json: &Value, numbers: &mut Numbers) -> Result<Markup, ReportError> {
     let all: Vec<Resolution> = serde_json::from_value(json["resolution"].clone()).unwrap_or_default();
     let focus_um = all.iter().map(|r| r.z_um).min_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or(0.0);
@@ -31,13 +32,18 @@ pub fn resolution(json: &Value, numbers: &mut Numbers) -> Result<Markup, ReportE
     let pixel_um = json["object_pixel_um"].as_f64().unwrap_or(1.0);
     let um = |v: Option<f64>| v.map_or("–".to_string(), number);
     let table = html! {
-        thead { tr { th { "Method" } th.n { "Centre" small { "µm a line pair" } } th.n { "Edges" small { "µm a line pair" } } } }
+        thead { tr { th { "Method" } th.n { "Centre" small { "µm per line pair" } } th.n { "Edges" small { "µm per \
+            line pair" } } } }
         tbody { @for r in &found { tr {
-            td { i.dot.{ "c" (colour(&r.name)) } {} (title(&r.name)) } td.n { (um(r.centre_um)) } td.n { (um(r.edges_um)) }
+            td { i.dot.{ "c" (colour(&r.name)) } {} (title(&r.name)) } td.n { (um(r.centre_um)) } td.n {
+                (um(r.edges_um)) }
         } } }
     };
-    let text = "Three-bar groups along rows and columns at the field’s centre and at its four edges, from 2 to 6 object pixels a line pair. A pair is \
-                resolved where every gap is darker than 0.81 of the bars beside it, and every coarser pair is resolved; at the edges, at all four of them.";
+    let text = "Groups of three bars along rows and columns, at the centre of the field and at its four edges, from 2 \
+        to 6 object pixels \
+                per line pair. A line pair is resolved if every gap is darker than 0.81 of the bars beside it and \
+                every coarser pair \
+                is resolved too; at the edges, this must hold at all four.";
     let table = numbers.table("Finest line pairs.", text, table);
     let profiles = |place: &str, along: &str| {
         let lines = found.iter().filter_map(|r| {
@@ -48,7 +54,7 @@ pub fn resolution(json: &Value, numbers: &mut Numbers) -> Result<Markup, ReportE
         let chart = Chart {
             alt: format!("Line profiles through bars at the {place} of the field"),
             x: Axis::linear("Distance (µm)"),
-            y: Axis::between("Light, its maximum 1", 0.0, 1.05),
+            y: Axis::between("Light, relative to its maximum", 0.0, 1.05),
             lines: lines.collect(),
         };
         chart.render()
@@ -60,7 +66,7 @@ pub fn resolution(json: &Value, numbers: &mut Numbers) -> Result<Markup, ReportE
         }
     };
     let text = format!(
-        "Profiles across three bars of {} µm a line pair, mean over the middle half of the bars.",
+        "Profiles across three bars of {} µm per line pair, mean over the middle half of the bars.",
         number(DRAWN_PX * pixel_um)
     );
     let profiles = numbers.figure("Line profiles.", &text, body);
@@ -95,7 +101,8 @@ fn over_depth(all: &[Resolution], methods: &[Resolution], numbers: &mut Numbers)
             div.plate { p.name { "b  Edges" } (chart("edges", |r| r.edges_um)?) }
         }
     };
-    let text = "The same targets at other depths. Where a method has no point it resolves none of the line pairs.";
+    let text = "The same targets at other depths. A method without a point at a depth resolves none of the line pairs \
+        there.";
     Ok(numbers.figure("Resolution over depth.", text, body))
 }
 
@@ -128,9 +135,10 @@ pub fn spectra(e: &Evaluation, numbers: &mut Numbers) -> Result<Option<Markup>, 
             div.plate { p.name { "b  Outermost third" } (chart(last, "outermost third of the field")?) }
         }
     };
-    let text = "Spectra of patches of 24 × 24 object pixels under a Hann window, gathered by the distance of the patch from the field’s centre. 1: the \
-                band is shown as it is; 0: it is missing or made up.";
-    Ok(Some(numbers.figure("Detail across the field.", text, body)))
+    let text = "Fourier ring correlation of patches of 24 × 24 object pixels under a Hann window, grouped by the \
+        distance of the patch \
+                from the centre of the field. 1: the band is reproduced; 0: it is missing or invented.";
+    Ok(Some(numbers.figure("Spatial frequencies across the field.", text, body)))
 }
 
 /// Receptive fields beside PSFs, and filters beside pseudo-inverses.
@@ -141,17 +149,23 @@ pub fn receptive(r: &ReceptiveFields, numbers: &mut Numbers) -> Result<Markup, R
     let percent = |v: f64| format!("{:.1} %", 100.0 * v);
     let table = html! {
         thead { tr {
-            th { "Place" } th { "Object pixel" } th.n { "PCC" small { "with its PSF" } } th.n { "PCC" small { "with the mirrored place’s" } }
-            th.n { "On foci" small { "of the positive weight" } } th.n { "Foci" small { "of the frame" } } th.n { "Negative" small { "of all weight" } }
+            th { "Place" } th { "Object pixel" } th.n { "PCC" small { "with its PSF" } } th.n { "PCC" small { "with \
+                that of the mirrored place" } }
+            th.n { "On foci" small { "of the positive weight" } } th.n { "Foci" small { "of the frame" } } th.n {
+                "Negative" small { "of all weight" } }
         } }
         tbody { @for p in &r.summary.places { tr {
-            td { (p.name) } td { (p.pixel[0]) ", " (p.pixel[1]) } td.n { (format!("{:.3}", p.pcc)) } td.n { (format!("{:.3}", p.pcc_elsewhere)) }
+            td { (p.name) } td { (p.pixel[0]) ", " (p.pixel[1]) } td.n { (format!("{:.3}", p.pcc)) } td.n {
+                (format!("{:.3}", p.pcc_elsewhere)) }
             td.n { (percent(p.on_foci)) } td.n { (percent(p.foci_area)) } td.n { (percent(p.negative)) }
         } } }
     };
     let text = format!(
-        "Gradient of one reconstructed pixel of {} to the frame, mean over {} frames; positive part against the calibrated PSF of the place. Beyond the field \
-         the PSF is that of the nearest calibrated pixel, moved along its chief rays.",
+        "Gradient of one reconstructed pixel of {} with respect to the frame, mean over {} frames; its positive part \
+            is compared \
+         with the calibrated PSF of the place. Outside the field the PSF is that of the nearest calibrated pixel, \
+         moved along \
+         its chief rays.",
         title(&r.summary.network),
         r.summary.frames
     );
@@ -168,7 +182,7 @@ pub fn receptive(r: &ReceptiveFields, numbers: &mut Numbers) -> Result<Markup, R
     }
     let fields = numbers.figure(
         "Receptive fields and PSFs.",
-        "Each over the whole frame, its largest magnitude 1.",
+        "Each over the whole frame, relative to its largest magnitude.",
         html! { div.plates style="grid-template-columns:repeat(4,1fr)" { @for p in plates { (p) } } },
     );
     if r.filters.is_empty() {
@@ -186,8 +200,11 @@ pub fn receptive(r: &ReceptiveFields, numbers: &mut Numbers) -> Result<Markup, R
         )?);
     }
     let text = format!(
-        "Learned filters in real space, lag 0 in the middle, and pseudo-inverses of as many calibrated PSFs (K a tenth of the mean power); not paired. PCC: with \
-         the pseudo-inverse that is most alike. {:.1} % of the filters’ energy lies in the span of these pseudo-inverses.",
+        "Learned filters in real space, zero shift in the middle, and pseudo-inverses of as many calibrated PSFs \
+            (regularisation K: a \
+         tenth of the mean power); not paired. PCC: correlation with the most similar pseudo-inverse. {:.1} % of the \
+         energy of \
+         the filters lies in the span of these pseudo-inverses.",
         100.0 * r.summary.in_span
     );
     let filters = numbers.figure(
@@ -206,15 +223,20 @@ pub fn ablation(json: &Value, numbers: &mut Numbers) -> Markup {
     let best = rows.iter().filter_map(|r| r["psnr_db"].as_f64()).fold(f64::NEG_INFINITY, f64::max);
     let table = html! {
         thead { tr {
-            th { "Variant" } th.n { "Parameters" } th.n { "PSNR" small { "dB" } } th.n { "SSIM" } th.n { "NRMSE" } th.n { "Training" small { "s" } }
+            th { "Variant" } th.n { "Parameters" } th.n { "PSNR" small { "dB" } } th.n { "SSIM" } th.n { "NRMSE" }
+                th.n { "Training" small { "s" } }
         } }
         tbody { @for row in rows { tr.best[row["psnr_db"].as_f64() == Some(best)] {
-            td { (row["variant"].as_str().unwrap_or_default()) } td.n { (row["parameters"]) } td.n { (figure(row, "psnr_db", 2)) }
-            td.n { (figure(row, "ssim", 3)) } td.n { (figure(row, "nrmse", 3)) } td.n { (figure(row, "train_seconds", 0)) }
+            td { (row["variant"].as_str().unwrap_or_default()) } td.n { (row["parameters"]) } td.n { (figure(row,
+                "psnr_db", 2)) }
+            td.n { (figure(row, "ssim", 3)) } td.n { (figure(row, "nrmse", 3)) } td.n { (figure(row, "train_seconds",
+                0)) }
         } } }
     };
     let text = format!(
-        "Networks that differ in one thing each: {} steps on the same pairs, the same enhancement, loss and schedule; means over {} scenes that none has seen.",
+        "Networks that differ in one choice each: {} steps on the same pairs, with the same enhancement, loss and \
+            schedule; means \
+         over {} held-out scenes.",
         json["steps"], json["frames"]
     );
     numbers.table("Ablations.", &text, table)

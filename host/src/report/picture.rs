@@ -1,7 +1,7 @@
-//! Pictures: an array through a colour map into a PNG that stands inside the page.
+//! Pictures: arrays mapped to colours and embedded in the page as PNG.
 
-use super::ReportError;
 use super::colour::{ABSENT_LEVEL, ColourMap};
+use super::error::ReportError;
 use base64::Engine;
 use maud::{Markup, PreEscaped, html};
 use ndarray::ArrayView2;
@@ -13,23 +13,23 @@ pub struct Scale {
     pub low: f64,
     /// Value of the brightest colour.
     pub high: f64,
-    /// How values in between are spread.
+    /// How values in between map to colours.
     pub tone: Tone,
     /// The colours.
     pub map: ColourMap,
 }
 
-/// How values are spread over the colours.
+/// How values map to colours.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tone {
-    /// In proportion.
+    /// Linearly.
     Linear,
-    /// By their square root: faint wings become visible.
+    /// By their square root, which makes faint wings visible.
     SquareRoot,
 }
 
 impl Scale {
-    /// From `low` to `high` in proportion.
+    /// A linear scale from `low` to `high`.
     pub fn linear(low: f64, high: f64, map: ColourMap) -> Self {
         Self { low, high, tone: Tone::Linear, map }
     }
@@ -44,7 +44,7 @@ impl Scale {
         match t.is_finite() {
             true => (levels * t).round() as u8,
             false if self.map == ColourMap::Diverging => ABSENT_LEVEL,
-            // An empty range or a value that is no number shows as dark.
+            // An empty range or a non-finite value is shown dark.
             false => 0,
         }
     }
@@ -56,7 +56,8 @@ impl Scale {
             Tone::SquareRoot => ", square-root scale",
         };
         html! {
-            div.scale role="img" aria-label={ "Colour scale from " (number(self.low)) " to " (number(self.high)) " " (unit) } {
+            div.scale role="img" aria-label={ "Colour scale from " (number(self.low)) " to " (number(self.high)) " "
+                (unit) } {
                 span { (number(self.low).replace('-', "−")) }
                 i style={ "background:" (self.map.css()) } {}
                 span { (number(self.high)) " " (unit) (tone) }
@@ -65,7 +66,7 @@ impl Scale {
     }
 }
 
-/// A number to three figures, as short as it can be.
+/// A number with three significant figures, without trailing zeros.
 pub fn number(value: f64) -> String {
     match value.abs() {
         0.0 => "0".into(),
@@ -78,7 +79,7 @@ pub fn number(value: f64) -> String {
     }
 }
 
-/// A `data:` address that holds the array as an 8-bit PNG with a palette, one pixel a value.
+/// A `data:` URI with the array [rows, cols] as an 8-bit PNG with a palette, one pixel per value.
 ///
 /// # Errors
 /// The array has no pixel.
@@ -95,12 +96,12 @@ pub fn data_uri(image: ArrayView2<'_, f32>, scale: &Scale) -> Result<String, Rep
     Ok(format!("data:image/png;base64,{}", base64::engine::general_purpose::STANDARD.encode(bytes)))
 }
 
-/// What is drawn over a picture, in fractions of its width and height.
+/// A mark drawn over a picture; lengths are fractions of its width and height.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Mark {
     /// A scale bar: fraction of the width, and its label.
     Bar(f64, String),
-    /// A frame round a detail: left, top, width, height; and the detail's letter.
+    /// A box round a detail: left, top, width, height; and the letter of the detail.
     Box([f64; 4], &'static str),
     /// A letter in the upper left corner.
     Letter(&'static str),
@@ -124,7 +125,8 @@ fn overlay(mark: &Mark) -> Markup {
     let percent = |v: f64| format!("{:.2}%", 100.0 * v);
     html! {
         @match mark {
-            Mark::Bar(width, label) => span.bar aria-hidden="true" style={ "width:" (percent(*width)) } { b { (label) } },
+            Mark::Bar(width, label) => span.bar aria-hidden="true" style={ "width:" (percent(*width)) } { b { (label)
+                } },
             Mark::Box([x, y, w, h], letter) => span.box aria-hidden="true" style={
                 "left:" (percent(*x)) ";top:" (percent(*y)) ";width:" (percent(*w)) ";height:" (percent(*h))
             } { b { (letter) } },

@@ -1,8 +1,9 @@
-//! Measured beside predicted frames, with details, and the residual against the distance from the middle (Fig. 2e of the paper).
+//! Measured beside predicted frames, with details, and the residual against the distance from the middle of the sensor
+//! (Fig. 2e of Yang et al. 2024).
 
-use super::ReportError;
 use super::chart::{Axis, Chart, Line, Marks};
 use super::colour::ColourMap;
+use super::error::ReportError;
 use super::page::Numbers;
 use super::picture::{Mark, Scale, picture};
 use super::scenes::{Detail, details, raw_scale};
@@ -13,7 +14,7 @@ use ndarray::{ArrayView2, Axis as Dim};
 /// Ends of the colour scale of residuals, standard deviations.
 const LIMIT: f64 = 4.0;
 
-/// The first pictured frame beside its prediction, and the residual by radius; nothing where no instrument was given.
+/// The first pictured frame beside its prediction, and the residual by radius; None without an instrument.
 ///
 /// # Errors
 /// A picture or chart cannot be made.
@@ -45,8 +46,10 @@ pub fn prediction(e: &Evaluation, numbers: &mut Numbers) -> Result<Option<Markup
         plate("Predicted", predicted.frames_dn.index_axis(Dim(0), 0), &grey, "DN")?,
         plate("Measured − predicted", predicted.residual_sigma.index_axis(Dim(0), 0), &signed, "standard deviations")?,
     ];
-    let text = "What the calibrated model makes of the known object beside what the sensor read, on one scale; the difference in standard \
-                deviations of the noise model. a, b: details near the middle and towards the edge of the sensor.";
+    let text = "A measured frame, the frame that the calibrated model predicts for the known object, both on one \
+        scale, and their difference \
+                in standard deviations of the noise model. a, b: details near the middle and towards the edge of the \
+                sensor.";
     let body = html! { div.plates style="grid-template-columns:repeat(3,1fr)" { @for plate in plates { (plate) } } };
     let pictures = numbers.figure("Measured and predicted.", text, body);
     let rings: Vec<_> = figures.by_radius.iter().filter(|r| r.pixels > 0).collect();
@@ -70,17 +73,18 @@ pub fn prediction(e: &Evaluation, numbers: &mut Numbers) -> Result<Option<Markup
         ],
     };
     let bias = Chart {
-        alt: "Mean of measured less predicted light by distance from the middle of the sensor".into(),
+        alt: "Mean of measured minus predicted light by distance from the middle of the sensor".into(),
         x: Axis::between("Distance from the middle of the sensor (px)", 0.0, edge),
         y: Axis::linear("Measured − predicted (% of light)"),
         lines: vec![
             line("all frames", points(&|i| 100.0 * rings[i].bias), 2, Marks::Dots),
-            line("none", points(&|_| 0.0), 5, Marks::None),
+            line("zero", points(&|_| 0.0), 5, Marks::None),
         ],
     };
     let text = format!(
-        "Lit pixels of {} frames in rings about the middle of the sensor. a, χ² per pixel: 1 where the model and its noise explain the \
-         frames. b, the mean of what the model leaves: vignetting, shading and stray light that it lacks would show as a slope.",
+        "Lit pixels of {} frames in rings round the middle of the sensor. a, χ² per pixel: 1 where model and noise \
+            explain the \
+         frames. b, mean residual: vignetting, shading or stray light that the model lacks would appear as a slope.",
         figures.frames
     );
     let body = html! {

@@ -1,8 +1,8 @@
-//! Reconstructions side by side, the table of methods, error against field radius, predicted against expected frames.
+//! Reconstructions side by side, the table of methods, PSNR against field radius, and figures of predicted frames.
 
-use super::ReportError;
 use super::chart::{Axis, Chart, Line, Marks};
 use super::colour::ColourMap;
+use super::error::ReportError;
 use super::page::{Key, Numbers};
 use super::picture::{Mark, Scale, number, picture, scale_bar};
 use crate::evaluate::{Evaluation, MethodFigures};
@@ -44,7 +44,8 @@ impl Detail {
     }
 }
 
-/// Two details a quarter of the object wide: the one with most light near the centre, and the one with most towards the edge.
+/// Two details, a quarter of the object wide: the one with most light near the centre, and the one with most light
+/// towards the edge.
 pub(super) fn details(truth: ArrayView2<'_, f32>) -> Vec<Detail> {
     let (rows, cols) = truth.dim();
     let side = (rows.min(cols) / 4).max(1);
@@ -64,10 +65,13 @@ pub(super) fn details(truth: ArrayView2<'_, f32>) -> Vec<Detail> {
     [brightest("a", &|r| r < 0.2), brightest("b", &|r| r > 0.38)].into_iter().flatten().collect()
 }
 
-const CAPTION: &str = "One raw frame holds the overlapping views of all lenses. Truth and reconstructions share one linear colour scale, \
-                       from 0 to the 99.7th percentile of the truth; each reconstruction carries one free scale factor and no offset. \
-                       a, b: details near the centre and towards the edge of the field. PSNR of this frame beside each name. Scale bar \
-                       of the raw frame: on the sensor; others: in the object.";
+const CAPTION: &str = "The raw frame contains the overlapping views of all lenses. Truth and reconstructions share \
+    one linear colour scale, \
+                       from 0 to the 99.7th percentile of the truth; each reconstruction has one free scale factor \
+                       and no offset. \
+                       a, b: details near the centre and towards the edge of the field. Beside each name: PSNR of \
+                       this frame. Scale \
+                       bars: on the sensor for the raw frame, in the object for the others.";
 
 /// The scenes with their reconstructions, one figure a scene.
 ///
@@ -103,7 +107,8 @@ fn scene(e: &Evaluation, p: usize, numbers: &mut Numbers) -> Result<Markup, Repo
     let mut plates = vec![html! {
         div.plate {
             p.name { "Raw frame" span { (sensor.rows) " × " (sensor.cols) } }
-            (picture(raw, &raw_scale, "Raw frame of the sensor", &[scale_bar(sensor.cols as f64 * sensor.pixel_pitch_um)])?)
+            (picture(raw, &raw_scale, "Raw frame of the sensor", &[scale_bar(sensor.cols as f64 *
+                sensor.pixel_pitch_um)])?)
             (raw_scale.bar("DN"))
         }
     }];
@@ -119,7 +124,7 @@ fn scene(e: &Evaluation, p: usize, numbers: &mut Numbers) -> Result<Markup, Repo
     };
     let text = match p {
         0 => CAPTION,
-        _ => "As the figure before.",
+        _ => "As in the previous figure.",
     };
     Ok(numbers.figure(&format!("Scene {}.", e.summary.pictured[p]), text, body))
 }
@@ -154,7 +159,7 @@ pub fn figures(e: &Evaluation, numbers: &mut Numbers) -> Result<Markup, ReportEr
     let table = html! {
         thead { tr {
             th { "Method" } th.n { "PSNR" small { "dB, mean ± s.d." } } th.n { "SSIM" } th.n { "NRMSE" } th.n { "PCC" }
-            th.n { "Time a frame" small { "wall" } } th.n { "Peak memory" small { "process" } }
+            th.n { "Time per frame" small { "wall" } } th.n { "Peak memory" small { "process" } }
         } }
         tbody { @for m in &e.summary.methods { tr.best[m.psnr_db == best_psnr] {
             td { i.dot.{ "c" (colour(&m.name)) } {} (title(&m.name)) }
@@ -164,8 +169,9 @@ pub fn figures(e: &Evaluation, numbers: &mut Numbers) -> Result<Markup, ReportEr
         } } }
     };
     let caption = format!(
-        "Mean over {} scenes of known truth in “{}”. PSNR with the truth’s maximum as peak; SSIM after Wang et al. (2004); one free scale \
-         a frame. Reconstructions that came from a file carry no time.",
+        "Mean over {} scenes of known truth in “{}”. PSNR with the maximum of the truth as peak; SSIM after Wang et \
+            al. (2004); one \
+         free scale per frame. Reconstructions read from a file have no time.",
         e.summary.frames, e.summary.session
     );
     let lines = e.summary.methods.iter().map(|m| Line {
@@ -184,7 +190,9 @@ pub fn figures(e: &Evaluation, numbers: &mut Numbers) -> Result<Markup, ReportEr
     };
     let field = numbers.figure(
         "Quality across the field.",
-        "PSNR in rings of equal width about the field’s centre, with the peak of the whole frame: aberrations and vignetting grow outwards.",
+        "PSNR in rings of equal width round the centre of the field, relative to the peak of the whole frame. \
+            Aberrations and \
+         vignetting increase outwards.",
         chart.render()?,
     );
     let methods = numbers.table("Methods side by side.", &caption, table);
@@ -194,27 +202,28 @@ pub fn figures(e: &Evaluation, numbers: &mut Numbers) -> Result<Markup, ReportEr
 
 fn prediction(p: &PredictionFigures, numbers: &mut Numbers) -> Markup {
     let mut rows = vec![
-        ("NRMSE of the light above black".to_string(), html! { (format!("{:.2} %", 100.0 * p.nrmse)) }),
+        ("NRMSE of the light above the black level".to_string(), html! { (format!("{:.2} %", 100.0 * p.nrmse)) }),
         ("Pearson correlation".into(), html! { (format!("{:.5}", p.pcc)) }),
         ("Free scale of the stack".into(), html! { (format!("{:.4}", p.scale)) }),
-        ("χ²/ndf of measured frames, model".into(), html! { (format!("{:.3}", p.chi2_ndf)) }),
+        ("χ²/ndf of measured frames against the model".into(), html! { (format!("{:.3}", p.chi2_ndf)) }),
     ];
     if p.chi2_ndf_expected > 0.0 {
         rows.push((
-            "χ²/ndf of measured frames, true expectation".into(),
+            "χ²/ndf of measured frames against the true expectation".into(),
             html! { (format!("{:.3}", p.chi2_ndf_expected)) },
         ));
     }
     rows.push(("Lit pixels".into(), html! { (p.lit_pixels) }));
     let text = format!(
-        "{} scene frames against the calibrated model. χ² over lit pixels: expected signal above three times the read noise, variance \
-         from the noise model at the expectation.",
+        "{} scene frames compared with the calibrated model. χ² over lit pixels, whose expected signal exceeds three \
+            times the read \
+         noise; variance from the noise model at the expected signal.",
         p.frames
     );
     numbers.table("Predicted frames.", &text, super::page::pairs(&rows))
 }
 
-/// What the evaluation adds to the key line.
+/// Key figures of an evaluation.
 pub fn keys(e: &Evaluation) -> Vec<Key> {
     let find = |name: &str| e.summary.methods.iter().find(|m| m.name == name);
     let mut keys = Vec::new();
@@ -225,7 +234,7 @@ pub fn keys(e: &Evaluation) -> Vec<Key> {
     if let (Some(network), Some(wiener)) = (find("svfouriernet"), find("wiener")) {
         let gain = network.psnr_db - wiener.psnr_db;
         keys.push(Key {
-            name: "Network over Wiener".into(),
+            name: "Gain of the network over Wiener".into(),
             value: format!("{gain:+.2}"),
             unit: "dB",
             note: "target: +2 dB or more".into(),
@@ -235,7 +244,7 @@ pub fn keys(e: &Evaluation) -> Vec<Key> {
     if let (Some(network), Some(blob)) = (find("svfouriernet"), find("svfouriernet-blob")) {
         let loss = network.psnr_db - blob.psnr_db;
         keys.push(Key {
-            name: "Lost to half precision".into(),
+            name: "Loss by half precision".into(),
             // A loss that rounds to nothing has no sign.
             value: format!("{loss:.3}").replace("-0.000", "0.000"),
             unit: "dB",
@@ -246,7 +255,7 @@ pub fn keys(e: &Evaluation) -> Vec<Key> {
     keys
 }
 
-/// A time with a fitting unit.
+/// A time in s or ms, whichever fits.
 pub fn seconds(s: f64) -> String {
     match s {
         s if s < 1.0 => format!("{} ms", number(1e3 * s)),
@@ -254,7 +263,7 @@ pub fn seconds(s: f64) -> String {
     }
 }
 
-/// A size with a fitting binary unit.
+/// A size in B, KiB, MiB or GiB, whichever fits.
 pub fn bytes(n: u64) -> String {
     match n as f64 {
         n if n < 1024.0 => format!("{n} B"),

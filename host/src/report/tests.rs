@@ -2,9 +2,9 @@
 use super::*;
 use crate::artifact::{Header as ArtifactHeader, Provenance, Tensors};
 use crate::evaluate::{MethodFigures, Ring, Summary};
-use crate::instrument::fixture;
 use crate::metrics::Figures;
 use crate::session::{ArrayGeometry, ObjectGrid, SensorSpec};
+use crate::testing;
 use ndarray::{Array1, Array2, Array3, Array4, Array5};
 use serde_json::json;
 
@@ -12,7 +12,7 @@ const SIDE: usize = 48;
 
 /// Nine lenses whose foci widen outwards.
 fn instrument() -> Instrument {
-    let mut i = fixture::instrument([SIDE, SIDE], [120, 120], 15, 2);
+    let mut i = testing::instrument([SIDE, SIDE], [120, 120], 15, 2);
     i.manifest.name = "Synthetic".into();
     i.manifest.array = ArrayGeometry { rows: 3, cols: 3, pitch_px: 30.0 };
     i.geometry.anchors_px = (0..9).map(|l| [30.0 * (l / 3) as f64 + 29.5, 30.0 * (l % 3) as f64 + 29.5]).collect();
@@ -141,14 +141,18 @@ fn page() -> String {
     instrument().write(&path("instrument.safetensors"), Provenance::new("calibrate", 1, &())).unwrap();
     evaluation().write(&path("evaluation.safetensors"), Provenance::new("evaluate", 1, &())).unwrap();
     let curve: Vec<Value> = (0..40)
-        .map(|i| json!({"step": 20 * i, "train_loss": 0.3 * (-0.1 * f64::from(i)).exp() + 0.05, "validation_loss": 0.3 * (-0.09 * f64::from(i)).exp() + 0.06, "psnr_db": 15.0 + f64::from(i).sqrt() * 2.0}))
+        .map(|i| {
+            json!({"step": 20 * i, "train_loss": 0.3 * (-0.1 * f64::from(i)).exp() + 0.05, "validation_loss":
+            0.3 * (-0.09 * f64::from(i)).exp() + 0.06, "psnr_db": 15.0 + f64::from(i).sqrt() * 2.0})
+        })
         .collect();
     let body =
         json!({"curve": curve, "best_step": 780, "network": {"frame": [214, 214], "object": [96, 96], "channels": 6}});
     let header =
         ArtifactHeader { kind: "checkpoint".into(), version: 1, provenance: Provenance::new("train", 1, &()), body };
     artifact::write(&path("network.safetensors"), &header, &Tensors::new()).unwrap();
-    let device = json!({"bit_exact": true, "instructions": 123_456_789u64, "ram_bytes": 1_500_000u64, "flash_bytes": 400_000u64, "stack_bytes": 6_000u64, "board": "mps2-an500 (QEMU)"});
+    let device = json!({"bit_exact": true, "instructions": 123_456_789u64, "ram_bytes": 1_500_000u64, "flash_bytes":
+        400_000u64, "stack_bytes": 6_000u64, "board": "mps2-an500 (QEMU)"});
     std::fs::write(path("device.json"), device.to_string()).unwrap();
     let names = ["instrument.safetensors", "evaluation.safetensors", "network.safetensors", "device.json"];
     let paths: Vec<PathBuf> = names.iter().map(|n| path(n)).collect();

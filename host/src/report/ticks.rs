@@ -1,9 +1,17 @@
-//! An axis whose logarithmic form has ticks at 1, 2 and 5 times powers of ten.
+//! Axes of charts. The ticks of a logarithmic axis are at 1, 2 and 5 times powers of ten.
 
-use super::chart::AxisKind;
 use plotters::coord::ranged1d::{DefaultFormatting, KeyPointHint, Ranged};
 use plotters::coord::types::RangedCoordf64;
 use std::ops::Range;
+
+/// How values are placed along an axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AxisKind {
+    /// Linear.
+    Linear,
+    /// Logarithmic, base 10.
+    Log10,
+}
 
 /// An axis over places: the values themselves, or their decimal logarithms.
 #[derive(Clone)]
@@ -29,7 +37,13 @@ impl Ranged for Places {
 
     fn key_points<Hint: KeyPointHint>(&self, hint: Hint) -> Vec<f64> {
         match self.kind {
-            AxisKind::Linear => self.even.key_points(hint),
+            AxisKind::Linear => {
+                let Range { start, end } = self.range();
+                // Rounding leaves the tick at zero a tiny residue, which would print as -1.1e-16.
+                let negligible = 1e-9 * (end - start).abs();
+                let clean = |tick: f64| if tick.abs() < negligible { 0.0 } else { tick };
+                self.even.key_points(hint).into_iter().map(clean).collect()
+            }
             AxisKind::Log10 => decades(self.range(), hint.max_num_points()),
         }
     }
@@ -64,5 +78,14 @@ mod tests {
         assert_eq!(values(-0.1, 1.6), [1.0, 2.0, 5.0, 10.0, 20.0]);
         assert_eq!(values(-4.2, 0.1), [1e-4, 1e-3, 1e-2, 1e-1, 1.0]);
         assert_eq!(values(-12.0, 0.1).len(), 5);
+    }
+
+    #[test]
+    fn the_tick_at_zero_is_zero() {
+        for (low, high) in [(-0.3, 0.7), (-0.07, 0.05), (-1.1, 0.3), (-0.35, 0.62)] {
+            let axis = Places::new(AxisKind::Linear, low, high);
+            let ticks = axis.key_points(plotters::coord::ranged1d::BoldPoints(6));
+            assert!(ticks.contains(&0.0) && ticks.iter().all(|t| *t == 0.0 || t.abs() > 1e-3), "{ticks:?}");
+        }
     }
 }

@@ -1,7 +1,7 @@
-//! The course of the training, read from the header of a checkpoint.
+//! How a training went, read from the header of its checkpoint.
 
-use super::ReportError;
 use super::chart::{Axis, Chart, Line, Marks};
+use super::error::ReportError;
 use super::page::{Numbers, pairs};
 use super::picture::{number, picture};
 use super::scenes::{raw_scale, truth_scale};
@@ -9,7 +9,8 @@ use crate::train::Sample;
 use maud::{Markup, html};
 use serde_json::Value;
 
-/// Loss and quality against the step, and the shape of the network.
+/// Loss and PSNR against the step, held-out pictures, and the sizes of the network. `header` is the header of the
+/// checkpoint.
 ///
 /// # Errors
 /// A chart cannot be drawn.
@@ -34,9 +35,19 @@ pub fn training(header: &Value, samples: &[Sample], numbers: &mut Numbers) -> Re
         y: Axis::linear("PSNR (dB)"),
         lines: vec![line("psnr_db", "validation", 1)],
     };
-    let best =
-        body["best_step"].as_u64().map(|s| format!(" The weights kept are those of step {s}.")).unwrap_or_default();
-    let text = format!("a, loss on training batches and on scenes kept out of them; b, PSNR on those scenes.{best}");
+    let best = body["best_step"]
+        .as_u64()
+        .map(|s| {
+            format!(
+                " The checkpoint holds the weights of step \
+            {s}."
+            )
+        })
+        .unwrap_or_default();
+    let text = format!(
+        "a, loss on training batches and on held-out scenes; b, PSNR of reconstructions of those \
+            scenes.{best}"
+    );
     let figure = html! {
         div.two {
             div.plate { p.name { "a  Loss" } (loss.render()?) }
@@ -52,7 +63,7 @@ pub fn training(header: &Value, samples: &[Sample], numbers: &mut Numbers) -> Re
     let shape = pairs_of(&body["network"]);
     let table = numbers.table(
         "Network.",
-        "Shape of the network: Fourier filter bank, then a light residual channel-attention network.",
+        "Sizes of the network; sides in pixels. Filters, then a light residual channel-attention network.",
         pairs(&shape),
     );
     Ok(html! { (figure) (samples) div style="max-width:640px" { (table) } })
@@ -66,20 +77,52 @@ fn pictures(samples: &[Sample], numbers: &mut Numbers) -> Result<Markup, ReportE
         for (name, image, scale) in
             [("Raw frame", &case.frame_dn, &raw), ("Truth", &case.truth, &truth), ("Reconstruction", found, &truth)]
         {
-            let picture = picture(image.view(), scale, &format!("{name} {i} of those held out"), &[])?;
+            let picture = picture(image.view(), scale, &format!("{name} {i}, held out"), &[])?;
             plates.push(html! { div.plate { p.name { (name) } (picture) } });
         }
     }
     let body = html! { div.plates style="grid-template-columns:repeat(3,1fr)" { @for plate in plates { (plate) } } };
-    let text = "Frames that no step has seen, their objects, and the reconstructions of the kept weights, each at one free scale; truth and \
-                reconstruction share a colour scale from 0 to the 99.7th percentile of the truth.";
-    Ok(numbers.figure("Held out.", text, body))
+    let text = "Held-out frames, their objects, and the reconstructions with the weights of the checkpoint, each with \
+        one \
+                free scale; truth and reconstruction share a colour scale from 0 to the 99.7th percentile of the \
+                truth.";
+    Ok(numbers.figure("Held-out scenes.", text, body))
 }
 
-/// The fields of a JSON object as rows of a table, in words.
+/// The sizes of a network as rows of a table, in words.
 fn pairs_of(object: &Value) -> Vec<(String, Markup)> {
     let fields = object.as_object().into_iter().flatten();
-    fields.map(|(name, value)| (sentence(name), html! { (short(value)) })).collect()
+    let value = |name: &str, value: &Value| match (name, value["name"].as_str()) {
+        ("family", Some(family)) => family_title(family).to_string(),
+        _ => short(value),
+    };
+    fields.map(|(name, of)| (words_of(name), html! { (value(name, of)) })).collect()
+}
+
+/// Name of a family of networks, as publications print it.
+fn family_title(name: &str) -> &str {
+    match name {
+        "svfouriernet" => "SV-FourierNet",
+        "multiwienernet" => "MultiWienerNet",
+        "multiflatnet" => "MultiFlatNet",
+        "cm2net" => "CM2Net",
+        other => other,
+    }
+}
+
+/// What a field of the network's configuration is called in the table.
+fn words_of(field: &str) -> String {
+    match field {
+        "frame" => "Raw frame".into(),
+        "object" => "Reconstruction".into(),
+        "filter_size" => "Side of a filter".into(),
+        "channels" => "Filters".into(),
+        "width" => "Features".into(),
+        "groups" => "Residual groups".into(),
+        "blocks" => "Blocks per group".into(),
+        "reduction" => "Channel reduction of the attention".into(),
+        other => sentence(other),
+    }
 }
 
 /// `peak_bytes` as `Peak bytes`.
@@ -97,5 +140,22 @@ pub fn short(value: &Value) -> String {
         Value::Number(n) if n.is_f64() => number(n.as_f64().unwrap_or(0.0)),
         Value::Array(items) => items.iter().map(short).collect::<Vec<_>>().join(" × "),
         other => other.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn a_network_is_described_without_json() {
+        let network = json!({"frame": [214, 214], "channels": 6, "family": {"name": "svfouriernet"}});
+        let rows: Vec<(String, String)> =
+            pairs_of(&network).into_iter().map(|(name, value)| (name, value.into_string())).collect();
+        let pair = |name: &str, value: &str| (name.to_string(), value.to_string());
+        assert!(rows.contains(&pair("Family", "SV-FourierNet")) && rows.contains(&pair("Raw frame", "214 × 214")));
+        assert!(rows.iter().all(|(_, value)| !value.contains('{')), "{rows:?}");
     }
 }

@@ -1,4 +1,4 @@
-//! Paints soft-edged shapes onto the object grid; positions and sizes in um, the origin at the grid's centre.
+//! Paints soft-edged shapes on the object grid. Positions and sizes are in um; the origin is the centre of the grid.
 
 use crate::session::ObjectGrid;
 use ndarray::Array2;
@@ -7,13 +7,22 @@ use rand::{Rng, RngExt};
 /// A point (y, x), um.
 pub(super) type Point = [f64; 2];
 
-/// How paint meets what is there already.
+/// How a shape combines with the light that is already there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Blend {
-    /// Light adds: separate bodies one above the other.
+    /// The light is added: separate bodies on top of each other.
     Add,
-    /// The brighter wins: parts of one body.
+    /// The brighter value remains: parts of one body.
     Max,
+}
+
+/// A shape at one point.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Ink {
+    /// Signed distance to the edge of the shape, um; negative inside.
+    pub distance_um: f64,
+    /// Brightness of the shape.
+    pub value: f64,
 }
 
 /// Emitted light on the object grid.
@@ -37,7 +46,7 @@ impl Canvas {
         self.grid.pixel_um
     }
 
-    /// Half height and half width of the field, um.
+    /// Half the height and half the width of the field, um.
     pub(super) fn half_um(&self) -> Point {
         [self.grid.rows as f64 / 2.0 * self.grid.pixel_um, self.grid.cols as f64 / 2.0 * self.grid.pixel_um]
     }
@@ -48,27 +57,21 @@ impl Canvas {
         4.0 * h * w * 1e-6
     }
 
-    /// A point anywhere in the field.
+    /// A random point in the field.
     pub(super) fn anywhere(&self, rng: &mut impl Rng) -> Point {
         self.half_um().map(|h| rng.random_range(-h..h))
     }
 
-    /// A number of things that are `per_mm2` dense on average, at least one.
+    /// Number of objects at a density of `per_mm2`, at least one.
     pub(super) fn number(&self, per_mm2: f64) -> usize {
         (per_mm2 * self.area_mm2()).round().max(1.0) as usize
     }
 
-    /// Paints `value(point)` times the coverage for each pixel within `reach_um` of the box that holds the points `a` and `b`.
+    /// Paints a shape on each pixel within `reach_um` of the box with the corners `a` and `b`.
     ///
-    /// `distance` is the signed distance to the edge of the shape, um, negative inside: a pixel is covered by
-    /// the share that a straight edge at that distance leaves it.
-    pub(super) fn paint(
-        &mut self,
-        [a, b]: [Point; 2],
-        reach_um: f64,
-        blend: Blend,
-        shape: impl Fn(Point) -> (f64, f64),
-    ) {
+    /// `shape` returns the signed distance from a point to the edge of the shape, negative inside, and the brightness
+    /// there. A pixel is covered by the share that a straight edge at that distance covers.
+    pub(super) fn paint(&mut self, [a, b]: [Point; 2], reach_um: f64, blend: Blend, shape: impl Fn(Point) -> Ink) {
         let pixel = self.grid.pixel_um;
         let reach = reach_um + pixel;
         let low = self.grid.pixel_of_um(a[0].min(b[0]) - reach, a[1].min(b[1]) - reach);
@@ -78,8 +81,8 @@ impl Canvas {
         for r in clip(low[0], self.grid.rows)..clip(high[0] + 1.0, self.grid.rows) {
             for c in clip(low[1], self.grid.cols)..clip(high[1] + 1.0, self.grid.cols) {
                 let at = [(r as f64 + 0.5) * pixel - h, (c as f64 + 0.5) * pixel - w];
-                let (distance, value) = shape(at);
-                let paint = (value * (0.5 - distance / pixel).clamp(0.0, 1.0)) as f32;
+                let ink = shape(at);
+                let paint = (ink.value * (0.5 - ink.distance_um / pixel).clamp(0.0, 1.0)) as f32;
                 let light = &mut self.light[[r, c]];
                 match blend {
                     Blend::Add => *light += paint,
@@ -89,20 +92,22 @@ impl Canvas {
         }
     }
 
-    /// Takes most of the light away where a shape covers it; `distance` as in [`Self::paint`].
-    pub(super) fn dim(&mut self, ends: [Point; 2], reach_um: f64, distance: impl Fn(Point) -> f64) {
+    /// Removes 90 % of the light under a shape; `distance_um` is the signed distance to its edge, as in
+    /// [`Self::paint`].
+    pub(super) fn dim(&mut self, ends: [Point; 2], reach_um: f64, distance_um: impl Fn(Point) -> f64) {
         let mut cover = Self::new(&self.grid);
-        cover.paint(ends, reach_um, Blend::Max, |p| (distance(p), 0.9));
+        cover.paint(ends, reach_um, Blend::Max, |p| Ink { distance_um: distance_um(p), value: 0.9 });
         self.light.zip_mut_with(&cover.light, |light, cover| *light *= 1.0 - cover);
     }
 
-    /// A disc, whatever its size, with the light of its area.
+    /// Paints a disc with the light of its true area, even if it is smaller than a pixel.
     pub(super) fn disc(&mut self, centre: Point, radius_um: f64, value: f64, blend: Blend) {
         let (radius, value) = self.at_least_a_pixel(radius_um, value);
-        self.paint([centre, centre], radius, blend, |p| (length(sub(p, centre)) - radius, value));
+        let disc = |p| Ink { distance_um: length(sub(p, centre)) - radius, value };
+        self.paint([centre, centre], radius, blend, disc);
     }
 
-    /// A straight stroke with round ends whose radius goes from `radii_um[0]` to `radii_um[1]`.
+    /// Paints a straight stroke with round ends. Its radius changes from `radii_um[0]` to `radii_um[1]`.
     pub(super) fn stroke(&mut self, ends: [Point; 2], radii_um: [f64; 2], value: f64, blend: Blend) {
         let axis = sub(ends[1], ends[0]);
         let square = axis[0] * axis[0] + axis[1] * axis[1];
@@ -114,17 +119,18 @@ impl Canvas {
             let q = sub(p, ends[0]);
             let t = if square > 0.0 { ((q[0] * axis[0] + q[1] * axis[1]) / square).clamp(0.0, 1.0) } else { 0.0 };
             let radius = (radii_um[0] + t * (radii_um[1] - radii_um[0])).max(least);
-            (length(sub(q, [t * axis[0], t * axis[1]])) - radius, value)
+            Ink { distance_um: length(sub(q, [t * axis[0], t * axis[1]])) - radius, value }
         });
     }
 
-    /// Radius to paint a disc with, and the value that gives it the light of its true area: an edge that falls off over
-    /// one pixel gives a disc the area `pi (r^2 + pixel^2 / 12)`.
+    /// Radius and brightness for painting a disc with the light of its true area: an edge that falls off over one pixel
+    /// gives a disc the area `pi (r^2 + pixel^2 / 12)`.
     fn at_least_a_pixel(&self, radius: f64, value: f64) -> (f64, f64) {
         let painted = radius.max(0.5 * self.grid.pixel_um);
         (painted, value * radius.powi(2) / (painted.powi(2) + self.grid.pixel_um.powi(2) / 12.0))
     }
 
+    /// Radius and brightness for painting a stroke that is at least a pixel wide, with the light of its true width.
     fn at_least_a_pixel_wide(&self, radius: f64, value: f64) -> (f64, f64) {
         let least = 0.5 * self.grid.pixel_um;
         if radius >= least { (radius, value) } else { (least, value * radius / least) }
@@ -143,17 +149,17 @@ pub(super) fn length(a: Point) -> f64 {
     a[0].hypot(a[1])
 }
 
-/// The point `distance` away in direction `angle`.
+/// The vector of length `distance` in the direction `angle`, rad from the column axis to the row axis.
 pub(super) fn polar(distance: f64, angle: f64) -> Point {
     [distance * angle.sin(), distance * angle.cos()]
 }
 
-/// A number from `low` to `high` whose logarithm is even: small ones are as likely as large ones.
+/// A random number from `low` to `high` whose logarithm is uniformly distributed.
 pub(super) fn log_uniform(rng: &mut impl Rng, low: f64, high: f64) -> f64 {
     (rng.random_range(low.ln()..high.ln())).exp()
 }
 
-/// Any direction, rad.
+/// A random direction, rad.
 pub(super) fn direction(rng: &mut impl Rng) -> f64 {
     rng.random_range(0.0..std::f64::consts::TAU)
 }

@@ -1,17 +1,17 @@
 //! Cell bodies: tilted ellipses with an uneven membrane, some with a dark or a bright nucleus.
 
-use super::canvas::{Blend, Canvas, Point, add, direction, length, log_uniform, polar, sub};
+use super::canvas::{Blend, Canvas, Ink, Point, add, direction, length, log_uniform, polar, sub};
 use rand::{Rng, RngExt};
 use std::f64::consts::TAU;
 
 /// How a cell is labelled.
 #[derive(Clone, Copy)]
 enum Label {
-    /// Cytosol: the nucleus stays dark.
+    /// In the cytosol: the nucleus is dark.
     Cytosol,
-    /// Nucleus: the body is dim.
+    /// In the nucleus: the rest of the body is dim.
     Nucleus,
-    /// Everything.
+    /// In the whole cell.
     Whole,
 }
 
@@ -40,6 +40,7 @@ fn cell(canvas: &mut Canvas, rng: &mut impl Rng, label: Label, centre: Point, ra
         let angle = across.atan2(along);
         let wave: f64 = lobes.iter().enumerate().map(|(k, (a, ph))| a * ((k + 2) as f64 * angle + ph).cos()).sum();
         let inside = length(sub(p, nucleus)) < 0.45 * radius;
-        (along.hypot(across) - radius * (1.0 + wave), if inside { core } else { body })
+        let distance_um = along.hypot(across) - radius * (1.0 + wave);
+        Ink { distance_um, value: if inside { core } else { body } }
     });
 }

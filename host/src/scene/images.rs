@@ -7,18 +7,19 @@ use rand::{Rng, RngExt};
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
-/// Why there are no scenes.
+/// Why scenes cannot be drawn.
 #[derive(Debug, Error)]
 pub enum SceneError {
-    /// Neither specimens nor pictures.
+    /// There are neither specimens nor pictures.
     #[error("specimens: expected at least one kind or a folder of pictures, found none; name one")]
     Nothing,
-    /// No video.
+    /// A video has no frames, or an impossible interval.
     #[error(
-        "video: expected one frame or more, and an interval of zero or more, found {frames} frames, {interval_s} s apart"
+        "video: expected one frame or more at an interval of zero or more, found {frames} frames at an interval of \
+         {interval_s} s; correct the number of frames or the interval"
     )]
     Video {
-        /// Frames of a video.
+        /// Number of frames of a video.
         frames: usize,
         /// Time between them, s.
         interval_s: f64,
@@ -28,10 +29,10 @@ pub enum SceneError {
     Folder {
         /// The folder.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// The folder holds no picture.
+    /// The folder has no pictures.
     #[error("{path}: expected grey .tif or .png pictures, found none; convert them")]
     Empty {
         /// The folder.
@@ -50,14 +51,14 @@ pub enum SceneError {
     },
 }
 
-/// Pictures in memory, their background taken off.
+/// Pictures in memory, with their background subtracted.
 #[derive(Clone, Debug)]
 pub(super) struct ImageFolder {
     pictures: Vec<Array2<f32>>,
 }
 
 impl ImageFolder {
-    /// Reads every .tif (each page) and .png of a folder, in the order of their names.
+    /// Reads every page of every .tif and every .png of a folder, in the order of their names.
     pub(super) fn open(folder: &Path) -> Result<Self, SceneError> {
         let failed = |source| SceneError::Folder { path: folder.into(), source };
         let entries = std::fs::read_dir(folder).map_err(failed)?;
@@ -83,11 +84,11 @@ impl ImageFolder {
         Ok(Self { pictures })
     }
 
-    /// A random cut of a random picture, averaged down to the grid (or up, where the picture is small), maybe flipped.
+    /// Cuts a random part of a random picture, resampled to the grid, and flips it at random.
     pub(super) fn draw(&self, grid: &ObjectGrid, rng: &mut impl Rng) -> Array2<f32> {
         let picture = &self.pictures[rng.random_range(0..self.pictures.len())];
         let (rows, cols) = picture.dim();
-        // Picture pixels per object pixel; a blurred picture becomes sharp by taking more.
+        // Picture pixels per object pixel; a blurred picture becomes sharper with a larger scale.
         let most = (rows as f64 / grid.rows as f64).min(cols as f64 / grid.cols as f64);
         let scale = if most > 1.01 { log_uniform(rng, 1.0, most) } else { most };
         let (h, w) = (scale * grid.rows as f64, scale * grid.cols as f64);
@@ -106,7 +107,7 @@ impl ImageFolder {
     }
 }
 
-/// Mean of the picture over a square of side `scale` pixels, whole pixels at least.
+/// Mean of the picture over a square of side `scale` pixels, rounded outwards to whole pixels.
 fn area_mean(picture: &Array2<f32>, [top, left]: [f64; 2], scale: f64) -> f32 {
     let range = |from: f64, n: usize| {
         let low = (from as usize).min(n - 1);
@@ -116,7 +117,7 @@ fn area_mean(picture: &Array2<f32>, [top, left]: [f64; 2], scale: f64) -> f32 {
     part.mean().unwrap_or(0.0)
 }
 
-/// Subtracts the 5th percentile: pictures carry a camera offset and stray light.
+/// Subtracts the 5th percentile: camera offset and stray light.
 fn without_background(mut picture: Array2<f32>) -> Array2<f32> {
     let mut sorted: Vec<f32> = picture.iter().copied().collect();
     let k = sorted.len() / 20;

@@ -1,7 +1,25 @@
-//! Synthetic specimens on the object grid: what a fluorescence miniscope is pointed at.
+//! Synthetic specimens on the object grid, as a fluorescence miniscope sees them.
 //!
-//! Sizes are in um, so a specimen looks the same on any grid. A specimen is emitted light, float32, >= 0, its maximum 1; the
-//! photon budget is set by whom it is drawn for. The `index`-th specimen of a seed depends on nothing else.
+//! Sizes are in um, so a specimen looks the same on any grid. A specimen is emitted light, float32, >= 0, with maximum
+//! 1; the caller sets the light level. Scene `index` of a seed depends only on the seed, a name, the index and the
+//! grid.
+//!
+//! ```
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! use ommatidia_host::scene::{SceneConfig, Specimen};
+//! use ommatidia_host::session::ObjectGrid;
+//! let grid = ObjectGrid { rows: 48, cols: 64, pixel_um: 2.8 };
+//! let config = SceneConfig { specimens: vec![Specimen::Beads, Specimen::Cells], ..SceneConfig::default() };
+//! let scenes = config.build()?;
+//! let beads = scenes.draw(&grid, 7, "example", 0);
+//! assert_eq!(beads.dim(), (48, 64));
+//! assert_eq!(beads.iter().fold(0.0f32, |m, v| m.max(*v)), 1.0);
+//! // The same seed, name and index give the same scene; the kinds take turns.
+//! assert_eq!(beads, scenes.draw(&grid, 7, "example", 0));
+//! assert_ne!(beads, scenes.draw(&grid, 7, "example", 1));
+//! # Ok(())
+//! # }
+//! ```
 
 mod beads;
 mod canvas;
@@ -34,22 +52,22 @@ pub enum Specimen {
     Cells,
     /// Neurons: somata with tapering, branching dendrites.
     Neurons,
-    /// Trees of vessels that branch by Murray's law.
+    /// Vessel trees that branch by Murray's law.
     Vessels,
     /// Undulating worms.
     Worms,
     /// Resolution targets: three-bar groups and Siemens stars.
     Target,
-    /// Brain sections: layers of labelled cells over a glowing, mottled ground, with dark tracts and vessels.
+    /// Brain sections: layers of labelled cells on a bright, mottled background, with dark tracts and vessels.
     Section,
 }
 
 impl Specimen {
-    /// The kinds that scenes are drawn from where none is named: those that leave most of the field dark, as the instrument's users label
-    /// their samples.
+    /// The default kinds of scenes: those that leave most of the field dark, as samples for the instrument usually do.
     pub const USUAL: [Self; 6] = [Self::Beads, Self::Cells, Self::Neurons, Self::Vessels, Self::Worms, Self::Target];
 
-    /// One specimen of this kind at `time_s`, [rows, cols] of `grid`, >= 0, maximum 1. Worms move; all else keeps still.
+    /// Draws a specimen of this kind at time `time_s`, [rows, cols] of `grid`, >= 0, maximum 1. Only worms move with
+    /// time.
     pub fn draw(self, grid: &ObjectGrid, time_s: f64, rng: &mut impl Rng) -> Array2<f32> {
         let mut canvas = Canvas::new(grid);
         match self {
@@ -65,18 +83,19 @@ impl Specimen {
     }
 }
 
-/// What scenes are drawn from.
+/// Where scenes come from: synthetic specimens, pictures, or resolution targets.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SceneConfig {
-    /// Kinds of specimens, one of which is drawn for each scene.
+    /// Kinds of specimens; they take turns from scene to scene.
     pub specimens: Vec<Specimen>,
-    /// A folder of grey .tif or .png pictures to cut scenes from as well; as likely as all specimens together.
+    /// A folder of grey .tif or .png pictures from which scenes are cut: half of the scenes on average, or all of them
+    /// without `specimens`.
     pub images: Option<PathBuf>,
-    /// Instead of all these: resolution targets, one period a scene ([`resolution`]).
+    /// Draw resolution targets instead of specimens and pictures, one period for each scene ([`resolution`]).
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub targets: bool,
-    /// Frames of each scene: more than one make short videos.
+    /// Number of frames of each scene. More than one make a short video.
     #[serde(skip_serializing_if = "is_one")]
     pub video_frames: usize,
     /// Time from one frame of a video to the next, s.
@@ -84,10 +103,10 @@ pub struct SceneConfig {
     pub video_interval_s: f64,
 }
 
-/// Time from frame to frame of a video where none is named, s.
+/// Default time from one frame of a video to the next, s.
 const INTERVAL_S: f64 = 0.02;
 
-// What is as it always was is left out of records.
+// Defaults are left out of records, as in files written before these fields existed.
 fn is_one(n: &usize) -> bool {
     *n == 1
 }
@@ -119,10 +138,11 @@ pub struct Scenes {
 }
 
 impl SceneConfig {
-    /// Makes the source; reads the pictures.
+    /// Prepares the source of scenes and reads the pictures.
     ///
     /// # Errors
-    /// There is nothing to draw from, or a picture cannot be read.
+    /// There are neither specimens nor pictures, the video has no frames or an impossible interval, or a picture cannot
+    /// be read.
     pub fn build(&self) -> Result<Scenes, SceneError> {
         let images = self.images.as_deref().map(ImageFolder::open).transpose()?;
         if self.specimens.is_empty() && images.is_none() {
@@ -142,13 +162,15 @@ impl SceneConfig {
 }
 
 impl Scenes {
-    /// Number of the video that frame `index` belongs to.
+    /// Index of the video to which frame `index` belongs.
     pub fn video(&self, index: u64) -> u64 {
         index / self.video_frames as u64
     }
 
-    /// Scene `index` of `seed` for `what` (so that training never sees the scenes of a bench), [rows, cols] of `grid`,
-    /// >= 0, maximum 1. Kinds take turns, and so do the frames of a video.
+    /// Draws scene `index` of `seed`, [rows, cols] of `grid`, >= 0, maximum 1.
+    ///
+    /// `what` names the purpose, so that e.g. training never sees the scenes of a bench. Consecutive indices are the
+    /// frames of a video, then the next video.
     pub fn draw(&self, grid: &ObjectGrid, seed: u64, what: &str, index: u64) -> Array2<f32> {
         if self.targets {
             let periods = resolution::PERIODS_PX;
@@ -166,7 +188,7 @@ impl Scenes {
     }
 }
 
-/// Scales to maximum 1; an empty scene stays empty.
+/// Scales the maximum to 1; a dark scene stays dark.
 fn normalised(mut light: Array2<f32>) -> Array2<f32> {
     let max = light.fold(0.0f32, |m, v| m.max(*v));
     if max > 0.0 {

@@ -1,34 +1,35 @@
-//! A resolution target whose every bar has a known place: three-bar groups of one period at the field's centre and at its four edges, along rows and
-//! along columns.
+//! A resolution target with bars at known places: three-bar groups of one period, along rows and along columns, at the
+//! centre of the field and at its four edges.
 
 use crate::session::ObjectGrid;
 use ndarray::Array2;
 
-/// Periods of the line pairs, object pixels, one a frame; the finest first.
+/// Periods of the line pairs, object pixels, one for each frame; the finest first.
 pub const PERIODS_PX: [f64; 7] = [2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0];
 
-/// Distance of groups from the edge, and half the distance between the two groups of a place, pixels.
+/// Distance of groups from the edge of the field, pixels.
 const MARGIN: f64 = 4.0;
+/// Half the distance between the two groups of a place, pixels.
 const APART: f64 = 2.0;
-/// Shortest bar, pixels.
+/// Length of the shortest bar, pixels.
 const SHORTEST: f64 = 6.0;
 
-/// Three bars.
+/// A group of three bars.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Group {
-    /// Where in the field: `centre`, `left`, `right`, `top`, `bottom`.
+    /// Place in the field: `centre`, `left`, `right`, `top` or `bottom`.
     pub place: &'static str,
-    /// Axis along which light and dark take turns: 0 rows, 1 columns.
+    /// Axis along which light and dark alternate: 0 from row to row, 1 from column to column.
     pub axis: usize,
-    /// Upper left corner, pixels; pixel i covers i to i + 1.
+    /// Upper left corner (row, col), pixels; pixel i covers i to i + 1.
     pub start: [f64; 2],
-    /// From one bar to the next, pixels; a bar is half of it.
+    /// Distance from one bar to the next, pixels. A bar is half as wide.
     pub period: f64,
     /// Length of a bar, pixels.
     pub length: f64,
 }
 
-/// The groups of a target, or none where they do not fit into the grid.
+/// The groups of a target with this period, object pixels. Empty if they do not fit into the grid.
 pub fn groups(grid: &ObjectGrid, period: f64) -> Vec<Group> {
     let side = (2.5 * period).max(SHORTEST).ceil();
     let (rows, cols) = (grid.rows as f64, grid.cols as f64);
@@ -53,7 +54,8 @@ pub fn groups(grid: &ObjectGrid, period: f64) -> Vec<Group> {
     places.into_iter().flat_map(pair).collect()
 }
 
-/// The target, [rows, cols] of `grid`: each pixel as bright as the part of it that bars cover.
+/// The target with this period (object pixels), [rows, cols] of `grid`. Each pixel is as bright as its share under
+/// bars.
 pub fn target(grid: &ObjectGrid, period: f64) -> Array2<f32> {
     let mut light = Array2::zeros((grid.rows, grid.cols));
     for group in groups(grid, period) {

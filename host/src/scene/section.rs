@@ -1,22 +1,25 @@
-//! Brain sections: bands of labelled cells of different density over a glowing, mottled neuropil, with dark fibre tracts and vessels.
+//! Brain sections: layers of labelled cells of different densities on a bright, mottled neuropil, with dark fibre
+//! tracts and vessels.
 //!
-//! Unlike the other specimens it is bright nearly everywhere, as tissue is: the overlapping views have no dark ground to stand on.
+//! Unlike the other specimens, a section is bright nearly everywhere, like tissue, so the overlapping views have no
+//! dark background.
 
-use super::canvas::{Blend, Canvas, Point, add, direction, length, log_uniform, polar, sub};
+use super::canvas::{Blend, Canvas, Ink, Point, add, direction, length, log_uniform, polar, sub};
 use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
 
-/// Waves that the mottle of the neuropil is made of.
+/// Number of waves in the mottle of the neuropil.
 const WAVES: usize = 120;
-/// Longest and shortest of them, um; their strength goes with the root of the length, between white noise and smooth shading.
+/// Shortest and longest wave, um. The amplitude grows with the square root of the length: between white noise and
+/// smooth shading.
 const WAVE_UM: [f64; 2] = [12.0, 400.0];
-/// Mean light of the neuropil where a cell has 1.
+/// Mean light of the neuropil, relative to the brightest cells.
 const GROUND: f64 = 0.25;
 
 pub(super) fn draw(canvas: &mut Canvas, rng: &mut impl Rng) {
     let [h, w] = canvas.half_um();
     ground(canvas, rng);
-    // Layers run across the field; each has a density of its own.
+    // Layers run across the field; each has its own density of cells.
     let across = direction(rng);
     let extent = h.hypot(w);
     let mut edge = -extent;
@@ -43,7 +46,7 @@ pub(super) fn draw(canvas: &mut Canvas, rng: &mut impl Rng) {
     }
 }
 
-/// A sum of plane waves of random direction, length and phase, about an even light, never below zero.
+/// Even light plus plane waves of random direction, length and phase, never below zero.
 fn ground(canvas: &mut Canvas, rng: &mut impl Rng) {
     let [h, w] = canvas.half_um();
     let waves: Vec<(Point, f64, f64)> = (0..WAVES)
@@ -56,11 +59,11 @@ fn ground(canvas: &mut Canvas, rng: &mut impl Rng) {
     let norm = (waves.iter().map(|(_, _, a)| a * a / 2.0).sum::<f64>()).sqrt().max(f64::MIN_POSITIVE);
     canvas.paint([[-h, -w], [h, w]], 0.0, Blend::Add, |p| {
         let mottle: f64 = waves.iter().map(|(k, phase, a)| a * (k[0] * p[0] + k[1] * p[1] + phase).sin()).sum();
-        (f64::NEG_INFINITY, (GROUND * (1.0 + 0.35 * mottle / norm)).max(0.0))
+        Ink { distance_um: f64::NEG_INFINITY, value: (GROUND * (1.0 + 0.35 * mottle / norm)).max(0.0) }
     });
 }
 
-/// A dark stroke with soft ends: what does not glow hides what lies there.
+/// A dark stroke with round ends, which hides what is under it.
 fn shadow(canvas: &mut Canvas, ends: [Point; 2], radius: f64) {
     let axis = sub(ends[1], ends[0]);
     let square = axis[0] * axis[0] + axis[1] * axis[1];

@@ -1,13 +1,13 @@
 //! Resolution targets: three-bar groups of several pitches, or a Siemens star.
 
-use super::canvas::{Blend, Canvas, Point, add, direction, length, polar, sub};
+use super::canvas::{Blend, Canvas, Ink, Point, add, direction, length, polar, sub};
 use rand::{Rng, RngExt};
 
 pub(super) fn draw(canvas: &mut Canvas, rng: &mut impl Rng) {
     if rng.random_bool(0.4) { siemens_star(canvas, rng) } else { bars(canvas, rng) }
 }
 
-/// A star of bright spokes; the finest detail is at its centre.
+/// A star of bright spokes, finest at its centre.
 fn siemens_star(canvas: &mut Canvas, rng: &mut impl Rng) {
     let [h, w] = canvas.half_um();
     let centre = [rng.random_range(-0.4 * h..0.4 * h), rng.random_range(-0.4 * w..0.4 * w)];
@@ -18,14 +18,15 @@ fn siemens_star(canvas: &mut Canvas, rng: &mut impl Rng) {
     canvas.paint([centre, centre], radius, Blend::Add, |p| {
         let d = sub(p, centre);
         let r = length(d);
-        // Distance to the nearest spoke edge along the circle; inside the bore a pixel could not resolve them.
+        // Distance to the nearest edge of a spoke along the circle. The bore is left dark: pixels cannot resolve spokes
+        // there.
         let wave = (spokes * d[0].atan2(d[1]) + phase).sin();
         let edge = -wave.asin() / spokes * r;
-        ((r - radius).max(edge).max(0.5 * bore - r), 1.0)
+        Ink { distance_um: (r - radius).max(edge).max(0.5 * bore - r), value: 1.0 }
     });
 }
 
-/// Groups of three bars, horizontal and vertical, ever finer, as on the USAF-1951 chart.
+/// Groups of three horizontal and three vertical bars of random widths, as on the USAF-1951 chart.
 fn bars(canvas: &mut Canvas, rng: &mut impl Rng) {
     let pixel = canvas.pixel_um();
     for _ in 0..canvas.number(rng.random_range(60.0..200.0)) {
@@ -44,7 +45,7 @@ fn group(canvas: &mut Canvas, centre: Point, tilt: f64, bar_um: f64, value: f64)
         canvas.paint([middle, middle], 3.6 * bar_um, Blend::Max, |p| {
             let [y, x] = sub(p, middle);
             let (along, across) = (x * tilt.cos() + y * tilt.sin(), y * tilt.cos() - x * tilt.sin());
-            ((along.abs() - 2.5 * bar_um).max(across.abs() - 0.5 * bar_um), value)
+            Ink { distance_um: (along.abs() - 2.5 * bar_um).max(across.abs() - 0.5 * bar_um), value }
         });
     }
 }

@@ -1,10 +1,11 @@
-//! Trees of vessels, filled with dye: at each branching the cubes of the radii are kept (Murray, PNAS 12, 207, 1926).
+//! Vessel trees filled with dye. Branches follow Murray's law: the cubes of their radii sum to that of the parent (PNAS
+//! 12, 207, 1926).
 
 use super::canvas::{Blend, Canvas, Point, add, log_uniform, polar};
 use rand::{Rng, RngExt};
 use std::f64::consts::{FRAC_PI_2, PI};
 
-/// Capillaries: no vessel is thinner.
+/// Smallest radius of a vessel (a capillary), um.
 const LEAST_UM: f64 = 2.2;
 
 pub(super) fn draw(canvas: &mut Canvas, rng: &mut impl Rng) {
@@ -32,7 +33,7 @@ fn branch(canvas: &mut Canvas, rng: &mut impl Rng, mut at: Point, mut angle: f64
     for _ in 0..steps {
         angle += rng.random_range(-0.22..0.22);
         let next = add(at, polar(2.5 * radius.max(5.0), angle));
-        // The light of a filled tube goes with its thickness.
+        // The light of a filled tube grows with its thickness.
         canvas.stroke([at, next], [radius, radius], 0.35 + radius / 20.0, Blend::Max);
         at = next;
         if at[0].abs() > 1.1 * h || at[1].abs() > 1.1 * w {

@@ -1,12 +1,14 @@
-//! Undulating worms with a tapering body and bright gut granules. In time a wave runs down the body and the worm glides along its heading.
+//! Undulating worms with a tapering body and bright gut granules. With time, a wave runs down the body and the worm
+//! glides along its heading.
 
 use super::canvas::{Blend, Canvas, Point, add, direction, length, log_uniform, polar, sub};
 use rand::{Rng, RngExt};
 use std::f64::consts::{PI, TAU};
 
-/// Undulations a second of a swimming worm (C. elegans in water: about 1.8; Gray & Lissmann, J. Exp. Biol. 41, 135, 1964).
+/// Undulations per second of a swimming worm (C. elegans in water: about 1.8; Gray & Lissmann, J. Exp. Biol. 41, 135,
+/// 1964).
 const HZ: f64 = 1.8;
-/// Body lengths that it glides in one undulation.
+/// Distance that a worm glides in one undulation, body lengths.
 const STRIDE: f64 = 0.12;
 
 pub(super) fn draw(canvas: &mut Canvas, time_s: f64, rng: &mut impl Rng) {
@@ -27,7 +29,7 @@ pub(super) fn draw(canvas: &mut Canvas, time_s: f64, rng: &mut impl Rng) {
     }
 }
 
-/// Points along the body, about 6 um apart, from the head, which goes first.
+/// Points along the body, about 6 um apart, from head to tail.
 fn midline(head: Point, time_s: f64, rng: &mut impl Rng) -> Vec<Point> {
     let body_um = rng.random_range(110.0..240.0);
     let (heading, phase) = (direction(rng), direction(rng));
@@ -47,7 +49,7 @@ fn midline(head: Point, time_s: f64, rng: &mut impl Rng) -> Vec<Point> {
     let mut points = posture(time_s);
     debug_assert!(points.iter().all(|at| length(sub(*at, head)) <= body_um));
     if time_s != 0.0 {
-        // Nothing holds the worm but the water: its middle glides, against the direction in which the points follow the head.
+        // The middle of the worm glides in the direction opposite to that from head to tail.
         let middle = |points: &[Point]| {
             let sum = points.iter().fold([0.0; 2], |sum, p| add(sum, *p));
             sum.map(|v| v / points.len() as f64)

@@ -1,32 +1,36 @@
-//! Why a session or a stack of frames could not be read or written.
+//! Errors of sessions and stacks of frames.
 
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
-/// Why a session or a stack of frames could not be read or written: the file, the field, what was expected, what was
-/// found, and what to do.
+/// Why a session or a stack of frames could not be read or written.
+///
+/// Each message names the file and the field, what was expected, what was found, and what to do.
 #[derive(Debug, Error)]
 pub enum SessionError {
     /// A file or folder could not be opened, read or written.
     #[error(
-        "{path}: cannot be opened, read or written ({source}); check its name, that it is there, and its permissions"
+        "{path}: cannot be opened, read or written ({source}); check its name, that it exists, and its permissions"
     )]
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// The manifest is no valid TOML, or has a key that is unknown, missing or of the wrong type.
-    #[error("{path}: not a valid manifest: {detail}")]
+    /// The manifest is not valid TOML, or has a key that is unknown, missing or of the wrong type.
+    #[error("{path}: not a valid manifest: {detail}; correct the manifest")]
     Manifest {
         /// The file.
         path: PathBuf,
-        /// What the parser said, with line and column.
+        /// The parser's message, with line and column.
         detail: String,
     },
-    /// The manifest is of another version of the format.
-    #[error("{path}: format: expected {expected}, found {found}; this program reads format {expected} only")]
+    /// The manifest has another version of the session format.
+    #[error(
+        "{path}: format: expected {expected}, found {found}; this program reads format {expected} only: convert the \
+         session, or use the program that wrote it"
+    )]
     Version {
         /// The file.
         path: PathBuf,
@@ -35,12 +39,12 @@ pub enum SessionError {
         /// Version of the file.
         found: String,
     },
-    /// A value cannot be: not finite, negative, out of its range, or at odds with another one.
+    /// A value is not finite, negative, outside its range, or contradicts another value.
     #[error("{path}: {field}: expected {expected}, found {found}; {remedy}")]
     Value {
         /// The file.
         path: PathBuf,
-        /// Key, or column and row.
+        /// Key of the manifest, or column and row of the table, or frame and pixel.
         field: String,
         /// What was expected.
         expected: String,
@@ -50,18 +54,18 @@ pub enum SessionError {
         remedy: &'static str,
     },
     /// A table lacks a column, or a manifest an entry.
-    #[error("{path}: {field}: expected, but there is none; found {found}; {remedy}")]
+    #[error("{path}: {field}: expected, but it is missing; found {found}; {remedy}")]
     Missing {
         /// The file.
         path: PathBuf,
         /// Column or key.
         field: String,
-        /// What is there instead.
+        /// What the file has instead.
         found: String,
         /// What to do.
         remedy: &'static str,
     },
-    /// A stack or table has another shape than the manifest or its companion says.
+    /// A stack or table has another shape than the manifest, or than the stack that it belongs to.
     #[error("{path}: shape: expected {expected}, found {found}; {remedy}")]
     Shape {
         /// The file.
@@ -73,27 +77,27 @@ pub enum SessionError {
         /// What to do.
         remedy: &'static str,
     },
-    /// Samples of a type that is not read.
+    /// The samples of a stack have a type that is not supported.
     #[error("{path}: sample type: expected {expected}, found {found}; convert the frames, e.g. `a.astype('float32')`")]
     SampleType {
         /// The file.
         path: PathBuf,
-        /// Types that are read here.
+        /// Supported types.
         expected: &'static str,
         /// Type of the file.
         found: String,
     },
-    /// The file ends before (or after) its header says.
+    /// The file is shorter or longer than its header states.
     #[error("{path}: size: expected {expected} bytes, found {found}; the file was cut short or damaged: copy it again")]
     Size {
         /// The file.
         path: PathBuf,
-        /// Size that the header asks for.
+        /// Size according to the header, bytes.
         expected: u64,
-        /// Size of the file.
+        /// Size of the file, bytes.
         found: u64,
     },
-    /// The file is no .npy or .tif, or a damaged one.
+    /// The file is not of the kind that its suffix promises, or it is damaged.
     #[error("{path}: not a readable {kind} file ({detail}); write it again")]
     Format {
         /// The file.
@@ -103,8 +107,8 @@ pub enum SessionError {
         /// What is wrong.
         detail: String,
     },
-    /// The place that a session shall be written to is taken.
-    #[error("{path}: already exists and is no session of the virtual instrument; choose another name or remove it")]
+    /// The folder for a new session already exists and holds something else.
+    #[error("{path}: already exists and is not a session of the virtual instrument; choose another name or remove it")]
     Taken {
         /// The folder.
         path: PathBuf,

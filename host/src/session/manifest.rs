@@ -2,6 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
+/// Name of the manifest in a session's folder.
+pub const MANIFEST: &str = "session.toml";
+
 /// The manifest of a session, format 1.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -14,9 +17,9 @@ pub struct Manifest {
     pub sensor: SensorSpec,
     /// The microlens array.
     pub array: ArrayGeometry,
-    /// What the optics were designed to.
+    /// Nominal optics: magnification and PSF window.
     pub optics: Optics,
-    /// The grid of objects, truths and reconstructions.
+    /// Pixel grid of objects, truths and reconstructions.
     pub object: ObjectGrid,
     /// The stacks of frames, in the order of the file.
     #[serde(default, rename = "stack", skip_serializing_if = "Vec::is_empty")]
@@ -33,18 +36,18 @@ pub struct SensorSpec {
     pub cols: usize,
     /// Pixel pitch on the sensor, um.
     pub pixel_pitch_um: f64,
-    /// Bits of the converter; the saturation level is `2^bit_depth - 1` DN.
+    /// Bits of the analogue-to-digital converter; the saturation level is `2^bit_depth - 1` DN.
     pub bit_depth: u32,
 }
 
 impl SensorSpec {
-    /// The highest code, DN.
+    /// The highest code of the converter, `2^bit_depth - 1`, DN.
     pub fn saturation_dn(&self) -> f64 {
         (2f64).powi(self.bit_depth as i32) - 1.0
     }
 }
 
-/// The microlens array.
+/// The microlens array, with lenses numbered row by row.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ArrayGeometry {
@@ -63,19 +66,20 @@ impl ArrayGeometry {
     }
 }
 
-/// What the optics were designed to.
+/// Nominal properties of the optics.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Optics {
-    /// Nominal magnification, image per object.
+    /// Nominal magnification: image size over object size.
     pub magnification: f64,
-    /// Side of the window that holds one focus, sensor pixels; odd.
+    /// Side of the square window that holds one focus, sensor pixels; odd.
     pub psf_window_px: usize,
 }
 
-/// The grid that objects, truths and reconstructions live on.
+/// The pixel grid of objects, truths and reconstructions.
 ///
-/// Object pixel (r, c) lies at stage position `y_um = (r - (rows-1)/2) * pixel_um`, `x_um = (c - (cols-1)/2) * pixel_um`.
+/// Object pixel (r, c) lies at stage position `y_um = (r - (rows-1)/2) * pixel_um`, `x_um = (c - (cols-1)/2) *
+/// pixel_um`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ObjectGrid {
@@ -83,12 +87,12 @@ pub struct ObjectGrid {
     pub rows: usize,
     /// Columns, object pixels.
     pub cols: usize,
-    /// Side of an object pixel, um: pixel pitch / magnification, so that it maps to one sensor pixel.
+    /// Side of an object pixel, um: pixel pitch over magnification, so that one object pixel maps to one sensor pixel.
     pub pixel_um: f64,
 }
 
 impl ObjectGrid {
-    /// Fractional object pixel (row, col) of a stage position (y, x) in um.
+    /// Fractional object pixel [row, col] at the stage position (`y_um`, `x_um`), um; the origin is the grid's centre.
     pub fn pixel_of_um(&self, y_um: f64, x_um: f64) -> [f64; 2] {
         [y_um / self.pixel_um + (self.rows as f64 - 1.0) / 2.0, x_um / self.pixel_um + (self.cols as f64 - 1.0) / 2.0]
     }
@@ -102,29 +106,30 @@ pub enum Role {
     Dark,
     /// Even light.
     Flat,
-    /// A point source scanned over the field, one frame a position.
+    /// A point source scanned over the field, one frame for each position.
     Bead,
     /// Specimens.
     Scene,
 }
 
-/// One stack of frames.
+/// One stack of frames, as the manifest lists it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StackEntry {
     /// What its frames show.
     pub role: Role,
-    /// The frames: .npy or .tif/.tiff, [frames, rows, cols], DN; relative to the session's folder.
+    /// File of the frames relative to the session's folder: .npy or .tif/.tiff, [frames, rows, cols], DN.
     pub file: String,
-    /// Exposure of each frame, ms, where the table gives no other.
+    /// Exposure of each frame for which the table gives no other, ms.
     pub exposure_ms: f64,
-    /// CSV table with one row a frame.
+    /// CSV table with one row for each frame.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub table: Option<String>,
-    /// Known object of each frame, float32 [frames, object rows, object cols], in a unit common to the stack.
+    /// File of the known object of each frame: float32, [frames, object rows, object cols], in one unit for the stack.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub truth: Option<String>,
-    /// Noise-free expectation of each frame, float32 [frames, rows, cols], DN: only a virtual instrument knows it.
+    /// File of the noise-free expectation of each frame: float32, [frames, rows, cols], DN. Only virtual instruments
+    /// provide it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expected: Option<String>,
 }

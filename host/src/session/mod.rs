@@ -1,6 +1,47 @@
-//! The measured session: one folder of frames with a manifest, the contract between a bench and these tools.
+//! The measured session: one folder of frames with a manifest. It is the contract between a bench and these tools.
 //!
-//! [`Session::open`] checks all of it; [`stack`] reads and writes frames one at a time; [`SessionWriter`] makes one.
+//! [`Session::open`] checks the whole folder, [`SessionWriter`] writes one, and [`stack`] reads and writes the frames
+//! of a single file. The format is described in `docs/session-format.md`.
+//!
+//! ```
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! use ndarray::Array2;
+//! use ommatidia_host::session::*;
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("session");
+//! let manifest = Manifest {
+//!     format: 1,
+//!     name: "example".into(),
+//!     sensor: SensorSpec { rows: 4, cols: 5, pixel_pitch_um: 2.0, bit_depth: 12 },
+//!     array: ArrayGeometry { rows: 1, cols: 1, pitch_px: 0.0 },
+//!     optics: Optics { magnification: 0.5, psf_window_px: 3 },
+//!     object: ObjectGrid { rows: 4, cols: 4, pixel_um: 4.0 },
+//!     stacks: Vec::new(),
+//! };
+//! // Two dark frames of 4 x 5 pixels at 64 DN.
+//! let mut writer = SessionWriter::create(&path, &manifest, Existing::Keep)?;
+//! let spec = StackSpec { frames: 2, rows: 4, cols: 5, samples: SampleType::U16, pixel_um: Some(2.0) };
+//! let mut frames = writer.frames("dark.npy", spec)?;
+//! for _ in 0..2 {
+//!     frames.push(Array2::from_elem((4, 5), 64.0).view())?;
+//! }
+//! frames.finish()?;
+//! let exposure_ms = 10.0;
+//! let entry =
+//!     StackEntry { role: Role::Dark, file: "dark.npy".into(), exposure_ms, table: None, truth: None, expected: None };
+//! writer.add(entry);
+//! writer.finish()?;
+//!
+//! let session = Session::open(&path)?;
+//! assert_eq!(session.manifest().sensor.saturation_dn(), 4095.0);
+//! let dark = session.need(Role::Dark)?[0];
+//! assert_eq!((dark.len(), dark.info()[1].exposure_ms), (2, 10.0));
+//! assert_eq!(dark.frames()?.read(1)?.mean(), Some(64.0));
+//! // There are no beads in this session: the error states that, and the remedy.
+//! assert!(session.need(Role::Bead).unwrap_err().to_string().contains("role = \"bead\""));
+//! # Ok(())
+//! # }
+//! ```
 
 mod cut;
 mod error;
@@ -15,8 +56,8 @@ mod write;
 
 pub use cut::Cut;
 pub use error::SessionError;
-pub use manifest::{ArrayGeometry, Manifest, ObjectGrid, Optics, Role, SensorSpec, StackEntry};
-pub use open::{MANIFEST, Session, Stack, TruthReader};
-pub use stack::{FrameReader, FrameSource, FrameWriter, Recording, SampleType, StackSpec};
+pub use manifest::{ArrayGeometry, MANIFEST, Manifest, ObjectGrid, Optics, Role, SensorSpec, StackEntry};
+pub use open::{ComputedStack, Session, Stack, TruthReader};
+pub use stack::{ComputedFrames, FrameReader, FrameWriter, Recording, SampleType, StackSpec};
 pub use table::FrameInfo;
 pub use write::{Existing, SessionWriter};

@@ -1,15 +1,13 @@
 //! Opens a session and checks all of it before anything is computed.
 
-use super::stack::{FrameReader, FrameSource, SampleType};
+use super::error::SessionError;
+use super::manifest::{MANIFEST, Manifest, Role, StackEntry};
+use super::stack::{ComputedFrames, FrameReader, SampleType};
 use super::table::{self, FrameInfo};
-use super::{Manifest, Role, SessionError, StackEntry};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Name of the manifest in a session's folder.
-pub const MANIFEST: &str = "session.toml";
-
-/// A measured session that was found whole and consistent.
+/// A measured session that is complete and consistent.
 #[derive(Clone, Debug)]
 pub struct Session {
     dir: PathBuf,
@@ -23,18 +21,29 @@ pub struct Stack {
     entry: StackEntry,
     dir: PathBuf,
     info: Vec<FrameInfo>,
-    /// Makes the frames where there is no file of them.
-    maker: Option<Arc<dyn FrameSource>>,
+    /// Computes the frames of a stack that has no file.
+    computed: Option<Arc<dyn ComputedFrames>>,
+}
+
+/// A stack of a session whose frames are computed when they are read.
+#[derive(Clone, Debug)]
+pub struct ComputedStack {
+    /// Entry of the stack in the manifest; no file of that name needs to exist.
+    pub entry: StackEntry,
+    /// Metadata of each frame, in the order of the frames.
+    pub info: Vec<FrameInfo>,
+    /// Computes the frames.
+    pub frames: Arc<dyn ComputedFrames>,
 }
 
 impl Session {
-    /// Opens the session in folder `dir`: manifest, tables, and the header and size of every stack.
+    /// Opens the session in folder `dir` and checks its manifest, its tables, and the header and size of every stack.
     ///
-    /// The values of frames and truths are checked when they are read, since a scan may be larger than memory.
+    /// The values of frames and truths are checked when they are read, because a scan may be larger than memory.
     ///
     /// # Errors
-    /// A file is missing, damaged, of another format version, sample type or shape than the manifest says, a table
-    /// lacks a column or holds a value that cannot be, or a bead lies outside the field.
+    /// A file is missing, is damaged, or differs from the manifest in format version, sample type or shape; a table
+    /// lacks a column or holds an impossible value; or a bead lies outside the object grid.
     pub fn open(dir: impl AsRef<Path>) -> Result<Self, SessionError> {
         let dir = dir.as_ref();
         let path = dir.join(MANIFEST);
@@ -45,23 +54,19 @@ impl Session {
         Ok(Self { dir: dir.into(), manifest, stacks })
     }
 
-    /// A session whose frames are made as they are asked for, `name` standing for its folder in messages: entries, what is known of
-    /// each frame, and who makes it.
-    pub(crate) fn made(
-        name: &Path,
-        manifest: Manifest,
-        stacks: Vec<(StackEntry, Vec<FrameInfo>, Arc<dyn FrameSource>)>,
-    ) -> Self {
-        let stack = |(entry, info, maker)| Stack { entry, dir: name.into(), info, maker: Some(maker) };
+    /// A session whose frames are computed when they are read. `name` stands for its folder in error messages.
+    pub fn computed(name: &Path, manifest: Manifest, stacks: Vec<ComputedStack>) -> Self {
+        let stack =
+            |s: ComputedStack| Stack { entry: s.entry, dir: name.into(), info: s.info, computed: Some(s.frames) };
         Self { dir: name.into(), manifest, stacks: stacks.into_iter().map(stack).collect() }
     }
 
-    /// Whether its frames are made and not read.
-    pub fn is_made(&self) -> bool {
-        self.stacks.iter().any(|s| s.maker.is_some())
+    /// Whether its frames are computed rather than read from files.
+    pub fn is_computed(&self) -> bool {
+        self.stacks.iter().any(|s| s.computed.is_some())
     }
 
-    /// The session's folder.
+    /// Path of the session's folder.
     pub fn dir(&self) -> &Path {
         &self.dir
     }
@@ -71,7 +76,7 @@ impl Session {
         &self.manifest
     }
 
-    /// The file of the manifest.
+    /// Path of the manifest.
     pub fn manifest_path(&self) -> PathBuf {
         self.dir.join(MANIFEST)
     }
@@ -86,10 +91,10 @@ impl Session {
         self.stacks.iter().filter(move |s| s.role() == role)
     }
 
-    /// The stacks of one role, of which there must be one at least.
+    /// The stacks of one role, in the order of the manifest; at least one.
     ///
     /// # Errors
-    /// There is none.
+    /// The session has no stack of this role.
     pub fn need(&self, role: Role) -> Result<Vec<&Stack>, SessionError> {
         let found: Vec<_> = self.stacks_of(role).collect();
         if !found.is_empty() {
@@ -100,7 +105,7 @@ impl Session {
             path: self.manifest_path(),
             field: format!("a [[stack]] with role = \"{}\"", role.name()),
             found: format!("roles {}", if roles.is_empty() { "none".into() } else { roles.join(", ") }),
-            remedy: "measure that stack, or name its role",
+            remedy: "measure such a stack, or correct the role of one that is there",
         })
     }
 }
@@ -109,7 +114,7 @@ impl Stack {
     fn open(dir: &Path, manifest_path: &Path, manifest: &Manifest, entry: &StackEntry) -> Result<Self, SessionError> {
         let frames = FrameReader::open(&dir.join(&entry.file))?;
         let sensor = [frames.len(), manifest.sensor.rows, manifest.sensor.cols];
-        expect_shape(&frames, sensor, "make [sensor] and the frames agree")?;
+        expect_shape(&frames, sensor, "correct [sensor] in the manifest, or the frames")?;
         let required: &[&str] = if entry.role == Role::Bead { &["x_um", "y_um"] } else { &[] };
         let info = match &entry.table {
             Some(name) => table::read(&dir.join(name), frames.len(), entry.exposure_ms, required)?,
@@ -118,8 +123,8 @@ impl Stack {
                 return Err(SessionError::Missing {
                     path: manifest_path.into(),
                     field: format!("table of bead stack `{}`", entry.file),
-                    found: "no such key".into(),
-                    remedy: "a bead scan needs a table with x_um and y_um",
+                    found: "no key `table`".into(),
+                    remedy: "give the bead scan a table with the columns x_um and y_um",
                 });
             }
         };
@@ -132,7 +137,7 @@ impl Stack {
                 companion(&dir.join(name), shape)?;
             }
         }
-        Ok(Self { entry: entry.clone(), dir: dir.into(), info, maker: None })
+        Ok(Self { entry: entry.clone(), dir: dir.into(), info, computed: None })
     }
 
     /// What its frames show.
@@ -156,40 +161,42 @@ impl Stack {
         self.dir.join(&self.entry.file)
     }
 
-    /// What is known of each frame, in their order.
+    /// Metadata of each frame, in the order of the frames.
     pub fn info(&self) -> &[FrameInfo] {
         &self.info
     }
 
-    /// A reader of the frames, DN, [sensor rows, sensor cols].
+    /// A reader of the frames, [sensor rows, sensor cols], DN.
     ///
     /// # Errors
-    /// The file was taken away or changed since the session was opened.
+    /// The file was removed or changed since the session was opened.
     pub fn frames(&self) -> Result<FrameReader, SessionError> {
-        match &self.maker {
-            Some(maker) => Ok(FrameReader::made(&self.path(), Arc::clone(maker))),
+        match &self.computed {
+            Some(frames) => Ok(FrameReader::computed(&self.path(), Arc::clone(frames))),
             None => FrameReader::open(&self.path()),
         }
     }
 
-    /// A reader of the known objects, [object rows, object cols], in a unit common to the stack.
+    /// A reader of the known objects, [object rows, object cols], in one unit for the stack; `None` if the stack has
+    /// none.
     ///
     /// # Errors
-    /// The file was taken away or changed since the session was opened.
+    /// The file was removed or changed since the session was opened.
     pub fn truth(&self) -> Result<Option<TruthReader>, SessionError> {
         self.entry.truth.as_ref().map(|f| FrameReader::open(&self.dir.join(f)).map(TruthReader)).transpose()
     }
 
-    /// A reader of the noise-free frames, DN, [sensor rows, sensor cols], where a virtual instrument gave them.
+    /// A reader of the noise-free frames of a virtual instrument, [sensor rows, sensor cols], DN; `None` if the stack
+    /// has none.
     ///
     /// # Errors
-    /// The file was taken away or changed since the session was opened.
+    /// The file was removed or changed since the session was opened.
     pub fn expected(&self) -> Result<Option<FrameReader>, SessionError> {
         self.entry.expected.as_ref().map(|f| FrameReader::open(&self.dir.join(f))).transpose()
     }
 }
 
-/// Reads known objects, and refuses negative light.
+/// Reads known objects one at a time and rejects negative light.
 #[derive(Debug)]
 pub struct TruthReader(FrameReader);
 
@@ -200,10 +207,10 @@ impl TruthReader {
         self.0.len()
     }
 
-    /// Object of frame `i`, [object rows, object cols], >= 0.
+    /// Reads the object of frame `i`, [object rows, object cols], >= 0.
     ///
     /// # Errors
-    /// As [`FrameReader::read`], and a negative value.
+    /// As [`FrameReader::read`]; or the object has a negative value.
     pub fn read(&mut self, i: usize) -> Result<ndarray::Array2<f32>, SessionError> {
         let object = self.0.read(i)?;
         match object.indexed_iter().find(|(_, v)| **v < 0.0) {
@@ -213,7 +220,7 @@ impl TruthReader {
                 format!("object {i}, pixel ({r}, {c})"),
                 "emitted light, zero or more",
                 v,
-                "subtract no background from a truth",
+                "do not subtract a background from a truth",
             )),
         }
     }
@@ -228,17 +235,17 @@ fn expect_shape(frames: &FrameReader, expected: [usize; 3], remedy: &'static str
     Err(SessionError::Shape { path, expected: format!("{expected:?}"), found: format!("{found:?}"), remedy })
 }
 
-/// Checks a truth or an expectation: float32 and as many frames as the stack, of the right size.
+/// Checks a file of truths or expectations: it must be float32 and have the given shape, [frames, rows, cols].
 fn companion(path: &Path, shape: [usize; 3]) -> Result<(), SessionError> {
     let frames = FrameReader::open(path)?;
     if frames.samples() != SampleType::F32 {
         let found = frames.samples().name().into();
         return Err(SessionError::SampleType { path: path.into(), expected: "float32", found });
     }
-    expect_shape(&frames, shape, "one entry a frame, on the grid that the manifest names")
+    expect_shape(&frames, shape, "write one entry for each frame, on the grid that the manifest states")
 }
 
-/// Refuses bead positions that are not on the object grid (its outer pixel edges included).
+/// Rejects bead positions outside the object grid; the outer edges of its pixels still count as inside.
 fn beads_inside(path: &Path, manifest: &Manifest, info: &[FrameInfo]) -> Result<(), SessionError> {
     let object = &manifest.object;
     for bead in info {
@@ -251,7 +258,7 @@ fn beads_inside(path: &Path, manifest: &Manifest, info: &[FrameInfo]) -> Result<
                     format!("column `{name}`, frame {}", bead.frame),
                     format!("a position on the object grid, -{edge} to {edge} um"),
                     um,
-                    "leave out the bead outside the field, check its unit, or enlarge [object]",
+                    "check the unit of the column, leave out beads outside the field, or enlarge [object]",
                 ));
             }
         }

@@ -1,34 +1,34 @@
-//! The table beside a stack: one row a frame.
+//! The table of a stack: one row for each frame.
 
-use super::SessionError;
+use super::error::SessionError;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// What is known of one frame. Columns that the table lacks have their default.
+/// Metadata of one frame. A column that the table lacks has its default.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameInfo {
-    /// Index in its stack.
+    /// Index of the frame in its stack, from 0.
     pub frame: usize,
-    /// Stage position x, um; 0 where the table says nothing.
+    /// Stage position x, um; default 0.
     pub x_um: f64,
-    /// Stage position y, um; 0 where the table says nothing.
+    /// Stage position y, um; default 0.
     pub y_um: f64,
-    /// Depth, um; 0 where the table says nothing.
+    /// Depth of the stage, um; default 0.
     pub z_um: f64,
-    /// Exposure, ms; the stack's where the table gives no other.
+    /// Exposure, ms; default: the exposure of the stack.
     pub exposure_ms: f64,
-    /// Relative light level; 1 where the table says nothing.
+    /// Relative light level; default 1.
     pub illumination: f64,
-    /// When the exposure began, s; 0 where the table says nothing.
+    /// Start of the exposure, s; default 0.
     pub time_s: f64,
     /// Temperature of the sensor, degrees C, if it was measured.
     pub temperature_c: Option<f64>,
-    /// Columns of other names, as they stand.
+    /// Columns with other names, as text.
     pub other: BTreeMap<String, String>,
 }
 
 impl FrameInfo {
-    /// A frame of which nothing is known but its index and the stack's exposure.
+    /// A frame with this index and exposure, and defaults for everything else.
     pub fn plain(frame: usize, exposure_ms: f64) -> Self {
         Self {
             frame,
@@ -44,10 +44,11 @@ impl FrameInfo {
     }
 }
 
-/// Reads a table for a stack of `frames` frames; `required` columns must be there. In the order of the frames.
+/// Reads the table of a stack of `frames` frames, in the order of the frames. The columns in `required` must exist.
 ///
 /// # Errors
-/// No CSV, a required column missing, a number that is none or cannot be, a frame missing, repeated or too many.
+/// The file is not valid CSV, a required column is missing, a value is not a number or outside its range, or the frames
+/// are not numbered from 0 to `frames - 1`, each once.
 pub(super) fn read(
     path: &Path,
     frames: usize,
@@ -60,7 +61,7 @@ pub(super) fn read(
         .from_path(path)
         .map_err(|e| csv_error(path, e))?;
     let header = csv.headers().map_err(|e| csv_error(path, e))?.clone();
-    // A byte-order mark, as spreadsheets write it, is no part of the first name.
+    // Spreadsheets may write a byte-order mark; it is not part of the first name.
     let names: Vec<&str> = header.iter().map(|n| n.trim_start_matches('\u{feff}').trim()).collect();
     for column in required {
         if !names.contains(column) {
@@ -68,7 +69,7 @@ pub(super) fn read(
                 path: path.into(),
                 field: format!("column `{column}`"),
                 found: format!("columns {}", names.join(", ")),
-                remedy: "add the column, or name it as the session format does",
+                remedy: "add the column, or rename it to the name in the session format",
             });
         }
     }
@@ -133,7 +134,7 @@ fn row(
     Ok(info)
 }
 
-/// What a column may hold.
+/// Values that a column may hold.
 #[derive(Clone, Copy)]
 enum Range {
     Any,
@@ -162,7 +163,7 @@ fn row_count(path: &Path, frames: usize, found: String) -> SessionError {
         path: path.into(),
         expected: format!("one row for each of {frames} frames"),
         found,
-        remedy: "make table and stack agree",
+        remedy: "write one row for each frame of the stack",
     }
 }
 

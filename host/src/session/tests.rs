@@ -1,4 +1,4 @@
-//! Sessions on disk: written, read back, and damaged in every way that the contract names.
+//! Sessions on disk: written, read back, and damaged in every way that the session format names.
 
 #![allow(clippy::unwrap_used)]
 
@@ -77,7 +77,7 @@ fn edit(path: &Path, from: &str, to: &str) {
 }
 
 #[track_caller]
-fn says(error: &str, parts: &[&str]) {
+fn mentions(error: &str, parts: &[&str]) {
     for part in parts {
         assert!(error.contains(part), "`{part}` is missing in: {error}");
     }
@@ -140,7 +140,7 @@ fn damaged_npy_files_are_refused() {
     ];
     for (bytes, message) in cases {
         std::fs::write(&path, bytes).unwrap();
-        says(&FrameReader::open(&path).unwrap_err().to_string(), &["a.npy", message]);
+        mentions(&FrameReader::open(&path).unwrap_err().to_string(), &["a.npy", message]);
     }
 }
 
@@ -154,7 +154,7 @@ fn a_truncated_tif_is_refused() {
     for keep in [0, 3, 8, 100, bytes.len() / 2, bytes.len() - 1] {
         std::fs::write(&path, &bytes[..keep]).unwrap();
         let error = FrameReader::open(&path).and_then(|mut r| (0..3).try_for_each(|i| r.read(i).map(drop)));
-        says(&error.unwrap_err().to_string(), &["a.tif"]);
+        mentions(&error.unwrap_err().to_string(), &["a.tif"]);
     }
 }
 
@@ -165,31 +165,31 @@ fn numbers_that_are_none_are_refused_where_they_are_read() {
     let data: Vec<u8> = [1.0f32, f32::NAN].iter().flat_map(|v| v.to_le_bytes()).collect();
     std::fs::write(&path, npy("<f4", "False", "(1, 1, 2)", &data)).unwrap();
     let error = FrameReader::open(&path).unwrap().read(0).unwrap_err().to_string();
-    says(&error, &["a.npy", "frame 0, pixel (0, 1)", "NaN"]);
+    mentions(&error, &["a.npy", "frame 0, pixel (0, 1)", "NaN"]);
 }
 
 #[test]
 fn each_damage_to_a_session_has_its_error() {
     let toml = |from: &'static str, to: &'static str| damaged(move |s| edit(&s.join("session.toml"), from, to));
     let csv = |from: &'static str, to: &'static str| damaged(move |s| edit(&s.join("bead.csv"), from, to));
-    says(&damaged(|s| std::fs::remove_file(s.join("bead.npy")).unwrap()), &["bead.npy", "No such file"]);
-    says(&damaged(|s| std::fs::remove_file(s.join("session.toml")).unwrap()), &["session.toml"]);
-    says(&toml("format = 1", "format = 2"), &["format: expected 1, found 2"]);
-    says(&toml("rows = 4", "rows = 7"), &["bead.npy", "[2, 7, 5]", "[2, 4, 5]"]);
-    says(&toml("rows = 3", "rows = 9"), &["truth.npy", "[2, 9, 2]", "[2, 3, 2]"]);
-    says(&toml("bit_depth", "bitdepth"), &["bitdepth", "line"]);
-    says(&toml("pixel_pitch_um = 2.0", "pixel_pitch_um = nan"), &["sensor.pixel_pitch_um", "NaN"]);
-    says(&toml("pixel_um = 4.0", "pixel_um = 5.0"), &["object.pixel_um", "4.0000"]);
-    says(&toml("exposure_ms = 10.0", "exposure_ms = -1.0"), &["exposure_ms", "-1"]);
-    says(&toml("psf_window_px = 3", "psf_window_px = 4"), &["psf_window_px", "odd"]);
-    says(&toml("table = \"bead.csv\"", ""), &["table of bead stack", "x_um"]);
-    says(&csv("x_um", "x_mm"), &["bead.csv", "column `x_um`", "x_mm"]);
-    says(&csv("\n1,-2", "\n1,-inf"), &["column `x_um`, row 1", "`-inf`"]);
-    says(&csv("\n1,-2", "\n1,9.0"), &["column `x_um`, frame 1", "on the object grid", "found 9"]);
-    says(&csv("\n1,-2", "\n0,-2"), &["each frame once"]);
-    says(&csv("\n1,-2", "\n5,-2"), &["frame 5"]);
-    says(&csv(",10,", ",-10,"), &["column `exposure_ms`", "-10"]);
-    says(
+    mentions(&damaged(|s| std::fs::remove_file(s.join("bead.npy")).unwrap()), &["bead.npy", "No such file"]);
+    mentions(&damaged(|s| std::fs::remove_file(s.join("session.toml")).unwrap()), &["session.toml"]);
+    mentions(&toml("format = 1", "format = 2"), &["format: expected 1, found 2"]);
+    mentions(&toml("rows = 4", "rows = 7"), &["bead.npy", "[2, 7, 5]", "[2, 4, 5]"]);
+    mentions(&toml("rows = 3", "rows = 9"), &["truth.npy", "[2, 9, 2]", "[2, 3, 2]"]);
+    mentions(&toml("bit_depth", "bitdepth"), &["bitdepth", "line"]);
+    mentions(&toml("pixel_pitch_um = 2.0", "pixel_pitch_um = nan"), &["sensor.pixel_pitch_um", "NaN"]);
+    mentions(&toml("pixel_um = 4.0", "pixel_um = 5.0"), &["object.pixel_um", "4.0000"]);
+    mentions(&toml("exposure_ms = 10.0", "exposure_ms = -1.0"), &["exposure_ms", "-1"]);
+    mentions(&toml("psf_window_px = 3", "psf_window_px = 4"), &["psf_window_px", "odd"]);
+    mentions(&toml("table = \"bead.csv\"", ""), &["table of bead stack", "x_um"]);
+    mentions(&csv("x_um", "x_mm"), &["bead.csv", "column `x_um`", "x_mm"]);
+    mentions(&csv("\n1,-2", "\n1,-inf"), &["column `x_um`, row 1", "`-inf`"]);
+    mentions(&csv("\n1,-2", "\n1,9.0"), &["column `x_um`, frame 1", "on the object grid", "found 9"]);
+    mentions(&csv("\n1,-2", "\n0,-2"), &["each frame once"]);
+    mentions(&csv("\n1,-2", "\n5,-2"), &["frame 5"]);
+    mentions(&csv(",10,", ",-10,"), &["column `exposure_ms`", "-10"]);
+    mentions(
         &damaged(|s| truncate_last_line(&s.join("bead.csv"))),
         &["expected one row for each of 2 frames, found 1 rows"],
     );
@@ -208,7 +208,7 @@ fn a_negative_truth_is_refused() {
     stack::write(&path.join("truth.npy"), (-ramp(2, 3, 2)).view()).unwrap();
     let session = Session::open(&path).unwrap();
     let error = session.stacks()[1].truth().unwrap().unwrap().read(0).unwrap_err().to_string();
-    says(&error, &["truth.npy", "object 0, pixel (0, 1)", "-1"]);
+    mentions(&error, &["truth.npy", "object 0, pixel (0, 1)", "-1"]);
 }
 
 #[test]
@@ -218,9 +218,9 @@ fn an_unfinished_stack_leaves_nothing_behind() {
         let spec = StackSpec { frames: 2, rows: 2, cols: 2, samples: SampleType::U8, pixel_um: None };
         let mut writer = FrameWriter::create(&dir.path().join(name), spec).unwrap();
         writer.push(Array2::zeros((2, 2)).view()).unwrap();
-        says(&writer.push(array![[0.0f32, 256.0], [0.0, 0.0]].view()).unwrap_err().to_string(), &["(0, 1)", "256"]);
-        says(&writer.push(Array2::zeros((2, 3)).view()).unwrap_err().to_string(), &["2 x 3"]);
-        says(&writer.finish().unwrap_err().to_string(), &["expected 2 frames, found 1"]);
+        mentions(&writer.push(array![[0.0f32, 256.0], [0.0, 0.0]].view()).unwrap_err().to_string(), &["(0, 1)", "256"]);
+        mentions(&writer.push(Array2::zeros((2, 3)).view()).unwrap_err().to_string(), &["2 x 3"]);
+        mentions(&writer.finish().unwrap_err().to_string(), &["expected 2 frames, found 1"]);
     }
     assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0);
 }
@@ -231,8 +231,8 @@ fn a_foreign_folder_is_never_replaced() {
     let path = dir.path().join("s");
     write_session(&path);
     let again = |existing| SessionWriter::create(&path, &manifest(), existing).map(|w| w.finish());
-    says(&again(Existing::Keep).unwrap_err().to_string(), &["already exists"]);
-    says(&again(Existing::ReplaceIfHas("mark")).unwrap_err().to_string(), &["already exists"]);
+    mentions(&again(Existing::Keep).unwrap_err().to_string(), &["already exists"]);
+    mentions(&again(Existing::ReplaceIfHas("mark")).unwrap_err().to_string(), &["already exists"]);
     std::fs::write(path.join("mark"), "").unwrap();
     again(Existing::ReplaceIfHas("mark")).unwrap().unwrap();
     assert!(Session::open(&path).unwrap().stacks().is_empty());

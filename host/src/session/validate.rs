@@ -1,13 +1,14 @@
-//! Parses a manifest and refuses sizes that cannot be.
+//! Parses a manifest and rejects impossible sizes.
 
-use super::{Manifest, Role, SessionError};
+use super::error::SessionError;
+use super::manifest::{Manifest, Role};
 use std::path::Path;
 
 /// Version of the session format that this program reads and writes.
 const FORMAT: u32 = 1;
 
 impl Role {
-    /// Name in the manifest.
+    /// Name of the role in the manifest.
     pub fn name(self) -> &'static str {
         match self {
             Self::Dark => "dark",
@@ -19,17 +20,17 @@ impl Role {
 }
 
 impl Manifest {
-    /// Parses and checks the text of `path`.
+    /// Parses and checks `text`, the content of the manifest at `path`.
     ///
     /// # Errors
-    /// No valid TOML, another format version, an unknown or missing key, or a size that cannot be.
+    /// The text is not valid TOML, has another format version, an unknown key, a missing key, or an impossible size.
     pub fn parse(path: &Path, text: &str) -> Result<Self, SessionError> {
         let syntax = |e: toml::de::Error| SessionError::Manifest { path: path.into(), detail: e.to_string() };
-        // The version first: a later format may have keys that this program does not know.
+        // The version is checked first: a later format may have keys that this program does not know.
         let raw: toml::Table = text.parse().map_err(syntax)?;
         let found = raw.get("format");
         if found.and_then(toml::Value::as_integer) != Some(i64::from(FORMAT)) {
-            let found = found.map_or("none".into(), ToString::to_string);
+            let found = found.map_or("no version".into(), ToString::to_string);
             return Err(SessionError::Version { path: path.into(), expected: FORMAT, found });
         }
         let manifest: Self = toml::from_str(text).map_err(syntax)?;
@@ -37,10 +38,10 @@ impl Manifest {
         Ok(manifest)
     }
 
-    /// Checks that each size can be, and that they agree with one another.
+    /// Checks that each size is possible and that the sizes agree with each other.
     ///
     /// # Errors
-    /// The first one that cannot be; `path` is the file that is blamed.
+    /// Names the first impossible size; `path` is the file in the message.
     pub fn check(&self, path: &Path) -> Result<(), SessionError> {
         let (sensor, array, optics, object) = (&self.sensor, &self.array, &self.optics, &self.object);
         let fix = "correct the manifest";
@@ -67,7 +68,8 @@ impl Manifest {
         }
         let least = if array.lenses() > 1 { f64::MIN_POSITIVE } else { 0.0 };
         if !(array.pitch_px.is_finite() && array.pitch_px >= least) {
-            let expected = "the distance of neighbouring chief rays, sensor pixels";
+            let above = if array.lenses() > 1 { "above zero" } else { "zero or more" };
+            let expected = format!("the distance between neighbouring chief rays in sensor pixels, {above}");
             return Err(SessionError::value(path, "array.pitch_px", expected, array.pitch_px, fix));
         }
         if !(1..=32).contains(&sensor.bit_depth) {
@@ -89,19 +91,21 @@ impl Manifest {
     fn check_stacks(&self, path: &Path) -> Result<(), SessionError> {
         for (i, stack) in self.stacks.iter().enumerate() {
             let exposure = stack.exposure_ms;
-            // A dark may be a bias frame, exposed for no time at all.
+            // A dark may be a bias frame, with an exposure of zero.
             let possible = exposure.is_finite() && (exposure > 0.0 || (exposure == 0.0 && stack.role == Role::Dark));
             if !possible {
                 let field = format!("stack {i} (`{}`), exposure_ms", stack.file);
-                return Err(SessionError::value(path, field, "a number above zero", exposure, "correct the manifest"));
+                let expected = if stack.role == Role::Dark { "zero or more" } else { "a number above zero" };
+                return Err(SessionError::value(path, field, expected, exposure, "correct the manifest"));
             }
         }
         Ok(())
     }
 }
 
-/// One object pixel maps to one sensor pixel; figures in a manifest are rounded.
+/// Allowed relative difference between `object.pixel_um` and pixel pitch over magnification: manifests hold rounded
+/// values.
 const PIXEL_TOLERANCE: f64 = 0.02;
 
-/// No sensor is wider; beyond it a size is a slip of the pen.
+/// Largest number of rows or columns; a larger value is taken for a typing error.
 const MAX_SIDE: usize = 1 << 20;

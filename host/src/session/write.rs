@@ -1,21 +1,23 @@
-//! Writes a session, whole or not at all.
+//! Writes a session; its folder appears complete or not at all.
 
+use super::error::SessionError;
+use super::manifest::{MANIFEST, Manifest, StackEntry};
 use super::stack::{FrameWriter, StackSpec};
-use super::{FrameInfo, MANIFEST, Manifest, SessionError, StackEntry};
+use super::table::FrameInfo;
 use crate::artifact;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
-/// What to do where the folder exists already.
+/// What to do if the folder exists already.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Existing {
-    /// Refuse, unless it is empty.
+    /// Fail, unless the folder is empty.
     Keep,
-    /// Replace it if it holds a file of this name, which only such a session has; refuse otherwise.
+    /// Replace the folder if it holds a file of this name, which marks replaceable sessions; fail otherwise.
     ReplaceIfHas(&'static str),
 }
 
-/// Writes a session into a temporary folder beside its place; [`SessionWriter::finish`] moves it there.
+/// Writes a session into a temporary folder beside the target; [`SessionWriter::finish`] moves it to the target.
 #[derive(Debug)]
 pub struct SessionWriter {
     target: PathBuf,
@@ -25,10 +27,12 @@ pub struct SessionWriter {
 }
 
 impl SessionWriter {
-    /// Begins a session at `target`, with the sizes of `manifest`; its stacks are added one by one.
+    /// Starts a session at `target` with the sizes of `manifest`. Its stacks are added with [`SessionWriter::add`];
+    /// those listed in `manifest` are ignored.
     ///
     /// # Errors
-    /// The sizes cannot be, the place is taken, or its parent is missing or not writable.
+    /// A size is impossible, the target exists and may not be replaced, or its parent folder is missing or not
+    /// writable.
     pub fn create(target: &Path, manifest: &Manifest, existing: Existing) -> Result<Self, SessionError> {
         manifest.check(&target.join(MANIFEST))?;
         may_write(target, existing)?;
@@ -39,7 +43,7 @@ impl SessionWriter {
         Ok(Self { target: target.into(), existing, folder, manifest })
     }
 
-    /// A writer of frames for file `name` of the session.
+    /// A writer of the frames of file `name` in the session.
     ///
     /// # Errors
     /// As [`FrameWriter::create`].
@@ -47,7 +51,8 @@ impl SessionWriter {
         FrameWriter::create(&self.folder.path().join(name), spec)
     }
 
-    /// Writes table `name`: stage position, exposure, light and time of each frame, then the columns in `other`.
+    /// Writes table `name` with one row for each frame: stage position, exposure, light level, time, the temperature if
+    /// every frame has one, and the columns in [`FrameInfo::other`] of the first frame.
     ///
     /// # Errors
     /// The disk is full.
@@ -74,7 +79,7 @@ impl SessionWriter {
         csv.flush().map_err(|e| SessionError::io(&path, e))
     }
 
-    /// Writes a further file of the session, e.g. what a virtual instrument knows of itself.
+    /// Writes another file into the session, e.g. the ground truth of a virtual instrument.
     ///
     /// # Errors
     /// The disk is full.
@@ -83,15 +88,15 @@ impl SessionWriter {
         std::fs::write(&path, bytes).map_err(|e| SessionError::io(&path, e))
     }
 
-    /// Enters a stack into the manifest.
+    /// Adds a stack to the manifest.
     pub fn add(&mut self, entry: StackEntry) {
         self.manifest.stacks.push(entry);
     }
 
-    /// Completes the session: the folder appears at its place.
+    /// Completes the session: the folder appears at its target.
     ///
     /// # Errors
-    /// The disk is full, or somebody took the place meanwhile; nothing is left behind.
+    /// The disk is full, or another program created the target meanwhile. Nothing is left behind.
     pub fn finish(self) -> Result<(), SessionError> {
         let io = |e| SessionError::io(&self.target, e);
         let path = self.target.join(MANIFEST);
@@ -104,7 +109,7 @@ impl SessionWriter {
         if self.target.exists() {
             std::fs::rename(&self.target, aside.path().join("old")).map_err(io)?;
         }
-        // From here on the folder is no longer temporary.
+        // From here on the folder is not removed on drop.
         let finished = self.folder.keep();
         std::fs::rename(&finished, &self.target).map_err(|e| {
             std::fs::remove_dir_all(&finished).ok();
@@ -114,7 +119,7 @@ impl SessionWriter {
     }
 }
 
-/// Temporary folders are private; a finished session is as readable as any other folder.
+/// Gives a temporary folder, which is private, the usual permissions of a folder.
 fn open_to_all(folder: &Path) -> std::io::Result<()> {
     #[cfg(unix)]
     {

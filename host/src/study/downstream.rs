@@ -1,15 +1,16 @@
-//! What the loop is worth to the picture: a network that was fine-tuned on the closed instrument beside one on the true instrument.
+//! What closing the loop is worth to the picture: a network that was fine-tuned on the closed instrument beside one
+//! that was fine-tuned on the true instrument.
 //!
-//! Both start from one network, trained on the calibrated instrument, and take the same steps on the same scenes; both reconstruct frames of
-//! another session of the changed instrument. The true instrument is the calibrated one with what was put in, at its true values.
+//! Both start from one network, trained on the calibrated instrument, and take the same steps on the same scenes; both
+//! reconstruct frames of another session of the changed instrument. The true instrument is the calibrated one with the
+//! injected effects at their true values.
 
 use super::subject::Subject;
 use crate::artifact::Provenance;
 use crate::bench::VirtualInstrument;
-use crate::closing::retrain::{Retrained, retrain};
+use crate::closing::{Retrain, RetrainRequest, Retrained};
 use crate::effects::EffectSetting;
 use crate::instrument::Instrument;
-use crate::train::{Next, Preset, Simulated, Task, Trainer};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -18,7 +19,36 @@ const STEPS: u64 = 3000;
 /// Steps of fine-tuning.
 const FINE_STEPS: u64 = 1000;
 
-/// Mean PSNR of reconstructions of scenes that no training has seen, dB.
+/// Trains the networks of a study; the crate that knows networks implements it.
+pub trait FirstTraining {
+    /// Trains a network of the smallest preset on scenes that the instrument simulates, and writes its checkpoint.
+    ///
+    /// # Errors
+    /// The instrument's parts disagree, or the file cannot be written.
+    fn train(&self, request: &TrainRequest<'_>) -> anyhow::Result<()>;
+}
+
+/// What a first training needs.
+#[derive(Clone, Copy, Debug)]
+pub struct TrainRequest<'a> {
+    /// The instrument that the scenes are simulated with.
+    pub instrument: &'a Instrument,
+    /// Its file, for the provenance of the checkpoint.
+    pub instrument_file: &'a Path,
+    /// Checkpoint to write.
+    pub output: &'a Path,
+    /// Steps of the optimiser.
+    pub steps: u64,
+    /// Seed of all random draws.
+    pub seed: u64,
+}
+
+/// What a study needs of networks.
+pub trait Networks: FirstTraining + Retrain + Sync {}
+
+impl<T: FirstTraining + Retrain + Sync> Networks for T {}
+
+/// Mean PSNR of reconstructions of held-out scenes, dB.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Reconstruction {
     /// Of the network that was trained on the calibrated instrument.
@@ -29,43 +59,59 @@ pub struct Reconstruction {
     pub truth_db: f64,
 }
 
-/// Trains a network on an instrument, of the smallest preset.
+/// What is compared with the true instrument.
+pub struct Comparison<'a> {
+    /// The instrument under study.
+    pub subject: &'a Subject,
+    /// Its bench with the injected effects, which measures the scenes.
+    pub bench: &'a VirtualInstrument,
+    /// The closed instrument.
+    pub closed: &'a Instrument,
+    /// The injected effects.
+    pub injected: &'a [EffectSetting],
+    /// Seed of all random draws.
+    pub seed: u64,
+}
+
+/// Trains the network that both fine-tunings start from.
 ///
 /// # Errors
 /// The instrument's parts disagree, or the file cannot be written.
-pub fn train(instrument: &Instrument, file: &Path, seed: u64, output: &Path) -> anyhow::Result<()> {
-    let source = Simulated::of(instrument, file, seed)?;
-    let plan = source.plan();
-    let maps = instrument.sensor_maps()?;
-    let network = Preset::Nano.network(plan.frame, plan.object);
-    let mut training = Preset::Nano.training(plan.noise.full_scale_e(), seed).with_steps(STEPS);
-    training.peak_e = plan.peak_e;
-    let provenance = Provenance::new("study", seed, &training).with_input(file)?;
-    let task = Task { source: &source, network, noise: plan.noise, maps };
-    Trainer::new(task, training)?.run(output, &provenance, |_| Next::Continue)?;
-    Ok(())
+pub fn train(
+    networks: &dyn Networks,
+    instrument: &Instrument,
+    instrument_file: &Path,
+    seed: u64,
+    output: &Path,
+) -> anyhow::Result<()> {
+    networks.train(&TrainRequest { instrument, instrument_file, output, steps: STEPS, seed })
 }
 
-/// Compares the two on another session of the changed bench.
+/// Compares the two fine-tuned networks on another session of the changed bench.
 ///
 /// # Errors
 /// A file cannot be written, or a training fails.
-pub fn compare(
-    subject: &Subject,
-    bench: &VirtualInstrument,
-    closed: &Instrument,
-    settings: &[EffectSetting],
-    seed: u64,
-) -> anyhow::Result<Reconstruction> {
+pub fn compare(networks: &dyn Networks, case: &Comparison<'_>) -> anyhow::Result<Reconstruction> {
+    let Comparison { subject, bench, closed, injected, seed } = *case;
     let folder = tempfile::tempdir()?;
     let session = subject.session(bench, &folder.path().join("session"), seed ^ 0xd015)?;
     let frames: Vec<usize> = (0..subject.config.stacks.scene_frames).collect();
     let tuned = |name: &str, instrument: &Instrument| -> anyhow::Result<Retrained> {
         let [file, network] = ["instrument", "network"].map(|suffix| folder.path().join(format!("{name}.{suffix}")));
-        instrument.write(&file, Provenance::new("study", seed, &settings))?;
-        retrain(&session, (instrument, &file), (&subject.network, &network), &frames, (FINE_STEPS, seed), |_| {})
+        instrument.write(&file, Provenance::new("study", seed, &injected))?;
+        let request = RetrainRequest {
+            session: &session,
+            instrument,
+            instrument_file: &file,
+            checkpoint: &subject.network,
+            output: &network,
+            held_out_frames: &frames,
+            steps: FINE_STEPS,
+            seed,
+        };
+        networks.retrain(&request, &mut |_| {})
     };
-    let truth = Instrument { effects: settings.to_vec(), ..subject.instrument.clone() };
+    let truth = Instrument { effects: injected.to_vec(), ..subject.instrument.clone() };
     let (closed, truth) = (tuned("closed", closed)?, tuned("true", &truth)?);
     Ok(Reconstruction {
         before_db: closed.psnr_db_before,

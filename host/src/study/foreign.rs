@@ -1,12 +1,12 @@
-//! Effects that the catalogue does not hold, and must not: what does the loop say of a cause that nobody thought of?
+//! Effects outside the catalogue: they test what `close` reports of a cause that the catalogue lacks.
 //!
-//! They are no part of the registry; only the virtual instrument of a study can be given one.
+//! They are not in the registry; only the virtual instrument of a study can have one.
 
 use crate::effects::{Descriptor, Effect, FrameContext, Param, Ray, RayShift, Stage};
 use crate::session::Role;
 use ndarray::Array2;
 
-/// What one does, given its only parameter.
+/// The law of an effect, given its only parameter.
 enum Act {
     Ray(fn(f64, &Ray) -> RayShift),
     Light(fn(f64, &mut Array2<f32>, &FrameContext<'_>)),

@@ -1,15 +1,35 @@
-//! How far the loop can be trusted: many sessions of the virtual instrument with something in them that is not declared, each closed,
-//! and what was found held against what was there.
+//! A study of how far `close` can be trusted: many sessions of the virtual instrument with undeclared effects are
+//! closed, and the found effects are compared with the injected ones.
 //!
-//! [`plan`] lists the cases, [`subject`] is one instrument under study, [`trial`] runs a case, [`record`] keeps its outcome, one line a
-//! session, so that a killed study goes on; [`summary`] makes the figures and [`text`] the page. [`downstream`] asks what it is worth to the picture. [`foreign`] holds effects that the
-//! catalogue must not know.
+//! [`plan`] lists the cases and [`shard`] divides them among computers; [`subject`] is one instrument under study,
+//! [`sensitivity`] how well its sessions determine each effect; [`trial`] runs a case; [`record`] stores its outcome,
+//! one line per session, so that an interrupted study resumes; [`summary`] computes the figures, and [`text`] renders
+//! the page. [`downstream`] measures the effect on reconstructions. [`foreign`] holds effects outside the catalogue.
+//!
+//! ```
+//! use ommatidia_host::study::plan::{Question, Size, cases};
+//! use ommatidia_host::study::sensitivity::{Sensitivities, Sensitivity};
+//!
+//! // Sessions that determine the strength of vignetting to 0.001.
+//! let sensitivity = Sensitivity { param: "v".into(), unit: "1".into(), sigma: 0.001 };
+//! let known = Sensitivities { of: [("vignetting".to_string(), sensitivity)].into(), cannot: Vec::new() };
+//!
+//! let questions = vec![Question::Null, Question::Single];
+//! let size = Size { instruments: 1, nulls: 2, strengths: vec![10.0], questions, ..Size::default() };
+//! let cases = cases(&size, &[known]);
+//! assert_eq!(cases.len(), 3);
+//! let single = cases.iter().find(|case| case.question == Question::Single).unwrap();
+//! assert_eq!(single.key, "single/vignetting/10/0");
+//! assert!((single.injected[0].value - 0.01).abs() < 1e-12);
+//! ```
 
 pub mod downstream;
 pub mod foreign;
 pub mod plan;
 pub mod record;
 pub mod run;
+pub mod sensitivity;
+pub mod shard;
 pub mod subject;
 pub mod summary;
 pub mod text;

@@ -1,32 +1,32 @@
-//! The cases of a study: what is put into which session, and what the loop is not told.
+//! The cases of a study: which undeclared effect is injected into which session.
 
 use super::foreign::FOREIGN;
-use super::subject::Sensitivities;
+use super::sensitivity::Sensitivities;
 use crate::effects::{Effect, Stage, find, registry};
 use crate::rng;
 use rand::Rng;
 use serde::{Deserialize, Serialize};
 
-/// What a case asks.
+/// The question that a case answers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Question {
-    /// Is nothing found where nothing is?
+    /// Is nothing found in a session without an effect?
     #[default]
     Null,
     /// Is one undeclared effect of the catalogue found?
     Single,
-    /// Are two?
+    /// Are two undeclared effects of the catalogue found?
     Pair,
-    /// What is said where the true effect is not among the candidates?
+    /// What does `close` report if the true effect is not among the candidates?
     MinusOne,
-    /// What is said of an effect that no catalogue holds?
+    /// What does `close` report of an effect outside the catalogue?
     Foreign,
-    /// Is a gain found that the calibration states wrongly?
+    /// Is a wrongly calibrated gain found?
     Gain,
-    /// Are faults of the records found?
+    /// Are faults of the records (exchanged truths, wrong exposure) found?
     Records,
-    /// Does a network gain as much from the closed instrument as from the true one?
+    /// Does fine-tuning on the closed instrument help a network as much as on the true one?
     Reconstruction,
 }
 
@@ -44,18 +44,18 @@ impl Question {
     ];
 }
 
-/// What is put in.
+/// An injected effect.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Injected {
     /// Id of the effect.
     pub id: String,
-    /// Its strength by name.
+    /// Name of its strength parameter.
     pub param: String,
-    /// The strength in units of the session's own sensitivity.
+    /// Strength in units of the sensitivity of the session.
     pub sigmas: f64,
-    /// The strength.
+    /// Strength, in the unit of the parameter.
     pub value: f64,
-    /// Other parameters.
+    /// Other parameters: name and value.
     #[serde(default)]
     pub others: Vec<(String, f64)>,
 }
@@ -63,17 +63,17 @@ pub struct Injected {
 /// One session.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Case {
-    /// Names it.
+    /// Unique name.
     pub key: String,
-    /// What it asks.
+    /// Its question.
     pub question: Question,
-    /// Which instrument.
+    /// Number of the instrument, from 0.
     pub instrument: u64,
-    /// Makes noise and scenes.
+    /// Seed of noise and scenes.
     pub seed: u64,
-    /// What is put in.
+    /// Injected effects.
     pub injected: Vec<Injected>,
-    /// Ids that the loop may not name.
+    /// Ids that are removed from the candidates.
     #[serde(default)]
     pub excluded: Vec<String>,
     /// Factor on the gain that the instrument states.
@@ -88,19 +88,19 @@ fn one() -> f64 {
 /// How large a study is.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Size {
-    /// Seed of everything.
+    /// Seed of all random draws.
     pub seed: u64,
-    /// Instruments.
+    /// Number of instruments.
     pub instruments: u64,
-    /// Sessions with nothing in them.
+    /// Sessions without an effect.
     pub nulls: usize,
-    /// Repetitions of everything else, each with its own scenes and noise.
+    /// Repetitions of all other sessions, each with its own scenes and noise.
     pub seeds: u64,
     /// Strengths of single effects, in units of the session's sensitivity.
     pub strengths: Vec<f64>,
-    /// Effects that are looked at; empty: all.
+    /// Ids of the effects to inject; empty: all.
     pub only: Vec<String>,
-    /// Questions that are asked; empty: all.
+    /// Questions to answer; empty: all.
     pub questions: Vec<Question>,
 }
 
@@ -119,7 +119,7 @@ impl Default for Size {
 }
 
 impl Size {
-    /// A minute or two: enough to see that loop and study work, not to measure either.
+    /// A study of a minute or two, which checks that `close` and the study work but measures neither.
     pub fn quick(seed: u64) -> Self {
         let only =
             ["vignetting", "array_shift", "interpixel_capacitance", "background", "half_step", "alternating_gain"];
@@ -144,7 +144,7 @@ impl Size {
     }
 }
 
-/// Pairs of effects, those easily taken for one another first.
+/// Pairs of effects, easily confused ones first.
 pub const PAIRS: [[&str; 2]; 10] = [
     ["charge_diffusion", "interpixel_capacitance"],
     ["background", "veiling_glare"],
@@ -157,21 +157,21 @@ pub const PAIRS: [[&str; 2]; 10] = [
     ["halo", "readout_lag"],
     ["photobleaching", "interpixel_capacitance"],
 ];
-/// Strengths of the two of a pair.
+/// Strengths of both effects of a pair.
 const PAIR_SIGMAS: [f64; 2] = [10.0, 30.0];
-/// Strength of what the loop may not name.
+/// Strength of an effect that is removed from the candidates.
 const MINUS_ONE_SIGMAS: f64 = 30.0;
 /// Strengths of foreign effects; their unit is the noise alone.
 const FOREIGN_SIGMAS: [f64; 3] = [10.0, 30.0, 100.0];
 /// Effects that a network is fine-tuned for, one of each kind.
 pub const DOWNSTREAM: [&str; 6] =
     ["array_shift", "lens_gain", "defocus", "veiling_glare", "charge_diffusion", "vignetting"];
-/// Their strength: a picture does not show what is ten standard errors of a session.
+/// Their strength: ten standard errors of a session are invisible in a reconstruction.
 const DOWNSTREAM_SIGMAS: f64 = 100.0;
-/// By how much the gain is stated wrongly.
+/// Factor by which the stated gain is wrong.
 const WRONG_GAIN: f64 = 1.05;
 
-/// Ids of the effects that a study puts in: those with a law that a session of frames can show.
+/// Ids of the effects that a study injects: all of the catalogue except faults of records and unknown patterns.
 pub fn catalogue() -> Vec<&'static str> {
     let named = |e: &&&'static dyn Effect| {
         let d = e.descriptor();
@@ -180,7 +180,8 @@ pub fn catalogue() -> Vec<&'static str> {
     registry().iter().filter(named).map(|e| e.descriptor().id).collect()
 }
 
-/// All cases in an order that has something of everything early on, so that half a study says something of all.
+/// All cases, shuffled within each round, so that an unfinished study covers every question. `sensitivities`: one entry
+/// per instrument.
 pub fn cases(size: &Size, sensitivities: &[Sensitivities]) -> Vec<Case> {
     let mut cases: Vec<(u64, Case)> = Vec::new();
     let mut push = |round: u64, key: String, question: Question, instrument: u64, case: Case| {
@@ -260,7 +261,8 @@ pub fn cases(size: &Size, sensitivities: &[Sensitivities]) -> Vec<Case> {
     cases.into_iter().map(|(_, c)| c).collect()
 }
 
-/// An effect at a strength of so many standard errors. None: the session cannot tell it, or it cannot be that strong.
+/// An effect with a strength of `sigmas` standard errors. None: the session cannot determine the effect, or the
+/// strength is out of range.
 fn injected(known: &Sensitivities, id: &str, sigmas: f64) -> Option<Injected> {
     let s = known.of.get(id)?;
     // A standard error where the effect is absent is one of the number that the frame is linear in.

@@ -1,7 +1,8 @@
-//! What came of one session, and the file of all of them: one JSON object a line, appended as sessions end.
+//! Outcomes of sessions, and their file: one JSON object per line, appended as sessions end.
 
 use super::downstream::Reconstruction;
 use super::plan::{Case, Injected};
+use super::shard::Shard;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
@@ -12,34 +13,34 @@ use std::sync::{Mutex, PoisonError};
 /// An effect that the loop found.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FoundEffect {
-    /// Its id, or `unknown-1`, ..
+    /// Its id; `unknown-1` and so on for effects outside the catalogue.
     pub id: String,
-    /// Whether the catalogue knows it.
+    /// Whether it is in the catalogue.
     pub known: bool,
     /// Strength of the evidence, standard deviations.
     pub z: f64,
-    /// What it could also be.
+    /// Ids of effects that explain the data about as well.
     pub ambiguity: Vec<String>,
     /// Largest squared correlation with one of those.
     pub overlap: f64,
-    /// Share of the excess on held-out data that it is said to explain.
+    /// Share of the excess on held-out data that it explains, as `close` reports it.
     pub excess_explained: Option<f64>,
     /// Value and standard error by parameter.
     pub params: BTreeMap<String, [f64; 2]>,
-    /// In words.
+    /// Description.
     pub description: String,
 }
 
-/// chi-squared a pixel on held-out scenes.
+/// chi-squared per pixel on held-out scenes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct HeldOut {
-    /// The instrument as it was.
+    /// Of the calibrated instrument.
     pub before: f64,
-    /// Closed.
+    /// Of the closed instrument.
     pub after: f64,
-    /// The bench's own noise-free frames: nothing can be better, but by chance.
+    /// Of the bench's noise-free frames, which only chance can improve on.
     pub floor: f64,
-    /// The instrument with what was put in, its values fitted: what can be explained. None: nothing was.
+    /// Of the calibrated instrument with the injected effects, their values fitted; None: no effect was injected.
     #[serde(default)]
     pub truth: Option<f64>,
     /// Pixels.
@@ -47,8 +48,8 @@ pub struct HeldOut {
 }
 
 impl HeldOut {
-    /// Share of the explainable excess that was removed. None: there is none beyond five of its standard errors; the difference d of two
-    /// chi-squareds of the same frames has an error of 2 sqrt(d).
+    /// Share of the explainable excess that was removed. None: the excess is below five standard errors; the difference
+    /// d of two chi-squareds of the same frames has an error of 2 sqrt(d).
     pub fn explained(&self) -> Option<f64> {
         let excess = self.before - self.truth?;
         let fall = excess.max(0.0) * self.pixels as f64;
@@ -56,25 +57,25 @@ impl HeldOut {
     }
 }
 
-/// What came of one case.
+/// The outcome of one case.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Outcome {
     /// The case.
     pub case: Case,
     /// Effects that were found, in order.
     pub found: Vec<FoundEffect>,
-    /// Whether the loop says that its catalogue is incomplete.
+    /// Whether `close` reports that the catalogue is incomplete.
     pub incomplete: bool,
     /// Covariates on which the residual depends afterwards (beyond five standard deviations).
     pub structure: Vec<String>,
     /// Figures on held-out scenes.
     pub held_out: HeldOut,
-    /// What the picture gains, where that was asked.
+    /// PSNR of fine-tuned networks, for that question only.
     #[serde(default)]
     pub reconstruction: Option<Reconstruction>,
-    /// Time to close, s; measuring the session is not in it.
+    /// Time to close, s, without the measurement of the session.
     pub seconds: f64,
-    /// Why there is no outcome.
+    /// Why the session could not be closed; None if it could.
     pub error: Option<String>,
 }
 
@@ -84,22 +85,22 @@ impl Outcome {
         !self.found.is_empty()
     }
 
-    /// Id of what was found first.
+    /// Id of the effect that was found first; `nothing` or `unknown`.
     pub fn first(&self) -> &str {
         self.found.first().map_or("nothing", |f| if f.known { f.id.as_str() } else { "unknown" })
     }
 
-    /// Whether an effect was found, or told as what a found one could also be.
+    /// Whether an effect was found or is in the ambiguity set of a found one.
     pub fn covers(&self, id: &str) -> bool {
         self.found.iter().any(|f| f.id == id || f.ambiguity.iter().any(|a| a == id))
     }
 
-    /// Whether a known effect is named and nothing says that this may be wrong.
+    /// Whether an effect of the catalogue is named without a report that the catalogue is incomplete.
     pub fn names_confidently(&self) -> bool {
         self.found.iter().any(|f| f.known) && !self.incomplete
     }
 
-    /// (value - truth) / sigma of an injected effect's strength, where it was found under its own name.
+    /// (value - truth) / sigma of the strength of an injected effect; None if it was not found under its name.
     pub fn pull(&self, injected: &Injected) -> Option<f64> {
         let found = self.found.iter().find(|f| f.id == injected.id)?;
         let [value, sigma] = *found.params.get(&injected.param)?;
@@ -117,13 +118,13 @@ impl Ledger {
     ///
     /// # Errors
     /// The folder cannot be written.
-    pub fn open(dir: &Path, shard: [usize; 2]) -> std::io::Result<Self> {
+    pub fn open(dir: &Path, shard: Shard) -> std::io::Result<Self> {
         let name = match shard {
-            [0, 1] => "sessions.jsonl".to_string(),
-            [i, n] => format!("sessions-{i}-of-{n}.jsonl"),
+            Shard { index: 0, count: 1 } => "sessions.jsonl".to_string(),
+            Shard { index, count } => format!("sessions-{index}-of-{count}.jsonl"),
         };
         let path = dir.join(name);
-        // A study that was killed in the middle of a line leaves half of one; the next begins on a line of its own.
+        // A study that was killed while writing leaves an incomplete line; the next outcome starts on a new line.
         let torn = std::fs::read(&path).is_ok_and(|b| b.last().is_some_and(|c| *c != b'\n'));
         let mut file = OpenOptions::new().create(true).append(true).open(path)?;
         if torn {
@@ -143,7 +144,7 @@ impl Ledger {
     }
 }
 
-/// Outcomes of all shards in a folder, the last of each case; lines that are no outcome are left out.
+/// Outcomes of all shards in a folder, the last one of each case. Incomplete lines are skipped.
 ///
 /// # Errors
 /// The folder cannot be read.

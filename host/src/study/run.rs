@@ -1,8 +1,11 @@
 //! A whole study: instruments, cases, figures.
 
+use super::downstream::Networks;
 use super::plan::{Case, Size, cases};
 use super::record::{Ledger, Outcome, read_all};
-use super::subject::{Sensitivities, Subject};
+use super::sensitivity::Sensitivities;
+use super::shard::Shard;
+use super::subject::Subject;
 use super::summary::Summary;
 use super::text::page;
 use super::trial;
@@ -12,34 +15,60 @@ use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-/// Figures of the study.
+/// File of the figures.
 pub const JSON: &str = "study.json";
-/// Its page.
+/// File of the page.
 pub const PAGE: &str = "study.md";
 
-/// What came of a study.
+/// The result of a study.
 pub struct Study {
-    /// Every session, also those of earlier runs into the same folder.
+    /// All sessions, including those of earlier runs into the same folder.
     pub outcomes: Vec<Outcome>,
     /// The figures.
     pub summary: Summary,
 }
 
-/// Runs what of a study is not in `dir` yet: each case whose number is `shard[0]` modulo `shard[1]`; then writes figures and page of all
-/// that is there. `tell` is called with the cases that are done, and how many there are.
+/// What to run.
+#[derive(Clone, Copy, Debug)]
+pub struct StudyRequest<'a> {
+    /// Folder of the outcomes, figures and page.
+    pub dir: &'a Path,
+    /// Size of the study.
+    pub size: &'a Size,
+    /// The share of the cases to run.
+    pub shard: Shard,
+}
+
+/// How far a run is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Progress {
+    /// Cases that are done.
+    pub done: usize,
+    /// Cases of this run.
+    pub planned: usize,
+}
+
+/// Runs the cases of a study that belong to the shard and have no outcome in the folder yet, then writes figures and
+/// page of all outcomes in the folder. `progress` is called after each case.
 ///
-/// Sessions are closed side by side, each on one thread: the outcome does not depend on how many.
+/// Sessions are closed in parallel, each on one thread; the outcome does not depend on the number of threads.
 ///
 /// # Errors
-/// The folder cannot be written, or an instrument not be calibrated. A session that cannot be closed is no error but an outcome.
-pub fn run(dir: &Path, size: &Size, shard: [usize; 2], tell: impl Fn(usize, usize) + Sync) -> anyhow::Result<Study> {
+/// The folder cannot be written, or an instrument cannot be calibrated. A session that cannot be closed is not an
+/// error: its outcome holds the reason.
+pub fn run(
+    request: &StudyRequest<'_>,
+    networks: &dyn Networks,
+    progress: impl Fn(Progress) + Sync,
+) -> anyhow::Result<Study> {
+    let StudyRequest { dir, size, shard } = *request;
     std::fs::create_dir_all(dir).with_context(|| dir.display().to_string())?;
-    let prepare = |n: &u64| Subject::prepare(*n, size, dir);
+    let prepare = |n: &u64| Subject::prepare(*n, size, dir, networks);
     let numbers: Vec<u64> = (0..size.instruments).collect();
     let subjects = side_by_side(&numbers, prepare)?.into_iter().collect::<anyhow::Result<Vec<_>>>()?;
     let sensitivities: Vec<Sensitivities> = subjects.iter().map(|s| s.sensitivities.clone()).collect();
     let ended: BTreeSet<String> = read_all(dir)?.into_iter().map(|o| o.case.key).collect();
-    let mine = |(i, _): &(usize, Case)| i % shard[1].max(1) == shard[0];
+    let mine = |(i, _): &(usize, Case)| shard.has(*i);
     let all = cases(size, &sensitivities);
     let planned = all.len();
     let all = all.into_iter().enumerate().filter(mine);
@@ -48,9 +77,9 @@ pub fn run(dir: &Path, size: &Size, shard: [usize; 2], tell: impl Fn(usize, usiz
     let done = AtomicUsize::new(0);
     let one = |case: &Case| -> std::io::Result<()> {
         if let Some(subject) = subjects.get(case.instrument as usize) {
-            ledger.push(&trial::run(subject, case))?;
+            ledger.push(&trial::run(subject, case, networks))?;
         }
-        tell(done.fetch_add(1, Ordering::Relaxed) + 1, todo.len());
+        progress(Progress { done: done.fetch_add(1, Ordering::Relaxed) + 1, planned: todo.len() });
         Ok(())
     };
     side_by_side(&todo, one)?
@@ -73,8 +102,8 @@ fn conclude(dir: &Path, size: &Size, planned: usize, sensitivities: &[Sensitivit
     Ok(Study { outcomes, summary })
 }
 
-/// Calls `each` for all items on as many threads as there are for parallel work, each of which works alone: what an item's own parallel
-/// parts would wait for is then never another item. Results are in the order of the items.
+/// Calls `each` for all items, one item per thread of the pool; the parallel parts of an item run on its own thread, so
+/// they never wait for another item. Results are in the order of the items.
 fn side_by_side<T: Sync, R: Send>(items: &[T], each: impl Fn(&T) -> R + Sync) -> anyhow::Result<Vec<R>> {
     let next = AtomicUsize::new(0);
     let results = Mutex::new(Vec::new());

@@ -1,65 +1,45 @@
-//! One instrument under study: its bench, its calibration, and what its sessions can tell.
+//! One instrument under study: its bench, its calibration, and the sensitivity of its sessions.
 //!
-//! It is small, so that a session takes seconds: 3 x 3 lenses on 98 x 98 pixels. All sessions of an instrument are held against one
-//! calibration, from a session of its own.
+//! It is small, so that a session takes seconds: 3 x 3 lenses on 98 x 98 pixels. All sessions of an instrument are
+//! compared with one calibration, from a session of its own.
 
-use super::downstream;
+use super::downstream::{self, Networks};
 use super::foreign::FOREIGN;
 use super::plan::{Question, Size};
+use super::sensitivity::{Sensitivities, Sensitivity};
 use crate::artifact::Provenance;
 use crate::bench::{BenchConfig, VirtualInstrument};
-use crate::closing::close::close;
-use crate::closing::observe::{Budget, Observations};
+use crate::calibrate::{CalibrateConfig, calibrate};
+use crate::closing::{Budget, CloseOptions, Observations, close};
 use crate::effects::Effect;
-use crate::instrument::{CalibrateConfig, Instrument, calibrate};
+use crate::instrument::Instrument;
 use crate::session::{Role, Session};
 use anyhow::Context;
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Sessions without an effect that tell the sensitivity.
+/// Sessions without an effect that determine the sensitivity.
 const NULLS: u64 = 3;
-/// Basis PSFs a lens: what the search for the best rank gives; fixed, since the search takes most of the time.
+/// Basis PSFs per lens: the result of the search for the best rank, fixed because the search takes most of the time.
 const RANK: usize = 12;
-
-/// How well a session tells one strength.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Sensitivity {
-    /// Name of the strength.
-    pub param: String,
-    /// Its unit.
-    pub unit: String,
-    /// Standard error where the effect is absent: noise, scatter, calibration (of a foreign effect the noise alone).
-    pub sigma: f64,
-}
-
-/// What sessions of an instrument can tell.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Sensitivities {
-    /// By id of the effect.
-    pub of: BTreeMap<String, Sensitivity>,
-    /// Ids that they cannot tell.
-    pub cannot: Vec<String>,
-}
 
 /// An instrument under study.
 pub struct Subject {
-    /// The bench at rest; its foci are kept for all sessions.
+    /// The bench without effects; its foci are reused for all sessions.
     pub bench: VirtualInstrument,
     /// The configuration of its sessions.
     pub config: BenchConfig,
     /// Its calibration.
     pub instrument: Instrument,
-    /// What its sessions can tell.
+    /// How well its sessions determine each effect.
     pub sensitivities: Sensitivities,
-    /// A network that was trained on it, if a study asks for one.
+    /// Checkpoint of a network trained on it, if the study needs one.
     pub network: PathBuf,
 }
 
 /// The bench of instrument `n`.
 ///
-/// Soft light and a fine scan: the calibration must be good to a part of the noise, or every session shows its errors.
+/// Weak light and a fine scan: the errors of the calibration must stay below the noise, or every session shows them.
 pub fn bench_config(n: u64) -> BenchConfig {
     let mut c = BenchConfig { instrument_seed: 500 + n, ..BenchConfig::default() };
     (c.sensor.rows, c.sensor.cols) = (98, 98);
@@ -86,7 +66,7 @@ pub fn bench_config(n: u64) -> BenchConfig {
     c
 }
 
-/// A session to close is shorter than one to calibrate by.
+/// A session to close is shorter than one for calibration.
 fn session_config(n: u64) -> BenchConfig {
     let mut c = bench_config(n);
     c.stacks.dark_frames = 4;
@@ -95,11 +75,12 @@ fn session_config(n: u64) -> BenchConfig {
 }
 
 impl Subject {
-    /// Builds instrument `n`, calibrates it and looks what its sessions tell; what is in `dir` already is read.
+    /// Builds instrument `n`, calibrates it and measures the sensitivity of its sessions. Results in `dir` from an
+    /// earlier run are reused.
     ///
     /// # Errors
-    /// The folder cannot be written, or the instrument not be calibrated.
-    pub fn prepare(n: u64, size: &Size, dir: &Path) -> anyhow::Result<Self> {
+    /// The folder cannot be written, or the instrument cannot be calibrated.
+    pub fn prepare(n: u64, size: &Size, dir: &Path, networks: &dyn Networks) -> anyhow::Result<Self> {
         let seed = size.seed;
         let config = session_config(n);
         // Foci are kept for instruments that are built like another one.
@@ -116,7 +97,7 @@ impl Subject {
         let network = dir.join(format!("network-{n}.checkpoint"));
         // The questions that need a network are asked of the first instrument.
         if n == 0 && size.asks(Question::Reconstruction) && !network.is_file() {
-            downstream::train(&instrument, &file, seed, &network).with_context(|| format!("network {n}"))?;
+            downstream::train(networks, &instrument, &file, seed, &network).with_context(|| format!("network {n}"))?;
         }
         let mut subject = Self { bench, config, instrument, sensitivities: Sensitivities::default(), network };
         let file = dir.join(format!("sensitivity-{n}.json"));
@@ -148,7 +129,8 @@ impl Subject {
             let folder = tempfile::tempdir()?;
             let session = self.session(&self.bench, &folder.path().join("session"), (seed << 20) + 77_000 + i)?;
             let mut seen = Observations::read(&session, &Budget::default())?;
-            let closed = close(&self.instrument, &mut seen, "null", seed, |_| {})?;
+            let options = CloseOptions { session_name: "null", seed, ..CloseOptions::default() };
+            let closed = close(&self.instrument, &mut seen, &options, |_| {})?;
             for r in closed.account.closing.rejected {
                 let entry = sigmas.entry(r.id).or_insert_with(|| (r.param, r.unit, Vec::new()));
                 entry.2.extend(r.sigma.filter(|s| *s > 0.0 && s.is_finite()));
@@ -171,7 +153,8 @@ impl Subject {
         Ok(out)
     }
 
-    /// Standard error of a foreign effect's strength by the noise of the scenes alone, the light of the stack fitted beside it.
+    /// Standard error of the strength of a foreign effect from the noise of the scenes alone, with the light level
+    /// fitted too.
     fn noise_alone(&self, foreign: &'static dyn Effect, step: f64, seed: u64) -> anyhow::Result<f64> {
         let frames = |bench: &VirtualInstrument| -> anyhow::Result<Vec<ndarray::Array2<f32>>> {
             let folder = tempfile::tempdir()?;

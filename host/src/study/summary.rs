@@ -1,14 +1,14 @@
-//! Figures over the outcomes of a study.
+//! Figures of a study, computed from its outcomes.
 
 use super::plan::Question;
 use super::record::Outcome;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Squared correlation from which on two effects count as alike (|rho| = 0.7).
+/// Squared correlation from which two effects count as alike (|rho| = 0.7).
 const ALIKE: f64 = 0.49;
 
-/// So many of so many, with the 95 % interval of Wilson (J. Am. Stat. Assoc. 22, 209, 1927).
+/// `k` of `n`, with the 95 % interval of Wilson (J. Am. Stat. Assoc. 22, 209, 1927).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Share {
     /// How many.
@@ -22,7 +22,7 @@ pub struct Share {
 }
 
 impl Share {
-    /// Counts what holds.
+    /// Counts the outcomes for which `holds` is true.
     pub fn of<'a>(outcomes: impl IntoIterator<Item = &'a Outcome>, holds: impl Fn(&Outcome) -> bool) -> Self {
         let (mut k, mut n) = (0, 0);
         for o in outcomes {
@@ -60,27 +60,27 @@ fn wilson(k: f64, n: f64) -> (f64, f64) {
 pub struct ByStrength {
     /// The strength, sigma.
     pub sigmas: f64,
-    /// Something was found.
+    /// Sessions in which anything was found.
     pub detected: Share,
-    /// The true effect was found first.
+    /// Sessions in which the true effect was found first.
     pub first: Share,
-    /// The same, of those where the loop names nothing as alike as |rho| = 0.7.
+    /// As `first`, of the sessions whose found effect has no lookalike beyond |rho| = 0.7.
     pub first_where_alone: Share,
-    /// The true effect was found, or told as what a found one could also be.
+    /// Sessions in which the true effect was found or is in an ambiguity set.
     pub covered: Share,
-    /// Another effect was found first.
+    /// Sessions in which another effect was found first.
     pub other_first: Share,
     /// Median share of the explainable excess that was removed, of the sessions that have an excess.
     pub explained: Option<f64>,
-    /// Sessions that have one.
+    /// Sessions with an explainable excess.
     pub with_excess: usize,
     /// Mean of (value - truth) / sigma.
     pub pull_mean: Option<f64>,
     /// Its root mean square.
     pub pull_rms: Option<f64>,
-    /// Its median absolute value over that of a normal variable: the rms without its outliers.
+    /// Its median absolute value over that of a normal variable: an rms that is robust against outliers.
     pub pull_robust: Option<f64>,
-    /// Pulls.
+    /// Number of pulls.
     pub pulls: usize,
 }
 
@@ -93,22 +93,22 @@ pub struct Confusion {
     pub found: String,
     /// Sessions by strength.
     pub sessions: BTreeMap<String, usize>,
-    /// Sessions in which the true effect was told all the same.
+    /// Sessions in which the true effect was found later or is in an ambiguity set.
     pub covered: usize,
-    /// Largest squared correlation of the two (or of what was alike) that the loop told.
+    /// Largest squared correlation that `close` reported between the found effect and a lookalike.
     pub overlap: f64,
 }
 
-/// What the loop says where it cannot be right.
+/// Reports of `close` when the true effect is not among its candidates.
 #[derive(Clone, Debug, Serialize)]
 pub struct Outside {
-    /// It found something, or says that its catalogue is incomplete.
+    /// It found something, or reports that the catalogue is incomplete.
     pub noticed: Share,
-    /// It says that its catalogue is incomplete.
+    /// It reports that the catalogue is incomplete.
     pub abstains: Share,
-    /// It names an effect of the catalogue and does not say so.
+    /// It names an effect of the catalogue and does not report that the catalogue is incomplete.
     pub false_naming: Share,
-    /// The same, of the sessions where it noticed anything.
+    /// As `false_naming`, of the sessions in `noticed`.
     pub false_naming_of_noticed: Share,
     /// Median share of the explainable excess that was removed.
     pub explained: Option<f64>,
@@ -127,19 +127,19 @@ pub struct Summary {
     pub null_incomplete: Share,
     /// What was found in null sessions.
     pub null_named: BTreeMap<String, usize>,
-    /// chi-squared a pixel of null sessions: mean of the calibrated model, and of the noise-free frames.
+    /// Mean chi-squared per pixel of null sessions: of the calibrated model, and of the noise-free frames.
     pub null_chi2: [f64; 2],
     /// Single effects.
     pub single: Vec<ByStrength>,
     /// What was found first for each effect.
     pub confusion: Vec<Confusion>,
-    /// Pairs: both told.
+    /// Pairs: both effects found or in an ambiguity set.
     pub pairs_both: Share,
-    /// Pairs: one at least told.
+    /// Pairs: at least one of them.
     pub pairs_one: Share,
     /// The true effect not among the candidates.
     pub minus_one: Outside,
-    /// Effects that no catalogue holds, by strength.
+    /// Effects outside the catalogue, by strength in sigma.
     pub foreign: Vec<(f64, Outside)>,
     /// A gain stated wrongly: the gain is named.
     pub gain: Share,
@@ -150,7 +150,7 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// The figures of outcomes.
+    /// Computes the figures.
     pub fn of(all: &[Outcome]) -> Self {
         let good: Vec<&Outcome> = all.iter().filter(|o| o.error.is_none()).collect();
         let asked = |q: Question| good.iter().copied().filter(move |o| o.case.question == q);

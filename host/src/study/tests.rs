@@ -2,14 +2,32 @@
 
 #![allow(clippy::unwrap_used)]
 
+use super::downstream::{FirstTraining, TrainRequest};
 use super::foreign::FOREIGN;
 use super::plan::{Case, Injected, PAIRS, Question, Size, cases, catalogue};
 use super::record::{FoundEffect, HeldOut, Ledger, Outcome, read_all};
-use super::run::{JSON, PAGE, run};
-use super::subject::{Sensitivities, Sensitivity};
+use super::run::{JSON, PAGE, StudyRequest, run};
+use super::sensitivity::{Sensitivities, Sensitivity};
+use super::shard::Shard;
 use super::summary::{Share, Summary};
+use crate::closing::{Retrain, RetrainRequest, Retrained};
 use crate::effects::{Effect, FrameContext, find};
 use ndarray::Array2;
+
+/// Networks where none is asked for.
+struct Untrained;
+
+impl FirstTraining for Untrained {
+    fn train(&self, _: &TrainRequest<'_>) -> anyhow::Result<()> {
+        anyhow::bail!("this study trains no network")
+    }
+}
+
+impl Retrain for Untrained {
+    fn retrain(&self, _: &RetrainRequest<'_>, _: &mut dyn FnMut(u64)) -> anyhow::Result<Retrained> {
+        anyhow::bail!("this study trains no network")
+    }
+}
 
 fn outcome(key: &str, question: Question, truth: &str, found: &[(&str, f64)]) -> Outcome {
     let injected = Injected { id: truth.into(), param: "p".into(), sigmas: 10.0, value: 1.0, ..Injected::default() };
@@ -63,7 +81,7 @@ fn a_torn_ledger_goes_on() {
     let path = dir.path().join("sessions.jsonl");
     let whole = serde_json::to_string(&outcome("1", Question::Null, "", &[])).unwrap();
     std::fs::write(&path, format!("{whole}\n{}", &whole[..40])).unwrap();
-    Ledger::open(dir.path(), [0, 1]).unwrap().push(&outcome("2", Question::Null, "", &[])).unwrap();
+    Ledger::open(dir.path(), Shard::default()).unwrap().push(&outcome("2", Question::Null, "", &[])).unwrap();
     let keys: Vec<String> = read_all(dir.path()).unwrap().into_iter().map(|o| o.case.key).collect();
     assert_eq!(keys, ["1", "2"]);
 }
@@ -99,28 +117,29 @@ fn foreign_effects_do_something_and_nothing_when_off() {
     }
 }
 
-/// A handful of sessions from end to end. Seeds are fixed, so that what it finds does not change from run to run; the bounds leave
-/// room for a loop that becomes better or a little worse.
+/// A handful of sessions from end to end. Seeds are fixed, so that what it finds does not change from run to run; the
+/// bounds leave room for a loop that becomes better or a little worse.
 #[test]
 fn the_quick_study_finds_what_is_there() {
     let dir = tempfile::tempdir().unwrap();
-    let study = run(dir.path(), &Size::quick(1), [0, 1], |_, _| {}).unwrap();
-    let told: Vec<String> = study
+    let request = StudyRequest { dir: dir.path(), size: &Size::quick(1), shard: Shard::default() };
+    let study = run(&request, &Untrained, |_| {}).unwrap();
+    let seen: Vec<String> = study
         .outcomes
         .iter()
         .map(|o| format!("{}: {} {:?} {:?}", o.case.key, o.first(), o.held_out, o.error))
         .collect();
-    let told = told.join("\n");
+    let seen = seen.join("\n");
     let s = &study.summary;
-    assert_eq!(s.failed, 0, "{told}");
-    assert!(s.null_found.k <= 2 && s.null_found.n == 6, "{told}");
-    assert!(s.null_chi2[0] < 1.15 && (s.null_chi2[1] - 1.0).abs() < 0.05, "{told}");
+    assert_eq!(s.failed, 0, "{seen}");
+    assert!(s.null_found.k <= 2 && s.null_found.n == 6, "{seen}");
+    assert!(s.null_chi2[0] < 1.15 && (s.null_chi2[1] - 1.0).abs() < 0.05, "{seen}");
     let b = &s.single[0];
-    assert!(b.covered.k >= 3 && b.covered.n == 4, "{told}");
-    assert!(s.records.k >= 3 && s.records.n == 4, "{told}");
-    assert!(s.foreign[0].1.noticed.k >= 1, "{told}");
+    assert!(b.covered.k >= 3 && b.covered.n == 4, "{seen}");
+    assert!(s.records.k >= 3 && s.records.n == 4, "{seen}");
+    assert!(s.foreign[0].1.noticed.k >= 1, "{seen}");
     // A study that is whole is not run again.
-    let again = run(dir.path(), &Size::quick(1), [0, 1], |_, _| panic!("run again")).unwrap();
+    let again = run(&request, &Untrained, |_| panic!("run again")).unwrap();
     assert_eq!(again.outcomes, study.outcomes);
     assert!(dir.path().join(JSON).is_file() && dir.path().join(PAGE).is_file());
 }

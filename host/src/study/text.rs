@@ -1,13 +1,13 @@
-//! The page of a study.
+//! The page of a study, Markdown.
 
 use super::plan::{Question, Size};
 use super::record::Outcome;
-use super::subject::Sensitivities;
+use super::sensitivity::Sensitivities;
 use super::summary::{ByStrength, Outside, Share, Summary};
 use std::collections::BTreeSet;
 use std::fmt::Write;
 
-/// Writes the page.
+/// Renders the page.
 pub fn page(size: &Size, planned: usize, sensitivities: &[Sensitivities], all: &[Outcome], s: &Summary) -> String {
     let mut out = String::new();
     // Writing to a string cannot fail.
@@ -43,34 +43,42 @@ fn head(out: &mut String, size: &Size, planned: usize, s: &Summary) -> std::fmt:
     writeln!(
         out,
         "# How far the loop can be trusted\n\n\
-         Written by `ommatidia study`: {} of {planned} planned sessions of the virtual instrument, {} instruments of 3 x 3 lenses on 98 x 98 pixels, each\n\
-         calibrated once from a session of its own (bead scan at three depths, darks, flats); empty sessions take them in turn, each round of\n\
-         all other sessions has one. A session to close has 8 scenes of known\n\
-         objects, 12 flats at three levels and two exposures, 8 darks at two exposures. The bench computes its frames by physical optics\n\
-         and knows nothing of the model. Whatever is put into a session is not declared anywhere.\n\n\
-         **1 sigma** of an effect is the sensitivity of such a session: the standard error that `close` tells for the effect's first\n\
-         strength where nothing is there: noise, scatter between blocks and frames, calibration. (Foreign effects: the noise of the scenes\n\
-         alone.) Shares are told with their 95 % interval (Wilson).\n",
+         Written by `ommatidia study` from {} of {planned} planned sessions of the virtual instrument. There are {} \
+         instruments of 3 x 3 lenses on\n\
+         98 x 98 pixels, each calibrated once from a session of its own (bead scan at three depths, darks, flats). \
+         Sessions without an effect\n\
+         use them in turn; each round of the other sessions uses one. A session to close has 8 scenes of known \
+         objects, 12 flats at three\n\
+         levels and two exposures, and 8 darks at two exposures. The bench computes its frames by physical optics, \
+         without the low-rank\n\
+         model. Injected effects are not declared anywhere.\n\n\
+         **1 sigma** of an effect is the sensitivity of such a session: the standard error that `close` reports for \
+         the first strength of the\n\
+         effect when the effect is absent. It includes noise, scatter between blocks and frames, and the calibration; \
+         for foreign effects, the\n\
+         noise of the scenes alone. Shares have 95 % intervals (Wilson).\n",
         s.sessions, size.instruments
     )?;
     writeln!(
         out,
-        "Closing a session took {:.1} s (median; mean {:.1} s, longest {:.1} s) on one thread of a shared machine. {} sessions failed.\n",
+        "Closing a session took {:.1} s (median; mean {:.1} s, longest {:.1} s) on one thread of a shared machine. {} \
+            sessions failed.\n",
         s.seconds[0], s.seconds[1], s.seconds[2], s.failed
     )
 }
 
 fn nulls(out: &mut String, s: &Summary) -> std::fmt::Result {
-    writeln!(out, "## Nothing there\n")?;
-    writeln!(out, "Something was found in {} sessions.", share(s.null_found))?;
-    writeln!(out, "Called incomplete without anything found: {}.", share(s.null_incomplete))?;
+    writeln!(out, "## Sessions without an effect\n")?;
+    writeln!(out, "An effect or a fault was found in {} sessions.", share(s.null_found))?;
+    writeln!(out, "The catalogue was called incomplete although nothing was found: {}.", share(s.null_incomplete))?;
     let named: Vec<String> = s.null_named.iter().map(|(id, n)| format!("`{id}` {n}")).collect();
     if !named.is_empty() {
-        writeln!(out, "What was found: {}.", named.join(", "))?;
+        writeln!(out, "Found: {}.", named.join(", "))?;
     }
     writeln!(
         out,
-        "chi-squared a pixel on held-out scenes: {:.4} with the calibrated model, {:.4} with the bench's noise-free frames.\n",
+        "chi-squared per pixel on held-out scenes: {:.4} with the calibrated model, {:.4} with the bench's noise-free \
+            frames.\n",
         s.null_chi2[0], s.null_chi2[1]
     )
 }
@@ -79,8 +87,9 @@ fn single(out: &mut String, s: &Summary) -> std::fmt::Result {
     writeln!(out, "## One undeclared effect of the catalogue\n")?;
     writeln!(
         out,
-        "| sigma | anything found | true effect first | of those without a lookalike (rho < 0.7) | found or in the ambiguity set | \
-         another first | explained F (sessions) |\n|---|---|---|---|---|---|---|"
+        "| sigma | anything found | true effect first | of those without a lookalike (rho < 0.7) | found or in the \
+            ambiguity set | \
+         another effect first | explained F (sessions) |\n|---|---|---|---|---|---|---|"
     )?;
     for b in &s.single {
         writeln!(
@@ -98,8 +107,10 @@ fn single(out: &mut String, s: &Summary) -> std::fmt::Result {
     }
     writeln!(
         out,
-        "\nF = (chi2 before - chi2 after) / (chi2 before - chi2 of the calibrated model with what was put in, its values fitted) on held-out\n\
-         scenes, median of the sessions whose excess is beyond five standard errors: what the calibration itself errs by no effect explains.\n\n\
+        "\nF = (chi2 before - chi2 after) / (chi2 before - chi2 of the calibrated model with the injected effect, its \
+            values fitted) on held-out\n\
+         scenes; median of the sessions whose excess is beyond five standard errors. No effect explains the errors of \
+         the calibration itself.\n\n\
          Pulls, (value - truth) / sigma of the first strength, where the true effect was found under its name:\n\n\
          | sigma | pulls | mean | rms | robust rms |\n|---|---|---|---|---|"
     )?;
@@ -128,8 +139,10 @@ fn named(out: &mut String, s: &Summary) -> std::fmt::Result {
     }
     writeln!(
         out,
-        "### What was found first\n\nA dot: nothing. In brackets the largest squared correlation that the loop told of what it found \
-         with a lookalike;\n`*`: the true effect was in the ambiguity set or found later.\n\n| true effect | {} |\n|---|{}",
+        "### What was found first\n\nA dot: nothing was found. In brackets: the largest squared correlation that \
+            `close` reported between the found effect \
+         and a lookalike.\n`*`: the true effect was in the ambiguity set or was found later.\n\n| true effect | {} \
+         |\n|---|{}",
         strengths.iter().map(|k| format!("{k} sigma")).collect::<Vec<_>>().join(" | "),
         "---|".repeat(strengths.len())
     )?;
@@ -143,8 +156,8 @@ fn named(out: &mut String, s: &Summary) -> std::fmt::Result {
                     "nothing" => format!("{times}."),
                     id if id == truth => format!("{times}**right**"),
                     id => {
-                        let told = if c.covered > 0 { "*" } else { "" };
-                        format!("{times}`{id}`{told} ({:.2})", c.overlap)
+                        let mark = if c.covered > 0 { "*" } else { "" };
+                        format!("{times}`{id}`{mark} ({:.2})", c.overlap)
                     }
                 });
             }
@@ -155,7 +168,7 @@ fn named(out: &mut String, s: &Summary) -> std::fmt::Result {
     writeln!(out)
 }
 
-/// What was put in, and what was found, of one session.
+/// The injected and the found effects of one session.
 fn line(o: &Outcome) -> String {
     let put: Vec<String> =
         o.case.injected.iter().map(|i| format!("`{}` {} = {:.3e}", i.id, i.param, i.value)).collect();
@@ -174,7 +187,7 @@ fn line(o: &Outcome) -> String {
     format!("| {} | {strength} | {found} | {incomplete} | {} |", put.join(", "), number(o.held_out.explained()))
 }
 
-const SESSIONS: &str = "| put in | sigma | found | called incomplete | explained F |\n|---|---|---|---|---|";
+const SESSIONS: &str = "| injected | sigma | found | called incomplete | explained F |\n|---|---|---|---|---|";
 
 fn lines(out: &mut String, all: &[Outcome], question: Question) -> std::fmt::Result {
     let mut of: Vec<&Outcome> = all.iter().filter(|o| o.case.question == question && o.error.is_none()).collect();
@@ -192,7 +205,7 @@ fn lines(out: &mut String, all: &[Outcome], question: Question) -> std::fmt::Res
 fn pairs(out: &mut String, all: &[Outcome], s: &Summary) -> std::fmt::Result {
     writeln!(
         out,
-        "## Two at once\n\nBoth told (found or in an ambiguity set): {}; one at least: {}.",
+        "## Two effects at once\n\nBoth named (found or in an ambiguity set): {}; at least one: {}.",
         share(s.pairs_both),
         share(s.pairs_one)
     )?;
@@ -214,14 +227,15 @@ fn beyond(out: &mut String, all: &[Outcome], s: &Summary) -> std::fmt::Result {
     writeln!(
         out,
         "## The true effect is not among the candidates\n\n\
-         False naming: an effect of the catalogue is named, and nothing says that the catalogue is incomplete.\n\n\
+         False naming: `close` names an effect of the catalogue and does not report that the catalogue is \
+         incomplete.\n\n\
          | | noticed | called incomplete | false naming | explained F |\n|---|---|---|---|---|"
     )?;
-    outside(out, "catalogue less the true effect, 30 sigma", &s.minus_one)?;
+    outside(out, "catalogue without the true effect, 30 sigma", &s.minus_one)?;
     for (k, o) in &s.foreign {
         outside(out, &format!("foreign effects, {k} sigma of the noise"), o)?;
     }
-    writeln!(out, "\n### Catalogue less the true effect")?;
+    writeln!(out, "\n### Catalogue without the true effect")?;
     lines(out, all, Question::MinusOne)?;
     writeln!(out, "### Foreign effects")?;
     lines(out, all, Question::Foreign)
@@ -230,9 +244,10 @@ fn beyond(out: &mut String, all: &[Outcome], s: &Summary) -> std::fmt::Result {
 fn records(out: &mut String, all: &[Outcome], s: &Summary) -> std::fmt::Result {
     writeln!(
         out,
-        "## Wrong statements\n\nA gain that the calibration states 5 % too high is traced to the gain in {}.\n\
-         Faults of the records (truths exchanged, upside down, turned left to right, exposure 1.25 times what is written) are found in\n\
-         the right frame in {}.",
+        "## Wrong records\n\nA gain that the calibration states 5 % too high is traced to the gain in {}.\n\
+         Faults of the records (truths exchanged, upside down, mirrored left to right, exposure 1.25 times the \
+         recorded one) are found\n\
+         in the right frame in {}.",
         share(s.gain),
         share(s.records)
     )?;
@@ -240,7 +255,7 @@ fn records(out: &mut String, all: &[Outcome], s: &Summary) -> std::fmt::Result {
     lines(out, all, Question::Records)
 }
 
-/// What networks gain.
+/// PSNR of fine-tuned networks.
 fn pictures(out: &mut String, all: &[Outcome]) -> std::fmt::Result {
     let mut of: Vec<&Outcome> = all.iter().filter(|o| o.reconstruction.is_some()).collect();
     of.sort_by(|a, b| a.case.key.cmp(&b.case.key));
@@ -249,9 +264,11 @@ fn pictures(out: &mut String, all: &[Outcome]) -> std::fmt::Result {
     }
     writeln!(
         out,
-        "## What the picture gains\n\nPSNR of the smallest network on eight scenes of another session, dB: trained on the calibrated instrument, then \
-         fine-tuned on\nthe closed one and on the true one (the calibrated one with what was put in), the same steps on the same scenes.\n\n\
-         | put in | sigma | found | before | closed | true | closed - true |\n|---|---|---|---|---|---|---|"
+        "## Effect on reconstructions\n\nPSNR, dB, of the smallest network on eight scenes of another session: \
+            trained on the calibrated instrument, then \
+         fine-tuned on\nthe closed instrument and on the true one (the calibrated one with the injected effect), with \
+         the same steps on the same scenes.\n\n\
+         | injected | sigma | found | before | closed | true | closed - true |\n|---|---|---|---|---|---|---|"
     )?;
     for o in of {
         let (Some(r), Some(it)) = (o.reconstruction, o.case.injected.first()) else { continue };
@@ -276,19 +293,21 @@ fn pictures(out: &mut String, all: &[Outcome]) -> std::fmt::Result {
 fn sensitivity(out: &mut String, all: &[Sensitivities]) -> std::fmt::Result {
     writeln!(
         out,
-        "## What a session tells\n\n| effect | strength | 1 sigma, each instrument | unit |\n|---|---|---|---|"
+        "## Sensitivity of a session\n\n| effect | strength | 1 sigma, each instrument | unit (empty: relative) \
+            |\n|---|---|---|---|"
     )?;
     let ids: BTreeSet<&String> = all.iter().flat_map(|s| s.of.keys()).collect();
     for id in ids {
         let of: Vec<_> = all.iter().filter_map(|s| s.of.get(id)).collect();
         let sigmas: Vec<String> = of.iter().map(|s| format!("{:.2e}", s.sigma)).collect();
         let (param, unit) = of.first().map_or(("", ""), |s| (s.param.as_str(), s.unit.as_str()));
+        let unit = if unit == "1" { "" } else { unit };
         writeln!(out, "| `{id}` | {param} | {} | {unit} |", sigmas.join(", "))?;
     }
     let cannot: BTreeSet<&str> = all.iter().flat_map(|s| s.cannot.iter().map(String::as_str)).collect();
     if !cannot.is_empty() {
         let list: Vec<String> = cannot.iter().map(|c| format!("`{c}`")).collect();
-        writeln!(out, "\nNot told by such a session, and not counted: {}.", list.join(", "))?;
+        writeln!(out, "\nSuch a session cannot determine, and the figures do not include: {}.", list.join(", "))?;
     }
     Ok(())
 }

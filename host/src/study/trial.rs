@@ -1,17 +1,13 @@
-//! Runs one case: measure, close, compare.
+//! Runs one case: measures a session, closes it, and compares the result with the truth.
 
-use super::downstream;
+use super::downstream::{self, Comparison, Networks};
 use super::foreign;
 use super::plan::{Case, Question};
 use super::record::{FoundEffect, HeldOut, Outcome};
 use super::subject::Subject;
-use crate::closing::close::{Given, close_with};
-use crate::closing::figures::figures;
-use crate::closing::model::Model;
-use crate::closing::observe::{Budget, Observations};
-use crate::closing::refit::refit;
-use crate::closing::result::Closing;
-use crate::closing::state::Term;
+use crate::closing::evidence::figures;
+use crate::closing::fit::{Model, Term, refit};
+use crate::closing::{Budget, CloseOptions, Closing, Observations, close};
 use crate::effects::{Effect, EffectSetting, Param, find};
 use crate::instrument::Instrument;
 use crate::session::{Role, Session};
@@ -19,16 +15,16 @@ use anyhow::Context;
 use std::collections::BTreeMap;
 use std::time::Instant;
 
-/// From how many standard deviations on a dependence of the residual is told.
-const TELL: f64 = 5.0;
+/// Standard deviations beyond which a dependence of the residual is reported.
+const REPORTED: f64 = 5.0;
 
-/// Runs a case. What goes wrong is its outcome, too.
-pub fn run(subject: &Subject, case: &Case) -> Outcome {
+/// Runs a case. If it fails, the outcome holds the error.
+pub fn run(subject: &Subject, case: &Case, networks: &dyn Networks) -> Outcome {
     let fail = |e: anyhow::Error| Outcome { case: case.clone(), error: Some(format!("{e:#}")), ..Outcome::default() };
-    attempt(subject, case).unwrap_or_else(fail)
+    attempt(subject, case, networks).unwrap_or_else(fail)
 }
 
-fn attempt(subject: &Subject, case: &Case) -> anyhow::Result<Outcome> {
+fn attempt(subject: &Subject, case: &Case, networks: &dyn Networks) -> anyhow::Result<Outcome> {
     let mut settings = Vec::new();
     for it in case.injected.iter().filter(|_| case.question != Question::Foreign) {
         let mut params = vec![(it.param.as_str(), it.value)];
@@ -46,19 +42,21 @@ fn attempt(subject: &Subject, case: &Case) -> anyhow::Result<Outcome> {
     instrument.noise.gain_dn_per_e *= case.gain;
     let mut seen = Observations::read(&session, &Budget::default())?;
     let started = Instant::now();
-    let given = Given { exclude: &case.excluded, anew: None };
-    let closed = close_with(&instrument, &mut seen, &case.key, case.seed, given, |_| {})?;
+    let options =
+        CloseOptions { session_name: &case.key, seed: case.seed, exclude: &case.excluded, ..CloseOptions::default() };
+    let closed = close(&instrument, &mut seen, &options, |_| {})?;
     let seconds = started.elapsed().as_secs_f64();
     let reconstruction = match case.question {
         Question::Reconstruction => {
-            Some(downstream::compare(subject, &bench, &closed.instrument, &settings, case.seed)?)
+            let (closed, injected, seed) = (&closed.instrument, &settings, case.seed);
+            Some(downstream::compare(networks, &Comparison { subject, bench: &bench, closed, injected, seed })?)
         }
         _ => None,
     };
     let closing = closed.account.closing;
     let (floor, pixels) = floor(&session, &seen, &subject.instrument)?;
     let truth = explainable(&instrument, &seen, case)?;
-    let structure = closing.dependences_after.iter().filter(|d| d.z > TELL);
+    let structure = closing.dependences_after.iter().filter(|d| d.z > REPORTED);
     Ok(Outcome {
         case: case.clone(),
         incomplete: closing.catalogue_incomplete,
@@ -72,7 +70,7 @@ fn attempt(subject: &Subject, case: &Case) -> anyhow::Result<Outcome> {
 }
 
 fn found(closing: Closing) -> Vec<FoundEffect> {
-    let one = |e: crate::closing::result::Effect| FoundEffect {
+    let one = |e: crate::closing::Effect| FoundEffect {
         id: e.id,
         known: e.known,
         z: e.z,
@@ -85,8 +83,8 @@ fn found(closing: Closing) -> Vec<FoundEffect> {
     closing.effects.into_iter().map(one).collect()
 }
 
-/// chi-squared a pixel on held-out scenes of the instrument with what was put in, the values fitted from the true ones. None: faults of records
-/// and of the gain, which are no effects of an instrument.
+/// chi-squared per pixel on held-out scenes of the instrument with the injected effects, their values fitted from the
+/// true ones. None for faults of records and of the gain, which are not effects of an instrument.
 fn explainable(instrument: &Instrument, seen: &Observations, case: &Case) -> anyhow::Result<Option<f64>> {
     if matches!(case.question, Question::Records | Question::Gain) || case.injected.is_empty() {
         return Ok(None);
@@ -107,7 +105,7 @@ fn explainable(instrument: &Instrument, seen: &Observations, case: &Case) -> any
     Ok(Some(figures(&model, &fitted).chi2_ndf))
 }
 
-/// chi-squared a pixel of the held-out scenes against the noise-free frames of the bench, and the pixels.
+/// chi-squared per pixel of the held-out scenes against the noise-free frames of the bench, and the number of pixels.
 fn floor(session: &Session, seen: &Observations, instrument: &Instrument) -> anyhow::Result<(f64, usize)> {
     let stack = session.stacks_of(Role::Scene).next().context("no scene was measured")?;
     let mut expected = stack.expected()?.context("the bench wrote no noise-free frames")?;

@@ -157,7 +157,7 @@ mod tests {
     /// itself.
     #[test]
     fn kernels_and_views_are_those_of_the_instrument() {
-        let instrument = crate::train::testing::instrument(3, [60, 60], [20, 20]);
+        let instrument = crate::testing::square_array(3, [60, 60], [20, 20]);
         let lenses = Lenses::of(&instrument).unwrap();
         let network = NetworkConfig { channels: 1, ..Preset::Nano.network([60, 60], [20, 20]) };
         let plan = Fourier::new(network.fourier());

@@ -159,13 +159,19 @@ fn check(index: usize, what: &'static str, image: ArrayView2<'_, f32>, size: [us
 #[allow(clippy::unwrap_used)]
 mod tests {
     use super::super::ops::fourier::Spectrum;
-    use super::super::testing::{foci, noise};
+    use super::super::testing::foci;
     use super::*;
+    use crate::noise::NoiseModel;
     use crate::sensor::SensorMaps;
     use crate::train::{Pair, Preset};
 
     fn task<'a>(source: &'a Vec<Pair>, maps: &SensorMaps) -> Task<'a> {
-        Task { source, network: Preset::Nano.network([40, 40], [16, 16]), noise: noise(), maps: maps.clone() }
+        Task {
+            source,
+            network: Preset::Nano.network([40, 40], [16, 16]),
+            noise: NoiseModel::nominal(),
+            maps: maps.clone(),
+        }
     }
 
     const fn draw(name: &str, index: u64) -> Draw<'_> {
@@ -224,7 +230,7 @@ mod tests {
 
     #[test]
     fn saturation_clips_and_darkness_keeps_its_sign() {
-        let dn = digitise(&[1e6, -1e6, 10.0], &noise(), Some(&[3.0, 3.0, 3.25]));
+        let dn = digitise(&[1e6, -1e6, 10.0], &NoiseModel::nominal(), Some(&[3.0, 3.0, 3.25]));
         assert_eq!(dn, [4031.0, -64.0, 7.0]);
         assert_eq!(normalise(&[-1.0, 4.0, 2.0]), [-0.25, 1.0, 0.5]);
     }

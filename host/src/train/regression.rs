@@ -97,9 +97,10 @@ fn tent(at: usize, len: usize, which: usize, count: usize) -> f32 {
 #[allow(clippy::unwrap_used)]
 mod tests {
     use super::super::ops::fourier::Fourier;
-    use super::super::testing::{foci, noise};
+    use super::super::testing::foci;
     use super::super::{Preset, Task, weights};
     use super::*;
+    use crate::noise::NoiseModel;
     use crate::sensor::SensorMaps;
 
     #[test]
@@ -119,7 +120,12 @@ mod tests {
         let pairs = foci(24, 40, 16, 10);
         let network = Preset::Nano.network([40, 40], [16, 16]);
         let plan = Fourier::new(network.fourier());
-        let task = Task { source: &pairs, network: network.clone(), noise: noise(), maps: SensorMaps::default() };
+        let task = Task {
+            source: &pairs,
+            network: network.clone(),
+            noise: NoiseModel::nominal(),
+            maps: SensorMaps::default(),
+        };
         let loader = Loader::new(&task, &plan, [4000.0, 5000.0], 3);
         let mut tensors = weights::random(&network, 1);
         fit(&loader, &(0..20).collect::<Vec<_>>(), &mut tensors).unwrap();

@@ -1,47 +1,9 @@
-//! Fixtures of the tests of training, methods and evaluation.
+//! Training pairs for tests.
 
 use super::Pair;
-use crate::instrument::{Instrument, fixture};
-use crate::noise::NoiseModel;
 use crate::rng;
-use crate::session::ArrayGeometry;
-use ndarray::{Array2, Array4, Array5};
+use ndarray::Array2;
 use rand::RngExt;
-
-/// An instrument with `side` x `side` lenses, 20 px apart about the centre of the sensor; each PSF is one pixel, the
-/// same all over the field.
-pub(crate) fn instrument(side: usize, sensor: [usize; 2], object: [usize; 2]) -> Instrument {
-    let lenses = side * side;
-    let middle = |n: usize| (n as f64 - 1.0) / 2.0;
-    let anchor = |l: usize| {
-        let step = |i: usize| 20.0 * (i as f64 - middle(side));
-        [middle(sensor[0]) + step(l / side), middle(sensor[1]) + step(l % side)]
-    };
-    let mut basis = Array4::zeros((lenses, 1, 3, 3));
-    basis.slice_mut(ndarray::s![.., .., 1, 1]).fill(1.0);
-    let mut instrument = fixture::instrument(object, sensor, 3, 1);
-    instrument.manifest.array = ArrayGeometry { rows: side, cols: side, pitch_px: 20.0 };
-    instrument.geometry.anchors_px = (0..lenses).map(anchor).collect();
-    instrument.geometry.dead = vec![false; lenses];
-    instrument.psf.basis = basis;
-    instrument.psf.coefficients = Array5::ones((lenses, 1, 1, 2, 2));
-    instrument.psf.node_rows_px = vec![0.0, object[0] as f64 - 1.0];
-    instrument.psf.node_cols_px = vec![0.0, object[1] as f64 - 1.0];
-    instrument
-}
-
-/// Noise of a sensor like the demo's.
-pub(crate) fn noise() -> NoiseModel {
-    NoiseModel {
-        black_level_dn: 64.0,
-        gain_dn_per_e: 0.4,
-        gain_sigma: 0.0,
-        read_noise_e: 2.0,
-        read_noise_sigma: 0.0,
-        saturation_dn: 4095.0,
-        sources: crate::noise::Sources::default(),
-    }
-}
 
 /// Pairs of random points imaged by 3 x 3 lenses, each focus a small cross; the views lie `pitch` pixels apart.
 pub(crate) fn foci(count: usize, frame: usize, object: usize, pitch: usize) -> Vec<Pair> {

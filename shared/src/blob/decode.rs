@@ -1,45 +1,49 @@
 //! Reading a network file in place.
 
-use super::encode::check_finite;
+use super::error::{BlobError, Section};
+use super::header::{Header, HeaderField, Weights};
 use super::layout::{
     ALIGN, CRC, CRC_LEN, FILE_LEN_AT, HEADER_AT, HEADER_LEN_AT, Layout, MAGIC, MAX_HEADER_LEN, SCHEMA_AT, SCHEMA_KEY,
     VERSION, VERSION_AT,
 };
-use super::{BlobError, Header, HeaderField, Weights};
+use core::cmp::Ordering;
 
-/// A network: its header, and its weights where the file lies.
+/// A network that has been checked: its header, and its weights where they lie.
+///
+/// There is no other way to a network than the three that check it: [`Network::decode`], [`Network::new`], and
+/// [`Verified::open`] for a file that was checked before. So whatever takes a `Network`, as
+/// [`crate::pipeline::Pipeline`] does, need not look at its weights again.
 #[derive(Clone, Debug)]
 pub struct Network<'a> {
-    /// Shapes.
-    pub header: Header,
-    /// Weights.
-    pub weights: Weights<'a>,
+    header: Header,
+    weights: Weights<'a>,
 }
 
 impl<'a> Network<'a> {
-    /// Reads a file of which every bit has been checked: length, magic, version, schema, CRC, header, weights.
+    /// A network of a header and weights that lie in memory.
+    ///
+    /// # Errors
+    /// [`BlobError::Header`] where a value of the header is impossible, [`BlobError::SectionLength`] where a section of
+    /// the weights has another length than the header says, [`BlobError::NonFinite`] where a weight is infinite or NaN.
+    pub fn new(header: Header, weights: Weights<'a>) -> Result<Self, BlobError> {
+        weights.check(&header)?;
+        let maps = header.sensor;
+        let offset_dn = weights.offset_dn.filter(|_| maps.has_offset_map);
+        let inverse_gain = weights.inverse_gain.filter(|_| maps.has_gain_map);
+        Ok(Self { header, weights: Weights { offset_dn, inverse_gain, ..weights } })
+    }
+
+    /// Reads a network file and checks every bit of it: length, magic, version, schema, CRC, header, and that all
+    /// weights are finite.
     ///
     /// # Errors
     /// The first thing that is wrong with `bytes`. No bytes make it panic or read elsewhere.
     pub fn decode(bytes: &'a [u8]) -> Result<Self, BlobError> {
-        let (body, crc) = check_preamble(bytes)?;
-        let found = CRC.checksum(body);
-        if crc != found {
-            return Err(BlobError::Crc { expected: crc, found });
-        }
-        let network = Self::view(bytes)?;
-        for (section, halves) in network.weights.halves() {
-            check_finite(section, halves)?;
-        }
-        Ok(network)
+        Verified::check(bytes)?.open(bytes)
     }
 
-    /// Reads a file that [`Network::decode`] has accepted before, without going through all its bytes again.
-    ///
-    /// # Errors
-    /// As `decode`, save that neither checksum nor weights are looked at.
-    pub fn view(bytes: &'a [u8]) -> Result<Self, BlobError> {
-        check_preamble(bytes)?;
+    /// Reads a file, of which neither checksum nor weights are looked at.
+    fn view(bytes: &'a [u8]) -> Result<Self, BlobError> {
         let header_len = u32_at(bytes, HEADER_LEN_AT) as usize;
         let header = decode_header(bytes, header_len)?;
         let layout = Layout::new(header_len, &header.section_lens()?)?;
@@ -58,9 +62,65 @@ impl<'a> Network<'a> {
         };
         Ok(Self { header, weights })
     }
+
+    /// Its shapes, its name, and the memory that it needs.
+    pub const fn header(&self) -> &Header {
+        &self.header
+    }
+
+    /// The header alone.
+    pub fn into_header(self) -> Header {
+        self.header
+    }
+
+    /// Its weights, all of them finite and as many as the header says.
+    pub const fn weights(&self) -> Weights<'a> {
+        self.weights
+    }
 }
 
-/// Checks all that stands before the header; gives what the CRC covers, and the CRC that the file carries.
+/// Proof that a network file has passed every check of [`Network::decode`]: its length and its checksum. It is kept
+/// where the file itself cannot be borrowed for so long, and opens the file again without a second look at all its
+/// bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Verified {
+    len: usize,
+    crc: u32,
+}
+
+impl Verified {
+    /// Checks every bit of a network file.
+    ///
+    /// # Errors
+    /// The first thing that is wrong with `bytes`. No bytes make it panic or read elsewhere.
+    pub fn check(bytes: &[u8]) -> Result<Self, BlobError> {
+        let (body, crc) = check_preamble(bytes)?;
+        let found = CRC.checksum(body);
+        if crc != found {
+            return Err(BlobError::Crc { expected: crc, found });
+        }
+        Network::view(bytes)?.weights.check_finite()?;
+        Ok(Self { len: bytes.len(), crc })
+    }
+
+    /// Reads the file that was checked. Its header is decoded again; checksum and weights are not computed or looked at
+    /// again.
+    ///
+    /// # Errors
+    /// [`BlobError::TooShort`], [`BlobError::TooLong`] or [`BlobError::Crc`] where `bytes` are another file than the
+    /// one that was checked, which ends with this checksum; otherwise as [`Network::decode`], and only where its memory
+    /// has changed since.
+    pub fn open(self, bytes: &[u8]) -> Result<Network<'_>, BlobError> {
+        let (_, found) = check_preamble(bytes)?;
+        check_len(self.len as u64, bytes.len() as u64)?;
+        if found != self.crc {
+            return Err(BlobError::Crc { expected: self.crc, found });
+        }
+        Network::view(bytes)
+    }
+}
+
+/// Checks everything before the header. Returns the bytes that the CRC covers, and the CRC that the file carries.
 fn check_preamble(bytes: &[u8]) -> Result<(&[u8], u32), BlobError> {
     let found = bytes.len() as u64;
     if bytes.len() < HEADER_AT + CRC_LEN {
@@ -81,14 +141,17 @@ fn check_preamble(bytes: &[u8]) -> Result<(&[u8], u32), BlobError> {
         return Err(BlobError::Schema { expected: SCHEMA_KEY, found: schema });
     }
     let expected = u64::from(u32_at(bytes, FILE_LEN_AT));
-    if found < expected {
-        return Err(BlobError::TooShort { expected, found });
-    }
-    if found > expected {
-        return Err(BlobError::TooLong { expected, found });
-    }
+    check_len(expected, found)?;
     let (body, crc) = bytes.split_at(bytes.len() - CRC_LEN);
     Ok((body, u32_at(crc, 0)))
+}
+
+fn check_len(expected: u64, found: u64) -> Result<(), BlobError> {
+    match found.cmp(&expected) {
+        Ordering::Less => Err(BlobError::TooShort { expected, found }),
+        Ordering::Equal => Ok(()),
+        Ordering::Greater => Err(BlobError::TooLong { expected, found }),
+    }
 }
 
 fn decode_header(bytes: &[u8], len: usize) -> Result<Header, BlobError> {
@@ -109,7 +172,7 @@ fn wrong_section(layout: &Layout, header: &Header, file_len: usize) -> BlobError
     let lens = header.section_lens().map_or([0; 5], |lens| lens.in_order());
     let past = layout.sections.iter().position(|(at, len)| at + len > end).unwrap_or(lens.len() - 1);
     let found = end.saturating_sub(layout.sections[past].0) / 2;
-    BlobError::SectionLength { section: super::Section::ALL[past], expected: lens[past], found: found as u64 }
+    BlobError::SectionLength { section: Section::ALL[past], expected: lens[past], found: found as u64 }
 }
 
 /// Little-endian halves, or words, in place.

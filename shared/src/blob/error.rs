@@ -1,16 +1,16 @@
-//! Why bytes are no network.
+//! Errors of network files.
 
-use super::{HeaderField, MemoryPlan};
+use super::header::{HeaderField, MemoryPlan};
 use core::fmt;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// A weight section of the file.
+/// A section of the weights in the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum Section {
     /// Spectra of the filter bank, or blocks of its kernels.
     Filters,
-    /// Where the blocks lie.
+    /// Positions of the blocks.
     Index,
     /// Weights and biases of the enhancement network.
     Rcan,
@@ -24,7 +24,7 @@ impl Section {
     /// All sections in the order of the file.
     pub const ALL: [Self; 5] = [Self::Filters, Self::Index, Self::Rcan, Self::Offset, Self::InverseGain];
 
-    /// Name in messages.
+    /// Its name in error messages.
     pub fn name(self) -> &'static str {
         match self {
             Self::Filters => "filters",
@@ -36,84 +36,84 @@ impl Section {
     }
 }
 
-/// Why bytes are no network, or none for this device.
+/// Why bytes are not a network file, or why this device cannot run the network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum BlobError {
-    /// Fewer bytes than the file says it has, or than any file has.
+    /// Fewer bytes than the file states in its preamble, or than the shortest file has.
     TooShort {
-        /// Bytes that there should be.
+        /// Bytes that the file should have.
         expected: u64,
-        /// Bytes that there are.
+        /// Bytes given.
         found: u64,
     },
-    /// More bytes than the file says it has.
+    /// More bytes than the file states in its preamble.
     TooLong {
-        /// Bytes that there should be.
+        /// Bytes that the file should have.
         expected: u64,
-        /// Bytes that there are.
+        /// Bytes given.
         found: u64,
     },
-    /// The bytes do not begin where weights can be read in place.
+    /// The bytes lie at an address at which weights cannot be read in place.
     Misaligned {
         /// The address must be a multiple of this, bytes.
         expected: u32,
         /// The address modulo `expected`, bytes.
         found: u32,
     },
-    /// Not a network file.
+    /// The bytes do not begin like a network file.
     Magic {
         /// The first eight bytes of a network file.
         expected: [u8; 8],
-        /// The first eight bytes.
+        /// The first eight bytes given.
         found: [u8; 8],
     },
-    /// A network file of another version.
+    /// The file has another version of the layout.
     Version {
         /// Version that this program reads.
         expected: u16,
         /// Version of the file.
         found: u16,
     },
-    /// A network file whose header has other fields.
+    /// The file has a header with other fields.
     Schema {
         /// Schema key of this program.
         expected: u64,
         /// Schema key of the file.
         found: u64,
     },
-    /// The file was damaged.
+    /// The file is damaged, or another file than expected.
     Crc {
-        /// Checksum that the file carries.
+        /// Checksum at the end of the file, or of the file that was checked before.
         expected: u32,
-        /// Checksum of its bytes.
+        /// Checksum of the bytes given, or at their end.
         found: u32,
     },
-    /// The header cannot be read, or says what no network can be.
+    /// The header cannot be read, or one of its values is impossible.
     Header {
         /// Which part.
         field: HeaderField,
     },
-    /// The weights do not match the header.
+    /// A section of the weights has another length than the header says.
     SectionLength {
         /// Which weights.
         section: Section,
-        /// Halves, or words of the index, that the header asks for.
+        /// Halves, or words of the index, by the header.
         expected: u64,
-        /// Halves that there are (or can be).
+        /// Halves or words found, or the most that a file can hold.
         found: u64,
     },
-    /// A weight is infinite or not a number.
+    /// A weight is infinite or NaN.
     NonFinite {
         /// Which weights.
         section: Section,
         /// Index of the half in its section.
         index: u32,
     },
-    /// The output buffer of the encoder is too small.
+    /// The buffer given to the encoder is too small.
     NoRoom {
         /// Bytes that the file needs.
         expected: u64,
-        /// Bytes that there are.
+        /// Bytes of the buffer.
         found: u64,
     },
     /// The network needs more memory than the device has.
@@ -128,10 +128,10 @@ pub enum BlobError {
 impl fmt::Display for BlobError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
-            Self::TooShort { expected, found } => write!(f, "cut short: expected {expected} bytes, found {found}"),
+            Self::TooShort { expected, found } => write!(f, "too short: expected {expected} bytes, found {found}"),
             Self::TooLong { expected, found } => write!(f, "too long: expected {expected} bytes, found {found}"),
             Self::Misaligned { expected, found } => {
-                write!(f, "begins {found} bytes past a multiple of {expected}; copy it to an aligned buffer")
+                write!(f, "its address is {found} bytes past a multiple of {expected}; copy it to an aligned buffer")
             }
             Self::Magic { expected, found } => write!(
                 f,
@@ -140,21 +140,22 @@ impl fmt::Display for BlobError {
                 found.escape_ascii()
             ),
             Self::Version { expected, found } => {
-                write!(f, "expected version {expected}, found {found}; make it again with `ommatidia quantize`")
+                write!(f, "expected version {expected}, found {found}; write it again with `ommatidia quantize`")
             }
             Self::Schema { expected, found } => write!(
                 f,
-                "its header has other fields: expected schema {expected:016x}, found {found:016x}; make it again with `ommatidia quantize`"
+                "its header has other fields: expected schema {expected:016x}, found {found:016x}; write it again \
+                 with `ommatidia quantize`"
             ),
             Self::Crc { expected, found } => {
                 write!(f, "damaged: expected CRC {expected:08x}, found {found:08x}; copy it again")
             }
-            Self::Header { field } => write!(f, "header field `{field:?}` holds what no network can have"),
+            Self::Header { field } => write!(f, "header field `{field:?}` has an impossible value"),
             Self::SectionLength { section, expected, found } => {
                 write!(f, "section `{}`: expected {expected} numbers, found {found}", section.name())
             }
             Self::NonFinite { section, index } => {
-                write!(f, "section `{}`: expected finite weights, found none at index {index}", section.name())
+                write!(f, "section `{}`: the weight at index {index} is infinite or NaN", section.name())
             }
             Self::NoRoom { expected, found } => write!(f, "the file needs {expected} bytes, the buffer has {found}"),
             Self::Memory { needed, available } => write_memory(f, needed, available),

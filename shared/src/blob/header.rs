@@ -1,12 +1,10 @@
-//! What a network file says of itself: every shape that the device needs before it touches a weight.
+//! The header of a network file: every shape that the device needs before it reads a weight.
 
-use super::BlobError;
-use crate::nn::rcan::weights_len;
 use heapless::{String, Vec};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// The most taps that one filter bank may have.
+/// Largest number of taps of a filter bank.
 pub const MAX_TAPS: usize = 128;
 
 /// Rows and columns, in pixels.
@@ -18,49 +16,50 @@ pub struct Size {
     pub cols: u16,
 }
 
-/// The sensor corrections that come before the network.
+/// The correction of raw frames before the network ([`crate::sensor`]).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Sensor {
     /// Mean signal without light, DN.
     pub black_level_dn: f32,
     /// The highest code, `2^bit_depth - 1`, DN.
     pub saturation_dn: u16,
-    /// A per-pixel offset map (f16, DN, relative to the black level) stands in the weights.
+    /// The weights hold an offset of each pixel (DN, relative to the black level).
     pub has_offset_map: bool,
-    /// A per-pixel inverse gain map (f16, 1 = nominal) stands in the weights.
+    /// The weights hold an inverse relative gain of each pixel (1: nominal).
     pub has_gain_map: bool,
 }
 
-/// One partition of one channel's filter: it convolves the input window that lies `dy, dx` steps from the
-/// output tile.
+/// One partition of the filter of one channel: it convolves the input window that lies `dy, dx` steps from the output
+/// tile ([`crate::filter`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Tap {
     /// Output channel.
     pub channel: u8,
-    /// Offset of the input window in steps of the bank, rows.
+    /// Offset of the input window along the rows, steps of the bank.
     pub dy: i8,
-    /// Offset of the input window in steps of the bank, columns.
+    /// Offset of the input window along the columns, steps of the bank.
     pub dx: i8,
 }
 
 impl Tap {
-    /// Key of the order in which taps are stored.
+    /// Sort key: taps are stored in ascending order of (channel, dy, dx).
     pub fn order(self) -> (u8, i8, i8) {
         (self.channel, self.dy, self.dx)
     }
 }
 
-/// Kernels that are stored in space, a few blocks of lags each; all other lags are zero ([`crate::filter`]).
+/// Kernels stored in space, as a few blocks of lags each; all other lags are zero ([`crate::filter`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Blocks {
     /// Side B of a block, lags; a power of two, at most T.
     pub side: u16,
-    /// Blocks of all channels together.
+    /// Number of blocks of all channels together.
     pub count: u16,
 }
 
 impl Blocks {
-    /// Blocks in a row, and in a column, of a kernel of side `tile`; 0 where a block has no side, which no bank may have.
+    /// Blocks along each side of a kernel of side `tile`; 0 where the side of a block is 0, which [`Header::check`]
+    /// refuses.
     pub const fn across(self, tile: u16) -> usize {
         match tile.checked_div(self.side) {
             Some(across) => across as usize,
@@ -71,18 +70,21 @@ impl Blocks {
 
 /// The Fourier filter bank: uniformly partitioned overlap-save convolution.
 ///
-/// With `tile` = the padded frame and one tap at (0, 0) a channel it is the dense layer of the paper.
+/// With `tile` = the padded frame and one tap at (0, 0) in each channel it is the dense Fourier layer of SV-FourierNet
+/// (Yang et al. 2024, section 3B).
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Bank {
     /// Side T of the transform, pixels; a power of two.
     pub tile: u16,
-    /// Side S of the valid output block of a tile, pixels; S <= T.
+    /// Side S of the valid output block of a tile, pixels; 1 to T.
     pub step: u16,
     /// Number of output channels C.
     pub channels: u8,
-    /// Taps, sorted by (channel, dy, dx). Each has a spectrum of T x (T/2+1) complex halves in the weights, or, with `blocks`, a kernel.
+    /// Taps in ascending order of (channel, dy, dx). Each has a spectrum of T x (T/2 + 1) complex halves in the weights
+    /// or, with `blocks`, a kernel.
     pub taps: Vec<Tap, MAX_TAPS>,
-    /// The weights hold kernels in space instead of spectra: one tap at (0, 0) a channel, one tile that holds the whole frame.
+    /// Given where the weights hold kernels in space instead of spectra. The bank then has one tap at (0, 0) in each
+    /// channel, and one tile that holds the whole frame.
     pub blocks: Option<Blocks>,
 }
 
@@ -94,15 +96,15 @@ pub struct Bank {
 pub struct Rcan {
     /// Feature channels W.
     pub width: u8,
-    /// Residual groups.
+    /// Number of residual groups.
     pub groups: u8,
-    /// RCABs per group.
+    /// Residual channel-attention blocks (RCAB) in a group.
     pub blocks: u8,
-    /// Channel reduction of the attention's bottleneck.
+    /// Reduction r of the channels in the bottleneck of the attention, W -> W/r -> W.
     pub reduction: u8,
 }
 
-/// Memory that the pipeline needs besides the blob itself.
+/// Memory that the pipeline needs besides the network file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct MemoryPlan {
     /// Fast scratch (tightly coupled memory), bytes.
@@ -111,25 +113,12 @@ pub struct MemoryPlan {
     pub bulk_bytes: u32,
 }
 
-impl MemoryPlan {
-    /// Whether the plan fits into the memory of a device.
-    ///
-    /// # Errors
-    /// [`BlobError::Memory`] says what is needed and what there is.
-    pub fn fits(self, available: Self) -> Result<(), BlobError> {
-        if self.fast_bytes <= available.fast_bytes && self.bulk_bytes <= available.bulk_bytes {
-            return Ok(());
-        }
-        Err(BlobError::Memory { needed: self, available })
-    }
-}
-
-/// Everything that a runtime needs to know before it reads a weight.
+/// The header of a network file: all shapes, and the memory that the network needs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Header {
     /// Name that the user gave the network.
     pub name: String<48>,
-    /// First 16 hexadecimal digits of the SHA-256 of the checkpoint that it was made from.
+    /// First 16 hexadecimal digits of the SHA-256 of the checkpoint that was quantized.
     pub checkpoint: String<16>,
     /// Raw frame, pixels.
     pub frame: Size,
@@ -145,12 +134,12 @@ pub struct Header {
     pub memory: MemoryPlan,
 }
 
-/// Number of halves in each weight section, in the order of the file.
+/// Number of 16-bit words in each section of the weights, in the order of the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SectionLens {
     /// Spectra of the taps, or blocks of their kernels.
     pub filters: u64,
-    /// Where the blocks lie, words of 16 bits; 0 for spectra.
+    /// Positions of the blocks; 0 for spectra.
     pub index: u64,
     /// Weights and biases of the RCAN.
     pub rcan: u64,
@@ -160,67 +149,7 @@ pub struct SectionLens {
     pub inverse_gain: u64,
 }
 
-impl Header {
-    /// How many halves each weight section of this network has.
-    ///
-    /// # Errors
-    /// [`BlobError::Header`] names the field that no network can have.
-    pub fn section_lens(&self) -> Result<SectionLens, BlobError> {
-        let tile = u64::from(self.bank.tile);
-        let pixels = u64::from(self.frame.rows) * u64::from(self.frame.cols);
-        if self.rcan.reduction == 0 {
-            return Err(BlobError::Header { field: HeaderField::Rcan });
-        }
-        if self.bank.blocks.is_some_and(|b| !b.side.is_power_of_two() || b.side > self.bank.tile) {
-            return Err(BlobError::Header { field: HeaderField::Blocks });
-        }
-        let (filters, index) = match self.bank.blocks {
-            None => (self.bank.taps.len() as u64 * tile * (tile / 2 + 1) * 2, 0),
-            Some(blocks) => {
-                let rows = u64::from(self.bank.channels) * blocks.across(self.bank.tile) as u64;
-                (u64::from(blocks.count) * u64::from(blocks.side).pow(2), rows + 1 + u64::from(blocks.count))
-            }
-        };
-        Ok(SectionLens {
-            filters,
-            index,
-            rcan: weights_len(&self.rcan, self.bank.channels) as u64,
-            offset_dn: if self.sensor.has_offset_map { pixels } else { 0 },
-            inverse_gain: if self.sensor.has_gain_map { pixels } else { 0 },
-        })
-    }
-
-    /// Whether the numbers of the header make sense together.
-    ///
-    /// # Errors
-    /// [`BlobError::Header`] names the field that no network can have.
-    pub fn check(&self) -> Result<(), BlobError> {
-        let wrong = |field| Err(BlobError::Header { field });
-        let bank = &self.bank;
-        let empty = |size: Size| size.rows == 0 || size.cols == 0;
-        if empty(self.frame) {
-            return wrong(HeaderField::Frame);
-        }
-        if empty(self.object) || !self.object.rows.is_multiple_of(2) || !self.object.cols.is_multiple_of(2) {
-            return wrong(HeaderField::Object);
-        }
-        if !self.sensor.black_level_dn.is_finite() || f32::from(self.sensor.saturation_dn) <= self.sensor.black_level_dn
-        {
-            return wrong(HeaderField::Sensor);
-        }
-        let tile_ok = bank.tile.is_power_of_two() && bank.tile >= 2 && (1..=bank.tile).contains(&bank.step);
-        if !tile_ok || bank.channels == 0 {
-            return wrong(HeaderField::Bank);
-        }
-        let sorted = bank.taps.is_sorted_by(|a, b| a.order() < b.order());
-        if !sorted || bank.taps.is_empty() || bank.taps.iter().any(|tap| tap.channel >= bank.channels) {
-            return wrong(HeaderField::Taps);
-        }
-        self.section_lens().map(|_| ())
-    }
-}
-
-/// Part of the header.
+/// A part of the header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum HeaderField {
     /// The encoding as a whole.
@@ -241,19 +170,19 @@ pub enum HeaderField {
     Rcan,
 }
 
-/// The weights of a network, borrowed from wherever the file lies. All but the index are IEEE halves.
+/// The weights of a network, borrowed from the file. All but the index are IEEE halves.
 #[derive(Clone, Copy, Debug)]
 pub struct Weights<'a> {
-    /// Spectra of the taps in the order of [`Bank::taps`], each T rows of T/2+1 complex numbers (re, im). With [`Bank::blocks`] the blocks in the
-    /// order of the index, each B rows of B lags.
+    /// Spectra of the taps in the order of [`Bank::taps`], each T rows of T/2 + 1 complex numbers (re, im). With
+    /// [`Bank::blocks`] the blocks in the order of the index, each B rows of B lags.
     pub filters: &'a [half::f16],
-    /// Where the blocks lie, as in a compressed sparse row matrix: for each row of blocks of each channel the number of blocks before it, then the
-    /// number of all; then the column of each block. Empty for spectra.
+    /// Positions of the blocks, as in a compressed sparse row matrix: for each row of blocks of each channel the number
+    /// of blocks before it, then the number of all blocks; then the column of each block. Empty for spectra.
     pub index: &'a [u16],
-    /// Weights and biases of the RCAN in the order in which they are used; see `nn::rcan`.
+    /// Weights and biases of the RCAN in the order in which they are used ([`crate::nn::rcan::layout`]).
     pub rcan: &'a [half::f16],
-    /// Offset of each pixel relative to the black level, DN, [frame rows, frame cols].
+    /// Offset of each pixel relative to the black level, DN, (frame rows, frame cols).
     pub offset_dn: Option<&'a [half::f16]>,
-    /// Inverse relative gain of each pixel, [frame rows, frame cols].
+    /// Inverse relative gain of each pixel, (frame rows, frame cols).
     pub inverse_gain: Option<&'a [half::f16]>,
 }

@@ -1,16 +1,17 @@
-//! Where things lie in the file.
+//! Offsets in the file.
 
-use super::{BlobError, Header, Section, SectionLens};
+use super::error::{BlobError, Section};
+use super::header::{Header, SectionLens};
 use crc::{CRC_32_ISO_HDLC, Crc};
 use postcard_schema::key::Key;
 
 /// The first eight bytes of every network file.
 pub const MAGIC: [u8; 8] = *b"OMMATIDI";
-/// Version of the layout; it changes with whatever the schema key cannot see.
+/// Version of the layout. It changes with everything that the schema key does not cover.
 pub const VERSION: u16 = 2;
-/// Changes with every name and type in [`Header`].
+/// Hash of every name and type in [`Header`]: it changes when one of them does.
 pub const SCHEMA_KEY: u64 = u64::from_le_bytes(Key::for_path::<Header>("ommatidia/blob").to_bytes());
-/// Sections, and the file itself, begin at multiples of this many bytes.
+/// Alignment of the file and of each section in it, bytes.
 pub const ALIGN: usize = 16;
 
 pub(super) const VERSION_AT: usize = 8;
@@ -38,7 +39,7 @@ impl Layout {
     /// The layout of a file with `header_len` bytes of header and sections of `lens` numbers of 16 bits.
     ///
     /// # Errors
-    /// [`BlobError::SectionLength`] where a section could not be addressed.
+    /// [`BlobError::SectionLength`] where the file would have 4 GiB or more.
     pub fn new(header_len: usize, lens: &SectionLens) -> Result<Self, BlobError> {
         let mut at = HEADER_AT + header_len;
         let mut sections = [(0, 0); 5];
@@ -47,7 +48,7 @@ impl Layout {
             at = at.next_multiple_of(ALIGN);
             let bytes = usize::try_from(halves).ok().and_then(|n| n.checked_mul(2)).ok_or(too_long)?;
             *slot = (at, bytes);
-            // Room for the padding and the CRC is kept so that no later sum can overflow.
+            // Padding and CRC fit behind it, so no later sum can overflow.
             at = at.checked_add(bytes).filter(|end| *end < u32::MAX as usize - 2 * ALIGN).ok_or(too_long)?;
         }
         Ok(Self { sections, file_len: at + CRC_LEN })

@@ -132,12 +132,12 @@ proptest! {
         let aligned = Aligned::new(&file(&header, &owned));
         let network = Network::decode(aligned.bytes()).unwrap();
         let expected = owned.weights(&header.sensor);
-        prop_assert_eq!(&network.header, &header);
-        prop_assert_eq!(bits(network.weights.filters), bits(expected.filters));
-        prop_assert_eq!(network.weights.index, expected.index);
-        prop_assert_eq!(bits(network.weights.rcan), bits(expected.rcan));
-        prop_assert_eq!(network.weights.offset_dn.map(bits), expected.offset_dn.map(bits));
-        prop_assert_eq!(network.weights.inverse_gain.map(bits), expected.inverse_gain.map(bits));
+        prop_assert_eq!(network.header(), &header);
+        prop_assert_eq!(bits(network.weights().filters), bits(expected.filters));
+        prop_assert_eq!(network.weights().index, expected.index);
+        prop_assert_eq!(bits(network.weights().rcan), bits(expected.rcan));
+        prop_assert_eq!(network.weights().offset_dn.map(bits), expected.offset_dn.map(bits));
+        prop_assert_eq!(network.weights().inverse_gain.map(bits), expected.inverse_gain.map(bits));
     }
 
     #[test]
@@ -147,7 +147,9 @@ proptest! {
 
     /// A forger who makes the CRC right may change any word: the file is refused or stays a network in bounds.
     #[test]
-    fn forged_bytes_never_panic(at in 0usize..200, with in prop::collection::vec(any::<u8>(), 1..5), cut in 0usize..40) {
+    fn forged_bytes_never_panic(
+        at in 0usize..200, with in prop::collection::vec(any::<u8>(), 1..5), cut in 0usize..40
+    ) {
         let header = small();
         let mut bytes = file(&header, &Owned::new(&header, 7));
         bytes.truncate(bytes.len() - cut);
@@ -159,9 +161,9 @@ proptest! {
             bytes = forge(bytes, layout::FILE_LEN_AT, &file_len);
         }
         if let Ok(network) = Network::decode(Aligned::new(&bytes).bytes()) {
-            let lens = network.header.section_lens().unwrap();
-            prop_assert_eq!(network.weights.filters.len() as u64, lens.filters);
-            prop_assert_eq!(network.weights.rcan.len() as u64, lens.rcan);
+            let lens = network.header().section_lens().unwrap();
+            prop_assert_eq!(network.weights().filters.len() as u64, lens.filters);
+            prop_assert_eq!(network.weights().rcan.len() as u64, lens.rcan);
         }
     }
 }
@@ -198,7 +200,7 @@ fn each_refusal_names_its_reason() {
     let header = small();
     let good = file(&header, &Owned::new(&header, 1));
     let refusal = |at: usize, with: &[u8]| {
-        Network::decode(Aligned::new(&forge(good.clone(), at, with)).bytes()).map(|n| n.header).unwrap_err()
+        Network::decode(Aligned::new(&forge(good.clone(), at, with)).bytes()).map(Network::into_header).unwrap_err()
     };
     assert_eq!(refusal(0, b"GIF89a\0\0"), BlobError::Magic { expected: MAGIC, found: *b"GIF89a\0\0" });
     assert_eq!(refusal(layout::VERSION_AT, &9u16.to_le_bytes()), BlobError::Version { expected: VERSION, found: 9 });
@@ -214,6 +216,22 @@ fn each_refusal_names_its_reason() {
     assert!(matches!(Network::decode(Aligned::new(&damaged).bytes()), Err(BlobError::Crc { .. })));
 }
 
+#[test]
+fn what_was_verified_opens_again_and_nothing_else_does() {
+    let header = small();
+    let aligned = Aligned::new(&file(&header, &Owned::new(&header, 1)));
+    let verified = Verified::check(aligned.bytes()).unwrap();
+    assert_eq!(verified.open(aligned.bytes()).unwrap().header(), &header);
+    let other = Aligned::new(&file(&header, &Owned::new(&header, 2)));
+    assert!(matches!(verified.open(other.bytes()), Err(BlobError::Crc { .. })), "another file of the same length");
+    let named = Header { name: "longer".try_into().unwrap(), ..header.clone() };
+    let longer = Aligned::new(&file(&named, &Owned::new(&named, 1)));
+    assert!(verified.open(longer.bytes()).is_err(), "a file of another length");
+    let (at, _) = sections(&header)[2];
+    let poisoned = forge(aligned.bytes().to_vec(), at + 6, &f16::NAN.to_le_bytes());
+    assert!(verified.open(Aligned::new(&poisoned).bytes()).is_err(), "a file with a NaN and a checksum that is right");
+}
+
 fn sections(header: &Header) -> [(usize, usize); 5] {
     let mut buffer = [0; layout::MAX_HEADER_LEN];
     let len = postcard::to_slice(header, &mut buffer).unwrap().len();
@@ -227,7 +245,7 @@ fn a_misaligned_buffer_is_named() {
     let shifted: Vec<u8> = [0; 2].into_iter().chain(bytes).collect();
     let aligned = Aligned::new(&shifted);
     assert_eq!(
-        Network::decode(&aligned.bytes()[2..]).map(|n| n.header),
+        Network::decode(&aligned.bytes()[2..]).map(Network::into_header),
         Err(BlobError::Misaligned { expected: ALIGN as u32, found: 2 })
     );
 }

@@ -1,17 +1,17 @@
-//! Where a board puts its camera, its pins and its sensors; and the versions that live in memory.
+//! The traits that a board implements for its camera, its pins and its sensors, and implementations in memory.
 
 use crate::wire::{Activity, StartCause};
 use core::fmt;
 use half::f16;
 
-/// Why storage did not do what it was asked.
+/// Why a buffer, a camera or the flash refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum IoError {
-    /// Too little room.
+    /// There is too little room.
     NoRoom {
-        /// Bytes asked for.
+        /// Bytes needed.
         needed: usize,
-        /// Bytes there are.
+        /// Bytes available.
         available: usize,
     },
     /// The hardware failed.
@@ -21,103 +21,104 @@ pub enum IoError {
 impl fmt::Display for IoError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
-            Self::NoRoom { needed, available } => write!(f, "{needed} bytes needed, room for {available}"),
-            Self::Failed => f.write_str("the storage failed"),
+            Self::NoRoom { needed, available } => write!(f, "{needed} bytes needed, {available} available"),
+            Self::Failed => f.write_str("the hardware failed"),
         }
     }
 }
 
 impl core::error::Error for IoError {}
 
-/// Where raw frames come from: the host, or a camera.
-pub trait FrameSource {
-    /// Room, pixels.
+/// Source of raw frames: the host, or a camera.
+pub trait FrameInput {
+    /// Largest frame that fits, pixels.
     fn capacity(&self) -> usize;
-    /// Whether frames come by themselves: the host need not send any.
+    /// Whether there is a camera, so that the host need not send frames.
     fn live(&self) -> bool {
         false
     }
-    /// Makes ready for a frame of `pixels` from the host.
+    /// Prepares for a frame of `pixels` from the host.
     ///
     /// # Errors
-    /// There is no such room, or this source takes no frames from the host.
+    /// [`IoError::NoRoom`] where it does not fit; [`IoError::Failed`] where this source takes no frames from the host.
     fn begin(&mut self, pixels: usize) -> Result<(), IoError>;
-    /// Takes bytes of a frame from the host, little-endian codes, at `offset` bytes.
+    /// Stores bytes of the host's frame (little-endian 16-bit codes) at `offset` bytes from its beginning.
     ///
     /// # Errors
-    /// The bytes go past the length given to `begin`.
+    /// [`IoError::NoRoom`] where the bytes go past the length given to [`Self::begin`].
     fn write(&mut self, offset: usize, bytes: &[u8]) -> Result<(), IoError>;
-    /// The frame to reconstruct, row by row.
+    /// The frame to reconstruct: raw codes, row by row.
     ///
     /// # Errors
-    /// The camera failed.
+    /// [`IoError::Failed`] where the camera failed.
     fn frame(&mut self) -> Result<&[u16], IoError>;
 }
 
-/// Where reconstructions go.
+/// Destination of reconstructions.
 pub trait FrameSink {
-    /// Room, pixels.
+    /// Largest reconstruction that fits, pixels.
     fn capacity(&self) -> usize;
-    /// The buffer that the next reconstruction of `pixels` is written to.
+    /// The buffer for the next reconstruction, of `pixels`.
     ///
     /// # Errors
-    /// There is no such room.
+    /// [`IoError::NoRoom`] where it does not fit.
     fn begin(&mut self, pixels: usize) -> Result<&mut [f16], IoError>;
-    /// The buffer is filled.
+    /// Called when the buffer holds the reconstruction.
     ///
     /// # Errors
-    /// The hardware failed.
+    /// [`IoError::Failed`] where the hardware failed.
     fn finish(&mut self) -> Result<(), IoError>;
-    /// The last reconstruction, for the host.
+    /// The last reconstruction, row by row, 0 to 1.
     fn object(&self) -> &[f16];
 }
 
-/// What the program takes of the board's memory. All 0 where that has no meaning.
+/// Memory that the program occupies on a board. All 0 on the workstation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Footprint {
     /// Code and constants, bytes.
     pub image_bytes: u32,
-    /// Variables besides the large buffers, bytes.
+    /// Static variables without the large buffers, bytes.
     pub static_bytes: u32,
-    /// The deepest that the stack has been, bytes.
+    /// Largest depth of the stack since the start, bytes.
     pub stack_bytes: u32,
 }
 
 impl Footprint {
-    /// The most that variables and stack take together on any board, bytes; each half of it. So the memory of a network is known when
-    /// its file is made. Tests over the boards hold it.
+    /// Upper bound of variables and stack together on any board, bytes, each at most half of it. With it the memory of
+    /// a network is known when its file is written. Tests on the emulated boards check the bound.
     pub const MOST_RAM: u32 = 16 << 10;
 }
 
-/// Resets the board unless it is fed in time. (`embedded-hal` 1.0 has no such trait.)
+/// A watchdog: it resets the board unless it is fed in time. (`embedded-hal` 1.0 has no such trait.)
 pub trait Watchdog {
-    /// Begins to count.
+    /// Starts the count.
     fn start(&mut self);
-    /// The program is alive: count anew.
+    /// Restarts the count: the program is alive.
     fn feed(&mut self);
 }
 
-/// The board's view of the program: pins, counters, sensors.
+/// What a board does when the program reports its progress, and what its counters and sensors measure.
 pub trait Monitor {
-    /// A request was handled: feed the watchdog.
+    /// Called with every request: feeds the watchdog.
     fn alive(&mut self);
-    /// A reconstruction begins: raise the trigger pin.
+    /// Called before a reconstruction: raises the trigger pin.
     fn run_begins(&mut self);
-    /// It has ended: lower the pin. Gives the cycles of the core since it began, where they are counted.
+    /// Called after a reconstruction: lowers the pin. Returns the cycles of the core since [`Self::run_begins`], where
+    /// they are counted.
     fn run_ends(&mut self) -> Option<u32>;
-    /// What the program takes.
+    /// Memory that the program occupies.
     fn footprint(&self) -> Footprint;
     /// Temperature in hundredths of a degree Celsius, where there is a sensor.
     fn temperature_cdeg(&mut self) -> Option<i16>;
     /// Why the program was started.
     fn start_cause(&self) -> StartCause;
-    /// How the core spends its time, where there is a clock.
+    /// How long the core has run and slept, where there is a clock.
     fn activity(&self) -> Option<Activity> {
         None
     }
 }
 
-/// No board.
+/// The monitor of a program without a board: nothing to signal, nothing to measure.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Silent;
 
@@ -138,7 +139,7 @@ impl Monitor for Silent {
     }
 }
 
-/// A frame that the host sent.
+/// A frame in memory, which the host sends.
 #[derive(Debug)]
 pub struct RamFrame<'m> {
     memory: &'m mut [u16],
@@ -146,18 +147,18 @@ pub struct RamFrame<'m> {
 }
 
 impl<'m> RamFrame<'m> {
-    /// Puts frames into `memory`.
+    /// Stores frames in `memory`, pixels.
     pub fn new(memory: &'m mut [u16]) -> Self {
         Self { memory, pixels: 0 }
     }
 
-    /// The memory, whatever is in it.
+    /// The memory, with whatever it holds.
     pub fn into_memory(self) -> &'m mut [u16] {
         self.memory
     }
 }
 
-impl FrameSource for RamFrame<'_> {
+impl FrameInput for RamFrame<'_> {
     fn capacity(&self) -> usize {
         self.memory.len()
     }
@@ -168,7 +169,7 @@ impl FrameSource for RamFrame<'_> {
     }
 
     fn write(&mut self, offset: usize, bytes: &[u8]) -> Result<(), IoError> {
-        // The codes are little-endian, and so is every target: see `blob`.
+        // Codes are little-endian in memory as on the line: every target is little-endian.
         copy(offset, bytes, bytemuck::cast_slice_mut(self.memory.get_mut(..self.pixels).unwrap_or_default()))
     }
 
@@ -177,7 +178,7 @@ impl FrameSource for RamFrame<'_> {
     }
 }
 
-/// A reconstruction that the host reads.
+/// A reconstruction in memory, which the host reads.
 #[derive(Debug)]
 pub struct RamObject<'m> {
     memory: &'m mut [f16],
@@ -185,7 +186,7 @@ pub struct RamObject<'m> {
 }
 
 impl<'m> RamObject<'m> {
-    /// Puts reconstructions into `memory`.
+    /// Stores reconstructions in `memory`, pixels.
     pub fn new(memory: &'m mut [f16]) -> Self {
         Self { memory, pixels: 0 }
     }

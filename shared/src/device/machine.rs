@@ -1,11 +1,11 @@
 //! The state machine.
 
-use super::io::{FrameSink, FrameSource, IoError, Monitor};
+use super::io::{FrameInput, FrameSink, IoError, Monitor};
 use super::upload::Upload;
-use crate::blob::{CRC, MemoryPlan, Network};
+use crate::blob::{CRC, MemoryPlan, Network, Verified};
 use crate::flash::{MappedFlash, Slots};
 use crate::image::Region;
-use crate::pipeline::{Holder, Memory, Pipeline, PipelineError};
+use crate::pipeline::{HeldRegion, Holder, Memory, Pipeline, PipelineError};
 use crate::wire::{
     CHUNK, FrameError, Info, Refusal, Reply, Request, RunReport, SCHEMA_KEY, SlotReport, Telemetry, Transfer, VERSION,
 };
@@ -13,7 +13,7 @@ use core::fmt::Write;
 use half::f16;
 use heapless::String;
 
-/// Working memory of the pipeline.
+/// Working memory of the pipeline, kept from run to run.
 #[derive(Debug)]
 pub struct Arenas<'m> {
     /// Fast scratch.
@@ -23,43 +23,47 @@ pub struct Arenas<'m> {
 }
 
 impl Arenas<'_> {
-    /// Sizes in bytes.
+    /// Their sizes, bytes.
     fn sizes(&self) -> MemoryPlan {
         let bytes = |len: usize| u32::try_from(len).unwrap_or(u32::MAX);
         MemoryPlan { fast_bytes: bytes(size_of_val(self.fast)), bulk_bytes: bytes(size_of_val(self.bulk)) }
     }
 }
 
-/// The device: flash, frames, working memory, and how far it has come.
+/// The device: its flash, its frames, its working memory, and the state of the conversation with the host.
 #[derive(Debug)]
 pub struct Device<'m, F, S, K, M> {
     board: &'static str,
     slots: Slots<F>,
+    /// Proof that the file in the active slot was checked.
+    verified: Option<Verified>,
     source: S,
     sink: K,
     arenas: Arenas<'m>,
     monitor: M,
     blob: Upload,
-    /// The last transfer of a network file is what runs.
+    /// Whether the last transfer of a network file was committed.
     committed: bool,
     frame: Upload,
-    /// A frame was begun and not reconstructed.
+    /// Whether the host has begun a frame that was not reconstructed yet.
     frame_waits: bool,
     last_run: Option<RunReport>,
-    /// What that run was asked to hold.
+    /// The `hold` of that run's request.
     last_hold: u16,
-    /// Statistics of the field, and which run measured them.
+    /// Statistics of the field.
     field: Holder,
+    /// Number of the run that measured them.
     field_id: u32,
     telemetry: Telemetry,
 }
 
-impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F, S, K, M> {
-    /// A device that runs the newest sound network in its flash, if there is one.
+impl<'m, F: MappedFlash, S: FrameInput, K: FrameSink, M: Monitor> Device<'m, F, S, K, M> {
+    /// A device that runs the newest network in its flash that passes every check, if there is one.
     pub fn new(board: &'static str, flash: F, source: S, sink: K, arenas: Arenas<'m>, monitor: M) -> Self {
         let mut device = Self {
             board,
             slots: Slots::new(flash),
+            verified: None,
             source,
             sink,
             arenas,
@@ -78,22 +82,23 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
         device
     }
 
-    /// Counts the start and takes the newest committed file that passes every check.
+    /// Counts the start, and activates the newest committed file that passes every check.
     fn start(&mut self) {
         self.telemetry.started_by = self.monitor.start_cause();
-        // A count that cannot be kept is no reason not to serve.
+        // A device that cannot count its starts still serves.
         self.telemetry.starts = self.slots.count_start().unwrap_or(0);
         for (slot, mark) in self.slots.committed().into_iter().flatten() {
             self.monitor.alive();
-            if self.slots.file(slot, &mark).is_some_and(|file| self.check(file).is_ok()) {
+            if let Some(verified) = self.slots.file(slot, &mark).and_then(|file| self.check(file).ok()) {
                 self.slots.activate(slot, mark);
+                self.verified = Some(verified);
                 return;
             }
             self.telemetry.refused_slots += 1;
         }
     }
 
-    /// Does what is asked, and answers. Asked twice, it answers the same.
+    /// Handles a request and returns the reply. A repeated request gets the same reply.
     pub fn handle(&mut self, request: Request<'_>) -> Reply<'_> {
         let done = match request {
             Request::Hello { version, schema } => self.hello(version, schema).map(Reply::Hello),
@@ -111,12 +116,12 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
         done.unwrap_or_else(Reply::Refused)
     }
 
-    /// The program is alive.
+    /// Reports to the board that the program is alive.
     pub fn alive(&mut self) {
         self.monitor.alive();
     }
 
-    /// Counts a packet that was no request.
+    /// Counts a packet that was dropped, and why if it was damaged.
     pub fn count_dropped(&mut self, why: Option<FrameError>) {
         self.telemetry.dropped_packets = self.telemetry.dropped_packets.wrapping_add(1);
         if matches!(why, Some(FrameError::Crc { .. })) {
@@ -124,12 +129,13 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
         }
     }
 
-    /// Counts a request that had been answered before.
+    /// Counts a request that was answered before.
     pub fn count_repeated(&mut self) {
         self.telemetry.repeated_requests = self.telemetry.repeated_requests.wrapping_add(1);
     }
 
-    /// A conversation begins, perhaps hours after the last one: what it left of the field is of another scene.
+    /// Begins a conversation, perhaps hours after the last one: statistics of the field from then belong to another
+    /// scene.
     fn hello(&mut self, version: u16, schema: u64) -> Result<Info, Refusal> {
         self.field.forget();
         if version != VERSION {
@@ -141,7 +147,7 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
         let sizes = self.arenas.sizes();
         let mut board = String::new();
         for c in self.board.chars() {
-            let _cut_short = board.push(c);
+            let _cut = board.push(c);
         }
         Ok(Info {
             version: VERSION,
@@ -156,7 +162,7 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
         })
     }
 
-    /// The network goes on running until another one is committed.
+    /// Begins the transfer of a network file. The active network runs on until the new one is committed.
     fn begin_blob(&mut self, len: u32) -> Result<(), Refusal> {
         self.committed = false;
         self.blob.begin(0);
@@ -171,7 +177,7 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
         }
         self.last_run = None;
         self.frame.begin(0);
-        // An odd byte is half a pixel: it is stored nowhere, and the length is refused before the run.
+        // An odd length has half a pixel at its end, which is not stored; the run then refuses the length.
         self.source.begin((len / 2) as usize).map_err(|e| storage(e, Transfer::Frame))?;
         self.frame.begin(len);
         Ok(())
@@ -195,27 +201,29 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
         Ok(upload.received())
     }
 
-    /// Checks the network file bit by bit where it lies in the flash, and marks it. From then on it runs.
+    /// Checks every bit of the network file where it lies in the flash, and marks it as the active one.
     fn commit(&mut self) -> Result<(), Refusal> {
         if self.committed {
             return Ok(());
         }
         self.blob.complete()?;
-        // The last bytes are written here; the file is then looked at again, as what else it is checked against is borrowed too.
+        // This writes the last bytes. The file is borrowed again afterwards.
         self.slots.finish().map_err(|e| storage(e, Transfer::Blob))?;
-        self.check(self.slots.staged_file().ok_or(Refusal::Storage)?)?;
+        let verified = self.check(self.slots.staged_file().ok_or(Refusal::Storage)?)?;
         self.slots.commit().map_err(|e| storage(e, Transfer::Blob))?;
+        self.verified = Some(verified);
         self.committed = true;
         self.last_run = None;
         self.field.forget();
         Ok(())
     }
 
-    /// Whether a network file is sound in every bit and can run here.
-    fn check(&self, file: &[u8]) -> Result<(), Refusal> {
-        let network = Network::decode(file).map_err(Refusal::Blob)?;
-        network.header.memory.fits(self.arenas.sizes()).map_err(Refusal::Blob)?;
-        let pipeline = Pipeline::new(&network.header, network.weights).map_err(refusal)?;
+    /// Checks every bit of a network file, and that the network can run here.
+    fn check(&self, file: &[u8]) -> Result<Verified, Refusal> {
+        let verified = Verified::check(file).map_err(Refusal::Blob)?;
+        let network = verified.open(file).map_err(Refusal::Blob)?;
+        network.header().memory.fits(self.arenas.sizes()).map_err(Refusal::Blob)?;
+        let pipeline = Pipeline::new(&network).map_err(refusal)?;
         let (frame_px, object_px) = (self.source.capacity(), self.sink.capacity());
         if pipeline.frame_len() > frame_px {
             let needed = saturated(2 * pipeline.frame_len());
@@ -225,12 +233,12 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
             let needed = saturated(pipeline.output_len());
             return Err(Refusal::ObjectRoom { needed, available: saturated(object_px) });
         }
-        Ok(())
+        Ok(verified)
     }
 
     fn run(&mut self, id: u32, region: Option<Region>, hold: u16) -> Result<RunReport, Refusal> {
-        let network = Network::view(self.slots.active_file().ok_or(Refusal::NoNetwork)?).map_err(Refusal::Blob)?;
-        let pipeline = Pipeline::new(&network.header, network.weights).map_err(refusal)?;
+        let network = active_network(&self.slots, self.verified)?;
+        let pipeline = Pipeline::new(&network).map_err(refusal)?;
         let region = region.unwrap_or(pipeline.whole());
         let asked = (id, region, hold);
         if let Some(report) = self.last_run.filter(|report| (report.id, report.region, self.last_hold) == asked) {
@@ -247,12 +255,12 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
         let frame = self.source.frame().map_err(|e| storage(e, Transfer::Frame))?;
         let frame_crc = CRC.checksum(bytemuck::cast_slice(frame));
         let object = self.sink.begin(region.pixels()).map_err(|_| Refusal::Storage)?;
-        // More scratch than this does not help: the rest of the fast memory is not touched.
+        // More scratch would not help. The rest of the fast memory is not touched.
         let fast_len = self.arenas.fast.len().min(pipeline.fast_len_best() + pipeline.scales_len());
         let fast = self.arenas.fast.get_mut(..fast_len).unwrap_or_default();
         self.monitor.run_begins();
         let memory = Memory { fast, bulk: self.arenas.bulk };
-        let run = self.field.run(&pipeline, frame, (region, hold), memory, object);
+        let run = self.field.run(&pipeline, frame, HeldRegion { region, hold }, memory, object);
         let cycles = self.monitor.run_ends();
         let (stats, field_age) = run.map_err(refusal)?;
         if field_age == 0 {
@@ -262,7 +270,7 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
         self.telemetry.cycles = cycles;
         self.telemetry.saturated_px = self.telemetry.saturated_px.wrapping_add(stats.saturated_px.into());
         self.telemetry.fast_bytes = saturated(fast_len * size_of::<f32>());
-        self.telemetry.bulk_bytes = network.header.memory.bulk_bytes;
+        self.telemetry.bulk_bytes = network.header().memory.bulk_bytes;
         self.telemetry.frame_bytes = expected;
         self.telemetry.object_bytes = saturated(2 * region.pixels());
         self.telemetry.runs = self.telemetry.runs.wrapping_add(1);
@@ -290,7 +298,7 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
         if last != Some(id) {
             return Err(Refusal::NoResult { expected: last, found: id });
         }
-        // Halves are little-endian in memory as on the wire: see `blob`.
+        // Halves are little-endian in memory as on the line: every target is little-endian.
         let bytes: &[u8] = bytemuck::cast_slice(self.sink.object());
         let end = u64::from(offset) + u64::from(len);
         let past = Refusal::PastEnd { len: saturated(bytes.len()), found: end };
@@ -318,9 +326,14 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
     }
 
     fn network_name(&self) -> String<48> {
-        let network = self.slots.active_file().and_then(|file| Network::view(file).ok());
-        network.map_or_else(String::new, |network| network.header.name)
+        active_network(&self.slots, self.verified).map_or_else(|_| String::new(), |network| network.into_header().name)
     }
+}
+
+/// The network that runs.
+fn active_network<F: MappedFlash>(slots: &Slots<F>, verified: Option<Verified>) -> Result<Network<'_>, Refusal> {
+    let (file, verified) = slots.active_file().zip(verified).ok_or(Refusal::NoNetwork)?;
+    verified.open(file).map_err(Refusal::Blob)
 }
 
 fn saturated(n: usize) -> u32 {
@@ -336,7 +349,7 @@ fn storage(error: IoError, what: Transfer) -> Refusal {
     }
 }
 
-/// The pipeline's words, as many as the message holds.
+/// The text of the pipeline's error, cut to what the message holds.
 fn refusal(error: PipelineError) -> Refusal {
     struct Cut(String<96>);
     impl Write for Cut {
@@ -345,6 +358,6 @@ fn refusal(error: PipelineError) -> Refusal {
         }
     }
     let mut text = Cut(String::new());
-    let _cut_short = write!(text, "{error}");
+    let _cut = write!(text, "{error}");
     Refusal::Pipeline(text.0)
 }

@@ -1,13 +1,13 @@
-//! A device on a line.
+//! The device at its end of a line.
 
-use super::io::{FrameSink, FrameSource, Monitor};
+use super::io::{FrameInput, FrameSink, Monitor};
 use super::machine::Device;
 use crate::flash::MappedFlash;
 use crate::wire::frame::decode;
 use crate::wire::{Deframer, MAX_PACKET, Packet, Request, encode};
 use embedded_io::{Read, Write};
 
-/// Why [`serve`] came back.
+/// Why [`serve`] returned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
     /// The host asked the program to end.
@@ -16,7 +16,8 @@ pub enum End {
     Closed,
 }
 
-/// The device's end of a line: buffers and the number of the last request. About 5 KB: keep it off the stack.
+/// The device's end of a line: its buffers and the sequence number of the last request. It has about 5 KB: keep it off
+/// the stack.
 #[derive(Debug)]
 pub struct Line {
     deframer: Deframer<MAX_PACKET>,
@@ -24,10 +25,10 @@ pub struct Line {
     last: Option<u16>,
 }
 
-/// What the line did with a byte.
+/// What a byte from the line led to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step<'a> {
-    /// It ends no packet that wants an answer.
+    /// It ended no packet that gets an answer.
     Nothing,
     /// Bytes to send.
     Answer(&'a [u8]),
@@ -36,13 +37,13 @@ pub enum Step<'a> {
 }
 
 impl Line {
-    /// A silent line.
+    /// A line on which nothing was sent yet.
     pub const fn new() -> Self {
         Self { deframer: Deframer::new(), out: [0; MAX_PACKET], last: None }
     }
 
-    /// Takes a byte from the line; where it ends a request, the device handles it.
-    pub fn push<F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor>(
+    /// Takes a byte from the line. Where it ends a request, `device` handles that request.
+    pub fn push<F: MappedFlash, S: FrameInput, K: FrameSink, M: Monitor>(
         &mut self,
         byte: u8,
         device: &mut Device<'_, F, S, K, M>,
@@ -60,7 +61,7 @@ impl Line {
             }
         };
         if !matches!(body, Request::Hello { .. }) {
-            // Half the numbers lie behind the last one: they are late copies, answered long ago.
+            // The half of the numbers behind the last one are late copies of requests that were answered.
             let ahead = self.last.map_or(1, |last| seq.wrapping_sub(last));
             if ahead == 0 {
                 device.count_repeated();
@@ -74,7 +75,7 @@ impl Line {
         match (encode(&reply, &mut self.out), body) {
             (Ok(bytes), Request::Quit) => Step::Quit(bytes),
             (Ok(bytes), _) => Step::Answer(bytes),
-            // No reply is longer than the buffer; the host would ask again.
+            // Cannot happen, as no reply is longer than the buffer. The host would ask again.
             (Err(_), _) => Step::Nothing,
         }
     }
@@ -86,11 +87,11 @@ impl Default for Line {
     }
 }
 
-/// Answers requests until the host asks to end or the line closes.
+/// Answers requests until the host asks the program to end or the line closes.
 ///
 /// # Errors
-/// Those of the line.
-pub fn serve<L: Read + Write, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor>(
+/// Those of `link`.
+pub fn serve<L: Read + Write, F: MappedFlash, S: FrameInput, K: FrameSink, M: Monitor>(
     link: &mut L,
     line: &mut Line,
     device: &mut Device<'_, F, S, K, M>,

@@ -1,4 +1,4 @@
-//! Bytes that arrive in order, some of them more than once.
+//! A transfer whose bytes arrive in order, some of them more than once.
 
 use crate::wire::{Refusal, Transfer};
 
@@ -11,20 +11,20 @@ pub(super) struct Upload {
 }
 
 impl Upload {
-    /// None has begun.
+    /// No transfer has begun.
     pub fn none(what: Transfer) -> Self {
         Self { what, len: 0, received: 0 }
     }
 
-    /// One of `len` bytes begins.
+    /// Begins a transfer of `len` bytes.
     pub fn begin(&mut self, len: u32) {
         *self = Self { what: self.what, len, received: 0 };
     }
 
-    /// What is new of the bytes at `offset`: how many of them to skip. Bytes that have arrived before are skipped.
+    /// Number of leading bytes of `data`, which belong at `offset`, that have arrived before and are to be skipped.
     ///
     /// # Errors
-    /// [`Refusal::OutOfOrder`] after a gap, [`Refusal::PastEnd`].
+    /// [`Refusal::OutOfOrder`] where there is a gap before them, [`Refusal::PastEnd`] where they go past the end.
     pub fn accept(&self, offset: u32, data: &[u8]) -> Result<usize, Refusal> {
         let end = u64::from(offset) + data.len() as u64;
         if end > u64::from(self.len) {
@@ -36,20 +36,20 @@ impl Upload {
         Ok(((self.received - offset) as usize).min(data.len()))
     }
 
-    /// `count` more bytes have been stored.
+    /// Records that `count` more bytes were stored.
     pub fn advance(&mut self, count: usize) {
         self.received += count as u32;
     }
 
-    /// Where the next bytes belong.
+    /// Offset of the next bytes.
     pub fn received(&self) -> u32 {
         self.received
     }
 
-    /// The length of the transfer.
+    /// Length of the transfer, bytes.
     ///
     /// # Errors
-    /// [`Refusal::Incomplete`].
+    /// [`Refusal::Incomplete`] where bytes are missing or none has begun.
     pub fn complete(&self) -> Result<u32, Refusal> {
         if self.len > 0 && self.received == self.len {
             return Ok(self.len);

@@ -17,7 +17,7 @@ pub(crate) fn dft(x: &[[f64; 2]], inverse: bool) -> Vec<[f64; 2]> {
     (0..n).map(sum).collect()
 }
 
-/// The same over rows and columns of an n x n plane.
+/// The transform of rows and columns of an n x n plane.
 pub(crate) fn dft2(x: &[[f64; 2]], n: usize, inverse: bool) -> Vec<[f64; 2]> {
     let rows: Vec<_> = x.chunks(n).flat_map(|row| dft(row, inverse)).collect();
     let mut out = rows.clone();

@@ -1,12 +1,14 @@
 //! The 2-D real transform in strips.
 //!
-//! Rows, then columns, a few side by side, in fast scratch; the spectrum, T x (T/2 + 1) pairs of halves (re, im), may lie in slow
-//! memory. Both directions are scaled by 1/T (unitary), an exact power of two, behind their second pass. Half-transformed rows are rounded
-//! to half too: those of a plane within [-1, 1] stay within [-2 T, 2 T], its spectrum within [-T, T], far from the largest half.
+//! Rows, then columns are transformed, a few side by side, in fast scratch. The spectrum, T x (T/2 + 1) pairs of halves
+//! (re, im), may lie in slow memory. Both directions are scaled by 1/T (unitary), an exact power of two, after their
+//! second pass. Half-transformed rows are rounded to halves too: those of a plane within [-1, 1] stay within [-2 T, 2
+//! T], its spectrum within [-T, T], far from the largest half.
 
 use super::complex::Fft;
+use super::error::{FftError, check_len};
 use super::real::RealFft;
-use super::{FftError, check_len, strip};
+use super::strip;
 use crate::num::f16;
 use crate::num::pairs::Parts;
 use crate::num::simd::{Kernel, Simd, Vector};
@@ -18,15 +20,15 @@ const WIDE: usize = match (cfg!(target_arch = "arm"), strip::HELIUM) {
     (true, false) => 1,
 };
 
-/// Where the input rows come from.
+/// Source of the rows of a plane.
 pub trait RowSource {
-    /// Writes row `row` of the plane, all of it, into `to`.
+    /// Writes the whole row `row` of the plane, T numbers, into `to`.
     fn load(&self, row: usize, to: &mut [f32]);
 }
 
-/// Where the spectrum of an inverse transform comes from.
+/// Source of the spectrum of an inverse transform.
 pub trait ProductSource {
-    /// Pairs of stored spectra; the sum of their products is transformed.
+    /// Pairs of stored spectra. The sum of their products is transformed.
     fn products(&self) -> impl Iterator<Item = [&[f16]; 2]>;
 }
 
@@ -54,7 +56,7 @@ impl Fft2 {
         self.cols.len()
     }
 
-    /// Never: there is no empty transform.
+    /// Always false: no transform is empty.
     pub const fn is_empty(&self) -> bool {
         false
     }
@@ -65,19 +67,19 @@ impl Fft2 {
         self.len() / 2 + 1
     }
 
-    /// Halves of `rows` rows of the spectrum.
+    /// Length of `rows` rows of the spectrum, halves.
     #[inline(always)]
     pub const fn spectrum_len(&self, rows: usize) -> usize {
         2 * self.width() * rows
     }
 
-    /// Numbers of scratch that the transforms work with at least. With eight times as much they use wide lanes where the target
-    /// has them; the result is the same.
+    /// Length of scratch needed at least, numbers. With [`Self::scratch_len_wide`] the transforms use several lanes
+    /// where the target has vectors. The result is the same.
     pub const fn scratch_len(&self) -> usize {
         self.scratch_for(1)
     }
 
-    /// Scratch beyond which more does not help.
+    /// Length of scratch beyond which more does not help, numbers.
     pub const fn scratch_len_wide(&self) -> usize {
         self.scratch_for(WIDE)
     }
@@ -87,7 +89,8 @@ impl Fft2 {
         2 * self.len() * lanes + 4 * self.len()
     }
 
-    /// Transforms the plane whose rows `occupied` come from `source`, all others being zero.
+    /// Transforms the plane whose rows `occupied` come from `source`. All other rows are zero. `spectrum` receives T
+    /// rows of T/2 + 1 numbers.
     ///
     /// # Errors
     /// [`FftError::Buffer`] where `spectrum` or `scratch` is too short.
@@ -109,9 +112,9 @@ impl Fft2 {
         Ok(())
     }
 
-    /// Transforms back: rows `rows` of the plane go to `emit(row, values)`, each of T numbers. `halfway` holds
-    /// [`Self::spectrum_len`] of these rows. The imaginary parts of columns 0 and T/2 after the column transforms are ignored, as in
-    /// every complex-to-real transform.
+    /// Transforms back, and calls `emit(row, values)` with the T numbers of each row in `rows`. `halfway` has the
+    /// length [`Self::spectrum_len`] of these rows. The imaginary parts of columns 0 and T/2 after the column
+    /// transforms are ignored, as in every complex-to-real transform.
     ///
     /// # Errors
     /// [`FftError::Buffer`] where `halfway` or `scratch` is too short.
@@ -136,6 +139,24 @@ impl Fft2 {
     }
 }
 
+/// Calls `self.method::<L>(first, count)` for strips of up to L rows or columns of a range. A strip that L lanes cannot
+/// hold, or in which they would change a bit (the method then returns false and does nothing), goes lane by lane.
+macro_rules! in_strips {
+    ($self:ident.$method:ident, $lanes:ident, $range:expr) => {
+        let range = $range;
+        for first in range.clone().step_by($lanes) {
+            let count = $lanes.min(range.end - first);
+            let done = strip::holds::<$lanes>(count) && $self.$method::<$lanes>(first, count);
+            // One lane holds every strip of one and changes no bit.
+            if const { $lanes > 1 } && !done {
+                (first..first + count).for_each(|one| {
+                    $self.$method::<1>(one, 1);
+                });
+            }
+        }
+    };
+}
+
 struct Forward<'a, S, const L: usize> {
     plan: &'a Fft2,
     source: &'a S,
@@ -153,28 +174,16 @@ impl<S: RowSource, const L: usize> Kernel for Forward<'_, S, L> {
         let occupied = self.occupied.clone();
         self.spectrum[..occupied.start * row_len].fill(f16::ZERO);
         self.spectrum[occupied.end * row_len..].fill(f16::ZERO);
-        for first in occupied.clone().step_by(L) {
-            self.rows(first, L.min(occupied.end - first));
-        }
-        for first in (0..self.plan.width()).step_by(L) {
-            self.columns(first, L.min(self.plan.width() - first));
-        }
+        in_strips!(self.rows, L, occupied);
+        in_strips!(self.columns, L, 0..self.plan.width());
     }
 }
 
 impl<S: RowSource, const L: usize> Forward<'_, S, L> {
+    /// Transforms rows `first..first + count`, `N` side by side. Returns false, and does nothing, where that would
+    /// change a bit.
     #[inline(always)]
-    fn rows(&mut self, first: usize, count: usize) {
-        if !strip::holds::<L>(count) || !self.try_rows::<L>(first, count) {
-            (first..first + count).for_each(|row| {
-                self.try_rows::<1>(row, 1);
-            });
-        }
-    }
-
-    /// Rows `first..first + count`, `N` side by side; false, and nothing done, where that would change a bit.
-    #[inline(always)]
-    fn try_rows<const N: usize>(&mut self, first: usize, count: usize) -> bool {
+    fn rows<const N: usize>(&mut self, first: usize, count: usize) -> bool {
         let (fft, row_len) = (self.plan.rows, self.plan.spectrum_len(1));
         let scratch = strip::split::<N>(self.scratch, fft.half().len());
         let rows = &mut self.spectrum[first * row_len..(first + count) * row_len];
@@ -182,18 +191,9 @@ impl<S: RowSource, const L: usize> Forward<'_, S, L> {
         strip::forward_rows(load, count, fft, scratch, rows)
     }
 
+    /// Columns, as [`Self::rows`].
     #[inline(always)]
-    fn columns(&mut self, first: usize, count: usize) {
-        if !strip::holds::<L>(count) || !self.try_columns::<L>(first, count) {
-            (first..first + count).for_each(|column| {
-                self.try_columns::<1>(column, 1);
-            });
-        }
-    }
-
-    /// As [`Self::try_rows`].
-    #[inline(always)]
-    fn try_columns<const N: usize>(&mut self, first: usize, count: usize) -> bool {
+    fn columns<const N: usize>(&mut self, first: usize, count: usize) -> bool {
         let (row_len, fft) = (self.plan.spectrum_len(1), self.plan.cols);
         let (data, _) = strip::split::<N>(self.scratch, fft.len());
         // The rows are twice their transforms.
@@ -215,28 +215,15 @@ impl<S: ProductSource, E: FnMut(usize, &[f32]), const L: usize> Kernel for Inver
 
     #[inline(always)]
     fn run<V: Vector>(mut self) {
-        for first in (0..self.plan.width()).step_by(L) {
-            self.columns(first, L.min(self.plan.width() - first));
-        }
-        for first in self.rows.clone().step_by(L) {
-            self.emit_rows(first, L.min(self.rows.end - first));
-        }
+        in_strips!(self.columns, L, 0..self.plan.width());
+        in_strips!(self.emit_rows, L, self.rows.clone());
     }
 }
 
 impl<S: ProductSource, E: FnMut(usize, &[f32]), const L: usize> Inverse<'_, S, E, L> {
+    /// Columns, as [`Forward::rows`].
     #[inline(always)]
-    fn columns(&mut self, first: usize, count: usize) {
-        if !strip::holds::<L>(count) || !self.try_columns::<L>(first, count) {
-            (first..first + count).for_each(|column| {
-                self.try_columns::<1>(column, 1);
-            });
-        }
-    }
-
-    /// As [`Forward::try_rows`].
-    #[inline(always)]
-    fn try_columns<const N: usize>(&mut self, first: usize, count: usize) -> bool {
+    fn columns<const N: usize>(&mut self, first: usize, count: usize) -> bool {
         let (row_len, fft) = (self.plan.spectrum_len(1), self.plan.cols);
         let (data, _) = strip::split::<N>(self.scratch, fft.len());
         let exact = strip::inverse_columns(self.source.products(), row_len, (first, count), fft, data);
@@ -247,18 +234,9 @@ impl<S: ProductSource, E: FnMut(usize, &[f32]), const L: usize> Inverse<'_, S, E
         exact
     }
 
+    /// Rows of the plane, as [`Forward::rows`].
     #[inline(always)]
-    fn emit_rows(&mut self, first: usize, count: usize) {
-        if !strip::holds::<L>(count) || !self.try_emit_rows::<L>(first, count) {
-            (first..first + count).for_each(|row| {
-                self.try_emit_rows::<1>(row, 1);
-            });
-        }
-    }
-
-    /// As [`Forward::try_rows`].
-    #[inline(always)]
-    fn try_emit_rows<const N: usize>(&mut self, first: usize, count: usize) -> bool {
+    fn emit_rows<const N: usize>(&mut self, first: usize, count: usize) -> bool {
         let (row_len, fft) = (self.plan.spectrum_len(1), self.plan.rows);
         let (data, rows) = strip::split::<N>(self.scratch, fft.half().len());
         let from = &self.halfway[(first - self.rows.start) * row_len..][..count * row_len];

@@ -1,14 +1,14 @@
-//! The transform of real numbers: N of them as N/2 complex ones.
+//! The transform of N real numbers, computed as N/2 complex ones.
 //!
 //! Source of the identities: Press et al., Numerical Recipes, 3rd ed., section 12.3.2, "FFT of single real function".
 
 use super::complex::{Fft, Lanes, mul};
+use super::error::{FftError, MAX_LEN};
 use super::twiddle::Roots;
-use super::{FftError, MAX_LEN};
 
 /// Plan of a real transform, 8 to [`MAX_LEN`] long.
 ///
-/// The spectrum has N/2 + 1 numbers; those at 0 and N/2 are real, and number 0 carries both: (X\[0\], X\[N/2\]).
+/// The spectrum has N/2 + 1 numbers. Those at 0 and N/2 are real, and number 0 holds both: (X\[0\], X\[N/2\]).
 #[derive(Clone, Copy, Debug)]
 pub struct RealFft {
     half: Fft,
@@ -29,7 +29,7 @@ impl RealFft {
         }
     }
 
-    /// The complex transform of N/2 numbers inside; its [`Fft::slot`] says where each pair of input numbers lies.
+    /// The complex transform of N/2 numbers. Its [`Fft::slot`] is the index of each pair of input numbers.
     #[inline(always)]
     pub const fn half(&self) -> Fft {
         self.half
@@ -42,7 +42,7 @@ impl RealFft {
         self.untangle(data);
     }
 
-    /// Takes the complex transform of the pairs to twice the spectrum.
+    /// Converts the complex transform of the pairs to twice the spectrum.
     #[inline(always)]
     pub(super) fn untangle<const L: usize>(&self, data: &mut [Lanes<L>]) {
         let half = self.half.len();
@@ -62,7 +62,8 @@ impl RealFft {
         data[half / 2] = [lane(|l| 2.0 * re[l]), lane(|l| -2.0 * im[l])];
     }
 
-    /// Takes numbers `k` and `N/2 - k` of a spectrum, 0 < k < N/4, to what [`Self::inverse`] wants in these places.
+    /// Converts numbers `k` and `N/2 - k` of a spectrum, 0 < k < N/4, to the input of [`Self::inverse`] in these
+    /// places.
     #[inline(always)]
     pub fn tangle<const L: usize>(&self, k: usize, x: Lanes<L>, m: Lanes<L>) -> [Lanes<L>; 2] {
         let [cos, sin] = Roots::new(2 * self.half.len()).at(k);
@@ -75,19 +76,20 @@ impl RealFft {
         ]
     }
 
-    /// The same for number 0, which carries (X\[0\], X\[N/2\]).
+    /// Converts number 0, which holds (X\[0\], X\[N/2\]), as [`Self::tangle`] does.
     #[inline(always)]
     pub fn tangle_ends<const L: usize>(&self, first: [f32; L], last: [f32; L]) -> Lanes<L> {
         [lane(|l| first[l] - last[l]), lane(|l| first[l] + last[l])]
     }
 
-    /// The same for number N/4.
+    /// Converts number N/4 as [`Self::tangle`] does.
     #[inline(always)]
     pub fn tangle_middle<const L: usize>(&self, x: Lanes<L>) -> Lanes<L> {
         [lane(|l| -2.0 * x[1][l]), lane(|l| 2.0 * x[0][l])]
     }
 
-    /// Transforms tangled numbers, each in its slot, to **N times** the pairs `(x[2 n + 1], x[2 n])`: imaginary part first.
+    /// Transforms the converted numbers, each in its slot, to **N times** the pairs `(x[2 n + 1], x[2 n])`: imaginary
+    /// part first.
     #[inline(always)]
     pub fn inverse<const L: usize>(&self, data: &mut [Lanes<L>]) {
         self.half.process(data);

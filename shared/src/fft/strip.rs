@@ -1,8 +1,8 @@
-//! Between halves in slow memory and lanes in fast scratch: all that a strip of columns or a group of rows needs.
+//! Strips of columns or rows: from halves in slow memory to lanes in fast scratch, and back.
 //!
-//! A single lane goes through loops for which a Cortex-M has instructions, four lanes through loops in Helium where the core has it;
-//! other numbers of lanes through loops that become vector code. The values are the same. Where Helium cannot tell that they are,
-//! the functions say so, and the caller goes lane by lane.
+//! A single lane uses the Cortex-M routines, and four lanes use those in Helium where the core has it. Other numbers of
+//! lanes use loops that the compiler vectorizes. The values are the same. Where a Helium routine cannot guarantee that,
+//! it returns false, and the caller goes lane by lane.
 
 use super::complex::{Fft, Lanes};
 use super::real::RealFft;
@@ -29,7 +29,7 @@ pub(super) const fn holds<const L: usize>(count: usize) -> bool {
 /// Whether the core has Helium.
 pub(super) const HELIUM: bool = cfg!(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"));
 
-/// Four lanes as what Helium's loops take.
+/// Four lanes in the type of the Helium routines.
 #[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
 #[inline(always)]
 fn four<const L: usize>(data: &mut [Lanes<L>]) -> &mut [Lanes<4>] {
@@ -62,7 +62,7 @@ pub(super) fn forward_columns<const L: usize>(
     true
 }
 
-/// Columns `first..first + count` of a spectrum, each row in its slot; zeros in idle lanes.
+/// Loads columns `first..first + count` of a spectrum, each row to its slot; idle lanes are zero.
 #[inline(always)]
 fn load<const L: usize>(
     spectrum: &[f16],
@@ -83,7 +83,8 @@ fn load<const L: usize>(
 
 /// Transforms the sum of products of two spectra, columns `first..first + count`, imaginary part first.
 ///
-/// `re = (re + kr xr) - ki xi`, `im = (im + kr xi) + ki xr`; the products are exact. The first is added to -0, which leaves it as it is.
+/// `re = (re + kr xr) - ki xi`, `im = (im + kr xi) + ki xr`; the products are exact. The first is added to -0, which
+/// leaves it as it is.
 #[inline(always)]
 pub(super) fn inverse_columns<'s, const L: usize>(
     products: impl Iterator<Item = [&'s [f16]; 2]>,
@@ -135,7 +136,8 @@ pub(super) fn store<const L: usize>(
     }
 }
 
-/// Twice the real transforms of `count` rows into rows of halves; `load` gives the rows, `data` and `scratch` are scratch.
+/// Writes twice the real transforms of `count` rows to rows of halves. `load` supplies the rows; `data` and `scratch`
+/// are scratch.
 #[inline(always)]
 pub(super) fn forward_rows<const L: usize>(
     mut load: impl FnMut(usize, &mut [f32]),
@@ -166,7 +168,7 @@ pub(super) fn forward_rows<const L: usize>(
     true
 }
 
-/// The pairs of a row, one lane of `data`, each in its slot.
+/// Writes the pairs of a row to one lane of `data`, each to its slot.
 #[inline(always)]
 fn order_row<const L: usize>(row: &[f32], half: Fft, lane: usize, data: &mut [Lanes<L>]) {
     #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
@@ -180,7 +182,7 @@ fn order_row<const L: usize>(row: &[f32], half: Fft, lane: usize, data: &mut [La
     }
 }
 
-/// What is done to up to L rows behind the complex transform of half their length.
+/// Converts up to L rows after the complex transform of half their length, and writes them to `rows`.
 #[inline(always)]
 fn untangle_rows<const L: usize>(fft: RealFft, data: &mut [Lanes<L>], rows: &mut [f16], row_len: usize) {
     #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
@@ -204,7 +206,7 @@ fn untangle_rows<const L: usize>(fft: RealFft, data: &mut [Lanes<L>], rows: &mut
     }
 }
 
-/// Numbers 0 and N/2 of a row, which are real.
+/// Writes numbers 0 and N/2 of a row, which are real.
 #[inline(always)]
 fn store_ends(first: f32, last: f32, row: &mut [f16]) {
     if let [re, im, .., last_re, last_im] = row {
@@ -213,7 +215,8 @@ fn store_ends(first: f32, last: f32, row: &mut [f16]) {
     }
 }
 
-/// Inverse real transforms of up to L rows of halves, scaled; each goes to `emit(lane, row)`, by way of `rows`.
+/// Computes the inverse real transforms of up to L rows of halves, scaled, and calls `emit(lane, row)` with each.
+/// `rows` is scratch.
 #[inline(always)]
 pub(super) fn inverse_rows<const L: usize>(
     fft: RealFft,
@@ -244,7 +247,7 @@ pub(super) fn inverse_rows<const L: usize>(
     true
 }
 
-/// What [`RealFft::inverse`] wants in the slots.
+/// Writes the input of [`RealFft::inverse`] to the slots.
 #[inline(always)]
 fn tangle_rows<const L: usize>(fft: RealFft, rows: &[f16], row_len: usize, data: &mut [Lanes<L>]) {
     let (half, quarter) = (fft.half().len(), fft.half().len() / 2);
@@ -260,7 +263,7 @@ fn tangle_rows<const L: usize>(fft: RealFft, rows: &[f16], row_len: usize, data:
     }
 }
 
-/// One lane of pairs, imaginary part first, as a row, scaled.
+/// Writes one lane of pairs, imaginary part first, to a row, scaled.
 #[inline(always)]
 fn scale_row<const L: usize>(data: &mut [Lanes<L>], lane: usize, scale: f32, row: &mut [f32]) {
     #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]

@@ -1,12 +1,12 @@
-//! Roots of unity, made at compile time in f64 and rounded once.
+//! Roots of unity, computed at compile time in f64 and rounded once.
 
-use super::MAX_LEN;
+use super::error::MAX_LEN;
 
-/// `e^(-2 pi i k / 1024)`. The last quarter is there so that a masked index needs no check.
+/// `e^(-2 pi i k / 1024)`. The table covers the whole circle, so that a masked index needs no check.
 static ROOTS: [[f32; 2]; MAX_LEN] = roots();
 
-/// `e^(-2 pi i m k / 1024)` for m = 2, 1, 3: the roots of a butterfly of four numbers in bit-reversed order, side by side. Every
-/// shorter transform takes them in larger steps.
+/// `e^(-2 pi i m k / 1024)` for m = 2, 1, 3: the roots of a butterfly of four numbers in bit-reversed order, side by
+/// side. Shorter transforms use the table in larger steps.
 #[cfg_attr(not(target_arch = "arm"), allow(dead_code))]
 pub(crate) static ROOT_TRIPLES: [[[f32; 2]; 3]; MAX_LEN / 4] = triples();
 
@@ -105,8 +105,8 @@ mod tests {
         assert_eq!(Roots::new(4).at(3)[1], 1.0);
     }
 
-    /// What transforms of up to 256 halves rest on where small numbers are flushed: halves are multiples of 2^-24, and a product with a
-    /// root is rounded to 24 bits.
+    /// What transforms of up to 256 halves rest on where small numbers are flushed: halves are multiples of 2^-24, and
+    /// a product with a root is rounded to 24 bits.
     #[test]
     fn no_transform_of_256_halves_comes_near_the_smallest_single() {
         for len in [16, 32, 64, 128, 256] {

@@ -1,4 +1,4 @@
-//! The filter bank at work.
+//! The computation of the filter bank.
 
 use core::ops::Range;
 
@@ -10,9 +10,9 @@ use crate::image::{ChwMut, Region};
 use crate::num::simd::Simd;
 use crate::num::{f16, narrow_slice};
 
-/// Where the frame's rows come from.
-pub trait FrameSource {
-    /// Writes columns `first..first + to.len()` of frame row `row` into `to`.
+/// Source of the rows of a frame.
+pub trait FrameRows {
+    /// Writes columns `first..first + to.len()` of row `row` of the frame into `to`.
     fn load(&self, row: usize, first: usize, to: &mut [f32]);
 }
 
@@ -29,18 +29,19 @@ impl<'a> FilterBank<'a> {
     /// Plans a bank for a frame and an object.
     ///
     /// # Errors
-    /// [`FilterError`] where the bank contradicts itself.
+    /// [`FilterError::Step`], [`FilterError::Channel`], [`FilterError::Order`], [`FilterError::NoTap`],
+    /// [`FilterError::Kernels`] or [`FilterError::Fft`] where the bank is impossible.
     pub fn new(bank: &'a Bank, frame: Size, object: Size) -> Result<Self, FilterError> {
         let geometry = Geometry::new(bank, frame, object)?;
         let part = Region::whole(object.rows, object.cols);
         Ok(Self { bank, geometry, part, fft: Fft2::new(usize::from(bank.tile))? })
     }
 
-    /// The same bank for a part of the object: only the tiles that it touches are made, from the windows that they read. The bits are those of
-    /// the whole.
+    /// The plan of the same bank for a part of the object. Only the tiles that the part touches are computed. The
+    /// result has the bits of the whole.
     ///
     /// # Errors
-    /// [`FilterError::Part`] where the part is empty or reaches out of the object.
+    /// [`FilterError::Part`] where the part is empty or reaches beyond the object.
     pub fn of_part(self, part: Region) -> Result<Self, FilterError> {
         let [rows, cols] = [self.geometry.rows, self.geometry.cols].map(|axis| axis.object as u16);
         if part.lies_in(rows, cols) { Ok(Self { part, ..self }) } else { Err(FilterError::Part { found: part }) }
@@ -51,12 +52,12 @@ impl<'a> FilterBank<'a> {
         &self.geometry
     }
 
-    /// Halves of one tap's spectrum.
+    /// Length of the spectrum of one tap, halves.
     pub const fn spectrum_len(&self) -> usize {
         self.fft.spectrum_len(self.fft.len())
     }
 
-    /// Whether these are filters of this bank: their number, and where blocks lie.
+    /// Checks that these are filters of this bank: their length, and the order of the index of the blocks.
     ///
     /// # Errors
     /// [`FilterError::Length`], [`FilterError::Index`].
@@ -64,7 +65,7 @@ impl<'a> FilterBank<'a> {
         self.kernels(filters).map(|_| ())
     }
 
-    /// [`Self::check`], and the kernels where the file holds these.
+    /// Checks as [`Self::check`] does, and returns the kernels where the file holds kernels.
     fn kernels<'f>(&self, filters: Filters<'f>) -> Result<Option<Kernels<'f>>, FilterError> {
         let expected = match self.bank.blocks {
             None => self.spectrum_len() * self.bank.taps.len(),
@@ -74,13 +75,13 @@ impl<'a> FilterBank<'a> {
         self.bank.blocks.map(|blocks| Kernels::new(self.bank, blocks, filters)).transpose()
     }
 
-    /// Halves of the output.
+    /// Length of the output, halves.
     pub const fn output_len(&self) -> usize {
         self.bank.channels as usize * self.part.pixels()
     }
 
-    /// Halves of arena that [`Self::process`] needs, for a part as for the whole: the spectra of the windows in use, one half-transformed tile and,
-    /// where the file holds kernels, the spectrum of one.
+    /// Length of the arena for [`Self::process`], halves, the same for a part as for the whole: the spectra of the
+    /// windows in use, one half-transformed tile and, where the file holds kernels, the spectrum of one of them.
     pub const fn arena_len(&self) -> usize {
         self.cache_len() + self.fft.spectrum_len(self.geometry.rows.valid()) + self.kernel_len()
     }
@@ -89,26 +90,27 @@ impl<'a> FilterBank<'a> {
         if self.bank.blocks.is_some() { self.spectrum_len() } else { 0 }
     }
 
-    /// Spectra of as many rows of windows as one row of tiles reads.
+    /// Length of the spectra of all rows of windows that one row of tiles reads, halves.
     const fn cache_len(&self) -> usize {
         self.geometry.rows.span() * self.geometry.cols.window_count() * self.spectrum_len()
     }
 
-    /// Numbers of scratch that [`Self::process`] works with at least.
+    /// Length of scratch needed at least by [`Self::process`], numbers.
     pub const fn scratch_len(&self) -> usize {
         self.fft.scratch_len()
     }
 
-    /// Scratch beyond which more does not help.
+    /// Length of scratch beyond which more does not help, numbers.
     pub const fn scratch_len_wide(&self) -> usize {
         self.fft.scratch_len_wide()
     }
 
-    /// Filters a frame: `output` is (channels, rows, columns) of the object, or of its part.
+    /// Filters a frame. `output` is (channels, rows, columns) of the object, or of the part of it that was planned for.
     ///
     /// # Errors
-    /// [`FilterError`] where a buffer is too short or the filters or the output are none of this bank.
-    pub fn process<F: FrameSource>(
+    /// [`FilterError::Length`] where the filters, the output or the arena have a wrong length, [`FilterError::Index`]
+    /// where the index of the blocks is out of order, [`FilterError::Fft`] where the scratch is too short.
+    pub fn process<F: FrameRows>(
         &self,
         simd: Simd,
         frame: &F,
@@ -127,7 +129,7 @@ impl<'a> FilterBank<'a> {
         let [top, left] = self.valid_from();
         let (down, across) = (rows.tiles_of(&part_rows), cols.tiles_of(&part_cols));
         for i in down.clone() {
-            // The rows of windows that the tile row before has not read.
+            // The rows of windows that the row of tiles before has not read.
             let first = if i == down.start { *rows.windows(i).start() } else { *rows.windows(i).end() };
             for m in first..=*rows.windows(i).end() {
                 self.transform_windows(simd, frame, m, &across, cache, scratch)?;
@@ -158,24 +160,24 @@ impl<'a> FilterBank<'a> {
         Ok(())
     }
 
-    /// The taps of a channel.
+    /// Numbers of the taps of a channel.
     fn taps(&self, channel: u8) -> Range<usize> {
         let before = |channel| self.bank.taps.partition_point(|tap| u16::from(tap.channel) < channel);
         before(channel.into())..before(u16::from(channel) + 1)
     }
 
-    /// Where the valid part of a tile begins, rows and columns.
+    /// First row and first column of the valid part of a tile.
     fn valid_from(&self) -> [usize; 2] {
         let Geometry { rows, cols } = self.geometry;
-        // A kernel in space begins with the lag -L: see `super::kernel`.
+        // A kernel in space begins with lag -L: see `super::kernel`.
         [rows, cols].map(|axis| if self.bank.blocks.is_some() { 2 * axis.lead() } else { axis.lead() })
     }
 
-    /// Transforms the windows of row `m` that tiles `across` read and that touch the frame.
+    /// Transforms the windows of row `m` that overlap the frame and that the tiles in columns `across` read.
     fn transform_windows(
         &self,
         simd: Simd,
-        frame: &impl FrameSource,
+        frame: &impl FrameRows,
         m: i32,
         across: &Range<usize>,
         cache: &mut [f16],
@@ -191,9 +193,9 @@ impl<'a> FilterBank<'a> {
         Ok(())
     }
 
-    /// The one place where planes are transformed: the transform is large, and inlined.
+    /// Transforms a plane. It is the only call of the transform, whose code is large and inlined.
     #[inline(never)]
-    fn transform<F: FrameSource>(
+    fn transform<F: FrameRows>(
         &self,
         simd: Simd,
         rows: &Rows<'_, F>,
@@ -204,7 +206,8 @@ impl<'a> FilterBank<'a> {
         Ok(self.fft.forward(simd, rows, occupied, spectrum, scratch)?)
     }
 
-    /// Where the spectrum of window (m, n) lies in the cache; `None` if the window misses the frame, so that it is zero.
+    /// Place of the spectrum of window (m, n) in the cache; `None` where the window does not overlap the frame and is
+    /// zero.
     fn slot(&self, m: i32, n: i32) -> Option<Range<usize>> {
         let Geometry { rows, cols } = self.geometry;
         if rows.occupied(m).is_empty() || cols.occupied(n).is_empty() {
@@ -220,13 +223,13 @@ fn check_len(expected: usize, found: usize) -> Result<(), FilterError> {
     if expected == found { Ok(()) } else { Err(FilterError::Length { expected, found }) }
 }
 
-/// What is transformed.
+/// The plane that is transformed.
 enum Rows<'a, F> {
     Window(WindowRows<'a, F>),
     Kernel(Kernel<'a>),
 }
 
-impl<F: FrameSource> RowSource for Rows<'_, F> {
+impl<F: FrameRows> RowSource for Rows<'_, F> {
     fn load(&self, row: usize, to: &mut [f32]) {
         match self {
             Self::Window(window) => window.load(row, to),
@@ -245,7 +248,7 @@ struct WindowRows<'a, F> {
     occupied: Range<usize>,
 }
 
-impl<F: FrameSource> WindowRows<'_, F> {
+impl<F: FrameRows> WindowRows<'_, F> {
     fn load(&self, row: usize, to: &mut [f32]) {
         let frame_row = (self.rows.window_origin(self.m) + row as i32) as usize;
         let first = self.cols.window_origin(self.n) + self.occupied.start as i32;
@@ -255,7 +258,7 @@ impl<F: FrameSource> WindowRows<'_, F> {
     }
 }
 
-/// The spectrum of one output tile of one channel.
+/// The spectrum of one output tile of one channel, as a sum over taps.
 struct TapSum<'a> {
     plan: &'a FilterBank<'a>,
     /// The taps of the channel, and their spectra.

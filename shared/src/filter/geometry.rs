@@ -1,4 +1,4 @@
-//! Which window a tap reads, and which part of a tile is valid.
+//! The geometry of tiles, windows and taps.
 
 use core::fmt;
 use core::ops::{Range, RangeInclusive};
@@ -7,26 +7,26 @@ use crate::blob::{Bank, Size};
 use crate::fft::FftError;
 use crate::image::Region;
 
-/// What a filter bank refuses.
+/// Why a filter bank refuses its shapes or its buffers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FilterError {
-    /// The transform or one of its buffers.
+    /// The transform refuses its size or a buffer.
     Fft(FftError),
     /// The step is 0 or exceeds the tile.
     Step {
         /// Side of the tile.
         tile: u16,
-        /// The step found.
+        /// Step found.
         step: u16,
     },
-    /// No channel, or a tap of a channel that does not exist.
+    /// A tap belongs to a channel that does not exist.
     Channel {
         /// Number of channels.
         channels: u8,
         /// Channel of the tap.
         found: u8,
     },
-    /// Taps are not sorted by (channel, dy, dx), or one stands twice.
+    /// Taps are not in ascending order of (channel, dy, dx), or two are equal.
     Order {
         /// Number of the tap that is out of order.
         tap: usize,
@@ -36,16 +36,17 @@ pub enum FilterError {
         /// The first such channel.
         channel: u8,
     },
-    /// Kernels need one tap at (0, 0) a channel and one tile that holds the whole frame.
+    /// The bank stores kernels, but does not have one tap at (0, 0) in each channel and one tile that holds the whole
+    /// frame.
     Kernels,
     /// The index of the blocks is out of order.
     Index {
-        /// Row of blocks, counted over all channels, where that shows.
+        /// First row of blocks that is out of order, counted over all channels.
         row: usize,
     },
-    /// A part of the object is empty or reaches out of it.
+    /// A part of the object is empty or reaches beyond it.
     Part {
-        /// The part asked for.
+        /// Part given.
         found: Region,
     },
     /// A buffer has another length.
@@ -69,15 +70,15 @@ impl fmt::Display for FilterError {
             Self::Fft(error) => error.fmt(f),
             Self::Step { tile, step } => write!(f, "filter bank: expected a step of 1 to {tile}, found {step}"),
             Self::Channel { channels, found } => {
-                write!(f, "filter bank: channel {found} of a tap, but there are {channels} channels")
+                write!(f, "filter bank: a tap of channel {found}, but there are {channels} channels")
             }
             Self::Order { tap } => write!(f, "filter bank: tap {tap} is not in the order (channel, dy, dx)"),
             Self::NoTap { channel } => write!(f, "filter bank: channel {channel} has no tap"),
             Self::Kernels => f.write_str(
-                "filter bank: kernels need one tap at (0, 0) a channel and one tile that holds the whole frame",
+                "filter bank: kernels need one tap at (0, 0) in each channel and one tile that holds the whole frame",
             ),
             Self::Index { row } => write!(f, "filter bank: the index of the blocks is out of order in row {row}"),
-            Self::Part { found } => write!(f, "filter bank: the part {found} reaches out of the object"),
+            Self::Part { found } => write!(f, "filter bank: the part {found} is empty or reaches beyond the object"),
             Self::Length { expected, found } => write!(f, "filter bank: expected {expected} elements, found {found}"),
         }
     }
@@ -101,7 +102,7 @@ pub struct Axis {
 }
 
 impl Axis {
-    /// One tile, whose only window holds the whole frame.
+    /// Whether there is one tile, and its only window holds the whole frame.
     pub fn is_whole(&self) -> bool {
         self.tiles() == 1 && self.offsets == (0, 0) && self.tile >= self.frame
     }
@@ -116,23 +117,24 @@ impl Axis {
         if self.step < self.object { self.step } else { self.object }
     }
 
-    /// Where the valid part begins in the transform (L).
+    /// First valid result of the transform (L).
     pub const fn lead(&self) -> usize {
         (self.tile - self.valid()) / 2
     }
 
-    /// Pixels of output tile `i`: the last may be cut short by the edge of the object.
+    /// Pixels of output tile `i`. The last tile ends at the edge of the object.
     pub const fn tile_len(&self, i: usize) -> usize {
         let rest = self.object - i * self.step;
         if rest < self.valid() { rest } else { self.valid() }
     }
 
-    /// The output tiles that hold object pixels `part`, of which there is at least one.
+    /// Output tiles that hold the object pixels `part`, which is not empty.
     pub const fn tiles_of(&self, part: &Range<usize>) -> Range<usize> {
         part.start / self.step..part.end.div_ceil(self.step)
     }
 
-    /// The results of the transform of tile `i` that are object pixels of `part`, where the first pixel of a tile is result `lead`.
+    /// Results of the transform of tile `i` that are object pixels in `part`. The first pixel of a tile is result
+    /// `lead`.
     pub fn results(&self, i: usize, part: &Range<usize>, lead: usize) -> Range<usize> {
         let first = i * self.step;
         let (start, end) = (part.start.max(first), part.end.min(first + self.tile_len(i)));
@@ -145,12 +147,12 @@ impl Axis {
         (tile - object).div_euclid(2) - (tile - frame).div_euclid(2)
     }
 
-    /// First frame pixel of window `i`; may lie outside the frame.
+    /// First frame pixel of window `i`, which may lie outside the frame.
     pub const fn window_origin(&self, i: i32) -> i32 {
         self.object_origin() + i * self.step as i32 - self.lead() as i32
     }
 
-    /// The part of window `i` that lies in the frame, counted in the window; may be empty.
+    /// Pixels of window `i` that lie in the frame, counted from the beginning of the window. There may be none.
     pub fn occupied(&self, i: i32) -> Range<usize> {
         let origin = self.window_origin(i);
         let clip = |pixel: i32| (pixel - origin).clamp(0, self.tile as i32) as usize;
@@ -172,7 +174,7 @@ impl Axis {
         (self.offsets.1 - self.offsets.0 + 1) as usize
     }
 
-    /// Lags of a tap's kernel that reach no valid pixel by wrap-around.
+    /// Lags of a tap's kernel that do not wrap around into a valid pixel.
     pub const fn lags(&self) -> RangeInclusive<i32> {
         (self.lead() + self.valid()) as i32 - self.tile as i32..=self.lead() as i32
     }
@@ -188,10 +190,11 @@ pub struct Geometry {
 }
 
 impl Geometry {
-    /// Works out the geometry; checks the step, the channels and the order of the taps.
+    /// Computes the geometry, and checks the step, the channels and the order of the taps.
     ///
     /// # Errors
-    /// [`FilterError`].
+    /// [`FilterError::Step`], [`FilterError::Channel`], [`FilterError::Order`], [`FilterError::NoTap`],
+    /// [`FilterError::Kernels`].
     pub fn new(bank: &Bank, frame: Size, object: Size) -> Result<Self, FilterError> {
         if bank.step == 0 || bank.step > bank.tile {
             return Err(FilterError::Step { tile: bank.tile, step: bank.step });
@@ -218,7 +221,7 @@ impl Geometry {
     }
 }
 
-/// Each channel has taps, and they are sorted.
+/// Checks that each channel has taps, and that all taps are in order.
 fn check_taps(bank: &Bank) -> Result<(), FilterError> {
     let mut next_channel = 0;
     for (i, tap) in bank.taps.iter().enumerate() {

@@ -1,11 +1,13 @@
-//! Filters that lie in the file as blocks of their kernels: the pruned form.
+//! Pruned filters, stored as blocks of their kernels.
 //!
-//! The learned kernels hold a few foci, nearly all other lags are small. A spectrum of such a kernel has as many numbers as that of a full one;
-//! the kernel itself has few. So the file keeps blocks of B x B lags, where they lie in a compressed sparse row index, and the device transforms
-//! one kernel at a time to the spectrum that it would otherwise have read.
+//! Learned kernels consist of a few foci, and nearly all other lags are small. The spectrum of a pruned kernel has as
+//! many numbers as that of a full one, but the kernel itself has few. So the file holds blocks of B x B lags and a
+//! compressed sparse row index of their positions. The device transforms one kernel at a time to the spectrum that it
+//! would otherwise have read from the file.
 //!
-//! Element (r, c) of the T x T plane holds the lag (r - Lr, c - Lc), L being where the valid part of a tile begins: kernels round lag zero
-//! then fill neighbouring rows, the others need no transform, and the valid part moves from L to 2 L.
+//! Element (r, c) of the T x T plane holds lag (r - Lr, c - Lc), where L is the first valid result of a tile. Kernels
+//! around lag zero then occupy neighbouring rows, all other rows need no transform, and the valid part moves from L to
+//! 2 L.
 
 use core::ops::Range;
 
@@ -13,12 +15,12 @@ use super::geometry::FilterError;
 use crate::blob::{Bank, Blocks};
 use crate::num::{f16, widen_slice};
 
-/// The filters of a bank as the file holds them.
+/// The filters of a bank as they are stored.
 #[derive(Clone, Copy, Debug)]
 pub struct Filters<'a> {
     /// Spectra of the taps, or blocks.
     pub halves: &'a [f16],
-    /// Where the blocks lie ([`crate::blob::Weights::index`]).
+    /// Positions of the blocks ([`crate::blob::Weights::index`]); empty for spectra.
     pub index: &'a [u16],
 }
 
@@ -26,9 +28,9 @@ pub struct Filters<'a> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Kernels<'a> {
     side: usize,
-    /// Rows of blocks of a kernel.
+    /// Rows of blocks in a kernel.
     rows: usize,
-    /// Blocks before each row of blocks, of all channels, and all of them.
+    /// Number of blocks before each row of blocks of all channels, and the number of all blocks.
     starts: &'a [u16],
     /// Column of each block.
     columns: &'a [u16],
@@ -36,10 +38,11 @@ pub(super) struct Kernels<'a> {
 }
 
 impl<'a> Kernels<'a> {
-    /// The blocks where the index says that they lie.
+    /// The blocks at the positions in the index.
     ///
     /// # Errors
-    /// [`FilterError::Index`] unless each row's blocks follow those of the row before and stand in order within the kernel.
+    /// [`FilterError::Index`] unless the blocks of each row follow those of the row before, in ascending order of their
+    /// columns and inside the kernel.
     pub(super) fn new(bank: &Bank, blocks: Blocks, filters: Filters<'a>) -> Result<Self, FilterError> {
         let (side, rows) = (usize::from(blocks.side), blocks.across(bank.tile));
         let starts = rows * usize::from(bank.channels) + 1;
@@ -86,7 +89,7 @@ impl Kernel<'_> {
         }
     }
 
-    /// Writes a row of the plane, all of it.
+    /// Writes one whole row of the plane.
     pub(super) fn load(&self, row: usize, to: &mut [f32]) {
         to.fill(0.0);
         let Kernels { side, columns, lags, .. } = self.all;

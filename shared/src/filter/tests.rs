@@ -11,13 +11,13 @@ use crate::image::{ChwMut, Region};
 use crate::naive::{self, Noise};
 use crate::num::{f16, simd::Simd};
 
-/// Roundings to half: spectrum of the filter, of the rows, of the window, half-way back, result; each 2^-12 r.m.s. of its
-/// tensor, relative to the largest output.
+/// Roundings to half: spectrum of the filter, of the rows, of the window, half-way back, result; each 2^-12 r.m.s. of
+/// its tensor, relative to the largest output.
 const TOLERANCE: f64 = 1.5e-3;
 
 struct Frame<'a>(&'a [f32], usize);
 
-impl FrameSource for Frame<'_> {
+impl FrameRows for Frame<'_> {
     fn load(&self, row: usize, first: usize, to: &mut [f32]) {
         to.copy_from_slice(&self.0[row * self.1 + first..][..to.len()]);
     }
@@ -183,7 +183,8 @@ fn the_tapped_form_equals_the_dense_one_for_compact_foci() {
     }
 }
 
-/// The blocks of kernels of side n that hold anything, times n as the device scales both its transforms, and their index.
+/// The blocks of kernels of side n that hold anything, times n as the device scales both its transforms, and their
+/// index.
 fn in_blocks(kernels: &[Vec<f64>], n: usize, side: usize, object: Size) -> (Bank, Vec<f16>, Vec<u16>) {
     let (mut halves, mut starts, mut columns) = (vec![], vec![0], vec![]);
     let lead = [object.rows, object.cols].map(|m| (n - usize::from(m)) / 2);

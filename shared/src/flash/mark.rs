@@ -1,11 +1,11 @@
-//! The mark that makes a file count.
+//! The commit mark of a slot.
 
-use super::UNIT;
+use super::mapped::UNIT;
 use crate::blob::CRC;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// The first bytes of every mark; the last one is its version.
+/// First bytes of every mark; the last of them is the version of the mark.
 const MAGIC: [u8; 8] = *b"OMMARK\0\x01";
 const CRC_AT: usize = 20;
 
@@ -22,7 +22,7 @@ impl Slot {
     /// Both.
     pub const ALL: [Self; 2] = [Self::A, Self::B];
 
-    /// The one that this is not.
+    /// The other slot.
     pub const fn other(self) -> Self {
         match self {
             Self::A => Self::B,
@@ -31,25 +31,25 @@ impl Slot {
     }
 }
 
-/// What a commit mark says of the file in its slot.
+/// The commit mark of a slot: it identifies the file in it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Mark {
-    /// Counted up with every commit: the newer slot runs.
+    /// Number of the commit. The file of the higher number is the newer one.
     pub generation: u32,
     /// Length of the file, bytes.
     pub len: u32,
-    /// The checksum that the file ends with.
+    /// CRC-32 at the end of the file.
     pub crc: u32,
 }
 
 impl Mark {
-    /// The mark of a file that is whole.
+    /// The mark of a complete file; `None` where it has less than four bytes or more than 32 bits can count.
     pub(super) fn of(file: &[u8], generation: u32) -> Option<Self> {
         let crc = u32::from_le_bytes(*file.last_chunk()?);
         Some(Self { generation, len: u32::try_from(file.len()).ok()?, crc })
     }
 
-    /// Whether this was committed after `other`; generations may wrap.
+    /// Whether this file was committed after `other`. Generations may wrap.
     pub(super) const fn is_newer_than(&self, other: &Self) -> bool {
         let ahead = self.generation.wrapping_sub(other.generation);
         ahead != 0 && ahead <= u32::MAX / 2
@@ -68,7 +68,7 @@ impl Mark {
         bytes
     }
 
-    /// The mark in the first bytes of `bytes`, if they hold one.
+    /// The mark at the beginning of `bytes`, if there is one.
     pub(super) fn decode(bytes: &[u8]) -> Option<Self> {
         let (signed, rest) = bytes.split_first_chunk::<CRC_AT>()?;
         let crc = u32::from_le_bytes(*rest.first_chunk()?);

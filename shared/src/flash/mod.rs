@@ -1,44 +1,51 @@
 //! Network files in flash: two slots, each with a commit mark, and a count of the starts.
 //!
-//! The flash of [`Slots`] is any NOR flash with the traits of `embedded-storage` that the core can read in place ([`MappedFlash`]):
+//! The flash of [`Slots`] is any NOR flash with the traits of `embedded-storage` that the core can read in place
+//! ([`MappedFlash`]):
 //!
 //! | sectors | what |
 //! |---|---|
-//! | 1 | mark of slot A, written twice |
+//! | 1 | mark of slot A, stored twice |
 //! | n | network file of slot A |
-//! | 1 + n | the same of slot B |
-//! | 2 | starts counted, one sector at a time |
+//! | 1 + n | the same for slot B |
+//! | 2 | count of the starts, one sector at a time |
 //!
-//! A new file goes to the slot that does not run. Its old mark is erased first, its new mark written last, after every bit of the
-//! file was checked where it lies: whenever the power goes, one slot holds a whole file and a mark that says so. What a mark says of
-//! the file (length, checksum) is compared before a byte of it is used, and the file is decoded in full; where it fails, the other
-//! slot runs.
+//! A new file goes to the slot that is not active. The old mark of that slot is erased first. The new mark is written
+//! last, after every bit of the file was checked in place. So one slot holds a complete file with its mark whenever the
+//! power fails. At a start the length and the checksum in the mark are compared with the file, and every bit of the
+//! file is checked. Where that fails, the other slot becomes active.
+//!
+//! ```
+//! use ommatidia_shared::flash::{RAM_SECTOR, RamFlash, Slot, Slots};
+//!
+//! let mut memory = vec![0xff; 8 * RAM_SECTOR];
+//! let mut slots = Slots::new(RamFlash::new(&mut memory));
+//! assert_eq!(slots.capacity(), 2 * RAM_SECTOR, "two slots of three sectors, one of which holds the mark");
+//! assert_eq!(slots.count_start(), Ok(1));
+//!
+//! slots.begin(100).unwrap();
+//! slots.write(0, &[7; 60]).unwrap();
+//! slots.write(60, &[8; 40]).unwrap();
+//! slots.finish().unwrap();
+//! slots.commit().unwrap();
+//!
+//! // After a power failure: the mark leads to the file.
+//! let slots = Slots::new(RamFlash::new(&mut memory));
+//! let (slot, mark) = slots.committed()[0].unwrap();
+//! assert_eq!((slot, mark.generation, mark.len), (Slot::A, 1, 100));
+//! assert_eq!(slots.file(slot, &mark).unwrap()[59..61], [7, 8]);
+//! ```
 
+mod mapped;
 mod mark;
 mod ram;
 mod slots;
 mod starts;
 
+pub use mapped::MappedFlash;
 pub use mark::{Mark, Slot};
 pub use ram::{RAM_SECTOR, RamFlash};
 pub use slots::Slots;
-
-use embedded_storage::nor_flash::NorFlash;
-
-/// Bytes that are written at once; a multiple of every write size that a flash may have.
-const UNIT: usize = 32;
-
-/// NOR flash that the core reads in place, from an address that is a multiple of [`crate::blob::ALIGN`].
-pub trait MappedFlash: NorFlash {
-    /// All of it.
-    fn mapped(&self) -> &[u8];
-}
-
-impl<F: MappedFlash> MappedFlash for &mut F {
-    fn mapped(&self) -> &[u8] {
-        (**self).mapped()
-    }
-}
 
 #[cfg(test)]
 mod tests;

@@ -1,11 +1,11 @@
-//! Memory that behaves as NOR flash: for boards whose flash is emulated, and for the workstation.
+//! Memory that behaves like NOR flash: for boards whose flash is emulated, and for the workstation.
 
-use super::MappedFlash;
+use super::mapped::MappedFlash;
 use embedded_storage::nor_flash::{
     ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash, check_erase, check_read, check_write,
 };
 
-/// Bytes that are erased at once.
+/// Size of a sector of [`RamFlash`], which is erased at once, bytes.
 pub const RAM_SECTOR: usize = 4096;
 
 /// Memory with the rules of NOR flash: a sector is erased to ones, a word is written by clearing bits.
@@ -15,7 +15,7 @@ pub struct RamFlash<'m> {
 }
 
 impl<'m> RamFlash<'m> {
-    /// What `memory` holds is what the flash holds.
+    /// A flash with the content of `memory`.
     pub fn new(memory: &'m mut [u8]) -> Self {
         Self { memory }
     }

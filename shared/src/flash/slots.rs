@@ -1,11 +1,11 @@
 //! The two slots.
 
+use super::mapped::{MappedFlash, UNIT, erase, write};
 use super::mark::{Mark, Slot};
-use super::{MappedFlash, UNIT, starts};
+use super::starts;
 use crate::device::IoError;
-use core::ops::Range;
 
-/// Two slots for network files.
+/// Two slots for network files in a flash.
 #[derive(Debug)]
 pub struct Slots<F> {
     flash: F,
@@ -13,7 +13,7 @@ pub struct Slots<F> {
     staged: Option<Staged>,
 }
 
-/// The file that runs.
+/// The active file: the network that runs.
 #[derive(Clone, Copy, Debug)]
 struct Active {
     slot: Slot,
@@ -25,9 +25,9 @@ struct Active {
 struct Staged {
     slot: Slot,
     len: usize,
-    /// Bytes taken.
+    /// Bytes received.
     received: usize,
-    /// Bytes of them that are in the flash; the others are in `unit`.
+    /// Of these, bytes written to the flash. The others are in `unit`.
     written: usize,
     unit: [u8; UNIT],
 }
@@ -39,26 +39,26 @@ impl<F: MappedFlash> Slots<F> {
         F::ERASE_SIZE
     };
 
-    /// The slots of a flash; none of them runs yet.
+    /// The slots of a flash, none of them active.
     pub fn new(flash: F) -> Self {
         Self { flash, active: None, staged: None }
     }
 
-    /// Room for a network file, bytes.
+    /// Largest network file that fits, bytes.
     pub fn capacity(&self) -> usize {
         self.slot_len().saturating_sub(Self::SECTOR)
     }
 
-    /// Counts a start of the device; gives the starts so far.
+    /// Counts a start of the device, and returns the number of starts, this one included.
     ///
     /// # Errors
-    /// The flash failed.
+    /// [`IoError::Failed`] where the flash failed or has no room for the count.
     pub fn count_start(&mut self) -> Result<u32, IoError> {
         let at = 2 * self.slot_len();
         starts::count(&mut self.flash, at, Self::SECTOR)
     }
 
-    /// The slots with a mark and the files that these tell of, newest first.
+    /// The slots that have a mark, with their marks, the newest first.
     pub fn committed(&self) -> [Option<(Slot, Mark)>; 2] {
         let [a, b] = Slot::ALL.map(|slot| self.mark(slot).map(|mark| (slot, mark)));
         match (&a, &b) {
@@ -68,32 +68,33 @@ impl<F: MappedFlash> Slots<F> {
         }
     }
 
-    /// The file that a mark tells of; `None` where there is another one.
+    /// The file with this mark; `None` where length or checksum differ from those in the mark.
     pub fn file(&self, slot: Slot, mark: &Mark) -> Option<&[u8]> {
         let file = self.data(slot, mark.len as usize)?;
         (Mark::of(file, mark.generation)? == *mark).then_some(file)
     }
 
-    /// Has a committed file run.
+    /// Makes a committed file the active one.
     pub fn activate(&mut self, slot: Slot, mark: Mark) {
         self.active = Some(Active { slot, mark });
     }
 
-    /// The slot that runs, and its mark.
+    /// The active slot and its mark.
     pub fn active(&self) -> Option<(Slot, Mark)> {
         self.active.map(|Active { slot, mark }| (slot, mark))
     }
 
-    /// The file that runs.
+    /// The active file: the network that runs.
     pub fn active_file(&self) -> Option<&[u8]> {
         let Active { slot, mark } = self.active?;
         self.data(slot, mark.len as usize)
     }
 
-    /// Makes the slot that does not run ready for `len` bytes. What it held is gone; what runs stays as it is.
+    /// Prepares the slot that is not active for a file of `len` bytes. Its old file is lost; the active file is not
+    /// touched.
     ///
     /// # Errors
-    /// There is no such room, or the flash failed.
+    /// [`IoError::NoRoom`] where it does not fit, [`IoError::Failed`] where the flash failed.
     pub fn begin(&mut self, len: usize) -> Result<(), IoError> {
         self.staged = None;
         let available = self.capacity();
@@ -101,7 +102,7 @@ impl<F: MappedFlash> Slots<F> {
             return Err(IoError::NoRoom { needed: len, available });
         }
         let slot = self.active.map_or(Slot::A, |active| active.slot.other());
-        // From here on nothing can take what the slot holds for a committed file.
+        // Without its mark the content of the slot is no committed file any more.
         self.erase_sector(self.start(slot))?;
         if self.mark(slot).is_some() {
             return Err(IoError::Failed);
@@ -110,10 +111,11 @@ impl<F: MappedFlash> Slots<F> {
         Ok(())
     }
 
-    /// Writes the next bytes of the file. After an error the file must be begun anew.
+    /// Writes the next bytes of the file, which belong at `offset`. After an error the file must be begun again.
     ///
     /// # Errors
-    /// They go past the announced length, are not the next ones, or the flash failed.
+    /// [`IoError::NoRoom`] where they go past the announced length or are not the next ones, [`IoError::Failed`] where
+    /// no file was begun or the flash failed.
     pub fn write(&mut self, offset: usize, bytes: &[u8]) -> Result<(), IoError> {
         let mut staged = self.staged.take().ok_or(IoError::Failed)?;
         let needed = offset.saturating_add(bytes.len());
@@ -135,10 +137,10 @@ impl<F: MappedFlash> Slots<F> {
         Ok(())
     }
 
-    /// Writes what is left in the buffer: [`Self::staged_file`] is complete then.
+    /// Writes the bytes that are left in the buffer. [`Self::staged_file`] is complete then.
     ///
     /// # Errors
-    /// No file was begun, bytes are missing, or the flash failed.
+    /// [`IoError::Failed`] where no file was begun, bytes are missing, or the flash failed.
     pub fn finish(&mut self) -> Result<(), IoError> {
         let mut staged = self.staged.take().ok_or(IoError::Failed)?;
         if staged.received != staged.len {
@@ -151,16 +153,16 @@ impl<F: MappedFlash> Slots<F> {
         Ok(())
     }
 
-    /// The file that is being written, where it lies in the flash.
+    /// The file that is being written, in place in the flash.
     pub fn staged_file(&self) -> Option<&[u8]> {
         let staged = self.staged.as_ref()?;
         self.data(staged.slot, staged.len)
     }
 
-    /// Marks the finished file: from the last word of the mark on it is what runs, after a start as well.
+    /// Writes the mark of the finished file and makes it the active one, now and after the next start.
     ///
     /// # Errors
-    /// No file was finished, or the flash failed.
+    /// [`IoError::Failed`] where no file was finished or the flash failed.
     pub fn commit(&mut self) -> Result<(), IoError> {
         let Staged { slot, len, .. } = self.staged.take().ok_or(IoError::Failed)?;
         let newest = self.committed()[0].map_or(0, |(_, mark)| mark.generation);
@@ -177,7 +179,7 @@ impl<F: MappedFlash> Slots<F> {
         Ok(())
     }
 
-    /// Bytes of a slot with its mark.
+    /// Size of a slot with the sector of its mark, bytes.
     fn slot_len(&self) -> usize {
         (self.flash.mapped().len() / Self::SECTOR).saturating_sub(2) / 2 * Self::SECTOR
     }
@@ -189,7 +191,7 @@ impl<F: MappedFlash> Slots<F> {
         }
     }
 
-    /// The first `len` bytes for the file of a slot.
+    /// The first `len` bytes of the file of a slot.
     fn data(&self, slot: Slot, len: usize) -> Option<&[u8]> {
         if len > self.capacity() {
             return None;
@@ -198,7 +200,7 @@ impl<F: MappedFlash> Slots<F> {
         self.flash.mapped().get(at..at + len)
     }
 
-    /// The mark of a slot: either copy will do, so that one flipped bit costs nothing.
+    /// The mark of a slot. Either copy is enough, so one flipped bit does no harm.
     fn mark(&self, slot: Slot) -> Option<Mark> {
         if self.capacity() == 0 {
             return None;
@@ -208,7 +210,7 @@ impl<F: MappedFlash> Slots<F> {
         copy(at).or_else(|| copy(at + UNIT))
     }
 
-    /// Writes the buffer, which ends at the last byte received. A sector is erased when its first byte comes.
+    /// Writes the buffer, which ends at the last byte received. A sector is erased before its first byte is written.
     fn write_unit(&mut self, staged: &mut Staged) -> Result<(), IoError> {
         let at = self.start(staged.slot) + Self::SECTOR + staged.written;
         if at.is_multiple_of(Self::SECTOR) {
@@ -223,16 +225,4 @@ impl<F: MappedFlash> Slots<F> {
     fn erase_sector(&mut self, at: usize) -> Result<(), IoError> {
         erase(&mut self.flash, at..at + Self::SECTOR)
     }
-}
-
-pub(super) fn erase<F: MappedFlash>(flash: &mut F, range: Range<usize>) -> Result<(), IoError> {
-    flash.erase(address(range.start)?, address(range.end)?).map_err(|_| IoError::Failed)
-}
-
-pub(super) fn write<F: MappedFlash>(flash: &mut F, at: usize, unit: &[u8; UNIT]) -> Result<(), IoError> {
-    flash.write(address(at)?, unit).map_err(|_| IoError::Failed)
-}
-
-fn address(at: usize) -> Result<u32, IoError> {
-    u32::try_from(at).map_err(|_| IoError::Failed)
 }

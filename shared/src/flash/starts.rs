@@ -1,11 +1,12 @@
-//! The count of starts: entries one after the other in one of two sectors; the other is erased when the first is full, so that the
-//! highest count is never in the sector that is erased.
+//! The count of the starts of the device.
+//!
+//! Each start adds an entry to one of two sectors. When that sector is full, the other one is erased and takes the next
+//! entry. So the highest count is never in the sector that is erased.
 
-use super::slots::{erase, write};
-use super::{MappedFlash, UNIT};
+use super::mapped::{MappedFlash, UNIT, erase, write};
 use crate::device::IoError;
 
-/// Adds an entry to the two sectors at `at`; gives the count in it.
+/// Adds an entry to the two sectors at `at` and returns the count in it.
 pub(super) fn count<F: MappedFlash>(flash: &mut F, at: usize, sector: usize) -> Result<u32, IoError> {
     let end = at + 2 * sector;
     let entries = flash.mapped().get(at..end).ok_or(IoError::Failed)?.as_chunks::<UNIT>().0;
@@ -15,7 +16,7 @@ pub(super) fn count<F: MappedFlash>(flash: &mut F, at: usize, sector: usize) -> 
         Some((last, i)) => {
             let units = sector / UNIT;
             let half_end = if i < units { units } else { 2 * units };
-            // An entry that was cut short may follow.
+            // An entry may follow that was being written when the power failed.
             let free = (i + 1..half_end).find(|i| entries.get(*i).is_some_and(|entry| *entry == [0xff; UNIT]));
             let other = at + if i < units { sector } else { 0 };
             (last.saturating_add(1), Some(free.ok_or(other)))

@@ -1,9 +1,11 @@
-//! Slots in memory: what is committed is found again, what is not is not. Power cuts are tried in the host's `device::faults`.
+//! Slots in memory: committed files are found after a start, others are not. The host's `device::faults` tests power
+//! failures.
 
 #![allow(clippy::unwrap_used)]
 
 extern crate std;
 
+use super::mapped::UNIT;
 use super::*;
 use crate::device::IoError;
 use proptest::prelude::*;

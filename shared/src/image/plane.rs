@@ -1,26 +1,26 @@
 //! Planes of (row, col) with a stride.
 
-use super::ShapeError;
+use core::ops::{Deref, DerefMut};
 
-/// A borrowed plane: element (r, c) lies at `r * stride + c`.
+use super::error::ShapeError;
+
+/// A plane over a borrowed buffer `D`: element (r, c) lies at `r * stride + c`.
 #[derive(Clone, Copy, Debug)]
-pub struct Plane<'a, T> {
-    data: &'a [T],
+pub struct Strided<D> {
+    data: D,
     rows: usize,
     cols: usize,
     stride: usize,
 }
 
-/// A borrowed plane that can be written.
-#[derive(Debug)]
-pub struct PlaneMut<'a, T> {
-    data: &'a mut [T],
-    rows: usize,
-    cols: usize,
-    stride: usize,
-}
+/// A plane that can be read.
+pub type Plane<'a, T> = Strided<&'a [T]>;
 
-/// Elements from the first to the last of a plane, or an impossible number where `stride < cols` or the product overflows.
+/// A plane that can be read and written.
+pub type PlaneMut<'a, T> = Strided<&'a mut [T]>;
+
+/// Elements from the first to the last of a plane, or an impossible number where `stride < cols` or the product
+/// overflows.
 fn span(rows: usize, cols: usize, stride: usize) -> usize {
     if rows == 0 || cols == 0 {
         return 0;
@@ -29,17 +29,12 @@ fn span(rows: usize, cols: usize, stride: usize) -> usize {
     if stride < cols { usize::MAX } else { last_row.unwrap_or(usize::MAX) }
 }
 
-fn check(found: usize, rows: usize, cols: usize, stride: usize) -> Result<(), ShapeError> {
-    let expected = span(rows, cols, stride);
-    if expected > found { Err(ShapeError { expected, found }) } else { Ok(()) }
-}
-
-impl<'a, T> Plane<'a, T> {
+impl<T, D: Deref<Target = [T]>> Strided<D> {
     /// A plane without gaps between its rows.
     ///
     /// # Errors
-    /// [`ShapeError`] where `data` is shorter than `rows * cols`.
-    pub fn new(data: &'a [T], rows: usize, cols: usize) -> Result<Self, ShapeError> {
+    /// [`ShapeError`] where `data` has less than `rows * cols` elements.
+    pub fn new(data: D, rows: usize, cols: usize) -> Result<Self, ShapeError> {
         Self::with_stride(data, rows, cols, cols)
     }
 
@@ -47,8 +42,9 @@ impl<'a, T> Plane<'a, T> {
     ///
     /// # Errors
     /// [`ShapeError`] where `data` is too short or `stride < cols`.
-    pub fn with_stride(data: &'a [T], rows: usize, cols: usize, stride: usize) -> Result<Self, ShapeError> {
-        check(data.len(), rows, cols, stride).map(|()| Self { data, rows, cols, stride })
+    pub fn with_stride(data: D, rows: usize, cols: usize, stride: usize) -> Result<Self, ShapeError> {
+        let (expected, found) = (span(rows, cols, stride), data.len());
+        if expected > found { Err(ShapeError { expected, found }) } else { Ok(Self { data, rows, cols, stride }) }
     }
 
     /// Number of rows.
@@ -63,61 +59,26 @@ impl<'a, T> Plane<'a, T> {
         self.cols
     }
 
-    /// Row `r`; panics where `r >= rows`.
-    #[inline(always)]
-    pub fn row(&self, r: usize) -> &'a [T] {
-        assert!(r < self.rows, "row {r} of {}", self.rows);
-        &self.data[r * self.stride..][..self.cols]
-    }
-}
-
-impl<'a, T> PlaneMut<'a, T> {
-    /// A plane without gaps between its rows.
-    ///
-    /// # Errors
-    /// [`ShapeError`] where `data` is shorter than `rows * cols`.
-    pub fn new(data: &'a mut [T], rows: usize, cols: usize) -> Result<Self, ShapeError> {
-        Self::with_stride(data, rows, cols, cols)
-    }
-
-    /// A plane whose rows begin `stride >= cols` elements apart.
-    ///
-    /// # Errors
-    /// [`ShapeError`] where `data` is too short or `stride < cols`.
-    pub fn with_stride(data: &'a mut [T], rows: usize, cols: usize, stride: usize) -> Result<Self, ShapeError> {
-        check(data.len(), rows, cols, stride)?;
-        Ok(Self { data, rows, cols, stride })
-    }
-
-    /// Number of rows.
-    #[inline(always)]
-    pub fn rows(&self) -> usize {
-        self.rows
-    }
-
-    /// Number of columns.
-    #[inline(always)]
-    pub fn cols(&self) -> usize {
-        self.cols
-    }
-
-    /// Row `r` for reading; panics where `r >= rows`.
+    /// Row `r`, `cols` elements. Panics where `r >= rows`.
     #[inline(always)]
     pub fn row(&self, r: usize) -> &[T] {
         assert!(r < self.rows, "row {r} of {}", self.rows);
         &self.data[r * self.stride..][..self.cols]
     }
 
-    /// Row `r` for writing; panics where `r >= rows`.
+    /// Row `r` for writing, `cols` elements. Panics where `r >= rows`.
     #[inline(always)]
-    pub fn row_mut(&mut self, r: usize) -> &mut [T] {
+    pub fn row_mut(&mut self, r: usize) -> &mut [T]
+    where
+        D: DerefMut,
+    {
         assert!(r < self.rows, "row {r} of {}", self.rows);
         &mut self.data[r * self.stride..][..self.cols]
     }
 
     /// The same plane for reading.
     pub fn as_plane(&self) -> Plane<'_, T> {
-        Plane { data: self.data, rows: self.rows, cols: self.cols, stride: self.stride }
+        Strided { data: &self.data, rows: self.rows, cols: self.cols, stride: self.stride }
     }
 }
 

@@ -19,23 +19,23 @@ pub struct Region {
 }
 
 impl Region {
-    /// All of a plane.
+    /// The whole of a plane of `rows` x `cols`.
     pub const fn whole(rows: u16, cols: u16) -> Self {
         Self { row: 0, col: 0, rows, cols }
     }
 
-    /// Pixels.
+    /// Number of pixels.
     pub const fn pixels(&self) -> usize {
         self.rows as usize * self.cols as usize
     }
 
-    /// Whether it holds a pixel, and only pixels of a plane of `rows` x `cols`.
+    /// Whether it is not empty and lies in a plane of `rows` x `cols`.
     pub fn lies_in(&self, rows: u16, cols: u16) -> bool {
         let fits = |first: u16, len: u16, all: u16| len > 0 && u32::from(first) + u32::from(len) <= u32::from(all);
         fits(self.row, self.rows, rows) && fits(self.col, self.cols, cols)
     }
 
-    /// Its rows and its columns.
+    /// Its range of rows and its range of columns.
     pub fn ranges(&self) -> [Range<usize>; 2] {
         [(self.row, self.rows), (self.col, self.cols)].map(|(first, len)| {
             let first = usize::from(first);
@@ -43,7 +43,7 @@ impl Region {
         })
     }
 
-    /// The same rectangle counted from the first pixel of `outer`, in which it lies.
+    /// The same rectangle relative to the first pixel of `outer`, in which it lies.
     pub const fn inside(&self, outer: Self) -> Self {
         Self { row: self.row.saturating_sub(outer.row), col: self.col.saturating_sub(outer.col), ..*self }
     }

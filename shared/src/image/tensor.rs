@@ -1,38 +1,48 @@
 //! Tensors of (channel, row, col).
 
-use super::{Region, ShapeError};
+use core::ops::Deref;
 
-/// A borrowed tensor: element (k, r, c) lies at `(k * rows + r) * cols + c`.
+use super::error::ShapeError;
+use super::region::Region;
+
+/// A tensor over a borrowed buffer `D`: element (k, r, c) lies at `(k * rows + r) * cols + c`.
+///
+/// ```
+/// use ommatidia_shared::image::{Chw, ChwMut};
+///
+/// let mut data = [0; 24];
+/// let mut tensor = ChwMut::new(&mut data, 2, 3, 4).unwrap();
+/// tensor.row_mut(1, 2)[3] = 7;
+/// assert_eq!(data[23], 7);
+///
+/// let tensor = Chw::new(&data, 2, 3, 4).unwrap();
+/// assert_eq!(tensor.shape(), [2, 3, 4]);
+/// assert_eq!(tensor.row(1, 2), [0, 0, 0, 7]);
+/// assert!(Chw::new(&data, 2, 3, 5).is_err(), "30 elements are not 24");
+/// ```
 #[derive(Clone, Copy, Debug)]
-pub struct Chw<'a, T> {
-    data: &'a [T],
+pub struct Tensor<D> {
+    data: D,
     channels: usize,
     rows: usize,
     cols: usize,
 }
 
-/// A borrowed tensor that can be written.
-#[derive(Debug)]
-pub struct ChwMut<'a, T> {
-    data: &'a mut [T],
-    channels: usize,
-    rows: usize,
-    cols: usize,
-}
+/// A tensor that can be read.
+pub type Chw<'a, T> = Tensor<&'a [T]>;
 
-fn check(found: usize, channels: usize, rows: usize, cols: usize) -> Result<usize, ShapeError> {
-    let expected = channels.checked_mul(rows).and_then(|n| n.checked_mul(cols)).unwrap_or(usize::MAX);
-    if expected == found { Ok(expected) } else { Err(ShapeError { expected, found }) }
-}
+/// A tensor that can be read and written.
+pub type ChwMut<'a, T> = Tensor<&'a mut [T]>;
 
-impl<'a, T> Chw<'a, T> {
+impl<T, D: Deref<Target = [T]>> Tensor<D> {
     /// A tensor over the whole of `data`.
     ///
     /// # Errors
-    /// [`ShapeError`] where `data` is not `channels * rows * cols` long.
-    pub fn new(data: &'a [T], channels: usize, rows: usize, cols: usize) -> Result<Self, ShapeError> {
-        check(data.len(), channels, rows, cols)?;
-        Ok(Self { data, channels, rows, cols })
+    /// [`ShapeError`] where `data` does not have `channels * rows * cols` elements.
+    pub fn new(data: D, channels: usize, rows: usize, cols: usize) -> Result<Self, ShapeError> {
+        let expected = channels.checked_mul(rows).and_then(|n| n.checked_mul(cols)).unwrap_or(usize::MAX);
+        let found = data.len();
+        if expected == found { Ok(Self { data, channels, rows, cols }) } else { Err(ShapeError { expected, found }) }
     }
 
     /// Channels, rows, columns.
@@ -58,15 +68,17 @@ impl<'a, T> Chw<'a, T> {
     pub fn cols(&self) -> usize {
         self.cols
     }
+}
 
-    /// One row of one channel; panics outside the shape.
+impl<'a, T> Tensor<&'a [T]> {
+    /// One row of one channel, `cols` elements. Panics where the row is outside the shape.
     #[inline(always)]
     pub fn row(&self, channel: usize, row: usize) -> &'a [T] {
         assert!(row < self.rows, "row {row} of {}", self.rows);
         &self.data[(channel * self.rows + row) * self.cols..][..self.cols]
     }
 
-    /// All rows of one channel; panics outside the shape.
+    /// All rows of one channel, `rows * cols` elements. Panics where there is no such channel.
     #[inline(always)]
     pub fn channel(&self, channel: usize) -> &'a [T] {
         let len = self.rows * self.cols;
@@ -74,48 +86,15 @@ impl<'a, T> Chw<'a, T> {
     }
 }
 
-impl<'a, T> ChwMut<'a, T> {
-    /// A tensor over the whole of `data`.
-    ///
-    /// # Errors
-    /// [`ShapeError`] where `data` is not `channels * rows * cols` long.
-    pub fn new(data: &'a mut [T], channels: usize, rows: usize, cols: usize) -> Result<Self, ShapeError> {
-        check(data.len(), channels, rows, cols)?;
-        Ok(Self { data, channels, rows, cols })
-    }
-
-    /// Channels, rows, columns.
-    #[inline(always)]
-    pub fn shape(&self) -> [usize; 3] {
-        [self.channels, self.rows, self.cols]
-    }
-
-    /// Number of channels.
-    #[inline(always)]
-    pub fn channels(&self) -> usize {
-        self.channels
-    }
-
-    /// Number of rows.
-    #[inline(always)]
-    pub fn rows(&self) -> usize {
-        self.rows
-    }
-
-    /// Number of columns.
-    #[inline(always)]
-    pub fn cols(&self) -> usize {
-        self.cols
-    }
-
-    /// One row of one channel for writing; panics outside the shape.
+impl<T> Tensor<&mut [T]> {
+    /// One row of one channel for writing, `cols` elements. Panics where the row is outside the shape.
     #[inline(always)]
     pub fn row_mut(&mut self, channel: usize, row: usize) -> &mut [T] {
         assert!(row < self.rows, "row {row} of {}", self.rows);
         &mut self.data[(channel * self.rows + row) * self.cols..][..self.cols]
     }
 
-    /// All rows of one channel for writing; panics outside the shape.
+    /// All rows of one channel for writing, `rows * cols` elements. Panics where there is no such channel.
     #[inline(always)]
     pub fn channel_mut(&mut self, channel: usize) -> &mut [T] {
         let len = self.rows * self.cols;
@@ -125,10 +104,11 @@ impl<'a, T> ChwMut<'a, T> {
     /// The same tensor for reading.
     #[inline(always)]
     pub fn as_chw(&self) -> Chw<'_, T> {
-        Chw { data: self.data, channels: self.channels, rows: self.rows, cols: self.cols }
+        Tensor { data: self.data, channels: self.channels, rows: self.rows, cols: self.cols }
     }
 
-    /// Keeps a window of each channel, moved to the front of the buffer; panics where the window does not lie in the shape.
+    /// Keeps a window of each channel, which moves to the front of the buffer: a tensor of (channels, window rows,
+    /// window columns). Panics where the window does not lie in the shape.
     pub fn cut(self, window: Region) -> Self
     where
         T: Copy,
@@ -151,7 +131,7 @@ impl<'a, T> ChwMut<'a, T> {
     /// Lends the tensor for writing.
     #[inline(always)]
     pub fn reborrow(&mut self) -> ChwMut<'_, T> {
-        ChwMut { data: self.data, channels: self.channels, rows: self.rows, cols: self.cols }
+        Tensor { data: self.data, channels: self.channels, rows: self.rows, cols: self.cols }
     }
 }
 

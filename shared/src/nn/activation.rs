@@ -1,13 +1,13 @@
-//! Activations.
+//! Activation functions.
 
 use crate::num::sigmoid;
 
-/// What is done to a sum before it is stored.
+/// An activation function, applied to a sum before it is stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Activation {
-    /// Nothing.
+    /// `x`.
     Linear,
-    /// `max(x, 0)`; a negative zero becomes zero.
+    /// `max(x, 0)`. A negative zero becomes zero.
     Relu,
     /// `1 / (1 + e^-x)`, see [`sigmoid`].
     Sigmoid,

@@ -1,8 +1,10 @@
-//! Channel attention (Zhang et al., RCAN, ECCV 2018, Eq. 6-8): each channel is weighted by what the whole frame holds.
+//! Channel attention (Zhang et al., RCAN, ECCV 2018, Eq. 6-8): each channel is scaled by a function of the means of all
+//! channels.
 //!
-//! `s = sigmoid(B relu(A mean(x) + a) + b)`, A of W/r x W, B of W x W/r. The mean is a sum in binary32 in a fixed order: eight
-//! partial sums a row (columns 8 k + j), added as a tree, rows one after the other; then a division by the number of pixels.
-//! Products of the two small layers are rounded before they are added ([`mac`]), sums start from the bias.
+//! `s = sigmoid(B relu(A mean(x) + a) + b)`, A of W/r x W, B of W x W/r. The mean is a sum in binary32 in a fixed
+//! order: eight partial sums in each row (columns 8 k + j), added as a tree, row after row; then a division by the
+//! number of pixels. Products of the two small layers are rounded before they are added ([`mac`]); sums start from the
+//! bias.
 
 use super::activation::Activation;
 use super::error::{NnError, check_scratch, check_shape, check_weights};
@@ -23,17 +25,17 @@ pub struct Parameters<'a> {
     pub excite_bias: &'a [f16],
 }
 
-/// Where the weights of the channels come from: those of one block, or of all blocks in the order of execution.
+/// Source of the scales of the channels: those of one block, or of all blocks in the order of execution.
 #[derive(Debug)]
 pub enum Scales<'s> {
-    /// From the whole frame at hand; written down where there is a place for them.
+    /// Computed from the features of the same frame. Where a slice is given, they are written to it.
     Measured(Option<&'s mut [f32]>),
-    /// From another frame, all of it, for which they were written down.
+    /// Taken from another frame, for which they were computed.
     Held(&'s [f32]),
 }
 
 impl Scales<'_> {
-    /// Those of the next block, of `channels` channels.
+    /// The scales of the next block, which has `channels` channels.
     pub(super) fn next(&mut self, channels: usize) -> Scales<'_> {
         match self {
             Self::Measured(None) => Scales::Measured(None),
@@ -57,12 +59,12 @@ pub struct ChannelAttention {
 }
 
 impl ChannelAttention {
-    /// Numbers of scratch that [`Self::process`] needs.
+    /// Length of scratch for [`Self::process`], numbers.
     pub const fn scratch_len(&self) -> usize {
         self.channels + self.hidden
     }
 
-    /// Writes the weight of each channel, 0 to 1, into `scale` (`channels` long).
+    /// Writes the scale of each channel, 0 to 1, to `scale` (`channels` long). `input` is (channels, rows, cols).
     ///
     /// # Errors
     /// [`NnError`] where the tensor, the weights, `scale` or the scratch do not fit the plan.
@@ -118,7 +120,7 @@ impl Kernel for Means<'_> {
     }
 }
 
-/// Sum of a row: eight partial sums, then a tree.
+/// Sum of a row: eight partial sums, added as a tree.
 #[inline(always)]
 fn row_sum(row: &[f16]) -> f32 {
     let mut p = [0.0_f32; 8];

@@ -1,8 +1,8 @@
-//! What an operator refuses.
+//! Errors of the operators.
 
 use core::fmt;
 
-/// A shape or a length that an operator cannot work with.
+/// An argument of an operator does not fit its plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NnError {
     /// A tensor has another shape (channels, rows, columns) than the plan.
@@ -19,7 +19,7 @@ pub enum NnError {
         /// Halves given.
         found: usize,
     },
-    /// Too little scratch memory.
+    /// There is too little scratch memory.
     Scratch {
         /// Numbers needed at least.
         expected: usize,

@@ -1,4 +1,4 @@
-//! Features that know which window of the frame they are.
+//! Features of a window of the frame.
 
 use super::error::NnError;
 use crate::image::{ChwMut, Region};
@@ -6,8 +6,8 @@ use crate::num::f16;
 
 /// A tensor (channels, window rows, window cols) at the front of a buffer.
 ///
-/// What a convolution makes at an edge of the window lacks what lies beyond, unless the edge is the frame's. So the window shrinks by one
-/// feature on every other side before the next convolution.
+/// A convolution lacks its neighbours at an edge of the window that is not an edge of the frame. So the window shrinks
+/// by one feature at each such edge before the next convolution.
 #[derive(Debug)]
 pub struct Features<'a> {
     data: &'a mut [f16],
@@ -16,12 +16,12 @@ pub struct Features<'a> {
 }
 
 impl<'a> Features<'a> {
-    /// Whatever `data` holds, as the features of a window.
+    /// The content of `data` as the features of a window.
     pub fn new(data: &'a mut [f16], channels: usize, window: Region) -> Self {
         Self { data, channels, window }
     }
 
-    /// Cuts the features to a window that lies in theirs, and lends them.
+    /// Cuts the features to a window inside their own, and borrows them.
     ///
     /// # Errors
     /// [`NnError::Scratch`] where the buffer does not hold them.
@@ -34,7 +34,7 @@ impl<'a> Features<'a> {
         Ok(tensor.cut(window.inside(from)))
     }
 
-    /// Takes over another tensor of as many channels.
+    /// Copies another tensor with the same number of channels.
     ///
     /// # Errors
     /// [`NnError::Scratch`] where one of the buffers does not hold it.

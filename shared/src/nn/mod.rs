@@ -1,7 +1,8 @@
-//! The operators of the enhancement network, one a file. Tensors are CHW, stored as halves, computed in binary32.
+//! The operators of the enhancement network. Tensors are (channel, row, col), stored as halves, and computed in
+//! binary32.
 //!
-//! The network after Xue et al. (SV-FourierNet, section 3B): a light residual channel-attention network (RCAN, Zhang et al.,
-//! ECCV 2018). [`rcan`] composes the operators, states the network exactly, and gives the order of the weights.
+//! The network is that of SV-FourierNet (Yang et al. 2024, section 3B): a light residual channel-attention network
+//! (RCAN, Zhang et al., ECCV 2018). [`rcan`] defines it in terms of the operators, and the order of its weights.
 
 pub mod activation;
 pub mod channel_attention;

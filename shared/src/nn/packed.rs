@@ -1,12 +1,14 @@
-//! The inner loops of the 3x3 convolution: widened rows, packed weights, blocks of output channels and columns in registers.
+//! The inner loops of the 3x3 convolution: widened rows, packed weights, blocks of output channels and columns in
+//! registers.
 
 #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
 use crate::num::arm;
 use crate::num::{f16, simd::Vector, widen, widen_slice};
 
-/// Output channels that one pass over the rows makes.
+/// Output channels that are computed in one pass over the rows.
 pub(super) const OUTPUTS: usize = 4;
-/// Rows are laid out in multiples of the widest block of columns of any target, so that the memory plan is the same on all.
+/// Rows are padded to a multiple of the widest block of columns of any target, so that the memory plan is the same on
+/// all of them.
 pub(super) const COLUMNS: usize = 16;
 
 /// Columns rounded up to whole blocks.
@@ -19,18 +21,18 @@ pub(super) const fn pitch(cols: usize) -> usize {
     padded(cols) + 2
 }
 
-/// Output channels of a block: a single one is not padded to four.
+/// Output channels in a block. A single one is not padded to four.
 pub(super) const fn block(outputs: usize) -> usize {
     if outputs == 1 { 1 } else { OUTPUTS }
 }
 
-/// Numbers that the packed weights of one block take, and one output channel of them before it is packed.
+/// Length of the packed weights of one block and of one output channel before it is packed, numbers.
 pub(super) const fn packed_len(inputs: usize, outputs: usize) -> usize {
     inputs * 9 * (block(outputs) + 1)
 }
 
-/// Packs the weights `[out, in, 3, 3]` of the output channels from `first` on as `[in, 3, 3, block]`, zeros beyond the last.
-/// Returns them; the rest of `packed` is scratch.
+/// Packs the weights `[out, in, 3, 3]` of the output channels from `first` on as `[in, 3, 3, block]`, zeros beyond the
+/// last. Returns the packed weights. The rest of `packed` is scratch.
 #[inline(always)]
 pub(super) fn pack<'a>(
     weights: &[f16],
@@ -59,7 +61,8 @@ pub(super) fn bias(bias: &[f16], first: usize) -> [f32; OUTPUTS] {
     core::array::from_fn(|o| bias.get(first + o).map_or(0.0, |&b| widen(b)))
 }
 
-/// One row of a block of output channels: `sums` (block, padded columns) from three rows of all input channels `[3, in, pitch]`.
+/// One row of a block of output channels: `sums` (block, padded columns) from three rows of all input channels
+/// `[3, in, pitch]`.
 ///
 /// Each sum starts at the bias and runs over (input channel, ky, kx) in this order.
 #[inline(always)]

@@ -1,6 +1,7 @@
-//! Pixel (un)shuffle by 2 as addressing: no data moves.
+//! Pixel shuffle and unshuffle by 2, done by addressing: no data are moved.
 //!
-//! Channel order of PyTorch: `unshuffle(x)[4 c + 2 i + j][y][x] = x[c][2 y + i][2 x + j]`, and `shuffle` is its inverse.
+//! Channel order of PyTorch: `unshuffle(x)[4 c + 2 i + j][y][x] = x[c][2 y + i][2 x + j]`, and `shuffle` is its
+//! inverse.
 
 use crate::image::Chw;
 use crate::num::{f16, fused};
@@ -13,8 +14,8 @@ pub fn widen_unshuffled_row(tensor: Chw<'_, f16>, channel: usize, row: usize, to
     fused::widen_alternate(from, j, to);
 }
 
-/// Where row `row` of channel `channel` goes when a tensor of 4 C channels is shuffled to C: channel, row, first column; its
-/// columns then lie 2 apart.
+/// Destination (channel, row, first column) of row `row` of channel `channel` where a tensor of 4 C channels is
+/// shuffled to C. The columns then lie 2 apart.
 #[inline(always)]
 pub fn shuffled(channel: usize, row: usize) -> (usize, usize, usize) {
     (channel / 4, 2 * row + channel / 2 % 2, channel % 2)

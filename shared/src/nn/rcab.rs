@@ -1,8 +1,10 @@
-//! Residual channel-attention block: `g = g + s * t` with `t = conv(relu(conv(g)))` and `s` the [channel attention](super::channel_attention) of t.
+//! Residual channel-attention block: `g = g + s * t` with `t = conv(relu(conv(g)))` and `s` the [channel
+//! attention](super::channel_attention) of t.
 //!
 //! t is stored as halves; `s * t` is rounded to binary32, then added, then rounded to half.
 //!
-//! s is the mean of a whole frame. Where it is not measured but held from another frame, a block can work on a window of the features alone.
+//! s depends on the whole frame. Where it is held from another frame, a block can work on only a window of the
+//! features.
 
 use super::activation::Activation;
 use super::channel_attention::{self, ChannelAttention, Scales};
@@ -29,7 +31,7 @@ pub struct Rcab {
     pub channels: usize,
     /// Width W/r of the attention's bottleneck.
     pub hidden: usize,
-    /// The features that each of the two convolutions makes: the frame, or windows of it, the second in the first.
+    /// Windows of the features that the two convolutions compute, the second one inside the first.
     pub windows: [Region; 2],
 }
 
@@ -45,14 +47,16 @@ impl Rcab {
         ChannelAttention { channels, hidden, rows: rows as usize, cols: cols as usize }
     }
 
-    /// Numbers of scratch for bands of `band` rows; with 1 the least that [`Self::process`] works with.
+    /// Length of scratch for bands of `band` rows, numbers. With bands of 1 row it is what [`Self::process`] needs at
+    /// least.
     pub const fn scratch_len(&self, band: usize) -> usize {
         let conv = self.conv(self.windows[0], Activation::Linear).scratch_len(band);
         let attention = self.channels + self.attention().scratch_len();
         if conv > attention { conv } else { attention }
     }
 
-    /// Adds the block's residual to `g` and cuts it to the second window; `t` is overwritten, and needs as much room.
+    /// Adds the residual of the block to `g`, and cuts `g` to the second window. `t` is a buffer of the same length,
+    /// which is overwritten.
     ///
     /// # Errors
     /// [`NnError`] where a tensor, the weights, the scales or the scratch do not fit the plan.

@@ -1,7 +1,7 @@
-//! The network's tail in one pass: `sigmoid(conv2(pixel_shuffle(conv(y))))`, conv W -> 4 W, conv2 W -> 1.
+//! The end of the network in one pass: `sigmoid(conv2(pixel_shuffle(conv(y))))`, conv W -> 4 W, conv2 W -> 1.
 //!
-//! The shuffled features have W channels at full resolution, the largest tensor of the network. They never lie in memory as a
-//! whole: a band of rows is made, rounded to halves as if it were stored, and convolved at once.
+//! The shuffled features, W channels at full resolution, are the largest tensor of the network. It is never stored as a
+//! whole: a band of rows is computed, rounded to halves as if it were stored, and convolved at once.
 
 use super::activation::Activation;
 use super::conv::Parameters;
@@ -12,19 +12,20 @@ use crate::image::{Chw, PlaneMut};
 use crate::num::simd::{Kernel, Simd, Vector};
 use crate::num::{f16, fused, narrow_slice, widen_slice};
 
-/// Plan of the tail.
+/// Plan of the end of the network.
 #[derive(Clone, Copy, Debug)]
 pub struct Upscale {
     /// Feature channels W.
     pub channels: usize,
-    /// Rows of the features; the output has twice as many.
+    /// Rows of the features. The output has twice as many.
     pub rows: usize,
-    /// Columns of the features; the output has twice as many.
+    /// Columns of the features. The output has twice as many.
     pub cols: usize,
 }
 
 impl Upscale {
-    /// Numbers of scratch for bands of `band` feature rows; with 1 the least that [`Self::process`] works with.
+    /// Length of scratch for bands of `band` feature rows, numbers. With bands of 1 row it is what [`Self::process`]
+    /// needs at least.
     pub const fn scratch_len(&self, band: usize) -> usize {
         self.fixed_len() + band * self.row_len()
     }
@@ -50,10 +51,12 @@ impl Upscale {
         self.coarse_len() + 2 * self.fine_len()
     }
 
-    /// `input` (channels, rows, cols) -> `output`, the part of the result (2 rows, 2 cols) that begins at `origin`, 0 to 1.
+    /// Computes `output`, the part of the result (2 rows, 2 cols) that begins at pixel `origin` (row, column), 0 to 1,
+    /// from `input` (channels, rows, cols).
     ///
     /// # Errors
-    /// [`NnError`] where a tensor, the weights or the scratch do not fit the plan; nothing is written then.
+    /// [`NnError::Shape`], [`NnError::Weights`] or [`NnError::Scratch`] where an argument does not fit the plan.
+    /// Nothing is written then.
     pub fn process(
         &self,
         simd: Simd,
@@ -100,7 +103,7 @@ impl Kernel for Job<'_> {
         let (coarse, scratch) = scratch.split_at_mut((band + 2) * plan.coarse_len());
         let fine = &mut scratch[..(2 * band + 3) * plan.fine_len()];
         let wanted = top..top + output.rows();
-        // Feature rows that a wanted row takes.
+        // Feature rows that the wanted rows depend on.
         let coarse_wanted = top.saturating_sub(1) / 2..wanted.end / 2 + 1;
         let weights2 = packed::pack(conv2.weights, plan.channels, 1, 0, packed2);
         fine.fill(0.0);
@@ -136,7 +139,7 @@ impl Kernel for Job<'_> {
 }
 
 impl Upscale {
-    /// Makes the slots hold feature rows start - 1..=start + height, zeros outside the frame.
+    /// Fills the slots with feature rows start - 1..=start + height, zeros outside the frame.
     #[inline(always)]
     fn widen(&self, input: Chw<'_, f16>, start: usize, height: usize, slots: &mut [f32]) {
         let slots = slots.chunks_exact_mut(self.coarse_len()).take(height + 2);
@@ -152,7 +155,7 @@ impl Upscale {
         }
     }
 
-    /// Spreads one row of a block of channels over the fine rows, rounded to half.
+    /// Distributes one row of a block of channels over the fine rows, rounded to halves.
     #[inline(always)]
     fn shuffle(&self, sums: &[f32], first: usize, row: usize, fine: &mut [f32]) {
         let pitch = packed::pitch(2 * self.cols);
@@ -176,7 +179,8 @@ mod tests {
     use std::vec;
     use std::vec::Vec;
 
-    /// The rounding of the fine features carried through a convolution and the slope 1/4 of the sigmoid; its error; one rounding.
+    /// The rounding of the fine features carried through a convolution and the slope 1/4 of the sigmoid; its error; one
+    /// rounding.
     const TOLERANCE: f64 = 1.0e-3;
 
     struct Case {

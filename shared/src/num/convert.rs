@@ -1,4 +1,4 @@
-//! Between binary16 and binary32: the same bits on every target.
+//! Conversions between binary16 and binary32, with the same bits on every target.
 
 #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
 use super::arm as unit;
@@ -6,13 +6,14 @@ use super::f16;
 #[cfg(not(all(target_arch = "arm", target_abi = "eabihf")))]
 use integer as unit;
 
-/// Widens a half. Exact; a NaN becomes a NaN, the default one the quiet NaN `0x7fc0_0000`.
+/// Widens a half. The result is exact. A NaN becomes a NaN, and the default NaN becomes the quiet NaN `0x7fc0_0000`.
 #[inline(always)]
 pub fn widen(value: f16) -> f32 {
     unit::widen(value)
 }
 
-/// Rounds to the nearest half, ties to even; beyond 65,520 to infinity; a NaN becomes a NaN, the default one `0x7e00`.
+/// Rounds to the nearest half, ties to even, and to infinity from 65,520 on. A NaN becomes a NaN, and the default NaN
+/// becomes `0x7e00`.
 #[inline(always)]
 pub fn narrow(value: f32) -> f16 {
     unit::narrow(value)
@@ -32,7 +33,8 @@ pub fn narrow_slice(from: &[f32], to: &mut [f16]) {
     unit::narrow_slice(from, to);
 }
 
-/// By integers, for targets whose language has no conversion: branch-free, so that loops become vector code.
+/// Conversions with integer operations, for targets other than Arm. They have no branches, so that the compiler can
+/// vectorize loops.
 #[cfg(not(all(target_arch = "arm", target_abi = "eabihf")))]
 mod integer {
     use super::f16;
@@ -44,8 +46,8 @@ mod integer {
     /// The smallest positive half, 2^-24.
     const SUBNORMAL_UNIT: f32 = 1.0 / 16_777_216.0;
 
-    /// The exponent is re-biased by one exact multiplication, which also brings subnormal halves to their normal form. Every NaN
-    /// becomes the default one.
+    /// The exponent is re-biased by one exact multiplication, which also brings subnormal halves to their normal form.
+    /// Every NaN becomes the default one.
     #[inline(always)]
     pub(super) fn widen(value: f16) -> f32 {
         let bits = u32::from(value.to_bits());
@@ -59,8 +61,8 @@ mod integer {
         f32::from_bits(if magnitude < 0x7c00 { finite | sign } else { special })
     }
 
-    /// After F. Giesen's `float_to_half_fast3_rtne`: subnormal results round by one float addition, normal ones by an integer
-    /// addition below the kept bits. Every NaN becomes the default one.
+    /// After F. Giesen's `float_to_half_fast3_rtne`: subnormal results round by one float addition, normal ones by an
+    /// integer addition below the kept bits. Every NaN becomes the default one.
     #[inline(always)]
     pub(super) fn narrow(value: f32) -> f16 {
         let bits = value.to_bits();

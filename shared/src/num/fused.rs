@@ -1,11 +1,12 @@
-//! Loops that convert on the way, so that no widened copy is made: what operators do at load and store.
+//! Loops that convert between halves and singles while they load or store, without a widened copy.
 
 #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
 use super::arm;
 use super::convert::{narrow, widen};
-use super::{f16, mac};
+use super::f16;
+use super::function::mac;
 
-/// How many leading elements the target's own loop has done; none where there is no such loop.
+/// Number of leading elements that the routine for Arm has done; 0 on other targets.
 macro_rules! done_on_arm {
     ($function:ident($($argument:expr),*)) => {{
         #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
@@ -16,7 +17,7 @@ macro_rules! done_on_arm {
     }};
 }
 
-/// Narrows `max(x, 0)`; a negative zero becomes zero.
+/// Narrows `max(x, 0)` of each element. A negative zero becomes zero.
 #[inline(always)]
 pub fn narrow_relu(from: &[f32], to: &mut [f16]) {
     let done = done_on_arm!(narrow_relu(from, to));
@@ -43,7 +44,7 @@ pub fn add_scaled(scale: f32, from: &[f16], to: &mut [f16]) {
     }
 }
 
-/// Divides by `divisor` and rounds to single, then to half.
+/// Divides each element by `divisor`, rounded to single, then to half.
 #[inline(always)]
 pub fn divide(values: &mut [f16], divisor: f32) {
     let done = done_on_arm!(divide(values, divisor));
@@ -52,7 +53,7 @@ pub fn divide(values: &mut [f16], divisor: f32) {
     }
 }
 
-/// Adds the elements 8 k + j to partial sum j, k ascending.
+/// Adds the elements 8 k + j to partial sum j, in ascending order of k.
 #[inline(always)]
 pub fn add_eights(from: &[f16], sums: &mut [f32; 8]) {
     let done = done_on_arm!(add_eights(from, sums));
@@ -76,7 +77,7 @@ pub fn widen_alternate(from: &[f16], first: usize, to: &mut [f32]) {
     }
 }
 
-/// Rounds to halves and widens again, as if stored between: `to[2 i]` from `even[i]`, `to[2 i + 1]` from `odd[i]`.
+/// Rounds to halves and widens again: `to[2 i]` from `even[i]`, `to[2 i + 1]` from `odd[i]`.
 #[inline(always)]
 pub fn round_interleaved(even: &[f32], odd: &[f32], to: &mut [f32]) {
     let done = done_on_arm!(round_interleaved(even, odd, to));

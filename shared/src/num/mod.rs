@@ -1,14 +1,27 @@
-//! Number formats and the few operations whose bits the whole project depends on.
+//! Number formats, and the basic operations that every operator uses.
 //!
 //! # Rules
-//! - *Stored*: IEEE 754 binary16 ([`struct@f16`]). *Computed*: IEEE binary32, round to nearest even.
-//! - A multiply-accumulate is [`mac`]: two roundings, product first. No operator uses a fused one, except where both factors are
-//!   widened halves: such a product has 22 significant bits, is exact in binary32, and both forms give the same bits.
+//! - Numbers are *stored* as IEEE 754 binary16 ([`struct@f16`], here called halves) and *computed* in IEEE binary32,
+//!   round to nearest even.
+//! - A multiply-accumulate is [`mac`]: two roundings, product first. Operators use a fused one only where both factors
+//!   are widened halves. Such a product has 22 significant bits and is exact in binary32, so both forms give the same
+//!   bits.
 //! - Vector lanes run over independent outputs, never over a sum. A sum has one stated order.
-//! - NaN never reaches a cast to an integer; it is refused at the door ([`crate::pipeline`]).
+//! - NaN never reaches a cast to an integer: a [`crate::blob::Network`] has finite weights only.
 //!
-//! This is the only module of the crate that may hold `unsafe` code: the loops that are written in the Cortex-M's instructions
-//! (`arm`), and the choice of the instruction set at run time ([`simd`]).
+//! ```
+//! use ommatidia_shared::num::{f16, mac, max_finite, narrow, sigmoid, widen};
+//!
+//! assert_eq!(widen(narrow(0.1)), 0.099975586, "the nearest half");
+//! assert_eq!(narrow(65_520.0), f16::INFINITY);
+//! assert_eq!(mac(3.0, 4.0, 5.0), 17.0);
+//! assert_eq!(max_finite(&[f16::ONE, f16::NEG_ONE]), (1.0, true));
+//! assert_eq!(sigmoid(0.0), 0.5);
+//! assert!((sigmoid(2.0) - 0.880797).abs() < 1.8e-4);
+//! ```
+//!
+//! This is the only module of the crate with `unsafe` code: the loops in the Cortex-M's instructions (`arm`), and the
+//! choice of the instruction set at run time ([`simd`]).
 
 #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
 pub(crate) mod arm;
@@ -19,23 +32,5 @@ pub mod pairs;
 pub mod simd;
 
 pub use convert::{narrow, narrow_slice, widen, widen_slice};
-pub use function::sigmoid;
+pub use function::{mac, max_finite, sigmoid};
 pub use half::f16;
-
-/// `a * b + c` with two roundings: the product is rounded, then the sum.
-#[inline(always)]
-pub fn mac(a: f32, b: f32, c: f32) -> f32 {
-    c + a * b
-}
-
-/// Largest value of a slice by `>`, and whether all values are finite. Empty: `(-inf, true)`.
-pub fn max_finite(values: &[f16]) -> (f32, bool) {
-    let mut finite = true;
-    let mut max = f32::NEG_INFINITY;
-    for &value in values {
-        finite &= value.is_finite();
-        let value = widen(value);
-        max = if value > max { value } else { max };
-    }
-    (max, finite)
-}

@@ -1,21 +1,21 @@
-//! Columns of pairs of halves, such as complex numbers, that lie a stride apart.
+//! Columns of pairs of halves, such as complex numbers, at a stride from each other.
 
 use super::convert::narrow;
 #[cfg(not(all(target_arch = "arm", target_abi = "eabihf")))]
 use super::convert::widen;
 use super::f16;
 
-/// How pairs go to halves.
+/// How pairs of singles are converted to halves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Parts {
     /// Both numbers times a power of two.
     Scaled(f32),
-    /// The second number first.
+    /// In exchanged order.
     Exchanged,
 }
 
 impl Parts {
-    /// One pair.
+    /// Converts one pair.
     #[inline(always)]
     pub fn of(self, [a, b]: [f32; 2]) -> [f16; 2] {
         match self {
@@ -38,8 +38,8 @@ const fn reversed(i: usize, len: usize) -> usize {
     (i as u32).reverse_bits() as usize >> (u32::BITS - len.trailing_zeros())
 }
 
-/// Widens the pairs at `from[i * stride..][..2]` to the places of `to` whose numbers have the bits of `i` reversed. The number of
-/// places is a power of two, 4 at least.
+/// Widens the pairs at `from[i * stride..][..2]` to the elements of `to` whose indices are `i` with its bits reversed.
+/// `to` has a power of two of elements, 4 at least.
 #[inline(always)]
 pub fn gather_pairs(from: &[f16], stride: usize, to: &mut [[f32; 2]]) {
     #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
@@ -55,8 +55,9 @@ pub fn gather_pairs(from: &[f16], stride: usize, to: &mut [[f32; 2]]) {
     }
 }
 
-/// Adds the products of the complex numbers (re, im) at `k[i * stride..][..2]` and `x[i * stride..][..2]`, imaginary part first, to the
-/// places of `to` whose numbers have the bits of `i` reversed: `re = (re + kr xr) - ki xi`, `im = (im + kr xi) + ki xr`.
+/// Adds the products of the complex numbers (re, im) at `k[i * stride..][..2]` and `x[i * stride..][..2]`, imaginary
+/// part first, to the elements of `to` whose indices are `i` with its bits reversed: `re = (re + kr xr) - ki xi`,
+/// `im = (im + kr xi) + ki xr`.
 #[inline(always)]
 pub fn add_products(k: &[f16], x: &[f16], stride: usize, to: &mut [[f32; 2]]) {
     #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]

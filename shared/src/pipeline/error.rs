@@ -1,22 +1,22 @@
-//! What the pipeline refuses.
+//! Errors of the pipeline.
 
 use core::fmt;
 
-use crate::blob::{MemoryPlan, Section, Size};
+use crate::blob::{MemoryPlan, Size};
 use crate::filter::FilterError;
 use crate::image::{Region, ShapeError};
 use crate::nn::NnError;
 
-/// What the pipeline refuses.
+/// Why the pipeline refuses a network or an argument.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PipelineError {
     /// A size in the header is zero, odd, or too large.
     Field {
-        /// Which one.
+        /// Name of the field.
         field: &'static str,
-        /// What it must be.
+        /// Allowed values.
         expected: &'static str,
-        /// What it is.
+        /// Value found.
         found: u32,
     },
     /// The black level is not finite.
@@ -24,72 +24,58 @@ pub enum PipelineError {
         /// The level found, DN.
         found: f32,
     },
-    /// The filter bank contradicts itself.
+    /// The filter bank has impossible shapes, or its filters do not belong to it.
     Filter(FilterError),
-    /// An operator refused its input. It means a defect of this crate: the shapes are checked before.
+    /// An operator refused its input. As all shapes are checked before, this is a defect of this crate.
     Network(NnError),
-    /// A buffer does not hold its shape. It means a defect of this crate.
+    /// A buffer does not hold its shape. As all lengths are checked before, this is a defect of this crate.
     Shape(ShapeError),
-    /// A weight section has another length than the header says; 0 halves where the header says that there is none.
-    Length {
-        /// Which one.
-        section: Section,
-        /// Halves by the header.
-        expected: usize,
-        /// Halves found.
-        found: usize,
-    },
-    /// A weight is infinite or NaN.
-    NotFinite {
-        /// In which section.
-        section: Section,
-        /// Number of the half in the section.
-        index: usize,
-    },
-    /// The memory plan in the header is not the plan of this version.
+    /// The memory plan in the header is not that of this version.
     Plan {
         /// The plan for these shapes.
         expected: MemoryPlan,
         /// The plan in the header.
         found: MemoryPlan,
     },
-    /// The frame has another length.
+    /// The raw frame has another length.
     Frame {
         /// Pixels by the header.
         expected: usize,
         /// Pixels given.
         found: usize,
     },
-    /// The region is empty or reaches out of the object.
+    /// The region is empty or reaches beyond the object.
     Region {
-        /// The object.
+        /// Size of the object.
         object: Size,
-        /// The region asked for.
+        /// Region given.
         found: Region,
     },
-    /// There is another number of scales than the network has.
+    /// The number of attention scales is not that of the network.
     Scales {
         /// Scales of the network.
         expected: usize,
         /// Scales given.
         found: usize,
     },
-    /// What is held is of a frame without light, or of one whose filters left the range of halves.
+    /// The held statistics are those of a frame without light, or of one with filter outputs outside the range of
+    /// halves.
     NothingHeld,
-    /// What is held does not fit the frame: one of its maxima is more than [twice](super::GROWTH) as large, or the frame's less than half.
+    /// The held statistics do not fit the frame: its maximum is more than [`GROWTH`](super::GROWTH) times the held one
+    /// or less than the held one divided by that, or its filter outputs are too large in the same way.
     Outgrown,
-    /// The output has another length.
+    /// The output buffer has another length.
     Output {
         /// Pixels of the region.
         expected: usize,
         /// Pixels given.
         found: usize,
     },
-    /// The caller's memory is too small.
+    /// The memory is too small.
     Memory {
-        /// The least that is needed.
+        /// Memory needed at least.
         expected: MemoryPlan,
-        /// What was given.
+        /// Memory given.
         found: MemoryPlan,
     },
 }
@@ -116,38 +102,32 @@ impl fmt::Display for PipelineError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Field { field, expected, found } => write!(f, "{field}: expected {expected}, found {found}"),
-            // Words, not the number: the device would have to carry all that prints a float.
+            // A word instead of the value: printing floats would take much of the device's flash.
             Self::BlackLevel { found } => {
-                let found = if found.is_nan() { "none" } else { "an infinite one" };
+                let found = if found.is_nan() { "NaN" } else { "infinity" };
                 write!(f, "sensor.black_level_dn: expected a finite level, found {found}")
             }
             Self::Filter(error) => error.fmt(f),
             Self::Network(error) => error.fmt(f),
             Self::Shape(error) => error.fmt(f),
-            Self::Length { section, expected, found } => {
-                write!(f, "weights, {}: expected {expected} halves, found {found}", section.name())
-            }
-            Self::NotFinite { section, index } => {
-                write!(f, "weights, {}: half {index} is not finite", section.name())
-            }
             Self::Plan { expected, found } => write!(
                 f,
-                "memory plan: expected {} + {} bytes, found {} + {}; quantize the network anew",
+                "memory plan: expected {} + {} bytes, found {} + {}; quantize the network again",
                 expected.fast_bytes, expected.bulk_bytes, found.fast_bytes, found.bulk_bytes
             ),
             Self::Frame { expected, found } => write!(f, "raw frame: expected {expected} pixels, found {found}"),
             Self::Region { object, found } => {
                 write!(
                     f,
-                    "region {found} (row,col,rows,cols): it must lie in the {} x {} pixels",
+                    "region {found} (row,col,rows,cols): it must lie in the {} x {} pixels of the object",
                     object.rows, object.cols
                 )
             }
-            Self::Scales { expected, found } => write!(f, "scales: expected {expected}, found {found}"),
+            Self::Scales { expected, found } => write!(f, "attention scales: expected {expected}, found {found}"),
             Self::NothingHeld => {
-                f.write_str("no statistics of the field are held: the frame that they are of had no light")
+                f.write_str("no statistics of the field are held: the frame that they come from had no light")
             }
-            Self::Outgrown => f.write_str("the frame is too bright or too dark for the statistics that are held"),
+            Self::Outgrown => f.write_str("the frame is too bright or too dark for the held statistics"),
             Self::Output { expected, found } => write!(f, "output: expected {expected} pixels, found {found}"),
             Self::Memory { expected, found } => {
                 memory(f, "fast", expected.fast_bytes, found.fast_bytes)?;

@@ -1,61 +1,69 @@
-//! What a reconstruction takes from the whole field, and from which frame.
+//! The statistics of the field: the quantities of a reconstruction that depend on every pixel of a frame.
 //!
-//! Three things depend on every pixel of a frame: the maximum that it is divided by, the maximum of all filter outputs, and the scales of the
-//! channel attentions, which are means over the features. A run *measures* them, so it computes the whole field up to the last attention
-//! whatever region is wanted, and the region is exact. Or it takes those that are *held* from an earlier frame: then it computes the region
-//! and what the convolutions and filters need around it, no more, and the result is approximate, but for a frame that is the same. Both
-//! maxima are held together, so brightness stays on the scale of the frame that they are of.
+//! There are three: the maximum that the frame is divided by, the maximum of all filter outputs, and the scales of the
+//! channel attentions, which follow from means over the features. A run either *measures* them in its own frame. Then
+//! it computes the whole field up to the last attention, whatever region is wanted, and the region is exact. Or it
+//! takes those that are *held* from an earlier frame. Then it computes only the region and its surroundings that
+//! filters and convolutions need, and the result is approximate unless both frames are equal. Both maxima are held
+//! together, so the brightness stays on the scale of the frame in which they were measured.
 
-use super::PipelineError;
+use super::error::PipelineError;
 use crate::nn::channel_attention::Scales;
 
-/// How much brighter or darker than the frame that is held a frame may be. The network was trained on maxima of 1; far above, features would
-/// leave the range of halves.
+/// Largest ratio, either way, of the maximum of a frame to the held maximum. The network was trained on maxima of 1;
+/// far above that, features would leave the range of halves.
 pub const GROWTH: f32 = 2.0;
 
-/// What a run saw.
+/// What a run measured in its frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stats {
     /// Pixels of the raw frame at or above the saturation code.
     pub saturated_px: u32,
-    /// Maximum of the corrected frame, DN. Where it is not positive the frame was taken as zero, unless another frame's is held.
+    /// Maximum of the corrected frame, DN. Where it is not positive and no other maximum is held, the frame was taken
+    /// as zero.
     pub frame_max_dn: f32,
-    /// Maximum of the filter outputs that were computed, for the frame divided by its maximum or by that which is held. Where it is not
-    /// positive and none is held, or [`Self::filter_finite`] is false, the network saw zeros.
+    /// Maximum of the filter outputs that were computed, for the frame divided by its maximum or by the held one. Where
+    /// it is not positive and none is held, or where [`Self::filter_finite`] is false, the input of the enhancement
+    /// network was zero.
     pub filter_max: f32,
-    /// No filter output that was computed left the range of halves.
+    /// Whether all filter outputs that were computed were finite as halves.
     pub filter_finite: bool,
 }
 
 impl Stats {
-    /// Whether later frames can be divided by these maxima: a frame without light leaves nothing to hold.
+    /// Whether later frames can be divided by these maxima. Those of a frame without light cannot be held.
     pub fn can_be_held(&self) -> bool {
         self.frame_max_dn > 0.0 && self.filter_max > 0.0 && self.filter_finite
     }
 
-    /// Whether a frame of this maximum can be divided by that which is held.
+    /// Checks that a frame with this maximum, DN, can be divided by the held maximum.
     pub(super) fn fits_frame(&self, max_dn: f32) -> Result<(), PipelineError> {
         let fits = max_dn <= GROWTH * self.frame_max_dn && GROWTH * max_dn >= self.frame_max_dn;
         if fits { Ok(()) } else { Err(PipelineError::Outgrown) }
     }
 
-    /// The same for the filter outputs of a part of the object. How dark they are says nothing.
+    /// Checks the same of the filter outputs of a part of the object. A part may be dark, so there is no lower bound.
     pub(super) fn fits_filters(&self, max: f32, finite: bool) -> Result<(), PipelineError> {
         if finite && max <= GROWTH * self.filter_max { Ok(()) } else { Err(PipelineError::Outgrown) }
     }
 }
 
-/// Where that which depends on the whole field comes from.
+/// Where a run takes the statistics of the field from.
 #[derive(Debug)]
 pub enum Field<'s> {
-    /// From the frame at hand. Its scales are written down where there is a place for them, [`super::Pipeline::scales_len`] numbers.
+    /// From its own frame. Where a slice of [`super::Pipeline::scales_len`] numbers is given, the attention scales are
+    /// written to it.
     Measured(Option<&'s mut [f32]>),
-    /// From another frame: what the run that measured it saw, and the scales that it wrote down.
+    /// From another frame: what the run on that frame returned, and the attention scales that it wrote.
     Held(Stats, &'s [f32]),
 }
 
 impl<'s> Field<'s> {
-    /// Whose maxima are held, and the scales; checked.
+    /// The held maxima, if there are any, and the source of the scales. `scales_len` is the number of scales of the
+    /// network.
+    ///
+    /// # Errors
+    /// [`PipelineError::Scales`], [`PipelineError::NothingHeld`].
     pub(super) fn split(self, scales_len: usize) -> Result<(Option<Stats>, Scales<'s>), PipelineError> {
         let (held, found, scales) = match self {
             Self::Measured(None) => return Ok((None, Scales::Measured(None))),

@@ -1,35 +1,48 @@
 //! Statistics of the field that are held over the frames of a stream.
 
-use super::{Field, Memory, Pipeline, PipelineError, Stats};
+use super::error::PipelineError;
+use super::field::{Field, Stats};
+use super::reconstruct::{Memory, Pipeline};
 use crate::blob::MemoryPlan;
 use crate::image::Region;
 use crate::num::f16;
 
-/// What was measured last. The scales lie in the last [`Pipeline::scales_len`] numbers of the fast memory, which must be the same, and
-/// untouched, from run to run.
+/// A region of the object, and how old the statistics may be that it is reconstructed with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct HeldRegion {
+    /// Region of the object.
+    pub region: Region,
+    /// Largest age of the statistics, in runs. 0: they are measured in the same frame, so the region is exact.
+    pub hold: u16,
+}
+
+/// Statistics of the field that were measured last. The scales lie in the last [`Pipeline::scales_len`] numbers of the
+/// fast memory, which the caller must keep untouched from run to run.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Holder {
-    /// What the run that measured saw, and how many runs ago.
+    /// What the run that measured them returned, and its age in runs.
     held: Option<(Stats, u16)>,
 }
 
 impl Holder {
-    /// Nothing is held any more: the network, the memory or the scene is another.
+    /// Discards what is held. To be called where the network, the memory or the scene changes.
     pub fn forget(&mut self) {
         self.held = None;
     }
 
-    /// Reconstructs a region with the field's statistics of at most `hold` runs ago, and tells how many: 0 where they are measured in this very
-    /// frame, so that the region is exact. That is where `hold` is 0, where nothing so young is held, and where what is held no longer fits
-    /// ([`PipelineError::Outgrown`]).
+    /// Reconstructs a region with statistics of the field that are at most `request.hold` runs old. Returns what the
+    /// run measured, and the age of the statistics. The age is 0 where they were measured in this frame, so that the
+    /// region is exact. That is the case where `hold` is 0, where nothing young enough is held, and where the held
+    /// statistics no longer fit ([`PipelineError::Outgrown`]).
     ///
     /// # Errors
-    /// As [`Pipeline::run_with`]; [`PipelineError::Memory`] where something is to be held and the fast memory has no room for the scales.
+    /// As [`Pipeline::run_with`]; [`PipelineError::Memory`] where `hold` is not 0 and the fast memory has no room for
+    /// the scales.
     pub fn run(
         &mut self,
         pipeline: &Pipeline<'_>,
         frame: &[u16],
-        (region, hold): (Region, u16),
+        HeldRegion { region, hold }: HeldRegion,
         Memory { fast, bulk }: Memory<'_>,
         output: &mut [f16],
     ) -> Result<(Stats, u16), PipelineError> {

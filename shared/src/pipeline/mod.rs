@@ -1,4 +1,4 @@
-//! Raw frame -> reconstruction: sensor correction, Fourier filter bank, enhancement network.
+//! From a raw frame to its reconstruction: sensor correction, Fourier filter bank, enhancement network.
 //!
 //! ```text
 //! x   = (code - black - offset) * inverse_gain        DN, negative values kept
@@ -7,275 +7,60 @@
 //! f   = f / max over all c of f                       all zeros where that is <= 0 or an f is not finite
 //! out = rcan(f)                                       see crate::nn::rcan; halves, 0 to 1
 //! ```
-//! Both divisions are divisions, rounded once to binary32; f is stored as halves before and after. The maxima can also be held from an earlier
-//! frame ([`Field`]).
+//! Both divisions are rounded once to binary32; f is stored as halves before and after. The maxima can also be held
+//! from an earlier frame ([`Field`]).
 //!
-//! The configuration ([`Pipeline`]) is immutable and borrows the network file; the mutable state is the caller's memory
-//! ([`Memory`]): fast scratch and a bulk arena, of the sizes of [`Pipeline::plan`] or larger. More fast scratch means taller bands and
-//! wider strips, hence speed; never other bits. What the memory holds before does not matter.
+//! A [`Pipeline`] is immutable and borrows a [`Network`](crate::blob::Network). The mutable state is the caller's
+//! memory ([`Memory`]): fast scratch and a bulk arena, at least of the sizes of [`Pipeline::plan`]. More fast scratch
+//! allows taller bands and wider strips, which is faster and does not change a bit. The content of the memory before a
+//! run does not matter.
+//!
+//! ```
+//! use ommatidia_shared::blob::{Bank, Header, MemoryPlan, Network, Rcan, Sensor, Size, Tap, Weights};
+//! use ommatidia_shared::num::f16;
+//! use ommatidia_shared::pipeline::{Memory, Pipeline};
+//!
+//! let taps = [Tap { channel: 0, dy: 0, dx: 0 }].into_iter().collect();
+//! let mut header = Header {
+//!     name: "example".try_into().unwrap(),
+//!     checkpoint: "".try_into().unwrap(),
+//!     frame: Size { rows: 8, cols: 8 },
+//!     object: Size { rows: 4, cols: 4 },
+//!     sensor: Sensor { black_level_dn: 64.0, saturation_dn: 1023, has_offset_map: false, has_gain_map: false },
+//!     bank: Bank { tile: 8, step: 8, channels: 1, taps, blocks: None },
+//!     rcan: Rcan { width: 1, groups: 1, blocks: 1, reduction: 1 },
+//!     memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
+//! };
+//! header.memory = Pipeline::plan(&header).unwrap();
+//!
+//! // A filter that is the identity, and an enhancement network of zeros: the reconstruction is sigmoid(0) everywhere.
+//! let mut filters = [f16::ZERO; 80];
+//! filters.chunks_mut(2).for_each(|number| number[0] = f16::ONE);
+//! let rcan = [f16::ZERO; 131];
+//! let weights = Weights { filters: &filters, index: &[], rcan: &rcan, offset_dn: None, inverse_gain: None };
+//! let network = Network::new(header, weights).unwrap();
+//! let pipeline = Pipeline::new(&network).unwrap();
+//!
+//! let mut frame = [64; 64];
+//! frame[4 * 8 + 4] = 1064;
+//! let (mut fast, mut bulk) = (vec![0.0; pipeline.fast_len()], vec![f16::ZERO; pipeline.bulk_len()]);
+//! let mut output = vec![f16::ZERO; pipeline.output_len()];
+//! let stats = pipeline.run(&frame, Memory { fast: &mut fast, bulk: &mut bulk }, &mut output).unwrap();
+//! assert_eq!((stats.saturated_px, stats.frame_max_dn), (1, 1000.0));
+//! assert!((stats.filter_max - 1.0).abs() < 1e-3, "the frame divided by its maximum");
+//! assert!(output.iter().all(|&pixel| pixel == f16::from_f32(0.5)));
+//! ```
 
 mod error;
 mod field;
 mod holder;
+mod reconstruct;
 mod validate;
 
 pub use error::PipelineError;
 pub use field::{Field, GROWTH, Stats};
-pub use holder::Holder;
-
-use crate::blob::{Header, MemoryPlan, Weights};
-use crate::filter::{FilterBank, Filters, FrameSource};
-use crate::image::{ChwMut, PlaneMut, Region};
-use crate::nn::rcan::{self, Rcan};
-use crate::num::simd::{Kernel, Simd, Vector};
-use crate::num::{f16, fused, max_finite};
-use crate::sensor::FixedPattern;
-
-/// Rows of a band beyond which the rows no longer stay in a workstation's caches.
-const BEST_BAND: usize = 16;
-
-/// The caller's memory. Its content before a run does not matter.
-#[derive(Debug)]
-pub struct Memory<'m> {
-    /// Fast scratch.
-    pub fast: &'m mut [f32],
-    /// Bulk arena.
-    pub bulk: &'m mut [f16],
-}
-
-/// A network, checked and ready to run.
-#[derive(Clone, Copy, Debug)]
-pub struct Pipeline<'a> {
-    header: &'a Header,
-    weights: Weights<'a>,
-    pattern: FixedPattern<'a>,
-    filter: FilterBank<'a>,
-    rcan: Rcan,
-    simd: Simd,
-}
-
-impl<'a> Pipeline<'a> {
-    /// Checks every shape, length and weight, and that the memory plan in the header is [`Self::plan`]'s.
-    ///
-    /// # Errors
-    /// [`PipelineError`].
-    pub fn new(header: &'a Header, weights: Weights<'a>) -> Result<Self, PipelineError> {
-        let (filter, rcan) = validate::shapes(header)?;
-        validate::weights(header, &filter, &weights)?;
-        let (expected, found) = (memory_plan(header, &filter, &rcan)?, header.memory);
-        if expected != found {
-            return Err(PipelineError::Plan { expected, found });
-        }
-        let pattern = FixedPattern::new(header, &weights);
-        Ok(Self { header, weights, pattern, filter, rcan, simd: Simd::detect() })
-    }
-
-    /// The memory that a network needs at least: a function of the header's shapes alone, the same on every machine.
-    ///
-    /// # Errors
-    /// [`PipelineError`] where the header contradicts itself.
-    pub fn plan(header: &Header) -> Result<MemoryPlan, PipelineError> {
-        let (filter, rcan) = validate::shapes(header)?;
-        memory_plan(header, &filter, &rcan)
-    }
-
-    /// Numbers of fast scratch beyond which more does not help.
-    pub fn fast_len_best(&self) -> usize {
-        let frame = usize::from(self.header.frame.cols);
-        self.filter.scratch_len_wide().max(self.rcan.scratch_len(BEST_BAND)) + frame
-    }
-
-    /// Numbers of fast scratch needed at least.
-    pub fn fast_len(&self) -> usize {
-        self.header.memory.fast_bytes as usize / size_of::<f32>()
-    }
-
-    /// Halves of bulk memory needed.
-    pub fn bulk_len(&self) -> usize {
-        self.header.memory.bulk_bytes as usize / size_of::<f16>()
-    }
-
-    /// Pixels of a raw frame.
-    pub fn frame_len(&self) -> usize {
-        usize::from(self.header.frame.rows) * usize::from(self.header.frame.cols)
-    }
-
-    /// Pixels of the reconstruction.
-    pub fn output_len(&self) -> usize {
-        usize::from(self.header.object.rows) * usize::from(self.header.object.cols)
-    }
-
-    /// Scales of all channel attentions: what [`Field`] writes down and holds besides two maxima.
-    pub const fn scales_len(&self) -> usize {
-        self.rcan.scales_len()
-    }
-
-    /// The header.
-    pub const fn header(&self) -> &'a Header {
-        self.header
-    }
-
-    /// Reconstructs one frame: `frame` are the raw codes (frame rows, frame cols), `output` is (object rows, object cols), 0 to 1.
-    ///
-    /// # Errors
-    /// [`PipelineError::Frame`], [`PipelineError::Output`] or [`PipelineError::Memory`] where a slice has the wrong length; nothing is
-    /// written then.
-    pub fn run(&self, frame: &[u16], memory: Memory<'_>, output: &mut [f16]) -> Result<Stats, PipelineError> {
-        self.run_region(frame, self.whole(), memory, output)
-    }
-
-    /// Reconstructs `region` of the object alone: `output` is (region rows, region cols), and every bit is that of [`Self::run`].
-    ///
-    /// # Errors
-    /// As [`Self::run`]; [`PipelineError::Region`] where the region is empty or reaches out of the object.
-    pub fn run_region(
-        &self,
-        frame: &[u16],
-        region: Region,
-        memory: Memory<'_>,
-        output: &mut [f16],
-    ) -> Result<Stats, PipelineError> {
-        self.run_with(frame, region, Field::Measured(None), memory, output)
-    }
-
-    /// The same with a say in what depends on the whole field: measured, it is exact; held from another frame, only the region is computed.
-    ///
-    /// # Errors
-    /// As [`Self::run_region`]; [`PipelineError::Scales`] where `field` is of another network; [`PipelineError::NothingHeld`];
-    /// [`PipelineError::Outgrown`], and then the output is not written.
-    pub fn run_with(
-        &self,
-        frame: &[u16],
-        region: Region,
-        field: Field<'_>,
-        memory: Memory<'_>,
-        output: &mut [f16],
-    ) -> Result<Stats, PipelineError> {
-        let Memory { fast, bulk } = memory;
-        self.check_region(region)?;
-        self.check_lengths(frame, fast, bulk, (region.pixels(), output.len()))?;
-        let (held, scales) = field.split(self.scales_len())?;
-        let bulk = &mut bulk[..self.bulk_len()];
-        let (saturated_px, frame_max_dn) = self.survey(frame, fast);
-        held.map_or(Ok(()), |held| held.fits_frame(frame_max_dn))?;
-        let source = Corrected { pipeline: self, frame, max: held.map_or(frame_max_dn, |held| held.frame_max_dn) };
-        let part = self.rcan.input(region, held.is_some());
-        let filter = self.filter.of_part(part)?;
-        let (arena, channels) = bulk.split_at_mut(bulk.len() - filter.output_len());
-        let tensor = ChwMut::new(channels, usize::from(self.header.bank.channels), part.rows.into(), part.cols.into())?;
-        let filters = Filters { halves: self.weights.filters, index: self.weights.index };
-        filter.process(self.simd, &source, filters, tensor, arena, fast)?;
-        let by = held.map(|held| held.filter_max);
-        let (filter_max, filter_finite) = self.simd.run(Normalise { values: channels, by });
-        held.map_or(Ok(()), |held| held.fits_filters(filter_max, filter_finite))?;
-        let arena = bulk.len() - self.rcan.arena_len();
-        let output = PlaneMut::new(output, region.rows.into(), region.cols.into())?;
-        let parameters = rcan::Parameters { weights: self.weights.rcan, scales };
-        self.rcan.process(self.simd, parameters, &mut bulk[arena..], region, output, fast)?;
-        Ok(Stats { saturated_px, frame_max_dn, filter_max, filter_finite })
-    }
-
-    /// All of the object.
-    pub fn whole(&self) -> Region {
-        Region::whole(self.header.object.rows, self.header.object.cols)
-    }
-
-    /// Whether a region lies in the object.
-    ///
-    /// # Errors
-    /// [`PipelineError::Region`] where it does not.
-    pub fn check_region(&self, region: Region) -> Result<(), PipelineError> {
-        let object = self.header.object;
-        let inside = region.lies_in(object.rows, object.cols);
-        if inside { Ok(()) } else { Err(PipelineError::Region { object, found: region }) }
-    }
-
-    fn check_lengths(
-        &self,
-        frame: &[u16],
-        fast: &[f32],
-        bulk: &[f16],
-        output: (usize, usize),
-    ) -> Result<(), PipelineError> {
-        if frame.len() != self.frame_len() {
-            return Err(PipelineError::Frame { expected: self.frame_len(), found: frame.len() });
-        }
-        if output.0 != output.1 {
-            return Err(PipelineError::Output { expected: output.0, found: output.1 });
-        }
-        let expected = self.header.memory;
-        let found = MemoryPlan { fast_bytes: bytes(size_of_val(fast)), bulk_bytes: bytes(size_of_val(bulk)) };
-        if found.fast_bytes < expected.fast_bytes || found.bulk_bytes < expected.bulk_bytes {
-            return Err(PipelineError::Memory { expected, found });
-        }
-        Ok(())
-    }
-
-    /// Saturated pixels and the maximum of the corrected frame.
-    fn survey(&self, frame: &[u16], fast: &mut [f32]) -> (u32, f32) {
-        let cols = usize::from(self.header.frame.cols);
-        let row = &mut fast[..cols];
-        let (mut saturated, mut max) = (0, f32::NEG_INFINITY);
-        for (r, codes) in frame.chunks_exact(cols).enumerate() {
-            saturated += self.pattern.saturated(codes);
-            self.pattern.correct(r, 0, codes, row);
-            max = row.iter().fold(max, |max, &x| if x > max { x } else { max });
-        }
-        (saturated, max)
-    }
-}
-
-fn memory_plan(header: &Header, filter: &FilterBank<'_>, rcan: &Rcan) -> Result<MemoryPlan, PipelineError> {
-    let fast = filter.scratch_len().max(rcan.scratch_len(1)).max(usize::from(header.frame.cols));
-    let bulk = rcan.arena_len().max(filter.arena_len() + rcan.input_len());
-    Ok(MemoryPlan { fast_bytes: bytes(fast * size_of::<f32>()), bulk_bytes: bytes(bulk * size_of::<f16>()) })
-}
-
-/// Saturating, as a length that does not fit is large enough or much too large.
-fn bytes(len: usize) -> u32 {
-    u32::try_from(len).unwrap_or(u32::MAX)
-}
-
-/// The corrected frame, divided by its maximum.
-struct Corrected<'a> {
-    pipeline: &'a Pipeline<'a>,
-    frame: &'a [u16],
-    max: f32,
-}
-
-impl FrameSource for Corrected<'_> {
-    fn load(&self, row: usize, first: usize, to: &mut [f32]) {
-        if self.max > 0.0 {
-            let start = row * usize::from(self.pipeline.header.frame.cols) + first;
-            self.pipeline.pattern.correct(row, first, &self.frame[start..start + to.len()], to);
-            to.iter_mut().for_each(|x| *x /= self.max);
-        } else {
-            to.fill(0.0);
-        }
-    }
-}
-
-/// Divides by the maximum, or by a number that is given; gives the maximum and whether all values are finite.
-struct Normalise<'a> {
-    values: &'a mut [f16],
-    by: Option<f32>,
-}
-
-impl Kernel for Normalise<'_> {
-    type Output = (f32, bool);
-
-    #[inline(always)]
-    fn run<V: Vector>(self) -> (f32, bool) {
-        let (max, finite) = max_finite(self.values);
-        let by = self.by.unwrap_or(max);
-        if by > 0.0 && finite {
-            fused::divide(self.values, by);
-        } else {
-            self.values.fill(f16::ZERO);
-        }
-        (max, finite)
-    }
-}
+pub use holder::{HeldRegion, Holder};
+pub use reconstruct::{Memory, Pipeline};
 
 #[cfg(test)]
 mod tests;

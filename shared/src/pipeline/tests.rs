@@ -2,15 +2,20 @@
 
 extern crate std;
 
+use std::boxed::Box;
 use std::string::ToString;
 use std::vec;
 use std::vec::Vec;
 
 use super::*;
-use crate::blob::{Bank, Rcan as RcanShape, Section, Sensor, Size, Tap};
+use crate::blob::{
+    Bank, BlobError, Header, MemoryPlan, Network, Rcan as RcanShape, Section, Sensor, Size, Tap, Weights,
+};
 use crate::filter::FilterError;
+use crate::image::Region;
 use crate::naive::{self, Noise, Tensor, wide};
 use crate::nn::rcan;
+use crate::num::f16;
 
 const FRAME: Size = Size { rows: 27, cols: 30 };
 const OBJECT: Size = Size { rows: 14, cols: 12 };
@@ -66,8 +71,13 @@ impl Case {
         Weights { filters: &self.spectra, index: &[], rcan: &self.rcan, offset_dn, inverse_gain }
     }
 
+    fn network(&self) -> Result<Network<'_>, BlobError> {
+        Network::new(self.header.clone(), self.weights())
+    }
+
+    /// The network lives as long as the test program.
     fn pipeline(&self) -> Pipeline<'_> {
-        Pipeline::new(&self.header, self.weights()).unwrap()
+        Pipeline::new(Box::leak(Box::new(self.network().unwrap()))).unwrap()
     }
 
     /// Runs with so much more memory than planned, all of it dirty, with guards behind.
@@ -215,7 +225,7 @@ fn bad_headers_are_refused_by_field() {
     let refuse = |change: fn(&mut Header)| {
         let mut header = case.header.clone();
         change(&mut header);
-        Pipeline::new(&header, case.weights()).unwrap_err()
+        Pipeline::plan(&header).unwrap_err()
     };
     for (change, name) in [
         ((|h| h.frame.rows = 0) as fn(&mut Header), "frame.rows"),
@@ -232,12 +242,24 @@ fn bad_headers_are_refused_by_field() {
         assert!(refuse(change).to_string().starts_with(name), "{name}: {}", refuse(change));
     }
     assert_eq!(refuse(|h| h.bank.step = 0), PipelineError::Filter(FilterError::Step { tile: TILE as u16, step: 0 }));
-    assert!(matches!(refuse(|h| h.memory.fast_bytes -= 4), PipelineError::Plan { .. }));
-    assert!(matches!(refuse(|h| h.rcan.blocks = 3), PipelineError::Length { section: Section::Rcan, .. }));
-    assert!(matches!(
-        refuse(|h| h.sensor.has_gain_map = false),
-        PipelineError::Length { section: Section::InverseGain, .. }
-    ));
+    let mut case = case;
+    case.header.memory.fast_bytes -= 4;
+    let refused = Pipeline::new(&case.network().unwrap()).map(|_| ()).unwrap_err();
+    assert!(matches!(refused, PipelineError::Plan { .. }));
+}
+
+#[test]
+fn weights_of_another_length_are_refused_by_section() {
+    let refuse = |change: fn(&mut Case)| {
+        let mut case = Case::new();
+        change(&mut case);
+        case.network().map(|_| ()).unwrap_err()
+    };
+    let length = |section, expected, found| BlobError::SectionLength { section, expected, found };
+    let rcan = refuse(|case| case.header.rcan.blocks = 3);
+    assert!(matches!(rcan, BlobError::SectionLength { section: Section::Rcan, .. }));
+    assert_eq!(refuse(|case| case.header.sensor.has_gain_map = false), length(Section::InverseGain, 0, 810));
+    assert_eq!(refuse(|case| case.spectra.truncate(2175)), length(Section::Filters, 2176, 2175));
 }
 
 #[test]
@@ -245,15 +267,13 @@ fn weights_that_are_not_finite_are_refused_by_place() {
     let refuse = |change: fn(&mut Case)| {
         let mut case = Case::new();
         change(&mut case);
-        Pipeline::new(&case.header, case.weights()).unwrap_err()
+        case.network().map(|_| ()).unwrap_err()
     };
-    let at = |section, index| PipelineError::NotFinite { section, index };
+    let at = |section, index| BlobError::NonFinite { section, index };
     assert_eq!(refuse(|case| case.spectra[9] = f16::NAN), at(Section::Filters, 9));
     assert_eq!(refuse(|case| case.rcan[100] = f16::INFINITY), at(Section::Rcan, 100));
     assert_eq!(refuse(|case| case.offset[0] = f16::NEG_INFINITY), at(Section::Offset, 0));
     assert_eq!(refuse(|case| case.gain[809] = f16::NAN), at(Section::InverseGain, 809));
-    let short = PipelineError::Filter(FilterError::Length { expected: 2176, found: 2175 });
-    assert_eq!(refuse(|case| case.spectra.truncate(2175)), short);
 }
 
 /// A network on a frame so large that a region is computed from a part of everything.
@@ -363,7 +383,7 @@ fn what_is_held_must_fit() {
     assert_eq!(run(&case.frame, Field::Held(faint, &scales)), Err(PipelineError::Outgrown));
 }
 
-/// The frames are what they are; what is told is how old the statistics of each are.
+/// Checks the age of the statistics of each frame.
 #[test]
 fn a_holder_measures_when_it_must() {
     let case = wide_case();
@@ -375,7 +395,7 @@ fn a_holder_measures_when_it_must() {
     let mut holder = Holder::default();
     let mut age = |frame: &[u16], hold: u16| {
         let (mut output, memory) = (vec![f16::NAN; 30], Memory { fast: &mut fast, bulk: &mut bulk });
-        let (stats, age) = holder.run(&pipeline, frame, (region, hold), memory, &mut output).unwrap();
+        let (stats, age) = holder.run(&pipeline, frame, HeldRegion { region, hold }, memory, &mut output).unwrap();
         if age == 0 {
             let exact = run_with(&case, frame, region, Field::Measured(None)).unwrap();
             assert_eq!((output, stats), exact);
@@ -393,10 +413,10 @@ fn a_holder_measures_when_it_must() {
     assert_eq!(age(&case.frame, 9), 1);
     holder.forget();
     let (mut output, memory) = (vec![f16::NAN; 30], Memory { fast: &mut fast, bulk: &mut bulk });
-    assert_eq!(holder.run(&pipeline, &case.frame, (region, 9), memory, &mut output).unwrap().1, 0);
+    assert_eq!(holder.run(&pipeline, &case.frame, HeldRegion { region, hold: 9 }, memory, &mut output).unwrap().1, 0);
     let mut short = |hold| {
         let memory = Memory { fast: &mut fast[1..], bulk: &mut bulk };
-        holder.run(&pipeline, &case.frame, (region, hold), memory, &mut output)
+        holder.run(&pipeline, &case.frame, HeldRegion { region, hold }, memory, &mut output)
     };
     assert_eq!(short(0).unwrap().1, 0);
     assert!(short(1).unwrap_err().to_string().contains("(4 missing)"));

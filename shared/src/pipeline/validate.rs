@@ -1,12 +1,11 @@
-//! The checks at the door.
+//! The checks of a header before anything is computed.
 
 use super::error::PipelineError;
-use crate::blob::{Header, Section, Weights};
-use crate::filter::{FilterBank, Filters};
-use crate::nn::rcan::{self, Rcan};
-use crate::num::f16;
+use crate::blob::Header;
+use crate::filter::FilterBank;
+use crate::nn::rcan::Rcan;
 
-/// The largest side of a frame or an object, so that no product of shapes overflows 32 bits.
+/// Largest side of a frame or an object, pixels: with it no product of shapes overflows 32 bits.
 const MAX_SIDE: u32 = 4096;
 
 /// Checks the shapes of a header and plans the operators.
@@ -37,26 +36,4 @@ fn check(
     good: impl Fn(u32) -> bool,
 ) -> Result<(), PipelineError> {
     if good(found) { Ok(()) } else { Err(PipelineError::Field { field, expected, found }) }
-}
-
-/// Checks the lengths of the weights and that all are finite.
-pub(super) fn weights(header: &Header, filter: &FilterBank<'_>, weights: &Weights<'_>) -> Result<(), PipelineError> {
-    let pixels = usize::from(header.frame.rows) * usize::from(header.frame.cols);
-    let map = |present: bool| if present { pixels } else { 0 };
-    let filters = Filters { halves: weights.filters, index: weights.index };
-    filter.check(filters)?;
-    section(Section::Filters, filters.halves.len(), filters.halves)?;
-    section(Section::Rcan, rcan::weights_len(&header.rcan, header.bank.channels), weights.rcan)?;
-    section(Section::Offset, map(header.sensor.has_offset_map), weights.offset_dn.unwrap_or(&[]))?;
-    section(Section::InverseGain, map(header.sensor.has_gain_map), weights.inverse_gain.unwrap_or(&[]))
-}
-
-fn section(section: Section, expected: usize, weights: &[f16]) -> Result<(), PipelineError> {
-    if weights.len() != expected {
-        return Err(PipelineError::Length { section, expected, found: weights.len() });
-    }
-    match weights.iter().position(|weight| !weight.is_finite()) {
-        Some(index) => Err(PipelineError::NotFinite { section, index }),
-        None => Ok(()),
-    }
 }

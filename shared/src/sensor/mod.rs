@@ -1,141 +1,34 @@
-//! The sensor's fixed pattern: applied and corrected side by side.
+//! The fixed pattern of the sensor: its correction, and the same pattern applied to a signal.
 //!
-//! `code = clamp(round(signal / inverse_gain + offset + black))`, `signal = ((code - black) - offset) * inverse_gain`, all in DN,
-//! pixel by pixel. `offset` is relative to the black level; `inverse_gain` is 1 for a nominal pixel and **0 for a defect one**,
-//! which then reads as dark. The corrected signal may be negative: read noise is not clipped.
+//! ```text
+//! signal = ((code - black) - offset) * inverse_gain
+//! code   = clamp(round(signal / inverse_gain + offset + black))
+//! ```
+//! in DN, pixel by pixel. `offset` is relative to the black level. `inverse_gain` is 1 for a nominal pixel and **0 for
+//! a defective one**, whose corrected signal is then 0. The corrected signal may be negative: read noise is not
+//! clipped.
+//!
+//! ```
+//! use ommatidia_shared::num::f16;
+//! use ommatidia_shared::sensor::FixedPattern;
+//!
+//! let (offset, gain) = ([0.0, 2.0, 0.0].map(f16::from_f32), [1.0, 0.5, 0.0].map(f16::from_f32));
+//! let pattern = FixedPattern {
+//!     black_level_dn: 64.0,
+//!     saturation_dn: 1023,
+//!     cols: 3,
+//!     offset_dn: Some(&offset),
+//!     inverse_gain: Some(&gain),
+//! };
+//! let mut signal_dn = [0.0; 3];
+//! pattern.correct(0, 0, &[60, 166, 1023], &mut signal_dn);
+//! assert_eq!(signal_dn, [-4.0, 50.0, 0.0], "below black, corrected, defective");
+//!
+//! let mut codes = [0; 3];
+//! pattern.apply(0, 0, &signal_dn, &mut codes);
+//! assert_eq!(codes, [60, 166, 64]);
+//! ```
 
-use crate::blob::{Header, Weights};
-use crate::num::{f16, widen};
+mod pattern;
 
-/// The fixed pattern of a sensor, borrowed from a network file.
-#[derive(Clone, Copy, Debug)]
-pub struct FixedPattern<'a> {
-    /// Mean signal without light, DN.
-    pub black_level_dn: f32,
-    /// The highest code, DN. A pixel at or above it is saturated.
-    pub saturation_dn: u16,
-    /// Columns of the maps.
-    pub cols: usize,
-    /// Offset of each pixel relative to the black level, DN.
-    pub offset_dn: Option<&'a [f16]>,
-    /// Inverse relative gain of each pixel.
-    pub inverse_gain: Option<&'a [f16]>,
-}
-
-impl<'a> FixedPattern<'a> {
-    /// The fixed pattern that a network file describes.
-    pub fn new(header: &Header, weights: &Weights<'a>) -> Self {
-        Self {
-            black_level_dn: header.sensor.black_level_dn,
-            saturation_dn: header.sensor.saturation_dn,
-            cols: usize::from(header.frame.cols),
-            offset_dn: weights.offset_dn,
-            inverse_gain: weights.inverse_gain,
-        }
-    }
-
-    /// Offset and inverse gain of a pixel.
-    #[inline(always)]
-    fn pixel(&self, row: usize, col: usize) -> (f32, f32) {
-        let at = row * self.cols + col;
-        (self.offset_dn.map_or(0.0, |map| widen(map[at])), self.inverse_gain.map_or(1.0, |map| widen(map[at])))
-    }
-
-    /// Corrects columns `first..first + to.len()` of row `row` of a raw frame, given as `codes`; DN.
-    #[inline(always)]
-    pub fn correct(&self, row: usize, first: usize, codes: &[u16], to: &mut [f32]) {
-        for (to, &code) in to.iter_mut().zip(codes) {
-            *to = f32::from(code) - self.black_level_dn;
-        }
-        let start = row * self.cols + first;
-        if let Some(map) = self.offset_dn {
-            for (to, &offset) in to.iter_mut().zip(&map[start..]) {
-                *to -= widen(offset);
-            }
-        }
-        if let Some(map) = self.inverse_gain {
-            for (to, &gain) in to.iter_mut().zip(&map[start..]) {
-                *to *= widen(gain);
-            }
-        }
-    }
-
-    /// Saturated pixels among `codes`.
-    #[inline(always)]
-    pub fn saturated(&self, codes: &[u16]) -> u32 {
-        codes.iter().map(|&code| u32::from(code >= self.saturation_dn)).sum()
-    }
-
-    /// The inverse of [`Self::correct`]: what the sensor reads for `signal` (DN, finite). A defect pixel reads its offset.
-    pub fn apply(&self, row: usize, first: usize, signal: &[f32], codes: &mut [u16]) {
-        for (col, (code, &signal)) in (first..).zip(codes.iter_mut().zip(signal)) {
-            let (offset, inverse_gain) = self.pixel(row, col);
-            let signal = if inverse_gain == 0.0 { 0.0 } else { signal / inverse_gain };
-            // The cast saturates: the sum is clamped at 0 by it, at the highest code below.
-            let rounded = (signal + offset + self.black_level_dn + 0.5) as u32;
-            *code = rounded.min(u32::from(self.saturation_dn)) as u16;
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn maps() -> ([f16; 6], [f16; 6]) {
-        ([0.0, 1.5, -3.0, 2.0, 0.25, 8.0].map(f16::from_f32), [1.0, 0.5, 2.0, 0.0, 1.25, 0.75].map(f16::from_f32))
-    }
-
-    #[test]
-    fn correction_follows_its_formula() {
-        let (offset, gain) = maps();
-        let pattern = FixedPattern {
-            black_level_dn: 64.0,
-            saturation_dn: 4095,
-            cols: 3,
-            offset_dn: Some(&offset),
-            inverse_gain: Some(&gain),
-        };
-        let mut row = [0.0; 3];
-        pattern.correct(0, 0, &[64, 70, 100], &mut row);
-        assert_eq!(row, [0.0, 2.25, 78.0]);
-        pattern.correct(1, 0, &[4000, 60, 4095], &mut row);
-        assert_eq!(row, [0.0, -5.3125, 3017.25], "a defect pixel is dark, a dark one stays negative");
-        pattern.correct(1, 1, &[60, 4095], &mut row[..2]);
-        assert_eq!(row[..2], [-5.3125, 3017.25], "part of a row");
-        assert_eq!(pattern.saturated(&[4094, 4095, 65535]), 2);
-    }
-
-    #[test]
-    fn correcting_undoes_applying_to_half_a_code() {
-        let (offset, gain) = maps();
-        let pattern = FixedPattern {
-            black_level_dn: 64.25,
-            saturation_dn: 4095,
-            cols: 3,
-            offset_dn: Some(&offset),
-            inverse_gain: Some(&gain),
-        };
-        for signal in [0.0, 3.7, 500.0, 1500.25] {
-            for row in 0..2 {
-                let (mut codes, mut back) = ([0; 3], [0.0; 3]);
-                pattern.apply(row, 0, &[signal; 3], &mut codes);
-                pattern.correct(row, 0, &codes, &mut back);
-                for col in 0..3 {
-                    let gain = pattern.pixel(row, col).1;
-                    let expected = if gain == 0.0 { 0.0 } else { signal };
-                    assert!((back[col] - expected).abs() <= 0.5 * gain, "({row}, {col}) {signal}: {back:?}");
-                }
-            }
-        }
-    }
-
-    #[test]
-    fn codes_are_clamped() {
-        let pattern =
-            FixedPattern { black_level_dn: 64.0, saturation_dn: 4095, cols: 3, offset_dn: None, inverse_gain: None };
-        let mut codes = [7; 3];
-        pattern.apply(0, 0, &[-100.0, 1e9, 0.4], &mut codes);
-        assert_eq!(codes, [0, 4095, 64]);
-    }
-}
+pub use pattern::FixedPattern;

@@ -1,22 +1,24 @@
-//! COBS (Cheshire and Baker, "Consistent Overhead Byte Stuffing", 1999): bytes without zeros, so that a zero can end a packet.
+//! COBS (Cheshire and Baker, "Consistent Overhead Byte Stuffing", IEEE/ACM Trans. Networking 7, 1999): bytes without
+//! zeros, so that a zero can end a packet.
 //!
-//! Written here so that no byte of a packet can lead to a panic: there is no index that is not looked up.
+//! This implementation checks every index, so no byte of a packet can lead to a panic.
 
-use super::frame::DELIMITER;
 use postcard::ser_flavors::Flavor;
 use postcard::{Error, Result};
 
+/// The byte between packets. Encoded bytes hold none.
+pub(super) const DELIMITER: u8 = 0;
 /// The code of a full group: 254 bytes follow, and no zero after them.
 const FULL: u8 = 0xff;
 
 /// Writes bytes as COBS.
 pub(super) struct Encoder<'a> {
     out: &'a mut [u8],
-    /// Where the next byte goes.
+    /// Index of the next byte.
     at: usize,
-    /// Where the code of the open group goes.
+    /// Index of the code of the open group.
     code_at: usize,
-    /// The code of the open group so far.
+    /// Code of the open group: 1 more than the bytes in it so far.
     code: u8,
 }
 
@@ -58,7 +60,8 @@ impl Flavor for Encoder<'_> {
     }
 }
 
-/// Decodes `bytes` to their own beginning; gives how many there are. `None` where they are no COBS.
+/// Decodes `bytes` in place and returns the number of decoded bytes at their beginning; `None` where the encoding is
+/// broken.
 pub(super) fn decode_in_place(bytes: &mut [u8]) -> Option<usize> {
     let (mut from, mut to) = (0, 0);
     while from < bytes.len() {
@@ -73,7 +76,7 @@ pub(super) fn decode_in_place(bytes: &mut [u8]) -> Option<usize> {
             to += 1;
         }
         from = group.end;
-        // The last group's zero is the end of the packet.
+        // The zero behind the last group is the end of the packet.
         if code != FULL && from < bytes.len() {
             *bytes.get_mut(to)? = DELIMITER;
             to += 1;

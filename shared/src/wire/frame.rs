@@ -1,6 +1,6 @@
 //! Packets on a line of bytes: postcard, CRC-32, COBS, a zero on either side.
 
-use super::cobs::{Encoder, decode_in_place};
+use super::cobs::{DELIMITER, Encoder, decode_in_place};
 use crate::blob::CRC;
 use core::fmt;
 use heapless::Vec;
@@ -8,8 +8,6 @@ use postcard::ser_flavors::Flavor;
 use postcard::ser_flavors::crc::CrcModifier;
 use serde::{Deserialize, Serialize};
 
-/// The byte between packets. COBS leaves none in them.
-pub const DELIMITER: u8 = 0;
 const CRC_LEN: usize = 4;
 
 /// Why a packet was dropped.
@@ -26,7 +24,7 @@ pub enum FrameError {
         /// Checksum of its bytes.
         found: u32,
     },
-    /// The bytes are whole and no message of this version.
+    /// The checksum matches, but the bytes are no message of this version.
     Message,
 }
 
@@ -34,7 +32,7 @@ impl fmt::Display for FrameError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
             Self::TooLong => f.write_str("a packet is longer than its buffer"),
-            Self::Encoding => f.write_str("a packet is not COBS"),
+            Self::Encoding => f.write_str("a packet is not COBS-encoded"),
             Self::Crc { expected, found } => {
                 write!(f, "a packet is damaged: expected CRC {expected:08x}, found {found:08x}")
             }
@@ -45,17 +43,18 @@ impl fmt::Display for FrameError {
 
 impl core::error::Error for FrameError {}
 
-/// CRC-32 (ISO-HDLC) of bytes, as in packets, network files and [`RunReport`](super::RunReport).
+/// CRC-32 (ISO-HDLC) of `bytes`: the checksum of packets, of network files and in [`RunReport`](super::RunReport).
 pub fn checksum(bytes: &[u8]) -> u32 {
     CRC.checksum(bytes)
 }
 
-/// Writes a packet with its delimiters to the start of `out` and gives its bytes.
+/// Writes a packet with its delimiters to the start of `out` and returns its bytes. [`MAX_PACKET`](super::MAX_PACKET)
+/// bytes are enough for every message.
 ///
 /// # Errors
-/// [`FrameError::TooLong`].
+/// [`FrameError::TooLong`] where `out` is too short.
 pub fn encode<'a>(message: &impl Serialize, out: &'a mut [u8]) -> Result<&'a [u8], FrameError> {
-    // The leading delimiter ends whatever noise stands before the packet.
+    // The leading delimiter ends noise that came before the packet.
     let (first, rest) = out.split_first_mut().ok_or(FrameError::TooLong)?;
     *first = DELIMITER;
     let len = encode_body(message, rest).map_err(|_| FrameError::TooLong)?;
@@ -69,10 +68,12 @@ fn encode_body(message: &impl Serialize, out: &mut [u8]) -> postcard::Result<usi
     serializer.output.finalize()
 }
 
-/// Reads the message of a packet, given without its delimiters, in place.
+/// Decodes the message of a packet, which is given without its delimiters. The message borrows from `packet`, which is
+/// decoded in place.
 ///
 /// # Errors
-/// Whatever is wrong with the bytes.
+/// [`FrameError::Encoding`] where the bytes are not COBS-encoded, [`FrameError::Crc`] where they are damaged,
+/// [`FrameError::Message`] where they are no message of type `T`.
 pub fn decode<'a, T: Deserialize<'a>>(packet: &'a mut [u8]) -> Result<T, FrameError> {
     let len = decode_in_place(packet).ok_or(FrameError::Encoding)?;
     let (body, crc) =
@@ -96,21 +97,21 @@ pub struct Deframer<const N: usize> {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
-    /// Bytes are gathered.
+    /// Bytes of a packet are collected.
     Open,
-    /// The packet was too long: its bytes are thrown away.
+    /// The packet is too long: the rest of it is dropped.
     Overrun,
-    /// A packet was given out; its bytes go when the next one begins.
+    /// A packet was returned. Its bytes are cleared when the next one begins.
     Complete,
 }
 
 impl<const N: usize> Deframer<N> {
-    /// An empty one.
+    /// A deframer that has seen no byte.
     pub const fn new() -> Self {
         Self { bytes: Vec::new(), state: State::Open }
     }
 
-    /// Takes a byte from the line; gives the packet that it ends, for [`decode`].
+    /// Takes a byte from the line. Returns the packet that it ends, without delimiters, for [`decode`].
     ///
     /// # Errors
     /// [`FrameError::TooLong`] at the end of a packet that is longer than `N`.

@@ -9,77 +9,81 @@ use postcard_schema::Schema;
 use postcard_schema::key::Key;
 use serde::{Deserialize, Serialize};
 
-/// Version of the conversation; it changes with whatever the schema key cannot see.
+/// Version of the conversation. It changes with everything that the schema key does not cover.
 pub const VERSION: u16 = 3;
-/// Changes with every name and type in the messages.
+/// Hash of every name and type in the messages: it changes when one of them does.
 pub const SCHEMA_KEY: u64 = u64::from_le_bytes(
     Key::for_path::<(Packet<Request<'static>>, Packet<Reply<'static>>)>("ommatidia/wire").to_bytes(),
 );
-/// The most bytes of data in one message.
+/// Largest number of data bytes in one message.
 pub const CHUNK: usize = 2048;
-/// The most bytes that a packet takes on the line, delimiters included: the data, up to 96 bytes of message and CRC
-/// around them, and what COBS adds.
+/// Largest number of bytes of a packet on the line, delimiters included: the data, up to 96 bytes of message and CRC
+/// around them, and the overhead of COBS.
 pub const MAX_PACKET: usize = CHUNK + 96 + (CHUNK + 96) / 254 + 3;
 
 /// A message and its sequence number.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Packet<T> {
-    /// Counted up by the host with every new request; the reply carries the number of its request.
+    /// Number of the request, which the host counts up. A reply has the number of its request.
     pub seq: u16,
     /// The message.
     pub body: T,
 }
 
-/// What the host asks.
+/// A request of the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum Request<'a> {
-    /// Who are you? Begins a conversation: its sequence number is the first.
+    /// Begins a conversation, whose first sequence number is that of this packet. The device answers with [`Info`].
     Hello {
         /// [`VERSION`] of the host.
         version: u16,
         /// [`SCHEMA_KEY`] of the host.
         schema: u64,
     },
-    /// A transfer to the device begins; what came before it of the same kind is forgotten. A network that runs goes on running.
+    /// Begins a transfer to the device. An earlier transfer of the same kind is discarded. The active network stays
+    /// active.
     Begin {
-        /// What comes.
+        /// What is transferred.
         what: Transfer,
-        /// Its length, bytes.
+        /// Length of the transfer, bytes.
         len: u32,
     },
     /// The next bytes of a transfer.
     Chunk {
-        /// Of which.
+        /// Which transfer they belong to.
         what: Transfer,
-        /// Where they belong, bytes from its beginning.
+        /// Offset from the beginning of the transfer, bytes.
         offset: u32,
         /// At most [`CHUNK`] bytes.
         data: &'a [u8],
     },
-    /// The network file is complete: check it, mark it as what runs from now on, and after every start.
+    /// The network file is complete: the device is to check it and to make it the active one, now and after every
+    /// start.
     Commit,
-    /// Reconstruct the frame.
+    /// Reconstructs the frame.
     Run {
-        /// Number of the frame; a run of the same number, frame, region and hold is done once.
+        /// Number of the run, which the host chooses. The device runs a request of the same number, region and hold on
+        /// the same frame only once.
         id: u32,
-        /// The region of the reconstruction that is wanted; all of it where there is none.
+        /// Region to reconstruct; the whole object where there is none.
         region: Option<Region>,
-        /// How many runs old the statistics of the field may be that the run takes; 0: its own, so that every bit is that of the whole. Where
-        /// the device holds none so young, it measures them and is exact.
+        /// Largest age of the statistics of the field that the run may take from an earlier run, in runs. With 0 the
+        /// run measures them in its own frame, and every bit of the region is that of the whole. So it does where the
+        /// device holds none that are young enough.
         hold: u16,
     },
-    /// Bytes of the reconstruction: little-endian halves, row by row.
+    /// Requests bytes of the reconstruction: little-endian halves, row by row.
     Read {
         /// Number of the run.
         id: u32,
         /// First byte.
         offset: u32,
-        /// How many, at most [`CHUNK`].
+        /// Number of bytes, at most [`CHUNK`].
         len: u16,
     },
-    /// Figures of the device.
+    /// Requests the telemetry of the device.
     Telemetry,
-    /// The program may end, where a program can.
+    /// Asks the program to end, on a board where it can.
     Quit,
 }
 
@@ -92,19 +96,19 @@ pub enum Transfer {
     Frame,
 }
 
-/// What the device answers.
+/// A reply of the device.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub enum Reply<'a> {
-    /// Who I am.
+    /// The device, in answer to [`Request::Hello`].
     Hello(Info),
-    /// Done.
+    /// The request was carried out.
     Done,
-    /// All bytes before this offset have arrived.
+    /// All bytes of the transfer before this offset have arrived.
     Received {
         /// Bytes from the beginning of the transfer.
         offset: u32,
     },
-    /// The frame is reconstructed.
+    /// The frame was reconstructed.
     Ran(RunReport),
     /// Bytes of the reconstruction.
     Data {
@@ -113,13 +117,13 @@ pub enum Reply<'a> {
         /// The bytes.
         data: &'a [u8],
     },
-    /// Figures of the device.
+    /// Telemetry of the device.
     Telemetry(Telemetry),
-    /// Not done, and why.
+    /// The request was refused, and why.
     Refused(Refusal),
 }
 
-/// Who the device is, and what it has.
+/// The device and its capacities.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Info {
     /// [`VERSION`] of the device.
@@ -128,38 +132,39 @@ pub struct Info {
     pub schema: u64,
     /// Name of the board.
     pub board: String<24>,
-    /// Room for a network file, bytes.
+    /// Largest network file, bytes.
     pub blob_bytes: u32,
-    /// Room for a raw frame, pixels.
+    /// Largest raw frame, pixels.
     pub frame_px: u32,
-    /// Room for a reconstruction, pixels.
+    /// Largest reconstruction, pixels.
     pub object_px: u32,
     /// Fast memory, bytes.
     pub fast_bytes: u32,
     /// Bulk memory, bytes.
     pub bulk_bytes: u32,
-    /// It has a camera: frames need not be sent.
+    /// Whether the device has a camera, so that the host need not send frames.
     pub live: bool,
 }
 
-/// What a run saw: see [`crate::pipeline::Stats`].
+/// The report of a run; compare [`crate::pipeline::Stats`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct RunReport {
     /// Number of the run.
     pub id: u32,
-    /// What was reconstructed.
+    /// Region that was reconstructed.
     pub region: Region,
     /// Number of the run that measured the statistics of the field: see [`crate::pipeline::Field`].
     pub field_id: u32,
-    /// How many runs ago that was. 0: in this one, so the reconstruction is exact; else it is approximate.
+    /// Age of these statistics, in runs. 0: measured in this run, so the reconstruction is exact. Otherwise it is
+    /// approximate.
     pub field_age: u16,
-    /// Bytes of the reconstruction.
+    /// Length of the reconstruction, bytes.
     pub len: u32,
     /// Pixels of the raw frame at or above the saturation code.
     pub saturated_px: u32,
     /// Maximum of the corrected frame, DN.
     pub frame_max_dn: f32,
-    /// Whether every filter output stayed in the range of halves.
+    /// Whether every output of the filters was finite as a half.
     pub filter_finite: bool,
     /// CRC-32 of the raw frame that was reconstructed.
     pub frame_crc: u32,
@@ -167,89 +172,91 @@ pub struct RunReport {
     pub object_crc: u32,
 }
 
-/// Why the device's program was started.
+/// Why the program of the device was started.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum StartCause {
-    /// Power, or a reset from outside.
+    /// Power was switched on, or the board was reset from outside.
     #[default]
     Power,
-    /// The watchdog: the program before had hung.
+    /// The watchdog reset the board, as the program had hung.
     Watchdog,
 }
 
-/// How the core spends its time.
+/// How long the core has run and slept.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Activity {
-    /// Since the start, ms.
+    /// Time since the start, ms.
     pub total_ms: u32,
-    /// Of these, asleep until a byte came, ms.
+    /// Of this, time asleep until a byte came, ms.
     pub asleep_ms: u32,
 }
 
 /// A slot that holds a committed network file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct SlotReport {
-    /// Which one.
+    /// The slot.
     pub slot: Slot,
-    /// What its mark says.
+    /// Its commit mark.
     pub mark: Mark,
-    /// Whether this is the network that runs.
+    /// Whether this slot is the active one.
     pub runs: bool,
 }
 
-/// Figures of the device.
+/// Counters and measurements of the device.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Telemetry {
-    /// Starts of the device, this one included; 0 where they cannot be counted.
+    /// Number of starts of the device, this one included; 0 where they cannot be counted.
     pub starts: u32,
-    /// Why it was started.
+    /// Cause of this start.
     pub started_by: StartCause,
     /// Slots with a committed network file, the newest first.
     pub slots: [Option<SlotReport>; 2],
-    /// Slots that were refused at the start: damaged, or of another version. Where one of them is newer, an older network runs.
+    /// Number of slots that were refused at this start because their file is damaged or has another version. If one of
+    /// them is the newer slot, an older network is active.
     pub refused_slots: u8,
-    /// Name of the network that runs; empty without one.
+    /// Name of the active network; empty without one.
     pub network: String<48>,
-    /// Runs since the start.
+    /// Number of runs since the start.
     pub runs: u32,
-    /// Of these, runs that took statistics of the field which an earlier one had measured.
+    /// Of these, runs that took the statistics of the field from an earlier run.
     pub held_runs: u32,
-    /// How the core spends its time, where there is a clock.
+    /// How long the core has run and slept, where there is a clock.
     pub activity: Option<Activity>,
-    /// Cycles of the last run, where the core counts them.
+    /// Cycles of the core during the last run, where they are counted.
     pub cycles: Option<u32>,
     /// Saturated pixels of all runs since the start.
     pub saturated_px: u64,
-    /// Frames since the start that were begun and never reconstructed.
+    /// Number of frames since the start that the host began to send and that were not reconstructed.
     pub dropped_frames: u32,
     /// Temperature in hundredths of a degree Celsius, where there is a sensor.
     pub temperature_cdeg: Option<i16>,
-    /// Packets since the start whose checksum was wrong.
+    /// Number of packets since the start with a wrong checksum.
     pub crc_errors: u32,
-    /// Damaged or foreign packets since the start, those with a wrong checksum included.
+    /// Number of packets since the start that were damaged or held no request, those with a wrong checksum included.
     pub dropped_packets: u32,
-    /// Requests since the start that had been answered before.
+    /// Number of requests since the start that had been answered before.
     pub repeated_requests: u32,
-    /// Fast scratch that the last run worked with, bytes.
+    /// Fast scratch of the last run, bytes.
     pub fast_bytes: u32,
-    /// Bulk arena that the last run worked with, bytes.
+    /// Bulk arena of the last run, bytes.
     pub bulk_bytes: u32,
-    /// The raw frame of the last run, bytes.
+    /// Raw frame of the last run, bytes.
     pub frame_bytes: u32,
-    /// Its reconstruction, bytes.
+    /// Reconstruction of the last run, bytes.
     pub object_bytes: u32,
-    /// Code and constants, bytes; 0 where the program runs on the workstation.
+    /// Code and constants of the program, bytes; 0 on the workstation.
     pub image_bytes: u32,
-    /// Variables, without the buffers for network, frame, reconstruction and arenas, bytes; 0 on the workstation.
+    /// Static variables of the program without the buffers for frame, reconstruction and arenas, bytes; 0 on the
+    /// workstation.
     pub static_bytes: u32,
-    /// The deepest that the stack has been, bytes; 0 on the workstation.
+    /// Largest depth of the stack since the start, bytes; 0 on the workstation.
     pub stack_bytes: u32,
 }
 
-/// Why the device did not do what it was asked.
+/// Why the device refused a request.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum Refusal {
-    /// Host and device speak different versions.
+    /// Host and device have different versions of the conversation.
     Version {
         /// Version of the device.
         expected: u16,
@@ -263,66 +270,66 @@ pub enum Refusal {
         /// Schema key of the host.
         found: u64,
     },
-    /// No room for so many bytes.
+    /// A transfer does not fit.
     NoRoom {
         /// What was to be transferred.
         what: Transfer,
-        /// Bytes asked for.
+        /// Bytes needed.
         needed: u32,
-        /// Bytes there are.
+        /// Bytes available.
         available: u32,
     },
-    /// No room for the reconstruction.
+    /// The reconstruction does not fit.
     ObjectRoom {
         /// Pixels of a reconstruction of this network.
         needed: u32,
-        /// Pixels there is room for.
+        /// Pixels that fit.
         available: u32,
     },
     /// The bytes do not follow those that have arrived.
     OutOfOrder {
-        /// Where the next bytes belong.
+        /// Offset of the next bytes.
         expected: u32,
-        /// Where these belong.
+        /// Offset of the bytes that were sent.
         found: u32,
     },
-    /// The bytes go past the end of what they belong to.
+    /// The bytes go past the end of the transfer, or of the reconstruction.
     PastEnd {
         /// Its length, bytes.
         len: u32,
-        /// Where these bytes end.
+        /// Offset of the end of these bytes.
         found: u64,
     },
     /// The transfer has not begun or is not complete.
     Incomplete {
-        /// Of what.
+        /// Which transfer.
         what: Transfer,
-        /// Bytes that there should be.
+        /// Length of the transfer, bytes.
         expected: u32,
-        /// Bytes that there are.
+        /// Bytes that have arrived.
         found: u32,
     },
     /// No network has been committed.
     NoNetwork,
-    /// The network file is refused.
+    /// The network file was refused.
     Blob(BlobError),
-    /// The frame has another length than the network takes.
+    /// The frame has another length than the network needs.
     FrameLength {
-        /// Bytes of a frame of this network.
+        /// Bytes of a frame for this network.
         expected: u32,
         /// Bytes of the frame that arrived.
         found: u32,
     },
     /// There is no reconstruction of that number.
     NoResult {
-        /// Number of the last run, if any.
+        /// Number of the last run, if there was one.
         expected: Option<u32>,
-        /// Number asked for.
+        /// Number in the request.
         found: u32,
     },
-    /// The pipeline refuses; in its words.
+    /// The pipeline refused; the text of its error.
     Pipeline(String<96>),
-    /// The device's storage failed.
+    /// The flash, a buffer or the camera of the device failed.
     Storage,
 }
 
@@ -330,20 +337,24 @@ impl fmt::Display for Refusal {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Version { expected, found } => {
-                write!(f, "it speaks version {expected}, this program version {found}; put matching firmware on it")
+                write!(
+                    f,
+                    "it has version {expected} of the messages, this program version {found}; install matching firmware"
+                )
             }
             Self::Schema { expected, found } => write!(
                 f,
-                "its messages have schema {expected:016x}, this program's {found:016x}; put matching firmware on it"
+                "its messages have schema {expected:016x}, those of this program {found:016x}; install matching \
+                 firmware"
             ),
             Self::NoRoom { what, needed, available } => {
-                write!(f, "{what:?}: {needed} bytes needed, room for {available}")
+                write!(f, "{what:?}: {needed} bytes needed, {available} available")
             }
             Self::ObjectRoom { needed, available } => {
-                write!(f, "reconstruction: {needed} pixels needed, room for {available}")
+                write!(f, "reconstruction: {needed} pixels needed, {available} available")
             }
             Self::OutOfOrder { expected, found } => {
-                write!(f, "expected the bytes at {expected}, found those at {found}")
+                write!(f, "expected the bytes at offset {expected}, found those at {found}")
             }
             Self::PastEnd { len, found } => write!(f, "expected at most {len} bytes, found {found}"),
             Self::Incomplete { what, expected, found } => {
@@ -358,7 +369,7 @@ impl fmt::Display for Refusal {
                 write!(f, "no reconstruction {found}; the last one is {expected:?}")
             }
             Self::Pipeline(text) => f.write_str(text),
-            Self::Storage => f.write_str("its storage failed"),
+            Self::Storage => f.write_str("its flash, a buffer or its camera failed"),
         }
     }
 }

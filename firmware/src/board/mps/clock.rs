@@ -13,7 +13,7 @@ const PRESCALE: *mut u32 = (MAP.leds + 0x1c) as *mut u32;
 /// The clock of the block is the boards' 25 MHz.
 static ACCOUNT: Account<25_000> = Account::new();
 
-/// Starts the clock, at the rate of the block.
+/// Starts the clock at the rate of the block.
 pub(super) fn begin() {
     // SAFETY: a device register of this board, written here only.
     unsafe { write_volatile(PRESCALE, 0) };
@@ -25,12 +25,12 @@ pub(super) fn now() -> u32 {
     unsafe { read_volatile(COUNTER) }
 }
 
-/// The core has slept since `before`.
+/// Records that the core has slept since `before`.
 pub(super) fn slept(before: u32) {
     ACCOUNT.slept(before, now());
 }
 
-/// How the core spends its time.
+/// How long the core has run and slept.
 pub(super) fn activity() -> Option<Activity> {
     Some(ACCOUNT.activity(now()))
 }

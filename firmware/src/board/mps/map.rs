@@ -1,4 +1,4 @@
-//! Where the boards of the family differ.
+//! The differences between the boards of the family.
 
 #[cfg(any(
     all(feature = "mps2-an500", feature = "mps3-an547"),
@@ -17,23 +17,24 @@ pub(super) const BOARD: boards::Board = boards::MPS3_AN547;
 #[cfg(feature = "mps2-an386")]
 pub(super) const BOARD: boards::Board = boards::MPS2_AN386;
 
-/// What the family's drivers must know.
+/// Addresses and numbers that differ between the boards.
 pub(super) struct Map {
-    /// UART 0.
+    /// Address of UART 0.
     pub(super) uart: usize,
-    /// Its interrupt: a byte has come.
+    /// Number of its receive interrupt.
     pub(super) received: u16,
-    /// Register of the LEDs.
+    /// Address of the register of the LEDs.
     pub(super) leds: usize,
-    /// Watchdog.
+    /// Address of the watchdog.
     pub(super) watchdog: usize,
-    /// Its clock, Hz.
+    /// Clock of the watchdog, Hz.
     pub(super) watchdog_hz: u32,
-    /// Numbers of fast scratch.
+    /// Length of fast scratch, numbers.
     pub(super) fast_len: usize,
 }
 
-/// MPS2 (ARM DAI 0500 and 0386, memory map and interrupts). The scratch is the 512 KB of tightly coupled memory of an i.MX RT1176.
+/// MPS2 (ARM DAI 0500 and 0386, memory map and interrupts). The scratch is the 512 KB of tightly coupled memory of an
+/// i.MX RT1176.
 #[cfg(not(feature = "mps3-an547"))]
 pub(super) const MAP: Map = Map {
     uart: 0x4000_4000,
@@ -44,7 +45,8 @@ pub(super) const MAP: Map = Map {
     fast_len: 128 << 10,
 };
 
-/// MPS3 (ARM DAI 0547, tables 3-1 and 5-1). The scratch leaves room for the program's own data in the 512 KB of the DTCM.
+/// MPS3 (ARM DAI 0547, tables 3-1 and 5-1). The scratch leaves room for the program's own data in the 512 KB of the
+/// DTCM.
 #[cfg(feature = "mps3-an547")]
 pub(super) const MAP: Map = Map {
     uart: 0x4930_3000,

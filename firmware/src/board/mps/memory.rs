@@ -1,4 +1,4 @@
-//! What lies where: arenas and buffers in sections of `memory.x`, and how much the program itself takes.
+//! Arenas and buffers in the sections of the memory map, and the memory that the program itself occupies.
 #![allow(unsafe_code)] // sections and linker symbols
 
 use super::map::MAP;
@@ -22,11 +22,11 @@ pub(super) fn line() -> &'static mut Line {
     unsafe { LINE.take() }
 }
 
-/// The part of the PSRAM that plays the flash. It is neither loaded nor cleared, so it keeps what it holds over a reset, and under
-/// QEMU, where a file can stand behind the PSRAM, over the end of the emulation.
+/// The part of the PSRAM that is used as flash. The start-up code does not initialize it, so it keeps its content over
+/// a reset. Under QEMU a file can back the PSRAM, and the content is kept when the emulation ends.
 pub(super) fn flash() -> &'static mut [u8] {
     let (start, end) = (addr_of_mut!(_flash_start), addr_of!(_flash_end));
-    // SAFETY: called once, from `super::take`; `memory.x` keeps the bytes between the symbols free of anything else.
+    // SAFETY: called once, from `super::take`; the memory map puts nothing else between the symbols.
     unsafe { core::slice::from_raw_parts_mut(start, end.addr() - start.addr()) }
 }
 
@@ -55,7 +55,7 @@ unsafe extern "C" {
     static _flash_end: u8;
 }
 
-/// What the program takes; the image begins at address 0.
+/// Memory that the program occupies. The image begins at address 0.
 pub fn footprint() -> Footprint {
     memory::footprint(0)
 }

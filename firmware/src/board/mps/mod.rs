@@ -1,5 +1,5 @@
-//! ARM's MPS2 and MPS3 boards with an FPGA image of one core: memories, a UART, an LED. QEMU emulates them under the names of the
-//! features.
+//! Arm's MPS2 and MPS3 boards with an FPGA image of one core: memories, a UART, an LED. QEMU emulates each under the
+//! name of its feature.
 
 mod clock;
 mod led;
@@ -23,7 +23,7 @@ use ommatidia_shared::flash::RamFlash;
 /// Name of the board.
 pub const NAME: &str = map::BOARD.name;
 
-/// The parts of the board, once.
+/// The parts of the board. `None` where they were taken before.
 pub fn take() -> Option<Parts<'static, Uart, Led, RamFlash<'static>, Dog, RamFrame<'static>>> {
     static TAKEN: AtomicBool = AtomicBool::new(false);
     if TAKEN.swap(true, Ordering::Relaxed) {
@@ -50,7 +50,7 @@ pub fn take() -> Option<Parts<'static, Uart, Led, RamFlash<'static>, Dog, RamFra
     })
 }
 
-/// The core's cycle counter. Under QEMU it stands still.
+/// The cycle counter of the core, where it counts: under QEMU it does not.
 fn cycles() -> Option<u32> {
     let count = DWT::cycle_count();
     (count != 0).then_some(count)
@@ -62,7 +62,7 @@ pub fn exit() -> ! {
     halt()
 }
 
-/// Prints what went wrong and ends the emulation with exit code 1.
+/// Prints the reason and ends the emulation with exit code 1.
 pub fn fail(reason: &dyn core::fmt::Display) -> ! {
     hprintln!("{}", reason);
     debug::exit(debug::EXIT_FAILURE);

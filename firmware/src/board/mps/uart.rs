@@ -42,16 +42,16 @@ unsafe impl InterruptNumber for Received {
 
 /// UART 0: 8 data bits, no parity, one stop bit.
 ///
-/// Between bytes the core sleeps until the receive interrupt or the tick is pending. Interrupts stay masked, so that none is
-/// taken: waking is all they are for. Under QEMU this leaves the machine to the thread that brings the bytes. Waiting is no hang:
-/// the tick wakes the core to feed the watchdog.
+/// Between bytes the core sleeps until the receive interrupt or the tick is pending. Interrupts only wake the core:
+/// they stay masked, so no handler runs. Under QEMU this leaves processor time to the thread that delivers the bytes.
+/// The tick wakes the core to feed the watchdog while it waits.
 #[derive(Debug)]
 pub struct Uart {
     watchdog: Dog,
 }
 
 impl Uart {
-    /// Switches the UART on, at its fastest rate, and the tick.
+    /// Enables the UART at its fastest rate, and the tick.
     pub(super) fn new(watchdog: Dog) -> Self {
         interrupt::disable();
         // SAFETY: the tick is used from here only.

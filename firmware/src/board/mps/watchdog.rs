@@ -15,26 +15,27 @@ const CONTROL: *mut u32 = (BASE + 8) as *mut u32;
 const INTCLEAR: *mut u32 = (BASE + 12) as *mut u32;
 const LOCK: *mut u32 = (BASE + 0xc00) as *mut u32;
 
-/// Count, and reset when the count ends a second time.
+/// Control bits: count, and reset when the count ends a second time.
 const INTERRUPT_AND_RESET: u32 = 3;
 const UNLOCK: u32 = 0x1acc_e551;
-/// The longest reconstruction takes less, under an emulator as well.
+/// Seconds between two feeds: more than the longest reconstruction takes, under an emulator too.
 pub(super) const PATIENCE_S: u32 = 30;
 
-/// What the next start reads: [`HUNG`] after the watchdog's interrupt. Nothing clears it but the start that reads it.
+/// Cause of a reset, for the next start: [`HUNG`] after the interrupt of the watchdog. Only the start that reads it
+/// clears it.
 #[unsafe(link_section = ".uninit.note")]
 static NOTE: AtomicU32 = AtomicU32::new(0);
 const HUNG: u32 = 0x4d6f_7073;
 
-/// The watchdog. When its count ends it raises the non-maskable interrupt, which leaves a note for the next start and resets the board;
-/// should that fail, the watchdog resets it when its count ends once more.
+/// The watchdog. When its count ends it raises the non-maskable interrupt, whose handler stores the cause for the next
+/// start and resets the board. If that fails, the watchdog resets the board when its count ends again.
 #[derive(Clone, Copy, Debug)]
 pub struct Dog {
     seconds: u32,
 }
 
 impl Dog {
-    /// One that counts `seconds` (at most 171) between two meals, once it is started.
+    /// A watchdog, not started yet, that must be fed every `seconds`, at most 171.
     pub const fn new(seconds: u32) -> Self {
         Self { seconds }
     }
@@ -51,12 +52,12 @@ impl Watchdog for Dog {
     }
 
     fn feed(&mut self) {
-        // SAFETY: as above. Clearing the interrupt starts the count anew.
+        // SAFETY: as above. Clearing the interrupt restarts the count.
         unsafe { write_volatile(INTCLEAR, 1) };
     }
 }
 
-/// Why the program was started; the next one that asks hears of power.
+/// Why the program was started. Only the first call can return the watchdog.
 pub fn start_cause() -> StartCause {
     match NOTE.swap(0, Ordering::Relaxed) {
         HUNG => StartCause::Watchdog,
@@ -64,7 +65,7 @@ pub fn start_cause() -> StartCause {
     }
 }
 
-/// The program has hung.
+/// The program has hung: stores the cause and resets the board.
 #[exception]
 unsafe fn NonMaskableInt() {
     NOTE.store(HUNG, Ordering::Relaxed);

@@ -1,5 +1,5 @@
-//! The MT9V032 on the DCMI (ST RM0433, chapter 32): one frame is computed from while the next one comes by DMA.
-#![allow(unsafe_code)] // what DMA has written
+//! The MT9V032 on the DCMI (ST RM0433, chapter 32). DMA captures the next frame while one is reconstructed.
+#![allow(unsafe_code)] // memory that DMA writes
 
 use crate::camera::{Mt9v032, Window};
 use core::slice;
@@ -12,25 +12,25 @@ use embassy_stm32::pac::{self, DMA1, DMAMUX1};
 use embassy_stm32::peripherals as p;
 use embassy_stm32::rcc::{Mco, Mco1Source, McoConfig, McoPrescaler};
 use embassy_stm32::{Peri, bind_interrupts, dma};
-use ommatidia_shared::device::{FrameSource, IoError};
+use ommatidia_shared::device::{FrameInput, IoError};
 
 bind_interrupts!(struct Interrupts {
     DCMI => dcmi::InterruptHandler<p::DCMI>;
     DMA1_STREAM0 => dma::InterruptHandler<p::DMA1_CH0>;
 });
 
-/// What the sensor delivers.
+/// The window that the sensor delivers.
 pub const WINDOW: Window = Window { rows: 214, cols: 214, bin: 2 };
 /// Exposure, rows: with rows of 660 clocks of 24 MHz, 13.2 ms.
 const EXPOSURE_ROWS: u16 = 480;
 /// Stream of DMA1, and channel of DMAMUX1, that carries the frames.
 const STREAM: usize = 0;
-/// The DCMI among the requests of DMAMUX1 (ST RM0433, table 121).
+/// Request number of the DCMI at DMAMUX1 (ST RM0433, table 121).
 const DMA_REQUEST: u8 = 75;
-/// The longest wait for a frame, cycles: half a second.
+/// Longest wait for a frame, cycles: half a second.
 const PATIENCE: u32 = 240_000_000;
 
-/// A frame as DMA writes it: two pixels a word, the first one in the low half.
+/// A frame as DMA writes it: two pixels in a word, the first one in the low half.
 pub type Frame = [u32; WINDOW.pixels() / 2];
 
 /// Peripherals and pins of the camera.
@@ -62,24 +62,25 @@ pub type Data = (
     Peri<'static, p::PC12>,
 );
 
-/// Two frames in memory that DMA reaches: one from the host or the sensor to compute from, one to capture into.
+/// Two frames in memory that DMA reaches: one from the host or the sensor, to be reconstructed, and one to capture
+/// into.
 pub struct Camera {
-    /// Keeps pins and clock as they are.
+    /// Keeps pins and clock configured.
     _dcmi: Dcmi<'static, p::DCMI>,
     _clock: Mco<'static, p::MCO1>,
     frames: [&'static mut Frame; 2],
-    /// Which of them the sensor writes.
+    /// Index of the frame that the sensor writes.
     back: usize,
     mode: Mode,
-    /// Pixels that the host sends.
+    /// Pixels of the frame that the host sends.
     pixels: usize,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Mode {
-    /// No sensor has answered: frames come from the host.
+    /// No sensor answered: frames come from the host.
     Host,
-    /// The sensor runs, and nothing is being captured.
+    /// The sensor runs, and no frame is being captured.
     Idle,
     /// A frame is being captured.
     Capturing,
@@ -92,7 +93,8 @@ impl Camera {
         config.prescaler = McoPrescaler::DIV2;
         let clock = Mco::new(pins.mco, pins.clock, Mco1Source::HSI48, config);
         let (d0, d1, d2, d3, d4, d5, d6, d7, d8, d9) = pins.data;
-        // The sensor's FRAME_VALID and LINE_VALID are high while pixels come; they change at the falling edge of the clock.
+        // The sensor's FRAME_VALID and LINE_VALID are high while pixels come; they change at the falling edge of the
+        // clock.
         let mut config = dcmi::Config::default();
         config.vsync_level = dcmi::VSyncDataInvalidLevel::Low;
         let dcmi = Dcmi::new_10bit(
@@ -123,7 +125,7 @@ impl Camera {
         Self { _dcmi: dcmi, _clock: clock, frames, back: 0, mode, pixels: 0 }
     }
 
-    /// Has the next whole frame written to the back buffer.
+    /// Starts the capture of the next whole frame into the back buffer.
     fn capture(&mut self) {
         let stream = DMA1.st(STREAM);
         stop();
@@ -152,7 +154,7 @@ impl Camera {
             w.set_msize(Size::BITS32);
             w.set_en(true);
         });
-        // One frame, from its first pixel: the DCMI waits for the next VSYNC.
+        // The DCMI waits for the next VSYNC and captures one frame.
         pac::DCMI.cr().modify(|w| {
             w.set_cm(true);
             w.set_enable(true);
@@ -162,6 +164,9 @@ impl Camera {
     }
 
     /// Waits until the back buffer holds a frame.
+    ///
+    /// # Errors
+    /// [`IoError::Failed`] where the capture failed or took too long.
     fn captured(&self) -> Result<(), IoError> {
         let began = DWT::cycle_count();
         loop {
@@ -177,15 +182,15 @@ impl Camera {
         }
     }
 
-    /// The frame to compute from.
+    /// The frame to reconstruct.
     fn front(&mut self) -> &mut [u16] {
         let frame = &mut *self.frames[1 - self.back];
-        // SAFETY: words are aligned for pixels, and all of their bits are pixels'.
+        // SAFETY: words are aligned for pixels, and all of their bits belong to pixels.
         unsafe { slice::from_raw_parts_mut(frame.as_mut_ptr().cast(), WINDOW.pixels()) }
     }
 }
 
-/// Ends what the DMA stream and the DCMI are doing.
+/// Stops the DMA stream and the DCMI.
 fn stop() {
     let stream = DMA1.st(STREAM);
     pac::DCMI.cr().modify(|w| {
@@ -193,11 +198,11 @@ fn stop() {
         w.set_enable(false);
     });
     stream.cr().modify(|w| w.set_en(false));
-    // It ends with the transfer that it is in.
+    // The stream finishes its current transfer first.
     while stream.cr().read().en() {}
 }
 
-impl FrameSource for Camera {
+impl FrameInput for Camera {
     fn capacity(&self) -> usize {
         WINDOW.pixels()
     }
@@ -224,7 +229,8 @@ impl FrameSource for Camera {
         Ok(())
     }
 
-    /// The host's frame where it has sent one since the last; else the sensor's, which was captured while the one before was computed.
+    /// The frame of the host where it has sent one since the last run, otherwise that of the sensor, which was captured
+    /// during the last run.
     fn frame(&mut self) -> Result<&[u16], IoError> {
         let sent = self.pixels;
         if self.live() {

@@ -1,4 +1,4 @@
-//! A clock that runs while the core sleeps: TIM2 in microseconds; and a tick that wakes the core.
+//! A clock that runs while the core sleeps (TIM2, in microseconds), and a tick that wakes the core.
 
 use crate::board::activity::Account;
 use cortex_m::peripheral::SYST;
@@ -9,7 +9,7 @@ use ommatidia_shared::wire::Activity;
 
 /// The clock of the timers of APB1: twice the bus (ST RM0433, section 8.5.5).
 const TIMER_MHZ: u16 = 240;
-/// The longest time between two ticks, 35 ms.
+/// Cycles between two ticks: the longest, 35 ms.
 const TICK_CYCLES: u32 = 0x00ff_ffff;
 
 static ACCOUNT: Account<1000> = Account::new();
@@ -18,7 +18,7 @@ static ACCOUNT: Account<1000> = Account::new();
 pub(super) fn begin(mut tick: SYST) {
     RCC.apb1lenr().modify(|w| w.set_tim2en(true));
     TIM2.psc().write_value(TIMER_MHZ - 1);
-    // The prescaler is taken over with an update.
+    // An update event loads the prescaler.
     TIM2.egr().write(|w| w.set_ug(true));
     TIM2.cr1().modify(|w| w.set_cen(true));
     ACCOUNT.begin(now());
@@ -29,7 +29,7 @@ pub(super) fn begin(mut tick: SYST) {
     tick.enable_interrupt();
 }
 
-/// Waking is all that the tick is for.
+/// Does nothing: the tick only wakes the core.
 #[exception]
 fn SysTick() {}
 
@@ -37,12 +37,12 @@ pub(super) fn now() -> u32 {
     TIM2.cnt().read()
 }
 
-/// The core has slept since `before`.
+/// Records that the core has slept since `before`.
 pub(super) fn slept(before: u32) {
     ACCOUNT.slept(before, now());
 }
 
-/// How the core spends its time.
+/// How long the core has run and slept.
 pub(super) fn activity() -> Option<Activity> {
     Some(ACCOUNT.activity(now()))
 }

@@ -1,4 +1,4 @@
-//! The sectors of the internal flash that hold network files. They are read where they lie.
+//! The sectors of the internal flash that hold network files. They are read in place.
 #![allow(unsafe_code)] // flash is memory
 
 use super::memory::flash_range;
@@ -8,7 +8,7 @@ use embassy_stm32::peripherals::FLASH;
 use embedded_storage::nor_flash::{self, NorFlash, ReadNorFlash};
 use ommatidia_shared::flash::MappedFlash;
 
-/// All sectors but the program's: fifteen of 128 KB, room for files of 640 KB.
+/// All sectors without that of the program: fifteen of 128 KB, for files of up to 640 KB.
 pub struct InternalFlash(Flash<'static, Blocking>);
 
 impl InternalFlash {
@@ -16,7 +16,7 @@ impl InternalFlash {
         Self(Flash::new_blocking(flash))
     }
 
-    /// Offset in the whole flash.
+    /// Converts an offset in these sectors to one in the whole flash.
     fn offset(&self, at: u32) -> Result<u32, Error> {
         let first = flash_range().start.addr() - FLASH_BASE;
         u32::try_from(first).ok().and_then(|first| first.checked_add(at)).ok_or(Error::Size)
@@ -58,7 +58,7 @@ impl NorFlash for InternalFlash {
 impl MappedFlash for InternalFlash {
     fn mapped(&self) -> &[u8] {
         let core::ops::Range { start, end } = flash_range();
-        // SAFETY: the memory map keeps these sectors free of anything else; they change through `&mut self` only.
+        // SAFETY: the memory map puts nothing else in these sectors, and they change through `&mut self` only.
         unsafe { core::slice::from_raw_parts(start, end.addr() - start.addr()) }
     }
 }

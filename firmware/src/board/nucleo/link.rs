@@ -1,4 +1,4 @@
-//! USART3, which the probe carries to the host as a serial port.
+//! USART3, which the debug probe presents to the host as a serial port.
 
 use super::{Dog, clock};
 use core::convert::Infallible;
@@ -12,14 +12,15 @@ bind_interrupts!(struct Interrupts {
     USART3 => BufferedInterruptHandler<peripherals::USART3>;
 });
 
-/// Bits a second; the fastest rate that the probe's port has as well.
+/// Rate, bit/s: the fastest that the port of the probe supports.
 const BAUD: u32 = 921_600;
 
-/// The serial line, and the watchdog that is fed while nothing comes. What is lost or damaged on the line is lost: the host asks again.
+/// The serial line, and the watchdog that it feeds while it waits. Lost or damaged bytes are not recovered: the host
+/// repeats its request.
 pub struct Link(BufferedUart<'static>, Dog);
 
 impl Link {
-    /// Opens the line; `None` where the rate cannot be had.
+    /// Opens the line. `None` where the rate is not possible.
     pub(super) fn new(
         uart: Peri<'static, peripherals::USART3>,
         rx: Peri<'static, peripherals::PD9>,
@@ -38,18 +39,18 @@ impl ErrorType for Link {
 }
 
 impl Link {
-    /// Sleeps until the receive interrupt, or the tick. Waiting is no hang: the watchdog is fed.
+    /// Sleeps until a byte was received. The tick wakes the core in between, to feed the watchdog.
     fn sleep_until_received(&mut self) {
-        // An error is told by the read.
+        // The read reports an error.
         while !self.0.read_ready().unwrap_or(true) {
             interrupt::disable();
-            // A byte that has come since is seen here; one that comes from here on wakes the core, masked as its interrupt is.
+            // This finds a byte that has come since. A later one wakes the core although its interrupt is masked.
             if !self.0.read_ready().unwrap_or(true) {
                 let before = clock::now();
                 asm::wfi();
                 clock::slept(before);
             }
-            // SAFETY: they were not masked before; nothing here relies on it.
+            // SAFETY: interrupts were enabled before, and nothing here relies on their being masked.
             #[allow(unsafe_code)]
             unsafe {
                 interrupt::enable();

@@ -1,4 +1,4 @@
-//! What lies where: arenas and buffers in sections of the memory map, and how much the program itself takes.
+//! Arenas and buffers in the sections of the memory map, and the memory that the program itself occupies.
 #![allow(unsafe_code)] // sections and linker symbols
 
 use super::camera::Frame;
@@ -25,7 +25,7 @@ pub(super) fn line() -> &'static mut Line {
     unsafe { LINE.take() }
 }
 
-/// What goes to the host, and what comes from it: a packet each, and room for what comes while it is handled.
+/// Buffers for bytes to the host and from the host.
 pub(super) fn line_buffers() -> [&'static mut [u8]; 2] {
     // SAFETY: called once, from `super::take`.
     let [send, receive] = unsafe { BUFFERS.take() };
@@ -37,7 +37,7 @@ pub(super) fn frames() -> [&'static mut Frame; 2] {
     let frames = unsafe { FRAMES.take() };
     match frames.as_chunks_mut().0 {
         [first, second] => [first, second],
-        _ => super::fail(&"there is no room for two frames"),
+        _ => super::fail(&"no room for two frames"),
     }
 }
 
@@ -66,7 +66,7 @@ pub(super) fn flash_range() -> Range<*const u8> {
     addr_of!(_flash_start)..addr_of!(_flash_end)
 }
 
-/// What the program takes; the image begins with the flash.
+/// Memory that the program occupies. The image begins at the beginning of the flash.
 pub fn footprint() -> Footprint {
     memory::footprint(0x0800_0000)
 }

@@ -1,15 +1,16 @@
-//! ST NUCLEO-H743ZI2 (ST UM2407): STM32H743ZI at 480 MHz, an MT9V032 on the DCMI, the host behind the probe's serial port.
+//! ST NUCLEO-H743ZI2 (ST UM2407): STM32H743ZI at 480 MHz, an MT9V032 on the DCMI, the host at the serial port of the
+//! debug probe.
 //!
-//! | what | pins |
+//! | function | pins |
 //! |---|---|
 //! | DCMI D0 to D9 | PC6, PC7, PE0, PE1, PE4, PD3, PE5, PE6, PC10, PC12 |
 //! | DCMI VSYNC, HSYNC, PIXCLK | PG9, PA4, PA6 |
-//! | the sensor's clock, 24 MHz (MCO1) | PA8 |
-//! | the sensor's registers (I2C1) SCL, SDA | PB8, PB9 |
-//! | the host (USART3) TX, RX | PD8, PD9 |
-//! | trigger, the green LED | PB0 |
+//! | clock of the sensor, 24 MHz (MCO1) | PA8 |
+//! | registers of the sensor (I2C1) SCL, SDA | PB8, PB9 |
+//! | host (USART3) TX, RX | PD8, PD9 |
+//! | trigger (green LED) | PB0 |
 //!
-//! The data cache stays off: DMA and flash change memory behind it.
+//! The data cache stays off, as DMA and flash change memory without it.
 
 mod camera;
 mod clock;
@@ -42,10 +43,10 @@ use ommatidia_shared::wire::StartCause;
 /// Name of the board.
 pub const NAME: &str = boards::NUCLEO_H743ZI.name;
 
-/// The watchdog waits for so many times 256 / 32 kHz, its longest (ST RM0433, section 47.3): 32.8 s.
+/// Reload value of the watchdog, in units of 256 / 32 kHz: the longest, 32.8 s (ST RM0433, section 47.3).
 const PATIENCE: u16 = 0xfff;
 
-/// The parts of the board, once. Without a sensor that answers there is no camera, and frames come from the host.
+/// The parts of the board. `None` where they were taken before. If no image sensor answers, frames come from the host.
 pub fn take() -> Option<Parts<'static, Link, Trigger, InternalFlash, Dog, Camera>> {
     static TAKEN: AtomicBool = AtomicBool::new(false);
     if TAKEN.swap(true, Ordering::Relaxed) {
@@ -94,7 +95,7 @@ pub fn take() -> Option<Parts<'static, Link, Trigger, InternalFlash, Dog, Camera
     })
 }
 
-/// 480 MHz from the probe's 8 MHz (ST UM2407, section 6.8.1): the highest, at voltage scale 0.
+/// The clocks: 480 MHz, the maximum at voltage scale 0, from the 8 MHz of the probe (ST UM2407, section 6.8.1).
 fn clocks() -> Config {
     let mut config = Config::default();
     let rcc = &mut config.rcc;
@@ -118,7 +119,7 @@ fn clocks() -> Config {
     config
 }
 
-/// The SRAM of the second domain has no clock after a reset (ST RM0433, section 8.7.43).
+/// Enables the clock of the SRAM of the second domain, which is off after a reset (ST RM0433, section 8.7.43).
 fn enable_memories() {
     pac::RCC.ahb2enr().modify(|w| {
         w.set_sram1en(true);
@@ -127,14 +128,14 @@ fn enable_memories() {
     });
 }
 
-/// What the last reset was; the flags are cleared.
+/// Cause of the last reset. The flags are cleared.
 fn start_cause() -> StartCause {
     let hung = pac::RCC.rsr().read().iwdg1rstf();
     pac::RCC.rsr().modify(|w| w.set_rmvf(true));
     if hung { StartCause::Watchdog } else { StartCause::Power }
 }
 
-/// The independent watchdog. The program feeds it, and the line while it waits.
+/// The independent watchdog. The program feeds it, and so does the serial line while it waits.
 #[derive(Clone, Copy)]
 pub struct Dog(());
 
@@ -151,7 +152,7 @@ impl Watchdog for Dog {
     }
 }
 
-/// The LED that is lit while a reconstruction is computed.
+/// The trigger pin with the green LED, high while a reconstruction is computed.
 pub struct Trigger(Output<'static>);
 
 impl ErrorType for Trigger {
@@ -170,12 +171,12 @@ impl OutputPin for Trigger {
     }
 }
 
-/// The host asked the program to end: it starts anew.
+/// Restarts the program, where the host has asked it to end.
 pub fn exit() -> ! {
     cortex_m::peripheral::SCB::sys_reset()
 }
 
-/// Stands still until the probe or the watchdog takes over.
+/// Stops until the watchdog resets the board or the probe takes control.
 pub fn fail(reason: &dyn core::fmt::Display) -> ! {
     #[cfg(feature = "probe")]
     defmt::error!("{}", defmt::Display2Format(reason));

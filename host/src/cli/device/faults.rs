@@ -1,7 +1,7 @@
-//! `device faults`: the table of faults tried.
+//! `device faults`: injects faults and prints the table.
 
 use crate::artifact::write_whole;
-use crate::cli::Outcome;
+use crate::cli::common::Outcome;
 use crate::device::{Firmware, faults};
 use ommatidia_shared::boards::BOARDS;
 use serde_json::json;
@@ -10,7 +10,7 @@ use std::path::PathBuf;
 /// Options of `device faults`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Where the page goes, Markdown
+    /// Page to write, Markdown (default: only print the table)
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
 }

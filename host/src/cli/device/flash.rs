@@ -1,7 +1,7 @@
-//! `device flash`: a network into the flash of a device.
+//! `device flash`: uploads a network into the flash of a device.
 
 use super::target::Target;
-use crate::cli::{Outcome, Run};
+use crate::cli::common::{Outcome, Run};
 use crate::device::flash;
 use crate::network_file::NetworkFile;
 use serde_json::json;
@@ -10,7 +10,7 @@ use std::path::PathBuf;
 /// Options of `device flash`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Network file
+    /// Network file of a device, from `ommatidia quantize`
     #[arg(long, value_name = "BLOB")]
     with: PathBuf,
     #[command(flatten)]
@@ -32,12 +32,13 @@ pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         "uploads": report.attempts, "verified": slot.runs, "seconds": seconds,
     });
     let done = match report.attempts {
-        0 => "was there already".to_string(),
+        0 => "not needed: the network was there already".to_string(),
         1 => format!("sent in {seconds:.1} s"),
-        n => format!("sent in {seconds:.1} s, at the {n}. attempt"),
+        n => format!("sent in {seconds:.1} s, in attempt {n}"),
     };
     let text = format!(
-        "board         {}\nnetwork       {}, {} bytes, CRC {:08x}\nslot          {:?}, generation {}: committed, and runs\nupload        {done}\n",
+        "board         {}\nnetwork       {}, {} bytes, CRC {:08x}\nslot          {:?}, generation {}: committed and \
+            running\nupload        {done}\n",
         report.board, report.telemetry.network, slot.mark.len, slot.mark.crc, slot.slot, slot.mark.generation,
     );
     Ok(Outcome { json, text })

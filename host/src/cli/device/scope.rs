@@ -1,4 +1,4 @@
-//! Which region of the object is reconstructed, and whether exactly.
+//! Options for the region of the object, and whether it is reconstructed exactly.
 
 use crate::device::Scope;
 use ommatidia_shared::blob::Header;
@@ -7,12 +7,15 @@ use ommatidia_shared::image::Region;
 /// Options that name a region.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Reconstruct this region of the object only, pixels: the same bits as cut out of the whole, unless --hold says otherwise
+    /// Reconstruct only this region of the object, pixels (default: the whole object). Without --hold its bits equal
+    /// those of the whole reconstruction
     #[arg(long, value_name = "ROW,COL,ROWS,COLS", value_parser = region)]
     roi: Option<Region>,
-    /// Approximate, and faster: N frames one after the other take what depends on the whole field (brightness, channel attention) from an exact
-    /// frame before them, and only the region and what it needs round it is computed. Without N: 9, so that every tenth frame is exact
-    #[arg(long, value_name = "N", requires = "roi", num_args = 0..=1, default_missing_value = "9", value_parser = clap::value_parser!(u16).range(1..))]
+    /// Approximate and faster: N consecutive frames take what depends on the whole field (brightness, channel
+    /// attention) from an exact frame before them, and only the region and its surroundings are computed. Without N: 9,
+    /// so that every tenth frame is exact (default: every frame is exact)
+    #[arg(long, value_name = "N", requires = "roi", num_args = 0..=1, default_missing_value = "9", value_parser =
+        clap::value_parser!(u16).range(1..))]
     hold: Option<u16>,
 }
 
@@ -27,8 +30,8 @@ impl Args {
     }
 }
 
-/// How many of the frames are exact, in words.
-pub(super) fn told(held: usize, frames: usize) -> String {
+/// How many of the frames are exact, for people.
+pub(super) fn exactness(held: usize, frames: usize) -> String {
     match held {
         0 => "measured in every frame: exact".into(),
         _ => format!("measured in {} of {frames} frames, held in the others, which are approximate", frames - held),
@@ -40,6 +43,8 @@ fn region(text: &str) -> Result<Region, String> {
     let numbers: Vec<u16> = text.split(',').map_while(|number| number.trim().parse().ok()).collect();
     match (numbers.as_slice(), text.split(',').count()) {
         (&[row, col, rows, cols], 4) => Ok(Region { row, col, rows, cols }),
-        _ => Err("expected four numbers of pixels, `ROW,COL,ROWS,COLS`: the first row and column, and how many".into()),
+        _ => Err("expected `ROW,COL,ROWS,COLS`, pixels: first row, first column, number of rows, number of \
+            columns"
+            .into()),
     }
 }

@@ -1,8 +1,8 @@
-//! `device status`: how a device is.
+//! `device status`: status of a device.
 
 use super::target::Target;
-use crate::cli::{Outcome, Run};
-use crate::device::status;
+use crate::cli::common::{Outcome, Run};
+use crate::device::{active_fraction, status};
 use ommatidia_shared::wire::{Info, SlotReport, Telemetry};
 use serde_json::{Value, json};
 
@@ -30,20 +30,15 @@ fn json(info: &Info, t: &Telemetry) -> Value {
         "board": info.board.as_str(), "network": t.network.as_str(),
         "slots": t.slots.iter().flatten().map(slot).collect::<Vec<_>>(), "refused_slots": t.refused_slots,
         "slot_bytes": info.blob_bytes, "starts": t.starts, "started_by": format!("{:?}", t.started_by).to_lowercase(),
-        "runs": t.runs, "held_runs": t.held_runs, "cycles": t.cycles, "active_fraction": active_fraction(t), "camera": info.live, "saturated_px": t.saturated_px, "dropped_frames": t.dropped_frames,
+        "runs": t.runs, "held_runs": t.held_runs, "cycles": t.cycles, "active_fraction": active_fraction(t),
+            "camera": info.live, "saturated_px": t.saturated_px, "dropped_frames": t.dropped_frames,
         "temperature_c": t.temperature_cdeg.map(|cdeg| f64::from(cdeg) / 100.0),
         "crc_errors": t.crc_errors, "dropped_packets": t.dropped_packets, "repeated_requests": t.repeated_requests,
         "stack_bytes": t.stack_bytes, "image_bytes": t.image_bytes, "static_bytes": t.static_bytes,
     })
 }
 
-/// The share of the time since its start that the core was awake, where the board has a clock.
-pub(super) fn active_fraction(t: &Telemetry) -> Option<f64> {
-    let activity = t.activity.filter(|activity| activity.total_ms > 0)?;
-    Some(1.0 - f64::from(activity.asleep_ms) / f64::from(activity.total_ms))
-}
-
-/// The same in words.
+/// The share of the time since its start that the core was awake, for people.
 pub(super) fn active_text(t: &Telemetry) -> String {
     match (active_fraction(t), t.activity) {
         (Some(active), Some(activity)) => {
@@ -55,7 +50,7 @@ pub(super) fn active_text(t: &Telemetry) -> String {
 
 fn text(info: &Info, t: &Telemetry) -> String {
     let mut text = format!("board         {}\n", info.board);
-    let network = if t.network.is_empty() { "none: `ommatidia device flash` sends one" } else { &t.network };
+    let network = if t.network.is_empty() { "none: send one with `ommatidia device flash`" } else { &t.network };
     text += &format!("network       {network}\n");
     for slot in t.slots.iter().flatten() {
         let runs = if slot.runs { ", runs" } else { "" };
@@ -66,7 +61,10 @@ fn text(info: &Info, t: &Telemetry) -> String {
         );
     }
     if t.refused_slots > 0 {
-        text += &format!("refused       {} committed at the start: damaged, or of another version\n", t.refused_slots);
+        text += &format!(
+            "refused       {} committed networks at the start: damaged, or of another version\n",
+            t.refused_slots
+        );
     }
     let known = |value: Option<String>| value.unwrap_or_else(|| "not measured".into());
     text += &format!("starts        {}, the last by {}\n", t.starts, format!("{:?}", t.started_by).to_lowercase());
@@ -76,7 +74,7 @@ fn text(info: &Info, t: &Telemetry) -> String {
     );
     text += &format!("cycles        {}\n", known(t.cycles.map(|cycles| format!("{cycles} in the last run"))));
     text += &format!("awake         {}\n", active_text(t));
-    text += &format!("camera        {}\n", if info.live { "yes" } else { "none: frames come from the host" });
+    text += &format!("camera        {}\n", if info.live { "yes" } else { "none: the host sends the frames" });
     text += &format!(
         "temperature   {}\n",
         known(t.temperature_cdeg.map(|cdeg| format!("{:.2} C", f64::from(cdeg) / 100.0)))

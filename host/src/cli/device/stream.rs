@@ -1,23 +1,19 @@
 //! `device stream`: frames in, reconstructions out, a live view in the browser.
 
 use super::target::Target;
-use crate::cli::{Outcome, Run};
-use crate::device::{FrameFeed, Frames, StreamReport, StreamedFrame, View, stream};
+use crate::cli::common::{Outcome, Run};
+use crate::device::{FrameFeed, Frames, LiveView, StreamRecording, StreamReport, active_fraction, stream};
 use crate::network_file::NetworkFile;
-use crate::session::{FrameReader, Recording};
+use crate::session::FrameReader;
 use anyhow::Context;
-use ndarray::Array2;
-use ommatidia_shared::image::Region;
 use serde_json::json;
-use std::fs::File;
-use std::io::Write;
 use std::net::SocketAddr;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Options of `device stream`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Network file
+    /// Network file of a device, from `ommatidia quantize`
     #[arg(long, value_name = "BLOB")]
     with: PathBuf,
     /// Raw frames, DN: .npy or .tif
@@ -26,10 +22,11 @@ pub(super) struct Args {
     /// Take N frames from the device's own camera
     #[arg(long, value_name = "N", conflicts_with = "frames", value_parser = clap::value_parser!(u32).range(1..))]
     live: Option<u32>,
-    /// Frames that come in a second; those that the device has no time for are dropped and counted (default: each waits for the device)
+    /// Frame rate, frames per second; frames that arrive while the device is busy are dropped and counted (default:
+    /// each frame waits for the device)
     #[arg(long, value_name = "RATE", value_parser = rate)]
     fps: Option<f64>,
-    /// Duty cycle: reconstruct every N-th frame only; the device sleeps meanwhile
+    /// Reconstruct only every N-th frame; the device sleeps meanwhile
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     every: u32,
     #[command(flatten)]
@@ -37,7 +34,8 @@ pub(super) struct Args {
     /// Show the reconstructions in a browser at this address, e.g. 127.0.0.1:8080
     #[arg(long, value_name = "ADDRESS")]
     view: Option<SocketAddr>,
-    /// Record the reconstructions as they come: an OME-TIFF that is readable at any time; their numbers and times, and the frames that statistics of the field are of, go to a .csv beside it
+    /// Record the reconstructions to an OME-TIFF, readable at any time. A .csv beside it lists the number and time of
+    /// each, and the frame whose statistics of the field were used
     #[arg(short, long, value_name = "TIF")]
     output: Option<PathBuf>,
     #[command(flatten)]
@@ -52,22 +50,27 @@ fn rate(text: &str) -> Result<f64, String> {
 /// Runs the verb.
 pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let blob = NetworkFile::read(&args.with)?;
-    let header = blob.network()?.header;
+    let header = blob.network()?.into_header();
     let mut reader = args.frames.as_deref().map(FrameReader::open).transpose()?;
     let len = reader.as_ref().map_or(args.live.unwrap_or_default() as usize, FrameReader::len);
     let region = args.scope.region(&header);
     let runtime = args.target.runtime(run)?;
     let view = match args.view {
-        None => View::none(),
-        Some(address) => View::serve(address).with_context(|| format!("{address}: no view can be served there"))?,
+        None => LiveView::none(),
+        Some(address) => LiveView::serve(address).with_context(|| {
+            format!(
+                "{address}: the live view cannot be served \
+            there"
+            )
+        })?,
     };
     if let (Some(address), false) = (view.address(), run.quiet) {
         eprintln!("live view: http://{address}/");
     }
-    let mut record = args.output.as_deref().map(|path| Record::create(path, region)).transpose()?;
+    let mut record = args.output.as_deref().map(|path| StreamRecording::create(path, region)).transpose()?;
     let bar = run.progress(len as u64, "stream");
     let mut read = |i: usize| {
-        let reader = reader.as_mut().context("there are no frames on this machine")?;
+        let reader = reader.as_mut().context("no frames were given with --frames")?;
         let frame = reader.read(i)?;
         blob.codes(frame.view()).with_context(|| format!("{}: frame {i}", reader.path().display()))
     };
@@ -82,35 +85,6 @@ pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     Ok(outcome(&report, len))
 }
 
-/// The reconstructions, and beside them which frame each is and when it was there.
-struct Record {
-    stack: Recording,
-    table: File,
-    pages: usize,
-}
-
-impl Record {
-    fn create(path: &Path, region: Region) -> anyhow::Result<Self> {
-        let stack = Recording::create(path, [region.rows.into(), region.cols.into()])?;
-        let table = path.with_extension("csv");
-        let mut table = File::create(&table).with_context(|| table.display().to_string())?;
-        table.write_all(b"page,frame,time_s,dropped_before,saturated_px,field_frame\n")?;
-        Ok(Self { stack, table, pages: 0 })
-    }
-
-    fn push(&mut self, frame: &StreamedFrame) -> anyhow::Result<()> {
-        let StreamedFrame { report, dropped_before, .. } = frame;
-        let values = frame.object.iter().map(|half| half.to_f32()).collect();
-        let shape = (report.region.rows.into(), report.region.cols.into());
-        self.stack.push(Array2::from_shape_vec(shape, values)?.view())?;
-        let (page, time, saturated) = (self.pages, frame.at.as_secs_f64(), report.saturated_px);
-        let StreamedFrame { frame, field_frame, .. } = frame;
-        writeln!(self.table, "{page},{frame},{time:.6},{dropped_before},{saturated},{field_frame}")?;
-        self.pages += 1;
-        Ok(())
-    }
-}
-
 fn outcome(report: &StreamReport, came: usize) -> Outcome {
     let (shown, seconds) = (report.reconstructed, report.took.as_secs_f64());
     let left_out = came - shown - report.dropped;
@@ -119,15 +93,17 @@ fn outcome(report: &StreamReport, came: usize) -> Outcome {
     let json = json!({
         "board": report.board, "frames": came, "reconstructed": shown, "dropped": report.dropped, "left_out": left_out,
         "failed_on_the_line": report.failed, "held": report.held, "seconds": seconds, "frames_per_second": rate,
-        "active_fraction": super::status::active_fraction(t),
+        "active_fraction": active_fraction(t),
         "device_dropped_frames": t.dropped_frames, "crc_errors": t.crc_errors, "dropped_packets": t.dropped_packets,
     });
     let text = format!(
-        "board         {}\nframes        {came} came, {shown} reconstructed, {} dropped ({} of them by the line), {left_out} left out\nfield         {}\nrate          {rate:.2} a second\nawake         {}\n",
+        "board         {}\nframes        {came} arrived, {shown} reconstructed, {} dropped ({} of them lost on the \
+            line), {left_out} skipped by --every\nfield         {}\nrate          {rate:.2} frames per \
+            second\nawake         {}\n",
         report.board,
         report.dropped,
         report.failed,
-        super::scope::told(report.held, shown),
+        super::scope::exactness(report.held, shown),
         super::status::active_text(t),
     );
     Outcome { json, text }

@@ -1,7 +1,7 @@
-//! Which device, and what runs it.
+//! Options that choose a device.
 
-use crate::cli::Run;
-use crate::device::{BAUD, Runtime, Wanted};
+use crate::cli::common::Run;
+use crate::device::{BAUD, Runtime, RuntimeChoice};
 use clap::ValueEnum;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use ommatidia_shared::boards::{BOARDS, Board, MPS2_AN500};
@@ -10,22 +10,23 @@ use std::path::PathBuf;
 /// Options that name a device.
 #[derive(Debug, clap::Args)]
 pub(super) struct Target {
-    /// The board
+    /// Board, by name
     #[arg(long, value_parser = boards(), default_value = MPS2_AN500.name)]
     board: Board,
-    /// Firmware image for the board (default: build it)
+    /// Firmware image for the board, ELF (default: build it)
     #[arg(long, value_name = "ELF")]
     firmware: Option<PathBuf>,
-    /// What runs the firmware
+    /// Where the firmware runs
     #[arg(long, value_enum, default_value_t = On::Auto)]
     on: On,
-    /// File that is the flash of the device; made if it is missing (default: a flash that is empty, and lost at the end)
+    /// File with the flash of the emulated device, created if it is missing (default: an empty flash that is discarded
+    /// at the end)
     #[arg(long, value_name = "FILE")]
     pub(super) state: Option<PathBuf>,
     /// Serial port of a real board, e.g. /dev/ttyACM0 or COM3
     #[arg(long, value_name = "PORT", conflicts_with_all = ["board", "firmware", "on", "state"])]
     port: Option<String>,
-    /// Bits a second on that port
+    /// Rate of that port, bits per second
     #[arg(long, value_name = "RATE", default_value_t = BAUD, requires = "port")]
     baud: u32,
 }
@@ -39,28 +40,28 @@ pub(super) fn boards() -> impl TypedValueParser<Value = Board> {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum On {
-    /// QEMU if it and the firmware can be had, else this machine
+    /// QEMU if it and the firmware are available, else this computer
     Auto,
     /// QEMU
     Qemu,
-    /// The firmware's logic on this machine
+    /// The firmware's logic on this computer
     Host,
 }
 
 impl Target {
-    /// What runs the device; tells where it is the second choice.
+    /// Where the device runs; prints a note if that is only the fallback.
     pub(super) fn runtime(&self, run: &Run) -> anyhow::Result<Runtime> {
         if let Some(port) = self.port.clone() {
             return Ok(Runtime::Serial { port, baud: self.baud });
         }
         let wanted = match self.on {
-            On::Auto => Wanted::Best,
-            On::Qemu => Wanted::Qemu,
-            On::Host => Wanted::Host,
+            On::Auto => RuntimeChoice::Best,
+            On::Qemu => RuntimeChoice::Qemu,
+            On::Host => RuntimeChoice::Host,
         };
         let (runtime, fallback) = Runtime::choose(self.board, wanted, self.firmware.as_deref())?;
         if let (Some(why), false) = (&fallback, run.quiet) {
-            eprintln!("note: the firmware's logic runs on this machine, not on the emulated board: {why}");
+            eprintln!("note: the firmware's logic runs on this computer, not on the emulated board: {why}");
         }
         Ok(runtime)
     }

@@ -1,10 +1,17 @@
-//! Faults of an emulated board: the emulator is killed, the program hangs.
+//! Faults of an emulated board: the emulator is killed, or the program hangs.
 
-use super::desk::Network;
-use super::{Row, Tally};
+use super::tally::{Row, Tally};
+use super::test_device::Network;
+use crate::device::client::Client;
+use crate::device::error::DeviceError;
+use crate::device::firmware::Firmware;
 use crate::device::flash::runs;
+use crate::device::flash::{flash, upload};
+use crate::device::qemu::Qemu;
 use crate::device::qemu::run_to_end;
-use crate::device::{Client, DeviceError, Firmware, Qemu, Runtime, flash, run, status, upload};
+use crate::device::run::run;
+use crate::device::runtime::Runtime;
+use crate::device::status::status;
 use std::fs::File;
 use std::io::Read;
 use std::time::Duration;
@@ -13,15 +20,15 @@ const KILLS: u64 = 12;
 /// More than the flash of any emulated board.
 const FLASH_BYTES: u64 = 8 << 20;
 
-/// The emulator is killed at some moment of an upload, and started again with the same flash.
+/// Kills the emulator during an upload and restarts it with the same flash.
 pub(super) fn killed(apps: &[Firmware]) -> Result<Row, DeviceError> {
     let mut tally = Tally::default();
     for app in apps {
         kill_uploads(app, &mut tally)?;
     }
     Ok(tally.row(
-        "an emulated board is killed within an upload",
-        "12 on each of the three, at different moments; started again with the same flash",
+        "an emulated board is killed during an upload",
+        "12 times on each of the three, at different moments; restarted with the same flash",
     ))
 }
 
@@ -31,7 +38,8 @@ fn kill_uploads(app: &Firmware, tally: &mut Tally) -> Result<(), DeviceError> {
     let state = folder.path().join("flash");
     let runtime = Runtime::Qemu(app.clone());
     flash(&runtime, Some(&state), &old.blob, &mut |_| {})?;
-    // The flash is the first part of the board's memory; what stands behind it in the file may be large, and is scratch.
+    // The flash is the first part of the board's memory; what stands behind it in the file may be large, and is
+    // scratch.
     let mut before = Vec::new();
     File::open(&state)?.take(FLASH_BYTES).read_to_end(&mut before)?;
     for kill in 0..KILLS {
@@ -65,7 +73,7 @@ fn kill_uploads(app: &Firmware, tally: &mut Tally) -> Result<(), DeviceError> {
     Ok(())
 }
 
-/// A program hangs; the watchdog resets the board, and the next start tells why.
+/// Lets a program hang: the watchdog resets the board, and the next start reports the reason.
 pub(super) fn hung(watchdogs: &[Firmware]) -> Result<Row, DeviceError> {
     let mut tally = Tally::default();
     for watchdog in watchdogs {

@@ -1,4 +1,4 @@
-//! NOR flash in memory whose power can be cut and whose bits can be flipped.
+//! Simulated NOR flash with injected power failures and flipped bits.
 
 use embedded_storage::nor_flash::{
     ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash, check_erase, check_read, check_write,
@@ -12,16 +12,16 @@ const WORD: usize = 4;
 /// Bytes that are erased in one step.
 pub(super) const SECTOR: usize = 4096;
 
-/// What happens to the flash, at which step. Steps are words written and sectors erased.
+/// A fault of the flash, at a step. Steps are words written and sectors erased.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Fault {
     /// Nothing.
     None,
-    /// The power goes before the step.
+    /// The power fails before the step.
     Cut(u64),
-    /// The power goes in the step: some bits of the word are written, some bits of the sector are erased.
+    /// The power fails within the step: some bits of the word are written, or some bits of the sector are erased.
     Torn(u64),
-    /// A word is written with one bit wrong, and nobody says so.
+    /// A word is written with one wrong bit, and no error is reported.
     Flip(u64),
 }
 
@@ -33,7 +33,7 @@ pub(super) struct FaultyFlash<'m> {
     rng: ChaCha8Rng,
     /// Steps so far.
     pub steps: u64,
-    /// The power is gone.
+    /// The power has failed.
     pub dead: bool,
 }
 

@@ -1,8 +1,13 @@
-//! The line loses, repeats and flips bytes, repeats packets, and goes away for a while.
+//! Faults of the serial line: lost, repeated and flipped bytes, repeated packets, interruptions.
 
-use super::desk::Network;
-use super::{Row, Tally};
-use crate::device::{Client, DeviceError, Faults, Faulty, Patience, Scope, Transport, flash};
+use super::tally::{Row, Tally};
+use super::test_device::Network;
+use crate::device::client::{Client, RetryPolicy};
+use crate::device::error::DeviceError;
+use crate::device::faulty_line::{FaultyLine, LineFaults};
+use crate::device::flash;
+use crate::device::scope::Scope;
+use crate::device::transport::Transport;
 use half::f16;
 use ommatidia_shared::device::{Arenas, Device, Line, RamFrame, RamObject, Silent, Step};
 use ommatidia_shared::flash::RamFlash;
@@ -11,41 +16,49 @@ use std::time::Duration;
 /// Conversations of each kind, each with a network and frames of its own.
 const CONVERSATIONS: u64 = 20;
 const FRAMES: u32 = 4;
-/// As often as a host may begin a frame or a network anew.
+/// How often the host may restart a frame or a network.
 const AGAIN: u32 = 1000;
 
 /// The kinds of faults, by name.
-fn kinds() -> [(&'static str, Faults); 7] {
-    let none = Faults::default();
+fn kinds() -> [(&'static str, LineFaults); 7] {
+    let none = LineFaults::default();
     [
-        ("bytes are lost", Faults { lose: 1e-3, ..none }),
-        ("bytes come twice", Faults { repeat: 1e-3, ..none }),
-        ("bits flip", Faults { flip: 1e-3, ..none }),
-        ("packets come twice", Faults { resend: 0.3, ..none }),
-        ("the line is away for 3,000 bytes", Faults { outage: 2e-4, outage_bytes: 3000, ..none }),
+        ("bytes are lost", LineFaults { lose: 1e-3, ..none }),
+        ("bytes are repeated", LineFaults { repeat: 1e-3, ..none }),
+        ("bits flip", LineFaults { flip: 1e-3, ..none }),
+        ("packets are repeated", LineFaults { resend: 0.3, ..none }),
+        ("the line is interrupted for 3,000 bytes", LineFaults { outage: 2e-4, outage_bytes: 3000, ..none }),
         (
-            "the line is away for 60,000 bytes, longer than the host asks",
-            Faults { outage: 4e-5, outage_bytes: 60_000, ..none },
+            "the line is interrupted for 60,000 bytes, longer than the host retries",
+            LineFaults { outage: 4e-5, outage_bytes: 60_000, ..none },
         ),
         (
             "all of these",
-            Faults { lose: 2e-4, repeat: 2e-4, flip: 2e-4, resend: 0.05, outage: 2e-5, outage_bytes: 10_000, seed: 0 },
+            LineFaults {
+                lose: 2e-4,
+                repeat: 2e-4,
+                flip: 2e-4,
+                resend: 0.05,
+                outage: 2e-5,
+                outage_bytes: 10_000,
+                seed: 0,
+            },
         ),
     ]
 }
 
-/// Networks and frames over lines with faults of every kind.
+/// Sends networks and frames over lines with faults of every kind.
 pub(super) fn lines() -> Result<Vec<Row>, DeviceError> {
     kinds().into_iter().map(|(name, faults)| line(name, faults)).collect()
 }
 
-fn line(name: &'static str, faults: Faults) -> Result<Row, DeviceError> {
+fn line(name: &'static str, faults: LineFaults) -> Result<Row, DeviceError> {
     let mut tally = Tally::default();
     for seed in 0..CONVERSATIONS {
         let network = Network::new(seed)?;
         let mut memory = Memory::new();
-        let line = Faulty::new(memory.line(), Faults { seed, ..faults });
-        let patience = Patience { first: Duration::from_secs(1), longest: Duration::from_secs(1), attempts: 12 };
+        let line = FaultyLine::new(memory.line(), LineFaults { seed, ..faults });
+        let patience = RetryPolicy { first: Duration::from_secs(1), longest: Duration::from_secs(1), attempts: 12 };
         let (mut client, info) = connect(line, patience)?;
         let sent = again(&mut client, |client| flash::upload(client, &info, &network.blob, &mut |_| {}));
         tally.blobs_lost += u64::from(sent.is_err());
@@ -68,17 +81,17 @@ fn line(name: &'static str, faults: Faults) -> Result<Row, DeviceError> {
     Ok(tally.row(&format!("on the line, {name}"), &how))
 }
 
-/// Opens the conversation, however often it takes.
+/// Connects, with as many attempts as it takes.
 fn connect<T: Transport>(
     line: T,
-    patience: Patience,
+    patience: RetryPolicy,
 ) -> Result<(Client<T>, ommatidia_shared::wire::Info), DeviceError> {
     let mut client = Client::over(line, patience, patience);
     let info = again(&mut client, Client::hello)?;
     Ok((client, info))
 }
 
-/// Does what may fail when the line is away; when it does, says hello and does it again.
+/// Repeats `work`, after a new hello, while it fails because the line was interrupted.
 fn again<T: Transport, R>(
     client: &mut Client<T>,
     mut work: impl FnMut(&mut Client<T>) -> Result<R, DeviceError>,
@@ -95,7 +108,7 @@ fn again<T: Transport, R>(
     result
 }
 
-/// What a device on a line without time needs.
+/// Memory of a simulated device.
 struct Memory {
     flash: Vec<u128>,
     frame: Vec<u16>,
@@ -107,7 +120,7 @@ struct Memory {
 impl Memory {
     fn new() -> Self {
         Self {
-            flash: vec![0; super::desk::FLASH / size_of::<u128>()],
+            flash: vec![0; super::test_device::FLASH / size_of::<u128>()],
             frame: vec![0; 4096],
             object: vec![f16::ZERO; 4096],
             fast: vec![0.0; 4096],
@@ -124,7 +137,7 @@ impl Memory {
     }
 }
 
-/// A device that answers before `send` returns: what happens on this line does not depend on time.
+/// A device that answers before `send` returns, so that the conversation does not depend on time.
 struct Direct<'m> {
     device: Device<'m, RamFlash<'m>, RamFrame<'m>, RamObject<'m>, Silent>,
     line: Box<Line>,

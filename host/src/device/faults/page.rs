@@ -1,25 +1,29 @@
 //! The page `docs/faults.md`: written, and compared with new trials.
 
-use super::Row;
+use super::tally::Row;
 
-const HEAD: &str = "# Faults tried
+const HEAD: &str = "# Fault injection
 
-Written by `cargo run --release -p ommatidia-host -- device faults -o docs/faults.md`: faults put in on purpose, by kind and number,
-and what became of networks and frames (`host/src/device/faults`). A test of `cargo verify` tries all of them anew and fails where a
-network or a frame is lost, a bit of a reconstruction is wrong, or a number differs from this page; `OMMATIDIA_RENEW=1 cargo test
---release -p ommatidia-tests --test faults` writes the page anew.
+Written by `cargo run --release -p ommatidia-host -- device faults -o docs/faults.md`. The table lists the injected
+faults, how many of each, and whether networks and frames survived (`host/src/device/faults`). A test of `cargo
+verify` injects all of them again. It fails if a network or a frame is lost, if a bit of a reconstruction is wrong, or
+if a number differs from this page. `OMMATIDIA_RENEW=1 cargo test --release -p ommatidia-tests --test faults` writes
+the page again.
 
-The flash is NOR flash in memory: a step is a word of 4 bytes written or a sector of 4 KiB erased; within a step, any of the bits that
-were to change have changed when the power goes. A network counts as lost where none runs after the next start, or not the one
-whose commit the device had acknowledged; a frame, where it cannot be reconstructed after that, with a new upload if need be. On the line, `seen` counts
-what was put in: each costs a packet, which is asked for again.
+The flash is simulated NOR flash: a step writes one word of 4 bytes or erases one sector of 4 KiB. When the power
+fails within a step, a random part of the bits of that step has changed. A network counts as lost if no network runs
+after the next start, or if another one runs than the one whose commit the device had acknowledged. A frame counts as
+lost if it cannot be reconstructed afterwards, after a new upload where that is needed. `seen` counts the faults that
+the device or the host noticed. On the serial line it counts the injected faults: each costs a packet, which the host
+requests again.
 
 ";
 
 /// The table, Markdown.
 pub fn table(rows: &[Row]) -> String {
     let mut text = String::from(
-        "| fault | how | tried | seen | networks lost | frames lost | wrong reconstructions |\n|---|---|---|---|---|---|---|\n",
+        "| fault | how | tried | seen | networks lost | frames lost | wrong reconstructions \
+            |\n|---|---|---|---|---|---|---|\n",
     );
     for Row { fault, how, tried, seen, blobs_lost, frames_lost, wrong } in rows {
         text += &format!("| {fault} | {how} | {tried} | {seen} | {blobs_lost} | {frames_lost} | {wrong} |\n");

@@ -4,7 +4,7 @@ mod steps;
 mod worked;
 
 use super::*;
-use crate::noise::Sources;
+use crate::noise::NoiseModel;
 use crate::rng::stream;
 use crate::session::Role;
 use ndarray::Array2;
@@ -49,8 +49,8 @@ const RAY: Ray = Ray {
     pixel_pitch_um: 1.85,
 };
 
-/// What an effect does at each stage: images of the five stages that have one, the shift of a ray, the record, the noise, and a
-/// drawn reading.
+/// Results of an effect at each stage: images of five stages, the shift of a ray, the record, the noise, and a noisy
+/// reading.
 #[derive(PartialEq)]
 struct Deeds {
     images: Vec<Array2<f32>>,
@@ -80,15 +80,7 @@ fn deeds(chain: &Chain) -> Deeds {
 }
 
 fn sensor_noise() -> NoiseModel {
-    NoiseModel {
-        black_level_dn: 2.0,
-        gain_dn_per_e: 0.5,
-        gain_sigma: 0.0,
-        read_noise_e: 2.0,
-        read_noise_sigma: 0.0,
-        saturation_dn: 4095.0,
-        sources: Sources::default(),
-    }
+    NoiseModel { black_level_dn: 2.0, gain_dn_per_e: 0.5, ..NoiseModel::nominal() }
 }
 
 fn dimmest(images: &[Array2<f32>]) -> f32 {
@@ -224,7 +216,7 @@ fn shapes_are_guessed_from_residuals() {
     assert_eq!(even[2], 2.0);
     let cols = first("column_pattern", &[("amplitude_dn", 1.0), ("period_cols", 5.0)]);
     assert!((1.0 / cols[2] - 0.2).abs() < 0.5 / 90.0 / 4.0 + 1e-9, "{cols:?}");
-    // 30 Hz is below half the rate of 83 frames a second; three frames tell it to some Hz.
+    // 30 Hz is below half the rate of 83 frames a second; three frames determine it to some Hz.
     let bands = first("flicker_banding", &[("m_cos", 0.01), ("cycles_per_row", 0.073), ("frame_hz", 30.0)]);
     assert!((bands[2] - 0.073).abs() < 0.5 / 96.0 / 2.0 && (bands[3] - 30.0).abs() < 6.0, "{bands:?}");
     let mut evidence = evidence_of("lamp_drift", &[]);

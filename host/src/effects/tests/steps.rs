@@ -1,8 +1,9 @@
-//! Steps of parameters against a typical frame, and the page of the catalogue.
+//! Steps of parameters against a typical frame, and the page that lists all effects.
 
 use super::*;
 
-/// A typical frame: spots of 1.6 px rms, as the lenses see a specimen, brightest 7000 electrons; its lenses one by one.
+/// A typical frame: the light of each lens, with spots of 1.6 px rms and 7000 electrons at the brightest, and the
+/// anchors.
 fn typical() -> (Vec<Array2<f32>>, Vec<[f64; 2]>) {
     let anchors: Vec<[f64; 2]> =
         (0..9).map(|l| [106.5 + 50.0 * (l / 3) as f64 - 50.0, 106.5 + 50.0 * (l % 3) as f64 - 50.0]).collect();
@@ -90,7 +91,7 @@ fn steps_are_a_few_sigma_of_one_typical_frame() {
         let d = effect.descriptor();
         let off: Vec<f64> = d.expanded(9).iter().map(|(_, p)| p.off).collect();
         for (i, (name, p)) in d.expanded(9).into_iter().enumerate().filter(|(_, (_, p))| p.is_strength()) {
-            // One lens stands for all.
+            // One lens is tested for all.
             if p.per_lens && !name.ends_with("_4") {
                 continue;
             }
@@ -106,13 +107,14 @@ fn steps_are_a_few_sigma_of_one_typical_frame() {
     }
 }
 
-/// The catalogue as a page.
+/// The page that lists all effects.
 fn page() -> String {
     let mut text = String::from(PAGE_HEAD);
     for stage in Stage::ALL {
         text += &format!(
-            "\n## Stage `{}`\n\n| id | formula | parameters | looks like: what separates them |\n|---|---|---|---|\n",
-            format!("{stage:?}").to_lowercase()
+            "\n## Stage `{}`\n\n| id | formula | parameters | looks like: what distinguishes them |\n{}\n",
+            format!("{stage:?}").to_lowercase(),
+            "|---|---|---|---|"
         );
         for d in registry().iter().map(|e| e.descriptor()).filter(|d| d.stage == stage) {
             let params: Vec<String> = d.params.iter().map(parameter).collect();
@@ -135,13 +137,14 @@ fn parameter(p: &Param) -> String {
 
 const PAGE_HEAD: &str = "# Effects
 
-What a real instrument does beyond its calibrated optics, in the order in which light meets it. Every effect has one definition
-in `host/src/effects/`, which says more; the forward model applies it, `close` fits it, and the virtual bench injects it:
-`ommatidia bench session --effect halo=0.05,sigma_px=20` sets the first parameter and others by name.
+Effects of real instruments beyond their calibrated optics, in the order in which they act on the light. Each effect has
+one definition in `host/src/effects/`, with a longer description. The forward model applies it, `close` fits it, and the
+virtual bench injects it: `ommatidia bench session --effect halo=0.05,sigma_px=20` sets the first parameter, and others
+by name.
 
-**Strengths** are in bold: with all of them at zero (or as stated) the effect is absent to the last bit. The other parameters are
-shapes. This page is written from the descriptors; a test compares the two, and `OMMATIDIA_RENEW=1 cargo test -p ommatidia-host --lib
-effects` writes it anew.
+**Strengths** are in bold: with all of them at zero (or at the stated value) the effect is absent, to the last bit. The
+other parameters are shapes and choices. This page is generated from the descriptors, and a test compares the two:
+`OMMATIDIA_RENEW=1 cargo test -p ommatidia-host --lib effects` writes the page again.
 ";
 
 #[test]

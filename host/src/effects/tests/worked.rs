@@ -1,4 +1,4 @@
-//! Worked examples: numbers that a hand can check.
+//! Worked examples with numbers that can be checked by hand.
 
 use super::*;
 
@@ -108,7 +108,7 @@ fn worked_examples_of_factors() {
     near(factor("dark_current", &[("rate_e_per_ms", 0.5), ("doubling_k", 5.0)], &cx), 120.0);
     let dark = FrameContext { role: Role::Dark, ..cx };
     near(factor("lamp_drift", &[("rate_per_s", 0.1)], &dark), 100.0);
-    // What would fill the converter fills the well.
+    // Charge at full scale becomes the depth of the well.
     let full = Array2::from_elem((3, 1), 1e4f32);
     let well = lit("saturation", &[("below", 0.4)], &full, &cx);
     assert!(well.iter().all(|q| (q - 6000.0).abs() < 0.1), "{well}");
@@ -156,7 +156,7 @@ fn worked_examples_of_images_beside_and_across() {
     assert!((fat[[2, 3]] - 1.0).abs() < 1e-4 && (fat[[2, 4]] - 996.0).abs() < 1e-3);
 }
 
-/// A prediction is a little negative where the errors of PSFs outweigh the light. An effect next to nothing then changes next to nothing.
+/// Predictions can be slightly negative because of errors of the PSFs. A very weak effect must change them very little.
 #[test]
 fn weak_effects_leave_light_below_zero_as_it_is() {
     let previous = image();

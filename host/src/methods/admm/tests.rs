@@ -4,7 +4,7 @@ use super::*;
 use crate::methods::Reconstruct;
 use crate::metrics::compare;
 use crate::rng;
-use crate::train::testing::instrument;
+use crate::testing::square_array as instrument;
 use rand::RngExt;
 
 fn random(rows: usize, cols: usize, index: u64) -> Array2<f32> {

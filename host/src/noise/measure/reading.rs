@@ -1,22 +1,24 @@
-//! The variance of each pixel's reading: pixels of real sensors are not alike, and a few are far worse than the others.
+//! Read noise of each pixel: the pixels of real sensors differ, and a few are far worse than the others.
 //!
-//! The variance `v` of a pixel over `n` darks scatters about its true one by chi-squared of `f = n - 1` degrees of freedom. Where the
-//! pixels scatter by more than that, their true variances are taken to come from a scaled inverse chi-squared law of `d` degrees of
-//! freedom about `s^2`, whose tail is heavy; the estimate of each is then `(d s^2 + f v) / (d + f)`. Both follow from mean and variance of
-//! `ln v` over the pixels (Smyth, *Stat. Appl. Genet. Mol. Biol.* 3, 3, 2004).
+//! The variance `v` of a pixel over `n` darks scatters about its true value by a chi-squared distribution of `f = n -
+//! 1` degrees of freedom. If the variances scatter more than that, the true ones are assumed to follow a scaled inverse
+//! chi-squared distribution of `d` degrees of freedom about `s^2`, which has a heavy tail. The estimate for each pixel
+//! is then `(d s^2 + f v) / (d + f)`. Both `d` and `s^2` follow from the mean and the variance of `ln v` over the
+//! pixels (Smyth, *Stat. Appl. Genet. Mol. Biol.* 3, 3, 2004).
 
 use ndarray::Array2;
 
-/// Fewest degrees of freedom that tell pixels apart.
+/// Smallest number of degrees of freedom that distinguishes pixels.
 const LEAST_FREEDOM: f64 = 7.0;
-/// Smallest common standard deviation, DN: below it, rounding makes variances jump.
+/// Smallest common standard deviation, DN. Below it, rounding dominates the variances.
 const LEAST_DN: f64 = 0.5;
-/// Standard errors, and share of what counting makes, that the spread must exceed to be one of the pixels.
+/// The spread between pixels must exceed this many standard errors ...
 const SIGNIFICANT: f64 = 5.0;
+/// ... and this share of the spread due to counting statistics.
 const LEAST_SPREAD: f64 = 0.03;
 
-/// Variance of the reading of each pixel, DN^2, by what the temporal variances `variances` [rows, cols] of `freedom` degrees of freedom
-/// say; None: the pixels are alike as far as can be told.
+/// Estimates the variance of each pixel without light, [rows, cols], DN^2, from temporal variances of the same shape
+/// with `freedom` degrees of freedom; `None` if the pixels do not differ significantly.
 pub(super) fn by_pixel(variances: &Array2<f64>, freedom: f64) -> Option<Array2<f32>> {
     if freedom < LEAST_FREEDOM {
         return None;
@@ -51,7 +53,7 @@ fn digamma(mut x: f64) -> f64 {
     sum + x.ln() - 0.5 / x - y * (1.0 / 12.0 - y * (1.0 / 120.0 - y / 252.0))
 }
 
-/// Its derivative, x > 0 (Abramowitz & Stegun, 6.4.6 and 6.4.12).
+/// Derivative of [`digamma`], x > 0 (Abramowitz & Stegun, 6.4.6 and 6.4.12).
 fn trigamma(mut x: f64) -> f64 {
     let mut sum = 0.0;
     while x < 12.0 {
@@ -62,7 +64,7 @@ fn trigamma(mut x: f64) -> f64 {
     sum + 1.0 / x + 0.5 * y + y / x * (1.0 / 6.0 - y * (1.0 / 30.0 - y / 42.0))
 }
 
-/// Where [`trigamma`], which falls, has the value `y` > 0.
+/// The argument at which [`trigamma`], a decreasing function, has the value `y` > 0; by bisection.
 fn trigamma_inverse(y: f64) -> f64 {
     let (mut low, mut high) = (1e-3f64.ln(), 1e6f64.ln());
     for _ in 0..60 {
@@ -107,21 +109,21 @@ mod tests {
     }
 
     #[test]
-    fn pixels_that_are_alike_have_no_map() {
+    fn equal_pixels_have_no_map() {
         assert!(by_pixel(&measured(&Array2::from_elem((100, 100), 1.3)), 16.0).is_none());
     }
 
     #[test]
-    fn pixels_that_differ_are_told_better_than_by_their_common_or_their_own_variance() {
+    fn the_estimate_beats_both_the_common_variance_and_each_pixels_own() {
         let mut rng = rng::stream(5, "reading", 1);
-        // Most about 1 DN, one in fifty several times that.
+        // Most pixels have about 1 DN, one in fifty several times that.
         let sigmas = Array2::from_shape_simple_fn((100, 100), || {
             let z: f64 = StandardNormal.sample(&mut rng);
             (0.2 * z).exp() * if rng.random_range(0.0..1.0) < 0.02 { rng.random_range(3.0..15.0) } else { 1.0 }
         });
         let own = measured(&sigmas);
         let found = by_pixel(&own, 16.0).unwrap();
-        // Errors of ln variance: what a weight is wrong by.
+        // Error of ln variance, which is the relative error of a weight.
         let error = |get: &dyn Fn((usize, usize)) -> f64| {
             let sum: f64 = sigmas.indexed_iter().map(|(at, s)| (get(at) / (s * s)).ln().powi(2)).sum();
             (sum / sigmas.len() as f64).sqrt()
@@ -129,7 +131,7 @@ mod tests {
         let mean = own.mean().unwrap();
         let (by_map, by_mean, by_own) = (error(&|at| f64::from(found[at])), error(&|_| mean), error(&|at| own[at]));
         assert!(by_map < 0.9 * by_own && by_map < 0.5 * by_mean, "{by_map} {by_own} {by_mean}");
-        // The bad ones are seen for what they are.
+        // The bad pixels are recognised.
         let seen = sigmas.indexed_iter().filter(|(_, s)| **s > 5.0).all(|(at, s)| f64::from(found[at]) > 0.1 * s * s);
         assert!(seen);
     }

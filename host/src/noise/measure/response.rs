@@ -1,56 +1,67 @@
-//! How strongly each pixel answers to light, from flats.
+//! Response of each pixel to light, from flats.
 //!
-//! At each light level the mean light of a pixel over the smooth light round it is its response, with a noise that the
-//! temporal variance of that level tells. The levels are averaged with weights of one over their variance. What is left of the
-//! noise is taken back by empirical Bayes: the spread of the averages less the known noise is the spread of the responses
-//! themselves, and each pixel is drawn to the mean by the share of noise in it (Efron & Morris, J. Am. Stat. Assoc. 68, 117
-//! (1973)). Shading of the lamp is no property of pixels: a cubic polynomial over the frame is divided out.
+//! At each light level the response of a pixel is its mean light over the smooth light around it; the temporal variance
+//! of the level gives its noise. The levels are averaged with weights of one over their variance. The remaining noise
+//! is reduced by empirical Bayes: the spread of the averages minus the known noise is the spread of the true responses,
+//! and each pixel is shrunk towards the mean by the share of noise in it (Efron & Morris, J. Am. Stat. Assoc. 68, 117
+//! (1973)). Shading of the lamp is not a property of the pixels: a cubic polynomial over the frame is divided out.
 
-use super::super::stats::Summary;
-use super::MODEL_ERROR;
+use super::transfer::MODEL_ERROR;
 use crate::linalg::{NotConverged, least_squares};
+use crate::noise::stats::Summary;
 use ndarray::{Array2, Zip};
 
-/// Degree of the polynomial that stands for the lamp.
+/// Degree of the polynomial for the shading of the lamp.
 const SHADING_DEGREE: i32 = 3;
-/// Rounds of fitting the lamp without the pixels that stand out.
+/// Number of fits of the shading, each without the outliers of the one before.
 const SHADING_ROUNDS: usize = 3;
-/// Pixels further from the mean than this many standard deviations are dead, hot or under dust: they are kept as measured.
+/// Pixels farther from the mean than this many standard deviations are dead, hot or under dust. They are not shrunk.
 const OUTLIER: f64 = 6.0;
-/// The spread of the responses must be this many times its standard error, or nothing is claimed.
+/// There is a map only if the spread of the responses exceeds this many of its standard errors.
 const SIGNIFICANT: f64 = 4.0;
 
 /// One light level of flats.
 pub(super) struct Level<'a> {
     /// Mean light above black and offset, DN, [sensor rows, sensor cols]; NaN where a frame was saturated.
     pub light_dn: &'a Array2<f32>,
-    /// Its frames.
+    /// Number of frames.
     pub frames: f64,
     /// Mean light and temporal variance of a pixel in one frame.
     pub summary: Summary,
 }
 
-/// Running sums over light levels, each [sensor rows, sensor cols].
+/// Response of each pixel, and its error.
+pub(super) struct ResponseMap {
+    /// Response relative to the mean, [sensor rows, sensor cols].
+    pub response: Array2<f32>,
+    /// Rms difference from the true responses.
+    pub error: f64,
+}
+
+/// Running sums over light levels; maps are [sensor rows, sensor cols].
 #[derive(Default)]
 pub(super) struct ResponseSums {
     maps: Option<Maps>,
-    /// Sum over levels of the weight at mean light.
+    /// Sum over the levels of the weight at mean light.
     weight: f64,
-    /// The same of `(weight * relative standard error of the variance)^2`.
+    /// Sum over the levels of `(weight * relative standard error of the variance)^2`.
     uncertain: f64,
 }
 
 struct Maps {
     /// Weights: one over the variance of the relative light.
     weight: Array2<f32>,
-    /// Weight times relative light less one.
+    /// Weight times (relative light - 1).
     excess: Array2<f32>,
-    /// Weight over the light: how much an error of the offset matters.
+    /// Weight over light, by which an error of the offset enters.
     per_dn: Array2<f32>,
 }
 
 impl ResponseSums {
-    /// Adds a level; `dark_dn2` is the temporal variance without light.
+    /// Adds a level; `dark_dn2` is the temporal variance of a pixel without light, DN^2.
+    ///
+    /// # Errors
+    /// The fit of the shading did not converge.
     pub(super) fn add(&mut self, level: &Level<'_>, dark_dn2: f64) -> Result<(), NotConverged> {
         let lamp = Shading::fit(level.light_dn)?;
         let (rows, cols) = level.light_dn.dim();
@@ -63,7 +74,7 @@ impl ResponseSums {
             let along = lamp.row(r);
             for c in 0..cols {
                 let (light, lit) = (f64::from(level.light_dn[[r, c]]), along.at(c));
-                // A lamp that is darker than a tenth of its mean somewhere says nothing there.
+                // Places with less than a tenth of the mean light are ignored.
                 if !light.is_finite() || lit < 0.1 * level.summary.mean {
                     continue;
                 }
@@ -80,12 +91,12 @@ impl ResponseSums {
         Ok(())
     }
 
-    /// Response of each pixel relative to the mean; None where the flats show no spread beyond their noise.
+    /// The responses relative to the mean; `None` if the flats show no spread beyond their noise.
     ///
-    /// `offset_dn2` is the variance of the offsets that were taken off all levels.
-    pub(super) fn finish(self, offset_dn2: f64) -> Option<(Array2<f32>, f64)> {
+    /// `offset_dn2` is the error variance of the offsets that were subtracted from all levels, DN^2.
+    pub(super) fn finish(self, offset_dn2: f64) -> Option<ResponseMap> {
         let maps = self.maps?;
-        // Relative response less one, and the variance that noise gives it; nothing is known without weight.
+        // (relative response - 1, its noise variance); `None` for pixels without data.
         let known = maps.weight.iter().zip(&maps.excess).zip(&maps.per_dn).map(|((w, e), p)| {
             let w = f64::from(*w);
             let offset = f64::from(*p) / w;
@@ -106,17 +117,18 @@ impl ResponseSums {
         };
         let values = pixels.into_iter().map(|p| p.map_or(1.0, response)).collect();
         let left = spread.between * spread.noise / total;
-        Array2::from_shape_vec(maps.weight.dim(), values).ok().map(|map| (map, left.sqrt()))
+        let response = Array2::from_shape_vec(maps.weight.dim(), values).ok()?;
+        Some(ResponseMap { response, error: left.sqrt() })
     }
 }
 
-/// What the pixels say together, outliers left out.
+/// Statistics of the responses over the pixels, without outliers.
 struct Spread {
     count: f64,
     mean: f64,
-    /// Variance that noise makes.
+    /// Variance due to noise.
     noise: f64,
-    /// Variance of the responses themselves.
+    /// Variance of the true responses.
     between: f64,
 }
 
@@ -150,7 +162,7 @@ impl Spread {
 /// Light of the lamp over the frame: `sum c_ij y^i x^j`, `i + j <= 3`, y and x from -1 to 1.
 struct Shading {
     shape: [usize; 2],
-    /// Powers of y and x, and their coefficient.
+    /// Powers (i, j) of y and x, and the coefficient c_ij.
     terms: Vec<([i32; 2], f64)>,
 }
 
@@ -195,7 +207,7 @@ impl Shading {
         Ok(lamp)
     }
 
-    /// Root mean square of the light about the polynomial, of the pixels that are nearer to it than `limit`.
+    /// Rms difference between light and polynomial over the pixels that differ by at most `limit`, DN.
     fn misfit(&self, light_dn: &Array2<f32>, limit: f64) -> f64 {
         let (mut sum, mut count) = (0.0, 0.0);
         for (r, row) in light_dn.outer_iter().enumerate() {
@@ -226,7 +238,7 @@ impl AlongRow {
     }
 }
 
-/// Pixel `i` of `n` from -1 to 1.
+/// Coordinate of pixel `i` of `n`, from -1 to 1.
 fn at(i: usize, n: usize) -> f64 {
     let half = (n as f64 - 1.0) / 2.0;
     if half > 0.0 { (i as f64 - half) / half } else { 0.0 }
@@ -245,7 +257,7 @@ mod tests {
         Array2::from_shape_simple_fn(SHAPE, || StandardNormal.sample(&mut rng))
     }
 
-    /// Levels of 8 frames at gain 0.4, a lamp that falls off to one corner, responses of the given rms.
+    /// Levels of 8 frames at gain 0.4, with a lamp that falls off to one corner and responses of the given rms.
     fn measured(rms: f64, spoil: impl Fn(&mut Array2<f64>)) -> (Array2<f64>, Option<Array2<f32>>) {
         let mut truth = normals(1).mapv(|z| 1.0 + rms * z);
         spoil(&mut truth);
@@ -263,7 +275,7 @@ mod tests {
             let level = Level { light_dn: &light_dn, frames: 8.0, summary: Summary { mean, variance, sigma } };
             sums.add(&level, 0.7).unwrap();
         }
-        (truth, sums.finish(0.0).map(|(map, _)| map))
+        (truth, sums.finish(0.0).map(|r| r.response))
     }
 
     fn rms(a: impl Iterator<Item = f64>) -> f64 {
@@ -272,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn responses_are_found_to_what_noise_and_their_own_spread_allow() {
+    fn responses_are_as_exact_as_noise_and_their_own_spread_allow() {
         for spread in [0.002, 0.01] {
             let (truth, found) = measured(spread, |_| ());
             let found = found.unwrap();
@@ -292,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn dead_and_shadowed_pixels_stand_as_they_are() {
+    fn dead_and_shadowed_pixels_are_not_shrunk() {
         let (_, found) = measured(0.003, |truth| {
             truth[[7, 9]] = 0.0;
             truth.slice_mut(ndarray::s![40..44, 50..54]).mapv_inplace(|t| 0.7 * t);

@@ -1,7 +1,12 @@
 #![allow(clippy::unwrap_used)]
 
+use super::session::gain;
+use super::transfer::Transfer;
 use super::*;
-use crate::instrument::testbed::Testbed;
+use crate::noise::model::{Source, Sources};
+use crate::noise::stats::Summary;
+use crate::session::Session;
+use crate::testing::Testbed;
 
 fn measured(bed: &Testbed) -> NoiseCalibration {
     let folder = tempfile::tempdir().unwrap();

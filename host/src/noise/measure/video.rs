@@ -1,32 +1,33 @@
-//! Gain where nobody measured flats: photon transfer from a video of a specimen that hardly changes from one frame to the next.
+//! Gain without flats: photon transfer on a video of a specimen that hardly changes from one frame to the next.
 //!
-//! Half the squared difference of two frames is the variance of one of them at its mean, whatever the specimen and the fixed pattern are: `var = c + g m`,
-//! m the light above black, g the gain. What moves adds to that, most where it is brightest: the brightest fifth of the pixels is left out, and how
-//! much the gain depends on that choice counts as its error. Each run of frames gives a gain of its own; their median stands, so that torn frames
-//! spoil single runs only.
+//! Half the squared difference of two frames is the variance of one frame at its mean, whatever the specimen and the
+//! fixed pattern: `var = c + g m`, with the light above black m and the gain g. Motion adds variance, mostly where the
+//! specimen is bright. The brightest fifth of the pixels is therefore left out, and the dependence of the gain on that
+//! share counts as an error. Each run of frames gives one gain; the result is their median, so that torn frames spoil
+//! single runs only.
 
-use super::Transfer;
+use super::transfer::{ROUNDING_DN2, Transfer};
 use crate::session::{Role, Session, SessionError};
 use ndarray::Array2;
 
-/// Runs that a video is divided into.
+/// Number of runs into which a video is divided.
 const RUNS: usize = 9;
-/// Pairs of frames that a run needs.
+/// Smallest number of frame pairs in a run.
 const FEWEST_PAIRS: usize = 2;
-/// Most pairs of a run.
+/// Largest number of frame pairs in a run.
 const MOST_PAIRS: usize = 12;
-/// Most pixels of a frame that are looked at.
+/// Largest number of pixels of a frame that are used.
 const PIXELS: usize = 65_536;
-/// Levels of light, of equal numbers of pixels.
+/// Number of light levels; each has the same number of pixels.
 const LEVELS: usize = 24;
-/// Differences beyond this, robust standard deviations, are changes of the specimen.
+/// Differences beyond this many robust standard deviations count as changes of the specimen.
 const CHANGE: f64 = 5.0;
 /// Shares of the pixels, darkest first, that are fitted: the middle one for the gain, the others for its error.
 const SHARES: [f64; 3] = [0.6, 0.8, 0.95];
-/// Standard errors that the gain must be above zero.
+/// The gain must exceed zero by this many standard errors.
 const SURE: f64 = 5.0;
 
-/// Photon transfer from the longest video of a session; None: there is none that tells.
+/// Photon transfer on the longest video of a session; `None` if no video determines the gain.
 ///
 /// # Errors
 /// A frame cannot be read.
@@ -50,11 +51,12 @@ pub(super) fn transfer(session: &Session, black_dn: f64, saturation_dn: f64) -> 
     Ok(summary(&fits))
 }
 
-/// Mean light and difference of each pixel of two frames, DN, the second brought to the light of the first.
+/// Mean light and difference of each pixel of two frames, DN; the second frame is scaled to the total light of the
+/// first.
 fn pairs(a: &Array2<f32>, b: &Array2<f32>, black_dn: f64, saturation_dn: f64) -> Vec<[f64; 2]> {
     let light = |image: &Array2<f32>| image.iter().map(|v| f64::from(*v) - black_dn).sum::<f64>();
     let scale = light(a) / light(b);
-    // A torn frame, or another specimen.
+    // The frame is torn, or shows another specimen.
     if !(0.8..1.25).contains(&scale) {
         return Vec::new();
     }
@@ -67,7 +69,7 @@ fn pairs(a: &Array2<f32>, b: &Array2<f32>, black_dn: f64, saturation_dn: f64) ->
         .collect()
 }
 
-/// One run: intercept and slope of the variance over the light, of the darker pixels up to each of [`SHARES`].
+/// Fits one run: intercept and slope of the variance over the light, for the darkest pixels up to each of [`SHARES`].
 fn fit(mut points: Vec<[f64; 2]>) -> Option<[[f64; 2]; 3]> {
     points.sort_by(|a, b| a[0].total_cmp(&b[0]));
     let lines = SHARES.map(|share| line(&points[..(share * points.len() as f64) as usize]));
@@ -91,7 +93,7 @@ fn line(points: &[[f64; 2]]) -> Option<[f64; 2]> {
         for _ in 0..4 {
             variance = mean_square(CHANGE * CHANGE * variance);
         }
-        // The error of a variance grows with it.
+        // The error of a variance is proportional to the variance.
         let w = variance.max(f64::MIN_POSITIVE).powi(-2);
         let y = variance / 2.0;
         for (sum, v) in s.iter_mut().zip([w, w * mean, w * mean * mean, w * y, w * mean * y]) {
@@ -103,7 +105,8 @@ fn line(points: &[[f64; 2]]) -> Option<[f64; 2]> {
     slope.is_finite().then_some([(s[3] - slope * s[1]) / s[0], slope])
 }
 
-/// The median of the runs, if it is sure. What the gain depends on the share of pixels that are taken is error as well.
+/// The median of the runs, if it is significant. The dependence of the gain on the share of the pixels counts as an
+/// error.
 fn summary(fits: &[[[f64; 2]; 3]]) -> Option<Transfer> {
     if fits.len() < RUNS / 2 + 1 {
         return None;
@@ -116,13 +119,13 @@ fn summary(fits: &[[[f64; 2]; 3]]) -> Option<Transfer> {
         let values: Vec<f64> = fits.iter().map(|f| f[share][k]).collect();
         let middle = median(values.clone());
         let scatter = 1.4826 * median(values.iter().map(|v| (v - middle).abs()).collect());
-        // The square of a median's error is pi / 2 times that of a mean's.
+        // The squared error of a median is pi / 2 times that of a mean.
         (middle, 1.2533 * scatter / (values.len() as f64).sqrt())
     };
     let [(intercept, off), (slope, scatter)] = [of(1, 0), of(1, 1)];
     let [low, high] = [of(0, 1).0, of(2, 1).0];
     let slope_sigma = scatter.hypot((high - low) / 2.0);
-    let intercept = intercept - super::ROUNDING_DN2;
+    let intercept = intercept - ROUNDING_DN2;
     (slope > SURE * slope_sigma).then_some(Transfer { slope, slope_sigma, intercept, intercept_sigma: off })
 }
 
@@ -130,10 +133,10 @@ fn summary(fits: &[[[f64; 2]; 3]]) -> Option<Transfer> {
 #[allow(clippy::unwrap_used)]
 mod tests {
     use super::*;
-    use crate::noise::draw_electrons;
+    use crate::noise::draw::draw_electrons;
     use crate::rng::stream;
 
-    /// Frames of a specimen of many brightnesses that fades and wavers by some per cent, gain 1.7.
+    /// Frames of a specimen of many brightnesses that fades and moves by some per cent, at a gain of 1.7.
     fn video(moves: f64) -> Vec<Array2<f32>> {
         let light = |r: usize, c: usize| 15.0 + 400.0 * (((r * 7 + c * 3) % 101) as f64 / 100.0).powi(3);
         (0..72)
@@ -159,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn the_gain_comes_back_from_a_video_at_rest_and_from_one_that_wavers() {
+    fn the_gain_is_recovered_from_a_still_and_from_a_moving_specimen() {
         for moves in [0.0, 0.03] {
             let t = gain(moves).unwrap();
             assert!(
@@ -172,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn other_specimens_in_every_frame_are_no_video() {
+    fn frames_of_different_specimens_are_not_a_video() {
         let frames: Vec<Array2<f32>> = (0..4)
             .map(|k| {
                 Array2::from_shape_fn(

@@ -3,83 +3,33 @@
 //! ```text
 //! g = sum_l place_l( sum_k (M_lk . O) * B_lk )
 //! ```
-//! `place_l` puts object pixel (r, c) at sensor pixel `corner_l + (r, c)`, `corner_l = round(anchor_l - centre)`: one object
-//! pixel is one sensor pixel, and what that leaves (sub-pixel remainder, distortion) lies in the basis PSFs. Light that falls
-//! off the sensor is cut. The convolutions run block by block over the object (overlap-add); the memory is bounded by the block, not
-//! by the object. The spectra of the basis are kept where they take little memory, and made anew for one lens at a time where they
-//! would take much. All in f32; the result does not depend on the number of threads.
+//! `place_l` puts object pixel (r, c) at sensor pixel `corner_l + (r, c)`, with `corner_l = round(anchor_l - centre)`.
+//! One object pixel is one sensor pixel; the sub-pixel remainder and distortion are part of the basis PSFs. Light that
+//! falls off the sensor is cut. The convolutions run block by block over the object (overlap-add), so that the memory
+//! is bounded by the block and not by the object. The spectra of the basis PSFs are kept where they take little memory,
+//! and otherwise recomputed for one lens at a time. All arithmetic is f32; the result does not depend on the number of
+//! threads.
+
+mod config;
+mod error;
+mod image;
+
+pub use config::{CalibratedOptics, OperatorConfig};
+pub use error::OperatorError;
+pub use image::LensImage;
 
 use super::nodes::{TapRow, Taps};
 use super::shift::shifted_windows;
 use crate::fft2::{Fft2Scratch, RealFft2, fast_size};
-use crate::instrument::{Geometry, Instrument};
+use crate::psf::chief_rays::ChiefRays;
+use config::check;
+use image::{Span, overlap};
 use ndarray::{Array2, Array3, ArrayView2, ArrayView3, Axis, s};
 use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
 use std::borrow::Cow;
-use thiserror::Error;
 
-/// Why an operator could not be planned or applied.
-#[derive(Clone, Debug, PartialEq, Error)]
-pub enum OperatorError {
-    /// An array has the wrong shape.
-    #[error("{what}: expected {expected:?}, found {found:?}")]
-    Shape {
-        /// Which array.
-        what: &'static str,
-        /// Rows and columns that were expected.
-        expected: [usize; 2],
-        /// Rows and columns that were found.
-        found: [usize; 2],
-    },
-    /// The depth does not exist.
-    #[error("depth index {found}: the instrument was calibrated at {depths} depths")]
-    Depth {
-        /// Index that was asked for.
-        found: usize,
-        /// Number of depths.
-        depths: usize,
-    },
-    /// An effect changes the magnification, which needs a new calibration.
-    #[error(
-        "effective magnification {found}: the basis PSFs were calibrated at {expected}; only chief rays may be moved"
-    )]
-    Magnification {
-        /// Magnification of the calibration.
-        expected: f64,
-        /// Magnification that was asked for.
-        found: f64,
-    },
-    /// The instrument's tables disagree with one another.
-    #[error("instrument field `{field}`: expected {expected} entries, found {found}; calibrate again")]
-    Field {
-        /// Which field.
-        field: &'static str,
-        /// Entries that were expected.
-        expected: usize,
-        /// Entries that were found.
-        found: usize,
-    },
-}
-
-/// How the operator is planned.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct OperatorConfig {
-    /// Index into the depths of the model.
-    pub depth: usize,
-    /// Largest transform, pixels a side, as far as the windows allow.
-    pub max_transform_px: usize,
-    /// Spectra of the basis PSFs of all lenses are kept if they take no more than this, bytes.
-    pub most_spectra_bytes: usize,
-}
-
-impl Default for OperatorConfig {
-    fn default() -> Self {
-        Self { depth: 0, max_transform_px: 1536, most_spectra_bytes: 512 << 20 }
-    }
-}
-
-/// One lens, planned.
+/// The plan of one lens.
 #[derive(Clone, Debug)]
 struct LensPlan {
     /// Sensor pixel of object pixel (0, 0).
@@ -92,13 +42,13 @@ struct LensPlan {
 /// The basis PSFs of a lens.
 #[derive(Clone, Debug)]
 enum Basis {
-    /// Their spectra, [k, spectrum], with the transform's 1 / (rows * cols) in them.
+    /// Their spectra, [k, spectrum], scaled by 1 / (rows * cols) of the transform.
     Spectra(Vec<Complex32>),
-    /// Themselves, [k, window, window].
+    /// The basis PSFs themselves, [k, window, window]; spectra are computed at each application.
     Windows(Array3<f32>),
 }
 
-/// The planned operator: objects [object rows, object cols] -> light on the sensor [sensor rows, sensor cols].
+/// The planned operator A: object [object rows, object cols] -> light on the sensor [sensor rows, sensor cols].
 ///
 /// Units: DN above black for an object in the session's light unit, at the exposure of the calibration.
 #[derive(Clone, Debug)]
@@ -113,62 +63,29 @@ pub struct LowRankOperator {
     col_taps: TapRow,
 }
 
-/// The image of one lens: its window on the sensor plane, parts off the sensor included.
-#[derive(Clone, Debug)]
-pub struct LensImage {
-    /// Sensor pixel of the first element; may be negative.
-    pub origin: [isize; 2],
-    /// Light, DN.
-    pub light: Array2<f32>,
-}
-
-impl LensImage {
-    /// Adds the part that lies on the sensor to `frame`.
-    pub fn add_to(&self, frame: &mut Array2<f32>) {
-        let (rows, cols) = frame.dim();
-        let (h, w) = self.light.dim();
-        let (Some((fr, lr)), Some((fc, lc))) = (overlap(self.origin[0], h, rows), overlap(self.origin[1], w, cols))
-        else {
-            return;
-        };
-        let mut target = frame.slice_mut(s![fr, fc]);
-        target += &self.light.slice(s![lr, lc]);
-    }
-}
-
-type Span = std::ops::Range<usize>;
-
-/// Where an extent of `n` pixels from `origin` meets 0..limit: the span there, and the span in the extent.
-fn overlap(origin: isize, n: usize, limit: usize) -> Option<(Span, Span)> {
-    let low = origin.max(0);
-    let high = (origin + n as isize).min(limit as isize);
-    (low < high).then(|| (low as usize..high as usize, (low - origin) as usize..(high - origin) as usize))
-}
-
 /// Per-thread working memory.
 struct Work {
     scratch: Fft2Scratch,
     /// A spectrum, [cols/2 + 1, rows].
     spectrum: Vec<Complex32>,
-    /// Coefficients of a row of the object: at the nodes, at the pixels.
+    /// Coefficients along one row of the object, at the nodes.
     node_row: Vec<f32>,
     map_row: Vec<f32>,
 }
 
 impl LowRankOperator {
-    /// Plans the operator of an instrument whose chief rays lie where `geometry` says (the instrument's own, or moved
-    /// from there by an effect).
+    /// Plans the operator with its chief rays at `rays`: those of the calibration (`optics.rays`), or moved from there
+    /// by an effect.
     ///
     /// # Errors
-    /// The tables of the instrument disagree, the depth does not exist, or the magnification differs.
-    pub fn plan(instrument: &Instrument, geometry: &Geometry, config: OperatorConfig) -> Result<Self, OperatorError> {
-        let (psf, manifest) = (&instrument.psf, &instrument.manifest);
-        let object = [manifest.object.rows, manifest.object.cols];
-        check(instrument, geometry, config)?;
-        let calibrated = &instrument.geometry;
+    /// The tables disagree in size, the depth does not exist, or the magnification of `rays` is not that of the
+    /// calibration.
+    pub fn plan(optics: CalibratedOptics<'_>, rays: &ChiefRays, config: OperatorConfig) -> Result<Self, OperatorError> {
+        let CalibratedOptics { psf, rays: calibrated, object, sensor } = optics;
+        check(optics, rays, config)?;
         let centre = object.map(|n| (n as f64 - 1.0) / 2.0);
-        let moves: Vec<[f64; 2]> = (0..geometry.anchors_px.len())
-            .map(|l| [0, 1].map(|a| geometry.anchors_px[l][a] - calibrated.anchors_px[l][a]))
+        let moves: Vec<[f64; 2]> = (0..rays.anchors_px.len())
+            .map(|l| [0, 1].map(|a| rays.anchors_px[l][a] - calibrated.anchors_px[l][a]))
             .collect();
         let sub_pixel = moves.iter().flatten().any(|d| d.fract() != 0.0);
         // A kernel that moves by a fraction of a pixel spreads a little: keep its tails.
@@ -182,7 +99,7 @@ impl LowRankOperator {
             .par_iter()
             .enumerate()
             .map(|(l, shift)| {
-                if geometry.dead[l] {
+                if rays.dead[l] {
                     return None;
                 }
                 let whole = shift.map(f64::round);
@@ -199,7 +116,7 @@ impl LowRankOperator {
             .collect();
         Ok(Self {
             object,
-            sensor: [manifest.sensor.rows, manifest.sensor.cols],
+            sensor,
             window,
             step: [0, 1].map(|a| (transform[a] + 1 - window).min(object[a])),
             fft,
@@ -229,20 +146,22 @@ impl LowRankOperator {
         self.lenses.iter().map(|l| l.as_ref().map(|plan| plan.corner)).collect()
     }
 
-    /// A x: the light of all lenses on the sensor, DN.
+    /// A x: the light of all lenses on the sensor, DN above black, [sensor rows, sensor cols], for an object
+    /// [object rows, object cols].
     ///
     /// # Errors
-    /// The object has another shape than the plan.
+    /// The object does not have the planned shape.
     pub fn apply(&self, object: ArrayView2<'_, f32>) -> Result<Array2<f32>, OperatorError> {
         let mut frame = Array2::zeros(self.sensor);
         self.each_lens(object, |_, image| image.add_to(&mut frame))?;
         Ok(frame)
     }
 
-    /// The image of each living lens, in the order of the lenses, as they become ready; a few at a time are in memory.
+    /// Calls `take` with the image of each living lens, in the order of the lenses. Only a few images are in memory at
+    /// a time.
     ///
     /// # Errors
-    /// The object has another shape than the plan.
+    /// The object does not have the planned shape.
     pub fn each_lens(
         &self,
         object: ArrayView2<'_, f32>,
@@ -259,17 +178,19 @@ impl LowRankOperator {
         Ok(())
     }
 
-    /// Lenses that are worked on at the same time: as many as there are threads, or one, where the spectra are made for it.
+    /// Lenses that are computed at the same time: as many as there are threads, or one where its spectra are
+    /// recomputed.
     fn groups(&self) -> impl Iterator<Item = Span> + use<> {
         let made = self.lenses.iter().flatten().any(|plan| matches!(plan.basis, Basis::Windows(_)));
         let (n, size) = (self.lenses.len(), if made { 1 } else { rayon::current_num_threads().max(1) });
         (0..n).step_by(size).map(move |first| first..(first + size).min(n))
     }
 
-    /// A' y: from a frame (light, DN) back to the object grid.
+    /// A' y: the exact transpose, from a frame [sensor rows, sensor cols] to the object grid [object rows, object
+    /// cols].
     ///
     /// # Errors
-    /// The frame has another shape than the plan.
+    /// The frame does not have the planned shape.
     pub fn adjoint(&self, frame: ArrayView2<'_, f32>) -> Result<Array2<f32>, OperatorError> {
         same_shape("frame", self.sensor, frame.dim())?;
         let mut object = Array2::zeros(self.object);
@@ -300,7 +221,7 @@ impl LowRankOperator {
         }
     }
 
-    /// The blocks of the object: spans of rows and columns.
+    /// The blocks of the object, as ranges of rows and columns.
     fn blocks(&self) -> impl Iterator<Item = (Span, Span)> + '_ {
         let spans = move |a: usize| {
             (0..self.object[a]).step_by(self.step[a]).map(move |i| i..(i + self.step[a]).min(self.object[a]))
@@ -368,8 +289,8 @@ impl LowRankOperator {
         light
     }
 
-    /// `sum_k M_k . (B_k correlated with the frame)` of one lens over one block, [block rows, block cols]; None: all of it falls off
-    /// the sensor.
+    /// `sum_k M_k . (B_k correlated with the frame)` of one lens over one block, [block rows, block cols]; None where
+    /// the block's image lies entirely off the sensor.
     fn adjoint_block(
         &self,
         (plan, spectra): (&LensPlan, &[Complex32]),
@@ -422,7 +343,7 @@ impl LowRankOperator {
         }
     }
 
-    /// Coefficients along a part of an object row, by way of those at the column nodes.
+    /// Interpolates the coefficients along part of an object row, first to the column nodes, then to the pixels.
     fn map_row(&self, map: ArrayView2<'_, f32>, (row, cols): (usize, &Span), nodes: &mut Vec<f32>, out: &mut Vec<f32>) {
         let taps = &self.row_taps[row];
         nodes.clear();
@@ -443,8 +364,8 @@ fn same_shape(what: &'static str, expected: [usize; 2], found: (usize, usize)) -
     if expected == found { Ok(()) } else { Err(OperatorError::Shape { what, expected, found }) }
 }
 
-/// The transform that costs least for an object of `n` pixels a side: few large blocks waste little on the margin of the window, but
-/// a transform may not be larger than `most`, unless the window asks for it.
+/// Side of the cheapest transform for an object of `n` pixels a side. Large blocks waste little on the margin of the
+/// window; a transform is no larger than `most`, unless the window needs it.
 fn best_transform(n: usize, window: usize, most: usize) -> usize {
     let most = most.max(2 * window);
     let fewest = n.div_ceil(most + 1 - window).max(1);
@@ -476,31 +397,6 @@ fn spectra_of(fft: &RealFft2, kernels: ArrayView3<'_, f32>) -> Vec<Complex32> {
         },
     );
     out
-}
-
-fn check(instrument: &Instrument, geometry: &Geometry, config: OperatorConfig) -> Result<(), OperatorError> {
-    let psf = &instrument.psf;
-    let lenses = instrument.manifest.array.lenses();
-    let (m_lenses, rank, depths, node_rows, node_cols) = psf.coefficients.dim();
-    let expect = |field, expected, found| {
-        if expected == found { Ok(()) } else { Err(OperatorError::Field { field, expected, found }) }
-    };
-    expect("geometry.anchors_px", lenses, geometry.anchors_px.len())?;
-    expect("geometry.dead", lenses, geometry.dead.len())?;
-    expect("geometry.anchors_px (calibrated)", lenses, instrument.geometry.anchors_px.len())?;
-    expect("psf.basis (lenses)", lenses, psf.basis.dim().0)?;
-    expect("psf.coefficients (lenses)", lenses, m_lenses)?;
-    expect("psf.coefficients (rank)", psf.basis.dim().1, rank)?;
-    expect("psf.node_rows_px", node_rows, psf.node_rows_px.len())?;
-    expect("psf.node_cols_px", node_cols, psf.node_cols_px.len())?;
-    if config.depth >= depths {
-        return Err(OperatorError::Depth { found: config.depth, depths });
-    }
-    let (expected, found) = (instrument.geometry.magnification, geometry.magnification);
-    if expected != found {
-        return Err(OperatorError::Magnification { expected, found });
-    }
-    Ok(())
 }
 
 #[cfg(test)]

@@ -1,7 +1,8 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
-use crate::instrument::fixture::instrument;
+use crate::instrument::Instrument;
+use crate::testing::instrument;
 
 fn noise(shape: [usize; 2], seed: usize) -> Array2<f32> {
     Array2::from_shape_fn(shape, |(r, c)| (((r * 131 + c * 17 + seed) * 7919) % 1009) as f32 / 1009.0 - 0.2)
@@ -38,7 +39,8 @@ fn naive(i: &Instrument, object: &Array2<f32>) -> Array2<f64> {
 }
 
 fn plan(i: &Instrument, max_transform_px: usize) -> LowRankOperator {
-    LowRankOperator::plan(i, &i.geometry, OperatorConfig { max_transform_px, ..OperatorConfig::default() }).unwrap()
+    LowRankOperator::plan(i.optics(), &i.geometry, OperatorConfig { max_transform_px, ..OperatorConfig::default() })
+        .unwrap()
 }
 
 #[test]
@@ -64,7 +66,7 @@ fn spectra_that_are_made_anew_give_the_bits_of_those_that_are_kept() {
     for max_transform_px in [1024, 18] {
         let kept = plan(&i, max_transform_px);
         let config = OperatorConfig { max_transform_px, most_spectra_bytes: 0, depth: 0 };
-        let made = LowRankOperator::plan(&i, &i.geometry, config).unwrap();
+        let made = LowRankOperator::plan(i.optics(), &i.geometry, config).unwrap();
         assert_eq!(kept.apply(o.view()).unwrap(), made.apply(o.view()).unwrap());
         assert_eq!(kept.adjoint(y.view()).unwrap(), made.adjoint(y.view()).unwrap());
     }
@@ -99,7 +101,7 @@ fn whole_pixel_moves_of_the_chief_rays_move_the_image() {
     let mut moved = i.geometry.clone();
     moved.anchors_px.iter_mut().for_each(|a| *a = [a[0] + 2.0, a[1] - 1.0]);
     let here = plan(&i, 64).apply(o.view()).unwrap();
-    let there = LowRankOperator::plan(&i, &moved, OperatorConfig::default()).unwrap().apply(o.view()).unwrap();
+    let there = LowRankOperator::plan(i.optics(), &moved, OperatorConfig::default()).unwrap().apply(o.view()).unwrap();
     let scale = here.iter().fold(0.0f32, |m, v| m.max(v.abs()));
     for r in 0..38 {
         for c in 1..40 {
@@ -119,8 +121,8 @@ fn moves_by_a_fraction_move_the_centre_of_light_by_it() {
     });
     let mut o = Array2::zeros((9, 9));
     o[[4, 4]] = 1.0;
-    let centre = |g: &Geometry| {
-        let f = LowRankOperator::plan(&i, g, OperatorConfig::default()).unwrap().apply(o.view()).unwrap();
+    let centre = |g: &ChiefRays| {
+        let f = LowRankOperator::plan(i.optics(), g, OperatorConfig::default()).unwrap().apply(o.view()).unwrap();
         let sum = f.sum();
         let moment = |a: usize| f.indexed_iter().map(|((r, c), v)| [r, c][a] as f32 * v).sum::<f32>() / sum;
         [moment(0), moment(1)]
@@ -142,7 +144,7 @@ fn wrong_shapes_and_tables_are_refused() {
         let (mut i, mut config) = (i.clone(), OperatorConfig::default());
         let calibrated = i.geometry.clone();
         change(&mut i, &mut config);
-        LowRankOperator::plan(&i, &calibrated, config).unwrap_err()
+        LowRankOperator::plan(i.optics(), &calibrated, config).unwrap_err()
     };
     assert!(matches!(refused(&|_, c| c.depth = 1), OperatorError::Depth { found: 1, depths: 1 }));
     assert!(matches!(refused(&|i, _| i.geometry.magnification = 2.0), OperatorError::Magnification { .. }));
@@ -161,7 +163,7 @@ proptest::proptest! {
         let i = instrument([rows, cols], [37, 44], 2 * half + 1, rank);
         let mut moved = i.geometry.clone();
         moved.anchors_px[1][0] += shift;
-        let a = LowRankOperator::plan(&i, &moved, OperatorConfig { max_transform_px, ..OperatorConfig::default() }).unwrap();
+        let a = LowRankOperator::plan(i.optics(), &moved, OperatorConfig { max_transform_px, ..OperatorConfig::default() }).unwrap();
         let (x, y) = (noise([rows, cols], seed), noise([37, 44], seed + 1));
         let dot = |a: &Array2<f32>, b: &Array2<f32>| a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>();
         let norm = |a: &Array2<f32>| dot(a, a).sqrt();

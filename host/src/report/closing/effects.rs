@@ -1,10 +1,10 @@
-//! The table of what was added, and charts of effects with many values.
+//! The table of added effects, and charts of effects with many values.
 
 use super::super::page::Numbers;
 use super::super::panel::{Panel, Series};
 use super::super::picture::number;
 use super::{story, words};
-use crate::closing::result::{Closing, Effect, Value};
+use crate::closing::{Closing, Effect, Value};
 use crate::effects::{COVARIATES, KNOTS, find};
 use crate::instrument::Instrument;
 use maud::{Markup, html};
@@ -12,7 +12,7 @@ use maud::{Markup, html};
 /// Values in a cell before the others are folded.
 const FEW: usize = 4;
 
-/// The table of effects, and a figure for each that has many values; nothing where nothing was found.
+/// The table of effects, and a figure for each with many values. Empty if no effect was added.
 pub fn table(c: &Closing, instrument: Option<&Instrument>, numbers: &mut Numbers) -> Markup {
     let effects: Vec<&Effect> = story::added(c).collect();
     if effects.is_empty() {
@@ -20,8 +20,9 @@ pub fn table(c: &Closing, instrument: Option<&Instrument>, numbers: &mut Numbers
     }
     let rows = html! {
         thead { tr {
-            th { "Effect" } th { "Stage" } th.n { "Evidence" } th { "Share of the excess" } th { "Values" small { "± standard error" } }
-            th { "Could also be" small { "what would tell" } }
+            th { "Effect" } th { "Stage" } th.n { "Evidence" } th { "Share of the excess" }
+            th { "Values" small { "± standard error" } }
+            th { "Could also be" small { "how to distinguish them" } }
         } }
         tbody { @for e in &effects {
             tr.head {
@@ -32,15 +33,19 @@ pub fn table(c: &Closing, instrument: Option<&Instrument>, numbers: &mut Numbers
             tr.words { td colspan="6" { (what(e)) } }
         } }
     };
-    let text = "In the order in which they were added. Evidence: score test beside the nuisances (light of each scene, black level), \
-                scatter between blocks and frames and the calibration’s own uncertainty in its error. Share: of the excess of χ² over the \
-                noise on held-out data. Could also be: effects that would explain the data nearly as well (within Δχ² of 10.8), with the \
-                square of the correlation of their marks.";
+    let text = "In the order in which they were added. Evidence: score test with the nuisance parameters (light of \
+                each scene, black level) projected out; its error includes the scatter between blocks and frames and \
+                the uncertainty of the calibration. Share: of the excess of χ² over the noise on held-out data. Could \
+                also be: effects that would explain the data nearly as well (within Δχ² of 10.8), with the squared \
+                correlation of the two signatures.";
     let charts: Vec<Markup> = effects.iter().flat_map(|e| charts(e, instrument, numbers)).collect();
-    html! { div.effects { (numbers.table("Effects found.", text, rows)) } @if !charts.is_empty() { div.two { @for c in charts { (c) } } } }
+    html! {
+        div.effects { (numbers.table("Effects found.", text, rows)) }
+        @if !charts.is_empty() { div.two { @for c in charts { (c) } } }
+    }
 }
 
-/// What an effect does: the catalogue's words, or the account's where it has no name.
+/// What an effect does: from the catalogue, or from the account for a term without a name.
 fn what(e: &Effect) -> &str {
     if e.known {
         find(&e.id).map_or(e.description.as_str(), |known| known.descriptor().summary)
@@ -51,7 +56,7 @@ fn what(e: &Effect) -> &str {
 
 fn share(share: Option<f64>) -> Markup {
     match share {
-        None => html! { span.soft { "within its error" } },
+        None => html! { span.soft { "not significant" } },
         Some(f) => html! {
             span.share title=(format!("{:.1} %", 100.0 * f)) { i style={ "width:" (format!("{:.1}%", 100.0 * f)) } {} }
             (format!("{:.0} %", 100.0 * f))
@@ -62,37 +67,43 @@ fn share(share: Option<f64>) -> Markup {
 fn lookalikes(e: &Effect) -> Markup {
     let names: Vec<String> = e.ambiguity.iter().map(|id| words::name(id)).collect();
     html! {
-        @if names.is_empty() { span.soft { "nothing else in the catalogue" } }
+        @if names.is_empty() { span.soft { "no other effect of the catalogue" } }
         @else {
-            @if e.overlap < words::ALIKE { span.soft { "explains as much, but differently: " } }
+            @if e.overlap < words::ALIKE { span.soft { "explains as much, with another signature: " } }
             (words::list(&names, "or")) span.soft { " (" (format!("{:.2}", e.overlap)) ")" }
             @if let Some(by) = &e.separate_by { div.soft { (words::capital(by)) } }
         }
     }
 }
 
-/// The values of an effect in a cell: those with errors are measured, the others chosen.
+/// The values of an effect in a cell: fitted values with errors, then fixed ones.
 fn values(e: &Effect) -> Markup {
     let list = |values: &[&Value]| html! { @for v in values { div { (value(v)) } } };
     let shown: Vec<&Value> = e.params.iter().filter(|v| v.sigma > 0.0).collect();
-    // The seed of a table says nothing of its size.
+    // The seed of a table is no property of the effect.
     let chosen: Vec<&Value> = e.params.iter().filter(|v| v.sigma <= 0.0 && v.name != "seed").collect();
     html! {
         @if shown.len() <= FEW {
             (list(&shown))
             @if !chosen.is_empty() && shown.len() + chosen.len() <= FEW { span.soft { (list(&chosen)) } }
         } @else {
-            details.inline { summary { (e.params.len()) " values, drawn below" } (list(&e.params.iter().collect::<Vec<_>>())) }
+            details.inline {
+                summary { (e.params.len()) " values, plotted below" }
+                (list(&e.params.iter().collect::<Vec<_>>()))
+            }
         }
     }
 }
 
 fn value(v: &Value) -> Markup {
     let unit = words::unit(&v.unit);
-    html! { span.soft { (words::param(&v.name)) " = " } span.nowrap { (words::plus_minus(v.value, v.sigma)) @if !unit.is_empty() { " " (unit) } } }
+    html! {
+        span.soft { (words::param(&v.name)) " = " }
+        span.nowrap { (words::plus_minus(v.value, v.sigma)) @if !unit.is_empty() { " " (unit) } }
+    }
 }
 
-/// Charts of the values that come in rows: one a lens, or the knots of a curve.
+/// Charts of numbered values: one per lens, or the knots of a curve.
 fn charts(e: &Effect, instrument: Option<&Instrument>, numbers: &mut Numbers) -> Vec<Markup> {
     if let Some(chart) = profile(e, numbers) {
         return vec![chart];
@@ -163,7 +174,7 @@ fn profile(e: &Effect, numbers: &mut Numbers) -> Option<Markup> {
             joined: true,
         }],
     };
-    let text = "A curve that was fitted since nothing in the catalogue explains the residual. Bars: one standard error. It holds between the \
-                ends of the axis and nowhere else; its cause is not known.";
+    let text = "A curve that was fitted because no effect of the catalogue explains the residual. Bars: one standard \
+                error. It is valid within the range of the axis only; its cause is not known.";
     Some(numbers.figure(&format!("{}: {what}.", words::capital(&e.id)), text, panel.render()))
 }

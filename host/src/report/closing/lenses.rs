@@ -1,16 +1,16 @@
-//! Residual maps cut out round each lens: what is wrong with one lens, and what with all.
+//! Residual maps cut out around each lens, which separate errors of one lens from errors common to all.
 
 use super::super::ReportError;
 use super::super::page::Numbers;
 use super::super::picture::picture;
 use super::Asked;
 use super::maps::{scale, smoothed};
-use crate::closing::file::Account;
+use crate::closing::Account;
 use crate::instrument::Instrument;
 use maud::{Markup, html};
 use ndarray::{Array2, Array3, ArrayView2, s};
 
-/// The maps, one a lens; nothing where the array has one lens, or where instrument and session differ in their sensors.
+/// The maps, one per lens. Empty if the array has one lens, or if instrument and session have different sensors.
 ///
 /// # Errors
 /// A picture cannot be encoded.
@@ -46,33 +46,37 @@ pub fn maps(
         let tiles = tiles.collect::<Result<Vec<_>, _>>()?;
         Ok(html! {
             div { p.half { (name) }
-                div.tiles style={ "grid-template-columns:repeat(" (array.cols.max(1)) ",1fr)" } { @for t in tiles { (t) } } }
+                div.tiles style={ "grid-template-columns:repeat(" (array.cols.max(1)) ",1fr)" } {
+                    @for t in tiles { (t) }
+                } }
         })
     };
     let before = plate(if asked == Asked::Close { "Before" } else { "Residual" }, &account.before)?;
     let after = if asked == Asked::Close { Some(plate("After", &account.after)?) } else { None };
     let body = html! { div.halves { (before) @if let Some(a) = after { (a) } } (scale().bar("σ")) };
     let text = format!(
-        "The sensor cut up round the lenses (row, column), one pitch of {:.0} pixels wide. The residuals of the {} above are averaged and \
-         multiplied by the root of their number, then by the mean of 5 × 5: what belongs to one lens shows in one tile, what belongs to \
-         the optics in all. rms: of the average, pixel by pixel; 1 for noise.",
+        "Sections of the sensor around each lens (row, column), one pitch of {:.0} pixels wide. The residuals of the \
+         {} above are averaged and multiplied by the square root of their number, then smoothed over 5 × 5 pixels as \
+         above. Errors of one lens show in one tile, errors common to the optics in all. rms: of the average, pixel by \
+         pixel; 1 for noise.",
         array.pitch_px,
         if frames == 1 { "frame".to_string() } else { format!("{frames} frames") }
     );
     Ok(numbers.figure("Lens by lens.", &text, body))
 }
 
-/// What frames have in common: their mean times the root of their number, 0 where none says anything.
+/// Mean of the frames times the square root of their number, which has variance one for noise; 0 where no frame has
+/// data.
 fn common(residual: &Array3<f32>) -> Array2<f32> {
     let (frames, rows, cols) = residual.dim();
     Array2::from_shape_fn((rows, cols), |(r, c)| {
-        let told = (0..frames).map(|f| residual[[f, r, c]]).filter(|v| *v != 0.0);
-        let (sum, n) = told.fold((0.0f32, 0usize), |(s, n), v| (s + v, n + 1));
+        let used = (0..frames).map(|f| residual[[f, r, c]]).filter(|v| *v != 0.0);
+        let (sum, n) = used.fold((0.0f32, 0usize), |(s, n), v| (s + v, n + 1));
         if n > 0 { sum / (n as f32).sqrt() } else { 0.0 }
     })
 }
 
-/// A square of one pitch round an anchor; what lies off the sensor says nothing.
+/// A square of one pitch around an anchor; NaN outside the sensor.
 fn cut(image: ArrayView2<'_, f32>, anchor: [f64; 2], pitch: f64) -> Array2<f32> {
     let side = pitch.round().max(1.0) as i64;
     let start = anchor.map(|a| a.round() as i64 - side / 2);

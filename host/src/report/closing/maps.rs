@@ -6,15 +6,15 @@ use super::super::page::Numbers;
 use super::super::picture::{Scale, picture};
 use super::super::scenes::raw_scale;
 use super::Asked;
-use crate::closing::file::Account;
+use crate::closing::Account;
 use maud::{Markup, html};
 use ndarray::{Array2, Array3, ArrayView2, Axis, s};
 
 /// Ends of the colour scale, standard deviations.
 const LIMIT: f64 = 4.0;
-/// Side of the mean that shows what single pixels hide.
+/// Side of the mean that shows structure below the noise of single pixels, pixels.
 const SIDE: usize = 5;
-/// Sides of a sensor that are shown as they are; larger ones are binned.
+/// Longest side of a map, pixels; larger sensors are binned.
 const WIDEST: usize = 480;
 
 /// The scale of every residual map.
@@ -22,7 +22,7 @@ pub fn scale() -> Scale {
     Scale::linear(-LIMIT, LIMIT, ColourMap::Diverging)
 }
 
-/// The maps of the pictured frames.
+/// The maps of the frames in the account.
 ///
 /// # Errors
 /// A picture cannot be encoded.
@@ -30,11 +30,11 @@ pub fn maps(account: &Account, asked: Asked, numbers: &mut Numbers) -> Result<Ma
     if account.measured_dn.iter().len() == 0 {
         return Ok(html! {});
     }
-    // What no fit has seen first, then where most was explained: the first is shown large.
-    let told = |all: &Array3<f32>, i: usize| rms(all.index_axis(Axis(0), i)).powi(2);
+    // Held-out frames first, then those with the largest improvement; the first is shown large.
+    let square = |all: &Array3<f32>, i: usize| rms(all.index_axis(Axis(0), i)).powi(2);
     let rank = |i: &usize| {
         let unseen = account.closing.held_out_frames.contains(&account.frames[*i]);
-        (unseen, told(&account.before, *i) - told(&account.after, *i))
+        (unseen, square(&account.before, *i) - square(&account.after, *i))
     };
     let mut order: Vec<(usize, (bool, f64))> = (0..account.frames.len()).map(|i| (i, rank(&i))).collect();
     order.sort_by(|(_, a), (_, b)| b.0.cmp(&a.0).then(b.1.total_cmp(&a.1)));
@@ -60,7 +60,7 @@ fn frame(account: &Account, asked: Asked, i: usize, first: bool, numbers: &mut N
     };
     let pixels = |r: ArrayView2<'_, f32>| binned(&absent(r), factor, factor as f32);
     let smooth = |r: ArrayView2<'_, f32>| binned(&smoothed(r), factor, factor as f32);
-    let told = |r: ArrayView2<'_, f32>| format!("rms {:.2}", rms(r));
+    let scatter = |r: ArrayView2<'_, f32>| format!("rms {:.2}", rms(r));
     let raw = html! { div.plate { p.name { "Measured" span { (measured.nrows()) " × " (measured.ncols()) } }
     (picture(plain.view(), &grey, &format!("Measured frame {number}"), &[])?) } };
     let mut plates = vec![raw];
@@ -68,19 +68,18 @@ fn frame(account: &Account, asked: Asked, i: usize, first: bool, numbers: &mut N
         Asked::Close => {
             plates.push(map("Residual before", "mean of 5 × 5".into(), smooth(before))?);
             plates.push(map("Residual after", "mean of 5 × 5".into(), smooth(after))?);
-            plates.push(map("Before, pixel by pixel", told(before), pixels(before))?);
-            plates.push(map("After, pixel by pixel", told(after), pixels(after))?);
+            plates.push(map("Before, pixel by pixel", scatter(before), pixels(before))?);
+            plates.push(map("After, pixel by pixel", scatter(after), pixels(after))?);
         }
         Asked::Residual => {
             plates.push(map("Residual", "mean of 5 × 5".into(), smooth(before))?);
-            plates.push(map("Pixel by pixel", told(before), pixels(before))?);
+            plates.push(map("Pixel by pixel", scatter(before), pixels(before))?);
         }
     }
-    let bars =
-        html! { (grey.bar("DN")) (scale().bar("σ")) div.scale { i.absent {} "says nothing (defect, saturated)" } };
+    let bars = html! { (grey.bar("DN")) (scale().bar("σ")) div.scale { i.absent {} "no data (defect, saturated)" } };
     let large = first && asked == Asked::Close;
     if large {
-        // Below the measured frame there is room for what one must know to read the rest.
+        // The scales and the caption fit below the measured frame.
         plates.insert(3, html! { div.plate.key { (bars) p { (caption(factor)) } } });
     }
     let class = if large { "plates first" } else { "plates" };
@@ -94,30 +93,30 @@ fn frame(account: &Account, asked: Asked, i: usize, first: bool, numbers: &mut N
     let text = match (first, large) {
         (true, false) => caption(factor),
         (true, true) => "Below: the same, pixel by pixel.".into(),
-        _ => "As the figure before.".into(),
+        _ => "As in the preceding figure.".into(),
     };
-    let held = if unseen { ", which no fit has seen" } else { "" };
+    let held = if unseen { ", held out of every fit" } else { "" };
     Ok(numbers.figure(&format!("Frame {number}{held}."), &text, body))
 }
 
 fn caption(factor: usize) -> String {
     let bins = match factor {
         0 | 1 => String::new(),
-        f => format!(" The sensor is large: each point stands for {f} × {f} pixels, their sum over {f}."),
+        f => format!(" The sensor is large: each point is the sum of {f} × {f} pixels divided by {f}."),
     };
     format!(
-        "Measured minus predicted in standard deviations of the noise model, red where the frame is brighter than the model says, blue \
-         where it is darker; all maps from −{LIMIT} to {LIMIT}. A single pixel is mostly noise; the mean of 5 × 5 pixels times 5 has the \
-         same scatter if the model is right, and shows what pixels hide.{bins}"
+        "Measured minus predicted in standard deviations of the noise model: red where the frame is brighter than \
+         predicted, blue where it is darker; all maps from −{LIMIT} to {LIMIT}. A single pixel is mostly noise. The \
+         mean of 5 × 5 pixels times 5 has the same scatter if the model is right, and shows weaker structure.{bins}"
     )
 }
 
-/// What says nothing is no number.
+/// Replaces pixels without data by NaN.
 fn absent(r: ArrayView2<'_, f32>) -> Array2<f32> {
     r.mapv(|v| if v == 0.0 { f32::NAN } else { v })
 }
 
-/// The mean over a square of the pixels that say something, times the root of how many they are: scatter 1 for noise.
+/// Mean over a square, pixels without data left out, times the square root of their number: variance one for noise.
 pub fn smoothed(r: ArrayView2<'_, f32>) -> Array2<f32> {
     let (rows, cols) = r.dim();
     let reach = SIDE / 2;
@@ -126,9 +125,9 @@ pub fn smoothed(r: ArrayView2<'_, f32>) -> Array2<f32> {
             i.saturating_sub(reach)..(i + reach + 1).min(rows),
             j.saturating_sub(reach)..(j + reach + 1).min(cols)
         ]);
-        let told = window.iter().filter(|v| **v != 0.0);
-        let (sum, n) = told.fold((0.0f32, 0usize), |(s, n), v| (s + v, n + 1));
-        // Inside a region that says nothing there is nothing to show.
+        let used = window.iter().filter(|v| **v != 0.0);
+        let (sum, n) = used.fold((0.0f32, 0usize), |(s, n), v| (s + v, n + 1));
+        // Most of the square must have data.
         if 2 * n >= window.len() { sum / (n as f32).sqrt() } else { f32::NAN }
     })
 }
@@ -142,16 +141,16 @@ fn binned(image: &Array2<f32>, factor: usize, gain: f32) -> Array2<f32> {
     Array2::from_shape_fn((rows.div_ceil(factor), cols.div_ceil(factor)), |(i, j)| {
         let span = |k: usize, n: usize| factor * k..(factor * (k + 1)).min(n);
         let cell = image.slice(s![span(i, rows), span(j, cols)]);
-        let told = cell.iter().filter(|v| v.is_finite());
-        let (sum, n) = told.fold((0.0f32, 0usize), |(s, n), v| (s + v, n + 1));
+        let used = cell.iter().filter(|v| v.is_finite());
+        let (sum, n) = used.fold((0.0f32, 0usize), |(s, n), v| (s + v, n + 1));
         if n > 0 { gain * sum / n as f32 } else { f32::NAN }
     })
 }
 
-/// Root mean square of the pixels that say something.
+/// Root mean square of the pixels with data.
 pub fn rms(r: ArrayView2<'_, f32>) -> f64 {
-    let told = r.iter().filter(|v| **v != 0.0 && v.is_finite());
-    let (sum, n) = told.fold((0.0, 0usize), |(s, n), v| (s + f64::from(v * v), n + 1));
+    let used = r.iter().filter(|v| **v != 0.0 && v.is_finite());
+    let (sum, n) = used.fold((0.0, 0usize), |(s, n), v| (s + f64::from(v * v), n + 1));
     (sum / n.max(1) as f64).sqrt()
 }
 
@@ -160,7 +159,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn means_keep_the_scatter_of_noise_and_skip_what_says_nothing() {
+    fn means_keep_the_scatter_of_noise_and_skip_pixels_without_data() {
         let mut r = Array2::<f32>::ones((9, 9));
         assert_eq!(smoothed(r.view())[[4, 4]], 5.0);
         r[[4, 4]] = 0.0;

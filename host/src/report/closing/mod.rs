@@ -1,4 +1,5 @@
-//! The loop that was closed: what the residual looked like, what was found in it, what remains, what was looked for in vain.
+//! The chapter on a closed loop: residual maps, tests of the residual, effects that were found, upper limits of the
+//! others.
 
 mod effects;
 mod hidden;
@@ -15,22 +16,20 @@ pub use hidden::hidden;
 
 use super::ReportError;
 use super::page::{self, Key, Numbers};
-use crate::closing::file::Account;
-use crate::closing::omnibus::Dependence;
-use crate::closing::result::Closing;
+use crate::closing::{Account, Closing, Dependence};
 use crate::instrument::Instrument;
 use maud::{Markup, html};
 
-/// Whether effects were looked for, or the residual alone was asked for.
+/// Which verb wrote the account.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Asked {
-    /// `residual`: before and after are the same.
+    /// `residual`: no search for effects; before and after are the same.
     Residual,
-    /// `close`.
+    /// `close`: with a search for effects.
     Close,
 }
 
-/// The chapter. `instrument` says where the lenses are, if it is at hand.
+/// The chapter. The instrument gives the places of the lenses, if it is among the inputs.
 ///
 /// # Errors
 /// A picture cannot be encoded.
@@ -52,7 +51,7 @@ pub fn chapter(
     })
 }
 
-/// The main figures.
+/// The key figures.
 fn keys(c: &Closing, asked: Asked) -> Vec<Key> {
     let both = |before: String, after: String| match asked {
         Asked::Close => format!("{before} → {after}"),
@@ -76,7 +75,7 @@ fn keys(c: &Closing, asked: Asked) -> Vec<Key> {
         key(
             "NRMSE",
             format!("{} %", both(format!("{:.2}", 100.0 * b.nrmse), format!("{:.2}", 100.0 * a.nrmse))),
-            "of the same; noise is part of it".into(),
+            "of the same data; includes the noise".into(),
             None,
         ),
     ];
@@ -95,16 +94,16 @@ fn keys(c: &Closing, asked: Asked) -> Vec<Key> {
         let found = story::added(c).count();
         let names: Vec<String> = story::added(c).map(|e| words::name(&e.id)).collect();
         let note = match found {
-            0 => format!("of {} looked for", c.rejected.len()),
+            0 => format!("of {} tested", c.rejected.len()),
             _ => names.join(", "),
         };
         keys.push(key("Effects found", found.to_string(), note, None));
     }
     let (verdict, note) = match (c.catalogue_incomplete, asked) {
-        (true, Asked::Close) => ("incomplete", "structure is left that no known effect explains"),
-        (false, Asked::Close) => ("complete", "no structure is left"),
-        (true, Asked::Residual) => ("lacks something", "the residual has structure: close the loop"),
-        (false, Asked::Residual) => ("holds", "the residual has no structure"),
+        (true, Asked::Close) => ("incomplete", "the residual has structure that no known effect explains"),
+        (false, Asked::Close) => ("complete", "the residual has no structure"),
+        (true, Asked::Residual) => ("incomplete", "the residual has structure: run close"),
+        (false, Asked::Residual) => ("complete", "the residual has no structure"),
     };
     keys.push(key("The model", verdict.into(), note.into(), Some(!c.catalogue_incomplete)));
     keys

@@ -1,14 +1,13 @@
-//! The residual against each covariate: small multiples, the most telling first.
+//! The residual against each covariate: small multiples, the most significant first.
 
 use super::super::page::Numbers;
 use super::super::panel::{Panel, Series};
 use super::super::picture::number;
 use super::{Asked, words};
-use crate::closing::omnibus::{Covariate, Dependence};
-use crate::closing::result::Closing;
+use crate::closing::{Closing, Covariate, Dependence};
 use maud::{Markup, html};
 
-/// The panels; nothing where nothing was tested.
+/// The panels. Empty if no test was made.
 pub fn panels(c: &Closing, asked: Asked, numbers: &mut Numbers) -> Markup {
     if c.dependences_before.is_empty() {
         return html! {};
@@ -24,10 +23,10 @@ pub fn panels(c: &Closing, asked: Asked, numbers: &mut Numbers) -> Markup {
             li { i.bandkey {} "±2 standard deviations of the mean if the model is right" }
         }
     };
-    let text = "Mean residual in bins of each covariate, in standard deviations of one pixel (for neighbours and the next frame: \
-                correlation of residuals; for repeats and for flats and darks: standard errors); bins hold about equally many pixels, over all scenes that may be fitted. Beside each name the \
-                strength of the evidence that the residual depends on it at all, from draws of the model with noise and calibration \
-                errors.";
+    let text = "Mean residual in bins of each covariate, in standard deviations of one pixel (for neighbours and the \
+                next frame: correlation of residuals; for repeats and for flats and darks: standard errors). Bins hold \
+                about equal numbers of pixels of all training scenes. Beside each name: significance of the \
+                dependence, from simulated residuals with noise and calibration errors.";
     numbers.figure("What the residual depends on.", text, body)
 }
 
@@ -46,7 +45,7 @@ fn one(before: &Dependence, after: Option<&Dependence>) -> Markup {
 
 fn panel(before: &Dependence, after: Option<&Dependence>) -> Panel {
     let place = |n: usize| move |i: usize| if n > 1 { i as f64 / (n - 1) as f64 } else { 0.5 };
-    // Few bins of kinds stand apart from the edges, where a curve fills the width.
+    // A few discrete bins keep a margin; a curve fills the width.
     let kinds = before.at.len() <= 9 || !follows(before.covariate);
     let at = |n: usize| move |i: usize| if kinds { (i as f64 + 0.5) / n as f64 } else { place(n)(i) };
     let points = |d: &Dependence| -> Vec<[f64; 3]> {
@@ -81,7 +80,7 @@ fn panel(before: &Dependence, after: Option<&Dependence>) -> Panel {
     }
 }
 
-/// What stands under the bins.
+/// Labels below the bins.
 fn labels(d: &Dependence, at: &dyn Fn(usize) -> f64) -> Vec<(f64, String)> {
     let n = d.at.len();
     let each = |names: &[&str]| names.iter().take(n).enumerate().map(|(i, s)| (at(i), (*s).to_string())).collect();
@@ -89,7 +88,7 @@ fn labels(d: &Dependence, at: &dyn Fn(usize) -> f64) -> Vec<(f64, String)> {
         Covariate::RowParity | Covariate::ColumnParity => each(&["even", "odd"]),
         Covariate::Checkerboard => each(&["even", "odd"]),
         Covariate::Neighbours => each(&["→ 1", "↓ 1", "↘ 1", "→ 2", "↓ 2"]),
-        Covariate::NextFrame => each(&["one frame on"]),
+        Covariate::NextFrame => each(&["next frame"]),
         Covariate::Repeats => each(&["σ²", "→", "↓", "↘", "rows", "cols"]),
         Covariate::FixedPattern => each(&["response", "offset"]),
         Covariate::Lens if n <= 9 => (0..n).map(|i| (at(i), (i + 1).to_string())).collect(),
@@ -118,7 +117,7 @@ fn labels(d: &Dependence, at: &dyn Fn(usize) -> f64) -> Vec<(f64, String)> {
     }
 }
 
-/// Whether bins follow one another along something: a line joins them.
+/// Whether the covariate is continuous, so that a line joins the bins.
 fn follows(covariate: Covariate) -> bool {
     !matches!(
         covariate,

@@ -1,30 +1,29 @@
-//! The loop in plain words, and the faults of the record before anything else.
+//! The result in a few sentences, and the faults of the records.
 
 use super::{Asked, words};
-use crate::closing::omnibus::Dependence;
-use crate::closing::result::{Closing, Effect, Value};
+use crate::closing::{Closing, Dependence, Effect, Value};
 use maud::{Markup, html};
 
-/// Effects that explain less than this share of the excess are named, not told.
+/// Effects that explain less than this share of the excess are named without details.
 const MAIN: f64 = 0.05;
 
-/// The effects that were added to the instrument: faults of the record are told by themselves.
+/// The effects that were added to the instrument, without faults of the records.
 pub fn added(c: &Closing) -> impl Iterator<Item = &Effect> {
     c.effects.iter().filter(|e| e.stage != "record")
 }
 
-/// Faults of the record: a box that comes first, since everything else rests on them.
+/// Faults of the records, in a box. It comes first, since every other result depends on the records.
 pub fn faults(c: &Closing) -> Markup {
     if c.faults.is_empty() {
         return html! {};
     }
     html! {
         aside.warn {
-            h3 { "The session’s record is at fault" }
-            p { "These entries were put right before anything was fitted. Correct them in the session, so that nobody trips over them again." }
+            h3 { "The records of the session have faults" }
+            p { "They were corrected before the fit. Correct them in the session as well." }
             ul { @for f in &c.faults { li {
                 b { (words::capital(&f.words())) }
-                span.soft { " " (words::sigma(f.z)) "; correlation with what the record predicts "
+                span.soft { " " (words::sigma(f.z)) "; correlation with the frame that the record predicts "
                     (format!("{:.3}", f.correlation_before)) " → " (format!("{:.3}", f.correlation_after)) }
             } } }
         }
@@ -44,13 +43,14 @@ fn opening(c: &Closing) -> Markup {
     let strong = significant(&c.dependences_before);
     let session = if c.session.is_empty() { "the session".to_string() } else { format!("“{}”", c.session) };
     html! {
-        "The calibrated instrument was held against " (session) ". On what no fit has seen (" (words::held_out(c)) ") it missed by "
-        b { "χ² = " (format!("{:.3}", c.before.chi2_ndf)) " per pixel" } ", where noise alone leaves 1"
+        "The calibrated instrument was compared with " (session)
+        ". On held-out data (" (words::held_out(c)) ") the residual was "
+        b { "χ² = " (format!("{:.3}", c.before.chi2_ndf)) " per pixel" } "; noise alone gives 1"
         @match strong.as_slice() {
-            [] => ", and the residual depended on nothing that was tested. ",
+            [] => ". The residual depended on none of the tested covariates. ",
             [first, ..] => {
-                ", and the residual had structure: it depended on " (strong.len()) " of " (c.dependences_before.len())
-                " covariates, most of all on the " (first.covariate.words()) " (" (words::evidence(first)) "). "
+                ". The residual had structure: it depended on " (strong.len()) " of " (c.dependences_before.len())
+                " covariates, most significantly on the " (first.covariate.words()) " (" (words::evidence(first)) "). "
             }
         }
     }
@@ -59,8 +59,8 @@ fn opening(c: &Closing) -> Markup {
 fn found(c: &Closing) -> Markup {
     let effects: Vec<&Effect> = added(c).collect();
     if effects.is_empty() {
-        return html! { b { "Nothing was added: " } "no effect of the catalogue improves the prediction of held-out data beyond chance. \
-        How small each of them must be is told below. " };
+        return html! { b { "No effect was added: " } "none of the catalogue improves the prediction of held-out data \
+        significantly. The upper limit of each is listed below. " };
     }
     let (main, small): (Vec<&Effect>, Vec<&Effect>) =
         effects.iter().copied().partition(|e| e.id == effects[0].id || e.excess_explained.is_none_or(|f| f >= MAIN));
@@ -69,17 +69,18 @@ fn found(c: &Closing) -> Markup {
         @if !small.is_empty() {
             @let names: Vec<String> = small.iter().map(|e| words::name(&e.id)).collect();
             @let share: f64 = small.iter().filter_map(|e| e.excess_explained).sum();
-            "Smaller terms came after: " (words::list(&names, "and")) " (" (format!("{:.0} %", 100.0 * share)) " of the excess"
+            "Smaller effects were added after: " (words::list(&names, "and"))
+            " (" (format!("{:.0} %", 100.0 * share)) " of the excess"
             @if small.len() > 1 { " together" } "). "
         }
     }
 }
 
-/// An effect that is told in full.
+/// One effect in a sentence.
 fn sentence(e: &Effect, i: usize) -> Markup {
     let others: Vec<String> = e.ambiguity.iter().map(|id| words::name(id)).collect();
     html! {
-        @if i == 0 { "What was missing is " } @else { "Then " }
+        @if i == 0 { "The model lacked " } @else { "It also lacked " }
         b { (title(e)) }
         @if let Some(v) = leading(e) { ", " (v) }
         " (" (words::sigma(e.z))
@@ -87,23 +88,25 @@ fn sentence(e: &Effect, i: usize) -> Markup {
         "). "
         @if !others.is_empty() {
             @if e.overlap >= words::ALIKE {
-                "This session hardly tells it from " (words::list(&others, "or")) " (overlap " (format!("{:.2}", e.overlap)) ")"
+                "This session hardly distinguishes it from " (words::list(&others, "or"))
+                " (overlap " (format!("{:.2}", e.overlap)) ")"
             } @else {
-                "Just then " (words::list(&others, "or")) " would have explained as much, with a mark of its own (overlap "
+                (words::capital(&words::list(&others, "or")))
+                " would have explained as much, with another signature (overlap "
                 (format!("{:.2}", e.overlap)) ")"
             }
-            @if let Some(by) = &e.separate_by { "; to be sure: " i { (by) } }
+            @if let Some(by) = &e.separate_by { "; to distinguish them: " i { (by) } }
             ". "
         }
     }
 }
 
-/// What a term without a name is called in a sentence.
+/// Name of an effect in a sentence.
 fn title(e: &Effect) -> String {
     if e.known { words::name(&e.id) } else { format!("a term without a name ({})", e.id) }
 }
 
-/// The value that tells an effect's size: the one that stands out most.
+/// The most significant value of an effect.
 fn leading(e: &Effect) -> Option<String> {
     let strength = |v: &&Value| v.sigma > 0.0 && v.value.is_finite();
     let measured: Vec<&Value> = e.params.iter().filter(strength).collect();
@@ -122,9 +125,9 @@ fn rest(c: &Closing, asked: Asked) -> Markup {
     if asked == Asked::Residual {
         return match c.catalogue_incomplete {
             true => {
-                html! { "Such structure is no noise: " code { "ommatidia close" } " looks for the effect behind it." }
+                html! { "This structure is not noise; " code { "ommatidia close" } " searches for its cause." }
             }
-            false => html! { "The model predicts this session to within its noise." },
+            false => html! { "The model predicts this session within its noise." },
         };
     }
     let left = significant(&c.dependences_after);
@@ -133,19 +136,22 @@ fn rest(c: &Closing, asked: Asked) -> Markup {
             b { (format!("{:.3}", c.after.chi2_ndf)) " per pixel" } ". " }
         @match (c.catalogue_incomplete, left.first()) {
             (true, Some(d)) => {
-                b { "What remains is not noise: " } "it still depends on the " (d.covariate.words()) " (" (words::evidence(d))
-                "), and no effect of the catalogue explains that. Take the closed model for better, not for complete."
+                b { "The remaining residual is not noise: " }
+                "it still depends on the " (d.covariate.words()) " (" (words::evidence(d))
+                "), and no effect of the catalogue explains that. The closed model is better but not complete."
             }
             (true, None) => {
-                b { "The catalogue is incomplete: " } "part of the residual could only be described, not explained. The description holds \
-                inside the range that was measured."
+                b { "The catalogue is incomplete: " } "part of the residual is described by a term without a name, \
+                                                       whose cause is not identified. It is valid in the measured \
+                                                       range only."
             }
-            (false, _) => "What remains depends on nothing that was tested: noise."
+            (false, _) => "The remaining residual depends on none of the tested covariates; it is consistent with \
+                           noise."
         }
     }
 }
 
-/// The covariates that the residual depends on beyond chance, all of them together, strongest first.
+/// The significant tests at a family-wise level of 1 % (Bonferroni), strongest first.
 fn significant(dependences: &[Dependence]) -> Vec<&Dependence> {
     let n = dependences.len() as f64;
     let mut strong: Vec<&Dependence> = dependences.iter().filter(|d| d.p * n < 0.01).collect();

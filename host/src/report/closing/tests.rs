@@ -1,10 +1,8 @@
 #![allow(clippy::unwrap_used)]
 use super::super::page::Numbers;
 use super::*;
-use crate::closing::omnibus::{Covariate, Dependence};
-use crate::closing::record::{Fault, FaultKind};
-use crate::closing::result::{Effect, Figures, Rejected, Value};
-use crate::instrument::fixture;
+use crate::closing::{Covariate, Effect, Fault, FaultKind, Figures, Rejected, Value};
+use crate::testing;
 use ndarray::Array3;
 
 fn value(name: &str, value: f64, sigma: f64, unit: &str) -> Value {
@@ -90,10 +88,10 @@ fn account() -> Account {
 }
 
 fn render(account: &Account, asked: Asked) -> String {
-    let mut instrument = fixture::instrument([24, 24], [40, 60], 5, 2);
+    let mut instrument = testing::instrument([24, 24], [40, 60], 5, 2);
     instrument.manifest.array.pitch_px = 20.0;
     let page = chapter(account, asked, Some(&instrument), &mut Numbers::default()).unwrap().into_string();
-    assert!(!page.contains("NaN") && !page.contains("inf "), "a number is none");
+    assert!(!page.contains("NaN") && !page.contains("inf "), "a number is not finite");
     page.replace('\u{a0}', " ")
 }
 
@@ -104,21 +102,24 @@ fn holds(page: &str, texts: &[&str]) {
 }
 
 #[test]
-fn the_chapter_tells_what_was_found_what_not_and_what_remains() {
+fn the_chapter_reports_what_was_found_what_not_and_what_remains() {
     let page = render(&account(), Asked::Close);
     holds(
         &page,
         &["1.620 → 1.004", "2 held-out frames", "18.0 σ → 0.2 σ", "<b>charge diffusion</b>", "93 % of the excess"],
     );
-    holds(&page, &["sigma = 0.4021 ± 0.0043 px", "tells it from defocus", "a bead scan at several depths"]);
+    holds(&page, &["sigma = 0.4021 ± 0.0043 px", "distinguishes it from defocus", "a bead scan at several depths"]);
     holds(
         &page,
-        &["Frame 3, which no fit has seen.", "Frame 5.", "Residual before", "Residual after", "Lens by lens."],
+        &["Frame 3, held out of every fit.", "Frame 5.", "Residual before", "Residual after", "Lens by lens."],
     );
-    holds(&page, &["2.5 × 10⁻⁴", "Scenes one after the other, dark after bright", "depends on nothing"]);
+    holds(
+        &page,
+        &["2.5 × 10⁻⁴", "Scenes one after the other, dark after bright", "depends on none of the tested covariates"],
+    );
     assert_eq!(page.matches("<img").count(), 2 * 5 + 2 * 2);
-    // The most telling covariate first.
-    assert!(page.find("Expected light against") < page.find("Row parity"));
+    // The most significant covariate first.
+    assert!(page.find("Expected light relative to") < page.find("Row parity"));
 }
 
 #[test]
@@ -129,7 +130,7 @@ fn a_residual_has_no_after() {
     a.closing.dependences_after = a.closing.dependences_before.clone();
     a.closing.catalogue_incomplete = true;
     let page = render(&a, Asked::Residual);
-    holds(&page, &["1.620", "18.0 σ", "ommatidia close", "lacks something"]);
+    holds(&page, &["1.620", "18.0 σ", "ommatidia close", "incomplete"]);
     for text in ["Residual after", ">after<", "→", "Effects found", "Not found"] {
         assert!(!page.contains(text), "{text}");
     }
@@ -148,7 +149,7 @@ fn an_account_may_hold_next_to_nothing() {
         let page = render(&empty, asked);
         assert!(!page.contains("<img") && !page.contains("Lens by lens"));
     }
-    holds(&render(&empty, Asked::Close), &["Nothing was added"]);
+    holds(&render(&empty, Asked::Close), &["No effect was added"]);
 }
 
 #[test]
@@ -165,7 +166,7 @@ fn terms_without_a_name_are_drawn_and_called_that() {
     a.closing.catalogue_incomplete = true;
     let page = render(&a, Asked::Close);
     holds(&page, &["a term without a name (unknown-1)", "The catalogue is incomplete", "row within the period (px)"]);
-    holds(&page, &["Unknown-1: factor on the light, per cent.", "Lens gain: change.", "16 values, drawn below"]);
+    holds(&page, &["Unknown-1: factor on the light, per cent.", "Lens gain: change.", "16 values, plotted below"]);
 }
 
 #[test]
@@ -173,13 +174,13 @@ fn faults_of_the_record_come_first() {
     let mut a = account();
     let fault = |frame, kind| Fault { frame, kind, z: 321.0, correlation_before: 0.2, correlation_after: 0.99 };
     a.closing.faults = vec![fault(4, FaultKind::Shows { truth_of: 6 }), fault(9, FaultKind::Exposure { factor: 1.25 })];
-    let mut told = effect("metadata_fault", vec![value("frame", 4.0, 0.0, "index")]);
-    told.stage = "record".into();
-    a.closing.effects.insert(0, told);
+    let mut record = effect("metadata_fault", vec![value("frame", 4.0, 0.0, "index")]);
+    record.stage = "record".into();
+    a.closing.effects.insert(0, record);
     let page = render(&a, Asked::Close);
     assert!(page.starts_with("<aside class=\"warn\">"));
-    holds(&page, &["Scene frame 4 shows the object that is written down for frame 6", "1.2500 times", "321 σ"]);
-    assert!(!page.contains("metadata fault"), "faults are told once");
+    holds(&page, &["Scene frame 4 shows the object that is recorded for frame 6", "1.2500 times", "321 σ"]);
+    assert!(!page.contains("metadata fault"), "faults are reported once");
 }
 
 #[test]

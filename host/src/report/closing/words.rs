@@ -1,9 +1,8 @@
-//! Names, numbers and units as a reader expects them.
+//! Names, numbers and units for readers.
 
-use crate::closing::omnibus::Dependence;
-use crate::closing::result::Closing;
+use crate::closing::{Closing, Dependence};
 
-/// An effect's name in words: ids have no blanks.
+/// Name of an effect from its id.
 pub fn name(id: &str) -> String {
     let word = |w| match w {
         "prnu" => "PRNU",
@@ -14,7 +13,7 @@ pub fn name(id: &str) -> String {
     id.split('_').map(word).collect::<Vec<_>>().join(" ")
 }
 
-/// A parameter's name in words, without the unit that follows its value anyway.
+/// Name of a parameter, without the unit, which follows its value.
 pub fn param(name: &str) -> String {
     let units = ["px", "px2", "um", "dn", "e", "s", "ms", "mrad"];
     let words: Vec<&str> = name.split('_').collect();
@@ -30,12 +29,12 @@ pub fn sigma(z: f64) -> String {
     }
 }
 
-/// Significance of a test: beyond about 36 standard deviations its probability has no number.
+/// Significance of a test; a lower limit beyond about 36 standard deviations, where the probability underflows.
 pub fn evidence(d: &Dependence) -> String {
     if d.p < 1e-280 { format!(">\u{a0}{:.0}\u{a0}σ", d.z.floor()) } else { sigma(d.z) }
 }
 
-/// Strongest first; those beyond all numbers by how much the residual changes along the covariate.
+/// Order of tests: most significant first; equal ones by the range of the residual over the covariate.
 pub fn strongest_first(a: &Dependence, b: &Dependence) -> std::cmp::Ordering {
     let spread = |d: &Dependence| {
         let ends = d.mean.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |r, m| (r.0.min(*m), r.1.max(*m)));
@@ -44,7 +43,7 @@ pub fn strongest_first(a: &Dependence, b: &Dependence) -> std::cmp::Ordering {
     b.z.total_cmp(&a.z).then(spread(b).total_cmp(&spread(a)))
 }
 
-/// A unit; "1" is none.
+/// A unit for readers; empty for "1".
 pub fn unit(unit: &str) -> String {
     match unit {
         "1" => String::new(),
@@ -52,7 +51,7 @@ pub fn unit(unit: &str) -> String {
     }
 }
 
-/// A value and its error, both to the second figure of the error.
+/// A value and its error, both to the second significant digit of the error.
 pub fn plus_minus(value: f64, error: f64) -> String {
     if !(error > 0.0 && error.is_finite() && value.is_finite()) {
         return super::super::picture::number(value);
@@ -69,7 +68,7 @@ pub fn plus_minus(value: f64, error: f64) -> String {
     text.replace('-', "−")
 }
 
-/// A number with its power of ten, if it needs one.
+/// A number, with a power of ten if it is very large or small.
 pub fn number(value: f64) -> String {
     let size = value.abs().log10().floor();
     if value == 0.0 || (-3.0..5.0).contains(&size) || !size.is_finite() {
@@ -89,7 +88,7 @@ fn raised(power: i32) -> String {
     power.to_string().chars().map(digit).collect()
 }
 
-/// Several things in a sentence.
+/// A list in a sentence: "a, b and c".
 pub fn list(items: &[String], last: &str) -> String {
     match items {
         [] => String::new(),
@@ -98,10 +97,10 @@ pub fn list(items: &[String], last: &str) -> String {
     }
 }
 
-/// Squares of correlation from which on two marks are alike.
+/// Squared correlation from which two signatures are similar.
 pub const ALIKE: f64 = 0.5;
 
-/// What the figures are told of.
+/// The data that the figures are computed from.
 pub fn held_out(c: &Closing) -> String {
     match (c.held_out_frames.len(), c.held_out_blocks) {
         (1, _) => "1 held-out frame".into(),
@@ -110,7 +109,7 @@ pub fn held_out(c: &Closing) -> String {
     }
 }
 
-/// The text with a capital.
+/// The text with a capital first letter.
 pub fn capital(text: &str) -> String {
     let mut letters = text.chars();
     letters.next().map_or(String::new(), |first| first.to_uppercase().chain(letters).collect())

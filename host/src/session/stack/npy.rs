@@ -1,7 +1,7 @@
-//! NumPy .npy: a short header, then the frames one after another in C order.
+//! NumPy .npy files: a short header, then the frames one after another in C order.
 
-use super::{SampleType, reader::Shape};
-use crate::session::SessionError;
+use super::layout::{SampleType, Shape};
+use crate::session::error::SessionError;
 use npyz::{DType, Endianness, NpyHeader, Order, TypeChar};
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -30,7 +30,11 @@ impl NpySource {
         let frame_bytes = rows.checked_mul(cols).and_then(|n| n.checked_mul(samples.bytes()));
         let expected = frame_bytes.and_then(|b| (b as u64).checked_mul(len as u64)?.checked_add(data_start));
         let (Some(frame_bytes), Some(expected)) = (frame_bytes, expected) else {
-            return Err(SessionError::format(path, KIND, format!("its shape [{len}, {rows}, {cols}] overflows")));
+            return Err(SessionError::format(
+                path,
+                KIND,
+                format!("its shape [{len}, {rows}, {cols}] overflows the file size"),
+            ));
         };
         if found != expected {
             return Err(SessionError::Size { path: path.into(), expected, found });
@@ -50,14 +54,14 @@ impl NpySource {
     }
 }
 
-/// Longest header that is read, bytes: those of plain arrays have a hundred or two.
+/// Longest header that is read, bytes. Headers of plain arrays have one or two hundred bytes.
 const MOST_HEADER: usize = 4096;
-/// Most brackets that it may open: those of a plain array are two.
+/// Largest number of opening brackets in a header. A plain array has two.
 const MOST_BRACKETS: usize = 4;
 
-/// The header, and where the data begin.
+/// Reads the header; returns it with the offset of the data in the file, bytes.
 ///
-/// A parser of nested brackets takes twice the time for each that hostile bytes open, so they are counted first.
+/// The parser's time doubles with each nested bracket, so a hostile file could stall it: brackets are counted first.
 fn read_header(file: &mut File) -> std::io::Result<(NpyHeader, u64)> {
     let refuse = |what: String| Err(std::io::Error::new(std::io::ErrorKind::InvalidData, what));
     let mut start = [0; 12];
@@ -68,14 +72,14 @@ fn read_header(file: &mut File) -> std::io::Result<(NpyHeader, u64)> {
         _ => (u32::from_le_bytes([start[8], start[9], start[10], start[11]]) as usize).saturating_add(12),
     };
     if length > MOST_HEADER {
-        return refuse(format!("its header says {length} bytes, more than {MOST_HEADER}"));
+        return refuse(format!("its header has {length} bytes; at most {MOST_HEADER} are read"));
     }
     let mut header = vec![0; length.max(start.len())];
     file.seek(SeekFrom::Start(0))?;
     file.read_exact(&mut header)?;
     let brackets = header.iter().filter(|b| b"([{".contains(b)).count();
     if brackets > MOST_BRACKETS {
-        return refuse(format!("its header opens {brackets} brackets, more than a plain array's"));
+        return refuse(format!("its header opens {brackets} brackets; a plain array has at most {MOST_BRACKETS}"));
     }
     Ok((NpyHeader::from_reader(header.as_slice())?, length as u64))
 }
@@ -103,11 +107,12 @@ fn shape(path: &Path, header: &NpyHeader) -> Result<[usize; 3], SessionError> {
         remedy,
     };
     if header.order() != Order::C {
-        return Err(wrong("Fortran order".into(), "store `numpy.ascontiguousarray(a)`"));
+        return Err(wrong("Fortran order".into(), "save `numpy.ascontiguousarray(a)`"));
     }
     let axes: Vec<usize> = header.shape().iter().filter_map(|&n| usize::try_from(n).ok()).collect();
-    <[usize; 3]>::try_from(axes)
-        .map_err(|_| wrong(format!("{:?}", header.shape()), "store three axes; a single frame is `a[None]`"))
+    <[usize; 3]>::try_from(axes).map_err(|_| {
+        wrong(format!("{:?}", header.shape()), "save an array of three axes; for a single frame save `a[None]`")
+    })
 }
 
 fn decode(bytes: &[u8], samples: SampleType, endianness: Endianness) -> Vec<f32> {

@@ -1,15 +1,15 @@
 //! OME-XML for the first page of a TIFF stack, so that microscopy programs know its axes and pixel size.
 
-use super::{SampleType, StackSpec};
+use super::layout::{SampleType, StackSpec};
 
-/// OME-XML, schema 2016-06: one image, one channel, the frames, of this number, along T.
+/// OME-XML, schema 2016-06: one image with one channel and `frames` frames along the axis T.
 pub(super) fn description(spec: &StackSpec, frames: &str) -> String {
     let kind = match spec.samples {
         SampleType::U8 => "uint8",
         SampleType::U16 => "uint16",
         SampleType::F32 => "float",
     };
-    // The unit of PhysicalSize is um unless said otherwise.
+    // The default unit of PhysicalSize is um.
     let pixel = match spec.pixel_um {
         Some(um) => format!(r#" PhysicalSizeX="{um}" PhysicalSizeY="{um}""#),
         None => String::new(),

@@ -1,23 +1,30 @@
-//! Reads frames of a stack, one at a time.
+//! Reads the frames of a stack one at a time.
 
-use super::{Container, SampleType, npy, tif};
-use crate::session::SessionError;
+use super::layout::{Container, SampleType, Shape};
+use super::{npy, tif};
+use crate::session::error::SessionError;
 use ndarray::Array2;
 use std::collections::VecDeque;
 use std::fmt::Debug;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Makes the frames of a stack instead of keeping them in a file: a frame is made anew each time that it is read.
-pub trait FrameSource: Debug + Send + Sync {
-    /// Frames, rows and columns.
+/// Computes the frames of a stack when they are read, instead of keeping them in a file.
+///
+/// A frame is computed again each time it is read.
+pub trait ComputedFrames: Debug + Send + Sync {
+    /// Size of the stack, [frames, rows, cols].
     fn shape(&self) -> [usize; 3];
 
-    /// Frame `i`, [rows, cols], DN, the same each time; and as many of those after it as are made along with it.
-    fn frames_from(&self, i: usize) -> Vec<Array2<f32>>;
+    /// Frame `i`, [rows, cols], DN, followed by any later frames that were computed along with it. The same call
+    /// returns the same frames.
+    ///
+    /// # Errors
+    /// The data that the frames are computed from cannot be read.
+    fn frames_from(&self, i: usize) -> Result<Vec<Array2<f32>>, SessionError>;
 }
 
-/// Reads frames of a stack, one at a time, in any order; holds one frame in memory.
+/// Reads the frames of a stack one at a time, in any order, and holds one frame in memory.
 #[derive(Debug)]
 pub struct FrameReader {
     path: PathBuf,
@@ -32,26 +39,20 @@ pub struct FrameReader {
 enum Source {
     Npy(npy::NpySource),
     Tif(Box<tif::TifSource>),
-    Made {
-        maker: Arc<dyn FrameSource>,
-        /// Frames made ahead, and the index of the first.
-        ahead: (usize, VecDeque<Array2<f32>>),
+    Computed {
+        frames: Arc<dyn ComputedFrames>,
+        /// Index of the first frame that was computed ahead.
+        next: usize,
+        /// Frames computed ahead.
+        ahead: VecDeque<Array2<f32>>,
     },
 }
 
-/// What a container tells of its stack.
-pub(super) struct Shape {
-    pub len: usize,
-    pub rows: usize,
-    pub cols: usize,
-    pub samples: SampleType,
-}
-
 impl FrameReader {
-    /// Opens a stack and checks that it is complete: header, sample type, size of the file.
+    /// Opens a stack and checks its header, its sample type and the size of the file.
     ///
     /// # Errors
-    /// The file is missing, neither .npy nor .tif, of a sample type other than uint8, uint16 and float32, not
+    /// The file is missing, neither .npy nor .tif, of a sample type other than uint8, uint16 and float32, not an array
     /// [frames, rows, cols], empty, or cut short.
     pub fn open(path: &Path) -> Result<Self, SessionError> {
         let (shape, source) = match Container::of(path)? {
@@ -64,16 +65,16 @@ impl FrameReader {
                 path: path.into(),
                 expected: "at least one frame of at least one pixel".into(),
                 found: format!("[{len}, {rows}, {cols}]"),
-                remedy: "write the frames",
+                remedy: "write the stack again, with its frames",
             });
         }
         Ok(Self { path: path.into(), len, rows, cols, samples, source })
     }
 
-    /// Reads frames that are made as they are asked for; `name` stands for the file in messages.
-    pub(crate) fn made(name: &Path, maker: Arc<dyn FrameSource>) -> Self {
-        let [len, rows, cols] = maker.shape();
-        let source = Source::Made { maker, ahead: (0, VecDeque::new()) };
+    /// A reader of frames that are computed when they are read. `name` stands for the file in error messages.
+    pub fn computed(name: &Path, frames: Arc<dyn ComputedFrames>) -> Self {
+        let [len, rows, cols] = frames.shape();
+        let source = Source::Computed { frames, next: 0, ahead: VecDeque::new() };
         Self { path: name.into(), len, rows, cols, samples: SampleType::U16, source }
     }
 
@@ -93,35 +94,35 @@ impl FrameReader {
         self.cols
     }
 
-    /// Type of the samples in the file.
+    /// Type of the samples in the file; `U16` for computed frames.
     pub fn samples(&self) -> SampleType {
         self.samples
     }
 
-    /// The file.
+    /// Path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Frame `i`, [rows, cols], in the unit of the file.
+    /// Reads frame `i`, [rows, cols], in the unit of the file.
     ///
     /// # Errors
-    /// There is no frame `i`, it cannot be read, or it holds a value that is no finite number.
+    /// There is no frame `i`, it cannot be read, or it holds a non-finite value.
     pub fn read(&mut self, i: usize) -> Result<Array2<f32>, SessionError> {
         if i >= self.len {
             let last = self.len - 1;
             let expected = format!("0 to {last}");
-            return Err(SessionError::value(&self.path, "frame index", expected, i, "ask for a frame that is there"));
+            return Err(SessionError::value(&self.path, "frame index", expected, i, "choose a frame of the stack"));
         }
         let values = match &mut self.source {
             Source::Npy(s) => s.read(&self.path, i)?,
             Source::Tif(s) => s.read(&self.path, i)?,
-            Source::Made { maker, ahead: (next, frames) } => {
-                if *next != i || frames.is_empty() {
-                    *frames = maker.frames_from(i).into();
+            Source::Computed { frames, next, ahead } => {
+                if *next != i || ahead.is_empty() {
+                    *ahead = frames.frames_from(i)?.into();
                 }
                 *next = i + 1;
-                frames.pop_front().unwrap_or_default().into_raw_vec_and_offset().0
+                ahead.pop_front().unwrap_or_default().into_raw_vec_and_offset().0
             }
         };
         if let Some(at) = values.iter().position(|v| !v.is_finite()) {
@@ -130,7 +131,7 @@ impl FrameReader {
                 format!("frame {i}, pixel ({}, {})", at / self.cols, at % self.cols),
                 "a finite number",
                 values[at],
-                "replace or leave out the damaged frame",
+                "replace the damaged frame, or leave it out",
             ));
         }
         let found = values.len();

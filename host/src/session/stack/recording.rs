@@ -1,37 +1,41 @@
-//! A stack that grows: pages appended to an OME-TIFF as they come, readable after each, whatever becomes of the program.
+//! A stack that grows while frames arrive: an OME-TIFF that can be read after each frame, even if the program is
+//! killed.
 
-use super::writer::push_page;
-use super::{Container, SampleType, StackSpec, ome};
-use crate::session::SessionError;
+use super::layout::{Container, SampleType, StackSpec};
+use super::ome;
+use super::writer::{CALLER_ERROR, push_page};
+use crate::session::error::SessionError;
 use ndarray::ArrayView2;
 use std::fs::{File, OpenOptions};
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use tiff::encoder::{TiffEncoder, TiffKindBig};
 
-/// The description lies at the beginning of the file.
+/// The OME description lies within this many bytes of the start of the file.
 const DESCRIBED_WITHIN: u64 = 1 << 12;
 
-/// Appends float32 frames to an OME-TIFF. Unlike other outputs the file is there from the first frame on: each page is written in full
-/// before the one before points to it, and the number of pages in the description follows.
+/// Appends float32 frames to an OME-TIFF that can be read after every frame.
+///
+/// Unlike other outputs, the file exists from the start. Each page is written completely before the previous page
+/// points to it; then the number of pages in the OME description is updated.
 pub struct Recording {
     path: PathBuf,
     spec: StackSpec,
     out: TiffEncoder<File, TiffKindBig>,
-    /// The same file with a position of its own.
+    /// A second handle of the same file, with its own position.
     patch: File,
-    /// Where the description has the number of pages.
+    /// Positions of the number of pages in the description, bytes from the start of the file.
     counts: Vec<u64>,
 }
 
 impl Recording {
-    /// Begins a recording of frames of `rows` x `cols`; what `path` held before is gone.
+    /// Starts a recording of frames of [rows, cols]. An existing file at `path` is overwritten.
     ///
     /// # Errors
-    /// The suffix is not .tif/.tiff, or the file cannot be made.
+    /// The suffix is not .tif/.tiff, or the file cannot be created.
     pub fn create(path: &Path, [rows, cols]: [usize; 2]) -> Result<Self, SessionError> {
         if Container::of(path)? != Container::Tif {
-            let remedy = "record as .tif: pages can be appended to it";
+            let remedy = "record as .tif, to which pages can be appended";
             return Err(SessionError::value(path, "suffix", ".tif or .tiff", ".npy", remedy));
         }
         let io = |e| SessionError::io(path, e);
@@ -45,7 +49,7 @@ impl Recording {
     /// Appends a frame, [rows, cols].
     ///
     /// # Errors
-    /// The frame has another size, or the disk is full; the frames before are kept.
+    /// The frame has another size than announced, or the disk is full. Earlier frames stay in the file.
     pub fn push(&mut self, frame: ArrayView2<'_, f32>) -> Result<(), SessionError> {
         let (rows, cols) = (self.spec.rows, self.spec.cols);
         if frame.dim() != (rows, cols) {
@@ -53,7 +57,7 @@ impl Recording {
                 path: self.path.clone(),
                 expected: format!("frames of {rows} x {cols}"),
                 found: format!("frame {} of {} x {}", self.spec.frames, frame.nrows(), frame.ncols()),
-                remedy: "this is a fault of the caller",
+                remedy: CALLER_ERROR,
             });
         }
         self.spec.frames += 1;
@@ -64,7 +68,7 @@ impl Recording {
         self.count(first).map_err(|e| SessionError::io(&self.path, e))
     }
 
-    /// Writes the number of pages into the description.
+    /// Updates the number of pages in the OME description.
     fn count(&mut self, first: bool) -> std::io::Result<()> {
         if first {
             let mut start = Vec::new();
@@ -81,7 +85,7 @@ impl Recording {
     }
 }
 
-/// A number of pages, as long as any other, so that it can be written over.
+/// A number of pages with a fixed number of digits, so that it can be overwritten in place.
 fn number(pages: usize) -> String {
     format!("{pages:010}")
 }
@@ -93,14 +97,14 @@ mod tests {
     use ndarray::Array2;
 
     #[test]
-    fn the_file_holds_every_page_that_was_pushed_though_nobody_ends_it() {
+    fn the_file_holds_every_pushed_page_without_being_finished() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("recording.tif");
         let page = |i: usize| Array2::from_shape_fn((5, 7), |(r, c)| (100 * i + 10 * r + c) as f32);
         let mut recording = Recording::create(&path, [5, 7]).unwrap();
         for i in 0..12 {
             recording.push(page(i).view()).unwrap();
-            // As it is when the program is killed now.
+            // The file as a killed program would leave it.
             let left = folder.path().join("left.tif");
             std::fs::copy(&path, &left).unwrap();
             let mut reader = FrameReader::open(&left).unwrap();

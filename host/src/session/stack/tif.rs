@@ -1,7 +1,7 @@
-//! Multi-page TIFF: one grey page a frame, all of one size and sample type.
+//! Multi-page TIFF files: one grey page for each frame, all of the same size and sample type.
 
-use super::{SampleType, reader::Shape};
-use crate::session::SessionError;
+use super::layout::{SampleType, Shape};
+use crate::session::error::SessionError;
 use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
@@ -12,7 +12,8 @@ use tiff::tags::Tag;
 
 const KIND: &str = ".tif";
 
-/// A compressed page may claim any size: what is beyond a full-format sensor is taken for damage.
+/// Largest page that is read, bytes. The header of a compressed page may state any size; no sensor needs more than
+/// this, so a larger size counts as damage.
 const MAX_PAGE_BYTES: usize = 1 << 30;
 
 /// An open TIFF.
@@ -31,8 +32,8 @@ impl TifSource {
             if (next.rows, next.cols, next.samples) != (shape.rows, shape.cols, shape.samples) {
                 return Err(SessionError::Shape {
                     path: path.into(),
-                    expected: format!("every page {} x {} {}", shape.rows, shape.cols, shape.samples.name()),
-                    found: format!("page {}: {} x {} {}", shape.len, next.rows, next.cols, next.samples.name()),
+                    expected: format!("every page of {} x {} {}", shape.rows, shape.cols, shape.samples.name()),
+                    found: format!("page {} of {} x {} {}", shape.len, next.rows, next.cols, next.samples.name()),
                     remedy: "write all frames with the same size and sample type",
                 });
             }
@@ -40,7 +41,11 @@ impl TifSource {
         }
         let bytes = shape.rows.saturating_mul(shape.cols).saturating_mul(shape.samples.bytes());
         if bytes > MAX_PAGE_BYTES {
-            return Err(SessionError::format(path, KIND, format!("a page of {} x {}", shape.rows, shape.cols)));
+            return Err(SessionError::format(
+                path,
+                KIND,
+                format!("a page of {} x {} pixels is too large", shape.rows, shape.cols),
+            ));
         }
         let mut limits = Limits::default();
         limits.decoding_buffer_size = bytes;
@@ -54,12 +59,12 @@ impl TifSource {
             DecodingResult::U8(v) => Ok(v.into_iter().map(f32::from).collect()),
             DecodingResult::U16(v) => Ok(v.into_iter().map(f32::from).collect()),
             DecodingResult::F32(v) => Ok(v),
-            _ => Err(SessionError::format(path, KIND, format!("page {i} changed its sample type"))),
+            _ => Err(SessionError::format(path, KIND, format!("page {i} has another sample type than the first"))),
         }
     }
 }
 
-/// Checks the current page: grey, of a type that is read, its data inside the file.
+/// Checks the current page: it must be grey, of a supported sample type, and its data must lie inside the file.
 fn page(path: &Path, decoder: &mut Decoder<BufReader<File>>, size: u64) -> Result<Shape, SessionError> {
     let (cols, rows) = decoder.dimensions().map_err(|e| read_error(path, e))?;
     let color = decoder.colortype().map_err(|e| read_error(path, e))?;
@@ -85,7 +90,7 @@ fn page(path: &Path, decoder: &mut Decoder<BufReader<File>>, size: u64) -> Resul
     Ok(Shape { len: 1, rows: rows as usize, cols: cols as usize, samples })
 }
 
-/// Where the data of the current page end, bytes from the beginning of the file.
+/// End of the data of the current page, bytes from the start of the file.
 fn data_end(decoder: &mut Decoder<BufReader<File>>) -> Result<u64, TiffError> {
     let mut end = 0;
     for (offsets, counts) in [(Tag::StripOffsets, Tag::StripByteCounts), (Tag::TileOffsets, Tag::TileByteCounts)] {

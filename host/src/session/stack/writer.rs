@@ -1,8 +1,9 @@
-//! Writes frames of a stack, one at a time, whole or not at all.
+//! Writes the frames of a stack one at a time. The file appears complete or not at all.
 
-use super::{Container, SampleType, ome};
+use super::layout::{Container, SampleType, StackSpec};
+use super::ome;
 use crate::artifact;
-use crate::session::SessionError;
+use crate::session::error::SessionError;
 use ndarray::ArrayView2;
 use npyz::WriterBuilder;
 use std::fs::File;
@@ -13,22 +14,11 @@ use tiff::TiffResult;
 use tiff::encoder::{TiffEncoder, TiffKind, TiffKindBig, TiffKindStandard, colortype};
 use tiff::tags::Tag;
 
-/// What a stack that shall be written looks like.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct StackSpec {
-    /// Number of frames.
-    pub frames: usize,
-    /// Rows of a frame.
-    pub rows: usize,
-    /// Columns of a frame.
-    pub cols: usize,
-    /// Type of the samples; integers are rounded to.
-    pub samples: SampleType,
-    /// Side of a pixel for the OME metadata, um; None where there is none.
-    pub pixel_um: Option<f64>,
-}
+/// What to do about an error that only a mistake in this program can cause.
+pub(super) const CALLER_ERROR: &str = "this is an error in the program: please report it";
 
-/// Writes frames of a stack, one at a time; .npy or OME-TIFF by suffix. The file appears with [`FrameWriter::finish`].
+/// Writes the frames of a stack one at a time, as .npy or OME-TIFF by the suffix of the file name. The file appears
+/// when [`FrameWriter::finish`] returns.
 #[derive(Debug)]
 pub struct FrameWriter {
     path: PathBuf,
@@ -54,11 +44,11 @@ impl std::fmt::Debug for Sink {
     }
 }
 
-/// The offsets of a plain TIFF have 32 bits; some is left for the tables.
+/// Largest plain TIFF, bytes: its offsets have 32 bits, and its tables need some room. Larger stacks become BigTIFF.
 const TIFF_BYTES: u64 = 4_000_000_000;
 
 impl FrameWriter {
-    /// Begins a stack.
+    /// Starts a stack of the size in `spec` that will appear at `path`.
     ///
     /// # Errors
     /// The suffix is neither .npy nor .tif/.tiff, or the folder is missing or not writable.
@@ -80,8 +70,8 @@ impl FrameWriter {
     /// Appends a frame, [rows, cols].
     ///
     /// # Errors
-    /// The frame has another size, holds a value that is not finite or not in the range of the sample type, there are
-    /// more frames than announced, or the disk is full.
+    /// The frame has another size than announced, holds a non-finite value or one outside the range of the sample type,
+    /// there are more frames than announced, or the disk is full.
     pub fn push(&mut self, frame: ArrayView2<'_, f32>) -> Result<(), SessionError> {
         self.check(frame)?;
         let spec = &self.spec;
@@ -112,7 +102,7 @@ impl FrameWriter {
                 path: self.path.clone(),
                 expected: format!("{} frames of {} x {}", spec.frames, spec.rows, spec.cols),
                 found: format!("frame {} of {} x {}", self.pushed, frame.nrows(), frame.ncols()),
-                remedy: "this is a fault of the caller",
+                remedy: CALLER_ERROR,
             });
         }
         let (low, high) = match spec.samples {
@@ -125,17 +115,17 @@ impl FrameWriter {
             Some(((r, c), v)) => Err(SessionError::value(
                 &self.path,
                 format!("frame {}, pixel ({r}, {c})", self.pushed),
-                format!("a {} value", spec.samples.name()),
+                format!("a value that {} can hold, {low} to {high}", spec.samples.name()),
                 v,
-                "nothing was written",
+                "scale the frames, or write float32",
             )),
         }
     }
 
-    /// Completes the stack: the file appears under its name.
+    /// Completes the stack: the file appears at its path.
     ///
     /// # Errors
-    /// Frames are missing, or the disk is full; no file is left behind.
+    /// Fewer frames were pushed than announced, or the disk is full. No file is left behind.
     pub fn finish(self) -> Result<(), SessionError> {
         let io = |e| SessionError::io(&self.path, e);
         if self.pushed != self.spec.frames {
@@ -143,7 +133,7 @@ impl FrameWriter {
                 path: self.path.clone(),
                 expected: format!("{} frames", self.spec.frames),
                 found: self.pushed.to_string(),
-                remedy: "this is a fault of the caller",
+                remedy: CALLER_ERROR,
             });
         }
         if let Sink::Npy(mut out) = self.sink {

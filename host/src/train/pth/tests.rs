@@ -1,5 +1,4 @@
 #![allow(clippy::unwrap_used)]
-use super::super::testing::noise;
 use super::*;
 use crate::rng;
 use crate::train::network::{Network, values as output_values};
@@ -15,7 +14,7 @@ const TINY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/src/train/pth/tiny.pth"
 const FOUND: &str = include_str!("tiny.json");
 
 fn config() -> ImportConfig {
-    let noise = NoiseModel { black_level_dn: 0.0, ..noise() };
+    let noise = NoiseModel { black_level_dn: 0.0, ..NoiseModel::nominal() };
     ImportConfig { frame: Some([12, 10]), object: Some([8, 8]), noise, maps: SensorMaps::default() }
 }
 

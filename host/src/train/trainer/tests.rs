@@ -1,12 +1,13 @@
 #![allow(clippy::unwrap_used)]
-use super::super::testing::{foci, instrument, noise};
+use super::super::testing::foci;
 use super::*;
+use crate::noise::NoiseModel;
 use crate::sensor::SensorMaps;
 use crate::train::{Architecture, NetworkConfig, Pair, Preset, Start, weights};
 
 fn task(pairs: &Vec<Pair>) -> Task<'_> {
     let network = NetworkConfig { channels: 2, width: 4, reduction: 2, ..Preset::Nano.network([40, 40], [16, 16]) };
-    Task { source: pairs, network, noise: noise(), maps: SensorMaps::default() }
+    Task { source: pairs, network, noise: NoiseModel::nominal(), maps: SensorMaps::default() }
 }
 
 fn training(steps: u64, start: Start) -> TrainConfig {
@@ -39,7 +40,7 @@ fn gradients_of_peers_are_the_slopes_of_their_losses() {
 }
 
 fn lenses() -> Lenses {
-    Lenses::of(&instrument(3, [40, 40], [16, 16])).unwrap()
+    Lenses::of(&crate::testing::square_array(3, [40, 40], [16, 16])).unwrap()
 }
 
 fn slopes_agree(network: NetworkConfig, start: Start) {

@@ -57,18 +57,18 @@ pub struct Entry {
 }
 
 impl Entry {
-    /// Halves of the weights.
+    /// Number of weights.
     pub const fn weights_len(&self) -> usize {
         self.outputs * self.inputs * self.kernel * self.kernel
     }
 
-    /// Halves of the biases.
+    /// Number of biases.
     pub const fn bias_len(&self) -> usize {
         self.outputs
     }
 }
 
-/// The layers of a network with `channels` filters in the order in which their weights lie in the file.
+/// The layers of a network with `channels` filters, in the order of their weights in the file.
 pub fn layout(rcan: &blob::Rcan, channels: u8) -> impl Iterator<Item = Entry> + use<> {
     let rcan = *rcan;
     let (width, filters) = (usize::from(rcan.width), usize::from(channels));
@@ -93,12 +93,13 @@ pub fn layout(rcan: &blob::Rcan, channels: u8) -> impl Iterator<Item = Entry> + 
     [entry(Layer::Head, width, 4 * filters, 3)].into_iter().chain(body).chain(tail)
 }
 
-/// Halves of the whole weight section.
+/// Length of the weight section of the network, halves.
 pub fn weights_len(rcan: &blob::Rcan, channels: u8) -> usize {
     layout(rcan, channels).map(|entry| entry.weights_len() + entry.bias_len()).sum()
 }
 
-/// Width W/r of the attention's bottleneck; 0 where the reduction is 0 or above the width, which no network may have.
+/// Width W/r of the bottleneck of the attention. 0 where the reduction is 0 or above the width, which no network may
+/// have.
 pub const fn hidden(rcan: &blob::Rcan) -> usize {
     match rcan.width.checked_div(rcan.reduction) {
         Some(hidden) => hidden as usize,

@@ -1,9 +1,7 @@
-//! Conversions.
+//! Conversions between halves and singles.
 
 use core::arch::asm;
 
-#[cfg(not(feature = "helium"))]
-use super::asm_low;
 use crate::num::f16;
 
 /// Widens a half.
@@ -60,14 +58,7 @@ pub(in crate::num) fn widen_slice(from: &[f16], to: &mut [f32]) {
         asm_low!(
             "2:",
             "vldmia {from}!, {{s8-s11}}",
-            "vcvtb.f32.f16 s0, s8",
-            "vcvtt.f32.f16 s1, s8",
-            "vcvtb.f32.f16 s2, s9",
-            "vcvtt.f32.f16 s3, s9",
-            "vcvtb.f32.f16 s4, s10",
-            "vcvtt.f32.f16 s5, s10",
-            "vcvtb.f32.f16 s6, s11",
-            "vcvtt.f32.f16 s7, s11",
+            widen_eight!("s8" "s9" "s10" "s11" => "s0" "s1" "s2" "s3" "s4" "s5" "s6" "s7"),
             "vstmia {to}!, {{s0-s7}}",
             "subs {blocks}, #1",
             "bne 2b",
@@ -96,14 +87,7 @@ pub(in crate::num) fn narrow_slice(from: &[f32], to: &mut [f16]) {
         asm_low!(
             "2:",
             "vldmia {from}!, {{s0-s7}}",
-            "vcvtb.f16.f32 s8, s0",
-            "vcvtt.f16.f32 s8, s1",
-            "vcvtb.f16.f32 s9, s2",
-            "vcvtt.f16.f32 s9, s3",
-            "vcvtb.f16.f32 s10, s4",
-            "vcvtt.f16.f32 s10, s5",
-            "vcvtb.f16.f32 s11, s6",
-            "vcvtt.f16.f32 s11, s7",
+            narrow_eight!("s8" "s9" "s10" "s11"),
             "vstmia {to}!, {{s8-s11}}",
             "subs {blocks}, #1",
             "bne 2b",

@@ -1,10 +1,13 @@
 //! The inner loop of the 3x3 convolution.
 
-use super::{Rows, asm_all};
+use super::Rows;
 
 /// One output channel of one tap: four columns from input register `x` on, times weight register `w`.
 macro_rules! tap {
-    ($a:literal, $b:literal, $c:literal, $d:literal, $x0:literal, $x1:literal, $x2:literal, $x3:literal, $w:literal) => {
+    (
+        $a:literal, $b:literal, $c:literal, $d:literal,
+        $x0:literal, $x1:literal, $x2:literal, $x3:literal, $w:literal
+    ) => {
         concat!(
             "vfma.f32 s",
             $a,
@@ -73,7 +76,8 @@ const COLUMNS: [usize; 2] = [4, 8];
 
 /// One row of four output channels, a block of 4 by 4 at a time: 157 instructions an input channel for 144 products.
 ///
-/// `sums` (4, `distance`): each starts at its bias and runs over (channel, ky, kx) in this order. All products must be exact.
+/// `sums` (4, `distance`): each starts at its bias and runs over (channel, ky, kx) in this order. All products must be
+/// exact.
 #[inline(always)]
 pub(crate) fn correlate4(rows: Rows<'_>, cols: usize, bias: [f32; 4], sums: &mut [f32], distance: usize) {
     let channels = rows.check(4, distance, sums.len());
@@ -82,8 +86,8 @@ pub(crate) fn correlate4(rows: Rows<'_>, cols: usize, bias: [f32; 4], sums: &mut
         return;
     }
     let bias = bias.map(|bias| [bias; 4]);
-    // SAFETY: the blocks lie within `distance` columns, a multiple of their width; a block reads two columns more, which the
-    // pitch has; as many channels are there as weights.
+    // SAFETY: the blocks lie within `distance` columns, a multiple of their width; a block reads two columns more,
+    // which the pitch has; as many channels are there as weights.
     unsafe {
         asm_all!(
             "3:",

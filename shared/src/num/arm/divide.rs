@@ -1,9 +1,9 @@
-//! Division of halves: no vector unit of a Cortex-M divides.
+//! Division of halves by the scalar unit: no vector unit of a Cortex-M divides.
 
-use super::asm_low;
 use crate::num::f16;
 
-/// Divides by `divisor`, 28 instructions for eight. Returns how many are done: none where the slice does not begin at a word.
+/// Divides by `divisor`, 28 instructions for eight elements. Returns the number of elements done: none where the slice
+/// does not begin at a word.
 #[inline(always)]
 pub(in crate::num) fn divide(values: &mut [f16], divisor: f32) -> usize {
     let n = values.len() / 8;
@@ -16,14 +16,7 @@ pub(in crate::num) fn divide(values: &mut [f16], divisor: f32) -> usize {
             "vmov s8, {divisor}",
             "2:",
             "vldmia {p}, {{s9-s12}}",
-            "vcvtb.f32.f16 s0, s9",
-            "vcvtt.f32.f16 s1, s9",
-            "vcvtb.f32.f16 s2, s10",
-            "vcvtt.f32.f16 s3, s10",
-            "vcvtb.f32.f16 s4, s11",
-            "vcvtt.f32.f16 s5, s11",
-            "vcvtb.f32.f16 s6, s12",
-            "vcvtt.f32.f16 s7, s12",
+            widen_eight!("s9" "s10" "s11" "s12" => "s0" "s1" "s2" "s3" "s4" "s5" "s6" "s7"),
             "vdiv.f32 s0, s0, s8",
             "vdiv.f32 s1, s1, s8",
             "vdiv.f32 s2, s2, s8",
@@ -32,14 +25,7 @@ pub(in crate::num) fn divide(values: &mut [f16], divisor: f32) -> usize {
             "vdiv.f32 s5, s5, s8",
             "vdiv.f32 s6, s6, s8",
             "vdiv.f32 s7, s7, s8",
-            "vcvtb.f16.f32 s9, s0",
-            "vcvtt.f16.f32 s9, s1",
-            "vcvtb.f16.f32 s10, s2",
-            "vcvtt.f16.f32 s10, s3",
-            "vcvtb.f16.f32 s11, s4",
-            "vcvtt.f16.f32 s11, s5",
-            "vcvtb.f16.f32 s12, s6",
-            "vcvtt.f16.f32 s12, s7",
+            narrow_eight!("s9" "s10" "s11" "s12"),
             "vstmia {p}!, {{s9-s12}}",
             "subs {n}, #1",
             "bne 2b",

@@ -1,48 +1,25 @@
-//! The complex transform of [`crate::fft`]: the same butterflies in the same order, the data in registers from load to store.
+//! The complex transform of [`crate::fft`]: the same butterflies in the same order, the data in registers from load to
+//! store.
 //!
-//! A product of complex numbers takes four instructions; `vmla` and `vmls` round the product before they add it. Negations go
-//! into the additions that follow, which changes no bit.
+//! A product of complex numbers takes four instructions; `vmla` and `vmls` round the product before they add it.
+//! Negations go into the additions that follow, which changes no bit.
 
-use super::asm_all;
 use crate::fft::ROOT_TRIPLES;
 
 /// `(tr, ti) = (ar, ai) (wr, wi)`.
 macro_rules! product {
     ($tr:literal $ti:literal = $ar:literal $ai:literal, $wr:literal $wi:literal) => {
         concat!(
-            "vmul.f32 ",
-            $tr,
-            ", ",
-            $ar,
-            ", ",
-            $wr,
-            "\n",
-            "vmul.f32 ",
-            $ti,
-            ", ",
-            $ar,
-            ", ",
-            $wi,
-            "\n",
-            "vmls.f32 ",
-            $tr,
-            ", ",
-            $ai,
-            ", ",
-            $wi,
-            "\n",
-            "vmla.f32 ",
-            $ti,
-            ", ",
-            $ai,
-            ", ",
-            $wr,
-            "\n",
+            op!("vmul.f32" $tr $ar $wr),
+            op!("vmul.f32" $ti $ar $wi),
+            op!("vmls.f32" $tr $ai $wi),
+            op!("vmla.f32" $ti $ai $wr),
         )
     };
 }
 
-/// The butterfly of four numbers in bit-reversed order, from `a` to `o`, which may be the same registers; `t`: eight others.
+/// The butterfly of four numbers in bit-reversed order, from `a` to `o`, which may be the same registers; `t`: eight
+/// others.
 macro_rules! butterfly {
     (
         $a0r:literal $a0i:literal $a1r:literal $a1i:literal $a2r:literal $a2i:literal $a3r:literal $a3i:literal,
@@ -50,125 +27,29 @@ macro_rules! butterfly {
         $t0:literal $t1:literal $t2:literal $t3:literal $t4:literal $t5:literal $t6:literal $t7:literal
     ) => {
         concat!(
-            "vadd.f32 ",
-            $t0,
-            ", ",
-            $a0r,
-            ", ",
-            $a1r,
-            "\n",
-            "vadd.f32 ",
-            $t1,
-            ", ",
-            $a0i,
-            ", ",
-            $a1i,
-            "\n",
-            "vsub.f32 ",
-            $t2,
-            ", ",
-            $a0r,
-            ", ",
-            $a1r,
-            "\n",
-            "vsub.f32 ",
-            $t3,
-            ", ",
-            $a0i,
-            ", ",
-            $a1i,
-            "\n",
-            "vadd.f32 ",
-            $t4,
-            ", ",
-            $a2r,
-            ", ",
-            $a3r,
-            "\n",
-            "vadd.f32 ",
-            $t5,
-            ", ",
-            $a2i,
-            ", ",
-            $a3i,
-            "\n",
-            "vsub.f32 ",
-            $t6,
-            ", ",
-            $a2r,
-            ", ",
-            $a3r,
-            "\n",
-            "vsub.f32 ",
-            $t7,
-            ", ",
-            $a2i,
-            ", ",
-            $a3i,
-            "\n",
-            "vadd.f32 ",
-            $o0r,
-            ", ",
-            $t0,
-            ", ",
-            $t4,
-            "\n",
-            "vadd.f32 ",
-            $o0i,
-            ", ",
-            $t1,
-            ", ",
-            $t5,
-            "\n",
-            "vsub.f32 ",
-            $o2r,
-            ", ",
-            $t0,
-            ", ",
-            $t4,
-            "\n",
-            "vsub.f32 ",
-            $o2i,
-            ", ",
-            $t1,
-            ", ",
-            $t5,
-            "\n",
+            op!("vadd.f32" $t0 $a0r $a1r),
+            op!("vadd.f32" $t1 $a0i $a1i),
+            op!("vsub.f32" $t2 $a0r $a1r),
+            op!("vsub.f32" $t3 $a0i $a1i),
+            op!("vadd.f32" $t4 $a2r $a3r),
+            op!("vadd.f32" $t5 $a2i $a3i),
+            op!("vsub.f32" $t6 $a2r $a3r),
+            op!("vsub.f32" $t7 $a2i $a3i),
+            op!("vadd.f32" $o0r $t0 $t4),
+            op!("vadd.f32" $o0i $t1 $t5),
+            op!("vsub.f32" $o2r $t0 $t4),
+            op!("vsub.f32" $o2i $t1 $t5),
             // The difference times -i.
-            "vadd.f32 ",
-            $o1r,
-            ", ",
-            $t2,
-            ", ",
-            $t7,
-            "\n",
-            "vsub.f32 ",
-            $o1i,
-            ", ",
-            $t3,
-            ", ",
-            $t6,
-            "\n",
-            "vsub.f32 ",
-            $o3r,
-            ", ",
-            $t2,
-            ", ",
-            $t7,
-            "\n",
-            "vadd.f32 ",
-            $o3i,
-            ", ",
-            $t3,
-            ", ",
-            $t6,
-            "\n",
+            op!("vadd.f32" $o1r $t2 $t7),
+            op!("vsub.f32" $o1i $t3 $t6),
+            op!("vsub.f32" $o3r $t2 $t7),
+            op!("vadd.f32" $o3i $t3 $t6),
         )
     };
 }
 
-/// Transforms numbers (re, im) in bit-reversed order into natural order: [`crate::fft::Fft::process`] of one lane. The length is
-/// a power of two from 4 to 1024.
+/// Transforms numbers (re, im) in bit-reversed order into natural order: [`crate::fft::Fft::process`] of one lane. The
+/// length is a power of two from 4 to 1024.
 pub(crate) fn transform(data: &mut [[f32; 2]]) {
     let mut quarter = if data.len().trailing_zeros().is_multiple_of(2) {
         first_radix4(data.as_chunks_mut().0);
@@ -284,6 +165,49 @@ macro_rules! turn {
     };
 }
 
+/// Loads two numbers of each quarter of a block: column 0 to s0-s1, s4-s5, s8-s9, s12-s13, column 1 to the registers
+/// between.
+macro_rules! load_columns {
+    () => {
+        concat!(
+            "vldmia {p0}, {{s0-s3}}\n",
+            "vldmia {p1}, {{s4-s7}}\n",
+            "vldmia {p2}, {{s8-s11}}\n",
+            "vldmia {p3}, {{s12-s15}}\n",
+        )
+    };
+}
+
+/// Stores what [`load_columns`] has loaded, and goes on to the next two columns.
+macro_rules! store_columns {
+    () => {
+        concat!(
+            "vstmia {p0}!, {{s0-s3}}\n",
+            "vstmia {p1}!, {{s4-s7}}\n",
+            "vstmia {p2}!, {{s8-s11}}\n",
+            "vstmia {p3}!, {{s12-s15}}\n",
+        )
+    };
+}
+
+/// The butterfly of one column, its numbers 1, 2, 3 times the next roots.
+macro_rules! turned_column {
+    (
+        $a0r:literal $a0i:literal $a1r:literal $a1i:literal $a2r:literal $a2i:literal $a3r:literal $a3i:literal
+    ) => {
+        concat!(
+            "vldmia {w}, {{s16-s21}}\n",
+            "add {w}, {w}, {step}\n",
+            turn!($a1r $a1i $a2r $a2i $a3r $a3i),
+            butterfly!(
+                $a0r $a0i "s22" "s23" "s24" "s25" "s26" "s27",
+                $a0r $a0i $a1r $a1i $a2r $a2i $a3r $a3i,
+                "s16" "s17" "s18" "s19" "s20" "s21" "s28" "s29"
+            ),
+        )
+    };
+}
+
 /// Joins transforms of `quarter` numbers by fours; 70 instructions for two butterflies.
 #[inline(always)]
 fn radix4(data: &mut [[f32; 2]], quarter: usize) {
@@ -293,60 +217,27 @@ fn radix4(data: &mut [[f32; 2]], quarter: usize) {
     }
     let roots = ROOT_TRIPLES.as_ptr_range();
     let bytes = quarter * size_of::<[f32; 2]>();
-    // SAFETY: each block is read and written once, two columns of four numbers at a time; `quarter` is an even power of two, so
-    // that the table is walked from its second step to its end.
+    // SAFETY: each block is read and written once, two columns of four numbers at a time; `quarter` is an even power of
+    // two, so that the table is walked from its second step to its end.
     unsafe {
         let p = data.as_mut_ptr();
         asm_all!(
             "3:",
             // The first two butterflies of a block; the roots of the very first are 1.
             "add {w}, {table}, {step}",
-            "vldmia {p0}, {{s0-s3}}",
-            "vldmia {p1}, {{s4-s7}}",
-            "vldmia {p2}, {{s8-s11}}",
-            "vldmia {p3}, {{s12-s15}}",
+            load_columns!(),
             butterfly!(
                 "s0" "s1" "s4" "s5" "s8" "s9" "s12" "s13",
                 "s0" "s1" "s4" "s5" "s8" "s9" "s12" "s13",
                 "s16" "s17" "s18" "s19" "s20" "s21" "s22" "s23"
             ),
-            "vldmia {w}, {{s16-s21}}",
-            "add {w}, {w}, {step}",
-            turn!("s6" "s7" "s10" "s11" "s14" "s15"),
-            butterfly!(
-                "s2" "s3" "s22" "s23" "s24" "s25" "s26" "s27",
-                "s2" "s3" "s6" "s7" "s10" "s11" "s14" "s15",
-                "s16" "s17" "s18" "s19" "s20" "s21" "s28" "s29"
-            ),
-            "vstmia {p0}!, {{s0-s3}}",
-            "vstmia {p1}!, {{s4-s7}}",
-            "vstmia {p2}!, {{s8-s11}}",
-            "vstmia {p3}!, {{s12-s15}}",
+            turned_column!("s2" "s3" "s6" "s7" "s10" "s11" "s14" "s15"),
+            store_columns!(),
             "2:",
-            "vldmia {p0}, {{s0-s3}}",
-            "vldmia {p1}, {{s4-s7}}",
-            "vldmia {p2}, {{s8-s11}}",
-            "vldmia {p3}, {{s12-s15}}",
-            "vldmia {w}, {{s16-s21}}",
-            "add {w}, {w}, {step}",
-            turn!("s4" "s5" "s8" "s9" "s12" "s13"),
-            butterfly!(
-                "s0" "s1" "s22" "s23" "s24" "s25" "s26" "s27",
-                "s0" "s1" "s4" "s5" "s8" "s9" "s12" "s13",
-                "s16" "s17" "s18" "s19" "s20" "s21" "s28" "s29"
-            ),
-            "vldmia {w}, {{s16-s21}}",
-            "add {w}, {w}, {step}",
-            turn!("s6" "s7" "s10" "s11" "s14" "s15"),
-            butterfly!(
-                "s2" "s3" "s22" "s23" "s24" "s25" "s26" "s27",
-                "s2" "s3" "s6" "s7" "s10" "s11" "s14" "s15",
-                "s16" "s17" "s18" "s19" "s20" "s21" "s28" "s29"
-            ),
-            "vstmia {p0}!, {{s0-s3}}",
-            "vstmia {p1}!, {{s4-s7}}",
-            "vstmia {p2}!, {{s8-s11}}",
-            "vstmia {p3}!, {{s12-s15}}",
+            load_columns!(),
+            turned_column!("s0" "s1" "s4" "s5" "s8" "s9" "s12" "s13"),
+            turned_column!("s2" "s3" "s6" "s7" "s10" "s11" "s14" "s15"),
+            store_columns!(),
             "cmp {w}, {end}",
             "bne 2b",
             "add {p0}, {p0}, {skip}",

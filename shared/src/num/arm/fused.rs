@@ -1,7 +1,6 @@
-//! What [`crate::num::fused`] does, eight elements at a time. Each function returns how many elements it has done: none where a
-//! slice of halves does not begin at a word.
+//! The routines of [`crate::num::fused`], eight elements at a time. Each returns the number of elements that it has
+//! done. It does none where a slice of halves does not begin at a word.
 
-use super::{asm_all, asm_low};
 use crate::num::f16;
 
 /// Blocks of eight in `len` elements, if the halves begin at a word.
@@ -10,7 +9,7 @@ fn blocks(halves: &[f16], len: usize) -> usize {
     if halves.as_ptr().addr().is_multiple_of(4) { len.min(halves.len()) / 8 } else { 0 }
 }
 
-/// 18 instructions for eight; `usat16` takes two negative halves to zero.
+/// [`crate::num::fused::narrow_relu`]: 18 instructions for eight elements; `usat16` takes two negative halves to zero.
 #[inline(always)]
 pub(in crate::num) fn narrow_relu(from: &[f32], to: &mut [f16]) -> usize {
     let n = blocks(to, from.len());
@@ -22,14 +21,7 @@ pub(in crate::num) fn narrow_relu(from: &[f32], to: &mut [f16]) -> usize {
         asm_low!(
             "2:",
             "vldmia {from}!, {{s0-s7}}",
-            "vcvtb.f16.f32 s8, s0",
-            "vcvtt.f16.f32 s8, s1",
-            "vcvtb.f16.f32 s9, s2",
-            "vcvtt.f16.f32 s9, s3",
-            "vcvtb.f16.f32 s10, s4",
-            "vcvtt.f16.f32 s10, s5",
-            "vcvtb.f16.f32 s11, s6",
-            "vcvtt.f16.f32 s11, s7",
+            narrow_eight!("s8" "s9" "s10" "s11"),
             "vmov {t}, {u}, s8, s9",
             "usat16 {t}, #15, {t}",
             "usat16 {u}, #15, {u}",
@@ -50,7 +42,7 @@ pub(in crate::num) fn narrow_relu(from: &[f32], to: &mut [f16]) -> usize {
     8 * n
 }
 
-/// 29 instructions for eight.
+/// [`crate::num::fused::accumulate`]: 29 instructions for eight elements.
 #[inline(always)]
 pub(in crate::num) fn accumulate(from: &[f32], to: &mut [f16]) -> usize {
     let n = blocks(to, from.len());
@@ -63,14 +55,7 @@ pub(in crate::num) fn accumulate(from: &[f32], to: &mut [f16]) -> usize {
             "2:",
             "vldmia {from}!, {{s0-s7}}",
             "vldmia {to}, {{s8-s11}}",
-            "vcvtb.f32.f16 s12, s8",
-            "vcvtt.f32.f16 s13, s8",
-            "vcvtb.f32.f16 s14, s9",
-            "vcvtt.f32.f16 s15, s9",
-            "vcvtb.f32.f16 s16, s10",
-            "vcvtt.f32.f16 s17, s10",
-            "vcvtb.f32.f16 s18, s11",
-            "vcvtt.f32.f16 s19, s11",
+            widen_eight!("s8" "s9" "s10" "s11" => "s12" "s13" "s14" "s15" "s16" "s17" "s18" "s19"),
             "vadd.f32 s0, s0, s12",
             "vadd.f32 s1, s1, s13",
             "vadd.f32 s2, s2, s14",
@@ -79,14 +64,7 @@ pub(in crate::num) fn accumulate(from: &[f32], to: &mut [f16]) -> usize {
             "vadd.f32 s5, s5, s17",
             "vadd.f32 s6, s6, s18",
             "vadd.f32 s7, s7, s19",
-            "vcvtb.f16.f32 s8, s0",
-            "vcvtt.f16.f32 s8, s1",
-            "vcvtb.f16.f32 s9, s2",
-            "vcvtt.f16.f32 s9, s3",
-            "vcvtb.f16.f32 s10, s4",
-            "vcvtt.f16.f32 s10, s5",
-            "vcvtb.f16.f32 s11, s6",
-            "vcvtt.f16.f32 s11, s7",
+            narrow_eight!("s8" "s9" "s10" "s11"),
             "vstmia {to}!, {{s8-s11}}",
             "subs {n}, #1",
             "bne 2b",
@@ -98,7 +76,7 @@ pub(in crate::num) fn accumulate(from: &[f32], to: &mut [f16]) -> usize {
     8 * n
 }
 
-/// 37 instructions for eight.
+/// [`crate::num::fused::add_scaled`]: 37 instructions for eight elements.
 #[inline(always)]
 pub(in crate::num) fn add_scaled(scale: f32, from: &[f16], to: &mut [f16]) -> usize {
     let n = blocks(from, 8 * blocks(to, from.len()));
@@ -112,22 +90,8 @@ pub(in crate::num) fn add_scaled(scale: f32, from: &[f16], to: &mut [f16]) -> us
             "2:",
             "vldmia {from}!, {{s16-s19}}",
             "vldmia {to}, {{s20-s23}}",
-            "vcvtb.f32.f16 s0, s20",
-            "vcvtt.f32.f16 s1, s20",
-            "vcvtb.f32.f16 s2, s21",
-            "vcvtt.f32.f16 s3, s21",
-            "vcvtb.f32.f16 s4, s22",
-            "vcvtt.f32.f16 s5, s22",
-            "vcvtb.f32.f16 s6, s23",
-            "vcvtt.f32.f16 s7, s23",
-            "vcvtb.f32.f16 s8, s16",
-            "vcvtt.f32.f16 s9, s16",
-            "vcvtb.f32.f16 s10, s17",
-            "vcvtt.f32.f16 s11, s17",
-            "vcvtb.f32.f16 s12, s18",
-            "vcvtt.f32.f16 s13, s18",
-            "vcvtb.f32.f16 s14, s19",
-            "vcvtt.f32.f16 s15, s19",
+            widen_eight!("s20" "s21" "s22" "s23" => "s0" "s1" "s2" "s3" "s4" "s5" "s6" "s7"),
+            widen_eight!("s16" "s17" "s18" "s19" => "s8" "s9" "s10" "s11" "s12" "s13" "s14" "s15"),
             "vmla.f32 s0, s8, s28",
             "vmla.f32 s1, s9, s28",
             "vmla.f32 s2, s10, s28",
@@ -136,14 +100,7 @@ pub(in crate::num) fn add_scaled(scale: f32, from: &[f16], to: &mut [f16]) -> us
             "vmla.f32 s5, s13, s28",
             "vmla.f32 s6, s14, s28",
             "vmla.f32 s7, s15, s28",
-            "vcvtb.f16.f32 s20, s0",
-            "vcvtt.f16.f32 s20, s1",
-            "vcvtb.f16.f32 s21, s2",
-            "vcvtt.f16.f32 s21, s3",
-            "vcvtb.f16.f32 s22, s4",
-            "vcvtt.f16.f32 s22, s5",
-            "vcvtb.f16.f32 s23, s6",
-            "vcvtt.f16.f32 s23, s7",
+            narrow_eight!("s20" "s21" "s22" "s23"),
             "vstmia {to}!, {{s20-s23}}",
             "subs {n}, #1",
             "bne 2b",
@@ -156,7 +113,7 @@ pub(in crate::num) fn add_scaled(scale: f32, from: &[f16], to: &mut [f16]) -> us
     8 * n
 }
 
-/// 19 instructions for eight.
+/// [`crate::num::fused::add_eights`]: 19 instructions for eight elements.
 #[inline(always)]
 pub(in crate::num) fn add_eights(from: &[f16], sums: &mut [f32; 8]) -> usize {
     let n = blocks(from, from.len());
@@ -169,14 +126,7 @@ pub(in crate::num) fn add_eights(from: &[f16], sums: &mut [f32; 8]) -> usize {
             "vldmia {sums}, {{s0-s7}}",
             "2:",
             "vldmia {from}!, {{s8-s11}}",
-            "vcvtb.f32.f16 s12, s8",
-            "vcvtt.f32.f16 s13, s8",
-            "vcvtb.f32.f16 s14, s9",
-            "vcvtt.f32.f16 s15, s9",
-            "vcvtb.f32.f16 s16, s10",
-            "vcvtt.f32.f16 s17, s10",
-            "vcvtb.f32.f16 s18, s11",
-            "vcvtt.f32.f16 s19, s11",
+            widen_eight!("s8" "s9" "s10" "s11" => "s12" "s13" "s14" "s15" "s16" "s17" "s18" "s19"),
             "vadd.f32 s0, s0, s12",
             "vadd.f32 s1, s1, s13",
             "vadd.f32 s2, s2, s14",
@@ -196,7 +146,7 @@ pub(in crate::num) fn add_eights(from: &[f16], sums: &mut [f32; 8]) -> usize {
     8 * n
 }
 
-/// The loop of [`widen_alternate`]: which half of each word.
+/// The loop of [`widen_alternate`]. `convert` selects the half of each word.
 macro_rules! alternate {
     ($convert:literal, $from:ident, $to:ident, $n:ident) => {
         asm_all!(
@@ -220,7 +170,7 @@ macro_rules! alternate {
     };
 }
 
-/// 12 instructions for eight.
+/// [`crate::num::fused::widen_alternate`]: 12 instructions for eight elements.
 #[inline(always)]
 pub(in crate::num) fn widen_alternate(from: &[f16], first: usize, to: &mut [f32]) -> usize {
     let n = blocks(from, from.len()) / 2;
@@ -239,7 +189,7 @@ pub(in crate::num) fn widen_alternate(from: &[f16], first: usize, to: &mut [f32]
     8 * n
 }
 
-/// 22 instructions for four pairs. Returns how many pairs are done.
+/// [`crate::num::fused::round_interleaved`]: 22 instructions for four pairs. Returns how many pairs are done.
 #[inline(always)]
 pub(in crate::num) fn round_interleaved(even: &[f32], odd: &[f32], to: &mut [f32]) -> usize {
     let n = even.len().min(odd.len()).min(to.len() / 2) / 4;

@@ -1,11 +1,17 @@
-//! The instructions of the Cortex-M's floating-point unit (FPv4-SP, FPv5) that the language does not reach: conversions between
-//! halves and singles, loads and stores of many registers, the fused multiply-accumulate for exact products, and the chained one
-//! (`vmla`, `vmls`: two roundings, as [`super::mac`]) that makes a complex product four instructions.
+//! Routines in assembly, for instructions of the Cortex-M's floating-point unit (FPv4-SP, FPv5) that the compiler does
+//! not use: conversions between halves and singles, loads and stores of many registers, the fused multiply-accumulate
+//! for exact products, and the chained one (`vmla`, `vmls`: two roundings, as [`super::mac`]), with which a complex
+//! product takes four instructions.
 //!
-//! Each routine names the vector registers that it uses as clobbered, which is all that the compiler lets it do with them. Loops
-//! stand in assembly as a whole, because no value can be handed over in a vector register.
-//! NaN: the unit keeps sign and payload. Arithmetic only makes the default NaN, which converts as the rest of [`super`] says.
+//! Each routine declares the vector registers that it uses as clobbered. The compiler does not allow vector registers
+//! as operands, so whole loops are in assembly.
+//!
+//! NaN: conversions keep sign and payload. Arithmetic returns only the default NaN, which is converted as [`super`]
+//! defines.
 #![allow(unsafe_code)]
+
+#[macro_use]
+mod macros;
 
 mod columns;
 mod convert;
@@ -40,28 +46,3 @@ pub(super) use {
     convert::{narrow_slice, widen_slice},
     fused::{accumulate, add_eights, add_scaled, narrow_relu, round_interleaved, widen_alternate},
 };
-
-/// `asm!` that clobbers s0-s15, which no caller expects to be kept.
-macro_rules! asm_low {
-    ($($item:tt)*) => {
-        core::arch::asm!(
-            $($item)*
-            out("d0") _, out("d1") _, out("d2") _, out("d3") _, out("d4") _, out("d5") _, out("d6") _, out("d7") _,
-            options(nostack)
-        )
-    };
-}
-
-/// `asm!` that clobbers every vector register.
-macro_rules! asm_all {
-    ($($item:tt)*) => {
-        core::arch::asm!(
-            $($item)*
-            out("d0") _, out("d1") _, out("d2") _, out("d3") _, out("d4") _, out("d5") _, out("d6") _, out("d7") _,
-            out("d8") _, out("d9") _, out("d10") _, out("d11") _, out("d12") _, out("d13") _, out("d14") _, out("d15") _,
-            options(nostack)
-        )
-    };
-}
-
-use {asm_all, asm_low};

@@ -1,39 +1,40 @@
-//! The widest vector unit that the machine has, chosen once at run time.
+//! Choice of the vector instruction set at run time.
 //!
-//! A kernel is written once over [`Vector`]s of independent outputs and compiled for each instruction set. No form reorders
-//! an operation or drops a rounding: all give the same bits.
+//! A kernel is written once over [`Vector`]s of independent outputs and compiled for each instruction set. No version
+//! reorders operations or drops a rounding, so all give the same bits.
 
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
 /// Independent numbers that are computed side by side.
 pub trait Vector: Copy {
-    /// How many.
+    /// Number of elements.
     const LEN: usize;
 
-    /// The same number in every place.
+    /// A vector with the same number in every element.
     fn splat(x: f32) -> Self;
 
-    /// The first [`Self::LEN`] numbers of a slice; panics where it is shorter.
+    /// Loads the first [`Self::LEN`] numbers of a slice. Panics where it is shorter.
     fn load(from: &[f32]) -> Self;
 
-    /// Into the first [`Self::LEN`] numbers of a slice; panics where it is shorter.
+    /// Stores to the first [`Self::LEN`] numbers of a slice. Panics where it is shorter.
     fn store(self, to: &mut [f32]);
 
-    /// `self + a * b` where the caller knows every product to be exact, as those of two widened halves are: with one rounding or
-    /// with two, whichever is faster, the bits are the same.
+    /// `self + a * b`. Every product must be exact, as those of two widened halves are. One rounding and two then give
+    /// the same bits, and the faster form is used.
     fn add_exact(self, a: Self, b: Self) -> Self;
 }
 
-/// A loop nest that shall be compiled for each instruction set. Mark `run` and all that it calls `#[inline(always)]`.
+/// A loop nest that is compiled for each instruction set. `run` and all functions that it calls must be
+/// `#[inline(always)]`.
 pub trait Kernel {
     /// What the kernel returns.
     type Output;
-    /// Does the work.
+    /// Runs the loops.
     fn run<V: Vector>(self) -> Self::Output;
 }
 
-/// Proof of which instruction set is there.
+/// Proof that the machine has an instruction set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Simd(Level);
 
@@ -44,14 +45,14 @@ enum Level {
     Avx2Fma,
 }
 
-/// What the compiler may assume on every machine: SSE2 on x86-64, no vectors on a Cortex-M.
+/// Vectors that the compiler may assume on every machine: SSE2 on x86-64, none on a Cortex-M.
 type Portable = [f32; if cfg!(target_arch = "arm") { 2 } else { 4 }];
 
 impl Simd {
-    /// What every machine of the target has.
+    /// The instruction set of every machine of the target.
     pub const PORTABLE: Self = Self(Level::Portable);
 
-    /// Asks the processor.
+    /// The best instruction set of this processor.
     pub fn detect() -> Self {
         #[cfg(target_arch = "x86_64")]
         if x86::detected() {
@@ -60,7 +61,7 @@ impl Simd {
         Self::PORTABLE
     }
 
-    /// Runs a kernel in the form for this instruction set.
+    /// Runs the version of a kernel for this instruction set.
     #[inline(always)]
     pub fn run<K: Kernel>(self, kernel: K) -> K::Output {
         match self.0 {

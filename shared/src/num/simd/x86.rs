@@ -33,7 +33,7 @@ fn xcr0() -> u64 {
     unsafe { _xgetbv(0) }
 }
 
-/// Only for `Level::Avx2Fma`, which is made only where [`detected`] said yes.
+/// Called only with `Level::Avx2Fma`, which exists only where [`detected`] returned true.
 #[inline(always)]
 pub(super) fn run<K: Kernel>(kernel: K) -> K::Output {
     // SAFETY: the processor has the features, see above.
@@ -45,8 +45,8 @@ fn with_features<K: Kernel>(kernel: K) -> K::Output {
     kernel.run::<Eight>()
 }
 
-/// Eight numbers in a ymm register. Private to this module, and handed out by [`with_features`] only: where its methods run,
-/// the features are there.
+/// Eight numbers in a ymm register. The type is private to this module and used by [`with_features`] only. So the
+/// processor has the features where its methods run.
 #[derive(Clone, Copy)]
 struct Eight(__m256);
 

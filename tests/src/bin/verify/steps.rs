@@ -29,6 +29,7 @@ pub fn all() -> Vec<Step> {
         step("all tests", || tests(&["--release", "--workspace"])),
         step("hostile input", hostile_input),
         step("lints", || check(cargo(["clippy", "--release", "--workspace", "--all-targets", "--", "-D", "warnings"]))),
+        step("lints of the boards", lints_of_boards),
         step("documentation", documentation),
     ]
 }
@@ -58,6 +59,23 @@ fn firmware_images() -> Result<Counts> {
         let mut command = toolchain.cargo(board);
         command.args(["build", "--profile", "firmware", "-p", "ommatidia-firmware", "--features", board.name]);
         command.args(["--bins", "--target", board.target]);
+        counts += check(command)?;
+    }
+    Ok(counts)
+}
+
+/// The lints of the firmware for every board: one check for each.
+fn lints_of_boards() -> Result<Counts> {
+    let toolchain = toolchain::thumb()?;
+    if !toolchain.has_clippy() {
+        println!("skipped: Debian's compiler for the boards has no clippy; `rustup target add` gives one that has");
+        return Ok(Counts { skipped: BOARDS.len() as u64, ..Counts::default() });
+    }
+    let mut counts = Counts::default();
+    for board in BOARDS {
+        let mut command = toolchain.cargo(board);
+        command.args(["clippy", "--profile", "firmware", "-p", "ommatidia-firmware", "--features", board.name]);
+        command.args(["--bins", "--target", board.target, "--", "-D", "warnings"]);
         counts += check(command)?;
     }
     Ok(counts)

@@ -40,6 +40,11 @@ impl Toolchain {
         command
     }
 
+    /// Whether `cargo clippy` of this toolchain knows the boards' targets.
+    pub fn has_clippy(&self) -> bool {
+        matches!(self, Self::Rustup)
+    }
+
     /// Where the firmware images that this toolchain builds lie, a folder a board.
     pub fn images(&self) -> PathBuf {
         self.target_dir().join("boards")

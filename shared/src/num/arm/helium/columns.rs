@@ -1,24 +1,23 @@
-//! Columns of pairs of halves, four side by side, and the transform between. Sixteen bytes hold the pairs of four columns: real parts
-//! are the low halves of their words, imaginary parts the high ones.
+//! Columns of pairs of halves, four side by side, and the transform between. Sixteen bytes hold the pairs of four
+//! columns: real parts are the low halves of their words, imaginary parts the high ones.
 
-use super::super::asm_all;
 use super::fft::{join, last_to_columns, transform};
 use super::{Four, shift, unflushed};
 use crate::num::f16;
 use crate::num::pairs::Parts;
 
-/// Whether `halves` hold `len` groups of four pairs a stride apart.
+/// Checks that `halves` hold `len` groups of four pairs at this stride. Panics otherwise.
 #[inline(always)]
 pub(super) fn check(halves: usize, stride: usize, len: usize) {
     assert!(stride >= 8 && halves + stride >= len * stride + 8, "{halves} halves are too few");
 }
 
-/// Transforms four columns, the pairs at `columns[i * stride..][..8]`, in place, scaled; `data` is scratch. False, and nothing written, where
-/// Helium flushed a number.
+/// Transforms four columns, the pairs at `columns[i * stride..][..8]`, in place, scaled. `data` is scratch. Returns
+/// false, and writes nothing, where Helium flushed a number.
 ///
-/// Halves are multiples of 2^-24. A pass with the roots of n, none of whose parts but zero is below sin(2 pi / n), rounds to multiples at most
-/// 2^24 / sin(2 pi / n) times finer. Up to 256 there are three such passes, which leaves multiples of 2^-107: nothing can be flushed, and
-/// the last pass goes to the columns at once.
+/// Halves are multiples of 2^-24. A pass with the roots of n, none of whose parts but zero is below sin(2 pi / n),
+/// rounds to multiples at most 2^24 / sin(2 pi / n) times finer. Up to 256 there are three such passes, which leaves
+/// multiples of 2^-107: nothing can be flushed, and the last pass goes to the columns at once.
 pub(crate) fn forward_columns(columns: &mut [f16], stride: usize, scale: f32, data: &mut [Four]) -> bool {
     let len = data.len();
     if (16..=256).contains(&len) {
@@ -37,8 +36,8 @@ pub(crate) fn forward_columns(columns: &mut [f16], stride: usize, scale: f32, da
     exact
 }
 
-/// Widens pairs to the places with their numbers' bits reversed, by way of the butterflies of four neighbours. 45 instructions for four
-/// numbers.
+/// Widens pairs, computes the butterflies of four neighbours, and writes each to the index with reversed bits. 45
+/// instructions for four numbers.
 #[inline(always)]
 fn gather(from: &[f16], stride: usize, to: &mut [Four]) {
     let len = to.len();
@@ -114,8 +113,8 @@ fn gather(from: &[f16], stride: usize, to: &mut [Four]) {
     }
 }
 
-/// Adds the products of two spectra, four columns of them, imaginary part first, to the places of `to` whose numbers have the bits of
-/// `i` reversed. All products are exact, and sums multiples of 2^-48. 36 instructions for two numbers.
+/// Adds the products of two spectra, four columns of them, imaginary part first, to the elements of `to` at the indices
+/// with reversed bits. All products are exact, and sums are multiples of 2^-48. 36 instructions for two numbers.
 #[inline(always)]
 pub(crate) fn add_product_columns([k, x]: [&[f16]; 2], stride: usize, to: &mut [Four]) {
     let len = to.len();
@@ -123,7 +122,7 @@ pub(crate) fn add_product_columns([k, x]: [&[f16]; 2], stride: usize, to: &mut [
     check(k.len(), stride, len);
     check(x.len(), stride, len);
     let far = len / 2 * stride;
-    // SAFETY: the pairs and the places are there.
+    // SAFETY: the pairs and the elements exist.
     unsafe {
         asm_all!(
             "dls lr, {n}",
@@ -180,7 +179,8 @@ pub(crate) fn add_product_columns([k, x]: [&[f16]; 2], stride: usize, to: &mut [
     }
 }
 
-/// The product of the pairs at `k` and `x`, which step on behind it: imaginary and real part. Also uses q0, q1 and `xr`.
+/// The product of the pairs at `k` and `x`, which step on behind it: imaginary and real part. Also uses q0, q1 and
+/// `xr`.
 macro_rules! product {
     ($im:literal $re:literal, $xr:literal, $step:literal) => {
         concat!(
@@ -224,8 +224,9 @@ macro_rules! product {
     };
 }
 
-/// Puts the products of two spectra, four columns of them, imaginary part first, to the places with their numbers' bits reversed, by way
-/// of the butterflies of four neighbours. All products are exact, and sums multiples of 2^-48. 82 instructions for four numbers.
+/// Computes the products of two spectra, four columns of them, imaginary part first, and the butterflies of four
+/// neighbours, and writes each to the index with reversed bits. All products are exact, and sums are multiples of
+/// 2^-48. 82 instructions for four numbers.
 #[inline(always)]
 fn multiply([k, x]: [&[f16]; 2], stride: usize, to: &mut [Four]) {
     let len = to.len();
@@ -294,7 +295,8 @@ fn multiply([k, x]: [&[f16]; 2], stride: usize, to: &mut [Four]) {
     }
 }
 
-/// Transforms the product of two spectra, four columns of them, imaginary part first, into `to`. False where Helium flushed a number.
+/// Transforms the product of two spectra, four columns of them, imaginary part first, into `to`. Returns false
+/// where Helium flushed a number.
 pub(crate) fn transform_product_columns(product: [&[f16]; 2], stride: usize, to: &mut [Four]) -> bool {
     unflushed(|| {
         multiply(product, stride, to);
@@ -302,14 +304,18 @@ pub(crate) fn transform_product_columns(product: [&[f16]; 2], stride: usize, to:
     })
 }
 
-/// Transforms four columns in their places. False where Helium flushed a number.
+/// Transforms four columns in place. Returns false where Helium flushed a number.
 pub(crate) fn transform_columns(data: &mut [Four]) -> bool {
     unflushed(|| transform(data))
 }
 
-/// The loop of [`scatter_columns`]: what is done first with numbers in two and in one, and which half of the word each part goes to.
+/// The loop of [`scatter_columns`]: what is done first with numbers in two and in one, and which half of the word each
+/// part goes to.
 macro_rules! scatter {
-    ($two:literal, $one:literal, $first:literal $second:literal, $from:ident, $to:ident, $stride:ident $(, $scale:ident)?) => {
+    (
+        $two:literal, $one:literal, $first:literal $second:literal,
+        $from:ident, $to:ident, $stride:ident $(, $scale:ident)?
+    ) => {
         asm_all!(
             "wls lr, {n}, 3f",
             "2:",
@@ -349,15 +355,15 @@ macro_rules! scatter {
     };
 }
 
-/// Narrows four columns into `to[i * stride..][..8]`; 13 instructions for two numbers, 17 where they are scaled. A number that is flushed
-/// here is far below the smallest half.
+/// Narrows four columns into `to[i * stride..][..8]`; 13 instructions for two numbers, 17 where they are scaled. A
+/// number that is flushed here is far below the smallest half.
 #[inline(always)]
 pub(crate) fn scatter_columns(from: &[Four], parts: Parts, to: &mut [f16], stride: usize) {
     if from.is_empty() {
         return;
     }
     check(to.len(), stride, from.len());
-    // SAFETY: the pairs and their places are there.
+    // SAFETY: the pairs and their destinations exist.
     unsafe {
         match parts {
             Parts::Scaled(scale) => scatter!(

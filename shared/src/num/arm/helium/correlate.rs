@@ -1,4 +1,5 @@
-//! The inner loops of the 3x3 convolution. All sums are multiples of 2^-48, as products of halves are: nothing is flushed.
+//! The inner loops of the 3x3 convolution. All sums are multiples of 2^-48, as products of halves are: nothing is
+//! flushed.
 
 use super::super::Rows;
 use super::asm_push;
@@ -59,9 +60,11 @@ macro_rules! kernel_row {
     };
 }
 
-/// One row of four output channels, a block of four channels by six columns at a time: 70 instructions an input channel for 216 products.
+/// One row of four output channels, a block of four channels by six columns at a time: 70 instructions an input channel
+/// for 216 products.
 ///
-/// `sums` (4, `distance`): each starts at its bias and runs over (channel, ky, kx) in this order. All products must be exact.
+/// `sums` (4, `distance`): each starts at its bias and runs over (channel, ky, kx) in this order. All products must be
+/// exact.
 #[inline(always)]
 pub(crate) fn correlate4(rows: Rows<'_>, cols: usize, bias: [f32; 4], sums: &mut [f32], distance: usize) {
     let channels = rows.check(4, distance, sums.len());
@@ -80,8 +83,8 @@ fn block4(rows: Rows<'_>, channels: usize, bias: &[f32; 4], first: usize, sums: 
     let size = size_of::<f32>();
     let sums = sums[first..].as_mut_ptr();
     let sums = [0, 1, 2, 3].map(|o| sums.wrapping_add(o * distance));
-    // SAFETY: six columns from `first` on lie within `distance`; a block reads two columns more, which the pitch has; as many channels
-    // are there as weights. r6 belongs to the compiler and is restored.
+    // SAFETY: six columns from `first` on lie within `distance`; a block reads two columns more, which the pitch has;
+    // as many channels are there as weights. r6 belongs to the compiler and is restored.
     unsafe {
         asm_push!(
             "push {{r3, r6}}",
@@ -176,8 +179,8 @@ pub(crate) fn correlate1(rows: Rows<'_>, cols: usize, bias: f32, sums: &mut [f32
     assert!(distance.is_multiple_of(WIDE), "rows of {distance}");
     let size = size_of::<f32>();
     for first in (0..cols.min(distance)).step_by(WIDE) {
-        // SAFETY: as above; the blocks lie within `distance`, a multiple of their width. r6 and r7 belong to the compiler and are
-        // restored.
+        // SAFETY: as above; the blocks lie within `distance`, a multiple of their width. r6 and r7 belong to the
+        // compiler and are restored.
         unsafe {
             asm_push!(
                 "push {{r3, r6, r7}}",

@@ -1,9 +1,8 @@
 //! The complex transform of [`crate::fft`] for four columns side by side: the scalar algorithm, in each lane.
 //!
-//! A product is rounded before it is added: products and sums are instructions of their own. Eight registers hold four complex numbers
-//! of four lanes and nothing else, so real parts are finished before imaginary parts are loaded.
+//! A product is rounded before it is added: products and sums are instructions of their own. Eight registers hold four
+//! complex numbers of four lanes and nothing else, so real parts are finished before imaginary parts are loaded.
 
-use super::super::asm_all;
 use super::columns::check;
 use super::{Four, asm_push, rows_at};
 use crate::fft::ROOT_TRIPLES;
@@ -21,10 +20,11 @@ pub(super) fn transform(data: &mut [Four]) {
     join(data.len(), data);
 }
 
-/// Joins transforms of four numbers into transforms of `len`: the first pass can be left to those who bring the numbers, and where there
-/// are 16 at least, the last one to those who take them away; `len` is a quarter of them then.
+/// Joins transforms of four numbers into transforms of `len`. So the routine that loads the numbers does the first
+/// pass. Where there are 16 numbers at least, the routine that stores them can do the last pass; `len` is then a
+/// quarter of the length.
 ///
-/// Not inlined: its loops are long, and five routines want them.
+/// It is not inlined, as its loops are long and five routines use it.
 #[inline(never)]
 pub(super) fn join(len: usize, data: &mut [Four]) {
     let mut quarter = if len.trailing_zeros().is_multiple_of(2) {
@@ -43,44 +43,12 @@ pub(super) fn join(len: usize, data: &mut [Four]) {
 macro_rules! real_parts {
     ($a0:literal $c1:literal $s:literal $b0:literal, $p0:literal $p2:literal) => {
         concat!(
-            "vadd.f32 ",
-            $b0,
-            ", ",
-            $a0,
-            ", ",
-            $c1,
-            "\n",
-            "vsub.f32 ",
-            $a0,
-            ", ",
-            $a0,
-            ", ",
-            $c1,
-            "\n",
-            "vadd.f32 ",
-            $c1,
-            ", ",
-            $b0,
-            ", ",
-            $s,
-            "\n",
-            "vsub.f32 ",
-            $b0,
-            ", ",
-            $b0,
-            ", ",
-            $s,
-            "\n",
-            "vstrw.32 ",
-            $c1,
-            ", ",
-            $p0,
-            "\n",
-            "vstrw.32 ",
-            $b0,
-            ", ",
-            $p2,
-            "\n",
+            op!("vadd.f32" $b0 $a0 $c1),
+            op!("vsub.f32" $a0 $a0 $c1),
+            op!("vadd.f32" $c1 $b0 $s),
+            op!("vsub.f32" $b0 $b0 $s),
+            op!("vstrw.32" $c1 $p0),
+            op!("vstrw.32" $b0 $p2),
         )
     };
 }
@@ -129,87 +97,56 @@ pub(super) fn radix4_of_ones(data: &mut [[Four; 4]]) {
     }
 }
 
-/// Numbers k and k + 4 joined where the root is a plain sign: `o` real, imaginary after the turn; `plus`, `minus`: how they are added.
-macro_rules! join {
-    ($e:literal $o:literal, $or:literal $oi:literal, $plus:literal $minus:literal) => {
+/// Loads or stores a complex number of four lanes: its two registers, and its offset in the block, bytes.
+macro_rules! number {
+    ($name:literal $re:literal $im:literal, $at:literal) => {
+        concat!($name, " ", $re, ", [{p}, #", $at, "]\n", $name, " ", $im, ", [{p}, #", $at, "+16]\n")
+    };
+}
+
+/// Sum and difference of the numbers in q0, q1 and q2, q3, stored at offsets `e` and `o`; `plus`, `minus`: how the
+/// imaginary parts are added.
+macro_rules! sum_and_difference {
+    ($e:literal $o:literal, $plus:literal $minus:literal) => {
         concat!(
-            "vldrw.u32 q0, [{p}, #",
-            $e,
-            "]\n",
-            "vldrw.u32 q1, [{p}, #",
-            $e,
-            "+16]\n",
-            "vldrw.u32 ",
-            $or,
-            ", [{p}, #",
-            $o,
-            "]\n",
-            "vldrw.u32 ",
-            $oi,
-            ", [{p}, #",
-            $o,
-            "+16]\n",
             "vadd.f32 q4, q0, q2\n",
             $plus,
             " q5, q1, q3\n",
             "vsub.f32 q0, q0, q2\n",
             $minus,
             " q1, q1, q3\n",
-            "vstrw.32 q4, [{p}, #",
-            $e,
-            "]\n",
-            "vstrw.32 q5, [{p}, #",
-            $e,
-            "+16]\n",
-            "vstrw.32 q0, [{p}, #",
-            $o,
-            "]\n",
-            "vstrw.32 q1, [{p}, #",
-            $o,
-            "+16]\n",
+            number!("vstrw.32" "q4" "q5", $e),
+            number!("vstrw.32" "q0" "q1", $o),
         )
     };
 }
 
-/// The same where the odd number is first multiplied: `product` takes q2, q3 to the product.
+/// Joins the numbers at offsets `e` and `o` where the root is a plain sign; `or`, `oi`: where the parts of the second
+/// are loaded to.
+macro_rules! join {
+    ($e:literal $o:literal, $or:literal $oi:literal, $plus:literal $minus:literal) => {
+        concat!(
+            number!("vldrw.u32" "q0" "q1", $e),
+            number!("vldrw.u32" $or $oi, $o),
+            sum_and_difference!($e $o, $plus $minus),
+        )
+    };
+}
+
+/// The same where the second number is first multiplied: `product` multiplies q2, q3 in place.
 macro_rules! join_product {
     ($e:literal $o:literal, $product:expr) => {
         concat!(
-            "vldrw.u32 q2, [{p}, #",
-            $o,
-            "]\n",
-            "vldrw.u32 q3, [{p}, #",
-            $o,
-            "+16]\n",
+            number!("vldrw.u32" "q2" "q3", $o),
             $product,
-            "vldrw.u32 q0, [{p}, #",
-            $e,
-            "]\n",
-            "vldrw.u32 q1, [{p}, #",
-            $e,
-            "+16]\n",
-            "vadd.f32 q4, q0, q2\n",
-            "vadd.f32 q5, q1, q3\n",
-            "vsub.f32 q0, q0, q2\n",
-            "vsub.f32 q1, q1, q3\n",
-            "vstrw.32 q4, [{p}, #",
-            $e,
-            "]\n",
-            "vstrw.32 q5, [{p}, #",
-            $e,
-            "+16]\n",
-            "vstrw.32 q0, [{p}, #",
-            $o,
-            "]\n",
-            "vstrw.32 q1, [{p}, #",
-            $o,
-            "+16]\n",
+            number!("vldrw.u32" "q0" "q1", $e),
+            sum_and_difference!($e $o, "vadd.f32" "vsub.f32"),
         )
     };
 }
 
-/// Joins transforms of four numbers by twos: what makes a butterfly of eight of two of four. 58 instructions for eight numbers of four
-/// lanes.
+/// Joins transforms of four numbers by twos: what makes a butterfly of eight of two of four. 58 instructions for eight
+/// numbers of four lanes.
 #[inline(always)]
 fn radix2_of_eighths(data: &mut [[Four; 8]]) {
     if data.is_empty() {
@@ -248,8 +185,8 @@ fn radix2_of_eighths(data: &mut [[Four; 8]]) {
     }
 }
 
-/// Numbers 1, 2 and 3 of a butterfly times the next roots: real and imaginary part of the sum of numbers 2 and 3 to q3, q5, of their
-/// difference to q2, q0, of number 1 to q6, q1. Given is where the parts of each lie.
+/// Numbers 1, 2 and 3 of a butterfly times the next roots: real and imaginary part of the sum of numbers 2 and 3 to q3,
+/// q5, of their difference to q2, q0, of number 1 to q6, q1. The arguments are the addresses of the parts.
 macro_rules! turned {
     ($a1r:literal $a1i:literal, $a2r:literal $a2i:literal, $a3r:literal $a3i:literal) => {
         concat!(
@@ -310,8 +247,9 @@ fn radix4(data: &mut [Four], quarter: usize) {
         return;
     }
     let skip = 3 * quarter * SIZE;
-    // SAFETY: reads and writes each number of each block once; the table is walked in `quarter` steps. The pointers come to a block by
-    // the three quarters that lie between; the first and the third run another 16 bytes behind. r6 belongs to the compiler and is restored.
+    // SAFETY: reads and writes each number of each block once; the table is walked in `quarter` steps. The pointers
+    // come to a block by the three quarters that lie between; the first and the third run another 16 bytes behind. r6
+    // belongs to the compiler and is restored.
     unsafe {
         let p = data.as_mut_ptr().wrapping_byte_sub(skip);
         asm_push!(
@@ -450,16 +388,16 @@ macro_rules! to_rows {
     };
 }
 
-/// The last pass of a transform of pairs, imaginary part first, which it scales and puts into four rows, the second number first; 67
-/// instructions for a butterfly of four lanes. Not for less than 16 numbers.
+/// The last pass of a transform of pairs, imaginary part first, which it scales and puts into four rows, the second
+/// number first; 67 instructions for a butterfly of four lanes. Not for less than 16 numbers.
 #[inline(always)]
 pub(super) fn last_to_rows(data: &[Four], scale: f32, rows: &mut [f32]) {
     let quarter = data.len() / 4;
     assert!((4..=ROOT_TRIPLES.len()).contains(&quarter) && rows.len() == 8 * data.len(), "{quarter} butterflies");
     // They run a pair behind.
     let to = rows_at(rows.as_mut_ptr(), 2 * data.len() * size_of::<f32>()).map(|row| row.wrapping_sub(8));
-    // SAFETY: reads each number once, and writes it to its place in each of the four rows; the table is walked in `quarter` steps. r6
-    // belongs to the compiler and is restored.
+    // SAFETY: reads each number once, and writes it to its place in each of the four rows; the table is walked in
+    // `quarter` steps. r6 belongs to the compiler and is restored.
     unsafe {
         let p = data.as_ptr();
         asm_push!(
@@ -494,8 +432,9 @@ pub(super) fn last_to_rows(data: &[Four], scale: f32, rows: &mut [f32]) {
     }
 }
 
-/// The rest of a butterfly whose numbers go to columns of halves, scaled. The stack holds where the first goes, the distance to the second,
-/// that to the next butterfly's first, and the scale. No register is left for both parts of number 0, so its second one is loaded twice.
+/// The rest of a butterfly whose numbers go to columns of halves, scaled. The stack holds where the first goes, the
+/// distance to the second, that to the next butterfly's first, and the scale. No register is left for both parts of
+/// number 0, so its second one is loaded twice.
 macro_rules! to_columns {
     () => {
         concat!(
@@ -545,16 +484,16 @@ macro_rules! to_columns {
     };
 }
 
-/// The last pass of a transform, whose numbers are scaled and narrowed into `columns[i * stride..][..8]`; 73 instructions for a butterfly of
-/// four lanes. Not for less than 16 numbers.
+/// The last pass of a transform, whose numbers are scaled and narrowed into `columns[i * stride..][..8]`; 73
+/// instructions for a butterfly of four lanes. Not for less than 16 numbers.
 #[inline(always)]
 pub(super) fn last_to_columns(data: &[Four], scale: f32, columns: &mut [f16], stride: usize) {
     let quarter = data.len() / 4;
     assert!((4..=ROOT_TRIPLES.len()).contains(&quarter), "{quarter} butterflies");
     check(columns.len(), stride, data.len());
     let stride = stride * size_of::<f16>();
-    // SAFETY: reads each number, and writes it to its place in the columns; the table is walked in `quarter` steps. r6 belongs to the
-    // compiler and is restored.
+    // SAFETY: reads each number, and writes it to its place in the columns; the table is walked in `quarter` steps. r6
+    // belongs to the compiler and is restored.
     unsafe {
         let p = data.as_ptr();
         asm_push!(

@@ -1,0 +1,69 @@
+//! Errors of artifacts.
+
+use std::path::{Path, PathBuf};
+use thiserror::Error;
+
+/// Why an artifact could not be read or written.
+#[derive(Debug, Error)]
+pub enum ArtifactError {
+    /// The file could not be opened, read or written.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// The file is not an artifact, or it is cut short.
+    #[error("{path}: not an Ommatidia artifact, or cut short ({detail}); write it again with the verb that makes it")]
+    Format {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        detail: String,
+    },
+    /// The file is an artifact of another kind.
+    #[error("{path}: expected an artifact of kind `{expected}`, found `{found}`")]
+    Kind {
+        /// The file.
+        path: PathBuf,
+        /// Requested kind.
+        expected: String,
+        /// Kind of the file.
+        found: String,
+    },
+    /// The file has another version of its kind's layout.
+    #[error("{path}: expected {kind} version {expected}, found {found}; write it again with this program")]
+    Version {
+        /// The file.
+        path: PathBuf,
+        /// Kind of the file.
+        kind: String,
+        /// Version that this program reads.
+        expected: u32,
+        /// Version of the file.
+        found: u32,
+    },
+    /// A tensor is missing, or has the wrong shape or values.
+    #[error("{path}: tensor `{name}`: expected {expected}, found {found}")]
+    Tensor {
+        /// The file.
+        path: PathBuf,
+        /// Name of the tensor.
+        name: String,
+        /// What was expected.
+        expected: String,
+        /// What was found.
+        found: String,
+    },
+}
+
+impl ArtifactError {
+    pub(super) fn io(path: &Path, source: std::io::Error) -> Self {
+        Self::Io { path: path.into(), source }
+    }
+
+    pub(super) fn format(path: &Path, detail: impl ToString) -> Self {
+        Self::Format { path: path.into(), detail: detail.to_string() }
+    }
+}

@@ -1,0 +1,157 @@
+//! Session -> instrument: noise, chief rays, bead windows, low-rank model, light unit, errors.
+
+use super::error::CalibrateError;
+use super::light_unit::{fit_light_unit, set_light_unit};
+use super::model::{Model, ModelConfig};
+use super::replicates::{ReplicateRequest, replicates};
+use super::sensor_only;
+use crate::bead::{BeadCut, BeadScan, cut_windows, extent, fit_chief_rays};
+use crate::instrument::{Instrument, LightUnit, Quality};
+use crate::noise::{NoiseCalibration, NoiseConfig, inverse_response, measure_noise};
+use crate::psf::BeadScale;
+use crate::psf::fit::{FitConfig, Plane};
+use crate::sensor::SensorMaps;
+use crate::session::{Manifest, Role, Session};
+use ndarray::Array2;
+use serde::{Deserialize, Serialize};
+
+/// Settings of a calibration.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CalibrateConfig {
+    /// Number of terms (rank) of each lens; None: chosen by held-out error.
+    pub rank: Option<usize>,
+    /// Largest rank that is tried where the rank is chosen.
+    pub max_rank: usize,
+    /// Side of the window that holds one focus, px, odd; None: the nominal side, widened until almost no light falls
+    /// outside.
+    pub window_px: Option<usize>,
+    /// Fits one PSF for the whole field of each lens instead of the low-rank model.
+    pub one_psf: bool,
+    /// Number of jackknife refits (each leaves out a group of beads) that estimate the uncertainty of the PSF model. 0
+    /// disables them.
+    pub replicates: usize,
+    /// The bead frames are already normalised one by one: their brightness is not physical.
+    pub normalise_beads: bool,
+    /// Nominal noise, used where the session does not determine it.
+    pub noise: NoiseConfig,
+}
+
+impl Default for CalibrateConfig {
+    fn default() -> Self {
+        Self {
+            rank: None,
+            max_rank: 32,
+            window_px: None,
+            one_psf: false,
+            replicates: 8,
+            normalise_beads: false,
+            noise: NoiseConfig::default(),
+        }
+    }
+}
+
+/// A calibrated instrument and notes for its user.
+#[derive(Clone, Debug)]
+pub struct Calibration {
+    /// The instrument.
+    pub instrument: Instrument,
+    /// Warnings: nominal figures, dead lenses, saturated pixels.
+    pub notes: Vec<String>,
+}
+
+/// Calibrates the instrument of a session. `step` is called about once for each frame that is read, for progress bars.
+///
+/// A session without a bead scan, whose object and sensor share one grid, gives an instrument whose optics are the
+/// identity.
+///
+/// # Errors
+/// The session holds no usable bead scan, or a frame cannot be read.
+pub fn calibrate(
+    session: &Session,
+    config: &CalibrateConfig,
+    mut step: impl FnMut(),
+) -> Result<Calibration, CalibrateError> {
+    let mut manifest = Manifest { stacks: Vec::new(), ..session.manifest().clone() };
+    let noise = measure_noise(session, &config.noise, &mut step)?;
+    let mut notes: Vec<String> = noise.notes.iter().map(ToString::to_string).collect();
+    if let Some(useless) = noise.useless() {
+        let pixels = useless.iter().filter(|u| **u).count();
+        notes.push(format!(
+            "{pixels} pixels are noisy, hot or dead: left out of the foci, and given less weight elsewhere"
+        ));
+    }
+    let mut instrument = if sensor_only::applies(session) {
+        notes.push(sensor_only::NOTE.into());
+        sensor_only::instrument(session, manifest, noise)?
+    } else {
+        let mut scan = BeadScan::open(session, noise.model, maps(&noise))?;
+        let fitted = fit_chief_rays(&mut scan, &manifest, &mut step)?;
+        let nominal = manifest.optics.psf_window_px;
+        manifest.optics.psf_window_px = match config.window_px {
+            Some(found) if found.is_multiple_of(2) => return Err(CalibrateError::Window { found }),
+            Some(side) => side,
+            None => {
+                // Foci that wander about their chief rays need room as well as those that have tails.
+                extent(&mut scan, &manifest, &fitted.rays, &mut step)?.max(nominal)
+            }
+        };
+        let scale = if config.normalise_beads { BeadScale::PerFrame } else { BeadScale::Physical };
+        let cut = BeadCut { scale, nominal_px: nominal };
+        let (windows, warnings) = cut_windows(&mut scan, &manifest, &fitted.rays, cut, &mut step)?;
+        let planes = planes(&scan);
+        let fit = FitConfig { rank: config.rank, max_rank: config.max_rank, one_psf: config.one_psf, scale };
+        let dead = &fitted.rays.dead;
+        let target = ModelConfig { fit, manifest: &manifest, exposure_ms: scan.exposure_ms };
+        let model = Model::fit(&windows, dead, &planes, target)?;
+        let psf = model.psf()?;
+        let request =
+            ReplicateRequest { psf: &psf, windows: &windows, dead, planes: &planes, count: config.replicates };
+        let (replicates, note) = replicates(&model, request)?;
+        notes.extend(fitted.warnings.iter().chain(&warnings).map(ToString::to_string));
+        notes.extend(note);
+        Instrument {
+            psf,
+            replicates,
+            quality: Quality { maps: noise.map_errors, ..model.quality(fitted.rms_px) },
+            diagnostics: model.diagnostics(&windows, &planes, noise.photon_transfer)?,
+            manifest,
+            noise: noise.model,
+            offset_dn: noise.offset_dn,
+            response: noise.response,
+            reading_dn2: noise.reading_dn2,
+            geometry: fitted.rays,
+            effects: Vec::new(),
+            light_unit: LightUnit::Bead,
+        }
+    };
+    match fit_light_unit(session, &instrument)? {
+        Some(unit) => set_light_unit(&mut instrument, unit),
+        None if session.stacks_of(Role::Scene).any(|s| s.entry().truth.is_some()) => {
+            notes.push("the scenes show no light where their truths do: objects stay in units of the bead".into());
+        }
+        None => {}
+    }
+    Ok(Calibration { instrument, notes })
+}
+
+fn maps(noise: &NoiseCalibration) -> SensorMaps {
+    SensorMaps {
+        offset_dn: noise.offset_dn.clone(),
+        inverse_response: noise.response.as_ref().map(inverse_response),
+        unusable: noise.useless(),
+    }
+}
+
+/// Beads by depth, ascending.
+fn planes(scan: &BeadScan) -> Vec<Plane> {
+    let mut depths: Vec<f64> = scan.beads.iter().map(|b| b.z_um).collect();
+    depths.sort_by(f64::total_cmp);
+    depths.dedup_by(|a, b| (*a - *b).abs() < 1e-3);
+    let plane = |z_um: &f64| {
+        let beads: Vec<usize> = (0..scan.beads.len()).filter(|n| (scan.beads[*n].z_um - z_um).abs() < 1e-3).collect();
+        let at_px = Array2::from_shape_fn((beads.len(), 2), |(i, a)| scan.beads[beads[i]].at_px[a]);
+        Plane { z_um: *z_um, beads, at_px }
+    };
+    depths.iter().map(plane).collect()
+}

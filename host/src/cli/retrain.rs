@@ -1,0 +1,74 @@
+//! Trains and fine-tunes networks for `close` and `study`, which know networks by these interfaces only.
+
+use crate::artifact::Provenance;
+use crate::closing::{Retrain, RetrainRequest, Retrained};
+use crate::evaluate::{Source, judge};
+use crate::methods::FloatNetwork;
+use crate::metrics::Case;
+use crate::session::Role;
+use crate::study::downstream::{FirstTraining, TrainRequest};
+use crate::train::{Checkpoint, FINE_TUNE_RATE, Next, Preset, Simulated, Task, Trainer};
+use anyhow::{Context, ensure};
+use std::path::Path;
+
+/// The trainer of this program.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Networks;
+
+impl Retrain for Networks {
+    fn retrain(&self, request: &RetrainRequest<'_>, progress: &mut dyn FnMut(u64)) -> anyhow::Result<Retrained> {
+        let RetrainRequest { session, instrument, instrument_file, checkpoint, output, held_out_frames, steps, seed } =
+            *request;
+        let stack = session.stacks_of(Role::Scene).find(|s| s.entry().truth.is_some());
+        let stack = stack.context("--retrain: expected scenes with truth to judge by, found none")?;
+        ensure!(!held_out_frames.is_empty(), "--retrain: expected held-out scenes to judge by, found none");
+        let before = Checkpoint::read(checkpoint)?;
+        let source = Simulated::of(instrument, instrument_file, seed)?;
+        let plan = source.plan();
+        let maps = instrument.sensor_maps()?;
+        let mut training = before.body.training.clone().with_steps(steps);
+        training.peak_e = plan.peak_e;
+        training.seed = seed;
+        training.learning_rate *= FINE_TUNE_RATE;
+        training.filter_learning_rate *= FINE_TUNE_RATE;
+        let task = Task { source: &source, network: before.body.network.clone(), noise: plan.noise, maps };
+        let provenance =
+            Provenance::new("close --retrain", seed, &training).with_input(checkpoint)?.with_input(instrument_file)?;
+        let mut trainer = Trainer::fine_tune(task, training, None, checkpoint)?;
+        trainer.run(output, &provenance, |p| {
+            progress(p.step);
+            Next::Continue
+        })?;
+        let grid = session.manifest().object;
+        let figures = |path: &Path| -> anyhow::Result<(f64, f64)> {
+            let network = FloatNetwork::open(path)?;
+            let (mut frames, truth) = (stack.frames()?, stack.truth()?);
+            let mut truth = truth.context("the truths of the scenes")?;
+            let case = |i: usize| -> anyhow::Result<Case> {
+                let frame = held_out_frames[i];
+                Ok(Case { frame_dn: frames.read(frame)?, truth: truth.read(frame)? })
+            };
+            let (m, _) = judge(&Source::Method(&network), &grid, held_out_frames.len(), &[], case, || ())?;
+            Ok((m.psnr_db, m.ssim))
+        };
+        let ((psnr_db_before, ssim_before), (psnr_db_after, ssim_after)) = (figures(checkpoint)?, figures(output)?);
+        let frames = held_out_frames.to_vec();
+        Ok(Retrained { frames, steps, psnr_db_before, psnr_db_after, ssim_before, ssim_after })
+    }
+}
+
+impl FirstTraining for Networks {
+    fn train(&self, request: &TrainRequest<'_>) -> anyhow::Result<()> {
+        let TrainRequest { instrument, instrument_file, output, steps, seed } = *request;
+        let source = Simulated::of(instrument, instrument_file, seed)?;
+        let plan = source.plan();
+        let maps = instrument.sensor_maps()?;
+        let network = Preset::Nano.network(plan.frame, plan.object);
+        let mut training = Preset::Nano.training(plan.noise.full_scale_e(), seed).with_steps(steps);
+        training.peak_e = plan.peak_e;
+        let provenance = Provenance::new("study", seed, &training).with_input(instrument_file)?;
+        let task = Task { source: &source, network, noise: plan.noise, maps };
+        Trainer::new(task, training)?.run(output, &provenance, |_| Next::Continue)?;
+        Ok(())
+    }
+}

@@ -1,0 +1,18 @@
+//! The account of a closed loop: effects with errors, detection limits, ambiguities, figures before and after.
+//!
+//! [`result`] defines it, `describe` writes the effects, `pictures` adds residual maps, `adopt` records a new
+//! calibration, [`retrain`] what a fine-tuned network gains, [`file`] stores it all.
+
+pub(crate) mod adopt;
+pub(crate) mod describe;
+pub mod file;
+pub(crate) mod pictures;
+pub mod result;
+pub mod retrain;
+
+pub use adopt::{Recalibrated, adopt};
+pub(crate) use describe::{Findings, effects, fault, rejected};
+pub use file::{KIND, VERSION};
+pub(crate) use pictures::pictured;
+pub use result::{Account, Closed, Closing, Effect, Rejected, Value};
+pub use retrain::{Retrain, RetrainRequest, Retrained};

@@ -1,0 +1,29 @@
+//! The residual maps of the account.
+
+use super::result::{Account, Closing};
+use crate::closing::evidence::figures::judged;
+use crate::closing::fit::{Fitted, Model};
+use ndarray::{Array2, Array3};
+
+/// The account with the residuals of up to four scenes, held-out ones first.
+pub(crate) fn pictured(model: &Model<'_>, before: &Fitted, now: &Fitted, closing: Closing) -> Account {
+    let seen = model.seen;
+    let mut frames: Vec<usize> = judged(seen).collect();
+    frames.sort_by_key(|k| !seen.frames[*k].held_out);
+    frames.truncate(4);
+    let pull = |f: &Fitted, k: usize| &f.predicted[k].residual_dn * &f.predicted[k].inverse_sigma;
+    let stack = |image: &dyn Fn(usize) -> Array2<f32>| {
+        let mut out = Array3::zeros((frames.len(), seen.sensor[0], seen.sensor[1]));
+        for (k, mut target) in frames.iter().zip(out.outer_iter_mut()) {
+            target.assign(&image(*k));
+        }
+        out
+    };
+    Account {
+        measured_dn: stack(&|k| seen.frames[k].measured.clone()),
+        before: stack(&|k| pull(before, k)),
+        after: stack(&|k| pull(now, k)),
+        frames: frames.iter().map(|k| seen.frames[*k].info.frame).collect(),
+        closing,
+    }
+}

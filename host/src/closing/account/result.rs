@@ -1,0 +1,133 @@
+//! The result of closing the loop, as files, reports and other programs read it.
+
+use super::retrain::Retrained;
+use crate::closing::data::Fault;
+use crate::closing::evidence::{Dependence, Figures};
+use crate::closing::search::NEEDS_CALIBRATION;
+use crate::instrument::Instrument;
+use ndarray::Array3;
+use serde::{Deserialize, Serialize};
+
+/// A fitted value.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Value {
+    /// Name of the parameter.
+    pub name: String,
+    /// Its value.
+    pub value: f64,
+    /// Its standard error: noise, scatter between blocks and frames, and uncertainty of the calibration.
+    pub sigma: f64,
+    /// Its standard error by the noise alone (Fisher information).
+    pub sigma_noise: f64,
+    /// Its unit.
+    pub unit: String,
+}
+
+/// An effect that was added to the instrument, or a fault of a record.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Effect {
+    /// Its id in the catalogue; `unknown-1`, `unknown-2` and so on for terms without a name.
+    pub id: String,
+    /// Whether it is an effect of the catalogue.
+    pub known: bool,
+    /// `optics`, `charge`, `electronics` or `record`.
+    pub stage: String,
+    /// Strength of the evidence, standard deviations.
+    pub z: f64,
+    /// Share of the excess of chi-squared over the noise that it explains, on held-out data; None: the excess is not
+    /// significant.
+    pub excess_explained: Option<f64>,
+    /// Fall of the deviance of held-out data when it was added.
+    pub held_out_gain: f64,
+    /// Effects that would explain the data nearly as well.
+    pub ambiguity: Vec<String>,
+    /// Squared correlation of its signature with the most similar of these, with everything fitted projected out.
+    pub overlap: f64,
+    /// The measurement that would distinguish them.
+    pub separate_by: Option<String>,
+    /// Its parameters.
+    pub params: Vec<Value>,
+    /// Description with values and errors.
+    pub description: String,
+}
+
+/// An effect that was not detected.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Rejected {
+    /// Its id.
+    pub id: String,
+    /// Name of its first strength.
+    pub param: String,
+    /// Upper limit on the absolute value of that strength at 95 % confidence; None: not testable with this session.
+    pub upper_limit: Option<f64>,
+    /// Sensitivity: the standard error of that strength; None: not testable with this session.
+    pub sigma: Option<f64>,
+    /// Its unit.
+    pub unit: String,
+    /// Strength of the evidence for it, standard deviations.
+    pub z: f64,
+    /// The measurement that would make it testable.
+    pub needs: Option<String>,
+}
+
+/// The result of closing the loop.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Closing {
+    /// Name of the session.
+    pub session: String,
+    /// Figures of the instrument as given, on held-out data; light and black level are fitted to the other data.
+    pub before: Figures,
+    /// Figures with the added effects.
+    pub after: Figures,
+    /// Held-out scenes or beads: indices in their stack.
+    pub held_out_frames: Vec<usize>,
+    /// Number of held-out spatial blocks of the other frames, and of all blocks.
+    pub held_out_blocks: [usize; 2],
+    /// Faults of the records, then the effects that were added, in order.
+    pub effects: Vec<Effect>,
+    /// Effects that were not detected.
+    pub rejected: Vec<Rejected>,
+    /// Whether the residual still shows structure that no effect of the catalogue explains.
+    pub catalogue_incomplete: bool,
+    /// Faults of the session's records, which were corrected before the fit.
+    pub faults: Vec<Fault>,
+    /// Tests of the residual against every covariate, before.
+    pub dependences_before: Vec<Dependence>,
+    /// The same with the added effects.
+    pub dependences_after: Vec<Dependence>,
+    /// Figures of a network before and after its fine-tuning on the closed instrument, if there was one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub retrained: Option<Retrained>,
+    /// Notes for the user.
+    pub notes: Vec<String>,
+}
+
+/// The account: the result with residual maps.
+#[derive(Clone, Debug)]
+pub struct Account {
+    /// The result.
+    pub closing: Closing,
+    /// Frames of the maps: indices in their stack.
+    pub frames: Vec<usize>,
+    /// Measured frames, DN, [frames, sensor rows, sensor cols].
+    pub measured_dn: Array3<f32>,
+    /// Residual before, standard deviations, same shape; 0 at pixels that are not used.
+    pub before: Array3<f32>,
+    /// Residual after, likewise.
+    pub after: Array3<f32>,
+}
+
+/// A closed instrument with its account.
+pub struct Closed {
+    /// The instrument with the added effects.
+    pub instrument: Instrument,
+    /// The account.
+    pub account: Account,
+}
+
+impl Closed {
+    /// Whether the search ended with the need for a new calibration: no single effect explains how the PSFs vary.
+    pub fn needs_calibration(&self) -> bool {
+        self.account.closing.effects.iter().any(|e| e.id == NEEDS_CALIBRATION)
+    }
+}

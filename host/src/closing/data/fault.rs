@@ -1,0 +1,63 @@
+//! Faults of a session's records: what the session states of a frame and the frame contradicts.
+
+use serde::{Deserialize, Serialize};
+
+/// A fault in the record of one frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Fault {
+    /// Index of the frame in its stack, as the session numbers it.
+    pub frame: usize,
+    /// What is wrong.
+    pub kind: FaultKind,
+    /// Strength of the evidence, standard deviations.
+    pub z: f64,
+    /// Correlation of the frame with what the record predicts.
+    pub correlation_before: f64,
+    /// The same with the corrected record.
+    pub correlation_after: f64,
+}
+
+/// What can be wrong with a record.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FaultKind {
+    /// The frame shows the object that is recorded for another frame.
+    Shows {
+        /// Index of that frame in its stack.
+        truth_of: usize,
+    },
+    /// The object is recorded flipped.
+    Flipped {
+        /// The order of rows is reversed.
+        rows: bool,
+        /// The order of columns is reversed.
+        cols: bool,
+    },
+    /// The recorded exposure or light level is wrong.
+    Exposure {
+        /// True exposure over the recorded one.
+        factor: f64,
+    },
+}
+
+impl Fault {
+    /// The fault in one sentence, without a full stop.
+    pub fn words(&self) -> String {
+        match self.kind {
+            FaultKind::Shows { truth_of } => {
+                format!("scene frame {} shows the object that is recorded for frame {truth_of}", self.frame)
+            }
+            FaultKind::Flipped { rows, cols } => {
+                let axis = match (rows, cols) {
+                    (true, true) => "turned by 180 degrees",
+                    (true, false) => "upside down",
+                    _ => "mirrored left to right",
+                };
+                format!("the object of scene frame {} is recorded {axis}", self.frame)
+            }
+            FaultKind::Exposure { factor } => {
+                format!("scene frame {} received {factor:.4} times the recorded exposure", self.frame)
+            }
+        }
+    }
+}

@@ -1,0 +1,8 @@
+//! The frames of a session that the loop uses, and the faults that its records may have.
+
+mod fault;
+mod observe;
+
+pub use fault::{Fault, FaultKind};
+pub(crate) use observe::bead_is_held_out;
+pub use observe::{Budget, Frame, Observations, Shown};

@@ -1,0 +1,243 @@
+//! The frames of a session that the loop uses, and the hold-outs, which are fixed before anything is fitted.
+
+use crate::session::{Cut, FrameInfo, Role, Session, SessionError, Stack};
+use ndarray::Array2;
+use serde::{Deserialize, Serialize};
+
+/// How much of a session is used.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Budget {
+    /// Maximum number of scenes.
+    pub scenes: usize,
+    /// Maximum number of flats.
+    pub flats: usize,
+    /// Maximum number of darks.
+    pub darks: usize,
+    /// Maximum number of bead frames. They are used if no scene has a known object.
+    pub beads: usize,
+    /// Maximum number of pixels of a frame. Of a larger frame an even sample is used.
+    pub pixels: usize,
+    /// Spatial blocks along each side of the frame.
+    pub blocks: usize,
+}
+
+impl Default for Budget {
+    fn default() -> Self {
+        Self { scenes: 48, flats: 20, darks: 12, beads: 96, pixels: 200_000, blocks: 6 }
+    }
+}
+
+/// What a frame shows.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Shown {
+    /// A known object: index into [`Observations::truths`].
+    Object(usize),
+    /// A bead: object pixel (row, col), fractional.
+    Bead([f64; 2]),
+    /// Even light.
+    Even,
+    /// No light.
+    Dark,
+    /// An unknown specimen: only detail that is sharper than its smooth part can be compared with a model.
+    Unknown,
+}
+
+/// One frame.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// Index of the stack in the session.
+    pub stack: usize,
+    /// Role of the stack.
+    pub role: Role,
+    /// Its record in the session.
+    pub info: FrameInfo,
+    /// As measured, DN, [sensor rows, sensor cols].
+    pub measured: Array2<f32>,
+    /// The part of the frame that was measured; None: all of it.
+    pub cut: Option<Cut>,
+    /// What it shows.
+    pub shown: Shown,
+    /// Whether it is kept out of every fit.
+    pub held_out: bool,
+    /// Index of the preceding frame of the same stack, if that is among the frames that are used.
+    pub previous: Option<usize>,
+}
+
+/// The frames, with the objects of the scenes.
+#[derive(Clone, Debug)]
+pub struct Observations {
+    /// Frames, stack by stack, in order.
+    pub frames: Vec<Frame>,
+    /// Known objects, [object rows, object cols], as the session records them.
+    pub truths: Vec<Array2<f32>>,
+    /// Pixels that are used: flat indices into a frame, block by block.
+    pub pixels: Vec<u32>,
+    /// Range of `pixels` of each spatial block; blocks are in row order.
+    pub blocks: Vec<std::ops::Range<usize>>,
+    /// Whether a block is kept out of every fit.
+    pub held_out_blocks: Vec<bool>,
+    /// Rows and columns of the sensor.
+    pub sensor: [usize; 2],
+}
+
+impl Observations {
+    /// Reads the frames.
+    ///
+    /// The hold-outs are fixed here, before any fit, by rule and not by chance: every fourth scene, every fourth pair
+    /// of flats and darks, every second bead and every eighth spatial block; with fewer than four scenes or beads, the
+    /// lower half of the frame.
+    ///
+    /// # Errors
+    /// A frame or an object cannot be read.
+    pub fn read(session: &Session, budget: &Budget) -> Result<Self, SessionError> {
+        let sensor = [session.manifest().sensor.rows, session.manifest().sensor.cols];
+        let (mut frames, mut truths) = (Vec::new(), Vec::new());
+        let known = session.stacks_of(Role::Scene).any(|s| s.entry().truth.is_some());
+        for (s, stack) in session.stacks().iter().enumerate() {
+            let most = match stack.role() {
+                Role::Scene => budget.scenes,
+                Role::Flat => budget.flats,
+                Role::Dark => budget.darks,
+                Role::Bead if known => 0,
+                Role::Bead => budget.beads,
+            };
+            read_stack(session, stack, s, most, &mut frames, &mut truths)?;
+        }
+        let (pixels, blocks) = pixels(sensor, budget);
+        let single = frames.iter().filter(|f: &&Frame| matches!(f.role, Role::Scene | Role::Bead)).count() < 4;
+        let half = blocks.len() / 2;
+        let held_out_blocks = (0..blocks.len())
+            .map(|b| if single { b >= half } else { (b / budget.blocks * 3 + b % budget.blocks) % 8 == 5 })
+            .collect();
+        Ok(Self { frames, truths, pixels, blocks, held_out_blocks, sensor })
+    }
+
+    /// Indices of the frames with a role.
+    pub fn of(&self, role: Role) -> impl Iterator<Item = usize> + '_ {
+        (0..self.frames.len()).filter(move |k| self.frames[*k].role == role)
+    }
+}
+
+fn read_stack(
+    session: &Session,
+    stack: &Stack,
+    s: usize,
+    most: usize,
+    frames: &mut Vec<Frame>,
+    truths: &mut Vec<Array2<f32>>,
+) -> Result<(), SessionError> {
+    let chosen = in_pairs(stack.len(), most);
+    if chosen.is_empty() {
+        return Ok(());
+    }
+    let (mut reader, mut truth) = (stack.frames()?, stack.truth()?);
+    let first = frames.len();
+    let everything = chosen.len() == stack.len();
+    for (n, i) in chosen.iter().enumerate() {
+        let info = stack.info()[*i].clone();
+        let shown = match (stack.role(), &mut truth) {
+            (Role::Scene, Some(truth)) => {
+                truths.push(truth.read(*i)?);
+                Shown::Object(truths.len() - 1)
+            }
+            (Role::Scene, None) => Shown::Unknown,
+            (Role::Bead, _) => Shown::Bead(session.manifest().object.pixel_of_um(info.y_um, info.x_um)),
+            (Role::Flat, _) => Shown::Even,
+            (Role::Dark, _) => Shown::Dark,
+        };
+        let previous = (n > 0 && chosen[n - 1] + 1 == *i).then(|| first + n - 1);
+        // Every second bead, else every fourth frame.
+        let held_out = match stack.role() {
+            Role::Bead => bead_is_held_out(*i),
+            // Repeats stay together.
+            Role::Dark | Role::Flat => n / 2 % 4 == 3,
+            Role::Scene if everything => i % 4 == 3,
+            Role::Scene => n / 2 % 4 == 3,
+        };
+        let measured = reader.read(*i)?;
+        frames.push(Frame {
+            stack: s,
+            role: stack.role(),
+            cut: if stack.role() == Role::Bead { Cut::of(&measured) } else { None },
+            measured,
+            info,
+            shown,
+            held_out,
+            previous,
+        });
+    }
+    Ok(())
+}
+
+/// Whether frame `i` of a bead stack is kept out of every fit. In a raster scan with an odd number of columns the
+/// held-out beads form one colour of a checkerboard.
+pub(crate) fn bead_is_held_out(i: usize) -> bool {
+    i % 2 == 1
+}
+
+/// At most `most` of `n` frames, evenly spread, in pairs of neighbours: repeats need pairs, and effects of the
+/// preceding frame too.
+fn in_pairs(n: usize, most: usize) -> Vec<usize> {
+    if n <= most {
+        return (0..n).collect();
+    }
+    let pairs = most / 2;
+    let mut out: Vec<usize> = (0..pairs)
+        .flat_map(|p| {
+            let start = if pairs < 2 { 0 } else { p * (n - 2) / (pairs - 1) };
+            [start, start + 1]
+        })
+        .collect();
+    out.dedup();
+    out
+}
+
+/// An even sample of the pixels, block by block, and the range of each block.
+fn pixels([rows, cols]: [usize; 2], budget: &Budget) -> (Vec<u32>, Vec<std::ops::Range<usize>>) {
+    let side = budget.blocks.max(1);
+    let every = (rows * cols).div_ceil(budget.pixels.max(1));
+    let (mut pixels, mut blocks) = (Vec::new(), Vec::new());
+    for b in 0..side * side {
+        let (i, j) = (b / side, b % side);
+        let start = pixels.len();
+        for r in i * rows / side..(i + 1) * rows / side {
+            let row = j * cols / side..(j + 1) * cols / side;
+            // A Weyl sequence is even and favours neither odd nor even rows and columns.
+            let taken =
+                |c: &usize| every <= 1 || ((r * cols + c) as f64 * 0.618_033_988_75).fract() * (every as f64) < 1.0;
+            pixels.extend(row.filter(taken).map(|c| (r * cols + c) as u32));
+        }
+        blocks.push(start..pixels.len());
+    }
+    (pixels, blocks)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn chosen_frames_come_in_pairs_and_reach_both_ends() {
+        assert_eq!(in_pairs(5, 8), [0, 1, 2, 3, 4]);
+        assert_eq!(in_pairs(40, 6), [0, 1, 19, 20, 38, 39]);
+        assert!(in_pairs(9, 0).is_empty());
+    }
+
+    #[test]
+    fn every_pixel_is_in_one_block_and_a_sample_is_even() {
+        let budget = Budget { pixels: 1_000_000, blocks: 3, ..Budget::default() };
+        let (all, blocks) = pixels([10, 11], &budget);
+        let mut sorted = all.clone();
+        sorted.sort_unstable();
+        assert_eq!(sorted, (0..110).collect::<Vec<u32>>());
+        assert!(blocks.len() == 9 && blocks.windows(2).all(|w| w[0].end == w[1].start));
+        let (some, _) = pixels([100, 100], &Budget { pixels: 1000, blocks: 4, ..Budget::default() });
+        let odd = some.iter().filter(|p| *p % 2 == 1).count();
+        assert!(
+            (900..1100).contains(&some.len()) && (some.len() as i64 - 2 * odd as i64).abs() < 100,
+            "{}",
+            some.len()
+        );
+    }
+}

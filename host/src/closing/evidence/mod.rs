@@ -1,0 +1,21 @@
+//! Tests the residual of a fit.
+//!
+//! [`omnibus`] asks whether the residual depends on anything at all, [`score`] how much each effect of the catalogue
+//! would improve the fit, [`tables`] whether single pixels deviate, [`mod@figures`] how well held-out data are
+//! predicted.
+
+mod bins;
+pub mod covariate;
+pub mod figures;
+pub mod omnibus;
+pub mod score;
+pub mod stats;
+pub mod tables;
+
+pub use covariate::{Covariate, Dependence};
+pub(crate) use figures::judged;
+pub use figures::{Figures, figures};
+pub use omnibus::structured;
+pub use score::{Scores, Test};
+pub use stats::{f_tail, holm};
+pub use tables::TableFit;

@@ -1,0 +1,406 @@
+//! Effects with a table: a value for each pixel, or for spots, estimated from flats and darks.
+//!
+//! Two halves of the frames give two independent estimates of each value. Only what both have in common counts, which
+//! does not rest on the noise model. Flats show no object, so errors of the optics do not enter.
+
+use super::stats::{sigmas, two_sided};
+use crate::closing::fit::{Model, Predicted, State, Term};
+use crate::effects::{TableGroup, TableUse, blur_within, registry};
+use crate::session::Role;
+use ndarray::{Array2, Zip, s};
+use rayon::prelude::*;
+
+/// An estimated table.
+#[derive(Clone, Debug)]
+pub struct TableFit {
+    /// The effect with its estimated table; its first parameter is the rms or the largest value of the table.
+    pub term: Term,
+    /// Significance, standard deviations.
+    pub z: f64,
+    /// Probability of a larger value if the effect is absent.
+    pub p: f64,
+    /// The first parameter less the error of the calibration's maps, in the unit of [`crate::effects::Param::inner`].
+    pub size: f64,
+    /// Standard error of `size`, with the uncertainty of that map error.
+    pub size_sigma: f64,
+    /// Standard error of the first parameter.
+    pub sigma: f64,
+}
+
+/// Threshold of spots in the smoothed map, standard deviations.
+const SPOT: f32 = 5.0;
+/// Threshold of hot pixels in each half, standard deviations.
+const STANDS_OUT: f64 = 4.5;
+/// Standard deviation of the Gaussian blur for the detection of spots, pixels.
+const SPOT_PX: f64 = 1.5;
+/// Standard deviation of the Gaussian blur that is subtracted to test for a pattern of single pixels, pixels.
+const SMOOTH_PX: f64 = 2.0;
+/// The same for the table of the pattern, which keeps coarser structure.
+const BROAD_PX: f64 = 8.0;
+/// A pattern counts if its variance exceeds that of the map errors by this factor.
+const TOLERANCE: f64 = 1.5;
+
+/// An estimate of a table: values and inverse variances.
+struct Half {
+    value: Array2<f32>,
+    weight: Array2<f32>,
+}
+
+/// Variance of the errors of the calibration's maps, which the frames show as a pattern as well.
+fn left(model: &Model<'_>, acts: TableUse) -> f64 {
+    match acts {
+        TableUse::Response => model.maps.response.powi(2),
+        TableUse::DarkRate => 0.0,
+        TableUse::Offset => model.maps.offset_dn.powi(2),
+    }
+}
+
+/// Estimates every effect with a table that is not in the state: those of the catalogue (`named`), or those without a
+/// name.
+pub fn fit(model: &Model<'_>, state: &State, now: &[Predicted], named: bool) -> Vec<TableFit> {
+    registry()
+        .par_iter()
+        .filter(|e| e.descriptor().id.starts_with("unknown") != named)
+        .filter(|e| !state.terms.iter().any(|t| t.id() == e.descriptor().id))
+        .filter_map(|e| {
+            let kind = e.table()?;
+            let halves = [0, 1].map(|h| half(model, now, kind.acts, h));
+            let [Some(a), Some(b)] = halves else { return None };
+            let found = match kind.group {
+                TableGroup::Pixel => {
+                    let (fine, broad) = ([&a, &b].map(|h| sharp(h, SMOOTH_PX)), [&a, &b].map(|h| sharp(h, BROAD_PX)));
+                    let of = |[a, b]: &[Half; 2], smooth_px| pattern(a, b, left(model, kind.acts), kept(smooth_px));
+                    // Tested with a fine blur subtracted; the table keeps everything finer than shading.
+                    let found = of(&fine, SMOOTH_PX).filter(|_| is_white(&fine[0], &fine[1]));
+                    found.and_then(|f| Some(Shape { table: of(&broad, BROAD_PX)?.table, ..f }))
+                }
+                TableGroup::SparsePixels => sparse(&a, &b),
+                TableGroup::Spots => spots(&a, &b, left(model, kind.acts)),
+                TableGroup::Pattern => pattern(&a, &b, left(model, kind.acts), 1.0),
+            }?;
+            let expanded = e.descriptor().expanded(model.lenses());
+            let mut params: Vec<f64> = expanded.iter().map(|(_, p)| p.off).collect();
+            let first = expanded.first()?.1;
+            params[0] = first.outer(found.size);
+            Some(TableFit {
+                term: Term { effect: *e, params, table: Some(found.table), table_error: found.table_error },
+                z: found.z,
+                p: two_sided(found.z.max(0.0)) / 2.0,
+                size: found.size,
+                size_sigma: found.error + found.doubt,
+                sigma: first.outer_sigma(found.size, found.error),
+            })
+        })
+        .collect()
+}
+
+/// Significance of a pattern common to two halves of the flats and darks: of the response, of the offset. None: too few
+/// frames.
+pub(crate) fn shared(model: &Model<'_>, now: &[Predicted]) -> [Option<f64>; 2] {
+    [TableUse::Response, TableUse::Offset].map(|acts| {
+        let [Some(a), Some(b)] = [0, 1].map(|h| half(model, now, acts, h)) else { return None };
+        Some(pattern(&a, &b, left(model, acts), 1.0)?.z)
+    })
+}
+
+struct Shape {
+    table: Array2<f32>,
+    /// Variance of a pattern, or depth or scale of spots and hot pixels.
+    size: f64,
+    /// Its standard error.
+    error: f64,
+    /// Uncertainty of the map errors that were subtracted.
+    doubt: f64,
+    /// Rms error of the table.
+    table_error: f64,
+    z: f64,
+}
+
+/// One half of the frames: the weighted mean of `residual / template` at each pixel.
+fn half(model: &Model<'_>, now: &[Predicted], acts: TableUse, which: usize) -> Option<Half> {
+    let shape = (model.seen.sensor[0], model.seen.sensor[1]);
+    let (mut top, mut bottom) = (Array2::<f32>::zeros(shape), Array2::<f32>::zeros(shape));
+    let gain = model.forward.noise().gain_dn_per_e as f32;
+    for (n, (k, f)) in model.seen.frames.iter().enumerate().filter(|(_, f)| !f.held_out).enumerate() {
+        let used = match acts {
+            TableUse::Response => f.role == Role::Flat,
+            TableUse::DarkRate | TableUse::Offset => matches!(f.role, Role::Flat | Role::Dark),
+        };
+        if !used || n / 2 % 2 != which {
+            continue;
+        }
+        let here = &now[k];
+        let t = f.info.exposure_ms as f32;
+        // The mean of a single frame depends on lamp and black level and is no pattern.
+        let mean = here.residual_dn.mean().unwrap_or(0.0);
+        Zip::from(&mut top)
+            .and(&mut bottom)
+            .and(&here.residual_dn)
+            .and(&here.inverse_sigma)
+            .and(&here.light_e)
+            .for_each(|top, bottom, r, w, e| {
+                let template = match acts {
+                    TableUse::Response => gain * e,
+                    TableUse::DarkRate => gain * t,
+                    TableUse::Offset => 1.0,
+                };
+                *top += w * w * template * (r - mean);
+                *bottom += w * w * template * template;
+            });
+    }
+    if bottom.iter().all(|w| *w <= 0.0) {
+        return None;
+    }
+    let value = Zip::from(&top).and(&bottom).map_collect(|t, b| if *b > 0.0 { t / b } else { 0.0 });
+    Some(Half { value, weight: bottom })
+}
+
+/// Subtracts a linear slope over the sensor, which a blur would turn into structure at the edges.
+fn level(h: &Half) -> Half {
+    let (rows, cols) = h.value.dim();
+    let along = |i: usize, n: usize| i as f32 - (n as f32 - 1.0) / 2.0;
+    let (mut top, mut bottom) = ([0.0f64; 2], [0.0f64; 2]);
+    for ((r, c), v) in h.value.indexed_iter() {
+        for (i, x) in [along(r, rows), along(c, cols)].into_iter().enumerate() {
+            top[i] += f64::from(x * v);
+            bottom[i] += f64::from(x * x);
+        }
+    }
+    let slope = [0, 1].map(|i| (top[i] / f64::max(bottom[i], 1e-30)) as f32);
+    let mut value = h.value.clone();
+    Zip::indexed(&mut value).for_each(|(r, c), v| *v -= slope[0] * along(r, rows) + slope[1] * along(c, cols));
+    Half { value, weight: h.weight.clone() }
+}
+
+fn mean(a: &Half, b: &Half) -> Half {
+    let weight = &a.weight + &b.weight;
+    let mut value = &a.value * &a.weight + &b.value * &b.weight;
+    value.zip_mut_with(&weight, |v, w| *v = if *w > 0.0 { *v / w } else { 0.0 });
+    Half { value, weight }
+}
+
+/// Subtracts the smooth part: shading, spots and steps are no properties of single pixels.
+fn sharp(h: &Half, smooth_px: f64) -> Half {
+    let flat = level(h).value;
+    Half { value: &flat - &blur_within(&flat, smooth_px), weight: h.weight.clone() }
+}
+
+/// Share of a white pattern's variance that [`sharp`] keeps: `1 - 2 g(0) + sum g^2` of a Gaussian g.
+fn kept(smooth_px: f64) -> f64 {
+    1.0 - 3.0 / (4.0 * std::f64::consts::PI * smooth_px * smooth_px)
+}
+
+/// Whether the pattern common to two halves is white after [`sharp`], as properties of single pixels are. Shading or
+/// spots correlate neighbours.
+fn is_white(a: &Half, b: &Half) -> bool {
+    let (rows, cols) = a.value.dim();
+    let together = |dr: usize, dc: usize| -> [f64; 2] {
+        let (here, there) = (s![..rows - dr, ..cols - dc], s![dr.., dc..]);
+        let mut sum = [0.0; 2];
+        for (a, b) in [(&a.value, &b.value), (&b.value, &a.value)] {
+            for (x, y) in a.slice(here).iter().zip(b.slice(there)) {
+                let v = f64::from(x * y);
+                sum[0] += v;
+                sum[1] += v * v;
+            }
+        }
+        sum
+    };
+    if rows < 3 || cols < 3 {
+        return false;
+    }
+    let [own, _] = together(0, 0);
+    // The subtracted blur correlates the neighbours of a white pattern by -0.06.
+    [(0, 1), (1, 0), (1, 1), (0, 2), (2, 0)].iter().all(|(dr, dc)| {
+        let [sum, squares] = together(*dr, *dc);
+        sum < 0.1 * own.max(0.0) + 3.0 * squares.sqrt()
+    })
+}
+
+/// A pattern of all pixels: the variance common to both halves, beyond that of the map errors (`left`). `kept` is the
+/// share of a white pattern's variance that the halves hold.
+fn pattern(a: &Half, b: &Half, left: f64, kept: f64) -> Option<Shape> {
+    let (mut shared, mut noise, mut n) = (0.0, 0.0, 0.0);
+    // Hot pixels and dust are other effects; outliers are left out here.
+    Zip::from(&a.value).and(&b.value).and(&a.weight).and(&b.weight).for_each(|a, b, wa, wb| {
+        if *wa > 0.0 && *wb > 0.0 && !(a * wa.sqrt() > 6.0 && b * wb.sqrt() > 6.0) {
+            shared += f64::from(a * b);
+            noise += 1.0 / (f64::from(*wa) * f64::from(*wb));
+            n += 1.0;
+        }
+    });
+    if n < 100.0 {
+        return None;
+    }
+    let (variance, noise) = (shared / n / kept, noise / (kept * kept));
+    let error = ((noise + 2.0 * variance.abs() * (noise * n).sqrt()).sqrt() + n.sqrt() * variance.abs()) / n;
+    let z = (variance - TOLERANCE * left) / error;
+    let both = mean(a, b);
+    let keep = |v: &f32, w: &f32| {
+        let w = f64::from(*w);
+        if w > 0.0 { (f64::from(*v) * variance / (variance + 1.0 / w)) as f32 } else { 0.0 }
+    };
+    let table = Zip::from(&both.value).and(&both.weight).map_collect(keep);
+    // Variance of the pattern given the noisy estimate of the pixel.
+    let posterior = |w: &f32| variance.max(0.0) / (1.0 + variance.max(0.0) * f64::from(*w));
+    let table_error = (both.weight.iter().map(posterior).sum::<f64>() / n).sqrt();
+    Some(Shape { table, size: (variance - left).max(0.0), error, doubt: (TOLERANCE - 1.0) * left, table_error, z })
+}
+
+/// Single pixels above the threshold in both halves. Their size is the scale of an exponential distribution: their mean
+/// above the threshold.
+fn sparse(a: &Half, b: &Half) -> Option<Shape> {
+    let both = mean(a, b);
+    let mut table = Array2::zeros(both.value.dim());
+    let (mut z, mut sum, mut number) = (0.0f64, 0.0, 0.0f64);
+    // Standard error of a typical pixel: the sensitivity if no pixel is hot.
+    let weight = f64::from(both.weight.mean().unwrap_or(0.0));
+    let one = if weight > 0.0 { 1.0 / weight.sqrt() } else { 0.0 };
+    // The threshold includes the scatter of a pattern of all pixels, which makes none of them hot.
+    let mut sizes: Vec<f32> = both.value.iter().map(|v| v.abs()).collect();
+    sizes.sort_unstable_by(f32::total_cmp);
+    // The median absolute value of a normal variable is 0.674 of its standard deviation.
+    let scatter = sizes.get(sizes.len() / 2).map_or(0.0, |v| (v / 0.674).powi(2));
+    Zip::indexed(&both.value).for_each(|at, v| {
+        let stands_out = |h: &Half| h.value[at] / (1.0 / h.weight[at].max(1e-30) + scatter).sqrt();
+        let least = f64::from(stands_out(a).min(stands_out(b)));
+        if least > STANDS_OUT {
+            table[at] = *v;
+            sum += f64::from(*v);
+            number += 1.0;
+            z = z.max(least * std::f64::consts::SQRT_2);
+        }
+    });
+    // One trial for each pixel.
+    let chances = both.value.len() as f64;
+    let z = if z > 0.0 { sigmas((two_sided(z) * chances).min(1.0)) } else { 0.0 };
+    let passed = STANDS_OUT * std::f64::consts::SQRT_2 * one;
+    let size = if number > 0.0 { (sum / number - passed).max(one) } else { 0.0 };
+    let error = one.hypot(size / number.max(1.0).sqrt());
+    Some(Shape { table, size, error, doubt: 0.0, table_error: 0.0, z })
+}
+
+/// Dark spots: minima of a map that is smoothed to their size.
+fn spots(a: &Half, b: &Half, left: f64) -> Option<Shape> {
+    let smooth = |h: &Half| {
+        let flat = level(h).value;
+        blur_within(&flat, SPOT_PX) - blur_within(&flat, 8.0 * SPOT_PX)
+    };
+    let (sa, sb) = (smooth(a), smooth(b));
+    // Share of the variance of white noise after the blur: 1 / (4 pi sigma^2).
+    let share = 1.0 / (4.0 * std::f64::consts::PI * SPOT_PX * SPOT_PX);
+    let sigma_of = |h: &Half| {
+        let mean = f64::from(h.weight.mean().unwrap_or(0.0));
+        (share * (1.0 / mean.max(1e-30) + left)).sqrt() as f32
+    };
+    let (ea, eb) = (sigma_of(a), sigma_of(b));
+    let both = (&sa + &sb) * 0.5;
+    let mut core = Array2::from_elem(both.dim(), 0.0f32);
+    let mut deepest = (0, 0);
+    let mut z = 0.0f64;
+    let mut bright = 0.0f64;
+    Zip::indexed(&both).for_each(|at, v| {
+        let least = (-sa[at] / ea).min(-sb[at] / eb);
+        bright = bright.max(f64::from((sa[at] / ea).min(sb[at] / eb)));
+        if least > SPOT {
+            core[at] = 1.0;
+            if *v < both[deepest] {
+                deepest = at;
+            }
+            z = z.max(f64::from(least));
+        }
+    });
+    // Dust is dark: a map with spots as bright is another effect.
+    if bright > f64::from(SPOT) && bright > 0.5 * z {
+        return None;
+    }
+    let chances = both.len() as f64 * share;
+    let z = if z > 0.0 { sigmas((two_sided(z) * chances).min(1.0)) } else { 0.0 };
+    // The table keeps the unsmoothed values around each spot.
+    let near = blur_within(&core, 2.0 * SPOT_PX);
+    let raw = mean(a, b);
+    let table = Zip::from(&near).and(&raw.value).map_collect(|n, v| if *n > 0.02 { *v } else { 0.0 });
+    // The depth is the mean of the nine pixels in the middle of the deepest spot.
+    let (rows, cols) = raw.value.dim();
+    let around = |i: usize, n: usize| i.saturating_sub(1)..(i + 2).min(n);
+    let window = s![around(deepest.0, rows), around(deepest.1, cols)];
+    let (values, weights) = (raw.value.slice(window), raw.weight.slice(window));
+    let error = 1.0 / f64::from(weights.sum()).max(1e-30).sqrt();
+    let size = if z > 0.0 { -f64::from(values.mean().unwrap_or(0.0)) } else { 0.0 };
+    Some(Shape { table, size, error, doubt: 0.0, table_error: 0.0, z })
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+    use crate::rng::stream;
+    use rand_distr::{Distribution, Exp1, StandardNormal};
+
+    const SIDE: usize = 90;
+    const NOISE: f32 = 0.01;
+
+    /// Two halves with the same pattern and independent noise.
+    fn halves(pattern: impl Fn(usize, usize) -> f32) -> [Half; 2] {
+        [0, 1].map(|h| {
+            let mut rng = stream(11, "tables", h);
+            let value = Array2::from_shape_fn((SIDE, SIDE), |(r, c)| {
+                let z: f32 = StandardNormal.sample(&mut rng);
+                pattern(r, c) + NOISE * z
+            });
+            Half { value, weight: Array2::from_elem((SIDE, SIDE), 1.0 / (NOISE * NOISE)) }
+        })
+    }
+
+    fn white(rms: f32) -> Array2<f32> {
+        let mut rng = stream(12, "white", 0);
+        Array2::from_shape_simple_fn((SIDE, SIDE), || {
+            let z: f32 = StandardNormal.sample(&mut rng);
+            rms * z
+        })
+    }
+
+    #[test]
+    fn a_white_pattern_is_measured_without_bias_and_a_smooth_one_is_rejected() {
+        let own = white(0.008);
+        let judged = |halves: [Half; 2]| {
+            let [a, b] = halves.map(|h| sharp(&h, SMOOTH_PX));
+            (pattern(&a, &b, 0.0, kept(SMOOTH_PX)).unwrap(), is_white(&a, &b))
+        };
+        let (found, is) = judged(halves(|r, c| own[[r, c]]));
+        assert!(is && found.z > 20.0 && (found.size.sqrt() - 0.008).abs() < 3e-4, "{} {}", found.z, found.size.sqrt());
+        // A wave, a step, a slope with a pattern on it, nothing.
+        assert!(!judged(halves(|r, c| 0.02 * ((r + c) as f32 * 0.46).sin())).1);
+        assert!(!judged(halves(|_, c| if c < SIDE / 2 { 0.02 } else { 0.0 })).1);
+        assert!(judged(halves(|r, c| own[[r, c]] + 0.0005 * r as f32)).1);
+        assert!(judged(halves(|_, _| 0.0)).0.z.abs() < 4.0);
+    }
+
+    #[test]
+    fn dust_is_dark_and_a_wave_is_no_dust() {
+        let disc = |r: usize, c: usize| if (r as f32 - 40.0).hypot(c as f32 - 51.0) < 3.5 { -0.05 } else { 0.0 };
+        let [a, b] = halves(disc);
+        let found = spots(&a, &b, 0.0).unwrap();
+        assert!(found.z > 5.0 && (found.size - 0.05).abs() < 4.0 * found.error, "{} {}", found.z, found.size);
+        assert!(found.table[[40, 51]] < -0.02 && found.table[[10, 10]] == 0.0);
+        let [a, b] = halves(|r, c| 0.02 * ((r + c) as f32 * 0.46).sin());
+        assert!(spots(&a, &b, 0.0).is_none());
+    }
+
+    #[test]
+    fn hot_pixels_are_found_beside_a_pattern() {
+        let mut rng = stream(13, "hot", 0);
+        let mut table = Array2::<f32>::zeros((SIDE, SIDE));
+        for i in 0..60 {
+            let level: f32 = Exp1.sample(&mut rng);
+            table[[(i * 37) % SIDE, (i * 53) % SIDE]] = 0.3 * level;
+        }
+        let [a, b] = halves(|r, c| table[[r, c]]);
+        let found = sparse(&a, &b).unwrap();
+        assert!((found.size - 0.3).abs() < 3.0 * found.error && found.z > 5.0, "{} +- {}", found.size, found.error);
+        // A pattern of all pixels makes none of them hot.
+        let own = white(0.05);
+        let [a, b] = halves(|r, c| own[[r, c]]);
+        assert!(sparse(&a, &b).unwrap().z < 3.0);
+    }
+}

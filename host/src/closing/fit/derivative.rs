@@ -1,0 +1,144 @@
+//! Derivatives of the expected frames with respect to the values of a state, by finite differences.
+
+use super::model::Model;
+use super::state::{Column, Predicted, State, Term};
+use crate::closing::data::Shown;
+use crate::effects::{Chain, Stage};
+use crate::forward::{ForwardError, SceneLight};
+use ndarray::Array2;
+
+/// The point around which a model is linearised.
+#[derive(Clone, Copy)]
+pub struct Expansion<'a> {
+    /// The state.
+    pub state: &'a State,
+    /// Trial terms beside those of the state.
+    pub trials: &'a [Term],
+    /// The frames that the state predicts ([`Model::predict`]).
+    pub predicted: &'a [Predicted],
+    /// The light behind the optics under the state ([`Model::scenes`]).
+    pub scenes: &'a [Option<SceneLight>],
+}
+
+/// The terms of a state, or of a state with one trial term, with the parameter that a column varies.
+pub(super) struct Varied {
+    pub(super) terms: Vec<Term>,
+    /// Index of the varied term.
+    pub(super) which: usize,
+    /// Index of its varied parameter.
+    pub(super) param: usize,
+}
+
+impl Expansion<'_> {
+    /// What a column varies. None: a nuisance parameter.
+    pub(super) fn varied(&self, column: &Column) -> Option<Varied> {
+        match column {
+            Column::Scale(_) | Column::Black => None,
+            Column::Trial { term, param } => {
+                let terms = self.state.terms.iter().chain([&self.trials[*term]]).cloned().collect();
+                Some(Varied { terms, which: self.state.terms.len(), param: *param })
+            }
+            Column::Own { term, param } => {
+                Some(Varied { terms: self.state.terms.clone(), which: *term, param: *param })
+            }
+        }
+    }
+}
+
+/// A chain of effects that differs from that of the state.
+struct Change<'a> {
+    chain: &'a Chain,
+    /// The first stage where it differs.
+    stage: Stage,
+    /// The only lens for which it differs; None: all lenses.
+    lens: Option<usize>,
+}
+
+impl Model<'_> {
+    /// Derivative of the expected frame `k` with respect to a column's value ([`crate::effects::Param::inner`] of a
+    /// parameter), DN, [sensor rows, sensor cols]. None: the frame does not depend on it.
+    ///
+    /// # Errors
+    /// An object holds negative or non-finite light.
+    pub fn derivative(
+        &self,
+        k: usize,
+        column: &Column,
+        at: Expansion<'_>,
+    ) -> Result<Option<Array2<f32>>, ForwardError> {
+        let (f, here) = (&self.seen.frames[k], &at.predicted[k]);
+        let Some(Varied { mut terms, which, param }) = at.varied(column) else {
+            return Ok(match column {
+                Column::Scale(stack) => self.scale_derivative(k, *stack, at),
+                _ => (f.shown != Shown::Unknown).then(|| Array2::ones(here.dn.dim())),
+            });
+        };
+        let effect = terms[which].effect;
+        let expanded = terms[which].expanded(self.lenses());
+        let p = expanded[param].1;
+        let value = p.inner(terms[which].params[param]);
+        let mut step = 0.5 * p.inner(p.step);
+        if value + step > p.inner(p.max) {
+            step = -step;
+        }
+        terms[which].params[param] = p.outer(value + step);
+        let chain = self.chain(&terms);
+        let lens = p.per_lens.then(|| {
+            let first = expanded.iter().position(|(_, q)| std::ptr::eq(*q, p)).unwrap_or(param);
+            param - first
+        });
+        let change = Change { chain: &chain, stage: effect.descriptor().stage, lens };
+        let Some(moved) = self.moved(k, &change, at)? else {
+            return Ok(None);
+        };
+        Ok(Some((moved - &here.dn) / step as f32))
+    }
+
+    /// Derivative with respect to ln of the light of a stack.
+    fn scale_derivative(&self, k: usize, stack: usize, at: Expansion<'_>) -> Option<Array2<f32>> {
+        let (f, here) = (&self.seen.frames[k], &at.predicted[k]);
+        if stack != f.stack || matches!(f.shown, Shown::Dark | Shown::Unknown) {
+            return None;
+        }
+        // About a tenth of the noise of a bright pixel, far above rounding errors.
+        let step = 1e-3;
+        let chain = self.chain(&at.state.terms);
+        let more = 1.0 + step as f32;
+        let previous = f.previous.map(|p| at.predicted[p].alone_e());
+        let before = previous.filter(|_| chain.needs_previous()).map(|p| p * more);
+        let light = self.forward.on_sensor(&here.sum_e * more, &chain, &self.context(k, before.as_ref()));
+        let moved = self.dn(k, light, &chain, before.as_ref(), at.state.black_dn);
+        Some((moved - &here.dn) / step as f32)
+    }
+
+    /// The expected frame `k` under another chain, DN. None: it is the same.
+    fn moved(&self, k: usize, change: &Change<'_>, at: Expansion<'_>) -> Result<Option<Array2<f32>>, ForwardError> {
+        let Change { chain, stage, lens } = *change;
+        let here = &at.predicted[k];
+        let previous = self.seen.frames[k].previous.map(|p| at.predicted[p].alone_e());
+        let (scale, black_dn) = (here.scale, at.state.black_dn);
+        let sum = match (stage, &at.scenes[k]) {
+            (Stage::Record, _) => return Ok(None),
+            (Stage::Object | Stage::Geometry | Stage::Lens, None) => return Ok(None),
+            (Stage::Object, Some(_)) => {
+                let scene = self.scene(k, chain)?;
+                self.sum_e(k, scene.as_ref(), chain, scale)
+            }
+            (Stage::Geometry | Stage::Lens, Some(scene)) => match lens {
+                None => self.sum_e(k, Some(scene), chain, scale),
+                Some(l) => {
+                    let cx = self.context(k, None);
+                    let before = self.forward.lens_e(scene, l, &self.chain(&at.state.terms), &cx);
+                    let change = self.forward.lens_e(scene, l, chain, &cx) - before;
+                    &here.sum_e + &(change * scale as f32)
+                }
+            },
+            (Stage::Light, _) => here.sum_e.clone(),
+            (Stage::Charge | Stage::Electronics, _) => {
+                return Ok(Some(self.dn(k, here.light_e.clone(), chain, previous, black_dn)));
+            }
+        };
+        let light = self.forward.on_sensor(sum, chain, &self.context(k, previous));
+        Ok(Some(self.dn(k, light, chain, previous, black_dn)))
+    }
+}

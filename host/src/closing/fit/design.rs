@@ -1,0 +1,187 @@
+//! The linearised problem around a state: columns, residuals and calibration errors in units of the noise, summed in
+//! cells.
+//!
+//! A cell is one frame by one spatial block. It keeps the Gram matrix of all columns, of the calibration replicates and
+//! of the residual. Hold-outs and clusters are then sums over cells and need no further pass over the frames.
+
+use super::cell::Cell;
+use super::derivative::Expansion;
+use super::model::Model;
+use super::repeats;
+use super::state::{Column, Predicted};
+use crate::closing::data::{Observations, Shown};
+use crate::forward::ForwardError;
+use crate::session::Role;
+use ndarray::{Array2, s};
+use rayon::prelude::*;
+
+/// All cells of a linearised problem.
+#[derive(Clone, Debug)]
+pub struct Design {
+    /// The columns.
+    pub columns: Vec<Column>,
+    /// Number of calibration replicates.
+    pub replicates: usize,
+    /// The cells.
+    pub cells: Vec<Cell>,
+}
+
+/// Sums over cells.
+#[derive(Clone, Debug)]
+pub struct Sums {
+    /// Gram matrix of columns, replicates and residual, [n, n].
+    pub gram: Array2<f64>,
+    /// Number of pixels that are used.
+    pub pixels: usize,
+    /// Sum of the logarithms of the pixels' variances in DN^2.
+    pub log_variance: f64,
+}
+
+impl Sums {
+    /// chi-squared and deviance. The model determines the variance of the noise, so chi-squared alone would fall with
+    /// every effect that adds light to dark pixels; the deviance does not.
+    pub fn misfit(&self) -> Misfit {
+        let last = self.gram.nrows().saturating_sub(1);
+        let chi2 = self.gram.get((last, last)).copied().unwrap_or(0.0);
+        Misfit { chi2, deviance: chi2 + self.log_variance, pixels: self.pixels }
+    }
+}
+
+/// Distance between a state and measured frames.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Misfit {
+    /// chi-squared.
+    pub chi2: f64,
+    /// -2 ln of the Gaussian likelihood, up to a constant. States are compared by it.
+    pub deviance: f64,
+    /// Number of pixels that are used.
+    pub pixels: usize,
+}
+
+impl Design {
+    /// Computes all cells. `replicas[j][k]` is frame `k` as replicate j of the calibration predicts it minus the
+    /// prediction of the calibration, DN, [sensor rows, sensor cols]; None if the frame does not depend on the
+    /// calibration.
+    ///
+    /// # Errors
+    /// An object holds negative or non-finite light.
+    pub fn compute(
+        model: &Model<'_>,
+        at: Expansion<'_>,
+        columns: Vec<Column>,
+        replicas: &[Vec<Option<Array2<f32>>>],
+    ) -> Result<Self, ForwardError> {
+        let seen = model.seen;
+        let rows = columns.len() + replicas.len() + 1;
+        // A state must not gain by driving pixels out of range: each unused pixel counts as one with the largest noise.
+        let noise = model.forward.noise();
+        let unseen = 1.0 + noise.variance_dn2(noise.saturation_dn).ln();
+        let cells = (0..seen.frames.len())
+            .into_par_iter()
+            .map(|k| {
+                let here = &at.predicted[k];
+                let mut x = Array2::<f32>::zeros((rows, seen.pixels.len()));
+                let weight = here.inverse_sigma.as_slice().unwrap_or(&[]);
+                let mut put = |row: usize, image: &Array2<f32>| {
+                    let Some(image) = image.as_slice() else { return };
+                    for (out, p) in x.row_mut(row).iter_mut().zip(&seen.pixels) {
+                        *out = image[*p as usize] * weight[*p as usize];
+                    }
+                };
+                for (i, column) in columns.iter().enumerate() {
+                    if let Some(d) = model.derivative(k, column, at)? {
+                        put(i, &model.visible(k, d));
+                    }
+                }
+                for (j, replica) in replicas.iter().enumerate() {
+                    if let Some(d) = &replica[k] {
+                        put(columns.len() + j, d);
+                    }
+                }
+                put(rows - 1, &here.residual_dn);
+                if matches!(seen.frames[k].shown, Shown::Bead(..)) {
+                    // The light of each bead is a nuisance parameter of its own: its column is projected out of all
+                    // rows.
+                    own_light(&mut x, here, model.forward.noise().black_level_dn, seen);
+                }
+                Ok(seen
+                    .blocks
+                    .iter()
+                    .enumerate()
+                    .map(|(block, span)| {
+                        let part = x.slice(s![.., span.clone()]);
+                        let gram = part.dot(&part.t());
+                        let (mut pixels, mut log_variance) = (0, 0.0);
+                        for w in seen.pixels[span.clone()].iter().map(|p| weight[*p as usize]) {
+                            pixels += usize::from(w > 0.0);
+                            log_variance += if w > 0.0 { -2.0 * f64::from(w.ln()) } else { unseen };
+                        }
+                        let held_out = seen.frames[k].held_out || seen.held_out_blocks[block];
+                        Cell { frame: k, block, held_out, pixels, gram, log_variance }
+                    })
+                    .collect::<Vec<_>>())
+            })
+            .collect::<Result<Vec<_>, ForwardError>>()?;
+        let mut cells: Vec<Cell> = cells.into_iter().flatten().collect();
+        cells.extend(repeats::cells(model, at, &columns, replicas.len()));
+        Ok(Self { columns, replicates: replicas.len(), cells })
+    }
+
+    /// Index of the residual in a Gram matrix.
+    pub fn residual(&self) -> usize {
+        self.columns.len() + self.replicates
+    }
+
+    /// Indices of the replicates in a Gram matrix.
+    pub fn replicate_rows(&self) -> std::ops::Range<usize> {
+        self.columns.len()..self.residual()
+    }
+
+    /// Sums over the cells for which `take` is true.
+    pub fn sums(&self, take: impl Fn(&Cell) -> bool) -> Sums {
+        let n = self.residual() + 1;
+        let mut sums = Sums { gram: Array2::zeros((n, n)), pixels: 0, log_variance: 0.0 };
+        for cell in self.cells.iter().filter(|c| take(c)) {
+            sums.gram.zip_mut_with(&cell.gram, |s, v| *s += f64::from(*v));
+            sums.pixels += cell.pixels;
+            sums.log_variance += cell.log_variance;
+        }
+        sums
+    }
+
+    /// Sums over the training cells: those that are not held out.
+    pub fn training(&self) -> Sums {
+        self.sums(|c| !c.held_out)
+    }
+}
+
+/// Projects the frame's own light out of each row.
+fn own_light(x: &mut Array2<f32>, here: &Predicted, black_dn: f64, seen: &Observations) {
+    let (Some(dn), Some(weight)) = (here.dn.as_slice(), here.inverse_sigma.as_slice()) else { return };
+    let light: Vec<f32> =
+        seen.pixels.iter().map(|p| (dn[*p as usize] - black_dn as f32) * weight[*p as usize]).collect();
+    let norm: f64 = light.iter().map(|v| f64::from(*v).powi(2)).sum();
+    if norm <= 0.0 {
+        return;
+    }
+    for mut row in x.outer_iter_mut() {
+        let along: f64 = row.iter().zip(&light).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum();
+        let share = (along / norm) as f32;
+        row.iter_mut().zip(&light).for_each(|(a, b)| *a -= share * b);
+    }
+}
+
+/// The columns of the nuisance parameters: the light of each lit stack, and the black level.
+pub fn nuisances(model: &Model<'_>) -> Vec<Column> {
+    let frames = &model.seen.frames;
+    let lit = |s: &usize| {
+        let shows = |shown: &Shown| matches!(shown, Shown::Object(_) | Shown::Even);
+        frames.iter().any(|f| f.stack == *s && shows(&f.shown))
+    };
+    let stacks = frames.iter().map(|f| f.stack + 1).max().unwrap_or(0);
+    let mut columns: Vec<Column> = (0..stacks).filter(lit).map(Column::Scale).collect();
+    if frames.iter().any(|f| f.role == Role::Dark || f.shown != Shown::Unknown) {
+        columns.push(Column::Black);
+    }
+    columns
+}

@@ -1,0 +1,26 @@
+//! Predicts the frames of a session from a state, and fits the state.
+//!
+//! [`state`] holds effects and nuisance parameters, [`model`] predicts frames, [`derivative`] their derivatives,
+//! [`design`] sums these over [`cell`]s, `repeats` adds what repeated frames show of the noise, [`mod@refit`] finds the
+//! best state. [`record`] checks the session's records before the first fit; [`mod@replicas`] gives the uncertainty of
+//! the calibration.
+
+pub mod cell;
+pub mod derivative;
+pub mod design;
+pub mod model;
+pub mod record;
+pub mod refit;
+pub(crate) mod repeats;
+pub mod replicas;
+pub mod solve;
+pub mod state;
+
+pub use cell::Cell;
+pub use derivative::Expansion;
+pub use design::{Design, Misfit, Sums, nuisances};
+pub use model::Model;
+pub use refit::{Fitted, Scenes, own_columns, refit, refit_from};
+pub use replicas::{Replicas, replicas};
+pub use solve::pseudo_inverse;
+pub use state::{Column, Predicted, State, Term};

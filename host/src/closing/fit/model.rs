@@ -1,0 +1,304 @@
+//! The model that the loop closes: the instrument without its effects, and the frames of a session.
+
+use super::state::{Predicted, State, Term};
+use crate::closing::data::{Frame, Observations, Shown};
+use crate::effects::{Chain, EffectError, EffectSetting, FrameContext, Param, Previous, blur_within, find};
+use crate::forward::{Forward, ForwardError, SceneLight};
+use crate::instrument::Instrument;
+use crate::noise::MapErrors;
+use crate::psf::OperatorConfig;
+use crate::session::Role;
+use ndarray::{Array2, Zip};
+use rayon::prelude::*;
+
+/// Depths closer than this are equal, um: tables are rounded to it.
+const SAME_DEPTH_UM: f64 = 1e-3;
+/// Standard deviation of the Gaussian blur that defines the smooth part of an unknown specimen, pixels.
+const SMOOTH_PX: f64 = 2.0;
+
+/// An instrument and the frames of a session.
+pub struct Model<'a> {
+    /// The forward model of the instrument without its effects.
+    pub forward: Forward,
+    /// The frames.
+    pub seen: &'a Observations,
+    /// Errors of the sensor maps of the instrument.
+    pub maps: MapErrors,
+    /// Exposure of the calibration, ms.
+    exposure_ms: f64,
+}
+
+impl<'a> Model<'a> {
+    /// The model of a session's frames by an instrument.
+    ///
+    /// # Errors
+    /// The tables of the instrument disagree in their sizes.
+    pub fn new(instrument: &Instrument, seen: &'a Observations) -> Result<Self, ForwardError> {
+        let bare = Instrument { effects: Vec::new(), ..instrument.clone() };
+        // The depth of the first specimen; other depths are interpolated.
+        let z_um = seen.frames.iter().find(|f| matches!(f.shown, Shown::Object(_))).map_or(0.0, |f| f.info.z_um);
+        let depth = instrument.psf.depth_nearest(z_um);
+        Ok(Self {
+            forward: Forward::with_all_depths(&bare, OperatorConfig { depth, ..OperatorConfig::default() })?,
+            seen,
+            maps: instrument.quality.maps,
+            exposure_ms: instrument.psf.exposure_ms,
+        })
+    }
+
+    /// Whether the light of no frame is known. Then only effects that follow the pixel grid can be tested, since the
+    /// specimen may have any other detail.
+    pub fn is_blind(&self) -> bool {
+        self.seen.frames.iter().all(|f| f.shown == Shown::Unknown)
+    }
+
+    /// Number of lenses.
+    pub fn lenses(&self) -> usize {
+        self.forward.layout().lenses
+    }
+
+    /// The state of an instrument: its effects, with the light of each stack as calibrated or, for flats, as measured.
+    ///
+    /// # Errors
+    /// The instrument names an effect that does not exist.
+    pub fn state(&self, instrument: &Instrument) -> Result<State, EffectError> {
+        let layout = self.forward.layout();
+        Chain::build(&instrument.effects, layout)?;
+        let term = |s: &EffectSetting| {
+            let effect = find(&s.id)?;
+            let value = |(name, p): (String, &Param)| s.params.get(&name).copied().unwrap_or(p.off);
+            let params = effect.descriptor().expanded(layout.lenses).into_iter().map(value).collect();
+            Some(Term { effect, params, table: s.table.clone(), table_error: 0.0 })
+        };
+        let stacks = self.seen.frames.iter().map(|f| f.stack + 1).max().unwrap_or(0);
+        let mut scale = vec![1.0; stacks];
+        for (s, scale) in scale.iter_mut().enumerate() {
+            let (mut light, mut dose) = (0.0, 0.0);
+            for f in self.seen.frames.iter().filter(|f| f.stack == s && f.role == Role::Flat && !f.held_out) {
+                let mean = f.measured.mean().unwrap_or(0.0);
+                light += f64::from(mean) - self.forward.noise().black_level_dn;
+                dose += f.info.illumination * f.info.exposure_ms / self.exposure_ms;
+            }
+            if dose > 0.0 {
+                *scale = (light / dose / self.forward.noise().gain_dn_per_e).max(1e-6);
+            }
+        }
+        Ok(State { terms: instrument.effects.iter().filter_map(term).collect(), scale, black_dn: 0.0 })
+    }
+
+    /// The same state in a standard gauge: a common factor of an effect and of the light is moved to the light
+    /// ([`crate::effects::Effect::gauge`]).
+    pub fn gauged(&self, mut state: State) -> State {
+        for t in &mut state.terms {
+            let factor = t.effect.gauge(&mut t.params);
+            let scenes = self.seen.frames.iter().filter(|f| matches!(f.shown, Shown::Object(_)));
+            let stacks: std::collections::BTreeSet<usize> = scenes.map(|f| f.stack).collect();
+            stacks.into_iter().for_each(|s| state.scale[s] *= factor);
+        }
+        state
+    }
+
+    /// The effects of terms as one chain of the forward model.
+    pub fn chain<'t>(&self, terms: impl IntoIterator<Item = &'t Term>) -> Chain {
+        let mut chain = Chain::default();
+        for t in terms {
+            // The tables of terms have the size of this sensor.
+            let _ = chain.push(t.effect, t.params.clone(), t.table.as_ref(), self.forward.layout());
+        }
+        chain
+    }
+
+    /// The context of frame `k` for the hooks of effects; `previous_e` is the light of the preceding frame, electrons.
+    pub fn context<'c>(&'c self, k: usize, previous_e: Option<&'c Array2<f32>>) -> FrameContext<'c> {
+        let f = &self.seen.frames[k];
+        let before = f.previous.map(|p| self.seen.frames[p].info.time_s);
+        FrameContext {
+            role: f.role,
+            frame: f.info.frame,
+            time_s: f.info.time_s,
+            exposure_ms: f.info.exposure_ms,
+            illumination: if f.role == Role::Dark { 0.0 } else { f.info.illumination },
+            temperature_c: f.info.temperature_c.unwrap_or(20.0),
+            previous: previous_e.zip(before).map(|(light_e, t)| Previous { light_e, interval_s: f.info.time_s - t }),
+            ..self.forward.context()
+        }
+    }
+
+    /// The light of each frame's object behind the optics, with the effects on the emission. None for flats, darks and
+    /// unknown specimens.
+    ///
+    /// # Errors
+    /// An object holds negative or non-finite light.
+    pub fn scenes(&self, chain: &Chain) -> Result<Vec<Option<SceneLight>>, ForwardError> {
+        (0..self.seen.frames.len()).into_par_iter().map(|k| self.scene(k, chain)).collect()
+    }
+
+    pub(super) fn scene(&self, k: usize, chain: &Chain) -> Result<Option<SceneLight>, ForwardError> {
+        let cx = self.context(k, None);
+        match &self.seen.frames[k].shown {
+            Shown::Object(truth) => {
+                let scene = self.forward.scene(self.seen.truths[*truth].view(), chain, &cx)?;
+                Ok(Some(scene.at_depth(self.depth_of(k))))
+            }
+            Shown::Bead(at) => Ok(Some(self.forward.point(*at, chain, &cx)?.at_depth(self.depth_of(k)))),
+            Shown::Even | Shown::Dark | Shown::Unknown => Ok(None),
+        }
+    }
+
+    /// Depth of the object of frame `k`, um: as recorded, to the precision of a table.
+    fn depth_of(&self, k: usize) -> f64 {
+        let (z, own) = (self.seen.frames[k].info.z_um, self.forward.depth_um());
+        if (z - own).abs() < SAME_DEPTH_UM { own } else { z }
+    }
+
+    /// Light of frame `k` before the effects on the sensor, electrons.
+    pub(super) fn sum_e(&self, k: usize, scene: Option<&SceneLight>, chain: &Chain, scale: f64) -> Array2<f32> {
+        let (f, cx) = (&self.seen.frames[k], self.context(k, None));
+        let mut sum = Array2::zeros((self.seen.sensor[0], self.seen.sensor[1]));
+        match (&f.shown, scene) {
+            (Shown::Even, _) => sum.fill((scale * f.info.illumination * f.info.exposure_ms / self.exposure_ms) as f32),
+            (Shown::Unknown, _) => {
+                let noise = self.forward.noise();
+                sum = smooth(&f.measured);
+                sum.mapv_inplace(|y| ((f64::from(y) - noise.black_level_dn) / noise.gain_dn_per_e).max(0.0) as f32);
+            }
+            (Shown::Dark, _) | (_, None) => {}
+            (_, Some(scene)) => {
+                for l in 0..self.lenses() {
+                    sum += &self.forward.lens_e(scene, l, chain, &cx);
+                }
+                sum *= scale as f32;
+            }
+        }
+        sum
+    }
+
+    /// Predicts every frame. `scenes` are those of [`Model::scenes`] for the same state.
+    pub fn predict(&self, state: &State, scenes: &[Option<SceneLight>]) -> Vec<Predicted> {
+        let chain = self.chain(&state.terms);
+        // The noise model is that of the calibration: a fit must not gain by a larger variance.
+        let noise = self.forward.noise();
+        let n = self.seen.frames.len();
+        let alone: Vec<(Array2<f32>, Array2<f32>, f64)> = (0..n)
+            .into_par_iter()
+            .map(|k| {
+                let f = &self.seen.frames[k];
+                let mut scale = state.scale[f.stack];
+                let mut sum = self.sum_e(k, scenes[k].as_ref(), &chain, scale);
+                if matches!(f.shown, Shown::Bead(..)) {
+                    let own = self.own_scale(f, &sum);
+                    scale *= own;
+                    sum *= own as f32;
+                }
+                let light = self.forward.on_sensor(sum.clone(), &chain, &self.context(k, None));
+                (sum, light, scale)
+            })
+            .collect();
+        alone
+            .par_iter()
+            .enumerate()
+            .map(|(k, (sum_e, alone_e, scale))| {
+                let f = &self.seen.frames[k];
+                let previous = f.previous.filter(|_| chain.needs_previous()).map(|p| &alone[p].1);
+                let light_e = match previous {
+                    None => alone_e.clone(),
+                    Some(_) => self.forward.on_sensor(sum_e.clone(), &chain, &self.context(k, previous)),
+                };
+                let dn = self.dn(k, light_e.clone(), &chain, previous, state.black_dn);
+                let (mut residual_dn, detail) = residual(f, &dn);
+                let top = noise.saturation_dn;
+                let mut inverse_sigma = Array2::zeros(dn.dim());
+                // The fixed pattern of the offset is no noise: the variance depends on the light alone.
+                let mut variance = light_e
+                    .mapv(|e| noise.variance_dn2(noise.black_level_dn + noise.gain_dn_per_e * f64::from(e)) as f32);
+                if let Some(reading) = self.forward.reading_dn2() {
+                    // The read noise of single pixels beyond the common read noise.
+                    let common = self.forward.noise().variance_dn2(noise.black_level_dn) as f32;
+                    variance.zip_mut_with(reading, |v, r| *v += r - common);
+                }
+                Zip::from(&mut inverse_sigma).and(&dn).and(&detail).and(&mut residual_dn).and(&variance).for_each(
+                    |w, &mu, &v, r, &variance| {
+                        let sigma = (f64::from(variance) + f64::from(v)).sqrt();
+                        // Pixels that may saturate are not used. The model selects them, since a selection by the noisy
+                        // values would be biased.
+                        let usable = f64::from(mu) + 4.0 * sigma < top && r.is_finite();
+                        *w = if usable { (1.0 / sigma) as f32 } else { 0.0 };
+                        if !usable {
+                            *r = 0.0;
+                        }
+                    },
+                );
+                Predicted {
+                    sum_e: sum_e.clone(),
+                    alone_e: previous.map(|_| alone_e.clone()),
+                    light_e,
+                    dn,
+                    inverse_sigma,
+                    residual_dn,
+                    scale: *scale,
+                }
+            })
+            .collect()
+    }
+
+    /// Light of a bead's frame over the expected light, by least squares: bead frames may have been normalised one by
+    /// one.
+    fn own_scale(&self, f: &Frame, sum_e: &Array2<f32>) -> f64 {
+        let noise = self.forward.noise();
+        let (mut top, mut bottom) = (0.0, 0.0);
+        let measured = |r: usize, c: usize| f.cut.as_ref().is_none_or(|cut| cut.holds(r, c));
+        for ((_, y), e) in f.measured.indexed_iter().zip(sum_e).filter(|((at, _), _)| measured(at.0, at.1)) {
+            top += (f64::from(*y) - noise.black_level_dn) * f64::from(*e);
+            bottom += f64::from(*e).powi(2) * noise.gain_dn_per_e;
+        }
+        if bottom > 0.0 && top > 0.0 { top / bottom } else { 1.0 }
+    }
+
+    /// The expected frame `k` for a light on the sensor, DN.
+    pub(super) fn dn(
+        &self,
+        k: usize,
+        light_e: Array2<f32>,
+        chain: &Chain,
+        previous: Option<&Array2<f32>>,
+        black_dn: f64,
+    ) -> Array2<f32> {
+        let mut dn = self.forward.frame_dn(light_e, chain, &self.context(k, previous));
+        if black_dn != 0.0 {
+            dn.mapv_inplace(|v| v + black_dn as f32);
+        }
+        dn
+    }
+
+    /// The part of a change of the expected frame that frame `k` can show: all of it, or, for an unknown specimen, its
+    /// sharp part. A change that is mostly smooth cannot be distinguished from the specimen and gives zero.
+    pub fn visible(&self, k: usize, change: Array2<f32>) -> Array2<f32> {
+        if self.seen.frames[k].shown != Shown::Unknown {
+            return change;
+        }
+        let sharp = &change - &smooth(&change);
+        let power = |image: &Array2<f32>| image.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>();
+        if power(&sharp) < 0.5 * power(&change) { Array2::zeros(change.dim()) } else { sharp }
+    }
+}
+
+/// Residual of a frame, DN (NaN where it was not measured), and the variance that the detail of an unknown specimen
+/// adds, DN^2.
+fn residual(f: &Frame, expected: &Array2<f32>) -> (Array2<f32>, Array2<f32>) {
+    let mut difference = &f.measured - expected;
+    if let Some(cut) = &f.cut {
+        difference.indexed_iter_mut().filter(|((r, c), _)| !cut.holds(*r, *c)).for_each(|(_, v)| *v = f32::NAN);
+    }
+    if f.shown != Shown::Unknown {
+        return (difference, Array2::zeros(expected.dim()));
+    }
+    let sharp = |image: &Array2<f32>| image - &smooth(image);
+    // The detail of the specimen counts as noise: pixels with much of it get little weight.
+    let detail = blur_within(&sharp(&f.measured).mapv(|v| v * v), 3.0 * SMOOTH_PX);
+    (sharp(&difference), detail)
+}
+
+/// The smooth part of a frame.
+fn smooth(frame: &Array2<f32>) -> Array2<f32> {
+    blur_within(frame, SMOOTH_PX)
+}

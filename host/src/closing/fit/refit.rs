@@ -1,0 +1,144 @@
+//! The joint fit of all parameters of a state, shapes included, with the nuisance parameters.
+//!
+//! Damped Gauss-Newton steps (Levenberg, Q. Appl. Math. 2, 164, 1944; Marquardt, J. SIAM 11, 431, 1963) on the training
+//! cells, with the variance of the model at the current state. Steps are accepted by the deviance.
+
+use super::derivative::Expansion;
+use super::design::{Design, Misfit, nuisances};
+use super::model::Model;
+use super::solve::pseudo_inverse;
+use super::state::{Column, Predicted, State, Term};
+use crate::effects::{Kind, Stage};
+use crate::forward::{ForwardError, SceneLight};
+use ndarray::{Array1, Array2};
+use std::sync::Arc;
+
+/// Maximum number of steps.
+const STEPS: usize = 7;
+
+/// The light of each frame's object behind the optics ([`Model::scenes`]); shared, since few effects change it.
+pub type Scenes = Arc<[Option<SceneLight>]>;
+
+/// A fitted state.
+#[derive(Clone)]
+pub struct Fitted {
+    /// The state.
+    pub state: State,
+    /// The predicted frames.
+    pub predicted: Vec<Predicted>,
+    /// The light behind the optics, from which they were predicted.
+    pub scenes: Scenes,
+    /// Misfit of the training cells.
+    pub training: Misfit,
+    /// Misfit of the held-out cells.
+    pub held_out: Misfit,
+}
+
+impl Fitted {
+    /// The point around which scores are computed, with trial terms beside those of the state.
+    pub fn expansion<'a>(&'a self, trials: &'a [Term]) -> Expansion<'a> {
+        Expansion { state: &self.state, trials, predicted: &self.predicted, scenes: &self.scenes }
+    }
+}
+
+/// The columns of a state's free parameters.
+pub fn own_columns(model: &Model<'_>, state: &State) -> Vec<Column> {
+    let mut columns = Vec::new();
+    for (term, t) in state.terms.iter().enumerate() {
+        if t.effect.descriptor().stage == Stage::Record || t.table.is_some() {
+            continue;
+        }
+        columns.extend(t.free(model.lenses()).into_iter().map(|param| Column::Own { term, param }));
+    }
+    columns
+}
+
+/// Fits a state to the training cells, starting from its present values.
+///
+/// # Errors
+/// An object holds negative or non-finite light.
+pub fn refit(model: &Model<'_>, state: State) -> Result<Fitted, ForwardError> {
+    let scenes = model.scenes(&model.chain(&state.terms))?.into();
+    refit_from(model, state, scenes)
+}
+
+/// [`refit`] with the light behind the optics given, which must be that of the state.
+///
+/// # Errors
+/// An object holds negative or non-finite light.
+pub fn refit_from(model: &Model<'_>, mut state: State, scenes: Scenes) -> Result<Fitted, ForwardError> {
+    let columns: Vec<Column> = nuisances(model).into_iter().chain(own_columns(model, &state)).collect();
+    // Only effects on the emission change the light behind the optics.
+    let emission = state.terms.iter().any(|t| t.effect.descriptor().stage == Stage::Object);
+    let mut at = Point::of(model, &state, &columns, scenes)?;
+    let mut damping = 1e-3;
+    for _ in 0..STEPS {
+        let proposal = at.step(model, &state, &columns, damping);
+        let scenes = if emission { model.scenes(&model.chain(&proposal.terms))?.into() } else { at.scenes.clone() };
+        let next = Point::of(model, &proposal, &columns, scenes)?;
+        let fall = at.training.deviance - next.training.deviance;
+        if fall > 0.0 {
+            (state, at) = (proposal, next);
+            damping *= 0.2;
+            if fall < 0.02 {
+                break;
+            }
+        } else {
+            damping *= 20.0;
+            if damping > 1e4 {
+                break;
+            }
+        }
+    }
+    Ok(Fitted { state, training: at.training, held_out: at.held_out, predicted: at.predicted, scenes: at.scenes })
+}
+
+/// The linearised problem at one state.
+struct Point {
+    predicted: Vec<Predicted>,
+    scenes: Scenes,
+    gram: Array2<f64>,
+    training: Misfit,
+    held_out: Misfit,
+}
+
+impl Point {
+    fn of(model: &Model<'_>, state: &State, columns: &[Column], scenes: Scenes) -> Result<Self, ForwardError> {
+        let predicted = model.predict(state, &scenes);
+        let at = Expansion { state, trials: &[], predicted: &predicted, scenes: &scenes };
+        let design = Design::compute(model, at, columns.to_vec(), &[])?;
+        let sums = design.training();
+        Ok(Self {
+            predicted,
+            scenes,
+            training: sums.misfit(),
+            gram: sums.gram,
+            held_out: design.sums(|c| c.held_out).misfit(),
+        })
+    }
+
+    /// The state after one damped step, with every value kept in its range.
+    fn step(&self, model: &Model<'_>, state: &State, columns: &[Column], damping: f64) -> State {
+        let n = columns.len();
+        let mut hessian = self.gram.slice(ndarray::s![..n, ..n]).to_owned();
+        hessian.diag_mut().mapv_inplace(|v| v * (1.0 + damping));
+        let right = Array1::from_iter((0..n).map(|i| self.gram[[i, n]]));
+        let delta = pseudo_inverse(&hessian).dot(&right);
+        let mut next = state.clone();
+        for (column, d) in columns.iter().zip(delta) {
+            match column {
+                Column::Scale(s) => next.scale[*s] *= 1.0 + d.clamp(-0.5, 1.0),
+                Column::Black => next.black_dn += d,
+                Column::Own { term, param } => {
+                    let t = &mut next.terms[*term];
+                    let p = t.expanded(model.lenses())[*param].1;
+                    // The linearisation of a shape holds near its value only: at most ten of its steps at once.
+                    let most = if matches!(p.kind, Kind::Shape(_)) { 10.0 * p.step } else { f64::INFINITY };
+                    t.params[*param] = p.outer(p.inner(t.params[*param]) + d.clamp(-most, most));
+                }
+                Column::Trial { .. } => {}
+            }
+        }
+        next
+    }
+}

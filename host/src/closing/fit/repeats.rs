@@ -1,0 +1,343 @@
+//! The covariance channel: differences between frames of the same light.
+//!
+//! The expected frame cancels in the difference of two repeats, so the difference tests the *noise* model alone: the
+//! variance by level of light, the correlation of neighbours, the variance common to rows or columns. Each such feature
+//! has a known sampling error. The change of a feature by an effect is computed from noise drawn with and without the
+//! effect.
+
+use super::cell::Cell;
+use super::derivative::{Expansion, Varied};
+use super::model::Model;
+use super::state::{Column, Predicted, State, Term};
+use crate::closing::data::Shown;
+use crate::effects::{Chain, Stage, blur_within};
+use crate::linalg::{SymmetricEigen, symmetric_eigen};
+use crate::rng::stream;
+use crate::session::Role;
+use ndarray::{Array1, Array2, s};
+use rand::Rng;
+use rand_distr::{Distribution, StandardNormal};
+use rayon::prelude::*;
+
+/// Number of features of one level of light: variance; correlation along the row, along the column, diagonally;
+/// variance common to the pixels of a row, of a column.
+pub(crate) const FEATURES: usize = 6;
+/// One value for each feature.
+pub(crate) type Features = [f64; FEATURES];
+/// Standard error of a feature that is not measured.
+const UNKNOWN: f64 = 1e9;
+/// Standard deviation of the Gaussian blur that removes the motion of an unknown specimen, pixels.
+const SMOOTH_PX: f64 = 4.0;
+/// Number of noise frames that are drawn for each level.
+const DRAWN: u64 = 2;
+
+/// Pairs of repeats of the same light.
+struct Level {
+    pairs: Vec<(usize, usize)>,
+    /// Successive frames of an unknown specimen, which may move a little: they show the noise common to rows and
+    /// columns alone.
+    unknown: bool,
+}
+
+impl Level {
+    /// Features of a standardised difference, [sensor rows, sensor cols].
+    fn features(&self, d: Array2<f32>) -> Features {
+        if !self.unknown {
+            return features(d);
+        }
+        // The change of a specimen from one frame to the next is smooth.
+        let sharp = &d - &blur_within(&d, SMOOTH_PX);
+        let [.., rows, cols] = features(sharp);
+        [0.0, 0.0, 0.0, 0.0, rows, cols]
+    }
+}
+
+/// The cells of the covariance channel: one of the training pairs, one of the held-out pairs. Their indices of frame
+/// and block are one past the last.
+pub(crate) fn cells(model: &Model<'_>, at: Expansion<'_>, columns: &[Column], replicates: usize) -> Vec<Cell> {
+    let (state, now) = (at.state, at.predicted);
+    let derivative: Vec<Option<Drawn>> = columns.par_iter().map(|c| drawn(model, at, c)).collect();
+    [false, true]
+        .into_iter()
+        .filter_map(|held_out| {
+            let levels = levels(model, held_out);
+            if levels.is_empty() {
+                return None;
+            }
+            let rows = columns.len() + replicates + 1;
+            let parts: Vec<(Vec<Features>, Features, Features)> = levels
+                .par_iter()
+                .map(|level| {
+                    let base = noise_features(model, &model.chain(&state.terms), level, now);
+                    let change = |d: &Option<Drawn>| match d {
+                        None => [0.0; FEATURES],
+                        Some(d) => {
+                            let with = noise_features(model, &d.chain, level, now);
+                            std::array::from_fn(|f| (with[f] - base[f]) / d.step)
+                        }
+                    };
+                    let (excess, expected) = excess(model, state, now, level, base);
+                    (derivative.iter().map(change).collect(), excess, expected)
+                })
+                .collect();
+            let expected: Vec<Features> = parts.iter().map(|p| p.2).collect();
+            let sampling = Sampling::of(model, now, &levels, &expected);
+            let mut x = Array2::<f32>::zeros((rows, levels.len() * FEATURES));
+            let mut put = |row: usize, features: Vec<Features>| {
+                x.row_mut(row)
+                    .iter_mut()
+                    .zip(sampling.standardised(&features).iter().flatten())
+                    .for_each(|(x, v)| *x = *v as f32);
+            };
+            for (i, _) in derivative.iter().enumerate().filter(|(_, d)| d.is_some()) {
+                put(i, parts.iter().map(|p| p.0[i]).collect());
+            }
+            put(rows - 1, parts.iter().map(|p| p.1).collect());
+            let (frame, block, pixels) = (model.seen.frames.len(), model.seen.blocks.len(), x.ncols());
+            Some(Cell { frame, block, held_out, pixels, gram: x.dot(&x.t()), log_variance: sampling.log_variance() })
+        })
+        .collect()
+}
+
+/// Measured minus expected features of each level in standard errors: independent standard normal variables if the
+/// noise model is right. Held-out repeats are left out.
+pub(crate) fn residuals(model: &Model<'_>, state: &State, now: &[Predicted]) -> Vec<Features> {
+    let levels = levels(model, false);
+    let one = |level: &Level| {
+        let base = noise_features(model, &model.chain(&state.terms), level, now);
+        excess(model, state, now, level, base)
+    };
+    let (raw, expected): (Vec<Features>, Vec<Features>) = levels.par_iter().map(one).unzip();
+    Sampling::of(model, now, &levels, &expected).standardised(&raw)
+}
+
+/// Measured features minus those that the effects of a state cause, and the latter. `base`: features of noise drawn
+/// under the state.
+fn excess(model: &Model<'_>, state: &State, now: &[Predicted], level: &Level, base: Features) -> (Features, Features) {
+    let measured = measured(now, model, level);
+    let plain = match state.terms.iter().any(noisy) {
+        // After the subtraction of a blur even white noise has non-zero features.
+        _ if level.unknown => [0.0; FEATURES],
+        true => noise_features(model, &Chain::default(), level, now),
+        false => base,
+    };
+    let expected: Features = std::array::from_fn(|f| base[f] - plain[f]);
+    (std::array::from_fn(|f| measured[f] - expected[f]), expected)
+}
+
+/// Whether an effect changes the noise.
+pub(crate) fn noisy(term: &Term) -> bool {
+    matches!(term.effect.descriptor().stage, Stage::Charge | Stage::Electronics)
+}
+
+/// The chain with one value changed by a step of its inner unit.
+struct Drawn {
+    chain: Chain,
+    step: f64,
+}
+
+fn drawn(model: &Model<'_>, at: Expansion<'_>, column: &Column) -> Option<Drawn> {
+    let Varied { mut terms, which, param } = at.varied(column)?;
+    if !noisy(&terms[which]) {
+        return None;
+    }
+    let p = terms[which].expanded(model.lenses())[param].1;
+    let value = &mut terms[which].params[param];
+    // Large enough to exceed the rounding of the drawn noise; both sides use the same random numbers.
+    let (now, step) = (p.inner(*value), p.inner(2.0 * p.step));
+    let step = if now + step > p.inner(p.max) { -step } else { step };
+    *value = p.outer(now + step);
+    Some(Drawn { chain: model.chain(&terms), step })
+}
+
+fn levels(model: &Model<'_>, held_out: bool) -> Vec<Level> {
+    let frames = &model.seen.frames;
+    let mut keyed: Vec<([f64; 3], Level)> = Vec::new();
+    for (k, f) in frames.iter().enumerate() {
+        let Some(p) = f.previous else { continue };
+        let q = &frames[p];
+        let same = f.info.illumination == q.info.illumination && f.info.exposure_ms == q.info.exposure_ms;
+        let unknown = f.shown == Shown::Unknown;
+        let repeats = unknown || matches!(f.role, Role::Dark | Role::Flat);
+        if !repeats || !same || f.held_out != held_out || q.held_out != held_out {
+            continue;
+        }
+        let key = [f.stack as f64, f.info.illumination, f.info.exposure_ms];
+        match keyed.iter_mut().find(|(k, _)| *k == key) {
+            // Pairs with a common frame are not independent.
+            Some((_, level)) if level.pairs.iter().any(|(a, b)| *a == p || *b == p) => {}
+            Some((_, level)) => level.pairs.push((p, k)),
+            None => keyed.push((key, Level { pairs: vec![(p, k)], unknown })),
+        }
+    }
+    keyed.into_iter().map(|(_, l)| l).collect()
+}
+
+/// Features of the measured pairs of a level.
+fn measured(now: &[Predicted], model: &Model<'_>, level: &Level) -> Features {
+    let frames = &model.seen.frames;
+    let one = |(a, b): &(usize, usize)| {
+        let mut d = &frames[*b].measured - &frames[*a].measured;
+        if !level.unknown {
+            d -= &(&now[*b].dn - &now[*a].dn);
+        }
+        d.zip_mut_with(&now[*a].inverse_sigma, |d, w| *d *= w * std::f32::consts::FRAC_1_SQRT_2);
+        level.features(d)
+    };
+    let all: Vec<Features> = level.pairs.iter().map(one).collect();
+    std::array::from_fn(|f| {
+        let mut values: Vec<f64> = all.iter().map(|v| v[f]).collect();
+        if level.unknown {
+            // The median is robust against a specimen that jumps or a frame that was damaged in transfer.
+            values.sort_by(f64::total_cmp);
+            return values[values.len() / 2];
+        }
+        values.iter().sum::<f64>() / values.len() as f64
+    })
+}
+
+/// Features of a standardised difference; their mean is zero for white noise of variance one.
+fn features(mut d: Array2<f32>) -> Features {
+    // A flicker of the lamp changes all pixels together and is no noise of the sensor.
+    let mean = d.mean().unwrap_or(0.0);
+    d.mapv_inplace(|v| v - mean);
+    let (rows, cols) = d.dim();
+    let n = (rows * cols).max(1) as f64;
+    let together = |dr: usize, dc: usize| -> f64 {
+        if rows <= dr || cols <= dc {
+            return 0.0;
+        }
+        let (a, b) = (d.slice(s![..rows - dr, ..cols - dc]), d.slice(s![dr.., dc..]));
+        a.iter().zip(&b).map(|(x, y)| f64::from(x * y)).sum::<f64>() / n
+    };
+    let shared = |axis: usize| -> f64 {
+        let lines = d.axis_iter(ndarray::Axis(axis));
+        let squares: f64 = lines
+            .map(|line| {
+                let sum: f64 = line.iter().map(|v| f64::from(*v)).sum();
+                sum * sum / line.len().max(1) as f64 - 1.0
+            })
+            .sum();
+        squares / d.len_of(ndarray::Axis(axis)).max(1) as f64
+    };
+    [together(0, 0) - 1.0, together(0, 1), together(1, 0), together(1, 1), shared(0), shared(1)]
+}
+
+/// Errors of the features of all levels.
+struct Sampling {
+    /// V^-1/2, [levels, levels], with V the covariance of the variances of all levels: errors of the calibrated gain
+    /// and read noise are common to all levels.
+    whitening: Array2<f64>,
+    /// Standard errors of the other features, level by level.
+    sigma: Vec<[f64; FEATURES - 1]>,
+}
+
+impl Sampling {
+    /// `expected`: the features that the effects of a state cause. Larger variances scatter more.
+    fn of(model: &Model<'_>, now: &[Predicted], levels: &[Level], expected: &[Features]) -> Self {
+        let noise = model.forward.noise();
+        let (rows, cols) = (model.seen.sensor[0] as f64, model.seen.sensor[1] as f64);
+        let read = (noise.gain_dn_per_e * noise.read_noise_e).powi(2);
+        // Relative errors of a level's variance: by its sample size, by the gain, by the read noise.
+        let more = |v: f64| (1.0 + v).max(0.5);
+        let errors: Vec<[f64; 3]> = levels
+            .iter()
+            .zip(expected)
+            .map(|(level, expected)| {
+                let mean = level.pairs.first().map_or(0.0, |(a, _)| f64::from(now[*a].light_e.mean().unwrap_or(0.0)));
+                let shot = noise.gain_dn_per_e.powi(2) * mean;
+                let total = shot + read + 1.0 / 12.0;
+                if level.unknown {
+                    return [UNKNOWN, 0.0, 0.0];
+                }
+                [
+                    more(expected[0]) * (2.0 / (rows * cols * level.pairs.len() as f64)).sqrt(),
+                    noise.gain_sigma / noise.gain_dn_per_e * shot / total,
+                    2.0 * noise.read_noise_sigma / noise.read_noise_e.max(1e-9) * read / total,
+                ]
+            })
+            .collect();
+        let n = levels.len();
+        let v = Array2::from_shape_fn((n, n), |(i, j)| {
+            let (a, b) = (errors[i], errors[j]);
+            a[1] * b[1] + a[2] * b[2] + if i == j { a[0] * b[0] } else { 0.0 }
+        });
+        let whitening = symmetric_eigen(&v).map_or_else(
+            |_| Array2::from_diag(&v.diag().mapv(|v| 1.0 / v.max(1e-30).sqrt())),
+            |SymmetricEigen { values, vectors }| {
+                (&vectors * &values.mapv(|v| 1.0 / v.max(1e-30).sqrt())).dot(&vectors.t())
+            },
+        );
+        // The drawn noise of an effect adds an error as well; it has about the size of one pair.
+        let sigma = |(level, expected): (&Level, &Features)| {
+            let shares = 1.0 / level.pairs.len() as f64;
+            let white = if level.unknown { UNKNOWN } else { (shares / (rows * cols)).sqrt() };
+            let lines = |n: f64, v: f64| (2.0 / n * (shares * more(v).powi(2) + v * v / DRAWN as f64)).sqrt();
+            [white, white, white, lines(rows, expected[4]), lines(cols, expected[5])]
+        };
+        Self { whitening, sigma: levels.iter().zip(expected).map(sigma).collect() }
+    }
+
+    /// Sum of the logarithms of the features' variances.
+    fn log_variance(&self) -> f64 {
+        let lines = self.sigma.iter().flatten().map(|s| 2.0 * s.ln()).sum::<f64>();
+        // V^-1/2 is stored, so ln det V is minus twice the sum of its logarithms.
+        let values =
+            symmetric_eigen(&self.whitening).map_or(0.0, |eigen| eigen.values.mapv(|v| v.max(1e-30).ln()).sum());
+        lines - 2.0 * values
+    }
+
+    /// Features in standard errors.
+    fn standardised(&self, raw: &[Features]) -> Vec<Features> {
+        let variance = self.whitening.dot(&Array1::from_iter(raw.iter().map(|f| f[0])));
+        let one = |((raw, sigma), v): ((&Features, &[f64; FEATURES - 1]), &f64)| {
+            std::array::from_fn(|f| if f == 0 { *v } else { raw[f] / sigma[f - 1] })
+        };
+        raw.iter().zip(&self.sigma).zip(&variance).map(one).collect()
+    }
+}
+
+/// Features of noise drawn for a level under a chain. The random numbers do not depend on the chain.
+fn noise_features(model: &Model<'_>, chain: &Chain, level: &Level, now: &[Predicted]) -> Features {
+    let mut sum = [0.0; FEATURES];
+    let Some((a, _)) = level.pairs.first() else { return sum };
+    for i in 0..DRAWN {
+        let mut rngs = ["noise features", "reading"].map(|what| stream(0x5eed, what, DRAWN * *a as u64 + i));
+        let mut d = noise_dn(model, chain, *a, &now[*a].light_e, &mut rngs);
+        d.zip_mut_with(&now[*a].inverse_sigma, |d, w| *d *= w);
+        sum.iter_mut().zip(level.features(d)).for_each(|(s, f)| *s += f);
+    }
+    sum.map(|s| s / DRAWN as f64)
+}
+
+/// Noise of frame `k` at a given light, DN, [sensor rows, sensor cols], with the effects of a chain on counted
+/// electrons. The second generator draws the noise that the chain itself adds.
+pub(crate) fn noise_dn(
+    model: &Model<'_>,
+    chain: &Chain,
+    k: usize,
+    light_e: &Array2<f32>,
+    [rng, reading]: &mut [impl Rng; 2],
+) -> Array2<f32> {
+    let noise = model.forward.noise_with(chain);
+    let read = noise.read_noise_e as f32;
+    let shot = (noise.gain_dn_per_e / model.forward.noise().gain_dn_per_e).sqrt() as f32;
+    let cx = model.context(k, None);
+    let quiet = {
+        let mut charge = light_e.clone();
+        chain.on_charge(&mut charge, &cx);
+        model.forward.to_dn(charge, chain, &cx)
+    };
+    let mut charge = light_e.mapv(|e| {
+        let z: f32 = StandardNormal.sample(rng);
+        e + shot * e.max(0.0).sqrt() * z
+    });
+    chain.on_charge(&mut charge, &cx);
+    charge.mapv_inplace(|q| {
+        let z: f32 = StandardNormal.sample(rng);
+        q + read * z
+    });
+    let mut dn = model.forward.to_dn(charge, chain, &cx);
+    chain.on_reading(&mut dn, &cx, reading);
+    dn - quiet
+}

@@ -1,0 +1,129 @@
+//! The state of a model: effects with their values, nuisance parameters, and the columns of the linearised fit.
+
+use crate::effects::{Effect, EffectSetting, Kind, Param};
+use ndarray::Array2;
+
+/// An effect with its parameter values.
+#[derive(Clone)]
+pub struct Term {
+    /// The effect.
+    pub effect: &'static dyn Effect,
+    /// Parameters in the order of [`crate::effects::Descriptor::expanded`].
+    pub params: Vec<f64>,
+    /// Value of each pixel, [sensor rows, sensor cols], for effects with a table.
+    pub table: Option<Array2<f32>>,
+    /// Rms error of a table that was estimated from this session, in the unit of the table; it is the same in every
+    /// frame.
+    pub table_error: f64,
+}
+
+impl std::fmt::Debug for Term {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}{:?}", self.id(), self.params)
+    }
+}
+
+impl Term {
+    /// Id of the effect.
+    pub fn id(&self) -> &'static str {
+        self.effect.descriptor().id
+    }
+
+    /// Names and descriptions of its parameters, for an array of `lenses` lenses.
+    pub fn expanded(&self, lenses: usize) -> Vec<(String, &'static Param)> {
+        self.effect.descriptor().expanded(lenses)
+    }
+
+    /// Indices of the strengths: the effect is absent if all of them are at their `off` value.
+    pub fn strengths(&self, lenses: usize) -> Vec<usize> {
+        let all = self.expanded(lenses);
+        (0..all.len()).filter(|i| all[*i].1.is_strength()).collect()
+    }
+
+    /// Indices of the parameters that are fitted: all but choices.
+    pub fn free(&self, lenses: usize) -> Vec<usize> {
+        let all = self.expanded(lenses);
+        (0..all.len()).filter(|i| all[*i].1.kind != Kind::Choice).collect()
+    }
+
+    /// The same term with all strengths at their `off` value and without a table.
+    pub fn switched_off(&self, lenses: usize) -> Self {
+        let mut off = Self { table: None, table_error: 0.0, ..self.clone() };
+        for (value, (_, p)) in off.params.iter_mut().zip(self.expanded(lenses)).filter(|(_, (_, p))| p.is_strength()) {
+            *value = p.off;
+        }
+        off
+    }
+
+    /// The term as an instrument file stores it.
+    pub fn setting(&self, lenses: usize) -> EffectSetting {
+        let names = self.expanded(lenses).into_iter().map(|(name, _)| name);
+        EffectSetting {
+            id: self.id().into(),
+            params: names.zip(self.params.iter().copied()).collect(),
+            table: self.table.clone(),
+        }
+    }
+}
+
+/// Effects and nuisance parameters.
+#[derive(Clone, Debug)]
+pub struct State {
+    /// Effects: those of the instrument, then those that were added, in order.
+    pub terms: Vec<Term>,
+    /// Light of each stack: of scenes, relative to the light unit of the instrument; of flats, electrons per unit of
+    /// illumination.
+    pub scale: Vec<f64>,
+    /// Black level minus that of the instrument, DN.
+    pub black_dn: f64,
+}
+
+/// What a state predicts for one frame. All images are [sensor rows, sensor cols].
+#[derive(Clone, Debug)]
+pub struct Predicted {
+    /// Light of all lenses before the effects on the sensor, electrons.
+    pub sum_e: Array2<f32>,
+    /// Light on the sensor, electrons.
+    pub light_e: Array2<f32>,
+    /// The same without the remainder of the preceding frame, if an effect leaves one.
+    pub alone_e: Option<Array2<f32>>,
+    /// Expected frame, DN.
+    pub dn: Array2<f32>,
+    /// One over the standard deviation of a pixel, 1/DN; 0: not used.
+    pub inverse_sigma: Array2<f32>,
+    /// Measured minus expected, DN (for an unknown specimen: minus its smooth part).
+    pub residual_dn: Array2<f32>,
+    /// Light of the frame relative to the light unit of the instrument: that of its stack; for a bead, its own
+    /// least-squares value.
+    pub scale: f64,
+}
+
+impl Predicted {
+    /// The light of which the next frame may hold a remainder. Remainders of remainders are neglected.
+    pub fn alone_e(&self) -> &Array2<f32> {
+        self.alone_e.as_ref().unwrap_or(&self.light_e)
+    }
+}
+
+/// A column of the design matrix: the change of the frames with one value.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Column {
+    /// ln of the light of a stack, by its index.
+    Scale(usize),
+    /// Black level.
+    Black,
+    /// A parameter of a trial term beside those of the state.
+    Trial {
+        /// Index of the term among the trial terms.
+        term: usize,
+        /// Index of the parameter.
+        param: usize,
+    },
+    /// A parameter of a term of the state.
+    Own {
+        /// Index of the term.
+        term: usize,
+        /// Index of the parameter.
+        param: usize,
+    },
+}

@@ -1,0 +1,82 @@
+//! Effects that were scored (candidates), and effects that were added (found).
+
+use crate::closing::evidence::{TableFit, Test};
+use crate::closing::fit::Term;
+
+/// Penalty of each additional parameter, in units of chi-squared.
+pub(crate) const PENALTY: f64 = 6.0;
+
+/// An effect with its score test.
+#[derive(Clone, Debug)]
+pub struct Candidate {
+    /// The effect at the best of its starting values.
+    pub term: Term,
+    /// Columns of its strengths in the design matrix.
+    pub columns: Vec<usize>,
+    /// The test of its strengths; None: this session does not determine it.
+    pub test: Option<Test>,
+    /// Number of independent starting values that the best was selected from.
+    pub chances: f64,
+    /// Its estimated table, for an effect with a table instead of columns.
+    pub table: Option<TableFit>,
+}
+
+impl Candidate {
+    /// Probability of such evidence without the effect, corrected for the number of starting values (Bonferroni).
+    pub fn p(&self) -> f64 {
+        if let Some(table) = &self.table {
+            return table.p;
+        }
+        self.test.as_ref().map_or(1.0, |t| (t.p * self.chances).min(1.0))
+    }
+
+    /// Estimate of its first strength. None: this session does not determine it.
+    pub fn first(&self) -> Option<Estimate> {
+        if let Some(table) = &self.table {
+            return Some(Estimate { value: table.size, sigma: table.size_sigma });
+        }
+        let t = self.test.as_ref()?;
+        Some(Estimate { value: *t.theta.first()?, sigma: t.covariance.get((0, 0))?.sqrt() })
+    }
+
+    /// Test statistic less the penalties for its parameters and starting values. Candidates are ranked by it.
+    pub(crate) fn worth(&self) -> f64 {
+        if let Some(table) = &self.table {
+            return table.z * table.z.abs() - PENALTY;
+        }
+        self.test.as_ref().map_or(f64::NEG_INFINITY, |t| t.t - PENALTY * t.dof - 2.0 * self.chances.ln())
+    }
+}
+
+/// An estimated strength in the unit of [`crate::effects::Param::inner`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Estimate {
+    /// Distance from the value at which the effect is absent.
+    pub value: f64,
+    /// Standard error.
+    pub sigma: f64,
+}
+
+/// An effect that would explain the data nearly as well as another.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Alternative {
+    /// Its id.
+    pub id: &'static str,
+    /// Squared correlation of the signatures of the two effects, with everything fitted projected out.
+    pub overlap: f64,
+}
+
+/// An effect that was added.
+#[derive(Clone, Debug)]
+pub struct Found {
+    /// Its id.
+    pub id: &'static str,
+    /// Strength of the evidence when it was added, standard deviations.
+    pub z: f64,
+    /// Fall of the deviance of held-out data when it was added.
+    pub held_out_gain: f64,
+    /// Effects that would explain the data nearly as well, most similar first.
+    pub ambiguity: Vec<Alternative>,
+    /// Standard error of the size of its table, for an effect with a table.
+    pub table_sigma: Option<f64>,
+}

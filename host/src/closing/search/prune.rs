@@ -1,0 +1,89 @@
+//! Backward elimination: effects that are not needed beside the others are removed again.
+
+use super::candidate::Found;
+use super::select::ALPHA;
+use crate::closing::evidence::{Scores, Test, f_tail};
+use crate::closing::fit::{
+    Column, Design, Fitted, Model, Replicas, Term, nuisances, own_columns, pseudo_inverse, refit,
+};
+use crate::forward::ForwardError;
+use ndarray::Array1;
+
+/// A term is kept if its removal raises the deviance by more than this, over the scatter between clusters.
+const NEEDED: f64 = 16.0;
+
+/// Result of the pruning.
+pub(crate) struct Pruned {
+    pub(crate) now: Fitted,
+    pub(crate) found: Vec<Found>,
+    /// The test of each term of the state.
+    pub(crate) tests: Vec<Option<Test>>,
+    /// Terms that were removed.
+    pub(crate) removed: Vec<Term>,
+}
+
+/// Removes terms that are not needed beside the others, the least significant first, and tests those that are kept. The
+/// first `own` terms of the state belong to the instrument and are kept.
+pub(crate) fn prune(
+    model: &Model<'_>,
+    replicas: &Replicas,
+    mut now: Fitted,
+    mut found: Vec<Found>,
+    own: usize,
+) -> Result<Pruned, ForwardError> {
+    let mut needed: Vec<&str> = Vec::new();
+    let mut removed = Vec::new();
+    loop {
+        let columns: Vec<Column> = nuisances(model).into_iter().chain(own_columns(model, &now.state)).collect();
+        let of_frames = replicas.of(model, &now);
+        let design = Design::compute(model, now.expansion(&[]), columns.clone(), &of_frames)?;
+        let test = |t: usize| -> Option<Test> {
+            let of_term = |c: &Column| matches!(c, Column::Own { term, .. } if *term == t);
+            let mine: Vec<usize> = (0..columns.len()).filter(|i| of_term(&columns[*i])).collect();
+            let others = (0..columns.len()).filter(|i| !of_term(&columns[*i])).collect();
+            Scores::new(&design, others).test(&mine)
+        };
+        let tests: Vec<Option<Test>> = (0..now.state.terms.len()).map(test).collect();
+        // Wald tests of the strengths.
+        let weakest = (own..tests.len())
+            .filter(|t| !needed.contains(&now.state.terms[*t].id()))
+            .filter_map(|t| Some((t, wald(model, &now.state.terms[t], tests[t].as_ref()?))))
+            .max_by(|a, b| a.1.total_cmp(&b.1));
+        match weakest {
+            Some((t, p)) if p > ALPHA => {
+                let mut state = now.state.clone();
+                let term = state.terms.remove(t);
+                let without = refit(model, state)?;
+                // Correlated parameters are uncertain one by one although the term as a whole is not.
+                let weight = tests[t].as_ref().map_or(1.0, |test| test.phi);
+                let rise = (without.training.deviance - now.training.deviance)
+                    .max(without.held_out.deviance - now.held_out.deviance);
+                if rise / weight > NEEDED {
+                    needed.push(term.id());
+                } else {
+                    found.remove(t - own);
+                    removed.push(term);
+                    now = without;
+                }
+            }
+            _ => {
+                now.state = model.gauged(now.state);
+                return Ok(Pruned { now, found, tests, removed });
+            }
+        }
+    }
+}
+
+/// Wald test: probability that the strengths of a term are this far from the values at which it is absent.
+fn wald(model: &Model<'_>, term: &Term, test: &Test) -> f64 {
+    let (expanded, free) = (term.expanded(model.lenses()), term.free(model.lenses()));
+    // Positions of the strengths among the columns of the term.
+    let strengths: Vec<usize> = (0..free.len()).filter(|i| expanded[free[*i]].1.is_strength()).collect();
+    let d = Array1::from_iter(strengths.iter().map(|i| {
+        let p = expanded[free[*i]].1;
+        p.inner(term.params[free[*i]]) - p.inner(p.off)
+    }));
+    let covariance = test.covariance.select(ndarray::Axis(0), &strengths).select(ndarray::Axis(1), &strengths);
+    let t = d.dot(&pseudo_inverse(&covariance).dot(&d));
+    f_tail(t / d.len() as f64, d.len() as f64, test.nu)
+}

@@ -1,0 +1,128 @@
+//! Recalibration: when the PSFs vary more over the field than the model allows, no single effect explains it, and the
+//! model needs more terms. A trial calibration on the training beads of the session, judged on the held-out beads,
+//! measures how much better the model could be.
+
+use crate::calibrate::{CalibrateConfig, calibrate};
+use crate::closing::data::{Budget, Observations, bead_is_held_out};
+use crate::closing::evidence::{Figures, figures};
+use crate::closing::fit::{Model, refit};
+use crate::instrument::Instrument;
+use crate::session::{
+    ComputedFrames, ComputedStack, FrameInfo, FrameReader, Manifest, Role, Session, SessionError, Stack, StackEntry,
+};
+use ndarray::Array2;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// A new calibration counts if it lowers the NRMSE of held-out beads below this share of the old one's.
+const BETTER: f64 = 0.9;
+
+/// Calibrates on the training beads of a session, all but one colour of the checkerboard. Returns the instrument if it
+/// predicts the held-out beads clearly better than `before` does (NRMSE lower by a tenth). Returns None as well where
+/// the session has no beads, or has scenes with known objects, which judge the model better than beads.
+///
+/// # Errors
+/// The session cannot be read or calibrated.
+pub fn trial_calibration(
+    session: &Session,
+    before: &Instrument,
+    config: &CalibrateConfig,
+) -> anyhow::Result<Option<Instrument>> {
+    let known = session.stacks_of(Role::Scene).any(|s| s.entry().truth.is_some());
+    if known || session.stacks_of(Role::Bead).next().is_none() {
+        return Ok(None);
+    }
+    let trial = calibrate(&without_held_out_beads(session)?, config, || {})?.instrument;
+    let nrmse = |instrument| -> anyhow::Result<f64> { Ok(held_out_figures(session, instrument)?.nrmse) };
+    Ok((nrmse(&trial)? < BETTER * nrmse(before)?).then_some(trial))
+}
+
+/// How well an instrument predicts the held-out frames of a session, with the light of each stack and the black level
+/// fitted to the other frames.
+///
+/// # Errors
+/// The session cannot be read, or has another layout than the instrument.
+pub fn held_out_figures(session: &Session, instrument: &Instrument) -> anyhow::Result<Figures> {
+    let seen = Observations::read(session, &Budget::default())?;
+    let model = Model::new(instrument, &seen)?;
+    Ok(figures(&model, &refit(&model, model.state(instrument)?)?))
+}
+
+/// The session without its scenes and held-out beads. Its frames are read from the files of the session when they are
+/// needed.
+fn without_held_out_beads(session: &Session) -> Result<Session, SessionError> {
+    let mut stacks = Vec::new();
+    for stack in session.stacks().iter().filter(|s| s.role() != Role::Scene) {
+        let kept = |i: &usize| stack.role() != Role::Bead || !bead_is_held_out(*i);
+        let indices: Vec<usize> = (0..stack.len()).filter(kept).collect();
+        let info =
+            indices.iter().enumerate().map(|(n, i)| FrameInfo { frame: n, ..stack.info()[*i].clone() }).collect();
+        let entry = StackEntry { truth: None, expected: None, ..stack.entry().clone() };
+        let frames: Arc<dyn ComputedFrames> = Arc::new(Selected::of(stack, indices)?);
+        stacks.push(ComputedStack { entry, info, frames });
+    }
+    let entries = stacks.iter().map(|stack| stack.entry.clone()).collect();
+    let manifest = Manifest { stacks: entries, ..session.manifest().clone() };
+    Ok(Session::computed(session.dir(), manifest, stacks))
+}
+
+/// Some frames of a stack.
+#[derive(Debug)]
+struct Selected {
+    reader: Mutex<FrameReader>,
+    /// Rows and columns of a frame.
+    size: [usize; 2],
+    /// Their indices in the stack.
+    indices: Vec<usize>,
+}
+
+impl Selected {
+    fn of(stack: &Stack, indices: Vec<usize>) -> Result<Self, SessionError> {
+        let reader = stack.frames()?;
+        Ok(Self { size: [reader.rows(), reader.cols()], reader: Mutex::new(reader), indices })
+    }
+}
+
+impl ComputedFrames for Selected {
+    fn shape(&self) -> [usize; 3] {
+        [self.indices.len(), self.size[0], self.size[1]]
+    }
+
+    fn frames_from(&self, i: usize) -> Result<Vec<Array2<f32>>, SessionError> {
+        let mut reader = self.reader.lock().unwrap_or_else(PoisonError::into_inner);
+        Ok(vec![reader.read(self.indices[i])?])
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+    use crate::bench::{BenchConfig, ScanConfig};
+
+    #[test]
+    fn held_out_beads_and_scenes_are_absent_and_all_other_frames_are_the_same() {
+        let mut config = BenchConfig::default();
+        (config.sensor.rows, config.sensor.cols) = (50, 70);
+        (config.array.rows, config.array.cols, config.array.pitch_px) = (1, 2, 20.0);
+        config.optics.psf_field_px = 31;
+        config.optics.aperture_um = 20.0;
+        (config.object.rows, config.object.cols) = (18, 22);
+        config.scan = ScanConfig { rows: 1, cols: 5, ..ScanConfig::default() };
+        (config.stacks.dark_frames, config.stacks.flat_frames, config.stacks.scene_frames) = (2, 1, 1);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("session");
+        config.build(&[]).unwrap().measure(&path, 3, |_| ()).unwrap();
+        let whole = Session::open(&path).unwrap();
+        let part = without_held_out_beads(&whole).unwrap();
+        assert!(part.stacks_of(Role::Scene).next().is_none());
+        for (all, some) in whole.stacks().iter().filter(|s| s.role() != Role::Scene).zip(part.stacks()) {
+            let step = if all.role() == Role::Bead { 2 } else { 1 };
+            assert_eq!((all.role(), all.len().div_ceil(step)), (some.role(), some.len()));
+            let (mut a, mut b) = (all.frames().unwrap(), some.frames().unwrap());
+            for i in 0..some.len() {
+                assert_eq!(a.read(step * i).unwrap(), b.read(i).unwrap());
+                assert_eq!(FrameInfo { frame: i, ..all.info()[step * i].clone() }, some.info()[i]);
+            }
+        }
+    }
+}

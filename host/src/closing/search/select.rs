@@ -1,0 +1,329 @@
+//! Forward selection: score every trial term, fit the best in full, accept it on held-out data, until none is
+//! significant.
+
+use super::candidate::{Alternative, Candidate, Found, PENALTY};
+use super::trials::{NEEDS_CALIBRATION, Tried, evidence};
+use crate::closing::evidence::{Scores, TableFit, Test, holm, tables};
+use crate::closing::fit::{
+    Column, Design, Fitted, Model, Replicas, State, Term, nuisances, own_columns, refit, refit_from,
+};
+use crate::effects::Stage;
+use crate::forward::ForwardError;
+use crate::session::Role;
+use ndarray::Array2;
+
+/// Family-wise error rate: probability that an effect is significant although the model is complete (Holm).
+pub const ALPHA: f64 = 0.02;
+/// Effects within this chi-squared of the best are ambiguous with it.
+pub const AMBIGUOUS: f64 = 10.8;
+/// Maximum number of effects that are added.
+const MOST: usize = 6;
+/// A term without a name is tried only if at least this share of its squared norm is independent of the model's
+/// columns.
+const DISTINCT: f64 = 0.1;
+/// Number of the best candidates that are fitted in full.
+const FINALISTS: usize = 3;
+/// Number of effects similar to the best that are fitted in full as well.
+const LOOKALIKES: usize = 2;
+
+/// Scores of all trial terms beside a state.
+pub(crate) struct Scored {
+    design: Design,
+    /// Columns that are projected out of all others.
+    taken: Vec<usize>,
+    /// Each effect at the best of its starting values.
+    pub(crate) candidates: Vec<Candidate>,
+}
+
+/// Scores trial terms beside a fitted state.
+///
+/// # Errors
+/// An object holds negative or non-finite light.
+pub(crate) fn score(
+    model: &Model<'_>,
+    fitted: &Fitted,
+    replicas: &[Vec<Option<Array2<f32>>>],
+    terms: &[Term],
+) -> Result<Scored, ForwardError> {
+    let given: Vec<Column> = nuisances(model).into_iter().chain(own_columns(model, &fitted.state)).collect();
+    let taken: Vec<usize> = (0..given.len()).collect();
+    let mut columns = given;
+    let mut spans = Vec::new();
+    for (t, term) in terms.iter().enumerate() {
+        let first = columns.len();
+        columns.extend(term.strengths(model.lenses()).into_iter().map(|param| Column::Trial { term: t, param }));
+        spans.push(first..columns.len());
+    }
+    let design = Design::compute(model, fitted.expansion(terms), columns, replicas)?;
+    let scores = Scores::new(&design, taken.clone());
+    let scenes = model.seen.of(Role::Scene).count();
+    let mut candidates: Vec<Candidate> = Vec::new();
+    for (term, span) in terms.iter().zip(spans) {
+        let columns: Vec<usize> = span.collect();
+        let unnamed = term.id().starts_with("unknown");
+        let test = scores.test(&columns).filter(|t| !unnamed || t.left > DISTINCT).map(|t| one_sided(model, term, t));
+        let starts = terms.iter().filter(|t| t.id() == term.id()).count() as f64;
+        let chances = starts.max(term.effect.chances(model.seen.sensor, scenes));
+        let candidate = Candidate { term: term.clone(), columns, test, chances, table: None };
+        match candidates.iter_mut().find(|c| c.term.id() == term.id()) {
+            Some(best) if candidate.worth() > best.worth() => *best = candidate,
+            Some(_) => {}
+            None => candidates.push(candidate),
+        }
+    }
+    Ok(Scored { design, taken, candidates })
+}
+
+/// Sets the evidence of a single strength to zero if its estimate has the forbidden sign.
+fn one_sided(model: &Model<'_>, term: &Term, test: Test) -> Test {
+    let strengths = term.strengths(model.lenses());
+    let expanded = term.expanded(model.lenses());
+    let impossible = |i: usize| expanded[strengths[i]].1.forbidden_side() * test.theta[i] > 0.0;
+    if test.theta.len() == 1 && impossible(0) { Test { t: 0.0, p: 1.0, z: 0.0, ..test } } else { test }
+}
+
+/// The state with a candidate added at its estimated strengths.
+fn with(model: &Model<'_>, state: &State, candidate: &Candidate) -> State {
+    let mut next = state.clone();
+    let mut term = candidate.term.clone();
+    if let Some(test) = &candidate.test {
+        let expanded = term.expanded(model.lenses());
+        for (i, v) in term.strengths(model.lenses()).into_iter().zip(&test.theta) {
+            let p = expanded[i].1;
+            term.params[i] = p.outer(p.inner(p.off) + v);
+        }
+    }
+    next.terms.push(term);
+    next
+}
+
+/// Share of the gain of a trial calibration that an effect must reach to be accepted instead of it.
+const ENOUGH: f64 = 0.5;
+
+/// A search in progress.
+pub struct Search<'m, 'a> {
+    model: &'m Model<'a>,
+    replicas: &'m Replicas,
+    /// The present state, fitted.
+    pub now: Fitted,
+    /// Effects that were added so far.
+    pub found: Vec<Found>,
+    /// Candidates of the last step that were not added, with their scores.
+    pub rest: Vec<Candidate>,
+    /// Ids of effects that are not tried.
+    pub exclude: Vec<String>,
+    /// Deviance of the held-out cells under a trial calibration, if that is better than the old one.
+    pub trial_deviance: Option<f64>,
+}
+
+impl<'m, 'a> Search<'m, 'a> {
+    /// Starts from a fitted state.
+    pub fn new(model: &'m Model<'a>, replicas: &'m Replicas, now: Fitted) -> Self {
+        Self { model, replicas, now, found: Vec::new(), rest: Vec::new(), exclude: Vec::new(), trial_deviance: None }
+    }
+
+    /// Adds one effect after another as long as the score test is significant and the full fit improves both the
+    /// training and the held-out data. Calls `progress` with the id of each effect that is fitted.
+    ///
+    /// # Errors
+    /// An object holds negative or non-finite light.
+    pub fn run(&mut self, tried: Tried, progress: &mut impl FnMut(&str)) -> Result<(), ForwardError> {
+        let mut refused: Vec<&'static str> = Vec::new();
+        loop {
+            let mut terms = tried.terms(self.model, &self.now.state, &evidence(self.model, &self.now));
+            let excluded = |id: &str| self.exclude.iter().any(|e| e == id);
+            terms.retain(|t| !excluded(t.id()));
+            let of_frames = self.replicas.of(self.model, &self.now);
+            let Scored { design, taken, mut candidates } = score(self.model, &self.now, &of_frames, &terms)?;
+            candidates.extend(tabled(self.model, &self.now, tried).into_iter().filter(|c| !excluded(c.term.id())));
+            candidates.sort_by(|a, b| b.worth().total_cmp(&a.worth()));
+            log(&candidates);
+            let p: Vec<f64> = candidates.iter().map(Candidate::p).collect();
+            let significant = holm(&p, ALPHA);
+            let open = |c: &Candidate| !refused.contains(&c.term.id()) && c.worth() > 0.0;
+            let able: Vec<&Candidate> =
+                candidates.iter().zip(&significant).filter(|(c, s)| **s && open(c)).map(|(c, _)| c).collect();
+            let finalists = finalists(&able);
+            if finalists.is_empty() || self.found.len() >= MOST {
+                self.rest = candidates;
+                return Ok(());
+            }
+            let verdict = self.confirm(&finalists, progress)?;
+            match self.or_calibration(verdict, &candidates)? {
+                Verdict::Added(it) => {
+                    let found = self.describe(&design, taken, &candidates, &it);
+                    self.found.push(found);
+                    self.now = it.fit;
+                    if self.needs_calibration() {
+                        self.rest = candidates;
+                        return Ok(());
+                    }
+                }
+                Verdict::Refused(id) => refused.push(id),
+            }
+        }
+    }
+
+    /// Whether the next step must be a new calibration, not another effect.
+    pub fn needs_calibration(&self) -> bool {
+        self.trial_deviance.is_some() && self.found.iter().any(|f| f.id == NEEDS_CALIBRATION)
+    }
+
+    /// The verdict, or, if the trial calibration is far better than any effect, the effect that stands for a new
+    /// calibration. A calibration adapts to any change of the PSFs, so it is better than the right effect as well, but
+    /// not by much.
+    fn or_calibration<'c>(
+        &self,
+        verdict: Verdict<'c>,
+        candidates: &'c [Candidate],
+    ) -> Result<Verdict<'c>, ForwardError> {
+        let Some(trial) = self.trial_deviance.filter(|_| self.found.is_empty()) else { return Ok(verdict) };
+        let before = self.now.held_out.deviance;
+        let gain = match &verdict {
+            Verdict::Added(it) => it.gain,
+            Verdict::Refused(_) => 0.0,
+        };
+        let sign = candidates.iter().find(|c| c.term.id() == NEEDS_CALIBRATION);
+        let Some(candidate) = sign.filter(|_| gain < ENOUGH * (before - trial)) else { return Ok(verdict) };
+        let fit = refit_from(self.model, with(self.model, &self.now.state, candidate), self.now.scenes.clone())?;
+        // All other effects were compared with it and are worse.
+        let behind = candidates.iter().map(|c| (c.term.id(), f64::INFINITY)).collect();
+        Ok(Verdict::Added(Added { fit, candidate, gain: before - trial, behind }))
+    }
+
+    /// Fits the finalists in full and checks the best on held-out data.
+    fn confirm<'c>(
+        &self,
+        finalists: &[&'c Candidate],
+        progress: &mut impl FnMut(&str),
+    ) -> Result<Verdict<'c>, ForwardError> {
+        // The scatter between clusters and the errors of the calibration weight the full fits as they do the scores,
+        // with one weight for all: an effect with many parameters must not win by fitting errors of the calibration.
+        let weight = |c: &Candidate| c.test.as_ref().map_or(1.0, |t| (t.gain / t.t.max(1e-9)).max(1.0));
+        let heaviest = finalists.iter().map(|c| weight(c)).fold(1.0, f64::max);
+        let mut best: Option<(f64, Fitted, &Candidate)> = None;
+        let mut costs: Vec<(&'static str, f64)> = Vec::new();
+        let mut least = f64::INFINITY;
+        for c in finalists {
+            progress(c.term.id());
+            let next = with(self.model, &self.now.state, c);
+            let emission = c.term.effect.descriptor().stage == Stage::Object;
+            let fit = if emission {
+                refit(self.model, next)?
+            } else {
+                refit_from(self.model, next, self.now.scenes.clone())?
+            };
+            let (fall, price) = (self.now.training.deviance - fit.training.deviance, PENALTY * c.columns.len() as f64);
+            tracing::info!("  fitted {:?}: fall {fall:.1}, price {price:.0}", fit.state.terms.last());
+            let cost = price * heaviest - fall;
+            costs.push((c.term.id(), cost));
+            if cost < least {
+                least = cost;
+                let worth = if c.table.is_some() { c.worth() } else { fall / weight(c) - price };
+                best = Some((worth, fit, *c));
+            }
+        }
+        let Some((worth, fit, candidate)) = best else {
+            return Ok(Verdict::Refused(finalists.first().map_or("", |c| c.term.id())));
+        };
+        let gain = self.now.held_out.deviance - fit.held_out.deviance;
+        if worth <= 0.0 || gain <= 0.0 {
+            return Ok(Verdict::Refused(candidate.term.id()));
+        }
+        let behind = costs.into_iter().map(|(id, cost)| (id, (cost - least) / heaviest)).collect();
+        Ok(Verdict::Added(Added { fit, candidate, gain, behind }))
+    }
+
+    /// The added effect with its evidence and its ambiguities: finalists are compared by their full fits, other effects
+    /// by their scores.
+    fn describe(&self, design: &Design, taken: Vec<usize>, candidates: &[Candidate], added: &Added<'_>) -> Found {
+        let it = added.candidate;
+        let scores = Scores::new(design, taken);
+        let theta = it.test.as_ref().map_or(&[][..], |t| &t.theta);
+        let near = |c: &&Candidate| match added.behind.iter().find(|(id, _)| *id == c.term.id()) {
+            Some((_, behind)) => *behind < AMBIGUOUS,
+            None => c.worth() > it.worth() - AMBIGUOUS && c.worth() > 0.0,
+        };
+        let mut ambiguity: Vec<Alternative> = candidates
+            .iter()
+            .filter(|c| c.term.id() != it.term.id())
+            .filter(near)
+            .map(|c| Alternative { id: c.term.id(), overlap: scores.overlap(&it.columns, theta, &c.columns) })
+            .collect();
+        ambiguity.sort_by(|a, b| b.overlap.total_cmp(&a.overlap));
+        let z = it.table.as_ref().map(|t| t.z).or(it.test.as_ref().map(|t| t.z)).unwrap_or(0.0);
+        let table_sigma = it.table.as_ref().map(|t| t.sigma);
+        Found { id: it.term.id(), z, held_out_gain: added.gain, ambiguity, table_sigma }
+    }
+}
+
+/// Result of the full fits.
+enum Verdict<'c> {
+    /// The best finalist is added.
+    Added(Added<'c>),
+    /// The best finalist, given by its id, does not improve the fit or the held-out data.
+    Refused(&'static str),
+}
+
+/// An effect that is added.
+struct Added<'c> {
+    fit: Fitted,
+    candidate: &'c Candidate,
+    /// Fall of the deviance of held-out data.
+    gain: f64,
+    /// Id of each effect that was compared, and how much larger its deviance is, over the scatter.
+    behind: Vec<(&'static str, f64)>,
+}
+
+/// The candidates that are fitted in full: the best by the score test; and, since the scores of a large effect are far
+/// from linear, the simplest of those that explain nearly as much by the noise alone, and the effects that the
+/// catalogue lists as similar to the best.
+fn finalists<'c>(able: &[&'c Candidate]) -> Vec<&'c Candidate> {
+    let gain = |c: &Candidate| c.test.as_ref().map_or(0.0, |t| t.gain);
+    let (top, most) = able.iter().fold((0.0, 0.0), |m: (f64, f64), c| (m.0.max(c.worth()), m.1.max(gain(c))));
+    let mut chosen: Vec<&Candidate> = able.iter().filter(|c| c.worth() > 0.5 * top).take(FINALISTS).copied().collect();
+    let open = |chosen: &[&Candidate], c: &Candidate| !chosen.iter().any(|b| b.term.id() == c.term.id());
+    let mut simple: Vec<&Candidate> =
+        able.iter().filter(|c| gain(c) > 0.7 * most && open(&chosen, c)).copied().collect();
+    simple.sort_by_key(|c| c.columns.len());
+    chosen.extend(simple.into_iter().take(1));
+    let says = |a: &Candidate, b: &Candidate| a.term.effect.descriptor().lookalikes.iter().any(|l| l.id == b.term.id());
+    if let Some(best) = chosen.first().copied() {
+        let alike = |c: &&&Candidate| gain(c) > 0.2 * gain(best) && (says(best, c) || says(c, best));
+        let more: Vec<&Candidate> = able.iter().filter(alike).filter(|c| open(&chosen, c)).copied().collect();
+        chosen.extend(more.into_iter().take(LOOKALIKES));
+    }
+    chosen
+}
+
+/// Candidates with an estimated table.
+fn tabled(model: &Model<'_>, now: &Fitted, tried: Tried) -> Vec<Candidate> {
+    let fits = match tried {
+        Tried::Curves => Vec::new(),
+        Tried::Catalogue | Tried::Maps => tables::fit(model, &now.state, &now.predicted, tried == Tried::Catalogue),
+    };
+    let candidate =
+        |t: TableFit| Candidate { term: t.term.clone(), columns: Vec::new(), test: None, chances: 1.0, table: Some(t) };
+    fits.into_iter().map(candidate).collect()
+}
+
+fn log(candidates: &[Candidate]) {
+    for c in candidates.iter().take(6) {
+        if let Some(t) = &c.test {
+            tracing::info!(
+                "{} {:?}: z {:.2}, t {:.1}, gain {:.1}, phi {:.2}, nu {:.0}, dof {}, theta {:?}",
+                c.term.id(),
+                c.term.params,
+                t.z,
+                t.t,
+                t.gain,
+                t.phi,
+                t.nu,
+                t.dof,
+                &t.theta[..t.theta.len().min(3)]
+            );
+        } else if let Some(t) = &c.table {
+            tracing::info!("{} table: z {:.2}, size {:?} +- {:.2e}", c.term.id(), t.z, t.term.params.first(), t.sigma);
+        }
+    }
+}

@@ -1,0 +1,160 @@
+//! A live view in the browser: a page with the last reconstruction and its figures, served by this process.
+
+use super::stream::StreamedFrame;
+use serde_json::json;
+use std::io::{BufRead, BufReader, Write};
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+const PAGE: &str = include_str!("view.html");
+/// Time limit for one request of a browser.
+const PATIENCE: Duration = Duration::from_secs(2);
+
+/// Content of the page.
+#[derive(Debug, Default)]
+struct Shown {
+    /// The picture, PNG.
+    png: Vec<u8>,
+    /// Its figures, JSON.
+    state: String,
+}
+
+/// The live view; it works with or without a browser.
+#[derive(Debug)]
+pub struct LiveView {
+    shown: Arc<Mutex<Shown>>,
+    address: Option<SocketAddr>,
+}
+
+impl LiveView {
+    /// A view that is not served.
+    pub fn none() -> Self {
+        Self { shown: Arc::default(), address: None }
+    }
+
+    /// Serves the page at `address`, e.g. `127.0.0.1:8080`, until the process ends.
+    ///
+    /// # Errors
+    /// The address is in use, or does not belong to this computer.
+    pub fn serve(address: SocketAddr) -> std::io::Result<Self> {
+        let listener = TcpListener::bind(address)?;
+        let address = Some(listener.local_addr()?);
+        let shown: Arc<Mutex<Shown>> = Arc::default();
+        let mine = Arc::clone(&shown);
+        std::thread::Builder::new().name("view".into()).spawn(move || {
+            for browser in listener.incoming().flatten() {
+                // A browser that has left is no loss.
+                let _ = answer(&browser, &mine);
+            }
+        })?;
+        Ok(Self { shown, address })
+    }
+
+    /// Address of the page; `None` if it is not served.
+    pub fn address(&self) -> Option<SocketAddr> {
+        self.address
+    }
+
+    /// Shows a reconstruction; its maximum is white.
+    pub fn show(&self, frame: &StreamedFrame) {
+        if self.address.is_none() {
+            return;
+        }
+        let values: Vec<f32> = frame.object.iter().map(|half| half.to_f32()).collect();
+        let max = values.iter().copied().fold(f32::MIN_POSITIVE, f32::max);
+        let grey: Vec<u8> = values.iter().map(|value| (255.0 * value / max).round() as u8).collect();
+        let mut png = Vec::new();
+        let mut encoder = png::Encoder::new(&mut png, frame.report.region.cols.into(), frame.report.region.rows.into());
+        encoder.set_color(png::ColorType::Grayscale);
+        encoder.set_depth(png::BitDepth::Eight);
+        if encoder.write_header().and_then(|mut writer| writer.write_image_data(&grey)).is_err() {
+            return;
+        }
+        let state = json!({
+            "frame": frame.frame, "seconds": frame.at.as_secs_f64(), "dropped": frame.dropped,
+            "dropped_before": frame.dropped_before, "saturated_px": frame.report.saturated_px, "max": max,
+            "field_frame": frame.field_frame, "exact": frame.report.field_age == 0,
+        });
+        *self.shown.lock().unwrap_or_else(PoisonError::into_inner) = Shown { png, state: state.to_string() };
+    }
+}
+
+/// Answers one request of a browser.
+fn answer(mut browser: &TcpStream, shown: &Mutex<Shown>) -> std::io::Result<()> {
+    browser.set_read_timeout(Some(PATIENCE))?;
+    browser.set_write_timeout(Some(PATIENCE))?;
+    let mut line = String::new();
+    // The rest of the request does not matter; a first line of any length does.
+    BufReader::new(std::io::Read::take(browser, 4096)).read_line(&mut line)?;
+    let path = line.split(' ').nth(1).unwrap_or_default();
+    let (kind, body) = {
+        let shown = shown.lock().unwrap_or_else(PoisonError::into_inner);
+        match path.split('?').next().unwrap_or_default() {
+            "/" => ("text/html; charset=utf-8", PAGE.as_bytes().to_vec()),
+            "/state" => ("application/json", shown.state.clone().into_bytes()),
+            "/frame.png" => ("image/png", shown.png.clone()),
+            _ => ("", Vec::new()),
+        }
+    };
+    let status = if kind.is_empty() { "404 Not Found" } else { "200 OK" };
+    write!(
+        browser,
+        "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {}\r\nCache-Control: no-store\r\nConnection: \
+            close\r\n\r\n",
+        body.len()
+    )?;
+    browser.write_all(&body)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use half::f16;
+    use ommatidia_shared::image::Region;
+    use ommatidia_shared::wire::RunReport;
+    use std::io::Read;
+
+    fn get(address: SocketAddr, path: &str) -> Vec<u8> {
+        let mut stream = TcpStream::connect(address).unwrap();
+        write!(stream, "GET {path} HTTP/1.1\r\nHost: x\r\n\r\n").unwrap();
+        let mut answer = Vec::new();
+        // The rest of the request is not read, so the system may say so at the end.
+        let _ = stream.read_to_end(&mut answer);
+        answer
+    }
+
+    #[test]
+    fn a_browser_gets_the_page_the_picture_and_the_numbers() {
+        let view = LiveView::serve("127.0.0.1:0".parse().unwrap()).unwrap();
+        let address = view.address().unwrap();
+        let report = RunReport {
+            id: 1,
+            region: Region::whole(2, 3),
+            field_id: 1,
+            field_age: 4,
+            len: 12,
+            saturated_px: 5,
+            frame_max_dn: 1.0,
+            filter_finite: true,
+            frame_crc: 0,
+            object_crc: 0,
+        };
+        let object = [0.0, 0.25, 0.5, 0.0, 0.0, 0.0].map(f16::from_f32).to_vec();
+        let (at, field_frame) = (Duration::ZERO, 3);
+        let frame = StreamedFrame { frame: 7, at, dropped_before: 2, dropped: 3, field_frame, report, object };
+        view.show(&frame);
+        let text = |path| String::from_utf8_lossy(&get(address, path)).into_owned();
+        assert!(text("/").contains("frame.png"));
+        for field in ["\"dropped\":3", "\"exact\":false", "\"field_frame\":3"] {
+            assert!(text("/state").contains(field), "{}", text("/state"));
+        }
+        assert!(text("/elsewhere").starts_with("HTTP/1.1 404"));
+        let picture = get(address, "/frame.png?n=1");
+        let at = picture.windows(4).position(|bytes| bytes == b"\r\n\r\n").unwrap() + 4;
+        let mut reader = png::Decoder::new(std::io::Cursor::new(&picture[at..])).read_info().unwrap();
+        let mut pixels = vec![0; 6];
+        reader.next_frame(&mut pixels).unwrap();
+        assert_eq!(pixels, [0, 128, 255, 0, 0, 0]);
+    }
+}

@@ -1,0 +1,114 @@
+//! The list of all effects.
+
+use super::adc_nonlinearity::AdcNonlinearity;
+use super::array_rotation::ArrayRotation;
+use super::array_shift::ArrayShift;
+use super::background::Background;
+use super::black_level_drift::BlackLevelDrift;
+use super::brighter_fatter::BrighterFatter;
+use super::charge_diffusion::ChargeDiffusion;
+use super::column_pattern::ColumnPattern;
+use super::dark_current::DarkCurrent;
+use super::defocus::Defocus;
+use super::dsnu::Dsnu;
+use super::dust::Dust;
+use super::effect::Effect;
+use super::excitation_profile::ExcitationProfile;
+use super::exposure_offset::ExposureOffset;
+use super::field_curvature::FieldCurvature;
+use super::flicker_banding::FlickerBanding;
+use super::ghost::Ghost;
+use super::halo::Halo;
+use super::hot_pixels::HotPixels;
+use super::interpixel_capacitance::InterpixelCapacitance;
+use super::lag::Lag;
+use super::lamp_drift::LampDrift;
+use super::lens_decentre::LensDecentre;
+use super::lens_gain::LensGain;
+use super::lens_leakage::LensLeakage;
+use super::magnification::Magnification;
+use super::metadata_fault::MetadataFault;
+use super::motion_blur::MotionBlur;
+use super::noise_scale::NoiseScale;
+use super::nonlinearity::Nonlinearity;
+use super::photobleaching::Photobleaching;
+use super::pixel_mosaic::PixelMosaic;
+use super::prnu::Prnu;
+use super::radial_distortion::RadialDistortion;
+use super::rank_truncation::RankTruncation;
+use super::readout_lag::ReadoutLag;
+use super::row_noise::RowNoise;
+use super::row_pattern::RowPattern;
+use super::saturation::Saturation;
+use super::stage_scale::StageScale;
+use super::thermal_drift::ThermalDrift;
+use super::unknown_operator::UnknownOperator;
+use super::unknown_pattern::UnknownPattern;
+use super::unknown_profile::UnknownProfile;
+use super::veiling_glare::VeilingGlare;
+use super::vignetting::Vignetting;
+
+/// Every effect. A new effect needs a file of its own and a line here.
+static REGISTRY: &[&dyn Effect] = &[
+    &ExcitationProfile,
+    &Photobleaching,
+    &ArrayShift,
+    &ArrayRotation,
+    &LensDecentre,
+    &StageScale,
+    &ThermalDrift,
+    &Magnification,
+    &RadialDistortion,
+    &Defocus,
+    &FieldCurvature,
+    &LensGain,
+    &LensLeakage,
+    &RankTruncation,
+    &MotionBlur,
+    &Halo,
+    &VeilingGlare,
+    &Ghost,
+    &Background,
+    &LampDrift,
+    &FlickerBanding,
+    &ExposureOffset,
+    &Vignetting,
+    &Dust,
+    &Prnu,
+    &Lag,
+    &DarkCurrent,
+    &HotPixels,
+    &ChargeDiffusion,
+    &BrighterFatter,
+    &Saturation,
+    &InterpixelCapacitance,
+    &Nonlinearity,
+    &ReadoutLag,
+    &PixelMosaic,
+    &RowPattern,
+    &ColumnPattern,
+    &Dsnu,
+    &BlackLevelDrift,
+    &AdcNonlinearity,
+    &RowNoise,
+    &NoiseScale,
+    &MetadataFault,
+    &UnknownOperator,
+    &UnknownProfile,
+    &UnknownPattern,
+];
+
+/// All effects, in the physical order of their stages.
+pub fn registry() -> &'static [&'static dyn Effect] {
+    REGISTRY
+}
+
+/// The effect with this id, if there is one.
+pub fn find(id: &str) -> Option<&'static dyn Effect> {
+    REGISTRY.iter().copied().find(|e| e.descriptor().id == id)
+}
+
+/// The ids of all effects.
+pub fn ids() -> Vec<&'static str> {
+    REGISTRY.iter().map(|e| e.descriptor().id).collect()
+}

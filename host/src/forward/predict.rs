@@ -1,0 +1,158 @@
+//! Frames predicted for given objects, and the transpose of the optics for solvers.
+
+use super::{Forward, ForwardError};
+use crate::instrument::Instrument;
+use crate::psf::OperatorConfig;
+use crate::rng;
+use ndarray::{Array2, ArrayView2};
+use thiserror::Error;
+
+/// What to predict.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PredictRequest {
+    /// Output of each call.
+    pub output: Predicted,
+    /// Depth of the objects.
+    pub depth: Depth,
+    /// Exposure, ms; None: that of the calibration.
+    pub exposure_ms: Option<f64>,
+    /// Light level relative to the calibration.
+    pub illumination: f64,
+    /// Seed of the noise.
+    pub seed: u64,
+}
+
+impl Default for PredictRequest {
+    fn default() -> Self {
+        Self { output: Predicted::Expected, depth: Depth::Focus, exposure_ms: None, illumination: 1.0, seed: 1 }
+    }
+}
+
+/// Output of a prediction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Predicted {
+    /// Expected frames, DN.
+    Expected,
+    /// Frames with noise, whole DN.
+    Noisy,
+    /// Objects: frames, DN above black, back-projected by the exact transpose of the optics, without effects and pixel
+    /// response.
+    Adjoint,
+}
+
+/// Depth of objects.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Depth {
+    /// The calibrated depth nearest to 0 um.
+    Focus,
+    /// A calibrated depth, by its index.
+    Index(usize),
+    /// A depth, um, interpolated between calibrated ones.
+    Um(f64),
+}
+
+/// Errors of predictions.
+#[derive(Debug, Error)]
+pub enum PredictError {
+    /// The depth is outside the calibrated range.
+    #[error("--z-um: expected a depth within those calibrated, {calibrated_um:?} um, found {found_um}")]
+    Depth {
+        /// Calibrated depths.
+        calibrated_um: Vec<f64>,
+        /// The requested one.
+        found_um: f64,
+    },
+    /// Exposure or illumination is not a finite value, zero or more.
+    #[error("{option}: expected a finite value, zero or more, found {found}")]
+    Level {
+        /// The option.
+        option: &'static str,
+        /// Its value.
+        found: f64,
+    },
+    /// The forward model fails.
+    #[error(transparent)]
+    Forward(#[from] ForwardError),
+}
+
+/// A planned prediction, for any number of inputs.
+///
+/// ```
+/// use ndarray::Array2;
+/// use ommatidia_host::forward::{Predictor, PredictRequest};
+///
+/// let instrument = ommatidia_host::testing::instrument([9, 11], [30, 33], 5, 3);
+/// let predictor = Predictor::new(instrument, PredictRequest::default())?;
+/// assert_eq!((predictor.input_shape(), predictor.output_shape()), ([9, 11], [30, 33]));
+/// let frame = predictor.apply(0, Array2::zeros((9, 11)).view())?;
+/// assert!(frame.iter().all(|dn| *dn == 64.0)); // the black level
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct Predictor {
+    forward: Forward,
+    request: PredictRequest,
+}
+
+impl Predictor {
+    /// Plans predictions with an instrument.
+    ///
+    /// # Errors
+    /// The depth is not calibrated, exposure or illumination is invalid, or the instrument's parts disagree.
+    pub fn new(mut instrument: Instrument, request: PredictRequest) -> Result<Self, PredictError> {
+        if let Depth::Um(z_um) = request.depth {
+            let depths = &instrument.psf.node_depths_um;
+            if !depths.first().zip(depths.last()).is_some_and(|(low, high)| (*low..=*high).contains(&z_um)) {
+                return Err(PredictError::Depth { calibrated_um: depths.clone(), found_um: z_um });
+            }
+            instrument.psf = instrument.psf.at_depth(z_um);
+        }
+        let depth = match request.depth {
+            Depth::Index(index) => index,
+            Depth::Focus | Depth::Um(_) => instrument.psf.depth_nearest(0.0),
+        };
+        let forward = Forward::with_config(&instrument, OperatorConfig { depth, ..OperatorConfig::default() })?;
+        let exposure_ms = request.exposure_ms.unwrap_or(forward.context().exposure_ms);
+        for (option, found) in [("--exposure-ms", exposure_ms), ("--illumination", request.illumination)] {
+            if !(found.is_finite() && found >= 0.0) {
+                return Err(PredictError::Level { option, found });
+            }
+        }
+        Ok(Self { forward, request })
+    }
+
+    /// Rows and columns of each input: objects, or frames for the transpose.
+    pub fn input_shape(&self) -> [usize; 2] {
+        match self.request.output {
+            Predicted::Adjoint => self.forward.operator().sensor_shape(),
+            Predicted::Expected | Predicted::Noisy => self.forward.operator().object_shape(),
+        }
+    }
+
+    /// Rows and columns of each output: frames, or objects for the transpose.
+    pub fn output_shape(&self) -> [usize; 2] {
+        match self.request.output {
+            Predicted::Adjoint => self.forward.operator().object_shape(),
+            Predicted::Expected | Predicted::Noisy => self.forward.operator().sensor_shape(),
+        }
+    }
+
+    /// Output number `frame` for an input of [`Self::input_shape`]. The number selects the random draws of the noise.
+    ///
+    /// # Errors
+    /// The input has another shape, or an object holds a non-finite or negative value.
+    pub fn apply(&self, frame: usize, input: ArrayView2<'_, f32>) -> Result<Array2<f32>, ForwardError> {
+        let mut cx = self.forward.context();
+        cx.exposure_ms = self.request.exposure_ms.unwrap_or(cx.exposure_ms);
+        cx.illumination = self.request.illumination;
+        cx.frame = frame;
+        match self.request.output {
+            Predicted::Adjoint => Ok(self.forward.operator().adjoint(input)?),
+            Predicted::Expected => self.forward.expected_dn(input, &cx),
+            Predicted::Noisy => {
+                let light = self.forward.expected_e(input, &cx)?;
+                Ok(self.forward.draw_dn(light, &cx, &mut rng::stream(self.request.seed, "predict", frame as u64)))
+            }
+        }
+    }
+}

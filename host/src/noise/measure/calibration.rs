@@ -1,0 +1,73 @@
+//! What a noise measurement needs and returns.
+
+use super::notes::NoiseNote;
+use crate::noise::model::NoiseModel;
+use ndarray::Array2;
+use serde::{Deserialize, Serialize};
+
+/// Nominal values for a session that does not determine them.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct NoiseConfig {
+    /// Gain if the session does not determine it, DN per electron.
+    pub nominal_gain_dn_per_e: f64,
+    /// Read noise if the session does not determine it, electrons rms.
+    pub nominal_read_noise_e: f64,
+}
+
+impl Default for NoiseConfig {
+    fn default() -> Self {
+        Self { nominal_gain_dn_per_e: 1.0, nominal_read_noise_e: 2.0 }
+    }
+}
+
+/// Errors of the pixel maps of a sensor: rms difference between a map and the true pattern; 0 if there is no map.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MapErrors {
+    /// Error of the offsets, DN.
+    pub offset_dn: f64,
+    /// Relative error of the responses.
+    pub response: f64,
+}
+
+/// Measured noise of a sensor.
+#[derive(Clone, Debug)]
+pub struct NoiseCalibration {
+    /// Noise common to all pixels.
+    pub model: NoiseModel,
+    /// Offset of each pixel from the black level, [sensor rows, sensor cols], DN; `None` without darks.
+    pub offset_dn: Option<Array2<f32>>,
+    /// Response of each pixel relative to the mean, [sensor rows, sensor cols]; `None` if the flats show no spread
+    /// beyond their noise, or without darks (offsets would look like responses).
+    pub response: Option<Array2<f32>>,
+    /// Variance of each pixel without light, rounding included, [sensor rows, sensor cols], DN^2; `None` if the pixels
+    /// do not differ significantly, or if there are too few darks.
+    pub reading_dn2: Option<Array2<f32>>,
+    /// Errors of these maps.
+    pub map_errors: MapErrors,
+    /// Photon transfer, [level, (mean above black, variance, fitted variance)], DN and DN^2.
+    pub photon_transfer: Array2<f32>,
+    /// Warnings: values that the session does not determine, and the consequences.
+    pub notes: Vec<NoiseNote>,
+}
+
+/// Pixels with a read noise above this many times the common one are excluded from foci.
+const USELESS: f32 = 5.0;
+/// Pixels with a relative response outside this range are excluded from foci.
+const ANSWERS: std::ops::Range<f32> = 0.5..2.0;
+
+impl NoiseCalibration {
+    /// Pixels to exclude from foci, [sensor rows, sensor cols]: pixels with telegraph noise and hot pixels (read noise
+    /// far above the common one), and dead pixels. `None` if there are none.
+    pub fn useless(&self) -> Option<Array2<bool>> {
+        let common_dn2 = self.model.variance_dn2(self.model.black_level_dn) as f32;
+        let noisy = self.reading_dn2.as_ref().map(|map| map.mapv(|v| v > USELESS * USELESS * common_dn2));
+        let dead = self.response.as_ref().map(|map| map.mapv(|r| !ANSWERS.contains(&r)));
+        let both = match (noisy, dead) {
+            (Some(a), Some(b)) => Some(&a | &b),
+            (a, b) => a.or(b),
+        };
+        both.filter(|map| map.iter().any(|useless| *useless))
+    }
+}

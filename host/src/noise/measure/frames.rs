@@ -1,0 +1,91 @@
+//! Reads the frames of a session by exposure and light level, and estimates the black level where there are no darks.
+
+use super::notes::NoiseError;
+use crate::noise::stats::PixelStats;
+use crate::session::{Role, Session, Stack};
+
+/// Share of the pixels of a scene that count as dark if no other frames show the black level.
+pub(super) const DARKEST: f64 = 1e-3;
+
+/// Frames of one exposure and light level.
+pub(super) struct Group {
+    /// Indices (stack of the role, frame in the stack).
+    pub frames: Vec<(usize, usize)>,
+}
+
+/// The frames of one role, grouped by exposure and light level; darks by exposure only.
+pub(super) fn groups(session: &Session, role: Role) -> Vec<Group> {
+    let mut keyed: Vec<([f64; 2], Group)> = Vec::new();
+    for (s, stack) in session.stacks_of(role).enumerate() {
+        for info in stack.info() {
+            let key = [info.exposure_ms, if role == Role::Dark { 0.0 } else { info.illumination }];
+            match keyed.iter_mut().find(|(k, _)| *k == key) {
+                Some((_, g)) => g.frames.push((s, info.frame)),
+                None => keyed.push((key, Group { frames: vec![(s, info.frame)] })),
+            }
+        }
+    }
+    keyed.into_iter().map(|(_, g)| g).collect()
+}
+
+/// Reads the frames of a group and sums their statistics; `step` is called after each frame.
+pub(super) fn read_group(
+    session: &Session,
+    role: Role,
+    group: &Group,
+    step: &mut impl FnMut(),
+) -> Result<PixelStats, NoiseError> {
+    let mut readers = session.stacks_of(role).map(Stack::frames).collect::<Result<Vec<_>, _>>()?;
+    let sensor = session.manifest().sensor;
+    let mut stats = PixelStats::new([sensor.rows, sensor.cols]);
+    for (s, frame) in &group.frames {
+        stats.add(&readers[*s].read(*frame)?);
+        step();
+    }
+    Ok(stats)
+}
+
+/// Estimates from the dark parts of the bead frames.
+#[derive(Clone, Copy)]
+pub(super) struct Background {
+    /// Black level, DN.
+    pub median: f64,
+    /// Variance of a dark pixel, DN^2.
+    pub variance: f64,
+}
+
+/// The quantile [`DARKEST`] of the scenes, DN; 0 if there are none.
+pub(super) fn darkest(session: &Session) -> Result<f64, NoiseError> {
+    let mut least = f64::INFINITY;
+    for stack in session.stacks_of(Role::Scene) {
+        let mut frames = stack.frames()?;
+        for i in (0..stack.len()).step_by(stack.len().div_ceil(9).max(1)) {
+            let mut values: Vec<f32> = frames.read(i)?.into_iter().collect();
+            let at = (values.len() as f64 * DARKEST) as usize;
+            least = least.min(f64::from(*values.select_nth_unstable_by(at, f32::total_cmp).1));
+        }
+    }
+    Ok(if least.is_finite() { least } else { 0.0 })
+}
+
+/// Median of bead frames, and the variance of the pixels below it, which no focus touches.
+pub(super) fn background_of_beads(session: &Session, step: &mut impl FnMut()) -> Result<Background, NoiseError> {
+    let (mut medians, mut variances) = (Vec::new(), Vec::new());
+    if let Some(stack) = session.stacks_of(Role::Bead).next() {
+        let mut frames = stack.frames()?;
+        for i in (0..stack.len()).step_by(stack.len().div_ceil(9)) {
+            let mut values: Vec<f32> = frames.read(i)?.into_iter().collect();
+            let middle = values.len() / 2;
+            let median = f64::from(*values.select_nth_unstable_by(middle, f32::total_cmp).1);
+            let below = values[..middle].iter().map(|v| (f64::from(*v) - median).powi(2)).sum::<f64>();
+            medians.push(median);
+            variances.push(below / middle.max(1) as f64);
+            step();
+        }
+    }
+    let middle = |v: &mut Vec<f64>| {
+        v.sort_by(f64::total_cmp);
+        v.get(v.len() / 2).copied().unwrap_or(0.0)
+    };
+    Ok(Background { median: middle(&mut medians), variance: middle(&mut variances) })
+}

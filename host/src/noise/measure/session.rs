@@ -1,0 +1,233 @@
+//! Measures the noise of a session's sensor.
+
+use super::calibration::{MapErrors, NoiseCalibration, NoiseConfig};
+use super::frames::{Background, DARKEST, background_of_beads, darkest, groups, read_group};
+use super::notes::{NoiseError, NoiseNote};
+use super::response::{Level, ResponseMap, ResponseSums};
+use super::transfer::{ROUNDING_DN2, Transfer, curve};
+use super::{reading, video};
+use crate::noise::model::{NoiseModel, Source, Sources};
+use crate::noise::stats::{Offsets, Summary};
+use crate::session::{Role, Session, Stack};
+use ndarray::Array2;
+
+/// Results from the darks, DN.
+struct Dark {
+    /// Black level and offsets.
+    offsets: Offsets,
+    /// Temporal variance without light; `None` for a single frame.
+    level: Option<Summary>,
+    /// Number of frames.
+    frames: f64,
+    /// Variance of each pixel, [sensor rows, sensor cols], if the pixels differ.
+    reading_dn2: Option<Array2<f32>>,
+}
+
+/// A value and its standard error.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Estimate {
+    pub value: f64,
+    pub sigma: f64,
+}
+
+/// Measures the noise of a session's sensor: black level, gain, read noise and pixel maps. `step` is called after each
+/// frame that is read.
+///
+/// Values that the session does not determine are taken from `config`, and [`NoiseCalibration::notes`] lists them.
+///
+/// # Errors
+/// A nominal value is not above zero, a frame cannot be read, or the variance of the flats does not grow with the
+/// light.
+pub fn measure_noise(
+    session: &Session,
+    config: &NoiseConfig,
+    mut step: impl FnMut(),
+) -> Result<NoiseCalibration, NoiseError> {
+    for (field, found) in
+        [("nominal_gain_dn_per_e", config.nominal_gain_dn_per_e), ("nominal_read_noise_e", config.nominal_read_noise_e)]
+    {
+        if !(found.is_finite() && found > 0.0) {
+            return Err(NoiseError::Nominal { field, found });
+        }
+    }
+    let saturation_dn = session.manifest().sensor.saturation_dn();
+    let mut notes = Vec::new();
+    let dark = measure_darks(session, saturation_dn, &mut step)?;
+    if dark.as_ref().is_some_and(|d| d.level.is_none()) {
+        notes.push(NoiseNote::OneDark);
+    }
+    let mut background = None;
+    let black = if let Some(dark) = &dark {
+        dark.offsets.black_dn
+    } else if session.stacks_of(Role::Bead).next().is_some() {
+        let seen = background.insert(background_of_beads(session, &mut step)?);
+        notes.push(NoiseNote::NoDarks { black_level_dn: seen.median });
+        seen.median
+    } else {
+        let black_level_dn = darkest(session)?;
+        notes.push(NoiseNote::GuessedBlack { black_level_dn, percent: 100.0 * DARKEST });
+        black_level_dn
+    };
+    let dark_level = dark.as_ref().and_then(|d| d.level);
+    let Flats { levels, response } = measure_flats(session, black, dark.as_ref(), saturation_dn, &mut step)?;
+    let mut transfer = Transfer::fit(&levels, dark_level);
+    // A gain set by the user is better than an estimate from a specimen.
+    let given = config.nominal_gain_dn_per_e != NoiseConfig::default().nominal_gain_dn_per_e;
+    let mut of_video = false;
+    if transfer.is_err()
+        && !given
+        && let Some(found) = video::transfer(session, black, saturation_dn)?
+    {
+        notes.push(NoiseNote::GainOfVideo { gain_dn_per_e: found.slope, sigma: found.slope_sigma });
+        (transfer, of_video) = (Ok(found), true);
+    }
+    let mut sources =
+        Sources { black_level: dark.as_ref().map_or(Source::Inferred, |_| Source::Measured), ..Sources::default() };
+    let gain = gain(session, &transfer, config, &mut sources, &mut notes)?;
+    if of_video {
+        sources.gain = Source::Inferred;
+    }
+    let read_noise = read_noise(
+        ReadNoise { dark: dark_level, transfer: transfer.as_ref().ok(), background, gain },
+        config,
+        &mut sources,
+        &mut notes,
+    );
+    let model = NoiseModel {
+        black_level_dn: black,
+        gain_dn_per_e: gain.value,
+        gain_sigma: gain.sigma,
+        read_noise_e: read_noise.value,
+        read_noise_sigma: read_noise.sigma,
+        saturation_dn,
+        sources,
+    };
+    let photon_transfer = curve(&levels, dark_level, &transfer);
+    let map_errors = MapErrors {
+        offset_dn: dark.as_ref().map_or(0.0, |d| d.offsets.error_dn),
+        response: response.as_ref().map_or(0.0, |r| r.error),
+    };
+    let (offset_dn, reading_dn2) = dark.map_or((None, None), |d| (Some(d.offsets.offset_dn), d.reading_dn2));
+    Ok(NoiseCalibration {
+        model,
+        offset_dn,
+        reading_dn2,
+        response: response.map(|r| r.response),
+        map_errors,
+        photon_transfer,
+        notes,
+    })
+}
+
+/// Gain, DN per electron: the slope of the photon transfer, or the nominal value.
+pub(super) fn gain(
+    session: &Session,
+    transfer: &Result<Transfer, &'static str>,
+    config: &NoiseConfig,
+    sources: &mut Sources,
+    notes: &mut Vec<NoiseNote>,
+) -> Result<Estimate, NoiseError> {
+    match transfer {
+        Ok(t) if t.slope > 3.0 * t.slope_sigma => {
+            sources.gain = Source::Measured;
+            Ok(Estimate { value: t.slope, sigma: t.slope_sigma })
+        }
+        Ok(t) => {
+            let path = session.stacks_of(Role::Flat).next().map(Stack::path).unwrap_or_default();
+            Err(NoiseError::Slope { path, slope: t.slope, sigma: t.slope_sigma })
+        }
+        Err(reason) => {
+            let gain_dn_per_e = config.nominal_gain_dn_per_e;
+            notes.push(NoiseNote::NominalGain { gain_dn_per_e, reason });
+            Ok(Estimate { value: gain_dn_per_e, sigma: 0.0 })
+        }
+    }
+}
+
+/// Sources of the read noise, best first: darks, the photon transfer without light, the dark parts of bead frames.
+struct ReadNoise<'a> {
+    dark: Option<Summary>,
+    transfer: Option<&'a Transfer>,
+    background: Option<Background>,
+    /// Gain, DN per electron.
+    gain: Estimate,
+}
+
+/// Read noise, electrons.
+fn read_noise(
+    from: ReadNoise<'_>,
+    config: &NoiseConfig,
+    sources: &mut Sources,
+    notes: &mut Vec<NoiseNote>,
+) -> Estimate {
+    let rounded = from.dark.map(|d| (d.variance, d.sigma));
+    let fitted = from.transfer.map(|t| (t.intercept + ROUNDING_DN2, t.intercept_sigma));
+    let seen = from.background.map(|b| (b.variance, 0.0));
+    let (variance, sigma) = rounded.or(fitted).or(seen).unwrap_or((0.0, 0.0));
+    let read_dn2 = variance - ROUNDING_DN2;
+    if read_dn2 <= 0.0 {
+        notes.push(NoiseNote::NominalReadNoise { read_noise_e: config.nominal_read_noise_e });
+        return Estimate { value: config.nominal_read_noise_e, sigma: 0.0 };
+    }
+    let measured = from.dark.is_some() && sources.gain == Source::Measured;
+    sources.read_noise = if measured { Source::Measured } else { Source::Inferred };
+    if sources.gain == Source::Nominal {
+        notes.push(NoiseNote::ReadNoiseInDn { read_noise_dn: read_dn2.sqrt() });
+    }
+    let gain = from.gain;
+    let relative = (sigma / (2.0 * read_dn2)).hypot(gain.sigma / gain.value);
+    Estimate { value: read_dn2.sqrt() / gain.value, sigma: relative * read_dn2.sqrt() / gain.value }
+}
+
+/// Black level, offsets and dark variance, on the exposure with most dark frames; `None` without darks.
+fn measure_darks(session: &Session, saturation_dn: f64, step: &mut impl FnMut()) -> Result<Option<Dark>, NoiseError> {
+    let groups = groups(session, Role::Dark);
+    let Some(group) = groups.iter().max_by_key(|g| g.frames.len()) else {
+        return Ok(None);
+    };
+    let stats = read_group(session, Role::Dark, group, step)?;
+    let level = stats.summary(0.0, None, saturation_dn);
+    let offsets = stats.offsets(level.map(|l| l.variance));
+    let frames = group.frames.len() as f64;
+    let level = level.map(|l| Summary { mean: 0.0, ..l });
+    let reading_dn2 = level.and_then(|_| {
+        let (variances, freedom) = stats.variances();
+        reading::by_pixel(&variances, freedom)
+    });
+    Ok(Some(Dark { offsets, level, frames, reading_dn2 }))
+}
+
+/// Results from the flats.
+struct Flats {
+    /// Mean and variance of each light level, darkest first. Levels with a single frame or in saturation are left out.
+    levels: Vec<Summary>,
+    /// Response of each pixel; `None` without darks, because offsets would look like responses.
+    response: Option<ResponseMap>,
+}
+
+fn measure_flats(
+    session: &Session,
+    black: f64,
+    dark: Option<&Dark>,
+    saturation_dn: f64,
+    step: &mut impl FnMut(),
+) -> Result<Flats, NoiseError> {
+    let (mut levels, mut sums) = (Vec::new(), ResponseSums::default());
+    let without_light = dark.and_then(|d| d.level).map(|l| l.variance);
+    for group in groups(session, Role::Flat) {
+        let stats = read_group(session, Role::Flat, &group, step)?;
+        let Some(summary) = stats.summary(black, dark.map(|d| &d.offsets.offset_dn), saturation_dn) else { continue };
+        levels.push(summary);
+        if let (Some(dark), Some(dark_dn2)) = (dark, without_light) {
+            let light_dn = stats.light(black, &dark.offsets.offset_dn, saturation_dn);
+            let level = Level { light_dn: &light_dn, frames: group.frames.len() as f64, summary };
+            // A level below its own noise cannot be divided by.
+            if summary.mean > 0.0 && summary.mean * summary.mean > summary.variance {
+                sums.add(&level, dark_dn2)?;
+            }
+        }
+    }
+    levels.sort_by(|a, b| a.mean.total_cmp(&b.mean));
+    let response = dark.zip(without_light).and_then(|(d, dark_dn2)| sums.finish(dark_dn2 / d.frames));
+    Ok(Flats { levels, response })
+}

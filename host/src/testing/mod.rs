@@ -1,0 +1,9 @@
+//! Instruments and sessions for the tests of all packages. None of it is used by the program.
+
+mod instrument;
+mod square_array;
+mod testbed;
+
+pub use instrument::instrument;
+pub use square_array::square_array;
+pub use testbed::Testbed;

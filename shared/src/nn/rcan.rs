@@ -1,0 +1,278 @@
+//! The enhancement network.
+//!
+//! With C filter channels, W features, all 3x3 convolutions with bias and zero padding 1:
+//! ```text
+//! x    = PixelUnshuffle2(channels)                       4 C, h, w
+//! head = conv(x)                                         W, h, w
+//! y    = head
+//! for each group:
+//!     g = y
+//!     for each block:  t = conv(relu(conv(g)));  g = g + attention(t) t
+//!     y = y + conv(g)
+//! y    = head + conv1(y)
+//! out  = sigmoid(conv2(PixelShuffle2(conv(y))))          conv W -> 4 W, conv2 W -> 1
+//! ```
+//! Every tensor named here is rounded to half once, when it is stored; so is the output of the inner `relu(conv(g))`.
+//!
+//! # Regions
+//! A region of the output costs less than the whole. Before each convolution the features are cut to the window that
+//! the region depends on through the rest of the network. That changes no bit inside. But attention depends on the
+//! whole frame: where its scales are measured ([`Scales`]), the windows are the whole frame up to the last block, and
+//! only later layers are cut. Where they are held from another frame, every window is cut, and so is the input.
+//!
+//! [`layout`](fn@layout) is the order of the weights in the network file: the order of execution, the weights of each
+//! layer before its biases.
+
+mod layout;
+
+pub use layout::{Entry, Layer, hidden, layout, weights_len};
+
+use super::activation::Activation;
+use super::channel_attention::{self, Scales};
+use super::conv::{self, Addressing, Conv3x3, Store, Tensors};
+use super::error::{NnError, check_scratch, check_shape, check_weights};
+use super::features::Features;
+use super::rcab::{self, Rcab};
+use super::upscale::Upscale;
+use crate::blob;
+use crate::image::{Chw, PlaneMut, Region};
+use crate::num::f16;
+use crate::num::simd::Simd;
+
+/// Convolutions of features after the last attention: the last group's, `conv1`, and the one before the pixel shuffle.
+const AFTER_ATTENTION: usize = 3;
+
+/// Parameters of the network.
+#[derive(Debug)]
+pub struct Parameters<'a> {
+    /// Weights in the order of [`layout`].
+    pub weights: &'a [f16],
+    /// Source of the [`Rcan::scales_len`] scales of the channel attentions.
+    pub scales: Scales<'a>,
+}
+
+/// Plan of the network for one frame size.
+#[derive(Clone, Copy, Debug)]
+pub struct Rcan {
+    shape: blob::Rcan,
+    filters: usize,
+    rows: usize,
+    cols: usize,
+}
+
+impl Rcan {
+    /// Plans a network for `channels` filters and an output of `object` pixels, even in both directions.
+    pub fn new(shape: blob::Rcan, channels: u8, object: blob::Size) -> Self {
+        Self {
+            shape,
+            filters: usize::from(channels),
+            rows: usize::from(object.rows) / 2,
+            cols: usize::from(object.cols) / 2,
+        }
+    }
+
+    const fn width(&self) -> usize {
+        self.shape.width as usize
+    }
+
+    /// Length of one feature tensor (W, h, w), halves.
+    const fn feature_len(&self) -> usize {
+        self.width() * self.rows * self.cols
+    }
+
+    /// Length of the input (C, 2 h, 2 w), halves.
+    pub const fn input_len(&self) -> usize {
+        self.filters * 4 * self.rows * self.cols
+    }
+
+    /// Length of the arena for [`Self::process`], halves. The input lies at its end and is overwritten.
+    pub const fn arena_len(&self) -> usize {
+        let (features, head) = (4 * self.feature_len(), self.feature_len() + self.input_len());
+        if features > head { features } else { head }
+    }
+
+    /// Number of scales of all channel attentions: W in each block.
+    pub const fn scales_len(&self) -> usize {
+        self.width() * self.shape.groups as usize * self.shape.blocks as usize
+    }
+
+    /// Number of convolutions of features, one after the other.
+    pub const fn depth(&self) -> usize {
+        1 + self.shape.groups as usize * (2 * self.shape.blocks as usize + 1) + 2
+    }
+
+    /// Length of scratch for bands of `band` rows, numbers. With bands of 1 row it is what [`Self::process`] needs at
+    /// least.
+    pub fn scratch_len(&self, band: usize) -> usize {
+        let convs = self.head().scratch_len(band).max(self.conv().scratch_len(band));
+        convs.max(self.rcab([self.whole(); 2]).scratch_len(band)).max(self.upscale().scratch_len(band))
+    }
+
+    const fn head(&self) -> Conv3x3 {
+        Conv3x3 { inputs: 4 * self.filters, store: Store::Replace, ..self.conv() }
+    }
+
+    /// The convolutions that end in a skip connection.
+    const fn conv(&self) -> Conv3x3 {
+        Conv3x3 {
+            inputs: self.width(),
+            outputs: self.width(),
+            rows: self.rows,
+            cols: self.cols,
+            activation: Activation::Linear,
+            store: Store::Accumulate,
+        }
+    }
+
+    const fn rcab(&self, windows: [Region; 2]) -> Rcab {
+        Rcab { channels: self.width(), hidden: hidden(&self.shape), windows }
+    }
+
+    const fn upscale(&self) -> Upscale {
+        Upscale { channels: self.width(), rows: self.rows, cols: self.cols }
+    }
+
+    /// The plan of the same network for a window of the features.
+    const fn on(&self, window: Region) -> Self {
+        Self { rows: window.rows as usize, cols: window.cols as usize, ..*self }
+    }
+
+    /// The window of all features.
+    const fn whole(&self) -> Region {
+        Region::whole(self.rows as u16, self.cols as u16)
+    }
+
+    /// The part of the input that [`Self::process`] needs for a region of the output, pixels. `held`: whether the
+    /// attention scales are held from another frame; where they are measured, the whole input is needed.
+    pub fn input(&self, region: Region, held: bool) -> Region {
+        let Region { row, col, rows, cols } = self.first_window(region, held);
+        Region { row: 2 * row, col: 2 * col, rows: 2 * rows, cols: 2 * cols }
+    }
+
+    /// Runs the network. The end of `arena` holds the filtered channels (C, rows, columns of [`Self::input`]), divided
+    /// by their maximum. `output` receives `region` of the result (2 h, 2 w), 0 to 1. The arena is overwritten.
+    ///
+    /// # Errors
+    /// [`NnError`] where the weights, the scales, the arena, the output or the scratch do not fit the plan.
+    pub fn process(
+        &self,
+        simd: Simd,
+        parameters: Parameters<'_>,
+        arena: &mut [f16],
+        region: Region,
+        output: PlaneMut<'_, f16>,
+        scratch: &mut [f32],
+    ) -> Result<(), NnError> {
+        let Parameters { weights, mut scales } = parameters;
+        check_weights(weights_len(&self.shape, self.filters as u8), weights.len())?;
+        check_scratch(self.arena_len(), arena.len())?;
+        check_scratch(self.scratch_len(1), scratch.len())?;
+        check_shape([1, region.rows.into(), region.cols.into()], [1, output.rows(), output.cols()])?;
+        let held = match &scales {
+            Scales::Measured(None) => false,
+            Scales::Measured(Some(place)) => check_weights(self.scales_len(), place.len()).map(|()| false)?,
+            Scales::Held(scales) => check_weights(self.scales_len(), scales.len()).map(|()| true)?,
+        };
+        let window = |left| if held || left <= AFTER_ATTENTION { self.window(region, left) } else { self.whole() };
+        let first = self.first_window(region, held);
+        let mut layers = Layers { entries: layout(&self.shape, self.filters as u8), rest: weights };
+        let plan = self.on(first);
+        let (head, rest) = arena.split_at_mut(plan.feature_len());
+        let mut head = Features::new(head, self.width(), first);
+        let input = plan.read(&rest[rest.len() - plan.input_len()..])?;
+        let tensors = Tensors::Apart { input, addressing: Addressing::Unshuffled, output: head.cut(first)? };
+        plan.head().process(simd, layers.next_conv(), tensors, scratch)?;
+        let (y, rest) = rest.split_at_mut(plan.feature_len());
+        let (g, t) = rest.split_at_mut(plan.feature_len());
+        let [mut y, mut g] = [y, g].map(|data| Features::new(data, self.width(), first));
+        y.copy_from(&head)?;
+        // Number of convolutions of features that follow.
+        let mut left = self.depth() - 1;
+        for _ in 0..self.shape.groups {
+            g.copy_from(&y)?;
+            for _ in 0..self.shape.blocks {
+                let (rcab, scales) = (self.rcab([window(left), window(left - 1)]), scales.next(self.width()));
+                rcab.process(simd, layers.next_block(), scales, &mut g, t, scratch)?;
+                left -= 2;
+            }
+            self.skip(simd, layers.next_conv(), window(left), [&mut g, &mut y], scratch)?;
+            left -= 1;
+        }
+        self.skip(simd, layers.next_conv(), window(2), [&mut y, &mut head], scratch)?;
+        let last = window(1);
+        let tail = [layers.next_conv(), layers.next_conv()];
+        let origin = [region.row - 2 * last.row, region.col - 2 * last.col].map(usize::from);
+        self.on(last).upscale().process(simd, tail, head.cut(last)?.as_chw(), origin, output, scratch)
+    }
+
+    /// The features that a region of the output depends on through `left` convolutions of features and the last one,
+    /// which is at full resolution.
+    pub fn window(&self, region: Region, left: usize) -> Region {
+        let [rows, cols] = region.ranges();
+        let axis = |part: core::ops::Range<usize>, all: usize| {
+            let start = (part.start.saturating_sub(1) / 2).saturating_sub(left);
+            let end = (part.end / 2 + 1 + left).min(all);
+            (start as u16, (end - start) as u16)
+        };
+        let ((row, rows), (col, cols)) = (axis(rows, self.rows), axis(cols, self.cols));
+        Region { row, col, rows, cols }
+    }
+
+    /// The features that the first convolution computes.
+    fn first_window(&self, region: Region, held: bool) -> Region {
+        if held { self.window(region, self.depth()) } else { self.whole() }
+    }
+
+    /// `to = to + conv(from)` on a window of both.
+    fn skip(
+        &self,
+        simd: Simd,
+        parameters: conv::Parameters<'_>,
+        window: Region,
+        [from, to]: [&mut Features<'_>; 2],
+        scratch: &mut [f32],
+    ) -> Result<(), NnError> {
+        let (input, output) = (from.cut(window)?, to.cut(window)?);
+        let tensors = Tensors::Apart { input: input.as_chw(), addressing: Addressing::Direct, output };
+        self.on(window).conv().process(simd, parameters, tensors, scratch)
+    }
+
+    fn read<'a>(&self, data: &'a [f16]) -> Result<Chw<'a, f16>, NnError> {
+        Chw::new(data, self.filters, 2 * self.rows, 2 * self.cols)
+            .map_err(|error| NnError::Scratch { expected: error.expected, found: error.found })
+    }
+}
+
+/// Divides the weights among the layers. The total length has been checked, so no layer gets too few.
+struct Layers<'a, I> {
+    entries: I,
+    rest: &'a [f16],
+}
+
+impl<'a, I: Iterator<Item = Entry>> Layers<'a, I> {
+    fn next_conv(&mut self) -> conv::Parameters<'a> {
+        let (weights, bias) = self.entries.next().map_or((0, 0), |entry| (entry.weights_len(), entry.bias_len()));
+        conv::Parameters { weights: self.take(weights), bias: self.take(bias) }
+    }
+
+    fn next_block(&mut self) -> rcab::Parameters<'a> {
+        let convs = [self.next_conv(), self.next_conv()];
+        let [squeeze, excite] = [self.next_conv(), self.next_conv()];
+        let attention = channel_attention::Parameters {
+            squeeze: squeeze.weights,
+            squeeze_bias: squeeze.bias,
+            excite: excite.weights,
+            excite_bias: excite.bias,
+        };
+        rcab::Parameters { convs, attention }
+    }
+
+    fn take(&mut self, len: usize) -> &'a [f16] {
+        let (taken, rest) = self.rest.split_at(len.min(self.rest.len()));
+        self.rest = rest;
+        taken
+    }
+}
+
+#[cfg(test)]
+mod tests;
