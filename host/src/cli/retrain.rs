@@ -7,7 +7,7 @@ use crate::methods::FloatNetwork;
 use crate::metrics::Case;
 use crate::session::Role;
 use crate::study::downstream::{FirstTraining, TrainRequest};
-use crate::train::{Checkpoint, FINE_TUNE_RATE, Next, Preset, Simulated, Task, Trainer};
+use crate::train::{Checkpoint, Next, Preset, Simulated, Task, Trainer};
 use anyhow::{Context, ensure};
 use std::path::Path;
 
@@ -26,11 +26,9 @@ impl Retrain for Networks {
         let source = Simulated::of(instrument, instrument_file, seed)?;
         let plan = source.plan();
         let maps = instrument.sensor_maps()?;
-        let mut training = before.body.training.clone().with_steps(steps);
+        let mut training = before.body.training.clone().with_steps(steps).for_fine_tuning();
         training.peak_e = plan.peak_e;
         training.seed = seed;
-        training.learning_rate *= FINE_TUNE_RATE;
-        training.filter_learning_rate *= FINE_TUNE_RATE;
         let task = Task { source: &source, network: before.body.network.clone(), noise: plan.noise, maps };
         let provenance =
             Provenance::new("close --retrain", seed, &training).with_input(checkpoint)?.with_input(instrument_file)?;
