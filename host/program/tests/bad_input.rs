@@ -6,10 +6,10 @@ mod common;
 
 use common::{Fault, TinySession, ommatidia, refused};
 use ndarray::Array3;
+use ommatidia_physics::noise::NoiseModel;
 use ommatidia_network::quantize::{QuantizeConfig, quantize};
-use ommatidia_network::train::{Checkpoint, Preset, weights};
-use ommatidia_physics::noise::{NoiseModel, Sources};
 use ommatidia_session::stack;
+use ommatidia_network::train::{Checkpoint, Preset, weights};
 use std::path::Path;
 
 fn calibrate_refuses(session: &TinySession, words: &[&str]) {
@@ -137,18 +137,9 @@ fn a_file_of_another_kind_is_refused() {
 
 /// Writes the network file of a small untrained network for frames of 20 x 20 pixels.
 fn network_file(path: &Path) {
-    let noise = NoiseModel {
-        black_level_dn: 64.0,
-        gain_dn_per_e: 0.4,
-        gain_sigma: 0.0,
-        read_noise_e: 2.0,
-        read_noise_sigma: 0.0,
-        saturation_dn: 4095.0,
-        sources: Sources::default(),
-    };
     let network = Preset::Nano.network([20, 20], [8, 8]);
     let weights = weights::random(&network, 1);
-    let checkpoint = Checkpoint::untrained(network, noise, Preset::Nano.training(1e4, 1), weights);
+    let checkpoint = Checkpoint::untrained(network, NoiseModel::nominal(), Preset::Nano.training(1e4, 1), weights);
     std::fs::write(path, quantize(&checkpoint, "", &QuantizeConfig::default()).unwrap().bytes).unwrap();
 }
 

@@ -281,28 +281,15 @@ pub fn prediction_figures(
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use ommatidia_physics::noise::Sources;
     use ommatidia_session::rng;
     use rand_distr::{Distribution, Normal, Poisson};
-
-    fn noise() -> NoiseModel {
-        NoiseModel {
-            black_level_dn: 64.0,
-            gain_dn_per_e: 0.4,
-            gain_sigma: 0.0,
-            read_noise_e: 2.0,
-            read_noise_sigma: 0.0,
-            saturation_dn: 4095.0,
-            sources: Sources::default(),
-        }
-    }
 
     fn sensor(noise: &NoiseModel) -> SensorNoise<'_> {
         SensorNoise { noise, offset_dn: None, reading_dn2: None }
     }
 
     fn scene(i: usize) -> FrameComparison {
-        let noise = noise();
+        let noise = NoiseModel::nominal();
         let electrons = |r: usize, c: usize| 40.0 + (r * c) as f64 * 0.5;
         let expected = Array2::from_shape_fn((40, 50), |(r, c)| (64.0 + 0.4 * electrons(r, c)) as f32);
         let mut random = rng::stream(11, "prediction test", i as u64);
@@ -316,7 +303,7 @@ mod tests {
 
     #[test]
     fn a_perfect_model_has_chi_squared_one() {
-        let f = prediction_figures(5, sensor(&noise()), |i| Ok(scene(i))).unwrap();
+        let f = prediction_figures(5, sensor(&NoiseModel::nominal()), |i| Ok(scene(i))).unwrap();
         assert!((f.scale - 1.0).abs() < 1e-12 && f.nrmse < 1e-6 && f.pcc > 1.0 - 1e-9);
         // chi2/ndf of n pixels scatters by sqrt(2/n): 0.014 for 10,000.
         // The rings share all lit pixels, and none shows a bias where there is none.
@@ -333,14 +320,14 @@ mod tests {
             t.predicted.slice_mut(ndarray::s![..20, ..]).mapv_inplace(|v| 64.0 + (v - 64.0) * 1.2);
             Ok(t)
         };
-        let f = prediction_figures(2, sensor(&noise()), wrong).unwrap();
+        let f = prediction_figures(2, sensor(&NoiseModel::nominal()), wrong).unwrap();
         assert!(f.nrmse > 0.02 && f.chi2_ndf > 1.2, "{f:?}");
         let unit = |i| {
             let mut t = scene(i);
             t.predicted.mapv_inplace(|v| 64.0 + (v - 64.0) * 4.0);
             Ok(t)
         };
-        let f = prediction_figures(2, sensor(&noise()), unit).unwrap();
+        let f = prediction_figures(2, sensor(&NoiseModel::nominal()), unit).unwrap();
         assert!((f.scale - 0.25).abs() < 1e-6 && f.nrmse < 1e-5, "{f:?}");
     }
 
@@ -349,14 +336,14 @@ mod tests {
         let expected = ndarray::array![[64.0f32, 66.3, 66.5]];
         let measured = ndarray::array![[164.0f32, 64.0, 66.5 + 1.0]];
         let ChiSquared { sum: chi, pixels: n } =
-            chi_squared(measured.view(), expected.view(), sensor(&noise())).unwrap();
+            chi_squared(measured.view(), expected.view(), sensor(&NoiseModel::nominal())).unwrap();
         // Lit above 64 + 3 * 2 * 0.4 = 66.4 DN; there the variance is 0.4 * 2.5 + 0.64 + 1/12.
         assert!(n == 1 && (chi - 1.0 / (1.0 + 0.64 + 1.0 / 12.0)).abs() < 1e-5, "{chi} {n}");
     }
 
     #[test]
     fn a_fixed_pattern_makes_no_noise_and_no_light() {
-        let noise = noise();
+        let noise = NoiseModel::nominal();
         let offset = ndarray::array![[10.0f32, 10.0]];
         let expected = ndarray::array![[74.0f32, 84.0]];
         let sensor = SensorNoise { noise: &noise, offset_dn: Some(&offset), reading_dn2: None };

@@ -3,24 +3,15 @@
 //!
 //! ```
 //! use ndarray::Array2;
-//! use ommatidia_network::network_file::NetworkFile;
-//! use ommatidia_physics::noise::{NoiseModel, Sources};
-//! use ommatidia_network::quantize::{QuantizeConfig, quantize};
-//! use ommatidia_network::train::{Checkpoint, Preset, weights};
+//! use crate::network_file::NetworkFile;
+//! use ommatidia_physics::noise::NoiseModel;
+//! use crate::quantize::{QuantizeConfig, quantize};
+//! use crate::train::{Checkpoint, Preset, weights};
 //! use std::path::Path;
 //!
-//! let noise = NoiseModel {
-//!     black_level_dn: 64.0,
-//!     gain_dn_per_e: 0.4,
-//!     gain_sigma: 0.0,
-//!     read_noise_e: 2.0,
-//!     read_noise_sigma: 0.0,
-//!     saturation_dn: 4095.0,
-//!     sources: Sources::default(),
-//! };
 //! let network = Preset::Nano.network([20, 20], [8, 8]);
 //! let weights = weights::random(&network, 1);
-//! let checkpoint = Checkpoint::untrained(network, noise, Preset::Nano.training(1e4, 1), weights);
+//! let checkpoint = Checkpoint::untrained(network, NoiseModel::nominal(), Preset::Nano.training(1e4, 1), weights);
 //!
 //! let made = quantize(&checkpoint, "", &QuantizeConfig { name: "tiny".into(), ..QuantizeConfig::default() })?;
 //! // Six dense filters: spectra of 32 rows and 17 columns, two halves each.

@@ -2,6 +2,9 @@
 use super::*;
 use crate::methods::{FloatNetwork, Reconstruct};
 use crate::network_file::NetworkFile;
+use ommatidia_physics::noise::NoiseModel;
+use ommatidia_session::rng;
+use ommatidia_physics::sensor::SensorMaps;
 use crate::train::weights::{self, FILTERS};
 use crate::train::{Checkpoint, FilterMask, NetworkConfig, Preset};
 use ndarray::Array2;
@@ -15,18 +18,6 @@ use std::path::Path;
 
 const FRAME: [usize; 2] = [44, 40];
 const OBJECT: [usize; 2] = [16, 20];
-
-fn noise() -> NoiseModel {
-    NoiseModel {
-        black_level_dn: 64.0,
-        gain_dn_per_e: 0.4,
-        gain_sigma: 0.0,
-        read_noise_e: 2.0,
-        read_noise_sigma: 0.0,
-        saturation_dn: 4095.0,
-        sources: Sources::default(),
-    }
-}
 
 /// Whole codes of a few smooth spots.
 fn frame(seed: u64) -> Array2<f32> {
@@ -64,7 +55,7 @@ fn checkpoint() -> Checkpoint {
     };
     let truth = Array2::from_shape_fn((OBJECT[0], OBJECT[1]), |(r, c)| ((r + c) % 5) as f32);
     let cases = (0..2).map(|i| Case { frame_dn: frame(i), truth: truth.clone() }).collect();
-    let untrained = Checkpoint::untrained(network, noise(), Preset::Nano.training(1e4, 1), weights);
+    let untrained = Checkpoint::untrained(network, NoiseModel::nominal(), Preset::Nano.training(1e4, 1), weights);
     Checkpoint { maps, cases, ..untrained }
 }
 

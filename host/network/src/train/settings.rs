@@ -12,15 +12,15 @@ const WARMUP: u64 = 50;
 /// Number of validations in a run.
 const VALIDATIONS: u64 = 20;
 
-/// Filters before the first step.
+/// Filters before the first step; see [`super::regression`] and [`super::Lenses`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Start {
-    /// 0.001 x U[0, 1], as in the paper.
+    /// Random: 0.001 x U[0, 1], as in Yang et al. 2024.
     Random,
-    /// The linear filters that fit the training pairs best, one for each part of the field ([`super::regression`]).
+    /// The linear filters that fit the training pairs best, one for each part of the field.
     Regression,
-    /// Calibrated PSFs, or their pseudo-inverses for architectures that learn filters ([`super::Lenses`]).
+    /// Calibrated PSFs, or their pseudo-inverses for architectures that learn filters.
     Psf,
 }
 

@@ -1,5 +1,13 @@
 //! Trains and fine-tunes networks for `close` and `study`, which know networks by these interfaces only.
 
+use ommatidia_session::artifact::Provenance;
+use ommatidia_closing::{Retrain, RetrainRequest, Retrained};
+use ommatidia_network::evaluate::{Source, judge};
+use ommatidia_network::methods::FloatNetwork;
+use ommatidia_model::metrics::Case;
+use ommatidia_session::Role;
+use ommatidia_closing::study::downstream::{FirstTraining, TrainRequest};
+use ommatidia_network::train::{Checkpoint, Next, Preset, Simulated, Task, Trainer};
 use anyhow::{Context, ensure};
 use ommatidia_closing::study::downstream::{FirstTraining, TrainRequest};
 use ommatidia_closing::{Retrain, RetrainRequest, Retrained};
@@ -26,11 +34,9 @@ impl Retrain for Networks {
         let source = Simulated::of(instrument, instrument_file, seed)?;
         let plan = source.plan();
         let maps = instrument.sensor_maps()?;
-        let mut training = before.body.training.clone().with_steps(steps);
+        let mut training = before.body.training.clone().with_steps(steps).for_fine_tuning();
         training.peak_e = plan.peak_e;
         training.seed = seed;
-        training.learning_rate *= FINE_TUNE_RATE;
-        training.filter_learning_rate *= FINE_TUNE_RATE;
         let task = Task { source: &source, network: before.body.network.clone(), noise: plan.noise, maps };
         let provenance =
             Provenance::new("close --retrain", seed, &training).with_input(checkpoint)?.with_input(instrument_file)?;
