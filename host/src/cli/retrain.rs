@@ -5,7 +5,7 @@ use crate::closing::{Retrain, RetrainRequest, Retrained};
 use crate::evaluate::{Case, Source, judge};
 use crate::methods::FloatNetwork;
 use crate::session::Role;
-use crate::study::downstream::{FirstTraining, TrainRequest};
+use crate::study::networks::{FirstTraining, TrainRequest};
 use crate::train::{Checkpoint, FINE_TUNE_RATE, Next, Preset, SensorMaps, Simulated, Task, Trainer};
 use anyhow::{Context, ensure};
 use std::path::Path;
