@@ -13,7 +13,6 @@ use crate::closing::{RetrainRequest, Retrained};
 use crate::effects::EffectSetting;
 use crate::instrument::Instrument;
 use serde::{Deserialize, Serialize};
-use std::path::Path;
 
 /// Steps of fine-tuning.
 const FINE_STEPS: u64 = 1000;
