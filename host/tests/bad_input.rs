@@ -5,6 +5,12 @@
 mod common;
 
 use common::{Fault, TinySession, ommatidia, refused};
+use ndarray::Array3;
+use ommatidia_host::noise::{NoiseModel, Sources};
+use ommatidia_host::quantize::{QuantizeConfig, quantize};
+use ommatidia_host::session::stack;
+use ommatidia_host::train::{Checkpoint, Preset, weights};
+use std::path::Path;
 
 fn calibrate_refuses(session: &TinySession, words: &[&str]) {
     let output = session.beside("instrument.omi");
@@ -127,6 +133,42 @@ fn a_file_of_another_kind_is_refused() {
         Some(&output),
         &["bead.npy", "not an Ommatidia artifact"],
     );
+}
+
+/// Writes the network file of a small untrained network for frames of 20 x 20 pixels.
+fn network_file(path: &Path) {
+    let noise = NoiseModel {
+        black_level_dn: 64.0,
+        gain_dn_per_e: 0.4,
+        gain_sigma: 0.0,
+        read_noise_e: 2.0,
+        read_noise_sigma: 0.0,
+        saturation_dn: 4095.0,
+        sources: Sources::default(),
+    };
+    let network = Preset::Nano.network([20, 20], [8, 8]);
+    let weights = weights::random(&network, 1);
+    let checkpoint = Checkpoint::untrained(network, noise, Preset::Nano.training(1e4, 1), weights);
+    std::fs::write(path, quantize(&checkpoint, "", &QuantizeConfig::default()).unwrap().bytes).unwrap();
+}
+
+/// The same bad frame is refused with the same words, whether the host or a device reconstructs it.
+#[test]
+fn values_that_are_not_sensor_codes_are_refused_by_host_and_device() {
+    let folder = tempfile::tempdir().unwrap();
+    let [network, frames, output] = ["net.omm", "frames.npy", "out.npy"].map(|name| folder.path().join(name));
+    network_file(&network);
+    let mut values = Array3::from_elem((2, 20, 20), 70.0f32);
+    for bad in [-2.0, 70_000.0] {
+        values[[1, 3, 7]] = bad;
+        stack::write(&frames, values.view()).unwrap();
+        let [network, frames, out] = [&network, &frames, &output].map(|path| path.to_str().unwrap());
+        let found = format!("found {bad}");
+        let words =
+            ["frames.npy", "frame 1", "row 3", "column 7", "from 0 to 65535 DN", &found, "as the sensor delivers"];
+        refused(&["reconstruct", frames, "-o", out, "--with", network], Some(&output), &words);
+        refused(&["device", "run", "--with", network, "--frames", frames, "-o", out], Some(&output), &words);
+    }
 }
 
 #[test]

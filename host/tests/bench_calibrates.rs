@@ -2,8 +2,8 @@
 #![allow(clippy::unwrap_used)]
 
 use ommatidia_host::bench::{ArrayConfig, BenchConfig, ObjectConfig, ScanConfig};
+use ommatidia_host::calibrate::{CalibrateConfig, calibrate};
 use ommatidia_host::effects::EffectSetting;
-use ommatidia_host::instrument::{CalibrateConfig, calibrate};
 use ommatidia_host::session::Session;
 use std::sync::Arc;
 

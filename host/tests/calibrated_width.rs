@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
-use ndarray::{Array2, ArrayView2};
+use ndarray::{Array2, ArrayView2, s};
 use ommatidia_host::bench::truth::{BenchTruth, TRUTH_FILE};
 use ommatidia_host::bench::{ArrayConfig, BenchConfig, ScanConfig, SensorConfig};
 use ommatidia_host::calibrate::{CalibrateConfig, calibrate};

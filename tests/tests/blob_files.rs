@@ -4,7 +4,7 @@
 mod networks;
 
 use half::f16;
-use ommatidia_host::blob::BlobFile;
+use ommatidia_host::network_file::NetworkFile;
 use ommatidia_shared::blob::{Bank, Blocks, Header, MemoryPlan, Rcan, Sensor, Size, Tap, VERSION, Weights};
 use ommatidia_shared::pipeline::{Memory, Pipeline};
 use proptest::prelude::*;
@@ -46,7 +46,7 @@ fn golden_weight(section: usize, i: usize) -> f16 {
 #[test]
 fn the_golden_file_of_version_2_still_decodes() {
     assert_eq!(VERSION, 2, "keep this file refused by name, and add a golden file of the new version");
-    let file = BlobFile::read(Path::new(GOLDEN)).unwrap();
+    let file = NetworkFile::read(Path::new(GOLDEN)).unwrap();
     let network = file.network().unwrap();
     assert_eq!(network.header(), &golden_header());
     let weights = network.weights();
@@ -65,7 +65,7 @@ fn the_golden_file_of_version_2_still_decodes() {
 
 #[test]
 fn a_file_of_version_1_is_refused_by_name() {
-    let error = BlobFile::read(Path::new(GOLDEN_1)).unwrap_err().to_string();
+    let error = NetworkFile::read(Path::new(GOLDEN_1)).unwrap_err().to_string();
     assert!(error.contains("version 2, found 1") && error.contains("quantize"), "{error}");
 }
 
@@ -84,7 +84,7 @@ fn the_golden_file_is_what_this_version_writes() {
         offset_dn: Some(&sections[2]),
         inverse_gain: Some(&sections[3]),
     };
-    let file = BlobFile::new(&header, &weights).unwrap();
+    let file = NetworkFile::new(&header, &weights).unwrap();
     if std::env::var_os("OMMATIDIA_WRITE_GOLDEN").is_some() {
         file.write(Path::new(GOLDEN)).unwrap();
     }
@@ -160,7 +160,7 @@ proptest! {
             offset_dn: header.sensor.has_offset_map.then_some(&sections[2]),
             inverse_gain: header.sensor.has_gain_map.then_some(&sections[3]),
         };
-        let file = BlobFile::new(&header, &weights).unwrap();
+        let file = NetworkFile::new(&header, &weights).unwrap();
         let network = file.network().unwrap();
         let Ok(pipeline) = Pipeline::new(&network) else { return Ok(()) };
         let mut fast = vec![0.0; pipeline.fast_len()];

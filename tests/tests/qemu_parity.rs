@@ -6,10 +6,10 @@
 mod networks;
 
 use networks::{DENSE, PRUNED, Shape, TAPPED, THIN};
-use ommatidia_host::blob::BlobFile;
 use ommatidia_host::device::{
     DeviceError, DeviceRun, Firmware, LoopbackConfig, RunRequest, Runtime, Scope, find_qemu, run,
 };
+use ommatidia_host::network_file::NetworkFile;
 use ommatidia_shared::boards::{BOARDS, MPS3_AN547};
 use ommatidia_shared::device::Footprint;
 use ommatidia_shared::image::Region;
@@ -34,7 +34,7 @@ fn check(shape: &Shape, seed: u64) -> Option<Vec<DeviceRun>> {
     check_blob(&networks::network(shape, seed), &networks::frames(shape, 2, seed))
 }
 
-fn check_blob(blob: &BlobFile, frames: &[Vec<u16>]) -> Option<Vec<DeviceRun>> {
+fn check_blob(blob: &NetworkFile, frames: &[Vec<u16>]) -> Option<Vec<DeviceRun>> {
     let runs = firmware()?.into_iter().map(|firmware| {
         let board = firmware.board().name;
         let device = run(&Runtime::Qemu(firmware), blob, frames.into(), None, &mut |_| {}).unwrap();
@@ -174,7 +174,7 @@ fn regions_with_a_held_field_agree_bit_for_bit() {
     }
 }
 
-fn run_on(firmware: &Firmware, blob: &BlobFile, work: RunRequest<'_>) -> DeviceRun {
+fn run_on(firmware: &Firmware, blob: &NetworkFile, work: RunRequest<'_>) -> DeviceRun {
     run(&Runtime::Qemu(firmware.clone()), blob, work, None, &mut |_| {}).unwrap()
 }
 

@@ -1,5 +1,6 @@
 //! Errors and warnings of a bead scan.
 
+use crate::sensor::MapShapeError;
 use crate::session::SessionError;
 use std::path::PathBuf;
 use thiserror::Error;
@@ -82,6 +83,9 @@ pub enum BeadError {
         /// Relative light level.
         illumination: f64,
     },
+    /// A sensor map has another shape than the session's sensor.
+    #[error(transparent)]
+    Maps(#[from] MapShapeError),
     /// One object pixel is not one sensor pixel.
     #[error(
         "session.toml: object.pixel_um: expected sensor.pixel_pitch_um / optics.magnification = {expected:.4} um \

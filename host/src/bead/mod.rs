@@ -11,5 +11,5 @@ pub use extent::extent;
 pub(crate) use rays::PASSES;
 pub use rays::{RayFit, fit_chief_rays};
 pub(crate) use scan::check_grid;
-pub use scan::{Bead, BeadScan, SensorMaps};
+pub use scan::{Bead, BeadScan};
 pub use windows::{BeadCut, cut_windows};

@@ -2,6 +2,7 @@
 
 use super::BeadError;
 use crate::noise::NoiseModel;
+use crate::sensor::SensorMaps;
 use crate::session::{Cut, FrameReader, Manifest, Role, Session};
 use ndarray::Array2;
 use std::path::{Path, PathBuf};
@@ -37,25 +38,16 @@ pub struct BeadScan {
     noise: NoiseModel,
 }
 
-/// What is known of single pixels, each [sensor rows, sensor cols].
-#[derive(Clone, Debug, Default)]
-pub struct SensorMaps {
-    /// Offset from the black level, DN.
-    pub offset_dn: Option<Array2<f32>>,
-    /// One over the response to light.
-    pub inverse_response: Option<Array2<f32>>,
-    /// Pixels that say nothing (telegraph, hot, dead).
-    pub useless: Option<Array2<bool>>,
-}
-
 impl BeadScan {
     /// Opens the bead stacks of a session.
     ///
     /// # Errors
-    /// There is no bead stack, too few frames, an exposure of zero, or the object grid does not match the sensor's.
+    /// There is no bead stack, too few frames, an exposure of zero, a map has another shape than the sensor, or the
+    /// object grid does not match the sensor's.
     pub fn open(session: &Session, noise: NoiseModel, maps: SensorMaps) -> Result<Self, BeadError> {
         let manifest = session.manifest();
         check_grid(manifest)?;
+        maps.check([manifest.sensor.rows, manifest.sensor.cols])?;
         let stacks = session.need(Role::Bead)?;
         let exposure_ms = stacks[0].entry().exposure_ms;
         let (mut beads, mut paths, mut readers) = (Vec::new(), Vec::new(), Vec::new());
@@ -99,7 +91,7 @@ impl BeadScan {
 
     /// Whether a pixel [row, col] is usable (neither hot nor dead).
     pub fn useful(&self, at: [usize; 2]) -> bool {
-        self.maps.useless.as_ref().is_none_or(|useless| !useless[at])
+        self.maps.unusable.as_ref().is_none_or(|unusable| !unusable[at])
     }
 
     /// Frame of bead `n`, [sensor rows, sensor cols]: light in DN above black at its own exposure, corrected for the
@@ -122,14 +114,9 @@ impl BeadScan {
         let cut = Cut::of(&frame);
         let (black, top) = (self.noise.black_level_dn as f32, self.noise.saturation_dn as f32);
         frame.mapv_inplace(|v| if v >= top { f32::NAN } else { v - black });
-        if let Some(offset) = &self.maps.offset_dn {
-            frame -= offset;
-        }
-        if let Some(inverse) = &self.maps.inverse_response {
-            frame *= inverse;
-        }
-        if let Some(useless) = &self.maps.useless {
-            bridge(&mut frame, useless);
+        self.maps.correct(frame.view_mut());
+        if let Some(unusable) = &self.maps.unusable {
+            bridge(&mut frame, unusable);
         }
         Ok((frame, cut))
     }

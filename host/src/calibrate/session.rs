@@ -5,11 +5,12 @@ use super::light_unit::{fit_light_unit, set_light_unit};
 use super::model::{Model, ModelConfig};
 use super::replicates::{ReplicateRequest, replicates};
 use super::sensor_only;
-use crate::bead::{BeadCut, BeadScan, SensorMaps, cut_windows, extent, fit_chief_rays};
+use crate::bead::{BeadCut, BeadScan, cut_windows, extent, fit_chief_rays};
 use crate::instrument::{Instrument, LightUnit, Quality};
 use crate::noise::{NoiseCalibration, NoiseConfig, inverse_response, measure_noise};
 use crate::psf::BeadScale;
 use crate::psf::fit::{FitConfig, Plane};
+use crate::sensor::SensorMaps;
 use crate::session::{Manifest, Role, Session};
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
@@ -138,7 +139,7 @@ fn maps(noise: &NoiseCalibration) -> SensorMaps {
     SensorMaps {
         offset_dn: noise.offset_dn.clone(),
         inverse_response: noise.response.as_ref().map(inverse_response),
-        useless: noise.useless(),
+        unusable: noise.useless(),
     }
 }
 

@@ -1,4 +1,4 @@
-//! `ablate`: networks that differ in one thing each, trained alike and judged on the same scenes.
+//! `ablate`: networks that differ in one option each, trained in the same way and judged on the same scenes.
 
 use super::{Cli, Outcome, Run};
 use crate::evaluate::Evaluation;
@@ -9,7 +9,7 @@ use serde_json::json;
 use std::fmt::Write;
 use std::path::PathBuf;
 
-/// What is tried where nothing else is asked for: number of filters, start, domain in which filters are learned, other networks.
+/// Default variants: number of filters, start of the filters, domain in which filters are learned, other networks.
 const VARIANTS: [(&str, &str); 10] = [
     ("svfouriernet", ""),
     ("one filter", "--filters 1"),
@@ -26,21 +26,22 @@ const VARIANTS: [(&str, &str); 10] = [
 /// Options of `ablate`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Data set that all are trained on
+    /// Data set that all networks are trained on
     pairs: PathBuf,
     /// Instrument of the data set
     #[arg(long, value_name = "FILE")]
     instrument: PathBuf,
-    /// Session that all are judged on
+    /// Session that all networks are judged on
     #[arg(long, value_name = "SESSION")]
     session: PathBuf,
-    /// Folder of the networks and the evaluation; networks that are there with as many steps are not trained again
+    /// Folder of the networks and the evaluation. A network that is already there, with the same seed and number of
+    /// steps, is not trained again
     #[arg(short, long, value_name = "FOLDER")]
     output: PathBuf,
     /// Steps of each training
     #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..))]
     steps: u64,
-    /// Instead of the usual variants: a name and options of `train` (may be given again)
+    /// Variant instead of the default ones: a name and options of `train` (may be given again)
     #[arg(long = "variant", value_name = "NAME=OPTIONS", value_parser = variant)]
     variants: Vec<(String, String)>,
 }
@@ -53,11 +54,11 @@ fn variant(text: &str) -> Result<(String, String), String> {
 /// Runs the verb.
 ///
 /// # Errors
-/// A training or the evaluation fails; the networks that were ready stay.
+/// A training or the evaluation fails; networks that are finished stay.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     std::fs::create_dir_all(&args.output).with_context(|| args.output.display().to_string())?;
-    let usual = || VARIANTS.map(|(name, options)| (name.to_string(), options.to_string())).to_vec();
-    let variants = if args.variants.is_empty() { usual() } else { args.variants.clone() };
+    let default = || VARIANTS.map(|(name, options)| (name.to_string(), options.to_string())).to_vec();
+    let variants = if args.variants.is_empty() { default() } else { args.variants.clone() };
     let path = |name: &str| args.output.join(format!("{}.safetensors", name.replace([' ', ','], "-")));
     let mut rows = Vec::new();
     let mut evaluate = vec!["evaluate".to_string(), args.session.display().to_string()];
@@ -127,7 +128,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_usual_variant_is_a_training_that_the_program_takes() {
+    fn each_default_variant_is_a_valid_training() {
         for (name, options) in VARIANTS {
             let words = "ommatidia train pairs --instrument i -o o --steps 5".split_whitespace();
             let parsed = Cli::try_parse_from(words.chain(options.split_whitespace()));

@@ -4,7 +4,7 @@ use super::common::{Outcome, Run};
 use crate::artifact::Provenance;
 use crate::bench::open_session;
 use crate::calibrate::{CalibrateConfig, Calibration, PixelReadNoise, calibrate, frames_read, response_rms};
-use crate::evaluate::measured;
+use crate::evaluate::{Measured, measured};
 use crate::instrument::{Instrument, LightUnit};
 use crate::noise::{NoiseConfig, Source};
 use crate::report::bytes;
@@ -67,7 +67,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         noise: NoiseConfig { nominal_gain_dn_per_e: args.gain, nominal_read_noise_e: args.read_noise },
     };
     let bar = run.progress(frames_read(&session), "calibrate");
-    let (calibration, seconds, peak_bytes) = measured(|| calibrate(&session, &config, || bar.inc(1)));
+    let Measured { result: calibration, seconds, peak_bytes } =
+        measured(|| calibrate(&session, &config, || bar.inc(1)));
     let calibration = calibration?;
     bar.finish_and_clear();
     for note in &calibration.notes {

@@ -9,8 +9,8 @@ mod target;
 
 use super::common::{Outcome, Run};
 use crate::artifact::write_whole;
-use crate::blob::{BlobFile, raw_codes};
 use crate::device::{BoardCounts, DeviceRun, RunRequest, count_board, run as run_device, table};
+use crate::network_file::NetworkFile;
 use crate::session::stack;
 use anyhow::Context;
 use clap::Subcommand;
@@ -119,7 +119,7 @@ fn count(args: &BenchArgs) -> anyhow::Result<Outcome> {
 }
 
 fn run_network(args: &RunArgs, run: &Run) -> anyhow::Result<Outcome> {
-    let blob = BlobFile::read(&args.with)?;
+    let blob = NetworkFile::read(&args.with)?;
     let header = blob.network()?.into_header();
     let stack = stack::read(&args.frames)?;
     let count = args.first.map_or(usize::MAX, |n| n as usize);
@@ -127,7 +127,7 @@ fn run_network(args: &RunArgs, run: &Run) -> anyhow::Result<Outcome> {
         .axis_iter(Axis(0))
         .take(count)
         .enumerate()
-        .map(|(i, frame)| raw_codes(&header, frame).with_context(|| format!("{}: frame {i}", args.frames.display())))
+        .map(|(i, frame)| blob.codes(frame).with_context(|| format!("{}: frame {i}", args.frames.display())))
         .collect::<anyhow::Result<Vec<_>>>()?;
     let runtime = args.target.runtime(run)?;
     let state = args.target.state.as_deref();
@@ -149,7 +149,7 @@ fn objects(device: &DeviceRun, size: Region) -> anyhow::Result<Array3<f32>> {
     Array3::from_shape_vec(shape, values).context("a reconstruction does not have the size given in the network file")
 }
 
-fn outcome(device: &DeviceRun, blob: &BlobFile, frames: usize) -> Outcome {
+fn outcome(device: &DeviceRun, blob: &NetworkFile, frames: usize) -> Outcome {
     let t = &device.telemetry;
     let on_host = device.board == "host";
     // What only an image on a board has.

@@ -2,7 +2,7 @@
 
 use super::{Outcome, Run};
 use crate::artifact::Provenance;
-use crate::evaluate::receptive::receptive;
+use crate::evaluate::receptive::receptive_fields;
 use crate::instrument::Instrument;
 use crate::session::stack;
 use crate::train::Checkpoint;
@@ -15,7 +15,7 @@ use std::path::PathBuf;
 pub struct Args {
     /// Checkpoint of a network
     checkpoint: PathBuf,
-    /// Instrument whose PSFs the receptive fields are held against
+    /// Instrument whose PSFs the receptive fields are compared with
     #[arg(long, value_name = "FILE")]
     instrument: PathBuf,
     /// Raw frames to average over [default: the held-out frames in the checkpoint]
@@ -38,7 +38,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         None => checkpoint.cases.iter().map(|c| c.frame_dn.clone()).collect(),
     };
     let bar = run.progress(4 * frames.len() as u64, "erf");
-    let found = receptive(&checkpoint, &instrument, &frames, || bar.inc(1))?;
+    let found = receptive_fields(&checkpoint, &instrument, &frames, || bar.inc(1))?;
     bar.finish_and_clear();
     let config = serde_json::json!({ "frames": frames.len() });
     let mut provenance =

@@ -2,14 +2,12 @@
 
 use super::{Outcome, Run};
 use crate::artifact::Provenance;
-use crate::evaluate::{
-    Evaluation, MethodFigures, Predicted, PredictionFigures, Scenes, Sensor, Source, Summary, in_sigmas, judge,
-    predict_figures, with_scale,
-};
+use crate::evaluate::{Evaluation, MethodFigures, Predicted, Scenes, Source, Summary, judge};
 use crate::forward::Forward;
 use crate::instrument::Instrument;
 use crate::kind::FileKind;
 use crate::methods::{MethodKind, Reconstruct, title};
+use crate::metrics::{PredictionFigures, SensorNoise, in_sigmas, prediction_figures, with_scale};
 use crate::report::{bytes, seconds};
 use crate::session::{Session, stack};
 use anyhow::{Context, ensure};
@@ -28,16 +26,16 @@ pub struct Args {
     /// Methods to make from an instrument
     #[arg(long, value_name = "METHOD", value_delimiter = ',', default_value = "wiener,central")]
     methods: Vec<MethodKind>,
-    /// Reconstructions made elsewhere, one for each scene frame (may be given again)
+    /// Finished reconstructions from another program, one for each scene frame (may be given again)
     #[arg(long = "stack", value_name = "NAME=FILE", value_parser = named_stack)]
     stacks: Vec<(String, PathBuf)>,
     /// Judge the first N scenes only
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     frames: Option<u64>,
-    /// Scenes whose pictures are kept for the report
+    /// Number of scenes whose pictures are kept for the report
     #[arg(long, value_name = "N", default_value_t = 3)]
     pictures: usize,
-    /// Keep figures and pictures in a file for `report`
+    /// File for figures and pictures, for `report`
     #[arg(short, long, value_name = "EVALUATION")]
     output: Option<PathBuf>,
 }
@@ -52,11 +50,14 @@ fn named_stack(text: &str) -> Result<(String, PathBuf), String> {
 pub(super) struct Entry {
     pub(super) name: String,
     source: PathBuf,
-    pub(super) from: From,
+    pub(super) from: EntrySource,
 }
 
-pub(super) enum From {
+/// Source of an entry's reconstructions.
+pub(super) enum EntrySource {
+    /// A method to run.
     Method(Box<dyn Reconstruct>),
+    /// Finished reconstructions, [frames, object rows, object cols].
     Stack(Array3<f32>),
 }
 
@@ -93,8 +94,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     }
     for entry in &entries {
         let source = match &entry.from {
-            From::Method(method) => Source::Method(method.as_ref()),
-            From::Stack(stack) => Source::Stack(stack),
+            EntrySource::Method(method) => Source::Method(method.as_ref()),
+            EntrySource::Stack(stack) => Source::Stack(stack),
         };
         let count = scenes.count();
         let judged = judge(&source, &manifest.object, count, &pictured, |i| scenes.case(i), || bar.inc(1));
@@ -114,7 +115,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     Ok(outcome(args, &evaluation.summary))
 }
 
-/// What is to be judged: networks, methods made from instruments, stacks.
+/// The entries to judge: networks, methods made from instruments, stacks.
 pub(super) fn entries(
     with: &[PathBuf],
     methods: &[MethodKind],
@@ -128,21 +129,28 @@ pub(super) fn entries(
         let kinds = if instrument { methods.to_vec() } else { vec![MethodKind::default_for(path)?] };
         for kind in kinds.into_iter().filter(|k| !instrument || k.needs_instrument()) {
             let method = kind.open(path, run.seed)?;
-            entries.push(Entry { name: method.name().into(), source: path.clone(), from: From::Method(method) });
+            entries.push(Entry { name: method.name().into(), source: path.clone(), from: EntrySource::Method(method) });
         }
     }
     for (name, path) in stacks {
         let objects = stack::read(path)?;
         let found = objects.len_of(Axis(0));
-        ensure!(found >= frames, "{}: expected {frames} objects, one a scene frame, found {found}", path.display());
-        entries.push(Entry { name: name.clone(), source: path.clone(), from: From::Stack(objects) });
+        ensure!(
+            found >= frames,
+            "{}: expected {frames} objects, one for each scene frame, found {found}",
+            path.display()
+        );
+        entries.push(Entry { name: name.clone(), source: path.clone(), from: EntrySource::Stack(objects) });
     }
-    ensure!(!entries.is_empty(), "--methods: none of them is made from an instrument; give wiener or central");
+    ensure!(
+        !entries.is_empty(),
+        "--methods: expected methods that are made from an instrument, such as wiener or central, found none"
+    );
     make_names_unique(&mut entries);
     Ok(entries)
 }
 
-/// A name that comes twice gets the file that it came from: `wiener@b.safetensors`, and a number where that is no help.
+/// Adds the file to names that occur twice, as in `wiener@b.safetensors`, and a number if that is still not unique.
 fn make_names_unique(entries: &mut [Entry]) {
     let all: Vec<String> = entries.iter().map(|e| e.name.clone()).collect();
     for i in 0..entries.len() {
@@ -160,13 +168,13 @@ fn is_instrument(path: &Path) -> anyhow::Result<bool> {
     Ok(matches!(FileKind::of(path)?, FileKind::Artifact(kind) if kind == "instrument"))
 }
 
-/// `most` scenes, evenly spread over all of them.
+/// Indices of at most `most` scenes, spread evenly over `count`.
 fn pictured(count: usize, most: usize) -> Vec<usize> {
     let n = most.min(count);
     (0..n).map(|i| i * count / n).collect()
 }
 
-/// How well the first instrument predicts the scenes, and its predictions of those that are pictured.
+/// Figures of the first instrument's prediction of the scenes, and the predictions of the pictured ones.
 fn prediction(
     args: &Args,
     scenes: &mut Scenes,
@@ -178,16 +186,19 @@ fn prediction(
             let forward = Forward::new(&instrument)?;
             let count = scenes.count();
             let noise = forward.noise_with(forward.effects());
-            let sensor =
-                Sensor { noise: &noise, offset_dn: instrument.offset_dn.as_ref(), reading_dn2: forward.reading_dn2() };
-            let figures = predict_figures(count, sensor, |i| scenes.triple(i, &forward));
+            let sensor = SensorNoise {
+                noise: &noise,
+                offset_dn: instrument.offset_dn.as_ref(),
+                reading_dn2: forward.reading_dn2(),
+            };
+            let figures = prediction_figures(count, sensor, |i| scenes.comparison(i, &forward));
             let figures = figures.with_context(|| path.display().to_string())?;
             let size = (pictured.len(), instrument.manifest.sensor.rows, instrument.manifest.sensor.cols);
             let mut predicted = Predicted { frames_dn: Array3::zeros(size), residual_sigma: Array3::zeros(size) };
             for (p, i) in pictured.iter().enumerate() {
-                let triple = scenes.triple(*i, &forward)?;
-                let scaled = with_scale(&triple.predicted, figures.scale, noise.black_level_dn);
-                let residual = in_sigmas(triple.measured.view(), scaled.view(), sensor)?;
+                let frames = scenes.comparison(*i, &forward)?;
+                let scaled = with_scale(&frames.predicted, figures.scale, noise.black_level_dn);
+                let residual = in_sigmas(frames.measured.view(), scaled.view(), sensor)?;
                 predicted.residual_sigma.index_axis_mut(Axis(0), p).assign(&residual);
                 predicted.frames_dn.index_axis_mut(Axis(0), p).assign(&scaled);
             }
@@ -268,11 +279,11 @@ mod tests {
     }
 
     #[test]
-    fn names_that_come_twice_carry_their_file() {
+    fn names_that_occur_twice_carry_their_file() {
         let entry = |name: &str, path: &str| Entry {
             name: name.into(),
             source: path.into(),
-            from: From::Stack(Array3::zeros((0, 0, 0))),
+            from: EntrySource::Stack(Array3::zeros((0, 0, 0))),
         };
         let mut entries =
             [entry("wiener", "x/a.st"), entry("central", "x/a.st"), entry("wiener", "b.st"), entry("wiener", "y/b.st")];

@@ -1,11 +1,12 @@
-//! `import-pth` and `export`: the published PyTorch weights, in and out.
+//! `import-pth` and `export`: import and export of the published PyTorch weights.
 
 use super::{Outcome, Run};
 use crate::artifact::Provenance;
 use crate::instrument::Instrument;
 use crate::noise::{NoiseModel, Sources};
-use crate::train::pth::{self, Surroundings};
-use crate::train::{Checkpoint, SensorMaps, weights};
+use crate::sensor::SensorMaps;
+use crate::train::pth::{self, ImportConfig};
+use crate::train::{Checkpoint, weights};
 use anyhow::Context;
 use std::path::PathBuf;
 
@@ -17,7 +18,7 @@ pub struct Args {
     /// Checkpoint to write
     #[arg(short, long, value_name = "CHECKPOINT")]
     output: PathBuf,
-    /// Instrument whose frames the network shall see: sizes, noise and maps
+    /// Instrument whose frames the network reconstructs: sizes, noise, sensor maps
     #[arg(long, value_name = "FILE", conflicts_with_all = ["frame", "object", "black_level"])]
     instrument: Option<PathBuf>,
     /// Rows and columns of frames [default for filters of 4200: 2886 3500]
@@ -44,10 +45,10 @@ pub struct Export {
 /// Runs `import-pth`.
 ///
 /// # Errors
-/// The file is no such state dictionary, or the checkpoint cannot be written.
+/// The file is not a state dictionary of an SV-FourierNet, or the checkpoint cannot be written.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let named = || args.weights.display().to_string();
-    let checkpoint = pth::import(&args.weights, around(args)?).with_context(named)?;
+    let checkpoint = pth::import(&args.weights, import_config(args)?).with_context(named)?;
     let config = serde_json::json!({ "network": checkpoint.body.network });
     let mut provenance = Provenance::new("import-pth", run.seed, &config).with_input(&args.weights)?;
     if let Some(path) = &args.instrument {
@@ -57,7 +58,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let n = &checkpoint.body.network;
     let parameters: usize = weights::shapes(n).iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
     let text = format!(
-        "{}\n  {} filters of {} x {}, {} groups of {} blocks of {} features: {parameters} parameters\n  frames {} x {}, objects {} x {}\n",
+        "{}\n  {} filters of {} x {}, {} groups of {} blocks of {} features: {parameters} parameters\n  frames {} \
+         x {}, objects {} x {}\n",
         args.output.display(),
         n.channels,
         n.filter_size,
@@ -73,20 +75,20 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     Ok(Outcome { json: serde_json::json!({ "checkpoint": args.output, "network": n, "parameters": parameters }), text })
 }
 
-/// What the weights do not tell.
-fn around(args: &Args) -> anyhow::Result<Surroundings> {
+/// Sizes, noise and maps from the instrument or the options.
+fn import_config(args: &Args) -> anyhow::Result<ImportConfig> {
     if let Some(path) = &args.instrument {
         let instrument = Instrument::read(path)?;
         let (sensor, object) = (&instrument.manifest.sensor, &instrument.manifest.object);
-        return Ok(Surroundings {
+        return Ok(ImportConfig {
             frame: Some([sensor.rows, sensor.cols]),
             object: Some([object.rows, object.cols]),
             noise: instrument.noise,
-            maps: SensorMaps::of(&instrument)?,
+            maps: instrument.sensor_maps()?,
         });
     }
     let pair = |sides: &Option<Vec<usize>>| sides.as_deref().and_then(|s| Some([*s.first()?, *s.get(1)?]));
-    // The published network divides a frame by its maximum: no gain is needed.
+    // The network divides a frame by its maximum, so the gain has no effect.
     let noise = NoiseModel {
         black_level_dn: args.black_level,
         gain_dn_per_e: 1.0,
@@ -96,13 +98,13 @@ fn around(args: &Args) -> anyhow::Result<Surroundings> {
         saturation_dn: 65535.0,
         sources: Sources::default(),
     };
-    Ok(Surroundings { frame: pair(&args.frame), object: pair(&args.object), noise, maps: SensorMaps::default() })
+    Ok(ImportConfig { frame: pair(&args.frame), object: pair(&args.object), noise, maps: SensorMaps::default() })
 }
 
 /// Runs `export`.
 ///
 /// # Errors
-/// The checkpoint cannot be read, is of another network, or the file cannot be written.
+/// The checkpoint cannot be read or holds another network, or the file cannot be written.
 pub fn export(args: &Export, _run: &Run) -> anyhow::Result<Outcome> {
     let checkpoint = Checkpoint::read(&args.checkpoint)?;
     let tensors = pth::export(&checkpoint, &args.output)?;

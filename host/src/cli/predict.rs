@@ -1,7 +1,7 @@
 //! `predict`: expected frames for given objects.
 
 use super::common::{Outcome, Run};
-use crate::evaluate::measured;
+use crate::evaluate::{Measured, measured};
 use crate::forward::{Depth, PredictError, PredictRequest, Predicted, Predictor};
 use crate::instrument::Instrument;
 use crate::session::{FrameReader, FrameWriter, SampleType, StackSpec};
@@ -102,7 +102,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         }
         Ok(())
     };
-    let (done, seconds, peak_bytes) = measured(&mut all);
+    let Measured { result: done, seconds, peak_bytes } = measured(&mut all);
     done?;
     let seconds = seconds / inputs.len().max(1) as f64;
     outputs.finish()?;

@@ -15,24 +15,25 @@ pub struct Args {
     /// Network file to write
     #[arg(short, long, value_name = "BLOB")]
     output: PathBuf,
-    /// Name that the network carries [default: the checkpoint's file name]
+    /// Name to store in the network file [default: the checkpoint's file name]
     #[arg(long)]
     name: Option<String>,
-    /// Most bytes that the network file may have
+    /// Maximum length of the network file, bytes
     #[arg(long, value_name = "BYTES")]
     flash: Option<u64>,
-    /// Most bytes of memory that it may need while it runs, the program's own included
+    /// Maximum memory of the device while it runs the network, bytes, its program included
     #[arg(long, value_name = "BYTES")]
     ram: Option<u64>,
-    /// Keep the strongest blocks of the filters' kernels, as many as fit into this part of the dense filters' bytes; the device transforms them. Without
-    /// it: what they were held to in training, else all, else as much as fits into --flash
+    /// Keep the strongest blocks of the filters' kernels, as many as fit into this fraction of the dense filters'
+    /// bytes; the device transforms them [default: the blocks or taps of the training, or else all; pruned to fit into
+    /// --flash]
     #[arg(long, value_name = "PART", conflicts_with = "tile", value_parser = super::common::part)]
     prune: Option<f64>,
-    /// Side of the transforms, pixels: the filters are cut into taps [default: that of the taps they were held to in training, else one transform of
-    /// the whole frame]
+    /// Side of small transforms, pixels: the filters are cut into taps [default: the taps of the training, or else one
+    /// transform of the whole frame]
     #[arg(long, value_name = "T")]
     tile: Option<usize>,
-    /// Part of the filters' energy that the taps must keep [default: 0.95]
+    /// Fraction of the filters' energy that the taps must keep [default: 0.95]
     #[arg(long, value_name = "PART", requires = "tile")]
     energy: Option<f64>,
 }
@@ -40,8 +41,8 @@ pub struct Args {
 /// Runs the verb.
 ///
 /// # Errors
-/// The checkpoint cannot be read, a weight is no number, the network does not fit into the budget, or the file cannot be written; nothing is
-/// written then.
+/// The checkpoint cannot be read, a weight is not finite, the network does not fit into the budget, or the file cannot
+/// be written. Nothing is written then.
 pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
     let checkpoint = Checkpoint::read(&args.checkpoint)?;
     let stem = args.checkpoint.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
@@ -66,7 +67,8 @@ fn text(path: &Path, r: &QuantizeReport) -> String {
         blocks => format!("{blocks} blocks of {} x {} lags", r.block_side, r.block_side),
     };
     let mut text = format!(
-        "{}\n  {} bytes: filters {} ({filters}, {:.1} % of dense ones), enhancement {}\n  memory: {} bytes: {} fast, {} bulk, {} frame, {} reconstruction, at most {} variables and stack\n  energy of the filters kept: {:.4}\n",
+        "{}\n  {} bytes: filters {} ({filters}, {:.1} % of dense ones), enhancement {}\n  memory: {} bytes: {} fast, \
+         {} bulk, {} frame, {} reconstruction, at most {} variables and stack\n  energy of the filters kept: {:.4}\n",
         path.display(),
         r.file_bytes,
         r.filter_bytes,
@@ -83,6 +85,6 @@ fn text(path: &Path, r: &QuantizeReport) -> String {
     for step in &r.steps {
         let _ = writeln!(text, "  {:>6}: {:.2} dB, SSIM {:.4}", step.step, step.quality.psnr_db, step.quality.ssim);
     }
-    let _ = writeln!(text, "  lost on the way: {:.3} dB over {} held-out frames", r.loss_db, r.frames);
+    let _ = writeln!(text, "  loss by quantization: {:.3} dB over {} held-out frames", r.loss_db, r.frames);
     text
 }

@@ -26,7 +26,7 @@ pub struct Args {
 /// Runs the verb.
 ///
 /// # Errors
-/// A file cannot be read or does not fit the method, or the output cannot be written; nothing is left behind then.
+/// A file cannot be read or does not fit the method, or the output cannot be written. No output is left then.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let mut frames = FrameReader::open(&args.frames)?;
     let kind = args.method.map_or_else(|| MethodKind::default_for(&args.with), Ok)?;
@@ -43,7 +43,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         let object = object.with_context(|| format!("{}: frame {i}", args.frames.display()))?;
         let writer = match &mut writer {
             Some(writer) => writer,
-            // The first object tells the size of all.
+            // All objects have the size of the first.
             None => writer.insert(FrameWriter::create(
                 &args.output,
                 StackSpec {

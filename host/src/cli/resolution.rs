@@ -1,6 +1,6 @@
-//! `resolution`: the finest bars that methods still show, by place in the field and by depth.
+//! `resolution`: the finest line pairs that methods resolve, by position in the field and by depth.
 
-use super::evaluate::{From, entries};
+use super::evaluate::{EntrySource, entries};
 use super::{Outcome, Run};
 use crate::artifact::write_whole;
 use crate::evaluate::Scenes;
@@ -15,7 +15,7 @@ use std::path::PathBuf;
 /// Options of `resolution`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Folder of a session that `bench --targets` measured
+    /// Folder of a session made by `bench --targets`
     session: PathBuf,
     /// Checkpoint, network file, or instrument (may be given again)
     #[arg(long = "with", value_name = "FILE", required = true)]
@@ -43,13 +43,13 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         scenes.count() > 0
             && scenes.count().is_multiple_of(targets)
             && is_target(&grid, 0, scenes.case(0)?.truth.view()),
-        "{}: expected the scenes of `bench --targets`, found others",
+        "{}: expected the scenes of `bench --targets`, found other scenes",
         named()
     );
     let bar = run.progress((entries.len() * scenes.count()) as u64, "resolution");
     let mut found: Vec<Resolution> = Vec::new();
     for entry in &entries {
-        let From::Method(method) = &entry.from else {
+        let EntrySource::Method(method) = &entry.from else {
             continue;
         };
         for first in (0..scenes.count()).step_by(targets) {
@@ -75,7 +75,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let ranges: Vec<DepthRange> = names.map(|name| depth_range(&name, &of(&name))).collect();
     let several = scenes.count() > targets;
     let mut json = serde_json::json!({
-        "session": session.manifest().name, "object_pixel_um": grid.pixel_um, "periods_px": PERIODS_PX, "resolution": found,
+        "session": session.manifest().name, "object_pixel_um": grid.pixel_um, "periods_px": PERIODS_PX,
+        "resolution": found,
     });
     if several {
         json["depth_ranges"] = serde_json::to_value(&ranges)?;
@@ -89,7 +90,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
 fn text(found: &[Resolution], ranges: &[DepthRange], pixel_um: f64) -> String {
     let width = found.iter().map(|r| title(&r.name).chars().count()).max().unwrap_or(0).max(6);
     let mut text = format!(
-        "finest line pair resolved along both axes, um; contrast of the pair of {:.1} um, mean\n{:width$}  {:>8}  {:>8} {:>8}   {:>8} {:>8}\n",
+        "finest line pair resolved along both axes, um; contrast of the pair of {:.1} um, mean\n\
+         {:width$}  {:>8}  {:>8} {:>8}   {:>8} {:>8}\n",
         3.0 * pixel_um,
         "method",
         "depth",

@@ -2,11 +2,12 @@
 
 use crate::artifact::Provenance;
 use crate::closing::{Retrain, RetrainRequest, Retrained};
-use crate::evaluate::{Case, Source, judge};
+use crate::evaluate::{Source, judge};
 use crate::methods::FloatNetwork;
+use crate::metrics::Case;
 use crate::session::Role;
 use crate::study::networks::{FirstTraining, TrainRequest};
-use crate::train::{Checkpoint, FINE_TUNE_RATE, Next, Preset, SensorMaps, Simulated, Task, Trainer};
+use crate::train::{Checkpoint, FINE_TUNE_RATE, Next, Preset, Simulated, Task, Trainer};
 use anyhow::{Context, ensure};
 use std::path::Path;
 
@@ -24,7 +25,7 @@ impl Retrain for Networks {
         let before = Checkpoint::read(checkpoint)?;
         let source = Simulated::of(instrument, instrument_file, seed)?;
         let plan = source.plan();
-        let maps = SensorMaps::of(instrument)?;
+        let maps = instrument.sensor_maps()?;
         let mut training = before.body.training.clone().with_steps(steps);
         training.peak_e = plan.peak_e;
         training.seed = seed;
@@ -61,7 +62,7 @@ impl FirstTraining for Networks {
         let TrainRequest { instrument, instrument_file, output, steps, seed } = *request;
         let source = Simulated::of(instrument, instrument_file, seed)?;
         let plan = source.plan();
-        let maps = SensorMaps::of(instrument)?;
+        let maps = instrument.sensor_maps()?;
         let network = Preset::Nano.network(plan.frame, plan.object);
         let mut training = Preset::Nano.training(plan.noise.full_scale_e(), seed).with_steps(steps);
         training.peak_e = plan.peak_e;

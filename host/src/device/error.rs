@@ -1,6 +1,6 @@
 //! Errors of the link to a device.
 
-use crate::blob::BlobFileError;
+use crate::network_file::NetworkFileError;
 use ommatidia_shared::pipeline::PipelineError;
 use ommatidia_shared::wire::{Refusal, SlotReport};
 use std::path::PathBuf;
@@ -117,7 +117,7 @@ pub enum DeviceError {
     Refused(Refusal),
     /// A network file or a frame is invalid.
     #[error(transparent)]
-    Blob(#[from] BlobFileError),
+    Blob(#[from] NetworkFileError),
     /// The pipeline refuses on this machine.
     #[error("{0}")]
     Pipeline(PipelineError),

@@ -4,7 +4,7 @@ use super::client::Client;
 use super::error::DeviceError;
 use super::runtime::Runtime;
 use super::transport::Transport;
-use crate::blob::BlobFile;
+use crate::network_file::NetworkFile;
 use ommatidia_shared::blob::BlobError;
 use ommatidia_shared::wire::{Info, Refusal, SlotReport, Telemetry};
 use std::path::Path;
@@ -37,7 +37,7 @@ pub struct FlashReport {
 pub fn flash(
     runtime: &Runtime,
     state: Option<&Path>,
-    blob: &BlobFile,
+    blob: &NetworkFile,
     progress: &mut dyn FnMut(f64),
 ) -> Result<FlashReport, DeviceError> {
     let (mut client, info) = Client::connect(runtime.start(None, state)?)?;
@@ -53,7 +53,7 @@ pub fn flash(
 pub fn upload<T: Transport>(
     client: &mut Client<T>,
     info: &Info,
-    blob: &BlobFile,
+    blob: &NetworkFile,
     progress: &mut dyn FnMut(f64),
 ) -> Result<FlashReport, DeviceError> {
     let start = Instant::now();
@@ -85,7 +85,7 @@ pub fn upload<T: Transport>(
 }
 
 /// Whether the device runs this network, judged by the length and the checksum of its file.
-pub(super) fn runs(telemetry: &Telemetry, blob: &BlobFile) -> bool {
+pub(super) fn runs(telemetry: &Telemetry, blob: &NetworkFile) -> bool {
     let file = blob.bytes();
     let crc = file.last_chunk().map(|crc| u32::from_le_bytes(*crc));
     active(telemetry).is_some_and(|slot| slot.mark.len as usize == file.len() && Some(slot.mark.crc) == crc)

@@ -4,7 +4,7 @@ use super::error::DeviceError;
 use super::firmware::Firmware;
 use super::run::run;
 use super::runtime::Runtime;
-use crate::blob::BlobFile;
+use crate::network_file::NetworkFile;
 use half::f16;
 use ommatidia_shared::blob::{Bank, Header, MemoryPlan, Rcan, Sensor, Size, Tap, Weights};
 use ommatidia_shared::pipeline::Pipeline;
@@ -35,7 +35,7 @@ pub fn footprint(app: &Firmware) -> Result<Footprint, DeviceError> {
 
 /// A network with every operator in it, all weights zero, and a frame for it: how deep the stack gets does not depend
 /// on the sizes.
-pub(super) fn small_network() -> Result<(BlobFile, Vec<u16>), DeviceError> {
+pub(super) fn small_network() -> Result<(NetworkFile, Vec<u16>), DeviceError> {
     let mut header = Header {
         name: Default::default(),
         checkpoint: Default::default(),
@@ -49,7 +49,7 @@ pub(super) fn small_network() -> Result<(BlobFile, Vec<u16>), DeviceError> {
     header.memory = Pipeline::plan(&header).map_err(DeviceError::Pipeline)?;
     let lens = header.section_lens().map_err(|source| {
         let path = "the small network".into();
-        crate::blob::BlobFileError::Blob { path, source }
+        crate::network_file::NetworkFileError::Format { path, source }
     })?;
     let zeros = vec![f16::ZERO; lens.filters.max(lens.rcan).max(lens.offset_dn).max(lens.inverse_gain) as usize];
     let weights = Weights {
@@ -59,7 +59,7 @@ pub(super) fn small_network() -> Result<(BlobFile, Vec<u16>), DeviceError> {
         offset_dn: Some(&zeros[..lens.offset_dn as usize]),
         inverse_gain: Some(&zeros[..lens.inverse_gain as usize]),
     };
-    Ok((BlobFile::new(&header, &weights)?, vec![100; 256]))
+    Ok((NetworkFile::new(&header, &weights)?, vec![100; 256]))
 }
 
 fn tap(channel: u8) -> impl Iterator<Item = Tap> {

@@ -7,7 +7,7 @@ use super::flash;
 use super::runtime::Runtime;
 use super::scope::{Deviation, Scope};
 use super::transport::Transport;
-use crate::blob::BlobFile;
+use crate::network_file::NetworkFile;
 use half::f16;
 use ommatidia_shared::pipeline::{HeldRegion, Holder, Memory, Pipeline};
 use ommatidia_shared::wire::{RunReport, Telemetry};
@@ -75,7 +75,7 @@ impl DeviceRun {
 /// The device cannot be started, refuses a request, or stops answering.
 pub fn run(
     runtime: &Runtime,
-    blob: &BlobFile,
+    blob: &NetworkFile,
     work: RunRequest<'_>,
     state: Option<&Path>,
     progress: &mut dyn FnMut(f64),
@@ -95,7 +95,7 @@ pub fn run(
 /// The whole conversation; gives the line back once the program was asked to end.
 fn converse<T: Transport>(
     line: T,
-    blob: &BlobFile,
+    blob: &NetworkFile,
     work: RunRequest<'_>,
     progress: &mut dyn FnMut(f64),
 ) -> Result<(T, DeviceRun), DeviceError> {
@@ -142,7 +142,7 @@ fn converse<T: Transport>(
 ///
 /// # Errors
 /// The network, a frame or the region is refused.
-pub fn reference(blob: &BlobFile, work: RunRequest<'_>) -> Result<Vec<Vec<f16>>, DeviceError> {
+pub fn reference(blob: &NetworkFile, work: RunRequest<'_>) -> Result<Vec<Vec<f16>>, DeviceError> {
     let network = blob.network()?;
     let pipeline = Pipeline::new(&network).map_err(DeviceError::Pipeline)?;
     let mut fast = vec![0.0; pipeline.fast_len_best().max(pipeline.fast_len()) + pipeline.scales_len()];
@@ -161,7 +161,7 @@ pub fn reference(blob: &BlobFile, work: RunRequest<'_>) -> Result<Vec<Vec<f16>>,
 
 /// Compares frames with held statistics with exact ones.
 fn deviation(
-    blob: &BlobFile,
+    blob: &NetworkFile,
     work: RunRequest<'_>,
     objects: &[Vec<f16>],
     reports: &[RunReport],

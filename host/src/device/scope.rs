@@ -1,6 +1,6 @@
 //! Which region of a frame is reconstructed, and whether exactly.
 
-use crate::evaluate::psnr_db;
+use crate::metrics::psnr_db;
 use half::f16;
 use ommatidia_shared::image::Region;
 

@@ -6,7 +6,7 @@ use super::flash::upload;
 use super::runtime::Runtime;
 use super::scope::Scope;
 use super::transport::Transport;
-use crate::blob::BlobFile;
+use crate::network_file::NetworkFile;
 use half::f16;
 use ommatidia_shared::wire::{RunReport, Telemetry};
 use std::path::Path;
@@ -82,7 +82,7 @@ pub struct FrameFeed<'a> {
 pub fn stream(
     runtime: &Runtime,
     state: Option<&Path>,
-    blob: &BlobFile,
+    blob: &NetworkFile,
     mut feed: FrameFeed<'_>,
     show: &mut dyn FnMut(&StreamedFrame) -> anyhow::Result<()>,
 ) -> anyhow::Result<StreamReport> {

@@ -1,37 +1,30 @@
-//! One method over all scenes of known truth.
+//! One method, judged on scenes of known truth.
 
-use super::{Figures, MethodFigures, Rings, Spectra, compare, measured, scaled};
+use super::{Measured, MethodFigures, Rings, Spectra, measured};
 use crate::methods::Reconstruct;
+use crate::metrics::{Case, Figures, compare, scaled};
 use crate::session::ObjectGrid;
 use anyhow::Context;
-use ndarray::{Array2, Array3, Axis};
+use ndarray::{Array3, Axis};
 
-/// Rings of the field between its centre and its corner.
+/// Number of rings between the centre of the field and its corner.
 const RINGS: usize = 6;
 
-/// A frame and its known object.
-#[derive(Clone, Debug)]
-pub struct Case {
-    /// Raw frame, DN, [sensor rows, sensor cols].
-    pub frame_dn: Array2<f32>,
-    /// Its object, [object rows, object cols].
-    pub truth: Array2<f32>,
-}
-
-/// Where reconstructions come from.
+/// Source of reconstructions.
 pub enum Source<'a> {
-    /// A method that is run, and timed.
+    /// A method, which is run and timed.
     Method(&'a dyn Reconstruct),
-    /// Reconstructions made elsewhere, [frames, object rows, object cols].
+    /// Finished reconstructions, [frames, object rows, object cols].
     Stack(&'a Array3<f32>),
 }
 
-/// Judges one source on `count` cases, asked for one by one, and keeps the `pictured` reconstructions in the truth's unit.
+/// Judges one source on `count` cases, which `case` returns one by one. Also returns the reconstructions with the
+/// indices `pictured`, each scaled to its truth: [pictured, object rows, object cols].
 ///
 /// `done` is called after each frame.
 ///
 /// # Errors
-/// A case cannot be had, the method refuses a frame, or a figure cannot be computed; the frame is named.
+/// A case cannot be loaded, the method refuses a frame, or a figure cannot be computed; the error names the frame.
 pub fn judge(
     source: &Source<'_>,
     grid: &ObjectGrid,
@@ -51,11 +44,12 @@ pub fn judge(
             Source::Stack(stack) => stack.index_axis(Axis(0), i).to_owned(),
             Source::Method(method) => {
                 if i == 0 {
-                    // The first run plans, allocates and warms caches: it is not timed.
+                    // The first run plans, allocates and fills caches, and is not timed.
                     method.reconstruct(case.frame_dn.view()).with_context(named)?;
                 }
-                let (object, s, bytes) = measured(|| method.reconstruct(case.frame_dn.view()));
-                (seconds, peak) = (seconds + s, peak.max(bytes));
+                let run = measured(|| method.reconstruct(case.frame_dn.view()));
+                let Measured { result: object, seconds: s, peak_bytes } = run;
+                (seconds, peak) = (seconds + s, peak.max(peak_bytes));
                 object.with_context(named)?
             }
         };
@@ -77,6 +71,7 @@ pub fn judge(
     Ok((result, pictures))
 }
 
+/// Means over the frames, and the standard deviation of the PSNR.
 fn summarise(result: &mut MethodFigures) {
     let n = result.frames.len().max(1) as f64;
     let mean = |f: fn(&Figures) -> f64| result.frames.iter().map(f).sum::<f64>() / n;
@@ -90,9 +85,9 @@ fn summarise(result: &mut MethodFigures) {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use ndarray::ArrayView2;
+    use ndarray::{Array2, ArrayView2};
 
-    /// Hands the frame back as the object, at half the light.
+    /// Returns the frame as the object, at half the light.
     struct Half;
 
     impl Reconstruct for Half {

@@ -1,27 +1,29 @@
-//! Error against field radius: aberrations and vignetting grow outwards, so one figure for a frame hides most of the story.
+//! Error against field radius. Aberrations and vignetting grow towards the edge, so one figure for a whole frame is not
+//! enough.
 
-use super::metrics::psnr_db;
+use crate::metrics::psnr_db;
 use crate::session::ObjectGrid;
 use ndarray::{Array2, ArrayView2};
 use serde::{Deserialize, Serialize};
 
-/// A ring of the field.
+/// Figures of one ring of the field.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Ring {
     /// Inner radius, um from the centre of the object grid.
     pub inner_um: f64,
     /// Outer radius, um.
     pub outer_um: f64,
-    /// Object pixels in the ring.
+    /// Number of object pixels in the ring.
     pub pixels: usize,
-    /// Root mean squared error over all frames relative to the root mean squared truth in the ring; 0 where the truth is dark.
+    /// Root mean squared error over all frames relative to the root mean squared truth in the ring; 0 where the truth
+    /// is 0.
     pub nrmse: f64,
-    /// Peak signal-to-noise ratio in the ring, dB: mean squared error relative to the squared peak of each frame, averaged
-    /// over frames.
+    /// Peak signal-to-noise ratio in the ring, dB, from the mean squared error relative to the squared maximum of each
+    /// frame, averaged over frames.
     pub psnr_db: f64,
 }
 
-/// Rings of equal width about the centre of the object grid, and sums of errors in them.
+/// Sums of errors in rings of equal width around the centre of the object grid.
 #[derive(Clone, Debug)]
 pub struct Rings {
     ring_of_pixel: Array2<usize>,
@@ -55,7 +57,8 @@ impl Rings {
         }
     }
 
-    /// Adds one frame: reconstruction times `scale` against truth, both [object rows, object cols] (checked by the caller).
+    /// Adds one frame: the reconstruction `x` times `scale` against the truth, both [object rows, object cols] (the
+    /// caller checks the shapes).
     pub fn add(&mut self, x: ArrayView2<'_, f32>, truth: ArrayView2<'_, f32>, scale: f64) {
         let peak = truth.iter().fold(0.0f64, |m, &v| m.max(f64::from(v)));
         for ((&ring, &x), &t) in self.ring_of_pixel.iter().zip(x).zip(truth) {
@@ -67,7 +70,7 @@ impl Rings {
         self.frames += 1.0;
     }
 
-    /// The figures of each ring that holds a pixel.
+    /// The figures of each ring that holds at least one pixel.
     pub fn figures(&self) -> Vec<Ring> {
         let ring = |i: usize| Ring {
             inner_um: i as f64 * self.width_um,

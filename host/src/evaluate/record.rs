@@ -1,7 +1,8 @@
-//! The evaluation: every figure and picture of a comparison of methods, as one artifact that a report can render.
+//! The artifact of an evaluation: figures and pictures of a comparison of methods, for reports.
 
-use super::{Figures, PredictionFigures, Ring, RingSpectrum};
+use super::{Ring, RingSpectrum};
 use crate::artifact::{self, ArtifactError, Header, Provenance, Tensors};
+use crate::metrics::{Figures, PredictionFigures};
 use crate::session::{ObjectGrid, SensorSpec};
 use ndarray::{Array3, Axis, Ix3};
 use serde::{Deserialize, Serialize};
@@ -12,16 +13,16 @@ pub const KIND: &str = "evaluation";
 /// Version of its layout.
 pub const VERSION: u32 = 1;
 
-/// What one method reached.
+/// Figures of one method.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MethodFigures {
-    /// Name, unlike that of any other method of the evaluation.
+    /// Name of the method, unique in the evaluation.
     pub name: String,
-    /// File that the method came from, or that its reconstructions were read from.
+    /// File that the method was made from, or that its reconstructions were read from.
     pub source: String,
     /// Mean peak signal-to-noise ratio over the frames, dB.
     pub psnr_db: f64,
-    /// Standard deviation of it from frame to frame, dB.
+    /// Standard deviation of the peak signal-to-noise ratio from frame to frame, dB.
     pub psnr_db_std: f64,
     /// Mean structural similarity.
     pub ssim: f64,
@@ -29,9 +30,9 @@ pub struct MethodFigures {
     pub nrmse: f64,
     /// Mean Pearson correlation coefficient.
     pub pcc: f64,
-    /// Wall time of one frame, s, after a first one that warms up; None for reconstructions that were read from a file.
+    /// Mean wall time of one frame, s, without the first; None for reconstructions that were read from a file.
     pub seconds_per_frame: Option<f64>,
-    /// Peak resident memory of the process meanwhile, bytes; None where it is unknown.
+    /// Peak resident memory of the process during reconstruction, bytes; None where it is unknown.
     pub peak_bytes: Option<u64>,
     /// Figures of each frame.
     pub frames: Vec<Figures>,
@@ -42,22 +43,22 @@ pub struct MethodFigures {
     pub spectra: Vec<RingSpectrum>,
 }
 
-/// What the header of the artifact holds.
+/// The header of the artifact: everything but the pictures.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
     /// Name of the session.
     pub session: String,
-    /// Its sensor.
+    /// Sensor of the session.
     pub sensor: SensorSpec,
-    /// Its object grid.
+    /// Object grid of the session.
     pub object: ObjectGrid,
-    /// Frames compared.
+    /// Number of frames compared.
     pub frames: usize,
-    /// Frames whose pictures are kept.
+    /// Indices of the frames whose pictures are kept.
     pub pictured: Vec<usize>,
-    /// The methods, best PSNR first.
+    /// Figures of the methods, highest PSNR first.
     pub methods: Vec<MethodFigures>,
-    /// How well the instrument predicts the frames; None where no instrument was given.
+    /// Figures of the instrument's prediction of the frames; None where no instrument was given.
     pub prediction: Option<PredictionFigures>,
 }
 
@@ -68,7 +69,7 @@ pub struct Evaluation {
     pub summary: Summary,
     /// Raw frames, DN, [pictured, sensor rows, sensor cols].
     pub raw_dn: Array3<f32>,
-    /// The same frames beside what the model predicts from the truths; None where no instrument was given.
+    /// Predictions of the same frames from their truths; None where no instrument was given.
     pub predicted: Option<Predicted>,
     /// Truths, [pictured, object rows, object cols].
     pub truths: Array3<f32>,
@@ -79,9 +80,9 @@ pub struct Evaluation {
 /// Predictions of the pictured frames, each [pictured, sensor rows, sensor cols].
 #[derive(Clone, Debug)]
 pub struct Predicted {
-    /// As the model predicts them, DN.
+    /// Predicted frames, DN.
     pub frames_dn: Array3<f32>,
-    /// (measured - predicted), standard deviations of the noise model.
+    /// (measured - predicted) in standard deviations of the noise model.
     pub residual_sigma: Array3<f32>,
 }
 
@@ -108,7 +109,7 @@ impl Evaluation {
     /// Reads the artifact.
     ///
     /// # Errors
-    /// The file is missing, no evaluation, or a picture is missing or of the wrong shape.
+    /// The file is missing or not an evaluation, or a picture is missing or has the wrong shape.
     pub fn read(path: &Path) -> Result<(Self, Provenance), ArtifactError> {
         let (header, mut tensors) = artifact::read::<Summary>(path, KIND, VERSION)?;
         let summary = header.body;
@@ -134,7 +135,7 @@ impl Evaluation {
         Ok((Self { summary, raw_dn, predicted, truths, reconstructions }, header.provenance))
     }
 
-    /// Puts the methods with the highest PSNR first.
+    /// Sorts the methods, highest PSNR first.
     pub fn sort(&mut self) {
         let mut order: Vec<usize> = (0..self.summary.methods.len()).collect();
         order.sort_by(|&a, &b| self.summary.methods[b].psnr_db.total_cmp(&self.summary.methods[a].psnr_db));
@@ -142,7 +143,7 @@ impl Evaluation {
         self.summary.methods = order.iter().map(|&i| self.summary.methods[i].clone()).collect();
     }
 
-    /// Number of pictures.
+    /// Number of pictured frames.
     pub fn pictures(&self) -> usize {
         self.truths.len_of(Axis(0))
     }

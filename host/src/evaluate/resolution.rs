@@ -1,27 +1,29 @@
-//! Resolution from targets of known bars: the finest line pair that a method still shows as bars, by place in the field.
+//! Resolution from bar targets: the finest line pair that a method resolves, by position in the field.
 
 use crate::scene::resolution::{Group, PERIODS_PX, groups, target};
 use crate::session::ObjectGrid;
 use ndarray::{Array2, ArrayView2, Axis};
 use serde::{Deserialize, Serialize};
 
-/// Bars count as resolved where each gap between them is darker than this part of both its neighbours (Rayleigh's criterion for slits).
+/// Bars are resolved if each gap between them is darker than this fraction of both its neighbours (Rayleigh's criterion
+/// for slits).
 const RAYLEIGH: f64 = 0.81;
 
-/// How one group of bars is shown.
+/// Reading of one group of bars.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Reading {
-    /// Where in the field.
+    /// Position in the field, such as `centre`.
     pub place: String,
-    /// Whether bars follow one another along `rows` or `cols`.
+    /// Axis across the bars: `rows` or `cols`.
     pub along: String,
-    /// Line pair, object pixels.
+    /// Period of the bars (one line pair), object pixels.
     pub period_px: f64,
-    /// (bars - gaps) / (bars + gaps).
+    /// Contrast, (bars - gaps) / (bars + gaps).
     pub contrast: f64,
-    /// Whether all bars stand apart.
+    /// Whether all bars are resolved.
     pub resolved: bool,
-    /// Light along the group, mean over the middle half of the bars, its maximum 1; one value a pixel, from two pixels before the first bar.
+    /// Profile across the group: mean over the middle half of the bars' length, divided by its maximum; one value a
+    /// pixel, from two pixels before the first bar.
     pub profile: Vec<f64>,
 }
 
@@ -33,28 +35,31 @@ pub struct Resolution {
     /// Depth of the targets, um.
     #[serde(default)]
     pub z_um: f64,
-    /// Finest line pair resolved along both axes at the field's centre, um; None: none.
+    /// Finest line pair that is resolved along both axes at the centre of the field, um; None: no line pair is
+    /// resolved.
     pub centre_um: Option<f64>,
-    /// The same at every edge of the field, um.
+    /// Finest line pair that is resolved along both axes at every edge of the field, um.
     pub edges_um: Option<f64>,
-    /// Every group.
+    /// Readings of every group of bars.
     pub readings: Vec<Reading>,
 }
 
-/// Coarser by at most this factor, resolution still counts as that in focus.
+/// Factor by which resolution may be coarser than in focus within the depth range.
 const KEPT: f64 = 1.25;
 
-/// Depths over which a method keeps its resolution.
+/// Range of depths over which a method keeps its resolution.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DepthRange {
     /// Name of the method.
     pub name: String,
-    /// Lowest and highest depth of the range, um; None: the bars are not resolved in focus either.
+    /// Lowest and highest depth of the range, um; None: no bars are resolved in focus.
     pub range_um: Option<[f64; 2]>,
 }
 
-/// The depths round the one nearest to 0 um, of those measured, over which the finest line pairs of a method's centre and edges stay within
-/// a quarter of those at that depth. `found` is one method at several depths, in any order.
+/// The depth range of the method `name` from its resolutions `found` at several depths, in any order.
+///
+/// The range contains the measured depth nearest to 0 um. It extends as far as the finest line pairs at centre and
+/// edges are at most a quarter coarser than at that depth.
 pub fn depth_range(name: &str, found: &[&Resolution]) -> DepthRange {
     let mut found = found.to_vec();
     found.sort_by(|a, b| a.z_um.total_cmp(&b.z_um));
@@ -71,12 +76,12 @@ pub fn depth_range(name: &str, found: &[&Resolution]) -> DepthRange {
     DepthRange { name: name.into(), range_um: range }
 }
 
-/// Number of frames that a target session of this grid has at each depth.
+/// Number of frames of a target session with this grid at each depth.
 pub fn frames(grid: &ObjectGrid) -> usize {
     PERIODS_PX.iter().filter(|p| !groups(grid, **p).is_empty()).count()
 }
 
-/// Whether a truth is the target of frame `i`, in whatever unit.
+/// Whether a truth, in any unit, is the target of frame `i`.
 pub fn is_target(grid: &ObjectGrid, i: usize, truth: ArrayView2<'_, f32>) -> bool {
     let Some(&period) = PERIODS_PX.get(i) else {
         return false;
@@ -86,20 +91,20 @@ pub fn is_target(grid: &ObjectGrid, i: usize, truth: ArrayView2<'_, f32>) -> boo
     peak > 0.0 && truth.iter().zip(&wanted).all(|(t, w)| (t / peak - w).abs() < 1e-3)
 }
 
-/// Reads the groups of one reconstructed target.
+/// Reads the groups of bars with this period, object pixels, in one reconstructed target, [object rows, object cols].
 pub fn read(grid: &ObjectGrid, period: f64, image: ArrayView2<'_, f32>) -> Vec<Reading> {
     groups(grid, period).iter().map(|g| reading(g, image)).collect()
 }
 
 fn reading(g: &Group, image: ArrayView2<'_, f32>) -> Reading {
-    // Rows of `image` become the axis along which bars follow one another.
+    // The rows of `image` become the axis across the bars.
     let image = if g.axis == 0 { image } else { image.reversed_axes() };
     let (from, across) = (g.start[g.axis], g.start[1 - g.axis]);
     let middle = (across + g.length / 4.0).floor() as usize..(across + 0.75 * g.length).ceil() as usize;
     let (first, last) = ((from - 2.0).max(0.0) as usize, ((from + 2.5 * g.period + 2.0) as usize).min(image.nrows()));
     let part: Array2<f64> = image.slice(ndarray::s![first..last, middle]).mapv(f64::from);
     let profile = part.mean_axis(Axis(1)).unwrap_or_default().to_vec();
-    // The light of pixel i is that of its middle, i + 1/2.
+    // Pixel i has its centre at position i + 1/2.
     let at = |position: f64| {
         let x = (position - first as f64 - 0.5).max(0.0);
         let (low, rest) = (x.floor() as usize, x.fract());
@@ -122,7 +127,7 @@ fn reading(g: &Group, image: ArrayView2<'_, f32>) -> Reading {
     }
 }
 
-/// The finest line pairs of a method's readings at one depth.
+/// The resolution of the method `name` at one depth from all its readings there.
 pub fn summarise(name: &str, z_um: f64, grid: &ObjectGrid, readings: Vec<Reading>) -> Resolution {
     let finest = |wanted: &dyn Fn(&str) -> bool| {
         let mut finest = None;
@@ -131,7 +136,7 @@ pub fn summarise(name: &str, z_um: f64, grid: &ObjectGrid, readings: Vec<Reading
             if of.peek().is_none() {
                 continue;
             }
-            // A finer pair does not count where a coarser one is lost: it would be aliasing.
+            // A finer pair does not count if a coarser one is not resolved: it would be aliasing.
             if !of.all(|r| r.resolved) {
                 break;
             }
@@ -150,7 +155,7 @@ mod tests {
 
     const GRID: ObjectGrid = ObjectGrid { rows: 96, cols: 80, pixel_um: 2.0 };
 
-    /// A Gaussian of this width along both axes, as its definition.
+    /// The image blurred with a Gaussian of this standard deviation, pixels.
     fn blurred(image: &Array2<f32>, sigma: f64) -> Array2<f32> {
         let kernel = |d: f64| (-0.5 * (d / sigma).powi(2)).exp();
         let pass = |image: &Array2<f32>| {
@@ -170,13 +175,14 @@ mod tests {
         assert!(found.readings.iter().filter(|r| r.period_px == 4.0).all(|r| r.contrast > 0.99));
     }
 
-    /// A Gaussian takes a sine of period p down to `exp(-2 (pi sigma / p)^2)` of its contrast, a square wave's first harmonic of 4/pi to as much.
+    /// A Gaussian reduces the contrast of a sine of period p to `exp(-2 (pi sigma / p)^2)`; the first harmonic of a
+    /// square wave has contrast 4/pi.
     #[test]
-    fn blur_costs_the_contrast_that_it_must() {
+    fn blur_reduces_contrast_as_its_transfer_function() {
         let image = blurred(&target(&GRID, 6.0), 1.2);
         let expected = 4.0 / std::f64::consts::PI * (-2.0 * (std::f64::consts::PI * 1.2 / 6.0).powi(2)).exp();
         for r in read(&GRID, 6.0, image.view()) {
-            // Three bars are no endless grating: to a tenth.
+            // Three bars are not an infinite grating, so the contrast agrees to 0.1 only.
             assert!((r.contrast - expected).abs() < 0.1, "{} {expected}", r.contrast);
         }
         let coarse = |sigma| {

@@ -2,19 +2,36 @@
 
 use std::time::Instant;
 
-/// Runs `work` and gives its result, the seconds that it took, and the peak of the process's resident memory meanwhile, bytes.
+/// A result, and what computing it took.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Measured<T> {
+    /// The result.
+    pub result: T,
+    /// Wall time, s.
+    pub seconds: f64,
+    /// Peak resident memory of the whole process during the work, bytes; None on systems that do not report it.
+    pub peak_bytes: Option<u64>,
+}
+
+/// Runs `work` and measures its time and memory. The memory is the kernel's high-water mark of the process, which is
+/// reset before.
 ///
-/// The memory is that of the whole process (what a machine must have), from the kernel's high-water mark, which is reset before.
-/// None where the system does not tell.
-pub fn measured<T>(work: impl FnOnce() -> T) -> (T, f64, Option<u64>) {
+/// ```
+/// use ommatidia_host::evaluate::measured;
+///
+/// let run = measured(|| 2 + 2);
+/// assert!(run.result == 4 && run.seconds < 1.0);
+/// ```
+pub fn measured<T>(work: impl FnOnce() -> T) -> Measured<T> {
     reset_peak();
     let start = Instant::now();
     let result = work();
     let seconds = start.elapsed().as_secs_f64();
-    (result, seconds, peak_bytes())
+    Measured { result, seconds, peak_bytes: peak_bytes() }
 }
 
-/// Resets the high-water mark (Linux 4.0 on; `man 5 proc`, `/proc/pid/clear_refs`). Where it cannot be, the mark stays the larger one.
+/// Resets the high-water mark (since Linux 4.0; `man 5 proc`, `/proc/pid/clear_refs`). If that fails, the mark also
+/// covers the time before.
 fn reset_peak() {
     let _ = std::fs::write("/proc/self/clear_refs", "5");
 }
@@ -42,7 +59,8 @@ mod tests {
 
     #[test]
     fn the_result_comes_through() {
-        let (value, seconds, peak) = measured(|| vec![1u8; 1 << 24].iter().map(|&v| u64::from(v)).sum::<u64>());
+        let Measured { result: value, seconds, peak_bytes: peak } =
+            measured(|| vec![1u8; 1 << 24].iter().map(|&v| u64::from(v)).sum::<u64>());
         assert!(value == 1 << 24 && seconds >= 0.0);
         assert!(peak.is_none_or(|p| p > 1 << 20));
     }

@@ -1,11 +1,12 @@
-//! The scenes of a session whose objects are known, numbered over all of its stacks, read frame by frame.
+//! The scenes of a session whose objects are known, numbered over all of its stacks and read frame by frame.
 
-use super::{Case, Triple};
 use crate::effects::FrameContext;
 use crate::forward::Forward;
+use crate::metrics::{Case, FrameComparison};
 use crate::session::{FrameInfo, FrameReader, Role, Session, TruthReader};
 use anyhow::Context;
 
+/// A scene stack with known objects.
 struct Known {
     frames: FrameReader,
     truth: TruthReader,
@@ -13,7 +14,7 @@ struct Known {
     info: Vec<FrameInfo>,
 }
 
-/// The scenes with truth.
+/// The scenes of a session that have a truth.
 pub struct Scenes {
     stacks: Vec<Known>,
     /// Stack and frame of each scene.
@@ -21,10 +22,10 @@ pub struct Scenes {
 }
 
 impl Scenes {
-    /// Finds the scene stacks that have a truth; keeps `most` scenes at most.
+    /// The scene stacks of `session` that have a truth, limited to the first `most` scenes.
     ///
     /// # Errors
-    /// There is none, or a file was taken away since the session was opened.
+    /// There are no such scenes, or a file was removed since the session was opened.
     pub fn of(session: &Session, most: Option<usize>) -> anyhow::Result<Self> {
         let mut stacks = Vec::new();
         for stack in session.stacks_of(Role::Scene) {
@@ -48,7 +49,7 @@ impl Scenes {
         self.index.len()
     }
 
-    /// Depth of the object of scene `i`, um.
+    /// Depth of the object in scene `i`, um.
     pub fn z_um(&self, i: usize) -> f64 {
         let (s, frame) = self.index[i];
         self.stacks[s].info.get(frame).map_or(0.0, |info| info.z_um)
@@ -57,29 +58,30 @@ impl Scenes {
     /// Frame and known object of scene `i`.
     ///
     /// # Errors
-    /// A file cannot be read or holds what it should not.
+    /// A file cannot be read or holds values that are not allowed.
     pub fn case(&mut self, i: usize) -> anyhow::Result<Case> {
         let (s, frame) = self.index[i];
         let stack = &mut self.stacks[s];
         Ok(Case { frame_dn: stack.frames.read(frame)?, truth: stack.truth.read(frame)? })
     }
 
-    /// Scene `i` as it was measured, as it is expected where that is known, and as a model predicts it from the truth.
+    /// The frame of scene `i` as measured, as expected (where that is known), and as the model predicts it from the
+    /// truth.
     ///
     /// # Errors
     /// A file cannot be read, or the model does not fit the session.
-    pub fn triple(&mut self, i: usize, forward: &Forward) -> anyhow::Result<Triple> {
+    pub fn comparison(&mut self, i: usize, forward: &Forward) -> anyhow::Result<FrameComparison> {
         let Case { frame_dn: measured, truth } = self.case(i)?;
         let (s, frame) = self.index[i];
         let stack = &mut self.stacks[s];
         let cx = context(forward, &stack.info[frame]);
         let predicted = forward.expected_dn(truth.view(), &cx).with_context(|| format!("scene frame {i}"))?;
         let expected = stack.expected.as_mut().map(|e| e.read(frame)).transpose()?;
-        Ok(Triple { predicted, expected, measured })
+        Ok(FrameComparison { predicted, expected, measured })
     }
 }
 
-/// What the session's table says of a frame.
+/// Time, exposure and illumination of a frame, from the session's table.
 fn context<'a>(forward: &'a Forward, info: &FrameInfo) -> FrameContext<'a> {
     FrameContext {
         frame: info.frame,

@@ -1,4 +1,4 @@
-//! Power spectra by field radius: does a method show the corner's detail as it shows the centre's?
+//! Power spectra by field radius: how well a method shows detail in the corner and in the centre.
 
 use crate::fft2::RealFft2;
 use crate::session::ObjectGrid;
@@ -6,24 +6,25 @@ use ndarray::{ArrayView2, s};
 use rustfft::num_complex::Complex32;
 use serde::{Deserialize, Serialize};
 
-/// Side of the patches, object pixels, and rings of the field that they are gathered in.
+/// Side of the patches, object pixels, and number of rings of the field that they are averaged in.
 const PATCH: usize = 24;
 const RINGS: usize = 3;
-/// Bands between zero and the Nyquist frequency.
+/// Number of frequency bands between 0 and the Nyquist frequency.
 const BANDS: usize = 8;
 
 /// The spectra of one ring of the field.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RingSpectrum {
-    /// Patches whose middles lie beyond this, um from the centre of the object.
+    /// Smallest distance of a patch's centre from the centre of the object, um.
     pub inner_um: f64,
-    /// And within this, um.
+    /// Largest distance, um.
     pub outer_um: f64,
-    /// Middle of each band, periods a um.
+    /// Centre of each band, periods per um.
     pub frequency_per_um: Vec<f64>,
-    /// Power of the reconstructions over that of the truths.
+    /// Power of the reconstructions relative to that of the truths.
     pub power_ratio: Vec<f64>,
-    /// Correlation of the two in the band (Fourier ring correlation): 1 where detail is right, 0 where it is made up or missing.
+    /// Correlation of reconstructions and truths in the band (Fourier ring correlation): 1 for correct detail, 0 for
+    /// detail that is missing or not real.
     pub correlation: Vec<f64>,
 }
 
@@ -34,7 +35,7 @@ struct Sums {
     xt: f64,
 }
 
-/// Gathers spectra frame by frame.
+/// Sums of spectra, added frame by frame.
 #[derive(Debug)]
 pub struct Spectra {
     fft: RealFft2,
@@ -46,7 +47,7 @@ pub struct Spectra {
 }
 
 impl Spectra {
-    /// For objects of a grid.
+    /// No frames yet, for objects of a grid.
     pub fn new(grid: &ObjectGrid) -> Self {
         let side = PATCH.min(grid.rows).min(grid.cols);
         let fft = RealFft2::new(side, side);
@@ -69,7 +70,8 @@ impl Spectra {
         }
     }
 
-    /// Adds one frame: reconstruction and truth, both [object rows, object cols] (checked by the caller). Patches without light say nothing.
+    /// Adds one frame: the reconstruction `x` times `scale`, and the truth, both [object rows, object cols] (the caller
+    /// checks the shapes). Patches without light are left out.
     pub fn add(&mut self, x: ArrayView2<'_, f32>, truth: ArrayView2<'_, f32>, scale: f64) {
         let side = self.fft.shape()[0];
         for ([r, c], ring) in &self.patches {
@@ -78,7 +80,7 @@ impl Spectra {
                 continue;
             }
             let (x, t) = (self.spectrum(x.slice(part)), self.spectrum(truth.slice(part)));
-            // The spectrum lies [col frequency, row frequency].
+            // The layout of spectra is [col frequency, row frequency].
             for (i, (x, t)) in x.iter().zip(&t).enumerate() {
                 let (col, row) = (i / side, i % side);
                 let frequency = (row.min(side - row) as f64).hypot(col as f64) / side as f64;
@@ -101,7 +103,7 @@ impl Spectra {
         out
     }
 
-    /// The spectra of each ring that saw light.
+    /// The spectra of each ring that received light.
     pub fn figures(&self) -> Vec<RingSpectrum> {
         let width = self.radius_um / RINGS as f64;
         let safe = |a: f64, b: f64| if b > 0.0 { a / b } else { 0.0 };
@@ -141,7 +143,7 @@ mod tests {
         for ring in same.figures() {
             assert!(ring.power_ratio.iter().chain(&ring.correlation).all(|v| (v - 1.0).abs() < 1e-4), "{ring:?}");
         }
-        // The lowest band holds what leaks of the mean.
+        // The lowest band holds leakage of the mean.
         assert!(other.figures().iter().all(|r| r.correlation[2..].iter().all(|c| c.abs() < 0.2)));
     }
 

@@ -35,7 +35,6 @@ mod warp;
 pub use error::ForwardError;
 pub use predict::{Depth, PredictError, PredictRequest, Predicted, Predictor};
 pub use scene_light::SceneLight;
-pub use sensor_maps::SensorTables;
 
 use crate::effects::{Chain, FrameContext, Layout, Ray, RayShift, Stage};
 use crate::instrument::Instrument;

@@ -1,24 +1,26 @@
 //! The view of the central lens alone: what a conventional miniscope with one such lens would show.
 
-use super::frame::FrameCorrection;
+use super::frame::frame_input;
 use super::{MethodError, Reconstruct};
 use crate::instrument::Instrument;
+use crate::sensor::FrameInput;
 use ndarray::{Array2, ArrayView2};
 
-/// Cuts the central lens's view out of the frame, at its chief ray. What the neighbours throw onto it stays in.
+/// Cuts the view of the central lens out of the frame, at its chief ray. Light of neighbouring lenses that overlaps the
+/// view stays in it.
 #[derive(Clone, Debug)]
 pub struct Central {
-    correction: FrameCorrection,
+    input: FrameInput,
     /// Sensor row of each object row and sensor column of each object column, fractional pixels.
     rows_px: Vec<f64>,
     cols_px: Vec<f64>,
 }
 
 impl Central {
-    /// Looks through the living lens whose chief ray lies nearest to the centre of the sensor.
+    /// Uses the living lens whose chief ray lies nearest to the centre of the sensor.
     ///
     /// # Errors
-    /// All lenses are dead.
+    /// All lenses are dead, or the parts of the instrument disagree.
     pub fn new(instrument: &Instrument) -> Result<Self, MethodError> {
         let (sensor, object) = (&instrument.manifest.sensor, &instrument.manifest.object);
         let centre = [(sensor.rows as f64 - 1.0) / 2.0, (sensor.cols as f64 - 1.0) / 2.0];
@@ -31,7 +33,7 @@ impl Central {
         let line =
             |n: usize, anchor: f64| (0..n).map(|i| anchor + step * (i as f64 - (n as f64 - 1.0) / 2.0)).collect();
         Ok(Self {
-            correction: FrameCorrection::new(instrument),
+            input: frame_input(instrument)?,
             rows_px: line(object.rows, anchor[0]),
             cols_px: line(object.cols, anchor[1]),
         })
@@ -44,7 +46,7 @@ impl Reconstruct for Central {
     }
 
     fn reconstruct(&self, frame_dn: ArrayView2<'_, f32>) -> anyhow::Result<Array2<f32>> {
-        let light = self.correction.light_dn(frame_dn)?;
+        let light = self.input.light_dn(frame_dn)?;
         let view = |(r, c)| bilinear(&light, self.rows_px[r], self.cols_px[c]).max(0.0);
         Ok(Array2::from_shape_fn((self.rows_px.len(), self.cols_px.len()), view))
     }

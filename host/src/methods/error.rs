@@ -1,48 +1,52 @@
+//! Why a method cannot be used.
+
+use crate::forward::ForwardError;
+use crate::sensor::{FrameError, MapShapeError};
 use std::path::PathBuf;
 use thiserror::Error;
 
 /// Why a method cannot be set up or cannot reconstruct a frame.
 #[derive(Debug, Error)]
 pub enum MethodError {
-    /// The frame does not fit the instrument.
+    /// The raw frame does not fit the sensor, or holds values that are not finite.
+    #[error(transparent)]
+    Frame(#[from] FrameError),
+    /// A map of the sensor has another shape than the sensor.
+    #[error(transparent)]
+    Maps(#[from] MapShapeError),
+    /// The parts of the instrument disagree.
+    #[error(transparent)]
+    Forward(#[from] ForwardError),
+    /// The PSF of the array has another shape than the sensor.
     #[error(
-        "expected a frame of {expected:?} pixels (rows, cols), found {found:?}; a session and its instrument go together"
+        "expected a PSF of {} x {} pixels (rows x columns) like the sensor, found {} x {}",
+        expected[0], expected[1], found[0], found[1]
     )]
-    FrameShape {
-        /// Shape of the sensor.
-        expected: (usize, usize),
-        /// Shape of the frame.
-        found: (usize, usize),
-    },
-    /// A value of the frame is no number.
-    #[error("expected finite values in the frame, found {found} at row {row}, column {col}")]
-    NotFinite {
-        /// Row of the value.
-        row: usize,
-        /// Column of the value.
-        col: usize,
-        /// The value.
-        found: f32,
+    PsfShape {
+        /// Rows and columns of the sensor.
+        expected: [usize; 2],
+        /// Rows and columns of the PSF.
+        found: [usize; 2],
     },
     /// Every lens is dead.
     #[error("expected at least one living lens, found none; calibrate again with a bead scan that shows foci")]
     NoLens,
-    /// The instrument's PSF at the field's centre holds no light.
-    #[error("expected light in the PSF at the field's centre, found none; calibrate again")]
+    /// The instrument's PSF at the centre of the field holds no light.
+    #[error("expected light in the PSF at the centre of the field, found none; calibrate again")]
     DarkPsf,
-    /// K is no positive number.
+    /// The regularisation K is not a positive number.
     #[error("expected a positive K for the Wiener filter, found {0}")]
     Regularisation(f64),
-    /// The file cannot be used by the method that was asked for.
+    /// The file is not of a kind that the method can be made from.
     #[error("{path}: the method `{method}` needs {expected}, found {found}")]
     WrongFile {
         /// The file.
         path: PathBuf,
         /// The method.
         method: String,
-        /// What it needs.
+        /// Kind of file that the method needs.
         expected: &'static str,
-        /// What the file is.
+        /// Kind of the file.
         found: String,
     },
 }

@@ -1,55 +1,43 @@
-//! Ways from a raw frame to an object: the network, and the methods that it must beat.
+//! Methods that reconstruct an object from one raw frame: the networks, and the classical methods they are compared
+//! with.
+//!
+//! ```
+//! use ndarray::Array2;
+//! use ommatidia_host::methods::{Reconstruct, Wiener, WienerSetup};
+//! use ommatidia_host::sensor::{FrameInput, SensorMaps};
+//!
+//! // A PSF with two foci, 12 pixels apart: the image of a point at object pixel (4, 4).
+//! let mut psf_dn = Array2::zeros((32, 32));
+//! (psf_dn[[8, 8]], psf_dn[[20, 20]]) = (1.0, 0.5);
+//! // An object with one bright pixel, and its frame on a black level of 64 DN.
+//! let mut object = Array2::<f32>::zeros((8, 8));
+//! object[[2, 5]] = 100.0;
+//! let mut frame_dn = Array2::from_elem((32, 32), 64.0);
+//! (frame_dn[[6, 9]], frame_dn[[18, 21]]) = (164.0, 114.0);
+//!
+//! let input = FrameInput::new(64.0, SensorMaps::default(), [32, 32])?;
+//! let setup = WienerSetup { object: [8, 8], source: [4, 4], relative_k: 1e-4 };
+//! let found = Wiener::new(input, psf_dn.view(), setup)?.reconstruct(frame_dn.view())?;
+//! assert!((&found - &object).iter().all(|error| error.abs() < 0.5));
+//! # Ok::<(), anyhow::Error>(())
+//! ```
 
 mod admm;
-mod blob;
 mod central;
 mod error;
+mod float_network;
 mod frame;
-mod network;
+mod network_file;
+mod reconstruct;
 mod registry;
 mod richardson_lucy;
 mod wiener;
 
 pub use admm::{AdmmConfig, LowRankAdmm, ShiftInvariantAdmm};
-pub use blob::{Blob, NetworkFileError};
 pub use central::Central;
 pub use error::MethodError;
-pub use frame::FrameCorrection;
-pub use network::FloatNetwork;
+pub use float_network::FloatNetwork;
+pub use reconstruct::{Reconstruct, title};
 pub use registry::MethodKind;
 pub use richardson_lucy::{RichardsonLucy, RichardsonLucyConfig};
-pub use wiener::{Example, Wiener, WienerConfig};
-
-use ndarray::{Array2, ArrayView2};
-
-/// A method that reconstructs an object from one raw frame.
-pub trait Reconstruct: Send + Sync {
-    /// Name in tables and on the command line.
-    fn name(&self) -> &str;
-    /// Raw frame, DN, [sensor rows, sensor cols] -> object, [object rows, object cols], >= 0, in a unit of its own
-    /// (judged with one free scale a frame).
-    ///
-    /// # Errors
-    /// The frame has the wrong shape or holds values that are no numbers.
-    fn reconstruct(&self, frame_dn: ArrayView2<'_, f32>) -> anyhow::Result<Array2<f32>>;
-}
-
-/// What a method is called in tables and figures. A name may carry the file that it came from: `wiener@b.safetensors`.
-pub fn title(name: &str) -> String {
-    let (method, file) = name.split_once('@').map_or((name, None), |(m, f)| (m, Some(f)));
-    let title = match method {
-        "svfouriernet" => "SV-FourierNet, float",
-        "svfouriernet-blob" => "SV-FourierNet, blob on the host",
-        "device" => "SV-FourierNet, device",
-        "multiwienernet" => "MultiWienerNet",
-        "multiflatnet" => "MultiFlatNet",
-        "cm2net" => "CM2Net",
-        "wiener" => "Wiener, centre PSF",
-        "admm" => "ADMM with TV, all PSFs",
-        "admm-lsi" => "ADMM with TV, centre PSF",
-        "richardson-lucy" => "Richardson-Lucy, all PSFs",
-        "central" => "Central lens alone",
-        other => other,
-    };
-    file.map_or_else(|| title.to_string(), |f| format!("{title} ({f})"))
-}
+pub use wiener::{Wiener, WienerConfig, WienerSetup};

@@ -1,48 +1,49 @@
-//! Every method by name, made from the file that it needs.
+//! The methods by name, and how each is made from a file.
 
-use super::{AdmmConfig, Blob, Central, FloatNetwork, MethodError, Reconstruct, RichardsonLucyConfig, WienerConfig};
+use super::{AdmmConfig, Central, FloatNetwork, MethodError, Reconstruct, RichardsonLucyConfig, WienerConfig};
 use crate::artifact;
 use crate::instrument::Instrument;
 use crate::kind::FileKind;
-use crate::train::FamilyName;
+use crate::network_file::NetworkFile;
+use crate::train::ArchitectureName;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// A way from a raw frame to an object.
+/// A method of reconstruction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum MethodKind {
-    /// The network, from a checkpoint (float) or a network file (blob).
+    /// SV-FourierNet, from a checkpoint (single precision) or a network file (half precision, as on a device).
     #[value(name = "svfouriernet")]
     SvFourierNet,
-    /// PSFs learned in space and an enhancement, from a checkpoint.
+    /// MultiWienerNet (PSFs learned in space), from a checkpoint.
     #[value(name = "multiwienernet")]
     MultiWienerNet,
-    /// Filters learned in space and an enhancement, from a checkpoint.
+    /// MultiFlatNet (filters learned in space), from a checkpoint.
     #[value(name = "multiflatnet")]
     MultiFlatNet,
-    /// Views cut out, demixed and joined, from a checkpoint.
+    /// CM2Net (crops of the views, demixed and joined), from a checkpoint.
     #[value(name = "cm2net")]
     Cm2Net,
-    /// Wiener deconvolution with the centre PSF, from an instrument.
+    /// Wiener deconvolution with the PSF of the field's centre, from an instrument.
     Wiener,
-    /// ADMM with total variation and all PSFs, from an instrument; slow.
+    /// ADMM with total variation and all PSFs, from an instrument; slow: seconds a frame.
     Admm,
-    /// ADMM with total variation and the centre PSF, from an instrument.
+    /// ADMM with total variation and the PSF of the field's centre, from an instrument.
     AdmmLsi,
-    /// Richardson-Lucy deconvolution with all PSFs, from an instrument; slow.
+    /// Richardson-Lucy deconvolution with all PSFs, from an instrument; slow: about a second a frame.
     RichardsonLucy,
-    /// The central lens's view alone, from an instrument.
+    /// The view of the central lens alone, from an instrument.
     Central,
 }
 
-impl From<FamilyName> for MethodKind {
-    fn from(family: FamilyName) -> Self {
-        match family {
-            FamilyName::SvFourierNet => Self::SvFourierNet,
-            FamilyName::MultiWienerNet => Self::MultiWienerNet,
-            FamilyName::MultiFlatNet => Self::MultiFlatNet,
-            FamilyName::Cm2Net => Self::Cm2Net,
+impl From<ArchitectureName> for MethodKind {
+    fn from(architecture: ArchitectureName) -> Self {
+        match architecture {
+            ArchitectureName::SvFourierNet => Self::SvFourierNet,
+            ArchitectureName::MultiWienerNet => Self::MultiWienerNet,
+            ArchitectureName::MultiFlatNet => Self::MultiFlatNet,
+            ArchitectureName::Cm2Net => Self::Cm2Net,
         }
     }
 }
@@ -63,15 +64,16 @@ impl MethodKind {
         }
     }
 
-    /// Whether it is made from an instrument, not from a network.
+    /// Whether the method is made from an instrument; the others are made from a trained network.
     pub fn needs_instrument(self) -> bool {
         matches!(self, Self::Wiener | Self::Admm | Self::AdmmLsi | Self::RichardsonLucy | Self::Central)
     }
 
-    /// Makes the method from a file. `seed` draws the scenes on which it is tuned, where it is.
+    /// Makes the method from a file. `seed` draws the synthetic scenes that the Wiener filter is tuned on; other
+    /// methods do not use it.
     ///
     /// # Errors
-    /// The file cannot be read or is not of the kind that the method needs.
+    /// The file cannot be read, or is not of the kind that the method needs.
     pub fn open(self, path: &Path, seed: u64) -> anyhow::Result<Box<dyn Reconstruct>> {
         let found = FileKind::of(path)?;
         let wrong = |expected, found| {
@@ -92,12 +94,12 @@ impl MethodKind {
             });
         }
         match (self, &found) {
-            (Self::SvFourierNet, FileKind::Blob) => Ok(Box::new(Blob::open(path)?)),
+            (Self::SvFourierNet, FileKind::Blob) => Ok(Box::new(NetworkFile::read(path)?)),
             _ if is("checkpoint") => {
                 let network = FloatNetwork::open(path)?;
-                match Self::from(network.family()) {
+                match Self::from(network.architecture()) {
                     of if of == self => Ok(Box::new(network)),
-                    of => wrong("a checkpoint of its own", format!("one of {}", of.name())),
+                    of => wrong("a checkpoint of this network", format!("a checkpoint of {}", of.name())),
                 }
             }
             (Self::SvFourierNet, _) => wrong("a checkpoint or a network file (blob)", found.to_string()),
@@ -105,18 +107,18 @@ impl MethodKind {
         }
     }
 
-    /// The method that a file is for where none is asked for: its network for checkpoints and blobs, Wiener for instruments.
+    /// The default method for a file: its network for checkpoints and network files, Wiener for instruments.
     ///
     /// # Errors
-    /// The file cannot be read or no method is made from its kind.
+    /// The file cannot be read, or no method is made from files of its kind.
     pub fn default_for(path: &Path) -> anyhow::Result<Self> {
         match FileKind::of(path)? {
             FileKind::Blob => Ok(Self::SvFourierNet),
             FileKind::Artifact(kind) if kind == "checkpoint" => {
-                // Checkpoints from before there were others do not say.
-                let family = artifact::inspect(path)?["body"]["network"]["family"]["name"].clone();
-                let family: Option<FamilyName> = serde_json::from_value(family).unwrap_or_default();
-                Ok(family.unwrap_or_default().into())
+                // Early checkpoints, all of SV-FourierNet, do not name their architecture.
+                let name = artifact::inspect(path)?["body"]["network"]["family"]["name"].clone();
+                let name: Option<ArchitectureName> = serde_json::from_value(name).unwrap_or_default();
+                Ok(name.unwrap_or_default().into())
             }
             FileKind::Artifact(kind) if kind == "instrument" => Ok(Self::Wiener),
             found => Err(MethodError::WrongFile {

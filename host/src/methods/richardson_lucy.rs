@@ -1,18 +1,22 @@
-//! Richardson-Lucy deconvolution with the whole spatially varying model: the maximum of the Poisson likelihood over objects >= 0.
+//! Richardson-Lucy deconvolution with the whole spatially varying model: the maximum of the Poisson likelihood over
+//! objects >= 0.
 //!
-//! `x <- x . A'(y / (A x + b)) / A'1` (Richardson 1972, Lucy 1974), stopped early, which is its regularisation. Reading noise enters as
-//! a constant background `b` on both sides, which gives a Poisson variable the variance of the mixed one (Snyder et al., J. Opt. Soc.
-//! Am. A 10, 1014 (1993)). It knows every PSF that the network was trained with, and takes many passes over the model for each frame.
+//! `x <- x . A'(y / (A x + b)) / A'1` (W. H. Richardson, J. Opt. Soc. Am. 62, 55 (1972); L. B. Lucy, Astron. J. 79, 745
+//! (1974)), stopped early, which regularises it. Read noise enters as a constant background `b` on both sides: it gives
+//! a Poisson variable the variance of the mixed Poisson and Gaussian one (D. L. Snyder et al., J. Opt. Soc. Am. A 10,
+//! 1014 (1993)). The method uses every PSF that the networks were trained with, and needs many passes over the model
+//! for each frame.
 
-use super::frame::FrameCorrection;
+use super::frame::frame_input;
 use super::{MethodError, Reconstruct};
 use crate::forward::Forward;
 use crate::instrument::Instrument;
 use crate::psf::LowRankOperator;
+use crate::sensor::FrameInput;
 use ndarray::{Array2, ArrayView2, Zip};
 use serde::{Deserialize, Serialize};
 
-/// How long to iterate.
+/// Settings of the Richardson-Lucy method.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RichardsonLucyConfig {
@@ -27,10 +31,10 @@ impl Default for RichardsonLucyConfig {
 }
 
 impl RichardsonLucyConfig {
-    /// Plans the method for an instrument. Effects beyond the optics are left out of the model.
+    /// Plans the method for an instrument. The model is the instrument's optics, without its effects.
     ///
     /// # Errors
-    /// The instrument's model cannot be planned, or no light reaches the sensor from anywhere.
+    /// The instrument's model cannot be planned, or no light reaches the sensor from any object pixel.
     pub fn build(&self, instrument: &Instrument) -> anyhow::Result<RichardsonLucy> {
         let operator = Forward::new(instrument)?.operator().clone();
         let sensitivity = operator.adjoint(Array2::ones(operator.sensor_shape()).view())?;
@@ -39,10 +43,11 @@ impl RichardsonLucyConfig {
             return Err(MethodError::NoLens.into());
         }
         Ok(RichardsonLucy {
-            correction: FrameCorrection::new(instrument),
+            input: frame_input(instrument)?,
             operator,
             sensitivity,
-            // A variable of variance gain * signal + (gain * read noise)^2 is, up to the gain, Poisson about signal + gain * read noise^2.
+            // A variable of variance gain * signal + (gain * read noise)^2 is, up to the gain, Poisson distributed with
+            // mean signal + gain * read noise^2.
             background_dn: (noise.gain_dn_per_e * noise.read_noise_e.powi(2)).max(1e-3) as f32,
             iterations: self.iterations.max(1),
         })
@@ -52,19 +57,19 @@ impl RichardsonLucyConfig {
 /// The planned method.
 #[derive(Clone, Debug)]
 pub struct RichardsonLucy {
-    correction: FrameCorrection,
+    input: FrameInput,
     operator: LowRankOperator,
-    /// A'1: light that the sensor gets from each object pixel, DN per unit.
+    /// A'1: light that the sensor receives from each object pixel, DN per unit.
     sensitivity: Array2<f32>,
     background_dn: f32,
     iterations: usize,
 }
 
 impl RichardsonLucy {
-    /// One step from `x`, in place; `y` holds the measured light plus the background, DN.
+    /// One iteration on `x`, in place; `y` is the measured light plus the background, DN.
     fn step(&self, y: &Array2<f32>, x: &mut Array2<f32>) -> anyhow::Result<()> {
         let mut ratio = self.operator.apply(x.view())?;
-        // The truncated basis may ring a little below zero; the background keeps the quotient finite.
+        // The truncated basis can give slightly negative light; the background keeps the quotient finite.
         Zip::from(&mut ratio).and(y).for_each(|r, &y| *r = y / (r.max(0.0) + self.background_dn));
         let back = self.operator.adjoint(ratio.view())?;
         Zip::from(x).and(&back).and(&self.sensitivity).for_each(|x, &b, &s| {
@@ -80,7 +85,7 @@ impl Reconstruct for RichardsonLucy {
     }
 
     fn reconstruct(&self, frame_dn: ArrayView2<'_, f32>) -> anyhow::Result<Array2<f32>> {
-        let y = self.correction.light_dn(frame_dn)?.mapv(|v| (v + self.background_dn).max(0.0));
+        let y = self.input.light_dn(frame_dn)?.mapv(|v| (v + self.background_dn).max(0.0));
         let light: f64 = y.iter().map(|&v| f64::from(v)).sum();
         let sensitivity: f64 = self.sensitivity.iter().map(|&v| f64::from(v.max(0.0))).sum();
         let even = (light / sensitivity).max(f64::from(f32::MIN_POSITIVE)) as f32;
@@ -96,14 +101,14 @@ impl Reconstruct for RichardsonLucy {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::evaluate::compare;
+    use crate::metrics::compare;
     use crate::testing::square_array as instrument;
 
     fn object() -> Array2<f32> {
         Array2::from_shape_fn((20, 20), |(r, c)| if (r * 7 + c * 3) % 11 == 0 { 100.0 } else { 2.0 })
     }
 
-    /// Each focus is blurred by a kernel whose transfer function is 0.6 at least: nothing is lost.
+    /// Each focus is blurred by a kernel whose transfer function is at least 0.6, so no frequency is lost.
     fn blurred() -> Instrument {
         let mut instrument = instrument(3, [60, 60], [20, 20]);
         for lens in 0..9 {
@@ -114,7 +119,7 @@ mod tests {
         instrument
     }
 
-    /// Log-likelihood of `y` about `A x + b`, up to what does not depend on x.
+    /// Poisson log-likelihood of `y` given the mean `A x + b`, without terms that do not depend on x.
     fn likelihood(method: &RichardsonLucy, y: &Array2<f32>, x: &Array2<f32>) -> f64 {
         let model = method.operator.apply(x.view()).unwrap() + method.background_dn;
         y.iter().zip(&model).map(|(&y, &m)| f64::from(y) * f64::from(m).ln() - f64::from(m)).sum()

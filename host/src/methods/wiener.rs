@@ -1,140 +1,140 @@
-//! Wiener deconvolution with the point-spread function of the whole array at the field's centre.
+//! Wiener deconvolution with the point-spread function of the whole array at the centre of the field.
 //!
-//! In closed form, `X = conj(H) Y / (|H|^2 + K)`: the best linear shift-invariant answer. It knows every lens, and pretends that
-//! each shows the whole field as it shows the centre. K is chosen on simulated scenes, never on those that it is judged on.
+//! `X = conj(H) Y / (|H|^2 + K)` in frequency (N. Wiener, "Extrapolation, Interpolation, and Smoothing of Stationary
+//! Time Series" (1949)): the best linear shift-invariant estimate. It uses every lens, but assumes that each images the
+//! whole field as it images the centre. K is chosen on simulated scenes, never on those that the method is judged on.
 
-use super::frame::FrameCorrection;
+use super::frame::frame_input;
 use super::{MethodError, Reconstruct};
-use crate::evaluate::compare;
 use crate::fft2::{RealFft2, fast_size};
 use crate::forward::Forward;
 use crate::instrument::Instrument;
+use crate::metrics::{Case, compare};
 use crate::rng;
 use crate::scene::SceneConfig;
+use crate::sensor::{FrameError, FrameInput};
 use ndarray::{Array2, ArrayView2, s};
 use rustfft::num_complex::Complex32;
 use serde::{Deserialize, Serialize};
 
-/// How strongly to regularise.
+/// Settings of the Wiener filter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WienerConfig {
-    /// K relative to the mean of |H|^2; None: the best on simulated scenes.
+    /// K relative to the mean of |H|^2; None: the value with the highest PSNR on simulated scenes.
     pub relative_k: Option<f64>,
 }
 
-/// Scenes that K is chosen on.
-const EXAMPLES: u64 = 12;
+/// Number of simulated scenes that K is chosen on.
+const SCENES: u64 = 12;
 
 impl WienerConfig {
-    /// Plans the filter for an instrument: the PSF is that of its model at the object's centre.
+    /// Plans the filter for an instrument, with the PSF of its model at the centre of the object.
     ///
-    /// Where K is not given it is the best on synthetic scenes that the instrument's own model and noise turn into frames, with
-    /// brightest pixels between a tenth and four fifths of full scale.
+    /// Where K is not given, it is chosen on synthetic scenes. The instrument's own model and noise make their frames,
+    /// with brightest pixels between a tenth and four fifths of full scale; `seed` draws scenes and noise.
     ///
     /// # Errors
-    /// The instrument's model cannot be planned, its PSF is dark, or K is no positive number.
+    /// The instrument's model cannot be planned, its PSF holds no light, or K is not a positive number.
     pub fn build(&self, instrument: &Instrument, seed: u64) -> anyhow::Result<Wiener> {
         let forward = Forward::new(instrument)?;
         let grid = &instrument.manifest.object;
-        let source = (grid.rows / 2, grid.cols / 2);
+        let source = [grid.rows / 2, grid.cols / 2];
         let mut point = Array2::zeros((grid.rows, grid.cols));
         point[source] = 1.0;
         let psf_dn = forward.operator().apply(point.view())?;
-        let filter = Wiener::new(instrument, psf_dn.view(), source, self.relative_k.unwrap_or(0.1))?;
+        let setup = WienerSetup { object: [grid.rows, grid.cols], source, relative_k: self.relative_k.unwrap_or(0.1) };
+        let filter = Wiener::new(frame_input(instrument)?, psf_dn.view(), setup)?;
         if self.relative_k.is_some() {
             return Ok(filter);
         }
         let scenes = SceneConfig::default().build()?;
         let cx = forward.context();
-        let example = |i: u64| -> anyhow::Result<Option<Example>> {
+        let case = |i: u64| -> anyhow::Result<Option<Case>> {
             let mut object = scenes.draw(grid, seed, "wiener", i);
             let peak_e = forward.expected_e(object.view(), &cx)?.iter().fold(0.0f32, |m, &v| m.max(v));
             if peak_e <= 0.0 {
                 return Ok(None);
             }
-            let full_scale = 0.1 + 0.7 * i as f64 / (EXAMPLES - 1) as f64;
+            let full_scale = 0.1 + 0.7 * i as f64 / (SCENES - 1) as f64;
             let factor = (full_scale * cx.full_scale_e / f64::from(peak_e)) as f32;
             object.mapv_inplace(|v| v * factor);
             let light_e = forward.expected_e(object.view(), &cx)?;
             let frame_dn = forward.draw_dn(light_e, &cx, &mut rng::stream(seed, "wiener noise", i));
-            Ok(Some(Example { frame_dn, object }))
+            Ok(Some(Case { frame_dn, truth: object }))
         };
-        let examples = (0..EXAMPLES).filter_map(|i| example(i).transpose()).collect::<anyhow::Result<Vec<_>>>()?;
-        filter.tuned(&examples)
+        let cases = (0..SCENES).filter_map(|i| case(i).transpose()).collect::<anyhow::Result<Vec<_>>>()?;
+        filter.tuned(&cases)
     }
 }
 
-/// A scene whose object is known: what K is chosen on.
-#[derive(Clone, Debug)]
-pub struct Example {
-    /// Raw frame, DN, [sensor rows, sensor cols].
-    pub frame_dn: Array2<f32>,
-    /// Its object, [object rows, object cols].
-    pub object: Array2<f32>,
+/// Geometry and regularisation of a Wiener filter.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WienerSetup {
+    /// Rows and columns of the object, pixels.
+    pub object: [usize; 2],
+    /// Object pixel, [row, col], whose point-spread function the filter uses.
+    pub source: [usize; 2],
+    /// K relative to the mean of |H|^2, > 0.
+    pub relative_k: f64,
 }
 
 /// The planned filter.
 #[derive(Clone, Debug)]
 pub struct Wiener {
-    correction: FrameCorrection,
+    input: FrameInput,
     fft: RealFft2,
     /// Spectrum H of the array's PSF.
     transfer: Vec<Complex32>,
     /// Mean of |H|^2: the unit of K.
     mean_power: f64,
-    relative_k: f64,
-    object: (usize, usize),
-    /// Object pixel whose PSF was taken.
-    source: (usize, usize),
+    setup: WienerSetup,
 }
 
 impl Wiener {
-    /// Plans the filter from the light, DN, that a unit source at object pixel `source` throws onto the sensor.
+    /// Plans the filter from the array's point-spread function: the light, DN, [sensor rows, sensor cols], of a unit
+    /// source at object pixel `setup.source`.
     ///
     /// # Errors
-    /// The PSF has another shape than the sensor or is dark, or K is no positive number.
-    pub fn new(
-        instrument: &Instrument,
-        psf_dn: ArrayView2<'_, f32>,
-        source: (usize, usize),
-        relative_k: f64,
-    ) -> Result<Self, MethodError> {
-        let (sensor, object) = (&instrument.manifest.sensor, &instrument.manifest.object);
-        let shape = (sensor.rows, sensor.cols);
-        if psf_dn.dim() != shape {
-            return Err(MethodError::FrameShape { expected: shape, found: psf_dn.dim() });
+    /// The PSF has another shape than the sensor or holds no light, or K is not a positive number.
+    pub fn new(input: FrameInput, psf_dn: ArrayView2<'_, f32>, setup: WienerSetup) -> Result<Self, MethodError> {
+        let (expected, found) = (input.shape(), [psf_dn.nrows(), psf_dn.ncols()]);
+        if found != expected {
+            return Err(MethodError::PsfShape { expected, found });
         }
-        if !(relative_k > 0.0 && relative_k.is_finite()) {
-            return Err(MethodError::Regularisation(relative_k));
+        if !(setup.relative_k > 0.0 && setup.relative_k.is_finite()) {
+            return Err(MethodError::Regularisation(setup.relative_k));
         }
         // Room for the object beyond the sensor, so that one side of the field does not wrap round to the other.
-        let fft = RealFft2::new(fast_size(shape.0 + object.rows), fast_size(shape.1 + object.cols));
+        let [rows, cols] = [0, 1].map(|axis| fast_size(expected[axis] + setup.object[axis]));
+        let fft = RealFft2::new(rows, cols);
         let transfer = padded_spectrum(&fft, psf_dn);
         let mean_power = transfer.iter().map(|h| f64::from(h.norm_sqr())).sum::<f64>() / transfer.len() as f64;
         if !(mean_power > 0.0 && mean_power.is_finite()) {
             return Err(MethodError::DarkPsf);
         }
-        let correction = FrameCorrection::new(instrument);
-        Ok(Self { correction, fft, transfer, mean_power, relative_k, object: (object.rows, object.cols), source })
+        Ok(Self { input, fft, transfer, mean_power, setup })
     }
 
     /// K in units of the mean of |H|^2.
     pub fn relative_k(&self) -> f64 {
-        self.relative_k
+        self.setup.relative_k
     }
 
-    /// The same filter with the K that gives the highest mean PSNR on `examples`: a scan in half decades from 1e-5 to 1e2,
+    /// The same filter with the K that gives the highest mean PSNR on `cases`: a scan in half decades from 1e-5 to 1e2,
     /// then a golden-section search in the best bracket, on a logarithmic scale.
     ///
     /// # Errors
-    /// There is no example, or one does not fit the instrument.
-    pub fn tuned(mut self, examples: &[Example]) -> anyhow::Result<Self> {
-        anyhow::ensure!(!examples.is_empty(), "no example to choose the Wiener filter's K on");
-        let spectra = examples
+    /// There are no cases, or one does not fit the sensor or the object.
+    pub fn tuned(mut self, cases: &[Case]) -> anyhow::Result<Self> {
+        anyhow::ensure!(
+            !cases.is_empty(),
+            "expected at least one scene to choose the Wiener filter's K on, found none"
+        );
+        let spectra = cases
             .iter()
-            .map(|e| Ok((self.spectrum(e.frame_dn.view())?, &e.object)))
-            .collect::<Result<Vec<_>, MethodError>>()?;
+            .map(|case| Ok((self.spectrum(case.frame_dn.view())?, &case.truth)))
+            .collect::<Result<Vec<_>, FrameError>>()?;
         let mean_psnr = |log_k: f64| -> anyhow::Result<f64> {
             let mut sum = 0.0;
             for (spectrum, object) in &spectra {
@@ -151,15 +151,15 @@ impl Wiener {
             };
         }
         let log_k = golden_section(mean_psnr, best.1 - 0.5, best.1 + 0.5)?;
-        self.relative_k = 10f64.powf(log_k);
+        self.setup.relative_k = 10f64.powf(log_k);
         Ok(self)
     }
 
-    fn spectrum(&self, frame_dn: ArrayView2<'_, f32>) -> Result<Vec<Complex32>, MethodError> {
-        Ok(padded_spectrum(&self.fft, self.correction.light_dn(frame_dn)?.view()))
+    fn spectrum(&self, frame_dn: ArrayView2<'_, f32>) -> Result<Vec<Complex32>, FrameError> {
+        Ok(padded_spectrum(&self.fft, self.input.light_dn(frame_dn)?.view()))
     }
 
-    /// The spectrum of X, from that of Y.
+    /// The spectrum of X from the spectrum of Y.
     fn filter(&self, frame: &[Complex32], relative_k: f64) -> Vec<Complex32> {
         let k = (relative_k * self.mean_power) as f32;
         frame.iter().zip(&self.transfer).map(|(y, h)| h.conj() * y / (h.norm_sqr() + k)).collect()
@@ -167,11 +167,13 @@ impl Wiener {
 
     fn solve(&self, frame: &[Complex32], relative_k: f64) -> Array2<f32> {
         let image = image_of(&self.fft, self.filter(frame, relative_k));
-        // Frame = object convolved with the PSF of pixel `source`: object pixel r lies at r - source, modulo the period.
+        // Frame = object convolved with the PSF of pixel `source`: object pixel r lies at r - source, modulo the
+        // period.
         let [rows, cols] = self.fft.shape();
         let at = |i: usize, source: usize, period: usize| (i + period - source) % period;
-        Array2::from_shape_fn(self.object, |(r, c)| {
-            image[[at(r, self.source.0, rows), at(c, self.source.1, cols)]].max(0.0)
+        let WienerSetup { object, source, .. } = self.setup;
+        Array2::from_shape_fn((object[0], object[1]), |(r, c)| {
+            image[[at(r, source[0], rows), at(c, source[1], cols)]].max(0.0)
         })
     }
 }
@@ -182,7 +184,7 @@ impl Reconstruct for Wiener {
     }
 
     fn reconstruct(&self, frame_dn: ArrayView2<'_, f32>) -> anyhow::Result<Array2<f32>> {
-        Ok(self.solve(&self.spectrum(frame_dn)?, self.relative_k))
+        Ok(self.solve(&self.spectrum(frame_dn)?, self.setup.relative_k))
     }
 }
 
@@ -204,7 +206,7 @@ fn image_of(fft: &RealFft2, spectrum: Vec<Complex32>) -> Array2<f32> {
     Array2::from_shape_fn((rows, cols), |(r, c)| image[r * cols + c] * norm)
 }
 
-/// The maximum of a function with one peak in `[low, high]`, to a hundredth.
+/// Position of the maximum of a function with one peak in `[low, high]`, to 0.01.
 fn golden_section(f: impl Fn(f64) -> anyhow::Result<f64>, mut low: f64, mut high: f64) -> anyhow::Result<f64> {
     let ratio = (5f64.sqrt() - 1.0) / 2.0;
     let (mut a, mut b) = (high - ratio * (high - low), low + ratio * (high - low));
@@ -227,11 +229,11 @@ fn golden_section(f: impl Fn(f64) -> anyhow::Result<f64>, mut low: f64, mut high
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::testing::square_array as instrument;
+    use crate::sensor::SensorMaps;
     use rand::RngExt;
     use rand_distr::{Distribution, Normal};
 
-    const SOURCE: (usize, usize) = (8, 8);
+    const SOURCE: [usize; 2] = [8, 8];
 
     /// A PSF with three unequal blurred foci: the light of a unit source at object pixel SOURCE.
     fn psf() -> Array2<f32> {
@@ -258,7 +260,7 @@ mod tests {
         let (psf, mut frame) = (psf(), Array2::from_elem((64, 64), 64.0f32));
         for ((r, c), &o) in object.indexed_iter() {
             for ((p, q), &h) in psf.indexed_iter().filter(|(_, h)| **h > 0.0) {
-                frame[[p + r - SOURCE.0, q + c - SOURCE.1]] += o * h;
+                frame[[p + r - SOURCE[0], q + c - SOURCE[1]]] += o * h;
             }
         }
         let (mut random, normal) =
@@ -267,7 +269,12 @@ mod tests {
     }
 
     fn wiener(relative_k: f64) -> Wiener {
-        Wiener::new(&instrument(1, [64, 64], [16, 16]), psf().view(), SOURCE, relative_k).unwrap()
+        planned(psf(), relative_k).unwrap()
+    }
+
+    fn planned(psf_dn: Array2<f32>, relative_k: f64) -> Result<Wiener, MethodError> {
+        let input = FrameInput::new(64.0, SensorMaps::default(), [64, 64]).unwrap();
+        Wiener::new(input, psf_dn.view(), WienerSetup { object: [16, 16], source: SOURCE, relative_k })
     }
 
     #[test]
@@ -292,30 +299,28 @@ mod tests {
 
     #[test]
     fn the_tuned_k_is_near_the_best_on_other_scenes_and_grows_with_noise() {
-        let examples = |noise, first| -> Vec<Example> {
-            let example = |i| Example { frame_dn: frame(&object(i), noise, i), object: object(i) };
-            (first..first + 4).map(example).collect()
+        let cases = |noise, first| -> Vec<Case> {
+            let case = |i| Case { frame_dn: frame(&object(i), noise, i), truth: object(i) };
+            (first..first + 4).map(case).collect()
         };
-        let psnr = |w: &Wiener, examples: &[Example]| -> f64 {
-            let one = |e: &Example| compare(w.reconstruct(e.frame_dn.view()).unwrap().view(), e.object.view()).unwrap();
-            examples.iter().map(|e| one(e).psnr_db).sum::<f64>() / examples.len() as f64
+        let psnr = |w: &Wiener, cases: &[Case]| -> f64 {
+            let one = |e: &Case| compare(w.reconstruct(e.frame_dn.view()).unwrap().view(), e.truth.view()).unwrap();
+            cases.iter().map(|e| one(e).psnr_db).sum::<f64>() / cases.len() as f64
         };
-        let (quiet, loud) =
-            (wiener(1.0).tuned(&examples(1.0, 10)).unwrap(), wiener(1.0).tuned(&examples(20.0, 10)).unwrap());
+        let (quiet, loud) = (wiener(1.0).tuned(&cases(1.0, 10)).unwrap(), wiener(1.0).tuned(&cases(20.0, 10)).unwrap());
         assert!(loud.relative_k() > 3.0 * quiet.relative_k(), "{} {}", loud.relative_k(), quiet.relative_k());
-        let others = examples(20.0, 50);
+        let others = cases(20.0, 50);
         let best = (0..30).map(|i| psnr(&wiener(10f64.powf(-4.0 + 0.2 * f64::from(i))), &others)).fold(0.0, f64::max);
         assert!(psnr(&loud, &others) > best - 0.3, "{} {best}", psnr(&loud, &others));
     }
 
     #[test]
     fn bad_configurations_are_refused() {
-        let instrument = instrument(1, [64, 64], [16, 16]);
-        let k = |k| Wiener::new(&instrument, psf().view(), SOURCE, k).map(|_| ()).unwrap_err();
+        let k = |k| planned(psf(), k).map(|_| ()).unwrap_err();
         assert!(
             matches!(k(0.0), MethodError::Regularisation(_)) && matches!(k(f64::NAN), MethodError::Regularisation(_))
         );
-        let dark = Wiener::new(&instrument, Array2::zeros((64, 64)).view(), SOURCE, 1.0);
-        assert!(matches!(dark, Err(MethodError::DarkPsf)));
+        assert!(matches!(planned(Array2::zeros((64, 64)), 1.0), Err(MethodError::DarkPsf)));
+        assert!(matches!(planned(psf().slice_move(s![.., 1..]), 1.0), Err(MethodError::PsfShape { .. })));
     }
 }

@@ -1,41 +1,43 @@
-//! The filters as the bank of a device: one transform of the whole padded frame, whose filters are spectra or pruned kernels, or small transforms
-//! and taps.
+//! The filter bank of a device: one transform of the whole padded frame, with spectra or pruned kernels as filters, or
+//! small transforms with taps.
 
 use super::choose::choose;
+use super::pack::{self, narrow};
 use super::plane::Plane;
-use super::{QuantizeConfig, QuantizeError, narrow, pack};
+use super::{QuantizeConfig, QuantizeError};
 use crate::artifact::Tensors;
-use crate::evaluate::Case;
+use crate::metrics::Case;
+use crate::sensor::FrameError;
 use crate::train::ops::fourier::Fourier;
 use crate::train::weights::FILTERS;
-use crate::train::{Checkpoint, Sight, Support, block_lags, lags};
+use crate::train::{Checkpoint, FilterMask, block_lags, normalised, tap_lags};
 use ndarray::ArrayD;
 use ommatidia_shared::blob::{Bank, Blocks, MAX_TAPS, Tap};
 use ommatidia_shared::num::f16;
 use rustfft::num_complex::Complex32;
 
-/// A filter bank, ready to be written down.
+/// A filter bank, ready to be encoded.
 pub struct PlannedBank {
     tile: usize,
     step: usize,
     channels: usize,
     taps: Vec<Tap>,
     form: Form,
-    /// Which lags the filters keep; none: all.
-    pub support: Option<Support>,
-    /// Part of the filters' energy that is kept.
+    /// Lags that the filters keep; None: all.
+    pub mask: Option<FilterMask>,
+    /// Fraction of the filters' energy that is kept.
     pub energy_kept: f64,
-    /// All filters are multiplied by two to this power, so that the largest output is near 1.
+    /// All filters are multiplied by 2 to this power, which brings the largest output near 1.
     pub scale_log2: i32,
-    /// The filters that are kept, by the names of the checkpoint.
+    /// The filters after pruning, by their names in the checkpoint.
     pub filters: Tensors,
 }
 
-/// What the file holds of the filters.
+/// The form in which the file stores the filters.
 enum Form {
-    /// A spectrum a tap.
+    /// One spectrum for each tap.
     Spectra(Vec<Vec<Complex32>>),
-    /// Blocks of lags.
+    /// Blocks of lags of the kernels.
     Kernels { blocks: Blocks, lags: Vec<f32>, index: Vec<u16> },
 }
 
@@ -43,7 +45,7 @@ impl PlannedBank {
     /// Plans the bank of a checkpoint.
     ///
     /// # Errors
-    /// The transform's side is no power of two, or what is asked for cannot be kept.
+    /// The side of the transform is not a power of two, or the filters cannot be kept as `config` asks.
     pub fn new(checkpoint: &Checkpoint, config: &QuantizeConfig) -> Result<Self, QuantizeError> {
         let sizes = checkpoint.body.network.fourier();
         let t = sizes.filter_size;
@@ -53,20 +55,20 @@ impl PlannedBank {
         let full = Plane::new(t);
         let spectra: Vec<Vec<Complex32>> = spectra(checkpoint).into_iter().map(|s| hermitian(s, t)).collect();
         let mut kernels: Vec<Vec<f32>> = spectra.iter().map(|s| full.inverse(s)).collect();
-        let support = choose(checkpoint, &kernels, config)?;
+        let mask = choose(checkpoint, &kernels, config)?;
         let mut energy_kept = 1.0;
-        if let Some(support) = &support {
+        if let Some(mask) = &mask {
             let energy = |kernels: &[Vec<f32>]| kernels.iter().flatten().map(|v| f64::from(*v).powi(2)).sum::<f64>();
             let all = energy(&kernels);
             let lags = kernels.iter_mut().flatten();
-            lags.zip(support.held(&sizes)).filter(|(_, held)| !held).for_each(|(lag, _)| *lag = 0.0);
+            lags.zip(mask.kept(&sizes)).filter(|(_, kept)| !kept).for_each(|(lag, _)| *lag = 0.0);
             energy_kept = if all > 0.0 { energy(&kernels) / all } else { 1.0 };
         }
         let pruned = || -> Vec<_> { kernels.iter().map(|k| full.forward(k)).collect() };
         let dense: Vec<Tap> = (0..sizes.channels as u8).map(|channel| Tap { channel, dy: 0, dx: 0 }).collect();
-        let (tile, step, taps, form, filters) = match &support {
+        let (tile, step, taps, form, filters) = match &mask {
             None => (t, t, dense, Form::Spectra(spectra.clone()), tensors(t, &spectra)),
-            Some(Support::Blocks { side, blocks }) => {
+            Some(FilterMask::Blocks { side, blocks }) => {
                 let lags = blocks.iter().flat_map(|&(channel, row, col)| {
                     let kernel = &kernels[usize::from(channel)];
                     block_lags(&sizes, *side, [row, col]).map(|at| kernel[at])
@@ -76,7 +78,7 @@ impl PlannedBank {
                 let form = Form::Kernels { blocks: count, lags: lags.collect(), index };
                 (t, t, dense, form, tensors(t, &pruned()))
             }
-            Some(Support::Taps { tile, taps }) => {
+            Some(FilterMask::Taps { tile, taps }) => {
                 let (small, step) = (Plane::new(*tile), tile / 2);
                 let mut taps: Vec<Tap> = taps.iter().map(|&(channel, dy, dx)| Tap { channel, dy, dx }).collect();
                 taps.sort_by_key(|tap| tap.order());
@@ -85,16 +87,16 @@ impl PlannedBank {
             }
         };
         let mut bank =
-            Self { tile, step, channels: sizes.channels, taps, form, support, energy_kept, scale_log2: 0, filters };
-        bank.scale_log2 = scale_log2(checkpoint, &bank.filters);
+            Self { tile, step, channels: sizes.channels, taps, form, mask, energy_kept, scale_log2: 0, filters };
+        bank.scale_log2 = scale_log2(checkpoint, &bank.filters)?;
         Ok(bank)
     }
 
-    /// The filters as the file holds them: spectra in the order of the taps, each T rows of T/2+1 complex halves, or blocks of lags, and
-    /// the index of these.
+    /// The filters as the file stores them, and the index of the blocks: spectra in the order of the taps, each T rows
+    /// of T/2+1 complex halves, with an empty index; or blocks of lags.
     ///
     /// # Errors
-    /// A value leaves the range of halves.
+    /// A value is too large for a half.
     pub fn filters(&self) -> Result<(Vec<f16>, &[u16]), QuantizeError> {
         let scale = 2f32.powi(self.scale_log2);
         match &self.form {
@@ -110,7 +112,7 @@ impl PlannedBank {
         }
     }
 
-    /// Its shape.
+    /// Shape of the bank, as the header stores it.
     ///
     /// # Errors
     /// A size is too large.
@@ -137,7 +139,7 @@ impl PlannedBank {
     }
 }
 
-/// The filters of a checkpoint, [channel][T rows of T/2+1].
+/// The filters of a checkpoint as spectra, [channel][T rows of T/2+1].
 fn spectra(checkpoint: &Checkpoint) -> Vec<Vec<Complex32>> {
     let part = |name| checkpoint.weights.get(name).map_or_else(Vec::new, |t: &ArrayD<f32>| t.iter().copied().collect());
     let [re, im]: [Vec<f32>; 2] = FILTERS.map(part);
@@ -146,8 +148,8 @@ fn spectra(checkpoint: &Checkpoint) -> Vec<Vec<Complex32>> {
     all.chunks_exact(t * (t / 2 + 1)).map(<[Complex32]>::to_vec).collect()
 }
 
-/// The same filter with columns of frequency zero and Nyquist made those of a real kernel. Only this part of them reaches a real image,
-/// since the frame's spectrum has the same symmetry.
+/// The same filter with the columns of frequency zero and Nyquist made Hermitian, like those of a real kernel. The rest
+/// of them does not contribute to a real image, since the frame's spectrum has the same symmetry.
 fn hermitian(mut spectrum: Vec<Complex32>, t: usize) -> Vec<Complex32> {
     let bins = t / 2 + 1;
     for col in [0, t / 2] {
@@ -159,23 +161,25 @@ fn hermitian(mut spectrum: Vec<Complex32>, t: usize) -> Vec<Complex32> {
     spectrum
 }
 
-/// Where sorted blocks lie, as a compressed sparse row matrix of `rows` rows a channel ([`ommatidia_shared::blob::Weights::index`]).
+/// Positions of sorted blocks as a compressed sparse row matrix of `rows` rows a channel
+/// ([`ommatidia_shared::blob::Weights::index`]).
 fn index(blocks: &[(u8, u16, u16)], channels: usize, rows: usize) -> Vec<u16> {
     let row_of = |&(channel, row, _): &(u8, u16, u16)| usize::from(channel) * rows + usize::from(row);
     let starts = (0..=channels * rows).map(|row| blocks.partition_point(|block| row_of(block) < row) as u16);
     starts.chain(blocks.iter().map(|block| block.2)).collect()
 }
 
-/// The spectrum of one tap.
+/// The spectrum of one tap of a kernel of side `t`.
 fn cut(kernel: &[f32], t: usize, small: &Plane, step: usize, tap: Tap) -> Vec<Complex32> {
     let tile = small.side as i32;
     let mut block = vec![0.0; small.side * small.side];
-    for (at, [y, x]) in lags(t, step, [tap.dy, tap.dx]) {
+    for (at, [y, x]) in tap_lags(t, step, [tap.dy, tap.dx]) {
         block[(y.rem_euclid(tile) * tile + x.rem_euclid(tile)) as usize] = kernel[at];
     }
     small.forward(&block)
 }
 
+/// Spectra as tensors with the names and the layout of the checkpoint.
 fn tensors(t: usize, spectra: &[Vec<Complex32>]) -> Tensors {
     let shape = [spectra.len(), t, t / 2 + 1];
     let part = |of: fn(&Complex32) -> f32| {
@@ -185,17 +189,20 @@ fn tensors(t: usize, spectra: &[Vec<Complex32>]) -> Tensors {
     FILTERS.map(String::from).into_iter().zip([part(|v| v.re), part(|v| v.im)]).collect()
 }
 
-/// The power of two that brings the largest output over the held-out frames near 1.
-fn scale_log2(checkpoint: &Checkpoint, filters: &Tensors) -> i32 {
-    let sight = Sight::new(&checkpoint.body, &checkpoint.maps);
+/// The exponent of the power of two that brings the largest output over the held-out frames near 1.
+fn scale_log2(checkpoint: &Checkpoint, filters: &Tensors) -> Result<i32, QuantizeError> {
+    let input = checkpoint.frame_input()?;
     let plan = Fourier::new(checkpoint.body.network.fourier());
     let [re, im]: [Vec<f32>; 2] =
         FILTERS.map(|f| filters.get(f).map_or_else(Vec::new, |t| t.iter().copied().collect()));
     let filters = plan.filters(&re, &im);
-    let largest = |case: &Case| {
-        let x = plan.rfft2(&sight.normalised(case.frame_dn.view()), checkpoint.body.network.frame);
-        plan.forward(&[x], &filters).iter().fold(0.0f32, |max, y| max.max(y.abs()))
+    let largest = |(index, case): (usize, &Case)| {
+        let refused = |error: FrameError| QuantizeError::Case { index, detail: error.to_string() };
+        let frame = normalised(&input, case.frame_dn.view()).map_err(refused)?;
+        let x = plan.rfft2(&frame, checkpoint.body.network.frame);
+        Ok(plan.forward(&[x], &filters).iter().fold(0.0f32, |max, y| max.max(y.abs())))
     };
-    let max = checkpoint.cases.iter().map(largest).fold(0.0, f32::max);
-    if max > 0.0 { -(max.log2().round() as i32) } else { 0 }
+    let all = checkpoint.cases.iter().enumerate().map(largest).collect::<Result<Vec<f32>, QuantizeError>>()?;
+    let max = all.into_iter().fold(0.0, f32::max);
+    Ok(if max > 0.0 { -(max.log2().round() as i32) } else { 0 })
 }

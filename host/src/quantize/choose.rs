@@ -1,32 +1,33 @@
-//! Which lags of their kernels the filters keep.
+//! Choice of the lags that the filters keep.
 
 use super::{QuantizeConfig, QuantizeError};
 use crate::train::ops::fourier::FourierSizes;
-use crate::train::{Checkpoint, Support, block_lags, lags};
+use crate::train::{Checkpoint, FilterMask, block_lags, tap_lags};
 use ommatidia_shared::blob::MAX_TAPS;
 
-/// Part of the energy that taps keep where nothing else is asked for.
+/// Fraction of the energy that taps keep by default.
 const ENERGY: f64 = 0.95;
 
-/// Side of the blocks that kernels are pruned to, lags. At a tenth of the bytes blocks of 4 keep more of the pseudo-inverses of the PSFs, and of
-/// the quality after training, than blocks of 8 or 16 (docs/networks.md).
+/// Side of the blocks that kernels are pruned to, lags. At a tenth of the bytes, blocks of 4 keep more of the
+/// pseudo-inverses of the PSFs, and more of the quality after training, than blocks of 8 or 16 (docs/networks.md).
 pub const BLOCK: usize = 4;
 
-/// The lags to keep of kernels [channels][T, T]; none: all.
+/// The lags to keep of kernels [channels][T, T]; None: all.
 ///
 /// # Errors
-/// The tile is none that a device can have, the taps cannot keep the energy that is asked for, or the part of the bytes holds no block a channel.
+/// The tile is not a side that devices support, the taps cannot keep the energy that `config` asks for, or the bytes do
+/// not hold one block for each channel.
 pub fn choose(
     checkpoint: &Checkpoint,
     kernels: &[Vec<f32>],
     config: &QuantizeConfig,
-) -> Result<Option<Support>, QuantizeError> {
+) -> Result<Option<FilterMask>, QuantizeError> {
     let sizes = checkpoint.body.network.fourier();
     let t = sizes.filter_size;
-    match (&checkpoint.body.support, config.tile, config.prune) {
-        (held, None, None) => Ok(held.clone()),
-        (Some(Support::Taps { tile, taps }), Some(asked), _) if *tile == asked && config.energy.is_none() => {
-            Ok(Some(Support::Taps { tile: asked, taps: taps.clone() }))
+    match (&checkpoint.body.filter_mask, config.tile, config.prune) {
+        (mask, None, None) => Ok(mask.clone()),
+        (Some(FilterMask::Taps { tile, taps }), Some(asked), _) if *tile == asked && config.energy.is_none() => {
+            Ok(Some(FilterMask::Taps { tile: asked, taps: taps.clone() }))
         }
         (_, Some(tile), _) => {
             if !tile.is_power_of_two() || tile > t || tile < 8 {
@@ -44,26 +45,26 @@ pub fn choose(
 }
 
 /// Cuts each kernel into blocks of `tile / 2` lags and keeps the blocks with the most energy.
-fn taps(t: usize, tile: usize, kernels: &[Vec<f32>], energy: f64) -> Result<Support, QuantizeError> {
+fn taps(t: usize, tile: usize, kernels: &[Vec<f32>], least: f64) -> Result<FilterMask, QuantizeError> {
     let step = tile / 2;
     let reach = (t / 2 / step) as i32;
     let mut parts = Vec::new();
     for (channel, kernel) in (0u8..).zip(kernels) {
         for (dy, dx) in (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (dy as i8, dx as i8))) {
-            parts.push((sum(lags(t, step, [dy, dx]).map(|(at, _)| kernel[at])), (channel, dy, dx)));
+            parts.push((energy(tap_lags(t, step, [dy, dx]).map(|(at, _)| kernel[at])), (channel, dy, dx)));
         }
     }
     let total: f64 = parts.iter().map(|p| p.0).sum();
     let (taps, kept) =
-        strongest(parts, |tap| tap.0, kernels.len(), |count, kept| count < MAX_TAPS && kept < energy * total);
-    if kept < energy * total {
-        return Err(QuantizeError::Energy { tile, expected: energy, found: kept / total, most: MAX_TAPS });
+        strongest(parts, |tap| tap.0, kernels.len(), |count, kept| count < MAX_TAPS && kept < least * total);
+    if kept < least * total {
+        return Err(QuantizeError::Energy { tile, expected: least, found: kept / total, most: MAX_TAPS });
     }
-    Ok(Support::Taps { tile, taps })
+    Ok(FilterMask::Taps { tile, taps })
 }
 
-/// Keeps the blocks with the most energy, as many as fit into `bytes` with their index.
-fn blocks(sizes: &FourierSizes, kernels: &[Vec<f32>], bytes: usize) -> Result<Support, QuantizeError> {
+/// Keeps the blocks with the most energy: as many as fit into `bytes`, index included.
+fn blocks(sizes: &FourierSizes, kernels: &[Vec<f32>], bytes: usize) -> Result<FilterMask, QuantizeError> {
     let across = sizes.filter_size / BLOCK;
     let fixed = 2 * (kernels.len() * across + 1);
     let most = (bytes.saturating_sub(fixed) / (2 * BLOCK * BLOCK + 2)).min(usize::from(u16::MAX));
@@ -75,20 +76,21 @@ fn blocks(sizes: &FourierSizes, kernels: &[Vec<f32>], bytes: usize) -> Result<Su
     let mut parts = Vec::new();
     for (channel, kernel) in (0u8..).zip(kernels) {
         for (row, col) in (0..across as u16).flat_map(|row| (0..across as u16).map(move |col| (row, col))) {
-            parts.push((sum(block_lags(sizes, BLOCK, [row, col]).map(|at| kernel[at])), (channel, row, col)));
+            parts.push((energy(block_lags(sizes, BLOCK, [row, col]).map(|at| kernel[at])), (channel, row, col)));
         }
     }
     let (mut blocks, _) = strongest(parts, |block| block.0, kernels.len(), |count, _| count < most);
     blocks.sort_unstable();
-    Ok(Support::Blocks { side: BLOCK, blocks })
+    Ok(FilterMask::Blocks { side: BLOCK, blocks })
 }
 
-fn sum(values: impl Iterator<Item = f32>) -> f64 {
+/// Sum of squares.
+fn energy(values: impl Iterator<Item = f32>) -> f64 {
     values.map(|v| f64::from(v).powi(2)).sum()
 }
 
-/// The parts with the most energy while `more(count, energy so far)` are wanted, and what they keep. No channel may go without: the best of
-/// each comes first.
+/// The parts with the most energy, and the energy that they keep, taken while `more(count, energy so far)`. The
+/// strongest part of each channel is always taken.
 fn strongest<P: Copy>(
     mut parts: Vec<(f64, P)>,
     channel: impl Fn(&P) -> u8,

@@ -1,90 +1,93 @@
-//! Why no network file can be made.
+//! Why a network file cannot be made.
 
 use ommatidia_shared::blob::BlobError;
 use ommatidia_shared::pipeline::PipelineError;
 use thiserror::Error;
 
-/// Why no network file can be made.
+/// Why a network file cannot be made.
 #[derive(Debug, Error)]
 pub enum QuantizeError {
-    /// A weight is no number.
+    /// A weight is infinite or not a number.
     #[error(
-        "weight `{name}`, element {index}: expected a finite value, found {found}; train again or resume an earlier checkpoint"
+        "weight `{name}`, element {index}: expected a finite value, found {found}; train again or resume an earlier \
+         checkpoint"
     )]
     NotFinite {
         /// Name of the tensor.
         name: String,
-        /// Which element.
+        /// Index of the element, in C order.
         index: usize,
         /// The value.
         found: f32,
     },
-    /// A weight leaves the range of halves.
+    /// A weight is too large for a half.
     #[error("weight `{name}`, element {index}: expected at most 65504 in magnitude to fit a half, found {found}")]
     Range {
         /// Name of the tensor.
         name: String,
-        /// Which element.
+        /// Index of the element, in C order.
         index: usize,
         /// The value.
         found: f32,
     },
-    /// A device runs one network alone.
-    #[error("expected a checkpoint of an SV-FourierNet, found one of {0}: peers run on the host")]
-    Family(&'static str),
-    /// A size is none that a device can have.
+    /// Devices run SV-FourierNet only.
+    #[error("expected a checkpoint of svfouriernet, found one of {0}, which runs on the host only")]
+    Architecture(&'static str),
+    /// A size that devices do not support.
     #[error("{field}: expected {expected}, found {found}")]
     Size {
         /// The field.
         field: &'static str,
-        /// What it must be.
+        /// Sizes that are supported.
         expected: String,
-        /// What it is.
+        /// The size.
         found: usize,
     },
-    /// No set of taps keeps enough of the filters.
+    /// The maximum number of taps does not keep enough of the filters.
     #[error(
-        "tile {tile}: expected {expected:.4} of the filters' energy in at most {most} taps, found {found:.4}; ask for less energy, a larger tile, or none"
+        "tile {tile}: expected {expected:.4} of the filters' energy in at most {most} taps, found {found:.4}; ask for \
+         less energy, a larger tile, or no tile"
     )]
     Energy {
         /// Side of the tile, pixels.
         tile: usize,
-        /// What was asked for.
+        /// Fraction of the energy that was asked for.
         expected: f64,
-        /// What the most taps keep.
+        /// Fraction that the maximum number of taps keeps.
         found: f64,
-        /// The most taps.
+        /// Maximum number of taps.
         most: usize,
     },
-    /// The device has too little memory.
+    /// The network needs more memory than the budget allows.
     #[error(
-        "{what}: expected at most {expected} bytes, found {found}: {missing} bytes are missing; use a smaller preset, or `--prune` for less flash"
+        "{what}: expected at most {expected} bytes, found {found}: {missing} bytes are missing; use a smaller preset, \
+         or `--prune` for less flash"
     )]
     Budget {
-        /// Which memory.
+        /// Kind of memory.
         what: &'static str,
-        /// What there is, bytes.
+        /// Budget, bytes.
         expected: u64,
-        /// What is needed, bytes.
+        /// Memory that the network needs, bytes.
         found: u64,
-        /// The difference, bytes.
+        /// Difference, bytes.
         missing: u64,
     },
-    /// The network file refuses its content.
+    /// The parts of the network cannot be encoded as a file.
     #[error("network file: {0}")]
     Blob(#[from] BlobError),
-    /// The pipeline refuses the network.
+    /// The network cannot run on a device.
     #[error("pipeline: {0}")]
     Pipeline(#[from] PipelineError),
-    /// The float network refuses its weights.
+    /// The checkpoint does not make a float network.
     #[error(transparent)]
     Train(#[from] crate::train::TrainError),
-    /// A method could not reconstruct a held-out frame.
+    /// A held-out frame could not be reconstructed or judged.
     #[error("held-out frame {index}: {detail}")]
     Case {
-        /// Which.
+        /// Index of the frame.
         index: usize,
-        /// What it said.
+        /// Error of the reconstruction.
         detail: String,
     },
 }

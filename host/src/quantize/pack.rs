@@ -1,6 +1,6 @@
-//! Weights of the enhancement network as halves, in the order of the network file.
+//! Sizes as narrow integers, and weights as halves in the order of the network file.
 
-use super::{QuantizeError, narrow};
+use super::QuantizeError;
 use crate::artifact::Tensors;
 use crate::train::NetworkConfig;
 use crate::train::weights::name;
@@ -8,10 +8,10 @@ use ommatidia_shared::blob::Rcan;
 use ommatidia_shared::nn::rcan::{Layer, layout};
 use ommatidia_shared::num::f16;
 
-/// Refuses weights that are no numbers.
+/// Checks that all weights are finite.
 ///
 /// # Errors
-/// The first one.
+/// [`QuantizeError::NotFinite`] with the first weight that is not.
 pub fn check_finite(tensors: &Tensors) -> Result<(), QuantizeError> {
     for (name, tensor) in tensors {
         if let Some((index, &found)) = tensor.iter().enumerate().find(|(_, v)| !v.is_finite()) {
@@ -21,10 +21,19 @@ pub fn check_finite(tensors: &Tensors) -> Result<(), QuantizeError> {
     Ok(())
 }
 
-/// Rounded to halves.
+/// A size as the narrower integer type that the file stores.
 ///
 /// # Errors
-/// A value leaves their range.
+/// The size is too large for the type.
+pub fn narrow<T: TryFrom<usize>>(field: &'static str, value: usize) -> Result<T, QuantizeError> {
+    let limit = 256usize.pow(size_of::<T>() as u32) - 1;
+    value.try_into().map_err(|_| QuantizeError::Size { field, expected: format!("at most {limit}"), found: value })
+}
+
+/// Values rounded to IEEE half precision; `name` names them in errors.
+///
+/// # Errors
+/// A value is too large for a half.
 pub fn halves(name: &str, values: impl Iterator<Item = f32>) -> Result<Vec<f16>, QuantizeError> {
     let one = |(index, found): (usize, f32)| {
         let half = f16::from_f32(found);
@@ -33,7 +42,7 @@ pub fn halves(name: &str, values: impl Iterator<Item = f32>) -> Result<Vec<f16>,
     values.enumerate().map(one).collect()
 }
 
-/// Shape of the enhancement network as the file keeps it.
+/// Shape of the enhancement network as the file stores it.
 ///
 /// # Errors
 /// A size is too large.
@@ -46,10 +55,10 @@ pub fn describe(network: &NetworkConfig) -> Result<Rcan, QuantizeError> {
     })
 }
 
-/// The weight section of the enhancement network.
+/// The weights of the enhancement network in the order of the file.
 ///
 /// # Errors
-/// A weight leaves the range of halves.
+/// A tensor is missing or has the wrong length, or a weight is too large for a half.
 pub fn rcan(network: &NetworkConfig, weights: &Tensors) -> Result<Vec<f16>, QuantizeError> {
     let mut section = Vec::new();
     for entry in layout(&describe(network)?, narrow("channels", network.channels)?) {
@@ -70,7 +79,7 @@ pub fn rcan(network: &NetworkConfig, weights: &Tensors) -> Result<Vec<f16>, Quan
     Ok(section)
 }
 
-/// Name of a layer in the checkpoint.
+/// Name of a layer of the file in the checkpoint.
 fn layer(network: &NetworkConfig, layer: Layer) -> String {
     match layer {
         Layer::Head => name::HEAD.into(),

@@ -36,7 +36,7 @@ impl Plane {
         self.both(&self.inverse, full).iter().map(|v| v.re * scale).collect()
     }
 
-    /// Along the rows, then along the columns.
+    /// Transforms along the rows, then along the columns.
     fn both(&self, fft: &Arc<dyn Fft<f32>>, mut plane: Vec<Complex32>) -> Vec<Complex32> {
         let t = self.side;
         for _ in 0..2 {

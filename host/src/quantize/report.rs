@@ -1,13 +1,15 @@
-//! What making the network file cost, seen on the held-out frames of the checkpoint.
+//! Size of a network file, and its quality on the held-out frames of the checkpoint.
 
 use super::QuantizeError;
 use super::bank::PlannedBank;
-use crate::evaluate::{Case, compare};
-use crate::methods::{Blob, FloatNetwork, Reconstruct};
-use crate::train::{Checkpoint, Support};
+use crate::methods::{FloatNetwork, Reconstruct};
+use crate::metrics::{Case, compare};
+use crate::network_file::NetworkFile;
+use crate::train::{Checkpoint, FilterMask};
 use ommatidia_shared::blob::{Header, MemoryPlan, Size};
 use ommatidia_shared::device::Footprint;
 use serde::Serialize;
+use std::path::Path;
 
 /// Mean figures over the held-out frames.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -18,68 +20,75 @@ pub struct Quality {
     pub ssim: f64,
 }
 
-/// The network after one step on its way to the device.
+/// Quality of the network after one step of quantization.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Step {
-    /// What was done.
+    /// The step: `float`, `taps` or `blocks`, `file`.
     pub step: &'static str,
-    /// How good the network is after it.
+    /// Quality after the step.
     #[serde(flatten)]
     pub quality: Quality,
 }
 
-/// What a network file is and what it cost.
+/// Sizes of a network file, and the network's quality before and after.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct QuantizeReport {
-    /// Length of the file.
+    /// Length of the file, bytes.
     pub file_bytes: usize,
-    /// Of this, the filters: spectra, or blocks of lags with their index.
+    /// Filters in the file, bytes: spectra, or blocks of lags with their index.
     #[serde(rename = "spectra_bytes")]
     pub filter_bytes: usize,
-    /// What the spectra of all filters would take, none pruned.
+    /// Size of the spectra of all filters without pruning, bytes.
     pub dense_filter_bytes: usize,
-    /// Of this, weights of the enhancement.
+    /// Weights of the enhancement network in the file, bytes.
     pub rcan_bytes: usize,
-    /// Fast scratch that it needs.
+    /// Fast scratch memory of a device, bytes.
     pub fast_bytes: u32,
-    /// Bulk memory that it needs.
+    /// Bulk memory of a device, bytes.
     pub bulk_bytes: u32,
-    /// Raw frame.
+    /// Raw frame, bytes.
     pub frame_bytes: u32,
-    /// Reconstruction.
+    /// Reconstruction, bytes.
     pub object_bytes: u32,
-    /// Variables and stack of the program, at most.
+    /// Upper bound of the program's variables and stack, bytes.
     pub program_bytes: u32,
-    /// All of the device's memory: scratch, bulk, frame, reconstruction, program.
+    /// Total memory of a device, bytes: scratch, bulk, frame, reconstruction, program.
     pub ram_bytes: u64,
     /// Side of the transforms, pixels.
     pub tile: u16,
-    /// Taps of the filters.
+    /// Number of taps of the filters.
     pub taps: usize,
-    /// Blocks of lags that the filters are pruned to; 0 where the file holds spectra.
+    /// Number of blocks of lags that the filters are pruned to; 0 where the file holds spectra.
     pub blocks: usize,
     /// Side of a block, lags; 0 where the file holds spectra.
     pub block_side: usize,
-    /// Part of the filters' energy that is kept.
+    /// Fraction of the filters' energy that is kept.
     pub energy_kept: f64,
-    /// The filters are multiplied by two to this power.
+    /// The filters are multiplied by 2 to this power.
     pub scale_log2: i32,
-    /// Held-out frames that the figures are means over.
+    /// Number of held-out frames that the figures are means over.
     pub frames: usize,
-    /// The network after each step.
+    /// Quality after each step.
     pub steps: Vec<Step>,
     /// Peak signal-to-noise ratio of the float network minus that of the file, dB.
     pub loss_db: f64,
 }
 
+/// A file that was made, and the lengths of its parts.
+pub(super) struct MadeFile<'a> {
+    /// Header of the file.
+    pub header: &'a Header,
+    /// The whole file.
+    pub bytes: &'a [u8],
+    /// Length of the filters and their index, bytes.
+    pub filter_bytes: usize,
+    /// Length of the weights of the enhancement network, bytes.
+    pub rcan_bytes: usize,
+}
+
 impl QuantizeReport {
-    pub(super) fn new(
-        checkpoint: &Checkpoint,
-        bank: &PlannedBank,
-        header: &Header,
-        bytes: &[u8],
-        [filter_bytes, rcan_bytes]: [usize; 2],
-    ) -> Result<Self, QuantizeError> {
+    pub(super) fn new(checkpoint: &Checkpoint, bank: &PlannedBank, file: &MadeFile<'_>) -> Result<Self, QuantizeError> {
+        let MadeFile { header, bytes, filter_bytes, rcan_bytes } = *file;
         let cases = &checkpoint.cases;
         let mut steps = Vec::new();
         let mut add = |step, method: &dyn Reconstruct| -> Result<f64, QuantizeError> {
@@ -88,16 +97,17 @@ impl QuantizeReport {
             Ok(quality.psnr_db)
         };
         let float = add("float", &FloatNetwork::new(checkpoint)?)?;
-        if let Some(support) = &bank.support {
+        if let Some(mask) = &bank.mask {
             let mut pruned = checkpoint.clone();
             pruned.weights.extend(bank.filters.clone());
-            let step = if matches!(support, Support::Taps { .. }) { "taps" } else { "blocks" };
+            let step = if matches!(mask, FilterMask::Taps { .. }) { "taps" } else { "blocks" };
             add(step, &FloatNetwork::new(&pruned)?)?;
         }
         let blocks = header.bank.blocks;
         let network = &checkpoint.body.network;
-        let refused = |error: anyhow::Error| QuantizeError::Case { index: 0, detail: error.to_string() };
-        let file = add("file", &Blob::new(bytes.to_vec()).map_err(|e| refused(e.into()))?)?;
+        let network_file = NetworkFile::from_bytes(Path::new("network file"), bytes)
+            .map_err(|error| QuantizeError::Case { index: 0, detail: error.to_string() })?;
+        let quantized = add("file", &network_file)?;
         Ok(Self {
             file_bytes: bytes.len(),
             filter_bytes,
@@ -117,7 +127,7 @@ impl QuantizeReport {
             scale_log2: bank.scale_log2,
             frames: cases.len(),
             steps,
-            loss_db: float - file,
+            loss_db: float - quantized,
         })
     }
 }
@@ -129,12 +139,12 @@ pub(super) fn ram_bytes(header: &Header) -> u64 {
     [fast_bytes, bulk_bytes, planes[0], planes[1], Footprint::MOST_RAM].into_iter().map(u64::from).sum()
 }
 
-/// Two bytes a pixel.
+/// Size of an image on the device, bytes: two bytes a pixel.
 fn plane_bytes(size: Size) -> u32 {
     2 * u32::from(size.rows) * u32::from(size.cols)
 }
 
-/// Mean figures of a method.
+/// Mean figures of a method over `cases`.
 fn judge(method: &dyn Reconstruct, cases: &[Case]) -> Result<Quality, QuantizeError> {
     let mut mean = Quality { psnr_db: 0.0, ssim: 0.0 };
     for (index, case) in cases.iter().enumerate() {

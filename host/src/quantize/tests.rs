@@ -1,14 +1,17 @@
 #![allow(clippy::unwrap_used)]
 use super::*;
 use crate::artifact::Tensors;
-use crate::evaluate::Case;
-use crate::methods::{Blob, FloatNetwork, Reconstruct};
+use crate::methods::{FloatNetwork, Reconstruct};
+use crate::metrics::Case;
+use crate::network_file::NetworkFile;
 use crate::noise::{NoiseModel, Sources};
 use crate::rng;
+use crate::sensor::SensorMaps;
 use crate::train::weights::{self, FILTERS};
-use crate::train::{Body, MeanNorms, NetworkConfig, Preset, SensorMaps};
+use crate::train::{Checkpoint, FilterMask, NetworkConfig, Preset};
 use ndarray::Array2;
 use rand::RngExt;
+use std::path::Path;
 
 const FRAME: [usize; 2] = [44, 40];
 const OBJECT: [usize; 2] = [16, 20];
@@ -37,7 +40,11 @@ fn frame(seed: u64) -> Array2<f32> {
     Array2::from_shape_fn((FRAME[0], FRAME[1]), |(r, c)| (64.0 + light(r, c)).round())
 }
 
-/// A network that nobody has trained, with maps of the sensor.
+fn file(made: &Quantized) -> NetworkFile {
+    NetworkFile::from_bytes(Path::new("made"), &made.bytes).unwrap()
+}
+
+/// An untrained network with maps of the sensor.
 fn checkpoint() -> Checkpoint {
     let network = NetworkConfig {
         channels: 3,
@@ -48,31 +55,17 @@ fn checkpoint() -> Checkpoint {
         ..Preset::Nano.network(FRAME, OBJECT)
     };
     let weights = weights::random(&network, 5);
-    let body = Body {
-        network,
-        noise: noise(),
-        training: Preset::Nano.training(1e4, 1),
-        curve: Vec::new(),
-        best_step: 0,
-        step: 0,
-        norms: MeanNorms::default(),
-        support: None,
-        slowed: 0,
-    };
     let pattern =
         |a: f32, b: f32| Array2::from_shape_fn((FRAME[0], FRAME[1]), |(r, c)| a + b * ((r * 7 + c * 3) % 16) as f32);
-    let maps = SensorMaps { offset_dn: Some(pattern(-2.0, 0.25)), inverse_gain: Some(pattern(0.9375, 0.0078125)) };
+    let maps = SensorMaps {
+        offset_dn: Some(pattern(-2.0, 0.25)),
+        inverse_response: Some(pattern(0.9375, 0.0078125)),
+        unusable: None,
+    };
     let truth = Array2::from_shape_fn((OBJECT[0], OBJECT[1]), |(r, c)| ((r + c) % 5) as f32);
     let cases = (0..2).map(|i| Case { frame_dn: frame(i), truth: truth.clone() }).collect();
-    Checkpoint {
-        body,
-        weights: weights.clone(),
-        maps,
-        cases,
-        samples: Vec::new(),
-        current: weights,
-        adam: Default::default(),
-    }
+    let untrained = Checkpoint::untrained(network, noise(), Preset::Nano.training(1e4, 1), weights);
+    Checkpoint { maps, cases, ..untrained }
 }
 
 fn difference(a: &dyn Reconstruct, b: &dyn Reconstruct, frame: &Array2<f32>) -> f32 {
@@ -80,8 +73,8 @@ fn difference(a: &dyn Reconstruct, b: &dyn Reconstruct, frame: &Array2<f32>) -> 
     (&a - &b).iter().fold(0.0, |max, d| max.max(d.abs()))
 }
 
-/// Float and file are written apart from each other: two definitions of the network that must be one. An untrained network is
-/// the sharpest test: its outputs spread over (0, 1) and nothing is zero. Halves have 11 bits and there are 15 layers.
+/// Float network and network file are independent definitions of the same network. An untrained network is the most
+/// sensitive test: its outputs spread over (0, 1) and nothing is 0. Halves have 11 bits and there are 15 layers.
 #[test]
 fn the_file_computes_what_the_float_network_does() {
     let checkpoint = checkpoint();
@@ -91,7 +84,7 @@ fn the_file_computes_what_the_float_network_does() {
         &QuantizeConfig { name: "test".into(), ..Default::default() },
     )
     .unwrap();
-    let (float, blob) = (FloatNetwork::new(&checkpoint).unwrap(), Blob::new(made.bytes).unwrap());
+    let (float, blob) = (FloatNetwork::new(&checkpoint).unwrap(), file(&made));
     let found = float.reconstruct(frame(9).view()).unwrap();
     let spread = found.iter().fold(0.0f32, |m, v| m.max(*v)) - found.iter().fold(1.0f32, |m, v| m.min(*v));
     assert!(spread > 0.1, "{spread}");
@@ -101,8 +94,7 @@ fn the_file_computes_what_the_float_network_does() {
     assert_eq!(made.report.energy_kept, 1.0);
 }
 
-/// Filters whose kernels are a few compact blobs fit into taps without loss; the frame is far enough from the ends of the
-/// circular convolution that only the foci matter.
+/// Filters whose kernels are a few compact spots fit into taps without loss.
 #[test]
 fn taps_of_compact_kernels_are_the_whole_filter() {
     let mut checkpoint = checkpoint();
@@ -112,7 +104,7 @@ fn taps_of_compact_kernels_are_the_whole_filter() {
     let made = quantize(&checkpoint, "", &config).unwrap();
     assert!(made.report.taps > 3 && made.report.taps < 40, "{}", made.report.taps);
     assert!(made.report.energy_kept >= 0.999_999_9);
-    let (float, blob) = (FloatNetwork::new(&checkpoint).unwrap(), Blob::new(made.bytes).unwrap());
+    let (float, blob) = (FloatNetwork::new(&checkpoint).unwrap(), file(&made));
     assert!(difference(&float, &blob, &frame(9)) < 0.01);
 }
 
@@ -125,7 +117,7 @@ fn a_faint_channel_keeps_a_tap() {
     }
     let config = QuantizeConfig { tile: Some(32), energy: Some(0.2), ..Default::default() };
     let made = quantize(&checkpoint, "", &config).unwrap();
-    let header = Blob::new(made.bytes).unwrap().header().unwrap();
+    let header = file(&made).header().unwrap();
     assert!((0..3).all(|c| header.bank.taps.iter().any(|tap| tap.channel == c)));
 }
 
@@ -161,11 +153,11 @@ fn blocks_of_compact_kernels_are_the_whole_filter() {
     assert!(report.filter_bytes <= report.dense_filter_bytes / 2, "{report:?}");
     assert!(report.filter_bytes + 34 > report.dense_filter_bytes / 2, "room for one block more: {report:?}");
     assert_eq!(report.steps.iter().map(|s| s.step).collect::<Vec<_>>(), ["float", "blocks", "file"]);
-    let (float, blob) = (FloatNetwork::new(&checkpoint).unwrap(), Blob::new(made.bytes).unwrap());
+    let (float, blob) = (FloatNetwork::new(&checkpoint).unwrap(), file(&made));
     assert!(difference(&float, &blob, &frame(9)) < 0.01);
 }
 
-/// A file that would not fit is pruned to what fits, to the last block; where nothing fits the whole file tells how much is missing.
+/// A file that would not fit is pruned to as many blocks as fit.
 #[test]
 fn what_does_not_fit_into_the_flash_is_pruned() {
     let checkpoint = checkpoint();
@@ -177,34 +169,32 @@ fn what_does_not_fit_into_the_flash_is_pruned() {
         let found = made.bytes.len() as u64;
         assert!(found <= flash && found + 200 > flash, "{found} of {flash}");
         assert!(made.report.blocks > 0 && made.report.energy_kept < 1.0);
-        Blob::new(made.bytes).unwrap();
+        file(&made);
     }
 }
 
-/// What was held to blocks while it was trained is written as these, whatever else would be stronger.
+/// Filters that were trained with a mask of blocks keep these blocks, even if others are stronger.
 #[test]
 fn blocks_of_a_training_are_kept() {
     let mut checkpoint = checkpoint();
     let blocks = vec![(0, 3, 4), (1, 0, 0), (2, 15, 15)];
-    checkpoint.body.support = Some(Support::Blocks { side: 4, blocks });
+    checkpoint.body.filter_mask = Some(FilterMask::Blocks { side: 4, blocks });
     let plan = crate::train::ops::fourier::Fourier::new(checkpoint.body.network.fourier());
-    checkpoint.body.support.as_ref().unwrap().project(&plan, &mut checkpoint.weights);
+    checkpoint.body.filter_mask.as_ref().unwrap().project(&plan, &mut checkpoint.weights);
     let made = quantize(&checkpoint, "", &QuantizeConfig::default()).unwrap();
     assert_eq!((made.report.blocks, made.report.block_side), (3, 4));
     assert!(made.report.energy_kept > 0.999_999);
-    let (float, blob) = (FloatNetwork::new(&checkpoint).unwrap(), Blob::new(made.bytes).unwrap());
+    let (float, blob) = (FloatNetwork::new(&checkpoint).unwrap(), file(&made));
     assert!(difference(&float, &blob, &frame(9)) < 0.02);
 }
 
 #[test]
-fn a_small_device_is_told_how_much_is_missing() {
+fn the_error_of_a_small_device_names_how_much_is_missing() {
     let checkpoint = checkpoint();
     let error = |config| quantize(&checkpoint, "", &config).unwrap_err();
     let flash = error(QuantizeConfig { flash_bytes: Some(20_000), ..Default::default() });
-    assert!(
-        matches!(flash, QuantizeError::Budget { what: "flash", expected: 20_000, found, missing } if found - 20_000 == missing),
-        "{flash}"
-    );
+    let QuantizeError::Budget { what: "flash", expected: 20_000, found, missing } = flash else { panic!("{flash}") };
+    assert_eq!(found - 20_000, missing);
     let ram = error(QuantizeConfig { ram_bytes: Some(1000), ..Default::default() });
     assert!(matches!(ram, QuantizeError::Budget { what: "RAM", .. }), "{ram}");
     let tile = error(QuantizeConfig { tile: Some(48), ..Default::default() });
@@ -214,7 +204,7 @@ fn a_small_device_is_told_how_much_is_missing() {
 }
 
 #[test]
-fn weights_that_no_half_holds_are_refused_by_name() {
+fn weights_that_do_not_fit_a_half_are_refused_by_name() {
     let name = format!("{}.weight", weights::name::BODY);
     for (value, range) in [(f32::NAN, false), (1e5, true)] {
         let mut checkpoint = checkpoint();

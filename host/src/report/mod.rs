@@ -38,7 +38,7 @@ pub use scenes::{bytes, seconds};
 use crate::artifact;
 use crate::closing::account::{self, Account};
 use crate::evaluate::Evaluation;
-use crate::evaluate::receptive::{self, Receptive};
+use crate::evaluate::receptive::{self, ReceptiveFields};
 use crate::instrument::Instrument;
 use crate::kind::FileKind;
 use crate::session::Session;
@@ -72,7 +72,7 @@ enum Content {
     Resolution,
     /// Figures of `ablate`.
     Ablation,
-    Receptive(Box<Receptive>),
+    Receptive(Box<ReceptiveFields>),
     Other,
 }
 
@@ -176,7 +176,7 @@ fn load(path: &Path) -> Result<Piece, ReportError> {
                 "evaluation" => Content::Evaluation(Box::new(Evaluation::read(path)?.0)),
                 account::KIND => Content::Closing(Box::new(Account::read(path)?), asked(path)?),
                 "checkpoint" => Content::Checkpoint(Sample::of(path)?),
-                receptive::KIND => Content::Receptive(Box::new(Receptive::read(path)?)),
+                receptive::KIND => Content::Receptive(Box::new(ReceptiveFields::read(path)?)),
                 _ => Content::Other,
             },
         ),

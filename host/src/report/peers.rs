@@ -7,7 +7,7 @@ use super::page::Numbers;
 use super::picture::{Scale, number, picture};
 use super::scenes::colour;
 use crate::evaluate::Evaluation;
-use crate::evaluate::receptive::{Receptive, middle};
+use crate::evaluate::receptive::{ReceptiveFields, middle};
 use crate::evaluate::resolution::Resolution;
 use crate::methods::title;
 use maud::{Markup, html};
@@ -145,7 +145,7 @@ pub fn spectra(e: &Evaluation, numbers: &mut Numbers) -> Result<Option<Markup>, 
 ///
 /// # Errors
 /// A picture cannot be encoded.
-pub fn receptive(r: &Receptive, numbers: &mut Numbers) -> Result<Markup, ReportError> {
+pub fn receptive(r: &ReceptiveFields, numbers: &mut Numbers) -> Result<Markup, ReportError> {
     let percent = |v: f64| format!("{:.1} %", 100.0 * v);
     let table = html! {
         thead { tr {

@@ -5,8 +5,9 @@ use super::colour::ColourMap;
 use super::error::ReportError;
 use super::page::{Key, Numbers};
 use super::picture::{Mark, Scale, number, picture, scale_bar};
-use crate::evaluate::{Evaluation, MethodFigures, PredictionFigures};
+use crate::evaluate::{Evaluation, MethodFigures};
 use crate::methods::title;
+use crate::metrics::PredictionFigures;
 use maud::{Markup, html};
 use ndarray::{ArrayView2, Axis as Dim, s};
 

@@ -1,7 +1,8 @@
 #![allow(clippy::unwrap_used)]
 use super::*;
 use crate::artifact::{Header as ArtifactHeader, Provenance, Tensors};
-use crate::evaluate::{Figures, MethodFigures, Ring, Summary};
+use crate::evaluate::{MethodFigures, Ring, Summary};
+use crate::metrics::Figures;
 use crate::session::{ArrayGeometry, ObjectGrid, SensorSpec};
 use crate::testing;
 use ndarray::{Array1, Array2, Array3, Array4, Array5};
@@ -111,8 +112,8 @@ fn evaluation() -> Evaluation {
 struct PredictionFiguresFixture;
 
 impl PredictionFiguresFixture {
-    fn get() -> crate::evaluate::PredictionFigures {
-        crate::evaluate::PredictionFigures {
+    fn get() -> crate::metrics::PredictionFigures {
+        crate::metrics::PredictionFigures {
             frames: 8,
             scale: 1.0003,
             nrmse: 0.0042,
@@ -121,7 +122,7 @@ impl PredictionFiguresFixture {
             chi2_ndf_expected: 1.002,
             lit_pixels: 123_456,
             by_radius: (0..8u32)
-                .map(|i| crate::evaluate::ResidualRing {
+                .map(|i| crate::metrics::ResidualRing {
                     inner_px: 10.0 * f64::from(i),
                     outer_px: 10.0 * f64::from(i + 1),
                     pixels: 1000,

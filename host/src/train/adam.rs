@@ -1,4 +1,4 @@
-//! Adam (D. P. Kingma, J. Ba, arXiv:1412.6980, algorithm 1) on named arrays, and the guard in front of it.
+//! The optimiser: Adam (D. P. Kingma, J. Ba, arXiv:1412.6980, algorithm 1) on named arrays, with clipped gradients.
 
 use super::weights::is_filter;
 use crate::artifact::Tensors;
@@ -11,56 +11,56 @@ const BETA_1: f64 = 0.9;
 const BETA_2: f64 = 0.999;
 const EPSILON: f64 = 1e-8;
 
-/// Part of the running mean of a gradient's length that one step replaces.
+/// Weight of one step in the running mean of a gradient's length.
 const MEMORY: f64 = 0.02;
 
-/// Parameters with a learning rate of their own.
+/// Groups of parameters, each with its own learning rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Group {
-    /// The Fourier filters.
+    /// The filters of the first layer.
     Filters,
-    /// All that comes after.
+    /// All other layers.
     Layers,
 }
 
-/// The group of a parameter.
+/// The group of the parameter with this name.
 pub fn group(name: &str) -> Group {
     if is_filter(name) { Group::Filters } else { Group::Layers }
 }
 
-/// Running mean lengths of the gradients of filters and layers; 0: none seen yet.
+/// Running mean lengths of the gradients of the two groups; 0 before the first step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MeanNorms {
-    /// Of the filters.
+    /// Mean length of the gradient of the filters.
     pub filters: f32,
-    /// Of the layers.
+    /// Mean length of the gradient of the layers.
     pub layers: f32,
 }
 
 /// State of the optimiser.
 #[derive(Clone, Debug, Default)]
 pub struct Adam {
-    /// Steps taken.
+    /// Number of steps taken.
     pub steps: u64,
     /// First moments, by name.
     pub first: Tensors,
     /// Second moments, by name.
     pub second: Tensors,
-    /// Lengths of past gradients.
+    /// Mean lengths of past gradients.
     pub norms: MeanNorms,
 }
 
 impl Adam {
-    /// No steps taken yet on parameters like these.
+    /// The state before the first step on these parameters.
     pub fn new(parameters: &Tensors) -> Self {
-        // Zeros that the system gives and nobody has touched take no memory: the paper's network has 0.6 GB of each.
+        // Zeroed pages that were never written take no memory; at the paper's size each of the two would take 0.6 GB.
         let zeros = || parameters.iter().map(|(n, t)| (n.clone(), ArrayD::zeros(t.raw_dim()))).collect();
         Self { steps: 0, first: zeros(), second: zeros(), norms: MeanNorms::default() }
     }
 
-    /// Shortens the gradient of each group to `clip` times the running mean of its length. Adam does not mind the scale of a gradient, so the
-    /// bound must follow it.
+    /// Shortens the gradient of each group to at most `clip` times the running mean of its length. The bound follows
+    /// the gradients, because Adam's steps do not depend on their scale.
     pub fn clip(&mut self, gradients: &mut BTreeMap<String, Vec<f32>>, clip: f64) {
         for of in [Group::Filters, Group::Layers] {
             let members = || gradients.iter().filter(|(name, _)| group(name) == of);
@@ -78,12 +78,12 @@ impl Adam {
                     .filter(|(n, _)| group(n) == of)
                     .for_each(|(_, g)| g.iter_mut().for_each(|g| *g *= scale));
             }
-            let seen = norm.min(limit);
-            *mean = if past > 0.0 { (1.0 - MEMORY) * past + MEMORY * seen } else { seen } as f32;
+            let clipped = norm.min(limit);
+            *mean = if past > 0.0 { (1.0 - MEMORY) * past + MEMORY * clipped } else { clipped } as f32;
         }
     }
 
-    /// One step; `rate` gives the learning rate of each group.
+    /// Takes one step on `parameters`, in place; `rate` returns the learning rate of each group.
     pub fn step(
         &mut self,
         parameters: &mut Tensors,
@@ -94,7 +94,7 @@ impl Adam {
         let t = self.steps as f64;
         let (c1, c2) = (1.0 - BETA_1.powf(t), 1.0 - BETA_2.powf(t));
         let (b1, b2) = (BETA_1 as f32, BETA_2 as f32);
-        // The names are the same in all three.
+        // All three maps have the same names in the same order.
         let all = parameters.iter_mut().zip(self.first.values_mut()).zip(self.second.values_mut());
         all.collect::<Vec<_>>().into_par_iter().for_each(|(((name, p), m), v)| {
             let (Some(gradient), Some(p), Some(m), Some(v)) =
@@ -120,7 +120,7 @@ mod tests {
     use burn::tensor::{Device, Tensor, TensorData};
     use ndarray::arr1;
 
-    /// Against burn's own, which is written otherwise.
+    /// The independent implementation of burn takes the same steps.
     #[test]
     fn steps_are_those_of_burn() {
         let device = Device::flex();

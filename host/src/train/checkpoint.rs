@@ -1,12 +1,11 @@
-//! The checkpoint: a trained network, how it came to be, and all that is needed to go on.
+//! The checkpoint: a trained network, its training history, and the state that is needed to continue training.
 
 use super::adam::{Adam, MeanNorms};
-use super::{NetworkConfig, Support, TrainConfig, TrainError, weights};
+use super::{FilterMask, NetworkConfig, TrainConfig, TrainError, weights};
 use crate::artifact::{self, ArtifactError, Header, Provenance, Tensors};
-use crate::evaluate::Case;
-use crate::forward::ForwardError;
-use crate::instrument::Instrument;
+use crate::metrics::Case;
 use crate::noise::NoiseModel;
+use crate::sensor::{FrameInput, SensorMaps};
 use ndarray::{Array2, Array3, ArrayView2, ArrayViewD, Axis, Ix3};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -19,18 +18,18 @@ pub const VERSION: u32 = 1;
 
 const OFFSET: &str = "sensor.offset_dn";
 const GAIN: &str = "sensor.inverse_gain";
-const FRAMES: &str = "validation.frames_dn";
-const OBJECTS: &str = "validation.objects";
-const SAMPLES: &str = "validation.reconstructions";
+pub(super) const FRAMES: &str = "validation.frames_dn";
+pub(super) const OBJECTS: &str = "validation.objects";
+pub(super) const SAMPLES: &str = "validation.reconstructions";
 const CURRENT: &str = "optim.weight.";
 const FIRST: &str = "optim.first.";
 const SECOND: &str = "optim.second.";
 
-/// One validation. Single precision: what is written as JSON is read as the same bits.
+/// Figures of one validation, in single precision so that JSON keeps every bit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CurvePoint {
-    /// Steps taken.
+    /// Number of steps taken.
     pub step: u64,
     /// Mean loss of the training steps since the last point.
     pub train_loss: f32,
@@ -42,28 +41,30 @@ pub struct CurvePoint {
     pub ssim: f32,
 }
 
-/// The small numbers of a checkpoint.
+/// The header of a checkpoint: everything but the tensors.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Body {
     /// Shape of the network.
     pub network: NetworkConfig,
-    /// Noise of the sensor that it was trained for; black level and saturation are those of its frames.
+    /// Noise of the sensor that the network was trained for; its black level and saturation apply to the network's
+    /// frames.
     pub noise: NoiseModel,
-    /// How it was trained.
+    /// Settings of the training.
     pub training: TrainConfig,
-    /// Every validation.
+    /// Figures of every validation.
     pub curve: Vec<CurvePoint>,
-    /// Step whose weights these are: the best at validation.
+    /// Step of the best weights: those with the highest SSIM at validation.
     pub best_step: u64,
-    /// Steps taken.
+    /// Number of steps taken.
     pub step: u64,
-    /// Lengths of past gradients.
+    /// Mean lengths of past gradients.
     pub norms: MeanNorms,
-    /// The lags that the filters are held to; None: all.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub support: Option<Support>,
-    /// Times that the loss was no number and the run went back to its last checkpoint, each time with half the learning rates.
+    /// Mask of the filters: the lags at which their kernels may differ from 0; None: all.
+    #[serde(default, rename = "support", skip_serializing_if = "Option::is_none")]
+    pub filter_mask: Option<FilterMask>,
+    /// Number of times that the loss diverged and the run went back to its last checkpoint; each time halves the
+    /// learning rates.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub slowed: u32,
 }
@@ -72,69 +73,67 @@ fn is_zero(n: &u32) -> bool {
     *n == 0
 }
 
-/// Corrections of the sensor that come before the network.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct SensorMaps {
-    /// Offset of each pixel relative to the black level, DN.
-    pub offset_dn: Option<Array2<f32>>,
-    /// Inverse relative gain of each pixel, 1 = nominal.
-    pub inverse_gain: Option<Array2<f32>>,
-}
-
-impl SensorMaps {
-    /// Those of an instrument with its effects.
-    ///
-    /// # Errors
-    /// The parts of the instrument disagree.
-    pub fn of(instrument: &Instrument) -> Result<Self, ForwardError> {
-        let tables = instrument.sensor_tables()?;
-        Ok(Self { offset_dn: tables.offset_dn, inverse_gain: tables.inverse_response })
-    }
-
-    /// Corrects light above black, DN, in C order: `(light - offset) * inverse_gain`.
-    pub fn correct(&self, light_dn: &mut [f32]) {
-        if let Some(offset) = &self.offset_dn {
-            light_dn.iter_mut().zip(offset).for_each(|(v, o)| *v -= o);
-        }
-        if let Some(gain) = &self.inverse_gain {
-            light_dn.iter_mut().zip(gain).for_each(|(v, g)| *v *= g);
-        }
-    }
-}
-
 /// A checkpoint in memory.
 #[derive(Clone, Debug)]
 pub struct Checkpoint {
-    /// The small numbers.
+    /// Header: shapes, settings, history.
     pub body: Body,
-    /// The best weights, by the names of the reference implementation's state dictionary.
+    /// The best weights, by their names in the reference implementation's state dictionary.
     pub weights: Tensors,
-    /// Maps of the sensor.
+    /// Maps of the sensor that frames are corrected with before the network.
     pub maps: SensorMaps,
-    /// Held-out frames as the sensor delivers them, with their objects: whoever changes the network can see what it costs.
+    /// Held-out raw frames with their objects, for measuring what changes of the network cost.
     pub cases: Vec<Case>,
-    /// What the best weights make of the first of these, each at one free scale of its object: for people to look at while it trains.
+    /// Reconstructions of the first of these cases by the best weights, each scaled to its object: for people to look
+    /// at while the network trains.
     pub samples: Vec<Array2<f32>>,
     /// The weights after the last step.
     pub current: Tensors,
-    /// The optimiser.
+    /// State of the optimiser.
     pub adam: Adam,
 }
 
 impl Checkpoint {
-    /// Writes it, whole or not at all.
+    /// A checkpoint before the first step: no history, no sensor maps, no held-out cases.
+    pub fn untrained(network: NetworkConfig, noise: NoiseModel, training: TrainConfig, weights: Tensors) -> Self {
+        let body = Body {
+            network,
+            noise,
+            training,
+            curve: Vec::new(),
+            best_step: 0,
+            step: 0,
+            norms: MeanNorms::default(),
+            filter_mask: None,
+            slowed: 0,
+        };
+        let adam = Adam::new(&weights);
+        let maps = SensorMaps::default();
+        Self { body, current: weights.clone(), weights, maps, cases: Vec::new(), samples: Vec::new(), adam }
+    }
+
+    /// Checks and corrects the raw frames of the network's sensor.
+    ///
+    /// # Errors
+    /// A sensor map has another shape than the network's frames.
+    pub fn frame_input(&self) -> Result<FrameInput, TrainError> {
+        Ok(FrameInput::new(self.body.noise.black_level_dn, self.maps.clone(), self.body.network.frame)?)
+    }
+
+    /// Writes the checkpoint: whole, or not at all.
     ///
     /// # Errors
     /// The file cannot be written.
     pub fn write(&self, path: &Path, provenance: Provenance) -> Result<(), ArtifactError> {
         let mut tensors: BTreeMap<String, ArrayViewD<'_, f32>> =
             self.weights.iter().map(|(name, t)| (name.clone(), t.view())).collect();
-        // Weights that no step has touched need no optimiser beside them: at the paper's size it is three times their bytes.
+        // Before the first step the optimiser holds zeros; it is not written, since it takes three times the bytes of
+        // the weights.
         let state = [(CURRENT, &self.current), (FIRST, &self.adam.first), (SECOND, &self.adam.second)];
         for (prefix, of) in state.into_iter().filter(|_| self.body.step > 0) {
             tensors.extend(of.iter().map(|(name, t)| (format!("{prefix}{name}"), t.view())));
         }
-        for (name, map) in [(OFFSET, &self.maps.offset_dn), (GAIN, &self.maps.inverse_gain)] {
+        for (name, map) in [(OFFSET, &self.maps.offset_dn), (GAIN, &self.maps.inverse_response)] {
             if let Some(map) = map {
                 tensors.insert(name.into(), map.view().into_dyn());
             }
@@ -156,16 +155,16 @@ impl Checkpoint {
         artifact::write(path, &header, &tensors)
     }
 
-    /// Reads it.
+    /// Reads the checkpoint at `path`.
     ///
     /// # Errors
-    /// The file is missing, no checkpoint, cut short, of another version; a tensor is missing, has the wrong shape, or holds values that are
-    /// no numbers.
+    /// The file is missing, cut short, not a checkpoint, or of another version; a tensor is missing, has the wrong
+    /// shape, or holds values that are not finite.
     pub fn read(path: &Path) -> Result<Self, TrainError> {
         let (header, mut tensors) = artifact::read::<Body>(path, KIND, VERSION)?;
         let body = header.body;
         body.network.check()?;
-        body.support.as_ref().map_or(Ok(()), |support| support.check(&body.network.fourier()))?;
+        body.filter_mask.as_ref().map_or(Ok(()), |mask| mask.check(&body.network.fourier()))?;
         let weights = weights::take(path, &body.network, &mut tensors, "")?;
         let (current, first, second) = if body.step > 0 {
             let mut state = |prefix| weights::take(path, &body.network, &mut tensors, prefix);
@@ -184,38 +183,9 @@ impl Checkpoint {
             let map = artifact::take(path, &mut tensors, name, &shape)?;
             Ok(map.into_dimensionality().ok())
         };
-        let maps = SensorMaps { offset_dn: map(OFFSET)?, inverse_gain: map(GAIN)? };
+        let maps = SensorMaps { offset_dn: map(OFFSET)?, inverse_response: map(GAIN)?, unusable: None };
         let adam = Adam { steps: body.step, first, second, norms: body.norms };
         Ok(Self { body, weights, maps, cases, samples, current, adam })
-    }
-}
-
-/// A held-out frame, its object, and what the best weights make of it.
-#[derive(Clone, Debug)]
-pub struct Sample {
-    /// The frame and its object.
-    pub case: Case,
-    /// The reconstruction, at one free scale of the object.
-    pub found: Array2<f32>,
-}
-
-impl Sample {
-    /// Those that a checkpoint keeps; nothing else of the file is read.
-    ///
-    /// # Errors
-    /// As [`Checkpoint::read`].
-    pub fn of(path: &Path) -> Result<Vec<Self>, ArtifactError> {
-        let index = artifact::Index::<Body>::open(path, KIND, VERSION)?;
-        // Imported weights have none, and runs that have not been judged yet.
-        let count = index.shape(SAMPLES).ok().and_then(|shape| shape.first().copied()).unwrap_or(0);
-        let image = |name, i| Ok(index.read_entry(name, i)?.into_dimensionality().unwrap_or_default());
-        let sample = |i| {
-            Ok(Self {
-                case: Case { frame_dn: image(FRAMES, i)?, truth: image(OBJECTS, i)? },
-                found: image(SAMPLES, i)?,
-            })
-        };
-        (0..count).map(sample).collect()
     }
 }
 
@@ -230,9 +200,9 @@ fn samples(path: &Path, network: &NetworkConfig, tensors: &mut Tensors) -> Resul
     Ok(stack.outer_iter().map(|image| image.to_owned()).collect())
 }
 
-/// The held-out frames and objects.
+/// The stored held-out frames and objects.
 fn cases(path: &Path, network: &NetworkConfig, tensors: &mut Tensors) -> Result<Vec<Case>, ArtifactError> {
-    // Imported weights have none.
+    // Imported weights have no cases.
     if !tensors.contains_key(FRAMES) {
         return Ok(Vec::new());
     }

@@ -1,42 +1,46 @@
 //! The shape of the network.
 
 use super::ops::fourier::FourierSizes;
-use super::{Family, TrainError};
+use super::{Architecture, TrainError};
 use serde::{Deserialize, Serialize};
 
-/// Shape of a network: a filter bank and the light RCAN behind it.
+/// Shape of a network: a filter bank, and a residual channel-attention network (RCAN) that enhances its output.
 ///
-/// A raw frame is corrected, padded to `filter_size` with the frame's centre at the filter's centre, transformed, multiplied by each of the
-/// `channels` filters, transformed back, cropped to the object round the centre, divided by its global maximum, enhanced.
+/// A raw frame is corrected, padded to `filter_size` with the frame's centre at the filter's centre, Fourier
+/// transformed, multiplied by each of the `channels` filters, transformed back, cropped to the object around the
+/// centre, divided by its global maximum, and enhanced.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NetworkConfig {
-    /// Raw frame, rows and columns, pixels.
+    /// Rows and columns of a raw frame, pixels.
     pub frame: [usize; 2],
-    /// Object, rows and columns, pixels; even.
+    /// Rows and columns of the object, pixels; even.
     pub object: [usize; 2],
-    /// Side of the square Fourier filters, pixels; a power of two where the network shall run on a device.
+    /// Side T of the square Fourier filters, pixels; devices need a power of two.
     pub filter_size: usize,
-    /// Number of Fourier filters C.
+    /// Number C of Fourier filters; of views in a CM2Net.
     pub channels: usize,
-    /// Feature channels W of the RCAN.
+    /// Number W of feature channels in the enhancement network.
     pub width: usize,
-    /// Residual groups.
+    /// Number of residual groups.
     pub groups: usize,
-    /// RCABs per group.
+    /// Number of residual channel-attention blocks (RCABs) in a group; of residual blocks in each of the two parts of a
+    /// CM2Net.
     pub blocks: usize,
-    /// Channel reduction of the attention.
+    /// Channel reduction r of the attention: its bottleneck has W / r channels.
     pub reduction: usize,
-    /// Which network; CM2Net has `channels` views and `blocks` residual blocks of `width` features in each of its two parts.
-    #[serde(default)]
-    pub family: Family,
+    /// Architecture of the network.
+    #[serde(default, rename = "family")]
+    pub architecture: Architecture,
 }
 
 impl NetworkConfig {
-    /// Checks that the sizes make a network.
+    /// Checks that the sizes describe a network.
     ///
     /// # Errors
-    /// A side is zero, the object is odd or larger than the filter, the frame is larger than the filter, or the reduction leaves no channel.
+    /// [`TrainError::Config`] with the name of the field: a side is 0 or larger than the filter, a side of the object
+    /// is odd, a count is not within 1 to 255, the reduction leaves no channel, or a CM2Net has another number of crops
+    /// than channels.
     pub fn check(&self) -> Result<(), TrainError> {
         let wrong = |field, expected: String, found: usize| {
             Err(TrainError::Config { field, expected, found: found.to_string() })
@@ -60,7 +64,7 @@ impl NetworkConfig {
         if self.reduction == 0 || self.reduction > self.width {
             return wrong("reduction", format!("1 to width = {}", self.width), self.reduction);
         }
-        if let Family::Cm2Net { crops } = &self.family
+        if let Architecture::Cm2Net { crops } = &self.architecture
             && crops.len() != self.channels
         {
             return wrong("crops", format!("channels = {}", self.channels), crops.len());
@@ -68,12 +72,12 @@ impl NetworkConfig {
         Ok(())
     }
 
-    /// Channels W/r in the bottleneck of the attention.
+    /// Number of channels W / r in the bottleneck of the attention.
     pub fn bottleneck(&self) -> usize {
         self.width / self.reduction
     }
 
-    /// Sizes of the filter bank.
+    /// Sizes of the Fourier filter bank.
     pub fn fourier(&self) -> FourierSizes {
         FourierSizes { frame: self.frame, object: self.object, filter_size: self.filter_size, channels: self.channels }
     }

@@ -1,28 +1,29 @@
-//! Why training stops.
+//! Why a network cannot be built or trained.
 
 use crate::artifact::ArtifactError;
+use crate::sensor::MapShapeError;
 use std::path::PathBuf;
 use thiserror::Error;
 
 /// Why a network cannot be built or trained.
 #[derive(Debug, Error)]
 pub enum TrainError {
-    /// A field of the configuration makes no sense.
+    /// A field of the configuration has a value that is not allowed.
     #[error("{field}: expected {expected}, found {found}")]
     Config {
         /// The field.
         field: &'static str,
-        /// What it must be.
+        /// Values that are allowed.
         expected: String,
-        /// What it is.
+        /// Its value.
         found: String,
     },
-    /// A training pair does not fit the network, or cannot be trained on.
+    /// A training pair does not fit the network, or holds no light or values that are not finite.
     #[error("training pair {index}: {what}: expected {expected}, found {found}")]
     Pair {
-        /// Which pair.
+        /// Index of the pair.
         index: usize,
-        /// Which half of it.
+        /// Which of its two images.
         what: &'static str,
         /// What was expected.
         expected: String,
@@ -32,22 +33,23 @@ pub enum TrainError {
     /// The source of pairs failed.
     #[error("training pair {index}: {source}")]
     Source {
-        /// Which pair.
+        /// Index of the pair.
         index: usize,
-        /// What it said.
+        /// Error of the source.
         source: Box<dyn std::error::Error + Send + Sync>,
     },
     /// Too few pairs to hold some out.
     #[error("expected at least {expected} training pairs, found {found}; simulate more")]
     TooFew {
-        /// Fewest that serve.
+        /// Smallest number of pairs that training needs.
         expected: usize,
-        /// How many there are.
+        /// Number of pairs.
         found: usize,
     },
-    /// The loss is no number any more.
+    /// The loss or a gradient is not finite.
     #[error(
-        "step {step}: the loss is {loss}; train anew with a lower --learning-rate and --filter-learning-rate (the last checkpoint, if there is one, stands)"
+        "step {step}: the loss or its gradient is not finite (loss {loss}); train again with a lower --learning-rate \
+         and --filter-learning-rate (the last checkpoint, if there is one, is still there)"
     )]
     Diverged {
         /// The step.
@@ -57,18 +59,22 @@ pub enum TrainError {
     },
     /// The checkpoint to resume was made with another configuration.
     #[error(
-        "{path}: `{field}` is {found} in the checkpoint but {expected} is asked for; resume with the same options or start anew"
+        "{path}: `{field}` is {found} in the checkpoint, but the options ask for {expected}; resume with the same \
+         options, or start a new run"
     )]
     Resume {
         /// The checkpoint.
         path: PathBuf,
         /// The field.
         field: &'static str,
-        /// What is asked for.
+        /// Value that the options ask for.
         expected: String,
-        /// What the checkpoint was made with.
+        /// Value in the checkpoint.
         found: String,
     },
+    /// A sensor map has another shape than the network's frames.
+    #[error(transparent)]
+    Maps(#[from] MapShapeError),
     /// A checkpoint could not be read or written.
     #[error(transparent)]
     Artifact(#[from] ArtifactError),

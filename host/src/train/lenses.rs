@@ -1,8 +1,8 @@
-//! What the peers of SV-FourierNet know of the instrument: calibrated PSFs to start from, and what each lens alone would show.
+//! Calibrated lenses for training: PSFs that filters start from, and the image that each lens alone would give.
 
 use super::ops::fourier::{Fourier, Spectrum};
 use super::weights::{FILTERS, KERNELS, LOG_K, PSFS, array};
-use super::{Family, NetworkConfig, TrainError};
+use super::{Architecture, NetworkConfig, TrainError};
 use crate::artifact::Tensors;
 use crate::forward::{Forward, ForwardError};
 use crate::instrument::Instrument;
@@ -13,31 +13,32 @@ use rustfft::num_complex::Complex32;
 /// K of the pseudo-inverses `conj(H) / (|H|^2 + K)`, where the mean of |H|^2 is 1.
 const K: f32 = 0.1;
 
-/// Root mean square of the values of a filter that starts as in the paper: U[0, 1] x 0.001.
+/// Root mean square of the values of a filter with a random start as in the paper: U[0, 1] x 0.001.
 const RMS: f32 = 5.8e-4;
 
-/// The calibrated lenses.
+/// The calibrated lenses of an instrument.
 #[derive(Clone, Debug)]
 pub struct Lenses {
     operator: LowRankOperator,
 }
 
 impl Lenses {
-    /// Those of an instrument.
+    /// The lenses of an instrument.
     ///
     /// # Errors
-    /// Its model cannot be planned.
+    /// The instrument's model cannot be planned.
     pub fn of(instrument: &Instrument) -> Result<Self, ForwardError> {
         Ok(Self { operator: Forward::new(instrument)?.operator().clone() })
     }
 
-    /// CM2Net for these lenses, in the shape of `network` otherwise.
+    /// A CM2Net that crops the views of these lenses, with the other sizes of `network`.
     pub fn cm2net(&self, network: NetworkConfig) -> NetworkConfig {
         let crops: Vec<[i32; 2]> = self.operator.corners().into_iter().flatten().map(|c| c.map(|v| v as i32)).collect();
-        NetworkConfig { channels: crops.len(), family: Family::Cm2Net { crops }, ..network }
+        NetworkConfig { channels: crops.len(), architecture: Architecture::Cm2Net { crops }, ..network }
     }
 
-    /// What each living lens alone would show of an object, [lens, object rows, object cols], 0 off the sensor, the largest value 1.
+    /// The image that each living lens alone would give of an object, at the pixels of its crop: [lens, object rows,
+    /// object cols] in C order, 0 off the sensor, divided by the largest value.
     ///
     /// # Errors
     /// The object has another shape than the instrument's.
@@ -61,8 +62,9 @@ impl Lenses {
         Ok(views)
     }
 
-    /// PSFs of `channels` places spread evenly over the field, as kernels [channels, T, T] whose origin is element (0, 0) and whose squares sum to 1:
-    /// an object pixel and its image have the same place in the padded field.
+    /// PSFs of `channels` object pixels spread evenly over the field, as kernels [channels, T, T] with origin at
+    /// element (0, 0). An object pixel and its image have the same position in the padded field, and the squares of
+    /// each kernel sum to 1.
     ///
     /// # Errors
     /// The network has another size than the instrument.
@@ -89,18 +91,19 @@ impl Lenses {
         Ok(kernels)
     }
 
-    /// Replaces the first layer among `tensors` by calibrated PSFs, or by their pseudo-inverses where filters are learned.
+    /// Replaces the first layer among `tensors` by calibrated PSFs, or by their pseudo-inverses for architectures that
+    /// learn filters.
     ///
     /// # Errors
-    /// The network has another size than the instrument, or no filters.
+    /// The network has another size than the instrument.
     pub fn start(&self, network: &NetworkConfig, plan: &Fourier, tensors: &mut Tensors) -> Result<(), TrainError> {
         let (t, bins, channels) = (network.filter_size, network.filter_size / 2 + 1, network.channels);
         let kernels = self.kernels(network).map_err(|source| TrainError::Config {
             field: "instrument",
-            expected: "one of the network's size".into(),
+            expected: "an instrument with the frame and object size of the network".into(),
             found: source.to_string(),
         })?;
-        if network.family == Family::MultiWienerNet {
+        if network.architecture == Architecture::MultiWienerNet {
             tensors.insert(PSFS.into(), array(&[channels, t, t], kernels));
             tensors.insert(LOG_K.into(), array(&[channels], vec![K.ln(); channels]));
             return Ok(());
@@ -109,7 +112,7 @@ impl Lenses {
         let mean =
             inverse.iter().flatten().map(|v| f64::from(v.norm_sqr())).sum::<f64>() / (channels * t * bins) as f64;
         let scale = if mean > 0.0 { RMS * std::f32::consts::SQRT_2 / mean.sqrt() as f32 } else { 1.0 };
-        if network.family == Family::MultiFlatNet {
+        if network.architecture == Architecture::MultiFlatNet {
             let space = inverse.into_iter().flat_map(|s| plan.whole(s.into_iter().map(|v| v * scale).collect()));
             tensors.insert(KERNELS.into(), array(&[channels, t, t], space.collect()));
             return Ok(());
@@ -123,13 +126,13 @@ impl Lenses {
     }
 }
 
-/// `conj(H) / (|H|^2 + K)` of a kernel [T, T].
+/// Spectrum of the pseudo-inverse `conj(H) / (|H|^2 + K)`, K = 0.1, of a kernel [T, T] with transform H.
 pub fn pseudo_inverse(plan: &Fourier, kernel: &[f32], t: usize) -> Spectrum {
     let h = plan.rfft2(kernel, [t, t]);
     h.iter().map(|h: &Complex32| h.conj() / (h.norm_sqr() + K)).collect()
 }
 
-/// Centres of the parts of a field that `count` rows and columns of parts cover, as square as `count` allows.
+/// Centres, [row, col], of `count` equal parts of a field of [rows, cols]: a grid that is as square as `count` allows.
 fn places(count: usize, [rows, cols]: [usize; 2]) -> Vec<[usize; 2]> {
     let down = (1..=count).filter(|d| count.is_multiple_of(*d) && d * d <= count).max().unwrap_or(1);
     let across = count / down;
@@ -150,7 +153,8 @@ mod tests {
         assert_eq!(places(9, [96, 96])[4], [48, 48]);
     }
 
-    /// A frame is the object convolved with the kernel, where the PSF does not vary; views are what is left when the other lenses are covered.
+    /// Where the PSF does not vary, a frame is the object convolved with the kernel, and each view is the object
+    /// itself.
     #[test]
     fn kernels_and_views_are_those_of_the_instrument() {
         let instrument = crate::testing::square_array(3, [60, 60], [20, 20]);

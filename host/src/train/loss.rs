@@ -1,12 +1,25 @@
-//! The loss, Eq. 4-6 of the paper: binary cross entropy plus mean squared error, both means over all pixels.
+//! The loss of training, Eq. 4-6 of Yang et al. 2024: binary cross entropy plus mean squared error, each a mean over
+//! all pixels.
 
 use burn::tensor::Tensor;
 use burn::tensor::activation::{relu, sigmoid};
 
-/// `L = L_BCE + L_MSE` of logits z against targets t in [0, 1], both [batch, 1, rows, cols]; the reconstruction is sigmoid(z).
+/// `L = L_BCE + L_MSE` of logits z against targets t in [0, 1], both [batch, channels, rows, cols]; the reconstruction
+/// is sigmoid(z).
 ///
-/// The cross entropy is written in the logits, `max(z, 0) - z t + ln(1 + exp(-|z|))`, which no logit can overflow. (Eq. 5 of the paper lacks
-/// its minus sign.)
+/// The cross entropy is computed from the logits, `max(z, 0) - z t + ln(1 + exp(-|z|))`, which cannot overflow. (Eq. 5
+/// of the paper lacks a minus sign.)
+///
+/// ```
+/// use burn::tensor::{Device, Tensor};
+/// use ommatidia_host::train::bce_mse;
+///
+/// let device = Device::flex();
+/// let (logits, target) = (Tensor::zeros([1, 1, 2, 2], &device), Tensor::ones([1, 1, 2, 2], &device));
+/// // A logit of 0 is a reconstruction of 1/2: cross entropy ln 2, squared error 1/4.
+/// let loss: f32 = bce_mse(logits, target).into_scalar();
+/// assert!((loss - (2f32.ln() + 0.25)).abs() < 1e-6);
+/// ```
 pub fn bce_mse(logits: Tensor<4>, target: Tensor<4>) -> Tensor<1> {
     let softplus = relu(logits.clone()) + logits.clone().abs().neg().exp().log1p();
     let bce = (softplus - logits.clone() * target.clone()).mean();

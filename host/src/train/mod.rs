@@ -1,37 +1,68 @@
-//! The float network: configuration, layers, losses, schedule, loop, checkpoint.
+//! Float networks: architectures, layers, loss, schedule, training loop, checkpoints.
+//!
+//! ```
+//! use ommatidia_host::train::ops::fourier::Fourier;
+//! use ommatidia_host::train::{Mode, NetworkInput, Network, Preset, weights};
+//! use std::sync::Arc;
+//!
+//! // Frames of 20 x 20 pixels, objects of 8 x 8 pixels, six filters of 32 x 32.
+//! let config = Preset::Nano.network([20, 20], [8, 8]);
+//! assert_eq!((config.filter_size, config.channels), (32, 6));
+//! // A network whose weights are all 0 reconstructs 1/2 everywhere: its logits are 0.
+//! let zeros = weights::random(&config, 1).into_iter().map(|(name, w)| (name, w * 0.0)).collect();
+//! let plan = Arc::new(Fourier::new(config.fourier()));
+//! let network = Network::new(&config, &plan, &zeros, Mode::Infer)?;
+//! let frame = vec![1.0; 20 * 20];
+//! let output = network.forward(vec![NetworkInput::of(&config, &plan, &frame)]);
+//! assert_eq!(output.logits.dims(), [1, 1, 8, 8]);
+//! assert!(ommatidia_host::train::network::values(output.logits).iter().all(|logit| *logit == 0.0));
+//! # Ok::<(), ommatidia_host::train::TrainError>(())
+//! ```
 
 mod adam;
+mod architecture;
+mod backend;
 mod checkpoint;
 mod config;
 mod error;
-mod family;
+mod filter_mask;
 mod lenses;
+mod loader;
 mod loss;
 pub mod network;
+mod network_input;
+mod normalise;
 pub mod ops;
-mod place;
+mod pairs;
 pub mod pth;
 pub mod regression;
-mod seen;
+mod request;
+mod sample;
 mod settings;
-mod sight;
 mod simulated;
-mod source;
-mod support;
+mod task;
+#[cfg(test)]
+pub(crate) mod testing;
 mod trainer;
 pub mod weights;
 
 pub use adam::MeanNorms;
-pub use checkpoint::{Body, Checkpoint, CurvePoint, KIND, Sample, SensorMaps, VERSION};
+pub use architecture::{Architecture, ArchitectureName};
+pub use backend::{Backend, Mode};
+pub use checkpoint::{Body, Checkpoint, CurvePoint, KIND, VERSION};
 pub use config::NetworkConfig;
 pub use error::TrainError;
-pub use family::{Family, FamilyName};
+pub use filter_mask::{FilterMask, block_lags, tap_lags};
 pub use lenses::{Lenses, pseudo_inverse};
-pub use place::Place;
-pub use seen::Seen;
+pub use loader::{Draw, Example, Loader};
+pub use loss::bce_mse;
+pub use network::{Network, NetworkOutput};
+pub use network_input::NetworkInput;
+pub use normalise::{normalise, normalised};
+pub use pairs::{Pair, PairSource};
+pub use request::TrainRequest;
+pub use sample::Sample;
 pub use settings::{FINE_TUNE_RATE, Preset, Start, TrainConfig};
-pub use sight::Sight;
 pub use simulated::Simulated;
-pub use source::{Example, Loader, Pair, PairSource, normalise};
-pub use support::{Support, block_lags, lags};
-pub use trainer::{Next, Progress, Task, Trainer};
+pub use task::Task;
+pub use trainer::{Next, Progress, Trainer};

@@ -1,71 +1,62 @@
-//! The networks in float, on burn: a bank of filters and the RCAN behind it, or CM2Net.
+//! The networks in single precision, on burn: a bank of filters followed by an RCAN, or CM2Net.
 
 use super::ops::fourier::{Fourier, Spectrum};
 use super::ops::{conv3x3, filter_bank, kernel_spectra};
 use super::weights::{self, FILTERS, KERNELS, LOG_K, PSFS, name};
-use super::{Family, NetworkConfig, Place, Seen, TrainError, seen};
+use super::{Architecture, Backend, Mode, NetworkConfig, NetworkInput, TrainError, network_input};
 use crate::artifact::Tensors;
 use burn::tensor::activation::{relu, sigmoid};
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Maxima below this are taken for it: a frame without light has no scale.
+/// Lower bound of the maximum that filter outputs are divided by, so that frames without light stay finite.
 const DARK: f32 = 1e-12;
 
-/// Whether gradients are recorded.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Mode {
-    /// They are.
-    Train,
-    /// They are not.
-    Infer,
-}
-
-/// Divides the sum of two branches of like size (CM2Net).
+/// Divisor of the sum of two branches in CM2Net, which keeps its variance.
 const HALF_POWER: f32 = std::f32::consts::SQRT_2;
 
-/// What a network says of frames.
-pub struct Said {
+/// Output of a network for a batch of frames.
+pub struct NetworkOutput {
     /// Logits, [batch, 1, object rows, object cols]; the reconstruction is their sigmoid.
     pub logits: Tensor<4>,
-    /// Logits of what each lens alone would show, [batch, lenses, object rows, object cols], of a CM2Net.
+    /// Logits of the image of each lens alone, [batch, lenses, object rows, object cols]; of a CM2Net only.
     pub views: Option<Tensor<4>>,
 }
 
-/// A network with its parameters.
+/// A network with its parameters on a device.
 pub struct Network {
     config: NetworkConfig,
     plan: Arc<Fourier>,
     parameters: BTreeMap<String, Tensor<1>>,
     device: Device,
-    /// Filters that nothing changes any more.
+    /// The filters in frequency, computed once for inference.
     bank: Option<[Tensor<1>; 2]>,
 }
 
 impl Network {
-    /// A network with these parameters (all of [`weights::shapes`]), on this machine's cores.
+    /// A network with the parameters `tensors` (all of [`weights::shapes`]) on the CPU.
     ///
     /// # Errors
-    /// The configuration makes no network, or a parameter is missing.
+    /// The configuration is not valid, or a parameter is missing or has the wrong shape.
     pub fn new(config: &NetworkConfig, plan: &Arc<Fourier>, tensors: &Tensors, mode: Mode) -> Result<Self, TrainError> {
-        Self::on(Place::Cpu, config, plan, tensors, mode)
+        Self::on(Backend::Cpu, config, plan, tensors, mode)
     }
 
-    /// [`Network::new`] at a place.
+    /// As [`Network::new`], on the given backend.
     ///
     /// # Errors
-    /// As [`Network::new`]; or this program cannot compute there.
+    /// As [`Network::new`]; or the program was built without the backend.
     pub fn on(
-        place: Place,
+        backend: Backend,
         config: &NetworkConfig,
         plan: &Arc<Fourier>,
         tensors: &Tensors,
         mode: Mode,
     ) -> Result<Self, TrainError> {
         config.check()?;
-        place.check()?;
-        let device = place.device(mode);
+        backend.check()?;
+        let device = backend.device(mode);
         let mut parameters = BTreeMap::new();
         for (name, shape) in weights::shapes(config) {
             let found = tensors.get(&name).filter(|t| t.shape() == shape);
@@ -83,62 +74,64 @@ impl Network {
             parameters.insert(name, if mode == Mode::Train { leaf.require_grad() } else { leaf });
         }
         let mut network = Self { config: config.clone(), plan: Arc::clone(plan), parameters, device, bank: None };
-        if mode == Mode::Infer && !matches!(config.family, Family::Cm2Net { .. }) {
+        if mode == Mode::Infer && !matches!(config.architecture, Architecture::Cm2Net { .. }) {
             network.bank = Some(network.filters());
         }
         Ok(network)
     }
 
-    /// What the network says of frames.
-    pub fn say(&self, frames: Vec<Seen>) -> Said {
-        if let Family::Cm2Net { .. } = self.config.family {
+    /// Computes the output of a batch of inputs, which must be of this network's configuration.
+    pub fn forward(&self, frames: Vec<NetworkInput>) -> NetworkOutput {
+        if let Architecture::Cm2Net { .. } = self.config.architecture {
             let x = self.crops(&frames);
             return self.join(x);
         }
         let spectra = frames.into_iter().filter_map(|f| match f {
-            Seen::Spectrum(s) => Some(s),
-            Seen::Crops(_) => None,
+            NetworkInput::Spectrum(s) => Some(s),
+            NetworkInput::Crops(_) => None,
         });
         let [re, im] = self.bank.clone().unwrap_or_else(|| self.filters());
         let filtered = filter_bank(&self.plan, Arc::new(spectra.collect::<Vec<Spectrum>>()), re, im);
-        Said { logits: self.enhance(normalise(filtered)), views: None }
+        NetworkOutput { logits: self.enhance(normalise(filtered)), views: None }
     }
 
-    /// The filters in frequency, real and imaginary parts, [channels * T * (T/2+1)]; of a network that has a bank.
+    /// Real and imaginary parts of the filters in frequency, each [channels * T * (T/2+1)]; for architectures with a
+    /// filter bank, which is all but CM2Net.
     pub fn filters(&self) -> [Tensor<1>; 2] {
-        match self.config.family {
-            Family::MultiWienerNet => {
+        match self.config.architecture {
+            Architecture::MultiWienerNet => {
                 let [re, im] = kernel_spectra(&self.plan, self.parameter(PSFS));
                 let (c, n) = (self.config.channels, re.dims()[0]);
                 let k = self.parameter(LOG_K).exp().reshape([c, 1]).expand([c, n / c]).reshape([n]);
                 let power = re.clone().square() + im.clone().square() + k;
                 [re / power.clone(), im.neg() / power]
             }
-            Family::MultiFlatNet => kernel_spectra(&self.plan, self.parameter(KERNELS)),
+            Architecture::MultiFlatNet => kernel_spectra(&self.plan, self.parameter(KERNELS)),
             _ => FILTERS.map(|f| self.parameter(f)),
         }
     }
 
-    fn crops(&self, frames: &[Seen]) -> Tensor<4> {
+    fn crops(&self, frames: &[NetworkInput]) -> Tensor<4> {
         let [rows, cols] = self.config.object;
         let values: Vec<f32> = frames
             .iter()
             .flat_map(|f| match f {
-                Seen::Crops(crops) => crops.as_slice(),
-                Seen::Spectrum(_) => &[],
+                NetworkInput::Crops(crops) => crops.as_slice(),
+                NetworkInput::Spectrum(_) => &[],
             })
             .copied()
             .collect();
         Tensor::from_data(TensorData::new(values, [frames.len(), self.config.channels, rows, cols]), &self.device)
     }
 
-    /// CM2Net: views [batch, lenses, rows, cols], freed of one another, then joined.
-    fn join(&self, x: Tensor<4>) -> Said {
+    /// CM2Net behind its crops [batch, lenses, rows, cols]: views are demixed, then joined.
+    fn join(&self, x: Tensor<4>) -> NetworkOutput {
         let views = self.part(name::DEMIX, x);
         let logits = self.conv(name::END, self.part(name::JOIN, sigmoid(views.clone())));
-        Said { logits, views: Some(views) }
+        NetworkOutput { logits, views: Some(views) }
     }
 
+    /// One of the two parts of a CM2Net: a convolution, residual blocks, a convolution.
     fn part(&self, part: &str, x: Tensor<4>) -> Tensor<4> {
         let first = relu(self.conv(&name::part(part, 1), x));
         let mut y = first.clone();
@@ -149,11 +142,12 @@ impl Network {
         self.conv(&name::part(part, 2), (y + first) / HALF_POWER)
     }
 
-    /// Gradient of one reconstructed pixel (row, col) to the normalised frame `x`, [frame rows, frame cols], its maximum held fixed.
+    /// Gradient of one reconstructed pixel, [row, col], with respect to the normalised frame `x`, [frame rows * frame
+    /// cols] in C order. The maximum that the frame was divided by is held fixed.
     ///
     /// The network must have been made with [`Mode::Train`].
     pub fn pixel_gradient(&self, x: &[f32], [row, col]: [usize; 2]) -> Vec<f32> {
-        let frame = vec![Seen::of(&self.config, &self.plan, x)];
+        let frame = vec![NetworkInput::of(&self.config, &self.plan, x)];
         let [rows, cols] = self.config.object;
         let leaf = |values: Vec<f32>| {
             let shape = [1, self.config.channels, rows, cols];
@@ -165,10 +159,10 @@ impl Network {
             let mut g = g;
             x.grad_remove(&mut g).map_or_else(|| vec![0.0; rows * cols * self.config.channels], values)
         };
-        if let Family::Cm2Net { crops } = &self.config.family {
+        if let Architecture::Cm2Net { crops } = &self.config.architecture {
             let x = leaf(values(self.crops(&frame).inner()));
             let g = pixel(self.join(x.clone()).logits);
-            return seen::paste(&gradient(x, g), &self.config, crops);
+            return network_input::paste(&gradient(x, g), &self.config, crops);
         }
         let [re, im] = self.filters().map(|f| values(f.inner()));
         let filters = self.plan.filters(&re, &im);
@@ -177,7 +171,7 @@ impl Network {
         self.plan.backward_to_frame(&filters, &gradient(y, g))
     }
 
-    /// The RCAN: [batch, C, rows, cols] -> logits [batch, 1, rows, cols].
+    /// The enhancement network (RCAN): [batch, C, rows, cols] -> logits [batch, 1, rows, cols].
     fn enhance(&self, x: Tensor<4>) -> Tensor<4> {
         let head = self.conv(name::HEAD, unshuffle(x));
         let mut y = head.clone();
@@ -216,11 +210,11 @@ impl Network {
     fn parameter(&self, name: &str) -> Tensor<1> {
         match self.parameters.get(name) {
             Some(tensor) => tensor.clone(),
-            None => unreachable!("`new` put every parameter in; `{name}` is none"),
+            None => unreachable!("`new` checked that every parameter is there; `{name}` is not a parameter"),
         }
     }
 
-    /// Gradients by name, flat.
+    /// Gradients of all parameters by name, each flat in C order.
     pub fn gradients(&self, mut gradients: Gradients) -> BTreeMap<String, Vec<f32>> {
         let of = |(name, tensor): (&String, &Tensor<1>)| {
             let gradient = tensor.grad_remove(&mut gradients)?;

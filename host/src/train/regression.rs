@@ -1,44 +1,45 @@
-//! A start for the filters that is fitted to the training pairs: the best linear filters.
+//! Start of the filters from the training pairs: the best linear filters by regression.
 //!
-//! With the object cut into parts of the field by weights `m_c` that add up to one, filter c is the ridge regression, frequency by
-//! frequency, of the weighted object on the frame over all pairs:
+//! Weights `m_c` that add up to one at each pixel divide the field into parts, one for each filter. Filter c is the
+//! ridge regression, frequency by frequency, of the weighted object on the frame over all pairs:
 //!
 //! ```text
 //! K_c = sum conj(X) F(m_c O) / (sum |X|^2 + lambda)
 //! ```
 //!
-//! Where parts of the field do not know of each other this tends to `conj(H_c) S_c / (sum_r |H_r|^2 S_r + N)`: the Wiener filter for the
-//! PSF of that part, learned without any PSF. The enhancement then has to join parts instead of having to find the foci first.
+//! Where the parts of the field are uncorrelated this tends to `conj(H_c) S_c / (sum_r |H_r|^2 S_r + N)`: the Wiener
+//! filter for the PSF of that part (S: power spectra of the object, N: of the noise), learned without any PSF. The
+//! enhancement network then only has to join the parts.
 
 use super::TrainError;
-use super::source::Loader;
+use super::loader::{Draw, Loader};
 use super::weights::{FILTERS, array};
 use crate::artifact::Tensors;
 use rustfft::num_complex::Complex32;
 
-/// Part of the mean power of the frames that is added to the power at every frequency.
+/// Ridge parameter: the fraction of the frames' mean power that is added to the power at every frequency.
 const RIDGE: f32 = 1e-4;
 
-/// Root mean square of the values of a filter that starts as in the paper: U[0, 1] x 0.001.
+/// Root mean square of the values of a filter with a random start as in the paper: U[0, 1] x 0.001.
 const RMS: f32 = 5.8e-4;
 
-/// Pairs that are transformed at a time.
+/// Number of pairs that are transformed at a time.
 const CHUNK: usize = 16;
 
-/// Replaces the filters among `tensors` by those fitted to the given pairs.
+/// Replaces the filters among `tensors` by filters fitted to the given pairs; other tensors stay.
 ///
 /// # Errors
-/// A pair cannot be had.
+/// A pair cannot be loaded or does not fit the network.
 pub fn fit(loader: &Loader<'_>, pairs: &[usize], tensors: &mut Tensors) -> Result<(), TrainError> {
-    let network = loader.network;
+    let network = loader.network();
     let parts = parts(network.channels, network.object);
     let (t, bins) = (network.filter_size, network.filter_size / 2 + 1);
     let mut power = vec![0.0f32; t * bins];
     let mut cross = vec![vec![Complex32::default(); t * bins]; parts.len()];
     for (i, chunk) in pairs.chunks(CHUNK).enumerate() {
-        for example in loader.examples(chunk, "regression", i as u64)? {
-            power.iter_mut().zip(example.seen.spectrum()).for_each(|(p, x)| *p += x.norm_sqr());
-            add_cross(loader, example.seen.spectrum(), &example.target, &parts, &mut cross);
+        for example in loader.examples(chunk, Draw { name: "regression", index: i as u64 })? {
+            power.iter_mut().zip(example.input.spectrum()).for_each(|(p, x)| *p += x.norm_sqr());
+            add_cross(loader, example.input.spectrum(), &example.target, &parts, &mut cross);
         }
     }
     let ridge = RIDGE * power.iter().sum::<f32>() / power.len() as f32;
@@ -64,13 +65,13 @@ fn add_cross(loader: &Loader<'_>, x: &[Complex32], target: &[f32], parts: &[Vec<
     use rayon::prelude::*;
     cross.par_iter_mut().zip(parts).for_each(|(cross, part)| {
         let object: Vec<f32> = target.iter().zip(part).map(|(o, m)| o * m).collect();
-        let o = loader.plan.rfft2(&object, loader.network.object);
+        let o = loader.plan.rfft2(&object, loader.network().object);
         cross.iter_mut().zip(x).zip(&o).for_each(|((sum, x), o)| *sum += x.conj() * o);
     });
 }
 
-/// Weights of the parts of the field, [part][object pixel]: tents round the centres of a grid of `count` cells, the last row of
-/// which may have fewer; they add up to one at each pixel.
+/// Weights of the parts of the field, [part][object pixel]: bilinear interpolation weights of the centres of a grid of
+/// `count` cells (the last row of the grid may have fewer); they add up to one at each pixel.
 fn parts(count: usize, [rows, cols]: [usize; 2]) -> Vec<Vec<f32>> {
     let across = (count as f64).sqrt().ceil() as usize;
     let down = count.div_ceil(across);
@@ -85,7 +86,8 @@ fn parts(count: usize, [rows, cols]: [usize; 2]) -> Vec<Vec<f32>> {
     parts
 }
 
-/// One of `count` tents over `len` pixels: 1 at the centre of its cell and beyond the outermost centres, 0 at its neighbours' centres.
+/// Linear interpolation weight of cell `which` of `count` cells over `len` pixels: 1 at the centre of the cell (and
+/// beyond the outermost centres), 0 at the centres of its neighbours.
 fn tent(at: usize, len: usize, which: usize, count: usize) -> f32 {
     let x = ((at as f32 + 0.5) * count as f32 / len as f32 - 0.5).clamp(0.0, (count - 1) as f32);
     (1.0 - (x - which as f32).abs()).max(0.0)
@@ -95,9 +97,11 @@ fn tent(at: usize, len: usize, which: usize, count: usize) -> f32 {
 #[allow(clippy::unwrap_used)]
 mod tests {
     use super::super::ops::fourier::Fourier;
-    use super::super::source::tests::{foci, noise};
-    use super::super::{Preset, SensorMaps, weights};
+    use super::super::testing::foci;
+    use super::super::{Preset, Task, weights};
     use super::*;
+    use crate::noise::NoiseModel;
+    use crate::sensor::SensorMaps;
 
     #[test]
     fn parts_add_up_to_one() {
@@ -110,27 +114,24 @@ mod tests {
         }
     }
 
-    /// The summed output of the fitted filters looks like the object, which no frame does.
+    /// The summed output of the fitted filters resembles the object, although the frames do not.
     #[test]
     fn fitted_filters_deconvolve() {
         let pairs = foci(24, 40, 16, 10);
         let network = Preset::Nano.network([40, 40], [16, 16]);
-        let (plan, noise) = (Fourier::new(network.fourier()), noise());
-        let loader = Loader {
+        let plan = Fourier::new(network.fourier());
+        let task = Task {
             source: &pairs,
-            network: &network,
-            plan: &plan,
-            noise: &noise,
-            maps: &SensorMaps::default(),
-            peak_e: [4000.0, 5000.0],
-            seed: 3,
-            lenses: None,
+            network: network.clone(),
+            noise: NoiseModel::nominal(),
+            maps: SensorMaps::default(),
         };
+        let loader = Loader::new(&task, &plan, [4000.0, 5000.0], 3);
         let mut tensors = weights::random(&network, 1);
         fit(&loader, &(0..20).collect::<Vec<_>>(), &mut tensors).unwrap();
         let filters = plan.filters(tensors[FILTERS[0]].as_slice().unwrap(), tensors[FILTERS[1]].as_slice().unwrap());
-        let example = loader.examples(&[22], "test", 0).unwrap().remove(0);
-        let y = plan.forward(&[example.seen.spectrum().to_vec()], &filters);
+        let example = loader.examples(&[22], Draw { name: "test", index: 0 }).unwrap().remove(0);
+        let y = plan.forward(&[example.input.spectrum().to_vec()], &filters);
         let sum: Vec<f64> = (0..256).map(|p| (0..6).map(|c| f64::from(y[c * 256 + p])).sum()).collect();
         let truth: Vec<f64> = example.target.iter().map(|&v| f64::from(v)).collect();
         let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;

@@ -1,19 +1,18 @@
-//! How a network is trained, and the presets.
+//! Settings of a training run, and the presets.
 
-use super::trainer::same;
-use super::{Family, FamilyName, NetworkConfig, TrainError};
+use super::{Architecture, ArchitectureName, NetworkConfig, TrainError};
 use serde::{Deserialize, Serialize};
 
-/// One part in this many of the steps is warm-up.
-const WARMUP: u64 = 50;
-
-/// Validations in a run.
-const VALIDATIONS: u64 = 20;
-
-/// Learning rates of a fine-tuning over those of a training from the start: it begins close to a good solution.
+/// Learning rates of fine-tuning relative to those of the first training. Fine-tuning starts near good weights.
 pub const FINE_TUNE_RATE: f64 = 0.3;
 
-/// What the filters are before the first step.
+/// Warm-up takes one step of this many.
+const WARMUP: u64 = 50;
+
+/// Number of validations in a run.
+const VALIDATIONS: u64 = 20;
+
+/// Filters before the first step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Start {
@@ -21,50 +20,50 @@ pub enum Start {
     Random,
     /// The linear filters that fit the training pairs best, one for each part of the field ([`super::regression`]).
     Regression,
-    /// Calibrated PSFs, or their pseudo-inverses where filters are learned ([`super::Lenses`]).
+    /// Calibrated PSFs, or their pseudo-inverses for architectures that learn filters ([`super::Lenses`]).
     Psf,
 }
 
-/// How a network is trained.
+/// Settings of a training run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainConfig {
-    /// Steps of the optimiser.
+    /// Number of steps of the optimiser.
     pub steps: u64,
-    /// Pairs in a step.
+    /// Number of pairs in a step.
     pub batch: usize,
     /// Highest learning rate of the convolutions.
     pub learning_rate: f64,
     /// Highest learning rate of the filters, whose values are about 0.001.
     pub filter_learning_rate: f64,
-    /// The learning rate at the end, as a part of the highest (cosine annealing).
+    /// Learning rate at the end relative to the highest (cosine annealing).
     pub final_rate: f64,
-    /// Steps over which the learning rate rises from zero.
+    /// Number of steps over which the learning rate rises from 0.
     pub warmup: u64,
-    /// A gradient longer than this many times its running mean is shortened to that.
+    /// Maximum length of a gradient relative to the running mean of its length; longer gradients are shortened.
     pub clip: f64,
-    /// Peak of the expected frame, electrons: drawn evenly in its logarithm between these.
+    /// Range of the brightest pixel of an expected frame, electrons; drawn uniformly in its logarithm.
     pub peak_e: [f64; 2],
-    /// Steps between validations; each writes a checkpoint.
+    /// Number of steps between validations; each validation writes a checkpoint.
     pub validate_every: u64,
-    /// Part of the pairs that is held out.
+    /// Fraction of the pairs that is held out for validation.
     pub held_out: f64,
-    /// Most held-out pairs that a validation looks at.
+    /// Maximum number of held-out pairs in a validation.
     pub validation_pairs: usize,
-    /// Validations without a better one after which a run ends early; 0: never.
+    /// Number of validations without a higher SSIM after which a run ends early; 0: never.
     #[serde(default)]
     pub patience: u64,
-    /// What the filters are before the first step.
+    /// Filters before the first step.
     pub start: Start,
-    /// Seed of all that is drawn.
+    /// Seed of all random numbers.
     pub seed: u64,
 }
 
 impl TrainConfig {
-    /// Checks the values.
+    /// Checks that every value is in its range.
     ///
     /// # Errors
-    /// A value is out of its range; the error names the field.
+    /// [`TrainError::Config`] with the name of the first field that is not.
     pub fn check(&self) -> Result<(), TrainError> {
         let wrong =
             |field, expected: &str, found: String| Err(TrainError::Config { field, expected: expected.into(), found });
@@ -90,17 +89,27 @@ impl TrainConfig {
             return wrong("final_rate", "0 to 1", self.final_rate.to_string());
         }
         if !(self.held_out > 0.0 && self.held_out < 1.0) {
-            return wrong("held_out", "a part between 0 and 1", self.held_out.to_string());
+            return wrong("held_out", "a fraction between 0 and 1", self.held_out.to_string());
         }
         Ok(())
     }
 
-    /// The same for another number of steps: warm-up and validations keep their parts of it.
+    /// The same settings for another number of steps, with the default warm-up and distance of validations for it.
     pub fn with_steps(self, steps: u64) -> Self {
         Self { steps, warmup: steps / WARMUP, validate_every: (steps / VALIDATIONS).max(1), ..self }
     }
 
-    /// Whether a run with one can be taken up with the other, which may have another number of `steps`.
+    /// The settings for fine-tuning: both learning rates are multiplied by [`FINE_TUNE_RATE`].
+    #[must_use]
+    pub fn for_fine_tuning(self) -> Self {
+        Self {
+            learning_rate: self.learning_rate * FINE_TUNE_RATE,
+            filter_learning_rate: self.filter_learning_rate * FINE_TUNE_RATE,
+            ..self
+        }
+    }
+
+    /// Whether a run with these settings can be resumed with `other`, which may have another number of `steps`.
     pub fn same_but_steps(&self, other: &Self) -> bool {
         let numbers = |c: &Self| {
             [c.learning_rate, c.filter_learning_rate, c.final_rate, c.clip, c.peak_e[0], c.peak_e[1], c.held_out]
@@ -109,7 +118,16 @@ impl TrainConfig {
         counts(self) == counts(other) && numbers(self).into_iter().zip(numbers(other)).all(|(a, b)| same(a, b))
     }
 
-    /// Learning rate at `step` (from 0) as a part of the highest: linear rise, then half a cosine down to `final_rate`.
+    /// Learning rate at `step` (from 0) relative to the highest: linear warm-up, then half a cosine down to
+    /// `final_rate` (I. Loshchilov, F. Hutter, arXiv:1608.03983, without restarts).
+    ///
+    /// ```
+    /// use ommatidia_host::train::{Preset, TrainConfig};
+    ///
+    /// let config = TrainConfig { steps: 110, warmup: 10, final_rate: 0.1, ..Preset::Nano.training(1e4, 1) };
+    /// assert_eq!((config.rate(0), config.rate(10)), (0.1, 1.0));
+    /// assert!((config.rate(60) - 0.55).abs() < 1e-12);
+    /// ```
     pub fn rate(&self, step: u64) -> f64 {
         if step < self.warmup {
             return (step + 1) as f64 / self.warmup as f64;
@@ -120,21 +138,22 @@ impl TrainConfig {
     }
 }
 
-/// Sizes and schedules that are known to work.
+/// Network sizes and schedules for common uses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Preset {
-    /// For the demo and the smallest device: minutes on two cores.
+    /// For the demo and the smallest device; trains for minutes on two cores.
     #[default]
     Nano,
-    /// Between the two: an hour on a workstation.
+    /// Between the two; trains for about an hour on a workstation.
     Lite,
-    /// The network of the paper: nine filters, 0.18 M parameters behind them, random start, Adam at 5e-5.
+    /// The network of the paper: nine filters, 0.18 M parameters after them, random start, learning rate 5e-5.
     Paper,
 }
 
 impl Preset {
-    /// The network for frames and objects of these sizes, [rows, cols]. The filter is a power of two that holds both.
+    /// The network for frames and objects of these sizes, [rows, cols]. The filter's side is the smallest power of two
+    /// that holds both.
     pub fn network(self, frame: [usize; 2], object: [usize; 2]) -> NetworkConfig {
         let longest = frame.iter().chain(&object).copied().max().unwrap_or(1);
         let (channels, width, groups, blocks, reduction) = match self {
@@ -151,12 +170,13 @@ impl Preset {
             groups,
             blocks,
             reduction,
-            family: Family::SvFourierNet,
+            architecture: Architecture::SvFourierNet,
         }
     }
 
-    /// The parts of a CM2Net: features, and residual blocks in each of its two parts. The paper's has 20 blocks of 48; the others take about as many
-    /// multiplications a step as the same preset's SV-FourierNet takes seconds' worth of.
+    /// The same network with the sizes of a CM2Net: feature channels, and residual blocks in each of its two parts. The
+    /// published CM2Net has 20 blocks of 48 channels; a step of the smaller ones takes about as long as a step of the
+    /// preset's SV-FourierNet.
     pub fn cm2net(self, network: NetworkConfig) -> NetworkConfig {
         let (width, blocks) = match self {
             Self::Nano => (16, 3),
@@ -166,28 +186,30 @@ impl Preset {
         NetworkConfig { width, blocks, reduction: 1, ..network }
     }
 
-    /// What another family changes in a schedule: peers that learn in space start from PSFs, and learn them at a rate that suits their size.
-    pub fn for_family(training: TrainConfig, family: FamilyName, filter_size: usize) -> TrainConfig {
+    /// The schedule `training` for another architecture: networks that learn in space start from PSFs, with a filter
+    /// learning rate that suits the size of their values.
+    pub fn for_architecture(training: TrainConfig, architecture: ArchitectureName, filter_size: usize) -> TrainConfig {
         let t = filter_size as f64;
-        match family {
-            FamilyName::SvFourierNet => training,
-            FamilyName::Cm2Net => TrainConfig { learning_rate: training.learning_rate / 5.0, ..training },
-            // Squares of PSFs sum to 1, so values are about 1/T.
-            FamilyName::MultiWienerNet => TrainConfig {
+        match architecture {
+            ArchitectureName::SvFourierNet => training,
+            ArchitectureName::Cm2Net => TrainConfig { learning_rate: training.learning_rate / 5.0, ..training },
+            // The squares of a PSF sum to 1, so its values are about 1/T.
+            ArchitectureName::MultiWienerNet => TrainConfig {
                 start: Start::Psf,
                 filter_learning_rate: training.filter_learning_rate * 25.6 / t,
                 ..training
             },
-            // A step in space of size a moves frequencies by about a T.
-            FamilyName::MultiFlatNet => {
+            // A step of size a in space changes the values in frequency by about a T.
+            ArchitectureName::MultiFlatNet => {
                 TrainConfig { start: Start::Psf, filter_learning_rate: training.filter_learning_rate / t, ..training }
             }
         }
     }
 
-    /// The schedule, for a sensor with this full scale, electrons.
+    /// The schedule for a sensor with this full scale, electrons; `seed` draws all random numbers.
     pub fn training(self, full_scale_e: f64, seed: u64) -> TrainConfig {
-        // Few steps are better spent on many small batches at a high rate; the paper's schedule is for 48 hours on a large GPU.
+        // Short trainings gain more from small batches at a high rate; the paper's schedule is for 48 hours on a large
+        // GPU.
         let batch = if self == Self::Paper { 4 } else { 1 };
         let (steps, learning_rate, filter_learning_rate, start) = match self {
             Self::Nano => (8000, 5e-3, 2e-4, Start::Random),
@@ -211,6 +233,11 @@ impl Preset {
             seed,
         }
     }
+}
+
+/// Whether two numbers agree up to the rounding of writing and reading them as JSON.
+pub(super) fn same(a: f64, b: f64) -> bool {
+    (a - b).abs() <= 1e-12 * a.abs().max(b.abs())
 }
 
 #[cfg(test)]

@@ -1,11 +1,11 @@
-//! Pairs from data sets on disk, and pairs that are simulated when they are asked for.
+//! Training pairs from a data set on disk, and pairs that are simulated when they are needed.
 
-use super::source::{Pair, PairSource};
+use super::pairs::{Pair, PairSource};
 use crate::dataset::{DataSet, DataSetError, DataSetPlan, SimulateConfig, Simulation};
 use crate::instrument::Instrument;
 use std::path::Path;
 
-/// Pairs that an instrument can show when no data set is made first.
+/// Number of pairs that an instrument provides where no data set was made: more than any training uses.
 const PAIRS: usize = 100_000;
 
 impl PairSource for DataSet {
@@ -19,28 +19,29 @@ impl PairSource for DataSet {
     }
 }
 
-/// A planned data set of which no shard is ever written.
+/// A planned data set whose pairs are simulated when they are needed; nothing is written to disk.
 #[derive(Debug)]
 pub struct Simulated {
     simulation: Simulation,
 }
 
 impl Simulated {
-    /// As many pairs of an instrument (the file of which is named) as any training asks for, each made when it is asked for.
+    /// Pairs of an instrument, 100,000 of them, each simulated when it is needed. `file` is the instrument's file,
+    /// `seed` draws the objects.
     ///
     /// # Errors
-    /// The file cannot be read, or its noise not be planned with.
+    /// The file cannot be read, or no data set can be planned with the instrument.
     pub fn of(instrument: &Instrument, file: &Path, seed: u64) -> Result<Self, DataSetError> {
         let config = SimulateConfig { count: PAIRS, ..SimulateConfig::default() };
         Ok(Self::new(config.build(instrument, file, seed)?))
     }
 
-    /// The pairs of a plan.
+    /// The pairs of a planned data set.
     pub fn new(simulation: Simulation) -> Self {
         Self { simulation }
     }
 
-    /// What they are.
+    /// The plan: sizes, noise, brightness.
     pub fn plan(&self) -> &DataSetPlan {
         self.simulation.plan()
     }

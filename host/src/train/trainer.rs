@@ -1,17 +1,16 @@
-//! The loop: draw, forward, backward, step; validate and save now and then.
+//! The training loop: simulate examples, forward, backward, step; validate and write a checkpoint at intervals.
 
 mod start;
 
 use super::adam::Group;
-use super::checkpoint::{Checkpoint, CurvePoint, SensorMaps};
+use super::checkpoint::{Checkpoint, CurvePoint};
+use super::loader::{Draw, Example, Loader};
 use super::loss::bce_mse;
-use super::network::{Mode, Network, Said, values};
+use super::network::{Network, NetworkOutput, values};
 use super::ops::fourier::Fourier;
-use super::source::{Example, Loader, PairSource};
-use super::{Lenses, NetworkConfig, Place, Seen, TrainConfig, TrainError};
+use super::{Backend, Lenses, Mode, NetworkInput, Task, TrainConfig, TrainError};
 use crate::artifact::{Provenance, Tensors};
-use crate::evaluate::{compare, scaled};
-use crate::noise::NoiseModel;
+use crate::metrics::{compare, scaled};
 use crate::rng;
 use burn::tensor::activation::sigmoid;
 use burn::tensor::{Tensor, TensorData};
@@ -22,47 +21,38 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Reconstructions of held-out frames that a checkpoint keeps for people to look at.
+/// Names the noise of the held-out pairs.
+const VALIDATION: Draw<'static> = Draw { name: "validation", index: 0 };
+
+/// Number of reconstructions of held-out frames that a checkpoint keeps for people to look at.
 const SAMPLES: usize = 3;
 
-/// Times that a run goes back to its last checkpoint with half the learning rates before it gives up.
+/// Maximum number of times that a run goes back to its last checkpoint with half the learning rates.
 const MOST_SLOWED: u32 = 6;
 
-/// A held-out loss this many times the lowest so far is one that a run does not come back from: its steps were too long. Sound runs were seen to reach 1.5.
-const BURST: f32 = 1.75;
+/// A held-out loss above this many times the lowest so far has diverged: the steps were too long, and runs do not
+/// recover from it. Runs that went well reached up to 1.5.
+const DIVERGED: f32 = 1.75;
 
-/// What training needs besides its settings.
-#[derive(Clone, Debug)]
-pub struct Task<'a> {
-    /// The pairs.
-    pub source: &'a dyn PairSource,
-    /// Shape of the network.
-    pub network: NetworkConfig,
-    /// Noise of the sensor.
-    pub noise: NoiseModel,
-    /// Corrections of the sensor; stored for those who use the network.
-    pub maps: SensorMaps,
-}
-
-/// What happened at a step.
+/// Report of one step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress {
-    /// Steps taken.
+    /// Number of steps taken.
     pub step: u64,
     /// Loss of this step.
     pub loss: f64,
-    /// What the step took, seconds; looking at the held-out pairs and writing not counted.
+    /// Duration of the step, seconds, without validation and writing.
     pub seconds: f64,
-    /// The validation after it, if there was one.
+    /// The validation after the step, if there was one.
     pub point: Option<CurvePoint>,
 }
 
-/// Whether to go on.
+/// Whether a run continues.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Next {
-    /// Go on.
+    /// Continue.
     Continue,
-    /// Stop; the last checkpoint stands.
+    /// Stop; the last checkpoint on disk stays.
     Stop,
 }
 
@@ -70,62 +60,71 @@ pub enum Next {
 pub struct Trainer<'a> {
     task: Task<'a>,
     lenses: Option<&'a Lenses>,
-    place: Place,
+    backend: Backend,
     plan: Arc<Fourier>,
     train: Vec<usize>,
     held_out: Vec<usize>,
     state: Checkpoint,
-    /// Whether its checkpoint lies on disk.
+    /// Whether a checkpoint of this run is on disk.
     kept: bool,
-    /// The examples of a step, drawn while the one before it was taken.
-    next: Option<(u64, Vec<Example>)>,
-    /// Loss since the last validation: sum and count.
-    recent: (f64, u64),
+    /// Examples of the next step, simulated during the step before it.
+    prepared: Option<Prepared>,
+    recent: RecentLoss,
+}
+
+/// Examples that were simulated ahead of their step.
+struct Prepared {
+    step: u64,
+    examples: Vec<Example>,
+}
+
+/// Losses of the steps since the last validation.
+#[derive(Clone, Copy, Default)]
+struct RecentLoss {
+    sum: f64,
+    steps: u64,
+}
+
+/// Loss of a batch and its gradients.
+struct Descent {
+    loss: f32,
+    gradients: BTreeMap<String, Vec<f32>>,
 }
 
 impl<'a> Trainer<'a> {
     fn loader(&self) -> Loader<'_> {
         let TrainConfig { peak_e, seed, .. } = self.state.body.training;
-        Loader {
-            source: self.task.source,
-            network: &self.task.network,
-            plan: &self.plan,
-            noise: &self.task.noise,
-            maps: &self.task.maps,
-            peak_e,
-            seed,
-            lenses: self.lenses,
-        }
+        Loader::new(&self.task, &self.plan, peak_e, seed).with_lenses(self.lenses)
     }
 
-    /// The same, computed elsewhere from now on.
+    /// The same run, computed on `backend`.
     #[must_use]
-    pub fn at(self, place: Place) -> Self {
-        Self { place, ..self }
+    pub fn on(self, backend: Backend) -> Self {
+        Self { backend, ..self }
     }
 
     fn network(&self, mode: Mode) -> Result<Network, TrainError> {
-        Network::on(self.place, &self.task.network, &self.plan, &self.state.current, mode)
+        Network::on(self.backend, &self.task.network, &self.plan, &self.state.current, mode)
     }
 
-    /// How it stands.
+    /// State of the run.
     pub fn checkpoint(&self) -> &Checkpoint {
         &self.state
     }
 
-    /// Whether the held-out pairs have not looked better for `patience` validations. It follows from the curve, so a run that is taken up stops where
-    /// it would have stopped.
+    /// Whether all steps are taken, or no validation of the last `patience` ones was better than the best before. This
+    /// follows from the curve in the checkpoint, so a resumed run ends at the same step.
     pub fn is_done(&self) -> bool {
         let body = &self.state.body;
         let since = body.curve.iter().filter(|p| p.step > body.best_step).count() as u64;
         body.step >= body.training.steps || (body.training.patience > 0 && since >= body.training.patience)
     }
 
-    /// Runs to the end, until it has stopped getting better, or until `watch` says stop; writes a checkpoint at `path` at each validation, and goes
-    /// back to it, with half the learning rates, where the loss is no number any more or has burst.
+    /// Trains until [`Trainer::is_done`] or until `watch` returns [`Next::Stop`]. Writes a checkpoint at `path` at each
+    /// validation. Where the loss diverges, goes back to the last checkpoint and halves the learning rates.
     ///
     /// # Errors
-    /// A pair cannot be had, the loss is no number whatever the learning rates, or the checkpoint cannot be written.
+    /// A pair cannot be loaded, the loss still diverges after several halvings, or the checkpoint cannot be written.
     pub fn run(
         &mut self,
         path: &Path,
@@ -136,7 +135,7 @@ impl<'a> Trainer<'a> {
             let begin = Instant::now();
             let loss = match self.step() {
                 Err(TrainError::Diverged { step, .. }) if self.kept && self.state.body.slowed < MOST_SLOWED => {
-                    self.go_back(path, step, "is no number")?;
+                    self.go_back(path, step, "is not finite")?;
                     continue;
                 }
                 loss => loss?,
@@ -144,8 +143,8 @@ impl<'a> Trainer<'a> {
             let seconds = begin.elapsed().as_secs_f64();
             let (step, TrainConfig { steps, validate_every, .. }) = (self.state.body.step, &self.state.body.training);
             let point = if step % validate_every == 0 || step == *steps { Some(self.validate()?) } else { None };
-            if self.kept && self.state.body.slowed < MOST_SLOWED && point.is_some() && self.has_burst() {
-                self.go_back(path, step, "has burst")?;
+            if self.kept && self.state.body.slowed < MOST_SLOWED && point.is_some() && self.has_diverged() {
+                self.go_back(path, step, "has diverged")?;
                 continue;
             }
             if point.is_some() {
@@ -159,46 +158,47 @@ impl<'a> Trainer<'a> {
         Ok(())
     }
 
-    /// To the last checkpoint, with half the learning rates that led away from it. A run that was killed meanwhile finds the same way.
+    /// Goes back to the last checkpoint and halves the learning rates. An interrupted run that is resumed does the
+    /// same.
     fn go_back(&mut self, path: &Path, step: u64, loss: &str) -> Result<(), TrainError> {
         let body = &self.state.body;
         let (slowed, training) = (body.slowed + 1, body.training.clone());
         self.state = Checkpoint::read(path)?;
         (self.state.body.slowed, self.state.body.training) = (slowed, training);
-        self.recent = (0.0, 0);
+        self.recent = RecentLoss::default();
         let to = self.state.body.step;
-        tracing::warn!("step {step}: the loss {loss}; on from step {to} with half the learning rates");
+        tracing::warn!("step {step}: the loss {loss}; continuing from step {to} with half the learning rates");
         Ok(())
     }
 
-    /// Whether the last validation found that the steps since the one before had led far away.
-    fn has_burst(&self) -> bool {
+    /// Whether the held-out loss of the last validation is far above the lowest before it.
+    fn has_diverged(&self) -> bool {
         let Some((last, before)) = self.state.body.curve.split_last() else { return false };
         let lowest = before.iter().map(|p| p.validation_loss).fold(f32::INFINITY, f32::min);
-        last.validation_loss > BURST * lowest
+        last.validation_loss > DIVERGED * lowest
     }
 
-    /// One step of the optimiser; its loss.
+    /// Takes one step of the optimiser and returns its loss.
     ///
     /// # Errors
-    /// As [`Trainer::run`].
+    /// A pair cannot be loaded, or [`TrainError::Diverged`].
     pub fn step(&mut self) -> Result<f64, TrainError> {
         let step = self.state.body.step;
         let training = self.state.body.training.clone();
-        let examples = match self.next.take() {
-            Some((at, examples)) if at == step => examples,
-            _ => self.draw(step)?,
+        let examples = match self.prepared.take() {
+            Some(prepared) if prepared.step == step => prepared.examples,
+            _ => self.simulate(step)?,
         };
-        // Drawing noise is work for one core, a step of a small network not for all.
+        // A step of a small network does not use all cores; the next examples are simulated on the rest.
         let (descent, next) = rayon::join(
             || self.descent(examples),
-            || if step + 1 < training.steps { self.draw(step + 1).ok() } else { None },
+            || if step + 1 < training.steps { self.simulate(step + 1).ok() } else { None },
         );
-        let (value, mut gradients) = descent?;
-        // What failed is drawn again, and fails, when its turn has come.
-        self.next = next.map(|examples| (step + 1, examples));
-        if !value.is_finite() || gradients.values().flatten().any(|g| !g.is_finite()) {
-            return Err(TrainError::Diverged { step, loss: value });
+        let Descent { loss, mut gradients } = descent?;
+        // Examples that failed are simulated again, and reported, in the step that needs them.
+        self.prepared = next.map(|examples| Prepared { step: step + 1, examples });
+        if !loss.is_finite() || gradients.values().flatten().any(|g| !g.is_finite()) {
+            return Err(TrainError::Diverged { step, loss });
         }
         let rate = training.rate(step) * 0.5f64.powi(self.state.body.slowed as i32);
         let state = &mut self.state;
@@ -209,34 +209,35 @@ impl<'a> Trainer<'a> {
         });
         state.body.norms = state.adam.norms;
         state.body.step += 1;
-        self.hold();
-        self.recent = (self.recent.0 + f64::from(value), self.recent.1 + 1);
-        Ok(f64::from(value))
+        self.apply_mask();
+        self.recent = RecentLoss { sum: self.recent.sum + f64::from(loss), steps: self.recent.steps + 1 };
+        Ok(f64::from(loss))
     }
 
-    /// The examples of a step.
-    fn draw(&self, step: u64) -> Result<Vec<Example>, TrainError> {
-        self.loader().examples(&self.batch(step), "train", step)
+    /// Simulates the examples of a step.
+    fn simulate(&self, step: u64) -> Result<Vec<Example>, TrainError> {
+        self.loader().examples(&self.batch(step), Draw { name: "train", index: step })
     }
 
-    /// The loss of examples, and its gradients.
-    fn descent(&self, examples: Vec<Example>) -> Result<(f32, BTreeMap<String, Vec<f32>>), TrainError> {
+    /// The loss of a batch and its gradients.
+    fn descent(&self, examples: Vec<Example>) -> Result<Descent, TrainError> {
         let network = self.network(Mode::Train)?;
-        let (frames, targets) = split(examples);
-        let loss = self.loss(network.say(frames), targets, Mode::Train);
+        let Batch { inputs, targets } = Batch::of(examples);
+        let loss = self.loss(network.forward(inputs), targets, Mode::Train);
         let value: f32 = loss.clone().inner().into_scalar();
-        Ok((value, network.gradients(loss.backward())))
+        Ok(Descent { loss: value, gradients: network.gradients(loss.backward()) })
     }
 
-    /// Holds the filters to the taps that they may have.
-    fn hold(&mut self) {
-        if let Some(support) = self.state.body.support.take() {
-            support.project(&self.plan, &mut self.state.current);
-            self.state.body.support = Some(support);
+    /// Sets the lags outside the filter mask to 0.
+    fn apply_mask(&mut self) {
+        if let Some(mask) = self.state.body.filter_mask.take() {
+            mask.project(&self.plan, &mut self.state.current);
+            self.state.body.filter_mask = Some(mask);
         }
     }
 
-    /// Pairs of a step: epochs in an order of their own, one after the other, so that any step can be found again.
+    /// Indices of the pairs of a step. Each epoch has its own order, which follows from the seed and the number of the
+    /// epoch, so that a resumed run takes the same pairs.
     fn batch(&self, step: u64) -> Vec<usize> {
         let TrainConfig { batch, seed, .. } = self.state.body.training;
         let n = self.train.len() as u64;
@@ -254,52 +255,53 @@ impl<'a> Trainer<'a> {
             .collect()
     }
 
-    /// The same loss for what is reconstructed and, where a network says it, for what each lens alone would show.
-    fn loss(&self, said: Said, targets: Targets, mode: Mode) -> Tensor<1> {
-        let device = self.place.device(mode);
-        let held_against = |logits: Tensor<4>, targets: Vec<f32>| {
+    /// The loss of the reconstructions, plus that of the views of each lens where the network outputs them.
+    fn loss(&self, output: NetworkOutput, targets: Targets, mode: Mode) -> Tensor<1> {
+        let device = self.backend.device(mode);
+        let loss_against = |logits: Tensor<4>, targets: Vec<f32>| {
             let shape = logits.dims();
             bce_mse(logits, Tensor::from_data(TensorData::new(targets, shape), &device))
         };
-        let loss = held_against(said.logits, targets.objects);
-        match said.views {
-            Some(views) => loss + held_against(views, targets.views),
+        let loss = loss_against(output.logits, targets.objects);
+        match output.views {
+            Some(views) => loss + loss_against(views, targets.views),
             None => loss,
         }
     }
 
-    /// Looks at the held-out pairs, always with the same draws of noise, and keeps the weights if they are the best so far by SSIM, as the paper does.
+    /// Judges the network on the held-out pairs, always with the same noise, and keeps the weights if their SSIM is the
+    /// highest so far (the criterion of Yang et al. 2024).
     ///
     /// # Errors
-    /// A pair cannot be had or judged.
+    /// A pair cannot be loaded, or its figures cannot be computed.
     pub fn validate(&mut self) -> Result<CurvePoint, TrainError> {
         let network = self.network(Mode::Infer)?;
         let [rows, cols] = self.task.network.object;
-        let examples = self.loader().examples(&self.held_out, "validation", 0)?;
+        let examples = self.loader().examples(&self.held_out, VALIDATION)?;
         let (mut loss, mut psnr_db, mut ssim) = (0.0, 0.0, 0.0);
         let mut samples = Vec::new();
         for (example, &index) in examples.into_iter().zip(&self.held_out) {
             let target = example.target.clone();
-            let (frames, targets) = split(vec![example]);
-            let said = network.say(frames);
-            let found = values(sigmoid(said.logits.clone()));
-            loss += f64::from(self.loss(said, targets, Mode::Infer).into_scalar::<f32>());
+            let Batch { inputs, targets } = Batch::of(vec![example]);
+            let output = network.forward(inputs);
+            let found = values(sigmoid(output.logits.clone()));
+            loss += f64::from(self.loss(output, targets, Mode::Infer).into_scalar::<f32>());
             let view = |v| ArrayView2::from_shape((rows, cols), v);
             let (Ok(x), Ok(t)) = (view(&found), view(&target)) else {
-                unreachable!("the network and the loader give object pixels")
+                unreachable!("network and loader both give the pixels of the object")
             };
             let figures = compare(x, t).map_err(|source| TrainError::Source { index, source: source.into() })?;
             (psnr_db, ssim) = (psnr_db + figures.psnr_db, ssim + figures.ssim);
-            // Cases are the first of the held-out pairs, in units of their own.
+            // The cases of the checkpoint are the first of the held-out pairs.
             if let Some(case) = self.state.cases.get(samples.len()).filter(|_| samples.len() < SAMPLES) {
                 let own = compare(x, case.truth.view());
                 samples.push(scaled(&x.to_owned(), own.map_or(0.0, |figures| figures.scale)));
             }
         }
         let n = self.held_out.len() as f64;
-        let (sum, count) = std::mem::take(&mut self.recent);
+        let RecentLoss { sum, steps } = std::mem::take(&mut self.recent);
         let body = &mut self.state.body;
-        let train_loss = if count > 0 { sum / count as f64 } else { 0.0 };
+        let train_loss = if steps > 0 { sum / steps as f64 } else { 0.0 };
         let [train_loss, validation_loss, psnr_db, ssim] =
             [train_loss, loss / n, psnr_db / n, ssim / n].map(|v| v as f32);
         let point = CurvePoint { step: body.step, train_loss, validation_loss, psnr_db, ssim };
@@ -313,29 +315,31 @@ impl<'a> Trainer<'a> {
     }
 }
 
-/// Whether two numbers agree but for what writing and reading them as JSON may cost.
-pub(super) fn same(a: f64, b: f64) -> bool {
-    (a - b).abs() <= 1e-12 * a.abs().max(b.abs())
-}
-
-/// What a batch is held against, each in one piece.
+/// The targets of a batch, each concatenated in C order.
 #[derive(Clone)]
 struct Targets {
     objects: Vec<f32>,
-    /// Empty for networks that are not told.
+    /// Empty for networks that are not trained on views.
     views: Vec<f32>,
 }
 
-/// Frames and targets of a batch.
-fn split(examples: Vec<Example>) -> (Vec<Seen>, Targets) {
-    let mut targets = Targets { objects: Vec::new(), views: Vec::new() };
-    let mut frames = Vec::new();
-    for example in examples {
-        targets.objects.extend(example.target);
-        targets.views.extend(example.views.unwrap_or_default());
-        frames.push(example.seen);
+/// Inputs and targets of a batch.
+struct Batch {
+    inputs: Vec<NetworkInput>,
+    targets: Targets,
+}
+
+impl Batch {
+    fn of(examples: Vec<Example>) -> Self {
+        let mut targets = Targets { objects: Vec::new(), views: Vec::new() };
+        let mut inputs = Vec::new();
+        for example in examples {
+            targets.objects.extend(example.target);
+            targets.views.extend(example.views.unwrap_or_default());
+            inputs.push(example.input);
+        }
+        Self { inputs, targets }
     }
-    (frames, targets)
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
-//! The network's parameters: names, shapes, and what they are before training.
+//! The parameters of a network: names, shapes, and values before training.
 
-use super::{Family, NetworkConfig};
+use super::{Architecture, NetworkConfig};
 use crate::artifact::{self, ArtifactError, Tensors};
 use crate::rng;
 use ndarray::{ArrayD, IxDyn};
@@ -8,26 +8,26 @@ use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use std::path::Path;
 
-/// Names of the filters' real and imaginary parts.
+/// Names of the real and imaginary parts of the filters.
 pub const FILTERS: [&str; 2] = ["deconvolution.psfs_re", "deconvolution.psfs_im"];
 
 /// Name of the PSFs of a MultiWienerNet.
 pub const PSFS: &str = "deconvolution.psfs";
-/// Name of the logarithms of its regularisations: so they stay positive.
+/// Name of the logarithms of the regularisations of a MultiWienerNet; logarithms keep them positive.
 pub const LOG_K: &str = "deconvolution.log_k";
-/// Name of the filters that are learned in space.
+/// Name of the filters of a MultiFlatNet, which are learned in space.
 pub const KERNELS: &str = "deconvolution.filters";
 
-/// Whether a parameter is a filter, not a layer behind the filters.
+/// Whether the parameter with this name belongs to the filters of the first layer.
 pub fn is_filter(name: &str) -> bool {
     FILTERS.contains(&name) || name == PSFS || name == KERNELS
 }
 
-/// The layers behind the filters, by the names that the reference gives them.
+/// Names of the layers after the filters, as in the reference implementation.
 pub mod name {
-    /// Convolution behind the PixelUnshuffle.
+    /// Convolution after the PixelUnshuffle.
     pub const HEAD: &str = "enhancement.downscale.1";
-    /// Convolution behind the residual groups.
+    /// Convolution after the residual groups.
     pub const BODY: &str = "enhancement.conv1";
     /// Convolution before the PixelShuffle.
     pub const UPSCALE: &str = "enhancement.upscale.0";
@@ -44,14 +44,14 @@ pub mod name {
         format!("enhancement.rgs.{group}.module.{block}.module.3.module.{}", 1 + 2 * which)
     }
 
-    /// Part of a CM2Net that frees the views of one another.
+    /// Part of a CM2Net that separates the views.
     pub const DEMIX: &str = "demix";
     /// Part of a CM2Net that joins the views.
     pub const JOIN: &str = "recon";
     /// The last convolution of a CM2Net.
     pub const END: &str = "endconv";
 
-    /// First (`which` = 1) or second (2) convolution of a part, before and behind its blocks.
+    /// First (`which` = 1) or second (2) convolution of a part, before and after its blocks.
     pub fn part(part: &str, which: usize) -> String {
         format!("{part}.conv{which}")
     }
@@ -67,10 +67,10 @@ pub mod name {
     }
 }
 
-/// Layers behind the filters in the order of their use: name, outputs, inputs, side of the kernel.
+/// Layers after the filters in the order of their use: name, and [outputs, inputs, side of the kernel].
 pub fn layers(config: &NetworkConfig) -> Vec<(String, [usize; 3])> {
     let (w, bottleneck) = (config.width, config.bottleneck());
-    if let Family::Cm2Net { .. } = config.family {
+    if let Architecture::Cm2Net { .. } = config.architecture {
         return cm2net(config);
     }
     let mut layers = vec![(name::HEAD.to_string(), [w, 4 * config.channels, 3])];
@@ -98,15 +98,16 @@ fn cm2net(config: &NetworkConfig) -> Vec<(String, [usize; 3])> {
     part(name::DEMIX).chain(part(name::JOIN)).chain([(name::END.to_string(), [1, c, 3])]).collect()
 }
 
-/// Every parameter's name and shape; convolutions [outputs, inputs, side, side], filters [C, T, T/2+1].
+/// Name and shape of every parameter: convolutions [outputs, inputs, side, side], filters [C, T, T/2+1] in frequency
+/// and [C, T, T] in space.
 pub fn shapes(config: &NetworkConfig) -> Vec<(String, Vec<usize>)> {
     let t = config.filter_size;
     let c = config.channels;
-    let filters: Vec<(&str, Vec<usize>)> = match config.family {
-        Family::SvFourierNet => FILTERS.map(|f| (f, vec![c, t, t / 2 + 1])).to_vec(),
-        Family::MultiWienerNet => vec![(PSFS, vec![c, t, t]), (LOG_K, vec![c])],
-        Family::MultiFlatNet => vec![(KERNELS, vec![c, t, t])],
-        Family::Cm2Net { .. } => Vec::new(),
+    let filters: Vec<(&str, Vec<usize>)> = match config.architecture {
+        Architecture::SvFourierNet => FILTERS.map(|f| (f, vec![c, t, t / 2 + 1])).to_vec(),
+        Architecture::MultiWienerNet => vec![(PSFS, vec![c, t, t]), (LOG_K, vec![c])],
+        Architecture::MultiFlatNet => vec![(KERNELS, vec![c, t, t])],
+        Architecture::Cm2Net { .. } => Vec::new(),
     };
     let filters = filters.into_iter().map(|(name, shape)| (name.to_string(), shape));
     let layers = layers(config).into_iter().flat_map(|(name, [outputs, inputs, side])| {
@@ -115,8 +116,8 @@ pub fn shapes(config: &NetworkConfig) -> Vec<(String, Vec<usize>)> {
     filters.chain(layers).collect()
 }
 
-/// Parameters before training: filters 0.001 x U[0, 1] (paper, section 2D), convolutions normal with variance
-/// 2 / fan-in (K. He et al., arXiv:1502.01852, Eq. 10), biases 0, regularisations 0.001.
+/// Random parameters before training: filters 0.001 x U[0, 1] (Yang et al. 2024, section 2D), convolutions normal with
+/// variance 2 / fan-in (K. He et al., arXiv:1502.01852, Eq. 10), biases 0, regularisations 0.001.
 pub fn random(config: &NetworkConfig, seed: u64) -> Tensors {
     let mut tensors = Tensors::new();
     for (i, (name, shape)) in shapes(config).into_iter().enumerate() {
@@ -137,15 +138,15 @@ pub fn random(config: &NetworkConfig, seed: u64) -> Tensors {
     tensors
 }
 
-/// An array of this shape; `values` must have its length.
+/// An array of this shape; `values` must have the length of the shape.
 pub(super) fn array(shape: &[usize], values: Vec<f32>) -> ArrayD<f32> {
     ArrayD::from_shape_vec(IxDyn(shape), values).unwrap_or_else(|_| ArrayD::zeros(IxDyn(shape)))
 }
 
-/// Takes the parameters named `prefix` + name out of the tensors of the file `path`.
+/// Moves the parameters named `prefix` + name out of `tensors`, which were read from the file `path`.
 ///
 /// # Errors
-/// One is missing or has another shape.
+/// A parameter is missing or has another shape.
 pub fn take(
     path: &Path,
     config: &NetworkConfig,

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, dead_code)]
 
 use half::f16;
-use ommatidia_host::blob::BlobFile;
+use ommatidia_host::network_file::NetworkFile;
 use ommatidia_host::rng;
 use ommatidia_shared::blob::{Bank, Blocks, Header, MemoryPlan, Rcan, Sensor, Size, Tap, Weights};
 use ommatidia_shared::image::Region;
@@ -110,12 +110,12 @@ pub fn header(shape: &Shape) -> Header {
 }
 
 /// A network file with weights drawn under `seed`: spectra like those of a narrow filter, layers that keep their scale.
-pub fn network(shape: &Shape, seed: u64) -> BlobFile {
+pub fn network(shape: &Shape, seed: u64) -> NetworkFile {
     network_of(&header(shape), seed)
 }
 
 /// The same for a header of one's own.
-pub fn network_of(header: &Header, seed: u64) -> BlobFile {
+pub fn network_of(header: &Header, seed: u64) -> NetworkFile {
     let lens = header.section_lens().unwrap();
     let draw = |what: &str, len: u64, centre: f32, spread: f32| -> Vec<f16> {
         let mut rng = rng::stream(seed, what, 0);
@@ -134,7 +134,7 @@ pub fn network_of(header: &Header, seed: u64) -> BlobFile {
         offset_dn: header.sensor.has_offset_map.then_some(&offset),
         inverse_gain: header.sensor.has_gain_map.then_some(&gain),
     };
-    BlobFile::new(header, &weights).unwrap()
+    NetworkFile::new(header, &weights).unwrap()
 }
 
 /// Where the blocks of a bank lie: drawn from all places alike.

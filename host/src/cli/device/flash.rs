@@ -1,9 +1,9 @@
 //! `device flash`: uploads a network into the flash of a device.
 
 use super::target::Target;
-use crate::blob::BlobFile;
 use crate::cli::common::{Outcome, Run};
 use crate::device::flash;
+use crate::network_file::NetworkFile;
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -19,7 +19,7 @@ pub(super) struct Args {
 
 /// Runs the verb.
 pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
-    let blob = BlobFile::read(&args.with)?;
+    let blob = NetworkFile::read(&args.with)?;
     let runtime = args.target.runtime(run)?;
     let bar = run.progress(1000, "flash");
     let report =

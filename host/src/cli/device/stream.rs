@@ -1,9 +1,9 @@
 //! `device stream`: frames in, reconstructions out, a live view in the browser.
 
 use super::target::Target;
-use crate::blob::{BlobFile, raw_codes};
 use crate::cli::common::{Outcome, Run};
 use crate::device::{FrameFeed, Frames, LiveView, StreamRecording, StreamReport, active_fraction, stream};
+use crate::network_file::NetworkFile;
 use crate::session::FrameReader;
 use anyhow::Context;
 use serde_json::json;
@@ -49,7 +49,7 @@ fn rate(text: &str) -> Result<f64, String> {
 
 /// Runs the verb.
 pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
-    let blob = BlobFile::read(&args.with)?;
+    let blob = NetworkFile::read(&args.with)?;
     let header = blob.network()?.into_header();
     let mut reader = args.frames.as_deref().map(FrameReader::open).transpose()?;
     let len = reader.as_ref().map_or(args.live.unwrap_or_default() as usize, FrameReader::len);
@@ -72,7 +72,7 @@ pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let mut read = |i: usize| {
         let reader = reader.as_mut().context("no frames were given with --frames")?;
         let frame = reader.read(i)?;
-        raw_codes(&header, frame.view()).with_context(|| format!("{}: frame {i}", reader.path().display()))
+        blob.codes(frame.view()).with_context(|| format!("{}: frame {i}", reader.path().display()))
     };
     let source = if args.frames.is_some() { Frames::Stack(&mut read) } else { Frames::Camera };
     let feed = FrameFeed { len, fps: args.fps, nth: args.every as usize, scope: args.scope.scope(), source };

@@ -4,8 +4,8 @@
 use super::model::Model;
 use super::state::State;
 use crate::closing::data::{Fault, FaultKind, Observations, Shown};
-use crate::evaluate::Moments;
 use crate::forward::ForwardError;
+use crate::metrics::Moments;
 use ndarray::{Array2, Axis};
 
 /// Another record is accepted if it leaves less than this share of the unexplained variance (1 - correlation).

@@ -1,9 +1,9 @@
 //! A simulated device whose flash keeps its content while the power is off.
 
 use super::flash::{Fault, FaultyFlash, SECTOR};
-use crate::blob::BlobFile;
 use crate::device::error::DeviceError;
 use crate::device::run::reference;
+use crate::network_file::NetworkFile;
 use crate::rng;
 use half::f16;
 use ommatidia_shared::blob::{Bank, Header, MemoryPlan, Rcan, Sensor, Size, Tap, Weights};
@@ -25,7 +25,7 @@ pub(super) type DeviceUnderTest<'a, 'm> = Device<'a, &'a mut FaultyFlash<'m>, Ra
 /// A network, a frame, and the host's reconstruction of that frame.
 #[derive(Debug)]
 pub(super) struct Network {
-    pub blob: BlobFile,
+    pub blob: NetworkFile,
     pub frame: Vec<u16>,
     pub object: Vec<f16>,
 }
@@ -59,7 +59,7 @@ impl Network {
             [draw(lens.filters, 0.1), draw(lens.rcan, 0.0), draw(lens.offset_dn, 0.0), draw(lens.inverse_gain, 1.0)];
         let [filters, rcan, offset, gain] = &sections;
         let weights = Weights { filters, index: &[], rcan, offset_dn: Some(offset), inverse_gain: Some(gain) };
-        let blob = BlobFile::new(&header, &weights)?;
+        let blob = NetworkFile::new(&header, &weights)?;
         let mut rng = rng::stream(seed, "frame", 0);
         let frame: Vec<u16> = (0..usize::from(SIDE) * usize::from(SIDE)).map(|_| rng.random_range(40..=4095)).collect();
         let object = reference(&blob, std::slice::from_ref(&frame).into())?.pop().unwrap_or_default();

@@ -1,27 +1,29 @@
 //! ADMM with the spatially varying model.
 //!
-//! Splits u = grad x and w = x; scaled duals. The x-step, `(A'A + mu (grad'grad + 1)) x = A'y + mu (grad'(u - a) + w - b)`, is taken by a few steps of
-//! conjugate gradients from the last x: errors of the steps sum to a finite number as x settles, which is enough (J. Eckstein, D. Bertsekas,
-//! Math. Program. 55, 293 (1992), theorem 8).
+//! The splits are u = grad x and w = x, with scaled duals a and b. A few conjugate-gradient steps from the last x solve
+//! the x-step, `(A'A + mu (grad'grad + 1)) x = A'y + mu (grad'(u - a) + w - b)`, approximately. The method still
+//! converges if the errors of all x-steps have a finite sum (J. Eckstein, D. Bertsekas, Math. Program. 55, 293 (1992),
+//! theorem 8).
 
 use super::tv::{Edge, gradient, gradient_transposed, shrink};
 use super::{AdmmConfig, scaled};
 use crate::forward::Forward;
 use crate::instrument::Instrument;
-use crate::methods::frame::FrameCorrection;
+use crate::methods::frame::frame_input;
 use crate::methods::{MethodError, Reconstruct};
 use crate::noise::NoiseModel;
 use crate::psf::{LowRankOperator, OperatorError};
+use crate::sensor::FrameInput;
 use ndarray::{Array2, ArrayView2, Zip};
 
-/// Steps of the power iteration for the norm of A.
+/// Number of power iterations that estimate the norm of A.
 const POWER: usize = 12;
 
-/// The planned method.
+/// ADMM with the low-rank model, planned for one instrument.
 #[derive(Clone, Debug)]
 pub struct LowRankAdmm {
     config: AdmmConfig,
-    correction: FrameCorrection,
+    input: FrameInput,
     noise: NoiseModel,
     pub(super) operator: LowRankOperator,
     /// Norm of the operator, DN per unit.
@@ -47,21 +49,21 @@ impl LowRankAdmm {
         if norm <= 0.0 {
             return Err(MethodError::NoLens.into());
         }
-        let correction = FrameCorrection::new(instrument);
-        Ok(Self { config, correction, noise: instrument.noise, operator, norm })
+        let input = frame_input(instrument)?;
+        Ok(Self { config, input, noise: instrument.noise, operator, norm })
     }
 
-    /// A x with A divided by its norm.
+    /// A x, where A is divided by its norm.
     pub(super) fn apply(&self, x: &Array2<f32>) -> Result<Array2<f32>, OperatorError> {
         Ok(self.operator.apply(x.view())? / self.norm)
     }
 
-    /// A' y with A divided by its norm.
+    /// A' y, where A is divided by its norm.
     pub(super) fn adjoint(&self, y: &Array2<f32>) -> Result<Array2<f32>, OperatorError> {
         Ok(self.operator.adjoint(y.view())? / self.norm)
     }
 
-    /// The object of scaled light; `watch` sees each x.
+    /// Solves for the object of scaled light `y`, [sensor rows, sensor cols]; `watch` receives w after each iteration.
     pub(super) fn solve(
         &self,
         y: &Array2<f32>,
@@ -98,13 +100,13 @@ impl LowRankAdmm {
         Ok(w)
     }
 
-    /// The x-step's matrix times `v`.
+    /// The matrix of the x-step times `v`.
     fn normal(&self, v: &Array2<f32>, mu: f32) -> Result<Array2<f32>, OperatorError> {
         let data = self.adjoint(&self.apply(v)?)?;
         Ok(data + (gradient_transposed(&gradient(v.view(), Edge::Mirror), Edge::Mirror) + v) * mu)
     }
 
-    /// A few steps of conjugate gradients.
+    /// A few conjugate-gradient steps of the x-step, in place on `x`.
     fn descend(&self, x: &mut Array2<f32>, right: &Array2<f32>, mu: f32) -> Result<(), OperatorError> {
         let mut residual = right - &self.normal(x, mu)?;
         let mut direction = residual.clone();
@@ -136,7 +138,7 @@ impl Reconstruct for LowRankAdmm {
 
     fn reconstruct(&self, frame_dn: ArrayView2<'_, f32>) -> anyhow::Result<Array2<f32>> {
         let [rows, cols] = self.operator.object_shape();
-        match scaled(&self.correction, &self.noise, self.config.tv, frame_dn)? {
+        match scaled(&self.input, &self.noise, self.config.tv, frame_dn)? {
             None => Ok(Array2::zeros((rows, cols))),
             Some(s) => Ok(self.solve(&s.y, s.tau, |_| ())?),
         }

@@ -1,55 +1,59 @@
-//! ADMM with one PSF for the whole field; every step in closed form.
+//! ADMM with one PSF for the whole field, where every step has a closed form.
 //!
-//! Splits v = H x (the light, beyond the sensor's edge too), u = grad x and w = x; scaled duals. On a periodic grid with room for sensor and object,
-//! the x-step is diagonal in frequency and the v-step in space (N. Antipa et al., Optica 5, 1 (2018), supplement).
+//! The splits are v = H x (the light, also beyond the edge of the sensor), u = grad x and w = x, with scaled duals. On
+//! a periodic grid with room for sensor and object, the x-step is diagonal in frequency and the v-step in space (N.
+//! Antipa et al., Optica 5, 1 (2018), supplement).
 
 use super::tv::{Edge, gradient, gradient_transposed, shrink};
 use super::{AdmmConfig, scaled};
 use crate::fft2::{RealFft2, fast_size};
 use crate::instrument::Instrument;
-use crate::methods::frame::FrameCorrection;
+use crate::methods::frame::frame_input;
 use crate::methods::{MethodError, Reconstruct};
 use crate::noise::NoiseModel;
+use crate::sensor::FrameInput;
 use ndarray::{Array2, ArrayView2, Zip, s};
 use rustfft::num_complex::Complex32;
 
-/// The planned method.
+/// ADMM with one PSF, planned for one instrument.
 #[derive(Clone, Debug)]
 pub struct ShiftInvariantAdmm {
     config: AdmmConfig,
-    correction: FrameCorrection,
+    input: FrameInput,
     noise: NoiseModel,
     fft: RealFft2,
-    /// Spectrum H of the PSF, its largest magnitude 1; [cols/2 + 1, rows] as [`RealFft2`] keeps it.
+    /// Spectrum H of the PSF, its largest magnitude 1; [cols/2 + 1, rows] in the layout of [`RealFft2`].
     transfer: Vec<Complex32>,
-    /// What the x-step divides by.
+    /// Denominator of the x-step, in the same layout.
     denominator: Vec<f32>,
     sensor: (usize, usize),
     object: (usize, usize),
 }
 
 impl ShiftInvariantAdmm {
-    /// Plans the method from the light, DN, that a unit source at object pixel `source` throws onto the sensor.
+    /// Plans the method from the array's point-spread function: the light, DN, [sensor rows, sensor cols], of a unit
+    /// source at object pixel `source`, [row, col].
     ///
     /// # Errors
-    /// The PSF has another shape than the sensor or is dark.
+    /// The PSF has another shape than the sensor or holds no light.
     pub fn new(
         config: AdmmConfig,
         instrument: &Instrument,
         psf_dn: ArrayView2<'_, f32>,
-        source: (usize, usize),
+        source: [usize; 2],
     ) -> Result<Self, MethodError> {
         let (sensor, object) = (&instrument.manifest.sensor, &instrument.manifest.object);
         let shape = (sensor.rows, sensor.cols);
         if psf_dn.dim() != shape {
-            return Err(MethodError::FrameShape { expected: shape, found: psf_dn.dim() });
+            let found = [psf_dn.nrows(), psf_dn.ncols()];
+            return Err(MethodError::PsfShape { expected: [shape.0, shape.1], found });
         }
         let fft = RealFft2::new(fast_size(shape.0 + object.rows), fast_size(shape.1 + object.cols));
         let [rows, cols] = fft.shape();
         // Object pixel (r, c) of the grid is element (r, c): the kernel is the PSF moved back by its source.
         let mut kernel = Array2::zeros((rows, cols));
         for ((r, c), &v) in psf_dn.indexed_iter() {
-            kernel[[(r + rows - source.0) % rows, (c + cols - source.1) % cols]] = v;
+            kernel[[(r + rows - source[0]) % rows, (c + cols - source[1]) % cols]] = v;
         }
         let mut transfer = spectrum(&fft, &kernel);
         let norm = transfer.iter().map(|h| h.norm()).fold(0.0, f32::max);
@@ -65,10 +69,10 @@ impl ShiftInvariantAdmm {
             .enumerate()
             .map(|(i, h)| mu * (h.norm_sqr() + square(i % rows, rows) + square(i / rows, cols) + 1.0))
             .collect();
-        let correction = FrameCorrection::new(instrument);
+        let input = frame_input(instrument)?;
         Ok(Self {
             config,
-            correction,
+            input,
             noise: instrument.noise,
             fft,
             transfer,
@@ -78,7 +82,8 @@ impl ShiftInvariantAdmm {
         })
     }
 
-    /// The object of scaled light; `watch` sees each non-negative x.
+    /// Solves for the object of scaled light `y`, [sensor rows, sensor cols]; `watch` receives w, [object rows, object
+    /// cols], after each iteration.
     pub(super) fn solve(&self, y: &Array2<f32>, tau: f32, mut watch: impl FnMut(ArrayView2<'_, f32>)) -> Array2<f32> {
         let mu = self.config.penalty as f32;
         let [rows, cols] = self.fft.shape();
@@ -87,7 +92,7 @@ impl ShiftInvariantAdmm {
         let on_object = s![..self.object.0, ..self.object.1];
         let (mut v, mut dual_v, mut w, mut dual) = (zero(), zero(), zero(), zero());
         let (mut u, mut dual_u) = ([zero(), zero()], [zero(), zero()]);
-        // The first light is that of the frame alone.
+        // At the start, the light is that of the frame, and 0 beyond the sensor.
         v.slice_mut(on_sensor).assign(y);
         for _ in 0..self.config.iterations.max(1) {
             let difference = [&u[0] - &dual_u[0], &u[1] - &dual_u[1]];
@@ -102,7 +107,7 @@ impl ShiftInvariantAdmm {
             let image = found.iter().zip(&self.transfer).map(|(x, h)| x * h).collect();
             let (x, image) = (image_of(&self.fft, found), image_of(&self.fft, image));
             v = &image + &dual_v;
-            // Off the sensor nothing was measured: v stays where the model puts it.
+            // Off the sensor nothing was measured: v keeps the value of the model.
             Zip::from(v.slice_mut(on_sensor)).and(y).for_each(|v, &y| *v = (mu * *v + y) / (mu + 1.0));
             dual_v += &(&image - &v);
             let slope = gradient(x.view(), Edge::Wrap);
@@ -116,7 +121,7 @@ impl ShiftInvariantAdmm {
             let raised = &x + &dual;
             let before = w.slice(on_object).to_owned();
             w.fill(0.0);
-            // Outside the object there is none.
+            // Outside the object grid, w is 0.
             Zip::from(w.slice_mut(on_object)).and(raised.slice(on_object)).for_each(|w, &r| *w = r.max(0.0));
             dual = raised - &w;
             watch(w.slice(on_object));
@@ -134,7 +139,7 @@ impl Reconstruct for ShiftInvariantAdmm {
     }
 
     fn reconstruct(&self, frame_dn: ArrayView2<'_, f32>) -> anyhow::Result<Array2<f32>> {
-        Ok(match scaled(&self.correction, &self.noise, self.config.tv, frame_dn)? {
+        Ok(match scaled(&self.input, &self.noise, self.config.tv, frame_dn)? {
             None => Array2::zeros(self.object),
             Some(s) => self.solve(&s.y, s.tau, |_| ()),
         })

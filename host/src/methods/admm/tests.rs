@@ -1,8 +1,8 @@
 #![allow(clippy::unwrap_used)]
 use super::tv::{Edge, gradient, gradient_transposed, shrink, total_variation};
 use super::*;
-use crate::evaluate::compare;
 use crate::methods::Reconstruct;
+use crate::metrics::compare;
 use crate::rng;
 use crate::testing::square_array as instrument;
 use rand::RngExt;
@@ -12,7 +12,7 @@ fn random(rows: usize, cols: usize, index: u64) -> Array2<f32> {
     Array2::from_shape_fn((rows, cols), |_| draw.random_range(-1.0..1.0f32))
 }
 
-/// Flat patches on a dark ground: what total variation is for.
+/// Flat patches on a dark background: objects that suit total variation.
 fn object() -> Array2<f32> {
     let inside = |r: usize, c: usize, [a, b]: [usize; 2], n: usize| r >= a && r < a + n && c >= b && c < b + n;
     Array2::from_shape_fn((20, 20), |(r, c)| {
@@ -20,7 +20,7 @@ fn object() -> Array2<f32> {
     })
 }
 
-/// Nine lenses whose foci are blurred alike all over the field, so that both models are true of it.
+/// Nine lenses whose foci are blurred in the same way all over the field, so that both models are exact.
 fn blurred() -> Instrument {
     let mut instrument = instrument(3, [60, 60], [20, 20]);
     for lens in 0..9 {

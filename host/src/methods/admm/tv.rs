@@ -2,16 +2,16 @@
 
 use ndarray::{Array2, ArrayView2, Zip};
 
-/// What lies beyond the last row and column.
+/// Boundary condition beyond the last row and column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Edge {
-    /// The first again: for FFTs.
+    /// Periodic, as FFTs assume: the first row follows the last.
     Wrap,
-    /// The last again: no difference.
+    /// The last row and column repeat, so the difference there is 0.
     Mirror,
 }
 
-/// Differences to the next row and to the next column.
+/// Differences to the next row and to the next column of an image [rows, cols]; both of its shape.
 pub fn gradient(x: ArrayView2<'_, f32>, edge: Edge) -> [Array2<f32>; 2] {
     let (rows, cols) = x.dim();
     let next = |i: usize, n: usize| match edge {
@@ -24,7 +24,7 @@ pub fn gradient(x: ArrayView2<'_, f32>, edge: Edge) -> [Array2<f32>; 2] {
     ]
 }
 
-/// The transpose of [`gradient`].
+/// The transpose of [`gradient`]: two images to one, all of one shape.
 pub fn gradient_transposed(p: &[Array2<f32>; 2], edge: Edge) -> Array2<f32> {
     let (rows, cols) = p[0].dim();
     // Element i is the minuend of difference i and the subtrahend of difference i - 1.
@@ -42,7 +42,7 @@ pub fn gradient_transposed(p: &[Array2<f32>; 2], edge: Edge) -> Array2<f32> {
     })
 }
 
-/// Shortens the vector of each pixel by `by`: the proximal map of isotropic total variation.
+/// Shortens the gradient vector of each pixel by `by`, at most to 0: the proximal map of isotropic total variation.
 pub fn shrink(p: &mut [Array2<f32>; 2], by: f32) {
     let [rows, cols] = p;
     Zip::from(rows).and(cols).for_each(|a, b| {
@@ -52,7 +52,7 @@ pub fn shrink(p: &mut [Array2<f32>; 2], by: f32) {
     });
 }
 
-/// The sum over all pixels of the lengths of the gradient.
+/// Isotropic total variation: the sum over all pixels of the length of the gradient.
 #[cfg(test)]
 pub fn total_variation(x: ArrayView2<'_, f32>, edge: Edge) -> f64 {
     let [a, b] = gradient(x, edge);

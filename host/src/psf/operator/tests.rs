@@ -122,7 +122,7 @@ fn moves_by_a_fraction_move_the_centre_of_light_by_it() {
     let mut o = Array2::zeros((9, 9));
     o[[4, 4]] = 1.0;
     let centre = |g: &ChiefRays| {
-        let f = LowRankOperator::plan(&i, g, OperatorConfig::default()).unwrap().apply(o.view()).unwrap();
+        let f = LowRankOperator::plan(i.optics(), g, OperatorConfig::default()).unwrap().apply(o.view()).unwrap();
         let sum = f.sum();
         let moment = |a: usize| f.indexed_iter().map(|((r, c), v)| [r, c][a] as f32 * v).sum::<f32>() / sum;
         [moment(0), moment(1)]

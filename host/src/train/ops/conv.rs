@@ -1,49 +1,50 @@
 //! 3x3 convolution, stride 1, zero padding 1, on NCHW slices: forward, data gradient, weight gradient.
 //!
-//! Direct, no im2col: a block of `BLOCK` output channels by up to three vectors of pixels stays in registers while the
-//! input channels pass by, so each loaded value is used four times or more. Vectors run over pixels of a row;
-//! the instruction set is chosen when the program runs.
+//! Direct convolution without im2col: a block of `BLOCK` output channels by up to three vectors of pixels stays in
+//! registers while the loop runs over the input channels, so each loaded value is used at least four times. Vectors run
+//! over the pixels of a row; the instruction set is chosen when the program runs.
 
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-/// Output channels that are computed together.
+/// Number of output channels that are computed together.
 const BLOCK: usize = 4;
-/// Most vectors of pixels that are computed together.
+/// Maximum number of vectors of pixels that are computed together.
 const WIDE: usize = 3;
 /// Widest vector of any instruction set, f32 lanes; rows are padded to a multiple of it.
 const LANES: usize = 16;
-/// Taps of the kernel.
+/// Number of weights of a kernel.
 const TAPS: usize = 9;
 
 /// Sizes of one convolution: `x` [batch, inputs, rows, cols] -> `y` [batch, outputs, rows, cols].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Conv3x3 {
-    /// Images.
+    /// Number of images.
     pub batch: usize,
-    /// Input channels.
+    /// Number of input channels.
     pub inputs: usize,
-    /// Output channels.
+    /// Number of output channels.
     pub outputs: usize,
-    /// Rows.
+    /// Number of rows of an image.
     pub rows: usize,
-    /// Columns.
+    /// Number of columns of an image.
     pub cols: usize,
 }
 
-/// Gradients of a loss.
+/// Gradients of a loss with respect to the inputs of a convolution.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ConvGradient {
     /// With respect to the input, [batch, inputs, rows, cols].
     pub input: Vec<f32>,
     /// With respect to the weight, [outputs, inputs, 3, 3].
     pub weight: Vec<f32>,
-    /// With respect to the bias, one an output.
+    /// With respect to the bias, [outputs].
     pub bias: Vec<f32>,
 }
 
 impl Conv3x3 {
-    /// `y[o, r, c] = bias[o] + sum_{i, u, v} weight[o, i, u, v] x[i, r + u - 1, c + v - 1]`, `weight` [outputs, inputs, 3, 3].
+    /// `y[o, r, c] = bias[o] + sum_{i, u, v} weight[o, i, u, v] x[i, r + u - 1, c + v - 1]`, `weight` [outputs, inputs,
+    /// 3, 3].
     pub fn forward(&self, x: &[f32], weight: &[f32], bias: &[f32]) -> Vec<f32> {
         let padded = Padded::new(x, self.batch, self.inputs, self.rows, self.cols);
         correlate(&padded, &pack(weight, self.outputs, self.inputs), self.outputs, Some(bias))
@@ -100,7 +101,8 @@ impl Padded {
     }
 }
 
-/// Weights by blocks of output channels, so that the inner loop reads them in a row: [block][input][tap][channel of the block].
+/// Weights by blocks of output channels, in the order in which the inner loop reads them: [block][input][tap][channel
+/// of the block].
 struct Packed {
     data: Vec<f32>,
     inputs: usize,
@@ -117,7 +119,7 @@ fn pack(weight: &[f32], outputs: usize, inputs: usize) -> Packed {
     Packed { data, inputs }
 }
 
-/// The weights of the adjoint: inputs and outputs exchanged, kernels turned by 180 degrees.
+/// The weights of the adjoint: inputs and outputs exchanged, kernels rotated by 180 degrees.
 fn turn(weight: &[f32], outputs: usize, inputs: usize) -> Vec<f32> {
     let mut turned = vec![0.0; weight.len()];
     for o in 0..outputs {
@@ -130,7 +132,7 @@ fn turn(weight: &[f32], outputs: usize, inputs: usize) -> Vec<f32> {
     turned
 }
 
-/// Sum in f64: a bias gradient runs over whole images.
+/// Sum in f64, since a bias gradient is a sum over whole images.
 fn sum(values: &[f32]) -> f32 {
     values.iter().map(|&v| f64::from(v)).sum::<f64>() as f32
 }
@@ -311,7 +313,7 @@ impl Taps<'_> {
 mod tests {
     use super::*;
 
-    /// Numbers without a pattern in [-1, 1).
+    /// Pseudo-random numbers in [-1, 1).
     fn noise(n: usize, seed: u64) -> Vec<f32> {
         let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
         std::iter::repeat_with(|| {
@@ -322,7 +324,7 @@ mod tests {
         .collect()
     }
 
-    /// The definition, in f64.
+    /// The definition of the convolution in f64.
     fn naive(s: Conv3x3, x: &[f32], w: &[f32], bias: &[f32]) -> Vec<f64> {
         let mut y = Vec::new();
         for b in 0..s.batch {

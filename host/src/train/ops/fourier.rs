@@ -1,7 +1,8 @@
 //! The Fourier filter bank, cropped to the object: `y_c = crop(irfft2(rfft2(pad(x)) K_c))`, and its gradient.
 //!
-//! Only what is needed is transformed: rows of the frame on the way in, rows of the object on the way out. Spectra lie
-//! transposed, [col frequency, row frequency], so that transforms along rows and along columns both run over contiguous memory.
+//! Only rows that matter are transformed: rows of the frame forward, rows of the object backward. Spectra are stored
+//! transposed, [col frequency, row frequency], so that transforms along rows and along columns both run over contiguous
+//! memory.
 
 use rayon::prelude::*;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
@@ -9,7 +10,8 @@ use rustfft::num_complex::Complex32;
 use rustfft::{Fft, FftPlanner};
 use std::sync::Arc;
 
-/// Sizes of a filter bank; `frame` and `object` lie round the middle of `filter_size`, at `floor((filter_size - side) / 2)`.
+/// Sizes of a filter bank. Frame and object lie in the middle of the transform, from `floor((filter_size - side) / 2)`
+/// on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FourierSizes {
     /// Rows and columns of a frame.
@@ -18,11 +20,11 @@ pub struct FourierSizes {
     pub object: [usize; 2],
     /// Side T of the transform; any length.
     pub filter_size: usize,
-    /// Filters C.
+    /// Number C of filters.
     pub channels: usize,
 }
 
-/// Plans of the transforms of one filter bank.
+/// The planned transforms of one filter bank.
 pub struct Fourier {
     sizes: FourierSizes,
     rows_forward: Arc<dyn RealToComplex<f32>>,
@@ -41,7 +43,7 @@ impl std::fmt::Debug for Fourier {
 pub type Spectrum = Vec<Complex32>;
 
 impl Fourier {
-    /// Plans the transforms. `sizes` must fit: frame and object within `filter_size`.
+    /// Plans the transforms. Frame and object must fit into `filter_size`.
     pub fn new(sizes: FourierSizes) -> Self {
         let t = sizes.filter_size;
         let (mut real, mut complex) = (RealFftPlanner::new(), FftPlanner::new());
@@ -54,7 +56,7 @@ impl Fourier {
         }
     }
 
-    /// Sizes that it was planned for.
+    /// Sizes of the filter bank.
     pub fn sizes(&self) -> FourierSizes {
         self.sizes
     }
@@ -69,7 +71,7 @@ impl Fourier {
         x.par_chunks_exact(rows * cols).map(|x| self.rfft2(x, self.sizes.frame)).collect()
     }
 
-    /// Filters given as PyTorch keeps them, real and imaginary parts [channels, T, T/2+1], as spectra.
+    /// Filters as spectra, from their real and imaginary parts [channels, T, T/2+1] in PyTorch's layout.
     pub fn filters(&self, re: &[f32], im: &[f32]) -> Vec<Spectrum> {
         let (t, bins) = (self.sizes.filter_size, self.bins());
         let one = |(re, im): (&[f32], &[f32])| {
@@ -81,7 +83,7 @@ impl Fourier {
         re.par_chunks_exact(t * bins).zip(im.par_chunks_exact(t * bins)).map(one).collect()
     }
 
-    /// Filtered and cropped, [batch, channels, object rows, object cols].
+    /// Frames, filtered and cropped: [batch, channels, object rows, object cols].
     pub fn forward(&self, spectra: &[Spectrum], filters: &[Spectrum]) -> Vec<f32> {
         let [rows, cols] = self.sizes.object;
         let mut y = vec![0.0; spectra.len() * filters.len() * rows * cols];
@@ -92,11 +94,12 @@ impl Fourier {
         y
     }
 
-    /// Gradient of a loss with respect to the real and imaginary parts of the filters, each [channels, T, T/2+1], from its
-    /// gradient `g` with respect to the output.
+    /// Gradient of a loss with respect to the real and imaginary parts of the filters, each [channels, T, T/2+1], from
+    /// its gradient `g` with respect to the output.
     ///
-    /// `irfft2` reads each inner column twice (as itself and as its mirror), so
-    /// `dK = w / T^2 sum_b conj(X_b) rfft2(pad(g_b))` with w = 2 but for the columns of frequency zero and Nyquist, where w = 1.
+    /// `irfft2` uses each inner column twice (for itself and its mirror image), so
+    /// `dK = w / T^2 sum_b conj(X_b) rfft2(pad(g_b))` with w = 1 in the columns of frequency zero and Nyquist, and w =
+    /// 2 elsewhere.
     pub fn backward(&self, spectra: &[Spectrum], g: &[f32]) -> (Vec<f32>, Vec<f32>) {
         let (t, bins, channels) = (self.sizes.filter_size, self.bins(), self.sizes.channels);
         let plane = self.sizes.object[0] * self.sizes.object[1];
@@ -120,7 +123,7 @@ impl Fourier {
         (sums.iter().flatten().map(|s| s.re).collect(), sums.iter().flatten().map(|s| s.im).collect())
     }
 
-    /// Spectra as PyTorch keeps filters: real and imaginary parts [channels, T, T/2+1].
+    /// Real and imaginary parts of spectra in PyTorch's layout, each [channels, T, T/2+1].
     pub fn parts(&self, spectra: &[Spectrum]) -> (Vec<f32>, Vec<f32>) {
         let (t, bins) = (self.sizes.filter_size, self.bins());
         let mut rows = vec![Complex32::default(); spectra.len() * t * bins];
@@ -128,15 +131,16 @@ impl Fourier {
         (rows.iter().map(|v| v.re).collect(), rows.iter().map(|v| v.im).collect())
     }
 
-    /// Spectra of kernels [channels, T, T] as [`Fourier::parts`].
+    /// Spectra of kernels [channels, T, T] in the layout of [`Fourier::parts`].
     pub fn kernel_parts(&self, kernels: &[f32]) -> (Vec<f32>, Vec<f32>) {
         let t = self.sizes.filter_size;
         let spectra: Vec<Spectrum> = kernels.par_chunks_exact(t * t).map(|k| self.rfft2(k, [t, t])).collect();
         self.parts(&spectra)
     }
 
-    /// Gradient of a loss with respect to kernels, [channels, T, T], from its gradients with respect to [`Fourier::kernel_parts`]:
-    /// `dh = Re sum (g_re + i g_im) exp(i k n)` over the stored half, of which `irfft2` counts inner columns twice.
+    /// Gradient of a loss with respect to kernels, [channels, T, T], from its gradients with respect to
+    /// [`Fourier::kernel_parts`]: `dh = Re sum (g_re + i g_im) exp(i k
+    /// n)` over the stored half, whose inner columns `irfft2` would count twice.
     pub fn kernel_gradient(&self, re: &[f32], im: &[f32]) -> Vec<f32> {
         let t = self.sizes.filter_size;
         let one = |mut g: Spectrum| {
@@ -149,7 +153,7 @@ impl Fourier {
         self.filters(re, im).into_par_iter().flat_map_iter(one).collect()
     }
 
-    /// The whole field, [T, T], of a half spectrum.
+    /// The whole image, [T, T], of a half spectrum.
     pub fn whole(&self, spectrum: Spectrum) -> Vec<f32> {
         let t = self.sizes.filter_size;
         let mut out = vec![0.0; t * t];
@@ -157,8 +161,9 @@ impl Fourier {
         out
     }
 
-    /// Gradient of a loss with respect to a frame, [frame rows, frame cols], from its gradient `g` with respect to the output [channels, object rows,
-    /// object cols]: the transpose of the bank, `crop(irfft2(sum_c conj(K_c) rfft2(pad(g_c))))`.
+    /// Gradient of a loss with respect to a frame, [frame rows, frame cols], from its gradient `g` with respect to the
+    /// output, [channels, object rows, object cols]: the transpose of the bank,
+    /// `crop(irfft2(sum_c conj(K_c) rfft2(pad(g_c))))`.
     pub fn backward_to_frame(&self, filters: &[Spectrum], g: &[f32]) -> Vec<f32> {
         let ([rows, cols], plane) = (self.sizes.frame, self.sizes.object[0] * self.sizes.object[1]);
         let mut sum = vec![Complex32::default(); self.sizes.filter_size * self.bins()];
@@ -179,7 +184,7 @@ impl Fourier {
         let mut scratch = self.rows_forward.make_scratch_vec();
         let mut rows = vec![Complex32::default(); size[0] * bins];
         for (image, out) in image.chunks_exact(size[1]).zip(rows.chunks_exact_mut(bins)) {
-            // The transform uses `row` as scratch: all of it must be written again.
+            // The transform overwrites `row`, so all of it is written again.
             row.fill(0.0);
             row[left..left + size[1]].copy_from_slice(image);
             // The lengths are those of the plan, so this cannot fail.
@@ -191,10 +196,10 @@ impl Fourier {
         spectrum
     }
 
-    /// The middle, of `size`, of the image with this half spectrum.
+    /// The middle part, of `size`, of the image with this half spectrum.
     ///
-    /// As in every real inverse, imaginary parts at column frequencies zero and Nyquist do not count after the
-    /// transform along the columns.
+    /// As in every real inverse, imaginary parts at column frequencies zero and Nyquist are ignored after the transform
+    /// along the columns.
     fn irfft2(&self, mut spectrum: Spectrum, size: [usize; 2], out: &mut [f32]) {
         let (t, bins) = (self.sizes.filter_size, self.bins());
         let [height, width] = size;
@@ -265,8 +270,8 @@ mod tests {
         .collect()
     }
 
-    /// The definition in f64: the sum over all frequencies, the missing half being the mirror of the half that is stored;
-    /// the real part of the sum over the stored half, inner columns counted twice.
+    /// The definition in f64: the sum over all frequencies, the missing half being the mirror of the half that is
+    /// stored; the real part of the sum over the stored half, inner columns counted twice.
     fn naive(s: FourierSizes, x: &[f32], re: &[f32], im: &[f32]) -> Vec<f64> {
         let (t, bins) = (s.filter_size, s.filter_size / 2 + 1);
         let origin = |side: usize| (t - side) / 2;
@@ -346,8 +351,8 @@ mod tests {
         }
     }
 
-    /// The output is linear in the filters, so a central difference of `<g, y>` is its derivative but for rounding; it is taken
-    /// with the f64 definition.
+    /// The output is linear in the filters, so a central difference of `<g, y>` is its derivative but for rounding; it
+    /// is taken with the f64 definition.
     #[test]
     fn gradient_is_the_central_difference() {
         for s in cases() {

@@ -1,11 +1,12 @@
-//! Differentiable operators of our own, where burn's are too slow or missing.
+//! Differentiable operators on the CPU where burn's are too slow or missing.
 //!
-//! Each has a plain half on slices ([`conv`], [`fourier`]), tested by itself, and a thin half here that hangs it into burn's
-//! graph. Weights are flat tensors: the operators know their shapes. Tensors on other devices go through burn's own operators ([`anywhere`]).
+//! Each has an implementation on slices ([`conv`], [`fourier`]), tested on its own, and a thin wrapper here that
+//! registers it in burn's graph. Weights are flat tensors whose shapes the operators know. Tensors on other devices use
+//! burn's own operators ([`portable`]).
 
-pub mod anywhere;
 pub mod conv;
 pub mod fourier;
+pub mod portable;
 
 use burn::backend::autodiff::NodeId;
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
@@ -21,11 +22,11 @@ use std::sync::Arc;
 
 type Primitive = FloatTensor<Flex>;
 
-/// 3x3 convolution with zero padding: `x` (batch, inputs, rows, cols), `weight` (outputs * inputs * 9), `bias` (outputs) ->
-/// [batch, outputs, rows, cols].
+/// 3x3 convolution with zero padding: `x` (batch, inputs, rows, cols), `weight` (outputs * inputs * 9), `bias`
+/// (outputs) -> [batch, outputs, rows, cols].
 pub fn conv3x3(x: Tensor<4>, weight: Tensor<1>, bias: Tensor<1>) -> Tensor<4> {
-    if !is_ours(&x) {
-        return anywhere::conv3x3(x, weight, bias);
+    if !is_cpu(&x) {
+        return portable::conv3x3(x, weight, bias);
     }
     let [batch, inputs, rows, cols] = x.dims();
     let sizes = Conv3x3 { batch, inputs, outputs: bias.dims()[0], rows, cols };
@@ -43,13 +44,13 @@ pub fn conv3x3(x: Tensor<4>, weight: Tensor<1>, bias: Tensor<1>) -> Tensor<4> {
     Tensor::from_primitive::<Autodiff<Flex>>(y)
 }
 
-/// The Fourier filter bank on frames whose spectra are known: `re`, `im` [channels * T * (T/2+1)] ->
-/// [batch, channels, object rows, object cols].
+/// The Fourier filter bank on frames with given spectra: `re`, `im` [channels * T * (T/2+1)] -> [batch, channels,
+/// object rows, object cols].
 ///
-/// Frames are data, so no gradient goes to them.
+/// Frames are data, so no gradient is computed for them.
 pub fn filter_bank(plan: &Arc<Fourier>, spectra: Arc<Vec<Spectrum>>, re: Tensor<1>, im: Tensor<1>) -> Tensor<4> {
-    if !is_ours(&re) {
-        return anywhere::filter_bank(plan, &spectra, re, im);
+    if !is_cpu(&re) {
+        return portable::filter_bank(plan, &spectra, re, im);
     }
     let run = |re: &Primitive, im: &Primitive| {
         let [rows, cols] = plan.sizes().object;
@@ -69,10 +70,10 @@ pub fn filter_bank(plan: &Arc<Fourier>, spectra: Arc<Vec<Spectrum>>, re: Tensor<
     Tensor::from_primitive::<Autodiff<Flex>>(y)
 }
 
-/// Spectra of kernels `h` [channels * T * T]: real, then imaginary parts, each [channels * T * (T/2+1)].
+/// Spectra of kernels `h` [channels * T * T]: real parts, then imaginary parts, each [channels * T * (T/2+1)].
 pub fn kernel_spectra(plan: &Arc<Fourier>, h: Tensor<1>) -> [Tensor<1>; 2] {
-    if !is_ours(&h) {
-        return anywhere::kernel_spectra(plan, h);
+    if !is_cpu(&h) {
+        return portable::kernel_spectra(plan, h);
     }
     let run = |h: &Primitive| {
         let (mut re, im) = plan.kernel_parts(&values(h));
@@ -96,8 +97,8 @@ pub fn kernel_spectra(plan: &Arc<Fourier>, h: Tensor<1>) -> [Tensor<1>; 2] {
     [parts.clone().narrow(0, 0, n), parts.narrow(0, n, n)]
 }
 
-/// Whether a tensor lies where our operators are.
-fn is_ours<const D: usize>(tensor: &Tensor<D>) -> bool {
+/// Whether a tensor is on the CPU, where our operators run.
+fn is_cpu<const D: usize>(tensor: &Tensor<D>) -> bool {
     tensor.device().inner() == Device::flex()
 }
 
@@ -171,7 +172,7 @@ fn primitive(values: Vec<f32>, shape: &[usize]) -> Primitive {
     Primitive::from_data(TensorData::new(values, shape.to_vec()))
 }
 
-/// The values in C order; copied only where the tensor is a view that is not.
+/// The values in C order; copied only if the tensor is not contiguous.
 fn values(tensor: &Primitive) -> std::borrow::Cow<'_, [f32]> {
     match tensor.as_slice::<f32>() {
         Some(values) => values.into(),
@@ -182,13 +183,13 @@ fn values(tensor: &Primitive) -> std::borrow::Cow<'_, [f32]> {
 fn plain<const D: usize>(tensor: Tensor<D>) -> Primitive {
     match tensor.try_into_primitive::<Flex>() {
         Ok(tensor) => tensor,
-        Err(error) => unreachable!("the network lives on the Flex device alone: {error:?}"),
+        Err(error) => unreachable!("`is_cpu` checked that the tensor is on the Flex device: {error:?}"),
     }
 }
 
 fn tracked<const D: usize>(tensor: Tensor<D>) -> FloatTensor<Autodiff<Flex>> {
     match tensor.try_into_primitive::<Autodiff<Flex>>() {
         Ok(tensor) => tensor,
-        Err(error) => unreachable!("the network lives on the Flex device with autodiff alone: {error:?}"),
+        Err(error) => unreachable!("`is_cpu` checked that the tensor is on the Flex device with autodiff: {error:?}"),
     }
 }

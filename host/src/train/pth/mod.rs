@@ -1,16 +1,16 @@
-//! The published weights: a PyTorch state dictionary of SV-FourierNet, of any size, into a checkpoint and out again.
+//! Import and export of the published weights: a PyTorch state dictionary of SV-FourierNet, of any size.
 //!
-//! The published network crops one pixel later than ours (from h/2 + 1 - side/2), so its filters are multiplied by the phase of that shift on the way
-//! in, and by its inverse on the way out; all else is the same parameter under the same name.
+//! The published network starts its crop one pixel later than ours (at h/2 + 1 - side/2). Import multiplies its filters
+//! by the phase of that shift, export by the inverse; all other parameters are the same under the same name.
 
 #[cfg(test)]
 mod tests;
 
-use super::adam::Adam;
 use super::weights::{self, FILTERS};
-use super::{Body, Checkpoint, Family, MeanNorms, NetworkConfig, Preset, SensorMaps, TrainError};
+use super::{Architecture, Checkpoint, NetworkConfig, Preset, TrainError};
 use crate::artifact::{ArtifactError, Tensors, write_tensors};
 use crate::noise::NoiseModel;
+use crate::sensor::SensorMaps;
 use half::{bf16, f16};
 use ndarray::{ArrayD, IxDyn};
 use pytorch_reader::{DType, PytorchError, PytorchReader, Tensor};
@@ -19,57 +19,63 @@ use std::collections::HashMap;
 use std::path::Path;
 use thiserror::Error;
 
-/// Sizes of the published network where nothing else is said: filter, used part of the frame, object.
-const PUBLISHED: (usize, [usize; 2], [usize; 2]) = (4200, [2886, 3500], [2400, 2400]);
+/// Sizes of the published network, pixels: side of its filters, used part of its frames, objects.
+const PUBLISHED_FILTER: usize = 4200;
+const PUBLISHED_FRAME: [usize; 2] = [2886, 3500];
+const PUBLISHED_OBJECT: [usize; 2] = [2400, 2400];
 
-/// Parameters that the published module holds and never uses, by name and shape in filters C; a strict loader wants them.
+/// Parameters that the published module holds but never uses; strict loading needs them.
 const UNUSED: [&str; 3] = ["deconvolution.conv.weight", "deconvolution.conv.bias", "deconvolution.activation.weight"];
 
 /// Why weights cannot be imported.
 #[derive(Debug, Error)]
 pub enum PthError {
-    /// The file is not PyTorch's.
+    /// The file is not a PyTorch state dictionary.
     #[error("expected a state dictionary as `torch.save` writes it: {0}")]
     File(#[from] PytorchError),
-    /// A parameter.
+    /// A parameter is missing, or has a wrong type, shape or value.
     #[error("parameter `{name}`: expected {expected}, found {found}")]
     Parameter {
-        /// Its name.
+        /// Name of the parameter.
         name: String,
         /// What was expected.
         expected: String,
         /// What was found.
         found: String,
     },
-    /// Sizes that no file holds.
-    #[error("the weights do not tell {0}: expected --instrument, or --frame and --object, found neither")]
+    /// A size that does not follow from the weights.
+    #[error(
+        "the size of {0} does not follow from the weights: expected --instrument, or --frame and --object, found \
+         neither"
+    )]
     Size(&'static str),
-    /// The network.
+    /// The sizes do not describe a network, or the network is not an SV-FourierNet.
     #[error(transparent)]
     Train(#[from] TrainError),
-    /// The file.
+    /// The output could not be written.
     #[error(transparent)]
     Artifact(#[from] ArtifactError),
 }
 
-/// What weights do not tell of a network.
+/// Properties of a network's instrument that do not follow from its weights.
 #[derive(Clone, Debug)]
-pub struct Surroundings {
-    /// Frame, rows and columns; None: as published.
+pub struct ImportConfig {
+    /// Rows and columns of frames; None: as published.
     pub frame: Option<[usize; 2]>,
-    /// Object, rows and columns; None: as published.
+    /// Rows and columns of objects; None: as published.
     pub object: Option<[usize; 2]>,
-    /// The sensor's noise.
+    /// Noise of the sensor.
     pub noise: NoiseModel,
-    /// The sensor's maps.
+    /// Maps of the sensor.
     pub maps: SensorMaps,
 }
 
-/// The checkpoint of a state dictionary, which may lie deeper in the file: `{"model": state dictionary, ...}`, or of parallel training (`module.`).
+/// Reads a state dictionary as a checkpoint. It may lie deeper in the file, as in `{"model": state dictionary, ...}`,
+/// or come from parallel training (names with the prefix `module.`).
 ///
 /// # Errors
-/// It is no PyTorch file, a parameter is missing or has a shape that fits no network, or sizes are not told.
-pub fn import(path: &Path, around: Surroundings) -> Result<Checkpoint, PthError> {
+/// The file is not PyTorch's, a parameter is missing or has a shape that fits no network, or a size is unknown.
+pub fn import(path: &Path, config: ImportConfig) -> Result<Checkpoint, PthError> {
     let found = PytorchReader::new(path)?.into_tensors();
     let prefix = found.keys().find_map(|name| name.strip_suffix(FILTERS[0])).unwrap_or_default();
     let mut tensors = Tensors::new();
@@ -80,7 +86,7 @@ pub fn import(path: &Path, around: Surroundings) -> Result<Checkpoint, PthError>
             tensors.insert(name.into(), values(tensor)?);
         }
     }
-    let network = shape(&tensors, &around)?;
+    let network = network_config(&tensors, &config)?;
     network.check()?;
     for (name, shape) in weights::shapes(&network) {
         let found = tensors.get(&name).map_or_else(|| "none".into(), |t| format!("shape {:?}", t.shape()));
@@ -91,39 +97,20 @@ pub fn import(path: &Path, around: Surroundings) -> Result<Checkpoint, PthError>
     let wanted: Vec<String> = weights::shapes(&network).into_iter().map(|(name, _)| name).collect();
     tensors.retain(|name, _| wanted.contains(name));
     shift(&mut tensors, &network, 1.0);
-    let training = Preset::Paper.training(around.noise.full_scale_e(), 0);
-    let body = Body {
-        network,
-        noise: around.noise,
-        training,
-        curve: Vec::new(),
-        best_step: 0,
-        step: 0,
-        norms: MeanNorms::default(),
-        support: None,
-        slowed: 0,
-    };
-    let adam = Adam::new(&tensors);
-    Ok(Checkpoint {
-        body,
-        weights: tensors.clone(),
-        maps: around.maps,
-        cases: Vec::new(),
-        samples: Vec::new(),
-        current: tensors,
-        adam,
-    })
+    let training = Preset::Paper.training(config.noise.full_scale_e(), 0);
+    Ok(Checkpoint { maps: config.maps, ..Checkpoint::untrained(network, config.noise, training, tensors) })
 }
 
-/// Writes the weights of a checkpoint as safetensors that `load_state_dict` of the published module takes.
+/// Writes the weights of a checkpoint as safetensors for `load_state_dict` of the published module; returns the number
+/// of tensors.
 ///
 /// # Errors
-/// The network is no SV-FourierNet, or the file cannot be written.
+/// The network is not an SV-FourierNet, or the file cannot be written.
 pub fn export(checkpoint: &Checkpoint, path: &Path) -> Result<usize, PthError> {
     let network = &checkpoint.body.network;
-    if network.family != Family::SvFourierNet {
-        let family = network.family.name().as_str().to_string();
-        return Err(TrainError::Config { field: "network", expected: "svfouriernet".into(), found: family }.into());
+    if network.architecture != Architecture::SvFourierNet {
+        let found = network.architecture.name().as_str().to_string();
+        return Err(TrainError::Config { field: "network", expected: "svfouriernet".into(), found }.into());
     }
     let mut tensors = checkpoint.weights.clone();
     shift(&mut tensors, network, -1.0);
@@ -136,7 +123,7 @@ pub fn export(checkpoint: &Checkpoint, path: &Path) -> Result<usize, PthError> {
     Ok(tensors.len())
 }
 
-/// The values of a tensor.
+/// The values of a tensor in single precision.
 fn values(tensor: &Tensor) -> Result<ArrayD<f32>, PthError> {
     let wrong = |expected: &str, found: String| PthError::Parameter {
         name: tensor.name.clone(),
@@ -161,8 +148,8 @@ fn values(tensor: &Tensor) -> Result<ArrayD<f32>, PthError> {
     }
 }
 
-/// The shape of the network, told from the shapes of its parameters.
-fn shape(tensors: &Tensors, around: &Surroundings) -> Result<NetworkConfig, PthError> {
+/// The configuration of the network, from the shapes of its parameters.
+fn network_config(tensors: &Tensors, config: &ImportConfig) -> Result<NetworkConfig, PthError> {
     let of = |name: &str, axes: usize| -> Result<&[usize], PthError> {
         let wrong = |found: String| PthError::Parameter { name: name.into(), expected: format!("{axes} axes"), found };
         let shape = tensors.get(name).ok_or_else(|| wrong("none".into()))?.shape();
@@ -173,9 +160,9 @@ fn shape(tensors: &Tensors, around: &Surroundings) -> Result<NetworkConfig, PthE
     let bottleneck = of(&format!("{}.weight", weights::name::attention(0, 0, 0)), 4)?[0];
     let has = |name: String| tensors.contains_key(&format!("{name}.weight"));
     let (channels, t) = (filters[0], filters[1]);
-    let published = t == PUBLISHED.0;
-    let frame = around.frame.or(published.then_some(PUBLISHED.1)).ok_or(PthError::Size("the frame"))?;
-    let object = around.object.or(published.then_some(PUBLISHED.2)).ok_or(PthError::Size("the object"))?;
+    let published = t == PUBLISHED_FILTER;
+    let frame = config.frame.or(published.then_some(PUBLISHED_FRAME)).ok_or(PthError::Size("the frame"))?;
+    let object = config.object.or(published.then_some(PUBLISHED_OBJECT)).ok_or(PthError::Size("the object"))?;
     Ok(NetworkConfig {
         frame,
         object,
@@ -185,11 +172,12 @@ fn shape(tensors: &Tensors, around: &Surroundings) -> Result<NetworkConfig, PthE
         groups: (0..256).take_while(|g| has(weights::name::conv(*g, 0, 0))).count(),
         blocks: (0..256).take_while(|b| has(weights::name::conv(0, *b, 0))).count(),
         reduction: width / bottleneck.max(1),
-        family: Family::SvFourierNet,
+        architecture: Architecture::SvFourierNet,
     })
 }
 
-/// Moves what the filters give by the pixels between the two crops, times `sign`: `K exp(2 pi i (k_row + k_col) n / T)`.
+/// Shifts the output of the filters by the n pixels between the two crops, times `sign`:
+/// `K exp(2 pi i (k_row + k_col) n / T)`.
 fn shift(tensors: &mut Tensors, network: &NetworkConfig, sign: f64) {
     let (t, bins) = (network.filter_size, network.filter_size / 2 + 1);
     let lag = |side: usize| (t / 2 + 1) as f64 - (side / 2) as f64 - ((t - side) / 2) as f64;

@@ -1,18 +1,21 @@
 #![allow(clippy::unwrap_used)]
-use super::super::source::tests::noise;
 use super::*;
-use crate::methods::{FloatNetwork, Reconstruct};
 use crate::rng;
+use crate::train::network::{Network, values as output_values};
+use crate::train::ops::fourier::Fourier;
+use crate::train::{Mode, NetworkInput, normalised};
+use burn::tensor::activation::sigmoid;
 use ndarray::Array2;
 use rand::RngExt;
+use std::sync::Arc;
 
 /// Written by PyTorch 2.15 with `tiny.py`.
 const TINY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/src/train/pth/tiny.pth");
 const FOUND: &str = include_str!("tiny.json");
 
-fn around() -> Surroundings {
-    let noise = NoiseModel { black_level_dn: 0.0, ..noise() };
-    Surroundings { frame: Some([12, 10]), object: Some([8, 8]), noise, maps: SensorMaps::default() }
+fn config() -> ImportConfig {
+    let noise = NoiseModel { black_level_dn: 0.0, ..NoiseModel::nominal() };
+    ImportConfig { frame: Some([12, 10]), object: Some([8, 8]), noise, maps: SensorMaps::default() }
 }
 
 fn numbers(name: &str) -> Vec<f32> {
@@ -22,11 +25,15 @@ fn numbers(name: &str) -> Vec<f32> {
 
 #[test]
 fn the_network_does_what_pytorch_does() {
-    let checkpoint = import(Path::new(TINY), around()).unwrap();
+    let checkpoint = import(Path::new(TINY), config()).unwrap();
     let network = &checkpoint.body.network;
     assert_eq!((network.channels, network.width, network.groups, network.blocks, network.reduction), (2, 4, 2, 1, 2));
     let frame = Array2::from_shape_vec((12, 10), numbers("frame")).unwrap();
-    let found = FloatNetwork::new(&checkpoint).unwrap().reconstruct(frame.view()).unwrap();
+    let plan = Arc::new(Fourier::new(network.fourier()));
+    let frame = normalised(&checkpoint.frame_input().unwrap(), frame.view()).unwrap();
+    let input = NetworkInput::of(network, &plan, &frame);
+    let float = Network::new(network, &plan, &checkpoint.weights, Mode::Infer).unwrap();
+    let found = output_values(sigmoid(float.forward(vec![input]).logits));
     let worst = found.iter().zip(numbers("object")).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
     assert!(worst < 2e-6, "{worst}");
 }
@@ -35,8 +42,8 @@ fn the_network_does_what_pytorch_does() {
 fn what_was_imported_comes_back_as_it_was() {
     let folder = tempfile::tempdir().unwrap();
     let [path, kept] = ["weights.safetensors", "network"].map(|name| folder.path().join(name));
-    let checkpoint = import(Path::new(TINY), around()).unwrap();
-    // A checkpoint that was never trained holds no optimiser, and is read as if it did.
+    let checkpoint = import(Path::new(TINY), config()).unwrap();
+    // A checkpoint that was never trained holds no optimiser; reading it gives the initial state.
     checkpoint.write(&kept, crate::artifact::Provenance::default()).unwrap();
     let read = Checkpoint::read(&kept).unwrap();
     assert_eq!((&read.weights, &read.current), (&checkpoint.weights, &checkpoint.weights));
@@ -57,14 +64,14 @@ fn what_was_imported_comes_back_as_it_was() {
 }
 
 #[test]
-fn sizes_that_nobody_told_are_asked_for() {
-    let error = import(Path::new(TINY), Surroundings { object: None, ..around() }).unwrap_err().to_string();
+fn sizes_that_are_unknown_are_asked_for() {
+    let error = import(Path::new(TINY), ImportConfig { object: None, ..config() }).unwrap_err().to_string();
     assert!(error.contains("--object"), "{error}");
-    let error = import(Path::new(TINY), Surroundings { frame: Some([20, 10]), ..around() }).unwrap_err().to_string();
+    let error = import(Path::new(TINY), ImportConfig { frame: Some([20, 10]), ..config() }).unwrap_err().to_string();
     assert!(error.starts_with("frame:"), "{error}");
 }
 
-/// The parser is a library's: here only that its refusals come through, and that what it lets through is checked.
+/// A library parses the file: this tests that its errors are reported, and that the tensors it accepts are checked.
 #[test]
 fn damaged_files_are_refused_and_nothing_worse() {
     let folder = tempfile::tempdir().unwrap();
@@ -83,10 +90,10 @@ fn damaged_files_are_refused_and_nothing_worse() {
             bytes.truncate(rng.random_range(0..bytes.len()));
         }
         std::fs::write(&path, &bytes).unwrap();
-        if let Ok(checkpoint) = import(&path, around()) {
+        if let Ok(checkpoint) = import(&path, config()) {
             assert!(checkpoint.weights.values().flatten().all(|v| v.is_finite()));
         }
     }
     std::fs::write(&path, "weights").unwrap();
-    assert!(import(&path, around()).unwrap_err().to_string().contains("torch.save"));
+    assert!(import(&path, config()).unwrap_err().to_string().contains("torch.save"));
 }

@@ -1,67 +1,57 @@
-//! How a run begins: anew, from another run's weights, or where it stopped.
+//! How a run begins: from new weights, from another run's weights, or from its own checkpoint.
 
-use super::{Task, Trainer, same};
+use super::{RecentLoss, Trainer, VALIDATION};
 use crate::noise::NoiseModel;
 use crate::rng;
 use crate::train::adam::Adam;
-use crate::train::checkpoint::{Body, Checkpoint};
+use crate::train::checkpoint::Checkpoint;
 use crate::train::ops::fourier::Fourier;
-use crate::train::{Family, Lenses, Place, Start, Support, TrainConfig, TrainError, regression, weights};
+use crate::train::settings::same;
+use crate::train::{
+    Architecture, Backend, FilterMask, Lenses, Start, Task, TrainConfig, TrainError, regression, weights,
+};
 use rand::seq::SliceRandom;
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Instant;
 
-/// Fewest pairs that can be divided into training and validation.
+/// Smallest number of pairs that can be divided into training and validation.
 const FEWEST: usize = 4;
 
-/// Most held-out frames that a checkpoint keeps, and most pixels of them together.
+/// Maximum number of held-out frames that a checkpoint keeps, and maximum number of their pixels together.
 const CASES: usize = 16;
 const CASE_PIXELS: usize = 1 << 22;
 
+/// Number of steps that are timed to turn minutes into steps.
+const TIMED: u64 = 8;
+
 impl<'a> Trainer<'a> {
-    /// A run from the start.
+    /// A run with new weights.
     ///
     /// # Errors
-    /// The configuration makes no sense, there are too few pairs, or a pair does not fit.
+    /// The configuration is not valid, a sensor map has another shape than the frames, there are too few pairs, or a
+    /// pair does not fit the network.
     pub fn new(task: Task<'a>, training: TrainConfig) -> Result<Self, TrainError> {
         Self::with_lenses(task, training, None)
     }
 
-    /// A run from the start of a network that knows the calibrated lenses.
+    /// A run with new weights and calibrated lenses, for networks that start from PSFs or are trained on the view of
+    /// each lens.
     ///
     /// # Errors
-    /// As [`Trainer::new`]; or the network needs the lenses and has none.
+    /// As [`Trainer::new`]; or the network needs lenses and `lenses` is None.
     pub fn with_lenses(task: Task<'a>, training: TrainConfig, lenses: Option<&'a Lenses>) -> Result<Self, TrainError> {
         task.network.check()?;
         training.check()?;
         let seed = training.seed;
         let current = weights::random(&task.network, seed);
-        let body = Body {
-            network: task.network.clone(),
-            noise: task.noise,
-            training,
-            curve: Vec::new(),
-            best_step: 0,
-            step: 0,
-            norms: Default::default(),
-            support: None,
-            slowed: 0,
-        };
-        let adam = Adam::new(&current);
-        let state = Checkpoint {
-            body,
-            weights: current.clone(),
-            maps: task.maps.clone(),
-            cases: Vec::new(),
-            samples: Vec::new(),
-            current,
-            adam,
-        };
+        let untrained = Checkpoint::untrained(task.network.clone(), task.noise, training, current);
+        let state = Checkpoint { maps: task.maps.clone(), ..untrained };
         let mut run = Self::with_state(task, state, lenses)?;
         let kept = (CASE_PIXELS / (run.task.network.frame[0] * run.task.network.frame[1]))
             .clamp(1, CASES)
             .min(run.held_out.len());
-        run.state.cases = run.loader().cases(&run.held_out[..kept], "validation", 0)?;
+        run.state.cases = run.loader().cases(&run.held_out[..kept], VALIDATION)?;
         let start = run.state.body.training.start;
         if start != Start::Random {
             let mut fitted = run.state.current.clone();
@@ -75,10 +65,10 @@ impl<'a> Trainer<'a> {
         Ok(run)
     }
 
-    /// A run that starts from the best weights of another, and within its taps: for an instrument that was closed, or for a device.
+    /// A run that starts from the best weights of the checkpoint at `path`, with the filter mask of that checkpoint.
     ///
     /// # Errors
-    /// As [`Trainer::with_lenses`]; or the checkpoint at `path` holds another network.
+    /// As [`Trainer::with_lenses`]; or the checkpoint cannot be read or holds another network.
     pub fn fine_tune(
         task: Task<'a>,
         training: TrainConfig,
@@ -94,35 +84,71 @@ impl<'a> Trainer<'a> {
                 found: format!("{:?}", from.body.network),
             });
         }
-        // The start is given: nothing is to be fitted first.
+        // The weights are given: no start is computed.
         let mut run = Self::with_lenses(task, TrainConfig { start: Start::Random, ..training }, lenses)?;
         run.state.adam = Adam::new(&from.weights);
         (run.state.weights, run.state.current) = (from.weights.clone(), from.weights);
-        Ok(match from.body.support {
-            Some(support) => run.within(support),
+        Ok(match from.body.filter_mask {
+            Some(mask) => run.with_mask(mask),
             None => run,
         })
     }
 
-    /// The same with the filters held to a device's taps from now on.
+    /// The same run with the filters limited to a mask, now and after every step.
     #[must_use]
-    pub fn within(mut self, support: Support) -> Self {
-        self.state.body.support = Some(support);
-        self.hold();
+    pub fn with_mask(mut self, mask: FilterMask) -> Self {
+        self.state.body.filter_mask = Some(mask);
+        self.apply_mask();
         self.state.weights = self.state.current.clone();
         self
     }
 
-    /// Takes up the run that wrote the checkpoint at `path`; the rest of it gives the same bits as if it had never stopped.
+    /// A new run of the same task with the same settings, whose filters start from calibrated PSFs.
     ///
     /// # Errors
-    /// As [`Trainer::new`]; the checkpoint cannot be read; or it was made with another network, sensor or settings (more `steps` is no
-    /// reason to refuse).
+    /// As [`Trainer::with_lenses`].
+    pub fn restarted_from_psfs(&self) -> Result<Self, TrainError> {
+        let training = TrainConfig { start: Start::Psf, ..self.state.body.training.clone() };
+        Self::with_lenses(self.task.clone(), training, self.lenses)
+    }
+
+    /// The settings `training` with as many steps as fit into `minutes`, from the time of the first few steps of a
+    /// trial run. The result depends on the machine.
+    ///
+    /// # Errors
+    /// As [`Trainer::with_lenses`] and [`Trainer::step`]; or `minutes` is not a positive number.
+    pub fn fit_to_time(
+        task: &Task<'a>,
+        training: TrainConfig,
+        lenses: Option<&'a Lenses>,
+        minutes: f64,
+    ) -> Result<TrainConfig, TrainError> {
+        if !(minutes.is_finite() && minutes > 0.0) {
+            let (expected, found) = ("a positive number".into(), minutes.to_string());
+            return Err(TrainError::Config { field: "--minutes", expected, found });
+        }
+        let mut trial = Self::with_lenses(task.clone(), training.clone(), lenses)?;
+        // The first step allocates memory and is not timed.
+        trial.step()?;
+        let start = Instant::now();
+        for _ in 0..TIMED {
+            trial.step()?;
+        }
+        let steps = (60.0 * minutes * TIMED as f64 / start.elapsed().as_secs_f64()) as u64;
+        Ok(training.with_steps(steps.max(1)))
+    }
+
+    /// Resumes the run that wrote the checkpoint at `path`; the result has the same bits as that of an uninterrupted
+    /// run.
+    ///
+    /// # Errors
+    /// As [`Trainer::new`]; the checkpoint cannot be read; or it was made with another network, sensor or settings
+    /// (another number of `steps` is allowed).
     pub fn resume(task: Task<'a>, training: TrainConfig, path: &Path) -> Result<Self, TrainError> {
         Self::resume_with_lenses(task, training, None, path)
     }
 
-    /// [`Trainer::resume`] of a network that knows the calibrated lenses.
+    /// As [`Trainer::resume`], with calibrated lenses as in [`Trainer::with_lenses`].
     ///
     /// # Errors
     /// As [`Trainer::resume`].
@@ -154,19 +180,20 @@ impl<'a> Trainer<'a> {
     fn with_state(task: Task<'a>, state: Checkpoint, lenses: Option<&'a Lenses>) -> Result<Self, TrainError> {
         let plan = Arc::new(Fourier::new(task.network.fourier()));
         let training = &state.body.training;
-        let (family, start) = (&task.network.family, training.start);
+        task.maps.check(task.network.frame)?;
+        let (architecture, start) = (&task.network.architecture, training.start);
         let unfit = |field, expected: &str, found: &str| {
             Err(TrainError::Config { field, expected: expected.into(), found: found.into() })
         };
-        if lenses.is_none() && (start == Start::Psf || matches!(family, Family::Cm2Net { .. })) {
-            return unfit("instrument", "one whose lenses the network can know", "none");
+        if lenses.is_none() && (start == Start::Psf || matches!(architecture, Architecture::Cm2Net { .. })) {
+            return unfit("instrument", "an instrument with calibrated lenses", "none");
         }
-        match (family, start) {
-            (Family::Cm2Net { .. }, Start::Psf | Start::Regression) => {
-                return unfit("start", "random, for a CM2Net", "filters");
+        match (architecture, start) {
+            (Architecture::Cm2Net { .. }, Start::Psf | Start::Regression) => {
+                return unfit("start", "random, for a CM2Net", "a start for filters");
             }
-            (Family::MultiWienerNet | Family::MultiFlatNet, Start::Regression) => {
-                return unfit("start", "random or psf, for filters in space", "regression");
+            (Architecture::MultiWienerNet | Architecture::MultiFlatNet, Start::Regression) => {
+                return unfit("start", "random or psf, for filters learned in space", "regression");
             }
             _ => (),
         }
@@ -182,14 +209,14 @@ impl<'a> Trainer<'a> {
         Ok(Self {
             task,
             lenses,
-            place: Place::Cpu,
+            backend: Backend::Cpu,
             plan,
             train: pairs,
             held_out,
             state,
             kept: false,
-            next: None,
-            recent: (0.0, 0),
+            prepared: None,
+            recent: RecentLoss::default(),
         })
     }
 }

@@ -1,11 +1,13 @@
 #![allow(clippy::unwrap_used)]
-use super::super::source::tests::{foci, noise};
+use super::super::testing::foci;
 use super::*;
-use crate::train::{Pair, Preset};
+use crate::noise::NoiseModel;
+use crate::sensor::SensorMaps;
+use crate::train::{Architecture, NetworkConfig, Pair, Preset, Start, weights};
 
 fn task(pairs: &Vec<Pair>) -> Task<'_> {
     let network = NetworkConfig { channels: 2, width: 4, reduction: 2, ..Preset::Nano.network([40, 40], [16, 16]) };
-    Task { source: pairs, network, noise: noise(), maps: SensorMaps::default() }
+    Task { source: pairs, network, noise: NoiseModel::nominal(), maps: SensorMaps::default() }
 }
 
 fn training(steps: u64, start: Start) -> TrainConfig {
@@ -20,19 +22,19 @@ fn training(steps: u64, start: Start) -> TrainConfig {
     }
 }
 
-/// The derivative along a direction, by the chain of gradients and by a central difference. In f32 the difference of two losses is good
-/// to a few parts in a thousand at this step.
+/// The derivative along a direction, by the chain of gradients and by a central difference. In f32 the difference of
+/// two losses is good to a few parts in a thousand at this step.
 #[test]
 fn gradients_are_the_slope_of_the_loss() {
     slopes_agree(NetworkConfig::clone(&task(&Vec::new()).network), Start::Regression);
 }
 
-/// As above, through the kernels' spectra, the Wiener formula, and both losses of a CM2Net.
+/// As above for the peers: through the spectra of kernels, the Wiener formula, and both losses of a CM2Net.
 #[test]
 fn gradients_of_peers_are_the_slopes_of_their_losses() {
     let plain = task(&Vec::new()).network;
-    for family in [Family::MultiWienerNet, Family::MultiFlatNet] {
-        slopes_agree(NetworkConfig { family, ..plain.clone() }, Start::Psf);
+    for architecture in [Architecture::MultiWienerNet, Architecture::MultiFlatNet] {
+        slopes_agree(NetworkConfig { architecture, ..plain.clone() }, Start::Psf);
     }
     slopes_agree(lenses().cm2net(plain), Start::Random);
 }
@@ -45,11 +47,11 @@ fn slopes_agree(network: NetworkConfig, start: Start) {
     let (pairs, lenses) = (foci(6, 40, 16, 10), lenses());
     let task = Task { network, ..task(&pairs) };
     let run = Trainer::with_lenses(task, training(1, start), Some(&lenses)).unwrap();
-    let examples = run.loader().examples(&[0, 1], "train", 0).unwrap();
-    let (frames, targets) = split(examples);
+    let examples = run.loader().examples(&[0, 1], Draw { name: "train", index: 0 }).unwrap();
+    let Batch { inputs, targets } = Batch::of(examples);
     let loss = |tensors: &Tensors, mode| {
         let network = Network::new(&run.task.network, &run.plan, tensors, mode).unwrap();
-        let loss = run.loss(network.say(frames.clone()), targets.clone(), mode);
+        let loss = run.loss(network.forward(inputs.clone()), targets.clone(), mode);
         (network, loss)
     };
     let (network, value) = loss(&run.state.current, Mode::Train);
@@ -87,11 +89,11 @@ fn training_lowers_the_loss_and_keeps_the_best() {
 }
 
 #[test]
-fn peers_learn_and_are_taken_up_in_the_same_bits() {
+fn peers_learn_and_resume_with_the_same_bits() {
     let (pairs, lenses) = (foci(12, 40, 16, 10), lenses());
     let folder = tempfile::tempdir().unwrap();
     let plain = task(&pairs).network;
-    let wiener = NetworkConfig { family: Family::MultiWienerNet, ..plain.clone() };
+    let wiener = NetworkConfig { architecture: Architecture::MultiWienerNet, ..plain.clone() };
     for (network, start) in [(wiener, Start::Psf), (lenses.cm2net(plain), Start::Random)] {
         let task = || Task { network: network.clone(), ..task(&pairs) };
         let [whole, halved] = ["whole", "halved"].map(|name| folder.path().join(name));
@@ -134,7 +136,7 @@ fn a_run_that_was_stopped_ends_in_the_same_bits() {
     let mut run = Trainer::new(task(&pairs), training.clone()).unwrap();
     run.run(&whole, &provenance, |_| Next::Continue).unwrap();
     let mut run = Trainer::new(task(&pairs), training.clone()).unwrap();
-    // Stopped between two checkpoints: what came after the last is done again.
+    // Stopped between two checkpoints: the steps after the last one are taken again.
     run.run(&halved, &provenance, |p| if p.step == 5 { Next::Stop } else { Next::Continue }).unwrap();
     let mut run = Trainer::resume(task(&pairs), training, &halved).unwrap();
     assert_eq!(run.checkpoint().body.step, 3);
@@ -161,14 +163,15 @@ fn another_network_is_not_resumed() {
 }
 
 #[test]
-fn a_loss_that_is_no_number_stops_the_run() {
+fn a_loss_that_is_not_finite_stops_the_run() {
     let pairs = foci(10, 40, 16, 10);
     let mut run = Trainer::new(task(&pairs), training(3, Start::Random)).unwrap();
     run.state.current.values_mut().next().unwrap().fill(f32::NAN);
     assert!(matches!(run.step(), Err(TrainError::Diverged { step: 0, .. })));
 }
 
-/// A run of 9 steps whose weights `spoil` changes after the 5th: it goes back to the checkpoint of the 3rd, and on at half the rates.
+/// A run of 9 steps whose weights `spoil` changes after the 5th: it goes back to the checkpoint of the 3rd step and
+/// continues with half the learning rates.
 fn goes_back_after(spoil: impl Fn(&mut Tensors)) -> Checkpoint {
     let pairs = foci(10, 40, 16, 10);
     let folder = tempfile::tempdir().unwrap();
@@ -190,13 +193,13 @@ fn goes_back_after(spoil: impl Fn(&mut Tensors)) -> Checkpoint {
 }
 
 #[test]
-fn a_run_goes_back_where_its_loss_is_no_number() {
+fn a_run_goes_back_where_its_loss_is_not_finite() {
     goes_back_after(|weights| weights.values_mut().next().unwrap().fill(f32::NAN));
 }
 
-/// A step that is too long may end where the loss is a number, but a large one: from there a network does not find back.
+/// A step that is too long can end at a finite but large loss, from which a network does not recover.
 #[test]
-fn a_run_goes_back_where_its_held_out_loss_has_burst() {
+fn a_run_goes_back_where_its_held_out_loss_has_diverged() {
     let tail = format!("{}.bias", weights::name::TAIL);
     let read = goes_back_after(|weights| weights.get_mut(&tail).unwrap().fill(20.0));
     assert!(read.body.curve.iter().all(|p| p.validation_loss < 10.0), "{:?}", read.body.curve);

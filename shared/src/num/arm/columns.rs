@@ -1,23 +1,23 @@
 //! Columns of pairs of halves, such as complex numbers, a stride apart: see [`crate::num::pairs`].
 //!
-//! Places are counted shifted to the left, so that reversing the bits of the count gives the offset of the place in
-//! bytes. Pairs i and i + n/2 lie side by side when the bits are reversed, and i + n/4 and i + 3n/4 behind them.
+//! Indices are shifted to the left, so that reversing the bits gives the offset of the element in bytes. Pairs i and i
+//! + n/2 are neighbours when the bits are reversed, and i + n/4 and i + 3n/4 follow them.
 
 use crate::num::f16;
 use crate::num::pairs::{Parts, check};
 
-/// How far a place among `len` is shifted, so that `rbit` gives its offset in pairs of singles.
+/// Shift to the left of an index below `len`, after which `rbit` gives the offset of the element in bytes.
 pub(super) const fn shift(len: usize) -> u32 {
     (u32::BITS - size_of::<[f32; 2]>().trailing_zeros()).saturating_sub(len.trailing_zeros())
 }
 
-/// Widens `to.len()` pairs, each to the place with its number's bits reversed; 22 instructions for four.
+/// Widens `to.len()` pairs, each to the index with reversed bits. 22 instructions for four.
 #[inline(always)]
 pub(in crate::num) fn gather_pairs(from: &[f16], stride: usize, to: &mut [[f32; 2]]) {
     let len = to.len();
     assert!(len.is_power_of_two() && len >= 4, "{len} places");
     check(from.len(), stride, len);
-    // SAFETY: the pairs and the places are there; only `from` need not be aligned to words.
+    // SAFETY: the pairs and the elements exist; only `from` need not be aligned to words.
     unsafe {
         asm_low!(
             "2:",
@@ -50,15 +50,15 @@ pub(in crate::num) fn gather_pairs(from: &[f16], stride: usize, to: &mut [[f32; 
     }
 }
 
-/// Adds the products of `to.len()` pairs of k and x, each to the place with its number's bits reversed, imaginary part
-/// first; 31 instructions for two. All products are exact.
+/// Adds the products of `to.len()` pairs of k and x, each to the index with reversed bits, imaginary part first. 31
+/// instructions for two. All products are exact.
 #[inline(always)]
 pub(in crate::num) fn add_products(k: &[f16], x: &[f16], stride: usize, to: &mut [[f32; 2]]) {
     let len = to.len();
     assert!(len.is_power_of_two() && len >= 2, "{len} places");
     check(k.len(), stride, len);
     check(x.len(), stride, len);
-    // SAFETY: the pairs and the places are there; only `k` and `x` need not be aligned to words.
+    // SAFETY: the pairs and the elements exist; only `k` and `x` need not be aligned to words.
     unsafe {
         asm_low!(
             "2:",
@@ -100,7 +100,7 @@ pub(in crate::num) fn add_products(k: &[f16], x: &[f16], stride: usize, to: &mut
     }
 }
 
-/// The loop of [`scatter_pairs`]: what is done first, and which half of the word each number goes to.
+/// The loop of [`scatter_pairs`]: instructions that come first, and the half of the word that each number goes to.
 macro_rules! scatter {
     (
         $scaled:expr, $first:literal $second:literal,
@@ -139,7 +139,7 @@ macro_rules! scatter {
     };
 }
 
-/// Narrows pairs. Returns how many are done, a multiple of four; 19 instructions for four, 28 where they are scaled.
+/// Narrows pairs, and returns the number of pairs done, a multiple of four. 19 instructions for four, 28 with scaling.
 #[inline(always)]
 pub(in crate::num) fn scatter_pairs(from: &[[f32; 2]], parts: Parts, to: &mut [f16], stride: usize) -> usize {
     check(to.len(), stride, from.len());
@@ -147,7 +147,7 @@ pub(in crate::num) fn scatter_pairs(from: &[[f32; 2]], parts: Parts, to: &mut [f
     if n == 0 {
         return 0;
     }
-    // SAFETY: the pairs and their places are there; only `to` need not be aligned to words.
+    // SAFETY: the pairs and their destinations exist; only `to` need not be aligned to words.
     unsafe {
         match parts {
             Parts::Scaled(scale) => scatter!(

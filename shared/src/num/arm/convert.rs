@@ -1,4 +1,4 @@
-//! Conversions.
+//! Conversions between halves and singles.
 
 use core::arch::asm;
 

@@ -1,9 +1,9 @@
-//! Division of halves: no vector unit of a Cortex-M divides.
+//! Division of halves by the scalar unit: no vector unit of a Cortex-M divides.
 
 use crate::num::f16;
 
-/// Divides by `divisor`, 28 instructions for eight. Returns how many are done: none where the slice does not begin at a
-/// word.
+/// Divides by `divisor`, 28 instructions for eight elements. Returns the number of elements done: none where the slice
+/// does not begin at a word.
 #[inline(always)]
 pub(in crate::num) fn divide(values: &mut [f16], divisor: f32) -> usize {
     let n = values.len() / 8;

@@ -1,5 +1,5 @@
-//! What [`crate::num::fused`] does, eight elements at a time. Each function returns how many elements it has done: none
-//! where a slice of halves does not begin at a word.
+//! The routines of [`crate::num::fused`], eight elements at a time. Each returns the number of elements that it has
+//! done. It does none where a slice of halves does not begin at a word.
 
 use crate::num::f16;
 
@@ -9,7 +9,7 @@ fn blocks(halves: &[f16], len: usize) -> usize {
     if halves.as_ptr().addr().is_multiple_of(4) { len.min(halves.len()) / 8 } else { 0 }
 }
 
-/// 18 instructions for eight; `usat16` takes two negative halves to zero.
+/// [`crate::num::fused::narrow_relu`]: 18 instructions for eight elements; `usat16` takes two negative halves to zero.
 #[inline(always)]
 pub(in crate::num) fn narrow_relu(from: &[f32], to: &mut [f16]) -> usize {
     let n = blocks(to, from.len());
@@ -42,7 +42,7 @@ pub(in crate::num) fn narrow_relu(from: &[f32], to: &mut [f16]) -> usize {
     8 * n
 }
 
-/// 29 instructions for eight.
+/// [`crate::num::fused::accumulate`]: 29 instructions for eight elements.
 #[inline(always)]
 pub(in crate::num) fn accumulate(from: &[f32], to: &mut [f16]) -> usize {
     let n = blocks(to, from.len());
@@ -76,7 +76,7 @@ pub(in crate::num) fn accumulate(from: &[f32], to: &mut [f16]) -> usize {
     8 * n
 }
 
-/// 37 instructions for eight.
+/// [`crate::num::fused::add_scaled`]: 37 instructions for eight elements.
 #[inline(always)]
 pub(in crate::num) fn add_scaled(scale: f32, from: &[f16], to: &mut [f16]) -> usize {
     let n = blocks(from, 8 * blocks(to, from.len()));
@@ -113,7 +113,7 @@ pub(in crate::num) fn add_scaled(scale: f32, from: &[f16], to: &mut [f16]) -> us
     8 * n
 }
 
-/// 19 instructions for eight.
+/// [`crate::num::fused::add_eights`]: 19 instructions for eight elements.
 #[inline(always)]
 pub(in crate::num) fn add_eights(from: &[f16], sums: &mut [f32; 8]) -> usize {
     let n = blocks(from, from.len());
@@ -146,7 +146,7 @@ pub(in crate::num) fn add_eights(from: &[f16], sums: &mut [f32; 8]) -> usize {
     8 * n
 }
 
-/// The loop of [`widen_alternate`]: which half of each word.
+/// The loop of [`widen_alternate`]. `convert` selects the half of each word.
 macro_rules! alternate {
     ($convert:literal, $from:ident, $to:ident, $n:ident) => {
         asm_all!(
@@ -170,7 +170,7 @@ macro_rules! alternate {
     };
 }
 
-/// 12 instructions for eight.
+/// [`crate::num::fused::widen_alternate`]: 12 instructions for eight elements.
 #[inline(always)]
 pub(in crate::num) fn widen_alternate(from: &[f16], first: usize, to: &mut [f32]) -> usize {
     let n = blocks(from, from.len()) / 2;
@@ -189,7 +189,7 @@ pub(in crate::num) fn widen_alternate(from: &[f16], first: usize, to: &mut [f32]
     8 * n
 }
 
-/// 22 instructions for four pairs. Returns how many pairs are done.
+/// [`crate::num::fused::round_interleaved`]: 22 instructions for four pairs. Returns how many pairs are done.
 #[inline(always)]
 pub(in crate::num) fn round_interleaved(even: &[f32], odd: &[f32], to: &mut [f32]) -> usize {
     let n = even.len().min(odd.len()).min(to.len() / 2) / 4;

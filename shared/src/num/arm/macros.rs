@@ -1,6 +1,6 @@
-//! Assembly that the routines share: what they clobber, instructions, and blocks of conversions.
+//! Macros of the routines in assembly: lists of clobbered registers, instructions, and blocks of conversions.
 
-/// `asm!` that clobbers s0-s15, which no caller expects to be kept.
+/// `asm!` that clobbers s0-s15, which callers do not expect to be kept.
 macro_rules! asm_low {
     ($($item:tt)*) => {
         core::arch::asm!(

@@ -1,11 +1,13 @@
-//! The instructions of the Cortex-M's floating-point unit (FPv4-SP, FPv5) that the language does not reach: conversions
-//! between halves and singles, loads and stores of many registers, the fused multiply-accumulate for exact products,
-//! and the chained one (`vmla`, `vmls`: two roundings, as [`super::mac`]) that makes a complex product four
-//! instructions.
+//! Routines in assembly, for instructions of the Cortex-M's floating-point unit (FPv4-SP, FPv5) that the compiler does
+//! not use: conversions between halves and singles, loads and stores of many registers, the fused multiply-accumulate
+//! for exact products, and the chained one (`vmla`, `vmls`: two roundings, as [`super::mac`]), with which a complex
+//! product takes four instructions.
 //!
-//! Each routine names the vector registers that it uses as clobbered, which is all that the compiler lets it do with
-//! them. Loops stand in assembly as a whole, because no value can be handed over in a vector register. NaN: the unit
-//! keeps sign and payload. Arithmetic only makes the default NaN, which converts as the rest of [`super`] says.
+//! Each routine declares the vector registers that it uses as clobbered. The compiler does not allow vector registers
+//! as operands, so whole loops are in assembly.
+//!
+//! NaN: conversions keep sign and payload. Arithmetic returns only the default NaN, which is converted as [`super`]
+//! defines.
 #![allow(unsafe_code)]
 
 #[macro_use]

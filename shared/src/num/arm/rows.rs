@@ -1,5 +1,5 @@
-//! Rows of real transforms, of one lane: what [`crate::fft`] does before and after the complex transform of half their
-//! length.
+//! Rows of real transforms, of one lane: the steps of [`crate::fft`] before and after the complex transform of half
+//! their length.
 
 use super::columns::shift;
 use crate::fft::ROOT_TRIPLES;
@@ -11,12 +11,12 @@ fn roots(n: usize) -> (usize, *const [f32; 2]) {
     (stride * size_of_val(&ROOT_TRIPLES[0]), &ROOT_TRIPLES[stride][1])
 }
 
-/// Places of a transform that these loops can run over.
+/// Lengths of a transform that these loops can run over.
 fn fits(len: usize) -> bool {
     len.is_power_of_two() && len >= 4 && len <= 2 * ROOT_TRIPLES.len()
 }
 
-/// Copies the pairs of a row to the places with their numbers' bits reversed; 10 instructions for four.
+/// Copies the pairs of a row to the indices with reversed bits. 10 instructions for four.
 pub(crate) fn order_row(row: &[f32], to: &mut [[f32; 2]]) {
     let (quarter, len) = (to.len() / 2, to.len());
     assert!(fits(len) && row.len() == 2 * len, "a row of {} numbers", row.len());
@@ -99,7 +99,7 @@ pub(crate) fn untangle_row(data: &[[f32; 2]], row: &mut [f16]) {
 }
 
 /// The first half of an inverse real transform: [`crate::fft::RealFft::tangle`] for k from 1 to N/4 - 1, from the
-/// halves of `row` to the places with their numbers' bits reversed. 31 instructions for two numbers.
+/// halves of `row` to the indices with reversed bits. 31 instructions for two numbers.
 pub(crate) fn tangle_row(row: &[f16], to: &mut [[f32; 2]]) {
     let half = to.len();
     assert!(fits(half) && row.len() == 2 * half + 2, "a row of {} halves", row.len());
@@ -156,7 +156,7 @@ pub(crate) fn tangle_row(row: &[f16], to: &mut [[f32; 2]]) {
     }
 }
 
-/// Scales pairs, the second number first; 12 instructions for four.
+/// Writes pairs, scaled, the second number first. 12 instructions for four.
 pub(crate) fn scale_row(from: &[[f32; 2]], scale: f32, to: &mut [f32]) {
     let n = from.len() / 4;
     assert!(fits(from.len()) && to.len() == 2 * from.len(), "a row of {} numbers", to.len());

@@ -6,14 +6,14 @@ use super::{Four, shift, unflushed};
 use crate::num::f16;
 use crate::num::pairs::Parts;
 
-/// Whether `halves` hold `len` groups of four pairs a stride apart.
+/// Checks that `halves` hold `len` groups of four pairs at this stride. Panics otherwise.
 #[inline(always)]
 pub(super) fn check(halves: usize, stride: usize, len: usize) {
     assert!(stride >= 8 && halves + stride >= len * stride + 8, "{halves} halves are too few");
 }
 
-/// Transforms four columns, the pairs at `columns[i * stride..][..8]`, in place, scaled; `data` is scratch. False, and
-/// nothing written, where Helium flushed a number.
+/// Transforms four columns, the pairs at `columns[i * stride..][..8]`, in place, scaled. `data` is scratch. Returns
+/// false, and writes nothing, where Helium flushed a number.
 ///
 /// Halves are multiples of 2^-24. A pass with the roots of n, none of whose parts but zero is below sin(2 pi / n),
 /// rounds to multiples at most 2^24 / sin(2 pi / n) times finer. Up to 256 there are three such passes, which leaves
@@ -36,7 +36,7 @@ pub(crate) fn forward_columns(columns: &mut [f16], stride: usize, scale: f32, da
     exact
 }
 
-/// Widens pairs to the places with their numbers' bits reversed, by way of the butterflies of four neighbours. 45
+/// Widens pairs, computes the butterflies of four neighbours, and writes each to the index with reversed bits. 45
 /// instructions for four numbers.
 #[inline(always)]
 fn gather(from: &[f16], stride: usize, to: &mut [Four]) {
@@ -113,8 +113,8 @@ fn gather(from: &[f16], stride: usize, to: &mut [Four]) {
     }
 }
 
-/// Adds the products of two spectra, four columns of them, imaginary part first, to the places of `to` whose numbers
-/// have the bits of `i` reversed. All products are exact, and sums multiples of 2^-48. 36 instructions for two numbers.
+/// Adds the products of two spectra, four columns of them, imaginary part first, to the elements of `to` at the indices
+/// with reversed bits. All products are exact, and sums are multiples of 2^-48. 36 instructions for two numbers.
 #[inline(always)]
 pub(crate) fn add_product_columns([k, x]: [&[f16]; 2], stride: usize, to: &mut [Four]) {
     let len = to.len();
@@ -122,7 +122,7 @@ pub(crate) fn add_product_columns([k, x]: [&[f16]; 2], stride: usize, to: &mut [
     check(k.len(), stride, len);
     check(x.len(), stride, len);
     let far = len / 2 * stride;
-    // SAFETY: the pairs and the places are there.
+    // SAFETY: the pairs and the elements exist.
     unsafe {
         asm_all!(
             "dls lr, {n}",
@@ -224,9 +224,9 @@ macro_rules! product {
     };
 }
 
-/// Puts the products of two spectra, four columns of them, imaginary part first, to the places with their numbers' bits
-/// reversed, by way of the butterflies of four neighbours. All products are exact, and sums multiples of 2^-48. 82
-/// instructions for four numbers.
+/// Computes the products of two spectra, four columns of them, imaginary part first, and the butterflies of four
+/// neighbours, and writes each to the index with reversed bits. All products are exact, and sums are multiples of
+/// 2^-48. 82 instructions for four numbers.
 #[inline(always)]
 fn multiply([k, x]: [&[f16]; 2], stride: usize, to: &mut [Four]) {
     let len = to.len();
@@ -295,8 +295,8 @@ fn multiply([k, x]: [&[f16]; 2], stride: usize, to: &mut [Four]) {
     }
 }
 
-/// Transforms the product of two spectra, four columns of them, imaginary part first, into `to`. False where Helium
-/// flushed a number.
+/// Transforms the product of two spectra, four columns of them, imaginary part first, into `to`. Returns false
+/// where Helium flushed a number.
 pub(crate) fn transform_product_columns(product: [&[f16]; 2], stride: usize, to: &mut [Four]) -> bool {
     unflushed(|| {
         multiply(product, stride, to);
@@ -304,7 +304,7 @@ pub(crate) fn transform_product_columns(product: [&[f16]; 2], stride: usize, to:
     })
 }
 
-/// Transforms four columns in their places. False where Helium flushed a number.
+/// Transforms four columns in place. Returns false where Helium flushed a number.
 pub(crate) fn transform_columns(data: &mut [Four]) -> bool {
     unflushed(|| transform(data))
 }
@@ -363,7 +363,7 @@ pub(crate) fn scatter_columns(from: &[Four], parts: Parts, to: &mut [f16], strid
         return;
     }
     check(to.len(), stride, from.len());
-    // SAFETY: the pairs and their places are there.
+    // SAFETY: the pairs and their destinations exist.
     unsafe {
         match parts {
             Parts::Scaled(scale) => scatter!(

@@ -20,10 +20,11 @@ pub(super) fn transform(data: &mut [Four]) {
     join(data.len(), data);
 }
 
-/// Joins transforms of four numbers into transforms of `len`: the first pass can be left to those who bring the
-/// numbers, and where there are 16 at least, the last one to those who take them away; `len` is a quarter of them then.
+/// Joins transforms of four numbers into transforms of `len`. So the routine that loads the numbers does the first
+/// pass. Where there are 16 numbers at least, the routine that stores them can do the last pass; `len` is then a
+/// quarter of the length.
 ///
-/// Not inlined: its loops are long, and five routines want them.
+/// It is not inlined, as its loops are long and five routines use it.
 #[inline(never)]
 pub(super) fn join(len: usize, data: &mut [Four]) {
     let mut quarter = if len.trailing_zeros().is_multiple_of(2) {
@@ -185,7 +186,7 @@ fn radix2_of_eighths(data: &mut [[Four; 8]]) {
 }
 
 /// Numbers 1, 2 and 3 of a butterfly times the next roots: real and imaginary part of the sum of numbers 2 and 3 to q3,
-/// q5, of their difference to q2, q0, of number 1 to q6, q1. Given is where the parts of each lie.
+/// q5, of their difference to q2, q0, of number 1 to q6, q1. The arguments are the addresses of the parts.
 macro_rules! turned {
     ($a1r:literal $a1i:literal, $a2r:literal $a2i:literal, $a3r:literal $a3i:literal) => {
         concat!(

@@ -1,5 +1,5 @@
-//! What [`crate::num::fused`] does, eight elements at a time: even ones in one register, odd ones in another, as the
-//! conversions take and give them. Each function returns how many elements it has done.
+//! The routines of [`crate::num::fused`], eight elements at a time: even ones in one register, odd ones in another, as
+//! the conversions need them. Each function returns the number of elements that it has done.
 //!
 //! The numbers are halves, sums of products of halves, and halves times a weight of channel attention (0, or 2^-26 at
 //! least): multiples of 2^-76, so that nothing is flushed.
@@ -64,7 +64,7 @@ pub(in crate::num) fn narrow_slice(from: &[f32], to: &mut [f16]) {
     }
 }
 
-/// 7 instructions for eight; as integers, negative halves are below zero.
+/// [`crate::num::fused::narrow_relu`]: 7 instructions for eight elements; as integers, negative halves are below zero.
 #[inline(always)]
 pub(in crate::num) fn narrow_relu(from: &[f32], to: &mut [f16]) -> usize {
     let n = from.len().min(to.len()) / 8;
@@ -93,7 +93,7 @@ pub(in crate::num) fn narrow_relu(from: &[f32], to: &mut [f16]) -> usize {
     8 * n
 }
 
-/// 11 instructions for eight.
+/// [`crate::num::fused::accumulate`]: 11 instructions for eight elements.
 #[inline(always)]
 pub(in crate::num) fn accumulate(from: &[f32], to: &mut [f16]) -> usize {
     let n = from.len().min(to.len()) / 8;
@@ -125,7 +125,7 @@ pub(in crate::num) fn accumulate(from: &[f32], to: &mut [f16]) -> usize {
     8 * n
 }
 
-/// 14 instructions for eight.
+/// [`crate::num::fused::add_scaled`]: 14 instructions for eight elements.
 #[inline(always)]
 pub(in crate::num) fn add_scaled(scale: f32, from: &[f16], to: &mut [f16]) -> usize {
     let n = from.len().min(to.len()) / 8;
@@ -161,7 +161,7 @@ pub(in crate::num) fn add_scaled(scale: f32, from: &[f16], to: &mut [f16]) -> us
     8 * n
 }
 
-/// 6 instructions for eight.
+/// [`crate::num::fused::add_eights`]: 6 instructions for eight elements.
 #[inline(always)]
 pub(in crate::num) fn add_eights(from: &[f16], sums: &mut [f32; 8]) -> usize {
     let n = from.len() / 8;
@@ -192,7 +192,7 @@ pub(in crate::num) fn add_eights(from: &[f16], sums: &mut [f32; 8]) -> usize {
     8 * n
 }
 
-/// The loop of [`widen_alternate`]: which half of each word.
+/// The loop of [`widen_alternate`]. `convert` selects the half of each word.
 macro_rules! alternate {
     ($convert:literal, $from:ident, $to:ident, $n:ident) => {
         asm_all!(
@@ -213,7 +213,7 @@ macro_rules! alternate {
     };
 }
 
-/// 7 instructions for eight.
+/// [`crate::num::fused::widen_alternate`]: 7 instructions for eight elements.
 #[inline(always)]
 pub(in crate::num) fn widen_alternate(from: &[f16], first: usize, to: &mut [f32]) -> usize {
     let n = (from.len() / 2).min(to.len()) / 8;
@@ -231,7 +231,7 @@ pub(in crate::num) fn widen_alternate(from: &[f16], first: usize, to: &mut [f32]
     8 * n
 }
 
-/// 9 instructions for four pairs. Returns how many pairs are done.
+/// [`crate::num::fused::round_interleaved`]: 9 instructions for four pairs. Returns how many pairs are done.
 #[inline(always)]
 pub(in crate::num) fn round_interleaved(even: &[f32], odd: &[f32], to: &mut [f32]) -> usize {
     let n = even.len().min(odd.len()).min(to.len() / 2) / 4;

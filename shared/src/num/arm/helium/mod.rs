@@ -1,10 +1,12 @@
 //! Loops in Helium, the vector extension of the Cortex-M55: four singles or eight halves in a register.
 //!
-//! Helium flushes subnormal singles to zero, operands and results; halves it converts in full. Where every number that
-//! can come is a multiple of a power of two far above 2^-126, as all sums of products of halves are (2^-48), that
-//! changes nothing, and the routine says so. Most transforms have no such bound: they run under [`unflushed`], which
-//! reads from the unit whether it flushed anything, and are done again by the scalar unit, which flushes nothing, where
-//! it did. NaN: Helium makes the default NaN of every NaN, which converts as the rest of [`crate::num`] says.
+//! Helium flushes subnormal singles to zero, operands and results. It converts subnormal halves correctly. Where every
+//! possible number is a multiple of a power of two far above 2^-126, as all sums of products of halves are (2^-48),
+//! that changes nothing, and the documentation of the routine states it. Most transforms have no such bound. They run
+//! under [`unflushed`], which reads from the status register whether a number was flushed, and are then repeated by the
+//! scalar unit, which flushes nothing.
+//!
+//! Helium returns the default NaN for every NaN. It is converted as [`crate::num`] defines.
 
 mod columns;
 mod correlate;
@@ -43,8 +45,7 @@ fn rows_at<T>(first: *const T, stride: usize) -> [usize; 4] {
     [0, 1, 2, 3].map(|row| first.addr() + row * stride)
 }
 
-/// How far a place among `len` is shifted to the left, so that reversing the bits of the count gives the place's offset
-/// in bytes.
+/// Shift to the left of an index below `len`, after which reversing its bits gives the offset of the element in bytes.
 const fn shift(len: usize) -> u32 {
     (u32::BITS - size_of::<Four>().trailing_zeros()).saturating_sub(len.trailing_zeros())
 }
@@ -53,11 +54,11 @@ const fn shift(len: usize) -> u32 {
 /// flushes a number (Arm DDI 0553, FPProcessException).
 const FLUSHED: u32 = 1 << 3 | 1 << 7;
 
-/// Does `work`, and returns whether Helium flushed no number meanwhile. Narrowing to halves sets the same marks: work
-/// that does it restores them.
+/// Does `work`, and returns whether Helium flushed no number meanwhile. Narrowing to halves sets the same flags, so
+/// work that narrows must restore them.
 #[inline(always)]
 fn unflushed(work: impl FnOnce()) -> bool {
-    // SAFETY: the marks have no effect but this.
+    // SAFETY: the flags have no other effect.
     unsafe {
         core::arch::asm!(
             "vmrs {t}, fpscr",

@@ -1,5 +1,5 @@
-//! Rows of real transforms, four side by side: what [`crate::fft`] does before and after the complex transform of half
-//! their length.
+//! Rows of real transforms, four side by side: the steps of [`crate::fft`] before and after the complex transform of
+//! half their length.
 
 use super::fft::{join, last_to_rows, radix4_of_ones};
 use super::{Four, rows_at, shift, unflushed};
@@ -17,8 +17,8 @@ fn fits(len: usize) -> bool {
     len.is_power_of_two() && len >= 4 && len <= 2 * ROOT_TRIPLES.len()
 }
 
-/// Twice the real transforms of four rows, one behind the other in `from`, into four rows of halves; `data` is scratch.
-/// False where Helium flushed a number.
+/// Twice the real transforms of four rows, one behind the other in `from`, into four rows of halves. `data` is scratch.
+/// Returns false where Helium flushed a number.
 pub(crate) fn forward_rows(from: &[f32], data: &mut [Four], rows: &mut [f16]) -> bool {
     let half = data.len();
     let lens = [from.len(), rows.len()];
@@ -30,8 +30,8 @@ pub(crate) fn forward_rows(from: &[f32], data: &mut [Four], rows: &mut [f16]) ->
     })
 }
 
-/// Copies the pairs of four rows to the places with their numbers' bits reversed, by way of the butterflies of four
-/// neighbours; 42 instructions for four pairs of each row.
+/// Copies the pairs of four rows, computes the butterflies of four neighbours, and writes each to the index with
+/// reversed bits. 42 instructions for four pairs of each row.
 #[inline(always)]
 fn order(rows: &[f32], to: &mut [Four]) {
     let len = to.len();
@@ -101,8 +101,8 @@ fn order(rows: &[f32], to: &mut [Four]) {
     }
 }
 
-/// [`crate::fft::RealFft`]'s second half of a forward transform, narrowed into four rows; number 0 carries those at 0
-/// and N/2, which are real. 29 instructions for two numbers.
+/// The second half of a forward transform of [`crate::fft::RealFft`], narrowed into four rows. Number 0 holds those at
+/// 0 and N/2, which are real. 29 instructions for two numbers.
 #[inline(always)]
 fn untangle(data: &[Four], rows: &mut [f16]) {
     let half = data.len();
@@ -189,8 +189,8 @@ fn untangle(data: &[Four], rows: &mut [f16]) {
     }
 }
 
-/// Inverse real transforms of four rows of halves one behind the other, scaled, into four rows of numbers; `data` is
-/// scratch. False where Helium flushed a number, and where the rows are shorter than these loops.
+/// Inverse real transforms of four rows of halves one behind the other, scaled, into four rows of numbers. `data` is
+/// scratch. Returns false where Helium flushed a number, or where the rows are too short for these loops.
 pub(crate) fn inverse_rows(from: &[f16], data: &mut [Four], scale: f32, rows: &mut [f32]) -> bool {
     let half = data.len();
     assert!(fits(half) && from.len() == 4 * (2 * half + 2), "rows of {} halves", from.len());
@@ -203,7 +203,7 @@ pub(crate) fn inverse_rows(from: &[f16], data: &mut [Four], scale: f32, rows: &m
         })
 }
 
-/// [`crate::fft::RealFft`]'s first half of an inverse transform, four lanes; 33 instructions for two numbers.
+/// The first half of an inverse transform of [`crate::fft::RealFft`], four lanes. 33 instructions for two numbers.
 #[inline(always)]
 fn tangle(from: &[f16], to: &mut [Four]) {
     let half = to.len();

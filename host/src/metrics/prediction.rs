@@ -1,9 +1,9 @@
 //! How well a model predicts frames: against noise-free expectations where they are known, and against measured frames.
 //!
-//! Model and session may count light in different units, so a whole stack is judged after one free scale of the light above black;
-//! for a model calibrated in the session's own unit it comes out as 1.
+//! Model and session may count light in different units, so a whole stack is judged after one free scale of the light
+//! above the black level. The scale is 1 for a model that was calibrated in the session's own unit.
 
-use super::metrics::{MetricError, Moments, squared_error};
+use super::figures::{MetricError, Moments, squared_error};
 use crate::noise::NoiseModel;
 use ndarray::{Array2, ArrayView2, Zip};
 use serde::{Deserialize, Serialize};
@@ -14,46 +14,47 @@ const LIT_READ_NOISES: f64 = 3.0;
 /// How well a model predicts a stack of frames.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PredictionFigures {
-    /// Frames compared.
+    /// Number of frames compared.
     pub frames: usize,
     /// The free scale of the predicted light.
     pub scale: f64,
-    /// `||s p - e|| / ||e||` of the light above black, over all frames.
+    /// `||s p - e|| / ||e||` of the light above black over all frames: prediction p, reference e, scale s.
     pub nrmse: f64,
     /// Pearson correlation coefficient over all pixels of all frames.
     pub pcc: f64,
-    /// Chi-squared per degree of freedom of the *measured* frames against the scaled prediction over lit pixels.
+    /// Chi-squared per degree of freedom of the *measured* frames against the scaled prediction, over lit pixels.
     pub chi2_ndf: f64,
-    /// The same against the expected frames: what chi-squared is with a perfect model and this noise model; 0 where unknown.
+    /// The same against the noise-free expected frames: the value that a perfect optical model reaches with this noise
+    /// model; 0 where expected frames are unknown.
     pub chi2_ndf_expected: f64,
-    /// Lit pixels.
+    /// Number of lit pixels.
     pub lit_pixels: u64,
-    /// The residual by distance from the middle of the sensor.
+    /// The residual by distance from the centre of the sensor.
     #[serde(default)]
     pub by_radius: Vec<ResidualRing>,
 }
 
-/// The residual of the lit pixels in a ring about the middle of the sensor.
+/// The residual of the lit pixels in one ring around the centre of the sensor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ResidualRing {
     /// Inner radius, px.
     pub inner_px: f64,
     /// Outer radius, px.
     pub outer_px: f64,
-    /// Lit pixels.
+    /// Number of lit pixels.
     pub pixels: u64,
     /// Chi-squared per degree of freedom of the measured frames against the prediction; 0 without lit pixels.
     pub chi2_ndf: f64,
-    /// Mean of (measured - predicted), share of the mean light of the ring; 0 without lit pixels.
+    /// Mean of (measured - predicted) relative to the mean light of the ring; 0 without lit pixels.
     pub bias: f64,
 }
 
-/// Rings of a frame.
+/// Number of rings between the centre of the sensor and its corner.
 const RINGS: usize = 8;
 
 /// Sums over the lit pixels of each ring.
 struct Rings {
-    /// Light above black, (measured - predicted), squares of that over the variance, pixels.
+    /// Of each ring: light above black, (measured - predicted), chi-squared, number of pixels.
     sums: Vec<[f64; 4]>,
     width_px: f64,
     centre: [f64; 2],
@@ -85,13 +86,13 @@ impl Rings {
     }
 }
 
-/// A pixel beside its expectation.
+/// A measured pixel against its expectation.
 struct Residual {
     /// Expected light above black and offset, DN.
     light_dn: f64,
-    /// Measured less expected, DN.
+    /// Measured minus expected, DN.
     off_dn: f64,
-    /// Variance by the noise model, DN^2.
+    /// Variance of the noise model, DN^2.
     variance_dn2: f64,
 }
 
@@ -101,40 +102,52 @@ impl Residual {
     }
 }
 
-/// Frames of one scene, DN, each [sensor rows, sensor cols].
+/// One scene as predicted, as expected, and as measured; DN, black level included, each [sensor rows, sensor cols].
 #[derive(Clone, Debug)]
-pub struct Triple {
-    /// As the model predicts it, black level included, noise-free.
+pub struct FrameComparison {
+    /// The model's prediction, noise-free.
     pub predicted: Array2<f32>,
-    /// As it is truly expected, noise-free; None where only a measured frame exists.
+    /// The true expectation, noise-free; None where only a measured frame exists.
     pub expected: Option<Array2<f32>>,
-    /// As it was measured.
+    /// The measured frame.
     pub measured: Array2<f32>,
 }
 
-/// Chi-squared of a measured frame against its expectation, and the lit pixels that it was summed over.
+/// Chi-squared and the pixels that it was summed over.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ChiSquared {
+    /// `sum((y - mu)^2 / var(mu))`.
+    pub sum: f64,
+    /// Number of pixels summed over: the degrees of freedom where nothing is fitted.
+    pub pixels: u64,
+}
+
+/// Chi-squared of a measured frame against its expectation over lit pixels; both DN, [sensor rows, sensor cols].
 ///
-/// `chi2 = sum((y - mu)^2 / var(mu))`, variance from the model at the expectation, over pixels whose expected light exceeds
-/// three times the read noise. Nothing is fitted, so the pixels are the degrees of freedom. `offset_dn` is the fixed pattern
-/// relative to the black level: it is part of `mu` but makes no noise.
+/// `chi2 = sum((y - mu)^2 / var(mu))` with the variance of the noise model at the expectation, over pixels whose
+/// expected light exceeds three times the read noise. The fixed pattern of `sensor` is part of `mu` but adds no photon
+/// noise.
 ///
 /// # Errors
-/// Shapes differ.
+/// The shapes differ.
 pub fn chi_squared(
     measured_dn: ArrayView2<'_, f32>,
     expected_dn: ArrayView2<'_, f32>,
-    sensor: Sensor<'_>,
-) -> Result<(f64, u64), MetricError> {
-    let mut sum = (0.0, 0);
-    each_lit(measured_dn, expected_dn, sensor, |_, residual| sum = (sum.0 + residual.chi2(), sum.1 + 1))?;
-    Ok(sum)
+    sensor: SensorNoise<'_>,
+) -> Result<ChiSquared, MetricError> {
+    let mut chi2 = ChiSquared::default();
+    each_lit(measured_dn, expected_dn, sensor, |_, residual| {
+        chi2.sum += residual.chi2();
+        chi2.pixels += 1;
+    })?;
+    Ok(chi2)
 }
 
-/// [`each`] lit pixel.
+/// Calls `take` with the position and the residual of each lit pixel.
 fn each_lit(
     measured_dn: ArrayView2<'_, f32>,
     expected_dn: ArrayView2<'_, f32>,
-    sensor: Sensor<'_>,
+    sensor: SensorNoise<'_>,
     mut take: impl FnMut((usize, usize), Residual),
 ) -> Result<(), MetricError> {
     let least_dn = LIT_READ_NOISES * sensor.noise.read_noise_e * sensor.noise.gain_dn_per_e;
@@ -145,11 +158,11 @@ fn each_lit(
     })
 }
 
-/// Calls `take` with the place of each pixel and what it is beside its expectation.
+/// Calls `take` with the position and the residual of each pixel.
 fn each(
     measured_dn: ArrayView2<'_, f32>,
     expected_dn: ArrayView2<'_, f32>,
-    sensor: Sensor<'_>,
+    sensor: SensorNoise<'_>,
     mut take: impl FnMut((usize, usize), Residual),
 ) -> Result<(), MetricError> {
     let same_shape = |found: (usize, usize)| match expected_dn.dim() {
@@ -174,38 +187,40 @@ fn each(
     Ok(())
 }
 
-/// `(measured - expected)` in standard deviations of the noise model at the expectation, all pixels.
+/// `(measured - expected)` of each pixel in standard deviations of the noise model at the expectation; frames and
+/// result [sensor rows, sensor cols].
 ///
 /// # Errors
-/// Shapes differ.
+/// The shapes differ.
 pub fn in_sigmas(
     measured_dn: ArrayView2<'_, f32>,
     expected_dn: ArrayView2<'_, f32>,
-    sensor: Sensor<'_>,
+    sensor: SensorNoise<'_>,
 ) -> Result<Array2<f32>, MetricError> {
     let mut out = Array2::zeros(expected_dn.dim());
     each(measured_dn, expected_dn, sensor, |at, r| out[at] = (r.off_dn / r.variance_dn2.sqrt()) as f32)?;
     Ok(out)
 }
 
-/// A predicted frame with its light above black scaled.
+/// A predicted frame, DN, with its light above the black level multiplied by `scale`.
 pub fn with_scale(predicted_dn: &Array2<f32>, scale: f64, black_level_dn: f64) -> Array2<f32> {
     predicted_dn.mapv(|v| ((f64::from(v) - black_level_dn) * scale + black_level_dn) as f32)
 }
 
-/// What of a sensor the likelihood of a frame depends on.
+/// The noise and fixed pattern of a sensor: what the likelihood of a frame depends on.
 #[derive(Clone, Copy, Debug)]
-pub struct Sensor<'a> {
-    /// Its noise.
+pub struct SensorNoise<'a> {
+    /// Noise model of the sensor.
     pub noise: &'a NoiseModel,
-    /// Its fixed pattern relative to the black level, DN, [sensor rows, sensor cols]; None: none is known.
+    /// Fixed pattern relative to the black level, DN, [sensor rows, sensor cols]; None: unknown, taken as 0.
     pub offset_dn: Option<&'a Array2<f32>>,
-    /// Variance of the reading of each pixel, DN^2, [sensor rows, sensor cols]; None: that of `noise` holds for all of them.
+    /// Variance of each pixel's reading without light, DN^2, [sensor rows, sensor cols]; None: `noise` holds for all
+    /// pixels.
     pub reading_dn2: Option<&'a Array2<f32>>,
 }
 
-impl Sensor<'_> {
-    /// Variance of a pixel at an expected level without its offset, DN^2.
+impl SensorNoise<'_> {
+    /// Variance, DN^2, of the pixel `at` (row, col) whose expected level without its offset is `level_dn`.
     fn variance_dn2(&self, at: (usize, usize), level_dn: f64) -> f64 {
         let beyond =
             self.reading_dn2.map_or(0.0, |m| f64::from(m[at]) - self.noise.variance_dn2(self.noise.black_level_dn));
@@ -213,14 +228,15 @@ impl Sensor<'_> {
     }
 }
 
-/// The figures of a stack. `frame(i)` gives the i-th of `count` frames; it is called twice for each, so that memory holds one.
+/// The figures of a stack of `count` frames. `frame(i)` returns the i-th; it is called twice for each frame, so that
+/// memory holds one at a time.
 ///
 /// # Errors
-/// A frame cannot be had, shapes differ, a value is no number, or all expectations are dark.
-pub fn predict_figures(
+/// `frame` fails, shapes differ, a value is not finite, or all expectations are 0.
+pub fn prediction_figures(
     count: usize,
-    sensor: Sensor<'_>,
-    mut frame: impl FnMut(usize) -> anyhow::Result<Triple>,
+    sensor: SensorNoise<'_>,
+    mut frame: impl FnMut(usize) -> anyhow::Result<FrameComparison>,
 ) -> anyhow::Result<PredictionFigures> {
     let noise_black = sensor.noise.black_level_dn;
     let black = noise_black as f32;
@@ -245,8 +261,8 @@ pub fn predict_figures(
             rings.add(at, &residual);
         })?;
         if let Some(expected) = &f.expected {
-            let (chi, n) = chi_squared(f.measured.view(), expected.view(), sensor)?;
-            (truth, lit_truth) = (truth + chi, lit_truth + n);
+            let chi2 = chi_squared(f.measured.view(), expected.view(), sensor)?;
+            (truth, lit_truth) = (truth + chi2.sum, lit_truth + chi2.pixels);
         }
     }
     Ok(PredictionFigures {
@@ -281,11 +297,11 @@ mod tests {
         }
     }
 
-    fn sensor(noise: &NoiseModel) -> Sensor<'_> {
-        Sensor { noise, offset_dn: None, reading_dn2: None }
+    fn sensor(noise: &NoiseModel) -> SensorNoise<'_> {
+        SensorNoise { noise, offset_dn: None, reading_dn2: None }
     }
 
-    fn scene(i: usize) -> Triple {
+    fn scene(i: usize) -> FrameComparison {
         let noise = noise();
         let electrons = |r: usize, c: usize| 40.0 + (r * c) as f64 * 0.5;
         let expected = Array2::from_shape_fn((40, 50), |(r, c)| (64.0 + 0.4 * electrons(r, c)) as f32);
@@ -295,15 +311,15 @@ mod tests {
             let e = Poisson::new(electrons(r, c)).unwrap().sample(&mut random) + read.sample(&mut random);
             (64.0 + 0.4 * e).round() as f32
         });
-        Triple { predicted: expected.clone(), expected: Some(expected), measured }
+        FrameComparison { predicted: expected.clone(), expected: Some(expected), measured }
     }
 
     #[test]
     fn a_perfect_model_has_chi_squared_one() {
-        let f = predict_figures(5, sensor(&noise()), |i| Ok(scene(i))).unwrap();
+        let f = prediction_figures(5, sensor(&noise()), |i| Ok(scene(i))).unwrap();
         assert!((f.scale - 1.0).abs() < 1e-12 && f.nrmse < 1e-6 && f.pcc > 1.0 - 1e-9);
         // chi2/ndf of n pixels scatters by sqrt(2/n): 0.014 for 10,000.
-        // Rings share the lit pixels out, and tell of no bias where there is none.
+        // The rings share all lit pixels, and none shows a bias where there is none.
         assert_eq!(f.by_radius.iter().map(|r| r.pixels).sum::<u64>(), f.lit_pixels);
         assert!(f.by_radius.iter().all(|r| r.bias.abs() < 0.01), "{:?}", f.by_radius);
         assert!(f.lit_pixels == 10_000 && (f.chi2_ndf - 1.0).abs() < 0.06, "{f:?}");
@@ -317,14 +333,14 @@ mod tests {
             t.predicted.slice_mut(ndarray::s![..20, ..]).mapv_inplace(|v| 64.0 + (v - 64.0) * 1.2);
             Ok(t)
         };
-        let f = predict_figures(2, sensor(&noise()), wrong).unwrap();
+        let f = prediction_figures(2, sensor(&noise()), wrong).unwrap();
         assert!(f.nrmse > 0.02 && f.chi2_ndf > 1.2, "{f:?}");
         let unit = |i| {
             let mut t = scene(i);
             t.predicted.mapv_inplace(|v| 64.0 + (v - 64.0) * 4.0);
             Ok(t)
         };
-        let f = predict_figures(2, sensor(&noise()), unit).unwrap();
+        let f = prediction_figures(2, sensor(&noise()), unit).unwrap();
         assert!((f.scale - 0.25).abs() < 1e-6 && f.nrmse < 1e-5, "{f:?}");
     }
 
@@ -332,7 +348,8 @@ mod tests {
     fn only_lit_pixels_count() {
         let expected = ndarray::array![[64.0f32, 66.3, 66.5]];
         let measured = ndarray::array![[164.0f32, 64.0, 66.5 + 1.0]];
-        let (chi, n) = chi_squared(measured.view(), expected.view(), sensor(&noise())).unwrap();
+        let ChiSquared { sum: chi, pixels: n } =
+            chi_squared(measured.view(), expected.view(), sensor(&noise())).unwrap();
         // Lit above 64 + 3 * 2 * 0.4 = 66.4 DN; there the variance is 0.4 * 2.5 + 0.64 + 1/12.
         assert!(n == 1 && (chi - 1.0 / (1.0 + 0.64 + 1.0 / 12.0)).abs() < 1e-5, "{chi} {n}");
     }
@@ -342,12 +359,13 @@ mod tests {
         let noise = noise();
         let offset = ndarray::array![[10.0f32, 10.0]];
         let expected = ndarray::array![[74.0f32, 84.0]];
-        let sensor = Sensor { noise: &noise, offset_dn: Some(&offset), reading_dn2: None };
-        let (chi, n) = chi_squared((&expected + 1.0).view(), expected.view(), sensor).unwrap();
+        let sensor = SensorNoise { noise: &noise, offset_dn: Some(&offset), reading_dn2: None };
+        let ChiSquared { sum: chi, pixels: n } =
+            chi_squared((&expected + 1.0).view(), expected.view(), sensor).unwrap();
         // The first pixel is dark; the second has 10 DN of light: variance 0.4 * 10 + 0.64 + 1/12.
         assert!(n == 1 && (chi - 1.0 / (4.0 + 0.64 + 1.0 / 12.0)).abs() < 1e-9, "{chi} {n}");
         let wrong = Array2::zeros((3, 3));
-        let sensor = Sensor { noise: &noise, offset_dn: Some(&wrong), reading_dn2: None };
+        let sensor = SensorNoise { noise: &noise, offset_dn: Some(&wrong), reading_dn2: None };
         assert!(chi_squared(expected.view(), expected.view(), sensor).is_err());
     }
 }

@@ -1,23 +1,23 @@
-//! What the first layer of a network takes of a frame.
+//! Input of a network's first layer.
 
 use super::ops::fourier::{Fourier, Spectrum};
-use super::{Family, NetworkConfig};
+use super::{Architecture, NetworkConfig};
 use rustfft::num_complex::Complex32;
 
-/// A normalised frame as a network wants it.
+/// A normalised frame in the form that the first layer of a network takes.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Seen {
-    /// Its spectrum, for a bank of filters.
+pub enum NetworkInput {
+    /// Spectrum of the padded frame, for a filter bank.
     Spectrum(Spectrum),
-    /// The views of the living lenses, [lens, object rows, object cols]; 0 off the sensor.
+    /// Crops of the views of the living lenses, for a CM2Net, [lens, object rows, object cols]; 0 off the sensor.
     Crops(Vec<f32>),
 }
 
-impl Seen {
-    /// Of a normalised frame `x`, in C order.
+impl NetworkInput {
+    /// The input for `network` from a normalised frame `x` in C order, [frame rows * frame cols].
     pub fn of(network: &NetworkConfig, plan: &Fourier, x: &[f32]) -> Self {
-        match &network.family {
-            Family::Cm2Net { crops } => Self::Crops(cut(x, network, crops)),
+        match &network.architecture {
+            Architecture::Cm2Net { crops } => Self::Crops(cut(x, network, crops)),
             _ => Self::Spectrum(plan.rfft2(x, network.frame)),
         }
     }
@@ -31,6 +31,7 @@ impl Seen {
     }
 }
 
+/// The crops of a frame.
 fn cut(x: &[f32], network: &NetworkConfig, crops: &[[i32; 2]]) -> Vec<f32> {
     let ([rows, cols], [height, width]) = (network.frame.map(|n| n as i32), network.object.map(|n| n as i32));
     let mut out = Vec::with_capacity(crops.len() * (height * width) as usize);
@@ -43,7 +44,7 @@ fn cut(x: &[f32], network: &NetworkConfig, crops: &[[i32; 2]]) -> Vec<f32> {
     out
 }
 
-/// The transpose of the cut: adds gradients of the views to the frame.
+/// The transpose of cropping: adds the values of the views, [lens, object rows, object cols], to a frame of zeros.
 pub fn paste(views: &[f32], network: &NetworkConfig, crops: &[[i32; 2]]) -> Vec<f32> {
     let ([rows, cols], [height, width]) = (network.frame.map(|n| n as i32), network.object.map(|n| n as i32));
     let mut out = vec![0.0; (rows * cols) as usize];

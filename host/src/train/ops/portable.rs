@@ -1,18 +1,18 @@
-//! The operators of [`super`] in burn's own: for devices that ours do not know. Transforms are products with matrices of roots of unity, of which only
-//! the rows and columns of the object are made.
+//! The operators of [`super`] built from burn's own, for devices that our CPU operators do not support. Transforms are
+//! products with matrices of roots of unity, computed only for the rows and columns of the object.
 
 use super::fourier::{Fourier, Spectrum};
 use burn::tensor::module::conv2d;
 use burn::tensor::ops::ConvOptions;
 use burn::tensor::{Device, Tensor, TensorData};
 
-/// [`super::conv3x3`].
+/// Computes [`super::conv3x3`] on any device.
 pub fn conv3x3(x: Tensor<4>, weight: Tensor<1>, bias: Tensor<1>) -> Tensor<4> {
     let weight = weight.reshape([bias.dims()[0], x.dims()[1], 3, 3]);
     conv2d(x, weight, Some(bias), ConvOptions::new([1, 1], [1, 1], [1, 1], 1))
 }
 
-/// [`super::filter_bank`].
+/// Computes [`super::filter_bank`] on any device.
 pub fn filter_bank(plan: &Fourier, spectra: &[Spectrum], re: Tensor<1>, im: Tensor<1>) -> Tensor<4> {
     let (sizes, device) = (plan.sizes(), re.device());
     let (t, c, b) = (sizes.filter_size, sizes.channels, spectra.len());
@@ -33,7 +33,7 @@ pub fn filter_bank(plan: &Fourier, spectra: &[Spectrum], re: Tensor<1>, im: Tens
         let values = (0..rows).flat_map(|r| (0..t).map(move |k| root(f, from(rows) + r, k) as f32));
         tensor(values.collect(), [1, rows, t], &device)
     };
-    // Inner columns stand for their mirrors too.
+    // Inner columns count twice: for themselves and for their mirror images.
     let weight = |k: usize| if k == 0 || 2 * k == t { 1.0 } else { 2.0 } / (t * t) as f64;
     let across = |f: fn(f64) -> f64| {
         let values = (0..bins).flat_map(|k| (0..cols).map(move |c| (weight(k) * root(f, from(cols) + c, k)) as f32));
@@ -47,7 +47,7 @@ pub fn filter_bank(plan: &Fourier, spectra: &[Spectrum], re: Tensor<1>, im: Tens
     y.reshape([b, c, rows, cols])
 }
 
-/// [`super::kernel_spectra`].
+/// Computes [`super::kernel_spectra`] on any device.
 pub fn kernel_spectra(plan: &Fourier, h: Tensor<1>) -> [Tensor<1>; 2] {
     let (t, c, device) = (plan.sizes().filter_size, plan.sizes().channels, h.device());
     let bins = t / 2 + 1;
@@ -83,7 +83,7 @@ mod tests {
         (0..n).map(|_| rng.random_range(-1.0..1.0f32)).collect()
     }
 
-    /// Values and gradients of both, for the same inputs, within this part of the largest value.
+    /// Asserts that values and gradients of both operators agree to 1e-5 of the largest value.
     fn alike<const D: usize>(
         inputs: &[(&str, usize)],
         ours: impl Fn(&[Tensor<1>]) -> Tensor<D>,

@@ -1,24 +1,33 @@
-//! Where float networks are computed.
+//! Where float networks are computed, and whether gradients are recorded.
 
 use super::TrainError;
-use super::network::Mode;
 use burn::tensor::Device;
+
+/// Whether gradients are recorded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mode {
+    /// Gradients are recorded, for training.
+    Train,
+    /// Gradients are not recorded, for inference.
+    Infer,
+}
 
 /// Where float networks are computed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
-pub enum Place {
-    /// On this machine's cores; the same bits in every run.
+pub enum Backend {
+    /// On the CPU of this machine; every run gives the same bits.
     #[default]
     Cpu,
-    /// On a graphics card, through Vulkan, Metal or DirectX: in a program built with `--features gpu`. Sums there have no fixed order.
+    /// On a graphics card, through Vulkan, Metal or DirectX, in a program built with `--features gpu`. The order of
+    /// sums is not fixed there, so bits can differ from run to run.
     Gpu,
 }
 
-impl Place {
-    /// Whether this program can compute there.
+impl Backend {
+    /// Checks that this program was built with the backend.
     ///
     /// # Errors
-    /// It was built without what that takes.
+    /// [`TrainError::Config`]: the program was built without it.
     pub fn check(self) -> Result<(), TrainError> {
         if self == Self::Gpu && !cfg!(feature = "gpu") {
             return Err(TrainError::Config {

@@ -1,8 +1,9 @@
 //! Structural similarity.
 //!
-//! Z. Wang, A. C. Bovik, H. R. Sheikh, E. P. Simoncelli, "Image quality assessment: from error visibility to structural similarity",
-//! IEEE Trans. Image Process. 13, 600 (2004), Eq. 13-16: an 11 x 11 circular Gaussian window of 1.5 pixels, normalised to unit sum,
-//! K1 = 0.01, K2 = 0.03, the mean over all positions at which the window lies wholly inside the image.
+//! Z. Wang, A. C. Bovik, H. R. Sheikh, E. P. Simoncelli, "Image quality assessment: from error visibility to structural
+//! similarity", IEEE Trans. Image Process. 13, 600 (2004), Eq. 13-16: an 11 x 11 circular Gaussian window of standard
+//! deviation 1.5 pixels, normalised to unit sum, K1 = 0.01, K2 = 0.03, and the mean over all positions at which the
+//! window lies wholly inside the image.
 
 use ndarray::{Array2, ArrayView2, Zip};
 use thiserror::Error;
@@ -16,18 +17,18 @@ const K2: f64 = 0.03;
 /// Why the structural similarity cannot be computed.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum SsimError {
-    /// The images are smaller than the window.
+    /// The images are smaller than the window; rows and columns.
     #[error("the structural similarity needs images of at least {WINDOW} x {WINDOW} pixels, found {0} x {1}")]
     TooSmall(usize, usize),
 }
 
-/// Mean structural similarity of two images of the same shape, [rows, cols]; `range` is the data range L.
+/// Mean structural similarity of two images of the same shape, [rows, cols]; `range` is the data range L of the paper.
 ///
 /// # Errors
-/// The images are smaller than the window.
+/// The images are smaller than the 11 x 11 window.
 ///
 /// # Panics
-/// The shapes differ: [`super::metrics::compare`] checks them first.
+/// The shapes differ; [`compare`](crate::metrics::compare) checks them first.
 pub fn ssim(x: ArrayView2<'_, f32>, y: ArrayView2<'_, f32>, range: f64) -> Result<f64, SsimError> {
     let (rows, cols) = x.dim();
     if rows < WINDOW || cols < WINDOW {
@@ -45,7 +46,7 @@ pub fn ssim(x: ArrayView2<'_, f32>, y: ArrayView2<'_, f32>, range: f64) -> Resul
     Ok(sum / mean_x.len() as f64)
 }
 
-/// The window is separable: the outer product of this with itself.
+/// The window along one axis: it is separable, the outer product of this vector with itself.
 fn gaussian() -> [f64; WINDOW] {
     let half = (WINDOW / 2) as f64;
     let raw: [f64; WINDOW] = std::array::from_fn(|i| (-0.5 * ((i as f64 - half) / SIGMA_PX).powi(2)).exp());
@@ -53,7 +54,7 @@ fn gaussian() -> [f64; WINDOW] {
     raw.map(|v| v / sum)
 }
 
-/// Weighted mean in the window at each position at which it fits: [rows - 10, cols - 10].
+/// Weighted mean in the window at each position where it fits inside the image: [rows - 10, cols - 10].
 fn smooth(image: &Array2<f64>) -> Array2<f64> {
     let (rows, cols) = image.dim();
     let weights = gaussian();

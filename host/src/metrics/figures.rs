@@ -1,8 +1,8 @@
-//! Figures of merit between a reconstruction and its truth, and between a frame and its model.
+//! Figures of merit of a reconstruction against its truth.
 //!
-//! A reconstruction comes in a unit of its own and the truth in another, so each frame is judged after **one free scale**:
-//! `s = <x, t> / <x, x>`, the least-squares fit of the reconstruction `x` to the truth `t`. There is no free offset: background that
-//! a method leaves standing counts against it. All sums are f64.
+//! A reconstruction and its truth have different units, so each frame is judged after **one free scale**:
+//! `s = <x, t> / <x, x>`, the least-squares fit of the reconstruction `x` to the truth `t`. There is no free offset:
+//! background that a method does not remove counts against it. All sums are computed in f64.
 
 use super::ssim::{self, SsimError};
 use ndarray::{Array2, ArrayView2, Zip};
@@ -13,17 +13,17 @@ use thiserror::Error;
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum MetricError {
     /// The images differ in shape.
-    #[error("expected an image of {expected:?} pixels (rows, cols) like the truth, found {found:?}")]
+    #[error("expected an image with the truth's shape, {expected:?} (rows, cols), found {found:?}")]
     Shape {
         /// Shape of the truth.
         expected: (usize, usize),
-        /// Shape of the other.
+        /// Shape of the other image.
         found: (usize, usize),
     },
-    /// The truth is dark everywhere: nothing can be said relative to it.
-    #[error("expected a truth with light in it, found one that is 0 everywhere")]
+    /// The truth is 0 everywhere, so relative figures do not exist.
+    #[error("expected a truth with at least one pixel above 0, found 0 everywhere")]
     DarkTruth,
-    /// A value is no number.
+    /// A value is infinite or not a number.
     #[error("expected finite values, found {found} at row {row}, column {col}")]
     NotFinite {
         /// Row of the value.
@@ -53,12 +53,13 @@ pub struct Figures {
     pub scale: f64,
 }
 
-/// Compares a reconstruction with its truth, both [rows, cols].
+/// Compares a reconstruction `x` with its truth `t`, both [rows, cols] and each in any unit.
 ///
 /// A reconstruction that is 0 everywhere has scale 0, NRMSE 1 and PCC 0.
 ///
 /// # Errors
-/// Shapes differ, a value is no number, the truth is dark, or the images are smaller than the window of the SSIM.
+/// [`MetricError`]: the shapes differ, a value is not finite, the truth is 0 everywhere, or the images are smaller than
+/// the window of the SSIM.
 pub fn compare(x: ArrayView2<'_, f32>, truth: ArrayView2<'_, f32>) -> Result<Figures, MetricError> {
     let sums = Moments::of(x, truth)?;
     let scale = sums.scale()?;
@@ -74,12 +75,21 @@ pub fn compare(x: ArrayView2<'_, f32>, truth: ArrayView2<'_, f32>) -> Result<Fig
     })
 }
 
-/// Peak signal-to-noise ratio, dB, of a mean squared error; capped at 200 dB so that a perfect image has a figure.
+/// Peak signal-to-noise ratio, dB, of a mean squared error `mse` with signal maximum `peak` (in the same unit):
+/// `10 log10(peak^2 / mse)`, at most 200 dB so that a perfect image has a finite figure.
+///
+/// ```
+/// use ommatidia_host::metrics::psnr_db;
+///
+/// assert_eq!(psnr_db(1.0, 0.01), 20.0);
+/// assert_eq!(psnr_db(1.0, 0.0), 200.0);
+/// ```
 pub fn psnr_db(peak: f64, mse: f64) -> f64 {
     (10.0 * (peak * peak / mse).log10()).min(200.0)
 }
 
-/// `sum((s x - t)^2)`, summed directly: the closed form from moments cancels when the images agree.
+/// `sum((s x - t)^2)` with scale s. It is summed directly, because the closed form from [`Moments`] loses all digits
+/// where the images agree.
 pub(super) fn squared_error(x: ArrayView2<'_, f32>, truth: ArrayView2<'_, f32>, scale: f64) -> f64 {
     Zip::from(x).and(truth).fold(0.0, |sum, &x, &t| {
         let d = scale * f64::from(x) - f64::from(t);
@@ -87,7 +97,8 @@ pub(super) fn squared_error(x: ArrayView2<'_, f32>, truth: ArrayView2<'_, f32>, 
     })
 }
 
-/// The sums over two images that scale and correlation need. Sums of several frames add up to those of a stack.
+/// Sums over the pixels of two images from which their scale and correlation follow. Sums of several frames add up to
+/// the sums of their stack.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Moments {
     n: f64,
@@ -102,7 +113,7 @@ impl Moments {
     /// The sums over one image `x` and its reference `t`, both [rows, cols].
     ///
     /// # Errors
-    /// Shapes differ or a value is no number.
+    /// The shapes differ, or a value is not finite.
     pub fn of(x: ArrayView2<'_, f32>, t: ArrayView2<'_, f32>) -> Result<Self, MetricError> {
         if x.dim() != t.dim() {
             return Err(MetricError::Shape { expected: t.dim(), found: x.dim() });
@@ -119,7 +130,7 @@ impl Moments {
         }))
     }
 
-    /// Adds the sums of another pair.
+    /// Adds the sums of another pair of images.
     pub fn add(&mut self, other: &Self) {
         self.n += other.n;
         self.x += other.x;
@@ -129,10 +140,10 @@ impl Moments {
         self.xt += other.xt;
     }
 
-    /// The least-squares scale of x to t; 0 where x is 0 everywhere.
+    /// The least-squares scale of x to t, `<x, t> / <x, x>`; 0 where x is 0 everywhere.
     ///
     /// # Errors
-    /// The reference is dark everywhere.
+    /// The reference is 0 everywhere.
     pub fn scale(&self) -> Result<f64, MetricError> {
         match (self.tt > 0.0, self.xx > 0.0) {
             (false, _) => Err(MetricError::DarkTruth),
@@ -141,20 +152,20 @@ impl Moments {
         }
     }
 
-    /// Pearson correlation coefficient; 0 where one of the images is even.
+    /// Pearson correlation coefficient; 0 where one of the images is uniform.
     pub fn pcc(&self) -> f64 {
         let covariance = self.xt - self.x * self.t / self.n;
         let variances = (self.xx - self.x * self.x / self.n) * (self.tt - self.t * self.t / self.n);
         if variances > 0.0 { covariance / variances.sqrt() } else { 0.0 }
     }
 
-    /// `sqrt(sum t^2)`.
+    /// Norm of the reference, `sqrt(sum t^2)`.
     pub fn reference_norm(&self) -> f64 {
         self.tt.sqrt()
     }
 }
 
-/// An image times a factor, for display and for stored pictures.
+/// An image times a factor (computed in f64): a reconstruction in the unit of its truth.
 pub fn scaled(x: &Array2<f32>, scale: f64) -> Array2<f32> {
     x.mapv(|v| (scale * f64::from(v)) as f32)
 }
@@ -179,7 +190,8 @@ mod tests {
 
     #[test]
     fn figures_by_hand() {
-        // <x,t> = 2*1 + 1*2 = 4, <x,x> = 5: s = 0.8; s x - t = (0.6, -1.2): squares 0.36 + 1.44 = 1.8 = <t,t> - <x,t>^2/<x,x>.
+        // <x,t> = 2*1 + 1*2 = 4, <x,x> = 5: s = 0.8; s x - t = (0.6, -1.2): squares 0.36 + 1.44 = 1.8 = <t,t> -
+        // <x,t>^2/<x,x>.
         let (x, t) = (array![[2.0f32, 1.0]], array![[1.0f32, 2.0]]);
         let m = Moments::of(x.view(), t.view()).unwrap();
         let s = m.scale().unwrap();

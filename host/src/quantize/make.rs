@@ -1,0 +1,123 @@
+//! From a checkpoint to a network file within a budget of memory.
+
+use super::bank::PlannedBank;
+use super::pack::{self, narrow};
+use super::report::MadeFile;
+use super::{QuantizeConfig, QuantizeError, QuantizeReport};
+use crate::train::{Architecture, Checkpoint};
+use ommatidia_shared::blob::{self, Header, MemoryPlan, Sensor, Size, Weights};
+use ommatidia_shared::num::f16;
+use ommatidia_shared::pipeline::Pipeline;
+
+/// Bytes that pruning can add to a file besides the filters: a longer header, gaps before sections.
+const SLACK: u64 = 64;
+
+/// A network file, and its report.
+#[derive(Clone, Debug)]
+pub struct Quantized {
+    /// Bytes of the file.
+    pub bytes: Vec<u8>,
+    /// Sizes, and quality before and after.
+    pub report: QuantizeReport,
+}
+
+/// Makes the network file of a checkpoint; `hash` is the SHA-256 of the checkpoint's file, hexadecimal.
+///
+/// Filters that were trained with a mask keep it. Other filters are pruned if the file would not fit into the flash.
+///
+/// # Errors
+/// A weight is not finite or too large for a half, a size is not supported by devices, or the budget is too small.
+pub fn quantize(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) -> Result<Quantized, QuantizeError> {
+    let whole = make(checkpoint, hash, config)?;
+    let found = whole.bytes.len() as u64;
+    let free = checkpoint.body.filter_mask.is_none() && config.tile.is_none() && config.prune.is_none();
+    let made = match config.flash_bytes {
+        Some(flash) if free && found > flash => {
+            let dense = whole.report.dense_filter_bytes as u64;
+            let part = (dense + flash).saturating_sub(found + SLACK) as f64 / dense as f64;
+            // If not even one block a channel fits, the error reports how much memory the whole file lacks.
+            make(checkpoint, hash, &QuantizeConfig { prune: Some(part), ..config.clone() }).unwrap_or(whole)
+        }
+        _ => whole,
+    };
+    budget("flash", config.flash_bytes, made.bytes.len() as u64)?;
+    budget("RAM", config.ram_bytes, made.report.ram_bytes)?;
+    Ok(made)
+}
+
+fn make(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) -> Result<Quantized, QuantizeError> {
+    let network = &checkpoint.body.network;
+    if network.architecture != Architecture::SvFourierNet {
+        return Err(QuantizeError::Architecture(network.architecture.name().as_str()));
+    }
+    pack::check_finite(&checkpoint.weights)?;
+    let bank = PlannedBank::new(checkpoint, config)?;
+    let (filters, index) = bank.filters()?;
+    let rcan = pack::rcan(network, &checkpoint.weights)?;
+    let offset =
+        checkpoint.maps.offset_dn.as_ref().map(|map| pack::halves("offset_dn", map.iter().copied())).transpose()?;
+    let gain = checkpoint
+        .maps
+        .inverse_response
+        .as_ref()
+        .map(|map| pack::halves("inverse_gain", map.iter().copied()))
+        .transpose()?;
+    let weights =
+        Weights { filters: &filters, index, rcan: &rcan, offset_dn: offset.as_deref(), inverse_gain: gain.as_deref() };
+    let header = header(checkpoint, hash, config, &bank)?;
+    let mut bytes = vec![0; blob::encoded_len(&header)?];
+    let len = blob::encode(&header, &weights, &mut bytes)?;
+    bytes.truncate(len);
+    let file = MadeFile {
+        header: &header,
+        bytes: &bytes,
+        filter_bytes: (filters.len() + index.len()) * size_of::<f16>(),
+        rcan_bytes: rcan.len() * size_of::<f16>(),
+    };
+    let report = QuantizeReport::new(checkpoint, &bank, &file)?;
+    Ok(Quantized { bytes, report })
+}
+
+fn header(
+    checkpoint: &Checkpoint,
+    hash: &str,
+    config: &QuantizeConfig,
+    bank: &PlannedBank,
+) -> Result<Header, QuantizeError> {
+    let (network, noise) = (&checkpoint.body.network, &checkpoint.body.noise);
+    let size = |field, [rows, cols]: [usize; 2]| -> Result<Size, QuantizeError> {
+        Ok(Size { rows: narrow(field, rows)?, cols: narrow(field, cols)? })
+    };
+    let mut header = Header {
+        name: cut(&config.name, 48).parse().unwrap_or_default(),
+        checkpoint: cut(hash, 16).parse().unwrap_or_default(),
+        frame: size("frame", network.frame)?,
+        object: size("object", network.object)?,
+        sensor: Sensor {
+            black_level_dn: noise.black_level_dn as f32,
+            saturation_dn: narrow("saturation_dn", noise.saturation_dn as usize)?,
+            has_offset_map: checkpoint.maps.offset_dn.is_some(),
+            has_gain_map: checkpoint.maps.inverse_response.is_some(),
+        },
+        bank: bank.describe()?,
+        rcan: pack::describe(network)?,
+        memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
+    };
+    header.memory = Pipeline::plan(&header)?;
+    Ok(header)
+}
+
+/// The start of a text that fits into `most` bytes, cut between characters.
+fn cut(text: &str, most: usize) -> &str {
+    let end = text.char_indices().map(|(at, c)| at + c.len_utf8()).take_while(|&end| end <= most).last().unwrap_or(0);
+    &text[..end]
+}
+
+fn budget(what: &'static str, expected: Option<u64>, found: u64) -> Result<(), QuantizeError> {
+    match expected {
+        Some(expected) if found > expected => {
+            Err(QuantizeError::Budget { what, expected, found, missing: found - expected })
+        }
+        _ => Ok(()),
+    }
+}
