@@ -6,10 +6,10 @@ mod common;
 
 use common::{Fault, TinySession, ommatidia, refused};
 use ndarray::Array3;
-use ommatidia_physics::noise::NoiseModel;
 use ommatidia_network::quantize::{QuantizeConfig, quantize};
-use ommatidia_session::stack;
 use ommatidia_network::train::{Checkpoint, Preset, weights};
+use ommatidia_physics::noise::NoiseModel;
+use ommatidia_session::stack;
 use std::path::Path;
 
 fn calibrate_refuses(session: &TinySession, words: &[&str]) {

@@ -5,48 +5,17 @@
 //! reconstruct frames of another session of the changed instrument. The true instrument is the calibrated one with the
 //! injected effects at their true values.
 
+use super::networks::Networks;
 use super::subject::Subject;
-use crate::{Retrain, RetrainRequest, Retrained};
+use crate::{RetrainRequest, Retrained};
 use ommatidia_bench::VirtualInstrument;
 use ommatidia_model::instrument::Instrument;
 use ommatidia_physics::effects::EffectSetting;
 use ommatidia_session::artifact::Provenance;
 use serde::{Deserialize, Serialize};
-use std::path::Path;
 
-/// Steps of the first training.
-const STEPS: u64 = 3000;
 /// Steps of fine-tuning.
 const FINE_STEPS: u64 = 1000;
-
-/// Trains the networks of a study; the crate that knows networks implements it.
-pub trait FirstTraining {
-    /// Trains a network of the smallest preset on scenes that the instrument simulates, and writes its checkpoint.
-    ///
-    /// # Errors
-    /// The instrument's parts disagree, or the file cannot be written.
-    fn train(&self, request: &TrainRequest<'_>) -> anyhow::Result<()>;
-}
-
-/// What a first training needs.
-#[derive(Clone, Copy, Debug)]
-pub struct TrainRequest<'a> {
-    /// The instrument that the scenes are simulated with.
-    pub instrument: &'a Instrument,
-    /// Its file, for the provenance of the checkpoint.
-    pub instrument_file: &'a Path,
-    /// Checkpoint to write.
-    pub output: &'a Path,
-    /// Steps of the optimiser.
-    pub steps: u64,
-    /// Seed of all random draws.
-    pub seed: u64,
-}
-
-/// What a study needs of networks.
-pub trait Networks: FirstTraining + Retrain + Sync {}
-
-impl<T: FirstTraining + Retrain + Sync> Networks for T {}
 
 /// Mean PSNR of reconstructions of held-out scenes, dB.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -71,20 +40,6 @@ pub struct Comparison<'a> {
     pub injected: &'a [EffectSetting],
     /// Seed of all random draws.
     pub seed: u64,
-}
-
-/// Trains the network that both fine-tunings start from.
-///
-/// # Errors
-/// The instrument's parts disagree, or the file cannot be written.
-pub fn train(
-    networks: &dyn Networks,
-    instrument: &Instrument,
-    instrument_file: &Path,
-    seed: u64,
-    output: &Path,
-) -> anyhow::Result<()> {
-    networks.train(&TrainRequest { instrument, instrument_file, output, steps: STEPS, seed })
 }
 
 /// Compares the two fine-tuned networks on another session of the changed bench.

@@ -1,6 +1,6 @@
 //! A whole study: instruments, cases, figures.
 
-use super::downstream::Networks;
+use super::networks::Networks;
 use super::plan::{Case, Size, cases};
 use super::record::{Ledger, Outcome, read_all};
 use super::sensitivity::Sensitivities;

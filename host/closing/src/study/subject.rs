@@ -3,8 +3,8 @@
 //! It is small, so that a session takes seconds: 3 x 3 lenses on 98 x 98 pixels. All sessions of an instrument are
 //! compared with one calibration, from a session of its own.
 
-use super::downstream::{self, Networks};
 use super::foreign::FOREIGN;
+use super::networks::{self, Networks};
 use super::plan::{Question, Size};
 use super::sensitivity::{Sensitivities, Sensitivity};
 use crate::{Budget, CloseOptions, Observations, close};
@@ -97,7 +97,7 @@ impl Subject {
         let network = dir.join(format!("network-{n}.checkpoint"));
         // The questions that need a network are asked of the first instrument.
         if n == 0 && size.asks(Question::Reconstruction) && !network.is_file() {
-            downstream::train(networks, &instrument, &file, seed, &network).with_context(|| format!("network {n}"))?;
+            networks::train(networks, &instrument, &file, seed, &network).with_context(|| format!("network {n}"))?;
         }
         let mut subject = Self { bench, config, instrument, sensitivities: Sensitivities::default(), network };
         let file = dir.join(format!("sensitivity-{n}.json"));

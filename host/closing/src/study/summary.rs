@@ -200,7 +200,7 @@ fn fault_found(o: &Outcome) -> bool {
     found.filter_map(|f| f.params.get("frame")).any(|[v, _]| Some(*v) == frame)
 }
 
-/// Outcomes by the strength of what was put in first, ascending.
+/// Outcomes grouped by the strength of the first injected effect, ascending.
 fn strengths<'a>(outcomes: &[&'a Outcome]) -> Vec<(f64, Vec<&'a Outcome>)> {
     let mut out: Vec<(f64, Vec<&Outcome>)> = Vec::new();
     for o in outcomes {

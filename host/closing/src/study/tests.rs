@@ -2,8 +2,8 @@
 
 #![allow(clippy::unwrap_used)]
 
-use super::downstream::{FirstTraining, TrainRequest};
 use super::foreign::FOREIGN;
+use super::networks::{FirstTraining, TrainRequest};
 use super::plan::{Case, Injected, PAIRS, Question, Size, cases, catalogue};
 use super::record::{FoundEffect, HeldOut, Ledger, Outcome, read_all};
 use super::run::{JSON, PAGE, StudyRequest, run};

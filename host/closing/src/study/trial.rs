@@ -1,7 +1,8 @@
 //! Runs one case: measures a session, closes it, and compares the result with the truth.
 
-use super::downstream::{self, Comparison, Networks};
+use super::downstream::{self, Comparison};
 use super::foreign;
+use super::networks::Networks;
 use super::plan::{Case, Question};
 use super::record::{FoundEffect, HeldOut, Outcome};
 use super::subject::Subject;

@@ -3,10 +3,10 @@
 //!
 //! ```
 //! use ndarray::Array2;
-//! use crate::network_file::NetworkFile;
+//! use ommatidia_network::network_file::NetworkFile;
 //! use ommatidia_physics::noise::NoiseModel;
-//! use crate::quantize::{QuantizeConfig, quantize};
-//! use crate::train::{Checkpoint, Preset, weights};
+//! use ommatidia_network::quantize::{QuantizeConfig, quantize};
+//! use ommatidia_network::train::{Checkpoint, Preset, weights};
 //! use std::path::Path;
 //!
 //! let network = Preset::Nano.network([20, 20], [8, 8]);

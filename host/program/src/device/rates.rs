@@ -76,7 +76,7 @@ const TABLE: &str = "
 |---|---|---|---|---|---|
 ";
 
-/// Frames with the field held to one that is exact: what `--hold` does where it is given no number.
+/// Frames with the field held per exact frame: the default of `--hold`.
 const HOLD: f64 = 9.0;
 
 /// A preset on frames of one size.
