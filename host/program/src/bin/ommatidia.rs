@@ -1,5 +1,5 @@
 //! The `ommatidia` program.
 
 fn main() -> std::process::ExitCode {
-    crate::cli::main()
+    ommatidia::cli::main()
 }

@@ -1,21 +1,13 @@
 //! Trains and fine-tunes networks for `close` and `study`, which know networks by these interfaces only.
 
 use anyhow::{Context, ensure};
-use ommatidia_closing::study::downstream::{FirstTraining, TrainRequest};
 use ommatidia_closing::study::networks::{FirstTraining, TrainRequest};
 use ommatidia_closing::{Retrain, RetrainRequest, Retrained};
-use ommatidia_closing::{Retrain, RetrainRequest, Retrained};
-use ommatidia_model::metrics::Case;
 use ommatidia_model::metrics::Case;
 use ommatidia_network::evaluate::{Source, judge};
-use ommatidia_network::evaluate::{Source, judge};
 use ommatidia_network::methods::FloatNetwork;
-use ommatidia_network::methods::FloatNetwork;
-use ommatidia_network::train::{Checkpoint, FINE_TUNE_RATE, Next, Preset, Simulated, Task, Trainer};
-use ommatidia_network::train::{Checkpoint, FINE_TUNE_RATE, Next, Preset, Simulated, Task, Trainer};
+use ommatidia_network::train::{Checkpoint, Next, Preset, Simulated, Task, Trainer};
 use ommatidia_session::Role;
-use ommatidia_session::Role;
-use ommatidia_session::artifact::Provenance;
 use ommatidia_session::artifact::Provenance;
 use std::path::Path;
 
