@@ -1,7 +1,9 @@
-//! The low-rank forward operator (Eq. 3) at three sizes, beside the same sum done term by term with transforms of the whole frame.
+//! The low-rank forward operator (Eq. 3) at three sizes, beside the same sum done term by term with transforms of the
+//! whole frame.
 //!
-//! `cargo bench -p ommatidia-tests --bench operator`. Figures of one run are comparable with each other only. The sum is that of one lens
-//! with eight basis PSFs at each size: times the lenses and an eighth of the terms of an instrument it is a frame.
+//! `cargo bench -p ommatidia-tests --bench operator`. Figures of one run are comparable with each other only. The sum
+//! is that of one lens with eight basis PSFs at each size: times the lenses and an eighth of the terms of an instrument
+//! it is a frame.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
@@ -72,7 +74,8 @@ fn instrument(object: usize, sensor: [usize; 2], window: usize) -> Instrument {
     }
 }
 
-/// Eq. 3 as it is written: for each term the weighted object and the PSF on the whole frame, three transforms, the product added up.
+/// Eq. 3 as it is written: for each term the weighted object and the PSF on the whole frame, three transforms, the
+/// product added up.
 struct WholeFrames {
     fft: RealFft2,
     maps: Vec<Array2<f32>>,

@@ -274,8 +274,8 @@ fn measured_noise_of_pixels_comes_back_from_darks_and_flats() {
 }
 
 /// A water bear under a miniscope whose colour mosaic nobody declared. Without optics, darks or truth only what is
-/// fixed to the sensor can be told from the specimen: the loop finds the mosaic in the upper half of the frame, and
-/// nothing else, and takes it out of the lower half.
+/// fixed to the sensor can be distinguished from the specimen: the loop finds the mosaic in the upper half of the
+/// frame, and nothing else, and takes it out of the lower half.
 #[test]
 fn measured_mosaic_is_found_and_removed() {
     use ommatidia_closing::{Budget, CloseOptions, Observations, close};

@@ -1,7 +1,8 @@
 //! The tutorial is true: its commands run in the order of the page, from an empty folder, and print what the page says.
 //!
-//! Every block of `docs/tutorial.md` that is marked `sh` is run by `sh -eu`. A block marked `text` after it shows lines of what these
-//! commands print, without what follows on the line: words must be equal, numbers must agree within [`TOLERANCE`].
+//! Every block of `docs/tutorial.md` that is marked `sh` is run by `sh -eu`. A block marked `text` after it shows lines
+//! of what these commands print, without what follows on the line: words must be equal, numbers must agree within
+//! [`TOLERANCE`].
 #![cfg(unix)]
 #![allow(clippy::unwrap_used)]
 
@@ -64,8 +65,8 @@ fn number(word: &str) -> Option<(f64, String)> {
     Some((inner.parse().ok()?, around))
 }
 
-/// The program, built as this test was: it lies two folders above the test (`cargo test --workspace` builds it), and is built here
-/// if it is missing.
+/// The program, built as this test was: it lies two folders above the test (`cargo test --workspace` builds it), and is
+/// built here if it is missing.
 fn program() -> PathBuf {
     let test = std::env::current_exe().unwrap();
     let profile = test.parent().and_then(Path::parent).unwrap();

@@ -12,8 +12,8 @@
 //!
 //! [`close()`] runs all of it on observations in memory, [`close_session`] on files.
 //!
-//! A small virtual instrument is calibrated; then its lens array is shifted by a quarter of a pixel, and the loop finds the
-//! shift from three scenes:
+//! A small virtual instrument is calibrated; then its lens array is shifted by a quarter of a pixel, and the loop finds
+//! the shift from three scenes:
 //!
 //! ```
 //! # fn main() -> anyhow::Result<()> {

@@ -13,8 +13,8 @@ use ommatidia_session::{Role, Session};
 /// Second differences are halved: the coefficients of templates are variances, px^2.
 const TEMPLATES: usize = 6;
 
-/// A small instrument whose light drowns the noise: a thousand times that of the demo instrument at the same full scale. The read noise
-/// dithers the rounding, so that faint tails are not rounded away.
+/// A small instrument whose light drowns the noise: a thousand times that of the demo instrument at the same full
+/// scale. The read noise dithers the rounding, so that faint tails are not rounded away.
 fn bright(scan: usize) -> BenchConfig {
     let mut config = BenchConfig::default();
     let sensor = SensorConfig { rows: 90, cols: 140, bit_depth: 16, gain_dn_per_e: 0.0065, ..config.sensor };
@@ -26,7 +26,8 @@ fn bright(scan: usize) -> BenchConfig {
     config
 }
 
-/// Variances (row, col) and covariance, px^2, that predicted scenes lack; besides, light and place of all foci may differ.
+/// Variances (row, col) and covariance, px^2, that predicted scenes lack; besides, light and place of all foci may
+/// differ.
 fn missing_width(config: &BenchConfig) -> [f64; 3] {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("session");
@@ -74,8 +75,8 @@ fn templates(v: ArrayView2<'_, f64>) -> [f64; TEMPLATES] {
     ]
 }
 
-/// Foci that were registered by fractions of a pixel, and such as lay on the object grid, are as wide as they are: 3e-4 px^2 of tails
-/// are missing. Windows that leave 2e-4 of the light miss 6e-4, the nominal ones of 15 px 0.016.
+/// Foci that were registered by fractions of a pixel, and such as lay on the object grid, are as wide as they are: 3e-4
+/// px^2 of tails are missing. Windows that leave 2e-4 of the light miss 6e-4, the nominal ones of 15 px 0.016.
 #[test]
 fn calibrated_foci_are_as_wide_as_they_are() {
     // Steps of 35/9 and of 5 object pixels.

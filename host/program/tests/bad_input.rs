@@ -1,5 +1,5 @@
-//! Bad input, file by file: each fault is refused with an error that names the file, what was expected and found, and what
-//! to do; nothing is left behind.
+//! Bad input, file by file: each fault is refused with an error that names the file, what was expected and found, and
+//! what to do; nothing is left behind.
 #![allow(clippy::unwrap_used)]
 
 mod common;

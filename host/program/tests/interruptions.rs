@@ -1,4 +1,5 @@
-//! What a training is worth that is killed, or whose disk is full: the program as a process, ended as the system ends it.
+//! What a training is worth that is killed, or whose disk is full: the program as a process, ended as the system ends
+//! it.
 #![allow(clippy::unwrap_used)]
 
 mod common;
@@ -37,7 +38,8 @@ fn step(path: &Path) -> u64 {
     if path.exists() { Checkpoint::read(path).unwrap().body.step } else { 0 }
 }
 
-/// Waits until a training has written something newer, and a little longer, so that it is in the midst of a step or of the next file.
+/// Waits until a training has written something newer, and a little longer, so that it is in the midst of a step or of
+/// the next file.
 fn wait_for_more_than(step_before: u64, path: &Path, longer: Duration) {
     let begin = Instant::now();
     while step(path) <= step_before {

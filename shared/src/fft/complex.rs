@@ -6,6 +6,12 @@ use super::twiddle::Roots;
 /// One complex number in each of L lanes: real parts, imaginary parts.
 pub type Lanes<const L: usize> = [[f32; L]; 2];
 
+/// One lane as (re, im) pairs.
+#[inline(always)]
+pub(super) fn single<const L: usize>(data: &mut [Lanes<L>]) -> &mut [[f32; 2]] {
+    data.as_flattened_mut().as_flattened_mut().as_chunks_mut::<2>().0
+}
+
 /// Plan of a complex transform, 4 to [`MAX_LEN`] long.
 ///
 /// `X[k] = sum_n x[n] e^(-2 pi i n k / N)`, without scaling. The inverse is the same transform with real and imaginary
@@ -52,7 +58,7 @@ impl Fft {
         let data = &mut data[..self.len];
         #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
         if L == 1 {
-            return crate::num::arm::transform(super::strip::single(data));
+            return crate::num::arm::transform(single(data));
         }
         let mut quarter = if self.len.trailing_zeros().is_multiple_of(2) {
             data.as_chunks_mut::<4>().0.iter_mut().for_each(first_radix4);

@@ -4,7 +4,7 @@
 //! lanes use loops that the compiler vectorizes. The values are the same. Where a Helium routine cannot guarantee that,
 //! it returns false, and the caller goes lane by lane.
 
-use super::complex::{Fft, Lanes};
+use super::complex::{Fft, Lanes, single};
 use super::real::RealFft;
 #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
 use crate::num::arm;
@@ -34,12 +34,6 @@ pub(super) const HELIUM: bool = cfg!(all(target_arch = "arm", target_abi = "eabi
 #[inline(always)]
 fn four<const L: usize>(data: &mut [Lanes<L>]) -> &mut [Lanes<4>] {
     data.as_flattened_mut().as_flattened_mut().as_chunks_mut::<4>().0.as_chunks_mut::<2>().0
-}
-
-/// One lane as (re, im) pairs.
-#[inline(always)]
-pub(super) fn single<const L: usize>(data: &mut [Lanes<L>]) -> &mut [[f32; 2]] {
-    data.as_flattened_mut().as_flattened_mut().as_chunks_mut::<2>().0
 }
 
 /// Transforms columns `first..first + count` of a spectrum whose rows are `row_len` halves, and scales them.

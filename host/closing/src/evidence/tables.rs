@@ -19,7 +19,8 @@ pub struct TableFit {
     pub z: f64,
     /// Probability of a larger value if the effect is absent.
     pub p: f64,
-    /// The first parameter less the error of the calibration's maps, in the unit of [`ommatidia_physics::effects::Param::inner`].
+    /// The first parameter less the error of the calibration's maps, in the unit of
+    /// [`ommatidia_physics::effects::Param::inner`].
     pub size: f64,
     /// Standard error of `size`, with the uncertainty of that map error.
     pub size_sigma: f64,

@@ -55,8 +55,9 @@ struct Change<'a> {
 }
 
 impl Model<'_> {
-    /// Derivative of the expected frame `k` with respect to a column's value ([`ommatidia_physics::effects::Param::inner`] of a
-    /// parameter), DN, [sensor rows, sensor cols]. None: the frame does not depend on it.
+    /// Derivative of the expected frame `k` with respect to a column's value
+    /// ([`ommatidia_physics::effects::Param::inner`] of a parameter), DN, [sensor rows, sensor cols]. None: the frame
+    /// does not depend on it.
     ///
     /// # Errors
     /// An object holds negative or non-finite light.

@@ -4,7 +4,8 @@
 //! [`plan`] lists the cases and [`shard`] divides them among computers; [`subject`] is one instrument under study,
 //! [`sensitivity`] how well its sessions determine each effect; [`trial`] runs a case; [`record`] stores its outcome,
 //! one line per session, so that an interrupted study resumes; [`summary`] computes the figures, and [`text`] renders
-//! the page. [`downstream`] measures the effect on reconstructions, with the [`networks`] that the program brings. [`foreign`] holds effects outside the catalogue.
+//! the page. [`downstream`] measures the effect on reconstructions, with the [`networks`] that the program brings.
+//! [`foreign`] holds effects outside the catalogue.
 //!
 //! ```
 //! use ommatidia_closing::study::plan::{Question, Size, cases};

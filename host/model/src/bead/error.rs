@@ -41,7 +41,8 @@ pub enum BeadError {
     /// No lens shows a focus.
     #[error(
         "{path}: no focus found near any chief ray: the brightest of {lenses} lenses has a contrast of {found:.1} \
-         robust standard deviations, expected at least {expected}; check that the bead was lit, and array.pitch_px and optics.magnification in session.toml"
+         robust standard deviations, expected at least {expected}; check that the bead was lit, and \
+         array.pitch_px and optics.magnification in session.toml"
     )]
     NoFocus {
         /// The file.

@@ -14,8 +14,8 @@ pub struct SceneLight {
 }
 
 impl SceneLight {
-    /// The same object at depth `z_um`. The model must be planned at every depth ([`super::Forward::with_all_depths`]). It is
-    /// interpolated between depths; beyond them the nearest depth holds.
+    /// The same object at depth `z_um`. The model must be planned at every depth ([`super::Forward::with_all_depths`]).
+    /// It is interpolated between depths; beyond them the nearest depth holds.
     pub fn at_depth(self, z_um: f64) -> Self {
         Self { z_um: Some(z_um), ..self }
     }

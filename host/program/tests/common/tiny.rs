@@ -1,4 +1,4 @@
-//! A 3 x 3 instrument of Gaussian foci, small enough to be written anew by each test, and the faults it may have.
+//! A 3 x 3 instrument of Gaussian foci, small enough to be written by each test, and the faults it may have.
 
 use ndarray::Array2;
 use ommatidia_session::rng;

@@ -163,9 +163,12 @@ proptest::proptest! {
         let i = instrument([rows, cols], [37, 44], 2 * half + 1, rank);
         let mut moved = i.geometry.clone();
         moved.anchors_px[1][0] += shift;
-        let a = LowRankOperator::plan(i.optics(), &moved, OperatorConfig { max_transform_px, ..OperatorConfig::default() }).unwrap();
+        let config = OperatorConfig { max_transform_px, ..OperatorConfig::default() };
+        let a = LowRankOperator::plan(i.optics(), &moved, config).unwrap();
         let (x, y) = (noise([rows, cols], seed), noise([37, 44], seed + 1));
-        let dot = |a: &Array2<f32>, b: &Array2<f32>| a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>();
+        let dot = |a: &Array2<f32>, b: &Array2<f32>| -> f64 {
+            a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
+        };
         let norm = |a: &Array2<f32>| dot(a, a).sqrt();
         let ax = a.apply(x.view()).unwrap();
         let (left, right) = (dot(&ax, &y), dot(&x, &a.adjoint(y.view()).unwrap()));

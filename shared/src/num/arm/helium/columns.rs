@@ -1,16 +1,11 @@
 //! Columns of pairs of halves, four side by side, and the transform between. Sixteen bytes hold the pairs of four
 //! columns: real parts are the low halves of their words, imaginary parts the high ones.
 
+use super::bounds::check;
 use super::fft::{join, last_to_columns, transform};
 use super::{Four, shift, unflushed};
 use crate::num::f16;
 use crate::num::pairs::Parts;
-
-/// Checks that `halves` hold `len` groups of four pairs at this stride. Panics otherwise.
-#[inline(always)]
-pub(super) fn check(halves: usize, stride: usize, len: usize) {
-    assert!(stride >= 8 && halves + stride >= len * stride + 8, "{halves} halves are too few");
-}
 
 /// Transforms four columns, the pairs at `columns[i * stride..][..8]`, in place, scaled. `data` is scratch. Returns
 /// false, and writes nothing, where Helium flushed a number.

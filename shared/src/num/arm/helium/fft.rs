@@ -3,7 +3,7 @@
 //! A product is rounded before it is added: products and sums are instructions of their own. Eight registers hold four
 //! complex numbers of four lanes and nothing else, so real parts are finished before imaginary parts are loaded.
 
-use super::columns::check;
+use super::bounds::check;
 use super::{Four, asm_push, rows_at};
 use crate::fft::ROOT_TRIPLES;
 use crate::num::f16;

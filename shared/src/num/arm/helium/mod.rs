@@ -8,6 +8,7 @@
 //!
 //! Helium returns the default NaN for every NaN. It is converted as [`crate::num`] defines.
 
+mod bounds;
 mod columns;
 mod correlate;
 mod fft;
@@ -54,8 +55,8 @@ const fn shift(len: usize) -> u32 {
 /// flushes a number (Arm DDI 0553, FPProcessException).
 const FLUSHED: u32 = 1 << 3 | 1 << 7;
 
-/// Does `work`, and returns whether Helium flushed no number meanwhile. Narrowing to halves sets the same flags, so
-/// work that narrows must restore them.
+/// Does `work`, and returns whether Helium flushed nothing to zero meanwhile. Narrowing to halves sets the same flags,
+/// so work that narrows must restore them.
 #[inline(always)]
 fn unflushed(work: impl FnOnce()) -> bool {
     // SAFETY: the flags have no other effect.
