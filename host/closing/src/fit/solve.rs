@@ -9,6 +9,9 @@ use ommatidia_physics::linalg::{SymmetricEigen, symmetric_eigen};
 pub fn pseudo_inverse(a: &Array2<f64>) -> Array2<f64> {
     let scale = a.diag().mapv(|v| if v > 0.0 { 1.0 / v.sqrt() } else { 0.0 });
     let n = a.nrows();
+    if n == 0 {
+        return a.clone();
+    }
     let scaled = Array2::from_shape_fn((n, n), |(i, j)| 0.5 * (a[[i, j]] + a[[j, i]]) * scale[i] * scale[j]);
     let Ok(SymmetricEigen { values, vectors }) = symmetric_eigen(&scaled) else { return Array2::zeros((n, n)) };
     let floor = 3e-6;

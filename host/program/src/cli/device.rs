@@ -82,7 +82,7 @@ struct RunArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     first: Option<u32>,
     #[command(flatten)]
-    scope: scope::Args,
+    scope: scope::ScopeArgs,
     #[command(flatten)]
     target: Target,
 }

@@ -6,7 +6,7 @@ use ommatidia_shared::image::Region;
 
 /// Options that name a region.
 #[derive(Debug, clap::Args)]
-pub(super) struct Args {
+pub(super) struct ScopeArgs {
     /// Reconstruct only this region of the object, pixels (default: the whole object). Without --hold its bits equal
     /// those of the whole reconstruction
     #[arg(long, value_name = "ROW,COL,ROWS,COLS", value_parser = region)]
@@ -19,7 +19,7 @@ pub(super) struct Args {
     hold: Option<u16>,
 }
 
-impl Args {
+impl ScopeArgs {
     pub(super) fn scope(&self) -> Scope {
         Scope { region: self.roi, hold: self.hold.unwrap_or(0) }
     }

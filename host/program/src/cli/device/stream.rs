@@ -30,7 +30,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     every: u32,
     #[command(flatten)]
-    scope: super::scope::Args,
+    scope: super::scope::ScopeArgs,
     /// Show the reconstructions in a browser at this address, e.g. 127.0.0.1:8080
     #[arg(long, value_name = "ADDRESS")]
     view: Option<SocketAddr>,
