@@ -4,7 +4,9 @@ use crate::log::info;
 use embedded_hal::digital::OutputPin;
 use embedded_io::{Read, Write};
 use half::f16;
-use ommatidia_shared::device::{Arenas, Device, End, Footprint, FrameInput, Line, Monitor, RamObject, Watchdog, serve};
+use ommatidia_shared::device::{
+    Arenas, Device, End, Footprint, FrameSource, Line, Monitor, RamObject, Watchdog, serve,
+};
 use ommatidia_shared::flash::MappedFlash;
 use ommatidia_shared::wire::{Activity, StartCause};
 
@@ -45,7 +47,7 @@ pub struct Parts<'m, L, P, F, W, S> {
 ///
 /// # Errors
 /// Those of the serial line.
-pub fn run<L: Read + Write, P: OutputPin, F: MappedFlash, W: Watchdog, S: FrameInput>(
+pub fn run<L: Read + Write, P: OutputPin, F: MappedFlash, W: Watchdog, S: FrameSource>(
     parts: Parts<'_, L, P, F, W, S>,
 ) -> Result<End, L::Error> {
     let Parts { name, mut link, line, trigger, mut watchdog, started_by, footprint, cycles, .. } = parts;

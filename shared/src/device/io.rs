@@ -30,7 +30,7 @@ impl fmt::Display for IoError {
 impl core::error::Error for IoError {}
 
 /// Source of raw frames: the host, or a camera.
-pub trait FrameInput {
+pub trait FrameSource {
     /// Largest frame that fits, pixels.
     fn capacity(&self) -> usize;
     /// Whether there is a camera, so that the host need not send frames.
@@ -158,7 +158,7 @@ impl<'m> RamFrame<'m> {
     }
 }
 
-impl FrameInput for RamFrame<'_> {
+impl FrameSource for RamFrame<'_> {
     fn capacity(&self) -> usize {
         self.memory.len()
     }

@@ -1,6 +1,6 @@
 //! The state machine.
 
-use super::io::{FrameInput, FrameSink, IoError, Monitor};
+use super::io::{FrameSink, FrameSource, IoError, Monitor};
 use super::upload::Upload;
 use crate::blob::{CRC, MemoryPlan, Network, Verified};
 use crate::flash::{MappedFlash, Slots};
@@ -57,7 +57,7 @@ pub struct Device<'m, F, S, K, M> {
     telemetry: Telemetry,
 }
 
-impl<'m, F: MappedFlash, S: FrameInput, K: FrameSink, M: Monitor> Device<'m, F, S, K, M> {
+impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F, S, K, M> {
     /// A device that runs the newest network in its flash that passes every check, if there is one.
     pub fn new(board: &'static str, flash: F, source: S, sink: K, arenas: Arenas<'m>, monitor: M) -> Self {
         let mut device = Self {

@@ -1,6 +1,6 @@
 //! The device at its end of a line.
 
-use super::io::{FrameInput, FrameSink, Monitor};
+use super::io::{FrameSink, FrameSource, Monitor};
 use super::machine::Device;
 use crate::flash::MappedFlash;
 use crate::wire::frame::decode;
@@ -43,7 +43,7 @@ impl Line {
     }
 
     /// Takes a byte from the line. Where it ends a request, `device` handles that request.
-    pub fn push<F: MappedFlash, S: FrameInput, K: FrameSink, M: Monitor>(
+    pub fn push<F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor>(
         &mut self,
         byte: u8,
         device: &mut Device<'_, F, S, K, M>,
@@ -91,7 +91,7 @@ impl Default for Line {
 ///
 /// # Errors
 /// Those of `link`.
-pub fn serve<L: Read + Write, F: MappedFlash, S: FrameInput, K: FrameSink, M: Monitor>(
+pub fn serve<L: Read + Write, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor>(
     link: &mut L,
     line: &mut Line,
     device: &mut Device<'_, F, S, K, M>,

@@ -12,7 +12,7 @@ use embassy_stm32::pac::{self, DMA1, DMAMUX1};
 use embassy_stm32::peripherals as p;
 use embassy_stm32::rcc::{Mco, Mco1Source, McoConfig, McoPrescaler};
 use embassy_stm32::{Peri, bind_interrupts, dma};
-use ommatidia_shared::device::{FrameInput, IoError};
+use ommatidia_shared::device::{FrameSource, IoError};
 
 bind_interrupts!(struct Interrupts {
     DCMI => dcmi::InterruptHandler<p::DCMI>;
@@ -202,7 +202,7 @@ fn stop() {
     while stream.cr().read().en() {}
 }
 
-impl FrameInput for Camera {
+impl FrameSource for Camera {
     fn capacity(&self) -> usize {
         WINDOW.pixels()
     }

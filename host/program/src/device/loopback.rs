@@ -4,7 +4,7 @@ use super::error::DeviceError;
 use super::transport::Transport;
 use embedded_io::{ErrorType, Read, Write};
 use half::f16;
-use ommatidia_shared::device::{Arenas, Device, FrameInput, IoError, Line, RamFrame, RamObject, Silent, serve};
+use ommatidia_shared::device::{Arenas, Device, FrameSource, IoError, Line, RamFrame, RamObject, Silent, serve};
 use ommatidia_shared::flash::RamFlash;
 use std::convert::Infallible;
 use std::fs::OpenOptions;
@@ -128,7 +128,7 @@ struct Camera<'m> {
     frame: Vec<u16>,
 }
 
-impl FrameInput for Camera<'_> {
+impl FrameSource for Camera<'_> {
     fn capacity(&self) -> usize {
         self.host.capacity()
     }
