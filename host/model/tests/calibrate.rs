@@ -11,6 +11,7 @@ use ommatidia_model::instrument::{Instrument, LightUnit};
 use ommatidia_model::psf::OperatorConfig;
 use ommatidia_model::testing::Testbed;
 use ommatidia_physics::noise::Source;
+use ommatidia_session::artifact::Provenance;
 use ommatidia_session::{Role, Session};
 
 fn run(bed: &Testbed, config: CalibrateConfig) -> Result<Calibration, String> {
@@ -181,7 +182,7 @@ fn a_session_without_beads_gives_the_sensor_alone() {
     assert!(notes.iter().any(|n| n.contains("only the sensor is modelled")), "{notes:?}");
     assert!(notes.iter().any(|n| n.contains("quantile of the scenes")) && instrument.noise.black_level_dn == 20.0);
     let path = folder.path().join("a.instrument");
-    instrument.write(&path, ommatidia_session::artifact::Provenance::new("calibrate", 1, &())).unwrap();
+    instrument.write(&path, Provenance::new("calibrate", 1, &())).unwrap();
     let read = Instrument::read(&path).unwrap();
     assert!(read.sensor_only() && read.light_unit == LightUnit::Dn);
     let forward = Forward::new(&read).unwrap();
