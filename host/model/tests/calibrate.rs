@@ -216,7 +216,7 @@ fn foci_that_hang_over_the_edge_are_used_as_far_as_they_go() {
     // The whole array sits too high: the first row of foci leaves the sensor.
     bed.anchors_px.iter_mut().for_each(|a| a[0] -= 17.0);
     let Calibration { instrument, notes } = run(&bed, CalibrateConfig::default()).unwrap();
-    assert!(notes.iter().any(|n| n.contains("hang over the edge")), "{notes:?}");
+    assert!(notes.iter().any(|n| n.contains("extend beyond the edge")), "{notes:?}");
     let forward = Forward::new(&instrument).unwrap();
     let got = forward.expected_e(bed.object(7).view(), &forward.context()).unwrap();
     let want = bed.expected_e(7);

@@ -91,7 +91,7 @@ fn another_data_set_is_not_mixed_in() {
     let [a, b] = ["a", "b"].map(|n| dir.path().join(n));
     simulation(dir.path(), 1).run(&a, Share::ALL, |_| ()).unwrap();
     let error = simulation(dir.path(), 2).run(&a, Share::ALL, |_| ()).unwrap_err().to_string();
-    assert!(error.contains("another data set"), "{error}");
+    assert!(error.contains("another instrument, seed or configuration"), "{error}");
     simulation(dir.path(), 2).run(&b, Share::ALL, |_| ()).unwrap();
     std::fs::copy(b.join("shard-00000.safetensors"), a.join("shard-00000.safetensors")).unwrap();
     assert!(matches!(DataSet::open(&a).unwrap_err(), DataSetError::Foreign { .. }));

@@ -203,6 +203,6 @@ pub(crate) mod tests {
         written.reconstructions.pop();
         written.write(&path, Provenance::new("evaluate", 3, &())).unwrap();
         let error = Evaluation::read(&path).unwrap_err().to_string();
-        assert!(error.contains("reconstructions/svfouriernet") && error.contains("no such tensor"), "{error}");
+        assert!(error.contains("reconstructions/svfouriernet") && error.contains("no tensor of this name"), "{error}");
     }
 }

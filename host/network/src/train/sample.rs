@@ -1,6 +1,6 @@
 //! Held-out pictures in a checkpoint: for people to look at while a network trains.
 
-use super::checkpoint::{Body, FRAMES, KIND, OBJECTS, SAMPLES, VERSION};
+use super::checkpoint::{FRAMES, KIND, OBJECTS, SAMPLES, VERSION};
 use ndarray::Array2;
 use ommatidia_model::metrics::Case;
 use ommatidia_session::artifact::{self, ArtifactError};
@@ -21,7 +21,7 @@ impl Sample {
     /// # Errors
     /// The file is missing, cut short, not a checkpoint, or of another version.
     pub fn of(path: &Path) -> Result<Vec<Self>, ArtifactError> {
-        let index = artifact::Index::<Body>::open(path, KIND, VERSION)?;
+        let index = artifact::Index::<serde_json::Value>::open(path, KIND, VERSION)?;
         // Imported weights have no samples, nor have runs before their first validation.
         let count = index.shape(SAMPLES).ok().and_then(|shape| shape.first().copied()).unwrap_or(0);
         let image = |name, i| Ok(index.read_entry(name, i)?.into_dimensionality().unwrap_or_default());
