@@ -1,6 +1,9 @@
 //! A synthetic bench for tests: analytic foci whose width, elongation and brightness vary over the field, drawn noise,
 //! and a session on disk. It shares nothing with the low-rank model: each focus is a formula.
 
+// A fixture that cannot write its files fails the test.
+#![allow(clippy::unwrap_used)]
+
 use ndarray::Array2;
 use ommatidia_session::rng;
 use ommatidia_session::{
@@ -47,6 +50,12 @@ pub struct Testbed {
     pub scenes: usize,
     /// Changes bead frame n (DN) before it is written.
     pub spoil: fn(usize, &mut Array2<f32>),
+}
+
+impl Default for Testbed {
+    fn default() -> Self {
+        Self::new()
+    }
 }
 
 impl Testbed {
