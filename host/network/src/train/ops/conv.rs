@@ -38,7 +38,7 @@ pub struct ConvGradient {
     pub input: Vec<f32>,
     /// With respect to the weight, [outputs, inputs, 3, 3].
     pub weight: Vec<f32>,
-    /// With respect to the bias, [outputs].
+    /// With respect to the bias, one value for each output.
     pub bias: Vec<f32>,
 }
 
