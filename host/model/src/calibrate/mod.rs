@@ -1,8 +1,8 @@
 //! The act of calibration: session -> instrument.
 //!
-//! [`calibrate`] measures noise, chief rays and bead windows, fits the low-rank model ([`model`]) and the refits that
-//! show its uncertainty ([`replicates`]), and fixes the unit of light ([`light_unit`]). A session without a bead scan
-//! calibrates the sensor alone ([`sensor_only`]).
+//! [`calibrate`] measures noise, chief rays and bead windows, fits the low-rank model (`model`) and the refits that
+//! show its uncertainty (`replicates`), and fixes the unit of light (`light_unit`). A session without a bead scan
+//! calibrates the sensor alone (`sensor_only`).
 //!
 //! ```
 //! use ommatidia_model::calibrate::{CalibrateConfig, calibrate};

@@ -146,9 +146,9 @@ pub struct Diagnostics {
     /// Bead positions, object pixels, [bead, (row, col)].
     pub positions_px: Array2<f32>,
     /// Pearson correlation of each bead's foci with those of the bead nearest to the axis (Fig. 2a of the paper),
-    /// [bead].
+    /// one value for each bead.
     pub pcc: Array1<f32>,
-    /// NRMSE of the rank-K model relative to each bead's own light, [bead].
+    /// NRMSE of the rank-K model relative to each bead's own light, one value for each bead.
     pub bead_nrmse: Array1<f32>,
     /// Singular values of each lens's windows, largest first, [lens, bead].
     pub singular_values: Array2<f32>,

@@ -46,7 +46,7 @@ impl Decomposition {
 
 /// Decomposes `windows` [bead, px] into at most `rank` terms.
 ///
-/// `sigma` [px] is the standard deviation of the noise of each pixel, in any unit. `known` [bead, px] marks the
+/// `sigma`, one value for each pixel, is the standard deviation of the noise of each pixel, in any unit. `known` [bead, px] marks the
 /// measured pixels (None: all).
 ///
 /// # Errors
