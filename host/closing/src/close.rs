@@ -1,6 +1,6 @@
 //! Closes the loop on observations in memory: screening of the records, first fit, search, pruning, account.
 
-use super::account::{Account, Closed, Closing, Findings, effects, fault, pictured, rejected};
+use super::account::{Accepted, Account, Closed, Closing, Findings, effects, fault, pictured, rejected};
 use super::data::{Fault, Observations, Shown};
 use super::evidence::{figures, judged, omnibus, structured};
 use super::fit::{Model, State, Term, record, refit, replicas};
@@ -36,6 +36,15 @@ pub enum CloseError {
     Empty,
 }
 
+/// A stack of the session that the calibration of the instrument has read.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CalibratedOn {
+    /// Index of the stack in the session.
+    pub stack: usize,
+    /// Its file.
+    pub file: String,
+}
+
 /// Settings of [`close()`].
 #[derive(Clone, Copy, Debug, Default)]
 pub struct CloseOptions<'a> {
@@ -43,6 +52,8 @@ pub struct CloseOptions<'a> {
     pub session_name: &'a str,
     /// Seed of all random draws.
     pub seed: u64,
+    /// Files of the session that the calibration of the instrument has read ([`super::files`] compares hashes).
+    pub calibrated_on: &'a [CalibratedOn],
     /// Ids of effects that are not tried, for tests of the loop with the true effect missing from the catalogue.
     pub exclude: &'a [String],
     /// An instrument that was calibrated on the training beads of the session, if it predicts the held-out beads better
@@ -131,14 +142,21 @@ pub fn close(
                 .into(),
         );
     }
+    let own_beads = own_beads(seen, options.calibrated_on);
+    if own_beads {
+        notes.push(OWN_BEADS_NOTE.into());
+    }
+    let accepted = Accepted { state: &now.state, found: &found };
     let closing = Closing {
         session: options.session_name.into(),
+        calibrated_on: options.calibrated_on.iter().map(|c| c.file.clone()).collect(),
+        own_beads,
         before: figures(&model, &before),
         after: figures(&model, &now),
         held_out_frames: held_out_frames(seen),
         held_out_blocks: held_out_blocks(seen),
         effects,
-        rejected: rejected(&model, &rest, &now.state, &found),
+        rejected: rejected(&model, &rest, &accepted, own_beads),
         catalogue_incomplete,
         faults,
         dependences_before,
@@ -170,8 +188,12 @@ pub fn residual(
     let replicas = replicas(&model, instrument, &fit.state)?;
     let dependences = omnibus::test(&model, &fit, &replicas.of(&model, &fit), options.seed);
     let figures = figures(&model, &fit);
+    let own_beads = own_beads(seen, options.calibrated_on);
     let closing = Closing {
         session: options.session_name.into(),
+        calibrated_on: options.calibrated_on.iter().map(|c| c.file.clone()).collect(),
+        own_beads,
+        notes: own_beads.then(|| OWN_BEADS_NOTE.into()).into_iter().collect(),
         before: figures,
         after: figures,
         held_out_frames: held_out_frames(seen),
@@ -184,6 +206,21 @@ pub fn residual(
         ..Closing::default()
     };
     Ok(pictured(&model, &fit, &fit, closing))
+}
+
+/// What the figures mean where the only known frames are those of the calibration.
+const OWN_BEADS_NOTE: &str = "the figures are of bead frames that this instrument was calibrated on: they show how well \
+                              the model describes that scan, and nothing of what has changed since; measure scenes of \
+                              known objects or a new bead scan to test the optics";
+
+/// Whether all frames of the figures are bead frames that the calibration has read.
+fn own_beads(seen: &Observations, calibrated_on: &[CalibratedOn]) -> bool {
+    let own = |k: usize| {
+        let frame = &seen.frames[k];
+        matches!(frame.shown, Shown::Bead(_)) && calibrated_on.iter().any(|c| c.stack == frame.stack)
+    };
+    let mut known = judged(seen).filter(|k| seen.frames[*k].shown != Shown::Unknown).peekable();
+    known.peek().is_some() && known.all(own)
 }
 
 /// Checks the records of the scenes and corrects them in the observations.

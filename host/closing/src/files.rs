@@ -1,14 +1,15 @@
 //! Closes the loop from files to files.
 
 use super::account::{Account, Closed, Recalibrated, Retrain, RetrainRequest, adopt};
-use super::close::{CloseOptions, check_layout, close, residual};
+use super::close::{CalibratedOn, CloseOptions, check_layout, close, residual};
 use super::data::{Budget, Observations};
 use super::search::trial_calibration;
 use anyhow::Context;
 use ommatidia_model::calibrate::CalibrateConfig;
 use ommatidia_model::instrument::Instrument;
 use ommatidia_session::Session;
-use ommatidia_session::artifact::Provenance;
+use ommatidia_session::artifact::{self, Provenance};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// What [`close_session`] reads and writes.
@@ -71,11 +72,13 @@ pub fn close_session(
 ) -> anyhow::Result<CloseOutcome> {
     let (session, instrument) = read(request.session, request.instrument)?;
     let mut seen = Observations::read(&session, &Budget::default())?;
+    let calibrated_on = calibrated_on(&session, request.instrument)?;
     let trial = trial_calibration(&session, &instrument, &request.calibration)?;
     let options = CloseOptions {
         session_name: &session.manifest().name,
         seed: request.seed,
         trial_calibration: trial.as_ref(),
+        calibrated_on: &calibrated_on,
         ..CloseOptions::default()
     };
     let mut closed = close(&instrument, &mut seen, &options, |step| progress(Progress::Step(step)))
@@ -137,8 +140,13 @@ pub struct ResidualOutcome {
 pub fn residual_session(request: &ResidualRequest<'_>) -> anyhow::Result<ResidualOutcome> {
     let (session, instrument) = read(request.session, request.instrument)?;
     let mut seen = Observations::read(&session, &Budget::default())?;
-    let options =
-        CloseOptions { session_name: &session.manifest().name, seed: request.seed, ..CloseOptions::default() };
+    let calibrated_on = calibrated_on(&session, request.instrument)?;
+    let options = CloseOptions {
+        session_name: &session.manifest().name,
+        seed: request.seed,
+        calibrated_on: &calibrated_on,
+        ..CloseOptions::default()
+    };
     let account = residual(&instrument, &mut seen, &options).with_context(|| request.session.display().to_string())?;
     let provenance = provenance("residual", request.seed, &session, request.instrument)?;
     Ok(ResidualOutcome { account, provenance })
@@ -155,7 +163,29 @@ fn read(session: &Path, instrument: &Path) -> anyhow::Result<(Session, Instrumen
     Ok((open, instrument))
 }
 
+/// The stacks of the session whose files the instrument's provenance names, by their hashes.
+fn calibrated_on(session: &Session, instrument: &Path) -> anyhow::Result<Vec<CalibratedOn>> {
+    let header = artifact::inspect(instrument)?;
+    let inputs = header["provenance"]["inputs"].as_object();
+    let hashes: BTreeSet<&str> = inputs.into_iter().flatten().filter_map(|(_, hash)| hash.as_str()).collect();
+    let mut read = Vec::new();
+    for (stack, entry) in session.stacks().iter().enumerate() {
+        if hashes.contains(artifact::file_hash(&entry.path())?.as_str()) {
+            read.push(CalibratedOn { stack, file: entry.entry().file.clone() });
+        }
+    }
+    Ok(read)
+}
+
 fn provenance(verb: &str, seed: u64, session: &Session, instrument: &Path) -> anyhow::Result<Provenance> {
     let provenance = Provenance::new(verb, seed, &Budget::default());
-    Ok(provenance.with_input(&session.manifest_path())?.with_input(instrument)?)
+    let mut provenance = provenance.with_input(&session.manifest_path())?.with_input(instrument)?;
+    // What the instrument was calibrated on stays known through any number of closed loops.
+    let header = artifact::inspect(instrument)?;
+    for (name, hash) in header["provenance"]["inputs"].as_object().into_iter().flatten() {
+        if let Some(hash) = hash.as_str() {
+            provenance.inputs.entry(name.clone()).or_insert_with(|| hash.into());
+        }
+    }
+    Ok(provenance)
 }

@@ -65,7 +65,7 @@ pub mod search;
 pub mod study;
 
 pub use account::{Account, Closed, Closing, Effect, Rejected, Retrain, RetrainRequest, Retrained, Value};
-pub use close::{CloseError, CloseOptions, check_layout, close, residual};
+pub use close::{CalibratedOn, CloseError, CloseOptions, check_layout, close, residual};
 pub use data::{Budget, Fault, FaultKind, Observations};
 pub use evidence::{Covariate, Dependence, Figures};
 pub use files::{

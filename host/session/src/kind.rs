@@ -22,6 +22,10 @@ pub enum FileKind {
     Json,
     /// A stack of frames, .npy or .tif.
     Stack,
+    /// A page for a browser.
+    Page,
+    /// A safetensors file without an Ommatidia header.
+    Tensors,
     /// Any other file.
     Unknown,
 }
@@ -35,6 +39,8 @@ impl fmt::Display for FileKind {
             Self::Folder => f.write_str("a folder without a session.toml"),
             Self::Json => f.write_str("a JSON object"),
             Self::Stack => f.write_str("a stack of frames"),
+            Self::Page => f.write_str("an HTML page"),
+            Self::Tensors => f.write_str("a safetensors file of another program"),
             Self::Unknown => f.write_str("an unknown file"),
         }
     }
@@ -56,11 +62,12 @@ impl FileKind {
             s if s.starts_with(&blob::MAGIC) => Self::Blob,
             s if s.starts_with(b"\x93NUMPY") || s.starts_with(b"II") || s.starts_with(b"MM") => Self::Stack,
             // A safetensors file: eight bytes of length, then JSON.
-            [_, _, _, _, _, _, _, _, b'{', ..] => {
-                let header = artifact::inspect(path)?;
-                Self::Artifact(header.get("kind").and_then(|k| k.as_str()).unwrap_or("").into())
-            }
+            [_, _, _, _, _, _, _, _, b'{', ..] => match artifact::find_header(path)? {
+                Some(header) => Self::Artifact(header.get("kind").and_then(|k| k.as_str()).unwrap_or("").into()),
+                None => Self::Tensors,
+            },
             s if s.trim_ascii_start().starts_with(b"{") => Self::Json,
+            s if s.to_ascii_lowercase().starts_with(b"<!doctype html") => Self::Page,
             _ => Self::Unknown,
         })
     }
@@ -85,6 +92,10 @@ mod tests {
         assert_eq!(file("c", b"II*\0"), FileKind::Stack);
         assert_eq!(file("d", b" {\"bit_exact\": true}"), FileKind::Json);
         assert_eq!(file("e", b"hello"), FileKind::Unknown);
+        assert_eq!(file("g", b"<!DOCTYPE html><p>"), FileKind::Page);
+        let mut foreign = 16u64.to_le_bytes().to_vec();
+        foreign.extend(b"{}              ");
+        assert_eq!(file("h", &foreign), FileKind::Tensors);
         assert_eq!(file("f", b""), FileKind::Unknown);
         assert_eq!(FileKind::of(folder.path()).unwrap(), FileKind::Folder);
         file("session.toml", b"format = 1");

@@ -36,9 +36,7 @@ impl SessionWriter {
     pub fn create(target: &Path, manifest: &Manifest, existing: Existing) -> Result<Self, SessionError> {
         manifest.check(&target.join(MANIFEST))?;
         may_write(target, existing)?;
-        let parent = artifact::folder_of(target);
-        let folder = tempfile::Builder::new().prefix(".ommatidia-").tempdir_in(parent);
-        let folder = folder.map_err(|e| SessionError::io(target, e))?;
+        let folder = artifact::temporary_folder_beside(target).map_err(|e| SessionError::io(target, e))?;
         let manifest = Manifest { stacks: Vec::new(), ..manifest.clone() };
         Ok(Self { target: target.into(), existing, folder, manifest })
     }
@@ -104,8 +102,7 @@ impl SessionWriter {
         self.extra(MANIFEST, text.as_bytes())?;
         open_to_all(self.folder.path()).map_err(io)?;
         may_write(&self.target, self.existing)?;
-        let parent = artifact::folder_of(&self.target);
-        let aside = tempfile::Builder::new().prefix(".ommatidia-old-").tempdir_in(parent).map_err(io)?;
+        let aside = artifact::temporary_folder_beside(&self.target).map_err(io)?;
         if self.target.exists() {
             std::fs::rename(&self.target, aside.path().join("old")).map_err(io)?;
         }

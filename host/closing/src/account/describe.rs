@@ -112,7 +112,10 @@ pub(crate) fn fault(fault: &Fault) -> Effect {
 }
 
 /// Detection limits of all effects of the catalogue that were not added.
-pub(crate) fn rejected(model: &Model<'_>, rest: &[Candidate], state: &State, found: &[Found]) -> Vec<Rejected> {
+/// With `own_beads`, the known frames are the bead frames of the calibration: the PSFs have absorbed what they show, so
+/// that they cannot limit what has changed since.
+pub(crate) fn rejected(model: &Model<'_>, rest: &[Candidate], now: &Accepted<'_>, own_beads: bool) -> Vec<Rejected> {
+    let Accepted { state, found } = now;
     let lenses = model.lenses();
     let mut out = Vec::new();
     for effect in registry() {
@@ -131,7 +134,9 @@ pub(crate) fn rejected(model: &Model<'_>, rest: &[Candidate], state: &State, fou
         let size = |value: f64| if p.forbidden_side() * value > 0.0 { 0.0 } else { value.abs() };
         let limit = first.map(|f| size(f.value) + 1.645 * f.sigma);
         let [low, off, high] = [p.min, p.off, p.max].map(|v| p.inner(v));
-        let testable = limit.is_some_and(|u| u.is_finite() && u < (high - off).abs().max((off - low).abs()));
+        let absorbed = own_beads && matches!(d.stage, Stage::Object | Stage::Geometry | Stage::Lens);
+        let testable =
+            !absorbed && limit.is_some_and(|u| u.is_finite() && u < (high - off).abs().max((off - low).abs()));
         // In the unit of the parameter.
         let upper_limit = limit.filter(|_| testable).map(|u| p.outer_sigma(0.0, u));
         out.push(Rejected {
@@ -141,10 +146,22 @@ pub(crate) fn rejected(model: &Model<'_>, rest: &[Candidate], state: &State, fou
             sigma: first.map(|f| p.outer_sigma(0.0, f.sigma)).filter(|_| testable),
             unit: p.unit.into(),
             z: test.map_or(0.0, |t| t.z),
-            needs: (!testable).then(|| needs(d.stage, d.id).into()),
+            needs: (!testable).then(|| if absorbed { OWN_BEADS } else { needs(d.stage, d.id) }.into()),
         });
     }
     out
+}
+
+/// What makes an effect of the optics testable where the only known frames are those of the calibration.
+const OWN_BEADS: &str = "scenes of known objects, or a bead scan of today: the instrument was calibrated on these bead \
+                         frames, so they cannot show what has changed since";
+
+/// The state that was accepted, and the effects in it.
+pub(crate) struct Accepted<'a> {
+    /// The state.
+    pub state: &'a State,
+    /// The effects that were added.
+    pub found: &'a [Found],
 }
 
 /// The measurement that makes an effect testable.

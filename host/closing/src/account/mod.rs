@@ -11,7 +11,7 @@ pub mod result;
 pub mod retrain;
 
 pub use adopt::{Recalibrated, adopt};
-pub(crate) use describe::{Findings, effects, fault, rejected};
+pub(crate) use describe::{Accepted, Findings, effects, fault, rejected};
 pub use file::{KIND, VERSION};
 pub(crate) use pictures::pictured;
 pub use result::{Account, Closed, Closing, Effect, Rejected, Value};

@@ -79,6 +79,13 @@ pub struct Closing {
     pub before: Figures,
     /// Figures with the added effects.
     pub after: Figures,
+    /// Files of the session that the calibration of the instrument has read, by their hashes: what they show is no
+    /// independent test of it.
+    #[serde(default)]
+    pub calibrated_on: Vec<String>,
+    /// Whether all frames of the figures are bead frames that the calibration has read.
+    #[serde(default)]
+    pub own_beads: bool,
     /// Held-out scenes or beads: indices in their stack.
     pub held_out_frames: Vec<usize>,
     /// Number of held-out spatial blocks of the other frames, and of all blocks.

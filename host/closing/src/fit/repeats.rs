@@ -13,6 +13,7 @@ use crate::data::Shown;
 use ndarray::{Array1, Array2, s};
 use ommatidia_physics::effects::{Chain, Stage, blur_within};
 use ommatidia_physics::linalg::{SymmetricEigen, symmetric_eigen};
+use ommatidia_physics::noise::NoiseModel;
 use ommatidia_session::Role;
 use ommatidia_session::rng::stream;
 use rand::Rng;
@@ -28,6 +29,10 @@ pub(crate) type Features = [f64; FEATURES];
 const UNKNOWN: f64 = 1e9;
 /// Standard deviation of the Gaussian blur that removes the motion of an unknown specimen, pixels.
 const SMOOTH_PX: f64 = 4.0;
+/// Most noise that the difference of two repeats shows, standard deviations of the noise model: the median is robust
+/// against parts of a specimen that move, and a noise model may be somewhat wrong. Frames of different specimens differ
+/// by far more.
+const REPEAT_SIGMA: f64 = 2.0;
 /// Number of noise frames that are drawn for each level.
 const DRAWN: u64 = 2;
 
@@ -60,7 +65,7 @@ pub(crate) fn cells(model: &Model<'_>, at: Expansion<'_>, columns: &[Column], re
     [false, true]
         .into_iter()
         .filter_map(|held_out| {
-            let levels = levels(model, held_out);
+            let levels = levels(model, held_out, now);
             if levels.is_empty() {
                 return None;
             }
@@ -102,7 +107,7 @@ pub(crate) fn cells(model: &Model<'_>, at: Expansion<'_>, columns: &[Column], re
 /// Measured minus expected features of each level in standard errors: independent standard normal variables if the
 /// noise model is right. Held-out repeats are left out.
 pub(crate) fn residuals(model: &Model<'_>, state: &State, now: &[Predicted]) -> Vec<Features> {
-    let levels = levels(model, false);
+    let levels = levels(model, false, now);
     let one = |level: &Level| {
         let base = noise_features(model, &model.chain(&state.terms), level, now);
         excess(model, state, now, level, base)
@@ -150,7 +155,9 @@ fn drawn(model: &Model<'_>, at: Expansion<'_>, column: &Column) -> Option<Drawn>
     Some(Drawn { chain: model.chain(&terms), step })
 }
 
-fn levels(model: &Model<'_>, held_out: bool) -> Vec<Level> {
+/// Pairs of successive frames of one light. Darks and flats are repeats by their role; two frames of unknown specimens
+/// only if they prove to be.
+fn levels(model: &Model<'_>, held_out: bool, now: &[Predicted]) -> Vec<Level> {
     let frames = &model.seen.frames;
     let mut keyed: Vec<([f64; 3], Level)> = Vec::new();
     for (k, f) in frames.iter().enumerate() {
@@ -162,6 +169,9 @@ fn levels(model: &Model<'_>, held_out: bool) -> Vec<Level> {
         if !repeats || !same || f.held_out != held_out || q.held_out != held_out {
             continue;
         }
+        if unknown && !shows_the_same(&f.measured, &q.measured, &now[p].inverse_sigma, model.forward.noise()) {
+            continue;
+        }
         let key = [f.stack as f64, f.info.illumination, f.info.exposure_ms];
         match keyed.iter_mut().find(|(k, _)| *k == key) {
             // Pairs with a common frame are not independent.
@@ -171,6 +181,25 @@ fn levels(model: &Model<'_>, held_out: bool) -> Vec<Level> {
         }
     }
     keyed.into_iter().map(|(_, l)| l).collect()
+}
+
+/// Whether two frames show the same specimen, up to smooth changes and motion of some of its parts: the median of the
+/// sharp part of their difference at lit pixels is that of noise. Frames DN, `inverse_sigma` 1/DN, all
+/// [sensor rows, sensor cols].
+fn shows_the_same(a: &Array2<f32>, b: &Array2<f32>, inverse_sigma: &Array2<f32>, noise: &NoiseModel) -> bool {
+    let mut d = b - a;
+    d.zip_mut_with(inverse_sigma, |d, w| *d *= w * std::f32::consts::FRAC_1_SQRT_2);
+    let sharp = &d - &blur_within(&d, SMOOTH_PX);
+    let lit = noise.black_level_dn + 3.0 * noise.read_noise_e * noise.gain_dn_per_e;
+    let mut off: Vec<f32> = Vec::new();
+    ndarray::Zip::from(&sharp).and(a).and(b).and(inverse_sigma).for_each(|s, a, b, w| {
+        if *w > 0.0 && f64::from(a.max(*b)) > lit {
+            off.push(s.abs());
+        }
+    });
+    // The median of the absolute value of a normal variable is 0.6745 standard deviations.
+    off.sort_by(f32::total_cmp);
+    off.get(off.len() / 2).is_none_or(|median| f64::from(*median) < REPEAT_SIGMA * 0.6745)
 }
 
 /// Features of the measured pairs of a level.

@@ -13,6 +13,7 @@ use ommatidia_session::rng;
 use rand::RngExt;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::fmt;
 use std::path::Path;
 use std::str::FromStr;
 
@@ -50,6 +51,12 @@ impl Share {
 
     fn holds(self, shard: usize) -> bool {
         shard % self.of == self.index - 1
+    }
+}
+
+impl fmt::Display for Share {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.index, self.of)
     }
 }
 

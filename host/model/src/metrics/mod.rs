@@ -28,6 +28,6 @@ pub use case::Case;
 pub use figures::{Figures, MetricError, Moments, compare, psnr_db, scaled};
 pub use prediction::{
     ChiSquared, FrameComparison, PredictionFigures, ResidualRing, SensorNoise, chi_squared, in_sigmas,
-    prediction_figures, with_scale,
+    prediction_figures,
 };
 pub use ssim::{SsimError, ssim};

@@ -1,7 +1,7 @@
 //! How well a model predicts frames: against noise-free expectations where they are known, and against measured frames.
 //!
-//! Model and session may count light in different units, so a whole stack is judged after one free scale of the light
-//! above the black level. The scale is 1 for a model that was calibrated in the session's own unit.
+//! Model and session may count light in different units, so a whole stack is judged after one free scale of the light.
+//! It acts on the light that falls on the sensor, before full scale clips it. The scale is 1 for a model that was calibrated in the session's own unit.
 
 use super::figures::{MetricError, Moments, squared_error};
 use ndarray::{Array2, ArrayView2, Zip};
@@ -113,6 +113,13 @@ pub struct FrameComparison {
     pub measured: Array2<f32>,
 }
 
+impl FrameComparison {
+    /// What the prediction is judged against: the true expectation where it is known, else the measured frame.
+    fn reference(&self) -> &Array2<f32> {
+        self.expected.as_ref().unwrap_or(&self.measured)
+    }
+}
+
 /// Chi-squared and the pixels that it was summed over.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ChiSquared {
@@ -202,11 +209,6 @@ pub fn in_sigmas(
     Ok(out)
 }
 
-/// A predicted frame, DN, with its light above the black level multiplied by `scale`.
-pub fn with_scale(predicted_dn: &Array2<f32>, scale: f64, black_level_dn: f64) -> Array2<f32> {
-    predicted_dn.mapv(|v| ((f64::from(v) - black_level_dn) * scale + black_level_dn) as f32)
-}
-
 /// The noise and fixed pattern of a sensor: what the likelihood of a frame depends on.
 #[derive(Clone, Copy, Debug)]
 pub struct SensorNoise<'a> {
@@ -228,35 +230,59 @@ impl SensorNoise<'_> {
     }
 }
 
-/// The figures of a stack of `count` frames. `frame(i)` returns the i-th; it is called twice for each frame, so that
-/// memory holds one at a time.
+/// Light, relative to the model's own, from which the fit of the scale begins where every lit pixel of the model's own
+/// light clips.
+const DIM: f64 = 1.0 / 1024.0;
+/// The scale is fitted again until it changes by less than this fraction: pixels that no longer clip join the fit.
+const SETTLED: f64 = 1e-5;
+/// Most passes over the frames.
+const PASSES: usize = 12;
+
+/// The figures of a stack of `count` frames. `frame(i, light)` returns the i-th as predicted for `light` times the
+/// model's own light: the sensor clips what is brighter than full scale, so the scale must act before the sensor does.
+/// It is called twice or so for each frame, and memory holds one at a time.
 ///
 /// # Errors
 /// `frame` fails, shapes differ, a value is not finite, or all expectations are 0.
 pub fn prediction_figures(
     count: usize,
     sensor: SensorNoise<'_>,
-    mut frame: impl FnMut(usize) -> anyhow::Result<FrameComparison>,
+    mut frame: impl FnMut(usize, f64) -> anyhow::Result<FrameComparison>,
 ) -> anyhow::Result<PredictionFigures> {
-    let noise_black = sensor.noise.black_level_dn;
-    let black = noise_black as f32;
-    let mut sums = Moments::default();
-    for i in 0..count {
-        let f = frame(i)?;
-        let reference = f.expected.as_ref().unwrap_or(&f.measured);
-        sums.add(&Moments::of((&f.predicted - black).view(), (reference - black).view())?);
+    let mut scale = 1.0;
+    for _ in 1..PASSES {
+        let (figures, more) = figures_at(scale, count, sensor, &mut frame)?;
+        match more {
+            Some(more) if (more - 1.0).abs() < SETTLED => return Ok(figures),
+            Some(more) => scale *= more,
+            None if scale == 1.0 => scale = DIM,
+            None => return Ok(figures),
+        }
     }
-    let scale = sums.scale()?;
+    Ok(figures_at(scale, count, sensor, &mut frame)?.0)
+}
+
+/// The figures at one scale of the light, and the factor by which the light of the frames differs from it; None where no
+/// pixel shows it.
+fn figures_at(
+    scale: f64,
+    count: usize,
+    sensor: SensorNoise<'_>,
+    frame: &mut impl FnMut(usize, f64) -> anyhow::Result<FrameComparison>,
+) -> anyhow::Result<(PredictionFigures, Option<f64>)> {
+    let black = sensor.noise.black_level_dn as f32;
+    let (mut sums, mut fit) = (Moments::default(), Moments::default());
     let (mut error, mut model, mut truth, mut lit, mut lit_truth) = (0.0, 0.0, 0.0, 0u64, 0u64);
     let mut rings: Option<Rings> = None;
     for i in 0..count {
-        let f = frame(i)?;
+        let f = frame(i, scale)?;
         let light = &f.predicted - black;
-        let reference = f.expected.as_ref().unwrap_or(&f.measured);
-        error += squared_error(light.view(), (reference - black).view(), scale);
-        let scaled = with_scale(&f.predicted, scale, noise_black);
-        let rings = rings.get_or_insert_with(|| Rings::new(scaled.dim()));
-        each_lit(f.measured.view(), scaled.view(), sensor, |at, residual| {
+        let reference = f.reference() - black;
+        sums.add(&Moments::of(light.view(), reference.view())?);
+        fit.add(&unclipped(&f, sensor)?);
+        error += squared_error(light.view(), reference.view(), 1.0);
+        let rings = rings.get_or_insert_with(|| Rings::new(light.dim()));
+        each_lit(f.measured.view(), f.predicted.view(), sensor, |at, residual| {
             (model, lit) = (model + residual.chi2(), lit + 1);
             rings.add(at, &residual);
         })?;
@@ -265,7 +291,7 @@ pub fn prediction_figures(
             (truth, lit_truth) = (truth + chi2.sum, lit_truth + chi2.pixels);
         }
     }
-    Ok(PredictionFigures {
+    let figures = PredictionFigures {
         frames: count,
         scale,
         nrmse: error.sqrt() / sums.reference_norm(),
@@ -274,7 +300,27 @@ pub fn prediction_figures(
         chi2_ndf_expected: truth / lit_truth.max(1) as f64,
         lit_pixels: lit,
         by_radius: rings.map_or_else(Vec::new, |r| r.figures()),
-    })
+    };
+    sums.scale()?;
+    Ok((figures, fit.scale().ok().filter(|more| *more > 0.0)))
+}
+
+/// The sums from which the scale is fitted: light above black level and fixed pattern, of pixels that clip neither in the
+/// prediction nor in the reference.
+fn unclipped(f: &FrameComparison, sensor: SensorNoise<'_>) -> Result<Moments, MetricError> {
+    let (black, top) = (sensor.noise.black_level_dn as f32, sensor.noise.saturation_dn as f32);
+    let (mut light, mut reference) = (&f.predicted - black, f.reference() - black);
+    if let Some(offset) = sensor.offset_dn.filter(|offset| offset.dim() == light.dim()) {
+        light -= offset;
+        reference -= offset;
+    }
+    let clips = |v: f32| v >= top - 0.5;
+    Zip::from(&mut light).and(&mut reference).and(&f.predicted).and(f.reference()).for_each(|l, r, &p, &e| {
+        if clips(p) || clips(e) {
+            (*l, *r) = (0.0, 0.0);
+        }
+    });
+    Moments::of(light.view(), reference.view())
 }
 
 #[cfg(test)]
@@ -286,6 +332,14 @@ mod tests {
 
     fn sensor(noise: &NoiseModel) -> SensorNoise<'_> {
         SensorNoise { noise, offset_dn: None, reading_dn2: None }
+    }
+
+    /// A scene whose model predicts `unit` times the light, at a light level.
+    fn scene_in(unit: f64, i: usize, light: f64) -> FrameComparison {
+        let mut f = scene(i);
+        let noise = NoiseModel::nominal();
+        f.predicted.mapv_inplace(|v| (64.0 + (v - 64.0) * (unit * light) as f32).min(noise.saturation_dn as f32));
+        f
     }
 
     fn scene(i: usize) -> FrameComparison {
@@ -303,8 +357,8 @@ mod tests {
 
     #[test]
     fn a_perfect_model_has_chi_squared_one() {
-        let f = prediction_figures(5, sensor(&NoiseModel::nominal()), |i| Ok(scene(i))).unwrap();
-        assert!((f.scale - 1.0).abs() < 1e-12 && f.nrmse < 1e-6 && f.pcc > 1.0 - 1e-9);
+        let f = prediction_figures(5, sensor(&NoiseModel::nominal()), |i, light| Ok(scene_in(1.0, i, light))).unwrap();
+        assert!((f.scale - 1.0).abs() < 1e-5 && f.nrmse < 1e-5 && f.pcc > 1.0 - 1e-9);
         // chi2/ndf of n pixels scatters by sqrt(2/n): 0.014 for 10,000.
         // The rings share all lit pixels, and none shows a bias where there is none.
         assert_eq!(f.by_radius.iter().map(|r| r.pixels).sum::<u64>(), f.lit_pixels);
@@ -315,20 +369,18 @@ mod tests {
 
     #[test]
     fn a_wrong_model_shows_in_each_figure_and_a_wrong_unit_in_the_scale_alone() {
-        let wrong = |i| {
-            let mut t = scene(i);
+        let wrong = |i, light| {
+            let mut t = scene_in(1.0, i, light);
             t.predicted.slice_mut(ndarray::s![..20, ..]).mapv_inplace(|v| 64.0 + (v - 64.0) * 1.2);
             Ok(t)
         };
         let f = prediction_figures(2, sensor(&NoiseModel::nominal()), wrong).unwrap();
         assert!(f.nrmse > 0.02 && f.chi2_ndf > 1.2, "{f:?}");
-        let unit = |i| {
-            let mut t = scene(i);
-            t.predicted.mapv_inplace(|v| 64.0 + (v - 64.0) * 4.0);
-            Ok(t)
-        };
-        let f = prediction_figures(2, sensor(&NoiseModel::nominal()), unit).unwrap();
-        assert!((f.scale - 0.25).abs() < 1e-6 && f.nrmse < 1e-5, "{f:?}");
+        // At 50 times the light most of the frame clips, and the figures are those of the right unit.
+        for unit in [4.0, 50.0] {
+            let f = prediction_figures(2, sensor(&NoiseModel::nominal()), |i, l| Ok(scene_in(unit, i, l))).unwrap();
+            assert!((f.scale * unit - 1.0).abs() < 1e-4 && f.nrmse < 1e-4 && f.chi2_ndf < 1.1, "{f:?}");
+        }
     }
 
     #[test]

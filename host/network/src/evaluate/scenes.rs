@@ -65,16 +65,17 @@ impl Scenes {
         Ok(Case { frame_dn: stack.frames.read(frame)?, truth: stack.truth.read(frame)? })
     }
 
-    /// The frame of scene `i` as measured, as expected (where that is known), and as the model predicts it from the
-    /// truth.
+    /// The frame of scene `i` as measured, as expected (where that is known), and as the model predicts it for `light`
+    /// times the truth.
     ///
     /// # Errors
     /// A file cannot be read, or the model does not fit the session.
-    pub fn comparison(&mut self, i: usize, forward: &Forward) -> anyhow::Result<FrameComparison> {
+    pub fn comparison(&mut self, i: usize, forward: &Forward, light: f64) -> anyhow::Result<FrameComparison> {
         let Case { frame_dn: measured, truth } = self.case(i)?;
         let (s, frame) = self.index[i];
         let stack = &mut self.stacks[s];
-        let cx = context(forward, &stack.info[frame]);
+        let mut cx = context(forward, &stack.info[frame]);
+        cx.illumination *= light;
         let predicted = forward.expected_dn(truth.view(), &cx).with_context(|| format!("scene frame {i}"))?;
         let expected = stack.expected.as_mut().map(|e| e.read(frame)).transpose()?;
         Ok(FrameComparison { predicted, expected, measured })

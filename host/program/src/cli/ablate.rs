@@ -1,5 +1,6 @@
 //! `ablate`: networks that differ in one option each, trained in the same way and judged on the same scenes.
 
+use super::files::{Content, Files};
 use super::{Cli, Outcome, Run};
 use anyhow::{Context, bail};
 use clap::Parser;
@@ -51,6 +52,18 @@ fn variant(text: &str) -> Result<(String, String), String> {
     if name.is_empty() { Err("expected NAME=OPTIONS".into()) } else { Ok((name.into(), options.into())) }
 }
 
+impl Args {
+    /// What the verb reads and writes.
+    pub fn files(&self) -> Files {
+        Files::reading([&self.pairs, &self.instrument, &self.session])
+            .continuing([&self.output], Content::Named(|name| name.ends_with(".safetensors") || name == TABLE))
+            .after_stop("the same command goes on with the networks that are missing")
+    }
+}
+
+/// The table of an ablation, in its folder.
+const TABLE: &str = "ablation.json";
+
 /// Runs the verb.
 ///
 /// # Errors
@@ -81,7 +94,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     }
     let evaluation = args.output.join("evaluation.safetensors");
     evaluate.extend(["-o".into(), evaluation.display().to_string()]);
-    play(&evaluate, run)?;
+    // The evaluation of an earlier run, with fewer variants, is replaced.
+    play(&evaluate, &Run { force: true, ..run.clone() })?;
     let (judged, _) = Evaluation::read(&evaluation)?;
     let mut text = format!(
         "{:32} {:>10} {:>10} {:>8} {:>7} {:>10}\n",
@@ -107,7 +121,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     }
     let json =
         json!({ "ablation": table, "steps": args.steps, "frames": judged.summary.frames, "evaluation": evaluation });
-    ommatidia_session::artifact::write_whole(&args.output.join("ablation.json"), format!("{json}\n").as_bytes())?;
+    ommatidia_session::artifact::write_whole(&args.output.join(TABLE), format!("{json}\n").as_bytes())?;
     Ok(Outcome { json, text })
 }
 

@@ -1,6 +1,7 @@
 //! `bench`: the virtual instrument measures a session.
 
 use super::common::{Outcome, Run};
+use super::files::{Content, Files, virtual_session};
 use ommatidia_bench::BenchConfig;
 use ommatidia_network::evaluate::resolution;
 use ommatidia_physics::effects::EffectSetting;
@@ -30,6 +31,13 @@ pub struct Args {
     /// configuration)
     #[arg(long, value_name = "UM", value_delimiter = ',', allow_hyphen_values = true)]
     depths: Vec<f64>,
+}
+
+impl Args {
+    /// What the verb reads and writes.
+    pub fn files(&self) -> Files {
+        Files::reading(&self.config).writing([&self.session], Content::Named(virtual_session))
+    }
 }
 
 /// Runs the verb.

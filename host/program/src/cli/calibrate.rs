@@ -1,6 +1,7 @@
 //! `calibrate`: session -> instrument.
 
 use super::common::{Outcome, Run};
+use super::files::{Content, Files};
 use ommatidia_bench::open_session;
 use ommatidia_model::calibrate::{CalibrateConfig, Calibration, PixelReadNoise, calibrate, frames_read, response_rms};
 use ommatidia_model::instrument::{Instrument, LightUnit};
@@ -49,6 +50,13 @@ pub struct Args {
     /// Read noise, electrons rms, that is assumed if the session does not determine it
     #[arg(long, value_name = "E", default_value_t = NoiseConfig::default().nominal_read_noise_e)]
     read_noise: f64,
+}
+
+impl Args {
+    /// What the verb reads and writes.
+    pub fn files(&self) -> Files {
+        Files::reading([&self.session]).writing([&self.output], Content::artifact("instrument"))
+    }
 }
 
 /// Runs the verb.

@@ -1,9 +1,13 @@
 //! `close`: finds the effects that an instrument lacks and adds them.
 
+use super::files::{Content, Files};
 use super::retrain::Networks;
 use super::{Outcome, Run};
-use ommatidia_closing::{CloseOutcome, CloseRequest, Closing, Effect, FineTuning, Progress, close_session};
+use ommatidia_closing::{
+    CloseOutcome, CloseRequest, Closing, Effect, FineTuning, Progress, account_path, close_session,
+};
 use ommatidia_model::calibrate::CalibrateConfig;
+use ommatidia_session::kind::FileKind;
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -35,6 +39,24 @@ pub struct Args {
     /// Write a report of the account to this HTML file
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
+}
+
+impl Args {
+    /// What the verb reads and writes.
+    pub fn files(&self) -> Files {
+        let network = self.retrain.as_ref().map(|_| network_path(&self.output));
+        Files::reading([&self.session, &self.instrument])
+            .and_reading(&self.retrain)
+            .writing([&self.output], Content::artifact("instrument"))
+            .writing([account_path(&self.output)], Content::artifact("closing"))
+            .writing(network, Content::artifact("checkpoint"))
+            .writing(&self.report, Content::File(FileKind::Page))
+    }
+}
+
+/// Where the fine-tuned network goes.
+fn network_path(output: &Path) -> PathBuf {
+    output.with_extension("network")
 }
 
 /// Runs the verb.
@@ -80,8 +102,9 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
 /// The account as a table.
 pub fn table(closing: &Closing, output: &Path, account: &Path, seconds: f64) -> String {
     let mut out = String::new();
+    let on = if closing.own_beads { "on the bead frames of the calibration itself" } else { "on held-out data" };
     // Writing to a string cannot fail.
-    let _ = writeln!(out, "{:<24} {:>12} {:>12}   on held-out data", "", "before", "after");
+    let _ = writeln!(out, "{:<24} {:>12} {:>12}   {on}", "", "before", "after");
     let (b, a) = (closing.before, closing.after);
     for (name, before, after) in
         [("chi2 / pixel", b.chi2_ndf, a.chi2_ndf), ("NRMSE (with noise)", b.nrmse, a.nrmse), ("PCC", b.pcc, a.pcc)]

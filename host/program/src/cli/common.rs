@@ -3,8 +3,9 @@
 use anyhow::Context;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use std::io::{ErrorKind, Write};
+use std::io::{ErrorKind, IsTerminal, Write};
 use std::process::ExitCode;
+use std::time::Duration;
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::filter::LevelFilter;
 
@@ -21,6 +22,9 @@ pub struct Run {
     /// Number of threads (default: one per core); the result does not depend on it
     #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: Option<u16>,
+    /// Replace outputs that exist. An input, or a file of another kind, is never replaced
+    #[arg(long, global = true)]
+    pub force: bool,
     /// Log more to stderr; repeat for more detail
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     pub verbose: u8,
@@ -47,6 +51,9 @@ impl Run {
         let style = ProgressStyle::with_template("{msg:>12} [{bar:40}] {pos}/{len} {eta}");
         bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> "));
         bar.set_message(what);
+        if !self.quiet && !std::io::stderr().is_terminal() {
+            print_lines(&bar);
+        }
         bar
     }
 
@@ -72,6 +79,8 @@ impl Run {
         };
         let filter = EnvFilter::builder().with_default_directive(level.into()).from_env_lossy();
         let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).without_time();
+        let colours = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
+        let log = log.with_ansi(colours);
         // A second call in one process (a test) keeps the first log.
         let _ = log.with_target(self.verbose > 1).try_init();
         if let Some(n) = self.threads {
@@ -82,6 +91,26 @@ impl Run {
         }
         Ok(())
     }
+}
+
+/// Time between two lines of progress where stderr is no terminal.
+const LINE_EVERY: Duration = Duration::from_secs(15);
+
+/// Prints a line on stderr from time to time until the bar is finished or dropped, for logs and pipes.
+fn print_lines(bar: &ProgressBar) {
+    let bar = bar.downgrade();
+    std::thread::spawn(move || {
+        loop {
+            std::thread::sleep(LINE_EVERY);
+            let Some(bar) = bar.upgrade().filter(|bar| !bar.is_finished()) else { return };
+            let count =
+                bar.length().filter(|n| *n > 0).map_or(String::new(), |n| format!(" {} of {n},", bar.position()));
+            // A closed stderr ends the lines, not the run.
+            if writeln!(std::io::stderr(), "{}:{count} {:.0} s", bar.message(), bar.elapsed().as_secs_f64()).is_err() {
+                return;
+            }
+        }
+    });
 }
 
 /// The result of a verb: its figures for programs, and for people.
@@ -107,9 +136,18 @@ pub(super) fn finish(run: &Run, result: anyhow::Result<Outcome>) -> ExitCode {
         }
         Err(error) => error,
     };
+    let causes = causes(&error);
+    if run.json {
+        let _ = print(format!("{}\n", json_error(&causes[0], &causes[1..])).as_bytes());
+    }
     // If stderr is closed too, nothing can be printed.
-    let _ = writeln!(std::io::stderr(), "error: {}", cause_chain(&error));
+    let _ = writeln!(std::io::stderr(), "error: {}", causes.join("\n  because: "));
     ExitCode::FAILURE
+}
+
+/// An error as one JSON object, for programs.
+pub(super) fn json_error(message: &str, causes: &[String]) -> serde_json::Value {
+    serde_json::json!({ "error": { "message": message, "causes": causes } })
 }
 
 /// Writes to stdout; a broken pipe ends the text quietly.
@@ -121,15 +159,15 @@ pub(super) fn print(bytes: &[u8]) -> std::io::Result<()> {
     }
 }
 
-/// The error and its causes, one a line; a cause whose text the line before already ends with is left out.
-fn cause_chain(error: &anyhow::Error) -> String {
+/// The error and its causes; a cause whose text the one before already holds is left out. Never empty.
+fn causes(error: &anyhow::Error) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for cause in error.chain().map(ToString::to_string) {
         if lines.last().is_none_or(|last| !last.contains(&cause)) {
             lines.push(cause);
         }
     }
-    lines.join("\n  because: ")
+    lines
 }
 
 #[cfg(test)]
@@ -142,7 +180,7 @@ mod tests {
     fn a_cause_is_printed_once() {
         let inner = std::io::Error::other("disk full");
         let error = anyhow::Error::new(inner).context("a.npy: disk full").context("no reconstruction was written");
-        assert_eq!(cause_chain(&error), "no reconstruction was written\n  because: a.npy: disk full");
+        assert_eq!(causes(&error), ["no reconstruction was written", "a.npy: disk full"]);
     }
 
     #[test]

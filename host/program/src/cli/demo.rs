@@ -2,6 +2,7 @@
 
 use super::common::{Outcome, Run};
 use super::evaluate::table;
+use super::files::{Content, Files};
 use super::hidden::Hidden;
 use anyhow::{Context, bail};
 use ommatidia_network::evaluate::{Evaluation, MethodFigures};
@@ -14,7 +15,7 @@ use std::time::Instant;
 /// Options of `demo`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Folder for all results; the folder of an earlier demo is replaced
+    /// Folder for all results. That of an earlier demo is replaced, unless it holds files of yours
     #[arg(short, long, value_name = "DIR", default_value = "demo")]
     output: PathBuf,
     /// Number of scenes for the evaluation of the methods
@@ -38,6 +39,15 @@ struct Chapter {
     seed: u64,
 }
 
+impl Args {
+    /// What the verb reads and writes.
+    pub fn files(&self) -> Files {
+        Files::default()
+            .continuing([&self.output], Content::Named(is_own))
+            .after_stop("the results so far are in the folder; the same command begins again")
+    }
+}
+
 /// Runs the verb.
 ///
 /// # Errors
@@ -45,6 +55,7 @@ struct Chapter {
 pub fn run(args: &Args, run: &Run, execute: Execute) -> anyhow::Result<Outcome> {
     let start = Instant::now();
     let folder = &args.output;
+    std::fs::create_dir_all(artifact::folder_of(folder)).with_context(|| folder.display().to_string())?;
     prepare(folder)?;
     let hidden = Hidden::draw(run.seed);
     let chapters = chapters(args, folder, &hidden);
@@ -67,6 +78,43 @@ pub fn run(args: &Args, run: &Run, execute: Execute) -> anyhow::Result<Outcome> 
         figures.insert(name, entry);
     }
     closing(folder, &figures, &line, start.elapsed().as_secs_f64())
+}
+
+/// The files of a demo, without the figures of its chapters.
+const FILES: [&str; 13] = [
+    MARKER,
+    CLOSED,
+    HIDDEN,
+    "session",
+    "hidden",
+    "pairs",
+    "instrument.safetensors",
+    "network.safetensors",
+    "network.omm",
+    "device.npy",
+    "objects.tif",
+    "evaluation.safetensors",
+    "closed.closing",
+];
+/// The chapters whose figures are kept as `NAME.json`.
+const CHAPTERS: [&str; 11] = [
+    "bench",
+    "calibrate",
+    "simulate",
+    "train",
+    "quantize",
+    "device",
+    "reconstruct",
+    "evaluate",
+    "changed",
+    "close",
+    "report",
+];
+
+/// Whether a file of this name is one of a demo's.
+fn is_own(name: &str) -> bool {
+    let of_chapter = |name: &str| name.strip_suffix(".json").is_some_and(|name| CHAPTERS.contains(&name));
+    FILES.contains(&name) || of_chapter(name) || name == "report.html"
 }
 
 /// Marks a folder as one that a demo may replace.

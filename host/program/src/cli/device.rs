@@ -8,12 +8,14 @@ mod stream;
 mod target;
 
 use super::common::{Outcome, Run};
+use super::files::{Content, Files};
 use crate::device::{BoardCounts, DeviceRun, RunRequest, count_board, run as run_device, table};
 use anyhow::Context;
 use clap::Subcommand;
 use ndarray::{Array3, Axis};
 use ommatidia_network::network_file::NetworkFile;
 use ommatidia_session::artifact::write_whole;
+use ommatidia_session::kind::FileKind;
 use ommatidia_session::stack;
 use ommatidia_shared::boards::{BOARDS, Board};
 use ommatidia_shared::image::Region;
@@ -85,6 +87,23 @@ struct RunArgs {
     scope: scope::ScopeArgs,
     #[command(flatten)]
     target: Target,
+}
+
+impl Args {
+    /// What the verb reads and writes.
+    pub fn files(&self) -> Files {
+        match &self.action {
+            Action::Run(a) => {
+                let files = Files::reading([&a.with, &a.frames]).writing(&a.output, Content::File(FileKind::Stack));
+                a.target.with_files(files)
+            }
+            Action::Flash(a) => a.files(),
+            Action::Status(a) => a.files(),
+            Action::Stream(a) => a.files(),
+            Action::Faults(a) => a.files(),
+            Action::Bench(a) => Files::default().writing(&a.output, Content::Text(table::START)),
+        }
+    }
 }
 
 /// Runs the verb.

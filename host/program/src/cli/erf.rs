@@ -1,5 +1,6 @@
 //! `erf`: effective receptive fields of a network beside PSFs, and its filters in real space.
 
+use super::files::{Content, Files};
 use super::{Outcome, Run};
 use ndarray::Axis;
 use ommatidia_model::instrument::Instrument;
@@ -24,6 +25,15 @@ pub struct Args {
     /// Artifact to write, for `report`
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
+}
+
+impl Args {
+    /// What the verb reads and writes.
+    pub fn files(&self) -> Files {
+        Files::reading([&self.checkpoint, &self.instrument])
+            .and_reading(&self.frames)
+            .writing([&self.output], Content::artifact("receptive-field"))
+    }
 }
 
 /// Runs the verb.

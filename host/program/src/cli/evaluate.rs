@@ -1,11 +1,12 @@
 //! `evaluate`: methods side by side on scenes of known truth.
 
+use super::files::{Content, Files};
 use super::{Outcome, Run};
 use anyhow::{Context, ensure};
 use ndarray::{Array3, Axis};
 use ommatidia_model::forward::Forward;
 use ommatidia_model::instrument::Instrument;
-use ommatidia_model::metrics::{PredictionFigures, SensorNoise, in_sigmas, prediction_figures, with_scale};
+use ommatidia_model::metrics::{PredictionFigures, SensorNoise, in_sigmas, prediction_figures};
 use ommatidia_network::evaluate::{Evaluation, MethodFigures, Predicted, Scenes, Source, Summary, judge};
 use ommatidia_network::methods::{MethodKind, Reconstruct, title};
 use ommatidia_report::{bytes, seconds};
@@ -59,6 +60,16 @@ pub(super) enum EntrySource {
     Method(Box<dyn Reconstruct>),
     /// Finished reconstructions, [frames, object rows, object cols].
     Stack(Array3<f32>),
+}
+
+impl Args {
+    /// What the verb reads and writes.
+    pub fn files(&self) -> Files {
+        Files::reading([&self.session])
+            .and_reading(&self.with)
+            .and_reading(self.stacks.iter().map(|(_, file)| file))
+            .writing(&self.output, Content::artifact("evaluation"))
+    }
 }
 
 /// Runs the verb.
@@ -191,16 +202,15 @@ fn prediction(
                 offset_dn: instrument.offset_dn.as_ref(),
                 reading_dn2: forward.reading_dn2(),
             };
-            let figures = prediction_figures(count, sensor, |i| scenes.comparison(i, &forward));
+            let figures = prediction_figures(count, sensor, |i, light| scenes.comparison(i, &forward, light));
             let figures = figures.with_context(|| path.display().to_string())?;
             let size = (pictured.len(), instrument.manifest.sensor.rows, instrument.manifest.sensor.cols);
             let mut predicted = Predicted { frames_dn: Array3::zeros(size), residual_sigma: Array3::zeros(size) };
             for (p, i) in pictured.iter().enumerate() {
-                let frames = scenes.comparison(*i, &forward)?;
-                let scaled = with_scale(&frames.predicted, figures.scale, noise.black_level_dn);
-                let residual = in_sigmas(frames.measured.view(), scaled.view(), sensor)?;
+                let frames = scenes.comparison(*i, &forward, figures.scale)?;
+                let residual = in_sigmas(frames.measured.view(), frames.predicted.view(), sensor)?;
                 predicted.residual_sigma.index_axis_mut(Axis(0), p).assign(&residual);
-                predicted.frames_dn.index_axis_mut(Axis(0), p).assign(&scaled);
+                predicted.frames_dn.index_axis_mut(Axis(0), p).assign(&frames.predicted);
             }
             return Ok(Some((figures, predicted)));
         }

@@ -1,5 +1,6 @@
 //! `import-pth` and `export`: import and export of the published PyTorch weights.
 
+use super::files::{Content, Files};
 use super::{Outcome, Run};
 use anyhow::Context;
 use ommatidia_model::instrument::Instrument;
@@ -8,6 +9,7 @@ use ommatidia_network::train::{Checkpoint, weights};
 use ommatidia_physics::noise::{NoiseModel, Sources};
 use ommatidia_physics::sensor::SensorMaps;
 use ommatidia_session::artifact::Provenance;
+use ommatidia_session::kind::FileKind;
 use std::path::PathBuf;
 
 /// Options of `import-pth`.
@@ -40,6 +42,22 @@ pub struct Export {
     /// Safetensors to write, with the names and the crop of the published network
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
+}
+
+impl Args {
+    /// What `import-pth` reads and writes.
+    pub fn files(&self) -> Files {
+        Files::reading([&self.weights])
+            .and_reading(&self.instrument)
+            .writing([&self.output], Content::artifact("checkpoint"))
+    }
+}
+
+impl Export {
+    /// What `export` reads and writes.
+    pub fn files(&self) -> Files {
+        Files::reading([&self.checkpoint]).writing([&self.output], Content::File(FileKind::Tensors))
+    }
 }
 
 /// Runs `import-pth`.

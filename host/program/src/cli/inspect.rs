@@ -3,6 +3,7 @@
 use super::common::{Outcome, Run};
 use anyhow::{Context, bail};
 use ommatidia_closing::{self, Closing, Dependence, Effect};
+use ommatidia_model::dataset::{DataSetPlan, PLAN_FILE};
 use ommatidia_session::artifact;
 use ommatidia_session::kind::FileKind;
 use ommatidia_session::{FrameReader, Session};
@@ -14,8 +15,8 @@ use std::path::{Path, PathBuf};
 /// Options of `inspect`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Instrument, checkpoint, evaluation, account of a closed loop, network file, session folder, stack of frames, or
-    /// JSON that a command printed
+    /// Instrument, checkpoint, evaluation, account of a closed loop, network file, session folder, data-set folder,
+    /// stack of frames, or JSON that a command printed
     artifact: PathBuf,
 }
 
@@ -35,9 +36,11 @@ pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
             let figures: Value = serde_json::from_slice(&text).with_context(|| path.display().to_string())?;
             json!({ "kind": "json", "figures": figures })
         }
-        found @ (FileKind::Folder | FileKind::Unknown) => {
-            bail!("{}: expected an artifact, a network file, a session or a stack, found {found}", path.display())
-        }
+        FileKind::Folder if path.join(PLAN_FILE).exists() => of_data_set(path)?,
+        found @ (FileKind::Folder | FileKind::Page | FileKind::Tensors | FileKind::Unknown) => bail!(
+            "{}: expected an artifact, a network file, a session, a data set or a stack, found {found}",
+            path.display()
+        ),
     };
     let mut text = format!("{}\n", path.display());
     // The body of an account is long: the text shows a summary, the JSON all of it.
@@ -116,6 +119,14 @@ fn of_session(path: &Path) -> anyhow::Result<Value> {
     let frames =
         session.stacks().iter().map(|s| json!({ "role": s.entry().role, "file": s.entry().file, "frames": s.len() }));
     Ok(json!({ "kind": "session", "manifest": manifest, "stacks": frames.collect::<Vec<_>>() }))
+}
+
+fn of_data_set(path: &Path) -> anyhow::Result<Value> {
+    let plan = serde_json::to_value(DataSetPlan::read(path)?)?;
+    let entries = std::fs::read_dir(path).with_context(|| path.display().to_string())?;
+    let names = entries.flatten().map(|entry| entry.file_name().to_string_lossy().into_owned());
+    let shards = names.filter(|name| name.starts_with("shard-") && name.ends_with(".safetensors")).count();
+    Ok(json!({ "kind": "dataset", "plan": plan, "shards": shards }))
 }
 
 fn of_stack(path: &Path) -> anyhow::Result<Value> {

@@ -9,9 +9,12 @@ mod demo;
 mod device;
 mod erf;
 mod evaluate;
+mod files;
 mod hidden;
 mod import_pth;
 mod inspect;
+mod interrupt;
+mod lock;
 mod manual;
 mod predict;
 mod quantize;
@@ -25,6 +28,8 @@ mod study;
 mod train;
 
 pub use common::{Outcome, Run};
+
+use files::Files;
 
 use clap::{CommandFactory, Parser, Subcommand};
 
@@ -114,10 +119,10 @@ enum Verb {
     #[command(after_help = "Example:\n  ommatidia inspect instrument.safetensors")]
     Inspect(inspect::Args),
     /// Print completions for a shell
-    #[command(hide = true, after_help = "Example:\n  ommatidia completions bash > ommatidia.bash")]
+    #[command(after_help = "Example:\n  ommatidia completions bash > ommatidia.bash")]
     Completions(manual::Completions),
     /// Print the manual page
-    #[command(hide = true, after_help = "Example:\n  ommatidia man > ommatidia.1")]
+    #[command(after_help = "Example:\n  ommatidia man > ommatidia.1")]
     Man(manual::Man),
 }
 
@@ -128,9 +133,38 @@ impl Cli {
         Self { run, ..cli }.run()
     }
 
-    /// Runs the verb.
+    /// What the verb reads and writes.
+    fn files(&self) -> Files {
+        match &self.verb {
+            Verb::Demo(a) => a.files(),
+            Verb::Bench(a) => a.files(),
+            Verb::Calibrate(a) => a.files(),
+            Verb::Residual(a) => a.files(),
+            Verb::Close(a) => a.files(),
+            Verb::Study(a) => a.files(),
+            Verb::Predict(a) => a.files(),
+            Verb::Simulate(a) => a.files(),
+            Verb::Train(a) => a.files(),
+            Verb::Quantize(a) => a.files(),
+            Verb::Reconstruct(a) => a.files(),
+            Verb::Evaluate(a) => a.files(),
+            Verb::Resolution(a) => a.files(),
+            Verb::Erf(a) => a.files(),
+            Verb::Ablate(a) => a.files(),
+            Verb::Report(a) => a.files(),
+            Verb::Device(a) => a.files(),
+            Verb::ImportPth(a) => a.files(),
+            Verb::Export(a) => a.files(),
+            Verb::Inspect(_) | Verb::Completions(_) | Verb::Man(_) => Files::default(),
+        }
+    }
+
+    /// Runs the verb, if no file is at risk.
     fn run(&self) -> anyhow::Result<Outcome> {
         let run = &self.run;
+        let files = self.files();
+        let _locks = files.hold(run.force)?;
+        let _advice = interrupt::advise(&files);
         match &self.verb {
             Verb::Demo(a) => demo::run(a, run, Self::execute),
             Verb::Bench(a) => bench::run(a, run),
@@ -160,7 +194,13 @@ impl Cli {
 
 /// Parses the command line, runs the verb, prints, and gives the exit code: 0 done, 1 failed, 2 usage.
 pub fn main() -> std::process::ExitCode {
-    let cli = Cli::parse();
-    let result = cli.run.set_up().and_then(|()| cli.run());
+    let cli = Cli::try_parse().unwrap_or_else(|error| {
+        if error.use_stderr() && std::env::args().any(|word| word == "--json") {
+            // If stdout is closed, the text on stderr and the exit code remain.
+            let _ = common::print(format!("{}\n", common::json_error(error.to_string().trim(), &[])).as_bytes());
+        }
+        error.exit()
+    });
+    let result = cli.run.set_up().and_then(|()| interrupt::listen()).and_then(|()| cli.run());
     common::finish(&cli.run, result)
 }

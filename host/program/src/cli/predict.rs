@@ -1,10 +1,12 @@
 //! `predict`: expected frames for given objects.
 
 use super::common::{Outcome, Run};
+use super::files::{Content, Files};
 use anyhow::{Context, ensure};
 use ommatidia_model::forward::{Depth, PredictError, PredictRequest, Predicted, Predictor};
 use ommatidia_model::instrument::Instrument;
 use ommatidia_network::evaluate::{Measured, measured};
+use ommatidia_session::kind::FileKind;
 use ommatidia_session::{FrameReader, FrameWriter, SampleType, StackSpec};
 use serde_json::json;
 use std::path::PathBuf;
@@ -56,6 +58,13 @@ impl Args {
             (_, Some(z_um)) => Depth::Um(z_um),
             _ => Depth::Focus,
         }
+    }
+}
+
+impl Args {
+    /// What the verb reads and writes.
+    pub fn files(&self) -> Files {
+        Files::reading([&self.instrument, &self.objects]).writing([&self.output], Content::File(FileKind::Stack))
     }
 }
 

@@ -1,9 +1,11 @@
 //! `quantize`: checkpoint -> network file of a device.
 
+use super::files::{Content, Files};
 use super::{Outcome, Run};
 use ommatidia_network::quantize::{QuantizeConfig, QuantizeReport, quantize};
 use ommatidia_network::train::Checkpoint;
 use ommatidia_session::artifact::{file_hash, write_whole};
+use ommatidia_session::kind::FileKind;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
@@ -36,6 +38,13 @@ pub struct Args {
     /// Fraction of the filters' energy that the taps must keep [default: 0.95]
     #[arg(long, value_name = "PART", requires = "tile")]
     energy: Option<f64>,
+}
+
+impl Args {
+    /// What the verb reads and writes.
+    pub fn files(&self) -> Files {
+        Files::reading([&self.checkpoint]).writing([&self.output], Content::File(FileKind::Blob))
+    }
 }
 
 /// Runs the verb.

@@ -1,8 +1,10 @@
 //! `reconstruct`: raw frames in, objects out.
 
+use super::files::{Content, Files};
 use super::{Outcome, Run};
 use anyhow::Context;
 use ommatidia_network::methods::MethodKind;
+use ommatidia_session::kind::FileKind;
 use ommatidia_session::{FrameReader, FrameWriter, SampleType, StackSpec};
 use std::path::PathBuf;
 use std::time::Instant;
@@ -21,6 +23,13 @@ pub struct Args {
     /// Method [default: svfouriernet for checkpoints and network files, wiener for instruments]
     #[arg(long, value_name = "METHOD")]
     method: Option<MethodKind>,
+}
+
+impl Args {
+    /// What the verb reads and writes.
+    pub fn files(&self) -> Files {
+        Files::reading([&self.frames, &self.with]).writing([&self.output], Content::File(FileKind::Stack))
+    }
 }
 
 /// Runs the verb.

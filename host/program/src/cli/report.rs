@@ -1,7 +1,9 @@
 //! `report`: renders artifacts to one HTML file.
 
 use super::common::{Outcome, Run};
+use super::files::{Content, Files};
 use ommatidia_session::artifact;
+use ommatidia_session::kind::FileKind;
 use std::path::PathBuf;
 
 /// Options of `report`.
@@ -14,6 +16,13 @@ pub struct Args {
     /// HTML file to write
     #[arg(short, long, value_name = "FILE", default_value = "report.html")]
     output: PathBuf,
+}
+
+impl Args {
+    /// What the verb reads and writes.
+    pub fn files(&self) -> Files {
+        Files::reading(&self.artifacts).writing([&self.output], Content::File(FileKind::Page))
+    }
 }
 
 /// Runs the verb.

@@ -1,7 +1,9 @@
 //! `residual`: measured minus predicted, and what it depends on.
 
+use super::files::{Content, Files};
 use super::{Outcome, Run};
 use ommatidia_closing::{ResidualOutcome, ResidualRequest, residual_session};
+use ommatidia_session::kind::FileKind;
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -20,6 +22,15 @@ pub struct Args {
     /// Write a report of the account to this HTML file
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
+}
+
+impl Args {
+    /// What the verb reads and writes.
+    pub fn files(&self) -> Files {
+        Files::reading([&self.session, &self.instrument])
+            .writing(&self.output, Content::artifact("closing"))
+            .writing(&self.report, Content::File(FileKind::Page))
+    }
 }
 
 /// Runs the verb.
@@ -44,9 +55,15 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     // Writing to a string cannot fail.
     let _ = writeln!(
         text,
-        "chi2 / pixel {:.4}, NRMSE {:.4}, PCC {:.5} on held-out data\n",
-        c.before.chi2_ndf, c.before.nrmse, c.before.pcc
+        "chi2 / pixel {:.4}, NRMSE {:.4}, PCC {:.5} {}\n",
+        c.before.chi2_ndf,
+        c.before.nrmse,
+        c.before.pcc,
+        if c.own_beads { "on the bead frames of the calibration itself" } else { "on held-out data" }
     );
+    for note in &c.notes {
+        let _ = writeln!(text, "note: {note}");
+    }
     for fault in &c.faults {
         let _ = writeln!(text, "record: {}", fault.words());
     }
@@ -57,7 +74,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let json = serde_json::json!({
         "chi2_ndf": c.before.chi2_ndf, "nrmse": c.before.nrmse, "pcc": c.before.pcc,
         "held_out_frames": c.held_out_frames, "faults": c.faults, "dependences": c.dependences_before,
-        "structured": c.catalogue_incomplete,
+        "structured": c.catalogue_incomplete, "calibrated_on": c.calibrated_on, "own_beads": c.own_beads,
+        "notes": c.notes,
     });
     Ok(Outcome { json, text })
 }

@@ -1,6 +1,7 @@
 //! `resolution`: the finest line pairs that methods resolve, by position in the field and by depth.
 
 use super::evaluate::{EntrySource, entries};
+use super::files::{Content, Files};
 use super::{Outcome, Run};
 use anyhow::{Context, ensure};
 use ommatidia_network::evaluate::Scenes;
@@ -11,6 +12,7 @@ use ommatidia_network::methods::{MethodKind, title};
 use ommatidia_physics::scene::resolution::PERIODS_PX;
 use ommatidia_session::Session;
 use ommatidia_session::artifact::write_whole;
+use ommatidia_session::kind::FileKind;
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -28,6 +30,13 @@ pub struct Args {
     /// Keep all figures and line profiles as JSON, for `report`
     #[arg(short, long, value_name = "JSON")]
     output: Option<PathBuf>,
+}
+
+impl Args {
+    /// What the verb reads and writes.
+    pub fn files(&self) -> Files {
+        Files::reading([&self.session]).and_reading(&self.with).writing(&self.output, Content::File(FileKind::Json))
+    }
 }
 
 /// Runs the verb.

@@ -1,7 +1,8 @@
 //! `simulate`: simulates training pairs with an instrument.
 
 use super::common::{Outcome, Run};
-use ommatidia_model::dataset::{Share, SimulateConfig};
+use super::files::{Content, Files};
+use ommatidia_model::dataset::{PLAN_FILE, Share, SimulateConfig};
 use ommatidia_model::instrument::Instrument;
 use ommatidia_physics::scene::{SceneConfig, Specimen};
 use std::path::PathBuf;
@@ -36,6 +37,17 @@ pub struct Args {
     /// Simulate only every N-th shard, starting with number I (counted from 1), so that N computers share the work
     #[arg(long, value_name = "I/N", default_value = "1/1")]
     shard: Share,
+}
+
+impl Args {
+    /// What the verb reads and writes.
+    pub fn files(&self) -> Files {
+        Files::reading([&self.instrument])
+            .and_reading(&self.images)
+            .continuing([&self.output], Content::Folder(PLAN_FILE))
+            .share(self.shard)
+            .after_stop("the same command goes on with the shards that are missing")
+    }
 }
 
 /// Runs the verb.

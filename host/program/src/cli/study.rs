@@ -1,6 +1,7 @@
 //! `study`: measures how far `close` can be trusted.
 
 use super::common::{Outcome, Run};
+use super::files::{Content, Files};
 use super::retrain::Networks;
 use ommatidia_closing::study::plan::Size;
 use ommatidia_closing::study::run::{JSON, PAGE, StudyRequest, run as study};
@@ -38,6 +39,27 @@ pub struct Args {
     /// Run only every N-th session, starting with number I (counted from 0), so that N computers share the work
     #[arg(long, value_name = "I/N", default_value = "0/1")]
     shard: Shard,
+}
+
+impl Args {
+    /// What the verb reads and writes.
+    pub fn files(&self) -> Files {
+        Files::default()
+            .continuing([&self.output], Content::Named(of_study))
+            .share(format!("{}/{}", self.shard.index, self.shard.count))
+            .after_stop("the same command goes on with the sessions that are missing")
+    }
+}
+
+/// Whether a file of this name is one of a study's.
+fn of_study(name: &str) -> bool {
+    let any = |start: &str, end: &str| name.starts_with(start) && name.ends_with(end);
+    any("sessions", ".jsonl")
+        || any("instrument-", ".instrument")
+        || any("network-", ".checkpoint")
+        || any("sensitivity-", ".json")
+        || name == "study.json"
+        || name == "study.md"
 }
 
 /// Runs the verb.

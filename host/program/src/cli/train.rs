@@ -1,5 +1,6 @@
 //! `train`: data set or instrument -> checkpoint.
 
+use super::files::{Content, Files};
 use super::{Outcome, Run};
 use anyhow::Context;
 use ommatidia_model::dataset::{DataSet, PLAN_FILE};
@@ -12,6 +13,7 @@ use ommatidia_network::train::{
 use ommatidia_physics::noise::NoiseModel;
 use ommatidia_physics::sensor::SensorMaps;
 use ommatidia_session::artifact::{Provenance, file_hash, write_whole};
+use ommatidia_session::kind::FileKind;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -97,6 +99,21 @@ struct Inputs<'a> {
     /// Name of the input in the provenance, and the file that stands for it.
     role: &'static str,
     file: &'a Path,
+}
+
+impl Args {
+    /// What the verb reads and writes.
+    pub fn files(&self) -> Files {
+        let reads = Files::reading([&self.input]).and_reading(&self.instrument).and_reading(&self.from);
+        let reads =
+            reads.after_stop("the same command with --resume goes on from the last checkpoint, if there is one");
+        let (checkpoint, page) = (Content::artifact("checkpoint"), Content::File(FileKind::Page));
+        if self.resume {
+            return reads.continuing([&self.output], checkpoint).continuing(&self.page, page);
+        }
+        let reads = reads.hint(", or continue the training with --resume");
+        reads.writing([&self.output], checkpoint).writing(&self.page, page)
+    }
 }
 
 /// Runs the verb.

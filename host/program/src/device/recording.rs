@@ -7,7 +7,7 @@ use ommatidia_session::Recording;
 use ommatidia_shared::image::Region;
 use std::fs::File;
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// A recording of a stream: reconstructions as OME-TIFF, and a CSV table beside it with the number and time of each.
 pub struct StreamRecording {
@@ -17,15 +17,23 @@ pub struct StreamRecording {
 }
 
 impl StreamRecording {
+    /// First line of the table.
+    pub const HEADING: &'static str = "page,frame,time_s,dropped_before,saturated_px,field_frame\n";
+
+    /// The table that belongs to a recording: the same name with suffix .csv.
+    pub fn table_path(recording: &Path) -> PathBuf {
+        recording.with_extension("csv")
+    }
+
     /// Creates the TIFF file `path` and the table beside it; pages have the size of `region`.
     ///
     /// # Errors
     /// A file cannot be created.
     pub fn create(path: &Path, region: Region) -> anyhow::Result<Self> {
         let stack = Recording::create(path, [region.rows.into(), region.cols.into()])?;
-        let table = path.with_extension("csv");
+        let table = Self::table_path(path);
         let mut table = File::create(&table).with_context(|| table.display().to_string())?;
-        table.write_all(b"page,frame,time_s,dropped_before,saturated_px,field_frame\n")?;
+        table.write_all(Self::HEADING.as_bytes())?;
         Ok(Self { stack, table, pages: 0 })
     }
 

@@ -39,6 +39,9 @@ const PEERS: [(&str, &[Peer]); 2] = [
     ),
 ];
 
+/// How the page begins.
+pub const START: &str = "# Instructions and memory on the microcontroller\n";
+
 const HEAD: &str = "# Instructions and memory on the microcontroller
 
 Written by `cargo run --release -p ommatidia -- device bench -o docs/instructions.md`: the programs of

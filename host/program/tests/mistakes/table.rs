@@ -21,13 +21,7 @@ impl Mistake {
     /// `what` somebody did wrong, and the `command` that is then run on a desk (see [`desk`]), without the program's name.
     /// The command is expected to fail with exit code 1.
     pub fn new(what: impl Into<String>, command: impl Into<String>) -> Self {
-        Self {
-            what: what.into(),
-            command: command.into(),
-            prepare: Box::new(|_| ()),
-            exit: 1,
-            says: Vec::new(),
-        }
+        Self { what: what.into(), command: command.into(), prepare: Box::new(|_| ()), exit: 1, says: Vec::new() }
     }
 
     /// Makes the mistake: changes the files of the desk before the command runs.
@@ -110,7 +104,8 @@ pub fn hold(section: &str, mistakes: Vec<Mistake>) {
         return;
     }
     let plain = |text: &str| text.trim().replace(|c: char| c.is_ascii_digit(), "#").replace("##", "#");
-    let differs = plain(shown).lines().zip(plain(&table).lines()).find(|(a, b)| a != b).map(|(a, b)| format!("{a}\n{b}"));
+    let differs =
+        plain(shown).lines().zip(plain(&table).lines()).find(|(a, b)| a != b).map(|(a, b)| format!("{a}\n{b}"));
     assert!(
         differs.is_none() && plain(shown).lines().count() == plain(&table).lines().count(),
         "docs/mistakes.md shows, under `{section}`, and the program prints:\n{}\nto write the page again: see main.rs",

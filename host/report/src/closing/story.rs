@@ -44,7 +44,8 @@ fn opening(c: &Closing) -> Markup {
     let session = if c.session.is_empty() { "the session".to_string() } else { format!("“{}”", c.session) };
     html! {
         "The calibrated instrument was compared with " (session)
-        ". On held-out data (" (words::held_out(c)) ") the residual was "
+        ". On " @if c.own_beads { "data that are not independent" } @else { "held-out data" }
+        " (" (words::held_out(c)) ") the residual was "
         b { "χ² = " (format!("{:.3}", c.before.chi2_ndf)) " per pixel" } "; noise alone gives 1"
         @match strong.as_slice() {
             [] => ". The residual depended on none of the tested covariates. ",

@@ -45,6 +45,19 @@ pub fn inspect(path: &Path) -> Result<serde_json::Value, ArtifactError> {
     ommatidia_header(path, &metadata(path)?.0)
 }
 
+/// The header of a safetensors file, as JSON; `None` if the file is of another program.
+///
+/// # Errors
+/// The file is missing or is not a safetensors file.
+pub(crate) fn find_header(path: &Path) -> Result<Option<serde_json::Value>, ArtifactError> {
+    header_of(path, &metadata(path)?.0)
+}
+
+fn header_of(path: &Path, meta: &Metadata) -> Result<Option<serde_json::Value>, ArtifactError> {
+    let json = meta.metadata().as_ref().and_then(|m| m.get(HEADER_KEY));
+    json.map(|json| serde_json::from_str(json).map_err(|e| ArtifactError::format(path, e))).transpose()
+}
+
 /// Shapes of the tensors of an artifact, by name.
 ///
 /// # Errors
@@ -75,12 +88,7 @@ fn metadata(path: &Path) -> Result<(Metadata, u64), ArtifactError> {
 }
 
 fn ommatidia_header(path: &Path, meta: &Metadata) -> Result<serde_json::Value, ArtifactError> {
-    let json = meta
-        .metadata()
-        .as_ref()
-        .and_then(|m| m.get(HEADER_KEY))
-        .ok_or_else(|| ArtifactError::format(path, "no Ommatidia header in its metadata"))?;
-    serde_json::from_str(json).map_err(|e| ArtifactError::format(path, e))
+    header_of(path, meta)?.ok_or_else(|| ArtifactError::format(path, "no Ommatidia header in its metadata"))
 }
 
 fn finite_values(path: &Path, name: &str, bytes: &[u8]) -> Result<Vec<f32>, ArtifactError> {

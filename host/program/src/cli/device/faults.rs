@@ -1,6 +1,7 @@
 //! `device faults`: injects faults and prints the table.
 
 use crate::cli::common::Outcome;
+use crate::cli::files::{Content, Files};
 use crate::device::{Firmware, faults};
 use ommatidia_session::artifact::write_whole;
 use ommatidia_shared::boards::BOARDS;
@@ -13,6 +14,13 @@ pub(super) struct Args {
     /// Page to write, Markdown (default: only print the table)
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
+}
+
+impl Args {
+    /// What the verb reads and writes.
+    pub(super) fn files(&self) -> Files {
+        Files::default().writing(&self.output, Content::Text(faults::START))
+    }
 }
 
 /// Runs the verb.

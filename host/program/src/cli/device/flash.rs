@@ -2,6 +2,7 @@
 
 use super::target::Target;
 use crate::cli::common::{Outcome, Run};
+use crate::cli::files::Files;
 use crate::device::flash;
 use ommatidia_network::network_file::NetworkFile;
 use serde_json::json;
@@ -15,6 +16,13 @@ pub(super) struct Args {
     with: PathBuf,
     #[command(flatten)]
     target: Target,
+}
+
+impl Args {
+    /// What the verb reads and writes.
+    pub(super) fn files(&self) -> Files {
+        self.target.with_files(Files::reading([&self.with]))
+    }
 }
 
 /// Runs the verb.

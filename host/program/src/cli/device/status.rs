@@ -2,6 +2,7 @@
 
 use super::target::Target;
 use crate::cli::common::{Outcome, Run};
+use crate::cli::files::Files;
 use crate::device::{active_fraction, status};
 use ommatidia_shared::wire::{Info, SlotReport, Telemetry};
 use serde_json::{Value, json};
@@ -11,6 +12,13 @@ use serde_json::{Value, json};
 pub(super) struct Args {
     #[command(flatten)]
     target: Target,
+}
+
+impl Args {
+    /// What the verb reads and writes.
+    pub(super) fn files(&self) -> Files {
+        self.target.with_files(Files::default())
+    }
 }
 
 /// Runs the verb.

@@ -2,10 +2,12 @@
 
 use super::target::Target;
 use crate::cli::common::{Outcome, Run};
+use crate::cli::files::{Content, Files};
 use crate::device::{FrameFeed, Frames, LiveView, StreamRecording, StreamReport, active_fraction, stream};
 use anyhow::Context;
 use ommatidia_network::network_file::NetworkFile;
 use ommatidia_session::FrameReader;
+use ommatidia_session::kind::FileKind;
 use serde_json::json;
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -45,6 +47,18 @@ pub(super) struct Args {
 fn rate(text: &str) -> Result<f64, String> {
     let rate = text.parse().map_err(|e| format!("{e}"))?;
     if (1e-3..1e6).contains(&rate) { Ok(rate) } else { Err("expected 0.001 to 1000000 frames a second".into()) }
+}
+
+impl Args {
+    /// What the verb reads and writes.
+    pub(super) fn files(&self) -> Files {
+        let table = self.output.as_ref().map(|output| StreamRecording::table_path(output));
+        let files = Files::reading([&self.with])
+            .and_reading(&self.frames)
+            .writing(&self.output, Content::File(FileKind::Stack))
+            .writing(table, Content::Text(StreamRecording::HEADING));
+        self.target.with_files(files).after_stop("the recording so far can be read")
+    }
 }
 
 /// Runs the verb.

@@ -1,6 +1,7 @@
 //! Options that choose a device.
 
 use crate::cli::common::Run;
+use crate::cli::files::{Content, Files};
 use crate::device::{BAUD, Runtime, RuntimeChoice};
 use clap::ValueEnum;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
@@ -49,6 +50,12 @@ enum On {
 }
 
 impl Target {
+    /// Adds what the device keeps on disk to the files of a verb.
+    pub(super) fn with_files(&self, files: Files) -> Files {
+        let firmware = files.and_reading(&self.firmware);
+        firmware.continuing(&self.state, Content::Flash(self.board.memory_bytes))
+    }
+
     /// Where the device runs; prints a note if that is only the fallback.
     pub(super) fn runtime(&self, run: &Run) -> anyhow::Result<Runtime> {
         if let Some(port) = self.port.clone() {

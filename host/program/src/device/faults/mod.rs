@@ -12,7 +12,7 @@ mod power;
 mod tally;
 mod test_device;
 
-pub use page::{complaints, page, table};
+pub use page::{START, complaints, page, table};
 pub use tally::Row;
 
 use super::error::DeviceError;

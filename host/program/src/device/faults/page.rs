@@ -2,6 +2,9 @@
 
 use super::tally::Row;
 
+/// How the page begins.
+pub const START: &str = "# Fault injection\n";
+
 const HEAD: &str = "# Fault injection
 
 Written by `cargo run --release -p ommatidia -- device faults -o docs/faults.md`. The table lists the injected
