@@ -1,6 +1,9 @@
 //! Closes the loop on observations in memory: screening of the records, first fit, search, pruning, account.
 
-use super::account::{Accepted, Account, Closed, Closing, Findings, effects, fault, pictured, rejected};
+use super::account::{
+    Accepted, Account, Closed, Closing, Excess, Findings, claims_a_cause, effects, fault, pictured, rejected, shadowed,
+    unearned, worse,
+};
 use super::data::{Fault, Observations, Shown};
 use super::evidence::{figures, judged, omnibus, structured};
 use super::fit::{Model, State, Term, record, refit, replicas};
@@ -117,6 +120,7 @@ pub fn close(
         dependences = omnibus::test(&model, &search.now, &replicas.of(&model, &search.now), seed);
     }
     progress("pruning");
+    let strongest = search.strongest_gain();
     let Pruned { now, found, tests, removed } = prune(&model, &replicas, search.now, search.found, own)?;
     let mut notes = Vec::new();
     if !removed.is_empty() {
@@ -132,9 +136,34 @@ pub fn close(
         ));
     }
     let unknown = found.iter().any(|f| f.id.starts_with("unknown"));
+    let left = structured(&dependences);
+    let (mut now, mut found) = (now, found);
+    let mut nearest = shadowed(&search.shadowed, strongest);
+    let excess = Excess::of(&before, &now);
+    let mut effects =
+        effects(&model, Findings { before: &before, now: &now, own, found: &found, tests: &tests }, &faults);
+    if !found.is_empty() && worse(figures(&model, &before), figures(&model, &now)) {
+        let why = "with it, held-out data were predicted worse than without";
+        effects.retain(claims_a_cause);
+        nearest.extend(unearned(&effects, why));
+        notes.push("all effects that were tried made the prediction of held-out data worse; none was added".into());
+        (now, found) = (before.clone(), Vec::new());
+        effects = faults.iter().map(fault).collect();
+        dependences = dependences_before.clone();
+    } else if !excess.names_are_earned(left) && effects.iter().any(claims_a_cause) {
+        let share = 100.0 * excess.left;
+        let why =
+            format!("{share:.0} % of the excess is left beside it, with structure: it imitates the cause in part");
+        let (named, others): (Vec<_>, Vec<_>) = effects.into_iter().partition(claims_a_cause);
+        nearest.extend(unearned(&named, &why));
+        notes.push(format!(
+            "the instrument keeps terms in the form of {}, which predict held-out data better; they are no causes",
+            named.iter().map(|e| e.id.as_str()).collect::<Vec<_>>().join(", ")
+        ));
+        effects = others;
+    }
     let catalogue_incomplete = unknown || structured(&dependences);
-    let findings = Findings { before: &before, now: &now, own, found: &found, tests: &tests };
-    let effects = effects(&model, findings, &faults);
+    let verdict = Excess::of(&before, &now).verdict(structured(&dependences));
     if instrument.replicates.is_empty() && seen.of(Role::Scene).next().is_some() {
         notes.push(
             "the instrument has no calibration replicates, so the uncertainty of the calibration is unknown and small \
@@ -151,6 +180,8 @@ pub fn close(
         session: options.session_name.into(),
         calibrated_on: options.calibrated_on.iter().map(|c| c.file.clone()).collect(),
         own_beads,
+        verdict,
+        nearest,
         before: figures(&model, &before),
         after: figures(&model, &now),
         held_out_frames: held_out_frames(seen),

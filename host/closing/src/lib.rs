@@ -64,7 +64,9 @@ pub mod fit;
 pub mod search;
 pub mod study;
 
-pub use account::{Account, Closed, Closing, Effect, Rejected, Retrain, RetrainRequest, Retrained, Value};
+pub use account::{
+    Account, Closed, Closing, Effect, Nearest, Rejected, Retrain, RetrainRequest, Retrained, Value, Verdict,
+};
 pub use close::{CalibratedOn, CloseError, CloseOptions, check_layout, close, residual};
 pub use data::{Budget, Fault, FaultKind, Observations};
 pub use evidence::{Covariate, Dependence, Figures};

@@ -145,6 +145,31 @@ fn damaged_npy_files_are_refused() {
 }
 
 #[test]
+fn channels_are_not_taken_for_frames() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.tif");
+    let write = |description: &str| {
+        let mut encoder = tiff::encoder::TiffEncoder::new(std::fs::File::create(&path).unwrap()).unwrap();
+        let mut image = encoder.new_image::<tiff::encoder::colortype::Gray8>(2, 2).unwrap();
+        image.encoder().write_tag(tiff::tags::Tag::ImageDescription, description).unwrap();
+        image.write_data(&[1, 2, 3, 4]).unwrap();
+    };
+    for (description, axis) in [
+        (r#"<OME><Pixels SizeC="2" SizeT="3" SizeZ="1"/></OME>"#, "channels"),
+        (r#"<OME><Pixels SizeC="1" SizeT="3" SizeZ="4"/></OME>"#, "focal planes"),
+        ("ImageJ=1.53t\nimages=6\nchannels=2\nframes=3\n", "channels"),
+        ("ImageJ=1.53t\nimages=6\nslices=2\nframes=3\n", "focal planes"),
+    ] {
+        write(description);
+        mentions(&FrameReader::open(&path).unwrap_err().to_string(), &["a.tif", axis, "expected 1", "of its own"]);
+    }
+    for description in ["ImageJ=1.53t\nimages=6\nslices=6\n", r#"<OME><Pixels SizeC="1" SizeT="6"/></OME>"#, ""] {
+        write(description);
+        assert_eq!(FrameReader::open(&path).unwrap().read(0).unwrap()[[1, 1]], 4.0);
+    }
+}
+
+#[test]
 fn a_truncated_tif_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("a.tif");

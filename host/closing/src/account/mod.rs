@@ -9,10 +9,12 @@ pub mod file;
 pub(crate) mod pictures;
 pub mod result;
 pub mod retrain;
+mod verdict;
 
 pub use adopt::{Recalibrated, adopt};
 pub(crate) use describe::{Accepted, Findings, effects, fault, rejected};
 pub use file::{KIND, VERSION};
 pub(crate) use pictures::pictured;
-pub use result::{Account, Closed, Closing, Effect, Rejected, Value};
+pub use result::{Account, Closed, Closing, Effect, Nearest, Rejected, Value, Verdict};
 pub use retrain::{Retrain, RetrainRequest, Retrained};
+pub(crate) use verdict::{Excess, claims_a_cause, shadowed, unearned, worse};

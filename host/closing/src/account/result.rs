@@ -70,6 +70,44 @@ pub struct Rejected {
     pub needs: Option<String>,
 }
 
+/// Whether the model, with the effects that were found, describes the session.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// No test sees structure in the residual.
+    #[default]
+    Adequate,
+    /// Something is left that no effect of the catalogue explains.
+    Incomplete,
+    /// Most of the residual is left: the frames are not of an instrument of this kind in the state that the catalogue
+    /// can describe.
+    NotThisModel,
+}
+
+impl Verdict {
+    /// The verdict in a sentence.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Adequate => "adequate: no test sees structure in what is left",
+            Self::Incomplete => "incomplete: something is left that no effect of the catalogue explains",
+            Self::NotThisModel => {
+                "not this model: most of the residual is left, so its cause is none that is known here"
+            }
+        }
+    }
+}
+
+/// An effect whose form is like that of the residual without being shown as its cause.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Nearest {
+    /// Its id.
+    pub id: String,
+    /// Strength of the evidence that something of this form is there, standard deviations.
+    pub z: f64,
+    /// Why it is not named as a cause.
+    pub why: String,
+}
+
 /// The result of closing the loop.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Closing {
@@ -86,6 +124,12 @@ pub struct Closing {
     /// Whether all frames of the figures are bead frames that the calibration has read.
     #[serde(default)]
     pub own_beads: bool,
+    /// Whether the model describes the session now.
+    #[serde(default)]
+    pub verdict: Verdict,
+    /// Effects that are like what was seen, and are not shown as its cause. They are not among `effects`.
+    #[serde(default)]
+    pub nearest: Vec<Nearest>,
     /// Held-out scenes or beads: indices in their stack.
     pub held_out_frames: Vec<usize>,
     /// Number of held-out spatial blocks of the other frames, and of all blocks.

@@ -7,9 +7,14 @@ use crate::data::{Fault, FaultKind, Observations, Shown};
 use ndarray::{Array2, Axis};
 use ommatidia_model::forward::ForwardError;
 use ommatidia_model::metrics::Moments;
+use ommatidia_physics::effects::blur_within;
+use rayon::prelude::*;
 
 /// Another record is accepted if it leaves less than this share of the unexplained variance (1 - correlation).
 const BETTER: f64 = 0.5;
+/// Standard deviation of the Gaussian blur before the light of a frame is compared with its record, pixels: frames of
+/// sparse sources correlate less with a model that is out of place by a few pixels, and must not seem darker for it.
+const SMOOTH_PX: f64 = 6.0;
 /// An exposure is doubted if the light of its frame differs from the others by more than this share, and by much more
 /// than their scatter.
 const LIGHT: f64 = 0.04;
@@ -148,15 +153,18 @@ fn objects(seen: &mut Observations, frames: &[Seen]) -> Vec<Fault> {
 
 fn exposures(seen: &mut Observations, frames: &[Seen]) -> Vec<Fault> {
     let mut faults = Vec::new();
+    // The regression has an intercept, so that an even background is no light of the specimen.
     let slope = |s: &Seen| {
+        let [y, m] = [&s.measured, &s.own].map(|image| blur_within(image, SMOOTH_PX));
+        let [mean_y, mean_m] = [&y, &m].map(|image| f64::from(image.mean().unwrap_or(0.0)));
         let (mut top, mut bottom) = (0.0, 0.0);
-        for (y, m) in s.measured.iter().zip(&s.own) {
-            top += f64::from(y * m);
-            bottom += f64::from(m * m);
+        for (y, m) in y.iter().zip(&m) {
+            top += (f64::from(*y) - mean_y) * (f64::from(*m) - mean_m);
+            bottom += (f64::from(*m) - mean_m).powi(2);
         }
         top / f64::max(bottom, 1e-30)
     };
-    let slopes: Vec<f64> = frames.iter().map(slope).collect();
+    let slopes: Vec<f64> = frames.par_iter().map(slope).collect();
     let median = |mut v: Vec<f64>| {
         v.sort_by(f64::total_cmp);
         v.get(v.len() / 2).copied().unwrap_or(1.0)

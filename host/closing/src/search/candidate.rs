@@ -66,6 +66,17 @@ pub struct Alternative {
     pub overlap: f64,
 }
 
+/// An effect that would improve the fit, by less than what the law of a stronger effect may leave.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shadowed {
+    /// Its id.
+    pub id: &'static str,
+    /// Strength of the evidence for it, standard deviations.
+    pub z: f64,
+    /// Fall of the deviance of held-out data that it would bring.
+    pub gain: f64,
+}
+
 /// An effect that was added.
 #[derive(Clone, Debug)]
 pub struct Found {

@@ -9,7 +9,7 @@ pub mod recalibrate;
 pub mod select;
 pub mod trials;
 
-pub use candidate::{Alternative, Candidate, Estimate, Found};
+pub use candidate::{Alternative, Candidate, Estimate, Found, Shadowed};
 pub(crate) use prune::{Pruned, prune};
 pub use recalibrate::{held_out_figures, trial_calibration};
 pub use select::Search;

@@ -1,7 +1,7 @@
 //! Forward selection: score every trial term, fit the best in full, accept it on held-out data, until none is
 //! significant.
 
-use super::candidate::{Alternative, Candidate, Found, PENALTY};
+use super::candidate::{Alternative, Candidate, Found, PENALTY, Shadowed};
 use super::trials::{NEEDS_CALIBRATION, Tried, evidence};
 use crate::evidence::{Scores, TableFit, Test, holm, tables};
 use crate::fit::{Column, Design, Fitted, Model, Replicas, State, Term, nuisances, own_columns, refit, refit_from};
@@ -14,6 +14,11 @@ use ommatidia_session::Role;
 pub const ALPHA: f64 = 0.02;
 /// Effects within this chi-squared of the best are ambiguous with it.
 pub const AMBIGUOUS: f64 = 10.8;
+/// The law of an effect describes a real change only in part: about this share of what a strong effect explains remains,
+/// in the form of its neighbours in law. An effect that gains less beside it is not named.
+pub const SHADOW: f64 = 0.03;
+/// Number of effects in the shadow of a stronger one after which the search ends.
+const SHADOWED: usize = 3;
 /// Maximum number of effects that are added.
 const MOST: usize = 6;
 /// A term without a name is tried only if at least this share of its squared norm is independent of the model's
@@ -108,6 +113,8 @@ pub struct Search<'m, 'a> {
     pub found: Vec<Found>,
     /// Candidates of the last step that were not added, with their scores.
     pub rest: Vec<Candidate>,
+    /// Effects that would improve the fit, by less than what the law of a stronger effect may leave.
+    pub shadowed: Vec<Shadowed>,
     /// Ids of effects that are not tried.
     pub exclude: Vec<String>,
     /// Deviance of the held-out cells under a trial calibration, if that is better than the old one.
@@ -117,7 +124,16 @@ pub struct Search<'m, 'a> {
 impl<'m, 'a> Search<'m, 'a> {
     /// Starts from a fitted state.
     pub fn new(model: &'m Model<'a>, replicas: &'m Replicas, now: Fitted) -> Self {
-        Self { model, replicas, now, found: Vec::new(), rest: Vec::new(), exclude: Vec::new(), trial_deviance: None }
+        Self {
+            model,
+            replicas,
+            now,
+            found: Vec::new(),
+            rest: Vec::new(),
+            shadowed: Vec::new(),
+            exclude: Vec::new(),
+            trial_deviance: None,
+        }
     }
 
     /// Adds one effect after another as long as the score test is significant and the full fit improves both the
@@ -126,7 +142,7 @@ impl<'m, 'a> Search<'m, 'a> {
     /// # Errors
     /// An object holds negative or non-finite light.
     pub fn run(&mut self, tried: Tried, progress: &mut impl FnMut(&str)) -> Result<(), ForwardError> {
-        let mut refused: Vec<&'static str> = Vec::new();
+        let mut refused: Vec<&'static str> = self.shadowed.iter().map(|s| s.id).collect();
         loop {
             let mut terms = tried.terms(self.model, &self.now.state, &evidence(self.model, &self.now));
             let excluded = |id: &str| self.exclude.iter().any(|e| e == id);
@@ -142,12 +158,17 @@ impl<'m, 'a> Search<'m, 'a> {
             let able: Vec<&Candidate> =
                 candidates.iter().zip(&significant).filter(|(c, s)| **s && open(c)).map(|(c, _)| c).collect();
             let finalists = finalists(&able);
-            if finalists.is_empty() || self.found.len() >= MOST {
+            if finalists.is_empty() || self.found.len() >= MOST || self.shadowed.len() >= SHADOWED {
                 self.rest = candidates;
                 return Ok(());
             }
             let verdict = self.confirm(&finalists, progress)?;
             match self.or_calibration(verdict, &candidates)? {
+                Verdict::Added(it) if it.gain < SHADOW * self.strongest_gain() => {
+                    let z = it.candidate.test.as_ref().map_or(0.0, |t| t.z);
+                    self.shadowed.push(Shadowed { id: it.candidate.term.id(), z, gain: it.gain });
+                    refused.push(it.candidate.term.id());
+                }
                 Verdict::Added(it) => {
                     let found = self.describe(&design, taken, &candidates, &it);
                     self.found.push(found);
@@ -160,6 +181,11 @@ impl<'m, 'a> Search<'m, 'a> {
                 Verdict::Refused(id) => refused.push(id),
             }
         }
+    }
+
+    /// The largest fall of the held-out deviance by an effect so far; 0 without one.
+    pub fn strongest_gain(&self) -> f64 {
+        self.found.iter().map(|f| f.held_out_gain).fold(0.0, f64::max)
     }
 
     /// Whether the next step must be a new calibration, not another effect.

@@ -104,6 +104,10 @@ impl SimulateConfig {
         let peak_e = self.peak_e.unwrap_or([0.1 * full, 0.8 * full]);
         self.check(peak_e)?;
         let mut provenance = Provenance::new("simulate", seed, self);
+        // The plan holds it; a shard is the same whatever the count, so that a data set can be extended.
+        if let Some(config) = provenance.config.as_object_mut() {
+            config.remove("count");
+        }
         // By role and not by path: every machine that shares the work must plan the same bytes.
         provenance.inputs.insert("instrument".into(), artifact::file_hash(file)?);
         let manifest = &instrument.manifest;
@@ -182,6 +186,8 @@ impl Simulation {
             frames.index_axis_mut(ndarray::Axis(0), i).assign(&frame);
         }
         let path = DataSetPlan::shard_path(dir, k);
+        // A shard belongs to one share, so what is left of it belongs to a run that was killed.
+        artifact::remove_leftovers(&path);
         let plan = self.plan.hash().map_err(|e| DataSetError::Plan { path: path.clone(), detail: e.to_string() })?;
         let header = Header {
             kind: SHARD_KIND.into(),

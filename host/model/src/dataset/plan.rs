@@ -61,8 +61,13 @@ impl DataSetPlan {
         serde_json::to_string_pretty(self).map(|s| s + "\n")
     }
 
-    /// SHA-256 of the plan. Shards store it, so that a shard of another plan is detected.
+    /// SHA-256 of the plan without the number of pairs. Shards store it, so that a shard of another plan is detected.
     pub(super) fn hash(&self) -> Result<String, serde_json::Error> {
+        Self { count: 0, ..self.clone() }.hash_with_count()
+    }
+
+    /// SHA-256 of the whole plan, which shards of version 0.1.0 store.
+    pub(super) fn hash_with_count(&self) -> Result<String, serde_json::Error> {
         let digest = Sha256::digest(self.to_json()?.as_bytes());
         Ok(digest.iter().map(|b| format!("{b:02x}")).collect())
     }
@@ -88,13 +93,24 @@ impl DataSetPlan {
         Ok(plan)
     }
 
-    /// Writes the plan into `dir`, or accepts an existing equal one.
+    /// Writes the plan into `dir`, accepts an existing equal one, or extends one that differs in a smaller number of
+    /// pairs alone.
     pub(super) fn write_or_resume(&self, dir: &Path) -> Result<(), DataSetError> {
         let path = dir.join(PLAN_FILE);
         std::fs::create_dir_all(dir).map_err(|source| DataSetError::Io { path: dir.into(), source })?;
         if path.exists() {
-            return if Self::read(dir)? == *self { Ok(()) } else { Err(DataSetError::Other { path }) };
+            let existing = Self::read(dir)?;
+            if existing == *self {
+                return Ok(());
+            }
+            if (Self { count: self.count, ..existing.clone() }) != *self {
+                return Err(DataSetError::Other { path });
+            }
+            if existing.count > self.count {
+                return Err(DataSetError::Larger { path, count: existing.count });
+            }
         }
+        artifact::remove_leftovers(&path);
         let json = self.to_json().map_err(|e| DataSetError::Plan { path: path.clone(), detail: e.to_string() })?;
         Ok(artifact::write_whole(&path, json.as_bytes())?)
     }
@@ -127,6 +143,14 @@ pub enum DataSetError {
     Other {
         /// Its plan.
         path: PathBuf,
+    },
+    /// The folder holds more pairs than were asked for.
+    #[error("{path}: the data set has {count} pairs already; ask for as many or more, or choose another folder")]
+    Larger {
+        /// Its plan.
+        path: PathBuf,
+        /// Its number of pairs.
+        count: usize,
     },
     /// A setting is out of range.
     #[error("{field}: expected {expected}, found {found}")]

@@ -82,8 +82,11 @@ pub(super) fn open_shard(dir: &Path, plan: &DataSetPlan, k: usize) -> Result<Ind
     let path = DataSetPlan::shard_path(dir, k);
     let index: Index<ShardBody> = Index::open(&path, SHARD_KIND, VERSION)?;
     let n = plan.pairs_of(k).len();
-    let hash = plan.hash().map_err(|e| DataSetError::Plan { path: dir.into(), detail: e.to_string() })?;
-    let belongs = index.header().body == ShardBody { shard: k, plan: hash }
+    let damaged = |e: serde_json::Error| DataSetError::Plan { path: dir.into(), detail: e.to_string() };
+    let hashes = [plan.hash().map_err(damaged)?, plan.hash_with_count().map_err(damaged)?];
+    let ShardBody { shard, plan: stored } = &index.header().body;
+    let belongs = *shard == k
+        && hashes.contains(stored)
         && index.shape("objects")? == [n, plan.object[0], plan.object[1]]
         && index.shape("frames_e")? == [n, plan.frame[0], plan.frame[1]];
     if belongs { Ok(index) } else { Err(DataSetError::Foreign { path }) }

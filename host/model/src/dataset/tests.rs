@@ -86,6 +86,23 @@ fn shares_and_a_killed_run_give_the_bytes_of_one_run() {
 }
 
 #[test]
+fn a_larger_count_extends_a_data_set() {
+    let dir = tempfile::tempdir().unwrap();
+    let [whole, extended] = ["whole", "extended"].map(|n| dir.path().join(n));
+    let few = simulation(dir.path(), 5);
+    let more = SimulateConfig { count: few.plan().count + 3, ..config() };
+    let more = more.build(&instrument(), &dir.path().join("instrument"), 5).unwrap();
+    few.run(&extended, Share::ALL, |_| ()).unwrap();
+    let progress = more.run(&extended, Share::ALL, |_| ()).unwrap();
+    // The last shard of the smaller set was not full.
+    assert_eq!(progress, Progress { made: 2, kept: 2, missing: 0 });
+    more.run(&whole, Share::ALL, |_| ()).unwrap();
+    assert_eq!(bytes_of(&whole), bytes_of(&extended));
+    let error = few.run(&extended, Share::ALL, |_| ()).unwrap_err().to_string();
+    assert!(error.contains("has 10 pairs already"), "{error}");
+}
+
+#[test]
 fn another_data_set_is_not_mixed_in() {
     let dir = tempfile::tempdir().unwrap();
     let [a, b] = ["a", "b"].map(|n| dir.path().join(n));

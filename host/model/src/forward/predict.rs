@@ -137,6 +137,15 @@ impl Predictor {
         }
     }
 
+    /// Number of pixels of a predicted frame, DN, that are at full scale; 0 for the transpose.
+    pub fn clipped_px(&self, frame: ArrayView2<'_, f32>) -> usize {
+        let top = self.forward.noise().saturation_dn as f32 - 0.5;
+        match self.request.output {
+            Predicted::Adjoint => 0,
+            Predicted::Expected | Predicted::Noisy => frame.iter().filter(|dn| **dn >= top).count(),
+        }
+    }
+
     /// Output number `frame` for an input of [`Self::input_shape`]. The number selects the random draws of the noise.
     ///
     /// # Errors

@@ -104,6 +104,7 @@ pub fn table(closing: &Closing, output: &Path, account: &Path, seconds: f64) -> 
     let mut out = String::new();
     let on = if closing.own_beads { "on the bead frames of the calibration itself" } else { "on held-out data" };
     // Writing to a string cannot fail.
+    let _ = writeln!(out, "{}\n", closing.verdict.words());
     let _ = writeln!(out, "{:<24} {:>12} {:>12}   {on}", "", "before", "after");
     let (b, a) = (closing.before, closing.after);
     for (name, before, after) in
@@ -121,6 +122,9 @@ pub fn table(closing: &Closing, output: &Path, account: &Path, seconds: f64) -> 
             let separate = e.separate_by.as_deref().unwrap_or("more data");
             let _ = writeln!(out, "  could also be {}; to distinguish them: {separate}", e.ambiguity.join(", "));
         }
+    }
+    for n in &closing.nearest {
+        let _ = writeln!(out, "\nlike {} (z = {:.1}), which is not shown as the cause: {}", n.id, n.z, n.why);
     }
     if closing.catalogue_incomplete {
         let _ = writeln!(out, "\nThe residual still has structure that no effect of the catalogue explains.");

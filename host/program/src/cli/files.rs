@@ -207,6 +207,9 @@ impl Files {
                 "{named}: lies in {input}, an input of the command, whose files are never replaced; choose another name"
             );
         }
+        if folder.join(MANIFEST).is_file() && !content.is_result() {
+            bail!("{named}: lies in the folder of a session, whose files are never replaced; choose another name");
+        }
         if *existing == Existing::Keep && !force {
             let hint = self.hint;
             bail!("{named}: exists already and is kept; choose another name, or replace it with --force{hint}");

@@ -81,6 +81,8 @@ fn summary(c: &Closing) -> Value {
         "structure after": strongest(&c.dependences_after),
         "effects": c.effects.len(),
         "not found": c.rejected.len(),
+        "verdict": c.verdict.words(),
+        "nearest, not the cause": c.nearest.iter().map(|n| n.id.as_str()).collect::<Vec<_>>().join(", "),
         "catalogue incomplete": c.catalogue_incomplete,
         "faults of the record": c.faults.len(),
     });

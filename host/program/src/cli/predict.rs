@@ -29,7 +29,7 @@ pub struct Args {
     #[arg(long, value_name = "MS")]
     exposure_ms: Option<f64>,
     /// Light level, relative to the calibration
-    #[arg(long, value_name = "X", default_value_t = 1.0)]
+    #[arg(long, visible_alias = "light", value_name = "X", default_value_t = 1.0)]
     illumination: f64,
     /// Index of a calibrated depth, from 0 (default: the depth nearest to 0 um)
     #[arg(long, value_name = "I", conflicts_with = "z_um")]
@@ -101,11 +101,14 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let spec = StackSpec { frames: inputs.len(), rows, cols, samples: SampleType::F32, pixel_um: None };
     let mut outputs = FrameWriter::create(&args.output, spec)?;
     let bar = run.progress(inputs.len() as u64, "predict");
+    let (mut clipped_frames, mut clipped_px) = (0usize, 0usize);
     let mut all = || -> anyhow::Result<()> {
         for i in 0..inputs.len() {
             let input = inputs.read(i)?;
             let at = || format!("{}: {what} {i}", args.objects.display());
             let output = predictor.apply(i, input.view()).with_context(at)?;
+            let clipped = predictor.clipped_px(output.view());
+            (clipped_frames, clipped_px) = (clipped_frames + usize::from(clipped > 0), clipped_px + clipped);
             outputs.push(output.view())?;
             bar.inc(1);
         }
@@ -116,6 +119,15 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let seconds = seconds / inputs.len().max(1) as f64;
     outputs.finish()?;
     bar.finish_and_clear();
+    if clipped_px > 0 {
+        let share = 100.0 * clipped_px as f64 / (clipped_frames * rows * cols) as f64;
+        tracing::warn!(
+            "{clipped_frames} of {} frames clip at full scale, in {share:.2} % of their pixels: the objects are brighter \
+             than this sensor can measure at this light; for a tenth of the light add --light {}",
+            inputs.len(),
+            0.1 * args.illumination
+        );
+    }
     let made = match args.predicted() {
         Predicted::Adjoint => "transposed",
         Predicted::Noisy => "with noise",
@@ -130,6 +142,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     );
     let json = json!({
         "frames": inputs.len(), "rows": rows, "cols": cols, "noise": args.noise, "adjoint": args.adjoint,
+        "clipped_frames": clipped_frames, "clipped_px": clipped_px,
         "seconds_per_frame": seconds, "peak_bytes": peak_bytes,
     });
     Ok(Outcome { json, text })

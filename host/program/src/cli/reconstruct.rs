@@ -39,7 +39,9 @@ impl Args {
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let mut frames = FrameReader::open(&args.frames)?;
     let kind = args.method.map_or_else(|| MethodKind::default_for(&args.with), Ok)?;
+    let start = Instant::now();
     let method = kind.open(&args.with, run.seed)?;
+    let plan_seconds = start.elapsed().as_secs_f64();
     let count = frames.len();
     let bar = run.progress(count as u64, "reconstruct");
     let mut writer: Option<FrameWriter> = None;
@@ -74,14 +76,15 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let per_frame = seconds / count.max(1) as f64;
     Ok(Outcome {
         json: serde_json::json!({
-            "method": method.name(), "frames": count, "seconds_per_frame": per_frame, "output": args.output,
+            "method": method.name(), "frames": count, "seconds_per_frame": per_frame, "plan_seconds": plan_seconds, "output": args.output,
         }),
         text: format!(
-            "{} ({} frames, {}): {} a frame\n",
+            "{} ({} frames, {}): {} a frame, after {} of planning\n",
             args.output.display(),
             count,
             ommatidia_network::methods::title(method.name()),
-            ommatidia_report::seconds(per_frame)
+            ommatidia_report::seconds(per_frame),
+            ommatidia_report::seconds(plan_seconds)
         ),
     })
 }

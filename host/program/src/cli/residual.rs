@@ -47,7 +47,10 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         let folder = tempfile::tempdir()?;
         let file = folder.path().join("residual.closing");
         account.write(&file, provenance)?;
-        let page = ommatidia_report::render(&[file, args.instrument.clone()])?;
+        let page = ommatidia_report::render(&[file.clone(), args.instrument.clone()])?;
+        // The page names its sources, and this one is gone when somebody reads it.
+        let name = args.output.as_ref().map_or("an account that was not kept".into(), |o| o.display().to_string());
+        let page = page.replace(&file.display().to_string(), &name);
         ommatidia_session::artifact::write_whole(report, page.as_bytes())?;
     }
     let c = &account.closing;

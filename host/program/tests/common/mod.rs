@@ -1,12 +1,14 @@
 //! What the tests of the program share: a tiny measured session, and the program itself.
 #![allow(dead_code, clippy::unwrap_used)]
 
+pub mod desk;
 mod tiny;
 
 pub use tiny::{Fault, TinySession};
 
 use assert_cmd::Command;
-use std::path::Path;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
 /// `ommatidia` with the given arguments, quiet.
 pub fn ommatidia(args: &[&str]) -> Command {
@@ -28,6 +30,20 @@ pub fn refused(args: &[&str], output: Option<&Path>, words: &[&str]) {
         assert!(stderr.contains(word), "`{word}` is not in the error of {args:?}:\n{stderr}");
     }
     assert_eq!(before, output.map(siblings), "{args:?} left something behind");
+}
+
+/// The bytes of all files of a folder and those below it, by path relative to it.
+pub fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut all = BTreeMap::new();
+    for entry in std::fs::read_dir(folder).unwrap().map(Result::unwrap) {
+        let name = PathBuf::from(entry.file_name());
+        if entry.path().is_dir() {
+            all.extend(contents(&entry.path()).into_iter().map(|(path, bytes)| (name.join(path), bytes)));
+        } else {
+            all.insert(name, std::fs::read(entry.path()).unwrap());
+        }
+    }
+    all
 }
 
 fn siblings(output: &Path) -> Vec<String> {

@@ -32,8 +32,8 @@ fn files_that_would_be_lost() {
                 "expected an artifact of kind `instrument`",
                 "another name",
             ]),
-            Mistake::new("A measured stack as output", "predict instrument objects.npy -o session/bead.npy")
-                .says(&["exists already"]),
+            Mistake::new("A measured stack as output", "predict instrument objects.npy -o session/bead.npy --force")
+                .says(&["folder of a session", "another name"]),
             Mistake::new(
                 "Frames of the session that is read as output",
                 "evaluate session --with instrument -o session/bead.npy --force",

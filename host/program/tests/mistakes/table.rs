@@ -1,12 +1,11 @@
 //! Rows of the table, and what it takes for them to hold.
 
-use crate::desk;
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use crate::common::{contents, desk};
+use std::path::Path;
 use std::process::Command;
 
 /// Rewrites the page instead of comparing it.
-const WRITE: &str = "OMMATIDIA_WRITE_DOCS";
+const WRITE: &str = "OMMATIDIA_RENEW";
 
 /// One mistake: a row of the table.
 pub struct Mistake {
@@ -68,20 +67,6 @@ impl Mistake {
         let cell = |text: &str| text.trim().replace('|', "\\|").replace('\n', "<br>");
         Ok(format!("| {} | `{}` | {} | {} |\n", cell(&self.what), self.command, self.exit, cell(&printed)))
     }
-}
-
-/// The bytes of all files of a folder, by path.
-fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut all = BTreeMap::new();
-    for entry in std::fs::read_dir(folder).unwrap().map(Result::unwrap) {
-        let path = entry.path();
-        if path.is_dir() {
-            all.extend(contents(&path));
-        } else {
-            all.insert(path.clone(), std::fs::read(&path).unwrap());
-        }
-    }
-    all
 }
 
 /// Runs the rows of a section and compares them with the page, `docs/mistakes.md`.

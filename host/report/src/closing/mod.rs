@@ -17,7 +17,7 @@ pub use hidden::hidden;
 use super::ReportError;
 use super::page::{self, Key, Numbers};
 use maud::{Markup, html};
-use ommatidia_closing::{Account, Closing, Dependence};
+use ommatidia_closing::{Account, Closing, Dependence, Verdict};
 use ommatidia_model::instrument::Instrument;
 
 /// Which verb wrote the account.
@@ -100,11 +100,17 @@ fn keys(c: &Closing, asked: Asked) -> Vec<Key> {
         keys.push(key("Effects found", found.to_string(), note, None));
     }
     let (verdict, note) = match (c.catalogue_incomplete, asked) {
+        _ if c.verdict == Verdict::NotThisModel => ("not this one", "most of the residual is left"),
         (true, Asked::Close) => ("incomplete", "the residual has structure that no known effect explains"),
         (false, Asked::Close) => ("complete", "the residual has no structure"),
         (true, Asked::Residual) => ("incomplete", "the residual has structure: run close"),
         (false, Asked::Residual) => ("complete", "the residual has no structure"),
     };
-    keys.push(key("The model", verdict.into(), note.into(), Some(!c.catalogue_incomplete)));
+    keys.push(key(
+        "The model",
+        verdict.into(),
+        note.into(),
+        Some(!c.catalogue_incomplete && c.verdict == Verdict::Adequate),
+    ));
     keys
 }

@@ -59,6 +59,9 @@ fn opening(c: &Closing) -> Markup {
 
 fn found(c: &Closing) -> Markup {
     let effects: Vec<&Effect> = added(c).collect();
+    if effects.is_empty() && !c.nearest.is_empty() {
+        return nearest(c);
+    }
     if effects.is_empty() {
         return html! { b { "No effect was added: " } "none of the catalogue improves the prediction of held-out data \
         significantly. The upper limit of each is listed below. " };
@@ -73,6 +76,21 @@ fn found(c: &Closing) -> Markup {
             "Smaller effects were added after: " (words::list(&names, "and"))
             " (" (format!("{:.0} %", 100.0 * share)) " of the excess"
             @if small.len() > 1 { " together" } "). "
+        }
+        (nearest(c))
+    }
+}
+
+/// Effects that are like what was seen without being its cause.
+fn nearest(c: &Closing) -> Markup {
+    html! {
+        @if !c.nearest.is_empty() {
+            @let names: Vec<String> = c.nearest.iter().map(|n| words::name(&n.id)).collect();
+            b { "Not shown as a cause: " } (words::list(&names, "and"))
+            @for (i, n) in c.nearest.iter().enumerate() {
+                @if i == 0 || c.nearest[i - 1].why != n.why { @if i == 0 { ": " } @else { "; " } (n.why) }
+            }
+            ". "
         }
     }
 }

@@ -26,6 +26,7 @@ impl TifSource {
         let size = file.metadata().map_err(|e| SessionError::io(path, e))?.len();
         let mut decoder = Decoder::new(BufReader::new(file)).map_err(|e| read_error(path, e))?;
         let mut shape = page(path, &mut decoder, size)?;
+        one_channel(path, &mut decoder)?;
         while decoder.more_images() {
             decoder.next_image().map_err(|e| read_error(path, e))?;
             let next = page(path, &mut decoder, size)?;
@@ -62,6 +63,26 @@ impl TifSource {
             _ => Err(SessionError::format(path, KIND, format!("page {i} has another sample type than the first"))),
         }
     }
+}
+
+/// Checks that the description of the first page, OME-XML or that of ImageJ, does not announce several channels or
+/// planes: their pages would be taken for frames.
+fn one_channel(path: &Path, decoder: &mut Decoder<BufReader<File>>) -> Result<(), SessionError> {
+    let description = decoder.find_tag(Tag::ImageDescription).map_err(|e| read_error(path, e))?;
+    let Some(text) = description.and_then(|value| value.into_string().ok()) else { return Ok(()) };
+    let digits = |rest: &str| rest.chars().take_while(char::is_ascii_digit).collect::<String>().parse::<usize>().ok();
+    let announced = |name: &str| text.find(name).and_then(|at| digits(&text[at + name.len()..]));
+    let axes = [("channels", "SizeC=\"", "channels="), ("focal planes", "SizeZ=\"", "slices=")];
+    // ImageJ calls a plain stack of frames slices.
+    let plain_stack = announced("frames=").is_none() && announced("channels=").is_none();
+    for (axis, ome, imagej) in axes {
+        let of_imagej = announced(imagej).filter(|_| axis == "channels" || !plain_stack);
+        if let Some(found) = announced(ome).or(of_imagej).filter(|n| *n > 1) {
+            let remedy = "save one channel in one focal plane as a stack of its own";
+            return Err(SessionError::value(path, axis, "1", found, remedy));
+        }
+    }
+    Ok(())
 }
 
 /// Checks the current page: it must be grey, of a supported sample type, and its data must lie inside the file.

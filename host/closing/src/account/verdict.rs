@@ -1,0 +1,77 @@
+//! Whether the account may name what was found, and whether the closed instrument is better than the old one.
+
+use super::result::{Effect, Nearest, Verdict};
+use crate::evidence::Figures;
+use crate::fit::Fitted;
+use crate::search::{NEEDS_CALIBRATION, Shadowed};
+use ommatidia_physics::effects::Stage;
+
+/// Names are earned if at most this share of the excess of chi-squared over the noise is left, on held-out data.
+const LEFT: f64 = 0.15;
+/// A share of the excess counts as left only if it exceeds this many standard deviations of chi-squared.
+const SIGMAS: f64 = 5.0;
+/// Relative change of a figure that is no change.
+const ROUNDING: f64 = 1e-4;
+/// From this share on most of the excess is left.
+const MOST: f64 = 0.5;
+
+/// What is left of the excess of chi-squared over the noise on held-out data.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Excess {
+    /// Share of the first excess; 0 if what is left is noise.
+    pub(crate) left: f64,
+}
+
+impl Excess {
+    /// Compares the last fit with the first.
+    pub(crate) fn of(before: &Fitted, now: &Fitted) -> Self {
+        let pixels = before.held_out.pixels as f64;
+        let [first, last] = [before, now].map(|fit| fit.held_out.chi2 - pixels);
+        let noise = SIGMAS * (2.0 * pixels).sqrt();
+        let left = if last > noise { last / first.max(last) } else { 0.0 };
+        Self { left }
+    }
+
+    /// The verdict. `structured`: whether a test sees structure in what is left.
+    pub(crate) fn verdict(self, structured: bool) -> Verdict {
+        match (structured, self.left > MOST) {
+            (false, _) => Verdict::Adequate,
+            (true, false) => Verdict::Incomplete,
+            (true, true) => Verdict::NotThisModel,
+        }
+    }
+
+    /// Whether what was found explains enough for its names to stand as causes.
+    pub(crate) fn names_are_earned(self, structured: bool) -> bool {
+        !(structured && self.left > LEFT)
+    }
+}
+
+/// Whether the closed instrument predicts held-out data worse than the old one.
+pub(crate) fn worse(before: Figures, after: Figures) -> bool {
+    // Below 1 the noise model is too wide; an effect that narrows it raises chi-squared rightly.
+    after.chi2_ndf > before.chi2_ndf.max(1.0) || after.nrmse > before.nrmse * (1.0 + ROUNDING)
+}
+
+/// Whether an entry of the account claims a cause in the instrument.
+pub(crate) fn claims_a_cause(effect: &Effect) -> bool {
+    effect.known && effect.id != NEEDS_CALIBRATION && effect.stage != Stage::Record.part()
+}
+
+/// Effects whose names are not earned, for a reason.
+pub(crate) fn unearned(effects: &[Effect], why: &str) -> Vec<Nearest> {
+    effects.iter().map(|e| Nearest { id: e.id.clone(), z: e.z, why: why.into() }).collect()
+}
+
+/// Effects in the shadow of a stronger one.
+pub(crate) fn shadowed(all: &[Shadowed], strongest_gain: f64) -> Vec<Nearest> {
+    let one = |s: &Shadowed| Nearest {
+        id: s.id.into(),
+        z: s.z,
+        why: format!(
+            "it explains {:.1} % of what the strongest effect explains: no more than a small error in the law of that one",
+            100.0 * s.gain / strongest_gain.max(1e-30)
+        ),
+    };
+    all.iter().filter(|s| !s.id.starts_with("unknown")).map(one).collect()
+}
