@@ -44,7 +44,7 @@ pub const START: &str = "# Instructions and memory on the microcontroller\n";
 
 const HEAD: &str = "# Instructions and memory on the microcontroller
 
-Written by `cargo run --release -p ommatidia -- device bench -o docs/instructions.md`: the programs of
+Written by `cargo run --release -p ommatidia -- device bench -o docs/instructions.md --force`: the programs of
 `firmware/src/bin/bench.rs`, counted instruction by instruction under QEMU, one table per board. The counts repeat
 exactly. They do not include pipeline, caches or wait states. An instruction of Helium, the vector extension of the
 Cortex-M55, counts as one here and takes two cycles on that core. Transforms read and write half precision (f16),

@@ -7,7 +7,7 @@ pub const START: &str = "# Fault injection\n";
 
 const HEAD: &str = "# Fault injection
 
-Written by `cargo run --release -p ommatidia -- device faults -o docs/faults.md`. The table lists the injected
+Written by `cargo run --release -p ommatidia -- device faults -o docs/faults.md --force`. The table lists the injected
 faults, how many of each, and whether networks and frames survived (`host/program/src/device/faults`). A test of `cargo
 verify` injects all of them again. It fails if a network or a frame is lost, if a bit of a reconstruction is wrong, or
 if a number differs from this page. `OMMATIDIA_RENEW=1 cargo test --release -p ommatidia-tests --test faults` writes
