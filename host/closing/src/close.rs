@@ -5,7 +5,7 @@ use super::account::{
     unearned, worse,
 };
 use super::data::{Fault, Observations, Shown};
-use super::evidence::{figures, judged, omnibus, structured};
+use super::evidence::{JudgedOn, figures, judged, omnibus, structured};
 use super::fit::{Model, State, Term, record, refit, replicas};
 use super::search::{Pruned, Search, Tried, prune, score};
 use ommatidia_model::forward::ForwardError;
@@ -180,6 +180,7 @@ pub fn close(
         session: options.session_name.into(),
         calibrated_on: options.calibrated_on.iter().map(|c| c.file.clone()).collect(),
         own_beads,
+        judged_on: JudgedOn::of(seen),
         verdict,
         nearest,
         before: figures(&model, &before),
@@ -224,6 +225,7 @@ pub fn residual(
         session: options.session_name.into(),
         calibrated_on: options.calibrated_on.iter().map(|c| c.file.clone()).collect(),
         own_beads,
+        judged_on: JudgedOn::of(seen),
         notes: own_beads.then(|| OWN_BEADS_NOTE.into()).into_iter().collect(),
         before: figures,
         after: figures,

@@ -3,7 +3,7 @@
 
 use super::result::{Effect, Rejected, Value};
 use crate::data::{Fault, FaultKind};
-use crate::evidence::Test;
+use crate::evidence::{JudgedOn, Test};
 use crate::fit::{Fitted, Model, State, Term};
 use crate::search::{Candidate, Found};
 use ommatidia_physics::effects::{COVARIATES, KNOTS, OPERATORS, Stage, WEIGHTS, find, registry};
@@ -68,7 +68,7 @@ pub(crate) fn effects(model: &Model<'_>, findings: Findings<'_>, faults: &[Fault
             known,
             stage: d.stage.part().into(),
             z: f.z,
-            excess_explained: (excess > 3.0 * (2.0 * pixels).sqrt())
+            excess_explained: (JudgedOn::of(model.seen) != JudgedOn::Nothing && excess > 3.0 * (2.0 * pixels).sqrt())
                 .then(|| (f.held_out_gain / excess).clamp(0.0, 1.0)),
             held_out_gain: f.held_out_gain,
             ambiguity: f.ambiguity.iter().map(|a| a.id.to_string()).collect(),

@@ -1,14 +1,14 @@
 //! The residual maps of the account.
 
 use super::result::{Account, Closing};
-use crate::evidence::figures::judged;
+use crate::evidence::pictured_frames;
 use crate::fit::{Fitted, Model};
 use ndarray::{Array2, Array3};
 
 /// The account with the residuals of up to four scenes, held-out ones first.
 pub(crate) fn pictured(model: &Model<'_>, before: &Fitted, now: &Fitted, closing: Closing) -> Account {
     let seen = model.seen;
-    let mut frames: Vec<usize> = judged(seen).collect();
+    let mut frames: Vec<usize> = pictured_frames(seen).collect();
     frames.sort_by_key(|k| !seen.frames[*k].held_out);
     frames.truncate(4);
     let pull = |f: &Fitted, k: usize| &f.predicted[k].residual_dn * &f.predicted[k].inverse_sigma;

@@ -2,7 +2,7 @@
 
 use super::retrain::Retrained;
 use crate::data::Fault;
-use crate::evidence::{Dependence, Figures};
+use crate::evidence::{Dependence, Figures, JudgedOn};
 use crate::search::NEEDS_CALIBRATION;
 use ndarray::Array3;
 use ommatidia_model::instrument::Instrument;
@@ -124,6 +124,9 @@ pub struct Closing {
     /// Whether all frames of the figures are bead frames that the calibration has read.
     #[serde(default)]
     pub own_beads: bool,
+    /// What the figures are computed from.
+    #[serde(default)]
+    pub judged_on: JudgedOn,
     /// Whether the model describes the session now.
     #[serde(default)]
     pub verdict: Verdict,

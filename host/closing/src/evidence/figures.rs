@@ -1,34 +1,91 @@
 //! How well a state predicts held-out data.
 
-use crate::data::Observations;
+use crate::data::{Observations, Shown};
 use crate::fit::{Fitted, Model};
 use ommatidia_session::Role;
 use serde::{Deserialize, Serialize};
 
-/// How well held-out data are predicted.
+/// What figures are computed from: frames whose content is known without the frame itself. The specimen of an unknown
+/// frame is estimated from that frame, so that its own blur would be its model, and any figure of it hollow.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum JudgedOn {
+    /// Scenes of known objects, and bead frames.
+    Known,
+    /// Flats and darks: the sensor is judged, the optics are not.
+    Even,
+    /// No frame of known content.
+    #[default]
+    Nothing,
+}
+
+impl JudgedOn {
+    /// What a session allows.
+    pub fn of(seen: &Observations) -> Self {
+        let has = |known: fn(&Shown) -> bool| seen.frames.iter().any(|f| known(&f.shown));
+        match () {
+            () if has(|shown| matches!(shown, Shown::Object(_) | Shown::Bead(_))) => Self::Known,
+            () if has(|shown| *shown == Shown::Even) => Self::Even,
+            () => Self::Nothing,
+        }
+    }
+
+    /// Whether frames that show this count.
+    fn counts(self, shown: &Shown) -> bool {
+        match self {
+            Self::Known => matches!(shown, Shown::Object(_) | Shown::Bead(_)),
+            Self::Even => matches!(shown, Shown::Even | Shown::Dark),
+            Self::Nothing => false,
+        }
+    }
+}
+
+/// JSON has no NaN: a figure that is not judged is null.
+fn nullable<'de, D: serde::Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
+    Ok(Option::<f64>::deserialize(from)?.unwrap_or(f64::NAN))
+}
+
+/// How well held-out data are predicted; NaN, in JSON null, where nothing of known content is there to judge.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Figures {
     /// chi-squared per pixel, with the variance of the noise model.
+    #[serde(deserialize_with = "nullable")]
     pub chi2_ndf: f64,
     /// `||measured - predicted|| / ||measured||` of the light above the black level; noise contributes to it.
+    #[serde(deserialize_with = "nullable")]
     pub nrmse: f64,
     /// Pearson correlation coefficient.
+    #[serde(deserialize_with = "nullable")]
     pub pcc: f64,
 }
 
-/// The frames that the figures are computed from: scenes and beads.
+impl Figures {
+    /// Figures where nothing can be judged.
+    const NONE: Self = Self { chi2_ndf: f64::NAN, nrmse: f64::NAN, pcc: f64::NAN };
+}
+
+/// The frames that the figures are computed from.
 pub(crate) fn judged(seen: &Observations) -> impl Iterator<Item = usize> + '_ {
+    let on = JudgedOn::of(seen);
+    (0..seen.frames.len()).filter(move |k| on.counts(&seen.frames[*k].shown))
+}
+
+/// Scenes, of known and unknown objects, and beads.
+pub(crate) fn pictured_frames(seen: &Observations) -> impl Iterator<Item = usize> + '_ {
     (0..seen.frames.len()).filter(|k| matches!(seen.frames[*k].role, Role::Scene | Role::Bead))
 }
 
-/// Figures on held-out data: the held-out scenes and beads, or, if no frame is held out, the held-out blocks of all of
-/// them.
+/// Figures on held-out data: the held-out frames of [`JudgedOn`], or, if no frame is held out, the held-out blocks of all
+/// of them.
 pub fn figures(model: &Model<'_>, fitted: &Fitted) -> Figures {
     let seen = model.seen;
     let mut frames: Vec<usize> = judged(seen).filter(|k| seen.frames[*k].held_out).collect();
     let whole = !frames.is_empty();
     if !whole {
         frames = judged(seen).collect();
+    }
+    if frames.is_empty() {
+        return Figures::NONE;
     }
     let black = model.forward.noise().black_level_dn;
     let (mut chi2, mut n, mut error, mut light) = (0.0, 0.0, 0.0, 0.0);

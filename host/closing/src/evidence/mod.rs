@@ -13,8 +13,8 @@ pub mod stats;
 pub mod tables;
 
 pub use covariate::{Covariate, Dependence};
-pub(crate) use figures::judged;
-pub use figures::{Figures, figures};
+pub use figures::{Figures, JudgedOn, figures};
+pub(crate) use figures::{judged, pictured_frames};
 pub use omnibus::structured;
 pub use score::{Scores, Test};
 pub use stats::{f_tail, holm};

@@ -4,7 +4,7 @@ use super::files::{Content, Files};
 use super::retrain::Networks;
 use super::{Outcome, Run};
 use ommatidia_closing::{
-    CloseOutcome, CloseRequest, Closing, Effect, FineTuning, Progress, account_path, close_session,
+    CloseOutcome, CloseRequest, Closing, Effect, FineTuning, JudgedOn, Progress, account_path, close_session,
 };
 use ommatidia_model::calibrate::CalibrateConfig;
 use ommatidia_session::kind::FileKind;
@@ -99,10 +99,25 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     Ok(Outcome { json, text: table(closing, &args.output, &account_file, seconds) })
 }
 
+/// What the figures of an account are of.
+pub(super) fn judged_on(closing: &Closing) -> &'static str {
+    match closing.judged_on {
+        JudgedOn::Known if closing.own_beads => "on the bead frames of the calibration itself",
+        JudgedOn::Known => "on held-out data",
+        JudgedOn::Even => "on held-out flats and darks",
+        JudgedOn::Nothing => "not judged: nobody knows the specimen",
+    }
+}
+
+/// A figure of an account; a dash where it is not judged.
+pub(super) fn figure(value: f64) -> String {
+    if value.is_finite() { format!("{value:.5}") } else { "-".into() }
+}
+
 /// The account as a table.
 pub fn table(closing: &Closing, output: &Path, account: &Path, seconds: f64) -> String {
     let mut out = String::new();
-    let on = if closing.own_beads { "on the bead frames of the calibration itself" } else { "on held-out data" };
+    let on = judged_on(closing);
     // Writing to a string cannot fail.
     let _ = writeln!(out, "{}\n", closing.verdict.words());
     let _ = writeln!(out, "{:<24} {:>12} {:>12}   {on}", "", "before", "after");
@@ -110,7 +125,8 @@ pub fn table(closing: &Closing, output: &Path, account: &Path, seconds: f64) -> 
     for (name, before, after) in
         [("chi2 / pixel", b.chi2_ndf, a.chi2_ndf), ("NRMSE (with noise)", b.nrmse, a.nrmse), ("PCC", b.pcc, a.pcc)]
     {
-        let _ = writeln!(out, "{name:<24} {before:>12.5} {after:>12.5}");
+        let [before, after] = [before, after].map(figure);
+        let _ = writeln!(out, "{name:<24} {before:>12} {after:>12}");
     }
     if closing.effects.is_empty() {
         let _ = writeln!(out, "\nno effect found");

@@ -72,10 +72,14 @@ fn summary(c: &Closing) -> Value {
         let strong = all.iter().filter(|d| d.z > 4.0).count();
         format!("{most:.1} sigma at most, {strong} of {} covariates beyond 4", all.len())
     };
+    let both = |before: f64, after: f64| match (before.is_finite(), after.is_finite()) {
+        (true, true) => format!("{before:.4} -> {after:.4}"),
+        _ => "not judged: nobody knows the specimen".into(),
+    };
     let mut figures = json!({
         "session": c.session,
-        "chi2 / pixel": format!("{:.4} -> {:.4}", c.before.chi2_ndf, c.after.chi2_ndf),
-        "NRMSE": format!("{:.4} -> {:.4}", c.before.nrmse, c.after.nrmse),
+        "chi2 / pixel": both(c.before.chi2_ndf, c.after.chi2_ndf),
+        "NRMSE": both(c.before.nrmse, c.after.nrmse),
         "held-out frames": c.held_out_frames,
         "structure before": strongest(&c.dependences_before),
         "structure after": strongest(&c.dependences_after),

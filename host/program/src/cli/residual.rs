@@ -1,5 +1,6 @@
 //! `residual`: measured minus predicted, and what it depends on.
 
+use super::close::{figure, judged_on};
 use super::files::{Content, Files};
 use super::{Outcome, Run};
 use ommatidia_closing::{ResidualOutcome, ResidualRequest, residual_session};
@@ -58,11 +59,11 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     // Writing to a string cannot fail.
     let _ = writeln!(
         text,
-        "chi2 / pixel {:.4}, NRMSE {:.4}, PCC {:.5} {}\n",
-        c.before.chi2_ndf,
-        c.before.nrmse,
-        c.before.pcc,
-        if c.own_beads { "on the bead frames of the calibration itself" } else { "on held-out data" }
+        "chi2 / pixel {}, NRMSE {}, PCC {} {}\n",
+        figure(c.before.chi2_ndf),
+        figure(c.before.nrmse),
+        figure(c.before.pcc),
+        judged_on(c)
     );
     for note in &c.notes {
         let _ = writeln!(text, "note: {note}");

@@ -17,7 +17,7 @@ pub use hidden::hidden;
 use super::ReportError;
 use super::page::{self, Key, Numbers};
 use maud::{Markup, html};
-use ommatidia_closing::{Account, Closing, Dependence, Verdict};
+use ommatidia_closing::{Account, Closing, Dependence, JudgedOn, Verdict};
 use ommatidia_model::instrument::Instrument;
 
 /// Which verb wrote the account.
@@ -65,20 +65,25 @@ fn keys(c: &Closing, asked: Asked) -> Vec<Key> {
         holds,
     };
     let (b, a) = (c.before, c.after);
-    let mut keys = vec![
-        key(
-            "χ² per pixel",
-            both(format!("{:.3}", b.chi2_ndf), format!("{:.3}", a.chi2_ndf)),
-            format!("{}; noise alone: 1", words::held_out(c)),
-            None,
-        ),
-        key(
-            "NRMSE",
-            format!("{} %", both(format!("{:.2}", 100.0 * b.nrmse), format!("{:.2}", 100.0 * a.nrmse))),
-            "of the same data; includes the noise".into(),
-            None,
-        ),
-    ];
+    let mut keys = if c.judged_on == JudgedOn::Nothing {
+        let note = "nobody knows the specimen: only what follows the pixel grid was looked for";
+        vec![key("χ², NRMSE", "not judged".into(), note.into(), None)]
+    } else {
+        vec![
+            key(
+                "χ² per pixel",
+                both(format!("{:.3}", b.chi2_ndf), format!("{:.3}", a.chi2_ndf)),
+                format!("{}; noise alone: 1", words::held_out(c)),
+                None,
+            ),
+            key(
+                "NRMSE",
+                format!("{} %", both(format!("{:.2}", 100.0 * b.nrmse), format!("{:.2}", 100.0 * a.nrmse))),
+                "of the same data; includes the noise".into(),
+                None,
+            ),
+        ]
+    };
     let worst = |all: &[Dependence]| {
         all.iter().min_by(|a, b| words::strongest_first(a, b)).map_or(String::new(), words::evidence)
     };

@@ -2,7 +2,7 @@
 
 use super::{Asked, words};
 use maud::{Markup, html};
-use ommatidia_closing::{Closing, Dependence, Effect, Value};
+use ommatidia_closing::{Closing, Dependence, Effect, JudgedOn, Value};
 
 /// Effects that explain less than this share of the excess are named without details.
 const MAIN: f64 = 0.05;
@@ -44,9 +44,14 @@ fn opening(c: &Closing) -> Markup {
     let session = if c.session.is_empty() { "the session".to_string() } else { format!("“{}”", c.session) };
     html! {
         "The calibrated instrument was compared with " (session)
+        @if c.judged_on == JudgedOn::Nothing {
+            ". Nobody knows the specimens of its frames, so how well the optics predict them was not judged: only what \
+             follows the grid of the pixels was looked for"
+        } @else {
         ". On " @if c.own_beads { "data that are not independent" } @else { "held-out data" }
         " (" (words::held_out(c)) ") the residual was "
         b { "χ² = " (format!("{:.3}", c.before.chi2_ndf)) " per pixel" } "; noise alone gives 1"
+        }
         @match strong.as_slice() {
             [] => ". The residual depended on none of the tested covariates. ",
             [first, ..] => {
@@ -151,7 +156,7 @@ fn rest(c: &Closing, asked: Asked) -> Markup {
     }
     let left = significant(&c.dependences_after);
     html! {
-        @if added(c).next().is_some() { "With " @if added(c).count() == 1 { "it" } @else { "them" } " χ² is "
+        @if added(c).next().is_some() && c.judged_on != JudgedOn::Nothing { "With " @if added(c).count() == 1 { "it" } @else { "them" } " χ² is "
             b { (format!("{:.3}", c.after.chi2_ndf)) " per pixel" } ". " }
         @match (c.catalogue_incomplete, left.first()) {
             (true, Some(d)) => {

@@ -1,6 +1,6 @@
 //! Names, numbers and units for readers.
 
-use ommatidia_closing::{Closing, Dependence};
+use ommatidia_closing::{Closing, Dependence, JudgedOn};
 
 /// Name of an effect from its id.
 pub fn name(id: &str) -> String {
@@ -103,6 +103,7 @@ pub const ALIKE: f64 = 0.5;
 /// The data that the figures are computed from.
 pub fn held_out(c: &Closing) -> String {
     match (c.held_out_frames.len(), c.held_out_blocks) {
+        (n, _) if c.judged_on == JudgedOn::Even && n > 0 => format!("{n} held-out flats and darks"),
         (n, _) if c.own_beads => format!("{n} bead frames that the calibration has read"),
         (1, _) => "1 held-out frame".into(),
         (n, _) if n > 1 => format!("{n} held-out frames"),
