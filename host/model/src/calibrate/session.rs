@@ -5,8 +5,8 @@ use super::light_unit::{fit_light_unit, set_light_unit};
 use super::model::{Model, ModelConfig};
 use super::replicates::{ReplicateRequest, replicates};
 use super::sensor_only;
-use crate::bead::{BeadCut, BeadScan, cut_windows, extent, fit_chief_rays};
-use crate::instrument::{Instrument, LightUnit, Quality};
+use crate::bead::{BeadBackground, BeadCut, BeadScan, Slopes, cut_windows, extent, fit_chief_rays, remove_background};
+use crate::instrument::{Diagnostics, Instrument, LightUnit, Quality};
 use crate::psf::BeadScale;
 use crate::psf::fit::{FitConfig, Plane};
 use ndarray::Array2;
@@ -87,6 +87,9 @@ pub fn calibrate(
     } else {
         let mut scan = BeadScan::open(session, noise.model, maps(&noise))?;
         let fitted = fit_chief_rays(&mut scan, &manifest, &mut step)?;
+        let background =
+            remove_background(&mut scan, &manifest, &fitted.rays, noise.map_errors.offset_dn, &mut step)?;
+        notes.extend(background_note(background.as_ref().map(|(b, _)| b)));
         let nominal = manifest.optics.psf_window_px;
         manifest.optics.psf_window_px = match config.window_px {
             Some(found) if found.is_multiple_of(2) => return Err(CalibrateError::Window { found }),
@@ -113,8 +116,15 @@ pub fn calibrate(
         Instrument {
             psf,
             replicates,
-            quality: Quality { maps: noise.map_errors, ..model.quality(fitted.rms_px) },
-            diagnostics: model.diagnostics(&windows, &planes, noise.photon_transfer)?,
+            quality: Quality {
+                maps: noise.map_errors,
+                background: background.as_ref().map(|(b, _)| *b),
+                ..model.quality(fitted.rms_px)
+            },
+            diagnostics: Diagnostics {
+                background_e: by_frame(background.as_ref().map_or(&[], |(_, frames)| frames)),
+                ..model.diagnostics(&windows, &planes, noise.photon_transfer)?
+            },
             manifest,
             noise: noise.model,
             offset_dn: noise.offset_dn,
@@ -133,6 +143,39 @@ pub fn calibrate(
         None => {}
     }
     Ok(Calibration { instrument, notes })
+}
+
+/// What the user should know about the background of the bead frames.
+fn background_note(found: Option<&BeadBackground>) -> Option<String> {
+    let Some(b) = found else {
+        return Some(
+            "the windows of the foci cover nearly all of the measured pixels: a background of the bead frames cannot \
+             be told from the tails of foci, and none was removed"
+                .into(),
+        );
+    };
+    if b.tail_e > 0.0 {
+        return Some(format!(
+            "light far from the foci of the bead frames is {:.3} e- a pixel brighter near the windows than far from \
+             them: tails of foci (a halo), which the model leaves out; the background was taken from the farthest \
+             pixels. A larger psf_window_px holds more of the tails",
+            b.tail_e
+        ));
+    }
+    b.is_seen().then(|| {
+        let [level, row, col] = b.mean_e;
+        format!(
+            "the bead frames have a background of {level:.2} +- {:.2} e- a pixel ({row:+.2} e- from the first to the \
+             last row, {col:+.2} e- from the first to the last column): removed from the PSFs. Scenes of this session \
+             may have it too; `close` fits it",
+            b.sigma_e[0]
+        )
+    })
+}
+
+/// The background of each frame as an array, [bead, (level, row, col)], e-.
+fn by_frame(background_e: &[Slopes]) -> Array2<f32> {
+    Array2::from_shape_fn((background_e.len(), 3), |(n, a)| background_e[n][a] as f32)
 }
 
 fn maps(noise: &NoiseCalibration) -> SensorMaps {
