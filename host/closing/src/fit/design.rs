@@ -186,9 +186,8 @@ pub fn nuisances(model: &Model<'_>) -> Vec<Column> {
         columns.push(Column::Black);
     }
     if model.has_background {
-        let shows = |s: &usize| {
-            frames.iter().any(|f| f.stack == *s && matches!(f.shown, Shown::Object(_) | Shown::Bead(_)))
-        };
+        let shows =
+            |s: &usize| frames.iter().any(|f| f.stack == *s && matches!(f.shown, Shown::Object(_) | Shown::Bead(_)));
         columns.extend((0..stacks).filter(shows).flat_map(|s| (0..3).map(move |part| Column::Background(s, part))));
     }
     columns

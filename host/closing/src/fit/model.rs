@@ -88,7 +88,12 @@ impl<'a> Model<'a> {
                 *scale = (light / dose / self.forward.noise().gain_dn_per_e).max(1e-6);
             }
         }
-        Ok(State { terms: instrument.effects.iter().filter_map(term).collect(), scale, black_dn: 0.0, background_e: vec![[0.0; 3]; stacks] })
+        Ok(State {
+            terms: instrument.effects.iter().filter_map(term).collect(),
+            scale,
+            black_dn: 0.0,
+            background_e: vec![[0.0; 3]; stacks],
+        })
     }
 
     /// The same state in a standard gauge: a common factor of an effect and of the light is moved to the light

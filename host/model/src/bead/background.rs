@@ -240,7 +240,8 @@ fn shared(scan: &BeadScan, fits: &[Option<FrameFit>], offset_dn: f64) -> (BeadBa
     let all: Vec<&FrameFit> = fits.iter().flatten().collect();
     let count = all.len() as f64;
     let mean_of = |from: &[&FrameFit], a: usize| from.iter().map(|f| f.value[a]).sum::<f64>() / from.len() as f64;
-    let mut summary = BeadBackground { pixels: all.iter().map(|f| f.pixels).sum::<f64>() / count, ..Default::default() };
+    let mut summary =
+        BeadBackground { pixels: all.iter().map(|f| f.pixels).sum::<f64>() / count, ..Default::default() };
     for a in 0..3 {
         summary.mean_e[a] = mean_of(&all, a);
         let noise2 = all.iter().map(|f| f.sigma[a].powi(2)).sum::<f64>() / count;

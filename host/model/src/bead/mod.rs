@@ -8,7 +8,7 @@ mod rays;
 mod scan;
 mod windows;
 
-pub use background::{slope_terms, BeadBackground, Slopes, remove_background};
+pub use background::{BeadBackground, Slopes, remove_background, slope_terms};
 pub use error::{BeadError, Warning};
 pub use extent::extent;
 pub(crate) use rays::PASSES;

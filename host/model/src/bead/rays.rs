@@ -78,7 +78,7 @@ pub fn fit_chief_rays(scan: &mut BeadScan, manifest: &Manifest, mut step: impl F
 }
 
 /// Number of times that a calibration reads each bead frame, for progress bars.
-pub(crate) const PASSES: u64 = 4 + ROUNDS as u64;
+pub(crate) const PASSES: u64 = 5 + ROUNDS as u64;
 
 struct Fit {
     anchors: Vec<[f64; 2]>,

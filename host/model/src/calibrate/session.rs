@@ -6,6 +6,7 @@ use super::model::{Model, ModelConfig};
 use super::replicates::{ReplicateRequest, replicates};
 use super::sensor_only;
 use crate::bead::{BeadBackground, BeadCut, BeadScan, Slopes, cut_windows, extent, fit_chief_rays, remove_background};
+use crate::check::{Finding, Severity, check};
 use crate::instrument::{Diagnostics, Instrument, LightUnit, Quality};
 use crate::psf::BeadScale;
 use crate::psf::fit::{FitConfig, Plane};
@@ -14,6 +15,10 @@ use ommatidia_physics::noise::{NoiseCalibration, NoiseConfig, inverse_response, 
 use ommatidia_physics::sensor::SensorMaps;
 use ommatidia_session::{Manifest, Role, Session};
 use serde::{Deserialize, Serialize};
+
+/// Largest NRMSE on positions that were left out, apart from the noise: a model that misses more than a quarter of the
+/// light's power between its positions says nothing about them.
+const MOST_OFF_GRID: f64 = 0.5;
 
 /// Settings of a calibration.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -33,6 +38,8 @@ pub struct CalibrateConfig {
     pub replicates: usize,
     /// The bead frames are already normalised one by one: their brightness is not physical.
     pub normalise_beads: bool,
+    /// Calibrates even where the checks of the session find errors; they become notes.
+    pub accept: bool,
     /// Nominal noise, used where the session does not determine it.
     pub noise: NoiseConfig,
 }
@@ -46,6 +53,7 @@ impl Default for CalibrateConfig {
             one_psf: false,
             replicates: 8,
             normalise_beads: false,
+            accept: false,
             noise: NoiseConfig::default(),
         }
     }
@@ -73,8 +81,16 @@ pub fn calibrate(
     mut step: impl FnMut(),
 ) -> Result<Calibration, CalibrateError> {
     let mut manifest = Manifest { stacks: Vec::new(), ..session.manifest().clone() };
+    let checked = check(session, &mut step)?;
+    let errors: Vec<Finding> = checked.at_least(Severity::Error).cloned().collect();
+    if !(errors.is_empty() || config.accept) {
+        return Err(CalibrateError::Check(errors));
+    }
     let noise = measure_noise(session, &config.noise, &mut step)?;
-    let mut notes: Vec<String> = noise.notes.iter().map(ToString::to_string).collect();
+    let mut notes: Vec<String> =
+        checked.at_least(Severity::Warning).filter(|f| is_new(f)).map(|f| format!("{}: {}", f.topic, f.text)).collect();
+    let of_noise: Vec<String> = noise.notes.iter().map(ToString::to_string).collect();
+    notes.extend(of_noise);
     if let Some(useless) = noise.useless() {
         let pixels = useless.iter().filter(|u| **u).count();
         notes.push(format!(
@@ -87,8 +103,7 @@ pub fn calibrate(
     } else {
         let mut scan = BeadScan::open(session, noise.model, maps(&noise))?;
         let fitted = fit_chief_rays(&mut scan, &manifest, &mut step)?;
-        let background =
-            remove_background(&mut scan, &manifest, &fitted.rays, noise.map_errors.offset_dn, &mut step)?;
+        let background = remove_background(&mut scan, &manifest, &fitted.rays, noise.map_errors.offset_dn, &mut step)?;
         notes.extend(background_note(background.as_ref().map(|(b, _)| b)));
         let nominal = manifest.optics.psf_window_px;
         manifest.optics.psf_window_px = match config.window_px {
@@ -108,6 +123,15 @@ pub fn calibrate(
         let target = ModelConfig { fit, manifest: &manifest, exposure_ms: scan.exposure_ms };
         let model = Model::fit(&windows, dead, &planes, target)?;
         let psf = model.psf()?;
+        let quality = model.quality(fitted.rms_px);
+        let most = MOST_OFF_GRID.hypot(2.0 * quality.noise_floor);
+        if quality.off_grid_error > most {
+            let error = CalibrateError::OffGrid { most, found: quality.off_grid_error };
+            if !config.accept {
+                return Err(error);
+            }
+            notes.push(error.to_string());
+        }
         let request =
             ReplicateRequest { psf: &psf, windows: &windows, dead, planes: &planes, count: config.replicates };
         let (replicates, note) = replicates(&model, request)?;
@@ -116,11 +140,7 @@ pub fn calibrate(
         Instrument {
             psf,
             replicates,
-            quality: Quality {
-                maps: noise.map_errors,
-                background: background.as_ref().map(|(b, _)| *b),
-                ..model.quality(fitted.rms_px)
-            },
+            quality: Quality { maps: noise.map_errors, background: background.as_ref().map(|(b, _)| *b), ..quality },
             diagnostics: Diagnostics {
                 background_e: by_frame(background.as_ref().map_or(&[], |(_, frames)| frames)),
                 ..model.diagnostics(&windows, &planes, noise.photon_transfer)?
@@ -143,6 +163,11 @@ pub fn calibrate(
         None => {}
     }
     Ok(Calibration { instrument, notes })
+}
+
+/// Whether a warning of the checks is not given by the calibration itself, in more detail.
+fn is_new(finding: &Finding) -> bool {
+    finding.severity == Severity::Error || !matches!(finding.topic, "counts" | "saturation" | "lenses" | "light")
 }
 
 /// What the user should know about the background of the bead frames.

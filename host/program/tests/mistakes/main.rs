@@ -10,6 +10,7 @@
 mod common;
 mod desk;
 mod files;
+mod sessions;
 mod table;
 
 use table::{Mistake, hold};
