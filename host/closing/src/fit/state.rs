@@ -77,8 +77,8 @@ pub struct State {
     pub scale: Vec<f64>,
     /// Black level minus that of the instrument, DN.
     pub black_dn: f64,
-    /// Background of each stack: level and slopes ([`ommatidia_model::bead::slope_terms`]), e- a pixel at the exposure of the calibration. It
-    /// grows with the exposure of a frame.
+    /// Background of each stack: level and slopes ([`ommatidia_model::bead::slope_terms`]), e- a pixel at the exposure
+    /// of the calibration. It grows with the exposure of a frame.
     pub background_e: Vec<Slopes>,
 }
 

@@ -18,8 +18,9 @@ const CONTRAST: f32 = 8.0;
 const RADIUS: f64 = 0.75;
 /// Largest relative difference of a pitch from the declared one.
 const PITCH: f64 = 0.15;
-/// Bead frames whose foci are given for pictures.
-const SHOWN: usize = 25;
+/// A letter F, [row, col] from -1 to 1.
+const LETTER: [[f64; 2]; 8] =
+    [[1.0, -0.6], [0.5, -0.6], [0.0, -0.6], [-0.5, -0.6], [-1.0, -0.6], [-1.0, 0.0], [-1.0, 0.6], [0.0, 0.0]];
 
 /// The spots of the summed frames.
 #[derive(Clone, Debug)]
@@ -43,6 +44,10 @@ pub fn lattice(scan: &Scan, tried: &Tried, m: &Manifest) -> Lattice {
     let lenses_px: Vec<[f64; 2]> = spots.iter().map(|p| p.map(|v| (v + 0.5) * bin - 0.5)).collect();
     let gap = 0.5 * m.optics.psf_window_px as f64;
     let lines = [0, 1].map(|a| levels(lenses_px.iter().map(|p| p[a]).collect(), gap));
+    // Lenses are numbered row by row.
+    let line = |a: usize, v: f64| lines[a].iter().filter(|l| **l < v - gap).count();
+    let mut lenses_px = lenses_px;
+    lenses_px.sort_by(|a, b| line(0, a[0]).cmp(&line(0, b[0])).then(a[1].total_cmp(&b[1])));
     let full = lines[0].len() * lines[1].len();
     // One lens may be dark without making the lattice doubtful.
     let shape = (full <= lenses_px.len() + full / 6 && !lenses_px.is_empty()).then(|| [lines[0].len(), lines[1].len()]);
@@ -153,11 +158,33 @@ pub struct Shown {
     pub bin: usize,
 }
 
-/// The foci of an even sample of the frames, and of all outliers. The anchors are those that the frames show (those of
+/// The frames whose positions, by the table, draw a letter F in the middle of the field: no mirror image and no turn of
+/// it is an F. It is small enough for those of neighbouring lenses to stay apart, if the scan is fine enough.
+fn letter(scan: &Scan, m: &Manifest) -> Vec<usize> {
+    let far = |a: usize| scan.frames.iter().map(|f| f.moved_px[a].abs()).fold(0.0, f64::max);
+    let step = 2.0 * (far(0) * far(1) / scan.frames.len().max(1) as f64).sqrt();
+    let own = if m.array.lenses() > 1 { (0.42 * m.array.pitch_px).max(2.0 * step) } else { f64::INFINITY };
+    let half = [0, 1].map(|a| far(a).min(own));
+    let mut frames: Vec<usize> = LETTER
+        .iter()
+        .filter_map(|[row, col]| {
+            let at = [row * half[0], col * half[1]];
+            let off = |n: &usize| {
+                let moved = scan.frames[*n].moved_px;
+                (moved[0] - at[0]).powi(2) + (moved[1] - at[1]).powi(2)
+            };
+            (0..scan.frames.len()).min_by(|a, b| off(a).total_cmp(&off(b)))
+        })
+        .collect();
+    frames.sort_unstable();
+    frames.dedup();
+    frames
+}
+
+/// The foci of frames that draw a letter F, and of all outliers. The anchors are those that the frames show (those of
 /// the manifest, where they show none); from there the foci move by the table, or as they were found to move.
 pub fn foci(scan: &Scan, tried: &Tried, lattice: &Lattice, outliers: &[Outlier], m: &Manifest) -> Shown {
-    // The same step along rows and columns would show a few columns only: not a divisor of the lines.
-    let every = (scan.frames.len().div_ceil(SHOWN) | 1).max(1);
+    let letter = letter(scan, m);
     let nominal = || {
         let at = |i: usize, n: usize, size: usize| {
             (size as f64 - 1.0) / 2.0 + (i as f64 - (n as f64 - 1.0) / 2.0) * m.array.pitch_px
@@ -171,7 +198,7 @@ pub fn foci(scan: &Scan, tried: &Tried, lattice: &Lattice, outliers: &[Outlier],
     let mut shown = Shown { pairs: Vec::new(), light: Array2::zeros(dim), bin: scan.bin };
     for (n, f) in scan.frames.iter().enumerate() {
         let outlier = outliers.iter().find(|o| o.bead == f.bead);
-        if !n.is_multiple_of(every) && outlier.is_none() {
+        if !letter.contains(&n) && outlier.is_none() {
             continue;
         }
         shown.light.zip_mut_with(&f.light, |a, b| *a = a.max(*b));

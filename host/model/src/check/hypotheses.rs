@@ -13,9 +13,9 @@ use serde::Serialize;
 /// By how much another hypothesis must fit better than the table as it is: mean correlation, as a factor and a term.
 const BETTER: [f64; 2] = [1.15, 0.03];
 /// Standard errors, over the frames, by which it must fit better.
-const SURE: f64 = 6.0;
+const SURE: f64 = 3.0;
 /// Least mean correlation of a hypothesis that can be named.
-const NAMED: f64 = 0.25;
+const NAMED: f64 = 0.35;
 /// Mean correlation below which frames do not show what any table says.
 const UNRELATED: f64 = 0.12;
 /// Smallest motion of the foci by the table, as a multiple of a small pixel, from which an orientation can be tested.
@@ -65,11 +65,12 @@ impl Turn {
                  the table are in reverse order: change the sign of {axes} in {table}, or turn the frames"
             ),
             (false, axes) => format!(
-                "{axes} of {table} looks mirrored, or the frames look {frames}: change the sign of {axes} in {table}, or \
-                 turn the frames"
+                "{axes} of {table} looks mirrored, or the frames look {frames}: change the sign of {axes} in {table}, \
+                 or turn the frames"
             ),
             (true, "") => format!(
-                "x and y of {table} look exchanged, or the frames look transposed: exchange the names of the columns"
+                "x and y of {table} look exchanged, or the frames look transposed: exchange the names of the \
+                 columns"
             ),
             (true, axes) => format!(
                 "x and y of {table} look exchanged, and {axes} then mirrored (the frames or the stage are turned by \
@@ -126,8 +127,8 @@ impl Order {
             ),
             Self::Reversed => format!("the rows of {table} look reversed: the last row belongs to the first frame"),
             Self::Serpentine => format!(
-                "every second line of {table} looks reversed: the stage scanned to and fro (or the table says so and it \
-                 did not)"
+                "every second line of {table} looks reversed: the stage scanned to and fro (or the table says so and \
+                 it did not)"
             ),
         }
     }
@@ -228,17 +229,19 @@ pub fn best(scan: &Scan, manifest: &Manifest) -> Tried {
             (tried.coincidence, tried.best) = (value, h);
         }
     };
-    for order in Order::ALL {
+    // Nothing can be that much better than what agrees already.
+    let open = BETTER[0] * start + BETTER[1] < 1.0;
+    for order in Order::ALL.into_iter().filter(|_| open) {
         Turn::all().for_each(|turn| consider(&mut tried, Hypothesis { turn, order, scale: 1.0 }));
     }
-    for (scale, _) in units(manifest) {
+    for (scale, _) in units(manifest).into_iter().filter(|_| open) {
         Turn::all().for_each(|turn| consider(&mut tried, Hypothesis { turn, scale, ..Hypothesis::AS_IS }));
     }
     if tried.best == Hypothesis::AS_IS {
         shifted_by_one(scan, &as_is, &mut tried);
     }
     if tried.coincidence < NAMED || tried.best.scale != 1.0 {
-        // A magnification or step that is simply wrong: by a quarter to four times, in steps that a focus still bridges.
+        // A magnification or step that is simply wrong: a quarter to four times, in steps that a focus still bridges.
         let mut other = tried.clone();
         for i in -28..=28 {
             consider(&mut other, Hypothesis { scale: 1.05_f64.powi(i), ..Hypothesis::AS_IS });

@@ -37,6 +37,9 @@ pub use positions::Outlier;
 use ommatidia_session::{Role, Session, SessionError};
 use serde::Serialize;
 
+/// Mean correlation of the frames from which their sum shows the lenses.
+const RELIABLE: f64 = 0.4;
+
 /// How bad a finding is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
@@ -143,7 +146,10 @@ fn look(session: &Session, scan: &scan::Scan) -> (Vec<Finding>, Option<ScanFindi
     let outliers = positions::outliers(scan, &tried);
     findings.extend(positions::describe(&outliers, scan, &tried));
     let lattice = array::lattice(scan, &tried, session.manifest());
-    findings.extend(array::describe(&lattice, session.manifest(), scan));
+    // Frames that are moved back by wrong positions add up to spots where no lens is.
+    if tried.coincidence > RELIABLE && outliers.len() * 10 <= scan.frames.len() {
+        findings.extend(array::describe(&lattice, session.manifest(), scan));
+    }
     let shown = array::foci(scan, &tried, &lattice, &outliers, session.manifest());
     let seen = ScanFindings {
         frames: scan.frames.len(),

@@ -1,7 +1,7 @@
 //! Single positions that disagree with their frames.
 
 use super::hypotheses::Tried;
-use super::scan::{Scan, add, dot, middle};
+use super::scan::{Scan, Small, add, dot, middle, without};
 use super::{Finding, Severity};
 use ndarray::Array2;
 use serde::Serialize;
@@ -43,6 +43,7 @@ pub fn outliers(scan: &Scan, tried: &Tried) -> Vec<Outlier> {
     suspects.truncate(MOST);
     let sum = scan.sum(&tried.moved);
     let reach = reach(scan);
+    let noise: f64 = scan.frames.iter().map(|f| f.noise_dn2).sum();
     let mut found: Vec<Outlier> = suspects
         .into_iter()
         .filter_map(|n| {
@@ -51,7 +52,7 @@ pub fn outliers(scan: &Scan, tried: &Tried) -> Vec<Outlier> {
             let mut own = Array2::zeros(others.dim());
             add(&mut own, &f.light, scan.steps(tried.moved[n]), 1.0);
             others -= &own;
-            let (by, value) = search(&f.light, &others, reach);
+            let (by, value) = search(f, &others, (reach, noise - f.noise_dn2));
             let here = scan.steps(tried.moved[n]);
             let off = [0, 1].map(|a| ((by[a] - here[a]) * scan.bin as isize) as f64);
             let moved = off.iter().any(|o| o.abs() > 1.5 * scan.bin as f64);
@@ -95,9 +96,10 @@ fn reach(scan: &Scan) -> [isize; 2] {
     })
 }
 
-/// The motion of a frame's foci, in small pixels, at which it correlates best with the other frames, and that
-/// correlation.
-fn search(light: &Array2<f32>, others: &Array2<f32>, reach: [isize; 2]) -> ([isize; 2], f64) {
+/// The motion of a frame's foci, in small pixels, at which it correlates best with the sum of the other frames, whose
+/// noise has the sum of squares `noise_dn2`; and that correlation.
+fn search(frame: &Small, others: &Array2<f32>, (reach, noise_dn2): ([isize; 2], f64)) -> ([isize; 2], f64) {
+    let light = &frame.light;
     let mut bright: Vec<([isize; 2], f32)> =
         others.indexed_iter().map(|((r, c), v)| ([r as isize, c as isize], *v)).collect();
     let keep = BRIGHTEST.min(bright.len());
@@ -120,7 +122,7 @@ fn search(light: &Array2<f32>, others: &Array2<f32>, reach: [isize; 2]) -> ([isi
     // The correlation with all pixels, as for the other frames.
     let mut own = Array2::zeros(others.dim());
     add(&mut own, light, best.0, 1.0);
-    let norm = (dot(light, light) * dot(others, others)).sqrt();
+    let norm = (without(dot(light, light), frame.noise_dn2) * without(dot(others, others), noise_dn2)).sqrt();
     (best.0, if norm > 0.0 { dot(&own, others) / norm } else { 0.0 })
 }
 

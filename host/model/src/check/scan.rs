@@ -32,6 +32,8 @@ pub struct Small {
     pub total_dn: f64,
     /// Median of the frame, DN.
     pub level_dn: f32,
+    /// Sum of the squares that the noise adds to those of the light, DN^2.
+    pub noise_dn2: f64,
 }
 
 /// The bead scan.
@@ -70,7 +72,18 @@ impl Scan {
                     let (at_um, z_um) = ([info.y_um, info.x_um], info.z_um);
                     let file = stack.entry().file.clone();
                     let frame = info.frame;
-                    frames.push(Small { bead, file, frame, moved_px, at_um, z_um, light, total_dn: 0.0, level_dn });
+                    frames.push(Small {
+                        bead,
+                        file,
+                        frame,
+                        moved_px,
+                        at_um,
+                        z_um,
+                        light,
+                        total_dn: 0.0,
+                        level_dn,
+                        noise_dn2: 0.0,
+                    });
                     step();
                 }
                 bead += 1;
@@ -80,6 +93,9 @@ impl Scan {
         for f in &mut frames {
             f.total_dn = f.light.iter().map(|v| f64::from(*v)).sum::<f64>() * (bin * bin) as f64;
             f.light = box_blur(&f.light);
+            let mut off: Vec<f32> = f.light.iter().map(|v| v.abs()).collect();
+            // The light of foci covers few pixels: the median is that of the noise.
+            f.noise_dn2 = (1.4826 * f64::from(median(&mut off))).powi(2) * f.light.len() as f64;
         }
         Ok(Self { frames, all_moved_px, bin })
     }
@@ -96,11 +112,13 @@ impl Scan {
     pub fn correlations(&self, moved: &[[f64; 2]]) -> Vec<f64> {
         let sum = self.sum(moved);
         let all = dot(&sum, &sum);
+        let noise: f64 = self.frames.iter().map(|f| f.noise_dn2).sum();
         let one = |(f, by): (&Small, &[f64; 2])| {
             let (with_sum, own) = overlap(&f.light, &sum, self.steps(*by));
             // The sum of the others is the sum less this frame. The whole norm of the frame counts: what is moved off
             // the sensor coincides with nothing.
-            cosine(with_sum - own, dot(&f.light, &f.light), all - 2.0 * with_sum + own)
+            let others = all - 2.0 * with_sum + own;
+            cosine(with_sum - own, without(dot(&f.light, &f.light), f.noise_dn2), without(others, noise - f.noise_dn2))
         };
         self.frames.par_iter().zip(moved).map(one).collect()
     }
@@ -156,6 +174,11 @@ fn span(n: usize, d: isize) -> Option<std::ops::Range<isize>> {
 /// Sum of products.
 pub fn dot(a: &Array2<f32>, b: &Array2<f32>) -> f64 {
     a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
+}
+
+/// A sum of squares without that of the noise; a twentieth of it stays in any case.
+pub fn without(squares: f64, noise: f64) -> f64 {
+    (squares - noise).max(0.05 * squares)
 }
 
 fn cosine(ab: f64, aa: f64, bb: f64) -> f64 {

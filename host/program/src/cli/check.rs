@@ -19,8 +19,8 @@ const APART_PX: f64 = 2.0;
 pub struct Args {
     /// Folder of the measured session
     session: PathBuf,
-    /// Write a picture of the foci to this PNG file: a ring where the table puts a focus, a dot where it was found, a
-    /// line between them where they disagree
+    /// Write a picture to this PNG file: the foci of some bead frames that by the table draw a letter F behind each
+    /// lens. Rings show where the table puts them, dots where they were found; a line joins the two where they disagree
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
 }
@@ -89,13 +89,14 @@ fn picture(scan: &ScanFindings, sensor: [usize; 2]) -> anyhow::Result<Vec<u8>> {
     }
     let on = |p: [f64; 2]| p.map(|v| (v + 0.5) * zoom as f64);
     let (orange, cyan, red) = ([255, 150, 30], [60, 220, 255], [255, 60, 60]);
+    for (predicted, found) in pairs.iter().filter_map(|p| Some((p.predicted_px, p.found_px?))) {
+        if (predicted[0] - found[0]).hypot(predicted[1] - found[1]) > APART_PX {
+            canvas.line(on(predicted), on(found), red);
+        }
+    }
     for pair in pairs {
         let predicted = on(pair.predicted_px);
         if let Some(found) = pair.found_px {
-            let off = [0, 1].map(|a| pair.predicted_px[a] - found[a]);
-            if off[0].hypot(off[1]) > APART_PX {
-                canvas.line(predicted, on(found), red);
-            }
             canvas.disc(on(found), 0.7 * zoom as f64, cyan);
         }
         canvas.ring(predicted, (3.2 * zoom as f64).max(4.0), orange);
@@ -149,7 +150,7 @@ impl Canvas {
         let steps = (from[0] - to[0]).abs().max((from[1] - to[1]).abs()).ceil().max(1.0);
         for i in 0..=steps as usize {
             let t = i as f64 / steps;
-            self.put([0, 1].map(|a| from[a] + t * (to[a] - from[a])), colour);
+            self.disc([0, 1].map(|a| from[a] + t * (to[a] - from[a])), 1.0, colour);
         }
     }
 
