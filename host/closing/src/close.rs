@@ -196,7 +196,8 @@ pub fn close(
         retrained: None,
         notes,
     };
-    let account = pictured(&model, &before, &now, closing);
+    let mut account = pictured(&model, &before, &now, closing);
+    account.closing.notes.extend(background_notes(&model, &now.state));
     Ok(Closed { instrument: with_effects(instrument, &model, &now.state), account })
 }
 
@@ -272,6 +273,21 @@ fn screen(instrument: &Instrument, seen: &mut Observations) -> Result<Vec<Fault>
 fn held_out_deviance(instrument: &Instrument, seen: &Observations) -> Result<f64, CloseError> {
     let model = Model::new(instrument, seen)?;
     Ok(refit(&model, model.state(instrument)?)?.held_out.deviance)
+}
+
+/// The background of each stack that has one of its own: it belongs to the session, and no effect names it.
+fn background_notes(model: &Model<'_>, state: &State) -> Vec<String> {
+    let role = |stack: usize| model.seen.frames.iter().find(|f| f.stack == stack).map(|f| f.role);
+    let note = |(stack, [level, row, col]): (usize, &[f64; 3])| {
+        let role = role(stack).filter(|_| [*level, *row, *col] != [0.0; 3])?;
+        Some(format!(
+            "background of the {} frames, as this session shows it: {level:.2} e- a pixel ({row:+.2} e- from the first \
+             to the last row, {col:+.2} e- from the first to the last column); it was fitted beside the effects, \
+             because the calibration found a background in the bead frames",
+            role.name()
+        ))
+    };
+    state.background_e.iter().enumerate().filter_map(note).collect()
 }
 
 fn held_out_frames(seen: &Observations) -> Vec<usize> {

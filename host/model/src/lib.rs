@@ -7,12 +7,14 @@
 //! | [`instrument`] | the calibrated instrument as data, and its file |
 //! | [`forward`] | object -> frame: optics, then effects in physical order |
 //! | [`calibrate`] | the act: session -> instrument |
+//! | [`check`] | looks at a session before it is calibrated |
 //! | [`dataset`] | instrument -> training pairs on disk |
 //! | [`metrics`] | figures of merit: PSNR, SSIM, NRMSE, PCC, chi2 |
 //! | [`testing`] | synthetic instruments and sessions for the tests of all packages |
 
 pub mod bead;
 pub mod calibrate;
+pub mod check;
 pub mod dataset;
 pub mod forward;
 pub mod instrument;

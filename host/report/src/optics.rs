@@ -34,7 +34,7 @@ pub fn optics(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup, 
 fn quality(instrument: &Instrument, numbers: &mut Numbers) -> Markup {
     let q = &instrument.quality;
     let percent = |v: f64| html! { (format!("{:.2} %", 100.0 * v)) };
-    let rows = [
+    let mut rows = vec![
         ("NRMSE on the fitted positions".to_string(), percent(q.approximation_error)),
         ("NRMSE on held-out positions (checkerboard)".into(), percent(q.off_grid_error)),
         ("— with one PSF per lens instead".into(), percent(q.one_psf_error)),
@@ -42,6 +42,12 @@ fn quality(instrument: &Instrument, numbers: &mut Numbers) -> Markup {
         ("Distance of foci from their chief rays, rms".into(), html! { (number(q.chief_ray_rms_px)) " px" }),
         ("Magnification".into(), html! { (number(instrument.geometry.magnification)) }),
     ];
+    if let Some(b) = q.background {
+        let value = |a: usize| format!("{:.2} ± {:.2} e−", b.mean_e[a], b.sigma_e[a]).replace('-', "−");
+        rows.push(("Background of the bead frames, removed".into(), html! { (value(0)) }));
+        rows.push(("— change from the first to the last row".into(), html! { (value(1)) }));
+        rows.push(("— change from the first to the last column".into(), html! { (value(2)) }));
+    }
     let text = "Over all windows, without the black level. The distance of a focus from its chief ray is part of the \
         model: it stays in \
                 the window.";

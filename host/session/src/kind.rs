@@ -24,6 +24,8 @@ pub enum FileKind {
     Stack,
     /// A page for a browser.
     Page,
+    /// A picture, .png.
+    Picture,
     /// A safetensors file without an Ommatidia header.
     Tensors,
     /// Any other file.
@@ -40,6 +42,7 @@ impl fmt::Display for FileKind {
             Self::Json => f.write_str("a JSON object"),
             Self::Stack => f.write_str("a stack of frames"),
             Self::Page => f.write_str("an HTML page"),
+            Self::Picture => f.write_str("a PNG picture"),
             Self::Tensors => f.write_str("a safetensors file of another program"),
             Self::Unknown => f.write_str("an unknown file"),
         }
@@ -67,6 +70,7 @@ impl FileKind {
                 None => Self::Tensors,
             },
             s if s.trim_ascii_start().starts_with(b"{") => Self::Json,
+            s if s.starts_with(b"\x89PNG") => Self::Picture,
             s if s.to_ascii_lowercase().starts_with(b"<!doctype html") => Self::Page,
             _ => Self::Unknown,
         })

@@ -63,28 +63,36 @@ pub(super) fn read(
     let header = csv.headers().map_err(|e| csv_error(path, e))?.clone();
     // Spreadsheets may write a byte-order mark; it is not part of the first name.
     let names: Vec<&str> = header.iter().map(|n| n.trim_start_matches('\u{feff}').trim()).collect();
+    separated(path, &names)?;
     for column in required {
         if !names.contains(column) {
             return Err(SessionError::Missing {
                 path: path.into(),
                 field: format!("column `{column}`"),
                 found: format!("columns {}", names.join(", ")),
-                remedy: "add the column, or rename it to the name in the session format",
+                remedy: rename(column, &names),
             });
         }
     }
     let mut rows: Vec<Option<FrameInfo>> = vec![None; frames];
-    let mut count = 0;
+    let (mut count, mut first) = (0, None);
     for (i, record) in csv.records().enumerate() {
-        let record = record.map_err(|e| csv_error(path, e))?;
+        let record = record.map_err(|e| uneven(path, e, names.len()))?;
         count += 1;
         let info = row(path, i, &names, &record, exposure_ms)?;
         let index = info.frame;
+        first = first.or(Some(index));
         match rows.get_mut(index) {
             Some(slot @ None) => *slot = Some(info),
             Some(Some(_)) => {
                 let field = format!("column `frame`, row {i}");
                 return Err(SessionError::value(path, field, "each frame once", index, "number the frames from 0"));
+            }
+            None if index == frames && first.is_none_or(|n| n == 1) => {
+                let field = format!("column `frame`, row {i}");
+                let expected = format!("0 to {}", frames - 1);
+                let remedy = "the frames look numbered from 1: number them from 0";
+                return Err(SessionError::value(path, field, expected, index, remedy));
             }
             None => return Err(row_count(path, frames, format!("a row for frame {index}"))),
         }
@@ -93,6 +101,54 @@ pub(super) fn read(
         return Err(row_count(path, frames, format!("{count} rows")));
     }
     Ok(rows.into_iter().flatten().collect())
+}
+
+/// What to do about a column that is missing, from the names that are there.
+fn rename(column: &str, names: &[&str]) -> &'static str {
+    let axis = column.split('_').next().unwrap_or(column);
+    let alike = |ending: &str| names.iter().any(|n| n.eq_ignore_ascii_case(&format!("{axis}{ending}")));
+    if alike("_mm") {
+        "the positions look given in millimetres: multiply them by 1000, and name the columns x_um and y_um"
+    } else if alike("_px") || alike("_pixel") {
+        "the positions look given in pixels: multiply them by object.pixel_um, and name the columns x_um and y_um"
+    } else if alike("") || alike("_um") || alike("_µm") || alike(" (um)") || alike("(um)") {
+        "name the columns x_um and y_um, in small letters, and give micrometres"
+    } else {
+        "add the column, or rename it to the name in the session format"
+    }
+}
+
+/// Rejects headers that are not names between commas: other separators, and tables without a header.
+fn separated(path: &Path, names: &[&str]) -> Result<(), SessionError> {
+    let expected = "names of columns, separated by commas";
+    let found = names.join(",");
+    if names.iter().any(|n| n.contains(';')) {
+        let remedy = "the table looks separated by semicolons: write commas between the values and decimal points in \
+                      them (a spreadsheet offers `CSV, comma separated`)";
+        return Err(SessionError::value(path, "header", expected, found, remedy));
+    }
+    if names.len() == 1 && names[0].split_whitespace().count() > 1 {
+        let remedy = "the table looks separated by tabs or blanks: write commas between the values";
+        return Err(SessionError::value(path, "header", expected, found.replace('\t', " "), remedy));
+    }
+    if !names.is_empty() && names.iter().all(|n| n.parse::<f64>().is_ok()) {
+        let remedy =
+            "the header row is missing: begin the table with the names of its columns, such as frame,x_um,y_um";
+        return Err(SessionError::value(path, "header", expected, found, remedy));
+    }
+    Ok(())
+}
+
+/// A row with another number of values than the header: decimal commas make two of one.
+fn uneven(path: &Path, error: csv::Error, columns: usize) -> SessionError {
+    let csv::ErrorKind::UnequalLengths { pos, len, .. } = error.kind() else { return csv_error(path, error) };
+    let row = pos.as_ref().map_or_else(|| "a row".into(), |p| format!("line {}", p.line()));
+    let remedy = if *len > columns as u64 {
+        "numbers with decimal commas count as two: write decimal points (12.5); or the header lacks a column"
+    } else {
+        "a value is missing: write one for each column"
+    };
+    SessionError::value(path, row, format!("{columns} values"), len, remedy)
 }
 
 fn row(
@@ -150,7 +206,17 @@ fn parse(path: &Path, name: &str, i: usize, text: &str, range: Range) -> Result<
     };
     match text.parse::<f64>() {
         Ok(v) if v.is_finite() && v >= low => Ok(v),
-        _ => Err(SessionError::value(path, at(name, i), expected, format!("`{text}`"), "correct the table")),
+        _ => {
+            let point = text.replace(',', ".");
+            let remedy = if text.contains(',') && point.parse::<f64>().is_ok() {
+                "the table looks written with decimal commas: write decimal points (12.5)"
+            } else if name.ends_with("_um") && text.trim_end_matches(|c: char| c.is_alphabetic()).len() < text.len() {
+                "write numbers alone, without units; the name of the column gives the unit"
+            } else {
+                "correct the table"
+            };
+            Err(SessionError::value(path, at(name, i), expected, format!("`{text}`"), remedy))
+        }
     }
 }
 

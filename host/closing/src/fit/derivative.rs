@@ -33,7 +33,7 @@ impl Expansion<'_> {
     /// What a column varies. None: a nuisance parameter.
     pub(super) fn varied(&self, column: &Column) -> Option<Varied> {
         match column {
-            Column::Scale(_) | Column::Black => None,
+            Column::Scale(_) | Column::Black | Column::Background(..) => None,
             Column::Trial { term, param } => {
                 let terms = self.state.terms.iter().chain([&self.trials[*term]]).cloned().collect();
                 Some(Varied { terms, which: self.state.terms.len(), param: *param })
@@ -71,6 +71,7 @@ impl Model<'_> {
         let Some(Varied { mut terms, which, param }) = at.varied(column) else {
             return Ok(match column {
                 Column::Scale(stack) => self.scale_derivative(k, *stack, at),
+                Column::Background(stack, part) => self.background_derivative(k, [*stack, *part], at),
                 _ => (f.shown != Shown::Unknown).then(|| Array2::ones(here.dn.dim())),
             });
         };
@@ -107,9 +108,25 @@ impl Model<'_> {
         let more = 1.0 + step as f32;
         let previous = f.previous.map(|p| at.predicted[p].alone_e());
         let before = previous.filter(|_| chain.needs_previous()).map(|p| p * more);
-        let light = self.forward.on_sensor(&here.sum_e * more, &chain, &self.context(k, before.as_ref()));
+        let light = self.lit(k, &here.sum_e * more, at.state, (&chain, before.as_ref()));
         let moved = self.dn(k, light, &chain, before.as_ref(), at.state.black_dn);
         Some((moved - &here.dn) / step as f32)
+    }
+
+    /// Derivative with respect to level or slope (part 0 to 2) of the background of a stack, DN per electron.
+    fn background_derivative(&self, k: usize, [stack, part]: [usize; 2], at: Expansion<'_>) -> Option<Array2<f32>> {
+        let (f, here) = (&self.seen.frames[k], &at.predicted[k]);
+        if stack != f.stack {
+            return None;
+        }
+        // The frames are nearly linear in it: far above rounding errors, and small against any saturation.
+        let step = 1.0;
+        let mut state = at.state.clone();
+        state.background_e[stack][part] += step;
+        let chain = self.chain(&state.terms);
+        let previous = f.previous.map(|p| at.predicted[p].alone_e()).filter(|_| chain.needs_previous());
+        let light = self.lit(k, here.sum_e.clone(), &state, (&chain, previous));
+        Some((self.dn(k, light, &chain, previous, state.black_dn) - &here.dn) / step as f32)
     }
 
     /// The expected frame `k` under another chain, DN. None: it is the same.
@@ -139,7 +156,7 @@ impl Model<'_> {
                 return Ok(Some(self.dn(k, here.light_e.clone(), chain, previous, black_dn)));
             }
         };
-        let light = self.forward.on_sensor(sum, chain, &self.context(k, previous));
+        let light = self.lit(k, sum, at.state, (chain, previous));
         Ok(Some(self.dn(k, light, chain, previous, black_dn)))
     }
 }

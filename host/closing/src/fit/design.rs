@@ -102,7 +102,9 @@ impl Design {
                 if matches!(seen.frames[k].shown, Shown::Bead(..)) {
                     // The light of each bead is a nuisance parameter of its own: its column is projected out of all
                     // rows.
-                    own_light(&mut x, here, model.forward.noise().black_level_dn, seen);
+                    let black_dn = model.forward.noise().black_level_dn;
+                    let own = if model.has_background { here.sum_e.clone() } else { &here.dn - black_dn as f32 };
+                    own_light(&mut x, &own, here, seen);
                 }
                 Ok(seen
                     .blocks
@@ -155,11 +157,10 @@ impl Design {
     }
 }
 
-/// Projects the frame's own light out of each row.
-fn own_light(x: &mut Array2<f32>, here: &Predicted, black_dn: f64, seen: &Observations) {
-    let (Some(dn), Some(weight)) = (here.dn.as_slice(), here.inverse_sigma.as_slice()) else { return };
-    let light: Vec<f32> =
-        seen.pixels.iter().map(|p| (dn[*p as usize] - black_dn as f32) * weight[*p as usize]).collect();
+/// Projects the frame's own light, in any unit, out of each row.
+fn own_light(x: &mut Array2<f32>, own: &Array2<f32>, here: &Predicted, seen: &Observations) {
+    let (Some(own), Some(weight)) = (own.as_slice(), here.inverse_sigma.as_slice()) else { return };
+    let light: Vec<f32> = seen.pixels.iter().map(|p| own[*p as usize] * weight[*p as usize]).collect();
     let norm: f64 = light.iter().map(|v| f64::from(*v).powi(2)).sum();
     if norm <= 0.0 {
         return;
@@ -171,7 +172,8 @@ fn own_light(x: &mut Array2<f32>, here: &Predicted, black_dn: f64, seen: &Observ
     }
 }
 
-/// The columns of the nuisance parameters: the light of each lit stack, and the black level.
+/// The columns of the nuisance parameters: the light of each lit stack, the black level, and the background of each
+/// stack of scenes and beads where the calibration found one.
 pub fn nuisances(model: &Model<'_>) -> Vec<Column> {
     let frames = &model.seen.frames;
     let lit = |s: &usize| {
@@ -182,6 +184,11 @@ pub fn nuisances(model: &Model<'_>) -> Vec<Column> {
     let mut columns: Vec<Column> = (0..stacks).filter(lit).map(Column::Scale).collect();
     if frames.iter().any(|f| f.role == Role::Dark || f.shown != Shown::Unknown) {
         columns.push(Column::Black);
+    }
+    if model.has_background {
+        let shows =
+            |s: &usize| frames.iter().any(|f| f.stack == *s && matches!(f.shown, Shown::Object(_) | Shown::Bead(_)));
+        columns.extend((0..stacks).filter(shows).flat_map(|s| (0..3).map(move |part| Column::Background(s, part))));
     }
     columns
 }

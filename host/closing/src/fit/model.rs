@@ -3,6 +3,7 @@
 use super::state::{Predicted, State, Term};
 use crate::data::{Frame, Observations, Shown};
 use ndarray::{Array2, Zip};
+use ommatidia_model::bead::slope_terms;
 use ommatidia_model::forward::{Forward, ForwardError, SceneLight};
 use ommatidia_model::instrument::Instrument;
 use ommatidia_model::psf::OperatorConfig;
@@ -24,6 +25,9 @@ pub struct Model<'a> {
     pub seen: &'a Observations,
     /// Errors of the sensor maps of the instrument.
     pub maps: MapErrors,
+    /// Whether the session may have a background of its own: the beads of the calibration had one. Its strength is then
+    /// a nuisance, and no effect of the instrument.
+    pub has_background: bool,
     /// Exposure of the calibration, ms.
     exposure_ms: f64,
 }
@@ -42,6 +46,7 @@ impl<'a> Model<'a> {
             forward: Forward::with_all_depths(&bare, OperatorConfig { depth, ..OperatorConfig::default() })?,
             seen,
             maps: instrument.quality.maps,
+            has_background: instrument.quality.background.is_some_and(|b| b.is_seen()),
             exposure_ms: instrument.psf.exposure_ms,
         })
     }
@@ -83,7 +88,12 @@ impl<'a> Model<'a> {
                 *scale = (light / dose / self.forward.noise().gain_dn_per_e).max(1e-6);
             }
         }
-        Ok(State { terms: instrument.effects.iter().filter_map(term).collect(), scale, black_dn: 0.0 })
+        Ok(State {
+            terms: instrument.effects.iter().filter_map(term).collect(),
+            scale,
+            black_dn: 0.0,
+            background_e: vec![[0.0; 3]; stacks],
+        })
     }
 
     /// The same state in a standard gauge: a common factor of an effect and of the light is moved to the light
@@ -173,6 +183,27 @@ impl<'a> Model<'a> {
         sum
     }
 
+    /// Light on the sensor for the sum of all lenses, electrons: with the background of its stack and the effects that
+    /// act on light.
+    pub(super) fn lit(
+        &self,
+        k: usize,
+        mut sum_e: Array2<f32>,
+        state: &State,
+        (chain, previous): (&Chain, Option<&Array2<f32>>),
+    ) -> Array2<f32> {
+        let f = &self.seen.frames[k];
+        if let Some(slopes) = state.background_e.get(f.stack).filter(|s| **s != [0.0; 3]) {
+            let share = f.info.exposure_ms / self.exposure_ms;
+            let dim = sum_e.dim();
+            sum_e.indexed_iter_mut().for_each(|((r, c), v)| {
+                let here: f64 = slope_terms(dim, [r, c]).iter().zip(slopes).map(|(t, s)| t * s).sum();
+                *v += (share * here) as f32;
+            });
+        }
+        self.forward.on_sensor(sum_e, chain, &self.context(k, previous))
+    }
+
     /// Predicts every frame. `scenes` are those of [`Model::scenes`] for the same state.
     pub fn predict(&self, state: &State, scenes: &[Option<SceneLight>]) -> Vec<Predicted> {
         let chain = self.chain(&state.terms);
@@ -186,11 +217,11 @@ impl<'a> Model<'a> {
                 let mut scale = state.scale[f.stack];
                 let mut sum = self.sum_e(k, scenes[k].as_ref(), &chain, scale);
                 if matches!(f.shown, Shown::Bead(..)) {
-                    let own = self.own_scale(f, &sum);
+                    let own = self.own_scale(k, state, &sum);
                     scale *= own;
                     sum *= own as f32;
                 }
-                let light = self.forward.on_sensor(sum.clone(), &chain, &self.context(k, None));
+                let light = self.lit(k, sum.clone(), state, (&chain, None));
                 (sum, light, scale)
             })
             .collect();
@@ -202,7 +233,7 @@ impl<'a> Model<'a> {
                 let previous = f.previous.filter(|_| chain.needs_previous()).map(|p| &alone[p].1);
                 let light_e = match previous {
                     None => alone_e.clone(),
-                    Some(_) => self.forward.on_sensor(sum_e.clone(), &chain, &self.context(k, previous)),
+                    Some(_) => self.lit(k, sum_e.clone(), state, (&chain, previous)),
                 };
                 let dn = self.dn(k, light_e.clone(), &chain, previous, state.black_dn);
                 let (mut residual_dn, detail) = residual(f, &dn);
@@ -243,12 +274,18 @@ impl<'a> Model<'a> {
 
     /// Light of a bead's frame over the expected light, by least squares: bead frames may have been normalised one by
     /// one.
-    fn own_scale(&self, f: &Frame, sum_e: &Array2<f32>) -> f64 {
-        let noise = self.forward.noise();
+    fn own_scale(&self, k: usize, state: &State, sum_e: &Array2<f32>) -> f64 {
+        let (f, noise) = (&self.seen.frames[k], self.forward.noise());
+        let slopes = state.background_e.get(f.stack).copied().unwrap_or_default();
+        let gain = noise.gain_dn_per_e * f.info.exposure_ms / self.exposure_ms;
+        let background = |at: (usize, usize)| {
+            let terms = slope_terms(sum_e.dim(), [at.0, at.1]);
+            gain * terms.iter().zip(&slopes).map(|(t, s)| t * s).sum::<f64>()
+        };
         let (mut top, mut bottom) = (0.0, 0.0);
         let measured = |r: usize, c: usize| f.cut.as_ref().is_none_or(|cut| cut.holds(r, c));
-        for ((_, y), e) in f.measured.indexed_iter().zip(sum_e).filter(|((at, _), _)| measured(at.0, at.1)) {
-            top += (f64::from(*y) - noise.black_level_dn) * f64::from(*e);
+        for ((at, y), e) in f.measured.indexed_iter().zip(sum_e).filter(|((at, _), _)| measured(at.0, at.1)) {
+            top += (f64::from(*y) - noise.black_level_dn - background(at)) * f64::from(*e);
             bottom += f64::from(*e).powi(2) * noise.gain_dn_per_e;
         }
         if bottom > 0.0 && top > 0.0 { top / bottom } else { 1.0 }

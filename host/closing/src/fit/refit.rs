@@ -129,6 +129,7 @@ impl Point {
             match column {
                 Column::Scale(s) => next.scale[*s] *= 1.0 + d.clamp(-0.5, 1.0),
                 Column::Black => next.black_dn += d,
+                Column::Background(stack, part) => next.background_e[*stack][*part] += d,
                 Column::Own { term, param } => {
                     let t = &mut next.terms[*term];
                     let p = t.expanded(model.lenses())[*param].1;

@@ -1,6 +1,7 @@
 //! The state of a model: effects with their values, nuisance parameters, and the columns of the linearised fit.
 
 use ndarray::Array2;
+use ommatidia_model::bead::Slopes;
 use ommatidia_physics::effects::{Effect, EffectSetting, Kind, Param};
 
 /// An effect with its parameter values.
@@ -76,12 +77,15 @@ pub struct State {
     pub scale: Vec<f64>,
     /// Black level minus that of the instrument, DN.
     pub black_dn: f64,
+    /// Background of each stack: level and slopes ([`ommatidia_model::bead::slope_terms`]), e- a pixel at the exposure
+    /// of the calibration. It grows with the exposure of a frame.
+    pub background_e: Vec<Slopes>,
 }
 
 /// What a state predicts for one frame. All images are [sensor rows, sensor cols].
 #[derive(Clone, Debug)]
 pub struct Predicted {
-    /// Light of all lenses before the effects on the sensor, electrons.
+    /// Light of all lenses before the effects on the sensor, without the background, electrons.
     pub sum_e: Array2<f32>,
     /// Light on the sensor, electrons.
     pub light_e: Array2<f32>,
@@ -112,6 +116,8 @@ pub enum Column {
     Scale(usize),
     /// Black level.
     Black,
+    /// Background of a stack, by its index: level, slope along the rows, or along the columns (0 to 2).
+    Background(usize, usize),
     /// A parameter of a trial term beside those of the state.
     Trial {
         /// Index of the term among the trial terms.

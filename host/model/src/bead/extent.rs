@@ -18,6 +18,11 @@ const MOST_GROWTH: usize = 2;
 /// Number of outermost rings that give the level of the background.
 const LEVEL_RINGS: usize = 2;
 
+/// How far from its chief ray the light of a focus may reach, px.
+pub(super) fn reach(manifest: &Manifest) -> usize {
+    MOST_GROWTH * (manifest.optics.psf_window_px / 2) + LEVEL_RINGS
+}
+
 /// Side of the smallest window, px, odd and at least the nominal one, that holds the foci of a scan. Reads each frame
 /// once and calls `step` after each.
 ///
@@ -30,7 +35,7 @@ pub fn extent(
     mut step: impl FnMut(),
 ) -> Result<usize, BeadError> {
     let nominal = manifest.optics.psf_window_px / 2;
-    let mut reach = MOST_GROWTH * nominal + LEVEL_RINGS;
+    let mut reach = reach(manifest);
     if manifest.array.lenses() > 1 {
         // Foci of the neighbouring lenses stay outside.
         reach = reach.min((manifest.array.pitch_px as usize).saturating_sub(nominal + 1));

@@ -1,11 +1,14 @@
-//! From a bead scan to PSF samples: fits the chief rays, cuts the windows round the foci, and checks the frames.
+//! From a bead scan to PSF samples: fits the chief rays, removes the background, cuts the windows round the foci, and
+//! checks the frames.
 
+mod background;
 mod error;
 mod extent;
 mod rays;
 mod scan;
 mod windows;
 
+pub use background::{BeadBackground, Slopes, remove_background, slope_terms};
 pub use error::{BeadError, Warning};
 pub use extent::extent;
 pub(crate) use rays::PASSES;

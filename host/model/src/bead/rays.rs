@@ -78,7 +78,7 @@ pub fn fit_chief_rays(scan: &mut BeadScan, manifest: &Manifest, mut step: impl F
 }
 
 /// Number of times that a calibration reads each bead frame, for progress bars.
-pub(crate) const PASSES: u64 = 3 + ROUNDS as u64;
+pub(crate) const PASSES: u64 = 5 + ROUNDS as u64;
 
 struct Fit {
     anchors: Vec<[f64; 2]>,
@@ -87,7 +87,7 @@ struct Fit {
 }
 
 /// Displacement on the sensor of a bead at an object pixel, by the nominal magnification.
-fn displacement(m: &Manifest, at_px: [f64; 2]) -> [f64; 2] {
+pub(super) fn displacement(m: &Manifest, at_px: [f64; 2]) -> [f64; 2] {
     let scale = m.object.pixel_um * m.optics.magnification / m.sensor.pixel_pitch_um;
     [(at_px[0] - (m.object.rows as f64 - 1.0) / 2.0) * scale, (at_px[1] - (m.object.cols as f64 - 1.0) / 2.0) * scale]
 }

@@ -1,6 +1,7 @@
 //! The frames of a bead scan, read one at a time and corrected for black level, offset and response.
 
 use super::BeadError;
+use super::background::{Slopes, slope_terms};
 use ndarray::Array2;
 use ommatidia_physics::noise::NoiseModel;
 use ommatidia_physics::sensor::SensorMaps;
@@ -36,6 +37,8 @@ pub struct BeadScan {
     readers: Vec<FrameReader>,
     maps: SensorMaps,
     noise: NoiseModel,
+    /// Level and slopes that are taken off each frame, DN; empty: nothing.
+    background_dn: Vec<Slopes>,
 }
 
 impl BeadScan {
@@ -76,7 +79,7 @@ impl BeadScan {
         if beads.len() < FEWEST {
             return Err(BeadError::TooFew { path: paths.swap_remove(0), expected: FEWEST, found: beads.len() });
         }
-        Ok(Self { beads, exposure_ms, paths, readers, maps, noise })
+        Ok(Self { beads, exposure_ms, paths, readers, maps, noise, background_dn: Vec::new() })
     }
 
     /// The file of bead `n`.
@@ -94,8 +97,18 @@ impl BeadScan {
         self.maps.unusable.as_ref().is_none_or(|unusable| !unusable[at])
     }
 
-    /// Frame of bead `n`, [sensor rows, sensor cols]: light in DN above black at its own exposure, corrected for the
-    /// response of each pixel; NaN where the pixel is saturated.
+    /// Takes a background off every frame from now on: level and slopes of each, DN.
+    pub(super) fn set_background(&mut self, background_dn: Vec<Slopes>) {
+        self.background_dn = background_dn;
+    }
+
+    /// Level of the background that is taken off frame `n`, DN; 0 below the black level. It adds to the noise.
+    pub(super) fn background_dn(&self, n: usize) -> f64 {
+        self.background_dn.get(n).map_or(0.0, |b| b[0].max(0.0))
+    }
+
+    /// Frame of bead `n`, [sensor rows, sensor cols]: light in DN above black (and above the background, once that is
+    /// known) at its own exposure, corrected for the response of each pixel; NaN where the pixel is saturated.
     ///
     /// # Errors
     /// The file cannot be read or holds non-finite values.
@@ -117,6 +130,12 @@ impl BeadScan {
         self.maps.correct(frame.view_mut());
         if let Some(unusable) = &self.maps.unusable {
             bridge(&mut frame, unusable);
+        }
+        if let Some(background) = self.background_dn.get(n) {
+            let dim = frame.dim();
+            frame.indexed_iter_mut().for_each(|((r, c), v)| {
+                *v -= slope_terms(dim, [r, c]).iter().zip(background).map(|(x, b)| x * b).sum::<f64>() as f32;
+            });
         }
         Ok((frame, cut))
     }

@@ -124,9 +124,10 @@ fn to_scale(
         BeadScale::Physical => scan.beads[n].to_reference,
         BeadScale::PerFrame => 1.0 / total,
     };
+    let dark = noise.black_level_dn + scan.background_dn(n);
     for window in windows {
         for (v, variance) in window.light_dn.row_mut(n).into_iter().zip(&mut window.variance_dn2) {
-            let here = noise.variance_dn2(noise.black_level_dn + f64::from(*v)) * factor * factor;
+            let here = noise.variance_dn2(dark + f64::from(*v)) * factor * factor;
             *variance += here / scan.beads.len() as f64;
             *v = (f64::from(*v) * factor) as f32;
         }

@@ -1,10 +1,13 @@
 //! The unit of light in objects: the bead, or the unit of the scene truths.
 
 use super::error::CalibrateError;
+use crate::bead::slope_terms;
 use crate::forward::Forward;
 use crate::instrument::{Instrument, LightUnit};
 use crate::psf::OperatorConfig;
+use ndarray::Array2;
 use ommatidia_physics::effects::FrameContext;
+use ommatidia_physics::linalg::least_squares;
 use ommatidia_session::{Role, Session};
 use std::collections::btree_map::{BTreeMap, Entry};
 
@@ -12,7 +15,7 @@ use std::collections::btree_map::{BTreeMap, Entry};
 const UNIT_FRAMES: usize = 16;
 
 /// Fits the light of one truth unit in units of the bead: the slope of measured against predicted light, pooled over
-/// the scenes with truth. Each frame has an intercept of its own, so that a uniform background has no influence. None
+/// the scenes with truth. Each frame has a level and slopes of its own, so that a background has no influence. None
 /// where there are no such scenes or no light in them.
 ///
 /// The weights come from the prediction alone, never from the noisy frame, so the slope is unbiased.
@@ -39,10 +42,11 @@ pub(super) fn fit_light_unit(session: &Session, instrument: &Instrument) -> Resu
             if let Some(offset) = &instrument.offset_dn {
                 frame -= offset;
             }
-            let pairs = light_e.iter().zip(&frame).filter(|(_, y)| f64::from(**y) < noise.saturation_dn);
-            let (covariance, variance) = moments(
-                pairs.map(|(e, y)| (f64::from(*e) * noise.gain_dn_per_e, f64::from(*y) - noise.black_level_dn)),
-            );
+            let gain = noise.gain_dn_per_e;
+            let pairs = light_e.indexed_iter().zip(&frame).filter(|(_, y)| f64::from(**y) < noise.saturation_dn);
+            let (covariance, variance) = moments(frame.dim(), || {
+                pairs.clone().map(|((at, e), y)| (at, f64::from(*e) * gain, f64::from(*y) - noise.black_level_dn))
+            });
             top += covariance;
             bottom += variance;
         }
@@ -50,16 +54,26 @@ pub(super) fn fit_light_unit(session: &Session, instrument: &Instrument) -> Resu
     Ok((bottom > 0.0 && top > 0.0).then_some(top / bottom))
 }
 
-/// Sums of `(x - mean x)(y - mean y)` and `(x - mean x)^2`.
-fn moments(pairs: impl Iterator<Item = (f64, f64)>) -> (f64, f64) {
-    let mut s = [0.0; 5];
-    for (x, y) in pairs {
-        for (sum, v) in s.iter_mut().zip([1.0, x, y, x * y, x * x]) {
-            *sum += v;
+/// Sums of `x' y` and `x' x`, where x' is x less its level and slopes over the frame: what is left of x has no
+/// background in common with y.
+fn moments<I>(dim: (usize, usize), pairs: impl Fn() -> I) -> (f64, f64)
+where
+    I: Iterator<Item = ((usize, usize), f64, f64)>,
+{
+    let mut gram = Array2::<f64>::zeros((3, 3));
+    let mut right = Array2::<f64>::zeros((3, 1));
+    for ((r, c), x, _) in pairs() {
+        let t = slope_terms(dim, [r, c]);
+        for i in 0..3 {
+            right[[i, 0]] += t[i] * x;
+            (0..3).for_each(|j| gram[[i, j]] += t[i] * t[j]);
         }
     }
-    let n = f64::max(s[0], 1.0);
-    (s[3] - s[1] * s[2] / n, s[4] - s[1] * s[1] / n)
+    let Ok(fit) = least_squares(&gram, &right) else { return (0.0, 0.0) };
+    pairs().fold((0.0, 0.0), |(xy, xx), ((r, c), x, y)| {
+        let rest = x - slope_terms(dim, [r, c]).iter().zip(&fit).map(|(t, f)| t * f).sum::<f64>();
+        (xy + rest * y, xx + rest * rest)
+    })
 }
 
 /// Changes the unit of objects to truth units; one truth unit is `old_per_unit` old units.

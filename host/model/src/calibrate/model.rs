@@ -253,6 +253,7 @@ impl Model {
                 _ => self.held_out.nrmse(i + 1, self.scale) as f32,
             }),
             photon_transfer,
+            ..Diagnostics::default()
         })
     }
 }

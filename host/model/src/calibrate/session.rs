@@ -5,8 +5,9 @@ use super::light_unit::{fit_light_unit, set_light_unit};
 use super::model::{Model, ModelConfig};
 use super::replicates::{ReplicateRequest, replicates};
 use super::sensor_only;
-use crate::bead::{BeadCut, BeadScan, cut_windows, extent, fit_chief_rays};
-use crate::instrument::{Instrument, LightUnit, Quality};
+use crate::bead::{BeadBackground, BeadCut, BeadScan, Slopes, cut_windows, extent, fit_chief_rays, remove_background};
+use crate::check::{Finding, Severity, check};
+use crate::instrument::{Diagnostics, Instrument, LightUnit, Quality};
 use crate::psf::BeadScale;
 use crate::psf::fit::{FitConfig, Plane};
 use ndarray::Array2;
@@ -14,6 +15,10 @@ use ommatidia_physics::noise::{NoiseCalibration, NoiseConfig, inverse_response, 
 use ommatidia_physics::sensor::SensorMaps;
 use ommatidia_session::{Manifest, Role, Session};
 use serde::{Deserialize, Serialize};
+
+/// Largest NRMSE on positions that were left out, apart from the noise: a model that misses more than a quarter of the
+/// light's power between its positions says nothing about them.
+const MOST_OFF_GRID: f64 = 0.5;
 
 /// Settings of a calibration.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -33,6 +38,8 @@ pub struct CalibrateConfig {
     pub replicates: usize,
     /// The bead frames are already normalised one by one: their brightness is not physical.
     pub normalise_beads: bool,
+    /// Calibrates even where the checks of the session find errors; they become notes.
+    pub accept: bool,
     /// Nominal noise, used where the session does not determine it.
     pub noise: NoiseConfig,
 }
@@ -46,6 +53,7 @@ impl Default for CalibrateConfig {
             one_psf: false,
             replicates: 8,
             normalise_beads: false,
+            accept: false,
             noise: NoiseConfig::default(),
         }
     }
@@ -73,8 +81,16 @@ pub fn calibrate(
     mut step: impl FnMut(),
 ) -> Result<Calibration, CalibrateError> {
     let mut manifest = Manifest { stacks: Vec::new(), ..session.manifest().clone() };
+    let checked = check(session, &mut step)?;
+    let errors: Vec<Finding> = checked.at_least(Severity::Error).cloned().collect();
+    if !(errors.is_empty() || config.accept) {
+        return Err(CalibrateError::Check(errors));
+    }
     let noise = measure_noise(session, &config.noise, &mut step)?;
-    let mut notes: Vec<String> = noise.notes.iter().map(ToString::to_string).collect();
+    let mut notes: Vec<String> =
+        checked.at_least(Severity::Warning).filter(|f| is_new(f)).map(|f| format!("{}: {}", f.topic, f.text)).collect();
+    let of_noise: Vec<String> = noise.notes.iter().map(ToString::to_string).collect();
+    notes.extend(of_noise);
     if let Some(useless) = noise.useless() {
         let pixels = useless.iter().filter(|u| **u).count();
         notes.push(format!(
@@ -87,6 +103,8 @@ pub fn calibrate(
     } else {
         let mut scan = BeadScan::open(session, noise.model, maps(&noise))?;
         let fitted = fit_chief_rays(&mut scan, &manifest, &mut step)?;
+        let background = remove_background(&mut scan, &manifest, &fitted.rays, noise.map_errors.offset_dn, &mut step)?;
+        notes.extend(background_note(background.as_ref().map(|(b, _)| b)));
         let nominal = manifest.optics.psf_window_px;
         manifest.optics.psf_window_px = match config.window_px {
             Some(found) if found.is_multiple_of(2) => return Err(CalibrateError::Window { found }),
@@ -105,6 +123,15 @@ pub fn calibrate(
         let target = ModelConfig { fit, manifest: &manifest, exposure_ms: scan.exposure_ms };
         let model = Model::fit(&windows, dead, &planes, target)?;
         let psf = model.psf()?;
+        let quality = model.quality(fitted.rms_px);
+        let most = MOST_OFF_GRID.hypot(2.0 * quality.noise_floor);
+        if quality.off_grid_error > most {
+            let error = CalibrateError::OffGrid { most, found: quality.off_grid_error };
+            if !config.accept {
+                return Err(error);
+            }
+            notes.push(error.to_string());
+        }
         let request =
             ReplicateRequest { psf: &psf, windows: &windows, dead, planes: &planes, count: config.replicates };
         let (replicates, note) = replicates(&model, request)?;
@@ -113,8 +140,11 @@ pub fn calibrate(
         Instrument {
             psf,
             replicates,
-            quality: Quality { maps: noise.map_errors, ..model.quality(fitted.rms_px) },
-            diagnostics: model.diagnostics(&windows, &planes, noise.photon_transfer)?,
+            quality: Quality { maps: noise.map_errors, background: background.as_ref().map(|(b, _)| *b), ..quality },
+            diagnostics: Diagnostics {
+                background_e: by_frame(background.as_ref().map_or(&[], |(_, frames)| frames)),
+                ..model.diagnostics(&windows, &planes, noise.photon_transfer)?
+            },
             manifest,
             noise: noise.model,
             offset_dn: noise.offset_dn,
@@ -133,6 +163,44 @@ pub fn calibrate(
         None => {}
     }
     Ok(Calibration { instrument, notes })
+}
+
+/// Whether a warning of the checks is not given by the calibration itself, in more detail.
+fn is_new(finding: &Finding) -> bool {
+    finding.severity == Severity::Error || !matches!(finding.topic, "counts" | "saturation" | "lenses" | "light")
+}
+
+/// What the user should know about the background of the bead frames.
+fn background_note(found: Option<&BeadBackground>) -> Option<String> {
+    let Some(b) = found else {
+        return Some(
+            "the windows of the foci cover nearly all of the measured pixels: a background of the bead frames cannot \
+             be told from the tails of foci, and none was removed"
+                .into(),
+        );
+    };
+    if b.tail_e > 0.0 {
+        return Some(format!(
+            "light far from the foci of the bead frames is {:.3} e- a pixel brighter near the windows than far from \
+             them: tails of foci (a halo), which the model leaves out; the background was taken from the farthest \
+             pixels. A larger psf_window_px holds more of the tails",
+            b.tail_e
+        ));
+    }
+    b.is_seen().then(|| {
+        let [level, row, col] = b.mean_e;
+        format!(
+            "the bead frames have a background of {level:.2} +- {:.2} e- a pixel ({row:+.2} e- from the first to the \
+             last row, {col:+.2} e- from the first to the last column): removed from the PSFs. Scenes of this session \
+             may have it too; `close` fits it",
+            b.sigma_e[0]
+        )
+    })
+}
+
+/// The background of each frame as an array, [bead, (level, row, col)], e-.
+fn by_frame(background_e: &[Slopes]) -> Array2<f32> {
+    Array2::from_shape_fn((background_e.len(), 3), |(n, a)| background_e[n][a] as f32)
 }
 
 fn maps(noise: &NoiseCalibration) -> SensorMaps {

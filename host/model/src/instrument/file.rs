@@ -81,6 +81,7 @@ impl Instrument {
             ("diagnostics.error_by_rank".into(), d.error_by_rank.clone().into_dyn()),
             ("diagnostics.whole_array_error".into(), d.whole_array_error.clone().into_dyn()),
             ("diagnostics.photon_transfer".into(), d.photon_transfer.clone().into_dyn()),
+            ("diagnostics.background_e".into(), d.background_e.clone().into_dyn()),
         ]);
         let maps = [("offset_dn", &self.offset_dn), ("response", &self.response), ("reading_dn2", &self.reading_dn2)];
         for (name, map) in maps {
@@ -119,6 +120,10 @@ impl Instrument {
             true => fixed::<Ix1>(artifact::take(path, &mut tensors, "diagnostics.whole_array_error", &[None])?),
             false => Array::zeros(0),
         };
+        let background_e = match tensors.contains_key("diagnostics.background_e") {
+            true => fixed::<Ix2>(artifact::take(path, &mut tensors, "diagnostics.background_e", &[None, None])?),
+            false => Array::zeros((0, 3)),
+        };
         let mut take = |name: &str, shape: &[Option<usize>]| artifact::take(path, &mut tensors, name, shape);
         let basis = take("psf.basis", &[Some(lenses), None, Some(window), Some(window)])?;
         let rank = basis.shape()[1];
@@ -148,6 +153,7 @@ impl Instrument {
             singular_values: fixed::<Ix2>(take("diagnostics.singular_values", &[None, None])?),
             error_by_rank: fixed::<Ix2>(take("diagnostics.error_by_rank", &[None, None])?),
             whole_array_error,
+            background_e,
             photon_transfer: fixed::<Ix2>(take("diagnostics.photon_transfer", &[None, None])?),
         };
         let sensor = [Some(body.manifest.sensor.rows), Some(body.manifest.sensor.cols)];

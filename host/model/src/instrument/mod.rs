@@ -19,6 +19,7 @@ mod file;
 
 pub use file::{INSTRUMENT_KIND, INSTRUMENT_VERSION, InstrumentError};
 
+use crate::bead::BeadBackground;
 use crate::psf::{CalibratedOptics, ChiefRays, LowRankPsf};
 use ndarray::{Array1, Array2, Axis};
 use ommatidia_physics::effects::EffectSetting;
@@ -138,6 +139,8 @@ pub struct Quality {
     pub chief_ray_rms_px: f64,
     /// Estimated errors of the sensor maps.
     pub maps: MapErrors,
+    /// Background that was removed from the bead frames; None where it could not be measured.
+    pub background: Option<BeadBackground>,
 }
 
 /// Curves and maps of the calibration, for reports and `inspect`; no figure depends on them.
@@ -156,6 +159,9 @@ pub struct Diagnostics {
     pub error_by_rank: Array2<f32>,
     /// NRMSE on the scan of one joint decomposition of all lenses, for rank 1, 2, ...; empty where it is not known.
     pub whole_array_error: Array1<f32>,
+    /// Background that was removed from each bead frame, e-, [bead, (level, change from the first to the last row, from
+    /// the first to the last column)]; empty where it could not be measured.
+    pub background_e: Array2<f32>,
     /// Photon transfer, [level, (mean above black in DN, temporal variance in DN^2, fitted variance in DN^2)].
     pub photon_transfer: Array2<f32>,
 }

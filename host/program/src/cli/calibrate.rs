@@ -44,6 +44,9 @@ pub struct Args {
     /// The bead frames are already normalised: fit one free scale per frame
     #[arg(long)]
     normalise_beads: bool,
+    /// Calibrate even where the checks of the session find errors; they are printed as warnings
+    #[arg(long)]
+    accept: bool,
     /// Gain, DN per electron, that is assumed if there are no flats
     #[arg(long, value_name = "DN/E", default_value_t = NoiseConfig::default().nominal_gain_dn_per_e)]
     gain: f64,
@@ -72,6 +75,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         one_psf: args.one_psf,
         replicates: args.replicates,
         normalise_beads: args.normalise_beads,
+        accept: args.accept,
         noise: NoiseConfig { nominal_gain_dn_per_e: args.gain, nominal_read_noise_e: args.read_noise },
     };
     let bar = run.progress(frames_read(&session), "calibrate");
@@ -127,6 +131,11 @@ fn figures(calibration: &Calibration) -> serde_json::Value {
         "magnification": i.geometry.magnification,
         "chief_ray_rms_px": i.quality.chief_ray_rms_px,
         "dead_lenses": dead(i),
+        "background": i.quality.background.map(|b| json!({
+            "level_e": b.mean_e[0], "rows_e": b.mean_e[1], "cols_e": b.mean_e[2],
+            "level_sigma_e": b.sigma_e[0], "rows_sigma_e": b.sigma_e[1], "cols_sigma_e": b.sigma_e[2],
+            "scatter_e": b.scatter_e, "significant": b.is_seen(), "tail_e": b.tail_e,
+        })),
         "light_unit": i.light_unit,
         "notes": calibration.notes,
     })
@@ -180,6 +189,18 @@ fn table(args: &Args, calibration: &Calibration) -> String {
     }
     line("magnification", format!("{:.5}", i.geometry.magnification), "");
     line("foci off chief rays", format!("{:.3} px rms", q.chief_ray_rms_px), "distortion and noise, part of the PSFs");
+    match q.background {
+        Some(b) => {
+            let note = if b.is_seen() { "of the bead frames, removed" } else { "none that is significant" };
+            line("background", format!("{:.3} +- {:.3} e-", b.mean_e[0], b.sigma_e[0]), note);
+            let slope = |a: usize| format!("{:+.3} +- {:.3} e-", b.mean_e[a], b.sigma_e[a]);
+            if b.is_seen() {
+                line("  along the rows", slope(1), "from the first to the last row");
+                line("  along the columns", slope(2), "from the first to the last column");
+            }
+        }
+        None => line("background", "not measured".into(), "too few pixels lie far from all foci"),
+    }
     let why = match (args.one_psf, args.rank) {
         (true, _) => "one PSF per lens",
         (_, Some(_)) => "as asked",

@@ -122,6 +122,16 @@ pub struct Outcome {
     pub text: String,
 }
 
+/// Findings that make a verb fail, for people and for programs.
+#[derive(Debug, thiserror::Error)]
+#[error("{text}")]
+pub(super) struct Findings {
+    /// For people.
+    pub text: String,
+    /// For programs: printed with `--json` in place of the error.
+    pub json: serde_json::Value,
+}
+
 /// Prints an outcome or an error and gives the exit code.
 ///
 /// A reader that has gone away (`ommatidia ... | head`) is no failure.
@@ -138,7 +148,9 @@ pub(super) fn finish(run: &Run, result: anyhow::Result<Outcome>) -> ExitCode {
     };
     let causes = causes(&error);
     if run.json {
-        let _ = print(format!("{}\n", json_error(&causes[0], &causes[1..])).as_bytes());
+        let findings = error.downcast_ref::<Findings>().map(|findings| findings.json.clone());
+        let json = findings.unwrap_or_else(|| json_error(&causes[0], &causes[1..]));
+        let _ = print(format!("{json}\n").as_bytes());
     }
     // If stderr is closed too, nothing can be printed.
     let _ = writeln!(std::io::stderr(), "error: {}", causes.join("\n  because: "));

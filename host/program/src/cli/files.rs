@@ -223,7 +223,7 @@ impl Content {
     fn is_result(&self) -> bool {
         match self {
             Self::File(FileKind::Artifact(kind)) => kind != "shard",
-            Self::File(kind) => matches!(kind, FileKind::Blob | FileKind::Page),
+            Self::File(kind) => matches!(kind, FileKind::Blob | FileKind::Page | FileKind::Picture),
             _ => false,
         }
     }

@@ -37,10 +37,12 @@ pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
             json!({ "kind": "json", "figures": figures })
         }
         FileKind::Folder if path.join(PLAN_FILE).exists() => of_data_set(path)?,
-        found @ (FileKind::Folder | FileKind::Page | FileKind::Tensors | FileKind::Unknown) => bail!(
-            "{}: expected an artifact, a network file, a session, a data set or a stack, found {found}",
-            path.display()
-        ),
+        found @ (FileKind::Folder | FileKind::Page | FileKind::Picture | FileKind::Tensors | FileKind::Unknown) => {
+            bail!(
+                "{}: expected an artifact, a network file, a session, a data set or a stack, found {found}",
+                path.display()
+            )
+        }
     };
     let mut text = format!("{}\n", path.display());
     // The body of an account is long: the text shows a summary, the JSON all of it.

@@ -3,6 +3,7 @@
 mod ablate;
 mod bench;
 mod calibrate;
+mod check;
 mod close;
 mod common;
 mod demo;
@@ -53,6 +54,10 @@ enum Verb {
     /// Measure a session with the virtual instrument: darks, flats, a bead scan, scenes of known truth
     #[command(after_help = "Example:\n  ommatidia bench session --frames 12 --seed 7")]
     Bench(bench::Args),
+    /// Check a session before it is calibrated: axes, order and units of the table, single positions, array, bit depth,
+    /// saturation, black level, light levels, drift
+    #[command(after_help = "Example:\n  ommatidia check session -o check.png")]
+    Check(check::Args),
     /// Calibrate an instrument from a session: noise, chief rays, low-rank spatially varying PSFs
     #[command(after_help = "Example:\n  ommatidia calibrate session -o instrument.safetensors")]
     Calibrate(calibrate::Args),
@@ -138,6 +143,7 @@ impl Cli {
         match &self.verb {
             Verb::Demo(a) => a.files(),
             Verb::Bench(a) => a.files(),
+            Verb::Check(a) => a.files(),
             Verb::Calibrate(a) => a.files(),
             Verb::Residual(a) => a.files(),
             Verb::Close(a) => a.files(),
@@ -168,6 +174,7 @@ impl Cli {
         match &self.verb {
             Verb::Demo(a) => demo::run(a, run, Self::execute),
             Verb::Bench(a) => bench::run(a, run),
+            Verb::Check(a) => check::run(a, run),
             Verb::Calibrate(a) => calibrate::run(a, run),
             Verb::Residual(a) => residual::run(a, run),
             Verb::Close(a) => close::run(a, run),

@@ -9,6 +9,7 @@
 #[path = "../common/mod.rs"]
 mod common;
 mod files;
+mod sessions;
 mod table;
 
 use table::{Mistake, hold};

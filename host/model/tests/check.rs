@@ -1,0 +1,264 @@
+//! Sessions of the virtual instrument with wrong tables, frames and manifests: each is named, and none is calibrated
+//! without an error.
+#![allow(clippy::unwrap_used)]
+
+use ndarray::{Array3, Axis};
+use ommatidia_bench::BenchConfig;
+use ommatidia_model::calibrate::{CalibrateConfig, calibrate};
+use ommatidia_model::check::{Severity, check};
+use ommatidia_session::{Role, Session, stack};
+use std::path::Path;
+use std::sync::LazyLock;
+use tempfile::TempDir;
+
+/// The demo's instrument and scan.
+static DEMO: LazyLock<TempDir> = LazyLock::new(|| measured(&BenchConfig::default(), 3));
+
+fn measured(config: &BenchConfig, seed: u64) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let roles = [Role::Dark, Role::Flat, Role::Bead];
+    config.build(&[]).unwrap().measure_some(&folder.path().join("session"), seed, &roles, |_| ()).unwrap();
+    folder
+}
+
+/// A copy of a session, changed by `spoil`.
+fn spoiled(original: &TempDir, spoil: &dyn Fn(&Path)) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let to = folder.path().join("session");
+    std::fs::create_dir(&to).unwrap();
+    for entry in std::fs::read_dir(original.path().join("session")).unwrap().map(Result::unwrap) {
+        std::fs::copy(entry.path(), to.join(entry.file_name())).unwrap();
+    }
+    spoil(&to);
+    folder
+}
+
+/// Changes all positions of the bead table at once: [y, x] um of each frame.
+fn positions(session: &Path, change: impl Fn(Vec<[f64; 2]>) -> Vec<[f64; 2]>) {
+    let file = session.join("bead.csv");
+    let text = std::fs::read_to_string(&file).unwrap();
+    let mut lines = text.lines();
+    let names: Vec<&str> = lines.next().unwrap().split(',').collect();
+    let column = |name: &str| names.iter().position(|n| *n == name).unwrap();
+    let (x, y) = (column("x_um"), column("y_um"));
+    let mut rows: Vec<Vec<String>> = lines.map(|l| l.split(',').map(str::to_string).collect()).collect();
+    let number = |text: &String| text.parse::<f64>().unwrap();
+    let new = change(rows.iter().map(|r| [number(&r[y]), number(&r[x])]).collect());
+    for (row, [new_y, new_x]) in rows.iter_mut().zip(new) {
+        (row[y], row[x]) = (new_y.to_string(), new_x.to_string());
+    }
+    let rows: Vec<String> = rows.iter().map(|r| r.join(",")).collect();
+    std::fs::write(&file, format!("{}\n{}\n", names.join(","), rows.join("\n"))).unwrap();
+}
+
+fn frames(session: &Path, change: impl Fn(Array3<f32>) -> Array3<f32>) {
+    let file = session.join("bead.npy");
+    let frames = change(stack::read(&file).unwrap());
+    stack::write(&file, frames.view()).unwrap();
+}
+
+/// The errors that the checks find.
+fn errors(folder: &TempDir) -> Vec<String> {
+    let found = check(&Session::open(folder.path().join("session")).unwrap(), || ()).unwrap();
+    found.at_least(Severity::Error).map(|f| format!("{}: {}", f.topic, f.text)).collect()
+}
+
+/// The checks must find an error that holds all `words`, and the calibration must stop with it.
+fn named(what: &str, folder: &TempDir, words: &[&str]) {
+    let config = CalibrateConfig { replicates: 0, ..CalibrateConfig::default() };
+    let error = calibrate(&Session::open(folder.path().join("session")).unwrap(), &config, || ());
+    let error = error.map(|_| ()).expect_err(what).to_string();
+    assert!(words.iter().all(|w| error.contains(w)), "{what}: {error}");
+}
+
+#[test]
+fn sessions_that_are_right_pass_on_other_seeds_and_instruments() {
+    let mut sessions = vec![measured(&BenchConfig::default(), 4)];
+    for instrument_seed in [11, 12] {
+        let mut config = BenchConfig { instrument_seed, ..BenchConfig::default() };
+        (config.array.rows, config.array.cols) = (2, 2);
+        (config.scan.rows, config.scan.cols) = (7, 9);
+        sessions.push(measured(&config, 5));
+    }
+    for session in sessions {
+        let found = check(&Session::open(session.path().join("session")).unwrap(), || ()).unwrap();
+        let bad: Vec<_> = found.at_least(Severity::Warning).collect();
+        assert!(bad.is_empty(), "{bad:#?}");
+        let scan = found.scan.unwrap();
+        assert!(scan.coincidence > 0.6 && scan.coincidence == scan.best_coincidence, "{}", scan.coincidence);
+    }
+}
+
+#[test]
+fn seven_wrong_orientations_are_named_and_the_right_one_passes() {
+    for i in 0..8 {
+        let (exchanged, mirror_y, mirror_x) = (i & 4 != 0, i & 1 != 0, i & 2 != 0);
+        let sign = |mirrored: bool| if mirrored { -1.0 } else { 1.0 };
+        let folder = spoiled(&DEMO, &|session| {
+            positions(session, |all| {
+                let turn = |[y, x]: [f64; 2]| {
+                    let [y, x] = if exchanged { [x, y] } else { [y, x] };
+                    [sign(mirror_y) * y, sign(mirror_x) * x]
+                };
+                all.into_iter().map(turn).collect()
+            });
+        });
+        let axes = match (mirror_y, mirror_x) {
+            (false, false) => "",
+            (true, false) => "y of bead.csv looks mirrored",
+            (false, true) => "x of bead.csv looks mirrored",
+            (true, true) => "x and y of bead.csv look mirrored",
+        };
+        match (exchanged, axes) {
+            (false, "") => assert!(errors(&folder).is_empty(), "{:?}", errors(&folder)),
+            (false, axes) => named(axes, &folder, &["orientation", axes]),
+            // Exchanged and mirrored in one axis is turned by 90 degrees: its inverse mirrors the other axis.
+            (true, _) => named("exchanged", &folder, &["orientation", "x and y of bead.csv look exchanged"]),
+        }
+    }
+}
+
+#[test]
+fn turned_frames_are_named() {
+    type Turn = fn(Array3<f32>) -> Array3<f32>;
+    let turns: [(Turn, &str); 4] = [
+        (
+            |f| {
+                let mut f = f;
+                f.invert_axis(Axis(1));
+                f
+            },
+            "upside down",
+        ),
+        (
+            |f| {
+                let mut f = f;
+                f.invert_axis(Axis(2));
+                f
+            },
+            "left to right",
+        ),
+        (
+            |f| {
+                let mut f = f;
+                f.invert_axis(Axis(1));
+                f.invert_axis(Axis(2));
+                f
+            },
+            "180 degrees",
+        ),
+        (|f| f.permuted_axes([0, 2, 1]), "look transposed"),
+    ];
+    for (turn, words) in turns {
+        named(words, &spoiled(&DEMO, &|session| frames(session, turn)), &["orientation", words]);
+    }
+}
+
+#[test]
+fn ten_wrong_tables_are_named() {
+    type Table = fn(Vec<[f64; 2]>) -> Vec<[f64; 2]>;
+    let tables: [(&str, Table, &[&str]); 12] = [
+        (
+            "next",
+            |mut t| {
+                t.rotate_right(1);
+                t
+            },
+            &["order", "shifted by one frame"],
+        ),
+        (
+            "previous",
+            |mut t| {
+                t.rotate_left(1);
+                t
+            },
+            &["order", "shifted by one frame"],
+        ),
+        ("reversed", |t| t.into_iter().rev().map(|p| [p[0] * 0.97 + 2.0, p[1]]).collect(), &["bead.csv look"]),
+        (
+            "to and fro",
+            |mut t| {
+                t.chunks_mut(13).skip(1).step_by(2).for_each(<[_]>::reverse);
+                t
+            },
+            &["order", "every second line"],
+        ),
+        ("millimetres", |t| t.into_iter().map(|p| p.map(|v| v / 1e3)).collect(), &["units", "millimetres"]),
+        ("pixels", |t| t.into_iter().map(|p| p.map(|v| v / 2.8)).collect(), &["units", "look like pixels"]),
+        ("metres", |t| t.into_iter().map(|p| p.map(|v| v / 1e6)).collect(), &["units", "metres"]),
+        ("half", |t| t.into_iter().map(|p| p.map(|v| v / 2.0)).collect(), &["units", "times as far"]),
+        (
+            "one",
+            |mut t| {
+                t[40] = [-t[40][0] + 30.0, t[40][1] + 60.0];
+                t
+            },
+            &["single positions", "bead.npy: frame 40:"],
+        ),
+        (
+            "swapped",
+            |mut t| {
+                t.swap(20, 97);
+                t
+            },
+            &["single positions", "frame 20:", "frame 97:"],
+        ),
+        ("all zero", |t| vec![[0.0; 2]; t.len()], &["positions", "do not move as"]),
+        ("mixed up", |t| (0..t.len()).map(|i| t[(i * 50 + 7) % t.len()]).collect(), &["positions", "do not move as"]),
+    ];
+    for (what, table, words) in tables {
+        named(what, &spoiled(&DEMO, &|session| positions(session, table)), words);
+    }
+}
+
+/// Changes numbers of the manifest.
+fn manifest(session: &Path, from: &str, to: &str) {
+    let file = session.join("session.toml");
+    let text = std::fs::read_to_string(&file).unwrap();
+    assert!(text.contains(from), "{from} in {text}");
+    std::fs::write(&file, text.replacen(from, to, 1)).unwrap();
+}
+
+#[test]
+fn wrong_arrays_are_named() {
+    let mut config = BenchConfig::default();
+    (config.array.rows, config.array.cols) = (2, 2);
+    (config.scan.rows, config.scan.cols) = (7, 7);
+    let two = measured(&config, 6);
+    let three = spoiled(&two, &|s| {
+        let file = s.join("session.toml");
+        let text = std::fs::read_to_string(&file).unwrap();
+        let (head, array) = text.split_once("[array]").unwrap();
+        let array = array.replacen("rows = 2", "rows = 3", 1).replacen("cols = 2", "cols = 3", 1);
+        std::fs::write(file, format!("{head}[array]{array}")).unwrap();
+    });
+    named("3 x 3 for 2 x 2", &three, &["array", "form 2 x 2 lenses", "declares 3 x 3"]);
+    let half = spoiled(&two, &|s| manifest(s, "pitch_px = 50.0", "pitch_px = 25.0"));
+    named("half the pitch", &half, &["array", "correct array.pitch_px"]);
+    let twice = spoiled(&DEMO, &|s| manifest(s, "pitch_px = 50.0", "pitch_px = 100.0"));
+    named("twice the pitch", &twice, &["array", "correct array.pitch_px"]);
+}
+
+#[test]
+fn wrong_frames_are_named() {
+    let dark = spoiled(&DEMO, &|s| frames(s, |f| f - 64.0));
+    named("darks subtracted", &dark, &["black level", "subtracted already"]);
+    let shifted = spoiled(&DEMO, &|s| frames(s, |f| f * 16.0));
+    named("shifted", &shifted, &["bit depth", "shifted left by 4 bits"]);
+    let scaled = spoiled(&DEMO, &|s| frames(s, |f| f / 4095.0));
+    named("scaled", &scaled, &["scale", "0..1"]);
+    let flats = spoiled(&DEMO, &|s| {
+        let file = s.join("flat.csv");
+        let text = std::fs::read_to_string(&file).unwrap();
+        let names: Vec<&str> = text.lines().next().unwrap().split(',').collect();
+        let at = names.iter().position(|n| *n == "illumination").unwrap();
+        let one = |l: &str| {
+            let mut cells: Vec<&str> = l.split(',').collect();
+            cells[at] = "1";
+            cells.join(",")
+        };
+        let rows: Vec<String> = text.lines().skip(1).map(one).collect();
+        std::fs::write(file, format!("{}\n{}\n", names.join(","), rows.join("\n"))).unwrap();
+    });
+    named("levels", &flats, &["flats", "several levels count as one", "illumination"]);
+}
