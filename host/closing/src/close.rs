@@ -1,8 +1,8 @@
 //! Closes the loop on observations in memory: screening of the records, first fit, search, pruning, account.
 
 use super::account::{
-    Accepted, Account, Closed, Closing, Excess, Findings, claims_a_cause, effects, fault, pictured, rejected, shadowed,
-    unearned, worse,
+    Accepted, Account, Closed, Closing, Effect, Excess, Findings, claims_a_cause, effects, fault, pictured, rejected,
+    shadowed, unearned, worse,
 };
 use super::data::{Fault, Observations, Shown};
 use super::evidence::{JudgedOn, figures, judged, omnibus, structured};
@@ -120,7 +120,7 @@ pub fn close(
         dependences = omnibus::test(&model, &search.now, &replicas.of(&model, &search.now), seed);
     }
     progress("pruning");
-    let strongest = search.strongest_gain();
+    let recalibrated = search.needs_calibration();
     let Pruned { now, found, tests, removed } = prune(&model, &replicas, search.now, search.found, own)?;
     let mut notes = Vec::new();
     if !removed.is_empty() {
@@ -138,23 +138,24 @@ pub fn close(
     let unknown = found.iter().any(|f| f.id.starts_with("unknown"));
     let left = structured(&dependences);
     let (mut now, mut found) = (now, found);
-    let mut nearest = shadowed(&search.shadowed, strongest);
+    let mut nearest = shadowed(&search.shadowed);
+    let claims = |e: &Effect| claims_a_cause(e, recalibrated);
     let excess = Excess::of(&before, &now);
     let mut effects =
         effects(&model, Findings { before: &before, now: &now, own, found: &found, tests: &tests }, &faults);
     if !found.is_empty() && worse(figures(&model, &before), figures(&model, &now)) {
         let why = "with it, held-out data were predicted worse than without";
-        effects.retain(claims_a_cause);
+        effects.retain(claims);
         nearest.extend(unearned(&effects, why));
         notes.push("all effects that were tried made the prediction of held-out data worse; none was added".into());
         (now, found) = (before.clone(), Vec::new());
         effects = faults.iter().map(fault).collect();
         dependences = dependences_before.clone();
-    } else if !excess.names_are_earned(left) && effects.iter().any(claims_a_cause) {
+    } else if !excess.names_are_earned(left) && effects.iter().any(claims) {
         let share = 100.0 * excess.left;
         let why =
             format!("{share:.0} % of the excess is left beside it, with structure: it imitates the cause in part");
-        let (named, others): (Vec<_>, Vec<_>) = effects.into_iter().partition(claims_a_cause);
+        let (named, others): (Vec<_>, Vec<_>) = effects.into_iter().partition(claims);
         nearest.extend(unearned(&named, &why));
         notes.push(format!(
             "the instrument keeps terms in the form of {}, which predict held-out data better; they are no causes",

@@ -53,9 +53,11 @@ pub(crate) fn worse(before: Figures, after: Figures) -> bool {
     after.chi2_ndf > before.chi2_ndf.max(1.0) || after.nrmse > before.nrmse * (1.0 + ROUNDING)
 }
 
-/// Whether an entry of the account claims a cause in the instrument.
-pub(crate) fn claims_a_cause(effect: &Effect) -> bool {
-    effect.known && effect.id != NEEDS_CALIBRATION && effect.stage != Stage::Record.part()
+/// Whether an entry of the account claims a cause in the instrument. With `recalibrated` the PSFs are calibrated again,
+/// and the entry that stands for it claims no more than that.
+pub(crate) fn claims_a_cause(effect: &Effect, recalibrated: bool) -> bool {
+    let new_calibration = recalibrated && effect.id == NEEDS_CALIBRATION;
+    effect.known && !new_calibration && effect.stage != Stage::Record.part()
 }
 
 /// Effects whose names are not earned, for a reason.
@@ -64,13 +66,13 @@ pub(crate) fn unearned(effects: &[Effect], why: &str) -> Vec<Nearest> {
 }
 
 /// Effects in the shadow of a stronger one.
-pub(crate) fn shadowed(all: &[Shadowed], strongest_gain: f64) -> Vec<Nearest> {
+pub(crate) fn shadowed(all: &[Shadowed]) -> Vec<Nearest> {
     let one = |s: &Shadowed| Nearest {
         id: s.id.into(),
         z: s.z,
         why: format!(
             "it explains {:.1} % of what the strongest effect explains: no more than a small error in the law of that one",
-            100.0 * s.gain / strongest_gain.max(1e-30)
+            100.0 * s.share
         ),
     };
     all.iter().filter(|s| !s.id.starts_with("unknown")).map(one).collect()

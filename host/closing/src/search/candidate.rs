@@ -39,6 +39,17 @@ impl Candidate {
         Some(Estimate { value: *t.theta.first()?, sigma: t.covariance.get((0, 0))?.sqrt() })
     }
 
+    /// Strength of the evidence, standard deviations.
+    pub fn z(&self) -> f64 {
+        self.table.as_ref().map(|t| t.z).or(self.test.as_ref().map(|t| t.z)).unwrap_or(0.0)
+    }
+
+    /// Fall of the training deviance that the score, linear in the strengths, announces.
+    pub(crate) fn gain(&self) -> f64 {
+        let of_table = self.table.as_ref().map(|t| t.z * t.z.abs());
+        of_table.or(self.test.as_ref().map(|t| t.gain)).unwrap_or(0.0)
+    }
+
     /// Test statistic less the penalties for its parameters and starting values. Candidates are ranked by it.
     pub(crate) fn worth(&self) -> f64 {
         if let Some(table) = &self.table {
@@ -73,8 +84,8 @@ pub struct Shadowed {
     pub id: &'static str,
     /// Strength of the evidence for it, standard deviations.
     pub z: f64,
-    /// Fall of the deviance of held-out data that it would bring.
-    pub gain: f64,
+    /// What it would explain, relative to the stronger one.
+    pub share: f64,
 }
 
 /// An effect that was added.

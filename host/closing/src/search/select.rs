@@ -17,7 +17,7 @@ pub const AMBIGUOUS: f64 = 10.8;
 /// The law of an effect describes a real change only in part: about this share of what a strong effect explains remains,
 /// in the form of its neighbours in law. An effect that gains less beside it is not named.
 pub const SHADOW: f64 = 0.03;
-/// Number of effects in the shadow of a stronger one after which the search ends.
+/// Number of effects in the shadow of a stronger one that are listed; after so many full fits of such the search ends.
 const SHADOWED: usize = 3;
 /// Maximum number of effects that are added.
 const MOST: usize = 6;
@@ -113,6 +113,8 @@ pub struct Search<'m, 'a> {
     pub found: Vec<Found>,
     /// Candidates of the last step that were not added, with their scores.
     pub rest: Vec<Candidate>,
+    /// The largest fall of the training deviance by an effect so far; 0 without one.
+    strongest_fall: f64,
     /// Effects that would improve the fit, by less than what the law of a stronger effect may leave.
     pub shadowed: Vec<Shadowed>,
     /// Ids of effects that are not tried.
@@ -130,6 +132,7 @@ impl<'m, 'a> Search<'m, 'a> {
             now,
             found: Vec::new(),
             rest: Vec::new(),
+            strongest_fall: 0.0,
             shadowed: Vec::new(),
             exclude: Vec::new(),
             trial_deviance: None,
@@ -155,23 +158,31 @@ impl<'m, 'a> Search<'m, 'a> {
             let p: Vec<f64> = candidates.iter().map(Candidate::p).collect();
             let significant = holm(&p, ALPHA);
             let open = |c: &Candidate| !refused.contains(&c.term.id()) && c.worth() > 0.0;
-            let able: Vec<&Candidate> =
-                candidates.iter().zip(&significant).filter(|(c, s)| **s && open(c)).map(|(c, _)| c).collect();
+            let able = candidates.iter().zip(&significant).filter(|(c, s)| **s && open(c)).map(|(c, _)| c);
+            // The score of an effect in the shadow shows that already; its full fit would only take time.
+            let floor = SHADOW * self.strongest_fall;
+            let (able, faint): (Vec<&Candidate>, Vec<&Candidate>) = able.partition(|c| c.gain() >= floor);
             let finalists = finalists(&able);
             if finalists.is_empty() || self.found.len() >= MOST || self.shadowed.len() >= SHADOWED {
+                for c in faint.iter().take(SHADOWED.saturating_sub(self.shadowed.len())) {
+                    let share = c.gain() / self.strongest_fall;
+                    self.shadowed.push(Shadowed { id: c.term.id(), z: c.z(), share });
+                }
                 self.rest = candidates;
                 return Ok(());
             }
             let verdict = self.confirm(&finalists, progress)?;
             match self.or_calibration(verdict, &candidates)? {
                 Verdict::Added(it) if it.gain < SHADOW * self.strongest_gain() => {
-                    let z = it.candidate.test.as_ref().map_or(0.0, |t| t.z);
-                    self.shadowed.push(Shadowed { id: it.candidate.term.id(), z, gain: it.gain });
+                    let share = it.gain / self.strongest_gain();
+                    self.shadowed.push(Shadowed { id: it.candidate.term.id(), z: it.candidate.z(), share });
                     refused.push(it.candidate.term.id());
                 }
                 Verdict::Added(it) => {
                     let found = self.describe(&design, taken, &candidates, &it);
                     self.found.push(found);
+                    self.strongest_fall =
+                        self.strongest_fall.max(self.now.training.deviance - it.fit.training.deviance);
                     self.now = it.fit;
                     if self.needs_calibration() {
                         self.rest = candidates;
@@ -275,9 +286,8 @@ impl<'m, 'a> Search<'m, 'a> {
             .map(|c| Alternative { id: c.term.id(), overlap: scores.overlap(&it.columns, theta, &c.columns) })
             .collect();
         ambiguity.sort_by(|a, b| b.overlap.total_cmp(&a.overlap));
-        let z = it.table.as_ref().map(|t| t.z).or(it.test.as_ref().map(|t| t.z)).unwrap_or(0.0);
         let table_sigma = it.table.as_ref().map(|t| t.sigma);
-        Found { id: it.term.id(), z, held_out_gain: added.gain, ambiguity, table_sigma }
+        Found { id: it.term.id(), z: it.z(), held_out_gain: added.gain, ambiguity, table_sigma }
     }
 }
 
