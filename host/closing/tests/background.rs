@@ -123,9 +123,8 @@ fn a_background_is_removed_and_no_effect_is_found_in_it() {
                 assert!(got.calibration.notes.iter().any(note), "{:?}", got.calibration.notes);
                 assert!(got.notes.iter().any(|n| n.starts_with("background of the scene frames")), "{:?}", got.notes);
             }
-            for a in 0..3 {
-                let off = (b.mean_e[a] - truth[a]).abs();
-                assert!(off < 4.0 * b.sigma_e[a] + 0.02 * truth[a].abs(), "{here}");
+            for ((mean, sigma), want) in b.mean_e.iter().zip(&b.sigma_e).zip(truth) {
+                assert!((mean - want).abs() < 4.0 * sigma + 0.02 * want.abs(), "{here}");
             }
             assert!(got.found.is_empty(), "{here}");
             *error += got.nrmse;

@@ -87,8 +87,11 @@ pub fn calibrate(
         return Err(CalibrateError::Check(errors));
     }
     let noise = measure_noise(session, &config.noise, &mut step)?;
-    let mut notes: Vec<String> =
-        checked.at_least(Severity::Warning).filter(|f| is_new(f)).map(|f| format!("{}: {}", f.topic, f.text)).collect();
+    let mut notes: Vec<String> = checked
+        .at_least(Severity::Warning)
+        .filter(|f| is_new(f, config))
+        .map(|f| format!("{}: {}", f.topic, f.text))
+        .collect();
     let of_noise: Vec<String> = noise.notes.iter().map(ToString::to_string).collect();
     notes.extend(of_noise);
     if let Some(useless) = noise.useless() {
@@ -165,9 +168,11 @@ pub fn calibrate(
     Ok(Calibration { instrument, notes })
 }
 
-/// Whether a warning of the checks is not given by the calibration itself, in more detail.
-fn is_new(finding: &Finding) -> bool {
-    finding.severity == Severity::Error || !matches!(finding.topic, "counts" | "saturation" | "lenses" | "light")
+/// Whether a warning of the checks is not given by the calibration itself, in more detail, and is of any use: the light
+/// of frames that were normalised says nothing.
+fn is_new(finding: &Finding, config: &CalibrateConfig) -> bool {
+    let own = matches!(finding.topic, "counts" | "saturation" | "lenses" | "light");
+    finding.severity == Severity::Error || !(own || config.normalise_beads && finding.topic == "drift")
 }
 
 /// What the user should know about the background of the bead frames.

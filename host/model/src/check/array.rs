@@ -100,7 +100,10 @@ fn levels(mut values: Vec<f64>, gap: f64) -> Vec<f64> {
 /// What the lattice means for the user.
 pub fn describe(lattice: &Lattice, m: &Manifest, scan: &Scan) -> Vec<Finding> {
     let declared = [m.array.rows, m.array.cols];
-    let words = |[rows, cols]: [usize; 2]| format!("{rows} x {cols} lenses");
+    let words = |[rows, cols]: [usize; 2]| match rows * cols {
+        1 => "one lens".to_string(),
+        _ => format!("{rows} x {cols} lenses"),
+    };
     let Some(shape) = lattice.shape else { return Vec::new() };
     let count = lattice.lenses_px.len();
     let pitch = lattice.pitch_px.map_or(String::new(), |p| format!(", {p:.1} px apart"));
@@ -163,7 +166,7 @@ pub struct Shown {
 fn letter(scan: &Scan, m: &Manifest) -> Vec<usize> {
     let far = |a: usize| scan.frames.iter().map(|f| f.moved_px[a].abs()).fold(0.0, f64::max);
     let step = 2.0 * (far(0) * far(1) / scan.frames.len().max(1) as f64).sqrt();
-    let own = if m.array.lenses() > 1 { (0.42 * m.array.pitch_px).max(2.0 * step) } else { f64::INFINITY };
+    let own = if m.array.lenses() > 1 { (0.36 * m.array.pitch_px).max(2.0 * step) } else { f64::INFINITY };
     let half = [0, 1].map(|a| far(a).min(own));
     let mut frames: Vec<usize> = LETTER
         .iter()

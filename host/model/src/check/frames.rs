@@ -282,7 +282,8 @@ pub fn drift(scan: &Scan) -> Vec<Finding> {
     if !lost.is_empty() && typical > 0.0 {
         let shown: Vec<String> = lost.iter().take(5).map(ToString::to_string).collect();
         let text = format!(
-            "{} bead frames show no light (frame {}): remove them with their rows, or measure them again",
+            "{} bead frames show less than 2 % of the light of the others (frame {}): remove them with their rows, or \
+             measure them again",
             lost.len(),
             shown.join(", ")
         );

@@ -6,7 +6,7 @@
 //! | [`scan`] | the bead frames, small, and how well they coincide when each is moved back by its position |
 //! | [`hypotheses`] | what people do to a table: axes, mirrors, order, units; the one that fits best is named |
 //! | [`positions`] | single positions that disagree with their frames |
-//! | [`array`] | the lenses that the foci form, against those that the manifest declares |
+//! | [`mod@array`] | the lenses that the foci form, against those that the manifest declares |
 //! | [`frames`] | the values of all frames: bit depth, saturation, black level, light levels, drift |
 //!
 //! `calibrate` runs the same checks first: what is an error here stops it.
