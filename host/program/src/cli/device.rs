@@ -8,7 +8,7 @@ mod stream;
 mod target;
 
 use super::common::{Outcome, Run};
-use crate::device::{BoardCounts, DeviceRun, RunRequest, count_board, run as run_device, table};
+use crate::device::{BoardCounts, DeviceRun, Place, RunRequest, count_board, run as run_device, table};
 use anyhow::Context;
 use clap::Subcommand;
 use ndarray::{Array3, Axis};
@@ -142,6 +142,15 @@ fn run_network(args: &RunArgs, run: &Run) -> anyhow::Result<Outcome> {
     Ok(outcome(&device, &blob, frames.len()))
 }
 
+/// The board, and who played it.
+fn ran_on(device: &DeviceRun) -> String {
+    match (device.place, &device.emulator) {
+        (Place::Host, _) => "none: the firmware's logic on this computer".into(),
+        (_, Some(emulator)) => format!("{}, emulated by {emulator}", device.board),
+        (_, None) => device.board.clone(),
+    }
+}
+
 /// The reconstructions as one stack.
 fn objects(device: &DeviceRun, size: Region) -> anyhow::Result<Array3<f32>> {
     let shape = (device.objects.len(), usize::from(size.rows), usize::from(size.cols));
@@ -151,7 +160,7 @@ fn objects(device: &DeviceRun, size: Region) -> anyhow::Result<Array3<f32>> {
 
 fn outcome(device: &DeviceRun, blob: &NetworkFile, frames: usize) -> Outcome {
     let t = &device.telemetry;
-    let on_host = device.board == "host";
+    let on_host = device.place == Place::Host;
     // What only an image on a board has.
     let measured = |value: u64| (!on_host).then_some(value);
     let flash = measured(u64::from(t.image_bytes) + blob.bytes().len() as u64);
@@ -163,7 +172,8 @@ fn outcome(device: &DeviceRun, blob: &NetworkFile, frames: usize) -> Outcome {
     let held_instructions = of_held.map(|(count, _)| *count).max();
     let seconds = device.frames.as_secs_f64() / frames.max(1) as f64;
     let json = json!({
-        "board": device.board, "frames": frames, "bit_exact": device.bit_exact(),
+        "board": device.board, "ran_on": device.place, "emulator": device.emulator, "uncounted": device.uncounted,
+        "frames": frames, "bit_exact": device.bit_exact(),
         "differing_bits": device.differing_bits, "field_ages": ages, "held": held,
         "held_psnr_db": device.deviation.map(|d| json!({ "mean": d.mean_db, "worst": d.worst_db })),
         "instructions": instructions, "held_instructions": held_instructions,
@@ -175,20 +185,24 @@ fn outcome(device: &DeviceRun, blob: &NetworkFile, frames: usize) -> Outcome {
         "upload_seconds": device.upload.as_secs_f64(), "seconds_per_frame": seconds,
     });
     let figure = |value: Option<u64>, unit: &str| value.map_or("not measured".into(), |v| format!("{v}{unit}"));
-    let verdict = match device.differing_bits {
-        0 => "every bit equals the host's".to_string(),
-        n => format!("{n} bits differ from the host's"),
+    let verdict = match (device.differing_bits, on_host) {
+        (0, false) => "every bit equals the host's".to_string(),
+        (0, true) => "not run on a device: the firmware's logic ran on this computer and agrees with itself".to_string(),
+        (n, _) => format!("{n} bits differ from the host's"),
+    };
+    let counts = match &device.uncounted {
+        Some(why) => format!("not counted: {why}"),
+        None => figure(instructions, " per frame"),
     };
     let text = format!(
-        "board         {}\nframes        {frames}, {seconds:.2} s \
-            each\n\
+        "board         {}\nframes        {frames}, {seconds:.2} s each\n\
             agreement     {verdict}\nfield         {}{}\ninstructions  {}{}\nRAM           {}\nflash         {}\nstack         {}\n",
-        device.board,
+        ran_on(device),
         scope::exactness(held, frames),
         device.deviation.map_or(String::new(), |d| {
             format!(": PSNR {:.1} dB against exact ones, {:.1} dB at worst", d.mean_db, d.worst_db)
         }),
-        figure(instructions, " per frame"),
+        counts,
         held_instructions.map_or(String::new(), |count| format!(", {count} with the field held")),
         figure(ram, " bytes"),
         figure(flash, " bytes"),

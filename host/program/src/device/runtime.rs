@@ -1,10 +1,11 @@
 //! Where the device's program runs: QEMU, this process, or a board.
 
 use super::counter::Counter;
+use super::emulator::find_qemu;
 use super::error::DeviceError;
 use super::firmware::Firmware;
 use super::loopback::{Loopback, LoopbackConfig};
-use super::qemu::{Qemu, find_qemu};
+use super::qemu::Qemu;
 use super::serial::Serial;
 use super::transport::Transport;
 use ommatidia_shared::boards::Board;
@@ -25,6 +26,18 @@ pub enum Runtime {
         /// Bits a second.
         baud: u32,
     },
+}
+
+/// Where a program ran: figures of the computer's own run are no figures of a device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Place {
+    /// A board on a serial port.
+    Board,
+    /// A board that QEMU emulates.
+    Emulator,
+    /// This computer: the firmware's logic, compiled for it. No device took part.
+    Host,
 }
 
 /// Where the user wants the program to run.
@@ -71,6 +84,15 @@ impl Runtime {
         }
     }
 
+    /// Where the program runs.
+    pub fn place(&self) -> Place {
+        match self {
+            Self::Qemu(_) => Place::Emulator,
+            Self::Host(_) => Place::Host,
+            Self::Serial { .. } => Place::Board,
+        }
+    }
+
     /// Starts the device. Its flash is kept in the file `state`; without one it is empty at the start and lost at the
     /// end.
     ///
@@ -97,14 +119,15 @@ pub enum DeviceLine {
 }
 
 impl DeviceLine {
-    /// Waits for a program that was asked to end.
+    /// Waits for a program that was asked to end, and for its flash to be in its file.
     ///
     /// # Errors
-    /// It does not end, or ends with a failure.
+    /// It does not end, or ends with a failure; or the flash cannot be written to its file.
     pub fn wait(self) -> Result<(), DeviceError> {
         match self {
             Self::Qemu(qemu) => qemu.wait(),
-            Self::Host(_) | Self::Serial(_) => Ok(()),
+            Self::Host(line) => line.finish(),
+            Self::Serial(_) => Ok(()),
         }
     }
 }
