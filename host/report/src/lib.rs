@@ -84,7 +84,8 @@ enum Content {
 /// # Errors
 /// A file cannot be read, or is of a kind that a report does not show.
 pub fn render(paths: &[PathBuf]) -> Result<String, ReportError> {
-    let pieces = paths.iter().map(|p| load(p)).collect::<Result<Vec<_>, _>>()?;
+    let mut pieces = paths.iter().map(|p| load(p)).collect::<Result<Vec<_>, _>>()?;
+    name_the_host(&mut pieces);
     let mut numbers = Numbers::default();
     let chapters: [(&'static str, &'static str, Chapter); 12] = [
         ("scenes", "Reconstructions", |p, _, n| match &p.content {
@@ -146,6 +147,23 @@ pub fn render(paths: &[PathBuf]) -> Result<String, ReportError> {
     }
     sections.push(Section { id: "provenance", title: "Provenance", body: provenance(&pieces) });
     Ok(page::document(&heading(&pieces), &lead(&pieces), &keys(&pieces), &sections))
+}
+
+/// Where `device run` ran on the host alone, no reconstruction is that of a device.
+fn name_the_host(pieces: &mut [Piece]) {
+    let mut runs = pieces.iter().filter(|p| matches!(p.content, Content::Device)).peekable();
+    if runs.peek().is_none() || !runs.all(|p| device::on_host(&p.json)) {
+        return;
+    }
+    for piece in pieces {
+        if let Content::Evaluation(e) = &mut piece.content {
+            e.summary
+                .methods
+                .iter_mut()
+                .filter(|m| m.name == "device")
+                .for_each(|m| m.name = "firmware-on-host".into());
+        }
+    }
 }
 
 /// Renders a piece; the other pieces are there for context.

@@ -7,12 +7,14 @@ mod status;
 mod stream;
 mod target;
 
-use super::common::{Outcome, Run};
-use crate::device::{BoardCounts, DeviceRun, Place, RunRequest, count_board, run as run_device, table};
+use super::common::{Outcome, Run, warn};
+use crate::device::{BoardCounts, DeviceRun, Emulator, Place, RunRequest, count_board, run as run_device, table};
 use anyhow::Context;
 use clap::Subcommand;
 use ndarray::{Array3, Axis};
+use ommatidia_network::methods::frame_range;
 use ommatidia_network::network_file::NetworkFile;
+use ommatidia_physics::sensor::FrameWatch;
 use ommatidia_session::artifact::write_whole;
 use ommatidia_session::stack;
 use ommatidia_shared::boards::{BOARDS, Board};
@@ -104,6 +106,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
 
 fn count(args: &BenchArgs) -> anyhow::Result<Outcome> {
     let emulated = BOARDS.into_iter().filter(|board| board.emulated);
+    // Before anything is built.
+    Emulator::find()?;
     let boards = if args.board.is_empty() { emulated.collect() } else { args.board.clone() };
     let counts = boards.into_iter().map(count_board).collect::<Result<Vec<_>, _>>()?;
     if let Some(path) = &args.output {
@@ -122,13 +126,16 @@ fn run_network(args: &RunArgs, run: &Run) -> anyhow::Result<Outcome> {
     let blob = NetworkFile::read(&args.with)?;
     let header = blob.network()?.into_header();
     let stack = stack::read(&args.frames)?;
+    let mut watch = frame_range(&args.with)?.map(FrameWatch::new);
     let count = args.first.map_or(usize::MAX, |n| n as usize);
     let frames = stack
         .axis_iter(Axis(0))
         .take(count)
         .enumerate()
+        .inspect(|(i, frame)| watch.iter_mut().for_each(|watch| watch.see(*i, frame.view())))
         .map(|(i, frame)| blob.codes(frame).with_context(|| format!("{}: frame {i}", args.frames.display())))
         .collect::<anyhow::Result<Vec<_>>>()?;
+    let warnings = warn(watch.and_then(|watch| watch.warning(&args.frames)));
     let runtime = args.target.runtime(run)?;
     let state = args.target.state.as_deref();
     let work = RunRequest { frames: &frames, scope: args.scope.scope() };
@@ -139,16 +146,9 @@ fn run_network(args: &RunArgs, run: &Run) -> anyhow::Result<Outcome> {
     if let Some(output) = &args.output {
         stack::write(output, objects(&device, region)?.view())?;
     }
-    Ok(outcome(&device, &blob, frames.len()))
-}
-
-/// The board, and who played it.
-fn ran_on(device: &DeviceRun) -> String {
-    match (device.place, &device.emulator) {
-        (Place::Host, _) => "none: the firmware's logic on this computer".into(),
-        (_, Some(emulator)) => format!("{}, emulated by {emulator}", device.board),
-        (_, None) => device.board.clone(),
-    }
+    let mut outcome = outcome(&device, &blob, frames.len());
+    outcome.json["warnings"] = json!(warnings);
+    Ok(outcome)
 }
 
 /// The reconstructions as one stack.
@@ -172,7 +172,7 @@ fn outcome(device: &DeviceRun, blob: &NetworkFile, frames: usize) -> Outcome {
     let held_instructions = of_held.map(|(count, _)| *count).max();
     let seconds = device.frames.as_secs_f64() / frames.max(1) as f64;
     let json = json!({
-        "board": device.board, "ran_on": device.place, "emulator": device.emulator, "uncounted": device.uncounted,
+        "board": device.board, "ran_on": device.place.name(), "emulator": device.emulator, "uncounted": device.uncounted,
         "frames": frames, "bit_exact": device.bit_exact(),
         "differing_bits": device.differing_bits, "field_ages": ages, "held": held,
         "held_psnr_db": device.deviation.map(|d| json!({ "mean": d.mean_db, "worst": d.worst_db })),
@@ -184,10 +184,13 @@ fn outcome(device: &DeviceRun, blob: &NetworkFile, frames: usize) -> Outcome {
         "repeated_requests": t.repeated_requests, "dropped_packets": t.dropped_packets,
         "upload_seconds": device.upload.as_secs_f64(), "seconds_per_frame": seconds,
     });
+    let board = device.place.board(&device.board);
     let figure = |value: Option<u64>, unit: &str| value.map_or("not measured".into(), |v| format!("{v}{unit}"));
     let verdict = match (device.differing_bits, on_host) {
         (0, false) => "every bit equals the host's".to_string(),
-        (0, true) => "not run on a device: the firmware's logic ran on this computer and agrees with itself".to_string(),
+        (0, true) => {
+            "not run on a device: the firmware's logic ran on this computer and agrees with itself".to_string()
+        }
         (n, _) => format!("{n} bits differ from the host's"),
     };
     let counts = match &device.uncounted {
@@ -197,7 +200,7 @@ fn outcome(device: &DeviceRun, blob: &NetworkFile, frames: usize) -> Outcome {
     let text = format!(
         "board         {}\nframes        {frames}, {seconds:.2} s each\n\
             agreement     {verdict}\nfield         {}{}\ninstructions  {}{}\nRAM           {}\nflash         {}\nstack         {}\n",
-        ran_on(device),
+        board + &device.emulator.as_ref().map_or(String::new(), |emulator| format!(" by {emulator}")),
         scope::exactness(held, frames),
         device.deviation.map_or(String::new(), |d| {
             format!(": PSNR {:.1} dB against exact ones, {:.1} dB at worst", d.mean_db, d.worst_db)

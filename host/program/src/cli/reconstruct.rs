@@ -1,8 +1,10 @@
 //! `reconstruct`: raw frames in, objects out.
 
+use super::common::warn;
 use super::{Outcome, Run};
 use anyhow::Context;
-use ommatidia_network::methods::MethodKind;
+use ommatidia_network::methods::{MethodKind, frame_range};
+use ommatidia_physics::sensor::FrameWatch;
 use ommatidia_session::{FrameReader, FrameWriter, SampleType, StackSpec};
 use std::path::PathBuf;
 use std::time::Instant;
@@ -32,11 +34,15 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let kind = args.method.map_or_else(|| MethodKind::default_for(&args.with), Ok)?;
     let method = kind.open(&args.with, run.seed)?;
     let count = frames.len();
+    let mut watch = frame_range(&args.with)?.map(FrameWatch::new);
     let bar = run.progress(count as u64, "reconstruct");
     let mut writer: Option<FrameWriter> = None;
     let mut seconds = 0.0;
     for i in 0..count {
         let frame = frames.read(i)?;
+        if let Some(watch) = &mut watch {
+            watch.see(i, frame.view());
+        }
         let start = Instant::now();
         let object = method.reconstruct(frame.view());
         seconds += start.elapsed().as_secs_f64();
@@ -62,10 +68,12 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     if let Some(writer) = writer {
         writer.finish()?;
     }
+    let warnings = warn(watch.and_then(|watch| watch.warning(&args.frames)));
     let per_frame = seconds / count.max(1) as f64;
     Ok(Outcome {
         json: serde_json::json!({
             "method": method.name(), "frames": count, "seconds_per_frame": per_frame, "output": args.output,
+            "warnings": warnings,
         }),
         text: format!(
             "{} ({} frames, {}): {} a frame\n",

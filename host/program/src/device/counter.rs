@@ -41,6 +41,10 @@ impl Counter {
                     break;
                 }
                 Answer::Refuses(text) => said = text,
+                Answer::Silent => {
+                    said = format!("it does not answer within {} s", ANSWERS_WITHIN.as_secs());
+                    break;
+                }
             }
         }
         Err(DeviceError::Uncountable { emulator: emulator.to_string(), detail: said })
@@ -52,7 +56,9 @@ impl Counter {
         let mut cc = Command::new("cc");
         cc.args(["-O2", "-fPIC", "-shared", &format!("-DDECLARED={declared}"), "-o"]);
         let output = cc.args([&self.plugin(), &self.source()]).output().map_err(|error| {
-            failed(format!("the C compiler `cc` cannot be started ({error}); install one (Debian: `apt-get install gcc`)"))
+            failed(format!(
+                "the C compiler `cc` cannot be started ({error}); install one (Debian: `apt-get install gcc`)"
+            ))
         })?;
         if output.status.success() {
             return Ok(());
@@ -75,9 +81,9 @@ impl Counter {
             if Instant::now() > deadline {
                 child.kill()?;
                 child.wait()?;
-            } else {
-                std::thread::sleep(Duration::from_millis(5));
+                return Ok(Answer::Silent);
             }
+            std::thread::sleep(Duration::from_millis(5));
         }
         // No file: the emulator did not let the plugin in.
         let text = std::fs::read_to_string(&answer).unwrap_or_default();
@@ -125,6 +131,8 @@ enum Answer {
     },
     /// It does not, and says why.
     Refuses(String),
+    /// It says nothing and does not end.
+    Silent,
 }
 
 /// The last line of what the emulator printed, without the names of itself and of the temporary file.
@@ -133,4 +141,52 @@ fn last_line(log: &Path, plugin: &Path) -> String {
     let line = text.lines().rev().find(|line| !line.trim().is_empty()).unwrap_or("it says nothing");
     let said = line.rsplit_once(&format!("{}: ", plugin.display())).map_or(line, |(_, said)| said);
     said.trim().to_string()
+}
+
+#[cfg(test)]
+#[cfg(unix)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use std::os::unix::fs::PermissionsExt;
+
+    /// An emulator that counts how often it is asked (`$n`) and then does `script`.
+    fn emulator(folder: &Path, script: &str) -> Emulator {
+        let path = folder.join("qemu-system-arm");
+        let text = format!(
+            "#!/bin/sh\ncase $1 in --version) echo 'QEMU emulator version 99.1'; exit;; esac\n\
+             echo >> {0}/asked; n=$(wc -l < {0}/asked); file=\"${{*##*ask=}}\"\n{script}\n",
+            folder.display()
+        );
+        std::fs::write(&path, text).unwrap();
+        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o755)).unwrap();
+        Emulator::at(&path).unwrap()
+    }
+
+    fn asked(folder: &Path) -> usize {
+        std::fs::read_to_string(folder.join("asked")).unwrap().lines().count()
+    }
+
+    #[test]
+    fn versions_are_tried_until_one_is_taken() {
+        let folder = tempfile::tempdir().unwrap();
+        // As QEMU 10: at least version 2, and version 4 is spoken.
+        let script = "[ $n -ge 2 ] && echo '2 4' > $file; exit 1";
+        Counter::build(&emulator(folder.path(), script)).unwrap();
+        assert_eq!(asked(folder.path()), 2);
+    }
+
+    #[test]
+    fn an_emulator_that_takes_no_known_version_is_reported_with_its_words() {
+        let script = "echo \"qemu: Could not load plugin ${file%answer.txt}counter.so: too old\" >&2; exit 1";
+        let cases =
+            [(script, "QEMU 99.1 counts no instructions: too old", 7), ("echo '1 12' > $file", "interface 12", 1)];
+        for (script, words, times) in cases {
+            let folder = tempfile::tempdir().unwrap();
+            let error = Counter::build(&emulator(folder.path(), script)).unwrap_err();
+            assert!(matches!(error, DeviceError::Uncountable { .. }), "{error}");
+            assert!(error.to_string().contains(words), "{error}");
+            assert_eq!(asked(folder.path()), times);
+        }
+    }
 }

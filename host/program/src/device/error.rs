@@ -77,7 +77,7 @@ pub enum DeviceError {
         attempts: u32,
     },
     /// The board has no camera.
-    #[error("{board} has no working camera; give the frames with `--frames STACK`")]
+    #[error("the device has no working camera ({board}); give the frames with `--frames STACK`")]
     NoCamera {
         /// The board.
         board: String,

@@ -29,8 +29,7 @@ pub enum Runtime {
 }
 
 /// Where a program ran: figures of the computer's own run are no figures of a device.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Place {
     /// A board on a serial port.
     Board,
@@ -38,6 +37,26 @@ pub enum Place {
     Emulator,
     /// This computer: the firmware's logic, compiled for it. No device took part.
     Host,
+}
+
+impl Place {
+    /// As it is written in JSON.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Board => "board",
+            Self::Emulator => "emulator",
+            Self::Host => "host",
+        }
+    }
+
+    /// The board for people, where a device reports the name `board`.
+    pub fn board(self, board: &str) -> String {
+        match self {
+            Self::Board => board.into(),
+            Self::Emulator => format!("{board}, emulated"),
+            Self::Host => "none: the firmware's logic ran on this computer".into(),
+        }
+    }
 }
 
 /// Where the user wants the program to run.
@@ -66,12 +85,11 @@ impl Runtime {
         if wanted == RuntimeChoice::Host {
             return Ok((here, None));
         }
-        let found = match find_qemu() {
-            None => Err(DeviceError::NoQemu),
-            Some(_) => match image {
-                Some(image) => Firmware::given(board, image),
-                None => Firmware::build(board, "app"),
-            },
+        let given = image.map(|image| Firmware::given(board, image)).transpose()?;
+        let found = match (find_qemu(), given) {
+            (None, _) => Err(DeviceError::NoQemu),
+            (Some(_), Some(image)) => Ok(image),
+            (Some(_), None) => Firmware::build(board, "app"),
         };
         match found {
             Ok(firmware) => Ok((Self::Qemu(firmware), None)),

@@ -21,7 +21,8 @@ static ORIGINAL: LazyLock<TempDir> = LazyLock::new(|| {
     let folder = tempfile::tempdir().unwrap();
     let session = TinySession::new(Fault::None);
     copy(&session.path(), &folder.path().join("session"));
-    let objects = Array3::from_shape_fn((3, 24, 24), |(i, r, c)| if (r + i) % 7 == 3 && c % 5 == 2 { 2.0 } else { 0.1 });
+    let objects =
+        Array3::from_shape_fn((3, 24, 24), |(i, r, c)| if (r + i) % 7 == 3 && c % 5 == 2 { 2.0 } else { 0.1 });
     stack::write(&folder.path().join("objects.npy"), objects.view()).unwrap();
     for command in [
         "calibrate session -o instrument",
@@ -48,6 +49,10 @@ fn copy(from: &Path, to: &Path) {
     std::fs::create_dir_all(to).unwrap();
     for entry in std::fs::read_dir(from).unwrap().map(Result::unwrap) {
         let to = to.join(entry.file_name());
-        if entry.path().is_dir() { copy(&entry.path(), &to) } else { std::fs::copy(entry.path(), to).map(|_| ()).unwrap() }
+        if entry.path().is_dir() {
+            copy(&entry.path(), &to)
+        } else {
+            std::fs::copy(entry.path(), to).map(|_| ()).unwrap()
+        }
     }
 }

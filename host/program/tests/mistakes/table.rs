@@ -15,6 +15,7 @@ pub struct Mistake {
     prepare: Box<dyn Fn(&Path) + Sync>,
     exit: i32,
     says: Vec<String>,
+    path: Option<String>,
 }
 
 impl Mistake {
@@ -27,6 +28,7 @@ impl Mistake {
             prepare: Box::new(|_| ()),
             exit: 1,
             says: Vec::new(),
+            path: None,
         }
     }
 
@@ -45,6 +47,11 @@ impl Mistake {
         Self { says: words.iter().map(ToString::to_string).collect(), ..self }
     }
 
+    /// The program finds no other programs: no emulator, no compiler.
+    pub fn without_other_programs(self) -> Self {
+        Self { path: Some(String::new()), ..self }
+    }
+
     /// Runs the command on a desk of its own, checks the outcome, and gives the row of the page.
     fn row(&self) -> Result<String, String> {
         let desk = desk::new();
@@ -52,6 +59,9 @@ impl Mistake {
         let before = contents(desk.path());
         let mut command = Command::new(env!("CARGO_BIN_EXE_ommatidia"));
         command.args(self.command.split_whitespace()).current_dir(desk.path()).env_remove("RUST_LOG");
+        if let Some(path) = &self.path {
+            command.env("PATH", path);
+        }
         let output = command.output().unwrap();
         let printed = String::from_utf8_lossy(&output.stderr).replace(&*desk.path().to_string_lossy(), ".");
         let fail = |why: String| Err(format!("{} (`{}`): {why}; printed:\n{printed}", self.what, self.command));
@@ -110,7 +120,8 @@ pub fn hold(section: &str, mistakes: Vec<Mistake>) {
         return;
     }
     let plain = |text: &str| text.trim().replace(|c: char| c.is_ascii_digit(), "#").replace("##", "#");
-    let differs = plain(shown).lines().zip(plain(&table).lines()).find(|(a, b)| a != b).map(|(a, b)| format!("{a}\n{b}"));
+    let differs =
+        plain(shown).lines().zip(plain(&table).lines()).find(|(a, b)| a != b).map(|(a, b)| format!("{a}\n{b}"));
     assert!(
         differs.is_none() && plain(shown).lines().count() == plain(&table).lines().count(),
         "docs/mistakes.md shows, under `{section}`, and the program prints:\n{}\nto write the page again: see main.rs",

@@ -2,7 +2,7 @@
 
 use super::target::Target;
 use crate::cli::common::{Outcome, Run};
-use crate::device::{FrameFeed, Frames, LiveView, StreamRecording, StreamReport, active_fraction, stream};
+use crate::device::{FrameFeed, Frames, LiveView, Place, StreamRecording, StreamReport, active_fraction, stream};
 use anyhow::Context;
 use ommatidia_network::network_file::NetworkFile;
 use ommatidia_session::FrameReader;
@@ -82,16 +82,16 @@ pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         record.as_mut().map_or(Ok(()), |record| record.push(frame))
     })?;
     bar.finish_and_clear();
-    Ok(outcome(&report, len))
+    Ok(outcome(&report, len, runtime.place()))
 }
 
-fn outcome(report: &StreamReport, came: usize) -> Outcome {
+fn outcome(report: &StreamReport, came: usize, place: Place) -> Outcome {
     let (shown, seconds) = (report.reconstructed, report.took.as_secs_f64());
     let left_out = came - shown - report.dropped;
     let rate = shown as f64 / seconds.max(1e-9);
     let t = &report.telemetry;
     let json = json!({
-        "board": report.board, "frames": came, "reconstructed": shown, "dropped": report.dropped, "left_out": left_out,
+        "board": report.board, "ran_on": place.name(), "frames": came, "reconstructed": shown, "dropped": report.dropped, "left_out": left_out,
         "failed_on_the_line": report.failed, "held": report.held, "seconds": seconds, "frames_per_second": rate,
         "active_fraction": active_fraction(t),
         "device_dropped_frames": t.dropped_frames, "crc_errors": t.crc_errors, "dropped_packets": t.dropped_packets,
@@ -100,7 +100,7 @@ fn outcome(report: &StreamReport, came: usize) -> Outcome {
         "board         {}\nframes        {came} arrived, {shown} reconstructed, {} dropped ({} of them lost on the \
             line), {left_out} skipped by --every\nfield         {}\nrate          {rate:.2} frames per \
             second\nawake         {}\n",
-        report.board,
+        place.board(&report.board),
         report.dropped,
         report.failed,
         super::scope::exactness(report.held, shown),

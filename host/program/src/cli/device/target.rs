@@ -6,6 +6,7 @@ use anyhow::anyhow;
 use clap::ValueEnum;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use ommatidia_shared::boards::{BOARDS, Board, MPS2_AN500};
+use std::io::Write;
 use std::path::PathBuf;
 
 /// Options that name a device.
@@ -63,7 +64,11 @@ impl Target {
         let choice = Runtime::choose(self.board, wanted, self.firmware.as_deref());
         let (runtime, fallback) = choice.map_err(|error| self.advised(error))?;
         if let (Some(why), false) = (&fallback, run.quiet) {
-            eprintln!("note: the firmware's logic runs on this computer, not on the emulated board: {why}");
+            // A reader of stderr that has left is no reason to stop.
+            let _ = writeln!(
+                std::io::stderr(),
+                "note: the firmware's logic runs on this computer, not on the emulated board: {why}"
+            );
         }
         Ok(runtime)
     }
