@@ -59,8 +59,8 @@ const NAMES: [(&str, &str); 18] = [
     ("blob_bytes", "Network file"),
     ("static_bytes", "Variables"),
     ("stack_bytes", "Deepest stack"),
-    ("fast_bytes", "Fast memory in use (the board may give more than the plan needs)"),
-    ("bulk_bytes", "Bulk memory in use"),
+    ("fast_bytes", "Fast memory used, of all that the board has"),
+    ("bulk_bytes", "Bulk memory used"),
     ("frame_bytes", "Raw frame"),
     ("object_bytes", "Reconstruction"),
     ("differing_bits", "Bits that differ"),
@@ -95,11 +95,12 @@ pub fn blob(header: &Header, file_bytes: u64, numbers: &mut Numbers) -> Markup {
             },
         ),
         ("Enhancement".into(), html! { (rcan.width) " features, " (rcan.groups) " × " (rcan.blocks) " blocks" }),
-        ("Fast memory".into(), html! { (bytes(u64::from(header.memory.fast_bytes))) }),
-        ("Bulk memory".into(), html! { (bytes(u64::from(header.memory.bulk_bytes))) }),
+        ("Fast memory needed at least".into(), html! { (bytes(u64::from(header.memory.fast_bytes))) }),
+        ("Bulk memory needed".into(), html! { (bytes(u64::from(header.memory.bulk_bytes))) }),
     ];
     let text = format!(
-        "Network “{}”, made from checkpoint {}. Weights are stored in half precision.",
+        "Network “{}”, made from checkpoint {}. Weights are stored in half precision. With more fast memory than it \
+         needs at least, a board runs it faster.",
         header.name, header.checkpoint
     );
     html! { div { (numbers.table("Network file.", &text, pairs(&rows))) } }
@@ -109,8 +110,8 @@ pub fn blob(header: &Header, file_bytes: u64, numbers: &mut Numbers) -> Markup {
 pub fn keys(json: &Value) -> Vec<Key> {
     let mut keys = Vec::new();
     if on_host(json) {
-        let (value, note) = ("none".to_string(), "the firmware’s logic ran on the computer".to_string());
-        keys.push(Key { name: "Not run on a device".into(), value, note, ..Key::default() });
+        let (value, note) = ("not run".to_string(), "the firmware’s logic ran on the computer".to_string());
+        keys.push(Key { name: "On a device".into(), value, note, ..Key::default() });
         return keys;
     }
     if let Some(exact) = json["bit_exact"].as_bool() {
@@ -163,7 +164,7 @@ mod tests {
         let run = |place| serde_json::json!({"bit_exact": true, "differing_bits": 0, "board": "host", "ran_on": place});
         for json in [run("host".into()), run(Value::Null)] {
             let keys = keys(&json);
-            assert!(keys.len() == 1 && keys[0].name == "Not run on a device" && keys[0].holds.is_none());
+            assert!(keys.len() == 1 && keys[0].value == "not run" && keys[0].holds.is_none());
             let table = device(&json, &mut Numbers::default()).into_string();
             assert!(table.contains("Not run on a device.") && !table.contains("bit for bit"), "{table}");
         }
@@ -177,8 +178,7 @@ mod tests {
             "QEMU 10.0.2", "fast_bytes": 262_144, "seconds_per_frame": 1.04, "field_ages": [0, 0], "uncounted":
             "QEMU 10.0.2 counts no instructions: no plugins"});
         let table = device(&json, &mut Numbers::default()).into_string();
-        for text in ["mps2-an500, emulated by QEMU 10.0.2", "Fast memory in use", "256 KiB", "1.04 s", "not counted: "]
-        {
+        for text in ["mps2-an500, emulated by QEMU 10.0.2", "Fast memory used", "256 KiB", "1.04 s", "not counted: "] {
             assert!(table.contains(text), "{text}: {table}");
         }
         assert!(!table.contains('_'), "{table}");

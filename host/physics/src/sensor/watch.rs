@@ -100,7 +100,7 @@ impl FrameRange {
         (lit < DEFECTS / 10.0 && !structured(frame_dn, black, noise)).then_some(Oddity::Dark)
     }
 
-    /// Whether frames that should be without black level still hold it: the darkest pixels lie at it.
+    /// Whether a frame that should hold light above black, DN, still holds the black level: its darkest pixels lie there.
     pub fn holds_black(&self, frame_dn: ArrayView2<'_, f32>) -> bool {
         let noise = SIGMAS * noise_dn(frame_dn).max(LEAST_DN);
         let mut values: Vec<f32> = frame_dn.iter().copied().filter(|v| v.is_finite()).collect();
@@ -256,15 +256,15 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use crate::noise::NoiseModel;
-    use rand::{RngExt, SeedableRng};
-    use rand_chacha::ChaCha8Rng;
+    use ommatidia_session::rng::stream;
+    use rand::RngExt;
 
     const RANGE: FrameRange = FrameRange { black_level_dn: 64.0, saturation_dn: 4095.0 };
 
     /// A frame with a bright spot of `light` DN, noise of the noise model, and `defects` hot and dead pixels.
     fn frame(seed: u64, light: f64, defects: usize) -> Array2<f32> {
         let noise = NoiseModel::nominal();
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut rng = stream(seed, "frames of the watch", 0);
         let mut frame = Array2::from_shape_fn((96, 120), |(r, c)| {
             let off = ((r as f64 - 40.0).powi(2) + (c as f64 - 70.0).powi(2)) / 300.0;
             let mean = noise.black_level_dn + light * (-off).exp();
@@ -299,7 +299,7 @@ mod tests {
                 other => panic!("seed {seed}: {other:?}"),
             };
             assert_eq!(like(&raw / 4095.0), Scaled::ToOne);
-            assert_eq!(like(raw.mapv(|v| (v / 16.0).round())), Scaled::EightBit);
+            assert_eq!(like(raw.mapv(|v| (v / 16.0).floor())), Scaled::EightBit);
             assert_eq!(like(&raw - 64.0), Scaled::Subtracted);
             assert_eq!(like(&raw - 30.0), Scaled::Other);
             assert_eq!(odd(frame(seed, 0.0, 5)), Some(Oddity::Dark), "seed {seed}");

@@ -9,7 +9,9 @@
 #[path = "../common/mod.rs"]
 mod common;
 mod desk;
+mod devices;
 mod files;
+mod frames;
 mod table;
 
 use table::{Mistake, hold};

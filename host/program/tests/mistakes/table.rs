@@ -58,7 +58,11 @@ impl Mistake {
         (self.prepare)(desk.path());
         let before = contents(desk.path());
         let mut command = Command::new(env!("CARGO_BIN_EXE_ommatidia"));
-        command.args(self.command.split_whitespace()).current_dir(desk.path()).env_remove("RUST_LOG");
+        command
+            .args(self.command.split_whitespace())
+            .current_dir(desk.path())
+            .env_remove("RUST_LOG")
+            .env("NO_COLOR", "1");
         if let Some(path) = &self.path {
             command.env("PATH", path);
         }

@@ -1,10 +1,12 @@
 //! `device stream`: frames in, reconstructions out, a live view in the browser.
 
 use super::target::Target;
-use crate::cli::common::{Outcome, Run};
+use crate::cli::common::{Outcome, Run, warn};
 use crate::device::{FrameFeed, Frames, LiveView, Place, StreamRecording, StreamReport, active_fraction, stream};
 use anyhow::Context;
+use ommatidia_network::methods::frame_range;
 use ommatidia_network::network_file::NetworkFile;
+use ommatidia_physics::sensor::FrameWatch;
 use ommatidia_session::FrameReader;
 use serde_json::json;
 use std::net::SocketAddr;
@@ -54,6 +56,7 @@ pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let mut reader = args.frames.as_deref().map(FrameReader::open).transpose()?;
     let len = reader.as_ref().map_or(args.live.unwrap_or_default() as usize, FrameReader::len);
     let region = args.scope.region(&header);
+    let mut watch = frame_range(&args.with)?.map(FrameWatch::new);
     let runtime = args.target.runtime(run)?;
     let view = match args.view {
         None => LiveView::none(),
@@ -72,6 +75,9 @@ pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let mut read = |i: usize| {
         let reader = reader.as_mut().context("no frames were given with --frames")?;
         let frame = reader.read(i)?;
+        if let Some(watch) = &mut watch {
+            watch.see(i, frame.view());
+        }
         blob.codes(frame.view()).with_context(|| format!("{}: frame {i}", reader.path().display()))
     };
     let source = if args.frames.is_some() { Frames::Stack(&mut read) } else { Frames::Camera };
@@ -82,7 +88,12 @@ pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         record.as_mut().map_or(Ok(()), |record| record.push(frame))
     })?;
     bar.finish_and_clear();
-    Ok(outcome(&report, len, runtime.place()))
+    view.end();
+    let stack = args.frames.as_deref().unwrap_or(&args.with);
+    let warnings = warn(watch.and_then(|watch| watch.warning(stack)));
+    let mut outcome = outcome(&report, len, runtime.place());
+    outcome.json["warnings"] = json!(warnings);
+    Ok(outcome)
 }
 
 fn outcome(report: &StreamReport, came: usize, place: Place) -> Outcome {
