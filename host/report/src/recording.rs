@@ -156,7 +156,7 @@ mod tests {
             super::recording(&recording, grids, &mut Numbers::default()).unwrap().into_string()
         };
         let known = page(&[(sensor, object)]);
-        for text in ["mine.npy.", "20 frames of 6 × 9 pixels", "50 µm", "Frame 17", "scale bar in the object"] {
+        for text in ["mine.npy.", "20 frames of 6 × 9 pixels", " µm</b>", "Frame 17", "scale bar in the object"] {
             assert!(known.contains(text), "{text} is missing: {known}");
         }
         assert_eq!(known.matches("<img").count(), 8);

@@ -109,7 +109,7 @@ pub enum DeviceError {
         found: Option<SlotReport>,
     },
     /// The device refused a request.
-    #[error("the device refuses: {0}")]
+    #[error("the device refuses: {0}{more}", more = advice(.0))]
     Refused(Refusal),
     /// A network file or a frame is invalid.
     #[error(transparent)]
@@ -141,6 +141,18 @@ pub enum DeviceError {
         /// What is wrong.
         detail: String,
     },
+}
+
+/// What to do about a refusal, where the text does not say it.
+fn advice(refusal: &Refusal) -> String {
+    use ommatidia_shared::wire::Transfer;
+    match refusal {
+        Refusal::NoRoom { what: Transfer::Blob, available, .. } => {
+            format!(" in a slot of its flash; `ommatidia quantize --flash {available}` makes a network that fits")
+        }
+        Refusal::NoRoom { what: Transfer::Frame, .. } => " for a frame; the board is too small for this sensor".into(),
+        _ => String::new(),
+    }
 }
 
 impl DeviceError {

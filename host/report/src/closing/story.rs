@@ -161,7 +161,7 @@ fn trace(d: &Dependence) -> Markup {
         "A trace of structure is left: the residual depends on the " (d.covariate.words()) " (" (words::evidence(d))
         ")"
         @if let Some(size) = d.size {
-            ", by " (words::number(size)) " standard deviations of a pixel"
+            ", " (words::number(100.0 * size)) " % of the variance of a pixel’s noise"
         }
         ". That is significant, but too small to count as an effect."
     }
