@@ -3,6 +3,7 @@
 use ndarray::ArrayView2;
 use ommatidia_physics::sensor::{FrameError, sensor_codes};
 use ommatidia_session::artifact::{ArtifactError, write_whole};
+use ommatidia_session::kind::FileKind;
 use ommatidia_shared::blob::{ALIGN, BlobError, Header, Network, Verified, Weights, encode, encoded_len};
 use ommatidia_shared::num::f16;
 use ommatidia_shared::pipeline::{Memory, Pipeline, PipelineError};
@@ -23,6 +24,14 @@ pub enum NetworkFileError {
     /// The file could not be written.
     #[error(transparent)]
     Write(#[from] ArtifactError),
+    /// The file is of another kind.
+    #[error("{path}: expected a network file, found {found}; `ommatidia quantize` makes one from a checkpoint")]
+    Kind {
+        /// The file.
+        path: PathBuf,
+        /// What it is.
+        found: FileKind,
+    },
     /// The bytes are not a network file, or are damaged.
     #[error("{path}: {source}")]
     Format {
@@ -89,7 +98,11 @@ impl NetworkFile {
     /// The file is missing, or as [`NetworkFile::from_bytes`].
     pub fn read(path: &Path) -> Result<Self, NetworkFileError> {
         let bytes = std::fs::read(path).map_err(|source| NetworkFileError::Io { path: path.into(), source })?;
-        Self::from_bytes(path, &bytes)
+        match FileKind::of(path) {
+            // What looks like a network file, or like nothing known, is judged by its bytes.
+            Ok(FileKind::Blob | FileKind::Unknown) | Err(_) => Self::from_bytes(path, &bytes),
+            Ok(found) => Err(NetworkFileError::Kind { path: path.into(), found }),
+        }
     }
 
     /// Writes the file: whole, or not at all.

@@ -26,6 +26,7 @@ mod panel;
 mod peers;
 mod picture;
 mod prediction;
+mod recording;
 mod scenes;
 #[cfg(test)]
 mod tests;
@@ -42,11 +43,12 @@ use ommatidia_model::instrument::Instrument;
 use ommatidia_network::evaluate::Evaluation;
 use ommatidia_network::evaluate::receptive::{self, ReceptiveFields};
 use ommatidia_network::train::Sample;
-use ommatidia_session::Session;
 use ommatidia_session::artifact;
 use ommatidia_session::kind::FileKind;
+use ommatidia_session::{ObjectGrid, SensorSpec, Session};
 use ommatidia_shared::blob::{Header, Network};
 use page::{Key, Numbers, Section};
+use recording::Recording;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -73,22 +75,29 @@ enum Content {
     /// Figures of `ablate`.
     Ablation,
     Receptive(Box<ReceptiveFields>),
+    /// Frames of one's own: reconstructions or raw frames.
+    Recording(Box<Recording>),
     Other,
 }
 
 /// Renders files to one HTML page: instruments, checkpoints, evaluations, accounts of closed loops, network files,
-/// session folders, and the JSON that commands print.
+/// session folders, recordings of frames or objects (.npy, .tif), and the JSON that commands print.
 ///
 /// Chapters appear in a fixed order, whatever the order of `paths`. Pictures and styles are inside the page.
 ///
 /// # Errors
 /// A file cannot be read, or is of a kind that a report does not show.
 pub fn render(paths: &[PathBuf]) -> Result<String, ReportError> {
-    let pieces = paths.iter().map(|p| load(p)).collect::<Result<Vec<_>, _>>()?;
+    let mut pieces = paths.iter().map(|p| load(p)).collect::<Result<Vec<_>, _>>()?;
+    name_the_host(&mut pieces);
     let mut numbers = Numbers::default();
-    let chapters: [(&'static str, &'static str, Chapter); 12] = [
+    let chapters: [(&'static str, &'static str, Chapter); 13] = [
         ("scenes", "Reconstructions", |p, _, n| match &p.content {
             Content::Evaluation(e) => Ok(Some(scenes::pictures(e, n)?)),
+            _ => Ok(None),
+        }),
+        ("recordings", "Recordings", |p, all, n| match &p.content {
+            Content::Recording(r) => Ok(Some(recording::recording(r, &grids(all), n)?)),
             _ => Ok(None),
         }),
         ("methods", "Methods compared", |p, _, n| match &p.content {
@@ -141,11 +150,49 @@ pub fn render(paths: &[PathBuf]) -> Result<String, ReportError> {
         if !parts.is_empty() {
             // Tables of a device and of its network file stand side by side.
             let class = if id == "device" { "two" } else { "" };
-            sections.push(Section { id, title, body: html! { div class=(class) { @for part in parts { (part) } } } });
+            let title = if id == "device" && not_on_a_device(&pieces) { "Not run on a device" } else { title };
+            sections.push(Section {
+                id,
+                title: title.into(),
+                body: html! { div class=(class) { @for part in parts { (part) } } },
+            });
         }
     }
-    sections.push(Section { id: "provenance", title: "Provenance", body: provenance(&pieces) });
+    sections.push(Section { id: "provenance", title: "Provenance".into(), body: provenance(&pieces) });
     Ok(page::document(&heading(&pieces), &lead(&pieces), &keys(&pieces), &sections))
+}
+
+/// Whether there are runs of the firmware, and none of them on a device.
+fn not_on_a_device(pieces: &[Piece]) -> bool {
+    let mut runs = pieces.iter().filter(|p| matches!(p.content, Content::Device)).peekable();
+    runs.peek().is_some() && runs.all(|p| device::on_host(&p.json))
+}
+
+/// Where `device run` ran on the host alone, no reconstruction is that of a device.
+fn name_the_host(pieces: &mut [Piece]) {
+    if !not_on_a_device(pieces) {
+        return;
+    }
+    for piece in pieces {
+        if let Content::Evaluation(e) = &mut piece.content {
+            e.summary
+                .methods
+                .iter_mut()
+                .filter(|m| m.name == "device")
+                .for_each(|m| m.name = "firmware-on-host".into());
+        }
+    }
+}
+
+/// The sensors and objects of the instruments and sessions: their pixels give the scale of recordings.
+fn grids(pieces: &[Piece]) -> Vec<(SensorSpec, ObjectGrid)> {
+    let of = |p: &Piece| match &p.content {
+        Content::Instrument(i) => Some((i.manifest.sensor, i.manifest.object)),
+        Content::Session(s) => Some((s.manifest().sensor, s.manifest().object)),
+        Content::Evaluation(e) => Some((e.summary.sensor, e.summary.object)),
+        _ => None,
+    };
+    pieces.iter().filter_map(of).collect()
 }
 
 /// Renders a piece; the other pieces are there for context.
@@ -180,6 +227,7 @@ fn load(path: &Path) -> Result<Piece, ReportError> {
                 _ => Content::Other,
             },
         ),
+        FileKind::Stack => (Value::Null, Content::Recording(Box::new(Recording::read(path)?))),
         FileKind::Session => (Value::Null, Content::Session(Box::new(Session::open(path)?))),
         FileKind::Blob => {
             let bytes = read()?;
@@ -265,6 +313,7 @@ fn provenance(pieces: &[Piece]) -> Markup {
                 @match &piece.content {
                     Content::Session(s) => pre { (pretty(&serde_json::to_value(s.manifest()).unwrap_or_default())) },
                     Content::Blob(h, _) => pre { (pretty(&serde_json::to_value(&**h).unwrap_or_default())) },
+                    Content::Recording(r) => p { (r.describe()) },
                     _ => pre { (pretty(piece.json.get("provenance").unwrap_or(&piece.json))) },
                 }
             }
@@ -291,6 +340,7 @@ fn describe(piece: &Piece) -> String {
         Content::Resolution => "resolution",
         Content::Ablation => "ablations",
         Content::Receptive(_) => "receptive fields",
+        Content::Recording(_) => "recording",
         Content::Other => piece.json["kind"].as_str().unwrap_or("figures of a command"),
     };
     format!("— {kind}{written}")

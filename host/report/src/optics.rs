@@ -1,6 +1,7 @@
 //! The calibrated instrument: PSFs by lens and field, their correlation, singular values, and the noise of the sensor.
 
 use super::chart::{Axis, Chart, Line, Marks};
+use super::closing::plus_minus;
 use super::colour::ColourMap;
 use super::error::ReportError;
 use super::page::{Numbers, pairs};
@@ -254,7 +255,7 @@ pub fn noise(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup, R
     let n = &instrument.noise;
     let pm = |value: f64, sigma: f64, unit: &str| {
         html! {
-            (number(value)) @if sigma > 0.0 { span.pm { " ± " (number(sigma)) } } " " (unit)
+            (plus_minus(value, sigma)) " " (unit)
         }
     };
     let full_well = (n.saturation_dn - n.black_level_dn) / n.gain_dn_per_e;

@@ -17,7 +17,7 @@ pub struct Section {
     /// Address within the page.
     pub id: &'static str,
     /// Heading.
-    pub title: &'static str,
+    pub title: String,
     /// Content.
     pub body: Markup,
 }
@@ -53,11 +53,10 @@ impl Numbers {
     pub fn table(&mut self, title: &str, text: &str, rows: Markup) -> Markup {
         self.tables += 1;
         html! {
-            div.scroll {
-                table {
-                    caption { b { "Table " (self.tables) " | " (title) } " " (text) }
-                    (rows)
-                }
+            div.tabled {
+                // Not a `caption`: that would be cut off where the table is wider than the page and scrolls.
+                p.caption id={ "table-" (self.tables) } { b { "Table " (self.tables) " | " (title) } " " (text) }
+                div.scroll { table aria-describedby={ "table-" (self.tables) } { (rows) } }
             }
         }
     }
@@ -66,7 +65,7 @@ impl Numbers {
 /// Two columns: a name and its value.
 pub fn pairs(rows: &[(String, Markup)]) -> Markup {
     html! {
-        tbody { @for (name, value) in rows { tr { td { (name) } td.n { (value) } } } }
+        tbody { @for (name, value) in rows { tr { td { (name) } td.v { (value) } } } }
     }
 }
 

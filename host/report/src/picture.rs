@@ -70,13 +70,40 @@ impl Scale {
 pub fn number(value: f64) -> String {
     match value.abs() {
         0.0 => "0".into(),
-        a if !(1e-3..1e5).contains(&a) => format!("{value:.1e}"),
+        a if !(1e-3..1e5).contains(&a) => scientific(value),
         a => {
             let decimals = (2 - a.log10().floor() as i32).clamp(0, 5) as usize;
             let text = format!("{value:.decimals$}");
             if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
         }
     }
+}
+
+/// A number as a power of ten: `5.8 × 10⁶`, `10⁻⁴`.
+fn scientific(value: f64) -> String {
+    if !value.is_finite() {
+        return value.to_string();
+    }
+    let text = format!("{value:.1e}");
+    let Some((factor, power)) = text.split_once('e') else { return text };
+    let power = raised(power.parse().unwrap_or(0));
+    match factor.trim_end_matches('0').trim_end_matches('.') {
+        "1" => format!("10{power}"),
+        "-1" => format!("-10{power}"),
+        factor => format!("{factor} × 10{power}"),
+    }
+}
+
+/// An exponent in small raised digits.
+pub fn raised(power: i32) -> String {
+    let digit = |c: char| match c {
+        '-' => '⁻',
+        '1' => '¹',
+        '2' => '²',
+        '3' => '³',
+        c => c.to_digit(10).and_then(|d| char::from_u32(0x2070 + d)).unwrap_or(c),
+    };
+    power.to_string().chars().map(digit).collect()
 }
 
 /// A `data:` URI with the array [rows, cols] as an 8-bit PNG with a palette, one pixel per value.
@@ -170,8 +197,8 @@ mod tests {
     #[test]
     fn numbers_are_short() {
         assert_eq!(
-            [0.0, 1.0, 0.0123456, 4095.0, 12.3456, 1e-7].map(number),
-            ["0", "1", "0.0123", "4095", "12.3", "1.0e-7"]
+            [0.0, 1.0, 0.0123456, 4095.0, 12.3456, 1e-7, -2.5e6].map(number),
+            ["0", "1", "0.0123", "4095", "12.3", "10⁻⁷", "-2.5 × 10⁶"]
         );
     }
 }

@@ -16,7 +16,7 @@ pub fn colour(name: &str) -> usize {
     match name.split('@').next().unwrap_or(name) {
         "svfouriernet" => 1,
         "svfouriernet-blob" => 6,
-        "device" => 3,
+        "device" | "firmware-on-host" => 3,
         "wiener" => 2,
         "richardson-lucy" => 4,
         _ => 5,

@@ -92,11 +92,10 @@ fn pictures(samples: &[Sample], numbers: &mut Numbers) -> Result<Markup, ReportE
 /// The sizes of a network as rows of a table, in words.
 fn pairs_of(object: &Value) -> Vec<(String, Markup)> {
     let fields = object.as_object().into_iter().flatten();
-    let value = |name: &str, value: &Value| match (name, value["name"].as_str()) {
-        ("family", Some(family)) => family_title(family).to_string(),
-        _ => short(value),
-    };
-    fields.map(|(name, of)| (words_of(name), html! { (value(name, of)) })).collect()
+    let mut rows: Vec<(usize, String, Markup)> =
+        fields.map(|(name, of)| (place(name), words_of(name), html! { (short(of)) })).collect();
+    rows.sort_by_key(|row| row.0);
+    rows.into_iter().map(|(_, name, value)| (name, value)).collect()
 }
 
 /// Name of a family of networks, as publications print it.
@@ -110,6 +109,12 @@ fn family_title(name: &str) -> &str {
     }
 }
 
+/// Place of a field in the table: what comes in and out first.
+fn place(field: &str) -> usize {
+    let order = ["family", "architecture", "frame", "object", "channels", "filter_size"];
+    order.iter().position(|name| *name == field).unwrap_or(order.len())
+}
+
 /// What a field of the network's configuration is called in the table.
 fn words_of(field: &str) -> String {
     match field {
@@ -121,6 +126,7 @@ fn words_of(field: &str) -> String {
         "groups" => "Residual groups".into(),
         "blocks" => "Blocks per group".into(),
         "reduction" => "Channel reduction of the attention".into(),
+        "family" | "architecture" => "Architecture".into(),
         other => sentence(other),
     }
 }
@@ -139,6 +145,14 @@ pub fn short(value: &Value) -> String {
         Value::String(s) => s.clone(),
         Value::Number(n) if n.is_f64() => number(n.as_f64().unwrap_or(0.0)),
         Value::Array(items) => items.iter().map(short).collect::<Vec<_>>().join(" × "),
+        Value::Object(fields) => {
+            let text = |(name, value): (&String, &Value)| match name.as_str() {
+                "name" => family_title(value.as_str().unwrap_or_default()).to_string(),
+                name => format!("{} {}", name.replace('_', " "), short(value)),
+            };
+            fields.iter().map(text).collect::<Vec<_>>().join(", ")
+        }
+        Value::Bool(yes) => if *yes { "yes" } else { "no" }.into(),
         other => other.to_string(),
     }
 }
@@ -155,7 +169,12 @@ mod tests {
         let rows: Vec<(String, String)> =
             pairs_of(&network).into_iter().map(|(name, value)| (name, value.into_string())).collect();
         let pair = |name: &str, value: &str| (name.to_string(), value.to_string());
-        assert!(rows.contains(&pair("Family", "SV-FourierNet")) && rows.contains(&pair("Raw frame", "214 × 214")));
+        assert_eq!(rows[0], pair("Architecture", "SV-FourierNet"));
+        assert!(rows.contains(&pair("Filters", "6")) && rows.contains(&pair("Raw frame", "214 × 214")));
         assert!(rows.iter().all(|(_, value)| !value.contains('{')), "{rows:?}");
+        // Whatever the field is called, and whatever else it holds.
+        let others = json!({"architecture": {"name": "cm2net", "crop_px": [70, 70]}, "with_maps": true});
+        let text: Vec<String> = pairs_of(&others).into_iter().map(|(name, value)| name + ": " + &value.0).collect();
+        assert_eq!(text, ["Architecture: crop px 70 × 70, CM2Net", "With maps: yes"]);
     }
 }

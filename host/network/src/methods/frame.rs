@@ -1,8 +1,34 @@
 //! The raw frames that an instrument delivers, for the methods that start from an instrument.
 
 use super::MethodError;
+use crate::network_file::NetworkFile;
 use ommatidia_model::instrument::Instrument;
-use ommatidia_physics::sensor::FrameInput;
+use ommatidia_physics::noise::NoiseModel;
+use ommatidia_physics::sensor::{FrameInput, FrameRange};
+use ommatidia_session::artifact;
+use ommatidia_session::kind::FileKind;
+use std::path::Path;
+
+/// What a file knows of the frames that it is made for: an instrument, a checkpoint or a network file; `None` for files
+/// of other kinds.
+///
+/// # Errors
+/// The file cannot be read.
+pub fn frame_range(path: &Path) -> anyhow::Result<Option<FrameRange>> {
+    Ok(match FileKind::of(path)? {
+        FileKind::Blob => {
+            let sensor = NetworkFile::read(path)?.header()?.sensor;
+            let (black_level_dn, saturation_dn) = (sensor.black_level_dn.into(), sensor.saturation_dn.into());
+            Some(FrameRange { black_level_dn, saturation_dn })
+        }
+        FileKind::Artifact(_) => {
+            let noise: Option<NoiseModel> =
+                serde_json::from_value(artifact::inspect(path)?["body"]["noise"].clone()).ok();
+            noise.map(|NoiseModel { black_level_dn, saturation_dn, .. }| FrameRange { black_level_dn, saturation_dn })
+        }
+        _ => None,
+    })
+}
 
 /// Checks and corrects raw frames with the black level and sensor maps of an instrument, including the effects that
 /// closing the loop added to it.

@@ -37,6 +37,7 @@ pub use admm::{AdmmConfig, LowRankAdmm, ShiftInvariantAdmm};
 pub use central::Central;
 pub use error::MethodError;
 pub use float_network::FloatNetwork;
+pub use frame::frame_range;
 pub use reconstruct::{Reconstruct, title};
 pub use registry::MethodKind;
 pub use richardson_lucy::{RichardsonLucy, RichardsonLucyConfig};

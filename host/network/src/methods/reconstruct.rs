@@ -30,6 +30,7 @@ pub fn title(name: &str) -> String {
         "svfouriernet" => "SV-FourierNet, float",
         "svfouriernet-blob" => "SV-FourierNet, blob on the host",
         "device" => "SV-FourierNet, device",
+        "firmware-on-host" => "SV-FourierNet, not on a device",
         "multiwienernet" => "MultiWienerNet",
         "multiflatnet" => "MultiFlatNet",
         "cm2net" => "CM2Net",

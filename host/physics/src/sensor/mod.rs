@@ -27,8 +27,10 @@ mod codes;
 mod error;
 mod input;
 mod maps;
+mod watch;
 
 pub use codes::sensor_codes;
 pub use error::{FrameError, MapShapeError};
 pub use input::FrameInput;
 pub use maps::SensorMaps;
+pub use watch::{FrameRange, FrameWatch, Oddity, Scaled};

@@ -148,7 +148,10 @@ pub fn table(closing: &Closing, output: &Path, account: &Path, seconds: f64) -> 
     let limits: Vec<String> = closing
         .rejected
         .iter()
-        .filter_map(|r| Some(format!("{} {} < {:.2e} {}", r.id, r.param, r.upper_limit?, r.unit)))
+        .filter_map(|r| {
+            let unit = if r.unit == "1" { String::new() } else { format!(" {}", r.unit) };
+            Some(format!("{} {} < {:.2e}{unit}", r.id, r.param, r.upper_limit?))
+        })
         .collect();
     let _ = writeln!(out, "\nnot found (upper limits, 95 %): {}", limits.join("; "));
     let untestable: Vec<&str> =

@@ -3,6 +3,8 @@
 use anyhow::Context;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use ommatidia_physics::sensor::{FrameRange, FrameWatch};
+use ommatidia_session::{Role, Session};
 use std::io::{ErrorKind, IsTerminal, Write};
 use std::process::ExitCode;
 use std::time::Duration;
@@ -111,6 +113,30 @@ fn print_lines(bar: &ProgressBar) {
             }
         }
     });
+}
+
+/// Prints warnings on stderr, unless `--quiet`, and gives them back for the JSON.
+pub(super) fn warn(warnings: impl IntoIterator<Item = String>) -> Vec<String> {
+    let warnings: Vec<String> = warnings.into_iter().collect();
+    warnings.iter().for_each(|text| tracing::warn!("{text}"));
+    warnings
+}
+
+/// Warnings for the scenes of a session whose frames do not fit what is known of the sensor.
+///
+/// # Errors
+/// A frame cannot be read.
+pub(super) fn odd_scenes(session: &Session, range: Option<FrameRange>) -> anyhow::Result<Vec<String>> {
+    let mut warnings = Vec::new();
+    for stack in session.stacks_of(Role::Scene) {
+        let Some(range) = range else { break };
+        let (mut frames, mut watch) = (stack.frames()?, FrameWatch::new(range));
+        for i in 0..frames.len() {
+            watch.see(i, frames.read(i)?.view());
+        }
+        warnings.extend(watch.warning(&stack.path()));
+    }
+    Ok(warn(warnings))
 }
 
 /// The result of a verb: its figures for programs, and for people.

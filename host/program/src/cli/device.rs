@@ -7,13 +7,15 @@ mod status;
 mod stream;
 mod target;
 
-use super::common::{Outcome, Run};
+use super::common::{Outcome, Run, warn};
 use super::files::{Content, Files};
-use crate::device::{BoardCounts, DeviceRun, RunRequest, count_board, run as run_device, table};
+use crate::device::{BoardCounts, DeviceRun, Emulator, Place, RunRequest, count_board, run as run_device, table};
 use anyhow::Context;
 use clap::Subcommand;
 use ndarray::{Array3, Axis};
+use ommatidia_network::methods::frame_range;
 use ommatidia_network::network_file::NetworkFile;
+use ommatidia_physics::sensor::FrameWatch;
 use ommatidia_session::artifact::write_whole;
 use ommatidia_session::kind::FileKind;
 use ommatidia_session::stack;
@@ -123,6 +125,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
 
 fn count(args: &BenchArgs) -> anyhow::Result<Outcome> {
     let emulated = BOARDS.into_iter().filter(|board| board.emulated);
+    // Before anything is built.
+    Emulator::find()?;
     let boards = if args.board.is_empty() { emulated.collect() } else { args.board.clone() };
     let counts = boards.into_iter().map(count_board).collect::<Result<Vec<_>, _>>()?;
     if let Some(path) = &args.output {
@@ -141,13 +145,16 @@ fn run_network(args: &RunArgs, run: &Run) -> anyhow::Result<Outcome> {
     let blob = NetworkFile::read(&args.with)?;
     let header = blob.network()?.into_header();
     let stack = stack::read(&args.frames)?;
+    let mut watch = frame_range(&args.with)?.map(FrameWatch::new);
     let count = args.first.map_or(usize::MAX, |n| n as usize);
     let frames = stack
         .axis_iter(Axis(0))
         .take(count)
         .enumerate()
+        .inspect(|(i, frame)| watch.iter_mut().for_each(|watch| watch.see(*i, frame.view())))
         .map(|(i, frame)| blob.codes(frame).with_context(|| format!("{}: frame {i}", args.frames.display())))
         .collect::<anyhow::Result<Vec<_>>>()?;
+    let warnings = warn(watch.and_then(|watch| watch.warning(&args.frames)));
     let runtime = args.target.runtime(run)?;
     let state = args.target.state.as_deref();
     let work = RunRequest { frames: &frames, scope: args.scope.scope() };
@@ -158,7 +165,9 @@ fn run_network(args: &RunArgs, run: &Run) -> anyhow::Result<Outcome> {
     if let Some(output) = &args.output {
         stack::write(output, objects(&device, region)?.view())?;
     }
-    Ok(outcome(&device, &blob, frames.len()))
+    let mut outcome = outcome(&device, &blob, frames.len());
+    outcome.json["warnings"] = json!(warnings);
+    Ok(outcome)
 }
 
 /// The reconstructions as one stack.
@@ -170,7 +179,7 @@ fn objects(device: &DeviceRun, size: Region) -> anyhow::Result<Array3<f32>> {
 
 fn outcome(device: &DeviceRun, blob: &NetworkFile, frames: usize) -> Outcome {
     let t = &device.telemetry;
-    let on_host = device.board == "host";
+    let on_host = device.place == Place::Host;
     // What only an image on a board has.
     let measured = |value: u64| (!on_host).then_some(value);
     let flash = measured(u64::from(t.image_bytes) + blob.bytes().len() as u64);
@@ -182,7 +191,8 @@ fn outcome(device: &DeviceRun, blob: &NetworkFile, frames: usize) -> Outcome {
     let held_instructions = of_held.map(|(count, _)| *count).max();
     let seconds = device.frames.as_secs_f64() / frames.max(1) as f64;
     let json = json!({
-        "board": device.board, "frames": frames, "bit_exact": device.bit_exact(),
+        "board": device.board, "ran_on": device.place.name(), "emulator": device.emulator, "uncounted": device.uncounted,
+        "frames": frames, "bit_exact": device.bit_exact(),
         "differing_bits": device.differing_bits, "field_ages": ages, "held": held,
         "held_psnr_db": device.deviation.map(|d| json!({ "mean": d.mean_db, "worst": d.worst_db })),
         "instructions": instructions, "held_instructions": held_instructions,
@@ -193,21 +203,28 @@ fn outcome(device: &DeviceRun, blob: &NetworkFile, frames: usize) -> Outcome {
         "repeated_requests": t.repeated_requests, "dropped_packets": t.dropped_packets,
         "upload_seconds": device.upload.as_secs_f64(), "seconds_per_frame": seconds,
     });
+    let board = device.place.board(&device.board);
     let figure = |value: Option<u64>, unit: &str| value.map_or("not measured".into(), |v| format!("{v}{unit}"));
-    let verdict = match device.differing_bits {
-        0 => "every bit equals the host's".to_string(),
-        n => format!("{n} bits differ from the host's"),
+    let verdict = match (device.differing_bits, on_host) {
+        (0, false) => "every bit equals the host's".to_string(),
+        (0, true) => {
+            "not run on a device: the firmware's logic ran on this computer and agrees with itself".to_string()
+        }
+        (n, _) => format!("{n} bits differ from the host's"),
+    };
+    let counts = match &device.uncounted {
+        Some(why) => format!("not counted: {why}"),
+        None => figure(instructions, " per frame"),
     };
     let text = format!(
-        "board         {}\nframes        {frames}, {seconds:.2} s \
-            each\n\
+        "board         {}\nframes        {frames}, {seconds:.2} s each\n\
             agreement     {verdict}\nfield         {}{}\ninstructions  {}{}\nRAM           {}\nflash         {}\nstack         {}\n",
-        device.board,
+        board + &device.emulator.as_ref().map_or(String::new(), |emulator| format!(" by {emulator}")),
         scope::exactness(held, frames),
         device.deviation.map_or(String::new(), |d| {
             format!(": PSNR {:.1} dB against exact ones, {:.1} dB at worst", d.mean_db, d.worst_db)
         }),
-        figure(instructions, " per frame"),
+        counts,
         held_instructions.map_or(String::new(), |count| format!(", {count} with the field held")),
         figure(ram, " bytes"),
         figure(flash, " bytes"),

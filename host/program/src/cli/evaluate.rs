@@ -1,5 +1,6 @@
 //! `evaluate`: methods side by side on scenes of known truth.
 
+use super::common::odd_scenes;
 use super::files::{Content, Files};
 use super::{Outcome, Run};
 use anyhow::{Context, ensure};
@@ -8,7 +9,7 @@ use ommatidia_model::forward::Forward;
 use ommatidia_model::instrument::Instrument;
 use ommatidia_model::metrics::{PredictionFigures, SensorNoise, in_sigmas, prediction_figures};
 use ommatidia_network::evaluate::{Evaluation, MethodFigures, Predicted, Scenes, Source, Summary, judge};
-use ommatidia_network::methods::{MethodKind, Reconstruct, title};
+use ommatidia_network::methods::{MethodKind, Reconstruct, frame_range, title};
 use ommatidia_report::{bytes, seconds};
 use ommatidia_session::artifact::Provenance;
 use ommatidia_session::kind::FileKind;
@@ -81,6 +82,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let mut scenes = Scenes::of(&session, args.frames.map(|n| n as usize))?;
     let manifest = session.manifest();
     let entries = entries(&args.with, &args.methods, &args.stacks, run, scenes.count())?;
+    let ranges = args.with.iter().map(|path| frame_range(path)).collect::<anyhow::Result<Vec<_>>>()?;
+    let warnings = odd_scenes(&session, ranges.into_iter().flatten().next())?;
     let pictured = pictured(scenes.count(), args.pictures);
     let bar = run.progress((entries.len() * scenes.count()) as u64, "evaluate");
     let mut evaluation = Evaluation {
@@ -123,7 +126,9 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     if let Some(output) = &args.output {
         evaluation.write(output, provenance(args, run, &session)?)?;
     }
-    Ok(outcome(args, &evaluation.summary))
+    let mut outcome = outcome(args, &evaluation.summary);
+    outcome.json["warnings"] = serde_json::json!(warnings);
+    Ok(outcome)
 }
 
 /// The entries to judge: networks, methods made from instruments, stacks.

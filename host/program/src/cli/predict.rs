@@ -1,11 +1,14 @@
 //! `predict`: expected frames for given objects.
 
-use super::common::{Outcome, Run};
+use super::common::{Outcome, Run, warn};
 use super::files::{Content, Files};
 use anyhow::{Context, ensure};
+use ndarray::ArrayView2;
 use ommatidia_model::forward::{Depth, PredictError, PredictRequest, Predicted, Predictor};
 use ommatidia_model::instrument::Instrument;
 use ommatidia_network::evaluate::{Measured, measured};
+use ommatidia_network::methods::frame_range;
+use ommatidia_physics::sensor::FrameRange;
 use ommatidia_session::kind::FileKind;
 use ommatidia_session::{FrameReader, FrameWriter, SampleType, StackSpec};
 use serde_json::json;
@@ -102,9 +105,15 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let mut outputs = FrameWriter::create(&args.output, spec)?;
     let bar = run.progress(inputs.len() as u64, "predict");
     let (mut clipped_frames, mut clipped_px) = (0usize, 0usize);
+    let range = frame_range(&args.instrument)?;
+    let (mut odd, mut first) = (0, None);
     let mut all = || -> anyhow::Result<()> {
         for i in 0..inputs.len() {
             let input = inputs.read(i)?;
+            if let Some(text) = oddity(args.adjoint, range, input.view()) {
+                odd += 1;
+                first.get_or_insert((i, text));
+            }
             let at = || format!("{}: {what} {i}", args.objects.display());
             let output = predictor.apply(i, input.view()).with_context(at)?;
             let clipped = predictor.clipped_px(output.view());
@@ -128,6 +137,13 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
             0.1 * args.illumination
         );
     }
+    let warning = first.map(|(i, text)| {
+        let one = what.trim_end_matches('s');
+        let others =
+            if odd > 1 { format!(" ({} more of {} are odd, too)", odd - 1, inputs.len()) } else { String::new() };
+        format!("{}: {one} {i}{others}: {text}", args.objects.display())
+    });
+    let warnings = warn(warning);
     let made = match args.predicted() {
         Predicted::Adjoint => "transposed",
         Predicted::Noisy => "with noise",
@@ -143,7 +159,19 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let json = json!({
         "frames": inputs.len(), "rows": rows, "cols": cols, "noise": args.noise, "adjoint": args.adjoint,
         "clipped_frames": clipped_frames, "clipped_px": clipped_px,
-        "seconds_per_frame": seconds, "peak_bytes": peak_bytes,
+        "seconds_per_frame": seconds, "peak_bytes": peak_bytes, "warnings": warnings,
     });
     Ok(Outcome { json, text })
+}
+
+/// What is odd about an input: a frame that should be without black level, or an object.
+fn oddity(adjoint: bool, range: Option<FrameRange>, input: ArrayView2<'_, f32>) -> Option<String> {
+    if adjoint {
+        let range = range.filter(|range| range.holds_black(input))?;
+        return Some(format!(
+            "its darkest pixels still hold the black level; subtract it ({:.1} DN): --adjoint takes light above black",
+            range.black_level_dn
+        ));
+    }
+    input.iter().all(|v| *v == 0.0).then(|| "it is dark everywhere".into())
 }

@@ -1,9 +1,11 @@
 //! `reconstruct`: raw frames in, objects out.
 
+use super::common::warn;
 use super::files::{Content, Files};
 use super::{Outcome, Run};
 use anyhow::Context;
-use ommatidia_network::methods::MethodKind;
+use ommatidia_network::methods::{MethodKind, frame_range};
+use ommatidia_physics::sensor::FrameWatch;
 use ommatidia_session::kind::FileKind;
 use ommatidia_session::{FrameReader, FrameWriter, SampleType, StackSpec};
 use std::path::PathBuf;
@@ -43,11 +45,15 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let method = kind.open(&args.with, run.seed)?;
     let plan_seconds = start.elapsed().as_secs_f64();
     let count = frames.len();
+    let mut watch = frame_range(&args.with)?.map(FrameWatch::new);
     let bar = run.progress(count as u64, "reconstruct");
     let mut writer: Option<FrameWriter> = None;
     let mut seconds = 0.0;
     for i in 0..count {
         let frame = frames.read(i)?;
+        if let Some(watch) = &mut watch {
+            watch.see(i, frame.view());
+        }
         let start = Instant::now();
         let object = method.reconstruct(frame.view());
         seconds += start.elapsed().as_secs_f64();
@@ -73,10 +79,12 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     if let Some(writer) = writer {
         writer.finish()?;
     }
+    let warnings = warn(watch.and_then(|watch| watch.warning(&args.frames)));
     let per_frame = seconds / count.max(1) as f64;
     Ok(Outcome {
         json: serde_json::json!({
-            "method": method.name(), "frames": count, "seconds_per_frame": per_frame, "plan_seconds": plan_seconds, "output": args.output,
+            "method": method.name(), "frames": count, "seconds_per_frame": per_frame, "plan_seconds": plan_seconds,
+            "output": args.output, "warnings": warnings,
         }),
         text: format!(
             "{} ({} frames, {}): {} a frame, after {} of planning\n",

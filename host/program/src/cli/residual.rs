@@ -1,9 +1,12 @@
 //! `residual`: measured minus predicted, and what it depends on.
 
 use super::close::{figure, judged_on};
+use super::common::odd_scenes;
 use super::files::{Content, Files};
 use super::{Outcome, Run};
 use ommatidia_closing::{ResidualOutcome, ResidualRequest, residual_session};
+use ommatidia_network::methods::frame_range;
+use ommatidia_session::Session;
 use ommatidia_session::kind::FileKind;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -39,6 +42,7 @@ impl Args {
 /// # Errors
 /// A file cannot be read or written, or session and instrument have different layouts.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
+    let warnings = odd_scenes(&Session::open(&args.session)?, frame_range(&args.instrument)?)?;
     let request = ResidualRequest { session: &args.session, instrument: &args.instrument, seed: run.seed };
     let ResidualOutcome { account, provenance } = residual_session(&request)?;
     if let Some(output) = &args.output {
@@ -79,7 +83,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         "chi2_ndf": c.before.chi2_ndf, "nrmse": c.before.nrmse, "pcc": c.before.pcc,
         "held_out_frames": c.held_out_frames, "faults": c.faults, "dependences": c.dependences_before,
         "structured": c.catalogue_incomplete, "calibrated_on": c.calibrated_on, "own_beads": c.own_beads,
-        "notes": c.notes,
+        "notes": c.notes, "warnings": warnings,
     });
     Ok(Outcome { json, text })
 }

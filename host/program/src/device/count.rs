@@ -1,6 +1,7 @@
 //! Counts the instructions of each operator on an emulated core.
 
 use super::counter::Counter;
+use super::emulator::Emulator;
 use super::error::DeviceError;
 use super::firmware::Firmware;
 use super::footprint::{Footprint, footprint};
@@ -53,7 +54,7 @@ pub fn count_board(board: Board) -> Result<BoardCounts, DeviceError> {
 /// # Errors
 /// QEMU, the C compiler or the image is missing, or the program fails.
 fn count_operators(bench: &Firmware) -> Result<Vec<OperatorCount>, DeviceError> {
-    let counter = Counter::build()?;
+    let counter = Counter::build(&Emulator::find()?)?;
     let printed = run_to_end(bench, Some(&counter))?;
     let mut counts = Vec::new();
     let regions = counter.regions()?;

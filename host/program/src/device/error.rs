@@ -3,7 +3,7 @@
 use ommatidia_network::network_file::NetworkFileError;
 use ommatidia_shared::pipeline::PipelineError;
 use ommatidia_shared::wire::{Refusal, SlotReport};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 /// Errors of the link to a device: starting it, talking to it, and using its answers.
@@ -12,7 +12,7 @@ pub enum DeviceError {
     /// QEMU is not installed.
     #[error(
         "qemu-system-arm is not on the PATH; install it (Debian, Ubuntu: `apt-get install qemu-system-arm`; macOS: \
-         `brew install qemu`), or run the firmware's logic on this computer with `--on host`"
+         `brew install qemu`)"
     )]
     NoQemu,
     /// A program could not be started.
@@ -24,11 +24,7 @@ pub enum DeviceError {
         source: std::io::Error,
     },
     /// There is no firmware image.
-    #[error(
-        "no firmware image: {detail}; name one with `--firmware ELF`, or run the firmware's logic on this computer \
-            with \
-         `--on host`"
-    )]
+    #[error("no firmware image: {detail}")]
     NoFirmware {
         /// Where it was searched.
         detail: String,
@@ -81,7 +77,7 @@ pub enum DeviceError {
         attempts: u32,
     },
     /// The board has no camera.
-    #[error("{board} has no working camera; give the frames with `--frames STACK`")]
+    #[error("the device has no working camera ({board}); give the frames with `--frames STACK`")]
     NoCamera {
         /// The board.
         board: String,
@@ -113,7 +109,7 @@ pub enum DeviceError {
         found: Option<SlotReport>,
     },
     /// The device refused a request.
-    #[error("the device refuses: {0}")]
+    #[error("the device refuses: {0}{more}", more = advice(.0))]
     Refused(Refusal),
     /// A network file or a frame is invalid.
     #[error(transparent)]
@@ -121,12 +117,54 @@ pub enum DeviceError {
     /// The pipeline refuses on this machine.
     #[error("{0}")]
     Pipeline(PipelineError),
-    /// The instruction counter could not be set up.
-    #[error("{path}: the instruction counter cannot be built or read: {detail}")]
-    Counter {
-        /// The plugin or its output.
+    /// The file with the flash of a device cannot be used.
+    #[error("{path}: the flash of the device cannot be kept in this file ({source}); nothing is kept. {advice}")]
+    State {
+        /// The file.
         path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+        /// What to do.
+        advice: &'static str,
+    },
+    /// The emulator takes no plugin that counts instructions.
+    #[error("{emulator} counts no instructions: {detail}")]
+    Uncountable {
+        /// The emulator and its version.
+        emulator: String,
+        /// What it says.
+        detail: String,
+    },
+    /// The instruction counter could not be built, or its counts cannot be read.
+    #[error("instructions cannot be counted: {detail}")]
+    Counter {
         /// What is wrong.
         detail: String,
     },
+}
+
+/// What to do about a refusal, where the text does not say it.
+fn advice(refusal: &Refusal) -> String {
+    use ommatidia_shared::wire::Transfer;
+    match refusal {
+        Refusal::NoRoom { what: Transfer::Blob, available, .. } => {
+            format!(" in a slot of its flash; `ommatidia quantize --flash {available}` makes a network that fits")
+        }
+        Refusal::NoRoom { what: Transfer::Frame, .. } => " for a frame; the board is too small for this sensor".into(),
+        _ => String::new(),
+    }
+}
+
+impl DeviceError {
+    /// The file `path` with the flash of a device cannot be used.
+    pub(super) fn state(path: &Path, source: std::io::Error) -> Self {
+        use std::io::ErrorKind::{NotFound, PermissionDenied, ReadOnlyFilesystem, StorageFull};
+        let advice = match source.kind() {
+            NotFound => "Make its folder first, or name another file with `--state`",
+            PermissionDenied | ReadOnlyFilesystem => "Name a file that you may write with `--state`",
+            StorageFull => "Make room on the disk and send the network again",
+            _ => "Name another file with `--state`",
+        };
+        Self::State { path: path.into(), source, advice }
+    }
 }

@@ -5,11 +5,14 @@ use serde_json::json;
 use std::io::{BufRead, BufReader, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 const PAGE: &str = include_str!("view.html");
 /// Time limit for one request of a browser.
 const PATIENCE: Duration = Duration::from_secs(2);
+
+/// A browser that shows the page asks again within this time.
+const LOOKS_WITHIN: Duration = Duration::from_millis(500);
 
 /// Content of the page.
 #[derive(Debug, Default)]
@@ -18,6 +21,8 @@ struct Shown {
     png: Vec<u8>,
     /// Its figures, JSON.
     state: String,
+    /// When a browser asked for them last.
+    asked: Option<Instant>,
 }
 
 /// The live view; it works with or without a browser.
@@ -76,7 +81,23 @@ impl LiveView {
             "dropped_before": frame.dropped_before, "saturated_px": frame.report.saturated_px, "max": max,
             "field_frame": frame.field_frame, "exact": frame.report.field_age == 0,
         });
-        *self.shown.lock().unwrap_or_else(PoisonError::into_inner) = Shown { png, state: state.to_string() };
+        let mut shown = self.shown.lock().unwrap_or_else(PoisonError::into_inner);
+        (shown.png, shown.state) = (png, state.to_string());
+    }
+
+    /// Says on the page that the stream has ended, and waits a moment for a browser that is looking to show it.
+    pub fn end(&self) {
+        let looking = {
+            let mut shown = self.shown.lock().unwrap_or_else(PoisonError::into_inner);
+            if shown.state.is_empty() {
+                return;
+            }
+            shown.state = shown.state.replacen('{', "{\"ended\":true,", 1);
+            shown.asked.is_some_and(|asked| asked.elapsed() < LOOKS_WITHIN)
+        };
+        if looking {
+            std::thread::sleep(LOOKS_WITHIN);
+        }
     }
 }
 
@@ -89,10 +110,13 @@ fn answer(mut browser: &TcpStream, shown: &Mutex<Shown>) -> std::io::Result<()> 
     BufReader::new(std::io::Read::take(browser, 4096)).read_line(&mut line)?;
     let path = line.split(' ').nth(1).unwrap_or_default();
     let (kind, body) = {
-        let shown = shown.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut shown = shown.lock().unwrap_or_else(PoisonError::into_inner);
         match path.split('?').next().unwrap_or_default() {
             "/" => ("text/html; charset=utf-8", PAGE.as_bytes().to_vec()),
-            "/state" => ("application/json", shown.state.clone().into_bytes()),
+            "/state" => {
+                shown.asked = Some(Instant::now());
+                ("application/json", shown.state.clone().into_bytes())
+            }
             "/frame.png" => ("image/png", shown.png.clone()),
             _ => ("", Vec::new()),
         }
@@ -145,10 +169,17 @@ mod tests {
         let frame = StreamedFrame { frame: 7, at, dropped_before: 2, dropped: 3, field_frame, report, object };
         view.show(&frame);
         let text = |path| String::from_utf8_lossy(&get(address, path)).into_owned();
-        assert!(text("/").contains("frame.png"));
+        for words in ["frame.png", "name=\"viewport\"", "<h1>", "stream ended"] {
+            assert!(text("/").contains(words), "{words}");
+        }
         for field in ["\"dropped\":3", "\"exact\":false", "\"field_frame\":3"] {
             assert!(text("/state").contains(field), "{}", text("/state"));
         }
+        assert!(!text("/state").contains("ended"));
+        view.end();
+        let body = text("/state").split("\r\n\r\n").nth(1).map(str::to_string).unwrap();
+        let state: serde_json::Value = serde_json::from_str(&body).unwrap();
+        assert!(state["ended"] == true && state["frame"] == 7, "{state}");
         assert!(text("/elsewhere").starts_with("HTTP/1.1 404"));
         let picture = get(address, "/frame.png?n=1");
         let at = picture.windows(4).position(|bytes| bytes == b"\r\n\r\n").unwrap() + 4;

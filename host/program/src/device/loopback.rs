@@ -7,8 +7,8 @@ use half::f16;
 use ommatidia_shared::device::{Arenas, Device, FrameSource, IoError, Line, RamFrame, RamObject, Silent, serve};
 use ommatidia_shared::flash::RamFlash;
 use std::convert::Infallible;
-use std::fs::OpenOptions;
-use std::io::Write as _;
+use std::fs::{File, OpenOptions};
+use std::io::{Read as _, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::JoinHandle;
@@ -51,7 +51,7 @@ pub struct Loopback {
     to: Option<Sender<Vec<u8>>>,
     from: Receiver<Vec<u8>>,
     pending: Vec<u8>,
-    thread: Option<JoinHandle<()>>,
+    thread: Option<JoinHandle<Result<(), DeviceError>>>,
 }
 
 impl Loopback {
@@ -63,35 +63,67 @@ impl Loopback {
         Self::start_on(config, None)
     }
 
-    /// Starts it with the flash that `state` holds, which is written back when the program ends.
+    /// Starts it with the flash that `state` holds, which is written back when the program ends ([`Self::finish`]).
     ///
     /// # Errors
-    /// The thread cannot be started.
+    /// The file cannot be read or will not be writable, or the thread cannot be started.
     pub fn start_on(config: LoopbackConfig, state: Option<PathBuf>) -> Result<Self, DeviceError> {
+        if let Some(state) = &state {
+            writable(state).map_err(|error| DeviceError::state(state, error))?;
+        }
         let (to, inbox) = channel();
         let (outbox, from) = channel();
         let link = Link { inbox, outbox, pending: Vec::new() };
         let thread = std::thread::Builder::new().name("device".into()).spawn(move || play(config, link, state))?;
         Ok(Self { to: Some(to), from, pending: Vec::new(), thread: Some(thread) })
     }
+
+    /// Ends the program and waits until its flash is in its file.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn finish(mut self) -> Result<(), DeviceError> {
+        self.end()
+    }
+
+    /// Closing the line ends the program.
+    fn end(&mut self) -> Result<(), DeviceError> {
+        self.to = None;
+        let ended = self.thread.take().map(JoinHandle::join);
+        ended.unwrap_or(Ok(Ok(()))).unwrap_or_else(|_| Err(std::io::Error::other("the program has failed").into()))
+    }
 }
 
 impl Drop for Loopback {
     fn drop(&mut self) {
-        // Closing the line ends the program.
-        self.to = None;
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
+        if let Err(error) = self.end() {
+            tracing::error!("{error}");
         }
     }
 }
 
-/// Runs the device's program on a line until the line closes.
-pub(super) fn play<L: Read + Write>(config: LoopbackConfig, mut link: L, state: Option<PathBuf>) {
+/// Whether a file can be written, or made where there is none; leaves no trace.
+fn writable(file: &Path) -> std::io::Result<()> {
+    if file.exists() {
+        return OpenOptions::new().write(true).open(file).map(|_| ());
+    }
+    OpenOptions::new().write(true).create_new(true).open(file)?;
+    std::fs::remove_file(file)
+}
+
+/// Runs the device's program on a line until the line closes, then writes its flash to the file `state`.
+///
+/// # Errors
+/// The file cannot be read or written.
+pub(super) fn play<L: Read + Write>(
+    config: LoopbackConfig,
+    mut link: L,
+    state: Option<PathBuf>,
+) -> Result<(), DeviceError> {
     let mut flash = vec![0u128; config.flash_bytes.div_ceil(16)];
     let flash: &mut [u8] = &mut bytemuck::cast_slice_mut(&mut flash)[..config.flash_bytes];
-    if let Some(bytes) = state.as_ref().and_then(|state| std::fs::read(state).ok()) {
-        flash.iter_mut().zip(bytes).for_each(|(to, from)| *to = from);
+    if let Some(state) = state.as_ref().filter(|state| state.exists()) {
+        read_into(flash, state).map_err(|error| DeviceError::state(state, error))?;
     }
     let mut frame = vec![0u16; config.frame_px];
     let mut object = vec![f16::ZERO; config.object_px];
@@ -108,11 +140,18 @@ pub(super) fn play<L: Read + Write>(config: LoopbackConfig, mut link: L, state: 
     );
     // A line that fails is a line that is closed.
     let _ = serve(&mut link, &mut line, &mut device);
-    if let Some(state) = state
-        && let Err(error) = keep(&state, flash)
-    {
-        tracing::error!("{}: the flash cannot be saved: {error}", state.display());
+    match state {
+        Some(state) => keep(&state, flash).map_err(|error| DeviceError::state(&state, error)),
+        None => Ok(()),
     }
+}
+
+/// Fills the flash from the start of its file; what a shorter file lacks stays zero.
+fn read_into(flash: &mut [u8], state: &Path) -> std::io::Result<()> {
+    let mut bytes = Vec::new();
+    File::open(state)?.take(flash.len() as u64).read_to_end(&mut bytes)?;
+    flash[..bytes.len()].copy_from_slice(&bytes);
+    Ok(())
 }
 
 /// Frame `frame` of the simulated camera: a moving pattern of `pixels` codes, DN.

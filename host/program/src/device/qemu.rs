@@ -1,14 +1,15 @@
 //! An emulated board: the firmware under QEMU, over its emulated serial line.
 
 use super::counter::Counter;
+use super::emulator::Emulator;
 use super::error::DeviceError;
 use super::firmware::Firmware;
 use super::transport::Transport;
 use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Read, Seek};
 use std::net::UdpSocket;
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::path::Path;
+use std::process::{Child, Stdio};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -17,11 +18,6 @@ use std::time::{Duration, Instant};
 const ANSWER_LEN: usize = 160;
 /// A program that was asked to end does so within this time.
 const END_WITHIN: Duration = Duration::from_secs(10);
-
-/// `qemu-system-arm`, if it is on the `PATH`.
-pub fn find_qemu() -> Option<PathBuf> {
-    std::env::split_paths(&std::env::var_os("PATH")?).map(|dir| dir.join("qemu-system-arm")).find(|file| file.is_file())
-}
 
 /// An emulated board.
 ///
@@ -42,14 +38,15 @@ impl Qemu {
     /// # Errors
     /// QEMU is missing or cannot be started, or the file cannot be made.
     pub fn start(firmware: &Firmware, counter: Option<&Counter>, state: Option<&Path>) -> Result<Self, DeviceError> {
-        let program = find_qemu().ok_or(DeviceError::NoQemu)?;
+        let emulator = Emulator::find()?;
         let (socket, serial) = open_line()?;
         let output = tempfile::tempfile()?;
-        let mut command = Command::new(&program);
+        let mut command = emulator.command();
         command.args(["-M", firmware.board().name, "-display", "none", "-monitor", "none"]);
         if let Some(state) = state {
             let bytes = firmware.board().memory_bytes;
-            OpenOptions::new().create(true).truncate(false).write(true).open(state)?.set_len(bytes)?;
+            let file = OpenOptions::new().create(true).truncate(false).write(true).open(state);
+            file.and_then(|file| file.set_len(bytes)).map_err(|error| DeviceError::state(state, error))?;
             let memory = format!("memory-backend-file,id=memory,size={bytes},share=on,mem-path={}", state.display());
             command.args(["-object", &memory, "-machine", "memory-backend=memory"]);
         }
@@ -61,8 +58,7 @@ impl Qemu {
         }
         command.arg("-kernel").arg(firmware.path());
         command.stdin(Stdio::null()).stdout(output.try_clone()?).stderr(output.try_clone()?);
-        let child =
-            command.spawn().map_err(|source| DeviceError::Start { program: program.display().to_string(), source })?;
+        let child = command.spawn().map_err(|source| no_start(&emulator, source))?;
         Ok(Self { child: Arc::new(Mutex::new(child)), socket, output })
     }
 
@@ -132,7 +128,15 @@ fn lock(child: &Mutex<Child>) -> MutexGuard<'_, Child> {
 /// # Errors
 /// QEMU is missing, or the program fails.
 pub(super) fn run_to_end(firmware: &Firmware, counter: Option<&Counter>) -> Result<String, DeviceError> {
-    let output = emulator(firmware, counter)?.args(["-serial", "none"]).output().map_err(no_start)?;
+    let emulator = Emulator::find()?;
+    let mut command = emulator.command();
+    command.args(["-M", firmware.board().name, "-display", "none", "-monitor", "none", "-serial", "none"]);
+    command.args(["-semihosting-config", "enable=on,target=native"]);
+    if let Some(counter) = counter {
+        command.args(["-plugin", &counter.argument()]);
+    }
+    command.arg("-kernel").arg(firmware.path()).stdin(Stdio::null());
+    let output = command.output().map_err(|source| no_start(&emulator, source))?;
     let text = String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
     if output.status.success() {
         return Ok(text);
@@ -140,20 +144,8 @@ pub(super) fn run_to_end(firmware: &Firmware, counter: Option<&Counter>) -> Resu
     Err(DeviceError::Stopped { status: output.status.to_string(), output: text.trim().into() })
 }
 
-/// The emulator with an image, without a line.
-fn emulator(firmware: &Firmware, counter: Option<&Counter>) -> Result<Command, DeviceError> {
-    let mut command = Command::new(find_qemu().ok_or(DeviceError::NoQemu)?);
-    command.args(["-M", firmware.board().name, "-display", "none", "-monitor", "none"]);
-    command.args(["-semihosting-config", "enable=on,target=native"]);
-    if let Some(counter) = counter {
-        command.args(["-plugin", &counter.argument()]);
-    }
-    command.arg("-kernel").arg(firmware.path()).stdin(Stdio::null());
-    Ok(command)
-}
-
-fn no_start(source: std::io::Error) -> DeviceError {
-    DeviceError::Start { program: "qemu-system-arm".into(), source }
+fn no_start(emulator: &Emulator, source: std::io::Error) -> DeviceError {
+    DeviceError::Start { program: emulator.path().display().to_string(), source }
 }
 
 /// Our end of the line, and QEMU's description of its end.

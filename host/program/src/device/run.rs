@@ -2,9 +2,10 @@
 
 use super::client::Client;
 use super::counter::Counter;
+use super::emulator::Emulator;
 use super::error::DeviceError;
 use super::flash;
-use super::runtime::Runtime;
+use super::runtime::{Place, Runtime};
 use super::scope::{Deviation, Scope};
 use super::transport::Transport;
 use half::f16;
@@ -35,6 +36,10 @@ impl<'a> From<&'a [Vec<u16>]> for RunRequest<'a> {
 pub struct DeviceRun {
     /// Board, as the device reports it.
     pub board: String,
+    /// Where the program ran. On [`Place::Host`] no device took part, and equal bits say nothing about one.
+    pub place: Place,
+    /// The emulator and its version, if one was used.
+    pub emulator: Option<String>,
     /// Reconstructions, row by row.
     pub objects: Vec<Vec<f16>>,
     /// Report of the device on each frame.
@@ -45,6 +50,8 @@ pub struct DeviceRun {
     pub deviation: Option<Deviation>,
     /// Instructions of each reconstruction; `None` if they cannot be counted.
     pub instructions: Option<Vec<u64>>,
+    /// Why an emulator did not count the instructions.
+    pub uncounted: Option<String>,
     /// Telemetry of the device.
     pub telemetry: Telemetry,
     /// Wall time of sending the network file.
@@ -69,7 +76,7 @@ impl DeviceRun {
 
 /// Starts a device, uploads the network if it does not run already, reconstructs all frames, and compares them with the
 /// host's. The flash of an emulated device is the file `state`. `progress` is called with the share that is done, 0 to
-/// 1.
+/// 1. An emulator whose instructions cannot be counted runs uncounted.
 ///
 /// # Errors
 /// The device cannot be started, refuses a request, or stops answering.
@@ -80,16 +87,37 @@ pub fn run(
     state: Option<&Path>,
     progress: &mut dyn FnMut(f64),
 ) -> Result<DeviceRun, DeviceError> {
-    let counter = match runtime {
+    let emulator = match runtime {
         Runtime::Host(_) | Runtime::Serial { .. } => None,
-        Runtime::Qemu(_) => {
-            Counter::build().inspect_err(|error| tracing::warn!("instructions are not counted: {error}")).ok()
+        Runtime::Qemu(_) => Some(Emulator::find()?),
+    };
+    let mut once = |counter: Option<&Counter>| -> Result<DeviceRun, DeviceError> {
+        let (line, run) = converse(runtime.start(counter, state)?, blob, work, progress)?;
+        line.wait()?;
+        let run = DeviceRun { place: runtime.place(), emulator: emulator.as_ref().map(ToString::to_string), ..run };
+        match counter.map(|counter| counts(counter, run.reports.len())).transpose() {
+            Ok(instructions) => Ok(DeviceRun { instructions, ..run }),
+            Err(why) => Ok(DeviceRun { uncounted: Some(why.to_string()), ..run }),
         }
     };
-    let (line, mut run) = converse(runtime.start(counter.as_ref(), state)?, blob, work, progress)?;
-    line.wait()?;
-    run.instructions = counter.map(|counter| counter.regions()).transpose()?;
-    Ok(run)
+    let why = match emulator.as_ref().map(Counter::build).transpose() {
+        Ok(counter) => match once(counter.as_ref()) {
+            // The counter itself may have stopped the emulator.
+            Err(why @ DeviceError::Stopped { .. }) if counter.is_some() => why,
+            done => return done,
+        },
+        Err(why) => why,
+    };
+    once(None).map(|run| DeviceRun { uncounted: Some(why.to_string()), ..run })
+}
+
+/// The counts of all reconstructions.
+fn counts(counter: &Counter, runs: usize) -> Result<Vec<u64>, DeviceError> {
+    let regions = counter.regions()?;
+    if regions.len() == runs {
+        return Ok(regions);
+    }
+    Err(DeviceError::Counter { detail: format!("{} counts came for {runs} reconstructions", regions.len()) })
 }
 
 /// The whole conversation; gives the line back once the program was asked to end.
@@ -126,11 +154,14 @@ fn converse<T: Transport>(
     let differing_bits = differing_bits(&expected, &objects);
     let run = DeviceRun {
         board: info.board.as_str().into(),
+        place: Place::Host,
+        emulator: None,
         deviation: deviation(blob, work, &objects, &reports)?,
         objects,
         reports,
         differing_bits,
         instructions: None,
+        uncounted: None,
         telemetry,
         upload,
         frames: frames_took,

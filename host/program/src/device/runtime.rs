@@ -1,10 +1,11 @@
 //! Where the device's program runs: QEMU, this process, or a board.
 
 use super::counter::Counter;
+use super::emulator::find_qemu;
 use super::error::DeviceError;
 use super::firmware::Firmware;
 use super::loopback::{Loopback, LoopbackConfig};
-use super::qemu::{Qemu, find_qemu};
+use super::qemu::Qemu;
 use super::serial::Serial;
 use super::transport::Transport;
 use ommatidia_shared::boards::Board;
@@ -25,6 +26,37 @@ pub enum Runtime {
         /// Bits a second.
         baud: u32,
     },
+}
+
+/// Where a program ran: figures of the computer's own run are no figures of a device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// A board on a serial port.
+    Board,
+    /// A board that QEMU emulates.
+    Emulator,
+    /// This computer: the firmware's logic, compiled for it. No device took part.
+    Host,
+}
+
+impl Place {
+    /// As it is written in JSON.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Board => "board",
+            Self::Emulator => "emulator",
+            Self::Host => "host",
+        }
+    }
+
+    /// The board for people, where a device reports the name `board`.
+    pub fn board(self, board: &str) -> String {
+        match self {
+            Self::Board => board.into(),
+            Self::Emulator => format!("{board}, emulated"),
+            Self::Host => "none: the firmware's logic ran on this computer".into(),
+        }
+    }
 }
 
 /// Where the user wants the program to run.
@@ -53,12 +85,11 @@ impl Runtime {
         if wanted == RuntimeChoice::Host {
             return Ok((here, None));
         }
-        let found = match find_qemu() {
-            None => Err(DeviceError::NoQemu),
-            Some(_) => match image {
-                Some(image) => Firmware::given(board, image),
-                None => Firmware::build(board, "app"),
-            },
+        let given = image.map(|image| Firmware::given(board, image)).transpose()?;
+        let found = match (find_qemu(), given) {
+            (None, _) => Err(DeviceError::NoQemu),
+            (Some(_), Some(image)) => Ok(image),
+            (Some(_), None) => Firmware::build(board, "app"),
         };
         match found {
             Ok(firmware) => Ok((Self::Qemu(firmware), None)),
@@ -68,6 +99,15 @@ impl Runtime {
                 Ok((here, Some(why.to_string())))
             }
             Err(why) => Err(why),
+        }
+    }
+
+    /// Where the program runs.
+    pub fn place(&self) -> Place {
+        match self {
+            Self::Qemu(_) => Place::Emulator,
+            Self::Host(_) => Place::Host,
+            Self::Serial { .. } => Place::Board,
         }
     }
 
@@ -97,14 +137,15 @@ pub enum DeviceLine {
 }
 
 impl DeviceLine {
-    /// Waits for a program that was asked to end.
+    /// Waits for a program that was asked to end, and for its flash to be in its file.
     ///
     /// # Errors
-    /// It does not end, or ends with a failure.
+    /// It does not end, or ends with a failure; or the flash cannot be written to its file.
     pub fn wait(self) -> Result<(), DeviceError> {
         match self {
             Self::Qemu(qemu) => qemu.wait(),
-            Self::Host(_) | Self::Serial(_) => Ok(()),
+            Self::Host(line) => line.finish(),
+            Self::Serial(_) => Ok(()),
         }
     }
 }

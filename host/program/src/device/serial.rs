@@ -137,7 +137,7 @@ mod tests {
             let (theirs, ours) = TTYPort::pair().unwrap();
             let unplugged = Arc::new(AtomicBool::new(false));
             let link = Link { port: theirs, unplugged: Arc::clone(&unplugged) };
-            let device = std::thread::spawn(move || play(config, link, None));
+            let device = std::thread::spawn(move || play(config, link, None).unwrap());
             Self { port: ours.name().unwrap(), unplugged, device }
         }
 

@@ -88,7 +88,7 @@ pub fn stream(
 ) -> anyhow::Result<StreamReport> {
     let (mut client, info) = Client::connect(runtime.start(None, state)?)?;
     if matches!(feed.source, Frames::Camera) && !info.live {
-        return Err(DeviceError::NoCamera { board: info.board.as_str().into() }.into());
+        return Err(DeviceError::NoCamera { board: runtime.place().board(&info.board) }.into());
     }
     upload(&mut client, &info, blob, &mut |_| {})?;
     let start = Instant::now();

@@ -33,7 +33,7 @@ static ORIGINAL: LazyLock<TempDir> = LazyLock::new(|| {
     let session = TinySession::new(Fault::None);
     copy(&session.path(), &folder.path().join("session"));
     let objects =
-        Array3::from_shape_fn((3, 24, 24), |(i, r, c)| if (r + i) % 7 == 3 && c % 5 == 2 { 2.0 } else { 0.1 });
+        Array3::from_shape_fn((3, 24, 24), |(i, r, c)| if (r + i) % 7 == 3 && c % 5 == 2 { 0.2 } else { 0.01 });
     stack::write(&folder.path().join("objects.npy"), objects.view()).unwrap();
     std::fs::write(folder.path().join("bench.toml"), BENCH).unwrap();
     for command in [

@@ -8,7 +8,9 @@
 
 #[path = "../common/mod.rs"]
 mod common;
+mod devices;
 mod files;
+mod frames;
 mod sessions;
 mod table;
 

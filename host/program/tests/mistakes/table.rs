@@ -14,13 +14,21 @@ pub struct Mistake {
     prepare: Box<dyn Fn(&Path) + Sync>,
     exit: i32,
     says: Vec<String>,
+    path: Option<String>,
 }
 
 impl Mistake {
     /// `what` somebody did wrong, and the `command` that is then run on a desk (see [`desk`]), without the program's name.
     /// The command is expected to fail with exit code 1.
     pub fn new(what: impl Into<String>, command: impl Into<String>) -> Self {
-        Self { what: what.into(), command: command.into(), prepare: Box::new(|_| ()), exit: 1, says: Vec::new() }
+        Self {
+            what: what.into(),
+            command: command.into(),
+            prepare: Box::new(|_| ()),
+            exit: 1,
+            says: Vec::new(),
+            path: None,
+        }
     }
 
     /// Makes the mistake: changes the files of the desk before the command runs.
@@ -38,13 +46,25 @@ impl Mistake {
         Self { says: words.iter().map(ToString::to_string).collect(), ..self }
     }
 
+    /// The program finds no other programs: no emulator, no compiler.
+    pub fn without_other_programs(self) -> Self {
+        Self { path: Some(String::new()), ..self }
+    }
+
     /// Runs the command on a desk of its own, checks the outcome, and gives the row of the page.
     fn row(&self) -> Result<String, String> {
         let desk = desk::new();
         (self.prepare)(desk.path());
         let before = contents(desk.path());
         let mut command = Command::new(env!("CARGO_BIN_EXE_ommatidia"));
-        command.args(self.command.split_whitespace()).current_dir(desk.path()).env_remove("RUST_LOG");
+        command
+            .args(self.command.split_whitespace())
+            .current_dir(desk.path())
+            .env_remove("RUST_LOG")
+            .env("NO_COLOR", "1");
+        if let Some(path) = &self.path {
+            command.env("PATH", path);
+        }
         let output = command.output().unwrap();
         let printed = String::from_utf8_lossy(&output.stderr).replace(&*desk.path().to_string_lossy(), ".");
         let fail = |why: String| Err(format!("{} (`{}`): {why}; printed:\n{printed}", self.what, self.command));

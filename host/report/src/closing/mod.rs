@@ -12,6 +12,8 @@ mod story;
 mod tests;
 mod words;
 
+pub use words::plus_minus;
+
 pub use hidden::hidden;
 
 use super::ReportError;
@@ -104,18 +106,22 @@ fn keys(c: &Closing, asked: Asked) -> Vec<Key> {
         };
         keys.push(key("Effects found", found.to_string(), note, None));
     }
-    let (verdict, note) = match (c.catalogue_incomplete, asked) {
-        _ if c.verdict == Verdict::NotThisModel => ("not this one", "most of the residual is left"),
-        (true, Asked::Close) => ("incomplete", "the residual has structure that no known effect explains"),
-        (false, Asked::Close) => ("complete", "the residual has no structure"),
-        (true, Asked::Residual) => ("incomplete", "the residual has structure: run close"),
-        (false, Asked::Residual) => ("complete", "the residual has no structure"),
+    let left = story::significant(&c.dependences_after);
+    let (verdict, note, holds) = match (c.catalogue_incomplete, asked, left.first()) {
+        _ if c.verdict == Verdict::NotThisModel => {
+            ("not this one", "most of the residual is left".to_string(), Some(false))
+        }
+        (true, Asked::Close, _) => {
+            ("incomplete", "the residual has structure that no known effect explains".into(), Some(false))
+        }
+        (true, Asked::Residual, _) => ("incomplete", "the residual has structure: run close".into(), Some(false)),
+        // Significant, and smaller than what the search counts as structure.
+        (false, _, Some(d)) => {
+            let (what, z) = (d.covariate.words(), words::evidence(d));
+            ("nearly complete", format!("a trace of structure is left: {what}, {z}"), None)
+        }
+        (false, _, None) => ("complete", "no test finds structure in the residual".into(), Some(true)),
     };
-    keys.push(key(
-        "The model",
-        verdict.into(),
-        note.into(),
-        Some(!c.catalogue_incomplete && c.verdict == Verdict::Adequate),
-    ));
+    keys.push(key("The model", verdict.into(), note, holds));
     keys
 }

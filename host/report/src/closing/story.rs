@@ -151,7 +151,10 @@ fn rest(c: &Closing, asked: Asked) -> Markup {
             true => {
                 html! { "This structure is not noise; " code { "ommatidia close" } " searches for its cause." }
             }
-            false => html! { "The model predicts this session within its noise." },
+            false => match significant(&c.dependences_before).first() {
+                Some(d) => trace(d),
+                None => html! { "The model predicts this session within its noise." },
+            },
         };
     }
     let left = significant(&c.dependences_after);
@@ -169,14 +172,27 @@ fn rest(c: &Closing, asked: Asked) -> Markup {
                                                        whose cause is not identified. It is valid in the measured \
                                                        range only."
             }
-            (false, _) => "The remaining residual depends on none of the tested covariates; it is consistent with \
-                           noise."
+            (false, Some(d)) => (trace(d))
+            (false, None) => "The remaining residual depends on none of the tested covariates; it is consistent with \
+                              noise."
         }
     }
 }
 
+/// A dependence that is significant, and too small to count as structure.
+fn trace(d: &Dependence) -> Markup {
+    html! {
+        "A trace of structure is left: the residual depends on the " (d.covariate.words()) " (" (words::evidence(d))
+        ")"
+        @if let Some(size) = d.size {
+            ", " (words::number(100.0 * size)) " % of the variance of a pixel’s noise"
+        }
+        ". That is significant, but too small to count as an effect."
+    }
+}
+
 /// The significant tests at a family-wise level of 1 % (Bonferroni), strongest first.
-fn significant(dependences: &[Dependence]) -> Vec<&Dependence> {
+pub fn significant(dependences: &[Dependence]) -> Vec<&Dependence> {
     let n = dependences.len() as f64;
     let mut strong: Vec<&Dependence> = dependences.iter().filter(|d| d.p * n < 0.01).collect();
     strong.sort_by(|a, b| words::strongest_first(a, b));

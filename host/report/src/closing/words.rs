@@ -1,5 +1,6 @@
 //! Names, numbers and units for readers.
 
+use super::super::picture::raised;
 use ommatidia_closing::{Closing, Dependence, JudgedOn};
 
 /// Name of an effect from its id.
@@ -75,17 +76,6 @@ pub fn number(value: f64) -> String {
         return super::super::picture::number(value);
     }
     format!("{:.1} × 10{}", value / 10f64.powf(size), raised(size as i32))
-}
-
-fn raised(power: i32) -> String {
-    let digit = |c: char| match c {
-        '-' => '⁻',
-        '1' => '¹',
-        '2' => '²',
-        '3' => '³',
-        c => c.to_digit(10).and_then(|d| char::from_u32(0x2070 + d)).unwrap_or(c),
-    };
-    power.to_string().chars().map(digit).collect()
 }
 
 /// A list in a sentence: "a, b and c".

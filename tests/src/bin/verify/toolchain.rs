@@ -108,16 +108,17 @@ pub fn thumb() -> Result<Toolchain> {
     )
 }
 
-/// Finds or installs the emulator.
+/// Finds or installs the emulator, and prints its version. The tests ask it whether it counts instructions.
 pub fn ensure_qemu() -> Result<()> {
-    let version = || Command::new("qemu-system-arm").arg("--version").stdout(Stdio::null()).status();
+    let version = || Command::new("qemu-system-arm").arg("--version").output();
     if version().is_err() {
         apt_install(&["qemu-system-arm"]);
     }
-    let status = version().context("no qemu-system-arm: install it (Debian: `apt-get install qemu-system-arm`)")?;
-    if !status.success() {
-        bail!("`qemu-system-arm --version` failed");
+    let output = version().context("no qemu-system-arm: install it (Debian: `apt-get install qemu-system-arm`)")?;
+    if !output.status.success() {
+        bail!("`qemu-system-arm --version` failed: {}", String::from_utf8_lossy(&output.stderr).trim());
     }
+    println!("{}", String::from_utf8_lossy(&output.stdout).lines().next().unwrap_or_default());
     Ok(())
 }
 

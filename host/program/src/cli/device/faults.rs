@@ -2,7 +2,7 @@
 
 use crate::cli::common::Outcome;
 use crate::cli::files::{Content, Files};
-use crate::device::{Firmware, faults};
+use crate::device::{Emulator, Firmware, faults};
 use ommatidia_session::artifact::write_whole;
 use ommatidia_shared::boards::BOARDS;
 use serde_json::json;
@@ -25,6 +25,8 @@ impl Args {
 
 /// Runs the verb.
 pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
+    // Before the faults that need none.
+    Emulator::find()?;
     let mut rows = faults::try_here()?;
     let build = |bin| {
         let emulated = BOARDS.into_iter().filter(|board| board.emulated);

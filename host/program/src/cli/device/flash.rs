@@ -35,7 +35,7 @@ pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     bar.finish_and_clear();
     let (slot, seconds) = (report.slot, report.took.as_secs_f64());
     let json = json!({
-        "board": report.board, "network": report.telemetry.network.as_str(), "slot": format!("{:?}", slot.slot),
+        "board": report.board, "ran_on": runtime.place().name(), "network": report.telemetry.network.as_str(), "slot": format!("{:?}", slot.slot),
         "generation": slot.mark.generation, "bytes": slot.mark.len, "crc": format!("{:08x}", slot.mark.crc),
         "uploads": report.attempts, "verified": slot.runs, "seconds": seconds,
     });
@@ -47,7 +47,12 @@ pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let text = format!(
         "board         {}\nnetwork       {}, {} bytes, CRC {:08x}\nslot          {:?}, generation {}: committed and \
             running\nupload        {done}\n",
-        report.board, report.telemetry.network, slot.mark.len, slot.mark.crc, slot.slot, slot.mark.generation,
+        runtime.place().board(&report.board),
+        report.telemetry.network,
+        slot.mark.len,
+        slot.mark.crc,
+        slot.slot,
+        slot.mark.generation,
     );
     Ok(Outcome { json, text })
 }

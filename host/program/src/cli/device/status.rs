@@ -3,7 +3,7 @@
 use super::target::Target;
 use crate::cli::common::{Outcome, Run};
 use crate::cli::files::Files;
-use crate::device::{active_fraction, status};
+use crate::device::{Place, active_fraction, status};
 use ommatidia_shared::wire::{Info, SlotReport, Telemetry};
 use serde_json::{Value, json};
 
@@ -23,11 +23,13 @@ impl Args {
 
 /// Runs the verb.
 pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
-    let (info, telemetry) = status(&args.target.runtime(run)?, args.target.state.as_deref())?;
-    Ok(Outcome { json: json(&info, &telemetry), text: text(&info, &telemetry) })
+    let runtime = args.target.runtime(run)?;
+    let (info, telemetry) = status(&runtime, args.target.state.as_deref())?;
+    let place = runtime.place();
+    Ok(Outcome { json: json(place, &info, &telemetry), text: text(place, &info, &telemetry) })
 }
 
-fn json(info: &Info, t: &Telemetry) -> Value {
+fn json(place: Place, info: &Info, t: &Telemetry) -> Value {
     let slot = |slot: &SlotReport| {
         json!({
             "slot": format!("{:?}", slot.slot), "generation": slot.mark.generation, "bytes": slot.mark.len,
@@ -35,7 +37,7 @@ fn json(info: &Info, t: &Telemetry) -> Value {
         })
     };
     json!({
-        "board": info.board.as_str(), "network": t.network.as_str(),
+        "board": info.board.as_str(), "ran_on": place.name(), "network": t.network.as_str(),
         "slots": t.slots.iter().flatten().map(slot).collect::<Vec<_>>(), "refused_slots": t.refused_slots,
         "slot_bytes": info.blob_bytes, "starts": t.starts, "started_by": format!("{:?}", t.started_by).to_lowercase(),
         "runs": t.runs, "held_runs": t.held_runs, "cycles": t.cycles, "active_fraction": active_fraction(t),
@@ -56,8 +58,8 @@ pub(super) fn active_text(t: &Telemetry) -> String {
     }
 }
 
-fn text(info: &Info, t: &Telemetry) -> String {
-    let mut text = format!("board         {}\n", info.board);
+fn text(place: Place, info: &Info, t: &Telemetry) -> String {
+    let mut text = format!("board         {}\n", place.board(&info.board));
     let network = if t.network.is_empty() { "none: send one with `ommatidia device flash`" } else { &t.network };
     text += &format!("network       {network}\n");
     for slot in t.slots.iter().flatten() {

@@ -1,11 +1,13 @@
 //! `device stream`: frames in, reconstructions out, a live view in the browser.
 
 use super::target::Target;
-use crate::cli::common::{Outcome, Run};
+use crate::cli::common::{Outcome, Run, warn};
 use crate::cli::files::{Content, Files};
-use crate::device::{FrameFeed, Frames, LiveView, StreamRecording, StreamReport, active_fraction, stream};
+use crate::device::{FrameFeed, Frames, LiveView, Place, StreamRecording, StreamReport, active_fraction, stream};
 use anyhow::Context;
+use ommatidia_network::methods::frame_range;
 use ommatidia_network::network_file::NetworkFile;
+use ommatidia_physics::sensor::FrameWatch;
 use ommatidia_session::FrameReader;
 use ommatidia_session::kind::FileKind;
 use serde_json::json;
@@ -68,6 +70,7 @@ pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let mut reader = args.frames.as_deref().map(FrameReader::open).transpose()?;
     let len = reader.as_ref().map_or(args.live.unwrap_or_default() as usize, FrameReader::len);
     let region = args.scope.region(&header);
+    let mut watch = frame_range(&args.with)?.map(FrameWatch::new);
     let runtime = args.target.runtime(run)?;
     let view = match args.view {
         None => LiveView::none(),
@@ -86,6 +89,9 @@ pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let mut read = |i: usize| {
         let reader = reader.as_mut().context("no frames were given with --frames")?;
         let frame = reader.read(i)?;
+        if let Some(watch) = &mut watch {
+            watch.see(i, frame.view());
+        }
         blob.codes(frame.view()).with_context(|| format!("{}: frame {i}", reader.path().display()))
     };
     let source = if args.frames.is_some() { Frames::Stack(&mut read) } else { Frames::Camera };
@@ -96,16 +102,21 @@ pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         record.as_mut().map_or(Ok(()), |record| record.push(frame))
     })?;
     bar.finish_and_clear();
-    Ok(outcome(&report, len))
+    view.end();
+    let stack = args.frames.as_deref().unwrap_or(&args.with);
+    let warnings = warn(watch.and_then(|watch| watch.warning(stack)));
+    let mut outcome = outcome(&report, len, runtime.place());
+    outcome.json["warnings"] = json!(warnings);
+    Ok(outcome)
 }
 
-fn outcome(report: &StreamReport, came: usize) -> Outcome {
+fn outcome(report: &StreamReport, came: usize, place: Place) -> Outcome {
     let (shown, seconds) = (report.reconstructed, report.took.as_secs_f64());
     let left_out = came - shown - report.dropped;
     let rate = shown as f64 / seconds.max(1e-9);
     let t = &report.telemetry;
     let json = json!({
-        "board": report.board, "frames": came, "reconstructed": shown, "dropped": report.dropped, "left_out": left_out,
+        "board": report.board, "ran_on": place.name(), "frames": came, "reconstructed": shown, "dropped": report.dropped, "left_out": left_out,
         "failed_on_the_line": report.failed, "held": report.held, "seconds": seconds, "frames_per_second": rate,
         "active_fraction": active_fraction(t),
         "device_dropped_frames": t.dropped_frames, "crc_errors": t.crc_errors, "dropped_packets": t.dropped_packets,
@@ -114,7 +125,7 @@ fn outcome(report: &StreamReport, came: usize) -> Outcome {
         "board         {}\nframes        {came} arrived, {shown} reconstructed, {} dropped ({} of them lost on the \
             line), {left_out} skipped by --every\nfield         {}\nrate          {rate:.2} frames per \
             second\nawake         {}\n",
-        report.board,
+        place.board(&report.board),
         report.dropped,
         report.failed,
         super::scope::exactness(report.held, shown),

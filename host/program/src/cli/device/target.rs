@@ -2,10 +2,12 @@
 
 use crate::cli::common::Run;
 use crate::cli::files::{Content, Files};
-use crate::device::{BAUD, Runtime, RuntimeChoice};
+use crate::device::{BAUD, DeviceError, Runtime, RuntimeChoice};
+use anyhow::anyhow;
 use clap::ValueEnum;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use ommatidia_shared::boards::{BOARDS, Board, MPS2_AN500};
+use std::io::Write;
 use std::path::PathBuf;
 
 /// Options that name a device.
@@ -66,10 +68,27 @@ impl Target {
             On::Qemu => RuntimeChoice::Qemu,
             On::Host => RuntimeChoice::Host,
         };
-        let (runtime, fallback) = Runtime::choose(self.board, wanted, self.firmware.as_deref())?;
+        let choice = Runtime::choose(self.board, wanted, self.firmware.as_deref());
+        let (runtime, fallback) = choice.map_err(|error| self.advised(error))?;
         if let (Some(why), false) = (&fallback, run.quiet) {
-            eprintln!("note: the firmware's logic runs on this computer, not on the emulated board: {why}");
+            // A reader of stderr that has left is no reason to stop.
+            let _ = writeln!(
+                std::io::stderr(),
+                "note: the firmware's logic runs on this computer, not on the emulated board: {why}"
+            );
         }
         Ok(runtime)
+    }
+
+    /// The error with the options that help.
+    fn advised(&self, error: DeviceError) -> anyhow::Error {
+        let here = "run the firmware's logic on this computer with `--on host`";
+        match &error {
+            DeviceError::NoFirmware { .. } if self.firmware.is_none() => {
+                anyhow!("{error}; or name an image with `--firmware ELF`; or {here}")
+            }
+            DeviceError::NoQemu | DeviceError::NoFirmware { .. } => anyhow!("{error}; or {here}"),
+            _ => error.into(),
+        }
     }
 }
