@@ -183,6 +183,24 @@ fn the_page_shows_every_artifact_and_asks_the_network_for_nothing() {
         assert!(!foreign, "the page refers to {address}");
     }
     assert_eq!(page.matches("<img").count(), page.matches("alt=\"").count());
+    // A caption inside a table that scrolls is cut off on a narrow screen.
+    assert!(!page.contains("<caption") && page.contains("<p class=\"caption\" id=\"table-1\">"));
+}
+
+#[test]
+fn reconstructions_of_a_host_are_not_called_those_of_a_device() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    evaluation().write(&path("evaluation.safetensors"), Provenance::new("evaluate", 1, &())).unwrap();
+    let run = |place: &str| {
+        let json = json!({"bit_exact": true, "differing_bits": 0, "board": "mps2-an500", "ran_on": place});
+        std::fs::write(path("device.json"), json.to_string()).unwrap();
+        render(&[path("evaluation.safetensors"), path("device.json")]).unwrap()
+    };
+    let (here, there) = (run("host"), run("emulator"));
+    assert!(there.contains("SV-FourierNet, device") && there.contains("On the device"));
+    assert!(!here.contains("SV-FourierNet, device") && !here.contains("On the device"));
+    assert!(here.contains("SV-FourierNet, not on a device") && here.contains("Not run on a device"));
 }
 
 #[test]

@@ -123,6 +123,23 @@ fn the_chapter_reports_what_was_found_what_not_and_what_remains() {
 }
 
 #[test]
+fn what_is_significant_and_small_is_a_trace_and_no_completeness() {
+    let mut a = account();
+    assert!(render(&a, Asked::Close).contains("complete") && !render(&a, Asked::Close).contains("trace"));
+    // Significant at 6 sigma, and less than the search counts as structure.
+    let trace = Dependence { size: Some(2e-4), p: 1e-9, z: 6.0, ..dependence(Covariate::RowParity, 2, 0.01) };
+    a.closing.dependences_after[0] = trace.clone();
+    let page = render(&a, Asked::Close);
+    holds(&page, &["nearly complete", "row parity, 6.0 σ", "A trace of structure is left", "0.02 % of the variance"]);
+    for text in ["consistent with noise", "no test finds structure"] {
+        assert!(!page.contains(text), "{text}");
+    }
+    a.closing.dependences_before = vec![trace];
+    let page = render(&a, Asked::Residual);
+    assert!(page.contains("A trace of structure") && !page.contains("within its noise"));
+}
+
+#[test]
 fn a_residual_has_no_after() {
     let mut a = account();
     a.closing.effects.clear();
