@@ -42,9 +42,9 @@ fn devices_that_are_not_there_and_files_that_do_not_fit() {
             "The flash file is in a folder that is not there",
             "device flash --with network.omm --on host --state disk/a.flash",
         )
-        .says(&["disk/a.flash", "nothing is kept", "folder"]),
+        .says(&["disk/a.flash", "does not exist", "create it"]),
         Mistake::new("The flash file is a folder", "device flash --with network.omm --on host --state session")
-            .says(&["session", "nothing is kept", "--state"]),
+            .says(&["session", "flash memory of a board", "found a folder"]),
         Mistake::new("A checkpoint in place of a network file", "device flash --with network --on host").says(&[
             "network",
             "checkpoint",
@@ -95,11 +95,8 @@ fn devices_that_are_not_there_and_files_that_do_not_fit() {
     ];
     if cfg!(target_os = "linux") {
         rows.push(
-            Mistake::new("The disk is full", "device flash --with network.omm --on host --state /dev/full").says(&[
-                "/dev/full",
-                "nothing is kept",
-                "room",
-            ]),
+            Mistake::new("The flash file is no file", "device flash --with network.omm --on host --state /dev/full")
+                .says(&["/dev/full", "flash memory of a board", "neither a file nor a folder"]),
         );
     }
     hold("Devices", rows);
