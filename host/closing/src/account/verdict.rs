@@ -71,7 +71,8 @@ pub(crate) fn shadowed(all: &[Shadowed]) -> Vec<Nearest> {
         id: s.id.into(),
         z: s.z,
         why: format!(
-            "it explains {:.1} % of what the strongest effect explains: no more than a small error in the law of that one",
+            "it explains {:.1} % of what the strongest effect explains, no more than a small error in the law of that \
+             one would leave",
             100.0 * s.share
         ),
     };

@@ -75,8 +75,8 @@ pub(crate) fn pictured_frames(seen: &Observations) -> impl Iterator<Item = usize
     (0..seen.frames.len()).filter(|k| matches!(seen.frames[*k].role, Role::Scene | Role::Bead))
 }
 
-/// Figures on held-out data: the held-out frames of [`JudgedOn`], or, if no frame is held out, the held-out blocks of all
-/// of them.
+/// Figures on held-out data: the held-out frames of [`JudgedOn`], or, if no frame is held out, the held-out blocks of
+/// all of them.
 pub fn figures(model: &Model<'_>, fitted: &Fitted) -> Figures {
     let seen = model.seen;
     let mut frames: Vec<usize> = judged(seen).filter(|k| seen.frames[*k].held_out).collect();

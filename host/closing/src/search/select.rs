@@ -14,8 +14,8 @@ use ommatidia_session::Role;
 pub const ALPHA: f64 = 0.02;
 /// Effects within this chi-squared of the best are ambiguous with it.
 pub const AMBIGUOUS: f64 = 10.8;
-/// The law of an effect describes a real change only in part: about this share of what a strong effect explains remains,
-/// in the form of its neighbours in law. An effect that gains less beside it is not named.
+/// The law of an effect describes a real change only in part: about this share of what a strong effect explains
+/// remains, in the form of its neighbours in law. An effect that gains less beside it is not named.
 pub const SHADOW: f64 = 0.03;
 /// Number of effects in the shadow of a stronger one that are listed; after so many full fits of such the search ends.
 const SHADOWED: usize = 3;

@@ -1,7 +1,8 @@
 //! How well a model predicts frames: against noise-free expectations where they are known, and against measured frames.
 //!
 //! Model and session may count light in different units, so a whole stack is judged after one free scale of the light.
-//! It acts on the light that falls on the sensor, before full scale clips it. The scale is 1 for a model that was calibrated in the session's own unit.
+//! It acts on the light that falls on the sensor, before full scale clips it. The scale is 1 for a model that was
+//! calibrated in the session's own unit.
 
 use super::figures::{MetricError, Moments, squared_error};
 use ndarray::{Array2, ArrayView2, Zip};
@@ -262,8 +263,8 @@ pub fn prediction_figures(
     Ok(figures_at(scale, count, sensor, &mut frame)?.0)
 }
 
-/// The figures at one scale of the light, and the factor by which the light of the frames differs from it; None where no
-/// pixel shows it.
+/// The figures at one scale of the light, and the factor by which the light of the frames differs from it; None where
+/// no pixel shows it.
 fn figures_at(
     scale: f64,
     count: usize,
@@ -305,8 +306,8 @@ fn figures_at(
     Ok((figures, fit.scale().ok().filter(|more| *more > 0.0)))
 }
 
-/// The sums from which the scale is fitted: light above black level and fixed pattern, of pixels that clip neither in the
-/// prediction nor in the reference.
+/// The sums from which the scale is fitted: light above black level and fixed pattern, of pixels that clip neither in
+/// the prediction nor in the reference.
 fn unclipped(f: &FrameComparison, sensor: SensorNoise<'_>) -> Result<Moments, MetricError> {
     let (black, top) = (sensor.noise.black_level_dn as f32, sensor.noise.saturation_dn as f32);
     let (mut light, mut reference) = (&f.predicted - black, f.reference() - black);

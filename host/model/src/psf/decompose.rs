@@ -46,8 +46,8 @@ impl Decomposition {
 
 /// Decomposes `windows` [bead, px] into at most `rank` terms.
 ///
-/// `sigma`, one value for each pixel, is the standard deviation of the noise of each pixel, in any unit. `known` [bead, px] marks the
-/// measured pixels (None: all).
+/// `sigma`, one value for each pixel, is the standard deviation of the noise of each pixel, in any unit. `known`
+/// [bead, px] marks the measured pixels (None: all).
 ///
 /// # Errors
 /// The windows hold non-finite values.

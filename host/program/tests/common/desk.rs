@@ -9,7 +9,8 @@
 //! | `network.omm` | its network file |
 //! | `frames.npy`, `objects.npy` | three objects and their predicted frames |
 //! | `report.html` | report of the instrument |
-//! | `bench.toml`, `scenes/`, `scenes.instrument` | a small virtual instrument, its session with scenes of known objects, and its calibration |
+//! | `bench.toml`, `scenes/` | a small virtual instrument, and its session with scenes of known objects |
+//! | `scenes.instrument` | calibrated from it |
 
 use super::{Fault, TinySession, ommatidia};
 use ndarray::Array3;

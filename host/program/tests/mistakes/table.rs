@@ -18,7 +18,8 @@ pub struct Mistake {
 }
 
 impl Mistake {
-    /// `what` somebody did wrong, and the `command` that is then run on a desk (see [`desk`]), without the program's name.
+    /// `what` somebody did wrong, and the `command` that is then run on a desk (see [`desk`]), without the program's
+    /// name.
     /// The command is expected to fail with exit code 1.
     pub fn new(what: impl Into<String>, command: impl Into<String>) -> Self {
         Self {

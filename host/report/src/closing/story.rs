@@ -159,7 +159,8 @@ fn rest(c: &Closing, asked: Asked) -> Markup {
     }
     let left = significant(&c.dependences_after);
     html! {
-        @if added(c).next().is_some() && c.judged_on != JudgedOn::Nothing { "With " @if added(c).count() == 1 { "it" } @else { "them" } " χ² is "
+        @if added(c).next().is_some() && c.judged_on != JudgedOn::Nothing {
+            "With " @if added(c).count() == 1 { "it" } @else { "them" } " χ² is "
             b { (format!("{:.3}", c.after.chi2_ndf)) " per pixel" } ". " }
         @match (c.catalogue_incomplete, left.first()) {
             (true, Some(d)) => {

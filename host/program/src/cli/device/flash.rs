@@ -35,7 +35,8 @@ pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     bar.finish_and_clear();
     let (slot, seconds) = (report.slot, report.took.as_secs_f64());
     let json = json!({
-        "board": report.board, "ran_on": runtime.place().name(), "network": report.telemetry.network.as_str(), "slot": format!("{:?}", slot.slot),
+        "board": report.board, "ran_on": runtime.place().name(), "network": report.telemetry.network.as_str(),
+        "slot": format!("{:?}", slot.slot),
         "generation": slot.mark.generation, "bytes": slot.mark.len, "crc": format!("{:08x}", slot.mark.crc),
         "uploads": report.attempts, "verified": slot.runs, "seconds": seconds,
     });
