@@ -78,3 +78,31 @@ pub(crate) fn shadowed(all: &[Shadowed]) -> Vec<Nearest> {
     };
     all.iter().filter(|s| !s.id.starts_with("unknown")).map(one).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn figures(chi2_ndf: f64, nrmse: f64) -> Figures {
+        Figures { chi2_ndf, nrmse, pcc: 0.9 }
+    }
+
+    #[test]
+    fn an_instrument_that_predicts_worse_in_either_figure_is_worse() {
+        assert!(worse(figures(1.2, 0.05), figures(1.3, 0.04)));
+        assert!(worse(figures(0.52, 0.19), figures(0.79, 0.25)));
+        assert!(!worse(figures(1.2, 0.05), figures(1.1, 0.05)));
+        // A noise model that was too wide becomes right.
+        assert!(!worse(figures(0.6, 0.05), figures(0.99, 0.05)));
+        // What is not judged is not worse.
+        assert!(!worse(figures(f64::NAN, f64::NAN), figures(f64::NAN, f64::NAN)));
+    }
+
+    #[test]
+    fn a_name_needs_most_of_the_excess_only_where_structure_is_left() {
+        let of = |left| Excess { left };
+        assert!(of(0.3).names_are_earned(false) && of(0.1).names_are_earned(true) && !of(0.3).names_are_earned(true));
+        let verdicts = [of(0.9).verdict(false), of(0.1).verdict(true), of(0.9).verdict(true)];
+        assert_eq!(verdicts, [Verdict::Adequate, Verdict::Incomplete, Verdict::NotThisModel]);
+    }
+}

@@ -11,11 +11,11 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "snake_case")]
 pub enum JudgedOn {
     /// Scenes of known objects, and bead frames.
+    #[default]
     Known,
     /// Flats and darks: the sensor is judged, the optics are not.
     Even,
     /// No frame of known content.
-    #[default]
     Nothing,
 }
 

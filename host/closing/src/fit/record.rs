@@ -203,3 +203,58 @@ fn fisher(a: f64, b: f64, n: usize) -> f64 {
 fn correlation(a: &Array2<f32>, b: &Array2<f32>) -> f64 {
     Moments::of(a.view(), b.view()).map_or(0.0, |m| m.pcc())
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use ommatidia_session::{FrameInfo, Role};
+
+    /// Sparse sources of a frame, as dense as `k` says, moved by some pixels.
+    fn sources(k: usize, moved_px: f64) -> Array2<f32> {
+        let at = |i: usize| [(i * 29 + k * 13) % 80 + 8, (i * 47 + k * 19) % 80 + 8].map(|v| v as f64 + moved_px);
+        Array2::from_shape_fn((96, 96), |(r, c)| {
+            let light = |i: usize| {
+                let [y, x] = at(i);
+                (-((r as f64 - y).powi(2) + (c as f64 - x).powi(2)) / 2.0).exp()
+            };
+            (0..3 + 9 * k).map(|i| 500.0 * light(i)).sum::<f64>() as f32
+        })
+    }
+
+    fn faults(moved_px: f64, factor: f32) -> Vec<Fault> {
+        let seen = |k: usize| {
+            let light = if k == 2 { factor } else { 1.0 };
+            Seen { frame: k, measured: sources(k, moved_px) * light, own: sources(k, 0.0), flipped: Vec::new() }
+        };
+        let frame = |k: usize| crate::data::Frame {
+            stack: 0,
+            role: Role::Scene,
+            info: FrameInfo::plain(k, 10.0),
+            measured: Array2::zeros((1, 1)),
+            cut: None,
+            shown: Shown::Object(k),
+            held_out: false,
+            previous: None,
+        };
+        let mut observations = Observations {
+            frames: (0..6).map(frame).collect(),
+            truths: Vec::new(),
+            pixels: Vec::new(),
+            blocks: Vec::new(),
+            held_out_blocks: Vec::new(),
+            sensor: [96, 96],
+        };
+        exposures(&mut observations, &(0..6).map(seen).collect::<Vec<_>>())
+    }
+
+    #[test]
+    fn frames_out_of_place_are_no_faults_of_exposure() {
+        for moved_px in [0.0, 0.8, 2.0] {
+            assert!(faults(moved_px, 1.0).is_empty(), "moved by {moved_px} px: {:?}", faults(moved_px, 1.0));
+            let found = faults(moved_px, 1.3);
+            let FaultKind::Exposure { factor } = found[0].kind else { panic!("{found:?}") };
+            assert!(found.len() == 1 && found[0].frame == 2 && (factor - 1.3).abs() < 0.03, "{found:?}");
+        }
+    }
+}

@@ -370,3 +370,34 @@ pub(crate) fn noise_dn(
     chain.on_reading(&mut dn, &cx, reading);
     dn - quiet
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Frames of blobs, DN, whose places depend on `specimen`, with the noise of the nominal model.
+    fn frame(specimen: usize, draw: u64, noise: &NoiseModel) -> Array2<f32> {
+        let mut random = stream(9, "repeats/tests", draw);
+        Array2::from_shape_fn((64, 64), |(r, c)| {
+            let near = |k: usize| {
+                let [y, x] = [(k * 23 + specimen * 31) % 64, (k * 37 + specimen * 17) % 64].map(|v| v as f64);
+                (-((r as f64 - y).powi(2) + (c as f64 - x).powi(2)) / 8.0).exp()
+            };
+            let electrons = 60.0 + 2000.0 * (0..12).map(near).sum::<f64>();
+            let z: f64 = StandardNormal.sample(&mut random);
+            let dn = noise.black_level_dn + noise.gain_dn_per_e * electrons;
+            (dn + noise.variance_dn2(dn).sqrt() * z).round() as f32
+        })
+    }
+
+    #[test]
+    fn frames_of_different_specimens_are_no_repeats() {
+        let noise = NoiseModel::nominal();
+        let a = frame(1, 1, &noise);
+        let inverse_sigma = a.mapv(|dn| 1.0 / (noise.variance_dn2(f64::from(dn)).sqrt() as f32));
+        let same = |b: &Array2<f32>| shows_the_same(&a, b, &inverse_sigma, &noise);
+        assert!(same(&frame(1, 2, &noise)) && !same(&frame(2, 3, &noise)));
+        // A light that changes smoothly is no other specimen.
+        assert!(same(&frame(1, 4, &noise).mapv(|dn| dn + 3.0)));
+    }
+}

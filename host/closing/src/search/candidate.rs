@@ -44,6 +44,12 @@ impl Candidate {
         self.table.as_ref().map(|t| t.z).or(self.test.as_ref().map(|t| t.z)).unwrap_or(0.0)
     }
 
+    /// Whether an error in the law of another effect may look like this one. Tables are estimated from even light and
+    /// darks alone, pixel by pixel: the optics cannot imitate them.
+    pub(crate) fn can_be_shadowed(&self) -> bool {
+        self.table.is_none()
+    }
+
     /// Fall of the training deviance that the score, linear in the strengths, announces.
     pub(crate) fn gain(&self) -> f64 {
         let of_table = self.table.as_ref().map(|t| t.z * t.z.abs());

@@ -2,7 +2,7 @@
 use super::super::page::Numbers;
 use super::*;
 use ndarray::Array3;
-use ommatidia_closing::{Covariate, Effect, Fault, FaultKind, Figures, Rejected, Value};
+use ommatidia_closing::{Covariate, Effect, Fault, FaultKind, Figures, Nearest, Rejected, Value};
 use ommatidia_model::testing;
 
 fn value(name: &str, value: f64, sigma: f64, unit: &str) -> Value {
@@ -151,6 +151,24 @@ fn a_residual_has_no_after() {
     for text in ["Residual after", ">after<", "→", "Effects found", "Not found"] {
         assert!(!page.contains(text), "{text}");
     }
+}
+
+#[test]
+fn what_only_imitates_is_no_effect_and_an_unknown_specimen_has_no_figures() {
+    let mut a = account();
+    let z = 8.3;
+    a.closing.nearest = vec![Nearest { id: "radial_distortion".into(), z, why: "63 % of the excess is left".into() }];
+    a.closing.effects.clear();
+    a.closing.verdict = Verdict::NotThisModel;
+    let page = render(&a, Asked::Close);
+    holds(&page, &["Not shown as a cause:", "radial distortion", "63 % of the excess is left", "not this one"]);
+    assert!(!page.contains("The model lacked"));
+    a.closing.judged_on = JudgedOn::Nothing;
+    let none = Figures { chi2_ndf: f64::NAN, nrmse: f64::NAN, pcc: f64::NAN };
+    (a.closing.before, a.closing.after) = (none, none);
+    let page = render(&a, Asked::Close);
+    holds(&page, &["not judged", "Nobody knows the specimens"]);
+    assert!(!page.contains("NaN"));
 }
 
 #[test]
