@@ -6,6 +6,9 @@ use crate::fit::Term;
 /// Penalty of each additional parameter, in units of chi-squared.
 pub(crate) const PENALTY: f64 = 6.0;
 
+/// Fall of chi-squared per pixel from which a term without a name is worth adding whatever it stands beside.
+const MUCH: f64 = 0.05;
+
 /// An effect with its score test.
 #[derive(Clone, Debug)]
 pub struct Candidate {
@@ -45,9 +48,11 @@ impl Candidate {
     }
 
     /// Whether an error in the law of another effect may look like this one. Tables are estimated from even light and
-    /// darks alone, pixel by pixel: the optics cannot imitate them.
-    pub(crate) fn can_be_shadowed(&self) -> bool {
-        self.table.is_none()
+    /// darks alone, pixel by pixel: the optics cannot imitate them. A term without a name claims no cause, so that it is
+    /// added wherever much is left of the data of `pixels` pixels.
+    pub(crate) fn can_be_shadowed(&self, pixels: f64) -> bool {
+        let much = self.term.id().starts_with("unknown") && self.gain() > MUCH * pixels;
+        self.table.is_none() && !much
     }
 
     /// Fall of the training deviance that the score, linear in the strengths, announces.

@@ -161,8 +161,9 @@ impl<'m, 'a> Search<'m, 'a> {
             let able = candidates.iter().zip(&significant).filter(|(c, s)| **s && open(c)).map(|(c, _)| c);
             // The score of an effect in the shadow shows that already; its full fit would only take time.
             let floor = SHADOW * self.strongest_fall;
+            let pixels = self.now.training.pixels as f64;
             let (able, faint): (Vec<&Candidate>, Vec<&Candidate>) =
-                able.partition(|c| !c.can_be_shadowed() || c.gain() >= floor);
+                able.partition(|c| !c.can_be_shadowed(pixels) || c.gain() >= floor);
             let finalists = finalists(&able);
             if finalists.is_empty() || self.found.len() >= MOST || self.shadowed.len() >= SHADOWED {
                 for c in faint.iter().take(SHADOWED.saturating_sub(self.shadowed.len())) {
@@ -174,7 +175,9 @@ impl<'m, 'a> Search<'m, 'a> {
             }
             let verdict = self.confirm(&finalists, progress)?;
             match self.or_calibration(verdict, &candidates)? {
-                Verdict::Added(it) if it.candidate.can_be_shadowed() && it.gain < SHADOW * self.strongest_gain() => {
+                Verdict::Added(it)
+                    if it.candidate.can_be_shadowed(pixels) && it.gain < SHADOW * self.strongest_gain() =>
+                {
                     let share = it.gain / self.strongest_gain();
                     self.shadowed.push(Shadowed { id: it.candidate.term.id(), z: it.candidate.z(), share });
                     refused.push(it.candidate.term.id());

@@ -128,9 +128,9 @@ pub fn check(session: &Session, mut step: impl FnMut()) -> Result<SessionCheck, 
     let mut found = None;
     if session.stacks_of(Role::Bead).next().is_some() {
         let scan = scan::Scan::read(session, &mut step)?;
-        let (more, seen) = look(session, &scan);
-        findings.extend(more);
         findings.extend(frames::drift(&scan));
+        let (more, seen) = look(session, &scan.at_one_depth());
+        findings.extend(more);
         found = seen;
     }
     findings.extend(frames::counts(session, &levels));

@@ -32,47 +32,16 @@ pub struct Outlier {
     pub shown_um: [f64; 2],
 }
 
-/// Fewest frames of a depth whose positions are compared.
-const FEWEST: usize = 6;
-
-/// The frames that coincide with the others of their depth much less than most do. Foci change their shape with depth,
-/// so frames of different depths say nothing of each other's positions.
+/// The frames that coincide with the others much less than most do.
 pub fn outliers(scan: &Scan, tried: &Tried) -> Vec<Outlier> {
-    if !tried.testable {
+    if !tried.testable || scan.frames.len() < 6 {
         return Vec::new();
     }
-    let mut depths_um: Vec<f64> = scan.frames.iter().map(|f| f.z_um).collect();
-    depths_um.sort_by(f64::total_cmp);
-    depths_um.dedup();
-    if let [_] = depths_um[..] {
-        return outliers_at_one_depth(scan, &tried.moved, &tried.by_frame);
-    }
-    let mut all = Vec::new();
-    for z_um in depths_um {
-        let here: Vec<usize> = (0..scan.frames.len()).filter(|n| scan.frames[*n].z_um == z_um).collect();
-        if here.len() < FEWEST {
-            continue;
-        }
-        let frames = here.iter().map(|n| scan.frames[*n].clone()).collect();
-        let part = Scan { frames, all_moved_px: scan.all_moved_px.clone(), bin: scan.bin };
-        let moved: Vec<[f64; 2]> = here.iter().map(|n| tried.moved[*n]).collect();
-        all.extend(outliers_at_one_depth(&part, &moved, &part.correlations(&moved)));
-    }
-    all.sort_by_key(|o| o.bead);
-    all
-}
-
-/// The outliers among frames of one depth, which `moved_back` (sensor pixels) moves back, with the correlation of each frame
-/// with the others.
-fn outliers_at_one_depth(scan: &Scan, moved_back: &[[f64; 2]], by_frame: &[f64]) -> Vec<Outlier> {
-    if scan.frames.len() < FEWEST {
-        return Vec::new();
-    }
-    let typical = middle(by_frame);
-    let mut suspects: Vec<usize> = (0..scan.frames.len()).filter(|n| by_frame[*n] < SUSPECT * typical).collect();
-    suspects.sort_by(|a, b| by_frame[*a].total_cmp(&by_frame[*b]));
+    let typical = middle(&tried.by_frame);
+    let mut suspects: Vec<usize> = (0..scan.frames.len()).filter(|n| tried.by_frame[*n] < SUSPECT * typical).collect();
+    suspects.sort_by(|a, b| tried.by_frame[*a].total_cmp(&tried.by_frame[*b]));
     suspects.truncate(MOST);
-    let sum = scan.sum(moved_back);
+    let sum = scan.sum(&tried.moved);
     let reach = reach(scan);
     let noise: f64 = scan.frames.iter().map(|f| f.noise_dn2).sum();
     let mut found: Vec<Outlier> = suspects
@@ -81,10 +50,10 @@ fn outliers_at_one_depth(scan: &Scan, moved_back: &[[f64; 2]], by_frame: &[f64])
             let f = &scan.frames[n];
             let mut others = sum.clone();
             let mut own = Array2::zeros(others.dim());
-            add(&mut own, &f.light, scan.steps(moved_back[n]), 1.0);
+            add(&mut own, &f.light, scan.steps(tried.moved[n]), 1.0);
             others -= &own;
             let (by, value) = search(f, &others, (reach, noise - f.noise_dn2));
-            let here = scan.steps(moved_back[n]);
+            let here = scan.steps(tried.moved[n]);
             let off = [0, 1].map(|a| ((by[a] - here[a]) * scan.bin as isize) as f64);
             let moved = off.iter().any(|o| o.abs() > 1.5 * scan.bin as f64);
             let fits = value > FOUND * typical;

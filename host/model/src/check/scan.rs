@@ -100,6 +100,16 @@ impl Scan {
         Ok(Self { frames, all_moved_px, bin })
     }
 
+    /// The frames of the depth with the most frames, of several such depths that nearest to 0 um. Foci change their shape
+    /// with depth, so frames of different depths say little of each other's positions.
+    pub fn at_one_depth(self) -> Self {
+        let count = |z_um: f64| self.frames.iter().filter(|f| f.z_um == z_um).count();
+        let depths = self.frames.iter().map(|f| f.z_um);
+        let chosen = depths.max_by(|a, b| count(*a).cmp(&count(*b)).then(b.abs().total_cmp(&a.abs())));
+        let frames = self.frames.into_iter().filter(|f| Some(f.z_um) == chosen).collect();
+        Self { frames, ..self }
+    }
+
     /// The sum of all frames, each moved back by `moved` (sensor pixels, one entry a frame).
     pub fn sum(&self, moved: &[[f64; 2]]) -> Array2<f32> {
         let Some(first) = self.frames.first() else { return Array2::zeros((0, 0)) };
