@@ -17,7 +17,7 @@ pub const AMBIGUOUS: f64 = 10.8;
 /// The law of an effect describes a real change only in part: about this share of what a strong effect explains
 /// remains, in the form of its neighbours in law. An effect that gains less beside it is not named.
 pub const SHADOW: f64 = 0.03;
-/// Number of effects in the shadow of a stronger one that are listed; after so many full fits of such the search ends.
+/// Number of effects in the shadow of a stronger one that are listed; after so many full fits of such a search ends.
 const SHADOWED: usize = 3;
 /// Maximum number of effects that are added.
 const MOST: usize = 6;
@@ -145,6 +145,7 @@ impl<'m, 'a> Search<'m, 'a> {
     /// # Errors
     /// An object holds negative or non-finite light.
     pub fn run(&mut self, tried: Tried, progress: &mut impl FnMut(&str)) -> Result<(), ForwardError> {
+        let mut in_vain = 0;
         let mut refused: Vec<&'static str> = self.shadowed.iter().map(|s| s.id).collect();
         loop {
             let mut terms = tried.terms(self.model, &self.now.state, &evidence(self.model, &self.now));
@@ -165,7 +166,7 @@ impl<'m, 'a> Search<'m, 'a> {
             let (able, faint): (Vec<&Candidate>, Vec<&Candidate>) =
                 able.partition(|c| !c.can_be_shadowed(pixels) || c.gain() >= floor);
             let finalists = finalists(&able);
-            if finalists.is_empty() || self.found.len() >= MOST || self.shadowed.len() >= SHADOWED {
+            if finalists.is_empty() || self.found.len() >= MOST || in_vain >= SHADOWED {
                 for c in faint.iter().take(SHADOWED.saturating_sub(self.shadowed.len())) {
                     let share = c.gain() / self.strongest_fall;
                     self.shadowed.push(Shadowed { id: c.term.id(), z: c.z(), share });
@@ -178,6 +179,7 @@ impl<'m, 'a> Search<'m, 'a> {
                 Verdict::Added(it)
                     if it.candidate.can_be_shadowed(pixels) && it.gain < SHADOW * self.strongest_gain() =>
                 {
+                    in_vain += 1;
                     let share = it.gain / self.strongest_gain();
                     self.shadowed.push(Shadowed { id: it.candidate.term.id(), z: it.candidate.z(), share });
                     refused.push(it.candidate.term.id());
