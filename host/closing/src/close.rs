@@ -55,7 +55,7 @@ pub struct CloseOptions<'a> {
     pub session_name: &'a str,
     /// Seed of all random draws.
     pub seed: u64,
-    /// Files of the session that the calibration of the instrument has read ([`super::files`] compares hashes).
+    /// Files of the session that the calibration of the instrument has read (by hashes).
     pub calibrated_on: &'a [CalibratedOn],
     /// Ids of effects that are not tried, for tests of the loop with the true effect missing from the catalogue.
     pub exclude: &'a [String],
