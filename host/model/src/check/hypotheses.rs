@@ -4,8 +4,7 @@
 //! look like. Each hypothesis moves them back in another way. The motion tells the eight orientations apart; it cannot
 //! tell mirrored positions from mirrored frames, since an array of lenses is its own mirror image.
 
-use super::positions::SUSPECT;
-use super::scan::{Scan, middle};
+use super::scan::{SUSPECT, Scan, middle};
 use super::{Finding, Severity};
 use ommatidia_session::{Manifest, Session};
 use serde::Serialize;

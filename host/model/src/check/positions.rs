@@ -1,13 +1,11 @@
 //! Single positions that disagree with their frames.
 
 use super::hypotheses::Tried;
-use super::scan::{Scan, Small, add, dot, middle, without};
+use super::scan::{SUSPECT, Scan, Small, add, dot, middle, without};
 use super::{Finding, Severity};
 use ndarray::Array2;
 use serde::Serialize;
 
-/// A frame is looked at more closely if its correlation is below this share of the median one.
-pub(super) const SUSPECT: f64 = 0.6;
 /// A place for its foci is found where its correlation reaches this share of the median one.
 const FOUND: f64 = 0.75;
 /// Pixels of the summed frames that a search uses: the brightest.

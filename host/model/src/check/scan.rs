@@ -4,6 +4,8 @@ use ndarray::{Array2, s};
 use ommatidia_session::{Cut, Manifest, Role, Session, SessionError};
 use rayon::prelude::*;
 
+/// A frame is looked at more closely if its correlation is below this share of the median one.
+pub(super) const SUSPECT: f64 = 0.6;
 /// Most memory of all small frames, pixels.
 const MOST_PX: usize = 32 << 20;
 /// Longest side of a small frame, pixels.
