@@ -1,8 +1,8 @@
 //! Closes the loop on observations in memory: screening of the records, first fit, search, pruning, account.
 
 use super::account::{
-    Accepted, Account, Closed, Closing, Effect, Excess, Findings, claims_a_cause, effects, fault, pictured, rejected,
-    shadowed, unearned, worse,
+    Accepted, Account, Closed, Closing, Effect, Excess, Findings, Verdict, claims_a_cause, effects, fault, pictured,
+    rejected, shadowed, unearned, worse,
 };
 use super::data::{Fault, Observations, Shown};
 use super::evidence::{JudgedOn, figures, judged, omnibus, structured};
@@ -164,7 +164,7 @@ pub fn close(
         effects = others;
     }
     let catalogue_incomplete = unknown || structured(&dependences);
-    let verdict = Excess::of(&before, &now).verdict(structured(&dependences));
+    let verdict = Excess::of(&before, &now).verdict(catalogue_incomplete);
     if instrument.replicates.is_empty() && seen.of(Role::Scene).next().is_some() {
         notes.push(
             "the instrument has no calibration replicates, so the uncertainty of the calibration is unknown and small \
@@ -228,6 +228,7 @@ pub fn residual(
         calibrated_on: options.calibrated_on.iter().map(|c| c.file.clone()).collect(),
         own_beads,
         judged_on: JudgedOn::of(seen),
+        verdict: if structured(&dependences) { Verdict::Incomplete } else { Verdict::Adequate },
         notes: own_beads.then(|| OWN_BEADS_NOTE.into()).into_iter().collect(),
         before: figures,
         after: figures,

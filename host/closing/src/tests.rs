@@ -138,3 +138,16 @@ fn light_that_only_widens_the_errors_is_no_better_fit() {
     let wide = design.training().misfit();
     assert!(wide.chi2 < 0.9 * plain.training.chi2 && wide.deviance > plain.training.deviance + 100.0, "{wide:?}");
 }
+
+#[test]
+fn a_residual_with_structure_is_no_adequate_model() {
+    let instrument = instrument([20, 22], SENSOR, 9, 2);
+    let verdict = |terms: &[Term]| {
+        let mut seen = observations(&instrument, terms);
+        let account = super::residual(&instrument, &mut seen, &super::CloseOptions::default()).unwrap();
+        (account.closing.verdict, account.closing.catalogue_incomplete)
+    };
+    assert_eq!(verdict(&[]), (super::Verdict::Adequate, false));
+    let shifted = term("array_shift", &[("row_px", 0.6)], instrument.geometry.anchors_px.len());
+    assert_eq!(verdict(&[shifted]), (super::Verdict::Incomplete, true));
+}

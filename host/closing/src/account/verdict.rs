@@ -32,9 +32,9 @@ impl Excess {
         Self { left }
     }
 
-    /// The verdict. `structured`: whether a test sees structure in what is left.
-    pub(crate) fn verdict(self, structured: bool) -> Verdict {
-        match (structured, self.left > MOST) {
+    /// The verdict. `incomplete`: a test sees structure in what is left, or a term without a name stands for it.
+    pub(crate) fn verdict(self, incomplete: bool) -> Verdict {
+        match (incomplete, self.left > MOST) {
             (false, _) => Verdict::Adequate,
             (true, false) => Verdict::Incomplete,
             (true, true) => Verdict::NotThisModel,

@@ -180,7 +180,7 @@ fn background_note(found: Option<&BeadBackground>) -> Option<String> {
     let Some(b) = found else {
         return Some(
             "the windows of the foci cover nearly all of the measured pixels: a background of the bead frames cannot \
-             be told from the tails of foci, and none was removed"
+             be distinguished from the tails of foci, and none was removed"
                 .into(),
         );
     };

@@ -128,22 +128,22 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let seconds = seconds / inputs.len().max(1) as f64;
     outputs.finish()?;
     bar.finish_and_clear();
-    if clipped_px > 0 {
+    let clipping = (clipped_px > 0).then(|| {
         let share = 100.0 * clipped_px as f64 / (clipped_frames * rows * cols) as f64;
-        tracing::warn!(
-            "{clipped_frames} of {} frames clip at full scale, in {share:.2} % of their pixels: the objects are brighter \
-             than this sensor can measure at this light; for a tenth of the light add --light {}",
+        format!(
+            "{clipped_frames} of {} frames clip at full scale, in {share:.2} % of their pixels: the objects are \
+             brighter than this sensor can measure at this light; for a tenth of the light add --light {}",
             inputs.len(),
             0.1 * args.illumination
-        );
-    }
+        )
+    });
     let warning = first.map(|(i, text)| {
         let one = what.trim_end_matches('s');
         let others =
             if odd > 1 { format!(" ({} more of {} are odd, too)", odd - 1, inputs.len()) } else { String::new() };
         format!("{}: {one} {i}{others}: {text}", args.objects.display())
     });
-    let warnings = warn(warning);
+    let warnings = warn(clipping.into_iter().chain(warning));
     let made = match args.predicted() {
         Predicted::Adjoint => "transposed",
         Predicted::Noisy => "with noise",
