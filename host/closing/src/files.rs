@@ -1,8 +1,9 @@
 //! Closes the loop from files to files.
 
 use super::account::{Account, Closed, Recalibrated, Retrain, RetrainRequest, adopt};
-use super::close::{CalibratedOn, CloseOptions, check_layout, close, residual};
+use super::close::{check_layout, close, residual};
 use super::data::{Budget, Observations};
+use super::options::{CalibratedOn, CloseOptions};
 use super::search::trial_calibration;
 use anyhow::Context;
 use ommatidia_model::calibrate::CalibrateConfig;

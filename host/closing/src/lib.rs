@@ -56,24 +56,27 @@
 //! ```
 
 pub mod account;
+mod attempt;
 mod close;
 pub mod data;
 pub mod evidence;
 mod files;
 pub mod fit;
+mod options;
 pub mod search;
 pub mod study;
 
 pub use account::{
     Account, Closed, Closing, Effect, Nearest, Rejected, Retrain, RetrainRequest, Retrained, Value, Verdict,
 };
-pub use close::{CalibratedOn, CloseError, CloseOptions, check_layout, close, residual};
+pub use close::{check_layout, close, residual};
 pub use data::{Budget, Fault, FaultKind, Observations};
 pub use evidence::{Covariate, Dependence, Figures, JudgedOn};
 pub use files::{
     CloseOutcome, CloseRequest, FineTuning, Progress, ResidualOutcome, ResidualRequest, account_path, close_session,
     residual_session,
 };
+pub use options::{CalibratedOn, CloseError, CloseOptions};
 
 #[cfg(test)]
 mod tests;

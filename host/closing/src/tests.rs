@@ -4,8 +4,8 @@
 #![allow(clippy::unwrap_used)]
 
 use super::data::{Frame, Observations, Shown};
-use super::evidence::Scores;
-use super::fit::{Column, Design, Expansion, Model, Predicted, Term, nuisances, own_columns, refit};
+use super::evidence::{Scores, maps};
+use super::fit::{Column, Design, Expansion, Model, Predicted, Scope, Term, nuisances, own_columns, refit};
 use ndarray::Array2;
 use ommatidia_model::instrument::Instrument;
 use ommatidia_model::testing::instrument;
@@ -81,7 +81,7 @@ fn fitted(put_in: &Term, param: usize) -> (f64, f64) {
     state.terms.push(put_in.switched_off(model.lenses()));
     let fit = refit(&model, state).unwrap();
     let columns: Vec<Column> = nuisances(&model).into_iter().chain(own_columns(&model, &fit.state)).collect();
-    let design = Design::compute(&model, fit.expansion(&[]), columns.clone(), &[]).unwrap();
+    let design = Design::compute(&model, fit.expansion(&[]), columns.clone(), &[], Scope::Whole).unwrap();
     let mine: Vec<usize> = (0..columns.len()).filter(|i| matches!(columns[*i], Column::Own { .. })).collect();
     let others = (0..columns.len()).filter(|i| !mine.contains(i)).collect();
     let test = Scores::new(&design, others).test(&mine).unwrap();
@@ -134,7 +134,7 @@ fn light_that_only_widens_the_errors_is_no_better_fit() {
     state.black_dn -= 5.0 * 10.0 * 0.5;
     let predicted = model.predict(&state, &plain.scenes);
     let at = Expansion { state: &state, trials: &[], predicted: &predicted, scenes: &plain.scenes };
-    let design = Design::compute(&model, at, nuisances(&model), &[]).unwrap();
+    let design = Design::compute(&model, at, nuisances(&model), &[], Scope::Whole).unwrap();
     let wide = design.training().misfit();
     assert!(wide.chi2 < 0.9 * plain.training.chi2 && wide.deviance > plain.training.deviance + 100.0, "{wide:?}");
 }
@@ -150,4 +150,52 @@ fn a_residual_with_structure_is_no_adequate_model() {
     assert_eq!(verdict(&[]), (super::Verdict::Adequate, false));
     let shifted = term("array_shift", &[("row_px", 0.6)], instrument.geometry.anchors_px.len());
     assert_eq!(verdict(&[shifted]), (super::Verdict::Incomplete, true));
+}
+
+/// A shadow of 40 % on a part of the sensor that scenes alone show.
+fn shadow() -> Term {
+    let deep = |(r, c): (usize, usize)| -0.4 * (-((r as f32 - 20.0).powi(2) + (c as f32 - 30.0).powi(2)) / 60.0).exp();
+    Term { table: Some(Array2::from_shape_fn((SENSOR[0], SENSOR[1]), deep)), ..term("unknown_shading", &[], 2) }
+}
+
+#[test]
+fn a_shadow_that_scenes_alone_show_is_mapped_and_noise_is_not() {
+    let instrument = instrument([20, 22], SENSOR, 9, 2);
+    let fits = |terms: &[Term]| {
+        let seen = observations(&instrument, terms);
+        let model = Model::new(&instrument, &seen).unwrap();
+        let fit = refit(&model, model.state(&instrument).unwrap()).unwrap();
+        let light = fit.predicted.iter().fold(Array2::<f32>::zeros((SENSOR[0], SENSOR[1])), |sum, p| sum + &p.light_e);
+        (maps::fit(&model, &fit.state, &fit.predicted), light)
+    };
+    // Four maps are tried.
+    assert!(fits(&[]).0.iter().all(|f| f.p > 0.01 / 4.0), "a map of noise");
+    let (found, light) = fits(&[shadow()]);
+    let shading = found.iter().find(|f| f.term.id() == "unknown_shading").expect("the shadow");
+    assert!(shading.p < 1e-3 && shading.gain > 100.0, "z {}, gain {}", shading.z, shading.gain);
+    let (map, truth) = (shading.term.table.clone().unwrap(), shadow().table.unwrap());
+    // A factor shows where there is light, and the light of the stack takes its mean.
+    let power = |map: &Array2<f32>| {
+        let mean = (map * &light).sum() / light.sum();
+        (map.mapv(|v| (v - mean).powi(2)) * &light).sum()
+    };
+    let left = power(&(&map - &truth)) / power(&truth);
+    assert!(left < 0.3, "{left} of the shadow's square is not in the map");
+}
+
+#[test]
+fn a_cause_outside_the_catalogue_is_given_no_name_and_its_excess_is_removed() {
+    let instrument = instrument([20, 22], SENSOR, 9, 2);
+    let mut seen = observations(&instrument, &[shadow()]);
+    let closed = super::close(&instrument, &mut seen, &super::CloseOptions::default(), |_| ()).unwrap();
+    let closing = closed.account.closing;
+    assert!(closing.effects.iter().all(|e| !e.known), "{:?}", closing.effects);
+    let [before, after] = [closing.before, closing.after].map(|f| f.chi2_ndf - 1.0);
+    assert!(after < 0.3 * before, "{before} {after}");
+    // The same cause in the catalogue: a shift has its name, and no map beside it.
+    let shifted = term("array_shift", &[("row_px", 0.6)], 2);
+    let mut seen = observations(&instrument, &[shifted]);
+    let closed = super::close(&instrument, &mut seen, &super::CloseOptions::default(), |_| ()).unwrap();
+    let ids: Vec<String> = closed.account.closing.effects.iter().map(|e| e.id.clone()).collect();
+    assert_eq!(ids, ["array_shift"]);
 }

@@ -219,6 +219,41 @@ fn describe(term: &Term, params: &[Value]) -> String {
             short(params[0].value),
             short(params[0].sigma)
         ),
+        "unknown_shading" | "unknown_light" | "unknown_stray" | "unknown_offset" => {
+            let what = match d.id {
+                "unknown_shading" => "a factor on the light",
+                "unknown_light" => "light added, e-/px/ms,",
+                "unknown_stray" => "stray light in proportion to the mean light of the frame",
+                _ => "an offset, DN,",
+            };
+            format!(
+                "unknown: {what} that is fixed to the sensor and that scenes show, rms {} +- {}; measured on scenes, \
+                 smoothed as far as half of them predicts the other half; cause not identified; valid for this sensor \
+                 and for specimens",
+                short(params[0].value),
+                short(params[0].sigma)
+            )
+        }
+        "unknown_warp" => {
+            let most = params.iter().map(|v| v.value.abs()).fold(0.0, f64::max);
+            format!(
+                "unknown: the image of each lens is displaced, turned, stretched and sheared by itself, by up to {} px \
+                 (at 100 px from its anchor); {} degrees of freedom; cause not identified",
+                short(most),
+                params.len()
+            )
+        }
+        "unknown_blur" => {
+            let (low, high) = params.iter().fold((f64::MAX, f64::MIN), |r, v| (r.0.min(v.value), r.1.max(v.value)));
+            format!(
+                "unknown: the image of each lens is wider or narrower than in the calibration, variances from {} to {} \
+                 px^2; {} degrees of freedom; cause not identified; a defocus or a curved field looks like this, and a \
+                 bead scan at several depths distinguishes them from other causes",
+                short(low),
+                short(high),
+                params.len()
+            )
+        }
         "unknown_profile" => {
             let knots = &params[..KNOTS];
             let (low, high) = knots.iter().fold((f64::MAX, f64::MIN), |r, v| (r.0.min(v.value), r.1.max(v.value)));

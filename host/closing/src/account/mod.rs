@@ -17,4 +17,4 @@ pub use file::{KIND, VERSION};
 pub(crate) use pictures::pictured;
 pub use result::{Account, Closed, Closing, Effect, Nearest, Rejected, Value, Verdict};
 pub use retrain::{Retrain, RetrainRequest, Retrained};
-pub(crate) use verdict::{Excess, claims_a_cause, shadowed, unearned, worse};
+pub(crate) use verdict::{Excess, claims_a_cause, harmful, imitated, shadowed, unearned};

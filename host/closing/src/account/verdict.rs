@@ -1,17 +1,17 @@
-//! Whether the account may name what was found, and whether the closed instrument is better than the old one.
+//! Whether the account may name what was found, and how well the closed instrument describes the session.
 
 use super::result::{Effect, Nearest, Verdict};
-use crate::evidence::Figures;
 use crate::fit::Fitted;
 use crate::search::{NEEDS_CALIBRATION, Shadowed};
 use ommatidia_physics::effects::Stage;
 
 /// Names are earned if at most this share of the excess of chi-squared over the noise is left, on held-out data.
-const LEFT: f64 = 0.15;
+const LEFT: f64 = 0.05;
 /// A share of the excess counts as left only if it exceeds this many standard deviations of chi-squared.
 const SIGMAS: f64 = 5.0;
-/// Relative change of a figure that is no change.
-const ROUNDING: f64 = 1e-4;
+/// A model whose chi-squared per pixel exceeds one by less is no other model, whatever its excess was before: errors of
+/// a calibration reach that size.
+const MUCH: f64 = 0.25;
 /// From this share on most of the excess is left.
 const MOST: f64 = 0.5;
 
@@ -20,6 +20,8 @@ const MOST: f64 = 0.5;
 pub(crate) struct Excess {
     /// Share of the first excess; 0 if what is left is noise.
     pub(crate) left: f64,
+    /// What is left a pixel.
+    pub(crate) per_pixel: f64,
 }
 
 impl Excess {
@@ -29,12 +31,12 @@ impl Excess {
         let [first, last] = [before, now].map(|fit| fit.held_out.chi2 - pixels);
         let noise = SIGMAS * (2.0 * pixels).sqrt();
         let left = if last > noise { last / first.max(last) } else { 0.0 };
-        Self { left }
+        Self { left, per_pixel: last / pixels.max(1.0) }
     }
 
     /// The verdict. `incomplete`: a test sees structure in what is left, or a term without a name stands for it.
     pub(crate) fn verdict(self, incomplete: bool) -> Verdict {
-        match (incomplete, self.left > MOST) {
+        match (incomplete, self.left > MOST && self.per_pixel > MUCH) {
             (false, _) => Verdict::Adequate,
             (true, false) => Verdict::Incomplete,
             (true, true) => Verdict::NotThisModel,
@@ -45,12 +47,6 @@ impl Excess {
     pub(crate) fn names_are_earned(self, structured: bool) -> bool {
         !(structured && self.left > LEFT)
     }
-}
-
-/// Whether the closed instrument predicts held-out data worse than the old one.
-pub(crate) fn worse(before: Figures, after: Figures) -> bool {
-    // Below 1 the noise model is too wide; an effect that narrows it raises chi-squared rightly.
-    after.chi2_ndf > before.chi2_ndf.max(1.0) || after.nrmse > before.nrmse * (1.0 + ROUNDING)
 }
 
 /// Whether an entry of the account claims a cause in the instrument. With `recalibrated` the PSFs are calibrated again,
@@ -79,30 +75,36 @@ pub(crate) fn shadowed(all: &[Shadowed]) -> Vec<Nearest> {
     all.iter().filter(|s| !s.id.starts_with("unknown")).map(one).collect()
 }
 
+/// Effects that made the prediction of held-out data worse, with the strength of their evidence.
+pub(crate) fn harmful(all: &[(&'static str, f64)]) -> Vec<Nearest> {
+    let why = "with it, held-out data were predicted worse than without";
+    let named = all.iter().filter(|(id, _)| !id.starts_with("unknown"));
+    named.map(|(id, z)| Nearest { id: (*id).into(), z: *z, why: why.into() }).collect()
+}
+
+/// Effects that a term without a name makes unnecessary.
+pub(crate) fn imitated(all: &[Shadowed]) -> Vec<Nearest> {
+    let one = |s: &Shadowed| Nearest {
+        id: s.id.into(),
+        z: s.z,
+        why: format!(
+            "a term without a name explains the data as well: without this effect {:.1} % of the improvement is lost",
+            100.0 * s.share
+        ),
+    };
+    all.iter().map(one).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn figures(chi2_ndf: f64, nrmse: f64) -> Figures {
-        Figures { chi2_ndf, nrmse, pcc: 0.9 }
-    }
-
-    #[test]
-    fn an_instrument_that_predicts_worse_in_either_figure_is_worse() {
-        assert!(worse(figures(1.2, 0.05), figures(1.3, 0.04)));
-        assert!(worse(figures(0.52, 0.19), figures(0.79, 0.25)));
-        assert!(!worse(figures(1.2, 0.05), figures(1.1, 0.05)));
-        // A noise model that was too wide becomes right.
-        assert!(!worse(figures(0.6, 0.05), figures(0.99, 0.05)));
-        // What is not judged is not worse.
-        assert!(!worse(figures(f64::NAN, f64::NAN), figures(f64::NAN, f64::NAN)));
-    }
-
     #[test]
     fn a_name_needs_most_of_the_excess_only_where_structure_is_left() {
-        let of = |left| Excess { left };
-        assert!(of(0.3).names_are_earned(false) && of(0.1).names_are_earned(true) && !of(0.3).names_are_earned(true));
+        let of = |left| Excess { left, per_pixel: 1.0 };
+        assert!(of(0.3).names_are_earned(false) && of(0.04).names_are_earned(true) && !of(0.1).names_are_earned(true));
         let verdicts = [of(0.9).verdict(false), of(0.1).verdict(true), of(0.9).verdict(true)];
         assert_eq!(verdicts, [Verdict::Adequate, Verdict::Incomplete, Verdict::NotThisModel]);
+        assert_eq!(Excess { left: 0.9, per_pixel: 0.1 }.verdict(true), Verdict::Incomplete);
     }
 }

@@ -26,6 +26,10 @@ pub struct TableFit {
     pub size_sigma: f64,
     /// Standard error of the first parameter.
     pub sigma: f64,
+    /// Expected fall of chi-squared.
+    pub gain: f64,
+    /// Whether it was estimated from scenes ([`TableUse::of_scenes`]).
+    pub of_scenes: bool,
 }
 
 /// Threshold of spots in the smoothed map, standard deviations.
@@ -51,8 +55,8 @@ struct Half {
 fn left(model: &Model<'_>, acts: TableUse) -> f64 {
     match acts {
         TableUse::Response => model.maps.response.powi(2),
-        TableUse::DarkRate => 0.0,
         TableUse::Offset => model.maps.offset_dn.powi(2),
+        _ => 0.0,
     }
 }
 
@@ -64,7 +68,7 @@ pub fn fit(model: &Model<'_>, state: &State, now: &[Predicted], named: bool) -> 
         .filter(|e| e.descriptor().id.starts_with("unknown") != named)
         .filter(|e| !state.terms.iter().any(|t| t.id() == e.descriptor().id))
         .filter_map(|e| {
-            let kind = e.table()?;
+            let kind = e.table().filter(|kind| !kind.acts.of_scenes())?;
             let halves = [0, 1].map(|h| half(model, now, kind.acts, h));
             let [Some(a), Some(b)] = halves else { return None };
             let found = match kind.group {
@@ -77,7 +81,7 @@ pub fn fit(model: &Model<'_>, state: &State, now: &[Predicted], named: bool) -> 
                 }
                 TableGroup::SparsePixels => sparse(&a, &b),
                 TableGroup::Spots => spots(&a, &b, left(model, kind.acts)),
-                TableGroup::Pattern => pattern(&a, &b, left(model, kind.acts), 1.0),
+                TableGroup::Pattern | TableGroup::Scales => pattern(&a, &b, left(model, kind.acts), 1.0),
             }?;
             let expanded = e.descriptor().expanded(model.lenses());
             let mut params: Vec<f64> = expanded.iter().map(|(_, p)| p.off).collect();
@@ -90,6 +94,8 @@ pub fn fit(model: &Model<'_>, state: &State, now: &[Predicted], named: bool) -> 
                 size: found.size,
                 size_sigma: found.error + found.doubt,
                 sigma: first.outer_sigma(found.size, found.error),
+                gain: found.z * found.z.abs(),
+                of_scenes: false,
             })
         })
         .collect()
@@ -126,6 +132,8 @@ fn half(model: &Model<'_>, now: &[Predicted], acts: TableUse, which: usize) -> O
         let used = match acts {
             TableUse::Response => f.role == Role::Flat,
             TableUse::DarkRate | TableUse::Offset => matches!(f.role, Role::Flat | Role::Dark),
+            // Scenes have maps of their own.
+            _ => false,
         };
         if !used || n / 2 % 2 != which {
             continue;
@@ -143,7 +151,7 @@ fn half(model: &Model<'_>, now: &[Predicted], acts: TableUse, which: usize) -> O
                 let template = match acts {
                     TableUse::Response => gain * e,
                     TableUse::DarkRate => gain * t,
-                    TableUse::Offset => 1.0,
+                    _ => 1.0,
                 };
                 *top += w * w * template * (r - mean);
                 *bottom += w * w * template * template;

@@ -6,6 +6,7 @@ use crate::data::Shown;
 use ndarray::Array2;
 use ommatidia_model::forward::{ForwardError, SceneLight};
 use ommatidia_physics::effects::{Chain, Stage};
+use std::collections::BTreeMap;
 
 /// The point around which a model is linearised.
 #[derive(Clone, Copy)]
@@ -45,6 +46,13 @@ impl Expansion<'_> {
     }
 }
 
+/// The images of single lenses under a state, electrons, [sensor rows, sensor cols]: computed when a column first varies
+/// that lens, and kept for the others.
+#[derive(Default)]
+pub struct LensImages {
+    of: BTreeMap<usize, Array2<f32>>,
+}
+
 /// A chain of effects that differs from that of the state.
 struct Change<'a> {
     chain: &'a Chain,
@@ -57,7 +65,7 @@ struct Change<'a> {
 impl Model<'_> {
     /// Derivative of the expected frame `k` with respect to a column's value
     /// ([`ommatidia_physics::effects::Param::inner`] of a parameter), DN, [sensor rows, sensor cols]. None: the frame
-    /// does not depend on it.
+    /// does not depend on it. `images` are those of this frame.
     ///
     /// # Errors
     /// An object holds negative or non-finite light.
@@ -66,6 +74,7 @@ impl Model<'_> {
         k: usize,
         column: &Column,
         at: Expansion<'_>,
+        images: &mut LensImages,
     ) -> Result<Option<Array2<f32>>, ForwardError> {
         let (f, here) = (&self.seen.frames[k], &at.predicted[k]);
         let Some(Varied { mut terms, which, param }) = at.varied(column) else {
@@ -90,7 +99,7 @@ impl Model<'_> {
             param - first
         });
         let change = Change { chain: &chain, stage: effect.descriptor().stage, lens };
-        let Some(moved) = self.moved(k, &change, at)? else {
+        let Some(moved) = self.moved(k, &change, at, images)? else {
             return Ok(None);
         };
         Ok(Some((moved - &here.dn) / step as f32))
@@ -130,7 +139,13 @@ impl Model<'_> {
     }
 
     /// The expected frame `k` under another chain, DN. None: it is the same.
-    fn moved(&self, k: usize, change: &Change<'_>, at: Expansion<'_>) -> Result<Option<Array2<f32>>, ForwardError> {
+    fn moved(
+        &self,
+        k: usize,
+        change: &Change<'_>,
+        at: Expansion<'_>,
+        images: &mut LensImages,
+    ) -> Result<Option<Array2<f32>>, ForwardError> {
         let Change { chain, stage, lens } = *change;
         let here = &at.predicted[k];
         let previous = self.seen.frames[k].previous.map(|p| at.predicted[p].alone_e());
@@ -146,8 +161,8 @@ impl Model<'_> {
                 None => self.sum_e(k, Some(scene), chain, scale),
                 Some(l) => {
                     let cx = self.context(k, None);
-                    let before = self.forward.lens_e(scene, l, &self.chain(&at.state.terms), &cx);
-                    let change = self.forward.lens_e(scene, l, chain, &cx) - before;
+                    let now = || self.forward.lens_e(scene, l, &self.chain(&at.state.terms), &cx);
+                    let change = self.forward.lens_e(scene, l, chain, &cx) - &*images.of.entry(l).or_insert_with(now);
                     &here.sum_e + &(change * scale as f32)
                 }
             },

@@ -5,15 +5,16 @@
 //! of the residual. Hold-outs and clusters are then sums over cells and need no further pass over the frames.
 
 use super::cell::Cell;
-use super::derivative::Expansion;
+use super::derivative::{Expansion, LensImages};
 use super::model::Model;
 use super::repeats;
 use super::state::{Column, Predicted};
 use crate::data::{Observations, Shown};
-use ndarray::{Array2, s};
+use ndarray::{Array2, ArrayView2, s};
 use ommatidia_model::forward::ForwardError;
 use ommatidia_session::Role;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// All cells of a linearised problem.
 #[derive(Clone, Debug)]
@@ -24,6 +25,42 @@ pub struct Design {
     pub replicates: usize,
     /// The cells.
     pub cells: Vec<Cell>,
+}
+
+/// What a design is computed for.
+#[derive(Clone, Copy, Debug)]
+pub enum Scope<'a> {
+    /// All cells, and the products of all columns.
+    Whole,
+    /// The training cells alone.
+    Training,
+    /// The training cells, and the products that score tests need: of the first `given` columns, the replicates and the
+    /// residual with everything, and of the columns of each group with each other. Other products are zero.
+    Scores {
+        /// Number of columns that are projected out.
+        given: usize,
+        /// Columns of each trial term.
+        groups: &'a [Range<usize>],
+    },
+}
+
+impl Scope<'_> {
+    /// Gram matrix of the rows of `x`, [rows, pixels]; `columns` of them are columns of the design.
+    fn gram(self, x: &ArrayView2<'_, f32>, columns: usize) -> Array2<f32> {
+        let Self::Scores { given, groups } = self else { return x.dot(&x.t()) };
+        let n = x.nrows();
+        let mut gram = Array2::zeros((n, n));
+        for rows in [0..given, columns..n] {
+            let part = x.slice(s![rows.clone(), ..]).dot(&x.t());
+            gram.slice_mut(s![rows.clone(), ..]).assign(&part);
+            gram.slice_mut(s![.., rows]).assign(&part.t());
+        }
+        for group in groups {
+            let own = x.slice(s![group.clone(), ..]);
+            gram.slice_mut(s![group.clone(), group.clone()]).assign(&own.dot(&own.t()));
+        }
+        gram
+    }
 }
 
 /// Sums over cells.
@@ -59,7 +96,7 @@ pub struct Misfit {
 }
 
 impl Design {
-    /// Computes all cells. `replicas[j][k]` is frame `k` as replicate j of the calibration predicts it minus the
+    /// Computes the cells of a scope. `replicas[j][k]` is frame `k` as replicate j of the calibration predicts it minus the
     /// prediction of the calibration, DN, [sensor rows, sensor cols]; None if the frame does not depend on the
     /// calibration.
     ///
@@ -70,14 +107,17 @@ impl Design {
         at: Expansion<'_>,
         columns: Vec<Column>,
         replicas: &[Vec<Option<Array2<f32>>>],
+        scope: Scope<'_>,
     ) -> Result<Self, ForwardError> {
         let seen = model.seen;
+        let whole = matches!(scope, Scope::Whole);
         let rows = columns.len() + replicas.len() + 1;
         // A state must not gain by driving pixels out of range: each unused pixel counts as one with the largest noise.
         let noise = model.forward.noise();
         let unseen = 1.0 + noise.variance_dn2(noise.saturation_dn).ln();
         let cells = (0..seen.frames.len())
             .into_par_iter()
+            .filter(|k| whole || !seen.frames[*k].held_out)
             .map(|k| {
                 let here = &at.predicted[k];
                 let mut x = Array2::<f32>::zeros((rows, seen.pixels.len()));
@@ -88,8 +128,9 @@ impl Design {
                         *out = image[*p as usize] * weight[*p as usize];
                     }
                 };
+                let mut images = LensImages::default();
                 for (i, column) in columns.iter().enumerate() {
-                    if let Some(d) = model.derivative(k, column, at)? {
+                    if let Some(d) = model.derivative(k, column, at, &mut images)? {
                         put(i, &model.visible(k, d));
                     }
                 }
@@ -110,9 +151,9 @@ impl Design {
                     .blocks
                     .iter()
                     .enumerate()
+                    .filter(|(block, _)| whole || !seen.held_out_blocks[*block])
                     .map(|(block, span)| {
-                        let part = x.slice(s![.., span.clone()]);
-                        let gram = part.dot(&part.t());
+                        let gram = scope.gram(&x.slice(s![.., span.clone()]), columns.len());
                         let (mut pixels, mut log_variance) = (0, 0.0);
                         for w in seen.pixels[span.clone()].iter().map(|p| weight[*p as usize]) {
                             pixels += usize::from(w > 0.0);
@@ -135,7 +176,7 @@ impl Design {
     }
 
     /// Indices of the replicates in a Gram matrix.
-    pub fn replicate_rows(&self) -> std::ops::Range<usize> {
+    pub fn replicate_rows(&self) -> Range<usize> {
         self.columns.len()..self.residual()
     }
 

@@ -18,7 +18,7 @@ pub mod state;
 
 pub use cell::Cell;
 pub use derivative::Expansion;
-pub use design::{Design, Misfit, Sums, nuisances};
+pub use design::{Design, Misfit, Scope, Sums, nuisances};
 pub use model::Model;
 pub use refit::{Fitted, Scenes, own_columns, refit, refit_from};
 pub use replicas::{Replicas, replicas};

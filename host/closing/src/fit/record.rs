@@ -1,9 +1,11 @@
-//! Screening of the records: finds frames that contradict what the session states of them. It comes before the first
-//! fit, since a wrong record spoils every fit.
+//! Screening of the records: finds frames that contradict what the session states of them.
+//!
+//! Objects are screened before the first fit, since a wrong object spoils every fit. An exposure is doubted before, and
+//! decided after the search: an effect that the model lacks can make single frames darker or brighter too.
 
 use super::model::Model;
 use super::state::State;
-use crate::data::{Fault, FaultKind, Observations, Shown};
+use crate::data::{Fault, FaultKind, Frame, Observations, Shown};
 use ndarray::{Array2, Axis};
 use ommatidia_model::forward::ForwardError;
 use ommatidia_model::metrics::Moments;
@@ -18,24 +20,6 @@ const SMOOTH_PX: f64 = 6.0;
 /// An exposure is doubted if the light of its frame differs from the others by more than this share, and by much more
 /// than their scatter.
 const LIGHT: f64 = 0.04;
-
-/// Finds faults in the records of the scenes and corrects the observations. `look` compares the scenes with their
-/// records ([`look`]); it is called again after objects were corrected.
-///
-/// # Errors
-/// An object holds negative or non-finite light.
-pub fn screen(
-    seen: &mut Observations,
-    look: impl Fn(&Observations) -> Result<Vec<Seen>, ForwardError>,
-) -> Result<Vec<Fault>, ForwardError> {
-    let mut frames = look(seen)?;
-    let mut faults = objects(seen, &frames);
-    if !faults.is_empty() {
-        frames = look(seen)?;
-    }
-    faults.extend(exposures(seen, &frames));
-    Ok(faults)
-}
 
 /// A scene as measured and as its records predict it: light above the black level, DN, [sensor rows, sensor cols].
 pub struct Seen {
@@ -110,7 +94,8 @@ fn flipped(object: &Array2<f32>, rows: bool, cols: bool) -> Array2<f32> {
     object.as_standard_layout().into_owned()
 }
 
-fn objects(seen: &mut Observations, frames: &[Seen]) -> Vec<Fault> {
+/// Finds scenes that show another object than their record says, or a flipped one, and corrects the observations.
+pub fn objects(seen: &mut Observations, frames: &[Seen]) -> Vec<Fault> {
     let mut faults = Vec::new();
     let mut shown: Vec<(usize, Shown)> = Vec::new();
     for (i, s) in frames.iter().enumerate() {
@@ -151,7 +136,9 @@ fn objects(seen: &mut Observations, frames: &[Seen]) -> Vec<Fault> {
     faults
 }
 
-fn exposures(seen: &mut Observations, frames: &[Seen]) -> Vec<Fault> {
+/// Finds scenes whose light differs from that of the others by a factor of their own. An effect that the model lacks may
+/// do that as well, so nothing is corrected yet.
+pub fn exposures(seen: &Observations, frames: &[Seen]) -> Vec<Fault> {
     let mut faults = Vec::new();
     // The regression has an intercept, so that an even background is no light of the specimen.
     let slope = |s: &Seen| {
@@ -187,10 +174,18 @@ fn exposures(seen: &mut Observations, frames: &[Seen]) -> Vec<Fault> {
                 correlation_before: r,
                 correlation_after: r,
             });
-            seen.frames[s.frame].info.exposure_ms *= factor;
         }
     }
     faults
+}
+
+/// Corrects the recorded exposures of scenes.
+pub fn correct_exposures(seen: &mut Observations, faults: &[Fault]) {
+    for fault in faults {
+        let FaultKind::Exposure { factor } = fault.kind else { continue };
+        let of = |f: &&mut Frame| f.info.frame == fault.frame && matches!(f.shown, Shown::Object(_));
+        seen.frames.iter_mut().filter(of).for_each(|f| f.info.exposure_ms *= factor);
+    }
 }
 
 /// Difference of two correlation coefficients over `n` pixels, standard deviations (Fisher's z transformation).
@@ -227,7 +222,7 @@ mod tests {
             let light = if k == 2 { factor } else { 1.0 };
             Seen { frame: k, measured: sources(k, moved_px) * light, own: sources(k, 0.0), flipped: Vec::new() }
         };
-        let frame = |k: usize| crate::data::Frame {
+        let frame = |k: usize| Frame {
             stack: 0,
             role: Role::Scene,
             info: FrameInfo::plain(k, 10.0),
@@ -237,7 +232,7 @@ mod tests {
             held_out: false,
             previous: None,
         };
-        let mut observations = Observations {
+        let observations = Observations {
             frames: (0..6).map(frame).collect(),
             truths: Vec::new(),
             pixels: Vec::new(),
@@ -245,7 +240,7 @@ mod tests {
             held_out_blocks: Vec::new(),
             sensor: [96, 96],
         };
-        exposures(&mut observations, &(0..6).map(seen).collect::<Vec<_>>())
+        exposures(&observations, &(0..6).map(seen).collect::<Vec<_>>())
     }
 
     #[test]

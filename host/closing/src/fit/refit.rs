@@ -4,7 +4,7 @@
 //! cells, with the variance of the model at the current state. Steps are accepted by the deviance.
 
 use super::derivative::Expansion;
-use super::design::{Design, Misfit, nuisances};
+use super::design::{Design, Misfit, Scope, nuisances};
 use super::model::Model;
 use super::solve::pseudo_inverse;
 use super::state::{Column, Predicted, State, Term};
@@ -13,8 +13,12 @@ use ommatidia_model::forward::{ForwardError, SceneLight};
 use ommatidia_physics::effects::{Kind, Stage};
 use std::sync::Arc;
 
-/// Maximum number of steps.
+/// Number of steps that a weak effect needs at most.
 const STEPS: usize = 7;
+/// Maximum number of steps: a strong effect, far from linear, may need more.
+const MOST_STEPS: usize = 25;
+/// A fit goes on beyond [`STEPS`] as long as a step takes this share of the excess of chi-squared over the noise.
+const WORTH: f64 = 0.01;
 
 /// The light of each frame's object behind the optics ([`Model::scenes`]); shared, since few effects change it.
 pub type Scenes = Arc<[Option<SceneLight>]>;
@@ -72,7 +76,7 @@ pub fn refit_from(model: &Model<'_>, mut state: State, scenes: Scenes) -> Result
     let emission = state.terms.iter().any(|t| t.effect.descriptor().stage == Stage::Object);
     let mut at = Point::of(model, &state, &columns, scenes)?;
     let mut damping = 1e-3;
-    for _ in 0..STEPS {
+    for step in 0..MOST_STEPS {
         let proposal = at.step(model, &state, &columns, damping);
         let scenes = if emission { model.scenes(&model.chain(&proposal.terms))?.into() } else { at.scenes.clone() };
         let next = Point::of(model, &proposal, &columns, scenes)?;
@@ -80,12 +84,13 @@ pub fn refit_from(model: &Model<'_>, mut state: State, scenes: Scenes) -> Result
         if fall > 0.0 {
             (state, at) = (proposal, next);
             damping *= 0.2;
-            if fall < 0.02 {
+            let excess = (at.training.chi2 - at.training.pixels as f64).max(0.0);
+            if fall < 0.02 || step + 1 >= STEPS && fall < WORTH * excess {
                 break;
             }
         } else {
             damping *= 20.0;
-            if damping > 1e4 {
+            if damping > 1e4 || step + 1 >= STEPS {
                 break;
             }
         }
@@ -106,7 +111,7 @@ impl Point {
     fn of(model: &Model<'_>, state: &State, columns: &[Column], scenes: Scenes) -> Result<Self, ForwardError> {
         let predicted = model.predict(state, &scenes);
         let at = Expansion { state, trials: &[], predicted: &predicted, scenes: &scenes };
-        let design = Design::compute(model, at, columns.to_vec(), &[])?;
+        let design = Design::compute(model, at, columns.to_vec(), &[], Scope::Whole)?;
         let sums = design.training();
         Ok(Self {
             predicted,

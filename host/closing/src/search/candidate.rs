@@ -8,6 +8,9 @@ pub(crate) const PENALTY: f64 = 6.0;
 
 /// Fall of chi-squared per pixel from which a term without a name is worth adding whatever it stands beside.
 const MUCH: f64 = 0.05;
+/// Fall of chi-squared per pixel that a term with many free values must reach: it could take the errors of the
+/// calibration for something of its own.
+const ENOUGH: f64 = 0.02;
 
 /// An effect with its score test.
 #[derive(Clone, Debug)]
@@ -52,12 +55,20 @@ impl Candidate {
     /// added wherever much is left of the data of `pixels` pixels.
     pub(crate) fn can_be_shadowed(&self, pixels: f64) -> bool {
         let much = self.term.id().starts_with("unknown") && self.gain() > MUCH * pixels;
-        self.table.is_none() && !much
+        let of_even_light = self.table.as_ref().is_some_and(|t| !t.of_scenes);
+        !of_even_light && !much
+    }
+
+    /// Whether it explains enough for the many values that it is free to choose, in the data of `pixels` pixels.
+    pub(crate) fn is_large_enough(&self, pixels: f64) -> bool {
+        let many = self.table.as_ref().is_some_and(|t| t.of_scenes)
+            || matches!(self.term.id(), "unknown_warp" | "unknown_blur");
+        !many || self.gain() > ENOUGH * pixels
     }
 
     /// Fall of the training deviance that the score, linear in the strengths, announces.
     pub(crate) fn gain(&self) -> f64 {
-        let of_table = self.table.as_ref().map(|t| t.z * t.z.abs());
+        let of_table = self.table.as_ref().map(|t| t.gain);
         of_table.or(self.test.as_ref().map(|t| t.gain)).unwrap_or(0.0)
     }
 

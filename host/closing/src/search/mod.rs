@@ -1,15 +1,18 @@
 //! Searches for the effects that a model lacks.
 //!
-//! [`trials`] lists what is tried, [`select`] adds one effect after another (forward selection), `prune` removes what
-//! is no longer needed (backward elimination), [`recalibrate`] measures what a new calibration would gain.
+//! [`trials`] lists what is tried, [`select`] adds one effect after another (forward selection), `earn` takes out effects
+//! that a term without a name makes unnecessary, `prune` removes what is no longer needed (backward elimination),
+//! [`recalibrate`] measures what a new calibration would gain.
 
 pub mod candidate;
+pub(crate) mod earn;
 pub(crate) mod prune;
 pub mod recalibrate;
 pub mod select;
 pub mod trials;
 
 pub use candidate::{Alternative, Candidate, Estimate, Found, Shadowed};
+pub(crate) use earn::{earned, is_worse};
 pub(crate) use prune::{Pruned, prune};
 pub use recalibrate::{held_out_figures, trial_calibration};
 pub use select::Search;

@@ -3,7 +3,7 @@
 use super::candidate::Found;
 use super::select::ALPHA;
 use crate::evidence::{Scores, Test, f_tail};
-use crate::fit::{Column, Design, Fitted, Model, Replicas, Term, nuisances, own_columns, pseudo_inverse, refit};
+use crate::fit::{Column, Design, Fitted, Model, Replicas, Scope, Term, nuisances, own_columns, pseudo_inverse, refit};
 use ndarray::Array1;
 use ommatidia_model::forward::ForwardError;
 
@@ -34,7 +34,7 @@ pub(crate) fn prune(
     loop {
         let columns: Vec<Column> = nuisances(model).into_iter().chain(own_columns(model, &now.state)).collect();
         let of_frames = replicas.of(model, &now);
-        let design = Design::compute(model, now.expansion(&[]), columns.clone(), &of_frames)?;
+        let design = Design::compute(model, now.expansion(&[]), columns.clone(), &of_frames, Scope::Training)?;
         let test = |t: usize| -> Option<Test> {
             let of_term = |c: &Column| matches!(c, Column::Own { term, .. } if *term == t);
             let mine: Vec<usize> = (0..columns.len()).filter(|i| of_term(&columns[*i])).collect();

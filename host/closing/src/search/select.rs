@@ -3,8 +3,10 @@
 
 use super::candidate::{Alternative, Candidate, Found, PENALTY, Shadowed};
 use super::trials::{NEEDS_CALIBRATION, Tried, evidence};
-use crate::evidence::{Scores, TableFit, Test, holm, tables};
-use crate::fit::{Column, Design, Fitted, Model, Replicas, State, Term, nuisances, own_columns, refit, refit_from};
+use crate::evidence::{Scores, TableFit, Test, holm, maps, tables};
+use crate::fit::{
+    Column, Design, Fitted, Model, Replicas, Scope, State, Term, nuisances, own_columns, refit, refit_from,
+};
 use ndarray::Array2;
 use ommatidia_model::forward::ForwardError;
 use ommatidia_physics::effects::Stage;
@@ -19,8 +21,10 @@ pub const AMBIGUOUS: f64 = 10.8;
 pub const SHADOW: f64 = 0.03;
 /// Number of effects in the shadow of a stronger one that are listed; after so many full fits of such a search ends.
 const SHADOWED: usize = 3;
-/// Maximum number of effects that are added.
+/// Maximum number of effects that are added, and of terms without a name beside them.
 const MOST: usize = 6;
+/// Maximum number of terms without a name.
+const MOST_UNNAMED: usize = 3;
 /// A term without a name is tried only if at least this share of its squared norm is independent of the model's
 /// columns.
 const DISTINCT: f64 = 0.1;
@@ -29,16 +33,7 @@ const FINALISTS: usize = 3;
 /// Number of effects similar to the best that are fitted in full as well.
 const LOOKALIKES: usize = 2;
 
-/// Scores of all trial terms beside a state.
-pub(crate) struct Scored {
-    design: Design,
-    /// Columns that are projected out of all others.
-    taken: Vec<usize>,
-    /// Each effect at the best of its starting values.
-    pub(crate) candidates: Vec<Candidate>,
-}
-
-/// Scores trial terms beside a fitted state.
+/// Scores trial terms beside a fitted state: each effect at the best of its starting values.
 ///
 /// # Errors
 /// An object holds negative or non-finite light.
@@ -47,7 +42,7 @@ pub(crate) fn score(
     fitted: &Fitted,
     replicas: &[Vec<Option<Array2<f32>>>],
     terms: &[Term],
-) -> Result<Scored, ForwardError> {
+) -> Result<Vec<Candidate>, ForwardError> {
     let given: Vec<Column> = nuisances(model).into_iter().chain(own_columns(model, &fitted.state)).collect();
     let taken: Vec<usize> = (0..given.len()).collect();
     let mut columns = given;
@@ -57,8 +52,9 @@ pub(crate) fn score(
         columns.extend(term.strengths(model.lenses()).into_iter().map(|param| Column::Trial { term: t, param }));
         spans.push(first..columns.len());
     }
-    let design = Design::compute(model, fitted.expansion(terms), columns, replicas)?;
-    let scores = Scores::new(&design, taken.clone());
+    let scope = Scope::Scores { given: taken.len(), groups: &spans };
+    let design = Design::compute(model, fitted.expansion(terms), columns, replicas, scope)?;
+    let scores = Scores::new(&design, taken);
     let scenes = model.seen.of(Role::Scene).count();
     let mut candidates: Vec<Candidate> = Vec::new();
     for (term, span) in terms.iter().zip(spans) {
@@ -74,7 +70,7 @@ pub(crate) fn score(
             None => candidates.push(candidate),
         }
     }
-    Ok(Scored { design, taken, candidates })
+    Ok(candidates)
 }
 
 /// Sets the evidence of a single strength to zero if its estimate has the forbidden sign.
@@ -152,21 +148,27 @@ impl<'m, 'a> Search<'m, 'a> {
             let excluded = |id: &str| self.exclude.iter().any(|e| e == id);
             terms.retain(|t| !excluded(t.id()));
             let of_frames = self.replicas.of(self.model, &self.now);
-            let Scored { design, taken, mut candidates } = score(self.model, &self.now, &of_frames, &terms)?;
+            let mut candidates = score(self.model, &self.now, &of_frames, &terms)?;
             candidates.extend(tabled(self.model, &self.now, tried).into_iter().filter(|c| !excluded(c.term.id())));
             candidates.sort_by(|a, b| b.worth().total_cmp(&a.worth()));
             log(&candidates);
             let p: Vec<f64> = candidates.iter().map(Candidate::p).collect();
             let significant = holm(&p, ALPHA);
-            let open = |c: &Candidate| !refused.contains(&c.term.id()) && c.worth() > 0.0;
+            let pixels = self.now.training.pixels as f64;
+            let open = |c: &Candidate| !refused.contains(&c.term.id()) && c.worth() > 0.0 && c.is_large_enough(pixels);
             let able = candidates.iter().zip(&significant).filter(|(c, s)| **s && open(c)).map(|(c, _)| c);
             // The score of an effect in the shadow shows that already; its full fit would only take time.
             let floor = SHADOW * self.strongest_fall;
-            let pixels = self.now.training.pixels as f64;
             let (able, faint): (Vec<&Candidate>, Vec<&Candidate>) =
                 able.partition(|c| !c.can_be_shadowed(pixels) || c.gain() >= floor);
-            let finalists = finalists(&able);
-            if finalists.is_empty() || self.found.len() >= MOST || in_vain >= SHADOWED {
+            let mut finalists = finalists(&able);
+            // The evidence for a map rests on the scatter of few frames; its full fit shows what it is worth.
+            for c in able.iter().filter(|c| c.table.as_ref().is_some_and(|t| t.of_scenes)) {
+                if !finalists.iter().any(|f| f.term.id() == c.term.id()) {
+                    finalists.push(c);
+                }
+            }
+            if finalists.is_empty() || self.is_full(tried) || in_vain >= SHADOWED {
                 for c in faint.iter().take(SHADOWED.saturating_sub(self.shadowed.len())) {
                     let share = c.gain() / self.strongest_fall;
                     self.shadowed.push(Shadowed { id: c.term.id(), z: c.z(), share });
@@ -185,7 +187,7 @@ impl<'m, 'a> Search<'m, 'a> {
                     refused.push(it.candidate.term.id());
                 }
                 Verdict::Added(it) => {
-                    let found = self.describe(&design, taken, &candidates, &it);
+                    let found = self.describe(&candidates, &it)?;
                     self.found.push(found);
                     self.strongest_fall =
                         self.strongest_fall.max(self.now.training.deviance - it.fit.training.deviance);
@@ -197,6 +199,15 @@ impl<'m, 'a> Search<'m, 'a> {
                 }
                 Verdict::Refused(id) => refused.push(id),
             }
+        }
+    }
+
+    /// Whether as many terms of a family were added as may be.
+    fn is_full(&self, tried: Tried) -> bool {
+        let unnamed = self.found.iter().filter(|f| f.id.starts_with("unknown")).count();
+        match tried {
+            Tried::Catalogue => self.found.len() - unnamed >= MOST,
+            Tried::Curves | Tried::Maps => unnamed >= MOST_UNNAMED,
         }
     }
 
@@ -254,7 +265,12 @@ impl<'m, 'a> Search<'m, 'a> {
             } else {
                 refit_from(self.model, next, self.now.scenes.clone())?
             };
-            let (fall, price) = (self.now.training.deviance - fit.training.deviance, PENALTY * c.columns.len() as f64);
+            let mut fall = self.now.training.deviance - fit.training.deviance;
+            if let Some(table) = c.table.as_ref().filter(|t| t.of_scenes) {
+                // A map of the frames that it is judged on: what each half of them predicts for the other counts.
+                fall = fall.min(table.gain);
+            }
+            let price = PENALTY * c.columns.len() as f64;
             tracing::info!("  fitted {:?}: fall {fall:.1}, price {price:.0}", fit.state.terms.last());
             let cost = price * heaviest - fall;
             costs.push((c.term.id(), cost));
@@ -277,23 +293,44 @@ impl<'m, 'a> Search<'m, 'a> {
 
     /// The added effect with its evidence and its ambiguities: finalists are compared by their full fits, other effects
     /// by their scores.
-    fn describe(&self, design: &Design, taken: Vec<usize>, candidates: &[Candidate], added: &Added<'_>) -> Found {
+    fn describe(&self, candidates: &[Candidate], added: &Added<'_>) -> Result<Found, ForwardError> {
         let it = added.candidate;
-        let scores = Scores::new(design, taken);
-        let theta = it.test.as_ref().map_or(&[][..], |t| &t.theta);
         let near = |c: &&Candidate| match added.behind.iter().find(|(id, _)| *id == c.term.id()) {
             Some((_, behind)) => *behind < AMBIGUOUS,
             None => c.worth() > it.worth() - AMBIGUOUS && c.worth() > 0.0,
         };
-        let mut ambiguity: Vec<Alternative> = candidates
-            .iter()
-            .filter(|c| c.term.id() != it.term.id())
-            .filter(near)
-            .map(|c| Alternative { id: c.term.id(), overlap: scores.overlap(&it.columns, theta, &c.columns) })
-            .collect();
+        let near: Vec<&Candidate> = candidates.iter().filter(|c| c.term.id() != it.term.id()).filter(near).collect();
+        let mut ambiguity = self.overlaps(it, &near)?;
         ambiguity.sort_by(|a, b| b.overlap.total_cmp(&a.overlap));
         let table_sigma = it.table.as_ref().map(|t| t.sigma);
-        Found { id: it.term.id(), z: it.z(), held_out_gain: added.gain, ambiguity, table_sigma }
+        Ok(Found { id: it.term.id(), z: it.z(), held_out_gain: added.gain, ambiguity, table_sigma })
+    }
+
+    /// How similar the signature of a candidate is to those of others.
+    fn overlaps(&self, it: &Candidate, others: &[&Candidate]) -> Result<Vec<Alternative>, ForwardError> {
+        if others.is_empty() {
+            return Ok(Vec::new());
+        }
+        let (model, lenses) = (self.model, self.model.lenses());
+        let terms: Vec<Term> = [it].iter().chain(others).map(|c| c.term.clone()).collect();
+        let mut columns: Vec<Column> =
+            nuisances(model).into_iter().chain(own_columns(model, &self.now.state)).collect();
+        let taken = (0..columns.len()).collect();
+        let mut spans = Vec::new();
+        for (t, c) in [it].iter().chain(others).enumerate() {
+            let first = columns.len();
+            let strengths = if c.table.is_some() { Vec::new() } else { c.term.strengths(lenses) };
+            columns.extend(strengths.into_iter().map(|param| Column::Trial { term: t, param }));
+            spans.push((first..columns.len()).collect::<Vec<usize>>());
+        }
+        let design = Design::compute(model, self.now.expansion(&terms), columns, &[], Scope::Training)?;
+        let scores = Scores::new(&design, taken);
+        let theta = it.test.as_ref().map_or(&[][..], |t| &t.theta);
+        let of = |(c, span): (&&Candidate, &Vec<usize>)| Alternative {
+            id: c.term.id(),
+            overlap: scores.overlap(&spans[0], theta, span),
+        };
+        Ok(others.iter().zip(&spans[1..]).map(of).collect())
     }
 }
 
@@ -316,13 +353,14 @@ struct Added<'c> {
 }
 
 /// The candidates that are fitted in full: the best by the score test; and, since the scores of a large effect are far
-/// from linear, the simplest of those that explain nearly as much by the noise alone, and the effects that the
-/// catalogue lists as similar to the best.
+/// from linear, the one that explains most by the noise alone, the simplest of those that explain nearly as much, and
+/// the effects that the catalogue lists as similar to the best.
 fn finalists<'c>(able: &[&'c Candidate]) -> Vec<&'c Candidate> {
     let gain = |c: &Candidate| c.test.as_ref().map_or(0.0, |t| t.gain);
     let (top, most) = able.iter().fold((0.0, 0.0), |m: (f64, f64), c| (m.0.max(c.worth()), m.1.max(gain(c))));
     let mut chosen: Vec<&Candidate> = able.iter().filter(|c| c.worth() > 0.5 * top).take(FINALISTS).copied().collect();
     let open = |chosen: &[&Candidate], c: &Candidate| !chosen.iter().any(|b| b.term.id() == c.term.id());
+    chosen.extend(able.iter().filter(|c| gain(c) >= most && open(&chosen, c)).copied().collect::<Vec<_>>());
     let mut simple: Vec<&Candidate> =
         able.iter().filter(|c| gain(c) > 0.7 * most && open(&chosen, c)).copied().collect();
     simple.sort_by_key(|c| c.columns.len());
@@ -340,7 +378,12 @@ fn finalists<'c>(able: &[&'c Candidate]) -> Vec<&'c Candidate> {
 fn tabled(model: &Model<'_>, now: &Fitted, tried: Tried) -> Vec<Candidate> {
     let fits = match tried {
         Tried::Curves => Vec::new(),
-        Tried::Catalogue | Tried::Maps => tables::fit(model, &now.state, &now.predicted, tried == Tried::Catalogue),
+        Tried::Catalogue => tables::fit(model, &now.state, &now.predicted, true),
+        Tried::Maps => {
+            let mut fits = tables::fit(model, &now.state, &now.predicted, false);
+            fits.extend(maps::fit(model, &now.state, &now.predicted));
+            fits
+        }
     };
     let candidate =
         |t: TableFit| Candidate { term: t.term.clone(), columns: Vec::new(), test: None, chances: 1.0, table: Some(t) };

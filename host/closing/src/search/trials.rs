@@ -130,6 +130,12 @@ fn unknowns(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<Te
             }
         }
     }
+    for id in ["unknown_warp", "unknown_blur"] {
+        terms.extend(find(id).map(|effect| {
+            let params = effect.descriptor().expanded(model.lenses()).iter().map(|(_, p)| p.off).collect();
+            Term { effect, params, table: None, table_error: 0.0 }
+        }));
+    }
     let lenses = model.lenses();
     let chosen = |t: &Term| -> Vec<f64> {
         let all = t.expanded(lenses).into_iter().zip(&t.params);

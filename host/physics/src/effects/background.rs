@@ -40,11 +40,12 @@ impl Effect for Background {
             return;
         }
         let level = p[0] * cx.exposure_ms * cx.illumination;
-        let half = [light_e.nrows() as f64 / 2.0, light_e.ncols() as f64 / 2.0];
-        for ((r, c), v) in light_e.indexed_iter_mut() {
-            let y = (r as f64 + 0.5) / half[0] - 1.0;
-            let x = (c as f64 + 0.5) / half[1] - 1.0;
-            *v += (level * (1.0 + p[1] * y + p[2] * x).max(0.0)) as f32;
+        let along = |i: usize, n: usize| 2.0 * (i as f64 + 0.5) / n as f64 - 1.0;
+        let (rows, cols) = light_e.dim();
+        let across: Vec<f64> = (0..cols).map(|c| p[2] * along(c, cols)).collect();
+        for (r, mut row) in light_e.outer_iter_mut().enumerate() {
+            let down = 1.0 + p[1] * along(r, rows);
+            row.iter_mut().zip(&across).for_each(|(v, x)| *v += (level * (down + x).max(0.0)) as f32);
         }
     }
 }

@@ -4,10 +4,11 @@ use super::context::{FrameContext, Ray, RayShift, Record};
 use super::descriptor::{Param, Stage};
 use super::effect::{Effect, EffectSetting};
 use super::registry::{find, ids};
+use super::smooth::changed;
 use super::table::TableUse;
 use crate::noise::NoiseModel;
 use ndarray::Array2;
-use ommatidia_session::Manifest;
+use ommatidia_session::{Manifest, Role};
 use thiserror::Error;
 
 /// Why a list of effects cannot be applied.
@@ -192,8 +193,19 @@ impl Chain {
     pub fn on_light(&self, light_e: &mut Array2<f32>, cx: &FrameContext<'_>) {
         for a in self.at(Stage::Light) {
             match &a.table {
+                Some((kind, _)) if kind.of_scenes() && !of_specimen(cx) => {}
+                Some((TableUse::SceneResponse, u)) => {
+                    light_e.zip_mut_with(u, |v, u| *v *= (1.0 + u).max(0.0));
+                }
+                Some((TableUse::SceneRate, u)) => {
+                    light_e.zip_mut_with(u, |v, u| *v = changed(*v, u * cx.exposure_ms as f32));
+                }
                 Some((TableUse::Response, u)) => *light_e *= &u.mapv(|u| 1.0 + u),
                 Some((TableUse::DarkRate, u)) => *light_e += &u.mapv(|u| u * cx.exposure_ms as f32),
+                Some((TableUse::SceneStray, u)) => {
+                    let mean = light_e.mean().unwrap_or(0.0);
+                    light_e.zip_mut_with(u, |v, u| *v = changed(*v, u * mean));
+                }
                 _ => a.effect.on_light(&a.params, light_e, cx),
             }
         }
@@ -208,7 +220,8 @@ impl Chain {
     pub fn on_electronics(&self, frame_dn: &mut Array2<f32>, cx: &FrameContext<'_>) {
         for a in self.at(Stage::Electronics) {
             match &a.table {
-                Some((TableUse::Offset, u)) => *frame_dn += u,
+                Some((kind, _)) if kind.of_scenes() && !of_specimen(cx) => {}
+                Some((TableUse::Offset | TableUse::SceneOffset, u)) => *frame_dn += u,
                 _ => a.effect.on_electronics(&a.params, frame_dn, cx),
             }
         }
@@ -228,6 +241,11 @@ impl Chain {
     pub fn on_record(&self, record: &mut Record, cx: &FrameContext<'_>) {
         self.active.iter().for_each(|a| a.effect.on_record(&a.params, record, cx));
     }
+}
+
+/// Whether the frame shows a specimen or a bead.
+fn of_specimen(cx: &FrameContext<'_>) -> bool {
+    matches!(cx.role, Role::Scene | Role::Bead)
 }
 
 fn params_of(effect: &'static dyn Effect, setting: &EffectSetting, lenses: usize) -> Result<Vec<f64>, EffectError> {

@@ -6,8 +6,10 @@ use super::array_shift::ArrayShift;
 use super::background::Background;
 use super::black_level_drift::BlackLevelDrift;
 use super::brighter_fatter::BrighterFatter;
+use super::camera_gamma::CameraGamma;
 use super::charge_diffusion::ChargeDiffusion;
 use super::column_pattern::ColumnPattern;
+use super::column_smear::ColumnSmear;
 use super::dark_current::DarkCurrent;
 use super::defocus::Defocus;
 use super::dsnu::Dsnu;
@@ -31,6 +33,7 @@ use super::metadata_fault::MetadataFault;
 use super::motion_blur::MotionBlur;
 use super::noise_scale::NoiseScale;
 use super::nonlinearity::Nonlinearity;
+use super::object_distortion::ObjectDistortion;
 use super::photobleaching::Photobleaching;
 use super::pixel_mosaic::PixelMosaic;
 use super::prnu::Prnu;
@@ -40,11 +43,18 @@ use super::readout_lag::ReadoutLag;
 use super::row_noise::RowNoise;
 use super::row_pattern::RowPattern;
 use super::saturation::Saturation;
+use super::sensor_rotation::SensorRotation;
 use super::stage_scale::StageScale;
 use super::thermal_drift::ThermalDrift;
+use super::unknown_blur::UnknownBlur;
+use super::unknown_light::UnknownLight;
+use super::unknown_offset::UnknownOffset;
 use super::unknown_operator::UnknownOperator;
 use super::unknown_pattern::UnknownPattern;
 use super::unknown_profile::UnknownProfile;
+use super::unknown_shading::UnknownShading;
+use super::unknown_stray::UnknownStray;
+use super::unknown_warp::UnknownWarp;
 use super::veiling_glare::VeilingGlare;
 use super::vignetting::Vignetting;
 
@@ -54,11 +64,13 @@ static REGISTRY: &[&dyn Effect] = &[
     &Photobleaching,
     &ArrayShift,
     &ArrayRotation,
+    &SensorRotation,
     &LensDecentre,
     &StageScale,
     &ThermalDrift,
     &Magnification,
     &RadialDistortion,
+    &ObjectDistortion,
     &Defocus,
     &FieldCurvature,
     &LensGain,
@@ -68,6 +80,7 @@ static REGISTRY: &[&dyn Effect] = &[
     &Halo,
     &VeilingGlare,
     &Ghost,
+    &ColumnSmear,
     &Background,
     &LampDrift,
     &FlickerBanding,
@@ -83,6 +96,7 @@ static REGISTRY: &[&dyn Effect] = &[
     &Saturation,
     &InterpixelCapacitance,
     &Nonlinearity,
+    &CameraGamma,
     &ReadoutLag,
     &PixelMosaic,
     &RowPattern,
@@ -96,6 +110,12 @@ static REGISTRY: &[&dyn Effect] = &[
     &UnknownOperator,
     &UnknownProfile,
     &UnknownPattern,
+    &UnknownShading,
+    &UnknownLight,
+    &UnknownStray,
+    &UnknownOffset,
+    &UnknownWarp,
+    &UnknownBlur,
 ];
 
 /// All effects, in the physical order of their stages.

@@ -3,6 +3,7 @@
 //! An injected table is drawn from a few parameters (an rms, a number of spots, a seed). A fitted table is estimated
 //! from the residuals and stored in the setting. Both are applied in the same way.
 
+use super::smooth::blur_within;
 use ndarray::Array2;
 use ommatidia_session::rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -16,6 +17,22 @@ pub enum TableUse {
     DarkRate,
     /// Stage `Electronics`: `y + u`, u in DN.
     Offset,
+    /// Stage `Light`: `mu (1 + u)` in frames of specimens and beads, not in flats: something between array and sensor
+    /// that even light did not meet, or that came after the flats.
+    SceneResponse,
+    /// Stage `Light`: `mu + u t` in frames of specimens and beads, u in electrons per ms, t the exposure.
+    SceneRate,
+    /// Stage `Light`: `mu + u mean(mu)` in frames of specimens and beads, with the mean light of the frame.
+    SceneStray,
+    /// Stage `Electronics`: `y + u` in frames of specimens and beads, u in DN.
+    SceneOffset,
+}
+
+impl TableUse {
+    /// Whether the table acts in frames of specimens and beads alone. It is estimated from these frames.
+    pub fn of_scenes(self) -> bool {
+        matches!(self, Self::SceneResponse | Self::SceneRate | Self::SceneStray | Self::SceneOffset)
+    }
 }
 
 /// Which pixels share a value of a table.
@@ -29,6 +46,8 @@ pub enum TableGroup {
     Spots,
     /// None, but values of neighbouring pixels may be similar.
     Pattern,
+    /// Pixels of a row, of a column, or of a neighbourhood of any size.
+    Scales,
 }
 
 /// Properties of a table.
@@ -48,4 +67,12 @@ pub(super) fn normal(sensor: [usize; 2], rms: f64, seed: f64, what: &str) -> Arr
         let z: f64 = StandardNormal.sample(&mut rng);
         (rms * z) as f32
     })
+}
+
+/// A table of smooth numbers: normal ones, blurred by `grain_px`, of standard deviation `rms`.
+pub(super) fn soft(sensor: [usize; 2], rms: f64, seed: f64, what: &str, grain_px: f64) -> Array2<f32> {
+    let soft = blur_within(&normal(sensor, 1.0, seed, what), grain_px);
+    let found = soft.iter().map(|v| f64::from(v * v)).sum::<f64>() / soft.len().max(1) as f64;
+    let factor = if found > 0.0 { rms / found.sqrt() } else { 0.0 };
+    soft.mapv(|v| v * factor as f32)
 }

@@ -7,8 +7,8 @@
 use super::context::FrameContext;
 use super::descriptor::{Descriptor, Param, Stage};
 use super::effect::Effect;
-use super::smooth::changed;
-use ndarray::{Array2, Zip};
+use super::smooth::{changed, couple};
+use ndarray::{Array2, Axis, Zip, s};
 
 /// The effect; its formula is in the documentation of the module.
 pub(super) struct UnknownOperator;
@@ -69,25 +69,41 @@ impl Effect for UnknownOperator {
 /// A[mu].
 fn operated(mu: &Array2<f32>, operator: usize, cx: &FrameContext<'_>) -> Array2<f32> {
     let (rows, cols) = mu.dim();
-    let at = |r: isize, c: isize| mu[[r.clamp(0, rows as isize - 1) as usize, c.clamp(0, cols as isize - 1) as usize]];
-    let local =
-        |f: &dyn Fn(isize, isize) -> f32| Array2::from_shape_fn((rows, cols), |(r, c)| f(r as isize, c as isize));
-    let dx = |r: isize, c: isize| 0.5 * (at(r, c + 1) - at(r, c - 1));
-    let dy = |r: isize, c: isize| 0.5 * (at(r + 1, c) - at(r - 1, c));
     let half = [(rows as f32 - 1.0) / 2.0, (cols as f32 - 1.0) / 2.0];
     match operator {
         0 => mu.clone(),
-        1 => local(&dx),
-        2 => local(&dy),
-        3 => local(&|r, c| at(r + 1, c) + at(r - 1, c) + at(r, c + 1) + at(r, c - 1) - 4.0 * at(r, c)),
-        4 => local(&|r, c| {
-            (r as f32 - half[0]) / half[0].max(1.0) * dy(r, c) + (c as f32 - half[1]) / half[1].max(1.0) * dx(r, c)
-        }),
-        5 => Array2::from_shape_fn((rows, cols), |(r, c)| mu[[rows - 1 - r, cols - 1 - c]]),
+        1 => slope(mu, Axis(1)),
+        2 => slope(mu, Axis(0)),
+        3 => {
+            // A step of the heat equation that moves a quarter to the neighbours.
+            let mut blurred = mu.clone();
+            couple(&mut blurred, 0.25);
+            (blurred - mu) * 4.0
+        }
+        4 => {
+            let (mut down, across) = (slope(mu, Axis(0)), slope(mu, Axis(1)));
+            Zip::indexed(&mut down).and(&across).for_each(|(r, c), y, x| {
+                let from = [(r as f32 - half[0]) / half[0].max(1.0), (c as f32 - half[1]) / half[1].max(1.0)];
+                *y = from[0] * *y + from[1] * x;
+            });
+            down
+        }
+        5 => mu.slice(s![..;-1, ..;-1]).to_owned(),
         6 => Array2::from_elem((rows, cols), mu.mean().unwrap_or(0.0)),
         7 => mu.mapv(|v| v * v / (cx.full_scale_e.max(1.0) as f32)),
         _ => Array2::from_elem((rows, cols), cx.exposure_ms as f32),
     }
+}
+
+/// Half the difference of the two neighbours along an axis; the edge pixels are repeated outside.
+fn slope(mu: &Array2<f32>, axis: Axis) -> Array2<f32> {
+    let n = mu.len_of(axis);
+    let mut out = Array2::zeros(mu.dim());
+    for (i, mut lane) in out.axis_iter_mut(axis).enumerate() {
+        let [before, after] = [i.saturating_sub(1), (i + 1).min(n - 1)].map(|j| mu.index_axis(axis, j));
+        Zip::from(&mut lane).and(&after).and(&before).for_each(|v, a, b| *v = 0.5 * (a - b));
+    }
+    out
 }
 
 /// Multiplies by w.

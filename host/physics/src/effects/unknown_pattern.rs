@@ -5,7 +5,6 @@
 
 use super::descriptor::{Descriptor, Param, Stage};
 use super::effect::Effect;
-use super::smooth::blur_within;
 use super::table::{self, Table, TableGroup, TableUse};
 use ndarray::Array2;
 
@@ -33,9 +32,6 @@ impl Effect for UnknownPattern {
     }
 
     fn draw_table(&self, p: &[f64], sensor: [usize; 2]) -> Array2<f32> {
-        let soft = blur_within(&table::normal(sensor, 1.0, p[1], "unknown_pattern"), GRAIN_PX);
-        let rms = soft.iter().map(|v| f64::from(v * v)).sum::<f64>() / soft.len().max(1) as f64;
-        let factor = if rms > 0.0 { p[0] / rms.sqrt() } else { 0.0 };
-        soft.mapv(|v| v * factor as f32)
+        table::soft(sensor, p[0], p[1], "unknown_pattern", GRAIN_PX)
     }
 }

@@ -69,6 +69,15 @@ fn worked_examples_of_chief_rays() {
     near(shifted("thermal_drift", &[("col_px_per_s", 0.5)]), [0.0, 1.5], 0.0);
     let r2_mm2 = 265.0 * 1.85e-3f64.powi(2);
     near(shifted("radial_distortion", &[("k1_per_mm2", 2.0)]), [24.0 * r2_mm2, -22.0 * r2_mm2], 0.0);
+    // Focus (-10, -2) px from the centre of the array, source (30, -50) um from the centre of the object.
+    near(shifted("sensor_rotation", &[("angle_mrad", 2.0)]), [-0.004, 0.02], 0.0);
+    near(shifted("object_distortion", &[("k1_per_mm2", 5.0)]), [0.17, -0.289], 0.0);
+    // 0.5 + (0.2 * 10 + 0.1 * -17) / 100, and nothing of the other lens.
+    near(
+        shifted("unknown_warp", &[("row_px_0", 0.5), ("row_by_row_0", 0.2), ("row_by_col_0", 0.1), ("col_px_1", 3.0)]),
+        [0.503, 0.0],
+        0.0,
+    );
     near(shifted("defocus", &[("z_um", -30.0)]), [0.0, 0.0], -30.0);
     near(shifted("field_curvature", &[("a_um_per_mm2", 1000.0)]), [0.0, 0.0], 1000.0 * r2_mm2);
 }
@@ -175,6 +184,51 @@ fn weak_effects_leave_light_below_zero_as_it_is() {
         assert!(change.iter().all(|v| v.abs() < 1e-3), "{id}: {change}");
         assert!(change.iter().any(|v| *v != 0.0), "{id}");
     }
+}
+
+#[test]
+fn maps_of_scenes_leave_flats_as_they_are() {
+    let previous = image();
+    let scene = context(&previous);
+    let flat = FrameContext { role: Role::Flat, ..scene };
+    let table = ndarray::arr2(&[[0.5, -2.0]]);
+    let layout = Layout { lenses: 2, sensor: [1, 2] };
+    let frame = |id: &str, cx: &FrameContext<'_>| {
+        let mut chain = Chain::default();
+        let effect = find(id).unwrap();
+        let off = effect.descriptor().expanded(2).iter().map(|(_, p)| p.off).collect();
+        chain.push(effect, off, Some(&table), layout).unwrap();
+        let mut image = ndarray::arr2(&[[10.0f32, 10.0]]);
+        chain.on_light(&mut image, cx);
+        chain.on_electronics(&mut image, cx);
+        image
+    };
+    // 10 ms; light is never negative.
+    assert_eq!(frame("unknown_shading", &scene), ndarray::arr2(&[[15.0, 0.0]]));
+    assert_eq!(frame("unknown_light", &scene), ndarray::arr2(&[[15.0, 0.0]]));
+    assert_eq!(frame("unknown_stray", &scene), ndarray::arr2(&[[15.0, 0.0]]));
+    assert_eq!(frame("unknown_offset", &scene), ndarray::arr2(&[[10.5, 8.0]]));
+    for id in ["unknown_shading", "unknown_light", "unknown_stray", "unknown_offset"] {
+        assert_eq!(frame(id, &flat), ndarray::arr2(&[[10.0, 10.0]]), "{id}");
+    }
+}
+
+#[test]
+fn worked_examples_of_a_smear_a_gamma_and_a_blur() {
+    let previous = image();
+    let cx = context(&previous);
+    let smeared = lit("column_smear", &[("share", 0.1)], &ndarray::arr2(&[[0.0, 0.0], [100.0, 40.0]]), &cx);
+    assert_eq!(smeared, ndarray::arr2(&[[5.0, 2.0], [105.0, 42.0]]));
+    // Full scale 10^4 DN at one DN per electron, black level 2 DN: a quarter of it becomes half.
+    let bent = electronic("camera_gamma", &[("gamma", 0.5)], &ndarray::arr2(&[[2502.0, 10_002.0, 1.0]]), &cx);
+    assert_eq!(bent, ndarray::arr2(&[[5002.0, 10_002.0, 1.0]]));
+    let mut point = Array2::<f32>::zeros((9, 9));
+    point[[4, 4]] = 100.0;
+    let wide = lit("unknown_blur", &[("var_row_px2_0", 0.2), ("var_row_px2_1", 9.0)], &point, &cx);
+    assert_eq!([wide[[3, 4]], wide[[4, 4]], wide[[4, 3]]].map(f32::round), [10.0, 80.0, 0.0]);
+    let narrow = lit("unknown_blur", &[("var_row_px2_0", -0.2)], &wide, &cx);
+    // 80 + 0.2 (80 - 10), and 10 - 0.2 (80 - 2 * 10 + 0) / 2.
+    assert_eq!([narrow[[4, 4]], narrow[[3, 4]]].map(f32::round), [94.0, 4.0]);
 }
 
 #[test]

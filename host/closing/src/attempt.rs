@@ -1,0 +1,222 @@
+//! One attempt to close the loop, with the records as they stand: first fit, search, pruning, account.
+
+use super::account::{
+    Accepted, Closed, Closing, Effect, Excess, Findings, Verdict, claims_a_cause, effects, fault, harmful, imitated,
+    pictured, rejected, shadowed, unearned,
+};
+use super::data::{Fault, Observations, Shown};
+use super::evidence::{JudgedOn, figures, judged, omnibus, structured};
+use super::fit::{Model, State, Term, refit, replicas};
+use super::options::{CalibratedOn, CloseError, CloseOptions};
+use super::search::{Pruned, Search, Tried, earned, is_worse, prune, score};
+use ommatidia_model::instrument::Instrument;
+use ommatidia_physics::effects::find;
+use ommatidia_session::Role;
+
+/// What an attempt takes for given.
+#[derive(Clone, Copy)]
+pub(crate) struct Given<'a> {
+    /// Ids of effects that are not tried.
+    pub(crate) exclude: &'a [String],
+    /// Faults of the records, which were corrected.
+    pub(crate) faults: &'a [Fault],
+}
+
+/// The result of an attempt.
+pub(crate) struct Attempt {
+    pub(crate) closed: Closed,
+    /// The state of the closed instrument.
+    pub(crate) state: State,
+}
+
+impl Attempt {
+    /// Whether effects of the catalogue explain the session, and nothing is left to explain.
+    pub(crate) fn explains_all(&self) -> bool {
+        let closing = &self.closed.account.closing;
+        closing.verdict == Verdict::Adequate && closing.effects.iter().all(|e| e.known)
+    }
+}
+
+/// Searches for the effects that an instrument lacks and adds them. Calls `progress` with the name of each step that
+/// begins.
+///
+/// # Errors
+/// The parts of the instrument disagree, or an object holds negative light.
+pub(crate) fn attempt(
+    instrument: &Instrument,
+    seen: &Observations,
+    options: &CloseOptions<'_>,
+    given: Given<'_>,
+    progress: &mut impl FnMut(&str),
+) -> Result<Attempt, CloseError> {
+    let seed = options.seed;
+    let model = Model::new(instrument, seen)?;
+    let start = model.state(instrument)?;
+    let own = start.terms.len();
+    progress("first fit");
+    let first = refit(&model, start)?;
+    let replicas = replicas(&model, instrument, &first.state)?;
+    let before = first.clone();
+    let dependences_before = omnibus::test(&model, &first, &replicas.of(&model, &first), seed);
+    progress("catalogue");
+    let mut search = Search::new(&model, &replicas, first);
+    search.exclude = given.exclude.to_vec();
+    search.trial_deviance = options.trial_calibration.map(|trial| held_out_deviance(trial, seen)).transpose()?;
+    search.run(Tried::Catalogue, progress)?;
+    let mut dependences = omnibus::test(&model, &search.now, &replicas.of(&model, &search.now), seed);
+    let mut rest = std::mem::take(&mut search.rest);
+    if structured(&dependences) && !search.needs_calibration() {
+        progress("terms without a name");
+        search.run(Tried::Maps, progress)?;
+        search.run(Tried::Curves, progress)?;
+        dependences = omnibus::test(&model, &search.now, &replicas.of(&model, &search.now), seed);
+    }
+    let recalibrated = search.needs_calibration();
+    progress("which names are earned");
+    let earned = earned(&model, search.now, search.found, own, &before)?;
+    let mut nearest = shadowed(&search.shadowed);
+    nearest.extend(imitated(&earned.imitations));
+    nearest.extend(harmful(&earned.harmful));
+    let mut notes = Vec::new();
+    if !earned.harmful.is_empty() {
+        let ids: Vec<&str> = earned.harmful.iter().map(|(id, _)| *id).collect();
+        notes.push(format!(
+            "taken back, because held-out data were predicted worse with it than before: {}",
+            ids.join(", ")
+        ));
+    }
+    progress("pruning");
+    let Pruned { now, found, tests, removed } = prune(&model, &replicas, earned.now, earned.found, own)?;
+    let out = removed.iter().chain(&earned.removed);
+    if out.clone().next().is_some() {
+        dependences = omnibus::test(&model, &now, &replicas.of(&model, &now), seed);
+        // Their limits are those of effects that are absent.
+        rest.retain(|c| !out.clone().any(|t| t.id() == c.term.id()));
+        let absent: Vec<Term> = out.map(|t| t.switched_off(model.lenses())).collect();
+        rest.extend(score(&model, &now, &replicas.of(&model, &now), &absent)?);
+    }
+    if !removed.is_empty() {
+        let ids: Vec<&str> = removed.iter().map(Term::id).collect();
+        notes.push(format!(
+            "added and later removed, because the effects that were added after them made them unnecessary: {}",
+            ids.join(", ")
+        ));
+    }
+    let unknown = found.iter().any(|f| f.id.starts_with("unknown"));
+    let left = structured(&dependences);
+    let (mut now, mut found) = (now, found);
+    let claims = |e: &Effect| claims_a_cause(e, recalibrated);
+    // Darks and even light prove a table pixel by pixel, whatever is left of the scenes.
+    let may_imitate = |e: &Effect| claims(e) && find(&e.id).is_none_or(|effect| effect.table().is_none());
+    let excess = Excess::of(&before, &now);
+    let mut effects =
+        effects(&model, Findings { before: &before, now: &now, own, found: &found, tests: &tests }, given.faults);
+    if !found.is_empty() && is_worse(figures(&model, &before), figures(&model, &now)) {
+        let why = "with it, held-out data were predicted worse than without";
+        effects.retain(claims);
+        nearest.extend(unearned(&effects, why));
+        notes.push("all effects that were tried made the prediction of held-out data worse; none was added".into());
+        (now, found) = (before.clone(), Vec::new());
+        effects = given.faults.iter().map(fault).collect();
+        dependences = dependences_before.clone();
+    } else if !excess.names_are_earned(left) && effects.iter().any(may_imitate) {
+        let share = 100.0 * excess.left;
+        let why =
+            format!("{share:.0} % of the excess is left beside it, with structure: it imitates the cause in part");
+        let (named, others): (Vec<_>, Vec<_>) = effects.into_iter().partition(may_imitate);
+        nearest.extend(unearned(&named, &why));
+        notes.push(format!(
+            "the instrument keeps terms in the form of {}, which predict held-out data better; they are no causes",
+            named.iter().map(|e| e.id.as_str()).collect::<Vec<_>>().join(", ")
+        ));
+        effects = others;
+    }
+    let catalogue_incomplete = unknown || structured(&dependences);
+    let verdict = Excess::of(&before, &now).verdict(catalogue_incomplete);
+    if instrument.replicates.is_empty() && seen.of(Role::Scene).next().is_some() {
+        notes.push(
+            "the instrument has no calibration replicates, so the uncertainty of the calibration is unknown and small \
+             effects may be errors of the calibration; calibrate again"
+                .into(),
+        );
+    }
+    let own_beads = own_beads(seen, options.calibrated_on);
+    if own_beads {
+        notes.push(OWN_BEADS_NOTE.into());
+    }
+    let accepted = Accepted { state: &now.state, found: &found };
+    let closing = Closing {
+        session: options.session_name.into(),
+        calibrated_on: options.calibrated_on.iter().map(|c| c.file.clone()).collect(),
+        own_beads,
+        judged_on: JudgedOn::of(seen),
+        verdict,
+        nearest,
+        before: figures(&model, &before),
+        after: figures(&model, &now),
+        held_out_frames: held_out_frames(seen),
+        held_out_blocks: held_out_blocks(seen),
+        effects,
+        rejected: rejected(&model, &rest, &accepted, own_beads),
+        catalogue_incomplete,
+        faults: given.faults.to_vec(),
+        dependences_before,
+        dependences_after: dependences,
+        retrained: None,
+        notes,
+    };
+    let mut account = pictured(&model, &before, &now, closing);
+    account.closing.notes.extend(background_notes(&model, &now.state));
+    let closed = Closed { instrument: with_effects(instrument, &model, &now.state), account };
+    Ok(Attempt { closed, state: now.state })
+}
+
+/// What the figures mean where the only known frames are those of the calibration.
+pub(crate) const OWN_BEADS_NOTE: &str = "the figures are of bead frames that this instrument was calibrated on: they show how well \
+                              the model describes that scan, and nothing of what has changed since; measure scenes of \
+                              known objects or a new bead scan to test the optics";
+
+/// Whether all frames of the figures are bead frames that the calibration has read.
+pub(crate) fn own_beads(seen: &Observations, calibrated_on: &[CalibratedOn]) -> bool {
+    let own = |k: usize| {
+        let frame = &seen.frames[k];
+        matches!(frame.shown, Shown::Bead(_)) && calibrated_on.iter().any(|c| c.stack == frame.stack)
+    };
+    let mut known = judged(seen).filter(|k| seen.frames[*k].shown != Shown::Unknown).peekable();
+    known.peek().is_some() && known.all(own)
+}
+
+/// Deviance of the held-out cells under another instrument.
+fn held_out_deviance(instrument: &Instrument, seen: &Observations) -> Result<f64, CloseError> {
+    let model = Model::new(instrument, seen)?;
+    Ok(refit(&model, model.state(instrument)?)?.held_out.deviance)
+}
+
+/// The background of each stack that has one of its own: it belongs to the session, and no effect names it.
+fn background_notes(model: &Model<'_>, state: &State) -> Vec<String> {
+    let role = |stack: usize| model.seen.frames.iter().find(|f| f.stack == stack).map(|f| f.role);
+    let note = |(stack, [level, row, col]): (usize, &[f64; 3])| {
+        let role = role(stack).filter(|_| [*level, *row, *col] != [0.0; 3])?;
+        Some(format!(
+            "background of the {} frames, as this session shows it: {level:.2} e- a pixel ({row:+.2} e- from the first \
+             to the last row, {col:+.2} e- from the first to the last column); it was fitted beside the effects, \
+             because the calibration found a background in the bead frames",
+            role.name()
+        ))
+    };
+    state.background_e.iter().enumerate().filter_map(note).collect()
+}
+
+pub(crate) fn held_out_frames(seen: &Observations) -> Vec<usize> {
+    judged(seen).filter(|k| seen.frames[*k].held_out).map(|k| seen.frames[k].info.frame).collect()
+}
+
+pub(crate) fn held_out_blocks(seen: &Observations) -> [usize; 2] {
+    [seen.held_out_blocks.iter().filter(|h| **h).count(), seen.held_out_blocks.len()]
+}
+
+/// The instrument with the effects of a state in place of its own.
+fn with_effects(instrument: &Instrument, model: &Model<'_>, state: &State) -> Instrument {
+    let effects = state.terms.iter().map(|t| t.setting(model.lenses())).collect();
+    Instrument { effects, ..instrument.clone() }
+}

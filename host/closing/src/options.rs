@@ -1,0 +1,56 @@
+//! What closing the loop is given beside data and instrument, and why it may fail.
+
+use ommatidia_model::forward::ForwardError;
+use ommatidia_model::instrument::Instrument;
+use ommatidia_physics::effects::EffectError;
+use thiserror::Error;
+
+/// Why the loop could not be closed.
+#[derive(Debug, Error)]
+pub enum CloseError {
+    /// The forward model failed.
+    #[error(transparent)]
+    Forward(#[from] ForwardError),
+    /// The instrument holds an effect that is not valid.
+    #[error(transparent)]
+    Effect(#[from] EffectError),
+    /// Instrument and session have different layouts.
+    #[error(
+        "the instrument was calibrated for {expected}, the session has {found}; calibrate on a session of this \
+         instrument"
+    )]
+    Layout {
+        /// Layout of the instrument.
+        expected: String,
+        /// Layout of the session.
+        found: String,
+    },
+    /// There is no frame.
+    #[error("the session holds no frame to compare with the model: expected scenes, beads, flats or darks")]
+    Empty,
+}
+
+/// A stack of the session that the calibration of the instrument has read.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CalibratedOn {
+    /// Index of the stack in the session.
+    pub stack: usize,
+    /// Its file.
+    pub file: String,
+}
+
+/// Settings of [`close()`].
+#[derive(Clone, Copy, Debug, Default)]
+pub struct CloseOptions<'a> {
+    /// Name of the session, for the account.
+    pub session_name: &'a str,
+    /// Seed of all random draws.
+    pub seed: u64,
+    /// Files of the session that the calibration of the instrument has read (by hashes).
+    pub calibrated_on: &'a [CalibratedOn],
+    /// Ids of effects that are not tried, for tests of the loop with the true effect missing from the catalogue.
+    pub exclude: &'a [String],
+    /// An instrument that was calibrated on the training beads of the session, if it predicts the held-out beads better
+    /// than the old one ([`super::search::trial_calibration`]). The search compares effects with what it gains.
+    pub trial_calibration: Option<&'a Instrument>,
+}

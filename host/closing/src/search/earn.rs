@@ -1,0 +1,149 @@
+//! Names that a term without a name makes unnecessary, and terms that make the prediction of held-out data worse.
+//!
+//! A cause outside the catalogue is first shared out among effects that resemble it in part; a term without a name then
+//! takes what they left. If that term, fitted again, takes their part as well, they only imitated the cause.
+
+use super::candidate::{Found, Shadowed};
+use super::select::SHADOW;
+use crate::evidence::{Figures, figures, maps};
+use crate::fit::{Fitted, Model, Scenes, State, Term, refit, refit_from};
+use ommatidia_model::forward::ForwardError;
+
+/// Number of times that maps and the other parameters are fitted in turn.
+const ROUNDS: usize = 2;
+
+/// A state without the effects whose names are not earned.
+pub(crate) struct Earned {
+    pub(crate) now: Fitted,
+    pub(crate) found: Vec<Found>,
+    /// The effects that were taken out because they only imitate.
+    pub(crate) imitations: Vec<Shadowed>,
+    /// Ids and strengths of the evidence of those that made the prediction of held-out data worse.
+    pub(crate) harmful: Vec<(&'static str, f64)>,
+    /// The terms of both.
+    pub(crate) removed: Vec<Term>,
+}
+
+impl Earned {
+    /// Takes term `i` of `found` out of the state.
+    fn take(&mut self, state: &mut State, own: usize, i: usize) -> Found {
+        self.removed.push(state.terms.remove(own + i));
+        self.found.remove(i)
+    }
+}
+
+/// Takes out the effects of the catalogue without which the terms without a name explain the data as well. The first
+/// `own` terms of the state belong to the instrument; the others are those of `found`, in order. `first` is the fit
+/// before the search.
+///
+/// # Errors
+/// An object holds negative or non-finite light.
+pub(crate) fn earned(
+    model: &Model<'_>,
+    now: Fitted,
+    found: Vec<Found>,
+    own: usize,
+    first: &Fitted,
+) -> Result<Earned, ForwardError> {
+    let mut it = Earned { now, found, imitations: Vec::new(), harmful: Vec::new(), removed: Vec::new() };
+    if !it.found.iter().any(|f| is_unnamed(f.id)) {
+        return without_harm(model, it, own, first);
+    }
+    it.now = polished(model, &it.now.state, own)?;
+    // All names at once, then one by one, the weakest first; then terms without a name that a map makes unnecessary.
+    let mut order: Vec<usize> = (0..it.found.len()).filter(|i| is_doubtful(&it, own, *i)).collect();
+    order.sort_by(|a, b| it.found[*a].held_out_gain.total_cmp(&it.found[*b].held_out_gain));
+    let (unnamed, named): (Vec<_>, Vec<_>) = order.into_iter().map(|i| it.found[i].id).partition(|id| is_unnamed(id));
+    let all = (named.len() > 1).then(|| named.clone());
+    for set in all.into_iter().chain(named.iter().chain(&unnamed).map(|id| vec![*id])) {
+        let out: Vec<usize> = (0..it.found.len()).filter(|i| set.contains(&it.found[*i].id)).collect();
+        if out.is_empty() {
+            continue;
+        }
+        let mut state = it.now.state.clone();
+        out.iter().rev().for_each(|i| drop(state.terms.remove(own + i)));
+        let without = polished(model, &state, own)?;
+        let [before, with, without_it] = [first, &it.now, &without].map(|f| f.held_out.deviance);
+        let rise = (without_it - with) / (before - with).max(1e-9);
+        tracing::info!("without {set:?}: {rise:.4} of the fall is lost");
+        if rise < SHADOW {
+            let mut old = it.now.state.clone();
+            for i in out.into_iter().rev() {
+                let f = it.take(&mut old, own, i);
+                it.imitations.push(Shadowed { id: f.id, z: f.z, share: rise.max(0.0) });
+            }
+            it.now = without;
+        }
+    }
+    without_harm(model, it, own, first)
+}
+
+/// Takes terms back, the last first, as long as held-out data are predicted worse than before the search.
+fn without_harm(model: &Model<'_>, mut it: Earned, own: usize, first: &Fitted) -> Result<Earned, ForwardError> {
+    while !it.found.is_empty() && is_worse(figures(model, first), figures(model, &it.now)) {
+        let mut state = it.now.state.clone();
+        let f = it.take(&mut state, own, it.found.len() - 1);
+        it.harmful.push((f.id, f.z));
+        it.now = if it.found.is_empty() { first.clone() } else { refit(model, state)? };
+    }
+    Ok(it)
+}
+
+/// Relative change of a figure that is no change.
+const ROUNDING: f64 = 1e-4;
+
+/// Whether held-out data are predicted worse than before.
+pub(crate) fn is_worse(before: Figures, after: Figures) -> bool {
+    // Below 1 the noise model is too wide; an effect that narrows it raises chi-squared rightly.
+    after.chi2_ndf > before.chi2_ndf.max(1.0) || after.nrmse > before.nrmse * (1.0 + ROUNDING)
+}
+
+/// Whether a found effect may only imitate: neither even light and darks prove it, nor is it a map itself.
+fn is_doubtful(it: &Earned, own: usize, i: usize) -> bool {
+    it.now.state.terms[own + i].table.is_none()
+}
+
+fn is_unnamed(id: &str) -> bool {
+    id.starts_with("unknown")
+}
+
+/// The fitted state, with the maps of scenes estimated again beside all other terms.
+fn polished(model: &Model<'_>, state: &State, own: usize) -> Result<Fitted, ForwardError> {
+    let of_scenes = |t: &Term| t.effect.table().is_some_and(|kind| kind.acts.of_scenes());
+    let maps: Vec<usize> = (own..state.terms.len()).filter(|i| of_scenes(&state.terms[*i])).collect();
+    let mut fit = None;
+    let mut state = state.clone();
+    for _ in 0..if maps.is_empty() { 1 } else { ROUNDS } {
+        let scenes: Scenes = model.scenes(&model.chain(&state.terms))?.into();
+        for i in &maps {
+            let mut without = state.clone();
+            let old = without.terms.remove(*i);
+            let predicted = model.predict(&without, &scenes);
+            state.terms[*i] = maps::one(model, old.effect, &predicted).map_or(old, |f| f.term);
+        }
+        let next = refit_from(model, state, scenes)?;
+        state = next.state.clone();
+        fit = Some(next);
+    }
+    fit.map_or_else(|| refit(model, state), Ok)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn figures(chi2_ndf: f64, nrmse: f64) -> Figures {
+        Figures { chi2_ndf, nrmse, pcc: 0.9 }
+    }
+
+    #[test]
+    fn an_instrument_that_predicts_worse_in_either_figure_is_worse() {
+        assert!(is_worse(figures(1.2, 0.05), figures(1.3, 0.04)));
+        assert!(is_worse(figures(0.52, 0.19), figures(0.79, 0.25)));
+        assert!(!is_worse(figures(1.2, 0.05), figures(1.1, 0.05)));
+        // A noise model that was too wide becomes right.
+        assert!(!is_worse(figures(0.6, 0.05), figures(0.99, 0.05)));
+        // What is not judged is not worse.
+        assert!(!is_worse(figures(f64::NAN, f64::NAN), figures(f64::NAN, f64::NAN)));
+    }
+}
