@@ -12,12 +12,13 @@ use super::foci::Point;
 use ommatidia_physics::effects::RayShift;
 use ommatidia_session::rng;
 use rand::RngExt;
+use serde::{Deserialize, Serialize};
 
 /// Share of full scale that the brightest pixel of a bead reaches.
 const BEAD_PEAK: f64 = 0.7;
 
 /// Measured PSFs for an instrument of the family `kernels`.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MeasuredPsfs {
     /// Files, or folders of files.
     pub paths: Vec<String>,

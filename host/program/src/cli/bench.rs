@@ -54,7 +54,7 @@ pub struct Args {
 impl Args {
     /// What the verb reads and writes.
     pub fn files(&self) -> Files {
-        Files::reading(&self.config).writing([&self.session], Content::Named(virtual_session))
+        Files::reading(&self.config).and_reading(&self.psfs).writing([&self.session], Content::Named(virtual_session))
     }
 }
 
