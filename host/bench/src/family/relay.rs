@@ -179,7 +179,7 @@ impl Relay {
     }
 
     /// Where the chief ray of a point meets the sensor, relative to the axis of its lens, pixels.
-    fn from_axis_px(&self, l: usize, at_um: [f64; 2]) -> [f64; 2] {
+    fn off_axis_px(&self, l: usize, at_um: [f64; 2]) -> [f64; 2] {
         let h = self.field(l, at_um);
         let cube = self.config.distortion_px * (h[0] * h[0] + h[1] * h[1]);
         let scale = self.magnification / self.pixel_pitch_um;
@@ -244,20 +244,20 @@ impl Lenses for Relay {
     }
 
     fn ray(&self, l: usize, at_um: [f64; 2]) -> Ray {
-        let (anchor, axis, from_axis) = (self.lenses[l].anchor_px, self.axis_px(l), self.from_axis_px(l, at_um));
+        let (anchor, axis, off_axis) = (self.lenses[l].anchor_px, self.axis_px(l), self.off_axis_px(l, at_um));
         Ray {
             lens: l,
             object_um: at_um,
-            field_px: [0, 1].map(|k| axis[k] + from_axis[k] - anchor[k]),
-            axis_px: from_axis,
+            field_px: [0, 1].map(|k| axis[k] + off_axis[k] - anchor[k]),
+            axis_px: off_axis,
             anchor_px: [0, 1].map(|k| anchor[k] - self.centre_px[k]),
             pixel_pitch_um: self.pixel_pitch_um,
         }
     }
 
     fn focus_px(&self, l: usize, point: Point, moved: RayShift) -> [f64; 2] {
-        let (axis, from_axis) = (self.axis_px(l), self.from_axis_px(l, point.at_um));
-        [0, 1].map(|k| axis[k] + from_axis[k] + moved.px[k])
+        let (axis, off_axis) = (self.axis_px(l), self.off_axis_px(l, point.at_um));
+        [0, 1].map(|k| axis[k] + off_axis[k] + moved.px[k])
     }
 
     fn focus(&self, l: usize, point: Point, moved: RayShift, work: &mut Work) -> Focus {

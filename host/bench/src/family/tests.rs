@@ -112,8 +112,8 @@ fn a_relay_out_of_focus_shows_a_disc_of_its_aperture_times_the_distance() {
     for z in [-150.0, 80.0, 200.0] {
         // A disc of radius R has the variance R^2 / 4 along each axis.
         let radius_px = m * z * aperture / 1.85;
-        for k in 0..2 {
-            let found = variance(z)[k] - focus[k];
+        for (wide, sharp) in variance(z).iter().zip(&focus).take(2) {
+            let found = wide - sharp;
             assert!((found / (radius_px * radius_px / 4.0) - 1.0).abs() < 0.01, "{z}: {found} {radius_px}");
         }
     }
@@ -278,7 +278,7 @@ fn measured_kernels_are_read_scaled_and_blended_in_depth_and_over_the_field() {
     assert!((width(40.0) / width(0.0) - 7.0 / 4.0).abs() < 0.12, "{}", width(40.0));
     // Beyond the stack nothing is known.
     let defocus = EffectSetting::new("defocus", &[("z_um", 5.0)]);
-    let why = config.build(&[defocus.clone()]).unwrap_err().to_string();
+    let why = config.build(std::slice::from_ref(&defocus)).unwrap_err().to_string();
     assert!(why.contains("`defocus` cannot act") && why.contains("kernels") && why.contains("40 um"), "{why}");
     config.scan.depths_um = vec![-90.0];
     assert!(config.build(&[]).unwrap_err().to_string().contains("scan.depths_um"));

@@ -128,7 +128,7 @@ pub struct Size {
     pub only: Vec<String>,
     /// Questions to answer; empty: all.
     pub questions: Vec<Question>,
-    /// Largest number of sessions with one effect at one strength; other groups have a third of it. `None`: no limit.
+    /// Largest number of sessions with one effect at one strength; other groups have a sixth of it. `None`: no limit.
     #[serde(default)]
     pub quota: Option<usize>,
 }
@@ -168,7 +168,7 @@ impl Size {
         }
     }
 
-    /// A study of about 60 sessions over all kinds of instruments and strengths, for development.
+    /// A study of about 70 sessions over all kinds of instruments and strengths, for development.
     pub fn development(seed: u64) -> Self {
         let questions = Question::ALL.into_iter().filter(|q| *q != Question::Reconstruction);
         let questions = questions.filter(|q| *q != Question::Gain && *q != Question::Records).collect();
@@ -250,8 +250,7 @@ pub fn cases(size: &Size, sensitivities: &[Option<Sensitivities>]) -> Vec<Case> 
             let most = match w.case.question {
                 Question::Null => usize::MAX,
                 Question::Single => quota,
-                Question::Parts | Question::Registration => (quota / 6).max(1),
-                _ => (quota / 3).max(1),
+                _ => (quota / 6).max(1),
             };
             let n = counts.entry(w.group.clone()).or_default();
             *n += 1;

@@ -21,7 +21,7 @@ pub struct Args {
     /// Run a few sessions only, which checks in a minute or two that `close` and the study work
     #[arg(long, conflicts_with_all = ["null", "seeds", "strengths", "only", "instruments", "development", "sealed"])]
     quick: bool,
-    /// Run about 60 sessions over all families of instruments and all strengths, for development
+    /// Run about 70 sessions over all families of instruments and all strengths, for development
     #[arg(long, conflicts_with_all = ["null", "seeds", "strengths", "only", "instruments", "sealed"])]
     development: bool,
     /// Run sealed instruments and sessions, on which no threshold may be set, and count in FILE that they were opened

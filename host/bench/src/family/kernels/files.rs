@@ -48,7 +48,7 @@ pub(super) fn read(config: &KernelsConfig) -> Result<Set, BenchError> {
     let width = widths.sum::<f64>() / stacks.len() as f64;
     let fine_px = config.rms_px / width.max(1e-3);
     // An odd number of samples has a middle one.
-    let bin = ((FINEST_PX / fine_px).floor() as usize).max(2) - 1 | 1;
+    let bin = (((FINEST_PX / fine_px).floor() as usize).max(2) - 1) | 1;
     let binned_side = ((side / bin) | 1).min(LARGEST);
     let image = |frame: &Array2<f32>| binned(&square(frame, side), side, bin, binned_side);
     let images = stacks.iter().map(|stack| match config.stack_of {
