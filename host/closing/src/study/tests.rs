@@ -50,7 +50,7 @@ fn outcome(key: &str, question: Question, truth: &str, found: &[(&str, f64)]) ->
         found: found.collect(),
         held_out: HeldOut {
             before: 2.0,
-            after: 1.1,
+            after: 1.05,
             floor: 1.0,
             truth: Some(1.0),
             pixels: 10_000,
