@@ -143,12 +143,12 @@ table = "bead.csv"
 /// scenes that no fit has seen is taken out.
 #[test]
 fn measured_pixel_maps_are_named_and_corrected() {
-    use ommatidia_closing::study::subject::bench_config;
+    use ommatidia_closing::study::instruments::gentle;
     use ommatidia_closing::{Budget, CloseOptions, Observations, close};
     use ommatidia_physics::effects::EffectSetting;
     use ommatidia_session::FrameReader;
     let Some(data) = measured_data("measured_pixel_maps_are_named_and_corrected", "scmos_maps") else { return };
-    let mut bench = bench_config(0);
+    let mut bench = gentle(0);
     (bench.scan.rows, bench.scan.cols, bench.scan.depths_um) = (9, 9, vec![0.0]);
     let folder = tempfile::tempdir().unwrap();
     let measure = |name: &str, effects: &[EffectSetting]| {

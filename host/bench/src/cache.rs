@@ -5,6 +5,9 @@
 //! cache.
 
 use super::config::{AberrationConfig, ArrayConfig, BenchConfig, ObjectConfig, OpticsConfig};
+use super::family::FamilyName;
+use super::family::kernels::KernelsConfig;
+use super::family::relay::RelayConfig;
 use super::foci::{Foci, Point};
 use super::optics::VirtualOptics;
 use std::sync::OnceLock;
@@ -20,6 +23,7 @@ struct Build {
     array: ArrayConfig,
     optics: OpticsConfig,
     aberrations: AberrationConfig,
+    family: (FamilyName, RelayConfig, KernelsConfig),
     object: ObjectConfig,
     scene_z_um: Option<f64>,
     scan: [usize; 2],
@@ -91,6 +95,7 @@ fn build_of(config: &BenchConfig) -> Build {
         array: config.array.clone(),
         optics: config.optics.clone(),
         aberrations: config.aberrations.clone(),
+        family: (config.family, config.relay.clone(), config.kernels.clone()),
         object: config.object.clone(),
         scene_z_um: config.stacks.scene_depths_um.first().copied(),
         scan: [config.scan.rows, config.scan.cols],

@@ -1,6 +1,9 @@
 //! Configuration of the virtual instrument. The default is the demo instrument.
 
 use super::error::BenchError;
+use super::family::FamilyName;
+use super::family::kernels::KernelsConfig;
+use super::family::relay::RelayConfig;
 use ommatidia_physics::scene::SceneConfig;
 use ommatidia_session::{ArrayGeometry, Manifest, ObjectGrid, Optics, SensorSpec};
 use serde::{Deserialize, Serialize};
@@ -15,14 +18,23 @@ pub(super) const SCENES_AT_ONCE: usize = 16;
 pub struct BenchConfig {
     /// Seed of the lenses and of the sensor's fixed patterns. The seed of a run draws noise and scenes only.
     pub instrument_seed: u64,
+    /// How the lenses are computed.
+    #[serde(skip_serializing_if = "is_default")]
+    pub family: FamilyName,
     /// The image sensor.
     pub sensor: SensorConfig,
     /// The microlens array.
     pub array: ArrayConfig,
     /// Optics common to all lenses.
     pub optics: OpticsConfig,
-    /// Aberrations of the lenses.
+    /// Aberrations of the lenses of family `pupils`.
     pub aberrations: AberrationConfig,
+    /// Aberrations of the lenses of family `relay`.
+    #[serde(skip_serializing_if = "is_default")]
+    pub relay: RelayConfig,
+    /// PSFs of the lenses of family `kernels`.
+    #[serde(skip_serializing_if = "is_default")]
+    pub kernels: KernelsConfig,
     /// Pixel grid of the objects.
     pub object: ObjectConfig,
     /// The bead scan.
@@ -178,6 +190,11 @@ pub struct StackConfig {
     pub scene_peak: [f64; 2],
 }
 
+// Likewise what says nothing about the instrument.
+fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
+}
+
 // Default depths are left out of a session's truth, as in files written before depths existed.
 fn in_focus_only(depths_um: &[f64]) -> bool {
     depths_um == [0.0]
@@ -191,6 +208,9 @@ impl Default for BenchConfig {
             array: ArrayConfig::default(),
             optics: OpticsConfig::default(),
             aberrations: AberrationConfig::default(),
+            family: FamilyName::default(),
+            relay: RelayConfig::default(),
+            kernels: KernelsConfig::default(),
             object: ObjectConfig::default(),
             scan: ScanConfig::default(),
             stacks: StackConfig::default(),

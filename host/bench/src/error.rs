@@ -42,6 +42,18 @@ pub enum BenchError {
     /// An effect is unknown, or one of its parameters is out of range.
     #[error(transparent)]
     Effect(#[from] EffectError),
+    /// An effect cannot act on the lenses of a family.
+    #[error(
+        "`{effect}` cannot act on this instrument of family `{family}`: {why}; inject less of it, or choose another family"
+    )]
+    Refused {
+        /// Id of the effect.
+        effect: String,
+        /// Name of the family.
+        family: &'static str,
+        /// Why.
+        why: String,
+    },
     /// The scenes cannot be drawn.
     #[error(transparent)]
     Scene(#[from] SceneError),

@@ -2,7 +2,7 @@
 
 /// A point of light on the object side.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Point {
+pub(crate) struct Point {
     /// Stage position (y, x), um from the centre of the object.
     pub at_um: [f64; 2],
     /// Depth, um.
@@ -11,7 +11,7 @@ pub(super) struct Point {
 
 /// The focus of one point through one lens.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Focus {
+pub(crate) struct Focus {
     /// Sensor pixel (row, col) under the middle pixel of the PSF; may lie outside the sensor.
     pub centre: [i64; 2],
     /// Share of the light that the lens passes at this angle.
@@ -20,7 +20,7 @@ pub(super) struct Focus {
 
 /// Foci of many points through one lens.
 #[derive(Debug)]
-pub(super) struct Foci {
+pub(crate) struct Foci {
     /// Side of a PSF, pixels.
     pub side: usize,
     /// One focus for each point.
@@ -31,7 +31,7 @@ pub(super) struct Foci {
 
 impl Foci {
     /// Focus and PSF of one point.
-    pub(super) fn get(&self, point: usize) -> Option<(Focus, &[f32])> {
+    pub(crate) fn get(&self, point: usize) -> Option<(Focus, &[f32])> {
         let len = self.side * self.side;
         Some((*self.focus.get(point)?, self.share.get(point * len..(point + 1) * len)?))
     }
@@ -39,7 +39,7 @@ impl Foci {
 
 /// Stored foci, and the index of a point among them.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Kept<'a> {
+pub(crate) struct Kept<'a> {
     pub foci: &'a Foci,
     pub index: usize,
 }

@@ -3,6 +3,7 @@
 use super::cache::FocusCache;
 use super::config::{BenchConfig, SCENES_AT_ONCE};
 use super::error::BenchError;
+use super::family::change::Change;
 use super::optics::VirtualOptics;
 use super::sensor::VirtualSensor;
 use ndarray::Array2;
@@ -20,6 +21,8 @@ use std::sync::Arc;
 pub struct VirtualInstrument {
     pub(super) config: BenchConfig,
     pub(super) optics: VirtualOptics,
+    /// The optics with parts that effects have moved; `None`: they are as they were made.
+    pub(super) moved: Option<VirtualOptics>,
     pub(super) anchors_px: Vec<[f64; 2]>,
     pub(super) sensor: VirtualSensor,
     pub(super) settings: Vec<EffectSetting>,
@@ -86,14 +89,27 @@ impl BenchConfig {
     pub fn build(&self, settings: &[EffectSetting]) -> Result<VirtualInstrument, BenchError> {
         self.check()?;
         let optics = VirtualOptics::build(self)?;
-        let effects = Chain::build(settings, Layout::of(&self.manifest()))?;
+        let layout = Layout::of(&self.manifest());
+        // All settings are checked, also those that become moved parts.
+        let mut effects = Chain::build(settings, layout)?;
+        for setting in settings {
+            if let Some(why) = optics.refuses(setting) {
+                return Err(BenchError::Refused { effect: setting.id.clone(), family: self.family.name(), why });
+            }
+        }
+        let moved = optics.moved(settings);
+        if moved.is_some() {
+            let others: Vec<_> = settings.iter().filter(|s| !Change::knows(&s.id)).cloned().collect();
+            effects = Chain::build(&others, layout)?;
+        }
         // Scenes pass the optics in batches, and once more with effects. Stored foci help from the second pass on.
-        let again = !effects.acts_at(Stage::Geometry) && up_to_sensor(&effects);
+        let again = moved.is_none() && !effects.acts_at(Stage::Geometry) && up_to_sensor(&effects);
         let passes = self.scene_count().div_ceil(SCENES_AT_ONCE) * if again { 2 } else { 1 };
         Ok(VirtualInstrument {
             config: self.clone(),
             anchors_px: optics.anchors_px(),
             optics,
+            moved,
             sensor: VirtualSensor::manufacture(&self.sensor, self.instrument_seed),
             settings: settings.to_vec(),
             effects,
@@ -123,12 +139,22 @@ impl BenchConfig {
 }
 
 /// Whether an effect acts before the light reaches the sensor, or on more than one frame.
-pub(super) fn up_to_sensor(effects: &Chain) -> bool {
+fn up_to_sensor(effects: &Chain) -> bool {
     let stages = [Stage::Object, Stage::Geometry, Stage::Lens, Stage::Light];
     effects.needs_previous() || stages.iter().any(|s| effects.acts_at(*s))
 }
 
 impl VirtualInstrument {
+    /// Whether scenes differ from those without effects before the light reaches the sensor, or by the frame before.
+    pub(super) fn changes_light(&self) -> bool {
+        self.moved.is_some() || up_to_sensor(&self.effects)
+    }
+
+    /// The optics as effects have moved their parts.
+    pub(super) fn optics_now(&self) -> &VirtualOptics {
+        self.moved.as_ref().unwrap_or(&self.optics)
+    }
+
     /// Computes every focus each time it is needed.
     #[cfg(test)]
     pub(super) fn forget(&mut self) {

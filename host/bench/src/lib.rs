@@ -1,9 +1,9 @@
 //! The virtual instrument: measures a session by physical optics.
 //!
-//! Each lens has a pupil with its own aberrations, which change over the field. The PSF of every lens at every point of
-//! the object is computed by diffraction, sampled finer than the pixels, and its light is summed on the sensor. Poisson
-//! noise, read noise and the converter follow. The virtual instrument does not use the low-rank model that `calibrate`
-//! fits; [`truth`] holds the ground truth of a session, for tests.
+//! The lenses are those of one of three [families](FamilyName), which compute foci by diffraction at pupils, by traced
+//! rays, or from given PSFs. The PSF of every lens at every point of the object is computed, and its light is summed on
+//! the sensor. Poisson noise, read noise and the converter follow. The virtual instrument does not use the low-rank
+//! model that `calibrate` fits; [`truth`] holds the ground truth of a session, for tests.
 //!
 //! ```
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -35,10 +35,11 @@
 mod cache;
 mod check;
 mod config;
+mod drawn;
 mod error;
+mod family;
 mod foci;
 mod instrument;
-mod lens;
 mod live;
 mod measure;
 mod open;
@@ -51,7 +52,11 @@ pub mod truth;
 pub use config::{
     AberrationConfig, ArrayConfig, BenchConfig, ObjectConfig, OpticsConfig, ScanConfig, SensorConfig, StackConfig,
 };
+pub use drawn::MeasuredPsfs;
 pub use error::BenchError;
+pub use family::FamilyName;
+pub use family::kernels::{KernelsConfig, StackOf};
+pub use family::relay::RelayConfig;
 pub use instrument::{Summary, VirtualInstrument};
 pub use open::open_session;
 

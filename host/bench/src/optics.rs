@@ -1,47 +1,24 @@
 //! Light of objects on the sensor, point by point, each point with its own PSF.
 
-use super::config::{BenchConfig, OpticsConfig};
+use super::config::BenchConfig;
 use super::error::BenchError;
+use super::family::change::Change;
+use super::family::{self, Lenses, Work};
 use super::foci::{Foci, Focus, Kept, Point};
-use super::lens::Lens;
 use ndarray::{Array2, Array3, Axis, s};
-use ommatidia_physics::effects::{Chain, FrameContext, Ray, RayShift};
-use ommatidia_physics::optics::{MicrolensArray, Psf, PsfScratch, Pupil, PupilConfig};
+use ommatidia_physics::effects::{Chain, EffectSetting, FrameContext, Ray, RayShift};
 use ommatidia_session::ObjectGrid;
 use rayon::prelude::*;
 
 /// Object rows of one task. The bands are summed in a fixed order, so the number of threads does not change any bit.
 const BAND_ROWS: usize = 8;
 
-/// The optics of the virtual instrument.
+/// The optics of the virtual instrument: the lenses of a family between an object and a sensor.
 #[derive(Debug)]
 pub(super) struct VirtualOptics {
-    pupil: Pupil,
-    array: MicrolensArray,
-    lenses: Vec<Lens>,
+    family: Box<dyn Lenses>,
     grid: ObjectGrid,
     sensor: [usize; 2],
-    /// Tangent of the field angle for which the configuration states aberrations.
-    reference_tangent: f64,
-    half_response_tangent: f64,
-    distortion_px: f64,
-    /// Defocus of a source at 1 um from the focal plane, waves rms.
-    waves_per_um: f64,
-}
-
-/// Working memory for PSFs; each thread needs its own.
-#[derive(Debug)]
-pub(super) struct Work {
-    scratch: PsfScratch,
-    psf: Psf,
-}
-
-#[cfg(test)]
-impl Work {
-    /// The PSF of the last call of [`VirtualOptics::focus`].
-    pub(super) fn psf(&self) -> &Psf {
-        &self.psf
-    }
 }
 
 /// How effects move chief rays in one frame.
@@ -81,26 +58,12 @@ pub(super) struct Emission<'a> {
 }
 
 impl VirtualOptics {
-    /// Builds the lenses and plans their pupil.
+    /// Builds the lenses.
     ///
     /// # Errors
     /// A number of the configuration is impossible, or the aperture is wider than the distance of the lenses.
     pub(super) fn build(config: &BenchConfig) -> Result<Self, BenchError> {
         let optics = &config.optics;
-        let array = MicrolensArray {
-            object_distance_um: optics.object_distance_um,
-            magnification: config.true_magnification(),
-            pixel_pitch_um: config.sensor.pixel_pitch_um,
-        };
-        let pupil = PupilConfig {
-            wavelength_um: optics.wavelength_um,
-            aperture_um: optics.aperture_um,
-            distance_um: array.image_distance_um(),
-            soft_edge: optics.soft_edge,
-            pixel_um: config.sensor.pixel_pitch_um,
-            oversampling: optics.oversampling,
-            field_px: optics.psf_field_px,
-        };
         let lens_pitch_um = config.array.pitch_px * config.sensor.pixel_pitch_um / (1.0 + optics.magnification);
         if config.array.rows * config.array.cols > 1 && optics.aperture_um > lens_pitch_um {
             return Err(BenchError::Config {
@@ -109,70 +72,42 @@ impl VirtualOptics {
                 found: optics.aperture_um.to_string(),
             });
         }
-        let grid = config.manifest().object;
-        let corner_um = (grid.rows as f64).hypot(grid.cols as f64) / 2.0 * grid.pixel_um;
-        let lenses = (0..config.array.rows).flat_map(|i| (0..config.array.cols).map(move |j| (i, j)));
-        Ok(Self {
-            pupil: pupil.build()?,
-            array,
-            lenses: lenses.map(|(i, j)| Lens::manufacture(config, &array, i, j)).collect(),
-            grid,
-            sensor: [config.sensor.rows, config.sensor.cols],
-            reference_tangent: corner_um / optics.object_distance_um,
-            half_response_tangent: optics.half_response_tangent,
-            distortion_px: optics.distortion_px,
-            waves_per_um: defocus_per_um(optics),
-        })
+        let (grid, sensor) = (config.manifest().object, [config.sensor.rows, config.sensor.cols]);
+        Ok(Self { family: family::build(config)?, grid, sensor })
+    }
+
+    /// These optics with the parts that `settings` move, if the family moves parts; those settings are then done.
+    pub(super) fn moved(&self, settings: &[EffectSetting]) -> Option<Self> {
+        if !settings.iter().any(|s| Change::knows(&s.id)) {
+            return None;
+        }
+        let family = self.family.moved(&Change::of(settings, self.lenses()))?;
+        Some(Self { family, grid: self.grid, sensor: self.sensor })
+    }
+
+    /// Why an effect cannot act on these lenses as much as a setting says; `None`: it can.
+    pub(super) fn refuses(&self, setting: &EffectSetting) -> Option<String> {
+        self.family.refuses(setting)
     }
 
     /// Anchor (row, col) of each lens without effects, sensor pixels.
     pub(super) fn anchors_px(&self) -> Vec<[f64; 2]> {
-        self.lenses.iter().map(|l| l.anchor_px).collect()
+        self.family.anchors_px()
     }
 
     /// Allocates working memory.
     pub(super) fn work(&self) -> Work {
-        Work { scratch: self.pupil.scratch(), psf: Psf::default() }
-    }
-
-    /// The chief ray of the point at (y, x) um through lens `l` by Eq. 1 of Yang et al. (2024), as effects see it.
-    fn ray(&self, l: usize, at_um: [f64; 2]) -> Ray {
-        let lens = &self.lenses[l];
-        let scale = self.array.magnification / self.array.pixel_pitch_um;
-        let centre = self.sensor.map(|n| (n as f64 - 1.0) / 2.0);
-        Ray {
-            lens: l,
-            object_um: at_um,
-            field_px: at_um.map(|v| v * scale),
-            axis_px: [0, 1].map(|k| (at_um[k] - lens.axis_um[k]) * scale),
-            anchor_px: [0, 1].map(|k| lens.anchor_px[k] - centre[k]),
-            pixel_pitch_um: self.array.pixel_pitch_um,
-        }
+        self.family.work()
     }
 
     /// Computes the PSF of a point through lens `l` into `work`, with the chief ray as effects move it.
     pub(super) fn focus(&self, l: usize, point: Point, moves: Moves<'_>, work: &mut Work) -> Focus {
-        let (lens, at_um) = (&self.lenses[l], point.at_um);
-        let tangents = self.array.tangents(lens.axis_um, at_um);
-        let h = tangents.map(|t| t / self.reference_tangent);
-        let square = h[0] * h[0] + h[1] * h[1];
-        let moved = moves.of(&self.ray(l, at_um));
-        let ray = self.array.chief_ray_px(lens.anchor_px, at_um);
-        let ray = [0, 1].map(|k| ray[k] + self.distortion_px * square * h[k] + moved.px[k]);
-        let centre = ray.map(f64::round);
-        let shift = [ray[0] - centre[0], ray[1] - centre[1]];
-        let mut wavefront = lens.wavefront(h);
-        wavefront.coefficient[3] += self.waves_per_um * (point.z_um + moved.z_um);
-        self.pupil.psf(&wavefront, shift, &mut work.scratch, &mut work.psf);
-        let tangent = tangents[0].hypot(tangents[1]);
-        let cos4 = (1.0 + tangent * tangent).powi(-2);
-        let response = 1.0 / (1.0 + (tangent / self.half_response_tangent).powi(4));
-        Focus { centre: centre.map(|c| c as i64), transmission: cos4 * response }
+        self.family.focus(l, point, moves.of(&self.family.ray(l, point.at_um)), work)
     }
 
     /// Foci of points through lens `l` without effects.
     pub(super) fn foci(&self, l: usize, points: &[Point]) -> Foci {
-        let side = self.pupil.config().field_px;
+        let side = self.family.side();
         let mut foci =
             Foci { side, focus: vec![Focus::default(); points.len()], share: vec![0.0; points.len() * side * side] };
         let (effects, cx) = (Chain::default(), FrameContext::default());
@@ -191,10 +126,10 @@ impl VirtualOptics {
     /// Whether the chief rays of all object pixels are the same in two frames.
     pub(super) fn same_rays(&self, effects: &Chain, a: &FrameContext<'_>, b: &FrameContext<'_>) -> bool {
         let moves = |cx, ray: &Ray| Moves { effects, cx }.of(ray);
-        (0..self.lenses.len()).all(|l| {
+        (0..self.lenses()).all(|l| {
             let mut points = (0..self.grid.rows).flat_map(|r| (0..self.grid.cols).map(move |c| (r, c)));
             points.all(|(r, c)| {
-                let ray = self.ray(l, self.position_um(r, c));
+                let ray = self.family.ray(l, self.position_um(r, c));
                 moves(a, &ray) == moves(b, &ray)
             })
         })
@@ -227,7 +162,7 @@ impl VirtualOptics {
         work: &'a mut Work,
     ) -> (Focus, &'a [f32]) {
         if let Some(found) = kept.and_then(|k| k.foci.get(k.index))
-            && moves.of(&self.ray(l, point.at_um)) == RayShift::default()
+            && moves.of(&self.family.ray(l, point.at_um)) == RayShift::default()
         {
             return found;
         }
@@ -237,7 +172,7 @@ impl VirtualOptics {
 
     /// Calls `put(row, first col, shares)` for each row of the PSF on the sensor.
     fn each_row(&self, focus: Focus, share: &[f32], mut put: impl FnMut(usize, usize, &[f32])) {
-        let side = self.pupil.config().field_px;
+        let side = self.family.side();
         let first = focus.centre.map(|c| c - (side / 2) as i64);
         let seen = |a: usize| {
             let end = (self.sensor[a] as i64 - first[a]).clamp(0, side as i64) as usize;
@@ -278,7 +213,7 @@ impl VirtualOptics {
     fn band(&self, l: usize, first: usize, emission: &Emission<'_>, moves: Moves<'_>, work: &mut Work) -> Band {
         let objects = emission.objects;
         let rows = first..(first + BAND_ROWS).min(self.grid.rows);
-        let mut band = self.empty_band(l, &rows, objects.len(), moves);
+        let mut band = self.empty_band(l, &rows, emission, moves);
         let [band_rows, cols] = [band.light.len_of(Axis(1)), self.sensor[1]];
         let Some(pixels) = band.light.as_slice_mut() else { return band };
         let mut values = vec![0.0f32; objects.len()];
@@ -310,24 +245,17 @@ impl VirtualOptics {
     }
 
     /// An empty band of the sensor rows that the foci of some object rows can reach.
-    fn empty_band(&self, l: usize, rows: &std::ops::Range<usize>, objects: usize, moves: Moves<'_>) -> Band {
-        let ray = |r: usize| self.array.chief_ray_px(self.lenses[l].anchor_px, self.position_um(r, 0))[0];
-        // A focus reaches half the field. The distortion grows with the cube of the field: it is largest at a corner.
-        let corners = [rows.start, rows.end - 1].map(|r| [0, self.grid.cols - 1].map(|c| self.position_um(r, c)));
-        let cube = |at| {
-            let [y, x] = self.array.tangents(self.lenses[l].axis_um, at);
-            (y.hypot(x) / self.reference_tangent).powi(3)
-        };
-        let farthest = corners.as_flattened().iter().map(|at| cube(*at)).fold(0.0, f64::max);
-        // Shifts by effects are smooth over the field: largest at the ends of the rows or on the axis.
-        let middle = self.position_um(rows.start, self.grid.cols / 2);
-        let moved = |at: &[f64; 2]| moves.of(&self.ray(l, *at)).px[0].abs();
-        let pushed = corners.as_flattened().iter().chain([&middle]).map(moved).fold(0.0, f64::max);
-        let reach =
-            self.pupil.config().field_px as f64 / 2.0 + self.distortion_px.abs() * farthest + 2.0 + 2.0 * pushed;
+    fn empty_band(&self, l: usize, rows: &std::ops::Range<usize>, emission: &Emission<'_>, moves: Moves<'_>) -> Band {
+        let half = (self.family.side() / 2) as f64;
+        let (mut low, mut high) = (f64::MAX, f64::MIN);
+        for (r, c) in rows.clone().flat_map(|r| (0..self.grid.cols).map(move |c| (r, c))) {
+            let point = Point { at_um: self.position_um(r, c), z_um: emission.z_um };
+            let at = self.family.focus_px(l, point, moves.of(&self.family.ray(l, point.at_um)))[0].round();
+            (low, high) = (low.min(at - half), high.max(at + half + 1.0));
+        }
         let clip = |v: f64| v.clamp(0.0, self.sensor[0] as f64) as usize;
-        let (low, high) = (clip(ray(rows.start) - reach), clip(ray(rows.end - 1) + reach + 1.0));
-        Band { first_row: low, light: Array3::zeros((objects, high - low, self.sensor[1])) }
+        let (low, high) = (clip(low), clip(high));
+        Band { first_row: low, light: Array3::zeros((emission.objects.len(), high.max(low) - low, self.sensor[1])) }
     }
 
     /// Stage position (y, x) of the centre of an object pixel, um.
@@ -338,20 +266,13 @@ impl VirtualOptics {
 
     /// Number of lenses.
     pub(super) fn lenses(&self) -> usize {
-        self.lenses.len()
+        self.family.anchors_px().len()
     }
 
     /// Object position on each lens's axis, um.
     pub(super) fn axes_um(&self) -> Vec<[f64; 2]> {
-        self.lenses.iter().map(|l| l.axis_um).collect()
+        self.family.axes_um()
     }
-}
-
-/// Defocus per distance from the focal plane, waves rms per um: a source nearer to the lens by z has a path longer by
-/// `z NA^2 / 2` at the rim of the pupil; the rms of Noll's Z_4 is `1 / (2 sqrt 3)` of that (Born & Wolf, section 9.2).
-fn defocus_per_um(optics: &OpticsConfig) -> f64 {
-    let na = optics.aperture_um / 2.0 / optics.object_distance_um;
-    na * na / 2.0 / optics.wavelength_um / (2.0 * 3f64.sqrt())
 }
 
 /// Light of some object rows on the sensor rows that it can reach.

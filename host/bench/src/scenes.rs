@@ -3,8 +3,8 @@
 use super::config::SCENES_AT_ONCE;
 use super::error::BenchError;
 use super::foci::Point;
-use super::instrument::{Before, Draw, Lit, VirtualInstrument, up_to_sensor};
-use super::optics::{Emission, Moves};
+use super::instrument::{Before, Draw, Lit, VirtualInstrument};
+use super::optics::{Emission, Moves, VirtualOptics};
 use ndarray::{Array2, Axis};
 use ommatidia_physics::effects::{Chain, FrameContext, Record, Stage};
 use ommatidia_session::rng;
@@ -92,7 +92,7 @@ impl VirtualInstrument {
         let draw = |info: &FrameInfo| self.scenes.draw(&grid, seed, "bench/specimen", scene(info));
         let mut objects: Vec<Array2<f32>> = infos.iter().map(draw).collect();
         // The light level of a scene is set without effects, so that effects change the frames and not the specimens.
-        let mut clean = self.light_of(&objects, infos, &Chain::default());
+        let mut clean = self.light_of(&objects, infos, (&self.optics, &Chain::default()));
         let [low, high] = self.config.stacks.scene_peak.map(|p| (p * self.config.full_scale_e()).ln());
         for ((object, light), info) in objects.iter_mut().zip(&mut clean).zip(infos) {
             let mut rng = rng::stream(seed, "bench/level", self.scenes.video(scene(info)));
@@ -101,12 +101,12 @@ impl VirtualInstrument {
             object.mapv_inplace(|v| v * scale);
             light.mapv_inplace(|v| v * scale);
         }
-        if !up_to_sensor(&self.effects) {
+        if !self.changes_light() {
             return (objects, clean.into_iter().map(|light_e| Lit { light_e, before: None }).collect());
         }
         drop(clean);
         let mut lit = Vec::with_capacity(infos.len());
-        for (light, info) in self.light_of(&objects, infos, &self.effects).into_iter().zip(infos) {
+        for (light, info) in self.light_of(&objects, infos, (self.optics_now(), &self.effects)).into_iter().zip(infos) {
             let cx = self.context(Role::Scene, info);
             let mut this = Lit { light_e: light.clone(), before: before.take() };
             let seen = this.seen(cx);
@@ -125,7 +125,12 @@ impl VirtualInstrument {
 
     /// Light of objects (in units of the bead's light) on the sensor, expected electrons, with the effects on object,
     /// rays and lenses.
-    fn light_of(&self, objects: &[Array2<f32>], infos: &[FrameInfo], effects: &Chain) -> Vec<Array2<f32>> {
+    fn light_of(
+        &self,
+        objects: &[Array2<f32>],
+        infos: &[FrameInfo],
+        (optics, effects): (&VirtualOptics, &Chain),
+    ) -> Vec<Array2<f32>> {
         let contexts: Vec<_> = infos.iter().map(|i| self.context(Role::Scene, i)).collect();
         let emitted: Vec<_> = objects
             .iter()
@@ -143,16 +148,17 @@ impl VirtualInstrument {
             let z_um = infos[start].z_um;
             // Frames at the same depth whose chief rays are equal share their PSFs.
             let alike = |i: &usize| {
-                infos[*i].z_um == z_um && (still || self.optics.same_rays(effects, &contexts[start], &contexts[*i]))
+                infos[*i].z_um == z_um && (still || optics.same_rays(effects, &contexts[start], &contexts[*i]))
             };
             let end = (start + 1..objects.len()).find(|i| !alike(i)).unwrap_or(objects.len());
             let moves = Moves { effects, cx: &contexts[start] };
-            for l in 0..self.optics.lenses() {
-                let keeps = self.keep && z_um == self.first_depth_um();
-                let kept = if keeps { self.cache.object(l, &self.optics, || self.object_points()) } else { None };
+            for l in 0..optics.lenses() {
+                // Foci are stored for the optics as they were made.
+                let keeps = self.keep && z_um == self.first_depth_um() && std::ptr::eq(optics, &self.optics);
+                let kept = if keeps { self.cache.object(l, optics, || self.object_points()) } else { None };
                 let objects = &emitted[start..end];
                 let emission = Emission { objects, unit_e: self.config.scan.bead_e, z_um, kept };
-                let images = self.optics.lens_images(l, &emission, moves);
+                let images = optics.lens_images(l, &emission, moves);
                 for (i, image) in (start..end).zip(images.axis_iter(Axis(0))) {
                     let mut image = image.to_owned();
                     effects.on_lens(&mut image, &FrameContext { lens: l, ..contexts[i] });

@@ -92,7 +92,7 @@ impl VirtualInstrument {
         let infos = self.infos(role);
         let entry = self.entry(role);
         let mut frames = writer.frames(&entry.file, self.spec(infos.len(), SampleType::U16))?;
-        if self.keep && role == Role::Bead {
+        if self.keep && self.moved.is_none() && role == Role::Bead {
             // Before the threads start, which all need the same foci.
             for l in 0..self.optics.lenses() {
                 self.cache.scan(l, &self.optics, || self.scan_points());
@@ -131,22 +131,23 @@ impl VirtualInstrument {
     pub(super) fn bead_light(&self, bead: Bead, cx: &FrameContext<'_>) -> Array2<f32> {
         let moves = Moves { effects: &self.effects, cx };
         let flux_e = self.config.scan.bead_e * self.emission_at(bead.point.at_um, cx) * cx.illumination;
-        let mut work = self.optics.work();
+        let optics = self.optics_now();
+        let mut work = optics.work();
         let mut light = Array2::zeros((self.config.sensor.rows, self.config.sensor.cols));
         let per_lens = self.effects.acts_at(Stage::Lens);
-        for l in 0..self.optics.lenses() {
-            let kept = bead.index.and_then(|index| {
-                let foci = self.cache.scan(l, &self.optics, || self.scan_points())?;
+        for l in 0..optics.lenses() {
+            let kept = bead.index.filter(|_| self.moved.is_none()).and_then(|index| {
+                let foci = self.cache.scan(l, optics, || self.scan_points())?;
                 Some(Kept { foci, index })
             });
             let source = PointSource { point: bead.point, flux_e, kept };
             if per_lens {
                 let mut image = Array2::zeros(light.dim());
-                self.optics.add_point(l, &source, moves, &mut work, &mut image);
+                optics.add_point(l, &source, moves, &mut work, &mut image);
                 self.effects.on_lens(&mut image, &FrameContext { lens: l, ..*cx });
                 light += &image;
             } else {
-                self.optics.add_point(l, &source, moves, &mut work, &mut light);
+                optics.add_point(l, &source, moves, &mut work, &mut light);
             }
         }
         self.effects.on_light(&mut light, cx);

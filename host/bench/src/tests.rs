@@ -162,7 +162,7 @@ fn demo_foci(instrument: &VirtualInstrument, r: usize, c: usize) -> (Vec<Array2<
     let (mut windows, mut inside, mut total) = (Vec::new(), 0.0, 0.0);
     for l in 0..instrument.optics.lenses() {
         let transmission = instrument.optics.focus(l, in_focus(at), moves, &mut work).transmission;
-        let psf = work.psf();
+        let psf = &work.psf;
         let image = Array2::from_shape_vec((psf.side, psf.side), psf.share.clone()).unwrap();
         let image = image.mapv(|v| v * transmission as f32);
         let (half, window) = (psf.side / 2, 7);

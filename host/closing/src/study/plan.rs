@@ -1,11 +1,16 @@
-//! The cases of a study: which undeclared effect is injected into which session.
+//! The cases of a study: which undeclared effect is injected into which session of which instrument.
 
-use super::foreign::FOREIGN;
+use super::foreign::{self, FOREIGN};
+use super::instruments::{is_wide, kinds};
+use super::ranges;
 use super::sensitivity::Sensitivities;
-use ommatidia_physics::effects::{Effect, Stage, find, registry};
+use super::sessions::Holds;
+use ommatidia_bench::MeasuredPsfs;
+use ommatidia_physics::effects::{Descriptor, Effect, Stage, find, registry};
 use ommatidia_session::rng;
 use rand::Rng;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// The question that a case answers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -24,6 +29,10 @@ pub enum Question {
     Foreign,
     /// Is a wrongly calibrated gain found?
     Gain,
+    /// What does `close` report of sessions that hold less than darks, flats and known scenes?
+    Parts,
+    /// What does `close` report if the truths do not lie quite where the objects were?
+    Registration,
     /// Are faults of the records (exchanged truths, wrong exposure) found?
     Records,
     /// Does fine-tuning on the closed instrument help a network as much as on the true one?
@@ -32,13 +41,15 @@ pub enum Question {
 
 impl Question {
     /// All of them.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 10] = [
         Self::Null,
         Self::Single,
         Self::Pair,
         Self::MinusOne,
         Self::Foreign,
         Self::Gain,
+        Self::Parts,
+        Self::Registration,
         Self::Records,
         Self::Reconstruction,
     ];
@@ -51,10 +62,13 @@ pub struct Injected {
     pub id: String,
     /// Name of its strength parameter.
     pub param: String,
-    /// Strength in units of the sensitivity of the session.
+    /// Strength that was asked for, in units of the sensitivity of the session.
     pub sigmas: f64,
     /// Strength, in the unit of the parameter.
     pub value: f64,
+    /// Whether the strength is less than was asked for, because the effect leaves its physical range there.
+    #[serde(default)]
+    pub capped: bool,
     /// Other parameters: name and value.
     #[serde(default)]
     pub others: Vec<(String, f64)>,
@@ -71,6 +85,9 @@ pub struct Case {
     pub instrument: u64,
     /// Seed of noise and scenes.
     pub seed: u64,
+    /// What the session holds.
+    #[serde(default)]
+    pub holds: Holds,
     /// Injected effects.
     pub injected: Vec<Injected>,
     /// Ids that are removed from the candidates.
@@ -85,12 +102,21 @@ fn one() -> f64 {
     1.0
 }
 
-/// How large a study is.
+/// How large a study is, and which seeds it uses.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Size {
     /// Seed of all random draws.
     pub seed: u64,
-    /// Number of instruments.
+    /// Whether instruments and sessions are the sealed ones, which no threshold may be set on.
+    #[serde(default)]
+    pub sealed: bool,
+    /// Whether the only instruments are gentle ones, for a check that takes a minute.
+    #[serde(default)]
+    pub gentle: bool,
+    /// Measured PSFs, as one more kind of instruments.
+    #[serde(default)]
+    pub measured: Option<MeasuredPsfs>,
+    /// Number of instruments; the kinds take turns.
     pub instruments: u64,
     /// Sessions without an effect.
     pub nulls: usize,
@@ -102,18 +128,25 @@ pub struct Size {
     pub only: Vec<String>,
     /// Questions to answer; empty: all.
     pub questions: Vec<Question>,
+    /// Largest number of sessions with one effect at one strength; other groups have a sixth of it. `None`: no limit.
+    #[serde(default)]
+    pub quota: Option<usize>,
 }
 
 impl Default for Size {
     fn default() -> Self {
         Self {
             seed: 1,
-            instruments: 3,
+            sealed: false,
+            gentle: false,
+            measured: None,
+            instruments: 42,
             nulls: 300,
             seeds: 1,
-            strengths: vec![3.0, 5.0, 10.0, 30.0],
+            strengths: vec![3.0, 10.0, 30.0, 100.0, 300.0, 1000.0],
             only: Vec::new(),
             questions: Vec::new(),
+            quota: None,
         }
     }
 }
@@ -125,6 +158,7 @@ impl Size {
             ["vignetting", "array_shift", "interpixel_capacitance", "background", "half_step", "alternating_gain"];
         Self {
             seed,
+            gentle: true,
             instruments: 1,
             nulls: 6,
             strengths: vec![20.0],
@@ -132,6 +166,13 @@ impl Size {
             questions: vec![Question::Null, Question::Single, Question::Foreign, Question::Records],
             ..Self::default()
         }
+    }
+
+    /// A study of about 70 sessions over all kinds of instruments and strengths, for development.
+    pub fn development(seed: u64) -> Self {
+        let questions = Question::ALL.into_iter().filter(|q| *q != Question::Reconstruction);
+        let questions = questions.filter(|q| *q != Question::Gain && *q != Question::Records).collect();
+        Self { seed, instruments: 4, nulls: 9, quota: Some(6), questions, ..Self::default() }
     }
 
     fn wants(&self, id: &str) -> bool {
@@ -158,11 +199,18 @@ pub const PAIRS: [[&str; 2]; 10] = [
     ["photobleaching", "interpixel_capacitance"],
 ];
 /// Strengths of both effects of a pair.
-const PAIR_SIGMAS: [f64; 2] = [10.0, 30.0];
-/// Strength of an effect that is removed from the candidates.
-const MINUS_ONE_SIGMAS: f64 = 30.0;
+const PAIR_SIGMAS: [f64; 3] = [10.0, 30.0, 300.0];
+/// Strengths of an effect that is removed from the candidates.
+const MINUS_ONE_SIGMAS: [f64; 3] = [30.0, 100.0, 300.0];
 /// Strengths of foreign effects; their unit is the noise alone.
-const FOREIGN_SIGMAS: [f64; 3] = [10.0, 30.0, 100.0];
+const FOREIGN_SIGMAS: [f64; 4] = [10.0, 30.0, 100.0, 300.0];
+/// Strength of a foreign effect in a quick study.
+const FOREIGN_QUICK: f64 = 100.0;
+/// Effects that are injected into sessions which hold less.
+pub const OF_PARTS: [&str; 6] =
+    ["array_shift", "interpixel_capacitance", "row_pattern", "vignetting", "motion_blur", "dsnu"];
+/// Their strengths, in units of the sensitivity of a whole session.
+const PARTS_SIGMAS: [f64; 2] = [30.0, 300.0];
 /// Effects that a network is fine-tuned for, one of each kind.
 pub const DOWNSTREAM: [&str; 6] =
     ["array_shift", "lens_gain", "defocus", "veiling_glare", "charge_diffusion", "vignetting"];
@@ -180,99 +228,202 @@ pub fn catalogue() -> Vec<&'static str> {
     registry().iter().filter(named).map(|e| e.descriptor().id).collect()
 }
 
+/// A session that is wanted; whether its instrument can have it is not known yet.
+struct Wish {
+    round: u64,
+    /// What a quota counts together.
+    group: String,
+    effects: Vec<(String, f64)>,
+    case: Case,
+}
+
 /// All cases, shuffled within each round, so that an unfinished study covers every question. `sensitivities`: one entry
-/// per instrument.
-pub fn cases(size: &Size, sensitivities: &[Sensitivities]) -> Vec<Case> {
-    let mut cases: Vec<(u64, Case)> = Vec::new();
-    let mut push = |round: u64, key: String, question: Question, instrument: u64, case: Case| {
-        let seed = rng::stream(size.seed, &format!("study/{key}"), 0).next_u64() >> 16;
-        cases.push((
-            round,
-            Case { key, question, instrument, seed, gain: if case.gain == 0.0 { 1.0 } else { case.gain }, ..case },
-        ));
+/// per instrument; those of an instrument that is `None` are left out.
+///
+/// The kinds of instruments take turns: every effect meets every kind at every strength, each time another instrument.
+pub fn cases(size: &Size, sensitivities: &[Option<Sensitivities>]) -> Vec<Case> {
+    let mut wishes = wishes(size);
+    wishes.sort_by_cached_key(|w| (w.round, w.case.seed));
+    if let Some(quota) = size.quota {
+        let mut counts: BTreeMap<String, usize> = BTreeMap::new();
+        wishes.retain(|w| {
+            let most = match w.case.question {
+                Question::Null => usize::MAX,
+                Question::Single => quota,
+                _ => (quota / 6).max(1),
+            };
+            let n = counts.entry(w.group.clone()).or_default();
+            *n += 1;
+            *n <= most
+        });
+    }
+    let possible = |w: Wish| {
+        let known = sensitivities.get(w.case.instrument as usize)?.as_ref()?;
+        let given = w.effects.iter().map(|(id, k)| injected(known, id, *k)).collect::<Option<Vec<_>>>()?;
+        Some(Case { injected: if given.is_empty() { w.case.injected.clone() } else { given }, ..w.case })
     };
-    for i in 0..size.nulls as u64 * u64::from(size.asks(Question::Null)) {
-        let round = i * size.seeds / size.nulls.max(1) as u64;
-        push(round, format!("null/{i}"), Question::Null, i % size.instruments, Case::default());
+    let mut cases: Vec<Case> = wishes.into_iter().filter_map(possible).collect();
+    drop_repeated_caps(&mut cases);
+    cases
+}
+
+/// Of the strengths at which an effect is capped in one instrument, only the lowest is kept: the others are the same.
+fn drop_repeated_caps(cases: &mut Vec<Case>) {
+    let lowest = |cases: &[Case], c: &Case| {
+        let same = |o: &&Case| {
+            let ids = |c: &Case| c.injected.iter().map(|i| i.id.clone()).collect::<Vec<_>>();
+            (o.question, o.instrument, o.holds) == (c.question, c.instrument, c.holds) && ids(o) == ids(c)
+        };
+        let capped = cases.iter().filter(same).filter(|o| o.injected.iter().all(|i| i.capped));
+        capped.filter_map(|o| Some(o.injected.first()?.sigmas)).fold(f64::MAX, f64::min)
+    };
+    let all = cases.clone();
+    cases.retain(|c| {
+        let capped = !c.injected.is_empty() && c.injected.iter().all(|i| i.capped);
+        !capped || c.injected.first().is_some_and(|i| i.sigmas <= lowest(&all, c))
+    });
+}
+
+fn wishes(size: &Size) -> Vec<Wish> {
+    let mut wishes = Vec::new();
+    let seeds = if size.sealed { "sealed" } else { "study" };
+    let kinds = kinds(size).len() as u64;
+    let mut push = |round: u64, group: &str, key: String, effects: Vec<(String, f64)>, case: Case| {
+        let seed = rng::stream(size.seed, &format!("{seeds}/{key}"), 0).next_u64() >> 16;
+        let gain = if case.gain == 0.0 { 1.0 } else { case.gain };
+        wishes.push(Wish { round, group: group.into(), effects, case: Case { key, seed, gain, ..case } });
+    };
+    // Instrument of the i-th session of a series: kinds take turns, and each kind's instruments too.
+    let instrument = |i: u64| i % size.instruments;
+    let wide = |i: u64| {
+        let all: Vec<u64> = (0..size.instruments).filter(|n| is_wide(*n)).collect();
+        all.get(i as usize % all.len().max(1)).copied()
+    };
+    if size.asks(Question::Null) {
+        for i in 0..size.nulls as u64 {
+            let round = i * size.seeds / size.nulls.max(1) as u64;
+            // One in six is bright, one in six long.
+            let (holds, n) = match (size.gentle, i % 6, wide(i / 6)) {
+                (false, 4, Some(n)) => (Holds::Bright, n),
+                (false, 5, _) => (Holds::ManyFrames, instrument(i)),
+                _ => (Holds::Whole, instrument(i)),
+            };
+            let case = Case { question: Question::Null, instrument: n, holds, ..Case::default() };
+            push(round, "null", format!("null/{}/{i}", holds.name()), vec![], case);
+        }
     }
     for round in 0..size.seeds {
-        let instrument = round % size.instruments;
-        let Some(known) = sensitivities.get(instrument as usize) else { continue };
-        let one = |id: &str, sigmas: f64| injected(known, id, sigmas);
-        for id in catalogue().into_iter().filter(|id| size.wants(id)) {
-            for k in size.strengths.iter().filter(|_| size.asks(Question::Single)) {
-                if let Some(it) = one(id, *k) {
-                    let case = Case { injected: vec![it], ..Case::default() };
-                    push(round, format!("single/{id}/{k}/{round}"), Question::Single, instrument, case);
+        // One session for each kind; the instruments of a kind are used in an order that differs by effect and strength.
+        let turn = |kind: u64, a: usize, b: usize| {
+            let of_kind = (size.instruments + kinds - 1 - kind) / kinds;
+            kind + kinds * ((a as u64 * 5 + b as u64 * 3 + round * 7) % of_kind.max(1))
+        };
+        let each_kind = (0..kinds.min(size.instruments)).collect::<Vec<u64>>();
+        for (a, id) in catalogue().into_iter().enumerate().filter(|(_, id)| size.wants(id)) {
+            for (b, k) in size.strengths.iter().enumerate().filter(|_| size.asks(Question::Single)) {
+                for kind in &each_kind {
+                    let case = Case { question: Question::Single, instrument: turn(*kind, a, b), ..Case::default() };
+                    let key = format!("single/{id}/{k}/{kind}/{round}");
+                    push(round, &format!("single/{k}"), key, vec![(id.into(), *k)], case);
                 }
             }
-            if let Some(it) = one(id, MINUS_ONE_SIGMAS).filter(|_| size.asks(Question::MinusOne)) {
-                let case = Case { injected: vec![it], excluded: vec![id.into()], ..Case::default() };
-                push(round, format!("minus-one/{id}/{round}"), Question::MinusOne, instrument, case);
+            for (b, k) in MINUS_ONE_SIGMAS.iter().enumerate().filter(|_| size.asks(Question::MinusOne)) {
+                let n = turn((a + b) as u64 % kinds, a, b);
+                let excluded = vec![id.into()];
+                let case = Case { question: Question::MinusOne, instrument: n, excluded, ..Case::default() };
+                push(
+                    round,
+                    &format!("minus-one/{k}"),
+                    format!("minus-one/{id}/{k}/{round}"),
+                    vec![(id.into(), *k)],
+                    case,
+                );
             }
         }
-        for [a, b] in PAIRS.into_iter().filter(|p| size.asks(Question::Pair) && p.iter().all(|id| size.wants(id))) {
-            for k in PAIR_SIGMAS {
-                if let (Some(a_in), Some(b_in)) = (one(a, k), one(b, k)) {
-                    let case = Case { injected: vec![a_in, b_in], ..Case::default() };
-                    push(round, format!("pair/{a}+{b}/{k}/{round}"), Question::Pair, instrument, case);
+        for (a, [x, y]) in PAIRS.into_iter().enumerate().filter(|(_, p)| p.iter().all(|id| size.wants(id))) {
+            for (b, k) in PAIR_SIGMAS.iter().enumerate().filter(|_| size.asks(Question::Pair)) {
+                let n = turn((a + b) as u64 % kinds, a, b);
+                let case = Case { question: Question::Pair, instrument: n, ..Case::default() };
+                let effects = vec![(x.into(), *k), (y.into(), *k)];
+                push(round, &format!("pair/{k}"), format!("pair/{x}+{y}/{k}/{round}"), effects, case);
+            }
+        }
+        let foreign = if size.gentle { &[FOREIGN_QUICK][..] } else { &FOREIGN_SIGMAS[..] };
+        for (a, f) in FOREIGN.iter().enumerate().filter(|(_, f)| size.wants(f.descriptor().id)) {
+            let id = f.descriptor().id;
+            for (b, k) in foreign.iter().enumerate().filter(|_| size.asks(Question::Foreign)) {
+                let n = turn((a + b) as u64 % kinds, a, b);
+                let case = Case { question: Question::Foreign, instrument: n, ..Case::default() };
+                push(round, &format!("foreign/{k}"), format!("foreign/{id}/{k}/{round}"), vec![(id.into(), *k)], case);
+            }
+        }
+        for (a, holds) in Holds::PARTS.into_iter().enumerate().filter(|_| size.asks(Question::Parts)) {
+            let name = holds.name();
+            for (b, id) in OF_PARTS.into_iter().enumerate().filter(|(_, id)| size.wants(id)) {
+                let n = turn((a + b) as u64 % kinds, a, b);
+                let case = Case { question: Question::Parts, instrument: n, holds, ..Case::default() };
+                push(round, &format!("parts/{name}/0"), format!("parts/{name}/null-{b}/{round}"), vec![], case.clone());
+                for k in PARTS_SIGMAS {
+                    let key = format!("parts/{name}/{id}/{k}/{round}");
+                    push(round, &format!("parts/{name}/{k}"), key, vec![(id.into(), k)], case.clone());
                 }
+            }
+        }
+        for (a, holds) in Holds::MISREGISTERED.into_iter().enumerate().filter(|_| size.asks(Question::Registration)) {
+            for kind in &each_kind {
+                let n = turn(*kind, a, 0);
+                let case = Case { question: Question::Registration, instrument: n, holds, ..Case::default() };
+                let key = format!("registration/{}/{kind}/{round}", holds.name());
+                push(round, &format!("registration/{}", holds.name()), key, vec![], case);
             }
         }
         for id in
             DOWNSTREAM.into_iter().filter(|id| round == 0 && size.asks(Question::Reconstruction) && size.wants(id))
         {
-            if let Some(it) = one(id, DOWNSTREAM_SIGMAS) {
-                let case = Case { injected: vec![it], ..Case::default() };
-                push(round, format!("reconstruction/{id}"), Question::Reconstruction, instrument, case);
-            }
+            let case = Case { question: Question::Reconstruction, ..Case::default() };
+            push(round, "reconstruction", format!("reconstruction/{id}"), vec![(id.into(), DOWNSTREAM_SIGMAS)], case);
         }
-        for f in FOREIGN.iter().filter(|f| size.asks(Question::Foreign) && size.wants(f.descriptor().id)) {
-            let id = f.descriptor().id;
-            let strong = if size.questions.is_empty() { &FOREIGN_SIGMAS[..] } else { &FOREIGN_SIGMAS[2..] };
-            for k in strong {
-                if let Some(it) = one(id, *k) {
-                    let case = Case { injected: vec![it], ..Case::default() };
-                    push(round, format!("foreign/{id}/{k}/{round}"), Question::Foreign, instrument, case);
+        for kind in &each_kind {
+            let n = turn(*kind, 0, 0);
+            if size.asks(Question::Gain) && size.wants("noise_scale") {
+                let case = Case { question: Question::Gain, instrument: n, gain: WRONG_GAIN, ..Case::default() };
+                push(round, "gain", format!("gain/{WRONG_GAIN}/{kind}/{round}"), vec![], case);
+            }
+            if size.asks(Question::Records) {
+                for (name, value) in
+                    [("swapped_with_next", 1.0), ("flip_rows", 1.0), ("flip_cols", 1.0), ("exposure_factor", 1.25)]
+                {
+                    let it = Injected {
+                        id: "metadata_fault".into(),
+                        param: name.into(),
+                        value,
+                        others: vec![("frame".into(), 4.0)],
+                        ..Injected::default()
+                    };
+                    let case =
+                        Case { question: Question::Records, instrument: n, injected: vec![it], ..Case::default() };
+                    push(round, "records", format!("records/{name}/{kind}/{round}"), vec![], case);
                 }
             }
         }
-        if size.asks(Question::Gain) && size.wants("noise_scale") {
-            let case = Case { gain: WRONG_GAIN, ..Case::default() };
-            push(round, format!("gain/{WRONG_GAIN}/{round}"), Question::Gain, instrument, case);
-        }
-        if size.asks(Question::Records) {
-            for (name, value) in
-                [("swapped_with_next", 1.0), ("flip_rows", 1.0), ("flip_cols", 1.0), ("exposure_factor", 1.25)]
-            {
-                let it = Injected {
-                    id: "metadata_fault".into(),
-                    param: name.into(),
-                    sigmas: 0.0,
-                    value,
-                    others: vec![("frame".into(), 4.0)],
-                };
-                let case = Case { injected: vec![it], ..Case::default() };
-                push(round, format!("records/{name}/{round}"), Question::Records, instrument, case);
-            }
-        }
     }
-    cases.sort_by_cached_key(|(round, c)| (*round, c.seed));
-    cases.into_iter().map(|(_, c)| c).collect()
+    wishes
 }
 
-/// An effect with a strength of `sigmas` standard errors. None: the session cannot determine the effect, or the
-/// strength is out of range.
+/// Description of an effect of the catalogue, or of a foreign one.
+fn described(id: &str) -> Option<&'static Descriptor> {
+    find(id).map(|e| e.descriptor()).or_else(|| foreign::find(id).map(|f| f.descriptor()))
+}
+
+/// An effect with a strength of `sigmas` standard errors, or at the end of its range. None: the session cannot determine
+/// the effect.
 fn injected(known: &Sensitivities, id: &str, sigmas: f64) -> Option<Injected> {
     let s = known.of.get(id)?;
+    let p = described(id)?.params.first()?;
     // A standard error where the effect is absent is one of the number that the frame is linear in.
-    let (value, possible) = match find(id) {
-        Some(effect) => {
-            let p = effect.descriptor().params.first()?;
-            let inner = p.inner(p.off) + sigmas * p.inner(s.sigma);
-            (p.outer(inner), inner <= p.inner(p.max))
-        }
-        None => (sigmas * s.sigma, true),
-    };
-    possible.then(|| Injected { id: id.into(), param: s.param.clone(), sigmas, value, others: Vec::new() })
+    let inner = p.inner(p.off) + sigmas * p.inner(s.sigma);
+    let most = p.inner(ranges::largest(id).map_or(p.max, |v| (p.off + v).min(p.max)));
+    let capped = inner > most;
+    let value = p.outer(inner.min(most));
+    Some(Injected { id: id.into(), param: s.param.clone(), sigmas, value, capped, others: Vec::new() })
 }

@@ -1,8 +1,10 @@
 //! Outcomes of sessions, and their file: one JSON object per line, appended as sessions end.
 
 use super::downstream::Reconstruction;
-use super::plan::{Case, Injected};
+use super::instruments::Kind;
+use super::plan::{Case, Injected, Question};
 use super::shard::Shard;
+use crate::Verdict;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
@@ -40,14 +42,25 @@ pub struct HeldOut {
     pub after: f64,
     /// Of the bench's noise-free frames, which only chance can improve on.
     pub floor: f64,
-    /// Of the calibrated instrument with the injected effects, their values fitted; None: no effect was injected.
+    /// Of the calibrated instrument with the injected effects, their values fitted; None: no effect was injected, or
+    /// it changes noise alone.
     #[serde(default)]
     pub truth: Option<f64>,
     /// Pixels.
     pub pixels: usize,
+    /// Figures of `close` itself, on what this session holds: chi-squared per pixel and NRMSE, before and after.
+    #[serde(default)]
+    pub own: [[f64; 2]; 2],
 }
 
 impl HeldOut {
+    /// Whether the closed instrument predicts held-out data worse than the calibrated one, in chi-squared or in NRMSE.
+    /// A part in ten thousand is rounding.
+    pub fn is_worse(&self) -> bool {
+        let worse = |k: usize| self.own[1][k].is_finite() && self.own[1][k] > self.own[0][k] * (1.0 + 1e-4);
+        worse(0) || worse(1)
+    }
+
     /// Share of the explainable excess that was removed. None: the excess is below five standard errors; the difference
     /// d of two chi-squareds of the same frames has an error of 2 sqrt(d).
     pub fn explained(&self) -> Option<f64> {
@@ -62,8 +75,17 @@ impl HeldOut {
 pub struct Outcome {
     /// The case.
     pub case: Case,
+    /// Kind of the instrument.
+    #[serde(default)]
+    pub kind: Kind,
     /// Effects that were found, in order.
     pub found: Vec<FoundEffect>,
+    /// Ids of effects that `close` calls nearest, not the cause: no names.
+    #[serde(default)]
+    pub nearest: Vec<String>,
+    /// The verdict of `close`.
+    #[serde(default)]
+    pub verdict: Verdict,
     /// Whether `close` reports that the catalogue is incomplete.
     pub incomplete: bool,
     /// Covariates on which the residual depends afterwards (beyond five standard deviations).
@@ -95,9 +117,19 @@ impl Outcome {
         self.found.iter().any(|f| f.id == id || f.ambiguity.iter().any(|a| a == id))
     }
 
-    /// Whether an effect of the catalogue is named without a report that the catalogue is incomplete.
-    pub fn names_confidently(&self) -> bool {
-        self.found.iter().any(|f| f.known) && !self.incomplete
+    /// Ids that were named and are not true, flagged or not. Terms without a name are no names.
+    pub fn false_names(&self) -> Vec<&str> {
+        let named = self.found.iter().filter(|f| f.known && !f.id.starts_with("unknown")).map(|f| f.id.as_str());
+        // A gain that the calibration states wrongly is the effect of that name.
+        let gain = |id: &str| self.case.question == Question::Gain && id == "noise_scale";
+        let excluded = |id: &str| self.case.excluded.iter().any(|e| e == id);
+        let truth = |id: &str| self.case.injected.iter().any(|i| i.id == id) && !excluded(id) || gain(id);
+        named.filter(|id| !truth(id)).collect()
+    }
+
+    /// Whether any name is not true.
+    pub fn names_falsely(&self) -> bool {
+        !self.false_names().is_empty()
     }
 
     /// (value - truth) / sigma of the strength of an injected effect; None if it was not found under its name.

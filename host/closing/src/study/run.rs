@@ -3,13 +3,14 @@
 use super::networks::Networks;
 use super::plan::{Case, Size, cases};
 use super::record::{Ledger, Outcome, read_all};
+use super::sealed::Sealed;
 use super::sensitivity::Sensitivities;
 use super::shard::Shard;
 use super::subject::Subject;
 use super::summary::Summary;
-use super::text::page;
+use super::text::{Plan, page};
 use super::trial;
-use anyhow::Context;
+use anyhow::{Context, bail};
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -17,6 +18,8 @@ use std::sync::{Mutex, PoisonError};
 
 /// File of the figures.
 pub const JSON: &str = "study.json";
+/// File of the plan.
+pub const PLAN: &str = "plan.json";
 /// File of the page.
 pub const PAGE: &str = "study.md";
 
@@ -35,8 +38,10 @@ pub struct StudyRequest<'a> {
     pub dir: &'a Path,
     /// Size of the study.
     pub size: &'a Size,
-    /// The share of the cases to run.
+    /// The share of the instruments to run.
     pub shard: Shard,
+    /// Counter of the sealed seeds, for a study of those.
+    pub sealed: Option<&'a Path>,
 }
 
 /// How far a run is.
@@ -51,53 +56,85 @@ pub struct Progress {
 /// Runs the cases of a study that belong to the shard and have no outcome in the folder yet, then writes figures and
 /// page of all outcomes in the folder. `progress` is called after each case.
 ///
-/// Sessions are closed in parallel, each on one thread; the outcome does not depend on the number of threads.
+/// The instruments of the shard are calibrated first, then one after the other closes all its sessions, in parallel and
+/// each on one thread; the outcome does not depend on the number of threads.
 ///
 /// # Errors
-/// The folder cannot be written, or an instrument cannot be calibrated. A session that cannot be closed is not an
-/// error: its outcome holds the reason.
+/// The folder cannot be written, it holds another study, or an instrument cannot be calibrated. A session that cannot be
+/// closed is not an error: its outcome holds the reason.
 pub fn run(
     request: &StudyRequest<'_>,
     networks: &dyn Networks,
     progress: impl Fn(Progress) + Sync,
 ) -> anyhow::Result<Study> {
-    let StudyRequest { dir, size, shard } = *request;
+    let StudyRequest { dir, size, shard, sealed } = *request;
     std::fs::create_dir_all(dir).with_context(|| dir.display().to_string())?;
-    let prepare = |n: &u64| Subject::prepare(*n, size, dir, networks);
-    let numbers: Vec<u64> = (0..size.instruments).collect();
-    let subjects = side_by_side(&numbers, prepare)?.into_iter().collect::<anyhow::Result<Vec<_>>>()?;
-    let sensitivities: Vec<Sensitivities> = subjects.iter().map(|s| s.sensitivities.clone()).collect();
+    let opened = begin(dir, size, shard, sealed)?;
+    let numbers: Vec<u64> = (0..size.instruments).filter(|n| shard.has(*n as usize)).collect();
+    // Their foci take much memory, so only what is on disk is kept.
+    let prepared = |n: &u64| Ok(Subject::prepare(*n, size, dir, networks)?.sensitivities);
+    side_by_side(&numbers, prepared)?.into_iter().collect::<anyhow::Result<Vec<_>>>()?;
+    let sensitivities: Vec<Option<Sensitivities>> = (0..size.instruments).map(|n| Subject::known(n, dir)).collect();
     let ended: BTreeSet<String> = read_all(dir)?.into_iter().map(|o| o.case.key).collect();
-    let mine = |(i, _): &(usize, Case)| shard.has(*i);
     let all = cases(size, &sensitivities);
     let planned = all.len();
-    let all = all.into_iter().enumerate().filter(mine);
-    let todo: Vec<Case> = all.map(|(_, c)| c).filter(|c| !ended.contains(&c.key)).collect();
+    let mine = |c: &Case| shard.has(c.instrument as usize) && !ended.contains(&c.key);
+    let todo: Vec<Case> = all.into_iter().filter(mine).collect();
     let ledger = Ledger::open(dir, shard)?;
     let done = AtomicUsize::new(0);
-    let one = |case: &Case| -> std::io::Result<()> {
-        if let Some(subject) = subjects.get(case.instrument as usize) {
-            ledger.push(&trial::run(subject, case, networks))?;
+    for n in numbers {
+        let of_this: Vec<&Case> = todo.iter().filter(|c| c.instrument == n).collect();
+        if of_this.is_empty() {
+            continue;
         }
-        progress(Progress { done: done.fetch_add(1, Ordering::Relaxed) + 1, planned: todo.len() });
-        Ok(())
+        let subject = Subject::prepare(n, size, dir, networks)?;
+        let one = |case: &&Case| -> std::io::Result<()> {
+            ledger.push(&trial::run(&subject, case, networks))?;
+            progress(Progress { done: done.fetch_add(1, Ordering::Relaxed) + 1, planned: todo.len() });
+            Ok(())
+        };
+        side_by_side(&of_this, one)?
+            .into_iter()
+            .collect::<std::io::Result<Vec<()>>>()
+            .with_context(|| dir.display().to_string())?;
+    }
+    conclude(dir, size, Plan { planned, opened }, &sensitivities.into_iter().flatten().collect::<Vec<_>>())
+}
+
+/// Checks that the folder holds no other study, and counts an opening of the sealed seeds where this is one. Returns how
+/// often they were opened; `None`: the seeds are those for development.
+fn begin(dir: &Path, size: &Size, shard: Shard, sealed: Option<&Path>) -> anyhow::Result<Option<usize>> {
+    let file = dir.join(PLAN);
+    let text = serde_json::to_vec_pretty(size)?;
+    let known = std::fs::read(&file).ok();
+    if let Some(known) = &known
+        && serde_json::from_slice::<Size>(known).ok().as_ref() != Some(size)
+    {
+        bail!("{}: the folder holds a study of another size or other seeds; name another folder", file.display());
+    }
+    let opened = match (size.sealed, sealed) {
+        (false, _) => None,
+        (true, None) => bail!("sealed seeds need a counter of how often they were opened"),
+        // A study that goes on, or another share of it, opens nothing anew.
+        (true, Some(counter)) if known.is_some() || shard.index > 0 => Some(Sealed::read(counter)?.opened),
+        (true, Some(counter)) => Some(Sealed::open(counter)?.opened),
     };
-    side_by_side(&todo, one)?
-        .into_iter()
-        .collect::<std::io::Result<Vec<()>>>()
-        .with_context(|| dir.display().to_string())?;
-    conclude(dir, size, planned, &sensitivities)
+    if known.is_none() {
+        ommatidia_session::artifact::write_whole(&file, &text)?;
+    }
+    Ok(opened)
 }
 
 /// Writes figures and page of all sessions in a folder.
-fn conclude(dir: &Path, size: &Size, planned: usize, sensitivities: &[Sensitivities]) -> anyhow::Result<Study> {
+fn conclude(dir: &Path, size: &Size, plan: Plan, sensitivities: &[Sensitivities]) -> anyhow::Result<Study> {
     let outcomes = read_all(dir)?;
     let summary = Summary::of(&outcomes);
     let json = serde_json::json!({
-        "size": size, "planned": planned, "sensitivities": sensitivities, "summary": summary, "sessions": outcomes,
+        "size": size, "planned": plan.planned, "opened": plan.opened, "sensitivities": sensitivities,
+        "summary": summary, "sessions": outcomes,
     });
     ommatidia_session::artifact::write_whole(&dir.join(JSON), &serde_json::to_vec_pretty(&json)?)?;
-    let page = page(size, planned, sensitivities, &outcomes, &summary);
+    let page = page(size, plan, sensitivities, &outcomes, &summary);
     ommatidia_session::artifact::write_whole(&dir.join(PAGE), page.as_bytes())?;
     Ok(Study { outcomes, summary })
 }

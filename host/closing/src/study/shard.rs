@@ -2,7 +2,7 @@
 
 use std::str::FromStr;
 
-/// The cases whose number is `index` modulo `count`. All cases by default.
+/// The instruments whose number is `index` modulo `count`, with all their cases. All instruments by default.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shard {
     /// Number of this share, counted from 0.
@@ -18,9 +18,9 @@ impl Default for Shard {
 }
 
 impl Shard {
-    /// Whether case number `case` belongs to this share.
-    pub fn has(self, case: usize) -> bool {
-        case % self.count.max(1) == self.index
+    /// Whether instrument number `instrument` belongs to this share.
+    pub fn has(self, instrument: usize) -> bool {
+        instrument % self.count.max(1) == self.index
     }
 }
 

@@ -1,9 +1,10 @@
 //! One instrument under study: its bench, its calibration, and the sensitivity of its sessions.
 //!
 //! It is small, so that a session takes seconds: 3 x 3 lenses on 98 x 98 pixels. All sessions of an instrument are
-//! compared with one calibration, from a session of its own.
+//! compared with one calibration, from a session of its own; such sessions belong together in every interval.
 
-use super::foreign::FOREIGN;
+use super::foreign::{FOREIGN, Foreign};
+use super::instruments::{self, Kind};
 use super::networks::{self, Networks};
 use super::plan::{Question, Size};
 use super::sensitivity::{Sensitivities, Sensitivity};
@@ -25,6 +26,8 @@ const RANK: usize = 12;
 
 /// An instrument under study.
 pub struct Subject {
+    /// Kind of the instrument, for tables.
+    pub kind: Kind,
     /// The bench without effects; its foci are reused for all sessions.
     pub bench: VirtualInstrument,
     /// The configuration of its sessions.
@@ -37,38 +40,9 @@ pub struct Subject {
     pub network: PathBuf,
 }
 
-/// The bench of instrument `n`.
-///
-/// Weak light and a fine scan: the errors of the calibration must stay below the noise, or every session shows them.
-pub fn bench_config(n: u64) -> BenchConfig {
-    let mut c = BenchConfig { instrument_seed: 500 + n, ..BenchConfig::default() };
-    (c.sensor.rows, c.sensor.cols) = (98, 98);
-    c.array.pitch_px = 26.0;
-    (c.object.rows, c.object.cols) = (30, 30);
-    c.optics.psf_field_px = 23;
-    c.optics.aperture_um = 28.9;
-    c.optics.object_distance_um = 300.0;
-    c.optics.distortion_px = 0.05;
-    c.aberrations.field_curvature = 0.05;
-    c.aberrations.astigmatism = 0.04;
-    c.aberrations.coma = 0.035;
-    (c.scan.rows, c.scan.cols) = (11, 11);
-    c.scan.depths_um = vec![-60.0, 0.0, 60.0];
-    c.scan.bead_e = 80_000.0;
-    c.stacks.interval_ms = 60.0;
-    c.stacks.dark_frames = 16;
-    c.stacks.dark_exposures_ms = vec![10.0, 40.0];
-    c.stacks.flat_levels = vec![0.1, 0.3, 0.6];
-    c.stacks.flat_exposures_ms = vec![5.0, 10.0];
-    c.stacks.flat_frames = 16;
-    c.stacks.scene_frames = 8;
-    c.stacks.scene_peak = [0.05, 0.18];
-    c
-}
-
 /// A session to close is shorter than one for calibration.
-fn session_config(n: u64) -> BenchConfig {
-    let mut c = bench_config(n);
+fn shorter(config: &BenchConfig) -> BenchConfig {
+    let mut c = config.clone();
     c.stacks.dark_frames = 4;
     c.stacks.flat_frames = 2;
     c
@@ -82,15 +56,16 @@ impl Subject {
     /// The folder cannot be written, or the instrument cannot be calibrated.
     pub fn prepare(n: u64, size: &Size, dir: &Path, networks: &dyn Networks) -> anyhow::Result<Self> {
         let seed = size.seed;
-        let config = session_config(n);
+        let whole = instruments::config(size, n)?;
+        let config = shorter(&whole);
         // Foci are kept for instruments that are built like another one.
         let bench = config.build_like(&config.build(&[])?, &[])?;
         let file = dir.join(format!("instrument-{n}.instrument"));
         let instrument = match Instrument::read(&file) {
             Ok(instrument) => instrument,
             Err(_) => {
-                let instrument = calibrated(n, seed, &bench)?;
-                instrument.write(&file, Provenance::new("study", seed, &bench_config(n)))?;
+                let instrument = calibrated(&whole, (seed << 20) + n, &bench)?;
+                instrument.write(&file, Provenance::new("study", seed, &whole))?;
                 instrument
             }
         };
@@ -99,13 +74,15 @@ impl Subject {
         if n == 0 && size.asks(Question::Reconstruction) && !network.is_file() {
             networks::train(networks, &instrument, &file, seed, &network).with_context(|| format!("network {n}"))?;
         }
-        let mut subject = Self { bench, config, instrument, sensitivities: Sensitivities::default(), network };
+        let kind = instruments::kind(size, n);
+        let mut subject = Self { kind, bench, config, instrument, sensitivities: Sensitivities::default(), network };
         let file = dir.join(format!("sensitivity-{n}.json"));
-        let known = std::fs::read(&file).ok().and_then(|b| serde_json::from_slice(&b).ok());
-        subject.sensitivities = match known {
+        subject.sensitivities = match Self::known(n, dir) {
             Some(known) => known,
             None => {
-                let found = subject.look(seed).with_context(|| format!("instrument {n}"))?;
+                let found = subject
+                    .look(seed, if size.quota.is_some() { 1 } else { NULLS })
+                    .with_context(|| format!("instrument {n}"))?;
                 ommatidia_session::artifact::write_whole(&file, &serde_json::to_vec_pretty(&found)?)?;
                 found
             }
@@ -113,19 +90,16 @@ impl Subject {
         Ok(subject)
     }
 
-    /// Measures darks, flats and scenes of a session with a bench of this build.
-    ///
-    /// # Errors
-    /// The folder cannot be written.
-    pub fn session(&self, bench: &VirtualInstrument, dir: &Path, seed: u64) -> anyhow::Result<Session> {
-        bench.measure_some(dir, seed, &[Role::Dark, Role::Flat, Role::Scene], |_| {})?;
-        Ok(Session::open(dir)?)
+    /// The sensitivity of the sessions of instrument `n`, as a study in `dir` has measured it.
+    pub fn known(n: u64, dir: &Path) -> Option<Sensitivities> {
+        let bytes = std::fs::read(dir.join(format!("sensitivity-{n}.json"))).ok()?;
+        serde_json::from_slice(&bytes).ok()
     }
 
-    fn look(&self, seed: u64) -> anyhow::Result<Sensitivities> {
+    fn look(&self, seed: u64, nulls: u64) -> anyhow::Result<Sensitivities> {
         let mut sigmas: BTreeMap<String, (String, String, Vec<f64>)> = BTreeMap::new();
         let mut out = Sensitivities::default();
-        for i in 0..NULLS {
+        for i in 0..nulls {
             let folder = tempfile::tempdir()?;
             let session = self.session(&self.bench, &folder.path().join("session"), (seed << 20) + 77_000 + i)?;
             let mut seen = Observations::read(&session, &Budget::default())?;
@@ -148,14 +122,18 @@ impl Subject {
         for foreign in &FOREIGN {
             let d = foreign.descriptor();
             let sigma = self.noise_alone(foreign, d.params[0].step, seed)?;
-            out.of.insert(d.id.into(), Sensitivity { param: d.params[0].name.into(), unit: "1".into(), sigma });
+            let (param, unit) = (d.params[0].name.into(), d.params[0].unit.into());
+            out.of.insert(d.id.into(), Sensitivity { param, unit, sigma });
         }
         Ok(out)
     }
 
     /// Standard error of the strength of a foreign effect from the noise of the scenes alone, with the light level
     /// fitted too.
-    fn noise_alone(&self, foreign: &'static dyn Effect, step: f64, seed: u64) -> anyhow::Result<f64> {
+    ///
+    /// Of noise, the standard error of its variance: with a variance `v` in units of that of the model, the information
+    /// of a pixel is `v^2 / 2` (Gaussian likelihood).
+    fn noise_alone(&self, foreign: &'static Foreign, step: f64, seed: u64) -> anyhow::Result<f64> {
         let frames = |bench: &VirtualInstrument| -> anyhow::Result<Vec<ndarray::Array2<f32>>> {
             let folder = tempfile::tempdir()?;
             let dir = folder.path().join("session");
@@ -165,9 +143,21 @@ impl Subject {
             let mut reader = stack.expected()?.context("the bench wrote no noise-free frames")?;
             (0..stack.len()).map(|i| Ok(reader.read(i)?)).collect()
         };
+        let noise = &self.instrument.noise;
+        if foreign.noise_only() {
+            let information = |frame: &ndarray::Array2<f32>| -> f64 {
+                let of = |v: &f32| {
+                    let light_dn = (f64::from(*v) - noise.black_level_dn).max(0.0);
+                    let added = foreign.added_variance_dn2(light_dn).unwrap_or(0.0);
+                    0.5 * (added / noise.variance_dn2(f64::from(*v))).powi(2)
+                };
+                frame.iter().map(of).sum()
+            };
+            let information: f64 = frames(&self.bench)?.iter().map(information).sum();
+            return Ok(information.max(1e-12).powf(-0.25));
+        }
         let with = self.config.build_like(&self.bench, &[])?.with_foreign(foreign, vec![step])?;
         let (clean, changed) = (frames(&self.bench)?, frames(&with)?);
-        let noise = &self.instrument.noise;
         let (mut dd, mut ds, mut ss) = (0.0, 0.0, 0.0);
         for (a, b) in clean.iter().zip(&changed) {
             for (a, b) in a.iter().zip(b) {
@@ -182,10 +172,10 @@ impl Subject {
     }
 }
 
-fn calibrated(n: u64, seed: u64, like: &VirtualInstrument) -> anyhow::Result<Instrument> {
+fn calibrated(config: &BenchConfig, seed: u64, like: &VirtualInstrument) -> anyhow::Result<Instrument> {
     let folder = tempfile::tempdir()?;
     let dir = folder.path().join("calibration");
-    bench_config(n).build_like(like, &[])?.measure(&dir, (seed << 20) + n, |_| {})?;
+    config.build_like(like, &[])?.measure(&dir, seed, |_| {})?;
     let config = CalibrateConfig { rank: Some(RANK), ..CalibrateConfig::default() };
     Ok(calibrate(&Session::open(&dir)?, &config, || {})?.instrument)
 }

@@ -1,22 +1,35 @@
 //! The page of a study, Markdown.
 
+use super::intervals::Share;
 use super::plan::{Question, Size};
 use super::record::Outcome;
 use super::sensitivity::Sensitivities;
-use super::summary::{ByStrength, Outside, Share, Summary};
+use super::summary::{ByStrength, Outside, Summary};
 use std::collections::BTreeSet;
 use std::fmt::Write;
 
+/// What was planned.
+#[derive(Clone, Copy, Debug)]
+pub struct Plan {
+    /// Number of sessions.
+    pub planned: usize,
+    /// How often the sealed seeds were opened, this time included; `None`: the seeds are those for development.
+    pub opened: Option<usize>,
+}
+
 /// Renders the page.
-pub fn page(size: &Size, planned: usize, sensitivities: &[Sensitivities], all: &[Outcome], s: &Summary) -> String {
+pub fn page(size: &Size, plan: Plan, sensitivities: &[Sensitivities], all: &[Outcome], s: &Summary) -> String {
     let mut out = String::new();
     // Writing to a string cannot fail.
-    let _ = head(&mut out, size, planned, s)
+    let _ = head(&mut out, size, plan, s)
         .and_then(|()| nulls(&mut out, s))
         .and_then(|()| single(&mut out, s))
+        .and_then(|()| kinds(&mut out, s))
+        .and_then(|()| errors(&mut out, s))
         .and_then(|()| named(&mut out, s))
         .and_then(|()| pairs(&mut out, all, s))
         .and_then(|()| beyond(&mut out, all, s))
+        .and_then(|()| parts(&mut out, all, s))
         .and_then(|()| records(&mut out, all, s))
         .and_then(|()| pictures(&mut out, all))
         .and_then(|()| sensitivity(&mut out, sensitivities));
@@ -39,38 +52,68 @@ fn number(v: Option<f64>) -> String {
     v.map_or_else(|| "-".into(), |v| format!("{v:.2}"))
 }
 
-fn head(out: &mut String, size: &Size, planned: usize, s: &Summary) -> std::fmt::Result {
+/// Three significant digits, of numbers that span decades.
+fn digits(v: Option<f64>) -> String {
+    v.map_or_else(|| "-".into(), |v| if v.abs() < 0.01 { format!("{v:.4}") } else { format!("{v:.3}") })
+}
+
+/// The first line of the page, which says of which seeds it is.
+pub const TITLE: &str = "# How far the loop can be trusted";
+
+fn head(out: &mut String, size: &Size, plan: Plan, s: &Summary) -> std::fmt::Result {
+    let seeds = match plan.opened {
+        Some(1) => {
+            "These are **sealed seeds, opened once**: no threshold was set on these instruments or sessions.".into()
+        }
+        Some(n) => format!("These are **sealed seeds, opened {n} times**: what was changed in between has seen them."),
+        None if size.gentle => {
+            "This is a **check that the study works**, on gentle instruments; it measures nothing.".into()
+        }
+        None => "These are **development seeds**: thresholds were set on them, so the figures flatter.".to_string(),
+    };
+    let of: Vec<String> = s.instruments.iter().map(|(kind, n)| format!("{} {n}", kind.name())).collect();
     writeln!(
         out,
-        "# How far the loop can be trusted\n\n\
-         Written by `ommatidia study` from {} of {planned} planned sessions of the virtual instrument. There are {} \
-         instruments of 3 x 3 lenses on\n\
-         98 x 98 pixels, each calibrated once from a session of its own (bead scan at three depths, darks, flats). \
-         Sessions without an effect\n\
-         use them in turn; each round of the other sessions uses one. A session to close has 8 scenes of known \
-         objects, 12 flats at three\n\
-         levels and two exposures, and 8 darks at two exposures. The bench computes its frames by physical optics, \
-         without the low-rank\n\
-         model. Injected effects are not declared anywhere.\n\n\
-         **1 sigma** of an effect is the sensitivity of such a session: the standard error that `close` reports for \
-         the first strength of the\n\
-         effect when the effect is absent. It includes noise, scatter between blocks and frames, and the calibration; \
-         for foreign effects, the\n\
-         noise of the scenes alone. Shares have 95 % intervals (Wilson).\n",
-        s.sessions, size.instruments
+        "{TITLE}\n\nWritten by `ommatidia study` from {} of {} planned sessions of virtual instruments. {seeds}\n\n\
+         The instruments ({}) have 3 x 3 lenses on 98 x 98 pixels. The optics of the kinds share no code with each other \
+         nor\nwith the low-rank model: diffraction at pupils, rays traced through relays, and PSFs that are drawn at \
+         random or were\nmeasured. Places of lenses, aberrations, apertures, distortion, light and sensor are drawn for \
+         each; every one is\ncalibrated once, from a session of its own (bead scan at three depths, darks, flats). \
+         A session to close has 8 scenes of known\nobjects, 12 flats at three levels and two exposures, and 8 darks at \
+         two exposures, where nothing else is said. Injected effects are\nnot declared anywhere.\n\n\
+         **1 sigma** of an effect is the sensitivity of such a session: the standard error that `close` reports for the \
+         first strength of the\neffect when the effect is absent. It includes noise, scatter between blocks and frames, \
+         and the calibration; for foreign effects,\nthe noise of the scenes alone. Where a strength would leave the \
+         physical range of the effect (shifts of 7 px, turns of 2 degrees,\n5 % of size, blurs of 3 px, light by a factor \
+         of 3), it ends there (capped). A name is **false** whenever it is not the truth, whatever\nis said beside it. \
+         Shares have 95 % intervals: the wider of Wilson's and a bootstrap over instruments.\n",
+        s.sessions,
+        plan.planned,
+        of.join(", "),
     )?;
     writeln!(
         out,
         "Closing a session took {:.1} s (median; mean {:.1} s, longest {:.1} s) on one thread of a shared machine. {} \
             sessions failed.\n",
         s.seconds[0], s.seconds[1], s.seconds[2], s.failed
-    )
+    )?;
+    writeln!(out, "Held-out figures (chi2 or NRMSE) are worse after than before in {} sessions.", s.worse.len())?;
+    for key in &s.worse {
+        writeln!(out, "- `{key}`")?;
+    }
+    writeln!(out)
 }
 
 fn nulls(out: &mut String, s: &Summary) -> std::fmt::Result {
     writeln!(out, "## Sessions without an effect\n")?;
-    writeln!(out, "An effect or a fault was found in {} sessions.", share(s.null_found))?;
-    writeln!(out, "The catalogue was called incomplete although nothing was found: {}.", share(s.null_incomplete))?;
+    writeln!(out, "| sessions | an effect or a fault was found |\n|---|---|\n| all | {} |", share(s.null_found))?;
+    for (holds, found) in &s.null_by {
+        writeln!(out, "| {} | {} |", holds.words(), share(*found))?;
+    }
+    for (kind, found) in &s.null_by_kind {
+        writeln!(out, "| {} | {} |", kind.name(), share(*found))?;
+    }
+    writeln!(out, "\nThe catalogue was called incomplete although nothing was found: {}.", share(s.null_incomplete))?;
     let named: Vec<String> = s.null_named.iter().map(|(id, n)| format!("`{id}` {n}")).collect();
     if !named.is_empty() {
         writeln!(out, "Found: {}.", named.join(", "))?;
@@ -84,48 +127,100 @@ fn nulls(out: &mut String, s: &Summary) -> std::fmt::Result {
 }
 
 fn single(out: &mut String, s: &Summary) -> std::fmt::Result {
-    writeln!(out, "## One undeclared effect of the catalogue\n")?;
     writeln!(
         out,
-        "| sigma | anything found | true effect first | of those without a lookalike (rho < 0.7) | found or in the \
-            ambiguity set | \
-         another effect first | explained F (sessions) |\n|---|---|---|---|---|---|---|"
+        "## One undeclared effect of the catalogue\n\n| sigma | chi2 / pixel of the effect | true effect first | a false \
+         name | true and no other | false names a session | anything found |\n|---|---|---|---|---|---|---|"
+    )?;
+    for b in &s.single {
+        let capped = if b.capped > 0 { format!(" ({} capped)", b.capped) } else { String::new() };
+        writeln!(
+            out,
+            "| {}{capped} | {} | {} | {} | {} | {:.2} | {} |",
+            b.sigmas,
+            digits(b.excess),
+            share(b.first),
+            share(b.false_name),
+            brief(b.true_alone),
+            b.extra_names,
+            brief(b.detected),
+        )?;
+    }
+    writeln!(
+        out,
+        "\n| sigma | explained F (sessions) | F >= 0.9 | first, without a lookalike (rho < 0.7) | found or in the \
+         ambiguity set | terms without a name a session |\n|---|---|---|---|---|---|"
     )?;
     for b in &s.single {
         writeln!(
             out,
-            "| {} | {} | {} | {} | {} | {} | {} ({}) |",
+            "| {} | {} ({}) | {} | {} | {} | {:.2} |",
             b.sigmas,
-            brief(b.detected),
-            share(b.first),
-            brief(b.first_where_alone),
-            share(b.covered),
-            brief(b.other_first),
             number(b.explained),
-            b.with_excess
+            b.removed.n,
+            share(b.removed),
+            brief(b.first_where_alone),
+            brief(b.covered),
+            b.unnamed,
         )?;
     }
     writeln!(
         out,
         "\nF = (chi2 before - chi2 after) / (chi2 before - chi2 of the calibrated model with the injected effect, its \
-            values fitted) on held-out\n\
-         scenes; median of the sessions whose excess is beyond five standard errors. No effect explains the errors of \
-         the calibration itself.\n\n\
-         Pulls, (value - truth) / sigma of the first strength, where the true effect was found under its name:\n\n\
-         | sigma | pulls | mean | rms | robust rms |\n|---|---|---|---|---|"
+            values fitted) on held-out\nscenes; median of the sessions whose excess is beyond five standard errors. No \
+            effect explains the errors of the calibration itself.\n"
     )?;
-    let pull = |b: &ByStrength| {
+    let worst: Vec<String> = {
+        let mut of: Vec<(&String, &usize)> = s.false_names.iter().collect();
+        of.sort_by(|a, b| b.1.cmp(a.1).then(a.0.cmp(b.0)));
+        of.iter().map(|(id, n)| format!("`{id}` {n}")).collect()
+    };
+    if !worst.is_empty() {
+        writeln!(out, "False names: {}.\n", worst.join(", "))?;
+    }
+    Ok(())
+}
+
+fn kinds(out: &mut String, s: &Summary) -> std::fmt::Result {
+    writeln!(
+        out,
+        "### By kind of instruments\n\n| instruments | sigma | chi2 / pixel of the effect | true effect first | a false \
+         name | explained F |\n|---|---|---|---|---|---|"
+    )?;
+    for (kind, of) in &s.single_by_kind {
+        for b in of {
+            let (first, wrong) = (brief(b.first), brief(b.false_name));
+            let (excess, removed) = (digits(b.excess), number(b.explained));
+            writeln!(out, "| {} | {} | {excess} | {first} | {wrong} | {removed} |", kind.name(), b.sigmas)?;
+        }
+    }
+    writeln!(out)
+}
+
+/// Pulls and ranks.
+fn errors(out: &mut String, s: &Summary) -> std::fmt::Result {
+    writeln!(
+        out,
+        "### Quoted errors\n\nPulls, (value - truth) / sigma of the first strength, where the true effect was found under \
+         its name, and the histogram of the truths'\nranks in what value and sigma say of them (even where the errors are \
+         right; heavy ends: errors too small). p: chi2 test of evenness.\n\n\
+         | sigma | pulls | mean | rms | robust rms | ranks from 0 to 1 | p |\n|---|---|---|---|---|---|---|"
+    )?;
+    let row = |b: &ByStrength| {
+        let counts: Vec<String> = b.ranks.counts.iter().map(usize::to_string).collect();
+        let p = b.ranks.p.map_or_else(|| "-".into(), |p| format!("{p:.3}"));
         format!(
-            "| {} | {} | {} | {} | {} |",
+            "| {} | {} | {} | {} | {} | {} | {p} |",
             b.sigmas,
             b.pulls,
             number(b.pull_mean),
             number(b.pull_rms),
-            number(b.pull_robust)
+            number(b.pull_robust),
+            counts.join(" "),
         )
     };
     for b in &s.single {
-        writeln!(out, "{}", pull(b))?;
+        writeln!(out, "{}", row(b))?;
     }
     writeln!(out)
 }
@@ -183,11 +278,13 @@ fn line(o: &Outcome) -> String {
         .collect();
     let found = if found.is_empty() { ".".into() } else { found.join("; ") };
     let incomplete = if o.incomplete { "yes" } else { "no" };
+    let wrong = o.false_names().len();
     let strength = o.case.injected.first().map_or(0.0, |i| i.sigmas);
-    format!("| {} | {strength} | {found} | {incomplete} | {} |", put.join(", "), number(o.held_out.explained()))
+    let (put, kind, removed) = (put.join(", "), o.kind.name(), number(o.held_out.explained()));
+    format!("| {put} | {kind} | {strength} | {found} | {wrong} | {incomplete} | {removed} |")
 }
 
-const SESSIONS: &str = "| injected | sigma | found | called incomplete | explained F |\n|---|---|---|---|---|";
+const SESSIONS: &str = "| injected | instrument | sigma | found | false names | called incomplete | explained F |\n|---|---|---|---|---|---|---|";
 
 fn lines(out: &mut String, all: &[Outcome], question: Question) -> std::fmt::Result {
     let mut of: Vec<&Outcome> = all.iter().filter(|o| o.case.question == question && o.error.is_none()).collect();
@@ -205,9 +302,10 @@ fn lines(out: &mut String, all: &[Outcome], question: Question) -> std::fmt::Res
 fn pairs(out: &mut String, all: &[Outcome], s: &Summary) -> std::fmt::Result {
     writeln!(
         out,
-        "## Two effects at once\n\nBoth named (found or in an ambiguity set): {}; at least one: {}.",
+        "## Two effects at once\n\nBoth named (found or in an ambiguity set): {}; at least one: {}; a false name: {}.",
         share(s.pairs_both),
-        share(s.pairs_one)
+        share(s.pairs_one),
+        share(s.pairs_false)
     )?;
     lines(out, all, Question::Pair)
 }
@@ -215,30 +313,50 @@ fn pairs(out: &mut String, all: &[Outcome], s: &Summary) -> std::fmt::Result {
 fn outside(out: &mut String, title: &str, o: &Outside) -> std::fmt::Result {
     writeln!(
         out,
-        "| {title} | {} | {} | {} | {} |",
-        share(o.noticed),
-        share(o.abstains),
+        "| {title} | {} | {} | {} | {} | {} |",
         share(o.false_naming),
-        number(o.explained)
+        brief(o.noticed),
+        brief(o.abstains),
+        number(o.explained),
+        brief(o.removed)
     )
 }
 
 fn beyond(out: &mut String, all: &[Outcome], s: &Summary) -> std::fmt::Result {
     writeln!(
         out,
-        "## The true effect is not among the candidates\n\n\
-         False naming: `close` names an effect of the catalogue and does not report that the catalogue is \
-         incomplete.\n\n\
-         | | noticed | called incomplete | false naming | explained F |\n|---|---|---|---|---|"
+        "## The true effect is not among the candidates\n\nEvery name is false here.\n\n\
+         | | a false name | noticed | called incomplete | explained F | F >= 0.7 |\n|---|---|---|---|---|---|"
     )?;
-    outside(out, "catalogue without the true effect, 30 sigma", &s.minus_one)?;
+    for (k, o) in &s.minus_one {
+        outside(out, &format!("catalogue without the true effect, {k} sigma"), o)?;
+    }
     for (k, o) in &s.foreign {
         outside(out, &format!("foreign effects, {k} sigma of the noise"), o)?;
+    }
+    for (like, o) in &s.foreign_like {
+        outside(out, &format!("foreign effects, {like}"), o)?;
     }
     writeln!(out, "\n### Catalogue without the true effect")?;
     lines(out, all, Question::MinusOne)?;
     writeln!(out, "### Foreign effects")?;
     lines(out, all, Question::Foreign)
+}
+
+/// Sessions that hold less, or whose truths are misplaced.
+fn parts(out: &mut String, all: &[Outcome], s: &Summary) -> std::fmt::Result {
+    writeln!(
+        out,
+        "## Sessions of other kinds\n\nWith one effect of 30 or 300 sigma (of a whole session) or none; misplaced truths \
+         have none, so that every name is false.\nWhat a session cannot show cannot be named: the share of true names \
+         is of all sessions with an effect.\n\n\
+         | the session | true effect named | a false name |\n|---|---|---|"
+    )?;
+    for (holds, named, wrong) in &s.holds {
+        writeln!(out, "| {} | {} | {} |", holds.words(), share(*named), share(*wrong))?;
+    }
+    lines(out, all, Question::Parts)?;
+    lines(out, all, Question::Registration)
 }
 
 fn records(out: &mut String, all: &[Outcome], s: &Summary) -> std::fmt::Result {

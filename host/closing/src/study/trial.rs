@@ -5,6 +5,7 @@ use super::foreign;
 use super::networks::Networks;
 use super::plan::{Case, Question};
 use super::record::{FoundEffect, HeldOut, Outcome};
+use super::sessions::Holds;
 use super::subject::Subject;
 use crate::evidence::figures;
 use crate::fit::{Model, Term, refit};
@@ -21,7 +22,12 @@ const REPORTED: f64 = 5.0;
 
 /// Runs a case. If it fails, the outcome holds the error.
 pub fn run(subject: &Subject, case: &Case, networks: &dyn Networks) -> Outcome {
-    let fail = |e: anyhow::Error| Outcome { case: case.clone(), error: Some(format!("{e:#}")), ..Outcome::default() };
+    let fail = |e: anyhow::Error| Outcome {
+        case: case.clone(),
+        kind: subject.kind,
+        error: Some(format!("{e:#}")),
+        ..Outcome::default()
+    };
     attempt(subject, case, networks).unwrap_or_else(fail)
 }
 
@@ -32,13 +38,14 @@ fn attempt(subject: &Subject, case: &Case, networks: &dyn Networks) -> anyhow::R
         params.extend(it.others.iter().map(|(name, v)| (name.as_str(), *v)));
         settings.push(EffectSetting::new(&it.id, &params));
     }
-    let mut bench = subject.config.build_like(&subject.bench, &settings)?;
+    let holds = case.holds;
+    let mut bench = holds.config(&subject.config).build_like(&subject.bench, &settings)?;
     for it in case.injected.iter().filter(|_| case.question == Question::Foreign) {
         let effect = foreign::find(&it.id).with_context(|| format!("`{}`: no foreign effect", it.id))?;
         bench = bench.with_foreign(effect, vec![it.value])?;
     }
     let folder = tempfile::tempdir()?;
-    let session = subject.session(&bench, &folder.path().join("session"), case.seed)?;
+    let session = holds.measure(&bench, &folder.path().join("session"), case.seed)?;
     let mut instrument = subject.instrument.clone();
     instrument.noise.gain_dn_per_e *= case.gain;
     let mut seen = Observations::read(&session, &Budget::default())?;
@@ -60,9 +67,19 @@ fn attempt(subject: &Subject, case: &Case, networks: &dyn Networks) -> anyhow::R
     let structure = closing.dependences_after.iter().filter(|d| d.z > REPORTED);
     Ok(Outcome {
         case: case.clone(),
+        kind: subject.kind,
+        nearest: closing.nearest.iter().map(|n| n.id.clone()).collect(),
+        verdict: closing.verdict,
         incomplete: closing.catalogue_incomplete,
         structure: structure.map(|d| d.covariate.words().to_string()).collect(),
-        held_out: HeldOut { before: closing.before.chi2_ndf, after: closing.after.chi2_ndf, floor, truth, pixels },
+        held_out: HeldOut {
+            before: closing.before.chi2_ndf,
+            after: closing.after.chi2_ndf,
+            floor,
+            truth,
+            pixels,
+            own: [closing.before, closing.after].map(|f| [f.chi2_ndf, f.nrmse]),
+        },
         found: found(closing),
         reconstruction,
         seconds,
@@ -87,7 +104,12 @@ fn found(closing: Closing) -> Vec<FoundEffect> {
 /// chi-squared per pixel on held-out scenes of the instrument with the injected effects, their values fitted from the
 /// true ones. None for faults of records and of the gain, which are not effects of an instrument.
 fn explainable(instrument: &Instrument, seen: &Observations, case: &Case) -> anyhow::Result<Option<f64>> {
-    if matches!(case.question, Question::Records | Question::Gain) || case.injected.is_empty() {
+    // Of sessions that hold less, the figures of `close` are of other data than known scenes.
+    let of_scenes = matches!(case.holds, Holds::Whole | Holds::ManyFrames | Holds::Bright);
+    if matches!(case.question, Question::Records | Question::Gain) || case.injected.is_empty() || !of_scenes {
+        return Ok(None);
+    }
+    if case.injected.iter().any(|it| foreign::find(&it.id).is_some_and(|f| f.noise_only())) {
         return Ok(None);
     }
     let model = Model::new(instrument, seen)?;
@@ -108,7 +130,7 @@ fn explainable(instrument: &Instrument, seen: &Observations, case: &Case) -> any
 
 /// chi-squared per pixel of the held-out scenes against the noise-free frames of the bench, and the number of pixels.
 fn floor(session: &Session, seen: &Observations, instrument: &Instrument) -> anyhow::Result<(f64, usize)> {
-    let stack = session.stacks_of(Role::Scene).next().context("no scene was measured")?;
+    let Some(stack) = session.stacks_of(Role::Scene).next() else { return Ok((0.0, 0)) };
     let mut expected = stack.expected()?.context("the bench wrote no noise-free frames")?;
     let noise = &instrument.noise;
     let dark = noise.variance_dn2(noise.black_level_dn);

@@ -2,20 +2,38 @@
 
 use super::common::{Outcome, Run};
 use super::files::{Content, Files, virtual_session};
-use ommatidia_bench::BenchConfig;
+use ommatidia_bench::{BenchConfig, FamilyName, MeasuredPsfs, StackOf};
 use ommatidia_network::evaluate::resolution;
 use ommatidia_physics::effects::EffectSetting;
 use std::path::PathBuf;
 
 /// Options of `bench`.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example: ommatidia bench session --effect halo=0.05,sigma_px=20 --frames 24 --seed 7")]
+#[command(
+    after_help = "Example: ommatidia bench session --effect halo=0.05,sigma_px=20 --frames 24 --seed 7\n         \
+                  ommatidia bench changed --family relay --instrument 3 --effect array_shift=0.4 --seed 2"
+)]
 pub struct Args {
     /// Folder of the session to write; a session of a virtual instrument in it is replaced
     session: PathBuf,
     /// Configuration of the instrument, TOML (default: the demo instrument)
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
+    /// How the lenses are computed: pupils (diffraction), relay (traced rays) or kernels (given PSFs) (default: that of
+    /// the configuration)
+    #[arg(long, value_name = "NAME")]
+    family: Option<FamilyName>,
+    /// Draw a small instrument (3 x 3 lenses on 98 x 98 pixels) at random, as `study` does: the number N stands for it
+    #[arg(long, value_name = "N", conflicts_with = "config")]
+    instrument: Option<u64>,
+    /// Measured PSFs for the family kernels: files or folders of .npy or .tif stacks, separated by commas (default:
+    /// PSFs drawn at random)
+    #[arg(long, value_name = "PATH,..", value_delimiter = ',')]
+    psfs: Vec<String>,
+    /// What the frames of such a stack are: one PSF at even steps of depth (depths), or PSFs on a square grid over the
+    /// field (field)
+    #[arg(long, value_name = "WHAT", requires = "psfs", default_value = "depths")]
+    psfs_of: StackOf,
     /// Effect to inject, with its strength and further parameters by name; repeat the option for more effects (default:
     /// none)
     #[arg(long, value_name = "ID=STRENGTH[,NAME=VALUE..]")]
@@ -36,7 +54,24 @@ pub struct Args {
 impl Args {
     /// What the verb reads and writes.
     pub fn files(&self) -> Files {
-        Files::reading(&self.config).writing([&self.session], Content::Named(virtual_session))
+        Files::reading(&self.config).and_reading(&self.psfs).writing([&self.session], Content::Named(virtual_session))
+    }
+}
+
+impl Args {
+    /// The configuration that the options ask for.
+    fn instrument(&self) -> anyhow::Result<BenchConfig> {
+        let measured = MeasuredPsfs { paths: self.psfs.clone(), stack_of: self.psfs_of };
+        let measured = Some(&measured).filter(|m| !m.paths.is_empty());
+        if let Some(n) = self.instrument {
+            return Ok(BenchConfig::drawn(self.family.unwrap_or_default(), n, measured)?);
+        }
+        let mut config = self.config.as_deref().map_or_else(|| Ok(BenchConfig::default()), BenchConfig::read)?;
+        config.family = self.family.unwrap_or(config.family);
+        if let Some(measured) = measured {
+            (config.kernels.psfs, config.kernels.stack_of) = (measured.paths.clone(), measured.stack_of);
+        }
+        Ok(config)
     }
 }
 
@@ -46,7 +81,7 @@ impl Args {
 /// The configuration or an effect is invalid, or the session cannot be written.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let started = std::time::Instant::now();
-    let mut config = args.config.as_deref().map_or_else(|| Ok(BenchConfig::default()), BenchConfig::read)?;
+    let mut config = args.instrument()?;
     if let Some(n) = args.frames {
         config.stacks.scene_frames = n;
     }
@@ -79,7 +114,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let json = serde_json::json!({
         "session": args.session, "frames": summary.frames, "sensor": [config.sensor.rows, config.sensor.cols],
         "bead_peak_e": summary.bead_peak_e, "scene_peak_e": summary.scene_peak_e, "full_scale_e": summary.full_scale_e,
-        "effects": settings, "seed": run.seed, "seconds": seconds,
+        "family": config.family, "effects": settings, "seed": run.seed, "seconds": seconds,
     });
     Ok(Outcome { json, text })
 }

@@ -3,10 +3,11 @@
 use super::common::{Outcome, Run};
 use super::files::{Content, Files};
 use super::retrain::Networks;
+use ommatidia_bench::{MeasuredPsfs, StackOf};
+use ommatidia_closing::study::intervals::Share;
 use ommatidia_closing::study::plan::Size;
-use ommatidia_closing::study::run::{JSON, PAGE, StudyRequest, run as study};
+use ommatidia_closing::study::run::{JSON, PAGE, PLAN, StudyRequest, run as study};
 use ommatidia_closing::study::shard::Shard;
-use ommatidia_closing::study::summary::Share;
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -18,15 +19,29 @@ pub struct Args {
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     /// Run a few sessions only, which checks in a minute or two that `close` and the study work
-    #[arg(long, conflicts_with_all = ["null", "seeds", "strengths", "only", "instruments"])]
+    #[arg(long, conflicts_with_all = ["null", "seeds", "strengths", "only", "instruments", "development", "sealed"])]
     quick: bool,
+    /// Run about 70 sessions over all families of instruments and all strengths, for development
+    #[arg(long, conflicts_with_all = ["null", "seeds", "strengths", "only", "instruments", "sealed"])]
+    development: bool,
+    /// Run sealed instruments and sessions, on which no threshold may be set, and count in FILE that they were opened
+    /// (docs/sealed.json)
+    #[arg(long, value_name = "FILE")]
+    sealed: Option<PathBuf>,
+    /// Measured PSFs, as one more kind of instruments: files or folders of .npy or .tif stacks, separated by commas
+    #[arg(long, value_name = "PATH,..", value_delimiter = ',')]
+    psfs: Vec<String>,
+    /// What the frames of such a stack are: one PSF at even steps of depth (depths), or PSFs on a square grid over the
+    /// field (field)
+    #[arg(long, value_name = "WHAT", requires = "psfs", default_value = "depths")]
+    psfs_of: StackOf,
     /// Number of sessions without an effect
     #[arg(long, value_name = "N", default_value_t = Size::default().nulls)]
     null: usize,
     /// Number of repetitions of all other sessions, each with its own scenes and noise
     #[arg(long, value_name = "N", default_value_t = Size::default().seeds)]
     seeds: u64,
-    /// Number of instruments, used in turn
+    /// Number of instruments; their families take turns
     #[arg(long, value_name = "N", default_value_t = Size::default().instruments, value_parser =
         clap::value_parser!(u64).range(1..))]
     instruments: u64,
@@ -36,7 +51,7 @@ pub struct Args {
     /// Ids of the effects to inject, separated by commas (default: all)
     #[arg(long, value_name = "ID,..", value_delimiter = ',')]
     only: Vec<String>,
-    /// Run only every N-th session, starting with number I (counted from 0), so that N computers share the work
+    /// Run only every N-th instrument, starting with number I (counted from 0), so that N computers share the work
     #[arg(long, value_name = "I/N", default_value = "0/1")]
     shard: Shard,
 }
@@ -44,7 +59,7 @@ pub struct Args {
 impl Args {
     /// What the verb reads and writes.
     pub fn files(&self) -> Files {
-        Files::default()
+        Files::reading(&self.psfs)
             .continuing([&self.output], Content::Named(of_study))
             .share(format!("{}/{}", self.shard.index, self.shard.count))
             .after_stop("the same command goes on with the sessions that are missing")
@@ -58,6 +73,7 @@ fn of_study(name: &str) -> bool {
         || any("instrument-", ".instrument")
         || any("network-", ".checkpoint")
         || any("sensitivity-", ".json")
+        || name == PLAN
         || name == "study.json"
         || name == "study.md"
 }
@@ -67,11 +83,17 @@ fn of_study(name: &str) -> bool {
 /// # Errors
 /// The folder cannot be written.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
+    let measured = MeasuredPsfs { paths: args.psfs.clone(), stack_of: args.psfs_of };
+    let measured = Some(measured).filter(|m| !m.paths.is_empty());
     let size = if args.quick {
         Size::quick(run.seed)
+    } else if args.development {
+        Size { measured, ..Size::development(run.seed) }
     } else {
         Size {
             seed: run.seed,
+            sealed: args.sealed.is_some(),
+            measured,
             instruments: args.instruments,
             nulls: args.null,
             seeds: args.seeds,
@@ -81,7 +103,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         }
     };
     let bar = run.progress(0, "study");
-    let request = StudyRequest { dir: &args.output, size: &size, shard: args.shard };
+    let sealed = args.sealed.as_deref();
+    let request = StudyRequest { dir: &args.output, size: &size, shard: args.shard, sealed };
     let found = study(&request, &Networks, |progress| {
         bar.set_length(progress.planned as u64);
         bar.set_position(progress.done as u64);
@@ -104,19 +127,29 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     line("anything found in sessions without an effect", s.null_found);
     for b in &s.single {
         line(&format!("true effect first at {} sigma", b.sigmas), b.first);
-        line("  found or in the ambiguity set", b.covered);
+        line("  a false name, first or beside it", b.false_name);
+        line("  of the excess nine tenths or more removed", b.removed);
     }
     line("pairs, both named", s.pairs_both);
-    line("false naming, true effect not a candidate", s.minus_one.false_naming);
+    line("  a false name", s.pairs_false);
+    for (k, o) in &s.minus_one {
+        line(&format!("a false name, true effect no candidate, {k} sigma"), o.false_naming);
+    }
     for (k, o) in &s.foreign {
-        line(&format!("false naming, foreign effect at {k} sigma"), o.false_naming);
+        line(&format!("a false name, foreign effect at {k} sigma"), o.false_naming);
+    }
+    for (holds, named, wrong) in &s.holds {
+        line(&format!("{}: true name", holds.words()), *named);
+        line("  a false name", *wrong);
     }
     line("faults of records", s.records);
     let _ = writeln!(
         text,
-        "{} sessions, {:.1} s each\n-> {}\n-> {}",
+        "held-out figures worse than before: {} sessions\n{} sessions, {:.1} s each, {} failed\n-> {}\n-> {}",
+        s.worse.len(),
         s.sessions,
         s.seconds[1],
+        s.failed,
         args.output.join(JSON).display(),
         args.output.join(PAGE).display()
     );

@@ -1,6 +1,6 @@
 //! One lens of the virtual instrument, as it was manufactured.
 
-use super::config::{AberrationConfig, BenchConfig};
+use crate::config::{AberrationConfig, BenchConfig};
 use ommatidia_physics::optics::{ArrayLayout, MicrolensArray, Wavefront};
 use ommatidia_session::rng;
 use rand::Rng;
