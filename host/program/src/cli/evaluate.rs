@@ -269,7 +269,7 @@ fn outcome(args: &Args, summary: &Summary) -> Outcome {
 fn background_line(b: &FrameBackground) -> String {
     let ([level, row, col], sigma) = (b.mean_e, b.sigma_e[0]);
     if !b.added {
-        return format!("no background fitted: {level:.2} +- {sigma:.2} e- a pixel is too little to matter\n");
+        return format!("no background added: {level:.3} +- {sigma:.3} e- a pixel is too little to matter\n");
     }
     format!(
         "background of the scene frames, fitted and added to the prediction: {level:.2} +- {sigma:.2} e- a pixel \

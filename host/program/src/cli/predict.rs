@@ -105,6 +105,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         background_e: args.background.0,
         seed: run.seed,
     };
+    let pixel_um =
+        if args.adjoint { instrument.manifest.object.pixel_um } else { instrument.manifest.sensor.pixel_pitch_um };
     let left_out =
         instrument.quality.background.filter(|b| b.is_seen() && !args.adjoint && request.background_e == [0.0; 3]);
     let predictor = Predictor::new(instrument, request).map_err(|e| match e {
@@ -125,8 +127,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         inputs.cols()
     );
     let [rows, cols] = predictor.output_shape();
-    let spec = StackSpec { frames: inputs.len(), rows, cols, samples: SampleType::F32, pixel_um: None };
-    let mut outputs = FrameWriter::create(&args.output, spec)?;
+    let spec = StackSpec { frames: inputs.len(), rows, cols, samples: SampleType::F32, pixel_um: Some(pixel_um) };
+    let mut outputs = FrameWriter::create(&args.output, spec)?.with_interval(inputs.scale().interval_s);
     let bar = run.progress(inputs.len() as u64, "predict");
     let (mut clipped_frames, mut clipped_px) = (0usize, 0usize);
     let range = frame_range(&args.instrument)?;
