@@ -15,6 +15,9 @@ use serde::{Deserialize, Serialize};
 const SEEN: f64 = 5.0;
 /// Smallest level or slope that is added, as a share of the read noise: below it, chi-squared changes by less than 1 %.
 const MATTERS: f64 = 0.1;
+/// Share of the mean light that a level or slope must exceed: fainter light far from the foci may be their tails, which
+/// are the optics' affair.
+const TAILS: f64 = 0.005;
 /// Fewest pixels that determine a background.
 const FEWEST_PX: f64 = 256.0;
 
@@ -34,9 +37,11 @@ pub struct FrameBackground {
 }
 
 impl FrameBackground {
-    /// Whether level or slopes cannot be noise, and are large enough to matter where the read noise is `read_e`, e-.
-    pub(super) fn is_seen(&self, read_e: f64) -> bool {
-        let seen = |(m, s): (&f64, &f64)| *s > 0.0 && m.abs() > SEEN * s && m.abs() > MATTERS * read_e;
+    /// Whether level or slopes cannot be noise, and are large enough to matter where the read noise is `read_e`, and
+    /// the mean of the predicted light `light_e`, e-.
+    pub(super) fn is_seen(&self, read_e: f64, light_e: f64) -> bool {
+        let least = (MATTERS * read_e).max(TAILS * light_e);
+        let seen = |(m, s): (&f64, &f64)| *s > 0.0 && m.abs() > SEEN * s && m.abs() > least;
         self.mean_e.iter().zip(&self.sigma_e).any(seen)
     }
 }
@@ -47,6 +52,7 @@ pub(super) struct PlaneFit {
     gram: [[f64; 4]; 4],
     right: [f64; 4],
     squares: f64,
+    light_dn: f64,
     pixels: f64,
 }
 
@@ -76,9 +82,15 @@ impl PlaneFit {
                 (0..4).for_each(|j| self.gram[i][j] += weight * x[i] * x[j]);
             }
             self.squares += weight * off * off;
+            self.light_dn += level - black;
             self.pixels += 1.0;
         });
         Ok(())
+    }
+
+    /// Mean of the predicted light, background included, DN.
+    pub(super) fn mean_light_dn(&self) -> f64 {
+        self.light_dn / self.pixels.max(1.0)
     }
 
     /// The plane and its standard errors, DN; None from too few pixels.

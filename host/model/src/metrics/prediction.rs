@@ -272,7 +272,7 @@ pub fn prediction_figures(
 ) -> anyhow::Result<PredictionFigures> {
     let start = Free { scale: 1.0, measured_dn: [0.0; 3], reference_dn: [0.0; 3] };
     let (mut figures, free, found) = settled(start, false, (count, sensor), &mut frame)?;
-    let Some((plane_dn, sigma_dn)) = found else { return Ok(figures) };
+    let Some(Plane { value_dn: plane_dn, sigma_dn, light_dn }) = found else { return Ok(figures) };
     let gain = sensor.noise.gain_dn_per_e;
     let mut background = FrameBackground {
         mean_e: plane_dn.map(|v| v / gain),
@@ -281,10 +281,10 @@ pub fn prediction_figures(
         nrmse_without: figures.nrmse,
         chi2_ndf_without: figures.chi2_ndf,
     };
-    if background.is_seen(sensor.noise.read_noise_e) {
+    if background.is_seen(sensor.noise.read_noise_e, light_dn / gain) {
         let (with, free, found) = settled(free, true, (count, sensor), &mut frame)?;
         background.mean_e = free.measured_dn.map(|v| v / gain);
-        background.sigma_e = found.map_or(background.sigma_e, |(_, sigma)| sigma.map(|v| v / gain));
+        background.sigma_e = found.map_or(background.sigma_e, |p| p.sigma_dn.map(|v| v / gain));
         background.added = true;
         figures = with;
     }
@@ -299,8 +299,20 @@ struct Free {
     reference_dn: Slopes,
 }
 
-/// A plane, and its standard errors, DN.
-type Plane = (Slopes, Slopes);
+/// A plane, its standard errors, and the mean of the predicted light, DN.
+#[derive(Clone, Copy, Debug)]
+struct Plane {
+    value_dn: Slopes,
+    sigma_dn: Slopes,
+    light_dn: f64,
+}
+
+impl Plane {
+    fn of(fit: &PlaneFit) -> Option<Self> {
+        let light_dn = fit.mean_light_dn();
+        fit.plane().map(|(value_dn, sigma_dn)| Self { value_dn, sigma_dn, light_dn })
+    }
+}
 
 /// Fits until nothing changes: the figures, what was fitted, and the background that the measured frames show beyond
 /// it. Backgrounds stay as they are unless `with_background`.
@@ -315,7 +327,7 @@ fn settled(
         let mut moved = 0.0f64;
         if with_background {
             for (plane, found) in [(&mut free.measured_dn, measured), (&mut free.reference_dn, reference)] {
-                for (v, d) in plane.iter_mut().zip(found.map_or([0.0; 3], |(by, _)| by)) {
+                for (v, d) in plane.iter_mut().zip(found.map_or([0.0; 3], |p| p.value_dn)) {
                     *v += d;
                     moved = moved.max(d.abs());
                 }
@@ -400,7 +412,7 @@ fn figures_at(
     };
     sums.scale()?;
     let more = fit.scale().ok().filter(|more| *more > 0.0);
-    Ok(Pass { figures, more, measured: planes[0].plane(), reference: planes[1].plane() })
+    Ok(Pass { figures, more, measured: Plane::of(&planes[0]), reference: Plane::of(&planes[1]) })
 }
 
 /// The sums from which the scale is fitted: light above black level, fixed pattern and `background_dn`, of pixels that
