@@ -122,9 +122,8 @@ fn a_drift_during_the_scan_is_named_with_its_size() {
     ] {
         let (drift, named) = drift_of(&drifting(&DEMO, |t| by.map(|v| v * t)));
         assert!(drift.seen && named.len() == 1 && named[0].contains(words), "{what}: {drift:?} {named:?}");
-        for a in 0..2 {
-            let off = (drift.moved_px[a] - by[a]).abs();
-            assert!(off < 4.0 * drift.sigma_px[a] + 0.05, "{what}: {drift:?}");
+        for ((found, sigma), want) in drift.moved_px.iter().zip(drift.sigma_px).zip(by) {
+            assert!((found - want).abs() < 4.0 * sigma + 0.05, "{what}: {drift:?}");
         }
     }
     // There and back again: nothing is left at the end.
