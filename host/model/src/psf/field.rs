@@ -7,7 +7,7 @@
 //! may be a grid or lie anywhere.
 //!
 //! Plain GCV now and then takes noise for structure, by far: a function then follows every value. So each degree of
-//! freedom that smoothing leaves beyond the polynomials counts [`COST`] times (Kim & Gu, J. R. Stat. Soc. B 66, 337,
+//! freedom that smoothing leaves beyond the polynomials counts 1.2 times (Kim & Gu, J. R. Stat. Soc. B 66, 337,
 //! 2004, who recommend 1.2 to 1.4).
 
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
