@@ -97,8 +97,14 @@ fn outcome(clean: &Path, light: Stray, roles: &[&str], seed: u64) -> Outcome {
     }
 }
 
-/// Sessions without, with an even, a strong and a sloping background: the prediction error grows by 5 % at most, and
-/// that by the photon noise of the background.
+/// Seeds that nothing was developed on: they were chosen before they were run once. Seeds 31, 32 and 101 to 116 served
+/// to find out what the error depends on. (It was not the estimate of the background, which could be replaced by the
+/// truth without a change, but coefficient maps that followed noise: see `psf::field`.)
+const FRESH: [u64; 3] = [511, 512, 513];
+
+/// Sessions without, with an even, a strong and a sloping background. Each seed is judged by itself: with a background
+/// the prediction error is at most 5 % larger than without. The strong background adds five times the read noise's
+/// variance to every pixel; there each error may grow by as much as the noise of the foci does, and their mean by 5 %.
 #[test]
 fn a_background_is_removed_and_no_effect_is_found_in_it() {
     let folder = tempfile::tempdir().unwrap();
@@ -109,16 +115,20 @@ fn a_background_is_removed_and_no_effect_is_found_in_it() {
         ("20 e-", |_, _| 20.0, [20.0, 0.0, 0.0]),
         ("slope", |r, c| 6.0 + 4.0 * r - 8.0 * (c - 0.5), [8.0, 4.0, -8.0]),
     ];
-    let mut errors = [0.0; 4];
-    for seed in [31, 32] {
+    let (mut sums, mut too_large) = ([0.0; 4], Vec::new());
+    for seed in FRESH {
         config().build(&[]).unwrap().measure(&clean, seed, |_| ()).unwrap();
-        for ((name, light, truth), error) in cases.iter().zip(&mut errors) {
+        let (mut without, mut noise) = (f64::NAN, f64::NAN);
+        for ((name, light, truth), sum) in cases.iter().zip(&mut sums) {
             let got = outcome(&clean, *light, &["bead", "scene"], seed + 1000);
-            let b = got.calibration.instrument.quality.background.unwrap();
+            let quality = &got.calibration.instrument.quality;
+            let b = quality.background.unwrap();
             let here = format!("seed {seed}, {name}: NRMSE {:.5}, {b:?}, found {:?}", got.nrmse, got.found);
             eprintln!("{here}");
             assert_eq!(b.is_seen(), *name != "none", "{here}");
-            if *name != "none" {
+            if *name == "none" {
+                (without, noise) = (got.nrmse, quality.noise_floor);
+            } else {
                 let note = |n: &String| n.contains("the bead frames have a background of");
                 assert!(got.calibration.notes.iter().any(note), "{:?}", got.calibration.notes);
                 assert!(got.notes.iter().any(|n| n.starts_with("background of the scene frames")), "{:?}", got.notes);
@@ -127,11 +137,15 @@ fn a_background_is_removed_and_no_effect_is_found_in_it() {
                 assert!((mean - want).abs() < 4.0 * sigma + 0.02 * want.abs(), "{here}");
             }
             assert!(got.found.is_empty(), "{here}");
-            *error += got.nrmse;
+            let most = if *name == "20 e-" { quality.noise_floor / noise } else { 1.05 };
+            if got.nrmse > most * without {
+                too_large.push(format!("{here}: more than {most:.3} times {without:.5}"));
+            }
+            *sum += got.nrmse;
         }
     }
-    // Single sessions differ by some percent, since other noise gives other ranks.
-    assert!(errors.iter().all(|e| *e < 1.05 * errors[0]), "{errors:?}");
+    assert!(too_large.is_empty(), "{too_large:#?}");
+    assert!(sums.iter().all(|e| *e < 1.05 * sums[0]), "{sums:?}");
 }
 
 /// Scenes with a background that the beads did not have: it is named background, not glare.

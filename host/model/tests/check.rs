@@ -89,6 +89,68 @@ fn sessions_that_are_right_pass_on_other_seeds_and_instruments() {
     }
 }
 
+/// A table whose positions run away from the frames: `drift_px(t)` sensor pixels [row, col], t from 0 to 1.
+fn drifting(original: &TempDir, drift_px: impl Fn(f64) -> [f64; 2]) -> TempDir {
+    // Sensor pixels of the manifest in um of the stage.
+    let um_per_px = 1.85 / 0.660714;
+    spoiled(original, &|session| {
+        // Room for positions beyond the edge of the object.
+        manifest(session, "rows = 96\ncols = 96", "rows = 104\ncols = 104");
+        positions(session, |all| {
+            let last = (all.len() - 1) as f64;
+            let at = |(i, p): (usize, [f64; 2])| {
+                let by = drift_px(i as f64 / last);
+                [0, 1].map(|a| p[a] - um_per_px * by[a])
+            };
+            all.into_iter().enumerate().map(at).collect()
+        });
+    })
+}
+
+fn drift_of(folder: &TempDir) -> (ommatidia_model::check::Drift, Vec<String>) {
+    let found = check(&Session::open(folder.path().join("session")).unwrap(), || ()).unwrap();
+    let named = found.at_least(Severity::Warning).filter(|f| f.topic == "drift").map(|f| f.text.clone()).collect();
+    (found.scan.unwrap().drift.unwrap(), named)
+}
+
+#[test]
+fn a_drift_during_the_scan_is_named_with_its_size() {
+    for (what, by, words) in [
+        ("along the columns", [0.0, 1.2], "drift by 1.2"),
+        ("along the rows, as a wrong magnification would", [0.6, 0.0], "drift by 0.6"),
+        ("a little of both", [-0.25, 0.2], "drift by 0.3"),
+    ] {
+        let (drift, named) = drift_of(&drifting(&DEMO, |t| by.map(|v| v * t)));
+        assert!(drift.seen && named.len() == 1 && named[0].contains(words), "{what}: {drift:?} {named:?}");
+        for ((found, sigma), want) in drift.moved_px.iter().zip(drift.sigma_px).zip(by) {
+            assert!((found - want).abs() < 4.0 * sigma + 0.05, "{what}: {drift:?}");
+        }
+    }
+    // There and back again: nothing is left at the end.
+    let (drift, named) = drift_of(&drifting(&DEMO, |t| [0.0, 3.0 * t * (1.0 - t)]));
+    assert!(drift.seen && (drift.range_px - 0.75).abs() < 0.15, "{drift:?}");
+    assert!(named[0].contains("wander by up to 0.7") || named[0].contains("wander by up to 0.8"), "{named:?}");
+}
+
+/// Distortion, placement errors and a wrong magnification are no drift: none of these instruments moved. The threshold
+/// was chosen on instruments 120 to 125; these are others.
+#[test]
+fn no_drift_is_found_where_nothing_moved() {
+    let mut worst = 0.0f64;
+    for seed in 40..46 {
+        for (lenses, scan) in [([3, 3], [9, 9]), ([2, 2], [7, 9]), ([1, 2], [7, 7]), ([1, 1], [9, 7])] {
+            let mut config = BenchConfig { instrument_seed: 100 + seed, ..BenchConfig::default() };
+            [config.array.rows, config.array.cols] = lenses;
+            [config.scan.rows, config.scan.cols] = scan;
+            config.optics.magnification_error = 0.003 * (seed as f64 - 42.5);
+            let (drift, named) = drift_of(&measured(&config, seed));
+            assert!(!drift.seen && named.is_empty(), "{seed}, {lenses:?}: {drift:?}");
+            worst = worst.max(drift.range_px);
+        }
+    }
+    eprintln!("largest drift where nothing moved: {worst:.3} px");
+}
+
 #[test]
 fn seven_wrong_orientations_are_named_and_the_right_one_passes() {
     for i in 0..8 {

@@ -214,6 +214,19 @@ fn prediction(p: &PredictionFigures, numbers: &mut Numbers) -> Markup {
         ));
     }
     rows.push(("Lit pixels".into(), html! { (p.lit_pixels) }));
+    if let Some(b) = &p.background {
+        let [level, row, col] = b.mean_e;
+        let name = if b.added { "Background, added to the prediction" } else { "Background, too small to matter" };
+        let value = format!(
+            "{level:.2} ± {:.2} e⁻ a pixel ({row:+.2} from first to last row, {col:+.2} from first to last column)",
+            b.sigma_e[0]
+        );
+        rows.push((name.into(), html! { (value) }));
+        if b.added {
+            rows.push(("NRMSE without it".into(), html! { (format!("{:.2} %", 100.0 * b.nrmse_without)) }));
+            rows.push(("χ²/ndf without it".into(), html! { (format!("{:.3}", b.chi2_ndf_without)) }));
+        }
+    }
     let text = format!(
         "{} scene frames compared with the calibrated model. χ² over lit pixels, whose expected signal exceeds three \
             times the read \

@@ -121,6 +121,13 @@ impl PredictionFiguresFixture {
             chi2_ndf: 1.012,
             chi2_ndf_expected: 1.002,
             lit_pixels: 123_456,
+            background: Some(ommatidia_model::metrics::FrameBackground {
+                mean_e: [3.0, 1.0, -2.0],
+                sigma_e: [0.02, 0.05, 0.05],
+                added: true,
+                nrmse_without: 0.05,
+                chi2_ndf_without: 1.4,
+            }),
             by_radius: (0..8u32)
                 .map(|i| ommatidia_model::metrics::ResidualRing {
                     inner_px: 10.0 * f64::from(i),

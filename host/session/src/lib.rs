@@ -61,6 +61,6 @@ pub use cut::Cut;
 pub use error::SessionError;
 pub use manifest::{ArrayGeometry, MANIFEST, Manifest, ObjectGrid, Optics, Role, SensorSpec, StackEntry};
 pub use open::{ComputedStack, Session, Stack, TruthReader};
-pub use stack::{ComputedFrames, FrameReader, FrameWriter, Recording, SampleType, StackSpec};
+pub use stack::{ComputedFrames, FrameReader, FrameWriter, Recording, SampleType, StackScale, StackSpec};
 pub use table::FrameInfo;
 pub use write::{Existing, SessionWriter};

@@ -46,6 +46,10 @@ impl Session {
     /// lacks a column or holds an impossible value; or a bead lies outside the object grid.
     pub fn open(dir: impl AsRef<Path>) -> Result<Self, SessionError> {
         let dir = dir.as_ref();
+        if dir.is_file() {
+            let remedy = "name the folder that holds session.toml";
+            return Err(SessionError::value(dir, "session", "a folder", "a file", remedy));
+        }
         let path = dir.join(MANIFEST);
         let text = std::fs::read_to_string(&path).map_err(|e| SessionError::io(&path, e))?;
         let manifest = Manifest::parse(&path, &text)?;

@@ -144,6 +144,43 @@ fn damaged_npy_files_are_refused() {
     }
 }
 
+/// The XML of a written stack, taken apart by a parser that is not ours: pixel size and interval stand there once.
+#[test]
+fn the_ome_xml_of_a_stack_says_pixel_size_and_interval_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.tif");
+    for (pixel_um, interval_s) in [(Some(2.8), Some(0.02)), (None, Some(0.5)), (Some(1.85), None), (None, None)] {
+        let spec = StackSpec { frames: 3, rows: 2, cols: 4, samples: SampleType::F32, pixel_um };
+        let mut writer = FrameWriter::create(&path, spec).unwrap().with_interval(interval_s);
+        (0..3).for_each(|i| writer.push(Array2::from_elem((2, 4), i as f32).view()).unwrap());
+        writer.finish().unwrap();
+        let scale = FrameReader::open(&path).unwrap().scale();
+        assert_eq!((scale.pixel_um, scale.interval_s), (pixel_um.map(|um| [um; 2]), interval_s));
+
+        let mut decoder = tiff::decoder::Decoder::new(std::fs::File::open(&path).unwrap()).unwrap();
+        let text = decoder.get_tag_ascii_string(tiff::tags::Tag::ImageDescription).unwrap();
+        let tree = roxmltree::Document::parse(&text).unwrap();
+        let namespace = "http://www.openmicroscopy.org/Schemas/OME/2016-06";
+        let pixels: Vec<_> = tree.descendants().filter(|n| n.has_tag_name((namespace, "Pixels"))).collect();
+        assert_eq!(pixels.len(), 1, "{text}");
+        let number = |name| pixels[0].attribute(name).map(|v| v.parse::<f64>().unwrap());
+        assert_eq!([number("PhysicalSizeX"), number("PhysicalSizeY")], [pixel_um; 2]);
+        assert_eq!(number("TimeIncrement"), interval_s);
+        let unit = |name| pixels[0].attribute(name);
+        let micro = pixel_um.map(|_| "\u{b5}m");
+        assert_eq!([unit("PhysicalSizeXUnit"), unit("PhysicalSizeYUnit")], [micro; 2]);
+        assert_eq!(unit("TimeIncrementUnit"), interval_s.map(|_| "s"));
+        assert_eq!(
+            [unit("SizeT"), unit("SizeX"), unit("SizeY"), unit("SizeC"), unit("SizeZ")].map(Option::unwrap),
+            ["3", "4", "2", "1", "1"]
+        );
+        for name in ["PhysicalSizeX=", "PhysicalSizeY=", "TimeIncrement=", "DeltaT", "Plane "] {
+            let most = usize::from(name.ends_with('='));
+            assert!(text.matches(name).count() <= most, "{name} in {text}");
+        }
+    }
+}
+
 #[test]
 fn channels_are_not_taken_for_frames() {
     let dir = tempfile::tempdir().unwrap();

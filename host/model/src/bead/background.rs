@@ -9,6 +9,7 @@
 use super::rays::displacement;
 use super::{BeadError, BeadScan};
 use crate::psf::ChiefRays;
+use crate::slopes::{Slopes, slope_terms};
 use ndarray::{Array2, ArrayView2};
 use ommatidia_physics::linalg::least_squares;
 use ommatidia_session::Manifest;
@@ -30,10 +31,6 @@ const ROUNDS: usize = 4;
 const TAIL: f64 = 4.0;
 /// Smallest number of pixels of the farthest half, where tails reach the others.
 const FEWEST_FAR_PX: usize = 2 * FEWEST_PX;
-
-/// A constant and two slopes: `level + row * u + col * v` with u and v from -0.5 at the first to 0.5 at the last row
-/// and column.
-pub type Slopes = [f64; 3];
 
 /// The background of a bead scan, as it was found and removed. Electrons a pixel, at the exposure of the frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -223,12 +220,6 @@ fn fit(frame: ArrayView2<'_, f32>, far: &[[usize; 2]], variance: impl Fn(f64) ->
     };
     let ((near, near_dn2), (beyond, beyond_dn2)) = (half(&far[..far.len() / 2]), half(&far[far.len() / 2..]));
     Some(FrameFit { value, sigma, pixels: n, tail: [near - beyond, near_dn2 + beyond_dn2] })
-}
-
-/// The factors of level and slopes at a pixel of a frame of `dim` (rows, columns).
-pub fn slope_terms(dim: (usize, usize), [r, c]: [usize; 2]) -> Slopes {
-    let along = |i: usize, n: usize| if n > 1 { i as f64 / (n as f64 - 1.0) - 0.5 } else { 0.0 };
-    [1.0, along(r, dim.0), along(c, dim.1)]
 }
 
 /// The background of each frame, DN: the mean of its group (stack and dose) plus its own deviation as far as the

@@ -8,7 +8,8 @@ mod rays;
 mod scan;
 mod windows;
 
-pub use background::{BeadBackground, Slopes, remove_background, slope_terms};
+pub use crate::slopes::{Slopes, slope_terms};
+pub use background::{BeadBackground, remove_background};
 pub use error::{BeadError, Warning};
 pub use extent::extent;
 pub(crate) use rays::PASSES;

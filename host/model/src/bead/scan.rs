@@ -1,7 +1,7 @@
 //! The frames of a bead scan, read one at a time and corrected for black level, offset and response.
 
 use super::BeadError;
-use super::background::{Slopes, slope_terms};
+use crate::slopes::{Slopes, slope_terms};
 use ndarray::Array2;
 use ommatidia_physics::noise::NoiseModel;
 use ommatidia_physics::sensor::SensorMaps;

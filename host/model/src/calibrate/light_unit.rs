@@ -1,10 +1,10 @@
 //! The unit of light in objects: the bead, or the unit of the scene truths.
 
 use super::error::CalibrateError;
-use crate::bead::slope_terms;
 use crate::forward::Forward;
 use crate::instrument::{Instrument, LightUnit};
 use crate::psf::OperatorConfig;
+use crate::slopes::slope_terms;
 use ndarray::Array2;
 use ommatidia_physics::effects::FrameContext;
 use ommatidia_physics::linalg::least_squares;

@@ -256,6 +256,35 @@ fn flats(levels: &[StackLevels]) -> Vec<Finding> {
     findings
 }
 
+/// Largest relative difference between a pixel size that a file states and one of the manifest.
+const SAME_SIZE: f64 = 0.02;
+
+/// The pixel size that a TIFF states, against the manifest. A file may state the pixel of the sensor, or that pixel as
+/// seen in the object.
+///
+/// # Errors
+/// A stack cannot be opened.
+pub fn pixel_sizes(session: &Session) -> Result<Vec<Finding>, SessionError> {
+    let m = session.manifest();
+    let (sensor, object) = (m.sensor.pixel_pitch_um, m.sensor.pixel_pitch_um / m.optics.magnification);
+    let mut findings = Vec::new();
+    for stack in session.stacks() {
+        let Some(pixel_um) = stack.frames()?.scale().pixel_um else { continue };
+        let fits = |um: f64| pixel_um.iter().all(|v| (v / um - 1.0).abs() < SAME_SIZE);
+        if !(fits(sensor) || fits(object)) {
+            let [y, x] = pixel_um;
+            let text = format!(
+                "{} says that a pixel is {x} x {y} um; session.toml says {sensor} um on the sensor, which is \
+                 {object:.3} um in the object. Correct sensor.pixel_pitch_um or optics.magnification, or the file's \
+                 metadata (binned or rescaled frames?)",
+                stack.entry().file
+            );
+            findings.push(Finding::new("pixel size", Severity::Warning, text));
+        }
+    }
+    Ok(findings)
+}
+
 /// What changes over the scan.
 pub fn drift(scan: &Scan) -> Vec<Finding> {
     let mut findings = Vec::new();

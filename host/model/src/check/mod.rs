@@ -6,6 +6,7 @@
 //! | [`scan`] | the bead frames, small, and how well they coincide when each is moved back by its position |
 //! | [`hypotheses`] | what people do to a table: axes, mirrors, order, units; the one that fits best is named |
 //! | [`positions`] | single positions that disagree with their frames |
+//! | [`drift`] | slow motion of the foci during the scan |
 //! | [`mod@array`] | the lenses that the foci form, against those that the manifest declares |
 //! | [`frames`] | the values of all frames: bit depth, saturation, black level, light levels, drift |
 //!
@@ -25,12 +26,14 @@
 //! ```
 
 pub mod array;
+pub mod drift;
 pub mod frames;
 pub mod hypotheses;
 pub mod positions;
 pub mod scan;
 
 pub use array::Shown;
+pub use drift::Drift;
 pub use hypotheses::{Hypothesis, Order, Turn};
 pub use positions::Outlier;
 
@@ -96,6 +99,8 @@ pub struct ScanFindings {
     pub best_coincidence: f64,
     /// Single positions that disagree with their frames.
     pub outliers: Vec<Outlier>,
+    /// Slow motion of the foci beyond the table; None where it cannot be judged.
+    pub drift: Option<Drift>,
     /// Places of the lenses, sensor pixels [row, col], as the foci show them.
     pub lenses_px: Vec<[f64; 2]>,
     /// Predicted and found foci, for a picture.
@@ -125,6 +130,7 @@ impl SessionCheck {
 /// A frame cannot be read.
 pub fn check(session: &Session, mut step: impl FnMut()) -> Result<SessionCheck, SessionError> {
     let (mut findings, levels) = frames::look(session, &mut step)?;
+    findings.extend(frames::pixel_sizes(session)?);
     let mut found = None;
     if session.stacks_of(Role::Bead).next().is_some() {
         let scan = scan::Scan::read(session, &mut step)?;
@@ -145,6 +151,8 @@ fn look(session: &Session, scan: &scan::Scan) -> (Vec<Finding>, Option<ScanFindi
     findings.extend(hypotheses::describe(&tried, scan, session));
     let outliers = positions::outliers(scan, &tried);
     findings.extend(positions::describe(&outliers, scan, &tried));
+    let drift = drift::drift(scan, &tried, &outliers, session.manifest().array.lenses());
+    findings.extend(drift::describe(drift.as_ref()));
     let lattice = array::lattice(scan, &tried, session.manifest());
     // Frames that are moved back by wrong positions add up to spots where no lens is.
     if tried.coincidence > RELIABLE && outliers.len() * 10 <= scan.frames.len() {
@@ -157,6 +165,7 @@ fn look(session: &Session, scan: &scan::Scan) -> (Vec<Finding>, Option<ScanFindi
         best: tried.best.clone(),
         best_coincidence: tried.coincidence,
         outliers,
+        drift,
         lenses_px: lattice.lenses_px.clone(),
         shown,
     };

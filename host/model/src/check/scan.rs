@@ -28,6 +28,8 @@ pub struct Small {
     pub at_um: [f64; 2],
     /// Depth, um.
     pub z_um: f64,
+    /// Time in the table, s; 0 without one.
+    pub time_s: f64,
     /// Light above the median of all frames, small, DN.
     pub light: Array2<f32>,
     /// Sum of the light, DN.
@@ -81,6 +83,7 @@ impl Scan {
                         moved_px,
                         at_um,
                         z_um,
+                        time_s: info.time_s,
                         light,
                         total_dn: 0.0,
                         level_dn,

@@ -3,7 +3,9 @@
 use super::{Forward, ForwardError};
 use crate::instrument::Instrument;
 use crate::psf::OperatorConfig;
+use crate::slopes::{Slopes, slope_value};
 use ndarray::{Array2, ArrayView2};
+use ommatidia_physics::effects::FrameContext;
 use ommatidia_session::rng;
 use thiserror::Error;
 
@@ -18,13 +20,22 @@ pub struct PredictRequest {
     pub exposure_ms: Option<f64>,
     /// Light level relative to the calibration.
     pub illumination: f64,
+    /// Light that does not come from the object: level and slopes, e- a pixel at the exposure of the calibration.
+    pub background_e: Slopes,
     /// Seed of the noise.
     pub seed: u64,
 }
 
 impl Default for PredictRequest {
     fn default() -> Self {
-        Self { output: Predicted::Expected, depth: Depth::Focus, exposure_ms: None, illumination: 1.0, seed: 1 }
+        Self {
+            output: Predicted::Expected,
+            depth: Depth::Focus,
+            exposure_ms: None,
+            illumination: 1.0,
+            background_e: [0.0; 3],
+            seed: 1,
+        }
     }
 }
 
@@ -157,11 +168,27 @@ impl Predictor {
         cx.frame = frame;
         match self.request.output {
             Predicted::Adjoint => Ok(self.forward.operator().adjoint(input)?),
-            Predicted::Expected => self.forward.expected_dn(input, &cx),
+            Predicted::Expected => {
+                let light = self.light_e(input, &cx)?;
+                Ok(self.forward.frame_dn(light, &self.forward.effects, &cx))
+            }
             Predicted::Noisy => {
-                let light = self.forward.expected_e(input, &cx)?;
+                let light = self.light_e(input, &cx)?;
                 Ok(self.forward.draw_dn(light, &cx, &mut rng::stream(self.request.seed, "predict", frame as u64)))
             }
         }
+    }
+    /// Expected electrons of an object and of the background.
+    fn light_e(&self, object: ArrayView2<'_, f32>, cx: &FrameContext<'_>) -> Result<Array2<f32>, ForwardError> {
+        let mut light_e = self.forward.expected_e(object, cx)?;
+        let plane = self.request.background_e.map(|e| e * cx.exposure_ms / self.forward.exposure_ms);
+        if plane != [0.0; 3] {
+            let dim = light_e.dim();
+            for ((r, c), v) in light_e.indexed_iter_mut() {
+                let response = self.forward.response.as_ref().map_or(1.0, |map| map[[r, c]]);
+                *v += response * slope_value(&plane, dim, [r, c]).max(0.0) as f32;
+            }
+        }
+        Ok(light_e)
     }
 }

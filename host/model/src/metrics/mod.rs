@@ -19,13 +19,15 @@
 //! # Ok::<(), ommatidia_model::metrics::MetricError>(())
 //! ```
 
+mod background;
 mod case;
 mod figures;
 mod prediction;
 mod ssim;
 
+pub use background::{FrameBackground, add_background};
 pub use case::Case;
-pub use figures::{Figures, MetricError, Moments, compare, psnr_db, scaled};
+pub use figures::{Figures, MetricError, Moments, compare, psnr, psnr_db, scaled};
 pub use prediction::{
     ChiSquared, FrameComparison, PredictionFigures, ResidualRing, SensorNoise, chi_squared, in_sigmas,
     prediction_figures,

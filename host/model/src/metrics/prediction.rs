@@ -4,7 +4,9 @@
 //! It acts on the light that falls on the sensor, before full scale clips it. The scale is 1 for a model that was
 //! calibrated in the session's own unit.
 
+use super::background::{FrameBackground, PlaneFit, add_background};
 use super::figures::{MetricError, Moments, squared_error};
+use crate::slopes::{Slopes, slope_value};
 use ndarray::{Array2, ArrayView2, Zip};
 use ommatidia_physics::noise::NoiseModel;
 use serde::{Deserialize, Serialize};
@@ -33,6 +35,9 @@ pub struct PredictionFigures {
     /// The residual by distance from the centre of the sensor.
     #[serde(default)]
     pub by_radius: Vec<ResidualRing>,
+    /// The background of the measured frames; None where too few pixels show it.
+    #[serde(default)]
+    pub background: Option<FrameBackground>,
 }
 
 /// The residual of the lit pixels in one ring around the centre of the sensor.
@@ -151,6 +156,11 @@ pub fn chi_squared(
     Ok(chi2)
 }
 
+/// Light above which a pixel is lit, DN.
+fn least_lit_dn(sensor: SensorNoise<'_>) -> f64 {
+    LIT_READ_NOISES * sensor.noise.read_noise_e * sensor.noise.gain_dn_per_e
+}
+
 /// Calls `take` with the position and the residual of each lit pixel.
 fn each_lit(
     measured_dn: ArrayView2<'_, f32>,
@@ -158,9 +168,8 @@ fn each_lit(
     sensor: SensorNoise<'_>,
     mut take: impl FnMut((usize, usize), Residual),
 ) -> Result<(), MetricError> {
-    let least_dn = LIT_READ_NOISES * sensor.noise.read_noise_e * sensor.noise.gain_dn_per_e;
     each(measured_dn, expected_dn, sensor, |at, residual| {
-        if residual.light_dn > least_dn {
+        if residual.light_dn > least_lit_dn(sensor) {
             take(at, residual);
         }
     })
@@ -223,8 +232,13 @@ pub struct SensorNoise<'a> {
 }
 
 impl SensorNoise<'_> {
+    /// Offset of the pixel `at` (row, col), DN.
+    pub(super) fn offset_at(&self, at: (usize, usize)) -> f64 {
+        self.offset_dn.and_then(|map| map.get(at)).map_or(0.0, |v| f64::from(*v))
+    }
+
     /// Variance, DN^2, of the pixel `at` (row, col) whose expected level without its offset is `level_dn`.
-    fn variance_dn2(&self, at: (usize, usize), level_dn: f64) -> f64 {
+    pub(super) fn variance_dn2(&self, at: (usize, usize), level_dn: f64) -> f64 {
         let beyond =
             self.reading_dn2.map_or(0.0, |m| f64::from(m[at]) - self.noise.variance_dn2(self.noise.black_level_dn));
         self.noise.variance_dn2(level_dn) + beyond
@@ -239,9 +253,15 @@ const SETTLED: f64 = 1e-5;
 /// Most passes over the frames.
 const PASSES: usize = 12;
 
+/// A background whose level and slopes change by less than this, DN, is settled.
+const SETTLED_DN: f64 = 1e-3;
+
 /// The figures of a stack of `count` frames. `frame(i, light)` returns the i-th as predicted for `light` times the
 /// model's own light: the sensor clips what is brighter than full scale, so the scale must act before the sensor does.
 /// It is called twice or so for each frame, and memory holds one at a time.
+///
+/// A background that all frames share is fitted, and added to the prediction where it is significant: it says nothing
+/// about the optics. Against expected frames, which need not have it, one of their own is fitted.
 ///
 /// # Errors
 /// `frame` fails, shapes differ, a value is not finite, or all expectations are 0.
@@ -250,42 +270,129 @@ pub fn prediction_figures(
     sensor: SensorNoise<'_>,
     mut frame: impl FnMut(usize, f64) -> anyhow::Result<FrameComparison>,
 ) -> anyhow::Result<PredictionFigures> {
-    let mut scale = 1.0;
-    for _ in 1..PASSES {
-        let (figures, more) = figures_at(scale, count, sensor, &mut frame)?;
-        match more {
-            Some(more) if (more - 1.0).abs() < SETTLED => return Ok(figures),
-            Some(more) => scale *= more,
-            None if scale == 1.0 => scale = DIM,
-            None => return Ok(figures),
-        }
+    let start = Free { scale: 1.0, measured_dn: [0.0; 3], reference_dn: [0.0; 3] };
+    let (mut figures, free, found) = settled(start, false, (count, sensor), &mut frame)?;
+    let Some(Plane { value_dn: plane_dn, sigma_dn, light_dn }) = found else { return Ok(figures) };
+    let gain = sensor.noise.gain_dn_per_e;
+    let mut background = FrameBackground {
+        mean_e: plane_dn.map(|v| v / gain),
+        sigma_e: sigma_dn.map(|v| v / gain),
+        added: false,
+        nrmse_without: figures.nrmse,
+        chi2_ndf_without: figures.chi2_ndf,
+    };
+    if background.is_seen(sensor.noise.read_noise_e, light_dn / gain) {
+        let (with, free, found) = settled(free, true, (count, sensor), &mut frame)?;
+        background.mean_e = free.measured_dn.map(|v| v / gain);
+        background.sigma_e = found.map_or(background.sigma_e, |p| p.sigma_dn.map(|v| v / gain));
+        background.added = true;
+        figures = with;
     }
-    Ok(figures_at(scale, count, sensor, &mut frame)?.0)
+    Ok(PredictionFigures { background: Some(background), ..figures })
 }
 
-/// The figures at one scale of the light, and the factor by which the light of the frames differs from it; None where
-/// no pixel shows it.
-fn figures_at(
+/// What is fitted: the scale of the light, and the backgrounds of measured and of reference frames, DN.
+#[derive(Clone, Copy, Debug)]
+struct Free {
     scale: f64,
+    measured_dn: Slopes,
+    reference_dn: Slopes,
+}
+
+/// A plane, its standard errors, and the mean of the predicted light, DN.
+#[derive(Clone, Copy, Debug)]
+struct Plane {
+    value_dn: Slopes,
+    sigma_dn: Slopes,
+    light_dn: f64,
+}
+
+impl Plane {
+    fn of(fit: &PlaneFit) -> Option<Self> {
+        let light_dn = fit.mean_light_dn();
+        fit.plane().map(|(value_dn, sigma_dn)| Self { value_dn, sigma_dn, light_dn })
+    }
+}
+
+/// Fits until nothing changes: the figures, what was fitted, and the background that the measured frames show beyond
+/// it. Backgrounds stay as they are unless `with_background`.
+fn settled(
+    mut free: Free,
+    with_background: bool,
+    (count, sensor): (usize, SensorNoise<'_>),
+    frame: &mut impl FnMut(usize, f64) -> anyhow::Result<FrameComparison>,
+) -> anyhow::Result<(PredictionFigures, Free, Option<Plane>)> {
+    for _ in 1..PASSES {
+        let Pass { figures, more, measured, reference } = figures_at(free, count, sensor, frame)?;
+        let mut moved = 0.0f64;
+        if with_background {
+            for (plane, found) in [(&mut free.measured_dn, measured), (&mut free.reference_dn, reference)] {
+                for (v, d) in plane.iter_mut().zip(found.map_or([0.0; 3], |p| p.value_dn)) {
+                    *v += d;
+                    moved = moved.max(d.abs());
+                }
+            }
+        }
+        match more {
+            Some(more) if (more - 1.0).abs() < SETTLED && moved < SETTLED_DN => return Ok((figures, free, measured)),
+            Some(more) => free.scale *= more,
+            None if free.scale == 1.0 => free.scale = DIM,
+            None => return Ok((figures, free, measured)),
+        }
+    }
+    let Pass { figures, measured, .. } = figures_at(free, count, sensor, frame)?;
+    Ok((figures, free, measured))
+}
+
+/// One pass over the frames.
+struct Pass {
+    figures: PredictionFigures,
+    /// The factor by which the light of the frames differs from the scale; None where no pixel shows it.
+    more: Option<f64>,
+    /// The background of the measured frames beyond the one that was taken into account.
+    measured: Option<Plane>,
+    /// The same of what the prediction is judged against.
+    reference: Option<Plane>,
+}
+
+fn figures_at(
+    free: Free,
     count: usize,
     sensor: SensorNoise<'_>,
     frame: &mut impl FnMut(usize, f64) -> anyhow::Result<FrameComparison>,
-) -> anyhow::Result<(PredictionFigures, Option<f64>)> {
-    let black = sensor.noise.black_level_dn as f32;
+) -> anyhow::Result<Pass> {
+    let (black, top) = (sensor.noise.black_level_dn as f32, sensor.noise.saturation_dn);
     let (mut sums, mut fit) = (Moments::default(), Moments::default());
     let (mut error, mut model, mut truth, mut lit, mut lit_truth) = (0.0, 0.0, 0.0, 0u64, 0u64);
     let mut rings: Option<Rings> = None;
+    let mut planes = [PlaneFit::default(); 2];
     for i in 0..count {
-        let f = frame(i, scale)?;
-        let light = &f.predicted - black;
-        let reference = f.reference() - black;
+        let f = frame(i, free.scale)?;
+        let with = |plane: &Slopes| {
+            let mut predicted = f.predicted.clone();
+            if *plane != [0.0; 3] {
+                add_background(&mut predicted, plane, top);
+            }
+            FrameComparison { predicted, ..f.clone() }
+        };
+        let judged = if f.expected.is_some() { with(&free.reference_dn) } else { with(&free.measured_dn) };
+        let light = &judged.predicted - black;
+        let reference = judged.reference() - black;
         sums.add(&Moments::of(light.view(), reference.view())?);
-        fit.add(&unclipped(&f, sensor)?);
+        let bare = if f.expected.is_some() { &free.reference_dn } else { &free.measured_dn };
+        fit.add(&unclipped(&judged, bare, sensor)?);
         error += squared_error(light.view(), reference.view(), 1.0);
+        planes[1].add(&judged, judged.reference().view(), sensor)?;
+        let seen = with(&free.measured_dn);
+        planes[0].add(&seen, seen.measured.view(), sensor)?;
         let rings = rings.get_or_insert_with(|| Rings::new(light.dim()));
-        each_lit(f.measured.view(), f.predicted.view(), sensor, |at, residual| {
-            (model, lit) = (model + residual.chi2(), lit + 1);
-            rings.add(at, &residual);
+        let dim = seen.predicted.dim();
+        each(seen.measured.view(), seen.predicted.view(), sensor, |at, residual| {
+            // Lit by the object: a background does not count.
+            if residual.light_dn - slope_value(&free.measured_dn, dim, [at.0, at.1]) > least_lit_dn(sensor) {
+                (model, lit) = (model + residual.chi2(), lit + 1);
+                rings.add(at, &residual);
+            }
         })?;
         if let Some(expected) = &f.expected {
             let chi2 = chi_squared(f.measured.view(), expected.view(), sensor)?;
@@ -294,26 +401,33 @@ fn figures_at(
     }
     let figures = PredictionFigures {
         frames: count,
-        scale,
+        scale: free.scale,
         nrmse: error.sqrt() / sums.reference_norm(),
         pcc: sums.pcc(),
         chi2_ndf: model / lit.max(1) as f64,
         chi2_ndf_expected: truth / lit_truth.max(1) as f64,
         lit_pixels: lit,
         by_radius: rings.map_or_else(Vec::new, |r| r.figures()),
+        background: None,
     };
     sums.scale()?;
-    Ok((figures, fit.scale().ok().filter(|more| *more > 0.0)))
+    let more = fit.scale().ok().filter(|more| *more > 0.0);
+    Ok(Pass { figures, more, measured: Plane::of(&planes[0]), reference: Plane::of(&planes[1]) })
 }
 
-/// The sums from which the scale is fitted: light above black level and fixed pattern, of pixels that clip neither in
-/// the prediction nor in the reference.
-fn unclipped(f: &FrameComparison, sensor: SensorNoise<'_>) -> Result<Moments, MetricError> {
+/// The sums from which the scale is fitted: light above black level, fixed pattern and `background_dn`, of pixels that
+/// clip neither in the prediction nor in the reference.
+fn unclipped(f: &FrameComparison, background_dn: &Slopes, sensor: SensorNoise<'_>) -> Result<Moments, MetricError> {
     let (black, top) = (sensor.noise.black_level_dn as f32, sensor.noise.saturation_dn as f32);
     let (mut light, mut reference) = (&f.predicted - black, f.reference() - black);
     if let Some(offset) = sensor.offset_dn.filter(|offset| offset.dim() == light.dim()) {
         light -= offset;
         reference -= offset;
+    }
+    if *background_dn != [0.0; 3] {
+        let less = background_dn.map(|v| -v);
+        add_background(&mut light, &less, f64::INFINITY);
+        add_background(&mut reference, &less, f64::INFINITY);
     }
     let clips = |v: f32| v >= top - 0.5;
     Zip::from(&mut light).and(&mut reference).and(&f.predicted).and(f.reference()).for_each(|l, r, &p, &e| {
@@ -381,6 +495,49 @@ mod tests {
         for unit in [4.0, 50.0] {
             let f = prediction_figures(2, sensor(&NoiseModel::nominal()), |i, l| Ok(scene_in(unit, i, l))).unwrap();
             assert!((f.scale * unit - 1.0).abs() < 1e-4 && f.nrmse < 1e-4 && f.chi2_ndf < 1.1, "{f:?}");
+        }
+    }
+
+    /// Measured frames with a plane of light that neither prediction nor expectation has; half of them has no object.
+    fn with_background(i: usize, light: f64, plane_e: Slopes, expected: bool) -> FrameComparison {
+        let mut f = scene_in(1.0, i, light);
+        let dim = f.measured.dim();
+        let mut random = rng::stream(12, "background test", i as u64);
+        for ((r, c), v) in f.measured.indexed_iter_mut() {
+            let e: f64 = Poisson::new(slope_value(&plane_e, dim, [r, c])).unwrap().sample(&mut random);
+            *v = (*v + (0.4 * e) as f32).round();
+        }
+        if !expected {
+            f.expected = None;
+        }
+        f
+    }
+
+    #[test]
+    fn a_background_of_the_measured_frames_is_fitted_and_is_no_fault_of_the_model() {
+        let noise = NoiseModel::nominal();
+        for expected in [true, false] {
+            let plane = [12.0, 6.0, -9.0];
+            let f = prediction_figures(6, sensor(&noise), |i, l| Ok(with_background(i, l, plane, expected))).unwrap();
+            let b = f.background.unwrap();
+            assert!(b.added && b.chi2_ndf_without > 1.2 && (f.chi2_ndf - 1.0).abs() < 0.06, "{f:?}");
+            for ((found, sigma), want) in b.mean_e.iter().zip(&b.sigma_e).zip(plane) {
+                assert!((found - want).abs() < 4.0 * sigma && *sigma < 0.6, "{b:?}");
+            }
+            assert!((f.scale - 1.0).abs() < 0.003, "{f:?}");
+            assert!(if expected { f.nrmse < 0.003 } else { f.nrmse < b.nrmse_without }, "{f:?}");
+        }
+    }
+
+    #[test]
+    fn noise_makes_no_background() {
+        let noise = NoiseModel::nominal();
+        for seed in 0..12 {
+            let f = prediction_figures(2, sensor(&noise), |i, l| Ok(scene_in(1.0, 100 * seed + i, l))).unwrap();
+            let b = f.background.unwrap();
+            assert!(!b.added && b.nrmse_without == f.nrmse, "{b:?}");
+            let pulls: Vec<f64> = b.mean_e.iter().zip(&b.sigma_e).map(|(m, s)| (m / s).abs()).collect();
+            assert!(pulls.iter().all(|p| *p < 4.5), "{pulls:?}");
         }
     }
 

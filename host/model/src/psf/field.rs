@@ -5,6 +5,10 @@
 //! (Wahba, *Spline Models for Observational Data*, 1990, ch. 2). Lambda is chosen for each function by generalised
 //! cross-validation, `GCV = n |(I - A) y|^2 / tr(I - A)^2`; the order m is given, or chosen in the same way. Positions
 //! may be a grid or lie anywhere.
+//!
+//! Plain GCV now and then takes noise for structure, by far: a function then follows every value. So each degree of
+//! freedom that smoothing leaves beyond the polynomials counts 1.2 times (Kim & Gu, J. R. Stat. Soc. B 66, 337,
+//! 2004, who recommend 1.2 to 1.4).
 
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
 use ommatidia_physics::linalg::{NotConverged, SymmetricEigen, least_squares, symmetric_eigen};
@@ -13,6 +17,10 @@ use ommatidia_physics::linalg::{NotConverged, SymmetricEigen, least_squares, sym
 pub const ORDERS: [usize; 3] = [2, 3, 4];
 /// Number of smoothing parameters lambda that are tried: 10^-11 to 10^2 times the largest eigenvalue, in half decades.
 const LAMBDAS: std::ops::RangeInclusive<i32> = -22..=4;
+
+/// What a degree of freedom beyond the polynomials counts in cross-validation. Of 1, 1.2 and 1.4 this had the least error
+/// on beads that were left out, in each of eight virtual scans of 81 beads.
+const COST: f64 = 1.2;
 
 /// Smoothing splines planned for one set of positions, for any number of functions sampled there.
 #[derive(Clone, Debug)]
@@ -130,11 +138,13 @@ impl OrderPlan {
             return None;
         }
         LAMBDAS
-            .map(|i| {
+            .filter_map(|i| {
                 let lambda = largest * 10f64.powf(f64::from(i) / 2.0);
                 let kept = self.eigenvalues.mapv(|e| lambda / (e + lambda));
                 let misfit: f64 = z.iter().zip(&kept).map(|(z, k)| (z * k).powi(2)).sum();
-                (y.len() as f64 * misfit / kept.sum().powi(2), lambda)
+                let most = z.len() as f64;
+                let free = most - COST * (most - kept.sum());
+                (free > 0.0).then(|| (y.len() as f64 * misfit / (free * free), lambda))
             })
             .min_by(|a, b| a.0.total_cmp(&b.0))
     }
@@ -248,6 +258,21 @@ mod tests {
         // About a dozen degrees of freedom out of 169 remain: 0.1 * sqrt(12 / 169) = 0.027.
         let error = rms(&(field.at(at.view()) - values(&at)));
         assert!(error < 0.045, "{error}");
+    }
+
+    /// Of many functions of noise alone, none may be followed: one such coefficient map spoils a PSF model.
+    #[test]
+    fn noise_is_never_followed() {
+        let at = Array2::from_shape_fn((81, 2), |(i, a)| [i / 9, i % 9][a] as f64 * 5.0);
+        let mut rng = ommatidia_session::rng::stream(2, "noise", 0);
+        let noise = Array2::from_shape_fn((81, 400), |_| Distribution::<f64>::sample(&StandardNormal, &mut rng));
+        let field = FieldSmoother::plan(at.view(), &ORDERS[..1]).unwrap().fit(noise.view()).unwrap();
+        // A plane fitted to noise of 81 values has sqrt(3 / 81) = 0.19 rms, and 0.4 at most; following it all, 1.
+        let found = field.at(at.view());
+        let rms: Vec<f64> = found.columns().into_iter().map(|c| (c.dot(&c) / 81.0).sqrt()).collect();
+        let worst = rms.iter().fold(0.0f64, |m, v| m.max(*v));
+        let far = rms.iter().filter(|r| **r > 0.5).count();
+        assert!(worst < 0.9 && far <= 12, "worst {worst}, {far} of 400 above a half");
     }
 
     #[test]

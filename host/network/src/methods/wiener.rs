@@ -9,11 +9,12 @@ use super::{MethodError, Reconstruct};
 use ndarray::{Array2, ArrayView2, s};
 use ommatidia_model::forward::Forward;
 use ommatidia_model::instrument::Instrument;
-use ommatidia_model::metrics::{Case, compare};
+use ommatidia_model::metrics::{Case, psnr};
 use ommatidia_physics::fft2::{RealFft2, fast_size};
 use ommatidia_physics::scene::SceneConfig;
 use ommatidia_physics::sensor::{FrameError, FrameInput};
 use ommatidia_session::rng;
+use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
 use serde::{Deserialize, Serialize};
 
@@ -27,6 +28,10 @@ pub struct WienerConfig {
 
 /// Number of simulated scenes that K is chosen on.
 const SCENES: u64 = 12;
+/// Every third of them serves for the coarse scan.
+const THIRD: usize = 3;
+/// Most steps from the best value of the coarse scan to that of all scenes.
+const MOVES: usize = 4;
 
 impl WienerConfig {
     /// Plans the filter for an instrument, with the PSF of its model at the centre of the object.
@@ -50,16 +55,23 @@ impl WienerConfig {
         }
         let scenes = SceneConfig::default().build()?;
         let cx = forward.context();
+        // Without effects the light is linear in the object: it need not be computed again.
+        let linear = instrument.effects.is_empty();
         let case = |i: u64| -> anyhow::Result<Option<Case>> {
             let mut object = scenes.draw(grid, seed, "wiener", i);
-            let peak_e = forward.expected_e(object.view(), &cx)?.iter().fold(0.0f32, |m, &v| m.max(v));
+            let mut light_e = forward.expected_e(object.view(), &cx)?;
+            let peak_e = light_e.iter().fold(0.0f32, |m, &v| m.max(v));
             if peak_e <= 0.0 {
                 return Ok(None);
             }
             let full_scale = 0.1 + 0.7 * i as f64 / (SCENES - 1) as f64;
             let factor = (full_scale * cx.full_scale_e / f64::from(peak_e)) as f32;
             object.mapv_inplace(|v| v * factor);
-            let light_e = forward.expected_e(object.view(), &cx)?;
+            if linear {
+                light_e.mapv_inplace(|v| v * factor);
+            } else {
+                light_e = forward.expected_e(object.view(), &cx)?;
+            }
             let frame_dn = forward.draw_dn(light_e, &cx, &mut rng::stream(seed, "wiener noise", i));
             Ok(Some(Case { frame_dn, truth: object }))
         };
@@ -121,8 +133,9 @@ impl Wiener {
         self.setup.relative_k
     }
 
-    /// The same filter with the K that gives the highest mean PSNR on `cases`: a scan in half decades from 1e-5 to 1e2,
-    /// then a golden-section search in the best bracket, on a logarithmic scale.
+    /// The same filter with the K that gives the highest mean PSNR on `cases`: a scan in half decades from 1e-5 to 1e2
+    /// on every third case, then the vertex of the parabola through the best value and its neighbours on all cases, on
+    /// a logarithmic scale.
     ///
     /// # Errors
     /// There are no cases, or one does not fit the sensor or the object.
@@ -132,25 +145,26 @@ impl Wiener {
             "expected at least one scene to choose the Wiener filter's K on, found none"
         );
         let spectra = cases
-            .iter()
+            .par_iter()
             .map(|case| Ok((self.spectrum(case.frame_dn.view())?, &case.truth)))
             .collect::<Result<Vec<_>, FrameError>>()?;
-        let mean_psnr = |log_k: f64| -> anyhow::Result<f64> {
-            let mut sum = 0.0;
-            for (spectrum, object) in &spectra {
-                sum += compare(self.solve(spectrum, 10f64.powf(log_k)).view(), object.view())?.psnr_db;
-            }
-            Ok(sum / spectra.len() as f64)
+        let mean_psnr = |log_k: f64, every: usize| -> anyhow::Result<f64> {
+            let used: Vec<_> = spectra.iter().step_by(every).collect();
+            let one = |(spectrum, object): &&(Vec<Complex32>, &Array2<f32>)| {
+                psnr(self.solve(spectrum, 10f64.powf(log_k)).view(), object.view())
+            };
+            let each = used.par_iter().map(one).collect::<Result<Vec<_>, _>>()?;
+            Ok(each.iter().sum::<f64>() / each.len() as f64)
         };
         let mut best = (f64::NEG_INFINITY, 0.0);
         for step in 0..15 {
             let log_k = -5.0 + 0.5 * f64::from(step);
-            best = match mean_psnr(log_k)? {
+            best = match mean_psnr(log_k, THIRD)? {
                 psnr if psnr > best.0 => (psnr, log_k),
                 _ => best,
             };
         }
-        let log_k = golden_section(mean_psnr, best.1 - 0.5, best.1 + 0.5)?;
+        let log_k = vertex(|log_k| mean_psnr(log_k, 1), best.1, 0.5)?;
         self.setup.relative_k = 10f64.powf(log_k);
         Ok(self)
     }
@@ -206,29 +220,31 @@ fn image_of(fft: &RealFft2, spectrum: Vec<Complex32>) -> Array2<f32> {
     Array2::from_shape_fn((rows, cols), |(r, c)| image[r * cols + c] * norm)
 }
 
-/// Position of the maximum of a function with one peak in `[low, high]`, to 0.01.
-fn golden_section(f: impl Fn(f64) -> anyhow::Result<f64>, mut low: f64, mut high: f64) -> anyhow::Result<f64> {
-    let ratio = (5f64.sqrt() - 1.0) / 2.0;
-    let (mut a, mut b) = (high - ratio * (high - low), low + ratio * (high - low));
-    let (mut fa, mut fb) = (f(a)?, f(b)?);
-    while high - low > 0.01 {
-        if fa > fb {
-            (high, b, fb) = (b, a, fa);
-            a = high - ratio * (high - low);
-            fa = f(a)?;
+/// Position of the maximum of a function with one peak near `at`: the vertex of the parabola through it and two values
+/// `step` away. Where one of the neighbours is higher, it moves there first.
+fn vertex(f: impl Fn(f64) -> anyhow::Result<f64>, mut at: f64, step: f64) -> anyhow::Result<f64> {
+    let [mut low, mut middle, mut high] = [f(at - step)?, f(at)?, f(at + step)?];
+    for _ in 0..MOVES {
+        if low > middle && low >= high {
+            (at, high, middle) = (at - step, middle, low);
+            low = f(at - step)?;
+        } else if high > middle {
+            (at, low, middle) = (at + step, middle, high);
+            high = f(at + step)?;
         } else {
-            (low, a, fa) = (a, b, fb);
-            b = low + ratio * (high - low);
-            fb = f(b)?;
+            break;
         }
     }
-    Ok((low + high) / 2.0)
+    let bend = low - 2.0 * middle + high;
+    let off = if bend < 0.0 { (0.5 * (low - high) / bend).clamp(-1.0, 1.0) } else { 0.0 };
+    Ok(at + off * step)
 }
 
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use ommatidia_model::metrics::compare;
     use ommatidia_physics::sensor::SensorMaps;
     use rand::RngExt;
     use rand_distr::{Distribution, Normal};
@@ -312,6 +328,15 @@ mod tests {
         let others = cases(20.0, 50);
         let best = (0..30).map(|i| psnr(&wiener(10f64.powf(-4.0 + 0.2 * f64::from(i))), &others)).fold(0.0, f64::max);
         assert!(psnr(&loud, &others) > best - 0.3, "{} {best}", psnr(&loud, &others));
+    }
+
+    #[test]
+    fn the_vertex_of_a_parabola_is_found_from_anywhere_near() {
+        for start in [-1.0, 0.0, 0.5, 1.5] {
+            let found = vertex(|x| Ok(-3.0 * (x - 0.3f64).powi(2)), start, 0.5).unwrap();
+            assert!((found - 0.3).abs() < 1e-9, "{start}: {found}");
+        }
+        assert_eq!(vertex(|_| Ok(1.0), 0.5, 0.5).unwrap(), 0.5);
     }
 
     #[test]

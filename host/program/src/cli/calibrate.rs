@@ -1,8 +1,7 @@
 //! `calibrate`: session -> instrument.
 
-use super::common::{Outcome, Run};
+use super::common::{Outcome, Run, any_session};
 use super::files::{Content, Files};
-use ommatidia_bench::open_session;
 use ommatidia_model::calibrate::{CalibrateConfig, Calibration, PixelReadNoise, calibrate, frames_read, response_rms};
 use ommatidia_model::instrument::{Instrument, LightUnit};
 use ommatidia_network::evaluate::{Measured, measured};
@@ -67,7 +66,7 @@ impl Args {
 /// # Errors
 /// The session cannot be read or calibrated, or the instrument cannot be written.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
-    let session = open_session(&args.session, run.seed)?;
+    let session = any_session(&args.session, run.seed)?;
     let config = CalibrateConfig {
         rank: args.rank,
         max_rank: args.max_rank,

@@ -1,9 +1,8 @@
 //! `check`: looks at a session before it is calibrated.
 
-use super::common::Findings;
+use super::common::{Findings, any_session};
 use super::files::{Content, Files};
 use super::{Outcome, Run};
-use ommatidia_bench::open_session;
 use ommatidia_model::check::{Finding, ScanFindings, SessionCheck, Severity, Shown, check};
 use ommatidia_session::artifact::write_whole;
 use ommatidia_session::kind::FileKind;
@@ -40,7 +39,11 @@ impl Args {
 /// # Errors
 /// The session cannot be read, it has an error, or the picture cannot be written.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
-    let session = open_session(&args.session, run.seed)?;
+    if let Some(file) = &args.output {
+        let png = file.extension().is_some_and(|e| e.eq_ignore_ascii_case("png"));
+        anyhow::ensure!(png, "{}: the picture is a PNG; choose a name that ends in .png", file.display());
+    }
+    let session = any_session(&args.session, run.seed)?;
     let frames: u64 = session.stacks().iter().map(|s| s.len() as u64).sum();
     let bar = run.progress(frames, "check");
     let started = std::time::Instant::now();

@@ -4,8 +4,9 @@ use anyhow::Context;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use ommatidia_physics::sensor::{FrameRange, FrameWatch};
-use ommatidia_session::{Role, Session};
+use ommatidia_session::{MANIFEST, Role, Session};
 use std::io::{ErrorKind, IsTerminal, Write};
+use std::path::Path;
 use std::process::ExitCode;
 use std::time::Duration;
 use tracing_subscriber::EnvFilter;
@@ -120,6 +121,19 @@ pub(super) fn warn(warnings: impl IntoIterator<Item = String>) -> Vec<String> {
     let warnings: Vec<String> = warnings.into_iter().collect();
     warnings.iter().for_each(|text| tracing::warn!("{text}"));
     warnings
+}
+
+/// Opens a session, measured or virtual (a configuration of the virtual instrument).
+///
+/// # Errors
+/// The path is the manifest instead of its folder, or the session cannot be opened.
+pub(super) fn any_session(path: &Path, seed: u64) -> anyhow::Result<Session> {
+    anyhow::ensure!(
+        path.file_name().is_none_or(|name| name != MANIFEST),
+        "{}: this is the manifest of a session; name its folder",
+        path.display()
+    );
+    Ok(ommatidia_bench::open_session(path, seed)?)
 }
 
 /// Warnings for the scenes of a session whose frames do not fit what is known of the sensor.

@@ -7,7 +7,9 @@ use anyhow::{Context, ensure};
 use ndarray::{Array3, Axis};
 use ommatidia_model::forward::Forward;
 use ommatidia_model::instrument::Instrument;
-use ommatidia_model::metrics::{PredictionFigures, SensorNoise, in_sigmas, prediction_figures};
+use ommatidia_model::metrics::{
+    FrameBackground, PredictionFigures, SensorNoise, add_background, in_sigmas, prediction_figures,
+};
 use ommatidia_network::evaluate::{Evaluation, MethodFigures, Predicted, Scenes, Source, Summary, judge};
 use ommatidia_network::methods::{MethodKind, Reconstruct, frame_range, title};
 use ommatidia_report::{bytes, seconds};
@@ -212,7 +214,11 @@ fn prediction(
             let size = (pictured.len(), instrument.manifest.sensor.rows, instrument.manifest.sensor.cols);
             let mut predicted = Predicted { frames_dn: Array3::zeros(size), residual_sigma: Array3::zeros(size) };
             for (p, i) in pictured.iter().enumerate() {
-                let frames = scenes.comparison(*i, &forward, figures.scale)?;
+                let mut frames = scenes.comparison(*i, &forward, figures.scale)?;
+                if let Some(b) = figures.background.filter(|b| b.added) {
+                    let plane_dn = b.mean_e.map(|e| e * noise.gain_dn_per_e);
+                    add_background(&mut frames.predicted, &plane_dn, noise.saturation_dn);
+                }
                 let residual = in_sigmas(frames.measured.view(), frames.predicted.view(), sensor)?;
                 predicted.residual_sigma.index_axis_mut(Axis(0), p).assign(&residual);
                 predicted.frames_dn.index_axis_mut(Axis(0), p).assign(&frames.predicted);
@@ -251,11 +257,27 @@ fn outcome(args: &Args, summary: &Summary) -> Outcome {
             p.lit_pixels,
             p.scale
         );
+        text.push_str(&p.background.map_or_else(String::new, |b| background_line(&b)));
     }
     if let Some(output) = &args.output {
         let _ = writeln!(text, "evaluation: {}", output.display());
     }
     Outcome { json, text }
+}
+
+/// What was fitted beyond the light of the objects.
+fn background_line(b: &FrameBackground) -> String {
+    let ([level, row, col], sigma) = (b.mean_e, b.sigma_e[0]);
+    if !b.added {
+        return format!("no background added: {level:.3} +- {sigma:.3} e- a pixel is too little to matter\n");
+    }
+    format!(
+        "background of the scene frames, fitted and added to the prediction: {level:.2} +- {sigma:.2} e- a pixel \
+         ({row:+.2} e- from the first to the last row, {col:+.2} e- from the first to the last column); without it \
+         NRMSE {:.2} %, chi2/ndf {:.3}\n",
+        100.0 * b.nrmse_without,
+        b.chi2_ndf_without
+    )
 }
 
 /// The methods as a table, best first.

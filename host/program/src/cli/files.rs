@@ -191,6 +191,9 @@ impl Files {
             bail!("{named}: this is an input of the command, which no output replaces; choose another name");
         }
         let folder = folder_of(path);
+        if folder.is_file() {
+            bail!("{named}: {} is a file, not a folder; choose another name", folder.display());
+        }
         if !folder.is_dir() {
             bail!("{named}: the folder {} does not exist; create it, or choose another", folder.display());
         }

@@ -139,9 +139,12 @@ fn of_data_set(path: &Path) -> anyhow::Result<Value> {
 
 fn of_stack(path: &Path) -> anyhow::Result<Value> {
     let reader = FrameReader::open(path)?;
+    let scale = reader.scale();
     Ok(json!({
         "kind": "stack", "frames": reader.len(), "rows": reader.rows(), "cols": reader.cols(),
         "samples": reader.samples().name(),
+        // As the file says; null where it does not.
+        "pixel_um": scale.pixel_um, "interval_s": scale.interval_s,
     }))
 }
 

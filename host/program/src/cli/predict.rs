@@ -6,6 +6,7 @@ use anyhow::{Context, ensure};
 use ndarray::ArrayView2;
 use ommatidia_model::forward::{Depth, PredictError, PredictRequest, Predicted, Predictor};
 use ommatidia_model::instrument::Instrument;
+use ommatidia_model::slopes::Slopes;
 use ommatidia_network::evaluate::{Measured, measured};
 use ommatidia_network::methods::frame_range;
 use ommatidia_physics::sensor::FrameRange;
@@ -13,6 +14,20 @@ use ommatidia_session::kind::FileKind;
 use ommatidia_session::{FrameReader, FrameWriter, SampleType, StackSpec};
 use serde_json::json;
 use std::path::PathBuf;
+use std::time::Instant;
+
+/// Level and slopes of a background, e-.
+#[derive(Clone, Copy, Debug)]
+struct Plane(Slopes);
+
+fn plane(text: &str) -> Result<Plane, String> {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|t| t.trim().parse::<f64>()).collect();
+    match numbers.unwrap_or_default()[..] {
+        [level] if level.is_finite() => Ok(Plane([level, 0.0, 0.0])),
+        [level, rows, cols] if [level, rows, cols].iter().all(|v| v.is_finite()) => Ok(Plane([level, rows, cols])),
+        _ => Err("expected LEVEL or LEVEL,ROWS,COLS, electrons a pixel, such as 8 or 8,4,-2".into()),
+    }
+}
 
 /// Options of `predict`.
 #[derive(Debug, clap::Args)]
@@ -34,6 +49,10 @@ pub struct Args {
     /// Light level, relative to the calibration
     #[arg(long, visible_alias = "light", value_name = "X", default_value_t = 1.0)]
     illumination: f64,
+    /// Background to add, e- a pixel at the exposure of the calibration: LEVEL, or LEVEL,ROWS,COLS with its changes
+    /// from the first to the last row and column
+    #[arg(long, value_name = "E", value_parser = plane, allow_hyphen_values = true, default_value = "0")]
+    background: Plane,
     /// Index of a calibrated depth, from 0 (default: the depth nearest to 0 um)
     #[arg(long, value_name = "I", conflicts_with = "z_um")]
     depth: Option<usize>,
@@ -42,7 +61,7 @@ pub struct Args {
     z_um: Option<f64>,
     /// Apply the exact transpose of the optics instead, for your own solvers: from frames, DN above black, [n, sensor
     /// rows, sensor cols], to the object grid, without effects and pixel response
-    #[arg(long, conflicts_with_all = ["noise", "exposure_ms", "illumination"])]
+    #[arg(long, conflicts_with_all = ["noise", "exposure_ms", "illumination", "background"])]
     adjoint: bool,
 }
 
@@ -76,18 +95,25 @@ impl Args {
 /// # Errors
 /// A file cannot be read or written, or the objects do not have the shape of the instrument.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
+    let start = Instant::now();
     let instrument = Instrument::read(&args.instrument)?;
     let request = PredictRequest {
         output: args.predicted(),
         depth: args.depth(),
         exposure_ms: args.exposure_ms,
         illumination: args.illumination,
+        background_e: args.background.0,
         seed: run.seed,
     };
+    let pixel_um =
+        if args.adjoint { instrument.manifest.object.pixel_um } else { instrument.manifest.sensor.pixel_pitch_um };
+    let left_out =
+        instrument.quality.background.filter(|b| b.is_seen() && !args.adjoint && request.background_e == [0.0; 3]);
     let predictor = Predictor::new(instrument, request).map_err(|e| match e {
         PredictError::Forward(e) => anyhow::Error::new(e).context(args.instrument.display().to_string()),
         e => e.into(),
     })?;
+    let plan_seconds = start.elapsed().as_secs_f64();
     let mut inputs = FrameReader::open(&args.objects)?;
     let what = if args.adjoint { "frames" } else { "objects" };
     let [rows, cols] = predictor.input_shape();
@@ -101,8 +127,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         inputs.cols()
     );
     let [rows, cols] = predictor.output_shape();
-    let spec = StackSpec { frames: inputs.len(), rows, cols, samples: SampleType::F32, pixel_um: None };
-    let mut outputs = FrameWriter::create(&args.output, spec)?;
+    let spec = StackSpec { frames: inputs.len(), rows, cols, samples: SampleType::F32, pixel_um: Some(pixel_um) };
+    let mut outputs = FrameWriter::create(&args.output, spec)?.with_interval(inputs.scale().interval_s);
     let bar = run.progress(inputs.len() as u64, "predict");
     let (mut clipped_frames, mut clipped_px) = (0usize, 0usize);
     let range = frame_range(&args.instrument)?;
@@ -143,23 +169,33 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
             if odd > 1 { format!(" ({} more of {} are odd, too)", odd - 1, inputs.len()) } else { String::new() };
         format!("{}: {one} {i}{others}: {text}", args.objects.display())
     });
-    let warnings = warn(clipping.into_iter().chain(warning));
+    let background = left_out.map(|b| {
+        let [level, row, col] = b.mean_e;
+        format!(
+            "the bead frames of this calibration had a background of {level:.2} e- a pixel, which is no part of the \
+             instrument: the prediction leaves it out. Where your frames have it too, add \
+             --background {level:.2},{row:.2},{col:.2}"
+        )
+    });
+    let warnings = warn(clipping.into_iter().chain(warning).chain(background));
     let made = match args.predicted() {
         Predicted::Adjoint => "transposed",
         Predicted::Noisy => "with noise",
         Predicted::Expected => "expected values",
     };
     let text = format!(
-        "{} {} of {rows} x {cols}, {made}, {:.1} ms each\n-> {}\n",
+        "{} {} of {rows} x {cols}, {made}, {:.1} ms each, after {} of planning\n-> {}\n",
         inputs.len(),
         if args.adjoint { "objects" } else { "frames" },
         1e3 * seconds,
+        ommatidia_report::seconds(plan_seconds),
         args.output.display()
     );
     let json = json!({
         "frames": inputs.len(), "rows": rows, "cols": cols, "noise": args.noise, "adjoint": args.adjoint,
         "clipped_frames": clipped_frames, "clipped_px": clipped_px,
-        "seconds_per_frame": seconds, "peak_bytes": peak_bytes, "warnings": warnings,
+        "background_e": args.background.0,
+        "seconds_per_frame": seconds, "plan_seconds": plan_seconds, "peak_bytes": peak_bytes, "warnings": warnings,
     });
     Ok(Outcome { json, text })
 }

@@ -6,10 +6,25 @@ use super::{Outcome, Run};
 use anyhow::Context;
 use ommatidia_network::methods::{MethodKind, frame_range};
 use ommatidia_physics::sensor::FrameWatch;
+use ommatidia_session::artifact;
 use ommatidia_session::kind::FileKind;
 use ommatidia_session::{FrameReader, FrameWriter, SampleType, StackSpec};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
+
+fn positive(text: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|v: &f64| v.is_finite() && *v > 0.0).ok_or_else(|| "expected a number above 0".into())
+}
+
+/// Side of an object pixel, um, of the instrument at `path`; None for other files.
+fn object_pixel_um(path: &Path) -> anyhow::Result<Option<f64>> {
+    Ok(match FileKind::of(path)? {
+        FileKind::Artifact(kind) if kind == "instrument" => {
+            artifact::inspect(path)?["body"]["manifest"]["object"]["pixel_um"].as_f64()
+        }
+        _ => None,
+    })
+}
 
 /// Options of `reconstruct`.
 #[derive(Debug, clap::Args)]
@@ -25,6 +40,12 @@ pub struct Args {
     /// Method [default: svfouriernet for checkpoints and network files, wiener for instruments]
     #[arg(long, value_name = "METHOD")]
     method: Option<MethodKind>,
+    /// Side of an object pixel, um, for the OME-TIFF [default: that of the instrument; networks do not know it]
+    #[arg(long, value_name = "UM", value_parser = positive)]
+    pixel_um: Option<f64>,
+    /// Time between frames, s, for the OME-TIFF [default: as the frames' own TIFF says]
+    #[arg(long, value_name = "S", value_parser = positive)]
+    interval_s: Option<f64>,
 }
 
 impl Args {
@@ -44,6 +65,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let start = Instant::now();
     let method = kind.open(&args.with, run.seed)?;
     let plan_seconds = start.elapsed().as_secs_f64();
+    let pixel_um = args.pixel_um.map_or_else(|| object_pixel_um(&args.with), |um| Ok(Some(um)))?;
+    let interval_s = args.interval_s.or(frames.scale().interval_s);
     let count = frames.len();
     let mut watch = frame_range(&args.with)?.map(FrameWatch::new);
     let bar = run.progress(count as u64, "reconstruct");
@@ -61,16 +84,19 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         let writer = match &mut writer {
             Some(writer) => writer,
             // All objects have the size of the first.
-            None => writer.insert(FrameWriter::create(
-                &args.output,
-                StackSpec {
-                    frames: count,
-                    rows: object.nrows(),
-                    cols: object.ncols(),
-                    samples: SampleType::F32,
-                    pixel_um: None,
-                },
-            )?),
+            None => writer.insert(
+                FrameWriter::create(
+                    &args.output,
+                    StackSpec {
+                        frames: count,
+                        rows: object.nrows(),
+                        cols: object.ncols(),
+                        samples: SampleType::F32,
+                        pixel_um,
+                    },
+                )?
+                .with_interval(interval_s),
+            ),
         };
         writer.push(object.view())?;
         bar.inc(1);
@@ -84,7 +110,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     Ok(Outcome {
         json: serde_json::json!({
             "method": method.name(), "frames": count, "seconds_per_frame": per_frame, "plan_seconds": plan_seconds,
-            "output": args.output, "warnings": warnings,
+            "pixel_um": pixel_um, "interval_s": interval_s, "output": args.output, "warnings": warnings,
         }),
         text: format!(
             "{} ({} frames, {}): {} a frame, after {} of planning\n",

@@ -113,3 +113,75 @@ fn files_that_would_be_lost() {
         ],
     );
 }
+
+/// Makes an empty folder that nobody may write to.
+fn locked(desk: &Path) {
+    use std::os::unix::fs::PermissionsExt;
+    std::fs::create_dir(desk.join("locked")).unwrap();
+    std::fs::set_permissions(desk.join("locked"), std::fs::Permissions::from_mode(0o555)).unwrap();
+}
+
+#[test]
+fn folders_that_cannot_take_an_output() {
+    let row = |what: &str, command: &str| {
+        let says = ["locked", "cannot be written", "check the permissions"];
+        Mistake::new(what, command).with(locked).unprivileged().says(&says)
+    };
+    let network = "--with network.omm";
+    hold(
+        "Folders that take no output",
+        vec![
+            row("An instrument into a read-only folder", "calibrate session -o locked/new"),
+            row("A picture into a read-only folder", "check session -o locked/new.png"),
+            row("Training pairs into a read-only folder", "simulate instrument -o locked/pairs --count 4"),
+            row("A checkpoint into a read-only folder", "train pairs -o locked/new --filters 2 --steps 2"),
+            row("A network file into a read-only folder", "quantize network -o locked/new.omm"),
+            row("Frames into a read-only folder", "predict instrument objects.npy -o locked/new.npy"),
+            row(
+                "Reconstructions into a read-only folder",
+                &format!("reconstruct frames.npy -o locked/new.tif {network}"),
+            ),
+            row(
+                "A closed instrument into a read-only folder",
+                "close scenes --instrument scenes.instrument -o locked/new",
+            ),
+            row("An evaluation into a read-only folder", "evaluate scenes --with scenes.instrument -o locked/new"),
+            row("A report into a read-only folder", "report instrument -o locked/new.html"),
+            row("A virtual session into a read-only folder", "bench locked/new --config bench.toml"),
+            row(
+                "Flash memory into a read-only folder",
+                &format!("device flash {network} --on host --state locked/new.flash"),
+            ),
+            Mistake::new("A file in place of the folder", "calibrate session -o frames.npy/new")
+                .says(&["frames.npy is a file, not a folder"]),
+            Mistake::new("The manifest in place of the session", "calibrate session/session.toml -o new").says(&[
+                "session/session.toml",
+                "manifest",
+                "name its folder",
+            ]),
+            Mistake::new("A stack in place of the session", "evaluate session/bead.npy --with instrument").says(&[
+                "session/bead.npy",
+                "expected a folder",
+                "session.toml",
+            ]),
+            Mistake::new("A session in place of frames", "reconstruct session -o new.npy --with network.omm").says(&[
+                "session: stack",
+                "found a folder",
+                "name a .npy or .tif",
+            ]),
+            Mistake::new("A folder in place of an instrument", "predict pairs objects.npy -o new.npy").says(&[
+                "pairs",
+                "it is a folder",
+                "name a file",
+            ]),
+            Mistake::new("A picture that is to be no PNG", "check session -o new.jpg")
+                .says(&["new.jpg", "ends in .png"]),
+            Mistake::new("A background of two numbers", "predict instrument objects.npy -o new.npy --background 8,4")
+                .exit(2)
+                .says(&["LEVEL,ROWS,COLS", "electrons"]),
+            Mistake::new("A pixel of no size", "reconstruct frames.npy -o new.tif --with network.omm --pixel-um 0")
+                .exit(2)
+                .says(&["--pixel-um", "above 0"]),
+        ],
+    );
+}

@@ -1,7 +1,11 @@
 //! Frames that no sensor delivers: scaled, subtracted, of fewer bits, dark, saturated, constant.
 
+use crate::common::desk;
 use crate::{Mistake, hold};
 use ndarray::Array3;
+use ommatidia_model::bead::BeadBackground;
+use ommatidia_model::instrument::Instrument;
+use ommatidia_session::artifact::Provenance;
 use ommatidia_session::{FrameWriter, SampleType, StackSpec, stack};
 use std::path::Path;
 
@@ -120,6 +124,75 @@ fn raw() -> Array3<f32> {
         let spot = |y: f32, x: f32| (-((r as f32 - y).powi(2) + (c as f32 - x).powi(2)) / 18.0).exp();
         (100.0 + noise + 900.0 * (spot(20.0, 31.0) + spot(50.0 + i as f32, 60.0))).round()
     })
+}
+
+/// Adds electrons to every pixel of a stack of the small virtual instrument, whose gain is 0.4 DN/e-, whose black level
+/// is 64 DN and whose frames are whole DN: `plane` from the place, 0 to 1 along rows and columns.
+fn add_background(file: &Path, plane: impl Fn(f64, f64) -> f64) {
+    let mut frames: Array3<f32> = stack::read(file).unwrap();
+    let (_, rows, cols) = frames.dim();
+    for ((i, r, c), v) in frames.indexed_iter_mut() {
+        let e = plane(r as f64 / (rows - 1) as f64, c as f64 / (cols - 1) as f64);
+        // Dithered, so that rounding adds no pattern.
+        let part = ((i * 7919 + r * 104_729 + c * 1_299_709) % 1009) as f64 / 1009.0;
+        *v += (0.4 * e + part).floor() as f32;
+    }
+    stack::write(file, frames.view()).unwrap();
+}
+
+/// A background in the scenes is fitted, said, and no fault of the optics.
+#[test]
+fn an_evaluation_fits_the_background_of_the_frames() {
+    let figures = |desk: &Path, verb: &str| -> serde_json::Value {
+        let words: Vec<&str> = verb.split_whitespace().collect();
+        let output = crate::common::ommatidia(&words).current_dir(desk).output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        serde_json::from_slice(&output.stdout).unwrap()
+    };
+    const EVALUATE: &str = "evaluate scenes --with scenes.instrument --methods central --json";
+    let desk = desk::new();
+    let without = figures(desk.path(), EVALUATE)["prediction"].clone();
+    assert_eq!(without["background"]["added"], false, "{without}");
+    add_background(&desk.path().join("scenes/scene.npy"), |r, c| 10.0 + 6.0 * r - 4.0 * c);
+    let with = figures(desk.path(), EVALUATE)["prediction"].clone();
+    let b = &with["background"];
+    assert_eq!(b["added"], true, "{with}");
+    for (found, want) in [(&b["mean_e"][0], 11.0), (&b["mean_e"][1], 6.0), (&b["mean_e"][2], -4.0)] {
+        assert!((found.as_f64().unwrap() - want).abs() < 0.5, "{with}");
+    }
+    let number = |v: &serde_json::Value, name: &str| v[name].as_f64().unwrap();
+    assert!(number(b, "chi2_ndf_without") > 1.5 * number(&with, "chi2_ndf"), "{with}");
+    // Light that was added without its photon noise: chi-squared falls a little.
+    assert!(number(&with, "chi2_ndf") < 1.1 * number(&without, "chi2_ndf"), "{without} {with}");
+    assert!(number(&with, "nrmse") < 1.2 * number(&without, "nrmse"), "{without} {with}");
+}
+
+/// The bead frames have a background: a prediction says that it leaves it out, and takes it where it is asked to.
+#[test]
+fn a_prediction_says_what_background_it_leaves_out() {
+    let desk = desk::new();
+    // The small instruments have no room between their foci to find a background in: it is written down instead.
+    let path = desk.path().join("background.instrument");
+    let mut instrument = Instrument::read(&desk.path().join("scenes.instrument")).unwrap();
+    let found = BeadBackground { mean_e: [12.0, 0.0, 0.0], sigma_e: [0.1; 3], ..BeadBackground::default() };
+    instrument.quality.background = Some(found);
+    instrument.write(&path, Provenance::new("test", 1, &())).unwrap();
+    let run = |command: &str| {
+        let words: Vec<&str> = command.split_whitespace().collect();
+        let output = crate::common::ommatidia(&words).current_dir(desk.path()).output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let figures: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        figures["warnings"].to_string()
+    };
+    let object = Array3::<f32>::zeros((1, 18, 22));
+    stack::write(&desk.path().join("dark.npy"), object.view()).unwrap();
+    let said = run("predict background.instrument dark.npy -o out.npy --json");
+    assert!(said.contains("had a background of 12.00") && said.contains("--background 12.00,0.00,0.00"), "{said}");
+    let said = run("predict background.instrument dark.npy -o with.npy --background 12 --json");
+    assert!(!said.contains("had a background of"), "{said}");
+    let [without, with] = ["out.npy", "with.npy"].map(|f| stack::read(&desk.path().join(f)).unwrap());
+    let more = (&with - &without).mean().unwrap();
+    assert!((more - 0.4 * 12.0).abs() < 0.1, "{more}");
 }
 
 /// Adds scenes of known objects to the session, from which the black level was subtracted.

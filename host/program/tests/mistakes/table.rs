@@ -1,8 +1,11 @@
 //! Rows of the table, and what it takes for them to hold.
 
 use crate::common::{contents, desk};
+use std::fs::Permissions;
 use std::path::Path;
 use std::process::Command;
+use std::sync::LazyLock;
+use tempfile::TempDir;
 
 /// Rewrites the page instead of comparing it.
 const WRITE: &str = "OMMATIDIA_RENEW";
@@ -15,6 +18,7 @@ pub struct Mistake {
     exit: i32,
     says: Vec<String>,
     path: Option<String>,
+    unprivileged: bool,
 }
 
 impl Mistake {
@@ -29,6 +33,7 @@ impl Mistake {
             exit: 1,
             says: Vec::new(),
             path: None,
+            unprivileged: false,
         }
     }
 
@@ -52,12 +57,19 @@ impl Mistake {
         Self { path: Some(String::new()), ..self }
     }
 
+    /// The program runs with the rights of a user who owns nothing, so that permissions hold for it even where the tests
+    /// run as root.
+    pub fn unprivileged(self) -> Self {
+        Self { unprivileged: true, ..self }
+    }
+
     /// Runs the command on a desk of its own, checks the outcome, and gives the row of the page.
     fn row(&self) -> Result<String, String> {
         let desk = desk::new();
         (self.prepare)(desk.path());
         let before = contents(desk.path());
-        let mut command = Command::new(env!("CARGO_BIN_EXE_ommatidia"));
+        let mut command =
+            if self.unprivileged { as_nobody(desk.path()) } else { Command::new(env!("CARGO_BIN_EXE_ommatidia")) };
         command
             .args(self.command.split_whitespace())
             .current_dir(desk.path())
@@ -88,6 +100,35 @@ impl Mistake {
         let cell = |text: &str| text.trim().replace('|', "\\|").replace('\n', "<br>");
         Ok(format!("| {} | `{}` | {} | {} |\n", cell(&self.what), self.command, self.exit, cell(&printed)))
     }
+}
+
+/// The program, to be run on a desk by a user without rights there. As root: by the user `nobody`, to whom the desk is
+/// opened and who has a copy of the program. Else by the user of the tests, for whom a read-only folder is one.
+fn as_nobody(desk: &Path) -> Command {
+    use std::os::unix::fs::{MetadataExt, PermissionsExt};
+    use std::os::unix::process::CommandExt;
+    const NOBODY: u32 = 65534;
+    static COPY: LazyLock<TempDir> = LazyLock::new(|| {
+        let folder = tempfile::Builder::new().permissions(Permissions::from_mode(0o755)).tempdir().unwrap();
+        std::fs::copy(env!("CARGO_BIN_EXE_ommatidia"), folder.path().join("ommatidia")).unwrap();
+        folder
+    });
+    if std::fs::metadata(desk).unwrap().uid() != 0 {
+        return Command::new(env!("CARGO_BIN_EXE_ommatidia"));
+    }
+    std::fs::set_permissions(desk, Permissions::from_mode(0o777)).unwrap();
+    for path in contents(desk).keys() {
+        let path = desk.join(path);
+        let inside = path.ancestors().take_while(|a| *a != desk);
+        inside.filter(|a| a.is_dir()).for_each(|a| {
+            std::fs::set_permissions(a, Permissions::from_mode(0o777)).unwrap();
+        });
+        let mode = std::fs::metadata(&path).unwrap().mode();
+        std::fs::set_permissions(&path, Permissions::from_mode(mode | 0o444)).unwrap();
+    }
+    let mut command = Command::new(COPY.path().join("ommatidia"));
+    command.uid(NOBODY).gid(NOBODY).env("HOME", desk);
+    command
 }
 
 /// Runs the rows of a section and compares them with the page, `docs/mistakes.md`.

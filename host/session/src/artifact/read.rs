@@ -68,6 +68,9 @@ pub fn shapes(path: &Path) -> Result<BTreeMap<String, Vec<usize>>, ArtifactError
 
 /// Reads the safetensors metadata and the offset of the tensor data, bytes; checks the length of the file.
 fn metadata(path: &Path) -> Result<(Metadata, u64), ArtifactError> {
+    if path.is_dir() {
+        return Err(ArtifactError::format(path, "it is a folder: name a file"));
+    }
     let mut file = std::fs::File::open(path).map_err(|e| ArtifactError::io(path, e))?;
     let size = file.metadata().map_err(|e| ArtifactError::io(path, e))?.len();
     let mut start = [0u8; 8];

@@ -49,6 +49,15 @@ pub struct StackSpec {
     pub pixel_um: Option<f64>,
 }
 
+/// What a stack's file says of space and time. `.npy` files say nothing.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct StackScale {
+    /// Height and width of a pixel, um.
+    pub pixel_um: Option<[f64; 2]>,
+    /// Time from one frame to the next, s.
+    pub interval_s: Option<f64>,
+}
+
 /// Size and sample type of a stack, as its file states them.
 pub(super) struct Shape {
     pub len: usize,

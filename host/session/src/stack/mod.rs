@@ -26,7 +26,7 @@ mod tif;
 mod whole;
 mod writer;
 
-pub use layout::{SampleType, StackSpec};
+pub use layout::{SampleType, StackScale, StackSpec};
 pub use reader::{ComputedFrames, FrameReader};
 pub use recording::Recording;
 pub use whole::{read, write};

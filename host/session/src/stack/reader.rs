@@ -1,6 +1,6 @@
 //! Reads the frames of a stack one at a time.
 
-use super::layout::{Container, SampleType, Shape};
+use super::layout::{Container, SampleType, Shape, StackScale};
 use super::{npy, tif};
 use crate::error::SessionError;
 use ndarray::Array2;
@@ -55,6 +55,15 @@ impl FrameReader {
     /// The file is missing, neither .npy nor .tif, of a sample type other than uint8, uint16 and float32, not an array
     /// [frames, rows, cols], empty, or cut short.
     pub fn open(path: &Path) -> Result<Self, SessionError> {
+        if path.is_dir() {
+            return Err(SessionError::value(
+                path,
+                "stack",
+                "a file of frames",
+                "a folder",
+                "name a .npy or .tif in it",
+            ));
+        }
         let (shape, source) = match Container::of(path)? {
             Container::Npy => npy::NpySource::open(path).map(|(shape, s)| (shape, Source::Npy(s)))?,
             Container::Tif => tif::TifSource::open(path).map(|(shape, s)| (shape, Source::Tif(Box::new(s))))?,
@@ -97,6 +106,14 @@ impl FrameReader {
     /// Type of the samples in the file; `U16` for computed frames.
     pub fn samples(&self) -> SampleType {
         self.samples
+    }
+
+    /// What the file says of pixel size and frame interval.
+    pub fn scale(&self) -> StackScale {
+        match &self.source {
+            Source::Tif(tif) => tif.scale,
+            Source::Npy(_) | Source::Computed { .. } => StackScale::default(),
+        }
     }
 
     /// Path of the file.

@@ -62,7 +62,7 @@ impl Recording {
         }
         self.spec.frames += 1;
         let first = self.spec.frames == 1;
-        let description = first.then(|| ome::description(&self.spec, &number(1)));
+        let description = first.then(|| ome::description(&self.spec, None, &number(1)));
         push_page(&mut self.out, &self.spec, frame.iter().copied().collect(), description)
             .map_err(|e| SessionError::format(&self.path, ".tif", e))?;
         self.count(first).map_err(|e| SessionError::io(&self.path, e))

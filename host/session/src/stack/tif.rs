@@ -1,12 +1,14 @@
 //! Multi-page TIFF files: one grey page for each frame, all of the same size and sample type.
 
-use super::layout::{SampleType, Shape};
+use super::layout::{SampleType, Shape, StackScale};
+use super::ome;
 use crate::error::SessionError;
 use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 use tiff::ColorType;
 use tiff::TiffError;
+use tiff::decoder::ifd::Value;
 use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::tags::Tag;
 
@@ -18,7 +20,10 @@ const MAX_PAGE_BYTES: usize = 1 << 30;
 
 /// An open TIFF.
 #[derive(Debug)]
-pub(super) struct TifSource(Decoder<BufReader<File>>);
+pub(super) struct TifSource {
+    decoder: Decoder<BufReader<File>>,
+    pub(super) scale: StackScale,
+}
 
 impl TifSource {
     pub(super) fn open(path: &Path) -> Result<(Shape, Self), SessionError> {
@@ -26,7 +31,16 @@ impl TifSource {
         let size = file.metadata().map_err(|e| SessionError::io(path, e))?.len();
         let mut decoder = Decoder::new(BufReader::new(file)).map_err(|e| read_error(path, e))?;
         let mut shape = page(path, &mut decoder, size)?;
-        one_channel(path, &mut decoder)?;
+        let description = description(path, &mut decoder)?;
+        one_channel(path, &description)?;
+        let per_unit = |tag: Tag, decoder: &mut Decoder<BufReader<File>>| {
+            decoder.find_tag(tag).ok().flatten().and_then(|v| match v {
+                Value::Rational(n, d) if d > 0 => Some(f64::from(n) / f64::from(d)),
+                _ => None,
+            })
+        };
+        let resolution = [Tag::YResolution, Tag::XResolution].map(|tag| per_unit(tag, &mut decoder));
+        let scale = ome::scale(&description, resolution);
         while decoder.more_images() {
             decoder.next_image().map_err(|e| read_error(path, e))?;
             let next = page(path, &mut decoder, size)?;
@@ -51,11 +65,12 @@ impl TifSource {
         let mut limits = Limits::default();
         limits.decoding_buffer_size = bytes;
         limits.intermediate_buffer_size = limits.intermediate_buffer_size.max(bytes);
-        Ok((shape, Self(decoder.with_limits(limits))))
+        Ok((shape, Self { decoder: decoder.with_limits(limits), scale }))
     }
 
     pub(super) fn read(&mut self, path: &Path, i: usize) -> Result<Vec<f32>, SessionError> {
-        let image = self.0.seek_to_image(i).and_then(|()| self.0.read_image()).map_err(|e| read_error(path, e))?;
+        let image =
+            self.decoder.seek_to_image(i).and_then(|()| self.decoder.read_image()).map_err(|e| read_error(path, e))?;
         match image {
             DecodingResult::U8(v) => Ok(v.into_iter().map(f32::from).collect()),
             DecodingResult::U16(v) => Ok(v.into_iter().map(f32::from).collect()),
@@ -65,11 +80,15 @@ impl TifSource {
     }
 }
 
-/// Checks that the description of the first page, OME-XML or that of ImageJ, does not announce several channels or
-/// planes: their pages would be taken for frames.
-fn one_channel(path: &Path, decoder: &mut Decoder<BufReader<File>>) -> Result<(), SessionError> {
+/// The description of the first page; empty without one.
+fn description(path: &Path, decoder: &mut Decoder<BufReader<File>>) -> Result<String, SessionError> {
     let description = decoder.find_tag(Tag::ImageDescription).map_err(|e| read_error(path, e))?;
-    let Some(text) = description.and_then(|value| value.into_string().ok()) else { return Ok(()) };
+    Ok(description.and_then(|value| value.into_string().ok()).unwrap_or_default())
+}
+
+/// Checks that a description, OME-XML or that of ImageJ, does not announce several channels or planes: their pages would
+/// be taken for frames.
+fn one_channel(path: &Path, text: &str) -> Result<(), SessionError> {
     let digits = |rest: &str| rest.chars().take_while(char::is_ascii_digit).collect::<String>().parse::<usize>().ok();
     let announced = |name: &str| text.find(name).and_then(|at| digits(&text[at + name.len()..]));
     let axes = [("channels", "SizeC=\"", "channels="), ("focal planes", "SizeZ=\"", "slices=")];

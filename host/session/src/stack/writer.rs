@@ -23,6 +23,7 @@ pub(super) const CALLER_ERROR: &str = "this is an error in the program: please r
 pub struct FrameWriter {
     path: PathBuf,
     spec: StackSpec,
+    interval_s: Option<f64>,
     file: NamedTempFile,
     sink: Sink,
     pushed: usize,
@@ -64,7 +65,13 @@ impl FrameWriter {
             Container::Tif if bytes < TIFF_BYTES => Sink::Tif(TiffEncoder::new(out).map_err(tif)?),
             Container::Tif => Sink::BigTif(TiffEncoder::new_big(out).map_err(tif)?),
         };
-        Ok(Self { path: path.into(), spec, file, sink, pushed: 0 })
+        Ok(Self { path: path.into(), spec, interval_s: None, file, sink, pushed: 0 })
+    }
+
+    /// Gives the time from one frame to the next, s, for the OME metadata of a TIFF.
+    #[must_use]
+    pub fn with_interval(self, interval_s: Option<f64>) -> Self {
+        Self { interval_s, ..self }
     }
 
     /// Appends a frame, [rows, cols].
@@ -76,7 +83,7 @@ impl FrameWriter {
         self.check(frame)?;
         let spec = &self.spec;
         let values = frame.iter().copied();
-        let description = (self.pushed == 0).then(|| ome::description(spec, &spec.frames.to_string()));
+        let description = (self.pushed == 0).then(|| ome::description(spec, self.interval_s, &spec.frames.to_string()));
         match &mut self.sink {
             Sink::Npy(out) => {
                 let bytes: Vec<u8> = match spec.samples {
