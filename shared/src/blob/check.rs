@@ -2,7 +2,7 @@
 
 use super::error::{BlobError, Section};
 use super::header::{Header, HeaderField, MemoryPlan, SectionLens, Size, Weights};
-use crate::nn::rcan::weights_len;
+use crate::nn::rcan::weights_count;
 use half::f16;
 
 impl Header {
@@ -29,7 +29,7 @@ impl Header {
         Ok(SectionLens {
             filters,
             index,
-            rcan: weights_len(&self.rcan, self.bank.channels) as u64,
+            rcan: weights_count(&self.rcan, self.bank.channels),
             offset_dn: if self.sensor.has_offset_map { pixels } else { 0 },
             inverse_gain: if self.sensor.has_gain_map { pixels } else { 0 },
         })

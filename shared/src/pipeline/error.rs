@@ -37,6 +37,13 @@ pub enum PipelineError {
         /// The plan in the header.
         found: MemoryPlan,
     },
+    /// The network needs 4 GiB or more of one of the two memories.
+    TooLarge {
+        /// Fast scratch, bytes.
+        fast: u64,
+        /// Bulk arena, bytes.
+        bulk: u64,
+    },
     /// The raw frame has another length.
     Frame {
         /// Pixels by the header.
@@ -115,6 +122,9 @@ impl fmt::Display for PipelineError {
                 "memory plan: expected {} + {} bytes, found {} + {}; quantize the network again",
                 expected.fast_bytes, expected.bulk_bytes, found.fast_bytes, found.bulk_bytes
             ),
+            Self::TooLarge { fast, bulk } => {
+                write!(f, "memory plan: {fast} + {bulk} bytes are too many; choose a larger step or a smaller object")
+            }
             Self::Frame { expected, found } => write!(f, "raw frame: expected {expected} pixels, found {found}"),
             Self::Region { object, found } => {
                 write!(

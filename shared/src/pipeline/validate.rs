@@ -5,7 +5,7 @@ use crate::blob::Header;
 use crate::filter::FilterBank;
 use crate::nn::rcan::Rcan;
 
-/// Largest side of a frame or an object, pixels: with it no product of shapes overflows 32 bits.
+/// Largest side of a frame or an object, pixels. Products of shapes are checked where the operators are planned.
 const MAX_SIDE: u32 = 4096;
 
 /// Checks the shapes of a header and plans the operators.
@@ -26,7 +26,7 @@ pub(super) fn shapes(header: &Header) -> Result<(FilterBank<'_>, Rcan), Pipeline
         return Err(PipelineError::BlackLevel { found: header.sensor.black_level_dn });
     }
     let filter = FilterBank::new(&header.bank, header.frame, header.object)?;
-    Ok((filter, Rcan::new(network, header.bank.channels, header.object)))
+    Ok((filter, Rcan::new(network, header.bank.channels, header.object)?))
 }
 
 fn check(

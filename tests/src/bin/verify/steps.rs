@@ -26,8 +26,10 @@ pub fn all() -> Vec<Step> {
         step("firmware images", firmware_images),
         step("emulator", || toolchain::ensure_qemu().map(|()| Counts::check(true))),
         step("tests of shared, debug build with overflow checks", || tests(&["-p", "ommatidia-shared"])),
+        step("tests of shared, 32-bit program with overflow checks", narrow_tests),
         step("all tests", || tests(&["--release", "--workspace"])),
         step("hostile input", hostile_input),
+        step("hostile input, 32-bit program", narrow_hostile_input),
         step("lints", || check(cargo(["clippy", "--release", "--workspace", "--all-targets", "--", "-D", "warnings"]))),
         step("lints of the boards", lints_of_boards),
         step("documentation", documentation),
@@ -97,7 +99,7 @@ fn hostile_input() -> Result<Counts> {
         std::fs::create_dir_all(&found)?;
         let mut run = Command::new(target.join(&host).join("release").join(name));
         run.arg(format!("-max_total_time={FUZZ_SECONDS}")).args([
-            "-max_len=16384",
+            "-max_len=32768",
             "-rss_limit_mb=4096",
             "-timeout=30",
         ]);
@@ -108,13 +110,39 @@ fn hostile_input() -> Result<Counts> {
     Ok(counts)
 }
 
+/// The tests of `shared` as a 32-bit program: lengths wrap there as they do on the boards.
+fn narrow_tests() -> Result<Counts> {
+    let mut command = toolchain::linux(toolchain::NARROW)?;
+    command.args(["test", "--no-fail-fast", "-p", "ommatidia-shared", "--lib", "--tests"]);
+    command.args(["--target", toolchain::NARROW]);
+    counted(command)
+}
+
+/// The fuzz targets as a 32-bit program, from the seeds and from what the step before has found.
+fn narrow_hostile_input() -> Result<Counts> {
+    let fuzz = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz");
+    let mut command = toolchain::linux(toolchain::NARROW)?;
+    command.args(["test", "--release", "--no-fail-fast", "--no-default-features", "--test", "narrow"]);
+    command.args(["--target", toolchain::NARROW, "--manifest-path"]).arg(fuzz.join("Cargo.toml"));
+    let target = toolchain::target_dir().join("fuzz");
+    command.env("OMMATIDIA_CORPUS", target.join("corpus")).env("OMMATIDIA_SECONDS", FUZZ_SECONDS.to_string());
+    command.env("CARGO_TARGET_DIR", target).args(["--", "--nocapture"]);
+    counted(command)
+}
+
 /// Runs the tests of the given packages and counts them. A test that finds no measured data writes its name and
 /// the reason to the file in `OMMATIDIA_SKIPPED`; those are reported as skipped, not as passed.
 fn tests(packages: &[&str]) -> Result<Counts> {
+    let mut command = cargo(["test", "--no-fail-fast"]);
+    command.args(packages);
+    counted(command)
+}
+
+/// Runs a test runner and counts its tests.
+fn counted(mut command: Command) -> Result<Counts> {
     let skips = std::env::temp_dir().join(format!("ommatidia-skipped-{}", std::process::id()));
     let _ = std::fs::remove_file(&skips);
-    let mut command = cargo(["test", "--no-fail-fast"]);
-    command.args(packages).env("OMMATIDIA_SKIPPED", &skips).env("OMMATIDIA_REQUIRE_QEMU", "1");
+    command.env("OMMATIDIA_SKIPPED", &skips).env("OMMATIDIA_REQUIRE_QEMU", "1");
     command.env("OMMATIDIA_FIRMWARE", toolchain::thumb()?.images()).stdout(Stdio::piped());
     let mut child = command.spawn().with_context(|| format!("{command:?} could not be started"))?;
     let mut counts = Counts::default();

@@ -88,6 +88,27 @@ pub fn ensure_cpp() -> Result<()> {
     Ok(())
 }
 
+/// A 32-bit program that this machine runs itself: it needs no C library and no C linker of 32 bits.
+pub const NARROW: &str = "i686-unknown-linux-musl";
+
+/// `cargo` that builds for a target of Linux which the linker of the compiler itself can link. The caller adds the
+/// arguments. The target is installed where it is missing.
+pub fn linux(target: &str) -> Result<Command> {
+    ensure_target(target)?;
+    let mut command = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    let variable = format!("CARGO_TARGET_{}_LINKER", target.replace('-', "_").to_uppercase());
+    command.env(variable, "rust-lld").env("CARGO_TARGET_DIR", target_dir().join("narrow"));
+    Ok(command)
+}
+
+/// Finds or installs the core library of a target.
+pub fn ensure_target(target: &str) -> Result<()> {
+    if has_target(target) || run("rustup", &["target", "add", target]) {
+        return Ok(());
+    }
+    bail!("no compiler for {target}: run `rustup target add {target}`")
+}
+
 /// Finds or installs a compiler for the boards.
 pub fn thumb() -> Result<Toolchain> {
     let mut targets: Vec<&str> = BOARDS.iter().map(|board| board.target).collect();
