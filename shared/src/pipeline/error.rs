@@ -19,7 +19,7 @@ pub enum PipelineError {
         /// Value found.
         found: u32,
     },
-    /// The black level is not finite.
+    /// The black level is NaN, or beyond what 16 bits can hold.
     BlackLevel {
         /// The level found, DN.
         found: f32,
@@ -111,8 +111,8 @@ impl fmt::Display for PipelineError {
             Self::Field { field, expected, found } => write!(f, "{field}: expected {expected}, found {found}"),
             // A word instead of the value: printing floats would take much of the device's flash.
             Self::BlackLevel { found } => {
-                let found = if found.is_nan() { "NaN" } else { "infinity" };
-                write!(f, "sensor.black_level_dn: expected a finite level, found {found}")
+                let found = if found.is_nan() { "NaN" } else { "one that no code of 16 bits reaches" };
+                write!(f, "sensor.black_level_dn: expected a level of -65535 to 65535 DN, found {found}")
             }
             Self::Filter(error) => error.fmt(f),
             Self::Network(error) => error.fmt(f),

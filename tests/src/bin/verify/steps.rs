@@ -27,6 +27,8 @@ pub fn all() -> Vec<Step> {
         step("emulator", || toolchain::ensure_qemu().map(|()| Counts::check(true))),
         step("tests of shared, debug build with overflow checks", || tests(&["-p", "ommatidia-shared"])),
         step("tests of shared, 32-bit program with overflow checks", narrow_tests),
+        step("shared on other cores", other_cores),
+        step("tests of shared on AArch64, emulated", aarch64_tests),
         step("all tests", || tests(&["--release", "--workspace"])),
         step("hostile input", hostile_input),
         step("hostile input, 32-bit program", narrow_hostile_input),
@@ -115,6 +117,28 @@ fn narrow_tests() -> Result<Counts> {
     let mut command = toolchain::linux(toolchain::NARROW)?;
     command.args(["test", "--no-fail-fast", "-p", "ommatidia-shared", "--lib", "--tests"]);
     command.args(["--target", toolchain::NARROW]);
+    counted(command)
+}
+
+/// Builds `shared` for cores without loops of their own: one check a core.
+fn other_cores() -> Result<Counts> {
+    let mut counts = Counts::default();
+    for (target, flags) in toolchain::OTHER_CORES {
+        let mut command = toolchain::linux(target)?;
+        command.args(["build", "-p", "ommatidia-shared", "--target", target]).env("CARGO_ENCODED_RUSTFLAGS", flags);
+        counts += check(command)?;
+    }
+    Ok(counts)
+}
+
+/// The tests of `shared` as a program for AArch64: its loops are the portable ones, and the bits are the same.
+fn aarch64_tests() -> Result<Counts> {
+    toolchain::ensure_qemu_user()?;
+    let mut command = toolchain::linux(toolchain::AARCH64)?;
+    command.args(["test", "--no-fail-fast", "-p", "ommatidia-shared", "--lib", "--tests"]);
+    command
+        .args(["--target", toolchain::AARCH64])
+        .env("CARGO_TARGET_AARCH64_UNKNOWN_LINUX_MUSL_RUNNER", "qemu-aarch64");
     counted(command)
 }
 

@@ -91,6 +91,27 @@ pub fn ensure_cpp() -> Result<()> {
 /// A 32-bit program that this machine runs itself: it needs no C library and no C linker of 32 bits.
 pub const NARROW: &str = "i686-unknown-linux-musl";
 
+/// A 64-bit Arm program, which this machine runs under QEMU's user mode.
+pub const AARCH64: &str = "aarch64-unknown-linux-musl";
+
+/// Cores that no board has yet: they take the portable loops. Target, and flags for the core.
+pub const OTHER_CORES: [(&str, &str); 4] = [
+    ("thumbv8m.main-none-eabihf", "-Ctarget-cpu=cortex-m33"),
+    ("thumbv8m.main-none-eabi", ""),
+    ("armv7-unknown-linux-gnueabihf", ""),
+    ("riscv32imafc-unknown-none-elf", ""),
+];
+
+/// Finds or installs the user-mode emulator for [`AARCH64`].
+pub fn ensure_qemu_user() -> Result<()> {
+    let version = || Command::new("qemu-aarch64").arg("--version").stdout(Stdio::null()).status();
+    if version().is_err() {
+        apt_install(&["qemu-user"]);
+    }
+    version().context("no qemu-aarch64: install it (Debian: `apt-get install qemu-user`)")?;
+    Ok(())
+}
+
 /// `cargo` that builds for a target of Linux which the linker of the compiler itself can link. The caller adds the
 /// arguments. The target is installed where it is missing.
 pub fn linux(target: &str) -> Result<Command> {
