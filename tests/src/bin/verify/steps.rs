@@ -3,7 +3,7 @@
 use crate::counts::Counts;
 use crate::toolchain;
 use anyhow::{Context, Result};
-use ommatidia_shared::boards::BOARDS;
+use ommatidia_shared::boards::{BOARDS, NUCLEO_H743ZI};
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -65,6 +65,11 @@ fn firmware_images() -> Result<Counts> {
         command.args(["--bins", "--target", board.target]);
         counts += check(command)?;
     }
+    // The program with its log, for the board that has a probe.
+    let mut command = toolchain.cargo(NUCLEO_H743ZI);
+    command.args(["build", "--profile", "firmware-probe", "-p", "ommatidia-firmware", "--bin", "app"]);
+    command.args(["--features", "nucleo-h743zi,probe", "--target", NUCLEO_H743ZI.target]);
+    counts += check(command)?;
     Ok(counts)
 }
 
