@@ -15,11 +15,11 @@ fn main() -> ! {
         hprintln!("keeps faulting");
         board::exit()
     }
-    let variable = 7;
-    hprintln!("memory can be read: {}", board::readable(&variable));
+    let variable = 7_u32;
+    hprintln!("memory can be read: {}", board::readable((&raw const variable).addr()));
     hprintln!("nothing can be read: {}", board::readable(board::NOTHING));
     // SAFETY: the read fails, which is what is tried.
-    let word = unsafe { board::NOTHING.read_volatile() };
+    let word = unsafe { (board::NOTHING as *const u32).read_volatile() };
     hprintln!("read {}", word);
     board::exit()
 }

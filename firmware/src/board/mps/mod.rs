@@ -63,13 +63,13 @@ pub fn start() -> Start {
 }
 
 /// An address without memory.
-pub const NOTHING: *const u32 = map::MAP.nothing as *const u32;
+pub const NOTHING: usize = map::MAP.nothing;
 
-/// Whether the word at `at`, which is memory or nothing, can be read.
+/// Whether the word at the address `at`, of memory or of nothing, can be read.
 #[allow(unsafe_code)]
-pub fn readable(at: *const u32) -> bool {
-    // SAFETY: the boards have no register whose reading has an effect but that of the UART, which is not called for.
-    unsafe { masked::readable(at) }
+pub fn readable(at: usize) -> bool {
+    // SAFETY: reading memory has no effect. The one register here that has one, that of the UART, is not called for.
+    unsafe { masked::readable(at as *const u32) }
 }
 
 /// The cycle counter of the core, where it counts: under QEMU it does not.
