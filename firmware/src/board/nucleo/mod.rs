@@ -1,5 +1,5 @@
-//! ST NUCLEO-H743ZI2 (ST UM2407): STM32H743ZI at 480 MHz (400 before revision V), an MT9V032 on the DCMI, the host at the serial port of the
-//! debug probe.
+//! ST NUCLEO-H743ZI2 (ST UM2407): STM32H743ZI at 480 MHz (400 before revision V), an MT9V032 on the DCMI, the host at
+//! the serial port of the debug probe.
 //!
 //! | function | pins |
 //! |---|---|
