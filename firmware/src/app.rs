@@ -10,6 +10,19 @@ use ommatidia_shared::device::{
 use ommatidia_shared::flash::MappedFlash;
 use ommatidia_shared::wire::{Activity, StartCause};
 
+/// How the program was started.
+#[derive(Clone, Copy, Debug)]
+pub struct Start {
+    /// Why.
+    pub cause: StartCause,
+    /// Number of starts since the power came on, this one included.
+    pub count: u32,
+    /// Whether the last starts ended in faults, one after the other.
+    pub keeps_faulting: bool,
+    /// To be called when a run has ended: earlier faults no longer count.
+    pub settled: fn(),
+}
+
 /// The parts of a board.
 #[derive(Debug)]
 pub struct Parts<'m, L, P, F, W, S> {
@@ -23,8 +36,10 @@ pub struct Parts<'m, L, P, F, W, S> {
     pub trigger: P,
     /// Resets the board when the program hangs.
     pub watchdog: W,
-    /// Why the program was started.
-    pub started_by: StartCause,
+    /// How the program was started.
+    pub start: Start,
+    /// Clock of the core, MHz, where it is known.
+    pub core_mhz: Option<u16>,
     /// Function that measures the memory that the program occupies.
     pub footprint: fn() -> Footprint,
     /// Function that reads the cycle counter of the core, where there is one. It wraps at 32 bits.
@@ -50,11 +65,12 @@ pub struct Parts<'m, L, P, F, W, S> {
 pub fn run<L: Read + Write, P: OutputPin, F: MappedFlash, W: Watchdog, S: FrameSource>(
     parts: Parts<'_, L, P, F, W, S>,
 ) -> Result<End, L::Error> {
-    let Parts { name, mut link, line, trigger, mut watchdog, started_by, footprint, cycles, .. } = parts;
-    let Parts { temperature_cdeg, activity, .. } = parts;
+    let Parts { name, mut link, line, trigger, mut watchdog, start, footprint, cycles, .. } = parts;
+    let Parts { temperature_cdeg, activity, core_mhz, .. } = parts;
     watchdog.start();
     info!("{} is listening", name);
-    let monitor = Board { trigger, watchdog, started_by, footprint, cycles, temperature_cdeg, activity, began: None };
+    let monitor =
+        Board { trigger, watchdog, start, core_mhz, footprint, cycles, temperature_cdeg, activity, began: None };
     let (source, sink) = (parts.source, RamObject::new(parts.object));
     let end = serve(&mut link, line, &mut Device::new(name, parts.flash, source, sink, parts.arenas, monitor));
     info!("the host has left");
@@ -65,7 +81,8 @@ pub fn run<L: Read + Write, P: OutputPin, F: MappedFlash, W: Watchdog, S: FrameS
 struct Board<P, W> {
     trigger: P,
     watchdog: W,
-    started_by: StartCause,
+    start: Start,
+    core_mhz: Option<u16>,
     footprint: fn() -> Footprint,
     cycles: fn() -> Option<u32>,
     temperature_cdeg: fn() -> Option<i16>,
@@ -93,6 +110,7 @@ impl<P: OutputPin, W: Watchdog> Monitor for Board<P, W> {
         let cycles = (self.cycles)().zip(self.began).map(|(now, began)| now.wrapping_sub(began));
         let _ = self.trigger.set_low();
         self.watchdog.feed();
+        (self.start.settled)();
         info!("done");
         cycles
     }
@@ -106,7 +124,19 @@ impl<P: OutputPin, W: Watchdog> Monitor for Board<P, W> {
     }
 
     fn start_cause(&self) -> StartCause {
-        self.started_by
+        self.start.cause
+    }
+
+    fn starts(&self) -> u32 {
+        self.start.count
+    }
+
+    fn core_mhz(&self) -> Option<u16> {
+        self.core_mhz
+    }
+
+    fn keeps_faulting(&self) -> bool {
+        self.start.keeps_faulting
     }
 
     fn activity(&self) -> Option<Activity> {

@@ -12,3 +12,4 @@ pub mod app;
 pub mod board;
 pub mod camera;
 mod log;
+pub mod numbers;

@@ -1,43 +1,4 @@
-//! Arbitrary requests in any order, on a flash with arbitrary content: the device answers each, and the active network
-//! is always complete.
+//! See `ommatidia_fuzz::device`.
 #![no_main]
 
-use half::f16;
-use libfuzzer_sys::fuzz_target;
-use ommatidia_shared::blob::Network;
-use ommatidia_shared::device::{Arenas, Device, Line, RamFrame, RamObject, Silent};
-use ommatidia_shared::flash::{RAM_SECTOR, RamFlash};
-use ommatidia_shared::wire::{Reply, Request};
-
-const FLASH: usize = 8 * RAM_SECTOR;
-
-fuzz_target!(|data: &[u8]| {
-    // The first byte determines how much of the input is in the flash at the start.
-    let Some((split, data)) = data.split_first() else { return };
-    let (content, mut requests) = data.split_at(data.len() * usize::from(*split) / 512);
-    let mut flash = vec![0u128; FLASH / 16];
-    bytemuck::cast_slice_mut::<_, u8>(&mut flash)[..content.len().min(FLASH)]
-        .copy_from_slice(&content[..content.len().min(FLASH)]);
-    let (mut frame, mut object) = (vec![0u16; 2048], vec![f16::ZERO; 2048]);
-    let (mut fast, mut bulk) = (vec![0f32; 4096], vec![f16::ZERO; 16 << 10]);
-    let arenas = Arenas { fast: &mut fast, bulk: &mut bulk };
-    let flash = RamFlash::new(bytemuck::cast_slice_mut(&mut flash));
-    let mut device = Device::new("fuzz", flash, RamFrame::new(&mut frame), RamObject::new(&mut object), arenas, Silent);
-    let mut line = Box::new(Line::new());
-    for byte in requests {
-        line.push(*byte, &mut device);
-    }
-    while let Ok((request, rest)) = postcard::take_from_bytes::<Request<'_>>(requests) {
-        if let (Reply::Ran(report), Request::Run { hold, .. }) = (device.handle(request), request) {
-            assert!(report.len > 0 && report.field_age <= hold);
-        }
-        requests = rest;
-    }
-    if let Reply::Telemetry(telemetry) = device.handle(Request::Telemetry) {
-        assert_eq!(
-            telemetry.slots.iter().flatten().filter(|slot| slot.runs).count() == 0,
-            telemetry.network.is_empty()
-        );
-    }
-    let _ = Network::decode(content);
-});
+libfuzzer_sys::fuzz_target!(|data: &[u8]| ommatidia_fuzz::device::try_input(data));

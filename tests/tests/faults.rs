@@ -20,9 +20,9 @@ fn images(bin: &str) -> Result<Vec<Firmware>, String> {
 #[test]
 fn no_network_and_no_frame_is_lost() {
     let mut rows = try_here().unwrap();
-    match (images("app"), images("watchdog")) {
-        (Ok(apps), Ok(watchdogs)) => rows.extend(try_boards(&apps, &watchdogs).unwrap()),
-        (Err(missing), _) | (_, Err(missing)) => {
+    match (images("app"), images("watchdog"), images("faults")) {
+        (Ok(apps), Ok(watchdogs), Ok(faults)) => rows.extend(try_boards(&apps, &watchdogs, &faults).unwrap()),
+        (Err(missing), ..) | (_, Err(missing), _) | (.., Err(missing)) => {
             assert!(std::env::var_os("OMMATIDIA_REQUIRE_QEMU").is_none(), "{missing}");
             ommatidia_tests::skip("no_network_and_no_frame_is_lost, on the emulated board", &missing);
         }

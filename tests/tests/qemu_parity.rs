@@ -95,6 +95,31 @@ fn odd_rows_and_channels_agree_bit_for_bit() {
     check(&Shape { width: 5, object: [22, 26], ..TAPPED }, 10);
 }
 
+/// Layers that multiply by some hundred each: features reach the largest half within three layers and stay there, some
+/// of each sign.
+#[test]
+fn features_beyond_the_largest_half_agree_bit_for_bit() {
+    for (shape, seed) in [(&DENSE, 21), (&TAPPED, 22)] {
+        check_blob(
+            &networks::scaled(&networks::header(shape), seed, [1.0, 200.0, 1.0e-4]),
+            &networks::frames(shape, 2, seed),
+        );
+    }
+}
+
+/// Filters whose outputs are infinite or NaN: every board takes them as zeros, and says so.
+#[test]
+fn filters_that_overflow_agree_bit_for_bit() {
+    let Some(boards) = firmware() else { return };
+    let (file, frames) =
+        (networks::scaled(&networks::header(&DENSE), 23, [5.0e4, 1.0, 1.0]), networks::frames(&DENSE, 1, 23));
+    for board in &boards {
+        let device = run_on(board, &file, RunRequest::from(frames.as_slice()));
+        assert_eq!(device.differing_bits, 0, "{}", device.board);
+        assert!(device.reports.iter().all(|report| !report.filter_finite), "{}", device.board);
+    }
+}
+
 /// Helium flushes numbers below 2^-126 to zero. Transforms with such numbers are repeated without it. With a black
 /// level of 2e-41 DN every dark pixel is such a number, and some rows hold nothing else.
 #[test]

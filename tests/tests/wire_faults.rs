@@ -142,7 +142,7 @@ fn a_damaged_network_is_refused_and_the_device_lives_on() {
 
 #[test]
 fn what_does_not_fit_is_refused_before_it_is_sent() {
-    // Two slots, each of a mark and a sector, and two sectors for the starts.
+    // Two slots, each of a mark and a sector, and two unused sectors.
     let config = LoopbackConfig { flash_bytes: 6 * 4096, ..LoopbackConfig::default() };
     let (mut client, info) = Client::connect(Loopback::start(config).unwrap()).unwrap();
     assert_eq!(info.blob_bytes, 4096);

@@ -9,7 +9,7 @@ use ommatidia_shared::wire::StartCause;
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
-    match board::start_cause() {
+    match board::start().cause {
         StartCause::Power => {
             hprintln!("started by power");
             board::Dog::new(1).start();
@@ -21,5 +21,6 @@ fn main() -> ! {
             hprintln!("started by the watchdog");
             board::exit()
         }
+        StartCause::Fault => board::fail(&"a fault instead of a hang"),
     }
 }

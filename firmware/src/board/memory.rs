@@ -13,6 +13,9 @@ pub(super) struct Region<T, const N: usize>(UnsafeCell<MaybeUninit<[T; N]>>);
 // SAFETY: each region is borrowed once, in the `take` of the board; there is one thread.
 unsafe impl<T, const N: usize> Sync for Region<T, N> {}
 
+// Helium gathers words: all arenas begin at one, whatever a part of them begins at.
+const _: () = assert!(align_of::<Region<u16, 1>>() >= ommatidia_shared::blob::ALIGN);
+
 impl<T: bytemuck::Zeroable, const N: usize> Region<T, N> {
     pub(super) const fn new() -> Self {
         Self(UnsafeCell::new(MaybeUninit::uninit()))

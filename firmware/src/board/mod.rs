@@ -3,11 +3,17 @@
 #[cfg(all(feature = "board", target_os = "none"))]
 mod activity;
 #[cfg(all(feature = "board", target_os = "none"))]
+mod float;
+#[cfg(all(feature = "board", target_os = "none"))]
+mod masked;
+#[cfg(all(feature = "board", target_os = "none"))]
 mod memory;
 #[cfg(all(feature = "emulated", target_os = "none"))]
 pub mod mps;
 #[cfg(all(feature = "nucleo-h743zi", target_os = "none"))]
 pub mod nucleo;
+#[cfg(all(feature = "board", target_os = "none"))]
+mod restart;
 
 #[cfg(all(feature = "emulated", target_os = "none"))]
 pub use mps as this;

@@ -1,8 +1,8 @@
 //! The checks of a header and of the weights that belong to it.
 
 use super::error::{BlobError, Section};
-use super::header::{Header, HeaderField, MemoryPlan, SectionLens, Size, Weights};
-use crate::nn::rcan::weights_len;
+use super::header::{Header, HeaderField, MemoryPlan, SectionLens, Sensor, Size, Weights};
+use crate::nn::rcan::weights_count;
 use half::f16;
 
 impl Header {
@@ -29,7 +29,7 @@ impl Header {
         Ok(SectionLens {
             filters,
             index,
-            rcan: weights_len(&self.rcan, self.bank.channels) as u64,
+            rcan: weights_count(&self.rcan, self.bank.channels),
             offset_dn: if self.sensor.has_offset_map { pixels } else { 0 },
             inverse_gain: if self.sensor.has_gain_map { pixels } else { 0 },
         })
@@ -49,8 +49,8 @@ impl Header {
         if empty(self.object) || !self.object.rows.is_multiple_of(2) || !self.object.cols.is_multiple_of(2) {
             return wrong(HeaderField::Object);
         }
-        if !self.sensor.black_level_dn.is_finite() || f32::from(self.sensor.saturation_dn) <= self.sensor.black_level_dn
-        {
+        let Sensor { black_level_dn, saturation_dn, .. } = self.sensor;
+        if !has_black_level(black_level_dn) || f32::from(saturation_dn) <= black_level_dn {
             return wrong(HeaderField::Sensor);
         }
         let tile_ok = bank.tile.is_power_of_two() && bank.tile >= 2 && (1..=bank.tile).contains(&bank.step);
@@ -63,6 +63,13 @@ impl Header {
         }
         self.section_lens().map(|_| ())
     }
+}
+
+/// Whether a level, DN, is one that a code of 16 bits can lie above or below: with any other, corrected light could be
+/// infinite.
+pub(crate) fn has_black_level(level_dn: f32) -> bool {
+    // False for NaN.
+    level_dn.abs() <= f32::from(u16::MAX)
 }
 
 impl MemoryPlan {

@@ -58,6 +58,7 @@ mod error;
 mod header;
 mod layout;
 
+pub(crate) use check::has_black_level;
 pub use decode::{Network, Verified};
 pub use encode::{encode, encoded_len};
 pub use error::{BlobError, Section};

@@ -112,6 +112,20 @@ pub trait Monitor {
     fn temperature_cdeg(&mut self) -> Option<i16>;
     /// Why the program was started.
     fn start_cause(&self) -> StartCause;
+    /// Number of starts since the power came on, this one included. It is kept where a reset does not clear it, and
+    /// never in the flash.
+    fn starts(&self) -> u32 {
+        1
+    }
+    /// Clock of the core, MHz, where it is known.
+    fn core_mhz(&self) -> Option<u16> {
+        None
+    }
+    /// Whether the last starts ended in faults, one after the other. The device then runs no network, and waits for
+    /// another one.
+    fn keeps_faulting(&self) -> bool {
+        false
+    }
     /// How long the core has run and slept, where there is a clock.
     fn activity(&self) -> Option<Activity> {
         None

@@ -82,11 +82,15 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
         device
     }
 
-    /// Counts the start, and activates the newest committed file that passes every check.
+    /// Activates the newest committed file that passes every check. After starts that ended in faults, none.
     fn start(&mut self) {
         self.telemetry.started_by = self.monitor.start_cause();
-        // A device that cannot count its starts still serves.
-        self.telemetry.starts = self.slots.count_start().unwrap_or(0);
+        self.telemetry.starts = self.monitor.starts();
+        self.telemetry.core_mhz = self.monitor.core_mhz();
+        if self.monitor.keeps_faulting() {
+            self.telemetry.refused_slots = self.slots.committed().iter().flatten().count() as u8;
+            return;
+        }
         for (slot, mark) in self.slots.committed().into_iter().flatten() {
             self.monitor.alive();
             if let Some(verified) = self.slots.file(slot, &mark).and_then(|file| self.check(file).ok()) {

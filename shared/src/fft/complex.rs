@@ -56,7 +56,7 @@ impl Fft {
     #[inline(always)]
     pub fn process<const L: usize>(&self, data: &mut [Lanes<L>]) {
         let data = &mut data[..self.len];
-        #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+        #[cfg(all(target_arch = "arm", feature = "fpv4"))]
         if L == 1 {
             return crate::num::arm::transform(single(data));
         }

@@ -54,7 +54,7 @@ pub use complex::{Fft, Lanes};
 pub use error::{FftError, MAX_LEN};
 pub use plane::{Fft2, ProductSource, RowSource};
 pub use real::RealFft;
-#[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+#[cfg(all(target_arch = "arm", feature = "fpv4"))]
 pub(crate) use twiddle::ROOT_TRIPLES;
 
 #[cfg(test)]

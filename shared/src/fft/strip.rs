@@ -6,9 +6,9 @@
 
 use super::complex::{Fft, Lanes, single};
 use super::real::RealFft;
-#[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+#[cfg(all(target_arch = "arm", feature = "fpv4"))]
 use crate::num::arm;
-#[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
+#[cfg(all(target_arch = "arm", feature = "fpv4", feature = "helium"))]
 use crate::num::arm::helium;
 use crate::num::pairs::{self, Parts};
 use crate::num::{f16, narrow, widen};
@@ -27,10 +27,10 @@ pub(super) const fn holds<const L: usize>(count: usize) -> bool {
 }
 
 /// Whether the core has Helium.
-pub(super) const HELIUM: bool = cfg!(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"));
+pub(super) const HELIUM: bool = cfg!(all(target_arch = "arm", feature = "fpv4", feature = "helium"));
 
 /// Four lanes in the type of the Helium routines.
-#[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
+#[cfg(all(target_arch = "arm", feature = "fpv4", feature = "helium"))]
 #[inline(always)]
 fn four<const L: usize>(data: &mut [Lanes<L>]) -> &mut [Lanes<4>] {
     data.as_flattened_mut().as_flattened_mut().as_chunks_mut::<4>().0.as_chunks_mut::<2>().0
@@ -46,7 +46,7 @@ pub(super) fn forward_columns<const L: usize>(
     scale: f32,
     strip: &mut [Lanes<L>],
 ) -> bool {
-    #[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
+    #[cfg(all(target_arch = "arm", feature = "fpv4", feature = "helium"))]
     if L == 4 {
         return helium::forward_columns(&mut spectrum[2 * first..], row_len, scale, four(strip));
     }
@@ -87,7 +87,7 @@ pub(super) fn inverse_columns<'s, const L: usize>(
     fft: Fft,
     strip: &mut [Lanes<L>],
 ) -> bool {
-    #[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
+    #[cfg(all(target_arch = "arm", feature = "fpv4", feature = "helium"))]
     if L == 4 {
         let strip = four(strip);
         let products = &mut products.map(|product| product.map(|spectrum| &spectrum[2 * first..]));
@@ -121,7 +121,7 @@ pub(super) fn store<const L: usize>(
         pairs::scatter_pairs(single(strip), parts, &mut spectrum[2 * first..], row_len);
         return;
     }
-    #[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
+    #[cfg(all(target_arch = "arm", feature = "fpv4", feature = "helium"))]
     if L == 4 {
         return helium::scatter_columns(four(strip), parts, &mut spectrum[2 * first..], row_len);
     }
@@ -142,7 +142,7 @@ pub(super) fn forward_rows<const L: usize>(
 ) -> bool {
     let half = fft.half();
     let (len, row_len) = (2 * half.len(), 2 * half.len() + 2);
-    #[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
+    #[cfg(all(target_arch = "arm", feature = "fpv4", feature = "helium"))]
     if L == 4 {
         let from = &mut scratch[..4 * len];
         from.chunks_exact_mut(len).enumerate().for_each(|(lane, row)| load(lane, row));
@@ -165,7 +165,7 @@ pub(super) fn forward_rows<const L: usize>(
 /// Writes the pairs of a row to one lane of `data`, each to its slot.
 #[inline(always)]
 fn order_row<const L: usize>(row: &[f32], half: Fft, lane: usize, data: &mut [Lanes<L>]) {
-    #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+    #[cfg(all(target_arch = "arm", feature = "fpv4"))]
     if L == 1 {
         return arm::order_row(row, single(data));
     }
@@ -179,7 +179,7 @@ fn order_row<const L: usize>(row: &[f32], half: Fft, lane: usize, data: &mut [La
 /// Converts up to L rows after the complex transform of half their length, and writes them to `rows`.
 #[inline(always)]
 fn untangle_rows<const L: usize>(fft: RealFft, data: &mut [Lanes<L>], rows: &mut [f16], row_len: usize) {
-    #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+    #[cfg(all(target_arch = "arm", feature = "fpv4"))]
     if L == 1 {
         let (data, half) = (single(data), fft.half().len());
         let row = &mut rows[..row_len];
@@ -222,7 +222,7 @@ pub(super) fn inverse_rows<const L: usize>(
     mut emit: impl FnMut(usize, &[f32]),
 ) -> bool {
     let half = fft.half().len();
-    #[cfg(all(target_arch = "arm", target_abi = "eabihf", feature = "helium"))]
+    #[cfg(all(target_arch = "arm", feature = "fpv4", feature = "helium"))]
     if L == 4 {
         let rows = &mut rows[..8 * half];
         let exact = helium::inverse_rows(from, four(data), scale, rows);
@@ -248,7 +248,7 @@ fn tangle_rows<const L: usize>(fft: RealFft, rows: &[f16], row_len: usize, data:
     let (slot, at) = (|k| fft.half().slot(k), |k| number::<L>(rows, row_len, k));
     data[slot(0)] = fft.tangle_ends(at(0)[0], at(half)[0]);
     data[slot(quarter)] = fft.tangle_middle(at(quarter));
-    #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+    #[cfg(all(target_arch = "arm", feature = "fpv4"))]
     if L == 1 {
         return arm::tangle_row(&rows[..row_len], single(data));
     }
@@ -260,7 +260,7 @@ fn tangle_rows<const L: usize>(fft: RealFft, rows: &[f16], row_len: usize, data:
 /// Writes one lane of pairs, imaginary part first, to a row, scaled.
 #[inline(always)]
 fn scale_row<const L: usize>(data: &mut [Lanes<L>], lane: usize, scale: f32, row: &mut [f32]) {
-    #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+    #[cfg(all(target_arch = "arm", feature = "fpv4"))]
     if L == 1 {
         return arm::scale_row(single(data), scale, row);
     }

@@ -30,11 +30,26 @@ impl<'a> FilterBank<'a> {
     ///
     /// # Errors
     /// [`FilterError::Step`], [`FilterError::Channel`], [`FilterError::Order`], [`FilterError::NoTap`],
-    /// [`FilterError::Kernels`] or [`FilterError::Fft`] where the bank is impossible.
+    /// [`FilterError::Kernels`] or [`FilterError::Fft`] where the bank is impossible, [`FilterError::TooLarge`] where
+    /// its arena or its output would have 4 GiB or more.
     pub fn new(bank: &'a Bank, frame: Size, object: Size) -> Result<Self, FilterError> {
         let geometry = Geometry::new(bank, frame, object)?;
         let part = Region::whole(object.rows, object.cols);
-        Ok(Self { bank, geometry, part, fft: Fft2::new(usize::from(bank.tile))? })
+        let plan = Self { bank, geometry, part, fft: Fft2::new(usize::from(bank.tile))? };
+        plan.check_size().map(|()| plan)
+    }
+
+    /// Checks that no length of the plan overflows 32 bits. All later arithmetic is on these lengths and their parts,
+    /// in `usize`, which has 32 bits on a microcontroller.
+    fn check_size(&self) -> Result<(), FilterError> {
+        let Geometry { rows, cols } = self.geometry;
+        // No factor has more than 21 bits: T is at most 1024, there are at most 65,791 windows a row and 256 rows.
+        let spectrum = self.spectrum_len() as u64;
+        let cache = rows.span() as u64 * cols.window_count() as u64 * spectrum;
+        let arena = cache + self.fft.spectrum_len(rows.valid()) as u64 + self.kernel_len() as u64;
+        let output = u64::from(self.bank.channels) * rows.object as u64 * cols.object as u64;
+        let needed = arena.max(output) * size_of::<f16>() as u64;
+        if needed > u64::from(u32::MAX) { Err(FilterError::TooLarge { needed }) } else { Ok(()) }
     }
 
     /// The plan of the same bank for a part of the object. Only the tiles that the part touches are computed. The
@@ -68,10 +83,11 @@ impl<'a> FilterBank<'a> {
     /// Checks as [`Self::check`] does, and returns the kernels where the file holds kernels.
     fn kernels<'f>(&self, filters: Filters<'f>) -> Result<Option<Kernels<'f>>, FilterError> {
         let expected = match self.bank.blocks {
-            None => self.spectrum_len() * self.bank.taps.len(),
-            Some(blocks) => usize::from(blocks.count) * usize::from(blocks.side).pow(2),
+            None => self.spectrum_len() as u64 * self.bank.taps.len() as u64,
+            Some(blocks) => u64::from(blocks.count) * u64::from(blocks.side).pow(2),
         };
-        check_len(expected, filters.halves.len())?;
+        // More than memory can hold is more than was found.
+        check_len(usize::try_from(expected).unwrap_or(usize::MAX), filters.halves.len())?;
         self.bank.blocks.map(|blocks| Kernels::new(self.bank, blocks, filters)).transpose()
     }
 

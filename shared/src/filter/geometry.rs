@@ -49,6 +49,11 @@ pub enum FilterError {
         /// Part given.
         found: Region,
     },
+    /// The spectra of the windows, or the output, would have 4 GiB or more.
+    TooLarge {
+        /// Memory that the plan needs, bytes.
+        needed: u64,
+    },
     /// A buffer has another length.
     Length {
         /// Elements that the plan needs.
@@ -79,6 +84,9 @@ impl fmt::Display for FilterError {
             ),
             Self::Index { row } => write!(f, "filter bank: the index of the blocks is out of order in row {row}"),
             Self::Part { found } => write!(f, "filter bank: the part {found} is empty or reaches beyond the object"),
+            Self::TooLarge { needed } => {
+                write!(f, "filter bank: it needs {needed} bytes; choose a larger step or a smaller tile")
+            }
             Self::Length { expected, found } => write!(f, "filter bank: expected {expected} elements, found {found}"),
         }
     }

@@ -8,14 +8,19 @@ use embedded_storage::nor_flash::NorFlash;
 pub(super) const UNIT: usize = 32;
 
 /// NOR flash that the core reads in place. It begins at an address that is a multiple of [`crate::blob::ALIGN`].
+///
+/// Flash with error correction (ECC) may hold words that cannot be read: one that was torn when the power failed has
+/// more wrong bits than can be corrected, and reading it is a fault of the bus. So every read of the slots goes through
+/// [`Self::view`], which looks first.
 pub trait MappedFlash: NorFlash {
-    /// The content of the whole flash.
-    fn mapped(&self) -> &[u8];
+    /// The bytes at offsets `range`, in place. `None` where it reaches beyond the flash, or where a word in it cannot be
+    /// read. Never faults.
+    fn view(&self, range: Range<usize>) -> Option<&[u8]>;
 }
 
 impl<F: MappedFlash> MappedFlash for &mut F {
-    fn mapped(&self) -> &[u8] {
-        (**self).mapped()
+    fn view(&self, range: Range<usize>) -> Option<&[u8]> {
+        (**self).view(range)
     }
 }
 

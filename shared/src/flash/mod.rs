@@ -1,4 +1,4 @@
-//! Network files in flash: two slots, each with a commit mark, and a count of the starts.
+//! Network files in flash: two slots, each with a commit mark.
 //!
 //! The flash of [`Slots`] is any NOR flash with the traits of `embedded-storage` that the core can read in place
 //! ([`MappedFlash`]):
@@ -8,12 +8,13 @@
 //! | 1 | mark of slot A, stored twice |
 //! | n | network file of slot A |
 //! | 1 + n | the same for slot B |
-//! | 2 | count of the starts, one sector at a time |
+//! | 2 | unused; earlier versions counted the starts there |
 //!
 //! A new file goes to the slot that is not active. The old mark of that slot is erased first. The new mark is written
 //! last, after every bit of the file was checked in place. So one slot holds a complete file with its mark whenever the
 //! power fails. At a start the length and the checksum in the mark are compared with the file, and every bit of the
-//! file is checked. Where that fails, the other slot becomes active.
+//! file is checked. Where that fails, the other slot becomes active. A start writes nothing, so that no failure of the
+//! power during a start can damage the flash.
 //!
 //! ```
 //! use ommatidia_shared::flash::{RAM_SECTOR, RamFlash, Slot, Slots};
@@ -21,7 +22,6 @@
 //! let mut memory = vec![0xff; 8 * RAM_SECTOR];
 //! let mut slots = Slots::new(RamFlash::new(&mut memory));
 //! assert_eq!(slots.capacity(), 2 * RAM_SECTOR, "two slots of three sectors, one of which holds the mark");
-//! assert_eq!(slots.count_start(), Ok(1));
 //!
 //! slots.begin(100).unwrap();
 //! slots.write(0, &[7; 60]).unwrap();
@@ -40,7 +40,6 @@ mod mapped;
 mod mark;
 mod ram;
 mod slots;
-mod starts;
 
 pub use mapped::MappedFlash;
 pub use mark::{Mark, Slot};

@@ -1,6 +1,7 @@
 //! Memory that behaves like NOR flash: for boards whose flash is emulated, and for the workstation.
 
 use super::mapped::MappedFlash;
+use core::ops::Range;
 use embedded_storage::nor_flash::{
     ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash, check_erase, check_read, check_write,
 };
@@ -64,7 +65,7 @@ impl NorFlash for RamFlash<'_> {
 }
 
 impl MappedFlash for RamFlash<'_> {
-    fn mapped(&self) -> &[u8] {
-        self.memory
+    fn view(&self, range: Range<usize>) -> Option<&[u8]> {
+        self.memory.get(range)
     }
 }

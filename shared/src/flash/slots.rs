@@ -2,7 +2,6 @@
 
 use super::mapped::{MappedFlash, UNIT, erase, write};
 use super::mark::{Mark, Slot};
-use super::starts;
 use crate::device::IoError;
 
 /// Two slots for network files in a flash.
@@ -47,15 +46,6 @@ impl<F: MappedFlash> Slots<F> {
     /// Largest network file that fits, bytes.
     pub fn capacity(&self) -> usize {
         self.slot_len().saturating_sub(Self::SECTOR)
-    }
-
-    /// Counts a start of the device, and returns the number of starts, this one included.
-    ///
-    /// # Errors
-    /// [`IoError::Failed`] where the flash failed or has no room for the count.
-    pub fn count_start(&mut self) -> Result<u32, IoError> {
-        let at = 2 * self.slot_len();
-        starts::count(&mut self.flash, at, Self::SECTOR)
     }
 
     /// The slots that have a mark, with their marks, the newest first.
@@ -181,7 +171,7 @@ impl<F: MappedFlash> Slots<F> {
 
     /// Size of a slot with the sector of its mark, bytes.
     fn slot_len(&self) -> usize {
-        (self.flash.mapped().len() / Self::SECTOR).saturating_sub(2) / 2 * Self::SECTOR
+        (self.flash.capacity() / Self::SECTOR).saturating_sub(2) / 2 * Self::SECTOR
     }
 
     fn start(&self, slot: Slot) -> usize {
@@ -197,7 +187,7 @@ impl<F: MappedFlash> Slots<F> {
             return None;
         }
         let at = self.start(slot) + Self::SECTOR;
-        self.flash.mapped().get(at..at + len)
+        self.flash.view(at..at + len)
     }
 
     /// The mark of a slot. Either copy is enough, so one flipped bit does no harm.
@@ -206,7 +196,7 @@ impl<F: MappedFlash> Slots<F> {
             return None;
         }
         let at = self.start(slot);
-        let copy = |at: usize| Mark::decode(self.flash.mapped().get(at..at + UNIT)?);
+        let copy = |at: usize| Mark::decode(self.flash.view(at..at + UNIT)?);
         copy(at).or_else(|| copy(at + UNIT))
     }
 

@@ -56,12 +56,10 @@ proptest! {
     #[test]
     fn memory_of_any_content_holds_no_file_and_takes_one(memory in prop::collection::vec(any::<u8>(), 0..FLASH)) {
         let mut memory = memory;
-        let room = memory.len() >= 2 * RAM_SECTOR;
         prop_assert_eq!(found(&mut memory), None);
         let mut slots = Slots::new(RamFlash::new(&mut memory));
         let fits = slots.capacity() >= 100;
         prop_assert_eq!(fill(&mut slots, &[7; 100], 9).is_ok(), fits);
-        prop_assert_eq!(slots.count_start().is_ok(), room);
     }
 }
 
@@ -124,12 +122,4 @@ fn bytes_that_do_not_follow_are_refused_and_nothing_is_committed() {
     let available = slots.capacity();
     assert_eq!(slots.begin(available + 1), Err(IoError::NoRoom { needed: available + 1, available }));
     assert_eq!(found(&mut memory), None);
-}
-
-#[test]
-fn starts_are_counted_beyond_a_sector() {
-    let mut memory = vec![0; FLASH];
-    for start in 1..=1000 {
-        assert_eq!(Slots::new(RamFlash::new(&mut memory)).count_start(), Ok(start));
-    }
 }

@@ -14,7 +14,7 @@ use super::packed::{self, OUTPUTS};
 use super::pixel_shuffle::widen_unshuffled_row;
 use crate::image::{Chw, ChwMut};
 use crate::num::simd::{Kernel, Simd, Vector};
-use crate::num::{f16, fused, narrow_slice, widen_slice};
+use crate::num::{f16, fused, widen_slice};
 
 /// How the output is stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -207,7 +207,7 @@ impl Conv3x3 {
             }
             self.activation.apply(sums);
             match self.store {
-                Store::Replace => narrow_slice(sums, to),
+                Store::Replace => fused::narrow_bounded(sums, to),
                 Store::Accumulate => fused::accumulate(sums, to),
             }
         }

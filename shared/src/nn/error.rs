@@ -19,6 +19,11 @@ pub enum NnError {
         /// Halves given.
         found: usize,
     },
+    /// The features would have 4 GiB or more.
+    TooLarge {
+        /// Memory that the plan needs, bytes.
+        needed: u64,
+    },
     /// There is too little scratch memory.
     Scratch {
         /// Numbers needed at least.
@@ -33,6 +38,9 @@ impl fmt::Display for NnError {
         match self {
             Self::Shape { expected, found } => write!(f, "tensor: expected (c, h, w) = {expected:?}, found {found:?}"),
             Self::Weights { expected, found } => write!(f, "weights: expected {expected} halves, found {found}"),
+            Self::TooLarge { needed } => {
+                write!(f, "features: they need {needed} bytes; choose a smaller object or fewer features")
+            }
             Self::Scratch { expected, found } => {
                 write!(f, "scratch: expected at least {expected} numbers, found {found}")
             }

@@ -1,7 +1,7 @@
 //! The inner loops of the 3x3 convolution: widened rows, packed weights, blocks of output channels and columns in
 //! registers.
 
-#[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+#[cfg(all(target_arch = "arm", feature = "fpv4"))]
 use crate::num::arm;
 use crate::num::{f16, simd::Vector, widen, widen_slice};
 
@@ -92,7 +92,7 @@ fn blocks<V: Vector, const O: usize>(
     sums: &mut [f32],
 ) {
     let (padded, pitch) = (padded(cols), pitch(cols));
-    #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+    #[cfg(all(target_arch = "arm", feature = "fpv4"))]
     if inputs > 0 {
         let rows = arm::Rows { input, pitch, weights };
         if O == OUTPUTS {

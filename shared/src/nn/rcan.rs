@@ -25,7 +25,7 @@
 
 mod layout;
 
-pub use layout::{Entry, Layer, hidden, layout, weights_len};
+pub use layout::{Entry, Layer, hidden, layout, weights_count, weights_len};
 
 use super::activation::Activation;
 use super::channel_attention::{self, Scales};
@@ -62,13 +62,19 @@ pub struct Rcan {
 
 impl Rcan {
     /// Plans a network for `channels` filters and an output of `object` pixels, even in both directions.
-    pub fn new(shape: blob::Rcan, channels: u8, object: blob::Size) -> Self {
-        Self {
-            shape,
-            filters: usize::from(channels),
-            rows: usize::from(object.rows) / 2,
-            cols: usize::from(object.cols) / 2,
+    ///
+    /// # Errors
+    /// [`NnError::TooLarge`] where its features would have 4 GiB or more.
+    pub fn new(shape: blob::Rcan, channels: u8, object: blob::Size) -> Result<Self, NnError> {
+        let (rows, cols) = (usize::from(object.rows) / 2, usize::from(object.cols) / 2);
+        // At most 8 + 2 + 15 + 15 bits each. All other lengths of the plan are parts of these.
+        let feature = u64::from(shape.width) * rows as u64 * cols as u64;
+        let input = 4 * u64::from(channels) * rows as u64 * cols as u64;
+        let needed = (4 * feature).max(feature + input) * size_of::<f16>() as u64;
+        if needed > u64::from(u32::MAX) {
+            return Err(NnError::TooLarge { needed });
         }
+        Ok(Self { shape, filters: usize::from(channels), rows, cols })
     }
 
     const fn width(&self) -> usize {

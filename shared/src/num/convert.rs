@@ -1,9 +1,9 @@
 //! Conversions between binary16 and binary32, with the same bits on every target.
 
-#[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+#[cfg(all(target_arch = "arm", feature = "fpv4"))]
 use super::arm as unit;
 use super::f16;
-#[cfg(not(all(target_arch = "arm", target_abi = "eabihf")))]
+#[cfg(not(all(target_arch = "arm", feature = "fpv4")))]
 use integer as unit;
 
 /// Widens a half. The result is exact. A NaN becomes a NaN, and the default NaN becomes the quiet NaN `0x7fc0_0000`.
@@ -17,6 +17,16 @@ pub fn widen(value: f16) -> f32 {
 #[inline(always)]
 pub fn narrow(value: f32) -> f16 {
     unit::narrow(value)
+}
+
+/// The largest half, 65,504, as bits.
+const MAX_F16: u16 = 0x7bff;
+
+/// A half whose infinity is replaced by the largest half of its sign.
+#[inline(always)]
+pub(super) fn bounded(value: f16) -> f16 {
+    let bits = value.to_bits();
+    f16::from_bits(bits - u16::from(bits & 0x7fff == MAX_F16 + 1))
 }
 
 /// Widens `from` into the equally long `to`.
@@ -35,7 +45,7 @@ pub fn narrow_slice(from: &[f32], to: &mut [f16]) {
 
 /// Conversions with integer operations, for targets other than Arm. They have no branches, so that the compiler can
 /// vectorize loops.
-#[cfg(not(all(target_arch = "arm", target_abi = "eabihf")))]
+#[cfg(not(all(target_arch = "arm", feature = "fpv4")))]
 mod integer {
     use super::f16;
 

@@ -1,20 +1,57 @@
 //! Loops that convert between halves and singles while they load or store, without a widened copy.
+//!
+//! # Features are finite
+//! Where a loop here stores a half, a number beyond the largest half, 65,504, becomes the largest one of its sign. So
+//! all features are finite, and nothing that the enhancement network computes from them is infinite or NaN: a sum of
+//! fewer than 2^14 products of two halves stays below 2^46, the numbers in a channel attention below 2^61. A NaN is
+//! therefore never given to these loops; what they would make of one is not defined.
+//!
+//! A Cortex-M stores infinities first, and replaces them where the overflow flag of its floating-point unit is up, at
+//! four instructions a call.
 
-#[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+#[cfg(all(target_arch = "arm", feature = "fpv4"))]
 use super::arm;
-use super::convert::{narrow, widen};
+use super::convert::{bounded, narrow, widen};
 use super::f16;
 use super::function::mac;
 
 /// Number of leading elements that the routine for Arm has done; 0 on other targets.
 macro_rules! done_on_arm {
     ($function:ident($($argument:expr),*)) => {{
-        #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+        #[cfg(all(target_arch = "arm", feature = "fpv4"))]
         let done = arm::$function($($argument),*);
-        #[cfg(not(all(target_arch = "arm", target_abi = "eabihf")))]
+        #[cfg(not(all(target_arch = "arm", feature = "fpv4")))]
         let done = 0;
         done
     }};
+}
+
+/// Replaces the infinities that were just stored. Elsewhere than on Arm there are none.
+macro_rules! bound_on_arm {
+    ($halves:expr) => {
+        #[cfg(all(target_arch = "arm", feature = "fpv4"))]
+        if arm::overflowed() {
+            $halves.iter_mut().for_each(|half| *half = bounded(*half));
+        }
+    };
+}
+
+/// Rounds to half for storage. On Arm the caller replaces infinities afterwards.
+#[inline(always)]
+fn stored(value: f32) -> f16 {
+    debug_assert!(!value.is_nan(), "no feature is NaN");
+    let half = narrow(value);
+    if cfg!(all(target_arch = "arm", feature = "fpv4")) { half } else { bounded(half) }
+}
+
+/// Narrows each element.
+#[inline(always)]
+pub fn narrow_bounded(from: &[f32], to: &mut [f16]) {
+    let done = done_on_arm!(narrow_whole(from, to));
+    for (to, &x) in to[done..].iter_mut().zip(&from[done..]) {
+        *to = stored(x);
+    }
+    bound_on_arm!(to);
 }
 
 /// Narrows `max(x, 0)` of each element. A negative zero becomes zero.
@@ -22,8 +59,9 @@ macro_rules! done_on_arm {
 pub fn narrow_relu(from: &[f32], to: &mut [f16]) {
     let done = done_on_arm!(narrow_relu(from, to));
     for (to, &x) in to[done..].iter_mut().zip(&from[done..]) {
-        *to = narrow(if x > 0.0 { x } else { 0.0 });
+        *to = stored(if x > 0.0 { x } else { 0.0 });
     }
+    bound_on_arm!(to);
 }
 
 /// `to = to + from`, rounded to single, then to half.
@@ -31,8 +69,9 @@ pub fn narrow_relu(from: &[f32], to: &mut [f16]) {
 pub fn accumulate(from: &[f32], to: &mut [f16]) {
     let done = done_on_arm!(accumulate(from, to));
     for (to, &x) in to[done..].iter_mut().zip(&from[done..]) {
-        *to = narrow(widen(*to) + x);
+        *to = stored(widen(*to) + x);
     }
+    bound_on_arm!(to);
 }
 
 /// `to = to + scale * from`, the product rounded to single, the sum rounded to single, then to half.
@@ -40,8 +79,9 @@ pub fn accumulate(from: &[f32], to: &mut [f16]) {
 pub fn add_scaled(scale: f32, from: &[f16], to: &mut [f16]) {
     let done = done_on_arm!(add_scaled(scale, from, to));
     for (to, &x) in to[done..].iter_mut().zip(&from[done..]) {
-        *to = narrow(mac(widen(x), scale, widen(*to)));
+        *to = stored(mac(widen(x), scale, widen(*to)));
     }
+    bound_on_arm!(to);
 }
 
 /// Divides each element by `divisor`, rounded to single, then to half.
@@ -49,8 +89,9 @@ pub fn add_scaled(scale: f32, from: &[f16], to: &mut [f16]) {
 pub fn divide(values: &mut [f16], divisor: f32) {
     let done = done_on_arm!(divide(values, divisor));
     for x in &mut values[done..] {
-        *x = narrow(widen(*x) / divisor);
+        *x = stored(widen(*x) / divisor);
     }
+    bound_on_arm!(values);
 }
 
 /// Adds the elements 8 k + j to partial sum j, in ascending order of k.
@@ -83,7 +124,11 @@ pub fn round_interleaved(even: &[f32], odd: &[f32], to: &mut [f32]) {
     let done = done_on_arm!(round_interleaved(even, odd, to));
     let pairs = to[2 * done..].as_chunks_mut::<2>().0.iter_mut();
     for ((pair, &even), &odd) in pairs.zip(&even[done..]).zip(&odd[done..]) {
-        *pair = [widen(narrow(even)), widen(narrow(odd))];
+        *pair = [widen(stored(even)), widen(stored(odd))];
+    }
+    #[cfg(all(target_arch = "arm", feature = "fpv4"))]
+    if arm::overflowed() {
+        to.iter_mut().for_each(|x| *x = widen(bounded(narrow(*x))));
     }
 }
 
@@ -124,6 +169,27 @@ mod tests {
             divide(&mut to, 3.0);
             check(&to, &|i| y[i].to_f32() / 3.0);
         }
+    }
+
+    #[test]
+    fn what_does_not_fit_is_stored_as_the_largest_half() {
+        let x: Vec<f32> = (0..23).map(|i| [-7.0e4, 1.0, 65_519.9, 65_520.0, 3.0e38][i % 5]).collect();
+        let most = |x: f32| narrow(x.clamp(-65_504.0, 65_504.0));
+        let mut to = vec![f16::NAN; 23];
+        narrow_bounded(&x, &mut to);
+        assert!(to.iter().zip(&x).all(|(to, x)| *to == most(*x)));
+        narrow_relu(&x, &mut to);
+        assert!(to.iter().zip(&x).all(|(to, x)| *to == most(x.max(0.0))));
+        to.fill(f16::MIN);
+        accumulate(&[-1.0e3; 23], &mut to);
+        assert!(to.iter().all(|to| *to == f16::MIN));
+        add_scaled(2.5, &[f16::MAX; 23], &mut to);
+        assert!(to.iter().all(|to| *to == f16::MAX), "65504 * 2.5 - 65504");
+        divide(&mut to, -0.5);
+        assert!(to.iter().all(|to| *to == f16::MIN));
+        let mut back = vec![0.0; 46];
+        round_interleaved(&x, &x, &mut back);
+        assert!(back.iter().enumerate().all(|(i, back)| *back == most(x[i / 2]).to_f32()));
     }
 
     #[test]

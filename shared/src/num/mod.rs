@@ -7,7 +7,9 @@
 //!   are widened halves. Such a product has 22 significant bits and is exact in binary32, so both forms give the same
 //!   bits.
 //! - Vector lanes run over independent outputs, never over a sum. A sum has one stated order.
-//! - NaN never reaches a cast to an integer: a [`crate::blob::Network`] has finite weights only.
+//! - No infinity and no NaN is ever stored as a feature: a [`crate::blob::Network`] has finite weights only, filter
+//!   outputs that are not finite are replaced by zeros, and features saturate at the largest half ([`fused`]). So NaN
+//!   never reaches a comparison or a cast to an integer, where targets differ.
 //!
 //! ```
 //! use ommatidia_shared::num::{f16, mac, max_finite, narrow, sigmoid, widen};
@@ -23,7 +25,7 @@
 //! This is the only module of the crate with `unsafe` code: the loops in the Cortex-M's instructions (`arm`), and the
 //! choice of the instruction set at run time ([`simd`]).
 
-#[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+#[cfg(all(target_arch = "arm", feature = "fpv4"))]
 pub(crate) mod arm;
 mod convert;
 mod function;

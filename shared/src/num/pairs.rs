@@ -1,7 +1,7 @@
 //! Columns of pairs of halves, such as complex numbers, at a stride from each other.
 
 use super::convert::narrow;
-#[cfg(not(all(target_arch = "arm", target_abi = "eabihf")))]
+#[cfg(not(all(target_arch = "arm", feature = "fpv4")))]
 use super::convert::widen;
 use super::f16;
 
@@ -32,7 +32,7 @@ pub(super) fn check(halves: usize, stride: usize, len: usize) {
 }
 
 /// The number `i` of `len` with its bits reversed.
-#[cfg(not(all(target_arch = "arm", target_abi = "eabihf")))]
+#[cfg(not(all(target_arch = "arm", feature = "fpv4")))]
 #[inline(always)]
 const fn reversed(i: usize, len: usize) -> usize {
     (i as u32).reverse_bits() as usize >> (u32::BITS - len.trailing_zeros())
@@ -42,9 +42,9 @@ const fn reversed(i: usize, len: usize) -> usize {
 /// `to` has a power of two of elements, 4 at least.
 #[inline(always)]
 pub fn gather_pairs(from: &[f16], stride: usize, to: &mut [[f32; 2]]) {
-    #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+    #[cfg(all(target_arch = "arm", feature = "fpv4"))]
     super::arm::gather_pairs(from, stride, to);
-    #[cfg(not(all(target_arch = "arm", target_abi = "eabihf")))]
+    #[cfg(not(all(target_arch = "arm", feature = "fpv4")))]
     {
         let len = to.len();
         assert!(len.is_power_of_two() && len >= 4, "{len} places");
@@ -60,9 +60,9 @@ pub fn gather_pairs(from: &[f16], stride: usize, to: &mut [[f32; 2]]) {
 /// `im = (im + kr xi) + ki xr`.
 #[inline(always)]
 pub fn add_products(k: &[f16], x: &[f16], stride: usize, to: &mut [[f32; 2]]) {
-    #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+    #[cfg(all(target_arch = "arm", feature = "fpv4"))]
     super::arm::add_products(k, x, stride, to);
-    #[cfg(not(all(target_arch = "arm", target_abi = "eabihf")))]
+    #[cfg(not(all(target_arch = "arm", feature = "fpv4")))]
     {
         let len = to.len();
         assert!(len.is_power_of_two() && len >= 2, "{len} places");
@@ -81,9 +81,9 @@ pub fn add_products(k: &[f16], x: &[f16], stride: usize, to: &mut [[f32; 2]]) {
 #[inline(always)]
 pub fn scatter_pairs(from: &[[f32; 2]], parts: Parts, to: &mut [f16], stride: usize) {
     check(to.len(), stride, from.len());
-    #[cfg(all(target_arch = "arm", target_abi = "eabihf"))]
+    #[cfg(all(target_arch = "arm", feature = "fpv4"))]
     let done = super::arm::scatter_pairs(from, parts, to, stride);
-    #[cfg(not(all(target_arch = "arm", target_abi = "eabihf")))]
+    #[cfg(not(all(target_arch = "arm", feature = "fpv4")))]
     let done = 0;
     for (i, &pair) in from.iter().enumerate().skip(done) {
         to[i * stride..][..2].copy_from_slice(&parts.of(pair));

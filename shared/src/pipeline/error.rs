@@ -19,7 +19,7 @@ pub enum PipelineError {
         /// Value found.
         found: u32,
     },
-    /// The black level is not finite.
+    /// The black level is NaN, or beyond what 16 bits can hold.
     BlackLevel {
         /// The level found, DN.
         found: f32,
@@ -36,6 +36,13 @@ pub enum PipelineError {
         expected: MemoryPlan,
         /// The plan in the header.
         found: MemoryPlan,
+    },
+    /// The network needs 4 GiB or more of one of the two memories.
+    TooLarge {
+        /// Fast scratch, bytes.
+        fast: u64,
+        /// Bulk arena, bytes.
+        bulk: u64,
     },
     /// The raw frame has another length.
     Frame {
@@ -104,8 +111,8 @@ impl fmt::Display for PipelineError {
             Self::Field { field, expected, found } => write!(f, "{field}: expected {expected}, found {found}"),
             // A word instead of the value: printing floats would take much of the device's flash.
             Self::BlackLevel { found } => {
-                let found = if found.is_nan() { "NaN" } else { "infinity" };
-                write!(f, "sensor.black_level_dn: expected a finite level, found {found}")
+                let found = if found.is_nan() { "NaN" } else { "one that no code of 16 bits reaches" };
+                write!(f, "sensor.black_level_dn: expected a level of -65535 to 65535 DN, found {found}")
             }
             Self::Filter(error) => error.fmt(f),
             Self::Network(error) => error.fmt(f),
@@ -115,6 +122,9 @@ impl fmt::Display for PipelineError {
                 "memory plan: expected {} + {} bytes, found {} + {}; quantize the network again",
                 expected.fast_bytes, expected.bulk_bytes, found.fast_bytes, found.bulk_bytes
             ),
+            Self::TooLarge { fast, bulk } => {
+                write!(f, "memory plan: {fast} + {bulk} bytes are too many; choose a larger step or a smaller object")
+            }
             Self::Frame { expected, found } => write!(f, "raw frame: expected {expected} pixels, found {found}"),
             Self::Region { object, found } => {
                 write!(

@@ -40,7 +40,7 @@ impl<'a> Pipeline<'a> {
     ///
     /// # Errors
     /// [`PipelineError::Field`], [`PipelineError::BlackLevel`] or [`PipelineError::Filter`] where a shape is impossible
-    /// or the index of the blocks is out of order; [`PipelineError::Plan`].
+    /// or the index of the blocks is out of order; [`PipelineError::TooLarge`]; [`PipelineError::Plan`].
     pub fn new(network: &'a Network<'_>) -> Result<Self, PipelineError> {
         let (header, weights) = (network.header(), network.weights());
         let (filter, rcan) = validate::shapes(header)?;
@@ -58,7 +58,7 @@ impl<'a> Pipeline<'a> {
     ///
     /// # Errors
     /// [`PipelineError::Field`], [`PipelineError::BlackLevel`] or [`PipelineError::Filter`] where a shape is
-    /// impossible.
+    /// impossible, [`PipelineError::TooLarge`] where the network needs 4 GiB or more.
     pub fn plan(header: &Header) -> Result<MemoryPlan, PipelineError> {
         let (filter, rcan) = validate::shapes(header)?;
         memory_plan(header, &filter, &rcan)
@@ -215,9 +215,14 @@ impl<'a> Pipeline<'a> {
 }
 
 fn memory_plan(header: &Header, filter: &FilterBank<'_>, rcan: &Rcan) -> Result<MemoryPlan, PipelineError> {
-    let fast = filter.scratch_len().max(rcan.scratch_len(1)).max(usize::from(header.frame.cols));
-    let bulk = rcan.arena_len().max(filter.arena_len() + rcan.input_len());
-    Ok(MemoryPlan { fast_bytes: bytes(fast * size_of::<f32>()), bulk_bytes: bytes(bulk * size_of::<f16>()) })
+    let fast = filter.scratch_len().max(rcan.scratch_len(1)).max(usize::from(header.frame.cols)) as u64;
+    // Each length has been checked alone; their sum has not.
+    let bulk = (rcan.arena_len() as u64).max(filter.arena_len() as u64 + rcan.input_len() as u64);
+    let (fast, bulk) = (fast * size_of::<f32>() as u64, bulk * size_of::<f16>() as u64);
+    match (u32::try_from(fast), u32::try_from(bulk)) {
+        (Ok(fast_bytes), Ok(bulk_bytes)) => Ok(MemoryPlan { fast_bytes, bulk_bytes }),
+        _ => Err(PipelineError::TooLarge { fast, bulk }),
+    }
 }
 
 /// Length as 32 bits. It saturates: a length that does not fit is large enough or much too large.

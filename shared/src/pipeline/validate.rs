@@ -1,11 +1,11 @@
 //! The checks of a header before anything is computed.
 
 use super::error::PipelineError;
-use crate::blob::Header;
+use crate::blob::{Header, has_black_level};
 use crate::filter::FilterBank;
 use crate::nn::rcan::Rcan;
 
-/// Largest side of a frame or an object, pixels: with it no product of shapes overflows 32 bits.
+/// Largest side of a frame or an object, pixels. Products of shapes are checked where the operators are planned.
 const MAX_SIDE: u32 = 4096;
 
 /// Checks the shapes of a header and plans the operators.
@@ -22,11 +22,11 @@ pub(super) fn shapes(header: &Header) -> Result<(FilterBank<'_>, Rcan), Pipeline
     let divides = |reduction| reduction > 0 && u32::from(network.width) % reduction == 0;
     check("rcan.reduction", "a divisor of the width", network.reduction.into(), divides)?;
     check("bank.channels", "1 to 63 channels", header.bank.channels.into(), |channels| (1..64).contains(&channels))?;
-    if !header.sensor.black_level_dn.is_finite() {
+    if !has_black_level(header.sensor.black_level_dn) {
         return Err(PipelineError::BlackLevel { found: header.sensor.black_level_dn });
     }
     let filter = FilterBank::new(&header.bank, header.frame, header.object)?;
-    Ok((filter, Rcan::new(network, header.bank.channels, header.object)))
+    Ok((filter, Rcan::new(network, header.bank.channels, header.object)?))
 }
 
 fn check(

@@ -180,6 +180,9 @@ pub enum StartCause {
     Power,
     /// The watchdog reset the board, as the program had hung.
     Watchdog,
+    /// A fault of the core or a panic reset the board. After three such starts in a row no network runs until another
+    /// one is sent.
+    Fault,
 }
 
 /// How long the core has run and slept.
@@ -205,7 +208,7 @@ pub struct SlotReport {
 /// Counters and measurements of the device.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Telemetry {
-    /// Number of starts of the device, this one included; 0 where they cannot be counted.
+    /// Number of starts since the power came on, this one included.
     pub starts: u32,
     /// Cause of this start.
     pub started_by: StartCause,
@@ -251,6 +254,8 @@ pub struct Telemetry {
     pub static_bytes: u32,
     /// Largest depth of the stack since the start, bytes; 0 on the workstation.
     pub stack_bytes: u32,
+    /// Clock of the core, MHz, where it is known.
+    pub core_mhz: Option<u16>,
 }
 
 /// Why the device refused a request.

@@ -116,15 +116,22 @@ pub fn network(shape: &Shape, seed: u64) -> NetworkFile {
 
 /// The same for a header of one's own.
 pub fn network_of(header: &Header, seed: u64) -> NetworkFile {
+    scaled(header, seed, [1.0; 3])
+}
+
+/// The same with the filters, all layers but the last, and the last layer times a factor each.
+pub fn scaled(header: &Header, seed: u64, factors: [f32; 3]) -> NetworkFile {
     let lens = header.section_lens().unwrap();
     let draw = |what: &str, len: u64, centre: f32, spread: f32| -> Vec<f16> {
         let mut rng = rng::stream(seed, what, 0);
         (0..len).map(|_| f16::from_f32(centre + spread * rng.random_range(-1.0..1.0f32))).collect()
     };
     let layer = (3.0 / (9.0 * f32::from(header.rcan.width))).sqrt();
-    let filters = draw("filters", lens.filters, 0.1, 1.0);
+    let filters = draw("filters", lens.filters, 0.1 * factors[0], factors[0]);
     let index = index(&header.bank, &mut rng::stream(seed, "index", 0));
-    let rcan = draw("rcan", lens.rcan, 0.0, layer);
+    let mut rcan = draw("rcan", lens.rcan, 0.0, layer * factors[1]);
+    let last = rcan.len() - (9 * usize::from(header.rcan.width) + 1);
+    rcan[last..].iter_mut().for_each(|w| *w = f16::from_f32(w.to_f32() / factors[1] * factors[2]));
     let offset = draw("offset", lens.offset_dn, 0.0, 8.0);
     let gain = draw("gain", lens.inverse_gain, 1.0, 0.1);
     let weights = Weights {

@@ -31,6 +31,8 @@ pub(super) struct Map {
     pub(super) watchdog_hz: u32,
     /// Length of fast scratch, numbers.
     pub(super) fast_len: usize,
+    /// An address without memory.
+    pub(super) nothing: usize,
 }
 
 /// MPS2 (ARM DAI 0500 and 0386, memory map and interrupts). The scratch is the 512 KB of tightly coupled memory of an
@@ -43,6 +45,7 @@ pub(super) const MAP: Map = Map {
     watchdog: 0x4000_8000,
     watchdog_hz: 25_000_000,
     fast_len: 128 << 10,
+    nothing: 0x9000_0000,
 };
 
 /// MPS3 (ARM DAI 0547, tables 3-1 and 5-1). The scratch leaves room for the program's own data in the 512 KB of the
@@ -55,4 +58,5 @@ pub(super) const MAP: Map = Map {
     watchdog: 0x4802_e000,
     watchdog_hz: 32_768,
     fast_len: 96 << 10,
+    nothing: 0x0f00_0000,
 };

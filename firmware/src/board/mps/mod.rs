@@ -11,9 +11,10 @@ mod watchdog;
 pub use led::Led;
 pub use memory::footprint;
 pub use uart::Uart;
-pub use watchdog::{Dog, start_cause};
+pub use watchdog::Dog;
 
-use crate::app::Parts;
+use super::{float, masked, restart};
+use crate::app::{Parts, Start};
 use core::sync::atomic::{AtomicBool, Ordering};
 use cortex_m::peripheral::DWT;
 use cortex_m_semihosting::{debug, hprintln};
@@ -29,6 +30,9 @@ pub fn take() -> Option<Parts<'static, Uart, Led, RamFlash<'static>, Dog, RamFra
     if TAKEN.swap(true, Ordering::Relaxed) {
         return None;
     }
+    if !float::set_mode() {
+        fail(&"the floating-point unit does not round as IEEE 754 says");
+    }
     clock::begin();
     let watchdog = Dog::new(watchdog::PATIENCE_S);
     Some(Parts {
@@ -37,7 +41,9 @@ pub fn take() -> Option<Parts<'static, Uart, Led, RamFlash<'static>, Dog, RamFra
         line: memory::line(),
         trigger: Led::new(),
         watchdog,
-        started_by: start_cause(),
+        start: start(),
+        // An emulated core has no clock.
+        core_mhz: None,
         footprint,
         cycles,
         // The board has no sensor.
@@ -48,6 +54,22 @@ pub fn take() -> Option<Parts<'static, Uart, Led, RamFlash<'static>, Dog, RamFra
         object: memory::object(),
         arenas: Arenas { fast: memory::fast(), bulk: memory::bulk() },
     })
+}
+
+/// How the program was started. To be called once.
+pub fn start() -> Start {
+    // The watchdog resets this board through the program, which leaves a note.
+    restart::begin(false)
+}
+
+/// An address without memory.
+pub const NOTHING: usize = map::MAP.nothing;
+
+/// Whether the word at the address `at`, of memory or of nothing, can be read.
+#[allow(unsafe_code)]
+pub fn readable(at: usize) -> bool {
+    // SAFETY: reading memory has no effect. The one register here that has one, that of the UART, is not called for.
+    unsafe { masked::readable(at as *const u32) }
 }
 
 /// The cycle counter of the core, where it counts: under QEMU it does not.

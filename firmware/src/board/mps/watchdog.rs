@@ -2,12 +2,10 @@
 #![allow(unsafe_code)] // registers are memory
 
 use super::map::MAP;
+use crate::board::restart;
 use core::ptr::write_volatile;
-use core::sync::atomic::{AtomicU32, Ordering};
-use cortex_m::peripheral::SCB;
 use cortex_m_rt::exception;
 use ommatidia_shared::device::Watchdog;
-use ommatidia_shared::wire::StartCause;
 
 const BASE: usize = MAP.watchdog;
 const LOAD: *mut u32 = BASE as *mut u32;
@@ -20,12 +18,6 @@ const INTERRUPT_AND_RESET: u32 = 3;
 const UNLOCK: u32 = 0x1acc_e551;
 /// Seconds between two feeds: more than the longest reconstruction takes, under an emulator too.
 pub(super) const PATIENCE_S: u32 = 30;
-
-/// Cause of a reset, for the next start: [`HUNG`] after the interrupt of the watchdog. Only the start that reads it
-/// clears it.
-#[unsafe(link_section = ".uninit.note")]
-static NOTE: AtomicU32 = AtomicU32::new(0);
-const HUNG: u32 = 0x4d6f_7073;
 
 /// The watchdog. When its count ends it raises the non-maskable interrupt, whose handler stores the cause for the next
 /// start and resets the board. If that fails, the watchdog resets the board when its count ends again.
@@ -57,17 +49,8 @@ impl Watchdog for Dog {
     }
 }
 
-/// Why the program was started. Only the first call can return the watchdog.
-pub fn start_cause() -> StartCause {
-    match NOTE.swap(0, Ordering::Relaxed) {
-        HUNG => StartCause::Watchdog,
-        _ => StartCause::Power,
-    }
-}
-
 /// The program has hung: stores the cause and resets the board.
 #[exception]
 unsafe fn NonMaskableInt() {
-    NOTE.store(HUNG, Ordering::Relaxed);
-    SCB::sys_reset()
+    restart::hung()
 }

@@ -1,7 +1,8 @@
 //! The MT9V032 on the DCMI (ST RM0433, chapter 32). DMA captures the next frame while one is reconstructed.
 #![allow(unsafe_code)] // memory that DMA writes
 
-use crate::camera::{Mt9v032, Window};
+use super::clock;
+use crate::camera::{Mt9v032, Window, is_fresh};
 use core::slice;
 use core::sync::atomic::{Ordering, fence};
 use cortex_m::peripheral::DWT;
@@ -27,7 +28,7 @@ const EXPOSURE_ROWS: u16 = 480;
 const STREAM: usize = 0;
 /// Request number of the DCMI at DMAMUX1 (ST RM0433, table 121).
 const DMA_REQUEST: u8 = 75;
-/// Longest wait for a frame, cycles: half a second.
+/// Longest wait for a frame, cycles: half a second at 480 MHz, a little more at 400.
 const PATIENCE: u32 = 240_000_000;
 
 /// A frame as DMA writes it: two pixels in a word, the first one in the low half.
@@ -72,6 +73,8 @@ pub struct Camera {
     /// Index of the frame that the sensor writes.
     back: usize,
     mode: Mode,
+    /// When the capture was started, microseconds.
+    began_us: u32,
     /// Pixels of the frame that the host sends.
     pixels: usize,
 }
@@ -122,7 +125,7 @@ impl Camera {
             sensor.start(WINDOW)
         });
         let mode = if started.is_ok() { Mode::Idle } else { Mode::Host };
-        Self { _dcmi: dcmi, _clock: clock, frames, back: 0, mode, pixels: 0 }
+        Self { _dcmi: dcmi, _clock: clock, frames, back: 0, mode, began_us: 0, pixels: 0 }
     }
 
     /// Starts the capture of the next whole frame into the back buffer.
@@ -161,6 +164,7 @@ impl Camera {
             w.set_capture(true);
         });
         self.mode = Mode::Capturing;
+        self.began_us = clock::now();
     }
 
     /// Waits until the back buffer holds a frame.
@@ -230,7 +234,7 @@ impl FrameSource for Camera {
     }
 
     /// The frame of the host where it has sent one since the last run, otherwise that of the sensor, which was captured
-    /// during the last run.
+    /// during the last run. Where that is too long ago, as with one frame a minute, a new one is captured first.
     fn frame(&mut self) -> Result<&[u16], IoError> {
         let sent = self.pixels;
         if self.live() {
@@ -239,7 +243,7 @@ impl FrameSource for Camera {
         if sent > 0 || !self.live() {
             return Ok(self.front().get(..sent).unwrap_or_default());
         }
-        if self.mode == Mode::Idle {
+        if self.mode == Mode::Idle || !is_fresh(self.began_us, clock::now()) {
             self.capture();
         }
         let captured = self.captured();

@@ -7,17 +7,15 @@ use cortex_m_rt::exception;
 use embassy_stm32::pac::{RCC, TIM2};
 use ommatidia_shared::wire::Activity;
 
-/// The clock of the timers of APB1: twice the bus (ST RM0433, section 8.5.5).
-const TIMER_MHZ: u16 = 240;
 /// Cycles between two ticks: the longest, 35 ms.
 const TICK_CYCLES: u32 = 0x00ff_ffff;
 
 static ACCOUNT: Account<1000> = Account::new();
 
-/// Starts clock and tick.
-pub(super) fn begin(mut tick: SYST) {
+/// Starts clock and tick. The clock of the timers of APB1, `timer_mhz`, is twice the bus (ST RM0433, section 8.5.5).
+pub(super) fn begin(mut tick: SYST, timer_mhz: u16) {
     RCC.apb1lenr().modify(|w| w.set_tim2en(true));
-    TIM2.psc().write_value(TIMER_MHZ - 1);
+    TIM2.psc().write_value(timer_mhz - 1);
     // An update event loads the prescaler.
     TIM2.egr().write(|w| w.set_ug(true));
     TIM2.cr1().modify(|w| w.set_cen(true));

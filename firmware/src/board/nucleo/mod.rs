@@ -1,5 +1,5 @@
-//! ST NUCLEO-H743ZI2 (ST UM2407): STM32H743ZI at 480 MHz, an MT9V032 on the DCMI, the host at the serial port of the
-//! debug probe.
+//! ST NUCLEO-H743ZI2 (ST UM2407): STM32H743ZI at 480 MHz (400 before revision V), an MT9V032 on the DCMI, the host at
+//! the serial port of the debug probe.
 //!
 //! | function | pins |
 //! |---|---|
@@ -10,35 +10,37 @@
 //! | host (USART3) TX, RX | PD8, PD9 |
 //! | trigger (green LED) | PB0 |
 //!
-//! The data cache stays off, as DMA and flash change memory without it.
+//! The data cache is on, but for the memory that DMA writes; after the flash has changed its lines are dropped.
 
+mod cache;
 mod camera;
 mod clock;
 mod flash;
 mod link;
 mod memory;
+mod revision;
 
 pub use camera::Camera;
 pub use flash::InternalFlash;
 pub use link::Link;
 pub use memory::footprint;
 
-use crate::app::Parts;
+use super::{float, restart};
+use crate::app::{Parts, Start};
+use crate::log::info;
 use core::convert::Infallible;
 use core::sync::atomic::{AtomicBool, Ordering};
 use cortex_m::peripheral::DWT;
 use embassy_stm32::gpio::{Level, Output, Speed};
 use embassy_stm32::pac::IWDG1;
 use embassy_stm32::pac::iwdg::vals::{Key, Pr};
-use embassy_stm32::rcc::{
-    AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllDiv, PllMul, PllPreDiv, PllSource, Sysclk, VoltageScale,
-};
+use embassy_stm32::rcc::{AHBPrescaler, APBPrescaler, Hse, HseMode, Sysclk};
 use embassy_stm32::time::Hertz;
 use embassy_stm32::{Config, pac};
 use embedded_hal::digital::{ErrorType, OutputPin};
 use ommatidia_shared::boards;
 use ommatidia_shared::device::{Arenas, Watchdog};
-use ommatidia_shared::wire::StartCause;
+use revision::Revision;
 
 /// Name of the board.
 pub const NAME: &str = boards::NUCLEO_H743ZI.name;
@@ -52,14 +54,19 @@ pub fn take() -> Option<Parts<'static, Link, Trigger, InternalFlash, Dog, Camera
     if TAKEN.swap(true, Ordering::Relaxed) {
         return None;
     }
-    let started_by = start_cause();
-    let p = embassy_stm32::init(clocks());
+    let start = start();
+    if !float::set_mode() {
+        fail(&"the floating-point unit does not round as IEEE 754 says");
+    }
+    let revision = Revision::read();
+    let p = embassy_stm32::init(clocks(revision));
     enable_memories();
     let mut core = cortex_m::Peripherals::take()?;
-    core.SCB.enable_icache();
+    cache::enable(&mut core);
     core.DCB.enable_trace();
     core.DWT.enable_cycle_counter();
-    clock::begin(core.SYST);
+    clock::begin(core.SYST, revision.mhz() / 2);
+    info!("STM32H743 revision {}: {} MHz", revision.name(), revision.mhz());
     let watchdog = Dog(());
     let camera = Camera::new(
         camera::Pins {
@@ -83,7 +90,8 @@ pub fn take() -> Option<Parts<'static, Link, Trigger, InternalFlash, Dog, Camera
         line: memory::line(),
         trigger: Trigger(Output::new(p.PB0, Level::Low, Speed::Low)),
         watchdog,
-        started_by,
+        start,
+        core_mhz: Some(revision.mhz()),
         footprint,
         cycles: || Some(DWT::cycle_count()),
         temperature_cdeg: || None,
@@ -95,21 +103,12 @@ pub fn take() -> Option<Parts<'static, Link, Trigger, InternalFlash, Dog, Camera
     })
 }
 
-/// The clocks: 480 MHz, the maximum at voltage scale 0, from the 8 MHz of the probe (ST UM2407, section 6.8.1).
-fn clocks() -> Config {
+/// The clocks: the fastest of the revision, from the 8 MHz of the probe (ST UM2407, section 6.8.1).
+fn clocks(revision: Revision) -> Config {
     let mut config = Config::default();
     let rcc = &mut config.rcc;
-    rcc.voltage_scale = VoltageScale::Scale0;
+    (rcc.voltage_scale, rcc.pll1) = revision.clock();
     rcc.hse = Some(Hse { freq: Hertz(8_000_000), mode: HseMode::Bypass });
-    rcc.pll1 = Some(Pll {
-        source: PllSource::HSE,
-        prediv: PllPreDiv::DIV2,
-        mul: PllMul::MUL240,
-        fracn: None,
-        divp: Some(PllDiv::DIV2),
-        divq: Some(PllDiv::DIV8),
-        divr: None,
-    });
     rcc.sys = Sysclk::PLL1_P;
     rcc.ahb_pre = AHBPrescaler::DIV2;
     rcc.apb1_pre = APBPrescaler::DIV2;
@@ -128,11 +127,11 @@ fn enable_memories() {
     });
 }
 
-/// Cause of the last reset. The flags are cleared.
-fn start_cause() -> StartCause {
+/// How the program was started. The flags of the last reset are cleared.
+fn start() -> Start {
     let hung = pac::RCC.rsr().read().iwdg1rstf();
     pac::RCC.rsr().modify(|w| w.set_rmvf(true));
-    if hung { StartCause::Watchdog } else { StartCause::Power }
+    restart::begin(hung)
 }
 
 /// The independent watchdog. The program feeds it, and so does the serial line while it waits.
@@ -176,15 +175,18 @@ pub fn exit() -> ! {
     cortex_m::peripheral::SCB::sys_reset()
 }
 
-/// Stops until the watchdog resets the board or the probe takes control.
+/// Cycles before a program that has failed is started again: some seconds, in which the probe can take control.
+const PAUSE: u32 = 1_000_000_000;
+
+/// Reports the reason to the probe, and starts the program again after a pause. The watchdog may not run yet, so the
+/// program resets the board itself.
 pub fn fail(reason: &dyn core::fmt::Display) -> ! {
     #[cfg(feature = "probe")]
     defmt::error!("{}", defmt::Display2Format(reason));
     #[cfg(not(feature = "probe"))]
     let _ = reason;
-    loop {
-        cortex_m::asm::nop();
-    }
+    cortex_m::asm::delay(PAUSE);
+    restart::fault()
 }
 
 #[panic_handler]

@@ -127,7 +127,7 @@ fn lock(child: &Mutex<Child>) -> MutexGuard<'_, Child> {
 ///
 /// # Errors
 /// QEMU is missing, or the program fails.
-pub(super) fn run_to_end(firmware: &Firmware, counter: Option<&Counter>) -> Result<String, DeviceError> {
+pub fn run_to_end(firmware: &Firmware, counter: Option<&Counter>) -> Result<String, DeviceError> {
     let emulator = Emulator::find()?;
     let mut command = emulator.command();
     command.args(["-M", firmware.board().name, "-display", "none", "-monitor", "none", "-serial", "none"]);

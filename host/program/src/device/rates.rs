@@ -170,7 +170,7 @@ impl Network {
         let find = |name: &str| counts.operators.iter().find(|count| count.name == name);
         let cost = |name: String| find(&name).map(|count| count.per_unit());
         let Header { object, bank, rcan, .. } = &self.header;
-        let plan = RcanPlan::new(*rcan, bank.channels, *object);
+        let plan = RcanPlan::new(*rcan, bank.channels, *object).ok()?;
         // The costs of 16 channels hold for those of 24, and are a little above.
         let width = if rcan.width < 32 { 16 } else { 32 };
         let mut left = plan.depth();

@@ -93,9 +93,15 @@ pub fn layout(rcan: &blob::Rcan, channels: u8) -> impl Iterator<Item = Entry> + 
     [entry(Layer::Head, width, 4 * filters, 3)].into_iter().chain(body).chain(tail)
 }
 
-/// Length of the weight section of the network, halves.
+/// Number of weights and biases of the network, whatever its shape.
+pub fn weights_count(rcan: &blob::Rcan, channels: u8) -> u64 {
+    layout(rcan, channels).map(|entry| (entry.weights_len() + entry.bias_len()) as u64).sum()
+}
+
+/// Length of the weight section of the network, halves; `usize::MAX`, which no slice has, where the machine's memory
+/// cannot hold it.
 pub fn weights_len(rcan: &blob::Rcan, channels: u8) -> usize {
-    layout(rcan, channels).map(|entry| entry.weights_len() + entry.bias_len()).sum()
+    usize::try_from(weights_count(rcan, channels)).unwrap_or(usize::MAX)
 }
 
 /// Width W/r of the bottleneck of the attention. 0 where the reduction is 0 or above the width, which no network may

@@ -19,7 +19,7 @@ fn run(simd: Simd, band: usize, weights: &[f16], input: &[f16]) -> Vec<f16> {
 
 fn run_region(simd: Simd, band: usize, weights: &[f16], input: &[f16], region: Region) -> Vec<f16> {
     let parameters = Parameters { weights, scales: Scales::Measured(None) };
-    run_on(&Rcan::new(SHAPE, 3, OBJECT), simd, band, parameters, input, region)
+    run_on(&Rcan::new(SHAPE, 3, OBJECT).unwrap(), simd, band, parameters, input, region)
 }
 
 /// `input` is what the plan takes for the region, or all of it, from which that is cut.
@@ -95,7 +95,7 @@ fn shallow() -> (Rcan, [usize; 4], Vec<f16>, [Vec<f16>; 2]) {
         let noise = noise.halves(2 * 60 * 64, 1.0);
         noise.iter().map(|x| f16::from_f32(x.to_f32() + mean)).collect()
     });
-    (Rcan::new(shape, 2, blob::Size { rows: 60, cols: 64 }), [2, 1, 6, 2], weights, inputs)
+    (Rcan::new(shape, 2, blob::Size { rows: 60, cols: 64 }).unwrap(), [2, 1, 6, 2], weights, inputs)
 }
 
 const REGIONS: [[u16; 4]; 7] =

@@ -19,6 +19,7 @@ mod convert;
 mod correlate;
 mod divide;
 mod fft;
+mod flags;
 #[cfg(not(feature = "helium"))]
 mod fused;
 #[cfg(feature = "helium")]
@@ -30,6 +31,7 @@ pub(super) use columns::{add_products, gather_pairs, scatter_pairs};
 pub(super) use convert::{narrow, widen};
 pub(super) use divide::divide;
 pub(crate) use fft::transform;
+pub(super) use flags::{narrow_whole, overflowed};
 pub(crate) use rows::{order_row, scale_row, tangle_row, untangle_row};
 pub(crate) use window::Rows;
 

@@ -3,7 +3,7 @@
 use crate::counts::Counts;
 use crate::toolchain;
 use anyhow::{Context, Result};
-use ommatidia_shared::boards::BOARDS;
+use ommatidia_shared::boards::{BOARDS, NUCLEO_H743ZI};
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -26,8 +26,12 @@ pub fn all() -> Vec<Step> {
         step("firmware images", firmware_images),
         step("emulator", || toolchain::ensure_qemu().map(|()| Counts::check(true))),
         step("tests of shared, debug build with overflow checks", || tests(&["-p", "ommatidia-shared"])),
+        step("tests of shared, 32-bit program with overflow checks", narrow_tests),
+        step("shared on other cores", other_cores),
+        step("tests of shared on AArch64, emulated", aarch64_tests),
         step("all tests", || tests(&["--release", "--workspace"])),
         step("hostile input", hostile_input),
+        step("hostile input, 32-bit program", narrow_hostile_input),
         step("lints", || check(cargo(["clippy", "--release", "--workspace", "--all-targets", "--", "-D", "warnings"]))),
         step("lints of the boards", lints_of_boards),
         step("documentation", documentation),
@@ -61,6 +65,11 @@ fn firmware_images() -> Result<Counts> {
         command.args(["--bins", "--target", board.target]);
         counts += check(command)?;
     }
+    // The program with its log, for the board that has a probe.
+    let mut command = toolchain.cargo(NUCLEO_H743ZI);
+    command.args(["build", "--profile", "firmware-probe", "-p", "ommatidia-firmware", "--bin", "app"]);
+    command.args(["--features", "nucleo-h743zi,probe", "--target", NUCLEO_H743ZI.target]);
+    counts += check(command)?;
     Ok(counts)
 }
 
@@ -97,7 +106,7 @@ fn hostile_input() -> Result<Counts> {
         std::fs::create_dir_all(&found)?;
         let mut run = Command::new(target.join(&host).join("release").join(name));
         run.arg(format!("-max_total_time={FUZZ_SECONDS}")).args([
-            "-max_len=16384",
+            "-max_len=32768",
             "-rss_limit_mb=4096",
             "-timeout=30",
         ]);
@@ -108,13 +117,61 @@ fn hostile_input() -> Result<Counts> {
     Ok(counts)
 }
 
+/// The tests of `shared` as a 32-bit program: lengths wrap there as they do on the boards.
+fn narrow_tests() -> Result<Counts> {
+    let mut command = toolchain::linux(toolchain::NARROW)?;
+    command.args(["test", "--no-fail-fast", "-p", "ommatidia-shared", "--lib", "--tests"]);
+    command.args(["--target", toolchain::NARROW]);
+    counted(command)
+}
+
+/// Builds `shared` for cores without loops of their own: one check a core.
+fn other_cores() -> Result<Counts> {
+    let mut counts = Counts::default();
+    for (target, flags) in toolchain::OTHER_CORES {
+        let mut command = toolchain::linux(target)?;
+        command.args(["build", "-p", "ommatidia-shared", "--target", target]).env("CARGO_ENCODED_RUSTFLAGS", flags);
+        counts += check(command)?;
+    }
+    Ok(counts)
+}
+
+/// The tests of `shared` as a program for AArch64: its loops are the portable ones, and the bits are the same.
+fn aarch64_tests() -> Result<Counts> {
+    toolchain::ensure_qemu_user()?;
+    let mut command = toolchain::linux(toolchain::AARCH64)?;
+    command.args(["test", "--no-fail-fast", "-p", "ommatidia-shared", "--lib", "--tests"]);
+    command
+        .args(["--target", toolchain::AARCH64])
+        .env("CARGO_TARGET_AARCH64_UNKNOWN_LINUX_MUSL_RUNNER", "qemu-aarch64");
+    counted(command)
+}
+
+/// The fuzz targets as a 32-bit program, from the seeds and from what the step before has found.
+fn narrow_hostile_input() -> Result<Counts> {
+    let fuzz = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz");
+    let mut command = toolchain::linux(toolchain::NARROW)?;
+    command.args(["test", "--release", "--no-fail-fast", "--no-default-features", "--test", "narrow"]);
+    command.args(["--target", toolchain::NARROW, "--manifest-path"]).arg(fuzz.join("Cargo.toml"));
+    let target = toolchain::target_dir().join("fuzz");
+    command.env("OMMATIDIA_CORPUS", target.join("corpus")).env("OMMATIDIA_SECONDS", FUZZ_SECONDS.to_string());
+    command.env("CARGO_TARGET_DIR", target).args(["--", "--nocapture"]);
+    counted(command)
+}
+
 /// Runs the tests of the given packages and counts them. A test that finds no measured data writes its name and
 /// the reason to the file in `OMMATIDIA_SKIPPED`; those are reported as skipped, not as passed.
 fn tests(packages: &[&str]) -> Result<Counts> {
+    let mut command = cargo(["test", "--no-fail-fast"]);
+    command.args(packages);
+    counted(command)
+}
+
+/// Runs a test runner and counts its tests.
+fn counted(mut command: Command) -> Result<Counts> {
     let skips = std::env::temp_dir().join(format!("ommatidia-skipped-{}", std::process::id()));
     let _ = std::fs::remove_file(&skips);
-    let mut command = cargo(["test", "--no-fail-fast"]);
-    command.args(packages).env("OMMATIDIA_SKIPPED", &skips).env("OMMATIDIA_REQUIRE_QEMU", "1");
+    command.env("OMMATIDIA_SKIPPED", &skips).env("OMMATIDIA_REQUIRE_QEMU", "1");
     command.env("OMMATIDIA_FIRMWARE", toolchain::thumb()?.images()).stdout(Stdio::piped());
     let mut child = command.spawn().with_context(|| format!("{command:?} could not be started"))?;
     let mut counts = Counts::default();

@@ -88,6 +88,48 @@ pub fn ensure_cpp() -> Result<()> {
     Ok(())
 }
 
+/// A 32-bit program that this machine runs itself: it needs no C library and no C linker of 32 bits.
+pub const NARROW: &str = "i686-unknown-linux-musl";
+
+/// A 64-bit Arm program, which this machine runs under QEMU's user mode.
+pub const AARCH64: &str = "aarch64-unknown-linux-musl";
+
+/// Cores that no board has yet: they take the portable loops. Target, and flags for the core.
+pub const OTHER_CORES: [(&str, &str); 4] = [
+    ("thumbv8m.main-none-eabihf", "-Ctarget-cpu=cortex-m33"),
+    ("thumbv8m.main-none-eabi", ""),
+    ("armv7-unknown-linux-gnueabihf", ""),
+    ("riscv32imafc-unknown-none-elf", ""),
+];
+
+/// Finds or installs the user-mode emulator for [`AARCH64`].
+pub fn ensure_qemu_user() -> Result<()> {
+    let version = || Command::new("qemu-aarch64").arg("--version").stdout(Stdio::null()).status();
+    if version().is_err() {
+        apt_install(&["qemu-user"]);
+    }
+    version().context("no qemu-aarch64: install it (Debian: `apt-get install qemu-user`)")?;
+    Ok(())
+}
+
+/// `cargo` that builds for a target of Linux which the linker of the compiler itself can link. The caller adds the
+/// arguments. The target is installed where it is missing.
+pub fn linux(target: &str) -> Result<Command> {
+    ensure_target(target)?;
+    let mut command = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    let variable = format!("CARGO_TARGET_{}_LINKER", target.replace('-', "_").to_uppercase());
+    command.env(variable, "rust-lld").env("CARGO_TARGET_DIR", target_dir().join("narrow"));
+    Ok(command)
+}
+
+/// Finds or installs the core library of a target.
+pub fn ensure_target(target: &str) -> Result<()> {
+    if has_target(target) || run("rustup", &["target", "add", target]) {
+        return Ok(());
+    }
+    bail!("no compiler for {target}: run `rustup target add {target}`")
+}
+
 /// Finds or installs a compiler for the boards.
 pub fn thumb() -> Result<Toolchain> {
     let mut targets: Vec<&str> = BOARDS.iter().map(|board| board.target).collect();

@@ -32,7 +32,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         let emulated = BOARDS.into_iter().filter(|board| board.emulated);
         emulated.map(|board| Firmware::build(board, bin)).collect::<Result<Vec<_>, _>>()
     };
-    rows.extend(faults::try_boards(&build("app")?, &build("watchdog")?)?);
+    rows.extend(faults::try_boards(&build("app")?, &build("watchdog")?, &build("faults")?)?);
     if let Some(path) = &args.output {
         write_whole(path, faults::page(&rows).as_bytes())?;
     }

@@ -45,6 +45,7 @@ fn json(place: Place, info: &Info, t: &Telemetry) -> Value {
         "temperature_c": t.temperature_cdeg.map(|cdeg| f64::from(cdeg) / 100.0),
         "crc_errors": t.crc_errors, "dropped_packets": t.dropped_packets, "repeated_requests": t.repeated_requests,
         "stack_bytes": t.stack_bytes, "image_bytes": t.image_bytes, "static_bytes": t.static_bytes,
+        "core_mhz": t.core_mhz,
     })
 }
 
@@ -82,6 +83,7 @@ fn text(place: Place, info: &Info, t: &Telemetry) -> String {
         "runs          {}, {} of them with the field held, {} frames dropped, {} pixels saturated\n",
         t.runs, t.held_runs, t.dropped_frames, t.saturated_px
     );
+    text += &format!("core          {}\n", known(t.core_mhz.map(|mhz| format!("{mhz} MHz"))));
     text += &format!("cycles        {}\n", known(t.cycles.map(|cycles| format!("{cycles} in the last run"))));
     text += &format!("awake         {}\n", active_text(t));
     text += &format!("camera        {}\n", if info.live { "yes" } else { "none: the host sends the frames" });

@@ -1,16 +1,16 @@
 //! Faults of bits: flips in the flash, and invalid network files.
 
-use super::flash::{Fault, SECTOR};
+use super::flash::{ECC_WORD, Fault, SECTOR};
 use super::power::with;
 use super::tally::{Row, Tally};
-use super::test_device::{FLASH, Network, TestDevice, reconstructs, telemetry, upload};
+use super::test_device::{FLASH, Network, Saved, TestDevice, reconstructs, telemetry, upload};
 use crate::device::error::DeviceError;
 use ommatidia_shared::wire::Refusal;
 
 /// Flips each bit of the newer network, and of its commit mark, while the power is off.
 pub(super) fn bit_rot() -> Result<[Row; 2], DeviceError> {
     let (old, new) = (Network::new(1)?, Network::new(2)?);
-    let mut device = with(&old);
+    let mut device = with(&old, false);
     device.power_on(Fault::None, 0, |dut| upload(dut, new.blob.bytes())).map_err(DeviceError::Refused)?;
     let after = device.save();
     // The third network of a device lies in its first slot.
@@ -42,14 +42,34 @@ pub(super) fn bit_rot() -> Result<[Row; 2], DeviceError> {
     ])
 }
 
+/// Makes each word of the newer network, and of its commit mark, unreadable while the power is off. Where the mark or
+/// the file cannot be read the older network runs; one copy of the mark is enough.
+pub(super) fn spoilt_words() -> Result<Row, DeviceError> {
+    let (old, new) = (Network::new(1)?, Network::new(2)?);
+    let (mut device, mut tally) = (with(&old, true), Tally::default());
+    device.power_on(Fault::None, 0, |dut| upload(dut, new.blob.bytes())).map_err(DeviceError::Refused)?;
+    let after = device.save();
+    let file = SECTOR / ECC_WORD..(SECTOR + new.blob.bytes().len()).div_ceil(ECC_WORD);
+    for word in (0..2).chain(file) {
+        device.restore(&after);
+        device.spoil(word);
+        let expected = if word < 2 { &new } else { &old };
+        let (runs, refused) =
+            device.power_on(Fault::None, 0, |dut| (reconstructs(dut, expected), telemetry(dut).refused_slots));
+        tally.try_one(refused > 0);
+        tally.blobs_lost += u64::from(!runs);
+        let again =
+            device.power_on(Fault::None, 0, |dut| upload(dut, new.blob.bytes()).is_ok() && reconstructs(dut, &new));
+        tally.frames_lost += u64::from(!again);
+    }
+    Ok(tally.row(
+        "a word of 32 bytes becomes unreadable while the power is off",
+        "every word of the newer network and of its mark; one copy of the mark is enough, otherwise the older network runs",
+    ))
+}
+
 /// Whether `expected` runs after a bit has flipped, and how many slots were refused.
-fn after_flip(
-    device: &mut TestDevice,
-    flash: &[u128],
-    bit: usize,
-    expected: &Network,
-    reconstruct: bool,
-) -> (bool, u8) {
+fn after_flip(device: &mut TestDevice, flash: &Saved, bit: usize, expected: &Network, reconstruct: bool) -> (bool, u8) {
     debug_assert!(bit < 8 * FLASH);
     device.restore(flash);
     device.flip(bit);
@@ -63,7 +83,7 @@ fn after_flip(
 /// Flips a bit while a word is written, at every step of an upload.
 pub(super) fn flipped_writes() -> Result<Row, DeviceError> {
     let (old, new) = (Network::new(1)?, Network::new(2)?);
-    let (mut device, mut tally) = (with(&old), Tally::default());
+    let (mut device, mut tally) = (with(&old, false), Tally::default());
     let before = device.save();
     device.power_on(Fault::None, 0, |dut| upload(dut, new.blob.bytes())).map_err(DeviceError::Refused)?;
     for step in 0..device.steps {
@@ -80,14 +100,14 @@ pub(super) fn flipped_writes() -> Result<Row, DeviceError> {
     }
     Ok(tally.row(
         "a bit flips while it is written",
-        "every step; unseen faults hit one copy of the mark, the count of starts, or bits that are written again",
+        "every step; unseen faults hit one copy of the mark, or bits that are written again",
     ))
 }
 
 /// Sends invalid networks: each is refused with its reason, and the old network keeps running.
 pub(super) fn bad_networks() -> Result<Row, DeviceError> {
     let (old, new) = (Network::new(1)?, Network::new(2)?);
-    let (mut device, mut tally) = (with(&old), Tally::default());
+    let (mut device, mut tally) = (with(&old, false), Tally::default());
     let good = new.blob.bytes();
     let mut bad: Vec<Vec<u8>> = (0..good.len()).map(|len| good[..len].to_vec()).collect();
     bad.extend((0..good.len()).map(|at| {

@@ -6,9 +6,12 @@ use embedded_storage::nor_flash::{
 use ommatidia_shared::flash::MappedFlash;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
+use std::ops::Range;
 
-/// Bytes that are written in one step.
+/// Bytes that are written in one step, without error correction.
 const WORD: usize = 4;
+/// Bytes of a word with error correction, as on the STM32H7: written in one step.
+pub(super) const ECC_WORD: usize = 32;
 /// Bytes that are erased in one step.
 pub(super) const SECTOR: usize = 4096;
 
@@ -29,6 +32,8 @@ pub(super) enum Fault {
 #[derive(Debug)]
 pub(super) struct FaultyFlash<'m> {
     memory: &'m mut [u8],
+    /// For flash with error correction: which words cannot be read.
+    unreadable: Option<&'m mut [bool]>,
     fault: Fault,
     rng: ChaCha8Rng,
     /// Steps so far.
@@ -38,9 +43,21 @@ pub(super) struct FaultyFlash<'m> {
 }
 
 impl<'m> FaultyFlash<'m> {
-    /// What `memory` holds is what the flash holds; `rng` says which bits of a torn step happen.
-    pub fn new(memory: &'m mut [u8], fault: Fault, rng: ChaCha8Rng) -> Self {
-        Self { memory, fault, rng, steps: 0, dead: false }
+    /// What `memory` holds is what the flash holds; `rng` says which bits of a torn step happen. With `unreadable`, one
+    /// entry for each [`ECC_WORD`], the flash has error correction: a torn word cannot be read until its sector is
+    /// erased, and neither can a word that was written twice.
+    pub fn new(memory: &'m mut [u8], unreadable: Option<&'m mut [bool]>, fault: Fault, rng: ChaCha8Rng) -> Self {
+        Self { memory, unreadable, fault, rng, steps: 0, dead: false }
+    }
+
+    /// Records which words a step from `old` leaves unreadable.
+    fn correct(&mut self, at: usize, len: usize, torn: bool) {
+        let erased = self.memory[at..at + len].iter().all(|byte| *byte == 0xff);
+        let Some(unreadable) = &mut self.unreadable else { return };
+        for word in &mut unreadable[at / ECC_WORD..(at + len).div_ceil(ECC_WORD)] {
+            // One torn word in eight has so few wrong bits that it can be read.
+            *word = if torn { self.rng.random_range(0..8) > 0 } else { *word || !erased };
+        }
     }
 
     /// Takes a step from `old` to `new`.
@@ -51,6 +68,15 @@ impl<'m> FaultyFlash<'m> {
         self.dead |= matches!(self.fault, Fault::Cut(n) if now(n));
         if self.dead {
             return Err(NorFlashErrorKind::Other);
+        }
+        let torn = matches!(self.fault, Fault::Torn(n) if now(n));
+        if new.len() == SECTOR && !torn {
+            // An erased word is without errors.
+            self.memory[at..at + new.len()].fill(0xff);
+            let words = at / ECC_WORD..(at + new.len()) / ECC_WORD;
+            self.unreadable.iter_mut().for_each(|unreadable| unreadable[words.clone()].fill(false));
+        } else {
+            self.correct(at, new.len(), torn);
         }
         let memory = &mut self.memory[at..at + new.len()];
         match self.fault {
@@ -81,7 +107,8 @@ impl ReadNorFlash for FaultyFlash<'_> {
 
     fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
         check_read(&self, offset, bytes.len())?;
-        bytes.copy_from_slice(&self.memory[offset as usize..][..bytes.len()]);
+        let range = offset as usize..offset as usize + bytes.len();
+        bytes.copy_from_slice(self.view(range).ok_or(NorFlashErrorKind::Other)?);
         Ok(())
     }
 
@@ -101,9 +128,10 @@ impl NorFlash for FaultyFlash<'_> {
 
     fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
         check_write(&self, offset, bytes.len())?;
-        for (i, word) in bytes.chunks(WORD).enumerate() {
-            let at = offset as usize + i * WORD;
-            let mut new = [0; WORD];
+        let len = if self.unreadable.is_some() { ECC_WORD } else { WORD };
+        for (i, word) in bytes.chunks(len).enumerate() {
+            let at = offset as usize + i * len;
+            let mut new = [0; ECC_WORD];
             for ((new, old), bits) in new.iter_mut().zip(&self.memory[at..]).zip(word) {
                 *new = old & bits;
             }
@@ -114,7 +142,12 @@ impl NorFlash for FaultyFlash<'_> {
 }
 
 impl MappedFlash for FaultyFlash<'_> {
-    fn mapped(&self) -> &[u8] {
-        self.memory
+    fn view(&self, range: Range<usize>) -> Option<&[u8]> {
+        let words = range.start / ECC_WORD..range.end.div_ceil(ECC_WORD);
+        let bad = self
+            .unreadable
+            .as_ref()
+            .is_some_and(|unreadable| unreadable.get(words).is_none_or(|words| words.contains(&true)));
+        if bad { None } else { self.memory.get(range) }
     }
 }

@@ -23,19 +23,20 @@ use super::firmware::Firmware;
 /// # Errors
 /// A valid network was refused.
 pub fn try_here() -> Result<Vec<Row>, DeviceError> {
-    let mut rows =
-        vec![power::cut_uploads(false)?, power::cut_uploads(true)?, power::cut_twice()?, power::cut_starts()?];
+    let mut rows = vec![power::cut_uploads(false, false)?, power::cut_uploads(true, false)?];
+    rows.extend([power::cut_uploads(true, true)?, power::cut_twice(false)?, power::cut_twice(true)?, power::starts()?]);
     rows.extend(bits::bit_rot()?);
+    rows.push(bits::spoilt_words()?);
     rows.extend([bits::flipped_writes()?, bits::bad_networks()?]);
     rows.extend(line::lines()?);
     Ok(rows)
 }
 
-/// Injects the faults that need emulated boards: each of `apps` is killed during uploads, and each of `watchdogs`
-/// hangs.
+/// Injects the faults that need emulated boards: each of `apps` is killed during uploads, each of `watchdogs`
+/// hangs, and each of `faults` reads what cannot be read.
 ///
 /// # Errors
 /// QEMU is missing, or a board fails otherwise.
-pub fn try_boards(apps: &[Firmware], watchdogs: &[Firmware]) -> Result<Vec<Row>, DeviceError> {
-    Ok(vec![board::killed(apps)?, board::hung(watchdogs)?])
+pub fn try_boards(apps: &[Firmware], watchdogs: &[Firmware], faults: &[Firmware]) -> Result<Vec<Row>, DeviceError> {
+    Ok(vec![board::killed(apps)?, board::hung(watchdogs)?, board::faulting(faults)?])
 }

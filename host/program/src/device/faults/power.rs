@@ -10,10 +10,10 @@ use rand::RngExt;
 /// Trials in which the power fails twice, at two random steps.
 const TWICE: u64 = 2000;
 
-/// Interrupts an upload at every step; `torn`: within the step.
-pub(super) fn cut_uploads(torn: bool) -> Result<Row, DeviceError> {
+/// Interrupts an upload at every step; `torn`: within the step; `ecc`: a torn word cannot be read.
+pub(super) fn cut_uploads(torn: bool, ecc: bool) -> Result<Row, DeviceError> {
     let (old, new) = (Network::new(1)?, Network::new(2)?);
-    let (mut device, mut tally) = (with(&old), Tally::default());
+    let (mut device, mut tally) = (with(&old, ecc), Tally::default());
     let before = device.save();
     device.power_on(Fault::None, 0, |dut| upload(dut, new.blob.bytes())).map_err(DeviceError::Refused)?;
     for step in 0..device.steps {
@@ -23,14 +23,21 @@ pub(super) fn cut_uploads(torn: bool) -> Result<Row, DeviceError> {
         tally.try_one(device.cut);
         tally.add(survives(&mut device, &old, &new, committed));
     }
-    let fault = if torn { "power fails within a step of an upload" } else { "power fails before a step of an upload" };
-    Ok(tally.row(fault, "every word that it writes and every sector that it erases"))
+    let fault = match (torn, ecc) {
+        (false, _) => "power fails before a step of an upload",
+        (true, false) => "power fails within a step of an upload",
+        (true, true) => "the same, flash with error correction",
+    };
+    let how = "every word that it writes and every sector that it erases";
+    let how =
+        if ecc { format!("{how}; words of 32 bytes, seven torn words in eight cannot be read") } else { how.into() };
+    Ok(tally.row(fault, &how))
 }
 
 /// Interrupts an upload, and then the next start or the second upload.
-pub(super) fn cut_twice() -> Result<Row, DeviceError> {
+pub(super) fn cut_twice(ecc: bool) -> Result<Row, DeviceError> {
     let (old, new) = (Network::new(1)?, Network::new(2)?);
-    let (mut device, mut tally) = (with(&old), Tally::default());
+    let (mut device, mut tally) = (with(&old, ecc), Tally::default());
     let before = device.save();
     device.power_on(Fault::None, 0, |dut| upload(dut, new.blob.bytes())).map_err(DeviceError::Refused)?;
     let steps = device.steps;
@@ -39,7 +46,7 @@ pub(super) fn cut_twice() -> Result<Row, DeviceError> {
         let mut rng = rng::stream(seed, "cut twice", 0);
         let mut committed = false;
         for _ in 0..2 {
-            // Every fourth cut is in the start itself.
+            // Every fourth cut is at the beginning, where the old mark is erased.
             let last = if rng.random_range(0..4) == 0 { 8 } else { steps };
             let fault = Fault::Torn(rng.random_range(0..last));
             committed |= device.power_on(fault, rng.random(), |dut| upload(dut, new.blob.bytes()).is_ok());
@@ -47,35 +54,26 @@ pub(super) fn cut_twice() -> Result<Row, DeviceError> {
         tally.try_one(device.cut);
         tally.add(survives(&mut device, &old, &new, committed));
     }
-    Ok(tally.row("power fails twice, within steps of uploads or starts", "random steps"))
+    let fault =
+        if ecc { "the same, flash with error correction" } else { "power fails twice, within steps of uploads" };
+    Ok(tally.row(fault, "random steps"))
 }
 
-/// Interrupts starts at every step, long enough to wrap the sectors that count starts three times; the count never
-/// decreases.
-pub(super) fn cut_starts() -> Result<Row, DeviceError> {
+/// Starts without end: none takes a step of the flash, so that the power may fail in any of them.
+pub(super) fn starts() -> Result<Row, DeviceError> {
     let network = Network::new(1)?;
-    let (mut device, mut tally) = (with(&network), Tally::default());
-    let mut count = 0;
-    for start in 0..400 {
-        let before = device.save();
-        device.power_on(Fault::None, 0, |_| ());
-        for step in 0..device.steps {
-            device.restore(&before);
-            device.power_on(Fault::Torn(step), 400 * step + start, |_| ());
-            tally.try_one(device.cut);
-            let (starts, runs) =
-                device.power_on(Fault::None, 0, |dut| (telemetry(dut).starts, telemetry(dut).slots[0].is_some()));
-            tally.blobs_lost += u64::from(starts <= count || !runs);
-        }
-        device.restore(&before);
-        count = device.power_on(Fault::None, 0, |dut| telemetry(dut).starts);
+    let (mut device, mut tally) = (with(&network, true), Tally::default());
+    for step in 0..400 {
+        let runs = device.power_on(Fault::Torn(step % 4), step, |dut| telemetry(dut).slots[0].is_some());
+        tally.try_one(device.cut);
+        tally.blobs_lost += u64::from(!runs || device.steps > 0);
     }
-    Ok(tally.row("power fails within a step of a start", "every step of 400 starts"))
+    Ok(tally.row("power fails during a start", "400 starts; a start writes nothing, so nothing can be torn"))
 }
 
 /// A device that runs `network`, uploaded twice.
-pub(super) fn with(network: &Network) -> TestDevice {
-    let mut device = TestDevice::new();
+pub(super) fn with(network: &Network, ecc: bool) -> TestDevice {
+    let mut device = TestDevice::new(ecc);
     for _ in 0..2 {
         // It cannot be refused; if it were, every trial would fail.
         let _ = device.power_on(Fault::None, 0, |dut| upload(dut, network.blob.bytes()));

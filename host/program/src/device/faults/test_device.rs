@@ -1,6 +1,6 @@
 //! A simulated device whose flash keeps its content while the power is off.
 
-use super::flash::{Fault, FaultyFlash, SECTOR};
+use super::flash::{ECC_WORD, Fault, FaultyFlash, SECTOR};
 use crate::device::error::DeviceError;
 use crate::device::run::reference;
 use half::f16;
@@ -14,7 +14,7 @@ use rand::RngExt;
 
 const SIDE: u16 = 34;
 const OBJECT: u16 = 16;
-/// Two slots of a mark and three sectors each, and two sectors for the starts.
+/// Two slots of a mark and three sectors each, and two unused sectors.
 pub(super) const FLASH: usize = (2 * 4 + 2) * SECTOR;
 const FAST: usize = 16 << 10;
 const BULK: usize = 64 << 10;
@@ -67,9 +67,14 @@ impl Network {
     }
 }
 
+/// Content of a flash, and which of its words cannot be read.
+pub(super) type Saved = (Vec<u128>, Option<Vec<bool>>);
+
 /// Memory of a device; only the flash keeps its content.
 pub(super) struct TestDevice {
     flash: Vec<u128>,
+    /// With error correction: which words cannot be read.
+    unreadable: Option<Vec<bool>>,
     frame: Vec<u16>,
     object: Vec<f16>,
     fast: Vec<f32>,
@@ -81,9 +86,10 @@ pub(super) struct TestDevice {
 }
 
 impl TestDevice {
-    pub fn new() -> Self {
+    pub fn new(ecc: bool) -> Self {
         Self {
             flash: vec![0; FLASH / size_of::<u128>()],
+            unreadable: ecc.then(|| vec![false; FLASH / ECC_WORD]),
             frame: vec![0; usize::from(SIDE) * usize::from(SIDE)],
             object: vec![f16::ZERO; usize::from(OBJECT) * usize::from(OBJECT)],
             fast: vec![0.0; FAST / size_of::<f32>()],
@@ -94,13 +100,19 @@ impl TestDevice {
     }
 
     /// A copy of the flash.
-    pub fn save(&self) -> Vec<u128> {
-        self.flash.clone()
+    pub fn save(&self) -> Saved {
+        (self.flash.clone(), self.unreadable.clone())
     }
 
     /// Restores a copy of the flash.
-    pub fn restore(&mut self, flash: &[u128]) {
+    pub fn restore(&mut self, (flash, unreadable): &Saved) {
         self.flash.copy_from_slice(flash);
+        self.unreadable.clone_from(unreadable);
+    }
+
+    /// Makes a word of the flash unreadable while the power is off.
+    pub fn spoil(&mut self, word: usize) {
+        self.unreadable.iter_mut().for_each(|unreadable| unreadable[word] = true);
     }
 
     /// Flips a bit of the flash while the power is off.
@@ -111,7 +123,8 @@ impl TestDevice {
     /// Switches the device on with an injected fault, calls `work`, and switches it off.
     pub fn power_on<R>(&mut self, fault: Fault, seed: u64, work: impl FnOnce(&mut DeviceUnderTest<'_, '_>) -> R) -> R {
         let rng = rng::stream(seed, "faulty flash", 0);
-        let mut flash = FaultyFlash::new(bytemuck::cast_slice_mut(&mut self.flash), fault, rng);
+        let memory = bytemuck::cast_slice_mut(&mut self.flash);
+        let mut flash = FaultyFlash::new(memory, self.unreadable.as_deref_mut(), fault, rng);
         let arenas = Arenas { fast: &mut self.fast, bulk: &mut self.bulk };
         let (source, sink) = (RamFrame::new(&mut self.frame), RamObject::new(&mut self.object));
         let mut device = Device::new("desk", &mut flash, source, sink, arenas, Silent);

@@ -1,0 +1,25 @@
+//! Reads an address without memory: first with faults masked, which only says so, then without, which resets the board
+//! again and again until a start finds that starts keep ending in faults.
+#![no_std]
+#![no_main]
+#![allow(unsafe_code)] // reads that fail
+
+use cortex_m_semihosting::hprintln;
+use ommatidia_firmware::board::this as board;
+
+#[cortex_m_rt::entry]
+fn main() -> ! {
+    let start = board::start();
+    hprintln!("start {} by {:?}", start.count, start.cause);
+    if start.keeps_faulting {
+        hprintln!("keeps faulting");
+        board::exit()
+    }
+    let variable = 7_u32;
+    hprintln!("memory can be read: {}", board::readable((&raw const variable).addr()));
+    hprintln!("nothing can be read: {}", board::readable(board::NOTHING));
+    // SAFETY: the read fails, which is what is tried.
+    let word = unsafe { (board::NOTHING as *const u32).read_volatile() };
+    hprintln!("read {}", word);
+    board::exit()
+}

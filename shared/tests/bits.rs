@@ -1,0 +1,74 @@
+//! The bits of three reconstructions. `cargo verify` runs this test on every target that it can run programs for: with
+//! vectors and without, with 32 and 64 bits, with a floating-point unit and without.
+#![allow(clippy::unwrap_used)]
+
+use ommatidia_shared::blob::{Bank, Header, MemoryPlan, Network, Rcan, Sensor, Size, Tap, Weights};
+use ommatidia_shared::nn::rcan::weights_len;
+use ommatidia_shared::num::f16;
+use ommatidia_shared::pipeline::{Memory, Pipeline};
+
+/// FNV-1a.
+fn digest(halves: &[f16]) -> u64 {
+    let bytes = halves.iter().flat_map(|half| half.to_bits().to_le_bytes());
+    bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3))
+}
+
+fn reconstruct(network: &Network<'_>) -> u64 {
+    let pipeline = Pipeline::new(network).unwrap();
+    let frame: Vec<u16> = (0..pipeline.frame_len()).map(|i| (i * 7919 % 4096) as u16).collect();
+    let (mut fast, mut bulk) = (vec![0.0; pipeline.fast_len()], vec![f16::ZERO; pipeline.bulk_len()]);
+    let mut object = vec![f16::NAN; pipeline.output_len()];
+    pipeline.run(&frame, Memory { fast: &mut fast, bulk: &mut bulk }, &mut object).unwrap();
+    let differing = object.iter().filter(|half| **half != object[0]).count();
+    assert!(differing > object.len() / 4, "all alike");
+    digest(&object)
+}
+
+/// Taps on several tiles, weights of a linear congruential generator; layers that multiply by `gain`.
+fn made(gain: f32) -> u64 {
+    let mut state = 11_u32;
+    let mut draw = |len: usize, spread: f32| -> Vec<f16> {
+        let mut next = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 8) as f32 / 8_388_608.0 - 1.0
+        };
+        (0..len).map(|_| f16::from_f32(spread * next())).collect()
+    };
+    let taps = (0..2).flat_map(|channel| [(-1, 0), (0, 0), (1, 1)].map(|(dy, dx)| Tap { channel, dy, dx })).collect();
+    let mut header = Header {
+        name: "bits".try_into().unwrap(),
+        checkpoint: "".try_into().unwrap(),
+        frame: Size { rows: 50, cols: 44 },
+        object: Size { rows: 38, cols: 30 },
+        sensor: Sensor { black_level_dn: 64.0, saturation_dn: 4095, has_offset_map: false, has_gain_map: false },
+        bank: Bank { tile: 32, step: 16, channels: 2, taps, blocks: None },
+        rcan: Rcan { width: 6, groups: 1, blocks: 2, reduction: 2 },
+        memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
+    };
+    header.memory = Pipeline::plan(&header).unwrap();
+    let filters = draw(6 * 2 * 32 * 17, 1.0);
+    let mut rcan = draw(weights_len(&header.rcan, 2), 0.2 * gain);
+    let last = rcan.len() - 55;
+    rcan[last..].iter_mut().for_each(|w| *w = f16::from_f32(w.to_f32() / (gain * gain)));
+    let weights = Weights { filters: &filters, index: &[], rcan: &rcan, offset_dn: None, inverse_gain: None };
+    reconstruct(&Network::new(header, weights).unwrap())
+}
+
+#[test]
+fn the_golden_network_has_its_bits() {
+    let file = include_bytes!("../../tests/golden/network-v2.omm");
+    let mut words = vec![0_u128; file.len().div_ceil(16)];
+    let aligned = &mut bytemuck::cast_slice_mut::<_, u8>(&mut words)[..file.len()];
+    aligned.copy_from_slice(file);
+    assert_eq!(format!("{:016x}", reconstruct(&Network::decode(aligned).unwrap())), "0645ec5d0500f006");
+}
+
+#[test]
+fn a_network_of_taps_has_its_bits() {
+    assert_eq!(format!("{:016x}", made(1.0)), "7419fd608c4257ca");
+}
+
+#[test]
+fn a_network_whose_features_are_cut_off_has_its_bits() {
+    assert_eq!(format!("{:016x}", made(100.0)), "742876d9c4329a3b");
+}
