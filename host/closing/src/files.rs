@@ -1,6 +1,6 @@
 //! Closes the loop from files to files.
 
-use super::account::{Account, Closed, Recalibrated, Retrain, RetrainRequest, adopt};
+use super::account::{Account, Closed, Filed, Recalibrated, Retrain, RetrainRequest, adopt};
 use super::close::{check_layout, close, residual};
 use super::data::{Budget, Observations};
 use super::options::{CalibratedOn, CloseOptions};
@@ -98,8 +98,8 @@ pub fn close_session(
         let retrained = tuning.trainer.retrain(
             &RetrainRequest {
                 session: &session,
-                instrument: &closed.instrument,
-                instrument_file: request.output,
+                closed: Filed { instrument: &closed.instrument, file: request.output },
+                before: Some(Filed { instrument: &instrument, file: request.instrument }),
                 checkpoint: tuning.checkpoint,
                 output: &request.output.with_extension("network"),
                 held_out_frames: &closed.account.closing.held_out_frames,

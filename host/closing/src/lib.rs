@@ -67,7 +67,8 @@ pub mod search;
 pub mod study;
 
 pub use account::{
-    Account, Closed, Closing, Effect, Nearest, Rejected, Retrain, RetrainRequest, Retrained, Value, Verdict,
+    Account, Closed, Closing, Control, Effect, Filed, Nearest, Rejected, Retrain, RetrainRequest, Retrained, Value,
+    Verdict,
 };
 pub use close::{check_layout, close, residual};
 pub use data::{Budget, Fault, FaultKind, Observations};

@@ -16,5 +16,5 @@ pub(crate) use describe::{Accepted, Findings, effects, fault, rejected};
 pub use file::{KIND, VERSION};
 pub(crate) use pictures::pictured;
 pub use result::{Account, Closed, Closing, Effect, Nearest, Rejected, Value, Verdict};
-pub use retrain::{Retrain, RetrainRequest, Retrained};
+pub use retrain::{Control, Filed, Retrain, RetrainRequest, Retrained};
 pub(crate) use verdict::{Excess, claims_a_cause, harmful, imitated, shadowed, unearned};

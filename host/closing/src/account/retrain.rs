@@ -20,6 +20,28 @@ pub struct Retrained {
     pub ssim_before: f64,
     /// Mean SSIM after.
     pub ssim_after: f64,
+    /// The control: the network after the same steps on the instrument as it was. Only what the closed instrument gains
+    /// beyond it is owed to the loop.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub control: Option<Control>,
+}
+
+/// Reconstruction by a network that was fine-tuned on the instrument before the loop.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Control {
+    /// Mean PSNR, dB.
+    pub psnr_db: f64,
+    /// Mean SSIM.
+    pub ssim: f64,
+}
+
+/// An instrument with its file.
+#[derive(Clone, Copy, Debug)]
+pub struct Filed<'a> {
+    /// The instrument.
+    pub instrument: &'a Instrument,
+    /// Its file, for the provenance of a checkpoint.
+    pub file: &'a Path,
 }
 
 /// What a fine-tuning needs.
@@ -28,9 +50,9 @@ pub struct RetrainRequest<'a> {
     /// Session whose scenes, with known objects, judge both networks.
     pub session: &'a Session,
     /// The closed instrument, on which the network is fine-tuned.
-    pub instrument: &'a Instrument,
-    /// File of that instrument, for the provenance of the new checkpoint.
-    pub instrument_file: &'a Path,
+    pub closed: Filed<'a>,
+    /// The instrument before, on which the control is fine-tuned; None: no control.
+    pub before: Option<Filed<'a>>,
     /// Checkpoint of the network before.
     pub checkpoint: &'a Path,
     /// Checkpoint to write.
@@ -45,8 +67,8 @@ pub struct RetrainRequest<'a> {
 
 /// Fine-tunes networks. The crate that knows networks implements it; closing the loop needs only this interface.
 pub trait Retrain {
-    /// Fine-tunes the network, writes it to `request.output` and compares the two on the held-out scenes. Calls
-    /// `progress` with the number of steps that are done.
+    /// Fine-tunes the network, writes it to `request.output` and compares the two on the held-out scenes, with the control
+    /// if there is one. Calls `progress` with the number of steps that are done, of all fine-tunings together.
     ///
     /// # Errors
     /// The checkpoint has another size than the instrument, a file cannot be read or written, or the session has no

@@ -7,7 +7,7 @@
 
 use super::networks::Networks;
 use super::subject::Subject;
-use crate::{RetrainRequest, Retrained};
+use crate::{Filed, RetrainRequest, Retrained};
 use ommatidia_bench::VirtualInstrument;
 use ommatidia_model::instrument::Instrument;
 use ommatidia_physics::effects::EffectSetting;
@@ -56,8 +56,8 @@ pub fn compare(networks: &dyn Networks, case: &Comparison<'_>) -> anyhow::Result
         instrument.write(&file, Provenance::new("study", seed, &injected))?;
         let request = RetrainRequest {
             session: &session,
-            instrument,
-            instrument_file: &file,
+            closed: Filed { instrument, file: &file },
+            before: None,
             checkpoint: &subject.network,
             output: &network,
             held_out_frames: &frames,

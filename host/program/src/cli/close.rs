@@ -82,7 +82,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         }
         Progress::FineTuning => {
             bar.finish_and_clear();
-            bar = run.progress(args.steps, "retrain");
+            // The network, and the control.
+            bar = run.progress(2 * args.steps, "retrain");
         }
         Progress::FineTuned(steps) => bar.set_position(steps),
     })?;
@@ -171,6 +172,15 @@ pub fn table(closing: &Closing, output: &Path, account: &Path, seconds: f64) -> 
             r.ssim_after,
             r.steps
         );
+        if let Some(c) = &r.control {
+            let _ = writeln!(
+                out,
+                "control, the same steps on the instrument before: {:.2} dB, SSIM {:.3}; {:+.2} dB are owed to the loop",
+                c.psnr_db,
+                c.ssim,
+                r.psnr_db_after - c.psnr_db
+            );
+        }
     }
     for note in &closing.notes {
         let _ = writeln!(out, "note: {note}");

@@ -2,13 +2,13 @@
 
 use anyhow::{Context, ensure};
 use ommatidia_closing::study::networks::{FirstTraining, TrainRequest};
-use ommatidia_closing::{Retrain, RetrainRequest, Retrained};
+use ommatidia_closing::{Control, Filed, Retrain, RetrainRequest, Retrained};
 use ommatidia_model::metrics::Case;
 use ommatidia_network::evaluate::{Source, judge};
 use ommatidia_network::methods::FloatNetwork;
 use ommatidia_network::train::{Checkpoint, Next, Preset, Simulated, Task, Trainer};
 use ommatidia_session::Role;
-use ommatidia_session::artifact::Provenance;
+use ommatidia_session::artifact::{Provenance, temporary_folder_beside};
 use std::path::Path;
 
 /// The trainer of this program.
@@ -17,26 +17,11 @@ pub struct Networks;
 
 impl Retrain for Networks {
     fn retrain(&self, request: &RetrainRequest<'_>, progress: &mut dyn FnMut(u64)) -> anyhow::Result<Retrained> {
-        let RetrainRequest { session, instrument, instrument_file, checkpoint, output, held_out_frames, steps, seed } =
-            *request;
+        let RetrainRequest { session, closed, before, checkpoint, output, held_out_frames, steps, .. } = *request;
         let stack = session.stacks_of(Role::Scene).find(|s| s.entry().truth.is_some());
         let stack = stack.context("--retrain: expected scenes with truth to judge by, found none")?;
         ensure!(!held_out_frames.is_empty(), "--retrain: expected held-out scenes to judge by, found none");
-        let before = Checkpoint::read(checkpoint)?;
-        let source = Simulated::of(instrument, instrument_file, seed)?;
-        let plan = source.plan();
-        let maps = instrument.sensor_maps()?;
-        let mut training = before.body.training.clone().with_steps(steps).for_fine_tuning();
-        training.peak_e = plan.peak_e;
-        training.seed = seed;
-        let task = Task { source: &source, network: before.body.network.clone(), noise: plan.noise, maps };
-        let provenance =
-            Provenance::new("close --retrain", seed, &training).with_input(checkpoint)?.with_input(instrument_file)?;
-        let mut trainer = Trainer::fine_tune(task, training, None, checkpoint)?;
-        trainer.run(output, &provenance, |p| {
-            progress(p.step);
-            Next::Continue
-        })?;
+        fine_tune(request, closed, output, progress)?;
         let grid = session.manifest().object;
         let figures = |path: &Path| -> anyhow::Result<(f64, f64)> {
             let network = FloatNetwork::open(path)?;
@@ -50,9 +35,44 @@ impl Retrain for Networks {
             Ok((m.psnr_db, m.ssim))
         };
         let ((psnr_db_before, ssim_before), (psnr_db_after, ssim_after)) = (figures(checkpoint)?, figures(output)?);
+        let control = match before {
+            None => None,
+            Some(before) => {
+                let folder = temporary_folder_beside(output)?;
+                let file = folder.path().join("control.network");
+                fine_tune(request, before, &file, &mut |step| progress(steps + step))?;
+                let (psnr_db, ssim) = figures(&file)?;
+                Some(Control { psnr_db, ssim })
+            }
+        };
         let frames = held_out_frames.to_vec();
-        Ok(Retrained { frames, steps, psnr_db_before, psnr_db_after, ssim_before, ssim_after })
+        Ok(Retrained { frames, steps, psnr_db_before, psnr_db_after, ssim_before, ssim_after, control })
     }
+}
+
+/// Fine-tunes the network of a request on an instrument, and writes it to `output`.
+fn fine_tune(
+    request: &RetrainRequest<'_>,
+    on: Filed<'_>,
+    output: &Path,
+    progress: &mut dyn FnMut(u64),
+) -> anyhow::Result<()> {
+    let RetrainRequest { checkpoint, steps, seed, .. } = *request;
+    let before = Checkpoint::read(checkpoint)?;
+    let source = Simulated::of(on.instrument, on.file, seed)?;
+    let plan = source.plan();
+    let maps = on.instrument.sensor_maps()?;
+    let mut training = before.body.training.clone().with_steps(steps).for_fine_tuning();
+    training.peak_e = plan.peak_e;
+    training.seed = seed;
+    let task = Task { source: &source, network: before.body.network.clone(), noise: plan.noise, maps };
+    let provenance = Provenance::new("close --retrain", seed, &training).with_input(checkpoint)?.with_input(on.file)?;
+    let mut trainer = Trainer::fine_tune(task, training, None, checkpoint)?;
+    trainer.run(output, &provenance, |p| {
+        progress(p.step);
+        Next::Continue
+    })?;
+    Ok(())
 }
 
 impl FirstTraining for Networks {
