@@ -5,9 +5,7 @@
 //! cache.
 
 use super::config::{AberrationConfig, ArrayConfig, BenchConfig, ObjectConfig, OpticsConfig};
-use super::family::FamilyName;
-use super::family::kernels::KernelsConfig;
-use super::family::relay::RelayConfig;
+use super::family::config::{FamilyName, KernelsConfig, RelayConfig};
 use super::foci::{Foci, Point};
 use super::optics::VirtualOptics;
 use std::sync::OnceLock;

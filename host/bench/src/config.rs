@@ -1,9 +1,7 @@
 //! Configuration of the virtual instrument. The default is the demo instrument.
 
 use super::error::BenchError;
-use super::family::FamilyName;
-use super::family::kernels::KernelsConfig;
-use super::family::relay::RelayConfig;
+use super::family::config::{FamilyName, KernelsConfig, RelayConfig};
 use ommatidia_physics::scene::SceneConfig;
 use ommatidia_session::{ArrayGeometry, Manifest, ObjectGrid, Optics, SensorSpec};
 use serde::{Deserialize, Serialize};

@@ -6,8 +6,8 @@
 
 use super::config::BenchConfig;
 use super::error::BenchError;
-use super::family::kernels::StackOf;
-use super::family::{self, FamilyName};
+use super::family;
+use super::family::config::{FamilyName, StackOf};
 use super::foci::Point;
 use ommatidia_physics::effects::RayShift;
 use ommatidia_session::rng;
@@ -28,7 +28,8 @@ pub struct MeasuredPsfs {
 
 impl BenchConfig {
     /// Instrument `number` of a family, 3 x 3 lenses on 98 x 98 pixels, as it measures a session to be calibrated from:
-    /// darks at two exposures, flats at three levels and two exposures, a bead scan of 11 x 11 positions at three depths
+    /// darks at two exposures, flats at three levels and two exposures, a bead scan of 11 x 11 positions at three
+    /// depths
     /// (at one, if measured PSFs have no depth) and eight scenes.
     ///
     /// # Errors

@@ -54,9 +54,7 @@ pub use config::{
 };
 pub use drawn::MeasuredPsfs;
 pub use error::BenchError;
-pub use family::FamilyName;
-pub use family::kernels::{KernelsConfig, StackOf};
-pub use family::relay::RelayConfig;
+pub use family::config::{FamilyName, KernelsConfig, RelayConfig, StackOf};
 pub use instrument::{Summary, VirtualInstrument};
 pub use open::open_session;
 

@@ -1,4 +1,5 @@
-//! Every verb is killed at random times, as the system kills a program (SIGKILL): no input changes, each output is whole
+//! Every verb is killed at random times, as the system kills a program (SIGKILL): no input changes, each output is
+//! whole
 //! or absent, and the same command then ends in the same bytes and leaves no unfinished file behind.
 //!
 //! `OMMATIDIA_KILLS` sets how often each verb is killed (default: 6).

@@ -13,7 +13,8 @@ pub(super) const UNIT: usize = 32;
 /// more wrong bits than can be corrected, and reading it is a fault of the bus. So every read of the slots goes through
 /// [`Self::view`], which looks first.
 pub trait MappedFlash: NorFlash {
-    /// The bytes at offsets `range`, in place. `None` where it reaches beyond the flash, or where a word in it cannot be
+    /// The bytes at offsets `range`, in place. `None` where it reaches beyond the flash, or where a word in it cannot
+    /// be
     /// read. Never faults.
     fn view(&self, range: Range<usize>) -> Option<&[u8]>;
 }

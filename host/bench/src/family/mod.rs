@@ -12,6 +12,7 @@
 //! displaces the focus and its source.
 
 pub(crate) mod change;
+pub(crate) mod config;
 mod edges;
 pub(crate) mod kernels;
 mod lens;
@@ -22,52 +23,9 @@ use super::config::BenchConfig;
 use super::error::BenchError;
 use super::foci::{Focus, Point};
 use change::Change;
+use config::FamilyName;
 use ommatidia_physics::effects::{EffectSetting, Ray, RayShift};
 use ommatidia_physics::optics::{Psf, PsfScratch};
-use serde::{Deserialize, Serialize};
-
-/// A family of instruments.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum FamilyName {
-    /// Scalar diffraction at pupils with Zernike aberrations.
-    #[default]
-    Pupils,
-    /// Relays with Seidel aberrations, by tracing rays.
-    Relay,
-    /// PSFs that were drawn at random or measured.
-    Kernels,
-}
-
-impl FamilyName {
-    /// All of them.
-    pub const ALL: [Self; 3] = [Self::Pupils, Self::Relay, Self::Kernels];
-
-    /// The name, as in a configuration.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Pupils => "pupils",
-            Self::Relay => "relay",
-            Self::Kernels => "kernels",
-        }
-    }
-}
-
-impl std::fmt::Display for FamilyName {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
-impl std::str::FromStr for FamilyName {
-    type Err = String;
-
-    /// Parses the name.
-    fn from_str(text: &str) -> Result<Self, String> {
-        let known = Self::ALL.map(Self::name).join(", ");
-        Self::ALL.into_iter().find(|f| f.name() == text).ok_or_else(|| format!("expected one of {known}"))
-    }
-}
 
 /// Working memory for one focus; each thread needs its own.
 #[derive(Debug, Default)]

@@ -6,7 +6,8 @@
 //!
 //! `W = W040 (rho.rho)^2 + W131 (h.rho)(rho.rho) + W222 (h.rho)^2 + W220 (h.h)(rho.rho) + W311 (h.h)(h.rho)`
 //!
-//! (Born & Wolf, section 5.3, in vector form). Tolerances add a defocus, a coma and an astigmatism that do not depend on
+//! (Born & Wolf, section 5.3, in vector form). Tolerances add a defocus, a coma and an astigmatism that do not depend
+//! on
 //! the field. A source at depth z moves its ray by `-m z NA rho` (NA on the object side): its cone of rays is cut at
 //! another place. Since the relay is telecentric, the chief ray does not depend on the depth. A second stop,
 //! displaced in proportion to h, clips the pupil off the axis. Each ray is blurred by diffraction, as a Gaussian of
@@ -14,6 +15,7 @@
 //! pixels in closed form: nothing is interpolated between foci.
 
 use super::change::Change;
+use super::config::RelayConfig;
 use super::edges::Edges;
 use super::{Lenses, Work};
 use crate::config::BenchConfig;
@@ -22,48 +24,6 @@ use crate::foci::{Focus, Point};
 use ommatidia_physics::effects::{Ray, RayShift};
 use ommatidia_session::rng;
 use rand_distr::{Distribution, StandardNormal};
-use serde::{Deserialize, Serialize};
-
-/// Aberrations of the relays. Wavefront coefficients are those at the rim of the pupil, waves; terms that vary over the
-/// field are given for the corner of the object and a lens on the optical axis.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct RelayConfig {
-    /// W040.
-    pub spherical: f64,
-    /// W131.
-    pub coma: f64,
-    /// W222.
-    pub astigmatism: f64,
-    /// W220.
-    pub field_curvature: f64,
-    /// Displacement of a focus by W311 at the corner, pixels.
-    pub distortion_px: f64,
-    /// Manufacturing tolerance: rms over the lenses of defocus, coma and astigmatism that do not depend on the field.
-    pub scatter: f64,
-    /// Displacement of the second stop at the corner, pupil radii.
-    pub stop_walk: f64,
-    /// Radius of the second stop, pupil radii.
-    pub stop_radius: f64,
-    /// Rings of rays, and rays on each ring.
-    pub rays: [usize; 2],
-}
-
-impl Default for RelayConfig {
-    fn default() -> Self {
-        Self {
-            spherical: 0.05,
-            coma: 0.1,
-            astigmatism: 0.15,
-            field_curvature: 0.16,
-            distortion_px: -0.3,
-            scatter: 0.03,
-            stop_walk: 0.3,
-            stop_radius: 1.05,
-            rays: [7, 20],
-        }
-    }
-}
 
 /// Share of a pupil radius over which the second stop fades, so that the light is a smooth function of the field.
 const STOP_EDGE: f64 = 0.12;

@@ -2,9 +2,8 @@
 
 #![allow(clippy::unwrap_used)]
 
-use super::kernels::{KernelsConfig, StackOf};
-use super::relay::RelayConfig;
-use super::{FamilyName, Lenses, Work, build};
+use super::config::{FamilyName, KernelsConfig, RelayConfig, StackOf};
+use super::{Lenses, Work, build};
 use crate::config::{ArrayConfig, BenchConfig, ObjectConfig};
 use crate::family::change::Change;
 use crate::foci::Point;

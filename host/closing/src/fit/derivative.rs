@@ -46,7 +46,8 @@ impl Expansion<'_> {
     }
 }
 
-/// The images of single lenses under a state, electrons, [sensor rows, sensor cols]: computed when a column first varies
+/// The images of single lenses under a state, electrons, [sensor rows, sensor cols]: computed when a column first
+/// varies
 /// that lens, and kept for the others.
 #[derive(Default)]
 pub struct LensImages {

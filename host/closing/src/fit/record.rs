@@ -136,7 +136,8 @@ pub fn objects(seen: &mut Observations, frames: &[Seen]) -> Vec<Fault> {
     faults
 }
 
-/// Finds scenes whose light differs from that of the others by a factor of their own. An effect that the model lacks may
+/// Finds scenes whose light differs from that of the others by a factor of their own. An effect that the model lacks
+/// may
 /// do that as well, so nothing is corrected yet.
 pub fn exposures(seen: &Observations, frames: &[Seen]) -> Vec<Fault> {
     let mut faults = Vec::new();

@@ -1,6 +1,7 @@
 //! Searches for the effects that a model lacks.
 //!
-//! [`trials`] lists what is tried, [`select`] adds one effect after another (forward selection), `earn` takes out effects
+//! [`trials`] lists what is tried, [`select`] adds one effect after another (forward selection), `earn` takes out
+//! effects
 //! that a term without a name makes unnecessary, `prune` removes what is no longer needed (backward elimination),
 //! [`recalibrate`] measures what a new calibration would gain.
 

@@ -1,6 +1,6 @@
 //! Which instruments a study has: families in turn, and seeds for development apart from sealed ones.
 
-use super::plan::Size;
+use super::size::Size;
 use ommatidia_bench::{BenchConfig, FamilyName, MeasuredPsfs};
 use serde::{Deserialize, Serialize};
 
@@ -93,7 +93,8 @@ pub fn config(size: &Size, n: u64) -> anyhow::Result<BenchConfig> {
     Ok(c)
 }
 
-/// A gentle instrument with pupils, for a check that `close` and the study work: weak light and a fine scan, so that the
+/// A gentle instrument with pupils, for a check that `close` and the study work: weak light and a fine scan, so that
+/// the
 /// errors of the calibration stay below the noise.
 pub fn gentle(n: u64) -> BenchConfig {
     let mut c = BenchConfig { instrument_seed: 500 + n, ..BenchConfig::default() };

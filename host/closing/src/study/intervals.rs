@@ -9,7 +9,8 @@ use std::collections::BTreeMap;
 /// Resamplings of the instruments.
 const DRAWS: usize = 2000;
 
-/// `k` of `n`, with a 95 % interval: the hull of that of Wilson (J. Am. Stat. Assoc. 22, 209, 1927), which takes sessions
+/// `k` of `n`, with a 95 % interval: the hull of that of Wilson (J. Am. Stat. Assoc. 22, 209, 1927), which takes
+/// sessions
 /// as independent, and of a bootstrap over instruments (Davison and Hinkley, Bootstrap Methods and their Application,
 /// 1997, section 3.8), which lets the sessions of one calibration fail together but has no width where all agree.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

@@ -5,55 +5,12 @@ use super::instruments::{is_wide, kinds};
 use super::ranges;
 use super::sensitivity::Sensitivities;
 use super::sessions::Holds;
-use ommatidia_bench::MeasuredPsfs;
+use super::size::{Question, Size};
 use ommatidia_physics::effects::{Descriptor, Effect, Stage, find, registry};
 use ommatidia_session::rng;
 use rand::Rng;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-
-/// The question that a case answers.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Question {
-    /// Is nothing found in a session without an effect?
-    #[default]
-    Null,
-    /// Is one undeclared effect of the catalogue found?
-    Single,
-    /// Are two undeclared effects of the catalogue found?
-    Pair,
-    /// What does `close` report if the true effect is not among the candidates?
-    MinusOne,
-    /// What does `close` report of an effect outside the catalogue?
-    Foreign,
-    /// Is a wrongly calibrated gain found?
-    Gain,
-    /// What does `close` report of sessions that hold less than darks, flats and known scenes?
-    Parts,
-    /// What does `close` report if the truths do not lie quite where the objects were?
-    Registration,
-    /// Are faults of the records (exchanged truths, wrong exposure) found?
-    Records,
-    /// Does fine-tuning on the closed instrument help a network as much as on the true one?
-    Reconstruction,
-}
-
-impl Question {
-    /// All of them.
-    pub const ALL: [Self; 10] = [
-        Self::Null,
-        Self::Single,
-        Self::Pair,
-        Self::MinusOne,
-        Self::Foreign,
-        Self::Gain,
-        Self::Parts,
-        Self::Registration,
-        Self::Records,
-        Self::Reconstruction,
-    ];
-}
 
 /// An injected effect.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -100,89 +57,6 @@ pub struct Case {
 
 fn one() -> f64 {
     1.0
-}
-
-/// How large a study is, and which seeds it uses.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Size {
-    /// Seed of all random draws.
-    pub seed: u64,
-    /// Whether instruments and sessions are the sealed ones, which no threshold may be set on.
-    #[serde(default)]
-    pub sealed: bool,
-    /// Whether the only instruments are gentle ones, for a check that takes a minute.
-    #[serde(default)]
-    pub gentle: bool,
-    /// Measured PSFs, as one more kind of instruments.
-    #[serde(default)]
-    pub measured: Option<MeasuredPsfs>,
-    /// Number of instruments; the kinds take turns.
-    pub instruments: u64,
-    /// Sessions without an effect.
-    pub nulls: usize,
-    /// Repetitions of all other sessions, each with its own scenes and noise.
-    pub seeds: u64,
-    /// Strengths of single effects, in units of the session's sensitivity.
-    pub strengths: Vec<f64>,
-    /// Ids of the effects to inject; empty: all.
-    pub only: Vec<String>,
-    /// Questions to answer; empty: all.
-    pub questions: Vec<Question>,
-    /// Largest number of sessions with one effect at one strength; other groups have a sixth of it. `None`: no limit.
-    #[serde(default)]
-    pub quota: Option<usize>,
-}
-
-impl Default for Size {
-    fn default() -> Self {
-        Self {
-            seed: 1,
-            sealed: false,
-            gentle: false,
-            measured: None,
-            instruments: 42,
-            nulls: 300,
-            seeds: 1,
-            strengths: vec![3.0, 10.0, 30.0, 100.0, 300.0, 1000.0],
-            only: Vec::new(),
-            questions: Vec::new(),
-            quota: None,
-        }
-    }
-}
-
-impl Size {
-    /// A study of a minute or two, which checks that `close` and the study work but measures neither.
-    pub fn quick(seed: u64) -> Self {
-        let only =
-            ["vignetting", "array_shift", "interpixel_capacitance", "background", "half_step", "alternating_gain"];
-        Self {
-            seed,
-            gentle: true,
-            instruments: 1,
-            nulls: 6,
-            strengths: vec![20.0],
-            only: only.map(Into::into).to_vec(),
-            questions: vec![Question::Null, Question::Single, Question::Foreign, Question::Records],
-            ..Self::default()
-        }
-    }
-
-    /// A study of about 70 sessions over all kinds of instruments and strengths, for development.
-    pub fn development(seed: u64) -> Self {
-        let questions = Question::ALL.into_iter().filter(|q| *q != Question::Reconstruction);
-        let questions = questions.filter(|q| *q != Question::Gain && *q != Question::Records).collect();
-        Self { seed, instruments: 4, nulls: 9, quota: Some(6), questions, ..Self::default() }
-    }
-
-    fn wants(&self, id: &str) -> bool {
-        self.only.is_empty() || self.only.iter().any(|o| o == id)
-    }
-
-    /// Whether a question is asked.
-    pub fn asks(&self, question: Question) -> bool {
-        self.questions.is_empty() || self.questions.contains(&question)
-    }
 }
 
 /// Pairs of effects, easily confused ones first.
@@ -313,7 +187,8 @@ fn wishes(size: &Size) -> Vec<Wish> {
         }
     }
     for round in 0..size.seeds {
-        // One session for each kind; the instruments of a kind are used in an order that differs by effect and strength.
+        // One session for each kind; the instruments of a kind are used in an order that differs by effect and
+        // strength.
         let turn = |kind: u64, a: usize, b: usize| {
             let of_kind = (size.instruments + kinds - 1 - kind) / kinds;
             kind + kinds * ((a as u64 * 5 + b as u64 * 3 + round * 7) % of_kind.max(1))
@@ -415,7 +290,8 @@ fn described(id: &str) -> Option<&'static Descriptor> {
     find(id).map(|e| e.descriptor()).or_else(|| foreign::find(id).map(|f| f.descriptor()))
 }
 
-/// An effect with a strength of `sigmas` standard errors, or at the end of its range. None: the session cannot determine
+/// An effect with a strength of `sigmas` standard errors, or at the end of its range. None: the session cannot
+/// determine
 /// the effect.
 fn injected(known: &Sensitivities, id: &str, sigmas: f64) -> Option<Injected> {
     let s = known.of.get(id)?;

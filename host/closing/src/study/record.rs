@@ -2,8 +2,9 @@
 
 use super::downstream::Reconstruction;
 use super::instruments::Kind;
-use super::plan::{Case, Injected, Question};
+use super::plan::{Case, Injected};
 use super::shard::Shard;
+use super::size::Question;
 use crate::Verdict;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

@@ -1,11 +1,12 @@
 //! A whole study: instruments, cases, figures.
 
 use super::networks::Networks;
-use super::plan::{Case, Size, cases};
+use super::plan::{Case, cases};
 use super::record::{Ledger, Outcome, read_all};
 use super::sealed::Sealed;
 use super::sensitivity::Sensitivities;
 use super::shard::Shard;
+use super::size::Size;
 use super::subject::Subject;
 use super::summary::Summary;
 use super::text::{Plan, page};
@@ -60,7 +61,8 @@ pub struct Progress {
 /// each on one thread; the outcome does not depend on the number of threads.
 ///
 /// # Errors
-/// The folder cannot be written, it holds another study, or an instrument cannot be calibrated. A session that cannot be
+/// The folder cannot be written, it holds another study, or an instrument cannot be calibrated. A session that cannot
+/// be
 /// closed is not an error: its outcome holds the reason.
 pub fn run(
     request: &StudyRequest<'_>,
@@ -101,7 +103,8 @@ pub fn run(
     conclude(dir, size, Plan { planned, opened }, &sensitivities.into_iter().flatten().collect::<Vec<_>>())
 }
 
-/// Checks that the folder holds no other study, and counts an opening of the sealed seeds where this is one. Returns how
+/// Checks that the folder holds no other study, and counts an opening of the sealed seeds where this is one. Returns
+/// how
 /// often they were opened; `None`: the seeds are those for development.
 fn begin(dir: &Path, size: &Size, shard: Shard, sealed: Option<&Path>) -> anyhow::Result<Option<usize>> {
     let file = dir.join(PLAN);

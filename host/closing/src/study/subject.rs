@@ -6,8 +6,8 @@
 use super::foreign::{FOREIGN, Foreign};
 use super::instruments::{self, Kind};
 use super::networks::{self, Networks};
-use super::plan::{Question, Size};
 use super::sensitivity::{Sensitivities, Sensitivity};
+use super::size::{Question, Size};
 use crate::{Budget, CloseOptions, Observations, close};
 use anyhow::Context;
 use ommatidia_bench::{BenchConfig, VirtualInstrument};

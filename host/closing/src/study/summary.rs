@@ -3,10 +3,10 @@
 use super::foreign;
 use super::instruments::Kind;
 use super::intervals::Share;
-use super::plan::Question;
 use super::ranks::Ranks;
 use super::record::Outcome;
 use super::sessions::Holds;
+use super::size::Question;
 use serde::Serialize;
 use std::collections::BTreeMap;
 

@@ -5,13 +5,14 @@
 use super::foreign::FOREIGN;
 use super::instruments::{self, Kind};
 use super::networks::{FirstTraining, TrainRequest};
-use super::plan::{Case, Injected, PAIRS, Question, Size, cases, catalogue};
+use super::plan::{Case, Injected, PAIRS, cases, catalogue};
 use super::record::{FoundEffect, HeldOut, Ledger, Outcome, read_all};
 use super::run::{JSON, PAGE, StudyRequest, run};
 use super::sealed::Sealed;
 use super::sensitivity::{Sensitivities, Sensitivity};
 use super::sessions::Holds;
 use super::shard::Shard;
+use super::size::{Question, Size};
 use super::summary::Summary;
 use super::text::{Plan, TITLE, page};
 use crate::{Retrain, RetrainRequest, Retrained};

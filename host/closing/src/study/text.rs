@@ -1,9 +1,9 @@
 //! The page of a study, Markdown.
 
 use super::intervals::Share;
-use super::plan::{Question, Size};
 use super::record::Outcome;
 use super::sensitivity::Sensitivities;
+use super::size::{Question, Size};
 use super::summary::{ByStrength, Outside, Summary};
 use std::collections::BTreeSet;
 use std::fmt::Write;

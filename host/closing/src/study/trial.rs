@@ -3,9 +3,10 @@
 use super::downstream::{self, Comparison};
 use super::foreign;
 use super::networks::Networks;
-use super::plan::{Case, Question};
+use super::plan::Case;
 use super::record::{FoundEffect, HeldOut, Outcome};
 use super::sessions::Holds;
+use super::size::Question;
 use super::subject::Subject;
 use crate::evidence::figures;
 use crate::fit::{Model, Term, refit};

@@ -15,10 +15,12 @@ use serde::Serialize;
 
 /// Fewest frames from which a drift is estimated.
 const FEWEST: usize = 25;
-/// Chi-squared of the four terms of a drift from which it counts: five standard deviations of noise, 35 for four degrees
+/// Chi-squared of the four terms of a drift from which it counts: five standard deviations of noise, 35 for four
+/// degrees
 /// of freedom, and some room for the scatter that the standard errors are taken from.
 const SEEN_CHI2: f64 = 45.0;
-/// Smallest drift that is worth a finding, sensor pixels times the root of the number of lenses. Aberrations that change
+/// Smallest drift that is worth a finding, sensor pixels times the root of the number of lenses. Aberrations that
+/// change
 /// over the field move foci too, differently behind each lens, and the scan goes through the field in the course of
 /// time. This is twice the largest figure of 24 virtual instruments of one to nine lenses that did not move.
 const LEAST_PX: f64 = 0.3;
@@ -50,7 +52,8 @@ pub struct Drift {
     pub seen: bool,
 }
 
-/// Estimates the drift of the foci of `lenses` lenses; None where the table does not agree with the frames, or there are too few.
+/// Estimates the drift of the foci of `lenses` lenses; None where the table does not agree with the frames, or there
+/// are too few.
 pub fn drift(scan: &Scan, tried: &Tried, outliers: &[Outlier], lenses: usize) -> Option<Drift> {
     if !tried.testable || tried.best != Hypothesis::AS_IS {
         return None;

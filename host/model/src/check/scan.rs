@@ -105,7 +105,8 @@ impl Scan {
         Ok(Self { frames, all_moved_px, bin })
     }
 
-    /// The frames of the depth with the most frames, of several such depths that nearest to 0 um. Foci change their shape
+    /// The frames of the depth with the most frames, of several such depths that nearest to 0 um. Foci change their
+    /// shape
     /// with depth, so frames of different depths say little of each other's positions.
     pub fn at_one_depth(self) -> Self {
         let count = |z_um: f64| self.frames.iter().filter(|f| f.z_um == z_um).count();

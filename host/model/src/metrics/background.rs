@@ -5,7 +5,7 @@
 //! together with a factor of the predicted light, so that light of another unit is not taken for a background.
 
 use super::figures::MetricError;
-use super::prediction::{FrameComparison, SensorNoise};
+use super::frames::{FrameComparison, SensorNoise};
 use crate::slopes::{Slopes, slope_terms, slope_value};
 use ndarray::{Array2, ArrayView2, Zip};
 use ommatidia_physics::linalg::least_squares;

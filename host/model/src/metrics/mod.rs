@@ -22,14 +22,13 @@
 mod background;
 mod case;
 mod figures;
+mod frames;
 mod prediction;
 mod ssim;
 
 pub use background::{FrameBackground, add_background};
 pub use case::Case;
 pub use figures::{Figures, MetricError, Moments, compare, psnr, psnr_db, scaled};
-pub use prediction::{
-    ChiSquared, FrameComparison, PredictionFigures, ResidualRing, SensorNoise, chi_squared, in_sigmas,
-    prediction_figures,
-};
+pub use frames::{FrameComparison, SensorNoise};
+pub use prediction::{ChiSquared, PredictionFigures, ResidualRing, chi_squared, in_sigmas, prediction_figures};
 pub use ssim::{SsimError, ssim};

@@ -18,7 +18,8 @@ pub const ORDERS: [usize; 3] = [2, 3, 4];
 /// Number of smoothing parameters lambda that are tried: 10^-11 to 10^2 times the largest eigenvalue, in half decades.
 const LAMBDAS: std::ops::RangeInclusive<i32> = -22..=4;
 
-/// What a degree of freedom beyond the polynomials counts in cross-validation. Of 1, 1.2 and 1.4 this had the least error
+/// What a degree of freedom beyond the polynomials counts in cross-validation. Of 1, 1.2 and 1.4 this had the least
+/// error
 /// on beads that were left out, in each of eight virtual scans of 81 beads.
 const COST: f64 = 1.2;
 

@@ -100,7 +100,8 @@ impl FrameRange {
         (lit < DEFECTS / 10.0 && !structured(frame_dn, black, noise)).then_some(Oddity::Dark)
     }
 
-    /// Whether a frame that should hold light above black, DN, still holds the black level: its darkest pixels lie there.
+    /// Whether a frame that should hold light above black, DN, still holds the black level: its darkest pixels lie
+    /// there.
     pub fn holds_black(&self, frame_dn: ArrayView2<'_, f32>) -> bool {
         let noise = SIGMAS * noise_dn(frame_dn).max(LEAST_DN);
         let mut values: Vec<f32> = frame_dn.iter().copied().filter(|v| v.is_finite()).collect();

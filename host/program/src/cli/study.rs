@@ -5,9 +5,9 @@ use super::files::{Content, Files};
 use super::retrain::Networks;
 use ommatidia_bench::{MeasuredPsfs, StackOf};
 use ommatidia_closing::study::intervals::Share;
-use ommatidia_closing::study::plan::Size;
 use ommatidia_closing::study::run::{JSON, PAGE, PLAN, StudyRequest, run as study};
 use ommatidia_closing::study::shard::Shard;
+use ommatidia_closing::study::size::Size;
 use std::fmt::Write;
 use std::path::PathBuf;
 

@@ -57,7 +57,8 @@ impl Mistake {
         Self { path: Some(String::new()), ..self }
     }
 
-    /// The program runs with the rights of a user who owns nothing, so that permissions hold for it even where the tests
+    /// The program runs with the rights of a user who owns nothing, so that permissions hold for it even where the
+    /// tests
     /// run as root.
     pub fn unprivileged(self) -> Self {
         Self { unprivileged: true, ..self }

@@ -39,7 +39,8 @@ fn unfinished_prefix(path: &Path) -> String {
     format!(".{}.", path.file_name().map_or("file".into(), |name| name.to_string_lossy()))
 }
 
-/// Removes the temporary files and folders of `path` that killed programs have left. The caller must know that no other program is
+/// Removes the temporary files and folders of `path` that killed programs have left. The caller must know that no other
+/// program is
 /// writing `path`. What cannot be removed stays.
 pub fn remove_leftovers(path: &Path) {
     let Ok(entries) = std::fs::read_dir(folder_of(path)) else { return };

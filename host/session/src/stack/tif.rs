@@ -86,7 +86,8 @@ fn description(path: &Path, decoder: &mut Decoder<BufReader<File>>) -> Result<St
     Ok(description.and_then(|value| value.into_string().ok()).unwrap_or_default())
 }
 
-/// Checks that a description, OME-XML or that of ImageJ, does not announce several channels or planes: their pages would
+/// Checks that a description, OME-XML or that of ImageJ, does not announce several channels or planes: their pages
+/// would
 /// be taken for frames.
 fn one_channel(path: &Path, text: &str) -> Result<(), SessionError> {
     let digits = |rest: &str| rest.chars().take_while(char::is_ascii_digit).collect::<String>().parse::<usize>().ok();

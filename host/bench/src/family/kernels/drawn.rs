@@ -1,7 +1,7 @@
 //! Kernels drawn at random: lobes of light around a centre, as engineered pupils make them.
 
-use super::KernelsConfig;
 use super::image::{Set, normalise};
+use crate::family::config::KernelsConfig;
 use ommatidia_session::rng;
 use rand::RngExt;
 use rand_distr::{Distribution, Exp1, StandardNormal};
@@ -12,7 +12,8 @@ const STEP_PX: f64 = 0.25;
 /// Draws the kernels; the same seed gives the same ones.
 ///
 /// Each is a sum of Gaussian lobes. Their light is distributed like that of speckle (negative exponential; Goodman,
-/// Speckle Phenomena in Optics, 2007, section 3.2.2), their places like a Gaussian cloud that is scaled to the rms radius
+/// Speckle Phenomena in Optics, 2007, section 3.2.2), their places like a Gaussian cloud that is scaled to the rms
+/// radius
 /// of the configuration and centred on its light.
 pub(super) fn draw(config: &KernelsConfig, seed: u64) -> Set {
     let half = (4.0 * config.rms_px.max(2.0 * config.lobe_px) / STEP_PX).ceil() as usize;

@@ -1,8 +1,8 @@
 //! Measured PSFs from files.
 
 use super::image::{Set, moments, normalise};
-use super::{KernelsConfig, StackOf};
 use crate::error::BenchError;
+use crate::family::config::{KernelsConfig, StackOf};
 use ndarray::{Array2, Axis};
 use ommatidia_session::stack;
 use std::path::{Path, PathBuf};

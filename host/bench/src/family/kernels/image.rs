@@ -35,7 +35,8 @@ impl Set {
         self.images.first().map_or(0, Vec::len)
     }
 
-    /// Blends designs by `weights` (their sum is 1), the slices around `slice` (0: the middle one), and the nodes around
+    /// Blends designs by `weights` (their sum is 1), the slices around `slice` (0: the middle one), and the nodes
+    /// around
     /// field `h` (a corner of the object is at a distance of 1), into `out`, [side, side].
     pub(super) fn blend(&self, weights: &[f64], slice: f64, h: [f64; 2], out: &mut Vec<f32>) {
         out.clear();

@@ -14,6 +14,7 @@ mod files;
 mod image;
 
 use super::change::Change;
+use super::config::KernelsConfig;
 use super::{Lenses, Work};
 use crate::config::BenchConfig;
 use crate::error::BenchError;
@@ -23,84 +24,6 @@ use ommatidia_physics::effects::{EffectSetting, Ray, RayShift};
 use ommatidia_session::rng;
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
-use serde::{Deserialize, Serialize};
-
-/// What the frames of a stack of measured PSFs are.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum StackOf {
-    /// One PSF at even steps of depth; each file is another PSF.
-    #[default]
-    Depths,
-    /// PSFs on a square grid over the field, row by row, at one depth; each file is another such grid.
-    Field,
-}
-
-impl std::str::FromStr for StackOf {
-    type Err = String;
-
-    /// Parses `depths` or `field`.
-    fn from_str(text: &str) -> Result<Self, String> {
-        match text {
-            "depths" => Ok(Self::Depths),
-            "field" => Ok(Self::Field),
-            _ => Err("expected depths or field".into()),
-        }
-    }
-}
-
-/// The kernels and how they vary over the field. Terms that vary over the field are given for the corner of the object.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct KernelsConfig {
-    /// Measured PSFs: files, or folders of files, one stack (`.npy`, `.tif`) a file, [frames, rows, cols]; empty: the
-    /// kernels are drawn.
-    pub psfs: Vec<String>,
-    /// What the frames of such a stack are.
-    pub stack_of: StackOf,
-    /// Distance between the frames of a stack of depths, as the instrument shows them, um.
-    pub slice_um: f64,
-    /// Root mean square radius of the kernels (of the middle frame, of measured ones), pixels.
-    pub rms_px: f64,
-    /// Number of drawn kernels.
-    pub count: usize,
-    /// Lobes of a drawn kernel.
-    pub lobes: usize,
-    /// Standard deviation of the smallest lobe, pixels; the largest is twice as wide.
-    pub lobe_px: f64,
-    /// Turn of a drawn kernel with depth, rad per um.
-    pub turn_rad_per_um: f64,
-    /// How strongly the blend changes over the field: rms change of the logarithm of a weight.
-    pub morph: f64,
-    /// Turn over the field, rms over the lenses, rad.
-    pub turn_rad: f64,
-    /// Relative stretch over the field, rms over the lenses.
-    pub stretch: f64,
-    /// Distortion, rms over the lenses and terms, pixels.
-    pub warp_px: f64,
-    /// Light lost at the corner.
-    pub falloff: f64,
-}
-
-impl Default for KernelsConfig {
-    fn default() -> Self {
-        Self {
-            psfs: Vec::new(),
-            stack_of: StackOf::Depths,
-            slice_um: 4.0,
-            rms_px: 2.0,
-            count: 3,
-            lobes: 5,
-            lobe_px: 0.6,
-            turn_rad_per_um: 0.006,
-            morph: 0.6,
-            turn_rad: 0.25,
-            stretch: 0.08,
-            warp_px: 0.2,
-            falloff: 0.35,
-        }
-    }
-}
 
 /// Samples along each axis over which a kernel is averaged in each pixel.
 const SAMPLES: usize = 4;
