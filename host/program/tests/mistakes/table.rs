@@ -111,7 +111,10 @@ fn as_nobody(desk: &Path) -> Command {
     const NOBODY: u32 = 65534;
     static COPY: LazyLock<TempDir> = LazyLock::new(|| {
         let folder = tempfile::Builder::new().permissions(Permissions::from_mode(0o755)).tempdir().unwrap();
-        std::fs::copy(env!("CARGO_BIN_EXE_ommatidia"), folder.path().join("ommatidia")).unwrap();
+        // Copied by another process: a file that this one has open for writing, or a child of it that another thread
+        // starts meanwhile, cannot be run.
+        let copied = Command::new("cp").arg(env!("CARGO_BIN_EXE_ommatidia")).arg(folder.path()).status().unwrap();
+        assert!(copied.success(), "the program cannot be copied");
         folder
     });
     if std::fs::metadata(desk).unwrap().uid() != 0 {
