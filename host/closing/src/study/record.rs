@@ -37,9 +37,11 @@ pub struct FoundEffect {
 /// chi-squared per pixel on held-out scenes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct HeldOut {
-    /// Of the calibrated instrument.
+    /// Of the calibrated instrument; NaN: the session holds nothing that is known.
+    #[serde(deserialize_with = "nullable")]
     pub before: f64,
-    /// Of the closed instrument.
+    /// Of the closed instrument; NaN as before.
+    #[serde(deserialize_with = "nullable")]
     pub after: f64,
     /// Of the bench's noise-free frames, which only chance can improve on.
     pub floor: f64,
@@ -49,16 +51,23 @@ pub struct HeldOut {
     pub truth: Option<f64>,
     /// Pixels.
     pub pixels: usize,
-    /// Figures of `close` itself, on what this session holds: chi-squared per pixel and NRMSE, before and after.
+    /// Figures of `close` itself, on what this session holds: chi-squared per pixel and NRMSE, before and after. None:
+    /// the session holds nothing that is known.
     #[serde(default)]
-    pub own: [[f64; 2]; 2],
+    pub own: [[Option<f64>; 2]; 2],
+}
+
+/// JSON has no NaN.
+fn nullable<'de, D: serde::Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
+    Ok(Option::deserialize(from)?.unwrap_or(f64::NAN))
 }
 
 impl HeldOut {
     /// Whether the closed instrument predicts held-out data worse than the calibrated one, in chi-squared or in NRMSE.
     /// A part in ten thousand is rounding.
     pub fn is_worse(&self) -> bool {
-        let worse = |k: usize| self.own[1][k].is_finite() && self.own[1][k] > self.own[0][k] * (1.0 + 1e-4);
+        let [before, after] = self.own;
+        let worse = |k: usize| before[k].zip(after[k]).is_some_and(|(b, a)| a > b * (1.0 + 1e-4));
         worse(0) || worse(1)
     }
 

@@ -83,6 +83,16 @@ fn figures_are_of_what_was_found() {
 }
 
 #[test]
+fn a_session_in_which_nothing_is_known_is_kept() {
+    let dir = tempfile::tempdir().unwrap();
+    let held_out = HeldOut { before: f64::NAN, after: f64::NAN, ..HeldOut::default() };
+    assert!(!held_out.is_worse() && held_out.explained().is_none());
+    let video = Outcome { held_out, ..outcome("video", Question::Parts, "", &[]) };
+    Ledger::open(dir.path(), Shard::default()).unwrap().push(&video).unwrap();
+    assert_eq!(read_all(dir.path()).unwrap().len(), 1);
+}
+
+#[test]
 fn a_torn_ledger_goes_on() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("sessions.jsonl");
@@ -112,7 +122,7 @@ fn names_beside_the_true_one_are_false_and_terms_without_a_name_are_not() {
 
 #[test]
 fn a_session_is_worse_if_either_figure_is() {
-    let of = |own| HeldOut { own, ..HeldOut::default() }.is_worse();
+    let of = |own: [[f64; 2]; 2]| HeldOut { own: own.map(|f| f.map(Some)), ..HeldOut::default() }.is_worse();
     assert!(!of([[2.0, 0.1], [1.5, 0.1]]) && !of([[2.0, 0.1], [2.0, 0.1]]));
     assert!(of([[2.0, 0.1], [1.5, 0.11]]) && of([[2.0, 0.1], [2.01, 0.09]]));
 }

@@ -79,7 +79,8 @@ fn attempt(subject: &Subject, case: &Case, networks: &dyn Networks) -> anyhow::R
             floor,
             truth,
             pixels,
-            own: [closing.before, closing.after].map(|f| [f.chi2_ndf, f.nrmse]),
+            own: [closing.before, closing.after]
+                .map(|f| [f.chi2_ndf, f.nrmse].map(|v| Some(v).filter(|v| v.is_finite()))),
         },
         found: found(closing),
         reconstruction,
