@@ -5,10 +5,10 @@ use super::account::{
     pictured, rejected, shadowed, unearned,
 };
 use super::data::{Fault, Observations, Shown};
-use super::evidence::{JudgedOn, figures, judged, omnibus, structured};
-use super::fit::{Model, State, Term, refit, replicas};
+use super::evidence::{JudgedOn, figures, is_worse, judged, omnibus, structured};
+use super::fit::{Model, State, Term, excess_by_calibration, refit, replicas};
 use super::options::{CalibratedOn, CloseError, CloseOptions};
-use super::search::{Pruned, Search, Tried, earned, is_worse, prune, score};
+use super::search::{Pruned, Search, Tried, earned, prune, score};
 use ommatidia_model::instrument::Instrument;
 use ommatidia_physics::effects::find;
 use ommatidia_session::Role;
@@ -57,7 +57,9 @@ pub(crate) fn attempt(
     let first = refit(&model, start)?;
     let replicas = replicas(&model, instrument, &first.state)?;
     let before = first.clone();
-    let dependences_before = omnibus::test(&model, &first, &replicas.of(&model, &first), seed);
+    let of_frames = replicas.of(&model, &first);
+    let by_calibration = excess_by_calibration(&model, &first, &of_frames);
+    let dependences_before = omnibus::test(&model, &first, &of_frames, seed);
     progress("catalogue");
     let mut search = Search::new(&model, &replicas, first);
     search.exclude = given.exclude.to_vec();
@@ -108,10 +110,10 @@ pub(crate) fn attempt(
     let claims = |e: &Effect| claims_a_cause(e, recalibrated);
     // Darks and even light prove a table pixel by pixel, whatever is left of the scenes.
     let may_imitate = |e: &Effect| claims(e) && find(&e.id).is_none_or(|effect| effect.table().is_none());
-    let excess = Excess::of(&before, &now);
+    let excess = Excess::of(&before, &now, by_calibration);
     let mut effects =
         effects(&model, Findings { before: &before, now: &now, own, found: &found, tests: &tests }, given.faults);
-    if !found.is_empty() && is_worse(figures(&model, &before), figures(&model, &now)) {
+    if !found.is_empty() && is_worse(&model, &before, &now) {
         let why = "with it, held-out data were predicted worse than without";
         effects.retain(claims);
         nearest.extend(unearned(&effects, why));
@@ -132,7 +134,7 @@ pub(crate) fn attempt(
         effects = others;
     }
     let catalogue_incomplete = unknown || structured(&dependences);
-    let verdict = Excess::of(&before, &now).verdict(catalogue_incomplete);
+    let verdict = Excess::of(&before, &now, by_calibration).verdict(catalogue_incomplete);
     if instrument.replicates.is_empty() && seen.of(Role::Scene).next().is_some() {
         notes.push(
             "the instrument has no calibration replicates, so the uncertainty of the calibration is unknown and small \

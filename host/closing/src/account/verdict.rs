@@ -12,6 +12,8 @@ const SIGMAS: f64 = 5.0;
 /// A model whose chi-squared per pixel exceeds one by less is no other model, whatever its excess was before: errors of
 /// a calibration reach that size.
 const MUCH: f64 = 0.25;
+/// Replicates show the scatter of a calibration and not its bias, which is about as large where the rank is well chosen.
+const BIAS: f64 = 2.0;
 /// From this share on most of the excess is left.
 const MOST: f64 = 0.5;
 
@@ -25,10 +27,11 @@ pub(crate) struct Excess {
 }
 
 impl Excess {
-    /// Compares the last fit with the first.
-    pub(crate) fn of(before: &Fitted, now: &Fitted) -> Self {
+    /// Compares the last fit with the first. `by_calibration` is the excess that errors of the calibration make
+    /// ([`crate::fit::excess_by_calibration`]); no effect explains it.
+    pub(crate) fn of(before: &Fitted, now: &Fitted, by_calibration: f64) -> Self {
         let pixels = before.held_out.pixels as f64;
-        let [first, last] = [before, now].map(|fit| fit.held_out.chi2 - pixels);
+        let [first, last] = [before, now].map(|fit| fit.held_out.chi2 - pixels - BIAS * by_calibration);
         let noise = SIGMAS * (2.0 * pixels).sqrt();
         let left = if last > noise { last / first.max(last) } else { 0.0 };
         Self { left, per_pixel: last / pixels.max(1.0) }

@@ -4,6 +4,7 @@ use crate::data::{Observations, Shown};
 use crate::fit::{Fitted, Model};
 use ommatidia_session::Role;
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 
 /// What figures are computed from: frames whose content is known without the frame itself. The specimen of an unknown
 /// frame is estimated from that frame, so that its own blur would be its model, and any figure of it hollow.
@@ -75,42 +76,72 @@ pub(crate) fn pictured_frames(seen: &Observations) -> impl Iterator<Item = usize
     (0..seen.frames.len()).filter(|k| matches!(seen.frames[*k].role, Role::Scene | Role::Bead))
 }
 
+/// Held-out data: frames of [`JudgedOn`], each with the ranges of [`Observations::pixels`] that count; the held-out frames
+/// whole, or, if no frame is held out, the held-out blocks of all of them.
+fn held_out_pixels(seen: &Observations) -> impl Iterator<Item = (usize, Range<usize>)> + '_ {
+    let whole = judged(seen).any(|k| seen.frames[k].held_out);
+    let frames = judged(seen).filter(move |k| !whole || seen.frames[*k].held_out);
+    frames.flat_map(move |k| {
+        let blocks = seen.blocks.iter().zip(&seen.held_out_blocks).filter(move |(_, held_out)| whole || **held_out);
+        blocks.map(move |(span, _)| (k, span.clone()))
+    })
+}
+
+/// Standard deviations by which held-out data must be predicted worse.
+const WORSE: f64 = 2.0;
+
+/// Whether held-out data are predicted worse after than before, in chi-squared or in the sum of squares.
+///
+/// With residuals `r` and `s` before and after, the fall `sum w^2 (r^2 - s^2)` has the standard deviation
+/// `2 sqrt(sum w^2 (r - s)^2)` by the noise of the pixels, however good either model is; a change of the figures within
+/// that says nothing. The weights are those before: an effect on the noise alone predicts no worse.
+pub(crate) fn is_worse(model: &Model<'_>, before: &Fitted, after: &Fitted) -> bool {
+    let seen = model.seen;
+    let (mut fall, mut change) = ([0.0f64; 2], [0.0f64; 2]);
+    for (k, span) in held_out_pixels(seen) {
+        let (old, new) = (&before.predicted[k], &after.predicted[k]);
+        for p in &seen.pixels[span] {
+            let at = (*p as usize / seen.sensor[1], *p as usize % seen.sensor[1]);
+            let [r, s] = [old.residual_dn[at], new.residual_dn[at]].map(f64::from);
+            let w = f64::from(old.inverse_sigma[at]);
+            if w <= 0.0 || new.inverse_sigma[at] <= 0.0 {
+                continue;
+            }
+            for (i, weight) in [w * w, 1.0].into_iter().enumerate() {
+                fall[i] += weight * (r * r - s * s);
+                change[i] += (weight * (r - s) / w).powi(2);
+            }
+        }
+    }
+    fall.iter().zip(change).any(|(fall, change)| *fall < -WORSE * 2.0 * change.sqrt() && change > 0.0)
+}
+
 /// Figures on held-out data: the held-out frames of [`JudgedOn`], or, if no frame is held out, the held-out blocks of
 /// all of them.
 pub fn figures(model: &Model<'_>, fitted: &Fitted) -> Figures {
     let seen = model.seen;
-    let mut frames: Vec<usize> = judged(seen).filter(|k| seen.frames[*k].held_out).collect();
-    let whole = !frames.is_empty();
-    if !whole {
-        frames = judged(seen).collect();
-    }
-    if frames.is_empty() {
+    if judged(seen).next().is_none() {
         return Figures::NONE;
     }
     let black = model.forward.noise().black_level_dn;
     let (mut chi2, mut n, mut error, mut light) = (0.0, 0.0, 0.0, 0.0);
     let mut s = [0.0f64; 6];
-    for k in frames {
+    for (k, span) in held_out_pixels(seen) {
         let (here, measured) = (&fitted.predicted[k], &seen.frames[k].measured);
-        for (span, held_out) in seen.blocks.iter().zip(&seen.held_out_blocks) {
-            if !whole && !held_out {
+        for p in &seen.pixels[span] {
+            let at = (*p as usize / seen.sensor[1], *p as usize % seen.sensor[1]);
+            let (r, w) = (f64::from(here.residual_dn[at]), f64::from(here.inverse_sigma[at]));
+            if w <= 0.0 {
                 continue;
             }
-            for p in &seen.pixels[span.clone()] {
-                let at = (*p as usize / seen.sensor[1], *p as usize % seen.sensor[1]);
-                let (r, w) = (f64::from(here.residual_dn[at]), f64::from(here.inverse_sigma[at]));
-                if w <= 0.0 {
-                    continue;
-                }
-                chi2 += r * r * w * w;
-                n += 1.0;
-                let y = f64::from(measured[at]) - black;
-                let mu = y - r;
-                error += r * r;
-                light += y * y;
-                for (sum, v) in s.iter_mut().zip([1.0, y, mu, y * y, mu * mu, y * mu]) {
-                    *sum += v;
-                }
+            chi2 += r * r * w * w;
+            n += 1.0;
+            let y = f64::from(measured[at]) - black;
+            let mu = y - r;
+            error += r * r;
+            light += y * y;
+            for (sum, v) in s.iter_mut().zip([1.0, y, mu, y * y, mu * mu, y * mu]) {
+                *sum += v;
             }
         }
     }

@@ -5,7 +5,7 @@
 
 use super::candidate::{Found, Shadowed};
 use super::select::SHADOW;
-use crate::evidence::{Figures, figures, maps};
+use crate::evidence::{is_worse, maps};
 use crate::fit::{Fitted, Model, Scenes, State, Term, refit, refit_from};
 use ommatidia_model::forward::ForwardError;
 
@@ -80,22 +80,13 @@ pub(crate) fn earned(
 
 /// Takes terms back, the last first, as long as held-out data are predicted worse than before the search.
 fn without_harm(model: &Model<'_>, mut it: Earned, own: usize, first: &Fitted) -> Result<Earned, ForwardError> {
-    while !it.found.is_empty() && is_worse(figures(model, first), figures(model, &it.now)) {
+    while !it.found.is_empty() && is_worse(model, first, &it.now) {
         let mut state = it.now.state.clone();
         let f = it.take(&mut state, own, it.found.len() - 1);
         it.harmful.push((f.id, f.z));
         it.now = if it.found.is_empty() { first.clone() } else { refit(model, state)? };
     }
     Ok(it)
-}
-
-/// Relative change of a figure that is no change.
-const ROUNDING: f64 = 1e-4;
-
-/// Whether held-out data are predicted worse than before.
-pub(crate) fn is_worse(before: Figures, after: Figures) -> bool {
-    // Below 1 the noise model is too wide; an effect that narrows it raises chi-squared rightly.
-    after.chi2_ndf > before.chi2_ndf.max(1.0) || after.nrmse > before.nrmse * (1.0 + ROUNDING)
 }
 
 /// Whether a found effect may only imitate: neither even light and darks prove it, nor is it a map itself.
@@ -126,24 +117,4 @@ fn polished(model: &Model<'_>, state: &State, own: usize) -> Result<Fitted, Forw
         fit = Some(next);
     }
     fit.map_or_else(|| refit(model, state), Ok)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn figures(chi2_ndf: f64, nrmse: f64) -> Figures {
-        Figures { chi2_ndf, nrmse, pcc: 0.9 }
-    }
-
-    #[test]
-    fn an_instrument_that_predicts_worse_in_either_figure_is_worse() {
-        assert!(is_worse(figures(1.2, 0.05), figures(1.3, 0.04)));
-        assert!(is_worse(figures(0.52, 0.19), figures(0.79, 0.25)));
-        assert!(!is_worse(figures(1.2, 0.05), figures(1.1, 0.05)));
-        // A noise model that was too wide becomes right.
-        assert!(!is_worse(figures(0.6, 0.05), figures(0.99, 0.05)));
-        // What is not judged is not worse.
-        assert!(!is_worse(figures(f64::NAN, f64::NAN), figures(f64::NAN, f64::NAN)));
-    }
 }
