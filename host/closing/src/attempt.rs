@@ -5,8 +5,8 @@ use super::account::{
     pictured, rejected, shadowed, unearned,
 };
 use super::data::{Fault, Observations, Shown};
-use super::evidence::{JudgedOn, figures, is_worse, judged, omnibus, structured};
-use super::fit::{Model, State, Term, excess_by_calibration, refit, replicas};
+use super::evidence::{JudgedOn, excess_by_calibration, figures, is_worse, judged, omnibus, structured};
+use super::fit::{Model, State, Term, refit, replicas};
 use super::options::{CalibratedOn, CloseError, CloseOptions};
 use super::search::{Pruned, Search, Tried, earned, prune, score};
 use ommatidia_model::instrument::Instrument;
@@ -110,7 +110,7 @@ pub(crate) fn attempt(
     let claims = |e: &Effect| claims_a_cause(e, recalibrated);
     // Darks and even light prove a table pixel by pixel, whatever is left of the scenes.
     let may_imitate = |e: &Effect| claims(e) && find(&e.id).is_none_or(|effect| effect.table().is_none());
-    let excess = Excess::of(&before, &now, by_calibration);
+    let excess = Excess::of(figures(&model, &before), figures(&model, &now), by_calibration);
     let mut effects =
         effects(&model, Findings { before: &before, now: &now, own, found: &found, tests: &tests }, given.faults);
     if !found.is_empty() && is_worse(&model, &before, &now) {
@@ -134,7 +134,8 @@ pub(crate) fn attempt(
         effects = others;
     }
     let catalogue_incomplete = unknown || structured(&dependences);
-    let verdict = Excess::of(&before, &now, by_calibration).verdict(catalogue_incomplete);
+    let verdict =
+        Excess::of(figures(&model, &before), figures(&model, &now), by_calibration).verdict(catalogue_incomplete);
     if instrument.replicates.is_empty() && seen.of(Role::Scene).next().is_some() {
         notes.push(
             "the instrument has no calibration replicates, so the uncertainty of the calibration is unknown and small \

@@ -1,7 +1,7 @@
 //! Whether the account may name what was found, and how well the closed instrument describes the session.
 
 use super::result::{Effect, Nearest, Verdict};
-use crate::fit::Fitted;
+use crate::evidence::Figures;
 use crate::search::{NEEDS_CALIBRATION, Shadowed};
 use ommatidia_physics::effects::Stage;
 
@@ -27,11 +27,11 @@ pub(crate) struct Excess {
 }
 
 impl Excess {
-    /// Compares the last fit with the first. `by_calibration` is the excess that errors of the calibration make
-    /// ([`crate::fit::excess_by_calibration`]); no effect explains it.
-    pub(crate) fn of(before: &Fitted, now: &Fitted, by_calibration: f64) -> Self {
-        let pixels = before.held_out.pixels as f64;
-        let [first, last] = [before, now].map(|fit| fit.held_out.chi2 - pixels - BIAS * by_calibration);
+    /// Compares the last figures with the first. Of `by_calibration`, the number of pixels and the excess that errors of
+    /// the calibration make ([`crate::evidence::excess_by_calibration`]), the latter is explained by no effect.
+    pub(crate) fn of(before: Figures, now: Figures, (pixels, by_calibration): (usize, f64)) -> Self {
+        let pixels = pixels as f64;
+        let [first, last] = [before, now].map(|f| (f.chi2_ndf - 1.0) * pixels - BIAS * by_calibration);
         let noise = SIGMAS * (2.0 * pixels).sqrt();
         let left = if last > noise { last / first.max(last) } else { 0.0 };
         Self { left, per_pixel: last / pixels.max(1.0) }

@@ -2,6 +2,7 @@
 
 use crate::data::{Observations, Shown};
 use crate::fit::{Fitted, Model};
+use ndarray::Array2;
 use ommatidia_session::Role;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
@@ -114,6 +115,28 @@ pub(crate) fn is_worse(model: &Model<'_>, before: &Fitted, after: &Fitted) -> bo
         }
     }
     fall.iter().zip(change).any(|(fall, change)| *fall < -WORSE * 2.0 * change.sqrt() && change > 0.0)
+}
+
+/// Number of held-out pixels, and the excess of chi-squared there that errors of the calibration make, as the scatter of
+/// its replicates shows them (delete-a-group jackknife). `replicas` are those of [`crate::fit::Replicas::of`].
+pub(crate) fn excess_by_calibration(
+    model: &Model<'_>,
+    fitted: &Fitted,
+    replicas: &[Vec<Option<Array2<f32>>>],
+) -> (usize, f64) {
+    let (seen, n) = (model.seen, replicas.len() as f64);
+    let (mut pixels, mut excess) = (0, 0.0);
+    for (k, span) in held_out_pixels(seen) {
+        let changes: Vec<&Array2<f32>> = replicas.iter().filter_map(|r| r[k].as_ref()).collect();
+        for p in &seen.pixels[span] {
+            let at = (*p as usize / seen.sensor[1], *p as usize % seen.sensor[1]);
+            let w = f64::from(fitted.predicted[k].inverse_sigma[at]);
+            pixels += usize::from(w > 0.0);
+            let mean = changes.iter().map(|d| f64::from(d[at])).sum::<f64>() / n.max(1.0);
+            excess += changes.iter().map(|d| ((f64::from(d[at]) - mean) * w).powi(2)).sum::<f64>();
+        }
+    }
+    (pixels, excess * (n - 1.0).max(0.0) / n.max(1.0))
 }
 
 /// Figures on held-out data: the held-out frames of [`JudgedOn`], or, if no frame is held out, the held-out blocks of

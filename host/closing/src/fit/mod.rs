@@ -21,6 +21,6 @@ pub use derivative::Expansion;
 pub use design::{Design, Misfit, Scope, Sums, nuisances};
 pub use model::Model;
 pub use refit::{Fitted, Scenes, own_columns, refit, refit_from};
-pub use replicas::{Replicas, excess_by_calibration, replicas};
+pub use replicas::{Replicas, replicas};
 pub use solve::pseudo_inverse;
 pub use state::{Column, Predicted, State, Term};

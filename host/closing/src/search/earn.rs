@@ -50,7 +50,7 @@ pub(crate) fn earned(
         return without_harm(model, it, own, first);
     }
     it.now = polished(model, &it.now.state, own)?;
-    // All names at once, then one by one, the weakest first; then terms without a name that a map makes unnecessary.
+    // All names at once, then one by one, the weakest first; then terms without a name that others make unnecessary.
     let mut order: Vec<usize> = (0..it.found.len()).filter(|i| is_doubtful(&it, own, *i)).collect();
     order.sort_by(|a, b| it.found[*a].held_out_gain.total_cmp(&it.found[*b].held_out_gain));
     let (unnamed, named): (Vec<_>, Vec<_>) = order.into_iter().map(|i| it.found[i].id).partition(|id| is_unnamed(id));
@@ -66,7 +66,9 @@ pub(crate) fn earned(
         let [before, with, without_it] = [first, &it.now, &without].map(|f| f.held_out.deviance);
         let rise = (without_it - with) / (before - with).max(1e-9);
         tracing::info!("without {set:?}: {rise:.4} of the fall is lost");
-        if rise < SHADOW {
+        // A term without a name claims no cause: it goes only if hardly anything is lost.
+        let least = if set.iter().all(|id| is_unnamed(id)) { 0.1 * SHADOW } else { SHADOW };
+        if rise < least {
             let mut old = it.now.state.clone();
             for i in out.into_iter().rev() {
                 let f = it.take(&mut old, own, i);
