@@ -6,7 +6,7 @@ use super::account::{
 };
 use super::data::{Fault, Observations, Shown};
 use super::evidence::{JudgedOn, excess_by_calibration, figures, is_worse, judged, omnibus, structured};
-use super::fit::{Model, State, Term, refit, replicas};
+use super::fit::{Fitted, Model, State, Term, refit, replicas};
 use super::options::{CalibratedOn, CloseError, CloseOptions};
 use super::search::{Pruned, Search, Tried, earned, prune, score};
 use ommatidia_model::instrument::Instrument;
@@ -110,7 +110,11 @@ pub(crate) fn attempt(
     let claims = |e: &Effect| claims_a_cause(e, recalibrated);
     // Darks and even light prove a table pixel by pixel, whatever is left of the scenes.
     let may_imitate = |e: &Effect| claims(e) && find(&e.id).is_none_or(|effect| effect.table().is_none());
-    let excess = Excess::of(figures(&model, &before), figures(&model, &now), by_calibration);
+    let excess_of = |now: &Fitted| {
+        let [first, last] = [&before, now].map(|fit| figures(&model, fit));
+        Excess::of(first, last, by_calibration).within_calibration(last, &instrument.quality)
+    };
+    let excess = excess_of(&now);
     let mut effects =
         effects(&model, Findings { before: &before, now: &now, own, found: &found, tests: &tests }, given.faults);
     if !found.is_empty() && is_worse(&model, &before, &now) {

@@ -3,6 +3,7 @@
 use super::result::{Effect, Nearest, Verdict};
 use crate::evidence::Figures;
 use crate::search::{NEEDS_CALIBRATION, Shadowed};
+use ommatidia_model::instrument::Quality;
 use ommatidia_physics::effects::Stage;
 
 /// Names are earned if at most this share of the excess of chi-squared over the noise is left, on held-out data.
@@ -44,6 +45,13 @@ impl Excess {
             (true, false) => Verdict::Incomplete,
             (true, true) => Verdict::NotThisModel,
         }
+    }
+
+    /// Nothing counts as left if the last figures are within the error that the calibration showed at bead positions that
+    /// it had left out, noise deducted: no effect can predict better than the PSFs are known.
+    pub(crate) fn within_calibration(self, now: Figures, quality: &Quality) -> Self {
+        let relative2 = quality.off_grid_error.powi(2) - quality.noise_floor.powi(2);
+        if now.nrmse.powi(2) < relative2 { Self { left: 0.0, ..self } } else { self }
     }
 
     /// Whether what was found explains enough for its names to stand as causes.
@@ -101,6 +109,16 @@ pub(crate) fn imitated(all: &[Shadowed]) -> Vec<Nearest> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn nothing_is_left_within_the_error_of_the_calibration() {
+        let quality = Quality { off_grid_error: 0.05, noise_floor: 0.04, ..Quality::default() };
+        let left = |nrmse| {
+            let now = Figures { chi2_ndf: 1.6, nrmse, pcc: 0.99 };
+            Excess { left: 0.25, per_pixel: 0.6 }.within_calibration(now, &quality).left
+        };
+        assert_eq!([left(0.029), left(0.031)], [0.0, 0.25]);
+    }
 
     #[test]
     fn a_name_needs_most_of_the_excess_only_where_structure_is_left() {
