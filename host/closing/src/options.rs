@@ -39,7 +39,7 @@ pub struct CalibratedOn {
     pub file: String,
 }
 
-/// Settings of [`close()`].
+/// Settings of [`crate::close()`].
 #[derive(Clone, Copy, Debug, Default)]
 pub struct CloseOptions<'a> {
     /// Name of the session, for the account.

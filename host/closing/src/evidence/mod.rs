@@ -1,7 +1,7 @@
 //! Tests the residual of a fit.
 //!
 //! [`omnibus`] asks whether the residual depends on anything at all, [`score`] how much each effect of the catalogue
-//! would improve the fit, [`tables`] whether single pixels deviate in even light, [`maps`] what is fixed to the sensor
+//! would improve the fit, [`tables`] whether single pixels deviate in even light, `maps` what is fixed to the sensor
 //! in scenes, [`mod@figures`] how well held-out data are predicted.
 
 mod bins;
