@@ -1,14 +1,14 @@
 //! One attempt to close the loop, with the records as they stand: first fit, search, pruning, account.
 
 use super::account::{
-    Accepted, Closed, Closing, Effect, Excess, Findings, Verdict, claims_a_cause, effects, fault, harmful, imitated,
-    pictured, rejected, shadowed, unearned,
+    Accepted, Closed, Closing, Effect, Excess, Findings, Verdict, claims_a_cause, effects, harmful, imitated, pictured,
+    rejected, shadowed, unearned,
 };
 use super::data::{Fault, Observations, Shown};
 use super::evidence::{JudgedOn, excess_by_calibration, figures, is_worse, judged, omnibus, structured};
-use super::fit::{Fitted, Model, State, Term, refit, replicas};
+use super::fit::{Model, State, Term, refit, replicas};
 use super::options::{CalibratedOn, CloseError, CloseOptions};
-use super::search::{Pruned, Search, Tried, earned, prune, score};
+use super::search::{Earned, Pruned, Search, Tried, earned, prune, score};
 use ommatidia_model::instrument::Instrument;
 use ommatidia_physics::effects::find;
 use ommatidia_session::Role;
@@ -54,14 +54,13 @@ pub(crate) fn attempt(
     let start = model.state(instrument)?;
     let own = start.terms.len();
     progress("first fit");
-    let first = refit(&model, start)?;
-    let replicas = replicas(&model, instrument, &first.state)?;
-    let before = first.clone();
-    let of_frames = replicas.of(&model, &first);
-    let by_calibration = excess_by_calibration(&model, &first, &of_frames);
-    let dependences_before = omnibus::test(&model, &first, &of_frames, seed);
+    let before = refit(&model, start)?;
+    let replicas = replicas(&model, instrument, &before.state)?;
+    let of_frames = replicas.of(&model, &before);
+    let by_calibration = excess_by_calibration(&model, &before, &of_frames);
+    let dependences_before = omnibus::test(&model, &before, &of_frames, seed);
     progress("catalogue");
-    let mut search = Search::new(&model, &replicas, first);
+    let mut search = Search::new(&model, &replicas, before.clone());
     search.exclude = given.exclude.to_vec();
     search.trial_deviance = options.trial_calibration.map(|trial| held_out_deviance(trial, seen)).transpose()?;
     search.run(Tried::Catalogue, progress)?;
@@ -75,26 +74,39 @@ pub(crate) fn attempt(
     }
     let recalibrated = search.needs_calibration();
     progress("which names are earned");
-    let earned = earned(&model, search.now, search.found, own, &before)?;
+    let Earned { now, found, imitations } = earned(&model, search.now, search.found, own, &before)?;
+    progress("pruning");
+    let Pruned { mut now, mut found, mut tests, mut removed } = prune(&model, &replicas, now, found, own)?;
+    // What predicts held-out data worse than before is taken back, the last first.
+    let mut taken_back = Vec::new();
+    while is_worse(&model, &before, &now) {
+        let (Some(last), Some(term)) = (found.pop(), now.state.terms.pop()) else { break };
+        taken_back.push((last, term));
+        now = refit(&model, now.state)?;
+        let left = prune(&model, &replicas, now, found, own)?;
+        (now, found, tests) = (left.now, left.found, left.tests);
+        removed.extend(left.removed);
+    }
+    let (harmed, harmful_terms): (Vec<_>, Vec<_>) = taken_back.into_iter().unzip();
     let mut nearest = shadowed(&search.shadowed);
-    nearest.extend(imitated(&earned.imitations));
-    nearest.extend(harmful(&earned.harmful));
+    nearest.extend(imitated(&imitations));
+    nearest.extend(harmful(&harmed));
     let mut notes = Vec::new();
-    if !earned.harmful.is_empty() {
-        let ids: Vec<&str> = earned.harmful.iter().map(|(id, _)| *id).collect();
+    if !harmed.is_empty() {
+        let ids: Vec<&str> = harmed.iter().map(|f| f.id).collect();
         notes.push(format!(
             "taken back, because held-out data were predicted worse with it than before: {}",
             ids.join(", ")
         ));
     }
-    progress("pruning");
-    let Pruned { now, found, tests, removed } = prune(&model, &replicas, earned.now, earned.found, own)?;
-    let out = removed.iter().chain(&earned.removed);
-    if out.clone().next().is_some() {
+    let out = removed.iter().chain(imitations.iter().map(|it| &it.term)).chain(&harmful_terms);
+    let out: Vec<&Term> = out.collect();
+    if !out.is_empty() {
         dependences = omnibus::test(&model, &now, &replicas.of(&model, &now), seed);
         // Their limits are those of effects that are absent.
-        rest.retain(|c| !out.clone().any(|t| t.id() == c.term.id()));
-        let absent: Vec<Term> = out.map(|t| t.switched_off(model.lenses())).collect();
+        rest.retain(|c| !out.iter().any(|t| t.id() == c.term.id()));
+        let named = out.iter().filter(|t| !t.id().starts_with("unknown"));
+        let absent: Vec<Term> = named.map(|t| t.switched_off(model.lenses())).collect();
         rest.extend(score(&model, &now, &replicas.of(&model, &now), &absent)?);
     }
     if !removed.is_empty() {
@@ -104,28 +116,17 @@ pub(crate) fn attempt(
             ids.join(", ")
         ));
     }
-    let unknown = found.iter().any(|f| f.id.starts_with("unknown"));
+    let (first, last) = (figures(&model, &before), figures(&model, &now));
     let left = structured(&dependences);
-    let (mut now, mut found) = (now, found);
-    let claims = |e: &Effect| claims_a_cause(e, recalibrated);
+    let catalogue_incomplete = left || found.iter().any(|f| f.id.starts_with("unknown"));
+    let excess = Excess::of(first, last, by_calibration).within_calibration(last, &instrument.quality);
+    let verdict = excess.verdict(catalogue_incomplete);
     // Darks and even light prove a table pixel by pixel, whatever is left of the scenes.
-    let may_imitate = |e: &Effect| claims(e) && find(&e.id).is_none_or(|effect| effect.table().is_none());
-    let excess_of = |now: &Fitted| {
-        let [first, last] = [&before, now].map(|fit| figures(&model, fit));
-        Excess::of(first, last, by_calibration).within_calibration(last, &instrument.quality)
-    };
-    let excess = excess_of(&now);
+    let may_imitate =
+        |e: &Effect| claims_a_cause(e, recalibrated) && find(&e.id).is_none_or(|effect| effect.table().is_none());
     let mut effects =
         effects(&model, Findings { before: &before, now: &now, own, found: &found, tests: &tests }, given.faults);
-    if !found.is_empty() && is_worse(&model, &before, &now) {
-        let why = "with it, held-out data were predicted worse than without";
-        effects.retain(claims);
-        nearest.extend(unearned(&effects, why));
-        notes.push("all effects that were tried made the prediction of held-out data worse; none was added".into());
-        (now, found) = (before.clone(), Vec::new());
-        effects = given.faults.iter().map(fault).collect();
-        dependences = dependences_before.clone();
-    } else if !excess.names_are_earned(left) && effects.iter().any(may_imitate) {
+    if !excess.names_are_earned(left) && effects.iter().any(may_imitate) {
         let share = 100.0 * excess.left;
         let why =
             format!("{share:.0} % of the excess is left beside it, with structure: it imitates the cause in part");
@@ -137,9 +138,6 @@ pub(crate) fn attempt(
         ));
         effects = others;
     }
-    let catalogue_incomplete = unknown || structured(&dependences);
-    let verdict =
-        Excess::of(figures(&model, &before), figures(&model, &now), by_calibration).verdict(catalogue_incomplete);
     if instrument.replicates.is_empty() && seen.of(Role::Scene).next().is_some() {
         notes.push(
             "the instrument has no calibration replicates, so the uncertainty of the calibration is unknown and small \
@@ -159,8 +157,8 @@ pub(crate) fn attempt(
         judged_on: JudgedOn::of(seen),
         verdict,
         nearest,
-        before: figures(&model, &before),
-        after: figures(&model, &now),
+        before: first,
+        after: last,
         held_out_frames: held_out_frames(seen),
         held_out_blocks: held_out_blocks(seen),
         effects,

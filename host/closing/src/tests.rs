@@ -4,8 +4,8 @@
 #![allow(clippy::unwrap_used)]
 
 use super::data::{Frame, Observations, Shown};
-use super::evidence::{Scores, maps};
-use super::fit::{Column, Design, Expansion, Model, Predicted, Scope, Term, nuisances, own_columns, refit};
+use super::evidence::{Scores, is_worse, maps};
+use super::fit::{Column, Design, Expansion, Fitted, Model, Predicted, Scope, Term, nuisances, own_columns, refit};
 use ndarray::Array2;
 use ommatidia_model::instrument::Instrument;
 use ommatidia_model::testing::instrument;
@@ -198,4 +198,22 @@ fn a_cause_outside_the_catalogue_is_given_no_name_and_its_excess_is_removed() {
     let closed = super::close(&instrument, &mut seen, &super::CloseOptions::default(), |_| ()).unwrap();
     let ids: Vec<String> = closed.account.closing.effects.iter().map(|e| e.id.clone()).collect();
     assert_eq!(ids, ["array_shift"]);
+}
+
+#[test]
+fn worse_is_more_than_noise() {
+    let instrument = instrument([20, 22], SENSOR, 9, 2);
+    let seen = observations(&instrument, &[]);
+    let model = Model::new(&instrument, &seen).unwrap();
+    let plain = refit(&model, model.state(&instrument).unwrap()).unwrap();
+    let with = |ratio: f64| {
+        let mut state = plain.state.clone();
+        state.terms.push(term("ghost", &[("ratio", ratio)], 2));
+        let predicted = model.predict(&state, &plain.scenes);
+        Fitted { state, predicted, ..plain.clone() }
+    };
+    // A tenth of all light at a wrong place, against changes far below the noise, in either direction.
+    assert!(is_worse(&model, &plain, &with(0.1)) && !is_worse(&model, &with(0.1), &plain));
+    assert!(!is_worse(&model, &plain, &with(1e-4)) && !is_worse(&model, &with(1e-4), &plain));
+    assert!(!is_worse(&model, &plain, &plain));
 }

@@ -68,8 +68,7 @@ pub struct RetrainRequest<'a> {
 /// Fine-tunes networks. The crate that knows networks implements it; closing the loop needs only this interface.
 pub trait Retrain {
     /// Fine-tunes the network, writes it to `request.output` and compares the two on the held-out scenes, with the
-    /// control
-    /// if there is one. Calls `progress` with the number of steps that are done, of all fine-tunings together.
+    /// control if there is one. Calls `progress` with the number of steps that are done, of all fine-tunings together.
     ///
     /// # Errors
     /// The checkpoint has another size than the instrument, a file cannot be read or written, or the session has no

@@ -2,7 +2,7 @@
 
 use super::result::{Effect, Nearest, Verdict};
 use crate::evidence::Figures;
-use crate::search::{NEEDS_CALIBRATION, Shadowed};
+use crate::search::{Found, Imitation, NEEDS_CALIBRATION, Shadowed};
 use ommatidia_model::instrument::Quality;
 use ommatidia_physics::effects::Stage;
 
@@ -86,24 +86,24 @@ pub(crate) fn shadowed(all: &[Shadowed]) -> Vec<Nearest> {
     all.iter().filter(|s| !s.id.starts_with("unknown")).map(one).collect()
 }
 
-/// Effects that made the prediction of held-out data worse, with the strength of their evidence.
-pub(crate) fn harmful(all: &[(&'static str, f64)]) -> Vec<Nearest> {
+/// Effects that made the prediction of held-out data worse.
+pub(crate) fn harmful(all: &[Found]) -> Vec<Nearest> {
     let why = "with it, held-out data were predicted worse than without";
-    let named = all.iter().filter(|(id, _)| !id.starts_with("unknown"));
-    named.map(|(id, z)| Nearest { id: (*id).into(), z: *z, why: why.into() }).collect()
+    let named = all.iter().filter(|f| !f.id.starts_with("unknown"));
+    named.map(|f| Nearest { id: f.id.into(), z: f.z, why: why.into() }).collect()
 }
 
 /// Effects that a term without a name makes unnecessary.
-pub(crate) fn imitated(all: &[Shadowed]) -> Vec<Nearest> {
-    let one = |s: &Shadowed| Nearest {
-        id: s.id.into(),
-        z: s.z,
+pub(crate) fn imitated(all: &[Imitation]) -> Vec<Nearest> {
+    let one = |it: &Imitation| Nearest {
+        id: it.found.id.into(),
+        z: it.found.z,
         why: format!(
             "a term without a name explains the data as well: without this effect {:.1} % of the improvement is lost",
-            100.0 * s.share
+            100.0 * it.lost
         ),
     };
-    all.iter().map(one).collect()
+    all.iter().filter(|it| !it.found.id.starts_with("unknown")).map(one).collect()
 }
 
 #[cfg(test)]

@@ -1,11 +1,11 @@
-//! Names that a term without a name makes unnecessary, and terms that make the prediction of held-out data worse.
+//! Names that a term without a name makes unnecessary.
 //!
 //! A cause outside the catalogue is first shared out among effects that resemble it in part; a term without a name then
 //! takes what they left. If that term, fitted again, takes their part as well, they only imitated the cause.
 
-use super::candidate::{Found, Shadowed};
+use super::candidate::Found;
 use super::select::SHADOW;
-use crate::evidence::{is_worse, maps};
+use crate::evidence::maps;
 use crate::fit::{Fitted, Model, Scenes, State, Term, refit, refit_from};
 use ommatidia_model::forward::ForwardError;
 
@@ -17,19 +17,15 @@ pub(crate) struct Earned {
     pub(crate) now: Fitted,
     pub(crate) found: Vec<Found>,
     /// The effects that were taken out because they only imitate.
-    pub(crate) imitations: Vec<Shadowed>,
-    /// Ids and strengths of the evidence of those that made the prediction of held-out data worse.
-    pub(crate) harmful: Vec<(&'static str, f64)>,
-    /// The terms of both.
-    pub(crate) removed: Vec<Term>,
+    pub(crate) imitations: Vec<Imitation>,
 }
 
-impl Earned {
-    /// Takes term `i` of `found` out of the state.
-    fn take(&mut self, state: &mut State, own: usize, i: usize) -> Found {
-        self.removed.push(state.terms.remove(own + i));
-        self.found.remove(i)
-    }
+/// An effect that a term without a name makes unnecessary.
+pub(crate) struct Imitation {
+    pub(crate) found: Found,
+    pub(crate) term: Term,
+    /// Share of the improvement on held-out data that is lost without it.
+    pub(crate) lost: f64,
 }
 
 /// Takes out the effects of the catalogue without which the terms without a name explain the data as well. The first
@@ -45,9 +41,9 @@ pub(crate) fn earned(
     own: usize,
     first: &Fitted,
 ) -> Result<Earned, ForwardError> {
-    let mut it = Earned { now, found, imitations: Vec::new(), harmful: Vec::new(), removed: Vec::new() };
+    let mut it = Earned { now, found, imitations: Vec::new() };
     if !it.found.iter().any(|f| is_unnamed(f.id)) {
-        return without_harm(model, it, own, first);
+        return Ok(it);
     }
     it.now = polished(model, &it.now.state, own)?;
     // All names at once, then one by one, the weakest first; then terms without a name that others make unnecessary.
@@ -69,24 +65,12 @@ pub(crate) fn earned(
         // A term without a name claims no cause: it goes only if hardly anything is lost.
         let least = if set.iter().all(|id| is_unnamed(id)) { 0.1 * SHADOW } else { SHADOW };
         if rise < least {
-            let mut old = it.now.state.clone();
             for i in out.into_iter().rev() {
-                let f = it.take(&mut old, own, i);
-                it.imitations.push(Shadowed { id: f.id, z: f.z, share: rise.max(0.0) });
+                let (found, term) = (it.found.remove(i), it.now.state.terms.remove(own + i));
+                it.imitations.push(Imitation { found, term, lost: rise.max(0.0) });
             }
             it.now = without;
         }
-    }
-    without_harm(model, it, own, first)
-}
-
-/// Takes terms back, the last first, as long as held-out data are predicted worse than before the search.
-fn without_harm(model: &Model<'_>, mut it: Earned, own: usize, first: &Fitted) -> Result<Earned, ForwardError> {
-    while !it.found.is_empty() && is_worse(model, first, &it.now) {
-        let mut state = it.now.state.clone();
-        let f = it.take(&mut state, own, it.found.len() - 1);
-        it.harmful.push((f.id, f.z));
-        it.now = if it.found.is_empty() { first.clone() } else { refit(model, state)? };
     }
     Ok(it)
 }
