@@ -94,11 +94,12 @@ const WORSE: f64 = 2.0;
 /// Whether held-out data are predicted worse after than before, in chi-squared or in the sum of squares.
 ///
 /// With residuals `r` and `s` before and after, the fall `sum w^2 (r^2 - s^2)` has the standard deviation
-/// `2 sqrt(sum w^2 (r - s)^2)` by the noise of the pixels, however good either model is; a change of the figures within
-/// that says nothing. The weights are those before: an effect on the noise alone predicts no worse.
+/// `2 sqrt(v sum w^2 (r - s)^2)` by noise of `v` times the variance of the noise model; a change of the figures within
+/// that says nothing. For `v` the smaller chi-squared per pixel of the two states stands, since noise leaves at least as
+/// much. The weights are those before: an effect on the noise alone predicts no worse.
 pub(crate) fn is_worse(model: &Model<'_>, before: &Fitted, after: &Fitted) -> bool {
     let seen = model.seen;
-    let (mut fall, mut change) = ([0.0f64; 2], [0.0f64; 2]);
+    let (mut fall, mut change, mut chi2, mut n) = ([0.0f64; 2], [0.0f64; 2], [0.0f64; 2], 0.0);
     for (k, span) in held_out_pixels(seen) {
         let (old, new) = (&before.predicted[k], &after.predicted[k]);
         for p in &seen.pixels[span] {
@@ -108,13 +109,17 @@ pub(crate) fn is_worse(model: &Model<'_>, before: &Fitted, after: &Fitted) -> bo
             if w <= 0.0 || new.inverse_sigma[at] <= 0.0 {
                 continue;
             }
+            n += 1.0;
+            chi2[0] += (w * r).powi(2);
+            chi2[1] += (w * s).powi(2);
             for (i, weight) in [w * w, 1.0].into_iter().enumerate() {
                 fall[i] += weight * (r * r - s * s);
                 change[i] += (weight * (r - s) / w).powi(2);
             }
         }
     }
-    fall.iter().zip(change).any(|(fall, change)| *fall < -WORSE * 2.0 * change.sqrt() && change > 0.0)
+    let noise = (chi2[0].min(chi2[1]) / f64::max(n, 1.0)).max(1.0);
+    fall.iter().zip(change).any(|(fall, change)| *fall < -WORSE * 2.0 * (noise * change).sqrt() && change > 0.0)
 }
 
 /// Number of held-out pixels, and the excess of chi-squared there that errors of the calibration make, as the scatter of

@@ -249,22 +249,30 @@ impl<'m, 'a> Search<'m, 'a> {
         finalists: &[&'c Candidate],
         progress: &mut impl FnMut(&str),
     ) -> Result<Verdict<'c>, ForwardError> {
-        // The scatter between clusters and the errors of the calibration weight the full fits as they do the scores,
-        // with one weight for all: an effect with many parameters must not win by fitting errors of the calibration.
-        let weight = |c: &Candidate| c.test.as_ref().map_or(1.0, |t| (t.gain / t.t.max(1e-9)).max(1.0));
-        let heaviest = finalists.iter().map(|c| weight(c)).fold(1.0, f64::max);
-        let mut best: Option<(f64, Fitted, &Candidate)> = None;
-        let mut costs: Vec<(&'static str, f64)> = Vec::new();
-        let mut least = f64::INFINITY;
+        let mut fits = Vec::new();
         for c in finalists {
             progress(c.term.id());
             let next = with(self.model, &self.now.state, c);
             let emission = c.term.effect.descriptor().stage == Stage::Object;
-            let fit = if emission {
+            fits.push(if emission {
                 refit(self.model, next)?
             } else {
                 refit_from(self.model, next, self.now.scenes.clone())?
-            };
+            });
+        }
+        // The scatter between clusters and the errors of the calibration weight the full fits as they do the scores,
+        // with one weight for all: an effect with many parameters must not win by fitting errors of the calibration.
+        // What the best of the fits removes was scatter of the effect itself, which is no such error.
+        let excess = |fit: &Fitted| (fit.training.chi2 - fit.training.pixels as f64).max(0.0);
+        let least_excess = fits.iter().map(excess).fold(f64::INFINITY, f64::min);
+        let left = if excess(&self.now) > 0.0 { (least_excess / excess(&self.now)).min(1.0) } else { 1.0 };
+        let weight =
+            |c: &Candidate| 1.0 + left * c.test.as_ref().map_or(0.0, |t| (t.gain / t.t.max(1e-9) - 1.0).max(0.0));
+        let heaviest = finalists.iter().map(|c| weight(c)).fold(1.0, f64::max);
+        let mut best: Option<(f64, Fitted, &Candidate)> = None;
+        let mut costs: Vec<(&'static str, f64)> = Vec::new();
+        let mut least = f64::INFINITY;
+        for (c, fit) in finalists.iter().zip(fits) {
             let mut fall = self.now.training.deviance - fit.training.deviance;
             if let Some(table) = c.table.as_ref().filter(|t| t.of_scenes) {
                 // A map of the frames that it is judged on: what each half of them predicts for the other counts.

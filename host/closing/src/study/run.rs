@@ -118,7 +118,7 @@ fn begin(dir: &Path, size: &Size, shard: Shard, sealed: Option<&Path>) -> anyhow
     let opened = match (size.sealed, sealed) {
         (false, _) => None,
         (true, None) => bail!("sealed seeds need a counter of how often they were opened"),
-        // A study that goes on, or another share of it, opens nothing anew.
+        // A study that goes on, or another share of it, opens nothing new.
         (true, Some(counter)) if known.is_some() || shard.index > 0 => Some(Sealed::read(counter)?.opened),
         (true, Some(counter)) => Some(Sealed::open(counter)?.opened),
     };
