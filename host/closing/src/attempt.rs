@@ -5,7 +5,7 @@ use super::account::{
     rejected, shadowed, unearned,
 };
 use super::data::{Fault, Observations, Shown};
-use super::evidence::{JudgedOn, excess_by_calibration, figures, is_worse, judged, omnibus, structured};
+use super::evidence::{JudgedOn, excess, excess_by_calibration, figures, is_worse, judged, omnibus, structured};
 use super::fit::{Model, State, Term, refit, replicas};
 use super::options::{CalibratedOn, CloseError, CloseOptions};
 use super::search::{Earned, Pruned, Search, Tried, earned, prune, score};
@@ -119,7 +119,8 @@ pub(crate) fn attempt(
     let (first, last) = (figures(&model, &before), figures(&model, &now));
     let left = structured(&dependences);
     let catalogue_incomplete = left || found.iter().any(|f| f.id.starts_with("unknown"));
-    let excess = Excess::of(first, last, by_calibration).within_calibration(last, &instrument.quality);
+    let [of_first, of_last] = [&before, &now].map(|fit| excess(&model, fit));
+    let excess = Excess::of(of_first, of_last, by_calibration).within_calibration(last, &instrument.quality);
     let verdict = excess.verdict(catalogue_incomplete);
     // Darks and even light prove a table pixel by pixel, whatever is left of the scenes.
     let may_imitate =

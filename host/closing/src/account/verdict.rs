@@ -28,11 +28,16 @@ pub(crate) struct Excess {
 }
 
 impl Excess {
-    /// Compares the last figures with the first. Of `by_calibration`, the number of pixels and the excess that errors of
-    /// the calibration make ([`crate::evidence::excess_by_calibration`]), the latter is explained by no effect.
-    pub(crate) fn of(before: Figures, now: Figures, (pixels, by_calibration): (usize, f64)) -> Self {
+    /// Compares the last excess per pixel with the first ([`crate::evidence::excess`]); less noise than expected is as
+    /// wrong as more. Of `by_calibration`, the number of pixels and the excess that errors of the calibration make
+    /// ([`crate::evidence::excess_by_calibration`]), the latter is explained by no effect.
+    pub(crate) fn of(first: f64, last: f64, (pixels, by_calibration): (usize, f64)) -> Self {
         let pixels = pixels as f64;
-        let [first, last] = [before, now].map(|f| (f.chi2_ndf - 1.0) * pixels - BIAS * by_calibration);
+        let beyond = |excess: f64| {
+            let all = excess * pixels;
+            if all > 0.0 { (all - BIAS * by_calibration).max(0.0) } else { -all }
+        };
+        let (first, last) = (beyond(first), beyond(last));
         let noise = SIGMAS * (2.0 * pixels).sqrt();
         let left = if last > noise { last / first.max(last) } else { 0.0 };
         Self { left, per_pixel: last / pixels.max(1.0) }

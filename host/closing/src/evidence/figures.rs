@@ -1,10 +1,15 @@
 //! How well a state predicts held-out data.
 
 use crate::data::{Observations, Shown};
+use crate::fit::repeats::{noise_dn, noisy};
 use crate::fit::{Fitted, Model};
 use ndarray::Array2;
+use ommatidia_physics::effects::Chain;
 use ommatidia_session::Role;
+use ommatidia_session::rng::stream;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 /// What figures are computed from: frames whose content is known without the frame itself. The specimen of an unknown
@@ -93,33 +98,75 @@ const WORSE: f64 = 2.0;
 
 /// Whether held-out data are predicted worse after than before, in chi-squared or in the sum of squares.
 ///
-/// With residuals `r` and `s` before and after, the fall `sum w^2 (r^2 - s^2)` has the standard deviation
-/// `2 sqrt(v sum w^2 (r - s)^2)` by noise of `v` times the variance of the noise model; a change of the figures within
-/// that says nothing. For `v` the smaller chi-squared per pixel of the two states stands, since noise leaves at least as
-/// much. The weights are those before: an effect on the noise alone predicts no worse.
+/// With residuals `r` and `s` before and after, in standard deviations, the fall `sum r^2 - s^2` has the standard
+/// deviation `2 sqrt(v sum (r - s)^2)` by noise of `v` times the variance of the noise model; a change of the figures
+/// within that says nothing. For `v` the smaller chi-squared per pixel of the two states stands, since noise leaves at
+/// least as much. The same holds for the sum of squares, in DN. Where an effect changes which pixels are usable, the
+/// figure of chi-squared may not rise by more than its noise either.
 pub(crate) fn is_worse(model: &Model<'_>, before: &Fitted, after: &Fitted) -> bool {
     let seen = model.seen;
-    let (mut fall, mut change, mut chi2, mut n) = ([0.0f64; 2], [0.0f64; 2], [0.0f64; 2], 0.0);
+    let (mut fall, mut change, mut chi2) = ([0.0f64; 2], [0.0f64; 2], [0.0f64; 2]);
+    let (mut variance, mut n) = (0.0f64, 0.0f64);
     for (k, span) in held_out_pixels(seen) {
         let (old, new) = (&before.predicted[k], &after.predicted[k]);
         for p in &seen.pixels[span] {
             let at = (*p as usize / seen.sensor[1], *p as usize % seen.sensor[1]);
-            let [r, s] = [old.residual_dn[at], new.residual_dn[at]].map(f64::from);
-            let w = f64::from(old.inverse_sigma[at]);
-            if w <= 0.0 || new.inverse_sigma[at] <= 0.0 {
+            let [r, s] = [old, new].map(|f| f64::from(f.residual_dn[at]));
+            let [w, x] = [old, new].map(|f| f64::from(f.inverse_sigma[at]));
+            if w <= 0.0 || x <= 0.0 {
                 continue;
             }
             n += 1.0;
+            variance += 1.0 / (w * w);
             chi2[0] += (w * r).powi(2);
-            chi2[1] += (w * s).powi(2);
-            for (i, weight) in [w * w, 1.0].into_iter().enumerate() {
-                fall[i] += weight * (r * r - s * s);
-                change[i] += (weight * (r - s) / w).powi(2);
+            chi2[1] += (x * s).powi(2);
+            for (i, [r, s, sigma]) in [[w * r, x * s, 1.0], [r, s, 1.0 / w]].into_iter().enumerate() {
+                fall[i] += r * r - s * s;
+                change[i] += (sigma * (r - s)).powi(2);
             }
         }
     }
     let noise = (chi2[0].min(chi2[1]) / f64::max(n, 1.0)).max(1.0);
-    fall.iter().zip(change).any(|(fall, change)| *fall < -WORSE * 2.0 * (noise * change).sqrt() && change > 0.0)
+    // A rise of chi-squared that small is none, and neither is one of the sum of squares.
+    let least = [1.0, variance / f64::max(n, 1.0)].map(|unit| WORSE * WORSE * unit);
+    let worse = |i: usize| -fall[i] > (WORSE * 2.0 * (noise * change[i]).sqrt()).max(least[i]);
+    let rise = figures(model, after).chi2_ndf - figures(model, before).chi2_ndf;
+    worse(0) || worse(1) || rise > WORSE * noise * (2.0 / f64::max(n, 1.0)).sqrt()
+}
+
+/// Number of noise frames that are drawn for each held-out frame.
+const DRAWN: u64 = 4;
+
+/// Excess of chi-squared over the noise of a state with its effects on the noise, per held-out pixel. The weights of
+/// [`figures`] leave these effects out, so that no fit gains by a larger variance.
+pub(crate) fn excess(model: &Model<'_>, fitted: &Fitted) -> f64 {
+    let seen = model.seen;
+    let chain = fitted.state.terms.iter().any(noisy).then(|| model.chain(&fitted.state.terms));
+    let mut spans: BTreeMap<usize, Vec<Range<usize>>> = BTreeMap::new();
+    held_out_pixels(seen).for_each(|(k, span)| spans.entry(k).or_default().push(span));
+    let spans: Vec<(usize, Vec<Range<usize>>)> = spans.into_iter().collect();
+    let one = |(k, spans): &(usize, Vec<Range<usize>>)| {
+        let here = &fitted.predicted[*k];
+        let draw = |chain: &Chain, i: u64| {
+            let mut rngs = ["excess", "reading"].map(|what| stream(0x5eed, what, DRAWN * *k as u64 + i));
+            let d = noise_dn(model, chain, *k, &here.light_e, &mut rngs);
+            d.iter().zip(&here.inverse_sigma).map(|(d, w)| f64::from(d * w).powi(2)).sum::<f64>()
+        };
+        let noise = chain.as_ref().map_or(1.0, |chain| {
+            let [with, plain] = [chain, &Chain::default()].map(|c| (0..DRAWN).map(|i| draw(c, i)).sum::<f64>());
+            with / plain.max(1e-30)
+        });
+        let (mut chi2, mut n) = (0.0, 0.0);
+        for p in spans.iter().flat_map(|span| &seen.pixels[span.clone()]) {
+            let at = (*p as usize / seen.sensor[1], *p as usize % seen.sensor[1]);
+            let w = f64::from(here.inverse_sigma[at]);
+            chi2 += (f64::from(here.residual_dn[at]) * w).powi(2) / noise;
+            n += f64::from(w > 0.0);
+        }
+        [chi2, n]
+    };
+    let [chi2, n] = spans.par_iter().map(one).reduce(|| [0.0; 2], |a, b| [a[0] + b[0], a[1] + b[1]]);
+    chi2 / n.max(1.0) - 1.0
 }
 
 /// Number of held-out pixels, and the excess of chi-squared there that errors of the calibration make, as the scatter of

@@ -1,9 +1,9 @@
 //! Maps of the sensor that are estimated from scenes: a factor on their light, or light added to them.
 //!
 //! The residual of each pixel, divided by what a unit of the map would change, is averaged over neighbourhoods of
-//! falling size: rows and columns, then Gaussians, then single pixels that stand out. Two halves of the frames give two
-//! independent estimates. A size is used only as far as the estimate of one half predicts the residual of the other, so
-//! that neither noise nor detail of the specimens becomes a map.
+//! falling size: rows and columns, then Gaussians, then single pixels that stand out, then all single pixels. Two halves
+//! of the frames give two independent estimates. A size is used only as far as the estimate of one half predicts the
+//! residual of the other, so that neither noise nor detail of the specimens becomes a map.
 
 use super::stats::{f_tail, sigmas};
 use super::tables::TableFit;
@@ -30,6 +30,7 @@ enum Near {
     Row,
     Column,
     Gauss(f64),
+    Itself,
     Alone,
 }
 
@@ -140,7 +141,7 @@ fn estimate(model: &Model<'_>, now: &[Predicted], acts: TableUse, training: &[us
     let side = shape.0.min(shape.1) as f64;
     let fine = FINE_PX.into_iter().filter(|px| *px <= side / 12.0).map(Near::Gauss);
     let sizes = [Near::Row, Near::Column].into_iter().chain(BROAD.map(|b| Near::Gauss(b * side))).chain(fine);
-    for near in sizes.chain([Near::Alone]) {
+    for near in sizes.chain([Near::Alone, Near::Itself]) {
         let left = [0, 1].map(|h| sums[h].beside(&maps[h]));
         let mut more = [0, 1].map(|h| average(&left[h], &sums[h].information, near));
         let information = &sums[0].information + &sums[1].information;
@@ -204,7 +205,7 @@ fn average(score: &Array2<f32>, information: &Array2<f32>, near: Near) -> Array2
         Near::Row => image.sum_axis(Axis(1)).insert_axis(Axis(1)),
         Near::Column => image.sum_axis(Axis(0)).insert_axis(Axis(0)),
         Near::Gauss(px) => blur_within(image, px),
-        Near::Alone => image.clone(),
+        Near::Itself | Near::Alone => image.clone(),
     };
     let (top, bottom) = (over(score), over(information));
     // A neighbourhood with hardly any light says nothing.

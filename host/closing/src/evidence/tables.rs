@@ -6,7 +6,7 @@
 use super::stats::{sigmas, two_sided};
 use crate::fit::{Model, Predicted, State, Term};
 use ndarray::{Array2, Zip, s};
-use ommatidia_physics::effects::{TableGroup, TableUse, blur_within, registry};
+use ommatidia_physics::effects::{Effect, TableGroup, TableUse, blur_within, registry};
 use ommatidia_session::Role;
 use rayon::prelude::*;
 
@@ -67,38 +67,41 @@ pub fn fit(model: &Model<'_>, state: &State, now: &[Predicted], named: bool) -> 
         .par_iter()
         .filter(|e| e.descriptor().id.starts_with("unknown") != named)
         .filter(|e| !state.terms.iter().any(|t| t.id() == e.descriptor().id))
-        .filter_map(|e| {
-            let kind = e.table().filter(|kind| !kind.acts.of_scenes())?;
-            let halves = [0, 1].map(|h| half(model, now, kind.acts, h));
-            let [Some(a), Some(b)] = halves else { return None };
-            let found = match kind.group {
-                TableGroup::Pixel => {
-                    let (fine, broad) = ([&a, &b].map(|h| sharp(h, SMOOTH_PX)), [&a, &b].map(|h| sharp(h, BROAD_PX)));
-                    let of = |[a, b]: &[Half; 2], smooth_px| pattern(a, b, left(model, kind.acts), kept(smooth_px));
-                    // Tested with a fine blur subtracted; the table keeps everything finer than shading.
-                    let found = of(&fine, SMOOTH_PX).filter(|_| is_white(&fine[0], &fine[1]));
-                    found.and_then(|f| Some(Shape { table: of(&broad, BROAD_PX)?.table, ..f }))
-                }
-                TableGroup::SparsePixels => sparse(&a, &b),
-                TableGroup::Spots => spots(&a, &b, left(model, kind.acts)),
-                TableGroup::Pattern | TableGroup::Scales => pattern(&a, &b, left(model, kind.acts), 1.0),
-            }?;
-            let expanded = e.descriptor().expanded(model.lenses());
-            let mut params: Vec<f64> = expanded.iter().map(|(_, p)| p.off).collect();
-            let first = expanded.first()?.1;
-            params[0] = first.outer(found.size);
-            Some(TableFit {
-                term: Term { effect: *e, params, table: Some(found.table), table_error: found.table_error },
-                z: found.z,
-                p: two_sided(found.z.max(0.0)) / 2.0,
-                size: found.size,
-                size_sigma: found.error + found.doubt,
-                sigma: first.outer_sigma(found.size, found.error),
-                gain: found.z * found.z.abs(),
-                of_scenes: false,
-            })
-        })
+        .filter_map(|e| one(model, *e, now))
         .collect()
+}
+
+/// Estimates the table of an effect from flats and darks. None: it has no such table, or the frames do not show one.
+pub(crate) fn one(model: &Model<'_>, effect: &'static dyn Effect, now: &[Predicted]) -> Option<TableFit> {
+    let kind = effect.table().filter(|kind| !kind.acts.of_scenes())?;
+    let halves = [0, 1].map(|h| half(model, now, kind.acts, h));
+    let [Some(a), Some(b)] = halves else { return None };
+    let found = match kind.group {
+        TableGroup::Pixel => {
+            let (fine, broad) = ([&a, &b].map(|h| sharp(h, SMOOTH_PX)), [&a, &b].map(|h| sharp(h, BROAD_PX)));
+            let of = |[a, b]: &[Half; 2], smooth_px| pattern(a, b, left(model, kind.acts), kept(smooth_px));
+            // Tested with a fine blur subtracted; the table keeps everything finer than shading.
+            let found = of(&fine, SMOOTH_PX).filter(|_| is_white(&fine[0], &fine[1]));
+            found.and_then(|f| Some(Shape { table: of(&broad, BROAD_PX)?.table, ..f }))
+        }
+        TableGroup::SparsePixels => sparse(&a, &b),
+        TableGroup::Spots => spots(&a, &b, left(model, kind.acts)),
+        TableGroup::Pattern | TableGroup::Scales => pattern(&a, &b, left(model, kind.acts), 1.0),
+    }?;
+    let expanded = effect.descriptor().expanded(model.lenses());
+    let mut params: Vec<f64> = expanded.iter().map(|(_, p)| p.off).collect();
+    let first = expanded.first()?.1;
+    params[0] = first.outer(found.size);
+    Some(TableFit {
+        term: Term { effect, params, table: Some(found.table), table_error: found.table_error },
+        z: found.z,
+        p: two_sided(found.z.max(0.0)) / 2.0,
+        size: found.size,
+        size_sigma: found.error + found.doubt,
+        sigma: first.outer_sigma(found.size, found.error),
+        gain: found.z * found.z.abs(),
+        of_scenes: false,
+    })
 }
 
 /// Significance of a pattern common to two halves of the flats and darks: of the response, of the offset. None: too few

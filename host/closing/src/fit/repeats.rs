@@ -269,6 +269,9 @@ impl Sampling {
         let read = (noise.gain_dn_per_e * noise.read_noise_e).powi(2);
         // Relative errors of a level's variance: by its sample size, by the gain, by the read noise.
         let more = |v: f64| (1.0 + v).max(0.5);
+        // Over all pairs, and of the drawn noise of an effect, relative to that of one pair without it.
+        let scatter =
+            |level: &Level, v: f64| (more(v).powi(2) / level.pairs.len() as f64 + v * v / DRAWN as f64).sqrt();
         let errors: Vec<[f64; 3]> = levels
             .iter()
             .zip(expected)
@@ -280,7 +283,7 @@ impl Sampling {
                     return [UNKNOWN, 0.0, 0.0];
                 }
                 [
-                    more(expected[0]) * (2.0 / (rows * cols * level.pairs.len() as f64)).sqrt(),
+                    scatter(level, expected[0]) * (2.0 / (rows * cols)).sqrt(),
                     noise.gain_sigma / noise.gain_dn_per_e * shot / total,
                     2.0 * noise.read_noise_sigma / noise.read_noise_e.max(1e-9) * read / total,
                 ]
@@ -297,11 +300,9 @@ impl Sampling {
                 (&vectors * &values.mapv(|v| 1.0 / v.max(1e-30).sqrt())).dot(&vectors.t())
             },
         );
-        // The drawn noise of an effect adds an error as well; it has about the size of one pair.
         let sigma = |(level, expected): (&Level, &Features)| {
-            let shares = 1.0 / level.pairs.len() as f64;
-            let white = if level.unknown { UNKNOWN } else { (shares / (rows * cols)).sqrt() };
-            let lines = |n: f64, v: f64| (2.0 / n * (shares * more(v).powi(2) + v * v / DRAWN as f64)).sqrt();
+            let white = if level.unknown { UNKNOWN } else { scatter(level, expected[0]) / (rows * cols).sqrt() };
+            let lines = |n: f64, v: f64| (2.0 / n).sqrt() * scatter(level, v);
             [white, white, white, lines(rows, expected[4]), lines(cols, expected[5])]
         };
         Self { whitening, sigma: levels.iter().zip(expected).map(sigma).collect() }

@@ -73,6 +73,15 @@ impl Candidate {
         of_table.or(self.test.as_ref().map(|t| t.gain)).unwrap_or(0.0)
     }
 
+    /// Whether the effect starts better from here than from `other`. Where both are evident, the scatter between clusters
+    /// that a strong effect makes itself says nothing, and the fall of the deviance does.
+    pub(crate) fn is_better_start(&self, other: &Self) -> bool {
+        match self.worth() > 0.0 && other.worth() > 0.0 {
+            true => self.gain() > other.gain(),
+            false => self.worth() > other.worth(),
+        }
+    }
+
     /// Test statistic less the penalties for its parameters and starting values. Candidates are ranked by it.
     pub(crate) fn worth(&self) -> f64 {
         if let Some(table) = &self.table {

@@ -5,7 +5,7 @@
 
 use super::candidate::Found;
 use super::select::SHADOW;
-use crate::evidence::maps;
+use crate::evidence::{maps, tables};
 use crate::fit::{Fitted, Model, Scenes, State, Term, refit, refit_from};
 use ommatidia_model::forward::ForwardError;
 
@@ -46,6 +46,16 @@ pub(crate) fn earned(
         return Ok(it);
     }
     it.now = polished(model, &it.now.state, own)?;
+    let lost = |with: &Fitted, without: &Fitted| {
+        let [before, with, without] = [first, with, without].map(|f| f.held_out.deviance);
+        (without - with) / (before - with).max(1e-9)
+    };
+    // Names that explain nearly everything by themselves imitate nothing.
+    let mut by_name = it.now.state.clone();
+    by_name.terms.retain(|t| !is_unnamed(t.id()));
+    if by_name.terms.len() > own && lost(&it.now, &polished(model, &by_name, own)?) < SHADOW {
+        return Ok(it);
+    }
     // All names at once, then one by one, the weakest first; then terms without a name that others make unnecessary.
     let mut order: Vec<usize> = (0..it.found.len()).filter(|i| is_doubtful(&it, own, *i)).collect();
     order.sort_by(|a, b| it.found[*a].held_out_gain.total_cmp(&it.found[*b].held_out_gain));
@@ -59,8 +69,7 @@ pub(crate) fn earned(
         let mut state = it.now.state.clone();
         out.iter().rev().for_each(|i| drop(state.terms.remove(own + i)));
         let without = polished(model, &state, own)?;
-        let [before, with, without_it] = [first, &it.now, &without].map(|f| f.held_out.deviance);
-        let rise = (without_it - with) / (before - with).max(1e-9);
+        let rise = lost(&it.now, &without);
         tracing::info!("without {set:?}: {rise:.4} of the fall is lost");
         // A term without a name claims no cause: it goes only if hardly anything is lost.
         let least = if set.iter().all(|id| is_unnamed(id)) { 0.1 * SHADOW } else { SHADOW };
@@ -75,28 +84,30 @@ pub(crate) fn earned(
     Ok(it)
 }
 
-/// Whether a found effect may only imitate: neither even light and darks prove it, nor is it a map itself.
+/// Whether a found effect is taken out for a trial: every name is, and every term without a name but the maps.
 fn is_doubtful(it: &Earned, own: usize, i: usize) -> bool {
-    it.now.state.terms[own + i].table.is_none()
+    !is_unnamed(it.found[i].id) || it.now.state.terms[own + i].table.is_none()
 }
 
 fn is_unnamed(id: &str) -> bool {
     id.starts_with("unknown")
 }
 
-/// The fitted state, with the maps of scenes estimated again beside all other terms.
+/// The fitted state, with the tables that have no name estimated again beside all other terms.
 fn polished(model: &Model<'_>, state: &State, own: usize) -> Result<Fitted, ForwardError> {
-    let of_scenes = |t: &Term| t.effect.table().is_some_and(|kind| kind.acts.of_scenes());
-    let maps: Vec<usize> = (own..state.terms.len()).filter(|i| of_scenes(&state.terms[*i])).collect();
+    let unnamed = |t: &Term| t.effect.table().is_some() && is_unnamed(t.id());
+    let tables: Vec<usize> = (own..state.terms.len()).filter(|i| unnamed(&state.terms[*i])).collect();
     let mut fit = None;
     let mut state = state.clone();
-    for _ in 0..if maps.is_empty() { 1 } else { ROUNDS } {
+    for _ in 0..if tables.is_empty() { 1 } else { ROUNDS } {
         let scenes: Scenes = model.scenes(&model.chain(&state.terms))?.into();
-        for i in &maps {
+        for i in &tables {
             let mut without = state.clone();
             let old = without.terms.remove(*i);
             let predicted = model.predict(&without, &scenes);
-            state.terms[*i] = maps::one(model, old.effect, &predicted).map_or(old, |f| f.term);
+            let of_scenes = old.effect.table().is_some_and(|kind| kind.acts.of_scenes());
+            let one = if of_scenes { maps::one } else { tables::one };
+            state.terms[*i] = one(model, old.effect, &predicted).map_or(old, |f| f.term);
         }
         let next = refit_from(model, state, scenes)?;
         state = next.state.clone();

@@ -6,6 +6,7 @@ use super::trials::{NEEDS_CALIBRATION, Tried, evidence};
 use crate::evidence::{Scores, TableFit, Test, holm, maps, tables};
 use crate::fit::{
     Column, Design, Fitted, Model, Replicas, Scope, State, Term, nuisances, own_columns, refit, refit_from,
+    repeats::noisy,
 };
 use ndarray::Array2;
 use ommatidia_model::forward::ForwardError;
@@ -65,7 +66,7 @@ pub(crate) fn score(
         let chances = starts.max(term.effect.chances(model.seen.sensor, scenes));
         let candidate = Candidate { term: term.clone(), columns, test, chances, table: None };
         match candidates.iter_mut().find(|c| c.term.id() == term.id()) {
-            Some(best) if candidate.worth() > best.worth() => *best = candidate,
+            Some(best) if candidate.is_better_start(best) => *best = candidate,
             Some(_) => {}
             None => candidates.push(candidate),
         }
@@ -98,6 +99,13 @@ fn with(model: &Model<'_>, state: &State, candidate: &Candidate) -> State {
 
 /// Share of the gain of a trial calibration that an effect must reach to be accepted instead of it.
 const ENOUGH: f64 = 0.5;
+
+/// Effects that are not tried again in a run of the search.
+struct Refused {
+    ids: Vec<&'static str>,
+    /// Number of those that were fitted and stood in the shadow of a stronger effect.
+    in_vain: usize,
+}
 
 /// A search in progress.
 pub struct Search<'m, 'a> {
@@ -141,21 +149,45 @@ impl<'m, 'a> Search<'m, 'a> {
     /// # Errors
     /// An object holds negative or non-finite light.
     pub fn run(&mut self, tried: Tried, progress: &mut impl FnMut(&str)) -> Result<(), ForwardError> {
-        let mut in_vain = 0;
-        let mut refused: Vec<&'static str> = self.shadowed.iter().map(|s| s.id).collect();
+        let mut refused = Refused { ids: self.shadowed.iter().map(|s| s.id).collect(), in_vain: 0 };
         loop {
-            let mut terms = tried.terms(self.model, &self.now.state, &evidence(self.model, &self.now));
-            let excluded = |id: &str| self.exclude.iter().any(|e| e == id);
-            terms.retain(|t| !excluded(t.id()));
-            let of_frames = self.replicas.of(self.model, &self.now);
-            let mut candidates = score(self.model, &self.now, &of_frames, &terms)?;
-            candidates.extend(tabled(self.model, &self.now, tried).into_iter().filter(|c| !excluded(c.term.id())));
-            candidates.sort_by(|a, b| b.worth().total_cmp(&a.worth()));
-            log(&candidates);
-            let p: Vec<f64> = candidates.iter().map(Candidate::p).collect();
-            let significant = holm(&p, ALPHA);
-            let pixels = self.now.training.pixels as f64;
-            let open = |c: &Candidate| !refused.contains(&c.term.id()) && c.worth() > 0.0 && c.is_large_enough(pixels);
+            let candidates = self.candidates(tried)?;
+            let added = self.step(tried, &candidates, &mut refused, progress)?;
+            if !added || self.needs_calibration() {
+                self.rest = candidates;
+                return Ok(());
+            }
+        }
+    }
+
+    /// All candidates with their evidence beside the present state, the best first.
+    fn candidates(&self, tried: Tried) -> Result<Vec<Candidate>, ForwardError> {
+        let mut terms = tried.terms(self.model, &self.now.state, &evidence(self.model, &self.now));
+        let excluded = |id: &str| self.exclude.iter().any(|e| e == id);
+        terms.retain(|t| !excluded(t.id()));
+        let of_frames = self.replicas.of(self.model, &self.now);
+        let mut candidates = score(self.model, &self.now, &of_frames, &terms)?;
+        candidates.extend(tabled(self.model, &self.now, tried).into_iter().filter(|c| !excluded(c.term.id())));
+        candidates.sort_by(|a, b| b.worth().total_cmp(&a.worth()));
+        log(&candidates);
+        Ok(candidates)
+    }
+
+    /// Adds the best of the candidates that stands the full fit. Returns false if there is none.
+    fn step(
+        &mut self,
+        tried: Tried,
+        candidates: &[Candidate],
+        refused: &mut Refused,
+        progress: &mut impl FnMut(&str),
+    ) -> Result<bool, ForwardError> {
+        let p: Vec<f64> = candidates.iter().map(Candidate::p).collect();
+        let significant = holm(&p, ALPHA);
+        let pixels = self.now.training.pixels as f64;
+        let mut fits = Vec::new();
+        loop {
+            let open =
+                |c: &Candidate| !refused.ids.contains(&c.term.id()) && c.worth() > 0.0 && c.is_large_enough(pixels);
             let able = candidates.iter().zip(&significant).filter(|(c, s)| **s && open(c)).map(|(c, _)| c);
             // The score of an effect in the shadow shows that already; its full fit would only take time.
             let floor = SHADOW * self.strongest_fall;
@@ -168,36 +200,32 @@ impl<'m, 'a> Search<'m, 'a> {
                     finalists.push(c);
                 }
             }
-            if finalists.is_empty() || self.is_full(tried) || in_vain >= SHADOWED {
+            if finalists.is_empty() || self.is_full(tried) || refused.in_vain >= SHADOWED {
                 for c in faint.iter().take(SHADOWED.saturating_sub(self.shadowed.len())) {
                     let share = c.gain() / self.strongest_fall;
                     self.shadowed.push(Shadowed { id: c.term.id(), z: c.z(), share });
                 }
-                self.rest = candidates;
-                return Ok(());
+                return Ok(false);
             }
-            let verdict = self.confirm(&finalists, progress)?;
-            match self.or_calibration(verdict, &candidates)? {
+            let verdict = self.confirm(&finalists, &mut fits, progress)?;
+            match self.or_calibration(verdict, candidates)? {
                 Verdict::Added(it)
                     if it.candidate.can_be_shadowed(pixels) && it.gain < SHADOW * self.strongest_gain() =>
                 {
-                    in_vain += 1;
+                    refused.in_vain += 1;
                     let share = it.gain / self.strongest_gain();
                     self.shadowed.push(Shadowed { id: it.candidate.term.id(), z: it.candidate.z(), share });
-                    refused.push(it.candidate.term.id());
+                    refused.ids.push(it.candidate.term.id());
                 }
                 Verdict::Added(it) => {
-                    let found = self.describe(&candidates, &it)?;
+                    let found = self.describe(candidates, &it)?;
                     self.found.push(found);
                     self.strongest_fall =
                         self.strongest_fall.max(self.now.training.deviance - it.fit.training.deviance);
                     self.now = it.fit;
-                    if self.needs_calibration() {
-                        self.rest = candidates;
-                        return Ok(());
-                    }
+                    return Ok(true);
                 }
-                Verdict::Refused(id) => refused.push(id),
+                Verdict::Refused(id) => refused.ids.push(id),
             }
         }
     }
@@ -243,60 +271,67 @@ impl<'m, 'a> Search<'m, 'a> {
         Ok(Verdict::Added(Added { fit, candidate, gain: before - trial, behind }))
     }
 
-    /// Fits the finalists in full and checks the best on held-out data.
+    /// Fits the finalists in full, unless `fits` holds them already, and checks the best on held-out data.
     fn confirm<'c>(
         &self,
         finalists: &[&'c Candidate],
+        fits: &mut Vec<(&'static str, Fitted)>,
         progress: &mut impl FnMut(&str),
     ) -> Result<Verdict<'c>, ForwardError> {
-        let mut fits = Vec::new();
+        fits.retain(|(id, _)| finalists.iter().any(|c| c.term.id() == *id));
         for c in finalists {
+            if fits.iter().any(|(id, _)| *id == c.term.id()) {
+                continue;
+            }
             progress(c.term.id());
             let next = with(self.model, &self.now.state, c);
             let emission = c.term.effect.descriptor().stage == Stage::Object;
-            fits.push(if emission {
+            let fit = if emission {
                 refit(self.model, next)?
             } else {
                 refit_from(self.model, next, self.now.scenes.clone())?
-            });
+            };
+            tracing::info!("  fitted {:?}: deviance {:.1}", fit.state.terms.last(), fit.training.deviance);
+            fits.push((c.term.id(), fit));
         }
         // The scatter between clusters and the errors of the calibration weight the full fits as they do the scores,
         // with one weight for all: an effect with many parameters must not win by fitting errors of the calibration.
         // What the best of the fits removes was scatter of the effect itself, which is no such error.
         let excess = |fit: &Fitted| (fit.training.chi2 - fit.training.pixels as f64).max(0.0);
-        let least_excess = fits.iter().map(excess).fold(f64::INFINITY, f64::min);
+        let least_excess = fits.iter().map(|(_, fit)| excess(fit)).fold(f64::INFINITY, f64::min);
         let left = if excess(&self.now) > 0.0 { (least_excess / excess(&self.now)).min(1.0) } else { 1.0 };
-        let weight =
-            |c: &Candidate| 1.0 + left * c.test.as_ref().map_or(0.0, |t| (t.gain / t.t.max(1e-9) - 1.0).max(0.0));
+        let scatter = |c: &Candidate| c.test.as_ref().map_or(0.0, |t| (t.gain / t.t.max(1e-9) - 1.0).max(0.0));
+        let weight = |c: &Candidate| 1.0 + left * scatter(c);
         let heaviest = finalists.iter().map(|c| weight(c)).fold(1.0, f64::max);
-        let mut best: Option<(f64, Fitted, &Candidate)> = None;
+        let mut best: Option<(f64, &Candidate)> = None;
         let mut costs: Vec<(&'static str, f64)> = Vec::new();
         let mut least = f64::INFINITY;
-        for (c, fit) in finalists.iter().zip(fits) {
+        for c in finalists {
+            let Some((_, fit)) = fits.iter().find(|(id, _)| *id == c.term.id()) else { continue };
             let mut fall = self.now.training.deviance - fit.training.deviance;
             if let Some(table) = c.table.as_ref().filter(|t| t.of_scenes) {
                 // A map of the frames that it is judged on: what each half of them predicts for the other counts.
                 fall = fall.min(table.gain);
             }
             let price = PENALTY * c.columns.len() as f64;
-            tracing::info!("  fitted {:?}: fall {fall:.1}, price {price:.0}", fit.state.terms.last());
             let cost = price * heaviest - fall;
             costs.push((c.term.id(), cost));
             if cost < least {
                 least = cost;
                 let worth = if c.table.is_some() { c.worth() } else { fall / weight(c) - price };
-                best = Some((worth, fit, *c));
+                best = Some((worth, *c));
             }
         }
-        let Some((worth, fit, candidate)) = best else {
+        let place = |c: &Candidate| fits.iter().position(|(id, _)| *id == c.term.id());
+        let Some((worth, candidate, at)) = best.and_then(|(worth, c)| Some((worth, c, place(c)?))) else {
             return Ok(Verdict::Refused(finalists.first().map_or("", |c| c.term.id())));
         };
-        let gain = self.now.held_out.deviance - fit.held_out.deviance;
+        let gain = self.now.held_out.deviance - fits[at].1.held_out.deviance;
         if worth <= 0.0 || gain <= 0.0 {
             return Ok(Verdict::Refused(candidate.term.id()));
         }
         let behind = costs.into_iter().map(|(id, cost)| (id, (cost - least) / heaviest)).collect();
-        Ok(Verdict::Added(Added { fit, candidate, gain, behind }))
+        Ok(Verdict::Added(Added { fit: fits.swap_remove(at).1, candidate, gain, behind }))
     }
 
     /// The added effect with its evidence and its ambiguities: finalists are compared by their full fits, other effects
@@ -373,6 +408,11 @@ fn finalists<'c>(able: &[&'c Candidate]) -> Vec<&'c Candidate> {
         able.iter().filter(|c| gain(c) > 0.7 * most && open(&chosen, c)).copied().collect();
     simple.sort_by_key(|c| c.columns.len());
     chosen.extend(simple.into_iter().take(1));
+    // A change of the mean from one repeat to the next looks like noise, too; noise does not look like such a change.
+    let of_mean = |c: &&&Candidate| !noisy(&c.term);
+    if !chosen.iter().any(|c| of_mean(&c)) {
+        chosen.extend(able.iter().find(of_mean).copied());
+    }
     let says = |a: &Candidate, b: &Candidate| a.term.effect.descriptor().lookalikes.iter().any(|l| l.id == b.term.id());
     if let Some(best) = chosen.first().copied() {
         let alike = |c: &&&Candidate| gain(c) > 0.2 * gain(best) && (says(best, c) || says(c, best));

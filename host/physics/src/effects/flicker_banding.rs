@@ -70,6 +70,8 @@ impl Effect for FlickerBanding {
 const FRAMES: usize = 64;
 /// Largest number of frequencies over time that are tried.
 const TIMES: usize = 257;
+/// Fewest bands over the frame that are proposed where they do not move from frame to frame.
+const STANDING: f64 = 1.5;
 /// Number of proposals.
 const KEEP: usize = 3;
 
@@ -113,7 +115,13 @@ fn peaks(evidence: &Evidence<'_>) -> Vec<[f64; 2]> {
     }
     found.sort_by(|a, b| b.0.total_cmp(&a.0));
     let mut kept: Vec<(usize, usize)> = Vec::new();
+    let span = lit.iter().map(|f| f.cx.time_s).fold(f64::MIN, f64::max)
+        - lit.iter().map(|f| f.cx.time_s).fold(f64::MAX, f64::min);
     for (power, j, k) in found {
+        // Broad bands that stand still are shading.
+        if times[k].abs() * span < 0.5 && spectrum.frequency(j) * (rows as f64) < STANDING {
+            continue;
+        }
         if power > 0.0 && kept.iter().all(|(i, _)| !Spectrum::same(*i, j)) {
             kept.push((j, k));
         }

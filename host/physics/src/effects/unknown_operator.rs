@@ -9,6 +9,7 @@ use super::descriptor::{Descriptor, Param, Stage};
 use super::effect::Effect;
 use super::smooth::{changed, couple};
 use ndarray::{Array2, Axis, Zip, s};
+use ommatidia_session::Role;
 
 /// The effect; its formula is in the documentation of the module.
 pub(super) struct UnknownOperator;
@@ -27,7 +28,7 @@ pub const OPERATORS: [&str; 9] = [
 ];
 
 /// Names of the weights w; x and y run from -1 to 1 over the sensor.
-pub const WEIGHTS: [&str; 8] = [
+pub const WEIGHTS: [&str; 9] = [
     "even",
     "along x",
     "along y",
@@ -36,6 +37,7 @@ pub const WEIGHTS: [&str; 8] = [
     "with x2 - y2",
     "with time",
     "alternating by frame",
+    "alternating by frame of scenes",
 ];
 
 static DESCRIPTOR: Descriptor = Descriptor {
@@ -45,7 +47,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     params: &[
         Param::strength("amplitude", "1", 0.01, -10.0, 10.0),
         Param::choice("operator", "index", 0.0, [0.0, 8.0]),
-        Param::choice("weight", "index", 0.0, [0.0, 7.0]),
+        Param::choice("weight", "index", 0.0, [0.0, 8.0]),
     ],
     lookalikes: &[],
 };
@@ -111,13 +113,9 @@ fn weigh(term: &mut Array2<f32>, weight: usize, cx: &FrameContext<'_>) {
     let (rows, cols) = term.dim();
     let scale = match weight {
         6 => cx.time_s as f32,
-        7 => {
-            if cx.frame.is_multiple_of(2) {
-                1.0
-            } else {
-                -1.0
-            }
-        }
+        // What happens to scenes alone, flats do not show.
+        8 if cx.role != Role::Scene => 0.0,
+        7 | 8 if !cx.frame.is_multiple_of(2) => -1.0,
         _ => 1.0,
     };
     if scale != 1.0 {
