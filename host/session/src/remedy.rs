@@ -9,7 +9,8 @@ pub fn remedy(error: &Error) -> &'static str {
             "the disk is full: make room on it, or choose a folder on another disk, and run the command again"
         }
         ErrorKind::QuotaExceeded => {
-            "your share of the disk is used up: make room, or choose a folder on another disk, and run the command again"
+            "your share of the disk is used up: make room, or choose a folder on another disk, and run the command \
+             again"
         }
         ErrorKind::FileTooLarge => {
             "files of this size are not allowed there: raise the limit (`ulimit -f`), or choose a folder on another \

@@ -22,6 +22,14 @@ fn object_pixel_um(path: &Path) -> anyhow::Result<Option<f64>> {
     })
 }
 
+/// What a method does before the first frame.
+fn planning(kind: MethodKind) -> &'static str {
+    match kind {
+        MethodKind::Wiener => "planning: choosing the regularisation on simulated scenes",
+        _ => "planning: reading and preparing the method",
+    }
+}
+
 /// Options of `reconstruct`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -54,9 +62,10 @@ impl Args {
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let mut frames = FrameReader::open(&args.frames)?;
     let kind = args.method.map_or_else(|| MethodKind::default_for(&args.with), Ok)?;
-    let start = Instant::now();
+    let (planning, start) = (run.spinner(planning(kind)), Instant::now());
     let method = kind.open(&args.with, run.seed)?;
     let plan_seconds = start.elapsed().as_secs_f64();
+    planning.finish_and_clear();
     let pixel_um = args.scale.pixel_um.map_or_else(|| object_pixel_um(&args.with), |um| Ok(Some(um)))?;
     let interval_s = args.scale.interval_s.or(frames.scale().interval_s);
     let count = frames.len();
