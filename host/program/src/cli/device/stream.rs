@@ -159,3 +159,34 @@ fn outcome(report: &StreamReport, came: usize, place: Place) -> Outcome {
     );
     Outcome { json, text }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Command {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    /// Pixel size and interval of a recording of frames whose file states 0.1 s.
+    fn scale(options: &str) -> [Option<f64>; 2] {
+        let words = ["stream", "--with", "a", "--frames", "b"].into_iter().chain(options.split_whitespace());
+        let PageScale { pixel_um, interval_s } = Command::parse_from(words).args.page_scale(Some(0.1));
+        [pixel_um, interval_s]
+    }
+
+    #[test]
+    fn the_time_between_pages_is_that_of_the_frames_that_are_reconstructed() {
+        assert_eq!(scale(""), [None, Some(0.1)]);
+        assert_eq!(scale("--fps 50 --every 3 --pixel-um 2.8"), [Some(2.8), Some(0.1 * 3.0)]);
+        assert_eq!(scale("--interval-s 0.5 --every 2"), [None, Some(1.0)]);
+        let live = ["stream", "--with", "a", "--live", "9", "--fps", "50", "--every", "2"];
+        assert_eq!(Command::parse_from(live).args.page_scale(None).interval_s, Some(0.04));
+        let unknown = ["stream", "--with", "a", "--live", "9"];
+        assert_eq!(Command::parse_from(unknown).args.page_scale(None).interval_s, None);
+    }
+}
