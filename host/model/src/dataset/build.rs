@@ -159,7 +159,11 @@ impl Simulation {
     /// The folder holds another data set, is not writable, or an object shows no light.
     pub fn run(&self, dir: &Path, share: Share, done: impl Fn(usize)) -> Result<Progress, DataSetError> {
         let existed = dir.is_dir();
-        self.plan.write_or_resume(dir)?;
+        self.plan.write_or_resume(dir).inspect_err(|_| {
+            if !existed {
+                let _ = std::fs::remove_dir(dir);
+            }
+        })?;
         let mut progress = Progress::default();
         for k in (0..self.plan.shards()).filter(|k| share.holds(*k)) {
             if open_shard(dir, &self.plan, k).is_ok() {

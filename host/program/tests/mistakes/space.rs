@@ -11,7 +11,7 @@ pub enum Space {
     /// A file system in memory of one page (4 KiB) in the folder, in a mount namespace that `unshare` makes with these
     /// options: as root, or where users may have namespaces of their own.
     Disk(&'static [&'static str]),
-    /// No file may be larger than 1 KiB: for all systems and users. The program prints another text then.
+    /// No file may be larger than 4 to 8 KiB: for all systems and users. The program prints another text then.
     FileLimit,
 }
 
@@ -45,7 +45,7 @@ impl Space {
     /// A shell that runs the command in its further arguments.
     fn shell(self, folder: &Path) -> Command {
         const DISK: &str = "mount -t tmpfs -o size=4k tmpfs \"$folder\" || exit 97";
-        const LIMIT: &str = "trap '' XFSZ; ulimit -f 1";
+        const LIMIT: &str = "trap '' XFSZ; ulimit -f 8";
         let (mut command, full) = match self {
             Self::Disk(options) => {
                 let mut command = Command::new("unshare");
