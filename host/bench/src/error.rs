@@ -3,7 +3,7 @@
 use ommatidia_physics::effects::EffectError;
 use ommatidia_physics::optics::OpticsError;
 use ommatidia_physics::scene::SceneError;
-use ommatidia_session::SessionError;
+use ommatidia_session::{SessionError, remedy};
 use std::path::PathBuf;
 use thiserror::Error;
 
@@ -11,7 +11,7 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 pub enum BenchError {
     /// The configuration cannot be read.
-    #[error("{path}: {source}; check the name of the configuration")]
+    #[error("{path}: cannot be read ({source}); {}", remedy(.source))]
     Io {
         /// The file.
         path: PathBuf,

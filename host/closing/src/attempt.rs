@@ -139,7 +139,8 @@ pub(crate) fn attempt(
         ));
         effects = others;
     }
-    if instrument.replicates.is_empty() && seen.of(Role::Scene).next().is_some() {
+    // Without a bead scan there are no replicates to be had.
+    if instrument.replicates.is_empty() && !instrument.sensor_only() && seen.of(Role::Scene).next().is_some() {
         notes.push(
             "the instrument has no calibration replicates, so the uncertainty of the calibration is unknown and small \
              effects may be errors of the calibration; calibrate again"

@@ -324,3 +324,60 @@ fn wrong_frames_are_named() {
     });
     named("levels", &flats, &["flats", "several levels count as one", "illumination"]);
 }
+
+/// A scan of three depths, 7 x 7 positions each.
+static DEEP: LazyLock<TempDir> = LazyLock::new(|| measured(&deep(vec![-20.0, 0.0, 20.0]), 8));
+
+fn deep(depths_um: Vec<f64>) -> BenchConfig {
+    let mut config = BenchConfig::default();
+    (config.scan.rows, config.scan.cols, config.scan.depths_um) = (7, 7, depths_um);
+    config
+}
+
+/// The findings about depths, and the depths that were judged.
+fn depths(folder: &TempDir) -> (Vec<String>, Vec<f64>) {
+    let found = check(&Session::open(folder.path().join("session")).unwrap(), || ()).unwrap();
+    let named = found.findings.iter().filter(|f| f.topic == "depths").map(|f| f.text.clone()).collect();
+    (named, found.scan.unwrap().depths_um)
+}
+
+#[test]
+fn positions_are_judged_at_each_depth() {
+    assert_eq!(errors(&DEEP), Vec::<String>::new());
+    let (named, judged) = depths(&DEEP);
+    assert_eq!(judged, [-20.0, 0.0, 20.0]);
+    assert!(named.len() == 1 && named[0].contains("judged at z_um = -20, 0, 20"), "{named:?}");
+    assert_eq!(depths(&DEMO).0, Vec::<String>::new());
+    for depth in 0..3 {
+        let of_depth = move |n: usize| n / 49 == depth;
+        let wrong = spoiled(&DEEP, &|s| {
+            positions(s, |mut at| {
+                at.swap(49 * depth + 10, 49 * depth + 37);
+                at
+            })
+        });
+        let found = errors(&wrong);
+        let rows = [10, 37].map(|n| format!("frame {}:", 49 * depth + n));
+        assert!(found.len() == 1 && rows.iter().all(|row| found[0].contains(row)), "{depth}: {found:?}");
+        let mirrored = spoiled(&DEEP, &|s| {
+            positions(s, |at| {
+                let turn = |(n, [y, x]): (usize, [f64; 2])| if of_depth(n) { [y, -x] } else { [y, x] };
+                at.into_iter().enumerate().map(turn).collect()
+            })
+        });
+        let found = errors(&mirrored);
+        assert!(found.len() == 1 && found[0].contains("x of bead.csv looks mirrored"), "{depth}: {found:?}");
+    }
+    let all = spoiled(&DEEP, &|s| positions(s, |at| at.into_iter().map(|[y, x]| [y, -x]).collect()));
+    assert_eq!(errors(&all).len(), 1, "{:?}", errors(&all));
+}
+
+#[test]
+fn depths_without_enough_frames_are_said_to_be_unjudged() {
+    let mut config = deep(vec![-20.0, 0.0]);
+    (config.scan.rows, config.scan.cols) = (1, 3);
+    let few = measured(&config, 9);
+    let (named, judged) = depths(&few);
+    assert_eq!(judged, Vec::<f64>::new());
+    assert!(named.len() == 1 && named[0].contains("not judged at z_um = -20, 0"), "{named:?}");
+}

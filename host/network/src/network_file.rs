@@ -4,6 +4,7 @@ use ndarray::ArrayView2;
 use ommatidia_physics::sensor::{FrameError, sensor_codes};
 use ommatidia_session::artifact::{ArtifactError, write_whole};
 use ommatidia_session::kind::FileKind;
+use ommatidia_session::remedy;
 use ommatidia_shared::blob::{ALIGN, BlobError, Header, Network, Verified, Weights, encode, encoded_len};
 use ommatidia_shared::num::f16;
 use ommatidia_shared::pipeline::{Memory, Pipeline, PipelineError};
@@ -14,7 +15,7 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 pub enum NetworkFileError {
     /// The file could not be read.
-    #[error("{path}: cannot be read ({source}); check its name, that it is there, and its permissions")]
+    #[error("{path}: cannot be read ({source}); {}", remedy(.source))]
     Io {
         /// The file.
         path: PathBuf,

@@ -1,7 +1,10 @@
 //! Errors of sessions and stacks of frames.
 
+use crate::remedy;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use thiserror::Error;
+use tiff::TiffError;
 
 /// Why a session or a stack of frames could not be read or written.
 ///
@@ -9,9 +12,7 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 pub enum SessionError {
     /// A file or folder could not be opened, read or written.
-    #[error(
-        "{path}: cannot be opened, read or written ({source}); check its name, that it exists, and its permissions"
-    )]
+    #[error("{path}: cannot be opened, read or written ({source}); {}", remedy(.source))]
     Io {
         /// The file.
         path: PathBuf,
@@ -118,6 +119,17 @@ pub enum SessionError {
 impl SessionError {
     pub(super) fn io(path: &Path, source: std::io::Error) -> Self {
         Self::Io { path: path.into(), source }
+    }
+
+    /// A page of a TIFF could not be read or written.
+    pub(super) fn tif(path: &Path, error: TiffError) -> Self {
+        match error {
+            // A place outside the file comes of a damaged header.
+            TiffError::IoError(e) if e.raw_os_error().is_some() && e.kind() != ErrorKind::InvalidInput => {
+                Self::io(path, e)
+            }
+            other => Self::format(path, ".tif", other),
+        }
     }
 
     pub(super) fn value(

@@ -46,7 +46,7 @@ impl SessionWriter {
     /// # Errors
     /// As [`FrameWriter::create`].
     pub fn frames(&self, name: &str, spec: StackSpec) -> Result<FrameWriter, SessionError> {
-        FrameWriter::create(&self.folder.path().join(name), spec)
+        FrameWriter::create_as(&self.folder.path().join(name), &self.target.join(name), spec)
     }
 
     /// Writes table `name` with one row for each frame: stage position, exposure, light level, time, the temperature if
@@ -55,9 +55,8 @@ impl SessionWriter {
     /// # Errors
     /// The disk is full.
     pub fn table(&self, name: &str, rows: &[FrameInfo]) -> Result<(), SessionError> {
-        let path = self.folder.path().join(name);
-        let failed = |e: csv::Error| SessionError::format(&path, ".csv", e);
-        let mut csv = csv::Writer::from_path(&path).map_err(failed)?;
+        let failed = |e: csv::Error| SessionError::format(&self.target.join(name), ".csv", e);
+        let mut csv = csv::Writer::from_writer(Vec::new());
         let mut header: Vec<&str> = ["frame", "x_um", "y_um", "z_um", "exposure_ms", "illumination", "time_s"].to_vec();
         let with_temperature = rows.iter().all(|r| r.temperature_c.is_some());
         if with_temperature {
@@ -74,7 +73,8 @@ impl SessionWriter {
             record.extend(other.iter().map(|k| row.other.get(*k).cloned().unwrap_or_default()));
             csv.write_record(&record).map_err(failed)?;
         }
-        csv.flush().map_err(|e| SessionError::io(&path, e))
+        let bytes = csv.into_inner().map_err(|e| failed(e.into_error().into()))?;
+        self.extra(name, &bytes)
     }
 
     /// Writes another file into the session, e.g. the ground truth of a virtual instrument.
@@ -83,7 +83,7 @@ impl SessionWriter {
     /// The disk is full.
     pub fn extra(&self, name: &str, bytes: &[u8]) -> Result<(), SessionError> {
         let path = self.folder.path().join(name);
-        std::fs::write(&path, bytes).map_err(|e| SessionError::io(&path, e))
+        std::fs::write(&path, bytes).map_err(|e| SessionError::io(&self.target.join(name), e))
     }
 
     /// Adds a stack to the manifest.

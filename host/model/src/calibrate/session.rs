@@ -6,6 +6,7 @@ use super::model::{Model, ModelConfig};
 use super::replicates::{ReplicateRequest, replicates};
 use super::sensor_only;
 use crate::bead::{BeadBackground, BeadCut, BeadScan, cut_windows, extent, fit_chief_rays, remove_background};
+use crate::check::scan::same_depth;
 use crate::check::{Finding, Severity, check};
 use crate::instrument::{Diagnostics, Instrument, LightUnit, Quality};
 use crate::psf::BeadScale;
@@ -221,9 +222,9 @@ fn maps(noise: &NoiseCalibration) -> SensorMaps {
 fn planes(scan: &BeadScan) -> Vec<Plane> {
     let mut depths: Vec<f64> = scan.beads.iter().map(|b| b.z_um).collect();
     depths.sort_by(f64::total_cmp);
-    depths.dedup_by(|a, b| (*a - *b).abs() < 1e-3);
+    depths.dedup_by(|a, b| same_depth(*a, *b));
     let plane = |z_um: &f64| {
-        let beads: Vec<usize> = (0..scan.beads.len()).filter(|n| (scan.beads[*n].z_um - z_um).abs() < 1e-3).collect();
+        let beads: Vec<usize> = (0..scan.beads.len()).filter(|n| same_depth(scan.beads[*n].z_um, *z_um)).collect();
         let at_px = Array2::from_shape_fn((beads.len(), 2), |(i, a)| scan.beads[beads[i]].at_px[a]);
         Plane { z_um: *z_um, beads, at_px }
     };

@@ -32,7 +32,7 @@ pub struct Turn {
 }
 
 impl Turn {
-    const NONE: Self = Self { exchanged: false, rows: false, cols: false };
+    pub(super) const NONE: Self = Self { exchanged: false, rows: false, cols: false };
 
     /// All eight, the identity first.
     pub fn all() -> impl Iterator<Item = Self> {
@@ -184,6 +184,13 @@ pub struct Tried {
     pub testable: bool,
 }
 
+impl Tried {
+    /// Whether the foci do not move as any hypothesis says.
+    pub fn is_unrelated(&self) -> bool {
+        self.best == Hypothesis::AS_IS && self.as_is < UNRELATED
+    }
+}
+
 /// Factors of positions in other units than um, with their names.
 fn units(m: &Manifest) -> Vec<(f64, String)> {
     let pixel = m.object.pixel_um;
@@ -324,7 +331,7 @@ pub fn describe(tried: &Tried, scan: &Scan, session: &Session) -> Vec<Finding> {
     if h.turn != Turn::NONE {
         return error("orientation", format!("{}. {shares}", h.turn.words(&table)));
     }
-    if tried.as_is < UNRELATED {
+    if tried.is_unrelated() {
         let text = format!(
             "the foci of the bead frames do not move as {table} says, nor as any exchange, mirror image, order or unit \
              of it (correlation {:.2}): check that {table} belongs to these frames, and that the bead was lit",

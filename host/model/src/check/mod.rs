@@ -6,6 +6,7 @@
 //! | [`scan`] | the bead frames, small, and how well they coincide when each is moved back by its position |
 //! | [`hypotheses`] | what people do to a table: axes, mirrors, order, units; the one that fits best is named |
 //! | [`positions`] | single positions that disagree with their frames |
+//! | [`depths`] | the same at the other depths of a scan, and what was not looked at |
 //! | [`drift`] | slow motion of the foci during the scan |
 //! | [`mod@array`] | the lenses that the foci form, against those that the manifest declares |
 //! | [`frames`] | the values of all frames: bit depth, saturation, black level, light levels, drift |
@@ -26,6 +27,7 @@
 //! ```
 
 pub mod array;
+pub mod depths;
 pub mod drift;
 pub mod frames;
 pub mod hypotheses;
@@ -90,6 +92,8 @@ pub struct FocusPair {
 pub struct ScanFindings {
     /// Bead frames that were looked at.
     pub frames: usize,
+    /// Depths at which the positions were judged, um. Figures that are not of single positions are those of the first.
+    pub depths_um: Vec<f64>,
     /// Mean correlation of each frame with the sum of all others, each moved back by its position in the table: near 1
     /// where table and foci agree, near 0 where they do not.
     pub coincidence: f64,
@@ -135,9 +139,11 @@ pub fn check(session: &Session, mut step: impl FnMut()) -> Result<SessionCheck, 
     if session.stacks_of(Role::Bead).next().is_some() {
         let scan = scan::Scan::read(session, &mut step)?;
         findings.extend(frames::drift(&scan));
-        let (more, seen) = look(session, &scan.at_one_depth());
+        let depths = scan.by_depth();
+        let (more, mut seen) = look(session, &depths[0]);
         findings.extend(more);
-        found = seen;
+        findings.extend(depths::look(session, &depths, &mut seen));
+        found = Some(seen);
     }
     findings.extend(frames::counts(session, &levels));
     findings.sort_by_key(|f| std::cmp::Reverse(f.severity));
@@ -145,7 +151,7 @@ pub fn check(session: &Session, mut step: impl FnMut()) -> Result<SessionCheck, 
 }
 
 /// The checks of the bead scan.
-fn look(session: &Session, scan: &scan::Scan) -> (Vec<Finding>, Option<ScanFindings>) {
+fn look(session: &Session, scan: &scan::Scan) -> (Vec<Finding>, ScanFindings) {
     let mut findings = Vec::new();
     let tried = hypotheses::best(scan, session.manifest());
     findings.extend(hypotheses::describe(&tried, scan, session));
@@ -161,6 +167,7 @@ fn look(session: &Session, scan: &scan::Scan) -> (Vec<Finding>, Option<ScanFindi
     let shown = array::foci(scan, &tried, &lattice, &outliers, session.manifest());
     let seen = ScanFindings {
         frames: scan.frames.len(),
+        depths_um: if tried.testable { vec![scan.z_um()] } else { Vec::new() },
         coincidence: tried.as_is,
         best: tried.best.clone(),
         best_coincidence: tried.coincidence,
@@ -169,5 +176,5 @@ fn look(session: &Session, scan: &scan::Scan) -> (Vec<Finding>, Option<ScanFindi
         lenses_px: lattice.lenses_px.clone(),
         shown,
     };
-    (findings, Some(seen))
+    (findings, seen)
 }

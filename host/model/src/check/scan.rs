@@ -47,6 +47,8 @@ pub struct Scan {
     pub frames: Vec<Small>,
     /// Displacements by the table of all bead frames, also of those that were not read, sensor pixels.
     pub all_moved_px: Vec<[f64; 2]>,
+    /// Depths of all bead frames, um.
+    pub all_z_um: Vec<f64>,
     /// Sensor pixels along one side of a small pixel.
     pub bin: usize,
 }
@@ -64,12 +66,13 @@ impl Scan {
         let every = count.div_ceil(most).max(1);
         let side = ((MOST_PX as f64 / count.div_ceil(every).max(1) as f64).sqrt()).clamp(SIDE[0], SIDE[1]);
         let bin = (m.sensor.rows.max(m.sensor.cols) as f64 / side).ceil().max(1.0) as usize;
-        let (mut frames, mut all_moved_px, mut bead) = (Vec::new(), Vec::new(), 0);
+        let (mut frames, mut all_moved_px, mut all_z_um, mut bead) = (Vec::new(), Vec::new(), Vec::new(), 0);
         for stack in stacks {
             let mut reader = stack.frames()?;
             for info in stack.info() {
                 let moved_px = moved_px(m, [info.y_um, info.x_um]);
                 all_moved_px.push(moved_px);
+                all_z_um.push(info.z_um);
                 if bead % every == 0 {
                     let frame = reader.read(info.frame)?;
                     let (light, level_dn) = small(&frame, bin);
@@ -102,18 +105,41 @@ impl Scan {
             // The light of foci covers few pixels: the median is that of the noise.
             f.noise_dn2 = (1.4826 * f64::from(median(&mut off))).powi(2) * f.light.len() as f64;
         }
-        Ok(Self { frames, all_moved_px, bin })
+        Ok(Self { frames, all_moved_px, all_z_um, bin })
     }
 
-    /// The frames of the depth with the most frames, of several such depths that nearest to 0 um. Foci change their
-    /// shape
-    /// with depth, so frames of different depths say little of each other's positions.
-    pub fn at_one_depth(self) -> Self {
-        let count = |z_um: f64| self.frames.iter().filter(|f| f.z_um == z_um).count();
-        let depths = self.frames.iter().map(|f| f.z_um);
-        let chosen = depths.max_by(|a, b| count(*a).cmp(&count(*b)).then(b.abs().total_cmp(&a.abs())));
-        let frames = self.frames.into_iter().filter(|f| Some(f.z_um) == chosen).collect();
-        Self { frames, ..self }
+    /// The frames of each depth, since foci change their shape with depth: first the depth with the most frames (of
+    /// several such depths that nearest to 0 um), then the others, ascending. At least one, which may be empty.
+    pub fn by_depth(self) -> Vec<Self> {
+        let Self { frames, all_moved_px, all_z_um, bin } = self;
+        let mut depths: Vec<Self> = Vec::new();
+        for frame in frames {
+            match depths.iter_mut().find(|depth| same_depth(depth.z_um(), frame.z_um)) {
+                Some(depth) => depth.frames.push(frame),
+                None => depths.push(Self {
+                    frames: vec![frame],
+                    all_moved_px: all_moved_px.clone(),
+                    all_z_um: all_z_um.clone(),
+                    bin,
+                }),
+            }
+        }
+        depths.sort_by(|a, b| a.z_um().total_cmp(&b.z_um()));
+        let rank = |depth: &Self| (depth.frames.len(), -depth.z_um().abs());
+        let main = (0..depths.len()).max_by(|a, b| {
+            let (a, b) = (rank(&depths[*a]), rank(&depths[*b]));
+            a.0.cmp(&b.0).then(a.1.total_cmp(&b.1))
+        });
+        match main {
+            Some(main) => depths[..=main].rotate_right(1),
+            None => depths.push(Self { frames: Vec::new(), all_moved_px, all_z_um, bin }),
+        }
+        depths
+    }
+
+    /// Depth of the first frame, um; 0 without one.
+    pub fn z_um(&self) -> f64 {
+        self.frames.first().map_or(0.0, |f| f.z_um)
     }
 
     /// The sum of all frames, each moved back by `moved` (sensor pixels, one entry a frame).
@@ -148,6 +174,11 @@ impl Scan {
     pub fn table(&self) -> Vec<[f64; 2]> {
         self.frames.iter().map(|f| f.moved_px).collect()
     }
+}
+
+/// Whether two depths count as one, as in a calibration.
+pub fn same_depth(a_um: f64, b_um: f64) -> bool {
+    (a_um - b_um).abs() < 1e-3
 }
 
 /// Displacement of the foci of a bead at a stage position [y, x] um, by the manifest, sensor pixels.

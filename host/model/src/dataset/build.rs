@@ -158,13 +158,23 @@ impl Simulation {
     /// # Errors
     /// The folder holds another data set, is not writable, or an object shows no light.
     pub fn run(&self, dir: &Path, share: Share, done: impl Fn(usize)) -> Result<Progress, DataSetError> {
-        self.plan.write_or_resume(dir)?;
+        let existed = dir.is_dir();
+        self.plan.write_or_resume(dir).inspect_err(|_| {
+            if !existed {
+                let _ = std::fs::remove_dir(dir);
+            }
+        })?;
         let mut progress = Progress::default();
         for k in (0..self.plan.shards()).filter(|k| share.holds(*k)) {
             if open_shard(dir, &self.plan, k).is_ok() {
                 progress.kept += 1;
             } else {
-                self.make(dir, k)?;
+                let made = self.make(dir, k);
+                if made.is_err() && progress == Progress::default() && share == Share::ALL {
+                    // A plan alone is of no use. What is finished is kept: the next run goes on from there.
+                    DataSetPlan::remove(dir, !existed);
+                }
+                made?;
                 progress.made += 1;
             }
             done(self.plan.pairs_of(k).len());

@@ -4,6 +4,7 @@ use crate::forward::ForwardError;
 use ommatidia_physics::noise::NoiseModel;
 use ommatidia_physics::scene::SceneError;
 use ommatidia_session::artifact::{self, ArtifactError, Provenance};
+use ommatidia_session::remedy;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
@@ -93,6 +94,15 @@ impl DataSetPlan {
         Ok(plan)
     }
 
+    /// Removes the plan from `dir`, and the folder too where `folder` says so and it is empty then. What cannot be
+    /// removed stays.
+    pub(super) fn remove(dir: &Path, folder: bool) {
+        let _ = std::fs::remove_file(dir.join(PLAN_FILE));
+        if folder {
+            let _ = std::fs::remove_dir(dir);
+        }
+    }
+
     /// Writes the plan into `dir`, accepts an existing equal one, or extends one that differs in a smaller number of
     /// pairs alone.
     pub(super) fn write_or_resume(&self, dir: &Path) -> Result<(), DataSetError> {
@@ -120,7 +130,7 @@ impl DataSetPlan {
 #[derive(Debug, Error)]
 pub enum DataSetError {
     /// A file or folder could not be read or written.
-    #[error("{path}: {source}; name the folder of a data set")]
+    #[error("{path}: cannot be read or written ({source}); {}", remedy(.source))]
     Io {
         /// The file.
         path: PathBuf,

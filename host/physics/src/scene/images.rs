@@ -2,7 +2,7 @@
 
 use super::canvas::log_uniform;
 use ndarray::{Array2, s};
-use ommatidia_session::{FrameReader, ObjectGrid, SessionError};
+use ommatidia_session::{FrameReader, ObjectGrid, SessionError, remedy};
 use rand::{Rng, RngExt};
 use std::path::{Path, PathBuf};
 use thiserror::Error;
@@ -25,7 +25,7 @@ pub enum SceneError {
         interval_s: f64,
     },
     /// The folder cannot be listed.
-    #[error("{path}: {source}; name a folder of .tif or .png pictures")]
+    #[error("{path}: cannot be read ({source}); {}; it must be a folder of .tif or .png pictures", remedy(.source))]
     Folder {
         /// The folder.
         path: PathBuf,

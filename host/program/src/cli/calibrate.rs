@@ -172,8 +172,12 @@ fn table(args: &Args, calibration: &Calibration) -> String {
         let _ = writeln!(out, "{name:<22} {value:>22}   {note}");
     };
     line("black level", format!("{:.2} DN", n.black_level_dn), source(n.sources.black_level));
-    line("gain", format!("{:.4} +- {:.4} DN/e-", n.gain_dn_per_e, n.gain_sigma), source(n.sources.gain));
-    line("read noise", format!("{:.3} +- {:.3} e-", n.read_noise_e, n.read_noise_sigma), source(n.sources.read_noise));
+    // The error of a nominal value is unknown, not 0.
+    let error = |sigma: String, of: Source| if of == Source::Nominal { String::new() } else { format!(" +- {sigma}") };
+    let of_gain = error(format!("{:.4}", n.gain_sigma), n.sources.gain);
+    line("gain", format!("{:.4}{of_gain} DN/e-", n.gain_dn_per_e), source(n.sources.gain));
+    let of_noise = error(format!("{:.3}", n.read_noise_sigma), n.sources.read_noise);
+    line("read noise", format!("{:.3}{of_noise} e-", n.read_noise_e), source(n.sources.read_noise));
     if let Some(PixelReadNoise { median_e, p99_e, max_e }) = PixelReadNoise::of(i) {
         let spread = format!("median {median_e:.2}, p99 {p99_e:.2}, largest {max_e:.1} e-");
         line("read noise by pixel", spread, "from the darks");

@@ -4,7 +4,7 @@ use anyhow::Context;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use ommatidia_physics::sensor::{FrameRange, FrameWatch};
-use ommatidia_session::{MANIFEST, Role, Session};
+use ommatidia_session::{MANIFEST, Role, Session, remedy};
 use std::io::{ErrorKind, IsTerminal, Write};
 use std::path::Path;
 use std::process::ExitCode;
@@ -34,6 +34,22 @@ pub struct Run {
     /// Print only errors to stderr
     #[arg(short, long, global = true, conflicts_with = "verbose")]
     pub quiet: bool,
+}
+
+/// Scale of reconstructions, for the metadata of an OME-TIFF.
+#[derive(Clone, Copy, Debug, Args)]
+pub(super) struct ResultScale {
+    /// Side of an object pixel, um, for the OME-TIFF [default: that of the instrument; networks do not know it]
+    #[arg(long, value_name = "UM", value_parser = positive)]
+    pub pixel_um: Option<f64>,
+    /// Time between raw frames, s, for the OME-TIFF [default: as the frames' own TIFF says]
+    #[arg(long, value_name = "S", value_parser = positive)]
+    pub interval_s: Option<f64>,
+}
+
+/// Parses a number above 0.
+fn positive(text: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|v: &f64| v.is_finite() && *v > 0.0).ok_or_else(|| "expected a number above 0".into())
 }
 
 /// Parses a share above 0, at most 1.
@@ -211,12 +227,25 @@ pub(super) fn print(bytes: &[u8]) -> std::io::Result<()> {
     }
 }
 
-/// The error and its causes; a cause whose text the one before already holds is left out. Never empty.
+/// The error and its causes; a cause whose text the one before already holds is left out. What to do about an error of
+/// the operating system follows, where the text does not say it. Never empty.
 fn causes(error: &anyhow::Error) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for cause in error.chain().map(ToString::to_string) {
         if lines.last().is_none_or(|last| !last.contains(&cause)) {
             lines.push(cause);
+        }
+    }
+    let system = error.chain().find_map(|cause| cause.downcast_ref::<std::io::Error>());
+    // Of other errors it is not known here whether they are of a file.
+    let of_files = |e: &&std::io::Error| {
+        use ErrorKind::{FileTooLarge, QuotaExceeded, ReadOnlyFilesystem, StorageFull};
+        matches!(e.kind(), FileTooLarge | QuotaExceeded | ReadOnlyFilesystem | StorageFull)
+    };
+    if let (Some(system), Some(last)) = (system.filter(of_files), lines.last_mut()) {
+        let remedy = remedy(system);
+        if !error.chain().any(|cause| cause.to_string().contains(remedy)) {
+            *last = format!("{last}; {remedy}");
         }
     }
     lines
@@ -233,6 +262,9 @@ mod tests {
         let inner = std::io::Error::other("disk full");
         let error = anyhow::Error::new(inner).context("a.npy: disk full").context("no reconstruction was written");
         assert_eq!(causes(&error), ["no reconstruction was written", "a.npy: disk full"]);
+        let error = anyhow::Error::new(std::io::Error::from_raw_os_error(28)).context("a.npy");
+        let found = causes(&error);
+        assert!(found[0] == "a.npy" && found[1].contains("the disk is full: make room"), "{found:?}");
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use anyhow::{Context, bail};
 use ommatidia_session::artifact::{folder_of, remove_leftovers};
+use ommatidia_session::remedy;
 use same_file::Handle;
 use std::fs::{File, OpenOptions, TryLockError};
 use std::path::{Path, PathBuf};
@@ -28,8 +29,10 @@ impl Lock {
         let named = || output.display().to_string();
         loop {
             let opened = OpenOptions::new().create(true).truncate(false).write(true).open(&path);
-            let file =
-                opened.with_context(|| format!("{}: cannot be written; check the permissions", output.display()))?;
+            let file = opened.map_err(|e| {
+                let text = format!("{}: cannot be written; {}", output.display(), remedy(&e));
+                anyhow::Error::new(e).context(text)
+            })?;
             match file.try_lock() {
                 Ok(()) => {}
                 Err(TryLockError::WouldBlock) => {

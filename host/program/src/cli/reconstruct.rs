@@ -1,6 +1,6 @@
 //! `reconstruct`: raw frames in, objects out.
 
-use super::common::warn;
+use super::common::{ResultScale, warn};
 use super::files::{Content, Files};
 use super::{Outcome, Run};
 use anyhow::Context;
@@ -12,10 +12,6 @@ use ommatidia_session::{FrameReader, FrameWriter, SampleType, StackSpec};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-fn positive(text: &str) -> Result<f64, String> {
-    text.parse().ok().filter(|v: &f64| v.is_finite() && *v > 0.0).ok_or_else(|| "expected a number above 0".into())
-}
-
 /// Side of an object pixel, um, of the instrument at `path`; None for other files.
 fn object_pixel_um(path: &Path) -> anyhow::Result<Option<f64>> {
     Ok(match FileKind::of(path)? {
@@ -24,6 +20,14 @@ fn object_pixel_um(path: &Path) -> anyhow::Result<Option<f64>> {
         }
         _ => None,
     })
+}
+
+/// What a method does before the first frame.
+fn planning(kind: MethodKind) -> &'static str {
+    match kind {
+        MethodKind::Wiener => "planning: choosing the regularisation on simulated scenes",
+        _ => "planning: reading and preparing the method",
+    }
 }
 
 /// Options of `reconstruct`.
@@ -40,12 +44,8 @@ pub struct Args {
     /// Method [default: svfouriernet for checkpoints and network files, wiener for instruments]
     #[arg(long, value_name = "METHOD")]
     method: Option<MethodKind>,
-    /// Side of an object pixel, um, for the OME-TIFF [default: that of the instrument; networks do not know it]
-    #[arg(long, value_name = "UM", value_parser = positive)]
-    pixel_um: Option<f64>,
-    /// Time between frames, s, for the OME-TIFF [default: as the frames' own TIFF says]
-    #[arg(long, value_name = "S", value_parser = positive)]
-    interval_s: Option<f64>,
+    #[command(flatten)]
+    scale: ResultScale,
 }
 
 impl Args {
@@ -62,11 +62,12 @@ impl Args {
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let mut frames = FrameReader::open(&args.frames)?;
     let kind = args.method.map_or_else(|| MethodKind::default_for(&args.with), Ok)?;
-    let start = Instant::now();
+    let (planning, start) = (run.spinner(planning(kind)), Instant::now());
     let method = kind.open(&args.with, run.seed)?;
     let plan_seconds = start.elapsed().as_secs_f64();
-    let pixel_um = args.pixel_um.map_or_else(|| object_pixel_um(&args.with), |um| Ok(Some(um)))?;
-    let interval_s = args.interval_s.or(frames.scale().interval_s);
+    planning.finish_and_clear();
+    let pixel_um = args.scale.pixel_um.map_or_else(|| object_pixel_um(&args.with), |um| Ok(Some(um)))?;
+    let interval_s = args.scale.interval_s.or(frames.scale().interval_s);
     let count = frames.len();
     let mut watch = frame_range(&args.with)?.map(FrameWatch::new);
     let bar = run.progress(count as u64, "reconstruct");

@@ -1,6 +1,7 @@
 //! Errors of the link to a device.
 
 use ommatidia_network::network_file::NetworkFileError;
+use ommatidia_session::remedy;
 use ommatidia_shared::pipeline::PipelineError;
 use ommatidia_shared::wire::{Refusal, SlotReport};
 use std::path::{Path, PathBuf};
@@ -118,14 +119,16 @@ pub enum DeviceError {
     #[error("{0}")]
     Pipeline(PipelineError),
     /// The file with the flash of a device cannot be used.
-    #[error("{path}: the flash of the device cannot be kept in this file ({source}); nothing is kept. {advice}")]
+    #[error(
+        "{path}: the flash of the device cannot be kept in this file ({source}), nothing is kept; {}, or name another \
+         file with `--state`",
+        remedy(.source)
+    )]
     State {
         /// The file.
         path: PathBuf,
         /// What the system said.
         source: std::io::Error,
-        /// What to do.
-        advice: &'static str,
     },
     /// The emulator takes no plugin that counts instructions.
     #[error("{emulator} counts no instructions: {detail}")]
@@ -158,13 +161,6 @@ fn advice(refusal: &Refusal) -> String {
 impl DeviceError {
     /// The file `path` with the flash of a device cannot be used.
     pub(super) fn state(path: &Path, source: std::io::Error) -> Self {
-        use std::io::ErrorKind::{NotFound, PermissionDenied, ReadOnlyFilesystem, StorageFull};
-        let advice = match source.kind() {
-            NotFound => "Make its folder first, or name another file with `--state`",
-            PermissionDenied | ReadOnlyFilesystem => "Name a file that you may write with `--state`",
-            StorageFull => "Make room on the disk and send the network again",
-            _ => "Name another file with `--state`",
-        };
-        Self::State { path: path.into(), source, advice }
+        Self::State { path: path.into(), source }
     }
 }

@@ -196,7 +196,14 @@ impl FrameSource for Camera<'_> {
 
 /// Writes the flash to the start of its file and keeps the rest of the file (other memory of an emulated board).
 fn keep(state: &Path, flash: &[u8]) -> std::io::Result<()> {
-    OpenOptions::new().create(true).truncate(false).write(true).open(state)?.write_all(flash)
+    let fresh = !state.exists();
+    let mut file = OpenOptions::new().create(true).truncate(false).write(true).open(state)?;
+    file.write_all(flash).inspect_err(|_| {
+        // A part of a flash is none: the next start would refuse it.
+        if fresh {
+            let _ = std::fs::remove_file(state);
+        }
+    })
 }
 
 /// The device's end.

@@ -40,7 +40,7 @@ pub use footprint::{Footprint, footprint};
 pub use live_view::LiveView;
 pub use loopback::{Loopback, LoopbackConfig, camera_frame};
 pub use qemu::{Qemu, run_to_end};
-pub use recording::StreamRecording;
+pub use recording::{PageScale, StreamRecording};
 pub use run::{DeviceRun, RunRequest, reference, run};
 pub use runtime::{DeviceLine, Place, Runtime, RuntimeChoice};
 pub use scope::{Deviation, Scope};

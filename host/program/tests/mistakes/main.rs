@@ -10,9 +10,12 @@
 #[path = "../common/mod.rs"]
 mod common;
 mod devices;
+mod disks;
 mod files;
 mod frames;
+mod rights;
 mod sessions;
+mod space;
 mod table;
 
 use table::{Mistake, hold};

@@ -1,11 +1,10 @@
 //! Rows of the table, and what it takes for them to hold.
 
 use crate::common::{contents, desk};
-use std::fs::Permissions;
+use crate::rights::{as_nobody, set_mode};
+use crate::space::Space;
 use std::path::Path;
 use std::process::Command;
-use std::sync::LazyLock;
-use tempfile::TempDir;
 
 /// Rewrites the page instead of comparing it.
 const WRITE: &str = "OMMATIDIA_RENEW";
@@ -19,6 +18,8 @@ pub struct Mistake {
     says: Vec<String>,
     path: Option<String>,
     unprivileged: bool,
+    unreadable: Option<&'static str>,
+    full: Option<&'static str>,
 }
 
 impl Mistake {
@@ -34,6 +35,8 @@ impl Mistake {
             says: Vec::new(),
             path: None,
             unprivileged: false,
+            unreadable: None,
+            full: None,
         }
     }
 
@@ -64,13 +67,28 @@ impl Mistake {
         Self { unprivileged: true, ..self }
     }
 
+    /// A file or folder of the desk that the program may not read; it runs as [`Mistake::unprivileged`].
+    pub fn unreadable(self, path: &'static str) -> Self {
+        Self { unreadable: Some(path), ..self.unprivileged() }
+    }
+
+    /// A folder of the desk, new and empty, on a disk that is full ([`Space`]).
+    pub fn full_disk(self, folder: &'static str) -> Self {
+        Self { full: Some(folder), ..self }
+    }
+
     /// Runs the command on a desk of its own, checks the outcome, and gives the row of the page.
     fn row(&self) -> Result<String, String> {
         let desk = desk::new();
         (self.prepare)(desk.path());
         let before = contents(desk.path());
-        let mut command =
-            if self.unprivileged { as_nobody(desk.path()) } else { Command::new(env!("CARGO_BIN_EXE_ommatidia")) };
+        let mut command = match self.full {
+            Some(folder) => Space::found().command(&desk.path().join(folder)),
+            None if self.unprivileged => as_nobody(desk.path()),
+            None => Command::new(env!("CARGO_BIN_EXE_ommatidia")),
+        };
+        let locked = self.unreadable.map(|path| desk.path().join(path));
+        let mode = locked.as_ref().map(|path| set_mode(path, 0));
         command
             .args(self.command.split_whitespace())
             .current_dir(desk.path())
@@ -80,7 +98,11 @@ impl Mistake {
             command.env("PATH", path);
         }
         let output = command.output().unwrap();
+        if let Some((path, mode)) = locked.as_ref().zip(mode) {
+            set_mode(path, mode);
+        }
         let printed = String::from_utf8_lossy(&output.stderr).replace(&*desk.path().to_string_lossy(), ".");
+        let printed = if self.full.is_some() { Space::found().as_full(&printed) } else { printed };
         let fail = |why: String| Err(format!("{} (`{}`): {why}; printed:\n{printed}", self.what, self.command));
         if output.status.code() != Some(self.exit) {
             return fail(format!("expected exit code {}, found {:?}", self.exit, output.status.code()));
@@ -101,38 +123,6 @@ impl Mistake {
         let cell = |text: &str| text.trim().replace('|', "\\|").replace('\n', "<br>");
         Ok(format!("| {} | `{}` | {} | {} |\n", cell(&self.what), self.command, self.exit, cell(&printed)))
     }
-}
-
-/// The program, to be run on a desk by a user without rights there. As root: by the user `nobody`, to whom the desk is
-/// opened and who has a copy of the program. Else by the user of the tests, for whom a read-only folder is one.
-fn as_nobody(desk: &Path) -> Command {
-    use std::os::unix::fs::{MetadataExt, PermissionsExt};
-    use std::os::unix::process::CommandExt;
-    const NOBODY: u32 = 65534;
-    static COPY: LazyLock<TempDir> = LazyLock::new(|| {
-        let folder = tempfile::Builder::new().permissions(Permissions::from_mode(0o755)).tempdir().unwrap();
-        // Copied by another process: a file that this one has open for writing, or a child of it that another thread
-        // starts meanwhile, cannot be run.
-        let copied = Command::new("cp").arg(env!("CARGO_BIN_EXE_ommatidia")).arg(folder.path()).status().unwrap();
-        assert!(copied.success(), "the program cannot be copied");
-        folder
-    });
-    if std::fs::metadata(desk).unwrap().uid() != 0 {
-        return Command::new(env!("CARGO_BIN_EXE_ommatidia"));
-    }
-    std::fs::set_permissions(desk, Permissions::from_mode(0o777)).unwrap();
-    for path in contents(desk).keys() {
-        let path = desk.join(path);
-        let inside = path.ancestors().take_while(|a| *a != desk);
-        inside.filter(|a| a.is_dir()).for_each(|a| {
-            std::fs::set_permissions(a, Permissions::from_mode(0o777)).unwrap();
-        });
-        let mode = std::fs::metadata(&path).unwrap().mode();
-        std::fs::set_permissions(&path, Permissions::from_mode(mode | 0o444)).unwrap();
-    }
-    let mut command = Command::new(COPY.path().join("ommatidia"));
-    command.uid(NOBODY).gid(NOBODY).env("HOME", desk);
-    command
 }
 
 /// Runs the rows of a section and compares them with the page, `docs/mistakes.md`.

@@ -1,5 +1,6 @@
 //! Errors of artifacts.
 
+use crate::remedy;
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
@@ -7,7 +8,7 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 pub enum ArtifactError {
     /// The file could not be opened, read or written.
-    #[error("{path}: {source}")]
+    #[error("{path}: cannot be opened, read or written ({source}); {}", remedy(.source))]
     Io {
         /// The file.
         path: PathBuf,

@@ -24,8 +24,18 @@ pub struct Recording {
     out: TiffEncoder<File, TiffKindBig>,
     /// A second handle of the same file, with its own position.
     patch: File,
-    /// Positions of the number of pages in the description, bytes from the start of the file.
+    interval_s: Option<f64>,
+    /// Where the description states the number of pages and the interval.
+    described: Described,
+}
+
+/// Places in the description that change later, bytes from the start of the file.
+#[derive(Default)]
+struct Described {
+    /// The number of pages, twice.
     counts: Vec<u64>,
+    /// The interval: its attributes.
+    interval: Option<std::ops::Range<u64>>,
 }
 
 impl Recording {
@@ -41,9 +51,41 @@ impl Recording {
         let io = |e| SessionError::io(path, e);
         let file = File::create(path).map_err(io)?;
         let patch = OpenOptions::new().read(true).write(true).open(path).map_err(io)?;
-        let out = TiffEncoder::new_big(file).map_err(|e| SessionError::format(path, ".tif", e))?;
+        let out = TiffEncoder::new_big(file).map_err(|e| {
+            let _ = std::fs::remove_file(path);
+            SessionError::tif(path, e)
+        })?;
         let spec = StackSpec { frames: 0, rows, cols, samples: SampleType::F32, pixel_um: None };
-        Ok(Self { path: path.into(), spec, out, patch, counts: Vec::new() })
+        Ok(Self { path: path.into(), spec, out, patch, interval_s: None, described: Described::default() })
+    }
+
+    /// Gives the side of a pixel, um, for the OME metadata.
+    #[must_use]
+    pub fn with_pixel(self, pixel_um: Option<f64>) -> Self {
+        Self { spec: StackSpec { pixel_um, ..self.spec }, ..self }
+    }
+
+    /// Gives the time from one page to the next, s, for the OME metadata.
+    #[must_use]
+    pub fn with_interval(self, interval_s: Option<f64>) -> Self {
+        Self { interval_s, ..self }
+    }
+
+    /// The time from one page to the next that the metadata state, s.
+    pub fn interval_s(&self) -> Option<f64> {
+        self.interval_s
+    }
+
+    /// Takes the interval out of the metadata: the pages are not evenly spaced in time, since frames are missing.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn forget_interval(&mut self) -> Result<(), SessionError> {
+        self.interval_s = None;
+        let Some(at) = self.described.interval.take() else { return Ok(()) };
+        let blanks = vec![b' '; (at.end - at.start) as usize];
+        let written = self.patch.seek(SeekFrom::Start(at.start)).and_then(|_| self.patch.write_all(&blanks));
+        written.map_err(|e| SessionError::io(&self.path, e))
     }
 
     /// Appends a frame, [rows, cols].
@@ -62,9 +104,9 @@ impl Recording {
         }
         self.spec.frames += 1;
         let first = self.spec.frames == 1;
-        let description = first.then(|| ome::description(&self.spec, None, &number(1)));
+        let description = first.then(|| ome::description(&self.spec, self.interval_s, &number(1)));
         push_page(&mut self.out, &self.spec, frame.iter().copied().collect(), description)
-            .map_err(|e| SessionError::format(&self.path, ".tif", e))?;
+            .map_err(|e| SessionError::tif(&self.path, e))?;
         self.count(first).map_err(|e| SessionError::io(&self.path, e))
     }
 
@@ -73,16 +115,25 @@ impl Recording {
         if first {
             let mut start = Vec::new();
             Read::by_ref(&mut self.patch).take(DESCRIBED_WITHIN).read_to_end(&mut start)?;
-            let number = number(1);
-            let places = start.windows(number.len()).enumerate().filter(|(_, bytes)| *bytes == number.as_bytes());
-            self.counts = places.map(|(i, _)| i as u64).take(2).collect();
+            let after = |text: &str| find(&start, text).map(|at| at.end);
+            let interval = find(&start, " TimeIncrement=\"").zip(find(&start, "TimeIncrementUnit=\"s\""));
+            self.described = Described {
+                counts: [after("SizeT=\""), after("PlaneCount=\"")].into_iter().flatten().collect(),
+                interval: interval.map(|(first, last)| first.start..last.end),
+            };
         }
-        for at in &self.counts {
+        for at in &self.described.counts {
             self.patch.seek(SeekFrom::Start(*at))?;
             self.patch.write_all(number(self.spec.frames).as_bytes())?;
         }
         Ok(())
     }
+}
+
+/// Where a text lies in bytes.
+fn find(bytes: &[u8], text: &str) -> Option<std::ops::Range<u64>> {
+    let at = bytes.windows(text.len()).position(|window| window == text.as_bytes())? as u64;
+    Some(at..at + text.len() as u64)
 }
 
 /// A number of pages with a fixed number of digits, so that it can be overwritten in place.
@@ -115,6 +166,25 @@ mod tests {
             assert!(text.contains(&format!("SizeT=\"{count}\"")) && text.contains(&format!("PlaneCount=\"{count}\"")));
         }
         assert!(recording.push(Array2::zeros((5, 8)).view()).is_err());
+    }
+
+    #[test]
+    fn pixel_size_and_interval_are_written_and_the_interval_goes_where_frames_are_missing() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("recording.tif");
+        // A size whose digits are those of a number of pages.
+        let (pixel_um, interval_s) = (0.0000000001, 0.05);
+        let created = Recording::create(&path, [2, 3]).unwrap();
+        let mut recording = created.with_pixel(Some(pixel_um)).with_interval(Some(interval_s));
+        let page = Array2::zeros((2, 3));
+        recording.push(page.view()).unwrap();
+        recording.push(page.view()).unwrap();
+        let scale = || FrameReader::open(&path).unwrap().scale();
+        assert_eq!((scale().pixel_um, scale().interval_s), (Some([pixel_um; 2]), Some(interval_s)));
+        recording.forget_interval().unwrap();
+        recording.push(page.view()).unwrap();
+        assert_eq!((scale().pixel_um, scale().interval_s), (Some([pixel_um; 2]), None));
+        assert_eq!(FrameReader::open(&path).unwrap().len(), 3);
     }
 
     #[test]

@@ -29,7 +29,7 @@ impl TifSource {
     pub(super) fn open(path: &Path) -> Result<(Shape, Self), SessionError> {
         let file = File::open(path).map_err(|e| SessionError::io(path, e))?;
         let size = file.metadata().map_err(|e| SessionError::io(path, e))?.len();
-        let mut decoder = Decoder::new(BufReader::new(file)).map_err(|e| read_error(path, e))?;
+        let mut decoder = Decoder::new(BufReader::new(file)).map_err(|e| SessionError::tif(path, e))?;
         let mut shape = page(path, &mut decoder, size)?;
         let description = description(path, &mut decoder)?;
         one_channel(path, &description)?;
@@ -42,7 +42,7 @@ impl TifSource {
         let resolution = [Tag::YResolution, Tag::XResolution].map(|tag| per_unit(tag, &mut decoder));
         let scale = ome::scale(&description, resolution);
         while decoder.more_images() {
-            decoder.next_image().map_err(|e| read_error(path, e))?;
+            decoder.next_image().map_err(|e| SessionError::tif(path, e))?;
             let next = page(path, &mut decoder, size)?;
             if (next.rows, next.cols, next.samples) != (shape.rows, shape.cols, shape.samples) {
                 return Err(SessionError::Shape {
@@ -69,8 +69,11 @@ impl TifSource {
     }
 
     pub(super) fn read(&mut self, path: &Path, i: usize) -> Result<Vec<f32>, SessionError> {
-        let image =
-            self.decoder.seek_to_image(i).and_then(|()| self.decoder.read_image()).map_err(|e| read_error(path, e))?;
+        let image = self
+            .decoder
+            .seek_to_image(i)
+            .and_then(|()| self.decoder.read_image())
+            .map_err(|e| SessionError::tif(path, e))?;
         match image {
             DecodingResult::U8(v) => Ok(v.into_iter().map(f32::from).collect()),
             DecodingResult::U16(v) => Ok(v.into_iter().map(f32::from).collect()),
@@ -82,7 +85,7 @@ impl TifSource {
 
 /// The description of the first page; empty without one.
 fn description(path: &Path, decoder: &mut Decoder<BufReader<File>>) -> Result<String, SessionError> {
-    let description = decoder.find_tag(Tag::ImageDescription).map_err(|e| read_error(path, e))?;
+    let description = decoder.find_tag(Tag::ImageDescription).map_err(|e| SessionError::tif(path, e))?;
     Ok(description.and_then(|value| value.into_string().ok()).unwrap_or_default())
 }
 
@@ -107,9 +110,9 @@ fn one_channel(path: &Path, text: &str) -> Result<(), SessionError> {
 
 /// Checks the current page: it must be grey, of a supported sample type, and its data must lie inside the file.
 fn page(path: &Path, decoder: &mut Decoder<BufReader<File>>, size: u64) -> Result<Shape, SessionError> {
-    let (cols, rows) = decoder.dimensions().map_err(|e| read_error(path, e))?;
-    let color = decoder.colortype().map_err(|e| read_error(path, e))?;
-    let format = decoder.find_tag_unsigned_vec::<u16>(Tag::SampleFormat).map_err(|e| read_error(path, e))?;
+    let (cols, rows) = decoder.dimensions().map_err(|e| SessionError::tif(path, e))?;
+    let color = decoder.colortype().map_err(|e| SessionError::tif(path, e))?;
+    let format = decoder.find_tag_unsigned_vec::<u16>(Tag::SampleFormat).map_err(|e| SessionError::tif(path, e))?;
     let format = format.and_then(|f| f.first().copied()).unwrap_or(1);
     let samples = match (color, format) {
         (ColorType::Gray(8), 1) => SampleType::U8,
@@ -124,7 +127,7 @@ fn page(path: &Path, decoder: &mut Decoder<BufReader<File>>, size: u64) -> Resul
             });
         }
     };
-    let end = data_end(decoder).map_err(|e| read_error(path, e))?;
+    let end = data_end(decoder).map_err(|e| SessionError::tif(path, e))?;
     if end > size {
         return Err(SessionError::Size { path: path.into(), expected: end, found: size });
     }
@@ -141,8 +144,4 @@ fn data_end(decoder: &mut Decoder<BufReader<File>>) -> Result<u64, TiffError> {
         end = ends.fold(end, u64::max);
     }
     Ok(end)
-}
-
-fn read_error(path: &Path, error: TiffError) -> SessionError {
-    SessionError::format(path, KIND, error)
 }

@@ -22,6 +22,8 @@ pub(super) const CALLER_ERROR: &str = "this is an error in the program: please r
 #[derive(Debug)]
 pub struct FrameWriter {
     path: PathBuf,
+    /// The path in messages.
+    shown: PathBuf,
     spec: StackSpec,
     interval_s: Option<f64>,
     file: NamedTempFile,
@@ -54,18 +56,23 @@ impl FrameWriter {
     /// # Errors
     /// The suffix is neither .npy nor .tif/.tiff, or the folder is missing or not writable.
     pub fn create(path: &Path, spec: StackSpec) -> Result<Self, SessionError> {
-        let io = |e| SessionError::io(path, e);
+        Self::create_as(path, path, spec)
+    }
+
+    /// As [`FrameWriter::create`], for a file at `path` that messages name `shown`: it lies in a temporary folder.
+    pub(crate) fn create_as(path: &Path, shown: &Path, spec: StackSpec) -> Result<Self, SessionError> {
+        let io = |e| SessionError::io(shown, e);
         let container = Container::of(path)?;
         let file = artifact::temporary_beside(path).map_err(io)?;
         let out = file.as_file().try_clone().map_err(io)?;
         let bytes = spec.frames as u64 * (spec.rows * spec.cols * spec.samples.bytes() + 1024) as u64;
-        let tif = |e| SessionError::format(path, ".tif", e);
+        let tif = |e| SessionError::tif(shown, e);
         let sink = match container {
             Container::Npy => Sink::Npy(npy_header(out, &spec).map_err(io)?),
             Container::Tif if bytes < TIFF_BYTES => Sink::Tif(TiffEncoder::new(out).map_err(tif)?),
             Container::Tif => Sink::BigTif(TiffEncoder::new_big(out).map_err(tif)?),
         };
-        Ok(Self { path: path.into(), spec, interval_s: None, file, sink, pushed: 0 })
+        Ok(Self { path: path.into(), shown: shown.into(), spec, interval_s: None, file, sink, pushed: 0 })
     }
 
     /// Gives the time from one frame to the next, s, for the OME metadata of a TIFF.
@@ -91,12 +98,14 @@ impl FrameWriter {
                     SampleType::U16 => values.flat_map(|v| (v.round() as u16).to_le_bytes()).collect(),
                     SampleType::F32 => values.flat_map(f32::to_le_bytes).collect(),
                 };
-                out.write_all(&bytes).map_err(|e| SessionError::io(&self.path, e))?;
+                out.write_all(&bytes).map_err(|e| SessionError::io(&self.shown, e))?;
             }
-            Sink::Tif(out) => push_page(out, spec, values.collect(), description)
-                .map_err(|e| SessionError::format(&self.path, ".tif", e))?,
-            Sink::BigTif(out) => push_page(out, spec, values.collect(), description)
-                .map_err(|e| SessionError::format(&self.path, ".tif", e))?,
+            Sink::Tif(out) => {
+                push_page(out, spec, values.collect(), description).map_err(|e| SessionError::tif(&self.shown, e))?
+            }
+            Sink::BigTif(out) => {
+                push_page(out, spec, values.collect(), description).map_err(|e| SessionError::tif(&self.shown, e))?
+            }
         }
         self.pushed += 1;
         Ok(())
@@ -106,7 +115,7 @@ impl FrameWriter {
         let spec = &self.spec;
         if frame.dim() != (spec.rows, spec.cols) || self.pushed == spec.frames {
             return Err(SessionError::Shape {
-                path: self.path.clone(),
+                path: self.shown.clone(),
                 expected: format!("{} frames of {} x {}", spec.frames, spec.rows, spec.cols),
                 found: format!("frame {} of {} x {}", self.pushed, frame.nrows(), frame.ncols()),
                 remedy: CALLER_ERROR,
@@ -120,7 +129,7 @@ impl FrameWriter {
         match frame.indexed_iter().find(|(_, v)| !(low..=high).contains(*v)) {
             None => Ok(()),
             Some(((r, c), v)) => Err(SessionError::value(
-                &self.path,
+                &self.shown,
                 format!("frame {}, pixel ({r}, {c})", self.pushed),
                 format!("a value that {} can hold, {low} to {high}", spec.samples.name()),
                 v,
@@ -134,10 +143,10 @@ impl FrameWriter {
     /// # Errors
     /// Fewer frames were pushed than announced, or the disk is full. No file is left behind.
     pub fn finish(self) -> Result<(), SessionError> {
-        let io = |e| SessionError::io(&self.path, e);
+        let io = |e| SessionError::io(&self.shown, e);
         if self.pushed != self.spec.frames {
             return Err(SessionError::Shape {
-                path: self.path.clone(),
+                path: self.shown.clone(),
                 expected: format!("{} frames", self.spec.frames),
                 found: self.pushed.to_string(),
                 remedy: CALLER_ERROR,

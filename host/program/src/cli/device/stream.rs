@@ -1,9 +1,11 @@
 //! `device stream`: frames in, reconstructions out, a live view in the browser.
 
 use super::target::Target;
-use crate::cli::common::{Outcome, Run, warn};
+use crate::cli::common::{Outcome, ResultScale, Run, warn};
 use crate::cli::files::{Content, Files};
-use crate::device::{FrameFeed, Frames, LiveView, Place, StreamRecording, StreamReport, active_fraction, stream};
+use crate::device::{
+    FrameFeed, Frames, LiveView, PageScale, Place, StreamRecording, StreamReport, active_fraction, stream,
+};
 use anyhow::Context;
 use ommatidia_network::methods::frame_range;
 use ommatidia_network::network_file::NetworkFile;
@@ -12,7 +14,7 @@ use ommatidia_session::FrameReader;
 use ommatidia_session::kind::FileKind;
 use serde_json::json;
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Options of `device stream`.
 #[derive(Debug, clap::Args)]
@@ -43,6 +45,8 @@ pub(super) struct Args {
     #[arg(short, long, value_name = "TIF")]
     output: Option<PathBuf>,
     #[command(flatten)]
+    scale: ResultScale,
+    #[command(flatten)]
     target: Target,
 }
 
@@ -60,6 +64,13 @@ impl Args {
             .writing(&self.output, Content::File(FileKind::Stack))
             .writing(table, Content::Text(StreamRecording::HEADING));
         self.target.with_files(files).after_stop("the recording so far can be read")
+    }
+
+    /// Pixel size and interval of the pages. `of_frames_s` is the time between the frames that their file states.
+    fn page_scale(&self, of_frames_s: Option<f64>) -> PageScale {
+        let every_frame_s = self.scale.interval_s.or(of_frames_s).or(self.fps.map(|fps| 1.0 / fps));
+        let interval_s = every_frame_s.map(|s| s * f64::from(self.every));
+        PageScale { pixel_um: self.scale.pixel_um, interval_s }
     }
 }
 
@@ -84,7 +95,8 @@ pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     if let (Some(address), false) = (view.address(), run.quiet) {
         eprintln!("live view: http://{address}/");
     }
-    let mut record = args.output.as_deref().map(|path| StreamRecording::create(path, region)).transpose()?;
+    let scale = args.page_scale(reader.as_ref().and_then(|reader| reader.scale().interval_s));
+    let mut record = args.output.as_deref().map(|path| StreamRecording::create(path, region, scale)).transpose()?;
     let bar = run.progress(len as u64, "stream");
     let mut read = |i: usize| {
         let reader = reader.as_mut().context("no frames were given with --frames")?;
@@ -107,7 +119,20 @@ pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let warnings = warn(watch.and_then(|watch| watch.warning(stack)));
     let mut outcome = outcome(&report, len, runtime.place());
     outcome.json["warnings"] = json!(warnings);
+    if let Some((file, record)) = args.output.as_ref().zip(record) {
+        let scale = PageScale { interval_s: record.interval_s(), ..scale };
+        (outcome.json["pixel_um"], outcome.json["interval_s"]) = (json!(scale.pixel_um), json!(scale.interval_s));
+        outcome.text += &recorded(file, scale);
+    }
     Ok(outcome)
+}
+
+/// What a recording says of space and time, and where to find what it does not say.
+fn recorded(file: &Path, scale: PageScale) -> String {
+    let pixel = scale.pixel_um.map_or("no pixel size (give --pixel-um)".into(), |um| format!("pixels of {um} um"));
+    let interval =
+        scale.interval_s.map_or("no interval (the .csv lists frames and times)".into(), |s| format!("{s} s a page"));
+    format!("recording     {}: {pixel}, {interval}\n", file.display())
 }
 
 fn outcome(report: &StreamReport, came: usize, place: Place) -> Outcome {
@@ -133,4 +158,35 @@ fn outcome(report: &StreamReport, came: usize, place: Place) -> Outcome {
         super::status::active_text(t),
     );
     Outcome { json, text }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Command {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    /// Pixel size and interval of a recording of frames whose file states 0.1 s.
+    fn scale(options: &str) -> [Option<f64>; 2] {
+        let words = ["stream", "--with", "a", "--frames", "b"].into_iter().chain(options.split_whitespace());
+        let PageScale { pixel_um, interval_s } = Command::parse_from(words).args.page_scale(Some(0.1));
+        [pixel_um, interval_s]
+    }
+
+    #[test]
+    fn the_time_between_pages_is_that_of_the_frames_that_are_reconstructed() {
+        assert_eq!(scale(""), [None, Some(0.1)]);
+        assert_eq!(scale("--fps 50 --every 3 --pixel-um 2.8"), [Some(2.8), Some(0.1 * 3.0)]);
+        assert_eq!(scale("--interval-s 0.5 --every 2"), [None, Some(1.0)]);
+        let live = ["stream", "--with", "a", "--live", "9", "--fps", "50", "--every", "2"];
+        assert_eq!(Command::parse_from(live).args.page_scale(None).interval_s, Some(0.04));
+        let unknown = ["stream", "--with", "a", "--live", "9"];
+        assert_eq!(Command::parse_from(unknown).args.page_scale(None).interval_s, None);
+    }
 }
