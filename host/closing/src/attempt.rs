@@ -6,9 +6,9 @@ use super::account::{
 };
 use super::data::{Fault, Observations, Shown};
 use super::evidence::{JudgedOn, excess, excess_by_calibration, figures, is_worse, judged, omnibus, structured};
-use super::fit::{Model, State, Term, refit, replicas};
+use super::fit::{Fitted, Model, State, Term, refit, replicas};
 use super::options::{CalibratedOn, CloseError, CloseOptions};
-use super::search::{Earned, Pruned, Search, Tried, earned, prune, score};
+use super::search::{Earned, Pruned, Search, Tried, earned, prune, replaced, score};
 use ommatidia_model::instrument::Instrument;
 use ommatidia_physics::effects::find;
 use ommatidia_session::Role;
@@ -72,9 +72,22 @@ pub(crate) fn attempt(
         search.run(Tried::Curves, progress)?;
         dependences = omnibus::test(&model, &search.now, &replicas.of(&model, &search.now), seed);
     }
+    let of_before = excess(&model, &before);
+    let excess_of = |fit: &Fitted| {
+        Excess::of(of_before, excess(&model, fit), by_calibration)
+            .within_calibration(figures(&model, fit), &instrument.quality)
+    };
     let recalibrated = search.needs_calibration();
+    let mut imitations = Vec::new();
+    let named = search.found.iter().any(|f| !f.id.starts_with("unknown"));
+    if named && !recalibrated && !excess_of(&search.now).names_are_earned(structured(&dependences)) {
+        let mut again = Search::new(&model, &replicas, before.clone());
+        again.exclude = given.exclude.to_vec();
+        imitations = replaced(&mut search, again, own, progress)?;
+    }
     progress("which names are earned");
-    let Earned { now, found, imitations } = earned(&model, search.now, search.found, own, &before)?;
+    let Earned { now, found, imitations: more } = earned(&model, search.now, search.found, own, &before)?;
+    imitations.extend(more);
     progress("pruning");
     let Pruned { mut now, mut found, mut tests, mut removed } = prune(&model, &replicas, now, found, own)?;
     // What predicts held-out data worse than before is taken back, the last first.
@@ -119,8 +132,7 @@ pub(crate) fn attempt(
     let (first, last) = (figures(&model, &before), figures(&model, &now));
     let left = structured(&dependences);
     let catalogue_incomplete = left || found.iter().any(|f| f.id.starts_with("unknown"));
-    let [of_first, of_last] = [&before, &now].map(|fit| excess(&model, fit));
-    let excess = Excess::of(of_first, of_last, by_calibration).within_calibration(last, &instrument.quality);
+    let excess = excess_of(&now);
     let verdict = excess.verdict(catalogue_incomplete);
     // Darks and even light prove a table pixel by pixel, whatever is left of the scenes.
     let may_imitate =

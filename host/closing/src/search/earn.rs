@@ -4,7 +4,8 @@
 //! takes what they left. If that term, fitted again, takes their part as well, they only imitated the cause.
 
 use super::candidate::Found;
-use super::select::SHADOW;
+use super::select::{SHADOW, Search};
+use super::trials::Tried;
 use crate::evidence::{maps, tables};
 use crate::fit::{Fitted, Model, Scenes, State, Term, refit, refit_from};
 use ommatidia_model::forward::ForwardError;
@@ -82,6 +83,26 @@ pub(crate) fn earned(
         }
     }
     Ok(it)
+}
+
+/// Searches from the `first` state again, for terms without a name alone. Where they predict held-out data better than
+/// the names that `search` has found, which leave much, they take their place. Returns the effects that are replaced.
+pub(crate) fn replaced<'m, 'a>(
+    search: &mut Search<'m, 'a>,
+    mut again: Search<'m, 'a>,
+    own: usize,
+    progress: &mut impl FnMut(&str),
+) -> Result<Vec<Imitation>, ForwardError> {
+    again.run(Tried::Maps, progress)?;
+    again.run(Tried::Curves, progress)?;
+    if again.now.held_out.deviance >= search.now.held_out.deviance {
+        return Ok(Vec::new());
+    }
+    again.shadowed = std::mem::take(&mut search.shadowed);
+    let old = std::mem::replace(search, again);
+    let terms = old.now.state.terms.into_iter().skip(own);
+    let pairs = old.found.into_iter().zip(terms).filter(|(f, _)| !is_unnamed(f.id));
+    Ok(pairs.map(|(found, term)| Imitation { found, term, lost: 0.0 }).collect())
 }
 
 /// Whether a found effect is taken out for a trial: every name is, and every term without a name but the maps.

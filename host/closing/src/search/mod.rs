@@ -13,7 +13,7 @@ pub mod select;
 pub mod trials;
 
 pub use candidate::{Alternative, Candidate, Estimate, Found, Shadowed};
-pub(crate) use earn::{Earned, Imitation, earned};
+pub(crate) use earn::{Earned, Imitation, earned, replaced};
 pub(crate) use prune::{Pruned, prune};
 pub use recalibrate::{held_out_figures, trial_calibration};
 pub use select::Search;
