@@ -2,13 +2,13 @@
 
 use super::account::{
     Accepted, Closed, Closing, Effect, Excess, Findings, Verdict, claims_a_cause, effects, harmful, imitated, pictured,
-    rejected, shadowed, unearned,
+    registration_notes, registrations, rejected, shadowed, unearned, unstated_notes,
 };
 use super::data::{Fault, Observations, Shown};
 use super::evidence::{JudgedOn, excess_by_calibration, figures, is_worse, judged, omnibus, structured};
 use super::fit::{Model, State, Term, refit, replicas};
 use super::options::{CalibratedOn, CloseError, CloseOptions};
-use super::search::{Earned, Pruned, Search, Tried, earned, prune, score};
+use super::search::{Earned, Pruned, Search, Tried, earned, lost, prune, score};
 use ommatidia_model::instrument::Instrument;
 use ommatidia_physics::effects::find;
 use ommatidia_session::Role;
@@ -62,6 +62,8 @@ pub(crate) fn attempt(
     progress("catalogue");
     let mut search = Search::new(&model, &replicas, before.clone());
     search.exclude = given.exclude.to_vec();
+    let lost = lost(&model, &before)?;
+    search.exclude.extend(lost.iter().map(|id| id.to_string()));
     search.trial_deviance = options.trial_calibration.map(|trial| held_out_deviance(trial, seen)).transpose()?;
     search.run(Tried::Catalogue, progress)?;
     let mut dependences = omnibus::test(&model, &search.now, &replicas.of(&model, &search.now), seed);
@@ -149,7 +151,10 @@ pub(crate) fn attempt(
     if own_beads {
         notes.push(OWN_BEADS_NOTE.into());
     }
-    let accepted = Accepted { state: &now.state, found: &found };
+    let accepted = Accepted { state: &now.state, found: &found, lost: &lost };
+    let registrations = registrations(&model, &now, &replicas)?;
+    notes.extend(registration_notes(&registrations));
+    notes.extend(unstated_notes(&model, &now, own)?);
     let closing = Closing {
         session: options.session_name.into(),
         calibrated_on: options.calibrated_on.iter().map(|c| c.file.clone()).collect(),
@@ -168,6 +173,7 @@ pub(crate) fn attempt(
         dependences_before,
         dependences_after: dependences,
         retrained: None,
+        registrations,
         notes,
     };
     let mut account = pictured(&model, &before, &now, closing);
@@ -191,10 +197,10 @@ pub(crate) fn own_beads(seen: &Observations, calibrated_on: &[CalibratedOn]) -> 
     known.peek().is_some() && known.all(own)
 }
 
-/// Deviance of the held-out cells under another instrument.
+/// Deviance of the held-out cells of known objects and beads under another instrument.
 fn held_out_deviance(instrument: &Instrument, seen: &Observations) -> Result<f64, CloseError> {
     let model = Model::new(instrument, seen)?;
-    Ok(refit(&model, model.state(instrument)?)?.held_out.deviance)
+    Ok(refit(&model, model.state(instrument)?)?.known_held_out.deviance)
 }
 
 /// The background of each stack that has one of its own: it belongs to the session, and no effect names it.

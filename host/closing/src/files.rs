@@ -74,7 +74,11 @@ pub fn close_session(
     let (session, instrument) = read(request.session, request.instrument)?;
     let mut seen = Observations::read(&session, &Budget::default())?;
     let calibrated_on = calibrated_on(&session, request.instrument)?;
-    let trial = trial_calibration(&session, &instrument, &request.calibration)?;
+    // A scan that is too sparse, or a check that fails, is no reason to search for nothing else.
+    let (trial, untried) = match trial_calibration(&session, &instrument, &request.calibration) {
+        Ok(trial) => (trial, None),
+        Err(e) => (None, Some(format!("no new calibration was tried on the beads of this session: {e:#}"))),
+    };
     let options = CloseOptions {
         session_name: &session.manifest().name,
         seed: request.seed,
@@ -84,6 +88,7 @@ pub fn close_session(
     };
     let mut closed = close(&instrument, &mut seen, &options, |step| progress(Progress::Step(step)))
         .with_context(|| request.session.display().to_string())?;
+    closed.account.closing.notes.extend(untried);
     if let Some(trial) = trial.as_ref().filter(|_| closed.needs_calibration()) {
         progress(Progress::Step("recalibrating"));
         adopt(&mut closed, &session, Recalibrated { before: &instrument, trial }, &request.calibration)?;

@@ -67,8 +67,8 @@ pub mod search;
 pub mod study;
 
 pub use account::{
-    Account, Closed, Closing, Control, Effect, Filed, Nearest, Rejected, Retrain, RetrainRequest, Retrained, Value,
-    Verdict,
+    Account, Closed, Closing, Control, Effect, Filed, Nearest, Rejected, Retrain, RetrainRequest, Retrained,
+    TruthRegistration, Value, Verdict,
 };
 pub use close::{check_layout, close, residual};
 pub use data::{Budget, Fault, FaultKind, Observations};

@@ -1,6 +1,7 @@
 //! The model that the loop closes: the instrument without its effects, and the frames of a session.
 
 use super::state::{Predicted, State, Term};
+use super::truth::{Grid, PARTS, TRUTH};
 use crate::data::{Frame, Observations, Shown};
 use ndarray::{Array2, Zip};
 use ommatidia_model::bead::slope_terms;
@@ -11,6 +12,7 @@ use ommatidia_physics::effects::{Chain, EffectError, EffectSetting, FrameContext
 use ommatidia_physics::noise::MapErrors;
 use ommatidia_session::Role;
 use rayon::prelude::*;
+use std::borrow::Cow;
 
 /// Depths closer than this are equal, um: tables are rounded to it.
 const SAME_DEPTH_UM: f64 = 1e-3;
@@ -28,6 +30,8 @@ pub struct Model<'a> {
     /// Whether the session may have a background of its own: the beads of the calibration had one. Its strength is then
     /// a nuisance, and no effect of the instrument.
     pub has_background: bool,
+    /// The grid that truths live on.
+    pub(crate) grid: Grid,
     /// Exposure of the calibration, ms.
     exposure_ms: f64,
 }
@@ -47,6 +51,7 @@ impl<'a> Model<'a> {
             seen,
             maps: instrument.quality.maps,
             has_background: instrument.quality.background.is_some_and(|b| b.is_seen()),
+            grid: Grid::of(instrument),
             exposure_ms: instrument.psf.exposure_ms,
         })
     }
@@ -93,6 +98,7 @@ impl<'a> Model<'a> {
             scale,
             black_dn: 0.0,
             background_e: vec![[0.0; 3]; stacks],
+            registration: vec![[0.0; PARTS]; self.seen.registrations.len()],
         })
     }
 
@@ -161,7 +167,18 @@ impl<'a> Model<'a> {
         if (z - own).abs() < SAME_DEPTH_UM { own } else { z }
     }
 
-    /// Light of frame `k` before the effects on the sensor, electrons.
+    /// The effects of a chain on frame `k`, with the registration of its truth under a state.
+    pub(super) fn placed<'c>(&self, k: usize, state: &State, chain: &'c Chain) -> Cow<'c, Chain> {
+        let registered = self.seen.registration_of(k).and_then(|g| state.registration.get(g));
+        let Some(registered) = registered.filter(|r| **r != [0.0; PARTS]) else { return Cow::Borrowed(chain) };
+        let mut placed = chain.clone();
+        // It has no table, so that it fits every layout.
+        let _ = placed.push(&TRUTH, self.grid.params(*registered), None, self.forward.layout());
+        Cow::Owned(placed)
+    }
+
+    /// Light of frame `k` before the effects on the sensor, electrons; `chain` with the registration of its truth
+    /// ([`Model::placed`]).
     pub(super) fn sum_e(&self, k: usize, scene: Option<&SceneLight>, chain: &Chain, scale: f64) -> Array2<f32> {
         let (f, cx) = (&self.seen.frames[k], self.context(k, None));
         let mut sum = Array2::zeros((self.seen.sensor[0], self.seen.sensor[1]));
@@ -215,7 +232,7 @@ impl<'a> Model<'a> {
             .map(|k| {
                 let f = &self.seen.frames[k];
                 let mut scale = state.scale[f.stack];
-                let mut sum = self.sum_e(k, scenes[k].as_ref(), &chain, scale);
+                let mut sum = self.sum_e(k, scenes[k].as_ref(), &self.placed(k, state, &chain), scale);
                 if matches!(f.shown, Shown::Bead(..)) {
                     let own = self.own_scale(k, state, &sum);
                     scale *= own;

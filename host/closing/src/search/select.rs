@@ -115,7 +115,7 @@ pub struct Search<'m, 'a> {
     pub shadowed: Vec<Shadowed>,
     /// Ids of effects that are not tried.
     pub exclude: Vec<String>,
-    /// Deviance of the held-out cells under a trial calibration, if that is better than the old one.
+    /// Deviance of the held-out cells of beads under a trial calibration, if that is better than the old one.
     pub trial_deviance: Option<f64>,
 }
 
@@ -230,9 +230,10 @@ impl<'m, 'a> Search<'m, 'a> {
         candidates: &'c [Candidate],
     ) -> Result<Verdict<'c>, ForwardError> {
         let Some(trial) = self.trial_deviance.filter(|_| self.found.is_empty()) else { return Ok(verdict) };
-        let before = self.now.held_out.deviance;
+        // Judged on the beads: bright frames of the unknown would hide what either of them gains.
+        let before = self.now.known_held_out.deviance;
         let gain = match &verdict {
-            Verdict::Added(it) => it.gain,
+            Verdict::Added(it) => before - it.fit.known_held_out.deviance,
             Verdict::Refused(_) => 0.0,
         };
         let sign = candidates.iter().find(|c| c.term.id() == NEEDS_CALIBRATION);
