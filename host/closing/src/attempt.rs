@@ -6,9 +6,10 @@ use super::account::{
 };
 use super::data::{Fault, Observations, Shown};
 use super::evidence::{JudgedOn, excess_by_calibration, figures, is_worse, judged, omnibus, structured};
-use super::fit::{Model, State, Term, refit, replicas};
+use super::fit::{Fitted, Model, Replicas, State, Term, refit, replicas};
 use super::options::{CalibratedOn, CloseError, CloseOptions};
-use super::search::{Earned, Pruned, Search, Tried, earned, lost, prune, score};
+use super::plan::{self, plan};
+use super::search::{Earned, NEEDS_CALIBRATION, Pruned, Search, Tried, earned, lost, prune, score};
 use ommatidia_model::instrument::Instrument;
 use ommatidia_physics::effects::find;
 use ommatidia_session::Role;
@@ -75,17 +76,19 @@ pub(crate) fn attempt(
         dependences = omnibus::test(&model, &search.now, &replicas.of(&model, &search.now), seed);
     }
     let recalibrated = search.needs_calibration();
+    // What stands for a new calibration is judged by what that gains, and not by its own form.
+    let keep: &[&str] = if recalibrated { &[NEEDS_CALIBRATION] } else { &[] };
     progress("which names are earned");
     let Earned { now, found, imitations } = earned(&model, search.now, search.found, own, &before)?;
     progress("pruning");
-    let Pruned { mut now, mut found, mut tests, mut removed } = prune(&model, &replicas, now, found, own)?;
+    let Pruned { mut now, mut found, mut tests, mut removed } = prune(&model, &replicas, now, found, (own, keep))?;
     // What predicts held-out data worse than before is taken back, the last first.
     let mut taken_back = Vec::new();
-    while is_worse(&model, &before, &now) {
+    while !recalibrated && is_worse(&model, &before, &now) {
         let (Some(last), Some(term)) = (found.pop(), now.state.terms.pop()) else { break };
         taken_back.push((last, term));
         now = refit(&model, now.state)?;
-        let left = prune(&model, &replicas, now, found, own)?;
+        let left = prune(&model, &replicas, now, found, (own, keep))?;
         (now, found, tests) = (left.now, left.found, left.tests);
         removed.extend(left.removed);
     }
@@ -155,7 +158,7 @@ pub(crate) fn attempt(
     let registrations = registrations(&model, &now, &replicas)?;
     notes.extend(registration_notes(&registrations));
     notes.extend(unstated_notes(&model, &now, own)?);
-    let closing = Closing {
+    let mut closing = Closing {
         session: options.session_name.into(),
         calibrated_on: options.calibrated_on.iter().map(|c| c.file.clone()).collect(),
         own_beads,
@@ -174,12 +177,34 @@ pub(crate) fn attempt(
         dependences_after: dependences,
         retrained: None,
         registrations,
+        plan: None,
         notes,
     };
+    if options.plan {
+        progress("which measurement next");
+        closing.plan = Some(plan(&model, &planned(instrument, (&now, &replicas), &closing))?);
+    }
     let mut account = pictured(&model, &before, &now, closing);
     account.closing.notes.extend(background_notes(&model, &now.state));
     let closed = Closed { instrument: with_effects(instrument, &model, &now.state), account };
     Ok(Attempt { closed, state: now.state })
+}
+
+/// What a plan starts from: what the account leaves open.
+fn planned<'a>(
+    instrument: &'a Instrument,
+    (now, replicas): (&'a Fitted, &'a Replicas),
+    closing: &Closing,
+) -> plan::Found<'a> {
+    let ambiguous = closing.effects.iter().filter(|e| e.known && !e.ambiguity.is_empty());
+    let untestable = closing.rejected.iter().filter(|r| r.upper_limit.is_none());
+    plan::Found {
+        instrument,
+        now,
+        replicas,
+        ambiguous: ambiguous.map(|e| (e.id.clone(), e.ambiguity.clone())).collect(),
+        untestable: untestable.map(|r| r.id.clone()).collect(),
+    }
 }
 
 /// What the figures mean where the only known frames are those of the calibration.

@@ -24,6 +24,8 @@ pub struct CloseRequest<'a> {
     pub output: &'a Path,
     /// How to calibrate, where the session shows that the PSFs must be calibrated again.
     pub calibration: CalibrateConfig,
+    /// Whether to find the measurements that would separate what the session leaves open.
+    pub plan: bool,
     /// Network to fine-tune on the closed instrument, if any.
     pub fine_tuning: Option<FineTuning<'a>>,
     /// Seed of all random draws.
@@ -83,6 +85,7 @@ pub fn close_session(
         session_name: &session.manifest().name,
         seed: request.seed,
         trial_calibration: trial.as_ref(),
+        plan: request.plan,
         calibrated_on: &calibrated_on,
         ..CloseOptions::default()
     };

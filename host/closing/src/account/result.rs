@@ -3,6 +3,7 @@
 use super::retrain::Retrained;
 use crate::data::Fault;
 use crate::evidence::{Dependence, Figures, JudgedOn};
+use crate::plan::Plan;
 use crate::search::NEEDS_CALIBRATION;
 use ndarray::Array3;
 use ommatidia_model::instrument::Instrument;
@@ -173,6 +174,9 @@ pub struct Closing {
     /// Places of the truths, where the session states that they are uncertain.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub registrations: Vec<TruthRegistration>,
+    /// Which measurements would separate what is ambiguous and make testable what is not, where that was asked.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub plan: Option<Plan>,
     /// Notes for the user.
     pub notes: Vec<String>,
 }

@@ -91,9 +91,9 @@ impl Observations {
     /// Reads the frames.
     ///
     /// The hold-outs are fixed here, before any fit, by rule and not by chance: every fourth scene, every fourth pair
-    /// of flats and darks, every second bead and every eighth spatial block; with fewer than four scenes or beads, the
-    /// lower half of the frame. A scene whose truth has a registration of its own is not held out: nothing but the frame
-    /// itself shows where its truth lies. The spatial blocks judge there.
+    /// of flats, darks and unknown scenes, every second bead and every eighth spatial block; with fewer than four scenes
+    /// or beads, the lower half of the frame. A scene whose truth has a registration of its own is not held out: nothing
+    /// but the frame itself shows where its truth lies. The spatial blocks judge there.
     ///
     /// # Errors
     /// A frame or an object cannot be read.
@@ -164,10 +164,10 @@ fn read_stack(
         // Every second bead, else every fourth frame.
         let held_out = match stack.role() {
             Role::Bead => bead_is_held_out(*i),
-            // Repeats stay together.
+            // Repeats stay together, and so do frames of an unknown specimen, which may be repeats.
             Role::Dark | Role::Flat => n / 2 % 4 == 3,
             Role::Scene if stack.entry().truth_registration_per_frame => false,
-            Role::Scene if everything => i % 4 == 3,
+            Role::Scene if everything && truth.is_some() => i % 4 == 3,
             Role::Scene => n / 2 % 4 == 3,
         };
         let measured = reader.read(*i)?;

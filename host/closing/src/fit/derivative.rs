@@ -1,11 +1,12 @@
 //! Derivatives of the expected frames with respect to the values of a state, by finite differences.
 
 use super::model::Model;
+use super::scene::Scene;
 use super::state::{Column, Predicted, State, Term};
 use super::truth::STEP_PX;
 use crate::data::Shown;
 use ndarray::Array2;
-use ommatidia_model::forward::{ForwardError, SceneLight};
+use ommatidia_model::forward::ForwardError;
 use ommatidia_physics::effects::{Chain, Stage};
 use std::collections::BTreeMap;
 
@@ -19,7 +20,7 @@ pub struct Expansion<'a> {
     /// The frames that the state predicts ([`Model::predict`]).
     pub predicted: &'a [Predicted],
     /// The light behind the optics under the state ([`Model::scenes`]).
-    pub scenes: &'a [Option<SceneLight>],
+    pub scenes: &'a [Option<Scene>],
 }
 
 /// The terms of a state, or of a state with one trial term, with the parameter that a column varies.
@@ -88,6 +89,10 @@ impl Model<'_> {
             });
         };
         let effect = terms[which].effect;
+        if f.shown == Shown::Unknown && !effect.is_of_the_grid() {
+            // The specimen may have any detail but that of the pixel grid.
+            return Ok(None);
+        }
         let expanded = terms[which].expanded(self.lenses());
         let p = expanded[param].1;
         let value = p.inner(terms[which].params[param]);
@@ -148,7 +153,7 @@ impl Model<'_> {
         state.registration[group][part] += STEP_PX;
         let chain = self.chain(&state.terms);
         let previous = self.seen.frames[k].previous.map(|p| at.predicted[p].alone_e());
-        let sum = self.sum_e(k, Some(scene), &self.placed(k, &state, &chain), here.scale);
+        let sum = self.sum_e(k, Some(scene), (&chain, &state), here.scale);
         let light = self.lit(k, sum, &state, (&chain, previous));
         Some((self.dn(k, light, &chain, previous, state.black_dn) - &here.dn) / STEP_PX as f32)
     }
@@ -165,22 +170,18 @@ impl Model<'_> {
         let here = &at.predicted[k];
         let previous = self.seen.frames[k].previous.map(|p| at.predicted[p].alone_e());
         let (scale, black_dn) = (here.scale, at.state.black_dn);
-        let placed = || self.placed(k, at.state, chain);
         let sum = match (stage, &at.scenes[k]) {
             (Stage::Record, _) => return Ok(None),
             (Stage::Object | Stage::Geometry | Stage::Lens, None) => return Ok(None),
             (Stage::Object, Some(_)) => {
                 let scene = self.scene(k, chain)?;
-                self.sum_e(k, scene.as_ref(), &placed(), scale)
+                self.sum_e(k, scene.as_ref(), (chain, at.state), scale)
             }
             (Stage::Geometry | Stage::Lens, Some(scene)) => match lens {
-                None => self.sum_e(k, Some(scene), &placed(), scale),
+                None => self.sum_e(k, Some(scene), (chain, at.state), scale),
                 Some(l) => {
-                    let cx = self.context(k, None);
-                    let own = self.chain(&at.state.terms);
-                    let now = || self.forward.lens_e(scene, l, &self.placed(k, at.state, &own), &cx);
-                    let change =
-                        self.forward.lens_e(scene, l, &placed(), &cx) - &*images.of.entry(l).or_insert_with(now);
+                    let now = || self.lens_e(k, scene, l, &self.chain(&at.state.terms), at.state);
+                    let change = self.lens_e(k, scene, l, chain, at.state) - &*images.of.entry(l).or_insert_with(now);
                     &here.sum_e + &(change * scale as f32)
                 }
             },

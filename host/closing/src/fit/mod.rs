@@ -15,6 +15,7 @@ pub mod refit;
 pub(crate) mod registration;
 pub(crate) mod repeats;
 pub mod replicas;
+pub mod scene;
 pub mod solve;
 pub mod state;
 pub mod truth;

@@ -6,11 +6,12 @@
 use super::derivative::Expansion;
 use super::design::{Design, Misfit, Scope, nuisances};
 use super::model::Model;
+use super::scene::Scene;
 use super::solve::pseudo_inverse;
 use super::state::{Column, Predicted, State, Term};
 use crate::data::Shown;
 use ndarray::{Array1, Array2};
-use ommatidia_model::forward::{ForwardError, SceneLight};
+use ommatidia_model::forward::ForwardError;
 use ommatidia_physics::effects::{Kind, Stage};
 use std::sync::Arc;
 
@@ -22,7 +23,7 @@ const MOST_STEPS: usize = 25;
 const WORTH: f64 = 0.01;
 
 /// The light of each frame's object behind the optics ([`Model::scenes`]); shared, since few effects change it.
-pub type Scenes = Arc<[Option<SceneLight>]>;
+pub type Scenes = Arc<[Option<Scene>]>;
 
 /// A fitted state.
 #[derive(Clone)]

@@ -22,4 +22,5 @@ pub(crate) use recalibrate::calibration_of;
 pub use recalibrate::{held_out_figures, trial_calibration};
 pub use select::Search;
 pub(crate) use select::score;
+pub(crate) use trials::evidence;
 pub use trials::{NEEDS_CALIBRATION, Tried};
