@@ -91,9 +91,9 @@ impl Observations {
     /// Reads the frames.
     ///
     /// The hold-outs are fixed here, before any fit, by rule and not by chance: every fourth scene, every fourth pair
-    /// of flats, darks and unknown scenes, every second bead and every eighth spatial block; with fewer than four scenes
-    /// or beads, the lower half of the frame. A scene whose truth has a registration of its own is not held out: nothing
-    /// but the frame itself shows where its truth lies. The spatial blocks judge there.
+    /// of flats, darks and unknown scenes, every second bead and every eighth spatial block; with fewer than four
+    /// scenes or beads, the lower half of the frame. A scene whose truth has a registration of its own is not held out:
+    /// nothing but the frame itself shows where its truth lies. The spatial blocks judge there.
     ///
     /// # Errors
     /// A frame or an object cannot be read.

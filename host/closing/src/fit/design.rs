@@ -215,8 +215,8 @@ fn own_light(x: &mut Array2<f32>, own: &Array2<f32>, here: &Predicted, seen: &Ob
     }
 }
 
-/// The columns of the nuisance parameters: the light of each lit stack, the black level, the background of each stack of
-/// scenes and beads where the calibration found one, and the registrations of the truths.
+/// The columns of the nuisance parameters: the light of each lit stack, the black level, the background of each stack
+/// of scenes and beads where the calibration found one, and the registrations of the truths.
 pub fn nuisances(model: &Model<'_>) -> Vec<Column> {
     let frames = &model.seen.frames;
     let lit = |s: &usize| {

@@ -208,7 +208,8 @@ impl<'a> Model<'a> {
         image
     }
 
-    /// Light of frame `k` before the effects on the sensor, electrons, with the registration of its truth under a state.
+    /// Light of frame `k` before the effects on the sensor, electrons, with the registration of its truth under a
+    /// state.
     pub(super) fn sum_e(
         &self,
         k: usize,

@@ -1,7 +1,7 @@
 //! The light of a frame's object behind the optics, and how it changes if every PSF is wider.
 //!
-//! A displacement d(x) of the object moves an image q -> q + d. Where d is a scale s, that would widen the PSFs with the
-//! image, by a factor 1 + s that no truth can cause. With H a PSF over p = q - x, its widening is
+//! A displacement d(x) of the object moves an image q -> q + d. Where d is a scale s, that would widen the PSFs with
+//! the image, by a factor 1 + s that no truth can cause. With H a PSF over p = q - x, its widening is
 //! ```text
 //! H(p / (1 + s)) / (1 + s)^2 = H(p) - s G(p) + O(s^2),   G = div(p H)
 //! ```

@@ -15,7 +15,8 @@ use ommatidia_physics::effects::{Descriptor, Effect, FrameContext, Param, Ray, R
 
 /// Number of values of a registration.
 pub const PARTS: usize = 4;
-/// Shift along rows and columns, and the displacement of the field's corner by the turn and by the scale, object pixels.
+/// Shift along rows and columns, and the displacement of the field's corner by the turn and by the scale, object
+/// pixels.
 pub type Registered = [f64; PARTS];
 /// Step of derivatives, object pixels: far below the width of a PSF, and far above rounding errors.
 pub(super) const STEP_PX: f64 = 0.01;

@@ -1,7 +1,7 @@
 //! Fisher information of several measurements about the same effects.
 //!
-//! Each measurement has its own design. Columns with the same meaning (an effect, the black level) are one column of the
-//! whole; the light of a stack belongs to that stack alone.
+//! Each measurement has its own design. Columns with the same meaning (an effect, the black level) are one column of
+//! the whole; the light of a stack belongs to that stack alone.
 
 use crate::evidence::Scores;
 use crate::fit::{Cell, Column, Design, pseudo_inverse};

@@ -4,8 +4,8 @@
 //! Nothing is measured for it: the calibrated model, with the effects that were found, predicts the frames of each
 //! measurement of a small catalogue ([`mod@measurement`]), and their Fisher information is added to that of the session
 //! ([`information`]; Fahrmeir & Kaufmann, Ann. Stat. 13, 342, 1985; optimal design: Fedorov, Theory of Optimal
-//! Experiments, 1972). With theta the strengths of an effect A, C their covariance with the nuisances, all other effects
-//! and the alternative B free, A and B are separated by
+//! Experiments, 1972). With theta the strengths of an effect A, C their covariance with the nuisances, all other
+//! effects and the alternative B free, A and B are separated by
 //! ```text
 //! z = sqrt(theta' C^-1 theta)
 //! ```
@@ -81,7 +81,8 @@ pub(crate) fn plan(model: &Model<'_>, found: &Found<'_>) -> Result<Plan, Forward
             }
         }
         let Some((_, i, next)) = best else { break };
-        let (measurement, information) = open.swap_remove(i);
+        // It stays open: the same once more may be what helps most.
+        let (measurement, information) = open[i].clone();
         plan.measurements.push(Advice {
             id: measurement.id().into(),
             words: measurement.words().into(),
@@ -115,8 +116,8 @@ fn assumptions(instrument: &Instrument) -> Vec<String> {
         "the calibrated model with the effects that were found predicts the frames of each measurement; the law of \
          every candidate is linear in its strength"
             .to_string(),
-        "errors are noise and the uncertainty of the calibration; a quarter of the new frames is held out, and light and \
-         black level of each new stack are free"
+        "errors are noise and the uncertainty of the calibration; a quarter of the new frames is held out, and light \
+         and black level of each new stack are free"
             .into(),
         "a candidate that is not testable now is assumed with ten steps of its strength (docs/effects.md)".into(),
     ];

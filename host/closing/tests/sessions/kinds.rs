@@ -7,6 +7,7 @@ use ommatidia_model::calibrate::CalibrateConfig;
 use ommatidia_model::instrument::Instrument;
 use ommatidia_physics::effects::EffectSetting;
 use ommatidia_session::artifact::Provenance;
+use ommatidia_session::{Role, Session};
 
 /// Closes a session of a kind with one effect.
 fn with(holds: Holds, id: &str, params: &[(&str, f64)], seed: u64) -> Closing {
@@ -45,6 +46,20 @@ fn darks_and_flats_judge_the_sensor_and_no_optics() {
         assert!((0.8..1.3).contains(&f.chi2_ndf) && f.nrmse > 0.0 && f.nrmse < 0.2, "{f:?}");
     }
     assert!(!is_limited(&closing, "array_shift") && !is_limited(&closing, "magnification"));
+}
+
+#[test]
+fn darks_alone_are_judged_by_their_noise() {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path().join("session");
+    let mut config = subject().config.clone();
+    config.stacks.dark_frames = 12;
+    let noise = EffectSetting::new("row_noise", &[("sigma_dn", 1.0)]);
+    let bench = config.build_like(&subject().bench, &[noise]).unwrap();
+    bench.measure_some(&dir, 807, &[Role::Dark], |_| ()).unwrap();
+    let closing = closed(&Session::open(&dir).unwrap());
+    assert_eq!((closing.judged_on, names(&closing)), (JudgedOn::Even, vec!["row_noise"]));
+    assert!(closing.before.chi2_ndf > 1.0 && !is_limited(&closing, "vignetting"));
 }
 
 #[test]

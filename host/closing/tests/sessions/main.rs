@@ -1,5 +1,5 @@
-//! Sessions as people have them, measured by the independent virtual instrument: what `close` finds in each, and what it
-//! says that it cannot find.
+//! Sessions as people have them, measured by the independent virtual instrument: what `close` finds in each, and what
+//! it says that it cannot find.
 #![allow(clippy::unwrap_used)]
 
 mod kinds;
