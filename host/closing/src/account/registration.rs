@@ -89,9 +89,9 @@ pub(crate) fn registration_notes(all: &[TruthRegistration]) -> Vec<String> {
     let stacks: std::collections::BTreeSet<usize> = all.iter().filter(beyond).map(|r| r.stack).collect();
     notes.extend(stacks.into_iter().map(|stack| {
         format!(
-            "the truths of stack {stack} lie further off than three times what the session states: either the statement
-            \ is too narrow, or the array, the sensor or the stage has moved; a bead scan in a session without truths \
-            distinguishes them"
+            "the truths of stack {stack} lie further off than three times what the session states: either the \
+             statement is too narrow, or the array, the sensor or the stage has moved; a bead scan in a session without \
+             truths distinguishes them"
         )
     }));
     notes

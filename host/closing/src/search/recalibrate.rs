@@ -53,7 +53,7 @@ pub(crate) fn calibration_of(
     let has = |role| session.stacks_of(role).next().is_some();
     let (darks, flats) = (has(Role::Dark), has(Role::Flat));
     if !darks && !flats {
-        it.noise = before.noise.clone();
+        it.noise = before.noise;
     }
     if !darks {
         (it.offset_dn, it.reading_dn2) = (before.offset_dn.clone(), before.reading_dn2.clone());

@@ -241,7 +241,7 @@ impl<'m, 'a> Search<'m, 'a> {
         let fit = refit_from(self.model, with(self.model, &self.now.state, candidate), self.now.scenes.clone())?;
         // All other effects were compared with it and are worse.
         let behind = candidates.iter().map(|c| (c.term.id(), f64::INFINITY)).collect();
-        Ok(Verdict::Added(Added { fit, candidate, gain: before - trial, behind }))
+        Ok(Verdict::Added(Box::new(Added { fit, candidate, gain: before - trial, behind })))
     }
 
     /// Fits the finalists in full and checks the best on held-out data.
@@ -289,7 +289,7 @@ impl<'m, 'a> Search<'m, 'a> {
             return Ok(Verdict::Refused(candidate.term.id()));
         }
         let behind = costs.into_iter().map(|(id, cost)| (id, (cost - least) / heaviest)).collect();
-        Ok(Verdict::Added(Added { fit, candidate, gain, behind }))
+        Ok(Verdict::Added(Box::new(Added { fit, candidate, gain, behind })))
     }
 
     /// The added effect with its evidence and its ambiguities: finalists are compared by their full fits, other effects
@@ -338,7 +338,7 @@ impl<'m, 'a> Search<'m, 'a> {
 /// Result of the full fits.
 enum Verdict<'c> {
     /// The best finalist is added.
-    Added(Added<'c>),
+    Added(Box<Added<'c>>),
     /// The best finalist, given by its id, does not improve the fit or the held-out data.
     Refused(&'static str),
 }
