@@ -35,7 +35,7 @@ fn subject() -> &'static Subject {
         let bench = config.build(&[]).unwrap();
         let folder = tempfile::tempdir().unwrap();
         bench.measure(&folder.path().join("calibration"), 1, |_| ()).unwrap();
-        let session = Session::open(&folder.path().join("calibration")).unwrap();
+        let session = Session::open(folder.path().join("calibration")).unwrap();
         let of_rank = |rank| {
             let config = CalibrateConfig { rank: Some(rank), ..CalibrateConfig::default() };
             calibrate(&session, &config, || {}).unwrap().instrument

@@ -79,7 +79,7 @@ fn sources_that_moved_are_truths_that_lie_beside_them() {
         let closing = stated(Holds::Whole, &[moved], 740);
         // One in fifty sessions shows an effect by chance or by errors of its calibration: none that moves an image.
         let moves = |id: &&str| find(id).is_some_and(|e| e.descriptor().stage == Stage::Geometry);
-        assert!(!names(&closing).iter().any(|id| moves(id)), "{:?}", names(&closing));
+        assert!(!names(&closing).iter().any(moves), "{:?}", names(&closing));
         assert_found(&closing.registrations[0], truth);
     }
 }
