@@ -27,7 +27,7 @@ impl JudgedOn {
         let has = |known: fn(&Shown) -> bool| seen.frames.iter().any(|f| known(&f.shown));
         match () {
             () if has(|shown| matches!(shown, Shown::Object(_) | Shown::Bead(_))) => Self::Known,
-            () if has(|shown| *shown == Shown::Even) || !has(|shown| *shown == Shown::Unknown) => Self::Even,
+            () if has(|shown| *shown == Shown::Even) => Self::Even,
             () => Self::Nothing,
         }
     }

@@ -2,8 +2,8 @@
 //! it cannot test.
 //!
 //! Nothing is measured for it: the calibrated model, with the effects that were found, predicts the frames of each
-//! measurement of a small catalogue ([`mod@measurement`]), and their Fisher information is added to that of the session
-//! ([`information`]; Fahrmeir & Kaufmann, Ann. Stat. 13, 342, 1985; optimal design: Fedorov, Theory of Optimal
+//! measurement of a small catalogue (`measurement`), and their Fisher information is added to that of the session
+//! (`information`; Fahrmeir & Kaufmann, Ann. Stat. 13, 342, 1985; optimal design: Fedorov, Theory of Optimal
 //! Experiments, 1972). With theta the strengths of an effect A, C their covariance with the nuisances, all other
 //! effects and the alternative B free, A and B are separated by
 //! ```text

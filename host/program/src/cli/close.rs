@@ -110,7 +110,7 @@ pub(super) fn judged_on(closing: &Closing) -> &'static str {
         JudgedOn::Known if closing.own_beads => "on the bead frames of the calibration itself",
         JudgedOn::Known => "on held-out data",
         JudgedOn::Even => "on held-out flats and darks",
-        JudgedOn::Nothing => "not judged: nobody knows the specimen",
+        JudgedOn::Nothing => "not judged: no frame shows light that is known",
     }
 }
 
