@@ -222,7 +222,9 @@ fn planned(plan: &Plan) -> String {
     if !left.is_empty() {
         let _ = writeln!(out, "no measurement of the catalogue reaches that for: {}", left.join("; "));
     }
-    plan.assumptions.iter().for_each(|a| drop(writeln!(out, "assumed: {a}")));
+    for a in &plan.assumptions {
+        let _ = writeln!(out, "assumed: {a}");
+    }
     out
 }
 
