@@ -50,12 +50,9 @@ fn write(folder: &Path) -> Result<(), SessionError> {
         stacks: Vec::new(),
     };
     let entry = |role, file: &str, table: &str, truth: Option<&str>| StackEntry {
-        role,
-        file: file.into(),
-        exposure_ms: 10.0,
         table: Some(table.into()),
         truth: truth.map(Into::into),
-        expected: None,
+        ..StackEntry::plain(role, file, 10.0)
     };
     let mut writer = SessionWriter::create(folder, &manifest, Existing::Keep)?;
     let stacks = [

@@ -242,7 +242,7 @@ fn measured_noise_of_pixels_comes_back_from_darks_and_flats() {
         let info = |i| FrameInfo { illumination: f64::from(light(i)).max(1.0), ..FrameInfo::plain(i, 10.0) };
         writer.table(&format!("{name}.csv"), &(0..count).map(info).collect::<Vec<_>>()).unwrap();
         let (file, table) = (format!("{name}.npy"), Some(format!("{name}.csv")));
-        writer.add(StackEntry { role, file, exposure_ms: 10.0, table, truth: None, expected: None });
+        writer.add(StackEntry { table, ..StackEntry::plain(role, file, 10.0) });
     }
     writer.finish().unwrap();
     let i = calibrate(&Session::open(&target).unwrap(), &CalibrateConfig::default(), || {}).unwrap().instrument;

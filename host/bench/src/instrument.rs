@@ -205,14 +205,8 @@ impl VirtualInstrument {
     /// The manifest's entry of a stack.
     pub(super) fn entry(&self, role: Role) -> StackEntry {
         let name = role.name();
-        StackEntry {
-            role,
-            file: format!("{name}.npy"),
-            exposure_ms: self.config.stacks.exposure_ms,
-            table: Some(format!("{name}.csv")),
-            truth: None,
-            expected: None,
-        }
+        let plain = StackEntry::plain(role, format!("{name}.npy"), self.config.stacks.exposure_ms);
+        StackEntry { table: Some(format!("{name}.csv")), ..plain }
     }
 
     /// Draws the frame that the sensor reads, whole DN.

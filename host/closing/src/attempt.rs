@@ -2,13 +2,14 @@
 
 use super::account::{
     Accepted, Closed, Closing, Effect, Excess, Findings, Verdict, claims_a_cause, effects, harmful, imitated, pictured,
-    rejected, shadowed, unearned,
+    registration_notes, registrations, rejected, shadowed, unearned, unstated_notes,
 };
 use super::data::{Fault, Observations, Shown};
 use super::evidence::{JudgedOn, excess, excess_by_calibration, figures, is_worse, judged, omnibus, structured};
-use super::fit::{Fitted, Model, State, Term, refit, replicas};
+use super::fit::{Fitted, Model, Replicas, State, Term, refit, replicas};
 use super::options::{CalibratedOn, CloseError, CloseOptions};
-use super::search::{Earned, Pruned, Search, Tried, earned, prune, replaced, score};
+use super::plan::{self, plan};
+use super::search::{Earned, NEEDS_CALIBRATION, Pruned, Search, Tried, earned, lost, prune, replaced, score};
 use ommatidia_model::instrument::Instrument;
 use ommatidia_physics::effects::find;
 use ommatidia_session::Role;
@@ -62,6 +63,8 @@ pub(crate) fn attempt(
     progress("catalogue");
     let mut search = Search::new(&model, &replicas, before.clone());
     search.exclude = given.exclude.to_vec();
+    let lost = lost(&model, &before)?;
+    search.exclude.extend(lost.iter().map(|id| id.to_string()));
     search.trial_deviance = options.trial_calibration.map(|trial| held_out_deviance(trial, seen)).transpose()?;
     search.run(Tried::Catalogue, progress)?;
     let mut dependences = omnibus::test(&model, &search.now, &replicas.of(&model, &search.now), seed);
@@ -85,18 +88,20 @@ pub(crate) fn attempt(
         again.exclude = given.exclude.to_vec();
         imitations = replaced(&mut search, again, own, progress)?;
     }
+    // What stands for a new calibration is judged by what that gains, and not by its own form.
+    let keep: &[&str] = if recalibrated { &[NEEDS_CALIBRATION] } else { &[] };
     progress("which names are earned");
     let Earned { now, found, imitations: more } = earned(&model, search.now, search.found, own, &before)?;
     imitations.extend(more);
     progress("pruning");
-    let Pruned { mut now, mut found, mut tests, mut removed } = prune(&model, &replicas, now, found, own)?;
+    let Pruned { mut now, mut found, mut tests, mut removed } = prune(&model, &replicas, now, found, (own, keep))?;
     // What predicts held-out data worse than before is taken back, the last first.
     let mut taken_back = Vec::new();
-    while is_worse(&model, &before, &now) {
+    while !recalibrated && is_worse(&model, &before, &now) {
         let (Some(last), Some(term)) = (found.pop(), now.state.terms.pop()) else { break };
         taken_back.push((last, term));
         now = refit(&model, now.state)?;
-        let left = prune(&model, &replicas, now, found, own)?;
+        let left = prune(&model, &replicas, now, found, (own, keep))?;
         (now, found, tests) = (left.now, left.found, left.tests);
         removed.extend(left.removed);
     }
@@ -163,8 +168,11 @@ pub(crate) fn attempt(
     if own_beads {
         notes.push(OWN_BEADS_NOTE.into());
     }
-    let accepted = Accepted { state: &now.state, found: &found };
-    let closing = Closing {
+    let accepted = Accepted { state: &now.state, found: &found, lost: &lost };
+    let registrations = registrations(&model, &now, &replicas)?;
+    notes.extend(registration_notes(&registrations));
+    notes.extend(unstated_notes(&model, &now, own)?);
+    let mut closing = Closing {
         session: options.session_name.into(),
         calibrated_on: options.calibrated_on.iter().map(|c| c.file.clone()).collect(),
         own_beads,
@@ -182,12 +190,35 @@ pub(crate) fn attempt(
         dependences_before,
         dependences_after: dependences,
         retrained: None,
+        registrations,
+        plan: None,
         notes,
     };
+    if options.plan {
+        progress("which measurement next");
+        closing.plan = Some(plan(&model, &planned(instrument, (&now, &replicas), &closing))?);
+    }
     let mut account = pictured(&model, &before, &now, closing);
     account.closing.notes.extend(background_notes(&model, &now.state));
     let closed = Closed { instrument: with_effects(instrument, &model, &now.state), account };
     Ok(Attempt { closed, state: now.state })
+}
+
+/// What a plan starts from: what the account leaves open.
+fn planned<'a>(
+    instrument: &'a Instrument,
+    (now, replicas): (&'a Fitted, &'a Replicas),
+    closing: &Closing,
+) -> plan::Found<'a> {
+    let ambiguous = closing.effects.iter().filter(|e| e.known && !e.ambiguity.is_empty());
+    let untestable = closing.rejected.iter().filter(|r| r.upper_limit.is_none());
+    plan::Found {
+        instrument,
+        now,
+        replicas,
+        ambiguous: ambiguous.map(|e| (e.id.clone(), e.ambiguity.clone())).collect(),
+        untestable: untestable.map(|r| r.id.clone()).collect(),
+    }
 }
 
 /// What the figures mean where the only known frames are those of the calibration.
@@ -205,10 +236,10 @@ pub(crate) fn own_beads(seen: &Observations, calibrated_on: &[CalibratedOn]) -> 
     known.peek().is_some() && known.all(own)
 }
 
-/// Deviance of the held-out cells under another instrument.
+/// Deviance of the held-out cells of known objects and beads under another instrument.
 fn held_out_deviance(instrument: &Instrument, seen: &Observations) -> Result<f64, CloseError> {
     let model = Model::new(instrument, seen)?;
-    Ok(refit(&model, model.state(instrument)?)?.held_out.deviance)
+    Ok(refit(&model, model.state(instrument)?)?.known_held_out.deviance)
 }
 
 /// The background of each stack that has one of its own: it belongs to the session, and no effect names it.

@@ -1,6 +1,6 @@
 //! Closes the loop on observations in memory: screening of the records, then one attempt, or two.
 
-use super::account::{Account, Closed, Closing, Verdict, fault, pictured};
+use super::account::{Account, Closed, Closing, Verdict, fault, pictured, registration_notes, registrations};
 use super::attempt::{Given, OWN_BEADS_NOTE, attempt, held_out_blocks, held_out_frames, own_beads};
 use super::data::{Fault, Observations, Shown};
 use super::evidence::{JudgedOn, figures, omnibus, structured};
@@ -85,13 +85,17 @@ pub fn residual(
     let dependences = omnibus::test(&model, &fit, &replicas.of(&model, &fit), options.seed);
     let figures = figures(&model, &fit);
     let own_beads = own_beads(seen, options.calibrated_on);
+    let registrations = registrations(&model, &fit, &replicas)?;
+    let mut notes = registration_notes(&registrations);
+    notes.extend(own_beads.then(|| OWN_BEADS_NOTE.into()));
     let closing = Closing {
         session: options.session_name.into(),
         calibrated_on: options.calibrated_on.iter().map(|c| c.file.clone()).collect(),
         own_beads,
         judged_on: JudgedOn::of(seen),
         verdict: if structured(&dependences) { Verdict::Incomplete } else { Verdict::Adequate },
-        notes: own_beads.then(|| OWN_BEADS_NOTE.into()).into_iter().collect(),
+        registrations,
+        notes,
         before: figures,
         after: figures,
         held_out_frames: held_out_frames(seen),

@@ -24,6 +24,8 @@ pub struct CloseRequest<'a> {
     pub output: &'a Path,
     /// How to calibrate, where the session shows that the PSFs must be calibrated again.
     pub calibration: CalibrateConfig,
+    /// Whether to find the measurements that would separate what the session leaves open.
+    pub plan: bool,
     /// Network to fine-tune on the closed instrument, if any.
     pub fine_tuning: Option<FineTuning<'a>>,
     /// Seed of all random draws.
@@ -74,16 +76,22 @@ pub fn close_session(
     let (session, instrument) = read(request.session, request.instrument)?;
     let mut seen = Observations::read(&session, &Budget::default())?;
     let calibrated_on = calibrated_on(&session, request.instrument)?;
-    let trial = trial_calibration(&session, &instrument, &request.calibration)?;
+    // A scan that is too sparse, or a check that fails, is no reason to search for nothing else.
+    let (trial, untried) = match trial_calibration(&session, &instrument, &request.calibration) {
+        Ok(trial) => (trial, None),
+        Err(e) => (None, Some(format!("no new calibration was tried on the beads of this session: {e:#}"))),
+    };
     let options = CloseOptions {
         session_name: &session.manifest().name,
         seed: request.seed,
         trial_calibration: trial.as_ref(),
+        plan: request.plan,
         calibrated_on: &calibrated_on,
         ..CloseOptions::default()
     };
     let mut closed = close(&instrument, &mut seen, &options, |step| progress(Progress::Step(step)))
         .with_context(|| request.session.display().to_string())?;
+    closed.account.closing.notes.extend(untried);
     if let Some(trial) = trial.as_ref().filter(|_| closed.needs_calibration()) {
         progress(Progress::Step("recalibrating"));
         adopt(&mut closed, &session, Recalibrated { before: &instrument, trial }, &request.calibration)?;

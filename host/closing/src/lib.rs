@@ -8,6 +8,7 @@
 //! | [`fit`] | predicts the frames from a state (effects and nuisance parameters) and fits that state |
 //! | [`evidence`] | tests the residual of a fit: omnibus tests, score tests, pixel tables, figures on held-out data |
 //! | [`search`] | adds effects that the evidence supports and removes those that are not needed |
+//! | [`plan`] | finds the measurements that would separate what is ambiguous |
 //! | [`account`] | reports what was found, with errors, detection limits and ambiguities |
 //!
 //! [`close()`] runs all of it on observations in memory, [`close_session`] on files.
@@ -63,12 +64,13 @@ pub mod evidence;
 mod files;
 pub mod fit;
 mod options;
+pub mod plan;
 pub mod search;
 pub mod study;
 
 pub use account::{
-    Account, Closed, Closing, Control, Effect, Filed, Nearest, Rejected, Retrain, RetrainRequest, Retrained, Value,
-    Verdict,
+    Account, Closed, Closing, Control, Effect, Filed, Nearest, Rejected, Retrain, RetrainRequest, Retrained,
+    TruthRegistration, Value, Verdict,
 };
 pub use close::{check_layout, close, residual};
 pub use data::{Budget, Fault, FaultKind, Observations};
@@ -78,6 +80,7 @@ pub use files::{
     residual_session,
 };
 pub use options::{CalibratedOn, CloseError, CloseOptions};
+pub use plan::{Advice, Goal, Plan};
 
 #[cfg(test)]
 mod tests;

@@ -50,6 +50,8 @@ pub struct CloseOptions<'a> {
     pub calibrated_on: &'a [CalibratedOn],
     /// Ids of effects that are not tried, for tests of the loop with the true effect missing from the catalogue.
     pub exclude: &'a [String],
+    /// Whether the account says which measurements would separate what this session leaves open ([`crate::plan`]).
+    pub plan: bool,
     /// An instrument that was calibrated on the training beads of the session, if it predicts the held-out beads better
     /// than the old one ([`super::search::trial_calibration`]). The search compares effects with what it gains.
     pub trial_calibration: Option<&'a Instrument>,

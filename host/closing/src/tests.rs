@@ -44,6 +44,7 @@ fn observations(instrument: &Instrument, terms: &[Term]) -> Observations {
     let mut seen = Observations {
         frames: (0..6).map(frame).collect(),
         truths: (0..6).map(object).collect(),
+        registrations: Vec::new(),
         pixels: (0..n as u32).collect(),
         blocks: (0..4).map(|b| b * n / 4..(b + 1) * n / 4).collect(),
         held_out_blocks: vec![false; 4],

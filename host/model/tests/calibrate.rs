@@ -172,8 +172,7 @@ fn a_session_without_beads_gives_the_sensor_alone() {
         let frame = Array2::from_shape_fn((rows, cols), |(r, c)| if r < 4 { 20.0 } else { 30.0 + (r * c % 50) as f32 });
         frames.push(frame.view()).unwrap();
         frames.finish().unwrap();
-        let file = "scene.npy".into();
-        writer.add(StackEntry { role: Role::Scene, file, exposure_ms: 3.0, table: None, truth: None, expected: None });
+        writer.add(StackEntry::plain(Role::Scene, "scene.npy", 3.0));
         writer.finish().unwrap();
         calibrate(&Session::open(path).unwrap(), &CalibrateConfig::default(), || {}).map_err(|e| e.to_string())
     };

@@ -26,10 +26,7 @@
 //!     frames.push(Array2::from_elem((4, 5), 64.0).view())?;
 //! }
 //! frames.finish()?;
-//! let exposure_ms = 10.0;
-//! let entry =
-//!     StackEntry { role: Role::Dark, file: "dark.npy".into(), exposure_ms, table: None, truth: None, expected: None };
-//! writer.add(entry);
+//! writer.add(StackEntry::plain(Role::Dark, "dark.npy", 10.0));
 //! writer.finish()?;
 //!
 //! let session = Session::open(&path)?;

@@ -128,8 +128,39 @@ pub struct StackEntry {
     /// File of the known object of each frame: float32, [frames, object rows, object cols], in one unit for the stack.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub truth: Option<String>,
+    /// Standard deviation of the place of the truth, object pixels: how well the camera that took it is registered to
+    /// the instrument. 0: exact.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub truth_registration_px: f64,
+    /// Whether each frame's truth has a registration of its own; else the whole stack shares one.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub truth_registration_per_frame: bool,
     /// File of the noise-free expectation of each frame: float32, [frames, rows, cols], DN. Only virtual instruments
     /// provide it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expected: Option<String>,
+}
+
+impl StackEntry {
+    /// A stack of frames with a common exposure in ms, without a table, truths or expectations.
+    pub fn plain(role: Role, file: impl Into<String>, exposure_ms: f64) -> Self {
+        Self {
+            role,
+            file: file.into(),
+            exposure_ms,
+            table: None,
+            truth: None,
+            truth_registration_px: 0.0,
+            truth_registration_per_frame: false,
+            expected: None,
+        }
+    }
+}
+
+fn is_zero(v: &f64) -> bool {
+    *v == 0.0
+}
+
+fn is_false(v: &bool) -> bool {
+    !v
 }

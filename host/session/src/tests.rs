@@ -20,7 +20,7 @@ fn manifest() -> Manifest {
 }
 
 fn entry(role: Role, file: &str) -> StackEntry {
-    StackEntry { role, file: file.into(), exposure_ms: 10.0, table: None, truth: None, expected: None }
+    StackEntry::plain(role, file, 10.0)
 }
 
 fn ramp(frames: usize, rows: usize, cols: usize) -> Array3<f32> {
@@ -245,6 +245,13 @@ fn each_damage_to_a_session_has_its_error() {
     mentions(&toml("exposure_ms = 10.0", "exposure_ms = -1.0"), &["exposure_ms", "-1"]);
     mentions(&toml("psf_window_px = 3", "psf_window_px = 4"), &["psf_window_px", "odd"]);
     mentions(&toml("table = \"bead.csv\"", ""), &["table of bead stack", "x_um"]);
+    let truth = |lines: &'static str| toml("truth = \"truth.npy\"", lines);
+    mentions(&truth("truth = \"truth.npy\"\ntruth_registration_px = -0.1"), &["truth_registration_px", "-0.1"]);
+    mentions(&truth("truth_registration_px = 0.5"), &["truth_registration_px", "a stack with `truth`", "0.5"]);
+    mentions(
+        &truth("truth = \"truth.npy\"\ntruth_registration_per_frame = true"),
+        &["truth_registration_per_frame", "above zero"],
+    );
     mentions(&csv("x_um", "x_mm"), &["bead.csv", "column `x_um`", "x_mm"]);
     mentions(&csv("\n1,-2", "\n1,-inf"), &["column `x_um`, row 1", "`-inf`"]);
     mentions(&csv("\n1,-2", "\n1,9.0"), &["column `x_um`, frame 1", "on the object grid", "found 9"]);

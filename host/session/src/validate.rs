@@ -1,7 +1,7 @@
 //! Parses a manifest and rejects impossible sizes.
 
 use super::error::SessionError;
-use super::manifest::{Manifest, Role};
+use super::manifest::{Manifest, Role, StackEntry};
 use std::path::Path;
 
 /// Version of the session format that this program reads and writes.
@@ -98,6 +98,32 @@ impl Manifest {
                 let expected = if stack.role == Role::Dark { "zero or more" } else { "a number above zero" };
                 return Err(SessionError::value(path, field, expected, exposure, "correct the manifest"));
             }
+            self.check_registration(path, i, stack)?;
+        }
+        Ok(())
+    }
+
+    /// The registration of a truth needs a truth, and cannot be off by more than the object.
+    fn check_registration(&self, path: &Path, i: usize, stack: &StackEntry) -> Result<(), SessionError> {
+        let (px, most) = (stack.truth_registration_px, self.object.rows.max(self.object.cols) as f64);
+        let field = |name: &str| format!("stack {i} (`{}`), {name}", stack.file);
+        if !(0.0..most).contains(&px) {
+            let expected = format!("object pixels, zero or more and below {most}");
+            return Err(SessionError::value(
+                path,
+                field("truth_registration_px"),
+                expected,
+                px,
+                "correct the manifest",
+            ));
+        }
+        if px > 0.0 && stack.truth.is_none() {
+            let fix = "name the file of the truth, or delete the line";
+            return Err(SessionError::value(path, field("truth_registration_px"), "a stack with `truth`", px, fix));
+        }
+        if stack.truth_registration_per_frame && px == 0.0 {
+            let (name, expected) = ("truth_registration_per_frame", "truth_registration_px above zero beside it");
+            return Err(SessionError::value(path, field(name), expected, true, "state how well the truths are placed"));
         }
         Ok(())
     }

@@ -1,8 +1,8 @@
 //! A new calibration in the place of the old one, and its entry in the account.
 
 use super::result::Closed;
-use crate::search::{NEEDS_CALIBRATION, held_out_figures};
-use ommatidia_model::calibrate::{CalibrateConfig, calibrate};
+use crate::search::{NEEDS_CALIBRATION, calibration_of, held_out_figures};
+use ommatidia_model::calibrate::CalibrateConfig;
 use ommatidia_model::instrument::Instrument;
 use ommatidia_session::Session;
 
@@ -27,7 +27,7 @@ pub fn adopt(
     config: &CalibrateConfig,
 ) -> anyhow::Result<()> {
     let Recalibrated { before, trial } = instruments;
-    let whole = calibrate(session, config, || {})?.instrument;
+    let whole = calibration_of(session, before, config)?;
     let closing = &mut closed.account.closing;
     closing.after = held_out_figures(session, trial)?;
     let terms = [before, &whole].map(|i| i.psf.basis.dim().1);

@@ -115,7 +115,7 @@ pub(crate) fn fault(fault: &Fault) -> Effect {
 /// With `own_beads`, the known frames are the bead frames of the calibration: the PSFs have absorbed what they show, so
 /// that they cannot limit what has changed since.
 pub(crate) fn rejected(model: &Model<'_>, rest: &[Candidate], now: &Accepted<'_>, own_beads: bool) -> Vec<Rejected> {
-    let Accepted { state, found } = now;
+    let Accepted { state, found, lost } = now;
     let lenses = model.lenses();
     let mut out = Vec::new();
     for effect in registry() {
@@ -135,8 +135,10 @@ pub(crate) fn rejected(model: &Model<'_>, rest: &[Candidate], now: &Accepted<'_>
         let limit = first.map(|f| size(f.value) + 1.645 * f.sigma);
         let [low, off, high] = [p.min, p.off, p.max].map(|v| p.inner(v));
         let absorbed = own_beads && matches!(d.stage, Stage::Object | Stage::Geometry | Stage::Lens);
-        let testable =
-            !absorbed && limit.is_some_and(|u| u.is_finite() && u < (high - off).abs().max((off - low).abs()));
+        let misplaced = lost.contains(&d.id);
+        let testable = !absorbed
+            && !misplaced
+            && limit.is_some_and(|u| u.is_finite() && u < (high - off).abs().max((off - low).abs()));
         // In the unit of the parameter.
         let upper_limit = limit.filter(|_| testable).map(|u| p.outer_sigma(0.0, u));
         out.push(Rejected {
@@ -146,7 +148,10 @@ pub(crate) fn rejected(model: &Model<'_>, rest: &[Candidate], now: &Accepted<'_>
             sigma: first.map(|f| p.outer_sigma(0.0, f.sigma)).filter(|_| testable),
             unit: p.unit.into(),
             z: test.map_or(0.0, |t| t.z),
-            needs: (!testable).then(|| if absorbed { OWN_BEADS } else { needs(d.stage, d.id) }.into()),
+            needs: (!testable).then(|| {
+                let needs = if misplaced { MISPLACED } else { needs(d.stage, d.id) };
+                if absorbed { OWN_BEADS } else { needs }.into()
+            }),
         });
     }
     out
@@ -156,12 +161,18 @@ pub(crate) fn rejected(model: &Model<'_>, rest: &[Candidate], now: &Accepted<'_>
 const OWN_BEADS: &str = "scenes of known objects, or a bead scan of today: the instrument was calibrated on these bead \
                          frames, so they cannot show what has changed since";
 
+/// What makes an effect testable that a misplaced truth imitates.
+const MISPLACED: &str = "a bead scan in a session without truths, or truths of certain place: this session states that \
+                         its truths may be misplaced, and a misplaced truth moves the images just as this effect does";
+
 /// The state that was accepted, and the effects in it.
 pub(crate) struct Accepted<'a> {
     /// The state.
     pub state: &'a State,
     /// The effects that were added.
     pub found: &'a [Found],
+    /// Ids of effects that cannot be tested beside truths of uncertain place.
+    pub lost: &'a [&'static str],
 }
 
 /// The measurement that makes an effect testable.

@@ -1,12 +1,14 @@
 //! The account of a closed loop: effects with errors, detection limits, ambiguities, figures before and after.
 //!
-//! [`result`] defines it, `describe` writes the effects, `pictures` adds residual maps, `adopt` records a new
-//! calibration, [`retrain`] what a fine-tuned network gains, [`mod@file`] stores it all.
+//! [`result`] defines it, `describe` writes the effects, `pictures` adds residual maps, `registration` says where
+//! the truths lie, `adopt` records a new calibration, [`retrain`] what a fine-tuned network gains, [`mod@file`] stores
+//! it all.
 
 pub(crate) mod adopt;
 pub(crate) mod describe;
 pub mod file;
 pub(crate) mod pictures;
+mod registration;
 pub mod result;
 pub mod retrain;
 mod verdict;
@@ -15,6 +17,7 @@ pub use adopt::{Recalibrated, adopt};
 pub(crate) use describe::{Accepted, Findings, effects, fault, rejected};
 pub use file::{KIND, VERSION};
 pub(crate) use pictures::pictured;
-pub use result::{Account, Closed, Closing, Effect, Nearest, Rejected, Value, Verdict};
+pub(crate) use registration::{registration_notes, registrations, unstated_notes};
+pub use result::{Account, Closed, Closing, Effect, Nearest, Rejected, TruthRegistration, Value, Verdict};
 pub use retrain::{Control, Filed, Retrain, RetrainRequest, Retrained};
 pub(crate) use verdict::{Excess, claims_a_cause, harmful, imitated, shadowed, unearned};

@@ -3,6 +3,7 @@
 use super::retrain::Retrained;
 use crate::data::Fault;
 use crate::evidence::{Dependence, Figures, JudgedOn};
+use crate::plan::Plan;
 use crate::search::NEEDS_CALIBRATION;
 use ndarray::Array3;
 use ommatidia_model::instrument::Instrument;
@@ -68,6 +69,24 @@ pub struct Rejected {
     pub z: f64,
     /// The measurement that would make it testable.
     pub needs: Option<String>,
+}
+
+/// Where the truths of a stack, or of one frame, lie beside the objects that they are the truths of
+/// ([`crate::fit::truth`]).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TruthRegistration {
+    /// Index of the stack in the session.
+    pub stack: usize,
+    /// Index of the only frame in its stack; None: the whole stack shares it.
+    pub frame: Option<usize>,
+    /// Standard deviation that the session states, object pixels.
+    pub stated_px: f64,
+    /// `row_px`, `col_px`, `turn_mrad` and `scale`: a point of the truth at x from the centre is the point x + d(x) of
+    /// the object.
+    pub params: Vec<Value>,
+    /// The same as displacements, object pixels: shift along rows and columns, and what the turn and the scale displace
+    /// the corner of the field by.
+    pub corner_px: [f64; 4],
 }
 
 /// Whether the model, with the effects that were found, describes the session.
@@ -152,6 +171,12 @@ pub struct Closing {
     /// Figures of a network before and after its fine-tuning on the closed instrument, if there was one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub retrained: Option<Retrained>,
+    /// Places of the truths, where the session states that they are uncertain.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub registrations: Vec<TruthRegistration>,
+    /// Which measurements would separate what is ambiguous and make testable what is not, where that was asked.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub plan: Option<Plan>,
     /// Notes for the user.
     pub notes: Vec<String>,
 }

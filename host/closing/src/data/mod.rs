@@ -2,7 +2,9 @@
 
 mod fault;
 mod observe;
+mod registration;
 
 pub use fault::{Fault, FaultKind};
 pub(crate) use observe::bead_is_held_out;
 pub use observe::{Budget, Frame, Observations, Shown};
+pub use registration::Registration;

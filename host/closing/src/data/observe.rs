@@ -1,5 +1,6 @@
 //! The frames of a session that the loop uses, and the hold-outs, which are fixed before anything is fitted.
 
+use super::registration::{Registration, of_stack};
 use ndarray::Array2;
 use ommatidia_session::{Cut, FrameInfo, Role, Session, SessionError, Stack};
 use serde::{Deserialize, Serialize};
@@ -21,6 +22,9 @@ pub struct Budget {
     /// Spatial blocks along each side of the frame.
     pub blocks: usize,
 }
+
+/// Maximum number of scenes whose truths are placed one by one: each adds four free values.
+const PLACED_ONE_BY_ONE: usize = 16;
 
 impl Default for Budget {
     fn default() -> Self {
@@ -71,6 +75,8 @@ pub struct Observations {
     pub frames: Vec<Frame>,
     /// Known objects, [object rows, object cols], as the session records them.
     pub truths: Vec<Array2<f32>>,
+    /// Registrations of the truths.
+    pub registrations: Vec<Registration>,
     /// Pixels that are used: flat indices into a frame, block by block.
     pub pixels: Vec<u32>,
     /// Range of `pixels` of each spatial block; blocks are in row order.
@@ -85,24 +91,28 @@ impl Observations {
     /// Reads the frames.
     ///
     /// The hold-outs are fixed here, before any fit, by rule and not by chance: every fourth scene, every fourth pair
-    /// of flats and darks, every second bead and every eighth spatial block; with fewer than four scenes or beads, the
-    /// lower half of the frame.
+    /// of flats, darks and unknown scenes, every second bead and every eighth spatial block; with fewer than four
+    /// scenes or beads, the lower half of the frame. A scene whose truth has a registration of its own is not held out:
+    /// nothing but the frame itself shows where its truth lies. The spatial blocks judge there.
     ///
     /// # Errors
     /// A frame or an object cannot be read.
     pub fn read(session: &Session, budget: &Budget) -> Result<Self, SessionError> {
         let sensor = [session.manifest().sensor.rows, session.manifest().sensor.cols];
-        let (mut frames, mut truths) = (Vec::new(), Vec::new());
+        let (mut frames, mut truths, mut registrations) = (Vec::new(), Vec::new(), Vec::new());
         let known = session.stacks_of(Role::Scene).any(|s| s.entry().truth.is_some());
         for (s, stack) in session.stacks().iter().enumerate() {
             let most = match stack.role() {
+                Role::Scene if stack.entry().truth_registration_per_frame => budget.scenes.min(PLACED_ONE_BY_ONE),
                 Role::Scene => budget.scenes,
                 Role::Flat => budget.flats,
                 Role::Dark => budget.darks,
                 Role::Bead if known => 0,
                 Role::Bead => budget.beads,
             };
-            read_stack(session, stack, s, most, &mut frames, &mut truths)?;
+            let chosen = in_pairs(stack.len(), most);
+            registrations.extend(of_stack(stack, s, &chosen));
+            read_stack(session, stack, (s, &chosen), &mut frames, &mut truths)?;
         }
         let (pixels, blocks) = pixels(sensor, budget);
         let single = frames.iter().filter(|f: &&Frame| matches!(f.role, Role::Scene | Role::Bead)).count() < 4;
@@ -110,7 +120,13 @@ impl Observations {
         let held_out_blocks = (0..blocks.len())
             .map(|b| if single { b >= half } else { (b / budget.blocks * 3 + b % budget.blocks) % 8 == 5 })
             .collect();
-        Ok(Self { frames, truths, pixels, blocks, held_out_blocks, sensor })
+        Ok(Self { frames, truths, registrations, pixels, blocks, held_out_blocks, sensor })
+    }
+
+    /// Index of the registration of frame `k`'s truth; None: it has no truth.
+    pub fn registration_of(&self, k: usize) -> Option<usize> {
+        let f = &self.frames[k];
+        self.registrations.iter().position(|r| r.holds(f.stack, f.info.frame))
     }
 
     /// Indices of the frames with a role.
@@ -122,12 +138,10 @@ impl Observations {
 fn read_stack(
     session: &Session,
     stack: &Stack,
-    s: usize,
-    most: usize,
+    (s, chosen): (usize, &[usize]),
     frames: &mut Vec<Frame>,
     truths: &mut Vec<Array2<f32>>,
 ) -> Result<(), SessionError> {
-    let chosen = in_pairs(stack.len(), most);
     if chosen.is_empty() {
         return Ok(());
     }
@@ -150,9 +164,10 @@ fn read_stack(
         // Every second bead, else every fourth frame.
         let held_out = match stack.role() {
             Role::Bead => bead_is_held_out(*i),
-            // Repeats stay together.
+            // Repeats stay together, and so do frames of an unknown specimen, which may be repeats.
             Role::Dark | Role::Flat => n / 2 % 4 == 3,
-            Role::Scene if everything => i % 4 == 3,
+            Role::Scene if stack.entry().truth_registration_per_frame => false,
+            Role::Scene if everything && truth.is_some() => i % 4 == 3,
             Role::Scene => n / 2 % 4 == 3,
         };
         let measured = reader.read(*i)?;

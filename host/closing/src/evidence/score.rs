@@ -89,6 +89,11 @@ impl<'d> Scores<'d> {
             + b.dot(&pick(&self.given, &self.given)).dot(&c.t())
     }
 
+    /// Fisher information of the values of some columns, with the given columns projected out.
+    pub fn information(&self, columns: &[usize]) -> Array2<f64> {
+        self.projected(&self.sums.gram, columns, columns)
+    }
+
     /// Tests columns. None: they are linearly dependent on the given columns, so the data do not determine them.
     pub fn test(&self, columns: &[usize]) -> Option<Test> {
         let r = self.design.residual();

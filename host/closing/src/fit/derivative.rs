@@ -1,10 +1,12 @@
 //! Derivatives of the expected frames with respect to the values of a state, by finite differences.
 
 use super::model::Model;
+use super::scene::Scene;
 use super::state::{Column, Predicted, State, Term};
+use super::truth::STEP_PX;
 use crate::data::Shown;
 use ndarray::Array2;
-use ommatidia_model::forward::{ForwardError, SceneLight};
+use ommatidia_model::forward::ForwardError;
 use ommatidia_physics::effects::{Chain, Stage};
 use std::collections::BTreeMap;
 
@@ -18,7 +20,7 @@ pub struct Expansion<'a> {
     /// The frames that the state predicts ([`Model::predict`]).
     pub predicted: &'a [Predicted],
     /// The light behind the optics under the state ([`Model::scenes`]).
-    pub scenes: &'a [Option<SceneLight>],
+    pub scenes: &'a [Option<Scene>],
 }
 
 /// The terms of a state, or of a state with one trial term, with the parameter that a column varies.
@@ -34,7 +36,7 @@ impl Expansion<'_> {
     /// What a column varies. None: a nuisance parameter.
     pub(super) fn varied(&self, column: &Column) -> Option<Varied> {
         match column {
-            Column::Scale(_) | Column::Black | Column::Background(..) => None,
+            Column::Scale(_) | Column::Black | Column::Background(..) | Column::Registration(..) => None,
             Column::Trial { term, param } => {
                 let terms = self.state.terms.iter().chain([&self.trials[*term]]).cloned().collect();
                 Some(Varied { terms, which: self.state.terms.len(), param: *param })
@@ -81,11 +83,16 @@ impl Model<'_> {
         let Some(Varied { mut terms, which, param }) = at.varied(column) else {
             return Ok(match column {
                 Column::Scale(stack) => self.scale_derivative(k, *stack, at),
+                Column::Registration(group, part) => self.registration_derivative(k, [*group, *part], at),
                 Column::Background(stack, part) => self.background_derivative(k, [*stack, *part], at),
                 _ => (f.shown != Shown::Unknown).then(|| Array2::ones(here.dn.dim())),
             });
         };
         let effect = terms[which].effect;
+        if f.shown == Shown::Unknown && !effect.is_of_the_grid() {
+            // The specimen may have any detail but that of the pixel grid.
+            return Ok(None);
+        }
         let expanded = terms[which].expanded(self.lenses());
         let p = expanded[param].1;
         let value = p.inner(terms[which].params[param]);
@@ -139,6 +146,18 @@ impl Model<'_> {
         Some((self.dn(k, light, &chain, previous, state.black_dn) - &here.dn) / step as f32)
     }
 
+    /// Derivative with respect to a part of a registration, DN per object pixel.
+    fn registration_derivative(&self, k: usize, [group, part]: [usize; 2], at: Expansion<'_>) -> Option<Array2<f32>> {
+        let scene = at.scenes[k].as_ref().filter(|_| self.seen.registration_of(k) == Some(group))?;
+        let (here, mut state) = (&at.predicted[k], at.state.clone());
+        state.registration[group][part] += STEP_PX;
+        let chain = self.chain(&state.terms);
+        let previous = self.seen.frames[k].previous.map(|p| at.predicted[p].alone_e());
+        let sum = self.sum_e(k, Some(scene), (&chain, &state), here.scale);
+        let light = self.lit(k, sum, &state, (&chain, previous));
+        Some((self.dn(k, light, &chain, previous, state.black_dn) - &here.dn) / STEP_PX as f32)
+    }
+
     /// The expected frame `k` under another chain, DN. None: it is the same.
     fn moved(
         &self,
@@ -156,14 +175,13 @@ impl Model<'_> {
             (Stage::Object | Stage::Geometry | Stage::Lens, None) => return Ok(None),
             (Stage::Object, Some(_)) => {
                 let scene = self.scene(k, chain)?;
-                self.sum_e(k, scene.as_ref(), chain, scale)
+                self.sum_e(k, scene.as_ref(), (chain, at.state), scale)
             }
             (Stage::Geometry | Stage::Lens, Some(scene)) => match lens {
-                None => self.sum_e(k, Some(scene), chain, scale),
+                None => self.sum_e(k, Some(scene), (chain, at.state), scale),
                 Some(l) => {
-                    let cx = self.context(k, None);
-                    let now = || self.forward.lens_e(scene, l, &self.chain(&at.state.terms), &cx);
-                    let change = self.forward.lens_e(scene, l, chain, &cx) - &*images.of.entry(l).or_insert_with(now);
+                    let now = || self.lens_e(k, scene, l, &self.chain(&at.state.terms), at.state);
+                    let change = self.lens_e(k, scene, l, chain, at.state) - &*images.of.entry(l).or_insert_with(now);
                     &here.sum_e + &(change * scale as f32)
                 }
             },

@@ -7,8 +7,8 @@
 use super::cell::Cell;
 use super::derivative::{Expansion, LensImages};
 use super::model::Model;
-use super::repeats;
 use super::state::{Column, Predicted};
+use super::{registration, repeats};
 use crate::data::{Observations, Shown};
 use ndarray::{Array2, ArrayView2, s};
 use ommatidia_model::forward::ForwardError;
@@ -168,6 +168,7 @@ impl Design {
             .collect::<Result<Vec<_>, ForwardError>>()?;
         let mut cells: Vec<Cell> = cells.into_iter().flatten().collect();
         cells.extend(repeats::cells(model, at, &columns, replicas.len()));
+        cells.extend(registration::statement(model, at.state, &columns, replicas.len()));
         Ok(Self { columns, replicates: replicas.len(), cells })
     }
 
@@ -214,8 +215,8 @@ fn own_light(x: &mut Array2<f32>, own: &Array2<f32>, here: &Predicted, seen: &Ob
     }
 }
 
-/// The columns of the nuisance parameters: the light of each lit stack, the black level, and the background of each
-/// stack of scenes and beads where the calibration found one.
+/// The columns of the nuisance parameters: the light of each lit stack, the black level, the background of each stack
+/// of scenes and beads where the calibration found one, and the registrations of the truths.
 pub fn nuisances(model: &Model<'_>) -> Vec<Column> {
     let frames = &model.seen.frames;
     let lit = |s: &usize| {
@@ -232,5 +233,6 @@ pub fn nuisances(model: &Model<'_>) -> Vec<Column> {
             |s: &usize| frames.iter().any(|f| f.stack == *s && matches!(f.shown, Shown::Object(_) | Shown::Bead(_)));
         columns.extend((0..stacks).filter(shows).flat_map(|s| (0..3).map(move |part| Column::Background(s, part))));
     }
+    columns.extend(registration::columns(&model.seen.registrations));
     columns
 }

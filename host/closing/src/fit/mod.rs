@@ -2,8 +2,9 @@
 //!
 //! [`state`] holds effects and nuisance parameters, [`model`] predicts frames, [`derivative`] their derivatives,
 //! [`design`] sums these over [`cell`]s, `repeats` adds what repeated frames show of the noise, [`mod@refit`] finds the
-//! best state. [`record`] checks the session's records before the first fit; [`mod@replicas`] gives the uncertainty of
-//! the calibration.
+//! best state. [`truth`] moves truths that are
+//! not quite in place, `registration` adds what the session states of them. [`record`] checks the session's records
+//! before the first fit; [`mod@replicas`] gives the uncertainty of the calibration.
 
 pub mod cell;
 pub mod derivative;
@@ -11,10 +12,13 @@ pub mod design;
 pub mod model;
 pub mod record;
 pub mod refit;
+pub(crate) mod registration;
 pub(crate) mod repeats;
 pub mod replicas;
+pub mod scene;
 pub mod solve;
 pub mod state;
+pub mod truth;
 
 pub use cell::Cell;
 pub use derivative::Expansion;
@@ -24,3 +28,4 @@ pub use refit::{Fitted, Scenes, own_columns, refit, refit_from};
 pub use replicas::{Replicas, replicas};
 pub use solve::pseudo_inverse;
 pub use state::{Column, Predicted, State, Term};
+pub use truth::Registered;

@@ -1,16 +1,19 @@
 //! The model that the loop closes: the instrument without its effects, and the frames of a session.
 
+use super::scene::{Scene, widening};
 use super::state::{Predicted, State, Term};
+use super::truth::{Grid, PARTS, TRUTH};
 use crate::data::{Frame, Observations, Shown};
 use ndarray::{Array2, Zip};
 use ommatidia_model::bead::slope_terms;
-use ommatidia_model::forward::{Forward, ForwardError, SceneLight};
+use ommatidia_model::forward::{Forward, ForwardError};
 use ommatidia_model::instrument::Instrument;
 use ommatidia_model::psf::OperatorConfig;
 use ommatidia_physics::effects::{Chain, EffectError, EffectSetting, FrameContext, Param, Previous, blur_within, find};
 use ommatidia_physics::noise::MapErrors;
 use ommatidia_session::Role;
 use rayon::prelude::*;
+use std::borrow::Cow;
 
 /// Depths closer than this are equal, um: tables are rounded to it.
 const SAME_DEPTH_UM: f64 = 1e-3;
@@ -28,8 +31,12 @@ pub struct Model<'a> {
     /// Whether the session may have a background of its own: the beads of the calibration had one. Its strength is then
     /// a nuisance, and no effect of the instrument.
     pub has_background: bool,
+    /// The forward model under the widening of its PSFs ([`super::scene`]), where the place of any truth is uncertain.
+    wider: Option<Forward>,
+    /// The grid that truths live on.
+    pub(crate) grid: Grid,
     /// Exposure of the calibration, ms.
-    exposure_ms: f64,
+    pub(crate) exposure_ms: f64,
 }
 
 impl<'a> Model<'a> {
@@ -42,11 +49,15 @@ impl<'a> Model<'a> {
         // The depth of the first specimen; other depths are interpolated.
         let z_um = seen.frames.iter().find(|f| matches!(f.shown, Shown::Object(_))).map_or(0.0, |f| f.info.z_um);
         let depth = instrument.psf.depth_nearest(z_um);
+        let plan = |i: &Instrument| Forward::with_all_depths(i, OperatorConfig { depth, ..OperatorConfig::default() });
+        let uncertain = seen.registrations.iter().any(|g| g.sigma_px > 0.0);
         Ok(Self {
-            forward: Forward::with_all_depths(&bare, OperatorConfig { depth, ..OperatorConfig::default() })?,
+            forward: plan(&bare)?,
+            wider: uncertain.then(|| plan(&widening(instrument))).transpose()?,
             seen,
             maps: instrument.quality.maps,
             has_background: instrument.quality.background.is_some_and(|b| b.is_seen()),
+            grid: Grid::of(instrument),
             exposure_ms: instrument.psf.exposure_ms,
         })
     }
@@ -55,6 +66,11 @@ impl<'a> Model<'a> {
     /// specimen may have any other detail.
     pub fn is_blind(&self) -> bool {
         self.seen.frames.iter().all(|f| f.shown == Shown::Unknown)
+    }
+
+    /// Whether the light of any frame is known: an object, a bead, or even light.
+    pub fn sees_known_light(&self) -> bool {
+        self.seen.frames.iter().any(|f| matches!(f.shown, Shown::Object(_) | Shown::Bead(_) | Shown::Even))
     }
 
     /// Number of lenses.
@@ -93,6 +109,7 @@ impl<'a> Model<'a> {
             scale,
             black_dn: 0.0,
             background_e: vec![[0.0; 3]; stacks],
+            registration: vec![[0.0; PARTS]; self.seen.registrations.len()],
         })
     }
 
@@ -139,18 +156,25 @@ impl<'a> Model<'a> {
     ///
     /// # Errors
     /// An object holds negative or non-finite light.
-    pub fn scenes(&self, chain: &Chain) -> Result<Vec<Option<SceneLight>>, ForwardError> {
+    pub fn scenes(&self, chain: &Chain) -> Result<Vec<Option<Scene>>, ForwardError> {
         (0..self.seen.frames.len()).into_par_iter().map(|k| self.scene(k, chain)).collect()
     }
 
-    pub(super) fn scene(&self, k: usize, chain: &Chain) -> Result<Option<SceneLight>, ForwardError> {
+    pub(super) fn scene(&self, k: usize, chain: &Chain) -> Result<Option<Scene>, ForwardError> {
         let cx = self.context(k, None);
         match &self.seen.frames[k].shown {
             Shown::Object(truth) => {
-                let scene = self.forward.scene(self.seen.truths[*truth].view(), chain, &cx)?;
-                Ok(Some(scene.at_depth(self.depth_of(k))))
+                let behind = |forward: &Forward| {
+                    let scene = forward.scene(self.seen.truths[*truth].view(), chain, &cx)?;
+                    Ok::<_, ForwardError>(scene.at_depth(self.depth_of(k)))
+                };
+                let wider = self.wider.as_ref().map(behind).transpose()?;
+                Ok(Some(Scene { light: behind(&self.forward)?, wider }))
             }
-            Shown::Bead(at) => Ok(Some(self.forward.point(*at, chain, &cx)?.at_depth(self.depth_of(k)))),
+            Shown::Bead(at) => {
+                let light = self.forward.point(*at, chain, &cx)?.at_depth(self.depth_of(k));
+                Ok(Some(Scene { light, wider: None }))
+            }
             Shown::Even | Shown::Dark | Shown::Unknown => Ok(None),
         }
     }
@@ -161,9 +185,39 @@ impl<'a> Model<'a> {
         if (z - own).abs() < SAME_DEPTH_UM { own } else { z }
     }
 
-    /// Light of frame `k` before the effects on the sensor, electrons.
-    pub(super) fn sum_e(&self, k: usize, scene: Option<&SceneLight>, chain: &Chain, scale: f64) -> Array2<f32> {
-        let (f, cx) = (&self.seen.frames[k], self.context(k, None));
+    /// The effects of a chain on frame `k`, with the registration of its truth under a state.
+    fn placed<'c>(&self, k: usize, state: &State, chain: &'c Chain) -> Cow<'c, Chain> {
+        let registered = self.seen.registration_of(k).and_then(|g| state.registration.get(g));
+        let Some(registered) = registered.filter(|r| **r != [0.0; PARTS]) else { return Cow::Borrowed(chain) };
+        let mut placed = chain.clone();
+        // It has no table, so that it fits every layout.
+        let _ = placed.push(&TRUTH, self.grid.params(*registered), None, self.forward.layout());
+        Cow::Owned(placed)
+    }
+
+    /// Light of frame `k` through one lens before the effects on the sensor, electrons, with the registration of its
+    /// truth under a state.
+    pub(super) fn lens_e(&self, k: usize, scene: &Scene, lens: usize, chain: &Chain, state: &State) -> Array2<f32> {
+        let (cx, placed) = (self.context(k, None), self.placed(k, state, chain));
+        let mut image = self.forward.lens_e(&scene.light, lens, &placed, &cx);
+        let registered = self.seen.registration_of(k).and_then(|g| state.registration.get(g));
+        let scale = registered.map_or(0.0, |r| self.grid.scale(r[PARTS - 1]));
+        if let (Some(forward), Some(wider), true) = (&self.wider, &scene.wider, scale != 0.0) {
+            image.scaled_add(scale as f32, &forward.lens_e(wider, lens, &placed, &cx));
+        }
+        image
+    }
+
+    /// Light of frame `k` before the effects on the sensor, electrons, with the registration of its truth under a
+    /// state.
+    pub(super) fn sum_e(
+        &self,
+        k: usize,
+        scene: Option<&Scene>,
+        (chain, state): (&Chain, &State),
+        scale: f64,
+    ) -> Array2<f32> {
+        let f = &self.seen.frames[k];
         let mut sum = Array2::zeros((self.seen.sensor[0], self.seen.sensor[1]));
         match (&f.shown, scene) {
             (Shown::Even, _) => sum.fill((scale * f.info.illumination * f.info.exposure_ms / self.exposure_ms) as f32),
@@ -175,7 +229,7 @@ impl<'a> Model<'a> {
             (Shown::Dark, _) | (_, None) => {}
             (_, Some(scene)) => {
                 for l in 0..self.lenses() {
-                    sum += &self.forward.lens_e(scene, l, chain, &cx);
+                    sum += &self.lens_e(k, scene, l, chain, state);
                 }
                 sum *= scale as f32;
             }
@@ -205,7 +259,7 @@ impl<'a> Model<'a> {
     }
 
     /// Predicts every frame. `scenes` are those of [`Model::scenes`] for the same state.
-    pub fn predict(&self, state: &State, scenes: &[Option<SceneLight>]) -> Vec<Predicted> {
+    pub fn predict(&self, state: &State, scenes: &[Option<Scene>]) -> Vec<Predicted> {
         let chain = self.chain(&state.terms);
         // The noise model is that of the calibration: a fit must not gain by a larger variance.
         let noise = self.forward.noise();
@@ -215,7 +269,7 @@ impl<'a> Model<'a> {
             .map(|k| {
                 let f = &self.seen.frames[k];
                 let mut scale = state.scale[f.stack];
-                let mut sum = self.sum_e(k, scenes[k].as_ref(), &chain, scale);
+                let mut sum = self.sum_e(k, scenes[k].as_ref(), (&chain, state), scale);
                 if matches!(f.shown, Shown::Bead(..)) {
                     let own = self.own_scale(k, state, &sum);
                     scale *= own;

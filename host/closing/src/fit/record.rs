@@ -236,6 +236,7 @@ mod tests {
         let observations = Observations {
             frames: (0..6).map(frame).collect(),
             truths: Vec::new(),
+            registrations: Vec::new(),
             pixels: Vec::new(),
             blocks: Vec::new(),
             held_out_blocks: Vec::new(),

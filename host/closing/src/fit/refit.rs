@@ -6,10 +6,12 @@
 use super::derivative::Expansion;
 use super::design::{Design, Misfit, Scope, nuisances};
 use super::model::Model;
+use super::scene::Scene;
 use super::solve::pseudo_inverse;
 use super::state::{Column, Predicted, State, Term};
+use crate::data::Shown;
 use ndarray::{Array1, Array2};
-use ommatidia_model::forward::{ForwardError, SceneLight};
+use ommatidia_model::forward::ForwardError;
 use ommatidia_physics::effects::{Kind, Stage};
 use std::sync::Arc;
 
@@ -21,7 +23,7 @@ const MOST_STEPS: usize = 25;
 const WORTH: f64 = 0.01;
 
 /// The light of each frame's object behind the optics ([`Model::scenes`]); shared, since few effects change it.
-pub type Scenes = Arc<[Option<SceneLight>]>;
+pub type Scenes = Arc<[Option<Scene>]>;
 
 /// A fitted state.
 #[derive(Clone)]
@@ -36,6 +38,9 @@ pub struct Fitted {
     pub training: Misfit,
     /// Misfit of the held-out cells.
     pub held_out: Misfit,
+    /// Misfit of those of them that show known objects or beads: unknown specimens judge no optics, and flats and darks
+    /// do not show them.
+    pub known_held_out: Misfit,
 }
 
 impl Fitted {
@@ -95,7 +100,14 @@ pub fn refit_from(model: &Model<'_>, mut state: State, scenes: Scenes) -> Result
             }
         }
     }
-    Ok(Fitted { state, training: at.training, held_out: at.held_out, predicted: at.predicted, scenes: at.scenes })
+    Ok(Fitted {
+        state,
+        training: at.training,
+        held_out: at.held_out,
+        known_held_out: at.known_held_out,
+        predicted: at.predicted,
+        scenes: at.scenes,
+    })
 }
 
 /// The linearised problem at one state.
@@ -105,6 +117,7 @@ struct Point {
     gram: Array2<f64>,
     training: Misfit,
     held_out: Misfit,
+    known_held_out: Misfit,
 }
 
 impl Point {
@@ -113,12 +126,15 @@ impl Point {
         let at = Expansion { state, trials: &[], predicted: &predicted, scenes: &scenes };
         let design = Design::compute(model, at, columns.to_vec(), &[], Scope::Whole)?;
         let sums = design.training();
+        let known =
+            |k: usize| model.seen.frames.get(k).is_some_and(|f| matches!(f.shown, Shown::Object(_) | Shown::Bead(_)));
         Ok(Self {
             predicted,
             scenes,
             training: sums.misfit(),
             gram: sums.gram,
             held_out: design.sums(|c| c.held_out).misfit(),
+            known_held_out: design.sums(|c| c.held_out && known(c.frame)).misfit(),
         })
     }
 
@@ -135,6 +151,7 @@ impl Point {
                 Column::Scale(s) => next.scale[*s] *= 1.0 + d.clamp(-0.5, 1.0),
                 Column::Black => next.black_dn += d,
                 Column::Background(stack, part) => next.background_e[*stack][*part] += d,
+                Column::Registration(group, part) => next.registration[*group][*part] += d,
                 Column::Own { term, param } => {
                     let t = &mut next.terms[*term];
                     let p = t.expanded(model.lenses())[*param].1;

@@ -25,8 +25,9 @@ use rayon::prelude::*;
 pub(crate) const FEATURES: usize = 6;
 /// One value for each feature.
 pub(crate) type Features = [f64; FEATURES];
-/// Standard error of a feature that is not measured.
-const UNKNOWN: f64 = 1e9;
+/// Standard error of a feature that is not measured: a million times that of a measured one, and no more, since both
+/// share a covariance matrix whose inverse must hold the small one to many digits.
+const UNKNOWN: f64 = 1e4;
 /// Standard deviation of the Gaussian blur that removes the motion of an unknown specimen, pixels.
 const SMOOTH_PX: f64 = 4.0;
 /// Most noise that the difference of two repeats shows, standard deviations of the noise model: the median is robust
@@ -76,6 +77,7 @@ pub(crate) fn cells(model: &Model<'_>, at: Expansion<'_>, columns: &[Column], re
                     let base = noise_features(model, &model.chain(&state.terms), level, now);
                     let change = |d: &Option<Drawn>| match d {
                         None => [0.0; FEATURES],
+                        Some(d) if level.unknown && !d.of_the_grid => [0.0; FEATURES],
                         Some(d) => {
                             let with = noise_features(model, &d.chain, level, now);
                             std::array::from_fn(|f| (with[f] - base[f]) / d.step)
@@ -139,6 +141,8 @@ pub(crate) fn noisy(term: &Term) -> bool {
 struct Drawn {
     chain: Chain,
     step: f64,
+    /// Whether the effect follows the pixel grid: others cannot be distinguished from an unknown specimen.
+    of_the_grid: bool,
 }
 
 fn drawn(model: &Model<'_>, at: Expansion<'_>, column: &Column) -> Option<Drawn> {
@@ -152,7 +156,7 @@ fn drawn(model: &Model<'_>, at: Expansion<'_>, column: &Column) -> Option<Drawn>
     let (now, step) = (p.inner(*value), p.inner(2.0 * p.step));
     let step = if now + step > p.inner(p.max) { -step } else { step };
     *value = p.outer(now + step);
-    Some(Drawn { chain: model.chain(&terms), step })
+    Some(Drawn { chain: model.chain(&terms), step, of_the_grid: terms[which].effect.is_of_the_grid() })
 }
 
 /// Pairs of successive frames of one light. Darks and flats are repeats by their role; two frames of unknown specimens

@@ -2,22 +2,23 @@
 
 use super::model::Model;
 use super::refit::Fitted;
+use super::scene::Scene;
 use super::state::State;
 use ndarray::Array2;
-use ommatidia_model::forward::{ForwardError, SceneLight};
+use ommatidia_model::forward::ForwardError;
 use ommatidia_model::instrument::Instrument;
 use ommatidia_model::psf::LowRankPsf;
 
 /// The light behind the optics of each replicate of a calibration, for the frames of a session.
 pub struct Replicas {
-    light: Vec<Vec<Option<SceneLight>>>,
+    light: Vec<Vec<Option<Scene>>>,
 }
 
 impl Replicas {
     /// For each replicate and frame the expected frame minus that of the calibration, DN, [sensor rows, sensor cols].
     /// None for frames without a known object.
     pub fn of(&self, model: &Model<'_>, fitted: &Fitted) -> Vec<Vec<Option<Array2<f32>>>> {
-        let one = |scenes: &Vec<Option<SceneLight>>| {
+        let one = |scenes: &Vec<Option<Scene>>| {
             let predicted = model.predict(&fitted.state, scenes);
             let change = |k: usize| scenes[k].as_ref().map(|_| &predicted[k].dn - &fitted.predicted[k].dn);
             (0..predicted.len()).map(change).collect()

@@ -1,5 +1,6 @@
 //! The state of a model: effects with their values, nuisance parameters, and the columns of the linearised fit.
 
+use super::truth::Registered;
 use ndarray::Array2;
 use ommatidia_model::bead::Slopes;
 use ommatidia_physics::effects::{Effect, EffectSetting, Kind, Param};
@@ -80,6 +81,8 @@ pub struct State {
     /// Background of each stack: level and slopes ([`ommatidia_model::bead::slope_terms`]), e- a pixel at the exposure
     /// of the calibration. It grows with the exposure of a frame.
     pub background_e: Vec<Slopes>,
+    /// Where the truths lie, for each of [`crate::Observations::registrations`]; all zero: as recorded.
+    pub registration: Vec<Registered>,
 }
 
 /// What a state predicts for one frame. All images are [sensor rows, sensor cols].
@@ -118,6 +121,8 @@ pub enum Column {
     Black,
     /// Background of a stack, by its index: level, slope along the rows, or along the columns (0 to 2).
     Background(usize, usize),
+    /// Registration of truths, by its index: one of the four values of [`Registered`].
+    Registration(usize, usize),
     /// A parameter of a trial term beside those of the state.
     Trial {
         /// Index of the term among the trial terms.

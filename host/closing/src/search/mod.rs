@@ -3,10 +3,12 @@
 //! [`trials`] lists what is tried, [`select`] adds one effect after another (forward selection), `earn` takes out
 //! effects
 //! that a term without a name makes unnecessary, `prune` removes what is no longer needed (backward elimination),
-//! [`recalibrate`] measures what a new calibration would gain.
+//! [`recalibrate`] measures what a new calibration would gain, `lost` lists what cannot be tested beside truths of
+//! uncertain place.
 
 pub mod candidate;
 pub(crate) mod earn;
+pub(crate) mod lost;
 pub(crate) mod prune;
 pub mod recalibrate;
 pub mod select;
@@ -14,8 +16,11 @@ pub mod trials;
 
 pub use candidate::{Alternative, Candidate, Estimate, Found, Shadowed};
 pub(crate) use earn::{Earned, Imitation, earned, replaced};
+pub(crate) use lost::lost;
 pub(crate) use prune::{Pruned, prune};
+pub(crate) use recalibrate::calibration_of;
 pub use recalibrate::{held_out_figures, trial_calibration};
 pub use select::Search;
 pub(crate) use select::score;
+pub(crate) use trials::evidence;
 pub use trials::{NEEDS_CALIBRATION, Tried};

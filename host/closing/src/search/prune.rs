@@ -21,15 +21,15 @@ pub(crate) struct Pruned {
 }
 
 /// Removes terms that are not needed beside the others, the least significant first, and tests those that are kept. The
-/// first `own` terms of the state belong to the instrument and are kept.
+/// first `own` terms of the state belong to the instrument and are kept; so are terms with an id in `keep`.
 pub(crate) fn prune(
     model: &Model<'_>,
     replicas: &Replicas,
     mut now: Fitted,
     mut found: Vec<Found>,
-    own: usize,
+    (own, keep): (usize, &[&'static str]),
 ) -> Result<Pruned, ForwardError> {
-    let mut needed: Vec<&str> = Vec::new();
+    let mut needed = keep.to_vec();
     let mut removed = Vec::new();
     loop {
         let columns: Vec<Column> = nuisances(model).into_iter().chain(own_columns(model, &now.state)).collect();

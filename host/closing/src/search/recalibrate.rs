@@ -8,6 +8,7 @@ use crate::fit::{Model, refit};
 use ndarray::Array2;
 use ommatidia_model::calibrate::{CalibrateConfig, calibrate};
 use ommatidia_model::instrument::Instrument;
+use ommatidia_physics::noise::NoiseConfig;
 use ommatidia_session::{
     ComputedFrames, ComputedStack, FrameInfo, FrameReader, Manifest, Role, Session, SessionError, Stack, StackEntry,
 };
@@ -31,9 +32,38 @@ pub fn trial_calibration(
     if known || session.stacks_of(Role::Bead).next().is_none() {
         return Ok(None);
     }
-    let trial = calibrate(&without_held_out_beads(session)?, config, || {})?.instrument;
+    let trial = calibration_of(&without_held_out_beads(session)?, before, config)?;
     let nrmse = |instrument| -> anyhow::Result<f64> { Ok(held_out_figures(session, instrument)?.nrmse) };
     Ok((nrmse(&trial)? < BETTER * nrmse(before)?).then_some(trial))
+}
+
+/// Calibrates on a session of the instrument `before`. What the session does not show of the sensor (the noise without
+/// flats and darks, the maps without the frames that they are measured on) stays as it was.
+///
+/// # Errors
+/// The session cannot be read or calibrated.
+pub(crate) fn calibration_of(
+    session: &Session,
+    before: &Instrument,
+    config: &CalibrateConfig,
+) -> anyhow::Result<Instrument> {
+    let nominal_gain_dn_per_e = before.noise.gain_dn_per_e;
+    let noise = NoiseConfig { nominal_gain_dn_per_e, nominal_read_noise_e: before.noise.read_noise_e };
+    let mut it = calibrate(session, &CalibrateConfig { noise, ..*config }, || {})?.instrument;
+    let has = |role| session.stacks_of(role).next().is_some();
+    let (darks, flats) = (has(Role::Dark), has(Role::Flat));
+    if !darks && !flats {
+        it.noise = before.noise;
+    }
+    if !darks {
+        (it.offset_dn, it.reading_dn2) = (before.offset_dn.clone(), before.reading_dn2.clone());
+        it.quality.maps.offset_dn = before.quality.maps.offset_dn;
+    }
+    if !(darks && flats) {
+        it.response = before.response.clone();
+        it.quality.maps.response = before.quality.maps.response;
+    }
+    Ok(it)
 }
 
 /// How well an instrument predicts the held-out frames of a session, with the light of each stack and the black level

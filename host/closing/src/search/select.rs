@@ -123,7 +123,7 @@ pub struct Search<'m, 'a> {
     pub shadowed: Vec<Shadowed>,
     /// Ids of effects that are not tried.
     pub exclude: Vec<String>,
-    /// Deviance of the held-out cells under a trial calibration, if that is better than the old one.
+    /// Deviance of the held-out cells of beads under a trial calibration, if that is better than the old one.
     pub trial_deviance: Option<f64>,
 }
 
@@ -258,9 +258,10 @@ impl<'m, 'a> Search<'m, 'a> {
         candidates: &'c [Candidate],
     ) -> Result<Verdict<'c>, ForwardError> {
         let Some(trial) = self.trial_deviance.filter(|_| self.found.is_empty()) else { return Ok(verdict) };
-        let before = self.now.held_out.deviance;
+        // Judged on the beads: bright frames of the unknown would hide what either of them gains.
+        let before = self.now.known_held_out.deviance;
         let gain = match &verdict {
-            Verdict::Added(it) => it.gain,
+            Verdict::Added(it) => before - it.fit.known_held_out.deviance,
             Verdict::Refused(_) => 0.0,
         };
         let sign = candidates.iter().find(|c| c.term.id() == NEEDS_CALIBRATION);
@@ -268,7 +269,7 @@ impl<'m, 'a> Search<'m, 'a> {
         let fit = refit_from(self.model, with(self.model, &self.now.state, candidate), self.now.scenes.clone())?;
         // All other effects were compared with it and are worse.
         let behind = candidates.iter().map(|c| (c.term.id(), f64::INFINITY)).collect();
-        Ok(Verdict::Added(Added { fit, candidate, gain: before - trial, behind }))
+        Ok(Verdict::Added(Box::new(Added { fit, candidate, gain: before - trial, behind })))
     }
 
     /// Fits the finalists in full, unless `fits` holds them already, and checks the best on held-out data.
@@ -331,7 +332,7 @@ impl<'m, 'a> Search<'m, 'a> {
             return Ok(Verdict::Refused(candidate.term.id()));
         }
         let behind = costs.into_iter().map(|(id, cost)| (id, (cost - least) / heaviest)).collect();
-        Ok(Verdict::Added(Added { fit: fits.swap_remove(at).1, candidate, gain, behind }))
+        Ok(Verdict::Added(Box::new(Added { fit: fits.swap_remove(at).1, candidate, gain, behind })))
     }
 
     /// The added effect with its evidence and its ambiguities: finalists are compared by their full fits, other effects
@@ -380,7 +381,7 @@ impl<'m, 'a> Search<'m, 'a> {
 /// Result of the full fits.
 enum Verdict<'c> {
     /// The best finalist is added.
-    Added(Added<'c>),
+    Added(Box<Added<'c>>),
     /// The best finalist, given by its id, does not improve the fit or the held-out data.
     Refused(&'static str),
 }

@@ -83,7 +83,7 @@ pub(crate) fn evidence<'c>(model: &'c Model<'_>, fitted: &'c Fitted) -> Evidence
 /// The terms without a name: operators by weights, and curves over covariates.
 fn unknowns(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<Term> {
     let mut terms = Vec::new();
-    if model.is_blind() {
+    if !model.sees_known_light() {
         return terms;
     }
     if let Some(effect) = find("unknown_operator") {

@@ -241,6 +241,5 @@ impl Testbed {
 }
 
 fn entry(role: Role, name: &str) -> StackEntry {
-    let file = format!("{name}.npy");
-    StackEntry { role, file, exposure_ms: 10.0, table: None, truth: None, expected: None }
+    StackEntry::plain(role, format!("{name}.npy"), 10.0)
 }

@@ -4,7 +4,7 @@ use super::files::{Content, Files};
 use super::retrain::Networks;
 use super::{Outcome, Run};
 use ommatidia_closing::{
-    CloseOutcome, CloseRequest, Closing, Effect, FineTuning, JudgedOn, Progress, account_path, close_session,
+    CloseOutcome, CloseRequest, Closing, Effect, FineTuning, JudgedOn, Plan, Progress, account_path, close_session,
 };
 use ommatidia_model::calibrate::CalibrateConfig;
 use ommatidia_session::kind::FileKind;
@@ -36,6 +36,9 @@ pub struct Args {
     /// Steps of fine-tuning
     #[arg(long, value_name = "N", default_value_t = 1000, requires = "retrain")]
     steps: u64,
+    /// Find the measurements that would separate effects that this session confuses, and test those that it cannot test
+    #[arg(long)]
+    plan: bool,
     /// Write a report of the account to this HTML file
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
@@ -71,6 +74,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         instrument: &args.instrument,
         output: &args.output,
         calibration: CalibrateConfig { normalise_beads: args.normalise_beads, ..CalibrateConfig::default() },
+        plan: args.plan,
         fine_tuning: fine_tuning.map(|checkpoint| FineTuning { trainer: &Networks, checkpoint, steps: args.steps }),
         seed: run.seed,
     };
@@ -106,7 +110,7 @@ pub(super) fn judged_on(closing: &Closing) -> &'static str {
         JudgedOn::Known if closing.own_beads => "on the bead frames of the calibration itself",
         JudgedOn::Known => "on held-out data",
         JudgedOn::Even => "on held-out flats and darks",
-        JudgedOn::Nothing => "not judged: nobody knows the specimen",
+        JudgedOn::Nothing => "not judged: no frame shows light that is known",
     }
 }
 
@@ -182,10 +186,45 @@ pub fn table(closing: &Closing, output: &Path, account: &Path, seconds: f64) -> 
             );
         }
     }
+    if let Some(plan) = &closing.plan {
+        out.push_str(&planned(plan));
+    }
     for note in &closing.notes {
         let _ = writeln!(out, "note: {note}");
     }
     let _ = writeln!(out, "{seconds:.1} s\n-> {}\n-> {}", output.display(), account.display());
+    out
+}
+
+/// The measurements that are advised, each with what it is expected to separate.
+fn planned(plan: &Plan) -> String {
+    let mut out = String::new();
+    if plan.goals.is_empty() {
+        return "\nmeasure next: nothing is ambiguous, and everything is testable\n".into();
+    }
+    let _ = writeln!(out, "\nmeasure next, for {:.0} sigma each:", plan.enough_sigma);
+    for (i, m) in plan.measurements.iter().enumerate() {
+        let _ = writeln!(out, "{}. {}", i + 1, m.words);
+        for (g, goal) in plan.goals.iter().enumerate().filter(|(g, _)| plan.reached_by(*g) == Some(i)) {
+            let _ = writeln!(
+                out,
+                "   {} ({} = {:.3e}): {:.1} -> {:.1} sigma",
+                goal.words(),
+                goal.param,
+                goal.strength,
+                goal.sigmas_now,
+                m.sigmas[g]
+            );
+        }
+    }
+    let open = |g: &usize| plan.reached_by(*g).is_none() && plan.goals[*g].sigmas_now < plan.enough_sigma;
+    let left: Vec<String> = (0..plan.goals.len()).filter(open).map(|g| plan.goals[g].words()).collect();
+    if !left.is_empty() {
+        let _ = writeln!(out, "no measurement of the catalogue reaches that for: {}", left.join("; "));
+    }
+    for a in &plan.assumptions {
+        let _ = writeln!(out, "assumed: {a}");
+    }
     out
 }
 

@@ -76,7 +76,7 @@ fn summary(c: &Closing) -> Value {
     };
     let both = |before: f64, after: f64| match (before.is_finite(), after.is_finite()) {
         (true, true) => format!("{before:.4} -> {after:.4}"),
-        _ => "not judged: nobody knows the specimen".into(),
+        _ => "not judged: no frame shows light that is known".into(),
     };
     let mut figures = json!({
         "session": c.session,

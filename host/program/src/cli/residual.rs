@@ -83,6 +83,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         "chi2_ndf": c.before.chi2_ndf, "nrmse": c.before.nrmse, "pcc": c.before.pcc,
         "held_out_frames": c.held_out_frames, "faults": c.faults, "dependences": c.dependences_before,
         "structured": c.catalogue_incomplete, "calibrated_on": c.calibrated_on, "own_beads": c.own_beads,
+        "registrations": c.registrations,
         "notes": c.notes, "warnings": warnings,
     });
     Ok(Outcome { json, text })

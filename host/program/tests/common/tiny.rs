@@ -134,7 +134,7 @@ fn write(
     }
     frames.finish().unwrap();
     writer.table(&table, &rows).unwrap();
-    writer.add(StackEntry { role, file, exposure_ms: 10.0, table: Some(table), truth: None, expected: None });
+    writer.add(StackEntry { table: Some(table), ..StackEntry::plain(role, file, 10.0) });
 }
 
 /// Where a file of the session lies, for messages.

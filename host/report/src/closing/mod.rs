@@ -7,6 +7,7 @@ mod lenses;
 mod limits;
 mod maps;
 mod panels;
+mod plan;
 mod story;
 #[cfg(test)]
 mod tests;
@@ -49,6 +50,7 @@ pub fn chapter(
         (maps::maps(account, asked, numbers)?)
         (panels::panels(c, asked, numbers))
         @if asked == Asked::Close { (effects::table(c, instrument, numbers)) (limits::limits(c, numbers)) }
+        (plan::plan(c, numbers))
         @if let Some(i) = instrument { (lenses::maps(account, asked, i, numbers)?) }
     })
 }

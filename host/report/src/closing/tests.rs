@@ -2,7 +2,7 @@
 use super::super::page::Numbers;
 use super::*;
 use ndarray::Array3;
-use ommatidia_closing::{Covariate, Effect, Fault, FaultKind, Figures, Nearest, Rejected, Value};
+use ommatidia_closing::{Advice, Covariate, Effect, Fault, FaultKind, Figures, Goal, Nearest, Plan, Rejected, Value};
 use ommatidia_model::testing;
 
 fn value(name: &str, value: f64, sigma: f64, unit: &str) -> Value {
@@ -227,4 +227,26 @@ fn a_report_takes_the_file_and_the_verb_names_the_chapter() {
         let page = crate::render(&[path]).unwrap();
         holds(&page, &[&format!("<h2>{title}</h2>"), "<title>Hidden</title>", &format!(" {verb}, seed 1")]);
     }
+}
+
+#[test]
+fn a_plan_lists_what_each_measurement_separates() {
+    let mut account = account();
+    assert!(!render(&account, Asked::Close).contains("Measure next"));
+    let goal = |id: &str, other: Option<&str>, sigmas_now| Goal {
+        id: id.into(),
+        other: other.map(Into::into),
+        param: "rate".into(),
+        strength: 0.25,
+        unit: "1".into(),
+        sigmas_now,
+    };
+    account.closing.plan = Some(Plan {
+        enough_sigma: 5.0,
+        goals: vec![goal("background", Some("dark_current"), 0.2), goal("lag", None, 0.0)],
+        measurements: vec![Advice { id: "darks".into(), words: "darks, four".into(), sigmas: vec![31.5, 0.0] }],
+        assumptions: vec!["all is linear".into()],
+    });
+    let page = render(&account, Asked::Close);
+    holds(&page, &["Measure next", "Darks, four", "background or dark current", "31.5 σ", "lag", "All is linear"]);
 }

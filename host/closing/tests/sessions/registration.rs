@@ -1,0 +1,127 @@
+//! Truths that lie beside the objects: the session states how well they are placed, and the loop fits their places.
+
+use super::{closed, measured, names, with_lines};
+use ommatidia_closing::study::sessions::Holds;
+use ommatidia_closing::{Closing, TruthRegistration};
+use ommatidia_physics::effects::{EffectSetting, Stage, find};
+
+/// The statement of the sessions here: about what their truths are off by.
+const STATED: &str = "truth_registration_px = 0.5";
+
+/// Shift along rows and columns (object pixels), turn (mrad) and scale that a kind of session puts in.
+fn put_in(holds: Holds) -> [f64; 4] {
+    match holds {
+        Holds::TruthShifted => [-0.18, 0.24, 0.0, 0.0],
+        Holds::TruthTurned => [0.0, 0.0, -1e3 * 0.4f64.to_radians(), 0.0],
+        Holds::TruthScaled => [0.0, 0.0, 0.0, 1.0 / 1.01 - 1.0],
+        _ => [0.0; 4],
+    }
+}
+
+/// A session of a kind with effects, closed; its manifest states the registration.
+fn stated(holds: Holds, effects: &[EffectSetting], seed: u64) -> Closing {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path().join("session");
+    eprintln!("--- {holds:?} with {effects:?}");
+    measured(holds, effects, &dir, seed);
+    closed(&with_lines(&dir, STATED))
+}
+
+/// Each value lies within three of its errors of the truth.
+fn assert_found(registration: &TruthRegistration, truth: [f64; 4]) {
+    for (v, truth) in registration.params.iter().zip(truth) {
+        assert!(v.sigma > 0.0 && (v.value - truth).abs() < 3.0 * v.sigma, "{v:?} for {truth}");
+    }
+}
+
+#[test]
+fn misplaced_truths_are_placed_and_no_effect_of_the_optics_is_named() {
+    for (n, holds) in Holds::MISREGISTERED.into_iter().enumerate() {
+        let closing = stated(holds, &[], 700 + n as u64);
+        assert_eq!(names(&closing), Vec::<&str>::new(), "{holds:?}");
+        let [registration] = closing.registrations.as_slice() else { panic!("{:?}", closing.registrations) };
+        assert_found(registration, put_in(holds));
+        assert!(registration.stated_px == 0.5 && registration.frame.is_none());
+    }
+}
+
+#[test]
+fn a_shifted_array_beside_misplaced_truths_is_not_testable() {
+    let shift = EffectSetting::new("array_shift", &[("row_px", 0.25)]);
+    let closing = stated(Holds::TruthShifted, &[shift], 710);
+    assert_eq!(names(&closing), Vec::<&str>::new());
+    for id in ["array_shift", "stage_scale"] {
+        let lost = closing.rejected.iter().find(|r| r.id == id).unwrap();
+        assert!(lost.upper_limit.is_none() && lost.needs.as_ref().unwrap().contains("misplaced truth"), "{lost:?}");
+    }
+    // Others lose a part of their information only.
+    for id in ["magnification", "sensor_rotation", "lens_decentre", "radial_distortion"] {
+        let kept = closing.rejected.iter().find(|r| r.id == id).unwrap();
+        assert!(kept.upper_limit.is_some(), "{kept:?}");
+    }
+    // The shift counts as registration.
+    let row = &closing.registrations[0].params[0];
+    assert!((row.value - (0.25 - 0.18)).abs() < 0.02, "{row:?}");
+}
+
+/// What moves the sources of the virtual instrument as `d(x)` does. The truths stay sharp, and whole at their edges.
+fn moved() -> [(EffectSetting, [f64; 4]); 3] {
+    [
+        (EffectSetting::new("array_shift", &[("row_px", -0.18), ("col_px", 0.24)]), [-0.18, 0.24, 0.0, 0.0]),
+        (EffectSetting::new("stage_scale", &[("row_by_col", 0.007), ("col_by_row", -0.007)]), [0.0, 0.0, 7.0, 0.0]),
+        (EffectSetting::new("stage_scale", &[("row_by_row", -0.01), ("col_by_col", -0.01)]), [0.0, 0.0, 0.0, -0.01]),
+    ]
+}
+
+#[test]
+fn sources_that_moved_are_truths_that_lie_beside_them() {
+    for (moved, truth) in moved() {
+        let closing = stated(Holds::Whole, &[moved], 740);
+        // One in fifty sessions shows an effect by chance or by errors of its calibration: none that moves an image.
+        let moves = |id: &&str| find(id).is_some_and(|e| e.descriptor().stage == Stage::Geometry);
+        assert!(!names(&closing).iter().any(moves), "{:?}", names(&closing));
+        assert_found(&closing.registrations[0], truth);
+    }
+}
+
+#[test]
+fn other_effects_are_found_beside_truths_that_lie_elsewhere() {
+    for ((id, param, value), (moved, truth)) in
+        [("vignetting", "v", 0.05), ("interpixel_capacitance", "alpha", 0.01), ("halo", "weight", 0.005)]
+            .into_iter()
+            .zip(moved())
+    {
+        let closing = stated(Holds::Whole, &[moved, EffectSetting::new(id, &[(param, value)])], 720);
+        assert_eq!(names(&closing), [id]);
+        let found = &closing.effects[0].params[0];
+        assert!((found.value - value).abs() < 0.1 * value, "{found:?}");
+        assert_found(&closing.registrations[0], truth);
+    }
+}
+
+#[test]
+fn truths_that_were_placed_one_by_one_are_placed_one_by_one() {
+    // Each truth lies elsewhere: the specimen moves from frame to frame.
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path().join("session");
+    let drift = EffectSetting::new("thermal_drift", &[("row_px_per_s", 2.0)]);
+    measured(Holds::Whole, &[drift], &dir, 750);
+    let closing = closed(&with_lines(&dir, &format!("{STATED}\ntruth_registration_per_frame = true")));
+    assert_eq!(names(&closing), Vec::<&str>::new());
+    assert!(closing.held_out_frames.is_empty() && closing.registrations.len() == 8);
+    for r in &closing.registrations {
+        let expected = 2.0 * 0.02 * r.frame.unwrap() as f64;
+        assert!((r.params[0].value - expected).abs() < 0.01 + 3.0 * r.params[0].sigma, "{r:?} for {expected}");
+    }
+    let drift = closing.rejected.iter().find(|r| r.id == "thermal_drift").unwrap();
+    assert!(drift.upper_limit.is_none(), "{drift:?}");
+}
+
+#[test]
+fn an_array_shift_that_a_misplaced_truth_may_be_has_a_note() {
+    let folder = tempfile::tempdir().unwrap();
+    let closing = closed(&measured(Holds::TruthShifted, &[], &folder.path().join("session"), 730));
+    assert!(closing.registrations.is_empty());
+    let note = |n: &String| n.starts_with("array_shift") && n.contains("truth_registration_px");
+    assert!(closing.notes.iter().any(note), "{:?}", closing.notes);
+}
