@@ -2,6 +2,7 @@
 
 use super::result::{Effect, Nearest, Verdict};
 use crate::evidence::Figures;
+use crate::fit::BIAS;
 use crate::search::{Found, Imitation, NEEDS_CALIBRATION, Shadowed};
 use ommatidia_model::instrument::Quality;
 use ommatidia_physics::effects::Stage;
@@ -13,8 +14,6 @@ const SIGMAS: f64 = 5.0;
 /// A model whose chi-squared per pixel exceeds one by less is no other model, whatever its excess was before: errors of
 /// a calibration reach that size.
 const MUCH: f64 = 0.25;
-/// Replicates show the scatter of a calibration and not its bias, which is about as large where the rank is well chosen.
-const BIAS: f64 = 2.0;
 /// From this share on most of the excess is left.
 const MOST: f64 = 0.5;
 

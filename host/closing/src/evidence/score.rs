@@ -12,7 +12,7 @@
 //! are the effective degrees of freedom of V (Satterthwaite, Biometrics Bull. 2, 110, 1946).
 
 use super::stats::{f_tail, sigmas};
-use crate::fit::{Cell, Design, Sums, pseudo_inverse};
+use crate::fit::{BIAS, Cell, Design, Sums, pseudo_inverse};
 use ndarray::{Array1, Array2};
 
 /// Score test of some columns, with others projected out.
@@ -155,7 +155,7 @@ impl<'d> Scores<'d> {
         worst
     }
 
-    /// Covariance of the scores by the uncertainty of the calibration: delete-a-group jackknife.
+    /// Covariance of the scores by the uncertainty of the calibration: delete-a-group jackknife, with the [`BIAS`].
     fn calibration(&self, columns: &[usize]) -> Array2<f64> {
         let rows: Vec<usize> = self.design.replicate_rows().collect();
         let n = rows.len() as f64;
@@ -165,7 +165,7 @@ impl<'d> Scores<'d> {
         let mut m = self.projected(&self.sums.gram, columns, &rows);
         let mean = m.mean_axis(ndarray::Axis(1)).unwrap_or_else(|| Array1::zeros(columns.len()));
         m -= &mean.insert_axis(ndarray::Axis(1));
-        m.dot(&m.t()) * ((n - 1.0) / n)
+        m.dot(&m.t()) * (BIAS * (n - 1.0) / n)
     }
 
     /// Squared correlation between the signature of the columns `found` at values `theta` and the closest signature of

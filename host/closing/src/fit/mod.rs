@@ -25,6 +25,7 @@ pub use derivative::Expansion;
 pub use design::{Design, Misfit, Scope, Sums, nuisances};
 pub use model::Model;
 pub use refit::{Fitted, Scenes, own_columns, refit, refit_from};
+pub(crate) use replicas::BIAS;
 pub use replicas::{Replicas, replicas};
 pub use solve::pseudo_inverse;
 pub use state::{Column, Predicted, State, Term};
