@@ -300,6 +300,23 @@ impl Default for StackConfig {
     }
 }
 
+impl StackConfig {
+    /// A short session of a small instrument that holds all kinds of frames, as studies measure it: flats of three levels
+    /// at two exposures, darks of two exposures, eight scenes.
+    pub fn of_a_study() -> Self {
+        Self {
+            interval_ms: 60.0,
+            dark_frames: 16,
+            dark_exposures_ms: vec![10.0, 40.0],
+            flat_levels: vec![0.1, 0.3, 0.6],
+            flat_exposures_ms: vec![5.0, 10.0],
+            flat_frames: 16,
+            scene_frames: 8,
+            ..Self::default()
+        }
+    }
+}
+
 impl BenchConfig {
     /// Reads a configuration from a TOML file. Missing keys have the values of the demo instrument.
     ///

@@ -4,7 +4,7 @@
 //! Everything that differs from one instrument to the next is drawn: the places of the lenses, magnification, aperture,
 //! aberrations, distortion, vignetting, gain, black level, read noise and fixed patterns of the sensor, and the light.
 
-use super::config::BenchConfig;
+use super::config::{BenchConfig, StackConfig};
 use super::error::BenchError;
 use super::family;
 use super::family::config::{FamilyName, StackOf};
@@ -94,13 +94,7 @@ impl BenchConfig {
                 c.scan.depths_um = vec![0.0];
             }
         }
-        c.stacks.interval_ms = 60.0;
-        c.stacks.dark_frames = 16;
-        c.stacks.dark_exposures_ms = vec![10.0, 40.0];
-        c.stacks.flat_levels = vec![0.1, 0.3, 0.6];
-        c.stacks.flat_exposures_ms = vec![5.0, 10.0];
-        c.stacks.flat_frames = 16;
-        c.stacks.scene_frames = 8;
+        c.stacks = StackConfig::of_a_study();
         let light = between(0.6f64.ln(), 2.5f64.ln()).exp();
         c.stacks.scene_peak = [0.06 * light, 0.2 * light];
         c.scan.bead_e = BEAD_PEAK * c.full_scale_e() / c.brightest()?;

@@ -16,6 +16,7 @@ pub(crate) mod config;
 mod edges;
 pub(crate) mod kernels;
 mod lens;
+mod plane;
 pub(crate) mod pupils;
 pub(crate) mod relay;
 

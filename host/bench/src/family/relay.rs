@@ -17,6 +17,7 @@
 use super::change::Change;
 use super::config::RelayConfig;
 use super::edges::Edges;
+use super::plane::{Chief, SensorPlane};
 use super::{Lenses, Work};
 use crate::config::BenchConfig;
 use crate::error::BenchError;
@@ -58,10 +59,7 @@ pub(crate) struct Relay {
     rays: Vec<PupilRay>,
     edges: Edges,
     side: usize,
-    centre_px: [f64; 2],
-    pixel_pitch_um: f64,
-    /// Image size over object size.
-    magnification: f64,
+    plane: SensorPlane,
     /// Numerical aperture on the object side.
     aperture: f64,
     /// Distance of the object's corner from its centre, um.
@@ -100,6 +98,7 @@ impl Relay {
         }
         let magnification = config.true_magnification();
         let centre_px = [config.sensor.rows, config.sensor.cols].map(|n| (n as f64 - 1.0) / 2.0);
+        let plane = SensorPlane { centre_px, pixel_pitch_um: config.sensor.pixel_pitch_um, magnification };
         let places = (0..config.array.rows).flat_map(|i| (0..config.array.cols).map(move |j| (i, j)));
         let make = |(i, j): (usize, usize)| {
             let mut rng = rng::stream(config.instrument_seed, "bench/relay", (i * config.array.cols + j) as u64);
@@ -109,7 +108,7 @@ impl Relay {
             let anchor_px = [0, 1].map(|k| centre_px[k] + nominal[k] + config.array.placement_rms_px * normal());
             Made {
                 anchor_px,
-                axis_um: axis_um(anchor_px, centre_px, config.sensor.pixel_pitch_um, magnification),
+                axis_um: plane.axis_um(anchor_px),
                 defocus: relay.scatter * normal(),
                 coma: [0; 2].map(|_| relay.scatter * normal()),
                 astigmatism: [0; 2].map(|_| relay.scatter * normal()),
@@ -121,9 +120,7 @@ impl Relay {
             rays: pupil_rays(rings, spokes),
             edges: Edges::tabulate(),
             side: optics.psf_field_px,
-            centre_px,
-            pixel_pitch_um: config.sensor.pixel_pitch_um,
-            magnification,
+            plane,
             aperture: optics.aperture_um / 2.0 / optics.object_distance_um,
             corner_um: (object.rows as f64).hypot(object.cols as f64) / 2.0 * object.pixel_um,
             wavelength_um: optics.wavelength_um,
@@ -142,17 +139,18 @@ impl Relay {
     fn off_axis_px(&self, l: usize, at_um: [f64; 2]) -> [f64; 2] {
         let h = self.field(l, at_um);
         let cube = self.config.distortion_px * (h[0] * h[0] + h[1] * h[1]);
-        let scale = self.magnification / self.pixel_pitch_um;
+        let scale = self.plane.px_per_um();
         let at = [0, 1].map(|k| (at_um[k] - self.lenses[l].axis_um[k]) * scale + cube * h[k]);
         // The gap scales the image about the axis; a distortion acts on the image as it was.
-        let mm2 = (1e-3 * self.pixel_pitch_um).powi(2) * (at[0] * at[0] + at[1] * at[1]);
+        let mm2 = (1e-3 * self.plane.pixel_pitch_um).powi(2) * (at[0] * at[0] + at[1] * at[1]);
         at.map(|v| v * (1.0 + self.change.gap + self.change.k1_per_mm2 * mm2))
     }
 
-    /// Where the axis of a lens meets the sensor, pixels.
-    fn axis_px(&self, l: usize) -> [f64; 2] {
-        let scale = self.magnification / self.pixel_pitch_um;
-        [0, 1].map(|k| self.lenses[l].anchor_px[k] + scale * self.lenses[l].axis_um[k])
+    /// The chief ray of a point through a lens.
+    fn chief(&self, l: usize, at_um: [f64; 2]) -> Chief {
+        let Made { anchor_px, axis_um, .. } = self.lenses[l];
+        let axis_px = self.plane.axis_px(anchor_px, axis_um);
+        Chief { anchor_px, axis_px, off_axis_px: self.off_axis_px(l, at_um) }
     }
 
     /// Transverse aberration (row, col) of a ray, pixels.
@@ -164,11 +162,11 @@ impl Relay {
             made.astigmatism[1] * rho[0] - made.astigmatism[0] * rho[1],
         ];
         let own = dot(made.coma, rho);
-        let image_aperture = self.aperture / self.magnification;
-        let to_px = self.wavelength_um / image_aperture / self.pixel_pitch_um;
+        let image_aperture = self.aperture / self.plane.magnification;
+        let to_px = self.wavelength_um / image_aperture / self.plane.pixel_pitch_um;
         // A source out of focus, and a sensor that is not where the image is: both cut the cone at another place.
-        let cut_px = (self.magnification * z_um * self.aperture + self.change.gap * self.gap_um * image_aperture)
-            / self.pixel_pitch_um;
+        let cut_px = (self.plane.magnification * z_um * self.aperture + self.change.gap * self.gap_um * image_aperture)
+            / self.plane.pixel_pitch_um;
         [0, 1].map(|k| {
             let slope = 4.0 * c.spherical * rr * rho[k]
                 + c.coma * (h[k] * rr + 2.0 * hr * rho[k])
@@ -204,27 +202,18 @@ impl Lenses for Relay {
     }
 
     fn ray(&self, l: usize, at_um: [f64; 2]) -> Ray {
-        let (anchor, axis, off_axis) = (self.lenses[l].anchor_px, self.axis_px(l), self.off_axis_px(l, at_um));
-        Ray {
-            lens: l,
-            object_um: at_um,
-            field_px: [0, 1].map(|k| axis[k] + off_axis[k] - anchor[k]),
-            axis_px: off_axis,
-            anchor_px: [0, 1].map(|k| anchor[k] - self.centre_px[k]),
-            pixel_pitch_um: self.pixel_pitch_um,
-        }
+        self.plane.ray(l, at_um, self.chief(l, at_um))
     }
 
     fn focus_px(&self, l: usize, point: Point, moved: RayShift) -> [f64; 2] {
-        let (axis, off_axis) = (self.axis_px(l), self.off_axis_px(l, point.at_um));
-        [0, 1].map(|k| axis[k] + off_axis[k] + moved.px[k])
+        self.chief(l, point.at_um).focus_px(moved.px)
     }
 
     fn focus(&self, l: usize, point: Point, moved: RayShift, work: &mut Work) -> Focus {
         let (centre, rest) = super::split(self.focus_px(l, point, moved));
         let (side, h) = (self.side, self.field(l, point.at_um));
         let middle = (side / 2) as f64;
-        let sigma = 0.225 * self.wavelength_um * self.magnification / self.aperture / self.pixel_pitch_um;
+        let sigma = 0.225 * self.wavelength_um * self.plane.magnification / self.aperture / self.plane.pixel_pitch_um;
         let Work { psf, lines: [rows, cols], .. } = work;
         psf.side = side;
         psf.share.clear();
@@ -256,17 +245,11 @@ impl Lenses for Relay {
         let mut moved = self.clone();
         moved.change = change.clone();
         for (l, lens) in moved.lenses.iter_mut().enumerate() {
-            lens.anchor_px = change.anchor_px(l, lens.anchor_px, self.centre_px);
-            lens.axis_um = axis_um(lens.anchor_px, self.centre_px, self.pixel_pitch_um, self.magnification);
+            lens.anchor_px = change.anchor_px(l, lens.anchor_px, self.plane.centre_px);
+            lens.axis_um = self.plane.axis_um(lens.anchor_px);
         }
         Some(Box::new(moved))
     }
-}
-
-/// Object position (y, x) on the axis of a relay, um: as for a microlens, the anchor lies opposite to the axis, `1 + m`
-/// times as far from the centre (un-inverted coordinates).
-fn axis_um(anchor_px: [f64; 2], centre_px: [f64; 2], pitch_um: f64, magnification: f64) -> [f64; 2] {
-    [0, 1].map(|k| -(anchor_px[k] - centre_px[k]) * pitch_um / (1.0 + magnification))
 }
 
 fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {

@@ -1,7 +1,7 @@
 //! Which instruments a study has: families in turn, and seeds for development apart from sealed ones.
 
 use super::size::Size;
-use ommatidia_bench::{BenchConfig, FamilyName, MeasuredPsfs};
+use ommatidia_bench::{BenchConfig, FamilyName, MeasuredPsfs, StackConfig};
 use serde::{Deserialize, Serialize};
 
 /// First instrument of a study on development seeds, and of one on sealed seeds. No study has a million instruments, so
@@ -111,13 +111,7 @@ pub fn gentle(n: u64) -> BenchConfig {
     (c.scan.rows, c.scan.cols) = (11, 11);
     c.scan.depths_um = vec![-60.0, 0.0, 60.0];
     c.scan.bead_e = 80_000.0;
-    c.stacks.interval_ms = 60.0;
-    c.stacks.dark_frames = 16;
-    c.stacks.dark_exposures_ms = vec![10.0, 40.0];
-    c.stacks.flat_levels = vec![0.1, 0.3, 0.6];
-    c.stacks.flat_exposures_ms = vec![5.0, 10.0];
-    c.stacks.flat_frames = 16;
-    c.stacks.scene_frames = 8;
+    c.stacks = StackConfig::of_a_study();
     c.stacks.scene_peak = [0.05, 0.18];
     c
 }

@@ -15,6 +15,7 @@ mod image;
 
 use super::change::Change;
 use super::config::KernelsConfig;
+use super::plane::{Chief, SensorPlane};
 use super::{Lenses, Work};
 use crate::config::BenchConfig;
 use crate::error::BenchError;
@@ -59,9 +60,7 @@ pub(crate) struct Kernels {
     set: Set,
     lenses: Vec<Made>,
     side: usize,
-    centre_px: [f64; 2],
-    pixel_pitch_um: f64,
-    magnification: f64,
+    plane: SensorPlane,
     corner_um: f64,
     /// Largest depth of scan and specimens, um.
     deepest_um: f64,
@@ -111,7 +110,8 @@ impl Kernels {
             return Err(BenchError::Config { field: "scan.depths_um", expected, found: deepest_um.to_string() });
         }
         let centre_px = [config.sensor.rows, config.sensor.cols].map(|n| (n as f64 - 1.0) / 2.0);
-        let (pitch_um, magnification) = (config.sensor.pixel_pitch_um, config.true_magnification());
+        let (pixel_pitch_um, magnification) = (config.sensor.pixel_pitch_um, config.true_magnification());
+        let plane = SensorPlane { centre_px, pixel_pitch_um, magnification };
         let places = (0..config.array.rows).flat_map(|i| (0..config.array.cols).map(move |j| (i, j)));
         let make = |(i, j): (usize, usize)| {
             let mut rng = rng::stream(config.instrument_seed, "bench/kernels", (i * config.array.cols + j) as u64);
@@ -122,7 +122,7 @@ impl Kernels {
             let anchor_px = [0, 1].map(|k| centre_px[k] + nominal[k] + config.array.placement_rms_px * normal());
             Made {
                 anchor_px,
-                axis_um: axis_um(anchor_px, centre_px, pitch_um, magnification),
+                axis_um: plane.axis_um(anchor_px),
                 weights: (0..set.designs()).map(|_| [0; 3].map(|_| kernels.morph * normal())).collect(),
                 turn: [whole, kernels.turn_rad * normal(), kernels.turn_rad * normal()],
                 stretch: [0; 2].map(|_| kernels.stretch * normal()),
@@ -135,9 +135,7 @@ impl Kernels {
             lenses: places.map(make).collect(),
             set,
             side: config.optics.psf_field_px,
-            centre_px,
-            pixel_pitch_um: pitch_um,
-            magnification,
+            plane,
             corner_um: (object.rows as f64).hypot(object.cols as f64) / 2.0 * object.pixel_um,
             deepest_um,
             config: kernels.clone(),
@@ -150,21 +148,22 @@ impl Kernels {
         [0, 1].map(|k| (at_um[k] - self.lenses[l].axis_um[k]) / self.corner_um)
     }
 
-    /// Where the axis of a lens meets the sensor, pixels.
-    fn axis_px(&self, l: usize) -> [f64; 2] {
-        let scale = self.magnification / self.pixel_pitch_um;
-        [0, 1].map(|k| self.lenses[l].anchor_px[k] + scale * self.lenses[l].axis_um[k])
+    /// The chief ray of a point through a lens.
+    fn chief(&self, l: usize, at_um: [f64; 2]) -> Chief {
+        let Made { anchor_px, axis_um, .. } = self.lenses[l];
+        let axis_px = self.plane.axis_px(anchor_px, axis_um);
+        Chief { anchor_px, axis_px, off_axis_px: self.off_axis_px(l, at_um) }
     }
 
     /// Where the light of a point is centred, relative to the axis of its lens, pixels.
     fn off_axis_px(&self, l: usize, at_um: [f64; 2]) -> [f64; 2] {
         let (lens, terms) = (&self.lenses[l], terms(self.field(l, at_um)));
-        let scale = self.magnification / self.pixel_pitch_um;
+        let scale = self.plane.px_per_um();
         let at = [0, 1].map(|k| {
             let warp: f64 = lens.warp_px[k].iter().zip(&terms).map(|(c, t)| c * t).sum();
             (at_um[k] - lens.axis_um[k]) * scale + warp
         });
-        let mm2 = (1e-3 * self.pixel_pitch_um).powi(2) * (at[0] * at[0] + at[1] * at[1]);
+        let mm2 = (1e-3 * self.plane.pixel_pitch_um).powi(2) * (at[0] * at[0] + at[1] * at[1]);
         at.map(|v| v * (1.0 + self.change.gap + self.change.k1_per_mm2 * mm2))
     }
 }
@@ -192,20 +191,11 @@ impl Lenses for Kernels {
     }
 
     fn ray(&self, l: usize, at_um: [f64; 2]) -> Ray {
-        let (anchor, axis, off_axis) = (self.lenses[l].anchor_px, self.axis_px(l), self.off_axis_px(l, at_um));
-        Ray {
-            lens: l,
-            object_um: at_um,
-            field_px: [0, 1].map(|k| axis[k] + off_axis[k] - anchor[k]),
-            axis_px: off_axis,
-            anchor_px: [0, 1].map(|k| anchor[k] - self.centre_px[k]),
-            pixel_pitch_um: self.pixel_pitch_um,
-        }
+        self.plane.ray(l, at_um, self.chief(l, at_um))
     }
 
     fn focus_px(&self, l: usize, point: Point, moved: RayShift) -> [f64; 2] {
-        let (axis, off_axis) = (self.axis_px(l), self.off_axis_px(l, point.at_um));
-        [0, 1].map(|k| axis[k] + off_axis[k] + moved.px[k])
+        self.chief(l, point.at_um).focus_px(moved.px)
     }
 
     fn focus(&self, l: usize, point: Point, moved: RayShift, work: &mut Work) -> Focus {
@@ -238,8 +228,8 @@ impl Lenses for Kernels {
         let mut moved = self.clone();
         moved.change = change.clone();
         for (l, lens) in moved.lenses.iter_mut().enumerate() {
-            lens.anchor_px = change.anchor_px(l, lens.anchor_px, self.centre_px);
-            lens.axis_um = axis_um(lens.anchor_px, self.centre_px, self.pixel_pitch_um, self.magnification);
+            lens.anchor_px = change.anchor_px(l, lens.anchor_px, self.plane.centre_px);
+            lens.axis_um = self.plane.axis_um(lens.anchor_px);
         }
         Some(Box::new(moved))
     }
@@ -247,7 +237,7 @@ impl Lenses for Kernels {
     fn refuses(&self, effect: &EffectSetting) -> Option<String> {
         let value = |name: &str| effect.params.get(name).map_or(0.0, |v| v.abs());
         // The farthest focus from an axis: across the object, from a lens on the other side.
-        let corner_mm = 2e-3 * self.corner_um * self.magnification;
+        let corner_mm = 2e-3 * self.corner_um * self.plane.magnification;
         let moved_um = match effect.id.as_str() {
             "defocus" => value("z_um"),
             "field_curvature" => value("a_um_per_mm2") * corner_mm * corner_mm,
@@ -258,9 +248,4 @@ impl Lenses for Kernels {
             format!("it moves sources by up to {moved_um:.0} um, and the PSFs reach {reach_um:.0} um from the focus")
         })
     }
-}
-
-/// Object position (y, x) on the axis of a lens, um, opposite to the anchor in un-inverted coordinates.
-fn axis_um(anchor_px: [f64; 2], centre_px: [f64; 2], pitch_um: f64, magnification: f64) -> [f64; 2] {
-    [0, 1].map(|k| -(anchor_px[k] - centre_px[k]) * pitch_um / (1.0 + magnification))
 }
