@@ -301,8 +301,8 @@ impl Default for StackConfig {
 }
 
 impl StackConfig {
-    /// A short session of a small instrument that holds all kinds of frames, as studies measure it: flats of three levels
-    /// at two exposures, darks of two exposures, eight scenes.
+    /// A short session of a small instrument that holds all kinds of frames, as studies measure it: flats of three
+    /// levels at two exposures, darks of two exposures, eight scenes.
     pub fn of_a_study() -> Self {
         Self {
             interval_ms: 60.0,

@@ -67,8 +67,7 @@ fn pixels(rows: usize, cols: usize, grids: &[(SensorSpec, ObjectGrid)]) -> Pixel
 }
 
 /// Thumbnails of a recording, all on one colour scale. Its lengths come from an instrument, session or evaluation of
-/// the
-/// same size among the inputs.
+/// the same size among the inputs.
 ///
 /// # Errors
 /// A picture cannot be encoded.

@@ -14,8 +14,7 @@ pub(super) const UNIT: usize = 32;
 /// [`Self::view`], which looks first.
 pub trait MappedFlash: NorFlash {
     /// The bytes at offsets `range`, in place. `None` where it reaches beyond the flash, or where a word in it cannot
-    /// be
-    /// read. Never faults.
+    /// be read. Never faults.
     fn view(&self, range: Range<usize>) -> Option<&[u8]>;
 }
 

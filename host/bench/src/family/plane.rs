@@ -25,8 +25,8 @@ pub(crate) struct Chief {
 }
 
 impl SensorPlane {
-    /// Object position (y, x) on the axis of a lens, um: the anchor lies opposite to the axis, `1 + m` times as far from
-    /// the centre (un-inverted coordinates).
+    /// Object position (y, x) on the axis of a lens, um: the anchor lies opposite to the axis, `1 + m` times as far
+    /// from the centre (un-inverted coordinates).
     pub fn axis_um(&self, anchor_px: [f64; 2]) -> [f64; 2] {
         [0, 1].map(|k| -(anchor_px[k] - self.centre_px[k]) * self.pixel_pitch_um / (1.0 + self.magnification))
     }

@@ -7,12 +7,11 @@
 //! `W = W040 (rho.rho)^2 + W131 (h.rho)(rho.rho) + W222 (h.rho)^2 + W220 (h.h)(rho.rho) + W311 (h.h)(h.rho)`
 //!
 //! (Born & Wolf, section 5.3, in vector form). Tolerances add a defocus, a coma and an astigmatism that do not depend
-//! on
-//! the field. A source at depth z moves its ray by `-m z NA rho` (NA on the object side): its cone of rays is cut at
-//! another place. Since the relay is telecentric, the chief ray does not depend on the depth. A second stop,
-//! displaced in proportion to h, clips the pupil off the axis. Each ray is blurred by diffraction, as a Gaussian of
-//! `0.225 wavelength / NA'` (Zhang, Zerubia, Olivo-Marin, Applied Optics 46, 1819, 2007), and integrated over the
-//! pixels in closed form: nothing is interpolated between foci.
+//! on the field. A source at depth z moves its ray by `-m z NA rho` (NA on the object side): its cone of rays is cut at
+//! another place. Since the relay is telecentric, the chief ray does not depend on the depth. A second stop, displaced
+//! in proportion to h, clips the pupil off the axis. Each ray is blurred by diffraction, as a Gaussian of `0.225
+//! wavelength / NA'` (Zhang, Zerubia, Olivo-Marin, Applied Optics 46, 1819, 2007), and integrated over the pixels in
+//! closed form: nothing is interpolated between foci.
 
 use super::change::Change;
 use super::config::RelayConfig;

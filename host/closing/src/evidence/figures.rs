@@ -82,8 +82,8 @@ pub(crate) fn pictured_frames(seen: &Observations) -> impl Iterator<Item = usize
     (0..seen.frames.len()).filter(|k| matches!(seen.frames[*k].role, Role::Scene | Role::Bead))
 }
 
-/// Held-out data: frames of [`JudgedOn`], each with the ranges of [`Observations::pixels`] that count; the held-out frames
-/// whole, or, if no frame is held out, the held-out blocks of all of them.
+/// Held-out data: frames of [`JudgedOn`], each with the ranges of [`Observations::pixels`] that count; the held-out
+/// frames whole, or, if no frame is held out, the held-out blocks of all of them.
 fn held_out_pixels(seen: &Observations) -> impl Iterator<Item = (usize, Range<usize>)> + '_ {
     let whole = judged(seen).any(|k| seen.frames[k].held_out);
     let frames = judged(seen).filter(move |k| !whole || seen.frames[*k].held_out);
@@ -169,8 +169,8 @@ pub(crate) fn excess(model: &Model<'_>, fitted: &Fitted) -> f64 {
     chi2 / n.max(1.0) - 1.0
 }
 
-/// Number of held-out pixels, and the excess of chi-squared there that errors of the calibration make, as the scatter of
-/// its replicates shows them (delete-a-group jackknife). `replicas` are those of [`crate::fit::Replicas::of`].
+/// Number of held-out pixels, and the excess of chi-squared there that errors of the calibration make, as the scatter
+/// of its replicates shows them (delete-a-group jackknife). `replicas` are those of [`crate::fit::Replicas::of`].
 pub(crate) fn excess_by_calibration(
     model: &Model<'_>,
     fitted: &Fitted,

@@ -97,8 +97,7 @@ pub struct Misfit {
 
 impl Design {
     /// Computes the cells of a scope. `replicas[j][k]` is frame `k` as replicate j of the calibration predicts it minus
-    /// the
-    /// prediction of the calibration, DN, [sensor rows, sensor cols]; None if the frame does not depend on the
+    /// the prediction of the calibration, DN, [sensor rows, sensor cols]; None if the frame does not depend on the
     /// calibration.
     ///
     /// # Errors

@@ -137,8 +137,7 @@ pub fn objects(seen: &mut Observations, frames: &[Seen]) -> Vec<Fault> {
 }
 
 /// Finds scenes whose light differs from that of the others by a factor of their own. An effect that the model lacks
-/// may
-/// do that as well, so nothing is corrected yet.
+/// may do that as well, so nothing is corrected yet.
 pub fn exposures(seen: &Observations, frames: &[Seen]) -> Vec<Fault> {
     let mut faults = Vec::new();
     // The regression has an intercept, so that an even background is no light of the specimen.

@@ -9,8 +9,8 @@ use ommatidia_model::forward::ForwardError;
 use ommatidia_model::instrument::Instrument;
 use ommatidia_model::psf::LowRankPsf;
 
-/// The variance that replicates show, times this, is the mean squared error of a calibration: they show its scatter and not
-/// its bias, which is about as large where the rank is well chosen.
+/// The variance that replicates show, times this, is the mean squared error of a calibration: they show its scatter and
+/// not its bias, which is about as large where the rank is well chosen.
 pub(crate) const BIAS: f64 = 2.0;
 
 /// The light behind the optics of each replicate of a calibration, for the frames of a session.

@@ -52,8 +52,7 @@ impl Candidate {
 
     /// Whether an error in the law of another effect may look like this one. Tables are estimated from even light and
     /// darks alone, pixel by pixel: the optics cannot imitate them. A term without a name claims no cause, so that it
-    /// is
-    /// added wherever much is left of the data of `pixels` pixels.
+    /// is added wherever much is left of the data of `pixels` pixels.
     pub(crate) fn can_be_shadowed(&self, pixels: f64) -> bool {
         let much = self.term.id().starts_with("unknown") && self.gain() > MUCH * pixels;
         let of_even_light = self.table.as_ref().is_some_and(|t| !t.of_scenes);
@@ -73,8 +72,8 @@ impl Candidate {
         of_table.or(self.test.as_ref().map(|t| t.gain)).unwrap_or(0.0)
     }
 
-    /// Whether the effect starts better from here than from `other`. Where both are evident, the scatter between clusters
-    /// that a strong effect makes itself says nothing, and the fall of the deviance does.
+    /// Whether the effect starts better from here than from `other`. Where both are evident, the scatter between
+    /// clusters that a strong effect makes itself says nothing, and the fall of the deviance does.
     pub(crate) fn is_better_start(&self, other: &Self) -> bool {
         match self.worth() > 0.0 && other.worth() > 0.0 {
             true => self.gain() > other.gain(),

@@ -94,8 +94,7 @@ pub fn config(size: &Size, n: u64) -> anyhow::Result<BenchConfig> {
 }
 
 /// A gentle instrument with pupils, for a check that `close` and the study work: weak light and a fine scan, so that
-/// the
-/// errors of the calibration stay below the noise.
+/// the errors of the calibration stay below the noise.
 pub fn gentle(n: u64) -> BenchConfig {
     let mut c = BenchConfig { instrument_seed: 500 + n, ..BenchConfig::default() };
     (c.sensor.rows, c.sensor.cols) = (98, 98);

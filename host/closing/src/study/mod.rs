@@ -3,14 +3,11 @@
 //!
 //! [`plan`] lists the cases and [`shard`] divides them among computers; [`instruments`] says which instruments there
 //! are, of families whose optics share nothing, and [`sealed`] counts how often those are looked at that no threshold
-//! is
-//! set on. [`subject`] is one instrument under study, [`sensitivity`] how well its sessions determine each effect, and
-//! [`ranges`] how strong an effect can be; [`sessions`] are the kinds of sessions. [`trial`] runs a case; [`record`]
-//! stores its outcome, one line per session, so that an interrupted study resumes; [`summary`] computes the figures
-//! with
-//! [`intervals`] and [`ranks`], and [`text`] renders the page. [`downstream`] measures the effect on reconstructions,
-//! with the [`networks`] that the program brings.
-//! [`foreign`] holds effects outside the catalogue.
+//! is set on. [`subject`] is one instrument under study, [`sensitivity`] how well its sessions determine each effect,
+//! and [`ranges`] how strong an effect can be; [`sessions`] are the kinds of sessions. [`trial`] runs a case;
+//! [`record`] stores its outcome, one line per session, so that an interrupted study resumes; [`summary`] computes the
+//! figures with [`intervals`] and [`ranks`], and [`text`] renders the page. [`downstream`] measures the effect on
+//! reconstructions, with the [`networks`] that the program brings. [`foreign`] holds effects outside the catalogue.
 //!
 //! ```
 //! use ommatidia_closing::study::{plan::cases, size::{Question, Size}};

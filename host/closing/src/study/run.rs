@@ -62,8 +62,7 @@ pub struct Progress {
 ///
 /// # Errors
 /// The folder cannot be written, it holds another study, or an instrument cannot be calibrated. A session that cannot
-/// be
-/// closed is not an error: its outcome holds the reason.
+/// be closed is not an error: its outcome holds the reason.
 pub fn run(
     request: &StudyRequest<'_>,
     networks: &dyn Networks,
@@ -104,8 +103,7 @@ pub fn run(
 }
 
 /// Checks that the folder holds no other study, and counts an opening of the sealed seeds where this is one. Returns
-/// how
-/// often they were opened; `None`: the seeds are those for development.
+/// how often they were opened; `None`: the seeds are those for development.
 fn begin(dir: &Path, size: &Size, shard: Shard, sealed: Option<&Path>) -> anyhow::Result<Option<usize>> {
     let file = dir.join(PLAN);
     let text = serde_json::to_vec_pretty(size)?;

@@ -112,11 +112,12 @@ impl Size {
         }
     }
 
-    /// A study of about 70 sessions over all kinds of instruments and strengths, for development.
-    pub fn development(seed: u64) -> Self {
+    /// A study over all kinds of instruments and strengths, for development, with at most `most` sessions with one effect
+    /// at one strength; 6 make about 70 sessions.
+    pub fn development(seed: u64, most: usize) -> Self {
         let questions = Question::ALL.into_iter().filter(|q| *q != Question::Reconstruction);
         let questions = questions.filter(|q| *q != Question::Gain && *q != Question::Records).collect();
-        Self { seed, instruments: 4, nulls: 9, quota: Some(6), questions, ..Self::default() }
+        Self { seed, instruments: 4, nulls: 3 * most / 2, quota: Some(most), questions, ..Self::default() }
     }
 
     /// Whether an effect is injected.

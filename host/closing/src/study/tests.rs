@@ -162,7 +162,7 @@ fn cases_are_named_once_and_spread_over_instruments_and_foreign_effects_are_fore
 
 #[test]
 fn a_development_study_is_small_and_covers_everything_that_counts() {
-    let size = Size::development(1);
+    let size = Size::development(1, 6);
     let all = cases(&size, &known(size.instruments));
     assert!((50..=80).contains(&all.len()), "{}", all.len());
     for k in &size.strengths {

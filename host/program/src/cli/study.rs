@@ -24,6 +24,10 @@ pub struct Args {
     /// Run about 70 sessions over all families of instruments and all strengths, for development
     #[arg(long, conflicts_with_all = ["null", "seeds", "strengths", "only", "instruments", "sealed"])]
     development: bool,
+    /// Largest number of sessions with one effect at one strength that `--development` runs; of other kinds a sixth of it
+    #[arg(long, value_name = "N", requires = "development", default_value_t = 6, value_parser =
+        clap::value_parser!(u16).range(1..))]
+    most: u16,
     /// Run sealed instruments and sessions, on which no threshold may be set, and count in FILE that they were opened
     /// (docs/sealed.json)
     #[arg(long, value_name = "FILE")]
@@ -88,7 +92,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let size = if args.quick {
         Size::quick(run.seed)
     } else if args.development {
-        Size { measured, ..Size::development(run.seed) }
+        Size { measured, ..Size::development(run.seed, args.most.into()) }
     } else {
         Size {
             seed: run.seed,
