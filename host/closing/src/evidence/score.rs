@@ -281,7 +281,7 @@ mod tests {
             });
         }
         let t = Scores::new(&design, vec![0]).test(&[1]).unwrap();
-        // 2/3 (0.1^2 + 0 + 0.1^2) beside 1/3150.
-        assert!((t.covariance[[0, 0]] - 0.0133).abs() < 0.002 && t.nu < 3.0, "{t:?}");
+        // 2/3 (0.1^2 + 0 + 0.1^2), with the bias, beside 1/3150.
+        assert!((t.covariance[[0, 0]] - BIAS * 0.0133).abs() < BIAS * 0.002 && t.nu < 3.0, "{t:?}");
     }
 }
