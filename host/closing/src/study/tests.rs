@@ -14,7 +14,7 @@ use super::sessions::Holds;
 use super::shard::Shard;
 use super::size::{Question, Size};
 use super::summary::Summary;
-use super::text::{Plan, TITLE, page};
+use super::text::{Plan, page};
 use crate::{Retrain, RetrainRequest, Retrained};
 use ndarray::Array2;
 use ommatidia_physics::effects::{Effect, FrameContext, find};
