@@ -6,7 +6,7 @@ use super::account::{
 };
 use super::data::{Fault, Observations, Shown};
 use super::evidence::{JudgedOn, excess, excess_by_calibration, figures, is_worse, judged, omnibus, structured};
-use super::fit::{Fitted, Model, Replicas, State, Term, refit, replicas};
+use super::fit::{Fitted, Model, Replicas, State, Term, UNKNOWN_NOTE, refit, replicas};
 use super::options::{CalibratedOn, CloseError, CloseOptions};
 use super::plan::{self, plan};
 use super::search::{Earned, NEEDS_CALIBRATION, Pruned, Search, Tried, earned, lost, prune, replaced, score};
@@ -57,7 +57,7 @@ pub(crate) fn attempt(
     progress("first fit");
     let before = refit(&model, start)?;
     let replicas = replicas(&model, instrument, &before.state)?;
-    let of_frames = replicas.of(&model, &before);
+    let of_frames = replicas.of(&model, &before)?;
     let by_calibration = excess_by_calibration(&model, &before, &of_frames);
     let dependences_before = omnibus::test(&model, &before, &of_frames, seed);
     progress("catalogue");
@@ -67,13 +67,13 @@ pub(crate) fn attempt(
     search.exclude.extend(lost.iter().map(|id| id.to_string()));
     search.trial_deviance = options.trial_calibration.map(|trial| held_out_deviance(trial, seen)).transpose()?;
     search.run(Tried::Catalogue, progress)?;
-    let mut dependences = omnibus::test(&model, &search.now, &replicas.of(&model, &search.now), seed);
+    let mut dependences = omnibus::test(&model, &search.now, &replicas.of(&model, &search.now)?, seed);
     let mut rest = std::mem::take(&mut search.rest);
     if structured(&dependences) && !search.needs_calibration() {
         progress("terms without a name");
         search.run(Tried::Maps, progress)?;
         search.run(Tried::Curves, progress)?;
-        dependences = omnibus::test(&model, &search.now, &replicas.of(&model, &search.now), seed);
+        dependences = omnibus::test(&model, &search.now, &replicas.of(&model, &search.now)?, seed);
     }
     let of_before = excess(&model, &before);
     let excess_of = |fit: &Fitted| {
@@ -120,12 +120,12 @@ pub(crate) fn attempt(
     let out = removed.iter().chain(imitations.iter().map(|it| &it.term)).chain(&harmful_terms);
     let out: Vec<&Term> = out.collect();
     if !out.is_empty() {
-        dependences = omnibus::test(&model, &now, &replicas.of(&model, &now), seed);
+        dependences = omnibus::test(&model, &now, &replicas.of(&model, &now)?, seed);
         // Their limits are those of effects that are absent.
         rest.retain(|c| !out.iter().any(|t| t.id() == c.term.id()));
         let named = out.iter().filter(|t| !t.id().starts_with("unknown"));
         let absent: Vec<Term> = named.map(|t| t.switched_off(model.lenses())).collect();
-        rest.extend(score(&model, &now, &replicas.of(&model, &now), &absent)?);
+        rest.extend(score(&model, &now, &replicas.of(&model, &now)?, &absent)?);
     }
     if !removed.is_empty() {
         let ids: Vec<&str> = removed.iter().map(Term::id).collect();
@@ -163,6 +163,9 @@ pub(crate) fn attempt(
              effects may be errors of the calibration; calibrate again"
                 .into(),
         );
+    }
+    if JudgedOn::of(seen) == JudgedOn::SelfConsistency {
+        notes.push(UNKNOWN_NOTE.into());
     }
     let own_beads = own_beads(seen, options.calibrated_on);
     if own_beads {

@@ -4,7 +4,7 @@ use super::account::{Account, Closed, Closing, Verdict, fault, pictured, registr
 use super::attempt::{Given, OWN_BEADS_NOTE, attempt, held_out_blocks, held_out_frames, own_beads};
 use super::data::{Fault, Observations, Shown};
 use super::evidence::{JudgedOn, figures, omnibus, structured};
-use super::fit::{Model, State, record, refit, replicas};
+use super::fit::{Model, State, UNKNOWN_NOTE, estimate_specimens, record, refit, replicas};
 use super::options::{CloseError, CloseOptions};
 use ommatidia_model::instrument::Instrument;
 use ommatidia_session::Manifest;
@@ -39,6 +39,7 @@ pub fn close(
     if seen.frames.is_empty() {
         return Err(CloseError::Empty);
     }
+    estimate_specimens(instrument, seen);
     progress("records");
     let mut faults = wrong_objects(instrument, seen)?;
     let doubted = doubted_exposures(instrument, seen, None)?;
@@ -74,6 +75,7 @@ pub fn residual(
     if seen.frames.is_empty() {
         return Err(CloseError::Empty);
     }
+    estimate_specimens(instrument, seen);
     let mut faults = wrong_objects(instrument, seen)?;
     let exposures = doubted_exposures(instrument, seen, None)?;
     record::correct_exposures(seen, &exposures);
@@ -82,12 +84,13 @@ pub fn residual(
     let model = Model::new(instrument, seen)?;
     let fit = refit(&model, model.state(instrument)?)?;
     let replicas = replicas(&model, instrument, &fit.state)?;
-    let dependences = omnibus::test(&model, &fit, &replicas.of(&model, &fit), options.seed);
+    let dependences = omnibus::test(&model, &fit, &replicas.of(&model, &fit)?, options.seed);
     let figures = figures(&model, &fit);
     let own_beads = own_beads(seen, options.calibrated_on);
     let registrations = registrations(&model, &fit, &replicas)?;
     let mut notes = registration_notes(&registrations);
     notes.extend(own_beads.then(|| OWN_BEADS_NOTE.into()));
+    notes.extend((JudgedOn::of(seen) == JudgedOn::SelfConsistency).then(|| UNKNOWN_NOTE.into()));
     let closing = Closing {
         session: options.session_name.into(),
         calibrated_on: options.calibrated_on.iter().map(|c| c.file.clone()).collect(),

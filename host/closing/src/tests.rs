@@ -54,7 +54,7 @@ fn observations(instrument: &Instrument, terms: &[Term]) -> Observations {
         let model = Model::new(instrument, &seen).unwrap();
         let mut state = model.state(instrument).unwrap();
         state.terms = terms.to_vec();
-        let scenes = model.scenes(&model.chain(terms)).unwrap();
+        let scenes = model.scenes(&state).unwrap();
         let predicted = model.predict(&state, &scenes);
         let draw = |(k, p): (usize, &Predicted)| {
             let mut rng = stream(3, "closing/tests", k as u64);
@@ -114,7 +114,7 @@ fn a_factor_common_to_all_lenses_is_light() {
     let model = Model::new(&instrument, &seen).unwrap();
     let mut state = model.state(&instrument).unwrap();
     state.terms.push(term("lens_gain", &[("change_0", 0.21), ("change_1", 0.1)], 2));
-    let scenes = model.scenes(&model.chain(&state.terms)).unwrap();
+    let scenes = model.scenes(&state).unwrap();
     let before = model.predict(&state, &scenes);
     let state = model.gauged(state);
     assert!(state.terms[0].params.contains(&0.0) && state.scale[0] != 1.0);

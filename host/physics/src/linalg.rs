@@ -16,7 +16,8 @@
 //! # }
 //! ```
 
-use faer::{Mat, Side};
+use faer::linalg::solvers::{Llt, Solve};
+use faer::{Mat, MatMut, MatRef, Side};
 use ndarray::{Array1, Array2};
 use thiserror::Error;
 
@@ -62,6 +63,54 @@ pub fn least_squares(a: &Array2<f64>, b: &Array2<f64>) -> Result<Array2<f64>, No
     let inverse = values.mapv(|x| if x > floor { 1.0 / x } else { 0.0 });
     let projected = v.t().dot(&a.t().dot(b));
     Ok(v.dot(&(&projected * &inverse.insert_axis(ndarray::Axis(1)))))
+}
+
+/// A symmetric matrix has no Cholesky factor: it is not positive definite, or holds non-finite values. The field is its
+/// number of rows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[error("a {0} x {0} matrix is not positive definite, so it has no Cholesky factor")]
+pub struct NotPositive(pub usize);
+
+/// The Cholesky factor of a large symmetric matrix, in f32: n rows take 4 n^2 bytes.
+///
+/// ```
+/// # fn main() -> Result<(), ommatidia_physics::linalg::NotPositive> {
+/// use ommatidia_physics::linalg::Cholesky32;
+/// let factor = Cholesky32::of(&[4.0, 2.0, 0.0, 3.0], 2)?;
+/// let mut x = [8.0, 7.0];
+/// factor.solve(&mut x, 1);
+/// assert!((x[0] - 1.25).abs() < 1e-6 && (x[1] - 1.5).abs() < 1e-6);
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Clone, Debug)]
+pub struct Cholesky32 {
+    factor: Llt<f32>,
+    rows: usize,
+}
+
+impl Cholesky32 {
+    /// Factors the matrix `a`, [n, n]; only its upper triangle is read, row by row.
+    ///
+    /// # Errors
+    /// The matrix is not positive definite.
+    ///
+    /// # Panics
+    /// `a` does not have n x n values.
+    pub fn of(a: &[f32], n: usize) -> Result<Self, NotPositive> {
+        // Rows of the upper triangle are columns of the lower one.
+        let lower = MatRef::from_column_major_slice(a, n, n);
+        let factor = lower.llt(Side::Lower).map_err(|_| NotPositive(n))?;
+        Ok(Self { factor, rows: n })
+    }
+
+    /// Solves `a x = b` for k right sides, in place: `b` holds them one after the other, [k, n].
+    ///
+    /// # Panics
+    /// `b` does not have k x n values.
+    pub fn solve(&self, b: &mut [f32], k: usize) {
+        self.factor.solve_in_place(MatMut::from_column_major_slice_mut(b, self.rows, k));
+    }
 }
 
 #[cfg(test)]

@@ -26,7 +26,7 @@ pub(crate) fn registrations(
     }
     let columns: Vec<Column> = nuisances(model).into_iter().chain(own_columns(model, &now.state)).collect();
     let design =
-        Design::compute(model, now.expansion(&[]), columns.clone(), &replicas.of(model, now), Scope::Training)?;
+        Design::compute(model, now.expansion(&[]), columns.clone(), &replicas.of(model, now)?, Scope::Training)?;
     let mut out = Vec::new();
     for (g, group) in groups.iter().enumerate().filter(|(_, g)| g.sigma_px > 0.0) {
         let of_group = |i: &usize| matches!(columns[*i], Column::Registration(of, _) if of == g);

@@ -43,7 +43,10 @@ pub enum Shown {
     Even,
     /// No light.
     Dark,
-    /// An unknown specimen: only detail that is sharper than its smooth part can be compared with a model.
+    /// An unknown specimen, which is estimated from the frame: effects are tested beside every change that a specimen
+    /// could make.
+    Estimated,
+    /// An unknown specimen that is not estimated: only detail that is sharper than its smooth part can be compared with a model.
     Unknown,
 }
 
@@ -127,6 +130,11 @@ impl Observations {
     pub fn registration_of(&self, k: usize) -> Option<usize> {
         let f = &self.frames[k];
         self.registrations.iter().position(|r| r.holds(f.stack, f.info.frame))
+    }
+
+    /// Spatial blocks along each side of the sensor.
+    pub(crate) fn blocks_per_side(&self) -> usize {
+        self.blocks.len().isqrt()
     }
 
     /// Indices of the frames with a role.

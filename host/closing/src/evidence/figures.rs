@@ -12,14 +12,16 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-/// What figures are computed from: frames whose content is known without the frame itself. The specimen of an unknown
-/// frame is estimated from that frame, so that its own blur would be its model, and any figure of it hollow.
+/// What figures are computed from: what is known without the pixels that are judged.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum JudgedOn {
     /// Scenes of known objects, and bead frames.
     #[default]
     Known,
+    /// Frames of unknown specimens, each estimated from a part of its frame: spatial blocks that were left out, which
+    /// other lenses show as well. The figures show whether the views agree with each other.
+    SelfConsistency,
     /// Flats and darks: the sensor is judged, the optics are not.
     Even,
     /// No frame of known content.
@@ -32,6 +34,7 @@ impl JudgedOn {
         let has = |known: fn(&Shown) -> bool| seen.frames.iter().any(|f| known(&f.shown));
         match () {
             () if has(|shown| matches!(shown, Shown::Object(_) | Shown::Bead(_))) => Self::Known,
+            () if has(|shown| *shown == Shown::Estimated) => Self::SelfConsistency,
             () if has(|shown| *shown == Shown::Even) => Self::Even,
             () => Self::Nothing,
         }
@@ -41,6 +44,7 @@ impl JudgedOn {
     fn counts(self, shown: &Shown) -> bool {
         match self {
             Self::Known => matches!(shown, Shown::Object(_) | Shown::Bead(_)),
+            Self::SelfConsistency => *shown == Shown::Estimated,
             Self::Even => matches!(shown, Shown::Even | Shown::Dark),
             Self::Nothing => false,
         }
@@ -55,7 +59,8 @@ fn nullable<'de, D: serde::Deserializer<'de>>(from: D) -> Result<f64, D::Error> 
 /// How well held-out data are predicted; NaN, in JSON null, where nothing of known content is there to judge.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Figures {
-    /// chi-squared per pixel, with the variance of the noise model.
+    /// chi-squared per pixel, with the variance of the noise model. For estimated specimens, over its expectation under
+    /// noise alone, which the error of the estimate raises.
     #[serde(deserialize_with = "nullable")]
     pub chi2_ndf: f64,
     /// `||measured - predicted|| / ||measured||` of the light above the black level; noise contributes to it.
@@ -84,12 +89,12 @@ pub(crate) fn pictured_frames(seen: &Observations) -> impl Iterator<Item = usize
 
 /// Held-out data: frames of [`JudgedOn`], each with the ranges of [`Observations::pixels`] that count; the held-out
 /// frames whole, or, if no frame is held out, the held-out blocks of all of them.
-fn held_out_pixels(seen: &Observations) -> impl Iterator<Item = (usize, Range<usize>)> + '_ {
+fn held_out_pixels(seen: &Observations) -> impl Iterator<Item = (usize, usize, Range<usize>)> + '_ {
     let whole = judged(seen).any(|k| seen.frames[k].held_out);
     let frames = judged(seen).filter(move |k| !whole || seen.frames[*k].held_out);
     frames.flat_map(move |k| {
-        let blocks = seen.blocks.iter().zip(&seen.held_out_blocks).filter(move |(_, held_out)| whole || **held_out);
-        blocks.map(move |(span, _)| (k, span.clone()))
+        let blocks = seen.blocks.iter().enumerate().filter(move |(b, _)| whole || seen.held_out_blocks[*b]);
+        blocks.map(move |(b, span)| (k, b, span.clone()))
     })
 }
 
@@ -107,8 +112,9 @@ pub(crate) fn is_worse(model: &Model<'_>, before: &Fitted, after: &Fitted) -> bo
     let seen = model.seen;
     let (mut fall, mut change, mut chi2) = ([0.0f64; 2], [0.0f64; 2], [0.0f64; 2]);
     let (mut variance, mut n) = (0.0f64, 0.0f64);
-    for (k, span) in held_out_pixels(seen) {
+    for (k, block, span) in held_out_pixels(seen) {
         let (old, new) = (&before.predicted[k], &after.predicted[k]);
+        let share = after.state.share(k, block);
         for p in &seen.pixels[span] {
             let at = (*p as usize / seen.sensor[1], *p as usize % seen.sensor[1]);
             let [r, s] = [old, new].map(|f| f64::from(f.residual_dn[at]));
@@ -116,8 +122,8 @@ pub(crate) fn is_worse(model: &Model<'_>, before: &Fitted, after: &Fitted) -> bo
             if w <= 0.0 || x <= 0.0 {
                 continue;
             }
-            n += 1.0;
-            variance += 1.0 / (w * w);
+            n += share;
+            variance += share / (w * w);
             chi2[0] += (w * r).powi(2);
             chi2[1] += (x * s).powi(2);
             for (i, [r, s, sigma]) in [[w * r, x * s, 1.0], [r, s, 1.0 / w]].into_iter().enumerate() {
@@ -142,10 +148,10 @@ const DRAWN: u64 = 4;
 pub(crate) fn excess(model: &Model<'_>, fitted: &Fitted) -> f64 {
     let seen = model.seen;
     let chain = fitted.state.terms.iter().any(noisy).then(|| model.chain(&fitted.state.terms));
-    let mut spans: BTreeMap<usize, Vec<Range<usize>>> = BTreeMap::new();
-    held_out_pixels(seen).for_each(|(k, span)| spans.entry(k).or_default().push(span));
-    let spans: Vec<(usize, Vec<Range<usize>>)> = spans.into_iter().collect();
-    let one = |(k, spans): &(usize, Vec<Range<usize>>)| {
+    let mut spans: BTreeMap<usize, Vec<(usize, Range<usize>)>> = BTreeMap::new();
+    held_out_pixels(seen).for_each(|(k, block, span)| spans.entry(k).or_default().push((block, span)));
+    let spans: Vec<(usize, Vec<(usize, Range<usize>)>)> = spans.into_iter().collect();
+    let one = |(k, spans): &(usize, Vec<(usize, Range<usize>)>)| {
         let here = &fitted.predicted[*k];
         let draw = |chain: &Chain, i: u64| {
             let mut rngs = ["excess", "reading"].map(|what| stream(0x5eed, what, DRAWN * *k as u64 + i));
@@ -157,11 +163,14 @@ pub(crate) fn excess(model: &Model<'_>, fitted: &Fitted) -> f64 {
             with / plain.max(1e-30)
         });
         let (mut chi2, mut n) = (0.0, 0.0);
-        for p in spans.iter().flat_map(|span| &seen.pixels[span.clone()]) {
+        for (p, share) in spans.iter().flat_map(|(block, span)| {
+            let share = fitted.state.share(*k, *block);
+            seen.pixels[span.clone()].iter().map(move |p| (p, share))
+        }) {
             let at = (*p as usize / seen.sensor[1], *p as usize % seen.sensor[1]);
             let w = f64::from(here.inverse_sigma[at]);
             chi2 += (f64::from(here.residual_dn[at]) * w).powi(2) / noise;
-            n += f64::from(w > 0.0);
+            n += if w > 0.0 { share } else { 0.0 };
         }
         [chi2, n]
     };
@@ -178,7 +187,7 @@ pub(crate) fn excess_by_calibration(
 ) -> (usize, f64) {
     let (seen, n) = (model.seen, replicas.len() as f64);
     let (mut pixels, mut excess) = (0, 0.0);
-    for (k, span) in held_out_pixels(seen) {
+    for (k, _, span) in held_out_pixels(seen) {
         let changes: Vec<&Array2<f32>> = replicas.iter().filter_map(|r| r[k].as_ref()).collect();
         for p in &seen.pixels[span] {
             let at = (*p as usize / seen.sensor[1], *p as usize % seen.sensor[1]);
@@ -201,7 +210,8 @@ pub fn figures(model: &Model<'_>, fitted: &Fitted) -> Figures {
     let black = model.forward.noise().black_level_dn;
     let (mut chi2, mut n, mut error, mut light) = (0.0, 0.0, 0.0, 0.0);
     let mut s = [0.0f64; 6];
-    for (k, span) in held_out_pixels(seen) {
+    for (k, block, span) in held_out_pixels(seen) {
+        let share = fitted.state.share(k, block);
         let (here, measured) = (&fitted.predicted[k], &seen.frames[k].measured);
         for p in &seen.pixels[span] {
             let at = (*p as usize / seen.sensor[1], *p as usize % seen.sensor[1]);
@@ -210,7 +220,7 @@ pub fn figures(model: &Model<'_>, fitted: &Fitted) -> Figures {
                 continue;
             }
             chi2 += r * r * w * w;
-            n += 1.0;
+            n += share;
             let y = f64::from(measured[at]) - black;
             let mu = y - r;
             error += r * r;

@@ -10,7 +10,7 @@ use super::covariate::{Covariate, Dependence};
 use super::stats::{chi2_tail, sigmas, two_sided};
 use super::tables;
 use crate::data::Shown;
-use crate::fit::{Fitted, Model, Predicted, State, repeats};
+use crate::fit::{Fitted, Model, Predicted, Specimens, State, repeats};
 use ndarray::Array2;
 use ommatidia_physics::effects::TableUse;
 use ommatidia_physics::noise::MapErrors;
@@ -146,13 +146,18 @@ fn on_scenes(model: &Model<'_>, fitted: &Fitted, replicas: &[Vec<Option<Array2<f
         }
     };
     let left = left(model, &fitted.state);
-    let draws: Vec<Vec<Statistic>> = (0..DRAWS)
-        .into_par_iter()
-        .map(|d| {
-            let drawn = draw(&noise, &directions, &templates, left, seed, d as u64);
-            bins.iter().map(|b| b.statistic(model, &frames, &drawn)).collect()
-        })
-        .collect();
+    let drawn = |d: usize| draw(&noise, &directions, &templates, left, seed, d as u64);
+    let statistics = |drawn: &Vec<Vec<f32>>| bins.iter().map(|b| b.statistic(model, &frames, drawn)).collect();
+    let draws: Vec<Vec<Statistic>> = match &fitted.state.specimens {
+        None => (0..DRAWS).into_par_iter().map(|d| statistics(&drawn(d))).collect(),
+        Some(specimens) => {
+            let mut drawn: Vec<Vec<Vec<f32>>> = (0..DRAWS).into_par_iter().map(drawn).collect();
+            for (f, k) in frames.iter().enumerate() {
+                beside(specimens, model, &now[*k], &mut drawn.iter_mut().map(|d| &mut d[f]).collect::<Vec<_>>());
+            }
+            drawn.par_iter().map(statistics).collect()
+        }
+    };
     let judged = |(i, b): (usize, &Bins)| {
         let null: Vec<&Statistic> = draws.iter().map(|d| &d[i]).collect();
         judge(b, b.statistic(model, &frames, &residual), &null)
@@ -222,7 +227,9 @@ fn scenes(model: &Model<'_>) -> Vec<usize> {
     if !known.is_empty() {
         return known;
     }
-    (0..frames.len()).filter(|k| frames[*k].shown == Shown::Unknown).collect()
+    let of = |shown: Shown| (0..frames.len()).filter(move |k| frames[*k].shown == shown).collect::<Vec<_>>();
+    let estimated = of(Shown::Estimated);
+    if estimated.is_empty() { of(Shown::Unknown) } else { estimated }
 }
 
 /// Values at the used pixels, in units of the noise; zero in held-out blocks.
@@ -234,6 +241,24 @@ fn gather(model: &Model<'_>, here: &Predicted, image: &Array2<f32>) -> Vec<f32> 
         out[span.clone()].fill(0.0);
     }
     out
+}
+
+/// Takes out of drawn residuals of a frame, at the used pixels and in units of the noise, what a change of its specimen
+/// makes.
+fn beside(specimens: &Specimens, model: &Model<'_>, here: &Predicted, drawn: &mut [&mut Vec<f32>]) {
+    let pixels = &model.seen.pixels;
+    let image = |values: &Vec<f32>| {
+        let mut image = Array2::<f32>::zeros(here.dn.dim());
+        if let (Some(image), Some(weight)) = (image.as_slice_mut(), here.inverse_sigma.as_slice()) {
+            for (p, v) in pixels.iter().zip(values).map(|(p, v)| (*p as usize, v)).filter(|(p, _)| weight[*p] > 0.0) {
+                image[p] = v / weight[p];
+            }
+        }
+        image
+    };
+    let mut images: Vec<Array2<f32>> = drawn.iter().map(|d| image(d)).collect();
+    specimens.remove(&mut images.iter_mut().collect::<Vec<_>>());
+    drawn.iter_mut().zip(&images).for_each(|(d, image)| **d = gather(model, here, image));
 }
 
 /// Draws residuals of all frames from the model: noise, errors of the calibration and errors of the sensor maps, which

@@ -15,6 +15,10 @@ use super::stats::{f_tail, sigmas};
 use crate::fit::{BIAS, Cell, Design, Sums, pseudo_inverse};
 use ndarray::{Array1, Array2};
 
+/// A change of the specimen makes an effect if it leaves less than this share of the squared norm of its signature:
+/// estimates of the specimen and the calibration are not good enough for what remains.
+const GAUGE: f64 = 1e-3;
+
 /// Score test of some columns, with others projected out.
 #[derive(Clone, Debug)]
 pub struct Test {
@@ -99,9 +103,10 @@ impl<'d> Scores<'d> {
         let r = self.design.residual();
         let q = self.projected(&self.sums.gram, columns, columns);
         let alone: f64 = columns.iter().map(|c| self.sums.gram[[*c, *c]]).sum();
+        let before: f64 = columns.iter().map(|c| self.design.alone[*c]).sum();
         let q_inverse = pseudo_inverse(&q);
         let dof = q_inverse.dot(&q).diag().sum().round();
-        if dof < 0.5 || q.diag().sum() < 1e-6 * alone {
+        if dof < 0.5 || q.diag().sum() < (1e-6 * alone).max(GAUGE * before) {
             return None;
         }
         let s = self.projected(&self.sums.gram, columns, &[r]).column(0).to_owned();
@@ -220,7 +225,7 @@ mod tests {
                 });
             }
         }
-        Design { columns: vec![Column::Black; 3], replicates: 0, cells }
+        Design { columns: vec![Column::Black; 3], replicates: 0, cells, alone: vec![0.0; 3] }
     }
 
     #[test]

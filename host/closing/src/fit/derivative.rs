@@ -174,7 +174,7 @@ impl Model<'_> {
             (Stage::Record, _) => return Ok(None),
             (Stage::Object | Stage::Geometry | Stage::Lens, None) => return Ok(None),
             (Stage::Object, Some(_)) => {
-                let scene = self.scene(k, chain)?;
+                let scene = self.scene(k, at.state, chain)?;
                 self.sum_e(k, scene.as_ref(), (chain, at.state), scale)
             }
             (Stage::Geometry | Stage::Lens, Some(scene)) => match lens {

@@ -25,6 +25,9 @@ pub struct Design {
     pub replicates: usize,
     /// The cells.
     pub cells: Vec<Cell>,
+    /// Squared norm of each column over the training frames before any specimen is taken out of it, in units of the
+    /// noise.
+    pub alone: Vec<f64>,
 }
 
 /// What a design is computed for.
@@ -115,7 +118,7 @@ impl Design {
         // A state must not gain by driving pixels out of range: each unused pixel counts as one with the largest noise.
         let noise = model.forward.noise();
         let unseen = 1.0 + noise.variance_dn2(noise.saturation_dn).ln();
-        let cells = (0..seen.frames.len())
+        let frames = (0..seen.frames.len())
             .into_par_iter()
             .filter(|k| whole || !seen.frames[*k].held_out)
             .map(|k| {
@@ -129,11 +132,23 @@ impl Design {
                     }
                 };
                 let mut images = LensImages::default();
+                let mut changes: Vec<(usize, Array2<f32>)> = Vec::new();
                 for (i, column) in columns.iter().enumerate() {
-                    if let Some(d) = model.derivative(k, column, at, &mut images)? {
-                        put(i, &model.visible(k, d));
-                    }
+                    changes.extend(model.derivative(k, column, at, &mut images)?.map(|d| (i, d)));
                 }
+                // Squares before a specimen is taken out: what is left of them shows whether a frame can test a column.
+                let in_noise = |d: &Array2<f32>| -> f64 {
+                    let at = |p: &u32| f64::from(d.as_slice().map_or(0.0, |d| d[*p as usize]) * weight[*p as usize]);
+                    seen.pixels.iter().map(|p| at(p).powi(2)).sum()
+                };
+                let alone = |changes: &[(usize, Array2<f32>)]| -> Vec<f64> {
+                    let mut alone = vec![0.0; columns.len()];
+                    changes.iter().for_each(|(i, d)| alone[*i] = in_noise(d));
+                    alone
+                };
+                let before = if seen.frames[k].held_out { vec![0.0; columns.len()] } else { alone(&changes) };
+                model.visible(k, at.state, &mut changes.iter_mut().map(|(_, d)| d).collect::<Vec<_>>());
+                changes.iter().for_each(|(i, d)| put(*i, d));
                 for (j, replica) in replicas.iter().enumerate() {
                     if let Some(d) = &replica[k] {
                         put(columns.len() + j, d);
@@ -147,7 +162,7 @@ impl Design {
                     let own = if model.has_background { here.sum_e.clone() } else { &here.dn - black_dn as f32 };
                     own_light(&mut x, &own, here, seen);
                 }
-                Ok(seen
+                let cells = seen
                     .blocks
                     .iter()
                     .enumerate()
@@ -160,15 +175,19 @@ impl Design {
                             log_variance += if w > 0.0 { -2.0 * f64::from(w.ln()) } else { unseen };
                         }
                         let held_out = seen.frames[k].held_out || seen.held_out_blocks[block];
+                        let pixels = (at.state.share(k, block) * pixels as f64).round() as usize;
                         Cell { frame: k, block, held_out, pixels, gram, log_variance }
                     })
-                    .collect::<Vec<_>>())
+                    .collect::<Vec<_>>();
+                Ok((cells, before))
             })
             .collect::<Result<Vec<_>, ForwardError>>()?;
-        let mut cells: Vec<Cell> = cells.into_iter().flatten().collect();
+        let mut alone = vec![0.0; columns.len()];
+        frames.iter().for_each(|(_, own)| alone.iter_mut().zip(own).for_each(|(a, v)| *a += v));
+        let mut cells: Vec<Cell> = frames.into_iter().flat_map(|(cells, _)| cells).collect();
         cells.extend(repeats::cells(model, at, &columns, replicas.len()));
         cells.extend(registration::statement(model, at.state, &columns, replicas.len()));
-        Ok(Self { columns, replicates: replicas.len(), cells })
+        Ok(Self { columns, replicates: replicas.len(), cells, alone })
     }
 
     /// Index of the residual in a Gram matrix.
@@ -228,8 +247,9 @@ pub fn nuisances(model: &Model<'_>) -> Vec<Column> {
         columns.push(Column::Black);
     }
     if model.has_background {
-        let shows =
-            |s: &usize| frames.iter().any(|f| f.stack == *s && matches!(f.shown, Shown::Object(_) | Shown::Bead(_)));
+        let shows = |s: &usize| {
+            frames.iter().any(|f| f.stack == *s && !matches!(f.shown, Shown::Even | Shown::Dark | Shown::Unknown))
+        };
         columns.extend((0..stacks).filter(shows).flat_map(|s| (0..3).map(move |part| Column::Background(s, part))));
     }
     columns.extend(registration::columns(&model.seen.registrations));

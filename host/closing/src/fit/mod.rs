@@ -17,6 +17,7 @@ pub(crate) mod repeats;
 pub mod replicas;
 pub mod scene;
 pub mod solve;
+pub mod specimen;
 pub mod state;
 pub mod truth;
 
@@ -28,5 +29,7 @@ pub use refit::{Fitted, Scenes, own_columns, refit, refit_from};
 pub(crate) use replicas::BIAS;
 pub use replicas::{Replicas, replicas};
 pub use solve::pseudo_inverse;
+pub(crate) use specimen::UNKNOWN_NOTE;
+pub use specimen::{Specimens, estimate_specimens};
 pub use state::{Column, Predicted, State, Term};
 pub use truth::Registered;

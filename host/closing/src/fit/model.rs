@@ -37,6 +37,8 @@ pub struct Model<'a> {
     pub(crate) grid: Grid,
     /// Exposure of the calibration, ms.
     pub(crate) exposure_ms: f64,
+    /// Rows and columns of the windows of the basis PSFs.
+    pub(super) window_px: usize,
 }
 
 impl<'a> Model<'a> {
@@ -47,7 +49,8 @@ impl<'a> Model<'a> {
     pub fn new(instrument: &Instrument, seen: &'a Observations) -> Result<Self, ForwardError> {
         let bare = Instrument { effects: Vec::new(), ..instrument.clone() };
         // The depth of the first specimen; other depths are interpolated.
-        let z_um = seen.frames.iter().find(|f| matches!(f.shown, Shown::Object(_))).map_or(0.0, |f| f.info.z_um);
+        let shows_object = |f: &&Frame| matches!(f.shown, Shown::Object(_) | Shown::Estimated);
+        let z_um = seen.frames.iter().find(shows_object).map_or(0.0, |f| f.info.z_um);
         let depth = instrument.psf.depth_nearest(z_um);
         let plan = |i: &Instrument| Forward::with_all_depths(i, OperatorConfig { depth, ..OperatorConfig::default() });
         let uncertain = seen.registrations.iter().any(|g| g.sigma_px > 0.0);
@@ -59,6 +62,7 @@ impl<'a> Model<'a> {
             has_background: instrument.quality.background.is_some_and(|b| b.is_seen()),
             grid: Grid::of(instrument),
             exposure_ms: instrument.psf.exposure_ms,
+            window_px: instrument.psf.basis.dim().2,
         })
     }
 
@@ -68,9 +72,9 @@ impl<'a> Model<'a> {
         self.seen.frames.iter().all(|f| f.shown == Shown::Unknown)
     }
 
-    /// Whether the light of any frame is known: an object, a bead, or even light.
+    /// Whether the light of any frame is known, an object, a bead, or even light, or estimated.
     pub fn sees_known_light(&self) -> bool {
-        self.seen.frames.iter().any(|f| matches!(f.shown, Shown::Object(_) | Shown::Bead(_) | Shown::Even))
+        !self.seen.frames.iter().all(|f| matches!(f.shown, Shown::Dark | Shown::Unknown))
     }
 
     /// Number of lenses.
@@ -110,6 +114,7 @@ impl<'a> Model<'a> {
             black_dn: 0.0,
             background_e: vec![[0.0; 3]; stacks],
             registration: vec![[0.0; PARTS]; self.seen.registrations.len()],
+            specimens: None,
         })
     }
 
@@ -152,24 +157,31 @@ impl<'a> Model<'a> {
     }
 
     /// The light of each frame's object behind the optics, with the effects on the emission. None for flats, darks and
-    /// unknown specimens.
+    /// unknown specimens that the state has not estimated.
     ///
     /// # Errors
     /// An object holds negative or non-finite light.
-    pub fn scenes(&self, chain: &Chain) -> Result<Vec<Option<Scene>>, ForwardError> {
-        (0..self.seen.frames.len()).into_par_iter().map(|k| self.scene(k, chain)).collect()
+    pub fn scenes(&self, state: &State) -> Result<Vec<Option<Scene>>, ForwardError> {
+        let chain = self.chain(&state.terms);
+        (0..self.seen.frames.len()).into_par_iter().map(|k| self.scene(k, state, &chain)).collect()
     }
 
-    pub(super) fn scene(&self, k: usize, chain: &Chain) -> Result<Option<Scene>, ForwardError> {
+    /// That of frame `k` under a chain of effects, which may differ from that of the state.
+    pub(super) fn scene(&self, k: usize, state: &State, chain: &Chain) -> Result<Option<Scene>, ForwardError> {
         let cx = self.context(k, None);
+        let behind = |forward: &Forward, object: &Array2<f32>| {
+            let scene = forward.scene(object.view(), chain, &cx)?;
+            Ok::<_, ForwardError>(scene.at_depth(self.depth_of(k)))
+        };
         match &self.seen.frames[k].shown {
             Shown::Object(truth) => {
-                let behind = |forward: &Forward| {
-                    let scene = forward.scene(self.seen.truths[*truth].view(), chain, &cx)?;
-                    Ok::<_, ForwardError>(scene.at_depth(self.depth_of(k)))
-                };
-                let wider = self.wider.as_ref().map(behind).transpose()?;
-                Ok(Some(Scene { light: behind(&self.forward)?, wider }))
+                let truth = &self.seen.truths[*truth];
+                let wider = self.wider.as_ref().map(|forward| behind(forward, truth)).transpose()?;
+                Ok(Some(Scene { light: behind(&self.forward, truth)?, wider }))
+            }
+            Shown::Estimated => {
+                let object = state.specimens.as_ref().and_then(|s| s.object(k));
+                object.map(|o| Ok(Scene { light: behind(&self.forward, o)?, wider: None })).transpose()
             }
             Shown::Bead(at) => {
                 let light = self.forward.point(*at, chain, &cx)?.at_depth(self.depth_of(k));
@@ -180,7 +192,7 @@ impl<'a> Model<'a> {
     }
 
     /// Depth of the object of frame `k`, um: as recorded, to the precision of a table.
-    fn depth_of(&self, k: usize) -> f64 {
+    pub(super) fn depth_of(&self, k: usize) -> f64 {
         let (z, own) = (self.seen.frames[k].info.z_um, self.forward.depth_um());
         if (z - own).abs() < SAME_DEPTH_UM { own } else { z }
     }
@@ -279,7 +291,7 @@ impl<'a> Model<'a> {
                 (sum, light, scale)
             })
             .collect();
-        alone
+        let mut predicted: Vec<Predicted> = alone
             .par_iter()
             .enumerate()
             .map(|(k, (sum_e, alone_e, scale))| {
@@ -323,7 +335,12 @@ impl<'a> Model<'a> {
                     scale: *scale,
                 }
             })
-            .collect()
+            .collect();
+        if let Some(specimens) = &state.specimens {
+            let frames = predicted.iter_mut().zip(&self.seen.frames).filter(|(_, f)| f.shown == Shown::Estimated);
+            specimens.remove(&mut frames.map(|(p, _)| &mut p.residual_dn).collect::<Vec<_>>());
+        }
+        predicted
     }
 
     /// Light of a bead's frame over the expected light, by least squares: bead frames may have been normalised one by
@@ -361,15 +378,22 @@ impl<'a> Model<'a> {
         dn
     }
 
-    /// The part of a change of the expected frame that frame `k` can show: all of it, or, for an unknown specimen, its
-    /// sharp part. A change that is mostly smooth cannot be distinguished from the specimen and gives zero.
-    pub fn visible(&self, k: usize, change: Array2<f32>) -> Array2<f32> {
-        if self.seen.frames[k].shown != Shown::Unknown {
-            return change;
+    /// Reduces changes of the expected frame `k` to what the frame can show of them: all, or, for an estimated
+    /// specimen, what no change of the specimen makes, or, for an unknown one, the sharp part. A change of the last
+    /// that is mostly smooth cannot be distinguished from the specimen and becomes zero.
+    pub fn visible(&self, k: usize, state: &State, changes: &mut [&mut Array2<f32>]) {
+        match (&self.seen.frames[k].shown, &state.specimens) {
+            (Shown::Estimated, Some(specimens)) => specimens.remove(changes),
+            (Shown::Unknown, _) => {
+                let power = |image: &Array2<f32>| image.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>();
+                for change in changes {
+                    let sharp = &**change - &smooth(change);
+                    let is_smooth = power(&sharp) < 0.5 * power(change);
+                    **change = if is_smooth { Array2::zeros(sharp.dim()) } else { sharp };
+                }
+            }
+            _ => {}
         }
-        let sharp = &change - &smooth(&change);
-        let power = |image: &Array2<f32>| image.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>();
-        if power(&sharp) < 0.5 * power(&change) { Array2::zeros(change.dim()) } else { sharp }
     }
 }
 

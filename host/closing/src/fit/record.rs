@@ -49,7 +49,7 @@ pub struct Flipped {
 /// An object holds negative or non-finite light.
 pub fn look(model: &Model<'_>, state: &State) -> Result<Vec<Seen>, ForwardError> {
     let chain = model.chain(&state.terms);
-    let scenes = model.scenes(&chain)?;
+    let scenes = model.scenes(state)?;
     let predicted = model.predict(state, &scenes);
     let noise = model.forward.noise();
     let black = noise.black_level_dn as f32;

@@ -8,6 +8,7 @@ use super::design::{Design, Misfit, Scope, nuisances};
 use super::model::Model;
 use super::scene::Scene;
 use super::solve::pseudo_inverse;
+use super::specimen::Specimens;
 use super::state::{Column, Predicted, State, Term};
 use crate::data::Shown;
 use ndarray::{Array1, Array2};
@@ -62,12 +63,16 @@ pub fn own_columns(model: &Model<'_>, state: &State) -> Vec<Column> {
     columns
 }
 
-/// Fits a state to the training cells, starting from its present values.
+/// Fits a state to the training cells, starting from its present values. Specimens that the state has not estimated are
+/// estimated first.
 ///
 /// # Errors
 /// An object holds negative or non-finite light.
-pub fn refit(model: &Model<'_>, state: State) -> Result<Fitted, ForwardError> {
-    let scenes = model.scenes(&model.chain(&state.terms))?.into();
+pub fn refit(model: &Model<'_>, mut state: State) -> Result<Fitted, ForwardError> {
+    if state.specimens.is_none() {
+        state.specimens = Specimens::of(model, &state)?;
+    }
+    let scenes = model.scenes(&state)?.into();
     refit_from(model, state, scenes)
 }
 
@@ -83,7 +88,7 @@ pub fn refit_from(model: &Model<'_>, mut state: State, scenes: Scenes) -> Result
     let mut damping = 1e-3;
     for step in 0..MOST_STEPS {
         let proposal = at.step(model, &state, &columns, damping);
-        let scenes = if emission { model.scenes(&model.chain(&proposal.terms))?.into() } else { at.scenes.clone() };
+        let scenes = if emission { model.scenes(&proposal)?.into() } else { at.scenes.clone() };
         let next = Point::of(model, &proposal, &columns, scenes)?;
         let fall = at.training.deviance - next.training.deviance;
         if fall > 0.0 {

@@ -1,9 +1,11 @@
 //! The state of a model: effects with their values, nuisance parameters, and the columns of the linearised fit.
 
+use super::specimen::Specimens;
 use super::truth::Registered;
 use ndarray::Array2;
 use ommatidia_model::bead::Slopes;
 use ommatidia_physics::effects::{Effect, EffectSetting, Kind, Param};
+use std::sync::Arc;
 
 /// An effect with its parameter values.
 #[derive(Clone)]
@@ -83,6 +85,17 @@ pub struct State {
     pub background_e: Vec<Slopes>,
     /// Where the truths lie, for each of [`crate::Observations::registrations`]; all zero: as recorded.
     pub registration: Vec<Registered>,
+    /// The specimens of frames of [`crate::data::Shown::Estimated`]; None: not estimated yet, or there are none.
+    pub specimens: Option<Arc<Specimens>>,
+}
+
+impl State {
+    /// Mean square that noise alone leaves of a pixel of a block of frame `k`, in units of its variance: one, unless the
+    /// specimen is estimated. It takes up a part of the noise of the pixels that it is estimated from, and brings noise
+    /// to those that are held out.
+    pub(crate) fn share(&self, k: usize, block: usize) -> f64 {
+        self.specimens.as_ref().map_or(1.0, |s| s.expected(k, block))
+    }
 }
 
 /// What a state predicts for one frame. All images are [sensor rows, sensor cols].

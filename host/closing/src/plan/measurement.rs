@@ -98,9 +98,10 @@ impl Measurement {
             scale: vec![1.0; stacks],
             background_e: vec![[0.0; 3]; stacks],
             registration: vec![[0.0; 4]; plan.seen.registrations.len()],
+            specimens: None,
             ..found.now.state.clone()
         };
-        let scenes: crate::fit::Scenes = simulated.scenes(&simulated.chain(&state.terms))?.into();
+        let scenes: crate::fit::Scenes = simulated.scenes(&state)?.into();
         state.scale[stacks - 1] = match plan.light {
             Light::Scale(scale) => scale,
             Light::Peak(share) => {
@@ -112,7 +113,7 @@ impl Measurement {
         let predicted = simulated.predict(&state, &scenes);
         let none = Misfit::default();
         let fitted = Fitted { state, predicted, scenes, training: none, held_out: none, known_held_out: none };
-        let of_frames = replicas(&simulated, found.instrument, &fitted.state)?.of(&simulated, &fitted);
+        let of_frames = replicas(&simulated, found.instrument, &fitted.state)?.of(&simulated, &fitted)?;
         let columns = columns(&simulated, &fitted, trials);
         let design = Design::compute(&simulated, fitted.expansion(trials), columns, &of_frames, Scope::Training)?;
         let times = if self == Self::MoreScenes { 3.0 } else { 1.0 };

@@ -121,7 +121,7 @@ fn polished(model: &Model<'_>, state: &State, own: usize) -> Result<Fitted, Forw
     let mut fit = None;
     let mut state = state.clone();
     for _ in 0..if tables.is_empty() { 1 } else { ROUNDS } {
-        let scenes: Scenes = model.scenes(&model.chain(&state.terms))?.into();
+        let scenes: Scenes = model.scenes(&state)?.into();
         for i in &tables {
             let mut without = state.clone();
             let old = without.terms.remove(*i);

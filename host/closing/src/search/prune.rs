@@ -33,7 +33,7 @@ pub(crate) fn prune(
     let mut removed = Vec::new();
     loop {
         let columns: Vec<Column> = nuisances(model).into_iter().chain(own_columns(model, &now.state)).collect();
-        let of_frames = replicas.of(model, &now);
+        let of_frames = replicas.of(model, &now)?;
         let design = Design::compute(model, now.expansion(&[]), columns.clone(), &of_frames, Scope::Training)?;
         let test = |t: usize| -> Option<Test> {
             let of_term = |c: &Column| matches!(c, Column::Own { term, .. } if *term == t);

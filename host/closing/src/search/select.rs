@@ -165,7 +165,7 @@ impl<'m, 'a> Search<'m, 'a> {
         let mut terms = tried.terms(self.model, &self.now.state, &evidence(self.model, &self.now));
         let excluded = |id: &str| self.exclude.iter().any(|e| e == id);
         terms.retain(|t| !excluded(t.id()));
-        let of_frames = self.replicas.of(self.model, &self.now);
+        let of_frames = self.replicas.of(self.model, &self.now)?;
         let mut candidates = score(self.model, &self.now, &of_frames, &terms)?;
         candidates.extend(tabled(self.model, &self.now, tried).into_iter().filter(|c| !excluded(c.term.id())));
         candidates.sort_by(|a, b| b.worth().total_cmp(&a.worth()));
@@ -222,7 +222,7 @@ impl<'m, 'a> Search<'m, 'a> {
                     self.found.push(found);
                     self.strongest_fall =
                         self.strongest_fall.max(self.now.training.deviance - it.fit.training.deviance);
-                    self.now = it.fit;
+                    self.now = with_new_specimens(self.model, it.fit)?;
                     return Ok(true);
                 }
                 Verdict::Refused(id) => refused.ids.push(id),
@@ -375,6 +375,14 @@ impl<'m, 'a> Search<'m, 'a> {
             overlap: scores.overlap(&spans[0], theta, span),
         };
         Ok(others.iter().zip(&spans[1..]).map(of).collect())
+    }
+}
+
+/// The fit with its specimens, if any, estimated again under its state.
+fn with_new_specimens(model: &Model<'_>, fit: Fitted) -> Result<Fitted, ForwardError> {
+    match fit.state.specimens {
+        None => Ok(fit),
+        Some(_) => refit(model, State { specimens: None, ..fit.state }),
     }
 }
 

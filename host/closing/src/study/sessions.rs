@@ -29,6 +29,8 @@ pub enum Holds {
     OneFrame,
     /// A video of an unknown object, and darks.
     Video,
+    /// As `Whole`; the objects are unknown.
+    Unknown,
     /// As `Whole`; truths are displaced by 0.3 object pixels.
     TruthShifted,
     /// As `Whole`; truths are turned by 0.4 degrees.
@@ -55,6 +57,7 @@ impl Holds {
             Self::DarksAndFlats => "darks-and-flats",
             Self::OneFrame => "one-frame",
             Self::Video => "video",
+            Self::Unknown => "unknown",
             Self::TruthShifted => "truth-shifted",
             Self::TruthTurned => "truth-turned",
             Self::TruthScaled => "truth-scaled",
@@ -72,6 +75,7 @@ impl Holds {
             Self::DarksAndFlats => "darks and flats alone",
             Self::OneFrame => "one known scene",
             Self::Video => "a video of the unknown, with darks",
+            Self::Unknown => "darks, flats, 8 unknown scenes",
             Self::TruthShifted => "truths displaced by 0.3 px",
             Self::TruthTurned => "truths turned by 0.4 degrees",
             Self::TruthScaled => "truths 1 % too large",
@@ -89,7 +93,7 @@ impl Holds {
     }
 
     fn has_truth(self) -> bool {
-        !matches!(self, Self::BeadsAndUnknown | Self::Video)
+        !matches!(self, Self::BeadsAndUnknown | Self::Video | Self::Unknown)
     }
 
     /// The configuration of such a session, from that of a whole one.

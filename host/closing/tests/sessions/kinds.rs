@@ -63,11 +63,28 @@ fn darks_alone_show_noise_and_have_no_figures() {
 }
 
 #[test]
-fn a_video_of_the_unknown_shows_what_follows_the_pixels_and_has_no_figures() {
+fn a_video_of_the_unknown_shows_what_no_specimen_makes() {
     let closing = with(Holds::Video, "row_noise", &[("sigma_dn", 2.0)], 804);
-    assert_eq!((closing.judged_on, names(&closing)), (JudgedOn::Nothing, vec!["row_noise"]));
-    assert!(closing.before.chi2_ndf.is_nan() && closing.after.nrmse.is_nan());
-    assert!(!is_limited(&closing, "array_shift") && !is_limited(&closing, "vignetting"));
+    assert_eq!((closing.judged_on, names(&closing)), (JudgedOn::SelfConsistency, vec!["row_noise"]));
+    // Shading of the excitation is a change of the specimen.
+    assert!(is_limited(&closing, "lens_gain") && !is_limited(&closing, "excitation_profile"));
+}
+
+#[test]
+fn nothing_is_found_in_frames_of_the_unknown_without_an_effect() {
+    let closing = with(Holds::Unknown, "array_shift", &[], 808);
+    assert_eq!((closing.judged_on, names(&closing)), (JudgedOn::SelfConsistency, vec![]));
+    assert!((0.9..1.15).contains(&closing.before.chi2_ndf), "{:?}", closing.before);
+    assert_eq!(closing.before, closing.after);
+}
+
+#[test]
+fn a_turned_array_is_found_in_frames_of_the_unknown() {
+    let closing = with(Holds::Unknown, "array_rotation", &[("angle_mrad", 7.0)], 809);
+    assert_eq!((closing.judged_on, names(&closing)), (JudgedOn::SelfConsistency, vec!["array_rotation"]));
+    let angle = closing.effects[0].params[0].value;
+    assert!((angle - 7.0).abs() < 0.5, "{angle}");
+    assert!(closing.after.chi2_ndf - 1.0 < 0.2 * (closing.before.chi2_ndf - 1.0), "{:?}", closing.after);
 }
 
 #[test]

@@ -109,6 +109,7 @@ pub(super) fn judged_on(closing: &Closing) -> &'static str {
     match closing.judged_on {
         JudgedOn::Known if closing.own_beads => "on the bead frames of the calibration itself",
         JudgedOn::Known => "on held-out data",
+        JudgedOn::SelfConsistency => "on blocks of the frames that were left out of the estimates of the specimens",
         JudgedOn::Even => "on held-out flats and darks",
         JudgedOn::Nothing => "not judged: no frame shows light that is known",
     }

@@ -94,6 +94,9 @@ pub const ALIKE: f64 = 0.5;
 pub fn held_out(c: &Closing) -> String {
     match (c.held_out_frames.len(), c.held_out_blocks) {
         (n, _) if c.judged_on == JudgedOn::Even && n > 0 => format!("{n} held-out flats and darks"),
+        (_, [n, of]) if c.judged_on == JudgedOn::SelfConsistency => {
+            format!("{n} of {of} blocks of each frame, which the specimen as the other blocks show it predicts")
+        }
         (n, _) if c.own_beads => format!("{n} bead frames that the calibration has read"),
         (1, _) => "1 held-out frame".into(),
         (n, _) if n > 1 => format!("{n} held-out frames"),

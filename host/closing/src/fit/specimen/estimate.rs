@@ -1,0 +1,46 @@
+//! Estimates unknown specimens from their frames.
+//!
+//! Richardson-Lucy with the read noise as a constant light (Snyder et al., J. Opt. Soc. Am. A 10, 1014, 1993), on the
+//! pixels of the training blocks. The estimate shapes the signatures of the effects and the weights of the pixels; no
+//! residual depends on it, since everything that a change of the specimen can make is taken out of the residuals.
+
+use super::views::{LANES, Views};
+use ndarray::Array2;
+
+/// Number of iterations: later ones fit noise.
+const ITERATIONS: usize = 25;
+
+/// Object pixels with less light on the sensor, relative to the brightest, are not estimated.
+const LEAST: f32 = 1e-3;
+
+/// Specimens that explain frames, each [object rows, object cols] >= 0. `frames_e` are the frames without their dark
+/// signal, electrons, [sensor rows, sensor cols]; `weight` is positive at the pixels that count; `floor_e2` is the
+/// variance of the read noise.
+pub(super) fn specimens(views: &Views, frames_e: &[Array2<f32>], weight: &[f32], floor_e2: f32) -> Vec<Array2<f32>> {
+    frames_e.chunks(LANES).flat_map(|group| together(views, group, weight, floor_e2)).collect()
+}
+
+fn together(views: &Views, frames_e: &[Array2<f32>], weight: &[f32], floor_e2: f32) -> Vec<Array2<f32>> {
+    let mut measured: Vec<[f32; LANES]> = vec![[0.0; LANES]; weight.len()];
+    for (lane, frame) in frames_e.iter().enumerate() {
+        measured.iter_mut().zip(frame).for_each(|(m, y)| m[lane] = (y + floor_e2).max(0.0));
+    }
+    let used: Vec<[f32; LANES]> = weight.iter().map(|w| [f32::from(u8::from(*w > 0.0)); LANES]).collect();
+    // Low-rank PSFs have small negative values; object pixels with hardly any light on the sensor stay dark.
+    let seen = views.adjoint(&used);
+    let least = seen.iter().map(|s| s[0]).fold(0.0f32, f32::max) * LEAST;
+    let mut objects: Vec<[f32; LANES]> = vec![[1.0; LANES]; views.unknowns()];
+    for _ in 0..ITERATIONS {
+        let mut ratio = views.forward(&objects);
+        for ((r, m), u) in ratio.iter_mut().zip(&measured).zip(&used) {
+            r.iter_mut().zip(m).zip(u).for_each(|((r, m), u)| *r = u * m / (r.max(0.0) + floor_e2));
+        }
+        let back = views.adjoint(&ratio);
+        for ((x, b), s) in objects.iter_mut().zip(&back).zip(&seen) {
+            x.iter_mut().zip(b).zip(s).for_each(|((x, b), s)| *x = if *s > least { *x * b.max(0.0) / s } else { 0.0 });
+        }
+    }
+    let [rows, cols] = views.object();
+    let object = |lane: usize| Array2::from_shape_fn((rows, cols), |(r, c)| objects[r * cols + c][lane]);
+    (0..frames_e.len()).map(object).collect()
+}

@@ -1,0 +1,86 @@
+//! Takes out of frames all that a change of the specimen can make.
+//!
+//! With A the optics and W weights of the pixels,
+//! ```text
+//! P v = v - A (A' W A + lambda 1)^-1 A' W v
+//! ```
+//! is zero for v = A x, up to lambda, whatever x is (variable projection: Golub & Pereyra, SIAM J. Numer. Anal. 10, 413,
+//! 1973). W is zero in held-out blocks: there, P v is what the specimen as the other pixels show it does not explain.
+//! One W serves all frames, so that one factor does: the specimen is taken out for any W; another W than the inverse
+//! variance of a frame costs a little of the evidence only.
+
+use super::views::{LANES, Views};
+use ndarray::Array2;
+use ommatidia_physics::linalg::{Cholesky32, NotPositive};
+
+/// lambda over the mean diagonal element of A' W A. What is left of a specimen has the norm `sqrt(lambda) / 2 |x|` at
+/// most, far below the noise; single precision carries the factor.
+const LAMBDA: f32 = 1e-4;
+
+/// The projection for one set of optics and weights.
+pub(crate) struct Projector {
+    views: Views,
+    /// [sensor pixels].
+    weight: Vec<f32>,
+    factor: Cholesky32,
+}
+
+impl Projector {
+    /// Factors the normal matrix. `weight` holds the weights of the pixels, [sensor pixels]; 0: not used.
+    ///
+    /// # Errors
+    /// The optics hold non-finite values, or no light.
+    pub(crate) fn of(views: Views, weight: Vec<f32>) -> Result<Self, NotPositive> {
+        let n = views.unknowns();
+        let mut normal = views.normal(&weight);
+        let trace: f64 = (0..n).map(|i| f64::from(normal[i * (n + 1)])).sum();
+        let lambda = (LAMBDA * (trace / n as f64) as f32).max(f32::MIN_POSITIVE);
+        (0..n).for_each(|i| normal[i * (n + 1)] += lambda);
+        let factor = Cholesky32::of(&normal, n)?;
+        Ok(Self { views, weight, factor })
+    }
+
+    /// Applies P to images in place, each [sensor rows, sensor cols].
+    pub(crate) fn remove(&self, images: &mut [&mut Array2<f32>]) {
+        for group in images.chunks_mut(LANES) {
+            match group.len() {
+                1 => self.together::<1>(group),
+                2..=4 => self.together::<4>(group),
+                5..=8 => self.together::<8>(group),
+                _ => self.together::<LANES>(group),
+            }
+        }
+    }
+
+    /// Applies P to at most L images at once.
+    fn together<const L: usize>(&self, images: &mut [&mut Array2<f32>]) {
+        let n = self.views.unknowns();
+        let mut frames = vec![[0.0; L]; self.weight.len()];
+        for (lane, image) in images.iter().enumerate() {
+            for ((v, pixel), w) in image.iter().zip(&mut frames).zip(&self.weight) {
+                pixel[lane] = v * w;
+            }
+        }
+        let right = self.views.adjoint(&frames);
+        let mut columns: Vec<f32> = (0..images.len()).flat_map(|lane| right.iter().map(move |v| v[lane])).collect();
+        self.factor.solve(&mut columns, images.len());
+        let mut objects = vec![[0.0; L]; n];
+        for (lane, column) in columns.chunks_exact(n).enumerate() {
+            objects.iter_mut().zip(column).for_each(|(object, v)| object[lane] = *v);
+        }
+        let light = self.views.forward(&objects);
+        for (lane, image) in images.iter_mut().enumerate() {
+            image.iter_mut().zip(&light).for_each(|(v, light)| *v -= light[lane]);
+        }
+    }
+
+    /// The optics.
+    pub(crate) fn views(&self) -> &Views {
+        &self.views
+    }
+
+    /// The weights of the pixels, [sensor pixels].
+    pub(crate) fn weight(&self) -> &[f32] {
+        &self.weight
+    }
+}

@@ -1,0 +1,174 @@
+//! The explicit optics are those of the instrument, and no change of a specimen passes the projection.
+#![allow(clippy::unwrap_used)]
+
+use super::projector::Projector;
+use super::views::Views;
+use super::*;
+use crate::data::Frame;
+use crate::evidence::Scores;
+use crate::fit::{Column, Design, Scope, Term, nuisances, refit};
+use ommatidia_model::testing::instrument;
+use ommatidia_physics::effects::{Chain, find};
+use ommatidia_session::FrameInfo;
+use rand::RngExt;
+
+const SENSOR: [usize; 2] = [48, 52];
+const OBJECT: [usize; 2] = [20, 22];
+
+fn specimen(seed: u64) -> Array2<f32> {
+    let mut rng = stream(seed, "specimen/tests", 0);
+    Array2::from_shape_fn((OBJECT[0], OBJECT[1]), |_| {
+        if rng.random::<f32>() < 0.3 { 40.0 * rng.random::<f32>() } else { 1.0 }
+    })
+}
+
+/// Four frames of unknown specimens under the terms, with the noise of the instrument.
+fn unknown(instrument: &Instrument, terms: &[Term], noisy: bool) -> Observations {
+    let n = SENSOR[0] * SENSOR[1];
+    let side = 4;
+    let block = |b: usize| {
+        let (i, j) = (b / side, b % side);
+        let rows = i * SENSOR[0] / side..(i + 1) * SENSOR[0] / side;
+        let cols = j * SENSOR[1] / side..(j + 1) * SENSOR[1] / side;
+        rows.flat_map(move |r| cols.clone().map(move |c| (r * SENSOR[1] + c) as u32)).collect::<Vec<_>>()
+    };
+    let blocks: Vec<Vec<u32>> = (0..side * side).map(block).collect();
+    let frame = |k: usize| Frame {
+        stack: 0,
+        role: ommatidia_session::Role::Scene,
+        info: FrameInfo { time_s: 0.02 * k as f64, ..FrameInfo::plain(k, 10.0) },
+        measured: Array2::zeros((SENSOR[0], SENSOR[1])),
+        cut: None,
+        shown: Shown::Object(k),
+        held_out: false,
+        previous: None,
+    };
+    let mut seen = Observations {
+        frames: (0..4).map(frame).collect(),
+        truths: (0..4).map(specimen).collect(),
+        registrations: Vec::new(),
+        pixels: blocks.concat(),
+        blocks: (0..side * side).map(|b| b * n / (side * side)..(b + 1) * n / (side * side)).collect(),
+        held_out_blocks: (0..side * side).map(|b| b == 6).collect(),
+        sensor: SENSOR,
+    };
+    let made: Vec<Array2<f32>> = {
+        let model = Model::new(instrument, &seen).unwrap();
+        let mut state = model.state(instrument).unwrap();
+        state.terms = terms.to_vec();
+        let predicted = model.predict(&state, &model.scenes(&state).unwrap());
+        let draw = |(k, p): (usize, &crate::fit::Predicted)| {
+            let mut rng = stream(5, "specimen/noise", k as u64);
+            let sigma = p.inverse_sigma.mapv(|w| if w > 0.0 && noisy { 1.0 / w } else { 0.0 });
+            &p.dn
+                + &sigma.mapv(|s| {
+                    let v: f32 = StandardNormal.sample(&mut rng);
+                    v * s
+                })
+        };
+        predicted.iter().enumerate().map(draw).collect()
+    };
+    seen.frames.iter_mut().zip(made).for_each(|(f, dn)| f.measured = dn);
+    seen.frames.iter_mut().for_each(|f| f.shown = Shown::Unknown);
+    seen.truths.clear();
+    estimate_specimens(instrument, &mut seen);
+    assert!(seen.frames.iter().all(|f| f.shown == Shown::Estimated));
+    seen
+}
+
+fn term(id: &str, values: &[(&str, f64)], lenses: usize) -> Term {
+    let effect = find(id).unwrap();
+    let value = |name: &str, off: f64| values.iter().find(|(n, _)| *n == name).map_or(off, |(_, v)| *v);
+    let params = effect.descriptor().expanded(lenses).iter().map(|(name, p)| value(name, p.off)).collect();
+    Term { effect, params, table: None, table_error: 0.0 }
+}
+
+#[test]
+fn the_explicit_optics_are_those_of_the_instrument() {
+    let instrument = instrument(OBJECT, SENSOR, 9, 3);
+    let seen = unknown(&instrument, &[], false);
+    let model = Model::new(&instrument, &seen).unwrap();
+    let moved = [term("array_shift", &[("row_px", 1.3)], 2)];
+    for terms in [&[][..], &moved] {
+        let chain = model.chain(terms);
+        let views = Views::of(&model, &chain, 0, model.window_px).unwrap();
+        let object = specimen(9);
+        let cx = model.context(0, None);
+        let scene = model.forward.scene(object.view(), &chain, &cx).unwrap();
+        let expected = model.forward.light_e(&scene, &chain, &cx);
+        let x: Vec<[f32; 1]> = object.iter().map(|v| [*v]).collect();
+        let found = views.forward(&x);
+        let norm = expected.iter().map(|v| v * v).sum::<f32>().sqrt();
+        let error = expected.iter().zip(&found).map(|(a, b)| (a - b[0]).powi(2)).sum::<f32>().sqrt();
+        assert!(error < 2e-3 * norm, "{error} of {norm}");
+        // The adjoint is the transpose.
+        let y: Vec<[f32; 1]> = (0..found.len()).map(|i| [((i * 37) % 101) as f32 / 50.0 - 1.0]).collect();
+        let dot = |a: &[[f32; 1]], b: &[[f32; 1]]| a.iter().zip(b).map(|(a, b)| f64::from(a[0] * b[0])).sum::<f64>();
+        let (left, right) = (dot(&found, &y), dot(&x, &views.adjoint(&y)));
+        assert!((left - right).abs() < 1e-4 * left.abs().max(right.abs()), "{left} {right}");
+    }
+}
+
+#[test]
+fn no_specimen_passes_and_noise_loses_what_the_specimen_takes_up() {
+    let instrument = instrument(OBJECT, SENSOR, 9, 3);
+    let seen = unknown(&instrument, &[], false);
+    let model = Model::new(&instrument, &seen).unwrap();
+    let views = Views::of(&model, &Chain::default(), 0, model.window_px).unwrap();
+    let x: Vec<[f32; 1]> = specimen(11).iter().map(|v| [*v]).collect();
+    let light = views.forward(&x);
+    let mut image = Array2::from_shape_fn((SENSOR[0], SENSOR[1]), |(r, c)| light[r * SENSOR[1] + c][0]);
+    let norm = |image: &Array2<f32>| image.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
+    let before = norm(&image);
+    let projector = Projector::of(views, vec![1.0; SENSOR[0] * SENSOR[1]]).unwrap();
+    projector.remove(&mut [&mut image]);
+    assert!(norm(&image) < 2e-3 * before, "{} of {before}", norm(&image));
+    // A projection: noise keeps a share between 1 - unknowns/pixels and 1, and a second one changes nothing more.
+    let mut rng = stream(1, "projection", 0);
+    let mut noise = Array2::from_shape_fn((SENSOR[0], SENSOR[1]), |_| {
+        let v: f32 = StandardNormal.sample(&mut rng);
+        v
+    });
+    let all = norm(&noise).powi(2);
+    projector.remove(&mut [&mut noise]);
+    let once = norm(&noise).powi(2);
+    let least = 1.0 - (OBJECT[0] * OBJECT[1]) as f64 / (SENSOR[0] * SENSOR[1]) as f64;
+    assert!(once / all > least - 0.05 && once / all < 0.99, "{} {least}", once / all);
+    projector.remove(&mut [&mut noise]);
+    assert!((norm(&noise).powi(2) / once - 1.0).abs() < 0.03);
+}
+
+#[test]
+fn a_change_of_the_specimen_is_not_testable_and_a_lens_is() {
+    let instrument = instrument(OBJECT, SENSOR, 9, 3);
+    let seen = unknown(&instrument, &[], true);
+    let model = Model::new(&instrument, &seen).unwrap();
+    let fit = refit(&model, model.state(&instrument).unwrap()).unwrap();
+    let of = |id: &str| {
+        let trial = term(id, &[], model.lenses());
+        let mut columns: Vec<Column> = nuisances(&model);
+        let given: Vec<usize> = (0..columns.len()).collect();
+        columns.extend(trial.strengths(model.lenses()).into_iter().map(|param| Column::Trial { term: 0, param }));
+        let tested: Vec<usize> = (given.len()..columns.len()).collect();
+        let trials = [trial];
+        let design = Design::compute(&model, fit.expansion(&trials), columns, &[], Scope::Training).unwrap();
+        Scores::new(&design, given).test(&tested).is_some()
+    };
+    // Shading of the excitation is a change of the object; the light of one lens beside the other is none.
+    assert!(!of("excitation_profile") && of("lens_gain"));
+}
+
+#[test]
+fn the_gain_of_a_lens_is_found_in_frames_of_the_unknown() {
+    let instrument = instrument(OBJECT, SENSOR, 9, 3);
+    let gain = term("lens_gain", &[("change_0", 0.1)], 2);
+    let seen = unknown(&instrument, std::slice::from_ref(&gain), true);
+    let model = Model::new(&instrument, &seen).unwrap();
+    let before = refit(&model, model.state(&instrument).unwrap()).unwrap();
+    let mut state = before.state.clone();
+    state.terms.push(gain.switched_off(2));
+    let after = refit(&model, state).unwrap();
+    let [a, b] = [after.state.terms[0].params[0], after.state.terms[0].params[1]];
+    assert!(((1.0 + a) / (1.0 + b) - 1.1).abs() < 0.02, "{a} {b}");
+    assert!(before.held_out.deviance - after.held_out.deviance > 10.0);
+}
