@@ -67,7 +67,10 @@ pub(crate) fn attempt(
     search.exclude.extend(lost.iter().map(|id| id.to_string()));
     search.trial_deviance = options.trial_calibration.map(|trial| held_out_deviance(trial, seen)).transpose()?;
     search.run(Tried::Catalogue, progress)?;
-    let mut dependences = omnibus::test(&model, &search.now, &replicas.of(&model, &search.now)?, seed);
+    let mut dependences = match search.found.is_empty() {
+        true => dependences_before.clone(),
+        false => omnibus::test(&model, &search.now, &replicas.of(&model, &search.now)?, seed),
+    };
     let mut rest = std::mem::take(&mut search.rest);
     if structured(&dependences) && !search.needs_calibration() {
         progress("terms without a name");

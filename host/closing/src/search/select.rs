@@ -2,16 +2,17 @@
 //! significant.
 
 use super::candidate::{Alternative, Candidate, Found, PENALTY, Shadowed};
+use super::finalists::{alike, finalists};
 use super::trials::{NEEDS_CALIBRATION, Tried, evidence};
 use crate::evidence::{Scores, TableFit, Test, holm, maps, tables};
 use crate::fit::{
     Column, Design, Fitted, Model, Replicas, Scope, State, Term, nuisances, own_columns, refit, refit_from,
-    repeats::noisy,
 };
 use ndarray::Array2;
 use ommatidia_model::forward::ForwardError;
 use ommatidia_physics::effects::Stage;
 use ommatidia_session::Role;
+use std::sync::Arc;
 
 /// Family-wise error rate: probability that an effect is significant although the model is complete (Holm).
 pub const ALPHA: f64 = 0.02;
@@ -29,10 +30,14 @@ const MOST_UNNAMED: usize = 3;
 /// A term without a name is tried only if at least this share of its squared norm is independent of the model's
 /// columns.
 const DISTINCT: f64 = 0.1;
-/// Number of the best candidates that are fitted in full.
-const FINALISTS: usize = 3;
-/// Number of effects similar to the best that are fitted in full as well.
-const LOOKALIKES: usize = 2;
+/// Of two similar effects the one with fewer parameters is named if it explains all but this share of what the other
+/// explains.
+const TRACE: f64 = 1e-3;
+/// Specimens are estimated again under fits whose deviance falls by this share of the largest fall.
+const CLOSE: f64 = 0.5;
+/// At most so many times, and until the deviance falls by less than [`SETTLED`].
+const ROUNDS: usize = 3;
+const SETTLED: f64 = 5.0;
 
 /// Scores trial terms beside a fitted state: each effect at the best of its starting values.
 ///
@@ -222,7 +227,7 @@ impl<'m, 'a> Search<'m, 'a> {
                     self.found.push(found);
                     self.strongest_fall =
                         self.strongest_fall.max(self.now.training.deviance - it.fit.training.deviance);
-                    self.now = with_new_specimens(self.model, it.fit)?;
+                    self.now = it.fit;
                     return Ok(true);
                 }
                 Verdict::Refused(id) => refused.ids.push(id),
@@ -272,6 +277,33 @@ impl<'m, 'a> Search<'m, 'a> {
         Ok(Verdict::Added(Box::new(Added { fit, candidate, gain: before - trial, behind })))
     }
 
+    /// Estimates the specimens again, if there are any, under each of the fits that explain about as much as the best.
+    /// Before, the specimens are those of a state without the effect, and what that leaves of them favours effects with
+    /// many parameters.
+    fn estimate_again(&self, fits: &mut [(&'static str, Fitted)]) -> Result<(), ForwardError> {
+        let now = &self.now;
+        let fall = |fit: &Fitted| now.training.deviance - fit.training.deviance;
+        let most = fits.iter().map(|(_, fit)| fall(fit)).fold(0.0, f64::max);
+        for (id, fit) in fits.iter_mut() {
+            let has_new = match (&fit.state.specimens, &now.state.specimens) {
+                (Some(own), Some(old)) => !Arc::ptr_eq(own, old),
+                _ => true,
+            };
+            if has_new || fall(fit) <= CLOSE * most {
+                continue;
+            }
+            for _ in 0..ROUNDS {
+                let before = fit.training.deviance;
+                *fit = refit(self.model, State { specimens: None, ..fit.state.clone() })?;
+                tracing::info!("  {id} with new specimens: deviance {:.1}", fit.training.deviance);
+                if before - fit.training.deviance < SETTLED {
+                    break;
+                }
+            }
+        }
+        Ok(())
+    }
+
     /// Fits the finalists in full, unless `fits` holds them already, and checks the best on held-out data.
     fn confirm<'c>(
         &self,
@@ -295,6 +327,7 @@ impl<'m, 'a> Search<'m, 'a> {
             tracing::info!("  fitted {:?}: deviance {:.1}", fit.state.terms.last(), fit.training.deviance);
             fits.push((c.term.id(), fit));
         }
+        self.estimate_again(fits)?;
         // The scatter between clusters and the errors of the calibration weight the full fits as they do the scores,
         // with one weight for all: an effect with many parameters must not win by fitting errors of the calibration.
         // What the best of the fits removes was scatter of the effect itself, which is no such error.
@@ -321,6 +354,21 @@ impl<'m, 'a> Search<'m, 'a> {
                 least = cost;
                 let worth = if c.table.is_some() { c.worth() } else { fall / weight(c) - price };
                 best = Some((worth, *c));
+            }
+        }
+        // A free place of each lens also fits what the calibration does not know of it: a turn of all lenses together
+        // that explains all but a trace is the simpler account.
+        if let Some((_, strongest)) = best {
+            let trace = TRACE * -least;
+            let simpler =
+                |c: &&&Candidate| c.table.is_none() && c.columns.len() < strongest.columns.len() && alike(strongest, c);
+            let cost = |c: &Candidate| costs.iter().find(|(id, _)| *id == c.term.id()).map(|(_, cost)| *cost);
+            let near = finalists.iter().filter(simpler).filter_map(|c| Some((cost(c)?, *c)));
+            let simplest = near.filter(|(cost, _)| cost - least < trace).min_by(|a, b| a.0.total_cmp(&b.0));
+            if let Some((cost, c)) = simplest {
+                least = cost;
+                let price = PENALTY * c.columns.len() as f64;
+                best = Some(((price * heaviest - cost) / weight(c) - price, c));
             }
         }
         let place = |c: &Candidate| fits.iter().position(|(id, _)| *id == c.term.id());
@@ -378,14 +426,6 @@ impl<'m, 'a> Search<'m, 'a> {
     }
 }
 
-/// The fit with its specimens, if any, estimated again under its state.
-fn with_new_specimens(model: &Model<'_>, fit: Fitted) -> Result<Fitted, ForwardError> {
-    match fit.state.specimens {
-        None => Ok(fit),
-        Some(_) => refit(model, State { specimens: None, ..fit.state }),
-    }
-}
-
 /// Result of the full fits.
 enum Verdict<'c> {
     /// The best finalist is added.
@@ -402,33 +442,6 @@ struct Added<'c> {
     gain: f64,
     /// Id of each effect that was compared, and how much larger its deviance is, over the scatter.
     behind: Vec<(&'static str, f64)>,
-}
-
-/// The candidates that are fitted in full: the best by the score test; and, since the scores of a large effect are far
-/// from linear, the one that explains most by the noise alone, the simplest of those that explain nearly as much, and
-/// the effects that the catalogue lists as similar to the best.
-fn finalists<'c>(able: &[&'c Candidate]) -> Vec<&'c Candidate> {
-    let gain = |c: &Candidate| c.test.as_ref().map_or(0.0, |t| t.gain);
-    let (top, most) = able.iter().fold((0.0, 0.0), |m: (f64, f64), c| (m.0.max(c.worth()), m.1.max(gain(c))));
-    let mut chosen: Vec<&Candidate> = able.iter().filter(|c| c.worth() > 0.5 * top).take(FINALISTS).copied().collect();
-    let open = |chosen: &[&Candidate], c: &Candidate| !chosen.iter().any(|b| b.term.id() == c.term.id());
-    chosen.extend(able.iter().filter(|c| gain(c) >= most && open(&chosen, c)).copied().collect::<Vec<_>>());
-    let mut simple: Vec<&Candidate> =
-        able.iter().filter(|c| gain(c) > 0.7 * most && open(&chosen, c)).copied().collect();
-    simple.sort_by_key(|c| c.columns.len());
-    chosen.extend(simple.into_iter().take(1));
-    // A change of the mean from one repeat to the next looks like noise, too; noise does not look like such a change.
-    let of_mean = |c: &&&Candidate| !noisy(&c.term);
-    if !chosen.iter().any(|c| of_mean(&c)) {
-        chosen.extend(able.iter().find(of_mean).copied());
-    }
-    let says = |a: &Candidate, b: &Candidate| a.term.effect.descriptor().lookalikes.iter().any(|l| l.id == b.term.id());
-    if let Some(best) = chosen.first().copied() {
-        let alike = |c: &&&Candidate| gain(c) > 0.2 * gain(best) && (says(best, c) || says(c, best));
-        let more: Vec<&Candidate> = able.iter().filter(alike).filter(|c| open(&chosen, c)).copied().collect();
-        chosen.extend(more.into_iter().take(LOOKALIKES));
-    }
-    chosen
 }
 
 /// Candidates with an estimated table.

@@ -1,0 +1,41 @@
+//! Which candidates are fitted in full.
+
+use super::candidate::Candidate;
+use crate::fit::repeats::noisy;
+
+/// Number of the best candidates that are fitted in full.
+const FINALISTS: usize = 3;
+/// Number of effects similar to the best that are fitted in full as well.
+const LOOKALIKES: usize = 2;
+
+/// The candidates that are fitted in full: the best by the score test; and, since the scores of a large effect are far
+/// from linear, the one that explains most by the noise alone, the simplest of those that explain nearly as much, and
+/// the effects that the catalogue lists as similar to the best.
+pub(super) fn finalists<'c>(able: &[&'c Candidate]) -> Vec<&'c Candidate> {
+    let gain = |c: &Candidate| c.test.as_ref().map_or(0.0, |t| t.gain);
+    let (top, most) = able.iter().fold((0.0, 0.0), |m: (f64, f64), c| (m.0.max(c.worth()), m.1.max(gain(c))));
+    let mut chosen: Vec<&Candidate> = able.iter().filter(|c| c.worth() > 0.5 * top).take(FINALISTS).copied().collect();
+    let open = |chosen: &[&Candidate], c: &Candidate| !chosen.iter().any(|b| b.term.id() == c.term.id());
+    chosen.extend(able.iter().filter(|c| gain(c) >= most && open(&chosen, c)).copied().collect::<Vec<_>>());
+    let mut simple: Vec<&Candidate> =
+        able.iter().filter(|c| gain(c) > 0.7 * most && open(&chosen, c)).copied().collect();
+    simple.sort_by_key(|c| c.columns.len());
+    chosen.extend(simple.into_iter().take(1));
+    // A change of the mean from one repeat to the next looks like noise, too; noise does not look like such a change.
+    let of_mean = |c: &&&Candidate| !noisy(&c.term);
+    if !chosen.iter().any(|c| of_mean(&c)) {
+        chosen.extend(able.iter().find(of_mean).copied());
+    }
+    if let Some(best) = chosen.first().copied() {
+        let near = |c: &&&Candidate| gain(c) > 0.2 * gain(best) && alike(best, c);
+        let more: Vec<&Candidate> = able.iter().filter(near).filter(|c| open(&chosen, c)).copied().collect();
+        chosen.extend(more.into_iter().take(LOOKALIKES));
+    }
+    chosen
+}
+
+/// Whether the catalogue lists two effects as similar.
+pub(super) fn alike(a: &Candidate, b: &Candidate) -> bool {
+    let says = |a: &Candidate, b: &Candidate| a.term.effect.descriptor().lookalikes.iter().any(|l| l.id == b.term.id());
+    says(a, b) || says(b, a)
+}
