@@ -155,7 +155,8 @@ def _make_widget():
                 maps = found["maps"]["residual_sigma"]
                 if len(maps):
                     self.viewer.add_image(maps, name="residual, sigma", colormap="twilight", contrast_limits=(-5, 5))
-                self.text.setText("\n".join([f"chi2 / pixel {found['chi2_ndf']}, NRMSE {found['nrmse']}", *found["notes"]]))
+                figures = f"chi2 / pixel {found['chi2_ndf']}, NRMSE {found['nrmse']}"
+                self.text.setText("\n".join([figures, *found["notes"], *found["warnings"]]))
 
             self._start(work, add)
 
@@ -167,11 +168,18 @@ def _make_widget():
         def _start(self, work, then):
             if self.worker is not None:
                 return
-            self.worker = create_worker(work)
+
+            def run():
+                # An error is shown beside the buttons; a worker that raises would end the program without napari.
+                try:
+                    return (yield from work()), ""
+                except Exception as error:
+                    return None, str(error)
+
+            self.worker = create_worker(run)
             self.worker.yielded.connect(self._progress)
-            self.worker.returned.connect(lambda result: self._end("", then, result))
-            self.worker.errored.connect(lambda error: self._end(str(error)))
-            self.worker.aborted.connect(lambda: self._end("stopped"))
+            self.worker.returned.connect(lambda end: self._end(*end, then))
+            self.worker.aborted.connect(lambda: self._end(None, "stopped", then))
             for button in self.buttons:
                 button.setEnabled(False)
             self.stop_button.setEnabled(True)
@@ -183,14 +191,14 @@ def _make_widget():
             self.bar.setRange(0, total)
             self.bar.setValue(done)
 
-        def _end(self, text, then=None, result=None):
+        def _end(self, result, text, then):
             self.worker = None
             for button in self.buttons:
                 button.setEnabled(True)
             self.stop_button.setEnabled(False)
             self.bar.setRange(0, 1)
             self.text.setText(text)
-            if then is not None:
+            if result is not None:
                 then(result)
 
     OmmatidiaWidget.__module__, OmmatidiaWidget.__qualname__ = __name__, "OmmatidiaWidget"

@@ -63,6 +63,8 @@ def write(
         raise ValueError("session_start_time: expected a time with its time zone, found one without")
     first, shape, frames = _first(frames)
     times = _times(timestamps_s, rate_hz)
+    if timestamps_s is not None and shape[0] is not None:
+        _same_number(timestamps_s, shape[0])
     if pixel_um is None and instrument is not None:
         pixel_um = instrument.manifest["object"]["pixel_um"]
 
@@ -93,7 +95,7 @@ def write(
         **grid,
         **rate,
     )
-    counted = _Counted(frames, first.shape, times.get("timestamps"))
+    counted = _Counted(frames, first.shape, timestamps_s)
     # About 10 MB at a time, whatever the length of the recording.
     buffer = max(1, 10_000_000 // max(1, first.size * first.itemsize))
     data = DataChunkIterator(
@@ -103,7 +105,7 @@ def write(
         name=name, description=description, data=data, unit=unit, imaging_plane=plane, **times
     )
     file.add_acquisition(series)
-    handle, unfinished = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".unfinished")
+    handle, unfinished = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".unfinished.nwb")
     os.close(handle)
     try:
         with pynwb.NWBHDF5IO(unfinished, "w") as io:
@@ -135,8 +137,13 @@ class _Counted:
             yield frame
 
     def check(self):
-        if self.timestamps is not None and len(self.timestamps) != self.count:
-            raise ValueError(f"timestamps_s: expected one a frame, found {len(self.timestamps)} for {self.count} frames")
+        if self.timestamps is not None:
+            _same_number(self.timestamps, self.count)
+
+
+def _same_number(timestamps, count):
+    if len(timestamps) != count:
+        raise ValueError(f"timestamps_s: expected one a frame, found {len(timestamps)} for {count} frames")
 
 
 def _first(frames):
