@@ -30,7 +30,9 @@ pub fn each<'py>(
     }
     if input.ndim() != 3 || input.shape()[0] == 0 {
         let found = input.shape();
-        return Err(PyValueError::new_err(format!("{what}: expected [rows, cols] or [n, rows, cols], found {found:?}")));
+        return Err(PyValueError::new_err(format!(
+            "{what}: expected [rows, cols] or [n, rows, cols], found {found:?}"
+        )));
     }
     let n = input.shape()[0];
     let mut all: Option<Bound<'py, PyArray3<f32>>> = None;

@@ -49,12 +49,7 @@ impl PyInstrument {
     }
 
     fn new(calibration: Calibration, provenance: Provenance, file: Option<PathBuf>) -> Self {
-        Self {
-            calibration: Arc::new(calibration),
-            provenance,
-            file: Mutex::new(file),
-            plans: Mutex::new(Vec::new()),
-        }
+        Self { calibration: Arc::new(calibration), provenance, file: Mutex::new(file), plans: Mutex::new(Vec::new()) }
     }
 
     /// The instrument.

@@ -72,6 +72,13 @@ impl PySimulation {
         self.simulation.plan().count
     }
 
+    /// All pairs in order.
+    fn __iter__<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        let builtins = slf.py().import("builtins")?;
+        let numbers = builtins.call_method1("range", (slf.get().__len__(),))?;
+        builtins.call_method1("map", (slf.getattr("__getitem__")?, numbers))
+    }
+
     /// Pair `i`: the frame, float32 [sensor rows, sensor cols], electrons without noise, or with `noise` whole DN; and
     /// the object, float32 [object rows, object cols], with maximum 1.
     fn __getitem__<'py>(&self, py: Python<'py>, i: isize) -> PyResult<Pair<'py>> {

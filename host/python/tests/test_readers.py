@@ -188,8 +188,11 @@ def test_napari_widget_opens_reconstructs_and_compares(lab, viewer):
 def test_the_stubs_are_true(tmp_path):
     pytest.importorskip("mypy", reason="mypy is not installed")
     (tmp_path / "mypy.ini").write_text("[mypy]\nignore_missing_imports = True\nfollow_imports = silent\n")
+    # Classes that are made when they are first used, and the order of names in the compiled part.
+    (tmp_path / "allowed").write_text(r"ommatidia\..*@\d+" + "\nommatidia._core.__all__\n")
     done = subprocess.run(
-        [sys.executable, "-m", "mypy.stubtest", "ommatidia", "--mypy-config-file", tmp_path / "mypy.ini"],
+        [sys.executable, "-m", "mypy.stubtest", "ommatidia", "--mypy-config-file", tmp_path / "mypy.ini",
+         "--allowlist", tmp_path / "allowed", "--ignore-unused-allowlist"],
         capture_output=True,
         text=True,
         cwd=tmp_path,

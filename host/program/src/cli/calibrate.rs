@@ -2,7 +2,9 @@
 
 use super::common::{Outcome, Run, any_session};
 use super::files::{Content, Files};
-use ommatidia_model::calibrate::{CalibrateConfig, Calibration, PixelReadNoise, calibrate, frames_read, provenance, response_rms};
+use ommatidia_model::calibrate::{
+    CalibrateConfig, Calibration, PixelReadNoise, calibrate, frames_read, provenance, response_rms,
+};
 use ommatidia_model::instrument::LightUnit;
 use ommatidia_network::evaluate::{Measured, measured};
 use ommatidia_physics::noise::{NoiseConfig, Source};

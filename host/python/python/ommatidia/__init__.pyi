@@ -12,6 +12,20 @@ _Session: TypeAlias = Session | _Path
 _Instrument: TypeAlias = Instrument | _Path
 
 __version__: str
+__all__ = [
+    "Instrument",
+    "Network",
+    "OmmatidiaError",
+    "Session",
+    "Simulation",
+    "Stack",
+    "__version__",
+    "close",
+    "quantize",
+    "residual",
+    "set_threads",
+    "simulate",
+]
 
 class OmmatidiaError(Exception):
     """What the program would print as an error: what is wrong, where, and what to do."""

@@ -75,7 +75,8 @@ fn succeeds(command: &mut Command) -> Result<()> {
 
 /// Runs pytest and counts its tests.
 fn counted(mut command: Command) -> Result<Counts> {
-    let mut child = command.stdout(Stdio::piped()).spawn().with_context(|| format!("{command:?} could not be started"))?;
+    let mut child =
+        command.stdout(Stdio::piped()).spawn().with_context(|| format!("{command:?} could not be started"))?;
     let mut counts = Counts::default();
     if let Some(stdout) = child.stdout.take() {
         for line in BufReader::new(stdout).lines() {
