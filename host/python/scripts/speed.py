@@ -2,9 +2,10 @@
 
     python host/python/scripts/speed.py target/release/ommatidia
 
-Both plan once and predict the same objects; the program says how long its frames took (`seconds_per_frame`), the package
-is timed with the call and its array. The ratio of a size is the median over the turns of package over program, each turn
-one after the other, so that what else the machine does befalls both. Everything runs in a temporary folder.
+Both plan once and predict the same objects. The program says how long a frame took (`seconds_per_frame`), in which it
+also reads an object and writes a frame; the package is timed with the call and its array. The ratio of a size is the
+median over turns of package over program, one after the other, so that what else the machine does befalls both.
+Everything runs in a temporary folder.
 """
 
 import argparse
@@ -56,7 +57,8 @@ def turns(program, text, frames, count):
         out, found = folder / "out.npy", []
         expected = instrument.predict(objects)  # plans
         for _ in range(count):
-            words = [program, "predict", folder / "a.instrument", folder / "objects.npy", "-o", out, "--json", "--force"]
+            words = [program, "predict", folder / "a.instrument", folder / "objects.npy", "-o", out]
+            words += ["--json", "--force"]
             printed = json.loads(subprocess.run(words, check=True, capture_output=True, text=True).stdout)
             start = time.perf_counter()
             mine = instrument.predict(objects)

@@ -72,8 +72,8 @@ pub fn residual<'py>(
     Ok(result)
 }
 
-/// Finds what an instrument lacks and writes the closed instrument, and the account beside it; gives what `close --json`
-/// prints.
+/// Finds what an instrument lacks, writes the closed instrument and the account beside it, and gives what
+/// `close --json` prints.
 #[pyfunction]
 #[pyo3(signature = (session, instrument, output, *, plan = false, normalise_beads = false, force = false, seed = 1,
                     progress = None))]

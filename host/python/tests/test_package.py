@@ -79,7 +79,8 @@ def test_predictions_take_the_options_of_the_program(instrument, objects):
     half = instrument.predict(objects[0], illumination=0.5)
     assert np.allclose(half - black, 0.5 * (plain - black), atol=1e-2)
     noisy = instrument.predict(objects[0], noise=True, seed=3)
-    assert np.array_equal(noisy, np.round(noisy)) and np.array_equal(noisy, instrument.predict(objects[0], noise=True, seed=3))
+    assert np.array_equal(noisy, np.round(noisy))
+    assert np.array_equal(noisy, instrument.predict(objects[0], noise=True, seed=3))
     assert not np.array_equal(noisy, instrument.predict(objects[0], noise=True, seed=4))
     with pytest.warns(UserWarning, match="clip at full scale"):
         instrument.predict(objects[0], illumination=1e4)

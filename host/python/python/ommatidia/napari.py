@@ -1,4 +1,4 @@
-"""napari: a reader of sessions, and a dock widget that opens, reconstructs and compares. Only the public API is used."""
+"""napari: a reader of sessions, and a dock widget that opens, reconstructs and compares, by the public API alone."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The optics of an instrument as a linear operator of other packages.
 
-The operator maps objects, in the light unit of the instrument, to light on the sensor, DN above black at the exposure of
-the calibration, without effects, pixel response, noise and clipping. Its adjoint is the exact transpose.
+The operator maps objects, in the light unit of the instrument, to light on the sensor, DN above black at the exposure
+of the calibration, without effects, pixel response, noise and clipping. Its adjoint is the exact transpose.
 """
 
 from __future__ import annotations
