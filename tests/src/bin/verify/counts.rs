@@ -34,7 +34,7 @@ impl Counts {
     pub fn add_pytest_line(&mut self, line: &str) {
         let line = line.trim_matches(['=', ' ']);
         let Some((counts, time)) = line.rsplit_once(" in ") else { return };
-        if !time.split([' ', 's']).next().is_some_and(|seconds| seconds.parse::<f64>().is_ok()) {
+        if time.split([' ', 's']).next().is_none_or(|seconds| seconds.parse::<f64>().is_err()) {
             return;
         }
         for part in counts.split(", ") {
