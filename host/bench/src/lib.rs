@@ -56,6 +56,7 @@ pub use drawn::MeasuredPsfs;
 pub use error::BenchError;
 pub use family::config::{FamilyName, KernelsConfig, RelayConfig, StackOf};
 pub use instrument::{Summary, VirtualInstrument};
+pub use measure::virtual_session;
 pub use open::open_session;
 
 #[cfg(test)]

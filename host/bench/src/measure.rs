@@ -4,9 +4,16 @@ use super::error::BenchError;
 use super::instrument::{Draw, Summary, VirtualInstrument};
 use super::stacks::CALIBRATION_ROLES;
 use super::truth::{BenchTruth, TRUTH_FILE};
-use ommatidia_session::{Existing, Role, SessionWriter};
+use ommatidia_session::{Existing, MANIFEST, Role, SessionWriter};
 use std::collections::BTreeMap;
 use std::path::Path;
+
+/// Whether a file of this name belongs to a session of the virtual instrument: nothing else may be lost with its folder.
+pub fn virtual_session(name: &str) -> bool {
+    let of_stack = |name: &str| ["dark", "flat", "bead", "scene"].iter().any(|role| name.starts_with(role));
+    let (_, suffix) = name.rsplit_once('.').unwrap_or(("", ""));
+    name == MANIFEST || name == TRUTH_FILE || (of_stack(name) && matches!(suffix, "npy" | "tif" | "csv"))
+}
 
 impl VirtualInstrument {
     /// Number of frames of a whole session.

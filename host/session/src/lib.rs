@@ -43,7 +43,9 @@
 pub mod artifact;
 mod cut;
 mod error;
+pub mod files;
 pub mod kind;
+mod lock;
 mod manifest;
 mod open;
 mod remedy;
@@ -59,7 +61,7 @@ pub use cut::Cut;
 pub use error::SessionError;
 pub use manifest::{ArrayGeometry, MANIFEST, Manifest, ObjectGrid, Optics, Role, SensorSpec, StackEntry};
 pub use open::{ComputedStack, Session, Stack, TruthReader};
-pub use remedy::remedy;
+pub use remedy::{causes, remedy};
 pub use stack::{ComputedFrames, FrameReader, FrameWriter, Recording, SampleType, StackScale, StackSpec};
 pub use table::FrameInfo;
 pub use write::{Existing, SessionWriter};

@@ -181,6 +181,18 @@ pub struct Closing {
     pub notes: Vec<String>,
 }
 
+impl Closing {
+    /// The figures that `residual` prints as JSON, without a search for effects.
+    pub fn residual_figures(&self) -> serde_json::Value {
+        serde_json::json!({
+            "chi2_ndf": self.before.chi2_ndf, "nrmse": self.before.nrmse, "pcc": self.before.pcc,
+            "held_out_frames": self.held_out_frames, "faults": self.faults, "dependences": self.dependences_before,
+            "structured": self.catalogue_incomplete, "calibrated_on": self.calibrated_on,
+            "own_beads": self.own_beads, "registrations": self.registrations, "notes": self.notes,
+        })
+    }
+}
+
 /// The account: the result with residual maps.
 #[derive(Clone, Debug)]
 pub struct Account {

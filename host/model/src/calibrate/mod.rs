@@ -30,5 +30,5 @@ mod sensor_only;
 mod session;
 
 pub use error::CalibrateError;
-pub use figures::{PixelReadNoise, frames_read, response_rms};
+pub use figures::{PixelReadNoise, frames_read, provenance, response_rms};
 pub use session::{CalibrateConfig, Calibration, calibrate};

@@ -234,4 +234,11 @@ impl Simulation {
         }
         Ok((object, frame))
     }
+
+    /// Frame `i` with noise as the sensor would deliver it, whole DN, of its noise-free electrons as [`Self::pair`]
+    /// gives them. The same number gives the same draws.
+    pub fn drawn_dn(&self, i: usize, frame_e: Array2<f32>) -> Array2<f32> {
+        let mut rng = rng::stream(self.plan.provenance.seed, "simulate/noise", i as u64);
+        self.forward.draw_dn(frame_e, &self.forward.context(), &mut rng)
+    }
 }

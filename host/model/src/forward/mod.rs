@@ -27,12 +27,14 @@
 //! ```
 
 mod error;
+mod foci;
 mod predict;
 mod scene_light;
 mod sensor_maps;
 mod warp;
 
 pub use error::ForwardError;
+pub use foci::Foci;
 pub use predict::{Depth, PredictError, PredictRequest, Predicted, Predictor};
 pub use scene_light::SceneLight;
 

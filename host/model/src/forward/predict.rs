@@ -7,6 +7,7 @@ use crate::slopes::{Slopes, slope_value};
 use ndarray::{Array2, ArrayView2};
 use ommatidia_physics::effects::FrameContext;
 use ommatidia_session::rng;
+use std::sync::Arc;
 use thiserror::Error;
 
 /// What to predict.
@@ -101,7 +102,7 @@ pub enum PredictError {
 /// ```
 #[derive(Clone, Debug)]
 pub struct Predictor {
-    forward: Forward,
+    forward: Arc<Forward>,
     request: PredictRequest,
 }
 
@@ -123,13 +124,27 @@ impl Predictor {
             Depth::Focus | Depth::Um(_) => instrument.psf.depth_nearest(0.0),
         };
         let forward = Forward::with_config(&instrument, OperatorConfig { depth, ..OperatorConfig::default() })?;
-        let exposure_ms = request.exposure_ms.unwrap_or(forward.context().exposure_ms);
+        Self { forward: Arc::new(forward), request }.with(request)
+    }
+
+    /// Predictions with other settings, at the same depth whatever the request says: the plan is shared.
+    ///
+    /// # Errors
+    /// Exposure or illumination is invalid.
+    pub fn with(&self, request: PredictRequest) -> Result<Self, PredictError> {
+        let exposure_ms = request.exposure_ms.unwrap_or(self.forward.context().exposure_ms);
         for (option, found) in [("--exposure-ms", exposure_ms), ("--illumination", request.illumination)] {
             if !(found.is_finite() && found >= 0.0) {
                 return Err(PredictError::Level { option, found });
             }
         }
-        Ok(Self { forward, request })
+        let request = PredictRequest { depth: self.request.depth, ..request };
+        Ok(Self { forward: Arc::clone(&self.forward), request })
+    }
+
+    /// The forward model that is planned.
+    pub fn forward(&self) -> &Forward {
+        &self.forward
     }
 
     /// Rows and columns of each input: objects, or frames for the transpose.

@@ -100,6 +100,11 @@ impl Instrument {
         Some(1 + errors.iter().position(|e| f64::from(*e) <= self.quality.approximation_error)?)
     }
 
+    /// Number of basis PSFs a lens.
+    pub fn rank(&self) -> usize {
+        self.psf.basis.len_of(Axis(1))
+    }
+
     /// Whether only the sensor was calibrated: there was no bead scan, and the optics are the identity.
     pub fn sensor_only(&self) -> bool {
         self.diagnostics.positions_px.is_empty() && self.psf.basis.len_of(Axis(1)) == 1

@@ -33,4 +33,4 @@ pub use codes::sensor_codes;
 pub use error::{FrameError, MapShapeError};
 pub use input::FrameInput;
 pub use maps::SensorMaps;
-pub use watch::{FrameRange, FrameWatch, Oddity, Scaled};
+pub use watch::{FrameRange, FrameWatch, Oddity, Scaled, odd_scenes};

@@ -5,6 +5,7 @@
 //! that is read off the frame itself, or a share that defect pixels do not reach.
 
 use ndarray::{Array2, ArrayView2};
+use ommatidia_session::{Role, Session, SessionError};
 use std::fmt;
 use std::path::Path;
 
@@ -206,6 +207,22 @@ impl FrameWatch {
         };
         Some(format!("{}: frame {frame}{others}: {}", path.display(), Words(self.range, oddity)))
     }
+}
+
+/// Warnings for the scenes of a session whose frames do not fit what is known of the sensor, one a stack.
+///
+/// # Errors
+/// A frame cannot be read.
+pub fn odd_scenes(session: &Session, range: FrameRange) -> Result<Vec<String>, SessionError> {
+    let mut warnings = Vec::new();
+    for stack in session.stacks_of(Role::Scene) {
+        let (mut frames, mut watch) = (stack.frames()?, FrameWatch::new(range));
+        for i in 0..frames.len() {
+            watch.see(i, frames.read(i)?.view());
+        }
+        warnings.extend(watch.warning(&stack.path()));
+    }
+    Ok(warnings)
 }
 
 /// An oddity in words.

@@ -1,8 +1,8 @@
 //! `bench`: the virtual instrument measures a session.
 
 use super::common::{Outcome, Run};
-use super::files::{Content, Files, virtual_session};
-use ommatidia_bench::{BenchConfig, FamilyName, MeasuredPsfs, StackOf};
+use super::files::{Content, Files};
+use ommatidia_bench::{BenchConfig, FamilyName, MeasuredPsfs, StackOf, virtual_session};
 use ommatidia_network::evaluate::resolution;
 use ommatidia_physics::effects::EffectSetting;
 use std::path::PathBuf;

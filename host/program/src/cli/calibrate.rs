@@ -2,13 +2,13 @@
 
 use super::common::{Outcome, Run, any_session};
 use super::files::{Content, Files};
-use ommatidia_model::calibrate::{CalibrateConfig, Calibration, PixelReadNoise, calibrate, frames_read, response_rms};
-use ommatidia_model::instrument::{Instrument, LightUnit};
+use ommatidia_model::calibrate::{
+    CalibrateConfig, Calibration, PixelReadNoise, calibrate, frames_read, provenance, response_rms,
+};
+use ommatidia_model::instrument::LightUnit;
 use ommatidia_network::evaluate::{Measured, measured};
 use ommatidia_physics::noise::{NoiseConfig, Source};
 use ommatidia_report::bytes;
-use ommatidia_session::Stack;
-use ommatidia_session::artifact::Provenance;
 use serde_json::json;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -85,77 +85,14 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     for note in &calibration.notes {
         tracing::warn!("{note}");
     }
-    let inputs = if session.is_computed() {
-        vec![args.session.clone()]
-    } else {
-        std::iter::once(session.manifest_path()).chain(session.stacks().iter().map(Stack::path)).collect()
-    };
-    let provenance = Provenance::new("calibrate", run.seed, &config);
-    let provenance = inputs.iter().try_fold(provenance, |p, input| p.with_input(input))?;
+    let provenance = provenance(&session, &config, run.seed)?;
     calibration.instrument.write(&args.output, provenance)?;
-    let mut json = figures(&calibration);
+    let mut json = calibration.figures();
     (json["seconds"], json["peak_bytes"]) = (json!(seconds), json!(peak_bytes));
     let mut text = table(args, &calibration);
     // Writing to a string cannot fail.
     let _ = writeln!(text, "{:.0} s, at most {}", seconds, peak_bytes.map_or("unknown memory".into(), bytes));
     Ok(Outcome { json, text })
-}
-
-fn figures(calibration: &Calibration) -> serde_json::Value {
-    let i = &calibration.instrument;
-    let cols = i.manifest.array.cols.max(1);
-    let anchors: Vec<Vec<[f64; 2]>> = i.geometry.anchors_px.chunks(cols).map(<[_]>::to_vec).collect();
-    json!({
-        "gain_dn_per_e": i.noise.gain_dn_per_e,
-        "gain_sigma_dn_per_e": i.noise.gain_sigma,
-        "read_noise_e": i.noise.read_noise_e,
-        "read_noise_sigma_e": i.noise.read_noise_sigma,
-        "black_level_dn": i.noise.black_level_dn,
-        "noise_sources": i.noise.sources,
-        "rank": rank(i),
-        "window_px": i.manifest.optics.psf_window_px,
-        "replicates": i.replicates.len(),
-        "response_rms": response_rms(i),
-        "pixel_read_noise_e": PixelReadNoise::of(i)
-            .map(|n| json!({ "median": n.median_e, "p99": n.p99_e, "max": n.max_e })),
-        "depths_um": i.psf.node_depths_um,
-        "sensor_only": i.sensor_only(),
-        "approximation_error": i.quality.approximation_error,
-        "whole_array_rank": i.whole_array_rank(),
-        "error_by_rank": by_rank(i),
-        "off_grid_error": i.quality.off_grid_error,
-        "one_psf_error": i.quality.one_psf_error,
-        "noise_floor": i.quality.noise_floor,
-        "anchors_px": anchors,
-        "magnification": i.geometry.magnification,
-        "chief_ray_rms_px": i.quality.chief_ray_rms_px,
-        "dead_lenses": dead(i),
-        "background": i.quality.background.map(|b| json!({
-            "level_e": b.mean_e[0], "rows_e": b.mean_e[1], "cols_e": b.mean_e[2],
-            "level_sigma_e": b.sigma_e[0], "rows_sigma_e": b.sigma_e[1], "cols_sigma_e": b.sigma_e[2],
-            "scatter_e": b.scatter_e, "significant": b.is_seen(), "tail_e": b.tail_e,
-        })),
-        "light_unit": i.light_unit,
-        "notes": calibration.notes,
-    })
-}
-
-/// Errors against the rank: on the scan, all lenses decomposed together, on positions left out.
-fn by_rank(i: &Instrument) -> Vec<serde_json::Value> {
-    let d = &i.diagnostics;
-    let row = |(k, row): (usize, ndarray::ArrayView1<'_, f32>)| {
-        json!({ "rank": row[0], "scan": row[1],
-        "whole_array": d.whole_array_error.get(k), "held_out": row[2] })
-    };
-    d.error_by_rank.outer_iter().enumerate().map(row).collect()
-}
-
-fn rank(i: &Instrument) -> usize {
-    i.psf.basis.dim().1
-}
-
-fn dead(i: &Instrument) -> Vec<usize> {
-    (0..i.geometry.dead.len()).filter(|l| i.geometry.dead[*l]).collect()
 }
 
 fn table(args: &Args, calibration: &Calibration) -> String {
@@ -209,7 +146,7 @@ fn table(args: &Args, calibration: &Calibration) -> String {
         (_, Some(_)) => "as asked",
         _ => "smallest held-out error",
     };
-    line("rank", rank(i).to_string(), why);
+    line("rank", i.rank().to_string(), why);
     if i.psf.node_depths_um.len() > 1 {
         let depths: Vec<String> = i.psf.node_depths_um.iter().map(ToString::to_string).collect();
         line("depths", depths.join(", "), "um");

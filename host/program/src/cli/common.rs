@@ -3,8 +3,8 @@
 use anyhow::Context;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use ommatidia_physics::sensor::{FrameRange, FrameWatch};
-use ommatidia_session::{MANIFEST, Role, Session, remedy};
+use ommatidia_physics::sensor::{self, FrameRange};
+use ommatidia_session::{MANIFEST, Session, causes};
 use std::io::{ErrorKind, IsTerminal, Write};
 use std::path::Path;
 use std::process::ExitCode;
@@ -152,21 +152,12 @@ pub(super) fn any_session(path: &Path, seed: u64) -> anyhow::Result<Session> {
     Ok(ommatidia_bench::open_session(path, seed)?)
 }
 
-/// Warnings for the scenes of a session whose frames do not fit what is known of the sensor.
+/// Warns of scenes whose frames do not fit what is known of the sensor.
 ///
 /// # Errors
 /// A frame cannot be read.
 pub(super) fn odd_scenes(session: &Session, range: Option<FrameRange>) -> anyhow::Result<Vec<String>> {
-    let mut warnings = Vec::new();
-    for stack in session.stacks_of(Role::Scene) {
-        let Some(range) = range else { break };
-        let (mut frames, mut watch) = (stack.frames()?, FrameWatch::new(range));
-        for i in 0..frames.len() {
-            watch.see(i, frames.read(i)?.view());
-        }
-        warnings.extend(watch.warning(&stack.path()));
-    }
-    Ok(warn(warnings))
+    Ok(warn(range.map(|range| sensor::odd_scenes(session, range)).transpose()?.unwrap_or_default()))
 }
 
 /// The result of a verb: its figures for programs, and for people.
@@ -202,7 +193,7 @@ pub(super) fn finish(run: &Run, result: anyhow::Result<Outcome>) -> ExitCode {
         }
         Err(error) => error,
     };
-    let causes = causes(&error);
+    let causes = causes(error.as_ref());
     if run.json {
         let findings = error.downcast_ref::<Findings>().map(|findings| findings.json.clone());
         let json = findings.unwrap_or_else(|| json_error(&causes[0], &causes[1..]));
@@ -227,45 +218,11 @@ pub(super) fn print(bytes: &[u8]) -> std::io::Result<()> {
     }
 }
 
-/// The error and its causes; a cause whose text the one before already holds is left out. What to do about an error of
-/// the operating system follows, where the text does not say it. Never empty.
-fn causes(error: &anyhow::Error) -> Vec<String> {
-    let mut lines: Vec<String> = Vec::new();
-    for cause in error.chain().map(ToString::to_string) {
-        if lines.last().is_none_or(|last| !last.contains(&cause)) {
-            lines.push(cause);
-        }
-    }
-    let system = error.chain().find_map(|cause| cause.downcast_ref::<std::io::Error>());
-    // Of other errors it is not known here whether they are of a file.
-    let of_files = |e: &&std::io::Error| {
-        use ErrorKind::{FileTooLarge, QuotaExceeded, ReadOnlyFilesystem, StorageFull};
-        matches!(e.kind(), FileTooLarge | QuotaExceeded | ReadOnlyFilesystem | StorageFull)
-    };
-    if let (Some(system), Some(last)) = (system.filter(of_files), lines.last_mut()) {
-        let remedy = remedy(system);
-        if !error.chain().any(|cause| cause.to_string().contains(remedy)) {
-            *last = format!("{last}; {remedy}");
-        }
-    }
-    lines
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use clap::{CommandFactory, Parser};
-
-    #[test]
-    fn a_cause_is_printed_once() {
-        let inner = std::io::Error::other("disk full");
-        let error = anyhow::Error::new(inner).context("a.npy: disk full").context("no reconstruction was written");
-        assert_eq!(causes(&error), ["no reconstruction was written", "a.npy: disk full"]);
-        let error = anyhow::Error::new(std::io::Error::from_raw_os_error(28)).context("a.npy");
-        let found = causes(&error);
-        assert!(found[0] == "a.npy" && found[1].contains("the disk is full: make room"), "{found:?}");
-    }
 
     #[test]
     fn the_command_line_is_sound_and_every_verb_has_an_example() {

@@ -10,12 +10,10 @@ mod demo;
 mod device;
 mod erf;
 mod evaluate;
-mod files;
 mod hidden;
 mod import_pth;
 mod inspect;
 mod interrupt;
-mod lock;
 mod manual;
 mod predict;
 mod quantize;
@@ -30,7 +28,7 @@ mod train;
 
 pub use common::{Outcome, Run};
 
-use files::Files;
+use ommatidia_session::files::{self, Files};
 
 use clap::{CommandFactory, Parser, Subcommand};
 

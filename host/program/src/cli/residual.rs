@@ -79,12 +79,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     for d in &c.dependences_before {
         let _ = writeln!(text, "{:<40} {:>10.1} {:>10.1} {:>8.1}", d.covariate.words(), d.chi2, d.expected, d.z);
     }
-    let json = serde_json::json!({
-        "chi2_ndf": c.before.chi2_ndf, "nrmse": c.before.nrmse, "pcc": c.before.pcc,
-        "held_out_frames": c.held_out_frames, "faults": c.faults, "dependences": c.dependences_before,
-        "structured": c.catalogue_incomplete, "calibrated_on": c.calibrated_on, "own_beads": c.own_beads,
-        "registrations": c.registrations,
-        "notes": c.notes, "warnings": warnings,
-    });
+    let mut json = c.residual_figures();
+    json["warnings"] = warnings.into();
     Ok(Outcome { json, text })
 }

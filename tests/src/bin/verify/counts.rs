@@ -30,6 +30,25 @@ impl Counts {
         *self += Self { passed: count("passed"), failed: count("failed"), skipped: count("ignored") };
     }
 
+    /// Adds the counts of pytest's last line, `1 failed, 12 passed, 3 skipped in 2.1s`.
+    pub fn add_pytest_line(&mut self, line: &str) {
+        let line = line.trim_matches(['=', ' ']);
+        let Some((counts, time)) = line.rsplit_once(" in ") else { return };
+        if time.split([' ', 's']).next().is_none_or(|seconds| seconds.parse::<f64>().is_err()) {
+            return;
+        }
+        for part in counts.split(", ") {
+            let Some((count, what)) = part.split_once(' ') else { return };
+            let Ok(count) = count.parse::<u64>() else { return };
+            match what {
+                "passed" => self.passed += count,
+                "failed" | "error" | "errors" => self.failed += count,
+                "skipped" => self.skipped += count,
+                _ => {}
+            }
+        }
+    }
+
     /// Moves `n` tests that returned early, and said so, from passed to skipped.
     pub fn skip(&mut self, n: u64) {
         self.passed = self.passed.saturating_sub(n);
@@ -65,5 +84,15 @@ mod tests {
         assert_eq!(counts, Counts { passed: 12, failed: 3, skipped: 1 });
         counts.skip(2);
         assert_eq!(counts.to_string(), "10 passed, 3 failed, 3 skipped");
+    }
+
+    #[test]
+    fn the_last_line_of_pytest_is_counted_and_any_other_is_not() {
+        let mut counts = Counts::default();
+        counts.add_pytest_line("SKIPPED [2] test_readers.py:10: torch is not installed in this environment");
+        counts.add_pytest_line("1 failed, 12 passed, 3 skipped, 2 warnings, 1 error in 72.10s (0:01:12)");
+        assert_eq!(counts, Counts { passed: 12, failed: 2, skipped: 3 });
+        counts.add_pytest_line("===== 4 passed in 0.50s =====");
+        assert_eq!(counts.passed, 16);
     }
 }

@@ -1,7 +1,7 @@
 //! The steps of `cargo verify`, cheapest first.
 
 use crate::counts::Counts;
-use crate::toolchain;
+use crate::{python, toolchain};
 use anyhow::{Context, Result};
 use ommatidia_shared::boards::{BOARDS, NUCLEO_H743ZI};
 use std::io::{BufRead, BufReader};
@@ -30,6 +30,7 @@ pub fn all() -> Vec<Step> {
         step("shared on other cores", other_cores),
         step("tests of shared on AArch64, emulated", aarch64_tests),
         step("all tests", || tests(&["--release", "--workspace"])),
+        step("Python package", python::package),
         step("hostile input", hostile_input),
         step("hostile input, 32-bit program", narrow_hostile_input),
         step("lints", || check(cargo(["clippy", "--release", "--workspace", "--all-targets", "--", "-D", "warnings"]))),

@@ -171,7 +171,8 @@ fn has_target(target: &str) -> bool {
         .is_ok_and(|o| String::from_utf8_lossy(&o.stdout).lines().any(|l| l.trim() == target))
 }
 
-fn apt_install(packages: &[&str]) -> bool {
+/// Installs Debian's packages, where this is Debian and may be changed.
+pub fn apt_install(packages: &[&str]) -> bool {
     let mut install = vec!["install", "-y", "--no-install-recommends"];
     install.extend(packages);
     run("apt-get", &["update"]) && run("apt-get", &install)

@@ -7,11 +7,12 @@
 //!
 //! Every verb lists its files ([`Files`]); [`Files::hold`] checks the rule before the verb begins its work.
 
-use super::lock::Lock;
+pub use super::lock::Lock;
+
+use super::MANIFEST;
+use super::artifact::folder_of;
+use super::kind::FileKind;
 use anyhow::{Context, bail};
-use ommatidia_session::MANIFEST;
-use ommatidia_session::artifact::folder_of;
-use ommatidia_session::kind::FileKind;
 use same_file::is_same_file;
 use std::path::{Path, PathBuf};
 
@@ -150,7 +151,7 @@ impl Files {
     }
 
     /// The outputs, and how to go on after a run was stopped.
-    pub(super) fn advice(&self) -> (Vec<PathBuf>, &'static str) {
+    pub fn advice(&self) -> (Vec<PathBuf>, &'static str) {
         let outputs = self.writes.iter().map(|output| output.path.clone()).collect();
         (outputs, self.after_stop.unwrap_or("no output was changed: run the same command again"))
     }
@@ -251,13 +252,4 @@ fn lies_in(path: &Path, folder: &Path) -> bool {
         (Ok(path), Ok(folder)) => folder.is_dir() && path != folder && path.starts_with(&folder),
         _ => false,
     }
-}
-
-/// The names of the files of a session of the virtual instrument: nothing else may be lost with its folder.
-pub fn virtual_session(name: &str) -> bool {
-    let of_stack = |name: &str| ["dark", "flat", "bead", "scene"].iter().any(|role| name.starts_with(role));
-    let (_, suffix) = name.rsplit_once('.').unwrap_or(("", ""));
-    name == MANIFEST
-        || name == ommatidia_bench::truth::TRUTH_FILE
-        || (of_stack(name) && matches!(suffix, "npy" | "tif" | "csv"))
 }

@@ -1,8 +1,8 @@
 //! One run at a time writes a file or folder.
 
+use super::artifact::{folder_of, remove_leftovers};
+use super::remedy::remedy;
 use anyhow::{Context, bail};
-use ommatidia_session::artifact::{folder_of, remove_leftovers};
-use ommatidia_session::remedy;
 use same_file::Handle;
 use std::fs::{File, OpenOptions, TryLockError};
 use std::path::{Path, PathBuf};
