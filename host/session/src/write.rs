@@ -86,6 +86,11 @@ impl SessionWriter {
         std::fs::write(&path, bytes).map_err(|e| SessionError::io(&self.target.join(name), e))
     }
 
+    /// Sets the bits of the converter, where they are known only after all frames were seen.
+    pub fn set_bit_depth(&mut self, bits: u32) {
+        self.manifest.sensor.bit_depth = bits;
+    }
+
     /// Adds a stack to the manifest.
     pub fn add(&mut self, entry: StackEntry) {
         self.manifest.stacks.push(entry);

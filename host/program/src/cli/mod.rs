@@ -12,6 +12,7 @@ mod erf;
 mod evaluate;
 mod files;
 mod hidden;
+mod import;
 mod import_pth;
 mod inspect;
 mod interrupt;
@@ -54,6 +55,9 @@ enum Verb {
     /// Measure a session with the virtual instrument: darks, flats, a bead scan, scenes of known truth
     #[command(after_help = "Example:\n  ommatidia bench session --frames 12 --seed 7")]
     Bench(bench::Args),
+    /// Make a session of recordings: folders of a UCLA Miniscope, numbered TIFFs or AVIs, single files
+    #[command(after_help = "Example:\n  ommatidia import recording/ -o session")]
+    Import(import::Args),
     /// Check a session before it is calibrated: axes, order and units of the table, single positions, array, bit depth,
     /// saturation, black level, light levels, drift
     #[command(after_help = "Example:\n  ommatidia check session -o check.png")]
@@ -143,6 +147,7 @@ impl Cli {
         match &self.verb {
             Verb::Demo(a) => a.files(),
             Verb::Bench(a) => a.files(),
+            Verb::Import(a) => a.files(),
             Verb::Check(a) => a.files(),
             Verb::Calibrate(a) => a.files(),
             Verb::Residual(a) => a.files(),
@@ -174,6 +179,7 @@ impl Cli {
         match &self.verb {
             Verb::Demo(a) => demo::run(a, run, Self::execute),
             Verb::Bench(a) => bench::run(a, run),
+            Verb::Import(a) => import::run(a, run),
             Verb::Check(a) => check::run(a, run),
             Verb::Calibrate(a) => calibrate::run(a, run),
             Verb::Residual(a) => residual::run(a, run),

@@ -71,6 +71,7 @@ pub(super) struct Shape {
 pub(super) enum Container {
     Npy,
     Tif,
+    Avi,
 }
 
 impl Container {
@@ -79,10 +80,11 @@ impl Container {
         match suffix.as_str() {
             "npy" => Ok(Self::Npy),
             "tif" | "tiff" => Ok(Self::Tif),
+            "avi" => Ok(Self::Avi),
             _ => Err(SessionError::value(
                 path,
                 "suffix",
-                ".npy, .tif or .tiff",
+                ".npy, .tif, .tiff or .avi",
                 if suffix.is_empty() { "none".into() } else { format!(".{suffix}") },
                 "rename the file, or convert the stack to one of these formats",
             )),

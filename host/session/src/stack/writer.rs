@@ -71,6 +71,9 @@ impl FrameWriter {
             Container::Npy => Sink::Npy(npy_header(out, &spec).map_err(io)?),
             Container::Tif if bytes < TIFF_BYTES => Sink::Tif(TiffEncoder::new(out).map_err(tif)?),
             Container::Tif => Sink::BigTif(TiffEncoder::new_big(out).map_err(tif)?),
+            Container::Avi => {
+                return Err(SessionError::value(shown, "suffix", ".npy, .tif or .tiff", ".avi", "choose another name"));
+            }
         };
         Ok(Self { path: path.into(), shown: shown.into(), spec, interval_s: None, file, sink, pushed: 0 })
     }
