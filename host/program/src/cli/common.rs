@@ -52,6 +52,15 @@ pub(super) fn positive(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|v: &f64| v.is_finite() && *v > 0.0).ok_or_else(|| "expected a number above 0".into())
 }
 
+/// Parses yes or no.
+pub(super) fn yes_or_no(text: &str) -> Result<bool, String> {
+    match text {
+        "yes" | "true" => Ok(true),
+        "no" | "false" => Ok(false),
+        _ => Err("expected yes or no".into()),
+    }
+}
+
 /// Parses a share above 0, at most 1.
 pub(super) fn part(text: &str) -> Result<f64, String> {
     match text.parse() {

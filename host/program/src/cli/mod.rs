@@ -25,6 +25,7 @@ mod report;
 mod residual;
 mod resolution;
 mod retrain;
+mod shard;
 mod simulate;
 mod study;
 mod train;

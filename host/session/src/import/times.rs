@@ -121,6 +121,11 @@ impl Times {
         times
     }
 
+    /// The times of frames of which each has one, s.
+    pub fn of_frames(time_s: &[f64]) -> Self {
+        Self::of(time_s, &[], time_s.len(), None)
+    }
+
     /// Finds the median interval, gaps, and times that do not grow.
     fn judge(&mut self) {
         let steps: Vec<f64> = self.time_s.windows(2).map(|w| w[1] - w[0]).collect();

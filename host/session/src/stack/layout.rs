@@ -72,6 +72,8 @@ pub(super) enum Container {
     Npy,
     Tif,
     Avi,
+    Mp4,
+    Zarr,
 }
 
 impl Container {
@@ -81,6 +83,8 @@ impl Container {
             "npy" => Ok(Self::Npy),
             "tif" | "tiff" => Ok(Self::Tif),
             "avi" => Ok(Self::Avi),
+            "mp4" => Ok(Self::Mp4),
+            "zarr" => Ok(Self::Zarr),
             _ => Err(SessionError::value(
                 path,
                 "suffix",

@@ -26,8 +26,10 @@ mod reader;
 mod recording;
 mod series;
 mod tif;
+mod video;
 mod whole;
 mod writer;
+mod zarr;
 
 pub use layout::{SampleType, StackScale, StackSpec};
 pub use reader::{ComputedFrames, FrameReader};
@@ -35,3 +37,6 @@ pub use recording::Recording;
 pub use series::Part;
 pub use whole::{read, write};
 pub use writer::FrameWriter;
+
+/// Name of the file by which a folder written as .zarr is recognised.
+pub const ZARR_METADATA: &str = zarr::METADATA;

@@ -66,6 +66,11 @@ impl FrameReader {
                 Container::Npy => npy::NpySource::open(path).map(|(shape, s)| (shape, Source::Npy(s)))?,
                 Container::Tif => tif::TifSource::open(path).map(|(shape, s)| (shape, Source::Tif(Box::new(s))))?,
                 Container::Avi => SeriesSource::of_file(path).map(series)?,
+                Container::Mp4 | Container::Zarr => {
+                    let remedy = "convert the stack to .npy, .tif or .avi";
+                    let found = "a format that is only written";
+                    return Err(SessionError::value(path, "suffix", ".npy, .tif, .tiff or .avi", found, remedy));
+                }
             }
         };
         let Shape { len, rows, cols, samples } = shape;
