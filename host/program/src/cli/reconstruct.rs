@@ -151,7 +151,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let count = input.frames.len();
     let parts = match args.resume || args.shard.is_some() {
         true => {
-            let plan = Parts::plan(&mut input.frames, &args.with, &format!("{kind:?}"), run.seed)?;
+            let plan = Parts::plan(&mut input.frames, &args.with, kind.name(), run.seed)?;
             Some(Parts::open(&args.output, &plan)?)
         }
         false => None,

@@ -4,6 +4,9 @@ use super::LengthUnit;
 use crate::error::SessionError;
 use std::path::Path;
 
+/// A position x, y, z and its unit, um or object pixels.
+pub(super) type Position = ([f64; 3], LengthUnit);
+
 /// Positions x, y, z of each file, um or object pixels; `None` where the names hold none.
 ///
 /// A position is a letter x, y or z at the start of a word, a number, and its unit: `x-120um_y40um.tif`,
@@ -11,10 +14,7 @@ use std::path::Path;
 ///
 /// # Errors
 /// Some names hold positions and others do not, or a number has no unit and `unit` is not given.
-pub(super) fn in_names(
-    paths: &[&Path],
-    unit: Option<LengthUnit>,
-) -> Result<Option<Vec<([f64; 3], LengthUnit)>>, SessionError> {
+pub(super) fn in_names(paths: &[&Path], unit: Option<LengthUnit>) -> Result<Option<Vec<Position>>, SessionError> {
     let mut found = Vec::new();
     for path in paths {
         let stem = path.file_stem().unwrap_or_default().to_string_lossy().to_lowercase();

@@ -172,5 +172,8 @@ fn fits(stamps: usize, parts: &[Part], per_file: usize) -> bool {
     let begun = (files as usize).checked_mul(per_file);
     let short = parts.len() as u64 != files + 1 || parts.iter().rev().skip(1).any(|p| p.listed < per_file);
     let whole = parts.iter().all(|p| p.listed <= per_file);
-    short && whole && begun.is_some_and(|begun| (begun + last.listed..=begun + per_file).contains(&stamps))
+    short
+        && whole
+        && begun
+            .is_some_and(|begun| (begun.saturating_add(last.listed)..=begun.saturating_add(per_file)).contains(&stamps))
 }

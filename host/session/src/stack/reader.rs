@@ -59,6 +59,10 @@ impl FrameReader {
     /// [frames, rows, cols], empty, or cut short.
     pub fn open(path: &Path) -> Result<Self, SessionError> {
         let series = |(shape, s)| (shape, Source::Series(Box::new(s)));
+        // A folder has no suffix that could be wrong.
+        if path.extension().is_none() && !path.exists() {
+            return Err(SessionError::io(path, std::io::ErrorKind::NotFound.into()));
+        }
         let (shape, source) = if path.is_dir() {
             SeriesSource::of_folder(path).map(series)?
         } else {
