@@ -209,15 +209,12 @@ impl Model {
         self.nodes.psf(&LensModels::fit(windows, dead, &planes, terms)?, self.rank)
     }
 
-    /// Error of the brightness of beads that were left out, relative rms: what a free scale for each of them takes off the
-    /// error, apart from what it takes off an error of the shape.
-    pub(super) fn brightness_error(&self) -> f64 {
+    /// Scatter of the brightness of beads that were left out about what their neighbours predict, relative, and the part
+    /// of it that noise causes.
+    pub(super) fn brightness_scatter(&self) -> [f64; 2] {
         let rank = self.rank.min(self.held_out.ranks());
-        let at = |scale| self.held_out.nrmse(rank, scale).powi(2);
-        let (fixed, free) = (at(BeadScale::Physical), at(BeadScale::PerFrame));
-        // An error of the shape turns the prediction out of the direction of what was measured, which a scale shortens.
-        let of_shape = (free / 2.0).powi(2);
-        (fixed - free - of_shape).max(0.0).sqrt()
+        let pixels = self.nodes.side.pow(2) * self.models.fits.iter().flatten().count();
+        self.held_out.brightness_scatter(rank, pixels)
     }
 
     pub(super) fn quality(&self, chief_ray_rms_px: f64) -> Quality {

@@ -22,9 +22,12 @@ use serde::{Deserialize, Serialize};
 /// light's power between its positions says nothing about them.
 const MOST_OFF_GRID: f64 = 0.5;
 
-/// Largest error of the brightness of beads that were left out, relative, which still counts as that of one bead. A
+/// Largest scatter of the brightness of beads that were left out, relative, which still counts as that of one bead. A
 /// brightness that the lamp and the optics cause is smooth over the field, and is predicted far better.
 const MOST_SCATTER: f64 = 0.03;
+
+/// The scatter of the brightness counts from this many times what noise causes.
+const MOST_NOISE: f64 = 3.0;
 
 /// Settings of a calibration.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -142,9 +145,9 @@ pub fn calibrate(
         };
         // One PSF for the whole field has one brightness: vignetting would count as scatter.
         if config.normalise_beads.is_none() && !config.one_psf {
-            let scatter = fitted_model.0.brightness_error();
+            let [scatter, noise] = fitted_model.0.brightness_scatter();
             bead_scatter = Some(scatter);
-            if scatter > MOST_SCATTER {
+            if scatter > MOST_SCATTER && scatter > MOST_NOISE * noise {
                 let before = fitted_model.0.quality(fitted.rms_px).off_grid_error;
                 fitted_model = fit_with(BeadScale::PerFrame)?;
                 normalised = true;
