@@ -29,7 +29,7 @@ fn small() -> Testbed {
 #[test]
 fn a_session_becomes_an_instrument_that_predicts_scenes_it_has_not_seen() {
     let bed = Testbed::new();
-    let Calibration { instrument: i, notes } = run(&bed, CalibrateConfig::default()).unwrap();
+    let Calibration { instrument: i, notes, .. } = run(&bed, CalibrateConfig::default()).unwrap();
     assert!(notes.is_empty(), "{notes:?}");
     let n = &i.noise;
     assert!((n.gain_dn_per_e / bed.gain_dn_per_e - 1.0).abs() < 0.02, "{n:?}");
@@ -177,7 +177,7 @@ fn a_session_without_beads_gives_the_sensor_alone() {
         calibrate(&Session::open(path).unwrap(), &CalibrateConfig::default(), || {}).map_err(|e| e.to_string())
     };
     let folder = tempfile::tempdir().unwrap();
-    let Calibration { instrument, notes } = write(&folder.path().join("a"), &manifest).unwrap();
+    let Calibration { instrument, notes, .. } = write(&folder.path().join("a"), &manifest).unwrap();
     assert!(notes.iter().any(|n| n.contains("only the sensor is modelled")), "{notes:?}");
     assert!(notes.iter().any(|n| n.contains("quantile of the scenes")) && instrument.noise.black_level_dn == 20.0);
     let path = folder.path().join("a.instrument");
@@ -196,7 +196,7 @@ fn a_session_without_beads_gives_the_sensor_alone() {
 #[test]
 fn a_dead_lens_is_marked_and_a_dim_one_kept() {
     let bed = Testbed { lens_gain: vec![1.0, 0.0, 1.0, 0.2], ..small() };
-    let Calibration { instrument, notes } = run(&bed, CalibrateConfig::default()).unwrap();
+    let Calibration { instrument, notes, .. } = run(&bed, CalibrateConfig::default()).unwrap();
     assert_eq!(instrument.geometry.dead, [false, true, false, false]);
     assert!(
         notes.iter().any(|n| n.contains("lens 1 shows no focus")) && notes.iter().any(|n| n.contains("lens 3 passes"))
@@ -214,7 +214,7 @@ fn foci_that_hang_over_the_edge_are_used_as_far_as_they_go() {
     let mut bed = Testbed { scenes: 1, scan: 7, ..small() };
     // The whole array sits too high: the first row of foci leaves the sensor.
     bed.anchors_px.iter_mut().for_each(|a| a[0] -= 17.0);
-    let Calibration { instrument, notes } = run(&bed, CalibrateConfig::default()).unwrap();
+    let Calibration { instrument, notes, .. } = run(&bed, CalibrateConfig::default()).unwrap();
     assert!(notes.iter().any(|n| n.contains("extend beyond the edge")), "{notes:?}");
     let forward = Forward::new(&instrument).unwrap();
     let got = forward.expected_e(bed.object(7).view(), &forward.context()).unwrap();
@@ -265,7 +265,7 @@ fn a_value_that_is_no_number_names_its_frame() {
 #[test]
 fn what_a_session_cannot_tell_is_nominal_and_said() {
     let bed = Testbed { flat_levels_e: Vec::new(), dark_frames: 0, ..small() };
-    let Calibration { instrument, notes } = run(&bed, CalibrateConfig::default()).unwrap();
+    let Calibration { instrument, notes, .. } = run(&bed, CalibrateConfig::default()).unwrap();
     assert_eq!(instrument.noise.sources.gain, Source::Nominal);
     assert_eq!(instrument.noise.sources.black_level, Source::Inferred);
     assert!(instrument.offset_dn.is_none() && (instrument.noise.black_level_dn - 64.25).abs() < 1.0);
@@ -310,4 +310,31 @@ fn the_virtual_instruments_scenes_are_predicted() {
         }
     }
     assert!((misfit / light).sqrt() < 0.01, "{}", (misfit / light).sqrt());
+}
+
+/// Frames of unequal brightness are seen in the data, and a bead of one brightness is left as it was measured.
+#[test]
+fn unequal_beads_are_normalised_and_equal_ones_are_not() {
+    let bed = Testbed { scan: 9, ..small() };
+    let equal = run(&bed, CalibrateConfig::default()).unwrap();
+    assert!(!equal.beads_normalised && equal.bead_scatter.unwrap() < 0.01, "{:?}", equal.bead_scatter);
+    // About a tenth, as of frames that were normalised by their maxima.
+    let spoil = |n: usize, frame: &mut Array2<f32>| {
+        let factor = 0.8 + 0.4 * (n * 7919 % 101) as f32 / 101.0;
+        frame.mapv_inplace(|v| ((v - 100.0) * factor + 100.0).round());
+    };
+    assert_eq!(bed.black_level_dn, 100.0);
+    let spoiled = Testbed { spoil, ..bed };
+    let unequal = run(&spoiled, CalibrateConfig { accept: true, ..CalibrateConfig::default() }).unwrap();
+    assert!(unequal.beads_normalised && unequal.notes.iter().any(|n| n.contains("--normalise-beads=no")));
+    let scatter = unequal.bead_scatter.unwrap();
+    assert!((0.08..0.2).contains(&scatter), "{scatter}");
+    let forced = |normalise_beads| {
+        let config = CalibrateConfig { normalise_beads: Some(normalise_beads), accept: true, ..Default::default() };
+        run(&spoiled, config).unwrap()
+    };
+    let (yes, no) = (forced(true), forced(false));
+    assert_eq!(unequal.instrument.psf.basis, yes.instrument.psf.basis);
+    assert!(!no.beads_normalised && no.bead_scatter.is_none());
+    assert!(yes.instrument.quality.off_grid_error < 0.5 * no.instrument.quality.off_grid_error);
 }

@@ -75,7 +75,7 @@ pub fn residual<'py>(
 /// Finds what an instrument lacks, writes the closed instrument and the account beside it, and gives what
 /// `close --json` prints.
 #[pyfunction]
-#[pyo3(signature = (session, instrument, output, *, plan = false, normalise_beads = false, force = false, seed = 1,
+#[pyo3(signature = (session, instrument, output, *, plan = false, normalise_beads = None, force = false, seed = 1,
                     progress = None))]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments of Python")]
 pub fn close<'py>(
@@ -84,7 +84,7 @@ pub fn close<'py>(
     instrument: InstrumentPlace<'py>,
     output: PathBuf,
     plan: bool,
-    normalise_beads: bool,
+    normalise_beads: Option<bool>,
     force: bool,
     seed: u64,
     progress: Option<Bound<'py, PyAny>>,

@@ -45,7 +45,11 @@ impl PyInstrument {
         let header = artifact::inspect(path)?;
         let provenance = serde_json::from_value(header["provenance"].clone())
             .with_context(|| format!("{}: provenance", path.display()))?;
-        Ok(Self::new(Calibration { instrument, notes: Vec::new() }, provenance, Some(path.into())))
+        Ok(Self::new(
+            Calibration { instrument, notes: Vec::new(), beads_normalised: false, bead_scatter: None },
+            provenance,
+            Some(path.into()),
+        ))
     }
 
     fn new(calibration: Calibration, provenance: Provenance, file: Option<PathBuf>) -> Self {
@@ -116,7 +120,7 @@ impl PyInstrument {
     /// Calibrates the instrument of a session.
     #[staticmethod]
     #[pyo3(signature = (session, *, rank = None, max_rank = None, window_px = None, one_psf = false,
-                        replicates = None, normalise_beads = false, accept = false, gain_dn_per_e = None,
+                        replicates = None, normalise_beads = None, accept = false, gain_dn_per_e = None,
                         read_noise_e = None, seed = 1, progress = None))]
     #[expect(clippy::too_many_arguments, reason = "keyword arguments of Python")]
     fn calibrate(
@@ -127,7 +131,7 @@ impl PyInstrument {
         window_px: Option<usize>,
         one_psf: bool,
         replicates: Option<usize>,
-        normalise_beads: bool,
+        normalise_beads: Option<bool>,
         accept: bool,
         gain_dn_per_e: Option<f64>,
         read_noise_e: Option<f64>,

@@ -108,6 +108,17 @@ pub enum SessionError {
         /// What is wrong.
         detail: String,
     },
+    /// Another program is needed that is not installed.
+    #[error(
+        "{path}: the program {program} is needed for videos and was not found; install ffmpeg (Debian: `apt-get \
+         install ffmpeg`), or convert the video to grey frames without compression"
+    )]
+    Program {
+        /// The file.
+        path: PathBuf,
+        /// Name of the program.
+        program: &'static str,
+    },
     /// The folder for a new session already exists and holds something else.
     #[error("{path}: already exists and is not a session of the virtual instrument; choose another name or remove it")]
     Taken {

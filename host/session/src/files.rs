@@ -145,6 +145,14 @@ impl Files {
         Self { share: Some(share.to_string().replace('/', "-of-")), ..self }
     }
 
+    /// As [`Files::share`], for a run that may have one.
+    pub fn share_of(self, share: Option<impl ToString>) -> Self {
+        match share {
+            Some(share) => self.share(share),
+            None => self,
+        }
+    }
+
     /// How to go on after a run was stopped, for the message.
     pub fn after_stop(self, how: &'static str) -> Self {
         Self { after_stop: Some(how), ..self }

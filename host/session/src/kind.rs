@@ -20,7 +20,7 @@ pub enum FileKind {
     Folder,
     /// The output of a verb with `--json`.
     Json,
-    /// A stack of frames, .npy or .tif.
+    /// A stack of frames, .npy, .tif, .avi or .mp4.
     Stack,
     /// A page for a browser.
     Page,
@@ -64,6 +64,8 @@ impl FileKind {
         Ok(match start.as_slice() {
             s if s.starts_with(&blob::MAGIC) => Self::Blob,
             s if s.starts_with(b"\x93NUMPY") || s.starts_with(b"II") || s.starts_with(b"MM") => Self::Stack,
+            [_, _, _, _, b'f', b't', b'y', b'p', ..] => Self::Stack,
+            [b'R', b'I', b'F', b'F', _, _, _, _, b'A', b'V', b'I', b' ', ..] => Self::Stack,
             // A safetensors file: eight bytes of length, then JSON.
             [_, _, _, _, _, _, _, _, b'{', ..] => match artifact::find_header(path)? {
                 Some(header) => Self::Artifact(header.get("kind").and_then(|k| k.as_str()).unwrap_or("").into()),

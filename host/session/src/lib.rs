@@ -43,7 +43,9 @@
 pub mod artifact;
 mod cut;
 mod error;
+mod ffmpeg;
 pub mod files;
+pub mod import;
 pub mod kind;
 mod lock;
 mod manifest;
@@ -62,6 +64,6 @@ pub use error::SessionError;
 pub use manifest::{ArrayGeometry, MANIFEST, Manifest, ObjectGrid, Optics, Role, SensorSpec, StackEntry};
 pub use open::{ComputedStack, Session, Stack, TruthReader};
 pub use remedy::{causes, remedy};
-pub use stack::{ComputedFrames, FrameReader, FrameWriter, Recording, SampleType, StackScale, StackSpec};
+pub use stack::{ComputedFrames, FrameReader, FrameWriter, Part, Recording, SampleType, StackScale, StackSpec};
 pub use table::FrameInfo;
 pub use write::{Existing, SessionWriter};

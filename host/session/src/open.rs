@@ -3,7 +3,7 @@
 use super::error::SessionError;
 use super::manifest::{MANIFEST, Manifest, Role, StackEntry};
 use super::stack::{ComputedFrames, FrameReader, SampleType};
-use super::table::{self, FrameInfo};
+use super::table::{self, FrameInfo, Wanted};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -21,6 +21,8 @@ pub struct Stack {
     entry: StackEntry,
     dir: PathBuf,
     info: Vec<FrameInfo>,
+    /// What in its table was not read as it stands.
+    notes: Vec<String>,
     /// Computes the frames of a stack that has no file.
     computed: Option<Arc<dyn ComputedFrames>>,
 }
@@ -60,8 +62,13 @@ impl Session {
 
     /// A session whose frames are computed when they are read. `name` stands for its folder in error messages.
     pub fn computed(name: &Path, manifest: Manifest, stacks: Vec<ComputedStack>) -> Self {
-        let stack =
-            |s: ComputedStack| Stack { entry: s.entry, dir: name.into(), info: s.info, computed: Some(s.frames) };
+        let stack = |s: ComputedStack| Stack {
+            entry: s.entry,
+            dir: name.into(),
+            info: s.info,
+            notes: Vec::new(),
+            computed: Some(s.frames),
+        };
         Self { dir: name.into(), manifest, stacks: stacks.into_iter().map(stack).collect() }
     }
 
@@ -78,6 +85,11 @@ impl Session {
     /// The manifest.
     pub fn manifest(&self) -> &Manifest {
         &self.manifest
+    }
+
+    /// What in its tables was not read as it stands: units that were converted, decimal commas, frames from 1.
+    pub fn notes(&self) -> Vec<String> {
+        self.stacks.iter().flat_map(|s| s.notes.iter().cloned()).collect()
     }
 
     /// Path of the manifest.
@@ -119,10 +131,20 @@ impl Stack {
         let frames = FrameReader::open(&dir.join(&entry.file))?;
         let sensor = [frames.len(), manifest.sensor.rows, manifest.sensor.cols];
         expect_shape(&frames, sensor, "correct [sensor] in the manifest, or the frames")?;
-        let required: &[&str] = if entry.role == Role::Bead { &["x_um", "y_um"] } else { &[] };
-        let info = match &entry.table {
-            Some(name) => table::read(&dir.join(name), frames.len(), entry.exposure_ms, required)?,
-            None if required.is_empty() => (0..frames.len()).map(|i| FrameInfo::plain(i, entry.exposure_ms)).collect(),
+        let positions = entry.role == Role::Bead;
+        let (info, notes) = match &entry.table {
+            Some(name) => {
+                let wanted = Wanted {
+                    frames: frames.len(),
+                    exposure_ms: entry.exposure_ms,
+                    positions,
+                    object: &manifest.object,
+                };
+                table::read(&dir.join(name), &wanted)?
+            }
+            None if !positions => {
+                ((0..frames.len()).map(|i| FrameInfo::plain(i, entry.exposure_ms)).collect(), Vec::new())
+            }
             None => {
                 return Err(SessionError::Missing {
                     path: manifest_path.into(),
@@ -141,7 +163,7 @@ impl Stack {
                 companion(&dir.join(name), shape)?;
             }
         }
-        Ok(Self { entry: entry.clone(), dir: dir.into(), info, computed: None })
+        Ok(Self { entry: entry.clone(), dir: dir.into(), info, notes, computed: None })
     }
 
     /// What its frames show.

@@ -252,8 +252,10 @@ fn each_damage_to_a_session_has_its_error() {
         &truth("truth = \"truth.npy\"\ntruth_registration_per_frame = true"),
         &["truth_registration_per_frame", "above zero"],
     );
-    mentions(&csv("x_um", "x_mm"), &["bead.csv", "column `x_um`", "x_mm"]);
-    mentions(&csv("\n1,-2", "\n1,-inf"), &["column `x_um`, row 1", "`-inf`"]);
+    mentions(&csv("x_um", "x"), &["bead.csv", "column `x_um`", "states no unit"]);
+    mentions(&csv("x_um", "east"), &["bead.csv", "column `x_um`", "columns frame, east"]);
+    mentions(&csv("x_um", "x_px"), &["bead.csv", "x and y in the same unit"]);
+    mentions(&csv("\n1,-2", "\n1,-inf"), &["line 3, column `x_um`", "`-inf` in `1,-inf,"]);
     mentions(&csv("\n1,-2", "\n1,9.0"), &["column `x_um`, frame 1", "on the object grid", "found 9"]);
     mentions(&csv("\n1,-2", "\n0,-2"), &["each frame once"]);
     mentions(&csv("\n1,-2", "\n5,-2"), &["frame 5"]);
@@ -306,4 +308,59 @@ fn a_foreign_folder_is_never_replaced() {
     again(Existing::ReplaceIfHas("mark")).unwrap().unwrap();
     assert!(Session::open(&path).unwrap().stacks().is_empty());
     assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1, "the old folder is gone");
+}
+
+#[test]
+fn tables_as_people_save_them_are_read_as_the_usual_one() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("s");
+    write_session(&path);
+    let table = path.join("bead.csv");
+    let usual = std::fs::read_to_string(&table).unwrap();
+    let bead = || {
+        let session = Session::open(&path).unwrap();
+        let stack = session.stacks_of(Role::Bead).next().unwrap();
+        let at = |i: &FrameInfo| [i.frame as f64, i.x_um, i.y_um, i.z_um, i.exposure_ms];
+        (stack.info().iter().map(at).collect::<Vec<_>>(), session.notes().join("; "))
+    };
+    let (expected, notes) = bead();
+    assert!(notes.is_empty(), "{notes}");
+    let hold = |text: String, words: &str| {
+        std::fs::write(&table, &text).unwrap();
+        let (found, notes) = bead();
+        assert_eq!(found, expected, "{text}");
+        assert!(notes.contains(words), "{notes}");
+    };
+    let decimal = usual.replace(',', ";").replace('.', ",");
+    hold(usual.replace(',', ";"), "");
+    hold(usual.replace(',', "\t"), "");
+    hold(decimal.clone(), if usual.contains('.') { "decimal commas" } else { "" });
+    hold(format!("\u{feff}sep=;\r\n{}", decimal.replace('\n', "\r\n")), "");
+    hold(format!("# stage 2\n{usual}\n\n,,,,,,\n"), "");
+    hold(usual.replacen("x_um", "X (um)", 1).replacen("y_um", "Stage_Y [µm]", 1), "`X (um)` as x_um");
+    let rows = |change: &dyn Fn(&mut Vec<String>)| -> String {
+        let change = |line: &str| {
+            let mut cells: Vec<String> = line.split(',').map(String::from).collect();
+            change(&mut cells);
+            cells.join(",")
+        };
+        let (head, rest) = usual.split_once('\n').unwrap();
+        format!("{head}\n{}\n", rest.lines().map(change).collect::<Vec<_>>().join("\n"))
+    };
+    let scaled = |factor: f64| {
+        rows(&move |cells| {
+            for cell in &mut cells[1..3] {
+                *cell = (cell.parse::<f64>().unwrap() * factor).to_string();
+            }
+        })
+    };
+    let named = |text: String, unit: &str| {
+        text.replacen("x_um", &format!("x_{unit}"), 1).replacen("y_um", &format!("y_{unit}"), 1)
+    };
+    hold(named(scaled(1e-3), "mm"), "(times 1000)");
+    hold(named(scaled(0.25), "px"), "object pixels of 4 um, counted from the centre");
+    hold(rows(&|cells| cells[0] = (cells[0].parse::<usize>().unwrap() + 1).to_string()), "numbered from 1");
+    let wide: Vec<u8> = usual.encode_utf16().flat_map(u16::to_le_bytes).collect();
+    std::fs::write(&table, [&[0xff, 0xfe][..], &wide].concat()).unwrap();
+    assert_eq!(bead().0, expected);
 }

@@ -86,6 +86,11 @@ impl SessionWriter {
         std::fs::write(&path, bytes).map_err(|e| SessionError::io(&self.target.join(name), e))
     }
 
+    /// Sets the bits of the converter, where they are known only after all frames were seen.
+    pub fn set_bit_depth(&mut self, bits: u32) {
+        self.manifest.sensor.bit_depth = bits;
+    }
+
     /// Adds a stack to the manifest.
     pub fn add(&mut self, entry: StackEntry) {
         self.manifest.stacks.push(entry);
@@ -96,35 +101,12 @@ impl SessionWriter {
     /// # Errors
     /// The disk is full, or another program created the target meanwhile. Nothing is left behind.
     pub fn finish(self) -> Result<(), SessionError> {
-        let io = |e| SessionError::io(&self.target, e);
         let path = self.target.join(MANIFEST);
         let text = toml::to_string(&self.manifest).map_err(|e| SessionError::format(&path, "session.toml", e))?;
         self.extra(MANIFEST, text.as_bytes())?;
-        open_to_all(self.folder.path()).map_err(io)?;
         may_write(&self.target, self.existing)?;
-        let aside = artifact::temporary_folder_beside(&self.target).map_err(io)?;
-        if self.target.exists() {
-            std::fs::rename(&self.target, aside.path().join("old")).map_err(io)?;
-        }
-        // From here on the folder is not removed on drop.
-        let finished = self.folder.keep();
-        std::fs::rename(&finished, &self.target).map_err(|e| {
-            std::fs::remove_dir_all(&finished).ok();
-            std::fs::rename(aside.path().join("old"), &self.target).ok();
-            io(e)
-        })
+        artifact::replace_folder(self.folder, &self.target).map_err(|e| SessionError::io(&self.target, e))
     }
-}
-
-/// Gives a temporary folder, which is private, the usual permissions of a folder.
-fn open_to_all(folder: &Path) -> std::io::Result<()> {
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        std::fs::set_permissions(folder, std::fs::Permissions::from_mode(0o755))?;
-    }
-    let _ = folder;
-    Ok(())
 }
 
 fn may_write(target: &Path, existing: Existing) -> Result<(), SessionError> {

@@ -150,8 +150,7 @@ pub(crate) fn excess(model: &Model<'_>, fitted: &Fitted) -> f64 {
     let chain = fitted.state.terms.iter().any(noisy).then(|| model.chain(&fitted.state.terms));
     let mut spans: BTreeMap<usize, Vec<(usize, Range<usize>)>> = BTreeMap::new();
     held_out_pixels(seen).for_each(|(k, block, span)| spans.entry(k).or_default().push((block, span)));
-    let spans: Vec<(usize, Vec<(usize, Range<usize>)>)> = spans.into_iter().collect();
-    let one = |(k, spans): &(usize, Vec<(usize, Range<usize>)>)| {
+    let one = |(k, spans): (&usize, &Vec<(usize, Range<usize>)>)| {
         let here = &fitted.predicted[*k];
         let draw = |chain: &Chain, i: u64| {
             let mut rngs = ["excess", "reading"].map(|what| stream(0x5eed, what, DRAWN * *k as u64 + i));

@@ -97,6 +97,8 @@ impl Calibration {
             })),
             "light_unit": i.light_unit,
             "notes": self.notes,
+            "beads_normalised": self.beads_normalised,
+            "bead_scatter": self.bead_scatter,
         })
     }
 }

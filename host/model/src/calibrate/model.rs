@@ -209,6 +209,14 @@ impl Model {
         self.nodes.psf(&LensModels::fit(windows, dead, &planes, terms)?, self.rank)
     }
 
+    /// Scatter of the brightness of beads that were left out about what their neighbours predict, relative, and the part
+    /// of it that noise causes.
+    pub(super) fn brightness_scatter(&self) -> [f64; 2] {
+        let rank = self.rank.min(self.held_out.ranks());
+        let pixels = self.nodes.side.pow(2) * self.models.fits.iter().flatten().count();
+        self.held_out.brightness_scatter(rank, pixels)
+    }
+
     pub(super) fn quality(&self, chief_ray_rms_px: f64) -> Quality {
         let at = |m: &Misfit| m.nrmse(self.rank.min(m.ranks()), self.scale);
         Quality {

@@ -22,6 +22,13 @@ use serde::{Deserialize, Serialize};
 /// light's power between its positions says nothing about them.
 const MOST_OFF_GRID: f64 = 0.5;
 
+/// Largest scatter of the brightness of beads that were left out, relative, which still counts as that of one bead. A
+/// brightness that the lamp and the optics cause is smooth over the field, and is predicted far better.
+const MOST_SCATTER: f64 = 0.03;
+
+/// The scatter of the brightness counts from this many times what noise causes.
+const MOST_NOISE: f64 = 3.0;
+
 /// Settings of a calibration.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -38,8 +45,9 @@ pub struct CalibrateConfig {
     /// Number of jackknife refits (each leaves out a group of beads) that estimate the uncertainty of the PSF model. 0
     /// disables them.
     pub replicates: usize,
-    /// The bead frames are already normalised one by one: their brightness is not physical.
-    pub normalise_beads: bool,
+    /// Whether the brightness of single bead frames is not that of the bead, as where frames are already normalised one
+    /// by one: then each is brought to the same total light. None: decided from the data.
+    pub normalise_beads: Option<bool>,
     /// Calibrates even where the checks of the session find errors; they become notes.
     pub accept: bool,
     /// Nominal noise, used where the session does not determine it.
@@ -54,7 +62,7 @@ impl Default for CalibrateConfig {
             window_px: None,
             one_psf: false,
             replicates: 8,
-            normalise_beads: false,
+            normalise_beads: None,
             accept: false,
             noise: NoiseConfig::default(),
         }
@@ -68,6 +76,11 @@ pub struct Calibration {
     pub instrument: Instrument,
     /// Warnings: nominal figures, dead lenses, saturated pixels.
     pub notes: Vec<String>,
+    /// Whether each bead frame was brought to the same total light.
+    pub beads_normalised: bool,
+    /// Scatter of the brightness of the beads about what their neighbours predict, relative; None where it was not
+    /// needed for a decision.
+    pub bead_scatter: Option<f64>,
 }
 
 /// Calibrates the instrument of a session. `step` is called about once for each frame that is read, for progress bars.
@@ -89,11 +102,8 @@ pub fn calibrate(
         return Err(CalibrateError::Check(errors));
     }
     let noise = measure_noise(session, &config.noise, &mut step)?;
-    let mut notes: Vec<String> = checked
-        .at_least(Severity::Warning)
-        .filter(|f| is_new(f, config))
-        .map(|f| format!("{}: {}", f.topic, f.text))
-        .collect();
+    let mut notes: Vec<String> =
+        checked.at_least(Severity::Warning).filter(|f| is_new(f)).map(|f| format!("{}: {}", f.topic, f.text)).collect();
     let of_noise: Vec<String> = noise.notes.iter().map(ToString::to_string).collect();
     notes.extend(of_noise);
     if let Some(useless) = noise.useless() {
@@ -102,6 +112,7 @@ pub fn calibrate(
             "{pixels} pixels are noisy, hot or dead: left out of the foci, and given less weight elsewhere"
         ));
     }
+    let (mut normalised, mut bead_scatter) = (config.normalise_beads == Some(true), None);
     let mut instrument = if sensor_only::applies(session) {
         notes.push(sensor_only::NOTE.into());
         sensor_only::instrument(session, manifest, noise)?
@@ -119,14 +130,35 @@ pub fn calibrate(
                 extent(&mut scan, &manifest, &fitted.rays, &mut step)?.max(nominal)
             }
         };
-        let scale = if config.normalise_beads { BeadScale::PerFrame } else { BeadScale::Physical };
-        let cut = BeadCut { scale, nominal_px: nominal };
-        let (windows, warnings) = cut_windows(&mut scan, &manifest, &fitted.rays, cut, &mut step)?;
         let planes = planes(&scan);
-        let fit = FitConfig { rank: config.rank, max_rank: config.max_rank, one_psf: config.one_psf, scale };
         let dead = &fitted.rays.dead;
-        let target = ModelConfig { fit, manifest: &manifest, exposure_ms: scan.exposure_ms };
-        let model = Model::fit(&windows, dead, &planes, target)?;
+        let mut fit_with = |scale| -> Result<_, CalibrateError> {
+            let cut = BeadCut { scale, nominal_px: nominal };
+            let (windows, warnings) = cut_windows(&mut scan, &manifest, &fitted.rays, cut, &mut step)?;
+            let fit = FitConfig { rank: config.rank, max_rank: config.max_rank, one_psf: config.one_psf, scale };
+            let target = ModelConfig { fit, manifest: &manifest, exposure_ms: scan.exposure_ms };
+            Ok((Model::fit(&windows, dead, &planes, target)?, windows, warnings))
+        };
+        let mut fitted_model = match config.normalise_beads {
+            Some(true) => fit_with(BeadScale::PerFrame)?,
+            _ => fit_with(BeadScale::Physical)?,
+        };
+        // One PSF for the whole field has one brightness: vignetting would count as scatter.
+        if config.normalise_beads.is_none() && !config.one_psf {
+            let [scatter, noise] = fitted_model.0.brightness_scatter();
+            bead_scatter = Some(scatter);
+            if scatter > MOST_SCATTER && scatter > MOST_NOISE * noise {
+                let before = fitted_model.0.quality(fitted.rms_px).off_grid_error;
+                fitted_model = fit_with(BeadScale::PerFrame)?;
+                normalised = true;
+                notes.push(unequal_beads(scatter, before, fitted_model.0.quality(fitted.rms_px).off_grid_error));
+            }
+        }
+        let (model, windows, warnings) = fitted_model;
+        if normalised {
+            // The light of frames that are normalised says nothing.
+            notes.retain(|note| !note.starts_with("drift"));
+        }
         let psf = model.psf()?;
         let quality = model.quality(fitted.rms_px);
         let most = MOST_OFF_GRID.hypot(2.0 * quality.noise_floor);
@@ -167,14 +199,26 @@ pub fn calibrate(
         }
         None => {}
     }
-    Ok(Calibration { instrument, notes })
+    Ok(Calibration { instrument, notes, beads_normalised: normalised, bead_scatter })
 }
 
-/// Whether a warning of the checks is not given by the calibration itself, in more detail, and is of any use: the light
-/// of frames that were normalised says nothing.
-fn is_new(finding: &Finding, config: &CalibrateConfig) -> bool {
+/// Whether a warning of the checks is not given by the calibration itself, in more detail.
+fn is_new(finding: &Finding) -> bool {
     let own = matches!(finding.topic, "counts" | "saturation" | "lenses" | "light");
-    finding.severity == Severity::Error || !(own || config.normalise_beads && finding.topic == "drift")
+    finding.severity == Severity::Error || !own
+}
+
+/// What was decided about beads of unequal brightness, and why.
+fn unequal_beads(scatter: f64, before: f64, after: f64) -> String {
+    format!(
+        "beads: their brightness scatters by {:.1} % about what their neighbours predict, beyond what a lamp or vignetting \
+         does: each frame was brought to the same total light (--normalise-beads=yes). The error on positions that were \
+         left out is then {:.1} %, with the brightness as measured {:.1} % (--normalise-beads=no). Vignetting is not \
+         part of this model",
+        100.0 * scatter,
+        100.0 * after,
+        100.0 * before
+    )
 }
 
 /// What the user should know about the background of the bead frames.

@@ -49,7 +49,8 @@ impl Share {
     /// Every shard.
     pub const ALL: Self = Self { index: 1, of: 1 };
 
-    fn holds(self, shard: usize) -> bool {
+    /// Whether piece number `shard`, counted from 0, belongs to this share.
+    pub fn holds(self, shard: usize) -> bool {
         shard % self.of == self.index - 1
     }
 }

@@ -1,9 +1,11 @@
 //! `ablate`: networks that differ in one option each, trained in the same way and judged on the same scenes.
 
 use super::files::{Content, Files};
+use super::shard::shard;
 use super::{Cli, Outcome, Run};
 use anyhow::{Context, bail};
 use clap::Parser;
+use ommatidia_model::dataset::Share;
 use ommatidia_network::evaluate::Evaluation;
 use ommatidia_network::train::{Checkpoint, weights};
 use serde_json::json;
@@ -45,6 +47,10 @@ pub struct Args {
     /// Variant instead of the default ones: a name and options of `train` (may be given again)
     #[arg(long = "variant", value_name = "NAME=OPTIONS", value_parser = variant)]
     variants: Vec<(String, String)>,
+    /// Train only every N-th network, starting with number I (counted from 1), so that N computers share the work; auto:
+    /// as the scheduler says (docs/clusters.md). The same command without it makes the table
+    #[arg(long, value_name = "I/N", value_parser = |text: &str| shard::<Share>(text, 1))]
+    shard: Option<Share>,
 }
 
 fn variant(text: &str) -> Result<(String, String), String> {
@@ -57,6 +63,7 @@ impl Args {
     pub fn files(&self) -> Files {
         Files::reading([&self.pairs, &self.instrument, &self.session])
             .continuing([&self.output], Content::Named(|name| name.ends_with(".safetensors") || name == TABLE))
+            .share_of(self.shard)
             .after_stop("the same command goes on with the networks that are missing")
     }
 }
@@ -75,7 +82,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let path = |name: &str| args.output.join(format!("{}.safetensors", name.replace([' ', ','], "-")));
     let mut rows = Vec::new();
     let mut evaluate = vec!["evaluate".to_string(), args.session.display().to_string()];
-    for (name, options) in &variants {
+    let mut missing = 0;
+    for (k, (name, options)) in variants.iter().enumerate() {
         let output = path(name);
         let mut words = vec!["train".to_string(), args.pairs.display().to_string()];
         words.extend(["--instrument".into(), args.instrument.display().to_string()]);
@@ -83,6 +91,11 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         words.extend(options.split_whitespace().map(String::from));
         let ready =
             Checkpoint::read(&output).ok().filter(|c| c.body.step == args.steps && c.body.training.seed == run.seed);
+        let mine = args.shard.is_none_or(|share| share.holds(k));
+        if ready.is_none() && !mine {
+            missing += 1;
+            continue;
+        }
         let seconds = match ready {
             Some(_) => None,
             None => play(&words, run).with_context(|| format!("variant `{name}`"))?["seconds"].as_f64(),
@@ -91,6 +104,11 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         let parameters: usize = weights::shapes(&network).iter().map(|(_, s)| s.iter().product::<usize>()).sum();
         evaluate.extend(["--with".into(), output.display().to_string()]);
         rows.push((name, output, parameters, seconds));
+    }
+    if args.shard.is_some() {
+        let (there, folder) = (rows.len(), args.output.display());
+        let text = format!("{folder}: {there} networks, {missing} are missing; without --shard the table is made\n");
+        return Ok(Outcome { json: json!({ "networks": there, "missing": missing, "steps": args.steps }), text });
     }
     let evaluation = args.output.join("evaluation.safetensors");
     evaluate.extend(["-o".into(), evaluation.display().to_string()]);

@@ -1,6 +1,6 @@
 //! `calibrate`: session -> instrument.
 
-use super::common::{Outcome, Run, any_session};
+use super::common::{Outcome, Run, any_session, yes_or_no};
 use super::files::{Content, Files};
 use ommatidia_model::calibrate::{
     CalibrateConfig, Calibration, PixelReadNoise, calibrate, frames_read, provenance, response_rms,
@@ -40,9 +40,11 @@ pub struct Args {
     /// disables them
     #[arg(long, value_name = "N", default_value_t = CalibrateConfig::default().replicates)]
     replicates: usize,
-    /// The bead frames are already normalised: fit one free scale per frame
-    #[arg(long)]
-    normalise_beads: bool,
+    /// Bring every bead frame to the same total light (yes), for frames that are already normalised, or keep its
+    /// brightness (no) [default: decided from the data]
+    #[arg(long, value_name = "YES|NO", num_args = 0..=1, require_equals = true, default_missing_value = "yes",
+        value_parser = yes_or_no)]
+    normalise_beads: Option<bool>,
     /// Calibrate even where the checks of the session find errors; they are printed as warnings
     #[arg(long)]
     accept: bool,
@@ -141,6 +143,9 @@ fn table(args: &Args, calibration: &Calibration) -> String {
         }
         None => line("background", "not measured".into(), "too few pixels lie far from all foci"),
     }
+    let decided = if args.normalise_beads.is_some() { "as asked" } else { "decided from the data" };
+    let kept = if calibration.beads_normalised { "normalised frame by frame" } else { "as measured" };
+    line("brightness of beads", kept.into(), decided);
     let why = match (args.one_psf, args.rank) {
         (true, _) => "one PSF per lens",
         (_, Some(_)) => "as asked",

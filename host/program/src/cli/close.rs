@@ -1,5 +1,6 @@
 //! `close`: finds the effects that an instrument lacks and adds them.
 
+use super::common::yes_or_no;
 use super::files::{Content, Files};
 use super::retrain::Networks;
 use super::{Outcome, Run};
@@ -26,9 +27,11 @@ pub struct Args {
     /// Instrument file to write; the account is written beside it, with suffix .closing
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// The bead frames are already normalised, as for calibrate; used if the PSFs must be calibrated again
-    #[arg(long)]
-    normalise_beads: bool,
+    /// Bring every bead frame to the same total light, or keep its brightness (yes, no), as for calibrate; used if the
+    /// PSFs must be calibrated again [default: decided from the data]
+    #[arg(long, value_name = "YES|NO", num_args = 0..=1, require_equals = true, default_missing_value = "yes",
+        value_parser = yes_or_no)]
+    normalise_beads: Option<bool>,
     /// Fine-tune this network on the closed instrument, write it beside the output with suffix .network, and compare
     /// both networks on held-out scenes
     #[arg(long, value_name = "CHECKPOINT")]

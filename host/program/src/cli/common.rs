@@ -48,8 +48,17 @@ pub(super) struct ResultScale {
 }
 
 /// Parses a number above 0.
-fn positive(text: &str) -> Result<f64, String> {
+pub(super) fn positive(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|v: &f64| v.is_finite() && *v > 0.0).ok_or_else(|| "expected a number above 0".into())
+}
+
+/// Parses yes or no.
+pub(super) fn yes_or_no(text: &str) -> Result<bool, String> {
+    match text {
+        "yes" | "true" => Ok(true),
+        "no" | "false" => Ok(false),
+        _ => Err("expected yes or no".into()),
+    }
 }
 
 /// Parses a share above 0, at most 1.
@@ -149,7 +158,9 @@ pub(super) fn any_session(path: &Path, seed: u64) -> anyhow::Result<Session> {
         "{}: this is the manifest of a session; name its folder",
         path.display()
     );
-    Ok(ommatidia_bench::open_session(path, seed)?)
+    let session = ommatidia_bench::open_session(path, seed)?;
+    warn(session.notes());
+    Ok(session)
 }
 
 /// Warns of scenes whose frames do not fit what is known of the sensor.

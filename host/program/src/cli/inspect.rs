@@ -37,6 +37,7 @@ pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
             json!({ "kind": "json", "figures": figures })
         }
         FileKind::Folder if path.join(PLAN_FILE).exists() => of_data_set(path)?,
+        FileKind::Folder if FrameReader::open(path).is_ok() => of_stack(path)?,
         found @ (FileKind::Folder | FileKind::Page | FileKind::Picture | FileKind::Tensors | FileKind::Unknown) => {
             bail!(
                 "{}: expected an artifact, a network file, a session, a data set or a stack, found {found}",

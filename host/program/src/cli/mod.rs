@@ -11,6 +11,7 @@ mod device;
 mod erf;
 mod evaluate;
 mod hidden;
+mod import;
 mod import_pth;
 mod inspect;
 mod interrupt;
@@ -22,6 +23,7 @@ mod report;
 mod residual;
 mod resolution;
 mod retrain;
+mod shard;
 mod simulate;
 mod study;
 mod train;
@@ -52,6 +54,9 @@ enum Verb {
     /// Measure a session with the virtual instrument: darks, flats, a bead scan, scenes of known truth
     #[command(after_help = "Example:\n  ommatidia bench session --frames 12 --seed 7")]
     Bench(bench::Args),
+    /// Make a session of recordings: folders of a UCLA Miniscope, numbered TIFFs or AVIs, single files
+    #[command(after_help = "Example:\n  ommatidia import recording/ -o session")]
+    Import(import::Args),
     /// Check a session before it is calibrated: axes, order and units of the table, single positions, array, bit depth,
     /// saturation, black level, light levels, drift
     #[command(after_help = "Example:\n  ommatidia check session -o check.png")]
@@ -141,6 +146,7 @@ impl Cli {
         match &self.verb {
             Verb::Demo(a) => a.files(),
             Verb::Bench(a) => a.files(),
+            Verb::Import(a) => a.files(),
             Verb::Check(a) => a.files(),
             Verb::Calibrate(a) => a.files(),
             Verb::Residual(a) => a.files(),
@@ -172,6 +178,7 @@ impl Cli {
         match &self.verb {
             Verb::Demo(a) => demo::run(a, run, Self::execute),
             Verb::Bench(a) => bench::run(a, run),
+            Verb::Import(a) => import::run(a, run),
             Verb::Check(a) => check::run(a, run),
             Verb::Calibrate(a) => calibrate::run(a, run),
             Verb::Residual(a) => residual::run(a, run),

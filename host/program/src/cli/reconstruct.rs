@@ -1,14 +1,23 @@
 //! `reconstruct`: raw frames in, objects out.
 
+mod input;
+mod parts;
+
 use super::common::{ResultScale, warn};
 use super::files::{Content, Files};
+use super::shard::shard;
 use super::{Outcome, Run};
 use anyhow::Context;
-use ommatidia_network::methods::{MethodKind, frame_range};
+use input::Input;
+use ndarray::Array2;
+use ommatidia_model::dataset::Share;
+use ommatidia_network::methods::{MethodKind, Reconstruct, frame_range};
 use ommatidia_physics::sensor::FrameWatch;
 use ommatidia_session::artifact;
 use ommatidia_session::kind::FileKind;
-use ommatidia_session::{FrameReader, FrameWriter, SampleType, StackSpec};
+use ommatidia_session::stack::ZARR_METADATA;
+use ommatidia_session::{FrameWriter, SampleType, StackSpec};
+use parts::Parts;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -33,9 +42,11 @@ fn planning(kind: MethodKind) -> &'static str {
 /// Options of `reconstruct`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Raw frames, DN, [frames, rows, cols]: .npy or .tif
+    /// Raw frames, DN: a file .npy, .tif or .avi, a folder of numbered .avi or .tif files (such as that of a UCLA
+    /// Miniscope), or a session with one stack of scenes
     frames: PathBuf,
-    /// Objects, float32 [frames, rows, cols]: .npy or OME-TIFF, by suffix
+    /// Objects, by suffix: .npy, .tif (OME-TIFF; BigTIFF from 4 GB on), .zarr (OME-Zarr 0.5), all float32; .avi or .mp4,
+    /// 8 bits for the eye, by ffmpeg
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     /// Checkpoint, network file, or instrument
@@ -46,80 +57,173 @@ pub struct Args {
     method: Option<MethodKind>,
     #[command(flatten)]
     scale: ResultScale,
+    /// Write the time of each frame to this CSV, for recordings with timestamps
+    #[arg(long, value_name = "FILE")]
+    times: Option<PathBuf>,
+    /// Keep finished parts in OUT.parts, and go on with those that are missing. Makes OUT when all are there
+    #[arg(long)]
+    resume: bool,
+    /// Make only every N-th part, starting with number I (counted from 1), so that N computers share the work; auto: as
+    /// the scheduler says (docs/clusters.md). Then --resume makes OUT
+    #[arg(long, value_name = "I/N", value_parser = |text: &str| shard::<Share>(text, 1), conflicts_with = "resume")]
+    shard: Option<Share>,
 }
 
 impl Args {
     /// What the verb reads and writes.
     pub fn files(&self) -> Files {
-        Files::reading([&self.frames, &self.with]).writing([&self.output], Content::File(FileKind::Stack))
+        let files = Files::reading([&self.frames, &self.with]);
+        let parts = |files: Files| {
+            let folder = Parts::folder_of(&self.output);
+            files.continuing([folder], Content::Folder(parts::PLAN)).after_stop("the same command goes on")
+        };
+        if let Some(share) = self.shard {
+            return parts(files).share(share);
+        }
+        let zarr = self.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("zarr"));
+        let content = if zarr { Content::Folder(ZARR_METADATA) } else { Content::File(FileKind::Stack) };
+        let files = files.writing([&self.output], content).writing(&self.times, Content::Text(input::TABLE));
+        if self.resume { parts(files) } else { files }
+    }
+}
+
+/// The output, which is begun with the first object: all have its size.
+struct Output<'a> {
+    path: &'a Path,
+    frames: usize,
+    pixel_um: Option<f64>,
+    interval_s: Option<f64>,
+    writer: Option<FrameWriter>,
+}
+
+impl Output<'_> {
+    fn push(&mut self, object: &Array2<f32>) -> anyhow::Result<()> {
+        let writer = match &mut self.writer {
+            Some(writer) => writer,
+            None => {
+                let (rows, cols) = object.dim();
+                let spec =
+                    StackSpec { frames: self.frames, rows, cols, samples: SampleType::F32, pixel_um: self.pixel_um };
+                self.writer.insert(FrameWriter::create(self.path, spec)?.with_interval(self.interval_s))
+            }
+        };
+        Ok(writer.push(object.view())?)
+    }
+
+    fn finish(self) -> anyhow::Result<()> {
+        self.writer.map_or(Ok(()), |writer| Ok(writer.finish()?))
+    }
+}
+
+/// Reconstructs frames, and keeps count of the time.
+struct Work<'a> {
+    input: Input,
+    method: Box<dyn Reconstruct>,
+    watch: Option<FrameWatch>,
+    path: &'a Path,
+    seconds: f64,
+    done: usize,
+}
+
+impl Work<'_> {
+    fn object(&mut self, i: usize) -> anyhow::Result<Array2<f32>> {
+        let frame = self.input.frames.read(i)?;
+        if let Some(watch) = &mut self.watch {
+            watch.see(i, frame.view());
+        }
+        let start = Instant::now();
+        let object = self.method.reconstruct(frame.view());
+        self.seconds += start.elapsed().as_secs_f64();
+        self.done += 1;
+        object.with_context(|| format!("{}: frame {i}", self.path.display()))
     }
 }
 
 /// Runs the verb.
 ///
 /// # Errors
-/// A file cannot be read or does not fit the method, or the output cannot be written. No output is left then.
+/// A file cannot be read or does not fit the method, or the output cannot be written. No output is left then; parts
+/// stay.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
-    let mut frames = FrameReader::open(&args.frames)?;
+    let mut input = Input::open(&args.frames)?;
+    let table = args.times.as_ref().map(|_| input.table()).transpose()?;
     let kind = args.method.map_or_else(|| MethodKind::default_for(&args.with), Ok)?;
+    let count = input.frames.len();
+    let parts = match args.resume || args.shard.is_some() {
+        true => {
+            let plan = Parts::plan(&mut input.frames, &args.with, kind.name(), run.seed)?;
+            Some(Parts::open(&args.output, &plan)?)
+        }
+        false => None,
+    };
     let (planning, start) = (run.spinner(planning(kind)), Instant::now());
     let method = kind.open(&args.with, run.seed)?;
     let plan_seconds = start.elapsed().as_secs_f64();
     planning.finish_and_clear();
+    let name = method.name().to_string();
     let pixel_um = args.scale.pixel_um.map_or_else(|| object_pixel_um(&args.with), |um| Ok(Some(um)))?;
-    let interval_s = args.scale.interval_s.or(frames.scale().interval_s);
-    let count = frames.len();
-    let mut watch = frame_range(&args.with)?.map(FrameWatch::new);
-    let bar = run.progress(count as u64, "reconstruct");
-    let mut writer: Option<FrameWriter> = None;
-    let mut seconds = 0.0;
-    for i in 0..count {
-        let frame = frames.read(i)?;
-        if let Some(watch) = &mut watch {
-            watch.see(i, frame.view());
+    let interval_s = args.scale.interval_s.or(input.interval_s());
+    let watch = frame_range(&args.with)?.map(FrameWatch::new);
+    let mut output = Output { path: &args.output, frames: count, pixel_um, interval_s, writer: None };
+    let mut work = Work { input, method, watch, path: &args.frames, seconds: 0.0, done: 0 };
+    let mut missing = 0;
+    match parts {
+        None => {
+            let bar = run.progress(count as u64, "reconstruct");
+            for i in 0..count {
+                output.push(&work.object(i)?)?;
+                bar.inc(1);
+            }
+            bar.finish_and_clear();
+            output.finish()?;
         }
-        let start = Instant::now();
-        let object = method.reconstruct(frame.view());
-        seconds += start.elapsed().as_secs_f64();
-        let object = object.with_context(|| format!("{}: frame {i}", args.frames.display()))?;
-        let writer = match &mut writer {
-            Some(writer) => writer,
-            // All objects have the size of the first.
-            None => writer.insert(
-                FrameWriter::create(
-                    &args.output,
-                    StackSpec {
-                        frames: count,
-                        rows: object.nrows(),
-                        cols: object.ncols(),
-                        samples: SampleType::F32,
-                        pixel_um,
-                    },
-                )?
-                .with_interval(interval_s),
-            ),
-        };
-        writer.push(object.view())?;
-        bar.inc(1);
+        Some(parts) => {
+            let todo = parts.missing(args.shard.unwrap_or(Share::ALL));
+            let bar = run.progress(todo.iter().map(|(_, frames)| frames.len() as u64).sum(), "reconstruct");
+            for (k, frames) in todo {
+                parts.make(k, frames, |i| {
+                    bar.inc(1);
+                    work.object(i)
+                })?;
+            }
+            bar.finish_and_clear();
+            missing = parts.missing(Share::ALL).len();
+            if args.shard.is_none() {
+                parts.each(|object| output.push(&object))?;
+                output.finish()?;
+                parts.remove();
+            }
+        }
     }
-    bar.finish_and_clear();
-    if let Some(writer) = writer {
-        writer.finish()?;
+    if let (Some(path), Some(table)) = (&args.times, table) {
+        artifact::write_whole(path, table.as_bytes())?;
     }
-    let warnings = warn(watch.and_then(|watch| watch.warning(&args.frames)));
-    let per_frame = seconds / count.max(1) as f64;
+    let found = work.input.warnings();
+    let warnings = warn(found.into_iter().chain(work.watch.and_then(|watch| watch.warning(&args.frames))));
+    let (seconds, done) = (work.seconds, work.done);
+    let per_frame = seconds / done.max(1) as f64;
+    let gaps = work.input.times.as_ref().map_or(0, |t| t.gaps.len());
+    let mut text = format!(
+        "{} ({} frames, {}): {} a frame, after {} of planning\n",
+        args.output.display(),
+        count,
+        ommatidia_network::methods::title(&name),
+        ommatidia_report::seconds(per_frame),
+        ommatidia_report::seconds(plan_seconds)
+    );
+    if args.shard.is_some() {
+        let folder = Parts::folder_of(&args.output);
+        text = format!("{} frames made in {}; {missing} parts are missing\n", done, folder.display());
+        if missing == 0 {
+            text += "all parts are there: the same command with --resume in place of --shard makes the output\n";
+        }
+    }
     Ok(Outcome {
         json: serde_json::json!({
-            "method": method.name(), "frames": count, "seconds_per_frame": per_frame, "plan_seconds": plan_seconds,
+            "method": name, "frames": count, "seconds_per_frame": per_frame, "plan_seconds": plan_seconds,
             "pixel_um": pixel_um, "interval_s": interval_s, "output": args.output, "warnings": warnings,
+            "frames_made": done, "parts_missing": missing, "gaps": gaps, "times": args.times,
         }),
-        text: format!(
-            "{} ({} frames, {}): {} a frame, after {} of planning\n",
-            args.output.display(),
-            count,
-            ommatidia_network::methods::title(method.name()),
-            ommatidia_report::seconds(per_frame),
-            ommatidia_report::seconds(plan_seconds)
-        ),
+        text,
     })
 }

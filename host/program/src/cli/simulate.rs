@@ -2,6 +2,7 @@
 
 use super::common::{Outcome, Run};
 use super::files::{Content, Files};
+use super::shard::shard;
 use ommatidia_model::dataset::{PLAN_FILE, Share, SimulateConfig};
 use ommatidia_model::instrument::Instrument;
 use ommatidia_physics::scene::{SceneConfig, Specimen};
@@ -34,8 +35,9 @@ pub struct Args {
     /// scale)
     #[arg(long, num_args = 2, value_names = ["LOW", "HIGH"])]
     peak_e: Option<Vec<f64>>,
-    /// Simulate only every N-th shard, starting with number I (counted from 1), so that N computers share the work
-    #[arg(long, value_name = "I/N", default_value = "1/1")]
+    /// Simulate only every N-th shard, starting with number I (counted from 1), so that N computers share the work; auto:
+    /// as the scheduler says (docs/clusters.md)
+    #[arg(long, value_name = "I/N", default_value = "1/1", value_parser = |text: &str| shard::<Share>(text, 1))]
     shard: Share,
 }
 

@@ -3,6 +3,7 @@
 use super::common::{Outcome, Run};
 use super::files::{Content, Files};
 use super::retrain::Networks;
+use super::shard::shard;
 use ommatidia_bench::{MeasuredPsfs, StackOf};
 use ommatidia_closing::study::intervals::Share;
 use ommatidia_closing::study::run::{JSON, PAGE, PLAN, StudyRequest, run as study};
@@ -55,8 +56,9 @@ pub struct Args {
     /// Ids of the effects to inject, separated by commas (default: all)
     #[arg(long, value_name = "ID,..", value_delimiter = ',')]
     only: Vec<String>,
-    /// Run only every N-th instrument, starting with number I (counted from 0), so that N computers share the work
-    #[arg(long, value_name = "I/N", default_value = "0/1")]
+    /// Run only every N-th instrument, starting with number I (counted from 0), so that N computers share the work; auto:
+    /// as the scheduler says (docs/clusters.md)
+    #[arg(long, value_name = "I/N", default_value = "0/1", value_parser = |text: &str| shard::<Shard>(text, 0))]
     shard: Shard,
 }
 

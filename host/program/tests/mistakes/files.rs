@@ -164,11 +164,10 @@ fn folders_that_cannot_take_an_output() {
                 "expected a folder",
                 "session.toml",
             ]),
-            Mistake::new("A session in place of frames", "reconstruct session -o new.npy --with network.omm").says(&[
-                "session: stack",
-                "found a folder",
-                "name a .npy or .tif",
-            ]),
+            Mistake::new("A session without scenes", "reconstruct session -o new.npy --with network.omm")
+                .says(&["session.toml", "role = \"scene\""]),
+            Mistake::new("A folder without frames", "reconstruct pairs -o new.npy --with network.omm")
+                .says(&["pairs: stack", "a folder of numbered .avi or .tif files"]),
             Mistake::new("A folder in place of an instrument", "predict pairs objects.npy -o new.npy").says(&[
                 "pairs",
                 "it is a folder",

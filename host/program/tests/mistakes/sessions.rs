@@ -36,6 +36,15 @@ fn positions(change: impl Fn(&mut Vec<[f64; 2]>) + Sync + 'static) -> impl Fn(&P
     })
 }
 
+/// Gives the positions in another unit, which the names of the columns state.
+fn in_unit(unit: &'static str, factor: f64) -> impl Fn(&Path) + Sync + 'static {
+    move |desk| {
+        positions(move |t| t.iter_mut().flatten().for_each(|v| *v *= factor))(desk);
+        let named = |axis: &str, t: &str| t.replacen(&format!("{axis}_um"), &format!("{axis}_{unit}"), 1);
+        text("bead.csv", move |t| named("y", &named("x", &t)))(desk);
+    }
+}
+
 /// Changes the frames of a stack.
 fn frames(name: &'static str, change: fn(Array3<f32>) -> Array3<f32>) -> impl Fn(&Path) + Sync + 'static {
     move |desk| {
@@ -47,34 +56,25 @@ fn frames(name: &'static str, change: fn(Array3<f32>) -> Array3<f32>) -> impl Fn
 
 fn tables() -> Vec<Mistake> {
     let row = |what: &str, words: &[&str]| Mistake::new(what, CALIBRATE).says(words);
+    // Read, and said so.
+    let read = |what: &str, words: &[&str]| {
+        Mistake::new(what, "calibrate session -o other --replicates 0").exit(0).says(words)
+    };
     let column = |from: &'static str, to: &'static str| text("bead.csv", move |t| t.replacen(from, to, 1));
     vec![
-        row("The table is separated by semicolons", &["bead.csv", "semicolons", "write commas"])
-            .with(text("bead.csv", |t| t.replace(',', ";"))),
-        row("The table is separated by tabs", &["bead.csv", "tabs", "write commas"])
-            .with(text("bead.csv", |t| t.replace(',', "\t"))),
         row("The table has no header", &["bead.csv", "header row is missing", "frame,x_um,y_um"])
             .with(text("bead.csv", |t| t.split_once('\n').unwrap().1.into())),
         row("Numbers have decimal commas", &["bead.csv", "decimal commas", "decimal points"])
             .with(text("bead.csv", |t| t.replace('.', ","))),
-        row("Numbers have decimal commas, in quotes", &["bead.csv", "decimal commas", "decimal points"]).with(text(
-            "bead.csv",
-            |t| {
-                t.replacen("\n0,", "\n0,\"12,5\",", 1)
-                    .replacen("frame,", "frame,z_um,", 1)
-                    .lines()
-                    .enumerate()
-                    .map(|(i, l)| if i > 1 { l.replacen(',', ",0,", 1) } else { l.into() })
-                    .collect::<Vec<_>>()
-                    .join("\n")
-            },
-        )),
-        row("Columns are named in millimetres", &["bead.csv", "x_um", "millimetres", "multiply them by 1000"])
-            .with(text("bead.csv", |t| t.replacen("x_um", "x_mm", 1).replacen("y_um", "y_mm", 1))),
-        row("Columns are named in pixels", &["bead.csv", "x_um", "pixels", "object.pixel_um"])
-            .with(text("bead.csv", |t| t.replacen("x_um", "x_px", 1).replacen("y_um", "y_px", 1))),
-        row("Columns have capital letters", &["bead.csv", "x_um", "small letters"]).with(column("x_um", "X_um")),
-        row("Frames are numbered from 1", &["bead.csv", "numbered from 1", "from 0"]).with(text("bead.csv", |t| {
+        row("A column of positions has no unit", &["bead.csv", "x_um", "states no unit"]).with(column("x_um", "X")),
+        read("Semicolons separate numbers with decimal commas", &["bead.csv", "with decimal commas"])
+            .with(text("bead.csv", |t| t.replace(',', ";").replace('.', ","))),
+        read("Columns are in millimetres, and named so", &["bead.csv", "`x_mm` as x_um (times 1000)"])
+            .with(in_unit("mm", 1e-3)),
+        read("Columns are in pixels, and named so", &["bead.csv", "object pixels of 2.8 um"])
+            .with(in_unit("px", 1.0 / 2.8)),
+        read("Columns have other names", &["bead.csv", "`Stage X (um)` as x_um"]).with(column("x_um", "Stage X (um)")),
+        read("Frames are numbered from 1", &["bead.csv", "numbered from 1"]).with(text("bead.csv", |t| {
             let mut lines = t.lines();
             let head = lines.next().unwrap().to_string();
             let next = |l: &str| {

@@ -40,7 +40,7 @@ mod write;
 pub use error::ArtifactError;
 pub use hash::file_hash;
 pub use header::{Header, Provenance, Tensors};
-pub use place::{folder_of, remove_leftovers, temporary_beside, temporary_folder_beside};
+pub use place::{folder_of, remove_leftovers, replace_folder, temporary_beside, temporary_folder_beside};
 pub(crate) use read::find_header;
 pub use read::{Index, inspect, read, shapes, take};
 pub use write::{write, write_tensors, write_whole};

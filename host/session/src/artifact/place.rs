@@ -35,6 +35,29 @@ pub fn temporary_beside(path: &Path) -> std::io::Result<tempfile::NamedTempFile>
     builder.tempfile_in(folder_of(path))
 }
 
+/// Moves a finished temporary folder to its place; a folder that is there goes, or stays where the move fails.
+///
+/// # Errors
+/// The folder of `path` is not writable.
+pub fn replace_folder(folder: tempfile::TempDir, path: &Path) -> std::io::Result<()> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        // Temporary folders are private; this one becomes a result.
+        std::fs::set_permissions(folder.path(), std::fs::Permissions::from_mode(0o755))?;
+    }
+    let aside = temporary_folder_beside(path)?;
+    if path.exists() {
+        std::fs::rename(path, aside.path().join("old"))?;
+    }
+    // From here on the folder is not removed on drop.
+    let finished = folder.keep();
+    std::fs::rename(&finished, path).inspect_err(|_| {
+        let _ = std::fs::remove_dir_all(&finished);
+        let _ = std::fs::rename(aside.path().join("old"), path);
+    })
+}
+
 fn unfinished_prefix(path: &Path) -> String {
     format!(".{}.", path.file_name().map_or("file".into(), |name| name.to_string_lossy()))
 }

@@ -71,6 +71,9 @@ pub(super) struct Shape {
 pub(super) enum Container {
     Npy,
     Tif,
+    Avi,
+    Mp4,
+    Zarr,
 }
 
 impl Container {
@@ -79,10 +82,13 @@ impl Container {
         match suffix.as_str() {
             "npy" => Ok(Self::Npy),
             "tif" | "tiff" => Ok(Self::Tif),
+            "avi" => Ok(Self::Avi),
+            "mp4" => Ok(Self::Mp4),
+            "zarr" => Ok(Self::Zarr),
             _ => Err(SessionError::value(
                 path,
                 "suffix",
-                ".npy, .tif or .tiff",
+                ".npy, .tif, .tiff or .avi",
                 if suffix.is_empty() { "none".into() } else { format!(".{suffix}") },
                 "rename the file, or convert the stack to one of these formats",
             )),

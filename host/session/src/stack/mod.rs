@@ -1,4 +1,5 @@
-//! Stacks of frames, [frames, rows, cols], in .npy or multi-page .tif files, read and written one frame at a time.
+//! Stacks of frames, [frames, rows, cols], read and written one frame at a time: .npy, multi-page .tif and .avi files,
+//! and folders of numbered .avi or .tif files.
 //!
 //! ```
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -17,17 +18,25 @@
 //! # }
 //! ```
 
+mod avi;
 mod layout;
 mod npy;
 mod ome;
 mod reader;
 mod recording;
+mod series;
 mod tif;
+mod video;
 mod whole;
 mod writer;
+mod zarr;
 
 pub use layout::{SampleType, StackScale, StackSpec};
 pub use reader::{ComputedFrames, FrameReader};
 pub use recording::Recording;
+pub use series::Part;
 pub use whole::{read, write};
 pub use writer::FrameWriter;
+
+/// Name of the file by which a folder written as .zarr is recognised.
+pub const ZARR_METADATA: &str = zarr::METADATA;

@@ -1,6 +1,7 @@
 //! Reads the frames of a stack one at a time.
 
 use super::layout::{Container, SampleType, Shape, StackScale};
+use super::series::{Part, SeriesSource};
 use super::{npy, tif};
 use crate::error::SessionError;
 use ndarray::Array2;
@@ -39,6 +40,7 @@ pub struct FrameReader {
 enum Source {
     Npy(npy::NpySource),
     Tif(Box<tif::TifSource>),
+    Series(Box<SeriesSource>),
     Computed {
         frames: Arc<dyn ComputedFrames>,
         /// Index of the first frame that was computed ahead.
@@ -49,24 +51,31 @@ enum Source {
 }
 
 impl FrameReader {
-    /// Opens a stack and checks its header, its sample type and the size of the file.
+    /// Opens a stack and checks its header, its sample type and the size of the file. A folder of numbered .avi or .tif
+    /// files is one stack; what is damaged in them is listed by [`FrameReader::parts`].
     ///
     /// # Errors
-    /// The file is missing, neither .npy nor .tif, of a sample type other than uint8, uint16 and float32, not an array
+    /// The file is missing, neither .npy nor .tif nor .avi, of a sample type other than uint8, uint16 and float32, not an array
     /// [frames, rows, cols], empty, or cut short.
     pub fn open(path: &Path) -> Result<Self, SessionError> {
-        if path.is_dir() {
-            return Err(SessionError::value(
-                path,
-                "stack",
-                "a file of frames",
-                "a folder",
-                "name a .npy or .tif in it",
-            ));
+        let series = |(shape, s)| (shape, Source::Series(Box::new(s)));
+        // A folder has no suffix that could be wrong.
+        if path.extension().is_none() && !path.exists() {
+            return Err(SessionError::io(path, std::io::ErrorKind::NotFound.into()));
         }
-        let (shape, source) = match Container::of(path)? {
-            Container::Npy => npy::NpySource::open(path).map(|(shape, s)| (shape, Source::Npy(s)))?,
-            Container::Tif => tif::TifSource::open(path).map(|(shape, s)| (shape, Source::Tif(Box::new(s))))?,
+        let (shape, source) = if path.is_dir() {
+            SeriesSource::of_folder(path).map(series)?
+        } else {
+            match Container::of(path)? {
+                Container::Npy => npy::NpySource::open(path).map(|(shape, s)| (shape, Source::Npy(s)))?,
+                Container::Tif => tif::TifSource::open(path).map(|(shape, s)| (shape, Source::Tif(Box::new(s))))?,
+                Container::Avi => SeriesSource::of_file(path).map(series)?,
+                Container::Mp4 | Container::Zarr => {
+                    let remedy = "convert the stack to .npy, .tif or .avi";
+                    let found = "a format that is only written";
+                    return Err(SessionError::value(path, "suffix", ".npy, .tif, .tiff or .avi", found, remedy));
+                }
+            }
         };
         let Shape { len, rows, cols, samples } = shape;
         if len == 0 || rows == 0 || cols == 0 {
@@ -112,11 +121,20 @@ impl FrameReader {
     pub fn scale(&self) -> StackScale {
         match &self.source {
             Source::Tif(tif) => tif.scale,
+            Source::Series(series) => series.scale,
             Source::Npy(_) | Source::Computed { .. } => StackScale::default(),
         }
     }
 
-    /// Path of the file.
+    /// The files of a stack of AVIs or of a folder, in order, with what is damaged in them; empty for other stacks.
+    pub fn parts(&self) -> &[Part] {
+        match &self.source {
+            Source::Series(series) => series.parts(),
+            _ => &[],
+        }
+    }
+
+    /// Path of the file or folder.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -134,6 +152,7 @@ impl FrameReader {
         let values = match &mut self.source {
             Source::Npy(s) => s.read(&self.path, i)?,
             Source::Tif(s) => s.read(&self.path, i)?,
+            Source::Series(s) => s.read(i)?,
             Source::Computed { frames, next, ahead } => {
                 if *next != i || ahead.is_empty() {
                     *ahead = frames.frames_from(i)?.into();

@@ -2,6 +2,8 @@
 
 use super::layout::{Container, SampleType, StackSpec};
 use super::ome;
+use super::video::VideoWriter;
+use super::zarr::ZarrWriter;
 use crate::artifact;
 use crate::error::SessionError;
 use ndarray::ArrayView2;
@@ -9,7 +11,7 @@ use npyz::WriterBuilder;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
-use tempfile::NamedTempFile;
+use tempfile::{NamedTempFile, TempDir};
 use tiff::TiffResult;
 use tiff::encoder::{TiffEncoder, TiffKind, TiffKindBig, TiffKindStandard, colortype};
 use tiff::tags::Tag;
@@ -17,8 +19,8 @@ use tiff::tags::Tag;
 /// What to do about an error that only a mistake in this program can cause.
 pub(super) const CALLER_ERROR: &str = "this is an error in the program: please report it";
 
-/// Writes the frames of a stack one at a time, as .npy or OME-TIFF by the suffix of the file name. The file appears
-/// when [`FrameWriter::finish`] returns.
+/// Writes the frames of a stack one at a time, as .npy, OME-TIFF, OME-Zarr (.zarr) or video (.avi, .mp4) by the suffix of
+/// the file name. The file appears when [`FrameWriter::finish`] returns.
 #[derive(Debug)]
 pub struct FrameWriter {
     path: PathBuf,
@@ -26,15 +28,24 @@ pub struct FrameWriter {
     shown: PathBuf,
     spec: StackSpec,
     interval_s: Option<f64>,
-    file: NamedTempFile,
+    place: Place,
     sink: Sink,
     pushed: usize,
+}
+
+/// What is being written, until it appears at its path.
+#[derive(Debug)]
+enum Place {
+    File(NamedTempFile),
+    Folder(TempDir),
 }
 
 enum Sink {
     Npy(BufWriter<File>),
     Tif(TiffEncoder<File, TiffKindStandard>),
     BigTif(TiffEncoder<File, TiffKindBig>),
+    Zarr(Box<ZarrWriter>),
+    Video(VideoWriter),
 }
 
 impl std::fmt::Debug for Sink {
@@ -43,6 +54,8 @@ impl std::fmt::Debug for Sink {
             Self::Npy(_) => "Npy",
             Self::Tif(_) => "Tif",
             Self::BigTif(_) => "BigTif",
+            Self::Zarr(_) => "Zarr",
+            Self::Video(_) => "Video",
         })
     }
 }
@@ -54,7 +67,8 @@ impl FrameWriter {
     /// Starts a stack of the size in `spec` that will appear at `path`.
     ///
     /// # Errors
-    /// The suffix is neither .npy nor .tif/.tiff, or the folder is missing or not writable.
+    /// The suffix is none of .npy, .tif, .tiff, .zarr, .avi and .mp4, the folder is missing or not writable, or ffmpeg,
+    /// which a video needs, is not installed.
     pub fn create(path: &Path, spec: StackSpec) -> Result<Self, SessionError> {
         Self::create_as(path, path, spec)
     }
@@ -63,16 +77,31 @@ impl FrameWriter {
     pub(crate) fn create_as(path: &Path, shown: &Path, spec: StackSpec) -> Result<Self, SessionError> {
         let io = |e| SessionError::io(shown, e);
         let container = Container::of(path)?;
-        let file = artifact::temporary_beside(path).map_err(io)?;
-        let out = file.as_file().try_clone().map_err(io)?;
         let bytes = spec.frames as u64 * (spec.rows * spec.cols * spec.samples.bytes() + 1024) as u64;
         let tif = |e| SessionError::tif(shown, e);
-        let sink = match container {
-            Container::Npy => Sink::Npy(npy_header(out, &spec).map_err(io)?),
-            Container::Tif if bytes < TIFF_BYTES => Sink::Tif(TiffEncoder::new(out).map_err(tif)?),
-            Container::Tif => Sink::BigTif(TiffEncoder::new_big(out).map_err(tif)?),
+        let new = |place, sink| Self {
+            path: path.into(),
+            shown: shown.into(),
+            spec,
+            interval_s: None,
+            place,
+            sink,
+            pushed: 0,
         };
-        Ok(Self { path: path.into(), shown: shown.into(), spec, interval_s: None, file, sink, pushed: 0 })
+        if container == Container::Zarr {
+            let folder = artifact::temporary_folder_beside(path).map_err(io)?;
+            let sink = Sink::Zarr(Box::new(ZarrWriter::create(folder.path(), spec).map_err(io)?));
+            return Ok(new(Place::Folder(folder), sink));
+        }
+        let file = artifact::temporary_beside(path).map_err(io)?;
+        let out = || file.as_file().try_clone().map_err(io);
+        let sink = match container {
+            Container::Npy => Sink::Npy(npy_header(out()?, &spec).map_err(io)?),
+            Container::Tif if bytes < TIFF_BYTES => Sink::Tif(TiffEncoder::new(out()?).map_err(tif)?),
+            Container::Tif => Sink::BigTif(TiffEncoder::new_big(out()?).map_err(tif)?),
+            _ => Sink::Video(VideoWriter::create(artifact::folder_of(path), shown)?),
+        };
+        Ok(new(Place::File(file), sink))
     }
 
     /// Gives the time from one frame to the next, s, for the OME metadata of a TIFF.
@@ -105,6 +134,10 @@ impl FrameWriter {
             }
             Sink::BigTif(out) => {
                 push_page(out, spec, values.collect(), description).map_err(|e| SessionError::tif(&self.shown, e))?
+            }
+            Sink::Zarr(out) => out.push(values.collect()).map_err(|e| SessionError::io(&self.shown, e))?,
+            Sink::Video(out) => {
+                out.push(&values.collect::<Vec<f32>>()).map_err(|e| SessionError::io(&self.shown, e))?
             }
         }
         self.pushed += 1;
@@ -152,11 +185,24 @@ impl FrameWriter {
                 remedy: CALLER_ERROR,
             });
         }
-        if let Sink::Npy(mut out) = self.sink {
-            out.flush().map_err(io)?;
+        match (self.sink, &self.place) {
+            (Sink::Npy(mut out), _) => out.flush().map_err(io)?,
+            (Sink::Video(out), Place::File(file)) => {
+                out.finish(file.path(), &self.shown, &self.spec, self.interval_s)?;
+            }
+            (Sink::Zarr(out), _) => {
+                let name = self.path.file_stem().unwrap_or_default().to_string_lossy();
+                out.finish(&name, self.interval_s).map_err(io)?;
+            }
+            _ => {}
         }
-        self.file.as_file().sync_all().map_err(io)?;
-        self.file.persist(&self.path).map_err(|e| io(e.error))?;
+        match self.place {
+            Place::File(file) => {
+                file.as_file().sync_all().map_err(io)?;
+                file.persist(&self.path).map_err(|e| io(e.error))?;
+            }
+            Place::Folder(folder) => artifact::replace_folder(folder, &self.path).map_err(io)?,
+        }
         Ok(())
     }
 }

@@ -25,6 +25,7 @@ pub fn all() -> Vec<Step> {
         step("formatting", || check(cargo(["fmt", "--all", "--check"]))),
         step("firmware images", firmware_images),
         step("emulator", || toolchain::ensure_qemu().map(|()| Counts::check(true))),
+        step("ffmpeg", || toolchain::ensure_ffmpeg().map(|()| Counts::check(true))),
         step("tests of shared, debug build with overflow checks", || tests(&["-p", "ommatidia-shared"])),
         step("tests of shared, 32-bit program with overflow checks", narrow_tests),
         step("shared on other cores", other_cores),

@@ -164,6 +164,16 @@ pub fn ensure_qemu() -> Result<()> {
     Ok(())
 }
 
+/// Finds or installs ffmpeg, which the tests of videos need.
+pub fn ensure_ffmpeg() -> Result<()> {
+    let version = || Command::new("ffmpeg").arg("-version").output();
+    if version().is_err() {
+        apt_install(&["ffmpeg"]);
+    }
+    version().context("no ffmpeg: install it (Debian: `apt-get install ffmpeg`)")?;
+    Ok(())
+}
+
 fn has_target(target: &str) -> bool {
     Command::new("rustup")
         .args(["target", "list", "--installed"])

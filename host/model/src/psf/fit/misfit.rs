@@ -82,6 +82,20 @@ impl Misfit {
         })
     }
 
+    /// Scatter of the brightness of the beads about the predicted one at `rank`, relative, and the part of it that noise
+    /// causes, for windows of `pixels` pixels in all. The scatter is about the median and robust: noise in a prediction
+    /// makes all beads look alike too dim, and the windows of a few may be cut off.
+    pub fn brightness_scatter(&self, rank: usize, pixels: usize) -> [f64; 2] {
+        let k = rank - 1;
+        let lit: Vec<usize> = (0..self.tt.len()).filter(|n| self.pp[[*n, k]] > 0.0).collect();
+        let scales: Vec<f64> = lit.iter().map(|n| self.pt[[*n, k]] / self.pp[[*n, k]]).collect();
+        let centre = median(scales.clone());
+        let scatter = 1.4826 * median(scales.iter().map(|a| (a - centre).abs()).collect()) / centre.abs();
+        // Photon noise is about twice as strong, in amplitude, where the light is; the prediction has as much of it.
+        let noise = lit.iter().map(|n| 8.0 * self.noise[*n] / (pixels.max(1) as f64 * self.pp[[*n, k]]));
+        [scatter, median(noise.collect()).sqrt()]
+    }
+
     /// NRMSE that the noise of the measured windows alone causes: a lower limit of [`Self::nrmse`].
     pub fn noise_floor(&self) -> f64 {
         (self.noise.sum() / self.tt.sum()).sqrt()
@@ -93,6 +107,12 @@ impl Misfit {
         let least = squares.iter().fold(f64::INFINITY, |m, v| m.min(*v));
         1 + squares.iter().position(|v| *v <= 1.001 * least).unwrap_or(0)
     }
+}
+
+/// The median; NaN of nothing.
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
 /// Misfit of a TSVD at those of `beads` that were fitted, with the coefficients of the decomposition: the approximation

@@ -1,0 +1,127 @@
+//! `import`: recordings of other programs in, a session out.
+
+use super::files::{Content, Files};
+use super::{Outcome, Run};
+use anyhow::{Context, bail};
+use ommatidia_session::import::{Found, ImportRequest, LengthUnit, REPORT, Source, import};
+use ommatidia_session::kind::FileKind;
+use ommatidia_session::{FrameReader, MANIFEST, Manifest, Role, Session, artifact};
+use serde_json::json;
+use std::path::{Path, PathBuf};
+
+/// Options of `import`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Recordings: a folder of numbered .avi or .tif files (such as that of a UCLA Miniscope), or a file .avi, .tif or
+    /// .npy. `dark=`, `flat=`, `bead=` or `scene=` in front says what it shows [default: beads where there are
+    /// positions, else scenes]
+    #[arg(required = true, value_name = "[ROLE=]PATH", value_parser = source)]
+    recordings: Vec<Source>,
+    /// Folder of the session
+    #[arg(short, long, value_name = "SESSION")]
+    output: PathBuf,
+    /// Copy the frames into the session as .npy [default: refer to the files where they are]
+    #[arg(long)]
+    copy: bool,
+    /// Instrument or session with the sizes of sensor, array, optics and object [default: a camera with one lens, whose
+    /// pixels are those of the object]
+    #[arg(long, value_name = "FILE")]
+    like: Option<PathBuf>,
+    /// Table of the stage positions of bead frames [default: names of the files, or the only .csv in their folder]
+    #[arg(long, value_name = "CSV")]
+    positions: Option<PathBuf>,
+    /// Unit of positions in names of files that state none: um, mm or px (object pixels)
+    #[arg(long, value_name = "UNIT")]
+    unit: Option<LengthUnit>,
+    /// Side of an object pixel, um, without --like [default: as the files say, or 1]
+    #[arg(long, value_name = "UM", value_parser = super::common::positive, conflicts_with = "like")]
+    pixel_um: Option<f64>,
+    /// Exposure, ms [default: the time between frames]
+    #[arg(long, value_name = "MS", value_parser = super::common::positive)]
+    exposure_ms: Option<f64>,
+    /// Bits of the converter [default: as --like says, or the fewest of 8, 10, 12, 14, 16 that hold all values]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=32))]
+    bit_depth: Option<u32>,
+}
+
+fn source(text: &str) -> Result<Source, String> {
+    let roles = [Role::Dark, Role::Flat, Role::Bead, Role::Scene];
+    let named = text.split_once('=').and_then(|(name, path)| {
+        let role = roles.into_iter().find(|r| r.name() == name)?;
+        Some(Source { role: Some(role), path: path.into() })
+    });
+    Ok(named.unwrap_or_else(|| Source { role: None, path: text.into() }))
+}
+
+/// The names of the files of a session that was imported: nothing else may be lost with its folder.
+fn imported(name: &str) -> bool {
+    let of_stack = ["dark", "flat", "bead", "scene"].iter().any(|role| name.starts_with(role));
+    let file = [".npy", ".csv", ".metaData.json"].iter().any(|end| name.ends_with(end));
+    name == MANIFEST || name == REPORT || (of_stack && file)
+}
+
+impl Args {
+    /// What the verb reads and writes.
+    pub fn files(&self) -> Files {
+        Files::reading(self.recordings.iter().map(|source| &source.path))
+            .and_reading(&self.like)
+            .and_reading(&self.positions)
+            .writing([&self.output], Content::Named(imported))
+    }
+}
+
+/// The manifest of an instrument or a session.
+fn like(path: &Path) -> anyhow::Result<Manifest> {
+    match FileKind::of(path)? {
+        FileKind::Session => Ok(Session::open(path)?.manifest().clone()),
+        FileKind::Artifact(kind) if kind == "instrument" => {
+            let manifest = artifact::inspect(path)?["body"]["manifest"].take();
+            serde_json::from_value(manifest).with_context(|| format!("{}: the instrument is damaged", path.display()))
+        }
+        found => bail!("{}: expected an instrument or a session folder, found {found}", path.display()),
+    }
+}
+
+/// Runs the verb.
+///
+/// # Errors
+/// A recording cannot be read, or something is not known that only the user can say. No session is left then.
+pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
+    let started = std::time::Instant::now();
+    let frames = args.recordings.iter().map(|s| Ok(FrameReader::open(&s.path)?.len() as u64));
+    let frames = frames.sum::<anyhow::Result<u64>>()?;
+    let request = ImportRequest {
+        sources: &args.recordings,
+        output: &args.output,
+        like: args.like.as_deref().map(like).transpose()?,
+        pixel_um: args.pixel_um,
+        exposure_ms: args.exposure_ms,
+        bit_depth: args.bit_depth,
+        positions: args.positions.as_deref(),
+        unit: args.unit,
+        copy: args.copy,
+        replace: run.force,
+    };
+    let bar = run.progress(frames, "import");
+    let found = import(&request, || bar.inc(1))?;
+    bar.finish_and_clear();
+    let session = Session::open(&args.output)?;
+    let sensor = session.manifest().sensor;
+    let mut text: String = found.iter().map(Found::text).collect();
+    let mut notes = Vec::new();
+    if args.bit_depth.is_none() && args.like.is_none() {
+        notes.push(format!("{} bits are the fewest that hold all values (--bit-depth)", sensor.bit_depth));
+    }
+    if args.like.is_none() {
+        let um = session.manifest().object.pixel_um;
+        notes.push(format!("one lens, and pixels of {um} um, are assumed (--like INSTRUMENT, or --pixel-um)"));
+    }
+    notes.iter().for_each(|note| text += &format!("note: {note}\n"));
+    let seconds = started.elapsed().as_secs_f64();
+    text += &format!("-> {} ({frames} frames, {:.0} a second)\n", args.output.display(), frames as f64 / seconds);
+    let json = json!({
+        "session": args.output, "copied": args.copy, "bit_depth": sensor.bit_depth, "recordings": found, "notes": notes,
+        "frames": frames, "seconds": seconds,
+    });
+    Ok(Outcome { json, text })
+}

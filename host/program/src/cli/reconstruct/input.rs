@@ -1,0 +1,98 @@
+//! The frames that are reconstructed: a file, a folder of a recording, or the scenes of a session; and their times.
+
+use anyhow::bail;
+use ommatidia_session::import::{Times, times_of};
+use ommatidia_session::kind::FileKind;
+use ommatidia_session::{FrameReader, Role, Session};
+use std::fmt::Write;
+use std::path::Path;
+
+/// Frames with what is known of their times.
+pub struct Input {
+    /// The frames.
+    pub frames: FrameReader,
+    /// Times of the frames, where a table has them.
+    pub times: Option<Times>,
+}
+
+impl Input {
+    /// Opens a file, a folder of numbered files, or a session with one stack of scenes.
+    ///
+    /// # Errors
+    /// It cannot be read, or the session has no or several stacks of scenes.
+    pub fn open(path: &Path) -> anyhow::Result<Self> {
+        if path.is_dir() && FileKind::of(path)? == FileKind::Session {
+            return Self::of_session(path);
+        }
+        let frames = FrameReader::open(path)?;
+        let times = times_of(&frames)?;
+        Ok(Self { frames, times })
+    }
+
+    fn of_session(path: &Path) -> anyhow::Result<Self> {
+        let session = Session::open(path)?;
+        let scenes = session.need(Role::Scene)?;
+        let [stack] = scenes[..] else {
+            let names: Vec<String> = scenes.iter().map(|s| s.path().display().to_string()).collect();
+            bail!("{}: has {} stacks of scenes; name one: {}", path.display(), scenes.len(), names.join(", "));
+        };
+        let time_s: Vec<f64> = stack.info().iter().map(|info| info.time_s).collect();
+        // Without a column of times all are zero.
+        let times = time_s.windows(2).any(|w| w[0] != w[1]).then(|| Times::of_frames(&time_s));
+        Ok(Self { frames: stack.frames()?, times })
+    }
+
+    /// The time from one frame to the next, s, where it is the same for all.
+    pub fn interval_s(&self) -> Option<f64> {
+        match &self.times {
+            Some(times) if times.gaps.is_empty() && times.backwards.is_empty() => times.interval_s,
+            Some(_) => None,
+            None => self.frames.scale().interval_s,
+        }
+    }
+
+    /// What is not reconstructed since it is not whole, and where frames are missing.
+    pub fn warnings(&self) -> Vec<String> {
+        let mut warnings = Vec::new();
+        for part in self.frames.parts() {
+            let (torn, empty) = (part.torn.len(), part.empty.len());
+            let mut what = Vec::new();
+            if torn + empty > 0 {
+                what.push(format!("{torn} frames that end too early and {empty} without data were left out"));
+            }
+            what.extend(part.damage.clone());
+            if !what.is_empty() {
+                warnings.push(format!("{}: {}", part.path.display(), what.join("; ")));
+            }
+        }
+        if let Some(times) = self.times.as_ref().filter(|t| !t.gaps.is_empty()) {
+            let missing: usize = times.gaps.iter().map(|g| g.missing).sum();
+            let path = self.frames.path().display();
+            let gaps = times.gaps.len();
+            warnings.push(format!(
+                "{path}: {missing} frames are missing in {gaps} gaps; the output holds the frames one after another \
+                 (--times FILE writes the time of each)"
+            ));
+        }
+        warnings
+    }
+
+    /// A table with the time of each frame.
+    ///
+    /// # Errors
+    /// No times are known.
+    pub fn table(&self) -> anyhow::Result<String> {
+        let Some(times) = &self.times else {
+            bail!("{}: has no timestamps, which --times writes; leave the option out", self.frames.path().display());
+        };
+        let mut text = format!("{TABLE}\n");
+        for (i, time) in times.time_s.iter().enumerate() {
+            // Writing to a string cannot fail.
+            let _ = writeln!(text, "{i},{}", (time * 1e7).round() / 1e7);
+        }
+        Ok(text)
+    }
+}
+
+/// Header of a table of times.
+pub const TABLE: &str = "frame,time_s";

@@ -1,0 +1,237 @@
+//! Recordings as laboratories have them: a Miniscope folder with gaps, a torn frame and a short file, and numbered TIFFs.
+#![allow(clippy::unwrap_used)]
+
+use ndarray::Array2;
+use ommatidia_session::{FrameWriter, Role, SampleType, Session, StackSpec, stack};
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+const ROWS: usize = 24;
+const COLS: usize = 32;
+
+fn ommatidia(folder: &Path, words: &str) -> (i32, String, String) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_ommatidia"));
+    command.args(words.split_whitespace()).current_dir(folder).env("NO_COLOR", "1").env_remove("RUST_LOG");
+    // A test may itself run under a scheduler.
+    for name in ["SLURM_ARRAY_TASK_ID", "SGE_TASK_ID", "PBS_ARRAY_INDEX", "JOB_COMPLETION_INDEX", "HQ_TASK_ID"] {
+        command.env_remove(name);
+    }
+    let out = command.output().unwrap();
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    (out.status.code().unwrap(), text(&out.stdout), text(&out.stderr))
+}
+
+fn json(folder: &Path, words: &str) -> Value {
+    let (code, out, error) = ommatidia(folder, &format!("{words} --json"));
+    assert_eq!(code, 0, "{words}: {error}");
+    serde_json::from_str(&out).unwrap()
+}
+
+/// Frame `i` of a recording: a pattern that tells the number.
+fn frame(i: usize) -> Vec<u8> {
+    (0..ROWS * COLS).map(|p| (40 + (7 * i + p) % 97) as u8).collect()
+}
+
+fn chunk(id: &[u8; 4], data: &[u8]) -> Vec<u8> {
+    let mut out = [&id[..], &(data.len() as u32).to_le_bytes(), data].concat();
+    out.resize(out.len().next_multiple_of(2), 0);
+    out
+}
+
+/// A grey AVI as Miniscope V4 writes it.
+fn avi(frames: &[usize]) -> Vec<u8> {
+    let mut strh = [&b"vidsGREY"[..], &[0; 48]].concat();
+    strh[20] = 1;
+    strh[24] = 20;
+    let mut strf = [&40u32.to_le_bytes()[..], &(COLS as u32).to_le_bytes(), &(ROWS as u32).to_le_bytes()].concat();
+    strf.extend([1, 0, 8, 0]);
+    strf.extend(b"GREY");
+    strf.resize(40, 0);
+    let list = |kind: &[u8; 4], form: &[u8], inner: &[u8]| chunk(kind, &[form, inner].concat());
+    let strl = list(b"LIST", b"strl", &[chunk(b"strh", &strh), chunk(b"strf", &strf)].concat());
+    let hdrl = list(b"LIST", b"hdrl", &[chunk(b"avih", &[0; 56]), strl].concat());
+    let data: Vec<u8> = frames.iter().flat_map(|i| chunk(b"00db", &frame(*i))).collect();
+    let body = [hdrl, list(b"LIST", b"movi", &data), chunk(b"idx1", &[0; 32])].concat();
+    list(b"RIFF", b"AVI ", &body)
+}
+
+/// A V4 folder of 4 files of 30 frames: 1.avi lacks its last 4 frames, 3.avi is torn in its last frame; the recorder
+/// missed 5 frames after number 40 and 2 after number 70; frame 10 repeats frame 9. Gives the folder.
+fn miniscope(at: &Path) -> PathBuf {
+    let folder = at.join("Miniscope");
+    std::fs::create_dir_all(&folder).unwrap();
+    let shown = |i: usize| if i == 10 { 9 } else { i };
+    for file in 0..4 {
+        let last = if file == 1 { 56 } else { 30 * file + 30 };
+        let mut bytes = avi(&(30 * file..last).map(shown).collect::<Vec<_>>());
+        if file == 3 {
+            // Cut in the middle of the last frame, as by a crash.
+            let cut = bytes.len() - 40 - ROWS * COLS / 2;
+            bytes.truncate(cut);
+        }
+        std::fs::write(folder.join(format!("{file}.avi")), bytes).unwrap();
+    }
+    let mut table = String::from("Frame Number,Time Stamp (ms),Buffer Index\r\n");
+    let mut ms = -3;
+    for i in 0..120 {
+        table += &format!("{i},{ms},0\r\n");
+        ms += 50 + i % 2 + if i == 40 { 5 * 50 } else { 0 } + if i == 70 { 2 * 50 } else { 0 };
+    }
+    std::fs::write(folder.join("timeStamps.csv"), table).unwrap();
+    let metadata = r#"{"ROI": {"height": 24, "leftEdge": 0, "topEdge": 0, "width": 32}, "compression": "GREY",
+        "deviceName": "Miniscope", "deviceType": "Miniscope_V4_BNO", "frameRate": "20FPS", "framesPerFile": 30,
+        "gain": "Low", "led0": 15}"#;
+    std::fs::write(folder.join("metaData.json"), metadata).unwrap();
+    folder
+}
+
+#[test]
+fn a_miniscope_folder_is_imported_with_all_that_is_wrong_in_it() {
+    let desk = tempfile::tempdir().unwrap();
+    miniscope(desk.path());
+    let found = &json(desk.path(), "import Miniscope -o session")["recordings"][0];
+    // 120 timestamps; 4 frames of 1.avi and the torn one are missing.
+    assert_eq!((found["frames"].as_u64(), found["timestamps"].as_u64()), (Some(115), Some(120)), "{found:#}");
+    assert_eq!(found["timestamps_unused"], 5);
+    assert_eq!(found["torn"], serde_json::json!([{ "file": "3.avi", "frame": 29, "empty": false }]));
+    assert_eq!(found["short"], serde_json::json!([["1.avi", 26, 30]]));
+    assert_eq!(found["repeated"], serde_json::json!([10]));
+    assert!(found["damaged"][0].as_str().unwrap().starts_with("3.avi: it ends within a frame"), "{found:#}");
+    let gaps: Vec<[u64; 2]> = found["gaps"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|g| [g["after_frame"].as_u64().unwrap(), g["missing"].as_u64().unwrap()])
+        .collect();
+    // Frame 55 is the last of the short file; the frames behind it are four less than their rows.
+    assert_eq!(gaps, [[40, 5], [55, 4], [66, 2]]);
+    let rate = found["rate_hz"].as_f64().unwrap();
+    assert!((rate - 1000.0 / 50.5).abs() < 0.05 && found["configured_rate_hz"] == 20.0, "{rate}");
+    assert_eq!(found["device"], "Miniscope_V4_BNO");
+    let session = Session::open(desk.path().join("session")).unwrap();
+    let stack = session.need(Role::Scene).unwrap()[0];
+    assert_eq!(stack.entry().file, "../Miniscope");
+    assert_eq!((stack.len(), stack.info()[0].time_s, stack.info()[1].time_s), (115, -0.003, 0.047));
+    let mut frames = stack.frames().unwrap();
+    let values = |i: usize| frame(i).into_iter().map(f32::from).collect::<Vec<_>>();
+    for (i, number) in [(0, 0), (55, 55), (56, 60), (114, 118)] {
+        assert_eq!(frames.read(i).unwrap().into_raw_vec_and_offset().0, values(number), "{i}");
+    }
+    // A copy has the same frames, and needs the folder no longer.
+    json(desk.path(), "import Miniscope -o copy --copy");
+    std::fs::rename(desk.path().join("Miniscope"), desk.path().join("gone")).unwrap();
+    let copied = stack::read(&desk.path().join("copy/scene.npy")).unwrap();
+    assert_eq!(copied.dim(), (115, ROWS, COLS));
+    let (code, _, text) = ommatidia(desk.path(), "inspect session");
+    assert!(code == 1 && text.contains("Miniscope"), "{text}");
+    assert!(desk.path().join("copy/scene.metaData.json").is_file() && desk.path().join("copy/import.json").is_file());
+}
+
+#[test]
+fn a_folder_is_reconstructed_directly_in_one_run_in_parts_and_in_shares() {
+    let desk = tempfile::tempdir().unwrap();
+    miniscope(desk.path());
+    json(desk.path(), "import Miniscope -o session");
+    // Without beads the optics are the identity: `central` gives the frame above black.
+    json(desk.path(), "calibrate session -o camera.instrument --gain 1 --read-noise 1");
+    let with = "reconstruct Miniscope --with camera.instrument --method central";
+    let whole = json(desk.path(), &format!("{with} -o whole.tif --times times.csv"));
+    assert_eq!((whole["frames"].as_u64(), whole["gaps"].as_u64()), (Some(115), Some(3)));
+    let warnings = whole["warnings"].to_string();
+    assert!(warnings.contains("1 frames that end too early") && warnings.contains("11 frames are missing in 3 gaps"));
+    let times = std::fs::read_to_string(desk.path().join("times.csv")).unwrap();
+    assert!(times.starts_with("frame,time_s\n0,-0.003\n1,0.047\n") && times.lines().count() == 116, "{times}");
+    // Frames that are not evenly spaced state no interval.
+    assert_eq!(whole["interval_s"], Value::Null);
+    // In three shares, one of which is lost and one damaged, and then together.
+    // Four parts: the first share has two of them.
+    for (share, left) in [("1/3", 2), ("2/3", 1), ("3/3", 0)] {
+        let made = json(desk.path(), &format!("{with} -o shared.tif --shard {share}"));
+        assert_eq!(made["parts_missing"], serde_json::json!(left), "{made}");
+    }
+    let part = |k: usize| desk.path().join(format!("shared.tif.parts/part-{k:06}.npy"));
+    std::fs::remove_file(part(0)).unwrap();
+    std::fs::write(part(2), b"not whole").unwrap();
+    let joined = json(desk.path(), &format!("{with} -o shared.tif --resume"));
+    assert_eq!(joined["frames_made"], 64, "{joined}");
+    let bytes = |name: &str| std::fs::read(desk.path().join(name)).unwrap();
+    assert!(bytes("shared.tif") == bytes("whole.tif") && !desk.path().join("shared.tif.parts").exists());
+    // Parts of another method are not mixed in.
+    json(desk.path(), &format!("{with} -o other.npy --shard 1/2"));
+    let other = "reconstruct Miniscope --with camera.instrument --method wiener -o other.npy --resume";
+    let (code, _, text) = ommatidia(desk.path(), other);
+    assert!(code == 1 && text.contains("another reconstruction"), "{text}");
+    // The session that refers to the folder gives the same.
+    json(desk.path(), "reconstruct session --with camera.instrument --method central -o session.npy");
+    json(desk.path(), &format!("{with} -o whole.npy"));
+    assert_eq!(bytes("session.npy"), bytes("whole.npy"));
+    // No scheduler: `auto` says what it looked for.
+    let (code, _, text) = ommatidia(desk.path(), &format!("{with} -o auto.npy --shard auto"));
+    assert!(code == 2 && text.contains("SLURM_ARRAY_TASK_ID"), "{text}");
+}
+
+#[test]
+fn zarr_holds_the_reconstruction() {
+    let desk = tempfile::tempdir().unwrap();
+    miniscope(desk.path());
+    json(desk.path(), "import Miniscope -o session --pixel-um 2");
+    json(desk.path(), "calibrate session -o camera.instrument --gain 1 --read-noise 1");
+    let with = "reconstruct Miniscope --with camera.instrument --method central";
+    json(desk.path(), &format!("{with} -o x.npy"));
+    json(desk.path(), &format!("{with} -o x.zarr"));
+    let npy = stack::read(&desk.path().join("x.npy")).unwrap();
+    let values: Vec<u8> = npy.iter().take(64 * ROWS * COLS).flat_map(|v| v.to_le_bytes()).collect();
+    assert!(std::fs::read(desk.path().join("x.zarr/0/c/0/0/0/0")).unwrap() == values);
+    let group: Value =
+        serde_json::from_str(&std::fs::read_to_string(desk.path().join("x.zarr/zarr.json")).unwrap()).unwrap();
+    let image = &group["attributes"]["ome"]["multiscales"][0];
+    assert_eq!(image["axes"][2], serde_json::json!({ "name": "y", "type": "space", "unit": "micrometer" }));
+    assert_eq!(image["datasets"][0]["coordinateTransformations"][0]["scale"], serde_json::json!([1.0, 1.0, 2.0, 2.0]));
+    // A folder of something else is never replaced.
+    std::fs::create_dir(desk.path().join("mine.zarr")).unwrap();
+    std::fs::write(desk.path().join("mine.zarr/notes.txt"), "mine").unwrap();
+    let (code, _, text) = ommatidia(desk.path(), &format!("{with} -o mine.zarr --force"));
+    assert!(code == 1 && text.contains("never replaced"), "{text}");
+}
+
+#[test]
+fn numbered_tiffs_with_positions_are_a_bead_scan() {
+    let desk = tempfile::tempdir().unwrap();
+    let folder = desk.path().join("beads");
+    std::fs::create_dir(&folder).unwrap();
+    let spec = StackSpec { frames: 1, rows: 9, cols: 9, samples: SampleType::U16, pixel_um: None };
+    let mut write = |name: String, value: f32| {
+        let mut writer = FrameWriter::create(&folder.join(name), spec).unwrap();
+        writer.push(Array2::from_elem((9, 9), value).view()).unwrap();
+        writer.finish().unwrap();
+    };
+    for i in 0..12 {
+        write(format!("bead{i}_x{}um_y-2um.tif", i as f64 / 2.0 - 3.0), 100.0 * i as f32);
+    }
+    let found = json(desk.path(), "import beads -o session --exposure-ms 5");
+    assert_eq!((&found["recordings"][0]["role"], &found["bit_depth"]), (&"bead".into(), &12.into()));
+    let session = Session::open(desk.path().join("session")).unwrap();
+    let stack = session.need(Role::Bead).unwrap()[0];
+    // In the order of the numbers: bead2 before bead10.
+    assert_eq!((stack.info()[10].x_um, stack.info()[10].y_um), (2.0, -2.0));
+    assert_eq!(stack.frames().unwrap().read(10).unwrap()[(0, 0)], 1000.0);
+    let (code, _, text) = ommatidia(desk.path(), "import beads -o other");
+    assert!(code == 1 && text.contains("--exposure-ms"), "{text}");
+    let (code, _, text) = ommatidia(desk.path(), "import dark=beads bead=Missing -o other --exposure-ms 5");
+    assert!(code == 1 && text.contains("Missing") && !desk.path().join("other").exists(), "{text}");
+}
+
+#[test]
+fn a_compressed_video_names_ffmpeg_where_it_is_missing() {
+    let desk = tempfile::tempdir().unwrap();
+    let mut bytes = avi(&[0, 1]);
+    while let Some(at) = bytes.windows(4).position(|w| w == b"GREY") {
+        bytes[at..at + 4].copy_from_slice(b"FFV1");
+    }
+    std::fs::write(desk.path().join("ffv1.avi"), bytes).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_ommatidia"));
+    let out = command.args(["inspect", "ffv1.avi"]).current_dir(desk.path()).env("PATH", "").output().unwrap();
+    let text = String::from_utf8_lossy(&out.stderr);
+    assert!(!out.status.success() && text.contains("install ffmpeg"), "{text}");
+}

@@ -1,0 +1,111 @@
+//! What is known of each frame: its position and its time.
+
+use super::{ImportRequest, LengthUnit, Times, positions};
+use crate::error::SessionError;
+use crate::manifest::{ObjectGrid, Role};
+use crate::stack::FrameReader;
+use crate::table::{self, FrameInfo, Wanted};
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+/// Positions of the frames: from the table that is asked for, names of files, or the only table in their folder. `None`
+/// where there are none. Positions in pixels are marked (`other` holds `unit`).
+pub(super) fn positions(
+    frames: &FrameReader,
+    request: &ImportRequest<'_>,
+    role: Option<Role>,
+    notes: &mut Vec<String>,
+) -> Result<Option<Vec<FrameInfo>>, SessionError> {
+    if let Some(path) = request.positions {
+        return of_table(path, frames, request, notes).map(Some);
+    }
+    // Names of files are positions only where each file is one frame.
+    let files: Vec<&Path> = frames.parts().iter().map(|p| p.path.as_path()).collect();
+    if files.len() == frames.len()
+        && let Some(found) = positions::in_names(&files, request.unit)?
+    {
+        notes.push("positions are those in the names of the files".into());
+        return Ok(Some(found.iter().enumerate().map(of_name).collect()));
+    }
+    let alone = only_table(frames.path()).filter(|_| super::times::table_of(frames.path()).is_none());
+    match alone {
+        Some(path) => {
+            notes.push(format!("positions are those in {}", path.display()));
+            of_table(&path, frames, request, notes).map(Some)
+        }
+        None if role == Some(Role::Bead) => Err(SessionError::value(
+            frames.path(),
+            "positions",
+            "a stage position for each bead frame",
+            "none in names of files, and no table beside them",
+            "give a table: --positions FILE",
+        )),
+        None => Ok(None),
+    }
+}
+
+fn of_name((frame, ([x_um, y_um, z_um], unit)): (usize, &([f64; 3], LengthUnit))) -> FrameInfo {
+    let mut info = FrameInfo { x_um: *x_um, y_um: *y_um, z_um: *z_um, ..FrameInfo::plain(frame, 0.0) };
+    if *unit == LengthUnit::Px {
+        info.other.insert("unit".into(), "px".into());
+    }
+    info
+}
+
+/// The only .csv in the folder of a folder recording.
+fn only_table(folder: &Path) -> Option<PathBuf> {
+    let entries = std::fs::read_dir(folder).ok()?;
+    let is_csv = |p: &PathBuf| p.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv"));
+    let mut tables = entries.flatten().map(|e| e.path()).filter(is_csv);
+    tables.next().filter(|_| tables.next().is_none())
+}
+
+fn of_table(
+    path: &Path,
+    frames: &FrameReader,
+    request: &ImportRequest<'_>,
+    notes: &mut Vec<String>,
+) -> Result<Vec<FrameInfo>, SessionError> {
+    let object = request.like.as_ref().map_or(
+        ObjectGrid { rows: frames.rows(), cols: frames.cols(), pixel_um: request.pixel_um.unwrap_or(1.0) },
+        |like| like.object,
+    );
+    let wanted = Wanted { frames: frames.len(), exposure_ms: 0.0, positions: true, object: &object };
+    let (infos, of_table) = table::read(path, &wanted)?;
+    notes.extend(of_table);
+    by_file_names(path, infos, frames)
+}
+
+/// Sorts the rows of a table with a column of file names into the order of the files.
+fn by_file_names(path: &Path, mut infos: Vec<FrameInfo>, frames: &FrameReader) -> Result<Vec<FrameInfo>, SessionError> {
+    let column = ["file", "filename", "file_name", "name", "image"];
+    let named = infos.first().and_then(|info| info.other.keys().find(|k| column.contains(&k.to_lowercase().as_str())));
+    let Some(column) = named.cloned().filter(|_| frames.parts().len() == frames.len()) else { return Ok(infos) };
+    let stem = |name: &str| Path::new(name).file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let places: HashMap<String, usize> =
+        frames.parts().iter().enumerate().map(|(i, p)| (stem(&p.path.to_string_lossy()), i)).collect();
+    let mut taken = vec![false; infos.len()];
+    for info in &mut infos {
+        let name = info.other.get(&column).cloned().unwrap_or_default();
+        let place = places.get(&stem(&name)).filter(|i| !std::mem::replace(&mut taken[**i], true));
+        info.frame = *place.ok_or_else(|| {
+            let field = format!("column `{column}`, row {}", info.frame);
+            SessionError::value(path, field, "each file of the folder once", name, "correct the table")
+        })?;
+    }
+    infos.sort_by_key(|info| info.frame);
+    Ok(infos)
+}
+
+/// Puts the times into the table, from the first frame on. Extrapolated ones are marked.
+pub(super) fn times_into(infos: &mut [FrameInfo], times: Option<&Times>) {
+    let Some(times) = times else { return };
+    let measured = times.time_s.len() - times.estimated;
+    for (i, (info, time)) in infos.iter_mut().zip(&times.time_s).enumerate() {
+        // Tenths of a microsecond: the milliseconds of a table, without the error of their binary fractions.
+        info.time_s = (time * 1e7).round() / 1e7;
+        if times.estimated > 0 {
+            info.other.insert("time_is".into(), if i < measured { "measured" } else { "estimated" }.into());
+        }
+    }
+}

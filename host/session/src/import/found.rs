@@ -1,0 +1,217 @@
+//! What was found in a recording, for programs and for people.
+
+use super::survey::Survey;
+use super::times::Gap;
+use super::{Opened, Source};
+use crate::manifest::StackEntry;
+use serde::Serialize;
+use std::fmt::Write;
+
+/// What was found in a recording.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Found {
+    /// The recording as it was named.
+    pub source: String,
+    /// Role of its stack.
+    pub role: &'static str,
+    /// File of the stack, as the manifest has it.
+    pub file: String,
+    /// Device, where the metadata name it.
+    pub device: Option<String>,
+    /// Number of whole frames: the frames of the stack.
+    pub frames: usize,
+    /// Rows of a frame.
+    pub rows: usize,
+    /// Columns of a frame.
+    pub cols: usize,
+    /// Type of the samples: uint8, uint16 or float32.
+    pub samples: &'static str,
+    /// Largest value, DN.
+    pub max_dn: f64,
+    /// Number of files.
+    pub files: usize,
+    /// Frames a second by the timestamps, without the gaps.
+    pub rate_hz: Option<f64>,
+    /// Frames a second as the recorder was set.
+    pub configured_rate_hz: Option<f64>,
+    /// Number of timestamps; `None` without a table of them.
+    pub timestamps: Option<usize>,
+    /// Number of timestamps that belong to no whole frame.
+    pub timestamps_unused: usize,
+    /// Number of frames at the end without a timestamp, whose times are extrapolated.
+    pub times_estimated: usize,
+    /// How timestamps were assigned to frames, where their numbers differ.
+    pub assigned: Option<&'static str>,
+    /// Times between frames that are longer than others.
+    pub gaps: Vec<Gap>,
+    /// Frames whose timestamp is not later than that of the frame before.
+    pub backwards: Vec<usize>,
+    /// Frames that equal the frame before in every pixel.
+    pub repeated: Vec<usize>,
+    /// Frames that were left out since they end too early or have no data.
+    pub torn: Vec<Torn>,
+    /// Files that are damaged at their end, or as a whole.
+    pub damaged: Vec<String>,
+    /// Files with fewer frames than the others, except the last: name, frames, frames of a full file.
+    pub short: Vec<(String, usize, usize)>,
+    /// Files that are missing between the first and the last.
+    pub missing_files: Vec<u64>,
+    /// What else was taken from where.
+    pub notes: Vec<String>,
+}
+
+/// A frame that was left out.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Torn {
+    /// The file.
+    pub file: String,
+    /// Number of the frame in the file, from 0.
+    pub frame: usize,
+    /// Whether it has no data at all.
+    pub empty: bool,
+}
+
+impl Found {
+    pub(super) fn new(source: &Source, entry: StackEntry, recording: &Opened, survey: &Survey) -> Self {
+        let (frames, parts) = (&recording.frames, recording.frames.parts());
+        let times = recording.times.clone().unwrap_or_default();
+        let name = |path: &std::path::Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let mut torn = Vec::new();
+        for part in parts {
+            let of = |empty| move |frame: &usize| (*frame, empty);
+            let mut all: Vec<(usize, bool)> =
+                part.torn.iter().map(of(false)).chain(part.empty.iter().map(of(true))).collect();
+            all.sort_unstable();
+            torn.extend(all.into_iter().map(|(frame, empty)| Torn { file: name(&part.path), frame, empty }));
+        }
+        let full = recording.metadata.as_ref().and_then(|m| m.frames_per_file);
+        let full = full.unwrap_or_else(|| parts.iter().map(|p| p.listed).max().unwrap_or(0));
+        // Files of a folder of AVIs are filled one after the other; those of TIFFs need not be.
+        let filled = parts.iter().all(|p| p.path.extension().is_some_and(|e| e.eq_ignore_ascii_case("avi")));
+        let short = parts.iter().rev().skip(1).rev().filter(|p| filled && p.listed < full);
+        let numbers: Vec<u64> = parts.iter().filter(|_| filled).filter_map(|p| p.number).collect();
+        let present = |n: &u64| numbers.binary_search(n).is_err();
+        // Files are counted from 0 by version 4, from 1 by version 3.
+        let first = numbers.first().map_or(0, |n| (*n).min(1));
+        let missing_files =
+            numbers.last().map_or(Vec::new(), |last| (first..*last).filter(present).take(1000).collect());
+        Self {
+            source: source.path.display().to_string(),
+            role: recording.role.name(),
+            file: entry.file,
+            device: recording.metadata.as_ref().and_then(|m| m.device.clone()),
+            frames: frames.len(),
+            rows: frames.rows(),
+            cols: frames.cols(),
+            samples: frames.samples().name(),
+            max_dn: survey.max_dn,
+            files: parts.len().max(1),
+            rate_hz: times.rate_hz(),
+            configured_rate_hz: recording.metadata.as_ref().and_then(|m| m.frame_rate_hz),
+            timestamps: recording.times.as_ref().map(|t| t.timestamps),
+            timestamps_unused: times.unused,
+            times_estimated: times.estimated,
+            assigned: times.assigned,
+            gaps: times.gaps,
+            backwards: times.backwards,
+            repeated: survey.repeated.clone(),
+            torn,
+            damaged: parts
+                .iter()
+                .filter_map(|p| {
+                    p.damage
+                        .as_ref()
+                        .map(|d| if d.contains(&name(&p.path)) { d.clone() } else { format!("{}: {d}", name(&p.path)) })
+                })
+                .collect(),
+            short: short.map(|p| (name(&p.path), p.listed, full)).collect(),
+            missing_files,
+            notes: recording.notes.clone(),
+        }
+    }
+
+    /// The report for people; each line says one thing.
+    pub fn text(&self) -> String {
+        let mut out = String::new();
+        // Writing to a string cannot fail.
+        let mut line = |text: String| {
+            let _ = writeln!(out, "{text}");
+        };
+        let device = self.device.as_ref().map_or(String::new(), |d| format!(" of {d}"));
+        let plural = if self.files == 1 { "file" } else { "files" };
+        line(format!(
+            "{}{device}: {} frames of {} x {} {} in {} {plural}, as {} ({})",
+            self.source, self.frames, self.rows, self.cols, self.samples, self.files, self.role, self.file
+        ));
+        match (self.rate_hz, self.configured_rate_hz) {
+            (Some(rate), Some(set)) => line(format!("  rate        {rate:.3} Hz by the timestamps; {set} Hz was set")),
+            (Some(rate), None) => line(format!("  rate        {rate:.3} Hz by the timestamps")),
+            (None, Some(set)) => line(format!("  rate        no timestamps; {set} Hz was set")),
+            (None, None) => {}
+        }
+        if let Some(count) = self.timestamps {
+            let left: usize = self.torn.len();
+            let of = format!("{count} for {} frames", self.frames);
+            let unused = match (self.timestamps_unused, left) {
+                (0, _) => String::new(),
+                (n, _) => format!("; {n} without a whole frame"),
+            };
+            let estimated = match self.times_estimated {
+                0 => String::new(),
+                n => format!("; the times of the last {n} frames are extrapolated (column time_is)"),
+            };
+            line(format!("  timestamps  {of}{unused}{estimated}"));
+            if let Some(how) = self.assigned {
+                line(format!("              assigned {how}"));
+            }
+        }
+        for gap in self.gaps.iter().take(LINES) {
+            line(format!(
+                "  gap         after frame {}, at {:.3} s: {:.3} s, {} frames are missing",
+                gap.after_frame, gap.time_s, gap.seconds, gap.missing
+            ));
+        }
+        more(&mut line, self.gaps.len(), "gaps");
+        for torn in self.torn.iter().take(LINES) {
+            let what = if torn.empty { "has no data" } else { "ends too early" };
+            line(format!("  left out    frame {} of {}: it {what}", torn.frame, torn.file));
+        }
+        more(&mut line, self.torn.len(), "frames that were left out");
+        for damage in &self.damaged {
+            line(format!("  damaged     {damage}"));
+        }
+        for (file, frames, full) in &self.short {
+            line(format!("  short       {file}: {frames} frames, a full file has {full}"));
+        }
+        if !self.missing_files.is_empty() {
+            line(format!("  missing     files {}", list(&self.missing_files)));
+        }
+        if !self.repeated.is_empty() {
+            let (n, which) = (self.repeated.len(), list(&self.repeated));
+            line(format!("  repeated    {n} frames equal the frame before: {which}"));
+        }
+        if !self.backwards.is_empty() {
+            let (n, which) = (self.backwards.len(), list(&self.backwards));
+            line(format!("  backwards   {n} frames have no later time than the frame before: {which}"));
+        }
+        for note in &self.notes {
+            line(format!("  note        {note}"));
+        }
+        out
+    }
+}
+
+/// Most lines of one kind in the text; the JSON has all.
+const LINES: usize = 12;
+
+fn more(line: &mut impl FnMut(String), count: usize, what: &str) {
+    if count > LINES {
+        line(format!("              and more: {count} {what} in all"));
+    }
+}
+
+fn list<T: ToString>(values: &[T]) -> String {
+    let first: Vec<String> = values.iter().take(LINES).map(ToString::to_string).collect();
+    let rest = if values.len() > LINES { ", ..." } else { "" };
+    format!("{}{rest}", first.join(", "))
+}

@@ -1,0 +1,285 @@
+//! Recordings of other programs become sessions: by reference to their files, or as a copy.
+//!
+//! [`import`] reads every frame once, so that what it reports ([`Found`]) is what is in the files: frames that are torn,
+//! repeated or missing, and the rate by the timestamps. It leaves out nothing without a line in the report.
+
+mod describe;
+mod found;
+mod miniscope;
+mod positions;
+mod survey;
+mod times;
+
+pub use found::{Found, Torn};
+pub use miniscope::Metadata;
+pub use times::{Gap, Times};
+
+use crate::error::SessionError;
+use crate::manifest::{ArrayGeometry, Manifest, ObjectGrid, Optics, Role, SensorSpec, StackEntry};
+use crate::stack::FrameReader;
+use crate::table::FrameInfo;
+use crate::write::{Existing, SessionWriter};
+use std::path::{Path, PathBuf};
+use survey::{Copy, Survey};
+
+/// Name of the report in the folder of a session that was imported.
+pub const REPORT: &str = "import.json";
+
+/// Unit of positions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LengthUnit {
+    /// Micrometres.
+    Um,
+    /// Millimetres.
+    Mm,
+    /// Object pixels.
+    Px,
+}
+
+impl std::str::FromStr for LengthUnit {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "um" | "µm" => Ok(Self::Um),
+            "mm" => Ok(Self::Mm),
+            "px" => Ok(Self::Px),
+            _ => Err("expected um, mm or px".into()),
+        }
+    }
+}
+
+/// One recording to import.
+#[derive(Clone, Debug)]
+pub struct Source {
+    /// What its frames show; `None`: beads where there are positions, else scenes.
+    pub role: Option<Role>,
+    /// File of frames, or folder of numbered .avi or .tif files.
+    pub path: PathBuf,
+}
+
+/// What to import, and as what.
+#[derive(Clone, Debug)]
+pub struct ImportRequest<'a> {
+    /// The recordings; each becomes a stack.
+    pub sources: &'a [Source],
+    /// Folder of the session to write.
+    pub output: &'a Path,
+    /// Sizes of sensor, array, optics and object; `None`: those of a camera whose pixels are the object's.
+    pub like: Option<Manifest>,
+    /// Side of an object pixel, um, without `like`; `None`: as the files say, or 1.
+    pub pixel_um: Option<f64>,
+    /// Exposure, ms; `None`: the time between frames.
+    pub exposure_ms: Option<f64>,
+    /// Bits of the converter; `None`: that of `like`, or the fewest of 8, 10, 12, 14 and 16 that hold all values.
+    pub bit_depth: Option<u32>,
+    /// Table of positions of the bead frames; `None`: names of files, or the only table in their folder.
+    pub positions: Option<&'a Path>,
+    /// Unit of positions in names that state none.
+    pub unit: Option<LengthUnit>,
+    /// Whether to copy the frames into the session.
+    pub copy: bool,
+    /// Whether to replace a session that was imported before.
+    pub replace: bool,
+}
+
+/// A recording that is open, with what its folder says of it.
+#[derive(Debug)]
+struct Opened {
+    frames: FrameReader,
+    metadata: Option<Metadata>,
+    times: Option<Times>,
+    infos: Option<Vec<FrameInfo>>,
+    role: Role,
+    notes: Vec<String>,
+}
+
+/// Imports recordings as a session. `progress` is called after each frame.
+///
+/// # Errors
+/// A recording cannot be read, its sizes differ from those asked for, something is not known that only the user can say
+/// (unit of positions, exposure), or the session cannot be written. Nothing is left behind then.
+pub fn import(request: &ImportRequest<'_>, mut progress: impl FnMut()) -> Result<Vec<Found>, SessionError> {
+    let mut opened = Vec::new();
+    for source in request.sources {
+        opened.push(open(source, request)?);
+    }
+    let Some(first) = opened.first() else {
+        let remedy = "name at least one";
+        return Err(SessionError::value(request.output, "recordings", "one or more", "none", remedy));
+    };
+    let manifest = manifest(request, first)?;
+    let existing = if request.replace { Existing::ReplaceIfHas(REPORT) } else { Existing::Keep };
+    let mut writer = SessionWriter::create(request.output, &manifest, existing)?;
+    let mut found = Vec::new();
+    for (i, mut recording) in opened.into_iter().enumerate() {
+        let name = file_name(&found, recording.role);
+        same_size(&recording.frames, &manifest)?;
+        let frames = recording.frames.len();
+        let mut infos = recording.infos.take();
+        if let Some(infos) = infos.as_mut().filter(|infos| infos.iter().any(|info| info.other.contains_key("unit"))) {
+            pixels_to_um(recording.frames.path(), &manifest.object, infos, &mut recording.notes)?;
+        }
+        let copy = request.copy.then(|| Copy::start(&writer, &format!("{name}.npy"), &recording.frames)).transpose()?;
+        let survey = Survey::of(&mut recording.frames, copy, &mut progress)?;
+        let exposure_ms = exposure_ms(request, &mut recording)?;
+        let file = match request.copy {
+            true => format!("{name}.npy"),
+            false => reference(recording.frames.path(), request.output)?,
+        };
+        let mut entry = StackEntry::plain(recording.role, file, exposure_ms);
+        let table = infos.is_some() || recording.times.is_some();
+        if table {
+            let plain = || (0..frames).map(|f| FrameInfo::plain(f, exposure_ms)).collect();
+            let mut infos = infos.unwrap_or_else(plain);
+            describe::times_into(&mut infos, recording.times.as_ref());
+            entry.table = Some(format!("{name}.csv"));
+            writer.table(&format!("{name}.csv"), &infos)?;
+        }
+        if let Some(metadata) = &recording.metadata {
+            let bytes = std::fs::read(&metadata.path).map_err(|e| SessionError::io(&metadata.path, e))?;
+            writer.extra(&format!("{name}.metaData.json"), &bytes)?;
+        }
+        writer.add(entry.clone());
+        found.push(Found::new(&request.sources[i], entry, &recording, &survey));
+    }
+    let largest = found.iter().map(|f| f.max_dn).fold(0.0, f64::max);
+    writer.set_bit_depth(bit_depth(request, largest)?);
+    let report = serde_json::to_string_pretty(&found).map_err(|e| SessionError::format(request.output, REPORT, e))?;
+    writer.extra(REPORT, format!("{report}\n").as_bytes())?;
+    writer.finish()?;
+    Ok(found)
+}
+
+/// The times of the frames of a recording that its folder holds, for reading a folder directly.
+///
+/// # Errors
+/// A table of timestamps or the metadata cannot be read.
+pub fn times_of(frames: &FrameReader) -> Result<Option<Times>, SessionError> {
+    let folder = folder_of(frames.path());
+    // A table of timestamps belongs to the recording in the same folder; one file of several is only a part of it.
+    let Some(path) = times::table_of(&folder).filter(|_| frames.path().is_dir()) else { return Ok(None) };
+    let metadata = miniscope::metadata(&folder)?;
+    // The cameras of version 3 are told apart by a number; that of the miniscope is 1 in most recordings, 0 in others.
+    let stamps = match times::timestamps(&path, Some("1"))? {
+        stamps if stamps.is_empty() => times::timestamps(&path, Some("0"))?,
+        stamps => stamps,
+    };
+    let per_file = metadata.and_then(|m| m.frames_per_file);
+    Ok(Some(Times::of(&stamps, frames.parts(), frames.len(), per_file)))
+}
+
+fn folder_of(path: &Path) -> PathBuf {
+    if path.is_dir() { path.into() } else { crate::artifact::folder_of(path).into() }
+}
+
+fn open(source: &Source, request: &ImportRequest<'_>) -> Result<Opened, SessionError> {
+    let frames = FrameReader::open(&source.path)?;
+    let mut notes = Vec::new();
+    let times = times_of(&frames)?;
+    let metadata = miniscope::metadata(&folder_of(&source.path))?.filter(|_| source.path.is_dir());
+    if let Some((metadata, roi)) = metadata.as_ref().and_then(|m| Some((m, m.roi?)))
+        && roi != [frames.rows(), frames.cols()]
+    {
+        let (path, of) = (metadata.path.display(), [frames.rows(), frames.cols()]);
+        notes.push(format!("{path}: states frames of {} x {}, the files have {} x {}", roi[0], roi[1], of[0], of[1]));
+    }
+    let wanted = source.role.is_none_or(|role| role == Role::Bead);
+    let infos = if wanted { describe::positions(&frames, request, source.role, &mut notes)? } else { None };
+    let role = source.role.unwrap_or(if infos.is_some() { Role::Bead } else { Role::Scene });
+    Ok(Opened { frames, metadata, times, infos, role, notes })
+}
+
+/// The name of a stack's files in the session, without suffix: its role, and a number from the second stack on.
+fn file_name(found: &[Found], role: Role) -> String {
+    match found.iter().filter(|f| f.role == role.name()).count() {
+        0 => role.name().into(),
+        n => format!("{}-{}", role.name(), n + 1),
+    }
+}
+
+fn manifest(request: &ImportRequest<'_>, first: &Opened) -> Result<Manifest, SessionError> {
+    let stem = request.sources[0].path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    if let Some(like) = &request.like {
+        return Ok(Manifest { name: stem, stacks: Vec::new(), ..like.clone() });
+    }
+    let (rows, cols) = (first.frames.rows(), first.frames.cols());
+    let stated = first.frames.scale().pixel_um.map(|[y, _]| y);
+    let pixel_um = request.pixel_um.or(stated).unwrap_or(1.0);
+    let side = rows.min(cols);
+    Ok(Manifest {
+        format: 1,
+        name: stem,
+        sensor: SensorSpec { rows, cols, pixel_pitch_um: pixel_um, bit_depth: 16 },
+        array: ArrayGeometry { rows: 1, cols: 1, pitch_px: 0.0 },
+        optics: Optics { magnification: 1.0, psf_window_px: 15.min(side - usize::from(side % 2 == 0)) },
+        object: ObjectGrid { rows, cols, pixel_um },
+        stacks: Vec::new(),
+    })
+}
+
+fn same_size(frames: &FrameReader, manifest: &Manifest) -> Result<(), SessionError> {
+    let (found, expected) = ([frames.rows(), frames.cols()], [manifest.sensor.rows, manifest.sensor.cols]);
+    if found == expected {
+        return Ok(());
+    }
+    Err(SessionError::Shape {
+        path: frames.path().into(),
+        expected: format!("frames of {} x {}", expected[0], expected[1]),
+        found: format!("{} x {}", found[0], found[1]),
+        remedy: "import recordings of one sensor, and an instrument or session of the same sensor with --like",
+    })
+}
+
+fn pixels_to_um(
+    path: &Path,
+    object: &ObjectGrid,
+    infos: &mut [FrameInfo],
+    notes: &mut Vec<String>,
+) -> Result<(), SessionError> {
+    for info in infos.iter_mut() {
+        info.other.remove("unit");
+    }
+    crate::table::pixels_to_um(path, object, infos, notes)
+}
+
+fn exposure_ms(request: &ImportRequest<'_>, recording: &mut Opened) -> Result<f64, SessionError> {
+    if let Some(ms) = request.exposure_ms {
+        return Ok(ms);
+    }
+    let by_times = recording.times.as_ref().and_then(|t| t.interval_s);
+    let Some(interval) = by_times.or(recording.frames.scale().interval_s) else {
+        let (path, remedy) = (recording.frames.path(), "state it: --exposure-ms");
+        return Err(SessionError::value(path, "exposure", "a time in ms", "none in the files", remedy));
+    };
+    let ms = (1e6 * interval).round() / 1e3;
+    recording.notes.push(format!("no exposure is stated: the time between frames, {ms} ms, is taken (--exposure-ms)"));
+    Ok(ms)
+}
+
+/// Bits of the converter: as asked for, as the instrument has it, or the fewest that hold the largest value.
+fn bit_depth(request: &ImportRequest<'_>, largest: f64) -> Result<u32, SessionError> {
+    let top = |bits: u32| (2f64).powi(bits as i32) - 1.0;
+    let given = request.bit_depth.or(request.like.as_ref().map(|m| m.sensor.bit_depth));
+    let bits = given.unwrap_or_else(|| [8, 10, 12, 14, 16].into_iter().find(|b| largest <= top(*b)).unwrap_or(32));
+    if largest > top(bits) {
+        let (expected, remedy) = (format!("at most {} DN, {bits} bits", top(bits)), "correct --bit-depth");
+        return Err(SessionError::value(&request.sources[0].path, "largest value", expected, largest, remedy));
+    }
+    Ok(bits)
+}
+
+/// The path of a recording as the manifest has it: relative where recording and session share a folder, so that both
+/// may be moved together.
+fn reference(path: &Path, output: &Path) -> Result<String, SessionError> {
+    let whole = path.canonicalize().map_err(|e| SessionError::io(path, e))?;
+    let parent = crate::artifact::folder_of(output).canonicalize().map_err(|e| SessionError::io(output, e))?;
+    let named = match whole.strip_prefix(&parent) {
+        Ok(inner) => Path::new("..").join(inner),
+        Err(_) => whole,
+    };
+    named.to_str().map(str::to_string).ok_or_else(|| {
+        let remedy = "rename it, or import a copy (--copy)";
+        SessionError::value(path, "path", "UTF-8 text, as a manifest has", "other bytes", remedy)
+    })
+}

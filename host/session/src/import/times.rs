@@ -1,0 +1,179 @@
+//! When the frames of a recording were taken: its table of timestamps, and what the table says of lost frames.
+
+use crate::error::SessionError;
+use crate::stack::Part;
+use crate::table::Grid;
+use serde::Serialize;
+use std::path::Path;
+
+/// The times of the frames of a recording.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Times {
+    /// Time of each frame, s, as the recorder's clock has it.
+    pub time_s: Vec<f64>,
+    /// Number of frames at the end without a timestamp, whose times are extrapolated.
+    pub estimated: usize,
+    /// Number of rows of the table.
+    pub timestamps: usize,
+    /// Number of rows of the table that belong to no whole frame.
+    pub unused: usize,
+    /// Median time from one frame to the next, s.
+    pub interval_s: Option<f64>,
+    /// Where frames are missing.
+    pub gaps: Vec<Gap>,
+    /// Frames whose timestamp is not later than that of the frame before.
+    pub backwards: Vec<usize>,
+    /// How rows of the table were assigned to frames, where their numbers differ.
+    pub assigned: Option<&'static str>,
+}
+
+/// A time between two frames that is longer than others.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Gap {
+    /// The last frame before it, counted from 0.
+    pub after_frame: usize,
+    /// Time of that frame, s.
+    pub time_s: f64,
+    /// Time to the next frame, s.
+    pub seconds: f64,
+    /// Number of frames that are missing, by the median interval.
+    pub missing: usize,
+}
+
+/// A time between frames of more than this many intervals is a gap.
+const GAP: f64 = 1.5;
+
+/// Names of tables of timestamps: those of Miniscope V4 and V3.
+const TABLES: [&str; 3] = ["timeStamps.csv", "timestamps.csv", "timestamp.dat"];
+
+/// The table of timestamps of a folder, if it has one.
+pub(super) fn table_of(folder: &Path) -> Option<std::path::PathBuf> {
+    TABLES.into_iter().map(|name| folder.join(name)).find(|path| path.is_file())
+}
+
+/// Reads the timestamps of a table, s.
+///
+/// # Errors
+/// The table cannot be read, has no column of times with a unit, or a row is no number.
+pub(super) fn timestamps(path: &Path, camera: Option<&str>) -> Result<Vec<f64>, SessionError> {
+    let grid = Grid::read(path)?;
+    let place = |names: &[&str]| {
+        let plain = |n: &str| n.to_lowercase().chars().filter(|c| c.is_alphanumeric()).collect::<String>();
+        grid.names.iter().position(|n| names.contains(&plain(n).as_str()))
+    };
+    let in_s = place(&["times", "timestamps"]).map(|i| (i, 1.0));
+    let in_ms = place(&["timestampms", "timems", "sysclock"]).map(|i| (i, 1e-3));
+    let Some((column, factor)) = in_ms.or(in_s) else {
+        return Err(SessionError::Missing {
+            path: path.into(),
+            field: "column `Time Stamp (ms)`".into(),
+            found: format!("columns {}", grid.names.join(", ")),
+            remedy: "name the column `Time Stamp (ms)` or `time_s`",
+        });
+    };
+    // Version 3 lists all cameras in one table.
+    let camera = camera.zip(place(&["camnum"]));
+    let rows = grid.rows.iter().filter(|row| camera.is_none_or(|(name, at)| row.cells[at] == name));
+    let time = |row: &crate::table::Row| {
+        let number = grid.number(&row.cells[column]).filter(|v| v.is_finite());
+        number.map(|v| v * factor).ok_or_else(|| {
+            let field = format!("line {}, column `{}`", row.line, grid.names[column]);
+            let found = format!("`{}` in `{}`", row.cells[column], row.text(grid.separator));
+            SessionError::value(path, field, "a finite number", found, "correct the table, or remove the line")
+        })
+    };
+    rows.map(time).collect()
+}
+
+impl Times {
+    /// Assigns timestamps to the whole frames of a recording. `per_file` is the number of frames that the recorder puts
+    /// into each file, if it is known.
+    pub(super) fn of(stamps: &[f64], parts: &[Part], frames: usize, per_file: Option<usize>) -> Self {
+        let listed: usize = parts.iter().map(|p| p.listed).sum();
+        let mut assigned = None;
+        let mut rows = Vec::with_capacity(frames);
+        if parts.is_empty() {
+            rows.extend(0..frames);
+        } else {
+            let per_file = per_file.unwrap_or_else(|| parts.iter().map(|p| p.listed).max().unwrap_or(0));
+            let by_file = listed != stamps.len() && fits(stamps.len(), parts, per_file);
+            let mut before = 0;
+            for part in parts {
+                let start = match part.number.filter(|_| by_file) {
+                    Some(number) => (number - first_number(parts)) as usize * per_file,
+                    None => before,
+                };
+                rows.extend(part.places().map(|place| start + place));
+                before += part.listed;
+            }
+            if listed != stamps.len() {
+                assigned = Some(match by_file {
+                    true => "each file begins at its own row, since every file but the last should be full",
+                    false => "row by row from the start",
+                });
+            }
+        }
+        let mut times = Self { timestamps: stamps.len(), assigned, ..Self::default() };
+        times.time_s = rows.iter().map_while(|row| stamps.get(*row).copied()).collect();
+        times.unused = stamps.len() - times.time_s.len();
+        times.judge();
+        times.extrapolate(frames);
+        times
+    }
+
+    /// The times of frames of which each has one, s.
+    pub fn of_frames(time_s: &[f64]) -> Self {
+        Self::of(time_s, &[], time_s.len(), None)
+    }
+
+    /// Finds the median interval, gaps, and times that do not grow.
+    fn judge(&mut self) {
+        let steps: Vec<f64> = self.time_s.windows(2).map(|w| w[1] - w[0]).collect();
+        let mut sorted = steps.clone();
+        sorted.sort_by(f64::total_cmp);
+        self.interval_s = sorted.get(sorted.len() / 2).copied().filter(|s| *s > 0.0);
+        for (i, step) in steps.into_iter().enumerate() {
+            if step <= 0.0 {
+                self.backwards.push(i + 1);
+            } else if let Some(interval) = self.interval_s.filter(|median| step > GAP * median) {
+                let missing = ((step / interval).round() as usize).saturating_sub(1);
+                self.gaps.push(Gap { after_frame: i, time_s: self.time_s[i], seconds: step, missing });
+            }
+        }
+    }
+
+    fn extrapolate(&mut self, frames: usize) {
+        self.estimated = frames - self.time_s.len();
+        let (start, step) = (self.time_s.last().copied(), self.interval_s.unwrap_or(0.0));
+        let next = |i: usize| start.map_or(i as f64 * step, |t| t + (i + 1) as f64 * step);
+        self.time_s.extend((0..self.estimated).map(next));
+    }
+
+    /// Frames a second by the timestamps, without the gaps.
+    pub fn rate_hz(&self) -> Option<f64> {
+        let last = self.time_s.len() - self.estimated;
+        let whole = self.time_s.get(last.checked_sub(1)?)? - self.time_s.first()?;
+        let lost: f64 = self.gaps.iter().map(|g| g.seconds).sum();
+        let steps = (last - 1).checked_sub(self.gaps.len())?;
+        Some(steps as f64 / (whole - lost)).filter(|rate| rate.is_finite() && *rate > 0.0)
+    }
+}
+
+/// The number of the first file: files are counted from 0 by version 4, from 1 by version 3.
+fn first_number(parts: &[Part]) -> u64 {
+    parts.first().and_then(|p| p.number).unwrap_or(0).min(1)
+}
+
+/// Whether a table fits files of `per_file` frames, of which some are short or missing.
+fn fits(stamps: usize, parts: &[Part], per_file: usize) -> bool {
+    let numbers: Option<Vec<u64>> = parts.iter().map(|p| p.number).collect();
+    let (Some(numbers), Some(last)) = (numbers, parts.last()) else { return false };
+    let files = numbers.last().unwrap_or(&0) - first_number(parts);
+    let begun = (files as usize).checked_mul(per_file);
+    let short = parts.len() as u64 != files + 1 || parts.iter().rev().skip(1).any(|p| p.listed < per_file);
+    let whole = parts.iter().all(|p| p.listed <= per_file);
+    short
+        && whole
+        && begun
+            .is_some_and(|begun| (begun.saturating_add(last.listed)..=begun.saturating_add(per_file)).contains(&stamps))
+}

@@ -1,0 +1,123 @@
+//! AVI files: one video of grey frames. Uncompressed frames are read here, all others by ffmpeg.
+
+mod decoder;
+mod pixels;
+mod riff;
+#[cfg(test)]
+mod tests;
+
+use super::layout::SampleType;
+use crate::error::SessionError;
+use decoder::Decoder;
+use pixels::Pixels;
+use riff::Chunk;
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::path::Path;
+
+const KIND: &str = ".avi";
+
+/// Most bytes of an uncompressed frame; a larger size counts as damage.
+const MOST_BYTES: usize = 1 << 30;
+
+/// What is in an AVI.
+#[derive(Debug)]
+pub(super) struct Movie {
+    pub rows: usize,
+    pub cols: usize,
+    pub samples: SampleType,
+    /// Time from one frame to the next that the header states, s.
+    pub interval_s: Option<f64>,
+    /// Number of frames that the file lists, whole or not.
+    pub slots: usize,
+    /// Numbers of frames without data: by the format, the frame before counts again.
+    pub empty: Vec<usize>,
+    /// Numbers of frames that end too early.
+    pub torn: Vec<usize>,
+    /// What is wrong with the end of the file, if anything is.
+    pub damage: Option<String>,
+    pixels: Pixels,
+    /// Where the whole frames lie.
+    chunks: Vec<Chunk>,
+}
+
+impl Movie {
+    /// Reads the headers of a file and of all its frames, without the frames themselves.
+    ///
+    /// # Errors
+    /// The file cannot be read, is no AVI, has no video, or shows frames of several colours.
+    pub fn open(path: &Path) -> Result<Self, SessionError> {
+        let file = File::open(path).map_err(|e| SessionError::io(path, e))?;
+        let found = riff::walk(file).map_err(|e| riff_error(path, e))?;
+        let format = |detail: &str| SessionError::format(path, KIND, detail);
+        let header = found.video.ok_or_else(|| format("it has no video stream"))?;
+        let pixels = Pixels::of(&header).map_err(|detail| format(&detail))?;
+        let (rows, cols) = (header.rows, header.cols);
+        let samples = match &pixels {
+            Pixels::Compressed(_) => decoder::samples(path)?,
+            raw => raw.samples(),
+        };
+        let size = rows.checked_mul(cols).and_then(|n| n.checked_mul(4)).filter(|n| *n <= MOST_BYTES);
+        if rows == 0 || cols == 0 || size.is_none() {
+            return Err(format(&format!("its header states frames of {rows} x {cols} pixels")));
+        }
+        let slots = found.chunks.len();
+        let (mut chunks, mut empty, mut torn) = (Vec::new(), Vec::new(), Vec::new());
+        for (slot, chunk) in found.chunks.into_iter().enumerate() {
+            if chunk.bytes == 0 {
+                empty.push(slot);
+            } else if chunk.whole && pixels.stride(rows, cols, chunk.bytes).is_some() {
+                chunks.push(chunk);
+            } else {
+                torn.push(slot);
+            }
+        }
+        let (interval_s, damage) = (header.interval_s, found.damage);
+        Ok(Self { rows, cols, samples, interval_s, slots, empty, torn, damage, pixels, chunks })
+    }
+
+    /// Number of whole frames.
+    pub fn frames(&self) -> usize {
+        self.chunks.len()
+    }
+}
+
+/// Reads frames of a movie: any order for uncompressed frames, best forwards for others.
+#[derive(Debug)]
+pub(super) struct MovieReader {
+    file: File,
+    decoder: Option<Decoder>,
+    buffer: Vec<u8>,
+}
+
+impl MovieReader {
+    pub fn open(path: &Path) -> Result<Self, SessionError> {
+        Ok(Self { file: File::open(path).map_err(|e| SessionError::io(path, e))?, decoder: None, buffer: Vec::new() })
+    }
+
+    /// Whole frame number `index`, row by row.
+    pub fn read(&mut self, path: &Path, movie: &Movie, index: usize) -> Result<Vec<f32>, SessionError> {
+        if let Pixels::Compressed(_) = movie.pixels {
+            // ffmpeg delivers neither frames without data nor torn ones.
+            let decoder = match self.decoder.take().filter(|d| d.next <= index) {
+                Some(decoder) => decoder,
+                None => Decoder::start(path, [movie.rows, movie.cols], movie.samples)?,
+            };
+            return self.decoder.insert(decoder).frame(path, index);
+        }
+        let chunk = movie.chunks[index];
+        self.buffer.resize(chunk.bytes as usize, 0);
+        let start = SeekFrom::Start(chunk.start);
+        let read = self.file.seek(start).and_then(|_| self.file.read_exact(&mut self.buffer));
+        read.map_err(|e| SessionError::io(path, e))?;
+        let values = movie.pixels.decode(&self.buffer, movie.rows, movie.cols);
+        values.map_err(|detail| SessionError::format(path, KIND, format!("frame {index}: {detail}")))
+    }
+}
+
+fn riff_error(path: &Path, error: std::io::Error) -> SessionError {
+    match error.kind() {
+        std::io::ErrorKind::InvalidData | std::io::ErrorKind::UnexpectedEof => SessionError::format(path, KIND, error),
+        _ => SessionError::io(path, error),
+    }
+}

@@ -1,0 +1,267 @@
+//! A stack in an AVI, or spread over the numbered files of a folder: AVIs, or TIFFs.
+
+use super::avi::{Movie, MovieReader};
+use super::layout::{Shape, StackScale};
+use super::tif::TifSource;
+use crate::error::SessionError;
+use std::path::{Path, PathBuf};
+
+/// One file of a stack that is spread over several, and what is in it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Part {
+    /// The file.
+    pub path: PathBuf,
+    /// Number in the name of the file.
+    pub number: Option<u64>,
+    /// Number of whole frames, which are the frames of the stack.
+    pub frames: usize,
+    /// Number of frames that the file lists, whole or not.
+    pub listed: usize,
+    /// Which of the listed frames have no data, counted from 0.
+    pub empty: Vec<usize>,
+    /// Which of the listed frames end too early, counted from 0.
+    pub torn: Vec<usize>,
+    /// What is wrong with the file, if anything is.
+    pub damage: Option<String>,
+}
+
+impl Part {
+    /// The number of each whole frame among the listed ones, counted from 0.
+    pub fn places(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..self.listed).filter(|i| self.empty.binary_search(i).is_err() && self.torn.binary_search(i).is_err())
+    }
+}
+
+/// An open stack of several files. One file is open at a time.
+#[derive(Debug)]
+pub(super) struct SeriesSource {
+    parts: Vec<Part>,
+    contents: Vec<Content>,
+    /// Number of frames before each part.
+    starts: Vec<usize>,
+    pub scale: StackScale,
+    open: Option<(usize, Open)>,
+}
+
+#[derive(Debug)]
+enum Content {
+    Movie(Box<Movie>),
+    Tif,
+    /// Damaged: no frames.
+    Nothing,
+}
+
+#[derive(Debug)]
+enum Open {
+    Movie(MovieReader),
+    Tif(Box<TifSource>),
+}
+
+impl SeriesSource {
+    /// Opens one AVI.
+    pub fn of_file(path: &Path) -> Result<(Shape, Self), SessionError> {
+        Self::of(path, vec![(None, path.into())])
+    }
+
+    /// Opens the numbered AVIs of a folder, or its numbered TIFFs.
+    pub fn of_folder(path: &Path) -> Result<(Shape, Self), SessionError> {
+        let files = numbered_files(path)?;
+        Self::of(path, files)
+    }
+
+    fn of(path: &Path, files: Vec<(Option<u64>, PathBuf)>) -> Result<(Shape, Self), SessionError> {
+        let one = files.len() == 1;
+        let (mut parts, mut contents, mut starts): (Vec<Part>, Vec<Content>, Vec<usize>) = Default::default();
+        let mut whole: Option<(Shape, StackScale)> = None;
+        let mut first_error = None;
+        for (number, file) in files {
+            let mut part = Part { path: file, number, frames: 0, listed: 0, empty: vec![], torn: vec![], damage: None };
+            let content = match part_of(&mut part) {
+                Ok((shape, scale, content)) => {
+                    whole = Some(joined(whole, shape, scale, &part)?);
+                    content
+                }
+                // A file that a recorder began and did not finish. Whether it matters is for the reader of `parts`.
+                Err(e @ (SessionError::Format { .. } | SessionError::Size { .. })) if !one => {
+                    part.damage = Some(e.to_string());
+                    first_error = first_error.or(Some(e));
+                    Content::Nothing
+                }
+                Err(e) => return Err(e),
+            };
+            starts.push(parts.iter().map(|p: &Part| p.frames).sum());
+            parts.push(part);
+            contents.push(content);
+        }
+        match (whole, first_error) {
+            (Some((shape, scale)), _) => Ok((shape, Self { parts, contents, starts, scale, open: None })),
+            (None, Some(error)) => Err(error),
+            (None, None) => Err(nothing(path, "no such file")),
+        }
+    }
+
+    pub fn parts(&self) -> &[Part] {
+        &self.parts
+    }
+
+    pub fn read(&mut self, i: usize) -> Result<Vec<f32>, SessionError> {
+        // The last part that begins at or before the frame; parts without frames begin where the next one does.
+        let part = self.starts.partition_point(|start| *start <= i).saturating_sub(1);
+        let (path, within) = (&self.parts[part].path, i - self.starts[part]);
+        let open = match self.open.take().filter(|(at, _)| *at == part) {
+            Some(open) => open,
+            None => (part, opened(path, &self.contents[part])?),
+        };
+        let (_, open) = self.open.insert(open);
+        match (open, &self.contents[part]) {
+            (Open::Movie(reader), Content::Movie(movie)) => reader.read(path, movie, within),
+            (Open::Tif(source), _) => source.read(path, within),
+            _ => Err(SessionError::format(path, "stack", format!("frame {i} is gone"))),
+        }
+    }
+}
+
+fn opened(path: &Path, content: &Content) -> Result<Open, SessionError> {
+    match content {
+        Content::Movie(_) => Ok(Open::Movie(MovieReader::open(path)?)),
+        _ => Ok(Open::Tif(Box::new(TifSource::open(path)?.1))),
+    }
+}
+
+/// Reads the headers of one file.
+fn part_of(part: &mut Part) -> Result<(Shape, StackScale, Content), SessionError> {
+    if !is_avi(&part.path) {
+        let (shape, source) = TifSource::open(&part.path)?;
+        (part.frames, part.listed) = (shape.len, shape.len);
+        return Ok((shape, source.scale, Content::Tif));
+    }
+    let mut movie = Movie::open(&part.path)?;
+    (part.frames, part.listed) = (movie.frames(), movie.slots);
+    (part.empty, part.torn) = (std::mem::take(&mut movie.empty), std::mem::take(&mut movie.torn));
+    part.damage = movie.damage.take();
+    let shape = Shape { len: part.frames, rows: movie.rows, cols: movie.cols, samples: movie.samples };
+    let scale = StackScale { pixel_um: None, interval_s: movie.interval_s };
+    Ok((shape, scale, Content::Movie(Box::new(movie))))
+}
+
+/// The shape of all parts so far and one more.
+fn joined(
+    before: Option<(Shape, StackScale)>,
+    next: Shape,
+    scale: StackScale,
+    part: &Part,
+) -> Result<(Shape, StackScale), SessionError> {
+    let Some((shape, scale)) = before else { return Ok((next, scale)) };
+    if (next.rows, next.cols, next.samples) != (shape.rows, shape.cols, shape.samples) {
+        return Err(SessionError::Shape {
+            path: part.path.clone(),
+            expected: format!("{} x {} {}, as the files before", shape.rows, shape.cols, shape.samples.name()),
+            found: format!("{} x {} {}", next.rows, next.cols, next.samples.name()),
+            remedy: "give recordings of different shapes folders of their own",
+        });
+    }
+    Ok((Shape { len: shape.len + next.len, ..shape }, scale))
+}
+
+pub(super) fn is_avi(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("avi"))
+}
+
+fn is_tif(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("tif") || e.eq_ignore_ascii_case("tiff"))
+}
+
+/// The numbered AVIs of a folder, or its TIFFs, in the order of the numbers in their names.
+fn numbered_files(folder: &Path) -> Result<Vec<(Option<u64>, PathBuf)>, SessionError> {
+    let entries = std::fs::read_dir(folder).map_err(|e| SessionError::io(folder, e))?;
+    let paths = entries.map(|e| Ok(e?.path())).collect::<std::io::Result<Vec<_>>>();
+    let mut paths = paths.map_err(|e| SessionError::io(folder, e))?;
+    // Hidden files are those of other systems, such as `._0.avi` of a Mac.
+    paths.retain(|p| p.is_file() && !name(p).starts_with('.'));
+    let avis: Vec<PathBuf> = paths.iter().filter(|p| is_avi(p)).cloned().collect();
+    if avis.is_empty() {
+        let mut tifs: Vec<PathBuf> = paths.into_iter().filter(|p| is_tif(p)).collect();
+        if tifs.is_empty() {
+            return Err(nothing(folder, &what_is_there(folder)));
+        }
+        tifs.sort_by_cached_key(|p| natural(&name(p)));
+        return Ok(tifs.into_iter().map(|p| (last_number(&p), p)).collect());
+    }
+    let mut numbered: Vec<(String, u64, PathBuf)> = Vec::new();
+    for path in &avis {
+        if let Some(number) = last_number(path) {
+            let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            let prefix = stem.trim_end_matches(|c: char| c.is_ascii_digit()).to_string();
+            numbered.push((prefix, number, path.clone()));
+        }
+    }
+    if numbered.is_empty() && avis.len() == 1 {
+        return Ok(vec![(None, avis[0].clone())]);
+    }
+    let mut prefixes: Vec<&str> = numbered.iter().map(|(prefix, ..)| prefix.as_str()).collect();
+    prefixes.sort_unstable();
+    prefixes.dedup();
+    if prefixes.len() != 1 || numbered.len() != avis.len() {
+        let named: Vec<String> = avis.iter().take(6).map(|p| name(p)).collect();
+        return Err(SessionError::value(
+            folder,
+            "AVI files",
+            "one recording in files 0.avi, 1.avi, ...",
+            format!("{} and others with other names", named.join(", ")),
+            "put each recording into a folder of its own, or name one file",
+        ));
+    }
+    numbered.sort_by_key(|(_, number, _)| *number);
+    Ok(numbered.into_iter().map(|(_, number, path)| (Some(number), path)).collect())
+}
+
+/// A folder without frames: names folders in it that have some.
+fn nothing(folder: &Path, found: &str) -> SessionError {
+    SessionError::value(
+        folder,
+        "stack",
+        "a file of frames, or a folder of numbered .avi or .tif files",
+        found,
+        "name the file or folder that holds the frames",
+    )
+}
+
+fn what_is_there(folder: &Path) -> String {
+    let holds = |dir: &Path| {
+        std::fs::read_dir(dir).is_ok_and(|entries| entries.flatten().any(|e| is_avi(&e.path()) || is_tif(&e.path())))
+    };
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut inner: Vec<String> =
+        entries.map(|e| e.path()).filter(|p| p.is_dir() && holds(p)).map(|p| name(&p)).collect();
+    inner.sort();
+    match inner.is_empty() {
+        true => "a folder without them".into(),
+        false => format!("none; its folders {} have some", inner.join(", ")),
+    }
+}
+
+fn name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// The last number in the name of a file.
+fn last_number(path: &Path) -> Option<u64> {
+    let stem = path.file_stem()?.to_string_lossy().into_owned();
+    let digits = stem.trim_end_matches(|c: char| !c.is_ascii_digit());
+    let start = digits.trim_end_matches(|c: char| c.is_ascii_digit()).len();
+    digits[start..].parse().ok()
+}
+
+/// A key that sorts names by the numbers in them: `f2` before `f10`.
+fn natural(name: &str) -> Vec<(String, u64)> {
+    let mut parts: Vec<(String, u64)> = Vec::new();
+    let mut rest = name;
+    while !rest.is_empty() {
+        let text = rest.find(|c: char| c.is_ascii_digit()).unwrap_or(rest.len());
+        let digits = &rest[text..];
+        let end = digits.find(|c: char| !c.is_ascii_digit()).unwrap_or(digits.len());
+        parts.push((rest[..text].to_lowercase(), digits[..end].parse().unwrap_or(u64::MAX)));
+        rest = &digits[end..];
+    }
+    parts
+}

@@ -1,0 +1,82 @@
+//! Videos that ffmpeg writes are read, and what is written for it plays.
+#![allow(clippy::unwrap_used)]
+
+use ommatidia_session::{FrameReader, FrameWriter, SampleType, StackSpec};
+use ommatidia_tests::skip;
+use std::process::Command;
+
+const ROWS: usize = 24;
+const COLS: usize = 32;
+
+/// Frame `i` of a recording: a pattern that tells the number.
+fn frame(i: usize) -> Vec<u8> {
+    (0..ROWS * COLS).map(|p| (40 + (7 * i + p) % 97) as u8).collect()
+}
+
+#[test]
+fn compressed_videos_are_read_and_written_by_ffmpeg() {
+    let desk = tempfile::tempdir().unwrap();
+    // Grey frames, as a raw stream.
+    let raw: Vec<u8> = (0..5).flat_map(frame).collect();
+    std::fs::write(desk.path().join("raw"), raw).unwrap();
+    let encode = |codec: &str, pixels: &str, name: &str| {
+        let mut command = Command::new("ffmpeg");
+        command.args([
+            "-v",
+            "error",
+            "-f",
+            "rawvideo",
+            "-pix_fmt",
+            "gray",
+            "-s",
+            &format!("{COLS}x{ROWS}"),
+            "-i",
+            "raw",
+        ]);
+        command.args(["-c:v", codec, "-pix_fmt", pixels, name]).current_dir(desk.path());
+        command.status()
+    };
+    match encode("ffv1", "gray", "ffv1.avi") {
+        Ok(status) => assert!(status.success()),
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
+            skip("compressed_videos_are_read_and_written_by_ffmpeg", "ffmpeg is not installed");
+            return;
+        }
+        Err(e) => panic!("{e}"),
+    }
+    let read = |name: &str| {
+        let mut reader = FrameReader::open(&desk.path().join(name)).unwrap();
+        assert_eq!(reader.len(), 5, "{name}");
+        // Backwards, too: the decoder starts again.
+        let last = reader.read(4).unwrap();
+        (reader.read(1).unwrap().into_raw_vec_and_offset().0, last)
+    };
+    let values: Vec<f32> = frame(1).into_iter().map(f32::from).collect();
+    assert!(encode("rawvideo", "gray", "grey.avi").unwrap().success());
+    assert_eq!(read("grey.avi").0, values);
+    assert_eq!(read("ffv1.avi").0, values, "FFV1 has no loss");
+    assert!(encode("ffv1", "gray16le", "deep.avi").unwrap().success());
+    let deep = FrameReader::open(&desk.path().join("deep.avi")).unwrap();
+    assert_eq!((deep.samples(), read("deep.avi").0[0]), (SampleType::U16, values[0] * 257.0));
+    assert!(encode("mjpeg", "yuvj420p", "mjpeg.avi").unwrap().success());
+    let (mjpeg, _) = read("mjpeg.avi");
+    let off = mjpeg.iter().zip(&values).map(|(a, b)| (a - b).abs()).sum::<f32>() / values.len() as f32;
+    assert!(off < 12.0, "{off}");
+    // Written and read again: AVI to the code, MP4 by its length.
+    let objects = ndarray::Array3::from_shape_fn((3, 33, 31), |(f, r, c)| (f * 85 * 85 + r + c) as f32);
+    let (frames, rows, cols) = objects.dim();
+    for name in ["x.avi", "x.mp4"] {
+        let spec = StackSpec { frames, rows, cols, samples: SampleType::F32, pixel_um: None };
+        let mut writer = FrameWriter::create(&desk.path().join(name), spec).unwrap().with_interval(Some(0.05));
+        objects.outer_iter().for_each(|object| writer.push(object).unwrap());
+        writer.finish().unwrap();
+    }
+    let mut reader = FrameReader::open(&desk.path().join("x.avi")).unwrap();
+    let largest = objects.fold(0.0f32, |m, v| m.max(*v));
+    assert_eq!((reader.len(), reader.read(2).unwrap()[(32, 30)]), (3, 255.0));
+    assert_eq!(reader.read(1).unwrap()[(0, 0)], (objects[(1, 0, 0)] * (255.0 / largest)).round());
+    let mut probe = Command::new("ffprobe");
+    probe.args(["-v", "error", "-count_frames", "-show_entries", "stream=nb_read_frames,width,height,r_frame_rate"]);
+    let out = probe.args(["-of", "csv=p=0", "x.mp4"]).current_dir(desk.path()).output().unwrap();
+    assert_eq!(String::from_utf8_lossy(&out.stdout).trim(), "32,34,20/1,3");
+}
