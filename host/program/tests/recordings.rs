@@ -201,7 +201,7 @@ fn numbered_tiffs_with_positions_are_a_bead_scan() {
     let folder = desk.path().join("beads");
     std::fs::create_dir(&folder).unwrap();
     let spec = StackSpec { frames: 1, rows: 9, cols: 9, samples: SampleType::U16, pixel_um: None };
-    let mut write = |name: String, value: f32| {
+    let write = |name: String, value: f32| {
         let mut writer = FrameWriter::create(&folder.join(name), spec).unwrap();
         writer.push(Array2::from_elem((9, 9), value).view()).unwrap();
         writer.finish().unwrap();

@@ -232,7 +232,6 @@ pub(super) fn print(bytes: &[u8]) -> std::io::Result<()> {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use super::*;
     use clap::{CommandFactory, Parser};
 
     #[test]

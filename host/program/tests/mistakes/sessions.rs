@@ -40,7 +40,7 @@ fn positions(change: impl Fn(&mut Vec<[f64; 2]>) + Sync + 'static) -> impl Fn(&P
 fn in_unit(unit: &'static str, factor: f64) -> impl Fn(&Path) + Sync + 'static {
     move |desk| {
         positions(move |t| t.iter_mut().flatten().for_each(|v| *v *= factor))(desk);
-        let named = |axis: &str, t: &str| t.replacen(&format!("{axis}_um"), &format!("{axis}_{unit}"), 1);
+        let named = move |axis: &str, t: &str| t.replacen(&format!("{axis}_um"), &format!("{axis}_{unit}"), 1);
         text("bead.csv", move |t| named("y", &named("x", &t)))(desk);
     }
 }
