@@ -321,14 +321,15 @@ fn unequal_beads_are_normalised_and_equal_ones_are_not() {
     // About a tenth, as of frames that were normalised by their maxima.
     let spoil = |n: usize, frame: &mut Array2<f32>| {
         let factor = 0.8 + 0.4 * (n * 7919 % 101) as f32 / 101.0;
-        frame.mapv_inplace(|v| ((v - 100.0) * factor + 100.0).round());
+        frame.mapv_inplace(|v| ((v - 64.25) * factor + 64.25).round());
     };
-    assert_eq!(bed.black_level_dn, 100.0);
+    assert_eq!(bed.black_level_dn, 64.25);
     let spoiled = Testbed { spoil, ..bed };
     let unequal = run(&spoiled, CalibrateConfig { accept: true, ..CalibrateConfig::default() }).unwrap();
     assert!(unequal.beads_normalised && unequal.notes.iter().any(|n| n.contains("--normalise-beads=no")));
     let scatter = unequal.bead_scatter.unwrap();
-    assert!((0.08..0.2).contains(&scatter), "{scatter}");
+    // The factors scatter by 0.12; a bead is predicted from others that scatter too, at the border by extrapolation.
+    assert!((0.12..0.36).contains(&scatter), "{scatter}");
     let forced = |normalise_beads| {
         let config = CalibrateConfig { normalise_beads: Some(normalise_beads), accept: true, ..Default::default() };
         run(&spoiled, config).unwrap()
