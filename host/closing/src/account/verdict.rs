@@ -30,17 +30,17 @@ pub(crate) struct Excess {
 }
 
 impl Excess {
-    /// Compares the last excess per pixel with the first ([`crate::evidence::excess`]); less noise than expected is as
+    /// Compares the last excess per pixel with the first ([`crate::evidence::excess`], with its standard deviation); less noise than expected is as
     /// wrong as more. Of `by_calibration`, the number of pixels and the excess that errors of the calibration make
     /// ([`crate::evidence::excess_by_calibration`]), the latter is explained by no effect.
-    pub(crate) fn of(first: f64, last: f64, (pixels, by_calibration): (usize, f64)) -> Self {
+    pub(crate) fn of([first, _]: [f64; 2], [last, sigma]: [f64; 2], (pixels, by_calibration): (usize, f64)) -> Self {
         let pixels = pixels as f64;
         let beyond = |excess: f64| {
             let all = excess * pixels;
             if all > 0.0 { (all - BIAS * by_calibration).max(0.0) } else { -all }
         };
         let (first, last) = (beyond(first), beyond(last));
-        let noise = SIGMAS * (2.0 * pixels).sqrt();
+        let noise = SIGMAS * sigma * pixels;
         let left = if last > noise { last / first.max(last) } else { 0.0 };
         Self { left, per_pixel: last / pixels.max(1.0) }
     }

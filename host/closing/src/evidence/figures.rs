@@ -144,8 +144,9 @@ pub(crate) fn is_worse(model: &Model<'_>, before: &Fitted, after: &Fitted) -> bo
 const DRAWN: u64 = 4;
 
 /// Excess of chi-squared over the noise of a state with its effects on the noise, per held-out pixel. The weights of
-/// [`figures`] leave these effects out, so that no fit gains by a larger variance.
-pub(crate) fn excess(model: &Model<'_>, fitted: &Fitted) -> f64 {
+/// [`figures`] leave these effects out, so that no fit gains by a larger variance. With its standard deviation by that
+/// noise: noise that pixels share scatters more than that of single pixels.
+pub(crate) fn excess(model: &Model<'_>, fitted: &Fitted) -> [f64; 2] {
     let seen = model.seen;
     let chain = fitted.state.terms.iter().any(noisy).then(|| model.chain(&fitted.state.terms));
     let mut spans: BTreeMap<usize, Vec<(usize, Range<usize>)>> = BTreeMap::new();
@@ -154,12 +155,19 @@ pub(crate) fn excess(model: &Model<'_>, fitted: &Fitted) -> f64 {
         let here = &fitted.predicted[*k];
         let draw = |chain: &Chain, i: u64| {
             let mut rngs = ["excess", "reading"].map(|what| stream(0x5eed, what, DRAWN * *k as u64 + i));
-            let d = noise_dn(model, chain, *k, &here.light_e, &mut rngs);
-            d.iter().zip(&here.inverse_sigma).map(|(d, w)| f64::from(d * w).powi(2)).sum::<f64>()
+            let mut d = noise_dn(model, chain, *k, &here.light_e, &mut rngs);
+            model.visible(*k, &fitted.state, &mut [&mut d]);
+            let pixels = spans.iter().flat_map(|(_, span)| &seen.pixels[span.clone()]);
+            let at = |p: &u32| (*p as usize / seen.sensor[1], *p as usize % seen.sensor[1]);
+            pixels.map(|p| f64::from(d[at(p)] * here.inverse_sigma[at(p)]).powi(2)).sum::<f64>()
         };
-        let noise = chain.as_ref().map_or(1.0, |chain| {
-            let [with, plain] = [chain, &Chain::default()].map(|c| (0..DRAWN).map(|i| draw(c, i)).sum::<f64>());
-            with / plain.max(1e-30)
+        let (noise, scatter) = chain.as_ref().map_or((1.0, 0.0), |chain| {
+            let [with, plain] =
+                [chain, &Chain::default()].map(|c| (0..DRAWN).map(|i| draw(c, i)).collect::<Vec<f64>>());
+            let mean = with.iter().sum::<f64>() / DRAWN as f64;
+            let variance = with.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / (DRAWN - 1) as f64;
+            let noise = with.iter().sum::<f64>() / plain.iter().sum::<f64>().max(1e-30);
+            (noise, variance / noise.powi(2).max(1e-30))
         });
         let (mut chi2, mut n) = (0.0, 0.0);
         for (p, share) in spans.iter().flat_map(|(block, span)| {
@@ -171,10 +179,12 @@ pub(crate) fn excess(model: &Model<'_>, fitted: &Fitted) -> f64 {
             chi2 += (f64::from(here.residual_dn[at]) * w).powi(2) / noise;
             n += if w > 0.0 { share } else { 0.0 };
         }
-        [chi2, n]
+        [chi2, n, scatter]
     };
-    let [chi2, n] = spans.par_iter().map(one).reduce(|| [0.0; 2], |a, b| [a[0] + b[0], a[1] + b[1]]);
-    chi2 / n.max(1.0) - 1.0
+    let sum = |a: [f64; 3], b: [f64; 3]| std::array::from_fn(|i| a[i] + b[i]);
+    let [chi2, n, scatter] = spans.par_iter().map(one).reduce(|| [0.0; 3], sum);
+    let n = n.max(1.0);
+    [chi2 / n - 1.0, scatter.max(2.0 * n).sqrt() / n]
 }
 
 /// Number of held-out pixels, and the excess of chi-squared there that errors of the calibration make, as the scatter
