@@ -228,9 +228,9 @@ fn planned<'a>(
 }
 
 /// What the figures mean where the only known frames are those of the calibration.
-pub(crate) const OWN_BEADS_NOTE: &str = "the figures are of bead frames that this instrument was calibrated on: they show how well \
-                              the model describes that scan, and nothing of what has changed since; measure scenes of \
-                              known objects or a new bead scan to test the optics";
+pub(crate) const OWN_BEADS_NOTE: &str = "the figures are of bead frames that this instrument was calibrated on: they \
+                                         show how well the model describes that scan, and nothing of what has changed \
+                                         since; measure scenes of known objects or a new bead scan to test the optics";
 
 /// Whether all frames of the figures are bead frames that the calibration has read.
 pub(crate) fn own_beads(seen: &Observations, calibrated_on: &[CalibratedOn]) -> bool {

@@ -8,7 +8,7 @@ use super::design::{Design, Misfit, Scope, nuisances};
 use super::model::Model;
 use super::scene::Scene;
 use super::solve::pseudo_inverse;
-use super::specimen::Specimens;
+use super::specimen::fitted::specimens;
 use super::state::{Column, Predicted, State, Term};
 use crate::data::Shown;
 use ndarray::{Array1, Array2};
@@ -70,7 +70,7 @@ pub fn own_columns(model: &Model<'_>, state: &State) -> Vec<Column> {
 /// An object holds negative or non-finite light.
 pub fn refit(model: &Model<'_>, mut state: State) -> Result<Fitted, ForwardError> {
     if state.specimens.is_none() {
-        state.specimens = Specimens::of(model, &state)?;
+        state.specimens = specimens(model, &state)?;
     }
     let scenes = model.scenes(&state)?.into();
     refit_from(model, state, scenes)

@@ -2,7 +2,7 @@
 
 use super::model::Model;
 use super::refit::{Fitted, Scenes};
-use super::specimen::Specimens;
+use super::specimen::held::Specimens;
 use super::state::State;
 use ndarray::Array2;
 use ommatidia_model::forward::ForwardError;

@@ -1,16 +1,20 @@
 //! The explicit optics are those of the instrument, and no change of a specimen passes the projection.
 #![allow(clippy::unwrap_used)]
 
+use super::estimate_specimens;
+use super::probe::probed;
 use super::projector::Projector;
-use super::views::Views;
-use super::*;
-use crate::data::Frame;
+use crate::data::{Frame, Observations, Shown};
 use crate::evidence::Scores;
-use crate::fit::{Column, Design, Scope, Term, nuisances, refit};
+use crate::fit::{Column, Design, Model, Predicted, Scope, Term, nuisances, refit};
+use ndarray::Array2;
+use ommatidia_model::instrument::Instrument;
 use ommatidia_model::testing::instrument;
 use ommatidia_physics::effects::{Chain, find};
-use ommatidia_session::FrameInfo;
+use ommatidia_session::rng::stream;
+use ommatidia_session::{FrameInfo, Role};
 use rand::RngExt;
+use rand_distr::{Distribution, StandardNormal};
 
 const SENSOR: [usize; 2] = [48, 52];
 const OBJECT: [usize; 2] = [20, 22];
@@ -35,7 +39,7 @@ fn unknown(instrument: &Instrument, terms: &[Term], noisy: bool) -> Observations
     let blocks: Vec<Vec<u32>> = (0..side * side).map(block).collect();
     let frame = |k: usize| Frame {
         stack: 0,
-        role: ommatidia_session::Role::Scene,
+        role: Role::Scene,
         info: FrameInfo { time_s: 0.02 * k as f64, ..FrameInfo::plain(k, 10.0) },
         measured: Array2::zeros((SENSOR[0], SENSOR[1])),
         cut: None,
@@ -57,7 +61,7 @@ fn unknown(instrument: &Instrument, terms: &[Term], noisy: bool) -> Observations
         let mut state = model.state(instrument).unwrap();
         state.terms = terms.to_vec();
         let predicted = model.predict(&state, &model.scenes(&state).unwrap());
-        let draw = |(k, p): (usize, &crate::fit::Predicted)| {
+        let draw = |(k, p): (usize, &Predicted)| {
             let mut rng = stream(5, "specimen/noise", k as u64);
             let sigma = p.inverse_sigma.mapv(|w| if w > 0.0 && noisy { 1.0 / w } else { 0.0 });
             &p.dn
@@ -91,7 +95,7 @@ fn the_explicit_optics_are_those_of_the_instrument() {
     let moved = [term("array_shift", &[("row_px", 1.3)], 2)];
     for terms in [&[][..], &moved] {
         let chain = model.chain(terms);
-        let views = Views::of(&model, &chain, 0, model.window_px).unwrap();
+        let views = probed(&model, &chain, 0, model.window_px).unwrap();
         let object = specimen(9);
         let cx = model.context(0, None);
         let scene = model.forward.scene(object.view(), &chain, &cx).unwrap();
@@ -114,7 +118,7 @@ fn no_specimen_passes_and_noise_loses_what_the_specimen_takes_up() {
     let instrument = instrument(OBJECT, SENSOR, 9, 3);
     let seen = unknown(&instrument, &[], false);
     let model = Model::new(&instrument, &seen).unwrap();
-    let views = Views::of(&model, &Chain::default(), 0, model.window_px).unwrap();
+    let views = probed(&model, &Chain::default(), 0, model.window_px).unwrap();
     let x: Vec<[f32; 1]> = specimen(11).iter().map(|v| [*v]).collect();
     let light = views.forward(&x);
     let mut image = Array2::from_shape_fn((SENSOR[0], SENSOR[1]), |(r, c)| light[r * SENSOR[1] + c][0]);

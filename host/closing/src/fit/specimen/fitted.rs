@@ -1,0 +1,98 @@
+//! Estimates the specimens of a session under a state.
+
+use super::estimate;
+use super::held::Specimens;
+use super::probe::probed;
+use super::projector::Projector;
+use crate::data::{Observations, Shown};
+use crate::fit::model::Model;
+use crate::fit::state::State;
+use ndarray::Array2;
+use ommatidia_model::forward::ForwardError;
+use ommatidia_physics::effects::blur_within;
+use ommatidia_session::rng::stream;
+use rand_distr::{Distribution, StandardNormal};
+use std::sync::Arc;
+
+/// Frames are blurred so far for their variances, pixels.
+const SMOOTH_PX: f64 = 2.0;
+/// Least variance of the read noise, electrons squared: Richardson-Lucy divides by it where no light is.
+const LEAST_FLOOR_E2: f64 = 0.1;
+/// Draws of noise for the expected squares of the residuals.
+const DRAWS: usize = 4;
+
+/// Estimates the specimens of all frames of [`Shown::Estimated`] under a state. None: there are none.
+///
+/// # Errors
+/// The parts of the instrument disagree, or its optics hold no light.
+pub(in crate::fit) fn specimens(model: &Model<'_>, state: &State) -> Result<Option<Arc<Specimens>>, ForwardError> {
+    let seen = model.seen;
+    let frames: Vec<usize> = (0..seen.frames.len()).filter(|k| seen.frames[*k].shown == Shown::Estimated).collect();
+    let Some(middle) = frames.get(frames.len() / 2) else { return Ok(None) };
+    let (chain, noise) = (model.chain(&state.terms), model.forward.noise());
+    let views = probed(model, &chain, *middle, model.window_px)?;
+    let gain = noise.gain_dn_per_e as f32;
+    // Variances from the frames themselves, blurred: they are only weights.
+    let sigma = |k: usize| {
+        let level = blur_within(&seen.frames[k].measured, SMOOTH_PX);
+        level.mapv(|y| noise.variance_dn2(f64::from(y).max(noise.black_level_dn)).sqrt() as f32)
+    };
+    let sigmas: Vec<Array2<f32>> = frames.iter().map(|k| sigma(*k)).collect();
+    let mut weight = vec![0.0f32; seen.sensor[0] * seen.sensor[1]];
+    for sigma in &sigmas {
+        weight.iter_mut().zip(sigma).for_each(|(w, s)| *w += 1.0 / (s * s * frames.len() as f32));
+    }
+    let held_out = held_out(seen);
+    for (p, w) in weight.iter_mut().enumerate() {
+        let at = [p / seen.sensor[1], p % seen.sensor[1]];
+        let clipped = |k: &usize| f64::from(seen.frames[*k].measured[at]) >= 0.99 * noise.saturation_dn;
+        if held_out[p] || frames.iter().any(clipped) {
+            *w = 0.0;
+        }
+    }
+    let projector = Projector::of(views, weight)?;
+    let bare = |k: &usize| {
+        let dark = model.lit(*k, Array2::zeros((seen.sensor[0], seen.sensor[1])), state, (&chain, None));
+        (&seen.frames[*k].measured - &model.dn(*k, dark, &chain, None, state.black_dn)) / gain
+    };
+    let light: Vec<Array2<f32>> = frames.iter().map(bare).collect();
+    let floor_e2 = noise.read_noise_e.powi(2).max(LEAST_FLOOR_E2) as f32;
+    let found = estimate::specimens(projector.views(), &light, projector.weight(), floor_e2);
+    let mut objects = vec![None; seen.frames.len()];
+    frames.iter().zip(found).for_each(|(k, object)| objects[*k] = Some(object));
+    let mut it = Specimens { objects, projector, expected: vec![Vec::new(); seen.frames.len()] };
+    for (k, sigma) in frames.iter().zip(&sigmas) {
+        it.expected[*k] = noise_left(&it, seen, *k, sigma);
+    }
+    Ok(Some(Arc::new(it)))
+}
+
+/// [`Specimens::expected`] of all blocks of a frame, from draws of its noise.
+fn noise_left(it: &Specimens, seen: &Observations, k: usize, sigma: &Array2<f32>) -> Vec<f64> {
+    let draw = |i: usize| {
+        let mut rng = stream(0x5eed, "specimen", (DRAWS * k + i) as u64);
+        sigma.mapv(|s| {
+            let unit: f32 = StandardNormal.sample(&mut rng);
+            unit * s
+        })
+    };
+    let mut drawn: Vec<Array2<f32>> = (0..DRAWS).map(draw).collect();
+    it.remove(&mut drawn.iter_mut().collect::<Vec<_>>());
+    let left = |span: &std::ops::Range<usize>| {
+        let at = |p: &u32| (*p as usize / seen.sensor[1], *p as usize % seen.sensor[1]);
+        let pixels = &seen.pixels[span.clone()];
+        let square = |p: &u32| drawn.iter().map(|d| f64::from(d[at(p)] / sigma[at(p)]).powi(2)).sum::<f64>();
+        pixels.iter().map(square).sum::<f64>() / (DRAWS * pixels.len()).max(1) as f64
+    };
+    seen.blocks.iter().map(left).collect()
+}
+
+/// Whether each pixel of the sensor lies in a held-out block.
+fn held_out(seen: &Observations) -> Vec<bool> {
+    let ([rows, cols], side) = (seen.sensor, seen.blocks_per_side());
+    let block = |p: usize| {
+        let of = |at: usize, n: usize| (0..side).rfind(|b| b * n / side <= at).unwrap_or(0);
+        of(p / cols, rows) * side + of(p % cols, cols)
+    };
+    (0..rows * cols).map(|p| seen.held_out_blocks[block(p)]).collect()
+}
