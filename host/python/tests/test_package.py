@@ -139,9 +139,11 @@ def test_the_global_lock_is_released(instrument, objects):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGINT for other processes")
 def test_ctrl_c_stops_a_calibration_at_once(tmp_path):
-    # The usual virtual instrument, whose frames are computed when they are read: this takes minutes.
+    # The usual virtual instrument, whose frames are computed when they are read: this takes some seconds at least.
     (tmp_path / "usual.toml").write_text("")
-    script = "import ommatidia; s = ommatidia.Session.open('usual.toml')\n"
+    # A program in the background of a shell inherits that interrupts are ignored, and Python keeps to that.
+    script = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+    script += "import ommatidia; s = ommatidia.Session.open('usual.toml')\n"
     script += "ommatidia.Instrument.calibrate(s, progress=lambda *step: print(*step, flush=True)).save('x')"
     child = subprocess.Popen(
         [sys.executable, "-c", script], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True

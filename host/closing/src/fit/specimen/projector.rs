@@ -4,10 +4,10 @@
 //! ```text
 //! P v = v - A (A' W A + lambda 1)^-1 A' W v
 //! ```
-//! is zero for v = A x, up to lambda, whatever x is (variable projection: Golub & Pereyra, SIAM J. Numer. Anal. 10, 413,
-//! 1973). W is zero in held-out blocks: there, P v is what the specimen as the other pixels show it does not explain.
-//! One W serves all frames, so that one factor does: the specimen is taken out for any W; another W than the inverse
-//! variance of a frame costs a little of the evidence only.
+//! is zero for v = A x, up to lambda, whatever x is (variable projection: Golub & Pereyra, SIAM J. Numer. Anal. 10,
+//! 413, 1973). W is zero in held-out blocks: there, P v is what the specimen as the other pixels show it does not
+//! explain. One W serves all frames, so that one factor does: the specimen is taken out for any W; another W than the
+//! inverse variance of a frame costs a little of the evidence only.
 
 use super::views::{LANES, Views};
 use ndarray::Array2;
