@@ -168,7 +168,7 @@ fn levels(model: &Model<'_>, held_out: bool, now: &[Predicted]) -> Vec<Level> {
         let Some(p) = f.previous else { continue };
         let q = &frames[p];
         let same = f.info.illumination == q.info.illumination && f.info.exposure_ms == q.info.exposure_ms;
-        let unknown = matches!(f.shown, Shown::Unknown | Shown::Estimated);
+        let unknown = f.shown == Shown::Unknown && q.shown == Shown::Unknown;
         let repeats = unknown || matches!(f.role, Role::Dark | Role::Flat);
         if !repeats || !same || f.held_out != held_out || q.held_out != held_out {
             continue;
