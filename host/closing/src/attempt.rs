@@ -57,9 +57,9 @@ pub(crate) fn attempt(
     progress("first fit");
     let before = refit(&model, start)?;
     let replicas = replicas(&model, instrument, &before.state)?;
-    let of_frames = replicas.of(&model, &before)?;
-    let by_calibration = excess_by_calibration(&model, &before, &of_frames);
-    let dependences_before = omnibus::test(&model, &before, &of_frames, seed);
+    let errors = replicas.of(&model, &before)?;
+    let by_calibration = excess_by_calibration(&model, &before, &errors);
+    let dependences_before = omnibus::test(&model, &before, &errors, seed);
     progress("catalogue");
     let mut search = Search::new(&model, &replicas, before.clone());
     search.exclude = given.exclude.to_vec();
@@ -100,13 +100,17 @@ pub(crate) fn attempt(
     let Pruned { mut now, mut found, mut tests, mut removed } = prune(&model, &replicas, now, found, (own, keep))?;
     // What predicts held-out data worse than before is taken back, the last first.
     let mut taken_back = Vec::new();
-    while !recalibrated && is_worse(&model, &before, &now) {
+    while !recalibrated && is_worse(figures(&model, &before), figures(&model, &now)) {
         let (Some(last), Some(term)) = (found.pop(), now.state.terms.pop()) else { break };
         taken_back.push((last, term));
         now = refit(&model, now.state)?;
         let left = prune(&model, &replicas, now, found, (own, keep))?;
         (now, found, tests) = (left.now, left.found, left.tests);
         removed.extend(left.removed);
+    }
+    if found.is_empty() && !recalibrated {
+        // Another fit of the nuisance parameters alone is no closed loop.
+        now = before.clone();
     }
     let (harmed, harmful_terms): (Vec<_>, Vec<_>) = taken_back.into_iter().unzip();
     let mut nearest = shadowed(&search.shadowed);

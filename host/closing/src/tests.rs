@@ -4,8 +4,10 @@
 #![allow(clippy::unwrap_used)]
 
 use super::data::{Frame, Observations, Shown};
-use super::evidence::{Scores, is_worse, maps};
-use super::fit::{Column, Design, Expansion, Fitted, Model, Predicted, Scope, Term, nuisances, own_columns, refit};
+use super::evidence::{Figures, Scores, figures, is_worse, maps};
+use super::fit::{
+    Column, Design, Errors, Expansion, Fitted, Model, Predicted, Scope, Term, nuisances, own_columns, refit,
+};
 use ndarray::Array2;
 use ommatidia_model::instrument::Instrument;
 use ommatidia_model::testing::instrument;
@@ -82,7 +84,7 @@ fn fitted(put_in: &Term, param: usize) -> (f64, f64) {
     state.terms.push(put_in.switched_off(model.lenses()));
     let fit = refit(&model, state).unwrap();
     let columns: Vec<Column> = nuisances(&model).into_iter().chain(own_columns(&model, &fit.state)).collect();
-    let design = Design::compute(&model, fit.expansion(&[]), columns.clone(), &[], Scope::Whole).unwrap();
+    let design = Design::compute(&model, fit.expansion(&[]), columns.clone(), &Errors::default(), Scope::Whole).unwrap();
     let mine: Vec<usize> = (0..columns.len()).filter(|i| matches!(columns[*i], Column::Own { .. })).collect();
     let others = (0..columns.len()).filter(|i| !mine.contains(i)).collect();
     let test = Scores::new(&design, others).test(&mine).unwrap();
@@ -135,7 +137,7 @@ fn light_that_only_widens_the_errors_is_no_better_fit() {
     state.black_dn -= 5.0 * 10.0 * 0.5;
     let predicted = model.predict(&state, &plain.scenes);
     let at = Expansion { state: &state, trials: &[], predicted: &predicted, scenes: &plain.scenes };
-    let design = Design::compute(&model, at, nuisances(&model), &[], Scope::Whole).unwrap();
+    let design = Design::compute(&model, at, nuisances(&model), &Errors::default(), Scope::Whole).unwrap();
     let wide = design.training().misfit();
     assert!(wide.chi2 < 0.9 * plain.training.chi2 && wide.deviance > plain.training.deviance + 100.0, "{wide:?}");
 }
@@ -202,7 +204,7 @@ fn a_cause_outside_the_catalogue_is_given_no_name_and_its_excess_is_removed() {
 }
 
 #[test]
-fn worse_is_more_than_noise() {
+fn a_rise_of_either_figure_is_worse() {
     let instrument = instrument([20, 22], SENSOR, 9, 2);
     let seen = observations(&instrument, &[]);
     let model = Model::new(&instrument, &seen).unwrap();
@@ -211,10 +213,14 @@ fn worse_is_more_than_noise() {
         let mut state = plain.state.clone();
         state.terms.push(term("ghost", &[("ratio", ratio)], 2));
         let predicted = model.predict(&state, &plain.scenes);
-        Fitted { state, predicted, ..plain.clone() }
+        figures(&model, &Fitted { state, predicted, ..plain.clone() })
     };
-    // A tenth of all light at a wrong place, against changes far below the noise, in either direction.
-    assert!(is_worse(&model, &plain, &with(0.1)) && !is_worse(&model, &with(0.1), &plain));
-    assert!(!is_worse(&model, &plain, &with(1e-4)) && !is_worse(&model, &with(1e-4), &plain));
-    assert!(!is_worse(&model, &plain, &plain));
+    // A tenth of all light at a wrong place.
+    assert!(is_worse(with(0.0), with(0.1)) && !is_worse(with(0.1), with(0.0)));
+    assert!(!is_worse(with(0.0), with(1e-6)));
+    let of = |chi2_ndf, nrmse| Figures { chi2_ndf, nrmse, pcc: 0.99 };
+    assert!(is_worse(of(1.0, 0.05), of(1.0003, 0.04)) && is_worse(of(1.1, 0.05), of(1.0, 0.0503)));
+    assert!(!is_worse(of(1.0, 0.05), of(1.00005, 0.05005)));
+    // Nothing is judged where no frame is known.
+    assert!(!is_worse(of(f64::NAN, f64::NAN), of(f64::NAN, f64::NAN)));
 }

@@ -2,7 +2,7 @@
 
 use super::result::{TruthRegistration, Value};
 use crate::evidence::Scores;
-use crate::fit::{Column, Design, Fitted, Model, Replicas, Scope, nuisances, own_columns};
+use crate::fit::{Column, Design, Errors, Fitted, Model, Replicas, Scope, nuisances, own_columns};
 use ommatidia_model::forward::ForwardError;
 use ommatidia_physics::effects::Stage;
 
@@ -115,7 +115,7 @@ pub(crate) fn unstated_notes(model: &Model<'_>, now: &Fitted, own: usize) -> Res
     let fitted = columns.len();
     columns.extend(exact.iter().flat_map(|g| (0..4).map(|part| Column::Registration(*g, part))));
     let places: Vec<usize> = (fitted..columns.len()).collect();
-    let design = Design::compute(model, now.expansion(&[]), columns.clone(), &[], Scope::Training)?;
+    let design = Design::compute(model, now.expansion(&[]), columns.clone(), &Errors::default(), Scope::Training)?;
     let alike = |t: &usize| {
         let term = &terms[*t];
         let expanded = term.expanded(model.lenses());

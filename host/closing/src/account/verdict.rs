@@ -2,7 +2,6 @@
 
 use super::result::{Effect, Nearest, Verdict};
 use crate::evidence::Figures;
-use crate::fit::BIAS;
 use crate::search::{Found, Imitation, NEEDS_CALIBRATION, Shadowed};
 use ommatidia_model::instrument::Quality;
 use ommatidia_physics::effects::Stage;
@@ -37,7 +36,7 @@ impl Excess {
         let pixels = pixels as f64;
         let beyond = |excess: f64| {
             let all = excess * pixels;
-            if all > 0.0 { (all - BIAS * by_calibration).max(0.0) } else { -all }
+            if all > 0.0 { (all - by_calibration).max(0.0) } else { -all }
         };
         let (first, last) = (beyond(first), beyond(last));
         let noise = SIGMAS * sigma * pixels;

@@ -10,7 +10,7 @@ use super::covariate::{Covariate, Dependence};
 use super::stats::{chi2_tail, sigmas, two_sided};
 use super::tables;
 use crate::data::Shown;
-use crate::fit::{Fitted, Model, Predicted, Specimens, State, repeats};
+use crate::fit::{Errors, Fitted, Model, Predicted, Specimens, State, repeats};
 use ndarray::Array2;
 use ommatidia_physics::effects::TableUse;
 use ommatidia_physics::noise::MapErrors;
@@ -30,10 +30,10 @@ const SIZE: f64 = 1e-3;
 const DRAWS: usize = 48;
 
 /// Tests the residual of a fit against every covariate, on the training frames with known objects (of unknown specimens
-/// if there are no others), and the noise on repeats. `replicas` are those of [`crate::fit::Replicas::of`];
+/// if there are no others), and the noise on repeats. `errors` are those of [`crate::fit::Replicas::of`];
 /// `seed` is that of the draws.
-pub fn test(model: &Model<'_>, fitted: &Fitted, replicas: &[Vec<Option<Array2<f32>>>], seed: u64) -> Vec<Dependence> {
-    let mut all = on_scenes(model, fitted, replicas, seed);
+pub fn test(model: &Model<'_>, fitted: &Fitted, errors: &Errors, seed: u64) -> Vec<Dependence> {
+    let mut all = on_scenes(model, fitted, errors, seed);
     all.extend(on_repeats(repeats::residuals(model, &fitted.state, &fitted.predicted)));
     all.extend(on_pixels(tables::shared(model, &fitted.predicted)));
     all
@@ -108,7 +108,7 @@ fn on_repeats(levels: Vec<repeats::Features>) -> Option<Dependence> {
     })
 }
 
-fn on_scenes(model: &Model<'_>, fitted: &Fitted, replicas: &[Vec<Option<Array2<f32>>>], seed: u64) -> Vec<Dependence> {
+fn on_scenes(model: &Model<'_>, fitted: &Fitted, errors: &Errors, seed: u64) -> Vec<Dependence> {
     let (frames, now) = (scenes(model), &fitted.predicted);
     if frames.is_empty() {
         return Vec::new();
@@ -119,7 +119,8 @@ fn on_scenes(model: &Model<'_>, fitted: &Fitted, replicas: &[Vec<Option<Array2<f
     let tested: Vec<Covariate> = Covariate::ALL.into_iter().filter(|c| !unknown || fixed(c)).collect();
     let bins: Vec<Bins> = tested.par_iter().filter_map(|c| Bins::of(*c, model, now, &frames)).collect();
     let residual: Vec<Vec<f32>> = frames.iter().map(|k| gather(model, &now[*k], &now[*k].residual_dn)).collect();
-    let directions: Vec<Vec<Option<Vec<f32>>>> = replicas
+    let directions: Vec<Vec<Option<Vec<f32>>>> = errors
+        .changes
         .iter()
         .map(|r| frames.iter().map(|k| r[*k].as_ref().map(|d| gather(model, &now[*k], d))).collect())
         .collect();
@@ -273,9 +274,7 @@ fn draw(
 ) -> Vec<Vec<f32>> {
     let mut rngs = ["omnibus", "omnibus reading"].map(|what| stream(seed, what, index));
     let mut normal = || -> f32 { StandardNormal.sample(&mut rngs[0]) };
-    let n = directions.len() as f32;
-    let xi: Vec<f32> = directions.iter().map(|_| normal() * ((n - 1.0) / n).sqrt()).collect();
-    let mean_xi = xi.iter().sum::<f32>() / n.max(1.0);
+    let xi: Vec<f32> = directions.iter().map(|_| normal()).collect();
     let pixels = templates.first().map_or(0, |t| t[0].len());
     let mut pattern = |rms: f64| -> Vec<f32> {
         if rms > 0.0 { (0..pixels).map(|_| rms as f32 * normal()).collect() } else { vec![0.0; pixels] }
@@ -289,7 +288,7 @@ fn draw(
             }
             for (xi, direction) in xi.iter().zip(directions) {
                 if let Some(d) = &direction[f] {
-                    r.iter_mut().zip(d).for_each(|(r, d)| *r += (xi - mean_xi) * d);
+                    r.iter_mut().zip(d).for_each(|(r, d)| *r += xi * d);
                 }
             }
             r

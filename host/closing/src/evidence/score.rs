@@ -8,16 +8,20 @@
 //! ```
 //! phi >= 1: scatter of the scores between spatial blocks, or between frames, over that of the noise (White,
 //! Econometrica 48, 817, 1980, with clusters). C: covariance of the score by the uncertainty of the calibration, from
-//! its delete-a-group jackknife replicates. T = s' V^-1 s over its d degrees of freedom is compared with F(d, nu); nu
+//! its delete-a-group jackknife replicates and what it states of light outside its windows. T = s' V^-1 s over its d degrees of freedom is compared with F(d, nu); nu
 //! are the effective degrees of freedom of V (Satterthwaite, Biometrics Bull. 2, 110, 1946).
 
 use super::stats::{f_tail, sigmas};
-use crate::fit::{BIAS, Cell, Design, Sums, pseudo_inverse};
+use crate::fit::{Cell, Design, Sums, pseudo_inverse};
 use ndarray::{Array1, Array2};
+use std::ops::Range;
 
 /// A change of the specimen makes an effect if it leaves less than this share of the squared norm of its signature:
 /// estimates of the specimen and the calibration are not good enough for what remains.
 const GAUGE: f64 = 1e-3;
+
+/// Degrees of freedom of a stated uncertainty that is itself uncertain by a quarter (JCGM 100:2008, G.4.2).
+const STATED_DEGREES: f64 = 8.0;
 
 /// Score test of some columns, with others projected out.
 #[derive(Clone, Debug)]
@@ -113,14 +117,17 @@ impl<'d> Scores<'d> {
         let theta = q_inverse.dot(&s);
         let gain = s.dot(&theta);
         let Scatter { phi, degrees } = self.scatter(columns, r, &theta, &q_inverse, dof);
-        let c = self.calibration(columns);
-        let v = &q * phi + &c;
+        let [scattered, stated] = self.design.error_rows().map(|rows| self.calibration(columns, rows));
+        let v = &q * phi + &scattered + &stated;
         let t = s.dot(&pseudo_inverse(&v).dot(&s)).max(0.0);
         // Effective degrees of freedom of V: its parts weighted by their shares (Satterthwaite).
-        let replicates = self.design.replicates as f64;
-        let by_calibration = (pseudo_inverse(&v).dot(&c).diag().sum() / dof).clamp(0.0, 1.0);
-        let by_scatter = (1.0 - 1.0 / phi) * (1.0 - by_calibration);
-        let spread = by_calibration.powi(2) / (replicates - 1.0).max(1.0) + by_scatter.powi(2) / degrees.max(1.0);
+        let share = |c: &Array2<f64>| (pseudo_inverse(&v).dot(c).diag().sum() / dof).clamp(0.0, 1.0);
+        let [by_replicates, by_statement] = [&scattered, &stated].map(share);
+        let by_scatter = (1.0 - 1.0 / phi) * (1.0 - by_replicates - by_statement).max(0.0);
+        let replicates = self.design.scattered as f64;
+        let spread = by_replicates.powi(2) / (replicates - 1.0).max(1.0)
+            + by_statement.powi(2) / STATED_DEGREES
+            + by_scatter.powi(2) / degrees.max(1.0);
         let nu = if spread > 0.0 { 1.0 / spread } else { f64::INFINITY };
         let p = f_tail(t / dof, dof, nu);
         let covariance = q_inverse.dot(&v).dot(&q_inverse);
@@ -160,17 +167,13 @@ impl<'d> Scores<'d> {
         worst
     }
 
-    /// Covariance of the scores by the uncertainty of the calibration: delete-a-group jackknife, with the [`BIAS`].
-    fn calibration(&self, columns: &[usize]) -> Array2<f64> {
-        let rows: Vec<usize> = self.design.replicate_rows().collect();
-        let n = rows.len() as f64;
-        if rows.len() < 2 {
+    /// Covariance of the scores by errors of the calibration, given by their rows.
+    fn calibration(&self, columns: &[usize], rows: Range<usize>) -> Array2<f64> {
+        if rows.is_empty() {
             return Array2::zeros((columns.len(), columns.len()));
         }
-        let mut m = self.projected(&self.sums.gram, columns, &rows);
-        let mean = m.mean_axis(ndarray::Axis(1)).unwrap_or_else(|| Array1::zeros(columns.len()));
-        m -= &mean.insert_axis(ndarray::Axis(1));
-        m.dot(&m.t()) * (BIAS * (n - 1.0) / n)
+        let m = self.projected(&self.sums.gram, columns, &rows.collect::<Vec<_>>());
+        m.dot(&m.t())
     }
 
     /// Squared correlation between the signature of the columns `found` at values `theta` and the closest signature of
@@ -225,7 +228,7 @@ mod tests {
                 });
             }
         }
-        Design { columns: vec![Column::Black; 3], replicates: 0, cells, alone: vec![0.0; 3] }
+        Design { columns: vec![Column::Black; 3], scattered: 0, stated: 0, cells, alone: vec![0.0; 3] }
     }
 
     #[test]
@@ -264,11 +267,14 @@ mod tests {
     }
 
     #[test]
-    fn replicates_widen_the_variance() {
+    fn errors_of_the_calibration_widen_the_variance() {
         let mut design = made_up(0.0, 9);
-        design.replicates = 3;
+        let of = |which: [usize; 2], design: &mut Design| {
+            [design.scattered, design.stated] = which;
+            Scores::new(design, vec![0]).test(&[1]).unwrap()
+        };
         for cell in &mut design.cells {
-            // Replicates that err along the first template, by -0.1, 0 and 0.1 of it.
+            // Errors along the first template, by -0.1, 0 and 0.1 of it.
             let old = cell.gram.clone();
             let combine = |i: usize| -> Vec<(usize, f32)> {
                 match i {
@@ -285,8 +291,11 @@ mod tests {
                     .sum()
             });
         }
-        let t = Scores::new(&design, vec![0]).test(&[1]).unwrap();
-        // 2/3 (0.1^2 + 0 + 0.1^2), with the bias, beside 1/3150.
-        assert!((t.covariance[[0, 0]] - BIAS * 0.0133).abs() < BIAS * 0.002 && t.nu < 3.0, "{t:?}");
+        // 0.1^2 + 0 + 0.1^2, beside 1/3150.
+        let t = of([3, 0], &mut design);
+        assert!((t.covariance[[0, 0]] - 0.02).abs() < 0.002 && t.nu < 3.0, "{t:?}");
+        // What is stated is as large, and known better than the scatter of three replicates.
+        let stated = of([0, 3], &mut design);
+        assert!((stated.covariance[[0, 0]] - t.covariance[[0, 0]]).abs() < 1e-9 && stated.nu > 7.0, "{stated:?}");
     }
 }

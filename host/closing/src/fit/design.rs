@@ -1,12 +1,13 @@
 //! The linearised problem around a state: columns, residuals and calibration errors in units of the noise, summed in
 //! cells.
 //!
-//! A cell is one frame by one spatial block. It keeps the Gram matrix of all columns, of the calibration replicates and
+//! A cell is one frame by one spatial block. It keeps the Gram matrix of all columns, of the calibration's errors and
 //! of the residual. Hold-outs and clusters are then sums over cells and need no further pass over the frames.
 
 use super::cell::Cell;
 use super::derivative::{Expansion, LensImages};
 use super::model::Model;
+use super::replicas::Errors;
 use super::state::{Column, Predicted};
 use super::{registration, repeats};
 use crate::data::{Observations, Shown};
@@ -21,8 +22,10 @@ use std::ops::Range;
 pub struct Design {
     /// The columns.
     pub columns: Vec<Column>,
-    /// Number of calibration replicates.
-    pub replicates: usize,
+    /// Number of directions of the calibration's errors that are the scatter of its replicates.
+    pub scattered: usize,
+    /// Number of those that are stated.
+    pub stated: usize,
     /// The cells.
     pub cells: Vec<Cell>,
     /// Squared norm of each column over the training frames before any specimen is taken out of it, in units of the
@@ -37,8 +40,8 @@ pub enum Scope<'a> {
     Whole,
     /// The training cells alone.
     Training,
-    /// The training cells, and the products that score tests need: of the first `given` columns, the replicates and the
-    /// residual with everything, and of the columns of each group with each other. Other products are zero.
+    /// The training cells, and the products that score tests need: of the first `given` columns, the errors of the
+    /// calibration and the residual with everything, and of the columns of each group with each other. Other products are zero.
     Scores {
         /// Number of columns that are projected out.
         given: usize,
@@ -69,7 +72,7 @@ impl Scope<'_> {
 /// Sums over cells.
 #[derive(Clone, Debug)]
 pub struct Sums {
-    /// Gram matrix of columns, replicates and residual, [n, n].
+    /// Gram matrix of columns, errors of the calibration and residual, [n, n].
     pub gram: Array2<f64>,
     /// Number of pixels that are used.
     pub pixels: usize,
@@ -99,9 +102,7 @@ pub struct Misfit {
 }
 
 impl Design {
-    /// Computes the cells of a scope. `replicas[j][k]` is frame `k` as replicate j of the calibration predicts it minus
-    /// the prediction of the calibration, DN, [sensor rows, sensor cols]; None if the frame does not depend on the
-    /// calibration.
+    /// Computes the cells of a scope.
     ///
     /// # Errors
     /// An object holds negative or non-finite light.
@@ -109,12 +110,12 @@ impl Design {
         model: &Model<'_>,
         at: Expansion<'_>,
         columns: Vec<Column>,
-        replicas: &[Vec<Option<Array2<f32>>>],
+        errors: &Errors,
         scope: Scope<'_>,
     ) -> Result<Self, ForwardError> {
         let seen = model.seen;
         let whole = matches!(scope, Scope::Whole);
-        let rows = columns.len() + replicas.len() + 1;
+        let rows = columns.len() + errors.changes.len() + 1;
         // A state must not gain by driving pixels out of range: each unused pixel counts as one with the largest noise.
         let noise = model.forward.noise();
         let unseen = 1.0 + noise.variance_dn2(noise.saturation_dn).ln();
@@ -149,8 +150,8 @@ impl Design {
                 let before = if seen.frames[k].held_out { vec![0.0; columns.len()] } else { alone(&changes) };
                 model.visible(k, at.state, &mut changes.iter_mut().map(|(_, d)| d).collect::<Vec<_>>());
                 changes.iter().for_each(|(i, d)| put(*i, d));
-                for (j, replica) in replicas.iter().enumerate() {
-                    if let Some(d) = &replica[k] {
+                for (j, change) in errors.changes.iter().enumerate() {
+                    if let Some(d) = &change[k] {
                         put(columns.len() + j, d);
                     }
                 }
@@ -185,19 +186,22 @@ impl Design {
         let mut alone = vec![0.0; columns.len()];
         frames.iter().for_each(|(_, own)| alone.iter_mut().zip(own).for_each(|(a, v)| *a += v));
         let mut cells: Vec<Cell> = frames.into_iter().flat_map(|(cells, _)| cells).collect();
-        cells.extend(repeats::cells(model, at, &columns, replicas.len()));
-        cells.extend(registration::statement(model, at.state, &columns, replicas.len()));
-        Ok(Self { columns, replicates: replicas.len(), cells, alone })
+        cells.extend(repeats::cells(model, at, &columns, errors.changes.len()));
+        cells.extend(registration::statement(model, at.state, &columns, errors.changes.len()));
+        let scattered = errors.scattered;
+        Ok(Self { columns, scattered, stated: errors.changes.len() - scattered, cells, alone })
     }
 
     /// Index of the residual in a Gram matrix.
     pub fn residual(&self) -> usize {
-        self.columns.len() + self.replicates
+        self.columns.len() + self.scattered + self.stated
     }
 
-    /// Indices of the replicates in a Gram matrix.
-    pub fn replicate_rows(&self) -> Range<usize> {
-        self.columns.len()..self.residual()
+    /// Indices of the errors of the calibration in a Gram matrix: those that are the scatter of replicates, and those
+    /// that are stated.
+    pub fn error_rows(&self) -> [Range<usize>; 2] {
+        let first = self.columns.len();
+        [first..first + self.scattered, first + self.scattered..self.residual()]
     }
 
     /// Sums over the cells for which `take` is true.

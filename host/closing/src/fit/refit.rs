@@ -6,6 +6,7 @@
 use super::derivative::Expansion;
 use super::design::{Design, Misfit, Scope, nuisances};
 use super::model::Model;
+use super::replicas::Errors;
 use super::scene::Scene;
 use super::solve::pseudo_inverse;
 use super::specimen::fitted::specimens;
@@ -129,7 +130,7 @@ impl Point {
     fn of(model: &Model<'_>, state: &State, columns: &[Column], scenes: Scenes) -> Result<Self, ForwardError> {
         let predicted = model.predict(state, &scenes);
         let at = Expansion { state, trials: &[], predicted: &predicted, scenes: &scenes };
-        let design = Design::compute(model, at, columns.to_vec(), &[], Scope::Whole)?;
+        let design = Design::compute(model, at, columns.to_vec(), &Errors::default(), Scope::Whole)?;
         let sums = design.training();
         let known =
             |k: usize| model.seen.frames.get(k).is_some_and(|f| matches!(f.shown, Shown::Object(_) | Shown::Bead(_)));

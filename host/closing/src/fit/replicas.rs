@@ -1,9 +1,12 @@
-//! The uncertainty of the calibration: how its replicates change the predicted frames.
+//! The uncertainty of the calibration: how its replicates, and light that its windows do not hold, change the predicted
+//! frames.
 
 use super::model::Model;
 use super::refit::{Fitted, Scenes};
 use super::specimen::held::Specimens;
-use super::state::State;
+use super::state::{Predicted, State};
+use super::wings::{rings, spread};
+use crate::data::Shown;
 use ndarray::Array2;
 use ommatidia_model::forward::ForwardError;
 use ommatidia_model::instrument::Instrument;
@@ -15,9 +18,23 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// not its bias, which is about as large where the rank is well chosen.
 pub(crate) const BIAS: f64 = 2.0;
 
+/// Changes of the expected frames by errors of the calibration: independent directions, each of one standard deviation,
+/// so that the covariance of the frames is the sum of their squares.
+#[derive(Clone, Debug, Default)]
+pub struct Errors {
+    /// For each direction and frame the change, as far as the frame can show it, DN, [sensor rows, sensor cols]. None:
+    /// the frame does not depend on the calibration.
+    pub changes: Vec<Vec<Option<Array2<f32>>>>,
+    /// Number of the first directions that are the scatter of replicates, which few of them show; the others are
+    /// stated.
+    pub scattered: usize,
+}
+
 /// The replicates of a calibration, and the light behind their optics for the frames of a session.
 pub struct Replicas {
     instruments: Vec<Instrument>,
+    /// Rings round the windows that may hold light.
+    wings: Vec<(usize, usize, f64)>,
     /// Computed again when the specimens are estimated again.
     light: Mutex<Light>,
 }
@@ -46,12 +63,12 @@ impl Light {
 }
 
 impl Replicas {
-    /// For each replicate and frame the expected frame minus that of the calibration, as far as the frame can show it,
-    /// DN, [sensor rows, sensor cols]. None for frames without an object.
+    /// The errors of the calibration in the frames of a session: by the scatter of its replicates (delete-a-group
+    /// jackknife, with the [`BIAS`]), and by light outside its windows.
     ///
     /// # Errors
     /// An object holds negative or non-finite light.
-    pub fn of(&self, model: &Model<'_>, fitted: &Fitted) -> Result<Vec<Vec<Option<Array2<f32>>>>, ForwardError> {
+    pub fn of(&self, model: &Model<'_>, fitted: &Fitted) -> Result<Errors, ForwardError> {
         let light = {
             let mut light = self.light.lock().unwrap_or_else(PoisonError::into_inner);
             if !light.is_of(&fitted.state) {
@@ -67,13 +84,47 @@ impl Replicas {
             (0..predicted.len()).map(change).collect::<Vec<_>>()
         };
         let mut changes: Vec<Vec<Option<Array2<f32>>>> = light.scenes.iter().map(one).collect();
+        let scattered = changes.len();
+        standardised(&mut changes);
+        changes.extend(self.wings.iter().map(|ring| wing(model, &fitted.predicted, *ring)));
         let mut by_frame: Vec<Vec<&mut Array2<f32>>> = model.seen.frames.iter().map(|_| Vec::new()).collect();
         for of_replicate in &mut changes {
             of_replicate.iter_mut().zip(&mut by_frame).for_each(|(change, frame)| frame.extend(change.as_mut()));
         }
         by_frame.par_iter_mut().enumerate().for_each(|(k, images)| model.visible(k, &fitted.state, images));
-        Ok(changes)
+        Ok(Errors { changes, scattered })
     }
+}
+
+/// Makes the changes of replicates deviations from their mean whose squares sum to the covariance.
+fn standardised(changes: &mut [Vec<Option<Array2<f32>>>]) {
+    let n = changes.len() as f32;
+    let factor = (BIAS as f32 * (n - 1.0).max(0.0) / n).sqrt();
+    for k in 0..changes.first().map_or(0, Vec::len) {
+        let mut mean: Option<Array2<f32>> = None;
+        for change in changes.iter().filter_map(|c| c[k].as_ref()) {
+            match &mut mean {
+                Some(mean) => mean.scaled_add(1.0 / n, change),
+                None => mean = Some(change / n),
+            }
+        }
+        let Some(mean) = mean else { continue };
+        for change in changes.iter_mut().filter_map(|c| c[k].as_mut()) {
+            change.zip_mut_with(&mean, |v, m| *v = factor * (*v - m));
+        }
+    }
+}
+
+/// The light of a ring round each focus, DN, for each frame of a specimen or bead.
+fn wing(
+    model: &Model<'_>,
+    predicted: &[Predicted],
+    (inner, outer, share): (usize, usize, f64),
+) -> Vec<Option<Array2<f32>>> {
+    let dn = (share * model.forward.noise().gain_dn_per_e) as f32;
+    let shows = |k: usize| matches!(model.seen.frames[k].shown, Shown::Object(_) | Shown::Estimated | Shown::Bead(_));
+    let one = |k: usize| shows(k).then(|| spread(&predicted[k].sum_e, inner, outer) * dn);
+    (0..predicted.len()).into_par_iter().map(one).collect()
 }
 
 /// Computes the light behind the optics of each replicate of an instrument's calibration.
@@ -85,5 +136,6 @@ pub fn replicas(model: &Model<'_>, instrument: &Instrument, state: &State) -> Re
     let other = |psf: &LowRankPsf| Instrument { psf: psf.clone(), ..bare.clone() };
     let instruments: Vec<Instrument> = instrument.replicates.iter().map(other).collect();
     let light = Light::of(model, &instruments, state)?;
-    Ok(Replicas { instruments, light: Mutex::new(light) })
+    let wings = rings(model.window_px / 2, instrument.quality.outside_window);
+    Ok(Replicas { instruments, wings, light: Mutex::new(light) })
 }

@@ -7,12 +7,13 @@ use crate::evidence::Scores;
 use crate::fit::{Cell, Column, Design, pseudo_inverse};
 use ndarray::{Array1, Array2};
 
-/// What one measurement shows: the Gram matrix of its columns and of the replicates of the calibration.
+/// What one measurement shows: the Gram matrix of its columns and of the errors of the calibration.
 #[derive(Clone, Debug)]
 pub(crate) struct Information {
     columns: Vec<Column>,
-    replicates: usize,
-    /// [columns + replicates, columns + replicates].
+    /// Directions of the errors of the calibration: by scatter, and stated.
+    errors: [usize; 2],
+    /// [columns + errors, columns + errors].
     gram: Array2<f64>,
     /// Whether it is a session of its own, closed by itself.
     pub(crate) alone: bool,
@@ -23,7 +24,7 @@ impl Information {
     pub(crate) fn of(design: &Design, times: f64) -> Self {
         let n = design.residual();
         let gram = design.training().gram.slice(ndarray::s![..n, ..n]).mapv(|v| times * v);
-        Self { columns: design.columns.clone(), replicates: design.replicates, gram, alone: false }
+        Self { columns: design.columns.clone(), errors: [design.scattered, design.stated], gram, alone: false }
     }
 
     /// Standard deviations of the strengths `theta` of columns `mine` from absence, with `beside` and everything else
@@ -49,12 +50,15 @@ fn joined(parts: &[&Information]) -> Design {
             columns.push(c.clone());
         }
     }
-    let replicates = parts.iter().map(|p| p.replicates).max().unwrap_or(0);
-    let n = columns.len() + replicates + 1;
+    // All parts have the errors of one calibration.
+    let [scattered, stated] = [0, 1].map(|i| parts.iter().map(|p| p.errors[i]).max().unwrap_or(0));
+    let n = columns.len() + scattered + stated + 1;
     let mut gram = Array2::<f64>::zeros((n, n));
     for part in parts {
         let of_columns = part.columns.iter().map(|c| columns.iter().position(|own| own == c).unwrap_or(0));
-        let to: Vec<usize> = of_columns.chain((0..part.replicates).map(|j| columns.len() + j)).collect();
+        let first = columns.len();
+        let of_errors = (0..part.errors[0]).chain((0..part.errors[1]).map(|j| scattered + j)).map(|j| first + j);
+        let to: Vec<usize> = of_columns.chain(of_errors).collect();
         for ((i, j), v) in part.gram.indexed_iter() {
             gram[[to[i], to[j]]] += v;
         }
@@ -62,7 +66,7 @@ fn joined(parts: &[&Information]) -> Design {
     let gram = gram.mapv(|v| v as f32);
     let cell = Cell { frame: 0, block: 0, held_out: false, pixels: 0, gram, log_variance: 0.0 };
     let alone = vec![0.0; columns.len()];
-    Design { columns, replicates, cells: vec![cell], alone }
+    Design { columns, scattered, stated, cells: vec![cell], alone }
 }
 
 #[cfg(test)]
@@ -76,7 +80,7 @@ mod tests {
         let trial = |term| Column::Trial { term, param: 0 };
         let part = |sign: f64| Information {
             columns: vec![Column::Black, trial(0), trial(1)],
-            replicates: 0,
+            errors: [0, 0],
             gram: arr2(&[[1.0, 0.0, 0.0], [0.0, 1.0, sign], [0.0, sign, 1.0]]),
             alone: false,
         };

@@ -113,9 +113,9 @@ impl Measurement {
         let predicted = simulated.predict(&state, &scenes);
         let none = Misfit::default();
         let fitted = Fitted { state, predicted, scenes, training: none, held_out: none, known_held_out: none };
-        let of_frames = replicas(&simulated, found.instrument, &fitted.state)?.of(&simulated, &fitted)?;
+        let errors = replicas(&simulated, found.instrument, &fitted.state)?.of(&simulated, &fitted)?;
         let columns = columns(&simulated, &fitted, trials);
-        let design = Design::compute(&simulated, fitted.expansion(trials), columns, &of_frames, Scope::Training)?;
+        let design = Design::compute(&simulated, fitted.expansion(trials), columns, &errors, Scope::Training)?;
         let times = if self == Self::MoreScenes { 3.0 } else { 1.0 };
         let mut information = Information::of(&design, times);
         information.alone = plan.alone;

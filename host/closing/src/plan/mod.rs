@@ -96,9 +96,9 @@ pub(crate) fn plan(model: &Model<'_>, found: &Found<'_>) -> Result<Plan, Forward
 
 /// The information of the session's training data.
 fn of_session(model: &Model<'_>, found: &Found<'_>, trials: &[Term]) -> Result<Information, ForwardError> {
-    let of_frames = found.replicas.of(model, found.now)?;
+    let errors = found.replicas.of(model, found.now)?;
     let columns = columns(model, found.now, trials);
-    let design = Design::compute(model, found.now.expansion(trials), columns, &of_frames, Scope::Training)?;
+    let design = Design::compute(model, found.now.expansion(trials), columns, &errors, Scope::Training)?;
     Ok(Information::of(&design, 1.0))
 }
 

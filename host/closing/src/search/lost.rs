@@ -7,7 +7,7 @@
 use super::trials::{Tried, evidence};
 use crate::evidence::Scores;
 use crate::fit::registration::is_statement;
-use crate::fit::{Column, Design, Fitted, Model, Scope, Term, nuisances, own_columns};
+use crate::fit::{Column, Design, Errors, Fitted, Model, Scope, Term, nuisances, own_columns};
 use ndarray::Array2;
 use ommatidia_model::forward::ForwardError;
 use ommatidia_physics::effects::Stage;
@@ -43,7 +43,7 @@ pub(crate) fn lost(model: &Model<'_>, now: &Fitted) -> Result<Vec<&'static str>,
         groups.push(first..columns.len());
     }
     let scope = Scope::Scores { given, groups: &groups };
-    let design = Design::compute(model, now.expansion(&terms), columns.clone(), &[], scope)?;
+    let design = Design::compute(model, now.expansion(&terms), columns.clone(), &Errors::default(), scope)?;
     let mut of_data = design.clone();
     of_data.cells.retain(|cell| !is_statement(model, cell));
     let registers = |i: &usize| matches!(columns[*i], Column::Registration(..));

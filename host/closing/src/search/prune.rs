@@ -33,8 +33,8 @@ pub(crate) fn prune(
     let mut removed = Vec::new();
     loop {
         let columns: Vec<Column> = nuisances(model).into_iter().chain(own_columns(model, &now.state)).collect();
-        let of_frames = replicas.of(model, &now)?;
-        let design = Design::compute(model, now.expansion(&[]), columns.clone(), &of_frames, Scope::Training)?;
+        let errors = replicas.of(model, &now)?;
+        let design = Design::compute(model, now.expansion(&[]), columns.clone(), &errors, Scope::Training)?;
         let test = |t: usize| -> Option<Test> {
             let of_term = |c: &Column| matches!(c, Column::Own { term, .. } if *term == t);
             let mine: Vec<usize> = (0..columns.len()).filter(|i| of_term(&columns[*i])).collect();

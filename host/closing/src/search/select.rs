@@ -6,9 +6,8 @@ use super::finalists::{alike, finalists};
 use super::trials::{NEEDS_CALIBRATION, Tried, evidence};
 use crate::evidence::{Scores, TableFit, Test, holm, maps, tables};
 use crate::fit::{
-    Column, Design, Fitted, Model, Replicas, Scope, State, Term, nuisances, own_columns, refit, refit_from,
+    Column, Design, Errors, Fitted, Model, Replicas, Scope, State, Term, nuisances, own_columns, refit, refit_from,
 };
-use ndarray::Array2;
 use ommatidia_model::forward::ForwardError;
 use ommatidia_physics::effects::Stage;
 use ommatidia_session::Role;
@@ -25,6 +24,9 @@ pub const SHADOW: f64 = 0.03;
 const SHADOWED: usize = 3;
 /// Maximum number of effects that are added, and of terms without a name beside them.
 const MOST: usize = 6;
+/// A term without a name must explain this share of the excess of chi-squared over the noise on held-out data: what
+/// explains less may be error of the calibration, and closes no loop.
+const PART: f64 = 0.02;
 /// Maximum number of terms without a name.
 const MOST_UNNAMED: usize = 3;
 /// A term without a name is tried only if at least this share of its squared norm is independent of the model's
@@ -46,7 +48,7 @@ const SETTLED: f64 = 5.0;
 pub(crate) fn score(
     model: &Model<'_>,
     fitted: &Fitted,
-    replicas: &[Vec<Option<Array2<f32>>>],
+    errors: &Errors,
     terms: &[Term],
 ) -> Result<Vec<Candidate>, ForwardError> {
     let given: Vec<Column> = nuisances(model).into_iter().chain(own_columns(model, &fitted.state)).collect();
@@ -59,7 +61,7 @@ pub(crate) fn score(
         spans.push(first..columns.len());
     }
     let scope = Scope::Scores { given: taken.len(), groups: &spans };
-    let design = Design::compute(model, fitted.expansion(terms), columns, replicas, scope)?;
+    let design = Design::compute(model, fitted.expansion(terms), columns, errors, scope)?;
     let scores = Scores::new(&design, taken);
     let scenes = model.seen.of(Role::Scene).count();
     let mut candidates: Vec<Candidate> = Vec::new();
@@ -170,8 +172,8 @@ impl<'m, 'a> Search<'m, 'a> {
         let mut terms = tried.terms(self.model, &self.now.state, &evidence(self.model, &self.now));
         let excluded = |id: &str| self.exclude.iter().any(|e| e == id);
         terms.retain(|t| !excluded(t.id()));
-        let of_frames = self.replicas.of(self.model, &self.now)?;
-        let mut candidates = score(self.model, &self.now, &of_frames, &terms)?;
+        let errors = self.replicas.of(self.model, &self.now)?;
+        let mut candidates = score(self.model, &self.now, &errors, &terms)?;
         candidates.extend(tabled(self.model, &self.now, tried).into_iter().filter(|c| !excluded(c.term.id())));
         candidates.sort_by(|a, b| b.worth().total_cmp(&a.worth()));
         log(&candidates);
@@ -222,6 +224,9 @@ impl<'m, 'a> Search<'m, 'a> {
                     self.shadowed.push(Shadowed { id: it.candidate.term.id(), z: it.candidate.z(), share });
                     refused.ids.push(it.candidate.term.id());
                 }
+                Verdict::Added(it) if it.candidate.term.id().starts_with("unknown") && it.gain < PART * self.excess() => {
+                    refused.ids.push(it.candidate.term.id());
+                }
                 Verdict::Added(it) => {
                     let found = self.describe(candidates, &it)?;
                     self.found.push(found);
@@ -247,6 +252,12 @@ impl<'m, 'a> Search<'m, 'a> {
     /// The largest fall of the held-out deviance by an effect so far; 0 without one.
     pub fn strongest_gain(&self) -> f64 {
         self.found.iter().map(|f| f.held_out_gain).fold(0.0, f64::max)
+    }
+
+    /// Excess of chi-squared over the noise on held-out data; 0 if there is none.
+    fn excess(&self) -> f64 {
+        let held_out = self.now.held_out;
+        (held_out.chi2 - held_out.pixels as f64).max(0.0)
     }
 
     /// Whether the next step must be a new calibration, not another effect.
@@ -415,7 +426,7 @@ impl<'m, 'a> Search<'m, 'a> {
             columns.extend(strengths.into_iter().map(|param| Column::Trial { term: t, param }));
             spans.push((first..columns.len()).collect::<Vec<usize>>());
         }
-        let design = Design::compute(model, self.now.expansion(&terms), columns, &[], Scope::Training)?;
+        let design = Design::compute(model, self.now.expansion(&terms), columns, &Errors::default(), Scope::Training)?;
         let scores = Scores::new(&design, taken);
         let theta = it.test.as_ref().map_or(&[][..], |t| &t.theta);
         let of = |(c, span): (&&Candidate, &Vec<usize>)| Alternative {

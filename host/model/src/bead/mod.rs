@@ -11,7 +11,7 @@ mod windows;
 pub use crate::slopes::{Slopes, slope_terms};
 pub use background::{BeadBackground, remove_background};
 pub use error::{BeadError, Warning};
-pub use extent::extent;
+pub use extent::{Extent, extent};
 pub(crate) use rays::PASSES;
 pub use rays::{RayFit, fit_chief_rays};
 pub(crate) use scan::check_grid;

@@ -95,6 +95,7 @@ impl Calibration {
                 "level_sigma_e": b.sigma_e[0], "rows_sigma_e": b.sigma_e[1], "cols_sigma_e": b.sigma_e[2],
                 "scatter_e": b.scatter_e, "significant": b.is_seen(), "tail_e": b.tail_e,
             })),
+            "outside_window": i.quality.outside_window,
             "light_unit": i.light_unit,
             "notes": self.notes,
             "beads_normalised": self.beads_normalised,

@@ -122,14 +122,15 @@ pub fn calibrate(
         let background = remove_background(&mut scan, &manifest, &fitted.rays, noise.map_errors.offset_dn, &mut step)?;
         notes.extend(background_note(background.as_ref().map(|(b, _)| b)));
         let nominal = manifest.optics.psf_window_px;
-        manifest.optics.psf_window_px = match config.window_px {
-            Some(found) if found.is_multiple_of(2) => return Err(CalibrateError::Window { found }),
-            Some(side) => side,
-            None => {
-                // Foci that wander about their chief rays need room as well as those that have tails.
-                extent(&mut scan, &manifest, &fitted.rays, &mut step)?.max(nominal)
-            }
-        };
+        if let Some(found) = config.window_px.filter(|side| side.is_multiple_of(2)) {
+            return Err(CalibrateError::Window { found });
+        }
+        let extent = extent(&mut scan, &manifest, &fitted.rays, &mut step)?;
+        // Foci that wander about their chief rays need room as well as those that have tails.
+        let grown = || extent.as_ref().map_or(nominal, |e| e.side_px().max(nominal));
+        manifest.optics.psf_window_px = config.window_px.unwrap_or_else(grown);
+        let side = manifest.optics.psf_window_px;
+        let outside_window = extent.as_ref().map_or(0.0, |e| e.outside(side, background.is_none()));
         let planes = planes(&scan);
         let dead = &fitted.rays.dead;
         let mut fit_with = |scale| -> Result<_, CalibrateError> {
@@ -177,7 +178,12 @@ pub fn calibrate(
         Instrument {
             psf,
             replicates,
-            quality: Quality { maps: noise.map_errors, background: background.as_ref().map(|(b, _)| *b), ..quality },
+            quality: Quality {
+                maps: noise.map_errors,
+                background: background.as_ref().map(|(b, _)| *b),
+                outside_window,
+                ..quality
+            },
             diagnostics: Diagnostics {
                 background_e: by_frame(background.as_ref().map_or(&[], |(_, frames)| frames)),
                 ..model.diagnostics(&windows, &planes, noise.photon_transfer)?

@@ -146,6 +146,9 @@ pub struct Quality {
     pub maps: MapErrors,
     /// Background that was removed from the bead frames; None where it could not be measured.
     pub background: Option<BeadBackground>,
+    /// Standard uncertainty of the light of a focus outside its window, as a share of the light inside. 0 where it
+    /// could not be measured.
+    pub outside_window: f64,
 }
 
 /// Curves and maps of the calibration, for reports and `inspect`; no figure depends on them.

@@ -6,7 +6,7 @@ use super::probe::probed;
 use super::projector::Projector;
 use crate::data::{Frame, Observations, Shown};
 use crate::evidence::Scores;
-use crate::fit::{Column, Design, Model, Predicted, Scope, Term, nuisances, refit};
+use crate::fit::{Column, Design, Errors, Model, Predicted, Scope, Term, nuisances, refit};
 use ndarray::Array2;
 use ommatidia_model::instrument::Instrument;
 use ommatidia_model::testing::instrument;
@@ -155,7 +155,7 @@ fn a_change_of_the_specimen_is_not_testable_and_a_lens_is() {
         columns.extend(trial.strengths(model.lenses()).into_iter().map(|param| Column::Trial { term: 0, param }));
         let tested: Vec<usize> = (given.len()..columns.len()).collect();
         let trials = [trial];
-        let design = Design::compute(&model, fit.expansion(&trials), columns, &[], Scope::Training).unwrap();
+        let design = Design::compute(&model, fit.expansion(&trials), columns, &Errors::default(), Scope::Training).unwrap();
         Scores::new(&design, given).test(&tested).is_some()
     };
     // Shading of the excitation is a change of the object; the light of one lens beside the other is none.
