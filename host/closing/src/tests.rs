@@ -84,7 +84,8 @@ fn fitted(put_in: &Term, param: usize) -> (f64, f64) {
     state.terms.push(put_in.switched_off(model.lenses()));
     let fit = refit(&model, state).unwrap();
     let columns: Vec<Column> = nuisances(&model).into_iter().chain(own_columns(&model, &fit.state)).collect();
-    let design = Design::compute(&model, fit.expansion(&[]), columns.clone(), &Errors::default(), Scope::Whole).unwrap();
+    let design =
+        Design::compute(&model, fit.expansion(&[]), columns.clone(), &Errors::default(), Scope::Whole).unwrap();
     let mine: Vec<usize> = (0..columns.len()).filter(|i| matches!(columns[*i], Column::Own { .. })).collect();
     let others = (0..columns.len()).filter(|i| !mine.contains(i)).collect();
     let test = Scores::new(&design, others).test(&mine).unwrap();

@@ -158,11 +158,7 @@ pub(crate) fn excess(model: &Model<'_>, fitted: &Fitted) -> [f64; 2] {
 
 /// Number of held-out pixels, and the excess of chi-squared there that errors of the calibration make.
 /// `errors` are those of [`crate::fit::Replicas::of`].
-pub(crate) fn excess_by_calibration(
-    model: &Model<'_>,
-    fitted: &Fitted,
-    errors: &Errors,
-) -> (usize, f64) {
+pub(crate) fn excess_by_calibration(model: &Model<'_>, fitted: &Fitted, errors: &Errors) -> (usize, f64) {
     let seen = model.seen;
     let (mut pixels, mut excess) = (0, 0.0);
     for (k, _, span) in held_out_pixels(seen) {

@@ -224,7 +224,9 @@ impl<'m, 'a> Search<'m, 'a> {
                     self.shadowed.push(Shadowed { id: it.candidate.term.id(), z: it.candidate.z(), share });
                     refused.ids.push(it.candidate.term.id());
                 }
-                Verdict::Added(it) if it.candidate.term.id().starts_with("unknown") && it.gain < PART * self.excess() => {
+                Verdict::Added(it)
+                    if it.candidate.term.id().starts_with("unknown") && it.gain < PART * self.excess() =>
+                {
                     refused.ids.push(it.candidate.term.id());
                 }
                 Verdict::Added(it) => {

@@ -155,7 +155,8 @@ fn a_change_of_the_specimen_is_not_testable_and_a_lens_is() {
         columns.extend(trial.strengths(model.lenses()).into_iter().map(|param| Column::Trial { term: 0, param }));
         let tested: Vec<usize> = (given.len()..columns.len()).collect();
         let trials = [trial];
-        let design = Design::compute(&model, fit.expansion(&trials), columns, &Errors::default(), Scope::Training).unwrap();
+        let design =
+            Design::compute(&model, fit.expansion(&trials), columns, &Errors::default(), Scope::Training).unwrap();
         Scores::new(&design, given).test(&tested).is_some()
     };
     // Shading of the excitation is a change of the object; the light of one lens beside the other is none.
