@@ -34,12 +34,12 @@ pub struct OperatorConfig {
 
 impl Default for OperatorConfig {
     fn default() -> Self {
-        Self { depth: 0, max_transform_px: 1536, most_spectra_bytes: 512 << 20, most_error: 3e-4 }
+        Self { depth: 0, max_transform_px: 1536, most_spectra_bytes: 512 << 20, most_error: 1e-3 }
     }
 }
 
 impl OperatorConfig {
-    /// All terms everywhere, at the depth with this index: for what is judged to parts in ten thousand.
+    /// All terms everywhere, at the depth with this index: for what is judged to parts in a thousand.
     pub fn exact(depth: usize) -> Self {
         Self { depth, most_error: 0.0, ..Self::default() }
     }

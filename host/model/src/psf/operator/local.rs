@@ -13,7 +13,7 @@
 
 use super::tiling::Tiling;
 use crate::psf::nodes::Taps;
-use ndarray::{Array, Array2, Array3, Axis, s};
+use ndarray::{Array, Array2, Array3, s};
 use ommatidia_physics::linalg::{NotConverged, SymmetricEigen, symmetric_eigen};
 use rayon::prelude::*;
 
@@ -73,7 +73,7 @@ pub(super) fn decompose(
     }
     Ok(best.map(|(tiling, turns)| {
         let of_lens = |((l, m), turns): ((&Option<Terms>, &Option<Metric>), Vec<Array2<f64>>)| match (l, m) {
-            (Some(l), Some(m)) => turns.par_iter().map(|v| m.turned(l, v)).collect(),
+            (Some(l), Some(m)) => m.turned(l, &turns),
             _ => Vec::new(),
         };
         (tiling, lenses.par_iter().zip(&metrics).zip(turns).map(of_lens).collect())
@@ -84,13 +84,12 @@ pub(super) fn decompose(
 struct Metric {
     /// `S^-1/2`, [k, k], zero where S is.
     inverse_root: Array2<f64>,
-    /// `S^1/2` times the coefficients at the nodes, [k, node row, node col].
-    nodes: Array3<f64>,
+    /// `S^1/2` times the coefficients at the nodes, [k, node row * node col].
+    nodes: Array2<f64>,
 }
 
 impl Metric {
     fn of(terms: &Terms) -> Result<Self, NotConverged> {
-        let (k, rows, cols) = terms.coefficients.dim();
         let kernels = flat(&terms.kernels);
         let SymmetricEigen { values, vectors } = symmetric_eigen(&kernels.dot(&kernels.t()))?;
         let floor = NOTHING * values.iter().fold(0.0f64, |m, v| m.max(*v));
@@ -98,17 +97,19 @@ impl Metric {
             let scale = values.mapv(|v| if v > floor { v.powf(p) } else { 0.0 });
             (&vectors * &scale).dot(&vectors.t())
         };
-        let nodes = power(0.5).dot(&flat(&terms.coefficients));
-        let nodes = Array3::from_shape_fn((k, rows, cols), |(k, r, c)| nodes[[k, r * cols + c]]);
-        Ok(Self { inverse_root: power(-0.5), nodes })
+        Ok(Self { inverse_root: power(-0.5), nodes: power(0.5).dot(&flat(&terms.coefficients)) })
     }
 
     /// The leading eigenvectors `v_j` of a block, [k, r], as few as the relative error allows; `rows` and `cols` are
     /// the products of its interpolation weights.
     fn leading(&self, rows: &Array2<f64>, cols: &Array2<f64>, error: f64) -> Result<Array2<f64>, NotConverged> {
-        let (k, ..) = self.nodes.dim();
-        let summed: Vec<Array2<f64>> = self.nodes.outer_iter().map(|n| rows.dot(&n).dot(cols)).collect();
-        let products = Array2::from_shape_fn((k, k), |(i, j)| (&self.nodes.index_axis(Axis(0), i) * &summed[j]).sum());
+        let mut summed = Array2::zeros(self.nodes.dim());
+        for (nodes, mut to) in self.nodes.outer_iter().zip(summed.outer_iter_mut()) {
+            let nodes = nodes.into_shape_with_order((rows.nrows(), cols.nrows()));
+            let sum = nodes.map(|n| rows.dot(&n).dot(cols)).unwrap_or_default();
+            to.iter_mut().zip(&sum).for_each(|(to, v)| *to = *v);
+        }
+        let products = self.nodes.dot(&summed.t());
         let SymmetricEigen { values, vectors } = symmetric_eigen(&products)?;
         let most = error * error * values.iter().map(|v| v.max(0.0)).sum::<f64>();
         let mut left = 0.0;
@@ -120,12 +121,14 @@ impl Metric {
         Ok(vectors.slice(s![.., out..]).to_owned())
     }
 
-    /// The local terms of a block with the eigenvectors `v`, [k, r].
-    fn turned(&self, terms: &Terms, v: &Array2<f64>) -> Terms {
-        Terms {
-            kernels: like(&terms.kernels, &v.t().dot(&self.inverse_root).dot(&flat(&terms.kernels))),
-            coefficients: like(&terms.coefficients, &v.t().dot(&flat(&self.nodes))),
-        }
+    /// The local terms of each block, whose eigenvectors are `turns`, [k, r] each.
+    fn turned(&self, terms: &Terms, turns: &[Array2<f64>]) -> Vec<Terms> {
+        let kernels = flat(&terms.kernels);
+        let of_block = |v: &Array2<f64>| Terms {
+            kernels: like(&terms.kernels, &v.t().dot(&self.inverse_root).dot(&kernels)),
+            coefficients: like(&terms.coefficients, &v.t().dot(&self.nodes)),
+        };
+        turns.par_iter().map(of_block).collect()
     }
 }
 
@@ -139,7 +142,9 @@ fn flat<T: Copy + Into<f64>>(stack: &Array3<T>) -> Array2<f64> {
 /// A matrix [r, pixels] as a stack of images of the size of those of `stack`.
 fn like(stack: &Array3<f32>, values: &Array2<f64>) -> Array3<f32> {
     let (_, rows, cols) = stack.dim();
-    Array3::from_shape_fn((values.nrows(), rows, cols), |(k, r, c)| values[[k, r * cols + c]] as f32)
+    let narrow = values.iter().map(|v| *v as f32).collect();
+    let shape = (values.nrows(), rows, cols);
+    Array::from_shape_vec(shape, narrow).unwrap_or_else(|_| Array3::zeros(shape))
 }
 
 /// Products of the interpolation weights of pixels, summed over the pixels, [node, node].
