@@ -210,7 +210,8 @@ proptest::proptest! {
         let mut moved = i.geometry.clone();
         moved.anchors_px[1][0] += shift;
         let config = local(max_transform_px, most_error.max(0.0));
-        let config = if seed % 2 == 0 { config } else { OperatorConfig { max_transform_px, ..OperatorConfig::default() } };
+        let default = OperatorConfig { max_transform_px, ..OperatorConfig::default() };
+        let config = if seed % 2 == 0 { config } else { default };
         let a = LowRankOperator::plan(i.optics(), &moved, config).unwrap();
         let (x, y) = (noise([rows, cols], seed), noise([37, 44], seed + 1));
         let dot = |a: &Array2<f32>, b: &Array2<f32>| -> f64 {
