@@ -3,7 +3,7 @@
 //!
 //! `cargo bench -p ommatidia-tests --bench operator`. Figures of one run are comparable with each other only. The sum
 //! is that of one lens with eight basis PSFs at each size: times the lenses and an eighth of the terms of an instrument
-//! it is a frame.
+//! it is a frame. Then the sum of 32 terms at the paper's size, with local terms in place of all.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
@@ -25,7 +25,7 @@ fn value(i: usize) -> f32 {
 }
 
 /// One lens before a sensor of the given size.
-fn instrument(object: usize, sensor: [usize; 2], window: usize) -> Instrument {
+fn instrument(object: usize, sensor: [usize; 2], window: usize, terms: usize) -> Instrument {
     let nodes = even_nodes(object, NODES);
     Instrument {
         manifest: Manifest {
@@ -55,10 +55,10 @@ fn instrument(object: usize, sensor: [usize; 2], window: usize) -> Instrument {
             dead: vec![false],
         },
         psf: LowRankPsf {
-            basis: Array4::from_shape_fn((1, TERMS, window, window), |(_, k, r, c)| {
+            basis: Array4::from_shape_fn((1, terms, window, window), |(_, k, r, c)| {
                 value((k * window + r) * window + c) - 0.3
             }),
-            coefficients: Array5::from_shape_fn((1, TERMS, 1, NODES, NODES), |(_, k, _, r, c)| {
+            coefficients: Array5::from_shape_fn((1, terms, 1, NODES, NODES), |(_, k, _, r, c)| {
                 10.0 * value((k * NODES + r) * NODES + c)
             }),
             node_depths_um: vec![0.0],
@@ -145,12 +145,12 @@ fn forward(c: &mut Criterion) {
     let mut group = c.benchmark_group("low-rank forward, one lens, 8 terms");
     group.sample_size(10);
     for (object, sensor, window) in [(96, [214, 214], 21), (600, [750, 1000], 61), (2400, [3000, 4000], 241)] {
-        let i = instrument(object, sensor, window);
+        let i = instrument(object, sensor, window, TERMS);
         let whole = WholeFrames::new(&i);
         let o = Array2::from_shape_fn((object, object), |(r, c)| value(r * object + c));
         // As a large instrument is planned: the spectra of all lenses would not fit.
         let most_spectra_bytes = if object > 1000 { 0 } else { OperatorConfig::default().most_spectra_bytes };
-        let config = OperatorConfig { most_spectra_bytes, ..OperatorConfig::default() };
+        let config = OperatorConfig { most_spectra_bytes, ..OperatorConfig::exact(0) };
         let operator = LowRankOperator::plan(i.optics(), &i.geometry, config).unwrap();
         let (got, want) = (operator.apply(o.view()).unwrap(), whole.apply(&o));
         let top = want.iter().fold(0.0f32, |m, v| m.max(v.abs()));
@@ -161,5 +161,31 @@ fn forward(c: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, forward);
+/// The same at the paper's size, with 32 terms whose coefficients are as smooth over the field, and as unlike in their
+/// strength, as calibrated ones are: with all terms everywhere, and with few local ones in each block.
+fn local_terms(c: &mut Criterion) {
+    const TERMS: usize = 32;
+    let mut i = instrument(2400, [3000, 4000], 241, TERMS);
+    let smooth = |k: usize, at: usize, phase: f64| (phase + (k + 1) as f64 * at as f64 / NODES as f64).cos();
+    i.psf.coefficients = Array5::from_shape_fn((1, TERMS, 1, NODES, NODES), |(_, k, _, r, c)| {
+        (smooth(k % 6, r, 0.3) * smooth(k / 6, c, 1.1) * 0.8f64.powi(k as i32)) as f32
+    });
+    let o = Array2::from_shape_fn((2400, 2400), |(r, c)| value(r * 2400 + c));
+    let plan = |most_error: f64| {
+        let config = OperatorConfig { most_spectra_bytes: 0, most_error, ..OperatorConfig::default() };
+        LowRankOperator::plan(i.optics(), &i.geometry, config).unwrap()
+    };
+    let (all, local) = (plan(0.0), plan(OperatorConfig::default().most_error));
+    let (want, got) = (all.apply(o.view()).unwrap(), local.apply(o.view()).unwrap());
+    let power = |f: &Array2<f32>| f.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>();
+    let error = (power(&(&got - &want)) / power(&want)).sqrt();
+    assert!(error < 1e-3, "local terms err by {error}");
+    let mut group = c.benchmark_group("low-rank forward, one lens, 32 terms");
+    group.sample_size(10);
+    group.bench_function("all terms", |b| b.iter(|| all.apply(black_box(o.view()))));
+    group.bench_function("local terms", |b| b.iter(|| local.apply(black_box(o.view()))));
+    group.finish();
+}
+
+criterion_group!(benches, forward, local_terms);
 criterion_main!(benches);

@@ -52,7 +52,7 @@ impl<'a> Model<'a> {
         let shows_object = |f: &&Frame| matches!(f.shown, Shown::Object(_) | Shown::Estimated);
         let z_um = seen.frames.iter().find(shows_object).map_or(0.0, |f| f.info.z_um);
         let depth = instrument.psf.depth_nearest(z_um);
-        let plan = |i: &Instrument| Forward::with_all_depths(i, OperatorConfig { depth, ..OperatorConfig::default() });
+        let plan = |i: &Instrument| Forward::with_all_depths(i, OperatorConfig::exact(depth));
         let uncertain = seen.registrations.iter().any(|g| g.sigma_px > 0.0);
         Ok(Self {
             forward: plan(&bare)?,

@@ -31,10 +31,7 @@ pub(super) fn fit_light_unit(session: &Session, instrument: &Instrument) -> Resu
             let depth = instrument.psf.depth_nearest(info.z_um);
             let forward = match at_depths.entry(depth) {
                 Entry::Occupied(planned) => planned.into_mut(),
-                Entry::Vacant(place) => {
-                    let config = OperatorConfig { depth, ..OperatorConfig::default() };
-                    place.insert(Forward::with_config(instrument, config)?)
-                }
+                Entry::Vacant(place) => place.insert(Forward::with_config(instrument, OperatorConfig::exact(depth))?),
             };
             let cx =
                 FrameContext { exposure_ms: info.exposure_ms, illumination: info.illumination, ..forward.context() };

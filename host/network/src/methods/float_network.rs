@@ -3,7 +3,9 @@
 use super::Reconstruct;
 use crate::train::network::{Network, values};
 use crate::train::ops::fourier::Fourier;
-use crate::train::{ArchitectureName, Checkpoint, Mode, NetworkConfig, NetworkInput, TrainError, normalised};
+use crate::train::{
+    Architecture, ArchitectureName, Checkpoint, Inference, Mode, NetworkConfig, NetworkInput, TrainError, normalised,
+};
 use burn::tensor::activation::sigmoid;
 use ndarray::{Array2, ArrayView2};
 use ommatidia_physics::sensor::FrameInput;
@@ -12,10 +14,17 @@ use std::sync::Arc;
 
 /// The network of a checkpoint in single precision, on this machine's cores.
 pub struct FloatNetwork {
-    network: Network,
-    plan: Arc<Fourier>,
+    engine: Engine,
     input: FrameInput,
     config: NetworkConfig,
+}
+
+/// What computes the network.
+enum Engine {
+    /// Networks with a filter bank.
+    Direct(Inference),
+    /// Burn's graph, for CM2Net.
+    Graph(Network, Arc<Fourier>),
 }
 
 impl FloatNetwork {
@@ -25,10 +34,14 @@ impl FloatNetwork {
     /// A weight is missing, or a weight or a sensor map has the wrong shape.
     pub fn new(checkpoint: &Checkpoint) -> Result<Self, TrainError> {
         let config = &checkpoint.body.network;
-        let plan = Arc::new(Fourier::new(config.fourier()));
-        let network = Network::new(config, &plan, &checkpoint.weights, Mode::Infer)?;
-        let input = checkpoint.frame_input()?;
-        Ok(Self { network, plan, input, config: config.clone() })
+        let engine = match config.architecture {
+            Architecture::Cm2Net { .. } => {
+                let plan = Arc::new(Fourier::new(config.fourier()));
+                Engine::Graph(Network::new(config, &plan, &checkpoint.weights, Mode::Infer)?, plan)
+            }
+            _ => Engine::Direct(Inference::new(config, &checkpoint.weights)?),
+        };
+        Ok(Self { engine, input: checkpoint.frame_input()?, config: config.clone() })
     }
 
     /// Its architecture.
@@ -41,7 +54,12 @@ impl FloatNetwork {
     /// # Errors
     /// As [`Checkpoint::read`] and [`FloatNetwork::new`].
     pub fn open(path: &Path) -> Result<Self, TrainError> {
-        Self::new(&Checkpoint::read(path)?)
+        let mut checkpoint = Checkpoint::read(path)?;
+        // What only training needs takes three times the memory of the weights.
+        checkpoint.current.clear();
+        checkpoint.adam.first.clear();
+        checkpoint.adam.second.clear();
+        Self::new(&checkpoint)
     }
 }
 
@@ -52,8 +70,13 @@ impl Reconstruct for FloatNetwork {
 
     fn reconstruct(&self, frame_dn: ArrayView2<'_, f32>) -> anyhow::Result<Array2<f32>> {
         let frame = normalised(&self.input, frame_dn)?;
-        let input = NetworkInput::of(&self.config, &self.plan, &frame);
-        let out = values(sigmoid(self.network.forward(vec![input]).logits));
+        let out = match &self.engine {
+            Engine::Direct(network) => network.reconstruct(&frame),
+            Engine::Graph(network, plan) => {
+                let input = NetworkInput::of(&self.config, plan, &frame);
+                values(sigmoid(network.forward(vec![input]).logits))
+            }
+        };
         let [rows, cols] = self.config.object;
         Ok(Array2::from_shape_vec((rows, cols), out)?)
     }

@@ -1,5 +1,6 @@
 //! The networks in single precision, on burn: a bank of filters followed by an RCAN, or CM2Net.
 
+use super::normalise::DARK;
 use super::ops::fourier::{Fourier, Spectrum};
 use super::ops::{conv3x3, filter_bank, kernel_spectra};
 use super::weights::{self, FILTERS, KERNELS, LOG_K, PSFS, name};
@@ -9,9 +10,6 @@ use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use ommatidia_session::artifact::Tensors;
 use std::collections::BTreeMap;
 use std::sync::Arc;
-
-/// Lower bound of the maximum that filter outputs are divided by, so that frames without light stay finite.
-const DARK: f32 = 1e-12;
 
 /// Divisor of the sum of two branches in CM2Net, which keeps its variance.
 const HALF_POWER: f32 = std::f32::consts::SQRT_2;

@@ -3,6 +3,9 @@
 use ndarray::ArrayView2;
 use ommatidia_physics::sensor::{FrameError, FrameInput};
 
+/// Lower bound of the maximum that filter outputs are divided by, so that frames without light stay finite.
+pub(super) const DARK: f32 = 1e-12;
+
 /// A raw frame, DN, [frame rows, frame cols], as networks take it: checked, corrected, and divided by its maximum; in C
 /// order.
 ///

@@ -10,6 +10,7 @@ use ommatidia_model::instrument::Instrument;
 use ommatidia_model::metrics::{
     FrameBackground, PredictionFigures, SensorNoise, add_background, in_sigmas, prediction_figures,
 };
+use ommatidia_model::psf::OperatorConfig;
 use ommatidia_network::evaluate::{Evaluation, MethodFigures, Predicted, Scenes, Source, Summary, judge};
 use ommatidia_network::methods::{MethodKind, Reconstruct, frame_range, title};
 use ommatidia_report::{bytes, seconds};
@@ -201,7 +202,8 @@ fn prediction(
     for path in &args.with {
         if is_instrument(path)? {
             let instrument = Instrument::read(path)?;
-            let forward = Forward::new(&instrument)?;
+            let depth = instrument.psf.depth_nearest(0.0);
+            let forward = Forward::with_config(&instrument, OperatorConfig::exact(depth))?;
             let count = scenes.count();
             let noise = forward.noise_with(forward.effects());
             let sensor = SensorNoise {

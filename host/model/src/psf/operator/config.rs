@@ -27,11 +27,21 @@ pub struct OperatorConfig {
     /// Memory limit for the spectra of the basis PSFs of all lenses, bytes. Above it they are recomputed at each
     /// application.
     pub most_spectra_bytes: usize,
+    /// Most relative root-mean-square error of the PSFs in any block, where their terms are decomposed again: only
+    /// where the spectra exceed `most_spectra_bytes`, and where it costs less. 0: all terms everywhere.
+    pub most_error: f64,
 }
 
 impl Default for OperatorConfig {
     fn default() -> Self {
-        Self { depth: 0, max_transform_px: 1536, most_spectra_bytes: 512 << 20 }
+        Self { depth: 0, max_transform_px: 1536, most_spectra_bytes: 512 << 20, most_error: 1e-3 }
+    }
+}
+
+impl OperatorConfig {
+    /// All terms everywhere, at the depth with this index: for what is judged to parts in a thousand.
+    pub fn exact(depth: usize) -> Self {
+        Self { depth, most_error: 0.0, ..Self::default() }
     }
 }
 

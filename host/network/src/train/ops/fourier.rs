@@ -26,11 +26,11 @@ pub struct FourierSizes {
 
 /// The planned transforms of one filter bank.
 pub struct Fourier {
-    sizes: FourierSizes,
-    rows_forward: Arc<dyn RealToComplex<f32>>,
-    rows_inverse: Arc<dyn ComplexToReal<f32>>,
-    cols_forward: Arc<dyn Fft<f32>>,
-    cols_inverse: Arc<dyn Fft<f32>>,
+    pub(super) sizes: FourierSizes,
+    pub(super) rows_forward: Arc<dyn RealToComplex<f32>>,
+    pub(super) rows_inverse: Arc<dyn ComplexToReal<f32>>,
+    pub(super) cols_forward: Arc<dyn Fft<f32>>,
+    pub(super) cols_inverse: Arc<dyn Fft<f32>>,
 }
 
 impl std::fmt::Debug for Fourier {
@@ -61,7 +61,7 @@ impl Fourier {
         self.sizes
     }
 
-    fn bins(&self) -> usize {
+    pub(super) fn bins(&self) -> usize {
         self.sizes.filter_size / 2 + 1
     }
 

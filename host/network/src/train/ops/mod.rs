@@ -6,7 +6,10 @@
 
 pub mod conv;
 pub mod fourier;
+pub mod patch;
 pub mod portable;
+pub mod stream;
+pub mod winograd;
 
 use burn::backend::autodiff::NodeId;
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
