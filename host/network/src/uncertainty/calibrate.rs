@@ -18,11 +18,13 @@ use serde::{Deserialize, Serialize};
 /// Pixels of a scene that the scale is fitted to.
 const SAMPLES: usize = 800;
 /// Share of the scenes that the scale is fitted to; the others calibrate.
-const FOR_SCALE: f64 = 0.25;
+const FOR_SCALE: f64 = 0.2;
 /// Share of frames that an alarm may name wrongly, for each of two figures.
 const FALSE_ALARMS: f64 = 0.005;
 /// Errors smaller than this part of the propagated noise count as that large in the fit of the scale.
 const LEAST_ERROR: f32 = 0.03;
+/// The light of the scenes reaches this far beyond its range, so that frames at its ends have neighbours on both sides.
+const BEYOND: [f64; 2] = [1.0 / 1.4, 1.2];
 /// Scenes that pass together: their pixels are in memory.
 const AT_ONCE: usize = 32;
 
@@ -40,7 +42,7 @@ pub struct CalibrateWidths {
 
 impl Default for CalibrateWidths {
     fn default() -> Self {
-        Self { count: 1400, coverage: 0.9, neighbours: 40 }
+        Self { count: 2100, coverage: 0.9, neighbours: 16 }
     }
 }
 
@@ -120,9 +122,11 @@ impl CalibrateWidths {
     ) -> Result<Widths, UncertaintyError> {
         self.check()?;
         let observer = Observer::new(instrument)?;
+        let [low, high] = scenes.peak_e();
+        let peak_e = [low * BEYOND[0], high * BEYOND[1]];
         let fitted = (FOR_SCALE * self.count as f64) as usize;
         let one = |i: usize| {
-            let frame = scenes.frame(seed, "uncertainty", i)?;
+            let frame = scenes.frame_within(peak_e, seed, "uncertainty", i)?;
             let judged = Judged::of(&observer, method, i, &frame.frame_dn, &frame.object)?;
             Ok((frame, judged))
         };

@@ -36,3 +36,6 @@ pub use error::UncertaintyError;
 pub use file::{KIND, VERSION};
 pub use virtual_scenes::{EffectError, VirtualConfig, VirtualFrame, VirtualScenes};
 pub use widths::{Intervals, Made, Ready, Suspicion, Widths};
+
+#[cfg(test)]
+mod tests;

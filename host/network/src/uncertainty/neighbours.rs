@@ -21,13 +21,17 @@ pub(super) fn nearest(
     all
 }
 
-/// Standard deviation of each feature over all scenes; 1 where it does not vary.
+/// Weights of the features: light, and the two figures of how fine the structure is, count twice (chosen on development
+/// seeds).
+const WEIGHTS: [f64; FRAME] = [2.0, 1.0, 1.0, 2.0, 2.0, 1.0, 1.0];
+
+/// Unit of each feature: its standard deviation over all scenes (1 where it does not vary) over its weight.
 pub(super) fn units(scenes: &[[f64; FRAME]]) -> [f64; FRAME] {
     let n = scenes.len().max(1) as f64;
     std::array::from_fn(|k| {
         let mean = scenes.iter().map(|s| s[k]).sum::<f64>() / n;
         let sigma = (scenes.iter().map(|s| (s[k] - mean).powi(2)).sum::<f64>() / n).sqrt();
-        if sigma > 1e-9 { sigma } else { 1.0 }
+        (if sigma > 1e-9 { sigma } else { 1.0 }) / WEIGHTS[k]
     })
 }
 
@@ -78,7 +82,7 @@ mod tests {
         };
         assert_eq!(order(None), [1, 3, 2]);
         assert_eq!(order(Some(1)), [3, 2, 0]);
-        assert_eq!(units(&scenes[1..2]), [1.0; FRAME]);
+        assert_eq!(units(&scenes[1..2]), WEIGHTS.map(f64::recip));
         assert_eq!((median(vec![3.0, 1.0, 2.0]), median(vec![4.0, 1.0]), median(Vec::new())), (2.0, 2.5, 0.0));
     }
 }

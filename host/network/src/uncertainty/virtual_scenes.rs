@@ -130,6 +130,17 @@ impl VirtualScenes {
     /// # Errors
     /// No light reaches the sensor.
     pub fn frame(&self, seed: u64, what: &str, i: usize) -> Result<VirtualFrame, UncertaintyError> {
+        self.frame_within(self.peak_e, seed, what, i)
+    }
+
+    /// As [`VirtualScenes::frame`], with another range of the brightest pixel, electrons.
+    pub(super) fn frame_within(
+        &self,
+        peak_e: [f64; 2],
+        seed: u64,
+        what: &str,
+        i: usize,
+    ) -> Result<VirtualFrame, UncertaintyError> {
         let (specimen, scenes) = &self.kinds[i % self.kinds.len()];
         let mut object = scenes.draw(&self.grid, seed, &format!("{what}/scene"), i as u64);
         let mut draws = rng::stream(seed, &format!("{what}/light"), i as u64);
@@ -138,14 +149,21 @@ impl VirtualScenes {
         let expected = |forward: &Forward, object: &Array2<f32>| -> Result<Array2<f32>, UncertaintyError> {
             Ok(forward.light_e(&forward.scene(object.view(), &chain, &cx)?, &chain, &cx))
         };
-        let brightest = expected(&self.forward, &object)?.fold(0.0f32, |m, v| m.max(*v));
+        let mut light_e = expected(&self.forward, &object)?;
+        let brightest = light_e.fold(0.0f32, |m, v| m.max(*v));
         if brightest.is_nan() || brightest <= 0.0 {
             return Err(UncertaintyError::Black { index: i });
         }
-        let [low, high] = self.peak_e.map(f64::ln);
+        let [low, high] = peak_e.map(f64::ln);
         let peak_e = draws.random_range(low..=high).exp();
-        object.mapv_inplace(|v| v * (peak_e / f64::from(brightest)) as f32);
-        let mut light_e = expected(&self.forward, &object)?;
+        let factor = (peak_e / f64::from(brightest)) as f32;
+        object.mapv_inplace(|v| v * factor);
+        if chain.is_empty() {
+            light_e.mapv_inplace(|v| v * factor);
+        } else {
+            // An effect need not be proportional to the light: form the frame again at its level.
+            light_e = expected(&self.forward, &object)?;
+        }
         // The covariance of the delete-a-group jackknife is (J - 1)/J sum_j d_j d_j', d_j = s_j - s. One replicate,
         // drawn evenly, times a standard normal number and sqrt(J - 1), has that covariance.
         let count = self.replicates.len();

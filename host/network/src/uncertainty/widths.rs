@@ -44,7 +44,7 @@ pub struct Made {
     pub alarm: [f64; 2],
     /// Distance to the scenes that look alike which 0.5 % of the scenes exceed.
     pub far: f64,
-    /// Standard deviations of the features of frames.
+    /// Units of the features of frames.
     pub(super) units: [f64; FRAME],
 }
 

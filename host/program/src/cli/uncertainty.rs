@@ -31,7 +31,7 @@ pub struct Args {
     /// Account of `close` for this instrument: the errors of the effects that it found are drawn, too
     #[arg(long, value_name = "CLOSING")]
     account: Option<PathBuf>,
-    /// Number of virtual scenes; a quarter sets the scale of errors, the others calibrate
+    /// Number of virtual scenes; a fifth sets the scale of errors, the others calibrate
     #[arg(long, value_name = "N", default_value_t = CalibrateWidths::default().count)]
     count: usize,
     /// Share of pixels whose truth is to be inside
