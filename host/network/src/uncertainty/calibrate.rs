@@ -42,7 +42,7 @@ pub struct CalibrateWidths {
 
 impl Default for CalibrateWidths {
     fn default() -> Self {
-        Self { count: 2100, coverage: 0.9, neighbours: 16 }
+        Self { count: 1680, coverage: 0.9, neighbours: 16 }
     }
 }
 
