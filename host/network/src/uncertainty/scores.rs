@@ -139,7 +139,8 @@ mod tests {
         let inside = draws("judge").filter(|s| limits.low <= *s && *s <= limits.high).count() as f64 / 40_000.0;
         // Both samples scatter: sqrt(2) * sqrt(0.9 * 0.1 / 40,000) = 0.2 %.
         assert!((inside - 0.9).abs() < 0.008, "{inside}");
-        assert!((limits.holds(&histogram(draws("judge"))) - inside).abs() < 0.004);
+        // The histogram takes scores as even inside a bin.
+        assert!((limits.holds(&histogram(draws("judge"))) - inside).abs() < 0.012);
     }
 
     #[test]
