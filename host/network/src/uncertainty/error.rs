@@ -23,8 +23,8 @@ pub enum UncertaintyError {
     },
     /// The widths belong to another network or instrument.
     #[error(
-        "{path}: these widths were calibrated for another {what} than {given}: the files differ (SHA-256 {expected} and \
-         {found}); give that {what}, or make widths for this one with `ommatidia uncertainty`"
+        "{path}: these widths were calibrated for another {what} than {given} (by their SHA-256); give that {what}, or \
+         make widths for this one with `ommatidia uncertainty`"
     )]
     Other {
         /// File of the widths.

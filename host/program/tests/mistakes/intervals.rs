@@ -37,7 +37,7 @@ fn intervals_that_belong_to_something_else() {
             )
             .with(widths)
             .says(&["widths", "another instrument", "ommatidia uncertainty"]),
-            Mistake::new("Too few scenes", "uncertainty instrument --with network.omm -o widths --count 10")
+            Mistake::new("Too few scenes", "uncertainty instrument --with network.omm -o other --count 10")
                 .says(&["count", "40 scenes or more"]),
             Mistake::new("Intervals in a video for the eye", {
                 "reconstruct frames.npy -o out.mp4 --with network.omm --uncertainty widths --instrument instrument"
