@@ -6,6 +6,7 @@
 //! | [`methods`] | ways from a frame to an object: networks, network files, Wiener, Richardson-Lucy, ADMM, central lens |
 //! | [`quantize`] | checkpoint -> network file in half precision, with its memory plan |
 //! | [`network_file`] | network files on the host |
+//! | [`uncertainty`] | intervals for each pixel of a reconstruction, calibrated and checked |
 //! | [`evaluate`] | methods side by side; spectra by radius, resolution by position, receptive fields |
 
 pub mod evaluate;
@@ -13,3 +14,4 @@ pub mod methods;
 pub mod network_file;
 pub mod quantize;
 pub mod train;
+pub mod uncertainty;

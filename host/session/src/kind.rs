@@ -9,8 +9,8 @@ use std::path::Path;
 /// Kind of a file or folder that the verbs read or write.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum FileKind {
-    /// A safetensors artifact, with the kind in its header: `instrument`, `checkpoint`, `shard`, `evaluation` or
-    /// `closing`.
+    /// A safetensors artifact, with the kind in its header: `instrument`, `checkpoint`, `shard`, `evaluation`,
+    /// `closing` or `uncertainty`.
     Artifact(String),
     /// The network file of a device.
     Blob,

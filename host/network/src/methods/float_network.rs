@@ -22,9 +22,9 @@ pub struct FloatNetwork {
 /// What computes the network.
 enum Engine {
     /// Networks with a filter bank.
-    Direct(Inference),
+    Direct(Box<Inference>),
     /// Burn's graph, for CM2Net.
-    Graph(Network, Arc<Fourier>),
+    Graph(Box<Network>, Arc<Fourier>),
 }
 
 impl FloatNetwork {
@@ -37,9 +37,10 @@ impl FloatNetwork {
         let engine = match config.architecture {
             Architecture::Cm2Net { .. } => {
                 let plan = Arc::new(Fourier::new(config.fourier()));
-                Engine::Graph(Network::new(config, &plan, &checkpoint.weights, Mode::Infer)?, plan)
+                let network = Network::new(config, &plan, &checkpoint.weights, Mode::Infer)?;
+                Engine::Graph(Box::new(network), plan)
             }
-            _ => Engine::Direct(Inference::new(config, &checkpoint.weights)?),
+            _ => Engine::Direct(Box::new(Inference::new(config, &checkpoint.weights)?)),
         };
         Ok(Self { engine, input: checkpoint.frame_input()?, config: config.clone() })
     }

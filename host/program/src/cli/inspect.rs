@@ -15,8 +15,8 @@ use std::path::{Path, PathBuf};
 /// Options of `inspect`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Instrument, checkpoint, evaluation, account of a closed loop, network file, session folder, data-set folder,
-    /// stack of frames, or JSON that a command printed
+    /// Instrument, checkpoint, evaluation, account of a closed loop, widths, network file, session folder, data-set
+    /// folder, stack of frames, or JSON that a command printed
     artifact: PathBuf,
 }
 

@@ -6,6 +6,7 @@ mod calibrate;
 mod check;
 mod close;
 mod common;
+mod coverage;
 mod demo;
 mod device;
 mod erf;
@@ -27,6 +28,7 @@ mod shard;
 mod simulate;
 mod study;
 mod train;
+mod uncertainty;
 
 pub use common::{Outcome, Run};
 
@@ -110,6 +112,14 @@ enum Verb {
             ablation"
     )]
     Ablate(ablate::Args),
+    /// Learn intervals for each pixel of a method's reconstructions, on the virtual instrument
+    #[command(after_help = "Example:\n  ommatidia uncertainty instrument.safetensors --with network.omm -o \
+            widths.safetensors")]
+    Uncertainty(uncertainty::Args),
+    /// Measure how often the truth lies inside the intervals, by specimen, photon level and field radius
+    #[command(after_help = "Example:\n  ommatidia coverage widths.safetensors --with network.omm --instrument \
+            instrument.safetensors")]
+    Coverage(coverage::Args),
     /// Render artifacts to one HTML file
     #[command(after_help = "Example:\n  ommatidia report instrument.safetensors evaluation.safetensors -o report.html")]
     Report(report::Args),
@@ -161,6 +171,8 @@ impl Cli {
             Verb::Resolution(a) => a.files(),
             Verb::Erf(a) => a.files(),
             Verb::Ablate(a) => a.files(),
+            Verb::Uncertainty(a) => a.files(),
+            Verb::Coverage(a) => a.files(),
             Verb::Report(a) => a.files(),
             Verb::Device(a) => a.files(),
             Verb::ImportPth(a) => a.files(),
@@ -193,6 +205,8 @@ impl Cli {
             Verb::Resolution(a) => resolution::run(a, run),
             Verb::Erf(a) => erf::run(a, run),
             Verb::Ablate(a) => ablate::run(a, run),
+            Verb::Uncertainty(a) => uncertainty::run(a, run),
+            Verb::Coverage(a) => coverage::run(a, run),
             Verb::Report(a) => report::run(a, run),
             Verb::Device(a) => device::run(a, run),
             Verb::ImportPth(a) => import_pth::run(a, run),

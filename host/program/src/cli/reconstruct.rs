@@ -1,14 +1,17 @@
 //! `reconstruct`: raw frames in, objects out.
 
 mod input;
+mod limits;
 mod parts;
 
 use super::common::{ResultScale, warn};
 use super::files::{Content, Files};
 use super::shard::shard;
+use super::uncertainty::instrument_for;
 use super::{Outcome, Run};
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use input::Input;
+use limits::Limits;
 use ndarray::Array2;
 use ommatidia_model::dataset::Share;
 use ommatidia_network::methods::{MethodKind, Reconstruct, frame_range};
@@ -67,12 +70,20 @@ pub struct Args {
     /// the scheduler says (docs/clusters.md). Then --resume makes OUT
     #[arg(long, value_name = "I/N", value_parser = |text: &str| shard::<Share>(text, 1), conflicts_with = "resume")]
     shard: Option<Share>,
+    /// Write intervals for each pixel, too: OUT.lower and OUT.upper before the suffix, by these widths (made by
+    /// `uncertainty`; docs/uncertainty.md)
+    #[arg(long, value_name = "WIDTHS", conflicts_with_all = ["resume", "shard"])]
+    uncertainty: Option<PathBuf>,
+    /// Instrument that the widths were made for [default: the file of --with, if it is an instrument]
+    #[arg(long, value_name = "FILE", requires = "uncertainty")]
+    instrument: Option<PathBuf>,
 }
 
 impl Args {
     /// What the verb reads and writes.
     pub fn files(&self) -> Files {
         let files = Files::reading([&self.frames, &self.with]);
+        let files = files.and_reading(&self.uncertainty).and_reading(&self.instrument);
         let parts = |files: Files| {
             let folder = Parts::folder_of(&self.output);
             files.continuing([folder], Content::Folder(parts::PLAN)).after_stop("the same command goes on")
@@ -82,7 +93,10 @@ impl Args {
         }
         let zarr = self.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("zarr"));
         let content = if zarr { Content::Folder(ZARR_METADATA) } else { Content::File(FileKind::Stack) };
-        let files = files.writing([&self.output], content).writing(&self.times, Content::Text(input::TABLE));
+        let limits = self.uncertainty.as_ref().map(|_| limits::beside(&self.output)).into_iter().flatten();
+        let files = files
+            .writing([self.output.clone()].into_iter().chain(limits), content)
+            .writing(&self.times, Content::Text(input::TABLE));
         if self.resume { parts(files) } else { files }
     }
 }
@@ -117,6 +131,7 @@ impl Output<'_> {
 
 /// Reconstructs frames, and keeps count of the time.
 struct Work<'a> {
+    limits: Option<Limits<'a>>,
     input: Input,
     method: Box<dyn Reconstruct>,
     watch: Option<FrameWatch>,
@@ -135,7 +150,12 @@ impl Work<'_> {
         let object = self.method.reconstruct(frame.view());
         self.seconds += start.elapsed().as_secs_f64();
         self.done += 1;
-        object.with_context(|| format!("{}: frame {i}", self.path.display()))
+        let at = || format!("{}: frame {i}", self.path.display());
+        let object = object.with_context(at)?;
+        if let Some(limits) = &mut self.limits {
+            limits.push(frame.view(), &object).with_context(at)?;
+        }
+        Ok(object)
     }
 }
 
@@ -164,8 +184,23 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let pixel_um = args.scale.pixel_um.map_or_else(|| object_pixel_um(&args.with), |um| Ok(Some(um)))?;
     let interval_s = args.scale.interval_s.or(input.interval_s());
     let watch = frame_range(&args.with)?.map(FrameWatch::new);
-    let mut output = Output { path: &args.output, frames: count, pixel_um, interval_s, writer: None };
-    let mut work = Work { input, method, watch, path: &args.frames, seconds: 0.0, done: 0 };
+    let to = |path| Output { path, frames: count, pixel_um, interval_s, writer: None };
+    let beside = limits::beside(&args.output);
+    let limits = match &args.uncertainty {
+        Some(widths) => {
+            let suffix = args.output.extension().unwrap_or_default().to_ascii_lowercase();
+            ensure!(
+                suffix != "avi" && suffix != "mp4",
+                "{}: a video of 8 bits cannot hold intervals; choose .npy, .tif or .zarr",
+                args.output.display()
+            );
+            let instrument = instrument_for(&args.with, args.instrument.as_ref())?;
+            Some(Limits::open(widths, &name, &args.with, &instrument, [to(&beside[0]), to(&beside[1])])?)
+        }
+        None => None,
+    };
+    let mut output = to(&args.output);
+    let mut work = Work { limits, input, method, watch, path: &args.frames, seconds: 0.0, done: 0 };
     let mut missing = 0;
     match parts {
         None => {
@@ -199,7 +234,10 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         artifact::write_whole(path, table.as_bytes())?;
     }
     let found = work.input.warnings();
-    let warnings = warn(found.into_iter().chain(work.watch.and_then(|watch| watch.warning(&args.frames))));
+    let limited = work.limits.take().map(|limits| limits.finish(&args.frames)).transpose()?;
+    let (doubts, intervals) = limited.unwrap_or_default();
+    let watched = work.watch.and_then(|watch| watch.warning(&args.frames));
+    let warnings = warn(found.into_iter().chain(watched).chain(doubts));
     let (seconds, done) = (work.seconds, work.done);
     let per_frame = seconds / done.max(1) as f64;
     let gaps = work.input.times.as_ref().map_or(0, |t| t.gaps.len());
@@ -211,6 +249,9 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         ommatidia_report::seconds(per_frame),
         ommatidia_report::seconds(plan_seconds)
     );
+    if args.uncertainty.is_some() {
+        text += &format!("intervals: {} to {}\n", beside[0].display(), beside[1].display());
+    }
     if args.shard.is_some() {
         let folder = Parts::folder_of(&args.output);
         text = format!("{} frames made in {}; {missing} parts are missing\n", done, folder.display());
@@ -223,6 +264,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
             "method": name, "frames": count, "seconds_per_frame": per_frame, "plan_seconds": plan_seconds,
             "pixel_um": pixel_um, "interval_s": interval_s, "output": args.output, "warnings": warnings,
             "frames_made": done, "parts_missing": missing, "gaps": gaps, "times": args.times,
+            "intervals": intervals,
         }),
         text,
     })

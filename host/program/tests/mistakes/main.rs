@@ -13,6 +13,7 @@ mod devices;
 mod disks;
 mod files;
 mod frames;
+mod intervals;
 mod rights;
 mod sessions;
 mod space;

@@ -36,6 +36,9 @@ pub(super) struct Interpolation<'a> {
     pub cols: &'a [Taps],
 }
 
+/// A tiling, with the terms of each lens in each of its blocks.
+pub(super) type Decomposed = (Tiling, Vec<Vec<Terms>>);
+
 /// The tiling that costs least, with the terms of each lens (None: dead) in each of its blocks; or None where all terms
 /// in large blocks cost less.
 ///
@@ -48,7 +51,7 @@ pub(super) fn decompose(
     at: Interpolation<'_>,
     (coarse, candidates): (Tiling, Vec<Tiling>),
     error: f64,
-) -> Result<Option<(Tiling, Vec<Vec<Terms>>)>, NotConverged> {
+) -> Result<Option<Decomposed>, NotConverged> {
     let Some(first) = lenses.iter().flatten().next() else { return Ok(None) };
     let (window, nodes) = (first.kernels.dim().1, [first.coefficients.dim().1, first.coefficients.dim().2]);
     let metrics: Vec<Option<Metric>> =
@@ -72,11 +75,11 @@ pub(super) fn decompose(
         }
     }
     Ok(best.map(|(tiling, turns)| {
-        let of_lens = |((l, m), turns): ((&Option<Terms>, &Option<Metric>), Vec<Array2<f64>>)| match (l, m) {
-            (Some(l), Some(m)) => m.turned(l, &turns),
+        let of_lens = |l: usize| match (&lenses[l], &metrics[l]) {
+            (Some(terms), Some(m)) => m.turned(terms, &turns[l]),
             _ => Vec::new(),
         };
-        (tiling, lenses.par_iter().zip(&metrics).zip(turns).map(of_lens).collect())
+        (tiling, (0..lenses.len()).into_par_iter().map(of_lens).collect())
     }))
 }
 
