@@ -71,11 +71,10 @@ sbatch --version
 sinfo
 
 # --- An instrument, its frames, and the reference: one run each, without Slurm.
-"$program" bench session --frames 4 --seed 3 -q
+# A small one: its frames take a tenth of a second each.
+"$program" bench session --instrument 1 --frames 4 --seed 3 -q
 "$program" calibrate session -o lab.instrument --replicates 0 -q > /dev/null
 # 320 frames: each of 8 tasks has one part or two.
-"$program" simulate lab.instrument -o objects --count 64 --specimen beads -q > /dev/null
-for _ in $(seq 80); do printf 'session/scene.npy '; done > list
 python=$(command -v python3) && "$python" - <<'PY'
 import ast, struct
 head = open("session/scene.npy", "rb").read()
@@ -88,11 +87,11 @@ open("frames.npy", "wb").write(head[:8] + struct.pack("<H", len(text)) + text + 
 PY
 with="frames.npy --with lab.instrument --method richardson-lucy"
 "$program" reconstruct $with -o one.npy -q
-"$program" simulate lab.instrument -o one.pairs --count 2048 --specimen beads -q > /dev/null
+"$program" simulate lab.instrument -o one.pairs --count 512 --specimen beads -q > /dev/null
 
 submit() {
     sbatch --parsable --array="$1" --cpus-per-task=1 --output="slurm/%A-%a.log" --wrap="set -e
-$program simulate lab.instrument -o $2.pairs --count 2048 --specimen beads --shard auto --threads 1
+$program simulate lab.instrument -o $2.pairs --count 512 --specimen beads --shard auto --threads 1
 $program reconstruct $with -o $2.npy --shard auto --threads 1"
 }
 finish() {
