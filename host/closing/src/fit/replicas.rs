@@ -64,7 +64,7 @@ impl Light {
 
 impl Replicas {
     /// The errors of the calibration in the frames of a session: by the scatter of its replicates (delete-a-group
-    /// jackknife, with the [`BIAS`]), and by light outside its windows.
+    /// jackknife, with their bias), and by light outside its windows.
     ///
     /// # Errors
     /// An object holds negative or non-finite light.
