@@ -20,8 +20,8 @@ const SHOWN: usize = 12;
 impl Widths {
     /// Writes the file, whole or not at all.
     ///
-    /// Tensors: `ranges` [features of a pixel, (mean, standard deviation, least, largest)], `coefficients` [terms],
-    /// `frames` [scenes, features of a frame], `misfits` [scenes, 2], `histograms` [scenes, groups, bins].
+    /// Tensors: `ranges` [features of a pixel, (mean, standard deviation, least, largest)], `coefficients` [number of
+    /// terms], `frames` [scenes, features of a frame], `misfits` [scenes, 2], `histograms` [scenes, groups, bins].
     ///
     /// # Errors
     /// The folder is missing or not writable.
