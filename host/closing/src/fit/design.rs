@@ -6,8 +6,8 @@
 
 use super::cell::Cell;
 use super::derivative::{Expansion, LensImages};
+use super::errors::Errors;
 use super::model::Model;
-use super::replicas::Errors;
 use super::state::{Column, Predicted};
 use super::{registration, repeats};
 use crate::data::{Observations, Shown};

@@ -2,13 +2,14 @@
 //!
 //! [`state`] holds effects and nuisance parameters, [`model`] predicts frames, [`derivative`] their derivatives,
 //! [`design`] sums these over [`cell`]s, `repeats` adds what repeated frames show of the noise, [`mod@refit`] finds the
-//! best state. [`truth`] moves truths that are
-//! not quite in place, `registration` adds what the session states of them. [`record`] checks the session's records
-//! before the first fit; [`mod@replicas`] gives the uncertainty of the calibration, with `wings` outside its windows.
+//! best state. [`truth`] moves truths that are not quite in place, `registration` adds what the session states of them.
+//! [`record`] checks the session's records before the first fit. [`mod@replicas`] gives the uncertainty of the
+//! calibration as [`errors`], with `wings` outside its windows.
 
 pub mod cell;
 pub mod derivative;
 pub mod design;
+pub mod errors;
 pub mod model;
 pub mod record;
 pub mod refit;
@@ -25,9 +26,10 @@ pub(crate) mod wings;
 pub use cell::Cell;
 pub use derivative::Expansion;
 pub use design::{Design, Misfit, Scope, Sums, nuisances};
+pub use errors::Errors;
 pub use model::Model;
 pub use refit::{Fitted, Scenes, own_columns, refit, refit_from};
-pub use replicas::{Errors, Replicas, replicas};
+pub use replicas::{Replicas, replicas};
 pub use solve::pseudo_inverse;
 pub(crate) use specimen::UNKNOWN_NOTE;
 pub use specimen::{Specimens, estimate_specimens};

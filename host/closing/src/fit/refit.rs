@@ -5,8 +5,8 @@
 
 use super::derivative::Expansion;
 use super::design::{Design, Misfit, Scope, nuisances};
+use super::errors::Errors;
 use super::model::Model;
-use super::replicas::Errors;
 use super::scene::Scene;
 use super::solve::pseudo_inverse;
 use super::specimen::fitted::specimens;

@@ -1,6 +1,7 @@
 //! The uncertainty of the calibration: how its replicates, and light that its windows do not hold, change the predicted
 //! frames.
 
+use super::errors::Errors;
 use super::model::Model;
 use super::refit::{Fitted, Scenes};
 use super::specimen::held::Specimens;
@@ -17,18 +18,6 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// The variance that replicates show, times this, is the mean squared error of a calibration: they show its scatter and
 /// not its bias, which is about as large where the rank is well chosen.
 pub(crate) const BIAS: f64 = 2.0;
-
-/// Changes of the expected frames by errors of the calibration: independent directions, each of one standard deviation,
-/// so that the covariance of the frames is the sum of their squares.
-#[derive(Clone, Debug, Default)]
-pub struct Errors {
-    /// For each direction and frame the change, as far as the frame can show it, DN, [sensor rows, sensor cols]. None:
-    /// the frame does not depend on the calibration.
-    pub changes: Vec<Vec<Option<Array2<f32>>>>,
-    /// Number of the first directions that are the scatter of replicates, which few of them show; the others are
-    /// stated.
-    pub scattered: usize,
-}
 
 /// The replicates of a calibration, and the light behind their optics for the frames of a session.
 pub struct Replicas {
