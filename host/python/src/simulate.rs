@@ -45,7 +45,7 @@ pub fn simulate(
             .map_err(|_| raised(anyhow::anyhow!("specimen: expected one of {}, found `{name}`", names.join(", "))))
     });
     let chosen = chosen.collect::<PyResult<Vec<_>>>()?;
-    let specimens = if chosen.is_empty() && images.is_none() { Specimen::USUAL.to_vec() } else { chosen };
+    let specimens = if chosen.is_empty() && images.is_none() { Specimen::for_training() } else { chosen };
     let scenes = SceneConfig { specimens, images, video_frames, ..SceneConfig::default() };
     let config = SimulateConfig { count, scenes, peak_e, ..SimulateConfig::default() };
     let scratch = tempfile::tempdir().map_err(raised)?;

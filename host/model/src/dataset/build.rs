@@ -6,7 +6,7 @@ use super::{DataSetError, DataSetPlan};
 use crate::forward::Forward;
 use crate::instrument::Instrument;
 use ndarray::{Array2, Array3};
-use ommatidia_physics::scene::{SceneConfig, Scenes};
+use ommatidia_physics::scene::{SceneConfig, Scenes, Specimen};
 use ommatidia_session::ObjectGrid;
 use ommatidia_session::artifact::{self, Header, Provenance, Tensors};
 use ommatidia_session::rng;
@@ -27,14 +27,15 @@ pub struct SimulateConfig {
     pub shard_pairs: usize,
     /// Specimens that objects are drawn from.
     pub scenes: SceneConfig,
-    /// Range of the brightest pixel of a frame, electrons, drawn with a uniform logarithm; None: 10 % to 80 % of full
+    /// Range of the brightest pixel of a frame, electrons, drawn with a uniform logarithm; None: 1 % to 80 % of full
     /// scale.
     pub peak_e: Option<[f64; 2]>,
 }
 
 impl Default for SimulateConfig {
     fn default() -> Self {
-        Self { count: 1024, shard_pairs: 64, scenes: SceneConfig::default(), peak_e: None }
+        let scenes = SceneConfig { specimens: Specimen::for_training(), ..SceneConfig::default() };
+        Self { count: 1024, shard_pairs: 64, scenes, peak_e: None }
     }
 }
 
@@ -102,7 +103,7 @@ impl SimulateConfig {
     /// A setting is out of range, there are no scenes, or the instrument is inconsistent.
     pub fn build(&self, instrument: &Instrument, file: &Path, seed: u64) -> Result<Simulation, DataSetError> {
         let full = (instrument.noise.saturation_dn - instrument.noise.black_level_dn) / instrument.noise.gain_dn_per_e;
-        let peak_e = self.peak_e.unwrap_or([0.1 * full, 0.8 * full]);
+        let peak_e = self.peak_e.unwrap_or([0.01 * full, 0.8 * full]);
         self.check(peak_e)?;
         let mut provenance = Provenance::new("simulate", seed, self);
         // The plan holds it; a shard is the same whatever the count, so that a data set can be extended.

@@ -33,6 +33,9 @@ pub enum QuantizeError {
     /// Devices run SV-FourierNet only.
     #[error("expected a checkpoint of svfouriernet, found one of {0}, which runs on the host only")]
     Architecture(&'static str),
+    /// Devices run networks of one pass.
+    #[error("passes: expected 1, found {0}; networks of more passes run on the host only; train with --passes 1")]
+    Passes(usize),
     /// A size that devices do not support.
     #[error("{field}: expected {expected}, found {found}")]
     Size {

@@ -50,6 +50,9 @@ fn make(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) -> Result<
     if network.architecture != Architecture::SvFourierNet {
         return Err(QuantizeError::Architecture(network.architecture.name().as_str()));
     }
+    if network.feedback.is_some() {
+        return Err(QuantizeError::Passes(network.passes()));
+    }
     pack::check_finite(&checkpoint.weights)?;
     let bank = PlannedBank::new(checkpoint, config)?;
     let (filters, index) = bank.filters()?;

@@ -1,7 +1,7 @@
 //! The shape of the network.
 
 use super::ops::fourier::FourierSizes;
-use super::{Architecture, TrainError};
+use super::{Architecture, Feedback, TrainError};
 use serde::{Deserialize, Serialize};
 
 /// Shape of a network: a filter bank, and a residual channel-attention network (RCAN) that enhances its output.
@@ -32,6 +32,9 @@ pub struct NetworkConfig {
     /// Architecture of the network.
     #[serde(default, rename = "family")]
     pub architecture: Architecture,
+    /// Passes after the first one, which compare what the passes before them found with the frame; None: one pass.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub feedback: Option<Feedback>,
 }
 
 impl NetworkConfig {
@@ -69,7 +72,30 @@ impl NetworkConfig {
         {
             return wrong("crops", format!("channels = {}", self.channels), crops.len());
         }
+        if let Some(feedback) = &self.feedback {
+            feedback.check()?;
+            if matches!(self.architecture, Architecture::Cm2Net { .. }) {
+                return wrong("passes", "1, for a CM2Net".into(), self.passes());
+            }
+        }
         Ok(())
+    }
+
+    /// Whether another network has the same learned parameters: the two differ at most in what is calibrated.
+    pub fn learns_as(&self, other: &Self) -> bool {
+        let learned = |network: &Self| Self { feedback: None, ..network.clone() };
+        self.passes() == other.passes() && learned(self) == learned(other)
+    }
+
+    /// Number of passes: one, and those of the feedback.
+    pub fn passes(&self) -> usize {
+        1 + self.feedback.as_ref().map_or(0, |feedback| feedback.passes)
+    }
+
+    /// Number of channels that the enhancement network of pass `pass` (from 0) takes: the filter outputs, and from the
+    /// second pass on the reconstruction before it.
+    pub fn inputs(&self, pass: usize) -> usize {
+        self.channels + usize::from(pass > 0)
     }
 
     /// Number of channels W / r in the bottleneck of the attention.

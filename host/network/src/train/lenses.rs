@@ -1,12 +1,12 @@
 //! Calibrated lenses for training: PSFs that filters start from, and the image that each lens alone would give.
 
 use super::ops::fourier::{Fourier, Spectrum};
-use super::weights::{FILTERS, KERNELS, LOG_K, PSFS, array};
-use super::{Architecture, NetworkConfig, TrainError};
-use ndarray::{Array2, ArrayView2};
+use super::weights::{BASIS, COEFFICIENTS, FILTERS, KERNELS, LOG_K, NODES, PSFS, array};
+use super::{Architecture, Feedback, NetworkConfig, TrainError};
+use ndarray::{Array1, Array2, ArrayView2, Axis, s};
 use ommatidia_model::forward::{Forward, ForwardError};
 use ommatidia_model::instrument::Instrument;
-use ommatidia_model::psf::{LowRankOperator, OperatorError};
+use ommatidia_model::psf::{LowRankOperator, LowRankPsf, OperatorError};
 use ommatidia_session::artifact::Tensors;
 use rustfft::num_complex::Complex32;
 
@@ -20,6 +20,8 @@ const RMS: f32 = 5.8e-4;
 #[derive(Clone, Debug)]
 pub struct Lenses {
     operator: LowRankOperator,
+    psf: LowRankPsf,
+    depth: usize,
 }
 
 impl Lenses {
@@ -28,7 +30,38 @@ impl Lenses {
     /// # Errors
     /// The instrument's model cannot be planned.
     pub fn of(instrument: &Instrument) -> Result<Self, ForwardError> {
-        Ok(Self { operator: Forward::new(instrument)?.operator().clone() })
+        let depth = instrument.psf.depth_nearest(0.0);
+        Ok(Self { operator: Forward::new(instrument)?.operator().clone(), psf: instrument.psf.clone(), depth })
+    }
+
+    /// `network` with `passes` passes in all, the later ones with predictions from at most `terms` terms of each lens.
+    pub fn with_feedback(&self, network: NetworkConfig, passes: usize, terms: usize) -> NetworkConfig {
+        let corners = self.operator.corners().into_iter().flatten().map(|c| c.map(|v| v as i32)).collect();
+        let (_, rank, window, _) = self.psf.basis.dim();
+        let nodes = [self.psf.node_rows_px.len(), self.psf.node_cols_px.len()];
+        let feedback = Feedback { passes: passes.saturating_sub(1), corners, terms: terms.min(rank), window, nodes };
+        NetworkConfig { feedback: (passes > 1).then_some(feedback), ..network }
+    }
+
+    /// The calibrated tensors of a network with feedback: the strongest terms of each living lens. Predictions are
+    /// scaled so that the largest coefficient is 1.
+    pub fn feedback(&self, feedback: &Feedback) -> Tensors {
+        let living: Vec<usize> =
+            (0..self.operator.lenses()).filter(|l| self.operator.corners()[*l].is_some()).collect();
+        let terms = feedback.terms;
+        let basis = self.psf.basis.select(Axis(0), &living).slice(s![.., ..terms, .., ..]).to_owned();
+        let coefficients = self.psf.coefficients.select(Axis(0), &living);
+        let mut coefficients = coefficients.slice(s![.., ..terms, self.depth, .., ..]).to_owned();
+        let most = coefficients.fold(0.0f32, |m, v| m.max(v.abs()));
+        coefficients.mapv_inplace(|v| if most > 0.0 { v / most } else { v });
+        let nodes = |nodes: &[f64]| nodes.iter().map(|&v| v as f32).collect::<Array1<f32>>().into_dyn();
+        let [rows, cols] = NODES;
+        Tensors::from([
+            (BASIS.into(), basis.into_dyn()),
+            (COEFFICIENTS.into(), coefficients.into_dyn()),
+            (rows.into(), nodes(&self.psf.node_rows_px)),
+            (cols.into(), nodes(&self.psf.node_cols_px)),
+        ])
     }
 
     /// A CM2Net that crops the views of these lenses, with the other sizes of `network`.

@@ -2,9 +2,10 @@
 
 use super::normalise::DARK;
 use super::ops::fourier::{Fourier, Spectrum};
+use super::ops::predicted::{Linear, filter_predicted};
 use super::ops::{conv3x3, filter_bank, kernel_spectra};
 use super::weights::{self, FILTERS, KERNELS, LOG_K, PSFS, name};
-use super::{Architecture, Backend, Mode, NetworkConfig, NetworkInput, TrainError, network_input};
+use super::{Architecture, Backend, Mode, NetworkConfig, NetworkInput, Predictor, TrainError, network_input};
 use burn::tensor::activation::{relu, sigmoid};
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use ommatidia_session::artifact::Tensors;
@@ -18,6 +19,8 @@ const HALF_POWER: f32 = std::f32::consts::SQRT_2;
 pub struct NetworkOutput {
     /// Logits, [batch, 1, object rows, object cols]; the reconstruction is their sigmoid.
     pub logits: Tensor<4>,
+    /// Logits of the passes before the last one, in their order, each as `logits`.
+    pub before: Vec<Tensor<4>>,
     /// Logits of the image of each lens alone, [batch, lenses, object rows, object cols]; of a CM2Net only.
     pub views: Option<Tensor<4>>,
 }
@@ -30,6 +33,8 @@ pub struct Network {
     device: Device,
     /// The filters in frequency, computed once for inference.
     bank: Option<[Tensor<1>; 2]>,
+    /// What predicts frames, where there is feedback.
+    predict: Option<Arc<dyn Linear>>,
 }
 
 impl Network {
@@ -54,6 +59,11 @@ impl Network {
     ) -> Result<Self, TrainError> {
         config.check()?;
         backend.check()?;
+        let predict = Predictor::of(config, tensors)?.map(|predict| Arc::new(predict) as Arc<dyn Linear>);
+        if predict.is_some() && backend != Backend::Cpu {
+            let (expected, found) = ("cpu for a network of more than one pass".into(), "gpu".into());
+            return Err(TrainError::Config { field: "device", expected, found });
+        }
         let device = backend.device(mode);
         let mut parameters = BTreeMap::new();
         for (name, shape) in weights::shapes(config) {
@@ -66,12 +76,16 @@ impl Network {
                     found,
                 });
             };
+            if weights::is_calibrated(&name) {
+                continue;
+            }
             let values = tensor.as_slice().map_or_else(|| tensor.iter().copied().collect(), <[f32]>::to_vec);
             let n = values.len();
             let leaf = Tensor::<1>::from_data(TensorData::new(values, [n]), &device);
             parameters.insert(name, if mode == Mode::Train { leaf.require_grad() } else { leaf });
         }
-        let mut network = Self { config: config.clone(), plan: Arc::clone(plan), parameters, device, bank: None };
+        let mut network =
+            Self { config: config.clone(), plan: Arc::clone(plan), parameters, device, bank: None, predict };
         if mode == Mode::Infer && !matches!(config.architecture, Architecture::Cm2Net { .. }) {
             network.bank = Some(network.filters());
         }
@@ -89,8 +103,20 @@ impl Network {
             NetworkInput::Crops(_) => None,
         });
         let [re, im] = self.bank.clone().unwrap_or_else(|| self.filters());
-        let filtered = filter_bank(&self.plan, Arc::new(spectra.collect::<Vec<Spectrum>>()), re, im);
-        NetworkOutput { logits: self.enhance(normalise(filtered)), views: None }
+        let spectra = Arc::new(spectra.collect::<Vec<Spectrum>>());
+        let seen = normalise(filter_bank(&self.plan, spectra, re.clone(), im.clone()));
+        let mut passes = vec![self.enhance(0, seen.clone())];
+        if let Some(predict) = &self.predict {
+            for pass in 1..self.config.passes() {
+                let last = passes[pass - 1].clone();
+                let x = sigmoid(last.clone());
+                let predicted = filter_predicted(&self.plan, predict, x.clone(), [re.clone(), im.clone()]);
+                let input = Tensor::cat(vec![difference(seen.clone(), predicted), x], 1);
+                passes.push(last + self.enhance(pass, input));
+            }
+        }
+        let logits = passes.pop().unwrap_or_else(|| unreachable!("there is a first pass"));
+        NetworkOutput { logits, before: passes, views: None }
     }
 
     /// Real and imaginary parts of the filters in frequency, each [channels * T * (T/2+1)]; for architectures with a
@@ -126,7 +152,7 @@ impl Network {
     fn join(&self, x: Tensor<4>) -> NetworkOutput {
         let views = self.part(name::DEMIX, x);
         let logits = self.conv(name::END, self.part(name::JOIN, sigmoid(views.clone())));
-        NetworkOutput { logits, views: Some(views) }
+        NetworkOutput { logits, before: Vec::new(), views: Some(views) }
     }
 
     /// One of the two parts of a CM2Net: a convolution, residual blocks, a convolution.
@@ -165,32 +191,36 @@ impl Network {
         let [re, im] = self.filters().map(|f| values(f.inner()));
         let filters = self.plan.filters(&re, &im);
         let y = leaf(self.plan.forward(&[frame[0].spectrum().to_vec()], &filters));
-        let g = pixel(self.enhance(normalise(y.clone())));
+        let g = pixel(self.enhance(0, normalise(y.clone())));
         self.plan.backward_to_frame(&filters, &gradient(y, g))
     }
 
-    /// The enhancement network (RCAN): [batch, C, rows, cols] -> logits [batch, 1, rows, cols].
-    fn enhance(&self, x: Tensor<4>) -> Tensor<4> {
-        let head = self.conv(name::HEAD, unshuffle(x));
+    /// The enhancement network (RCAN) of a pass: [batch, inputs, rows, cols] -> logits [batch, 1, rows, cols].
+    fn enhance(&self, pass: usize, x: Tensor<4>) -> Tensor<4> {
+        let prefix = name::of_pass(pass);
+        let conv = |name: &str, x| self.conv(&format!("{prefix}{name}"), x);
+        let head = conv(name::HEAD, unshuffle(x));
         let mut y = head.clone();
         for g in 0..self.config.groups {
             let mut inner = y.clone();
             for b in 0..self.config.blocks {
-                inner = self.block(g, b, inner);
+                inner = self.block(&prefix, [g, b], inner);
             }
-            y = y + self.conv(&name::group(g, self.config.blocks), inner);
+            y = y + conv(&name::group(g, self.config.blocks), inner);
         }
-        let y = head + self.conv(name::BODY, y);
-        self.conv(name::TAIL, shuffle(self.conv(name::UPSCALE, y)))
+        let y = head + conv(name::BODY, y);
+        conv(name::TAIL, shuffle(conv(name::UPSCALE, y)))
     }
 
     /// Residual block with channel attention.
-    fn block(&self, group: usize, block: usize, x: Tensor<4>) -> Tensor<4> {
-        let r = self.conv(&name::conv(group, block, 1), relu(self.conv(&name::conv(group, block, 0), x.clone())));
+    fn block(&self, prefix: &str, [group, block]: [usize; 2], x: Tensor<4>) -> Tensor<4> {
+        let conv = |which, x| self.conv(&format!("{prefix}{}", name::conv(group, block, which)), x);
+        let linear = |which, x| self.linear(&format!("{prefix}{}", name::attention(group, block, which)), x);
+        let r = conv(1, relu(conv(0, x.clone())));
         let [batch, width, _, _] = r.dims();
         let means = r.clone().mean_dims(&[2, 3]).reshape([batch, width]);
-        let squeezed = relu(self.linear(&name::attention(group, block, 0), means));
-        let gate = sigmoid(self.linear(&name::attention(group, block, 1), squeezed));
+        let squeezed = relu(linear(0, means));
+        let gate = sigmoid(linear(1, squeezed));
         x + r * gate.reshape([batch, width, 1, 1])
     }
 
@@ -235,6 +265,17 @@ fn normalise(x: Tensor<4>) -> Tensor<4> {
     let [batch, c, h, w] = x.dims();
     let max = x.clone().reshape([batch, c * h * w]).max_dim(1).clamp_min(DARK);
     x / max.reshape([batch, 1, 1, 1])
+}
+
+/// Weight of the difference between seen and predicted filter outputs beside a reconstruction of up to 1.
+pub(super) const DIFFERENCE: f32 = 4.0;
+
+/// What the filter outputs of a frame hold beyond those of the frame that was predicted, which is scaled to fit best
+/// (least squares over all channels), times [`DIFFERENCE`].
+fn difference(seen: Tensor<4>, predicted: Tensor<4>) -> Tensor<4> {
+    let sum = |x: Tensor<4>| x.sum_dim(1).sum_dim(2).sum_dim(3);
+    let scale = sum(seen.clone() * predicted.clone()) / sum(predicted.clone().square()).clamp_min(DARK);
+    (seen - predicted * scale) * DIFFERENCE
 }
 
 /// PixelUnshuffle 2, channels in PyTorch's order: [batch, C, 2 h, 2 w] -> [batch, 4 C, h, w].

@@ -2,6 +2,9 @@
 
 use super::{Architecture, ArchitectureName, Lenses, NetworkConfig, Preset, Start, TrainConfig, TrainError};
 
+/// Terms of each lens that predict frames between passes.
+const TERMS: usize = 4;
+
 /// What a user asks of a training run. None stands for the value of the preset.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TrainRequest {
@@ -11,6 +14,8 @@ pub struct TrainRequest {
     pub architecture: ArchitectureName,
     /// Number of filters.
     pub filters: Option<usize>,
+    /// Number of passes.
+    pub passes: Option<usize>,
     /// Number of steps; warm-up and validations follow it.
     pub steps: Option<u64>,
     /// Number of pairs in a step.
@@ -42,8 +47,24 @@ impl TrainRequest {
     ) -> Result<NetworkConfig, TrainError> {
         let preset = self.preset.network(frame, object);
         let network = NetworkConfig { channels: self.filters.unwrap_or(preset.channels), ..preset };
+        let passes = self.passes.unwrap_or(1);
+        if passes > 1 && self.architecture != ArchitectureName::SvFourierNet {
+            let (expected, found) = ("1 for this network".into(), passes.to_string());
+            return Err(TrainError::Config { field: "--passes", expected, found });
+        }
         Ok(match self.architecture {
-            ArchitectureName::SvFourierNet => network,
+            ArchitectureName::SvFourierNet => match (passes, lenses) {
+                (0 | 1, _) => network,
+                (passes, Some(lenses)) => lenses.with_feedback(network, passes, TERMS),
+                (passes, None) => {
+                    let expected = "--instrument FILE, whose PSFs predict frames".into();
+                    return Err(TrainError::Config {
+                        field: "--passes",
+                        expected,
+                        found: format!("{passes} passes, none"),
+                    });
+                }
+            },
             ArchitectureName::MultiWienerNet => NetworkConfig { architecture: Architecture::MultiWienerNet, ..network },
             ArchitectureName::MultiFlatNet => NetworkConfig { architecture: Architecture::MultiFlatNet, ..network },
             ArchitectureName::Cm2Net => {

@@ -171,6 +171,7 @@ impl Preset {
             blocks,
             reduction,
             architecture: Architecture::SvFourierNet,
+            feedback: None,
         }
     }
 

@@ -34,6 +34,9 @@ const MOST_SLOWED: u32 = 6;
 /// recover from it. Runs that went well reached up to 1.5.
 const DIVERGED: f32 = 1.75;
 
+/// Weight of the loss of a pass before the last one.
+const BEFORE: f32 = 0.3;
+
 /// Report of one step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress {
@@ -262,7 +265,10 @@ impl<'a> Trainer<'a> {
             let shape = logits.dims();
             bce_mse(logits, Tensor::from_data(TensorData::new(targets, shape), &device))
         };
-        let loss = loss_against(output.logits, targets.objects);
+        let mut loss = loss_against(output.logits, targets.objects.clone());
+        for logits in output.before {
+            loss = loss + loss_against(logits, targets.objects.clone()) * BEFORE;
+        }
         match output.views {
             Some(views) => loss + loss_against(views, targets.views),
             None => loss,

@@ -18,6 +18,18 @@ pub const LOG_K: &str = "deconvolution.log_k";
 /// Name of the filters of a MultiFlatNet, which are learned in space.
 pub const KERNELS: &str = "deconvolution.filters";
 
+/// Name of the basis PSFs that feedback predicts frames with, [lens, term, window, window].
+pub const BASIS: &str = "feedback.basis";
+/// Name of their coefficients at the nodes of a grid over the object, [lens, term, node row, node col].
+pub const COEFFICIENTS: &str = "feedback.coefficients";
+/// Names of the rows and of the columns of the nodes, object pixels.
+pub const NODES: [&str; 2] = ["feedback.node_rows", "feedback.node_cols"];
+
+/// Whether the tensor with this name is calibrated and not learned.
+pub fn is_calibrated(name: &str) -> bool {
+    name == BASIS || name == COEFFICIENTS || NODES.contains(&name)
+}
+
 /// Whether the parameter with this name belongs to the filters of the first layer.
 pub fn is_filter(name: &str) -> bool {
     FILTERS.contains(&name) || name == PSFS || name == KERNELS
@@ -42,6 +54,11 @@ pub mod name {
     /// First (`which` = 0) or second (1) linear layer of a block's attention.
     pub fn attention(group: usize, block: usize, which: usize) -> String {
         format!("enhancement.rgs.{group}.module.{block}.module.3.module.{}", 1 + 2 * which)
+    }
+
+    /// What comes before the names of the layers of pass `pass`, counted from 0.
+    pub fn of_pass(pass: usize) -> String {
+        if pass == 0 { String::new() } else { format!("pass{}.", pass + 1) }
     }
 
     /// Part of a CM2Net that separates the views.
@@ -69,11 +86,20 @@ pub mod name {
 
 /// Layers after the filters in the order of their use: name, and [outputs, inputs, side of the kernel].
 pub fn layers(config: &NetworkConfig) -> Vec<(String, [usize; 3])> {
-    let (w, bottleneck) = (config.width, config.bottleneck());
     if let Architecture::Cm2Net { .. } = config.architecture {
         return cm2net(config);
     }
-    let mut layers = vec![(name::HEAD.to_string(), [w, 4 * config.channels, 3])];
+    let of = |pass| {
+        let prefix = name::of_pass(pass);
+        enhancement(config, pass).into_iter().map(move |(name, shape)| (format!("{prefix}{name}"), shape))
+    };
+    (0..config.passes()).flat_map(of).collect()
+}
+
+/// The layers of one enhancement network.
+fn enhancement(config: &NetworkConfig, pass: usize) -> Vec<(String, [usize; 3])> {
+    let (w, bottleneck) = (config.width, config.bottleneck());
+    let mut layers = vec![(name::HEAD.to_string(), [w, 4 * config.inputs(pass), 3])];
     for g in 0..config.groups {
         for b in 0..config.blocks {
             layers.push((name::conv(g, b, 0), [w, w, 3]));
@@ -113,7 +139,22 @@ pub fn shapes(config: &NetworkConfig) -> Vec<(String, Vec<usize>)> {
     let layers = layers(config).into_iter().flat_map(|(name, [outputs, inputs, side])| {
         [(format!("{name}.weight"), vec![outputs, inputs, side, side]), (format!("{name}.bias"), vec![outputs])]
     });
-    filters.chain(layers).collect()
+    let feedback = config.feedback.iter().flat_map(|feedback| {
+        let ([lenses, terms], [rows, cols], window) =
+            ([feedback.corners.len(), feedback.terms], feedback.nodes, feedback.window);
+        let nodes = NODES.into_iter().zip([vec![rows], vec![cols]]);
+        [(BASIS, vec![lenses, terms, window, window]), (COEFFICIENTS, vec![lenses, terms, rows, cols])]
+            .into_iter()
+            .chain(nodes)
+            .map(|(name, shape)| (name.to_string(), shape))
+    });
+    filters.chain(layers).chain(feedback).collect()
+}
+
+/// Number of learned parameters.
+pub fn count(config: &NetworkConfig) -> usize {
+    let learned = shapes(config).into_iter().filter(|(name, _)| !is_calibrated(name));
+    learned.map(|(_, shape)| shape.iter().product::<usize>()).sum()
 }
 
 /// Random parameters before training: filters 0.001 x U[0, 1] (Yang et al. 2024, section 2D), convolutions normal with
@@ -127,6 +168,9 @@ pub fn random(config: &NetworkConfig, seed: u64) -> Tensors {
             (0..n).map(|_| 1e-3 * rng.random::<f32>()).collect()
         } else if name == LOG_K {
             vec![1e-3f32.ln(); n]
+        } else if name.starts_with("pass") && name.ends_with(&format!("{}.weight", name::TAIL)) {
+            // A later pass changes nothing before it has learned what to change.
+            vec![0.0; n]
         } else if name.ends_with(".weight") {
             let deviation = (2.0 / shape[1..].iter().product::<usize>() as f32).sqrt();
             (0..n).map(|_| deviation * Distribution::<f32>::sample(&StandardNormal, &mut rng)).collect()

@@ -14,6 +14,8 @@ pub(super) enum Blend {
     Add,
     /// The brighter value remains: parts of one body.
     Max,
+    /// The shape covers what lies under it.
+    Over,
 }
 
 /// A shape at one point.
@@ -62,6 +64,42 @@ impl Canvas {
         self.half_um().map(|h| rng.random_range(-h..h))
     }
 
+    /// Rows and columns.
+    pub(super) fn size(&self) -> [usize; 2] {
+        [self.grid.rows, self.grid.cols]
+    }
+
+    /// Number of pixels.
+    pub(super) fn pixels(&self) -> usize {
+        self.grid.rows * self.grid.cols
+    }
+
+    /// The pixel that a point lies in; None off the field.
+    fn pixel(&mut self, at: Point) -> Option<&mut f32> {
+        let [r, c] = self.grid.pixel_of_um(at[0], at[1]).map(f64::round);
+        let inside = r >= 0.0 && c >= 0.0;
+        if inside { self.light.get_mut([r as usize, c as usize]) } else { None }
+    }
+
+    /// Adds light to the pixel that a point lies in.
+    pub(super) fn point(&mut self, at: Point, value: f64) {
+        if let Some(light) = self.pixel(at) {
+            *light += value as f32;
+        }
+    }
+
+    /// Gives the pixel that a point lies in this light at least.
+    pub(super) fn light_up(&mut self, at: Point, value: f64) {
+        if let Some(light) = self.pixel(at) {
+            *light = light.max(value as f32);
+        }
+    }
+
+    /// Gives each pixel, by its row and its column, the light of `of`.
+    pub(super) fn fill(&mut self, of: impl Fn(usize, usize) -> f64) {
+        self.light.indexed_iter_mut().for_each(|((r, c), light)| *light = of(r, c) as f32);
+    }
+
     /// Number of objects at a density of `per_mm2`, at least one.
     pub(super) fn number(&self, per_mm2: f64) -> usize {
         (per_mm2 * self.area_mm2()).round().max(1.0) as usize
@@ -82,11 +120,13 @@ impl Canvas {
             for c in clip(low[1], self.grid.cols)..clip(high[1] + 1.0, self.grid.cols) {
                 let at = [(r as f64 + 0.5) * pixel - h, (c as f64 + 0.5) * pixel - w];
                 let ink = shape(at);
-                let paint = (ink.value * (0.5 - ink.distance_um / pixel).clamp(0.0, 1.0)) as f32;
+                let cover = (0.5 - ink.distance_um / pixel).clamp(0.0, 1.0);
+                let paint = (ink.value * cover) as f32;
                 let light = &mut self.light[[r, c]];
                 match blend {
                     Blend::Add => *light += paint,
                     Blend::Max => *light = light.max(paint),
+                    Blend::Over => *light = paint + (1.0 - cover as f32) * *light,
                 }
             }
         }

@@ -25,10 +25,14 @@ mod beads;
 mod canvas;
 mod cells;
 mod images;
+mod leaves;
+mod mottle;
 mod neurons;
+mod points;
 pub mod resolution;
 mod section;
 mod target;
+mod threads;
 mod vessels;
 mod worms;
 
@@ -60,11 +64,28 @@ pub enum Specimen {
     Target,
     /// Brain sections: layers of labelled cells on a bright, mottled background, with dark tracts and vessels.
     Section,
+    /// Sources of a single object pixel, from a few to a tenth of all pixels.
+    Points,
+    /// Curved lines a pixel wide.
+    Threads,
+    /// Dead leaves: opaque ellipses of all sizes on top of each other.
+    Leaves,
+    /// Random light in squares of one to eight pixels.
+    Mottle,
 }
 
 impl Specimen {
     /// The default kinds of scenes: those that leave most of the field dark, as samples for the instrument usually do.
     pub const USUAL: [Self; 6] = [Self::Beads, Self::Cells, Self::Neurons, Self::Vessels, Self::Worms, Self::Target];
+
+    /// Kinds that look like no sample in particular, but have detail of every size and sharpness. Networks that trained
+    /// on them as well keep their quality on specimens that nobody thought of.
+    pub const GENERAL: [Self; 4] = [Self::Points, Self::Threads, Self::Leaves, Self::Mottle];
+
+    /// What networks are trained on: the usual kinds and the general ones in turn.
+    pub fn for_training() -> Vec<Self> {
+        Self::USUAL.into_iter().chain(Self::GENERAL).collect()
+    }
 
     /// Draws a specimen of this kind at time `time_s`, [rows, cols] of `grid`, >= 0, maximum 1. Only worms move with
     /// time.
@@ -78,6 +99,10 @@ impl Specimen {
             Self::Worms => worms::draw(&mut canvas, time_s, rng),
             Self::Target => target::draw(&mut canvas, rng),
             Self::Section => section::draw(&mut canvas, rng),
+            Self::Points => points::draw(&mut canvas, rng),
+            Self::Threads => threads::draw(&mut canvas, rng),
+            Self::Leaves => leaves::draw(&mut canvas, rng),
+            Self::Mottle => mottle::draw(&mut canvas, rng),
         }
         normalised(canvas.into_light())
     }

@@ -13,8 +13,9 @@ use std::fmt::Write;
 use std::path::PathBuf;
 
 /// Default variants: number of filters, start of the filters, domain in which filters are learned, other networks.
-const VARIANTS: [(&str, &str); 10] = [
+const VARIANTS: [(&str, &str); 11] = [
     ("svfouriernet", ""),
+    ("two passes", "--passes 2"),
     ("one filter", "--filters 1"),
     ("three filters", "--filters 3"),
     ("nine filters", "--filters 9"),
@@ -101,7 +102,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
             None => play(&words, run).with_context(|| format!("variant `{name}`"))?["seconds"].as_f64(),
         };
         let network = Checkpoint::read(&output)?.body.network;
-        let parameters: usize = weights::shapes(&network).iter().map(|(_, s)| s.iter().product::<usize>()).sum();
+        let parameters = weights::count(&network);
         evaluate.extend(["--with".into(), output.display().to_string()]);
         rows.push((name, output, parameters, seconds));
     }

@@ -74,7 +74,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     }
     checkpoint.write(&args.output, provenance)?;
     let n = &checkpoint.body.network;
-    let parameters: usize = weights::shapes(n).iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
+    let parameters = weights::count(n);
     let text = format!(
         "{}\n  {} filters of {} x {}, {} groups of {} blocks of {} features: {parameters} parameters\n  frames {} \
          x {}, objects {} x {}\n",

@@ -31,7 +31,7 @@ pub struct Args {
     /// Frames per scene; more than one makes short videos with moving worms, 20 ms from frame to frame
     #[arg(long, value_name = "FRAMES", default_value_t = 1)]
     video: usize,
-    /// Signal of the brightest pixel of a frame, electrons, drawn between LOW and HIGH (default: 10 % to 80 % of full
+    /// Signal of the brightest pixel of a frame, electrons, drawn between LOW and HIGH (default: 1 % to 80 % of full
     /// scale)
     #[arg(long, num_args = 2, value_names = ["LOW", "HIGH"])]
     peak_e: Option<Vec<f64>>,
@@ -99,7 +99,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
 
 fn scenes(args: &Args) -> SceneConfig {
     let specimens = match (&args.specimen[..], &args.images) {
-        ([], None) => Specimen::USUAL.to_vec(),
+        ([], None) => Specimen::for_training(),
         (chosen, _) => chosen.to_vec(),
     };
     SceneConfig { specimens, images: args.images.clone(), video_frames: args.video, ..SceneConfig::default() }

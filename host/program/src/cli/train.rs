@@ -35,6 +35,10 @@ pub struct Args {
     /// Number of filters (of PSFs for multiwienernet) [default: the preset's]
     #[arg(long, value_name = "N")]
     filters: Option<usize>,
+    /// Number of passes: each after the first predicts the frame of the reconstruction so far with the calibrated PSFs,
+    /// and corrects what differs from the frame. More than one pass needs the instrument
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=8))]
+    passes: u8,
     /// Number of steps of the optimiser [default: the preset's]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     steps: Option<u64>,
@@ -252,6 +256,7 @@ fn request(args: &Args, run: &Run) -> anyhow::Result<TrainRequest> {
         preset: args.preset,
         architecture: args.network,
         filters: args.filters,
+        passes: Some(args.passes.into()),
         steps,
         batch: args.batch,
         learning_rate: args.learning_rate,
@@ -284,8 +289,7 @@ fn outcome(path: &Path, body: &Body, figures: &RunFigures) -> anyhow::Result<Out
     let RunFigures { pairs, first_step, seconds, step_seconds } = *figures;
     let best =
         body.curve.iter().find(|p| p.step == body.best_step).context("the run ended before its first validation")?;
-    let parameters: usize =
-        weights::shapes(&body.network).iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
+    let parameters = weights::count(&body.network);
     let rate = if seconds > 0.0 { (body.step - first_step) as f64 / seconds } else { 0.0 };
     let json = serde_json::json!({
         "checkpoint": path, "network": body.network, "parameters": parameters, "pairs": pairs, "steps": body.step,

@@ -39,6 +39,11 @@ pub fn receptive_fields(
         operator.sensor_shape(),
         operator.object_shape()
     );
+    ensure!(
+        config.feedback.is_none(),
+        "passes: expected a network of one pass, found {}; the field of more passes is not computed",
+        config.passes()
+    );
     ensure!(!frames.is_empty(), "expected frames to average over, found none");
     let [rows, cols] = config.object.map(|n| n as i64);
     let mut places = vec![

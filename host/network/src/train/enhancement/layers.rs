@@ -57,11 +57,12 @@ pub fn sigmoid(x: f32) -> f32 {
 }
 
 impl Layers {
-    /// Takes the layers of a network with a filter bank from the tensors of a checkpoint.
+    /// Takes the layers of pass `pass` of a network with a filter bank from the tensors of a checkpoint.
     ///
     /// # Errors
     /// A weight is missing or has another shape.
-    pub fn new(config: &NetworkConfig, tensors: &Tensors) -> Result<Self, TrainError> {
+    pub fn new(config: &NetworkConfig, pass: usize, tensors: &Tensors) -> Result<Self, TrainError> {
+        let prefix = name::of_pass(pass);
         let shapes: std::collections::BTreeMap<_, _> = weights::shapes(config).into_iter().collect();
         let flat = |name: String| {
             let shape = shapes.get(&name);
@@ -72,8 +73,10 @@ impl Layers {
                 found: tensors.get(&name).map_or("none".into(), |t| format!("{:?}", t.shape())),
             })
         };
-        let both =
-            |layer: &str| Ok::<_, TrainError>([flat(format!("{layer}.weight"))?, flat(format!("{layer}.bias"))?]);
+        let both = |layer: &str| {
+            let layer = format!("{prefix}{layer}");
+            Ok::<_, TrainError>([flat(format!("{layer}.weight"))?, flat(format!("{layer}.bias"))?])
+        };
         let kernels = |layer: &str| both(layer).map(|[weight, bias]| Kernels::new(&weight, &bias));
         let linear = |layer: &str| both(layer).map(|[weight, bias]| Linear { weight, bias });
         let block = |g: usize, b: usize| -> Result<Block, TrainError> {

@@ -1,20 +1,18 @@
 //! The layers one after the other, and the planes between them.
 
-use super::super::normalise::DARK;
 use super::super::ops::patch::{Patch, padded};
 use super::super::{NetworkConfig, TrainError};
 use super::layers::{Group, Layers};
 use super::passes::{Gated, Unshuffled, block, layer, logits};
 use ommatidia_session::artifact::Tensors;
-use rayon::prelude::*;
 
 /// The enhancement network with its weights, for inference.
 pub struct Enhancement {
     layers: Layers,
     /// Rows and columns of filter outputs and of objects.
     object: [usize; 2],
-    /// Number of filters.
-    channels: usize,
+    /// Number of planes that the network takes.
+    inputs: usize,
 }
 
 /// Planes that are not in use, all of one size.
@@ -28,24 +26,22 @@ impl Pool {
 }
 
 impl Enhancement {
-    /// From the tensors of a checkpoint whose network has a filter bank (all but CM2Net).
+    /// That of pass `pass` (from 0), from the tensors of a checkpoint whose network has a filter bank (all but CM2Net).
     ///
     /// # Errors
     /// A weight is missing or has another shape.
-    pub fn new(config: &NetworkConfig, tensors: &Tensors) -> Result<Self, TrainError> {
-        Ok(Self { layers: Layers::new(config, tensors)?, object: config.object, channels: config.channels })
+    pub fn new(config: &NetworkConfig, pass: usize, tensors: &Tensors) -> Result<Self, TrainError> {
+        Ok(Self { layers: Layers::new(config, pass, tensors)?, object: config.object, inputs: config.inputs(pass) })
     }
 
-    /// Filter outputs, [channels, object rows, object cols] -> logits, [object rows, object cols].
+    /// Planes times `scale`, [inputs, object rows, object cols] -> logits, [object rows, object cols].
     ///
-    /// Filter outputs are divided by their maximum first. The result does not depend on the number of threads.
-    pub fn logits(&self, x: Vec<f32>) -> Vec<f32> {
+    /// The result does not depend on the number of threads.
+    pub fn logits(&self, x: Vec<f32>, scale: f32) -> Vec<f32> {
         let size = [self.object[0] / 2, self.object[1] / 2, self.layers.head.outputs()];
         let mut pool = Pool::default();
         let mut head = pool.take(size);
-        let most = x.par_iter().copied().reduce(|| f32::NEG_INFINITY, f32::max).max(DARK);
-        let channels = padded(4 * self.channels);
-        let source = Unshuffled { x: &x, size: self.object, scale: 1.0 / most, channels };
+        let source = Unshuffled { x: &x, size: self.object, scale, channels: padded(4 * self.inputs) };
         layer(&source, &self.layers.head, None, &mut head);
         drop(x);
         let mut y: Option<Patch> = None;

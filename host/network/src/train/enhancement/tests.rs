@@ -35,10 +35,11 @@ fn outputs_are_those_of_the_graph() {
         let [re, im] = graph.filters().map(values);
         let filtered = plan.forward(&[input.spectrum().to_vec()], &plan.filters(&re, &im));
         let want = values(graph.forward(vec![input]).logits);
-        let enhancement = Enhancement::new(&config, &tensors).unwrap();
+        let most = filtered.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+        let enhancement = Enhancement::new(&config, 0, &tensors).unwrap();
         let run = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| enhancement.logits(filtered.clone()))
+            pool.install(|| enhancement.logits(filtered.clone(), 1.0 / most))
         };
         let got = run(1);
         let top = want.iter().fold(0.0f32, |m, v| m.max(v.abs()));
@@ -53,6 +54,6 @@ fn a_missing_weight_is_named() {
     let config = Preset::Nano.network([20, 20], [8, 8]);
     let (mut tensors, _) = network(&config);
     tensors.remove("enhancement.conv1.bias");
-    let message = Enhancement::new(&config, &tensors).err().unwrap().to_string();
+    let message = Enhancement::new(&config, 0, &tensors).err().unwrap().to_string();
     assert!(message.contains("enhancement.conv1.bias"), "{message}");
 }

@@ -8,6 +8,7 @@ pub mod conv;
 pub mod fourier;
 pub mod patch;
 pub mod portable;
+pub mod predicted;
 pub mod stream;
 pub mod winograd;
 

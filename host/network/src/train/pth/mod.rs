@@ -173,6 +173,7 @@ fn network_config(tensors: &Tensors, config: &ImportConfig) -> Result<NetworkCon
         blocks: (0..256).take_while(|b| has(weights::name::conv(0, *b, 0))).count(),
         reduction: width / bottleneck.max(1),
         architecture: Architecture::SvFourierNet,
+        feedback: None,
     })
 }
 

@@ -44,7 +44,10 @@ impl<'a> Trainer<'a> {
         task.network.check()?;
         training.check()?;
         let seed = training.seed;
-        let current = weights::random(&task.network, seed);
+        let mut current = weights::random(&task.network, seed);
+        if let (Some(feedback), Some(lenses)) = (&task.network.feedback, lenses) {
+            current.extend(lenses.feedback(feedback));
+        }
         let untrained = Checkpoint::untrained(task.network.clone(), task.noise, training, current);
         let state = Checkpoint { maps: task.maps.clone(), ..untrained };
         let mut run = Self::with_state(task, state, lenses)?;
@@ -76,7 +79,7 @@ impl<'a> Trainer<'a> {
         path: &Path,
     ) -> Result<Self, TrainError> {
         let from = Checkpoint::read(path)?;
-        if from.body.network != task.network {
+        if !from.body.network.learns_as(&task.network) {
             return Err(TrainError::Resume {
                 path: path.into(),
                 field: "network",
@@ -86,8 +89,10 @@ impl<'a> Trainer<'a> {
         }
         // The weights are given: no start is computed.
         let mut run = Self::with_lenses(task, TrainConfig { start: Start::Random, ..training }, lenses)?;
-        run.state.adam = Adam::new(&from.weights);
-        (run.state.weights, run.state.current) = (from.weights.clone(), from.weights);
+        // What is calibrated stays that of this run's instrument.
+        run.state.current.extend(from.weights.into_iter().filter(|(name, _)| !weights::is_calibrated(name)));
+        run.state.weights = run.state.current.clone();
+        run.state.adam = Adam::new(&run.state.current);
         Ok(match from.body.filter_mask {
             Some(mask) => run.with_mask(mask),
             None => run,
@@ -185,7 +190,10 @@ impl<'a> Trainer<'a> {
         let unfit = |field, expected: &str, found: &str| {
             Err(TrainError::Config { field, expected: expected.into(), found: found.into() })
         };
-        if lenses.is_none() && (start == Start::Psf || matches!(architecture, Architecture::Cm2Net { .. })) {
+        let needs_lenses = task.network.feedback.is_some() && state.body.step == 0;
+        if lenses.is_none()
+            && (needs_lenses || start == Start::Psf || matches!(architecture, Architecture::Cm2Net { .. }))
+        {
             return unfit("instrument", "an instrument with calibrated lenses", "none");
         }
         match (architecture, start) {
