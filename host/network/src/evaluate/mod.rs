@@ -1,5 +1,6 @@
 //! Evaluation: methods side by side on scenes of known truth, with time and memory; resolution; receptive fields.
 
+mod arena;
 mod compare;
 mod field;
 pub mod receptive;
@@ -9,6 +10,7 @@ mod resources;
 mod scenes;
 mod spectrum;
 
+pub use arena::{Arena, Bout, Difference, Entrant};
 pub use compare::{Source, judge};
 pub use field::{Ring, Rings};
 pub use record::{Evaluation, MethodFigures, Predicted, Summary};

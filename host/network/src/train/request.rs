@@ -56,13 +56,9 @@ impl TrainRequest {
             ArchitectureName::SvFourierNet => match (passes, lenses) {
                 (0 | 1, _) => network,
                 (passes, Some(lenses)) => lenses.with_feedback(network, passes, TERMS),
-                (passes, None) => {
+                (_, None) => {
                     let expected = "--instrument FILE, whose PSFs predict frames".into();
-                    return Err(TrainError::Config {
-                        field: "--passes",
-                        expected,
-                        found: format!("{passes} passes, none"),
-                    });
+                    return Err(TrainError::Config { field: "--passes", expected, found: "none".into() });
                 }
             },
             ArchitectureName::MultiWienerNet => NetworkConfig { architecture: Architecture::MultiWienerNet, ..network },

@@ -213,8 +213,8 @@ impl Preset {
         // GPU.
         let batch = if self == Self::Paper { 4 } else { 1 };
         let (steps, learning_rate, filter_learning_rate, start) = match self {
-            Self::Nano => (8000, 5e-3, 2e-4, Start::Random),
-            Self::Lite => (40_000, 4e-3, 2e-4, Start::Random),
+            Self::Nano => (8000, 2e-3, 2e-4, Start::Random),
+            Self::Lite => (40_000, 2e-3, 2e-4, Start::Random),
             Self::Paper => (60_000, 5e-5, 5e-5, Start::Random),
         };
         TrainConfig {

@@ -95,9 +95,9 @@ impl Canvas {
         }
     }
 
-    /// Gives each pixel, by its row and its column, the light of `of`.
-    pub(super) fn fill(&mut self, of: impl Fn(usize, usize) -> f64) {
-        self.light.indexed_iter_mut().for_each(|((r, c), light)| *light = of(r, c) as f32);
+    /// Adds light to each pixel, given as [row, col].
+    pub(super) fn add(&mut self, of: impl Fn([usize; 2]) -> f64) {
+        self.light.indexed_iter_mut().for_each(|((r, c), light)| *light += of([r, c]) as f32);
     }
 
     /// Number of objects at a density of `per_mm2`, at least one.

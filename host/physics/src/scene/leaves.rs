@@ -18,9 +18,11 @@ pub(super) fn draw(canvas: &mut Canvas, rng: &mut impl Rng) {
     let [least, most] = RADIUS_PX.map(|r| r.powf(-power));
     let dark = rng.random_range(0.1..0.8);
     let per_pixel = log_uniform(rng, 0.002, 0.065);
-    for _ in 0..(per_pixel * canvas.pixels() as f64).ceil() as usize {
+    let count = (per_pixel * canvas.pixels() as f64).ceil() as usize;
+    for leaf in 1..=count {
         let radius = pixel * (least + rng.random::<f64>() * (most - least)).powf(-1.0 / power);
-        let value = if rng.random_bool(dark) { 0.0 } else { rng.random_range(0.08..1.0) };
+        // The last one lies on top and shines, so that no scene is dark.
+        let value = if leaf < count && rng.random_bool(dark) { 0.0 } else { rng.random_range(0.08..1.0) };
         let (centre, tilt, slim) = (canvas.anywhere(rng), direction(rng), rng.random_range(0.2..1.0));
         let (sin, cos) = tilt.sin_cos();
         let texture = Texture::draw(pixel, rng);

@@ -24,6 +24,7 @@
 mod beads;
 mod canvas;
 mod cells;
+mod haze;
 mod images;
 mod leaves;
 mod mottle;
@@ -78,7 +79,8 @@ impl Specimen {
     /// The default kinds of scenes: those that leave most of the field dark, as samples for the instrument usually do.
     pub const USUAL: [Self; 6] = [Self::Beads, Self::Cells, Self::Neurons, Self::Vessels, Self::Worms, Self::Target];
 
-    /// Kinds that look like no sample in particular, but have detail of every size and sharpness. Networks that trained
+    /// Kinds that look like no sample in particular, but have detail of every size and sharpness, some of them under
+    /// haze. Networks that trained
     /// on them as well keep their quality on specimens that nobody thought of.
     pub const GENERAL: [Self; 4] = [Self::Points, Self::Threads, Self::Leaves, Self::Mottle];
 
@@ -103,6 +105,9 @@ impl Specimen {
             Self::Threads => threads::draw(&mut canvas, rng),
             Self::Leaves => leaves::draw(&mut canvas, rng),
             Self::Mottle => mottle::draw(&mut canvas, rng),
+        }
+        if Self::GENERAL.contains(&self) {
+            haze::maybe(&mut canvas, rng);
         }
         normalised(canvas.into_light())
     }

@@ -11,6 +11,7 @@ pub(super) fn draw(canvas: &mut Canvas, rng: &mut impl Rng) {
         let (value, bend) = (rng.random_range(0.1..1.0), log_uniform(rng, 0.01, 0.25));
         // Half of the threads run through pixels, the others have soft edges.
         let sharp = rng.random_bool(0.5);
+        canvas.light_up(at, value);
         for _ in 0..rng.random_range(20..300) {
             let z: f64 = StandardNormal.sample(rng);
             heading += bend * z;

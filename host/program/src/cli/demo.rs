@@ -174,8 +174,10 @@ fn chapters(args: &Args, folder: &Path, hidden: &Hidden) -> Vec<Chapter> {
         Chapter { what, name: words[0].clone(), words, seed: 0 }
     };
     let bench = format!("bench @session --frames {}", args.frames);
+    // A short training on few kinds of specimens bears long steps.
     let train = format!(
-        "train @pairs --instrument @instrument.safetensors -o @network.safetensors --preset nano --steps {}",
+        "train @pairs --instrument @instrument.safetensors -o @network.safetensors --preset nano --learning-rate 5e-3 \
+         --steps {}",
         args.steps
     );
     let changed = format!("bench @hidden --frames {SCENES} --effect {}", hidden.option());
@@ -188,9 +190,9 @@ fn chapters(args: &Args, folder: &Path, hidden: &Hidden) -> Vec<Chapter> {
             "calibrate @session -o @instrument.safetensors",
         ),
         chapter(
-            "simulated training pairs of the calibrated model",
-            "simulate @instrument.safetensors -o @pairs \
-            --count 1024",
+            "simulated training pairs of the calibrated model, of the specimens and the light of the session",
+            "simulate @instrument.safetensors -o @pairs --count 1024 --specimen \
+             beads,cells,neurons,vessels,worms,target --peak-e 1000 8000",
         ),
         chapter("training of the network", &train),
         chapter(

@@ -54,7 +54,7 @@ fn named_stack(text: &str) -> Result<(String, PathBuf), String> {
 /// A method or a stack, with its name in the table.
 pub(super) struct Entry {
     pub(super) name: String,
-    source: PathBuf,
+    pub(super) source: PathBuf,
     pub(super) from: EntrySource,
 }
 

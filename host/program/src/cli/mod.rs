@@ -1,6 +1,7 @@
 //! The command line: one verb a file, each thin: parse, call the library, print.
 
 mod ablate;
+mod arena;
 mod bench;
 mod calibrate;
 mod check;
@@ -98,6 +99,10 @@ enum Verb {
     #[command(after_help = "Example:\n  ommatidia evaluate session --with network.omm --with instrument.safetensors \
             --methods wiener,central")]
     Evaluate(evaluate::Args),
+    /// Compare methods on virtual scenes of many specimens, light levels and instruments; writes a page
+    #[command(after_help = "Example:\n  ommatidia arena --with network.omm --with instrument.safetensors --effect \
+            array_shift=0.3 -o arena")]
+    Arena(arena::Args),
     /// Find the finest line pairs that methods resolve, at the centre and the edges of the field
     #[command(after_help = "Example:\n  ommatidia resolution targets --with network.safetensors --with \
             instrument.safetensors --methods wiener,central")]
@@ -168,6 +173,7 @@ impl Cli {
             Verb::Quantize(a) => a.files(),
             Verb::Reconstruct(a) => a.files(),
             Verb::Evaluate(a) => a.files(),
+            Verb::Arena(a) => a.files(),
             Verb::Resolution(a) => a.files(),
             Verb::Erf(a) => a.files(),
             Verb::Ablate(a) => a.files(),
@@ -202,6 +208,7 @@ impl Cli {
             Verb::Quantize(a) => quantize::run(a, run),
             Verb::Reconstruct(a) => reconstruct::run(a, run),
             Verb::Evaluate(a) => evaluate::run(a, run),
+            Verb::Arena(a) => arena::run(a, run),
             Verb::Resolution(a) => resolution::run(a, run),
             Verb::Erf(a) => erf::run(a, run),
             Verb::Ablate(a) => ablate::run(a, run),

@@ -22,8 +22,8 @@ pub struct Args {
     /// Number of pairs
     #[arg(long, value_name = "N")]
     count: usize,
-    /// Kind of specimen; repeat the option for more (default: all kinds but sections, or none with --images)
-    #[arg(long, value_name = "KIND")]
+    /// Kind of specimen, or several with commas between them (default: all kinds but sections, or none with --images)
+    #[arg(long, value_name = "KIND", value_delimiter = ',')]
     specimen: Vec<Specimen>,
     /// Folder of grey-scale .tif or .png pictures from which objects are cropped (default: none)
     #[arg(long, value_name = "DIR")]

@@ -14,6 +14,7 @@ mod disks;
 mod files;
 mod frames;
 mod intervals;
+mod networks;
 mod rights;
 mod sessions;
 mod space;

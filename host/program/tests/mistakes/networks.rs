@@ -1,0 +1,48 @@
+//! Networks of more than one pass where one is needed, and arenas that cannot be.
+
+use crate::common::ommatidia;
+use crate::{Mistake, hold};
+use std::path::Path;
+
+/// Trains a network of two passes for the desk.
+fn two_passes(desk: &Path) {
+    let words = "train pairs -o two --instrument instrument --filters 2 --steps 2 --passes 2";
+    let words: Vec<&str> = words.split_whitespace().collect();
+    ommatidia(&words).current_dir(desk).assert().success();
+}
+
+#[test]
+fn passes_and_arenas_that_cannot_be() {
+    hold(
+        "Networks and arenas",
+        vec![
+            Mistake::new("Two passes, and no PSFs to predict frames with", "train pairs -o new --passes 2 --steps 2")
+                .says(&["--passes", "--instrument"]),
+            Mistake::new(
+                "Two passes of another architecture",
+                "train pairs -o new --passes 2 --network multiwienernet --instrument instrument --steps 2",
+            )
+            .says(&["--passes", "1 for this network"]),
+            Mistake::new("A network of two passes for a device", "quantize two -o two.omm").with(two_passes).says(&[
+                "passes",
+                "host only",
+                "--passes 1",
+            ]),
+            Mistake::new("Receptive fields of two passes", "erf two --instrument instrument -o new")
+                .with(two_passes)
+                .says(&["passes", "one pass"]),
+            Mistake::new("An arena brighter than full scale", "arena --with instrument --peaks 1e9 -o new")
+                .says(&["--peaks", "full scale"]),
+            Mistake::new("An arena with an effect that does not exist", {
+                "arena --with instrument --effect hallo=1 -o new"
+            })
+            .says(&["--effect hallo=1", "unknown"]),
+            Mistake::new("An arena of another instrument than the one that was calibrated", {
+                "arena --with instrument --methods central --scenes 1 --peaks 100 --specimens worms -o new"
+            })
+            .says(&["instrument", "expected"]),
+            Mistake::new("An arena in a folder of one's own", "arena --with instrument -o session")
+                .says(&["session", "never replaced"]),
+        ],
+    );
+}
