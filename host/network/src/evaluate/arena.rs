@@ -118,7 +118,8 @@ impl Arena {
         let mut text = format!(
             "# Arena\n\nWritten by the program: {} scenes of the virtual instrument, {} methods on each of them. \
              PSNR with one free scale a\nscene; intervals are 95 %, from a bootstrap over the scenes, and do not hold \
-             the spread from training to training.\n\n```\n{command}\n```\n\n",
+             the spread from training to training.\nEach specimen, light and instrument has scenes of its own, so \
+             columns differ by their scenes as well.\n\n```\n{command}\n```\n\n",
             self.bouts.len(),
             self.entrants.len()
         );

@@ -199,6 +199,12 @@ pub(super) fn log_uniform(rng: &mut impl Rng, low: f64, high: f64) -> f64 {
     (rng.random_range(low.ln()..high.ln())).exp()
 }
 
+/// The value between four nodes, `node(down, across)`, at shares 0 to 1 of the way down and across: bilinear.
+pub(super) fn between(node: impl Fn(usize, usize) -> f64, [down, across]: [f64; 2]) -> f64 {
+    let along = |row| node(row, 0) * (1.0 - across) + node(row, 1) * across;
+    along(0) * (1.0 - down) + along(1) * down
+}
+
 /// A random direction, rad.
 pub(super) fn direction(rng: &mut impl Rng) -> f64 {
     rng.random_range(0.0..std::f64::consts::TAU)

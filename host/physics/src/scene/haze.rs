@@ -1,6 +1,6 @@
 //! Haze: smooth light over the whole field, as tissue out of focus gives it.
 
-use super::canvas::{Canvas, log_uniform};
+use super::canvas::{Canvas, between, log_uniform};
 use rand::{Rng, RngExt};
 
 /// Adds haze to a specimen, by chance to two of five.
@@ -13,13 +13,12 @@ pub(super) fn maybe(canvas: &mut Canvas, rng: &mut impl Rng) {
     let size = canvas.size();
     canvas.add(|at| {
         // Between four nodes, smoothly: 3 t^2 - 2 t^3.
-        let [(y, v), (x, u)] = [0, 1].map(|axis| {
+        let [(y, down), (x, across)] = [0, 1].map(|axis| {
             let place = (at[axis] as f64 + 0.5) / size[axis] as f64 * cells as f64;
             let t = place.fract();
             (place as usize, t * t * (3.0 - 2.0 * t))
         });
         let node = |dy: usize, dx: usize| nodes[(y + dy).min(cells) * (cells + 1) + (x + dx).min(cells)];
-        let along = |dy| node(dy, 0) * (1.0 - u) + node(dy, 1) * u;
-        along(0) * (1.0 - v) + along(1) * v
+        between(node, [down, across])
     });
 }

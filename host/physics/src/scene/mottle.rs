@@ -1,7 +1,7 @@
 //! Mottle: random light in squares of one to eight pixels, some with sharp and some with smooth edges, from sparse to
 //! field-filling.
 
-use super::canvas::{Canvas, log_uniform};
+use super::canvas::{Canvas, between, log_uniform};
 use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
 
@@ -23,7 +23,6 @@ pub(super) fn draw(canvas: &mut Canvas, rng: &mut impl Rng) {
         if !smooth {
             return at(0, 0);
         }
-        let along = |dy| at(dy, 0) * (1.0 - part[1]) + at(dy, 1) * part[1];
-        along(0) * (1.0 - part[0]) + along(1) * part[0]
+        between(at, part)
     });
 }

@@ -37,7 +37,7 @@ pub struct Args {
     #[arg(long, value_name = "E", value_delimiter = ',', default_value = "100,500,2500,8000",
         value_parser = super::common::positive)]
     peaks: Vec<f64>,
-    /// Kinds of specimens [default: all that networks are not trained on as a rule, and the usual ones]
+    /// Kinds of specimens [default: section, which training pairs do not show by default, and the usual ones]
     #[arg(long, value_name = "KIND", value_delimiter = ',', value_enum)]
     specimens: Vec<Specimen>,
     /// Folder of grey .tif or .png pictures as one more kind of specimen, by the folder's name (may be given again)
@@ -94,8 +94,8 @@ impl Args {
 /// Runs the verb.
 ///
 /// # Errors
-/// A file cannot be read or does not fit the virtual instrument, a light level exceeds full scale, an effect is invalid,
-/// or the output cannot be written.
+/// A file cannot be read or does not fit the virtual instrument, a light level exceeds full scale, an effect is
+/// invalid, or the output cannot be written.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let existed = args.output.is_dir();
     std::fs::create_dir_all(&args.output).with_context(|| args.output.display().to_string())?;
