@@ -19,6 +19,11 @@ use std::borrow::Cow;
 const SAME_DEPTH_UM: f64 = 1e-3;
 /// Standard deviation of the Gaussian blur that defines the smooth part of an unknown specimen, pixels.
 const SMOOTH_PX: f64 = 2.0;
+/// Standard deviation of the Gaussian blur that spreads the light of a bead for the error of its PSF, pixels: a focus
+/// may err beside its light, too.
+const PSF_ERROR_PX: f64 = 1.0;
+/// PSFs that err by more are no approximation: what they lack is to be seen in the residual, and not excused.
+const MOST_PSF_ERROR: f64 = 0.05;
 
 /// An instrument and the frames of a session.
 pub struct Model<'a> {
@@ -35,6 +40,9 @@ pub struct Model<'a> {
     wider: Option<Forward>,
     /// The grid that truths live on.
     pub(crate) grid: Grid,
+    /// Relative error of the PSFs between the positions of the beads that they were calibrated on, without noise. In
+    /// the frame of a single bead nothing averages it.
+    psf_error: f64,
     /// Exposure of the calibration, ms.
     pub(crate) exposure_ms: f64,
     /// Rows and columns of the windows of the basis PSFs.
@@ -54,6 +62,7 @@ impl<'a> Model<'a> {
         let depth = instrument.psf.depth_nearest(z_um);
         let plan = |i: &Instrument| Forward::with_all_depths(i, OperatorConfig::exact(depth));
         let uncertain = seen.registrations.iter().any(|g| g.sigma_px > 0.0);
+        let quality = &instrument.quality;
         Ok(Self {
             forward: plan(&bare)?,
             wider: uncertain.then(|| plan(&widening(instrument))).transpose()?,
@@ -61,6 +70,10 @@ impl<'a> Model<'a> {
             maps: instrument.quality.maps,
             has_background: instrument.quality.background.is_some_and(|b| b.is_seen()),
             grid: Grid::of(instrument),
+            psf_error: (quality.off_grid_error.powi(2) - quality.noise_floor.powi(2))
+                .max(0.0)
+                .sqrt()
+                .min(MOST_PSF_ERROR),
             exposure_ms: instrument.psf.exposure_ms,
             window_px: instrument.psf.basis.dim().2,
         })
@@ -312,6 +325,11 @@ impl<'a> Model<'a> {
                     // The read noise of single pixels beyond the common read noise.
                     let common = self.forward.noise().variance_dn2(noise.black_level_dn) as f32;
                     variance.zip_mut_with(reading, |v, r| *v += r - common);
+                }
+                if matches!(f.shown, Shown::Bead(..)) {
+                    let error = self.psf_error * noise.gain_dn_per_e;
+                    let light2 = blur_within(&light_e.mapv(|e| e * e), PSF_ERROR_PX);
+                    variance.zip_mut_with(&light2, |v, l2| *v += (error * error) as f32 * l2);
                 }
                 Zip::from(&mut inverse_sigma).and(&dn).and(&detail).and(&mut residual_dn).and(&variance).for_each(
                     |w, &mu, &v, r, &variance| {

@@ -12,6 +12,9 @@ use ommatidia_closing::study::size::Size;
 use std::fmt::Write;
 use std::path::PathBuf;
 
+/// Largest number of sessions with one effect at one strength in a study for development.
+const DEVELOPMENT: u16 = 6;
+
 /// Options of `study`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: ommatidia study -o study --quick")]
@@ -25,10 +28,10 @@ pub struct Args {
     /// Run about 70 sessions over all families of instruments and all strengths, for development
     #[arg(long, conflicts_with_all = ["null", "seeds", "strengths", "only", "instruments", "sealed"])]
     development: bool,
-    /// Largest number of sessions with one effect at one strength that `--development` runs; of other kinds a sixth of it
-    #[arg(long, value_name = "N", requires = "development", default_value_t = 6, value_parser =
-        clap::value_parser!(u16).range(1..))]
-    most: u16,
+    /// Largest number of sessions with one effect at one strength, drawn from all that were planned; of other kinds a
+    /// sixth of it (default: all; with `--development` 6)
+    #[arg(long, value_name = "N", conflicts_with = "quick", value_parser = clap::value_parser!(u16).range(1..))]
+    most: Option<u16>,
     /// Run sealed instruments and sessions, on which no threshold may be set, and count in FILE that they were opened
     /// (docs/sealed.json)
     #[arg(long, value_name = "FILE")]
@@ -94,7 +97,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let size = if args.quick {
         Size::quick(run.seed)
     } else if args.development {
-        Size { measured, ..Size::development(run.seed, args.most.into()) }
+        Size { measured, ..Size::development(run.seed, args.most.unwrap_or(DEVELOPMENT).into()) }
     } else {
         Size {
             seed: run.seed,
@@ -105,6 +108,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
             seeds: args.seeds,
             strengths: args.strengths.clone(),
             only: args.only.clone(),
+            quota: args.most.map(Into::into),
             ..Size::default()
         }
     };
