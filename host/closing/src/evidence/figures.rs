@@ -98,14 +98,18 @@ fn held_out_pixels(seen: &Observations) -> impl Iterator<Item = (usize, usize, R
     })
 }
 
-/// Rise of a figure on held-out data that nobody reads: figures are given to four digits.
-const NO_RISE: f64 = 1e-4;
+/// Relative rise of a figure on held-out data that is rounding.
+const ROUNDING: f64 = 1e-4;
+
+/// Whether a figure on held-out data is worse after than before.
+pub(crate) fn rises(before: f64, after: f64) -> bool {
+    after > before * (1.0 + ROUNDING)
+}
 
 /// Whether held-out data are predicted worse after than before: chi-squared per pixel or the relative error rises by
-/// more than a digit that nobody reads. That noise may have made the rise is no excuse: an effect that leaves held-out
-/// data as they were, or worse, has no claim to the instrument.
+/// more than rounding. That noise may have made the rise is no excuse: an effect that leaves held-out data as they were,
+/// or worse, has no claim to the instrument.
 pub(crate) fn is_worse(before: Figures, after: Figures) -> bool {
-    let rises = |before: f64, after: f64| after - before > NO_RISE;
     rises(before.chi2_ndf, after.chi2_ndf) || rises(before.nrmse, after.nrmse)
 }
 

@@ -6,6 +6,7 @@ use super::plan::{Case, Injected};
 use super::shard::Shard;
 use super::size::Question;
 use crate::Verdict;
+use crate::evidence::rises;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
@@ -64,10 +65,9 @@ fn nullable<'de, D: serde::Deserializer<'de>>(from: D) -> Result<f64, D::Error> 
 
 impl HeldOut {
     /// Whether the closed instrument predicts held-out data worse than the calibrated one, in chi-squared or in NRMSE.
-    /// A part in ten thousand is rounding.
     pub fn is_worse(&self) -> bool {
         let [before, after] = self.own;
-        let worse = |k: usize| before[k].zip(after[k]).is_some_and(|(b, a)| a > b * (1.0 + 1e-4));
+        let worse = |k: usize| before[k].zip(after[k]).is_some_and(|(b, a)| rises(b, a));
         worse(0) || worse(1)
     }
 
