@@ -411,16 +411,19 @@ fn pictures(out: &mut String, all: &[Outcome]) -> std::fmt::Result {
 fn sensitivity(out: &mut String, all: &[Sensitivities]) -> std::fmt::Result {
     writeln!(
         out,
-        "## Sensitivity of a session\n\n| effect | strength | 1 sigma, each instrument | unit (empty: relative) \
-            |\n|---|---|---|---|"
+        "## Sensitivity of a session\n\n| effect | strength | 1 sigma: median of the instruments (smallest to largest) | \
+            unit (empty: relative) |\n|---|---|---|---|"
     )?;
     let ids: BTreeSet<&String> = all.iter().flat_map(|s| s.of.keys()).collect();
     for id in ids {
         let of: Vec<_> = all.iter().filter_map(|s| s.of.get(id)).collect();
-        let sigmas: Vec<String> = of.iter().map(|s| format!("{:.2e}", s.sigma)).collect();
+        let mut sigmas: Vec<f64> = of.iter().map(|s| s.sigma).collect();
+        sigmas.sort_by(f64::total_cmp);
+        let (low, middle, high) = (sigmas.first(), sigmas.get(sigmas.len() / 2), sigmas.last());
+        let [low, middle, high] = [low, middle, high].map(|v| v.copied().unwrap_or(f64::NAN));
         let (param, unit) = of.first().map_or(("", ""), |s| (s.param.as_str(), s.unit.as_str()));
         let unit = if unit == "1" { "" } else { unit };
-        writeln!(out, "| `{id}` | {param} | {} | {unit} |", sigmas.join(", "))?;
+        writeln!(out, "| `{id}` | {param} | {middle:.2e} ({low:.2e} to {high:.2e}) | {unit} |")?;
     }
     let cannot: BTreeSet<&str> = all.iter().flat_map(|s| s.cannot.iter().map(String::as_str)).collect();
     if !cannot.is_empty() {
