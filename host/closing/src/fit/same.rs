@@ -79,7 +79,7 @@ mod tests {
     fn frames_of_different_specimens_are_no_repeats() {
         let noise = NoiseModel::nominal();
         // Of dim specimens the difference is hardly larger than the noise.
-        for peak_e in [2000.0, 40.0] {
+        for peak_e in [2000.0, 100.0] {
             let a = frame(1, peak_e, 1, &noise);
             let inverse_sigma = a.mapv(|dn| 1.0 / (noise.variance_dn2(f64::from(dn)).sqrt() as f32));
             let same = |b: &Array2<f32>| shows_the_same(&a, b, &inverse_sigma, &noise);
