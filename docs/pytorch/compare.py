@@ -242,7 +242,7 @@ def main():
         return json.loads(path.read_text())
 
     def ours(steps, output):
-        rates = ("--learning-rate", RATES["layers"], "--filter-learning-rate", RATES["filters"])
+        rates = ("--loss", "bce-mse", "--learning-rate", RATES["layers"], "--filter-learning-rate", RATES["filters"])
         start = ("--from", at("start.checkpoint"), "--instrument", instrument)
         return program("train", pairs, *start, *rates, "--steps", steps, "-o", output)
 

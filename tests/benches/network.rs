@@ -21,8 +21,8 @@ fn reconstruction(c: &mut Criterion) {
     let mut group = c.benchmark_group("float network at the published size");
     group.sample_size(10);
     let direct = Inference::new(&config, &tensors).unwrap();
-    let got = direct.reconstruct(&frame);
-    group.bench_function("without the graph", |b| b.iter(|| direct.reconstruct(black_box(&frame))));
+    let got = direct.reconstruct(&frame, &[]);
+    group.bench_function("without the graph", |b| b.iter(|| direct.reconstruct(black_box(&frame), &[])));
     drop(direct);
     let graph = Network::new(&config, &plan, &tensors, Mode::Infer).unwrap();
     let run = || values(graph.forward(vec![NetworkInput::of(&config, &plan, black_box(&frame))]).logits);

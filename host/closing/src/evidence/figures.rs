@@ -107,8 +107,8 @@ pub(crate) fn rises(before: f64, after: f64) -> bool {
 }
 
 /// Whether held-out data are predicted worse after than before: chi-squared per pixel or the relative error rises by
-/// more than rounding. That noise may have made the rise is no excuse: an effect that leaves held-out data as they were,
-/// or worse, has no claim to the instrument.
+/// more than rounding. That noise may have made the rise is no excuse: an effect that leaves held-out data as they
+/// were, or worse, has no claim to the instrument.
 pub(crate) fn is_worse(before: Figures, after: Figures) -> bool {
     rises(before.chi2_ndf, after.chi2_ndf) || rises(before.nrmse, after.nrmse)
 }

@@ -2,9 +2,10 @@
 //!
 //! [`state`] holds effects and nuisance parameters, [`model`] predicts frames, [`derivative`] their derivatives,
 //! [`design`] sums these over [`cell`]s, `repeats` adds what repeated frames show of the noise, and `same` says which
-//! frames of unknown specimens are repeats; [`mod@refit`] finds the best state. [`truth`] moves truths that are not quite
-//! in place, `registration` adds what the session states of them. [`record`] checks the session's records before the
-//! first fit. [`mod@replicas`] gives the uncertainty of the calibration as [`errors`], with `wings` outside its windows.
+//! frames of unknown specimens are repeats; [`mod@refit`] finds the best state. [`truth`] moves truths that are not
+//! quite in place, `registration` adds what the session states of them. [`record`] checks the session's records before
+//! the first fit. [`mod@replicas`] gives the uncertainty of the calibration as [`errors`], with `wings` outside its
+//! windows.
 
 pub mod cell;
 pub mod derivative;

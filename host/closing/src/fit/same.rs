@@ -16,8 +16,8 @@ const LIKE_SIGNS: f64 = 0.05;
 const LIKE_SIGMAS: f64 = 3.0;
 
 /// Whether two frames show the same specimen, up to smooth changes and motion of some of its parts: the sharp part of
-/// their difference at lit pixels is about as large as noise, and its signs at diagonal neighbours are as often alike as
-/// not. The detail of another specimen, blurred by the optics, has like signs at neighbours, however dim it is. Medians
+/// their difference at lit pixels is about as large as noise, and its signs at diagonal neighbours are alike as often
+/// as not. The detail of another specimen, blurred by the optics, has like signs at neighbours, however dim it is. Medians
 /// and signs hold where parts of a specimen move; the means of rows and columns, and next neighbours, are left out,
 /// because noise may be common to them. Frames DN, `inverse_sigma` 1/DN, all [sensor rows, sensor cols].
 pub(super) fn shows_the_same(
@@ -60,7 +60,7 @@ mod tests {
     use ommatidia_session::rng::stream;
     use rand_distr::{Distribution, StandardNormal};
 
-    /// Frames of blobs of `peak_e` electrons, DN, whose places depend on `specimen`, with the noise of the nominal model.
+    /// Frames of blobs of `peak_e` electrons, DN, whose places depend on `specimen`, with nominal noise.
     fn frame(specimen: usize, peak_e: f64, draw: u64, noise: &NoiseModel) -> Array2<f32> {
         let mut random = stream(9, "same/tests", draw);
         Array2::from_shape_fn((64, 64), |(r, c)| {

@@ -411,8 +411,8 @@ fn pictures(out: &mut String, all: &[Outcome]) -> std::fmt::Result {
 fn sensitivity(out: &mut String, all: &[Sensitivities]) -> std::fmt::Result {
     writeln!(
         out,
-        "## Sensitivity of a session\n\n| effect | strength | 1 sigma: median of the instruments (smallest to largest) | \
-            unit (empty: relative) |\n|---|---|---|---|"
+        "## Sensitivity of a session\n\n| effect | strength | 1 sigma: median of the instruments (smallest to largest) \
+            | unit (empty: relative) |\n|---|---|---|---|"
     )?;
     let ids: BTreeSet<&String> = all.iter().flat_map(|s| s.of.keys()).collect();
     for id in ids {

@@ -4,7 +4,8 @@ use super::Reconstruct;
 use crate::train::network::{Network, values};
 use crate::train::ops::fourier::Fourier;
 use crate::train::{
-    Architecture, ArchitectureName, Checkpoint, Inference, Mode, NetworkConfig, NetworkInput, TrainError, normalised,
+    Architecture, ArchitectureName, Checkpoint, Estimator, Inference, Mode, NetworkConfig, NetworkInput, TrainError,
+    normalise,
 };
 use burn::tensor::activation::sigmoid;
 use ndarray::{Array2, ArrayView2};
@@ -15,6 +16,7 @@ use std::sync::Arc;
 /// The network of a checkpoint in single precision, on this machine's cores.
 pub struct FloatNetwork {
     engine: Engine,
+    estimator: Option<Estimator>,
     input: FrameInput,
     config: NetworkConfig,
 }
@@ -42,7 +44,8 @@ impl FloatNetwork {
             }
             _ => Engine::Direct(Box::new(Inference::new(config, &checkpoint.weights)?)),
         };
-        Ok(Self { engine, input: checkpoint.frame_input()?, config: config.clone() })
+        let estimator = Estimator::of(config, &checkpoint.weights, &checkpoint.body.noise)?;
+        Ok(Self { engine, estimator, input: checkpoint.frame_input()?, config: config.clone() })
     }
 
     /// Its architecture.
@@ -70,9 +73,13 @@ impl Reconstruct for FloatNetwork {
     }
 
     fn reconstruct(&self, frame_dn: ArrayView2<'_, f32>) -> anyhow::Result<Array2<f32>> {
-        let frame = normalised(&self.input, frame_dn)?;
+        let light_dn = self.input.light_dn(frame_dn)?;
+        let frame = normalise(&light_dn.iter().copied().collect::<Vec<f32>>());
         let out = match &self.engine {
-            Engine::Direct(network) => network.reconstruct(&frame),
+            Engine::Direct(network) => {
+                let estimate = self.estimator.as_ref().map(|e| e.estimate(light_dn.view())).unwrap_or_default();
+                network.reconstruct(&frame, &estimate)
+            }
             Engine::Graph(network, plan) => {
                 let input = NetworkInput::of(&self.config, plan, &frame);
                 values(sigmoid(network.forward(vec![input]).logits))

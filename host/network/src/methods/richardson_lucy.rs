@@ -1,18 +1,14 @@
-//! Richardson-Lucy deconvolution with the whole spatially varying model: the maximum of the Poisson likelihood over
-//! objects >= 0.
+//! Richardson-Lucy deconvolution with the whole spatially varying model.
 //!
-//! `x <- x . A'(y / (A x + b)) / A'1` (W. H. Richardson, J. Opt. Soc. Am. 62, 55 (1972); L. B. Lucy, Astron. J. 79, 745
-//! (1974)), stopped early, which regularises it. Read noise enters as a constant background `b` on both sides: it gives
-//! a Poisson variable the variance of the mixed Poisson and Gaussian one (D. L. Snyder et al., J. Opt. Soc. Am. A 10,
-//! 1014 (1993)). The method uses every PSF that the networks were trained with, and needs many passes over the model
-//! for each frame.
+//! The iterations ([`crate::richardson_lucy`]) are stopped early, which regularises them. The method uses every PSF that
+//! the networks were trained with, and needs many passes over the model for each frame.
 
 use super::frame::frame_input;
 use super::{MethodError, Reconstruct};
-use ndarray::{Array2, ArrayView2, Zip};
+use crate::richardson_lucy::RichardsonLucy as Iterations;
+use ndarray::{Array2, ArrayView2};
 use ommatidia_model::forward::Forward;
 use ommatidia_model::instrument::Instrument;
-use ommatidia_model::psf::LowRankOperator;
 use ommatidia_physics::sensor::FrameInput;
 use serde::{Deserialize, Serialize};
 
@@ -36,21 +32,11 @@ impl RichardsonLucyConfig {
     /// # Errors
     /// The instrument's model cannot be planned, or no light reaches the sensor from any object pixel.
     pub fn build(&self, instrument: &Instrument) -> anyhow::Result<RichardsonLucy> {
-        let operator = Forward::new(instrument)?.operator().clone();
-        let sensitivity = operator.adjoint(Array2::ones(operator.sensor_shape()).view())?;
-        let noise = &instrument.noise;
-        if !sensitivity.iter().any(|&v| v > 0.0) {
+        let solver = Iterations::new(Forward::new(instrument)?.operator().clone(), &instrument.noise)?;
+        if !solver.sees() {
             return Err(MethodError::NoLens.into());
         }
-        Ok(RichardsonLucy {
-            input: frame_input(instrument)?,
-            operator,
-            sensitivity,
-            // A variable of variance gain * signal + (gain * read noise)^2 is, up to the gain, Poisson distributed with
-            // mean signal + gain * read noise^2.
-            background_dn: (noise.gain_dn_per_e * noise.read_noise_e.powi(2)).max(1e-3) as f32,
-            iterations: self.iterations.max(1),
-        })
+        Ok(RichardsonLucy { input: frame_input(instrument)?, solver, iterations: self.iterations.max(1) })
     }
 }
 
@@ -58,25 +44,8 @@ impl RichardsonLucyConfig {
 #[derive(Clone, Debug)]
 pub struct RichardsonLucy {
     input: FrameInput,
-    operator: LowRankOperator,
-    /// A'1: light that the sensor receives from each object pixel, DN per unit.
-    sensitivity: Array2<f32>,
-    background_dn: f32,
+    solver: Iterations,
     iterations: usize,
-}
-
-impl RichardsonLucy {
-    /// One iteration on `x`, in place; `y` is the measured light plus the background, DN.
-    fn step(&self, y: &Array2<f32>, x: &mut Array2<f32>) -> anyhow::Result<()> {
-        let mut ratio = self.operator.apply(x.view())?;
-        // The truncated basis can give slightly negative light; the background keeps the quotient finite.
-        Zip::from(&mut ratio).and(y).for_each(|r, &y| *r = y / (r.max(0.0) + self.background_dn));
-        let back = self.operator.adjoint(ratio.view())?;
-        Zip::from(x).and(&back).and(&self.sensitivity).for_each(|x, &b, &s| {
-            *x = if s > 0.0 { *x * (b / s).max(0.0) } else { 0.0 };
-        });
-        Ok(())
-    }
 }
 
 impl Reconstruct for RichardsonLucy {
@@ -85,13 +54,10 @@ impl Reconstruct for RichardsonLucy {
     }
 
     fn reconstruct(&self, frame_dn: ArrayView2<'_, f32>) -> anyhow::Result<Array2<f32>> {
-        let y = self.input.light_dn(frame_dn)?.mapv(|v| (v + self.background_dn).max(0.0));
-        let light: f64 = y.iter().map(|&v| f64::from(v)).sum();
-        let sensitivity: f64 = self.sensitivity.iter().map(|&v| f64::from(v.max(0.0))).sum();
-        let even = (light / sensitivity).max(f64::from(f32::MIN_POSITIVE)) as f32;
-        let mut x = Array2::from_elem(self.sensitivity.dim(), even);
+        let y = self.solver.measured(self.input.light_dn(frame_dn)?.view());
+        let mut x = self.solver.even(&y);
         for _ in 0..self.iterations {
-            self.step(&y, &mut x)?;
+            self.solver.step(&y, &mut x)?;
         }
         Ok(x)
     }
@@ -117,27 +83,6 @@ mod tests {
             }
         }
         instrument
-    }
-
-    /// Poisson log-likelihood of `y` given the mean `A x + b`, without terms that do not depend on x.
-    fn likelihood(method: &RichardsonLucy, y: &Array2<f32>, x: &Array2<f32>) -> f64 {
-        let model = method.operator.apply(x.view()).unwrap() + method.background_dn;
-        y.iter().zip(&model).map(|(&y, &m)| f64::from(y) * f64::from(m).ln() - f64::from(m)).sum()
-    }
-
-    #[test]
-    fn each_step_raises_the_likelihood() {
-        let instrument = blurred();
-        let method = RichardsonLucyConfig::default().build(&instrument).unwrap();
-        let y = method.operator.apply(object().view()).unwrap() + method.background_dn;
-        let mut x = Array2::from_elem((20, 20), 10.0f32);
-        let mut before = likelihood(&method, &y, &x);
-        for _ in 0..10 {
-            method.step(&y, &mut x).unwrap();
-            let after = likelihood(&method, &y, &x);
-            assert!(after > before, "{after} {before}");
-            before = after;
-        }
     }
 
     #[test]

@@ -34,8 +34,16 @@ pub enum QuantizeError {
     #[error("expected a checkpoint of svfouriernet, found one of {0}, which runs on the host only")]
     Architecture(&'static str),
     /// Devices run networks of one pass.
-    #[error("passes: expected 1, found {0}; networks of more passes run on the host only; train with --passes 1")]
-    Passes(usize),
+    #[error(
+        "expected a network of one pass without Richardson-Lucy iterations, found {passes} passes and {iterations} \
+         iterations; such networks run on the host only; train without --passes and --richardson-lucy"
+    )]
+    Passes {
+        /// Number of passes.
+        passes: usize,
+        /// Number of Richardson-Lucy iterations ahead of them.
+        iterations: usize,
+    },
     /// A size that devices do not support.
     #[error("{field}: expected {expected}, found {found}")]
     Size {

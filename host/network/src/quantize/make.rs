@@ -51,7 +51,8 @@ fn make(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) -> Result<
         return Err(QuantizeError::Architecture(network.architecture.name().as_str()));
     }
     if network.feedback.is_some() {
-        return Err(QuantizeError::Passes(network.passes()));
+        let (passes, iterations) = (network.passes(), network.iterations());
+        return Err(QuantizeError::Passes { passes, iterations });
     }
     pack::check_finite(&checkpoint.weights)?;
     let bank = PlannedBank::new(checkpoint, config)?;

@@ -32,7 +32,7 @@ pub struct NetworkConfig {
     /// Architecture of the network.
     #[serde(default, rename = "family")]
     pub architecture: Architecture,
-    /// Passes after the first one, which compare what the passes before them found with the frame; None: one pass.
+    /// Passes that compare what was found before them with the frame; None: one pass that does not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub feedback: Option<Feedback>,
 }
@@ -84,7 +84,8 @@ impl NetworkConfig {
     /// Whether another network has the same learned parameters: the two differ at most in what is calibrated.
     pub fn learns_as(&self, other: &Self) -> bool {
         let learned = |network: &Self| Self { feedback: None, ..network.clone() };
-        self.passes() == other.passes() && learned(self) == learned(other)
+        let inputs = |network: &Self| (network.passes(), network.iterations());
+        inputs(self) == inputs(other) && learned(self) == learned(other)
     }
 
     /// Number of passes: one, and those of the feedback.
@@ -92,10 +93,15 @@ impl NetworkConfig {
         1 + self.feedback.as_ref().map_or(0, |feedback| feedback.passes)
     }
 
-    /// Number of channels that the enhancement network of pass `pass` (from 0) takes: the filter outputs, and from the
-    /// second pass on the reconstruction before it.
+    /// Number of Richardson-Lucy iterations ahead of the first pass.
+    pub fn iterations(&self) -> usize {
+        self.feedback.as_ref().map_or(0, |feedback| feedback.iterations)
+    }
+
+    /// Number of channels that the enhancement network of pass `pass` (from 0) takes: the filter outputs, and the
+    /// reconstruction before it where there is one.
     pub fn inputs(&self, pass: usize) -> usize {
-        self.channels + usize::from(pass > 0)
+        self.channels + usize::from(pass > 0 || self.iterations() > 0)
     }
 
     /// Number of channels W / r in the bottleneck of the attention.

@@ -1,10 +1,12 @@
-//! The shape of feedback: passes that compare what the passes before them found with the frame.
+//! The shape of feedback: passes that compare what was found before them with the frame.
 
 use super::TrainError;
 use serde::{Deserialize, Serialize};
 
 /// Largest number of passes after the first one.
 const MOST_PASSES: usize = 7;
+/// Largest number of Richardson-Lucy iterations.
+const MOST_ITERATIONS: usize = 100;
 
 /// Shape of the feedback of a network.
 ///
@@ -18,6 +20,10 @@ const MOST_PASSES: usize = 7;
 pub struct Feedback {
     /// Number of passes after the first one.
     pub passes: usize,
+    /// Number of accelerated Richardson-Lucy iterations with the same model ahead of the first pass, which then corrects
+    /// what they find as a later pass corrects what a pass finds; 0: the first pass takes the frame alone.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub iterations: usize,
     /// Frame pixel of object pixel (0, 0) behind each living lens.
     pub corners: Vec<[i32; 2]>,
     /// Number of terms of each lens.
@@ -26,6 +32,11 @@ pub struct Feedback {
     pub window: usize,
     /// Rows and columns of the nodes of the coefficients.
     pub nodes: [usize; 2],
+}
+
+/// Networks without iterations are written as before there were any.
+fn is_zero(n: &usize) -> bool {
+    *n == 0
 }
 
 impl Feedback {
@@ -37,8 +48,11 @@ impl Feedback {
         let wrong = |field, expected: &str, found: usize| {
             Err(TrainError::Config { field, expected: expected.into(), found: found.to_string() })
         };
-        if !(1..=MOST_PASSES).contains(&self.passes) {
-            return wrong("feedback.passes", "1 to 7", self.passes);
+        if self.passes > MOST_PASSES || self.passes + self.iterations == 0 {
+            return wrong("feedback.passes", "1 to 7, or 0 after Richardson-Lucy iterations", self.passes);
+        }
+        if self.iterations > MOST_ITERATIONS {
+            return wrong("feedback.iterations", "at most 100", self.iterations);
         }
         if self.window.is_multiple_of(2) {
             return wrong("feedback.window", "an odd side", self.window);

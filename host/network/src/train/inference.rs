@@ -1,6 +1,6 @@
 //! A network with a filter bank, for inference on the cores of this machine: in single precision, without burn's graph.
 
-use super::network::{DIFFERENCE, Network, values};
+use super::network::{DIFFERENCE, Network, logit, values};
 use super::normalise::DARK;
 use super::ops::fourier::Fourier;
 use super::ops::predicted::Linear;
@@ -47,20 +47,24 @@ impl Inference {
         Ok(Self { bank: StreamedBank::new(plan, filters), enhancement, predict: Predictor::of(config, tensors)? })
     }
 
-    /// The reconstruction, [object rows, object cols], of a normalised frame, [frame rows, frame cols].
+    /// The reconstruction, [object rows, object cols], of a normalised frame, [frame rows, frame cols]. `estimate` is
+    /// what the [`Estimator`](super::Estimator) of the network finds; empty for networks without.
     ///
     /// The result does not depend on the number of threads.
-    pub fn reconstruct(&self, frame: &[f32]) -> Vec<f32> {
+    pub fn reconstruct(&self, frame: &[f32], estimate: &[f32]) -> Vec<f32> {
         let mut seen = self.bank.apply(frame);
         let most = seen.par_iter().copied().reduce(|| f32::NEG_INFINITY, f32::max).max(DARK);
-        let (Some(predict), Some((first, later))) = (&self.predict, self.enhancement.split_first()) else {
+        let Some(predict) = &self.predict else {
             let mut out = self.enhancement[0].logits(seen, 1.0 / most);
             sigmoid(&mut out);
             return out;
         };
         seen.par_iter_mut().for_each(|v| *v /= most);
-        let mut logits = first.logits(seen.clone(), 1.0);
-        for enhancement in later {
+        let (mut logits, behind): (Vec<f32>, _) = match (self.enhancement.split_first(), estimate) {
+            (Some((first, later)), []) => (first.logits(seen.clone(), 1.0), later),
+            _ => (estimate.iter().copied().map(logit).collect(), &self.enhancement[..]),
+        };
+        for enhancement in behind {
             let mut x = logits.clone();
             sigmoid(&mut x);
             let mut input = difference(&seen, self.bank.apply(&predict.apply(&x)));
@@ -99,22 +103,40 @@ mod tests {
 
     #[test]
     fn passes_give_what_the_graph_gives() {
+        agrees([3, 0]);
+    }
+
+    #[test]
+    fn passes_behind_an_estimate_give_what_the_graph_gives() {
+        agrees([1, 4]);
+        agrees([2, 4]);
+    }
+
+    fn agrees([passes, iterations]: [usize; 2]) {
         let lenses = Lenses::of(&ommatidia_model::testing::square_array(3, [40, 40], [16, 16])).unwrap();
-        let config = lenses.with_feedback(Preset::Nano.network([40, 40], [16, 16]), 3, 1);
+        let config = lenses.with_feedback(Preset::Nano.network([40, 40], [16, 16]), [passes, iterations], 1);
         let mut tensors = weights::random(&config, 3);
         tensors.extend(lenses.feedback(config.feedback.as_ref().unwrap()));
-        let tails = tensors.iter_mut().filter(|(name, _)| name.starts_with("pass"));
+        let tails = tensors.iter_mut().filter(|(name, _)| name.starts_with("pass") || iterations > 0);
         tails.for_each(|(_, t)| t.iter_mut().enumerate().for_each(|(i, v)| *v += ((i * 7) % 5) as f32 / 50.0 - 0.04));
+        tensors.extend(lenses.feedback(config.feedback.as_ref().unwrap()));
         let frame: Vec<f32> = (0..1600).map(|i| ((i * 7919) % 1013) as f32 / 1013.0).collect();
+        let estimate: Vec<f32> = (0..256).map(|i| ((i * 31) % 64) as f32 / 63.0).collect();
+        let estimate = if iterations > 0 { estimate } else { Vec::new() };
         let plan = Arc::new(Fourier::new(config.fourier()));
         let graph = Network::new(&config, &plan, &tensors, Mode::Infer).unwrap();
-        let output = graph.forward(vec![NetworkInput::of(&config, &plan, &frame)]);
-        assert_eq!(output.before.len(), 2);
-        let (first, mut want) = (values(output.before[0].clone()), values(output.logits));
-        assert!(first.iter().zip(&want).any(|(a, b)| (a - b).abs() > 0.1), "later passes change something");
+        let input = NetworkInput::of(&config, &plan, &frame).with_estimate(estimate.clone());
+        let output = graph.forward(vec![input]);
+        assert_eq!(output.before.len(), passes - 1);
+        let mut want = values(output.logits);
+        let before = match output.before.into_iter().next() {
+            Some(first) => values(first),
+            None => estimate.iter().copied().map(logit).collect(),
+        };
+        assert!(before.iter().zip(&want).any(|(a, b)| (a - b).abs() > 0.1), "the last pass changes something");
         sigmoid(&mut want);
         let network = Inference::new(&config, &tensors).unwrap();
-        let got = network.reconstruct(&frame);
+        let got = network.reconstruct(&frame, &estimate);
         let worst = got.iter().zip(&want).fold(0.0f32, |m, (a, b)| m.max((a - b).abs()));
         assert!(worst < 1e-5, "{worst}");
     }

@@ -34,13 +34,20 @@ impl Lenses {
         Ok(Self { operator: Forward::new(instrument)?.operator().clone(), psf: instrument.psf.clone(), depth })
     }
 
-    /// `network` with `passes` passes in all, the later ones with predictions from at most `terms` terms of each lens.
-    pub fn with_feedback(&self, network: NetworkConfig, passes: usize, terms: usize) -> NetworkConfig {
+    /// `network` with `passes` passes in all, the first of them after `iterations` Richardson-Lucy iterations, with
+    /// predictions from at most `terms` terms of each lens.
+    pub fn with_feedback(
+        &self,
+        network: NetworkConfig,
+        [passes, iterations]: [usize; 2],
+        terms: usize,
+    ) -> NetworkConfig {
         let corners = self.operator.corners().into_iter().flatten().map(|c| c.map(|v| v as i32)).collect();
         let (_, rank, window, _) = self.psf.basis.dim();
         let nodes = [self.psf.node_rows_px.len(), self.psf.node_cols_px.len()];
-        let feedback = Feedback { passes: passes.saturating_sub(1), corners, terms: terms.min(rank), window, nodes };
-        NetworkConfig { feedback: (passes > 1).then_some(feedback), ..network }
+        let (passes, terms) = (passes.saturating_sub(1), terms.min(rank));
+        let feedback = Feedback { passes, iterations, corners, terms, window, nodes };
+        NetworkConfig { feedback: (passes + iterations > 0).then_some(feedback), ..network }
     }
 
     /// The calibrated tensors of a network with feedback: the strongest terms of each living lens. Predictions are

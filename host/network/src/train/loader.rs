@@ -1,7 +1,7 @@
 //! From training pairs to what one step of training uses.
 
 use super::ops::fourier::Fourier;
-use super::{Architecture, Lenses, NetworkConfig, NetworkInput, Task, TrainError, normalise};
+use super::{Architecture, Estimator, Lenses, NetworkConfig, NetworkInput, Task, TrainError, normalise};
 use ndarray::{Array2, ArrayView2};
 use ommatidia_model::metrics::Case;
 use ommatidia_physics::noise::{NoiseModel, draw_electrons};
@@ -40,19 +40,26 @@ pub struct Loader<'a> {
     peak_e: [f64; 2],
     seed: u64,
     lenses: Option<&'a Lenses>,
+    estimator: Option<&'a Estimator>,
 }
 
 impl<'a> Loader<'a> {
     /// Examples of the pairs of `task`, with brightest pixels between the two `peak_e`, electrons; `seed` draws noise
     /// and brightness.
     pub fn new(task: &'a Task<'a>, plan: &'a Fourier, peak_e: [f64; 2], seed: u64) -> Self {
-        Self { task, plan, peak_e, seed, lenses: None }
+        Self { task, plan, peak_e, seed, lenses: None, estimator: None }
     }
 
     /// The same examples with the targets of each lens, where the network is a CM2Net.
     #[must_use]
     pub fn with_lenses(self, lenses: Option<&'a Lenses>) -> Self {
         Self { lenses, ..self }
+    }
+
+    /// The same examples with what the network's estimator finds, where it has one.
+    #[must_use]
+    pub fn with_estimator(self, estimator: Option<&'a Estimator>) -> Self {
+        Self { estimator, ..self }
     }
 
     /// Shape of the network.
@@ -70,6 +77,10 @@ impl<'a> Loader<'a> {
             self.task.maps.correct(light_dn.view_mut());
             let frame = normalise(light_dn.as_slice().unwrap_or_default());
             let input = NetworkInput::of(self.network(), self.plan, &frame);
+            let input = match self.estimator {
+                Some(estimator) => input.with_estimate(estimator.estimate(light_dn.view())),
+                None => input,
+            };
             Ok(Example { input, views: self.views(pair, &target)?, target })
         };
         pairs.par_iter().enumerate().map(one).collect()

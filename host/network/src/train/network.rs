@@ -1,7 +1,7 @@
 //! The networks in single precision, on burn: a bank of filters followed by an RCAN, or CM2Net.
 
 use super::normalise::DARK;
-use super::ops::fourier::{Fourier, Spectrum};
+use super::ops::fourier::Fourier;
 use super::ops::predicted::{Linear, filter_predicted};
 use super::ops::{conv3x3, filter_bank, kernel_spectra};
 use super::weights::{self, FILTERS, KERNELS, LOG_K, PSFS, name};
@@ -98,17 +98,31 @@ impl Network {
             let x = self.crops(&frames);
             return self.join(x);
         }
-        let spectra = frames.into_iter().filter_map(|f| match f {
-            NetworkInput::Spectrum(s) => Some(s),
-            NetworkInput::Crops(_) => None,
-        });
+        let (mut spectra, mut estimates) = (Vec::new(), Vec::new());
+        for frame in frames {
+            if let NetworkInput::Spectrum { spectrum, estimate } = frame {
+                spectra.push(spectrum);
+                estimates.extend(estimate);
+            }
+        }
+        let batch = spectra.len();
         let [re, im] = self.bank.clone().unwrap_or_else(|| self.filters());
-        let spectra = Arc::new(spectra.collect::<Vec<Spectrum>>());
-        let seen = normalise(filter_bank(&self.plan, spectra, re.clone(), im.clone()));
-        let mut passes = vec![self.enhance(0, seen.clone())];
+        let seen = normalise(filter_bank(&self.plan, Arc::new(spectra), re.clone(), im.clone()));
+        let mut passes = match self.config.iterations() {
+            0 => vec![self.enhance(0, seen.clone())],
+            _ => Vec::new(),
+        };
+        let start = (!estimates.is_empty()).then(|| {
+            let [rows, cols] = self.config.object;
+            let logits = estimates.into_iter().map(logit).collect();
+            Tensor::from_data(TensorData::new(logits, [batch, 1, rows, cols]), &self.device)
+        });
         if let Some(predict) = &self.predict {
-            for pass in 1..self.config.passes() {
-                let last = passes[pass - 1].clone();
+            for pass in passes.len()..self.config.passes() {
+                let last: Tensor<4> = match passes.last().or(start.as_ref()) {
+                    Some(last) => last.clone(),
+                    None => unreachable!("a network without a first pass is given estimates"),
+                };
                 let x = sigmoid(last.clone());
                 let predicted = filter_predicted(&self.plan, predict, x.clone(), [re.clone(), im.clone()]);
                 let input = Tensor::cat(vec![difference(seen.clone(), predicted), x], 1);
@@ -141,7 +155,7 @@ impl Network {
             .iter()
             .flat_map(|f| match f {
                 NetworkInput::Crops(crops) => crops.as_slice(),
-                NetworkInput::Spectrum(_) => &[],
+                NetworkInput::Spectrum { .. } => &[],
             })
             .copied()
             .collect();
@@ -258,6 +272,12 @@ pub fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
         Ok(values) => values,
         Err(error) => unreachable!("every tensor here is f32: {error:?}"),
     }
+}
+
+/// The logit of an estimate between 0 and 1, at most 5.5 in magnitude: darker pixels are as good as dark.
+pub(super) fn logit(x: f32) -> f32 {
+    let x = x.clamp(1.0 / 256.0, 255.0 / 256.0);
+    (x / (1.0 - x)).ln()
 }
 
 /// Divides each image by the maximum over all its channels.

@@ -7,8 +7,13 @@ use rustfft::num_complex::Complex32;
 /// A normalised frame in the form that the first layer of a network takes.
 #[derive(Clone, Debug, PartialEq)]
 pub enum NetworkInput {
-    /// Spectrum of the padded frame, for a filter bank.
-    Spectrum(Spectrum),
+    /// For a filter bank.
+    Spectrum {
+        /// Spectrum of the padded frame.
+        spectrum: Spectrum,
+        /// What an [`Estimator`](super::Estimator) finds, [object rows * object cols]; empty for networks without.
+        estimate: Vec<f32>,
+    },
     /// Crops of the views of the living lenses, for a CM2Net, [lens, object rows, object cols]; 0 off the sensor.
     Crops(Vec<f32>),
 }
@@ -18,14 +23,23 @@ impl NetworkInput {
     pub fn of(network: &NetworkConfig, plan: &Fourier, x: &[f32]) -> Self {
         match &network.architecture {
             Architecture::Cm2Net { crops } => Self::Crops(cut(x, network, crops)),
-            _ => Self::Spectrum(plan.rfft2(x, network.frame)),
+            _ => Self::Spectrum { spectrum: plan.rfft2(x, network.frame), estimate: Vec::new() },
+        }
+    }
+
+    /// The same input with what an [`Estimator`](super::Estimator) found.
+    #[must_use]
+    pub fn with_estimate(self, found: Vec<f32>) -> Self {
+        match self {
+            Self::Spectrum { spectrum, .. } => Self::Spectrum { spectrum, estimate: found },
+            crops @ Self::Crops(_) => crops,
         }
     }
 
     /// The spectrum; empty for crops.
     pub fn spectrum(&self) -> &[Complex32] {
         match self {
-            Self::Spectrum(spectrum) => spectrum,
+            Self::Spectrum { spectrum, .. } => spectrum,
             Self::Crops(_) => &[],
         }
     }

@@ -60,6 +60,13 @@ impl Predictor {
     }
 }
 
+impl Predictor {
+    /// The operator from objects to frames.
+    pub fn into_operator(self) -> LowRankOperator {
+        self.operator
+    }
+}
+
 impl Linear for Predictor {
     fn apply(&self, object: &[f32]) -> Vec<f32> {
         let [rows, cols] = self.operator.object_shape();
@@ -87,7 +94,7 @@ mod tests {
     fn predictions_are_those_of_the_instrument() {
         let instrument = ommatidia_model::testing::instrument([10, 12], [30, 34], 5, 3);
         let lenses = Lenses::of(&instrument).unwrap();
-        let network = lenses.with_feedback(Preset::Nano.network([30, 34], [10, 12]), 2, 99);
+        let network = lenses.with_feedback(Preset::Nano.network([30, 34], [10, 12]), [2, 0], 99);
         assert_eq!((network.passes(), network.feedback.as_ref().unwrap().terms), (2, 3));
         let tensors = lenses.feedback(network.feedback.as_ref().unwrap());
         let predictor = Predictor::of(&network, &tensors).unwrap().unwrap();
@@ -103,7 +110,7 @@ mod tests {
     fn tensors_that_do_not_fit_are_refused_by_name() {
         let instrument = ommatidia_model::testing::instrument([10, 12], [30, 34], 5, 3);
         let lenses = Lenses::of(&instrument).unwrap();
-        let network = lenses.with_feedback(Preset::Nano.network([30, 34], [10, 12]), 2, 2);
+        let network = lenses.with_feedback(Preset::Nano.network([30, 34], [10, 12]), [2, 0], 2);
         let good = lenses.feedback(network.feedback.as_ref().unwrap());
         let refused = |change: &dyn Fn(&mut Tensors)| {
             let mut tensors = good.clone();

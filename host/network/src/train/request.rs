@@ -1,6 +1,6 @@
 //! From what a user asks for to the shape of a network and the settings of its training.
 
-use super::{Architecture, ArchitectureName, Lenses, NetworkConfig, Preset, Start, TrainConfig, TrainError};
+use super::{Architecture, ArchitectureName, Lenses, Loss, NetworkConfig, Preset, Start, TrainConfig, TrainError};
 
 /// Terms of each lens that predict frames between passes.
 const TERMS: usize = 4;
@@ -16,6 +16,8 @@ pub struct TrainRequest {
     pub filters: Option<usize>,
     /// Number of passes.
     pub passes: Option<usize>,
+    /// Number of Richardson-Lucy iterations ahead of the first pass.
+    pub iterations: usize,
     /// Number of steps; warm-up and validations follow it.
     pub steps: Option<u64>,
     /// Number of pairs in a step.
@@ -26,6 +28,8 @@ pub struct TrainRequest {
     pub filter_learning_rate: Option<f64>,
     /// Filters before the first step.
     pub start: Option<Start>,
+    /// What training makes small.
+    pub loss: Option<Loss>,
     /// Number of validations without a higher SSIM after which the run ends early.
     pub patience: Option<u64>,
     /// Whether the run starts from trained weights: learning rates are lower then, and no start is computed.
@@ -48,17 +52,25 @@ impl TrainRequest {
         let preset = self.preset.network(frame, object);
         let network = NetworkConfig { channels: self.filters.unwrap_or(preset.channels), ..preset };
         let passes = self.passes.unwrap_or(1);
-        if passes > 1 && self.architecture != ArchitectureName::SvFourierNet {
-            let (expected, found) = ("1 for this network".into(), passes.to_string());
-            return Err(TrainError::Config { field: "--passes", expected, found });
+        if self.architecture != ArchitectureName::SvFourierNet {
+            let wrong = |field, expected: &str, found: usize| {
+                Err(TrainError::Config { field, expected: expected.into(), found: found.to_string() })
+            };
+            if passes > 1 {
+                return wrong("--passes", "1 for this network", passes);
+            }
+            if self.iterations > 0 {
+                return wrong("--richardson-lucy", "0 for this network", self.iterations);
+            }
         }
         Ok(match self.architecture {
-            ArchitectureName::SvFourierNet => match (passes, lenses) {
-                (0 | 1, _) => network,
-                (passes, Some(lenses)) => lenses.with_feedback(network, passes, TERMS),
-                (_, None) => {
+            ArchitectureName::SvFourierNet => match (passes, self.iterations, lenses) {
+                (0 | 1, 0, _) => network,
+                (passes, iterations, Some(lenses)) => lenses.with_feedback(network, [passes, iterations], TERMS),
+                (passes, _, None) => {
+                    let field = if passes > 1 { "--passes" } else { "--richardson-lucy" };
                     let expected = "--instrument FILE, whose PSFs predict frames".into();
-                    return Err(TrainError::Config { field: "--passes", expected, found: "none".into() });
+                    return Err(TrainError::Config { field, expected, found: "none".into() });
                 }
             },
             ArchitectureName::MultiWienerNet => NetworkConfig { architecture: Architecture::MultiWienerNet, ..network },
@@ -91,6 +103,7 @@ impl TrainRequest {
             learning_rate: self.learning_rate.unwrap_or(training.learning_rate),
             filter_learning_rate: self.filter_learning_rate.unwrap_or(training.filter_learning_rate),
             start: self.start.unwrap_or(training.start),
+            loss: self.loss.unwrap_or(training.loss),
             patience: self.patience.unwrap_or(training.patience),
             ..training
         }
@@ -120,6 +133,16 @@ mod tests {
         let preset = Preset::Nano.training(1e4, 0);
         assert_eq!(training.learning_rate, 1.0);
         assert_eq!(training.filter_learning_rate, FINE_TUNE_RATE * preset.filter_learning_rate);
+    }
+
+    #[test]
+    fn estimates_need_lenses_and_filters() {
+        let request = TrainRequest { iterations: 5, ..TrainRequest::default() };
+        let error = request.network([40, 40], [16, 16], None).unwrap_err().to_string();
+        assert!(error.contains("--richardson-lucy") && error.contains("--instrument"), "{error}");
+        let request = TrainRequest { architecture: ArchitectureName::MultiWienerNet, ..request };
+        let error = request.network([40, 40], [16, 16], None).unwrap_err().to_string();
+        assert!(error.contains("--richardson-lucy: expected 0"), "{error}");
     }
 
     #[test]

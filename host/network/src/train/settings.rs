@@ -1,6 +1,6 @@
 //! Settings of a training run, and the presets.
 
-use super::{Architecture, ArchitectureName, NetworkConfig, TrainError};
+use super::{Architecture, ArchitectureName, Loss, NetworkConfig, TrainError};
 use serde::{Deserialize, Serialize};
 
 /// Learning rates of fine-tuning relative to those of the first training. Fine-tuning starts near good weights.
@@ -55,6 +55,9 @@ pub struct TrainConfig {
     pub patience: u64,
     /// Filters before the first step.
     pub start: Start,
+    /// What training makes small.
+    #[serde(default)]
+    pub loss: Loss,
     /// Seed of all random numbers.
     pub seed: u64,
 }
@@ -114,8 +117,11 @@ impl TrainConfig {
         let numbers = |c: &Self| {
             [c.learning_rate, c.filter_learning_rate, c.final_rate, c.clip, c.peak_e[0], c.peak_e[1], c.held_out]
         };
-        let counts = |c: &Self| (c.batch, c.warmup, c.validate_every, c.validation_pairs, c.patience, c.start, c.seed);
-        counts(self) == counts(other) && numbers(self).into_iter().zip(numbers(other)).all(|(a, b)| same(a, b))
+        let counts = |c: &Self| (c.batch, c.warmup, c.validate_every, c.validation_pairs, c.patience, c.seed);
+        let kinds = |c: &Self| (c.start, c.loss);
+        counts(self) == counts(other)
+            && kinds(self) == kinds(other)
+            && numbers(self).into_iter().zip(numbers(other)).all(|(a, b)| same(a, b))
     }
 
     /// Learning rate at `step` (from 0) relative to the highest: linear warm-up, then half a cosine down to
@@ -217,6 +223,7 @@ impl Preset {
             Self::Lite => (40_000, 2e-3, 2e-4, Start::Random),
             Self::Paper => (60_000, 5e-5, 5e-5, Start::Random),
         };
+        let loss = if self == Self::Paper { Loss::BceMse } else { Loss::BceMseNrmse };
         TrainConfig {
             steps,
             batch,
@@ -231,6 +238,7 @@ impl Preset {
             validation_pairs: 16,
             patience: 0,
             start,
+            loss,
             seed,
         }
     }

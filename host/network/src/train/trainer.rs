@@ -1,14 +1,14 @@
 //! The training loop: simulate examples, forward, backward, step; validate and write a checkpoint at intervals.
 
+mod reuse;
 mod start;
 
 use super::adam::Group;
 use super::checkpoint::{Checkpoint, CurvePoint};
 use super::loader::{Draw, Example, Loader};
-use super::loss::bce_mse;
 use super::network::{Network, NetworkOutput, values};
 use super::ops::fourier::Fourier;
-use super::{Backend, Lenses, Mode, NetworkInput, Task, TrainConfig, TrainError};
+use super::{Backend, Estimator, Lenses, Mode, NetworkInput, Task, TrainConfig, TrainError};
 use burn::tensor::activation::sigmoid;
 use burn::tensor::{Tensor, TensorData};
 use ndarray::ArrayView2;
@@ -16,6 +16,7 @@ use ommatidia_model::metrics::{compare, scaled};
 use ommatidia_session::artifact::{Provenance, Tensors};
 use ommatidia_session::rng;
 use rand::seq::SliceRandom;
+use reuse::Reuse;
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
@@ -63,6 +64,7 @@ pub enum Next {
 pub struct Trainer<'a> {
     task: Task<'a>,
     lenses: Option<&'a Lenses>,
+    estimator: Option<Estimator>,
     backend: Backend,
     plan: Arc<Fourier>,
     train: Vec<usize>,
@@ -70,15 +72,9 @@ pub struct Trainer<'a> {
     state: Checkpoint,
     /// Whether a checkpoint of this run is on disk.
     kept: bool,
-    /// Examples of the next step, simulated during the step before it.
-    prepared: Option<Prepared>,
+    /// Examples for later steps by the number of their draw; see [`Reuse`].
+    prepared: BTreeMap<u64, Vec<Example>>,
     recent: RecentLoss,
-}
-
-/// Examples that were simulated ahead of their step.
-struct Prepared {
-    step: u64,
-    examples: Vec<Example>,
 }
 
 /// Losses of the steps since the last validation.
@@ -97,7 +93,9 @@ struct Descent {
 impl<'a> Trainer<'a> {
     fn loader(&self) -> Loader<'_> {
         let TrainConfig { peak_e, seed, .. } = self.state.body.training;
-        Loader::new(&self.task, &self.plan, peak_e, seed).with_lenses(self.lenses)
+        Loader::new(&self.task, &self.plan, peak_e, seed)
+            .with_lenses(self.lenses)
+            .with_estimator(self.estimator.as_ref())
     }
 
     /// The same run, computed on `backend`.
@@ -188,18 +186,23 @@ impl<'a> Trainer<'a> {
     pub fn step(&mut self) -> Result<f64, TrainError> {
         let step = self.state.body.step;
         let training = self.state.body.training.clone();
-        let examples = match self.prepared.take() {
-            Some(prepared) if prepared.step == step => prepared.examples,
-            _ => self.simulate(step)?,
+        let reuse = Reuse::of(&self.task.network);
+        let draw = reuse.draw(step);
+        let examples = match self.prepared.get(&draw) {
+            Some(examples) => examples.clone(),
+            None => self.simulate(draw)?,
         };
-        // A step of a small network does not use all cores; the next examples are simulated on the rest.
-        let (descent, next) = rayon::join(
-            || self.descent(examples),
-            || if step + 1 < training.steps { self.simulate(step + 1).ok() } else { None },
-        );
+        // A step of a small network does not use all cores; examples of later steps are simulated on the rest.
+        let later = reuse.ahead(step).filter(|later| *later <= reuse.draw(training.steps - 1));
+        let again = (reuse.times > 1).then(|| examples.clone());
+        let (descent, next) =
+            rayon::join(|| self.descent(examples), || later.and_then(|draw| Some((draw, self.simulate(draw).ok()?))));
         let Descent { loss, mut gradients } = descent?;
         // Examples that failed are simulated again, and reported, in the step that needs them.
-        self.prepared = next.map(|examples| Prepared { step: step + 1, examples });
+        self.prepared.extend(again.map(|examples| (draw, examples)));
+        self.prepared.extend(next);
+        let kept = reuse.kept(step + 1);
+        self.prepared.retain(|draw, _| kept.contains(draw));
         if !loss.is_finite() || gradients.values().flatten().any(|g| !g.is_finite()) {
             return Err(TrainError::Diverged { step, loss });
         }
@@ -217,9 +220,9 @@ impl<'a> Trainer<'a> {
         Ok(f64::from(loss))
     }
 
-    /// Simulates the examples of a step.
-    fn simulate(&self, step: u64) -> Result<Vec<Example>, TrainError> {
-        self.loader().examples(&self.batch(step), Draw { name: "train", index: step })
+    /// Simulates the examples of draw `index`.
+    fn simulate(&self, index: u64) -> Result<Vec<Example>, TrainError> {
+        self.loader().examples(&self.batch(index), Draw { name: "train", index })
     }
 
     /// The loss of a batch and its gradients.
@@ -239,12 +242,12 @@ impl<'a> Trainer<'a> {
         }
     }
 
-    /// Indices of the pairs of a step. Each epoch has its own order, which follows from the seed and the number of the
+    /// Indices of the pairs of a draw of examples. Each epoch has its own order, which follows from the seed and the number of the
     /// epoch, so that a resumed run takes the same pairs.
-    fn batch(&self, step: u64) -> Vec<usize> {
+    fn batch(&self, draw: u64) -> Vec<usize> {
         let TrainConfig { batch, seed, .. } = self.state.body.training;
         let n = self.train.len() as u64;
-        let first = step * batch as u64;
+        let first = draw * batch as u64;
         let mut order = (u64::MAX, Vec::new());
         (first..first + batch as u64)
             .map(|i| {
@@ -263,7 +266,7 @@ impl<'a> Trainer<'a> {
         let device = self.backend.device(mode);
         let loss_against = |logits: Tensor<4>, targets: Vec<f32>| {
             let shape = logits.dims();
-            bce_mse(logits, Tensor::from_data(TensorData::new(targets, shape), &device))
+            self.state.body.training.loss.of(logits, Tensor::from_data(TensorData::new(targets, shape), &device))
         };
         let mut loss = loss_against(output.logits, targets.objects.clone());
         for logits in output.before {

@@ -161,6 +161,7 @@ pub fn count(config: &NetworkConfig) -> usize {
 /// variance 2 / fan-in (K. He et al., arXiv:1502.01852, Eq. 10), biases 0, regularisations 0.001.
 pub fn random(config: &NetworkConfig, seed: u64) -> Tensors {
     let mut tensors = Tensors::new();
+    let begins = |name: &str| name.starts_with("pass") || config.iterations() > 0;
     for (i, (name, shape)) in shapes(config).into_iter().enumerate() {
         let mut rng = rng::stream(seed, "weights", i as u64);
         let n = shape.iter().product();
@@ -168,8 +169,8 @@ pub fn random(config: &NetworkConfig, seed: u64) -> Tensors {
             (0..n).map(|_| 1e-3 * rng.random::<f32>()).collect()
         } else if name == LOG_K {
             vec![1e-3f32.ln(); n]
-        } else if name.starts_with("pass") && name.ends_with(&format!("{}.weight", name::TAIL)) {
-            // A later pass changes nothing before it has learned what to change.
+        } else if begins(&name) && name.ends_with(&format!("{}.weight", name::TAIL)) {
+            // A pass behind another or behind an estimate changes nothing before it has learned what to change.
             vec![0.0; n]
         } else if name.ends_with(".weight") {
             let deviation = (2.0 / shape[1..].iter().product::<usize>() as f32).sqrt();

@@ -12,10 +12,13 @@ use serde_json::json;
 use std::fmt::Write;
 use std::path::PathBuf;
 
-/// Default variants: number of filters, start of the filters, domain in which filters are learned, other networks.
-const VARIANTS: [(&str, &str); 11] = [
+/// Default variants: loss, passes, number of filters, start of the filters, domain in which they are learned, other
+/// networks.
+const VARIANTS: [(&str, &str); 13] = [
     ("svfouriernet", ""),
+    ("the published loss", "--loss bce-mse"),
     ("two passes", "--passes 2"),
+    ("Richardson-Lucy first", "--richardson-lucy 20"),
     ("one filter", "--filters 1"),
     ("three filters", "--filters 3"),
     ("nine filters", "--filters 9"),

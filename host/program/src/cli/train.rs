@@ -7,8 +7,8 @@ use ommatidia_model::dataset::{DataSet, PLAN_FILE};
 use ommatidia_model::instrument::Instrument;
 use ommatidia_network::quantize::{ChosenMask, MaskSource, QuantizeConfig, training_mask};
 use ommatidia_network::train::{
-    ArchitectureName, Backend, Body, Checkpoint, Lenses, Next, PairSource, Preset, Simulated, Start, Task, TrainConfig,
-    TrainRequest, Trainer, weights,
+    ArchitectureName, Backend, Body, Checkpoint, Lenses, Loss, Next, PairSource, Preset, Simulated, Start, Task,
+    TrainConfig, TrainRequest, Trainer, weights,
 };
 use ommatidia_physics::noise::NoiseModel;
 use ommatidia_physics::sensor::SensorMaps;
@@ -39,6 +39,10 @@ pub struct Args {
     /// and corrects what differs from the frame. More than one pass needs the instrument
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=8))]
     passes: u8,
+    /// Number of accelerated Richardson-Lucy iterations with the calibrated PSFs ahead of the first pass, which then
+    /// corrects what they find. More than 0 needs the instrument
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..=100))]
+    richardson_lucy: u8,
     /// Number of steps of the optimiser [default: the preset's]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     steps: Option<u64>,
@@ -58,6 +62,9 @@ pub struct Args {
     /// Filters before the first step [default: the preset's; psf for multiwienernet and multiflatnet]
     #[arg(long, value_enum)]
     start: Option<Start>,
+    /// What training makes small [default: the preset's]
+    #[arg(long, value_enum)]
+    loss: Option<Loss>,
     /// Number of validations without a higher SSIM after which the run ends early [default: never]
     #[arg(long, value_name = "N")]
     patience: Option<u64>,
@@ -257,11 +264,13 @@ fn request(args: &Args, run: &Run) -> anyhow::Result<TrainRequest> {
         architecture: args.network,
         filters: args.filters,
         passes: Some(args.passes.into()),
+        iterations: args.richardson_lucy.into(),
         steps,
         batch: args.batch,
         learning_rate: args.learning_rate,
         filter_learning_rate: args.filter_learning_rate,
         start: args.start,
+        loss: args.loss,
         patience: args.patience,
         fine_tuning: args.from.is_some(),
         seed: run.seed,

@@ -41,8 +41,10 @@ pub fn receptive_fields(
     );
     ensure!(
         config.feedback.is_none(),
-        "passes: expected a network of one pass, found {}; the field of more passes is not computed",
-        config.passes()
+        "expected a network of one pass without Richardson-Lucy iterations, found {} passes and {} iterations; their \
+         receptive fields are not computed",
+        config.passes(),
+        config.iterations()
     );
     ensure!(!frames.is_empty(), "expected frames to average over, found none");
     let [rows, cols] = config.object.map(|n| n as i64);

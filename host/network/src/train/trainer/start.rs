@@ -6,11 +6,12 @@ use crate::train::checkpoint::Checkpoint;
 use crate::train::ops::fourier::Fourier;
 use crate::train::settings::same;
 use crate::train::{
-    Architecture, Backend, FilterMask, Lenses, Start, Task, TrainConfig, TrainError, regression, weights,
+    Architecture, Backend, Estimator, FilterMask, Lenses, Start, Task, TrainConfig, TrainError, regression, weights,
 };
 use ommatidia_physics::noise::NoiseModel;
 use ommatidia_session::rng;
 use rand::seq::SliceRandom;
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
@@ -214,16 +215,18 @@ impl<'a> Trainer<'a> {
         let kept = ((count as f64 * training.held_out).round() as usize).clamp(1, count - 1);
         let mut held_out = pairs.split_off(count - kept);
         held_out.truncate(training.validation_pairs.max(1));
+        let estimator = Estimator::of(&task.network, &state.current, &task.noise)?;
         Ok(Self {
             task,
             lenses,
+            estimator,
             backend: Backend::Cpu,
             plan,
             train: pairs,
             held_out,
             state,
             kept: false,
-            prepared: None,
+            prepared: BTreeMap::new(),
             recent: RecentLoss::default(),
         })
     }

@@ -42,7 +42,13 @@ fn gradients_of_peers_are_the_slopes_of_their_losses() {
 /// As above through a second pass: the gradients of its own layers, and those of the first pass through predictions.
 #[test]
 fn gradients_of_two_passes_are_the_slopes_of_their_loss() {
-    slopes_agree(lenses().with_feedback(task(&Vec::new()).network, 2, 1), Start::Regression);
+    slopes_agree(lenses().with_feedback(task(&Vec::new()).network, [2, 0], 1), Start::Regression);
+}
+
+/// As above behind an estimate.
+#[test]
+fn gradients_behind_an_estimate_are_the_slopes_of_their_loss() {
+    slopes_agree(lenses().with_feedback(task(&Vec::new()).network, [2, 3], 1), Start::Regression);
 }
 
 fn lenses() -> Lenses {
@@ -54,7 +60,10 @@ fn slopes_agree(network: NetworkConfig, start: Start) {
     let task = Task { network, ..task(&pairs) };
     let mut run = Trainer::with_lenses(task, training(1, start), Some(&lenses)).unwrap();
     // A pass begins with zeros behind which nothing has a slope.
-    let tails = run.state.current.iter_mut().filter(|(name, _)| name.starts_with("pass"));
+    let estimates = run.estimator.is_some();
+    let tails = run.state.current.iter_mut().filter(|(name, _)| {
+        name.starts_with("pass") || (estimates && !weights::is_filter(name) && !weights::is_calibrated(name))
+    });
     tails.for_each(|(_, t)| t.iter_mut().enumerate().for_each(|(i, v)| *v += ((i * 7) % 5) as f32 / 50.0 - 0.04));
     let run = run;
     let examples = run.loader().examples(&[0, 1], Draw { name: "train", index: 0 }).unwrap();
@@ -105,7 +114,7 @@ fn peers_learn_and_resume_with_the_same_bits() {
     let folder = tempfile::tempdir().unwrap();
     let plain = task(&pairs).network;
     let wiener = NetworkConfig { architecture: Architecture::MultiWienerNet, ..plain.clone() };
-    let passes = lenses.with_feedback(plain.clone(), 2, 1);
+    let passes = lenses.with_feedback(plain.clone(), [2, 0], 1);
     let all = [(wiener, Start::Psf), (lenses.cm2net(plain), Start::Random), (passes, Start::Psf)];
     for (network, start) in all {
         let task = || Task { network: network.clone(), ..task(&pairs) };
@@ -138,6 +147,26 @@ fn a_run_that_gets_no_better_ends_early() {
     run.run(&path, &Provenance::default(), |_| Next::Continue).unwrap();
     let body = &run.checkpoint().body;
     assert!(body.step == 9 && body.best_step == 3 && run.is_done(), "{body:?}");
+}
+
+/// Examples with estimates are used again: a run that stops and goes on takes the same ones.
+#[test]
+fn a_run_with_estimates_that_was_stopped_ends_in_the_same_bits() {
+    let (pairs, lenses) = (foci(12, 40, 16, 10), lenses());
+    let folder = tempfile::tempdir().unwrap();
+    let [whole, halved] = ["whole", "halved"].map(|name| folder.path().join(name));
+    let network = lenses.with_feedback(task(&pairs).network, [1, 5], 1);
+    let task = || Task { network: network.clone(), ..task(&pairs) };
+    let training = TrainConfig { validate_every: 10, ..training(80, Start::Psf) };
+    let mut run = Trainer::with_lenses(task(), training.clone(), Some(&lenses)).unwrap();
+    run.run(&whole, &Provenance::default(), |_| Next::Continue).unwrap();
+    let curve = &run.checkpoint().body.curve;
+    assert!(curve[7].validation_loss < curve[0].validation_loss, "{curve:?}");
+    let mut run = Trainer::with_lenses(task(), training.clone(), Some(&lenses)).unwrap();
+    run.run(&halved, &Provenance::default(), |p| if p.step == 63 { Next::Stop } else { Next::Continue }).unwrap();
+    let mut run = Trainer::resume_with_lenses(task(), training, Some(&lenses), &halved).unwrap();
+    run.run(&halved, &Provenance::default(), |_| Next::Continue).unwrap();
+    assert!(std::fs::read(whole).unwrap() == std::fs::read(halved).unwrap());
 }
 
 #[test]
