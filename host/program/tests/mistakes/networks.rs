@@ -23,10 +23,19 @@ fn passes_and_arenas_that_cannot_be() {
                 "train pairs -o new --passes 2 --network multiwienernet --instrument instrument --steps 2",
             )
             .says(&["--passes", "1 for this network"]),
+            Mistake::new("Richardson-Lucy iterations, and no PSFs for them", {
+                "train pairs -o new --richardson-lucy 20 --steps 2"
+            })
+            .says(&["--richardson-lucy", "--instrument"]),
+            Mistake::new(
+                "Richardson-Lucy iterations before another architecture",
+                "train pairs -o new --richardson-lucy 20 --network multiwienernet --instrument instrument --steps 2",
+            )
+            .says(&["--richardson-lucy", "0 for this network"]),
             Mistake::new("A network of two passes for a device", "quantize two -o two.omm").with(two_passes).says(&[
                 "passes",
                 "host only",
-                "--passes 1",
+                "without --passes",
             ]),
             Mistake::new("Receptive fields of two passes", "erf two --instrument instrument -o new")
                 .with(two_passes)
