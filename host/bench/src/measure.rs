@@ -8,7 +8,8 @@ use ommatidia_session::{Existing, MANIFEST, Role, SessionWriter};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Whether a file of this name belongs to a session of the virtual instrument: nothing else may be lost with its folder.
+/// Whether a file of this name belongs to a session of the virtual instrument: nothing else may be lost with its
+/// folder.
 pub fn virtual_session(name: &str) -> bool {
     let of_stack = |name: &str| ["dark", "flat", "bead", "scene"].iter().any(|role| name.starts_with(role));
     let (_, suffix) = name.rsplit_once('.').unwrap_or(("", ""));

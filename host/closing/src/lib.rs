@@ -70,7 +70,7 @@ pub mod study;
 
 pub use account::{
     Account, Closed, Closing, Control, Effect, Filed, Nearest, Rejected, Retrain, RetrainRequest, Retrained,
-    TruthRegistration, Value, Verdict,
+    SpecimenMaps, TruthRegistration, Value, Verdict,
 };
 pub use close::{check_layout, close, residual};
 pub use data::{Budget, Fault, FaultKind, Observations};

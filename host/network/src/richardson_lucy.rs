@@ -8,6 +8,7 @@
 use ndarray::{Array2, ArrayView2, Zip};
 use ommatidia_model::psf::{LowRankOperator, OperatorError};
 use ommatidia_physics::noise::NoiseModel;
+use std::sync::Arc;
 
 /// Smallest background, DN: it keeps quotients finite on a sensor without read noise.
 const LEAST_BACKGROUND_DN: f32 = 1e-3;
@@ -15,7 +16,7 @@ const LEAST_BACKGROUND_DN: f32 = 1e-3;
 /// The iterations for one model and one sensor.
 #[derive(Clone, Debug)]
 pub struct RichardsonLucy {
-    operator: LowRankOperator,
+    operator: Arc<LowRankOperator>,
     /// A'1: light that the sensor receives from each object pixel, DN per unit.
     sensitivity: Array2<f32>,
     background_dn: f32,
@@ -26,7 +27,8 @@ impl RichardsonLucy {
     ///
     /// # Errors
     /// None that a planned operator can cause.
-    pub fn new(operator: LowRankOperator, noise: &NoiseModel) -> Result<Self, OperatorError> {
+    pub fn new(operator: impl Into<Arc<LowRankOperator>>, noise: &NoiseModel) -> Result<Self, OperatorError> {
+        let operator = operator.into();
         let sensitivity = operator.adjoint(Array2::ones(operator.sensor_shape()).view())?;
         // A variable of variance gain * signal + (gain * read noise)^2 is, up to the gain, Poisson distributed with
         // mean signal + gain * read noise^2.

@@ -1,4 +1,5 @@
-//! Recordings as laboratories have them: a Miniscope folder with gaps, a torn frame and a short file, and numbered TIFFs.
+//! Recordings as laboratories have them: a Miniscope folder with gaps, a torn frame and a short file, and numbered
+//! TIFFs.
 #![allow(clippy::unwrap_used)]
 
 use ndarray::Array2;

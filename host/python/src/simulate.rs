@@ -25,7 +25,7 @@ type Pair<'py> = (Bound<'py, PyAny>, Bound<'py, PyAny>);
 /// Plans training pairs of an instrument: the pairs that `simulate` writes, with the same numbers.
 #[pyfunction]
 #[pyo3(signature = (instrument, count, *, specimens = Vec::new(), images = None, video_frames = 1, peak_e = None,
-                    noise = false, seed = 1))]
+                    vary = Vec::new(), noise = false, seed = 1))]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments of Python")]
 pub fn simulate(
     py: Python<'_>,
@@ -35,6 +35,7 @@ pub fn simulate(
     images: Option<PathBuf>,
     video_frames: usize,
     peak_e: Option<[f64; 2]>,
+    vary: Vec<String>,
     noise: bool,
     seed: u64,
 ) -> PyResult<PySimulation> {
@@ -47,7 +48,9 @@ pub fn simulate(
     let chosen = chosen.collect::<PyResult<Vec<_>>>()?;
     let specimens = if chosen.is_empty() && images.is_none() { Specimen::for_training() } else { chosen };
     let scenes = SceneConfig { specimens, images, video_frames, ..SceneConfig::default() };
-    let config = SimulateConfig { count, scenes, peak_e, ..SimulateConfig::default() };
+    let effect = |text: &String| text.parse().map_err(|why| raised(anyhow::anyhow!("vary: {text}: {why}")));
+    let vary = vary.iter().map(effect).collect::<PyResult<_>>()?;
+    let config = SimulateConfig { count, scenes, peak_e, vary, ..SimulateConfig::default() };
     let scratch = tempfile::tempdir().map_err(raised)?;
     let file = instrument.filed(scratch.path()).map_err(raised)?;
     let simulation = work::short(py, || Ok(config.build(&Instrument::read(&file)?, &file, seed)?))?;

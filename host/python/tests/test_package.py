@@ -210,6 +210,10 @@ def test_simulated_pairs_are_numbered_and_repeat(instrument, lab):
     assert abs(light.sum() / frame.sum() - 1) < 0.05
     with pytest.raises(OmmatidiaError, match="specimen: expected one of"):
         ommatidia.simulate(instrument, 5, specimens=["cats"])
+    with pytest.raises(OmmatidiaError, match="vary: glare=1"):
+        ommatidia.simulate(instrument, 5, vary=["glare=1"])
+    hazy = ommatidia.simulate(instrument, 5, specimens=["cells"], seed=3, vary=["background=50"])
+    assert 0 < sum(bool((a[0] != b[0]).any()) for a, b in zip(pairs, hazy)) < 5
     with pytest.raises(IndexError):
         pairs[5]
 

@@ -1,6 +1,6 @@
 //! The account as an artifact of kind `closing`.
 
-use super::result::{Account, Closing};
+use super::result::{Account, Closing, SpecimenMaps};
 use ndarray::{Array3, Ix3};
 use ommatidia_session::artifact::{self, ArtifactError, Header, Provenance, Tensors};
 use serde::{Deserialize, Serialize};
@@ -10,6 +10,9 @@ use std::path::Path;
 pub const KIND: &str = "closing";
 /// Version of its layout.
 pub const VERSION: u32 = 1;
+
+/// Tensors of the specimens before and after.
+const SPECIMENS: [&str; 2] = ["specimen_before", "specimen_after"];
 
 #[derive(Serialize, Deserialize)]
 struct Body {
@@ -27,6 +30,11 @@ impl Account {
         for (name, t) in [("measured_dn", &self.measured_dn), ("before", &self.before), ("after", &self.after)] {
             tensors.insert(name.into(), t.clone().into_dyn());
         }
+        if let Some(SpecimenMaps { before, after }) = &self.specimens {
+            for (name, t) in SPECIMENS.into_iter().zip([before, after]) {
+                tensors.insert(name.into(), t.clone().into_dyn());
+            }
+        }
         let body = Body { closing: self.closing.clone(), frames: self.frames.clone() };
         artifact::write(path, &Header { kind: KIND.into(), version: VERSION, provenance, body }, &tensors)
     }
@@ -34,16 +42,23 @@ impl Account {
     /// Reads the artifact.
     ///
     /// # Errors
-    /// The file is missing or of another kind, or a residual map is missing or has the wrong shape.
+    /// The file is missing or of another kind, or a map is missing or has the wrong shape.
     pub fn read(path: &Path) -> Result<Self, ArtifactError> {
         let (header, mut tensors) = artifact::read::<Body>(path, KIND, VERSION)?;
         let shape = [Some(header.body.frames.len()), None, None];
+        let there = SPECIMENS.iter().any(|name| tensors.contains_key(*name));
         let mut take = |name: &str| -> Result<Array3<f32>, ArtifactError> {
             let tensor = artifact::take(path, &mut tensors, name, &shape)?;
             let format = |e: ndarray::ShapeError| ArtifactError::Format { path: path.into(), detail: e.to_string() };
             tensor.into_dimensionality::<Ix3>().map_err(format)
         };
         let (measured_dn, before, after) = (take("measured_dn")?, take("before")?, take("after")?);
-        Ok(Self { closing: header.body.closing, frames: header.body.frames, measured_dn, before, after })
+        // Accounts of sessions with known objects, and those that were written before there were any, have none.
+        let [first, second] = SPECIMENS;
+        let specimens = match there {
+            true => Some(SpecimenMaps { before: take(first)?, after: take(second)? }),
+            false => None,
+        };
+        Ok(Self { closing: header.body.closing, frames: header.body.frames, measured_dn, before, after, specimens })
     }
 }

@@ -18,6 +18,8 @@ pub(crate) use describe::{Accepted, Findings, effects, fault, rejected};
 pub use file::{KIND, VERSION};
 pub(crate) use pictures::pictured;
 pub(crate) use registration::{registration_notes, registrations, unstated_notes};
-pub use result::{Account, Closed, Closing, Effect, Nearest, Rejected, TruthRegistration, Value, Verdict};
+pub use result::{
+    Account, Closed, Closing, Effect, Nearest, Rejected, SpecimenMaps, TruthRegistration, Value, Verdict,
+};
 pub use retrain::{Control, Filed, Retrain, RetrainRequest, Retrained};
 pub(crate) use verdict::{Excess, claims_a_cause, harmful, imitated, shadowed, unearned};

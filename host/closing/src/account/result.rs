@@ -206,6 +206,22 @@ pub struct Account {
     pub before: Array3<f32>,
     /// Residual after, likewise.
     pub after: Array3<f32>,
+    /// The specimens of the frames of the maps; None where no specimen was estimated.
+    pub specimens: Option<SpecimenMaps>,
+}
+
+/// Specimens that were estimated from frames whose objects nobody knows, each from its own frame with the PSFs of all
+/// lenses: [frames, object rows, object cols], >= 0, in one unit of light before and after; NaN for frames whose objects
+/// are known.
+///
+/// They are estimates with a model, not truths: what a change of the specimen imitates, such as a displacement common to
+/// all lenses, is in them.
+#[derive(Clone, Debug)]
+pub struct SpecimenMaps {
+    /// With the instrument as it was.
+    pub before: Array3<f32>,
+    /// With the effects that were added.
+    pub after: Array3<f32>,
 }
 
 /// A closed instrument with its account.

@@ -29,9 +29,10 @@ pub(crate) struct Excess {
 }
 
 impl Excess {
-    /// Compares the last excess per pixel with the first ([`crate::evidence::excess`], with its standard deviation); less noise than expected is as
-    /// wrong as more. Of `by_calibration`, the number of pixels and the excess that errors of the calibration make
-    /// ([`crate::evidence::excess_by_calibration`]), the latter is explained by no effect.
+    /// Compares the last excess per pixel with the first ([`crate::evidence::excess`], with its standard deviation);
+    /// less noise than expected is as wrong as more. Of `by_calibration`, the number of pixels and the excess that
+    /// errors of the calibration make ([`crate::evidence::excess_by_calibration`]), the latter is explained by no
+    /// effect.
     pub(crate) fn of([first, _]: [f64; 2], [last, sigma]: [f64; 2], (pixels, by_calibration): (usize, f64)) -> Self {
         let pixels = pixels as f64;
         let beyond = |excess: f64| {

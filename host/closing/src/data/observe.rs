@@ -46,7 +46,8 @@ pub enum Shown {
     /// An unknown specimen, which is estimated from the frame: effects are tested beside every change that a specimen
     /// could make.
     Estimated,
-    /// An unknown specimen that is not estimated: only detail that is sharper than its smooth part can be compared with a model.
+    /// An unknown specimen that is not estimated: only detail that is sharper than its smooth part can be compared with
+    /// a model.
     Unknown,
 }
 

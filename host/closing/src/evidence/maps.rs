@@ -1,9 +1,9 @@
 //! Maps of the sensor that are estimated from scenes: a factor on their light, or light added to them.
 //!
 //! The residual of each pixel, divided by what a unit of the map would change, is averaged over neighbourhoods of
-//! falling size: rows and columns, then Gaussians, then single pixels that stand out, then all single pixels. Two halves
-//! of the frames give two independent estimates. A size is used only as far as the estimate of one half predicts the
-//! residual of the other, so that neither noise nor detail of the specimens becomes a map.
+//! falling size: rows and columns, then Gaussians, then single pixels that stand out, then all single pixels. Two
+//! halves of the frames give two independent estimates. A size is used only as far as the estimate of one half predicts
+//! the residual of the other, so that neither noise nor detail of the specimens becomes a map.
 
 use super::stats::{f_tail, sigmas};
 use super::tables::TableFit;

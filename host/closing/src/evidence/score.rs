@@ -8,8 +8,9 @@
 //! ```
 //! phi >= 1: scatter of the scores between spatial blocks, or between frames, over that of the noise (White,
 //! Econometrica 48, 817, 1980, with clusters). C: covariance of the score by the uncertainty of the calibration, from
-//! its delete-a-group jackknife replicates and what it states of light outside its windows. T = s' V^-1 s over its d degrees of freedom is compared with F(d, nu); nu
-//! are the effective degrees of freedom of V (Satterthwaite, Biometrics Bull. 2, 110, 1946).
+//! its delete-a-group jackknife replicates and what it states of light outside its windows. T = s' V^-1 s over its d
+//! degrees of freedom is compared with F(d, nu); nu are the effective degrees of freedom of V (Satterthwaite,
+//! Biometrics Bull. 2, 110, 1946).
 
 use super::stats::{f_tail, sigmas};
 use crate::fit::{Cell, Design, Sums, pseudo_inverse};

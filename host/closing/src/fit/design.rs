@@ -41,7 +41,8 @@ pub enum Scope<'a> {
     /// The training cells alone.
     Training,
     /// The training cells, and the products that score tests need: of the first `given` columns, the errors of the
-    /// calibration and the residual with everything, and of the columns of each group with each other. Other products are zero.
+    /// calibration and the residual with everything, and of the columns of each group with each other. Other products
+    /// are zero.
     Scores {
         /// Number of columns that are projected out.
         given: usize,

@@ -17,9 +17,9 @@ const LIKE_SIGMAS: f64 = 3.0;
 
 /// Whether two frames show the same specimen, up to smooth changes and motion of some of its parts: the sharp part of
 /// their difference at lit pixels is about as large as noise, and its signs at diagonal neighbours are alike as often
-/// as not. The detail of another specimen, blurred by the optics, has like signs at neighbours, however dim it is. Medians
-/// and signs hold where parts of a specimen move; the means of rows and columns, and next neighbours, are left out,
-/// because noise may be common to them. Frames DN, `inverse_sigma` 1/DN, all [sensor rows, sensor cols].
+/// as not. The detail of another specimen, blurred by the optics, has like signs at neighbours, however dim it is.
+/// Medians and signs hold where parts of a specimen move; the means of rows and columns, and next neighbours, are left
+/// out, because noise may be common to them. Frames DN, `inverse_sigma` 1/DN, all [sensor rows, sensor cols].
 pub(super) fn shows_the_same(
     a: &Array2<f32>,
     b: &Array2<f32>,

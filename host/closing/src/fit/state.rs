@@ -90,9 +90,9 @@ pub struct State {
 }
 
 impl State {
-    /// Mean square that noise alone leaves of a pixel of a block of frame `k`, in units of its variance: one, unless the
-    /// specimen is estimated. It takes up a part of the noise of the pixels that it is estimated from, and brings noise
-    /// to those that are held out.
+    /// Mean square that noise alone leaves of a pixel of a block of frame `k`, in units of its variance: one, unless
+    /// the specimen is estimated. It takes up a part of the noise of the pixels that it is estimated from, and brings
+    /// noise to those that are held out.
     pub(crate) fn share(&self, k: usize, block: usize) -> f64 {
         self.specimens.as_ref().map_or(1.0, |s| s.expected(k, block))
     }

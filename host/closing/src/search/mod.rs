@@ -1,9 +1,9 @@
 //! Searches for the effects that a model lacks.
 //!
 //! [`trials`] lists what is tried, [`select`] adds one effect after another (forward selection) after full fits of the
-//! `finalists`, `earn` takes out effects that a term without a name makes unnecessary, `prune` removes what is no longer
-//! needed (backward elimination), [`recalibrate`] measures what a new calibration would gain, `lost` lists what cannot
-//! be tested beside truths of uncertain place.
+//! `finalists`, `earn` takes out effects that a term without a name makes unnecessary, `prune` removes what is no
+//! longer needed (backward elimination), [`recalibrate`] measures what a new calibration would gain, `lost` lists what
+//! cannot be tested beside truths of uncertain place.
 
 pub mod candidate;
 pub(crate) mod earn;

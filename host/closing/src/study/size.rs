@@ -112,8 +112,8 @@ impl Size {
         }
     }
 
-    /// A study over all kinds of instruments and strengths, for development, with at most `most` sessions with one effect
-    /// at one strength; 6 make about 70 sessions.
+    /// A study over all kinds of instruments and strengths, for development, with at most `most` sessions with one
+    /// effect at one strength; 6 make about 70 sessions.
     pub fn development(seed: u64, most: usize) -> Self {
         let questions = Question::ALL.into_iter().filter(|q| *q != Question::Reconstruction);
         let questions = questions.filter(|q| *q != Question::Gain && *q != Question::Records).collect();

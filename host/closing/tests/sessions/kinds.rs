@@ -1,13 +1,15 @@
 //! Sessions of every kind: what each is judged on, what can be found in it, and what cannot (docs/closing.md).
 
-use super::{closed, measured, names, subject};
+use super::{accounted, closed, measured, names, subject};
+use ndarray::{Array3, Axis};
 use ommatidia_closing::study::sessions::Holds;
-use ommatidia_closing::{CloseRequest, Closing, JudgedOn, Progress, close_session};
+use ommatidia_closing::{Account, CloseRequest, Closing, JudgedOn, Progress, close_session};
 use ommatidia_model::calibrate::CalibrateConfig;
 use ommatidia_model::instrument::Instrument;
+use ommatidia_model::metrics::compare;
 use ommatidia_physics::effects::EffectSetting;
 use ommatidia_session::artifact::Provenance;
-use ommatidia_session::{Role, Session};
+use ommatidia_session::{FrameReader, Role, Session};
 
 /// Closes a session of a kind with one effect.
 fn with(holds: Holds, id: &str, params: &[(&str, f64)], seed: u64) -> Closing {
@@ -80,11 +82,27 @@ fn nothing_is_found_in_frames_of_the_unknown_without_an_effect() {
 
 #[test]
 fn a_turned_array_is_found_in_frames_of_the_unknown() {
-    let closing = with(Holds::Unknown, "array_rotation", &[("angle_mrad", 7.0)], 809);
-    assert_eq!((closing.judged_on, names(&closing)), (JudgedOn::SelfConsistency, vec!["array_rotation"]));
+    let folder = tempfile::tempdir().unwrap();
+    let turned = EffectSetting::new("array_rotation", &[("angle_mrad", 7.0)]);
+    let account = accounted(&measured(Holds::Unknown, &[turned], &folder.path().join("session"), 809));
+    let closing = &account.closing;
+    assert_eq!((closing.judged_on, names(closing)), (JudgedOn::SelfConsistency, vec!["array_rotation"]));
     let angle = closing.effects[0].params[0].value;
     assert!((angle - 7.0).abs() < 0.5, "{angle}");
     assert!(closing.after.chi2_ndf - 1.0 < 0.2 * (closing.before.chi2_ndf - 1.0), "{:?}", closing.after);
+    // The specimens, against truths that the session does not name.
+    let mut truths = FrameReader::open(&folder.path().join("session/scene_truth.npy")).unwrap();
+    let maps = account.specimens.as_ref().unwrap();
+    let file = folder.path().join("account");
+    account.write(&file, Provenance::default()).unwrap();
+    assert_eq!(Account::read(&file).unwrap().specimens.unwrap().after, maps.after);
+    for (i, frame) in account.frames.iter().enumerate() {
+        let truth = truths.read(*frame).unwrap();
+        let psnr = |maps: &Array3<f32>| compare(maps.index_axis(Axis(0), i), truth.view()).unwrap().psnr_db;
+        let [before, after] = [&maps.before, &maps.after].map(psnr);
+        eprintln!("frame {frame}: {before:.2} dB before, {after:.2} dB after");
+        assert!(after > before + 0.5, "{before} {after}");
+    }
 }
 
 #[test]

@@ -7,7 +7,7 @@ mod registration;
 
 use ommatidia_bench::{ArrayConfig, BenchConfig, ScanConfig, VirtualInstrument};
 use ommatidia_closing::study::sessions::Holds;
-use ommatidia_closing::{Budget, CloseOptions, Closing, Observations, close};
+use ommatidia_closing::{Account, Budget, CloseOptions, Closing, Observations, close};
 use ommatidia_model::calibrate::{CalibrateConfig, calibrate};
 use ommatidia_model::instrument::Instrument;
 use ommatidia_physics::effects::EffectSetting;
@@ -64,11 +64,17 @@ fn with_lines(dir: &Path, lines: &str) -> Session {
     Session::open(dir).unwrap()
 }
 
-/// Closes the loop on a session, and prints what was found.
+/// As [`accounted`], without its maps.
 fn closed(session: &Session) -> Closing {
+    accounted(session).closing
+}
+
+/// Closes the loop on a session, and prints what was found.
+fn accounted(session: &Session) -> Account {
     let mut seen = Observations::read(session, &Budget::default()).unwrap();
     let options = CloseOptions { seed: 1, ..CloseOptions::default() };
-    let closing = close(&subject().instrument, &mut seen, &options, |_| ()).unwrap().account.closing;
+    let account = close(&subject().instrument, &mut seen, &options, |_| ()).unwrap().account;
+    let closing = &account.closing;
     for e in &closing.effects {
         eprintln!("{} (z = {:.1}): {}", e.id, e.z, e.description);
     }
@@ -77,7 +83,7 @@ fn closed(session: &Session) -> Closing {
     }
     closing.notes.iter().for_each(|n| eprintln!("note: {n}"));
     eprintln!("{:?}: {:?} -> {:?}", closing.verdict, closing.before, closing.after);
-    closing
+    account
 }
 
 /// Ids of the effects with a name.

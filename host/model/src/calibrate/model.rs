@@ -209,8 +209,8 @@ impl Model {
         self.nodes.psf(&LensModels::fit(windows, dead, &planes, terms)?, self.rank)
     }
 
-    /// Scatter of the brightness of beads that were left out about what their neighbours predict, relative, and the part
-    /// of it that noise causes.
+    /// Scatter of the brightness of beads that were left out about what their neighbours predict, relative, and the
+    /// part of it that noise causes.
     pub(super) fn brightness_scatter(&self) -> [f64; 2] {
         let rank = self.rank.min(self.held_out.ranks());
         let pixels = self.nodes.side.pow(2) * self.models.fits.iter().flatten().count();

@@ -2,10 +2,13 @@
 
 use super::plan::{SHARD_KIND, VERSION};
 use super::reader::{ShardBody, open_shard};
+use super::vary::Vary;
 use super::{DataSetError, DataSetPlan};
 use crate::forward::Forward;
 use crate::instrument::Instrument;
+use crate::psf::OperatorConfig;
 use ndarray::{Array2, Array3};
+use ommatidia_physics::effects::{Chain, EffectSetting, Stage};
 use ommatidia_physics::scene::{SceneConfig, Scenes, Specimen};
 use ommatidia_session::ObjectGrid;
 use ommatidia_session::artifact::{self, Header, Provenance, Tensors};
@@ -30,12 +33,17 @@ pub struct SimulateConfig {
     /// Range of the brightest pixel of a frame, electrons, drawn with a uniform logarithm; None: 1 % to 80 % of full
     /// scale.
     pub peak_e: Option<[f64; 2]>,
+    /// Effects on light at their largest strengths. Half of the scenes have one of them, with strengths drawn evenly,
+    /// of either sign where the effect allows both; the frames are formed with it, and nothing says so. Networks that
+    /// trained on such pairs hold better when the instrument has changed since its calibration.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub vary: Vec<EffectSetting>,
 }
 
 impl Default for SimulateConfig {
     fn default() -> Self {
         let scenes = SceneConfig { specimens: Specimen::for_training(), ..SceneConfig::default() };
-        Self { count: 1024, shard_pairs: 64, scenes, peak_e: None }
+        Self { count: 1024, shard_pairs: 64, scenes, peak_e: None, vary: Vec::new() }
     }
 }
 
@@ -93,7 +101,11 @@ pub struct Simulation {
     scenes: Scenes,
     forward: Forward,
     grid: ObjectGrid,
-    linear: bool,
+    /// Effects of the instrument.
+    effects: Vec<EffectSetting>,
+    vary: Vary,
+    /// The forward model at all depths, where a drawn effect may need them.
+    deep: Option<Forward>,
 }
 
 impl SimulateConfig {
@@ -124,12 +136,19 @@ impl SimulateConfig {
             noise: instrument.noise,
             peak_e,
         };
+        let forward = Forward::new(instrument)?;
+        let vary = Vary::of(&self.vary, forward.layout())?;
+        let depth = instrument.psf.depth_nearest(0.0);
+        let deep = || Forward::with_all_depths(instrument, OperatorConfig { depth, ..OperatorConfig::default() });
+        let deep = vary.moves().then(deep).transpose()?;
         Ok(Simulation {
             plan,
             scenes: self.scenes.build()?,
-            forward: Forward::new(instrument)?,
+            forward,
             grid: manifest.object,
-            linear: instrument.effects.is_empty(),
+            effects: instrument.effects.clone(),
+            vary,
+            deep,
         })
     }
 
@@ -228,12 +247,18 @@ impl Simulation {
         let [low, high] = self.plan.peak_e.map(f64::ln);
         let mut rng = rng::stream(seed, "simulate/light", self.scenes.video(i as u64));
         let light = (rng.random_range(low..=high).exp() / f64::from(peak)) as f32;
-        if self.linear {
+        let drawn = self.vary.draw(seed, self.scenes.video(i as u64));
+        if self.effects.is_empty() && drawn.is_none() {
             frame.mapv_inplace(|v| v * light);
-        } else {
-            // An effect need not be proportional to the light: form the frame again at its level.
-            frame = self.forward.expected_e(object.mapv(|v| v * light).view(), &cx)?;
+            return Ok((object, frame));
         }
+        // An effect need not be proportional to the light: form the frame again at its level.
+        let chain: Vec<EffectSetting> = self.effects.iter().cloned().chain(drawn).collect();
+        let chain = Chain::build(&chain, self.forward.layout())?;
+        let forward = self.deep.as_ref().filter(|_| chain.acts_at(Stage::Geometry)).unwrap_or(&self.forward);
+        let cx = forward.context();
+        let scene = forward.scene(object.mapv(|v| v * light).view(), &chain, &cx)?;
+        frame = forward.light_e(&scene, &chain, &cx);
         Ok((object, frame))
     }
 

@@ -12,6 +12,7 @@
 mod build;
 mod plan;
 mod reader;
+mod vary;
 
 pub use build::{Progress, Share, SimulateConfig, Simulation};
 pub use plan::{DataSetError, DataSetPlan, PLAN_FILE};

@@ -1,6 +1,7 @@
 //! The plan of a data set: its contents and its settings.
 
 use crate::forward::ForwardError;
+use ommatidia_physics::effects::EffectError;
 use ommatidia_physics::noise::NoiseModel;
 use ommatidia_physics::scene::SceneError;
 use ommatidia_session::artifact::{self, ArtifactError, Provenance};
@@ -210,6 +211,9 @@ pub enum DataSetError {
     /// There are no scenes.
     #[error(transparent)]
     Scene(#[from] SceneError),
+    /// An effect that pairs may have.
+    #[error(transparent)]
+    Effect(#[from] EffectError),
     /// The forward model.
     #[error(transparent)]
     Forward(#[from] ForwardError),

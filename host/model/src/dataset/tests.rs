@@ -21,7 +21,7 @@ fn instrument() -> Instrument {
 
 fn config() -> SimulateConfig {
     let scenes = SceneConfig { specimens: vec![Specimen::Beads, Specimen::Target], ..SceneConfig::default() };
-    SimulateConfig { count: 7, shard_pairs: 3, scenes, peak_e: Some([1000.0, 5000.0]) }
+    SimulateConfig { count: 7, shard_pairs: 3, scenes, peak_e: Some([1000.0, 5000.0]), ..SimulateConfig::default() }
 }
 
 fn simulation(dir: &Path, seed: u64) -> Simulation {
@@ -156,4 +156,29 @@ fn impossible_configurations_are_refused() {
     for text in ["0/2", "3/2", "1", "a/b", "1/0"] {
         assert!(text.parse::<Share>().is_err(), "{text}");
     }
+}
+
+/// Pairs without a drawn effect are those of a data set that draws none; others hold the effect.
+#[test]
+fn half_of_the_frames_hold_an_effect() {
+    let dir = tempfile::tempdir().unwrap();
+    let plain = simulation(dir.path(), 4);
+    let vary = ["veiling_glare=0.2", "array_shift=2"].map(|text| text.parse().unwrap()).to_vec();
+    let varied = SimulateConfig { count: 60, vary, ..config() };
+    let varied = varied.build(&instrument(), &dir.path().join("instrument"), 4).unwrap();
+    let dark = |frame: &ndarray::Array2<f32>| frame.fold(f32::MAX, |m, v| m.min(*v));
+    let [mut same, mut brighter, mut moved] = [0; 3];
+    for i in 0..60 {
+        let ((object, frame), (other, with)) = (plain.pair(i).unwrap(), varied.pair(i).unwrap());
+        assert_eq!(object, other);
+        match (frame == with, dark(&with) > dark(&frame)) {
+            (true, _) => same += 1,
+            (false, true) => brighter += 1,
+            (false, false) => moved += 1,
+        }
+    }
+    assert!(same >= 20 && brighter >= 8 && moved >= 8, "{same} {brighter} {moved}");
+    let bad = SimulateConfig { vary: vec!["row_noise=2".parse().unwrap()], ..config() };
+    let error = bad.build(&instrument(), &dir.path().join("instrument"), 4).err().unwrap().to_string();
+    assert!(error.contains("vary") && error.contains("row_noise"), "{error}");
 }

@@ -17,8 +17,8 @@ pub struct Foci {
 }
 
 impl Forward {
-    /// The foci of a point source at stage position `at_um`, [y, x], in windows of `window_px` pixels, with the effects of
-    /// the instrument on chief rays and lenses.
+    /// The foci of a point source at stage position `at_um`, [y, x], in windows of `window_px` pixels, with the effects
+    /// of the instrument on chief rays and lenses.
     ///
     /// ```
     /// use ommatidia_model::forward::Forward;

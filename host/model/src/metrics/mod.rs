@@ -24,11 +24,13 @@ mod case;
 mod figures;
 mod frames;
 mod prediction;
+mod residual;
 mod ssim;
 
 pub use background::{FrameBackground, add_background};
 pub use case::Case;
 pub use figures::{Figures, MetricError, Moments, compare, psnr, psnr_db, scaled};
 pub use frames::{FrameComparison, SensorNoise};
-pub use prediction::{ChiSquared, PredictionFigures, ResidualRing, chi_squared, in_sigmas, prediction_figures};
+pub use prediction::{PredictionFigures, prediction_figures};
+pub use residual::{ChiSquared, ResidualRing, chi_squared, in_sigmas};
 pub use ssim::{SsimError, ssim};

@@ -36,15 +36,18 @@ impl FloatNetwork {
     /// A weight is missing, or a weight or a sensor map has the wrong shape.
     pub fn new(checkpoint: &Checkpoint) -> Result<Self, TrainError> {
         let config = &checkpoint.body.network;
-        let engine = match config.architecture {
+        let (engine, estimator) = match config.architecture {
             Architecture::Cm2Net { .. } => {
                 let plan = Arc::new(Fourier::new(config.fourier()));
                 let network = Network::new(config, &plan, &checkpoint.weights, Mode::Infer)?;
-                Engine::Graph(Box::new(network), plan)
+                (Engine::Graph(Box::new(network), plan), None)
             }
-            _ => Engine::Direct(Box::new(Inference::new(config, &checkpoint.weights)?)),
+            _ => {
+                let network = Inference::new(config, &checkpoint.weights)?;
+                let estimator = network.estimator(config, &checkpoint.body.noise);
+                (Engine::Direct(Box::new(network)), estimator)
+            }
         };
-        let estimator = Estimator::of(config, &checkpoint.weights, &checkpoint.body.noise)?;
         Ok(Self { engine, estimator, input: checkpoint.frame_input()?, config: config.clone() })
     }
 

@@ -1,7 +1,7 @@
 //! Richardson-Lucy deconvolution with the whole spatially varying model.
 //!
-//! The iterations ([`crate::richardson_lucy`]) are stopped early, which regularises them. The method uses every PSF that
-//! the networks were trained with, and needs many passes over the model for each frame.
+//! The iterations ([`crate::richardson_lucy`]) are stopped early, which regularises them. The method uses every PSF
+//! that the networks were trained with, and needs many passes over the model for each frame.
 
 use super::frame::frame_input;
 use super::{MethodError, Reconstruct};

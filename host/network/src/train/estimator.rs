@@ -1,10 +1,10 @@
 //! A first estimate of the object, for networks that begin with one.
 
-use super::{NetworkConfig, Predictor, TrainError};
+use super::{NetworkConfig, Predictor};
 use crate::richardson_lucy::RichardsonLucy;
 use ndarray::ArrayView2;
 use ommatidia_physics::noise::NoiseModel;
-use ommatidia_session::artifact::Tensors;
+use std::sync::Arc;
 
 /// Accelerated Richardson-Lucy iterations with the short low-rank model of the calibrated PSFs.
 #[derive(Clone, Debug)]
@@ -14,17 +14,13 @@ pub struct Estimator {
 }
 
 impl Estimator {
-    /// The estimator of a network, from its tensors and the noise of its sensor; None for a network that begins without
-    /// an estimate.
-    ///
-    /// # Errors
-    /// A tensor is missing or has the wrong shape, or nodes do not ascend.
-    pub fn of(config: &NetworkConfig, tensors: &Tensors, noise: &NoiseModel) -> Result<Option<Self>, TrainError> {
-        let iterations = config.iterations();
-        let Some(predictor) = Predictor::of(config, tensors)?.filter(|_| iterations > 0) else { return Ok(None) };
-        let solver = RichardsonLucy::new(predictor.into_operator(), noise);
+    /// The estimator of a network with this predictor and the noise of its sensor; None for a network that begins
+    /// without an estimate.
+    pub fn of(config: &NetworkConfig, predictor: &Predictor, noise: &NoiseModel) -> Option<Self> {
+        let iterations = Some(config.iterations()).filter(|n| *n > 0)?;
+        let solver = RichardsonLucy::new(Arc::clone(predictor.operator()), noise);
         let solver = solver.unwrap_or_else(|_| unreachable!("a frame of the operator's own shape fits it"));
-        Ok(Some(Self { solver, iterations }))
+        Some(Self { solver, iterations })
     }
 
     /// What the iterations find in the corrected light of a frame, DN above black, [frame rows, frame cols]: divided by
@@ -52,7 +48,8 @@ mod tests {
         let plain = Preset::Nano.network([60, 60], [20, 20]);
         let network = lenses.with_feedback(plain.clone(), [1, 10], 1);
         let tensors = lenses.feedback(network.feedback.as_ref().unwrap());
-        let estimator = Estimator::of(&network, &tensors, &instrument.noise).unwrap().unwrap();
+        let predictor = Predictor::of(&network, &tensors).unwrap().unwrap();
+        let estimator = Estimator::of(&network, &predictor, &instrument.noise).unwrap();
         let object = Array2::from_shape_fn((20, 20), |(r, c)| if (r * 7 + c * 3) % 11 == 0 { 1.0 } else { 0.1 });
         let light = Forward::new(&instrument).unwrap().operator().apply(object.view()).unwrap() * 2000.0;
         let found = estimator.estimate(light.view());
@@ -63,6 +60,6 @@ mod tests {
             assert!(dark.iter().all(|v| (0.0..=1.0).contains(v)));
         }
         let without = [plain.clone(), lenses.with_feedback(plain, [2, 0], 1)];
-        assert!(without.iter().all(|network| Estimator::of(network, &tensors, &instrument.noise).unwrap().is_none()));
+        assert!(without.iter().all(|network| Estimator::of(network, &predictor, &instrument.noise).is_none()));
     }
 }

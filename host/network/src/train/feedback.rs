@@ -20,8 +20,8 @@ const MOST_ITERATIONS: usize = 100;
 pub struct Feedback {
     /// Number of passes after the first one.
     pub passes: usize,
-    /// Number of accelerated Richardson-Lucy iterations with the same model ahead of the first pass, which then corrects
-    /// what they find as a later pass corrects what a pass finds; 0: the first pass takes the frame alone.
+    /// Number of accelerated Richardson-Lucy iterations with the same model ahead of the first pass, which then
+    /// corrects what they find as a later pass corrects what a pass finds; 0: the first pass takes the frame alone.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub iterations: usize,
     /// Frame pixel of object pixel (0, 0) behind each living lens.
@@ -48,11 +48,11 @@ impl Feedback {
         let wrong = |field, expected: &str, found: usize| {
             Err(TrainError::Config { field, expected: expected.into(), found: found.to_string() })
         };
-        if self.passes > MOST_PASSES || self.passes + self.iterations == 0 {
-            return wrong("feedback.passes", "1 to 7, or 0 after Richardson-Lucy iterations", self.passes);
-        }
         if self.iterations > MOST_ITERATIONS {
             return wrong("feedback.iterations", "at most 100", self.iterations);
+        }
+        if self.passes > MOST_PASSES || self.passes + self.iterations == 0 {
+            return wrong("feedback.passes", "1 to 7, or 0 after Richardson-Lucy iterations", self.passes);
         }
         if self.window.is_multiple_of(2) {
             return wrong("feedback.window", "an odd side", self.window);

@@ -6,7 +6,8 @@ use super::ops::fourier::Fourier;
 use super::ops::predicted::Linear;
 use super::ops::stream::StreamedBank;
 use super::weights::FILTERS;
-use super::{Architecture, Enhancement, Mode, NetworkConfig, Predictor, TrainError};
+use super::{Architecture, Enhancement, Estimator, Mode, NetworkConfig, Predictor, TrainError};
+use ommatidia_physics::noise::NoiseModel;
 use ommatidia_session::artifact::Tensors;
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -45,6 +46,11 @@ impl Inference {
             }
         };
         Ok(Self { bank: StreamedBank::new(plan, filters), enhancement, predict: Predictor::of(config, tensors)? })
+    }
+
+    /// What finds the estimates that the network begins with, on a sensor with this noise; None for networks without.
+    pub fn estimator(&self, config: &NetworkConfig, noise: &NoiseModel) -> Option<Estimator> {
+        Estimator::of(config, self.predict.as_ref()?, noise)
     }
 
     /// The reconstruction, [object rows, object cols], of a normalised frame, [frame rows, frame cols]. `estimate` is

@@ -29,8 +29,8 @@ impl Loss {
     }
 }
 
-/// Eq. 4-6 of Yang et al. 2024, `L = L_BCE + L_MSE`, each a mean over all pixels, of logits z against targets t in [0, 1], both [batch, channels, rows, cols]; the reconstruction
-/// is sigmoid(z).
+/// Eq. 4-6 of Yang et al. 2024, `L = L_BCE + L_MSE`, each a mean over all pixels, of logits z against targets t in
+/// [0, 1], both [batch, channels, rows, cols]; the reconstruction is sigmoid(z).
 ///
 /// The cross entropy is computed from the logits, `max(z, 0) - z t + ln(1 + exp(-|z|))`, which cannot overflow. (Eq. 5
 /// of the paper lacks a minus sign.)
@@ -52,8 +52,8 @@ pub fn bce_mse(logits: Tensor<4>, target: Tensor<4>) -> Tensor<1> {
     bce + error.square().mean()
 }
 
-/// What is left of targets beside reconstructions with the scale that fits best, relative to the target, a mean over the
-/// batch: `sqrt(1 - <x, t>^2 / (<x, x> <t, t>))`, the NRMSE of the figures of merit. Logits and targets as in
+/// What is left of targets beside reconstructions with the scale that fits best, relative to the target, a mean over
+/// the batch: `sqrt(1 - <x, t>^2 / (<x, x> <t, t>))`, the NRMSE of the figures of merit. Logits and targets as in
 /// [`bce_mse`].
 ///
 /// ```

@@ -57,9 +57,24 @@ impl Network {
         tensors: &Tensors,
         mode: Mode,
     ) -> Result<Self, TrainError> {
+        Self::planned(backend, config, plan, Predictor::of(config, tensors)?, tensors, mode)
+    }
+
+    /// As [`Network::on`], with a predictor that was planned before, which networks with feedback need.
+    ///
+    /// # Errors
+    /// As [`Network::on`].
+    pub fn planned(
+        backend: Backend,
+        config: &NetworkConfig,
+        plan: &Arc<Fourier>,
+        predictor: Option<Predictor>,
+        tensors: &Tensors,
+        mode: Mode,
+    ) -> Result<Self, TrainError> {
         config.check()?;
         backend.check()?;
-        let predict = Predictor::of(config, tensors)?.map(|predict| Arc::new(predict) as Arc<dyn Linear>);
+        let predict = predictor.map(|predictor| Arc::new(predictor) as Arc<dyn Linear>);
         if predict.is_some() && backend != Backend::Cpu {
             let (expected, found) = ("cpu for a network of more than one pass".into(), "gpu".into());
             return Err(TrainError::Config { field: "device", expected, found });

@@ -6,11 +6,12 @@ use super::{NetworkConfig, TrainError};
 use ndarray::{ArrayView2, Axis, Ix1, Ix4};
 use ommatidia_model::psf::{CalibratedOptics, ChiefRays, LowRankOperator, LowRankPsf, OperatorConfig};
 use ommatidia_session::artifact::Tensors;
+use std::sync::Arc;
 
-/// The short low-rank model of the calibrated PSFs.
+/// The short low-rank model of the calibrated PSFs. Clones share one plan.
 #[derive(Clone, Debug)]
 pub struct Predictor {
-    operator: LowRankOperator,
+    operator: Arc<LowRankOperator>,
 }
 
 impl Predictor {
@@ -56,14 +57,14 @@ impl Predictor {
         let optics = CalibratedOptics { psf: &psf, rays: &rays, object: config.object, sensor: config.frame };
         let plan = LowRankOperator::plan(optics, &rays, OperatorConfig::exact(0));
         let operator = plan.map_err(|source| wrong("terms of a low-rank operator".into(), source.to_string()))?;
-        Ok(Some(Self { operator }))
+        Ok(Some(Self { operator: Arc::new(operator) }))
     }
 }
 
 impl Predictor {
     /// The operator from objects to frames.
-    pub fn into_operator(self) -> LowRankOperator {
-        self.operator
+    pub fn operator(&self) -> &Arc<LowRankOperator> {
+        &self.operator
     }
 }
 

@@ -1,6 +1,8 @@
 //! Settings of a training run, and the presets.
 
 use super::{Architecture, ArchitectureName, Loss, NetworkConfig, TrainError};
+use clap::ValueEnum;
+use ommatidia_physics::effects::EffectSetting;
 use serde::{Deserialize, Serialize};
 
 /// Learning rates of fine-tuning relative to those of the first training. Fine-tuning starts near good weights.
@@ -58,6 +60,10 @@ pub struct TrainConfig {
     /// What training makes small.
     #[serde(default)]
     pub loss: Loss,
+    /// Effects that half of the simulated pairs have, at their largest strengths; see
+    /// [`SimulateConfig::vary`](ommatidia_model::dataset::SimulateConfig::vary).
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub vary: Vec<EffectSetting>,
     /// Seed of all random numbers.
     pub seed: u64,
 }
@@ -112,16 +118,37 @@ impl TrainConfig {
         }
     }
 
-    /// Whether a run with these settings can be resumed with `other`, which may have another number of `steps`.
-    pub fn same_but_steps(&self, other: &Self) -> bool {
+    /// The first setting in which `other` differs, with its value here and there; a run can be resumed where there is
+    /// none. The number of steps may differ, with what follows from it: the warm-up and the distance of validations.
+    pub fn difference(&self, other: &Self) -> Option<Difference> {
         let numbers = |c: &Self| {
-            [c.learning_rate, c.filter_learning_rate, c.final_rate, c.clip, c.peak_e[0], c.peak_e[1], c.held_out]
+            [
+                ("--learning-rate", c.learning_rate),
+                ("--filter-learning-rate", c.filter_learning_rate),
+                ("final_rate", c.final_rate),
+                ("clip", c.clip),
+                ("peak_e[0]", c.peak_e[0]),
+                ("peak_e[1]", c.peak_e[1]),
+                ("held_out", c.held_out),
+            ]
         };
-        let counts = |c: &Self| (c.batch, c.warmup, c.validate_every, c.validation_pairs, c.patience, c.seed);
-        let kinds = |c: &Self| (c.start, c.loss);
-        counts(self) == counts(other)
-            && kinds(self) == kinds(other)
-            && numbers(self).into_iter().zip(numbers(other)).all(|(a, b)| same(a, b))
+        let others = |c: &Self| {
+            [
+                ("--batch", c.batch.to_string()),
+                ("--seed", c.seed.to_string()),
+                ("--start", name_of(c.start)),
+                ("--loss", name_of(c.loss)),
+                ("--patience", c.patience.to_string()),
+                ("--vary", c.vary.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ")),
+                ("validation_pairs", c.validation_pairs.to_string()),
+            ]
+        };
+        let differs = others(self).into_iter().zip(others(other)).find(|(a, b)| a.1 != b.1);
+        differs.map(|((setting, here), (_, there))| Difference { setting, here, there }).or_else(|| {
+            let ((setting, here), (_, there)) =
+                numbers(self).into_iter().zip(numbers(other)).find(|(a, b)| !same(a.1, b.1))?;
+            Some(Difference { setting, here: here.to_string(), there: there.to_string() })
+        })
     }
 
     /// Learning rate at `step` (from 0) relative to the highest: linear warm-up, then half a cosine down to
@@ -239,9 +266,26 @@ impl Preset {
             patience: 0,
             start,
             loss,
+            vary: Vec::new(),
             seed,
         }
     }
+}
+
+/// A setting that differs between two runs.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Difference {
+    /// The option of `train`, or the field where there is no option.
+    pub setting: &'static str,
+    /// Its value here.
+    pub here: String,
+    /// Its value there.
+    pub there: String,
+}
+
+/// The name of a value in options.
+fn name_of(value: impl ValueEnum) -> String {
+    value.to_possible_value().map_or_else(String::new, |v| v.get_name().to_string())
 }
 
 /// Whether two numbers agree up to the rounding of writing and reading them as JSON.

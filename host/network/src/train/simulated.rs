@@ -3,6 +3,7 @@
 use super::pairs::{Pair, PairSource};
 use ommatidia_model::dataset::{DataSet, DataSetError, DataSetPlan, SimulateConfig, Simulation};
 use ommatidia_model::instrument::Instrument;
+use ommatidia_physics::effects::EffectSetting;
 use std::path::Path;
 
 /// Number of pairs that an instrument provides where no data set was made: more than any training uses.
@@ -27,12 +28,12 @@ pub struct Simulated {
 
 impl Simulated {
     /// Pairs of an instrument, 100,000 of them, each simulated when it is needed. `file` is the instrument's file,
-    /// `seed` draws the objects.
+    /// `seed` draws the objects; half of the pairs have one of the effects of `vary`, as in [`SimulateConfig::vary`].
     ///
     /// # Errors
-    /// The file cannot be read, or no data set can be planned with the instrument.
-    pub fn of(instrument: &Instrument, file: &Path, seed: u64) -> Result<Self, DataSetError> {
-        let config = SimulateConfig { count: PAIRS, ..SimulateConfig::default() };
+    /// The file cannot be read, no data set can be planned with the instrument, or an effect is invalid.
+    pub fn of(instrument: &Instrument, file: &Path, seed: u64, vary: &[EffectSetting]) -> Result<Self, DataSetError> {
+        let config = SimulateConfig { count: PAIRS, vary: vary.to_vec(), ..SimulateConfig::default() };
         Ok(Self::new(config.build(instrument, file, seed)?))
     }
 

@@ -8,7 +8,7 @@ use super::checkpoint::{Checkpoint, CurvePoint};
 use super::loader::{Draw, Example, Loader};
 use super::network::{Network, NetworkOutput, values};
 use super::ops::fourier::Fourier;
-use super::{Backend, Estimator, Lenses, Mode, NetworkInput, Task, TrainConfig, TrainError};
+use super::{Backend, Estimator, Lenses, Mode, NetworkInput, Predictor, Task, TrainConfig, TrainError};
 use burn::tensor::activation::sigmoid;
 use burn::tensor::{Tensor, TensorData};
 use ndarray::ArrayView2;
@@ -64,6 +64,8 @@ pub enum Next {
 pub struct Trainer<'a> {
     task: Task<'a>,
     lenses: Option<&'a Lenses>,
+    /// Predicts frames, where the network has feedback; planned once for the run.
+    predictor: Option<Predictor>,
     estimator: Option<Estimator>,
     backend: Backend,
     plan: Arc<Fourier>,
@@ -105,7 +107,8 @@ impl<'a> Trainer<'a> {
     }
 
     fn network(&self, mode: Mode) -> Result<Network, TrainError> {
-        Network::on(self.backend, &self.task.network, &self.plan, &self.state.current, mode)
+        let predictor = self.predictor.clone();
+        Network::planned(self.backend, &self.task.network, &self.plan, predictor, &self.state.current, mode)
     }
 
     /// State of the run.
@@ -188,13 +191,13 @@ impl<'a> Trainer<'a> {
         let training = self.state.body.training.clone();
         let reuse = Reuse::of(&self.task.network);
         let draw = reuse.draw(step);
-        let examples = match self.prepared.get(&draw) {
-            Some(examples) => examples.clone(),
+        let examples = match self.prepared.remove(&draw) {
+            Some(examples) => examples,
             None => self.simulate(draw)?,
         };
         // A step of a small network does not use all cores; examples of later steps are simulated on the rest.
         let later = reuse.ahead(step).filter(|later| *later <= reuse.draw(training.steps - 1));
-        let again = (reuse.times > 1).then(|| examples.clone());
+        let again = reuse.again(step).then(|| examples.clone());
         let (descent, next) =
             rayon::join(|| self.descent(examples), || later.and_then(|draw| Some((draw, self.simulate(draw).ok()?))));
         let Descent { loss, mut gradients } = descent?;
@@ -242,8 +245,8 @@ impl<'a> Trainer<'a> {
         }
     }
 
-    /// Indices of the pairs of a draw of examples. Each epoch has its own order, which follows from the seed and the number of the
-    /// epoch, so that a resumed run takes the same pairs.
+    /// Indices of the pairs of a draw of examples. Each epoch has its own order, which follows from the seed and the
+    /// number of the epoch, so that a resumed run takes the same pairs.
     fn batch(&self, draw: u64) -> Vec<usize> {
         let TrainConfig { batch, seed, .. } = self.state.body.training;
         let n = self.train.len() as u64;

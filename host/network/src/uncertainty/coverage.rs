@@ -29,7 +29,8 @@ pub struct Stratum {
     pub coverage: f64,
     /// Its standard error, from the scatter between scenes; None for a single scene.
     pub standard_error: Option<f64>,
-    /// The same share over pixels whose reconstruction is above 5 % of the brightest in its frame; None: there are none.
+    /// The same share over pixels whose reconstruction is above 5 % of the brightest in its frame; None: there are
+    /// none.
     pub lit: Option<f64>,
     /// Mean width of the interval relative to the brightest pixels of the reconstruction.
     pub width: f64,

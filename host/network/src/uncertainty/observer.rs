@@ -154,7 +154,8 @@ impl Observer {
         Ok(self.fit(frame_dn, object)?.0)
     }
 
-    /// Looks at a frame, DN, [sensor rows, sensor cols], and its reconstruction in any unit, [object rows, object cols].
+    /// Looks at a frame, DN, [sensor rows, sensor cols], and its reconstruction in any unit, [object rows, object
+    /// cols].
     ///
     /// Pixels: logarithms of the reconstruction, of its means over 7 x 7 and 15 x 15 pixels and its scatter over 5 x 5,
     /// of the noise that the frame's noise propagates to, of the misfit at the places of the frame that see the pixel,

@@ -1,6 +1,7 @@
 //! Effect settings as text: `halo=0.05` or `halo=0.05,sigma_px=20`.
 
-use super::{EffectError, EffectSetting, find, ids};
+use super::{Effect, EffectError, EffectSetting, find, ids};
+use std::fmt;
 use std::str::FromStr;
 use thiserror::Error;
 
@@ -13,6 +14,23 @@ pub enum EffectParseError {
     /// The text is not of the form `ID=STRENGTH[,NAME=VALUE..]`.
     #[error("expected {0}; e.g. `halo=0.05` or `halo=0.05,sigma_px=20`")]
     Form(String),
+}
+
+/// Name of the first parameter of an effect, that of the first lens where each lens has its own.
+fn first_name(effect: &dyn Effect) -> String {
+    effect.descriptor().expanded(1).into_iter().next().map_or_else(String::new, |(name, _)| name)
+}
+
+/// The text that [`EffectSetting::from_str`] reads, without tables.
+impl fmt::Display for EffectSetting {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let first = find(&self.id).map(first_name).unwrap_or_default();
+        write!(f, "{}={}", self.id, self.params.get(&first).copied().unwrap_or(0.0))?;
+        self.params
+            .iter()
+            .filter(|(name, _)| **name != first)
+            .try_for_each(|(name, value)| write!(f, ",{name}={value}"))
+    }
 }
 
 impl FromStr for EffectSetting {
@@ -35,8 +53,7 @@ impl FromStr for EffectSetting {
             })
         };
         let mut values = values.split(',');
-        let first = effect.descriptor().expanded(1).into_iter().next().map_or_else(String::new, |(name, _)| name);
-        let mut params = vec![(first, number(values.next().unwrap_or_default())?)];
+        let mut params = vec![(first_name(effect), number(values.next().unwrap_or_default())?)];
         for pair in values {
             let (name, value) = pair.split_once('=').ok_or_else(|| wanted(&format!("NAME=VALUE, found `{pair}`")))?;
             let name = name.trim();
@@ -47,5 +64,18 @@ impl FromStr for EffectSetting {
         }
         let params: Vec<(&str, f64)> = params.iter().map(|(name, value)| (name.as_str(), *value)).collect();
         Ok(Self::new(id, &params))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn text_is_read_as_it_is_written() {
+        for text in ["halo=0.05,sigma_px=20", "array_shift=-0.3,col_px=0.25", "lens_gain=0.1,change_3=-0.02"] {
+            assert_eq!(text.parse::<EffectSetting>().unwrap().to_string(), text);
+        }
     }
 }

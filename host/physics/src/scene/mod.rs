@@ -80,13 +80,12 @@ impl Specimen {
     pub const USUAL: [Self; 6] = [Self::Beads, Self::Cells, Self::Neurons, Self::Vessels, Self::Worms, Self::Target];
 
     /// Kinds that look like no sample in particular, but have detail of every size and sharpness, some of them under
-    /// haze. Networks that trained
-    /// on them as well keep their quality on specimens that nobody thought of.
+    /// haze. Networks that trained on them as well keep their quality on specimens that nobody thought of.
     pub const GENERAL: [Self; 4] = [Self::Points, Self::Threads, Self::Leaves, Self::Mottle];
 
-    /// What networks are trained on: the usual kinds and the general ones in turn.
+    /// What networks are trained on: the usual kinds, sections and the general ones in turn.
     pub fn for_training() -> Vec<Self> {
-        Self::USUAL.into_iter().chain(Self::GENERAL).collect()
+        Self::USUAL.into_iter().chain([Self::Section]).chain(Self::GENERAL).collect()
     }
 
     /// Draws a specimen of this kind at time `time_s`, [rows, cols] of `grid`, >= 0, maximum 1. Only worms move with

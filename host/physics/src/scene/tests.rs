@@ -7,7 +7,7 @@ const GRID: ObjectGrid = ObjectGrid { rows: 96, cols: 80, pixel_um: 2.8 };
 
 #[test]
 fn specimens_are_light_and_depend_on_seed_and_index_only() {
-    for kind in Specimen::for_training().into_iter().chain([Specimen::Section]) {
+    for kind in Specimen::for_training() {
         let draw = |seed, index| kind.draw(&GRID, 0.0, &mut rng::stream(seed, "test", index));
         for index in 0..if Specimen::GENERAL.contains(&kind) { 400 } else { 8 } {
             let light = draw(3, index);

@@ -41,8 +41,8 @@ pub struct Args {
     /// Session that all networks are judged on
     #[arg(long, value_name = "SESSION")]
     session: PathBuf,
-    /// Folder of the networks and the evaluation. A network that is already there, with the same seed and number of
-    /// steps, is not trained again
+    /// Folder of the networks and the evaluation. A network that is already there, with the same settings, is not
+    /// trained again
     #[arg(short, long, value_name = "FOLDER")]
     output: PathBuf,
     /// Steps of each training
@@ -51,8 +51,8 @@ pub struct Args {
     /// Variant instead of the default ones: a name and options of `train` (may be given again)
     #[arg(long = "variant", value_name = "NAME=OPTIONS", value_parser = variant)]
     variants: Vec<(String, String)>,
-    /// Train only every N-th network, starting with number I (counted from 1), so that N computers share the work; auto:
-    /// as the scheduler says (docs/clusters.md). The same command without it makes the table
+    /// Train only every N-th network, starting with number I (counted from 1), so that N computers share the work;
+    /// auto: as the scheduler says (docs/clusters.md). The same command without it makes the table
     #[arg(long, value_name = "I/N", value_parser = |text: &str| shard::<Share>(text, 1))]
     shard: Option<Share>,
 }
@@ -93,17 +93,19 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         words.extend(["--instrument".into(), args.instrument.display().to_string()]);
         words.extend(["-o".into(), output.display().to_string(), "--steps".into(), args.steps.to_string()]);
         words.extend(options.split_whitespace().map(String::from));
-        let ready =
-            Checkpoint::read(&output).ok().filter(|c| c.body.step == args.steps && c.body.training.seed == run.seed);
+        // A network that is there, or a part of its training, is resumed, which compares all its settings.
+        let begun = Checkpoint::read(&output).ok().filter(|c| c.body.training.steps == args.steps);
+        let done = begun.as_ref().is_some_and(|c| c.body.step == args.steps);
         let mine = args.shard.is_none_or(|share| share.holds(k));
-        if ready.is_none() && !mine {
+        if !done && !mine {
             missing += 1;
             continue;
         }
-        let seconds = match ready {
-            Some(_) => None,
-            None => play(&words, run).with_context(|| format!("variant `{name}`"))?["seconds"].as_f64(),
-        };
+        if begun.is_some() {
+            words.push("--resume".into());
+        }
+        let trained = play(&words, run).with_context(|| format!("variant `{name}`"))?;
+        let seconds = trained["seconds"].as_f64().filter(|_| begun.is_none());
         let network = Checkpoint::read(&output)?.body.network;
         let parameters = weights::count(&network);
         evaluate.extend(["--with".into(), output.display().to_string()]);

@@ -37,7 +37,7 @@ pub struct Args {
     #[arg(long, value_name = "E", value_delimiter = ',', default_value = "100,500,2500,8000",
         value_parser = super::common::positive)]
     peaks: Vec<f64>,
-    /// Kinds of specimens [default: section, which training pairs do not show by default, and the usual ones]
+    /// Kinds of specimens [default: section and the usual ones]
     #[arg(long, value_name = "KIND", value_delimiter = ',', value_enum)]
     specimens: Vec<Specimen>,
     /// Folder of grey .tif or .png pictures as one more kind of specimen, by the folder's name (may be given again)

@@ -48,8 +48,8 @@ pub struct Args {
     /// Raw frames, DN: a file .npy, .tif or .avi, a folder of numbered .avi or .tif files (such as that of a UCLA
     /// Miniscope), or a session with one stack of scenes
     frames: PathBuf,
-    /// Objects, by suffix: .npy, .tif (OME-TIFF; BigTIFF from 4 GB on), .zarr (OME-Zarr 0.5), all float32; .avi or .mp4,
-    /// 8 bits for the eye, by ffmpeg
+    /// Objects, by suffix: .npy, .tif (OME-TIFF; BigTIFF from 4 GB on), .zarr (OME-Zarr 0.5), all float32; .avi or
+    /// .mp4, 8 bits for the eye, by ffmpeg
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     /// Checkpoint, network file, or instrument

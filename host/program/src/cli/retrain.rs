@@ -59,7 +59,7 @@ fn fine_tune(
 ) -> anyhow::Result<()> {
     let RetrainRequest { checkpoint, steps, seed, .. } = *request;
     let before = Checkpoint::read(checkpoint)?;
-    let source = Simulated::of(on.instrument, on.file, seed)?;
+    let source = Simulated::of(on.instrument, on.file, seed, &[])?;
     let plan = source.plan();
     let maps = on.instrument.sensor_maps()?;
     let mut training = before.body.training.clone().with_steps(steps).for_fine_tuning();
@@ -78,7 +78,7 @@ fn fine_tune(
 impl FirstTraining for Networks {
     fn train(&self, request: &TrainRequest<'_>) -> anyhow::Result<()> {
         let TrainRequest { instrument, instrument_file, output, steps, seed } = *request;
-        let source = Simulated::of(instrument, instrument_file, seed)?;
+        let source = Simulated::of(instrument, instrument_file, seed, &[])?;
         let plan = source.plan();
         let maps = instrument.sensor_maps()?;
         let network = Preset::Nano.network(plan.frame, plan.object);

@@ -5,6 +5,7 @@ use super::files::{Content, Files};
 use super::shard::shard;
 use ommatidia_model::dataset::{PLAN_FILE, Share, SimulateConfig};
 use ommatidia_model::instrument::Instrument;
+use ommatidia_physics::effects::EffectSetting;
 use ommatidia_physics::scene::{SceneConfig, Specimen};
 use std::path::PathBuf;
 
@@ -22,7 +23,7 @@ pub struct Args {
     /// Number of pairs
     #[arg(long, value_name = "N")]
     count: usize,
-    /// Kind of specimen, or several with commas between them (default: all kinds but sections, or none with --images)
+    /// Kind of specimen, or several with commas between them (default: all kinds, or none with --images)
     #[arg(long, value_name = "KIND", value_delimiter = ',')]
     specimen: Vec<Specimen>,
     /// Folder of grey-scale .tif or .png pictures from which objects are cropped (default: none)
@@ -35,8 +36,12 @@ pub struct Args {
     /// scale)
     #[arg(long, num_args = 2, value_names = ["LOW", "HIGH"])]
     peak_e: Option<Vec<f64>>,
-    /// Simulate only every N-th shard, starting with number I (counted from 1), so that N computers share the work; auto:
-    /// as the scheduler says (docs/clusters.md)
+    /// Effect that half of the pairs have, with a strength drawn up to this one, so that networks hold when the
+    /// instrument has changed since its calibration (may be given again)
+    #[arg(long, value_name = "ID=STRENGTH[,NAME=VALUE..]")]
+    vary: Vec<EffectSetting>,
+    /// Simulate only every N-th shard, starting with number I (counted from 1), so that N computers share the work;
+    /// auto: as the scheduler says (docs/clusters.md)
     #[arg(long, value_name = "I/N", default_value = "1/1", value_parser = |text: &str| shard::<Share>(text, 1))]
     shard: Share,
 }
@@ -63,6 +68,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         count: args.count,
         scenes: scenes(args),
         peak_e: args.peak_e.as_deref().and_then(|p| Some([*p.first()?, *p.get(1)?])),
+        vary: args.vary.clone(),
         ..SimulateConfig::default()
     };
     let simulation = config.build(&instrument, &args.instrument, run.seed)?;

@@ -59,8 +59,8 @@ pub struct Args {
     /// Ids of the effects to inject, separated by commas (default: all)
     #[arg(long, value_name = "ID,..", value_delimiter = ',')]
     only: Vec<String>,
-    /// Run only every N-th instrument, starting with number I (counted from 0), so that N computers share the work; auto:
-    /// as the scheduler says (docs/clusters.md)
+    /// Run only every N-th instrument, starting with number I (counted from 0), so that N computers share the work;
+    /// auto: as the scheduler says (docs/clusters.md)
     #[arg(long, value_name = "I/N", default_value = "0/1", value_parser = |text: &str| shard::<Shard>(text, 0))]
     shard: Shard,
 }

@@ -10,6 +10,7 @@ use ommatidia_network::train::{
     ArchitectureName, Backend, Body, Checkpoint, Lenses, Loss, Next, PairSource, Preset, Simulated, Start, Task,
     TrainConfig, TrainRequest, Trainer, weights,
 };
+use ommatidia_physics::effects::EffectSetting;
 use ommatidia_physics::noise::NoiseModel;
 use ommatidia_physics::sensor::SensorMaps;
 use ommatidia_session::artifact::{Provenance, file_hash, write_whole};
@@ -89,6 +90,10 @@ pub struct Args {
     /// Where to compute the network. The optimiser and the simulation of noise always run on the CPU
     #[arg(long, value_enum, default_value_t)]
     device: Backend,
+    /// Effect that half of the pairs have, with a strength drawn up to this one, so that the network holds when the
+    /// instrument has changed since its calibration; only with an instrument (may be given again)
+    #[arg(long, value_name = "ID=STRENGTH[,NAME=VALUE..]")]
+    vary: Vec<EffectSetting>,
     /// HTML page with curves and sample pictures, replaced with each checkpoint, to watch the training in a browser
     #[arg(long, value_name = "HTML")]
     page: Option<PathBuf>,
@@ -134,6 +139,7 @@ impl Args {
 /// be written. The last checkpoint stays on disk then.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     if args.input.is_dir() {
+        anyhow::ensure!(args.vary.is_empty(), "--vary: a data set has its own effects; give it to `simulate`");
         let set = DataSet::open(&args.input)?;
         let plan = set.plan();
         let instrument = args.instrument.as_deref().map(|path| instrument_of(path, plan.frame)).transpose()?;
@@ -145,7 +151,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         return train(args, run, inputs);
     }
     let instrument = Instrument::read(&args.input)?;
-    let source = Simulated::of(&instrument, &args.input, run.seed)?;
+    let source = Simulated::of(&instrument, &args.input, run.seed, &args.vary)?;
     let plan = source.plan();
     let (frame, object, noise, peak_e) = (plan.frame, plan.object, plan.noise, plan.peak_e);
     let (maps, lenses) = (instrument.sensor_maps()?, Lenses::of(&instrument)?);
@@ -172,7 +178,8 @@ fn train(args: &Args, run: &Run, inputs: Inputs<'_>) -> anyhow::Result<Outcome> 
     let Inputs { source, noise, frame, object, peak_e, maps, lenses, role, file } = inputs;
     let request = request(args, run)?;
     let network = request.network(frame, object, lenses)?;
-    let mut training = request.training(&network, noise.full_scale_e(), peak_e);
+    let training = request.training(&network, noise.full_scale_e(), peak_e);
+    let mut training = TrainConfig { vary: args.vary.clone(), ..training };
     let task = Task { source, network, noise, maps };
     if let Some(minutes) = args.minutes {
         training = Trainer::fit_to_time(&task, training, lenses, minutes)?;

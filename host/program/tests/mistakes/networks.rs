@@ -32,6 +32,21 @@ fn passes_and_arenas_that_cannot_be() {
                 "train pairs -o new --richardson-lucy 20 --network multiwienernet --instrument instrument --steps 2",
             )
             .says(&["--richardson-lucy", "0 for this network"]),
+            Mistake::new(
+                "Pairs of a data set with an effect of their own",
+                "train pairs -o new --vary background=4 --steps 2",
+            )
+            .says(&["--vary", "simulate"]),
+            Mistake::new(
+                "Training pairs with an effect that noise hides",
+                "simulate instrument -o new --count 4 --vary row_noise=2",
+            )
+            .says(&["vary", "an effect on light", "row_noise"]),
+            Mistake::new(
+                "Training pairs with an effect of no strength",
+                "train instrument -o new --vary array_shift=0 --steps 2",
+            )
+            .says(&["vary", "largest strength", "array_shift"]),
             Mistake::new("A network of two passes for a device", "quantize two -o two.omm").with(two_passes).says(&[
                 "passes",
                 "host only",

@@ -197,6 +197,7 @@ def simulate(
     images: _Path | None = None,
     video_frames: int = 1,
     peak_e: Sequence[float] | None = None,
+    vary: Sequence[str] = ...,
     noise: bool = False,
     seed: int = 1,
 ) -> Simulation:

@@ -8,6 +8,7 @@ mod limits;
 mod maps;
 mod panels;
 mod plan;
+mod specimens;
 mod story;
 #[cfg(test)]
 mod tests;
@@ -47,6 +48,7 @@ pub fn chapter(
         (story::faults(c))
         (page::keys(&keys(c, asked)))
         (story::story(c, asked))
+        (specimens::specimens(account, asked, instrument, numbers)?)
         (maps::maps(account, asked, numbers)?)
         (panels::panels(c, asked, numbers))
         @if asked == Asked::Close { (effects::table(c, instrument, numbers)) (limits::limits(c, numbers)) }

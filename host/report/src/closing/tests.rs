@@ -2,7 +2,9 @@
 use super::super::page::Numbers;
 use super::*;
 use ndarray::Array3;
-use ommatidia_closing::{Advice, Covariate, Effect, Fault, FaultKind, Figures, Goal, Nearest, Plan, Rejected, Value};
+use ommatidia_closing::{
+    Advice, Covariate, Effect, Fault, FaultKind, Figures, Goal, Nearest, Plan, Rejected, SpecimenMaps, Value,
+};
 use ommatidia_model::testing;
 
 fn value(name: &str, value: f64, sigma: f64, unit: &str) -> Value {
@@ -84,7 +86,14 @@ fn account() -> Account {
         ..Closing::default()
     };
     let stack = |gain: f32| Array3::from_shape_fn((2, 40, 60), |(k, r, c)| gain * ((k + r * c) as f32 * 0.3).sin());
-    Account { closing, frames: vec![3, 5], measured_dn: stack(300.0), before: stack(3.0), after: stack(1.0) }
+    Account {
+        closing,
+        frames: vec![3, 5],
+        measured_dn: stack(300.0),
+        before: stack(3.0),
+        after: stack(1.0),
+        specimens: None,
+    }
 }
 
 fn render(account: &Account, asked: Asked) -> String {
@@ -179,6 +188,7 @@ fn an_account_may_hold_next_to_nothing() {
         measured_dn: Array3::zeros((0, 40, 60)),
         before: Array3::zeros((0, 40, 60)),
         after: Array3::zeros((0, 40, 60)),
+        specimens: None,
     };
     for asked in [Asked::Close, Asked::Residual] {
         let page = render(&empty, asked);
@@ -249,4 +259,23 @@ fn a_plan_lists_what_each_measurement_separates() {
     });
     let page = render(&account, Asked::Close);
     holds(&page, &["Measure next", "Darks, four", "background or dark current", "31.5 σ", "lag", "All is linear"]);
+}
+
+#[test]
+fn estimated_specimens_are_shown_before_and_after() {
+    let mut a = account();
+    let object = |v: f32| {
+        let mut all = Array3::from_elem((2, 6, 8), v);
+        // The second frame shows a known object.
+        all.index_axis_mut(ndarray::Axis(0), 1).fill(f32::NAN);
+        all[[0, 2, 3]] = 4.0 * v;
+        all
+    };
+    a.specimens = Some(SpecimenMaps { before: object(1.0), after: object(1.2) });
+    let page = render(&a, Asked::Close);
+    holds(&page, &["Specimens as the instrument shows them", "After, frame 3", "Difference, frame 3"]);
+    assert!(!page.contains("After, frame 5") && !page.contains("NaN"));
+    let page = render(&a, Asked::Residual);
+    holds(&page, &["Specimen, frame 3"]);
+    assert!(!page.contains("Difference, frame 3"));
 }

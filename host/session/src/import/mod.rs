@@ -1,7 +1,7 @@
 //! Recordings of other programs become sessions: by reference to their files, or as a copy.
 //!
-//! [`import`] reads every frame once, so that what it reports ([`Found`]) is what is in the files: frames that are torn,
-//! repeated or missing, and the rate by the timestamps. It leaves out nothing without a line in the report.
+//! [`import`] reads every frame once, so that what it reports ([`Found`]) is what is in the files: frames that are
+//! torn, repeated or missing, and the rate by the timestamps. It leaves out nothing without a line in the report.
 
 mod describe;
 mod found;

@@ -55,8 +55,8 @@ impl FrameReader {
     /// files is one stack; what is damaged in them is listed by [`FrameReader::parts`].
     ///
     /// # Errors
-    /// The file is missing, neither .npy nor .tif nor .avi, of a sample type other than uint8, uint16 and float32, not an array
-    /// [frames, rows, cols], empty, or cut short.
+    /// The file is missing, neither .npy nor .tif nor .avi, of a sample type other than uint8, uint16 and float32, not
+    /// an array [frames, rows, cols], empty, or cut short.
     pub fn open(path: &Path) -> Result<Self, SessionError> {
         let series = |(shape, s)| (shape, Source::Series(Box::new(s)));
         // A folder has no suffix that could be wrong.

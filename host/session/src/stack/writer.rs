@@ -19,8 +19,8 @@ use tiff::tags::Tag;
 /// What to do about an error that only a mistake in this program can cause.
 pub(super) const CALLER_ERROR: &str = "this is an error in the program: please report it";
 
-/// Writes the frames of a stack one at a time, as .npy, OME-TIFF, OME-Zarr (.zarr) or video (.avi, .mp4) by the suffix of
-/// the file name. The file appears when [`FrameWriter::finish`] returns.
+/// Writes the frames of a stack one at a time, as .npy, OME-TIFF, OME-Zarr (.zarr) or video (.avi, .mp4) by the suffix
+/// of the file name. The file appears when [`FrameWriter::finish`] returns.
 #[derive(Debug)]
 pub struct FrameWriter {
     path: PathBuf,

@@ -1,8 +1,8 @@
 //! `cargo verify`: everything that must hold before a change lands, in one command.
 //!
-//! Formatting, lints, documentation, the firmware image, all tests with QEMU parity, the Python package. What the machine
-//! lacks is installed, or the run fails and says how to install it; nothing is left out in silence. The last line is
-//! `N passed, N failed, N skipped`.
+//! Formatting, lints, documentation, the firmware image, all tests with QEMU parity, the Python package. What the
+//! machine lacks is installed, or the run fails and says how to install it; nothing is left out in silence. The last
+//! line is `N passed, N failed, N skipped`.
 
 mod counts;
 mod python;

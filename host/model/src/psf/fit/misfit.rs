@@ -82,9 +82,9 @@ impl Misfit {
         })
     }
 
-    /// Scatter of the brightness of the beads about the predicted one at `rank`, relative, and the part of it that noise
-    /// causes, for windows of `pixels` pixels in all. The scatter is about the median and robust: noise in a prediction
-    /// makes all beads look alike too dim, and the windows of a few may be cut off.
+    /// Scatter of the brightness of the beads about the predicted one at `rank`, relative, and the part of it that
+    /// noise causes, for windows of `pixels` pixels in all. The scatter is about the median and robust: noise in a
+    /// prediction makes all beads look alike too dim, and the windows of a few may be cut off.
     pub fn brightness_scatter(&self, rank: usize, pixels: usize) -> [f64; 2] {
         let k = rank - 1;
         let lit: Vec<usize> = (0..self.tt.len()).filter(|n| self.pp[[*n, k]] > 0.0).collect();

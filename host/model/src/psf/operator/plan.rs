@@ -15,6 +15,9 @@ use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
 use std::borrow::Cow;
 
+/// Memory of the images of lenses that are computed at the same time, bytes, where threads do not need more.
+const MOST_GROUP_BYTES: usize = 4 << 20;
+
 /// The plan of one lens.
 #[derive(Clone, Debug)]
 struct LensPlan {
@@ -171,11 +174,13 @@ impl LowRankOperator {
         Ok(())
     }
 
-    /// Lenses that are computed at the same time: as many as there are threads, or one where the spectra of all its
-    /// terms are recomputed.
+    /// Lenses that are computed at the same time: as many as there are threads, or more where their images are small, so
+    /// that no thread waits; one where the spectra of all its terms are recomputed.
     fn groups(&self) -> impl Iterator<Item = Span> + use<> {
         let made = self.lenses.iter().flatten().any(|plan| matches!(plan.terms, LensTerms::Everywhere(_)));
-        let (n, size) = (self.lenses.len(), if made { 1 } else { rayon::current_num_threads().max(1) });
+        let image: usize = self.object.iter().map(|n| n + self.products.window - 1).product();
+        let small = MOST_GROUP_BYTES / (image * size_of::<f32>());
+        let (n, size) = (self.lenses.len(), if made { 1 } else { rayon::current_num_threads().max(small).max(1) });
         (0..n).step_by(size).map(move |first| first..(first + size).min(n))
     }
 

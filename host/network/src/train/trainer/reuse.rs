@@ -39,6 +39,11 @@ impl Reuse {
         (at % self.times == self.times - 1).then_some((step / block + 1) * self.group + at / self.times)
     }
 
+    /// Whether a later step takes the examples of step `step` again.
+    pub fn again(self, step: u64) -> bool {
+        step % (self.group * self.times) < self.group * (self.times - 1)
+    }
+
     /// Draws that are of use at `step` or later: those of its group and of the next one.
     pub fn kept(self, step: u64) -> Range<u64> {
         let first = step / (self.group * self.times) * self.group;
@@ -54,7 +59,7 @@ mod tests {
     fn without_reuse_each_step_has_a_draw_of_its_own() {
         let reuse = Reuse { group: 1, times: 1 };
         for step in 0..5 {
-            assert_eq!((reuse.draw(step), reuse.ahead(step)), (step, Some(step + 1)));
+            assert_eq!((reuse.draw(step), reuse.ahead(step), reuse.again(step)), (step, Some(step + 1), false));
         }
     }
 
@@ -64,6 +69,7 @@ mod tests {
         let used: Vec<u64> = (0..24).map(|step| reuse.draw(step)).collect();
         assert_eq!(used[..12], [0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3]);
         assert!((0..8).all(|draw| used.iter().filter(|used| **used == draw).count() == 3));
+        assert!((0..24).all(|step| reuse.again(step) == used[step as usize + 1..].contains(&used[step as usize])));
         let ahead: Vec<u64> = (0..12).filter_map(|step| reuse.ahead(step)).collect();
         assert_eq!(ahead, [4, 5, 6, 7]);
         assert!((0..24).all(|step| reuse.kept(step).contains(&reuse.draw(step))));

@@ -4,9 +4,10 @@ use super::{RecentLoss, Trainer, VALIDATION};
 use crate::train::adam::Adam;
 use crate::train::checkpoint::Checkpoint;
 use crate::train::ops::fourier::Fourier;
-use crate::train::settings::same;
+use crate::train::settings::{Difference, same};
 use crate::train::{
-    Architecture, Backend, Estimator, FilterMask, Lenses, Start, Task, TrainConfig, TrainError, regression, weights,
+    Architecture, Backend, Estimator, FilterMask, Lenses, Predictor, Start, Task, TrainConfig, TrainError, regression,
+    weights,
 };
 use ommatidia_physics::noise::NoiseModel;
 use ommatidia_session::rng;
@@ -175,10 +176,12 @@ impl<'a> Trainer<'a> {
         if !same_noise(&body.noise, &task.noise) || state.maps != task.maps {
             return differ("noise", format!("{:?}", task.noise), format!("{:?}", body.noise));
         }
-        if !body.training.same_but_steps(&training) {
-            return differ("training", format!("{training:?}"), format!("{:?}", body.training));
+        if let Some(Difference { setting, here, there }) = body.training.difference(&training) {
+            return differ(setting, there, here);
         }
-        (state.body.training, state.body.noise) = (training, task.noise);
+        let TrainConfig { warmup, validate_every, .. } = body.training;
+        state.body.training = TrainConfig { warmup, validate_every, ..training };
+        state.body.noise = task.noise;
         let run = Self::with_state(task, state, lenses)?;
         Ok(Self { kept: true, ..run })
     }
@@ -215,10 +218,12 @@ impl<'a> Trainer<'a> {
         let kept = ((count as f64 * training.held_out).round() as usize).clamp(1, count - 1);
         let mut held_out = pairs.split_off(count - kept);
         held_out.truncate(training.validation_pairs.max(1));
-        let estimator = Estimator::of(&task.network, &state.current, &task.noise)?;
+        let predictor = Predictor::of(&task.network, &state.current)?;
+        let estimator = predictor.as_ref().and_then(|p| Estimator::of(&task.network, p, &task.noise));
         Ok(Self {
             task,
             lenses,
+            predictor,
             estimator,
             backend: Backend::Cpu,
             plan,

@@ -1,7 +1,7 @@
 #![allow(clippy::unwrap_used)]
 use super::super::testing::foci;
 use super::*;
-use crate::train::{Architecture, NetworkConfig, Pair, Preset, Start, weights};
+use crate::train::{Architecture, Loss, NetworkConfig, Pair, Preset, Start, weights};
 use ommatidia_physics::noise::NoiseModel;
 use ommatidia_physics::sensor::SensorMaps;
 
@@ -201,7 +201,16 @@ fn another_network_is_not_resumed() {
     assert!(matches!(error, TrainError::Resume { field: "network", .. }), "{error}");
     let mut faster = training(3, Start::Random);
     faster.learning_rate *= 2.0;
-    assert!(matches!(Trainer::resume(task(&pairs), faster, &path), Err(TrainError::Resume { field: "training", .. })));
+    let resumed = Trainer::resume(task(&pairs), faster, &path);
+    assert!(matches!(resumed, Err(TrainError::Resume { field: "--learning-rate", .. })));
+    // A checkpoint of before there were several losses.
+    let loss = TrainConfig { loss: Loss::BceMseNrmse, ..training(3, Start::Random) };
+    let error = Trainer::resume(task(&pairs), loss, &path).err().unwrap().to_string();
+    assert!(error.contains("`--loss` is bce-mse in") && error.contains("bce-mse-nrmse;"), "{error}");
+    let longer = training(3, Start::Random).with_steps(200);
+    let longer = Trainer::resume(task(&pairs), longer, &path).unwrap();
+    let training = &longer.checkpoint().body.training;
+    assert_eq!((training.steps, training.warmup, training.validate_every), (200, 2, 3));
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Parts of a reconstruction in a folder beside its output, so that it can be stopped, continued, and shared among
-//! computers. A part is made where its file is missing or not whole, by whoever has it in their share; the parts are the
-//! same whatever the number of shares.
+//! computers. A part is made where its file is missing or not whole, by whoever has it in their share; the parts are
+//! the same whatever the number of shares.
 
 use anyhow::{Context, bail};
 use ndarray::Array2;
