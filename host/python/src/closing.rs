@@ -68,6 +68,7 @@ pub fn residual<'py>(
         arrays.set_item("measured_dn", given(py, account.measured_dn))?;
         arrays.set_item("residual_sigma", given(py, account.before))?;
         if let Some(specimens) = account.specimens {
+            arrays.set_item("specimen_frames", &specimens.frames)?;
             arrays.set_item("specimen", given(py, specimens.before))?;
         }
         result.set_item("maps", arrays)?;

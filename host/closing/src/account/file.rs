@@ -18,6 +18,9 @@ const SPECIMENS: [&str; 2] = ["specimen_before", "specimen_after"];
 struct Body {
     closing: Closing,
     frames: Vec<usize>,
+    /// Frames of the specimens; absent where none was estimated, and in accounts written before there were any.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    specimens: Option<Vec<usize>>,
 }
 
 impl Account {
@@ -30,12 +33,13 @@ impl Account {
         for (name, t) in [("measured_dn", &self.measured_dn), ("before", &self.before), ("after", &self.after)] {
             tensors.insert(name.into(), t.clone().into_dyn());
         }
-        if let Some(SpecimenMaps { before, after }) = &self.specimens {
+        if let Some(SpecimenMaps { before, after, .. }) = &self.specimens {
             for (name, t) in SPECIMENS.into_iter().zip([before, after]) {
                 tensors.insert(name.into(), t.clone().into_dyn());
             }
         }
-        let body = Body { closing: self.closing.clone(), frames: self.frames.clone() };
+        let specimens = self.specimens.as_ref().map(|maps| maps.frames.clone());
+        let body = Body { closing: self.closing.clone(), frames: self.frames.clone(), specimens };
         artifact::write(path, &Header { kind: KIND.into(), version: VERSION, provenance, body }, &tensors)
     }
 
@@ -45,20 +49,18 @@ impl Account {
     /// The file is missing or of another kind, or a map is missing or has the wrong shape.
     pub fn read(path: &Path) -> Result<Self, ArtifactError> {
         let (header, mut tensors) = artifact::read::<Body>(path, KIND, VERSION)?;
-        let shape = [Some(header.body.frames.len()), None, None];
-        let there = SPECIMENS.iter().any(|name| tensors.contains_key(*name));
-        let mut take = |name: &str| -> Result<Array3<f32>, ArtifactError> {
-            let tensor = artifact::take(path, &mut tensors, name, &shape)?;
+        let mut take = |name: &str, frames: usize| -> Result<Array3<f32>, ArtifactError> {
+            let tensor = artifact::take(path, &mut tensors, name, &[Some(frames), None, None])?;
             let format = |e: ndarray::ShapeError| ArtifactError::Format { path: path.into(), detail: e.to_string() };
             tensor.into_dimensionality::<Ix3>().map_err(format)
         };
-        let (measured_dn, before, after) = (take("measured_dn")?, take("before")?, take("after")?);
-        // Accounts of sessions with known objects, and those that were written before there were any, have none.
-        let [first, second] = SPECIMENS;
-        let specimens = match there {
-            true => Some(SpecimenMaps { before: take(first)?, after: take(second)? }),
-            false => None,
-        };
-        Ok(Self { closing: header.body.closing, frames: header.body.frames, measured_dn, before, after, specimens })
+        let Body { closing, frames, specimens } = header.body;
+        let [measured_dn, before, after] = ["measured_dn", "before", "after"].map(|name| take(name, frames.len()));
+        let specimens = specimens.map(|frames| {
+            let [before, after] = SPECIMENS.map(|name| take(name, frames.len()));
+            Ok::<_, ArtifactError>(SpecimenMaps { frames, before: before?, after: after? })
+        });
+        let specimens = specimens.transpose()?;
+        Ok(Self { closing, frames, measured_dn: measured_dn?, before: before?, after: after?, specimens })
     }
 }

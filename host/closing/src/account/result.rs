@@ -206,18 +206,19 @@ pub struct Account {
     pub before: Array3<f32>,
     /// Residual after, likewise.
     pub after: Array3<f32>,
-    /// The specimens of the frames of the maps; None where no specimen was estimated.
+    /// Up to four specimens; None where none was estimated.
     pub specimens: Option<SpecimenMaps>,
 }
 
 /// Specimens that were estimated from frames whose objects nobody knows, each from its own frame with the PSFs of all
-/// lenses: [frames, object rows, object cols], >= 0, in one unit of light before and after; NaN for frames whose objects
-/// are known.
+/// lenses: [frames, object rows, object cols], >= 0, in one unit of light before and after.
 ///
-/// They are estimates with a model, not truths: what a change of the specimen imitates, such as a displacement common to
-/// all lenses, is in them.
+/// They are estimates with a model, not truths: what a change of the specimen imitates, such as a displacement common
+/// to all lenses, is in them.
 #[derive(Clone, Debug)]
 pub struct SpecimenMaps {
+    /// Indices of the frames in their stack, which need not be those of the residual maps.
+    pub frames: Vec<usize>,
     /// With the instrument as it was.
     pub before: Array3<f32>,
     /// With the effects that were added.

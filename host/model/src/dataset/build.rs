@@ -4,7 +4,7 @@ use super::plan::{SHARD_KIND, VERSION};
 use super::reader::{ShardBody, open_shard};
 use super::vary::Vary;
 use super::{DataSetError, DataSetPlan};
-use crate::forward::Forward;
+use crate::forward::{Forward, ForwardError};
 use crate::instrument::Instrument;
 use crate::psf::OperatorConfig;
 use ndarray::{Array2, Array3};
@@ -34,8 +34,9 @@ pub struct SimulateConfig {
     /// scale.
     pub peak_e: Option<[f64; 2]>,
     /// Effects on light at their largest strengths. Half of the scenes have one of them, with strengths drawn evenly,
-    /// of either sign where the effect allows both; the frames are formed with it, and nothing says so. Networks that
-    /// trained on such pairs hold better when the instrument has changed since its calibration.
+    /// of either sign where the effect allows both; their frames are formed with it, their objects are not. Networks
+    /// that trained on such pairs lose less when the instrument has changed since its calibration. Training draws the
+    /// light of a pair anew, and scales the light of an effect with it.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub vary: Vec<EffectSetting>,
 }
@@ -141,6 +142,13 @@ impl SimulateConfig {
         let depth = instrument.psf.depth_nearest(0.0);
         let deep = || Forward::with_all_depths(instrument, OperatorConfig { depth, ..OperatorConfig::default() });
         let deep = vary.moves().then(deep).transpose()?;
+        for setting in vary.largest() {
+            let forward = deep.as_ref().unwrap_or(&forward);
+            if !changes_frames(forward, setting)? {
+                let expected = "effects that change single frames of this instrument";
+                return Err(DataSetError::Config { field: "vary", expected, found: setting.to_string() });
+            }
+        }
         Ok(Simulation {
             plan,
             scenes: self.scenes.build()?,
@@ -165,6 +173,18 @@ impl SimulateConfig {
         let expected = "two ascending numbers of electrons above zero";
         Err(DataSetError::Config { field: "peak_e", expected, found: format!("{peak_e:?}") })
     }
+}
+
+/// Whether a frame of a bright point and of even light differs with an effect.
+fn changes_frames(forward: &Forward, setting: &EffectSetting) -> Result<bool, DataSetError> {
+    let [rows, cols] = forward.operator().object_shape();
+    let mut object = Array2::ones((rows, cols));
+    object[[rows / 3, cols / 3]] = 50.0;
+    let cx = forward.context();
+    let frame = |chain: &Chain| Ok(forward.light_e(&forward.scene(object.view(), chain, &cx)?, chain, &cx));
+    let with = Chain::build(std::slice::from_ref(setting), forward.layout())?;
+    let frames: Result<_, ForwardError> = frame(&Chain::default()).and_then(|plain| Ok(plain != frame(&with)?));
+    Ok(frames?)
 }
 
 impl Simulation {
@@ -231,10 +251,10 @@ impl Simulation {
     }
 
     /// Pair `i`: the object [object rows, object cols] with maximum 1, and its noise-free frame [sensor rows, sensor
-    /// cols] in electrons, scaled so that its brightest pixel has the drawn level.
+    /// cols] in electrons, scaled so that its brightest pixel has the drawn level. A drawn effect acts after that.
     ///
     /// # Errors
-    /// No light reaches the sensor, or the forward model refuses the object.
+    /// No light reaches the sensor, with the drawn effect or without, or the forward model refuses the object.
     pub fn pair(&self, i: usize) -> Result<(Array2<f32>, Array2<f32>), DataSetError> {
         let seed = self.plan.provenance.seed;
         let object = self.scenes.draw(&self.grid, seed, "simulate/scene", i as u64);
@@ -253,12 +273,18 @@ impl Simulation {
             return Ok((object, frame));
         }
         // An effect need not be proportional to the light: form the frame again at its level.
-        let chain: Vec<EffectSetting> = self.effects.iter().cloned().chain(drawn).collect();
+        let Some(drawn) = drawn else {
+            return Ok((object.clone(), self.forward.expected_e(object.mapv(|v| v * light).view(), &cx)?));
+        };
+        let chain: Vec<EffectSetting> = self.effects.iter().cloned().chain([drawn.clone()]).collect();
         let chain = Chain::build(&chain, self.forward.layout())?;
         let forward = self.deep.as_ref().filter(|_| chain.acts_at(Stage::Geometry)).unwrap_or(&self.forward);
         let cx = forward.context();
         let scene = forward.scene(object.mapv(|v| v * light).view(), &chain, &cx)?;
         frame = forward.light_e(&scene, &chain, &cx);
+        if !frame.iter().any(|v| *v > 0.0) {
+            return Err(DataSetError::Dark { index: i, effect: drawn.to_string() });
+        }
         Ok((object, frame))
     }
 

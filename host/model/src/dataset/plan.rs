@@ -205,6 +205,14 @@ pub enum DataSetError {
         /// The pair.
         index: usize,
     },
+    /// With a drawn effect no light reaches the sensor.
+    #[error("pair {index}: no light reaches the sensor with `{effect}`; give a smaller largest strength")]
+    Dark {
+        /// The pair.
+        index: usize,
+        /// The effect.
+        effect: String,
+    },
     /// A shard could not be read or written.
     #[error(transparent)]
     Artifact(#[from] ArtifactError),

@@ -178,7 +178,15 @@ fn half_of_the_frames_hold_an_effect() {
         }
     }
     assert!(same >= 20 && brighter >= 8 && moved >= 8, "{same} {brighter} {moved}");
-    let bad = SimulateConfig { vary: vec!["row_noise=2".parse().unwrap()], ..config() };
-    let error = bad.build(&instrument(), &dir.path().join("instrument"), 4).err().unwrap().to_string();
-    assert!(error.contains("vary") && error.contains("row_noise"), "{error}");
+    // Noise that training draws itself, drifts over time, and depths that were not calibrated.
+    for text in ["row_noise=2", "photobleaching=0.5", "lag=0.1", "defocus=10"] {
+        let bad = SimulateConfig { vary: vec![text.parse().unwrap()], ..config() };
+        let error = bad.build(&instrument(), &dir.path().join("instrument"), 4).err().unwrap().to_string();
+        assert!(error.contains("vary") && error.contains(text.split('=').next().unwrap()), "{error}");
+    }
+    // An array that leaves the sensor.
+    let gone = SimulateConfig { count: 60, vary: vec!["array_shift=50".parse().unwrap()], ..config() };
+    let gone = gone.build(&instrument(), &dir.path().join("instrument"), 4).unwrap();
+    let errors: Vec<String> = (0..60).filter_map(|i| Some(gone.pair(i).err()?.to_string())).collect();
+    assert!(!errors.is_empty() && errors.iter().all(|e| e.contains("array_shift=")), "{errors:?}");
 }

@@ -1,9 +1,15 @@
 //! Effects that some pairs have: what may have changed in the instrument since it was calibrated.
+//!
+//! Their strengths hold at the light of the pair. Training draws light anew, and scales light of an effect with it.
 
 use super::DataSetError;
 use ommatidia_physics::effects::{Chain, EffectSetting, Kind, Layout, Stage, find};
 use ommatidia_session::rng;
 use rand::RngExt;
+
+/// The parameter that draws the pattern of an effect, and the number of patterns.
+const SEED: &str = "seed";
+const SEEDS: u32 = 10_000;
 
 /// Draws effects for pairs. Half of the pairs have none; each other one has one of the effects, with strengths drawn
 /// evenly up to the largest ones, of either sign where the effect allows both.
@@ -40,6 +46,11 @@ impl Vary {
         self.largest.iter().any(|s| find(&s.id).is_some_and(|e| e.descriptor().stage == Stage::Geometry))
     }
 
+    /// The effects at their largest strengths.
+    pub fn largest(&self) -> &[EffectSetting] {
+        &self.largest
+    }
+
     /// The effect of scene `scene` of `seed`, if it has one.
     pub fn draw(&self, seed: u64, scene: u64) -> Option<EffectSetting> {
         let mut rng = rng::stream(seed, "simulate/effect", scene);
@@ -51,6 +62,11 @@ impl Vary {
             let part: f64 = match param.kind {
                 Kind::Strength => rng.random_range(-1.0..=1.0),
                 Kind::Square => rng.random_range(0.0..=1.0),
+                // A pattern of its own for each scene: a network would learn one that all share.
+                Kind::Choice if name == SEED => {
+                    setting.params.insert(name, f64::from(rng.random_range(0..SEEDS)));
+                    continue;
+                }
                 Kind::Shape(_) | Kind::Choice => continue,
             };
             if let Some(value) = setting.params.get_mut(&name) {
@@ -93,6 +109,13 @@ mod tests {
         assert!((0.0..0.002).contains(&least) && (0.018..=0.02).contains(&most), "{least} {most}");
         assert_eq!(vary.draw(7, 3), vary.draw(7, 3));
         assert!((0..400).all(|scene| Vary::default().draw(7, scene).is_none()));
+    }
+
+    #[test]
+    fn each_scene_has_a_pattern_of_its_own() {
+        let vary = Vary::of(&["dust=0.2".parse().unwrap()], LAYOUT).unwrap();
+        let seeds = (0..40).filter_map(|scene| Some(vary.draw(1, scene)?.params["seed"].to_bits()));
+        assert!(seeds.collect::<std::collections::BTreeSet<u64>>().len() > 10);
     }
 
     #[test]

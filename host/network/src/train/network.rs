@@ -74,6 +74,10 @@ impl Network {
     ) -> Result<Self, TrainError> {
         config.check()?;
         backend.check()?;
+        if config.feedback.is_some() != predictor.is_some() {
+            let (expected, found) = ("a predictor exactly where there is feedback".into(), "the other".into());
+            return Err(TrainError::Config { field: "feedback", expected, found });
+        }
         let predict = predictor.map(|predictor| Arc::new(predictor) as Arc<dyn Linear>);
         if predict.is_some() && backend != Backend::Cpu {
             let (expected, found) = ("cpu for a network of more than one pass".into(), "gpu".into());

@@ -17,7 +17,7 @@ pub struct TrainRequest {
     /// Number of passes.
     pub passes: Option<usize>,
     /// Number of Richardson-Lucy iterations ahead of the first pass.
-    pub iterations: usize,
+    pub iterations: Option<usize>,
     /// Number of steps; warm-up and validations follow it.
     pub steps: Option<u64>,
     /// Number of pairs in a step.
@@ -42,7 +42,8 @@ impl TrainRequest {
     /// The network for frames and objects of these sizes, [rows, cols].
     ///
     /// # Errors
-    /// [`TrainError::Config`]: a CM2Net is asked for without `lenses`, whose views it crops.
+    /// [`TrainError::Config`]: a CM2Net is asked for without `lenses`, whose views it crops, or passes or iterations
+    /// without `lenses`, whose PSFs predict frames; or passes or iterations of another architecture.
     pub fn network(
         &self,
         frame: [usize; 2],
@@ -51,7 +52,12 @@ impl TrainRequest {
     ) -> Result<NetworkConfig, TrainError> {
         let preset = self.preset.network(frame, object);
         let network = NetworkConfig { channels: self.filters.unwrap_or(preset.channels), ..preset };
-        let passes = self.passes.unwrap_or(1);
+        let of_preset = match self.architecture {
+            ArchitectureName::SvFourierNet => self.preset.feedback(),
+            _ => [1, 0],
+        };
+        let passes = self.passes.unwrap_or(of_preset[0]);
+        let iterations = self.iterations.unwrap_or(of_preset[1]);
         if self.architecture != ArchitectureName::SvFourierNet {
             let wrong = |field, expected: &str, found: usize| {
                 Err(TrainError::Config { field, expected: expected.into(), found: found.to_string() })
@@ -59,16 +65,20 @@ impl TrainRequest {
             if passes > 1 {
                 return wrong("--passes", "1 for this network", passes);
             }
-            if self.iterations > 0 {
-                return wrong("--richardson-lucy", "0 for this network", self.iterations);
+            if iterations > 0 {
+                return wrong("--richardson-lucy", "0 for this network", iterations);
             }
         }
         Ok(match self.architecture {
-            ArchitectureName::SvFourierNet => match (passes, self.iterations, lenses) {
+            ArchitectureName::SvFourierNet => match (passes, iterations, lenses) {
                 (0 | 1, 0, _) => network,
                 (passes, iterations, Some(lenses)) => lenses.with_feedback(network, [passes, iterations], TERMS),
-                (passes, _, None) => {
-                    let field = if passes > 1 { "--passes" } else { "--richardson-lucy" };
+                (_, _, None) => {
+                    let field = match (self.passes, self.iterations) {
+                        (Some(2..), _) => "--passes",
+                        (_, Some(1..)) => "--richardson-lucy",
+                        _ => "--preset host",
+                    };
                     let expected = "--instrument FILE, whose PSFs predict frames".into();
                     return Err(TrainError::Config { field, expected, found: "none".into() });
                 }
@@ -137,9 +147,12 @@ mod tests {
 
     #[test]
     fn estimates_need_lenses_and_filters() {
-        let request = TrainRequest { iterations: 5, ..TrainRequest::default() };
+        let request = TrainRequest { iterations: Some(5), ..TrainRequest::default() };
         let error = request.network([40, 40], [16, 16], None).unwrap_err().to_string();
         assert!(error.contains("--richardson-lucy") && error.contains("--instrument"), "{error}");
+        let host = TrainRequest { preset: Preset::Host, ..TrainRequest::default() };
+        let error = host.network([40, 40], [16, 16], None).unwrap_err().to_string();
+        assert!(error.contains("--preset host") && error.contains("--instrument"), "{error}");
         let request = TrainRequest { architecture: ArchitectureName::MultiWienerNet, ..request };
         let error = request.network([40, 40], [16, 16], None).unwrap_err().to_string();
         assert!(error.contains("--richardson-lucy: expected 0"), "{error}");

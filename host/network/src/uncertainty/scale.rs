@@ -1,8 +1,8 @@
 //! The scale of errors: the expected size of the error of a pixel from what is seen without the truth.
 //!
 //! `ln scale = b . q(f)`, where q are the features of [`super::observer`] in standard deviations, limited to the range
-//! that was seen, their squares and their products. The coefficients are least squares of `ln |truth -
-//! reconstruction|`. The scale need not be right: conformal calibration makes up for a wrong one, and only widths grow
+//! that was seen, their squares and their products. The coefficients are least squares of
+//! `ln |truth - reconstruction|`. The scale need not be right: conformal calibration makes up for a wrong one, and only widths grow
 //! by it.
 
 use super::UncertaintyError;

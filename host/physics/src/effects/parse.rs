@@ -24,8 +24,9 @@ fn first_name(effect: &dyn Effect) -> String {
 /// The text that [`EffectSetting::from_str`] reads, without tables.
 impl fmt::Display for EffectSetting {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let first = find(&self.id).map(first_name).unwrap_or_default();
-        write!(f, "{}={}", self.id, self.params.get(&first).copied().unwrap_or(0.0))?;
+        let effect = find(&self.id);
+        let (first, off) = effect.map(|e| (first_name(e), e.descriptor().params[0].off)).unwrap_or_default();
+        write!(f, "{}={}", self.id, self.params.get(&first).copied().unwrap_or(off))?;
         self.params
             .iter()
             .filter(|(name, _)| **name != first)

@@ -41,8 +41,8 @@ pub struct Args {
     /// Session that all networks are judged on
     #[arg(long, value_name = "SESSION")]
     session: PathBuf,
-    /// Folder of the networks and the evaluation. A network that is already there, with the same settings, is not
-    /// trained again
+    /// Folder of the networks and the evaluation. A network that is already there, with the same shape and settings,
+    /// is not trained again
     #[arg(short, long, value_name = "FOLDER")]
     output: PathBuf,
     /// Steps of each training
@@ -93,19 +93,26 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         words.extend(["--instrument".into(), args.instrument.display().to_string()]);
         words.extend(["-o".into(), output.display().to_string(), "--steps".into(), args.steps.to_string()]);
         words.extend(options.split_whitespace().map(String::from));
-        // A network that is there, or a part of its training, is resumed, which compares all its settings.
-        let begun = Checkpoint::read(&output).ok().filter(|c| c.body.training.steps == args.steps);
-        let done = begun.as_ref().is_some_and(|c| c.body.step == args.steps);
+        let begun = Checkpoint::read(&output)
+            .ok()
+            .filter(|c| c.body.training.steps == args.steps && c.body.training.seed == run.seed);
         let mine = args.shard.is_none_or(|share| share.holds(k));
-        if !done && !mine {
+        if !mine && begun.as_ref().is_none_or(|c| c.body.step < args.steps) {
             missing += 1;
             continue;
         }
-        if begun.is_some() {
-            words.push("--resume".into());
-        }
-        let trained = play(&words, run).with_context(|| format!("variant `{name}`"))?;
-        let seconds = trained["seconds"].as_f64().filter(|_| begun.is_none());
+        let seconds = match begun {
+            // That of another task is taken as it is.
+            Some(_) if !mine => None,
+            Some(_) => {
+                resume_or_replace(&words, run).with_context(|| {
+                    let file = output.display();
+                    format!("variant `{name}`: {file} is another training; remove it, or replace it with --force")
+                })?;
+                None
+            }
+            None => play(&words, run).with_context(|| format!("variant `{name}`"))?["seconds"].as_f64(),
+        };
         let network = Checkpoint::read(&output)?.body.network;
         let parameters = weights::count(&network);
         evaluate.extend(["--with".into(), output.display().to_string()]);
@@ -147,6 +154,16 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         json!({ "ablation": table, "steps": args.steps, "frames": judged.summary.frames, "evaluation": evaluation });
     ommatidia_session::artifact::write_whole(&args.output.join(TABLE), format!("{json}\n").as_bytes())?;
     Ok(Outcome { json, text })
+}
+
+/// Resumes the training of a network that is there, or a part of it. Resuming compares shape, noise and settings; where
+/// they differ, `--force` trains again.
+fn resume_or_replace(words: &[String], run: &Run) -> anyhow::Result<()> {
+    let resumed: Vec<String> = words.iter().cloned().chain(["--resume".into()]).collect();
+    match play(&resumed, run) {
+        Err(_) if run.force => play(words, run).map(|_| ()),
+        done => done.map(|_| ()),
+    }
 }
 
 /// Runs a command line of this program inside this process.

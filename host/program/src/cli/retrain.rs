@@ -6,7 +6,7 @@ use ommatidia_closing::{Control, Filed, Retrain, RetrainRequest, Retrained};
 use ommatidia_model::metrics::Case;
 use ommatidia_network::evaluate::{Source, judge};
 use ommatidia_network::methods::FloatNetwork;
-use ommatidia_network::train::{Checkpoint, Next, Preset, Simulated, Task, Trainer};
+use ommatidia_network::train::{Checkpoint, Lenses, Next, Preset, Simulated, Task, Trainer};
 use ommatidia_session::Role;
 use ommatidia_session::artifact::{Provenance, temporary_folder_beside};
 use std::path::Path;
@@ -59,7 +59,7 @@ fn fine_tune(
 ) -> anyhow::Result<()> {
     let RetrainRequest { checkpoint, steps, seed, .. } = *request;
     let before = Checkpoint::read(checkpoint)?;
-    let source = Simulated::of(on.instrument, on.file, seed, &[])?;
+    let source = Simulated::of(on.instrument, on.file, seed, &before.body.training.vary)?;
     let plan = source.plan();
     let maps = on.instrument.sensor_maps()?;
     let mut training = before.body.training.clone().with_steps(steps).for_fine_tuning();
@@ -67,7 +67,9 @@ fn fine_tune(
     training.seed = seed;
     let task = Task { source: &source, network: before.body.network.clone(), noise: plan.noise, maps };
     let provenance = Provenance::new("close --retrain", seed, &training).with_input(checkpoint)?.with_input(on.file)?;
-    let mut trainer = Trainer::fine_tune(task, training, None, checkpoint)?;
+    // Only passes that predict frames need the lenses.
+    let lenses = before.body.network.feedback.as_ref().map(|_| Lenses::of(on.instrument)).transpose()?;
+    let mut trainer = Trainer::fine_tune(task, training, lenses.as_ref(), checkpoint)?;
     trainer.run(output, &provenance, |p| {
         progress(p.step);
         Next::Continue

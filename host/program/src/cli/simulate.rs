@@ -36,8 +36,8 @@ pub struct Args {
     /// scale)
     #[arg(long, num_args = 2, value_names = ["LOW", "HIGH"])]
     peak_e: Option<Vec<f64>>,
-    /// Effect that half of the pairs have, with a strength drawn up to this one, so that networks hold when the
-    /// instrument has changed since its calibration (may be given again)
+    /// Effect that half of the pairs have, with a strength drawn up to this one, so that networks lose less when
+    /// the instrument has changed since its calibration (may be given again)
     #[arg(long, value_name = "ID=STRENGTH[,NAME=VALUE..]")]
     vary: Vec<EffectSetting>,
     /// Simulate only every N-th shard, starting with number I (counted from 1), so that N computers share the work;

@@ -37,13 +37,13 @@ pub struct Args {
     #[arg(long, value_name = "N")]
     filters: Option<usize>,
     /// Number of passes: each after the first predicts the frame of the reconstruction so far with the calibrated PSFs,
-    /// and corrects what differs from the frame. More than one pass needs the instrument
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=8))]
-    passes: u8,
+    /// and corrects what differs from the frame. More than one pass needs the instrument [default: the preset's]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=8))]
+    passes: Option<u8>,
     /// Number of accelerated Richardson-Lucy iterations with the calibrated PSFs ahead of the first pass, which then
-    /// corrects what they find. More than 0 needs the instrument
-    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..=100))]
-    richardson_lucy: u8,
+    /// corrects what they find. More than 0 needs the instrument [default: the preset's]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(0..=100))]
+    richardson_lucy: Option<u8>,
     /// Number of steps of the optimiser [default: the preset's]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     steps: Option<u64>,
@@ -90,8 +90,8 @@ pub struct Args {
     /// Where to compute the network. The optimiser and the simulation of noise always run on the CPU
     #[arg(long, value_enum, default_value_t)]
     device: Backend,
-    /// Effect that half of the pairs have, with a strength drawn up to this one, so that the network holds when the
-    /// instrument has changed since its calibration; only with an instrument (may be given again)
+    /// Effect that half of the pairs have, with a strength drawn up to this one, so that the network loses less when
+    /// the instrument has changed since its calibration; only with an instrument (may be given again)
     #[arg(long, value_name = "ID=STRENGTH[,NAME=VALUE..]")]
     vary: Vec<EffectSetting>,
     /// HTML page with curves and sample pictures, replaced with each checkpoint, to watch the training in a browser
@@ -184,11 +184,6 @@ fn train(args: &Args, run: &Run, inputs: Inputs<'_>) -> anyhow::Result<Outcome> 
     if let Some(minutes) = args.minutes {
         training = Trainer::fit_to_time(&task, training, lenses, minutes)?;
     }
-    let mut provenance = Provenance::new("train", run.seed, &training);
-    provenance.inputs.insert(role.into(), file_hash(file)?);
-    if let (Some(from), false) = (&args.from, args.resume) {
-        provenance = provenance.with_input(from)?;
-    }
     args.device.check()?;
     let steps = training.steps;
     let mut trainer = if args.resume {
@@ -197,6 +192,11 @@ fn train(args: &Args, run: &Run, inputs: Inputs<'_>) -> anyhow::Result<Outcome> 
         new_run(args, task, training, lenses)?
     }
     .on(args.device);
+    let mut provenance = Provenance::new("train", run.seed, &trainer.checkpoint().body.training);
+    provenance.inputs.insert(role.into(), file_hash(file)?);
+    if let (Some(from), false) = (&args.from, args.resume) {
+        provenance = provenance.with_input(from)?;
+    }
     let begin = trainer.checkpoint().body.step;
     let bar = run.progress(steps, "train");
     bar.set_position(begin);
@@ -270,8 +270,8 @@ fn request(args: &Args, run: &Run) -> anyhow::Result<TrainRequest> {
         preset: args.preset,
         architecture: args.network,
         filters: args.filters,
-        passes: Some(args.passes.into()),
-        iterations: args.richardson_lucy.into(),
+        passes: args.passes.map(usize::from),
+        iterations: args.richardson_lucy.map(usize::from),
         steps,
         batch: args.batch,
         learning_rate: args.learning_rate,

@@ -19,6 +19,7 @@
 
 use super::count::BoardCounts;
 use super::error::DeviceError;
+use clap::ValueEnum;
 use ommatidia_network::quantize::BLOCK;
 use ommatidia_network::train::Preset;
 use ommatidia_shared::blob::{Bank, Blocks, Header, MemoryPlan, Rcan, Sensor, Size, Tap};
@@ -110,12 +111,8 @@ impl Network {
             memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
         };
         header.memory = Pipeline::plan(&header).map_err(DeviceError::Pipeline)?;
-        let preset = match preset {
-            Preset::Nano => "nano",
-            Preset::Lite => "lite",
-            Preset::Paper => "paper",
-        };
-        Ok(Self { preset: preset.into(), header, square: None })
+        let preset = preset.to_possible_value().map_or_else(String::new, |name| name.get_name().to_string());
+        Ok(Self { preset, header, square: None })
     }
 
     /// The same with dense filters pruned to a tenth of their bytes.

@@ -23,38 +23,29 @@ pub fn specimens(
     numbers: &mut Numbers,
 ) -> Result<Markup, ReportError> {
     let Some(maps) = &account.specimens else { return Ok(html! {}) };
-    let shown: Vec<usize> = (0..account.frames.len())
-        .filter(|i| {
-            maps.after.index_axis(Axis(0), *i).iter().chain(&maps.before.index_axis(Axis(0), *i)).all(|v| v.is_finite())
-        })
-        .collect();
-    if shown.is_empty() {
-        return Ok(html! {});
-    }
     let bar = instrument.map(|i| scale_bar(i.manifest.object.pixel_um * i.manifest.object.cols as f64));
-    let rows = shown.iter().map(|i| row(account, maps, (asked, *i), bar.as_slice())).collect::<Result<Vec<_>, _>>()?;
+    let rows = (0..maps.frames.len()).map(|i| row(maps, (asked, i), bar.as_slice())).collect::<Result<Vec<_>, _>>()?;
     let body = html! { @for row in rows { (row) } };
     let text = match asked {
         Asked::Close => {
             "Each specimen is estimated from its own frame with the PSFs of all lenses: with the instrument as it was, and \
-             with the effects that were added. Both pictures of a frame have one colour scale; the difference is theirs, \
-             after less before. A displacement or a blur common to all lenses would be in both."
+             with the effects that were added. Both have one colour scale. The third picture is after minus before, from \
+             minus to plus a quarter of that scale. A displacement or a blur common to all lenses would be in both."
         }
         Asked::Residual => {
-            "Each specimen is estimated from its own frame with the PSFs of all lenses. A displacement or a blur common to \
-             all lenses would be in the estimate."
+            "Each specimen is estimated from its own frame with the PSFs of all lenses. A displacement or a blur common \
+             to all lenses would be in the estimate."
         }
     };
     Ok(numbers.figure("Specimens as the instrument shows them.", text, body))
 }
 
 fn row(
-    account: &Account,
     maps: &SpecimenMaps,
     (asked, i): (Asked, usize),
     bar: &[super::super::picture::Mark],
 ) -> Result<Markup, ReportError> {
-    let number = account.frames[i];
+    let number = maps.frames[i];
     let [before, after] = [&maps.before, &maps.after].map(|m| m.index_axis(Axis(0), i));
     let light = truth_scale(after);
     let plate = |name: &str, image: ArrayView2<'_, f32>, scale: &Scale| -> Result<Markup, ReportError> {

@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
 use std::borrow::Cow;
 
-/// Memory of the images of lenses that are computed at the same time, bytes, where threads do not need more.
+/// Images of lenses that are computed at the same time take up to this many bytes, or one image a thread.
 const MOST_GROUP_BYTES: usize = 4 << 20;
 
 /// The plan of one lens.
@@ -153,8 +153,8 @@ impl LowRankOperator {
         Ok(frame)
     }
 
-    /// Calls `take` with the image of each living lens, in the order of the lenses. Only a few images are in memory at
-    /// a time.
+    /// Calls `take` with the image of each living lens, in the order of the lenses. The images in memory at a
+    /// time take 4 MiB, or one image a thread.
     ///
     /// # Errors
     /// The object does not have the planned shape.

@@ -150,7 +150,7 @@ impl<'a> Trainer<'a> {
     ///
     /// # Errors
     /// As [`Trainer::new`]; the checkpoint cannot be read; or it was made with another network, sensor or settings
-    /// (another number of `steps` is allowed).
+    /// (another number of `steps` is allowed; warm-up and validations stay those of the checkpoint).
     pub fn resume(task: Task<'a>, training: TrainConfig, path: &Path) -> Result<Self, TrainError> {
         Self::resume_with_lenses(task, training, None, path)
     }

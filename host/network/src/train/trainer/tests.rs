@@ -203,10 +203,13 @@ fn another_network_is_not_resumed() {
     faster.learning_rate *= 2.0;
     let resumed = Trainer::resume(task(&pairs), faster, &path);
     assert!(matches!(resumed, Err(TrainError::Resume { field: "--learning-rate", .. })));
-    // A checkpoint of before there were several losses.
-    let loss = TrainConfig { loss: Loss::BceMseNrmse, ..training(3, Start::Random) };
+    // A checkpoint of another loss.
+    let loss = TrainConfig { loss: Loss::BceMse, ..training(3, Start::Random) };
     let error = Trainer::resume(task(&pairs), loss, &path).err().unwrap().to_string();
-    assert!(error.contains("`--loss` is bce-mse in") && error.contains("bce-mse-nrmse;"), "{error}");
+    assert!(error.contains("`--loss` is bce-mse-nrmse in") && error.contains("for bce-mse;"), "{error}");
+    let vary = TrainConfig { vary: vec!["halo=0.1".parse().unwrap()], ..training(3, Start::Random) };
+    let error = Trainer::resume(task(&pairs), vary, &path).err().unwrap().to_string();
+    assert!(error.contains("`--vary` is none in") && error.contains("halo=0.1;"), "{error}");
     let longer = training(3, Start::Random).with_steps(200);
     let longer = Trainer::resume(task(&pairs), longer, &path).unwrap();
     let training = &longer.checkpoint().body.training;
