@@ -180,8 +180,8 @@ pub enum Preset {
     Nano,
     /// Between the two; trains for about an hour on a workstation.
     Lite,
-    /// For pictures on a workstation: `nano` behind twenty Richardson-Lucy iterations, two passes. Needs the instrument,
-    /// trains for half an hour on two cores, and does not run on devices.
+    /// For pictures on a workstation: `nano` with two passes. Needs the instrument, trains for half an hour on two
+    /// cores, and does not run on devices.
     Host,
     /// The network of the paper: nine filters, 0.18 M parameters after them, random start, learning rate 5e-5.
     Paper,
@@ -214,7 +214,7 @@ impl Preset {
     /// Number of passes, and number of Richardson-Lucy iterations ahead of the first one, of an SV-FourierNet.
     pub fn feedback(self) -> [usize; 2] {
         match self {
-            Self::Host => [2, 20],
+            Self::Host => [2, 0],
             Self::Nano | Self::Lite | Self::Paper => [1, 0],
         }
     }
