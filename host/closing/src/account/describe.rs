@@ -28,7 +28,7 @@ pub(crate) fn effects(model: &Model<'_>, findings: Findings<'_>, faults: &[Fault
     let Findings { before, now, own, found, tests } = findings;
     let mut effects: Vec<Effect> = faults.iter().map(fault).collect();
     // The expectation of chi-squared by noise alone is one per pixel, less if the noise model overestimates the noise.
-    let pixels = now.held_out.pixels as f64;
+    let pixels = now.held_out.pixels;
     let excess = before.held_out.chi2 - pixels.min(now.held_out.chi2);
     let mut unknown = 0;
     for (i, f) in found.iter().enumerate() {

@@ -223,7 +223,7 @@ mod tests {
                     frame,
                     block,
                     held_out: frame == 7,
-                    pixels: 50,
+                    pixels: 50.0,
                     gram: x.dot(&x.t()),
                     log_variance: 0.0,
                 });

@@ -101,7 +101,7 @@ impl Model<'_> {
             step = -step;
         }
         terms[which].params[param] = p.outer(value + step);
-        let chain = self.chain(&terms);
+        let chain = self.chain_of(k, &terms);
         let lens = p.per_lens.then(|| {
             let first = expanded.iter().position(|(_, q)| std::ptr::eq(*q, p)).unwrap_or(param);
             param - first
@@ -121,7 +121,7 @@ impl Model<'_> {
         }
         // About a tenth of the noise of a bright pixel, far above rounding errors.
         let step = 1e-3;
-        let chain = self.chain(&at.state.terms);
+        let chain = self.chain_of(k, &at.state.terms);
         let more = 1.0 + step as f32;
         let previous = f.previous.map(|p| at.predicted[p].alone_e());
         let before = previous.filter(|_| chain.needs_previous()).map(|p| p * more);
@@ -140,7 +140,7 @@ impl Model<'_> {
         let step = 1.0;
         let mut state = at.state.clone();
         state.background_e[stack][part] += step;
-        let chain = self.chain(&state.terms);
+        let chain = self.chain_of(k, &state.terms);
         let previous = f.previous.map(|p| at.predicted[p].alone_e()).filter(|_| chain.needs_previous());
         let light = self.lit(k, here.sum_e.clone(), &state, (&chain, previous));
         Some((self.dn(k, light, &chain, previous, state.black_dn) - &here.dn) / step as f32)
@@ -151,7 +151,7 @@ impl Model<'_> {
         let scene = at.scenes[k].as_ref().filter(|_| self.seen.registration_of(k) == Some(group))?;
         let (here, mut state) = (&at.predicted[k], at.state.clone());
         state.registration[group][part] += STEP_PX;
-        let chain = self.chain(&state.terms);
+        let chain = self.chain_of(k, &state.terms);
         let previous = self.seen.frames[k].previous.map(|p| at.predicted[p].alone_e());
         let sum = self.sum_e(k, Some(scene), (&chain, &state), here.scale);
         let light = self.lit(k, sum, &state, (&chain, previous));
@@ -180,7 +180,7 @@ impl Model<'_> {
             (Stage::Geometry | Stage::Lens, Some(scene)) => match lens {
                 None => self.sum_e(k, Some(scene), (chain, at.state), scale),
                 Some(l) => {
-                    let now = || self.lens_e(k, scene, l, &self.chain(&at.state.terms), at.state);
+                    let now = || self.lens_e(k, scene, l, &self.chain_of(k, &at.state.terms), at.state);
                     let change = self.lens_e(k, scene, l, chain, at.state) - &*images.of.entry(l).or_insert_with(now);
                     &here.sum_e + &(change * scale as f32)
                 }

@@ -75,19 +75,20 @@ impl Scope<'_> {
 pub struct Sums {
     /// Gram matrix of columns, errors of the calibration and residual, [n, n].
     pub gram: Array2<f64>,
-    /// Number of pixels that are used.
-    pub pixels: usize,
+    /// chi-squared that noise alone gives: the number of pixels that are used, less what estimated specimens take up.
+    pub pixels: f64,
     /// Sum of the logarithms of the pixels' variances in DN^2.
     pub log_variance: f64,
 }
 
 impl Sums {
     /// chi-squared and deviance. The model determines the variance of the noise, so chi-squared alone would fall with
-    /// every effect that adds light to dark pixels; the deviance does not.
+    /// every effect that adds light to dark pixels; the deviance does not. It is counted from the chi-squared that noise
+    /// gives: of two states, one may let the specimens take up more of the noise.
     pub fn misfit(&self) -> Misfit {
         let last = self.gram.nrows().saturating_sub(1);
         let chi2 = self.gram.get((last, last)).copied().unwrap_or(0.0);
-        Misfit { chi2, deviance: chi2 + self.log_variance, pixels: self.pixels }
+        Misfit { chi2, deviance: chi2 - self.pixels + self.log_variance, pixels: self.pixels }
     }
 }
 
@@ -96,10 +97,10 @@ impl Sums {
 pub struct Misfit {
     /// chi-squared.
     pub chi2: f64,
-    /// -2 ln of the Gaussian likelihood, up to a constant. States are compared by it.
+    /// -2 ln of the Gaussian likelihood, less what noise alone gives. States are compared by it.
     pub deviance: f64,
-    /// Number of pixels that are used.
-    pub pixels: usize,
+    /// chi-squared that noise alone gives: the number of pixels that are used, less what estimated specimens take up.
+    pub pixels: f64,
 }
 
 impl Design {
@@ -119,7 +120,7 @@ impl Design {
         let rows = columns.len() + errors.changes.len() + 1;
         // A state must not gain by driving pixels out of range: each unused pixel counts as one with the largest noise.
         let noise = model.forward.noise();
-        let unseen = 1.0 + noise.variance_dn2(noise.saturation_dn).ln();
+        let unseen = noise.variance_dn2(noise.saturation_dn).ln();
         let frames = (0..seen.frames.len())
             .into_par_iter()
             .filter(|k| whole || !seen.frames[*k].held_out)
@@ -171,13 +172,13 @@ impl Design {
                     .filter(|(block, _)| whole || !seen.held_out_blocks[*block])
                     .map(|(block, span)| {
                         let gram = scope.gram(&x.slice(s![.., span.clone()]), columns.len());
-                        let (mut pixels, mut log_variance) = (0, 0.0);
+                        let (mut pixels, mut log_variance) = (0.0, 0.0);
                         for w in seen.pixels[span.clone()].iter().map(|p| weight[*p as usize]) {
-                            pixels += usize::from(w > 0.0);
+                            pixels += f64::from(u8::from(w > 0.0));
                             log_variance += if w > 0.0 { -2.0 * f64::from(w.ln()) } else { unseen };
                         }
                         let held_out = seen.frames[k].held_out || seen.held_out_blocks[block];
-                        let pixels = (at.state.share(k, block) * pixels as f64).round() as usize;
+                        let pixels = at.state.share(k, block) * pixels;
                         Cell { frame: k, block, held_out, pixels, gram, log_variance }
                     })
                     .collect::<Vec<_>>();
@@ -208,7 +209,7 @@ impl Design {
     /// Sums over the cells for which `take` is true.
     pub fn sums(&self, take: impl Fn(&Cell) -> bool) -> Sums {
         let n = self.residual() + 1;
-        let mut sums = Sums { gram: Array2::zeros((n, n)), pixels: 0, log_variance: 0.0 };
+        let mut sums = Sums { gram: Array2::zeros((n, n)), pixels: 0.0, log_variance: 0.0 };
         for cell in self.cells.iter().filter(|c| take(c)) {
             sums.gram.zip_mut_with(&cell.gram, |s, v| *s += f64::from(*v));
             sums.pixels += cell.pixels;

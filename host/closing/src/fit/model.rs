@@ -1,6 +1,7 @@
 //! The model that the loop closes: the instrument without its effects, and the frames of a session.
 
 use super::scene::{Scene, widening};
+use super::specimen::held::Sigmas;
 use super::state::{Predicted, State, Term};
 use super::truth::{Grid, PARTS, TRUTH};
 use crate::data::{Frame, Observations, Shown};
@@ -14,6 +15,7 @@ use ommatidia_physics::noise::MapErrors;
 use ommatidia_session::Role;
 use rayon::prelude::*;
 use std::borrow::Cow;
+use std::sync::{Arc, OnceLock};
 
 /// Depths closer than this are equal, um: tables are rounded to it.
 const SAME_DEPTH_UM: f64 = 1e-3;
@@ -47,6 +49,8 @@ pub struct Model<'a> {
     pub(crate) exposure_ms: f64,
     /// Rows and columns of the windows of the basis PSFs.
     pub(super) window_px: usize,
+    /// Noise of the frames whose specimens are estimated, from their first estimate.
+    pub(super) sigmas: OnceLock<Arc<Sigmas>>,
 }
 
 impl<'a> Model<'a> {
@@ -76,6 +80,7 @@ impl<'a> Model<'a> {
                 .min(MOST_PSF_ERROR),
             exposure_ms: instrument.psf.exposure_ms,
             window_px: instrument.psf.basis.dim().2,
+            sigmas: OnceLock::new(),
         })
     }
 
@@ -151,6 +156,20 @@ impl<'a> Model<'a> {
             let _ = chain.push(t.effect, t.params.clone(), t.table.as_ref(), self.forward.layout());
         }
         chain
+    }
+
+    /// The effects of terms that act on frame `k`. A frame of an unknown specimen that is not estimated is predicted by
+    /// its own smooth part, which holds the work of the optics and of the sensor already: there, only what follows the
+    /// pixel grid acts.
+    pub(super) fn chain_of(&self, k: usize, terms: &[Term]) -> Chain {
+        match self.seen.frames[k].shown {
+            Shown::Unknown => self.chain_of_grid(terms),
+            _ => self.chain(terms),
+        }
+    }
+
+    fn chain_of_grid(&self, terms: &[Term]) -> Chain {
+        self.chain(terms.iter().filter(|t| t.effect.is_of_the_grid() || t.effect.table().is_some()))
     }
 
     /// The context of frame `k` for the hooks of effects; `previous_e` is the light of the preceding frame, electrons.
@@ -285,22 +304,23 @@ impl<'a> Model<'a> {
 
     /// Predicts every frame. `scenes` are those of [`Model::scenes`] for the same state.
     pub fn predict(&self, state: &State, scenes: &[Option<Scene>]) -> Vec<Predicted> {
-        let chain = self.chain(&state.terms);
+        let (whole, of_grid) = (self.chain(&state.terms), self.chain_of_grid(&state.terms));
+        let chain_of = |f: &Frame| if f.shown == Shown::Unknown { &of_grid } else { &whole };
         // The noise model is that of the calibration: a fit must not gain by a larger variance.
         let noise = self.forward.noise();
-        let n = self.seen.frames.len();
-        let alone: Vec<(Array2<f32>, Array2<f32>, f64)> = (0..n)
+        let alone: Vec<(Array2<f32>, Array2<f32>, f64)> = (0..self.seen.frames.len())
             .into_par_iter()
             .map(|k| {
                 let f = &self.seen.frames[k];
+                let chain = chain_of(f);
                 let mut scale = state.scale[f.stack];
-                let mut sum = self.sum_e(k, scenes[k].as_ref(), (&chain, state), scale);
+                let mut sum = self.sum_e(k, scenes[k].as_ref(), (chain, state), scale);
                 if matches!(f.shown, Shown::Bead(..)) {
                     let own = self.own_scale(k, state, &sum);
                     scale *= own;
                     sum *= own as f32;
                 }
-                let light = self.lit(k, sum.clone(), state, (&chain, None));
+                let light = self.lit(k, sum.clone(), state, (chain, None));
                 (sum, light, scale)
             })
             .collect();
@@ -309,23 +329,20 @@ impl<'a> Model<'a> {
             .enumerate()
             .map(|(k, (sum_e, alone_e, scale))| {
                 let f = &self.seen.frames[k];
+                let chain = chain_of(f);
                 let previous = f.previous.filter(|_| chain.needs_previous()).map(|p| &alone[p].1);
                 let light_e = match previous {
                     None => alone_e.clone(),
-                    Some(_) => self.lit(k, sum_e.clone(), state, (&chain, previous)),
+                    Some(_) => self.lit(k, sum_e.clone(), state, (chain, previous)),
                 };
-                let dn = self.dn(k, light_e.clone(), &chain, previous, state.black_dn);
+                let dn = self.dn(k, light_e.clone(), chain, previous, state.black_dn);
                 let (mut residual_dn, detail) = residual(f, &dn);
                 let top = noise.saturation_dn;
                 let mut inverse_sigma = Array2::zeros(dn.dim());
-                // The fixed pattern of the offset is no noise: the variance depends on the light alone.
-                let mut variance = light_e
-                    .mapv(|e| noise.variance_dn2(noise.black_level_dn + noise.gain_dn_per_e * f64::from(e)) as f32);
-                if let Some(reading) = self.forward.reading_dn2() {
-                    // The read noise of single pixels beyond the common read noise.
-                    let common = self.forward.noise().variance_dn2(noise.black_level_dn) as f32;
-                    variance.zip_mut_with(reading, |v, r| *v += r - common);
-                }
+                let mut variance = match state.specimens.as_ref().and_then(|s| s.sigma(k)) {
+                    Some(sigma) => sigma * sigma,
+                    None => self.variance_dn2(&light_e),
+                };
                 if matches!(f.shown, Shown::Bead(..)) {
                     let error = self.psf_error * noise.gain_dn_per_e;
                     let light2 = blur_within(&light_e.mapv(|e| e * e), PSF_ERROR_PX);
@@ -359,6 +376,20 @@ impl<'a> Model<'a> {
             specimens.remove(&mut frames.map(|(p, _)| &mut p.residual_dn).collect::<Vec<_>>());
         }
         predicted
+    }
+
+    /// Variance of the noise of frames with an expected light, DN^2, [sensor rows, sensor cols]. The fixed pattern of
+    /// the offset is no noise: the variance depends on the light alone.
+    pub(super) fn variance_dn2(&self, light_e: &Array2<f32>) -> Array2<f32> {
+        let noise = self.forward.noise();
+        let of_light = |e: &f32| noise.variance_dn2(noise.black_level_dn + noise.gain_dn_per_e * f64::from(*e)) as f32;
+        let mut variance = light_e.map(of_light);
+        if let Some(reading) = self.forward.reading_dn2() {
+            // The read noise of single pixels beyond the common read noise.
+            let common = noise.variance_dn2(noise.black_level_dn) as f32;
+            variance.zip_mut_with(reading, |v, r| *v += r - common);
+        }
+        variance
     }
 
     /// Light of a bead's frame over the expected light, by least squares: bead frames may have been normalised one by

@@ -21,6 +21,10 @@ use std::sync::Arc;
 const STEPS: usize = 7;
 /// Maximum number of steps: a strong effect, far from linear, may need more.
 const MOST_STEPS: usize = 25;
+/// A fit ends where the next step would lower chi-squared by less than this, or has lowered the deviance by less.
+const SETTLED: f64 = 0.02;
+/// A step that does not lower the deviance ends the fit where it would lower chi-squared by less than this.
+const SLIGHT: f64 = 2.0;
 /// A fit goes on beyond [`STEPS`] as long as a step takes this share of the excess of chi-squared over the noise.
 const WORTH: f64 = 0.01;
 
@@ -88,20 +92,23 @@ pub fn refit_from(model: &Model<'_>, mut state: State, scenes: Scenes) -> Result
     let mut at = Point::of(model, &state, &columns, scenes)?;
     let mut damping = 1e-3;
     for step in 0..MOST_STEPS {
-        let proposal = at.step(model, &state, &columns, damping);
+        let Step { proposal, expected_fall } = at.step(model, &state, &columns, damping);
+        if expected_fall < SETTLED && damping < 1.0 {
+            break;
+        }
         let scenes = if emission { model.scenes(&proposal)?.into() } else { at.scenes.clone() };
         let next = Point::of(model, &proposal, &columns, scenes)?;
         let fall = at.training.deviance - next.training.deviance;
         if fall > 0.0 {
             (state, at) = (proposal, next);
             damping *= 0.2;
-            let excess = (at.training.chi2 - at.training.pixels as f64).max(0.0);
-            if fall < 0.02 || step + 1 >= STEPS && fall < WORTH * excess {
+            let excess = (at.training.chi2 - at.training.pixels).max(0.0);
+            if fall < SETTLED || step + 1 >= STEPS && fall < WORTH * excess {
                 break;
             }
         } else {
             damping *= 20.0;
-            if damping > 1e4 || step + 1 >= STEPS {
+            if damping > 1e4 || step + 1 >= STEPS || expected_fall < SLIGHT {
                 break;
             }
         }
@@ -126,6 +133,13 @@ struct Point {
     known_held_out: Misfit,
 }
 
+/// A step of a fit.
+struct Step {
+    proposal: State,
+    /// Fall of chi-squared if the frames are linear in the values.
+    expected_fall: f64,
+}
+
 impl Point {
     fn of(model: &Model<'_>, state: &State, columns: &[Column], scenes: Scenes) -> Result<Self, ForwardError> {
         let predicted = model.predict(state, &scenes);
@@ -144,13 +158,14 @@ impl Point {
         })
     }
 
-    /// The state after one damped step, with every value kept in its range.
-    fn step(&self, model: &Model<'_>, state: &State, columns: &[Column], damping: f64) -> State {
+    /// One damped step, with every value kept in its range.
+    fn step(&self, model: &Model<'_>, state: &State, columns: &[Column], damping: f64) -> Step {
         let n = columns.len();
         let mut hessian = self.gram.slice(ndarray::s![..n, ..n]).to_owned();
         hessian.diag_mut().mapv_inplace(|v| v * (1.0 + damping));
         let right = Array1::from_iter((0..n).map(|i| self.gram[[i, n]]));
         let delta = pseudo_inverse(&hessian).dot(&right);
+        let expected_fall = delta.dot(&right);
         let mut next = state.clone();
         for (column, d) in columns.iter().zip(delta) {
             match column {
@@ -168,6 +183,6 @@ impl Point {
                 Column::Trial { .. } => {}
             }
         }
-        next
+        Step { proposal: next, expected_fall }
     }
 }

@@ -35,7 +35,7 @@ pub(super) fn statement(model: &Model<'_>, state: &State, columns: &[Column], re
         }
     }
     let [frame, block] = place(model);
-    Some(Cell { frame, block, held_out: false, pixels: 0, gram: x.dot(&x.t()), log_variance: 0.0 })
+    Some(Cell { frame, block, held_out: false, pixels: 0.0, gram: x.dot(&x.t()), log_variance: 0.0 })
 }
 
 /// Whether a cell is that of [`statement`].

@@ -94,7 +94,7 @@ pub(crate) fn cells(model: &Model<'_>, at: Expansion<'_>, columns: &[Column], re
                 put(i, parts.iter().map(|p| p.0[i]).collect());
             }
             put(rows - 1, parts.iter().map(|p| p.1).collect());
-            let (frame, block, pixels) = (model.seen.frames.len(), model.seen.blocks.len(), x.ncols());
+            let (frame, block, pixels) = (model.seen.frames.len(), model.seen.blocks.len(), x.ncols() as f64);
             Some(Cell { frame, block, held_out, pixels, gram: x.dot(&x.t()), log_variance: sampling.log_variance() })
         })
         .collect()

@@ -37,8 +37,8 @@ const DISTINCT: f64 = 0.1;
 const TRACE: f64 = 1e-3;
 /// Specimens are estimated again under fits whose deviance falls by this share of the largest fall.
 const CLOSE: f64 = 0.5;
-/// At most so many times, and until the deviance falls by less than [`SETTLED`].
-const ROUNDS: usize = 3;
+/// Under the best of them so often at most, and until the deviance falls by less than [`SETTLED`].
+const ROUNDS: usize = 5;
 const SETTLED: f64 = 5.0;
 
 /// Scores trial terms beside a fitted state: each effect at the best of its starting values.
@@ -190,7 +190,7 @@ impl<'m, 'a> Search<'m, 'a> {
     ) -> Result<bool, ForwardError> {
         let p: Vec<f64> = candidates.iter().map(Candidate::p).collect();
         let significant = holm(&p, ALPHA);
-        let pixels = self.now.training.pixels as f64;
+        let pixels = self.now.training.pixels;
         let mut fits = Vec::new();
         loop {
             let open =
@@ -259,7 +259,7 @@ impl<'m, 'a> Search<'m, 'a> {
     /// Excess of chi-squared over the noise on held-out data; 0 if there is none.
     fn excess(&self) -> f64 {
         let held_out = self.now.held_out;
-        (held_out.chi2 - held_out.pixels as f64).max(0.0)
+        (held_out.chi2 - held_out.pixels).max(0.0)
     }
 
     /// Whether the next step must be a new calibration, not another effect.
@@ -295,26 +295,37 @@ impl<'m, 'a> Search<'m, 'a> {
     /// many parameters.
     fn estimate_again(&self, fits: &mut [(&'static str, Fitted)]) -> Result<(), ForwardError> {
         let now = &self.now;
+        let has_old = |fit: &Fitted| match (&fit.state.specimens, &now.state.specimens) {
+            (Some(own), Some(old)) => Arc::ptr_eq(own, old),
+            _ => false,
+        };
         let fall = |fit: &Fitted| now.training.deviance - fit.training.deviance;
         let most = fits.iter().map(|(_, fit)| fall(fit)).fold(0.0, f64::max);
-        for (id, fit) in fits.iter_mut() {
-            let has_new = match (&fit.state.specimens, &now.state.specimens) {
-                (Some(own), Some(old)) => !Arc::ptr_eq(own, old),
-                _ => true,
-            };
-            if has_new || fall(fit) <= CLOSE * most {
-                continue;
+        for (id, fit) in fits.iter_mut().filter(|(_, fit)| has_old(fit) && fall(fit) > CLOSE * most) {
+            *fit = self.with_new_specimens(id, fit)?;
+        }
+        Ok(())
+    }
+
+    /// Estimates the specimens of a fit again, if there are any, until it settles.
+    fn settle(&self, id: &str, fit: &mut Fitted) -> Result<(), ForwardError> {
+        for _ in 1..ROUNDS {
+            if fit.state.specimens.is_none() {
+                break;
             }
-            for _ in 0..ROUNDS {
-                let before = fit.training.deviance;
-                *fit = refit(self.model, State { specimens: None, ..fit.state.clone() })?;
-                tracing::info!("  {id} with new specimens: deviance {:.1}", fit.training.deviance);
-                if before - fit.training.deviance < SETTLED {
-                    break;
-                }
+            let before = fit.training.deviance;
+            *fit = self.with_new_specimens(id, fit)?;
+            if before - fit.training.deviance < SETTLED {
+                break;
             }
         }
         Ok(())
+    }
+
+    fn with_new_specimens(&self, id: &str, fit: &Fitted) -> Result<Fitted, ForwardError> {
+        let next = refit(self.model, State { specimens: None, ..fit.state.clone() })?;
+        tracing::info!("  {id} with new specimens: deviance {:.1}", next.training.deviance);
+        Ok(next)
     }
 
     /// Fits the finalists in full, unless `fits` holds them already, and checks the best on held-out data.
@@ -344,7 +355,7 @@ impl<'m, 'a> Search<'m, 'a> {
         // The scatter between clusters and the errors of the calibration weight the full fits as they do the scores,
         // with one weight for all: an effect with many parameters must not win by fitting errors of the calibration.
         // What the best of the fits removes was scatter of the effect itself, which is no such error.
-        let excess = |fit: &Fitted| (fit.training.chi2 - fit.training.pixels as f64).max(0.0);
+        let excess = |fit: &Fitted| (fit.training.chi2 - fit.training.pixels).max(0.0);
         let least_excess = fits.iter().map(|(_, fit)| excess(fit)).fold(f64::INFINITY, f64::min);
         let left = if excess(&self.now) > 0.0 { (least_excess / excess(&self.now)).min(1.0) } else { 1.0 };
         let scatter = |c: &Candidate| c.test.as_ref().map_or(0.0, |t| (t.gain / t.t.max(1e-9) - 1.0).max(0.0));
@@ -388,6 +399,7 @@ impl<'m, 'a> Search<'m, 'a> {
         let Some((worth, candidate, at)) = best.and_then(|(worth, c)| Some((worth, c, place(c)?))) else {
             return Ok(Verdict::Refused(finalists.first().map_or("", |c| c.term.id())));
         };
+        self.settle(candidate.term.id(), &mut fits[at].1)?;
         let gain = self.now.held_out.deviance - fits[at].1.held_out.deviance;
         if worth <= 0.0 || gain <= 0.0 {
             return Ok(Verdict::Refused(candidate.term.id()));

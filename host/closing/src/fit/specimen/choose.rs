@@ -1,6 +1,7 @@
 //! Which frames of unknown specimens are used.
 
 use super::probe::MARGIN;
+use super::views::Views;
 use crate::data::{Observations, Shown};
 use ommatidia_model::instrument::Instrument;
 
@@ -18,7 +19,7 @@ pub fn estimate_specimens(instrument: &Instrument, seen: &mut Observations) {
     let [rows, cols] = [instrument.manifest.object.rows, instrument.manifest.object.cols];
     let sampled = seen.pixels.len() < seen.sensor[0] * seen.sensor[1];
     let (lenses, side) = (instrument.geometry.anchors_px.len(), instrument.psf.basis.dim().2 + 2 * MARGIN);
-    let large = rows * cols > MOST_UNKNOWNS || rows * cols * lenses * side * side > MOST_VALUES;
+    let large = rows * cols > MOST_UNKNOWNS || Views::values([rows, cols], side, lenses) > MOST_VALUES;
     let impossible = instrument.sensor_only() || large || sampled;
     if impossible || seen.frames.iter().any(|f| known(&f.shown)) {
         return;

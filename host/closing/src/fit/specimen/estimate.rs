@@ -13,23 +13,37 @@ const ITERATIONS: usize = 25;
 /// Object pixels with less light on the sensor, relative to the brightest, are not estimated.
 const LEAST: f32 = 1e-3;
 
+/// An estimated specimen.
+pub(super) struct Estimate {
+    /// [object rows, object cols].
+    pub(super) object: Array2<f32>,
+    /// Its light on the sensor, electrons, [sensor rows, sensor cols].
+    pub(super) light_e: Array2<f32>,
+}
+
 /// Specimens that explain frames, each [object rows, object cols] >= 0. `frames_e` are the frames without their dark
 /// signal, electrons, [sensor rows, sensor cols]; `weight` is positive at the pixels that count; `floor_e2` is the
 /// variance of the read noise.
-pub(super) fn specimens(views: &Views, frames_e: &[Array2<f32>], weight: &[f32], floor_e2: f32) -> Vec<Array2<f32>> {
-    frames_e.chunks(LANES).flat_map(|group| together(views, group, weight, floor_e2)).collect()
+pub(super) fn specimens(views: &Views, frames_e: &[Array2<f32>], weight: &[f32], floor_e2: f32) -> Vec<Estimate> {
+    let of = |group: &[Array2<f32>]| match group.len() {
+        ..=4 => together::<4>(views, group, weight, floor_e2),
+        5..=8 => together::<8>(views, group, weight, floor_e2),
+        _ => together::<LANES>(views, group, weight, floor_e2),
+    };
+    frames_e.chunks(LANES).flat_map(of).collect()
 }
 
-fn together(views: &Views, frames_e: &[Array2<f32>], weight: &[f32], floor_e2: f32) -> Vec<Array2<f32>> {
-    let mut measured: Vec<[f32; LANES]> = vec![[0.0; LANES]; weight.len()];
+/// The same for at most L frames at once.
+fn together<const L: usize>(views: &Views, frames_e: &[Array2<f32>], weight: &[f32], floor_e2: f32) -> Vec<Estimate> {
+    let mut measured: Vec<[f32; L]> = vec![[0.0; L]; weight.len()];
     for (lane, frame) in frames_e.iter().enumerate() {
         measured.iter_mut().zip(frame).for_each(|(m, y)| m[lane] = (y + floor_e2).max(0.0));
     }
-    let used: Vec<[f32; LANES]> = weight.iter().map(|w| [f32::from(u8::from(*w > 0.0)); LANES]).collect();
+    let used: Vec<[f32; L]> = weight.iter().map(|w| [f32::from(u8::from(*w > 0.0)); L]).collect();
     // Low-rank PSFs have small negative values; object pixels with hardly any light on the sensor stay dark.
     let seen = views.adjoint(&used);
     let least = seen.iter().map(|s| s[0]).fold(0.0f32, f32::max) * LEAST;
-    let mut objects: Vec<[f32; LANES]> = vec![[1.0; LANES]; views.unknowns()];
+    let mut objects: Vec<[f32; L]> = vec![[1.0; L]; views.unknowns()];
     for _ in 0..ITERATIONS {
         let mut ratio = views.forward(&objects);
         for ((r, m), u) in ratio.iter_mut().zip(&measured).zip(&used) {
@@ -40,7 +54,13 @@ fn together(views: &Views, frames_e: &[Array2<f32>], weight: &[f32], floor_e2: f
             x.iter_mut().zip(b).zip(s).for_each(|((x, b), s)| *x = if *s > least { *x * b.max(0.0) / s } else { 0.0 });
         }
     }
-    let [rows, cols] = views.object();
-    let object = |lane: usize| Array2::from_shape_fn((rows, cols), |(r, c)| objects[r * cols + c][lane]);
-    (0..frames_e.len()).map(object).collect()
+    let light = views.forward(&objects);
+    let image = |of: &[[f32; L]], [rows, cols]: [usize; 2], lane: usize| {
+        Array2::from_shape_fn((rows, cols), |(r, c)| of[r * cols + c][lane])
+    };
+    let one = |lane: usize| Estimate {
+        object: image(&objects, views.object(), lane),
+        light_e: image(&light, views.sensor(), lane),
+    };
+    (0..frames_e.len()).map(one).collect()
 }

@@ -28,19 +28,18 @@ const DRAWS: usize = 4;
 pub(in crate::fit) fn specimens(model: &Model<'_>, state: &State) -> Result<Option<Arc<Specimens>>, ForwardError> {
     let seen = model.seen;
     let frames: Vec<usize> = (0..seen.frames.len()).filter(|k| seen.frames[*k].shown == Shown::Estimated).collect();
-    let Some(middle) = frames.get(frames.len() / 2) else { return Ok(None) };
+    if frames.is_empty() {
+        return Ok(None);
+    }
     let (chain, noise) = (model.chain(&state.terms), model.forward.noise());
-    let views = probed(model, &chain, *middle, model.window_px)?;
-    let gain = noise.gain_dn_per_e as f32;
-    // Variances from the frames themselves, blurred: they are only weights.
-    let sigma = |k: usize| {
-        let level = blur_within(&seen.frames[k].measured, SMOOTH_PX);
-        level.mapv(|y| noise.variance_dn2(f64::from(y).max(noise.black_level_dn)).sqrt() as f32)
-    };
-    let sigmas: Vec<Array2<f32>> = frames.iter().map(|k| sigma(*k)).collect();
+    let views = probed(model, &state.terms, &frames, model.window_px)?;
     let mut weight = vec![0.0f32; seen.sensor[0] * seen.sensor[1]];
-    for sigma in &sigmas {
-        weight.iter_mut().zip(sigma).for_each(|(w, s)| *w += 1.0 / (s * s * frames.len() as f32));
+    for k in &frames {
+        // Variances from the frame itself, blurred: here they are only weights.
+        let level = blur_within(&seen.frames[*k].measured, SMOOTH_PX);
+        for (w, y) in weight.iter_mut().zip(&level) {
+            *w += 1.0 / (noise.variance_dn2(f64::from(*y).max(noise.black_level_dn)) as f32 * frames.len() as f32);
+        }
     }
     let held_out = held_out(seen);
     for (p, w) in weight.iter_mut().enumerate() {
@@ -51,18 +50,31 @@ pub(in crate::fit) fn specimens(model: &Model<'_>, state: &State) -> Result<Opti
         }
     }
     let projector = Projector::of(views, weight)?;
+    let dark = |k: usize| model.lit(k, Array2::zeros((seen.sensor[0], seen.sensor[1])), state, (&chain, None));
     let bare = |k: &usize| {
-        let dark = model.lit(*k, Array2::zeros((seen.sensor[0], seen.sensor[1])), state, (&chain, None));
-        (&seen.frames[*k].measured - &model.dn(*k, dark, &chain, None, state.black_dn)) / gain
+        let dark_dn = model.dn(*k, dark(*k), &chain, None, state.black_dn);
+        (&seen.frames[*k].measured - &dark_dn) / noise.gain_dn_per_e as f32
     };
     let light: Vec<Array2<f32>> = frames.iter().map(bare).collect();
     let floor_e2 = noise.read_noise_e.powi(2).max(LEAST_FLOOR_E2) as f32;
     let found = estimate::specimens(projector.views(), &light, projector.weight(), floor_e2);
+    // The noise is that of the first estimate under every state. What a specimen takes of the squares of a residual
+    // differs from pixel to pixel, so a state could gain by moving light where much is taken.
+    let sigmas = model.sigmas.get_or_init(|| {
+        let mut sigmas = vec![None; seen.frames.len()];
+        for (k, of) in frames.iter().zip(&found) {
+            sigmas[*k] = Some(model.variance_dn2(&(&of.light_e + &dark(*k)).mapv(|e| e.max(0.0))).mapv(f32::sqrt));
+        }
+        Arc::new(sigmas)
+    });
     let mut objects = vec![None; seen.frames.len()];
-    frames.iter().zip(found).for_each(|(k, object)| objects[*k] = Some(object));
-    let mut it = Specimens { objects, projector, expected: vec![Vec::new(); seen.frames.len()] };
-    for (k, sigma) in frames.iter().zip(&sigmas) {
-        it.expected[*k] = noise_left(&it, seen, *k, sigma);
+    frames.iter().zip(found).for_each(|(k, of)| objects[*k] = Some(of.object));
+    let expected = vec![Vec::new(); seen.frames.len()];
+    let mut it = Specimens { objects, projector, sigmas: Arc::clone(sigmas), expected };
+    for k in &frames {
+        if let Some(sigma) = &sigmas[*k] {
+            it.expected[*k] = noise_left(&it, seen, *k, sigma);
+        }
     }
     Ok(Some(Arc::new(it)))
 }

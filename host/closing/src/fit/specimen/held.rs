@@ -2,12 +2,18 @@
 
 use super::projector::Projector;
 use ndarray::Array2;
+use std::sync::Arc;
+
+/// For each frame the standard deviation of the noise, DN, [sensor rows, sensor cols]; None: not estimated.
+pub(in crate::fit) type Sigmas = Vec<Option<Array2<f32>>>;
 
 /// Estimated specimens, and what takes them out of the frames.
 pub struct Specimens {
     /// For each frame its specimen, [object rows, object cols]; None: not estimated.
     pub(super) objects: Vec<Option<Array2<f32>>>,
     pub(super) projector: Projector,
+    /// For each frame the standard deviation of the noise, DN, [sensor rows, sensor cols]; None: not estimated.
+    pub(super) sigmas: Arc<Sigmas>,
     /// Mean square that noise alone leaves of a pixel after the projection, in units of its variance: for each frame,
     /// for each spatial block.
     pub(super) expected: Vec<Vec<f64>>,
@@ -23,6 +29,11 @@ impl Specimens {
     /// The estimated specimen of frame `k`.
     pub(crate) fn object(&self, k: usize) -> Option<&Array2<f32>> {
         self.objects.get(k)?.as_ref()
+    }
+
+    /// The standard deviation of the noise of frame `k`, DN. It is the same under every state of a model.
+    pub(crate) fn sigma(&self, k: usize) -> Option<&Array2<f32>> {
+        self.sigmas.get(k)?.as_ref()
     }
 
     /// Takes out of images what a change of the specimen can make.

@@ -5,6 +5,7 @@
 
 use super::views::Views;
 use crate::fit::model::Model;
+use crate::fit::state::Term;
 use ndarray::Array2;
 use ommatidia_model::forward::ForwardError;
 use ommatidia_physics::effects::{Chain, Stage};
@@ -12,28 +13,47 @@ use rayon::prelude::*;
 
 /// Pixels by which an effect may widen a window or move its light inside it, on each side.
 pub(super) const MARGIN: usize = 3;
+/// Light of a unit source beyond a window that is fainter than this, relative to the brightest pixel, is left out.
+const FAINT: f32 = 1e-4;
 
-/// The optics in windows of `window` pixels under a chain of effects, in the context of frame `k`.
+/// An effect on the light of the sensor belongs to the optics if no more than this share of what it changes is farther
+/// away than [`MARGIN`], or differs between frames.
+const ELSEWHERE: f64 = 0.01;
+
+/// The optics in windows of `window` pixels under the effects of `terms`, in the context of the middle one of `frames`.
 ///
 /// # Errors
 /// The parts of the instrument disagree.
-pub(super) fn probed(model: &Model<'_>, chain: &Chain, k: usize, window: usize) -> Result<Views, ForwardError> {
+pub(super) fn probed(
+    model: &Model<'_>,
+    terms: &[Term],
+    frames: &[usize],
+    window: usize,
+) -> Result<Views, ForwardError> {
+    let k = frames.get(frames.len() / 2).copied().unwrap_or(0);
     let (cx, forward) = (model.context(k, None), &model.forward);
+    let (chain, near) = (&model.chain(terms), near(model, terms, frames, window));
     let object = forward.operator().object_shape();
     let sensor = model.seen.sensor;
-    let margin = if chain.acts_at(Stage::Geometry) || chain.acts_at(Stage::Lens) { MARGIN } else { 0 };
-    let side = window + 2 * margin;
-    let response = forward.on_sensor(Array2::ones((sensor[0], sensor[1])), &Chain::default(), &cx);
+    let dark = Array2::zeros((sensor[0], sensor[1]));
+    let (response, stray) =
+        (forward.on_sensor(&dark + 1.0, &Chain::default(), &cx), forward.on_sensor(dark, &near, &cx));
     let images = |sources: &Array2<f32>, chain: &Chain| -> Result<Vec<Array2<f32>>, ForwardError> {
         let scene = forward.scene(sources.view(), chain, &cx)?.at_depth(model.depth_of(k));
-        Ok((0..model.lenses()).map(|l| forward.lens_e(&scene, l, chain, &cx) * &response).collect())
+        let image = |l: usize| forward.lens_e(&scene, l, chain, &cx);
+        Ok((0..model.lenses())
+            .map(|l| match near.is_empty() {
+                true => image(l) * &response,
+                false => forward.on_sensor(image(l), &near, &cx) - &stray,
+            })
+            .collect())
     };
     // Where the effects move the light to, in whole pixels.
     let middle = object.map(|n| n / 2);
     let mut source = Array2::zeros((object[0], object[1]));
     source[middle] = 1.0;
     let (plain, moved) = (images(&source, &Chain::default())?, images(&source, chain)?);
-    let corners = (0..model.lenses())
+    let middles: Vec<[isize; 2]> = (0..model.lenses())
         .map(|l| {
             let shift = match (centroid(&plain[l]), centroid(&moved[l])) {
                 (Some(a), Some(b)) => [b[0] - a[0], b[1] - a[1]],
@@ -42,17 +62,27 @@ pub(super) fn probed(model: &Model<'_>, chain: &Chain, k: usize, window: usize) 
             [0, 1].map(|a| {
                 let centre = (object[a] as f64 - 1.0) / 2.0;
                 let corner = (cx.anchors_px[l][a] - centre).round() as isize;
-                corner + shift[a].round() as isize - (side / 2) as isize
+                corner + shift[a].round() as isize
             })
         })
         .collect();
+    let lattice = |[row, col]: [usize; 2], side: usize| {
+        let mut sources = Array2::zeros((object[0], object[1]));
+        sources.slice_mut(ndarray::s![row..;side, col..;side]).fill(1.0);
+        images(&sources, chain)
+    };
+    let margin = if chain.acts_at(Stage::Geometry) || chain.acts_at(Stage::Lens) || !near.is_empty() {
+        let side = window + 2 * MARGIN;
+        let first = object.map(|n| (side / 2).min(n - 1));
+        widening(&lattice(first, side)?, &middles, (object, first), window)
+    } else {
+        0
+    };
+    let side = window + 2 * margin;
+    let corners = middles.iter().map(|m| m.map(|at| at - (side / 2) as isize)).collect();
     let mut it = Views::dark(object, sensor, side, corners);
     for row in 0..side {
-        let lattices = (0..side).into_par_iter().map(|col| {
-            let mut sources = Array2::zeros((object[0], object[1]));
-            sources.slice_mut(ndarray::s![row..;side, col..;side]).fill(1.0);
-            images(&sources, chain)
-        });
+        let lattices = (0..side).into_par_iter().map(|col| lattice([row, col], side));
         let lattices: Vec<Vec<Array2<f32>>> = lattices.collect::<Result<_, _>>()?;
         for (col, images) in lattices.iter().enumerate() {
             for r in (row..object[0]).step_by(side) {
@@ -63,6 +93,71 @@ pub(super) fn probed(model: &Model<'_>, chain: &Chain, k: usize, window: usize) 
         }
     }
     Ok(it)
+}
+
+/// Those of the effects on the light of the sensor that change a pixel by its neighbours alone, in all frames alike: the
+/// specimen is seen through them as it is through the lenses. What acts from afar, or on one frame only, is left to the
+/// prediction.
+fn near(model: &Model<'_>, terms: &[Term], frames: &[usize], window: usize) -> Chain {
+    let (sensor, side) = (model.seen.sensor, window + 2 * MARGIN);
+    let dark = Array2::<f32>::zeros((sensor[0], sensor[1]));
+    let mut dots = dark.clone();
+    dots.slice_mut(ndarray::s![side / 2..;side, side / 2..;side]).fill(1.0);
+    let around = |at: usize, n: usize| (side / 2..n).step_by(side).any(|dot| at.abs_diff(dot) <= MARGIN);
+    let is_near = |term: &&Term| {
+        if term.effect.descriptor().stage != Stage::Light {
+            return false;
+        }
+        let chain = model.chain([*term]);
+        let changed = |k: &usize| {
+            let cx = model.context(*k, None);
+            let lit = |light: &Array2<f32>, chain: &Chain| model.forward.on_sensor(light.clone(), chain, &cx);
+            lit(&dots, &chain) - lit(&dark, &chain) - lit(&dots, &Chain::default())
+        };
+        let changes: Vec<Array2<f32>> = frames.iter().map(changed).collect();
+        let Some(first) = changes.first() else { return false };
+        let size = |image: &Array2<f32>| image.iter().map(|v| f64::from(v.abs())).sum::<f64>();
+        let far = |((r, c), v): ((usize, usize), &f32)| {
+            if around(r, sensor[0]) && around(c, sensor[1]) { 0.0 } else { f64::from(v.abs()) }
+        };
+        let all = size(first);
+        let elsewhere: f64 = first.indexed_iter().map(far).sum();
+        all > 0.0
+            && elsewhere <= ELSEWHERE * all
+            && changes.iter().all(|other| size(&(other - first)) <= ELSEWHERE * all)
+    };
+    model.chain(terms.iter().filter(is_near))
+}
+
+/// Pixels by which the windows of a lattice of sources have to be wider than `window` to hold their light, at most
+/// [`MARGIN`]. The lattice has its first source at `first` and one every `window + 2 MARGIN` pixels; `images` are those
+/// of the lenses, and `middles` the sensor pixels of object pixel (0, 0).
+fn widening(
+    images: &[Array2<f32>],
+    middles: &[[isize; 2]],
+    (object, first): ([usize; 2], [usize; 2]),
+    window: usize,
+) -> usize {
+    let (half, side) = ((window / 2 + MARGIN) as isize, window + 2 * MARGIN);
+    // The brightest pixel of each ring, from the outermost to the edge of the plain window, and inside.
+    let mut rings = [0.0f32; MARGIN + 1];
+    for (image, middle) in images.iter().zip(middles) {
+        for r in (first[0]..object[0]).step_by(side) {
+            for c in (first[1]..object[1]).step_by(side) {
+                for (dr, dc) in (-half..=half).flat_map(|dr| (-half..=half).map(move |dc| (dr, dc))) {
+                    let at = [middle[0] + r as isize + dr, middle[1] + c as isize + dc];
+                    let ([Ok(row), Ok(col)], ring) = (at.map(usize::try_from), half - dr.abs().max(dc.abs())) else {
+                        continue;
+                    };
+                    let ring = &mut rings[MARGIN.min(ring as usize)];
+                    *ring = image.get((row, col)).map_or(*ring, |v| ring.max(v.abs()));
+                }
+            }
+        }
+    }
+    let least = FAINT * rings.iter().fold(0.0f32, |m, v| m.max(*v));
+    let dark = rings[..MARGIN].iter().take_while(|v| **v < least).count();
+    MARGIN - dark
 }
 
 /// Centroid of an image, [row, col]. None: it is dark.

@@ -42,19 +42,23 @@ impl Projector {
 
     /// Applies P to images in place, each [sensor rows, sensor cols].
     pub(crate) fn remove(&self, images: &mut [&mut Array2<f32>]) {
-        for group in images.chunks_mut(LANES) {
-            match group.len() {
-                1 => self.together::<1>(group),
-                2..=4 => self.together::<4>(group),
-                5..=8 => self.together::<8>(group),
-                _ => self.together::<LANES>(group),
-            }
+        // All of them are solved at once, since that reads the factor once.
+        let mut objects: Vec<f32> = images.chunks(LANES).flat_map(|group| self.collect(group)).collect();
+        self.factor.solve(&mut objects, images.len());
+        let objects = objects.chunks(LANES * self.views.unknowns());
+        images.chunks_mut(LANES).zip(objects).for_each(|(group, objects)| self.subtract(group, objects));
+    }
+
+    /// A' W v of at most [`LANES`] images, one after the other.
+    fn collect(&self, images: &[&mut Array2<f32>]) -> Vec<f32> {
+        match images.len() {
+            ..=4 => self.collect_of::<4>(images),
+            5..=8 => self.collect_of::<8>(images),
+            _ => self.collect_of::<LANES>(images),
         }
     }
 
-    /// Applies P to at most L images at once.
-    fn together<const L: usize>(&self, images: &mut [&mut Array2<f32>]) {
-        let n = self.views.unknowns();
+    fn collect_of<const L: usize>(&self, images: &[&mut Array2<f32>]) -> Vec<f32> {
         let mut frames = vec![[0.0; L]; self.weight.len()];
         for (lane, image) in images.iter().enumerate() {
             for ((v, pixel), w) in image.iter().zip(&mut frames).zip(&self.weight) {
@@ -62,8 +66,20 @@ impl Projector {
             }
         }
         let right = self.views.adjoint(&frames);
-        let mut columns: Vec<f32> = (0..images.len()).flat_map(|lane| right.iter().map(move |v| v[lane])).collect();
-        self.factor.solve(&mut columns, images.len());
+        (0..images.len()).flat_map(|lane| right.iter().map(move |v| v[lane])).collect()
+    }
+
+    /// Takes the light of objects, one after the other, out of at most [`LANES`] images.
+    fn subtract(&self, images: &mut [&mut Array2<f32>], objects: &[f32]) {
+        match images.len() {
+            ..=4 => self.subtract_of::<4>(images, objects),
+            5..=8 => self.subtract_of::<8>(images, objects),
+            _ => self.subtract_of::<LANES>(images, objects),
+        }
+    }
+
+    fn subtract_of<const L: usize>(&self, images: &mut [&mut Array2<f32>], columns: &[f32]) {
+        let n = self.views.unknowns();
         let mut objects = vec![[0.0; L]; n];
         for (lane, column) in columns.chunks_exact(n).enumerate() {
             objects.iter_mut().zip(column).for_each(|(object, v)| object[lane] = *v);

@@ -95,7 +95,7 @@ fn the_explicit_optics_are_those_of_the_instrument() {
     let moved = [term("array_shift", &[("row_px", 1.3)], 2)];
     for terms in [&[][..], &moved] {
         let chain = model.chain(terms);
-        let views = probed(&model, &chain, 0, model.window_px).unwrap();
+        let views = probed(&model, terms, &[0], model.window_px).unwrap();
         let object = specimen(9);
         let cx = model.context(0, None);
         let scene = model.forward.scene(object.view(), &chain, &cx).unwrap();
@@ -118,7 +118,7 @@ fn no_specimen_passes_and_noise_loses_what_the_specimen_takes_up() {
     let instrument = instrument(OBJECT, SENSOR, 9, 3);
     let seen = unknown(&instrument, &[], false);
     let model = Model::new(&instrument, &seen).unwrap();
-    let views = probed(&model, &Chain::default(), 0, model.window_px).unwrap();
+    let views = probed(&model, &[], &[0], model.window_px).unwrap();
     let x: Vec<[f32; 1]> = specimen(11).iter().map(|v| [*v]).collect();
     let light = views.forward(&x);
     let mut image = Array2::from_shape_fn((SENSOR[0], SENSOR[1]), |(r, c)| light[r * SENSOR[1] + c][0]);

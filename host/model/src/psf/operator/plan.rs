@@ -4,12 +4,12 @@ use super::config::{CalibratedOptics, OperatorConfig, check};
 use super::error::OperatorError;
 use super::image::{LensImage, Span};
 use super::local::{Interpolation, Terms, decompose};
-use super::products::{BlockTerms, Kernels, Products, Work};
+use super::products::{BlockTerms, Products, Work};
 use super::tiling::{Block, Tiling};
 use crate::psf::chief_rays::ChiefRays;
 use crate::psf::nodes::{TapRow, Taps};
 use crate::psf::shift::shifted_windows;
-use ndarray::{Array2, Array3, ArrayView2, Axis, s};
+use ndarray::{Array2, ArrayView2, Axis, s};
 use ommatidia_physics::fft2::RealFft2;
 use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
@@ -30,7 +30,7 @@ struct LensPlan {
 #[derive(Clone, Debug)]
 enum LensTerms {
     /// The same in all blocks, with the spectra of the basis PSFs, [k, spectrum].
-    Kept(Vec<Complex32>, Array3<f32>),
+    Kept(Vec<Complex32>, Terms),
     /// The same in all blocks; spectra are computed at each application.
     Everywhere(Terms),
     /// Those of each block; spectra are computed at each application.
@@ -99,7 +99,7 @@ impl LowRankOperator {
             Some(local) => local.into_iter().map(|t| (!t.is_empty()).then_some(LensTerms::ByBlock(t))).collect(),
             None if !kept => all.into_iter().map(|t| t.map(LensTerms::Everywhere)).collect(),
             None => {
-                let keep = |t: Terms| LensTerms::Kept(products.spectra(t.kernels.view()), t.coefficients);
+                let keep = |t: Terms| LensTerms::Kept(products.spectra(t.kernels.view()), t);
                 all.into_par_iter().map(|t| t.map(keep)).collect()
             }
         };
@@ -135,8 +135,7 @@ impl LowRankOperator {
     pub fn cost(&self) -> ([usize; 2], Vec<Vec<usize>>) {
         let blocks = self.tiling.blocks().count();
         let of = |plan: &LensPlan| match &plan.terms {
-            LensTerms::Kept(_, coefficients) => vec![coefficients.dim().0; blocks],
-            LensTerms::Everywhere(terms) => vec![terms.coefficients.dim().0; blocks],
+            LensTerms::Kept(_, terms) | LensTerms::Everywhere(terms) => vec![terms.coefficients.dim().0; blocks],
             LensTerms::ByBlock(terms) => terms.iter().map(|t| t.coefficients.dim().0).collect(),
         };
         (self.tiling.transform, self.lenses.iter().flatten().map(of).collect())
@@ -240,12 +239,11 @@ impl LowRankOperator {
 impl LensPlan {
     /// The terms in block `b`, where `spectra` are those that all blocks share.
     fn block<'a>(&'a self, b: usize, spectra: &'a [Complex32]) -> BlockTerms<'a> {
-        let (kernels, coefficients) = match &self.terms {
-            LensTerms::Kept(_, coefficients) => (Kernels::Spectra(spectra), coefficients),
-            LensTerms::Everywhere(terms) => (Kernels::Spectra(spectra), &terms.coefficients),
-            LensTerms::ByBlock(terms) => (Kernels::Windows(&terms[b].kernels), &terms[b].coefficients),
+        let (terms, spectra) = match &self.terms {
+            LensTerms::Kept(_, terms) | LensTerms::Everywhere(terms) => (terms, Some(spectra)),
+            LensTerms::ByBlock(terms) => (&terms[b], None),
         };
-        BlockTerms { corner: self.corner, kernels, coefficients }
+        BlockTerms { corner: self.corner, windows: &terms.kernels, spectra, coefficients: &terms.coefficients }
     }
 }
 

@@ -1,4 +1,5 @@
-//! The image of one block of the object through a lens, and its transpose: sums of products of spectra.
+//! The image of one block of the object through a lens, and its transpose: sums of products of spectra. Few point
+//! sources in the dark cost less as a sum of their PSFs.
 
 use super::image::{Span, overlap};
 use super::tiling::Block;
@@ -21,21 +22,15 @@ pub(super) struct Products {
     pub col_taps: TapRow,
 }
 
-/// Basis PSFs of a block.
-#[derive(Clone, Copy, Debug)]
-pub(super) enum Kernels<'a> {
-    /// Their spectra, [k, spectrum], scaled by 1 / (rows * cols) of the transform.
-    Spectra(&'a [Complex32]),
-    /// The basis PSFs themselves, [k, window, window].
-    Windows(&'a Array3<f32>),
-}
-
 /// The terms of one lens in one block.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct BlockTerms<'a> {
     /// Sensor pixel of object pixel (0, 0).
     pub corner: [isize; 2],
-    pub kernels: Kernels<'a>,
+    /// Basis PSFs, [k, window, window].
+    pub windows: &'a Array3<f32>,
+    /// Their spectra, [k, spectrum], scaled by 1 / (rows * cols) of the transform. None: they are not kept.
+    pub spectra: Option<&'a [Complex32]>,
     /// Coefficients at the nodes, [k, node row, node col], DN for a unit source.
     pub coefficients: &'a Array3<f32>,
 }
@@ -106,13 +101,20 @@ impl Products {
         if block.iter().all(|v| *v == 0.0) {
             return Array2::zeros(size);
         }
-        let rows = self.fft.shape()[0];
+        let [rows, cols] = self.fft.shape();
         let Work { scratch, spectrum: sum, kernel, map } = w;
+        let lit = block.iter().filter(|v| **v != 0.0).count();
+        if lit * self.window * self.window < rows * cols {
+            return self.sum_of_psfs(terms, (r, c), &block, map);
+        }
         sum.fill(Complex32::default());
         for (k, nodes) in terms.coefficients.outer_iter().enumerate() {
-            let basis = self.kernel(terms.kernels, k, kernel, scratch);
+            let basis = self.kernel(terms, k, kernel, scratch);
             let weighted = |i: usize, row: &mut [f32]| {
                 let Some(source) = block.get(i * c.len()..(i + 1) * c.len()) else { return false };
+                if source.iter().all(|v| *v == 0.0) {
+                    return false;
+                }
                 let weights = self.map_row(nodes, (r.start + i, c), map);
                 let (inside, outside) = row.split_at_mut(c.len());
                 inside.iter_mut().zip(source).zip(weights).for_each(|((out, o), m)| *out = o * m);
@@ -134,6 +136,27 @@ impl Products {
             light.row_mut(i).iter_mut().zip(row).for_each(|(to, v)| *to = *v);
         };
         self.fft.inverse_with(load, take, size.0, scratch);
+        light
+    }
+
+    /// [`Products::forward`] of a block, row by row, in which few pixels are lit: the sum of their PSFs.
+    fn sum_of_psfs(
+        &self,
+        terms: BlockTerms<'_>,
+        (r, c): (&Span, &Span),
+        block: &[f32],
+        map: &mut MapRow,
+    ) -> Array2<f32> {
+        let mut light = Array2::zeros((r.len() + self.window - 1, c.len() + self.window - 1));
+        for (at, source) in block.iter().enumerate().filter(|(_, v)| **v != 0.0) {
+            let (i, j) = (at / c.len(), at % c.len());
+            let here = c.start + j..c.start + j + 1;
+            let mut to = light.slice_mut(s![i..i + self.window, j..j + self.window]);
+            for (nodes, kernel) in terms.coefficients.outer_iter().zip(terms.windows.outer_iter()) {
+                let weight = self.map_row(nodes, (r.start + i, &here), map)[0];
+                to.scaled_add(source * weight, &kernel);
+            }
+        }
         light
     }
 
@@ -168,7 +191,7 @@ impl Products {
         self.fft.forward_with(seen, keep, scratch);
         let mut object = vec![0.0f32; r.len() * c.len()];
         for (k, nodes) in terms.coefficients.outer_iter().enumerate() {
-            let basis = self.kernel(terms.kernels, k, kernel, scratch);
+            let basis = self.kernel(terms, k, kernel, scratch);
             let correlated = |column: usize, to: &mut [Complex32]| {
                 let here = column * rows..(column + 1) * rows;
                 let from = spectrum[here.clone()].iter().zip(&basis[here]);
@@ -187,17 +210,17 @@ impl Products {
     /// The spectrum of basis PSF k, computed into `space` where it is not kept.
     fn kernel<'a>(
         &self,
-        kernels: Kernels<'a>,
+        terms: BlockTerms<'a>,
         k: usize,
         space: &'a mut Vec<Complex32>,
         scratch: &mut Fft2Scratch,
     ) -> &'a [Complex32] {
         let n = self.fft.spectrum_len();
-        match kernels {
-            Kernels::Spectra(spectra) => &spectra[k * n..(k + 1) * n],
-            Kernels::Windows(windows) => {
+        match terms.spectra {
+            Some(spectra) => &spectra[k * n..(k + 1) * n],
+            None => {
                 space.resize(n, Complex32::default());
-                self.spectrum(windows.index_axis(Axis(0), k), space, scratch);
+                self.spectrum(terms.windows.index_axis(Axis(0), k), space, scratch);
                 space
             }
         }
