@@ -213,7 +213,7 @@ impl<'a> Model<'a> {
             }
             Shown::Estimated => {
                 let object = state.specimens.as_ref().and_then(|s| s.object(k));
-                object.map(|o| Ok(Scene { light: behind(&self.forward, o)?, wider: None })).transpose()
+                object.map(|o| self.scene_of(k, o, chain)).transpose()
             }
             Shown::Bead(at) => {
                 let light = self.forward.point(*at, chain, &cx)?.at_depth(self.depth_of(k));
@@ -221,6 +221,12 @@ impl<'a> Model<'a> {
             }
             Shown::Even | Shown::Dark | Shown::Unknown => Ok(None),
         }
+    }
+
+    /// The light of an object behind the optics in the place of that of frame `k`.
+    pub(super) fn scene_of(&self, k: usize, object: &Array2<f32>, chain: &Chain) -> Result<Scene, ForwardError> {
+        let scene = self.forward.scene(object.view(), chain, &self.context(k, None))?;
+        Ok(Scene { light: scene.at_depth(self.depth_of(k)), wider: None })
     }
 
     /// Depth of the object of frame `k`, um: as recorded, to the precision of a table.

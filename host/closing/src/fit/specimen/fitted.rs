@@ -1,6 +1,6 @@
 //! Estimates the specimens of a session under a state.
 
-use super::estimate;
+use super::estimate::{self, Estimate};
 use super::held::Specimens;
 use super::probe::probed;
 use super::projector::Projector;
@@ -12,12 +12,17 @@ use ommatidia_model::forward::ForwardError;
 use ommatidia_physics::effects::blur_within;
 use ommatidia_session::rng::stream;
 use rand_distr::{Distribution, StandardNormal};
+use rayon::prelude::*;
 use std::sync::Arc;
 
 /// Frames are blurred so far for their variances, pixels.
 const SMOOTH_PX: f64 = 2.0;
 /// Least variance of the read noise, electrons squared: Richardson-Lucy divides by it where no light is.
 const LEAST_FLOOR_E2: f64 = 0.1;
+/// Maximum number of times that the light outside the windows is taken out of the frames.
+const STRAY_ROUNDS: usize = 8;
+/// This ends where the mean square of its change is below this, in units of the variance of the noise.
+const FAINT_STRAY: f32 = 1e-3;
 /// Draws of noise for the expected squares of the residuals.
 const DRAWS: usize = 4;
 
@@ -57,7 +62,29 @@ pub(in crate::fit) fn specimens(model: &Model<'_>, state: &State) -> Result<Opti
     };
     let light: Vec<Array2<f32>> = frames.iter().map(bare).collect();
     let floor_e2 = noise.read_noise_e.powi(2).max(LEAST_FLOOR_E2) as f32;
-    let found = estimate::specimens(projector.views(), &light, projector.weight(), floor_e2);
+    let estimate = |light: &[Array2<f32>]| estimate::specimens(projector.views(), light, projector.weight(), floor_e2);
+    let mut found = estimate(&light);
+    // What falls outside the windows, of ghosts and halos for example, is no light that a specimen has to explain. Each
+    // round multiplies what is left of it by about its share of all light.
+    let mut before = vec![Array2::zeros((seen.sensor[0], seen.sensor[1])); frames.len()];
+    for _ in 0..STRAY_ROUNDS {
+        let stray = |(k, of): (&usize, &Estimate)| -> Result<Array2<f32>, ForwardError> {
+            let scene = model.scene_of(*k, &of.object, &chain)?;
+            let sum = model.sum_e(*k, Some(&scene), (&chain, state), state.scale[seen.frames[*k].stack]);
+            Ok(model.lit(*k, sum, state, (&chain, None)) - dark(*k) - &of.light_e)
+        };
+        let strays: Vec<Array2<f32>> = frames.par_iter().zip(&found).map(stray).collect::<Result<_, _>>()?;
+        let gain2 = (noise.gain_dn_per_e * noise.gain_dn_per_e) as f32;
+        let in_noise = |(now, before): (&Array2<f32>, &Array2<f32>)| -> f32 {
+            let pixels = now.iter().zip(before).zip(projector.weight());
+            pixels.map(|((now, before), w)| (now - before).powi(2) * w * gain2).sum::<f32>() / now.len() as f32
+        };
+        if strays.iter().zip(&before).all(|s| in_noise(s) < FAINT_STRAY) {
+            break;
+        }
+        found = estimate(&light.iter().zip(&strays).map(|(light, stray)| light - stray).collect::<Vec<_>>());
+        before = strays;
+    }
     // The noise is that of the first estimate under every state. What a specimen takes of the squares of a residual
     // differs from pixel to pixel, so a state could gain by moving light where much is taken.
     let sigmas = model.sigmas.get_or_init(|| {

@@ -17,8 +17,10 @@ pub(super) const MARGIN: usize = 3;
 const FAINT: f32 = 1e-4;
 
 /// An effect on the light of the sensor belongs to the optics if no more than this share of what it changes is farther
-/// away than [`MARGIN`], or differs between frames.
-const ELSEWHERE: f64 = 0.01;
+/// away than [`MARGIN`]: wide blurs lose their tails, halos and ghosts lie outside.
+const FAR: f64 = 0.2;
+/// The same for what it changes in one frame and not in another.
+const UNLIKE: f64 = 0.01;
 
 /// The optics in windows of `window` pixels under the effects of `terms`, in the context of the middle one of `frames`.
 ///
@@ -123,8 +125,8 @@ fn near(model: &Model<'_>, terms: &[Term], frames: &[usize], window: usize) -> C
         let all = size(first);
         let elsewhere: f64 = first.indexed_iter().map(far).sum();
         all > 0.0
-            && elsewhere <= ELSEWHERE * all
-            && changes.iter().all(|other| size(&(other - first)) <= ELSEWHERE * all)
+            && elsewhere <= FAR * all
+            && changes.iter().all(|other| size(&(other - first)) <= UNLIKE * all)
     };
     model.chain(terms.iter().filter(is_near))
 }

@@ -2,15 +2,17 @@
 #![allow(clippy::unwrap_used)]
 
 use super::estimate_specimens;
+use super::fitted::specimens;
 use super::probe::probed;
 use super::projector::Projector;
 use crate::data::{Frame, Observations, Shown};
 use crate::evidence::Scores;
+use crate::fit::derivative::Expansion;
 use crate::fit::{Column, Design, Errors, Model, Predicted, Scope, Term, nuisances, refit};
 use ndarray::Array2;
 use ommatidia_model::instrument::Instrument;
 use ommatidia_model::testing::instrument;
-use ommatidia_physics::effects::{Chain, find};
+use ommatidia_physics::effects::find;
 use ommatidia_session::rng::stream;
 use ommatidia_session::{FrameInfo, Role};
 use rand::RngExt;
@@ -93,9 +95,16 @@ fn the_explicit_optics_are_those_of_the_instrument() {
     let seen = unknown(&instrument, &[], false);
     let model = Model::new(&instrument, &seen).unwrap();
     let moved = [term("array_shift", &[("row_px", 1.3)], 2)];
-    for terms in [&[][..], &moved] {
-        let chain = model.chain(terms);
-        let views = probed(&model, terms, &[0], model.window_px).unwrap();
+    // What the sensor does to each pixel or its neighbours belongs to the optics, what comes from afar does not.
+    let sensor = [
+        term("charge_diffusion", &[("sigma_px", 0.6)], 2),
+        term("vignetting", &[("v", 0.2)], 2),
+        term("halo", &[("weight", 0.05)], 2),
+        term("background", &[("rate_e_per_ms", 3.0)], 2),
+    ];
+    for (terms, near) in [(&[][..], &[][..]), (&moved, &moved), (&sensor, &sensor[..2])] {
+        let chain = model.chain(near);
+        let views = probed(&model, terms, &[0, 1], model.window_px).unwrap();
         let object = specimen(9);
         let cx = model.context(0, None);
         let scene = model.forward.scene(object.view(), &chain, &cx).unwrap();
@@ -140,6 +149,51 @@ fn no_specimen_passes_and_noise_loses_what_the_specimen_takes_up() {
     assert!(once / all > least - 0.05 && once / all < 0.99, "{} {least}", once / all);
     projector.remove(&mut [&mut noise]);
     assert!((norm(&noise).powi(2) / once - 1.0).abs() < 0.03);
+}
+
+#[test]
+fn what_a_wider_choice_of_specimens_takes_of_the_noise_is_no_evidence() {
+    let instrument = instrument(OBJECT, SENSOR, 9, 3);
+    let mut seen = unknown(&instrument, &[], true);
+    // Of dark specimens every optics is right: what differs is the share of the noise that they take up.
+    let noise = &Model::new(&instrument, &seen).unwrap().forward.noise().clone();
+    for (k, f) in seen.frames.iter_mut().enumerate() {
+        let mut rng = stream(6, "specimen/dark", k as u64);
+        f.measured.mapv_inplace(|_| {
+            let v: f64 = StandardNormal.sample(&mut rng);
+            (noise.black_level_dn + v * noise.variance_dn2(noise.black_level_dn).sqrt()) as f32
+        });
+    }
+    let model = Model::new(&instrument, &seen).unwrap();
+    let under = |terms: &[Term]| {
+        let mut state = model.state(&instrument).unwrap();
+        state.terms = terms.to_vec();
+        state.specimens = specimens(&model, &state).unwrap();
+        let predicted = model.predict(&state, &model.scenes(&state).unwrap());
+        let at = Expansion { state: &state, trials: &[], predicted: &predicted, scenes: &[] };
+        Design::compute(&model, at, Vec::new(), &Errors::default(), Scope::Training).unwrap().training().misfit()
+    };
+    let (plain, wider) = (under(&[]), under(&[term("charge_diffusion", &[("sigma_px", 1.5)], 2)]));
+    // A wider PSF resolves less, and the specimens take up less of the noise; chi-squared alone would see a worse fit.
+    assert!(wider.chi2 - plain.chi2 > 500.0, "{plain:?} {wider:?}");
+    assert!((wider.deviance - plain.deviance).abs() < 0.2 * (wider.chi2 - plain.chi2), "{plain:?} {wider:?}");
+}
+
+#[test]
+fn only_what_follows_the_pixel_grid_acts_on_frames_whose_specimens_are_not_estimated() {
+    let instrument = instrument(OBJECT, SENSOR, 9, 3);
+    let mut seen = unknown(&instrument, &[], true);
+    seen.frames[1].shown = Shown::Unknown;
+    let model = Model::new(&instrument, &seen).unwrap();
+    let of = |terms: &[Term]| {
+        let mut state = model.state(&instrument).unwrap();
+        state.terms = terms.to_vec();
+        model.predict(&state, &model.scenes(&state).unwrap()).swap_remove(1).dn
+    };
+    let plain = of(&[]);
+    let optics = [term("charge_diffusion", &[("sigma_px", 0.8)], 2), term("vignetting", &[("v", 0.2)], 2)];
+    assert_eq!(of(&optics), plain);
+    assert_ne!(of(&[term("row_pattern", &[("amplitude_dn", 2.0)], 2)]), plain);
 }
 
 #[test]

@@ -210,6 +210,12 @@ fn shapes_are_guessed_from_residuals() {
     };
     let ghost = first("ghost", &[("ratio", 0.02), ("centre_row", 6.5), ("centre_col", -11.0)]);
     assert_eq!(ghost, [0.0, 6.5, -11.0]);
+    // The best about the axis is tried even where other centres explain more, once for each part of the field.
+    let guesses = find("ghost").unwrap().guess(&evidence_of("ghost", &[("ratio", 0.02), ("centre_row", 40.0)]));
+    let near = |c: &[f64], row: f64, col: f64| (c[1] - row).abs() <= 10.0 && (c[2] - col).abs() <= 10.0;
+    for (row, col) in [(0.0, 0.0), (20.0, 0.0), (-20.0, 20.0)] {
+        assert!(guesses.iter().any(|g| near(g, row, col)), "{guesses:?}");
+    }
     let rows = first("row_pattern", &[("quadrature_dn", 1.0), ("period_rows", 7.3)]);
     assert!((1.0 / rows[2] - 1.0 / 7.3).abs() < 0.5 / 96.0 / 4.0 + 1e-9, "{rows:?}");
     let even = first("row_pattern", &[("amplitude_dn", 1.0), ("period_rows", 2.0)]);
