@@ -124,9 +124,7 @@ fn near(model: &Model<'_>, terms: &[Term], frames: &[usize], window: usize) -> C
         };
         let all = size(first);
         let elsewhere: f64 = first.indexed_iter().map(far).sum();
-        all > 0.0
-            && elsewhere <= FAR * all
-            && changes.iter().all(|other| size(&(other - first)) <= UNLIKE * all)
+        all > 0.0 && elsewhere <= FAR * all && changes.iter().all(|other| size(&(other - first)) <= UNLIKE * all)
     };
     model.chain(terms.iter().filter(is_near))
 }
