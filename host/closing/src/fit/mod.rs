@@ -5,13 +5,14 @@
 //! frames of unknown specimens are repeats; [`mod@refit`] finds the best state. [`truth`] moves truths that are not
 //! quite in place, `registration` adds what the session states of them. [`record`] checks the session's records before
 //! the first fit. [`mod@replicas`] gives the uncertainty of the calibration as [`errors`], with `wings` outside its
-//! windows.
+//! windows. [`specimen`] estimates specimens that nobody knows, and [`projection`] takes out of frames what they can make.
 
 pub mod cell;
 pub mod derivative;
 pub mod design;
 pub mod errors;
 pub mod model;
+pub mod projection;
 pub mod record;
 pub mod refit;
 pub(crate) mod registration;
@@ -30,10 +31,11 @@ pub use derivative::Expansion;
 pub use design::{Design, Misfit, Scope, Sums, nuisances};
 pub use errors::Errors;
 pub use model::Model;
+pub use projection::Specimens;
 pub use refit::{Fitted, Scenes, own_columns, refit, refit_from};
 pub use replicas::{Replicas, replicas};
 pub use solve::pseudo_inverse;
 pub(crate) use specimen::UNKNOWN_NOTE;
-pub use specimen::{Specimens, estimate_specimens};
+pub use specimen::estimate_specimens;
 pub use state::{Column, Predicted, State, Term};
 pub use truth::Registered;

@@ -1,7 +1,7 @@
 //! The model that the loop closes: the instrument without its effects, and the frames of a session.
 
+use super::projection::Sigmas;
 use super::scene::{Scene, widening};
-use super::specimen::held::Sigmas;
 use super::state::{Predicted, State, Term};
 use super::truth::{Grid, PARTS, TRUTH};
 use crate::data::{Frame, Observations, Shown};

@@ -3,8 +3,8 @@
 
 use super::errors::Errors;
 use super::model::Model;
+use super::projection::Specimens;
 use super::refit::{Fitted, Scenes};
-use super::specimen::held::Specimens;
 use super::state::{Predicted, State};
 use super::wings::{rings, spread};
 use crate::data::Shown;

@@ -1,6 +1,6 @@
 //! The state of a model: effects with their values, nuisance parameters, and the columns of the linearised fit.
 
-use super::specimen::held::Specimens;
+use super::projection::Specimens;
 use super::truth::Registered;
 use ndarray::Array2;
 use ommatidia_model::bead::Slopes;

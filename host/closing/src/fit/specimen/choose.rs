@@ -1,8 +1,8 @@
 //! Which frames of unknown specimens are used.
 
 use super::probe::MARGIN;
-use super::views::Views;
 use crate::data::{Observations, Shown};
+use crate::fit::projection::Views;
 use ommatidia_model::instrument::Instrument;
 
 /// Most object pixels whose normal matrix is factored: it takes 4 bytes for each pair, and half a gigabyte at most.

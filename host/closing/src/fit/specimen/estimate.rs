@@ -4,7 +4,7 @@
 //! pixels of the training blocks. The estimate shapes the signatures of the effects and the weights of the pixels; no
 //! residual depends on it, since everything that a change of the specimen can make is taken out of the residuals.
 
-use super::views::{LANES, Views};
+use crate::fit::projection::{LANES, Views};
 use ndarray::Array2;
 
 /// Number of iterations: later ones fit noise.

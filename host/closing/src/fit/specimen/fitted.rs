@@ -1,11 +1,10 @@
 //! Estimates the specimens of a session under a state.
 
 use super::estimate::{self, Estimate};
-use super::held::Specimens;
 use super::probe::probed;
-use super::projector::Projector;
 use crate::data::{Observations, Shown};
 use crate::fit::model::Model;
+use crate::fit::projection::{Projector, Specimens};
 use crate::fit::state::State;
 use ndarray::Array2;
 use ommatidia_model::forward::ForwardError;

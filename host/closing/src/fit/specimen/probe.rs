@@ -3,8 +3,8 @@
 //! The low-rank operator of the instrument applies such a matrix fast, but has neither the effects of a state nor their
 //! transpose. Unit sources on a lattice, wider apart than a window, show many columns of the matrix at once.
 
-use super::views::Views;
 use crate::fit::model::Model;
+use crate::fit::projection::Views;
 use crate::fit::state::Term;
 use ndarray::Array2;
 use ommatidia_model::forward::ForwardError;

@@ -4,10 +4,10 @@
 use super::estimate_specimens;
 use super::fitted::specimens;
 use super::probe::probed;
-use super::projector::Projector;
 use crate::data::{Frame, Observations, Shown};
 use crate::evidence::Scores;
 use crate::fit::derivative::Expansion;
+use crate::fit::projection::Projector;
 use crate::fit::{Column, Design, Errors, Model, Predicted, Scope, Term, nuisances, refit};
 use ndarray::Array2;
 use ommatidia_model::instrument::Instrument;

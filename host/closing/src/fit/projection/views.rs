@@ -29,12 +29,12 @@ pub(crate) struct Views {
 
 impl Views {
     /// Number of values that a matrix of this size takes.
-    pub(super) fn values(object: [usize; 2], side: usize, lenses: usize) -> usize {
+    pub(crate) fn values(object: [usize; 2], side: usize, lenses: usize) -> usize {
         object[0] * object[1] * lenses * side * side.next_multiple_of(VECTOR)
     }
 
     /// Dark windows of `side` pixels that begin at `corners` for object pixel (0, 0).
-    pub(super) fn dark(object: [usize; 2], sensor: [usize; 2], side: usize, corners: Vec<[isize; 2]>) -> Self {
+    pub(crate) fn dark(object: [usize; 2], sensor: [usize; 2], side: usize, corners: Vec<[isize; 2]>) -> Self {
         let windows = vec![vec![0.0; Self::values(object, side, 1)]; corners.len()];
         Self { object, sensor, side, corners, windows }
     }
@@ -55,7 +55,7 @@ impl Views {
     }
 
     /// Takes the window of an object pixel from the image of a lens.
-    pub(super) fn take(&mut self, lens: usize, [r, c]: [usize; 2], image: &Array2<f32>) {
+    pub(crate) fn take(&mut self, lens: usize, [r, c]: [usize; 2], image: &Array2<f32>) {
         let (area, width, x) = (self.side * self.width(), self.width(), r * self.object[1] + c);
         let [top, left] = self.corner(lens, x);
         for (i, row) in self.windows[lens][x * area..(x + 1) * area].chunks_exact_mut(width).enumerate() {

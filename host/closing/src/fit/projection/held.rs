@@ -10,13 +10,13 @@ pub(in crate::fit) type Sigmas = Vec<Option<Array2<f32>>>;
 /// Estimated specimens, and what takes them out of the frames.
 pub struct Specimens {
     /// For each frame its specimen, [object rows, object cols]; None: not estimated.
-    pub(super) objects: Vec<Option<Array2<f32>>>,
-    pub(super) projector: Projector,
+    pub(in crate::fit) objects: Vec<Option<Array2<f32>>>,
+    pub(in crate::fit) projector: Projector,
     /// For each frame the standard deviation of the noise, DN, [sensor rows, sensor cols]; None: not estimated.
-    pub(super) sigmas: Arc<Sigmas>,
+    pub(in crate::fit) sigmas: Arc<Sigmas>,
     /// Mean square that noise alone leaves of a pixel after the projection, in units of its variance: for each frame,
     /// for each spatial block.
-    pub(super) expected: Vec<Vec<f64>>,
+    pub(in crate::fit) expected: Vec<Vec<f64>>,
 }
 
 impl std::fmt::Debug for Specimens {
