@@ -20,6 +20,7 @@ mod closing;
 mod colour;
 mod device;
 mod error;
+mod look;
 mod optics;
 mod page;
 mod panel;
@@ -33,7 +34,13 @@ mod tests;
 mod ticks;
 mod training;
 
+pub use closing::smoothed;
+pub use colour::{ABSENT, ColourMap};
 pub use error::ReportError;
+pub use look::Look;
+pub use page::STYLE;
+pub use picture::{Scale, Tone, number};
+pub use recording::Pixels;
 pub use scenes::{bytes, seconds};
 
 use closing::Asked;

@@ -2,7 +2,8 @@
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-const STYLE: &str = include_str!("style.css");
+/// The style sheet of a report; the browser's view uses the same.
+pub const STYLE: &str = include_str!("style.css");
 
 /// Numbers figures and tables.
 #[derive(Clone, Copy, Debug, Default)]

@@ -4,9 +4,10 @@
 use super::chart::{Axis, Chart, Line, Marks};
 use super::colour::ColourMap;
 use super::error::ReportError;
+use super::look::Look;
 use super::page::Numbers;
 use super::picture::{Mark, Scale, picture};
-use super::scenes::{Detail, details, raw_scale};
+use super::scenes::{Detail, details};
 use maud::{Markup, html};
 use ndarray::{ArrayView2, Axis as Dim};
 use ommatidia_network::evaluate::Evaluation;
@@ -39,7 +40,7 @@ pub fn prediction(e: &Evaluation, numbers: &mut Numbers) -> Result<Option<Markup
             }
         })
     };
-    let grey = raw_scale(measured);
+    let grey = Look::Raw.scale(measured);
     let signed = Scale::linear(-LIMIT, LIMIT, ColourMap::Diverging);
     let plates = [
         plate("Measured", measured, &grey, "DN")?,

@@ -1,11 +1,11 @@
 //! Recordings of one's own: thumbnails of frames or objects whose truth nobody knows.
 
-use super::colour::ColourMap;
 use super::error::ReportError;
+use super::look::Look;
 use super::page::Numbers;
 use super::picture::{Scale, number, picture, scale_bar};
 use maud::{Markup, html};
-use ndarray::Array2;
+use ndarray::{Array2, Axis};
 use ommatidia_session::{FrameReader, ObjectGrid, SensorSpec};
 use std::path::{Path, PathBuf};
 
@@ -48,21 +48,25 @@ impl Recording {
 
 /// What the pixels of a recording are, judged by their number.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Pixels {
+pub enum Pixels {
     /// Of a sensor with this pitch, um.
     Sensor(f64),
     /// Of an object with pixels of this side, um.
     Object(f64),
+    /// Of neither, or of both: their size is not known.
     Unknown,
 }
 
-fn pixels(rows: usize, cols: usize, grids: &[(SensorSpec, ObjectGrid)]) -> Pixels {
-    let object = grids.iter().map(|(_, o)| o).find(|o| (o.rows, o.cols) == (rows, cols));
-    let sensor = grids.iter().map(|(s, _)| s).find(|s| (s.rows, s.cols) == (rows, cols));
-    match (object, sensor) {
-        (Some(object), None) => Pixels::Object(object.pixel_um),
-        (None, Some(sensor)) => Pixels::Sensor(sensor.pixel_pitch_um),
-        _ => Pixels::Unknown,
+impl Pixels {
+    /// The pixels of frames of this size, if `grids` has just one sensor or just one object of the same size.
+    pub fn of(rows: usize, cols: usize, grids: &[(SensorSpec, ObjectGrid)]) -> Self {
+        let object = grids.iter().map(|(_, o)| o).find(|o| (o.rows, o.cols) == (rows, cols));
+        let sensor = grids.iter().map(|(s, _)| s).find(|s| (s.rows, s.cols) == (rows, cols));
+        match (object, sensor) {
+            (Some(object), None) => Self::Object(object.pixel_um),
+            (None, Some(sensor)) => Self::Sensor(sensor.pixel_pitch_um),
+            _ => Self::Unknown,
+        }
     }
 }
 
@@ -77,7 +81,7 @@ pub fn recording(
     numbers: &mut Numbers,
 ) -> Result<Markup, ReportError> {
     let [_, rows, cols] = r.shape;
-    let pixels = pixels(rows, cols, grids);
+    let pixels = Pixels::of(rows, cols, grids);
     let (scale, unit) = scale(&r.frames, pixels);
     let bar = match pixels {
         Pixels::Sensor(um) | Pixels::Object(um) => Some(scale_bar(cols as f64 * um)),
@@ -123,16 +127,11 @@ pub fn recording(
 
 /// One scale for all frames, and its unit.
 fn scale(frames: &[(usize, Array2<f32>)], pixels: Pixels) -> (Scale, &'static str) {
-    let mut values: Vec<f32> = frames.iter().flat_map(|(_, f)| f.iter().copied()).filter(|v| v.is_finite()).collect();
-    values.sort_by(f32::total_cmp);
-    let at = |q: f64| values.get((q * values.len().saturating_sub(1) as f64) as usize).map_or(0.0, |v| f64::from(*v));
-    let top = |high: f64, low: f64| if high > low { high } else { at(1.0) };
+    let views: Vec<_> = frames.iter().map(|(_, frame)| frame.view()).collect();
+    let all = ndarray::concatenate(Axis(0), &views).unwrap_or_default();
     match pixels {
-        Pixels::Sensor(_) => (Scale::linear(at(0.01), top(at(0.998), at(0.01)), ColourMap::Grey), "DN"),
-        _ => {
-            let low = at(0.01).min(0.0);
-            (Scale::linear(low, top(at(0.997), low), ColourMap::Inferno), "(unit of the recording)")
-        }
+        Pixels::Sensor(_) => (Look::Raw.scale(all.view()), "DN"),
+        _ => (Look::Light.scale(all.view()), "(unit of the recording)"),
     }
 }
 

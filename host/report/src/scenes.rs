@@ -3,6 +3,7 @@
 use super::chart::{Axis, Chart, Line, Marks};
 use super::colour::ColourMap;
 use super::error::ReportError;
+use super::look::Look;
 use super::page::{Key, Numbers};
 use super::picture::{Mark, Scale, number, picture, scale_bar};
 use maud::{Markup, html};
@@ -85,8 +86,8 @@ pub fn pictures(e: &Evaluation, numbers: &mut Numbers) -> Result<Markup, ReportE
 fn scene(e: &Evaluation, p: usize, numbers: &mut Numbers) -> Result<Markup, ReportError> {
     let (truth, raw) = (e.truths.index_axis(Dim(0), p), e.raw_dn.index_axis(Dim(0), p));
     let details = details(truth);
-    let scale = truth_scale(truth);
-    let raw_scale = raw_scale(raw);
+    let scale = Look::Light.scale(truth);
+    let raw_scale = Look::Raw.scale(raw);
     let (sensor, object) = (&e.summary.sensor, &e.summary.object);
     let bar = scale_bar(object.cols as f64 * object.pixel_um);
     let plate = |name: &str, figure: String, image: ArrayView2<'_, f32>| -> Result<Markup, ReportError> {
@@ -127,26 +128,6 @@ fn scene(e: &Evaluation, p: usize, numbers: &mut Numbers) -> Result<Markup, Repo
         _ => "As in the previous figure.",
     };
     Ok(numbers.figure(&format!("Scene {}.", e.summary.pictured[p]), text, body))
-}
-
-/// From the 1st to the 99.8th percentile, so that neither a defect nor a glint sets the scale.
-pub(super) fn raw_scale(raw: ArrayView2<'_, f32>) -> Scale {
-    Scale::linear(percentile(raw, 0.01), percentile(raw, 0.998), ColourMap::Grey)
-}
-
-/// From 0 to the 99.7th percentile of the truth (to its maximum where so few pixels are lit).
-pub(super) fn truth_scale(truth: ArrayView2<'_, f32>) -> Scale {
-    let high = match percentile(truth, 0.997) {
-        high if high > 0.0 => high,
-        _ => percentile(truth, 1.0),
-    };
-    Scale::linear(0.0, high, ColourMap::Inferno)
-}
-
-fn percentile(image: ArrayView2<'_, f32>, q: f64) -> f64 {
-    let mut values: Vec<f32> = image.iter().copied().collect();
-    values.sort_by(f32::total_cmp);
-    values.get((q * (values.len().max(1) - 1) as f64) as usize).map_or(0.0, |&v| f64::from(v))
 }
 
 /// The table of methods and, beside it, the error against field radius.

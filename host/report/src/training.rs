@@ -2,9 +2,9 @@
 
 use super::chart::{Axis, Chart, Line, Marks};
 use super::error::ReportError;
+use super::look::Look;
 use super::page::{Numbers, pairs};
 use super::picture::{number, picture};
-use super::scenes::{raw_scale, truth_scale};
 use maud::{Markup, html};
 use ommatidia_network::train::Sample;
 use serde_json::Value;
@@ -73,7 +73,7 @@ pub fn training(header: &Value, samples: &[Sample], numbers: &mut Numbers) -> Re
 fn pictures(samples: &[Sample], numbers: &mut Numbers) -> Result<Markup, ReportError> {
     let mut plates = Vec::new();
     for (i, Sample { case, found }) in samples.iter().enumerate() {
-        let (raw, truth) = (raw_scale(case.frame_dn.view()), truth_scale(case.truth.view()));
+        let (raw, truth) = (Look::Raw.scale(case.frame_dn.view()), Look::Light.scale(case.truth.view()));
         for (name, image, scale) in
             [("Raw frame", &case.frame_dn, &raw), ("Truth", &case.truth, &truth), ("Reconstruction", found, &truth)]
         {

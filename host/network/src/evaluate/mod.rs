@@ -13,7 +13,7 @@ mod spectrum;
 pub use arena::{Arena, Bout, Difference, Entrant};
 pub use compare::{Source, judge};
 pub use field::{Ring, Rings};
-pub use record::{Evaluation, MethodFigures, Predicted, Summary};
+pub use record::{Evaluation, KIND, MethodFigures, Predicted, Summary, VERSION};
 pub use resources::{Measured, measured};
 pub use scenes::Scenes;
 pub use spectrum::{RingSpectrum, Spectra};

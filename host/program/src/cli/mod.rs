@@ -30,6 +30,7 @@ mod simulate;
 mod study;
 mod train;
 mod uncertainty;
+mod view;
 
 pub use common::{Outcome, Run};
 
@@ -128,6 +129,9 @@ enum Verb {
     /// Render artifacts to one HTML file
     #[command(after_help = "Example:\n  ommatidia report instrument.safetensors evaluation.safetensors -o report.html")]
     Report(report::Args),
+    /// Show files in the browser: frames, instruments, PSFs, residuals, data sets, reconstructions
+    #[command(after_help = "Example:\n  ommatidia view demo")]
+    View(view::Args),
     /// Run the firmware, under QEMU or on a board
     #[command(after_help = "Example:\n  ommatidia device run --with network.omm --frames frames.npy -o objects.npy")]
     Device(device::Args),
@@ -180,6 +184,7 @@ impl Cli {
             Verb::Uncertainty(a) => a.files(),
             Verb::Coverage(a) => a.files(),
             Verb::Report(a) => a.files(),
+            Verb::View(a) => a.files(),
             Verb::Device(a) => a.files(),
             Verb::ImportPth(a) => a.files(),
             Verb::Export(a) => a.files(),
@@ -215,6 +220,7 @@ impl Cli {
             Verb::Uncertainty(a) => uncertainty::run(a, run),
             Verb::Coverage(a) => coverage::run(a, run),
             Verb::Report(a) => report::run(a, run),
+            Verb::View(a) => view::run(a, run),
             Verb::Device(a) => device::run(a, run),
             Verb::ImportPth(a) => import_pth::run(a, run),
             Verb::Export(a) => import_pth::export(a, run),

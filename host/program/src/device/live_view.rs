@@ -1,15 +1,14 @@
 //! A live view in the browser: a page with the last reconstruction and its figures, served by this process.
 
 use super::stream::StreamedFrame;
+use crate::http::{self, Answer, Request, Status};
 use serde_json::json;
-use std::io::{BufRead, BufReader, Write};
-use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 const PAGE: &str = include_str!("view.html");
-/// Time limit for one request of a browser.
-const PATIENCE: Duration = Duration::from_secs(2);
+const SCRIPT: &str = include_str!("view.js");
 
 /// A browser that shows the page asks again within this time.
 const LOOKS_WITHIN: Duration = Duration::from_millis(500);
@@ -41,19 +40,12 @@ impl LiveView {
     /// Serves the page at `address`, e.g. `127.0.0.1:8080`, until the process ends.
     ///
     /// # Errors
-    /// The address is in use, or does not belong to this computer.
+    /// The address is in use, or other computers reach it.
     pub fn serve(address: SocketAddr) -> std::io::Result<Self> {
-        let listener = TcpListener::bind(address)?;
-        let address = Some(listener.local_addr()?);
         let shown: Arc<Mutex<Shown>> = Arc::default();
         let mine = Arc::clone(&shown);
-        std::thread::Builder::new().name("view".into()).spawn(move || {
-            for browser in listener.incoming().flatten() {
-                // A browser that has left is no loss.
-                let _ = answer(&browser, &mine);
-            }
-        })?;
-        Ok(Self { shown, address })
+        let address = http::serve(address, move |request| answer(request, &mine))?;
+        Ok(Self { shown, address: Some(address) })
     }
 
     /// Address of the page; `None` if it is not served.
@@ -102,33 +94,19 @@ impl LiveView {
 }
 
 /// Answers one request of a browser.
-fn answer(mut browser: &TcpStream, shown: &Mutex<Shown>) -> std::io::Result<()> {
-    browser.set_read_timeout(Some(PATIENCE))?;
-    browser.set_write_timeout(Some(PATIENCE))?;
-    let mut line = String::new();
-    // The rest of the request does not matter; a first line of any length does.
-    BufReader::new(std::io::Read::take(browser, 4096)).read_line(&mut line)?;
-    let path = line.split(' ').nth(1).unwrap_or_default();
-    let (kind, body) = {
-        let mut shown = shown.lock().unwrap_or_else(PoisonError::into_inner);
-        match path.split('?').next().unwrap_or_default() {
-            "/" => ("text/html; charset=utf-8", PAGE.as_bytes().to_vec()),
-            "/state" => {
-                shown.asked = Some(Instant::now());
-                ("application/json", shown.state.clone().into_bytes())
-            }
-            "/frame.png" => ("image/png", shown.png.clone()),
-            _ => ("", Vec::new()),
+fn answer(request: &Request, shown: &Mutex<Shown>) -> Answer {
+    let mut shown = shown.lock().unwrap_or_else(PoisonError::into_inner);
+    let path: Vec<&str> = request.path.iter().map(String::as_str).collect();
+    match path[..] {
+        [] => Answer::new("text/html; charset=utf-8", PAGE),
+        ["view.js"] => Answer::new("text/javascript; charset=utf-8", SCRIPT),
+        ["state"] => {
+            shown.asked = Some(Instant::now());
+            Answer::new("application/json", shown.state.clone())
         }
-    };
-    let status = if kind.is_empty() { "404 Not Found" } else { "200 OK" };
-    write!(
-        browser,
-        "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {}\r\nCache-Control: no-store\r\nConnection: \
-            close\r\n\r\n",
-        body.len()
-    )?;
-    browser.write_all(&body)
+        ["frame.png"] => Answer::new("image/png", shown.png.clone()),
+        _ => Answer::refused(Status::NotFound, "there is no such page"),
+    }
 }
 
 #[cfg(test)]
@@ -137,14 +115,14 @@ mod tests {
     use half::f16;
     use ommatidia_shared::image::Region;
     use ommatidia_shared::wire::RunReport;
-    use std::io::Read;
+    use std::io::{Read, Write};
+    use std::net::TcpStream;
 
     fn get(address: SocketAddr, path: &str) -> Vec<u8> {
         let mut stream = TcpStream::connect(address).unwrap();
-        write!(stream, "GET {path} HTTP/1.1\r\nHost: x\r\n\r\n").unwrap();
+        write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\n\r\n").unwrap();
         let mut answer = Vec::new();
-        // The rest of the request is not read, so the system may say so at the end.
-        let _ = stream.read_to_end(&mut answer);
+        stream.read_to_end(&mut answer).unwrap();
         answer
     }
 
@@ -169,8 +147,9 @@ mod tests {
         let frame = StreamedFrame { frame: 7, at, dropped_before: 2, dropped: 3, field_frame, report, object };
         view.show(&frame);
         let text = |path| String::from_utf8_lossy(&get(address, path)).into_owned();
-        for words in ["frame.png", "name=\"viewport\"", "<h1>", "stream ended"] {
-            assert!(text("/").contains(words), "{words}");
+        for (path, words) in [("/", "name=\"viewport\""), ("/", "<h1>"), ("/view.js", "frame.png"), ("/view.js", "ended")]
+        {
+            assert!(text(path).contains(words), "{words}");
         }
         for field in ["\"dropped\":3", "\"exact\":false", "\"field_frame\":3"] {
             assert!(text("/state").contains(field), "{}", text("/state"));

@@ -2,9 +2,9 @@
 
 use super::super::ReportError;
 use super::super::colour::ColourMap;
+use super::super::look::Look;
 use super::super::page::Numbers;
 use super::super::picture::{Scale, picture};
-use super::super::scenes::raw_scale;
 use super::Asked;
 use maud::{Markup, html};
 use ndarray::{Array2, Array3, ArrayView2, Axis, s};
@@ -52,7 +52,7 @@ fn frame(account: &Account, asked: Asked, i: usize, first: bool, numbers: &mut N
     let measured = account.measured_dn.index_axis(Axis(0), i);
     let (before, after) = (account.before.index_axis(Axis(0), i), account.after.index_axis(Axis(0), i));
     let factor = measured.nrows().max(measured.ncols()).div_ceil(WIDEST);
-    let grey = raw_scale(measured);
+    let grey = Look::Raw.scale(measured);
     let plain = binned(&measured.to_owned(), factor, 1.0);
     let map = |name: &str, note: String, image: Array2<f32>| -> Result<Markup, ReportError> {
         let alt = format!("{name}, frame {number}");

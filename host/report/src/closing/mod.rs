@@ -17,6 +17,7 @@ mod words;
 pub use words::plus_minus;
 
 pub use hidden::hidden;
+pub use maps::{scale, smoothed};
 
 use super::ReportError;
 use super::page::{self, Key, Numbers};

@@ -2,9 +2,9 @@
 
 use super::super::ReportError;
 use super::super::colour::ColourMap;
+use super::super::look::Look;
 use super::super::page::Numbers;
 use super::super::picture::{Scale, picture, scale_bar};
-use super::super::scenes::truth_scale;
 use super::Asked;
 use maud::{Markup, html};
 use ndarray::{ArrayView2, Axis};
@@ -47,7 +47,7 @@ fn row(
 ) -> Result<Markup, ReportError> {
     let number = maps.frames[i];
     let [before, after] = [&maps.before, &maps.after].map(|m| m.index_axis(Axis(0), i));
-    let light = truth_scale(after);
+    let light = Look::Light.scale(after);
     let plate = |name: &str, image: ArrayView2<'_, f32>, scale: &Scale| -> Result<Markup, ReportError> {
         let alt = format!("{name}, frame {number}");
         Ok(html! { div.plate { p.name { (name) span { "frame " (number) } } (picture(image, scale, &alt, bar)?) } })

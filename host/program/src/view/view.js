@@ -1,0 +1,465 @@
+// The page: the list of files, and what is in the one that is chosen. Its address (#file=3&frame=7) says what is shown.
+"use strict";
+
+const byId = (id) => document.getElementById(id);
+const state = { files: [], file: null, shows: null, group: 0, frame: 0, plots: [], extras: [], turn: 0, busy: false, again: false };
+const geometries = new Map();
+
+/** Says something, or that something cannot be shown. */
+function say(text, bad = false) {
+  byId("status").textContent = text;
+  byId("status").className = bad ? "bad" : "";
+}
+
+/** Asks the program; an error is its text. */
+async function ask(path) {
+  let answer;
+  try {
+    answer = await fetch(path);
+  } catch {
+    throw new Error("The program no longer answers: it has ended. Start `ommatidia view` again, and reload this page.");
+  }
+  if (!answer.ok) throw new Error((await answer.text()).trim());
+  return answer;
+}
+
+const json = async (path) => (await ask(path)).json();
+
+/** The pictures of an answer: {rows, cols, values, low, high, label}; all of one size. */
+async function pictures(path) {
+  const answer = await ask(path);
+  const about = JSON.parse(answer.headers.get("Picture"));
+  const types = { uint8: Uint8Array, uint16: Uint16Array, float32: Float32Array };
+  const all = new types[about.samples](await answer.arrayBuffer());
+  const size = about.rows * about.cols;
+  return Array.from({ length: about.layers }, (_, i) => ({ ...about, values: all.subarray(i * size, (i + 1) * size) }));
+}
+
+const same = (a, b) => Boolean(a && b) && a.join() === b.join();
+
+/** A labelled control. */
+function control(text, ...inputs) {
+  const label = element("label", {}, text, ...inputs);
+  byId("controls").append(label);
+  return label;
+}
+
+function choice(options, chosen, changed) {
+  const select = element("select");
+  options.forEach(([value, text]) => select.append(element("option", { value: String(value), textContent: text, selected: value === chosen })));
+  select.addEventListener("change", () => changed(select.value));
+  return select;
+}
+
+/** The list at the left. */
+function list() {
+  const shown = state.files.filter((file) => file.kind !== "unshown").length;
+  byId("count").textContent = `${shown} of ${state.files.length} files can be shown`;
+  if (shown === state.files.length) byId("count").textContent = shown === 1 ? "1 file" : `${shown} files`;
+  byId("files").replaceChildren(...state.files.map((file, n) => {
+    const kind = element("small", { textContent: file.kind === "unshown" ? `not shown: ${file.why}` : file.kind.replace("-", " ") });
+    if (file.kind === "unshown") return element("li", { className: "off" }, file.name, kind);
+    const link = element("a", { href: `#file=${n}` }, file.name, kind);
+    return element("li", {}, link);
+  }));
+}
+
+function mark() {
+  document.querySelectorAll("#files a").forEach((link) => {
+    if (link.getAttribute("href") === `#file=${state.file}`) link.setAttribute("aria-current", "page");
+    else link.removeAttribute("aria-current");
+  });
+}
+
+/** Shows a file. */
+async function open(n) {
+  const turn = ++state.turn;
+  Object.assign(state, { file: n, shows: null, group: 0, frame: 0, plots: [], extras: [], keys: {} });
+  byId("main").dataset.state = "loading";
+  for (const id of ["facts", "notes", "controls", "panes", "extra"]) byId(id).replaceChildren();
+  byId("title").textContent = state.files[n].name;
+  mark();
+  say("Reading …");
+  try {
+    const file = await json(`/file/${n}`);
+    if (turn !== state.turn) return;
+    say("");
+    state.shows = file.shows;
+    for (const [name, value] of file.shows.facts) {
+      byId("facts").append(element("div", {}, element("dt", { textContent: name }), element("dd", { textContent: value })));
+    }
+    byId("notes").replaceChildren(...file.shows.notes.map((note) => element("li", { textContent: note })));
+    const wanted = new URLSearchParams(location.hash.slice(1));
+    state.group = Math.min(Math.max(0, wanted.get("group") | 0), Math.max(0, file.shows.groups.length - 1));
+    state.frame = Math.max(0, wanted.get("frame") | 0);
+    if (file.kind === "page" || file.kind === "picture") raw(file);
+    if (file.kind === "instrument") await instrument(n, turn);
+    if (file.report) report(n, !file.shows.groups.length && file.kind !== "instrument");
+    if (file.shows.groups.length) await group();
+    else byId("main").dataset.state = "ready";
+  } catch (error) {
+    if (turn === state.turn) { say(error.message, true); byId("main").dataset.state = "failed"; }
+  }
+}
+
+function raw(file) {
+  byId("extra").append(file.kind === "picture"
+    ? element("img", { src: `/raw/${state.file}`, alt: file.name })
+    : element("iframe", { src: `/raw/${state.file}`, title: file.name }));
+}
+
+/** What `ommatidia report` makes of the file, on demand or at once. */
+function report(n, at_once) {
+  const show = () => byId("extra").replaceChildren(...byId("extra").querySelectorAll(".pane"),
+    element("iframe", { src: `/report/${n}`, title: "Report" }));
+  if (at_once) { show(); return; }
+  const button = element("button", { type: "button", textContent: "Show the report" });
+  button.addEventListener("click", () => { show(); button.remove(); });
+  byId("extra").append(button);
+}
+
+/** Controls and panes of the chosen group. */
+async function group() {
+  const { groups } = state.shows;
+  const chosen = groups[state.group];
+  state.frame = Math.min(state.frame, chosen.frames - 1);
+  byId("controls").replaceChildren();
+  byId("panes").replaceChildren();
+  Object.assign(state, { plots: [], extras: [], keys: {} });
+  if (groups.length > 1) {
+    control("Show", choice(groups.map((g, i) => [i, g.name]), state.group, (i) => { state.group = Number(i); state.frame = 0; group(); }));
+  }
+  sliders(chosen);
+  const views = new Map();
+  const view = (pane) => {
+    const key = pane.size ? pane.size.join() : pane.name;
+    if (!views.has(key)) views.set(key, sharedView());
+    return views.get(key);
+  };
+  chosen.panes.forEach((pane, p) => {
+    const plot = new Plot(pane, view(pane));
+    state.plots.push({ plot, p });
+    byId("panes").append(plot.root);
+  });
+  networks(chosen, view);
+  lenses(chosen);
+  swipes(chosen, view);
+  byId("controls").append(element("output", { id: "label" }));
+  await frame();
+}
+
+/** The sliders over frames and depths. */
+function sliders(chosen) {
+  const depths = [...new Set(chosen.z_um)].sort((a, b) => a - b);
+  const at = (z) => chosen.z_um.flatMap((v, i) => (v === z ? [i] : []));
+  let own = depths.length ? at(chosen.z_um[state.frame]) : null;
+  const count = () => (own ? own.length : chosen.frames);
+  const index = () => (own ? own.indexOf(state.frame) : state.frame);
+  const range = element("input", { type: "range", min: 0, step: 1, id: "frame" });
+  const number = element("input", { type: "number", min: 0, step: 1 });
+  const total = element("span");
+  const renew = () => {
+    for (const input of [range, number]) { input.max = count() - 1; input.value = index(); }
+    total.textContent = `of ${count()}`;
+  };
+  const go = (i) => {
+    const next = Math.max(0, Math.min(count() - 1, Math.round(i) || 0));
+    state.frame = own ? own[next] : next;
+    renew();
+    frame();
+  };
+  range.setAttribute("aria-label", "Frame");
+  number.setAttribute("aria-label", "Number of the frame");
+  range.addEventListener("input", () => go(range.valueAsNumber));
+  number.addEventListener("change", () => go(number.valueAsNumber));
+  if (chosen.frames > 1) control("Frame", range, number, total).className = "wide";
+  state.keys = { ArrowLeft: () => go(index() - 1), ArrowRight: () => go(index() + 1), PageUp: () => go(index() - 10),
+    PageDown: () => go(index() + 10), Home: () => go(0), End: () => go(count() - 1) };
+  if (depths.length) {
+    const depth = element("input", { type: "range", min: 0, max: depths.length - 1, step: 1, value: String(depths.indexOf(chosen.z_um[state.frame])) });
+    const text = element("span");
+    const to = (i) => {
+      const z = depths[Math.max(0, Math.min(depths.length - 1, i))];
+      const was = index();
+      own = at(z);
+      depth.value = depths.indexOf(z);
+      text.textContent = `${figure(z)} µm`;
+      go(was);
+    };
+    depth.setAttribute("aria-label", "Depth");
+    depth.addEventListener("input", () => to(depth.valueAsNumber));
+    text.textContent = `${figure(chosen.z_um[state.frame])} µm`;
+    control("Depth", depth, text);
+    Object.assign(state.keys, { "[": () => to(depth.valueAsNumber - 1), "]": () => to(depth.valueAsNumber + 1) });
+  }
+  renew();
+}
+
+/** The choice of a network for frames that it fits. */
+function networks(chosen, view) {
+  const pane = chosen.panes[0];
+  const fit = state.files.flatMap((file, n) => (["network", "checkpoint"].includes(file.kind) && same(file.frame, pane.size) ? [[n, file.name]] : []));
+  if (!fit.length || pane.look !== "grey") return;
+  const known = state.files.find((file) => same(file.object, state.files[fit[0][0]].object) && file.object_um);
+  const seen = /^(scene|frames)/.test(chosen.name);
+  const best = fit.find(([n]) => state.files[n].kind === "network") || fit[0];
+  state.network = seen ? best[0] : -1;
+  const widths = state.files.findIndex((file) => file.kind === "widths");
+  state.limits = false;
+  const made = () => {
+    state.extras.forEach((plot) => plot.root.remove());
+    state.extras = [];
+    if (state.network < 0) return;
+    const { object, name } = state.files[state.network];
+    const truth = chosen.panes.find((p) => same(p.size, object) && p.look === "inferno");
+    const pixel_um = truth?.pixel_um || (known ? [known.object_um, known.object_um] : null);
+    const names = [`reconstruction by ${name}`, ...(state.limits ? ["lower limit", "upper limit"] : [])];
+    state.extras = names.map((text) => {
+      const plot = new Plot({ name: text, unit: "of the network", size: object, pixel_um, look: "inferno" }, view({ size: object }));
+      byId("panes").append(plot.root);
+      return plot;
+    });
+  };
+  made();
+  control("Reconstruct with", choice([[-1, "nothing"], ...fit], state.network, (n) => { state.network = Number(n); made(); frame(); }));
+  if (widths >= 0) {
+    const box = element("input", { type: "checkbox" });
+    box.addEventListener("change", () => { state.limits = box.checked && widths; made(); frame(); });
+    control("Intervals", box);
+  }
+}
+
+/** What each lens sees of the object, drawn over frames of its sensor. */
+function lenses(chosen) {
+  const plots = state.plots.filter(({ plot }) => plot.pane.plane === "sensor" || plot.pane.look === "grey");
+  const fit = state.files.flatMap((file, n) => (file.kind === "instrument" && plots.some(({ plot }) => same(file.frame, plot.pane.size)) ? [[n, file.name]] : []));
+  if (!fit.length) return;
+  const draw = async (n) => {
+    const geometry = n < 0 ? null : await geometryOf(n).catch((error) => { say(error.message, true); return null; });
+    plots.filter(({ plot }) => !geometry || same(geometry.sensor, plot.pane.size)).forEach(({ plot }) => {
+      plot.marks = geometry ? [fields(geometry)] : [];
+      plot.paint();
+    });
+  };
+  control("Lenses of", choice([[-1, "none"], ...fit], -1, (n) => draw(Number(n))));
+}
+
+async function geometryOf(n) {
+  if (!geometries.has(n)) geometries.set(n, await json(`/geometry/${n}`));
+  return geometries.get(n);
+}
+
+/** Draws the outline of the object behind each lens, and the chief ray of its centre. */
+function fields(geometry) {
+  return (ink, plot) => geometry.anchors_px.forEach(([row, col], l) => {
+    const [tall, wide] = geometry.object.map((n) => ((n * geometry.object_um) / 2) * geometry.px_per_um);
+    const [x, y] = plot.place(row - tall, col - wide);
+    const [right, low] = plot.place(row + tall, col + wide);
+    const [cx, cy] = plot.place(row, col);
+    ink.lineWidth = 1.2;
+    ink.setLineDash(geometry.dead[l] ? [5, 4] : []);
+    ink.strokeStyle = geometry.dead[l] ? "#ff8a80" : ["#4dc4d8", "#ffb15c", "#a48bff", "#69d07f"][(l + Math.floor(l / geometry.array[1])) % 4];
+    ink.strokeRect(x, y, right - x, low - y);
+    ink.setLineDash([]);
+    ink.beginPath();
+    ink.moveTo(cx - 5, cy); ink.lineTo(cx + 5, cy); ink.moveTo(cx, cy - 5); ink.lineTo(cx, cy + 5);
+    ink.stroke();
+    ink.fillStyle = ink.strokeStyle;
+    ink.font = "11px sans-serif";
+    ink.textAlign = "left";
+    ink.fillText(`lens ${l}${geometry.dead[l] ? ", dead" : ""}`, cx + 7, cy - 5);
+  });
+}
+
+/** Two panes of one size, one over the other, with a line between them that moves. */
+function swipes(chosen, view) {
+  const pairs = chosen.panes.flatMap((a, i) => chosen.panes.flatMap((b, k) => (k > i && same(a.size, b.size) && a.look === b.look ? [[`${i},${k}`, `${a.name} | ${b.name}`]] : [])));
+  if (!pairs.length) return;
+  const set = (pair) => {
+    state.swipe?.root.remove();
+    state.swipe = null;
+    state.plots.forEach(({ plot }) => { plot.root.hidden = false; });
+    if (!pair) return;
+    const [a, b] = pair.split(",").map(Number);
+    const plot = new Plot({ ...chosen.panes[a], name: `${chosen.panes[a].name} | ${chosen.panes[b].name}` }, view(chosen.panes[a]));
+    const line = element("input", { type: "range", className: "swipe", min: 0, max: 1, step: 0.002, value: "0.5" });
+    line.setAttribute("aria-label", "Line between the two pictures");
+    line.addEventListener("input", () => { plot.at = line.valueAsNumber; plot.paint(); });
+    plot.root.insertBefore(line, plot.value);
+    state.swipe = Object.assign(plot, { pair: [a, b] });
+    [a, b].forEach((p) => { state.plots[p].plot.root.hidden = true; });
+    state.plots[a].plot.root.before(plot.root);
+  };
+  const first = chosen.swipe ? chosen.swipe.join() : "";
+  state.swipe = null;
+  set(first);
+  control("Swipe", choice([["", "side by side"], ...pairs], first, (pair) => { set(pair); frame(); }));
+}
+
+/** Reads and draws the current frame. While one is read, only the last one that is asked for waits. */
+async function frame() {
+  if (state.busy) { state.again = true; return; }
+  state.busy = true;
+  do {
+    state.again = false;
+    const { turn, file, group: g, frame: f } = state;
+    history.replaceState(null, "", `#file=${file}&group=${g}&frame=${f}`);
+    try {
+      const read = await Promise.all(state.plots.map(({ p }) => pictures(`/data/${file}/${g}/${p}/${f}`).then(([one]) => one)));
+      if (turn !== state.turn || g !== state.group) continue;
+      state.plots.forEach(({ plot }, i) => plot.show(read[i]));
+      if (state.swipe) {
+        const [a, b] = state.swipe.pair;
+        state.swipe.show(read[a]);
+        state.swipe.swipe(read[b]);
+      }
+      if (byId("label")) byId("label").textContent = read[0].label;
+      say("");
+      if (state.extras.length) await reconstruction(file, g, f);
+      byId("main").dataset.state = "ready";
+    } catch (error) {
+      say(error.message, true);
+      byId("main").dataset.state = "failed";
+    }
+  } while (state.again);
+  state.busy = false;
+}
+
+async function reconstruction(file, g, f) {
+  const plots = state.extras;
+  const limits = state.limits === false ? "" : `&widths=${state.limits}`;
+  const made = await pictures(`/reconstruct/${file}/${g}/0/${f}?with=${state.network}${limits}`);
+  plots.forEach((plot, i) => plot.show(made[i]));
+  if (made[0].label) byId("label").textContent += ` Intervals: ${made[0].label}.`;
+}
+
+/** The PSFs of all lenses for a source under the pointer. */
+async function instrument(n, turn) {
+  const geometry = await geometryOf(n);
+  if (turn !== state.turn) return;
+  if (geometry.sensor_only) {
+    byId("notes").append(element("li", { textContent: "no bead scan was measured: there are no PSFs to show" }));
+    return;
+  }
+  const [rows, cols] = geometry.object;
+  const field = new Plot({ name: "a source in the object: point or click", unit: "", pixel_um: [geometry.object_um, geometry.object_um], look: "grey" }, sharedView());
+  const sensor = new Plot({ name: "its image on the sensor", unit: "e-", pixel_um: [geometry.pitch_um, geometry.pitch_um], look: "inferno", root: true }, sharedView());
+  const grid = element("div", { className: "windows" });
+  grid.style.gridTemplateColumns = `repeat(${geometry.array[1]}, 1fr)`;
+  const heading = element("h2", { textContent: "its PSF behind each lens, one scale for all (square root)" });
+  const tiles = geometry.anchors_px.map((_, l) => {
+    const tile = { canvas: element("canvas"), text: element("figcaption") };
+    grid.append(element("figure", {}, tile.canvas, tile.text));
+    return tile;
+  });
+  const box = element("div", { id: "panes-psf", style: "" }, field.root, sensor.root, element("section", { className: "pane" }, heading, grid));
+  Object.assign(box.style, { display: "grid", gap: "22px 26px", gridTemplateColumns: "repeat(auto-fit, minmax(min(100%, 320px), 1fr))", alignItems: "start" });
+  byId("extra").append(element("section", { className: "pane" , style: "max-width:none" }, box));
+  box.parentNode.style.maxWidth = "none";
+  let [at, depth, busy, again] = [[(rows - 1) / 2, (cols - 1) / 2], 0, false, false];
+  if (geometry.depths_um.length > 1) {
+    const slider = element("input", { type: "range", min: 0, max: geometry.depths_um.length - 1, step: 1, value: "0" });
+    const text = element("span", { textContent: `${figure(geometry.depths_um[0])} µm` });
+    slider.addEventListener("input", () => { depth = slider.valueAsNumber; text.textContent = `${figure(geometry.depths_um[depth])} µm`; show(); });
+    box.before(element("label", {}, "Depth of the source ", slider, text));
+  }
+  const show = async () => {
+    if (busy) { again = true; return; }
+    busy = true;
+    do {
+      again = false;
+      const um = at.map((v, a) => (v - (geometry.object[a] - 1) / 2) * geometry.object_um);
+      try {
+        const answer = await ask(`/psf/${n}?depth=${depth}&y_um=${um[0]}&x_um=${um[1]}`);
+        const foci = JSON.parse(answer.headers.get("Foci"));
+        drawn(foci, new Float32Array(await answer.arrayBuffer()), um);
+      } catch (error) { say(error.message, true); }
+    } while (again && turn === state.turn);
+    busy = false;
+  };
+  const drawn = (foci, all, um) => {
+    const [lenses, high, wide] = foci.shape;
+    const [sr, sc] = geometry.sensor;
+    const values = new Float32Array(sr * sc);
+    const peak = all.reduce((m, v) => Math.max(m, v), 0);
+    for (let l = 0; l < lenses; l++) {
+      const own = all.subarray(l * high * wide, (l + 1) * high * wide);
+      const [top, left] = foci.corners_px[l];
+      for (let r = 0; r < high; r++) for (let c = 0; c < wide; c++) {
+        const [row, col] = [top + r, left + c];
+        if (row >= 0 && col >= 0 && row < sr && col < sc) values[row * sc + col] += own[r * wide + c];
+      }
+      Object.assign(tiles[l].canvas, { width: wide, height: high });
+      const image = new ImageData(coloured(own, { low: 0, high: peak, root: true, map: "inferno" }), wide, high);
+      tiles[l].canvas.getContext("2d").putImageData(image, 0, 0);
+      const light = own.reduce((sum, v) => sum + v, 0);
+      const [row, col] = foci.chief_rays_px[l].map((v) => v.toFixed(1));
+      tiles[l].text.textContent = geometry.dead[l] ? `lens ${l}: dead` : `lens ${l}: ${figure(light)} e-, chief ray row ${row}, col ${col}`;
+    }
+    sensor.marks = [(ink, plot) => foci.chief_rays_px.forEach(([row, col]) => {
+      const [x, y] = plot.place(row, col);
+      ink.strokeStyle = "#4dc4d8";
+      ink.strokeRect(x - 4, y - 4, 8, 8);
+    })];
+    sensor.show({ rows: sr, cols: sc, values, low: 0, high: peak });
+    field.paint();
+    heading.textContent = `PSF behind each lens at y ${figure(um[0])}, x ${figure(um[1])} µm; one scale for all, 0 to ${figure(peak)} e- (square root)`;
+    byId("main").dataset.psf = `${lenses} lenses`;
+  };
+  field.marks = [(ink, plot) => {
+    ink.fillStyle = "#7c8794";
+    geometry.beads_px.forEach(([row, col]) => { const [x, y] = plot.place(row, col); ink.fillRect(x - 1, y - 1, 2, 2); });
+    const [x, y] = plot.place(...at);
+    ink.strokeStyle = "#fff";
+    ink.beginPath();
+    ink.arc(x, y, 6, 0, 7);
+    ink.moveTo(x - 10, y); ink.lineTo(x + 10, y); ink.moveTo(x, y - 10); ink.lineTo(x, y + 10);
+    ink.stroke();
+  }];
+  field.pointed = (row, col) => { at = [row, col]; field.paint(); show(); };
+  field.show({ rows, cols, values: new Uint8Array(rows * cols), low: 0, high: 1 });
+  field.bar.replaceChildren(element("span", { textContent: "dots: beads of the scan" }));
+  await show();
+}
+
+document.addEventListener("keydown", (event) => {
+  const inside = event.target.matches?.("input, select, textarea, iframe");
+  const action = state.keys?.[event.key];
+  if (!action || inside && event.target.id !== "frame" || event.ctrlKey || event.altKey || event.metaKey) return;
+  event.preventDefault();
+  action();
+});
+
+let resizing = 0;
+window.addEventListener("resize", () => {
+  cancelAnimationFrame(resizing);
+  resizing = requestAnimationFrame(() => [...state.plots.map(({ plot }) => plot), ...state.extras, state.swipe].forEach((plot) => plot?.paint()));
+});
+
+/** The file in the address; the first that can be shown without one. */
+function chosen() {
+  const wanted = new URLSearchParams(location.hash.slice(1)).get("file");
+  const n = wanted === null ? state.files.findIndex((file) => file.kind !== "unshown") : Number(wanted);
+  return state.files[n] && state.files[n].kind !== "unshown" ? n : -1;
+}
+
+function turned() {
+  const n = chosen();
+  if (n < 0) { say("There is no such file in the list.", true); byId("main").dataset.state = "failed"; return; }
+  if (n !== state.file) open(n);
+  if (window.innerWidth <= 700 && location.hash) document.querySelector("#list details").open = false;
+}
+
+async function start() {
+  try {
+    const { files, left_out, colours, absent } = await json("/files");
+    Object.assign(Colours, { maps: colours, absent });
+    state.files = files;
+    list();
+    if (left_out) byId("files").append(element("li", { className: "off", textContent: `${left_out} more files are not listed` }));
+    window.addEventListener("hashchange", turned);
+    turned();
+  } catch (error) { say(error.message, true); byId("main").dataset.state = "failed"; }
+}
+
+start();
