@@ -295,8 +295,8 @@ fn lead(pieces: &[Piece]) -> String {
             m.sensor.bit_depth,
             m.object.rows,
             m.object.cols,
-            picture::number(m.object.pixel_um),
-            picture::number(m.optics.magnification)
+            number(m.object.pixel_um),
+            number(m.optics.magnification)
         )
     })
 }

@@ -1,11 +1,10 @@
 //! Reconstructions side by side, the table of methods, PSNR against field radius, and figures of predicted frames.
 
 use super::chart::{Axis, Chart, Line, Marks};
-use super::colour::ColourMap;
 use super::error::ReportError;
 use super::look::Look;
 use super::page::{Key, Numbers};
-use super::picture::{Mark, Scale, number, picture, scale_bar};
+use super::picture::{Mark, number, picture, scale_bar};
 use maud::{Markup, html};
 use ndarray::{ArrayView2, Axis as Dim, s};
 use ommatidia_model::metrics::PredictionFigures;

@@ -60,7 +60,7 @@ const ROOM = { left: 44, right: 8, top: 6, bottom: 34 };
 class Plot {
   /** `pane`: name, unit, pixel_um [height, width] or null, look; `view`: the part that is shown, shared by panes. */
   constructor(pane, view) {
-    Object.assign(this, { pane, view, picture: null, other: null, at: 0.5, marks: [], contrast: null, held: false });
+    Object.assign(this, { pane, view, picture: null, other: null, at: 0.5, marks: [], contrast: null });
     this.canvas = element("canvas", { className: "plot", tabIndex: 0 });
     this.canvas.setAttribute("role", "img");
     this.value = element("output", { className: "value" });
@@ -79,7 +79,6 @@ class Plot {
   show(picture) {
     this.picture = picture;
     if (!this.contrast) this.reset();
-    if (this.each) Object.assign(this.contrast, { low: picture.low, high: picture.high });
     if (this.view.size?.join() !== [picture.rows, picture.cols].join()) {
       Object.assign(this.view, { size: [picture.rows, picture.cols], all: true });
     }
@@ -146,7 +145,9 @@ class Plot {
     });
     const strip = element("div", { className: "ramp" });
     strip.style.background = ramp(c.map);
-    this.bar.replaceChildren(numbers.low, strip, numbers.high, element("span", { textContent: this.pane.unit }), auto, colours, slider("low"), slider("high"));
+    const ends = element("div", { className: "ends" }, slider("low"), slider("high"));
+    const unit = element("span", { textContent: this.pane.unit });
+    this.bar.replaceChildren(numbers.low, strip, numbers.high, unit, ends, element("div", { className: "set" }, auto, colours));
   }
 
   /** Least and largest value, with some room for the sliders. */

@@ -2,7 +2,7 @@
 //!
 //! | path | answer |
 //! |---|---|
-//! | `/`, `/view.js`, `/draw.js`, `/style.css` | the page |
+//! | `/`, its scripts, `/style.css` | the page |
 //! | `/files` | the files, their kinds, and the colours of pictures; JSON |
 //! | `/file/N` | description of file N, JSON |
 //! | `/data/N/G/P/F` | frame F of pane P of group G of file N ([`pixels`]) |
@@ -34,7 +34,11 @@ use std::time::SystemTime;
 
 const PAGE: &str = include_str!("view.html");
 const STYLE: &str = include_str!("view.css");
-const SCRIPTS: [(&str, &str); 2] = [("view.js", include_str!("view.js")), ("draw.js", include_str!("draw.js"))];
+const SCRIPTS: [(&str, &str); 3] = [
+    ("draw.js", include_str!("draw.js")),
+    ("psf.js", include_str!("psf.js")),
+    ("view.js", include_str!("view.js")),
+];
 
 /// Most files that are open at once.
 const MOST_OPEN: usize = 8;
@@ -72,7 +76,7 @@ impl Site {
             ["style.css"] => {
                 return Answer::new("text/css; charset=utf-8", format!("{}\n{STYLE}", ommatidia_report::STYLE));
             }
-            [name @ ("view.js" | "draw.js")] => {
+            [name] if SCRIPTS.iter().any(|(own, _)| *own == name) => {
                 let script = SCRIPTS.iter().find(|(own, _)| *own == name).map_or("", |(_, text)| text);
                 return Answer::new("text/javascript; charset=utf-8", script);
             }
@@ -84,7 +88,8 @@ impl Site {
             }),
             ["reconstruct", n, group, pane, frame] => self.reconstruct(request, n, [group, pane, frame]),
             ["geometry", n] => self.of_kind(n, Kind::Instrument).map(|(n, entry)| {
-                Ok(json(&lock(&self.instruments.get(n, &entry.path, PointSources::open)?).geometry()))
+                let open = self.instruments.get(n, &entry.path, PointSources::open)?;
+                Ok(json(&lock(&open).geometry()))
             }),
             ["psf", n] => self.psf(request, n),
             ["report", n] => self.entry(n).map(|(_, entry)| {
@@ -141,7 +146,10 @@ impl Site {
             Kind::Checkpoint | Kind::Network => plain(facts::of_network(entry.frame, entry.object)),
             Kind::Widths => plain(facts::of_widths(&Widths::read(&entry.path)?.made)),
             Kind::Figures | Kind::Page | Kind::Picture => Description::default(),
-            _ => lock(&self.source(n, entry)?).description().clone(),
+            _ => {
+                let source = self.source(n, entry)?;
+                lock(&source).description().clone()
+            }
         };
         let report = !matches!(entry.kind, Kind::Page | Kind::Picture | Kind::DataSet | Kind::Widths);
         Ok(json!({ "name": entry.name, "kind": entry.kind, "report": report, "shows": description }))

@@ -2,8 +2,7 @@
 "use strict";
 
 const byId = (id) => document.getElementById(id);
-const state = { files: [], file: null, shows: null, group: 0, frame: 0, plots: [], extras: [], turn: 0, busy: false, again: false };
-const geometries = new Map();
+const state = { files: [], file: null, shows: null, group: 0, frame: 0, plots: [], extras: [], special: [], turn: 0, busy: false, again: false };
 
 /** Says something, or that something cannot be shown. */
 function say(text, bad = false) {
@@ -51,17 +50,27 @@ function choice(options, chosen, changed) {
   return select;
 }
 
-/** The list at the left. */
+/** The list at the left: what has pictures first, then figures and pages, then what is not shown. */
 function list() {
   const shown = state.files.filter((file) => file.kind !== "unshown").length;
-  byId("count").textContent = `${shown} of ${state.files.length} files can be shown`;
-  if (shown === state.files.length) byId("count").textContent = shown === 1 ? "1 file" : `${shown} files`;
-  byId("files").replaceChildren(...state.files.map((file, n) => {
-    const kind = element("small", { textContent: file.kind === "unshown" ? `not shown: ${file.why}` : file.kind.replace("-", " ") });
-    if (file.kind === "unshown") return element("li", { className: "off" }, file.name, kind);
-    const link = element("a", { href: `#file=${n}` }, file.name, kind);
-    return element("li", {}, link);
+  byId("count").textContent = shown === 1 ? "1 file" : `${shown} files`;
+  const start = prefix(state.files.map((file) => file.name));
+  const rank = (kind) => (kind === "unshown" ? 2 : ["figures", "page", "picture"].includes(kind) ? 1 : 0);
+  const items = [0, 1, 2].flatMap((section) => state.files.flatMap((file, n) => {
+    if (rank(file.kind) !== section) return [];
+    const name = file.name.slice(start.length);
+    const kind = element("small", { textContent: section === 2 ? `not shown: ${file.why}` : file.kind.replace("-", " ") });
+    if (section === 2) return [element("li", { className: "off", title: file.name }, name, kind)];
+    return [element("li", {}, element("a", { href: `#file=${n}`, title: file.name }, name, kind))];
   }));
+  byId("files").replaceChildren(...items);
+}
+
+/** The folder that all names begin with. */
+function prefix(names) {
+  let start = names.length > 1 ? names[0].slice(0, names[0].lastIndexOf("/") + 1) : "";
+  while (start && !names.every((name) => name.startsWith(start))) start = start.slice(0, start.slice(0, -1).lastIndexOf("/") + 1);
+  return start;
 }
 
 function mark() {
@@ -74,9 +83,9 @@ function mark() {
 /** Shows a file. */
 async function open(n) {
   const turn = ++state.turn;
-  Object.assign(state, { file: n, shows: null, group: 0, frame: 0, plots: [], extras: [], keys: {} });
+  Object.assign(state, { file: n, shows: null, group: 0, frame: 0, plots: [], extras: [], special: [], swipe: null, keys: {} });
   byId("main").dataset.state = "loading";
-  for (const id of ["facts", "notes", "controls", "panes", "extra"]) byId(id).replaceChildren();
+  for (const id of ["facts", "notes", "special", "controls", "panes", "extra"]) byId(id).replaceChildren();
   byId("title").textContent = state.files[n].name;
   mark();
   say("Reading …");
@@ -110,11 +119,10 @@ function raw(file) {
 
 /** What `ommatidia report` makes of the file, on demand or at once. */
 function report(n, at_once) {
-  const show = () => byId("extra").replaceChildren(...byId("extra").querySelectorAll(".pane"),
-    element("iframe", { src: `/report/${n}`, title: "Report" }));
+  const show = () => byId("extra").replaceChildren(element("iframe", { src: `/report/${n}`, title: "Report" }));
   if (at_once) { show(); return; }
   const button = element("button", { type: "button", textContent: "Show the report" });
-  button.addEventListener("click", () => { show(); button.remove(); });
+  button.addEventListener("click", () => { show(); });
   byId("extra").append(button);
 }
 
@@ -201,7 +209,7 @@ function networks(chosen, view) {
   const fit = state.files.flatMap((file, n) => (["network", "checkpoint"].includes(file.kind) && same(file.frame, pane.size) ? [[n, file.name]] : []));
   if (!fit.length || pane.look !== "grey") return;
   const known = state.files.find((file) => same(file.object, state.files[fit[0][0]].object) && file.object_um);
-  const seen = /^(scene|frames)/.test(chosen.name);
+  const seen = /^(scene:|frames$)/.test(chosen.name);
   const best = fit.find(([n]) => state.files[n].kind === "network") || fit[0];
   state.network = seen ? best[0] : -1;
   const widths = state.files.findIndex((file) => file.kind === "widths");
@@ -242,33 +250,6 @@ function lenses(chosen) {
     });
   };
   control("Lenses of", choice([[-1, "none"], ...fit], -1, (n) => draw(Number(n))));
-}
-
-async function geometryOf(n) {
-  if (!geometries.has(n)) geometries.set(n, await json(`/geometry/${n}`));
-  return geometries.get(n);
-}
-
-/** Draws the outline of the object behind each lens, and the chief ray of its centre. */
-function fields(geometry) {
-  return (ink, plot) => geometry.anchors_px.forEach(([row, col], l) => {
-    const [tall, wide] = geometry.object.map((n) => ((n * geometry.object_um) / 2) * geometry.px_per_um);
-    const [x, y] = plot.place(row - tall, col - wide);
-    const [right, low] = plot.place(row + tall, col + wide);
-    const [cx, cy] = plot.place(row, col);
-    ink.lineWidth = 1.2;
-    ink.setLineDash(geometry.dead[l] ? [5, 4] : []);
-    ink.strokeStyle = geometry.dead[l] ? "#ff8a80" : ["#4dc4d8", "#ffb15c", "#a48bff", "#69d07f"][(l + Math.floor(l / geometry.array[1])) % 4];
-    ink.strokeRect(x, y, right - x, low - y);
-    ink.setLineDash([]);
-    ink.beginPath();
-    ink.moveTo(cx - 5, cy); ink.lineTo(cx + 5, cy); ink.moveTo(cx, cy - 5); ink.lineTo(cx, cy + 5);
-    ink.stroke();
-    ink.fillStyle = ink.strokeStyle;
-    ink.font = "11px sans-serif";
-    ink.textAlign = "left";
-    ink.fillText(`lens ${l}${geometry.dead[l] ? ", dead" : ""}`, cx + 7, cy - 5);
-  });
 }
 
 /** Two panes of one size, one over the other, with a line between them that moves. */
@@ -333,95 +314,6 @@ async function reconstruction(file, g, f) {
   if (made[0].label) byId("label").textContent += ` Intervals: ${made[0].label}.`;
 }
 
-/** The PSFs of all lenses for a source under the pointer. */
-async function instrument(n, turn) {
-  const geometry = await geometryOf(n);
-  if (turn !== state.turn) return;
-  if (geometry.sensor_only) {
-    byId("notes").append(element("li", { textContent: "no bead scan was measured: there are no PSFs to show" }));
-    return;
-  }
-  const [rows, cols] = geometry.object;
-  const field = new Plot({ name: "a source in the object: point or click", unit: "", pixel_um: [geometry.object_um, geometry.object_um], look: "grey" }, sharedView());
-  const sensor = new Plot({ name: "its image on the sensor", unit: "e-", pixel_um: [geometry.pitch_um, geometry.pitch_um], look: "inferno", root: true }, sharedView());
-  const grid = element("div", { className: "windows" });
-  grid.style.gridTemplateColumns = `repeat(${geometry.array[1]}, 1fr)`;
-  const heading = element("h2", { textContent: "its PSF behind each lens, one scale for all (square root)" });
-  const tiles = geometry.anchors_px.map((_, l) => {
-    const tile = { canvas: element("canvas"), text: element("figcaption") };
-    grid.append(element("figure", {}, tile.canvas, tile.text));
-    return tile;
-  });
-  const box = element("div", { id: "panes-psf", style: "" }, field.root, sensor.root, element("section", { className: "pane" }, heading, grid));
-  Object.assign(box.style, { display: "grid", gap: "22px 26px", gridTemplateColumns: "repeat(auto-fit, minmax(min(100%, 320px), 1fr))", alignItems: "start" });
-  byId("extra").append(element("section", { className: "pane" , style: "max-width:none" }, box));
-  box.parentNode.style.maxWidth = "none";
-  let [at, depth, busy, again] = [[(rows - 1) / 2, (cols - 1) / 2], 0, false, false];
-  if (geometry.depths_um.length > 1) {
-    const slider = element("input", { type: "range", min: 0, max: geometry.depths_um.length - 1, step: 1, value: "0" });
-    const text = element("span", { textContent: `${figure(geometry.depths_um[0])} µm` });
-    slider.addEventListener("input", () => { depth = slider.valueAsNumber; text.textContent = `${figure(geometry.depths_um[depth])} µm`; show(); });
-    box.before(element("label", {}, "Depth of the source ", slider, text));
-  }
-  const show = async () => {
-    if (busy) { again = true; return; }
-    busy = true;
-    do {
-      again = false;
-      const um = at.map((v, a) => (v - (geometry.object[a] - 1) / 2) * geometry.object_um);
-      try {
-        const answer = await ask(`/psf/${n}?depth=${depth}&y_um=${um[0]}&x_um=${um[1]}`);
-        const foci = JSON.parse(answer.headers.get("Foci"));
-        drawn(foci, new Float32Array(await answer.arrayBuffer()), um);
-      } catch (error) { say(error.message, true); }
-    } while (again && turn === state.turn);
-    busy = false;
-  };
-  const drawn = (foci, all, um) => {
-    const [lenses, high, wide] = foci.shape;
-    const [sr, sc] = geometry.sensor;
-    const values = new Float32Array(sr * sc);
-    const peak = all.reduce((m, v) => Math.max(m, v), 0);
-    for (let l = 0; l < lenses; l++) {
-      const own = all.subarray(l * high * wide, (l + 1) * high * wide);
-      const [top, left] = foci.corners_px[l];
-      for (let r = 0; r < high; r++) for (let c = 0; c < wide; c++) {
-        const [row, col] = [top + r, left + c];
-        if (row >= 0 && col >= 0 && row < sr && col < sc) values[row * sc + col] += own[r * wide + c];
-      }
-      Object.assign(tiles[l].canvas, { width: wide, height: high });
-      const image = new ImageData(coloured(own, { low: 0, high: peak, root: true, map: "inferno" }), wide, high);
-      tiles[l].canvas.getContext("2d").putImageData(image, 0, 0);
-      const light = own.reduce((sum, v) => sum + v, 0);
-      const [row, col] = foci.chief_rays_px[l].map((v) => v.toFixed(1));
-      tiles[l].text.textContent = geometry.dead[l] ? `lens ${l}: dead` : `lens ${l}: ${figure(light)} e-, chief ray row ${row}, col ${col}`;
-    }
-    sensor.marks = [(ink, plot) => foci.chief_rays_px.forEach(([row, col]) => {
-      const [x, y] = plot.place(row, col);
-      ink.strokeStyle = "#4dc4d8";
-      ink.strokeRect(x - 4, y - 4, 8, 8);
-    })];
-    sensor.show({ rows: sr, cols: sc, values, low: 0, high: peak });
-    field.paint();
-    heading.textContent = `PSF behind each lens at y ${figure(um[0])}, x ${figure(um[1])} µm; one scale for all, 0 to ${figure(peak)} e- (square root)`;
-    byId("main").dataset.psf = `${lenses} lenses`;
-  };
-  field.marks = [(ink, plot) => {
-    ink.fillStyle = "#7c8794";
-    geometry.beads_px.forEach(([row, col]) => { const [x, y] = plot.place(row, col); ink.fillRect(x - 1, y - 1, 2, 2); });
-    const [x, y] = plot.place(...at);
-    ink.strokeStyle = "#fff";
-    ink.beginPath();
-    ink.arc(x, y, 6, 0, 7);
-    ink.moveTo(x - 10, y); ink.lineTo(x + 10, y); ink.moveTo(x, y - 10); ink.lineTo(x, y + 10);
-    ink.stroke();
-  }];
-  field.pointed = (row, col) => { at = [row, col]; field.paint(); show(); };
-  field.show({ rows, cols, values: new Uint8Array(rows * cols), low: 0, high: 1 });
-  field.bar.replaceChildren(element("span", { textContent: "dots: beads of the scan" }));
-  await show();
-}
-
 document.addEventListener("keydown", (event) => {
   const inside = event.target.matches?.("input, select, textarea, iframe");
   const action = state.keys?.[event.key];
@@ -433,13 +325,14 @@ document.addEventListener("keydown", (event) => {
 let resizing = 0;
 window.addEventListener("resize", () => {
   cancelAnimationFrame(resizing);
-  resizing = requestAnimationFrame(() => [...state.plots.map(({ plot }) => plot), ...state.extras, state.swipe].forEach((plot) => plot?.paint()));
+  resizing = requestAnimationFrame(() => [...state.plots.map(({ plot }) => plot), ...state.extras, ...state.special, state.swipe].forEach((plot) => plot?.paint()));
 });
 
 /** The file in the address; the first that can be shown without one. */
 function chosen() {
   const wanted = new URLSearchParams(location.hash.slice(1)).get("file");
-  const n = wanted === null ? state.files.findIndex((file) => file.kind !== "unshown") : Number(wanted);
+  const first = document.querySelector("#files a")?.getAttribute("href").slice("#file=".length);
+  const n = Number(wanted ?? first ?? -1);
   return state.files[n] && state.files[n].kind !== "unshown" ? n : -1;
 }
 

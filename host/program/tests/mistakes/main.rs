@@ -19,5 +19,6 @@ mod rights;
 mod sessions;
 mod space;
 mod table;
+mod views;
 
 use table::{Mistake, hold};
