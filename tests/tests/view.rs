@@ -188,9 +188,17 @@ fn what_is_sent_is_what_is_in_the_files() {
     let (status, report) = server.text(&format!("/report/{n}"));
     assert!(status == 200 && report.contains("Point-spread functions"), "{status}");
     let (status, head, page) = server.get(&format!("/raw/{}", at("page.html")));
-    assert!(status == 200 && head.contains("Content-Security-Policy: sandbox;") && page.ends_with(b"</script>"), "{head}");
-    for (path, words) in [("/", "<title>"), ("/view.js", "fetch("), ("/draw.js", "canvas"), ("/psf.js", "psf"), ("/style.css", "--paper")]
-    {
+    assert!(
+        status == 200 && head.contains("Content-Security-Policy: sandbox;") && page.ends_with(b"</script>"),
+        "{head}"
+    );
+    for (path, words) in [
+        ("/", "<title>"),
+        ("/view.js", "fetch("),
+        ("/draw.js", "canvas"),
+        ("/psf.js", "psf"),
+        ("/style.css", "--paper"),
+    ] {
         let (status, text) = server.text(path);
         assert!(status == 200 && text.contains(words), "{path}");
         assert!(!text.contains("https://") && !text.contains("//cdn"), "{path} loads something from the network");
@@ -339,7 +347,10 @@ fn a_browser_draws_the_page() {
             "Lenses of",
         ],
     );
-    has(&page("closed.closing", ""), &["data-state=\"ready\"", "before, mean of 5 × 5 | after, mean of 5 × 5", "class=\"swipe\""]);
+    has(
+        &page("closed.closing", ""),
+        &["data-state=\"ready\"", "before, mean of 5 × 5 | after, mean of 5 × 5", "class=\"swipe\""],
+    );
     has(&page("lab.instrument", ""), &["data-psf=\"2 lenses\"", "chief ray row", "dots: beads of the scan"]);
     has(&page("page.html", ""), &["data-state=\"ready\"", "<iframe src=\"/raw/"]);
     let url = format!("http://{}/#file=77", server.address);

@@ -147,7 +147,8 @@ mod tests {
         let frame = StreamedFrame { frame: 7, at, dropped_before: 2, dropped: 3, field_frame, report, object };
         view.show(&frame);
         let text = |path| String::from_utf8_lossy(&get(address, path)).into_owned();
-        for (path, words) in [("/", "name=\"viewport\""), ("/", "<h1>"), ("/view.js", "frame.png"), ("/view.js", "ended")]
+        for (path, words) in
+            [("/", "name=\"viewport\""), ("/", "<h1>"), ("/view.js", "frame.png"), ("/view.js", "ended")]
         {
             assert!(text(path).contains(words), "{words}");
         }

@@ -130,7 +130,10 @@ mod tests {
         let request = get("/data/3/0?frame=12&name=a%20b%2Fc&flag").unwrap();
         assert_eq!(request.path, ["data", "3", "0"]);
         assert_eq!((request.number("frame"), request.value("name")), (Some(12usize), Some("a b/c")));
-        assert_eq!((request.value("flag"), request.value("other"), request.number::<usize>("name")), (Some(""), None, None));
+        assert_eq!(
+            (request.value("flag"), request.value("other"), request.number::<usize>("name")),
+            (Some(""), None, None)
+        );
         assert!(get("/").unwrap().path.is_empty() && !request.head_only);
         assert!(parse("HEAD / HTTP/1.0", "127.0.0.1").unwrap().head_only);
     }
@@ -164,9 +167,19 @@ mod tests {
         for host in ["localhost", "LocalHost:1", "127.0.0.1:65535", "[::1]:8080", "[::1]"] {
             assert!(parse("GET / HTTP/1.1", host).is_ok(), "{host}");
         }
-        for host in ["example.org", "localhost.example.org", "127.0.0.1.example.org", "localhost:", "localhost:80x",
-            "[::1", "[::1]x", "0.0.0.0", "", "localhost:80:80", "user@localhost"]
-        {
+        for host in [
+            "example.org",
+            "localhost.example.org",
+            "127.0.0.1.example.org",
+            "localhost:",
+            "localhost:80x",
+            "[::1",
+            "[::1]x",
+            "0.0.0.0",
+            "",
+            "localhost:80:80",
+            "user@localhost",
+        ] {
             assert_eq!(parse("GET / HTTP/1.1", host), Err(Status::Forbidden), "{host}");
         }
         let of = |head: &str| Request::parse(head.as_bytes()).map_err(|answer| answer.status());

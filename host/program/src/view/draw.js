@@ -75,9 +75,10 @@ class Plot {
     view.plots.push(this);
   }
 
-  /** Shows a picture {rows, cols, values, low, high}; the contrast of the one before is kept. */
+  /** Shows a picture {rows, cols, values, low, high}, or none; the contrast of the one before is kept. */
   show(picture) {
     this.picture = picture;
+    if (!picture) { this.clear(); return; }
     if (!this.contrast) this.reset();
     if (this.view.size?.join() !== [picture.rows, picture.cols].join()) {
       Object.assign(this.view, { size: [picture.rows, picture.cols], all: true });
@@ -86,11 +87,22 @@ class Plot {
     this.paint();
   }
 
-  /** Compares with another picture of the same size, from the fraction `at` of the width on. */
+  /** Compares with another picture of the same size, which begins at a line that a slider or the pointer moves. */
   swipe(other) {
+    if (!this.line) {
+      this.line = element("input", { type: "range", className: "swipe", min: 0, max: 1, step: 0.002, value: "0.5" });
+      this.line.setAttribute("aria-label", "Line between the two pictures");
+      this.line.addEventListener("input", () => { this.at = this.line.valueAsNumber; this.paint(); });
+      this.root.insertBefore(this.line, this.value);
+    }
     this.other = other;
     this.dirty = true;
     this.paint();
+  }
+
+  clear() {
+    this.canvas.getContext("2d").clearRect(0, 0, this.canvas.width, this.canvas.height);
+    this.value.textContent = "this picture cannot be shown";
   }
 
   reset() {
@@ -280,6 +292,11 @@ class Plot {
     const [x, y] = [event.clientX - left, event.clientY - top];
     const [row, col] = this.pixel(x, y);
     const zoomed = this.view.rows < this.picture.rows || this.view.cols < this.picture.cols;
+    if (this.other && !zoomed && (pressed || event.buttons === 1)) {
+      this.at = Math.max(0, Math.min(1, (x - this.box.x) / this.box.w));
+      this.line.value = this.at;
+      this.paint();
+    }
     if (pressed) this.from = [row, col];
     else if (this.from && event.buttons === 1 && zoomed) {
       this.view.top = Math.max(0, Math.min(this.picture.rows - this.view.rows, this.view.top + this.from[0] - row));

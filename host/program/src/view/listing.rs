@@ -106,10 +106,7 @@ impl Listing {
             if root.is_dir() && plain_folder(path)? {
                 this.add_folder(path, &root, 0)?;
                 let shown = this.entries[before..].iter().any(|e| e.kind != Kind::Unshown);
-                ensure!(
-                    shown,
-                    "{named}: no file in this folder can be shown; name a folder of results, or a file"
-                );
+                ensure!(shown, "{named}: no file in this folder can be shown; name a folder of results, or a file");
                 continue;
             }
             this.add(path, &root);

@@ -1,9 +1,9 @@
 //! Files in the browser: `ommatidia view`.
 //!
-//! [`Listing`] finds what the arguments name, [`Site`] answers a browser. A file is opened as a [`source::Source`]: a
-//! description, and pictures that are read one at a time ([`stack`], [`session`], [`tensors`], [`pairs`]). Two things
-//! are computed: the PSFs at a place ([`psf`]) and reconstructions ([`reconstruct`]). Colours, their ranges and the
-//! style sheet are those of `ommatidia_report`, which also renders what is no picture.
+//! [`Listing`] finds what the arguments name, [`Site`] answers a browser. A file is opened as a `source`: a
+//! description, and pictures that are read one at a time (`stack`, `session`, `tensors`, `pairs`). Two things are
+//! computed: the PSFs at a place (`psf`) and reconstructions (`reconstruct`). Colours, their ranges and the style sheet
+//! are those of `ommatidia_report`, which also renders what is no picture.
 
 mod facts;
 mod listing;

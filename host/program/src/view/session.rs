@@ -62,8 +62,7 @@ impl Source for SessionSource {
         let (_, readers) = match self.open.take().filter(|(at, _)| *at == group) {
             Some(open) => self.open.insert(open),
             None => {
-                let readers =
-                    Readers { frames: stack.frames()?, truth: stack.truth()?, expected: stack.expected()? };
+                let readers = Readers { frames: stack.frames()?, truth: stack.truth()?, expected: stack.expected()? };
                 self.open.insert((group, readers))
             }
         };
@@ -95,4 +94,3 @@ fn label(info: &FrameInfo) -> String {
     }
     parts.join(", ")
 }
-

@@ -34,11 +34,8 @@ use std::time::SystemTime;
 
 const PAGE: &str = include_str!("view.html");
 const STYLE: &str = include_str!("view.css");
-const SCRIPTS: [(&str, &str); 3] = [
-    ("draw.js", include_str!("draw.js")),
-    ("psf.js", include_str!("psf.js")),
-    ("view.js", include_str!("view.js")),
-];
+const SCRIPTS: [(&str, &str); 3] =
+    [("draw.js", include_str!("draw.js")), ("psf.js", include_str!("psf.js")), ("view.js", include_str!("view.js"))];
 
 /// Most files that are open at once.
 const MOST_OPEN: usize = 8;
@@ -194,7 +191,11 @@ impl Site {
 
     fn reconstruct(&self, request: &Request, n: &str, at: [&str; 3]) -> Found<anyhow::Result<Answer>> {
         let named = |name: &str| {
-            self.entry(request.value(name).ok_or_else(|| Missing(format!("the query lacks `{name}`, the number of a file")))?)
+            self.entry(
+                request
+                    .value(name)
+                    .ok_or_else(|| Missing(format!("the query lacks `{name}`, the number of a file")))?,
+            )
         };
         let (_, network) = named("with")?;
         if !matches!(network.kind, Kind::Network | Kind::Checkpoint) {

@@ -55,15 +55,8 @@ impl StackSource {
         };
         let raw = plane == Plane::Sensor || (whole && plane == Plane::Unknown);
         let (look, unit) = if raw { (Look::Raw, "DN") } else { (Look::Light, "") };
-        let pane = Pane {
-            name: "frame".into(),
-            unit: unit.into(),
-            size,
-            pixel_um,
-            plane,
-            look,
-            samples: reader.samples(),
-        };
+        let pane =
+            Pane { name: "frame".into(), unit: unit.into(), size, pixel_um, plane, look, samples: reader.samples() };
         let mut facts = vec![["frames".into(), reader.len().to_string()]];
         facts.push(["size".into(), format!("{} × {} pixels, {}", size[0], size[1], reader.samples().name())]);
         if pixel_um.is_none() {

@@ -72,8 +72,7 @@ impl TensorSource {
     pub fn account(path: &Path, grids: &[(SensorSpec, ObjectGrid)]) -> anyhow::Result<Self> {
         let index: Index<Value> = Index::open(path, account::KIND, account::VERSION)?;
         let body = &index.header().body;
-        let closing: Closing =
-            serde_json::from_value(body["closing"].clone()).context("the account is damaged")?;
+        let closing: Closing = serde_json::from_value(body["closing"].clone()).context("the account is damaged")?;
         let numbers = |name: &str| -> Vec<u64> {
             body[name].as_array().into_iter().flatten().filter_map(Value::as_u64).collect()
         };
@@ -91,7 +90,8 @@ impl TensorSource {
         let residual = |name: &str| Pane { pixel_um, ..Pane::residual(name, sensor, 1.0) };
         let mut panes =
             vec![(Pane { pixel_um, ..Pane::raw("measured", sensor, 1.0) }, "measured_dn".to_string(), Shown::Entry)];
-        let of: &[(&str, &str)] = if asked { &[("before", "before"), ("after", "after")] } else { &[("residual", "before")] };
+        let of: &[(&str, &str)] =
+            if asked { &[("before", "before"), ("after", "after")] } else { &[("residual", "before")] };
         for (shown, words) in [(Shown::Means, ", mean of 5 × 5"), (Shown::Residual, "")] {
             for (name, tensor) in of {
                 panes.push((residual(&format!("{name}{words}")), (*tensor).into(), shown));

@@ -244,7 +244,8 @@ function lenses(chosen) {
   if (!fit.length) return;
   const draw = async (n) => {
     const geometry = n < 0 ? null : await geometryOf(n).catch((error) => { say(error.message, true); return null; });
-    plots.filter(({ plot }) => !geometry || same(geometry.sensor, plot.pane.size)).forEach(({ plot }) => {
+    const all = [...plots.map(({ plot }) => plot), ...(state.swipe ? [state.swipe] : [])];
+    all.filter((plot) => !geometry || same(geometry.sensor, plot.pane.size)).forEach((plot) => {
       plot.marks = geometry ? [fields(geometry)] : [];
       plot.paint();
     });
@@ -263,10 +264,7 @@ function swipes(chosen, view) {
     if (!pair) return;
     const [a, b] = pair.split(",").map(Number);
     const plot = new Plot({ ...chosen.panes[a], name: `${chosen.panes[a].name} | ${chosen.panes[b].name}` }, view(chosen.panes[a]));
-    const line = element("input", { type: "range", className: "swipe", min: 0, max: 1, step: 0.002, value: "0.5" });
-    line.setAttribute("aria-label", "Line between the two pictures");
-    line.addEventListener("input", () => { plot.at = line.valueAsNumber; plot.paint(); });
-    plot.root.insertBefore(line, plot.value);
+    plot.marks = state.plots[a].plot.marks;
     state.swipe = Object.assign(plot, { pair: [a, b] });
     [a, b].forEach((p) => { state.plots[p].plot.root.hidden = true; });
     state.plots[a].plot.root.before(plot.root);
@@ -286,15 +284,18 @@ async function frame() {
     const { turn, file, group: g, frame: f } = state;
     history.replaceState(null, "", `#file=${file}&group=${g}&frame=${f}`);
     try {
-      const read = await Promise.all(state.plots.map(({ p }) => pictures(`/data/${file}/${g}/${p}/${f}`).then(([one]) => one)));
+      const asked = state.plots.map(({ p }) => pictures(`/data/${file}/${g}/${p}/${f}`).then(([one]) => one));
+      const read = (await Promise.allSettled(asked)).map((one) => one.value);
       if (turn !== state.turn || g !== state.group) continue;
+      // What can be read is shown, even where another picture of the frame is damaged.
       state.plots.forEach(({ plot }, i) => plot.show(read[i]));
       if (state.swipe) {
         const [a, b] = state.swipe.pair;
-        state.swipe.show(read[a]);
+        state.swipe.show(read[b] && read[a]);
         state.swipe.swipe(read[b]);
       }
-      if (byId("label")) byId("label").textContent = read[0].label;
+      byId("label").textContent = read.find(Boolean)?.label || "";
+      await Promise.all(asked);
       say("");
       if (state.extras.length) await reconstruction(file, g, f);
       byId("main").dataset.state = "ready";
