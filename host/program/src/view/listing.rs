@@ -326,7 +326,7 @@ mod tests {
 
     fn instrument(path: &Path) {
         let instrument = ommatidia_model::testing::instrument([9, 11], [30, 33], 5, 3);
-        instrument.write(path, ommatidia_session::artifact::Provenance::default()).unwrap();
+        instrument.write(path, artifact::Provenance::default()).unwrap();
     }
 
     #[cfg(unix)]
