@@ -107,7 +107,8 @@ fn files(folder: &Path) {
     };
     account.write(&folder.join("closed.closing"), Provenance::new("close", 1, &())).unwrap();
     stack::write(&folder.join("objects.npy"), Array3::from_elem((2, 9, 11), 0.25).view()).unwrap();
-    std::fs::write(folder.join("page.html"), "<!doctype html><script>alert(1)</script>").unwrap();
+    std::fs::write(folder.join("page.html"), "<!doctype html><p>x<script>document.body.dataset.ran = 1 + 1</script>")
+        .unwrap();
     std::fs::write(folder.join("notes.csv"), "a,b\n").unwrap();
 }
 
@@ -189,7 +190,9 @@ fn what_is_sent_is_what_is_in_the_files() {
     assert!(status == 200 && report.contains("Point-spread functions"), "{status}");
     let (status, head, page) = server.get(&format!("/raw/{}", at("page.html")));
     assert!(
-        status == 200 && head.contains("Content-Security-Policy: sandbox;") && page.ends_with(b"</script>"),
+        status == 200
+            && head.contains("Content-Security-Policy: default-src 'none'; style")
+            && page.ends_with(b"</script>"),
         "{head}"
     );
     for (path, words) in [
@@ -353,6 +356,9 @@ fn a_browser_draws_the_page() {
     );
     has(&page("lab.instrument", ""), &["data-psf=\"2 lenses\"", "chief ray row", "dots: beads of the scan"]);
     has(&page("page.html", ""), &["data-state=\"ready\"", "<iframe src=\"/raw/"]);
+    // No script of a page that was found in a file runs.
+    let found = dom(browser, &format!("http://{}/raw/{}", server.address, number(&list, "page.html")), profile.path());
+    assert!(found.contains("<p>x") && !found.contains("data-ran"), "{found}");
     let url = format!("http://{}/#file=77", server.address);
     has(&dom(browser, &url, profile.path()), &["data-state=\"failed\"", "There is no such file"]);
 }

@@ -47,7 +47,8 @@ const OWN: &str = "default-src 'none'; script-src 'self'; style-src 'self' 'unsa
     connect-src 'self'; frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'";
 
 /// What a page of unknown origin may do: show its own text and pictures. No script of it runs.
-const STRANGE: &str = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:";
+const STRANGE: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action \
+    'none'; frame-ancestors 'self'";
 
 /// What a browser gets.
 #[derive(Clone, Debug)]
