@@ -41,6 +41,10 @@ pub fn serve(
                 std::thread::sleep(Duration::from_millis(20));
                 continue;
             };
+            // Beyond this, not even a refusal is worth a thread.
+            if at_once.load(Ordering::Relaxed) > 2 * MOST_AT_ONCE {
+                continue;
+            }
             let turn = Turn::take(&at_once);
             let site = Arc::clone(&site);
             // A browser that has left is no loss, nor is one for which there is no thread.

@@ -105,7 +105,9 @@ impl Listing {
             let before = this.entries.len();
             if root.is_dir() && plain_folder(path)? {
                 this.add_folder(path, &root, 0)?;
-                let shown = this.entries[before..].iter().any(|e| e.kind != Kind::Unshown);
+                // A file that an argument before has named counts, too.
+                let inside = |e: &Entry| e.path.canonicalize().is_ok_and(|whole| whole.starts_with(&root));
+                let shown = this.entries.iter().any(|e| e.kind != Kind::Unshown && inside(e));
                 ensure!(shown, "{named}: no file in this folder can be shown; name a folder of results, or a file");
                 continue;
             }
@@ -309,7 +311,8 @@ mod tests {
         std::fs::write(at(".hidden.json"), "{}").unwrap();
         std::fs::write(at("table.csv"), "a,b").unwrap();
         instrument(&at("lab.instrument"));
-        let listing = Listing::new(&[folder.path().into(), at("results/raw.npy")]).unwrap();
+        let again = [folder.path().into(), at("results/raw.npy"), at("results")];
+        let listing = Listing::new(&again).unwrap();
         let expected = [
             ("lab.instrument", Kind::Instrument),
             ("results/figures.json", Kind::Figures),
