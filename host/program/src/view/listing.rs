@@ -277,7 +277,12 @@ fn is_recording(path: &Path) -> anyhow::Result<bool> {
             _ => return Ok(false),
         }
     }
-    Ok(frames > 0 && FrameReader::open(path).is_ok_and(|r| r.parts().iter().all(|part| part.number.is_some())))
+    // Files whose names differ in more than a number are not parts of one thing.
+    let numbered = |r: FrameReader| {
+        let numbers: BTreeSet<u64> = r.parts().iter().filter_map(|part| part.number).collect();
+        numbers.len() == r.parts().len()
+    };
+    Ok(frames > 0 && FrameReader::open(path).is_ok_and(numbered))
 }
 
 #[cfg(test)]

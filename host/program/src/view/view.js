@@ -59,8 +59,8 @@ function list() {
   const items = [0, 1, 2].flatMap((section) => state.files.flatMap((file, n) => {
     if (rank(file.kind) !== section) return [];
     const name = file.name.slice(start.length);
-    const kind = element("small", { textContent: section === 2 ? `not shown: ${file.why}` : file.kind.replace("-", " ") });
-    if (section === 2) return [element("li", { className: "off", title: file.name }, name, kind)];
+    const kind = element("small", { textContent: section === 2 ? `not shown: ${file.why.split("; expected")[0]}` : file.kind.replace("-", " ") });
+    if (section === 2) return [element("li", { className: "off", title: `${file.name}: ${file.why}` }, name, kind)];
     return [element("li", {}, element("a", { href: `#file=${n}`, title: file.name }, name, kind))];
   }));
   byId("files").replaceChildren(...items);
