@@ -242,7 +242,14 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 type Stamp = (u64, Option<SystemTime>);
 
 /// Files that are open, the last one used last. A file that has changed is opened again.
-struct Open<T>(Mutex<Vec<(usize, Stamp, Arc<Mutex<T>>)>>);
+struct Open<T>(Mutex<Vec<Opened<T>>>);
+
+/// A file that is open: its number, its state when it was opened, and what was made of it.
+struct Opened<T> {
+    number: usize,
+    stamp: Stamp,
+    item: Arc<Mutex<T>>,
+}
 
 impl<T> Default for Open<T> {
     fn default() -> Self {
@@ -261,9 +268,9 @@ impl<T> Open<T> {
         let meta = std::fs::metadata(path).with_context(|| format!("{}: is gone", path.display()))?;
         let stamp = (meta.len(), meta.modified().ok());
         let mut all = lock(&self.0);
-        if let Some(at) = all.iter().position(|(own, of, _)| (*own, *of) == (n, stamp)) {
+        if let Some(at) = all.iter().position(|file| (file.number, file.stamp) == (n, stamp)) {
             let found = all.remove(at);
-            let item = Arc::clone(&found.2);
+            let item = Arc::clone(&found.item);
             all.push(found);
             return Ok(item);
         }
@@ -271,11 +278,11 @@ impl<T> Open<T> {
         drop(all);
         let item = Arc::new(Mutex::new(open(path)?));
         let mut all = lock(&self.0);
-        all.retain(|(own, ..)| *own != n);
+        all.retain(|file| file.number != n);
         if all.len() >= MOST_OPEN {
             all.remove(0);
         }
-        all.push((n, stamp, Arc::clone(&item)));
+        all.push(Opened { number: n, stamp, item: Arc::clone(&item) });
         Ok(item)
     }
 }
