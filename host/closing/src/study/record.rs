@@ -41,7 +41,7 @@ pub struct HeldOut {
     /// Of the calibrated instrument; NaN: the session holds nothing that is known.
     #[serde(deserialize_with = "nullable")]
     pub before: f64,
-    /// Of the closed instrument; NaN as before.
+    /// Of the closed instrument; NaN as before. Where a session withholds its truths, both are of these.
     #[serde(deserialize_with = "nullable")]
     pub after: f64,
     /// Of the bench's noise-free frames, which only chance can improve on.
@@ -69,6 +69,12 @@ impl HeldOut {
         let [before, after] = self.own;
         let worse = |k: usize| before[k].zip(after[k]).is_some_and(|(b, a)| rises(b, a));
         worse(0) || worse(1)
+    }
+
+    /// Whether it predicts the withheld truths worse than the calibrated one does, in chi-squared; chance improves on
+    /// neither.
+    pub fn is_worse_with_truths(&self) -> bool {
+        rises(self.before, self.after)
     }
 
     /// Share of the explainable excess that was removed. None: the excess is below five standard errors; the difference

@@ -131,7 +131,7 @@ fn a_session_is_worse_if_either_figure_is() {
 fn known(instruments: u64) -> Vec<Option<Sensitivities>> {
     let sensitivity = Sensitivity { param: "p".into(), unit: "1".into(), sigma: 1e-9 };
     let ids = catalogue().into_iter().chain(FOREIGN.iter().map(|f| f.descriptor().id));
-    let known = Sensitivities { of: ids.map(|id| (id.into(), sensitivity.clone())).collect(), cannot: Vec::new() };
+    let known = Sensitivities { of: ids.map(|id| (id.into(), sensitivity.clone())).collect(), ..Sensitivities::default() };
     vec![Some(known); instruments as usize]
 }
 
@@ -241,7 +241,7 @@ fn the_committed_page_has_the_structure_of_the_generator() {
         let scored = Some(Default::default());
         all.push(Outcome { reconstruction: scored, ..outcome("2", Question::Reconstruction, "a", &[]) });
     }
-    let plan = Plan { planned: all.len(), opened: (sealed.opened > 0).then_some(sealed.opened) };
+    let plan = Plan { planned: all.len(), opened: (sealed.opened > 0).then_some(sealed.opened), refused: 0 };
     let written = page(&Size::default(), plan, &[], &all, &Summary::of(&all));
     assert_eq!(headings(&committed), headings(&written));
     let seeds = if sealed.opened > 0 { "**sealed seeds" } else { "**development seeds**" };
@@ -290,7 +290,7 @@ fn foreign_noise_has_the_variance_that_it_states() {
 #[test]
 fn the_quick_study_finds_what_is_there() {
     let dir = tempfile::tempdir().unwrap();
-    let request = StudyRequest { dir: dir.path(), size: &Size::quick(1), shard: Shard::default(), sealed: None };
+    let request = StudyRequest { dir: dir.path(), size: &Size::quick(1), shard: Shard::default(), sealed: None, keys: "" };
     let study = run(&request, &Untrained, |_| {}).unwrap();
     let seen: Vec<String> = study
         .outcomes
@@ -316,6 +316,6 @@ fn the_quick_study_finds_what_is_there() {
     assert!(run(&other, &Untrained, |_| {}).is_err());
     let sealed = Size { sealed: true, ..Size::quick(1) };
     let fresh = tempfile::tempdir().unwrap();
-    let unsealed = StudyRequest { dir: fresh.path(), size: &sealed, shard: Shard::default(), sealed: None };
+    let unsealed = StudyRequest { dir: fresh.path(), size: &sealed, shard: Shard::default(), sealed: None, keys: "" };
     assert!(run(&unsealed, &Untrained, |_| {}).is_err());
 }
