@@ -139,7 +139,9 @@ pub fn cases(size: &Size, sensitivities: &[Option<Sensitivities>]) -> Vec<Case> 
         let known = match w.case.question {
             Question::Unknown => whole.of_kinds.get(&w.case.holds)?,
             // What such a session cannot determine has the strength that a whole one would see.
-            Question::Gauge if !whole.of_kinds.get(&w.case.holds)?.cannot.contains(&w.effects.first()?.0) => return None,
+            Question::Gauge if !whole.of_kinds.get(&w.case.holds)?.cannot.contains(&w.effects.first()?.0) => {
+                return None;
+            }
             _ => whole,
         };
         let given = w.effects.iter().map(|(id, k)| injected(known, id, *k)).collect::<Option<Vec<_>>>()?;

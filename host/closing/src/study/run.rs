@@ -113,7 +113,12 @@ pub fn run(
             .collect::<std::io::Result<Vec<()>>>()
             .with_context(|| dir.display().to_string())?;
     }
-    conclude(dir, size, Plan { planned, opened, refused: refused.len() }, &sensitivities.into_iter().flatten().collect::<Vec<_>>())
+    conclude(
+        dir,
+        size,
+        Plan { planned, opened, refused: refused.len() },
+        &sensitivities.into_iter().flatten().collect::<Vec<_>>(),
+    )
 }
 
 /// Checks that the folder holds no other study, and counts an opening of the sealed seeds where this is one. Returns

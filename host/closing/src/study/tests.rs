@@ -131,7 +131,8 @@ fn a_session_is_worse_if_either_figure_is() {
 fn known(instruments: u64) -> Vec<Option<Sensitivities>> {
     let sensitivity = Sensitivity { param: "p".into(), unit: "1".into(), sigma: 1e-9 };
     let ids = catalogue().into_iter().chain(FOREIGN.iter().map(|f| f.descriptor().id));
-    let known = Sensitivities { of: ids.map(|id| (id.into(), sensitivity.clone())).collect(), ..Sensitivities::default() };
+    let known =
+        Sensitivities { of: ids.map(|id| (id.into(), sensitivity.clone())).collect(), ..Sensitivities::default() };
     vec![Some(known); instruments as usize]
 }
 
@@ -290,7 +291,8 @@ fn foreign_noise_has_the_variance_that_it_states() {
 #[test]
 fn the_quick_study_finds_what_is_there() {
     let dir = tempfile::tempdir().unwrap();
-    let request = StudyRequest { dir: dir.path(), size: &Size::quick(1), shard: Shard::default(), sealed: None, keys: "" };
+    let request =
+        StudyRequest { dir: dir.path(), size: &Size::quick(1), shard: Shard::default(), sealed: None, keys: "" };
     let study = run(&request, &Untrained, |_| {}).unwrap();
     let seen: Vec<String> = study
         .outcomes
