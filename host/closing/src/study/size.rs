@@ -121,11 +121,11 @@ impl Size {
         Self {
             seed,
             sealed,
-            instruments: 12,
-            nulls: 36,
-            strengths: vec![10.0, 30.0, 100.0, 300.0],
+            instruments: 6,
+            nulls: 18,
+            strengths: vec![10.0, 30.0, 100.0],
             questions: vec![Question::Unknown, Question::Gauge],
-            quota: Some(8),
+            quota: Some(4),
             ..Self::default()
         }
     }

@@ -47,17 +47,17 @@ pub struct Args {
     /// field (field)
     #[arg(long, value_name = "WHAT", requires = "psfs", default_value = "depths")]
     psfs_of: StackOf,
-    /// Number of sessions without an effect (default: 300; with `--unknown` 36)
+    /// Number of sessions without an effect (default: 300; with `--unknown` 18)
     #[arg(long, value_name = "N")]
     null: Option<usize>,
     /// Number of repetitions of all other sessions, each with its own scenes and noise
     #[arg(long, value_name = "N", default_value_t = Size::default().seeds)]
     seeds: u64,
-    /// Number of instruments; their families take turns (default: 42; with `--unknown` 12)
+    /// Number of instruments; their families take turns (default: 42; with `--unknown` 6)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     instruments: Option<u64>,
     /// Strengths of single effects, in units of the standard error that a session gives for the effect (default:
-    /// 3,10,30,100,300,1000; with `--unknown` 10,30,100,300)
+    /// 3,10,30,100,300,1000; with `--unknown` 10,30,100)
     #[arg(long, value_name = "K,..", value_delimiter = ',')]
     strengths: Vec<f64>,
     /// Ids of the effects to inject, separated by commas (default: all)
