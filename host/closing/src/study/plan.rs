@@ -119,6 +119,13 @@ struct Wish {
 /// The kinds of instruments take turns: every effect meets every kind at every strength, each time another instrument.
 pub fn cases(size: &Size, sensitivities: &[Option<Sensitivities>]) -> Vec<Case> {
     let mut wishes = wishes(size);
+    let known_of = |w: &Wish| sensitivities.get(w.case.instrument as usize)?.as_ref();
+    // What such a session cannot determine.
+    let is_gauge = |w: &Wish| {
+        let cannot = &known_of(w)?.of_kinds.get(&w.case.holds)?.cannot;
+        Some(cannot.contains(&w.effects.first()?.0))
+    };
+    wishes.retain(|w| w.case.question != Question::Gauge || is_gauge(w) == Some(true));
     wishes.sort_by_cached_key(|w| (w.round, w.case.seed));
     if let Some(quota) = size.quota {
         let mut counts: BTreeMap<String, usize> = BTreeMap::new();
@@ -126,7 +133,7 @@ pub fn cases(size: &Size, sensitivities: &[Option<Sensitivities>]) -> Vec<Case> 
             let most = match w.case.question {
                 Question::Null => usize::MAX,
                 Question::Unknown if w.effects.is_empty() => usize::MAX,
-                Question::Single | Question::Unknown => quota,
+                Question::Single | Question::Unknown | Question::Gauge => quota,
                 _ => (quota / 6).max(1),
             };
             let n = counts.entry(w.group.clone()).or_default();
@@ -135,15 +142,8 @@ pub fn cases(size: &Size, sensitivities: &[Option<Sensitivities>]) -> Vec<Case> 
         });
     }
     let possible = |w: Wish| {
-        let whole = sensitivities.get(w.case.instrument as usize)?.as_ref()?;
-        let known = match w.case.question {
-            Question::Unknown => whole.of_kinds.get(&w.case.holds)?,
-            // What such a session cannot determine has the strength that a whole one would see.
-            Question::Gauge if !whole.of_kinds.get(&w.case.holds)?.cannot.contains(&w.effects.first()?.0) => {
-                return None;
-            }
-            _ => whole,
-        };
+        let whole = known_of(&w)?;
+        let known = if w.case.question == Question::Unknown { whole.of_kinds.get(&w.case.holds)? } else { whole };
         let given = w.effects.iter().map(|(id, k)| injected(known, id, *k)).collect::<Option<Vec<_>>>()?;
         Some(Case { injected: if given.is_empty() { w.case.injected.clone() } else { given }, ..w.case })
     };
