@@ -204,7 +204,8 @@ pub(crate) struct Accepted<'a> {
 /// The measurement that makes an effect testable.
 fn needs(stage: Stage, id: &str) -> &'static str {
     match (stage, id) {
-        (_, "defocus" | "field_curvature") => "a bead scan at several depths",
+        (_, "defocus" | "field_curvature" | "tilt") => "a bead scan at several depths",
+        (_, "stage_backlash") => "a bead scan that turns at the end of each row, in a session without truths",
         (_, "exposure_offset") => "flats at several exposures",
         (_, "dark_current" | "hot_pixels") => "darks at several exposures",
         (_, "prnu" | "dust") => "flats",
