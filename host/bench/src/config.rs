@@ -157,6 +157,9 @@ pub struct ScanConfig {
     pub depths_um: Vec<f64>,
     /// Light of the bead through a lens straight above it, electrons.
     pub bead_e: f64,
+    /// Whether every second row is scanned backwards.
+    #[serde(skip_serializing_if = "is_default")]
+    pub serpentine: bool,
 }
 
 /// Numbers of frames, exposures and light levels of the stacks.
@@ -279,7 +282,7 @@ impl Default for ObjectConfig {
 
 impl Default for ScanConfig {
     fn default() -> Self {
-        Self { rows: 13, cols: 13, depths_um: vec![0.0], bead_e: 34_000.0 }
+        Self { rows: 13, cols: 13, depths_um: vec![0.0], bead_e: 34_000.0, serpentine: false }
     }
 }
 

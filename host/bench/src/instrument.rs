@@ -24,6 +24,8 @@ pub struct VirtualInstrument {
     /// The optics with parts that effects have moved; `None`: they are as they were made.
     pub(super) moved: Option<VirtualOptics>,
     pub(super) anchors_px: Vec<[f64; 2]>,
+    /// Where the axis of each lens meets the sensor, (row, col) pixels.
+    pub(super) axes_px: Vec<[f64; 2]>,
     pub(super) sensor: VirtualSensor,
     pub(super) settings: Vec<EffectSetting>,
     pub(super) effects: Chain,
@@ -108,6 +110,7 @@ impl BenchConfig {
         Ok(VirtualInstrument {
             config: self.clone(),
             anchors_px: optics.anchors_px(),
+            axes_px: optics.axes_px(),
             optics,
             moved,
             sensor: VirtualSensor::manufacture(&self.sensor, self.instrument_seed),
@@ -184,8 +187,11 @@ impl VirtualInstrument {
             role,
             array: [self.config.array.rows, self.config.array.cols],
             anchors_px: &self.anchors_px,
+            axes_px: &self.axes_px,
+            pixel_pitch_um: self.config.sensor.pixel_pitch_um,
             gain_dn_per_e: self.config.sensor.gain_dn_per_e,
             temperature_c: info.temperature_c.unwrap_or(20.0),
+            travel: if role == Role::Bead { info.travel } else { [0.0; 2] },
             frame: info.frame,
             time_s: info.time_s,
             exposure_ms: info.exposure_ms,

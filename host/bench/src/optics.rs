@@ -269,6 +269,17 @@ impl VirtualOptics {
         self.family.anchors_px().len()
     }
 
+    /// Where the axis of each lens without effects meets the sensor, (row, col) pixels.
+    pub(super) fn axes_px(&self) -> Vec<[f64; 2]> {
+        let anchors = self.anchors_px().into_iter().enumerate();
+        anchors
+            .map(|(l, anchor)| {
+                let ray = self.family.ray(l, [0.0; 2]);
+                [0, 1].map(|k| anchor[k] + ray.field_px[k] - ray.axis_px[k])
+            })
+            .collect()
+    }
+
     /// Object position on each lens's axis, um.
     pub(super) fn axes_um(&self) -> Vec<[f64; 2]> {
         self.family.axes_um()

@@ -60,7 +60,7 @@ impl VirtualInstrument {
             Role::Flat => self.ladder(&config.flat_exposures_ms(), &stacks.flat_levels, stacks.flat_frames),
             Role::Bead => {
                 let place = |(i, Point { at_um: [y_um, x_um], z_um })| FrameInfo { x_um, y_um, z_um, ..self.info(i) };
-                self.scan_points().into_iter().enumerate().map(place).collect()
+                FrameInfo::travelled(self.scan_points().into_iter().enumerate().map(place).collect())
             }
             Role::Scene => Vec::new(),
         }
@@ -108,7 +108,7 @@ impl VirtualInstrument {
         Ok(peak)
     }
 
-    /// Positions of the scan, (y, x) um: even steps from edge to edge of the object, or its centre for a single
+    /// Positions of the scan, (y, x) um, in order: even steps from edge to edge of the object, or its centre for a single
     /// position.
     fn scan_um(&self) -> Vec<[f64; 2]> {
         let along = |i: usize, positions: usize, pixels: usize| {
@@ -117,7 +117,11 @@ impl VirtualInstrument {
         };
         let (scan, object) = (&self.config.scan, &self.config.object);
         let rows = (0..scan.rows).map(|i| along(i, scan.rows, object.rows));
-        rows.flat_map(|y| (0..scan.cols).map(move |j| [y, along(j, scan.cols, object.cols)])).collect()
+        let place = |(i, y): (usize, f64)| {
+            let back = scan.serpentine && i % 2 == 1;
+            (0..scan.cols).map(move |j| [y, along(if back { scan.cols - 1 - j } else { j }, scan.cols, object.cols)])
+        };
+        rows.enumerate().flat_map(place).collect()
     }
 
     /// Points of the scan: every position at each depth.

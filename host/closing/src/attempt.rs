@@ -149,8 +149,9 @@ pub(crate) fn attempt(
     // Darks and even light prove a table pixel by pixel, whatever is left of the scenes.
     let may_imitate =
         |e: &Effect| claims_a_cause(e, recalibrated) && find(&e.id).is_none_or(|effect| effect.table().is_none());
-    let mut effects =
-        effects(&model, Findings { before: &before, now: &now, own, found: &found, tests: &tests }, given.faults);
+    let unlike = if left { excess.left } else { 0.0 };
+    let findings = Findings { before: &before, now: &now, own, found: &found, tests: &tests, left: unlike };
+    let mut effects = effects(&model, findings, given.faults);
     if !excess.names_are_earned(left) && effects.iter().any(may_imitate) {
         let share = 100.0 * excess.left;
         let why =
@@ -221,7 +222,9 @@ fn planned<'a>(
     closing: &Closing,
 ) -> plan::Found<'a> {
     let ambiguous = closing.effects.iter().filter(|e| e.known && !e.ambiguity.is_empty());
-    let untestable = closing.rejected.iter().filter(|r| r.upper_limit.is_none());
+    // Nobody measures a bead scan to learn of a fault that only bead scans have.
+    let matters = |id: &str| find(id).is_none_or(|e| !e.is_of_bead_scans());
+    let untestable = closing.rejected.iter().filter(|r| r.upper_limit.is_none() && matters(&r.id));
     plan::Found {
         instrument,
         now,

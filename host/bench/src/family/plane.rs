@@ -52,6 +52,7 @@ impl SensorPlane {
             axis_px: off_axis_px,
             anchor_px: [0, 1].map(|k| anchor_px[k] - self.centre_px[k]),
             pixel_pitch_um: self.pixel_pitch_um,
+            px_per_um: self.px_per_um(),
         }
     }
 }

@@ -85,6 +85,7 @@ impl Lenses for Pupils {
             axis_px: [0, 1].map(|k| (at_um[k] - lens.axis_um[k]) * scale),
             anchor_px: [0, 1].map(|k| lens.anchor_px[k] - centre[k]),
             pixel_pitch_um: self.array.pixel_pitch_um,
+            px_per_um: scale,
         }
     }
 

@@ -21,11 +21,13 @@ pub(crate) struct Findings<'a> {
     pub(crate) found: &'a [Found],
     /// The test of each term.
     pub(crate) tests: &'a [Option<Test>],
+    /// Share of the excess of chi-squared that is left with structure, beyond noise and calibration.
+    pub(crate) left: f64,
 }
 
 /// Describes the faults of the records, then the added effects.
 pub(crate) fn effects(model: &Model<'_>, findings: Findings<'_>, faults: &[Fault]) -> Vec<Effect> {
-    let Findings { before, now, own, found, tests } = findings;
+    let Findings { before, now, own, found, tests, left } = findings;
     let mut effects: Vec<Effect> = faults.iter().map(fault).collect();
     // The expectation of chi-squared by noise alone is one per pixel, less if the noise model overestimates the noise.
     let pixels = now.held_out.pixels;
@@ -42,7 +44,7 @@ pub(crate) fn effects(model: &Model<'_>, findings: Findings<'_>, faults: &[Fault
             format!("unknown-{unknown}")
         };
         let test = tests.get(own + i).and_then(Option::as_ref);
-        let params: Vec<Value> = term
+        let mut params: Vec<Value> = term
             .expanded(model.lenses())
             .into_iter()
             .enumerate()
@@ -61,6 +63,7 @@ pub(crate) fn effects(model: &Model<'_>, findings: Findings<'_>, faults: &[Fault
                 Value { name, value: term.params[j], sigma, sigma_noise, unit: p.unit.into() }
             })
             .collect();
+        by_law(&mut params, term, model.lenses(), left);
         let separate_by = f.ambiguity.first().map(|other| separate(f.id, other.id));
         effects.push(Effect {
             description: describe(term, &params),
@@ -78,6 +81,29 @@ pub(crate) fn effects(model: &Model<'_>, findings: Findings<'_>, faults: &[Fault
         });
     }
     effects
+}
+
+/// Widens the errors of an effect's strengths by what its law does not describe. `left` is the share of the excess of
+/// chi-squared that the effects leave, beyond noise and calibration: residuals of the size sqrt(left) times those that
+/// the effect had made. Laws that differ by so much may differ in their strengths by as much, and in the same direction
+/// everywhere, so that no number of pixels averages it.
+fn by_law(params: &mut [Value], term: &Term, lenses: usize, left: f64) {
+    let expanded = term.expanded(lenses);
+    let strengths: Vec<(usize, f64)> = expanded
+        .iter()
+        .enumerate()
+        .filter(|(_, (_, p))| p.is_strength())
+        .map(|(i, (_, p))| (i, (term.params[i] - p.off).abs()))
+        .collect();
+    // A direction in which a displacement is zero is as uncertain as the others.
+    let size = |unit: &str| strengths.iter().filter(|(i, _)| params[*i].unit == unit).map(|s| s.1).fold(0.0, f64::max);
+    let sizes: Vec<f64> = strengths.iter().map(|(i, _)| size(&params[*i].unit)).collect();
+    for ((i, _), size) in strengths.iter().zip(sizes) {
+        let v = &mut params[*i];
+        if v.sigma > 0.0 {
+            v.sigma = v.sigma.hypot(left.sqrt() * size);
+        }
+    }
 }
 
 /// A fault of a record in the form of an effect.
@@ -178,7 +204,8 @@ pub(crate) struct Accepted<'a> {
 /// The measurement that makes an effect testable.
 fn needs(stage: Stage, id: &str) -> &'static str {
     match (stage, id) {
-        (_, "defocus" | "field_curvature") => "a bead scan at several depths",
+        (_, "defocus" | "field_curvature" | "tilt") => "a bead scan at several depths",
+        (_, "stage_backlash") => "a bead scan that turns at the end of each row, in a session without truths",
         (_, "exposure_offset") => "flats at several exposures",
         (_, "dark_current" | "hot_pixels") => "darks at several exposures",
         (_, "prnu" | "dust") => "flats",

@@ -95,7 +95,7 @@ impl Covariate {
             Self::Frame => "frame",
             Self::Neighbours => "residual of neighbouring pixels",
             Self::NextFrame => "residual of the next frame",
-            Self::Repeats => "noise of repeated frames: variance, neighbours, rows, columns",
+            Self::Repeats => "noise of repeated frames: variance, neighbours, tails, rows, columns",
             Self::FixedPattern => "the same pixel in other flats and darks",
         }
     }

@@ -106,11 +106,23 @@ pub(crate) fn rises(before: f64, after: f64) -> bool {
     after > before * (1.0 + ROUNDING)
 }
 
+/// The relative error may rise by the first share of the relative fall of chi-squared, and by the second at most:
+/// chi-squared weights pixels by their noise, the relative error does not, so that a better fit of dim pixels may move
+/// the bright ones within their noise.
+const TRADED: [f64; 2] = [0.1, 1e-3];
+
 /// Whether held-out data are predicted worse after than before: chi-squared per pixel or the relative error rises by
-/// more than rounding. That noise may have made the rise is no excuse: an effect that leaves held-out data as they
-/// were, or worse, has no claim to the instrument.
+/// more than rounding, the latter by more than [`TRADED`]. That noise may have made the rise is no excuse: an effect that
+/// leaves held-out data as they were, or worse, has no claim to the instrument. A chi-squared below 1 is no better than
+/// 1: pixels that share their noise differ less than the noise model says. Figures are `[chi2_ndf, nrmse]`.
+pub(crate) fn worse(before: [f64; 2], after: [f64; 2]) -> bool {
+    let traded = (TRADED[0] * (1.0 - after[0] / before[0])).clamp(0.0, TRADED[1]);
+    rises(before[0].max(1.0), after[0]) || rises(before[1] * (1.0 + traded), after[1])
+}
+
+/// [`worse`] of figures.
 pub(crate) fn is_worse(before: Figures, after: Figures) -> bool {
-    rises(before.chi2_ndf, after.chi2_ndf) || rises(before.nrmse, after.nrmse)
+    worse([before.chi2_ndf, before.nrmse], [after.chi2_ndf, after.nrmse])
 }
 
 /// Number of noise frames that are drawn for each held-out frame.
@@ -211,4 +223,22 @@ pub fn figures(model: &Model<'_>, fitted: &Fitted) -> Figures {
     let (vy, vm, c) = (s[3] - s[1] * s[1] / m, s[4] - s[2] * s[2] / m, s[5] - s[1] * s[2] / m);
     let pcc = if vy > 0.0 && vm > 0.0 { c / (vy * vm).sqrt() } else { 0.0 };
     Figures { chi2_ndf: chi2 / f64::max(n, 1.0), nrmse: (error / f64::max(light, 1e-30)).sqrt(), pcc }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::worse;
+
+    #[test]
+    fn worse_is_a_rise_that_nothing_outweighs() {
+        assert!(worse([1.05, 0.03], [1.0502, 0.02]) && worse([1.05, 0.03], [1.05, 0.03001]));
+        assert!(!worse([1.05, 0.03], [1.05, 0.03]) && !worse([1.05, 0.03], [1.05005, 0.030002]));
+        // The relative error rises by 1 part in 3000, chi-squared falls by 1 % or by 1 part in 1000.
+        assert!(!worse([1.05, 0.03], [1.0395, 0.03001]) && worse([1.05, 0.03], [1.049, 0.03001]));
+        assert!(worse([2.0, 0.03], [1.0, 0.03004]));
+        // Shared noise: less than 1 is not what noise alone gives.
+        assert!(!worse([0.73, 0.03], [0.78, 0.03]) && worse([0.99, 0.03], [1.01, 0.03]));
+        // Sessions without figures.
+        assert!(!worse([f64::NAN; 2], [f64::NAN; 2]) && !worse([0.0; 2], [0.0; 2]));
+    }
 }

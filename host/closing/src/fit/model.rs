@@ -183,6 +183,7 @@ impl<'a> Model<'a> {
             exposure_ms: f.info.exposure_ms,
             illumination: if f.role == Role::Dark { 0.0 } else { f.info.illumination },
             temperature_c: f.info.temperature_c.unwrap_or(20.0),
+            travel: if f.role == Role::Bead { f.info.travel } else { [0.0; 2] },
             previous: previous_e.zip(before).map(|(light_e, t)| Previous { light_e, interval_s: f.info.time_s - t }),
             ..self.forward.context()
         }

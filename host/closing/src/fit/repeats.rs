@@ -7,6 +7,7 @@
 
 use super::cell::Cell;
 use super::derivative::{Expansion, Varied};
+use super::kurtosis::{excess_kurtosis, kurtosis_variance};
 use super::model::Model;
 use super::same::{SMOOTH_PX, shows_the_same};
 use super::state::{Column, Predicted, State, Term};
@@ -20,9 +21,9 @@ use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
-/// Number of features of one level of light: variance; correlation along the row, along the column, diagonally;
-/// variance common to the pixels of a row, of a column.
-pub(crate) const FEATURES: usize = 6;
+/// Number of features of one level of light: variance; correlation along the row, along the column, diagonally; excess
+/// kurtosis; variance common to the pixels of a row, of a column.
+pub(crate) const FEATURES: usize = 7;
 /// One value for each feature.
 pub(crate) type Features = [f64; FEATURES];
 /// Standard error of a feature that is not measured: a million times that of a measured one, and no more, since both
@@ -48,7 +49,7 @@ impl Level {
         // The change of a specimen from one frame to the next is smooth.
         let sharp = &d - &blur_within(&d, SMOOTH_PX);
         let [.., rows, cols] = features(sharp);
-        [0.0, 0.0, 0.0, 0.0, rows, cols]
+        [0.0, 0.0, 0.0, 0.0, 0.0, rows, cols]
     }
 }
 
@@ -228,7 +229,8 @@ fn features(mut d: Array2<f32>) -> Features {
             .sum();
         squares / d.len_of(Axis(axis)).max(1) as f64
     };
-    [together(0, 0) - 1.0, together(0, 1), together(1, 0), together(1, 1), shared(0), shared(1)]
+    let tails = excess_kurtosis(&d);
+    [together(0, 0) - 1.0, together(0, 1), together(1, 0), together(1, 1), tails, shared(0), shared(1)]
 }
 
 /// Errors of the features of all levels.
@@ -279,10 +281,15 @@ impl Sampling {
                 (&vectors * &values.mapv(|v| 1.0 / v.max(1e-30).sqrt())).dot(&vectors.t())
             },
         );
+        let tails = |level: &Level, v: f64| {
+            let pairs = level.pairs.len() as f64;
+            ((kurtosis_variance(v) / pairs + kurtosis_variance(v) - kurtosis_variance(0.0)) / (rows * cols)).sqrt()
+        };
         let sigma = |(level, expected): (&Level, &Features)| {
             let white = if level.unknown { UNKNOWN } else { scatter(level, expected[0]) / (rows * cols).sqrt() };
             let lines = |n: f64, v: f64| (2.0 / n).sqrt() * scatter(level, v);
-            [white, white, white, lines(rows, expected[4]), lines(cols, expected[5])]
+            let tails = if level.unknown { UNKNOWN } else { tails(level, expected[4]) };
+            [white, white, white, tails, lines(rows, expected[5]), lines(cols, expected[6])]
         };
         Self { whitening, sigma: levels.iter().zip(expected).map(sigma).collect() }
     }
@@ -310,13 +317,21 @@ impl Sampling {
 fn noise_features(model: &Model<'_>, chain: &Chain, level: &Level, now: &[Predicted]) -> Features {
     let mut sum = [0.0; FEATURES];
     let Some((a, _)) = level.pairs.first() else { return sum };
-    for i in 0..DRAWN {
+    let draw = |i: u64| {
         let mut rngs = ["noise features", "reading"].map(|what| stream(0x5eed, what, DRAWN * *a as u64 + i));
         let mut d = noise_dn(model, chain, *a, &now[*a].light_e, &mut rngs);
         d.zip_mut_with(&now[*a].inverse_sigma, |d, w| *d *= w);
-        sum.iter_mut().zip(level.features(d)).for_each(|(s, f)| *s += f);
+        d
+    };
+    let drawn: Vec<Array2<f32>> = (0..DRAWN).map(draw).collect();
+    for d in &drawn {
+        sum.iter_mut().zip(level.features(d.clone())).for_each(|(s, f)| *s += f / DRAWN as f64);
     }
-    sum.map(|s| s / DRAWN as f64)
+    // The kurtosis of a difference is not that of one frame.
+    if let [first, second, ..] = &drawn[..] {
+        sum[4] = level.features((second - first) * std::f32::consts::FRAC_1_SQRT_2)[4];
+    }
+    sum
 }
 
 /// Noise of frame `k` at a given light, DN, [sensor rows, sensor cols], with the effects of a chain on counted

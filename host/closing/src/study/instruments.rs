@@ -7,6 +7,8 @@ use serde::{Deserialize, Serialize};
 /// First instrument of a study on development seeds, and of one on sealed seeds. No study has a million instruments, so
 /// the two share none.
 const FIRST: [u64; 2] = [1_000, 1_000_000];
+/// A study of unknown specimens has instruments of its own, which are so many numbers further on.
+const OF_UNKNOWN: u64 = 500_000;
 /// Every fourth instrument has a converter of 14 bits, for light of twenty thousand electrons.
 const WIDE: u64 = 4;
 /// Bits of such a converter.
@@ -58,7 +60,8 @@ pub fn kind(size: &Size, n: u64) -> Kind {
 
 /// Number that instrument `n` has in the virtual instrument's `--instrument`.
 pub fn number(size: &Size, n: u64) -> u64 {
-    FIRST[usize::from(size.sealed)] + n
+    let further = if size.is_of_unknown_specimens() { OF_UNKNOWN } else { 0 };
+    FIRST[usize::from(size.sealed)] + further + n
 }
 
 /// Whether instrument `n` takes scenes of twenty thousand electrons.

@@ -6,7 +6,8 @@
 //! is set on. [`subject`] is one instrument under study, [`sensitivity`] how well its sessions determine each effect,
 //! and [`ranges`] how strong an effect can be; [`sessions`] are the kinds of sessions. [`trial`] runs a case;
 //! [`record`] stores its outcome, one line per session, so that an interrupted study resumes; [`summary`] computes the
-//! figures with [`intervals`] and [`ranks`], and [`text`] renders the page. [`downstream`] measures the effect on
+//! figures with [`intervals`] and [`ranks`], and [`text`] and
+//! [`unknown`] render the page. [`downstream`] measures the effect on
 //! reconstructions, with the [`networks`] that the program brings. [`foreign`] holds effects outside the catalogue.
 //!
 //! ```
@@ -15,7 +16,7 @@
 //!
 //! // Sessions that determine the strength of vignetting to 0.001.
 //! let sensitivity = Sensitivity { param: "v".into(), unit: "1".into(), sigma: 0.001 };
-//! let known = Sensitivities { of: [("vignetting".to_string(), sensitivity)].into(), cannot: Vec::new() };
+//! let known = Sensitivities { of: [("vignetting".to_string(), sensitivity)].into(), ..Sensitivities::default() };
 //!
 //! let questions = vec![Question::Null, Question::Single];
 //! let size = Size { instruments: 1, nulls: 2, strengths: vec![10.0], questions, ..Size::default() };
@@ -45,6 +46,7 @@ pub mod subject;
 pub mod summary;
 pub mod text;
 pub mod trial;
+pub mod unknown;
 
 #[cfg(test)]
 mod tests;

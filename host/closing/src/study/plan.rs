@@ -80,6 +80,8 @@ const MINUS_ONE_SIGMAS: [f64; 3] = [30.0, 100.0, 300.0];
 const FOREIGN_SIGMAS: [f64; 4] = [10.0, 30.0, 100.0, 300.0];
 /// Strength of a foreign effect in a quick study.
 const FOREIGN_QUICK: f64 = 100.0;
+/// Strength of an effect that another specimen could make as well, in units of the sensitivity of a whole session.
+const GAUGE_SIGMAS: f64 = 100.0;
 /// Effects that are injected into sessions which hold less.
 pub const OF_PARTS: [&str; 6] =
     ["array_shift", "interpixel_capacitance", "row_pattern", "vignetting", "motion_blur", "dsnu"];
@@ -117,13 +119,21 @@ struct Wish {
 /// The kinds of instruments take turns: every effect meets every kind at every strength, each time another instrument.
 pub fn cases(size: &Size, sensitivities: &[Option<Sensitivities>]) -> Vec<Case> {
     let mut wishes = wishes(size);
+    let known_of = |w: &Wish| sensitivities.get(w.case.instrument as usize)?.as_ref();
+    // What such a session cannot determine.
+    let is_gauge = |w: &Wish| {
+        let cannot = &known_of(w)?.of_kinds.get(&w.case.holds)?.cannot;
+        Some(cannot.contains(&w.effects.first()?.0))
+    };
+    wishes.retain(|w| w.case.question != Question::Gauge || is_gauge(w) == Some(true));
     wishes.sort_by_cached_key(|w| (w.round, w.case.seed));
     if let Some(quota) = size.quota {
         let mut counts: BTreeMap<String, usize> = BTreeMap::new();
         wishes.retain(|w| {
             let most = match w.case.question {
                 Question::Null => usize::MAX,
-                Question::Single => quota,
+                Question::Unknown if w.effects.is_empty() => usize::MAX,
+                Question::Single | Question::Unknown | Question::Gauge => quota,
                 _ => (quota / 6).max(1),
             };
             let n = counts.entry(w.group.clone()).or_default();
@@ -132,7 +142,8 @@ pub fn cases(size: &Size, sensitivities: &[Option<Sensitivities>]) -> Vec<Case> 
         });
     }
     let possible = |w: Wish| {
-        let known = sensitivities.get(w.case.instrument as usize)?.as_ref()?;
+        let whole = known_of(&w)?;
+        let known = if w.case.question == Question::Unknown { whole.of_kinds.get(&w.case.holds)? } else { whole };
         let given = w.effects.iter().map(|(id, k)| injected(known, id, *k)).collect::<Option<Vec<_>>>()?;
         Some(Case { injected: if given.is_empty() { w.case.injected.clone() } else { given }, ..w.case })
     };
@@ -194,7 +205,29 @@ fn wishes(size: &Size) -> Vec<Wish> {
             kind + kinds * ((a as u64 * 5 + b as u64 * 3 + round * 7) % of_kind.max(1))
         };
         let each_kind = (0..kinds.min(size.instruments)).collect::<Vec<u64>>();
-        for (a, id) in catalogue().into_iter().enumerate().filter(|(_, id)| size.wants(id)) {
+        for (a, holds) in Holds::UNKNOWN.into_iter().enumerate().filter(|_| size.asks(Question::Unknown)) {
+            let name = holds.name();
+            for i in 0..size.nulls as u64 / Holds::UNKNOWN.len() as u64 {
+                let n = instrument(i * Holds::UNKNOWN.len() as u64 + a as u64);
+                let case = Case { question: Question::Unknown, instrument: n, holds, ..Case::default() };
+                push(round, &format!("{name}/0"), format!("{name}/null/{i}/{round}"), vec![], case);
+            }
+            for (b, id) in catalogue().into_iter().enumerate().filter(|(_, id)| size.wants(id)) {
+                let case = |question, n| Case { question, instrument: n, holds, ..Case::default() };
+                for (c, k) in size.strengths.iter().enumerate() {
+                    let n = turn((a + b + c) as u64 % kinds, b, a + c);
+                    let key = format!("{name}/{id}/{k}/{round}");
+                    push(round, &format!("{name}/{k}"), key, vec![(id.into(), *k)], case(Question::Unknown, n));
+                }
+                for kind in &each_kind {
+                    let (n, k) = (turn(*kind, b, a), GAUGE_SIGMAS);
+                    let key = format!("{name}/gauge/{id}/{kind}/{round}");
+                    push(round, &format!("{name}/gauge"), key, vec![(id.into(), k)], case(Question::Gauge, n));
+                }
+            }
+        }
+        let of_catalogue = catalogue().into_iter().enumerate().filter(|_| !size.is_of_unknown_specimens());
+        for (a, id) in of_catalogue.filter(|(_, id)| size.wants(id)) {
             for (b, k) in size.strengths.iter().enumerate().filter(|_| size.asks(Question::Single)) {
                 for kind in &each_kind {
                     let case = Case { question: Question::Single, instrument: turn(*kind, a, b), ..Case::default() };

@@ -22,9 +22,16 @@ pub fn largest(id: &str) -> Option<f64> {
         "radial_distortion" => 20.0,
         "field_curvature" => 16_000.0,
         "defocus" => 40.0,
+        // um/mm: half a radian.
+        "tilt" => 500.0,
+        // um of the stage, 7 px of the image.
+        "stage_backlash" => 20.0,
+        // mm^-2: half of the light at 0.15 mm from the axis.
+        "chief_ray_response" => 22.0,
         // Relative changes of light.
         "vignetting" | "excitation_profile" | "lens_gain" => 0.7,
         "halo" => 0.5,
+        "camera_processing" => 1.0,
         "lag" | "readout_lag" | "flicker_banding" | "lens_leakage" | "pixel_mosaic" => 0.3,
         "veiling_glare" | "ghost" | "nonlinearity" => 0.2,
         "interpixel_capacitance" => 0.06,
@@ -38,6 +45,7 @@ pub fn largest(id: &str) -> Option<f64> {
         "background" | "dark_current" => 100.0,
         "row_pattern" | "column_pattern" | "dsnu" | "adc_nonlinearity" => 150.0,
         "row_noise" => 50.0,
+        "telegraph_pixels" => 150.0,
         "black_level_drift" => 500.0,
         "noise_scale" => 3.0,
         _ => return None,

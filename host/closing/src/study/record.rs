@@ -6,7 +6,7 @@ use super::plan::{Case, Injected};
 use super::shard::Shard;
 use super::size::Question;
 use crate::Verdict;
-use crate::evidence::rises;
+use crate::evidence::{rises, worse};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
@@ -41,7 +41,7 @@ pub struct HeldOut {
     /// Of the calibrated instrument; NaN: the session holds nothing that is known.
     #[serde(deserialize_with = "nullable")]
     pub before: f64,
-    /// Of the closed instrument; NaN as before.
+    /// Of the closed instrument; NaN as before. Where a session withholds its truths, both are of these.
     #[serde(deserialize_with = "nullable")]
     pub after: f64,
     /// Of the bench's noise-free frames, which only chance can improve on.
@@ -64,11 +64,18 @@ fn nullable<'de, D: serde::Deserializer<'de>>(from: D) -> Result<f64, D::Error> 
 }
 
 impl HeldOut {
-    /// Whether the closed instrument predicts held-out data worse than the calibrated one, in chi-squared or in NRMSE.
+    /// Whether the closed instrument predicts held-out data worse than the calibrated one, in chi-squared or in NRMSE, as
+    /// `close` judges it.
     pub fn is_worse(&self) -> bool {
-        let [before, after] = self.own;
-        let worse = |k: usize| before[k].zip(after[k]).is_some_and(|(b, a)| rises(b, a));
-        worse(0) || worse(1)
+        // A figure that is absent is no worse.
+        let [before, after] = self.own.map(|f| f.map(|v| v.unwrap_or(0.0)));
+        worse(before, after)
+    }
+
+    /// Whether it predicts the withheld truths worse than the calibrated one does, in chi-squared; chance improves on
+    /// neither.
+    pub fn is_worse_with_truths(&self) -> bool {
+        rises(self.before, self.after)
     }
 
     /// Share of the explainable excess that was removed. None: the excess is below five standard errors; the difference

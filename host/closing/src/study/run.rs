@@ -10,8 +10,9 @@ use super::size::Size;
 use super::subject::Subject;
 use super::summary::Summary;
 use super::text::{Plan, page};
-use super::trial;
+use super::{trial, unknown};
 use anyhow::{Context, bail};
+use ommatidia_model::calibrate::CalibrateError;
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -43,6 +44,8 @@ pub struct StudyRequest<'a> {
     pub shard: Shard,
     /// Counter of the sealed seeds, for a study of those.
     pub sealed: Option<&'a Path>,
+    /// Only the sessions whose key holds this text; the others stay planned.
+    pub keys: &'a str,
 }
 
 /// How far a run is.
@@ -61,29 +64,40 @@ pub struct Progress {
 /// each on one thread; the outcome does not depend on the number of threads.
 ///
 /// # Errors
-/// The folder cannot be written, it holds another study, or an instrument cannot be calibrated. A session that cannot
-/// be closed is not an error: its outcome holds the reason.
+/// The folder cannot be written, it holds another study, or no instrument can be calibrated. An instrument that
+/// `calibrate` refuses is left out and counted. A session that cannot be closed is not an error: its outcome holds the
+/// reason.
 pub fn run(
     request: &StudyRequest<'_>,
     networks: &dyn Networks,
     progress: impl Fn(Progress) + Sync,
 ) -> anyhow::Result<Study> {
-    let StudyRequest { dir, size, shard, sealed } = *request;
+    let StudyRequest { dir, size, shard, sealed, keys } = *request;
     std::fs::create_dir_all(dir).with_context(|| dir.display().to_string())?;
     let opened = begin(dir, size, shard, sealed)?;
     let numbers: Vec<u64> = (0..size.instruments).filter(|n| shard.has(*n as usize)).collect();
     // Their foci take much memory, so only what is on disk is kept.
-    let prepared = |n: &u64| Ok(Subject::prepare(*n, size, dir, networks)?.sensitivities);
-    side_by_side(&numbers, prepared)?.into_iter().collect::<anyhow::Result<Vec<_>>>()?;
+    let prepared = |n: &u64| match Subject::prepare(*n, size, dir, networks) {
+        Err(e) if e.downcast_ref::<CalibrateError>().is_some() => {
+            tracing::warn!("instrument {n} is left out: {e:#}");
+            Ok(Some(*n))
+        }
+        other => other.map(|_| None),
+    };
+    let refused = side_by_side(&numbers, prepared)?.into_iter().collect::<anyhow::Result<Vec<Option<u64>>>>()?;
+    let refused: Vec<u64> = refused.into_iter().flatten().collect();
+    if refused.len() == numbers.len() {
+        bail!("`calibrate` refuses all {} instruments; the log has the reasons", numbers.len());
+    }
     let sensitivities: Vec<Option<Sensitivities>> = (0..size.instruments).map(|n| Subject::known(n, dir)).collect();
     let ended: BTreeSet<String> = read_all(dir)?.into_iter().map(|o| o.case.key).collect();
     let all = cases(size, &sensitivities);
     let planned = all.len();
-    let mine = |c: &Case| shard.has(c.instrument as usize) && !ended.contains(&c.key);
+    let mine = |c: &Case| shard.has(c.instrument as usize) && !ended.contains(&c.key) && c.key.contains(keys);
     let todo: Vec<Case> = all.into_iter().filter(mine).collect();
     let ledger = Ledger::open(dir, shard)?;
     let done = AtomicUsize::new(0);
-    for n in numbers {
+    for n in numbers.into_iter().filter(|n| !refused.contains(n)) {
         let of_this: Vec<&Case> = todo.iter().filter(|c| c.instrument == n).collect();
         if of_this.is_empty() {
             continue;
@@ -99,7 +113,12 @@ pub fn run(
             .collect::<std::io::Result<Vec<()>>>()
             .with_context(|| dir.display().to_string())?;
     }
-    conclude(dir, size, Plan { planned, opened }, &sensitivities.into_iter().flatten().collect::<Vec<_>>())
+    conclude(
+        dir,
+        size,
+        Plan { planned, opened, refused: refused.len() },
+        &sensitivities.into_iter().flatten().collect::<Vec<_>>(),
+    )
 }
 
 /// Checks that the folder holds no other study, and counts an opening of the sealed seeds where this is one. Returns
@@ -135,7 +154,10 @@ fn conclude(dir: &Path, size: &Size, plan: Plan, sensitivities: &[Sensitivities]
         "summary": summary, "sessions": outcomes,
     });
     ommatidia_session::artifact::write_whole(&dir.join(JSON), &serde_json::to_vec_pretty(&json)?)?;
-    let page = page(size, plan, sensitivities, &outcomes, &summary);
+    let page = match size.is_of_unknown_specimens() {
+        true => unknown::page(plan, sensitivities, &outcomes, &summary),
+        false => page(size, plan, sensitivities, &outcomes, &summary),
+    };
     ommatidia_session::artifact::write_whole(&dir.join(PAGE), page.as_bytes())?;
     Ok(Study { outcomes, summary })
 }

@@ -1,5 +1,6 @@
 //! How well a session determines the strength of each effect.
 
+use super::sessions::Holds;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -21,4 +22,7 @@ pub struct Sensitivities {
     pub of: BTreeMap<String, Sensitivity>,
     /// Ids of effects that they cannot determine.
     pub cannot: Vec<String>,
+    /// The same of sessions of other kinds, where a study asks for them.
+    #[serde(default)]
+    pub of_kinds: BTreeMap<Holds, Sensitivities>,
 }

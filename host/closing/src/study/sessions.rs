@@ -31,6 +31,10 @@ pub enum Holds {
     Video,
     /// As `Whole`; the objects are unknown.
     Unknown,
+    /// One scene of an unknown object, beside darks and flats.
+    OneUnknown,
+    /// A hundred scenes of unknown objects, beside darks and flats.
+    ManyUnknown,
     /// As `Whole`; truths are displaced by 0.3 object pixels.
     TruthShifted,
     /// As `Whole`; truths are turned by 0.4 degrees.
@@ -46,6 +50,9 @@ impl Holds {
     /// Kinds whose truths do not lie quite where the objects were.
     pub const MISREGISTERED: [Self; 3] = [Self::TruthShifted, Self::TruthTurned, Self::TruthScaled];
 
+    /// Kinds whose objects nobody knows.
+    pub const UNKNOWN: [Self; 3] = [Self::OneUnknown, Self::Unknown, Self::ManyUnknown];
+
     /// The name in keys.
     pub fn name(self) -> &'static str {
         match self {
@@ -58,6 +65,8 @@ impl Holds {
             Self::OneFrame => "one-frame",
             Self::Video => "video",
             Self::Unknown => "unknown",
+            Self::OneUnknown => "one-unknown",
+            Self::ManyUnknown => "many-unknown",
             Self::TruthShifted => "truth-shifted",
             Self::TruthTurned => "truth-turned",
             Self::TruthScaled => "truth-scaled",
@@ -76,6 +85,8 @@ impl Holds {
             Self::OneFrame => "one known scene",
             Self::Video => "a video of the unknown, with darks",
             Self::Unknown => "darks, flats, 8 unknown scenes",
+            Self::OneUnknown => "the same with one scene",
+            Self::ManyUnknown => "the same with 100 scenes",
             Self::TruthShifted => "truths displaced by 0.3 px",
             Self::TruthTurned => "truths turned by 0.4 degrees",
             Self::TruthScaled => "truths 1 % too large",
@@ -93,7 +104,7 @@ impl Holds {
     }
 
     fn has_truth(self) -> bool {
-        !matches!(self, Self::BeadsAndUnknown | Self::Video | Self::Unknown)
+        !matches!(self, Self::BeadsAndUnknown | Self::Video) && !Self::UNKNOWN.contains(&self)
     }
 
     /// The configuration of such a session, from that of a whole one.
@@ -106,7 +117,8 @@ impl Holds {
                 let share = (BRIGHT_E / c.full_scale_e()).min(0.9);
                 c.stacks.scene_peak = [0.8 * share, share];
             }
-            Self::OneFrame => c.stacks.scene_frames = 1,
+            Self::OneFrame | Self::OneUnknown => c.stacks.scene_frames = 1,
+            Self::ManyUnknown => c.stacks.scene_frames = 100,
             Self::Video => {
                 (c.stacks.scene_frames, c.scenes.video_frames) = (24, 24);
                 c.stacks.interval_ms = 20.0;
@@ -126,8 +138,23 @@ impl Holds {
     /// # Errors
     /// The folder cannot be written.
     pub fn measure(self, bench: &VirtualInstrument, dir: &Path, seed: u64) -> anyhow::Result<Session> {
+        Ok(self.measure_both(bench, dir, seed)?.0)
+    }
+
+    /// The same; beside the session the one with the truths that it withholds, if it does.
+    ///
+    /// # Errors
+    /// The folder cannot be written.
+    pub fn measure_both(
+        self,
+        bench: &VirtualInstrument,
+        dir: &Path,
+        seed: u64,
+    ) -> anyhow::Result<(Session, Option<Session>)> {
         bench.measure_some(dir, seed, self.roles(), |_| {})?;
+        let mut with_truths = None;
         if !self.has_truth() {
+            with_truths = Some(Session::open(dir)?);
             forget_truth(dir)?;
         }
         if let Some(place) = self.misplaced() {
@@ -139,7 +166,7 @@ impl Holds {
             }
             stack::write(&file, truths.view())?;
         }
-        Ok(Session::open(dir)?)
+        Ok((Session::open(dir)?, with_truths))
     }
 
     /// Where a point of the written truth lies in the object, relative to its centre, object pixels.

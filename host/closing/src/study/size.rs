@@ -28,6 +28,10 @@ pub enum Question {
     Records,
     /// Does fine-tuning on the closed instrument help a network as much as on the true one?
     Reconstruction,
+    /// Is one undeclared effect found where nobody knows the specimens, and nothing where there is none?
+    Unknown,
+    /// Does a change that another specimen could make as well go without a name?
+    Gauge,
 }
 
 impl Question {
@@ -70,7 +74,7 @@ pub struct Size {
     pub strengths: Vec<f64>,
     /// Ids of the effects to inject; empty: all.
     pub only: Vec<String>,
-    /// Questions to answer; empty: all.
+    /// Questions to answer; empty: all but those of unknown specimens, which have a study of their own.
     pub questions: Vec<Question>,
     /// Largest number of sessions with one effect at one strength; other groups have a sixth of it. `None`: no limit.
     #[serde(default)]
@@ -112,6 +116,25 @@ impl Size {
         }
     }
 
+    /// A study of sessions whose specimens nobody knows: each effect in units of its own standard error there.
+    pub fn of_unknown_specimens(seed: u64, sealed: bool) -> Self {
+        Self {
+            seed,
+            sealed,
+            instruments: 6,
+            nulls: 18,
+            strengths: vec![10.0, 30.0, 100.0],
+            questions: vec![Question::Unknown, Question::Gauge],
+            quota: Some(4),
+            ..Self::default()
+        }
+    }
+
+    /// Whether the study is one of sessions whose specimens nobody knows.
+    pub fn is_of_unknown_specimens(&self) -> bool {
+        self.questions.contains(&Question::Unknown)
+    }
+
     /// A study over all kinds of instruments and strengths, for development, with at most `most` sessions with one
     /// effect at one strength; 6 make about 70 sessions.
     pub fn development(seed: u64, most: usize) -> Self {
@@ -127,6 +150,9 @@ impl Size {
 
     /// Whether a question is asked.
     pub fn asks(&self, question: Question) -> bool {
-        self.questions.is_empty() || self.questions.contains(&question)
+        match question {
+            Question::Unknown | Question::Gauge => self.questions.contains(&question),
+            _ => self.questions.is_empty() || self.questions.contains(&question),
+        }
     }
 }

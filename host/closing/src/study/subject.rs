@@ -7,6 +7,7 @@ use super::foreign::{FOREIGN, Foreign};
 use super::instruments::{self, Kind};
 use super::networks::{self, Networks};
 use super::sensitivity::{Sensitivities, Sensitivity};
+use super::sessions::Holds;
 use super::size::{Question, Size};
 use crate::{Budget, CloseOptions, Observations, close};
 use anyhow::Context;
@@ -81,7 +82,7 @@ impl Subject {
             Some(known) => known,
             None => {
                 let found = subject
-                    .look(seed, if size.quota.is_some() { 1 } else { NULLS })
+                    .look(seed, if size.quota.is_some() { 1 } else { NULLS }, size.is_of_unknown_specimens())
                     .with_context(|| format!("instrument {n}"))?;
                 ommatidia_session::artifact::write_whole(&file, &serde_json::to_vec_pretty(&found)?)?;
                 found
@@ -96,12 +97,32 @@ impl Subject {
         serde_json::from_slice(&bytes).ok()
     }
 
-    fn look(&self, seed: u64, nulls: u64) -> anyhow::Result<Sensitivities> {
+    fn look(&self, seed: u64, nulls: u64, of_unknown: bool) -> anyhow::Result<Sensitivities> {
+        let mut out = self.determined(Holds::Whole, seed, nulls)?;
+        if of_unknown {
+            for holds in Holds::UNKNOWN {
+                out.of_kinds.insert(holds, self.determined(holds, seed, nulls)?);
+            }
+            return Ok(out);
+        }
+        for foreign in &FOREIGN {
+            let d = foreign.descriptor();
+            let sigma = self.noise_alone(foreign, d.params[0].step, seed)?;
+            let (param, unit) = (d.params[0].name.into(), d.params[0].unit.into());
+            out.of.insert(d.id.into(), Sensitivity { param, unit, sigma });
+        }
+        Ok(out)
+    }
+
+    /// How well sessions of a kind determine each effect of the catalogue: the standard errors that `close` states where
+    /// the effect is absent, medians of `nulls` sessions.
+    fn determined(&self, holds: Holds, seed: u64, nulls: u64) -> anyhow::Result<Sensitivities> {
         let mut sigmas: BTreeMap<String, (String, String, Vec<f64>)> = BTreeMap::new();
         let mut out = Sensitivities::default();
+        let bench = holds.config(&self.config).build_like(&self.bench, &[])?;
         for i in 0..nulls {
             let folder = tempfile::tempdir()?;
-            let session = self.session(&self.bench, &folder.path().join("session"), (seed << 20) + 77_000 + i)?;
+            let session = holds.measure(&bench, &folder.path().join("session"), (seed << 20) + 77_000 + i)?;
             let mut seen = Observations::read(&session, &Budget::default())?;
             let options = CloseOptions { session_name: "null", seed, ..CloseOptions::default() };
             let closed = close(&self.instrument, &mut seen, &options, |_| {})?;
@@ -118,12 +139,6 @@ impl Subject {
                 }
                 None => out.cannot.push(id),
             }
-        }
-        for foreign in &FOREIGN {
-            let d = foreign.descriptor();
-            let sigma = self.noise_alone(foreign, d.params[0].step, seed)?;
-            let (param, unit) = (d.params[0].name.into(), d.params[0].unit.into());
-            out.of.insert(d.id.into(), Sensitivity { param, unit, sigma });
         }
         Ok(out)
     }

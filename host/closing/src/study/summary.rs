@@ -147,7 +147,9 @@ impl Summary {
     pub fn of(all: &[Outcome]) -> Self {
         let good: Vec<&Outcome> = all.iter().filter(|o| o.error.is_none()).collect();
         let asked = |q: Question| good.iter().copied().filter(move |o| o.case.question == q);
-        let nulls: Vec<&Outcome> = asked(Question::Null).collect();
+        // A study of unknown specimens asks both in one question.
+        let of_unknown = |with: bool| asked(Question::Unknown).filter(move |o| o.case.injected.is_empty() != with);
+        let nulls: Vec<&Outcome> = asked(Question::Null).chain(of_unknown(false)).collect();
         let mut null_named = BTreeMap::new();
         for f in nulls.iter().flat_map(|o| &o.found) {
             *null_named.entry(f.id.clone()).or_default() += 1;
@@ -157,13 +159,11 @@ impl Summary {
         let of_pair = |o: &Outcome| o.case.injected.iter().filter(|i| o.covers(&i.id)).count();
         let mut seconds: Vec<f64> = good.iter().map(|o| o.seconds).collect();
         seconds.sort_by(f64::total_cmp);
-        let single: Vec<&Outcome> = asked(Question::Single).collect();
+        let single: Vec<&Outcome> = asked(Question::Single).chain(of_unknown(true)).collect();
         let mut false_names = BTreeMap::new();
         for id in single.iter().flat_map(|o| o.false_names()) {
             *false_names.entry(id.to_string()).or_default() += 1;
         }
-        let by_strengths =
-            |of: &[&Outcome]| strengths(of).into_iter().map(|(k, of)| by_strength(k, &of)).collect::<Vec<_>>();
         let beyond = |q: Question| {
             let of: Vec<&Outcome> = asked(q).collect();
             strengths(&of).into_iter().map(|(k, of)| (k, outside(&of))).collect::<Vec<_>>()
@@ -256,6 +256,11 @@ fn strengths<'a>(outcomes: &[&'a Outcome]) -> Vec<(f64, Vec<&'a Outcome>)> {
 
 fn truth(o: &Outcome) -> &str {
     o.case.injected.first().map_or("", |i| i.id.as_str())
+}
+
+/// Figures of sessions with one effect, by its strength.
+pub(super) fn by_strengths(of: &[&Outcome]) -> Vec<ByStrength> {
+    strengths(of).into_iter().map(|(k, of)| by_strength(k, &of)).collect()
 }
 
 fn by_strength(sigmas: f64, of: &[&Outcome]) -> ByStrength {

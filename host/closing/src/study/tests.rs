@@ -15,6 +15,7 @@ use super::shard::Shard;
 use super::size::{Question, Size};
 use super::summary::Summary;
 use super::text::{Plan, page};
+use super::unknown;
 use crate::{Retrain, RetrainRequest, Retrained};
 use ndarray::Array2;
 use ommatidia_physics::effects::{Effect, FrameContext, find};
@@ -131,7 +132,8 @@ fn a_session_is_worse_if_either_figure_is() {
 fn known(instruments: u64) -> Vec<Option<Sensitivities>> {
     let sensitivity = Sensitivity { param: "p".into(), unit: "1".into(), sigma: 1e-9 };
     let ids = catalogue().into_iter().chain(FOREIGN.iter().map(|f| f.descriptor().id));
-    let known = Sensitivities { of: ids.map(|id| (id.into(), sensitivity.clone())).collect(), cannot: Vec::new() };
+    let known =
+        Sensitivities { of: ids.map(|id| (id.into(), sensitivity.clone())).collect(), ..Sensitivities::default() };
     vec![Some(known); instruments as usize]
 }
 
@@ -241,7 +243,7 @@ fn the_committed_page_has_the_structure_of_the_generator() {
         let scored = Some(Default::default());
         all.push(Outcome { reconstruction: scored, ..outcome("2", Question::Reconstruction, "a", &[]) });
     }
-    let plan = Plan { planned: all.len(), opened: (sealed.opened > 0).then_some(sealed.opened) };
+    let plan = Plan { planned: all.len(), opened: (sealed.opened > 0).then_some(sealed.opened), refused: 0 };
     let written = page(&Size::default(), plan, &[], &all, &Summary::of(&all));
     assert_eq!(headings(&committed), headings(&written));
     let seeds = if sealed.opened > 0 { "**sealed seeds" } else { "**development seeds**" };
@@ -290,7 +292,8 @@ fn foreign_noise_has_the_variance_that_it_states() {
 #[test]
 fn the_quick_study_finds_what_is_there() {
     let dir = tempfile::tempdir().unwrap();
-    let request = StudyRequest { dir: dir.path(), size: &Size::quick(1), shard: Shard::default(), sealed: None };
+    let request =
+        StudyRequest { dir: dir.path(), size: &Size::quick(1), shard: Shard::default(), sealed: None, keys: "" };
     let study = run(&request, &Untrained, |_| {}).unwrap();
     let seen: Vec<String> = study
         .outcomes
@@ -316,6 +319,71 @@ fn the_quick_study_finds_what_is_there() {
     assert!(run(&other, &Untrained, |_| {}).is_err());
     let sealed = Size { sealed: true, ..Size::quick(1) };
     let fresh = tempfile::tempdir().unwrap();
-    let unsealed = StudyRequest { dir: fresh.path(), size: &sealed, shard: Shard::default(), sealed: None };
+    let unsealed = StudyRequest { dir: fresh.path(), size: &sealed, shard: Shard::default(), sealed: None, keys: "" };
     assert!(run(&unsealed, &Untrained, |_| {}).is_err());
+}
+
+/// Instruments that determine one effect with known specimens four times as well as with unknown ones, and another not
+/// at all with the latter.
+fn known_with_unknown(instruments: u64) -> Vec<Option<Sensitivities>> {
+    let sensitivity = |sigma| Sensitivity { param: "p".into(), unit: "1".into(), sigma };
+    let of_kind = Sensitivities {
+        of: [("vignetting".to_string(), sensitivity(0.004))].into(),
+        cannot: vec!["excitation_profile".into()],
+        ..Sensitivities::default()
+    };
+    let of = ["vignetting", "excitation_profile"].map(|id| (id.to_string(), sensitivity(0.001)));
+    let of_kinds = Holds::UNKNOWN.map(|h| (h, of_kind.clone())).into();
+    vec![Some(Sensitivities { of: of.into(), of_kinds, ..Sensitivities::default() }); instruments as usize]
+}
+
+#[test]
+fn unknown_specimens_have_a_study_of_their_own_in_units_of_their_own_errors() {
+    let size =
+        Size { strengths: vec![10.0], nulls: 3, instruments: 3, quota: None, ..Size::of_unknown_specimens(1, false) };
+    let all = cases(&size, &known_with_unknown(3));
+    assert!(all.iter().all(|c| matches!(c.question, Question::Unknown | Question::Gauge)));
+    for holds in Holds::UNKNOWN {
+        let of: Vec<&Case> = all.iter().filter(|c| c.holds == holds).collect();
+        assert_eq!(of.iter().filter(|c| c.injected.is_empty()).count(), 1);
+        let single: Vec<&&Case> =
+            of.iter().filter(|c| c.question == Question::Unknown && !c.injected.is_empty()).collect();
+        assert_eq!(single.len(), 1);
+        assert!(single[0].injected[0].id == "vignetting" && (single[0].injected[0].value - 0.04).abs() < 1e-12);
+        // What another specimen could make has the strength that known specimens would show.
+        let gauges = of.iter().filter(|c| c.question == Question::Gauge);
+        assert!(gauges.clone().all(|c| c.injected[0].id == "excitation_profile"));
+        assert!(gauges.clone().count() >= 1 && gauges.clone().all(|c| (c.injected[0].value - 0.1).abs() < 1e-12));
+    }
+    assert!((0..3).all(|n| instruments::number(&size, n) != instruments::number(&Size::default(), n)));
+    assert!(cases(&Size::default(), &known(42)).iter().all(|c| c.question != Question::Unknown));
+}
+
+#[test]
+fn the_page_of_unknown_specimens_says_what_the_truths_say() {
+    let with = |key: &str, truth: &str, found: &[(&str, f64)], after: f64| {
+        let mut o = outcome(key, Question::Unknown, truth, found);
+        o.case.holds = Holds::Unknown;
+        o.held_out.after = after;
+        o
+    };
+    let mut nothing = with("unknown/null/0", "", &[], 2.0);
+    nothing.case.injected.clear();
+    let gauge =
+        Outcome { case: Case { question: Question::Gauge, ..with("g", "a", &[], 2.0).case }, ..nothing.clone() };
+    let all = [with("1", "a", &[("a", 1.0)], 1.05), with("2", "a", &[("b", 1.0)], 2.5), nothing, gauge];
+    let plan = Plan { planned: 4, opened: None, refused: 1 };
+    let text =
+        unknown::page(plan, &known_with_unknown(1).into_iter().flatten().collect::<Vec<_>>(), &all, &Summary::of(&all));
+    assert!(
+        text.starts_with(unknown::TITLE) && text.contains("1 more instruments were drawn that `calibrate` refuses")
+    );
+    assert!(text.contains("| 8 | 0 of 1 (0 %, "), "{text}");
+    assert!(text.contains("| 8 | 10 | 1 of 2 (50 %, "), "{text}");
+    assert!(text.contains("Worse with the truths: `2` 2.0000 -> 2.5000."), "{text}");
+    assert!(text.contains("named 0 of 1 (0 %, "), "{text}");
+    assert!(
+        text.contains("| `excitation_profile` | p |  | 1.0e-3 | not testable | not testable | not testable |"),
+        "{text}"
+    );
 }

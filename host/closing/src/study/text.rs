@@ -15,6 +15,8 @@ pub struct Plan {
     pub planned: usize,
     /// How often the sealed seeds were opened, this time included; `None`: the seeds are those for development.
     pub opened: Option<usize>,
+    /// Instruments that `calibrate` refuses, and that no session is of.
+    pub refused: usize,
 }
 
 /// Renders the page.
@@ -37,23 +39,23 @@ pub fn page(size: &Size, plan: Plan, sensitivities: &[Sensitivities], all: &[Out
 }
 
 /// `12 of 40 (30 %, 18 to 45 %)`.
-fn share(s: Share) -> String {
+pub(super) fn share(s: Share) -> String {
     if s.n == 0 {
         return "-".into();
     }
     format!("{} of {} ({:.0} %, {:.0} to {:.0} %)", s.k, s.n, 100.0 * s.share(), 100.0 * s.low, 100.0 * s.high)
 }
 
-fn brief(s: Share) -> String {
+pub(super) fn brief(s: Share) -> String {
     if s.n == 0 { "-".into() } else { format!("{}/{} ({:.0} %)", s.k, s.n, 100.0 * s.share()) }
 }
 
-fn number(v: Option<f64>) -> String {
+pub(super) fn number(v: Option<f64>) -> String {
     v.map_or_else(|| "-".into(), |v| format!("{v:.2}"))
 }
 
 /// Three significant digits, of numbers that span decades.
-fn digits(v: Option<f64>) -> String {
+pub(super) fn digits(v: Option<f64>) -> String {
     v.map_or_else(|| "-".into(), |v| if v.abs() < 0.01 { format!("{v:.4}") } else { format!("{v:.3}") })
 }
 
@@ -62,14 +64,10 @@ pub const TITLE: &str = "# How far the loop can be trusted";
 
 fn head(out: &mut String, size: &Size, plan: Plan, s: &Summary) -> std::fmt::Result {
     let seeds = match plan.opened {
-        Some(1) => {
-            "These are **sealed seeds, opened once**: no threshold was set on these instruments or sessions.".into()
-        }
-        Some(n) => format!("These are **sealed seeds, opened {n} times**: what was changed in between has seen them."),
         None if size.gentle => {
             "This is a **check that the study works**, on gentle instruments; it measures nothing.".into()
         }
-        None => "These are **development seeds**: thresholds were set on them, so the figures flatter.".to_string(),
+        opened => seeds(opened),
     };
     let of: Vec<String> = s.instruments.iter().map(|(kind, n)| format!("{} {n}", kind.name())).collect();
     writeln!(
@@ -97,11 +95,31 @@ fn head(out: &mut String, size: &Size, plan: Plan, s: &Summary) -> std::fmt::Res
             sessions failed.\n",
         s.seconds[0], s.seconds[1], s.seconds[2], s.failed
     )?;
+    left_out(out, plan)?;
     writeln!(out, "Held-out figures (chi2 or NRMSE) are worse after than before in {} sessions.", s.worse.len())?;
     for key in &s.worse {
         writeln!(out, "- `{key}`")?;
     }
     writeln!(out)
+}
+
+/// Instruments that no session is of.
+pub(super) fn left_out(out: &mut String, plan: Plan) -> std::fmt::Result {
+    match plan.refused {
+        0 => Ok(()),
+        n => writeln!(out, "{n} more instruments were drawn that `calibrate` refuses; they are left out.\n"),
+    }
+}
+
+/// Which seeds a page is of.
+pub(super) fn seeds(opened: Option<usize>) -> String {
+    match opened {
+        Some(1) => {
+            "These are **sealed seeds, opened once**: no threshold was set on these instruments or sessions.".into()
+        }
+        Some(n) => format!("These are **sealed seeds, opened {n} times**: what was changed in between has seen them."),
+        None => "These are **development seeds**: thresholds were set on them, so the figures flatter.".to_string(),
+    }
 }
 
 fn nulls(out: &mut String, s: &Summary) -> std::fmt::Result {
@@ -206,23 +224,25 @@ fn errors(out: &mut String, s: &Summary) -> std::fmt::Result {
          right; heavy ends: errors too small). p: chi2 test of evenness.\n\n\
          | sigma | pulls | mean | rms | robust rms | ranks from 0 to 1 | p |\n|---|---|---|---|---|---|---|"
     )?;
-    let row = |b: &ByStrength| {
-        let counts: Vec<String> = b.ranks.counts.iter().map(usize::to_string).collect();
-        let p = b.ranks.p.map_or_else(|| "-".into(), |p| format!("{p:.3}"));
-        format!(
-            "| {} | {} | {} | {} | {} | {} | {p} |",
-            b.sigmas,
-            b.pulls,
-            number(b.pull_mean),
-            number(b.pull_rms),
-            number(b.pull_robust),
-            counts.join(" "),
-        )
-    };
     for b in &s.single {
-        writeln!(out, "{}", row(b))?;
+        writeln!(out, "{}", ranks(b))?;
     }
     writeln!(out)
+}
+
+/// A row of the table of pulls and ranks.
+pub(super) fn ranks(b: &ByStrength) -> String {
+    let counts: Vec<String> = b.ranks.counts.iter().map(usize::to_string).collect();
+    let p = b.ranks.p.map_or_else(|| "-".into(), |p| format!("{p:.3}"));
+    format!(
+        "| {} | {} | {} | {} | {} | {} | {p} |",
+        b.sigmas,
+        b.pulls,
+        number(b.pull_mean),
+        number(b.pull_rms),
+        number(b.pull_robust),
+        counts.join(" "),
+    )
 }
 
 /// The confusion matrix, without its zeros.
@@ -264,7 +284,7 @@ fn named(out: &mut String, s: &Summary) -> std::fmt::Result {
 }
 
 /// The injected and the found effects of one session.
-fn line(o: &Outcome) -> String {
+pub(super) fn line(o: &Outcome) -> String {
     let put: Vec<String> =
         o.case.injected.iter().map(|i| format!("`{}` {} = {:.3e}", i.id, i.param, i.value)).collect();
     let found: Vec<String> = o
@@ -284,7 +304,8 @@ fn line(o: &Outcome) -> String {
     format!("| {put} | {kind} | {strength} | {found} | {wrong} | {incomplete} | {removed} |")
 }
 
-const SESSIONS: &str = "| injected | instrument | sigma | found | false names | called incomplete | explained F |\n|---|---|---|---|---|---|---|";
+/// Head of a table of sessions, one [`line`] each.
+pub(super) const SESSIONS: &str = "| injected | instrument | sigma | found | false names | called incomplete | explained F |\n|---|---|---|---|---|---|---|";
 
 fn lines(out: &mut String, all: &[Outcome], question: Question) -> std::fmt::Result {
     let mut of: Vec<&Outcome> = all.iter().filter(|o| o.case.question == question && o.error.is_none()).collect();

@@ -8,7 +8,7 @@ use super::record::{FoundEffect, HeldOut, Outcome};
 use super::sessions::Holds;
 use super::size::Question;
 use super::subject::Subject;
-use crate::evidence::figures;
+use crate::evidence::{Figures, figures};
 use crate::fit::{Model, Term, refit};
 use crate::{Budget, CloseOptions, Closing, Observations, close};
 use anyhow::Context;
@@ -46,7 +46,7 @@ fn attempt(subject: &Subject, case: &Case, networks: &dyn Networks) -> anyhow::R
         bench = bench.with_foreign(effect, vec![it.value])?;
     }
     let folder = tempfile::tempdir()?;
-    let session = holds.measure(&bench, &folder.path().join("session"), case.seed)?;
+    let (session, with_truths) = holds.measure_both(&bench, &folder.path().join("session"), case.seed)?;
     let mut instrument = subject.instrument.clone();
     instrument.noise.gain_dn_per_e *= case.gain;
     let mut seen = Observations::read(&session, &Budget::default())?;
@@ -62,8 +62,16 @@ fn attempt(subject: &Subject, case: &Case, networks: &dyn Networks) -> anyhow::R
         }
         _ => None,
     };
-    let closing = closed.account.closing;
-    let (floor, pixels) = floor(&session, &seen, &subject.instrument)?;
+    let mut closing = closed.account.closing;
+    let own = [closing.before, closing.after].map(|f| [f.chi2_ndf, f.nrmse].map(|v| Some(v).filter(|v| v.is_finite())));
+    // Where the session withholds its truths, they judge the closed instrument.
+    let with_truths = with_truths.filter(|_| Holds::UNKNOWN.contains(&holds));
+    if let Some(session) = &with_truths {
+        seen = Observations::read(session, &Budget::default())?;
+        closing.before = known(&instrument, &seen)?;
+        closing.after = known(&closed.instrument, &seen)?;
+    }
+    let (floor, pixels) = floor(with_truths.as_ref().unwrap_or(&session), &seen, &subject.instrument)?;
     let truth = explainable(&instrument, &seen, case)?;
     let structure = closing.dependences_after.iter().filter(|d| d.z > REPORTED);
     Ok(Outcome {
@@ -73,15 +81,7 @@ fn attempt(subject: &Subject, case: &Case, networks: &dyn Networks) -> anyhow::R
         verdict: closing.verdict,
         incomplete: closing.catalogue_incomplete,
         structure: structure.map(|d| d.covariate.words().to_string()).collect(),
-        held_out: HeldOut {
-            before: closing.before.chi2_ndf,
-            after: closing.after.chi2_ndf,
-            floor,
-            truth,
-            pixels,
-            own: [closing.before, closing.after]
-                .map(|f| [f.chi2_ndf, f.nrmse].map(|v| Some(v).filter(|v| v.is_finite()))),
-        },
+        held_out: HeldOut { before: closing.before.chi2_ndf, after: closing.after.chi2_ndf, floor, truth, pixels, own },
         found: found(closing),
         reconstruction,
         seconds,
@@ -107,7 +107,8 @@ fn found(closing: Closing) -> Vec<FoundEffect> {
 /// true ones. None for faults of records and of the gain, which are not effects of an instrument.
 fn explainable(instrument: &Instrument, seen: &Observations, case: &Case) -> anyhow::Result<Option<f64>> {
     // Of sessions that hold less, the figures of `close` are of other data than known scenes.
-    let of_scenes = matches!(case.holds, Holds::Whole | Holds::ManyFrames | Holds::Bright);
+    let of_scenes =
+        matches!(case.holds, Holds::Whole | Holds::ManyFrames | Holds::Bright) || Holds::UNKNOWN.contains(&case.holds);
     if matches!(case.question, Question::Records | Question::Gain) || case.injected.is_empty() || !of_scenes {
         return Ok(None);
     }
@@ -128,6 +129,12 @@ fn explainable(instrument: &Instrument, seen: &Observations, case: &Case) -> any
     }
     let fitted = refit(&model, state)?;
     Ok(Some(figures(&model, &fitted).chi2_ndf))
+}
+
+/// How well an instrument predicts a session whose objects are known.
+fn known(instrument: &Instrument, seen: &Observations) -> anyhow::Result<Figures> {
+    let model = Model::new(instrument, seen)?;
+    Ok(figures(&model, &refit(&model, model.state(instrument)?)?))
 }
 
 /// chi-squared per pixel of the held-out scenes against the noise-free frames of the bench, and the number of pixels.

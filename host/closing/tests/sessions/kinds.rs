@@ -81,6 +81,15 @@ fn nothing_is_found_in_frames_of_the_unknown_without_an_effect() {
 }
 
 #[test]
+fn a_capacitance_is_found_where_nobody_knows_the_specimens() {
+    // The specimens are seen through it: else what they take up of its blur would be missing in the prediction.
+    let closing = with(Holds::Unknown, "interpixel_capacitance", &[("alpha", 0.03)], 810);
+    assert_eq!((closing.judged_on, names(&closing)), (JudgedOn::SelfConsistency, vec!["interpixel_capacitance"]));
+    let p = &closing.effects[0].params[0];
+    assert!((p.value - 0.03).abs() < 4.0 * p.sigma && p.sigma < 0.003, "{p:?}");
+}
+
+#[test]
 fn a_turned_array_is_found_in_frames_of_the_unknown() {
     let folder = tempfile::tempdir().unwrap();
     let turned = EffectSetting::new("array_rotation", &[("angle_mrad", 7.0)]);

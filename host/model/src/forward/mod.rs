@@ -57,6 +57,8 @@ pub struct Forward {
     /// Index of the plane of the object.
     plane: usize,
     geometry: ChiefRays,
+    /// Where the axis of each lens meets the sensor, [row, col], px.
+    axes_px: Vec<[f64; 2]>,
     array: [usize; 2],
     layout: Layout,
     object_pixel_um: f64,
@@ -109,6 +111,7 @@ impl Forward {
             plane: config.depth - used.start,
             depths_um: used.filter_map(|d| depths.get(d).copied()).collect(),
             geometry: instrument.geometry.clone(),
+            axes_px: axes_px(instrument),
             array: [manifest.array.rows, manifest.array.cols],
             layout: Layout::of(manifest),
             object_pixel_um: manifest.object.pixel_um,
@@ -167,6 +170,8 @@ impl Forward {
             illumination: 1.0,
             array: self.array,
             anchors_px: &self.geometry.anchors_px,
+            axes_px: &self.axes_px,
+            pixel_pitch_um: self.pixel_pitch_um,
             full_scale_e: self.noise.full_scale_e(),
             black_level_dn: self.noise.black_level_dn,
             gain_dn_per_e: self.noise.gain_dn_per_e,
@@ -290,13 +295,7 @@ impl Forward {
         let anchor = self.geometry.anchors_px[lens];
         let centre = self.operator().sensor_shape().map(|n| (n as f64 - 1.0) / 2.0);
         let scale = self.geometry.magnification / self.pixel_pitch_um;
-        // The distance to the object does not enter where an axis meets it.
-        let optics = MicrolensArray {
-            object_distance_um: 1.0,
-            magnification: self.geometry.magnification,
-            pixel_pitch_um: self.pixel_pitch_um,
-        };
-        let axis_px = optics.axis_um(anchor, centre).map(|v| v * scale);
+        let axis = self.axes_px[lens];
         let object = self.operator().object_shape().map(|n| (n as f64 - 1.0) / 2.0);
         // One object pixel is one sensor pixel of the image; its anchor is a rounded one.
         let corner = [0, 1].map(|a| (anchor[a] - object[a]).round());
@@ -308,9 +307,10 @@ impl Forward {
                 lens,
                 object_um,
                 field_px,
-                axis_px: [field_px[0] - axis_px[0], field_px[1] - axis_px[1]],
+                axis_px: [0, 1].map(|a| field_px[a] + anchor[a] - axis[a]),
                 anchor_px: [anchor[0] - centre[0], anchor[1] - centre[1]],
                 pixel_pitch_um: self.pixel_pitch_um,
+                px_per_um: scale,
             };
             effects.shift_ray(&ray, cx)
         })
@@ -399,6 +399,22 @@ impl Forward {
         effects.on_electronics(&mut charge_e, cx);
         charge_e
     }
+}
+
+/// Where the axis of each lens meets the sensor, [row, col], px.
+fn axes_px(instrument: &Instrument) -> Vec<[f64; 2]> {
+    let (geometry, pixel_pitch_um) = (&instrument.geometry, instrument.manifest.sensor.pixel_pitch_um);
+    let [rows, cols] = Layout::of(&instrument.manifest).sensor;
+    let centre = [rows, cols].map(|n| (n as f64 - 1.0) / 2.0);
+    let magnification = geometry.magnification;
+    // The distance to the object does not enter where an axis meets it.
+    let optics = MicrolensArray { object_distance_um: 1.0, magnification, pixel_pitch_um };
+    let scale = magnification / pixel_pitch_um;
+    let axis = |anchor: &[f64; 2]| {
+        let um = optics.axis_um(*anchor, centre);
+        [0, 1].map(|a| anchor[a] + um[a] * scale)
+    };
+    geometry.anchors_px.iter().map(axis).collect()
 }
 
 /// Read noise, electrons rms.

@@ -40,6 +40,7 @@ fn every_effect_switched_off_leaves_the_same_bits_and_switched_on_changes_the_fr
         // Nearly full scale, where saturation begins.
         exposure_ms: plain.context().exposure_ms * 0.9 * plain.noise().full_scale_e() / peak,
         temperature_c: 30.0,
+        travel: [1.0, -1.0],
         previous: Some(Previous { light_e: &previous, interval_s: 0.02 }),
         ..plain.context()
     };

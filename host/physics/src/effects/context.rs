@@ -24,6 +24,13 @@ pub struct FrameContext<'a> {
     pub array: [usize; 2],
     /// Anchors (the foci of the on-axis source), one (row, col) for each lens, sensor pixels.
     pub anchors_px: &'a [[f64; 2]],
+    /// Where the axis of each lens meets the sensor, one (row, col) for each lens, sensor pixels.
+    pub axes_px: &'a [[f64; 2]],
+    /// Pixel pitch of the sensor, um.
+    pub pixel_pitch_um: f64,
+    /// Direction in which the stage moved to the position of this bead, along each axis: -1 to 1, less the mean of all
+    /// frames of the scan ([`ommatidia_session::FrameInfo::travel`]); 0 for what is no bead.
+    pub travel: [f64; 2],
     /// Full scale of the converter above the black level, electrons.
     pub full_scale_e: f64,
     /// Mean signal without light, DN.
@@ -55,6 +62,9 @@ impl Default for FrameContext<'_> {
             lens: 0,
             array: [1, 1],
             anchors_px: &[],
+            axes_px: &[],
+            pixel_pitch_um: 1.0,
+            travel: [0.0; 2],
             full_scale_e: 0.0,
             black_level_dn: 0.0,
             gain_dn_per_e: 1.0,
@@ -78,6 +88,8 @@ pub struct Ray {
     pub anchor_px: [f64; 2],
     /// Pixel pitch of the sensor, um.
     pub pixel_pitch_um: f64,
+    /// Displacement of a focus for a displacement of its source, sensor pixels per um.
+    pub px_per_um: f64,
 }
 
 /// Displacement of a source and its focus by an effect.

@@ -54,6 +54,10 @@ pub trait Effect: Send + Sync {
     fn is_of_the_grid(&self) -> bool {
         false
     }
+    /// Whether the effect is one of the record of bead scans: other frames neither show it nor suffer from it.
+    fn is_of_bead_scans(&self) -> bool {
+        false
+    }
     /// Whether the effect changes only the noise, never the expected frame.
     fn noise_only(&self) -> bool {
         false

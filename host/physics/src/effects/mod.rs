@@ -30,6 +30,7 @@
 //! # }
 //! ```
 
+mod aberration_drift;
 mod adc_nonlinearity;
 mod array_rotation;
 mod array_shift;
@@ -37,8 +38,10 @@ mod background;
 mod black_level_drift;
 mod brighter_fatter;
 mod camera_gamma;
+mod camera_processing;
 mod chain;
 mod charge_diffusion;
+mod chief_ray_response;
 mod column_pattern;
 mod column_smear;
 mod context;
@@ -81,9 +84,12 @@ mod row_pattern;
 mod saturation;
 mod sensor_rotation;
 mod smooth;
+mod stage_backlash;
 mod stage_scale;
 mod table;
+mod telegraph_pixels;
 mod thermal_drift;
+mod tilt;
 mod unknown_blur;
 mod unknown_light;
 mod unknown_offset;

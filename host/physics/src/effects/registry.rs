@@ -1,5 +1,6 @@
 //! The list of all effects.
 
+use super::aberration_drift::AberrationDrift;
 use super::adc_nonlinearity::AdcNonlinearity;
 use super::array_rotation::ArrayRotation;
 use super::array_shift::ArrayShift;
@@ -7,7 +8,9 @@ use super::background::Background;
 use super::black_level_drift::BlackLevelDrift;
 use super::brighter_fatter::BrighterFatter;
 use super::camera_gamma::CameraGamma;
+use super::camera_processing::CameraProcessing;
 use super::charge_diffusion::ChargeDiffusion;
+use super::chief_ray_response::ChiefRayResponse;
 use super::column_pattern::ColumnPattern;
 use super::column_smear::ColumnSmear;
 use super::dark_current::DarkCurrent;
@@ -44,8 +47,11 @@ use super::row_noise::RowNoise;
 use super::row_pattern::RowPattern;
 use super::saturation::Saturation;
 use super::sensor_rotation::SensorRotation;
+use super::stage_backlash::StageBacklash;
 use super::stage_scale::StageScale;
+use super::telegraph_pixels::TelegraphPixels;
 use super::thermal_drift::ThermalDrift;
+use super::tilt::Tilt;
 use super::unknown_blur::UnknownBlur;
 use super::unknown_light::UnknownLight;
 use super::unknown_offset::UnknownOffset;
@@ -67,14 +73,18 @@ static REGISTRY: &[&dyn Effect] = &[
     &SensorRotation,
     &LensDecentre,
     &StageScale,
+    &StageBacklash,
     &ThermalDrift,
     &Magnification,
     &RadialDistortion,
     &ObjectDistortion,
     &Defocus,
     &FieldCurvature,
+    &Tilt,
     &LensGain,
+    &ChiefRayResponse,
     &LensLeakage,
+    &AberrationDrift,
     &RankTruncation,
     &MotionBlur,
     &Halo,
@@ -104,7 +114,9 @@ static REGISTRY: &[&dyn Effect] = &[
     &Dsnu,
     &BlackLevelDrift,
     &AdcNonlinearity,
+    &CameraProcessing,
     &RowNoise,
+    &TelegraphPixels,
     &NoiseScale,
     &MetadataFault,
     &UnknownOperator,

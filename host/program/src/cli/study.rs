@@ -28,12 +28,16 @@ pub struct Args {
     /// Run about 70 sessions over all families of instruments and all strengths, for development
     #[arg(long, conflicts_with_all = ["null", "seeds", "strengths", "only", "instruments", "sealed"])]
     development: bool,
+    /// Run sessions whose specimens nobody knows, on instruments of their own; truths that are withheld judge the closed
+    /// instruments
+    #[arg(long, conflicts_with_all = ["quick", "development", "psfs"])]
+    unknown: bool,
     /// Largest number of sessions with one effect at one strength, drawn from all that were planned; of other kinds a
     /// sixth of it (default: all; with `--development` 6)
     #[arg(long, value_name = "N", conflicts_with = "quick", value_parser = clap::value_parser!(u16).range(1..))]
     most: Option<u16>,
     /// Run sealed instruments and sessions, on which no threshold may be set, and count in FILE that they were opened
-    /// (docs/sealed.json)
+    /// (docs/sealed.json; with `--unknown` docs/sealed-unknown.json)
     #[arg(long, value_name = "FILE")]
     sealed: Option<PathBuf>,
     /// Measured PSFs, as one more kind of instruments: files or folders of .npy or .tif stacks, separated by commas
@@ -43,22 +47,25 @@ pub struct Args {
     /// field (field)
     #[arg(long, value_name = "WHAT", requires = "psfs", default_value = "depths")]
     psfs_of: StackOf,
-    /// Number of sessions without an effect
-    #[arg(long, value_name = "N", default_value_t = Size::default().nulls)]
-    null: usize,
+    /// Number of sessions without an effect (default: 300; with `--unknown` 18)
+    #[arg(long, value_name = "N")]
+    null: Option<usize>,
     /// Number of repetitions of all other sessions, each with its own scenes and noise
     #[arg(long, value_name = "N", default_value_t = Size::default().seeds)]
     seeds: u64,
-    /// Number of instruments; their families take turns
-    #[arg(long, value_name = "N", default_value_t = Size::default().instruments, value_parser =
-        clap::value_parser!(u64).range(1..))]
-    instruments: u64,
-    /// Strengths of single effects, in units of the standard error that a session gives for the effect
-    #[arg(long, value_name = "K,..", value_delimiter = ',', default_values_t = Size::default().strengths)]
+    /// Number of instruments; their families take turns (default: 42; with `--unknown` 6)
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    instruments: Option<u64>,
+    /// Strengths of single effects, in units of the standard error that a session gives for the effect (default:
+    /// 3,10,30,100,300,1000; with `--unknown` 10,30,100)
+    #[arg(long, value_name = "K,..", value_delimiter = ',')]
     strengths: Vec<f64>,
     /// Ids of the effects to inject, separated by commas (default: all)
     #[arg(long, value_name = "ID,..", value_delimiter = ',')]
     only: Vec<String>,
+    /// Run only the sessions whose key (as `study.json` has it) contains TEXT; the others stay planned
+    #[arg(long, value_name = "TEXT", default_value = "", hide_default_value = true)]
+    keys: String,
     /// Run only every N-th instrument, starting with number I (counted from 0), so that N computers share the work;
     /// auto: as the scheduler says (docs/clusters.md)
     #[arg(long, value_name = "I/N", default_value = "0/1", value_parser = |text: &str| shard::<Shard>(text, 0))]
@@ -99,22 +106,25 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     } else if args.development {
         Size { measured, ..Size::development(run.seed, args.most.unwrap_or(DEVELOPMENT).into()) }
     } else {
+        let sealed = args.sealed.is_some();
+        let usual = match args.unknown {
+            true => Size::of_unknown_specimens(run.seed, sealed),
+            false => Size { seed: run.seed, sealed, ..Size::default() },
+        };
         Size {
-            seed: run.seed,
-            sealed: args.sealed.is_some(),
             measured,
-            instruments: args.instruments,
-            nulls: args.null,
+            instruments: args.instruments.unwrap_or(usual.instruments),
+            nulls: args.null.unwrap_or(usual.nulls),
             seeds: args.seeds,
-            strengths: args.strengths.clone(),
+            strengths: Some(args.strengths.clone()).filter(|s| !s.is_empty()).unwrap_or(usual.strengths),
             only: args.only.clone(),
-            quota: args.most.map(Into::into),
-            ..Size::default()
+            quota: args.most.map(Into::into).or(usual.quota),
+            ..usual
         }
     };
     let bar = run.progress(0, "study");
     let sealed = args.sealed.as_deref();
-    let request = StudyRequest { dir: &args.output, size: &size, shard: args.shard, sealed };
+    let request = StudyRequest { dir: &args.output, size: &size, shard: args.shard, sealed, keys: &args.keys };
     let found = study(&request, &Networks, |progress| {
         bar.set_length(progress.planned as u64);
         bar.set_position(progress.done as u64);

@@ -89,7 +89,7 @@ fn labels(d: &Dependence, at: &dyn Fn(usize) -> f64) -> Vec<(f64, String)> {
         Covariate::Checkerboard => each(&["even", "odd"]),
         Covariate::Neighbours => each(&["→ 1", "↓ 1", "↘ 1", "→ 2", "↓ 2"]),
         Covariate::NextFrame => each(&["next frame"]),
-        Covariate::Repeats => each(&["σ²", "→", "↓", "↘", "rows", "cols"]),
+        Covariate::Repeats => each(&["σ²", "→", "↓", "↘", "tails", "rows", "cols"]),
         Covariate::FixedPattern => each(&["response", "offset"]),
         Covariate::Lens if n <= 9 => (0..n).map(|i| (at(i), (i + 1).to_string())).collect(),
         Covariate::Frame if n <= 9 => d.at.iter().enumerate().map(|(i, v)| (at(i), number(*v))).collect(),

@@ -31,6 +31,9 @@ pub struct FrameInfo {
     pub time_s: f64,
     /// Temperature of the sensor, degrees C, if it was measured.
     pub temperature_c: Option<f64>,
+    /// Direction (y, x) in which the stage came to this position: the sign of its last motion along each axis, less the
+    /// mean over the frames of the stack; 0 before its first motion. No column: it follows from the positions.
+    pub travel: [f64; 2],
     /// Columns with other names, as text.
     pub other: BTreeMap<String, String>,
 }
@@ -47,8 +50,25 @@ impl FrameInfo {
             illumination: 1.0,
             time_s: 0.0,
             temperature_c: None,
+            travel: [0.0; 2],
             other: BTreeMap::new(),
         }
+    }
+
+    /// These frames of one stack, in order, with the directions of travel that their positions say.
+    pub fn travelled(mut infos: Vec<Self>) -> Vec<Self> {
+        let at = |info: &Self| [info.y_um, info.x_um];
+        for axis in 0..2 {
+            let mut direction = 0.0;
+            for i in 0..infos.len() {
+                let step = at(&infos[i])[axis] - at(&infos[i.saturating_sub(1)])[axis];
+                direction = if step == 0.0 { direction } else { step.signum() };
+                infos[i].travel[axis] = direction;
+            }
+            let mean = infos.iter().map(|info| info.travel[axis]).sum::<f64>() / infos.len().max(1) as f64;
+            infos.iter_mut().for_each(|info| info.travel[axis] -= mean);
+        }
+        infos
     }
 }
 
@@ -102,7 +122,7 @@ pub(crate) fn read(path: &Path, wanted: &Wanted<'_>) -> Result<(Vec<FrameInfo>, 
     }
     let mut infos: Vec<FrameInfo> = sorted.into_iter().flatten().collect();
     in_micrometres(path, &columns, wanted.object, &mut infos, &mut notes)?;
-    Ok((infos, notes))
+    Ok((FrameInfo::travelled(infos), notes))
 }
 
 /// Converts the columns in object pixels, if there are any.
@@ -283,5 +303,23 @@ fn row_count(path: &Path, frames: usize, found: String) -> SessionError {
         expected: format!("one row for each of {frames} frames"),
         found,
         remedy: "write one row for each frame of the stack",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn travel_is_the_last_motion_of_the_stage_less_its_mean() {
+        // Two rows of two positions, there and back.
+        let place = |(i, (y_um, x_um)): (usize, (f64, f64))| FrameInfo { y_um, x_um, ..FrameInfo::plain(i, 1.0) };
+        let scan = [(0.0, 0.0), (0.0, 5.0), (5.0, 5.0), (5.0, 0.0)].into_iter().enumerate().map(place).collect();
+        let travel: Vec<[f64; 2]> = FrameInfo::travelled(scan).iter().map(|info| info.travel).collect();
+        // Along y: 0, 0, 1, 1 with the mean 1/2; along x: 0, 1, 1, -1 with the mean 1/4.
+        assert_eq!(travel, [[-0.5, -0.25], [-0.5, 0.75], [0.5, 0.75], [0.5, -1.25]]);
+        // Twice is once, and a stage at rest has no direction.
+        let rest = FrameInfo::travelled(FrameInfo::travelled(vec![FrameInfo::plain(0, 1.0), FrameInfo::plain(1, 1.0)]));
+        assert!(rest.iter().all(|info| info.travel == [0.0; 2]) && FrameInfo::travelled(Vec::new()).is_empty());
     }
 }

@@ -240,6 +240,7 @@ impl Lenses for Kernels {
         let corner_mm = 2e-3 * self.corner_um * self.plane.magnification;
         let moved_um = match effect.id.as_str() {
             "defocus" => value("z_um"),
+            "tilt" => (value("row_um_per_mm") + value("col_um_per_mm")) * 1e-3 * self.corner_um,
             "field_curvature" => value("a_um_per_mm2") * corner_mm * corner_mm,
             _ => return None,
         };

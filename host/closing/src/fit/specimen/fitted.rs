@@ -55,22 +55,24 @@ pub(in crate::fit) fn specimens(model: &Model<'_>, state: &State) -> Result<Opti
     }
     let projector = Projector::of(views, weight)?;
     let dark = |k: usize| model.lit(k, Array2::zeros((seen.sensor[0], seen.sensor[1])), state, (&chain, None));
-    let bare = |k: &usize| {
-        let dark_dn = model.dn(*k, dark(*k), &chain, None, state.black_dn);
-        (&seen.frames[*k].measured - &dark_dn) / noise.gain_dn_per_e as f32
+    // Light that reads as it does under the effects of the sensor, electrons above the dark signal.
+    let above_dark = |k: usize, dn: &Array2<f32>| {
+        (dn - &model.dn(k, dark(k), &chain, None, state.black_dn)) / noise.gain_dn_per_e as f32
     };
+    let bare = |k: &usize| above_dark(*k, &seen.frames[*k].measured);
     let light: Vec<Array2<f32>> = frames.iter().map(bare).collect();
     let floor_e2 = noise.read_noise_e.powi(2).max(LEAST_FLOOR_E2) as f32;
     let estimate = |light: &[Array2<f32>]| estimate::specimens(projector.views(), light, projector.weight(), floor_e2);
     let mut found = estimate(&light);
-    // What falls outside the windows, of ghosts and halos for example, is no light that a specimen has to explain. Each
-    // round multiplies what is left of it by about its share of all light.
+    // What falls outside the windows, of ghosts and halos for example, and what a bent response adds or takes, is no
+    // light that a specimen has to explain. Each round multiplies what is left of it by about its share of all light.
     let mut before = vec![Array2::zeros((seen.sensor[0], seen.sensor[1])); frames.len()];
     for _ in 0..STRAY_ROUNDS {
         let stray = |(k, of): (&usize, &Estimate)| -> Result<Array2<f32>, ForwardError> {
             let scene = model.scene_of(*k, &of.object, &chain)?;
             let sum = model.sum_e(*k, Some(&scene), (&chain, state), state.scale[seen.frames[*k].stack]);
-            Ok(model.lit(*k, sum, state, (&chain, None)) - dark(*k) - &of.light_e)
+            let lit = model.lit(*k, sum, state, (&chain, None));
+            Ok(above_dark(*k, &model.dn(*k, lit, &chain, None, state.black_dn)) - &of.light_e)
         };
         let strays: Vec<Array2<f32>> = frames.par_iter().zip(&found).map(stray).collect::<Result<_, _>>()?;
         let gain2 = (noise.gain_dn_per_e * noise.gain_dn_per_e) as f32;

@@ -8,7 +8,7 @@ use crate::fit::projection::Views;
 use crate::fit::state::Term;
 use ndarray::Array2;
 use ommatidia_model::forward::ForwardError;
-use ommatidia_physics::effects::{Chain, Stage};
+use ommatidia_physics::effects::{Chain, FrameContext, Stage};
 use rayon::prelude::*;
 
 /// Pixels by which an effect may widen a window or move its light inside it, on each side.
@@ -16,11 +16,13 @@ pub(super) const MARGIN: usize = 3;
 /// Light of a unit source beyond a window that is fainter than this, relative to the brightest pixel, is left out.
 const FAINT: f32 = 1e-4;
 
-/// An effect on the light of the sensor belongs to the optics if no more than this share of what it changes is farther
-/// away than [`MARGIN`]: wide blurs lose their tails, halos and ghosts lie outside.
+/// An effect of the sensor belongs to the optics if no more than this share of what it changes is farther away than
+/// [`MARGIN`]: wide blurs lose their tails, halos and ghosts lie outside.
 const FAR: f64 = 0.2;
-/// The same for what it changes in one frame and not in another.
+/// The same for what it changes in one frame and not in another, and for what is not in proportion to the light.
 const UNLIKE: f64 = 0.01;
+/// Light of the dots that effects are tried on, electrons: far from where a pixel saturates.
+const DOTS_E: [f32; 2] = [100.0, 1000.0];
 
 /// The optics in windows of `window` pixels under the effects of `terms`, in the context of the middle one of `frames`.
 ///
@@ -38,15 +40,15 @@ pub(super) fn probed(
     let object = forward.operator().object_shape();
     let sensor = model.seen.sensor;
     let dark = Array2::zeros((sensor[0], sensor[1]));
-    let (response, stray) =
-        (forward.on_sensor(&dark + 1.0, &Chain::default(), &cx), forward.on_sensor(dark, &near, &cx));
+    let response = forward.on_sensor(&dark + 1.0, &Chain::default(), &cx);
+    let stray = sensed(model, dark, &near, &cx);
     let images = |sources: &Array2<f32>, chain: &Chain| -> Result<Vec<Array2<f32>>, ForwardError> {
         let scene = forward.scene(sources.view(), chain, &cx)?.at_depth(model.depth_of(k));
         let image = |l: usize| forward.lens_e(&scene, l, chain, &cx);
         Ok((0..model.lenses())
             .map(|l| match near.is_empty() {
                 true => image(l) * &response,
-                false => forward.on_sensor(image(l), &near, &cx) - &stray,
+                false => sensed(model, image(l), &near, &cx) - &stray,
             })
             .collect())
     };
@@ -97,26 +99,39 @@ pub(super) fn probed(
     Ok(it)
 }
 
-/// Those of the effects on the light of the sensor that change a pixel by its neighbours alone, in all frames alike: the
-/// specimen is seen through them as it is through the lenses. What acts from afar, or on one frame only, is left to the
-/// prediction.
+/// What the sensor makes of light, electrons, [sensor rows, sensor cols], under effects that are linear in it. Constants
+/// that an effect adds stay in.
+fn sensed(model: &Model<'_>, light_e: Array2<f32>, near: &Chain, cx: &FrameContext<'_>) -> Array2<f32> {
+    let mut charge_e = model.forward.on_sensor(light_e, near, cx);
+    near.on_charge(&mut charge_e, cx);
+    // Linear in DN above black as in electrons.
+    near.on_electronics(&mut charge_e, cx);
+    charge_e
+}
+
+/// Those of the effects of the sensor that are linear in the light and change a pixel by its neighbours alone, in all
+/// frames alike: the specimen is seen through them as it is through the lenses. What acts from afar, or on one frame
+/// only, or bends the response, is left to the prediction.
 fn near(model: &Model<'_>, terms: &[Term], frames: &[usize], window: usize) -> Chain {
     let (sensor, side) = (model.seen.sensor, window + 2 * MARGIN);
     let dark = Array2::<f32>::zeros((sensor[0], sensor[1]));
-    let mut dots = dark.clone();
-    dots.slice_mut(ndarray::s![side / 2..;side, side / 2..;side]).fill(1.0);
+    let dots = |light_e: f32| {
+        let mut dots = dark.clone();
+        dots.slice_mut(ndarray::s![side / 2..;side, side / 2..;side]).fill(light_e);
+        dots
+    };
     let around = |at: usize, n: usize| (side / 2..n).step_by(side).any(|dot| at.abs_diff(dot) <= MARGIN);
     let is_near = |term: &&Term| {
-        if term.effect.descriptor().stage != Stage::Light {
+        if !matches!(term.effect.descriptor().stage, Stage::Light | Stage::Charge | Stage::Electronics) {
             return false;
         }
         let chain = model.chain([*term]);
-        let changed = |k: &usize| {
-            let cx = model.context(*k, None);
-            let lit = |light: &Array2<f32>, chain: &Chain| model.forward.on_sensor(light.clone(), chain, &cx);
-            lit(&dots, &chain) - lit(&dark, &chain) - lit(&dots, &Chain::default())
+        let changed = |k: usize, light_e: f32| {
+            let cx = model.context(k, None);
+            let of = |light: Array2<f32>, chain: &Chain| sensed(model, light, chain, &cx);
+            (of(dots(light_e), &chain) - of(dark.clone(), &chain) - of(dots(light_e), &Chain::default())) / light_e
         };
-        let changes: Vec<Array2<f32>> = frames.iter().map(changed).collect();
+        let changes: Vec<Array2<f32>> = frames.iter().map(|k| changed(*k, DOTS_E[1])).collect();
         let Some(first) = changes.first() else { return false };
         let size = |image: &Array2<f32>| image.iter().map(|v| f64::from(v.abs())).sum::<f64>();
         let far = |((r, c), v): ((usize, usize), &f32)| {
@@ -124,7 +139,9 @@ fn near(model: &Model<'_>, terms: &[Term], frames: &[usize], window: usize) -> C
         };
         let all = size(first);
         let elsewhere: f64 = first.indexed_iter().map(far).sum();
-        all > 0.0 && elsewhere <= FAR * all && changes.iter().all(|other| size(&(other - first)) <= UNLIKE * all)
+        let alike = |other: &Array2<f32>| size(&(other - first)) <= UNLIKE * all;
+        let is_linear = || frames.first().is_some_and(|k| alike(&changed(*k, DOTS_E[0])));
+        all > 0.0 && elsewhere <= FAR * all && changes.iter().all(alike) && is_linear()
     };
     model.chain(terms.iter().filter(is_near))
 }

@@ -102,13 +102,24 @@ fn the_explicit_optics_are_those_of_the_instrument() {
         term("halo", &[("weight", 0.05)], 2),
         term("background", &[("rate_e_per_ms", 3.0)], 2),
     ];
-    for (terms, near) in [(&[][..], &[][..]), (&moved, &moved), (&sensor, &sensor[..2])] {
+    // So does what it makes of the charge, unless it bends the response.
+    let reading = [
+        term("interpixel_capacitance", &[("alpha", 0.02)], 2),
+        term("readout_lag", &[("share", 0.04)], 2),
+        term("nonlinearity", &[("beta", 0.1)], 2),
+        term("row_pattern", &[("amplitude_dn", 5.0)], 2),
+    ];
+    let cases = [(&[][..], &[][..]), (&moved, &moved), (&sensor, &sensor[..2]), (&reading, &reading[..2])];
+    for (terms, near) in cases {
         let chain = model.chain(near);
         let views = probed(&model, terms, &[0, 1], model.window_px).unwrap();
         let object = specimen(9);
         let cx = model.context(0, None);
         let scene = model.forward.scene(object.view(), &chain, &cx).unwrap();
-        let expected = model.forward.light_e(&scene, &chain, &cx);
+        let read = |light_e: Array2<f32>| model.forward.frame_dn(light_e, &chain, &cx);
+        let dark = read(Array2::zeros((SENSOR[0], SENSOR[1])));
+        let expected =
+            (read(model.forward.light_e(&scene, &chain, &cx)) - dark) / model.forward.noise().gain_dn_per_e as f32;
         let x: Vec<[f32; 1]> = object.iter().map(|v| [*v]).collect();
         let found = views.forward(&x);
         let norm = expected.iter().map(|v| v * v).sum::<f32>().sqrt();

@@ -15,6 +15,7 @@ fn image() -> Array2<f32> {
 
 const LAYOUT: Layout = Layout { lenses: 2, sensor: [9, 11] };
 static ANCHORS: [[f64; 2]; 2] = [[4.25, 2.5], [4.0, 7.25]];
+static AXES: [[f64; 2]; 2] = [[4.0, 4.0], [4.0, 6.0]];
 
 /// The second scene of a stack, late, in the first lens.
 fn context(previous: &Array2<f32>) -> FrameContext<'_> {
@@ -25,6 +26,9 @@ fn context(previous: &Array2<f32>) -> FrameContext<'_> {
         temperature_c: 30.0,
         array: [1, 2],
         anchors_px: &ANCHORS,
+        axes_px: &AXES,
+        pixel_pitch_um: 2.0,
+        travel: [0.5, -1.5],
         full_scale_e: 1e4,
         black_level_dn: 2.0,
         previous: Some(Previous { light_e: previous, interval_s: 0.02 }),
@@ -47,6 +51,7 @@ const RAY: Ray = Ray {
     axis_px: [12.0, -11.0],
     anchor_px: [-20.0, 15.0],
     pixel_pitch_um: 1.85,
+    px_per_um: 0.35,
 };
 
 /// Results of an effect at each stage: images of five stages, the shift of a ray, the record, the noise, and a noisy

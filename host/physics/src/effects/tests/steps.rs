@@ -31,12 +31,16 @@ fn steps_are_a_few_sigma_of_one_typical_frame() {
     let (lenses, anchors) = typical();
     let sum: Array2<f32> = lenses.iter().fold(Array2::zeros((214, 214)), |s, i| s + i);
     let previous = sum.slice(ndarray::s![..;-1, ..]).to_owned();
+    let axes: Vec<[f64; 2]> = anchors.iter().map(|a| a.map(|a| 106.5 + 0.6 * (a - 106.5))).collect();
     let cx = FrameContext {
         frame: 1,
         time_s: 0.1,
         exposure_ms: 10.0,
         array: [3, 3],
         anchors_px: &anchors,
+        axes_px: &axes,
+        pixel_pitch_um: 1.85,
+        travel: [1.0, -1.0],
         full_scale_e: 1e4,
         black_level_dn: 64.0,
         gain_dn_per_e: 0.4,
@@ -64,6 +68,7 @@ fn steps_are_a_few_sigma_of_one_typical_frame() {
                             axis_px: axis,
                             anchor_px: anchor,
                             pixel_pitch_um: 1.85,
+                            px_per_um: 1.0 / 2.8,
                         };
                         let s = chain.shift_ray(&ray, &cx);
                         // Defocus of 100 um widens a spot by about a tenth of a pixel squared.

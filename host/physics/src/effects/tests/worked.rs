@@ -80,6 +80,10 @@ fn worked_examples_of_chief_rays() {
     );
     near(shifted("defocus", &[("z_um", -30.0)]), [0.0, 0.0], -30.0);
     near(shifted("field_curvature", &[("a_um_per_mm2", 1000.0)]), [0.0, 0.0], 1000.0 * r2_mm2);
+    // Source (0.03, -0.05) mm: 1000 x 0.03 - 200 x 0.05 um.
+    near(shifted("tilt", &[("row_um_per_mm", 1000.0), ("col_um_per_mm", 200.0)]), [0.0, 0.0], 20.0);
+    // Travel (0.5, -1.5), 0.35 px/um: 2 x 0.5 x 0.35 and -1.5 x 0.35 px.
+    near(shifted("stage_backlash", &[("row_um", 2.0), ("col_um", 1.0)]), [0.35, -0.525], 0.0);
 }
 
 /// The light `of` with an effect at all its stages of light and charge.
@@ -229,6 +233,47 @@ fn worked_examples_of_a_smear_a_gamma_and_a_blur() {
     let narrow = lit("unknown_blur", &[("var_row_px2_0", -0.2)], &wide, &cx);
     // 80 + 0.2 (80 - 10), and 10 - 0.2 (80 - 2 * 10 + 0) / 2.
     assert_eq!([narrow[[4, 4]], narrow[[3, 4]]].map(f32::round), [94.0, 4.0]);
+}
+
+#[test]
+fn the_response_falls_with_the_square_of_the_distance_from_the_axis_of_the_lens() {
+    let previous = image();
+    let cx = context(&previous);
+    let cx = FrameContext { pixel_pitch_um: 20.0, ..cx };
+    let found = lit("chief_ray_response", &[("c_per_mm2", 10.0)], &Array2::from_elem((9, 11), 100.0), &cx);
+    // Axis at (4, 4), pixels of 20 um: at (4, 9) the distance is 0.1 mm, at (0, 1) it is 5 px as well.
+    for (at, want) in [([4, 4], 100.0), ([4, 9], 90.0), ([0, 1], 90.0), ([4, 5], 99.6)] {
+        close(f64::from((found[at] * 1e3).round()), want * 1e3);
+    }
+    let second = FrameContext { lens: 1, ..cx };
+    let found = lit("chief_ray_response", &[("c_per_mm2", 10.0)], &Array2::from_elem((9, 11), 100.0), &second);
+    assert_eq!(found[[4, 6]], 100.0);
+}
+
+#[test]
+fn telegraph_pixels_have_two_levels_and_keep_their_places() {
+    let cx = FrameContext::default();
+    let layout = Layout { lenses: 1, sensor: [100, 120] };
+    let on = [setting("telegraph_pixels", &[("amplitude_dn", 10.0), ("share", 0.01)])];
+    let chain = Chain::build(&on, layout).unwrap();
+    let mut rng = stream(4, "telegraph", 0);
+    let (mut low, mut high) = (Array2::<f32>::zeros((100, 120)), Array2::<f32>::zeros((100, 120)));
+    let mut sum = Array2::<f32>::zeros((100, 120));
+    for _ in 0..400 {
+        let mut frame = Array2::<f32>::zeros((100, 120));
+        chain.on_reading(&mut frame, &cx, &mut rng);
+        low.zip_mut_with(&frame, |l, v| *l = l.min(*v));
+        high.zip_mut_with(&frame, |h, v| *h = h.max(*v));
+        sum += &frame;
+    }
+    // 120 draws of a place, a few of them twice: those add up.
+    let jumping = low.iter().filter(|v| **v < 0.0).count();
+    assert!((112..=120).contains(&jumping), "{jumping}");
+    let single = low.iter().zip(&high).filter(|(l, h)| **l == -5.0 && **h == 5.0).count();
+    assert!(single + 8 >= jumping, "{single} of {jumping}");
+    // Both levels are equally likely: 5 / sqrt(400) = 0.25 DN for each.
+    let mean = sum.sum() / 400.0 / 120.0;
+    assert!(mean.abs() < 0.1, "{mean}");
 }
 
 #[test]

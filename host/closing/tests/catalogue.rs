@@ -1,0 +1,114 @@
+//! Effects of the catalogue in sessions of a small virtual instrument whose bead scan has three depths: each is named
+//! alone, with its strength, and nothing is found without one.
+#![allow(clippy::unwrap_used)]
+
+use ommatidia_bench::{BenchConfig, VirtualInstrument};
+use ommatidia_closing::study::instruments;
+use ommatidia_closing::study::size::Size;
+use ommatidia_closing::{Budget, CloseOptions, Closing, Observations, close};
+use ommatidia_model::calibrate::{CalibrateConfig, calibrate};
+use ommatidia_model::instrument::Instrument;
+use ommatidia_physics::effects::EffectSetting;
+use ommatidia_session::{Role, Session};
+use std::sync::OnceLock;
+
+struct Subject {
+    config: BenchConfig,
+    bench: VirtualInstrument,
+    instrument: Instrument,
+}
+
+fn subject() -> &'static Subject {
+    static SUBJECT: OnceLock<Subject> = OnceLock::new();
+    SUBJECT.get_or_init(|| {
+        let mut config = instruments::config(&Size::quick(1), 0).unwrap();
+        let bench = config.build_like(&config.build(&[]).unwrap(), &[]).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        bench.measure(&folder.path().join("calibration"), 1, |_| ()).unwrap();
+        let session = Session::open(folder.path().join("calibration")).unwrap();
+        // The rank is fixed: its search takes most of the time.
+        let calibration = CalibrateConfig { rank: Some(12), ..CalibrateConfig::default() };
+        let instrument = calibrate(&session, &calibration, || {}).unwrap().instrument;
+        (config.stacks.dark_frames, config.stacks.flat_frames) = (4, 2);
+        Subject { config, bench, instrument }
+    })
+}
+
+/// Closes a session of some stacks with an effect.
+fn closed(config: &BenchConfig, roles: &[Role], effect: Option<EffectSetting>, seed: u64) -> Closing {
+    let effects: Vec<EffectSetting> = effect.into_iter().collect();
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path().join("session");
+    config.build_like(&subject().bench, &effects).unwrap().measure_some(&dir, seed, roles, |_| ()).unwrap();
+    let mut seen = Observations::read(&Session::open(&dir).unwrap(), &Budget::default()).unwrap();
+    let options = CloseOptions { seed: 1, ..CloseOptions::default() };
+    let closing = close(&subject().instrument, &mut seen, &options, |_| ()).unwrap().account.closing;
+    eprintln!("--- {effects:?}: {:?} -> {:?}", closing.before, closing.after);
+    closing.effects.iter().for_each(|e| eprintln!("{} (z = {:.1}): {}", e.id, e.z, e.description));
+    closing.nearest.iter().for_each(|n| eprintln!("like {} (z = {:.1}): {}", n.id, n.z, n.why));
+    closing
+}
+
+/// Asserts that an effect is the only one that is named, with values within 10 % and the last digit of the truth.
+fn is_named(closing: &Closing, id: &str, params: &[(&str, f64)]) {
+    let names: Vec<&str> = closing.effects.iter().filter(|e| e.known).map(|e| e.id.as_str()).collect();
+    assert_eq!(names, [id]);
+    for (name, truth) in params {
+        let found = closing.effects[0].params.iter().find(|p| p.name == *name).unwrap();
+        let room = 0.1 * truth.abs() + 5.0 * found.sigma;
+        assert!((found.value - truth).abs() < room, "{id} {name}: {} +- {}", found.value, found.sigma);
+    }
+}
+
+const WHOLE: [Role; 3] = [Role::Dark, Role::Flat, Role::Scene];
+
+fn whole(id: &str, params: &[(&str, f64)], seed: u64) {
+    let closing = closed(&subject().config, &WHOLE, Some(EffectSetting::new(id, params)), seed);
+    is_named(&closing, id, params);
+}
+
+#[test]
+fn nothing_is_found_in_nothing() {
+    for seed in [901, 902] {
+        let closing = closed(&subject().config, &WHOLE, None, seed);
+        assert!(closing.effects.is_empty(), "{:?}", closing.effects);
+    }
+}
+
+#[test]
+fn a_tilted_specimen() {
+    whole("tilt", &[("row_um_per_mm", 150.0), ("col_um_per_mm", -250.0)], 903);
+}
+
+#[test]
+fn telegraph_pixels() {
+    whole("telegraph_pixels", &[("amplitude_dn", 12.0)], 904);
+}
+
+#[test]
+fn a_response_that_falls_with_the_angle() {
+    whole("chief_ray_response", &[("c_per_mm2", 15.0)], 905);
+}
+
+#[test]
+fn a_camera_that_smooths() {
+    whole("camera_processing", &[("strength", 0.2)], 906);
+}
+
+#[test]
+fn coma_of_all_lenses() {
+    whole("aberration_drift", &[("coma_row_px3", 0.3), ("coma_col_px3", -0.2)], 907);
+}
+
+#[test]
+fn backlash_of_the_stage() {
+    let mut config = subject().config.clone();
+    (config.scan.rows, config.scan.cols, config.scan.serpentine) = (7, 7, true);
+    config.scan.depths_um = vec![0.0];
+    let backlash = EffectSetting::new("stage_backlash", &[("col_um", 1.0)]);
+    let closing = closed(&config, &[Role::Bead], Some(backlash), 908);
+    is_named(&closing, "stage_backlash", &[("col_um", 1.0)]);
+    // Bright beads show errors of this coarse calibration, which get no name.
+    let closing = closed(&config, &[Role::Bead], None, 909);
+    assert!(closing.effects.iter().all(|e| !e.known), "{:?}", closing.effects);
+}
