@@ -6,8 +6,8 @@ use super::transport::Transport;
 use half::f16;
 use ommatidia_shared::wire::frame::decode;
 use ommatidia_shared::wire::{
-    CHUNK, Deframer, Info, MAX_PACKET, Packet, Reply, Request, RunReport, SCHEMA_KEY, Telemetry, Transfer, VERSION,
-    checksum, encode,
+    CHUNK, CameraChange, CameraStatus, Deframer, FrameFrom, Info, MAX_PACKET, Packet, Reply, Request, RunReport,
+    SCHEMA_KEY, Telemetry, Transfer, VERSION, checksum, encode,
 };
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -114,21 +114,39 @@ impl<T: Transport> Client<T> {
     /// # Errors
     /// The device refuses, stops answering, or reconstructed another frame than the one that was sent last.
     pub fn reconstruct(&mut self, id: u32, scope: Scope) -> Result<RunReport, DeviceError> {
-        let report = self.reconstruct_live(id, scope)?;
+        let report = self.run(id, FrameFrom::Host, scope)?;
         same(report.frame_crc, self.frame_crc, "frame", id)?;
         Ok(report)
     }
 
-    /// Reconstructs a frame of the device's camera, if no frame was sent since the last run.
+    /// Has the device's camera expose a frame, and reconstructs it.
     ///
     /// # Errors
     /// The device refuses or stops answering.
     pub fn reconstruct_live(&mut self, id: u32, scope: Scope) -> Result<RunReport, DeviceError> {
+        self.run(id, FrameFrom::Camera, scope)
+    }
+
+    fn run(&mut self, id: u32, frame: FrameFrom, scope: Scope) -> Result<RunReport, DeviceError> {
         let Scope { region, hold } = scope;
-        let asked =
-            |report: &RunReport| region.is_none_or(|region| region == report.region) && report.field_age <= hold;
-        self.ask(Request::Run { id, region, hold }, self.long, |reply| match reply {
+        let asked = |report: &RunReport| {
+            region.is_none_or(|region| region == report.region)
+                && report.field_age <= hold
+                && report.capture.is_some() == (frame == FrameFrom::Camera)
+        };
+        self.ask(Request::Run { id, frame, region, hold }, self.long, |reply| match reply {
             Reply::Ran(report) if asked(&report) => Some(report),
+            _ => None,
+        })
+    }
+
+    /// Changes settings of the device's camera; returns the settings in force.
+    ///
+    /// # Errors
+    /// The device has no camera, refuses a setting, or stops answering.
+    pub fn camera(&mut self, change: CameraChange) -> Result<CameraStatus, DeviceError> {
+        self.ask(Request::Camera(change), self.short, |reply| match reply {
+            Reply::Camera(status) => Some(status),
             _ => None,
         })
     }
