@@ -1,6 +1,6 @@
 //! The traits that a board implements for its camera, its pins and its sensors, and implementations in memory.
 
-use crate::wire::{Activity, CameraLimits, CameraSettings, SettingError, StartCause};
+use crate::wire::{Activity, CameraLimits, CameraSettings, Reply, Request, SettingError, StartCause};
 use core::fmt;
 use half::f16;
 
@@ -147,6 +147,10 @@ pub trait Monitor {
     /// Called after a reconstruction: lowers the pin. Returns the cycles of the core since [`Self::run_begins`], where
     /// they are counted.
     fn run_ends(&mut self) -> Option<u32>;
+    /// Called with the answer to every request but those that read a reconstruction: for a log.
+    fn answers(&mut self, request: &Request<'_>, reply: &Reply<'_>) {
+        let _ = (request, reply);
+    }
     /// Memory that the program occupies.
     fn footprint(&self) -> Footprint;
     /// Temperature in hundredths of a degree Celsius, where there is a sensor.

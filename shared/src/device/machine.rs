@@ -10,7 +10,7 @@ use crate::image::Region;
 use crate::pipeline::{HeldRegion, Holder, Memory, Pipeline};
 use crate::wire::{
     CHUNK, CameraChange, CameraStatus, FrameError, FrameFrom, Info, Refusal, Reply, Request, RunReport, SCHEMA_KEY,
-    SlotReport, Telemetry, Transfer, VERSION,
+    SlotReport, Telemetry, Transfer, Unpacker, VERSION,
 };
 use half::f16;
 use heapless::String;
@@ -115,6 +115,9 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
             Request::Chunk { what, offset, data } => {
                 self.chunk(what, offset, data).map(|offset| Reply::Received { offset })
             }
+            Request::Packed { offset, pixels, data } => {
+                self.packed(offset, pixels, data).map(|offset| Reply::Received { offset })
+            }
             Request::Commit => self.commit().map(|()| Reply::Done),
             Request::Run { id, frame, region, hold } => self.run(id, frame, region, hold).map(Reply::Ran),
             Request::Read { id, offset, len } => return self.read(id, offset, len).unwrap_or_else(Reply::Refused),
@@ -122,7 +125,9 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
             Request::Telemetry => Ok(Reply::Telemetry(self.telemetry())),
             Request::Quit => Ok(Reply::Done),
         };
-        done.unwrap_or_else(Reply::Refused)
+        let reply = done.unwrap_or_else(Reply::Refused);
+        self.monitor.answers(&request, &reply);
+        reply
     }
 
     /// Reports to the board that the program is alive.
@@ -197,7 +202,7 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
             Transfer::Blob => &mut self.blob,
             Transfer::Frame => &mut self.frame,
         };
-        let known = upload.accept(offset, data)?;
+        let known = upload.accept(offset, data.len())?;
         let (at, new) = (offset as usize + known, data.get(known..).unwrap_or_default());
         if !new.is_empty() {
             let stored = match what {
@@ -208,6 +213,30 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
             upload.advance(new.len());
         }
         Ok(upload.received())
+    }
+
+    /// Stores packed pixels. Those that have arrived before are written again, which changes nothing.
+    fn packed(&mut self, offset: u32, pixels: u16, data: &[u8]) -> Result<u32, Refusal> {
+        let len = 2 * usize::from(pixels);
+        let known = self.frame.accept(offset, len)?;
+        let mut unpacker = Unpacker::new(data).take(pixels.into());
+        let (mut buffer, mut found) = ([[0; 2]; 64], 0);
+        while found < pixels {
+            let mut count = 0;
+            for (to, code) in buffer.iter_mut().zip(&mut unpacker) {
+                *to = code.to_le_bytes();
+                count += 1;
+            }
+            if count == 0 {
+                return Err(Refusal::Packed { expected: pixels, found });
+            }
+            let at = offset as usize + 2 * usize::from(found);
+            let bytes = buffer.as_flattened().get(..2 * usize::from(count)).unwrap_or_default();
+            self.source.write(at, bytes).map_err(|e| storage(e, Transfer::Frame))?;
+            found += count;
+        }
+        self.frame.advance(len - known);
+        Ok(self.frame.received())
     }
 
     /// Checks every bit of the network file where it lies in the flash, and marks it as the active one.

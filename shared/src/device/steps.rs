@@ -26,7 +26,7 @@ impl Steps {
     pub fn count(&self, value: u32) -> u32 {
         let numer = u64::from(self.numer.max(1));
         let count = (u64::from(value) * u64::from(self.denom) + numer / 2) / numer;
-        (count.min(u32::MAX.into()) as u32).clamp(self.counts[0], self.counts[1].max(self.counts[0]))
+        (count.min(u32::MAX.into()) as u32).min(self.counts[1]).max(self.counts[0])
     }
 
     /// The least and the largest value.

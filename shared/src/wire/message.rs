@@ -57,6 +57,15 @@ pub enum Request<'a> {
         /// At most [`CHUNK`] bytes.
         data: &'a [u8],
     },
+    /// The next pixels of a frame, packed by [`pack`](super::pack).
+    Packed {
+        /// Offset of the first pixel from the beginning of the transfer, bytes.
+        offset: u32,
+        /// Number of pixels.
+        pixels: u16,
+        /// At most [`CHUNK`] bytes.
+        data: &'a [u8],
+    },
     /// The network file is complete: the device is to check it and to make it the active one, now and after every
     /// start.
     Commit,

@@ -29,6 +29,7 @@ mod camera;
 mod cobs;
 pub mod frame;
 mod message;
+mod pack;
 mod refusal;
 
 pub use camera::{
@@ -40,4 +41,5 @@ pub use message::{
     Activity, CHUNK, FrameFrom, Info, MAX_PACKET, Packet, Reply, Request, RunReport, SCHEMA_KEY, SlotReport,
     StartCause, Telemetry, Transfer, VERSION,
 };
+pub use pack::{Unpacker, pack};
 pub use refusal::Refusal;

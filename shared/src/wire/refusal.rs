@@ -55,6 +55,13 @@ pub enum Refusal {
         /// Offset of the end of these bytes.
         found: u64,
     },
+    /// Packed pixels that end before their number is reached.
+    Packed {
+        /// Pixels that were announced.
+        expected: u16,
+        /// Pixels in the packet.
+        found: u16,
+    },
     /// The transfer has not begun or is not complete.
     Incomplete {
         /// Which transfer.
@@ -126,6 +133,9 @@ impl fmt::Display for Refusal {
                 write!(f, "expected the bytes at offset {expected}, found those at {found}")
             }
             Self::PastEnd { len, found } => write!(f, "expected at most {len} bytes, found {found}"),
+            Self::Packed { expected, found } => {
+                write!(f, "packed pixels: expected {expected}, found {found}")
+            }
             Self::Incomplete { what, expected, found } => {
                 write!(f, "{what:?} is not complete: expected {expected} bytes, found {found}")
             }

@@ -3,6 +3,7 @@
 //! the level to 0 at the end of each exposure, and the tick does so where the program hangs.
 
 use super::clock;
+use crate::log;
 use embassy_stm32::pac::{DAC1, RCC};
 use embassy_stm32::peripherals::PA5;
 use embassy_stm32::{Peri, gpio};
@@ -51,5 +52,6 @@ fn off() {
 pub(super) fn watch() {
     if INTERLOCK.expired(clock::now()) {
         off();
+        log::interlock();
     }
 }

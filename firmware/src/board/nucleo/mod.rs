@@ -33,7 +33,7 @@ pub use memory::footprint;
 
 use super::{float, restart};
 use crate::app::{Parts, Start};
-use crate::log::info;
+use crate::log;
 use core::convert::Infallible;
 use core::sync::atomic::{AtomicBool, Ordering};
 use cortex_m::peripheral::DWT;
@@ -72,7 +72,7 @@ pub fn take() -> Option<Parts<'static, Link, Trigger, InternalFlash, Dog, Camera
     core.DCB.enable_trace();
     core.DWT.enable_cycle_counter();
     clock::begin(core.SYST, revision.mhz() / 2);
-    info!("STM32H743 revision {}: {} MHz", revision.name(), revision.mhz());
+    log::chip(revision.name(), revision.mhz());
     let watchdog = Dog(());
     light::begin(p.PA5);
     let camera = Camera::new(

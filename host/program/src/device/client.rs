@@ -106,7 +106,28 @@ impl<T: Transport> Client<T> {
     pub fn send_frame(&mut self, codes: &[u16]) -> Result<(), DeviceError> {
         let bytes: Vec<u8> = codes.iter().flat_map(|code| code.to_le_bytes()).collect();
         self.frame_crc = checksum(&bytes);
-        self.transfer(Transfer::Frame, &bytes, &mut |_| {})
+        self.ask(Request::Begin { what: Transfer::Frame, len: bytes.len() as u32 }, self.short, done)?;
+        let (mut at, mut packed) = (0, vec![0; CHUNK]);
+        while at < codes.len() {
+            let offset = 2 * at as u32;
+            let (pixels, len) = pack(&codes[at..codes.len().min(at + usize::from(u16::MAX))], &mut packed);
+            // Packed where that is shorter, and as they are where it is not.
+            let request = if 2 * pixels > len {
+                at += pixels;
+                Request::Packed { offset, pixels: pixels as u16, data: &packed[..len] }
+            } else {
+                let end = codes.len().min(at + CHUNK / 2);
+                let data = &bytes[2 * at..2 * end];
+                at = end;
+                Request::Chunk { what: Transfer::Frame, offset, data }
+            };
+            let end = 2 * at as u32;
+            self.ask(request, self.short, |reply| match reply {
+                Reply::Received { offset } if offset == end => Some(()),
+                _ => None,
+            })?;
+        }
+        Ok(())
     }
 
     /// Reconstructs the frame that was sent last, as run `id`.
@@ -283,6 +304,7 @@ fn done(reply: Reply<'_>) -> Option<()> {
 fn name(request: &Request<'_>) -> String {
     match request {
         Request::Chunk { what, offset, .. } => format!("chunk of {what:?} at {offset}"),
+        Request::Packed { offset, .. } => format!("packed chunk of Frame at {offset}"),
         other => format!("{other:?}"),
     }
 }
