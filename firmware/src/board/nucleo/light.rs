@@ -21,7 +21,7 @@ static INTERLOCK: Interlock = Interlock::new();
 pub(super) fn begin(pin: Peri<'static, PA5>) {
     // An analogue pin, which it is after a reset as well.
     let _analogue = gpio::Flex::new(pin);
-    RCC.apb1lenr().modify(|w| w.set_dac1en(true));
+    RCC.apb1lenr().modify(|w| w.set_dac12en(true));
     off();
     DAC1.cr().modify(|w| w.set_en(OUTPUT, true));
 }

@@ -7,7 +7,7 @@ use half::f16;
 use ommatidia_shared::wire::frame::decode;
 use ommatidia_shared::wire::{
     CHUNK, CameraChange, CameraStatus, Deframer, FrameFrom, Info, MAX_PACKET, Packet, Reply, Request, RunReport,
-    SCHEMA_KEY, Telemetry, Transfer, VERSION, checksum, encode,
+    SCHEMA_KEY, Telemetry, Transfer, VERSION, checksum, encode, pack,
 };
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
