@@ -90,7 +90,6 @@ mod probe {
 }
 
 #[cfg(not(feature = "probe"))]
-#[allow(clippy::missing_const_for_fn)]
 mod silent {
     use crate::app::Start;
     use ommatidia_shared::wire::{Reply, Request};

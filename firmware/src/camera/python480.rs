@@ -18,7 +18,7 @@ use super::ImageSensor;
 use super::serial_bus::Registers;
 use core::fmt;
 use ommatidia_shared::device::{Steps, check};
-use ommatidia_shared::wire::{CameraLimits, CameraSettings, SensorRegion, Setting, SettingError, Trigger};
+use ommatidia_shared::wire::{CameraLimits, CameraSettings, Limits, SensorRegion, Setting, SettingError, Trigger};
 
 /// Pixels of the array: rows, columns.
 pub const ARRAY: [u16; 2] = [608, 808];
@@ -211,10 +211,7 @@ impl<R: Registers> ImageSensor for Python480<R> {
             array_rows: ARRAY[0],
             array_cols: ARRAY[1],
             exposure_us: exposure(settings.interval_us).limits(),
-            analog_gain_thousandths: ommatidia_shared::wire::Limits {
-                least: GAINS[0].0,
-                most: GAINS[GAINS.len() - 1].0,
-            },
+            analog_gain_thousandths: Limits { least: GAINS[0].0, most: GAINS[GAINS.len() - 1].0 },
             interval_us: interval().limits(),
         }
     }

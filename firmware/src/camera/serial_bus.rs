@@ -138,7 +138,7 @@ mod tests {
     fn bus(out: &str, input: &str) -> SerialBus<Mock, Mock, Mock, Mock, NoopDelay> {
         let (out, input) = (bits(out), bits(input));
         let state = |high: &bool| Transaction::get(if *high { State::High } else { State::Low });
-        let set = out.iter().map(|high| Transaction::set_state(if *high { State::High } else { State::Low }));
+        let set = out.iter().map(|high| Transaction::set(if *high { State::High } else { State::Low }));
         SerialBus {
             select: Mock::new(&levels(&[false, true])),
             clock: Mock::new(&levels(&[true, false].repeat(out.len() + input.len()))),
