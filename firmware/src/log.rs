@@ -78,7 +78,7 @@ mod probe {
 
     /// Which chip runs, and how fast.
     #[cfg(all(feature = "nucleo-h743zi", target_os = "none"))]
-    pub(crate) fn chip(revision: &str, mhz: u16) {
+    pub(crate) fn chip(revision: char, mhz: u16) {
         info!("STM32H743 revision {}: {} MHz", revision, mhz);
     }
 
@@ -99,7 +99,7 @@ mod silent {
     pub(crate) fn computed(_: Option<u32>, _: Option<u16>) {}
     pub(crate) fn answered(_: &Request<'_>, _: &Reply<'_>) {}
     #[cfg(all(feature = "nucleo-h743zi", target_os = "none"))]
-    pub(crate) fn chip(_: &str, _: u16) {}
+    pub(crate) fn chip(_: char, _: u16) {}
     #[cfg(all(feature = "nucleo-h743zi", target_os = "none"))]
     pub(crate) fn interlock() {}
 }
