@@ -2,16 +2,21 @@
 #![allow(clippy::unwrap_used)]
 
 use ommatidia_bench::BenchConfig;
-use ommatidia_session::Role;
+use ommatidia_session::{Role, Session};
 use ommatidia_shared::wire::{CHUNK, Unpacker, pack};
-use std::path::Path;
-use std::sync::Arc;
 
 /// Noise cannot be packed. What is left must be less than the twelve bits that a pixel has, which anybody can send.
 #[test]
 fn noisy_frames_take_less_than_their_twelve_bits_a_pixel() {
-    let session = Arc::new(BenchConfig::default().build(&[]).unwrap()).live(Path::new("demo"), 1);
-    for role in [Role::Dark, Role::Scene] {
+    // The demo's instrument, with few frames of each kind.
+    let mut config = BenchConfig::default();
+    (config.scan.rows, config.scan.cols) = (1, 1);
+    (config.stacks.dark_frames, config.stacks.flat_frames, config.stacks.scene_frames) = (2, 2, 2);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("demo");
+    config.build(&[]).unwrap().measure(&path, 1, |_| ()).unwrap();
+    let session = Session::open(&path).unwrap();
+    for role in [Role::Dark, Role::Flat, Role::Scene] {
         let stack = session.stacks().iter().find(|stack| stack.role() == role).unwrap();
         let frame = stack.frames().unwrap().read(0).unwrap();
         let codes: Vec<u16> = frame.iter().map(|value| *value as u16).collect();
