@@ -76,7 +76,8 @@ pub type Data = (
     Peri<'static, p::PC12>,
 );
 
-/// The sensor and the memory of its frames, which DMA reaches. Pixels lie there two in a word, the first in the low half.
+/// The sensor and the memory of its frames, which DMA reaches. Pixels lie there two in a word, the first in the low
+/// half.
 pub struct Camera {
     /// Keeps pins and clock configured.
     _dcmi: Dcmi<'static, p::DCMI>,
