@@ -1,6 +1,6 @@
-//! The excitation LED: its driver's current follows the converter DAC1 (ST RM0433, chapter 26), output 2, and its driver
-//! is enabled by the pin LED_OUT of the sensor, which is high during exposures. The program sets the level to 0 at the
-//! end of each exposure, and the tick does so where the program hangs.
+//! The excitation LED: the current of its driver follows the converter DAC1 (ST RM0433, chapter 26), output 2, and the
+//! driver is enabled by the pin LED_OUT of the sensor, which is high during exposures. The program sets the level to 0
+//! at the end of each exposure, and the tick does so where the program hangs.
 
 use super::clock;
 use crate::log;
