@@ -1,6 +1,6 @@
 //! The program: it connects the parts of a board with the device that serves the host.
 
-use crate::log::info;
+use crate::log;
 use embedded_hal::digital::OutputPin;
 use embedded_io::{Read, Write};
 use half::f16;
@@ -8,7 +8,7 @@ use ommatidia_shared::device::{
     Arenas, Device, End, Footprint, FrameSource, Line, Monitor, RamObject, Watchdog, serve,
 };
 use ommatidia_shared::flash::MappedFlash;
-use ommatidia_shared::wire::{Activity, StartCause};
+use ommatidia_shared::wire::{Activity, Reply, Request, StartCause};
 
 /// How the program was started.
 #[derive(Clone, Copy, Debug)]
@@ -68,12 +68,12 @@ pub fn run<L: Read + Write, P: OutputPin, F: MappedFlash, W: Watchdog, S: FrameS
     let Parts { name, mut link, line, trigger, mut watchdog, start, footprint, cycles, .. } = parts;
     let Parts { temperature_cdeg, activity, core_mhz, .. } = parts;
     watchdog.start();
-    info!("{} is listening", name);
+    log::started(name, &start);
     let monitor =
         Board { trigger, watchdog, start, core_mhz, footprint, cycles, temperature_cdeg, activity, began: None };
     let (source, sink) = (parts.source, RamObject::new(parts.object));
     let end = serve(&mut link, line, &mut Device::new(name, parts.flash, source, sink, parts.arenas, monitor));
-    info!("the host has left");
+    log::ended();
     end
 }
 
@@ -97,7 +97,6 @@ impl<P: OutputPin, W: Watchdog> Monitor for Board<P, W> {
     }
 
     fn run_begins(&mut self) {
-        info!("run");
         self.watchdog.feed();
         // The reconstruction does not need the trigger: a pin that fails is ignored.
         let _ = self.trigger.set_high();
@@ -111,8 +110,12 @@ impl<P: OutputPin, W: Watchdog> Monitor for Board<P, W> {
         let _ = self.trigger.set_low();
         self.watchdog.feed();
         (self.start.settled)();
-        info!("done");
+        log::computed(cycles, self.core_mhz);
         cycles
+    }
+
+    fn answers(&mut self, request: &Request<'_>, reply: &Reply<'_>) {
+        log::answered(request, reply);
     }
 
     fn footprint(&self) -> Footprint {

@@ -9,7 +9,9 @@ use ommatidia::device::{
     Client, DeviceError, FaultyLine, LineFaults, Loopback, LoopbackConfig, RetryPolicy, Scope, Transport, reference,
 };
 use ommatidia_shared::blob::BlobError;
-use ommatidia_shared::wire::{Packet, Refusal, Reply, Request, SCHEMA_KEY, Telemetry, Transfer, VERSION, encode};
+use ommatidia_shared::wire::{
+    CameraChange, Packet, Refusal, Reply, Request, SCHEMA_KEY, Telemetry, Transfer, VERSION, encode, pack,
+};
 use std::time::Duration;
 
 const QUICK: RetryPolicy =
@@ -185,4 +187,32 @@ fn another_version_and_late_copies_are_turned_away() {
     let past = ask(&mut line, 13, chunk(4, &[1; 5])).unwrap();
     assert!(past.starts_with("Refused(PastEnd"), "{past}");
     assert_eq!(ask(&mut line, 14, chunk(2, &[1; 6])).unwrap(), "Received { offset: 8 }");
+}
+
+#[test]
+fn packed_pixels_arrive_and_those_that_are_not_there_are_refused() {
+    let mut line = loopback();
+    assert_eq!(ask(&mut line, 1, Request::Begin { what: Transfer::Frame, len: 400 }).unwrap(), "Done");
+    let pixels: Vec<u16> = (0..200).map(|i| 1000 + i % 7).collect();
+    let mut out = [0; 300];
+    let (count, len) = pack(&pixels, &mut out);
+    assert_eq!(count, 200);
+    let packed = |offset, pixels, len: usize| Request::Packed { offset, pixels, data: &out[..len] };
+    let cut = ask(&mut line, 2, packed(0, 200, len / 2)).unwrap();
+    assert!(cut.starts_with("Refused(Packed { expected: 200, found: "), "{cut}");
+    assert!(ask(&mut line, 3, packed(0, 201, len)).unwrap().starts_with("Refused(PastEnd"));
+    assert!(ask(&mut line, 4, packed(2, 100, len)).unwrap().starts_with("Refused(OutOfOrder"));
+    assert_eq!(ask(&mut line, 5, packed(0, 120, len)).unwrap(), "Received { offset: 240 }");
+    // Again, and more of them.
+    assert_eq!(ask(&mut line, 6, packed(0, 120, len)).unwrap(), "Received { offset: 240 }");
+    assert_eq!(ask(&mut line, 7, packed(0, 200, len)).unwrap(), "Received { offset: 400 }");
+}
+
+/// Requests for a device whose camera is not there.
+#[test]
+fn a_device_without_a_camera_refuses_its_settings_and_frames() {
+    let (mut client, _) = Client::connect(loopback()).unwrap();
+    assert_eq!(refusal(client.camera(CameraChange::default()).map(|_| ())), Refusal::NoCamera);
+    client.send_blob(networks::network(&TAPPED, 1).bytes(), &mut |_| {}).unwrap();
+    assert_eq!(refusal(client.reconstruct_live(1, Scope::default()).map(|_| ())), Refusal::NoCamera);
 }

@@ -34,6 +34,12 @@ impl<const PER_MS: u32> Account<PER_MS> {
         Activity { total_ms: self.total.ms(), asleep_ms: self.asleep.ms() }
     }
 
+    /// Time since the start, microseconds, at clock `now`. It wraps after 49 days.
+    pub(super) fn now_us(&self, now: u32) -> u64 {
+        self.pass(now);
+        self.total.us()
+    }
+
     fn pass(&self, now: u32) {
         self.total.add(now.wrapping_sub(self.last.load(Ordering::Relaxed)));
         self.last.store(now, Ordering::Relaxed);
@@ -53,6 +59,11 @@ impl<const PER_MS: u32> Sum<PER_MS> {
 
     fn ms(&self) -> u32 {
         self.ms.load(Ordering::Relaxed)
+    }
+
+    fn us(&self) -> u64 {
+        let rest = u64::from(self.rest.load(Ordering::Relaxed)) * 1000 / u64::from(PER_MS);
+        u64::from(self.ms()) * 1000 + rest
     }
 
     fn add(&self, ticks: u32) {

@@ -2,18 +2,26 @@
 //!
 //! Registers: ON Semiconductor, "MT9V032 1/3-Inch Wide-VGA CMOS Digital Image Sensor", rev. 2015, table 8; where it is
 //! silent on limits, the Linux driver `drivers/media/i2c/mt9v032.c`. Registers have 16 bits, high byte first.
+//!
+//! The sensor runs in snapshot mode: each pulse at its pin EXPOSURE starts one exposure, and its pin LED_OUT is high
+//! during it.
 
+use super::ImageSensor;
 use core::fmt;
 use embedded_hal::i2c::I2c;
+use ommatidia_shared::device::{Steps, check};
+use ommatidia_shared::wire::{CameraLimits, CameraSettings, SensorRegion, Setting, SettingError};
 
 /// Address on the bus with both address pins high.
 pub const ADDRESS: u8 = 0x5c;
 /// Value of R0x00 in revision 3. In revisions 1 and 2 it is 0x1311.
 pub const CHIP_VERSION: u16 = 0x1313;
 const CHIP_VERSION_1: u16 = 0x1311;
+/// Clock that the board gives, MHz.
+pub const CLOCK_MHZ: u32 = 24;
 
-/// Pixels of the array.
-const ARRAY: [u16; 2] = [480, 752];
+/// Pixels of the array: rows, columns.
+pub const ARRAY: [u16; 2] = [480, 752];
 /// First row and column that are exposed to light.
 const FIRST: [u16; 2] = [5, 1];
 /// Length of the shortest row, pixel clocks.
@@ -39,14 +47,20 @@ mod register {
     pub const AUTOMATIC: u8 = 0xaf;
 }
 
-/// R0x07: master mode, parallel output, exposure and readout at the same time.
-const RUN: u16 = 1 << 3 | 1 << 7 | 1 << 8;
+/// R0x07: snapshot mode, parallel output, exposure and readout not one after the other.
+const RUN: u16 = 3 << 3 | 1 << 7 | 1 << 8;
 /// R0x0d: bits 8 and 9 must stay set.
 const READ_MODE: u16 = 3 << 8;
 /// Vertical blanking, rows: the default.
 const VERTICAL_BLANKING: u16 = 45;
+/// R0x0b: most rows of an exposure.
+const EXPOSURE_ROWS: u32 = 32_767;
+/// R0x35: sixteenths.
+const ANALOG_GAIN: Steps = Steps { setting: Setting::AnalogGain, numer: 1000, denom: 16, counts: [16, 64] };
+/// Longest interval between exposures that the device times, us.
+const LONGEST_US: u32 = 1_000_000;
 
-/// Why the sensor refuses a setting or does not respond.
+/// Why the sensor does not respond.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SensorError<E> {
     /// The bus failed.
@@ -56,18 +70,6 @@ pub enum SensorError<E> {
         /// Value of its version register.
         found: u16,
     },
-    /// The window does not fit the pixel array.
-    Window {
-        /// Window given.
-        found: Window,
-    },
-    /// Exposure or gain are outside their limits.
-    Setting {
-        /// Largest allowed value.
-        largest: u16,
-        /// Value given.
-        found: u16,
-    },
 }
 
 impl<E: fmt::Debug> fmt::Display for SensorError<E> {
@@ -75,14 +77,6 @@ impl<E: fmt::Debug> fmt::Display for SensorError<E> {
         match self {
             Self::Bus(error) => write!(f, "sensor: the bus failed: {error:?}"),
             Self::Version { found } => write!(f, "sensor: expected version {CHIP_VERSION:#06x}, found {found:#06x}"),
-            Self::Window { found } => {
-                let Window { rows, cols, bin } = found;
-                write!(
-                    f,
-                    "sensor: {rows} x {cols} pixels binned by {bin}: expected at most 480 x 752, bins of 1, 2 or 4"
-                )
-            }
-            Self::Setting { largest, found } => write!(f, "sensor: expected at most {largest}, found {found}"),
         }
     }
 }
@@ -92,31 +86,6 @@ impl<E: fmt::Debug> core::error::Error for SensorError<E> {}
 impl<E> From<E> for SensorError<E> {
     fn from(error: E) -> Self {
         Self::Bus(error)
-    }
-}
-
-/// The part of the pixel array that is read, in its middle.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Window {
-    /// Rows of the frame.
-    pub rows: u16,
-    /// Columns of the frame.
-    pub cols: u16,
-    /// Rows and columns of the array that are averaged to one pixel of the frame: 1, 2 or 4.
-    pub bin: u16,
-}
-
-impl Window {
-    /// Pixels of the frame.
-    pub const fn pixels(&self) -> usize {
-        self.rows as usize * self.cols as usize
-    }
-
-    /// Rows and columns of the array that are read; `None` where they do not fit.
-    fn on_array(self) -> Option<[u16; 2]> {
-        let Self { rows, cols, bin } = self;
-        let fits = |n: u16, most: u16| n.checked_mul(bin).filter(|n| (1..=most).contains(n));
-        if matches!(bin, 1 | 2 | 4) { Some([fits(rows, ARRAY[0])?, fits(cols, ARRAY[1])?]) } else { None }
     }
 }
 
@@ -150,53 +119,9 @@ impl<B: I2c> Mt9v032<B> {
         Ok(sensor)
     }
 
-    /// Starts to deliver frames of `window`.
-    ///
-    /// # Errors
-    /// [`SensorError::Window`] where it does not fit the array, [`SensorError::Bus`] where the bus failed.
-    pub fn start(&mut self, window: Window) -> Result<(), SensorError<B::Error>> {
-        let [rows, cols] = window.on_array().ok_or(SensorError::Window { found: window })?;
-        let log2 = window.bin.trailing_zeros() as u16;
-        let registers = [
-            (register::CHIP_CONTROL, 0),
-            (register::READ_MODE, READ_MODE | log2 << 2 | log2),
-            (register::COLUMN_START, FIRST[1] + (ARRAY[1] - cols) / 2),
-            (register::ROW_START, FIRST[0] + (ARRAY[0] - rows) / 2),
-            (register::WINDOW_WIDTH, cols),
-            (register::WINDOW_HEIGHT, rows),
-            // Short rows are filled up to the shortest that the converters keep pace with.
-            (register::HORIZONTAL_BLANKING, ROW_CLOCKS.saturating_sub(cols).clamp(BLANKING[0], BLANKING[1])),
-            (register::CHIP_CONTROL, RUN),
-        ];
-        Ok(self.write_all(&registers)?)
-    }
-
-    /// Sets the exposure, in rows. A row takes the columns of the window and the blanking, pixel clocks.
-    ///
-    /// # Errors
-    /// [`SensorError::Setting`] where `rows` is not from 1 to 32,767, [`SensorError::Bus`] where the bus failed.
-    pub fn expose(&mut self, rows: u16) -> Result<(), SensorError<B::Error>> {
-        self.set(register::TOTAL_SHUTTER_WIDTH, rows, [1, 32_767])
-    }
-
-    /// Sets the analog gain in sixteenths, 16 to 64.
-    ///
-    /// # Errors
-    /// [`SensorError::Setting`] where the gain is outside its limits, [`SensorError::Bus`] where the bus failed.
-    pub fn amplify(&mut self, sixteenths: u16) -> Result<(), SensorError<B::Error>> {
-        self.set(register::ANALOG_GAIN, sixteenths, [16, 64])
-    }
-
     /// The bus.
     pub fn into_bus(self) -> B {
         self.bus
-    }
-
-    fn set(&mut self, register: u8, value: u16, [least, largest]: [u16; 2]) -> Result<(), SensorError<B::Error>> {
-        if !(least..=largest).contains(&value) {
-            return Err(SensorError::Setting { largest, found: value });
-        }
-        Ok(self.write_all(&[(register, value)])?)
     }
 
     fn read(&mut self, register: u8) -> Result<u16, B::Error> {
@@ -210,6 +135,88 @@ impl<B: I2c> Mt9v032<B> {
             let [high, low] = value.to_be_bytes();
             self.bus.write(ADDRESS, &[register, high, low])
         })
+    }
+}
+
+/// Length of a row, pixel clocks: short rows are filled up to the shortest that the converters keep pace with.
+fn row_clocks(region: SensorRegion) -> u32 {
+    let cols = region.cols.saturating_mul(region.bin);
+    u32::from(cols) + u32::from(blanking(cols))
+}
+
+fn blanking(cols: u16) -> u16 {
+    ROW_CLOCKS.saturating_sub(cols).clamp(BLANKING[0], BLANKING[1])
+}
+
+/// Rows of a frame, the blank ones included.
+fn frame_rows(region: SensorRegion) -> u32 {
+    u32::from(region.rows) * u32::from(region.bin) + u32::from(VERTICAL_BLANKING)
+}
+
+/// Exposures are counted in rows. Exposure and readout fit the interval.
+fn exposure(region: SensorRegion, interval_us: u32) -> Steps {
+    let row = row_clocks(region);
+    let in_interval = (u64::from(interval_us) * u64::from(CLOCK_MHZ) / u64::from(row)) as u32;
+    let most = in_interval.saturating_sub(frame_rows(region)).clamp(1, EXPOSURE_ROWS);
+    Steps { setting: Setting::Exposure, numer: row, denom: CLOCK_MHZ, counts: [1, most] }
+}
+
+/// The device starts each exposure, so the interval is one of its clock.
+fn interval(region: SensorRegion) -> Steps {
+    let least = ((frame_rows(region) + 1) * row_clocks(region)).div_ceil(CLOCK_MHZ);
+    Steps { setting: Setting::Interval, numer: 1, denom: 1, counts: [least, LONGEST_US] }
+}
+
+impl<B: I2c> ImageSensor for Mt9v032<B> {
+    const NAME: &'static str = "MT9V032";
+    type Error = B::Error;
+
+    fn plan(wanted: CameraSettings) -> Result<CameraSettings, SettingError> {
+        let region = wanted.region;
+        let SensorRegion { row, col, rows, cols, bin } = region;
+        if !matches!(bin, 1 | 2 | 4) {
+            return Err(SettingError { setting: Setting::Bin, least: 1, most: 4, step: 1, found: bin.into() });
+        }
+        check(Setting::Rows, rows, [1, ARRAY[0] / bin], 1)?;
+        // The transfer moves pixels by twos.
+        check(Setting::Cols, cols, [2, ARRAY[1] / bin], 2)?;
+        check(Setting::Row, row, [0, ARRAY[0] - rows * bin], 1)?;
+        check(Setting::Col, col, [0, ARRAY[1] - cols * bin], 1)?;
+        let interval_us = interval(region).nearest(wanted.interval_us)?;
+        Ok(CameraSettings {
+            exposure_us: exposure(region, interval_us).nearest(wanted.exposure_us)?,
+            analog_gain_thousandths: ANALOG_GAIN.nearest(wanted.analog_gain_thousandths)?,
+            interval_us,
+            ..wanted
+        })
+    }
+
+    fn limits(settings: &CameraSettings) -> CameraLimits {
+        CameraLimits {
+            array_rows: ARRAY[0],
+            array_cols: ARRAY[1],
+            exposure_us: exposure(settings.region, settings.interval_us).limits(),
+            analog_gain_thousandths: ANALOG_GAIN.limits(),
+            interval_us: interval(settings.region).limits(),
+        }
+    }
+
+    fn apply(&mut self, settings: &CameraSettings) -> Result<(), B::Error> {
+        let SensorRegion { row, col, rows, cols, bin } = settings.region;
+        let (rows, cols, log2) = (rows * bin, cols * bin, bin.trailing_zeros() as u16);
+        let exposure = exposure(settings.region, settings.interval_us).count(settings.exposure_us);
+        self.write_all(&[
+            (register::CHIP_CONTROL, 0),
+            (register::READ_MODE, READ_MODE | log2 << 2 | log2),
+            (register::COLUMN_START, FIRST[1] + col),
+            (register::ROW_START, FIRST[0] + row),
+            (register::WINDOW_WIDTH, cols),
+            (register::WINDOW_HEIGHT, rows),
+            (register::HORIZONTAL_BLANKING, blanking(cols)),
+            (register::TOTAL_SHUTTER_WIDTH, exposure as u16),
+            (register::ANALOG_GAIN, ANALOG_GAIN.count(settings.analog_gain_thousandths) as u16),
+            (register::CHIP_CONTROL, RUN),
+        ])
     }
 }
 
@@ -247,48 +254,98 @@ mod tests {
         bus.done();
     }
 
+    type Sensor<'a> = Mt9v032<&'a mut Mock>;
+
+    fn settings(rows: u16, cols: u16, bin: u16) -> CameraSettings {
+        CameraSettings {
+            exposure_us: 10_000,
+            analog_gain_thousandths: 1000,
+            interval_us: 50_000,
+            led_permille: 0,
+            region: SensorRegion { row: 0, col: 0, rows, cols, bin }.centred(ARRAY[0], ARRAY[1]),
+            trigger: Default::default(),
+        }
+    }
+
     #[test]
-    fn a_window_lies_in_the_middle_and_its_rows_are_long_enough() {
-        // 214 rows and columns of the array: rows 138 to 351 of 5 to 484, columns 270 to 483 of 1 to 752; 214 + 446 =
-        // 660 clocks.
-        let plain = [(7, 0), (0x0d, 0x300), (1, 270), (2, 138), (4, 214), (3, 214), (5, 446), (7, 0x188)];
+    fn a_region_and_its_exposure_become_registers() {
+        // Rows of 660 clocks of 24 MHz, 27.5 us: 10 ms are 364 of them. 214 rows and columns of the array: rows 138 to
+        // 351 of 5 to 484, columns 270 to 483 of 1 to 752; 214 + 446 = 660 clocks.
+        let plain = [
+            (7, 0),
+            (0x0d, 0x300),
+            (1, 270),
+            (2, 138),
+            (4, 214),
+            (3, 214),
+            (5, 446),
+            (0x0b, 364),
+            (0x35, 16),
+            (7, 0x198),
+        ];
         // 428 of them, averaged by twos: 428 + 232 = 660 clocks.
-        let binned = [(7, 0), (0x0d, 0x305), (1, 163), (2, 31), (4, 428), (3, 428), (5, 232), (7, 0x188)];
-        // All columns: more than 660 clocks, and the least blanking.
-        let wide = [(7, 0), (0x0d, 0x300), (1, 1), (2, 5), (4, 752), (3, 480), (5, 43), (7, 0x188)];
+        let binned = [
+            (7, 0),
+            (0x0d, 0x305),
+            (1, 163),
+            (2, 31),
+            (4, 428),
+            (3, 428),
+            (5, 232),
+            (0x0b, 364),
+            (0x35, 16),
+            (7, 0x198),
+        ];
+        // All columns: 752 and the least blanking, 795 clocks, 33.1 us: 302 rows.
+        let wide =
+            [(7, 0), (0x0d, 0x300), (1, 1), (2, 5), (4, 752), (3, 480), (5, 43), (0x0b, 302), (0x35, 16), (7, 0x198)];
         let mut bus = Mock::new(&[opening(), writes(&plain), writes(&binned), writes(&wide)].concat());
         let mut sensor = Mt9v032::new(&mut bus).unwrap();
-        sensor.start(Window { rows: 214, cols: 214, bin: 1 }).unwrap();
-        sensor.start(Window { rows: 214, cols: 214, bin: 2 }).unwrap();
-        sensor.start(Window { rows: 480, cols: 752, bin: 1 }).unwrap();
+        for (rows, cols, bin) in [(214, 214, 1), (214, 214, 2), (480, 752, 1)] {
+            sensor.apply(&Sensor::plan(settings(rows, cols, bin)).unwrap()).unwrap();
+        }
         bus.done();
     }
 
     #[test]
-    fn exposure_and_gain_have_limits() {
-        let mut bus = Mock::new(&[opening(), writes(&[(0x0b, 480), (0x35, 64)])].concat());
-        let mut sensor = Mt9v032::new(&mut bus).unwrap();
-        sensor.expose(480).unwrap();
-        sensor.amplify(64).unwrap();
-        assert_eq!(sensor.expose(0), Err(SensorError::Setting { largest: 32_767, found: 0 }));
-        assert_eq!(sensor.expose(40_000), Err(SensorError::Setting { largest: 32_767, found: 40_000 }));
-        assert_eq!(sensor.amplify(65), Err(SensorError::Setting { largest: 64, found: 65 }));
-        bus.done();
+    fn what_is_set_is_what_the_registers_can_hold() {
+        let wanted = CameraSettings { exposure_us: 5000, analog_gain_thousandths: 1999, ..settings(214, 214, 2) };
+        let set = Sensor::plan(wanted).unwrap();
+        // 182 rows of 27.5 us; 32 sixteenths.
+        assert_eq!((set.exposure_us, set.analog_gain_thousandths, set.interval_us), (5005, 2000, 50_000));
+        assert_eq!(Sensor::plan(set), Ok(set), "settings in force can be asked for again");
+        // 428 rows and 45 blank ones are 13,007.5 us; the exposure has the rest of the interval.
+        let limits = Sensor::limits(&set);
+        assert_eq!((limits.exposure_us.least, limits.exposure_us.most), (28, 36_988));
+        assert_eq!((limits.interval_us.least, limits.interval_us.most), (13_035, 1_000_000));
     }
 
     #[test]
-    fn another_chip_and_windows_beyond_the_array_are_refused() {
+    fn what_the_sensor_cannot_do_is_refused_with_its_limit() {
+        let refused = |change: fn(&mut CameraSettings)| {
+            let mut wanted = settings(214, 214, 2);
+            change(&mut wanted);
+            let SettingError { setting, least, most, found, .. } = Sensor::plan(wanted).unwrap_err();
+            (setting, least, most, found)
+        };
+        assert_eq!(refused(|s| s.exposure_us = 0), (Setting::Exposure, 28, 36_988, 0));
+        assert_eq!(refused(|s| s.exposure_us = 40_000), (Setting::Exposure, 28, 36_988, 40_000));
+        assert_eq!(refused(|s| s.analog_gain_thousandths = 4001), (Setting::AnalogGain, 1000, 4000, 4001));
+        assert_eq!(refused(|s| s.interval_us = 10_000), (Setting::Interval, 13_035, 1_000_000, 10_000));
+        assert_eq!(refused(|s| s.interval_us = 20_000), (Setting::Exposure, 28, 6985, 10_000));
+        assert_eq!(refused(|s| s.region.rows = 241), (Setting::Rows, 1, 240, 241));
+        assert_eq!(refused(|s| s.region.cols = 378), (Setting::Cols, 2, 376, 378));
+        assert_eq!(refused(|s| s.region.cols = 213), (Setting::Cols, 2, 376, 213));
+        assert_eq!(refused(|s| s.region.row = 53), (Setting::Row, 0, 52, 53));
+        assert_eq!(refused(|s| s.region.col = 325), (Setting::Col, 0, 324, 325));
+        assert_eq!(refused(|s| s.region.bin = 3), (Setting::Bin, 1, 4, 3));
+        assert_eq!(refused(|s| s.region.bin = u16::MAX).0, Setting::Bin);
+    }
+
+    #[test]
+    fn another_chip_is_refused() {
         let mut bus = Mock::new(&[version(0x2481)]);
         assert_eq!(Mt9v032::new(&mut bus).unwrap_err(), SensorError::Version { found: 0x2481 });
-        bus.done();
-        let mut bus = Mock::new(&opening());
-        let mut sensor = Mt9v032::new(&mut bus).unwrap();
-        for (rows, cols, bin) in
-            [(481, 10, 1), (10, 753, 1), (0, 10, 1), (241, 10, 2), (10, 10, 3), (65_535, 65_535, 4)]
-        {
-            let found = Window { rows, cols, bin };
-            assert_eq!(sensor.start(found), Err(SensorError::Window { found }));
-        }
         bus.done();
     }
 }

@@ -1,6 +1,6 @@
 //! The traits that a board implements for its camera, its pins and its sensors, and implementations in memory.
 
-use crate::wire::{Activity, StartCause};
+use crate::wire::{Activity, CameraLimits, CameraSettings, Reply, Request, SettingError, StartCause};
 use core::fmt;
 use half::f16;
 
@@ -29,13 +29,13 @@ impl fmt::Display for IoError {
 
 impl core::error::Error for IoError {}
 
-/// Source of raw frames: the host, or a camera.
+/// The memory of the raw frame, which the host or a camera fills.
 pub trait FrameSource {
     /// Largest frame that fits, pixels.
     fn capacity(&self) -> usize;
-    /// Whether there is a camera, so that the host need not send frames.
-    fn live(&self) -> bool {
-        false
+    /// The camera that fills it, where one answers.
+    fn camera(&mut self) -> Option<&mut dyn Camera> {
+        None
     }
     /// Prepares for a frame of `pixels` from the host.
     ///
@@ -47,11 +47,52 @@ pub trait FrameSource {
     /// # Errors
     /// [`IoError::NoRoom`] where the bytes go past the length given to [`Self::begin`].
     fn write(&mut self, offset: usize, bytes: &[u8]) -> Result<(), IoError>;
-    /// The frame to reconstruct: raw codes, row by row.
+    /// The frame to reconstruct, the host's or the camera's last: raw codes, row by row.
     ///
     /// # Errors
-    /// [`IoError::Failed`] where the camera failed.
+    /// [`IoError::Failed`] where the hardware failed.
     fn frame(&mut self) -> Result<&[u16], IoError>;
+}
+
+/// An image sensor that exposes one frame when told to, its excitation LED and its clock. [`Device`](super::Device)
+/// decides when; no method waits.
+pub trait Camera {
+    /// Name of the sensor.
+    fn sensor(&self) -> &'static str;
+    /// The settings in force.
+    fn settings(&self) -> CameraSettings;
+    /// What the sensor can do, while its other settings are those in force.
+    fn limits(&self) -> CameraLimits;
+    /// The nearest settings that the sensor has. Changes nothing.
+    ///
+    /// # Errors
+    /// The setting that the sensor cannot have, and its limits.
+    fn plan(&self, wanted: CameraSettings) -> Result<CameraSettings, SettingError>;
+    /// Sets the sensor to settings from [`Self::plan`].
+    ///
+    /// # Errors
+    /// [`IoError::Failed`] where the sensor does not respond.
+    fn apply(&mut self, settings: CameraSettings) -> Result<(), IoError>;
+    /// Clock, microseconds since the start.
+    fn now_us(&self) -> u64;
+    /// Sets the excitation LED to `permille` thousandths of the full current; dark at 0.
+    fn light(&mut self, permille: u16);
+    /// Whether a pulse has come to the trigger input since the last call.
+    fn triggered(&mut self) -> bool;
+    /// Starts one exposure, at once. The frame of the host is lost.
+    ///
+    /// # Errors
+    /// [`IoError::Failed`] where the sensor does not respond.
+    fn expose(&mut self) -> Result<(), IoError>;
+    /// Whether the frame that was exposed is in memory.
+    ///
+    /// # Errors
+    /// [`IoError::Failed`] where the transfer from the sensor failed.
+    fn ready(&mut self) -> Result<bool, IoError>;
+    /// Called again and again during waits.
+    fn pause(&self) {
+        core::hint::spin_loop();
+    }
 }
 
 /// Destination of reconstructions.
@@ -106,6 +147,10 @@ pub trait Monitor {
     /// Called after a reconstruction: lowers the pin. Returns the cycles of the core since [`Self::run_begins`], where
     /// they are counted.
     fn run_ends(&mut self) -> Option<u32>;
+    /// Called with the answer to every request but those that read a reconstruction: for a log.
+    fn answers(&mut self, request: &Request<'_>, reply: &Reply<'_>) {
+        let _ = (request, reply);
+    }
     /// Memory that the program occupies.
     fn footprint(&self) -> Footprint;
     /// Temperature in hundredths of a degree Celsius, where there is a sensor.
@@ -164,6 +209,15 @@ impl<'m> RamFrame<'m> {
     /// Stores frames in `memory`, pixels.
     pub fn new(memory: &'m mut [u16]) -> Self {
         Self { memory, pixels: 0 }
+    }
+
+    /// The memory of a frame of `pixels` that a camera fills.
+    ///
+    /// # Errors
+    /// [`IoError::NoRoom`] where it does not fit.
+    pub fn fill(&mut self, pixels: usize) -> Result<&mut [u16], IoError> {
+        self.pixels = fits(pixels, self.memory.len())?;
+        Ok(self.memory.get_mut(..pixels).unwrap_or_default())
     }
 
     /// The memory, with whatever it holds.

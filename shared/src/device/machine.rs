@@ -1,15 +1,17 @@
 //! The state machine.
 
-use super::io::{FrameSink, FrameSource, IoError, Monitor};
+use super::io::{FrameSink, FrameSource, Monitor};
+use super::refuse::{refusal, saturated, storage};
+use super::shutter::Shutter;
 use super::upload::Upload;
 use crate::blob::{CRC, MemoryPlan, Network, Verified};
 use crate::flash::{MappedFlash, Slots};
 use crate::image::Region;
-use crate::pipeline::{HeldRegion, Holder, Memory, Pipeline, PipelineError};
+use crate::pipeline::{HeldRegion, Holder, Memory, Pipeline};
 use crate::wire::{
-    CHUNK, FrameError, Info, Refusal, Reply, Request, RunReport, SCHEMA_KEY, SlotReport, Telemetry, Transfer, VERSION,
+    CHUNK, CameraChange, CameraStatus, FrameError, FrameFrom, Info, Refusal, Reply, Request, RunReport, SCHEMA_KEY,
+    SlotReport, Telemetry, Transfer, Unpacker, VERSION,
 };
-use core::fmt::Write;
 use half::f16;
 use heapless::String;
 
@@ -47,6 +49,7 @@ pub struct Device<'m, F, S, K, M> {
     frame: Upload,
     /// Whether the host has begun a frame that was not reconstructed yet.
     frame_waits: bool,
+    shutter: Shutter,
     last_run: Option<RunReport>,
     /// The `hold` of that run's request.
     last_hold: u16,
@@ -72,6 +75,7 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
             committed: false,
             frame: Upload::none(Transfer::Frame),
             frame_waits: false,
+            shutter: Shutter::default(),
             last_run: None,
             last_hold: 0,
             field: Holder::default(),
@@ -111,13 +115,19 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
             Request::Chunk { what, offset, data } => {
                 self.chunk(what, offset, data).map(|offset| Reply::Received { offset })
             }
+            Request::Packed { offset, pixels, data } => {
+                self.packed(offset, pixels, data).map(|offset| Reply::Received { offset })
+            }
             Request::Commit => self.commit().map(|()| Reply::Done),
-            Request::Run { id, region, hold } => self.run(id, region, hold).map(Reply::Ran),
+            Request::Run { id, frame, region, hold } => self.run(id, frame, region, hold).map(Reply::Ran),
             Request::Read { id, offset, len } => return self.read(id, offset, len).unwrap_or_else(Reply::Refused),
+            Request::Camera(change) => self.camera(change).map(Reply::Camera),
             Request::Telemetry => Ok(Reply::Telemetry(self.telemetry())),
             Request::Quit => Ok(Reply::Done),
         };
-        done.unwrap_or_else(Reply::Refused)
+        let reply = done.unwrap_or_else(Reply::Refused);
+        self.monitor.answers(&request, &reply);
+        reply
     }
 
     /// Reports to the board that the program is alive.
@@ -162,7 +172,7 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
             object_px: saturated(self.sink.capacity()),
             fast_bytes: sizes.fast_bytes,
             bulk_bytes: sizes.bulk_bytes,
-            live: self.source.live(),
+            live: self.source.camera().is_some(),
         })
     }
 
@@ -192,7 +202,7 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
             Transfer::Blob => &mut self.blob,
             Transfer::Frame => &mut self.frame,
         };
-        let known = upload.accept(offset, data)?;
+        let known = upload.accept(offset, data.len())?;
         let (at, new) = (offset as usize + known, data.get(known..).unwrap_or_default());
         if !new.is_empty() {
             let stored = match what {
@@ -203,6 +213,30 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
             upload.advance(new.len());
         }
         Ok(upload.received())
+    }
+
+    /// Stores packed pixels. Those that have arrived before are written again, which changes nothing.
+    fn packed(&mut self, offset: u32, pixels: u16, data: &[u8]) -> Result<u32, Refusal> {
+        let len = 2 * usize::from(pixels);
+        let known = self.frame.accept(offset, len)?;
+        let mut unpacker = Unpacker::new(data).take(pixels.into());
+        let (mut buffer, mut found) = ([[0; 2]; 64], 0);
+        while found < pixels {
+            let mut count = 0;
+            for (to, code) in buffer.iter_mut().zip(&mut unpacker) {
+                *to = code.to_le_bytes();
+                count += 1;
+            }
+            if count == 0 {
+                return Err(Refusal::Packed { expected: pixels, found });
+            }
+            let at = offset as usize + 2 * usize::from(found);
+            let bytes = buffer.as_flattened().get(..2 * usize::from(count)).unwrap_or_default();
+            self.source.write(at, bytes).map_err(|e| storage(e, Transfer::Frame))?;
+            found += count;
+        }
+        self.frame.advance(len - known);
+        Ok(self.frame.received())
     }
 
     /// Checks every bit of the network file where it lies in the flash, and marks it as the active one.
@@ -240,22 +274,46 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
         Ok(verified)
     }
 
-    fn run(&mut self, id: u32, region: Option<Region>, hold: u16) -> Result<RunReport, Refusal> {
+    fn camera(&mut self, change: CameraChange) -> Result<CameraStatus, Refusal> {
+        let frame_px = self.source.capacity();
+        let camera = self.source.camera().ok_or(Refusal::NoCamera)?;
+        self.shutter.change(camera, change, frame_px)
+    }
+
+    fn run(&mut self, id: u32, from: FrameFrom, region: Option<Region>, hold: u16) -> Result<RunReport, Refusal> {
         let network = active_network(&self.slots, self.verified)?;
         let pipeline = Pipeline::new(&network).map_err(refusal)?;
         let region = region.unwrap_or(pipeline.whole());
-        let asked = (id, region, hold);
-        if let Some(report) = self.last_run.filter(|report| (report.id, report.region, self.last_hold) == asked) {
+        let same = |report: &RunReport| {
+            let last_from = if report.capture.is_some() { FrameFrom::Camera } else { FrameFrom::Host };
+            (report.id, last_from, report.region, self.last_hold) == (id, from, region, hold)
+        };
+        if let Some(report) = self.last_run.filter(same) {
             return Ok(report);
         }
         pipeline.check_region(region).map_err(refusal)?;
         let expected = saturated(2 * pipeline.frame_len());
-        if self.frame_waits || !self.source.live() {
-            let found = self.frame.complete()?;
-            if expected != found {
-                return Err(Refusal::FrameLength { expected, found });
+        let found = match from {
+            FrameFrom::Host => self.frame.complete()?,
+            FrameFrom::Camera => {
+                let camera = self.source.camera().ok_or(Refusal::NoCamera)?;
+                saturated(camera.settings().region.pixels().saturating_mul(2))
             }
+        };
+        if expected != found {
+            return Err(Refusal::FrameLength { expected, found });
         }
+        let capture = match from {
+            FrameFrom::Host => None,
+            FrameFrom::Camera => {
+                // It lies where the host's frame lay.
+                self.frame.begin(0);
+                let dropped = u32::from(core::mem::take(&mut self.frame_waits));
+                self.telemetry.dropped_frames = self.telemetry.dropped_frames.wrapping_add(dropped);
+                let (camera, monitor) = (self.source.camera().ok_or(Refusal::NoCamera)?, &mut self.monitor);
+                Some(self.shutter.take(camera, &mut || monitor.alive())?)
+            }
+        };
         let frame = self.source.frame().map_err(|e| storage(e, Transfer::Frame))?;
         let frame_crc = CRC.checksum(bytemuck::cast_slice(frame));
         let object = self.sink.begin(region.pixels()).map_err(|_| Refusal::Storage)?;
@@ -291,6 +349,7 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
             filter_finite: stats.filter_finite,
             frame_crc,
             object_crc,
+            capture,
         };
         self.frame_waits = false;
         (self.last_run, self.last_hold) = (Some(report), hold);
@@ -338,30 +397,4 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
 fn active_network<F: MappedFlash>(slots: &Slots<F>, verified: Option<Verified>) -> Result<Network<'_>, Refusal> {
     let (file, verified) = slots.active_file().zip(verified).ok_or(Refusal::NoNetwork)?;
     verified.open(file).map_err(Refusal::Blob)
-}
-
-fn saturated(n: usize) -> u32 {
-    u32::try_from(n).unwrap_or(u32::MAX)
-}
-
-fn storage(error: IoError, what: Transfer) -> Refusal {
-    match error {
-        IoError::NoRoom { needed, available } => {
-            Refusal::NoRoom { what, needed: saturated(needed), available: saturated(available) }
-        }
-        IoError::Failed => Refusal::Storage,
-    }
-}
-
-/// The text of the pipeline's error, cut to what the message holds.
-fn refusal(error: PipelineError) -> Refusal {
-    struct Cut(String<96>);
-    impl Write for Cut {
-        fn write_str(&mut self, text: &str) -> core::fmt::Result {
-            text.chars().try_for_each(|c| self.0.push(c)).map_err(|_| core::fmt::Error)
-        }
-    }
-    let mut text = Cut(String::new());
-    let _cut = write!(text, "{error}");
-    Refusal::Pipeline(text.0)
 }

@@ -21,19 +21,19 @@ impl Upload {
         *self = Self { what: self.what, len, received: 0 };
     }
 
-    /// Number of leading bytes of `data`, which belong at `offset`, that have arrived before and are to be skipped.
+    /// Number of leading bytes of the `len` that belong at `offset` that have arrived before and are to be skipped.
     ///
     /// # Errors
     /// [`Refusal::OutOfOrder`] where there is a gap before them, [`Refusal::PastEnd`] where they go past the end.
-    pub fn accept(&self, offset: u32, data: &[u8]) -> Result<usize, Refusal> {
-        let end = u64::from(offset) + data.len() as u64;
+    pub fn accept(&self, offset: u32, len: usize) -> Result<usize, Refusal> {
+        let end = u64::from(offset) + len as u64;
         if end > u64::from(self.len) {
             return Err(Refusal::PastEnd { len: self.len, found: end });
         }
         if offset > self.received {
             return Err(Refusal::OutOfOrder { expected: self.received, found: offset });
         }
-        Ok(((self.received - offset) as usize).min(data.len()))
+        Ok(((self.received - offset) as usize).min(len))
     }
 
     /// Records that `count` more bytes were stored.

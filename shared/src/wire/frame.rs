@@ -3,9 +3,9 @@
 use super::cobs::{DELIMITER, Encoder, decode_in_place};
 use crate::blob::CRC;
 use core::fmt;
+use crc::Digest;
 use heapless::Vec;
 use postcard::ser_flavors::Flavor;
-use postcard::ser_flavors::crc::CrcModifier;
 use serde::{Deserialize, Serialize};
 
 const CRC_LEN: usize = 4;
@@ -62,10 +62,33 @@ pub fn encode<'a>(message: &impl Serialize, out: &'a mut [u8]) -> Result<&'a [u8
 }
 
 fn encode_body(message: &impl Serialize, out: &mut [u8]) -> postcard::Result<usize> {
-    let flavor = CrcModifier::new(Encoder::new(out), CRC.digest());
-    let mut serializer = postcard::Serializer { output: flavor };
+    let mut serializer = postcard::Serializer { output: Checked { encoder: Encoder::new(out), digest: CRC.digest() } };
     message.serialize(&mut serializer)?;
     serializer.output.finalize()
+}
+
+/// Bytes with their checksum behind them, as COBS.
+struct Checked<'a> {
+    encoder: Encoder<'a>,
+    digest: Digest<'a, u32>,
+}
+
+impl Flavor for Checked<'_> {
+    type Output = usize;
+
+    /// Messages push their bytes from hundreds of places: inlined there, this would take a tenth of the firmware.
+    #[inline(never)]
+    fn try_push(&mut self, byte: u8) -> postcard::Result<()> {
+        self.digest.update(&[byte]);
+        self.encoder.try_push(byte)
+    }
+
+    fn finalize(mut self) -> postcard::Result<usize> {
+        for byte in self.digest.finalize().to_le_bytes() {
+            self.encoder.try_push(byte)?;
+        }
+        self.encoder.finalize()
+    }
 }
 
 /// Decodes the message of a packet, which is given without its delimiters. The message borrows from `packet`, which is

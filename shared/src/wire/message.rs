@@ -1,16 +1,16 @@
 //! The messages.
 
-use crate::blob::BlobError;
+use super::camera::{CameraChange, CameraStatus, Capture};
+use super::refusal::Refusal;
 use crate::flash::{Mark, Slot};
 use crate::image::Region;
-use core::fmt;
 use heapless::String;
 use postcard_schema::Schema;
 use postcard_schema::key::Key;
 use serde::{Deserialize, Serialize};
 
 /// Version of the conversation. It changes with everything that the schema key does not cover.
-pub const VERSION: u16 = 3;
+pub const VERSION: u16 = 4;
 /// Hash of every name and type in the messages: it changes when one of them does.
 pub const SCHEMA_KEY: u64 = u64::from_le_bytes(
     Key::for_path::<(Packet<Request<'static>>, Packet<Reply<'static>>)>("ommatidia/wire").to_bytes(),
@@ -57,14 +57,25 @@ pub enum Request<'a> {
         /// At most [`CHUNK`] bytes.
         data: &'a [u8],
     },
+    /// The next pixels of a frame, packed by [`pack`](super::pack).
+    Packed {
+        /// Offset of the first pixel from the beginning of the transfer, bytes.
+        offset: u32,
+        /// Number of pixels.
+        pixels: u16,
+        /// At most [`CHUNK`] bytes.
+        data: &'a [u8],
+    },
     /// The network file is complete: the device is to check it and to make it the active one, now and after every
     /// start.
     Commit,
-    /// Reconstructs the frame.
+    /// Reconstructs a frame.
     Run {
-        /// Number of the run, which the host chooses. The device runs a request of the same number, region and hold on
-        /// the same frame only once.
+        /// Number of the run, which the host chooses. The device runs a request of the same number, source, region and
+        /// hold on the same frame only once.
         id: u32,
+        /// Which frame.
+        frame: FrameFrom,
         /// Region to reconstruct; the whole object where there is none.
         region: Option<Region>,
         /// Largest age of the statistics of the field that the run may take from an earlier run, in runs. With 0 the
@@ -81,6 +92,9 @@ pub enum Request<'a> {
         /// Number of bytes, at most [`CHUNK`].
         len: u16,
     },
+    /// Changes settings of the camera; with none to change, asks for them. The device answers with the settings in
+    /// force ([`CameraStatus`]), which are the nearest that the sensor has.
+    Camera(CameraChange),
     /// Requests the telemetry of the device.
     Telemetry,
     /// Asks the program to end, on a board where it can.
@@ -94,6 +108,15 @@ pub enum Transfer {
     Blob,
     /// A raw frame: little-endian 16-bit codes, row by row.
     Frame,
+}
+
+/// Where the frame of a run comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub enum FrameFrom {
+    /// The host has sent it.
+    Host,
+    /// The camera exposes it now.
+    Camera,
 }
 
 /// A reply of the device.
@@ -117,6 +140,8 @@ pub enum Reply<'a> {
         /// The bytes.
         data: &'a [u8],
     },
+    /// The camera and its settings.
+    Camera(CameraStatus),
     /// Telemetry of the device.
     Telemetry(Telemetry),
     /// The request was refused, and why.
@@ -170,6 +195,8 @@ pub struct RunReport {
     pub frame_crc: u32,
     /// CRC-32 of the reconstruction.
     pub object_crc: u32,
+    /// How the frame was taken, where it is one of the camera.
+    pub capture: Option<Capture>,
 }
 
 /// Why the program of the device was started.
@@ -257,126 +284,3 @@ pub struct Telemetry {
     /// Clock of the core, MHz, where it is known.
     pub core_mhz: Option<u16>,
 }
-
-/// Why the device refused a request.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-pub enum Refusal {
-    /// Host and device have different versions of the conversation.
-    Version {
-        /// Version of the device.
-        expected: u16,
-        /// Version of the host.
-        found: u16,
-    },
-    /// The messages of host and device have different fields.
-    Schema {
-        /// Schema key of the device.
-        expected: u64,
-        /// Schema key of the host.
-        found: u64,
-    },
-    /// A transfer does not fit.
-    NoRoom {
-        /// What was to be transferred.
-        what: Transfer,
-        /// Bytes needed.
-        needed: u32,
-        /// Bytes available.
-        available: u32,
-    },
-    /// The reconstruction does not fit.
-    ObjectRoom {
-        /// Pixels of a reconstruction of this network.
-        needed: u32,
-        /// Pixels that fit.
-        available: u32,
-    },
-    /// The bytes do not follow those that have arrived.
-    OutOfOrder {
-        /// Offset of the next bytes.
-        expected: u32,
-        /// Offset of the bytes that were sent.
-        found: u32,
-    },
-    /// The bytes go past the end of the transfer, or of the reconstruction.
-    PastEnd {
-        /// Its length, bytes.
-        len: u32,
-        /// Offset of the end of these bytes.
-        found: u64,
-    },
-    /// The transfer has not begun or is not complete.
-    Incomplete {
-        /// Which transfer.
-        what: Transfer,
-        /// Length of the transfer, bytes.
-        expected: u32,
-        /// Bytes that have arrived.
-        found: u32,
-    },
-    /// No network has been committed.
-    NoNetwork,
-    /// The network file was refused.
-    Blob(BlobError),
-    /// The frame has another length than the network needs.
-    FrameLength {
-        /// Bytes of a frame for this network.
-        expected: u32,
-        /// Bytes of the frame that arrived.
-        found: u32,
-    },
-    /// There is no reconstruction of that number.
-    NoResult {
-        /// Number of the last run, if there was one.
-        expected: Option<u32>,
-        /// Number in the request.
-        found: u32,
-    },
-    /// The pipeline refused; the text of its error.
-    Pipeline(String<96>),
-    /// The flash, a buffer or the camera of the device failed.
-    Storage,
-}
-
-impl fmt::Display for Refusal {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Version { expected, found } => {
-                write!(
-                    f,
-                    "it has version {expected} of the messages, this program version {found}; install matching firmware"
-                )
-            }
-            Self::Schema { expected, found } => write!(
-                f,
-                "its messages have schema {expected:016x}, those of this program {found:016x}; install matching \
-                 firmware"
-            ),
-            Self::NoRoom { what, needed, available } => {
-                write!(f, "{what:?}: {needed} bytes needed, {available} available")
-            }
-            Self::ObjectRoom { needed, available } => {
-                write!(f, "reconstruction: {needed} pixels needed, {available} available")
-            }
-            Self::OutOfOrder { expected, found } => {
-                write!(f, "expected the bytes at offset {expected}, found those at {found}")
-            }
-            Self::PastEnd { len, found } => write!(f, "expected at most {len} bytes, found {found}"),
-            Self::Incomplete { what, expected, found } => {
-                write!(f, "{what:?} is not complete: expected {expected} bytes, found {found}")
-            }
-            Self::NoNetwork => f.write_str("it has no network yet; send one first"),
-            Self::Blob(error) => write!(f, "network file: {error}"),
-            Self::FrameLength { expected, found } => {
-                write!(f, "raw frame: expected {expected} bytes, found {found}")
-            }
-            Self::NoResult { expected, found } => {
-                write!(f, "no reconstruction {found}; the last one is {expected:?}")
-            }
-            Self::Pipeline(text) => f.write_str(text),
-            Self::Storage => f.write_str("its flash, a buffer or its camera failed"),
-        }
-    }
-}
-
-impl core::error::Error for Refusal {}

@@ -25,12 +25,21 @@
 //! assert_eq!(received, 1);
 //! ```
 
+mod camera;
 mod cobs;
 pub mod frame;
 mod message;
+mod pack;
+mod refusal;
 
+pub use camera::{
+    CameraChange, CameraLimits, CameraSettings, CameraStatus, Capture, Limits, SensorRegion, Setting, SettingError,
+    Trigger,
+};
 pub use frame::{Deframer, FrameError, checksum, encode};
 pub use message::{
-    Activity, CHUNK, Info, MAX_PACKET, Packet, Refusal, Reply, Request, RunReport, SCHEMA_KEY, SlotReport, StartCause,
-    Telemetry, Transfer, VERSION,
+    Activity, CHUNK, FrameFrom, Info, MAX_PACKET, Packet, Reply, Request, RunReport, SCHEMA_KEY, SlotReport,
+    StartCause, Telemetry, Transfer, VERSION,
 };
+pub use pack::{Unpacker, pack};
+pub use refusal::Refusal;

@@ -34,3 +34,8 @@ pub(super) fn slept(before: u32) {
 pub(super) fn activity() -> Option<Activity> {
     Some(ACCOUNT.activity(now()))
 }
+
+/// Microseconds since the start.
+pub(super) fn now_us() -> u64 {
+    ACCOUNT.now_us(now())
+}

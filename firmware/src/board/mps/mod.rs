@@ -18,14 +18,18 @@ use crate::app::{Parts, Start};
 use core::sync::atomic::{AtomicBool, Ordering};
 use cortex_m::peripheral::DWT;
 use cortex_m_semihosting::{debug, hprintln};
-use ommatidia_shared::device::{Arenas, RamFrame};
+use ommatidia_shared::device::{Arenas, Clock, VirtualCamera};
 use ommatidia_shared::flash::RamFlash;
 
 /// Name of the board.
 pub const NAME: &str = map::BOARD.name;
 
+/// Rows and columns of the frames of the virtual camera at first.
+const CAMERA: [u16; 2] = [428, 428];
+const CLOCK: Clock = Clock { now_us: clock::now_us, pause: core::hint::spin_loop };
+
 /// The parts of the board. `None` where they were taken before.
-pub fn take() -> Option<Parts<'static, Uart, Led, RamFlash<'static>, Dog, RamFrame<'static>>> {
+pub fn take() -> Option<Parts<'static, Uart, Led, RamFlash<'static>, Dog, VirtualCamera<'static>>> {
     static TAKEN: AtomicBool = AtomicBool::new(false);
     if TAKEN.swap(true, Ordering::Relaxed) {
         return None;
@@ -50,7 +54,7 @@ pub fn take() -> Option<Parts<'static, Uart, Led, RamFlash<'static>, Dog, RamFra
         temperature_cdeg: || None,
         activity: clock::activity,
         flash: RamFlash::new(memory::flash()),
-        source: RamFrame::new(memory::frame()),
+        source: VirtualCamera::new(memory::frame(), CAMERA, CLOCK),
         object: memory::object(),
         arenas: Arenas { fast: memory::fast(), bulk: memory::bulk() },
     })

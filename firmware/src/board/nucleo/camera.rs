@@ -1,38 +1,49 @@
-//! The MT9V032 on the DCMI (ST RM0433, chapter 32). DMA captures the next frame while one is reconstructed.
+//! The MT9V032 on the DCMI (ST RM0433, chapter 32). The device starts each exposure by a pulse; DMA brings the frame.
 #![allow(unsafe_code)] // memory that DMA writes
 
-use super::clock;
-use crate::camera::{Mt9v032, Window, is_fresh};
+use super::{clock, light};
+use crate::camera::mt9v032::ARRAY;
+use crate::camera::{ImageSensor, Mt9v032};
 use core::slice;
 use core::sync::atomic::{Ordering, fence};
-use cortex_m::peripheral::DWT;
 use embassy_stm32::dcmi::{self, Dcmi};
-use embassy_stm32::i2c::{Config as I2cConfig, I2c};
+use embassy_stm32::gpio::{Input, Level, Output, Pull, Speed};
+use embassy_stm32::i2c::{Config as I2cConfig, I2c, Master};
+use embassy_stm32::mode::Blocking;
 use embassy_stm32::pac::dma::vals::{Dir, Size};
 use embassy_stm32::pac::{self, DMA1, DMAMUX1};
 use embassy_stm32::peripherals as p;
 use embassy_stm32::rcc::{Mco, Mco1Source, McoConfig, McoPrescaler};
 use embassy_stm32::{Peri, bind_interrupts, dma};
-use ommatidia_shared::device::{FrameSource, IoError};
+use ommatidia_shared::device::{Camera as ImageCamera, FrameSource, IoError, Steps};
+use ommatidia_shared::wire::{CameraLimits, CameraSettings, SensorRegion, Setting, SettingError, Trigger};
 
 bind_interrupts!(struct Interrupts {
     DCMI => dcmi::InterruptHandler<p::DCMI>;
     DMA1_STREAM0 => dma::InterruptHandler<p::DMA1_CH0>;
 });
 
-/// The window that the sensor delivers.
-pub const WINDOW: Window = Window { rows: 214, cols: 214, bin: 2 };
-/// Exposure, rows: with rows of 660 clocks of 24 MHz, 13.2 ms.
-const EXPOSURE_ROWS: u16 = 480;
+/// The frame after the start: half the resolution, in the middle of the array.
+const REGION: SensorRegion = SensorRegion { row: 0, col: 0, rows: 214, cols: 214, bin: 2 }.centred(ARRAY[0], ARRAY[1]);
+/// The settings after the start.
+const SETTINGS: CameraSettings = CameraSettings {
+    exposure_us: 13_200,
+    analog_gain_thousandths: 1000,
+    interval_us: 40_000,
+    led_permille: 0,
+    region: REGION,
+    trigger: Trigger::Device,
+};
+/// Level of the excitation LED: the converter has 12 bits.
+const LED: Steps = Steps { setting: Setting::Led, numer: 1000, denom: 4095, counts: [0, 4095] };
 /// Stream of DMA1, and channel of DMAMUX1, that carries the frames.
 const STREAM: usize = 0;
 /// Request number of the DCMI at DMAMUX1 (ST RM0433, table 121).
 const DMA_REQUEST: u8 = 75;
-/// Longest wait for a frame, cycles: half a second at 480 MHz, a little more at 400.
-const PATIENCE: u32 = 240_000_000;
-
-/// A frame as DMA writes it: two pixels in a word, the first one in the low half.
-pub type Frame = [u32; WINDOW.pixels() / 2];
+/// Length of the pulse that starts an exposure, cycles: at least one microsecond.
+const PULSE: u32 = 480;
+/// Words of two pixels in the memory of frames: two frames of [`REGION`].
+pub const WORDS: usize = REGION.pixels();
 
 /// Peripherals and pins of the camera.
 pub struct Pins {
@@ -47,6 +58,8 @@ pub struct Pins {
     pub(super) i2c: Peri<'static, p::I2C1>,
     pub(super) scl: Peri<'static, p::PB8>,
     pub(super) sda: Peri<'static, p::PB9>,
+    pub(super) expose: Peri<'static, p::PF12>,
+    pub(super) trigger: Peri<'static, p::PF13>,
 }
 
 /// D0 to D9.
@@ -63,35 +76,28 @@ pub type Data = (
     Peri<'static, p::PC12>,
 );
 
-/// Two frames in memory that DMA reaches: one from the host or the sensor, to be reconstructed, and one to capture
-/// into.
+/// The sensor and the memory of its frames, which DMA reaches. Pixels lie there two in a word, the first in the low
+/// half.
 pub struct Camera {
     /// Keeps pins and clock configured.
     _dcmi: Dcmi<'static, p::DCMI>,
     _clock: Mco<'static, p::MCO1>,
-    frames: [&'static mut Frame; 2],
-    /// Index of the frame that the sensor writes.
-    back: usize,
-    mode: Mode,
-    /// When the capture was started, microseconds.
-    began_us: u32,
-    /// Pixels of the frame that the host sends.
+    /// `None` where no sensor answered: frames come from the host.
+    sensor: Option<Mt9v032<I2c<'static, Blocking, Master>>>,
+    settings: CameraSettings,
+    /// To the pin EXPOSURE of the sensor.
+    expose: Output<'static>,
+    trigger: Input<'static>,
+    /// Level of the trigger input when it was asked last.
+    was_high: bool,
+    memory: &'static mut [u32],
+    /// Pixels of the frame in memory.
     pixels: usize,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Mode {
-    /// No sensor answered: frames come from the host.
-    Host,
-    /// The sensor runs, and no frame is being captured.
-    Idle,
-    /// A frame is being captured.
-    Capturing,
 }
 
 impl Camera {
     /// Starts the sensor, if one answers.
-    pub(super) fn new(pins: Pins, frames: [&'static mut Frame; 2]) -> Self {
+    pub(super) fn new(pins: Pins, memory: &'static mut [u32]) -> Self {
         let mut config = McoConfig::default();
         config.prescaler = McoPrescaler::DIV2;
         let clock = Mco::new(pins.mco, pins.clock, Mco1Source::HSI48, config);
@@ -120,16 +126,27 @@ impl Camera {
             config,
         );
         let bus = I2c::new_blocking(pins.i2c, pins.scl, pins.sda, I2cConfig::default());
-        let started = Mt9v032::new(bus).and_then(|mut sensor| {
-            sensor.expose(EXPOSURE_ROWS)?;
-            sensor.start(WINDOW)
+        let mut settings = SETTINGS;
+        let sensor = Mt9v032::new(bus).ok().and_then(|mut sensor| {
+            settings = planned(SETTINGS).ok()?;
+            sensor.apply(&settings).ok()?;
+            Some(sensor)
         });
-        let mode = if started.is_ok() { Mode::Idle } else { Mode::Host };
-        Self { _dcmi: dcmi, _clock: clock, frames, back: 0, mode, began_us: 0, pixels: 0 }
+        Self {
+            _dcmi: dcmi,
+            _clock: clock,
+            sensor,
+            settings,
+            expose: Output::new(pins.expose, Level::Low, Speed::Low),
+            trigger: Input::new(pins.trigger, Pull::Down),
+            was_high: false,
+            memory,
+            pixels: 0,
+        }
     }
 
-    /// Starts the capture of the next whole frame into the back buffer.
-    fn capture(&mut self) {
+    /// Waits for the next frame of the sensor, which goes to the memory.
+    fn capture(&mut self, words: usize) {
         let stream = DMA1.st(STREAM);
         stop();
         DMA1.ifcr(0).write(|w| {
@@ -145,10 +162,9 @@ impl Camera {
             w.set_err_isc(true);
         });
         DMAMUX1.ccr(STREAM).write(|w| w.set_dmareq_id(DMA_REQUEST));
-        let back = &mut *self.frames[self.back];
         stream.par().write_value(pac::DCMI.dr().as_ptr().addr() as u32);
-        stream.m0ar().write_value(back.as_mut_ptr().addr() as u32);
-        stream.ndtr().write(|w| w.set_ndt(back.len() as u16));
+        stream.m0ar().write_value(self.memory.as_mut_ptr().addr() as u32);
+        stream.ndtr().write(|w| w.set_ndt(words as u16));
         fence(Ordering::SeqCst);
         stream.cr().write(|w| {
             w.set_dir(Dir::PERIPHERAL_TO_MEMORY);
@@ -163,35 +179,21 @@ impl Camera {
             w.set_enable(true);
             w.set_capture(true);
         });
-        self.mode = Mode::Capturing;
-        self.began_us = clock::now();
     }
 
-    /// Waits until the back buffer holds a frame.
-    ///
-    /// # Errors
-    /// [`IoError::Failed`] where the capture failed or took too long.
-    fn captured(&self) -> Result<(), IoError> {
-        let began = DWT::cycle_count();
-        loop {
-            let (dcmi, dma) = (pac::DCMI.ris().read(), DMA1.isr(0).read());
-            let late = DWT::cycle_count().wrapping_sub(began) > PATIENCE;
-            if dcmi.ovr_ris() || dcmi.err_ris() || dma.teif(STREAM) || late {
-                return Err(IoError::Failed);
-            }
-            if dcmi.frame_ris() && dma.tcif(STREAM) {
-                fence(Ordering::SeqCst);
-                return Ok(());
-            }
-        }
-    }
-
-    /// The frame to reconstruct.
-    fn front(&mut self) -> &mut [u16] {
-        let frame = &mut *self.frames[1 - self.back];
+    /// The memory as pixels.
+    fn codes(&mut self) -> &mut [u16] {
+        let words = &mut *self.memory;
         // SAFETY: words are aligned for pixels, and all of their bits belong to pixels.
-        unsafe { slice::from_raw_parts_mut(frame.as_mut_ptr().cast(), WINDOW.pixels()) }
+        unsafe { slice::from_raw_parts_mut(words.as_mut_ptr().cast(), 2 * words.len()) }
     }
+}
+
+/// The nearest settings that sensor and board have.
+fn planned(wanted: CameraSettings) -> Result<CameraSettings, SettingError> {
+    let settings = Mt9v032::<I2c<'static, Blocking, Master>>::plan(wanted)?;
+    let led_permille = LED.nearest(wanted.led_permille.into())? as u16;
+    Ok(CameraSettings { led_permille, ..settings })
 }
 
 /// Stops the DMA stream and the DCMI.
@@ -208,11 +210,11 @@ fn stop() {
 
 impl FrameSource for Camera {
     fn capacity(&self) -> usize {
-        WINDOW.pixels()
+        2 * self.memory.len()
     }
 
-    fn live(&self) -> bool {
-        self.mode != Mode::Host
+    fn camera(&mut self) -> Option<&mut dyn ImageCamera> {
+        if self.sensor.is_some() { Some(self) } else { None }
     }
 
     fn begin(&mut self, pixels: usize) -> Result<(), IoError> {
@@ -226,31 +228,77 @@ impl FrameSource for Camera {
 
     fn write(&mut self, offset: usize, bytes: &[u8]) -> Result<(), IoError> {
         let len = self.pixels;
-        let memory: &mut [u8] = bytemuck::cast_slice_mut(self.front().get_mut(..len).unwrap_or_default());
+        let memory: &mut [u8] = bytemuck::cast_slice_mut(self.codes().get_mut(..len).unwrap_or_default());
         let (needed, available) = (offset.saturating_add(bytes.len()), memory.len());
         let to = memory.get_mut(offset..needed).ok_or(IoError::NoRoom { needed, available })?;
         to.copy_from_slice(bytes);
         Ok(())
     }
 
-    /// The frame of the host where it has sent one since the last run, otherwise that of the sensor, which was captured
-    /// during the last run. Where that is too long ago, as with one frame a minute, a new one is captured first.
     fn frame(&mut self) -> Result<&[u16], IoError> {
-        let sent = self.pixels;
-        if self.live() {
-            self.pixels = 0;
+        let len = self.pixels;
+        Ok(self.codes().get(..len).unwrap_or_default())
+    }
+}
+
+impl ImageCamera for Camera {
+    fn sensor(&self) -> &'static str {
+        Mt9v032::<I2c<'static, Blocking, Master>>::NAME
+    }
+
+    fn settings(&self) -> CameraSettings {
+        self.settings
+    }
+
+    fn limits(&self) -> CameraLimits {
+        Mt9v032::<I2c<'static, Blocking, Master>>::limits(&self.settings)
+    }
+
+    fn plan(&self, wanted: CameraSettings) -> Result<CameraSettings, SettingError> {
+        planned(wanted)
+    }
+
+    fn apply(&mut self, settings: CameraSettings) -> Result<(), IoError> {
+        let sensor = self.sensor.as_mut().ok_or(IoError::Failed)?;
+        sensor.apply(&settings).map_err(|_| IoError::Failed)?;
+        self.settings = settings;
+        Ok(())
+    }
+
+    fn now_us(&self) -> u64 {
+        clock::now_us()
+    }
+
+    fn light(&mut self, permille: u16) {
+        light::set(LED.count(permille.into()) as u16, self.settings.exposure_us);
+    }
+
+    fn triggered(&mut self) -> bool {
+        let high = self.trigger.is_high();
+        let was_high = core::mem::replace(&mut self.was_high, high);
+        high && !was_high
+    }
+
+    fn expose(&mut self) -> Result<(), IoError> {
+        self.pixels = 0;
+        self.capture(self.settings.region.pixels() / 2);
+        // The sensor notices a pulse of a few of its clocks.
+        self.expose.set_high();
+        cortex_m::asm::delay(PULSE);
+        self.expose.set_low();
+        Ok(())
+    }
+
+    fn ready(&mut self) -> Result<bool, IoError> {
+        let (dcmi, dma) = (pac::DCMI.ris().read(), DMA1.isr(0).read());
+        if dcmi.ovr_ris() || dcmi.err_ris() || dma.teif(STREAM) {
+            return Err(IoError::Failed);
         }
-        if sent > 0 || !self.live() {
-            return Ok(self.front().get(..sent).unwrap_or_default());
+        if !(dcmi.frame_ris() && dma.tcif(STREAM)) {
+            return Ok(false);
         }
-        if self.mode == Mode::Idle || !is_fresh(self.began_us, clock::now()) {
-            self.capture();
-        }
-        let captured = self.captured();
-        self.mode = Mode::Idle;
-        captured?;
-        self.back = 1 - self.back;
-        self.capture();
-        Ok(self.front())
+        fence(Ordering::SeqCst);
+        self.pixels = self.settings.region.pixels();
+        Ok(true)
     }
 }

@@ -1,5 +1,6 @@
 //! A clock that runs while the core sleeps (TIM2, in microseconds), and a tick that wakes the core.
 
+use super::light;
 use crate::board::activity::Account;
 use cortex_m::peripheral::SYST;
 use cortex_m::peripheral::syst::SystClkSource;
@@ -27,9 +28,11 @@ pub(super) fn begin(mut tick: SYST, timer_mhz: u16) {
     tick.enable_interrupt();
 }
 
-/// Does nothing: the tick only wakes the core.
+/// The tick wakes the core, and watches over the excitation LED.
 #[exception]
-fn SysTick() {}
+fn SysTick() {
+    light::watch();
+}
 
 pub(super) fn now() -> u32 {
     TIM2.cnt().read()
@@ -43,4 +46,9 @@ pub(super) fn slept(before: u32) {
 /// How long the core has run and slept.
 pub(super) fn activity() -> Option<Activity> {
     Some(ACCOUNT.activity(now()))
+}
+
+/// Microseconds since the start.
+pub(super) fn now_us() -> u64 {
+    ACCOUNT.now_us(now())
 }

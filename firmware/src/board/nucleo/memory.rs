@@ -1,7 +1,7 @@
 //! Arenas and buffers in the sections of the memory map, and the memory that the program itself occupies.
 #![allow(unsafe_code)] // sections and linker symbols
 
-use super::camera::Frame;
+use super::camera::WORDS;
 use crate::board::memory::{self, Once, Region};
 use core::ops::Range;
 use core::ptr::addr_of;
@@ -10,7 +10,7 @@ use ommatidia_shared::device::{Footprint, Line};
 use ommatidia_shared::wire::MAX_PACKET;
 
 #[unsafe(link_section = ".sram.frames")]
-static FRAMES: Region<u32, { 2 * size_of::<Frame>() / 4 }> = Region::new();
+static FRAMES: Region<u32, WORDS> = Region::new();
 #[unsafe(link_section = ".sram.object")]
 static OBJECT: Region<f16, { 96 * 96 }> = Region::new();
 #[unsafe(link_section = ".axi.bulk")]
@@ -37,13 +37,10 @@ pub(super) fn line_buffers() -> [&'static mut [u8]; 2] {
     [send, receive]
 }
 
-pub(super) fn frames() -> [&'static mut Frame; 2] {
+/// Memory of raw frames, two pixels in a word.
+pub(super) fn frames() -> &'static mut [u32] {
     // SAFETY: called once, from `super::take`.
-    let frames = unsafe { FRAMES.take() };
-    match frames.as_chunks_mut().0 {
-        [first, second] => [first, second],
-        _ => super::fail(&"no room for two frames"),
-    }
+    unsafe { FRAMES.take() }
 }
 
 pub(super) fn object() -> &'static mut [f16] {

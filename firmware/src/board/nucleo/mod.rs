@@ -7,8 +7,13 @@
 //! | DCMI VSYNC, HSYNC, PIXCLK | PG9, PA4, PA6 |
 //! | clock of the sensor, 24 MHz (MCO1) | PA8 |
 //! | registers of the sensor (I2C1) SCL, SDA | PB8, PB9 |
+//! | start of an exposure, to EXPOSURE of the sensor | PF12 |
+//! | trigger input, a rising edge | PF13 |
+//! | level of the excitation LED (DAC1), to the driver that LED_OUT of the sensor enables | PA5 |
 //! | host (USART3) TX, RX | PD8, PD9 |
-//! | trigger (green LED) | PB0 |
+//! | reconstructing (green LED) | PB0 |
+//!
+//! LED_OUT of the sensor is high during exposures: it is the trigger output as well.
 //!
 //! The data cache is on, but for the memory that DMA writes; after the flash has changed its lines are dropped.
 
@@ -16,6 +21,7 @@ mod cache;
 mod camera;
 mod clock;
 mod flash;
+mod light;
 mod link;
 mod memory;
 mod revision;
@@ -27,7 +33,7 @@ pub use memory::footprint;
 
 use super::{float, restart};
 use crate::app::{Parts, Start};
-use crate::log::info;
+use crate::log;
 use core::convert::Infallible;
 use core::sync::atomic::{AtomicBool, Ordering};
 use cortex_m::peripheral::DWT;
@@ -66,8 +72,9 @@ pub fn take() -> Option<Parts<'static, Link, Trigger, InternalFlash, Dog, Camera
     core.DCB.enable_trace();
     core.DWT.enable_cycle_counter();
     clock::begin(core.SYST, revision.mhz() / 2);
-    info!("STM32H743 revision {}: {} MHz", revision.name(), revision.mhz());
+    log::chip(revision.name(), revision.mhz());
     let watchdog = Dog(());
+    light::begin(p.PA5);
     let camera = Camera::new(
         camera::Pins {
             dcmi: p.DCMI,
@@ -81,6 +88,8 @@ pub fn take() -> Option<Parts<'static, Link, Trigger, InternalFlash, Dog, Camera
             i2c: p.I2C1,
             scl: p.PB8,
             sda: p.PB9,
+            expose: p.PF12,
+            trigger: p.PF13,
         },
         memory::frames(),
     );
@@ -181,6 +190,7 @@ const PAUSE: u32 = 1_000_000_000;
 /// Reports the reason to the probe, and starts the program again after a pause. The watchdog may not run yet, so the
 /// program resets the board itself.
 pub fn fail(reason: &dyn core::fmt::Display) -> ! {
+    light::fail();
     #[cfg(feature = "probe")]
     defmt::error!("{}", defmt::Display2Format(reason));
     #[cfg(not(feature = "probe"))]

@@ -1,5 +1,6 @@
 //! `device`: runs the firmware on a board, under QEMU, or its logic in this process.
 
+mod camera;
 mod faults;
 mod flash;
 mod scope;
@@ -53,6 +54,13 @@ enum Action {
     /// Print the status of the device: starts, flash slots, faults, dropped frames
     #[command(after_help = "Example:\n  ommatidia device status --state board.flash")]
     Status(status::Args),
+    /// Set the camera of the device and its excitation LED, and print what they were really set to
+    #[command(
+        after_help = "Examples:\n  ommatidia device camera --port /dev/ttyACM0 --exposure-us 10000 --analog-gain \
+            2 --led 20\n  ommatidia device camera --port /dev/ttyACM0 --frame-rate 20 --sensor-region \
+            26,162,214,214,2\n  ommatidia device camera --on qemu"
+    )]
+    Camera(camera::Args),
     /// Inject faults (power cuts, flipped bits, a bad line) and report whether networks and frames survive
     #[command(after_help = "Example:\n  ommatidia device faults -o docs/faults.md")]
     Faults(faults::Args),
@@ -101,6 +109,7 @@ impl Args {
             }
             Action::Flash(a) => a.files(),
             Action::Status(a) => a.files(),
+            Action::Camera(a) => a.files(),
             Action::Stream(a) => a.files(),
             Action::Faults(a) => a.files(),
             Action::Bench(a) => Files::default().writing(&a.output, Content::Text(table::START)),
@@ -117,6 +126,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         Action::Run(args) => run_network(args, run),
         Action::Flash(args) => flash::run(args, run),
         Action::Status(args) => status::run(args, run),
+        Action::Camera(args) => camera::run(args, run),
         Action::Stream(args) => stream::run(args, run),
         Action::Faults(args) => faults::run(args),
         Action::Bench(args) => count(args),

@@ -6,8 +6,8 @@ use super::transport::Transport;
 use half::f16;
 use ommatidia_shared::wire::frame::decode;
 use ommatidia_shared::wire::{
-    CHUNK, Deframer, Info, MAX_PACKET, Packet, Reply, Request, RunReport, SCHEMA_KEY, Telemetry, Transfer, VERSION,
-    checksum, encode,
+    CHUNK, CameraChange, CameraStatus, Deframer, FrameFrom, Info, MAX_PACKET, Packet, Reply, Request, RunReport,
+    SCHEMA_KEY, Telemetry, Transfer, VERSION, checksum, encode, pack,
 };
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -106,7 +106,28 @@ impl<T: Transport> Client<T> {
     pub fn send_frame(&mut self, codes: &[u16]) -> Result<(), DeviceError> {
         let bytes: Vec<u8> = codes.iter().flat_map(|code| code.to_le_bytes()).collect();
         self.frame_crc = checksum(&bytes);
-        self.transfer(Transfer::Frame, &bytes, &mut |_| {})
+        self.ask(Request::Begin { what: Transfer::Frame, len: bytes.len() as u32 }, self.short, done)?;
+        let (mut at, mut packed) = (0, vec![0; CHUNK]);
+        while at < codes.len() {
+            let offset = 2 * at as u32;
+            let (pixels, len) = pack(&codes[at..codes.len().min(at + usize::from(u16::MAX))], &mut packed);
+            // Packed where that is shorter, and as they are where it is not.
+            let request = if 2 * pixels > len {
+                at += pixels;
+                Request::Packed { offset, pixels: pixels as u16, data: &packed[..len] }
+            } else {
+                let end = codes.len().min(at + CHUNK / 2);
+                let data = &bytes[2 * at..2 * end];
+                at = end;
+                Request::Chunk { what: Transfer::Frame, offset, data }
+            };
+            let end = 2 * at as u32;
+            self.ask(request, self.short, |reply| match reply {
+                Reply::Received { offset } if offset == end => Some(()),
+                _ => None,
+            })?;
+        }
+        Ok(())
     }
 
     /// Reconstructs the frame that was sent last, as run `id`.
@@ -114,21 +135,39 @@ impl<T: Transport> Client<T> {
     /// # Errors
     /// The device refuses, stops answering, or reconstructed another frame than the one that was sent last.
     pub fn reconstruct(&mut self, id: u32, scope: Scope) -> Result<RunReport, DeviceError> {
-        let report = self.reconstruct_live(id, scope)?;
+        let report = self.run(id, FrameFrom::Host, scope)?;
         same(report.frame_crc, self.frame_crc, "frame", id)?;
         Ok(report)
     }
 
-    /// Reconstructs a frame of the device's camera, if no frame was sent since the last run.
+    /// Has the device's camera expose a frame, and reconstructs it.
     ///
     /// # Errors
     /// The device refuses or stops answering.
     pub fn reconstruct_live(&mut self, id: u32, scope: Scope) -> Result<RunReport, DeviceError> {
+        self.run(id, FrameFrom::Camera, scope)
+    }
+
+    fn run(&mut self, id: u32, frame: FrameFrom, scope: Scope) -> Result<RunReport, DeviceError> {
         let Scope { region, hold } = scope;
-        let asked =
-            |report: &RunReport| region.is_none_or(|region| region == report.region) && report.field_age <= hold;
-        self.ask(Request::Run { id, region, hold }, self.long, |reply| match reply {
+        let asked = |report: &RunReport| {
+            region.is_none_or(|region| region == report.region)
+                && report.field_age <= hold
+                && report.capture.is_some() == (frame == FrameFrom::Camera)
+        };
+        self.ask(Request::Run { id, frame, region, hold }, self.long, |reply| match reply {
             Reply::Ran(report) if asked(&report) => Some(report),
+            _ => None,
+        })
+    }
+
+    /// Changes settings of the device's camera; returns the settings in force.
+    ///
+    /// # Errors
+    /// The device has no camera, refuses a setting, or stops answering.
+    pub fn camera(&mut self, change: CameraChange) -> Result<CameraStatus, DeviceError> {
+        self.ask(Request::Camera(change), self.short, |reply| match reply {
+            Reply::Camera(status) => Some(status),
             _ => None,
         })
     }
@@ -265,6 +304,7 @@ fn done(reply: Reply<'_>) -> Option<()> {
 fn name(request: &Request<'_>) -> String {
     match request {
         Request::Chunk { what, offset, .. } => format!("chunk of {what:?} at {offset}"),
+        Request::Packed { offset, .. } => format!("packed chunk of Frame at {offset}"),
         other => format!("{other:?}"),
     }
 }

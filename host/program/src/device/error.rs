@@ -83,6 +83,28 @@ pub enum DeviceError {
         /// The board.
         board: String,
     },
+    /// The camera is set to another frame than that of the network.
+    #[error(
+        "the camera gives frames of {rows} x {cols} pixels (rows x columns), the network is for {} x {}; set the region \
+         with `--sensor-region`", .network[0], .network[1]
+    )]
+    CameraRegion {
+        /// Rows of the camera's frames.
+        rows: u16,
+        /// Columns of the camera's frames.
+        cols: u16,
+        /// Rows and columns of the network's frames.
+        network: [u16; 2],
+    },
+    /// No pulse has come to the trigger input of the board.
+    #[error(
+        "no pulse came to the trigger input for {seconds} s; check its wire, or let the device start exposures with \
+         `--trigger device`"
+    )]
+    NoTrigger {
+        /// Time waited, s.
+        seconds: u64,
+    },
     /// A reply of the wrong kind.
     #[error("unexpected reply of the device to `{request}`: {found}")]
     Unexpected {

@@ -4,15 +4,16 @@ use super::error::DeviceError;
 use super::transport::Transport;
 use embedded_io::{ErrorType, Read, Write};
 use half::f16;
-use ommatidia_shared::device::{Arenas, Device, FrameSource, IoError, Line, RamFrame, RamObject, Silent, serve};
+use ommatidia_shared::device::{Arenas, Clock, Device, Line, RamObject, Silent, VirtualCamera, serve};
 use ommatidia_shared::flash::RamFlash;
 use std::convert::Infallible;
 use std::fs::{File, OpenOptions};
 use std::io::{Read as _, Write as _};
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Memory of the simulated device.
 #[derive(Clone, Copy, Debug)]
@@ -27,8 +28,8 @@ pub struct LoopbackConfig {
     pub fast_bytes: usize,
     /// Bulk memory, bytes.
     pub bulk_bytes: usize,
-    /// Pixels of the frames of a simulated camera ([`camera_frame`]); 0: no camera.
-    pub camera_px: usize,
+    /// Rows and columns of the frames of a virtual camera at first; 0 and 0: no camera.
+    pub camera: [u16; 2],
 }
 
 impl Default for LoopbackConfig {
@@ -40,7 +41,7 @@ impl Default for LoopbackConfig {
             object_px: 512 << 10,
             fast_bytes: 512 << 10,
             bulk_bytes: 8 << 20,
-            camera_px: 0,
+            camera: [0, 0],
         }
     }
 }
@@ -133,7 +134,7 @@ pub(super) fn play<L: Read + Write>(
     let mut device = Device::new(
         "host",
         RamFlash::new(&mut *flash),
-        Camera { host: RamFrame::new(&mut frame), pixels: config.camera_px, next: 0, frame: Vec::new() },
+        VirtualCamera::new(&mut frame, config.camera, CLOCK),
         RamObject::new(&mut object),
         Arenas { fast: &mut fast, bulk: &mut bulk },
         Silent,
@@ -154,44 +155,13 @@ fn read_into(flash: &mut [u8], state: &Path) -> std::io::Result<()> {
     Ok(())
 }
 
-/// Frame `frame` of the simulated camera: a moving pattern of `pixels` codes, DN.
-pub fn camera_frame(frame: usize, pixels: usize) -> Vec<u16> {
-    (0..pixels).map(|i| 64 + ((i * 7919 + frame * 613) % 4000) as u16).collect()
-}
+/// The clock of a virtual camera in this process.
+const CLOCK: Clock = Clock { now_us, pause: || std::thread::sleep(Duration::from_micros(200)) };
 
-/// Frames of the host, or of a simulated camera.
-struct Camera<'m> {
-    host: RamFrame<'m>,
-    pixels: usize,
-    next: usize,
-    frame: Vec<u16>,
-}
-
-impl FrameSource for Camera<'_> {
-    fn capacity(&self) -> usize {
-        self.host.capacity()
-    }
-
-    fn live(&self) -> bool {
-        self.pixels > 0
-    }
-
-    fn begin(&mut self, pixels: usize) -> Result<(), IoError> {
-        self.host.begin(pixels)
-    }
-
-    fn write(&mut self, offset: usize, bytes: &[u8]) -> Result<(), IoError> {
-        self.host.write(offset, bytes)
-    }
-
-    fn frame(&mut self) -> Result<&[u16], IoError> {
-        if !self.live() {
-            return self.host.frame();
-        }
-        self.frame = camera_frame(self.next, self.pixels);
-        self.next += 1;
-        Ok(&self.frame)
-    }
+/// Microseconds since the first call.
+fn now_us() -> u64 {
+    static START: OnceLock<Instant> = OnceLock::new();
+    START.get_or_init(Instant::now).elapsed().as_micros().try_into().unwrap_or(u64::MAX)
 }
 
 /// Writes the flash to the start of its file and keeps the rest of the file (other memory of an emulated board).

@@ -4,6 +4,7 @@
 //! [`run`] sends a network and frames and returns reconstructions; [`stream`] does so frame by frame; [`flash`] uploads
 //! a network. [`Client`] is the host's end of the protocol [`ommatidia_shared::wire`], over any [`Transport`].
 
+mod camera;
 mod client;
 mod count;
 mod counter;
@@ -28,6 +29,7 @@ mod stream;
 pub mod table;
 mod transport;
 
+pub use camera::camera;
 pub use client::{Client, RetryPolicy};
 pub use count::{BoardCounts, OperatorCount, count_board};
 pub use counter::Counter;
@@ -38,7 +40,7 @@ pub use firmware::Firmware;
 pub use flash::{FlashReport, flash, upload};
 pub use footprint::{Footprint, footprint};
 pub use live_view::LiveView;
-pub use loopback::{Loopback, LoopbackConfig, camera_frame};
+pub use loopback::{Loopback, LoopbackConfig};
 pub use qemu::{Qemu, run_to_end};
 pub use recording::{PageScale, StreamRecording};
 pub use run::{DeviceRun, RunRequest, reference, run};

@@ -5,9 +5,13 @@ use anyhow::Context;
 use ndarray::Array2;
 use ommatidia_session::Recording;
 use ommatidia_shared::image::Region;
+use ommatidia_shared::wire::{CameraSettings, Capture, SensorRegion, Trigger};
 use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
+
+/// Pages whose exposures started at times that differ by more than this share of the interval are not evenly spaced.
+const UNEVEN: f64 = 0.01;
 
 /// What the metadata of a recording say of space and time.
 #[derive(Clone, Copy, Debug, Default)]
@@ -24,6 +28,8 @@ pub struct StreamRecording {
     table: File,
     files: RecordingFiles,
     pages: usize,
+    /// The last frame of the camera.
+    last: Option<Capture>,
 }
 
 /// The files of a recording. Without pages they are none: then both are removed with this value.
@@ -44,8 +50,11 @@ impl Drop for RecordingFiles {
 }
 
 impl StreamRecording {
-    /// First line of the table.
-    pub const HEADING: &'static str = "page,frame,time_s,dropped_before,saturated_px,field_frame\n";
+    /// How the first line of a table begins.
+    pub const START: &'static str = "page,frame,time_s,dropped_before,saturated_px,field_frame";
+    /// The rest of that line: how the camera of the device took the frame. Without a camera these fields are empty.
+    const CAMERA: &'static str = "camera_frame,missed_before,exposure_start_s,exposure_s,analog_gain,led,interval_s,\
+                                  trigger,row,col,rows,cols,bin";
 
     /// The table that belongs to a recording: the same name with suffix .csv.
     pub fn table_path(recording: &Path) -> PathBuf {
@@ -64,8 +73,8 @@ impl StreamRecording {
         let files = RecordingFiles { stack: path.into(), table: Self::table_path(path), has_pages: false };
         let named = || files.table.display().to_string();
         let mut table = File::create(&files.table).with_context(named)?;
-        table.write_all(Self::HEADING.as_bytes()).with_context(named)?;
-        Ok(Self { stack, table, files, pages: 0 })
+        writeln!(table, "{},{}", Self::START, Self::CAMERA).with_context(named)?;
+        Ok(Self { stack, table, files, pages: 0, last: None })
     }
 
     /// The time from one page to the next that the TIFF states, s: `None` where it is unknown, or frames are missing.
@@ -79,7 +88,14 @@ impl StreamRecording {
     /// A file cannot be written. Earlier pages stay.
     pub fn push(&mut self, frame: &StreamedFrame) -> anyhow::Result<()> {
         let StreamedFrame { report, dropped_before, .. } = frame;
-        if self.pages > 0 && *dropped_before > 0 {
+        let capture = report.capture;
+        let since_last = capture.zip(self.last);
+        let missed = since_last.map_or(0, |(now, last)| now.number.wrapping_sub(last.number).saturating_sub(1));
+        let step_s = since_last.map(|(now, last)| now.start_us.saturating_sub(last.start_us) as f64 / 1e6);
+        self.last = capture;
+        let uneven =
+            self.interval_s().zip(step_s).is_some_and(|(interval, step)| (step / interval - 1.0).abs() > UNEVEN);
+        if self.pages > 0 && (*dropped_before > 0 || uneven) {
             self.stack.forget_interval()?;
         }
         let values = frame.object.iter().map(|half| half.to_f32()).collect();
@@ -87,12 +103,34 @@ impl StreamRecording {
         self.stack.push(Array2::from_shape_vec(shape, values)?.view())?;
         let (page, time, saturated) = (self.pages, frame.at.as_secs_f64(), report.saturated_px);
         let StreamedFrame { frame, field_frame, .. } = frame;
-        writeln!(self.table, "{page},{frame},{time:.6},{dropped_before},{saturated},{field_frame}")
+        let camera = capture.map_or(",".repeat(Self::CAMERA.matches(',').count()), |capture| fields(&capture, missed));
+        writeln!(self.table, "{page},{frame},{time:.6},{dropped_before},{saturated},{field_frame},{camera}")
             .with_context(|| self.files.table.display().to_string())?;
         self.pages += 1;
         self.files.has_pages = true;
         Ok(())
     }
+}
+
+/// How a frame was taken, as fields of the table.
+fn fields(capture: &Capture, missed_before: u32) -> String {
+    let Capture { number, start_us, settings } = *capture;
+    let CameraSettings { region, trigger, .. } = settings;
+    let [start, exposure, interval] = [start_us, settings.exposure_us.into(), settings.interval_us.into()].map(seconds);
+    let (gain, led) = (f64::from(settings.analog_gain_thousandths) / 1e3, f64::from(settings.led_permille) / 1e3);
+    let trigger = match trigger {
+        Trigger::Device => "device",
+        Trigger::Input => "input",
+    };
+    let SensorRegion { row, col, rows, cols, bin } = region;
+    format!(
+        "{number},{missed_before},{start},{exposure},{gain},{led},{interval},{trigger},{row},{col},{rows},{cols},{bin}"
+    )
+}
+
+/// Microseconds as seconds, exactly.
+fn seconds(us: u64) -> String {
+    format!("{}.{:06}", us / 1_000_000, us % 1_000_000)
 }
 
 #[cfg(test)]

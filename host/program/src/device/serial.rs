@@ -86,7 +86,9 @@ mod tests {
     use super::*;
     use crate::device::footprint::small_network;
     use crate::device::loopback::{LoopbackConfig, play};
-    use crate::device::{Client, FrameFeed, Frames, RunRequest, Runtime, Scope, camera_frame, run, status, stream};
+    use crate::device::{Client, FrameFeed, Frames, RunRequest, Runtime, Scope, camera, run, status, stream};
+    use ommatidia_shared::device::Response;
+    use ommatidia_shared::wire::CameraChange;
     use serialport::TTYPort;
     use std::io::{Read, Write};
     use std::sync::Arc;
@@ -165,22 +167,35 @@ mod tests {
         board.unplug();
     }
 
+    /// A board goes on between conversations: it keeps the settings of its camera, and gives every stream a new frame.
     #[test]
-    fn a_camera_gives_a_new_frame_to_every_stream() {
+    fn a_camera_keeps_its_settings_and_gives_a_new_frame_to_every_stream() {
         let (blob, frame) = small_network().unwrap();
-        let pixels = frame.len();
-        let board = Board::plugged(LoopbackConfig { camera_px: pixels, ..LoopbackConfig::default() });
+        let board = Board::plugged(LoopbackConfig { camera: [16, 16], ..LoopbackConfig::default() });
+        let change = CameraChange { exposure_us: Some(5_009), led_permille: Some(500), ..CameraChange::default() };
+        let (_, set) = camera(&board.runtime(), None, change).unwrap();
+        assert_eq!((set.settings.exposure_us, set.settings.led_permille), (5_000, 502));
+        let mut last = 0;
         for n in 0..2 {
-            let feed = FrameFeed { len: 1, fps: None, nth: 1, scope: Scope::default(), source: Frames::Camera };
+            let source = Frames::Camera(CameraChange::default());
+            let feed = FrameFeed { len: 1, fps: None, nth: 1, scope: Scope::default(), source };
             let mut seen = Vec::new();
             stream(&board.runtime(), None, &blob, feed, &mut |frame| {
-                seen.push(frame.report.frame_crc);
+                seen.push(frame.report);
                 Ok(())
             })
             .unwrap();
-            let bytes: Vec<u8> = camera_frame(n, pixels).iter().flat_map(|code| code.to_le_bytes()).collect();
-            assert_eq!(seen, [ommatidia_shared::wire::checksum(&bytes)]);
+            let capture = seen[0].capture.unwrap();
+            assert_eq!(capture.settings, set.settings);
+            assert!(n == 0 || capture.number > last);
+            last = capture.number;
+            let response = Response::of(&set.settings, 502);
+            let bytes: Vec<u8> = (0..frame.len()).flat_map(|i| response.code(n, i).to_le_bytes()).collect();
+            assert_eq!(seen[0].frame_crc, ommatidia_shared::wire::checksum(&bytes));
         }
+        let (_, now) = camera(&board.runtime(), None, CameraChange::default()).unwrap();
+        assert_eq!((now.settings, now.frames, now.failed_frames), (set.settings, 2, 0));
+        assert!((10_000..20_000).contains(&now.lit_us), "two exposures of 5 ms: {}", now.lit_us);
         board.unplug();
     }
 

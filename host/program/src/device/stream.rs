@@ -8,12 +8,14 @@ use super::scope::Scope;
 use super::transport::Transport;
 use half::f16;
 use ommatidia_network::network_file::NetworkFile;
-use ommatidia_shared::wire::{RunReport, Telemetry};
+use ommatidia_shared::wire::{CameraChange, CameraStatus, Capture, Refusal, RunReport, Telemetry};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
 /// Number of consecutive failed frames that ends the stream.
 const FAILURES: u32 = 3;
+/// Longest wait for a pulse at the trigger input of the board.
+const TRIGGER: Duration = Duration::from_secs(60);
 
 /// A frame that was reconstructed.
 #[derive(Clone, Debug)]
@@ -51,14 +53,17 @@ pub struct StreamReport {
     pub took: Duration,
     /// Figures of the device at the end.
     pub telemetry: Telemetry,
+    /// Of a camera: its settings and figures at the end, and the frames between the first and the last one taken that
+    /// were not taken.
+    pub camera: Option<(CameraStatus, u32)>,
 }
 
 /// Where frames come from.
 pub enum Frames<'a> {
     /// The host: returns frame `n`, sensor codes row by row.
     Stack(&'a mut dyn FnMut(usize) -> anyhow::Result<Vec<u16>>),
-    /// The device's camera.
-    Camera,
+    /// The device's camera, with these settings changed.
+    Camera(CameraChange),
 }
 
 /// A sequence of frames to stream.
@@ -87,21 +92,30 @@ pub fn stream(
     show: &mut dyn FnMut(&StreamedFrame) -> anyhow::Result<()>,
 ) -> anyhow::Result<StreamReport> {
     let (mut client, info) = Client::connect(runtime.start(None, state)?)?;
-    if matches!(feed.source, Frames::Camera) && !info.live {
-        return Err(DeviceError::NoCamera { board: runtime.place().board(&info.board) }.into());
-    }
+    let of_camera = match feed.source {
+        Frames::Camera(_) if !info.live => {
+            return Err(DeviceError::NoCamera { board: runtime.place().board(&info.board) }.into());
+        }
+        Frames::Camera(change) => {
+            fits(&client.camera(change)?, blob)?;
+            true
+        }
+        Frames::Stack(_) => false,
+    };
     upload(&mut client, &info, blob, &mut |_| {})?;
     let start = Instant::now();
     let (mut reconstructed, mut held, mut failed, mut in_a_row) = (0, 0, 0, 0);
     let (mut next, mut first_missed) = (0, 0);
     // A board that went on since an earlier stream still holds its last run, and would give it again for the same
     // number. A frame that is sent ends that; one of the camera does not.
-    let first_id: u32 = if matches!(feed.source, Frames::Camera) { rand::random() } else { 1 };
+    let first_id: u32 = if of_camera { rand::random() } else { 1 };
+    let mut captures: Option<[Capture; 2]> = None;
     while next < feed.len {
         let frame = feed.due(next, start);
         match feed.one(&mut client, frame, first_id.wrapping_add(frame as u32)) {
             Ok((report, object)) => {
                 in_a_row = 0;
+                captures = report.capture.map(|last| [captures.map_or(last, |[first, _]| first), last]).or(captures);
                 let dropped_before = (frame - first_missed) / feed.nth;
                 let dropped = frame / feed.nth - reconstructed;
                 let field_frame = report.field_id.wrapping_sub(first_id) as usize;
@@ -127,9 +141,25 @@ pub fn stream(
     }
     let took = start.elapsed();
     let telemetry = client.telemetry()?;
+    let camera = if of_camera { Some(client.camera(CameraChange::default())?) } else { None };
     client.quit().wait()?;
+    let missed = captures.map_or(0, |[first, last]| {
+        let places = last.number.wrapping_sub(first.number).saturating_add(1);
+        places.saturating_sub(reconstructed as u32)
+    });
+    let camera = camera.map(|status| (status, missed));
     let (board, dropped) = (info.board.as_str().into(), feed.len.div_ceil(feed.nth) - reconstructed);
-    Ok(StreamReport { board, reconstructed, dropped, failed, held, took, telemetry })
+    Ok(StreamReport { board, reconstructed, dropped, failed, held, took, telemetry, camera })
+}
+
+/// The camera gives the frames that the network takes.
+fn fits(camera: &CameraStatus, blob: &NetworkFile) -> anyhow::Result<()> {
+    let (region, frame) = (camera.settings.region, blob.network()?.header().frame);
+    let network = [frame.rows, frame.cols];
+    if [region.rows, region.cols] == network {
+        return Ok(());
+    }
+    Err(DeviceError::CameraRegion { rows: region.rows, cols: region.cols, network }.into())
 }
 
 /// A frame that was damaged or lost is not shown; the next one comes.
@@ -158,10 +188,24 @@ impl FrameFeed<'_> {
                 client.send_frame(&read(frame)?)?;
                 client.reconstruct(id, self.scope)?
             }
-            Frames::Camera => client.reconstruct_live(id, self.scope)?,
+            Frames::Camera(_) => live(client, id, self.scope)?,
         };
         let object = client.fetch(&report)?;
         Ok((report, object))
+    }
+}
+
+/// Has the camera expose a frame. Where it waits for pulses, the device is asked again until one comes.
+fn live<T: Transport>(client: &mut Client<T>, id: u32, scope: Scope) -> Result<RunReport, DeviceError> {
+    let began = Instant::now();
+    loop {
+        match client.reconstruct_live(id, scope) {
+            Err(DeviceError::Refused(Refusal::NoTrigger { .. })) if began.elapsed() < TRIGGER => {}
+            Err(DeviceError::Refused(Refusal::NoTrigger { .. })) => {
+                return Err(DeviceError::NoTrigger { seconds: TRIGGER.as_secs() });
+            }
+            other => return other,
+        }
     }
 }
 
@@ -170,7 +214,7 @@ mod tests {
     use super::*;
 
     fn feed(fps: Option<f64>, nth: usize) -> FrameFeed<'static> {
-        FrameFeed { len: 10, fps, nth, scope: Scope::default(), source: Frames::Camera }
+        FrameFeed { len: 10, fps, nth, scope: Scope::default(), source: Frames::Camera(CameraChange::default()) }
     }
 
     #[test]

@@ -79,6 +79,19 @@ fn devices_that_are_not_there_and_files_that_do_not_fit() {
         Mistake::new("The field is held without a region", format!("{here} --hold")).exit(2).says(&["--roi"]),
         Mistake::new("A camera that the device lacks", "device stream --with network.omm --live 3 --on host")
             .says(&["no working camera", "--frames"]),
+        Mistake::new("A camera that is not there is set", "device camera --exposure-us 5000 --on host")
+            .says(&["no working camera"]),
+        Mistake::new("More light than there is", "device camera --led 120 --on host")
+            .exit(2)
+            .says(&["0 to 100 percent"]),
+        Mistake::new("A region of the sensor of three numbers", "device camera --sensor-region 1,2,3 --on host")
+            .exit(2)
+            .says(&["ROW,COL,ROWS,COLS"]),
+        Mistake::new(
+            "Settings of a camera for frames from a file",
+            "device stream --with network.omm --frames frames.npy --led 20 --on host",
+        )
+        .says(&["--live"]),
         Mistake::new(
             "A stream is recorded to .npy",
             "device stream --with network.omm --frames frames.npy --on host -o a.npy",

@@ -1,17 +1,19 @@
 //! `device stream`: frames in, reconstructions out, a live view in the browser.
 
+use super::camera::CameraArgs;
 use super::target::Target;
 use crate::cli::common::{Outcome, ResultScale, Run, warn};
 use crate::cli::files::{Content, Files};
 use crate::device::{
     FrameFeed, Frames, LiveView, PageScale, Place, StreamRecording, StreamReport, active_fraction, stream,
 };
-use anyhow::Context;
+use anyhow::{Context, bail};
 use ommatidia_network::methods::frame_range;
 use ommatidia_network::network_file::NetworkFile;
 use ommatidia_physics::sensor::FrameWatch;
 use ommatidia_session::FrameReader;
 use ommatidia_session::kind::FileKind;
+use ommatidia_shared::wire::CameraChange;
 use serde_json::json;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -41,11 +43,14 @@ pub(super) struct Args {
     #[arg(long, value_name = "ADDRESS")]
     view: Option<SocketAddr>,
     /// Record the reconstructions to an OME-TIFF, readable at any time. A .csv beside it lists the number and time of
-    /// each, and the frame whose statistics of the field were used
+    /// each, the frame whose statistics of the field were used, and for frames of a camera the start of the exposure
+    /// and the settings
     #[arg(short, long, value_name = "TIF")]
     output: Option<PathBuf>,
     #[command(flatten)]
     scale: ResultScale,
+    #[command(flatten)]
+    camera: CameraArgs,
     #[command(flatten)]
     target: Target,
 }
@@ -62,7 +67,7 @@ impl Args {
         let files = Files::reading([&self.with])
             .and_reading(&self.frames)
             .writing(&self.output, Content::File(FileKind::Stack))
-            .writing(table, Content::Text(StreamRecording::HEADING));
+            .writing(table, Content::Text(StreamRecording::START));
         self.target.with_files(files).after_stop("the recording so far can be read")
     }
 
@@ -76,6 +81,10 @@ impl Args {
 
 /// Runs the verb.
 pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
+    let change = args.camera.change();
+    if args.live.is_none() && change != CameraChange::default() {
+        bail!("settings of the camera are for its own frames: give `--live N` in place of `--frames STACK`");
+    }
     let blob = NetworkFile::read(&args.with)?;
     let header = blob.network()?.into_header();
     let mut reader = args.frames.as_deref().map(FrameReader::open).transpose()?;
@@ -106,7 +115,7 @@ pub(super) fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         }
         blob.codes(frame.view()).with_context(|| format!("{}: frame {i}", reader.path().display()))
     };
-    let source = if args.frames.is_some() { Frames::Stack(&mut read) } else { Frames::Camera };
+    let source = if args.frames.is_some() { Frames::Stack(&mut read) } else { Frames::Camera(change) };
     let feed = FrameFeed { len, fps: args.fps, nth: args.every as usize, scope: args.scope.scope(), source };
     let report = stream(&runtime, args.target.state.as_deref(), &blob, feed, &mut |frame| {
         bar.set_position(frame.frame as u64 + 1);
@@ -157,7 +166,14 @@ fn outcome(report: &StreamReport, came: usize, place: Place) -> Outcome {
         super::scope::exactness(report.held, shown),
         super::status::active_text(t),
     );
-    Outcome { json, text }
+    let mut outcome = Outcome { json, text };
+    if let Some((status, missed)) = &report.camera {
+        outcome.json["camera"] = super::camera::json(status);
+        outcome.json["camera"]["frames_not_taken"] = json!(missed);
+        outcome.text += &format!("{missed} frames of the camera's grid were not taken (see the .csv)\n");
+        outcome.text += &super::camera::text(status);
+    }
+    outcome
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use ommatidia_session::rng;
 use ommatidia_shared::blob::{Bank, Header, MemoryPlan, Rcan, Sensor, Size, Tap, Weights};
 use ommatidia_shared::device::{Arenas, Device, RamFrame, RamObject, Silent};
 use ommatidia_shared::pipeline::Pipeline;
-use ommatidia_shared::wire::{CHUNK, Refusal, Reply, Request, Telemetry, Transfer};
+use ommatidia_shared::wire::{CHUNK, FrameFrom, Refusal, Reply, Request, Telemetry, Transfer};
 use rand::RngExt;
 
 const SIDE: u16 = 34;
@@ -147,7 +147,10 @@ pub(super) fn reconstructs(device: &mut DeviceUnderTest<'_, '_>, network: &Netwo
     if transfer(device, Transfer::Frame, &frame).is_err() {
         return false;
     }
-    let Reply::Ran(report) = device.handle(Request::Run { id: 1, region: None, hold: 0 }) else { return false };
+    let Reply::Ran(report) = device.handle(Request::Run { id: 1, frame: FrameFrom::Host, region: None, hold: 0 })
+    else {
+        return false;
+    };
     let request = Request::Read { id: 1, offset: 0, len: report.len as u16 };
     let expected: Vec<u8> = network.object.iter().flat_map(|half| half.to_le_bytes()).collect();
     matches!(device.handle(request), Reply::Data { data, .. } if data == expected)
