@@ -58,8 +58,4 @@ impl Effect for TelegraphPixels {
     fn noise_only(&self) -> bool {
         true
     }
-
-    fn is_of_the_grid(&self) -> bool {
-        true
-    }
 }
