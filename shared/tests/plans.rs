@@ -20,6 +20,7 @@ fn header(bank: Bank, frame: Size, object: Size, rcan: Rcan) -> Header {
         bank,
         rcan,
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
+        integers: None,
     }
 }
 
@@ -45,7 +46,8 @@ fn a_plan_that_wraps_in_32_bits_is_refused() {
     // The file with the wrapped plan is whole and has the right checksum, and is refused all the same.
     header.memory = MemoryPlan { fast_bytes: 8_000, bulk_bytes: 276_752 };
     let (filters, rcan) = (vec![f16::ZERO; 2 * 66_048], vec![f16::ZERO; weights_len(&header.rcan, 1)]);
-    let weights = Weights { filters: &filters, index: &[], rcan: &rcan, offset_dn: None, inverse_gain: None };
+    let weights =
+        Weights { filters: &filters, index: &[], rcan: &rcan, offset_dn: None, inverse_gain: None, convolutions: None };
     let mut words = vec![0_u128; encoded_len(&header).unwrap().div_ceil(16)];
     let buffer = bytemuck::cast_slice_mut(&mut words);
     let len = encode(&header, &weights, buffer).unwrap();
@@ -75,8 +77,8 @@ fn weights_that_wrap_in_32_bits_are_counted() {
 #[test]
 fn features_that_wrap_in_32_bits_are_refused() {
     let shape = Rcan { width: 255, groups: 1, blocks: 1, reduction: 1 };
-    assert!(rcan::Rcan::new(shape, 255, Size { rows: 65_534, cols: 65_534 }).is_err());
-    assert!(rcan::Rcan::new(shape, 255, Size { rows: 400, cols: 400 }).is_ok());
+    assert!(rcan::Rcan::new(shape, None, 255, Size { rows: 65_534, cols: 65_534 }).is_err());
+    assert!(rcan::Rcan::new(shape, None, 255, Size { rows: 400, cols: 400 }).is_ok());
 }
 
 /// Bulk memory by exact arithmetic, bytes.

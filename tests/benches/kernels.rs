@@ -11,7 +11,7 @@ use ommatidia_shared::blob::{Bank, Size, Tap};
 use ommatidia_shared::filter::{FilterBank, Filters, FrameRows};
 use ommatidia_shared::image::{Chw, ChwMut};
 use ommatidia_shared::nn::activation::Activation;
-use ommatidia_shared::nn::conv::{Addressing, Conv3x3, Parameters, Store, Tensors};
+use ommatidia_shared::nn::conv::{Conv3x3, Parameters, Store, Tensors};
 use ommatidia_shared::num::simd::Simd;
 use rand::RngExt;
 use std::hint::black_box;
@@ -97,7 +97,6 @@ fn convolution(c: &mut Criterion) {
             b.iter(|| {
                 let tensors = Tensors::Apart {
                     input: Chw::new(black_box(&input), 32, 64, 64).unwrap(),
-                    addressing: Addressing::Direct,
                     output: ChwMut::new(&mut output, 32, 64, 64).unwrap(),
                 };
                 plan.process(simd, Parameters { weights: &weights, bias: &bias }, tensors, &mut scratch).unwrap();

@@ -5,14 +5,16 @@ mod networks;
 
 use half::f16;
 use ommatidia_network::network_file::NetworkFile;
-use ommatidia_shared::blob::{Bank, Blocks, Header, MemoryPlan, Rcan, Sensor, Size, Tap, VERSION, Weights};
+use ommatidia_shared::blob::{Bank, Blocks, Header, Integers, MemoryPlan, Rcan, Sensor, Size, Tap, VERSION, Weights};
+use ommatidia_shared::nn::integer::{Channel, Convolutions};
 use ommatidia_shared::pipeline::{Memory, Pipeline};
 use proptest::prelude::*;
 use std::path::Path;
 
-/// A file of version 2 that is never rewritten, and one of version 1.
+/// Files of versions 1 and 2 that are never rewritten, and one of version 3.
 const GOLDEN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/golden/network-v2.omm");
 const GOLDEN_1: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/golden/network-v1.omm");
+const GOLDEN_3: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/golden/network-v3.omm");
 
 /// Index of the blocks of the golden file: two kernels of 4 x 4 blocks.
 const GOLDEN_INDEX: [u16; 14] = [0, 0, 2, 3, 3, 3, 4, 4, 5, 1, 3, 0, 2, 3];
@@ -33,6 +35,7 @@ fn golden_header() -> Header {
         },
         rcan: Rcan { width: 2, groups: 1, blocks: 1, reduction: 2 },
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
+        integers: None,
     };
     header.memory = Pipeline::plan(&header).unwrap();
     header
@@ -45,7 +48,7 @@ fn golden_weight(section: usize, i: usize) -> f16 {
 
 #[test]
 fn the_golden_file_of_version_2_still_decodes() {
-    assert_eq!(VERSION, 2, "keep this file refused by name, and add a golden file of the new version");
+    assert_eq!(VERSION, 3, "keep these files readable or refused by name, and add a golden file of the new version");
     let file = NetworkFile::read(Path::new(GOLDEN)).unwrap();
     let network = file.network().unwrap();
     assert_eq!(network.header(), &golden_header());
@@ -66,29 +69,40 @@ fn the_golden_file_of_version_2_still_decodes() {
 #[test]
 fn a_file_of_version_1_is_refused_by_name() {
     let error = NetworkFile::read(Path::new(GOLDEN_1)).unwrap_err().to_string();
-    assert!(error.contains("version 2, found 1") && error.contains("quantize"), "{error}");
+    assert!(error.contains("version 3, found 1") && error.contains("quantize"), "{error}");
 }
 
 /// With a new version of the format: `OMMATIDIA_WRITE_GOLDEN=1` writes the file that this test then compares with.
 #[test]
-fn the_golden_file_is_what_this_version_writes() {
-    let header = golden_header();
+fn the_golden_file_in_integers_is_what_this_version_writes() {
+    let mut header = golden_header();
+    header.integers = Some(Integers { input_log2: 13, feature_log2: 11, output: 2.0e-6 });
+    header.memory = Pipeline::plan(&header).unwrap();
     let lens = header.section_lens().unwrap();
+    // The attention 2->1->2; conv 8->2, 4 x 2->2, 2->8, 2->1.
+    assert_eq!((lens.rcan, lens.integers, lens.channels), (7, (144 + 4 * 36 + 144 + 18) / 2, 4 * (5 * 2 + 8 + 1)));
+    let (words, channels) = (lens.integers, lens.channels / 4);
     let lens = [lens.filters, lens.rcan, lens.offset_dn, lens.inverse_gain];
     let sections: Vec<Vec<f16>> =
         lens.iter().enumerate().map(|(s, len)| (0..*len as usize).map(|i| golden_weight(s, i)).collect()).collect();
+    let integers: Vec<u16> = (0..words).map(|i| (i * 40_503) as u16).collect();
+    let channel = |i: u64| Channel { bias: (i * 7_919) as i32 - 50_000, multiplier: 1 << 23 };
+    let channels: Vec<Channel> = (0..channels).map(channel).collect();
     let weights = Weights {
         filters: &sections[0],
         index: &GOLDEN_INDEX,
         rcan: &sections[1],
         offset_dn: Some(&sections[2]),
         inverse_gain: Some(&sections[3]),
+        convolutions: Some(Convolutions { weights: &integers, channels: &channels }),
     };
     let file = NetworkFile::new(&header, &weights).unwrap();
     if std::env::var_os("OMMATIDIA_WRITE_GOLDEN").is_some() {
-        file.write(Path::new(GOLDEN)).unwrap();
+        file.write(Path::new(GOLDEN_3)).unwrap();
     }
-    assert!(file.bytes() == std::fs::read(GOLDEN).unwrap(), "{GOLDEN} differs from what is written today");
+    assert!(file.bytes() == std::fs::read(GOLDEN_3).unwrap(), "{GOLDEN_3} differs from what is written today");
+    let read = NetworkFile::read(Path::new(GOLDEN_3)).unwrap();
+    assert_eq!(read.header().unwrap(), header);
 }
 
 /// Mostly a value that a network may have, sometimes any value.
@@ -112,6 +126,7 @@ prop_compose! {
         taps in prop::collection::vec((0u8..2, -2i8..2, mostly(-2i8..2, any::<i8>())), 2..6),
         rcan in (mostly(1u8..8, any::<u8>()), 0u8..3, 0u8..3, mostly(Just(1), any::<u8>())),
         kernels in mostly(Just(None), (mostly((0u32..4).prop_map(|n| 1 << n), any::<u16>()), 0u16..9).prop_map(Some)),
+        integers in mostly(Just(None), (mostly(0i8..25, any::<i8>()), mostly(-16i8..25, any::<i8>())).prop_map(Some)),
         memory: (u32, u32), planned in mostly(Just(true), Just(false)),
     ) -> Header {
         let mut taps = taps;
@@ -132,6 +147,7 @@ prop_compose! {
             },
             rcan: Rcan { width: rcan.0, groups: rcan.1, blocks: rcan.2, reduction: rcan.3 },
             memory: MemoryPlan { fast_bytes: memory.0, bulk_bytes: memory.1 },
+            integers: integers.map(|(input_log2, feature_log2)| Integers { input_log2, feature_log2, output: 1.0e-6 }),
         };
         if let Ok(plan) = Pipeline::plan(&header) && planned {
             header.memory = plan;
@@ -148,10 +164,15 @@ proptest! {
         let small = |len: u64| len < 1 << 20;
         let Ok(lens) = header.section_lens() else { return Ok(()) };
         let index = vec![0; lens.index.min(1 << 16) as usize];
+        let (words, channels) = (lens.integers, lens.channels / 4);
         let lens = [lens.filters, lens.rcan, lens.offset_dn, lens.inverse_gain];
-        if header.check().is_err() || !lens.into_iter().all(small) {
+        if header.check().is_err() || !lens.into_iter().chain([words, channels]).all(small) {
             return Ok(());
         }
+        // Weights of 2: even 18,000 in a channel stay within 32 bits.
+        let integers = vec![0x0202; words as usize];
+        let channels = vec![Channel { bias: 1000, multiplier: 1 << 28 }; channels as usize];
+        let convolutions = header.integers.map(|_| Convolutions { weights: &integers, channels: &channels });
         let sections = lens.map(|len| vec![f16::from_f32(0.25); len as usize]);
         let weights = Weights {
             filters: &sections[0],
@@ -159,6 +180,7 @@ proptest! {
             rcan: &sections[1],
             offset_dn: header.sensor.has_offset_map.then_some(&sections[2]),
             inverse_gain: header.sensor.has_gain_map.then_some(&sections[3]),
+            convolutions,
         };
         let file = NetworkFile::new(&header, &weights).unwrap();
         let network = file.network().unwrap();

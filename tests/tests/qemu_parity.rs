@@ -88,6 +88,38 @@ fn transforms_of_every_size_agree_bit_for_bit() {
     }
 }
 
+/// The convolutions of the device are written in its own instructions. The shapes have odd rows, and channels that
+/// fill no group; the last features saturate.
+#[test]
+fn networks_in_integers_agree_bit_for_bit() {
+    let odd = Shape { width: 7, object: [30, 46], frame: [53, 47], ..DENSE };
+    let wide = Shape { width: 20, channels: 5, ..DENSE };
+    for (shape, seed, gain) in [
+        (&DENSE, 31, 1.0),
+        (&TAPPED, 32, 1.0),
+        (&PRUNED, 33, 1.0),
+        (&odd, 34, 1.0),
+        (&wide, 35, 1.0),
+        (&DENSE, 36, 9.0),
+    ] {
+        let file = networks::scaled(&networks::in_integers(shape), seed, [1.0, gain, 1.0]);
+        let frames = networks::frames(shape, 2, seed);
+        check_blob(&file, &frames);
+    }
+    let Some(boards) = firmware() else { return };
+    let file = networks::network_of(&networks::in_integers(&TAPPED), 37);
+    let mut frames = networks::frames(&TAPPED, 2, 37);
+    frames.insert(0, frames[0].clone());
+    let region = Region { row: 9, col: 7, rows: 8, cols: 11 };
+    for board in &boards {
+        let whole = run_on(board, &file, RunRequest::from(&frames[..1]));
+        let exact = run_on(board, &file, RunRequest { frames: &frames[..1], scope: region.into() });
+        assert_eq!(exact.objects[0], networks::cut(&whole.objects[0], &TAPPED, region), "{}", board.board().name);
+        let held = run_on(board, &file, RunRequest { frames: &frames, scope: Scope { hold: 2, ..region.into() } });
+        assert_eq!((held.differing_bits, &held.objects[1]), (0, &exact.objects[0]), "{}", board.board().name);
+    }
+}
+
 /// Features whose rows do not begin at words, and channels that do not fill a block.
 #[test]
 fn odd_rows_and_channels_agree_bit_for_bit() {

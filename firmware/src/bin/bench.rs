@@ -12,12 +12,13 @@ use cortex_m_semihosting::hprintln;
 use half::f16;
 use ommatidia_firmware::app::{region_begins, region_ends};
 use ommatidia_firmware::board::this as board;
-use ommatidia_shared::blob::{Bank, Blocks, Header, MemoryPlan, Network, Rcan, Sensor, Size, Tap, Weights};
+use ommatidia_shared::blob::{Bank, Blocks, Header, Integers, MemoryPlan, Network, Rcan, Sensor, Size, Tap, Weights};
 use ommatidia_shared::fft::{Fft, Fft2, ProductSource, RowSource};
 use ommatidia_shared::image::{Chw, ChwMut, PlaneMut, Region};
 use ommatidia_shared::nn::activation::Activation;
 use ommatidia_shared::nn::channel_attention::{self, ChannelAttention};
-use ommatidia_shared::nn::conv::{self, Addressing, Conv3x3, Store, Tensors};
+use ommatidia_shared::nn::conv::{self, Conv3x3, Store, Tensors};
+use ommatidia_shared::nn::integer::{self, Channel, Convolution, Convolutions, Last};
 use ommatidia_shared::nn::upscale::Upscale;
 use ommatidia_shared::num::pairs::add_products;
 use ommatidia_shared::num::simd::Simd;
@@ -26,6 +27,9 @@ use ommatidia_shared::pipeline::{Field, Memory, Pipeline};
 
 /// Why the program ends without counts.
 type Failure = &'static str;
+
+/// The convolution that reads through the pixel unshuffle.
+const UNSHUFFLED: &str = " of the unshuffled";
 
 /// Memory of the operators.
 struct Bench {
@@ -109,13 +113,18 @@ impl Bench {
         self.product(256)?;
         let (linear, relu, replace, add) = (Activation::Linear, Activation::Relu, Store::Replace, Store::Accumulate);
         for channels in [16, 32] {
-            self.convolve("", Addressing::Direct, [channels, channels], (linear, replace))?;
-            self.convolve(" and ReLU", Addressing::Direct, [channels, channels], (relu, replace))?;
-            self.convolve(" and skip", Addressing::Direct, [channels, channels], (linear, add))?;
+            self.convolve("", [channels, channels], (linear, replace))?;
+            self.convolve(" and ReLU", [channels, channels], (relu, replace))?;
+            self.convolve(" and skip", [channels, channels], (linear, add))?;
             self.attend(channels)?;
             self.tail(channels)?;
         }
-        self.convolve(" of the unshuffled", Addressing::Unshuffled, [24, 16], (linear, replace))?;
+        for channels in [16, 32] {
+            self.convolve_integers(channels, replace)?;
+            self.convolve_integers(channels, add)?;
+            self.tail_integers(channels)?;
+        }
+        self.convolve(UNSHUFFLED, [24, 16], (linear, replace))?;
         self.convert()?;
         self.fused()?;
         self.reconstruct()
@@ -167,7 +176,6 @@ impl Bench {
     fn convolve(
         &mut self,
         what: &str,
-        addressing: Addressing,
         [inputs, outputs]: [usize; 2],
         (activation, store): (Activation, Store),
     ) -> Result<(), Failure> {
@@ -176,18 +184,59 @@ impl Bench {
         let (weights, rest) = self.weights.split_at(conv.weights_len());
         let parameters = conv::Parameters { weights, bias: &rest[..outputs] };
         let (input, rest) = self.bulk.split_at_mut(inputs * rows * cols);
-        let input = match addressing {
-            Addressing::Direct => Chw::new(input, inputs, rows, cols),
-            Addressing::Unshuffled => Chw::new(input, inputs / 4, 2 * rows, 2 * cols),
-        };
-        let input = input.map_err(|_| "a shape is wrong")?;
         let output = ChwMut::new(&mut rest[..outputs * rows * cols], outputs, rows, cols);
-        let tensors = Tensors::Apart { input, addressing, output: output.map_err(|_| "a shape is wrong")? };
+        let output = output.map_err(|_| "a shape is wrong")?;
+        let tensors = if what == UNSHUFFLED {
+            let input = Chw::new(input, inputs / 4, 2 * rows, 2 * cols).map_err(|_| "a shape is wrong")?;
+            Tensors::Unshuffled { input, output }
+        } else {
+            Tensors::Apart { input: Chw::new(input, inputs, rows, cols).map_err(|_| "a shape is wrong")?, output }
+        };
         let scratch = &mut *self.fast;
         let products = 9 * inputs * outputs * rows * cols;
         region(format_args!("3x3 convolution {inputs}->{outputs}{what}, {rows}x{cols}"), products, "MAC", || {
             conv.process(Simd::detect(), parameters, tensors, scratch)
         })
+    }
+
+    /// The same with weights of 8 bits and features of 16.
+    fn convolve_integers(&mut self, channels: usize, store: Store) -> Result<(), Failure> {
+        let (rows, cols) = (48, 48);
+        let (inputs, outputs, activation) = (channels, channels, Activation::Linear);
+        let conv = Conv3x3 { inputs, outputs, rows, cols, activation, store };
+        let bytes: &[i8] = bytemuck::cast_slice(self.weights);
+        let own = Convolution { weights: &bytes[..conv.weights_len()], channels: &CHANNELS[..outputs] };
+        let (input, rest) = bytemuck::cast_slice_mut(self.bulk).split_at_mut(inputs * rows * cols);
+        let output = ChwMut::new(&mut rest[..outputs * rows * cols], outputs, rows, cols);
+        let input = Chw::new(&*input, inputs, rows, cols).map_err(|_| "a shape is wrong")?;
+        let tensors = Tensors::Apart { input, output: output.map_err(|_| "a shape is wrong")? };
+        let scratch = &mut *self.fast;
+        let what = if store == Store::Accumulate { " and skip" } else { "" };
+        let products = 9 * inputs * outputs * rows * cols;
+        let name = format_args!("3x3 convolution {inputs}->{outputs}{what} in integers, {rows}x{cols}");
+        region(name, products, "MAC", || integer::process(&conv, Simd::detect(), own, 1.0, tensors, scratch))
+    }
+
+    /// The tail with weights of 8 bits and features of 16.
+    fn tail_integers(&mut self, channels: usize) -> Result<(), Failure> {
+        let (rows, cols) = (48, 48);
+        let plan = Upscale { channels, rows, cols };
+        let bytes: &[i8] = bytemuck::cast_slice(self.weights);
+        let (weights, rest) = bytes.split_at(36 * channels * channels);
+        let convolutions = [
+            Convolution { weights, channels: &CHANNELS[..4 * channels] },
+            Convolution { weights: &rest[..9 * channels], channels: &CHANNELS[..1] },
+        ];
+        let input = Chw::new(bytemuck::cast_slice(&self.bulk[..channels * rows * cols]), channels, rows, cols);
+        let input = input.map_err(|_| "a shape is wrong")?;
+        let output = PlaneMut::new(&mut self.object[..4 * rows * cols], 2 * rows, 2 * cols);
+        let output = output.map_err(|_| "a shape is wrong")?;
+        let scratch = &mut *self.fast;
+        let products = (36 * channels * channels + 36 * channels) * rows * cols;
+        let last = Last { convolutions, unit: 1.0e-9 };
+        let size = 2 * rows;
+        let name = format_args!("pixel shuffle {channels}->1 with its convolutions in integers, to {size}x{size}");
+        region(name, products, "MAC", || integer::upscale(&plan, Simd::detect(), last, input, [0, 0], output, scratch))
     }
 
     /// Convolution to 4 W channels, pixel shuffle, convolution to one channel, sigmoid.
@@ -276,9 +325,15 @@ impl Bench {
         let nano = header(6, rcan(16, 1, 8));
         self.network("nano", &nano, &[48, 16])?;
         let blocks = Some(Blocks { side: 4, count: (KERNELS * KERNEL_BLOCKS) as u16 });
-        self.network("nano, filters pruned", &Header { bank: Bank { blocks, ..nano.bank.clone() }, ..nano }, &[])?;
+        let pruned = Header { bank: Bank { blocks, ..nano.bank.clone() }, ..nano.clone() };
+        let integers = |header: &Header| Header { integers: Some(SCALES), ..header.clone() };
+        self.network("nano, in integers", &integers(&nano), &[])?;
+        self.network("nano, filters pruned", &pruned, &[])?;
+        self.network("nano, filters pruned, in integers", &integers(&pruned), &[])?;
         self.network("lite", &header(9, rcan(24, 2, 12)), &[])?;
-        self.network("paper", &header(9, rcan(32, 3, 16)), &[])
+        self.network("lite, in integers", &integers(&header(9, rcan(24, 2, 12))), &[])?;
+        self.network("paper", &header(9, rcan(32, 3, 16)), &[])?;
+        self.network("paper, in integers", &integers(&header(9, rcan(32, 3, 16))), &[])
     }
 
     /// A network on a whole frame, then for squares of these sides in the middle alone.
@@ -288,10 +343,19 @@ impl Bench {
         let lens = header.section_lens().map_err(|_| "the header is refused")?;
         let (filters, rest) = self.weights.split_at(lens.filters as usize);
         let index = &INDEX[..lens.index as usize];
-        let count = ommatidia_shared::nn::rcan::weights_len(&header.rcan, header.bank.channels);
-        let (rcan, rest) = rest.split_at(count);
+        let (rcan, rest) = rest.split_at(lens.rcan as usize);
         let (offset, rest) = rest.split_at(214 * 214);
-        let weights = Weights { filters, index, rcan, offset_dn: Some(offset), inverse_gain: Some(&rest[..214 * 214]) };
+        let weights = Weights {
+            filters,
+            index,
+            rcan,
+            offset_dn: Some(offset),
+            inverse_gain: Some(&rest[..214 * 214]),
+            convolutions: header.integers.map(|_| Convolutions {
+                weights: bytemuck::cast_slice(&filters[..lens.integers as usize]),
+                channels: &CHANNELS[..lens.channels as usize / 4],
+            }),
+        };
         let network = Network::new(header, weights).map_err(|_| "the weights are refused")?;
         let pipeline = Pipeline::new(&network).map_err(|_| "the network is refused")?;
         let frame = &self.frame[..pipeline.frame_len()];
@@ -319,6 +383,11 @@ impl Bench {
         Ok(())
     }
 }
+
+/// Scales of the networks in integers.
+const SCALES: Integers = Integers { input_log2: 12, feature_log2: 10, output: 1.0e-6 };
+/// Output channels of the convolutions in integers.
+static CHANNELS: [Channel; 1024] = [Channel { bias: 1000, multiplier: 1 << 22 }; 1024];
 
 /// Kernels of `nano`, and blocks of 4 x 4 lags that each keeps at a tenth of the bytes; 16 in each of 24 rows that are
 /// spread over three quarters of the kernel, about as in a trained network.
@@ -358,5 +427,6 @@ fn header(channels: u8, rcan: Rcan) -> Header {
         },
         rcan,
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
+        integers: None,
     }
 }

@@ -6,7 +6,7 @@ use crate::instrument::warn;
 use crate::{json, work};
 use clap::ValueEnum;
 use ommatidia_network::methods::{MethodKind, Reconstruct, frame_range};
-use ommatidia_network::quantize::{QuantizeConfig, quantize as quantized};
+use ommatidia_network::quantize::{Numbers, QuantizeConfig, quantize as quantized};
 use ommatidia_network::train::Checkpoint;
 use ommatidia_physics::sensor::{FrameRange, FrameWatch};
 use ommatidia_session::artifact::{file_hash, write_whole};
@@ -94,7 +94,7 @@ impl PyNetwork {
 /// Converts a checkpoint into the network file of a device; gives what `quantize --json` prints.
 #[pyfunction]
 #[pyo3(signature = (checkpoint, output, *, name = None, flash_bytes = None, ram_bytes = None, prune = None, tile = None,
-                    energy = None, force = false))]
+                    energy = None, integers = false, force = false))]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments of Python")]
 pub fn quantize<'py>(
     py: Python<'py>,
@@ -106,14 +106,16 @@ pub fn quantize<'py>(
     prune: Option<f64>,
     tile: Option<usize>,
     energy: Option<f64>,
+    integers: bool,
     force: bool,
 ) -> PyResult<Bound<'py, PyAny>> {
     let to = output.clone();
+    let numbers = if integers { Numbers::Integers } else { Numbers::Halves };
     let (made, locks) = work::long(py, None, move |_| {
         let locks = Files::reading([&checkpoint]).writing([&to], Content::File(FileKind::Blob)).hold(force)?;
         let stem = checkpoint.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
         let name = name.unwrap_or(stem);
-        let config = QuantizeConfig { name, flash_bytes, ram_bytes, tile, energy, prune };
+        let config = QuantizeConfig { name, flash_bytes, ram_bytes, tile, energy, prune, numbers };
         Ok((quantized(&Checkpoint::read(&checkpoint)?, &file_hash(&checkpoint)?, &config)?, locks))
     })?;
     // Here, and not in the work: a run that was stopped writes nothing.

@@ -97,13 +97,25 @@ pub fn blob(header: &Header, file_bytes: u64, numbers: &mut Numbers) -> Markup {
             },
         ),
         ("Enhancement".into(), html! { (rcan.width) " features, " (rcan.groups) " × " (rcan.blocks) " blocks" }),
+        (
+            "Convolutions of the enhancement".into(),
+            match header.integers {
+                None => html! { "half precision" },
+                Some(_) => html! { "integers: weights of 8 bits, features of 16" },
+            },
+        ),
         ("Fast memory needed at least".into(), html! { (bytes(u64::from(header.memory.fast_bytes))) }),
         ("Bulk memory needed".into(), html! { (bytes(u64::from(header.memory.bulk_bytes))) }),
     ];
     let text = format!(
-        "Network “{}”, made from checkpoint {}. Weights are stored in half precision. With more fast memory than it \
+        "Network “{}”, made from checkpoint {}. {} With more fast memory than it \
          needs at least, a board runs it faster.",
-        header.name, header.checkpoint
+        header.name,
+        header.checkpoint,
+        match header.integers {
+            None => "Weights are stored in half precision.",
+            Some(_) => "Filters and channel attention are stored in half precision.",
+        }
     );
     html! { div { (numbers.table("Network file.", &text, pairs(&rows))) } }
 }

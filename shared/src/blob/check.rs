@@ -1,8 +1,10 @@
 //! The checks of a header and of the weights that belong to it.
 
 use super::error::{BlobError, Section};
-use super::header::{Header, HeaderField, MemoryPlan, SectionLens, Sensor, Size, Weights};
-use crate::nn::rcan::weights_count;
+use super::header::{Header, HeaderField, Integers, MemoryPlan, SectionLens, Sensor, Size, Weights};
+use super::layout::SECTIONS;
+use crate::nn::integer::counts;
+use crate::nn::rcan::{attention_count, weights_count};
 use half::f16;
 
 impl Header {
@@ -26,10 +28,19 @@ impl Header {
                 (u64::from(blocks.count) * u64::from(blocks.side).pow(2), rows + 1 + u64::from(blocks.count))
             }
         };
+        let (rcan, integers, channels) = match self.integers {
+            None => (weights_count(&self.rcan, self.bank.channels), 0, 0),
+            Some(_) => {
+                let (weights, channels) = counts(&self.rcan, self.bank.channels);
+                (attention_count(&self.rcan, self.bank.channels), weights.div_ceil(2), 4 * channels)
+            }
+        };
         Ok(SectionLens {
             filters,
             index,
-            rcan: weights_count(&self.rcan, self.bank.channels),
+            rcan,
+            integers,
+            channels,
             offset_dn: if self.sensor.has_offset_map { pixels } else { 0 },
             inverse_gain: if self.sensor.has_gain_map { pixels } else { 0 },
         })
@@ -60,6 +71,14 @@ impl Header {
         let sorted = bank.taps.is_sorted_by(|a, b| a.order() < b.order());
         if !sorted || bank.taps.is_empty() || bank.taps.iter().any(|tap| tap.channel >= bank.channels) {
             return wrong(HeaderField::Taps);
+        }
+        // False for NaN.
+        let possible = |scales: Integers| {
+            let output = scales.output.is_normal() && scales.output > 0.0;
+            (0..=24).contains(&scales.input_log2) && (-16..=24).contains(&scales.feature_log2) && output
+        };
+        if !self.integers.is_none_or(possible) {
+            return wrong(HeaderField::Integers);
         }
         self.section_lens().map(|_| ())
     }
@@ -98,7 +117,7 @@ impl<'a> Weights<'a> {
     /// its length, and every half is finite.
     ///
     /// # Errors
-    /// [`BlobError::Header`], [`BlobError::SectionLength`], [`BlobError::NonFinite`].
+    /// [`BlobError::Header`], [`BlobError::SectionLength`], [`BlobError::NonFinite`], [`BlobError::Channel`].
     pub(super) fn check(&self, header: &Header) -> Result<(), BlobError> {
         header.check()?;
         for ((section, words), expected) in self.words().into_iter().zip(header.section_lens()?.in_order()) {
@@ -106,15 +125,20 @@ impl<'a> Weights<'a> {
                 return Err(BlobError::SectionLength { section, expected, found: words.len() as u64 });
             }
         }
-        self.check_finite()
+        self.check_numbers(header)
     }
 
-    /// Checks that every half is finite.
+    /// Checks that every half is finite, and that no integer convolution can overflow.
     ///
     /// # Errors
-    /// [`BlobError::NonFinite`] names the first one that is not.
-    pub(super) fn check_finite(&self) -> Result<(), BlobError> {
-        self.halves().into_iter().try_for_each(|(section, halves)| check_finite(section, halves))
+    /// [`BlobError::NonFinite`] names the first half that is not finite, [`BlobError::Channel`] the first channel that
+    /// could overflow.
+    pub(super) fn check_numbers(&self, header: &Header) -> Result<(), BlobError> {
+        self.halves().into_iter().try_for_each(|(section, halves)| check_finite(section, halves))?;
+        match self.convolutions {
+            Some(convolutions) => convolutions.check(&header.rcan, header.bank.channels),
+            None => Ok(()),
+        }
     }
 
     /// The sections of halves.
@@ -129,9 +153,14 @@ impl<'a> Weights<'a> {
     }
 
     /// All sections in the order of the file, as bits.
-    pub(super) fn words(&self) -> [(Section, &'a [u16]); 5] {
+    pub(super) fn words(&self) -> [(Section, &'a [u16]); SECTIONS] {
         let [filters, rcan, offset, gain] =
             self.halves().map(|(section, halves)| (section, bytemuck::cast_slice(halves)));
-        [filters, (Section::Index, self.index), rcan, offset, gain]
+        let (integers, channels) = match self.convolutions {
+            Some(convolutions) => (convolutions.weights, bytemuck::cast_slice(convolutions.channels)),
+            None => (Default::default(), Default::default()),
+        };
+        let integers = [(Section::Integers, integers), (Section::Channels, channels)];
+        [filters, (Section::Index, self.index), rcan, offset, gain, integers[0], integers[1]]
     }
 }

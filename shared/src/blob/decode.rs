@@ -4,9 +4,12 @@ use super::error::{BlobError, Section};
 use super::header::{Header, HeaderField, Weights};
 use super::layout::{
     ALIGN, CRC, CRC_LEN, FILE_LEN_AT, HEADER_AT, HEADER_LEN_AT, Layout, MAGIC, MAX_HEADER_LEN, SCHEMA_AT, SCHEMA_KEY,
-    VERSION, VERSION_AT,
+    SCHEMA_KEY_2, SECTIONS, VERSION, VERSION_2, VERSION_AT,
 };
+use crate::nn::integer::Convolutions;
 use core::cmp::Ordering;
+use postcard::de_flavors::Flavor;
+use serde::Deserialize;
 
 /// A network that has been checked: its header, and its weights where they lie.
 ///
@@ -24,17 +27,19 @@ impl<'a> Network<'a> {
     ///
     /// # Errors
     /// [`BlobError::Header`] where a value of the header is impossible, [`BlobError::SectionLength`] where a section of
-    /// the weights has another length than the header says, [`BlobError::NonFinite`] where a weight is infinite or NaN.
+    /// the weights has another length than the header says, [`BlobError::NonFinite`] where a weight is infinite or NaN,
+    /// [`BlobError::Channel`] where a sum of integers could overflow.
     pub fn new(header: Header, weights: Weights<'a>) -> Result<Self, BlobError> {
         weights.check(&header)?;
         let maps = header.sensor;
         let offset_dn = weights.offset_dn.filter(|_| maps.has_offset_map);
         let inverse_gain = weights.inverse_gain.filter(|_| maps.has_gain_map);
-        Ok(Self { header, weights: Weights { offset_dn, inverse_gain, ..weights } })
+        let convolutions = weights.convolutions.filter(|_| header.integers.is_some());
+        Ok(Self { header, weights: Weights { offset_dn, inverse_gain, convolutions, ..weights } })
     }
 
-    /// Reads a network file and checks every bit of it: length, magic, version, schema, CRC, header, and that all
-    /// weights are finite.
+    /// Reads a network file and checks every bit of it: length, magic, version, schema, CRC, header, that all
+    /// weights are finite, and that no integer convolution can overflow. Files of version 2 are read as well.
     ///
     /// # Errors
     /// The first thing that is wrong with `bytes`. No bytes make it panic or read elsewhere.
@@ -50,7 +55,7 @@ impl<'a> Network<'a> {
         if layout.file_len != bytes.len() {
             return Err(wrong_section(&layout, &header, bytes.len()));
         }
-        let [filters, index, rcan, offset, gain] =
+        let [filters, index, rcan, offset, gain, integers, channels] =
             layout.sections.map(|(at, len)| bytes.get(at..at + len).unwrap_or_default());
         let sensor = header.sensor;
         let weights = Weights {
@@ -59,6 +64,10 @@ impl<'a> Network<'a> {
             rcan: numbers(rcan)?,
             offset_dn: if sensor.has_offset_map { Some(numbers(offset)?) } else { None },
             inverse_gain: if sensor.has_gain_map { Some(numbers(gain)?) } else { None },
+            convolutions: match header.integers {
+                Some(_) => Some(Convolutions { weights: numbers(integers)?, channels: numbers(channels)? }),
+                None => None,
+            },
         };
         Ok(Self { header, weights })
     }
@@ -99,7 +108,8 @@ impl Verified {
         if crc != found {
             return Err(BlobError::Crc { expected: crc, found });
         }
-        Network::view(bytes)?.weights.check_finite()?;
+        let network = Network::view(bytes)?;
+        network.weights.check_numbers(&network.header)?;
         Ok(Self { len: bytes.len(), crc })
     }
 
@@ -133,12 +143,14 @@ fn check_preamble(bytes: &[u8]) -> Result<(&[u8], u32), BlobError> {
         return Err(BlobError::Magic { expected: MAGIC, found: array_at(bytes, 0) });
     }
     let version = u16::from_le_bytes(array_at(bytes, VERSION_AT));
-    if version != VERSION {
-        return Err(BlobError::Version { expected: VERSION, found: version });
-    }
-    let schema = u64::from_le_bytes(array_at(bytes, SCHEMA_AT));
-    if schema != SCHEMA_KEY {
-        return Err(BlobError::Schema { expected: SCHEMA_KEY, found: schema });
+    let expected = match version {
+        VERSION => SCHEMA_KEY,
+        VERSION_2 => SCHEMA_KEY_2,
+        found => return Err(BlobError::Version { expected: VERSION, found }),
+    };
+    let found_key = u64::from_le_bytes(array_at(bytes, SCHEMA_AT));
+    if found_key != expected {
+        return Err(BlobError::Schema { expected, found: found_key });
     }
     let expected = u64::from(u32_at(bytes, FILE_LEN_AT));
     check_len(expected, found)?;
@@ -158,18 +170,56 @@ fn decode_header(bytes: &[u8], len: usize) -> Result<Header, BlobError> {
     let unreadable = BlobError::Header { field: HeaderField::Encoding };
     let end = HEADER_AT.checked_add(len).filter(|_| len <= MAX_HEADER_LEN).ok_or(unreadable)?;
     let encoded = bytes.get(HEADER_AT..end).ok_or(unreadable)?;
-    let (header, rest) = postcard::take_from_bytes::<Header>(encoded).map_err(|_| unreadable)?;
-    if !rest.is_empty() {
-        return Err(unreadable);
+    // A header of version 2 is one of version 3 without the last field, whose absence is a zero.
+    let zeros = u8::from(u16::from_le_bytes(array_at(bytes, VERSION_AT)) == VERSION_2);
+    let mut decoder = postcard::Deserializer::from_flavor(Followed { bytes: encoded, zeros });
+    let header = Header::deserialize(&mut decoder).map_err(|_| unreadable)?;
+    match decoder.finalize() {
+        Ok(Followed { bytes: [], zeros: 0 }) => {}
+        _ => return Err(unreadable),
     }
     header.check()?;
     Ok(header)
 }
 
+/// Bytes that zeros follow. The decoder reads them in place: a longer copy would be on the stack.
+struct Followed<'a> {
+    bytes: &'a [u8],
+    zeros: u8,
+}
+
+impl<'a> Flavor<'a> for Followed<'a> {
+    type Remainder = Self;
+    type Source = &'a [u8];
+
+    fn pop(&mut self) -> postcard::Result<u8> {
+        if let Some((first, rest)) = self.bytes.split_first() {
+            self.bytes = rest;
+            return Ok(*first);
+        }
+        self.zeros = self.zeros.checked_sub(1).ok_or(postcard::Error::DeserializeUnexpectedEnd)?;
+        Ok(0)
+    }
+
+    fn size_hint(&self) -> Option<usize> {
+        Some(self.bytes.len() + usize::from(self.zeros))
+    }
+
+    fn try_take_n(&mut self, n: usize) -> postcard::Result<&'a [u8]> {
+        let (taken, rest) = self.bytes.split_at_checked(n).ok_or(postcard::Error::DeserializeUnexpectedEnd)?;
+        self.bytes = rest;
+        Ok(taken)
+    }
+
+    fn finalize(self) -> postcard::Result<Self> {
+        Ok(self)
+    }
+}
+
 /// Names the first section that runs past the end of the file, or else the last one, which is too short for it.
 fn wrong_section(layout: &Layout, header: &Header, file_len: usize) -> BlobError {
     let end = file_len.saturating_sub(CRC_LEN);
-    let lens = header.section_lens().map_or([0; 5], |lens| lens.in_order());
+    let lens = header.section_lens().map_or([0; SECTIONS], |lens| lens.in_order());
     let past = layout.sections.iter().position(|(at, len)| at + len > end).unwrap_or(lens.len() - 1);
     let found = end.saturating_sub(layout.sections[past].0) / 2;
     BlobError::SectionLength { section: Section::ALL[past], expected: lens[past], found: found as u64 }

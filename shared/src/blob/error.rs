@@ -18,11 +18,16 @@ pub enum Section {
     Offset,
     /// Inverse gain map of the sensor.
     InverseGain,
+    /// Weights of integer convolutions.
+    Integers,
+    /// Biases and multipliers of their output channels.
+    Channels,
 }
 
 impl Section {
     /// All sections in the order of the file.
-    pub const ALL: [Self; 5] = [Self::Filters, Self::Index, Self::Rcan, Self::Offset, Self::InverseGain];
+    pub const ALL: [Self; 7] =
+        [Self::Filters, Self::Index, Self::Rcan, Self::Offset, Self::InverseGain, Self::Integers, Self::Channels];
 
     /// Its name in error messages.
     pub fn name(self) -> &'static str {
@@ -32,6 +37,8 @@ impl Section {
             Self::Rcan => "rcan",
             Self::Offset => "offset map",
             Self::InverseGain => "inverse gain map",
+            Self::Integers => "integer weights",
+            Self::Channels => "integer channels",
         }
     }
 }
@@ -109,6 +116,14 @@ pub enum BlobError {
         /// Index of the half in its section.
         index: u32,
     },
+    /// An output channel of an integer convolution has a negative multiplier, or weights and a bias whose sum could
+    /// overflow 32 bits.
+    Channel {
+        /// Which numbers.
+        section: Section,
+        /// Index of the channel in its section.
+        index: u32,
+    },
     /// The buffer given to the encoder is too small.
     NoRoom {
         /// Bytes that the file needs.
@@ -157,6 +172,11 @@ impl fmt::Display for BlobError {
             Self::NonFinite { section, index } => {
                 write!(f, "section `{}`: the weight at index {index} is infinite or NaN", section.name())
             }
+            Self::Channel { section, index } => write!(
+                f,
+                "section `{}`: the sum of channel {index} could overflow 32 bits, or its multiplier is negative",
+                section.name()
+            ),
             Self::NoRoom { expected, found } => write!(f, "the file needs {expected} bytes, the buffer has {found}"),
             Self::Memory { needed, available } => write_memory(f, needed, available),
         }

@@ -1,5 +1,6 @@
 //! The header of a network file: every shape that the device needs before it reads a weight.
 
+use crate::nn::integer::Convolutions;
 use heapless::{String, Vec};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
@@ -104,6 +105,17 @@ pub struct Rcan {
     pub reduction: u8,
 }
 
+/// Scales of a network whose 3x3 convolutions are integers ([`crate::nn::integer`]).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct Integers {
+    /// 1 of the input of the network is 2 to this power; 0 to 24.
+    pub input_log2: i8,
+    /// 1 of a feature is 2 to this power; -16 to 24.
+    pub feature_log2: i8,
+    /// Argument of the last logistic function for a sum of 1; positive.
+    pub output: f32,
+}
+
 /// Memory that the pipeline needs besides the network file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct MemoryPlan {
@@ -132,6 +144,8 @@ pub struct Header {
     pub rcan: Rcan,
     /// Memory plan.
     pub memory: MemoryPlan,
+    /// Given where the 3x3 convolutions of the enhancement network are integers. Files of version 2 lack this field.
+    pub integers: Option<Integers>,
 }
 
 /// Number of 16-bit words in each section of the weights, in the order of the file.
@@ -141,12 +155,16 @@ pub struct SectionLens {
     pub filters: u64,
     /// Positions of the blocks; 0 for spectra.
     pub index: u64,
-    /// Weights and biases of the RCAN.
+    /// Weights and biases of the RCAN; of its channel attentions alone where its convolutions are integers.
     pub rcan: u64,
     /// Offset map; 0 without one.
     pub offset_dn: u64,
     /// Inverse gain map; 0 without one.
     pub inverse_gain: u64,
+    /// Weights of integer convolutions, two in a word; 0 for halves.
+    pub integers: u64,
+    /// Output channels of integer convolutions, four words each; 0 for halves.
+    pub channels: u64,
 }
 
 /// A part of the header.
@@ -168,9 +186,11 @@ pub enum HeaderField {
     Blocks,
     /// [`Header::rcan`].
     Rcan,
+    /// [`Header::integers`].
+    Integers,
 }
 
-/// The weights of a network, borrowed from the file. All but the index are IEEE halves.
+/// The weights of a network, borrowed from the file. All but the index and integer convolutions are IEEE halves.
 #[derive(Clone, Copy, Debug)]
 pub struct Weights<'a> {
     /// Spectra of the taps in the order of [`Bank::taps`], each T rows of T/2 + 1 complex numbers (re, im). With
@@ -179,10 +199,13 @@ pub struct Weights<'a> {
     /// Positions of the blocks, as in a compressed sparse row matrix: for each row of blocks of each channel the number
     /// of blocks before it, then the number of all blocks; then the column of each block. Empty for spectra.
     pub index: &'a [u16],
-    /// Weights and biases of the RCAN in the order in which they are used ([`crate::nn::rcan::layout`]).
+    /// Weights and biases of the RCAN in the order in which they are used ([`crate::nn::rcan::layout`]); of its channel
+    /// attentions alone where its convolutions are integers.
     pub rcan: &'a [half::f16],
     /// Offset of each pixel relative to the black level, DN, (frame rows, frame cols).
     pub offset_dn: Option<&'a [half::f16]>,
     /// Inverse relative gain of each pixel, (frame rows, frame cols).
     pub inverse_gain: Option<&'a [half::f16]>,
+    /// The 3x3 convolutions of the RCAN where they are integers.
+    pub convolutions: Option<Convolutions<'a>>,
 }

@@ -14,7 +14,7 @@
 //! | - | 4 | CRC-32 (ISO-HDLC) of all bytes before it |
 //!
 //! All numbers are little-endian. [`Network::decode`] borrows: the weights are read in place, so the file must lie at
-//! an address that is a multiple of [`ALIGN`].
+//! an address that is a multiple of [`ALIGN`]. Files of version 2, which had no networks in integers, are read as well.
 //!
 //! ```
 //! use ommatidia_shared::blob::{Bank, Header, MemoryPlan, Rcan, Sensor, Size, Tap};
@@ -32,13 +32,15 @@
 //!     bank: Bank { tile: 8, step: 8, channels: 1, taps, blocks: None },
 //!     rcan: Rcan { width: 1, groups: 1, blocks: 1, reduction: 1 },
 //!     memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
+//!     integers: None,
 //! };
 //! let lens = header.section_lens().unwrap();
 //! assert_eq!(lens.filters, 8 * 5 * 2, "T rows of T/2 + 1 complex numbers");
 //! assert_eq!(lens.rcan, 37 + 2 * 10 + 4 + 10 + 10 + 40 + 10, "seven convolutions and one attention");
 //!
 //! let (filters, rcan) = ([f16::ONE; 80], [f16::ZERO; 131]);
-//! let weights = Weights { filters: &filters, index: &[], rcan: &rcan, offset_dn: None, inverse_gain: None };
+//! let weights =
+//!     Weights { filters: &filters, index: &[], rcan: &rcan, offset_dn: None, inverse_gain: None, convolutions: None };
 //! let mut words = vec![0_u128; encoded_len(&header).unwrap().div_ceil(16)];
 //! let buffer = bytemuck::cast_slice_mut(&mut words);
 //! let len = encode(&header, &weights, buffer).unwrap();
@@ -63,7 +65,7 @@ pub use decode::{Network, Verified};
 pub use encode::{encode, encoded_len};
 pub use error::{BlobError, Section};
 pub use header::{
-    Bank, Blocks, Header, HeaderField, MAX_TAPS, MemoryPlan, Rcan, SectionLens, Sensor, Size, Tap, Weights,
+    Bank, Blocks, Header, HeaderField, Integers, MAX_TAPS, MemoryPlan, Rcan, SectionLens, Sensor, Size, Tap, Weights,
 };
 pub(crate) use layout::CRC;
 pub use layout::{ALIGN, MAGIC, SCHEMA_KEY, VERSION};

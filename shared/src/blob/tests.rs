@@ -5,6 +5,7 @@
 extern crate std;
 
 use super::*;
+use crate::nn::integer::{Channel, Convolutions};
 use half::f16;
 use proptest::prelude::*;
 use std::vec::Vec;
@@ -32,6 +33,8 @@ impl Aligned {
 struct Owned {
     sections: [Vec<f16>; 4],
     index: Vec<u16>,
+    integers: Vec<u16>,
+    channels: Vec<Channel>,
 }
 
 impl Owned {
@@ -49,7 +52,14 @@ impl Owned {
                 .collect()
         };
         let sections = [lens.filters, lens.rcan, lens.offset_dn, lens.inverse_gain].map(&mut draw);
-        Self { sections, index: (0..lens.index).map(|i| (i * 977) as u16).collect() }
+        // At most 108 weights a channel: 108 * 2^7 * 2^15 + 2^30 is below 2^31.
+        let channel = |i: u64| Channel { bias: (i * 7_919) as i32 - (1 << 20), multiplier: (i * 104_729) as i32 };
+        Self {
+            sections,
+            index: (0..lens.index).map(|i| (i * 977) as u16).collect(),
+            integers: (0..lens.integers).map(|i| (i * 40_503) as u16).collect(),
+            channels: (0..lens.channels / 4).map(channel).collect(),
+        }
     }
 
     fn weights(&self, sensor: &Sensor) -> Weights<'_> {
@@ -60,6 +70,8 @@ impl Owned {
             rcan,
             offset_dn: sensor.has_offset_map.then_some(offset.as_slice()),
             inverse_gain: sensor.has_gain_map.then_some(gain.as_slice()),
+            convolutions: (!self.channels.is_empty())
+                .then_some(Convolutions { weights: &self.integers, channels: &self.channels }),
         }
     }
 }
@@ -87,7 +99,12 @@ fn small() -> Header {
         },
         rcan: Rcan { width: 1, groups: 0, blocks: 0, reduction: 1 },
         memory: MemoryPlan { fast_bytes: 100, bulk_bytes: 2000 },
+        integers: None,
     }
+}
+
+fn small_in_integers() -> Header {
+    Header { integers: Some(Integers { input_log2: 12, feature_log2: 10, output: 1.0e-6 }), ..small() }
 }
 
 prop_compose! {
@@ -95,6 +112,7 @@ prop_compose! {
         name in "[a-z]{0,12}", tile in 1u32..5, step in 1u16..3, channels in 1u8..4, taps in 1usize..5,
         rows in 1u16..9, cols in 1u16..9, black in 0.0f32..200.0, maps: (bool, bool),
         rcan in (1u8..5, 0u8..3, 0u8..3), memory: (u32, u32), blocks in prop::option::of((0u32..2, 0u16..5)),
+        scales in prop::option::of((0i8..25, -16i8..25)),
     ) -> Header {
         let tap = |i: usize| Tap { channel: 0, dy: -1, dx: i as i8 };
         Header {
@@ -108,6 +126,7 @@ prop_compose! {
             },
             rcan: Rcan { width: rcan.0, groups: rcan.1, blocks: rcan.2, reduction: 1 },
             memory: MemoryPlan { fast_bytes: memory.0, bulk_bytes: memory.1 },
+            integers: scales.map(|(input_log2, feature_log2)| Integers { input_log2, feature_log2, output: 1.0e-7 }),
         }
     }
 }
@@ -138,6 +157,8 @@ proptest! {
         prop_assert_eq!(bits(network.weights().rcan), bits(expected.rcan));
         prop_assert_eq!(network.weights().offset_dn.map(bits), expected.offset_dn.map(bits));
         prop_assert_eq!(network.weights().inverse_gain.map(bits), expected.inverse_gain.map(bits));
+        let integers = |weights: Weights<'_>| weights.convolutions.map(|c| (c.weights.to_vec(), c.channels.to_vec()));
+        prop_assert_eq!(integers(network.weights()), integers(expected));
     }
 
     #[test]
@@ -148,9 +169,9 @@ proptest! {
     /// A forger who makes the CRC right may change any word: the file is refused or stays a network in bounds.
     #[test]
     fn forged_bytes_never_panic(
-        at in 0usize..200, with in prop::collection::vec(any::<u8>(), 1..5), cut in 0usize..40
+        at in 0usize..900, with in prop::collection::vec(any::<u8>(), 1..5), cut in 0usize..40, integers: bool,
     ) {
-        let header = small();
+        let header = if integers { small_in_integers() } else { small() };
         let mut bytes = file(&header, &Owned::new(&header, 7));
         bytes.truncate(bytes.len() - cut);
         let at = at.min(bytes.len() - 9);
@@ -164,13 +185,17 @@ proptest! {
             let lens = network.header().section_lens().unwrap();
             prop_assert_eq!(network.weights().filters.len() as u64, lens.filters);
             prop_assert_eq!(network.weights().rcan.len() as u64, lens.rcan);
+            if let Some(convolutions) = network.weights().convolutions {
+                prop_assert_eq!(convolutions.weights.len() as u64, lens.integers);
+                prop_assert!(convolutions.check(&network.header().rcan, network.header().bank.channels).is_ok());
+            }
         }
     }
 }
 
 #[test]
 fn every_flipped_bit_is_refused() {
-    let header = small();
+    let header = small_in_integers();
     let mut aligned = Aligned::new(&file(&header, &Owned::new(&header, 1)));
     let len = aligned.len;
     for bit in 0..8 * len {
@@ -232,7 +257,7 @@ fn what_was_verified_opens_again_and_nothing_else_does() {
     assert!(verified.open(Aligned::new(&poisoned).bytes()).is_err(), "a file with a NaN and a checksum that is right");
 }
 
-fn sections(header: &Header) -> [(usize, usize); 5] {
+fn sections(header: &Header) -> [(usize, usize); layout::SECTIONS] {
     let mut buffer = [0; layout::MAX_HEADER_LEN];
     let len = postcard::to_slice(header, &mut buffer).unwrap().len();
     layout::Layout::new(len, &header.section_lens().unwrap()).unwrap().sections
@@ -252,7 +277,7 @@ fn a_misaligned_buffer_is_named() {
 
 #[test]
 fn sections_are_aligned_and_apart() {
-    let header = small();
+    let header = small_in_integers();
     let mut end = 0;
     for (at, len) in sections(&header) {
         assert_eq!(at % ALIGN, 0);
@@ -298,6 +323,59 @@ fn weights_are_counted() {
     }
     let none = Header { rcan: Rcan { reduction: 0, ..rcan }, ..header };
     assert_eq!(none.check(), Err(BlobError::Header { field: HeaderField::Rcan }));
+}
+
+#[test]
+fn integers_are_counted() {
+    // Four convolutions: 4->1, 1->1, 1->4, 1->1; 36 + 9 + 36 + 9 weights of 8 bits, 7 channels; no attention.
+    let lens = small_in_integers().section_lens().unwrap();
+    assert_eq!((lens.rcan, lens.integers, lens.channels), (0, 45, 4 * 7));
+}
+
+#[test]
+fn integers_that_could_overflow_are_refused() {
+    let header = small_in_integers();
+    let good = file(&header, &Owned::new(&header, 1));
+    let refusal = |at: usize, with: &[u8]| {
+        Network::decode(Aligned::new(&forge(good.clone(), at, with)).bytes()).map(Network::into_header).unwrap_err()
+    };
+    let (at, _) = sections(&header)[6];
+    let error = BlobError::Channel { section: Section::Channels, index: 2 };
+    assert_eq!(refusal(at + 16, &i32::MAX.to_le_bytes()), error);
+    assert_eq!(refusal(at + 20, &(-1_i32).to_le_bytes()), error);
+    let impossible = BlobError::Header { field: HeaderField::Integers };
+    let scales = Integers { input_log2: 12, feature_log2: 10, output: 1.0e-6 };
+    for wrong in [
+        Integers { input_log2: 25, ..scales },
+        Integers { input_log2: -1, ..scales },
+        Integers { feature_log2: -17, ..scales },
+        Integers { output: 0.0, ..scales },
+        Integers { output: f32::NAN, ..scales },
+        Integers { output: 1.0e-40, ..scales },
+    ] {
+        assert_eq!(Header { integers: Some(wrong), ..header.clone() }.check(), Err(impossible), "{wrong:?}");
+    }
+}
+
+/// A file of halves differs from one of version 2 in the version, the schema and the last byte of the header.
+#[test]
+fn version_2_is_read_as_a_network_in_halves() {
+    let header = small();
+    let owned = Owned::new(&header, 1);
+    let new = file(&header, &owned);
+    let mut buffer = [0; layout::MAX_HEADER_LEN];
+    let len = postcard::to_slice(&header, &mut buffer).unwrap().len();
+    let mut old = new.clone();
+    old[layout::VERSION_AT] = 2;
+    old[layout::HEADER_LEN_AT] = len as u8 - 1;
+    old[layout::SCHEMA_AT..][..8].copy_from_slice(&layout::SCHEMA_KEY_2.to_le_bytes());
+    let sections = [len, len - 1].map(|len| layout::Layout::new(len, &header.section_lens().unwrap()).unwrap());
+    assert_eq!(sections[0], sections[1], "the byte lies in the gap before the first section");
+    let old = forge(old, 0, b"O");
+    assert_eq!(Network::decode(Aligned::new(&old).bytes()).unwrap().into_header(), header);
+    let mixed = forge(new, layout::VERSION_AT, &2u16.to_le_bytes());
+    let error = BlobError::Schema { expected: layout::SCHEMA_KEY_2, found: SCHEMA_KEY };
+    assert_eq!(Network::decode(Aligned::new(&mixed).bytes()).map(Network::into_header), Err(error));
 }
 
 #[test]

@@ -7,6 +7,7 @@
 //! bias.
 
 use super::activation::Activation;
+use super::arithmetic::{Arithmetic, Halves};
 use super::error::{NnError, check_scratch, check_shape, check_weights};
 use crate::image::Chw;
 use crate::num::simd::{Kernel, Simd, Vector};
@@ -76,6 +77,18 @@ impl ChannelAttention {
         scale: &mut [f32],
         scratch: &mut [f32],
     ) -> Result<(), NnError> {
+        self.process_with(Halves(simd), parameters, input, scale, scratch)
+    }
+
+    /// [`Self::process`] for features that are stored as in `arithmetic`.
+    pub(super) fn process_with<A: Arithmetic>(
+        &self,
+        arithmetic: A,
+        parameters: Parameters<'_>,
+        input: Chw<'_, A::Number>,
+        scale: &mut [f32],
+        scratch: &mut [f32],
+    ) -> Result<(), NnError> {
         check_shape([self.channels, self.rows, self.cols], input.shape())?;
         for weights in [parameters.squeeze, parameters.excite] {
             check_weights(self.channels * self.hidden, weights.len())?;
@@ -86,7 +99,7 @@ impl ChannelAttention {
         check_scratch(self.scratch_len(), scratch.len())?;
         let (mean, hidden) = scratch.split_at_mut(self.channels);
         let (hidden, scale) = (&mut hidden[..self.hidden], &mut scale[..self.channels]);
-        simd.run(Means { input, mean });
+        arithmetic.means(input, mean);
         dense(parameters.squeeze, parameters.squeeze_bias, mean, hidden);
         Activation::Relu.apply(hidden);
         dense(parameters.excite, parameters.excite_bias, hidden, scale);
@@ -100,6 +113,11 @@ fn dense(weights: &[f16], bias: &[f16], from: &[f32], to: &mut [f32]) {
     for ((to, weights), &bias) in to.iter_mut().zip(weights.chunks_exact(from.len())).zip(bias) {
         *to = weights.iter().zip(from).fold(widen(bias), |sum, (&w, &x)| mac(widen(w), x, sum));
     }
+}
+
+/// The mean of each channel of halves.
+pub(super) fn means(simd: Simd, input: Chw<'_, f16>, mean: &mut [f32]) {
+    simd.run(Means { input, mean });
 }
 
 struct Means<'a> {

@@ -25,15 +25,6 @@ pub enum Store {
     Accumulate,
 }
 
-/// How the input is addressed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Addressing {
-    /// As it is stored.
-    Direct,
-    /// Through [PixelUnshuffle 2](super::pixel_shuffle): a tensor of (C, 2 h, 2 w) is read as (4 C, h, w).
-    Unshuffled,
-}
-
 /// Weights `[out, in, 3, 3]` and biases `[out]`.
 #[derive(Clone, Copy, Debug)]
 pub struct Parameters<'a> {
@@ -43,20 +34,25 @@ pub struct Parameters<'a> {
     pub bias: &'a [f16],
 }
 
-/// What a convolution reads and writes.
+/// What a convolution reads and writes: features that are stored as `T`.
 #[derive(Debug)]
-pub enum Tensors<'a> {
+pub enum Tensors<'a, T = f16> {
+    /// The input is that of the network, read through [PixelUnshuffle 2](super::pixel_shuffle).
+    Unshuffled {
+        /// (inputs / 4, 2 rows, 2 cols), read as (inputs, rows, cols).
+        input: Chw<'a, f16>,
+        /// (outputs, rows, cols).
+        output: ChwMut<'a, T>,
+    },
     /// Input and output are different tensors.
     Apart {
-        /// (inputs, rows, cols); (inputs / 4, 2 rows, 2 cols) where it is addressed as unshuffled.
-        input: Chw<'a, f16>,
-        /// How the input is addressed.
-        addressing: Addressing,
+        /// (inputs, rows, cols).
+        input: Chw<'a, T>,
         /// (outputs, rows, cols).
-        output: ChwMut<'a, f16>,
+        output: ChwMut<'a, T>,
     },
     /// The output overwrites the input. Their numbers of channels are equal.
-    InPlace(ChwMut<'a, f16>),
+    InPlace(ChwMut<'a, T>),
 }
 
 /// Plan of a 3x3 convolution.
@@ -115,22 +111,27 @@ impl Conv3x3 {
     fn check(&self, parameters: Parameters<'_>, tensors: &Tensors<'_>, scratch: usize) -> Result<(), NnError> {
         check_weights(self.weights_len(), parameters.weights.len())?;
         check_weights(self.outputs, parameters.bias.len())?;
-        let direct = [self.inputs, self.rows, self.cols];
+        self.check_tensors(tensors)?;
+        check_scratch(self.scratch_len(1), scratch)
+    }
+
+    /// Checks that the tensors have the shapes of the plan.
+    pub(super) fn check_tensors<T>(&self, tensors: &Tensors<'_, T>) -> Result<(), NnError> {
+        let [input, output] = [self.inputs, self.outputs].map(|channels| [channels, self.rows, self.cols]);
         match tensors {
-            Tensors::Apart { input, addressing, output } => {
-                let expected = match addressing {
-                    Addressing::Direct => direct,
-                    Addressing::Unshuffled => [self.inputs / 4, self.rows * 2, self.cols * 2],
-                };
-                check_shape(expected, input.shape())?;
-                check_shape([self.outputs, self.rows, self.cols], output.shape())?;
+            Tensors::Unshuffled { input: found, output: to } => {
+                check_shape([self.inputs / 4, self.rows * 2, self.cols * 2], found.shape())?;
+                check_shape(output, to.shape())
+            }
+            Tensors::Apart { input: found, output: to } => {
+                check_shape(input, found.shape())?;
+                check_shape(output, to.shape())
             }
             Tensors::InPlace(tensor) => {
-                check_shape(direct, tensor.shape())?;
-                check_shape([self.outputs, self.rows, self.cols], tensor.shape())?;
+                check_shape(input, tensor.shape())?;
+                check_shape(output, tensor.shape())
             }
         }
-        check_scratch(self.scratch_len(1), scratch)
     }
 }
 
@@ -170,7 +171,8 @@ impl Kernel for Job<'_> {
 impl Conv3x3 {
     /// Fills slots 0..height + 2 with rows start - 1..=start + height. The last two rows of the band before are moved
     /// and not read again, as the output may have overwritten them.
-    #[inline(always)]
+    #[cfg_attr(target_arch = "arm", inline(never))]
+    #[cfg_attr(not(target_arch = "arm"), inline(always))]
     fn widen(&self, tensors: &Tensors<'_>, start: usize, height: usize, band: usize, slots: &mut [f32]) {
         let len = self.slot_len();
         let known = if start == 0 {
@@ -195,7 +197,8 @@ impl Conv3x3 {
     }
 
     /// Applies activation, skip connection and rounding to one row of a block of output channels.
-    #[inline(always)]
+    #[cfg_attr(target_arch = "arm", inline(never))]
+    #[cfg_attr(not(target_arch = "arm"), inline(always))]
     fn finish(&self, tensors: &mut Tensors<'_>, first: usize, row: usize, sums: &mut [f32]) {
         let channels = sums.chunks_exact_mut(packed::padded(self.cols));
         for (o, sums) in channels.enumerate().take(self.outputs - first) {
@@ -218,18 +221,19 @@ impl Tensors<'_> {
     #[inline(always)]
     fn widen_row(&self, channel: usize, row: usize, to: &mut [f32]) {
         match self {
-            Self::Apart { input, addressing: Addressing::Direct, .. } => widen_slice(input.row(channel, row), to),
-            Self::Apart { input, addressing: Addressing::Unshuffled, .. } => {
-                widen_unshuffled_row(*input, channel, row, to);
-            }
+            Self::Apart { input, .. } => widen_slice(input.row(channel, row), to),
+            Self::Unshuffled { input, .. } => widen_unshuffled_row(*input, channel, row, to),
             Self::InPlace(tensor) => widen_slice(tensor.as_chw().row(channel, row), to),
         }
     }
+}
 
+impl<T> Tensors<'_, T> {
+    /// A row of the output.
     #[inline(always)]
-    fn output_row(&mut self, channel: usize, row: usize) -> &mut [f16] {
+    pub(super) fn output_row(&mut self, channel: usize, row: usize) -> &mut [T] {
         match self {
-            Self::Apart { output, .. } => output.row_mut(channel, row),
+            Self::Unshuffled { output, .. } | Self::Apart { output, .. } => output.row_mut(channel, row),
             Self::InPlace(tensor) => tensor.row_mut(channel, row),
         }
     }

@@ -19,6 +19,8 @@ pub enum NnError {
         /// Halves given.
         found: usize,
     },
+    /// A convolution in integers has another activation than ReLU or none.
+    Activation,
     /// The features would have 4 GiB or more.
     TooLarge {
         /// Memory that the plan needs, bytes.
@@ -38,6 +40,7 @@ impl fmt::Display for NnError {
         match self {
             Self::Shape { expected, found } => write!(f, "tensor: expected (c, h, w) = {expected:?}, found {found:?}"),
             Self::Weights { expected, found } => write!(f, "weights: expected {expected} halves, found {found}"),
+            Self::Activation => f.write_str("a convolution in integers ends in ReLU or in no activation"),
             Self::TooLarge { needed } => {
                 write!(f, "features: they need {needed} bytes; choose a smaller object or fewer features")
             }

@@ -9,15 +9,15 @@ use crate::num::f16;
 /// A convolution lacks its neighbours at an edge of the window that is not an edge of the frame. So the window shrinks
 /// by one feature at each such edge before the next convolution.
 #[derive(Debug)]
-pub struct Features<'a> {
-    data: &'a mut [f16],
+pub struct Features<'a, T = f16> {
+    data: &'a mut [T],
     channels: usize,
     window: Region,
 }
 
-impl<'a> Features<'a> {
+impl<'a, T: Copy> Features<'a, T> {
     /// The content of `data` as the features of a window.
-    pub fn new(data: &'a mut [f16], channels: usize, window: Region) -> Self {
+    pub fn new(data: &'a mut [T], channels: usize, window: Region) -> Self {
         Self { data, channels, window }
     }
 
@@ -25,7 +25,7 @@ impl<'a> Features<'a> {
     ///
     /// # Errors
     /// [`NnError::Scratch`] where the buffer does not hold them.
-    pub fn cut(&mut self, window: Region) -> Result<ChwMut<'_, f16>, NnError> {
+    pub fn cut(&mut self, window: Region) -> Result<ChwMut<'_, T>, NnError> {
         let from = core::mem::replace(&mut self.window, window);
         let (expected, found) = (self.channels * from.pixels(), self.data.len());
         let data = self.data.get_mut(..expected).ok_or(NnError::Scratch { expected, found })?;
@@ -38,7 +38,7 @@ impl<'a> Features<'a> {
     ///
     /// # Errors
     /// [`NnError::Scratch`] where one of the buffers does not hold it.
-    pub fn copy_from(&mut self, other: &Features<'_>) -> Result<(), NnError> {
+    pub fn copy_from(&mut self, other: &Features<'_, T>) -> Result<(), NnError> {
         let (expected, found) = (other.channels * other.window.pixels(), self.data.len().min(other.data.len()));
         let (Some(to), Some(from)) = (self.data.get_mut(..expected), other.data.get(..expected)) else {
             return Err(NnError::Scratch { expected, found });

@@ -1,5 +1,8 @@
 //! The inner loops of the 3x3 convolution: widened rows, packed weights, blocks of output channels and columns in
 //! registers.
+//!
+//! What works on a whole row is a function of its own on Arm, where the program must stay small, and inlined elsewhere,
+//! where it is compiled for each instruction set ([`crate::num::simd`]).
 
 #[cfg(all(target_arch = "arm", feature = "fpv4"))]
 use crate::num::arm;
@@ -33,7 +36,8 @@ pub(super) const fn packed_len(inputs: usize, outputs: usize) -> usize {
 
 /// Packs the weights `[out, in, 3, 3]` of the output channels from `first` on as `[in, 3, 3, block]`, zeros beyond the
 /// last. Returns the packed weights. The rest of `packed` is scratch.
-#[inline(always)]
+#[cfg_attr(target_arch = "arm", inline(never))]
+#[cfg_attr(not(target_arch = "arm"), inline(always))]
 pub(super) fn pack<'a>(
     weights: &[f16],
     inputs: usize,
@@ -65,7 +69,8 @@ pub(super) fn bias(bias: &[f16], first: usize) -> [f32; OUTPUTS] {
 /// `[3, in, pitch]`.
 ///
 /// Each sum starts at the bias and runs over (input channel, ky, kx) in this order.
-#[inline(always)]
+#[cfg_attr(target_arch = "arm", inline(never))]
+#[cfg_attr(not(target_arch = "arm"), inline(always))]
 pub(super) fn row<V: Vector>(
     input: &[f32],
     inputs: usize,

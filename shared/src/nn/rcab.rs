@@ -7,19 +7,18 @@
 //! features.
 
 use super::activation::Activation;
+use super::arithmetic::Arithmetic;
 use super::channel_attention::{self, ChannelAttention, Scales};
-use super::conv::{self, Addressing, Conv3x3, Store, Tensors};
+use super::conv::{Conv3x3, Store, Tensors};
 use super::error::{NnError, check_scratch};
 use super::features::Features;
 use crate::image::Region;
-use crate::num::simd::{Kernel, Simd, Vector};
-use crate::num::{f16, fused};
 
-/// Weights of a block.
+/// Weights of a block, with those of a convolution as `C`.
 #[derive(Clone, Copy, Debug)]
-pub struct Parameters<'a> {
+pub struct Parameters<'a, C> {
     /// First and second convolution, W -> W.
-    pub convs: [conv::Parameters<'a>; 2],
+    pub convs: [C; 2],
     /// Channel attention.
     pub attention: channel_attention::Parameters<'a>,
 }
@@ -49,10 +48,10 @@ impl Rcab {
 
     /// Length of scratch for bands of `band` rows, numbers. With bands of 1 row it is what [`Self::process`] needs at
     /// least.
-    pub const fn scratch_len(&self, band: usize) -> usize {
-        let conv = self.conv(self.windows[0], Activation::Linear).scratch_len(band);
+    pub(super) fn scratch_len<A: Arithmetic>(&self, band: usize) -> usize {
+        let conv = A::conv_scratch_len(&self.conv(self.windows[0], Activation::Linear), band);
         let attention = self.channels + self.attention().scratch_len();
-        if conv > attention { conv } else { attention }
+        conv.max(attention)
     }
 
     /// Adds the residual of the block to `g`, and cuts `g` to the second window. `t` is a buffer of the same length,
@@ -60,52 +59,37 @@ impl Rcab {
     ///
     /// # Errors
     /// [`NnError`] where a tensor, the weights, the scales or the scratch do not fit the plan.
-    pub fn process(
+    pub(super) fn process<A: Arithmetic>(
         &self,
-        simd: Simd,
-        parameters: Parameters<'_>,
+        arithmetic: A,
+        parameters: Parameters<'_, A::Conv<'_>>,
         scales: Scales<'_>,
-        g: &mut Features<'_>,
-        t: &mut [f16],
+        g: &mut Features<'_, A::Number>,
+        t: &mut [A::Number],
         scratch: &mut [f32],
     ) -> Result<(), NnError> {
-        check_scratch(self.scratch_len(1), scratch.len())?;
+        check_scratch(self.scratch_len::<A>(1), scratch.len())?;
         let [outer, inner] = self.windows;
         let mut t = Features::new(t, self.channels, outer);
         let (input, output) = (g.cut(outer)?, t.cut(outer)?);
-        let first = Tensors::Apart { input: input.as_chw(), addressing: Addressing::Direct, output };
-        self.conv(outer, Activation::Relu).process(simd, parameters.convs[0], first, scratch)?;
+        let first = Tensors::Apart { input: input.as_chw(), output };
+        arithmetic.conv(&self.conv(outer, Activation::Relu), parameters.convs[0], first, scratch)?;
         let (mut g, mut t) = (g.cut(inner)?, t.cut(inner)?);
         let second = Tensors::InPlace(t.reborrow());
-        self.conv(inner, Activation::Linear).process(simd, parameters.convs[1], second, scratch)?;
+        arithmetic.conv(&self.conv(inner, Activation::Linear), parameters.convs[1], second, scratch)?;
         let (own, scratch) = scratch.split_at_mut(self.channels);
         let scales = match scales {
             Scales::Held(scales) => scales,
             Scales::Measured(place) => {
-                self.attention().process(simd, parameters.attention, t.as_chw(), own, scratch)?;
+                self.attention().process_with(arithmetic, parameters.attention, t.as_chw(), own, scratch)?;
                 place.into_iter().flat_map(|place| place.iter_mut().zip(&*own)).for_each(|(to, scale)| *to = *scale);
                 own
             }
         };
         for (channel, &scale) in scales.iter().enumerate() {
-            simd.run(AddScaled { scale, t: t.as_chw().channel(channel), g: g.channel_mut(channel) });
+            arithmetic.add_scaled(scale, t.as_chw().channel(channel), g.channel_mut(channel));
         }
         Ok(())
-    }
-}
-
-struct AddScaled<'a> {
-    scale: f32,
-    t: &'a [f16],
-    g: &'a mut [f16],
-}
-
-impl Kernel for AddScaled<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<V: Vector>(self) {
-        fused::add_scaled(self.scale, self.t, self.g);
     }
 }
 
@@ -115,6 +99,10 @@ mod tests {
 
     use super::*;
     use crate::naive::{self, Cursor, Noise, Tensor, wide};
+    use crate::nn::arithmetic::Halves;
+    use crate::nn::conv;
+    use crate::num::f16;
+    use crate::num::simd::Simd;
     use std::vec;
     use std::vec::Vec;
 
@@ -137,10 +125,10 @@ mod tests {
             excite_bias: take(channels),
         };
         let (mut g, mut t) = (input.to_vec(), vec![f16::NAN; input.len()]);
-        let mut scratch = vec![f32::NAN; plan.scratch_len(band)];
+        let mut scratch = vec![f32::NAN; plan.scratch_len::<Halves>(band)];
         let mut features = Features::new(&mut g, channels, window);
         let parameters = Parameters { convs, attention };
-        plan.process(simd, parameters, Scales::Measured(None), &mut features, &mut t, &mut scratch).unwrap();
+        plan.process(Halves(simd), parameters, Scales::Measured(None), &mut features, &mut t, &mut scratch).unwrap();
         g
     }
 

@@ -25,13 +25,16 @@
 
 mod layout;
 
+pub(crate) use layout::attention_count;
 pub use layout::{Entry, Layer, hidden, layout, weights_count, weights_len};
 
 use super::activation::Activation;
+use super::arithmetic::{Arithmetic, Halves, Integers, Rest};
 use super::channel_attention::{self, Scales};
-use super::conv::{self, Addressing, Conv3x3, Store, Tensors};
+use super::conv::{self, Conv3x3, Store, Tensors};
 use super::error::{NnError, check_scratch, check_shape, check_weights};
 use super::features::Features;
+use super::integer::Convolutions;
 use super::rcab::{self, Rcab};
 use super::upscale::Upscale;
 use crate::blob;
@@ -45,8 +48,10 @@ const AFTER_ATTENTION: usize = 3;
 /// Parameters of the network.
 #[derive(Debug)]
 pub struct Parameters<'a> {
-    /// Weights in the order of [`layout`].
+    /// Weights in the order of [`layout`]; those of the channel attentions alone where the convolutions are integers.
     pub weights: &'a [f16],
+    /// The convolutions of a network in integers.
+    pub convolutions: Option<Convolutions<'a>>,
     /// Source of the [`Rcan::scales_len`] scales of the channel attentions.
     pub scales: Scales<'a>,
 }
@@ -55,17 +60,24 @@ pub struct Parameters<'a> {
 #[derive(Clone, Copy, Debug)]
 pub struct Rcan {
     shape: blob::Rcan,
+    integers: Option<blob::Integers>,
     filters: usize,
     rows: usize,
     cols: usize,
 }
 
 impl Rcan {
-    /// Plans a network for `channels` filters and an output of `object` pixels, even in both directions.
+    /// Plans a network for `channels` filters and an output of `object` pixels, even in both directions, in halves or
+    /// in integers.
     ///
     /// # Errors
     /// [`NnError::TooLarge`] where its features would have 4 GiB or more.
-    pub fn new(shape: blob::Rcan, channels: u8, object: blob::Size) -> Result<Self, NnError> {
+    pub fn new(
+        shape: blob::Rcan,
+        integers: Option<blob::Integers>,
+        channels: u8,
+        object: blob::Size,
+    ) -> Result<Self, NnError> {
         let (rows, cols) = (usize::from(object.rows) / 2, usize::from(object.cols) / 2);
         // At most 8 + 2 + 15 + 15 bits each. All other lengths of the plan are parts of these.
         let feature = u64::from(shape.width) * rows as u64 * cols as u64;
@@ -74,7 +86,7 @@ impl Rcan {
         if needed > u64::from(u32::MAX) {
             return Err(NnError::TooLarge { needed });
         }
-        Ok(Self { shape, filters: usize::from(channels), rows, cols })
+        Ok(Self { shape, integers, filters: usize::from(channels), rows, cols })
     }
 
     const fn width(&self) -> usize {
@@ -110,8 +122,16 @@ impl Rcan {
     /// Length of scratch for bands of `band` rows, numbers. With bands of 1 row it is what [`Self::process`] needs at
     /// least.
     pub fn scratch_len(&self, band: usize) -> usize {
-        let convs = self.head().scratch_len(band).max(self.conv().scratch_len(band));
-        convs.max(self.rcab([self.whole(); 2]).scratch_len(band)).max(self.upscale().scratch_len(band))
+        match self.integers {
+            None => self.scratch_len_in::<Halves>(band),
+            Some(_) => self.scratch_len_in::<Integers>(band),
+        }
+    }
+
+    fn scratch_len_in<A: Arithmetic>(&self, band: usize) -> usize {
+        let convs = A::conv_scratch_len(&self.head(), band).max(A::conv_scratch_len(&self.conv(), band));
+        let block = self.rcab([self.whole(); 2]).scratch_len::<A>(band);
+        convs.max(block).max(A::upscale_scratch_len(&self.upscale(), band))
     }
 
     const fn head(&self) -> Conv3x3 {
@@ -169,8 +189,40 @@ impl Rcan {
         output: PlaneMut<'_, f16>,
         scratch: &mut [f32],
     ) -> Result<(), NnError> {
-        let Parameters { weights, mut scales } = parameters;
-        check_weights(weights_len(&self.shape, self.filters as u8), weights.len())?;
+        let Parameters { weights, convolutions, scales } = parameters;
+        match (self.integers, convolutions) {
+            (Some(integers), Some(convolutions)) => {
+                check_weights(attention_count(&self.shape, self.filters as u8) as usize, weights.len())?;
+                let arithmetic = Integers {
+                    simd,
+                    input_scale: power_of_two(integers.input_log2),
+                    feature: power_of_two(-integers.feature_log2),
+                    output: integers.output,
+                };
+                let rest = Rest { halves: weights, weights: convolutions.bytes(), channels: convolutions.channels };
+                self.process_in(arithmetic, rest, scales, arena, region, output, scratch)
+            }
+            _ => {
+                check_weights(weights_len(&self.shape, self.filters as u8), weights.len())?;
+                let rest = Rest { halves: weights, weights: &[], channels: &[] };
+                self.process_in(Halves(simd), rest, scales, arena, region, output, scratch)
+            }
+        }
+    }
+
+    /// Not inlined: the two kinds would share one large frame on the stack.
+    #[inline(never)]
+    #[expect(clippy::too_many_arguments, reason = "those of `process`, and the kind of numbers")]
+    fn process_in<A: Arithmetic>(
+        &self,
+        arithmetic: A,
+        rest: Rest<'_>,
+        mut scales: Scales<'_>,
+        arena: &mut [f16],
+        region: Region,
+        output: PlaneMut<'_, f16>,
+        scratch: &mut [f32],
+    ) -> Result<(), NnError> {
         check_scratch(self.arena_len(), arena.len())?;
         check_scratch(self.scratch_len(1), scratch.len())?;
         check_shape([1, region.rows.into(), region.cols.into()], [1, output.rows(), output.cols()])?;
@@ -181,13 +233,14 @@ impl Rcan {
         };
         let window = |left| if held || left <= AFTER_ATTENTION { self.window(region, left) } else { self.whole() };
         let first = self.first_window(region, held);
-        let mut layers = Layers { entries: layout(&self.shape, self.filters as u8), rest: weights };
+        let mut layers = Layers { entries: layout(&self.shape, self.filters as u8), rest };
         let plan = self.on(first);
         let (head, rest) = arena.split_at_mut(plan.feature_len());
-        let mut head = Features::new(head, self.width(), first);
+        let mut head = Features::new(numbers::<A>(head), self.width(), first);
         let input = plan.read(&rest[rest.len() - plan.input_len()..])?;
-        let tensors = Tensors::Apart { input, addressing: Addressing::Unshuffled, output: head.cut(first)? };
-        plan.head().process(simd, layers.next_conv(), tensors, scratch)?;
+        let tensors = Tensors::Unshuffled { input, output: head.cut(first)? };
+        arithmetic.conv(&plan.head(), layers.next_conv::<A>(), tensors, scratch)?;
+        let rest = numbers::<A>(rest);
         let (y, rest) = rest.split_at_mut(plan.feature_len());
         let (g, t) = rest.split_at_mut(plan.feature_len());
         let [mut y, mut g] = [y, g].map(|data| Features::new(data, self.width(), first));
@@ -198,17 +251,17 @@ impl Rcan {
             g.copy_from(&y)?;
             for _ in 0..self.shape.blocks {
                 let (rcab, scales) = (self.rcab([window(left), window(left - 1)]), scales.next(self.width()));
-                rcab.process(simd, layers.next_block(), scales, &mut g, t, scratch)?;
+                rcab.process(arithmetic, layers.next_block::<A>(), scales, &mut g, t, scratch)?;
                 left -= 2;
             }
-            self.skip(simd, layers.next_conv(), window(left), [&mut g, &mut y], scratch)?;
+            self.skip(arithmetic, layers.next_conv::<A>(), window(left), [&mut g, &mut y], scratch)?;
             left -= 1;
         }
-        self.skip(simd, layers.next_conv(), window(2), [&mut y, &mut head], scratch)?;
+        self.skip(arithmetic, layers.next_conv::<A>(), window(2), [&mut y, &mut head], scratch)?;
         let last = window(1);
-        let tail = [layers.next_conv(), layers.next_conv()];
+        let tail = [layers.next_conv::<A>(), layers.next_conv::<A>()];
         let origin = [region.row - 2 * last.row, region.col - 2 * last.col].map(usize::from);
-        self.on(last).upscale().process(simd, tail, head.cut(last)?.as_chw(), origin, output, scratch)
+        arithmetic.upscale(&self.on(last).upscale(), tail, head.cut(last)?.as_chw(), origin, output, scratch)
     }
 
     /// The features that a region of the output depends on through `left` convolutions of features and the last one,
@@ -230,17 +283,17 @@ impl Rcan {
     }
 
     /// `to = to + conv(from)` on a window of both.
-    fn skip(
+    fn skip<A: Arithmetic>(
         &self,
-        simd: Simd,
-        parameters: conv::Parameters<'_>,
+        arithmetic: A,
+        weights: A::Conv<'_>,
         window: Region,
-        [from, to]: [&mut Features<'_>; 2],
+        [from, to]: [&mut Features<'_, A::Number>; 2],
         scratch: &mut [f32],
     ) -> Result<(), NnError> {
         let (input, output) = (from.cut(window)?, to.cut(window)?);
-        let tensors = Tensors::Apart { input: input.as_chw(), addressing: Addressing::Direct, output };
-        self.on(window).conv().process(simd, parameters, tensors, scratch)
+        let tensors = Tensors::Apart { input: input.as_chw(), output };
+        arithmetic.conv(&self.on(window).conv(), weights, tensors, scratch)
     }
 
     fn read<'a>(&self, data: &'a [f16]) -> Result<Chw<'a, f16>, NnError> {
@@ -249,21 +302,40 @@ impl Rcan {
     }
 }
 
+/// Halves as features, which have the same size.
+fn numbers<A: Arithmetic>(halves: &mut [f16]) -> &mut [A::Number] {
+    bytemuck::cast_slice_mut(halves)
+}
+
+/// `2^exponent`, for exponents from -126 to 127.
+const fn power_of_two(exponent: i8) -> f32 {
+    f32::from_bits(((exponent as i32 + 127) as u32) << 23)
+}
+
 /// Divides the weights among the layers. The total length has been checked, so no layer gets too few.
 struct Layers<'a, I> {
     entries: I,
-    rest: &'a [f16],
+    rest: Rest<'a>,
 }
 
 impl<'a, I: Iterator<Item = Entry>> Layers<'a, I> {
-    fn next_conv(&mut self) -> conv::Parameters<'a> {
-        let (weights, bias) = self.entries.next().map_or((0, 0), |entry| (entry.weights_len(), entry.bias_len()));
-        conv::Parameters { weights: self.take(weights), bias: self.take(bias) }
+    fn next_entry(&mut self) -> Entry {
+        self.entries.next().unwrap_or(Entry { layer: Layer::Head, outputs: 0, inputs: 0, kernel: 0 })
     }
 
-    fn next_block(&mut self) -> rcab::Parameters<'a> {
-        let convs = [self.next_conv(), self.next_conv()];
-        let [squeeze, excite] = [self.next_conv(), self.next_conv()];
+    fn next_conv<A: Arithmetic>(&mut self) -> A::Conv<'a> {
+        let entry = self.next_entry();
+        A::take(&mut self.rest, &entry)
+    }
+
+    fn next_dense(&mut self) -> conv::Parameters<'a> {
+        let entry = self.next_entry();
+        self.rest.halves(&entry)
+    }
+
+    fn next_block<A: Arithmetic>(&mut self) -> rcab::Parameters<'a, A::Conv<'a>> {
+        let convs = [self.next_conv::<A>(), self.next_conv::<A>()];
+        let [squeeze, excite] = [self.next_dense(), self.next_dense()];
         let attention = channel_attention::Parameters {
             squeeze: squeeze.weights,
             squeeze_bias: squeeze.bias,
@@ -271,12 +343,6 @@ impl<'a, I: Iterator<Item = Entry>> Layers<'a, I> {
             excite_bias: excite.bias,
         };
         rcab::Parameters { convs, attention }
-    }
-
-    fn take(&mut self, len: usize) -> &'a [f16] {
-        let (taken, rest) = self.rest.split_at(len.min(self.rest.len()));
-        self.rest = rest;
-        taken
     }
 }
 

@@ -67,8 +67,7 @@ impl Upscale {
         scratch: &mut [f32],
     ) -> Result<(), NnError> {
         check_shape([self.channels, self.rows, self.cols], input.shape())?;
-        let end = [origin[0] + output.rows(), origin[1] + output.cols()];
-        check_shape([1, 2 * self.rows, 2 * self.cols], [1, end[0].max(2 * self.rows), end[1].max(2 * self.cols)])?;
+        self.check_output(origin, &output)?;
         check_weights(36 * self.channels * self.channels, conv.weights.len())?;
         check_weights(4 * self.channels, conv.bias.len())?;
         check_weights(9 * self.channels, conv2.weights.len())?;
@@ -76,6 +75,12 @@ impl Upscale {
         check_scratch(self.scratch_len(1), scratch.len())?;
         simd.run(Job { plan: *self, conv, conv2, input, origin, output, scratch });
         Ok(())
+    }
+
+    /// Checks that a part of the result that begins at `origin` lies in it.
+    pub(super) fn check_output(&self, origin: [usize; 2], output: &PlaneMut<'_, f16>) -> Result<(), NnError> {
+        let end = [origin[0] + output.rows(), origin[1] + output.cols()];
+        check_shape([1, 2 * self.rows, 2 * self.cols], [1, end[0].max(2 * self.rows), end[1].max(2 * self.cols)])
     }
 }
 
@@ -140,7 +145,8 @@ impl Kernel for Job<'_> {
 
 impl Upscale {
     /// Fills the slots with feature rows start - 1..=start + height, zeros outside the frame.
-    #[inline(always)]
+    #[cfg_attr(target_arch = "arm", inline(never))]
+    #[cfg_attr(not(target_arch = "arm"), inline(always))]
     fn widen(&self, input: Chw<'_, f16>, start: usize, height: usize, slots: &mut [f32]) {
         let slots = slots.chunks_exact_mut(self.coarse_len()).take(height + 2);
         for (slot, to) in slots.enumerate() {
@@ -156,7 +162,8 @@ impl Upscale {
     }
 
     /// Distributes one row of a block of channels over the fine rows, rounded to halves.
-    #[inline(always)]
+    #[cfg_attr(target_arch = "arm", inline(never))]
+    #[cfg_attr(not(target_arch = "arm"), inline(always))]
     fn shuffle(&self, sums: &[f32], first: usize, row: usize, fine: &mut [f32]) {
         let pitch = packed::pitch(2 * self.cols);
         // Channels come in pairs that lie side by side in a row.

@@ -30,6 +30,7 @@
 //!     bank: Bank { tile: 8, step: 8, channels: 1, taps, blocks: None },
 //!     rcan: Rcan { width: 1, groups: 1, blocks: 1, reduction: 1 },
 //!     memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
+//!     integers: None,
 //! };
 //! header.memory = Pipeline::plan(&header).unwrap();
 //!
@@ -37,7 +38,8 @@
 //! let mut filters = [f16::ZERO; 80];
 //! filters.chunks_mut(2).for_each(|number| number[0] = f16::ONE);
 //! let rcan = [f16::ZERO; 131];
-//! let weights = Weights { filters: &filters, index: &[], rcan: &rcan, offset_dn: None, inverse_gain: None };
+//! let weights =
+//!     Weights { filters: &filters, index: &[], rcan: &rcan, offset_dn: None, inverse_gain: None, convolutions: None };
 //! let network = Network::new(header, weights).unwrap();
 //! let pipeline = Pipeline::new(&network).unwrap();
 //!

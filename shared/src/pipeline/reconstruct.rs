@@ -159,7 +159,8 @@ impl<'a> Pipeline<'a> {
         held.map_or(Ok(()), |held| held.fits_filters(filter_max, filter_finite))?;
         let arena = bulk.len() - self.rcan.arena_len();
         let output = PlaneMut::new(output, region.rows.into(), region.cols.into())?;
-        let parameters = rcan::Parameters { weights: self.weights.rcan, scales };
+        let parameters =
+            rcan::Parameters { weights: self.weights.rcan, convolutions: self.weights.convolutions, scales };
         self.rcan.process(self.simd, parameters, &mut bulk[arena..], region, output, fast)?;
         Ok(Stats { saturated_px, frame_max_dn, filter_max, filter_finite })
     }

@@ -53,6 +53,7 @@ impl Case {
             },
             rcan: RCAN,
             memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
+            integers: None,
         };
         let header = Header { memory: Pipeline::plan(&header).unwrap(), ..header };
         let gain = noise.halves(pixels, 0.1).into_iter().map(|x| f16::from_f32(1.0 + x.to_f32())).collect();
@@ -68,7 +69,7 @@ impl Case {
 
     fn weights(&self) -> Weights<'_> {
         let (offset_dn, inverse_gain) = (Some(self.offset.as_slice()), Some(self.gain.as_slice()));
-        Weights { filters: &self.spectra, index: &[], rcan: &self.rcan, offset_dn, inverse_gain }
+        Weights { filters: &self.spectra, index: &[], rcan: &self.rcan, offset_dn, inverse_gain, convolutions: None }
     }
 
     fn network(&self) -> Result<Network<'_>, BlobError> {

@@ -26,7 +26,7 @@ pub(super) fn shapes(header: &Header) -> Result<(FilterBank<'_>, Rcan), Pipeline
         return Err(PipelineError::BlackLevel { found: header.sensor.black_level_dn });
     }
     let filter = FilterBank::new(&header.bank, header.frame, header.object)?;
-    Ok((filter, Rcan::new(network, header.bank.channels, header.object)?))
+    Ok((filter, Rcan::new(network, header.integers, header.bank.channels, header.object)?))
 }
 
 fn check(

@@ -4,8 +4,9 @@
 use half::f16;
 use ommatidia_network::network_file::NetworkFile;
 use ommatidia_session::rng;
-use ommatidia_shared::blob::{Bank, Blocks, Header, MemoryPlan, Rcan, Sensor, Size, Tap, Weights};
+use ommatidia_shared::blob::{Bank, Blocks, Header, Integers, MemoryPlan, Rcan, Sensor, Size, Tap, Weights};
 use ommatidia_shared::image::Region;
+use ommatidia_shared::nn::integer::{Channel, Convolutions};
 use ommatidia_shared::pipeline::Pipeline;
 use rand::RngExt;
 use rand::seq::SliceRandom;
@@ -104,7 +105,16 @@ pub fn header(shape: &Shape) -> Header {
             reduction: if shape.width.is_multiple_of(2) { 2 } else { shape.width },
         },
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
+        integers: None,
     };
+    header.memory = Pipeline::plan(&header).unwrap();
+    header
+}
+
+/// The same network with its convolutions in integers.
+pub fn in_integers(shape: &Shape) -> Header {
+    let mut header = header(shape);
+    header.integers = Some(Integers { input_log2: 14, feature_log2: 11, output: 1.0e-6 });
     header.memory = Pipeline::plan(&header).unwrap();
     header
 }
@@ -130,8 +140,11 @@ pub fn scaled(header: &Header, seed: u64, factors: [f32; 3]) -> NetworkFile {
     let filters = draw("filters", lens.filters, 0.1 * factors[0], factors[0]);
     let index = index(&header.bank, &mut rng::stream(seed, "index", 0));
     let mut rcan = draw("rcan", lens.rcan, 0.0, layer * factors[1]);
-    let last = rcan.len() - (9 * usize::from(header.rcan.width) + 1);
-    rcan[last..].iter_mut().for_each(|w| *w = f16::from_f32(w.to_f32() / factors[1] * factors[2]));
+    let last = rcan.len().saturating_sub(9 * usize::from(header.rcan.width) + 1);
+    if header.integers.is_none() {
+        rcan[last..].iter_mut().for_each(|w| *w = f16::from_f32(w.to_f32() / factors[1] * factors[2]));
+    }
+    let (integers, channels) = integers(header, seed, layer / 127.0 * factors[1]);
     let offset = draw("offset", lens.offset_dn, 0.0, 8.0);
     let gain = draw("gain", lens.inverse_gain, 1.0, 0.1);
     let weights = Weights {
@@ -140,8 +153,23 @@ pub fn scaled(header: &Header, seed: u64, factors: [f32; 3]) -> NetworkFile {
         rcan: &rcan,
         offset_dn: header.sensor.has_offset_map.then_some(&offset),
         inverse_gain: header.sensor.has_gain_map.then_some(&gain),
+        convolutions: header.integers.map(|_| Convolutions { weights: &integers, channels: &channels }),
     };
     NetworkFile::new(header, &weights).unwrap()
+}
+
+/// Integer weights of every size and channels whose weights are worth about `scale` each; biases of up to a few units of
+/// the features. Empty where the convolutions of the header are halves.
+fn integers(header: &Header, seed: u64, scale: f32) -> (Vec<u16>, Vec<Channel>) {
+    let lens = header.section_lens().unwrap();
+    let mut rng = rng::stream(seed, "integers", 0);
+    let byte = |rng: &mut _| RngExt::random_range(rng, -128..=127_i8) as u8;
+    let weights = (0..lens.integers).map(|_| u16::from_le_bytes([byte(&mut rng), byte(&mut rng)])).collect();
+    let channel = |_| {
+        let multiplier = (f64::from(scale * rng.random_range(0.5..1.5f32)) * 2f64.powi(32)).min(f64::from(i32::MAX));
+        Channel { bias: rng.random_range(-2_000_000..=2_000_000), multiplier: multiplier as i32 }
+    };
+    (weights, (0..lens.channels / 4).map(channel).collect())
 }
 
 /// Where the blocks of a bank lie: drawn from all places alike.

@@ -2,6 +2,17 @@
 
 use serde::{Deserialize, Serialize};
 
+/// How the enhancement network is computed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Numbers {
+    /// Weights and features in half precision.
+    #[default]
+    Halves,
+    /// 3x3 convolutions with weights of 8 bits and features of 16 bits.
+    Integers,
+}
+
 /// Settings of making a network file.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -19,4 +30,7 @@ pub struct QuantizeConfig {
     pub energy: Option<f64>,
     /// Fraction of the dense filters' bytes that the strongest blocks of their kernels may take, index included.
     pub prune: Option<f64>,
+    /// How the enhancement network is computed.
+    #[serde(default)]
+    pub numbers: Numbers,
 }

@@ -84,6 +84,20 @@ pub enum QuantizeError {
         /// Difference, bytes.
         missing: u64,
     },
+    /// The ranges of integers are measured on held-out frames, and the checkpoint has none.
+    #[error(
+        "the checkpoint has no held-out frames, on which the ranges of integers are measured; train it with \
+         `ommatidia train`, or leave --weights out"
+    )]
+    NoFrames,
+    /// A layer cannot be written in integers.
+    #[error("layer `{layer}`, output channel {channel}: its weights are too large for integers; leave --weights out")]
+    Integers {
+        /// Name of the layer.
+        layer: String,
+        /// Index of the output channel.
+        channel: usize,
+    },
     /// The parts of the network cannot be encoded as a file.
     #[error("network file: {0}")]
     Blob(#[from] BlobError),

@@ -1,6 +1,8 @@
 //! From a checkpoint to a network file within a budget of memory.
 
 use super::bank::PlannedBank;
+use super::config::Numbers;
+use super::integers::IntegerNetwork;
 use super::pack::{self, narrow};
 use super::report::MadeFile;
 use super::{QuantizeConfig, QuantizeError, QuantizeReport};
@@ -57,7 +59,14 @@ fn make(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) -> Result<
     pack::check_finite(&checkpoint.weights)?;
     let bank = PlannedBank::new(checkpoint, config)?;
     let (filters, index) = bank.filters()?;
-    let rcan = pack::rcan(network, &checkpoint.weights)?;
+    let integers = match config.numbers {
+        Numbers::Halves => None,
+        Numbers::Integers => Some(IntegerNetwork::of(checkpoint)?),
+    };
+    let rcan = match &integers {
+        None => pack::rcan(network, &checkpoint.weights)?,
+        Some(integers) => integers.attention.clone(),
+    };
     let offset =
         checkpoint.maps.offset_dn.as_ref().map(|map| pack::halves("offset_dn", map.iter().copied())).transpose()?;
     let gain = checkpoint
@@ -66,9 +75,15 @@ fn make(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) -> Result<
         .as_ref()
         .map(|map| pack::halves("inverse_gain", map.iter().copied()))
         .transpose()?;
-    let weights =
-        Weights { filters: &filters, index, rcan: &rcan, offset_dn: offset.as_deref(), inverse_gain: gain.as_deref() };
-    let header = header(checkpoint, hash, config, &bank)?;
+    let weights = Weights {
+        filters: &filters,
+        index,
+        rcan: &rcan,
+        offset_dn: offset.as_deref(),
+        inverse_gain: gain.as_deref(),
+        convolutions: integers.as_ref().map(IntegerNetwork::convolutions),
+    };
+    let header = header(checkpoint, hash, config, &bank, integers.as_ref().map(|integers| integers.scales))?;
     let mut bytes = vec![0; blob::encoded_len(&header)?];
     let len = blob::encode(&header, &weights, &mut bytes)?;
     bytes.truncate(len);
@@ -76,10 +91,22 @@ fn make(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) -> Result<
         header: &header,
         bytes: &bytes,
         filter_bytes: (filters.len() + index.len()) * size_of::<f16>(),
-        rcan_bytes: rcan.len() * size_of::<f16>(),
+        rcan_bytes: rcan_bytes(&header)?,
     };
-    let report = QuantizeReport::new(checkpoint, &bank, &file)?;
+    let halves = match config.numbers {
+        Numbers::Halves => None,
+        Numbers::Integers => {
+            Some(make(checkpoint, hash, &QuantizeConfig { numbers: Numbers::Halves, ..config.clone() })?)
+        }
+    };
+    let report = QuantizeReport::new(checkpoint, &bank, &file, halves.map(|halves| halves.bytes))?;
     Ok(Quantized { bytes, report })
+}
+
+/// Length of the enhancement network in the file, bytes.
+fn rcan_bytes(header: &Header) -> Result<usize, QuantizeError> {
+    let lens = header.section_lens()?;
+    Ok((lens.rcan + lens.integers + lens.channels) as usize * size_of::<u16>())
 }
 
 fn header(
@@ -87,6 +114,7 @@ fn header(
     hash: &str,
     config: &QuantizeConfig,
     bank: &PlannedBank,
+    integers: Option<blob::Integers>,
 ) -> Result<Header, QuantizeError> {
     let (network, noise) = (&checkpoint.body.network, &checkpoint.body.noise);
     let size = |field, [rows, cols]: [usize; 2]| -> Result<Size, QuantizeError> {
@@ -106,6 +134,7 @@ fn header(
         bank: bank.describe()?,
         rcan: pack::describe(network)?,
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
+        integers,
     };
     header.memory = Pipeline::plan(&header)?;
     Ok(header)

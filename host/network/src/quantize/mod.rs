@@ -1,5 +1,5 @@
-//! From a checkpoint to the network file of a device: filters as taps or blocks, weights as halves, memory plan,
-//! budget.
+//! From a checkpoint to the network file of a device: filters as taps or blocks, weights as halves or integers,
+//! memory plan, budget.
 //!
 //! ```
 //! use ndarray::Array2;
@@ -27,16 +27,18 @@ mod bank;
 mod choose;
 mod config;
 mod error;
+mod integers;
 mod make;
 mod mask;
 mod pack;
 mod plane;
+mod ranges;
 mod report;
 #[cfg(test)]
 mod tests;
 
 pub use choose::BLOCK;
-pub use config::QuantizeConfig;
+pub use config::{Numbers, QuantizeConfig};
 pub use error::QuantizeError;
 pub use make::{Quantized, quantize};
 pub use mask::{ChosenMask, MaskSource, filter_mask, training_mask};

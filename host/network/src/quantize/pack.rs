@@ -5,7 +5,7 @@ use crate::train::NetworkConfig;
 use crate::train::weights::name;
 use ommatidia_session::artifact::Tensors;
 use ommatidia_shared::blob::Rcan;
-use ommatidia_shared::nn::rcan::{Layer, layout};
+use ommatidia_shared::nn::rcan::{Entry, Layer, layout};
 use ommatidia_shared::num::f16;
 
 /// Checks that all weights are finite.
@@ -62,25 +62,45 @@ pub fn describe(network: &NetworkConfig) -> Result<Rcan, QuantizeError> {
 pub fn rcan(network: &NetworkConfig, weights: &Tensors) -> Result<Vec<f16>, QuantizeError> {
     let mut section = Vec::new();
     for entry in layout(&describe(network)?, narrow("channels", network.channels)?) {
-        let layer = layer(network, entry.layer);
-        for (part, expected) in [("weight", entry.weights_len()), ("bias", entry.bias_len())] {
-            let name = format!("{layer}.{part}");
-            let found = weights.get(&name).map_or(0, |t| t.len());
-            let Some(tensor) = weights.get(&name).filter(|_| found == expected) else {
-                return Err(QuantizeError::Size {
-                    field: "weights",
-                    expected: format!("{expected} values in `{name}`"),
-                    found,
-                });
-            };
-            section.extend(halves(&name, tensor.iter().copied())?);
-        }
+        section.extend(layer_halves(network, weights, &entry)?);
     }
     Ok(section)
 }
 
+/// Weights and biases of a layer as halves.
+///
+/// # Errors
+/// As [`rcan`].
+pub fn layer_halves(network: &NetworkConfig, weights: &Tensors, entry: &Entry) -> Result<Vec<f16>, QuantizeError> {
+    let [w, b] = layer_values(network, weights, entry)?;
+    let name = layer(network, entry.layer);
+    let mut section = halves(&format!("{name}.weight"), w.into_iter())?;
+    section.extend(halves(&format!("{name}.bias"), b.into_iter())?);
+    Ok(section)
+}
+
+/// Weights and biases of a layer.
+///
+/// # Errors
+/// A tensor is missing or has the wrong length.
+pub fn layer_values(network: &NetworkConfig, weights: &Tensors, entry: &Entry) -> Result<[Vec<f32>; 2], QuantizeError> {
+    let layer = layer(network, entry.layer);
+    let values = |part: &str, expected: usize| {
+        let name = format!("{layer}.{part}");
+        let found = weights.get(&name).map_or(0, |t| t.len());
+        match weights.get(&name).filter(|_| found == expected) {
+            Some(tensor) => Ok(tensor.iter().copied().collect()),
+            None => {
+                let expected = format!("{expected} values in `{name}`");
+                Err(QuantizeError::Size { field: "weights", expected, found })
+            }
+        }
+    };
+    Ok([values("weight", entry.weights_len())?, values("bias", entry.bias_len())?])
+}
+
 /// Name of a layer of the file in the checkpoint.
-fn layer(network: &NetworkConfig, layer: Layer) -> String {
+pub fn layer(network: &NetworkConfig, layer: Layer) -> String {
     match layer {
         Layer::Head => name::HEAD.into(),
         Layer::BlockConv { group, block, conv } => name::conv(group.into(), block.into(), conv.into()),

@@ -23,7 +23,7 @@ pub struct Quality {
 /// Quality of the network after one step of quantization.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Step {
-    /// The step: `float`, `taps` or `blocks`, `file`.
+    /// The step: `float`, `taps` or `blocks`, `file`; for a file in integers `halves` before it.
     pub step: &'static str,
     /// Quality after the step.
     #[serde(flatten)]
@@ -72,6 +72,9 @@ pub struct QuantizeReport {
     pub steps: Vec<Step>,
     /// Peak signal-to-noise ratio of the float network minus that of the file, dB.
     pub loss_db: f64,
+    /// The same of the file in halves minus that of this file in integers, dB.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub loss_to_halves_db: Option<f64>,
 }
 
 /// A file that was made, and the lengths of its parts.
@@ -87,7 +90,13 @@ pub(super) struct MadeFile<'a> {
 }
 
 impl QuantizeReport {
-    pub(super) fn new(checkpoint: &Checkpoint, bank: &PlannedBank, file: &MadeFile<'_>) -> Result<Self, QuantizeError> {
+    /// `halves`: the same network in halves, for a file in integers.
+    pub(super) fn new(
+        checkpoint: &Checkpoint,
+        bank: &PlannedBank,
+        file: &MadeFile<'_>,
+        halves: Option<Vec<u8>>,
+    ) -> Result<Self, QuantizeError> {
         let MadeFile { header, bytes, filter_bytes, rcan_bytes } = *file;
         let cases = &checkpoint.cases;
         let mut steps = Vec::new();
@@ -105,9 +114,12 @@ impl QuantizeReport {
         }
         let blocks = header.bank.blocks;
         let network = &checkpoint.body.network;
-        let network_file = NetworkFile::from_bytes(Path::new("network file"), bytes)
-            .map_err(|error| QuantizeError::Case { index: 0, detail: error.to_string() })?;
-        let quantized = add("file", &network_file)?;
+        let read = |bytes: &[u8]| {
+            NetworkFile::from_bytes(Path::new("network file"), bytes)
+                .map_err(|error| QuantizeError::Case { index: 0, detail: error.to_string() })
+        };
+        let halves = halves.map(|bytes| add("halves", &read(&bytes)?)).transpose()?;
+        let quantized = add("file", &read(bytes)?)?;
         Ok(Self {
             file_bytes: bytes.len(),
             filter_bytes,
@@ -128,6 +140,7 @@ impl QuantizeReport {
             frames: cases.len(),
             steps,
             loss_db: float - quantized,
+            loss_to_halves_db: halves.map(|halves| halves - quantized),
         })
     }
 }

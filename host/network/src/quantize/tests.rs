@@ -82,6 +82,33 @@ fn the_file_computes_what_the_float_network_does() {
     assert_eq!(made.report.energy_kept, 1.0);
 }
 
+/// Weights of 8 bits have a step of 1/127 of the largest of their channel; features of 16 bits are finer than halves.
+#[test]
+fn integers_compute_about_what_the_float_network_does() {
+    let checkpoint = checkpoint();
+    let config = QuantizeConfig { numbers: Numbers::Integers, ..Default::default() };
+    let made = quantize(&checkpoint, "", &config).unwrap();
+    let halves = quantize(&checkpoint, "", &QuantizeConfig::default()).unwrap();
+    let (float, integers) = (FloatNetwork::new(&checkpoint).unwrap(), file(&made));
+    let error = difference(&float, &integers, &frame(9));
+    assert!(error > difference(&float, &file(&halves), &frame(9)) && error < 0.1, "{error}");
+    assert!(integers.header().unwrap().integers.is_some() && file(&halves).header().unwrap().integers.is_none());
+    let steps: Vec<&str> = made.report.steps.iter().map(|step| step.step).collect();
+    assert_eq!(steps, ["float", "halves", "file"]);
+    let psnr = |step: usize| made.report.steps[step].quality.psnr_db;
+    assert_eq!(made.report.loss_to_halves_db, Some(psnr(1) - psnr(2)));
+    assert!(made.report.loss_db.abs() < 0.3, "{:?}", made.report);
+    // Half the bytes for a weight; ten more for an output channel, and the attentions as before.
+    assert!(made.report.rcan_bytes * 10 < halves.report.rcan_bytes * 7, "{:?}", made.report);
+}
+
+#[test]
+fn integers_need_frames() {
+    let checkpoint = Checkpoint { cases: Vec::new(), ..checkpoint() };
+    let config = QuantizeConfig { numbers: Numbers::Integers, ..Default::default() };
+    assert!(matches!(quantize(&checkpoint, "", &config), Err(QuantizeError::NoFrames)));
+}
+
 /// Filters whose kernels are a few compact spots fit into taps without loss.
 #[test]
 fn taps_of_compact_kernels_are_the_whole_filter() {

@@ -53,6 +53,15 @@ impl Inference {
         Estimator::of(config, self.predict.as_ref()?, noise)
     }
 
+    /// The input of the enhancement network, [channels, object rows, object cols], of a normalised frame, [frame rows,
+    /// frame cols]: the filter outputs divided by their maximum.
+    pub fn enhancement_input(&self, frame: &[f32]) -> Vec<f32> {
+        let mut seen = self.bank.apply(frame);
+        let most = seen.par_iter().copied().reduce(|| f32::NEG_INFINITY, f32::max).max(DARK);
+        seen.par_iter_mut().for_each(|v| *v /= most);
+        seen
+    }
+
     /// The reconstruction, [object rows, object cols], of a normalised frame, [frame rows, frame cols]. `estimate` is
     /// what the [`Estimator`](super::Estimator) of the network finds; empty for networks without.
     ///

@@ -116,7 +116,7 @@ fn of_blob(path: &Path) -> anyhow::Result<Value> {
         .map_err(|e| anyhow::anyhow!("{}: {e}; quantize the checkpoint again", path.display()))?;
     let header = serde_json::to_value(network.header())?;
     Ok(json!({
-        "kind": "blob", "version": ommatidia_shared::blob::VERSION, "bytes": bytes.len(), "header": header,
+        "kind": "blob", "version": u16::from_le_bytes([bytes[8], bytes[9]]), "bytes": bytes.len(), "header": header,
         "memory": { "fast": ommatidia_report::bytes(network.header().memory.fast_bytes.into()), "bulk":
             ommatidia_report::bytes(network.header().memory.bulk_bytes.into()) },
     }))

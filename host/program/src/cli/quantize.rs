@@ -2,7 +2,7 @@
 
 use super::files::{Content, Files};
 use super::{Outcome, Run};
-use ommatidia_network::quantize::{QuantizeConfig, QuantizeReport, quantize};
+use ommatidia_network::quantize::{Numbers, QuantizeConfig, QuantizeReport, quantize};
 use ommatidia_network::train::Checkpoint;
 use ommatidia_session::artifact::{file_hash, write_whole};
 use ommatidia_session::kind::FileKind;
@@ -38,6 +38,45 @@ pub struct Args {
     /// Fraction of the filters' energy that the taps must keep [default: 0.95]
     #[arg(long, value_name = "PART", requires = "tile")]
     energy: Option<f64>,
+    /// Weights of the enhancement network's convolutions
+    #[arg(long, value_enum, default_value_t = Weights::F16)]
+    weights: Weights,
+    /// Features of the enhancement network [default: f16 for weights f16, int16 for weights int8]
+    #[arg(long, value_enum)]
+    activations: Option<Activations>,
+}
+
+/// Number formats of weights.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Weights {
+    /// IEEE half precision
+    F16,
+    /// 8 bits, with a scale for each output channel
+    Int8,
+}
+
+/// Number formats of features.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Activations {
+    /// IEEE half precision
+    F16,
+    /// 16 bits
+    Int16,
+}
+
+impl Args {
+    fn numbers(&self) -> anyhow::Result<Numbers> {
+        match (self.weights, self.activations) {
+            (Weights::F16, None | Some(Activations::F16)) => Ok(Numbers::Halves),
+            (Weights::Int8, None | Some(Activations::Int16)) => Ok(Numbers::Integers),
+            (Weights::F16, Some(Activations::Int16)) => {
+                anyhow::bail!("--activations int16 needs --weights int8; add it, or leave --activations out")
+            }
+            (Weights::Int8, Some(Activations::F16)) => {
+                anyhow::bail!("--weights int8 needs --activations int16; change it, or leave --activations out")
+            }
+        }
+    }
 }
 
 impl Args {
@@ -53,6 +92,7 @@ impl Args {
 /// The checkpoint cannot be read, a weight is not finite, the network does not fit into the budget, or the file cannot
 /// be written. Nothing is written then.
 pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
+    let numbers = args.numbers()?;
     let checkpoint = Checkpoint::read(&args.checkpoint)?;
     let stem = args.checkpoint.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
     let config = QuantizeConfig {
@@ -62,6 +102,7 @@ pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
         tile: args.tile,
         energy: args.energy,
         prune: args.prune,
+        numbers,
     };
     let made = quantize(&checkpoint, &file_hash(&args.checkpoint)?, &config)?;
     write_whole(&args.output, &made.bytes)?;
@@ -95,5 +136,8 @@ fn text(path: &Path, r: &QuantizeReport) -> String {
         let _ = writeln!(text, "  {:>6}: {:.2} dB, SSIM {:.4}", step.step, step.quality.psnr_db, step.quality.ssim);
     }
     let _ = writeln!(text, "  loss by quantization: {:.3} dB over {} held-out frames", r.loss_db, r.frames);
+    if let Some(loss) = r.loss_to_halves_db {
+        let _ = writeln!(text, "  loss of integers against half precision: {loss:.3} dB");
+    }
     text
 }

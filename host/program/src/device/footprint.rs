@@ -45,6 +45,7 @@ pub(super) fn small_network() -> Result<(NetworkFile, Vec<u16>), DeviceError> {
         bank: Bank { tile: 16, step: 16, channels: 2, taps: tap(0).chain(tap(1)).collect(), blocks: None },
         rcan: Rcan { width: 4, groups: 1, blocks: 1, reduction: 2 },
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
+        integers: None,
     };
     header.memory = Pipeline::plan(&header).map_err(DeviceError::Pipeline)?;
     let lens = header.section_lens().map_err(|source| {
@@ -58,6 +59,7 @@ pub(super) fn small_network() -> Result<(NetworkFile, Vec<u16>), DeviceError> {
         rcan: &zeros[..lens.rcan as usize],
         offset_dn: Some(&zeros[..lens.offset_dn as usize]),
         inverse_gain: Some(&zeros[..lens.inverse_gain as usize]),
+        convolutions: None,
     };
     Ok((NetworkFile::new(&header, &weights)?, vec![100; 256]))
 }

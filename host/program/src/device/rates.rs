@@ -109,6 +109,7 @@ impl Network {
             bank: Bank { tile, step, channels, taps: (0..channels).flat_map(of_channel).collect(), blocks: None },
             rcan: Rcan { width, groups, blocks, reduction },
             memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
+            integers: None,
         };
         header.memory = Pipeline::plan(&header).map_err(DeviceError::Pipeline)?;
         let preset = preset.to_possible_value().map_or_else(String::new, |name| name.get_name().to_string());
@@ -167,7 +168,7 @@ impl Network {
         let find = |name: &str| counts.operators.iter().find(|count| count.name == name);
         let cost = |name: String| find(&name).map(|count| count.per_unit());
         let Header { object, bank, rcan, .. } = &self.header;
-        let plan = RcanPlan::new(*rcan, bank.channels, *object).ok()?;
+        let plan = RcanPlan::new(*rcan, self.header.integers, bank.channels, *object).ok()?;
         // The costs of 16 channels hold for those of 24, and are a little above.
         let width = if rcan.width < 32 { 16 } else { 32 };
         let mut left = plan.depth();
@@ -229,9 +230,10 @@ impl Network {
         let about = if self.counted(counts).is_some() { "" } else { "about " };
         let rate = part.mhz * 1e6 / (instructions * part.cycles);
         let lens = self.header.section_lens().ok()?;
-        let halves = [lens.filters, lens.index, lens.rcan, lens.offset_dn, lens.inverse_gain].into_iter().sum::<u64>();
+        let maps = lens.offset_dn + lens.inverse_gain;
+        let words = lens.filters + lens.index + lens.rcan + maps + lens.integers + lens.channels;
         // The header takes less than a kilobyte.
-        let flash = kib(u64::from(counts.footprint.image_bytes) + 2 * halves) + 1;
+        let flash = kib(u64::from(counts.footprint.image_bytes) + 2 * words) + 1;
         let Header { frame, object, memory, .. } = &self.header;
         let planes = [frame, object].map(|size| 2 * u64::from(size.rows) * u64::from(size.cols));
         let program = counts.footprint.static_bytes + counts.footprint.stack_bytes;

@@ -48,10 +48,11 @@ Written by `cargo run --release -p ommatidia -- device bench -o docs/instruction
 `firmware/src/bin/bench.rs`, counted instruction by instruction under QEMU, one table per board. The counts repeat
 exactly. They do not include pipeline, caches or wait states. An instruction of Helium, the vector extension of the
 Cortex-M55, counts as one here and takes two cycles on that core. Transforms read and write half precision (f16),
-except the complex ones, which work in place; convolutions and the network read and write half precision. Results have
-the same bits on every board as on the workstation. The C libraries work in single precision (f32) or in half
-precision throughout (f16), whose results may differ between machines. Their counts were taken earlier under QEMU 7.2
-(the better of gcc 12 and clang 19); the command does not repeat them.
+except the complex ones, which work in place; convolutions and the network read and write half precision. Those *in
+integers* have weights of 8 bits and features of 16 (`quantize --weights int8 --activations int16`); no library was
+counted beside them. Results have the same bits on every board as on the workstation. The C libraries work in single
+precision (f32) or in half precision throughout (f16), whose results may differ between machines. Their counts were taken
+earlier under QEMU 7.2 (the better of gcc 12 and clang 19); the command does not repeat them.
 
 A test of `cargo verify` counts again. It fails if a figure has grown by more than 2 %, if a table lacks an operator,
 or if a library needs fewer instructions. After an intended change, write the page again with the command above, or

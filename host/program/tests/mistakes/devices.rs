@@ -134,6 +134,7 @@ fn large_network() -> NetworkFile {
         bank: Bank { tile: 512, step: 512, channels: 12, taps: taps.collect(), blocks: None },
         rcan: Rcan { width: 4, groups: 1, blocks: 1, reduction: 2 },
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
+        integers: None,
     };
     header.memory = Pipeline::plan(&header).unwrap();
     let lens = header.section_lens().unwrap();
@@ -144,6 +145,7 @@ fn large_network() -> NetworkFile {
         rcan: &zeros[..lens.rcan as usize],
         offset_dn: None,
         inverse_gain: None,
+        convolutions: None,
     };
     NetworkFile::new(&header, &weights).unwrap()
 }

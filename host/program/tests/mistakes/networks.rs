@@ -52,6 +52,16 @@ fn passes_and_arenas_that_cannot_be() {
                 "host only",
                 "without --passes",
             ]),
+            Mistake::new(
+                "Features in integers for weights in half precision",
+                "quantize network -o new.omm --activations int16",
+            )
+            .says(&["--activations int16", "--weights int8"]),
+            Mistake::new(
+                "Weights in integers for features in half precision",
+                "quantize network -o new.omm --weights int8 --activations f16",
+            )
+            .says(&["--weights int8", "--activations int16"]),
             Mistake::new("Receptive fields of two passes", "erf two --instrument instrument -o new")
                 .with(two_passes)
                 .says(&["passes", "one pass"]),

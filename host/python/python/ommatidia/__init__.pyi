@@ -229,9 +229,13 @@ def quantize(
     prune: float | None = None,
     tile: int | None = None,
     energy: float | None = None,
+    integers: bool = False,
     force: bool = False,
 ) -> dict[str, Any]:
-    """Converts a checkpoint into the network file of a device: what `quantize --json` prints."""
+    """Converts a checkpoint into the network file of a device: what `quantize --json` prints.
+
+    `integers`: 3x3 convolutions with weights of 8 bits and features of 16.
+    """
 
 def set_threads(count: int) -> None:
     """Sets the number of threads; 0: one a core. No result depends on it."""

@@ -98,6 +98,12 @@ pub fn weights_count(rcan: &blob::Rcan, channels: u8) -> u64 {
     layout(rcan, channels).map(|entry| (entry.weights_len() + entry.bias_len()) as u64).sum()
 }
 
+/// Number of weights and biases of the channel attentions, which are halves in integer networks too.
+pub(crate) fn attention_count(rcan: &blob::Rcan, channels: u8) -> u64 {
+    let dense = layout(rcan, channels).filter(|entry| entry.kernel == 1);
+    dense.map(|entry| (entry.weights_len() + entry.bias_len()) as u64).sum()
+}
+
 /// Length of the weight section of the network, halves; `usize::MAX`, which no slice has, where the machine's memory
 /// cannot hold it.
 pub fn weights_len(rcan: &blob::Rcan, channels: u8) -> usize {

@@ -18,8 +18,8 @@ fn run(simd: Simd, band: usize, weights: &[f16], input: &[f16]) -> Vec<f16> {
 }
 
 fn run_region(simd: Simd, band: usize, weights: &[f16], input: &[f16], region: Region) -> Vec<f16> {
-    let parameters = Parameters { weights, scales: Scales::Measured(None) };
-    run_on(&Rcan::new(SHAPE, 3, OBJECT).unwrap(), simd, band, parameters, input, region)
+    let parameters = Parameters { weights, convolutions: None, scales: Scales::Measured(None) };
+    run_on(&Rcan::new(SHAPE, None, 3, OBJECT).unwrap(), simd, band, parameters, input, region)
 }
 
 /// `input` is what the plan takes for the region, or all of it, from which that is cut.
@@ -95,7 +95,7 @@ fn shallow() -> (Rcan, [usize; 4], Vec<f16>, [Vec<f16>; 2]) {
         let noise = noise.halves(2 * 60 * 64, 1.0);
         noise.iter().map(|x| f16::from_f32(x.to_f32() + mean)).collect()
     });
-    (Rcan::new(shape, 2, blob::Size { rows: 60, cols: 64 }).unwrap(), [2, 1, 6, 2], weights, inputs)
+    (Rcan::new(shape, None, 2, blob::Size { rows: 60, cols: 64 }).unwrap(), [2, 1, 6, 2], weights, inputs)
 }
 
 const REGIONS: [[u16; 4]; 7] =
@@ -107,9 +107,10 @@ fn scales_that_are_held_from_the_same_frame_change_no_bit() {
     for [row, col, rows, cols] in REGIONS {
         let region = Region { row, col, rows, cols };
         let mut scales = vec![f32::NAN; plan.scales_len()];
-        let measured = Parameters { weights: &weights, scales: Scales::Measured(Some(&mut scales)) };
+        let measured =
+            Parameters { weights: &weights, convolutions: None, scales: Scales::Measured(Some(&mut scales)) };
         let exact = run_on(&plan, Simd::detect(), 3, measured, &input, region);
-        let held = Parameters { weights: &weights, scales: Scales::Held(&scales) };
+        let held = Parameters { weights: &weights, convolutions: None, scales: Scales::Held(&scales) };
         assert_eq!(run_on(&plan, Simd::PORTABLE, 2, held, &input, region), exact, "{region}");
     }
 }
@@ -118,7 +119,7 @@ fn scales_that_are_held_from_the_same_frame_change_no_bit() {
 fn scales_that_are_held_from_another_frame_weigh_as_by_the_definition() {
     let (plan, shape, weights, [before, now]) = shallow();
     let mut scales = vec![f32::NAN; plan.scales_len()];
-    let measured = Parameters { weights: &weights, scales: Scales::Measured(Some(&mut scales)) };
+    let measured = Parameters { weights: &weights, convolutions: None, scales: Scales::Measured(Some(&mut scales)) };
     run_on(&plan, Simd::detect(), 3, measured, &before, Region { row: 5, col: 6, rows: 7, cols: 8 });
     let (mut written, wide_weights) = (Vec::new(), wide(&weights));
     let [before, input] = [&before, &now].map(|input| Tensor::new([2, 60, 64], wide(input)));
@@ -134,7 +135,7 @@ fn scales_that_are_held_from_another_frame_weigh_as_by_the_definition() {
     assert!(apart > 2.0 * TOLERANCE, "scales that do nothing would pass: {apart:e}");
     for [row, col, rows, cols] in REGIONS {
         let region = Region { row, col, rows, cols };
-        let held = Parameters { weights: &weights, scales: Scales::Held(&scales) };
+        let held = Parameters { weights: &weights, convolutions: None, scales: Scales::Held(&scales) };
         let found = run_on(&plan, Simd::detect(), 1, held, &now, region);
         let [rows, cols] = region.ranges();
         let cut: Vec<f64> = rows.flat_map(|r| &expected.data[r * 64..][cols.clone()]).copied().collect();
@@ -151,7 +152,14 @@ fn another_number_of_scales_is_refused() {
     arena[..input.len()].copy_from_slice(&input);
     let mut attempt = |scales: Scales<'_>| {
         let plane = PlaneMut::new(&mut output, 60, 64).unwrap();
-        plan.process(Simd::detect(), Parameters { weights: &weights, scales }, &mut arena, region, plane, &mut scratch)
+        plan.process(
+            Simd::detect(),
+            Parameters { weights: &weights, convolutions: None, scales },
+            &mut arena,
+            region,
+            plane,
+            &mut scratch,
+        )
     };
     assert_eq!(attempt(Scales::Held(&[0.5; 11])), Err(NnError::Weights { expected: 12, found: 11 }));
     assert_eq!(attempt(Scales::Measured(Some(&mut [0.5; 13]))), Err(NnError::Weights { expected: 12, found: 13 }));

@@ -18,10 +18,13 @@ mod convert;
 #[cfg(not(feature = "helium"))]
 mod correlate;
 mod divide;
+#[cfg(not(feature = "helium"))]
+mod dual;
 mod fft;
 mod flags;
 #[cfg(not(feature = "helium"))]
 mod fused;
+mod groups;
 #[cfg(feature = "helium")]
 pub(crate) mod helium;
 mod rows;
@@ -32,17 +35,20 @@ pub(super) use convert::{narrow, widen};
 pub(super) use divide::divide;
 pub(crate) use fft::transform;
 pub(super) use flags::{narrow_whole, overflowed};
+pub(crate) use groups::Groups;
 pub(crate) use rows::{order_row, scale_row, tangle_row, untangle_row};
 pub(crate) use window::Rows;
 
 #[cfg(not(feature = "helium"))]
 pub(crate) use correlate::{correlate1, correlate4};
+#[cfg(not(feature = "helium"))]
+pub(crate) use dual::correlate_groups;
 #[cfg(feature = "helium")]
 pub(super) use helium::{
     accumulate, add_eights, add_scaled, narrow_relu, narrow_slice, round_interleaved, widen_alternate, widen_slice,
 };
 #[cfg(feature = "helium")]
-pub(crate) use helium::{correlate1, correlate4};
+pub(crate) use helium::{correlate_groups, correlate1, correlate4};
 #[cfg(not(feature = "helium"))]
 pub(super) use {
     convert::{narrow_slice, widen_slice},

@@ -20,9 +20,28 @@ pub trait Vector: Copy {
     /// Stores to the first [`Self::LEN`] numbers of a slice. Panics where it is shorter.
     fn store(self, to: &mut [f32]);
 
+    /// Sums of integers, with their own number of elements.
+    type Sums: PairSums;
+
     /// `self + a * b`. Every product must be exact, as those of two widened halves are. One rounding and two then give
     /// the same bits, and the faster form is used.
     fn add_exact(self, a: Self, b: Self) -> Self;
+}
+
+/// Independent sums of products of integers that are computed side by side. None may overflow.
+pub trait PairSums: Copy {
+    /// Number of elements.
+    const LEN: usize;
+
+    /// Sums that begin with the same number.
+    fn splat(x: i32) -> Self;
+
+    /// Adds `from[2 i] weights[0] + from[2 i + 1] weights[1]` to element i. Panics where `from` has less than two
+    /// numbers for each element.
+    fn add_pairs(self, from: &[i16], weights: [i16; 2]) -> Self;
+
+    /// Stores to the first [`Self::LEN`] numbers of a slice. Panics where it is shorter.
+    fn store(self, to: &mut [i32]);
 }
 
 /// A loop nest that is compiled for each instruction set. `run` and all functions that it calls must be
@@ -75,6 +94,8 @@ impl Simd {
 impl<const N: usize> Vector for [f32; N] {
     const LEN: usize = N;
 
+    type Sums = [i32; N];
+
     #[inline(always)]
     fn splat(x: f32) -> Self {
         [x; N]
@@ -93,5 +114,28 @@ impl<const N: usize> Vector for [f32; N] {
     #[inline(always)]
     fn add_exact(self, a: Self, b: Self) -> Self {
         core::array::from_fn(|i| self[i] + a[i] * b[i])
+    }
+}
+
+impl<const N: usize> PairSums for [i32; N] {
+    const LEN: usize = N;
+
+    #[inline(always)]
+    fn splat(x: i32) -> Self {
+        [x; N]
+    }
+
+    #[inline(always)]
+    fn add_pairs(self, from: &[i16], [even, odd]: [i16; 2]) -> Self {
+        let from = &from[..2 * N];
+        core::array::from_fn(|i| {
+            let products = [i32::from(from[2 * i]) * i32::from(even), i32::from(from[2 * i + 1]) * i32::from(odd)];
+            self[i] + (products[0] + products[1])
+        })
+    }
+
+    #[inline(always)]
+    fn store(self, to: &mut [i32]) {
+        to[..N].copy_from_slice(&self);
     }
 }

@@ -2,10 +2,11 @@
 #![allow(unsafe_code)]
 
 use core::arch::x86_64::{
-    __cpuid, __cpuid_count, __m256, _mm256_fmadd_ps, _mm256_loadu_ps, _mm256_set1_ps, _mm256_storeu_ps, _xgetbv,
+    __cpuid, __cpuid_count, __m256, __m256i, _mm256_add_epi32, _mm256_fmadd_ps, _mm256_loadu_ps, _mm256_loadu_si256,
+    _mm256_madd_epi16, _mm256_set1_epi32, _mm256_set1_ps, _mm256_storeu_ps, _mm256_storeu_si256, _xgetbv,
 };
 
-use super::{Kernel, Vector};
+use super::{Kernel, PairSums, Vector};
 
 // CPUID 1, ecx.
 const FMA: u32 = 1 << 12;
@@ -53,6 +54,8 @@ struct Eight(__m256);
 impl Vector for Eight {
     const LEN: usize = 8;
 
+    type Sums = EightSums;
+
     #[inline(always)]
     fn splat(x: f32) -> Self {
         // SAFETY: see the type.
@@ -77,5 +80,37 @@ impl Vector for Eight {
     fn add_exact(self, a: Self, b: Self) -> Self {
         // SAFETY: see the type.
         Self(unsafe { _mm256_fmadd_ps(a.0, b.0, self.0) })
+    }
+}
+
+/// Eight integers in a ymm register, as [`Eight`].
+#[derive(Clone, Copy)]
+pub(super) struct EightSums(__m256i);
+
+impl PairSums for EightSums {
+    const LEN: usize = 8;
+
+    #[inline(always)]
+    fn splat(x: i32) -> Self {
+        // SAFETY: see `Eight`.
+        Self(unsafe { _mm256_set1_epi32(x) })
+    }
+
+    #[inline(always)]
+    fn add_pairs(self, from: &[i16], [even, odd]: [i16; 2]) -> Self {
+        let from = &from[..16];
+        let weights = i32::from(odd) << 16 | i32::from(even) & 0xffff;
+        // SAFETY: see `Eight`; sixteen numbers are there, and the load may be unaligned.
+        unsafe {
+            let from = _mm256_loadu_si256(from.as_ptr().cast());
+            Self(_mm256_add_epi32(self.0, _mm256_madd_epi16(from, _mm256_set1_epi32(weights))))
+        }
+    }
+
+    #[inline(always)]
+    fn store(self, to: &mut [i32]) {
+        let to = &mut to[..8];
+        // SAFETY: see `Eight`; there is room for eight numbers, and the store may be unaligned.
+        unsafe { _mm256_storeu_si256(to.as_mut_ptr().cast(), self.0) }
     }
 }

@@ -48,6 +48,7 @@ impl Network {
             },
             rcan: Rcan { width: 2, groups: 1, blocks: 1, reduction: 2 },
             memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
+            integers: None,
         };
         header.memory = Pipeline::plan(&header).map_err(DeviceError::Pipeline)?;
         let mut rng = rng::stream(seed, "faults", 0);
@@ -58,7 +59,14 @@ impl Network {
         let sections =
             [draw(lens.filters, 0.1), draw(lens.rcan, 0.0), draw(lens.offset_dn, 0.0), draw(lens.inverse_gain, 1.0)];
         let [filters, rcan, offset, gain] = &sections;
-        let weights = Weights { filters, index: &[], rcan, offset_dn: Some(offset), inverse_gain: Some(gain) };
+        let weights = Weights {
+            filters,
+            index: &[],
+            rcan,
+            offset_dn: Some(offset),
+            inverse_gain: Some(gain),
+            convolutions: None,
+        };
         let blob = NetworkFile::new(&header, &weights)?;
         let mut rng = rng::stream(seed, "frame", 0);
         let frame: Vec<u16> = (0..usize::from(SIDE) * usize::from(SIDE)).map(|_| rng.random_range(40..=4095)).collect();
