@@ -23,26 +23,41 @@ fn subject() -> &'static Subject {
     SUBJECT.get_or_init(|| {
         let mut config = instruments::config(&Size::quick(1), 0).unwrap();
         let bench = config.build_like(&config.build(&[]).unwrap(), &[]).unwrap();
-        let folder = tempfile::tempdir().unwrap();
-        bench.measure(&folder.path().join("calibration"), 1, |_| ()).unwrap();
-        let session = Session::open(folder.path().join("calibration")).unwrap();
-        // The rank is fixed: its search takes most of the time.
-        let calibration = CalibrateConfig { rank: Some(12), ..CalibrateConfig::default() };
-        let instrument = calibrate(&session, &calibration, || {}).unwrap().instrument;
+        let instrument = calibrated(&bench);
         (config.stacks.dark_frames, config.stacks.flat_frames) = (4, 2);
         Subject { config, bench, instrument }
     })
 }
 
+fn calibrated(bench: &VirtualInstrument) -> Instrument {
+    let folder = tempfile::tempdir().unwrap();
+    bench.measure(&folder.path().join("calibration"), 1, |_| ()).unwrap();
+    let session = Session::open(folder.path().join("calibration")).unwrap();
+    // The rank is fixed: its search takes most of the time.
+    let calibration = CalibrateConfig { rank: Some(12), ..CalibrateConfig::default() };
+    calibrate(&session, &calibration, || {}).unwrap().instrument
+}
+
 /// Closes a session of some stacks with an effect.
 fn closed(config: &BenchConfig, roles: &[Role], effect: Option<EffectSetting>, seed: u64) -> Closing {
+    closed_with(&subject().instrument, config, roles, effect, seed)
+}
+
+/// The same with an instrument of one's own.
+fn closed_with(
+    instrument: &Instrument,
+    config: &BenchConfig,
+    roles: &[Role],
+    effect: Option<EffectSetting>,
+    seed: u64,
+) -> Closing {
     let effects: Vec<EffectSetting> = effect.into_iter().collect();
     let folder = tempfile::tempdir().unwrap();
     let dir = folder.path().join("session");
     config.build_like(&subject().bench, &effects).unwrap().measure_some(&dir, seed, roles, |_| ()).unwrap();
     let mut seen = Observations::read(&Session::open(&dir).unwrap(), &Budget::default()).unwrap();
     let options = CloseOptions { seed: 1, ..CloseOptions::default() };
-    let closing = close(&subject().instrument, &mut seen, &options, |_| ()).unwrap().account.closing;
+    let closing = close(instrument, &mut seen, &options, |_| ()).unwrap().account.closing;
     eprintln!("--- {effects:?}: {:?} -> {:?}", closing.before, closing.after);
     closing.effects.iter().for_each(|e| eprintln!("{} (z = {:.1}): {}", e.id, e.z, e.description));
     closing.nearest.iter().for_each(|n| eprintln!("like {} (z = {:.1}): {}", n.id, n.z, n.why));
@@ -73,6 +88,17 @@ fn nothing_is_found_in_nothing() {
         let closing = closed(&subject().config, &WHOLE, None, seed);
         assert!(closing.effects.is_empty(), "{:?}", closing.effects);
     }
+}
+
+/// Noise of less than a DN is rounded to few codes, whose kurtosis is not that of noise.
+#[test]
+fn nothing_is_found_in_noise_of_few_codes() {
+    let mut config = subject().config.clone();
+    (config.sensor.gain_dn_per_e, config.sensor.read_noise_e) = (0.33, 1.2);
+    let instrument = calibrated(&config.build_like(&subject().bench, &[]).unwrap());
+    let closing = closed_with(&instrument, &config, &[Role::Dark, Role::Flat], None, 960);
+    assert!(closing.effects.is_empty() && closing.nearest.is_empty(), "{:?} {:?}", closing.effects, closing.nearest);
+    assert!(!closing.catalogue_incomplete);
 }
 
 #[test]

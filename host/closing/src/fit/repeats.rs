@@ -29,6 +29,8 @@ pub(crate) type Features = [f64; FEATURES];
 /// Standard error of a feature that is not measured: a million times that of a measured one, and no more, since both
 /// share a covariance matrix whose inverse must hold the small one to many digits.
 const UNKNOWN: f64 = 1e4;
+/// Noise with a smaller standard deviation, DN, is known to the converter in few codes.
+const COARSE_DN: f64 = 1.0;
 /// Number of noise frames that are drawn for each level.
 const DRAWN: u64 = 2;
 
@@ -281,6 +283,14 @@ impl Sampling {
                 (&vectors * &values.mapv(|v| 1.0 / v.max(1e-30).sqrt())).dot(&vectors.t())
             },
         );
+        // Of noise that the converter rounds to few codes, the kurtosis is that of the codes.
+        let is_coarse = |level: &Level| {
+            let fine = |w: &&f32| **w > 0.0 && f64::from(**w) * COARSE_DN < 1.0;
+            level.pairs.first().is_some_and(|(a, _)| {
+                let w = &now[*a].inverse_sigma;
+                2 * w.iter().filter(fine).count() < w.len()
+            })
+        };
         let tails = |level: &Level, v: f64| {
             let pairs = level.pairs.len() as f64;
             ((kurtosis_variance(v) / pairs + kurtosis_variance(v) - kurtosis_variance(0.0)) / (rows * cols)).sqrt()
@@ -288,7 +298,7 @@ impl Sampling {
         let sigma = |(level, expected): (&Level, &Features)| {
             let white = if level.unknown { UNKNOWN } else { scatter(level, expected[0]) / (rows * cols).sqrt() };
             let lines = |n: f64, v: f64| (2.0 / n).sqrt() * scatter(level, v);
-            let tails = if level.unknown { UNKNOWN } else { tails(level, expected[4]) };
+            let tails = if level.unknown || is_coarse(level) { UNKNOWN } else { tails(level, expected[4]) };
             [white, white, white, tails, lines(rows, expected[5]), lines(cols, expected[6])]
         };
         Self { whitening, sigma: levels.iter().zip(expected).map(sigma).collect() }

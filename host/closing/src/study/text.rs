@@ -107,7 +107,8 @@ fn head(out: &mut String, size: &Size, plan: Plan, s: &Summary) -> std::fmt::Res
 pub(super) fn left_out(out: &mut String, plan: Plan) -> std::fmt::Result {
     match plan.refused {
         0 => Ok(()),
-        n => writeln!(out, "{n} more instruments were drawn that `calibrate` refuses; they are left out.\n"),
+        1 => writeln!(out, "Of the instruments that were drawn `calibrate` refused 1, which is left out.\n"),
+        n => writeln!(out, "Of the instruments that were drawn `calibrate` refused {n}, which are left out.\n"),
     }
 }
 
