@@ -113,7 +113,7 @@ pub(crate) fn attempt(
         now = before.clone();
     }
     let (harmed, harmful_terms): (Vec<_>, Vec<_>) = taken_back.into_iter().unzip();
-    let mut nearest = shadowed(&search.shadowed);
+    let mut nearest = shadowed(&search.shadowed, found.first().map(|f| f.id));
     nearest.extend(imitated(&imitations));
     nearest.extend(harmful(&harmed));
     let mut notes = Vec::new();

@@ -84,13 +84,17 @@ pub(crate) fn unearned(effects: &[Effect], why: &str) -> Vec<Nearest> {
 }
 
 /// Effects in the shadow of a stronger one.
-pub(crate) fn shadowed(all: &[Shadowed]) -> Vec<Nearest> {
+pub(crate) fn shadowed(all: &[Shadowed], of: Option<&str>) -> Vec<Nearest> {
+    let strongest = match of {
+        Some(id) => format!("`{id}`, the strongest effect,"),
+        None => "the strongest effect, which was taken back,".into(),
+    };
     let one = |s: &Shadowed| Nearest {
         id: s.id.into(),
         z: s.z,
         why: format!(
-            "it explains {:.1} % of what the strongest effect explains, no more than a small error in the law of that \
-             one would leave",
+            "it explains {:.1} % of what {strongest} explains, no more than a small error in the law of that one would \
+             leave",
             100.0 * s.share
         ),
     };

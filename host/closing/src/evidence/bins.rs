@@ -77,7 +77,7 @@ impl Bins {
             Covariate::Sharpness => (
                 per_frame(&|p, _| {
                     let soft = blur_within(&p.light_e, 1.5);
-                    at_pixels(&((&p.light_e - &soft) / soft.mapv(|v| (v + 50.0).sqrt())))
+                    at_pixels(&((&p.light_e - &soft) / soft.mapv(|v| (v.max(0.0) + 50.0).sqrt())))
                 }),
                 false,
             ),

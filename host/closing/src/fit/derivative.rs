@@ -1,5 +1,6 @@
 //! Derivatives of the expected frames with respect to the values of a state, by finite differences.
 
+use super::lamp;
 use super::model::Model;
 use super::scene::Scene;
 use super::state::{Column, Predicted, State, Term};
@@ -36,7 +37,9 @@ impl Expansion<'_> {
     /// What a column varies. None: a nuisance parameter.
     pub(super) fn varied(&self, column: &Column) -> Option<Varied> {
         match column {
-            Column::Scale(_) | Column::Black | Column::Background(..) | Column::Registration(..) => None,
+            Column::Scale(_) | Column::Black | Column::Background(..) | Column::Lamp(_) | Column::Registration(..) => {
+                None
+            }
             Column::Trial { term, param } => {
                 let terms = self.state.terms.iter().chain([&self.trials[*term]]).cloned().collect();
                 Some(Varied { terms, which: self.state.terms.len(), param: *param })
@@ -48,12 +51,13 @@ impl Expansion<'_> {
     }
 }
 
-/// The images of single lenses under a state, electrons, [sensor rows, sensor cols]: computed when a column first
-/// varies
-/// that lens, and kept for the others.
+/// What columns of one frame share, [sensor rows, sensor cols]: computed when the first of them needs it. The images of
+/// single lenses under a state are in electrons.
 #[derive(Default)]
 pub struct LensImages {
     of: BTreeMap<usize, Array2<f32>>,
+    /// Derivative with respect to ln of the light of the frame, which the columns of the lamp share.
+    by_light: Option<Array2<f32>>,
 }
 
 /// A chain of effects that differs from that of the state.
@@ -85,6 +89,7 @@ impl Model<'_> {
                 Column::Scale(stack) => self.scale_derivative(k, *stack, at),
                 Column::Registration(group, part) => self.registration_derivative(k, [*group, *part], at),
                 Column::Background(stack, part) => self.background_derivative(k, [*stack, *part], at),
+                Column::Lamp(term) => self.lamp_derivative(k, *term, at, images),
                 _ => (f.shown != Shown::Unknown).then(|| Array2::ones(here.dn.dim())),
             });
         };
@@ -128,6 +133,27 @@ impl Model<'_> {
         let light = self.lit(k, &here.sum_e * more, at.state, (&chain, before.as_ref()));
         let moved = self.dn(k, light, &chain, before.as_ref(), at.state.black_dn);
         Some((moved - &here.dn) / step as f32)
+    }
+
+    /// Derivative with respect to a value of the lamp's shape, DN. Effects that move light on the sensor move it much
+    /// less far than the shape changes: it is that of the light, times the shape.
+    fn lamp_derivative(
+        &self,
+        k: usize,
+        term: usize,
+        at: Expansion<'_>,
+        images: &mut LensImages,
+    ) -> Option<Array2<f32>> {
+        let f = &self.seen.frames[k];
+        if f.shown != Shown::Even {
+            return None;
+        }
+        if images.by_light.is_none() {
+            images.by_light = self.scale_derivative(k, f.stack, at);
+        }
+        let by_light = images.by_light.as_ref()?;
+        let lamp = lamp::light(by_light.dim(), &at.state.lamp).mapv(|v| v.max(1e-3));
+        Some(by_light / &lamp * lamp::shape(by_light.dim(), term))
     }
 
     /// Derivative with respect to level or slope (part 0 to 2) of the background of a stack, DN per electron.

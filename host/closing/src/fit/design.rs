@@ -7,6 +7,7 @@
 use super::cell::Cell;
 use super::derivative::{Expansion, LensImages};
 use super::errors::Errors;
+use super::lamp;
 use super::model::Model;
 use super::state::{Column, Predicted};
 use super::{registration, repeats};
@@ -240,7 +241,7 @@ fn own_light(x: &mut Array2<f32>, own: &Array2<f32>, here: &Predicted, seen: &Ob
 }
 
 /// The columns of the nuisance parameters: the light of each lit stack, the black level, the background of each stack
-/// of scenes and beads where the calibration found one, and the registrations of the truths.
+/// of scenes and beads where the calibration found one, the lamp of the flats, and the registrations of the truths.
 pub fn nuisances(model: &Model<'_>) -> Vec<Column> {
     let frames = &model.seen.frames;
     let lit = |s: &usize| {
@@ -257,6 +258,9 @@ pub fn nuisances(model: &Model<'_>) -> Vec<Column> {
             frames.iter().any(|f| f.stack == *s && !matches!(f.shown, Shown::Even | Shown::Dark | Shown::Unknown))
         };
         columns.extend((0..stacks).filter(shows).flat_map(|s| (0..3).map(move |part| Column::Background(s, part))));
+    }
+    if frames.iter().any(|f| f.shown == Shown::Even) {
+        columns.extend((0..lamp::TERMS).map(Column::Lamp));
     }
     columns.extend(registration::columns(&model.seen.registrations));
     columns

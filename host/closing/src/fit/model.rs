@@ -1,5 +1,6 @@
 //! The model that the loop closes: the instrument without its effects, and the frames of a session.
 
+use super::lamp;
 use super::projection::Sigmas;
 use super::scene::{Scene, widening};
 use super::state::{Predicted, State, Term};
@@ -131,6 +132,7 @@ impl<'a> Model<'a> {
             scale,
             black_dn: 0.0,
             background_e: vec![[0.0; 3]; stacks],
+            lamp: [0.0; lamp::TERMS],
             registration: vec![[0.0; PARTS]; self.seen.registrations.len()],
             specimens: None,
         })
@@ -271,7 +273,10 @@ impl<'a> Model<'a> {
         let f = &self.seen.frames[k];
         let mut sum = Array2::zeros((self.seen.sensor[0], self.seen.sensor[1]));
         match (&f.shown, scene) {
-            (Shown::Even, _) => sum.fill((scale * f.info.illumination * f.info.exposure_ms / self.exposure_ms) as f32),
+            (Shown::Even, _) => {
+                sum = lamp::light(sum.dim(), &state.lamp);
+                sum *= (scale * f.info.illumination * f.info.exposure_ms / self.exposure_ms) as f32;
+            }
             (Shown::Unknown, _) => {
                 let noise = self.forward.noise();
                 sum = smooth(&f.measured);
@@ -350,6 +355,9 @@ impl<'a> Model<'a> {
                     Some(sigma) => sigma * sigma,
                     None => self.variance_dn2(&light_e),
                 };
+                if state.terms.iter().any(|t| t.effect.bends_noise()) {
+                    variance *= &self.bent(k, &light_e, &variance, (chain, previous));
+                }
                 if matches!(f.shown, Shown::Bead(..)) {
                     let error = self.psf_error * noise.gain_dn_per_e;
                     let light2 = blur_within(&light_e.mapv(|e| e * e), PSF_ERROR_PX);
@@ -383,6 +391,23 @@ impl<'a> Model<'a> {
             specimens.remove(&mut frames.map(|(p, _)| &mut p.residual_dn).collect::<Vec<_>>());
         }
         predicted
+    }
+
+    /// By how much a chain of effects multiplies the variance of noise that comes before it: the square of its mean
+    /// slope over the noise, from one standard deviation below the light to one above.
+    fn bent(
+        &self,
+        k: usize,
+        light_e: &Array2<f32>,
+        variance_dn2: &Array2<f32>,
+        (chain, previous): (&Chain, Option<&Array2<f32>>),
+    ) -> Array2<f32> {
+        let sigma_e = variance_dn2.mapv(|v| v.max(0.0).sqrt() / self.forward.noise().gain_dn_per_e as f32);
+        let [low, high] = [-1.0f32, 1.0].map(|way| self.dn(k, light_e + &sigma_e * way, chain, previous, 0.0));
+        let mut slope = high - low;
+        let gain = self.forward.noise().gain_dn_per_e as f32;
+        slope.zip_mut_with(&sigma_e, |d, s| *d = (*d / (2.0 * gain * s).max(f32::MIN_POSITIVE)).powi(2));
+        slope
     }
 
     /// Variance of the noise of frames with an expected light, DN^2, [sensor rows, sensor cols]. The fixed pattern of

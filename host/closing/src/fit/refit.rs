@@ -28,6 +28,11 @@ const SLIGHT: f64 = 2.0;
 /// A fit goes on beyond [`STEPS`] as long as a step takes this share of the excess of chi-squared over the noise.
 const WORTH: f64 = 0.01;
 
+/// A fit finds the light of a stack from this many times too much or too little.
+const REACH: f64 = 4.0;
+/// Number of frames of a stack by which its light is judged before that.
+const REACHED: usize = 5;
+
 /// The light of each frame's object behind the optics ([`Model::scenes`]); shared, since few effects change it.
 pub type Scenes = Arc<[Option<Scene>]>;
 
@@ -78,7 +83,38 @@ pub fn refit(model: &Model<'_>, mut state: State) -> Result<Fitted, ForwardError
         state.specimens = specimens(model, &state)?;
     }
     let scenes = model.scenes(&state)?.into();
+    within_reach(model, &mut state, &scenes);
     refit_from(model, state, scenes)
+}
+
+/// Brings the light of each stack of known objects to that of its frames, where it is far from it and was not fitted
+/// yet: the unit of truths may be any, and a fit finds no way back from a prediction beyond full scale.
+fn within_reach(model: &Model<'_>, state: &mut State, scenes: &Scenes) {
+    let (frames, noise) = (&model.seen.frames, model.forward.noise());
+    let chain = model.chain(&state.terms);
+    for stack in 0..state.scale.len() {
+        let known = |k: &usize| frames[*k].stack == stack && matches!(frames[*k].shown, Shown::Object(_));
+        if state.scale[stack] != 1.0 {
+            continue;
+        }
+        let slope = |k: usize| {
+            let expected = model.sum_e(k, scenes[k].as_ref(), (&chain, state), 1.0);
+            let pairs = frames[k].measured.iter().zip(&expected);
+            let pairs: Vec<[f64; 2]> = pairs
+                .filter(|(y, _)| f64::from(**y) < noise.saturation_dn)
+                .map(|(y, e)| [f64::from(*e) * noise.gain_dn_per_e, f64::from(*y)])
+                .collect();
+            let mean = [0, 1].map(|i| pairs.iter().map(|p| p[i]).sum::<f64>() / pairs.len().max(1) as f64);
+            let sum = |i: usize| pairs.iter().map(|p| (p[0] - mean[0]) * (p[i] - mean[i])).sum::<f64>();
+            sum(1) / sum(0).max(f64::MIN_POSITIVE)
+        };
+        let mut slopes: Vec<f64> = (0..frames.len()).filter(known).take(REACHED).map(slope).collect();
+        slopes.sort_by(f64::total_cmp);
+        let Some(found) = slopes.get(slopes.len() / 2).copied().filter(|s| s.is_finite() && *s > 0.0) else { continue };
+        if !(1.0 / REACH..REACH).contains(&found) {
+            state.scale[stack] = found;
+        }
+    }
 }
 
 /// [`refit`] with the light behind the optics given, which must be that of the state.
@@ -172,6 +208,7 @@ impl Point {
                 Column::Scale(s) => next.scale[*s] *= 1.0 + d.clamp(-0.5, 1.0),
                 Column::Black => next.black_dn += d,
                 Column::Background(stack, part) => next.background_e[*stack][*part] += d,
+                Column::Lamp(term) => next.lamp[*term] += d.clamp(-0.5, 0.5),
                 Column::Registration(group, part) => next.registration[*group][*part] += d,
                 Column::Own { term, param } => {
                     let t = &mut next.terms[*term];

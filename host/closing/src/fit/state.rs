@@ -1,5 +1,6 @@
 //! The state of a model: effects with their values, nuisance parameters, and the columns of the linearised fit.
 
+use super::lamp::Lamp;
 use super::projection::Specimens;
 use super::truth::Registered;
 use ndarray::Array2;
@@ -83,6 +84,8 @@ pub struct State {
     /// Background of each stack: level and slopes ([`ommatidia_model::bead::slope_terms`]), e- a pixel at the exposure
     /// of the calibration. It grows with the exposure of a frame.
     pub background_e: Vec<Slopes>,
+    /// The light of the flats' lamp over the sensor.
+    pub lamp: Lamp,
     /// Where the truths lie, for each of [`crate::Observations::registrations`]; all zero: as recorded.
     pub registration: Vec<Registered>,
     /// The specimens of frames of [`crate::data::Shown::Estimated`]; None: not estimated yet, or there are none.
@@ -134,6 +137,8 @@ pub enum Column {
     Black,
     /// Background of a stack, by its index: level, slope along the rows, or along the columns (0 to 2).
     Background(usize, usize),
+    /// Shape of the lamp, by the index of its value ([`super::lamp`]).
+    Lamp(usize),
     /// Registration of truths, by its index: one of the four values of [`Registered`].
     Registration(usize, usize),
     /// A parameter of a trial term beside those of the state.

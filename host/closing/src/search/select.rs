@@ -4,6 +4,7 @@
 use super::candidate::{Alternative, Candidate, Found, PENALTY, Shadowed};
 use super::finalists::{alike, finalists};
 use super::trials::{NEEDS_CALIBRATION, Tried, evidence};
+use crate::data::Shown;
 use crate::evidence::{Scores, TableFit, Test, holm, maps, tables};
 use crate::fit::{
     Column, Design, Errors, Fitted, Model, Replicas, Scope, State, Term, nuisances, own_columns, refit, refit_from,
@@ -29,6 +30,9 @@ const MOST: usize = 6;
 const PART: f64 = 0.02;
 /// Maximum number of terms without a name.
 const MOST_UNNAMED: usize = 3;
+/// Errors of the PSFs between calibrated positions may feign an effect that takes this share off chi-squared per pixel in
+/// frames of single beads, where no other focus averages them.
+const FEIGNED: f64 = 0.1;
 /// A term without a name is tried only if at least this share of its squared norm is independent of the model's
 /// columns.
 const DISTINCT: f64 = 0.1;
@@ -193,8 +197,12 @@ impl<'m, 'a> Search<'m, 'a> {
         let pixels = self.now.training.pixels;
         let mut fits = Vec::new();
         loop {
-            let open =
-                |c: &Candidate| !refused.ids.contains(&c.term.id()) && c.worth() > 0.0 && c.is_large_enough(pixels);
+            let feigned = self.feigned();
+            let open = |c: &Candidate| {
+                let beyond_feigned = c.table.is_some() || c.term.effect.is_of_the_grid() || c.gain() > feigned;
+                let new = !refused.ids.contains(&c.term.id()) && c.worth() > 0.0;
+                new && c.is_large_enough(pixels) && beyond_feigned
+            };
             let able = candidates.iter().zip(&significant).filter(|(c, s)| **s && open(c)).map(|(c, _)| c);
             // The score of an effect in the shadow shows that already; its full fit would only take time.
             let floor = SHADOW * self.strongest_fall;
@@ -240,6 +248,16 @@ impl<'m, 'a> Search<'m, 'a> {
                 Verdict::Refused(id) => refused.ids.push(id),
             }
         }
+    }
+
+    /// Fall of chi-squared that errors of the PSFs may feign: more than nothing where beads alone show the optics.
+    fn feigned(&self) -> f64 {
+        let seen = self.model.seen;
+        if seen.frames.iter().any(|f| matches!(f.shown, Shown::Object(_))) {
+            return 0.0;
+        }
+        let beads = seen.frames.iter().filter(|f| matches!(f.shown, Shown::Bead(_)) && !f.held_out).count();
+        FEIGNED * (beads * seen.pixels.len()) as f64
     }
 
     /// Whether as many terms of a family were added as may be.

@@ -22,8 +22,6 @@ use std::path::{Path, PathBuf};
 
 /// Sessions without an effect that determine the sensitivity.
 const NULLS: u64 = 3;
-/// Basis PSFs per lens: the result of the search for the best rank, fixed because the search takes most of the time.
-const RANK: usize = 12;
 
 /// An instrument under study.
 pub struct Subject {
@@ -191,6 +189,5 @@ fn calibrated(config: &BenchConfig, seed: u64, like: &VirtualInstrument) -> anyh
     let folder = tempfile::tempdir()?;
     let dir = folder.path().join("calibration");
     config.build_like(like, &[])?.measure(&dir, seed, |_| {})?;
-    let config = CalibrateConfig { rank: Some(RANK), ..CalibrateConfig::default() };
-    Ok(calibrate(&Session::open(&dir)?, &config, || {})?.instrument)
+    Ok(calibrate(&Session::open(&dir)?, &CalibrateConfig::default(), || {})?.instrument)
 }

@@ -195,18 +195,19 @@ impl Model {
         self.models.filled(windows, self.rank)
     }
 
-    /// Refits a model of the same rank and smoothness to the beads of `planes` alone.
+    /// Refits a model of the same rank and smoothness to the beads of `planes` alone, of which each lens has `seen` some.
     pub(super) fn refit(
         &self,
         windows: &[LensWindows],
+        seen: &[Vec<bool>],
         dead: &[bool],
-        planes: Vec<Plane>,
+        planes: &[Plane],
     ) -> Result<LowRankPsf, NotConverged> {
         let terms = match self.terms {
             Terms::Truncated { spline_order, .. } => Terms::Truncated { most: self.rank, spline_order },
             Terms::OnePsf => Terms::OnePsf,
         };
-        self.nodes.psf(&LensModels::fit(windows, dead, &planes, terms)?, self.rank)
+        self.nodes.psf(&LensModels::fit_seen(windows, seen, dead, planes, terms)?, self.rank)
     }
 
     /// Scatter of the brightness of beads that were left out about what their neighbours predict, relative, and the

@@ -55,8 +55,9 @@ pub(super) fn replicates(
         return Ok((Vec::new(), Some(note)));
     }
     let groups = groups(planes, asked);
+    let seen: Vec<Vec<bool>> = windows.iter().map(LensWindows::seen).collect();
     let windows = model.filled(windows);
-    let refit = |j: usize| model.refit(&windows, dead, select(planes, |bead| groups[bead] != j));
+    let refit = |j: usize| model.refit(&windows, &seen, dead, &select(planes, |bead| groups[bead] != j));
     Ok(((0..asked).map(refit).collect::<Result<_, _>>()?, None))
 }
 

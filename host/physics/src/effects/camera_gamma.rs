@@ -27,6 +27,10 @@ impl Effect for CameraGamma {
         &DESCRIPTOR
     }
 
+    fn bends_noise(&self) -> bool {
+        true
+    }
+
     fn on_electronics(&self, p: &[f64], frame_dn: &mut Array2<f32>, cx: &FrameContext<'_>) {
         let full = cx.full_scale_e * cx.gain_dn_per_e;
         if p[0] == 1.0 || full <= 0.0 {

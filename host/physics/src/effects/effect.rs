@@ -62,6 +62,10 @@ pub trait Effect: Send + Sync {
     fn noise_only(&self) -> bool {
         false
     }
+    /// Whether the effect acts on values that hold their noise already, and stretches or shrinks it.
+    fn bends_noise(&self) -> bool {
+        false
+    }
     /// Start values for fits, each with all parameters: shapes as the residuals suggest, strengths at `off`. Empty: the
     /// fit starts from the grid of values in [`Kind::Shape`](super::Kind::Shape).
     fn guess(&self, _evidence: &Evidence<'_>) -> Vec<Vec<f64>> {

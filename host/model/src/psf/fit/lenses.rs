@@ -90,9 +90,24 @@ impl LensModels {
     /// # Errors
     /// The windows hold non-finite values.
     pub fn fit(windows: &[LensWindows], dead: &[bool], planes: &[Plane], terms: Terms) -> Result<Self, NotConverged> {
+        let seen: Vec<Vec<bool>> = windows.iter().map(LensWindows::seen).collect();
+        Self::fit_seen(windows, &seen, dead, planes, terms)
+    }
+
+    /// The same, where it is stated which beads each lens has `seen`: windows whose unmeasured pixels are filled in do
+    /// not show it.
+    ///
+    /// # Errors
+    /// The windows hold non-finite values.
+    pub fn fit_seen(
+        windows: &[LensWindows],
+        seen: &[Vec<bool>],
+        dead: &[bool],
+        planes: &[Plane],
+        terms: Terms,
+    ) -> Result<Self, NotConverged> {
         let lens = |l: usize| {
-            let seen = windows[l].seen();
-            let planes = select(planes, |n| seen[n]);
+            let planes = select(planes, |n| seen[l][n]);
             let beads: Vec<usize> = planes.iter().flat_map(|p| p.beads.clone()).collect();
             match terms {
                 _ if dead[l] || beads.is_empty() => Ok(None),
