@@ -8,7 +8,8 @@ pub(super) const SATURATED: f32 = 18.0;
 
 /// Logistic function `1 / (1 + e^-x)`.
 ///
-/// It uses the approximation of the exponential that `micromath` has, of `|x|` only, where its relative error is 6.8e-4 (for `-|x|` it is 2.4e-3).
+/// It uses the approximation of the exponential that `micromath` has, of `|x|` only, where its relative error is 6.8e-4
+/// (for `-|x|` it is 2.4e-3).
 /// The absolute error of the result is below 1.8e-4 everywhere and its relative error below 8e-4: a third of an ulp of
 /// a half near 1. `sigmoid(x) + sigmoid(-x)` is 1 to one rounding. An infinite argument gives 0 or 1. NaN, which cannot
 /// occur in a [`crate::pipeline`], gives a number from 0.5 to 1.
@@ -36,7 +37,7 @@ pub(super) const fn exp_is_e(x: f32) -> bool {
     (x - 1.0).abs() < f32::EPSILON
 }
 
-/// `e^x` from 0 to [`SATURATED`]: `2^n` times the first terms of the series of `e^f`, with `x = (n + f / ln 2) ln 2`.
+/// `e^x` from 0 to `SATURATED`: `2^n` times the first terms of the series of `e^f`, with `x = (n + f / ln 2) ln 2`.
 #[inline(always)]
 fn exp(x: f32) -> f32 {
     if exp_is_e(x) {

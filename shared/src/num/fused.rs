@@ -44,8 +44,8 @@ fn stored(value: f32) -> f16 {
     if cfg!(all(target_arch = "arm", feature = "fpv4")) { half } else { bounded(half) }
 }
 
-/// Computes leading elements of `((code - black) - offset) * gain` where the target has vectors of its own for that, and
-/// returns how many. The caller computes the others.
+/// Computes leading elements of `((code - black) - offset) * gain` where the target has vectors of its own for that,
+/// and returns how many. The caller computes the others.
 #[inline(always)]
 #[cfg_attr(
     not(all(target_arch = "arm", feature = "helium")),

@@ -1,5 +1,5 @@
-//! The inner loops of the integer convolution: rows of groups of channels, packed weights, blocks of two output channels
-//! or of one.
+//! The inner loops of the integer convolution: rows of groups of channels, packed weights, blocks of two output
+//! channels or of one.
 //!
 //! The rows of a band are kept as `[row, group, column, channel of the group]`, so that one instruction multiplies all
 //! channels of a group and adds the products. The channels are padded to a multiple of [`CHANNELS`] on every target, so

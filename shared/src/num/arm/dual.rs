@@ -103,8 +103,8 @@ impl Numbers {
     }
 }
 
-/// `asm!` of all blocks of a row: the accumulators start at `$start`, `$step` is repeated, and `$store` stores them with
-/// r6 at the sums.
+/// `asm!` of all blocks of a row: the accumulators start at `$start`, `$step` is repeated, and `$store` stores them
+/// with r6 at the sums.
 macro_rules! blocks_of_row {
     ($numbers:expr, $input:expr, $weights:expr, $start:literal, $step:expr, $store:literal) => {
         core::arch::asm!(

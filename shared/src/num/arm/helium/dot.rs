@@ -173,8 +173,8 @@ pub(crate) fn correlate_groups1(rows: Groups<'_>, cols: usize, bias: i32, sums: 
 
 /// The operands of a row.
 struct Row {
-    /// Second bias, from the end of the first channel's sums to the second's, first bias, weights, groups, and from behind
-    /// the last kernel row to the next block.
+    /// Second bias, from the end of the first channel's sums to the second's, first bias, weights, groups, and from
+    /// behind the last kernel row to the next block.
     numbers: [usize; 6],
     input: *const i16,
     /// From the last input of a kernel row to the first of the next.

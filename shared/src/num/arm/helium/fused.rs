@@ -263,8 +263,8 @@ pub(in crate::num) fn round_interleaved(even: &[f32], odd: &[f32], to: &mut [f32
     4 * n
 }
 
-/// The leading elements of `((code - black) - offset) * gain`, eleven instructions for four. Returns how many: none where
-/// a number would be flushed, as then a black level is tiny.
+/// The leading elements of `((code - black) - offset) * gain`, eleven instructions for four. Returns how many: none
+/// where a number would be flushed, as where the black level is tiny.
 #[inline(always)]
 pub(in crate::num) fn correct(codes: &[u16], black: f32, [offset, gain]: [&[f16]; 2], to: &mut [f32]) -> usize {
     let n = codes.len().min(offset.len()).min(gain.len()).min(to.len()) / 4;

@@ -96,9 +96,9 @@ pub(crate) fn spread(from: &[i16], to: &mut [i16]) -> usize {
     8 * n
 }
 
-/// Writes `saturate(floor(x scale / 2^15 + 1/2))` of every other half, from the first (or, with `odd`, from the second) on,
-/// into the first place of the next group of eight: eight instructions for four numbers. Products are multiples of 2^-24,
-/// so that nothing is flushed.
+/// Writes `saturate(floor(x scale / 2^15 + 1/2))` of every other half, from the first (or, with `odd`, from the second)
+/// on, into the first place of the next group of eight: eight instructions for four numbers. Products are multiples of
+/// 2^-24, so that nothing is flushed.
 #[inline(always)]
 pub(crate) fn spread_halves(from: &[f16], odd: bool, scale: f32, to: &mut [i16]) -> usize {
     static PLACES: [u32; 4] = [0, 8, 16, 24];
