@@ -1,6 +1,6 @@
 //! Activation functions.
 
-use crate::num::sigmoid;
+use crate::num::sigmoid_slice;
 
 /// An activation function, applied to a sum before it is stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -9,7 +9,7 @@ pub enum Activation {
     Linear,
     /// `max(x, 0)`. A negative zero becomes zero.
     Relu,
-    /// `1 / (1 + e^-x)`, see [`sigmoid`].
+    /// `1 / (1 + e^-x)`, see [`crate::num::sigmoid`].
     Sigmoid,
 }
 
@@ -20,7 +20,7 @@ impl Activation {
         match self {
             Self::Linear => {}
             Self::Relu => row.iter_mut().for_each(|x| *x = if *x > 0.0 { *x } else { 0.0 }),
-            Self::Sigmoid => row.iter_mut().for_each(|x| *x = sigmoid(*x)),
+            Self::Sigmoid => sigmoid_slice(row),
         }
     }
 }

@@ -44,6 +44,21 @@ fn stored(value: f32) -> f16 {
     if cfg!(all(target_arch = "arm", feature = "fpv4")) { half } else { bounded(half) }
 }
 
+/// Computes leading elements of `((code - black) - offset) * gain` where the target has vectors of its own for that,
+/// and returns how many. The caller computes the others.
+#[inline(always)]
+#[cfg_attr(
+    not(all(target_arch = "arm", feature = "helium")),
+    expect(unused_variables, reason = "only Helium computes any")
+)]
+pub fn correct_leading(codes: &[u16], black: f32, maps: [&[f16]; 2], to: &mut [f32]) -> usize {
+    #[cfg(all(target_arch = "arm", feature = "helium"))]
+    let done = arm::correct(codes, black, maps, to);
+    #[cfg(not(all(target_arch = "arm", feature = "helium")))]
+    let done = 0;
+    done
+}
+
 /// Narrows each element.
 #[inline(always)]
 pub fn narrow_bounded(from: &[f32], to: &mut [f16]) {

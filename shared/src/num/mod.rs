@@ -34,5 +34,7 @@ pub mod pairs;
 pub mod simd;
 
 pub use convert::{narrow, narrow_slice, widen, widen_slice};
-pub use function::{mac, max_finite, sigmoid};
+#[cfg(all(target_arch = "arm", feature = "helium"))]
+use function::{SATURATED, exp_is_e};
+pub use function::{mac, max_finite, sigmoid, sigmoid_slice};
 pub use half::f16;

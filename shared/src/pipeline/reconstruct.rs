@@ -208,8 +208,10 @@ impl<'a> Pipeline<'a> {
         let (mut saturated, mut max) = (0, f32::NEG_INFINITY);
         for (r, codes) in frame.chunks_exact(cols).enumerate() {
             saturated += self.pattern.saturated(codes);
-            self.pattern.correct(r, 0, codes, row);
-            max = row.iter().fold(max, |max, &x| if x > max { x } else { max });
+            self.pattern.correct_with(r, 0, codes, row, |signal| {
+                max = if signal > max { signal } else { max };
+                signal
+            });
         }
         (saturated, max)
     }
@@ -242,8 +244,8 @@ impl FrameRows for Corrected<'_> {
     fn load(&self, row: usize, first: usize, to: &mut [f32]) {
         if self.max > 0.0 {
             let start = row * usize::from(self.pipeline.header.frame.cols) + first;
-            self.pipeline.pattern.correct(row, first, &self.frame[start..start + to.len()], to);
-            to.iter_mut().for_each(|x| *x /= self.max);
+            let codes = &self.frame[start..start + to.len()];
+            self.pipeline.pattern.correct_with(row, first, codes, to, |signal| signal / self.max);
         } else {
             to.fill(0.0);
         }

@@ -1,7 +1,7 @@
 //! The fixed pattern of one sensor.
 
 use crate::blob::{Header, Weights};
-use crate::num::{f16, widen};
+use crate::num::{f16, fused, widen};
 
 /// The fixed pattern of a sensor, borrowed from a network file.
 #[derive(Clone, Copy, Debug)]
@@ -41,18 +41,33 @@ impl<'a> FixedPattern<'a> {
     /// columns, and `to` receives the signal, DN.
     #[inline(always)]
     pub fn correct(&self, row: usize, first: usize, codes: &[u16], to: &mut [f32]) {
-        for (to, &code) in to.iter_mut().zip(codes) {
-            *to = f32::from(code) - self.black_level_dn;
-        }
-        let start = row * self.cols + first;
-        if let Some(map) = self.offset_dn {
-            for (to, &offset) in to.iter_mut().zip(&map[start..]) {
-                *to -= widen(offset);
+        self.correct_with(row, first, codes, to, |signal| signal);
+    }
+
+    /// [`Self::correct`]; `to` receives what `then` makes of each signal, in no certain order.
+    #[inline(always)]
+    pub fn correct_with(
+        &self,
+        row: usize,
+        first: usize,
+        codes: &[u16],
+        to: &mut [f32],
+        mut then: impl FnMut(f32) -> f32,
+    ) {
+        let of = |code, offset, gain| (f32::from(code) - self.black_level_dn - offset) * gain;
+        if let (Some(offset), Some(gain)) = (self.offset_dn, self.inverse_gain) {
+            let start = row * self.cols + first;
+            let maps = [&offset[start..], &gain[start..]];
+            let done = fused::correct_leading(codes, self.black_level_dn, maps, to);
+            let [offset, gain] = maps.map(|map| map[done..].iter());
+            for ((to, &code), (&offset, &gain)) in to[done..].iter_mut().zip(&codes[done..]).zip(offset.zip(gain)) {
+                *to = then(of(code, widen(offset), widen(gain)));
             }
-        }
-        if let Some(map) = self.inverse_gain {
-            for (to, &gain) in to.iter_mut().zip(&map[start..]) {
-                *to *= widen(gain);
+            to[..done].iter_mut().for_each(|to| *to = then(*to));
+        } else {
+            for (col, (to, &code)) in (first..).zip(to.iter_mut().zip(codes)) {
+                let (offset, gain) = self.pixel(row, col);
+                *to = then(of(code, offset, gain));
             }
         }
     }

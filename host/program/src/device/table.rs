@@ -13,8 +13,8 @@ const TOLERANCE: f64 = 0.02;
 type Peer = (&'static str, f64, &'static str);
 
 /// Instructions of C libraries for the same work, counted under QEMU 7.2 with the better of gcc 12 (-O3, -Ofast) and
-/// clang 19.
-const PEERS: [(&str, &[Peer]); 2] = [
+/// clang 19; those in integers by `tests/cmsis_nn/count.py` with gcc 12.
+const PEERS: [(&str, &[Peer]); 3] = [
     (
         "mps2-an500",
         &[
@@ -22,6 +22,10 @@ const PEERS: [(&str, &[Peer]); 2] = [
             ("2-D real FFT 64x64, filter, inverse", 574_135.0 / 4096.0, "CMSIS-DSP, f32"),
             ("2-D real FFT 128x128, filter, inverse", 2_399_654.0 / 16384.0, "CMSIS-DSP, f32"),
             ("3x3 convolution 32->32, 48x48", 1.48, "best C"),
+            (SMALL, 12_382_374.0 / SMALL_WORK, S8),
+            (SMALL, 12_656_460.0 / SMALL_WORK, S16),
+            (LARGE, 40_908_785.0 / LARGE_WORK, S8),
+            (LARGE, 43_368_779.0 / LARGE_WORK, S16),
         ],
     ),
     (
@@ -35,9 +39,31 @@ const PEERS: [(&str, &[Peer]); 2] = [
             ("2-D real FFT 128x128, filter, inverse", 515_760.0 / 16384.0, "CMSIS-DSP, f16"),
             ("3x3 convolution 32->32, 48x48", 0.69, "CMSIS-NN, f32"),
             ("3x3 convolution 32->32, 48x48", 0.36, "CMSIS-NN, sums in f16"),
+            (SMALL, 2_058_550.0 / SMALL_WORK, S8),
+            (SMALL, 2_896_909.0 / SMALL_WORK, S16),
+            (LARGE, 5_373_435.0 / LARGE_WORK, S8),
+            (LARGE, 8_476_055.0 / LARGE_WORK, S16),
+        ],
+    ),
+    (
+        "mps2-an386",
+        &[
+            (SMALL, 12_343_385.0 / SMALL_WORK, S8),
+            (SMALL, 12_640_535.0 / SMALL_WORK, S16),
+            (LARGE, 40_869_795.0 / LARGE_WORK, S8),
+            (LARGE, 43_352_854.0 / LARGE_WORK, S16),
         ],
     ),
 ];
+
+/// The convolutions in integers that a library has too, and their multiply-accumulates.
+const SMALL: &str = "3x3 convolution 16->16 in integers, 48x48";
+const SMALL_WORK: f64 = 5_308_416.0;
+const LARGE: &str = "3x3 convolution 32->32 in integers, 48x48";
+const LARGE_WORK: f64 = 21_233_664.0;
+/// The library with features of 8 bits, and of 16.
+const S8: &str = "CMSIS-NN, s8";
+const S16: &str = "CMSIS-NN, s16";
 
 /// How the page begins.
 pub const START: &str = "# Instructions and memory on the microcontroller\n";
@@ -49,10 +75,13 @@ Written by `cargo run --release -p ommatidia -- device bench -o docs/instruction
 exactly. They do not include pipeline, caches or wait states. An instruction of Helium, the vector extension of the
 Cortex-M55, counts as one here and takes two cycles on that core. Transforms read and write half precision (f16),
 except the complex ones, which work in place; convolutions and the network read and write half precision. Those *in
-integers* have weights of 8 bits and features of 16 (`quantize --weights int8 --activations int16`); no library was
-counted beside them. Results have the same bits on every board as on the workstation. The C libraries work in single
-precision (f32) or in half precision throughout (f16), whose results may differ between machines. Their counts were taken
-earlier under QEMU 7.2 (the better of gcc 12 and clang 19); the command does not repeat them.
+integers* have weights of 8 bits and features of 16 (`quantize --weights int8 --activations int16`). Results have the
+same bits on every board as on the workstation. The C libraries work in single precision (f32) or in half precision
+throughout (f16), whose results may differ between machines, or in integers, which are exact: weights of 8 bits,
+features of 8 (s8) or of 16 (s16). Their counts were taken earlier under QEMU 7.2 with the better of gcc 12 and clang
+19; those in integers are of release 7.0.0 of CMSIS-NN, with gcc 12. `python3 tests/cmsis_nn/count.py FOLDER` repeats
+the latter for the release in a folder and the compiler that is installed. It also compares the library's results with
+those of a plain loop.
 
 A test of `cargo verify` counts again. It fails if a figure has grown by more than 2 %, if a table lacks an operator,
 or if a library needs fewer instructions. After an intended change, write the page again with the command above, or

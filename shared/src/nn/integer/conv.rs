@@ -1,7 +1,7 @@
 //! The 3x3 convolution in integers, in bands of rows as that of [halves](crate::nn::conv).
 
 use super::packed::{self, OUTPUTS};
-use super::rescale::{accumulate_row, from_half, rescale_row};
+use super::rescale::{accumulate_row, rescale_row};
 use super::weights::{Channel, Convolution};
 use crate::nn::activation::Activation;
 use crate::nn::conv::{Conv3x3, Store, Tensors};
@@ -69,14 +69,13 @@ impl Kernel for Job<'_> {
             let height = band.min(conv.rows - start);
             fill(&conv, &tensors, input_scale, start, height, slots);
             for first in (0..conv.outputs).step_by(OUTPUTS) {
-                packed::pack(weights.weights, conv.inputs, first, packed);
+                let packed = packed::pack(weights.weights, conv.inputs, first, packed);
                 let block = packed::block(weights.channels, first);
                 for row in 0..height {
                     let input = &slots[row * slot_len..][..3 * slot_len];
-                    packed::row::<V>(input, conv.inputs, conv.cols, packed, block, sums);
-                    let channels = sums.chunks_exact(padded(conv.cols)).zip(block);
-                    for (o, (sums, channel)) in channels.enumerate().take(conv.outputs - first) {
-                        finish(&conv, &sums[..conv.cols], channel, tensors.output_row(first + o, start + row));
+                    packed::row::<V>(input, conv.cols, packed, block, sums);
+                    for (o, (sums, channel)) in sums.chunks_exact(padded(conv.cols)).zip(block).enumerate() {
+                        finish(&conv, &sums[..conv.cols], *channel, tensors.output_row(first + o, start + row));
                     }
                 }
             }
@@ -92,7 +91,8 @@ fn fill(conv: &Conv3x3, tensors: &Tensors<'_, i16>, input_scale: f32, start: usi
     let len = packed::slot_len(conv.inputs, conv.cols);
     let known = if start == 0 {
         // Padding is written here only: every other row is written to the same columns.
-        slots.fill(0);
+        packed::clear_borders(slots, conv.cols);
+        slots[..len].fill(0);
         1
     } else {
         let band = slots.len() / len - 2;
@@ -109,9 +109,7 @@ fn fill(conv: &Conv3x3, tensors: &Tensors<'_, i16>, input_scale: f32, start: usi
             match tensors {
                 Tensors::Unshuffled { input, .. } => {
                     let from = input.row(channel / 4, 2 * row + channel / 2 % 2);
-                    let pairs = from.as_chunks::<2>().0.iter();
-                    let numbers = pairs.map(|pair| from_half(pair[channel % 2], input_scale));
-                    packed::put(to, conv.cols, channel, numbers);
+                    packed::put_halves(to, conv.cols, channel, channel % 2 == 1, from, input_scale);
                 }
                 Tensors::Apart { input, .. } => {
                     packed::put_row(to, conv.cols, channel, input.row(channel, row));

@@ -1,17 +1,20 @@
 //! The inner loops of the integer convolution: rows of groups of channels, packed weights, blocks of two output
-//! channels.
+//! channels or of one.
 //!
 //! The rows of a band are kept as `[row, group, column, channel of the group]`, so that one instruction multiplies all
 //! channels of a group and adds the products. The channels are padded to a multiple of [`CHANNELS`] on every target, so
 //! that the memory plan is the same on all of them.
 
-use super::rescale::{done_in_helium, rescale, saturate};
+#[cfg(all(target_arch = "arm", feature = "helium"))]
+use super::rescale::fixed_scale;
+use super::rescale::{done_in_helium, from_half, rescale, saturate};
 use super::weights::Channel;
 use crate::nn::packed::{padded, pitch};
 #[cfg(all(target_arch = "arm", feature = "fpv4"))]
 use crate::num::arm;
 #[cfg(all(target_arch = "arm", feature = "helium"))]
 use crate::num::arm::helium;
+use crate::num::f16;
 #[cfg(not(all(target_arch = "arm", feature = "fpv4")))]
 use crate::num::simd::PairSums;
 use crate::num::simd::Vector;
@@ -20,7 +23,7 @@ use crate::num::simd::Vector;
 pub(super) const GROUP: usize = if cfg!(all(target_arch = "arm", feature = "helium")) { 8 } else { 2 };
 /// Input channels are padded to a multiple of this, the largest group of any target.
 const CHANNELS: usize = 8;
-/// Output channels of a block.
+/// Output channels of a block. The last block has one where the number of channels is odd.
 pub(super) const OUTPUTS: usize = 2;
 
 /// Input channels with their padding.
@@ -43,27 +46,32 @@ pub(super) const fn sums_len(cols: usize) -> usize {
     OUTPUTS * padded(cols)
 }
 
-/// Packs the weights `[out, in, 3, 3]` of two output channels from `first` on as
-/// `[group, 3, 3, out, channel of the group]`, zeros beyond the last.
+/// Packs the weights `[out, in, 3, 3]` of the one or two output channels from `first` on as
+/// `[3, group, 3, out, channel of the group]`, zeros beyond the last input channel. Returns the packed weights.
 #[cfg_attr(target_arch = "arm", inline(never))]
 #[cfg_attr(not(target_arch = "arm"), inline(always))]
-pub(super) fn pack(weights: &[i8], inputs: usize, first: usize, packed: &mut [i16]) {
-    packed.fill(0);
+pub(super) fn pack<'p>(weights: &[i8], inputs: usize, first: usize, packed: &'p mut [i16]) -> &'p [i16] {
     let outputs = weights.chunks_exact(inputs * 9).skip(first).take(OUTPUTS);
+    let (count, groups) = (outputs.len(), channels(inputs) / GROUP);
+    let packed = &mut packed[..groups * GROUP * 9 * count];
+    packed.fill(0);
     for (o, weights) in outputs.enumerate() {
         for (i, taps) in weights.as_chunks::<9>().0.iter().enumerate() {
-            let at = (i / GROUP * 9 * OUTPUTS + o) * GROUP + i % GROUP;
-            for (tap, &weight) in taps.iter().enumerate() {
-                packed[at + tap * OUTPUTS * GROUP] = weight.into();
+            for (ky, taps) in taps.as_chunks::<3>().0.iter().enumerate() {
+                let at = ((ky * groups + i / GROUP) * 3 * count + o) * GROUP + i % GROUP;
+                for (kx, &weight) in taps.iter().enumerate() {
+                    packed[at + kx * count * GROUP] = weight.into();
+                }
             }
         }
     }
+    packed
 }
 
-/// Biases and multipliers of a block of output channels, zeros beyond the last.
+/// Biases and multipliers of the one or two output channels from `first` on.
 #[inline(always)]
-pub(super) fn block(channels: &[Channel], first: usize) -> [Channel; OUTPUTS] {
-    core::array::from_fn(|o| channels.get(first + o).copied().unwrap_or_default())
+pub(super) fn block(channels: &[Channel], first: usize) -> &[Channel] {
+    &channels[first..channels.len().min(first + OUTPUTS)]
 }
 
 /// The numbers of one channel in a slot, from column `first` of the padded row on. Its columns begin `GROUP` apart.
@@ -73,16 +81,30 @@ fn channel_of(slot: &mut [i16], cols: usize, channel: usize, first: usize) -> &m
     &mut row[first * GROUP..]
 }
 
-/// Writes the numbers of channel `channel` into a slot.
-#[inline(always)]
-pub(super) fn put(slot: &mut [i16], cols: usize, channel: usize, from: impl Iterator<Item = i16>) {
-    let columns = channel_of(slot, cols, channel, 1).as_chunks_mut::<GROUP>().0;
-    for (to, x) in columns.iter_mut().zip(from) {
-        to[channel % GROUP] = x;
+/// Zeroes the columns beside the frame in slots. All other padding may hold anything: its weights are zero, or its sums
+/// are not used.
+pub(super) fn clear_borders(slots: &mut [i16], cols: usize) {
+    for row in slots.chunks_exact_mut(pitch(cols) * GROUP) {
+        let columns = row.as_chunks_mut::<GROUP>().0;
+        columns[0] = [0; GROUP];
+        columns[cols + 1] = [0; GROUP];
     }
 }
 
-/// [`put`] of a row.
+/// Writes every other half of a row of the input of the network, from the first or the second on, into a slot.
+#[cfg_attr(target_arch = "arm", inline(never))]
+#[cfg_attr(not(target_arch = "arm"), inline(always))]
+pub(super) fn put_halves(slot: &mut [i16], cols: usize, channel: usize, odd: bool, from: &[f16], scale: f32) {
+    let place = channel % GROUP;
+    let done =
+        done_in_helium!(spread_halves(from, odd, fixed_scale(scale), &mut channel_of(slot, cols, channel, 1)[place..]));
+    let columns = channel_of(slot, cols, channel, 1 + done).as_chunks_mut::<GROUP>().0;
+    for (to, pair) in columns.iter_mut().zip(&from.as_chunks::<2>().0[done..]) {
+        to[place] = from_half(pair[usize::from(odd)], scale);
+    }
+}
+
+/// Writes the numbers of channel `channel` into a slot.
 #[cfg_attr(target_arch = "arm", inline(never))]
 #[cfg_attr(not(target_arch = "arm"), inline(always))]
 pub(super) fn put_row(slot: &mut [i16], cols: usize, channel: usize, from: &[i16]) {
@@ -109,7 +131,7 @@ pub(super) fn put_rescaled(slot: &mut [i16], cols: usize, channel: usize, first:
     }
 }
 
-/// One row of a block of output channels: `sums` (2, padded columns) from three rows of all input channels.
+/// One row of a block of output channels: `sums` (1 or 2, padded columns) from three rows of all input channels.
 #[cfg_attr(target_arch = "arm", inline(never))]
 #[cfg_attr(not(target_arch = "arm"), inline(always))]
 #[cfg_attr(
@@ -119,46 +141,44 @@ pub(super) fn put_rescaled(slot: &mut [i16], cols: usize, channel: usize, first:
         reason = "loops in instructions of the core choose their own vectors"
     )
 )]
-pub(super) fn row<V: Vector>(
-    input: &[i16],
-    inputs: usize,
-    cols: usize,
-    weights: &[i16],
-    bias: [Channel; OUTPUTS],
-    sums: &mut [i32],
-) {
+pub(super) fn row<V: Vector>(input: &[i16], cols: usize, weights: &[i16], block: &[Channel], sums: &mut [i32]) {
     #[cfg(all(target_arch = "arm", feature = "fpv4"))]
-    if inputs > 0 {
+    {
         let rows = arm::Groups { input, pitch: pitch(cols), weights };
-        arm::correlate_groups(rows, cols, bias.map(|channel| channel.bias), sums, padded(cols));
+        match *block {
+            [a, b] => arm::correlate_groups2(rows, cols, [a.bias, b.bias], sums, padded(cols)),
+            [a] => arm::correlate_groups1(rows, cols, a.bias, sums, padded(cols)),
+            _ => {}
+        }
     }
     #[cfg(not(all(target_arch = "arm", feature = "fpv4")))]
-    pairs::<V>(input, inputs, cols, weights, bias, sums);
+    match *block {
+        [a, b] => pairs::<V, 2>(input, cols, weights, [a, b], sums),
+        [a] => pairs::<V, 1>(input, cols, weights, [a], sums),
+        _ => {}
+    }
 }
 
 /// The same in portable loops, where groups are pairs.
 #[cfg(not(all(target_arch = "arm", feature = "fpv4")))]
 #[inline(always)]
-fn pairs<V: Vector>(
+fn pairs<V: Vector, const O: usize>(
     input: &[i16],
-    inputs: usize,
     cols: usize,
     weights: &[i16],
-    bias: [Channel; OUTPUTS],
+    block: [Channel; O],
     sums: &mut [i32],
 ) {
-    let (groups, width) = (channels(inputs) / GROUP, pitch(cols) * GROUP);
-    let len = V::Sums::LEN;
+    let (width, len) = (pitch(cols) * GROUP, V::Sums::LEN);
     for x in (0..cols).step_by(2 * len) {
-        let mut acc: [[V::Sums; 2]; OUTPUTS] = core::array::from_fn(|o| [V::Sums::splat(bias[o].bias); 2]);
-        for (group, weights) in weights.chunks_exact(9 * OUTPUTS * GROUP).enumerate() {
-            for (ky, weights) in weights.chunks_exact(3 * OUTPUTS * GROUP).enumerate() {
-                let row = &input[(ky * groups + group) * width + x * GROUP..][..(2 * len + 2) * GROUP];
-                for (kx, weights) in weights.chunks_exact(OUTPUTS * GROUP).enumerate() {
-                    let x = [&row[kx * GROUP..], &row[(kx + len) * GROUP..]];
-                    for (acc, weights) in acc.iter_mut().zip(weights.as_chunks::<GROUP>().0) {
-                        *acc = [acc[0].add_pairs(x[0], *weights), acc[1].add_pairs(x[1], *weights)];
-                    }
+        let mut acc: [[V::Sums; 2]; O] = core::array::from_fn(|o| [V::Sums::splat(block[o].bias); 2]);
+        // One kernel row of one group.
+        for (weights, row) in weights.chunks_exact(3 * O * GROUP).zip(input.chunks_exact(width)) {
+            let row = &row[x * GROUP..][..(2 * len + 2) * GROUP];
+            for (kx, weights) in weights.chunks_exact(O * GROUP).enumerate() {
+                let x = [&row[kx * GROUP..], &row[(kx + len) * GROUP..]];
+                for (acc, weights) in acc.iter_mut().zip(weights.as_chunks::<GROUP>().0) {
+                    *acc = [acc[0].add_pairs(x[0], *weights), acc[1].add_pairs(x[1], *weights)];
                 }
             }
         }

@@ -30,13 +30,23 @@ pub fn saturate(x: i32) -> i16 {
     x.clamp(i16::MIN.into(), i16::MAX.into()) as i16
 }
 
-/// `saturate(floor(x * scale + 1/2))` of a finite half. `scale` is a power of two from 1 to 2^24, so product and sum
-/// are exact where they are below 2^12, and whole numbers from there on.
+/// Fraction bits of a number on its way from a half to an integer.
+const FRACTION_BITS: u32 = 15;
+
+/// `2^15 scale`.
+#[inline(always)]
+pub(super) fn fixed_scale(scale: f32) -> f32 {
+    scale * (1 << FRACTION_BITS) as f32
+}
+
+/// `saturate(floor(x * scale + 1/2))` of a finite half. `scale` is a power of two from 1 to 2^24.
+///
+/// The product is exact. It is cut to 15 fraction bits, of which only products below 2^-4 have more: a half has 11
+/// significant bits. A product that 32 bits do not hold with them saturates, and the result does, too.
 #[inline(always)]
 pub fn from_half(x: f16, scale: f32) -> i16 {
-    let x = widen(x) * scale + 0.5;
-    let towards_zero = x as i32;
-    saturate(towards_zero.saturating_sub(i32::from(towards_zero as f32 > x)))
+    let fixed = (widen(x) * fixed_scale(scale)) as i32;
+    saturate(fixed.saturating_add(1 << (FRACTION_BITS - 1)) >> FRACTION_BITS)
 }
 
 /// `min(floor(2^15 scale + 1/2), 2^15 - 1)` of the scale of a channel, 0 to 1; the sum is rounded to binary32.

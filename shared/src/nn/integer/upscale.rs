@@ -101,19 +101,25 @@ impl Kernel for Job<'_> {
         let wanted = top..top + output.rows();
         // Feature rows that the wanted rows depend on.
         let coarse_wanted = top.saturating_sub(1) / 2..wanted.end / 2 + 1;
-        packed::pack(conv2.weights, plan.channels, 0, packed2);
+        let packed2 = packed::pack(conv2.weights, plan.channels, 0, packed2);
         let block2 = packed::block(conv2.channels, 0);
-        fine.fill(0);
+        packed::clear_borders(fine, 2 * plan.cols);
+        packed::clear_borders(coarse, plan.cols);
         for start in (0..plan.rows).step_by(band) {
             let height = band.min(plan.rows - start);
             fill(&plan, input, start, height, coarse);
-            fine.copy_within(2 * band * fine_len..(2 * band + 2) * fine_len, 0);
+            if start == 0 {
+                // The row before the first.
+                fine[fine_len..2 * fine_len].fill(0);
+            } else {
+                fine.copy_within(2 * band * fine_len..(2 * band + 2) * fine_len, 0);
+            }
             for first in (0..4 * plan.channels).step_by(OUTPUTS) {
-                packed::pack(conv.weights, plan.channels, first, packed);
+                let packed = packed::pack(conv.weights, plan.channels, first, packed);
                 let block = packed::block(conv.channels, first);
                 for row in (0..height).filter(|row| coarse_wanted.contains(&(start + row))) {
                     let input = &coarse[row * coarse_len..][..3 * coarse_len];
-                    packed::row::<V>(input, plan.channels, plan.cols, packed, block, sums);
+                    packed::row::<V>(input, plan.cols, packed, block, sums);
                     // The two channels of a block lie side by side in a row.
                     for (o, (sums, channel)) in sums.chunks_exact(padded(plan.cols)).zip(block).enumerate() {
                         let (to, row, first) = shuffled(first + o, row);
@@ -130,7 +136,7 @@ impl Kernel for Job<'_> {
             let rows = (2 * start).saturating_sub(1)..2 * (start + height) - usize::from(!end);
             for row in rows.start.max(wanted.start)..rows.end.min(wanted.end) {
                 let input = &fine[(row + 1 - 2 * start) * fine_len..][..3 * fine_len];
-                packed::row::<V>(input, plan.channels, 2 * plan.cols, packed2, block2, sums2);
+                packed::row::<V>(input, 2 * plan.cols, packed2, block2, sums2);
                 let to = output.row_mut(row - top);
                 let sums = &mut sums2[left..left + to.len()];
                 sums.iter_mut().for_each(|sum| *sum = (*sum as f32 * unit).to_bits() as i32);
@@ -149,10 +155,8 @@ fn fill(plan: &Upscale, input: Chw<'_, i16>, start: usize, height: usize, slots:
     let slots = slots.chunks_exact_mut(packed::slot_len(plan.channels, plan.cols)).take(height + 2);
     for (slot, to) in slots.enumerate() {
         let row = start + slot;
-        if start == 0 || row > plan.rows {
-            to.fill(0);
-        }
         if row == 0 || row > plan.rows {
+            to.fill(0);
             continue;
         }
         for channel in 0..plan.channels {

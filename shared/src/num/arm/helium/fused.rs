@@ -2,8 +2,9 @@
 //! the conversions need them. Each function returns the number of elements that it has done.
 //!
 //! The numbers are halves, sums of products of halves, and halves times a weight of channel attention (0, or 2^-26 at
-//! least): multiples of 2^-76, so that nothing is flushed.
+//! least): multiples of 2^-76, so that nothing is flushed. [`correct`] looks whether it was.
 
+use super::unflushed;
 use crate::num::{f16, narrow, widen};
 
 /// Widens `from` into the equally long `to`; eight in six instructions.
@@ -260,4 +261,37 @@ pub(in crate::num) fn round_interleaved(even: &[f32], odd: &[f32], to: &mut [f32
         );
     }
     4 * n
+}
+
+/// The leading elements of `((code - black) - offset) * gain`, eleven instructions for four. Returns how many: none
+/// where a number would be flushed, as where the black level is tiny.
+#[inline(always)]
+pub(in crate::num) fn correct(codes: &[u16], black: f32, [offset, gain]: [&[f16]; 2], to: &mut [f32]) -> usize {
+    let n = codes.len().min(offset.len()).min(gain.len()).min(to.len()) / 4;
+    // SAFETY: 4 n elements lie in all slices.
+    let work = || unsafe {
+        asm_all!(
+            "dls lr, r5",
+            "2:",
+            "vldrh.u32 q0, [r0], #8",
+            "vcvt.f32.u32 q0, q0",
+            "vldrh.u32 q1, [r1], #8",
+            "vsub.f32 q0, q0, r4",
+            "vcvtb.f32.f16 q1, q1",
+            "vldrh.u32 q2, [r2], #8",
+            "vsub.f32 q0, q0, q1",
+            "vcvtb.f32.f16 q2, q2",
+            "vmul.f32 q0, q0, q2",
+            "vstrw.32 q0, [r3], #16",
+            "le lr, 2b",
+            in("r5") n,
+            in("r4") black.to_bits(),
+            inout("r0") codes.as_ptr() => _,
+            inout("r1") offset.as_ptr() => _,
+            inout("r2") gain.as_ptr() => _,
+            inout("r3") to.as_mut_ptr() => _,
+            out("lr") _,
+        );
+    };
+    if n > 0 && unflushed(work) { 4 * n } else { 0 }
 }

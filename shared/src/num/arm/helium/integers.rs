@@ -2,6 +2,7 @@
 //! that it has done.
 
 use super::asm_push;
+use crate::num::f16;
 
 /// `to = saturate(max(rescale(sum), least))`: six instructions for four sums.
 #[inline(always)]
@@ -93,6 +94,49 @@ pub(crate) fn spread(from: &[i16], to: &mut [i16]) -> usize {
         }
     }
     8 * n
+}
+
+/// Writes `saturate(floor(x scale / 2^15 + 1/2))` of every other half, from the first (or, with `odd`, from the second)
+/// on, into the first place of the next group of eight: eight instructions for four numbers. Products are multiples of
+/// 2^-24, so that nothing is flushed.
+#[inline(always)]
+pub(crate) fn spread_halves(from: &[f16], odd: bool, scale: f32, to: &mut [i16]) -> usize {
+    static PLACES: [u32; 4] = [0, 8, 16, 24];
+    macro_rules! run {
+        ($widen:literal, $n:expr) => {
+            asm_push!(
+                "vldrw.u32 q2, [r3]",
+                "dls lr, r4",
+                "2:",
+                "vldrh.u16 q0, [r0], #16",
+                concat!($widen, " q0, q0"),
+                "vmul.f32 q0, q0, r2",
+                "vcvt.s32.f32 q0, q0",
+                "vqrshrnb.s32 q0, q0, #15",
+                "vstrh.32 q0, [r1, q2, uxtw #1]",
+                "add r1, r1, #64",
+                "le lr, 2b",
+                inout("r0") from.as_ptr() => _,
+                inout("r1") to.as_mut_ptr() => _,
+                in("r2") scale.to_bits(),
+                in("r3") PLACES.as_ptr(),
+                in("r4") $n,
+                out("lr") _,
+            )
+        };
+    }
+    let n = (from.len() / 2).min(to.len() / COLUMN) / 4;
+    if n > 0 {
+        // SAFETY: 8 n halves lie in `from`, 4 n groups in `to`.
+        unsafe {
+            if odd {
+                run!("vcvtt.f32.f16", n);
+            } else {
+                run!("vcvtb.f32.f16", n);
+            }
+        }
+    }
+    4 * n
 }
 
 /// Writes `saturate(rescale(sum))` into the first place of every other group: six instructions for four sums.

@@ -16,17 +16,22 @@ mod fft;
 mod fused;
 mod integers;
 mod rows;
+mod sigmoid;
 
 pub(crate) use columns::{
     add_product_columns, forward_columns, scatter_columns, transform_columns, transform_product_columns,
 };
 pub(crate) use correlate::{correlate1, correlate4};
-pub(crate) use dot::correlate_groups;
+pub(crate) use dot::{correlate_groups1, correlate_groups2};
 pub(in crate::num) use fused::{
-    accumulate, add_eights, add_scaled, narrow_relu, narrow_slice, round_interleaved, widen_alternate, widen_slice,
+    accumulate, add_eights, add_scaled, correct, narrow_relu, narrow_slice, round_interleaved, widen_alternate,
+    widen_slice,
 };
-pub(crate) use integers::{accumulate_row, add_integers, add_scaled_integers, rescale_row, spread, spread_rescaled};
+pub(crate) use integers::{
+    accumulate_row, add_integers, add_scaled_integers, rescale_row, spread, spread_halves, spread_rescaled,
+};
 pub(crate) use rows::{forward_rows, inverse_rows};
+pub(in crate::num) use sigmoid::sigmoid;
 
 /// `asm!` that clobbers every vector register and uses the stack.
 macro_rules! asm_push {
