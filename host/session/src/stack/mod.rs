@@ -19,8 +19,12 @@
 //! ```
 
 mod avi;
+mod chunks;
+mod codec;
 mod layout;
+mod mat;
 mod npy;
+mod number;
 mod ome;
 mod reader;
 mod recording;
