@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
 /// Where an input goes. The files of one Zarr lie in one folder.
-const FILES: [&str; 6] = ["x.mat", "image/.zattrs", "image/0/.zarray", "image/0/0.0.0.0.0", "plain/zarr.json", "plain/c/0/0/0"];
+const FILES: [&str; 6] =
+    ["x.mat", "image/.zattrs", "image/0/.zarray", "image/0/0.0.0.0.0", "plain/zarr.json", "plain/c/0/0/0"];
 const SOUND: [&str; 6] = ["", IMAGE, ARRAY_2, "0123456789ab", ARRAY_3, "0123456789ab0123456789ab"];
 
 const IMAGE: &str = r#"{"multiscales": [{"version": "0.4", "axes": [

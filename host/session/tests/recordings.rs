@@ -36,7 +36,10 @@ fn mat_files_of_scipy_hdf5storage_and_h5py() {
     expect("v73-h5py.mat", Some("Z"), SampleType::U16, frame);
     for (name, listed) in [
         ("level5-compressed.mat", "Y (24 x 32 x 5, double), dark (24 x 32 x 2, uint8), fs (1 x 1, double)"),
-        ("v73-h5py.mat", "Y (24 x 32 x 5, uint8), Z (24 x 32 x 5, uint16), fs (1 x 1, double), later (24 x 32 x 1, uint8)"),
+        (
+            "v73-h5py.mat",
+            "Y (24 x 32 x 5, uint8), Z (24 x 32 x 5, uint16), fs (1 x 1, double), later (24 x 32 x 1, uint8)",
+        ),
     ] {
         let error = FrameReader::open(&path(name)).unwrap_err().to_string();
         assert!(error.contains(listed) && error.contains("--variable NAME"), "{error}");
@@ -99,4 +102,66 @@ fn arrays_of_zarr_with_each_codec() {
     });
     let error = FrameReader::open_variable(&path("plain.zarr"), Some("Y")).unwrap_err().to_string();
     assert!(error.contains("only .mat files"), "{error}");
+}
+
+/// The frames of a file, read to the last one, as far as they can be; the number that could be read, or the error.
+fn read_all(path: &Path) -> Result<usize, String> {
+    let variable = path.extension().filter(|suffix| *suffix == "mat").map(|_| "Y");
+    let mut frames = FrameReader::open_variable(path, variable).map_err(|e| e.to_string())?;
+    (0..frames.len()).try_for_each(|i| frames.read(i).map(drop)).map_err(|e| e.to_string())?;
+    Ok(frames.len())
+}
+
+#[test]
+fn a_file_that_was_cut_short_is_refused_wherever_it_ends() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["level5.mat", "level5-compressed.mat", "v73.mat", "v73-h5py.mat"] {
+        let bytes = std::fs::read(path(name)).unwrap();
+        let cut = folder.path().join("x.mat");
+        for end in (0..bytes.len()).step_by(61).chain([bytes.len() - 1]) {
+            std::fs::write(&cut, &bytes[..end]).unwrap();
+            match read_all(&cut) {
+                Err(text) => assert!(text.contains("x.mat"), "{name}: {text}"),
+                Ok(frames) => panic!("{name}, cut at {end}: {frames} frames"),
+            }
+        }
+    }
+    for (name, chunk) in [("sharded.zarr", "c/0/0/0"), ("blosc-zstd-2.zarr", "0.0.0"), ("lz4.zarr", "0.0.0")] {
+        copy(&path(name), &folder.path().join(name));
+        let file = folder.path().join(name).join(chunk);
+        let bytes = std::fs::read(&file).unwrap();
+        for end in (0..bytes.len()).step_by(61) {
+            std::fs::write(&file, &bytes[..end]).unwrap();
+            assert!(read_all(&folder.path().join(name)).is_err(), "{name}, cut at {end}");
+        }
+    }
+}
+
+#[test]
+fn damaged_bytes_give_an_error_or_frames_and_no_panic() {
+    let folder = tempfile::tempdir().unwrap();
+    let names = ["level5.mat", "level5-compressed.mat", "v73.mat", "v73-h5py.mat", "matlab-test3dmatrix_6.1_SOL2.mat"];
+    let file = folder.path().join("x.mat");
+    let mut refused = 0;
+    for name in names {
+        let bytes = std::fs::read(path(name)).unwrap();
+        // The headers lie at the start; in HDF5 also behind the numbers.
+        for at in (0..bytes.len()).filter(|at| at % 7 == 0 || *at < 300) {
+            let mut damaged = bytes.clone();
+            damaged[at] ^= [1, 0x80, 0xff][at % 3];
+            std::fs::write(&file, damaged).unwrap();
+            refused += usize::from(read_all(&file).is_err());
+        }
+    }
+    // A changed number is no error, a changed length is.
+    assert!(refused > 300, "{refused}");
+}
+
+fn copy(from: &Path, to: &Path) {
+    std::fs::create_dir_all(to).unwrap();
+    for entry in std::fs::read_dir(from).unwrap() {
+        let entry = entry.unwrap().path();
+        let to = to.join(entry.file_name().unwrap());
+        if entry.is_dir() { copy(&entry, &to) } else { std::fs::copy(&entry, to).map(drop).unwrap() }
+    }
 }

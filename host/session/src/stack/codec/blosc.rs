@@ -73,7 +73,9 @@ fn unpacked(method: u8, packed: &[u8], most: usize) -> Result<Vec<u8>> {
         3 => zlib(packed, most),
         4 => zstd(packed, most),
         0 => Err(damaged("Blosc's own method, blosclz, is not read: write the array again with lz4, zstd or zlib")),
-        _ => Err(damaged(format!("method {method} of Blosc is not read: write the array again with lz4, zstd or zlib"))),
+        _ => {
+            Err(damaged(format!("method {method} of Blosc is not read: write the array again with lz4, zstd or zlib")))
+        }
     }
 }
 

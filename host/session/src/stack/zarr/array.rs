@@ -118,8 +118,12 @@ impl Array {
             }
             let sharding = need(step, "configuration")?;
             let inner = sizes(sharding, "chunk_shape")?;
-            let fits = |(outer, inner): (&usize, &usize)| *inner > 0 && outer.is_multiple_of(*inner);
-            if !codecs.is_empty() || shard.is_some() || inner.len() != chunk.len() || !chunk.iter().zip(&inner).all(fits) {
+            let fits = |(outer, inner): (&usize, &usize)| *outer > 0 && *inner > 0 && outer.is_multiple_of(*inner);
+            if !codecs.is_empty()
+                || shard.is_some()
+                || inner.len() != chunk.len()
+                || !chunk.iter().zip(&inner).all(fits)
+            {
                 return Err(damaged(format!("shards of {chunk:?} with chunks of {inner:?}")));
             }
             let (mut index_codecs, mut ignored) = (Vec::new(), false);

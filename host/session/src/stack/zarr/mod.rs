@@ -8,8 +8,6 @@ mod read;
 mod write;
 
 pub(super) use json::METADATA;
-pub(super) use read::{ZarrSource, is_zarr};
+pub(super) use read::ZarrSource;
+pub use read::is_zarr;
 pub(super) use write::ZarrWriter;
-
-#[cfg(test)]
-mod tests;

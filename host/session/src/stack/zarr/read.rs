@@ -22,8 +22,8 @@ pub(in super::super) struct ZarrSource {
     pub scale: StackScale,
 }
 
-/// Whether a folder is one of Zarr.
-pub(in super::super) fn is_zarr(folder: &Path) -> bool {
+/// Whether a folder is one of Zarr: of an image, an array, or a group of them.
+pub fn is_zarr(folder: &Path) -> bool {
     NAMES.iter().any(|name| folder.join(name).is_file())
 }
 

@@ -62,7 +62,12 @@ pub(super) fn open(mut file: File) -> Result<(Source, u64)> {
         return Err(damaged(format!("it states that it begins at {stated}, and begins at {base}")));
     }
     source.base = stated;
-    fields.take(8 * 3 + 8)?;
+    fields.take(8)?;
+    let end = fields.number(8)?;
+    if end > size {
+        return Err(damaged(format!("it states {end} bytes and has {size}: it was cut short")));
+    }
+    fields.take(8 + 8)?;
     let root = fields.number(8)?;
     Ok((source, root))
 }
