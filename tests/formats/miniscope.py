@@ -64,10 +64,11 @@ def main():
             # Without the index and half of the last frame.
             data = data[: -(8 + 16 * len(frames)) - side * side // 2]
         (folder / f"{file}.avi").write_bytes(data)
-    rows, ms = ["Frame Number,Time Stamp (ms),Buffer Index"], -3
+    rows, step = ["Frame Number,Time Stamp (ms),Buffer Index"], 0
     for i in range(FILES * PER_FILE):
-        rows.append(f"{i},{ms},0")
-        ms += 50 + i % 2 + 50 * GAPS.get(i, 0)
+        # Whole milliseconds, of 50.5 from one frame to the next.
+        rows.append(f"{i},{int(50.5 * step) - 3},0")
+        step += 1 + GAPS.get(i, 0)
     (folder / "timeStamps.csv").write_bytes("\r\n".join([*rows, ""]).encode())
     metadata = {
         "ROI": {"height": side, "leftEdge": 0, "topEdge": 0, "width": side}, "compression": "GREY",
