@@ -189,6 +189,7 @@ fn zarr_holds_the_reconstruction() {
     let image = &group["attributes"]["ome"]["multiscales"][0];
     assert_eq!(image["axes"][2], serde_json::json!({ "name": "y", "type": "space", "unit": "micrometer" }));
     assert_eq!(image["datasets"][0]["coordinateTransformations"][0]["scale"], serde_json::json!([1.0, 1.0, 2.0, 2.0]));
+    assert!(stack::read(&desk.path().join("x.zarr")).unwrap() == npy);
     // A folder of something else is never replaced.
     std::fs::create_dir(desk.path().join("mine.zarr")).unwrap();
     std::fs::write(desk.path().join("mine.zarr/notes.txt"), "mine").unwrap();
