@@ -19,7 +19,7 @@ const MAX_FRAME_BYTES: u64 = 1 << 29;
 /// An open array of a .mat file.
 #[derive(Debug)]
 pub(super) enum MatSource {
-    Level5(level5::Level5Source),
+    Level5(Box<level5::Level5Source>),
     Hdf5(Box<hdf5::Hdf5Source>),
 }
 
@@ -32,7 +32,7 @@ impl MatSource {
         // Either kind has a text of 116 bytes first; four of them are not zero, by which level 4 is told apart.
         match start.get(124..128) {
             Some([1, 0, b'M', b'I'] | [0, 1, b'I', b'M']) if !start[..4].contains(&0) => {
-                level5::Level5Source::open(path, variable).map(|(shape, s)| (shape, Self::Level5(s)))
+                level5::Level5Source::open(path, variable).map(|(shape, s)| (shape, Self::Level5(Box::new(s))))
             }
             Some([2, 0, b'M', b'I'] | [0, 2, b'I', b'M']) => {
                 hdf5::Hdf5Source::open(path, variable).map(|(shape, s)| (shape, Self::Hdf5(Box::new(s))))
