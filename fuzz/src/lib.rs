@@ -5,5 +5,6 @@
 
 pub mod blob;
 pub mod device;
+pub mod recording;
 pub mod session;
 pub mod wire;

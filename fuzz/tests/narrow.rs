@@ -90,3 +90,8 @@ fn devices() {
 fn sessions() {
     run("session", ommatidia_fuzz::session::try_input);
 }
+
+#[test]
+fn recordings() {
+    run("recording", ommatidia_fuzz::recording::try_input);
+}

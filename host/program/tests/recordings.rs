@@ -189,6 +189,7 @@ fn zarr_holds_the_reconstruction() {
     let image = &group["attributes"]["ome"]["multiscales"][0];
     assert_eq!(image["axes"][2], serde_json::json!({ "name": "y", "type": "space", "unit": "micrometer" }));
     assert_eq!(image["datasets"][0]["coordinateTransformations"][0]["scale"], serde_json::json!([1.0, 1.0, 2.0, 2.0]));
+    assert!(stack::read(&desk.path().join("x.zarr")).unwrap() == npy);
     // A folder of something else is never replaced.
     std::fs::create_dir(desk.path().join("mine.zarr")).unwrap();
     std::fs::write(desk.path().join("mine.zarr/notes.txt"), "mine").unwrap();
@@ -235,4 +236,37 @@ fn a_compressed_video_names_ffmpeg_where_it_is_missing() {
     let out = command.args(["inspect", "ffv1.avi"]).current_dir(desk.path()).env("PATH", "").output().unwrap();
     let text = String::from_utf8_lossy(&out.stderr);
     assert!(!out.status.success() && text.contains("install ffmpeg"), "{text}");
+}
+
+#[test]
+fn mat_files_and_ome_zarr_become_sessions_by_reference_and_by_copy() {
+    let desk = tempfile::tempdir().unwrap();
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../session/tests/recordings");
+    std::fs::copy(data.join("level5-compressed.mat"), desk.path().join("x.mat")).unwrap();
+    let frame = |f: usize| Array2::from_shape_fn((24, 32), |(r, c)| (1000 * f + 37 * r + c) as f32);
+    let (code, _, text) = ommatidia(desk.path(), "import x.mat -o session --exposure-ms 5");
+    assert!(code == 1 && text.contains("Y (24 x 32 x 5, double), dark") && text.contains("--variable"), "{text}");
+    let frames = |session: &str| Session::open(desk.path().join(session)).unwrap().stacks()[0].frames().unwrap();
+    // Two arrays of one file: what names the array is kept in the session, and a copy needs none.
+    for (name, copy) in [("session", ""), ("copied", "--copy")] {
+        let found = json(desk.path(), &format!("import scene=x.mat -o {name} --variable Y --exposure-ms 5 {copy}"));
+        assert_eq!((&found["recordings"][0]["frames"], &found["bit_depth"]), (&5.into(), &14.into()), "{found:#}");
+        assert_eq!(frames(name).read(4).unwrap(), frame(4));
+        assert_eq!(
+            Session::open(desk.path().join(name)).unwrap().manifest().stacks[0].variable.is_some(),
+            copy.is_empty()
+        );
+    }
+    json(desk.path(), "import dark=x.mat -o dark --variable dark --exposure-ms 5");
+    assert_eq!(frames("dark").read(1).unwrap(), frame(1).mapv(|v| v % 251.0));
+    // The scales of an OME-Zarr are those of the session: 20 Hz, 2 um.
+    let zarr = data.join("image-0.4.zarr");
+    let found = json(desk.path(), &format!("import {} -o zarr", zarr.display()));
+    assert_eq!(found["recordings"][0]["frames"], 5, "{found:#}");
+    let session = Session::open(desk.path().join("zarr")).unwrap();
+    assert_eq!((session.manifest().object.pixel_um, session.stacks()[0].info()[0].exposure_ms), (2.0, 50.0));
+    assert_eq!(frames("zarr").read(3).unwrap(), frame(3));
+    assert_eq!(json(desk.path(), &format!("inspect {}", zarr.display()))["frames"], 5);
+    let (code, _, text) = ommatidia(desk.path(), "import zarr -o other --exposure-ms 5");
+    assert!(code == 1 && !text.contains("panicked"), "{text}");
 }

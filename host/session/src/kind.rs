@@ -20,7 +20,7 @@ pub enum FileKind {
     Folder,
     /// The output of a verb with `--json`.
     Json,
-    /// A stack of frames, .npy, .tif, .avi or .mp4.
+    /// A stack of frames, .npy, .tif, .avi, .mp4 or .mat.
     Stack,
     /// A page for a browser.
     Page,
@@ -63,6 +63,7 @@ impl FileKind {
         read.map_err(|source| ArtifactError::Io { path: path.into(), source })?;
         Ok(match start.as_slice() {
             s if s.starts_with(&blob::MAGIC) => Self::Blob,
+            s if s.starts_with(b"MATLAB 5.0 MAT") || s.starts_with(b"MATLAB 7.3 MAT") => Self::Stack,
             s if s.starts_with(b"\x93NUMPY") || s.starts_with(b"II") || s.starts_with(b"MM") => Self::Stack,
             [_, _, _, _, b'f', b't', b'y', b'p', ..] => Self::Stack,
             [b'R', b'I', b'F', b'F', _, _, _, _, b'A', b'V', b'I', b' ', ..] => Self::Stack,

@@ -118,8 +118,11 @@ pub enum Role {
 pub struct StackEntry {
     /// What its frames show.
     pub role: Role,
-    /// File of the frames relative to the session's folder: .npy or .tif/.tiff, [frames, rows, cols], DN.
+    /// File of the frames relative to the session's folder, [frames, rows, cols], DN.
     pub file: String,
+    /// Name of the array in a .mat file that holds more than one; none for other files.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub variable: Option<String>,
     /// Exposure of each frame for which the table gives no other, ms.
     pub exposure_ms: f64,
     /// CSV table with one row for each frame.
@@ -147,6 +150,7 @@ impl StackEntry {
         Self {
             role,
             file: file.into(),
+            variable: None,
             exposure_ms,
             table: None,
             truth: None,

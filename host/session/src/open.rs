@@ -128,7 +128,7 @@ impl Session {
 
 impl Stack {
     fn open(dir: &Path, manifest_path: &Path, manifest: &Manifest, entry: &StackEntry) -> Result<Self, SessionError> {
-        let frames = FrameReader::open(&dir.join(&entry.file))?;
+        let frames = FrameReader::open_variable(&dir.join(&entry.file), entry.variable.as_deref())?;
         let sensor = [frames.len(), manifest.sensor.rows, manifest.sensor.cols];
         expect_shape(&frames, sensor, "correct [sensor] in the manifest, or the frames")?;
         let positions = entry.role == Role::Bead;
@@ -199,7 +199,7 @@ impl Stack {
     pub fn frames(&self) -> Result<FrameReader, SessionError> {
         match &self.computed {
             Some(frames) => Ok(FrameReader::computed(&self.path(), Arc::clone(frames))),
-            None => FrameReader::open(&self.path()),
+            None => FrameReader::open_variable(&self.path(), self.entry.variable.as_deref()),
         }
     }
 

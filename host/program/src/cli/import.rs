@@ -5,15 +5,15 @@ use super::{Outcome, Run};
 use anyhow::{Context, bail};
 use ommatidia_session::import::{Found, ImportRequest, LengthUnit, REPORT, Source, import};
 use ommatidia_session::kind::FileKind;
-use ommatidia_session::{FrameReader, MANIFEST, Manifest, Role, Session, artifact};
+use ommatidia_session::{MANIFEST, Manifest, Role, Session, artifact};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
 /// Options of `import`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Recordings: a folder of numbered .avi or .tif files (such as that of a UCLA Miniscope), or a file .avi, .tif or
-    /// .npy. `dark=`, `flat=`, `bead=` or `scene=` in front says what it shows [default: beads where there are
+    /// Recordings: a folder of numbered .avi or .tif files (such as that of a UCLA Miniscope), an OME-Zarr, or a
+    /// file .avi, .tif, .mat or .npy. `dark=`, `flat=`, `bead=` or `scene=` in front says what it shows [default: beads where there are
     /// positions, else scenes]
     #[arg(required = true, value_name = "[ROLE=]PATH", value_parser = source)]
     recordings: Vec<Source>,
@@ -30,6 +30,9 @@ pub struct Args {
     /// Table of the stage positions of bead frames [default: names of the files, or the only .csv in their folder]
     #[arg(long, value_name = "CSV")]
     positions: Option<PathBuf>,
+    /// Name of the array in .mat files that hold several [default: the only one of three axes]
+    #[arg(long, value_name = "NAME")]
+    variable: Option<String>,
     /// Unit of positions in names of files that state none: um, mm or px (object pixels)
     #[arg(long, value_name = "UNIT")]
     unit: Option<LengthUnit>,
@@ -88,7 +91,7 @@ fn like(path: &Path) -> anyhow::Result<Manifest> {
 /// A recording cannot be read, or something is not known that only the user can say. No session is left then.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let started = std::time::Instant::now();
-    let frames = args.recordings.iter().map(|s| Ok(FrameReader::open(&s.path)?.len() as u64));
+    let frames = args.recordings.iter().map(|s| Ok(s.frames(args.variable.as_deref())?.len() as u64));
     let frames = frames.sum::<anyhow::Result<u64>>()?;
     let request = ImportRequest {
         sources: &args.recordings,
@@ -98,6 +101,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         exposure_ms: args.exposure_ms,
         bit_depth: args.bit_depth,
         positions: args.positions.as_deref(),
+        variable: args.variable.as_deref(),
         unit: args.unit,
         copy: args.copy,
         replace: run.force,

@@ -45,8 +45,8 @@ fn planning(kind: MethodKind) -> &'static str {
 /// Options of `reconstruct`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Raw frames, DN: a file .npy, .tif or .avi, a folder of numbered .avi or .tif files (such as that of a UCLA
-    /// Miniscope), or a session with one stack of scenes
+    /// Raw frames, DN: a file .npy, .tif, .avi or .mat, a folder of numbered .avi or .tif files (such as that of a UCLA
+    /// Miniscope), an OME-Zarr, or a session with one stack of scenes
     frames: PathBuf,
     /// Objects, by suffix: .npy, .tif (OME-TIFF; BigTIFF from 4 GB on), .zarr (OME-Zarr 0.5), all float32; .avi or
     /// .mp4, 8 bits for the eye, by ffmpeg

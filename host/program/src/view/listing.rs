@@ -12,7 +12,7 @@ use ommatidia_network::evaluate::{self, receptive};
 use ommatidia_network::network_file::NetworkFile;
 use ommatidia_network::uncertainty;
 use ommatidia_session::kind::FileKind;
-use ommatidia_session::stack::ZARR_METADATA;
+use ommatidia_session::stack::is_zarr;
 use ommatidia_session::{FrameReader, Manifest, ObjectGrid, SensorSpec, Session, artifact, causes};
 use serde::Serialize;
 use serde_json::Value;
@@ -222,9 +222,6 @@ impl Entry {
                 (self.frame, self.object) = (Some(plan.frame), Some(plan.object));
                 Kind::DataSet
             }
-            FileKind::Folder if path.join(ZARR_METADATA).is_file() => {
-                bail!("it is an OME-Zarr, which this program writes and does not read: open it in napari")
-            }
             FileKind::Folder | FileKind::Stack => {
                 // A long file is not read here.
                 if path.is_dir() {
@@ -257,7 +254,7 @@ fn size(value: &Value) -> Option<[usize; 2]> {
 fn plain_folder(path: &Path) -> anyhow::Result<bool> {
     let one = FileKind::of(path)? == FileKind::Session
         || path.join(PLAN_FILE).is_file()
-        || path.join(ZARR_METADATA).is_file()
+        || is_zarr(path)
         || is_recording(path)?;
     Ok(!one)
 }

@@ -54,8 +54,22 @@ impl std::str::FromStr for LengthUnit {
 pub struct Source {
     /// What its frames show; `None`: beads where there are positions, else scenes.
     pub role: Option<Role>,
-    /// File of frames, or folder of numbered .avi or .tif files.
+    /// File of frames, or folder of numbered .avi or .tif files, or of Zarr.
     pub path: PathBuf,
+}
+
+impl Source {
+    /// A reader of its frames. `variable` names the array of a .mat file, and says nothing of other files.
+    ///
+    /// # Errors
+    /// As [`FrameReader::open_variable`].
+    pub fn frames(&self, variable: Option<&str>) -> Result<FrameReader, SessionError> {
+        FrameReader::open_variable(&self.path, variable.filter(|_| is_mat(&self.path)))
+    }
+}
+
+fn is_mat(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("mat"))
 }
 
 /// What to import, and as what.
@@ -75,6 +89,8 @@ pub struct ImportRequest<'a> {
     pub bit_depth: Option<u32>,
     /// Table of positions of the bead frames; `None`: names of files, or the only table in their folder.
     pub positions: Option<&'a Path>,
+    /// Name of the array of .mat files that hold more than one.
+    pub variable: Option<&'a str>,
     /// Unit of positions in names that state none.
     pub unit: Option<LengthUnit>,
     /// Whether to copy the frames into the session.
@@ -128,6 +144,8 @@ pub fn import(request: &ImportRequest<'_>, mut progress: impl FnMut()) -> Result
             false => reference(recording.frames.path(), request.output)?,
         };
         let mut entry = StackEntry::plain(recording.role, file, exposure_ms);
+        // A copy is a .npy file.
+        entry.variable = request.variable.filter(|_| !request.copy && is_mat(&request.sources[i].path)).map(Into::into);
         let table = infos.is_some() || recording.times.is_some();
         if table {
             let plain = || (0..frames).map(|f| FrameInfo::plain(f, exposure_ms)).collect();
@@ -174,7 +192,7 @@ fn folder_of(path: &Path) -> PathBuf {
 }
 
 fn open(source: &Source, request: &ImportRequest<'_>) -> Result<Opened, SessionError> {
-    let frames = FrameReader::open(&source.path)?;
+    let frames = source.frames(request.variable)?;
     let mut notes = Vec::new();
     let times = times_of(&frames)?;
     let metadata = miniscope::metadata(&folder_of(&source.path))?.filter(|_| source.path.is_dir());

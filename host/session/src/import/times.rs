@@ -17,7 +17,7 @@ pub struct Times {
     pub timestamps: usize,
     /// Number of rows of the table that belong to no whole frame.
     pub unused: usize,
-    /// Median time from one frame to the next, s.
+    /// Mean time from one frame to the next, without gaps, s.
     pub interval_s: Option<f64>,
     /// Where frames are missing.
     pub gaps: Vec<Gap>,
@@ -36,11 +36,11 @@ pub struct Gap {
     pub time_s: f64,
     /// Time to the next frame, s.
     pub seconds: f64,
-    /// Number of frames that are missing, by the median interval.
+    /// Number of frames that are missing, by the mean interval.
     pub missing: usize,
 }
 
-/// A time between frames of more than this many intervals is a gap.
+/// A time between frames of more than this many median times is a gap.
 const GAP: f64 = 1.5;
 
 /// Names of tables of timestamps: those of Miniscope V4 and V3.
@@ -126,16 +126,25 @@ impl Times {
         Self::of(time_s, &[], time_s.len(), None)
     }
 
-    /// Finds the median interval, gaps, and times that do not grow.
+    /// Finds the interval, gaps, and times that do not grow.
+    ///
+    /// The median tells gaps from ordinary times, but timestamps are often whole milliseconds: half of one is missing
+    /// from it, which would count two frames too few in a gap of ten seconds. So the interval is the mean.
     fn judge(&mut self) {
         let steps: Vec<f64> = self.time_s.windows(2).map(|w| w[1] - w[0]).collect();
         let mut sorted = steps.clone();
         sorted.sort_by(f64::total_cmp);
-        self.interval_s = sorted.get(sorted.len() / 2).copied().filter(|s| *s > 0.0);
+        let Some(median) = sorted.get(sorted.len() / 2).copied().filter(|s| *s > 0.0) else {
+            self.backwards = (0..steps.len()).filter(|i| steps[*i] <= 0.0).map(|i| i + 1).collect();
+            return;
+        };
+        let usual: Vec<f64> = sorted.into_iter().filter(|step| *step > 0.0 && *step <= GAP * median).collect();
+        let interval = usual.iter().sum::<f64>() / usual.len() as f64;
+        self.interval_s = Some(interval);
         for (i, step) in steps.into_iter().enumerate() {
             if step <= 0.0 {
                 self.backwards.push(i + 1);
-            } else if let Some(interval) = self.interval_s.filter(|median| step > GAP * median) {
+            } else if step > GAP * median {
                 let missing = ((step / interval).round() as usize).saturating_sub(1);
                 self.gaps.push(Gap { after_frame: i, time_s: self.time_s[i], seconds: step, missing });
             }

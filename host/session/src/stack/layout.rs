@@ -72,6 +72,7 @@ pub(super) enum Container {
     Npy,
     Tif,
     Avi,
+    Mat,
     Mp4,
     Zarr,
 }
@@ -83,12 +84,13 @@ impl Container {
             "npy" => Ok(Self::Npy),
             "tif" | "tiff" => Ok(Self::Tif),
             "avi" => Ok(Self::Avi),
+            "mat" => Ok(Self::Mat),
             "mp4" => Ok(Self::Mp4),
             "zarr" => Ok(Self::Zarr),
             _ => Err(SessionError::value(
                 path,
                 "suffix",
-                ".npy, .tif, .tiff or .avi",
+                ".npy, .tif, .tiff, .avi, .mat or .zarr",
                 if suffix.is_empty() { "none".into() } else { format!(".{suffix}") },
                 "rename the file, or convert the stack to one of these formats",
             )),

@@ -1,5 +1,5 @@
-//! Stacks of frames, [frames, rows, cols], read and written one frame at a time: .npy, multi-page .tif and .avi files,
-//! and folders of numbered .avi or .tif files.
+//! Stacks of frames, [frames, rows, cols], read and written one frame at a time: .npy, multi-page .tif, .avi and .mat
+//! files, folders of numbered .avi or .tif files, and folders of Zarr.
 //!
 //! ```
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -19,8 +19,12 @@
 //! ```
 
 mod avi;
+mod chunks;
+mod codec;
 mod layout;
+mod mat;
 mod npy;
+mod number;
 mod ome;
 mod reader;
 mod recording;
@@ -37,6 +41,7 @@ pub use recording::Recording;
 pub use series::Part;
 pub use whole::{read, write};
 pub use writer::FrameWriter;
+pub use zarr::is_zarr;
 
 /// Name of the file by which a folder written as .zarr is recognised.
 pub const ZARR_METADATA: &str = zarr::METADATA;

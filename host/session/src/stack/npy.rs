@@ -1,6 +1,7 @@
 //! NumPy .npy files: a short header, then the frames one after another in C order.
 
-use super::layout::{SampleType, Shape};
+use super::layout::Shape;
+use super::number::Number;
 use crate::error::SessionError;
 use npyz::{DType, Endianness, NpyHeader, Order, TypeChar};
 use std::fs::File;
@@ -15,8 +16,8 @@ pub(super) struct NpySource {
     file: File,
     data_start: u64,
     frame_bytes: usize,
-    samples: SampleType,
-    endianness: Endianness,
+    number: Number,
+    big_endian: bool,
     buffer: Vec<u8>,
 }
 
@@ -25,9 +26,9 @@ impl NpySource {
         let mut file = File::open(path).map_err(|e| SessionError::io(path, e))?;
         let found = file.metadata().map_err(|e| SessionError::io(path, e))?.len();
         let (header, data_start) = read_header(&mut file).map_err(|e| SessionError::format(path, KIND, e))?;
-        let (samples, endianness) = sample_type(path, &header.dtype())?;
+        let (number, big_endian) = number(path, &header.dtype())?;
         let [len, rows, cols] = shape(path, &header)?;
-        let frame_bytes = rows.checked_mul(cols).and_then(|n| n.checked_mul(samples.bytes()));
+        let frame_bytes = rows.checked_mul(cols).and_then(|n| n.checked_mul(number.bytes()));
         let expected = frame_bytes.and_then(|b| (b as u64).checked_mul(len as u64)?.checked_add(data_start));
         let (Some(frame_bytes), Some(expected)) = (frame_bytes, expected) else {
             return Err(SessionError::format(
@@ -39,8 +40,8 @@ impl NpySource {
         if found != expected {
             return Err(SessionError::Size { path: path.into(), expected, found });
         }
-        let source = Self { file, data_start, frame_bytes, samples, endianness, buffer: Vec::new() };
-        Ok((Shape { len, rows, cols, samples }, source))
+        let source = Self { file, data_start, frame_bytes, number, big_endian, buffer: Vec::new() };
+        Ok((Shape { len, rows, cols, samples: number.samples() }, source))
     }
 
     pub(super) fn read(&mut self, path: &Path, i: usize) -> Result<Vec<f32>, SessionError> {
@@ -50,7 +51,7 @@ impl NpySource {
             .seek(SeekFrom::Start(start))
             .and_then(|_| self.file.read_exact(&mut self.buffer))
             .map_err(|e| SessionError::io(path, e))?;
-        Ok(decode(&self.buffer, self.samples, self.endianness))
+        Ok(self.number.decode(&self.buffer, self.big_endian))
     }
 }
 
@@ -84,16 +85,16 @@ fn read_header(file: &mut File) -> std::io::Result<(NpyHeader, u64)> {
     Ok((NpyHeader::from_reader(header.as_slice())?, length as u64))
 }
 
-fn sample_type(path: &Path, dtype: &DType) -> Result<(SampleType, Endianness), SessionError> {
+fn number(path: &Path, dtype: &DType) -> Result<(Number, bool), SessionError> {
     if let DType::Plain(t) = dtype {
-        let samples = match (t.type_char(), t.size_field()) {
-            (TypeChar::Uint, 1) => Some(SampleType::U8),
-            (TypeChar::Uint, 2) => Some(SampleType::U16),
-            (TypeChar::Float, 4) => Some(SampleType::F32),
+        let number = match (t.type_char(), t.size_field()) {
+            (TypeChar::Uint, 1) => Some(Number::U8),
+            (TypeChar::Uint, 2) => Some(Number::U16),
+            (TypeChar::Float, 4) => Some(Number::F32),
             _ => None,
         };
-        if let Some(samples) = samples {
-            return Ok((samples, t.endianness()));
+        if let Some(number) = number {
+            return Ok((number, t.endianness() == Endianness::Big));
         }
     }
     Err(SessionError::SampleType { path: path.into(), expected: "uint8, uint16 or float32", found: dtype.descr() })
@@ -113,22 +114,6 @@ fn shape(path: &Path, header: &NpyHeader) -> Result<[usize; 3], SessionError> {
     <[usize; 3]>::try_from(axes).map_err(|_| {
         wrong(format!("{:?}", header.shape()), "save an array of three axes; for a single frame save `a[None]`")
     })
-}
-
-fn decode(bytes: &[u8], samples: SampleType, endianness: Endianness) -> Vec<f32> {
-    let big = endianness == Endianness::Big;
-    match samples {
-        SampleType::U8 => bytes.iter().map(|&b| f32::from(b)).collect(),
-        SampleType::U16 => bytes
-            .chunks_exact(2)
-            .map(|b| f32::from(if big { u16::from_be_bytes([b[0], b[1]]) } else { u16::from_le_bytes([b[0], b[1]]) }))
-            .collect(),
-        SampleType::F32 => bytes
-            .chunks_exact(4)
-            .map(|b| [b[0], b[1], b[2], b[3]])
-            .map(|b| if big { f32::from_be_bytes(b) } else { f32::from_le_bytes(b) })
-            .collect(),
-    }
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use super::layout::{Container, SampleType, Shape, StackScale};
 use super::series::{Part, SeriesSource};
-use super::{npy, tif};
+use super::{mat, npy, tif, zarr};
 use crate::error::SessionError;
 use ndarray::Array2;
 use std::collections::VecDeque;
@@ -40,6 +40,8 @@ pub struct FrameReader {
 enum Source {
     Npy(npy::NpySource),
     Tif(Box<tif::TifSource>),
+    Mat(Box<mat::MatSource>),
+    Zarr(Box<zarr::ZarrSource>),
     Series(Box<SeriesSource>),
     Computed {
         frames: Arc<dyn ComputedFrames>,
@@ -52,28 +54,47 @@ enum Source {
 
 impl FrameReader {
     /// Opens a stack and checks its header, its sample type and the size of the file. A folder of numbered .avi or .tif
-    /// files is one stack; what is damaged in them is listed by [`FrameReader::parts`].
+    /// files is one stack; what is damaged in them is listed by [`FrameReader::parts`]. So is a folder of Zarr. Of a
+    /// .mat file the only array of three axes is read.
     ///
     /// # Errors
-    /// The file is missing, neither .npy nor .tif nor .avi, of a sample type other than uint8, uint16 and float32, not
-    /// an array [frames, rows, cols], empty, or cut short.
+    /// The file is missing, neither .npy nor .tif nor .avi nor .mat nor Zarr, of a sample type that is not read, not an
+    /// array [frames, rows, cols] (in a .mat file: of size rows, cols, frames), empty, or cut short.
     pub fn open(path: &Path) -> Result<Self, SessionError> {
+        Self::open_variable(path, None)
+    }
+
+    /// As [`FrameReader::open`]; `variable` names the array of a .mat file that holds more than one.
+    ///
+    /// # Errors
+    /// As [`FrameReader::open`]; or the file has no array of this name, or is no .mat file.
+    pub fn open_variable(path: &Path, variable: Option<&str>) -> Result<Self, SessionError> {
         let series = |(shape, s)| (shape, Source::Series(Box::new(s)));
         // A folder has no suffix that could be wrong.
         if path.extension().is_none() && !path.exists() {
             return Err(SessionError::io(path, std::io::ErrorKind::NotFound.into()));
         }
-        let (shape, source) = if path.is_dir() {
+        if let Some(name) = variable.filter(|_| Container::of(path).ok() != Some(Container::Mat)) {
+            let remedy = "leave the name out: only .mat files hold several arrays";
+            return Err(SessionError::value(path, "variable", "none", name, remedy));
+        }
+        let (shape, source) = if path.is_dir() && zarr::is_zarr(path) {
+            zarr::ZarrSource::open(path).map(|(shape, s)| (shape, Source::Zarr(Box::new(s))))?
+        } else if path.is_dir() {
             SeriesSource::of_folder(path).map(series)?
         } else {
             match Container::of(path)? {
                 Container::Npy => npy::NpySource::open(path).map(|(shape, s)| (shape, Source::Npy(s)))?,
                 Container::Tif => tif::TifSource::open(path).map(|(shape, s)| (shape, Source::Tif(Box::new(s))))?,
                 Container::Avi => SeriesSource::of_file(path).map(series)?,
+                Container::Mat => {
+                    mat::MatSource::open(path, variable).map(|(shape, s)| (shape, Source::Mat(Box::new(s))))?
+                }
                 Container::Mp4 | Container::Zarr => {
                     let remedy = "convert the stack to .npy, .tif or .avi";
-                    let found = "a format that is only written";
-                    return Err(SessionError::value(path, "suffix", ".npy, .tif, .tiff or .avi", found, remedy));
+                    let expected = ".npy, .tif, .tiff, .avi, .mat or a folder of Zarr";
+                    let found = "a file of a format that is only written";
+                    return Err(SessionError::value(path, "suffix", expected, found, remedy));
                 }
             }
         };
@@ -122,7 +143,8 @@ impl FrameReader {
         match &self.source {
             Source::Tif(tif) => tif.scale,
             Source::Series(series) => series.scale,
-            Source::Npy(_) | Source::Computed { .. } => StackScale::default(),
+            Source::Zarr(zarr) => zarr.scale,
+            Source::Npy(_) | Source::Mat(_) | Source::Computed { .. } => StackScale::default(),
         }
     }
 
@@ -152,6 +174,8 @@ impl FrameReader {
         let values = match &mut self.source {
             Source::Npy(s) => s.read(&self.path, i)?,
             Source::Tif(s) => s.read(&self.path, i)?,
+            Source::Mat(s) => s.read(&self.path, i)?,
+            Source::Zarr(s) => s.read(&self.path, i)?,
             Source::Series(s) => s.read(i)?,
             Source::Computed { frames, next, ahead } => {
                 if *next != i || ahead.is_empty() {

@@ -88,6 +88,11 @@ impl FrameWriter {
             sink,
             pushed: 0,
         };
+        if container == Container::Mat {
+            let expected = ".npy, .tif, .tiff, .zarr, .avi or .mp4";
+            let remedy = "choose a format that is written";
+            return Err(SessionError::value(shown, "suffix", expected, ".mat, which is only read", remedy));
+        }
         if container == Container::Zarr {
             let folder = artifact::temporary_folder_beside(path).map_err(io)?;
             let sink = Sink::Zarr(Box::new(ZarrWriter::create(folder.path(), spec).map_err(io)?));

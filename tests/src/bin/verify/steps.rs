@@ -9,7 +9,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 /// The programs in `fuzz/fuzz_targets`, and how long each runs.
-const FUZZ_TARGETS: [&str; 4] = ["blob", "wire", "device", "session"];
+const FUZZ_TARGETS: [&str; 5] = ["blob", "wire", "device", "session", "recording"];
 const FUZZ_SECONDS: u32 = 15;
 
 /// One step: it either counts tests or is one check.

@@ -3,7 +3,8 @@
 //! The chunks are not compressed. A chunk holds several frames, about four megabytes, so that a long stack is not a
 //! folder of a hundred thousand files.
 
-use super::layout::{SampleType, StackSpec};
+use super::METADATA;
+use crate::stack::layout::{SampleType, StackSpec};
 use serde_json::{Value, json};
 use std::fs;
 use std::io::Result;
@@ -16,12 +17,9 @@ const CHUNK_FRAMES: usize = 64;
 /// Coarser resolutions are added while the shorter side has more than this many pixels.
 const COARSEST: usize = 128;
 
-/// Name of the file of metadata in the folder, by which it is recognised.
-pub(super) const METADATA: &str = "zarr.json";
-
 /// Writes frames one at a time into a folder.
 #[derive(Debug)]
-pub(super) struct ZarrWriter {
+pub(in super::super) struct ZarrWriter {
     folder: PathBuf,
     spec: StackSpec,
     levels: Vec<Level>,
