@@ -4,12 +4,12 @@
 //! ```text
 //! out(i) = sum_j in(j) k(i - j - d),   k(x) = sinc(x) I0(b sqrt(1 - (x/w)^2)) / I0(b)  for |x| < w, 0 beyond
 //! ```
-//! (Kaiser, IEEE ISCAS, 20, 1974), divided by the sum over i, so that no light is lost. For images without power near
-//! the Nyquist frequency this is exact to 1e-4. A sharp PSF is not such an image: its pixels are its integral over
-//! squares of one pixel side, and what lies beyond the Nyquist frequency is aliased. Nothing mends that, but the sinc alone
-//! spreads the error over the whole window, as rows of alternating sign, into pixels so dark that they would be known
-//! far better. The window keeps it where the light is. On virtual instruments this made the squared error of
-//! predicted bright scenes 3.8 times smaller for PSFs with sharp edges, and 1.3 times for diffraction at pupils.
+//! (Kaiser, IEEE ISCAS, 20, 1974), divided by the sum over i, so that no light is lost. A Gaussian of 1.2 px is moved
+//! with an error of at most 6e-4 of its peak, against 2e-4 by the sinc alone. But a sharp PSF has power beyond the Nyquist
+//! frequency, which is aliased. Nothing mends that, and the sinc alone spreads the error over the whole window, as rows
+//! of alternating sign, into pixels so dark that they are known far better. The window keeps it where the light is. On
+//! virtual instruments it made the squared error of predicted bright scenes, in units of the noise, 3.8 times smaller
+//! for PSFs with sharp edges, and 1.3 times for diffraction at pupils.
 
 use ndarray::{Array2, Array3, ArrayView2, ArrayView3, s};
 use std::f64::consts::PI;
@@ -83,7 +83,7 @@ mod tests {
     fn a_moved_gaussian_is_the_gaussian_at_the_moved_place() {
         let moved = shifted(gauss(21, [10.0, 9.5]).view(), [0.37, -0.81], 2);
         for ((r, c), v) in &gauss(25, [12.37, 10.69]).indexed_iter().collect::<Vec<_>>()[..] {
-            assert!((moved[[*r, *c]] - **v).abs() < 3e-4, "{r} {c}");
+            assert!((moved[[*r, *c]] - **v).abs() < 6e-4, "{r} {c}");
         }
     }
 
