@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod kinds;
+mod lamp;
 mod registration;
 
 use ommatidia_bench::{ArrayConfig, BenchConfig, ScanConfig, VirtualInstrument};

@@ -1,0 +1,66 @@
+//! Sessions whose flats are uneven, and whose truths have a unit of their own.
+
+use super::{closed, measured, names, subject};
+use ommatidia_closing::study::sessions::Holds;
+use ommatidia_physics::effects::EffectSetting;
+use ommatidia_session::{Session, rng, stack};
+use rand_distr::{Distribution, StandardNormal};
+use std::path::Path;
+
+/// Dims the flats of a session: their light falls off by 8 % towards the corners, and by 3 % along the columns. Photons
+/// are lost at random, so that what is left has the noise of its light.
+fn dim_flats(session: &Path) {
+    let noise = &subject().instrument.noise;
+    let (gain, black) = (noise.gain_dn_per_e, noise.black_level_dn);
+    let file = session.join("flat.npy");
+    let mut frames = stack::read(&file).unwrap();
+    let (_, rows, cols) = frames.dim();
+    for (n, mut frame) in frames.outer_iter_mut().enumerate() {
+        let mut rng = rng::stream(5, "lamp", n as u64);
+        for ((r, c), v) in frame.indexed_iter_mut() {
+            let (y, x) = (2.0 * r as f64 / (rows as f64 - 1.0) - 1.0, 2.0 * c as f64 / (cols as f64 - 1.0) - 1.0);
+            let share = 1.0 - 0.04 * (y * y + x * x) - 0.015 * (1.0 + x);
+            let light_e = (f64::from(*v) - black) / gain;
+            let normal: f64 = StandardNormal.sample(&mut rng);
+            let left_e = share * light_e + (light_e.max(0.0) * share * (1.0 - share)).sqrt() * normal;
+            *v = (black + gain * left_e) as f32;
+        }
+    }
+    stack::write(&file, frames.view()).unwrap();
+}
+
+#[test]
+fn an_uneven_lamp_is_no_vignetting_and_hides_no_effect() {
+    let folder = tempfile::tempdir().unwrap();
+    let with = |name: &str, effects: &[EffectSetting]| {
+        let dir = folder.path().join(name);
+        measured(Holds::Whole, effects, &dir, 61);
+        dim_flats(&dir);
+        closed(&Session::open(&dir).unwrap())
+    };
+    let nothing = with("nothing", &[]);
+    assert!(nothing.effects.is_empty() && nothing.nearest.is_empty());
+    let moved = with("moved", &[EffectSetting::new("array_shift", &[("row_px", 0.05)])]);
+    assert_eq!(names(&moved), ["array_shift"]);
+    // Scenes show what flats do not any more.
+    let shaded = with("shaded", &[EffectSetting::new("vignetting", &[("v", 0.05)])]);
+    assert_eq!(names(&shaded), ["vignetting"]);
+    let v = &shaded.effects[0].params[0];
+    assert!((v.value - 0.05).abs() < 5.0 * v.sigma, "{v:?}");
+}
+
+#[test]
+fn truths_may_have_any_unit_of_light() {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path().join("session");
+    let session = measured(Holds::Whole, &[], &dir, 62);
+    let before = closed(&session);
+    let file = dir.join("scene_truth.npy");
+    let truths = stack::read(&file).unwrap();
+    for unit in [300.0, 1.0 / 300.0] {
+        stack::write(&file, (&truths * unit as f32).view()).unwrap();
+        let after = closed(&session);
+        assert!(after.effects.is_empty());
+        assert!((after.before.chi2_ndf - before.before.chi2_ndf).abs() < 1e-3, "{unit}: {:?}", after.before);
+    }
+}
