@@ -22,12 +22,14 @@ pub(super) fn note(quality: &Quality, rank: usize, config: &CalibrateConfig) -> 
             format!("{rank} terms, the limit, are too few for the beads themselves: raise --max-rank")
         }
         (_, true, false, false) => format!("more than {rank} terms fit noise; {scan}, or more light"),
-        (_, false, false, true) => format!("{scan}. The rank is at its limit, {rank} (--max-rank), which costs less"),
+        (_, false, false, true) => {
+            format!("{scan}; the rank is at its limit, {rank}: a larger --max-rank may help too")
+        }
         (_, false, ..) => scan.to_string(),
     };
     Some(format!(
         "PSFs between the positions of the scan: the error on positions that were left out is {:.1} %, of which noise \
-         makes {:.1} % and the calibration itself {:.1} %; on the beads that were fitted it is {:.1} %. {cause}. Until \
+         makes {:.1} % and the calibration itself {:.1} %; on the beads that were fitted it is {:.1} %; {cause}. Until \
          then `close` will find structure that is the calibration's own",
         100.0 * quality.off_grid_error,
         100.0 * quality.noise_floor,
