@@ -184,8 +184,9 @@ fn with_foci(original: &TempDir, displaced_px: impl Fn(usize, [f64; 2]) -> [f64;
     })
 }
 
-/// Foci that coma and distortion displace by up to 3.4 px at the corners, somewhat differently behind each lens, are not
-/// those of wrong rows; wrong rows of 5.7 px in such a field are found, in its middle, at its edge and in its corner.
+/// Foci that coma and distortion displace by up to 3.4 px at the corners, somewhat differently behind each lens, are
+/// not those of wrong rows; wrong rows of 5.7 px in such a field are found, in its middle, at its edge and in its
+/// corner.
 #[test]
 fn aberrations_of_the_field_are_no_wrong_rows_and_hide_none() {
     let strong = |lens: usize, [y, x]: [f64; 2]| {
@@ -213,8 +214,8 @@ fn aberrations_of_the_field_are_no_wrong_rows_and_hide_none() {
     }
 }
 
-/// Aberrations that stretch the images of the lenses along the rows, each by another factor, look like a drift in a scan
-/// line by line; they are none, and a drift beyond them is seen.
+/// Aberrations that stretch the images of the lenses along the rows, each by another factor, look like a drift in a
+/// scan line by line; they are none, and a drift beyond them is seen.
 #[test]
 fn aberrations_that_differ_between_lenses_are_no_drift() {
     let stretch_px = [0.5, -0.3, 0.4, -0.1, 0.2, -0.4, 0.6, 0.3, -0.2];

@@ -6,12 +6,12 @@
 //! a scan line by line the row follows time, so that a wrong magnification looks like a drift along the rows; it acts
 //! on the columns as well, which tells the two apart. The scatter about the fit gives the standard errors.
 //!
-//! Aberrations that change over the field displace the centroids of foci too, and the scan goes through the field in the
-//! course of time. They do it differently behind each lens, whereas a drift moves all foci alike. So the drift is also
-//! estimated behind each lens alone: what all lenses share counts, measured by how far they disagree.
+//! Aberrations that change over the field displace the centroids of foci too, and the scan goes through the field in
+//! the course of time. They do it differently behind each lens, whereas a drift moves all foci alike. So the drift is
+//! also estimated behind each lens alone: what all lenses share counts, measured by how far they disagree.
 //!
-//! What cannot be told: behind one lens, and where the aberrations of all lenses are the same, in a scan line by line, a
-//! drift and a smooth displacement over the field are the same thing.
+//! What cannot be told: behind one lens, and where the aberrations of all lenses are the same, in a scan line by
+//! line, a drift and a smooth displacement over the field are the same thing.
 
 use super::array::Lattice;
 use super::hypotheses::Tried;

@@ -2,9 +2,9 @@
 //!
 //! A frame is suspected where it coincides badly with the sum of all frames, and better at another place. Strong
 //! aberrations do the same at the edges and corners of a field: coma and distortion displace the foci there. They
-//! change smoothly over the field, so the neighbours of the frame are displaced nearly alike, whereas a wrong row stands
-//! alone. A suspect is therefore named only if its foci lie elsewhere than those of its neighbours in the table, by more
-//! than a smooth field can change from one position to the next.
+//! change smoothly over the field, so the neighbours of the frame are displaced nearly alike, whereas a wrong row
+//! stands alone. A suspect is therefore named only if its foci lie elsewhere than those of its neighbours in the
+//! table, by more than a smooth field can change from one position to the next.
 
 use super::hypotheses::Tried;
 use super::scan::{SUSPECT, Scan, Small, add, dot, middle, without};
