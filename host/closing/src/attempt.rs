@@ -1,8 +1,8 @@
 //! One attempt to close the loop, with the records as they stand: first fit, search, pruning, account.
 
 use super::account::{
-    Accepted, Closed, Closing, Effect, Excess, Findings, Verdict, claims_a_cause, effects, harmful, imitated, pictured,
-    registration_notes, registrations, rejected, shadowed, unearned, unstated_notes,
+    Accepted, Closed, Closing, Effect, Excess, Findings, Verdict, claims_a_cause, coarse_calibration, effects, harmful,
+    imitated, pictured, registration_notes, registrations, rejected, shadowed, unearned, unstated_notes,
 };
 use super::data::{Fault, Observations, Shown};
 use super::evidence::{JudgedOn, excess, excess_by_calibration, figures, is_worse, judged, omnibus, structured};
@@ -172,6 +172,7 @@ pub(crate) fn attempt(
                 .into(),
         );
     }
+    notes.extend(coarse_calibration(verdict, &effects, &instrument.quality));
     if JudgedOn::of(seen) == JudgedOn::SelfConsistency {
         notes.push(UNKNOWN_NOTE.into());
     }

@@ -71,6 +71,20 @@ impl Excess {
     }
 }
 
+/// Says that the structure which no effect explains may be the calibration's own, where its PSFs are known worse than
+/// the noise of its bead frames allows.
+pub(crate) fn coarse_calibration(verdict: Verdict, effects: &[Effect], quality: &Quality) -> Option<String> {
+    let unexplained = verdict != Verdict::Adequate && effects.is_empty();
+    (unexplained && quality.is_coarse()).then(|| {
+        format!(
+            "nothing was found for the structure that is left, and the calibration itself errs by {:.1} % between its \
+             bead positions, noise deducted: the structure may be the calibration's own. A finer bead scan, or a \
+             higher rank where `calibrate` says so, distinguishes the two",
+            100.0 * quality.off_grid_excess()
+        )
+    })
+}
+
 /// Whether an entry of the account claims a cause in the instrument. With `recalibrated` the PSFs are calibrated again,
 /// and the entry that stands for it claims no more than that.
 pub(crate) fn claims_a_cause(effect: &Effect, recalibrated: bool) -> bool {
@@ -144,5 +158,15 @@ mod tests {
         let verdicts = [of(0.9).verdict(false), of(0.1).verdict(true), of(0.9).verdict(true)];
         assert_eq!(verdicts, [Verdict::Adequate, Verdict::Incomplete, Verdict::NotThisModel]);
         assert_eq!(Excess { left: 0.9, per_pixel: 0.1 }.verdict(true), Verdict::Incomplete);
+    }
+
+    #[test]
+    fn a_coarse_calibration_is_named_where_nothing_explains_the_structure() {
+        let coarse = Quality { off_grid_error: 0.05, noise_floor: 0.03, ..Quality::default() };
+        let note = |verdict, quality| coarse_calibration(verdict, &[], quality);
+        assert!(note(Verdict::Incomplete, &coarse).is_some_and(|text| text.contains("errs by 4.0 %")));
+        assert_eq!(note(Verdict::Adequate, &coarse), None);
+        let fine = Quality { off_grid_error: 0.035, ..coarse };
+        assert_eq!(note(Verdict::Incomplete, &fine), None);
     }
 }

@@ -1,8 +1,9 @@
 //! The act of calibration: session -> instrument.
 //!
 //! [`calibrate`] measures noise, chief rays and bead windows, fits the low-rank model (`model`) and the refits that
-//! show its uncertainty (`replicates`), and fixes the unit of light (`light_unit`). A session without a bead scan
-//! calibrates the sensor alone (`sensor_only`).
+//! show its uncertainty (`replicates`), and fixes the unit of light (`light_unit`). It notes where the PSFs between the
+//! positions of the scan are known less well than the noise allows (`coarse`). A session without a bead scan calibrates
+//! the sensor alone (`sensor_only`).
 //!
 //! ```
 //! use ommatidia_model::calibrate::{CalibrateConfig, calibrate};
@@ -21,6 +22,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod coarse;
 mod error;
 mod figures;
 mod light_unit;

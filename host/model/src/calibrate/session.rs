@@ -1,5 +1,6 @@
 //! Session -> instrument: noise, chief rays, bead windows, low-rank model, light unit, errors.
 
+use super::coarse;
 use super::error::CalibrateError;
 use super::light_unit::{fit_light_unit, set_light_unit};
 use super::model::{Model, ModelConfig};
@@ -170,6 +171,7 @@ pub fn calibrate(
             }
             notes.push(error.to_string());
         }
+        notes.extend(coarse::note(&quality, model.rank, config));
         let request =
             ReplicateRequest { psf: &psf, windows: &windows, dead, planes: &planes, count: config.replicates };
         let (replicates, note) = replicates(&model, request)?;

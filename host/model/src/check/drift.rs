@@ -5,7 +5,15 @@
 //! (another magnification, a turn, radial distortion and its centre) and with a drift, linear and quadratic in time. In
 //! a scan line by line the row follows time, so that a wrong magnification looks like a drift along the rows; it acts
 //! on the columns as well, which tells the two apart. The scatter about the fit gives the standard errors.
+//!
+//! Aberrations that change over the field displace the centroids of foci too, and the scan goes through the field in
+//! the course of time. They do it differently behind each lens, whereas a drift moves all foci alike. So the drift is
+//! also estimated behind each lens alone: what all lenses share counts, measured by how far they disagree.
+//!
+//! What cannot be told: behind one lens, and where the aberrations of all lenses are the same, in a scan line by
+//! line, a drift and a smooth displacement over the field are the same thing.
 
+use super::array::Lattice;
 use super::hypotheses::Tried;
 use super::scan::{SUSPECT, Scan, Small, median, middle};
 use super::{Finding, Hypothesis, Outlier, Severity};
@@ -16,14 +24,14 @@ use serde::Serialize;
 /// Fewest frames from which a drift is estimated.
 const FEWEST: usize = 25;
 /// Chi-squared of the four terms of a drift from which it counts: five standard deviations of noise, 35 for four
-/// degrees
-/// of freedom, and some room for the scatter that the standard errors are taken from.
+/// degrees of freedom, and some room for the scatter that the standard errors are taken from.
 const SEEN_CHI2: f64 = 45.0;
-/// Smallest drift that is worth a finding, sensor pixels times the root of the number of lenses. Aberrations that
-/// change
-/// over the field move foci too, differently behind each lens, and the scan goes through the field in the course of
-/// time. This is twice the largest figure of 24 virtual instruments of one to nine lenses that did not move.
+/// Smallest drift that is worth a finding, sensor pixels times the root of the number of lenses. This is twice the
+/// largest figure of 24 virtual instruments of one to nine lenses that did not move.
 const LEAST_PX: f64 = 0.3;
+/// A drift that all lenses share exceeds the standard error of their mean this many times. Of few lenses more is asked,
+/// as the disagreement of few is known badly: [`shared`] follows the ratios that chance exceeds once in a thousand.
+const SHARED: f64 = 2.5;
 /// Rounds of displacements and fit: each moves the frames back by what the last one found.
 const ROUNDS: usize = 4;
 /// Pixels of the summed frames count where they are brighter than this share of the brightest.
@@ -48,13 +56,16 @@ pub struct Drift {
     pub chi2: f64,
     /// Scatter of single frames about the fit, px rms along one axis.
     pub scatter_px: f64,
+    /// How far the drifts that single lenses show are apart, px, as a standard deviation: aberrations that change over
+    /// the field. 0 where fewer than two lenses can be judged alone.
+    pub between_lenses_px: f64,
     /// Whether it is significant, and large enough to matter.
     pub seen: bool,
 }
 
-/// Estimates the drift of the foci of `lenses` lenses; None where the table does not agree with the frames, or there
-/// are too few.
-pub fn drift(scan: &Scan, tried: &Tried, outliers: &[Outlier], lenses: usize) -> Option<Drift> {
+/// Estimates the drift of the foci of `lenses` lenses, which were found at `lattice`; None where the table does not
+/// agree with the frames, or there are too few.
+pub fn drift(scan: &Scan, tried: &Tried, outliers: &[Outlier], (lattice, lenses): (&Lattice, usize)) -> Option<Drift> {
     if !tried.testable || tried.best != Hypothesis::AS_IS {
         return None;
     }
@@ -83,12 +94,24 @@ pub fn drift(scan: &Scan, tried: &Tried, outliers: &[Outlier], lenses: usize) ->
     let mut shift_px = vec![[0.0; 2]; used.len()];
     let mut found = None;
     for _ in 0..ROUNDS {
-        let here = displacements(scan, &used, &shift_px);
+        let here = displacements(scan, &used, &shift_px, &|_| true);
         let fit = Fit::of(&design, &here)?;
         shift_px = design.iter().map(|x| [0, 1].map(|a| fit.value(&x[a]))).collect();
         found = Some(fit);
     }
-    found.map(|fit| fit.drift(LEAST_PX / (lenses.max(1) as f64).sqrt()))
+    let spots: Vec<[f64; 2]> = lattice.lenses_px.iter().map(|p| p.map(|v| (v + 0.5) / scan.bin as f64 - 0.5)).collect();
+    let alone = (0..spots.len()).filter_map(|lens| {
+        let here = displacements(scan, &used, &shift_px, &|at| nearest(&spots, at) == Some(lens));
+        Fit::of(&design, &here).map(|fit| fit.moves())
+    });
+    let alone: Vec<Moves> = if spots.len() > 1 { alone.collect() } else { Vec::new() };
+    found.map(|fit| fit.drift(LEAST_PX / (lenses.max(1) as f64).sqrt(), &alone))
+}
+
+/// The spot that is nearest to a small pixel.
+fn nearest(spots: &[[f64; 2]], at: [isize; 2]) -> Option<usize> {
+    let far = |s: &[f64; 2]| (s[0] - at[0] as f64).powi(2) + (s[1] - at[1] as f64).powi(2);
+    (0..spots.len()).min_by(|a, b| far(&spots[*a]).total_cmp(&far(&spots[*b])))
 }
 
 /// Times of the frames, from -1 at the first to 1 at the last; by their order where the table has no times.
@@ -109,8 +132,14 @@ fn times(scan: &Scan, used: &[usize]) -> Option<Vec<f64>> {
     (high > low).then(|| all.iter().map(at).collect())
 }
 
-/// Displacement of each frame from its position in the table, sensor pixels, where `shift_px` is known already.
-fn displacements(scan: &Scan, used: &[usize], shift_px: &[[f64; 2]]) -> Vec<[f64; 2]> {
+/// Displacement of each frame from its position in the table, sensor pixels, where `shift_px` is known already, by the
+/// small pixels of the summed frames that are `counted`.
+fn displacements(
+    scan: &Scan,
+    used: &[usize],
+    shift_px: &[[f64; 2]],
+    counted: &dyn Fn([isize; 2]) -> bool,
+) -> Vec<[f64; 2]> {
     let moved: Vec<[f64; 2]> =
         used.iter().zip(shift_px).map(|(n, s)| [0, 1].map(|a| scan.frames[*n].moved_px[a] + s[a])).collect();
     let Some(first) = scan.frames.first() else { return Vec::new() };
@@ -129,6 +158,7 @@ fn displacements(scan: &Scan, used: &[usize], shift_px: &[[f64; 2]]) -> Vec<[f64
             let slopes = [slope([r + 1, c], [r - 1, c]), slope([r, c + 1], [r, c - 1])];
             ([r as isize, c as isize], [f64::from(*v), slopes[0], slopes[1]])
         })
+        .filter(|(at, _)| counted(*at))
         .collect();
     used.iter()
         .zip(&moved)
@@ -214,23 +244,56 @@ impl Fit {
         x.iter().zip(&self.terms).map(|(x, t)| x * t).sum()
     }
 
-    fn drift(&self, least_px: f64) -> Drift {
-        let terms: [f64; 4] = std::array::from_fn(|i| self.terms[DRIFT + i]);
+    fn moves(&self) -> Moves {
+        Moves(std::array::from_fn(|i| self.terms[DRIFT + i]))
+    }
+
+    /// The drift, which is worth a finding from `least_px` on, where single lenses show the drifts `alone`.
+    fn drift(&self, least_px: f64, alone: &[Moves]) -> Drift {
+        let moves = self.moves();
         let own = self.covariance.slice(ndarray::s![DRIFT.., DRIFT..]).to_owned();
-        let column = Array2::from_shape_fn((4, 1), |(i, _)| terms[i]);
-        let chi2 = least_squares(&own, &column).map_or(0.0, |x| (0..4).map(|i| x[[i, 0]] * terms[i]).sum());
-        let at = |t: f64| [0, 1].map(|a| terms[2 * a] * t + terms[2 * a + 1] * t * t);
-        let moments: Vec<[f64; 2]> = (0..=40).map(|i| at(f64::from(i) / 20.0 - 1.0)).collect();
-        let apart = |p: &[f64; 2], q: &[f64; 2]| (p[0] - q[0]).hypot(p[1] - q[1]);
-        let range_px = moments.iter().flat_map(|p| moments.iter().map(move |q| apart(p, q))).fold(0.0, f64::max);
+        let column = Array2::from_shape_fn((4, 1), |(i, _)| moves.0[i]);
+        let chi2 = least_squares(&own, &column).map_or(0.0, |x| (0..4).map(|i| x[[i, 0]] * moves.0[i]).sum());
+        let range_px = moves.range_px();
+        let lenses = alone.len() as f64;
+        let mean: [f64; 4] = std::array::from_fn(|i| alone.iter().map(|m| m.0[i]).sum::<f64>() / lenses.max(1.0));
+        let apart: Vec<Moves> = alone.iter().map(|m| Moves(std::array::from_fn(|i| m.0[i] - mean[i]))).collect();
+        let variance = |of: &dyn Fn(&Moves) -> f64| {
+            if alone.len() > 1 { apart.iter().map(|m| of(m).powi(2)).sum::<f64>() / (lenses - 1.0) } else { 0.0 }
+        };
+        let between_lenses_px = variance(&|m| m.range_px()).sqrt();
+        let error = |i: usize| {
+            let of_lenses = variance(&|m| m.0[i]) / lenses.max(1.0);
+            2.0 * (own[[i, i]].max(0.0) + of_lenses).sqrt()
+        };
         Drift {
-            moved_px: [2.0 * terms[0], 2.0 * terms[2]],
-            sigma_px: [0, 2].map(|i| 2.0 * own[[i, i]].max(0.0).sqrt()),
+            moved_px: [2.0 * moves.0[0], 2.0 * moves.0[2]],
+            sigma_px: [0, 2].map(error),
             range_px,
             chi2,
             scatter_px: self.scatter_px,
-            seen: chi2 > SEEN_CHI2 && range_px > least_px,
+            between_lenses_px,
+            seen: chi2 > SEEN_CHI2 && range_px > least_px && range_px > shared(alone.len()) * between_lenses_px,
         }
+    }
+}
+
+/// From which multiple of the disagreement between lenses on they share a drift.
+fn shared(lenses: usize) -> f64 {
+    let n = lenses.max(2) as f64;
+    SHARED * (1.0 + 2.0 / (n - 1.0)) / n.sqrt()
+}
+
+/// A drift: linear and quadratic along the rows, then along the columns, at times from -1 to 1, px.
+struct Moves([f64; 4]);
+
+impl Moves {
+    /// Largest distance between two moments, px.
+    fn range_px(&self) -> f64 {
+        let at = |t: f64| [0, 1].map(|a| self.0[2 * a] * t + self.0[2 * a + 1] * t * t);
+        let moments: Vec<[f64; 2]> = (0..=40).map(|i| at(f64::from(i) / 20.0 - 1.0)).collect();
+        let apart = |p: &[f64; 2], q: &[f64; 2]| (p[0] - q[0]).hypot(p[1] - q[1]);
+        moments.iter().flat_map(|p| moments.iter().map(move |q| apart(p, q))).fold(0.0, f64::max)
     }
 }
 

@@ -157,9 +157,9 @@ fn look(session: &Session, scan: &scan::Scan) -> (Vec<Finding>, ScanFindings) {
     findings.extend(hypotheses::describe(&tried, scan, session));
     let outliers = positions::outliers(scan, &tried);
     findings.extend(positions::describe(&outliers, scan, &tried));
-    let drift = drift::drift(scan, &tried, &outliers, session.manifest().array.lenses());
-    findings.extend(drift::describe(drift.as_ref()));
     let lattice = array::lattice(scan, &tried, session.manifest());
+    let drift = drift::drift(scan, &tried, &outliers, (&lattice, session.manifest().array.lenses()));
+    findings.extend(drift::describe(drift.as_ref()));
     // Frames that are moved back by wrong positions add up to spots where no lens is.
     if tried.coincidence > RELIABLE && outliers.len() * 10 <= scan.frames.len() {
         findings.extend(array::describe(&lattice, session.manifest(), scan));

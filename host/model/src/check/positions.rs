@@ -1,4 +1,10 @@
 //! Single positions that disagree with their frames.
+//!
+//! A frame is suspected where it coincides badly with the sum of all frames, and better at another place. Strong
+//! aberrations do the same at the edges and corners of a field: coma and distortion displace the foci there. They
+//! change smoothly over the field, so the neighbours of the frame are displaced nearly alike, whereas a wrong row
+//! stands alone. A suspect is therefore named only if its foci lie elsewhere than those of its neighbours in the
+//! table, by more than a smooth field can change from one position to the next.
 
 use super::hypotheses::Tried;
 use super::scan::{SUSPECT, Scan, Small, add, dot, middle, without};
@@ -12,6 +18,13 @@ const FOUND: f64 = 0.75;
 const BRIGHTEST: usize = 1500;
 /// Most frames that are looked at more closely.
 const MOST: usize = 24;
+/// Foci lie elsewhere from this many small pixels on.
+const MOVED: f64 = 1.5;
+/// Neighbours that show where the foci of a frame belong: those around a position of a raster.
+const NEIGHBOURS: usize = 8;
+/// From one position to its neighbours, aberrations displace foci by less than this share of the distance: the local
+/// magnification would differ by as much.
+const STEEPEST: f64 = 0.25;
 
 /// A bead frame whose foci lie elsewhere than its row says.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -53,14 +66,17 @@ pub fn outliers(scan: &Scan, tried: &Tried) -> Vec<Outlier> {
             let (by, value) = search(f, &others, (reach, noise - f.noise_dn2));
             let here = scan.steps(tried.moved[n]);
             let off = [0, 1].map(|a| ((by[a] - here[a]) * scan.bin as isize) as f64);
-            let moved = off.iter().any(|o| o.abs() > 1.5 * scan.bin as f64);
-            let fits = value > FOUND * typical;
-            if fits && !moved {
-                // In its place, but fainter, wider or cut off: nothing to do with the table.
+            let moved = off.iter().any(|o| o.abs() > MOVED * scan.bin as f64);
+            if value <= FOUND * typical || !moved {
+                // In its place, but fainter, wider or cut off; or no place fits: foci that fell off the sensor, or
+                // another fault of the frame, but not of its row.
                 return None;
             }
-            if !fits {
-                // No place fits: foci that fell off the sensor, or another fault of the frame, but not of its row.
+            let around = Neighbours::of(scan, tried, n);
+            let (by, _) = search(f, &around.sum, (reach, around.noise_dn2));
+            let from_them = [0, 1].map(|a| ((by[a] - here[a]) * scan.bin as isize) as f64);
+            if from_them[0].hypot(from_them[1]) <= around.most_px(scan.bin) {
+                // Its neighbours are displaced as well: aberrations of the field.
                 return None;
             }
             let um_per_px = um_per_px(scan);
@@ -76,6 +92,44 @@ pub fn outliers(scan: &Scan, tried: &Tried) -> Vec<Outlier> {
         .collect();
     found.sort_by_key(|o| o.bead);
     found
+}
+
+/// The frames next to one in the table.
+struct Neighbours {
+    /// Their sum, each moved back by its position, the nearest ones with the largest weights.
+    sum: Array2<f32>,
+    /// Sum of the squares that the noise adds to those of the sum.
+    noise_dn2: f64,
+    /// Their mean distance with these weights, sensor pixels.
+    distance_px: f64,
+}
+
+impl Neighbours {
+    fn of(scan: &Scan, tried: &Tried, n: usize) -> Self {
+        let distance = |m: usize| [0, 1].map(|a| tried.moved[m][a] - tried.moved[n][a]);
+        let mut near: Vec<(f64, usize)> =
+            (0..scan.frames.len()).filter(|m| *m != n).map(|m| (distance(m)[0].hypot(distance(m)[1]), m)).collect();
+        near.sort_by(|a, b| a.0.total_cmp(&b.0));
+        near.truncate(NEIGHBOURS);
+        let mut found = Self { sum: Array2::zeros(scan.frames[n].light.dim()), noise_dn2: 0.0, distance_px: 0.0 };
+        let mut weights = 0.0;
+        for (px, m) in near {
+            // A repeated position counts, but no more than one at the distance of a small pixel.
+            let steps = px / scan.bin as f64;
+            let weight = 1.0 / (1.0 + steps * steps);
+            add(&mut found.sum, &scan.frames[m].light, scan.steps(tried.moved[m]), weight as f32);
+            found.noise_dn2 += weight * weight * scan.frames[m].noise_dn2;
+            found.distance_px += weight * px;
+            weights += weight;
+        }
+        found.distance_px /= f64::max(weights, f64::MIN_POSITIVE);
+        found
+    }
+
+    /// How far foci may lie from theirs without a fault of the row, sensor pixels.
+    fn most_px(&self, bin: usize) -> f64 {
+        f64::max(MOVED * bin as f64, STEEPEST * self.distance_px)
+    }
 }
 
 /// Micrometres of the stage for one sensor pixel, from the table.

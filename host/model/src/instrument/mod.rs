@@ -151,6 +151,22 @@ pub struct Quality {
     pub outside_window: f64,
 }
 
+impl Quality {
+    /// An error of the PSFs, relative, below which none is worth a note.
+    const WORTH: f64 = 0.02;
+
+    /// NRMSE on bead positions that were left out, without what noise makes of it: how badly the PSFs between the
+    /// positions of the scan are known.
+    pub fn off_grid_excess(&self) -> f64 {
+        (self.off_grid_error.powi(2) - self.noise_floor.powi(2)).max(0.0).sqrt()
+    }
+
+    /// Whether [`Self::off_grid_excess`] exceeds the noise of the bead frames, and 2 %.
+    pub fn is_coarse(&self) -> bool {
+        self.off_grid_excess() > self.noise_floor.max(Self::WORTH)
+    }
+}
+
 /// Curves and maps of the calibration, for reports and `inspect`; no figure depends on them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Diagnostics {
