@@ -152,7 +152,8 @@ pub(crate) fn attempt(
     let unlike = if left { excess.left } else { 0.0 };
     let findings = Findings { before: &before, now: &now, own, found: &found, tests: &tests, left: unlike };
     let mut effects = effects(&model, findings, given.faults);
-    if !excess.names_are_earned(left) && effects.iter().any(may_imitate) {
+    let imitating = !excess.names_are_earned(left) && effects.iter().any(may_imitate);
+    if imitating {
         let share = 100.0 * excess.left;
         let why =
             format!("{share:.0} % of the excess is left beside it, with structure: it imitates the cause in part");
@@ -181,7 +182,7 @@ pub(crate) fn attempt(
         notes.push(OWN_BEADS_NOTE.into());
     }
     let accepted = Accepted { state: &now.state, found: &found, lost: &lost };
-    let registrations = registrations(&model, &now, &replicas)?;
+    let registrations = registrations(&model, &now, imitating.then_some(&before), &replicas)?;
     notes.extend(registration_notes(&registrations));
     notes.extend(unstated_notes(&model, &now, own)?);
     let mut closing = Closing {

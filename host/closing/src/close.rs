@@ -87,7 +87,7 @@ pub fn residual(
     let dependences = omnibus::test(&model, &fit, &replicas.of(&model, &fit)?, options.seed);
     let figures = figures(&model, &fit);
     let own_beads = own_beads(seen, options.calibrated_on);
-    let registrations = registrations(&model, &fit, &replicas)?;
+    let registrations = registrations(&model, &fit, None, &replicas)?;
     let mut notes = registration_notes(&registrations);
     notes.extend(own_beads.then(|| OWN_BEADS_NOTE.into()));
     notes.extend((JudgedOn::of(seen) == JudgedOn::SelfConsistency).then(|| UNKNOWN_NOTE.into()));

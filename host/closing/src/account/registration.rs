@@ -11,13 +11,15 @@ const ALIKE: f64 = 0.95;
 /// A registration that is off by more than this many of its stated standard deviations contradicts the statement.
 const STATED: f64 = 3.0;
 
-/// The registrations that were fitted, with their errors.
+/// The registrations that were fitted, with their errors. Where terms stay that are no causes, `without` is the fit
+/// without them: by what they move a registration it is uncertain.
 ///
 /// # Errors
 /// An object holds negative or non-finite light.
 pub(crate) fn registrations(
     model: &Model<'_>,
     now: &Fitted,
+    without: Option<&Fitted>,
     replicas: &Replicas,
 ) -> Result<Vec<TruthRegistration>, ForwardError> {
     let groups = &model.seen.registrations;
@@ -32,10 +34,12 @@ pub(crate) fn registrations(
         let of_group = |i: &usize| matches!(columns[*i], Column::Registration(of, _) if of == g);
         let (mine, others) = (0..columns.len()).partition(of_group);
         let Some(test) = Scores::new(&design, others).test(&mine) else { continue };
+        let moved =
+            |part: usize| without.map_or(0.0, |fit| now.state.registration[g][part] - fit.state.registration[g][part]);
         let value = |part: usize, name: &str, unit: &str, factor: f64| Value {
             name: name.into(),
             value: factor * now.state.registration[g][part],
-            sigma: factor * test.covariance[[part, part]].sqrt(),
+            sigma: factor * test.covariance[[part, part]].sqrt().hypot(moved(part)),
             sigma_noise: factor * test.noise[[part, part]].sqrt(),
             unit: unit.into(),
         };

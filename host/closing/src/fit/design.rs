@@ -170,7 +170,7 @@ impl Design {
                     .blocks
                     .iter()
                     .enumerate()
-                    .filter(|(block, _)| whole || !seen.held_out_blocks[*block])
+                    .filter(|(block, _)| whole || !seen.is_held_out(k, *block))
                     .map(|(block, span)| {
                         let gram = scope.gram(&x.slice(s![.., span.clone()]), columns.len());
                         let (mut pixels, mut log_variance) = (0.0, 0.0);
@@ -178,7 +178,7 @@ impl Design {
                             pixels += f64::from(u8::from(w > 0.0));
                             log_variance += if w > 0.0 { -2.0 * f64::from(w.ln()) } else { unseen };
                         }
-                        let held_out = seen.frames[k].held_out || seen.held_out_blocks[block];
+                        let held_out = seen.is_held_out(k, block);
                         let pixels = at.state.share(k, block) * pixels;
                         Cell { frame: k, block, held_out, pixels, gram, log_variance }
                     })
