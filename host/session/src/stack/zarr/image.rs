@@ -21,7 +21,7 @@ impl Image {
     /// The image in a folder; `None` if its metadata state none.
     pub fn open(folder: &Path) -> Result<Option<Self>> {
         let attributes = match read(&folder.join(METADATA))? {
-            Some(mut metadata) => metadata["attributes"].take(),
+            Some(mut metadata) => metadata.get_mut("attributes").map(Value::take).unwrap_or_default(),
             None => read(&folder.join(ATTRIBUTES_2))?.unwrap_or_default(),
         };
         let all = attributes.get("ome").unwrap_or(&attributes).get("multiscales");
@@ -56,4 +56,19 @@ fn scale_of(value: &Value, axes: usize) -> Option<Vec<f64>> {
     let scale = all.iter().find(|transformation| text(transformation, "type") == "scale")?;
     let scale: Option<Vec<f64>> = scale.get("scale")?.as_array()?.iter().map(Value::as_f64).collect();
     scale.filter(|scale| scale.len() == axes)
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn metadata_that_are_no_object_state_no_image() {
+        let folder = tempfile::tempdir().unwrap();
+        for text in ["5", "[]", "null", "\"attributes\"", "{}", "{\"attributes\": 5}"] {
+            std::fs::write(folder.path().join(METADATA), text).unwrap();
+            assert!(Image::open(folder.path()).unwrap().is_none(), "{text}");
+        }
+    }
 }
