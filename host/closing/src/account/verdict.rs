@@ -58,7 +58,7 @@ impl Excess {
     /// that it had left out, noise deducted: no effect can predict better than the PSFs are known. Where the noise of
     /// the scenes exceeds that error, it is deducted from their figure too.
     pub(crate) fn within_calibration(self, now: Figures, quality: &Quality) -> Self {
-        let relative2 = quality.off_grid_error.powi(2) - quality.noise_floor.powi(2);
+        let relative2 = quality.off_grid_excess().powi(2);
         let share = (1.0 - 1.0 / now.chi2_ndf).max(0.0);
         let without_noise2 = now.nrmse.powi(2) * share;
         let within = now.nrmse.powi(2) < relative2 || without_noise2 < OVERLAPPING.powi(2) * relative2;

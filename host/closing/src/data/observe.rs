@@ -92,9 +92,9 @@ pub struct Observations {
 }
 
 impl Observations {
-    /// Whether a block of frame `k` is kept out of every fit. Flats are kept out as whole frames: the shape of their lamp
-    /// is fitted, and a half of the sensor does not show the other half of it. Where too few are there for that, their
-    /// blocks are kept out only if nothing else is judged.
+    /// Whether a block of frame `k` is kept out of every fit. Flats are kept out as whole frames: the shape of their
+    /// lamp is fitted, and a half of the sensor does not show the other half of it. Where too few are there for that,
+    /// their blocks are kept out only if nothing else is judged.
     pub fn is_held_out(&self, k: usize, block: usize) -> bool {
         let f = &self.frames[k];
         let others = || self.frames.iter().any(|o| o.held_out || !matches!(o.shown, Shown::Even | Shown::Dark));

@@ -1,12 +1,13 @@
 //! Predicts the frames of a session from a state, and fits the state.
 //!
 //! [`state`] holds effects and nuisance parameters, [`model`] predicts frames, [`derivative`] their derivatives,
-//! [`design`] sums these over [`cell`]s, `repeats` adds what repeated frames show of the noise (with `kurtosis` the few
-//! pixels that scatter more than the others), and `same` says which
-//! frames of unknown specimens are repeats; [`mod@refit`] finds the best state. [`truth`] moves truths that are not
-//! quite in place, `registration` adds what the session states of them. [`lamp`] is the light of the flats. [`record`] checks the session's records before
-//! the first fit. [`mod@replicas`] gives the uncertainty of the calibration as [`errors`], with `wings` outside its
-//! windows. [`specimen`] estimates specimens that nobody knows, and [`projection`] takes out of frames what they can make.
+//! [`design`] sums these over [`cell`]s, `repeats` adds what repeated frames show of the noise (with `kurtosis` the
+//! few pixels that scatter more than the others), and `same` says which frames of unknown specimens are repeats;
+//! [`mod@refit`] finds the best state. [`truth`] moves truths that are not quite in place, `registration` adds what
+//! the session states of them. [`lamp`] is the light of the flats. [`record`] checks the session's records before the
+//! first fit. [`mod@replicas`] gives the uncertainty of the calibration as [`errors`], with `wings` outside its
+//! windows. [`specimen`] estimates specimens that nobody knows, and [`projection`] takes out of frames what they can
+//! make.
 
 pub mod cell;
 pub mod derivative;

@@ -75,10 +75,7 @@ impl<'a> Model<'a> {
             maps: instrument.quality.maps,
             has_background: instrument.quality.background.is_some_and(|b| b.is_seen()),
             grid: Grid::of(instrument),
-            psf_error: (quality.off_grid_error.powi(2) - quality.noise_floor.powi(2))
-                .max(0.0)
-                .sqrt()
-                .min(MOST_PSF_ERROR),
+            psf_error: quality.off_grid_excess().min(MOST_PSF_ERROR),
             exposure_ms: instrument.psf.exposure_ms,
             window_px: instrument.psf.basis.dim().2,
             sigmas: OnceLock::new(),

@@ -30,8 +30,8 @@ const MOST: usize = 6;
 const PART: f64 = 0.02;
 /// Maximum number of terms without a name.
 const MOST_UNNAMED: usize = 3;
-/// Errors of the PSFs between calibrated positions may feign an effect that takes this share off chi-squared per pixel in
-/// frames of single beads, where no other focus averages them.
+/// Errors of the PSFs between calibrated positions may feign an effect that takes this share off chi-squared per pixel
+/// in frames of single beads, where no other focus averages them.
 const FEIGNED: f64 = 0.1;
 /// A term without a name is tried only if at least this share of its squared norm is independent of the model's
 /// columns.

@@ -1,6 +1,5 @@
 //! What a session to close holds: of the same instrument, sessions of several kinds.
 
-use super::subject::Subject;
 use anyhow::Context;
 use ndarray::Array2;
 use ommatidia_bench::{BenchConfig, VirtualInstrument};
@@ -205,16 +204,6 @@ fn forget_truth(dir: &Path) -> anyhow::Result<()> {
     let text = std::fs::read_to_string(&file).with_context(|| file.display().to_string())?;
     let kept: Vec<&str> = text.lines().filter(|l| !l.starts_with("truth = ")).collect();
     std::fs::write(&file, kept.join("\n")).with_context(|| file.display().to_string())
-}
-
-impl Subject {
-    /// Measures a whole session with a bench of this build.
-    ///
-    /// # Errors
-    /// The folder cannot be written.
-    pub fn session(&self, bench: &VirtualInstrument, dir: &Path, seed: u64) -> anyhow::Result<Session> {
-        Holds::Whole.measure(bench, dir, seed)
-    }
 }
 
 #[cfg(test)]

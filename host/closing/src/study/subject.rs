@@ -95,6 +95,14 @@ impl Subject {
         serde_json::from_slice(&bytes).ok()
     }
 
+    /// Measures a whole session with a bench of this build.
+    ///
+    /// # Errors
+    /// The folder cannot be written.
+    pub fn session(&self, bench: &VirtualInstrument, dir: &Path, seed: u64) -> anyhow::Result<Session> {
+        Holds::Whole.measure(bench, dir, seed)
+    }
+
     fn look(&self, seed: u64, nulls: u64, of_unknown: bool) -> anyhow::Result<Sensitivities> {
         let mut out = self.determined(Holds::Whole, seed, nulls)?;
         if of_unknown {

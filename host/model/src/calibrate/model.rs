@@ -195,7 +195,8 @@ impl Model {
         self.models.filled(windows, self.rank)
     }
 
-    /// Refits a model of the same rank and smoothness to the beads of `planes` alone, of which each lens has `seen` some.
+    /// Refits a model of the same rank and smoothness to the beads of `planes` alone, of which each lens has `seen`
+    /// some.
     pub(super) fn refit(
         &self,
         windows: &[LensWindows],

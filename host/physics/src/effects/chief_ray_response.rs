@@ -23,7 +23,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     lookalikes: &[
         Lookalike {
             id: "vignetting",
-            separate_by: "scenes with light all over the field: the response falls about each lens, vignetting about the sensor",
+            separate_by: "light all over the field: the response falls about each lens, vignetting about the sensor",
         },
         Lookalike {
             id: "excitation_profile",
