@@ -5,7 +5,9 @@ use super::account::{
     imitated, pictured, registration_notes, registrations, rejected, shadowed, unearned, unstated_notes,
 };
 use super::data::{Fault, Observations, Shown};
-use super::evidence::{JudgedOn, excess, excess_by_calibration, figures, is_worse, judged, omnibus, structured};
+use super::evidence::{
+    JudgedOn, excess, excess_by_calibration, figures, is_worse, judged, omnibus, standing_alone, structured,
+};
 use super::fit::{Fitted, Model, Replicas, State, Term, UNKNOWN_NOTE, refit, replicas};
 use super::options::{CalibratedOn, CloseError, CloseOptions};
 use super::plan::{self, plan};
@@ -80,8 +82,11 @@ pub(crate) fn attempt(
     }
     let of_before = excess(&model, &before);
     let excess_of = |fit: &Fitted| {
-        Excess::of(of_before, excess(&model, fit), by_calibration)
-            .within_calibration(figures(&model, fit), &instrument.quality)
+        Excess::of(of_before, excess(&model, fit), by_calibration).within_calibration(
+            figures(&model, fit),
+            &instrument.quality,
+            standing_alone(&model, fit, &instrument.psf),
+        )
     };
     let recalibrated = search.needs_calibration();
     let mut imitations = Vec::new();

@@ -13,8 +13,7 @@ const SIGMAS: f64 = 5.0;
 /// A model whose chi-squared per pixel exceeds one by less is no other model, whatever its excess was before: errors of
 /// a calibration reach that size.
 const MUCH: f64 = 0.25;
-/// In a scene many foci overlap, and the errors of their PSFs cancel in part: this share of the error of one focus is
-/// left.
+/// Where many foci overlap, the errors of their PSFs cancel in part: this share of the error of one focus is left.
 const OVERLAPPING: f64 = 0.5;
 /// From this share on most of the excess is left.
 const MOST: f64 = 0.5;
@@ -56,12 +55,14 @@ impl Excess {
 
     /// Nothing counts as left if the last figures are within the error that the calibration showed at bead positions
     /// that it had left out, noise deducted: no effect can predict better than the PSFs are known. Where the noise of
-    /// the scenes exceeds that error, it is deducted from their figure too.
-    pub(crate) fn within_calibration(self, now: Figures, quality: &Quality) -> Self {
+    /// the scenes exceeds that error, it is deducted from their figure too. `alone`: how far the foci of the scenes
+    /// stand alone ([`crate::evidence::standing_alone`]).
+    pub(crate) fn within_calibration(self, now: Figures, quality: &Quality, alone: f64) -> Self {
         let relative2 = quality.off_grid_excess().powi(2);
         let share = (1.0 - 1.0 / now.chi2_ndf).max(0.0);
         let without_noise2 = now.nrmse.powi(2) * share;
-        let within = now.nrmse.powi(2) < relative2 || without_noise2 < OVERLAPPING.powi(2) * relative2;
+        let within =
+            now.nrmse.powi(2) < relative2 || without_noise2 < OVERLAPPING.powi(2).max(alone.min(1.0)) * relative2;
         if within { Self { left: 0.0, ..self } } else { self }
     }
 
@@ -142,13 +143,16 @@ mod tests {
     #[test]
     fn nothing_is_left_within_the_error_of_the_calibration() {
         let quality = Quality { off_grid_error: 0.05, noise_floor: 0.04, ..Quality::default() };
-        let left = |chi2_ndf, nrmse| {
+        let left_of = |chi2_ndf, nrmse, alone| {
             let now = Figures { chi2_ndf, nrmse, pcc: 0.99 };
-            Excess { left: 0.25, per_pixel: 0.6 }.within_calibration(now, &quality).left
+            Excess { left: 0.25, per_pixel: 0.6 }.within_calibration(now, &quality, alone).left
         };
+        let left = |chi2_ndf, nrmse| left_of(chi2_ndf, nrmse, 0.1);
         assert_eq!([left(1.6, 0.029), left(1.6, 0.031)], [0.0, 0.25]);
         // A twentieth of the squared residual is no noise: 0.22 of 0.066 is below half of 0.03, of 0.068 above.
         assert_eq!([left(1.0 / 0.95, 0.066), left(1.0 / 0.95, 0.068)], [0.0, 0.25]);
+        // Foci that stand alone err in full: 0.8 of the squared 0.03, of which 0.22 of 0.119 is inside.
+        assert_eq!([left_of(1.0 / 0.95, 0.119, 0.8), left_of(1.0 / 0.95, 0.121, 0.8)], [0.0, 0.25]);
     }
 
     #[test]

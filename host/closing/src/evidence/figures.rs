@@ -3,7 +3,8 @@
 use crate::data::{Observations, Shown};
 use crate::fit::repeats::{noise_dn, noisy};
 use crate::fit::{Errors, Fitted, Model};
-use ndarray::Array2;
+use ndarray::{Array2, s};
+use ommatidia_model::psf::LowRankPsf;
 use ommatidia_physics::effects::Chain;
 use ommatidia_session::Role;
 use ommatidia_session::rng::stream;
@@ -187,6 +188,43 @@ pub(crate) fn excess_by_calibration(model: &Model<'_>, fitted: &Fitted, errors: 
         }
     }
     (pixels, excess)
+}
+
+/// How far the foci of held-out known objects stand alone: the squared light that they would have one by one, over the
+/// squared light of their frames. 1: a single bead; near 0: an even body. 0 without known objects.
+///
+/// Light and energy of a focus are means over the field, so that the result may exceed 1 a little.
+pub(crate) fn standing_alone(model: &Model<'_>, fitted: &Fitted, psf: &LowRankPsf) -> f64 {
+    let (lenses, terms, ..) = psf.basis.dim();
+    let (mut light, mut energy) = (0.0, 0.0);
+    for (l, k) in (0..lenses).flat_map(|l| (0..terms).map(move |k| (l, k))) {
+        let sum = f64::from(psf.basis.slice(s![l, k, .., ..]).sum());
+        let coefficients = psf.coefficients.slice(s![l, k, .., .., ..]);
+        let nodes = coefficients.len().max(1) as f64;
+        light += sum * coefficients.iter().map(|c| f64::from(*c)).sum::<f64>() / nodes;
+        energy += coefficients.iter().map(|c| f64::from(*c).powi(2)).sum::<f64>() / nodes;
+    }
+    let seen = model.seen;
+    let black = model.forward.noise().black_level_dn;
+    let mut frames: BTreeMap<usize, [f64; 2]> = BTreeMap::new();
+    for (k, _, span) in held_out_pixels(seen) {
+        let sums = frames.entry(k).or_default();
+        for p in &seen.pixels[span] {
+            let at = (*p as usize / seen.sensor[1], *p as usize % seen.sensor[1]);
+            let mu = f64::from(seen.frames[k].measured[at] - fitted.predicted[k].residual_dn[at]) - black;
+            sums[0] += mu;
+            sums[1] += mu * mu;
+        }
+    }
+    let (mut alone, mut all) = (0.0, 0.0);
+    for (k, [sum, squares]) in frames {
+        let Shown::Object(truth) = seen.frames[k].shown else { continue };
+        let total: f64 = seen.truths[truth].iter().map(|v| f64::from(*v)).sum();
+        let squared: f64 = seen.truths[truth].iter().map(|v| f64::from(*v).powi(2)).sum();
+        alone += energy * squared * (sum / (light * total).max(1e-30)).powi(2);
+        all += squares;
+    }
+    if all > 0.0 { alone / all } else { 0.0 }
 }
 
 /// Figures on held-out data: the held-out frames of [`JudgedOn`], or, if no frame is held out, the held-out blocks of

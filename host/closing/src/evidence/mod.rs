@@ -15,7 +15,9 @@ pub mod tables;
 
 pub use covariate::{Covariate, Dependence};
 pub use figures::{Figures, JudgedOn, figures};
-pub(crate) use figures::{excess, excess_by_calibration, is_worse, judged, pictured_frames, rises, worse};
+pub(crate) use figures::{
+    excess, excess_by_calibration, is_worse, judged, pictured_frames, rises, standing_alone, worse,
+};
 pub use omnibus::structured;
 pub use score::{Scores, Test};
 pub use stats::{f_tail, holm};

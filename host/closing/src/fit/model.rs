@@ -46,6 +46,8 @@ pub struct Model<'a> {
     /// Relative error of the PSFs between the positions of the beads that they were calibrated on, without noise. In
     /// the frame of a single bead nothing averages it.
     psf_error: f64,
+    /// The same where it exceeds the noise of the bead frames; 0 where the calibration is as good as its noise allows.
+    pub(crate) coarse_error: f64,
     /// Exposure of the calibration, ms.
     pub(crate) exposure_ms: f64,
     /// Rows and columns of the windows of the basis PSFs.
@@ -76,6 +78,7 @@ impl<'a> Model<'a> {
             has_background: instrument.quality.background.is_some_and(|b| b.is_seen()),
             grid: Grid::of(instrument),
             psf_error: quality.off_grid_excess().min(MOST_PSF_ERROR),
+            coarse_error: if quality.is_coarse() { quality.off_grid_excess() } else { 0.0 },
             exposure_ms: instrument.psf.exposure_ms,
             window_px: instrument.psf.basis.dim().2,
             sigmas: OnceLock::new(),

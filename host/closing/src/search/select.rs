@@ -4,10 +4,11 @@
 use super::candidate::{Alternative, Candidate, Found, PENALTY, Shadowed};
 use super::finalists::{alike, finalists};
 use super::trials::{NEEDS_CALIBRATION, Tried, evidence};
-use crate::data::Shown;
+use crate::data::{Frame, Shown};
 use crate::evidence::{Scores, TableFit, Test, holm, maps, tables};
 use crate::fit::{
-    Column, Design, Errors, Fitted, Model, Replicas, Scope, State, Term, nuisances, own_columns, refit, refit_from,
+    Column, Design, Errors, Fitted, Model, Predicted, Replicas, Scope, State, Term, nuisances, own_columns, refit,
+    refit_from,
 };
 use ommatidia_model::forward::ForwardError;
 use ommatidia_physics::effects::Stage;
@@ -30,8 +31,9 @@ const MOST: usize = 6;
 const PART: f64 = 0.02;
 /// Maximum number of terms without a name.
 const MOST_UNNAMED: usize = 3;
-/// Errors of the PSFs between calibrated positions may feign an effect that takes this share off chi-squared per pixel
-/// in frames of single beads, where no other focus averages them.
+/// Errors of the PSFs between calibrated positions may feign an effect that explains this share of them. They are the
+/// relative error times the light of scenes of known objects; in frames of single beads, where no other focus averages
+/// them, they are taken to be as large as the noise.
 const FEIGNED: f64 = 0.1;
 /// A term without a name is tried only if at least this share of its squared norm is independent of the model's
 /// columns.
@@ -250,11 +252,19 @@ impl<'m, 'a> Search<'m, 'a> {
         }
     }
 
-    /// Fall of chi-squared that errors of the PSFs may feign: more than nothing where beads alone show the optics.
+    /// Fall of chi-squared that errors of the PSFs may feign: more than nothing where beads alone show the optics, and
+    /// where the PSFs between the positions of the calibration are known worse than its noise allows.
     fn feigned(&self) -> f64 {
         let seen = self.model.seen;
-        if seen.frames.iter().any(|f| matches!(f.shown, Shown::Object(_))) {
-            return 0.0;
+        let shown = |f: &&Frame| matches!(f.shown, Shown::Object(_));
+        if seen.frames.iter().any(|f| shown(&f)) {
+            let black = self.model.forward.noise().black_level_dn;
+            let squared_light = |(f, here): (&Frame, &Predicted)| {
+                let signal = |(y, w): (&f32, &f32)| ((f64::from(*y) - black) * f64::from(*w)).powi(2);
+                f.measured.iter().zip(&here.inverse_sigma).map(signal).sum::<f64>()
+            };
+            let training = seen.frames.iter().zip(&*self.now.predicted).filter(|(f, _)| shown(f) && !f.held_out);
+            return FEIGNED * self.model.coarse_error.powi(2) * training.map(squared_light).sum::<f64>();
         }
         let beads = seen.frames.iter().filter(|f| matches!(f.shown, Shown::Bead(_)) && !f.held_out).count();
         FEIGNED * (beads * seen.pixels.len()) as f64

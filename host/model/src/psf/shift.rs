@@ -1,18 +1,14 @@
-//! Moves a small image by a fraction of a pixel: band-limited interpolation of a window that is zero outside.
+//! Moves a small image by a fraction of a pixel: band-limited interpolation of a window that is zero outside
+//! ([`crate::interpolation`]).
 //!
-//! Along each axis
-//! ```text
-//! out(i) = sum_j in(j) k(i - j - d),   k(x) = sinc(x) I0(b sqrt(1 - (x/w)^2)) / I0(b)  for |x| < w, 0 beyond
-//! ```
-//! (Kaiser, IEEE ISCAS, 20, 1974), divided by the sum over i, so that no light is lost. A Gaussian of 1.2 px is moved
-//! with an error of at most 1.1e-3 of its peak, against 3e-4 by the sinc alone. But a sharp PSF has power beyond the
-//! Nyquist frequency, which is aliased. Nothing mends that, and the sinc alone spreads the error over the whole
-//! window, as rows of alternating sign, into pixels so dark that they are known far better. The window keeps it where
-//! the light is. On one virtual instrument of each kind it made the squared error of predicted bright scenes, in units
-//! of the noise, 3.8 times smaller for PSFs with sharp edges, and 1.3 times for diffraction at pupils.
+//! A Gaussian of 1.2 px is moved with an error of at most 6e-4 of its peak, against 2e-4 by the sinc alone. But a sharp
+//! PSF has power beyond the Nyquist frequency, which is aliased. Nothing mends that, and the sinc alone spreads the error
+//! over the whole window. The window of the kernel keeps it where the light is. On one virtual instrument of each kind
+//! it made the squared error of predicted bright scenes, in units of the noise, 3.8 times smaller for PSFs with sharp
+//! edges, and 1.3 times for diffraction at pupils.
 
+use crate::interpolation::weights;
 use ndarray::{Array2, Array3, ArrayView2, ArrayView3, s};
-use std::f64::consts::PI;
 
 /// The image moved by `shift_px` (row, col; positive: towards larger indices), extended by `margin` pixels on each
 /// side.
@@ -36,35 +32,18 @@ pub fn shifted_windows(windows: ArrayView3<'_, f32>, shift_px: [f64; 2], margin:
     out
 }
 
-/// Half the width w of the interpolation kernel, px.
-const HALF_WIDTH_PX: f64 = 7.0;
-/// Shape b of its window: the side lobes of the window's spectrum are 58 dB below its peak.
-const SHAPE: f64 = 8.0;
-
 /// Interpolation matrix [n + 2 margin, n] along one axis.
 fn interpolation(n: usize, shift: f64, margin: usize) -> Array2<f32> {
-    let reach = HALF_WIDTH_PX as i32 + 1;
-    let sum: f64 = (-reach..=reach).map(|i| kernel(f64::from(i) - (shift - shift.round()))).sum();
-    let at = |(i, j): (usize, usize)| (kernel(i as f64 - margin as f64 - j as f64 - shift) / sum) as f32;
-    Array2::from_shape_fn((n + 2 * margin, n), at)
-}
-
-fn kernel(x: f64) -> f64 {
-    let inside = 1.0 - (x / HALF_WIDTH_PX).powi(2);
-    if inside <= 0.0 { 0.0 } else { sinc(x) * bessel_i0(SHAPE * inside.sqrt()) / bessel_i0(SHAPE) }
-}
-
-/// Modified Bessel function of the first kind, order 0: `sum_k ((x/2)^k / k!)^2`, to 1e-16 of its value for x up to 20.
-fn bessel_i0(x: f64) -> f64 {
-    let term = |last: &mut f64, k: u32| {
-        *last *= (0.5 * x / f64::from(k)).powi(2);
-        Some(*last)
-    };
-    1.0 + (1..50).scan(1.0, term).sum::<f64>()
-}
-
-fn sinc(x: f64) -> f64 {
-    if x == 0.0 { 1.0 } else { (PI * x).sin() / (PI * x) }
+    let mut matrix = Array2::zeros((n + 2 * margin, n));
+    for (i, mut row) in matrix.outer_iter_mut().enumerate() {
+        let (first, weights) = weights(i as f64 - margin as f64 - shift);
+        for (j, w) in (first..).zip(weights) {
+            if let Some(v) = usize::try_from(j).ok().and_then(|j| row.get_mut(j)) {
+                *v = w as f32;
+            }
+        }
+    }
+    matrix
 }
 
 #[cfg(test)]
@@ -85,13 +64,6 @@ mod tests {
         for ((r, c), v) in &gauss(25, [12.37, 10.69]).indexed_iter().collect::<Vec<_>>()[..] {
             assert!((moved[[*r, *c]] - **v).abs() < 6e-4, "{r} {c}");
         }
-    }
-
-    #[test]
-    fn the_bessel_function_has_its_tabulated_values() {
-        // Abramowitz & Stegun, table 9.8: I0(1), and exp(-8) I0(8).
-        assert!((bessel_i0(1.0) - 1.266_065_878).abs() < 1e-9);
-        assert!((bessel_i0(8.0) * (-8.0f64).exp() - 0.143_431_781_9).abs() < 1e-9);
     }
 
     #[test]

@@ -1,0 +1,119 @@
+//! Weights that interpolate an image between its pixels: one kernel for PSFs that are moved by a fraction of a pixel
+//! ([`crate::psf::shift`]) and for light that effects displace.
+//!
+//! ```text
+//! out(x) = sum_j in(j) k(j - x),   k(u) = sinc(u) I0(b sqrt(1 - (u/w)^2)) / I0(b)  for |u| < w, 0 beyond
+//! ```
+//! (Kaiser, IEEE ISCAS, 20, 1974), divided by the sum of the weights, so that no light is lost. Small moves of waves are
+//! right within 0.1 % up to 0.3 cycles a pixel, 1.4 % too small at 0.35, and 13 % at 0.4. Such frequencies hold little
+//! of the light of most PSFs, and part of that is aliased. The polynomial of Lagrange through 10 pixels loses 1.4 % at
+//! 0.25 and 17 % at 0.35: shifts that were fitted with it to PSFs of 0.8 px came out 1.1 % small, and 0.4 % small with
+//! this kernel. A sinc without a window loses nothing, and spreads the aliased light of a sharp PSF over the whole
+//! image, as rows of alternating sign, into pixels so dark that they are known far better.
+
+use std::f64::consts::PI;
+use std::sync::LazyLock;
+
+/// Number of pixels that an interpolated value depends on, along each axis.
+pub(crate) const TAPS: usize = 16;
+/// Half the width w of the kernel, px.
+const HALF_WIDTH_PX: f64 = 8.0;
+/// Shape b of its window.
+const SHAPE: f64 = 10.0;
+/// Taps before the position.
+const BEFORE: usize = TAPS / 2 - 1;
+
+/// The first pixel, and the weights of it and those after it, for the value at `x`, px.
+pub(crate) fn weights(x: f64) -> (isize, [f64; TAPS]) {
+    let floor = x.floor();
+    (floor as isize - BEFORE as isize, at(x - floor))
+}
+
+/// [`weights`] from a table, to 1e-6.
+pub(crate) fn tabulated(x: f64) -> (isize, [f32; TAPS]) {
+    let floor = x.floor();
+    let fine = (x - floor) * STEPS as f64;
+    let step = (fine as usize).min(STEPS - 1);
+    let part = (fine - step as f64) as f32;
+    let (a, b) = (&TABLE[step], &TABLE[step + 1]);
+    (floor as isize - BEFORE as isize, std::array::from_fn(|t| a[t] + part * (b[t] - a[t])))
+}
+
+/// Number of tabulated fractions of a pixel; weights between them are interpolated.
+const STEPS: usize = 1024;
+
+static TABLE: LazyLock<Vec<[f32; TAPS]>> =
+    LazyLock::new(|| (0..=STEPS).map(|i| at(i as f64 / STEPS as f64).map(|w| w as f32)).collect());
+
+/// Weights of the pixels -7 to 8 for the value at `fraction`, 0 to 1 px.
+fn at(fraction: f64) -> [f64; TAPS] {
+    let pixel = |t: usize| t as f64 - BEFORE as f64;
+    let mut weights: [f64; TAPS] = std::array::from_fn(|t| kernel(pixel(t) - fraction));
+    let sum: f64 = weights.iter().sum();
+    weights.iter_mut().for_each(|w| *w /= sum);
+    weights
+}
+
+fn kernel(x: f64) -> f64 {
+    let inside = 1.0 - (x / HALF_WIDTH_PX).powi(2);
+    if inside <= 0.0 { 0.0 } else { sinc(x) * bessel_i0(SHAPE * inside.sqrt()) / bessel_i0(SHAPE) }
+}
+
+/// Modified Bessel function of the first kind, order 0: `sum_k ((x/2)^k / k!)^2`, to 1e-16 of its value for x up to 20.
+fn bessel_i0(x: f64) -> f64 {
+    let term = |last: &mut f64, k: u32| {
+        *last *= (0.5 * x / f64::from(k)).powi(2);
+        Some(*last)
+    };
+    1.0 + (1..50).scan(1.0, term).sum::<f64>()
+}
+
+fn sinc(x: f64) -> f64 {
+    if x.fract() == 0.0 { f64::from(u8::from(x == 0.0)) } else { (PI * x).sin() / (PI * x) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_bessel_function_has_its_tabulated_values() {
+        // Abramowitz & Stegun, table 9.8: I0(1), and exp(-8) I0(8).
+        assert!((bessel_i0(1.0) - 1.266_065_878).abs() < 1e-9);
+        assert!((bessel_i0(8.0) * (-8.0f64).exp() - 0.143_431_781_9).abs() < 1e-9);
+    }
+
+    #[test]
+    fn whole_pixels_are_copied_and_light_stays_where_it_is_put() {
+        for x in [-3.0, 0.0, 5.0] {
+            let (first, w) = weights(x);
+            let copied = w.iter().enumerate().all(|(t, w)| *w == f64::from(u8::from(first + t as isize == x as isize)));
+            assert!(copied, "{x}: {w:?}");
+        }
+        for x in [-0.999, -0.5, 0.01, 0.04, 0.25, 0.4999, 0.5001, 0.75, 12.3] {
+            let (first, w) = weights(x);
+            let moment = |power: i32| w.iter().zip(first..).map(|(w, j)| w * (j as f64).powi(power)).sum::<f64>();
+            assert!((moment(0) - 1.0).abs() < 1e-12 && (moment(1) - x).abs() < 2e-4, "{x}: {}", moment(1));
+        }
+    }
+
+    /// The response to a wave, against the moved wave: a fit of a small shift has the error of the small move.
+    #[test]
+    fn small_moves_of_waves_are_right() {
+        let d = 0.01;
+        for (frequency, most) in [(0.02, 1e-3), (0.1, 1e-3), (0.2, 1e-3), (0.3, 1e-3), (0.35, 0.015)] {
+            let (first, w) = weights(-d);
+            let phase = |j: isize| 2.0 * PI * frequency * j as f64;
+            let moved = -w.iter().zip(first..).map(|(w, j)| w * phase(j).sin()).sum::<f64>() / (2.0 * PI * frequency);
+            assert!((moved / d - 1.0).abs() < most, "{frequency}: {moved}");
+        }
+    }
+
+    #[test]
+    fn the_table_has_the_weights() {
+        for x in [-7.3, -0.0004, 0.1234, 0.5, 0.99999, 3.7] {
+            let ((a, exact), (b, table)) = (weights(x), tabulated(x));
+            assert!(a == b && exact.iter().zip(&table).all(|(e, t)| (e - f64::from(*t)).abs() < 2e-6), "{x}");
+        }
+    }
+}
