@@ -222,6 +222,8 @@ fn a_rise_of_either_figure_is_worse() {
     let of = |chi2_ndf, nrmse| Figures { chi2_ndf, nrmse, pcc: 0.99 };
     assert!(is_worse(of(1.0, 0.05), of(1.0003, 0.04)) && is_worse(of(1.1, 0.05), of(1.0, 0.0503)));
     assert!(!is_worse(of(1.0, 0.05), of(1.00005, 0.050004)));
+    // From a tenth too little scatter to a twentieth too much.
+    assert!(!is_worse(of(0.9, 0.05), of(1.05, 0.04)) && is_worse(of(0.9, 0.05), of(1.12, 0.04)));
     // Nothing is judged where no frame is known.
     assert!(!is_worse(of(f64::NAN, f64::NAN), of(f64::NAN, f64::NAN)));
 }
