@@ -44,7 +44,8 @@ pub enum BenchError {
     Effect(#[from] EffectError),
     /// An effect cannot act on the lenses of a family.
     #[error(
-        "`{effect}` cannot act on this instrument of family `{family}`: {why}; inject less of it, or choose another family"
+        "`{effect}` cannot act on this instrument of family `{family}`: {why}; inject less of it, or choose \
+         another family"
     )]
     Refused {
         /// Id of the effect.

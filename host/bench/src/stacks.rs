@@ -108,8 +108,8 @@ impl VirtualInstrument {
         Ok(peak)
     }
 
-    /// Positions of the scan, (y, x) um, in order: even steps from edge to edge of the object, or its centre for a single
-    /// position.
+    /// Positions of the scan, (y, x) um, in order: even steps from edge to edge of the object, or its centre for a
+    /// single position.
     fn scan_um(&self) -> Vec<[f64; 2]> {
         let along = |i: usize, positions: usize, pixels: usize| {
             let half = (pixels as f64 - 1.0) / 2.0 * self.config.object.pixel_um;

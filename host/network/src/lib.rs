@@ -3,7 +3,7 @@
 //! | module | contents |
 //! |---|---|
 //! | [`train`] | SV-FourierNet and the networks beside it: losses, schedule, training loop, checkpoint |
-//! | [`methods`] | ways from a frame to an object: networks, network files, Wiener, Richardson-Lucy, ADMM, central lens |
+//! | [`methods`] | from a frame to an object: networks, network files, Wiener, Richardson-Lucy, ADMM, central lens |
 //! | [`quantize`] | checkpoint -> network file in half precision, with its memory plan |
 //! | [`network_file`] | network files on the host |
 //! | `richardson_lucy` | the iterations, for a method of their own and for networks that begin with an estimate |

@@ -1,6 +1,5 @@
 //! Which colours a picture gets: the rules that a report and the browser's view share.
 
-use super::closing;
 use super::colour::ColourMap;
 use super::picture::Scale;
 use ndarray::ArrayView2;
@@ -18,6 +17,14 @@ pub enum Look {
     Map,
 }
 
+/// Ends of the colour scale of residuals, standard deviations.
+pub const RESIDUAL_LIMIT: f64 = 4.0;
+
+/// The scale of every residual, whatever its values: two of them are compared by eye.
+pub fn residuals() -> Scale {
+    Scale::linear(-RESIDUAL_LIMIT, RESIDUAL_LIMIT, ColourMap::Diverging)
+}
+
 impl Look {
     /// Colours and their range for one picture.
     ///
@@ -32,7 +39,7 @@ impl Look {
             Self::Raw => (low, at(0.998), ColourMap::Grey),
             Self::Map => (low, at(0.998), ColourMap::Viridis),
             Self::Light => (low.min(0.0), at(0.997), ColourMap::Inferno),
-            Self::Residual => return closing::scale(),
+            Self::Residual => return residuals(),
         };
         Scale::linear(low, if high > low { high } else { at(1.0) }, map)
     }

@@ -2,18 +2,14 @@
 //! (Fig. 2e of Yang et al. 2024).
 
 use super::chart::{Axis, Chart, Line, Marks};
-use super::colour::ColourMap;
 use super::error::ReportError;
-use super::look::Look;
+use super::look::{Look, residuals};
 use super::page::Numbers;
 use super::picture::{Mark, Scale, picture};
 use super::scenes::{Detail, details};
 use maud::{Markup, html};
 use ndarray::{ArrayView2, Axis as Dim};
 use ommatidia_network::evaluate::Evaluation;
-
-/// Ends of the colour scale of residuals, standard deviations.
-const LIMIT: f64 = 4.0;
 
 /// The first pictured frame beside its prediction, and the residual by radius; None without an instrument.
 ///
@@ -41,7 +37,7 @@ pub fn prediction(e: &Evaluation, numbers: &mut Numbers) -> Result<Option<Markup
         })
     };
     let grey = Look::Raw.scale(measured);
-    let signed = Scale::linear(-LIMIT, LIMIT, ColourMap::Diverging);
+    let signed = residuals();
     let plates = [
         plate("Measured", measured, &grey, "DN")?,
         plate("Predicted", predicted.frames_dn.index_axis(Dim(0), 0), &grey, "DN")?,

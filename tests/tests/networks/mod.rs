@@ -158,8 +158,8 @@ pub fn scaled(header: &Header, seed: u64, factors: [f32; 3]) -> NetworkFile {
     NetworkFile::new(header, &weights).unwrap()
 }
 
-/// Integer weights of every size and channels whose weights are worth about `scale` each; biases of up to a few units of
-/// the features. Empty where the convolutions of the header are halves.
+/// Integer weights of every size and channels whose weights are worth about `scale` each; biases of up to a few units
+/// of the features. Empty where the convolutions of the header are halves.
 fn integers(header: &Header, seed: u64, scale: f32) -> (Vec<u16>, Vec<Channel>) {
     let lens = header.section_lens().unwrap();
     let mut rng = rng::stream(seed, "integers", 0);

@@ -31,8 +31,8 @@ pub enum CalibrateError {
     Check(Vec<Finding>),
     /// The model does not predict what it was not fitted to.
     #[error(
-        "off-grid error: expected at most {most:.3} for the noise of this session, found {found:.3}: positions that were \
-         left out are not predicted from their neighbours. Check the table of positions, array.pitch_px and \
+        "off-grid error: expected at most {most:.3} for the noise of this session, found {found:.3}: positions that \
+         were left out are not predicted from their neighbours. Check the table of positions, array.pitch_px and \
          optics.psf_window_px (`ommatidia check SESSION`), or scan more positions; --accept calibrates all the same"
     )]
     OffGrid {

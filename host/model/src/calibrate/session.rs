@@ -219,10 +219,10 @@ fn is_new(finding: &Finding) -> bool {
 /// What was decided about beads of unequal brightness, and why.
 fn unequal_beads(scatter: f64, before: f64, after: f64) -> String {
     format!(
-        "beads: their brightness scatters by {:.1} % about what their neighbours predict, beyond what a lamp or vignetting \
-         does: each frame was brought to the same total light (--normalise-beads=yes). The error on positions that were \
-         left out is then {:.1} %, with the brightness as measured {:.1} % (--normalise-beads=no). Vignetting is not \
-         part of this model",
+        "beads: their brightness scatters by {:.1} % about what their neighbours predict, beyond what a lamp or \
+         vignetting does: each frame was brought to the same total light (--normalise-beads=yes). The error on \
+         positions that were left out is then {:.1} %, with the brightness as measured {:.1} % (--normalise-beads=no). \
+         Vignetting is not part of this model",
         100.0 * scatter,
         100.0 * after,
         100.0 * before

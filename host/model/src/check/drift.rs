@@ -308,10 +308,10 @@ pub fn describe(drift: Option<&Drift>) -> Vec<Finding> {
         format!("drift by {total:.2} px from the first to the last bead frame")
     };
     let text = format!(
-        "the foci {motion}, beyond the positions in the table ({row:+.2} +- {:.2} px along the rows, {col:+.2} +- {:.2} \
-         px along the columns): stage or array moved during the scan, or the axes of the stage are not square or count \
-         differently. Let the stage settle and warm up, and scan again; scanning in random order keeps a drift from \
-         looking like distortion",
+        "the foci {motion}, beyond the positions in the table ({row:+.2} +- {:.2} px along the rows, {col:+.2} +- \
+         {:.2} px along the columns): stage or array moved during the scan, or the axes of the stage are not square \
+         or count differently. Let the stage settle and warm up, and scan again; scanning in random order keeps a \
+         drift from looking like distortion",
         d.sigma_px[0], d.sigma_px[1]
     );
     vec![Finding::new("drift", Severity::Warning, text)]

@@ -7,7 +7,7 @@ use crate::train::{
     Architecture, ArchitectureName, Checkpoint, Estimator, Inference, Mode, NetworkConfig, NetworkInput, TrainError,
     normalise,
 };
-use burn::tensor::activation::sigmoid;
+use burn_tensor::activation::sigmoid;
 use ndarray::{Array2, ArrayView2};
 use ommatidia_physics::sensor::FrameInput;
 use std::path::Path;

@@ -116,8 +116,8 @@ impl Adam {
 mod tests {
     use super::super::weights::FILTERS;
     use super::*;
-    use burn::optim::{AdamConfig, Optimizer};
-    use burn::tensor::{Device, Tensor, TensorData};
+    use burn_optim::{AdamConfig, Optimizer};
+    use burn_tensor::{Device, Tensor, TensorData};
     use ndarray::arr1;
 
     /// The independent implementation of burn takes the same steps.

@@ -1,7 +1,7 @@
 //! Where float networks are computed, and whether gradients are recorded.
 
 use super::TrainError;
-use burn::tensor::Device;
+use burn_tensor::Device;
 
 /// Whether gradients are recorded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,7 +42,7 @@ impl Backend {
     pub(super) fn device(self, mode: Mode) -> Device {
         let device = match self {
             #[cfg(feature = "gpu")]
-            Self::Gpu => Device::wgpu(burn::tensor::DeviceKind::DefaultDevice),
+            Self::Gpu => Device::wgpu(burn_tensor::DeviceKind::DefaultDevice),
             _ => Device::flex(),
         };
         match mode {

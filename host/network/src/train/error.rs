@@ -59,8 +59,8 @@ pub enum TrainError {
     },
     /// The checkpoint to resume was made with another configuration.
     #[error(
-        "{path}: `{field}` is {found} in the checkpoint, but the options ask for {expected}; resume with the options of \
-         that run, or start a new one"
+        "{path}: `{field}` is {found} in the checkpoint, but the options ask for {expected}; resume with the options \
+         of that run, or start a new one"
     )]
     Resume {
         /// The checkpoint.

@@ -1,8 +1,8 @@
 //! The losses of training: what is published, and what is judged.
 
 use super::normalise::DARK;
-use burn::tensor::Tensor;
-use burn::tensor::activation::{relu, sigmoid};
+use burn_tensor::Tensor;
+use burn_tensor::activation::{relu, sigmoid};
 use serde::{Deserialize, Serialize};
 
 /// Least part of a target that is left.
@@ -36,7 +36,7 @@ impl Loss {
 /// of the paper lacks a minus sign.)
 ///
 /// ```
-/// use burn::tensor::{Device, Tensor};
+/// use burn_tensor::{Device, Tensor};
 /// use ommatidia_network::train::bce_mse;
 ///
 /// let device = Device::flex();
@@ -57,7 +57,7 @@ pub fn bce_mse(logits: Tensor<4>, target: Tensor<4>) -> Tensor<1> {
 /// [`bce_mse`].
 ///
 /// ```
-/// use burn::tensor::{Device, Tensor};
+/// use burn_tensor::{Device, Tensor};
 /// use ommatidia_network::train::nrmse;
 ///
 /// let device = Device::flex();
@@ -82,7 +82,7 @@ pub fn nrmse(logits: Tensor<4>, target: Tensor<4>) -> Tensor<1> {
 #[allow(clippy::unwrap_used)]
 mod tests {
     use super::*;
-    use burn::tensor::{Device, TensorData};
+    use burn_tensor::{Device, TensorData};
     use ndarray::Array2;
     use ommatidia_model::metrics::compare;
 

@@ -2,8 +2,8 @@
 //!
 //! `ln scale = b . q(f)`, where q are the features of [`super::observer`] in standard deviations, limited to the range
 //! that was seen, their squares and their products. The coefficients are least squares of
-//! `ln |truth - reconstruction|`. The scale need not be right: conformal calibration makes up for a wrong one, and only widths grow
-//! by it.
+//! `ln |truth - reconstruction|`. The scale need not be right: conformal calibration makes up for a wrong one, and only
+//! widths grow by it.
 
 use super::UncertaintyError;
 use super::observer::PIXEL;

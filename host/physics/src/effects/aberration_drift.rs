@@ -10,8 +10,8 @@
 //! element is decentred) or in proportion to the field angle (Seidel). The second adds `a r^2` to the second moment
 //! along the radius and takes it from that across it: Seidel astigmatism. Light and centroid of a focus stay. No pupil
 //! is assumed. What spherical aberration and defocus do, an even ring, is not part of it. The same coefficients hold
-//! for all lenses. Source: Born & Wolf, Principles of Optics, section 5.3 (dependence of the Seidel terms on the field);
-//! moments by partial integration.
+//! for all lenses. Source: Born & Wolf, Principles of Optics, section 5.3 (dependence of the Seidel terms on the
+//! field); moments by partial integration.
 
 use super::context::FrameContext;
 use super::descriptor::{Descriptor, Lookalike, Param, Stage};
@@ -26,8 +26,8 @@ static DESCRIPTOR: Descriptor = Descriptor {
     id: "aberration_drift",
     stage: Stage::Lens,
     summary: "h - div lap (A h) + quadrupole of a r^2: coma, equal or linear in the field, and astigmatism changed",
-    // A focus of 1.5 px rms has a skewness of 6 A / 1.5^3 and a second moment of 2.3 px^2: beyond these ranges the terms
-    // exceed the focus itself at 0.1 mm from the axis.
+    // A focus of 1.5 px rms has a skewness of 6 A / 1.5^3 and a second moment of 2.3 px^2: beyond these ranges the
+    // terms exceed the focus itself at 0.1 mm from the axis.
     params: &[
         Param::strength("coma_row_px3", "px^3", 0.008, -2.0, 2.0),
         Param::strength("coma_col_px3", "px^3", 0.008, -2.0, 2.0),
@@ -112,7 +112,8 @@ fn add_displaced(out: &mut Array2<f32>, image: &Array2<f32>, [dr, dc]: [usize; 2
 mod tests {
     use super::*;
 
-    /// Moments `sum r^i c^j v` of what the effect adds to a focus at (30, 34), whose axis is at (20, 29), pixels of 10 um.
+    /// Moments `sum r^i c^j v` of what the effect adds to a focus at (30, 34), whose axis is at (20, 29), pixels of
+    /// 10 um.
     fn moments(p: &[f64], powers: &[[i32; 2]]) -> Vec<f64> {
         let axes_px = [[20.0, 29.0]];
         let cx = FrameContext { axes_px: &axes_px, pixel_pitch_um: 10.0, ..FrameContext::default() };

@@ -1,9 +1,9 @@
 //! Backlash of the stage: the recorded positions of a bead scan lag behind the direction of travel.
 //!
-//! `s -> s + b sgn(travel)` along each axis, so a focus is displaced by `b px_per_um sgn(travel)`, equally in every lens.
-//! The sign is counted from its mean over the scan: where the stage has its origin is a convention, and a scan that
-//! always comes from the same side shows no backlash but in its first column. Source: the lost motion of a screw and
-//! its nut (Slocum, Precision Machine Design, section 10.8).
+//! `s -> s + b sgn(travel)` along each axis, so a focus is displaced by `b px_per_um sgn(travel)`, equally in every
+//! lens. The sign is counted from its mean over the scan: where the stage has its origin is a convention, and a scan
+//! that always comes from the same side shows no backlash but in its first column. Source: the lost motion of a screw
+//! and its nut (Slocum, Precision Machine Design, section 10.8).
 
 use super::context::{FrameContext, Ray, RayShift};
 use super::descriptor::{Descriptor, Lookalike, Param, Stage};

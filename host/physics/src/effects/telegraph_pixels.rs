@@ -18,7 +18,8 @@ pub(super) struct TelegraphPixels;
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "telegraph_pixels",
     stage: Stage::Electronics,
-    summary: "y + amplitude (b - 1/2) in a share of the pixels, b a random bit of each frame: they jump between two levels",
+    summary: "y + amplitude (b - 1/2) in a share of the pixels, b a random bit of each frame: they jump between \
+              two levels",
     params: &[
         // A trap holds one electron near the gate of the amplifier: hundreds of DN are another fault.
         Param::square("amplitude_dn", "DN", 4.0, 1000.0),

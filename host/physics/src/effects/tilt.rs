@@ -1,8 +1,9 @@
 //! Tilt: the specimen is tilted against the plane of best focus.
 //!
-//! `z -> z + row_um_per_mm y + col_um_per_mm x`, where (y, x) is the position of a source from the centre of the object,
-//! mm: equally in every lens. 1 um/mm is 1 mrad to first order. The model covers only the depths of its bead scan, as
-//! for `defocus`. Source: the first-order term of depth over the field, next to `field_curvature`, which is the second.
+//! `z -> z + row_um_per_mm y + col_um_per_mm x`, where (y, x) is the position of a source from the centre of the
+//! object, mm: equally in every lens. 1 um/mm is 1 mrad to first order. The model covers only the depths of its bead
+//! scan, as for `defocus`. Source: the first-order term of depth over the field, next to `field_curvature`, which is
+//! the second.
 
 use super::context::{FrameContext, Ray, RayShift};
 use super::descriptor::{Descriptor, Lookalike, Param, Stage};
@@ -24,7 +25,8 @@ static DESCRIPTOR: Descriptor = Descriptor {
     lookalikes: &[
         Lookalike {
             id: "defocus",
-            separate_by: "depth scan at two opposite edges: only a tilted specimen is in focus at different depths there",
+            separate_by: "depth scan at two opposite edges: only a tilted specimen is in focus at different \
+                          depths there",
         },
         Lookalike {
             id: "field_curvature",

@@ -183,7 +183,8 @@ pub fn table(closing: &Closing, output: &Path, account: &Path, seconds: f64) -> 
         if let Some(c) = &r.control {
             let _ = writeln!(
                 out,
-                "control, the same steps on the instrument before: {:.2} dB, SSIM {:.3}; {:+.2} dB are owed to the loop",
+                "control, the same steps on the instrument before: {:.2} dB, SSIM {:.3}; {:+.2} dB are owed to \
+                 the loop",
                 c.psnr_db,
                 c.ssim,
                 r.psnr_db_after - c.psnr_db

@@ -9,8 +9,9 @@ use std::io::{ErrorKind, IsTerminal, Write};
 use std::path::Path;
 use std::process::ExitCode;
 use std::time::Duration;
-use tracing_subscriber::EnvFilter;
-use tracing_subscriber::filter::LevelFilter;
+use tracing_subscriber::filter::{LevelFilter, Targets};
+use tracing_subscriber::layer::SubscriberExt as _;
+use tracing_subscriber::util::SubscriberInitExt as _;
 
 /// Options that every verb takes.
 #[derive(Clone, Debug, Args)]
@@ -105,12 +106,21 @@ impl Run {
             (false, 2) => LevelFilter::DEBUG,
             (false, _) => LevelFilter::TRACE,
         };
-        let filter = EnvFilter::builder().with_default_directive(level.into()).from_env_lossy();
-        let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).without_time();
+        let wanted = std::env::var("RUST_LOG").ok().filter(|text| !text.trim().is_empty());
+        let parsed = wanted.as_ref().map(|text| text.parse::<Targets>());
+        let filter = match &parsed {
+            Some(Ok(targets)) => targets.clone(),
+            _ => Targets::new().with_default(level),
+        };
+        let log = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).without_time();
         let colours = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
         let log = log.with_ansi(colours);
         // A second call in one process (a test) keeps the first log.
-        let _ = log.with_target(self.verbose > 1).try_init();
+        let _ = tracing_subscriber::registry().with(log.with_target(self.verbose > 1)).with(filter).try_init();
+        if let Some(Err(error)) = parsed {
+            let text = wanted.unwrap_or_default();
+            tracing::warn!("RUST_LOG={text}: expected LEVEL or TARGET=LEVEL, with commas between; left aside: {error}");
+        }
         if let Some(n) = self.threads {
             rayon::ThreadPoolBuilder::new()
                 .num_threads(usize::from(n))

@@ -109,8 +109,8 @@ fn table(method: &str, nominal: f64, totals: &CoverageTotals, strata: &[Stratum]
     let mut text = format!(
         "{}: {:.1} % of the pixels of {} scenes inside intervals of {:.0} % ({:.1} % of the lit pixels)\n\
          {} of {} strata within 2 %; lowest {:.1} %, highest {:.1} %\n\
-         frames with a warning {:.1} % (not consistent {:.1} %, unlike the calibration {:.1} %); without one {:.1} % of \
-         the pixels inside\n\n{:9} {:>15} {:>11} {:>7} {:>14} {:>6} {:>7} {:>7}\n",
+         frames with a warning {:.1} % (not consistent {:.1} %, unlike the calibration {:.1} %); without one {:.1} % \
+         of the pixels inside\n\n{:9} {:>15} {:>11} {:>7} {:>14} {:>6} {:>7} {:>7}\n",
         title(method),
         percent(totals.coverage),
         totals.scenes,

@@ -201,8 +201,8 @@ fn outcome(device: &DeviceRun, blob: &NetworkFile, frames: usize) -> Outcome {
     let held_instructions = of_held.map(|(count, _)| *count).max();
     let seconds = device.frames.as_secs_f64() / frames.max(1) as f64;
     let json = json!({
-        "board": device.board, "ran_on": device.place.name(), "emulator": device.emulator, "uncounted": device.uncounted,
-        "frames": frames, "bit_exact": device.bit_exact(),
+        "board": device.board, "ran_on": device.place.name(), "emulator": device.emulator,
+        "uncounted": device.uncounted, "frames": frames, "bit_exact": device.bit_exact(),
         "differing_bits": device.differing_bits, "field_ages": ages, "held": held,
         "held_psnr_db": device.deviation.map(|d| json!({ "mean": d.mean_db, "worst": d.worst_db })),
         "instructions": instructions, "held_instructions": held_instructions,
@@ -228,7 +228,8 @@ fn outcome(device: &DeviceRun, blob: &NetworkFile, frames: usize) -> Outcome {
     };
     let text = format!(
         "board         {}\nframes        {frames}, {seconds:.2} s each\n\
-            agreement     {verdict}\nfield         {}{}\ninstructions  {}{}\nRAM           {}\nflash         {}\nstack         {}\n",
+            agreement     {verdict}\nfield         {}{}\ninstructions  {}{}\nRAM           {}\n\
+            flash         {}\nstack         {}\n",
         board + &device.emulator.as_ref().map_or(String::new(), |emulator| format!(" by {emulator}")),
         scope::exactness(held, frames),
         device.deviation.map_or(String::new(), |d| {

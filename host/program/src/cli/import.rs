@@ -13,8 +13,8 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Recordings: a folder of numbered .avi or .tif files (such as that of a UCLA Miniscope), an OME-Zarr, or a
-    /// file .avi, .tif, .mat or .npy. `dark=`, `flat=`, `bead=` or `scene=` in front says what it shows [default: beads where there are
-    /// positions, else scenes]
+    /// file .avi, .tif, .mat or .npy. `dark=`, `flat=`, `bead=` or `scene=` in front says what it shows
+    /// [default: beads where there are positions, else scenes]
     #[arg(required = true, value_name = "[ROLE=]PATH", value_parser = source)]
     recordings: Vec<Source>,
     /// Folder of the session

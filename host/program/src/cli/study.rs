@@ -28,8 +28,8 @@ pub struct Args {
     /// Run about 70 sessions over all families of instruments and all strengths, for development
     #[arg(long, conflicts_with_all = ["null", "seeds", "strengths", "only", "instruments", "sealed"])]
     development: bool,
-    /// Run sessions whose specimens nobody knows, on instruments of their own; truths that are withheld judge the closed
-    /// instruments
+    /// Run sessions whose specimens nobody knows, on instruments of their own; truths that are withheld judge the
+    /// closed instruments
     #[arg(long, conflicts_with_all = ["quick", "development", "psfs"])]
     unknown: bool,
     /// Largest number of sessions with one effect at one strength, drawn from all that were planned; of other kinds a

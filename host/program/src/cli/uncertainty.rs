@@ -124,8 +124,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     widths.write(&args.output, provenance)?;
     let (made, seconds) = (&widths.made, start.elapsed().as_secs_f64());
     let text = format!(
-        "{}: intervals of {:.0} % for {}, from {} virtual scenes ({} for the scale of errors), brightest pixel {:.0} to \
-         {:.0} e-, {} replicates of the calibration, {} errors of effects, {seconds:.0} s\n\
+        "{}: intervals of {:.0} % for {}, from {} virtual scenes ({} for the scale of errors), brightest pixel {:.0} \
+         to {:.0} e-, {} replicates of the calibration, {} errors of effects, {seconds:.0} s\n\
          how often they are right: ommatidia coverage {0} --with FILE\n",
         args.output.display(),
         100.0 * made.coverage,

@@ -85,8 +85,8 @@ pub enum DeviceError {
     },
     /// The camera is set to another frame than that of the network.
     #[error(
-        "the camera gives frames of {rows} x {cols} pixels (rows x columns), the network is for {} x {}; set the region \
-         with `--sensor-region`", .network[0], .network[1]
+        "the camera gives frames of {rows} x {cols} pixels (rows x columns), the network is for {} x {}; set the \
+         region with `--sensor-region`", .network[0], .network[1]
     )]
     CameraRegion {
         /// Rows of the camera's frames.

@@ -1,10 +1,11 @@
 //! Residual maps cut out around each lens, which separate errors of one lens from errors common to all.
 
 use super::super::ReportError;
+use super::super::look::residuals;
 use super::super::page::Numbers;
 use super::super::picture::picture;
 use super::Asked;
-use super::maps::{scale, smoothed};
+use super::maps::smoothed;
 use maud::{Markup, html};
 use ndarray::{Array2, Array3, ArrayView2, s};
 use ommatidia_closing::Account;
@@ -39,7 +40,7 @@ pub fn maps(
             Ok::<_, ReportError>(html! {
                 div.plate {
                     p.name { (label) span { "rms " (format!("{:.2}", super::maps::rms(crop(common.view()).view()))) } }
-                    (picture(crop(smooth.view()).view(), &scale(), &alt, &[])?)
+                    (picture(crop(smooth.view()).view(), &residuals(), &alt, &[])?)
                 }
             })
         });
@@ -53,7 +54,7 @@ pub fn maps(
     };
     let before = plate(if asked == Asked::Close { "Before" } else { "Residual" }, &account.before)?;
     let after = if asked == Asked::Close { Some(plate("After", &account.after)?) } else { None };
-    let body = html! { div.halves { (before) @if let Some(a) = after { (a) } } (scale().bar("σ")) };
+    let body = html! { div.halves { (before) @if let Some(a) = after { (a) } } (residuals().bar("σ")) };
     let text = format!(
         "Sections of the sensor around each lens (row, column), one pitch of {:.0} pixels wide. The residuals of the \
          {} above are averaged and multiplied by the square root of their number, then smoothed over 5 × 5 pixels as \

@@ -1,26 +1,18 @@
 //! Residual maps: measured frame, residual before and after, in standard deviations.
 
 use super::super::ReportError;
-use super::super::colour::ColourMap;
-use super::super::look::Look;
+use super::super::look::{Look, RESIDUAL_LIMIT, residuals};
 use super::super::page::Numbers;
-use super::super::picture::{Scale, picture};
+use super::super::picture::picture;
 use super::Asked;
 use maud::{Markup, html};
 use ndarray::{Array2, Array3, ArrayView2, Axis, s};
 use ommatidia_closing::Account;
 
-/// Ends of the colour scale, standard deviations.
-const LIMIT: f64 = 4.0;
 /// Side of the mean that shows structure below the noise of single pixels, pixels.
 const SIDE: usize = 5;
 /// Longest side of a map, pixels; larger sensors are binned.
 const WIDEST: usize = 480;
-
-/// The scale of every residual map.
-pub fn scale() -> Scale {
-    Scale::linear(-LIMIT, LIMIT, ColourMap::Diverging)
-}
 
 /// The maps of the frames in the account.
 ///
@@ -56,7 +48,7 @@ fn frame(account: &Account, asked: Asked, i: usize, first: bool, numbers: &mut N
     let plain = binned(&measured.to_owned(), factor, 1.0);
     let map = |name: &str, note: String, image: Array2<f32>| -> Result<Markup, ReportError> {
         let alt = format!("{name}, frame {number}");
-        Ok(html! { div.plate { p.name { (name) span { (note) } } (picture(image.view(), &scale(), &alt, &[])?) } })
+        Ok(html! { div.plate { p.name { (name) span { (note) } } (picture(image.view(), &residuals(), &alt, &[])?) } })
     };
     let pixels = |r: ArrayView2<'_, f32>| binned(&absent(r), factor, factor as f32);
     let smooth = |r: ArrayView2<'_, f32>| binned(&smoothed(r), factor, factor as f32);
@@ -76,7 +68,8 @@ fn frame(account: &Account, asked: Asked, i: usize, first: bool, numbers: &mut N
             plates.push(map("Pixel by pixel", scatter(before), pixels(before))?);
         }
     }
-    let bars = html! { (grey.bar("DN")) (scale().bar("σ")) div.scale { i.absent {} "no data (defect, saturated)" } };
+    let bars =
+        html! { (grey.bar("DN")) (residuals().bar("σ")) div.scale { i.absent {} "no data (defect, saturated)" } };
     let large = first && asked == Asked::Close;
     if large {
         // The scales and the caption fit below the measured frame.
@@ -106,8 +99,9 @@ fn caption(factor: usize) -> String {
     };
     format!(
         "Measured minus predicted in standard deviations of the noise model: red where the frame is brighter than \
-         predicted, blue where it is darker; all maps from −{LIMIT} to {LIMIT}. A single pixel is mostly noise. The \
-         mean of 5 × 5 pixels times 5 has the same scatter if the model is right, and shows weaker structure.{bins}"
+         predicted, blue where it is darker; all maps from −{RESIDUAL_LIMIT} to {RESIDUAL_LIMIT}. A single pixel is \
+         mostly noise. The mean of 5 × 5 pixels times 5 has the same scatter if the model is right, and shows weaker \
+         structure.{bins}"
     )
 }
 

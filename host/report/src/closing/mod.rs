@@ -17,7 +17,7 @@ mod words;
 pub use words::plus_minus;
 
 pub use hidden::hidden;
-pub use maps::{scale, smoothed};
+pub use maps::smoothed;
 
 use super::ReportError;
 use super::page::{self, Key, Numbers};

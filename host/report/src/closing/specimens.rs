@@ -28,13 +28,14 @@ pub fn specimens(
     let body = html! { @for row in rows { (row) } };
     let text = match asked {
         Asked::Close => {
-            "Each specimen is estimated from its own frame with the PSFs of all lenses: with the instrument as it was, and \
-             with the effects that were added. Both have one colour scale. The third picture is after minus before, from \
-             minus to plus a quarter of that scale. A displacement or a blur common to all lenses would be in both."
+            "Each specimen is estimated from its own frame with the PSFs of all lenses: with the instrument as it \
+             was, and with the effects that were added. Both have one colour scale. The third picture is after minus \
+             before, from minus to plus a quarter of that scale. A displacement or a blur common to all \
+             lenses would be in both."
         }
         Asked::Residual => {
-            "Each specimen is estimated from its own frame with the PSFs of all lenses. A displacement or a blur common \
-             to all lenses would be in the estimate."
+            "Each specimen is estimated from its own frame with the PSFs of all lenses. A displacement or a blur \
+             common to all lenses would be in the estimate."
         }
     };
     Ok(numbers.figure("Specimens as the instrument shows them.", text, body))

@@ -24,6 +24,7 @@ mod codec;
 mod layout;
 mod mat;
 mod npy;
+mod npy_header;
 mod number;
 mod ome;
 mod reader;

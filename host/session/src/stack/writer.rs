@@ -1,13 +1,13 @@
 //! Writes the frames of a stack one at a time. The file appears complete or not at all.
 
 use super::layout::{Container, SampleType, StackSpec};
+use super::npy_header::NpyHeader;
 use super::ome;
 use super::video::VideoWriter;
 use super::zarr::ZarrWriter;
 use crate::artifact;
 use crate::error::SessionError;
 use ndarray::ArrayView2;
-use npyz::WriterBuilder;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -101,7 +101,7 @@ impl FrameWriter {
         let file = artifact::temporary_beside(path).map_err(io)?;
         let out = || file.as_file().try_clone().map_err(io);
         let sink = match container {
-            Container::Npy => Sink::Npy(npy_header(out()?, &spec).map_err(io)?),
+            Container::Npy => Sink::Npy(npy(out()?, &spec).map_err(io)?),
             Container::Tif if bytes < TIFF_BYTES => Sink::Tif(TiffEncoder::new(out()?).map_err(tif)?),
             Container::Tif => Sink::BigTif(TiffEncoder::new_big(out()?).map_err(tif)?),
             _ => Sink::Video(VideoWriter::create(artifact::folder_of(path), shown)?),
@@ -212,20 +212,14 @@ impl FrameWriter {
     }
 }
 
-fn npy_header(out: File, spec: &StackSpec) -> std::io::Result<BufWriter<File>> {
+fn npy(out: File, spec: &StackSpec) -> std::io::Result<BufWriter<File>> {
     let mut out = BufWriter::new(out);
-    let shape = [spec.frames as u64, spec.rows as u64, spec.cols as u64];
     let type_name = match spec.samples {
         SampleType::U8 => "|u1",
         SampleType::U16 => "<u2",
         SampleType::F32 => "<f4",
     };
-    let type_name = type_name.parse().map_err(|_| std::io::Error::other("unknown sample type"))?;
-    npyz::WriteOptions::new_header_only()
-        .dtype(npyz::DType::Plain(type_name))
-        .shape(&shape)
-        .writer(&mut out)
-        .write_header_only()?;
+    out.write_all(&NpyHeader::bytes(type_name, [spec.frames, spec.rows, spec.cols]))?;
     Ok(out)
 }
 

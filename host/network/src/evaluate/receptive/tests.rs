@@ -4,7 +4,7 @@ use super::{ReceptiveFields, receptive_fields};
 use crate::train::network::{Network, values};
 use crate::train::ops::fourier::Fourier;
 use crate::train::{Architecture, Checkpoint, Lenses, Mode, NetworkConfig, NetworkInput, Preset, normalised, weights};
-use burn::tensor::activation::sigmoid;
+use burn_tensor::activation::sigmoid;
 use ndarray::{Array2, Array3, Axis};
 use ommatidia_model::forward::Forward;
 use ommatidia_model::instrument::Instrument;

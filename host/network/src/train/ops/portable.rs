@@ -2,9 +2,9 @@
 //! products with matrices of roots of unity, computed only for the rows and columns of the object.
 
 use super::fourier::{Fourier, Spectrum};
-use burn::tensor::module::conv2d;
-use burn::tensor::ops::ConvOptions;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn_tensor::module::conv2d;
+use burn_tensor::ops::ConvOptions;
+use burn_tensor::{Device, Tensor, TensorData};
 
 /// Computes [`super::conv3x3`] on any device.
 pub fn conv3x3(x: Tensor<4>, weight: Tensor<1>, bias: Tensor<1>) -> Tensor<4> {

@@ -2,12 +2,12 @@
 
 use super::fourier::{Fourier, FourierSizes, Spectrum};
 use super::{Primitive, plain, primitive, register, tracked, values};
-use burn::backend::autodiff::checkpoint::base::Checkpointer;
-use burn::backend::autodiff::checkpoint::strategy::NoCheckpointing;
-use burn::backend::autodiff::grads::Gradients;
-use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
-use burn::backend::{Autodiff, Flex};
-use burn::tensor::Tensor;
+use burn_dispatch::backends::autodiff::checkpoint::base::Checkpointer;
+use burn_dispatch::backends::autodiff::checkpoint::strategy::NoCheckpointing;
+use burn_dispatch::backends::autodiff::grads::Gradients;
+use burn_dispatch::backends::autodiff::ops::{Backward, Ops, OpsKind};
+use burn_dispatch::backends::{Autodiff, Flex};
+use burn_tensor::Tensor;
 use std::sync::Arc;
 
 /// A linear operator from objects, [object rows * object cols], to frames, [frame rows * frame cols], both in C order.

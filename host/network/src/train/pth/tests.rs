@@ -3,7 +3,7 @@ use super::*;
 use crate::train::network::{Network, values as output_values};
 use crate::train::ops::fourier::Fourier;
 use crate::train::{Mode, NetworkInput, normalised};
-use burn::tensor::activation::sigmoid;
+use burn_tensor::activation::sigmoid;
 use ndarray::Array2;
 use ommatidia_session::rng;
 use rand::RngExt;

@@ -143,9 +143,9 @@ fn parameter(p: &Param) -> String {
 const PAGE_HEAD: &str = "# Effects
 
 Effects of real instruments beyond their calibrated optics, in the order in which they act on the light. Each effect has
-one definition in `host/physics/src/effects/`, with a longer description. The forward model applies it, `close` fits it, and the
-virtual bench injects it: `ommatidia bench session --effect halo=0.05,sigma_px=20` sets the first parameter, and others
-by name.
+one definition in `host/physics/src/effects/`, with a longer description. The forward model applies it, `close` fits it,
+and the virtual bench injects it: `ommatidia bench session --effect halo=0.05,sigma_px=20` sets the first parameter, and
+others by name.
 
 **Strengths** are in bold: with all of them at zero (or at the stated value) the effect is absent, to the last bit. The
 other parameters are shapes and choices. This page is generated from the descriptors, and a test compares the two:

@@ -150,8 +150,8 @@ fn outcome(report: &StreamReport, came: usize, place: Place) -> Outcome {
     let rate = shown as f64 / seconds.max(1e-9);
     let t = &report.telemetry;
     let json = json!({
-        "board": report.board, "ran_on": place.name(), "frames": came, "reconstructed": shown, "dropped": report.dropped,
-        "left_out": left_out,
+        "board": report.board, "ran_on": place.name(), "frames": came, "reconstructed": shown,
+        "dropped": report.dropped, "left_out": left_out,
         "failed_on_the_line": report.failed, "held": report.held, "seconds": seconds, "frames_per_second": rate,
         "active_fraction": active_fraction(t),
         "device_dropped_frames": t.dropped_frames, "crc_errors": t.crc_errors, "dropped_packets": t.dropped_packets,

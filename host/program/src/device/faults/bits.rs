@@ -64,7 +64,8 @@ pub(super) fn spoilt_words() -> Result<Row, DeviceError> {
     }
     Ok(tally.row(
         "a word of 32 bytes becomes unreadable while the power is off",
-        "every word of the newer network and of its mark; one copy of the mark is enough, otherwise the older network runs",
+        "every word of the newer network and of its mark; one copy of the mark is enough, otherwise the older \
+         network runs",
     ))
 }
 

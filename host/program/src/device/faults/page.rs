@@ -17,9 +17,9 @@ The flash is simulated NOR flash: a step writes one word of 4 bytes or erases on
 fails within a step, a random part of the bits of that step has changed. Flash with error correction is that of the
 STM32H7: a word has 32 bytes, and of those that were being written or erased seven in eight cannot be read until their
 sector is erased; nor can a word that was written twice. Reading such a word would be a fault of the bus, so the device
-looks first (`MappedFlash::view`), and the simulated flash lends no bytes of it. A network counts as lost if no network runs
-after the next start, or if another one runs than the one whose commit the device had acknowledged. A frame counts as
-lost if it cannot be reconstructed afterwards, after a new upload where that is needed. `seen` counts the faults that
+looks first (`MappedFlash::view`), and the simulated flash lends no bytes of it. A network counts as lost if no network
+runs after the next start, or if another one runs than the one whose commit the device had acknowledged. A frame counts
+as lost if it cannot be reconstructed afterwards, after a new upload where that is needed. `seen` counts the faults that
 the device or the host noticed. On the serial line it counts the injected faults: each costs a packet, which the host
 requests again.
 
