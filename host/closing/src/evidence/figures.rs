@@ -1,7 +1,7 @@
 //! How well a state predicts held-out data.
 
 use crate::data::{Observations, Shown};
-use crate::fit::repeats::{noise_dn, noisy};
+use crate::fit::repeats::{in_weights, noise_dn, noisy};
 use crate::fit::{Errors, Fitted, Model};
 use ndarray::{Array2, s};
 use ommatidia_model::psf::LowRankPsf;
@@ -136,6 +136,7 @@ const DRAWN: u64 = 4;
 pub(crate) fn excess(model: &Model<'_>, fitted: &Fitted) -> [f64; 2] {
     let seen = model.seen;
     let chain = fitted.state.terms.iter().any(noisy).then(|| model.chain(&fitted.state.terms));
+    let weighted = in_weights(model, &fitted.state);
     let mut spans: BTreeMap<usize, Vec<(usize, Range<usize>)>> = BTreeMap::new();
     held_out_pixels(seen).for_each(|(k, block, span)| spans.entry(k).or_default().push((block, span)));
     let one = |(k, spans): (&usize, &Vec<(usize, Range<usize>)>)| {
@@ -149,8 +150,7 @@ pub(crate) fn excess(model: &Model<'_>, fitted: &Fitted) -> [f64; 2] {
             pixels.map(|p| f64::from(d[at(p)] * here.inverse_sigma[at(p)]).powi(2)).sum::<f64>()
         };
         let (noise, scatter) = chain.as_ref().map_or((1.0, 0.0), |chain| {
-            let [with, plain] =
-                [chain, &Chain::default()].map(|c| (0..DRAWN).map(|i| draw(c, i)).collect::<Vec<f64>>());
+            let [with, plain] = [chain, &weighted].map(|c| (0..DRAWN).map(|i| draw(c, i)).collect::<Vec<f64>>());
             let mean = with.iter().sum::<f64>() / DRAWN as f64;
             let variance = with.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / (DRAWN - 1) as f64;
             let noise = with.iter().sum::<f64>() / plain.iter().sum::<f64>().max(1e-30);

@@ -122,11 +122,17 @@ fn excess(model: &Model<'_>, state: &State, now: &[Predicted], level: &Level, ba
     let plain = match state.terms.iter().any(noisy) {
         // After the subtraction of a blur even white noise has non-zero features.
         _ if level.unknown => [0.0; FEATURES],
-        true => noise_features(model, &Chain::default(), level, now),
+        true => noise_features(model, &in_weights(model, state), level, now),
         false => base,
     };
     let expected: Features = std::array::from_fn(|f| base[f] - plain[f]);
     (std::array::from_fn(|f| measured[f] - expected[f]), expected)
+}
+
+/// The effects whose noise the weights of the residuals hold: those that bend it with the light, and no others.
+pub(crate) fn in_weights(model: &Model<'_>, state: &State) -> Chain {
+    let bending: Vec<Term> = state.terms.iter().filter(|t| t.effect.bends_noise()).cloned().collect();
+    model.chain(&bending)
 }
 
 /// Whether an effect changes the noise.
