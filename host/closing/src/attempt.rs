@@ -6,7 +6,7 @@ use super::account::{
 };
 use super::data::{Fault, Observations, Shown};
 use super::evidence::{JudgedOn, excess, excess_by_calibration, figures, is_worse, judged, omnibus, structured};
-use super::fit::{Fitted, Model, Replicas, State, Term, UNKNOWN_NOTE, refit, replicas};
+use super::fit::{Fitted, Model, Replicas, State, Term, UNKNOWN_NOTE, chosen_note, estimated_frames, refit, replicas};
 use super::options::{CalibratedOn, CloseError, CloseOptions};
 use super::plan::{self, plan};
 use super::search::{Earned, NEEDS_CALIBRATION, Pruned, Search, Tried, earned, lost, prune, replaced, score};
@@ -177,6 +177,7 @@ pub(crate) fn attempt(
     if JudgedOn::of(seen) == JudgedOn::SelfConsistency {
         notes.push(UNKNOWN_NOTE.into());
     }
+    notes.extend(chosen_note(seen));
     let own_beads = own_beads(seen, options.calibrated_on);
     if own_beads {
         notes.push(OWN_BEADS_NOTE.into());
@@ -196,6 +197,8 @@ pub(crate) fn attempt(
         after: last,
         held_out_frames: held_out_frames(seen),
         held_out_blocks: held_out_blocks(seen),
+        estimated_frames: estimated_frames(seen),
+        recorded_frames: seen.recorded,
         effects,
         rejected: rejected(&model, &rest, &accepted, own_beads),
         catalogue_incomplete,

@@ -157,6 +157,12 @@ pub struct Closing {
     pub held_out_frames: Vec<usize>,
     /// Number of held-out spatial blocks of the other frames, and of all blocks.
     pub held_out_blocks: [usize; 2],
+    /// Frames whose specimens were estimated: (stack, frame), indices in the session and in the stack.
+    #[serde(default)]
+    pub estimated_frames: Vec<(usize, usize)>,
+    /// Frames of unknown specimens that the session holds.
+    #[serde(default)]
+    pub recorded_frames: usize,
     /// Faults of the records, then the effects that were added, in order.
     pub effects: Vec<Effect>,
     /// Effects that were not detected.

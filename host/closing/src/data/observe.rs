@@ -1,5 +1,6 @@
 //! The frames of a session that the loop uses, and the hold-outs, which are fixed before anything is fitted.
 
+use super::recording::{Chooser, Kept, content};
 use super::registration::{Registration, of_stack};
 use ndarray::Array2;
 use ommatidia_session::{Cut, FrameInfo, Role, Session, SessionError, Stack};
@@ -9,7 +10,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Budget {
-    /// Maximum number of scenes.
+    /// Maximum number of scenes. Of a longer recording of unknown specimens half as many parts give a frame each, the
+    /// one that shows most, and the frame before it.
     pub scenes: usize,
     /// Maximum number of flats.
     pub flats: usize,
@@ -89,6 +91,8 @@ pub struct Observations {
     pub held_out_blocks: Vec<bool>,
     /// Rows and columns of the sensor.
     pub sensor: [usize; 2],
+    /// Frames of unknown specimens in the session; `frames` may hold some of them only.
+    pub recorded: usize,
 }
 
 impl Observations {
@@ -108,14 +112,23 @@ impl Observations {
     /// scenes or beads, the lower half of the frame. A scene whose truth has a registration of its own is not held out:
     /// nothing but the frame itself shows where its truth lies. The spatial blocks judge there.
     ///
+    /// Stacks of unknown specimens are read once, from the first frame to the last, and only frames that are used stay
+    /// in memory.
+    ///
     /// # Errors
     /// A frame or an object cannot be read.
     pub fn read(session: &Session, budget: &Budget) -> Result<Self, SessionError> {
         let sensor = [session.manifest().sensor.rows, session.manifest().sensor.cols];
         let (mut frames, mut truths, mut registrations) = (Vec::new(), Vec::new(), Vec::new());
         let known = session.stacks_of(Role::Scene).any(|s| s.entry().truth.is_some());
+        let recorded: usize = session.stacks_of(Role::Scene).filter(|s| s.entry().truth.is_none()).map(Stack::len).sum();
         for (s, stack) in session.stacks().iter().enumerate() {
             let most = match stack.role() {
+                Role::Scene if stack.entry().truth.is_none() && recorded > budget.scenes && !known => {
+                    let parts = (budget.scenes / 2 * stack.len() / recorded).max(1);
+                    read_recording(session, stack, (s, parts), &mut frames)?;
+                    continue;
+                }
                 Role::Scene if stack.entry().truth_registration_per_frame => budget.scenes.min(PLACED_ONE_BY_ONE),
                 Role::Scene => budget.scenes,
                 Role::Flat => budget.flats,
@@ -133,7 +146,7 @@ impl Observations {
         let held_out_blocks = (0..blocks.len())
             .map(|b| if single { b >= half } else { (b / budget.blocks * 3 + b % budget.blocks) % 8 == 5 })
             .collect();
-        Ok(Self { frames, truths, registrations, pixels, blocks, held_out_blocks, sensor })
+        Ok(Self { frames, truths, registrations, pixels, blocks, held_out_blocks, sensor, recorded })
     }
 
     /// Index of the registration of frame `k`'s truth; None: it has no truth.
@@ -197,6 +210,40 @@ fn read_stack(
             info,
             shown,
             held_out,
+            previous,
+        });
+    }
+    Ok(())
+}
+
+/// Reads a stack of unknown specimens once and keeps the frames that show most: of each of some parts of it one, with
+/// the frame before that. Frames at another depth than the first do not count, since specimens are estimated at one.
+fn read_recording(
+    session: &Session,
+    stack: &Stack,
+    (s, parts): (usize, usize),
+    frames: &mut Vec<Frame>,
+) -> Result<(), SessionError> {
+    let (mut reader, info) = (stack.frames()?, stack.info());
+    let full_dn = session.manifest().sensor.saturation_dn();
+    let mut chooser = Chooser::new(stack.len(), parts);
+    for (index, of) in info.iter().enumerate() {
+        let frame = reader.read(index)?;
+        let content = if of.z_um == info[0].z_um { content(&frame, full_dn) } else { 0.0 };
+        chooser.push(Kept { index, frame, content });
+    }
+    let first = frames.len();
+    for (n, Kept { index, frame, .. }) in chooser.finish().into_iter().enumerate() {
+        let before = frames.last().filter(|f| f.stack == s && f.info.frame + 1 == info[index].frame);
+        let previous = before.map(|_| first + n - 1);
+        frames.push(Frame {
+            stack: s,
+            role: stack.role(),
+            info: info[index].clone(),
+            measured: frame,
+            cut: None,
+            shown: Shown::Unknown,
+            held_out: n / 2 % 4 == 3,
             previous,
         });
     }

@@ -39,7 +39,7 @@ pub use projection::Specimens;
 pub use refit::{Fitted, Scenes, own_columns, refit, refit_from};
 pub use replicas::{Replicas, replicas};
 pub use solve::pseudo_inverse;
-pub(crate) use specimen::UNKNOWN_NOTE;
+pub(crate) use specimen::{UNKNOWN_NOTE, chosen_note, estimated_frames};
 pub use specimen::estimate_specimens;
 pub use state::{Column, Predicted, State, Term};
 pub use truth::Registered;

@@ -252,6 +252,7 @@ fn empty(seen: &Observations) -> Observations {
         blocks: seen.blocks.clone(),
         held_out_blocks: seen.held_out_blocks.clone(),
         sensor: seen.sensor,
+        recorded: 0,
     }
 }
 

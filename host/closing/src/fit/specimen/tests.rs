@@ -57,6 +57,7 @@ fn unknown(instrument: &Instrument, terms: &[Term], noisy: bool) -> Observations
         blocks: (0..side * side).map(|b| b * n / (side * side)..(b + 1) * n / (side * side)).collect(),
         held_out_blocks: (0..side * side).map(|b| b == 6).collect(),
         sensor: SENSOR,
+        recorded: 4,
     };
     let made: Vec<Array2<f32>> = {
         let model = Model::new(instrument, &seen).unwrap();
