@@ -4,7 +4,9 @@ use super::account::{Account, Closed, Closing, Verdict, fault, pictured, registr
 use super::attempt::{Given, OWN_BEADS_NOTE, attempt, held_out_blocks, held_out_frames, own_beads};
 use super::data::{Fault, Observations, Shown};
 use super::evidence::{JudgedOn, figures, omnibus, structured};
-use super::fit::{Model, State, UNKNOWN_NOTE, chosen_note, estimate_specimens, estimated_frames, record, refit, replicas};
+use super::fit::{
+    Model, State, UNKNOWN_NOTE, chosen_note, estimate_specimens, estimated_frames, record, refit, replicas,
+};
 use super::options::{CloseError, CloseOptions};
 use ommatidia_model::instrument::Instrument;
 use ommatidia_session::Manifest;

@@ -2,7 +2,7 @@
 
 use super::retrain::Retrained;
 use crate::data::Fault;
-use crate::evidence::{Dependence, Figures, JudgedOn};
+use crate::evidence::{Curve, Dependence, Figures, JudgedOn};
 use crate::plan::Plan;
 use crate::search::NEEDS_CALIBRATION;
 use ndarray::Array3;
@@ -163,6 +163,9 @@ pub struct Closing {
     /// Frames of unknown specimens that the session holds.
     #[serde(default)]
     pub recorded_frames: usize,
+    /// Strengths of effects in each of the estimated frames, over time.
+    #[serde(default)]
+    pub curves: Vec<Curve>,
     /// Faults of the records, then the effects that were added, in order.
     pub effects: Vec<Effect>,
     /// Effects that were not detected.
@@ -196,6 +199,7 @@ impl Closing {
             "held_out_frames": self.held_out_frames, "faults": self.faults, "dependences": self.dependences_before,
             "structured": self.catalogue_incomplete, "calibrated_on": self.calibrated_on,
             "own_beads": self.own_beads, "registrations": self.registrations, "notes": self.notes,
+            "estimated_frames": self.estimated_frames, "recorded_frames": self.recorded_frames,
         })
     }
 }

@@ -121,7 +121,8 @@ impl Observations {
         let sensor = [session.manifest().sensor.rows, session.manifest().sensor.cols];
         let (mut frames, mut truths, mut registrations) = (Vec::new(), Vec::new(), Vec::new());
         let known = session.stacks_of(Role::Scene).any(|s| s.entry().truth.is_some());
-        let recorded: usize = session.stacks_of(Role::Scene).filter(|s| s.entry().truth.is_none()).map(Stack::len).sum();
+        let recorded: usize =
+            session.stacks_of(Role::Scene).filter(|s| s.entry().truth.is_none()).map(Stack::len).sum();
         for (s, stack) in session.stacks().iter().enumerate() {
             let most = match stack.role() {
                 Role::Scene if stack.entry().truth.is_none() && recorded > budget.scenes && !known => {
@@ -294,6 +295,7 @@ fn pixels([rows, cols]: [usize; 2], budget: &Budget) -> (Vec<u32>, Vec<std::ops:
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used)]
 mod tests {
     use super::*;
 
@@ -302,6 +304,35 @@ mod tests {
         assert_eq!(in_pairs(5, 8), [0, 1, 2, 3, 4]);
         assert_eq!(in_pairs(40, 6), [0, 1, 19, 20, 38, 39]);
         assert!(in_pairs(9, 0).is_empty());
+    }
+
+    #[test]
+    fn a_long_recording_is_read_once_and_its_best_frames_stay() {
+        let folder = tempfile::tempdir().unwrap();
+        let dir = folder.path();
+        let manifest = "format = 1\nname = \"film\"\n[sensor]\nrows = 20\ncols = 24\npixel_pitch_um = 2.0\n\
+                        bit_depth = 12\n[array]\nrows = 1\ncols = 1\npitch_px = 20.0\n[optics]\n\
+                        magnification = 0.66\npsf_window_px = 9\n[object]\nrows = 8\ncols = 8\npixel_um = 3.0\n\
+                        [[stack]]\nrole = \"scene\"\nfile = \"scene.npy\"\nexposure_ms = 10.0\n";
+        std::fs::write(dir.join("session.toml"), manifest).unwrap();
+        // A few frames of light among dim ones.
+        let bright = [3, 200, 201, 450];
+        let stack = ndarray::Array3::from_shape_fn((500, 20, 24), |(f, r, c)| {
+            let light = if bright.contains(&f) { 500.0 } else { 20.0 };
+            100.0 + if (r / 3 + c / 3) % 2 == 0 { light } else { 0.0 } + (f % 7) as f32
+        });
+        ommatidia_session::stack::write(&dir.join("scene.npy"), stack.view()).unwrap();
+        let session = Session::open(dir).unwrap();
+        let seen = Observations::read(&session, &Budget::default()).unwrap();
+        assert!(seen.recorded == 500 && (24..=48).contains(&seen.frames.len()), "{}", seen.frames.len());
+        let numbers: Vec<usize> = seen.frames.iter().map(|f| f.info.frame).collect();
+        assert!(numbers.windows(2).all(|w| w[0] < w[1]), "{numbers:?}");
+        assert!([3, 200, 450].iter().all(|b| numbers.contains(b)), "{numbers:?}");
+        for f in &seen.frames {
+            assert_eq!(f.measured, stack.slice(ndarray::s![f.info.frame, .., ..]));
+            assert!(f.previous.is_none_or(|p| seen.frames[p].info.frame + 1 == f.info.frame));
+        }
+        assert!(seen.frames.iter().filter(|f| f.previous.is_some()).count() >= 20);
     }
 
     #[test]

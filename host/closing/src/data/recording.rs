@@ -43,9 +43,8 @@ pub(crate) fn content(frame: &Array2<f32>, full_dn: f64) -> f64 {
 pub(crate) fn best_of_parts(contents: &[f64], n: usize) -> Vec<usize> {
     let (len, n) = (contents.len(), n.min(contents.len()));
     // The first of equals.
-    let best = |part: std::ops::Range<usize>| {
-        part.reduce(|best, i| if contents[i] > contents[best] { i } else { best })
-    };
+    let best =
+        |part: std::ops::Range<usize>| part.reduce(|best, i| if contents[i] > contents[best] { i } else { best });
     (0..n).filter_map(|p| best(p * len / n..(p + 1) * len / n)).collect()
 }
 
