@@ -213,8 +213,16 @@ impl Design {
             sum.zip_mut_with(gram, |s: &mut f64, v: &f32| *s += f64::from(*v));
         }
         let mut cells: Vec<Cell> = frames.into_iter().flat_map(|(cells, _)| cells).collect();
+        let of_frames = cells.len();
         cells.extend(repeats::cells(model, at, &columns, errors.changes.len()));
         cells.extend(registration::statement(model, at.state, &columns, errors.changes.len()));
+        // No specimen is taken out of what repeats show.
+        for cell in cells[of_frames..].iter().filter(|c| !c.held_out) {
+            for range in &effects {
+                let own = || s![range.clone(), range.clone()];
+                before.slice_mut(own()).zip_mut_with(&cell.gram.slice(own()), |s: &mut f64, v| *s += f64::from(*v));
+            }
+        }
         let (scattered, estimated) = (errors.scattered, at.state.specimens.is_some());
         Ok(Self { columns, scattered, stated: errors.changes.len() - scattered, cells, before, estimated })
     }
