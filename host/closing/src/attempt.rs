@@ -6,9 +6,11 @@ use super::account::{
 };
 use super::data::{Fault, Observations, Shown};
 use super::evidence::{
-    JudgedOn, excess, excess_by_calibration, figures, is_worse, judged, omnibus, standing_alone, structured,
+    Curve, JudgedOn, curves, excess, excess_by_calibration, figures, is_worse, judged, omnibus, standing_alone,
+    structured,
 };
-use super::fit::{Fitted, Model, Replicas, State, Term, UNKNOWN_NOTE, refit, replicas};
+use super::fit::gauge::Gauge;
+use super::fit::{Fitted, Model, Replicas, State, Term, UNKNOWN_NOTE, chosen_note, estimated_frames, refit, replicas};
 use super::options::{CalibratedOn, CloseError, CloseOptions};
 use super::plan::{self, plan};
 use super::search::{Earned, NEEDS_CALIBRATION, Pruned, Search, Tried, earned, lost, prune, replaced, score};
@@ -182,6 +184,10 @@ pub(crate) fn attempt(
     if JudgedOn::of(seen) == JudgedOn::SelfConsistency {
         notes.push(UNKNOWN_NOTE.into());
     }
+    notes.extend(chosen_note(seen));
+    notes.extend(now.gauges.iter().filter(|g| g.term >= own).map(|g| gauge_note(g, &now.state)));
+    let curves = curves(&model, &now, own)?;
+    notes.extend(drift_notes(&curves));
     let own_beads = own_beads(seen, options.calibrated_on);
     if own_beads {
         notes.push(OWN_BEADS_NOTE.into());
@@ -201,6 +207,9 @@ pub(crate) fn attempt(
         after: last,
         held_out_frames: held_out_frames(seen),
         held_out_blocks: held_out_blocks(seen),
+        estimated_frames: estimated_frames(seen),
+        recorded_frames: seen.recorded,
+        curves,
         effects,
         rejected: rejected(&model, &rest, &accepted, own_beads),
         catalogue_incomplete,
@@ -260,6 +269,38 @@ pub(crate) fn own_beads(seen: &Observations, calibrated_on: &[CalibratedOn]) -> 
 fn held_out_deviance(instrument: &Instrument, seen: &Observations) -> Result<f64, CloseError> {
     let model = Model::new(instrument, seen)?;
     Ok(refit(&model, model.state(instrument)?)?.known_held_out.deviance)
+}
+
+/// Evidence from which a drift is told, standard deviations: three effects and more are followed.
+const DRIFTS: f64 = 3.5;
+
+/// Effects that change within the recording, by the strength of each that changes most.
+fn drift_notes(curves: &[Curve]) -> Vec<String> {
+    let drifting: Vec<&Curve> = curves.iter().filter(|c| c.z > DRIFTS).collect();
+    let note = |of: &[&Curve]| {
+        let change = |c: &Curve| c.value.last().zip(c.value.first()).map_or(0.0, |(b, a)| b - a);
+        let in_sigmas = |c: &Curve| change(c).abs() / c.sigma.iter().fold(f64::MIN_POSITIVE, |m, s| m.max(*s));
+        let c = of.iter().max_by(|a, b| in_sigmas(a).total_cmp(&in_sigmas(b)))?;
+        let ends = [c.value.first()?, c.value.last()?, c.sigma.last()?, c.time_s.first()?, c.time_s.last()?];
+        let unit = if c.unit == "1" { String::new() } else { format!(" {}", c.unit) };
+        Some(format!(
+            "the frames differ along `{}` with time (z = {:.1}): {} is {:.3}{unit} in the first of them ({:.1} s) and \
+             {:.3} +- {:.3}{unit} in the last ({:.1} s); `curves` of the account has all values",
+            c.id, c.z, c.param, ends[0], ends[3], ends[1], ends[2], ends[4]
+        ))
+    };
+    drifting.chunk_by(|a, b| a.id == b.id).filter_map(note).collect()
+}
+
+/// What a change of the specimens makes of an effect's values.
+fn gauge_note(gauge: &Gauge, state: &State) -> String {
+    let [values, directions] = [gauge.directions.nrows(), gauge.directions.ncols()];
+    let id = state.terms.get(gauge.term).map_or("", Term::id);
+    format!(
+        "`{id}`: {directions} of the {values} directions of its values are changes of the specimens as well, so that these \
+         frames cannot tell how far the values lie along them (a displacement common to all lenses, for example). The \
+         values are those with the fewest lenses changed, and their errors hold relative to the other lenses"
+    )
 }
 
 /// The background of each stack that has one of its own: it belongs to the session, and no effect names it.

@@ -4,7 +4,9 @@ use super::account::{Account, Closed, Closing, Verdict, fault, pictured, registr
 use super::attempt::{Given, OWN_BEADS_NOTE, attempt, held_out_blocks, held_out_frames, own_beads};
 use super::data::{Fault, Observations, Shown};
 use super::evidence::{JudgedOn, figures, omnibus, structured};
-use super::fit::{Model, State, UNKNOWN_NOTE, estimate_specimens, record, refit, replicas};
+use super::fit::{
+    Model, State, UNKNOWN_NOTE, chosen_note, estimate_specimens, estimated_frames, record, refit, replicas,
+};
 use super::options::{CloseError, CloseOptions};
 use ommatidia_model::instrument::Instrument;
 use ommatidia_session::Manifest;
@@ -91,6 +93,7 @@ pub fn residual(
     let mut notes = registration_notes(&registrations);
     notes.extend(own_beads.then(|| OWN_BEADS_NOTE.into()));
     notes.extend((JudgedOn::of(seen) == JudgedOn::SelfConsistency).then(|| UNKNOWN_NOTE.into()));
+    notes.extend(chosen_note(seen));
     let closing = Closing {
         session: options.session_name.into(),
         calibrated_on: options.calibrated_on.iter().map(|c| c.file.clone()).collect(),
@@ -103,6 +106,8 @@ pub fn residual(
         after: figures,
         held_out_frames: held_out_frames(seen),
         held_out_blocks: held_out_blocks(seen),
+        estimated_frames: estimated_frames(seen),
+        recorded_frames: seen.recorded,
         catalogue_incomplete: structured(&dependences),
         effects: faults.iter().map(fault).collect(),
         faults,

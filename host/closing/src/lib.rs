@@ -74,7 +74,7 @@ pub use account::{
 };
 pub use close::{check_layout, close, residual};
 pub use data::{Budget, Fault, FaultKind, Observations};
-pub use evidence::{Covariate, Dependence, Figures, JudgedOn};
+pub use evidence::{Covariate, Curve, Dependence, Figures, JudgedOn};
 pub use files::{
     CloseOutcome, CloseRequest, FineTuning, Progress, ResidualOutcome, ResidualRequest, account_path, close_session,
     residual_session,

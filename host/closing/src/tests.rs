@@ -51,6 +51,7 @@ fn observations(instrument: &Instrument, terms: &[Term]) -> Observations {
         blocks: (0..4).map(|b| b * n / 4..(b + 1) * n / 4).collect(),
         held_out_blocks: vec![false; 4],
         sensor: SENSOR,
+        recorded: 0,
     };
     let made: Vec<Array2<f32>> = {
         let model = Model::new(instrument, &seen).unwrap();

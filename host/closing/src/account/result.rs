@@ -2,7 +2,7 @@
 
 use super::retrain::Retrained;
 use crate::data::Fault;
-use crate::evidence::{Dependence, Figures, JudgedOn};
+use crate::evidence::{Curve, Dependence, Figures, JudgedOn};
 use crate::plan::Plan;
 use crate::search::NEEDS_CALIBRATION;
 use ndarray::Array3;
@@ -157,6 +157,15 @@ pub struct Closing {
     pub held_out_frames: Vec<usize>,
     /// Number of held-out spatial blocks of the other frames, and of all blocks.
     pub held_out_blocks: [usize; 2],
+    /// Frames whose specimens were estimated: (stack, frame), indices in the session and in the stack.
+    #[serde(default)]
+    pub estimated_frames: Vec<(usize, usize)>,
+    /// Frames of unknown specimens that the session holds.
+    #[serde(default)]
+    pub recorded_frames: usize,
+    /// Strengths of effects in each of the estimated frames, over time.
+    #[serde(default)]
+    pub curves: Vec<Curve>,
     /// Faults of the records, then the effects that were added, in order.
     pub effects: Vec<Effect>,
     /// Effects that were not detected.
@@ -190,6 +199,7 @@ impl Closing {
             "held_out_frames": self.held_out_frames, "faults": self.faults, "dependences": self.dependences_before,
             "structured": self.catalogue_incomplete, "calibrated_on": self.calibrated_on,
             "own_beads": self.own_beads, "registrations": self.registrations, "notes": self.notes,
+            "estimated_frames": self.estimated_frames, "recorded_frames": self.recorded_frames,
         })
     }
 }

@@ -2,9 +2,11 @@
 
 mod fault;
 mod observe;
+mod recording;
 mod registration;
 
 pub use fault::{Fault, FaultKind};
 pub(crate) use observe::bead_is_held_out;
 pub use observe::{Budget, Frame, Observations, Shown};
+pub(crate) use recording::{best_of_parts, content};
 pub use registration::Registration;

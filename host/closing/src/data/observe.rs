@@ -1,5 +1,6 @@
 //! The frames of a session that the loop uses, and the hold-outs, which are fixed before anything is fitted.
 
+use super::recording::{Chooser, Kept, content};
 use super::registration::{Registration, of_stack};
 use ndarray::Array2;
 use ommatidia_session::{Cut, FrameInfo, Role, Session, SessionError, Stack};
@@ -9,7 +10,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Budget {
-    /// Maximum number of scenes.
+    /// Maximum number of scenes. Of a longer recording of unknown specimens half as many parts give a frame each, the
+    /// one that shows most, and the frame before it.
     pub scenes: usize,
     /// Maximum number of flats.
     pub flats: usize,
@@ -89,6 +91,8 @@ pub struct Observations {
     pub held_out_blocks: Vec<bool>,
     /// Rows and columns of the sensor.
     pub sensor: [usize; 2],
+    /// Frames of unknown specimens in the session; `frames` may hold some of them only.
+    pub recorded: usize,
 }
 
 impl Observations {
@@ -108,14 +112,24 @@ impl Observations {
     /// scenes or beads, the lower half of the frame. A scene whose truth has a registration of its own is not held out:
     /// nothing but the frame itself shows where its truth lies. The spatial blocks judge there.
     ///
+    /// Stacks of unknown specimens are read once, from the first frame to the last, and only frames that are used stay
+    /// in memory.
+    ///
     /// # Errors
     /// A frame or an object cannot be read.
     pub fn read(session: &Session, budget: &Budget) -> Result<Self, SessionError> {
         let sensor = [session.manifest().sensor.rows, session.manifest().sensor.cols];
         let (mut frames, mut truths, mut registrations) = (Vec::new(), Vec::new(), Vec::new());
         let known = session.stacks_of(Role::Scene).any(|s| s.entry().truth.is_some());
+        let recorded: usize =
+            session.stacks_of(Role::Scene).filter(|s| s.entry().truth.is_none()).map(Stack::len).sum();
         for (s, stack) in session.stacks().iter().enumerate() {
             let most = match stack.role() {
+                Role::Scene if stack.entry().truth.is_none() && recorded > budget.scenes && !known => {
+                    let parts = (budget.scenes / 2 * stack.len() / recorded).max(1);
+                    read_recording(session, stack, (s, parts), &mut frames)?;
+                    continue;
+                }
                 Role::Scene if stack.entry().truth_registration_per_frame => budget.scenes.min(PLACED_ONE_BY_ONE),
                 Role::Scene => budget.scenes,
                 Role::Flat => budget.flats,
@@ -133,7 +147,7 @@ impl Observations {
         let held_out_blocks = (0..blocks.len())
             .map(|b| if single { b >= half } else { (b / budget.blocks * 3 + b % budget.blocks) % 8 == 5 })
             .collect();
-        Ok(Self { frames, truths, registrations, pixels, blocks, held_out_blocks, sensor })
+        Ok(Self { frames, truths, registrations, pixels, blocks, held_out_blocks, sensor, recorded })
     }
 
     /// Index of the registration of frame `k`'s truth; None: it has no truth.
@@ -203,6 +217,40 @@ fn read_stack(
     Ok(())
 }
 
+/// Reads a stack of unknown specimens once and keeps the frames that show most: of each of some parts of it one, with
+/// the frame before that. Frames at another depth than the first do not count, since specimens are estimated at one.
+fn read_recording(
+    session: &Session,
+    stack: &Stack,
+    (s, parts): (usize, usize),
+    frames: &mut Vec<Frame>,
+) -> Result<(), SessionError> {
+    let (mut reader, info) = (stack.frames()?, stack.info());
+    let full_dn = session.manifest().sensor.saturation_dn();
+    let mut chooser = Chooser::new(stack.len(), parts);
+    for (index, of) in info.iter().enumerate() {
+        let frame = reader.read(index)?;
+        let content = if of.z_um == info[0].z_um { content(&frame, full_dn) } else { 0.0 };
+        chooser.push(Kept { index, frame, content });
+    }
+    let first = frames.len();
+    for (n, Kept { index, frame, .. }) in chooser.finish().into_iter().enumerate() {
+        let before = frames.last().filter(|f| f.stack == s && f.info.frame + 1 == info[index].frame);
+        let previous = before.map(|_| first + n - 1);
+        frames.push(Frame {
+            stack: s,
+            role: stack.role(),
+            info: info[index].clone(),
+            measured: frame,
+            cut: None,
+            shown: Shown::Unknown,
+            held_out: n / 2 % 4 == 3,
+            previous,
+        });
+    }
+    Ok(())
+}
+
 /// Whether frame `i` of a bead stack is kept out of every fit. In a raster scan with an odd number of columns the
 /// held-out beads form one colour of a checkerboard.
 pub(crate) fn bead_is_held_out(i: usize) -> bool {
@@ -247,6 +295,7 @@ fn pixels([rows, cols]: [usize; 2], budget: &Budget) -> (Vec<u32>, Vec<std::ops:
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used)]
 mod tests {
     use super::*;
 
@@ -255,6 +304,35 @@ mod tests {
         assert_eq!(in_pairs(5, 8), [0, 1, 2, 3, 4]);
         assert_eq!(in_pairs(40, 6), [0, 1, 19, 20, 38, 39]);
         assert!(in_pairs(9, 0).is_empty());
+    }
+
+    #[test]
+    fn a_long_recording_is_read_once_and_its_best_frames_stay() {
+        let folder = tempfile::tempdir().unwrap();
+        let dir = folder.path();
+        let manifest = "format = 1\nname = \"film\"\n[sensor]\nrows = 20\ncols = 24\npixel_pitch_um = 2.0\n\
+                        bit_depth = 12\n[array]\nrows = 1\ncols = 1\npitch_px = 20.0\n[optics]\n\
+                        magnification = 0.66\npsf_window_px = 9\n[object]\nrows = 8\ncols = 8\npixel_um = 3.0\n\
+                        [[stack]]\nrole = \"scene\"\nfile = \"scene.npy\"\nexposure_ms = 10.0\n";
+        std::fs::write(dir.join("session.toml"), manifest).unwrap();
+        // A few frames of light among dim ones.
+        let bright = [3, 200, 201, 450];
+        let stack = ndarray::Array3::from_shape_fn((500, 20, 24), |(f, r, c)| {
+            let light = if bright.contains(&f) { 500.0 } else { 20.0 };
+            100.0 + if (r / 3 + c / 3) % 2 == 0 { light } else { 0.0 } + (f % 7) as f32
+        });
+        ommatidia_session::stack::write(&dir.join("scene.npy"), stack.view()).unwrap();
+        let session = Session::open(dir).unwrap();
+        let seen = Observations::read(&session, &Budget::default()).unwrap();
+        assert!(seen.recorded == 500 && (24..=48).contains(&seen.frames.len()), "{}", seen.frames.len());
+        let numbers: Vec<usize> = seen.frames.iter().map(|f| f.info.frame).collect();
+        assert!(numbers.windows(2).all(|w| w[0] < w[1]), "{numbers:?}");
+        assert!([3, 200, 450].iter().all(|b| numbers.contains(b)), "{numbers:?}");
+        for f in &seen.frames {
+            assert_eq!(f.measured, stack.slice(ndarray::s![f.info.frame, .., ..]));
+            assert!(f.previous.is_none_or(|p| seen.frames[p].info.frame + 1 == f.info.frame));
+        }
+        assert!(seen.frames.iter().filter(|f| f.previous.is_some()).count() >= 20);
     }
 
     #[test]

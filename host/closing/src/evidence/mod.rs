@@ -2,10 +2,12 @@
 //!
 //! [`omnibus`] asks whether the residual depends on anything at all, [`score`] how much each effect of the catalogue
 //! would improve the fit, [`tables`] whether single pixels deviate in even light, `maps` what is fixed to the sensor
-//! in scenes, [`mod@figures`] how well held-out data are predicted.
+//! in scenes, [`mod@figures`] how well held-out data are predicted, [`mod@curves`] whether effects drift within a
+//! recording.
 
 mod bins;
 pub mod covariate;
+pub mod curves;
 pub mod figures;
 pub(crate) mod maps;
 pub mod omnibus;
@@ -14,6 +16,8 @@ pub mod stats;
 pub mod tables;
 
 pub use covariate::{Covariate, Dependence};
+pub use curves::Curve;
+pub(crate) use curves::curves;
 pub use figures::{Figures, JudgedOn, figures};
 pub(crate) use figures::{
     excess, excess_by_calibration, is_worse, judged, pictured_frames, rises, standing_alone, worse,

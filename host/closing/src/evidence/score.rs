@@ -13,13 +13,10 @@
 //! Biometrics Bull. 2, 110, 1946).
 
 use super::stats::{f_tail, sigmas};
+use crate::fit::gauge::{GAUGE, directions};
 use crate::fit::{Cell, Design, Sums, pseudo_inverse};
 use ndarray::{Array1, Array2};
 use std::ops::Range;
-
-/// A change of the specimen makes an effect if it leaves less than this share of the squared norm of its signature:
-/// estimates of the specimen and the calibration are not good enough for what remains.
-const GAUGE: f64 = 1e-3;
 
 /// Degrees of freedom of a stated uncertainty that is itself uncertain by a quarter (JCGM 100:2008, G.4.2).
 const STATED_DEGREES: f64 = 8.0;
@@ -108,9 +105,17 @@ impl<'d> Scores<'d> {
         let r = self.design.residual();
         let q = self.projected(&self.sums.gram, columns, columns);
         let alone: f64 = columns.iter().map(|c| self.sums.gram[[*c, *c]]).sum();
-        let before: f64 = columns.iter().map(|c| self.design.alone[*c]).sum();
-        let q_inverse = pseudo_inverse(&q);
-        let dof = q_inverse.dot(&q).diag().sum().round();
+        let before = Array2::from_shape_fn((columns.len(), columns.len()), |(i, j)| {
+            self.design.before[[columns[i], columns[j]]]
+        });
+        // What a change of the specimens makes is no part of the effect that is tested.
+        let told = self.design.estimated.then(|| directions(&q, &before).told);
+        let reduced = |m: &Array2<f64>| told.as_ref().map_or_else(|| m.clone(), |t| t.t().dot(m).dot(t));
+        let q_inverse = match &told {
+            Some(t) => t.dot(&pseudo_inverse(&reduced(&q))).dot(&t.t()),
+            None => pseudo_inverse(&q),
+        };
+        let (before, dof) = (before.diag().sum(), q_inverse.dot(&q).diag().sum().round());
         if dof < 0.5 || q.diag().sum() < (1e-6 * alone).max(GAUGE * before) {
             return None;
         }
@@ -120,9 +125,13 @@ impl<'d> Scores<'d> {
         let Scatter { phi, degrees } = self.scatter(columns, r, &theta, &q_inverse, dof);
         let [scattered, stated] = self.design.error_rows().map(|rows| self.calibration(columns, rows));
         let v = &q * phi + &scattered + &stated;
-        let t = s.dot(&pseudo_inverse(&v).dot(&s)).max(0.0);
+        let v_inverse = match &told {
+            Some(t) => t.dot(&pseudo_inverse(&reduced(&v))).dot(&t.t()),
+            None => pseudo_inverse(&v),
+        };
+        let t = s.dot(&v_inverse.dot(&s)).max(0.0);
         // Effective degrees of freedom of V: its parts weighted by their shares (Satterthwaite).
-        let share = |c: &Array2<f64>| (pseudo_inverse(&v).dot(c).diag().sum() / dof).clamp(0.0, 1.0);
+        let share = |c: &Array2<f64>| (v_inverse.dot(c).diag().sum() / dof).clamp(0.0, 1.0);
         let [by_replicates, by_statement] = [&scattered, &stated].map(share);
         let by_scatter = (1.0 - 1.0 / phi) * (1.0 - by_replicates - by_statement).max(0.0);
         let replicates = self.design.scattered as f64;
@@ -229,7 +238,14 @@ mod tests {
                 });
             }
         }
-        Design { columns: vec![Column::Black; 3], scattered: 0, stated: 0, cells, alone: vec![0.0; 3] }
+        Design {
+            columns: vec![Column::Black; 3],
+            scattered: 0,
+            stated: 0,
+            cells,
+            before: Array2::zeros((3, 3)),
+            estimated: false,
+        }
     }
 
     #[test]

@@ -29,9 +29,12 @@ pub struct Design {
     pub stated: usize,
     /// The cells.
     pub cells: Vec<Cell>,
-    /// Squared norm of each column over the training frames before any specimen is taken out of it, in units of the
-    /// noise.
-    pub alone: Vec<f64>,
+    /// Gram matrix of the columns over the training cells before any specimen is taken out of them, in units of the
+    /// noise: of the columns of each effect with each other, and of every other column with itself. Other products are
+    /// zero.
+    pub before: Array2<f64>,
+    /// Whether specimens are estimated.
+    pub estimated: bool,
 }
 
 /// What a design is computed for.
@@ -53,6 +56,24 @@ pub enum Scope<'a> {
 }
 
 impl Scope<'_> {
+    /// Ranges of columns that belong to one effect; every other column alone.
+    fn effects(self, columns: &[Column]) -> Vec<Range<usize>> {
+        let (first, mut ranges) = match self {
+            Self::Scores { given, groups } => (given, groups.to_vec()),
+            Self::Whole | Self::Training => (columns.len(), Vec::new()),
+        };
+        let same = |a: &Column, b: &Column| match (a, b) {
+            (Column::Own { term: a, .. }, Column::Own { term: b, .. }) => a == b,
+            _ => false,
+        };
+        let mut start = 0;
+        for given in columns[..first].chunk_by(same) {
+            ranges.push(start..start + given.len());
+            start += given.len();
+        }
+        ranges
+    }
+
     /// Gram matrix of the rows of `x`, [rows, pixels]; `columns` of them are columns of the design.
     fn gram(self, x: &ArrayView2<'_, f32>, columns: usize) -> Array2<f32> {
         let Self::Scores { given, groups } = self else { return x.dot(&x.t()) };
@@ -122,6 +143,12 @@ impl Design {
         // A state must not gain by driving pixels out of range: each unused pixel counts as one with the largest noise.
         let noise = model.forward.noise();
         let unseen = noise.variance_dn2(noise.saturation_dn).ln();
+        let effects = scope.effects(&columns);
+        // Pixels of the training blocks of a frame.
+        let used = |k: usize| -> Vec<u32> {
+            let blocks = seen.blocks.iter().enumerate().filter(|(block, _)| !seen.is_held_out(k, *block));
+            blocks.flat_map(|(_, span)| seen.pixels[span.clone()].iter().copied()).collect()
+        };
         let frames = (0..seen.frames.len())
             .into_par_iter()
             .filter(|k| whole || !seen.frames[*k].held_out)
@@ -140,17 +167,11 @@ impl Design {
                 for (i, column) in columns.iter().enumerate() {
                     changes.extend(model.derivative(k, column, at, &mut images)?.map(|d| (i, d)));
                 }
-                // Squares before a specimen is taken out: what is left of them shows whether a frame can test a column.
-                let in_noise = |d: &Array2<f32>| -> f64 {
-                    let at = |p: &u32| f64::from(d.as_slice().map_or(0.0, |d| d[*p as usize]) * weight[*p as usize]);
-                    seen.pixels.iter().map(|p| at(p).powi(2)).sum()
+                // Before a specimen is taken out: what is left shows whether a frame can test a column.
+                let before = match seen.frames[k].held_out {
+                    true => Vec::new(),
+                    false => products(&changes, &effects, weight, &used(k)),
                 };
-                let alone = |changes: &[(usize, Array2<f32>)]| -> Vec<f64> {
-                    let mut alone = vec![0.0; columns.len()];
-                    changes.iter().for_each(|(i, d)| alone[*i] = in_noise(d));
-                    alone
-                };
-                let before = if seen.frames[k].held_out { vec![0.0; columns.len()] } else { alone(&changes) };
                 model.visible(k, at.state, &mut changes.iter_mut().map(|(_, d)| d).collect::<Vec<_>>());
                 changes.iter().for_each(|(i, d)| put(*i, d));
                 for (j, change) in errors.changes.iter().enumerate() {
@@ -186,13 +207,24 @@ impl Design {
                 Ok((cells, before))
             })
             .collect::<Result<Vec<_>, ForwardError>>()?;
-        let mut alone = vec![0.0; columns.len()];
-        frames.iter().for_each(|(_, own)| alone.iter_mut().zip(own).for_each(|(a, v)| *a += v));
+        let mut before = Array2::zeros((columns.len(), columns.len()));
+        for (range, gram) in frames.iter().flat_map(|(_, own)| effects.iter().zip(own)) {
+            let mut sum = before.slice_mut(s![range.clone(), range.clone()]);
+            sum.zip_mut_with(gram, |s: &mut f64, v: &f32| *s += f64::from(*v));
+        }
         let mut cells: Vec<Cell> = frames.into_iter().flat_map(|(cells, _)| cells).collect();
+        let of_frames = cells.len();
         cells.extend(repeats::cells(model, at, &columns, errors.changes.len()));
         cells.extend(registration::statement(model, at.state, &columns, errors.changes.len()));
-        let scattered = errors.scattered;
-        Ok(Self { columns, scattered, stated: errors.changes.len() - scattered, cells, alone })
+        // No specimen is taken out of what repeats show.
+        for cell in cells[of_frames..].iter().filter(|c| !c.held_out) {
+            for range in &effects {
+                let own = || s![range.clone(), range.clone()];
+                before.slice_mut(own()).zip_mut_with(&cell.gram.slice(own()), |s: &mut f64, v| *s += f64::from(*v));
+            }
+        }
+        let (scattered, estimated) = (errors.scattered, at.state.specimens.is_some());
+        Ok(Self { columns, scattered, stated: errors.changes.len() - scattered, cells, before, estimated })
     }
 
     /// Index of the residual in a Gram matrix.
@@ -223,6 +255,26 @@ impl Design {
     pub fn training(&self) -> Sums {
         self.sums(|c| !c.held_out)
     }
+}
+
+/// For each range of columns the Gram matrix of their changes of a frame, in units of the noise, at some pixels.
+fn products(
+    changes: &[(usize, Array2<f32>)],
+    ranges: &[Range<usize>],
+    weight: &[f32],
+    pixels: &[u32],
+) -> Vec<Array2<f32>> {
+    let of = |range: &Range<usize>| {
+        let mut x = Array2::<f32>::zeros((range.len(), pixels.len()));
+        for (i, image) in changes.iter().filter(|(i, _)| range.contains(i)) {
+            let Some(image) = image.as_slice() else { continue };
+            for (out, p) in x.row_mut(i - range.start).iter_mut().zip(pixels) {
+                *out = image[*p as usize] * weight[*p as usize];
+            }
+        }
+        x.dot(&x.t())
+    };
+    ranges.iter().map(of).collect()
 }
 
 /// Projects the frame's own light, in any unit, out of each row.

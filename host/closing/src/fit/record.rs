@@ -240,6 +240,7 @@ mod tests {
             blocks: Vec::new(),
             held_out_blocks: Vec::new(),
             sensor: [96, 96],
+            recorded: 0,
         };
         exposures(&observations, &(0..6).map(seen).collect::<Vec<_>>())
     }

@@ -6,6 +6,7 @@
 use super::derivative::Expansion;
 use super::design::{Design, Misfit, Scope, nuisances};
 use super::errors::Errors;
+use super::gauge::{Gauge, gauges};
 use super::model::Model;
 use super::scene::Scene;
 use super::solve::pseudo_inverse;
@@ -52,9 +53,19 @@ pub struct Fitted {
     /// Misfit of those of them that show known objects or beads: unknown specimens judge no optics, and flats and darks
     /// do not show them.
     pub known_held_out: Misfit,
+    /// Directions of the values of its terms that a change of the specimens makes as well.
+    pub gauges: Vec<Gauge>,
 }
 
 impl Fitted {
+    /// The state with the values of each term moved along its gauges to where most lenses are as they were, and with no
+    /// specimens, so that they are estimated again.
+    pub(crate) fn without_specimens(&self, model: &Model<'_>) -> State {
+        let mut state = State { specimens: None, ..self.state.clone() };
+        self.gauges.iter().for_each(|gauge| gauge.simplify(model, &mut state));
+        state
+    }
+
     /// The point around which scores are computed, with trial terms beside those of the state.
     pub fn expansion<'a>(&'a self, trials: &'a [Term]) -> Expansion<'a> {
         Expansion { state: &self.state, trials, predicted: &self.predicted, scenes: &self.scenes }
@@ -156,6 +167,7 @@ pub fn refit_from(model: &Model<'_>, mut state: State, scenes: Scenes) -> Result
         known_held_out: at.known_held_out,
         predicted: at.predicted,
         scenes: at.scenes,
+        gauges: at.gauges,
     })
 }
 
@@ -164,6 +176,7 @@ struct Point {
     predicted: Vec<Predicted>,
     scenes: Scenes,
     gram: Array2<f64>,
+    gauges: Vec<Gauge>,
     training: Misfit,
     held_out: Misfit,
     known_held_out: Misfit,
@@ -188,6 +201,7 @@ impl Point {
             predicted,
             scenes,
             training: sums.misfit(),
+            gauges: gauges(&design, &sums.gram),
             gram: sums.gram,
             held_out: design.sums(|c| c.held_out).misfit(),
             known_held_out: design.sums(|c| c.held_out && known(c.frame)).misfit(),
@@ -199,6 +213,7 @@ impl Point {
         let n = columns.len();
         let mut hessian = self.gram.slice(ndarray::s![..n, ..n]).to_owned();
         hessian.diag_mut().mapv_inplace(|v| v * (1.0 + damping));
+        self.gauges.iter().for_each(|gauge| gauge.stiffen(&mut hessian));
         let right = Array1::from_iter((0..n).map(|i| self.gram[[i, n]]));
         let delta = pseudo_inverse(&hessian).dot(&right);
         let expected_fall = delta.dot(&right);

@@ -65,8 +65,8 @@ fn joined(parts: &[&Information]) -> Design {
     }
     let gram = gram.mapv(|v| v as f32);
     let cell = Cell { frame: 0, block: 0, held_out: false, pixels: 0.0, gram, log_variance: 0.0 };
-    let alone = vec![0.0; columns.len()];
-    Design { columns, scattered, stated, cells: vec![cell], alone }
+    let before = Array2::zeros((columns.len(), columns.len()));
+    Design { columns, scattered, stated, cells: vec![cell], before, estimated: false }
 }
 
 #[cfg(test)]

@@ -112,7 +112,8 @@ impl Measurement {
         };
         let predicted = simulated.predict(&state, &scenes);
         let none = Misfit::default();
-        let fitted = Fitted { state, predicted, scenes, training: none, held_out: none, known_held_out: none };
+        let gauges = Vec::new();
+        let fitted = Fitted { state, predicted, scenes, training: none, held_out: none, known_held_out: none, gauges };
         let errors = replicas(&simulated, found.instrument, &fitted.state)?.of(&simulated, &fitted)?;
         let columns = columns(&simulated, &fitted, trials);
         let design = Design::compute(&simulated, fitted.expansion(trials), columns, &errors, Scope::Training)?;
@@ -252,6 +253,7 @@ fn empty(seen: &Observations) -> Observations {
         blocks: seen.blocks.clone(),
         held_out_blocks: seen.held_out_blocks.clone(),
         sensor: seen.sensor,
+        recorded: 0,
     }
 }
 

@@ -45,7 +45,11 @@ pub(crate) fn prune(
         // Wald tests of the strengths.
         let weakest = (own..tests.len())
             .filter(|t| !needed.contains(&now.state.terms[*t].id()))
-            .filter_map(|t| Some((t, wald(model, &now.state.terms[t], tests[t].as_ref()?))))
+            .filter_map(|t| match &tests[t] {
+                Some(test) => Some((t, wald(model, &now.state.terms[t], test))),
+                // The others hold all that its values can do.
+                None => columns.iter().any(|c| matches!(c, Column::Own { term, .. } if *term == t)).then_some((t, 1.0)),
+            })
             .max_by(|a, b| a.1.total_cmp(&b.1));
         match weakest {
             Some((t, p)) if p > ALPHA => {

@@ -351,7 +351,7 @@ impl<'m, 'a> Search<'m, 'a> {
     }
 
     fn with_new_specimens(&self, id: &str, fit: &Fitted) -> Result<Fitted, ForwardError> {
-        let next = refit(self.model, State { specimens: None, ..fit.state.clone() })?;
+        let next = refit(self.model, fit.without_specimens(self.model))?;
         tracing::info!("  {id} with new specimens: deviance {:.1}", next.training.deviance);
         Ok(next)
     }

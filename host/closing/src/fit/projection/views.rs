@@ -13,6 +13,10 @@ pub(crate) const LANES: usize = 16;
 const VECTOR: usize = 8;
 /// Number of rows of the normal matrix that are computed together.
 const BLOCK: usize = 8;
+/// Most values of a vector of the processor.
+const WIDEST: usize = 16;
+/// Number of windows that are multiplied with another one at the same time: each value of that is loaded once for all.
+const AT_ONCE: usize = 4;
 
 /// The light of unit sources at all object pixels behind all lenses, electrons at the exposure of the calibration.
 pub(crate) struct Views {
@@ -162,8 +166,11 @@ impl Views {
             (rest, first) = (after, first + count);
         }
         parts.into_par_iter().for_each_init(
-            || vec![0.0; BLOCK * area],
-            |own, (first, out)| Arch::new().dispatch(Meet { views: self, weight: &weight, first, own, out }),
+            // Whole vectors may reach beyond the last row.
+            || (vec![0.0; BLOCK * area + WIDEST], vec![0.0; self.side * (self.width() + WIDEST)]),
+            |(own, theirs), (first, out)| {
+                Arch::new().dispatch(Meet { views: self, weight: &weight, first, own, theirs, out });
+            },
         );
         out
     }
@@ -238,6 +245,8 @@ struct Meet<'a> {
     first: usize,
     /// For each of them a weighted window with a window of zeros on its left and on its right, [side, 3 width].
     own: &'a mut [f32],
+    /// Room for a window whose rows are filled up with zeros to whole vectors of the processor.
+    theirs: &'a mut [f32],
     /// [pixels, object pixels].
     out: &'a mut [f32],
 }
@@ -290,6 +299,7 @@ impl Meet<'_> {
         let (side, object_cols) = (views.side as isize, views.object[1] as isize);
         let (from, [top, left]) = (views.corner(lens, self.first), views.corners[other]);
         let count = self.count() as isize;
+        let padded = width.next_multiple_of(S::F32_LANES);
         // The object pixels whose windows overlap with one of these.
         let [above, below] = [from[0] - top - side + 1, from[0] - top + side];
         let [before, after] = [from[1] - left - side + 1, from[1] - left + side + count - 1];
@@ -300,14 +310,31 @@ impl Meet<'_> {
             let begin = down.max(0) as usize * 3 * width;
             for c in before.max(0)..after.min(object_cols) {
                 let x = (r * object_cols + c) as usize;
-                let theirs = &views.window(other, x)[skipped * width..][..height * width];
+                let window = &views.window(other, x)[skipped * width..][..height * width];
+                for (to, from) in self.theirs.chunks_exact_mut(padded).zip(window.chunks_exact(width)) {
+                    to[..width].copy_from_slice(from);
+                }
+                let theirs = &self.theirs[..height * padded];
                 let right = left + c - from[1];
                 // Of the pixels: those that come before the other one in the triangle and overlap with it.
-                let last = (right + side).min(count).min(x as isize - self.first as isize + 1);
-                for b in (right - side + 1).max(0)..last {
-                    let own = b as usize * 3 * width * views.side + begin;
-                    let mine = &self.own[own + (width as isize + right - b) as usize..];
-                    self.out[b as usize * n + x] += products(simd, mine, theirs, width);
+                let last = (right + side).min(count).min(x as isize - self.first as isize + 1).max(0) as usize;
+                let mine = |b: usize| {
+                    let own = b * 3 * width * views.side + begin;
+                    &self.own[own + (width as isize + right - b as isize) as usize..]
+                };
+                let mut b = (right - side + 1).max(0) as usize;
+                while b < last {
+                    if b + AT_ONCE <= last {
+                        let four: [&[f32]; AT_ONCE] = std::array::from_fn(|i| mine(b + i));
+                        for (i, sum) in products(simd, four, 3 * width, theirs, padded).into_iter().enumerate() {
+                            self.out[(b + i) * n + x] += sum;
+                        }
+                        b += AT_ONCE;
+                    } else {
+                        let [sum] = products(simd, [mine(b)], 3 * width, theirs, padded);
+                        self.out[b * n + x] += sum;
+                        b += 1;
+                    }
                 }
             }
         }
@@ -327,20 +354,24 @@ fn add<S: Simd, const L: usize>(simd: S, sum: &mut [f32; L], h: f32, x: &[f32; L
     }
 }
 
-/// Sum of the products of two images: `mine` has rows of `3 width` values, of which the first `width` count, `theirs`
-/// rows of `width` values.
+/// Sums of the products of N images with another: rows of `mine` are `stride` values apart, those of `theirs` have
+/// `padded` values, whole vectors. Where `mine` holds no window, `theirs` holds zeros.
 #[inline(always)]
-fn products<S: Simd>(simd: S, mine: &[f32], theirs: &[f32], width: usize) -> f32 {
-    let (mut sum, mut rest) = (simd.splat_f32s(0.0), simd.splat_f32s(0.0));
-    for (i, theirs) in theirs.chunks_exact(width).enumerate() {
-        let (a, a_rest) = S::as_simd_f32s(&mine[i * 3 * width..][..width]);
-        let (b, b_rest) = S::as_simd_f32s(theirs);
-        for (a, b) in a.iter().zip(b) {
-            sum = simd.mul_add_f32s(*a, *b, sum);
-        }
-        if !a_rest.is_empty() {
-            rest = simd.mul_add_f32s(simd.partial_load_f32s(a_rest), simd.partial_load_f32s(b_rest), rest);
+fn products<S: Simd, const N: usize>(
+    simd: S,
+    mine: [&[f32]; N],
+    stride: usize,
+    theirs: &[f32],
+    padded: usize,
+) -> [f32; N] {
+    let mut sums = [simd.splat_f32s(0.0); N];
+    for (i, theirs) in theirs.chunks_exact(padded).enumerate() {
+        let rows = mine.map(|m| S::as_simd_f32s(&m[i * stride..][..padded]).0);
+        for (v, theirs) in S::as_simd_f32s(theirs).0.iter().enumerate() {
+            for (sum, row) in sums.iter_mut().zip(rows) {
+                *sum = simd.mul_add_f32s(row[v], *theirs, *sum);
+            }
         }
     }
-    simd.reduce_sum_f32s(simd.add_f32s(sum, rest))
+    sums.map(|sum| simd.reduce_sum_f32s(sum))
 }

@@ -1,7 +1,7 @@
-//! Which frames of unknown specimens are used.
+//! Which frames of unknown specimens have their specimens estimated.
 
 use super::probe::MARGIN;
-use crate::data::{Observations, Shown};
+use crate::data::{Observations, Shown, best_of_parts, content};
 use crate::fit::projection::Views;
 use ommatidia_model::instrument::Instrument;
 
@@ -9,7 +9,7 @@ use ommatidia_model::instrument::Instrument;
 const MOST_UNKNOWNS: usize = 11_600;
 /// Most values of the optics as a matrix, which take 4 bytes each: a gigabyte.
 const MOST_VALUES: usize = 1 << 28;
-/// Most frames whose specimens are estimated; of a longer recording frames are taken at even distances.
+/// Most frames whose specimens are estimated: of so many parts of a longer recording the one that shows most.
 const MOST_FRAMES: usize = 8;
 
 /// Marks the frames of unknown specimens whose specimens are estimated: where no frame shows a known object, and object
@@ -27,9 +27,10 @@ pub fn estimate_specimens(instrument: &Instrument, seen: &mut Observations) {
     let unknown: Vec<usize> = (0..seen.frames.len()).filter(|k| seen.frames[*k].shown == Shown::Unknown).collect();
     let Some(z_um) = unknown.first().map(|k| seen.frames[*k].info.z_um) else { return };
     let at_depth: Vec<usize> = unknown.into_iter().filter(|k| seen.frames[*k].info.z_um == z_um).collect();
-    let n = at_depth.len();
-    for i in 0..n.min(MOST_FRAMES) {
-        let f = &mut seen.frames[at_depth[i * n / n.min(MOST_FRAMES)]];
+    let full_dn = 0.99 * instrument.noise.saturation_dn;
+    let contents: Vec<f64> = at_depth.iter().map(|k| content(&seen.frames[*k].measured, full_dn)).collect();
+    for i in best_of_parts(&contents, MOST_FRAMES) {
+        let f = &mut seen.frames[at_depth[i]];
         f.shown = Shown::Estimated;
         f.held_out = false;
     }
@@ -40,3 +41,30 @@ pub(crate) const UNKNOWN_NOTE: &str = "the specimens are unknown: they were esti
                                        that another specimen could make as well is not testable; the figures are of \
                                        blocks of the frames that were left out of the estimates, and noise alone gives \
                                        a chi-squared of 1";
+
+/// The frames whose specimens were estimated, as the session numbers them: (stack, frame).
+pub(crate) fn estimated_frames(seen: &Observations) -> Vec<(usize, usize)> {
+    let estimated = seen.frames.iter().filter(|f| f.shown == Shown::Estimated);
+    estimated.map(|f| (f.stack, f.info.frame)).collect()
+}
+
+/// Which frames of a recording took part; None: all of them.
+pub(crate) fn chosen_note(seen: &Observations) -> Option<String> {
+    let frames = estimated_frames(seen);
+    (!frames.is_empty() && frames.len() < seen.recorded).then(|| {
+        let several = frames.iter().any(|(stack, _)| *stack != frames[0].0);
+        let words = |(stack, frame): &(usize, usize)| match several {
+            true => format!("{stack}:{frame}"),
+            false => frame.to_string(),
+        };
+        let list: Vec<String> = frames.iter().map(words).collect();
+        format!(
+            "specimens of {} of {} frames were estimated, a fixed budget: of each part of the recording the frame whose \
+             light shows most of the optics. Frames{}: {}",
+            frames.len(),
+            seen.recorded,
+            if several { " (stack:frame)" } else { "" },
+            list.join(", ")
+        )
+    })
+}

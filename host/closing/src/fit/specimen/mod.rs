@@ -12,5 +12,5 @@ mod probe;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use choose::UNKNOWN_NOTE;
 pub use choose::estimate_specimens;
+pub(crate) use choose::{UNKNOWN_NOTE, chosen_note, estimated_frames};

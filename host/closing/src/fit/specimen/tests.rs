@@ -57,6 +57,7 @@ fn unknown(instrument: &Instrument, terms: &[Term], noisy: bool) -> Observations
         blocks: (0..side * side).map(|b| b * n / (side * side)..(b + 1) * n / (side * side)).collect(),
         held_out_blocks: (0..side * side).map(|b| b == 6).collect(),
         sensor: SENSOR,
+        recorded: 4,
     };
     let made: Vec<Array2<f32>> = {
         let model = Model::new(instrument, &seen).unwrap();
@@ -241,4 +242,24 @@ fn the_gain_of_a_lens_is_found_in_frames_of_the_unknown() {
     let [a, b] = [after.state.terms[0].params[0], after.state.terms[0].params[1]];
     assert!(((1.0 + a) / (1.0 + b) - 1.1).abs() < 0.02, "{a} {b}");
     assert!(before.held_out.deviance - after.held_out.deviance > 10.0);
+}
+
+#[test]
+fn no_fit_moves_along_what_a_change_of_the_specimen_makes() {
+    let instrument = instrument(OBJECT, SENSOR, 9, 3);
+    let seen = unknown(&instrument, &[term("lens_gain", &[("change_0", 0.1)], 2)], true);
+    let model = Model::new(&instrument, &seen).unwrap();
+    let start = |change: f64| {
+        let mut state = model.state(&instrument).unwrap();
+        state.terms.push(term("lens_gain", &[("change_0", change), ("change_1", change)], 2));
+        refit(&model, state).unwrap()
+    };
+    // The light of both lenses together is that of the specimen: it stays where it was, and the lenses part.
+    for change in [0.0, 0.3] {
+        let fit = start(change);
+        assert_eq!(fit.gauges.iter().map(|g| g.directions.ncols()).collect::<Vec<_>>(), [1]);
+        let [a, b] = [fit.state.terms[0].params[0], fit.state.terms[0].params[1]];
+        assert!(((1.0 + a) / (1.0 + b) - 1.1).abs() < 0.02, "{a} {b}");
+        assert!(a > change && b < change + 0.01, "{a} {b} from {change}");
+    }
 }
