@@ -12,6 +12,7 @@ mod bounds;
 mod columns;
 mod correlate;
 mod dot;
+mod extremes;
 mod fft;
 mod fused;
 mod integers;
@@ -23,6 +24,7 @@ pub(crate) use columns::{
 };
 pub(crate) use correlate::{correlate1, correlate4};
 pub(crate) use dot::{correlate_groups1, correlate_groups2};
+pub(in crate::num) use extremes::{count_from, extreme_halves, largest};
 pub(in crate::num) use fused::{
     accumulate, add_eights, add_scaled, correct, narrow_relu, narrow_slice, round_interleaved, widen_alternate,
     widen_slice,
