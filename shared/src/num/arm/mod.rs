@@ -49,7 +49,7 @@ pub(super) use helium::{
     round_interleaved, sigmoid, widen_alternate, widen_slice,
 };
 #[cfg(feature = "helium")]
-pub(crate) use helium::{correlate_groups1, correlate_groups2, correlate1, correlate4};
+pub(crate) use helium::{correlate1, correlate4};
 #[cfg(not(feature = "helium"))]
 pub(super) use {
     convert::{narrow_slice, widen_slice},
