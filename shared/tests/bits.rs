@@ -2,7 +2,9 @@
 //! vectors and without, with 32 and 64 bits, with a floating-point unit and without.
 #![allow(clippy::unwrap_used)]
 
-use ommatidia_shared::blob::{Bank, Header, Integers, MemoryPlan, Network, Rcan, Sensor, Size, Tap, Weights};
+use ommatidia_shared::blob::{
+    Bank, FeatureBits, Header, Integers, MemoryPlan, Network, Rcan, Sensor, Size, Tap, Weights,
+};
 use ommatidia_shared::nn::integer::{Channel, Convolutions};
 use ommatidia_shared::nn::rcan::weights_len;
 use ommatidia_shared::num::f16;
@@ -67,7 +69,8 @@ fn made(gain: f32) -> u64 {
 
 /// The same shape with convolutions in integers.
 fn made_in_integers() -> u64 {
-    let header = header(Some(Integers { input_log2: 13, feature_log2: 11, output: 1.0e-6 }));
+    let header =
+        header(Some(Integers { input_log2: 13, feature_log2: 11, output: 1.0e-6, features: FeatureBits::Sixteen }));
     let (mut state, lens) = (12, header.section_lens().unwrap());
     let filters = halves(&mut state, 6 * 2 * 32 * 17, 1.0);
     let rcan = halves(&mut state, lens.rcan as usize, 0.3);

@@ -5,16 +5,19 @@ mod networks;
 
 use half::f16;
 use ommatidia_network::network_file::NetworkFile;
-use ommatidia_shared::blob::{Bank, Blocks, Header, Integers, MemoryPlan, Rcan, Sensor, Size, Tap, VERSION, Weights};
+use ommatidia_shared::blob::{
+    Bank, Blocks, FeatureBits, Header, Integers, MemoryPlan, Rcan, Sensor, Size, Tap, VERSION, Weights,
+};
 use ommatidia_shared::nn::integer::{Channel, Convolutions};
 use ommatidia_shared::pipeline::{Memory, Pipeline};
 use proptest::prelude::*;
 use std::path::Path;
 
-/// Files of versions 1 and 2 that are never rewritten, and one of version 3.
+/// Files of versions 1 to 3 that are never rewritten, and one of version 4.
 const GOLDEN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/golden/network-v2.omm");
 const GOLDEN_1: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/golden/network-v1.omm");
 const GOLDEN_3: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/golden/network-v3.omm");
+const GOLDEN_4: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/golden/network-v4.omm");
 
 /// Index of the blocks of the golden file: two kernels of 4 x 4 blocks.
 const GOLDEN_INDEX: [u16; 14] = [0, 0, 2, 3, 3, 3, 4, 4, 5, 1, 3, 0, 2, 3];
@@ -48,7 +51,7 @@ fn golden_weight(section: usize, i: usize) -> f16 {
 
 #[test]
 fn the_golden_file_of_version_2_still_decodes() {
-    assert_eq!(VERSION, 3, "keep these files readable or refused by name, and add a golden file of the new version");
+    assert_eq!(VERSION, 4, "keep these files readable or refused by name, and add a golden file of the new version");
     let file = NetworkFile::read(Path::new(GOLDEN)).unwrap();
     let network = file.network().unwrap();
     assert_eq!(network.header(), &golden_header());
@@ -69,14 +72,14 @@ fn the_golden_file_of_version_2_still_decodes() {
 #[test]
 fn a_file_of_version_1_is_refused_by_name() {
     let error = NetworkFile::read(Path::new(GOLDEN_1)).unwrap_err().to_string();
-    assert!(error.contains("version 3, found 1") && error.contains("quantize"), "{error}");
+    assert!(error.contains("version 4, found 1") && error.contains("quantize"), "{error}");
 }
 
 /// With a new version of the format: `OMMATIDIA_WRITE_GOLDEN=1` writes the file that this test then compares with.
 #[test]
 fn the_golden_file_in_integers_is_what_this_version_writes() {
     let mut header = golden_header();
-    header.integers = Some(Integers { input_log2: 13, feature_log2: 11, output: 2.0e-6 });
+    header.integers = Some(Integers { input_log2: 13, feature_log2: 11, output: 2.0e-6, features: FeatureBits::Eight });
     header.memory = Pipeline::plan(&header).unwrap();
     let lens = header.section_lens().unwrap();
     // The attention 2->1->2; conv 8->2, 4 x 2->2, 2->8, 2->1.
@@ -98,11 +101,20 @@ fn the_golden_file_in_integers_is_what_this_version_writes() {
     };
     let file = NetworkFile::new(&header, &weights).unwrap();
     if std::env::var_os("OMMATIDIA_WRITE_GOLDEN").is_some() {
-        file.write(Path::new(GOLDEN_3)).unwrap();
+        file.write(Path::new(GOLDEN_4)).unwrap();
     }
-    assert!(file.bytes() == std::fs::read(GOLDEN_3).unwrap(), "{GOLDEN_3} differs from what is written today");
+    assert!(file.bytes() == std::fs::read(GOLDEN_4).unwrap(), "{GOLDEN_4} differs from what is written today");
+    let read = NetworkFile::read(Path::new(GOLDEN_4)).unwrap();
+    assert_eq!(read.header().unwrap(), header);
+    // Version 3 is the same network with features of 16 bits.
+    header.integers =
+        Some(Integers { input_log2: 13, feature_log2: 11, output: 2.0e-6, features: FeatureBits::Sixteen });
+    header.memory = Pipeline::plan(&header).unwrap();
     let read = NetworkFile::read(Path::new(GOLDEN_3)).unwrap();
     assert_eq!(read.header().unwrap(), header);
+    let words = |file: &NetworkFile| file.network().unwrap().weights().convolutions.unwrap().weights.to_vec();
+    assert_eq!(words(&read), integers);
+    Pipeline::new(&read.network().unwrap()).unwrap();
 }
 
 /// Mostly a value that a network may have, sometimes any value.
@@ -147,7 +159,7 @@ prop_compose! {
             },
             rcan: Rcan { width: rcan.0, groups: rcan.1, blocks: rcan.2, reduction: rcan.3 },
             memory: MemoryPlan { fast_bytes: memory.0, bulk_bytes: memory.1 },
-            integers: integers.map(|(input_log2, feature_log2)| Integers { input_log2, feature_log2, output: 1.0e-6 }),
+            integers: integers.map(|(input_log2, feature_log2)| Integers { input_log2, feature_log2, output: 1.0e-6, features: if input_log2 % 2 == 0 { FeatureBits::Eight } else { FeatureBits::Sixteen } }),
         };
         if let Ok(plan) = Pipeline::plan(&header) && planned {
             header.memory = plan;

@@ -102,9 +102,11 @@ fn networks_in_integers_agree_bit_for_bit() {
         (&wide, 35, 1.0),
         (&DENSE, 36, 9.0),
     ] {
-        let file = networks::scaled(&networks::in_integers(shape), seed, [1.0, gain, 1.0]);
         let frames = networks::frames(shape, 2, seed);
-        check_blob(&file, &frames);
+        for header in [networks::in_integers(shape), networks::in_bytes(shape)] {
+            let file = networks::scaled(&header, seed, [1.0, gain, 1.0]);
+            check_blob(&file, &frames);
+        }
     }
     let Some(boards) = firmware() else { return };
     let file = networks::network_of(&networks::in_integers(&TAPPED), 37);

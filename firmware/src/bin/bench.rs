@@ -12,13 +12,15 @@ use cortex_m_semihosting::hprintln;
 use half::f16;
 use ommatidia_firmware::app::{region_begins, region_ends};
 use ommatidia_firmware::board::this as board;
-use ommatidia_shared::blob::{Bank, Blocks, Header, Integers, MemoryPlan, Network, Rcan, Sensor, Size, Tap, Weights};
+use ommatidia_shared::blob::{
+    Bank, Blocks, FeatureBits, Header, Integers, MemoryPlan, Network, Rcan, Sensor, Size, Tap, Weights,
+};
 use ommatidia_shared::fft::{Fft, Fft2, ProductSource, RowSource};
 use ommatidia_shared::image::{Chw, ChwMut, PlaneMut, Region};
 use ommatidia_shared::nn::activation::Activation;
 use ommatidia_shared::nn::channel_attention::{self, ChannelAttention};
 use ommatidia_shared::nn::conv::{self, Conv3x3, Store, Tensors};
-use ommatidia_shared::nn::integer::{self, Channel, Convolution, Convolutions, Last};
+use ommatidia_shared::nn::integer::{self, Channel, Convolution, Convolutions, Feature, Last};
 use ommatidia_shared::nn::upscale::Upscale;
 use ommatidia_shared::num::pairs::add_products;
 use ommatidia_shared::num::simd::Simd;
@@ -120,9 +122,12 @@ impl Bench {
             self.tail(channels)?;
         }
         for channels in [16, 32] {
-            self.convolve_integers(channels, replace)?;
-            self.convolve_integers(channels, add)?;
-            self.tail_integers(channels)?;
+            self.convolve_integers::<i16>("in integers", channels, replace)?;
+            self.convolve_integers::<i16>("in integers", channels, add)?;
+            self.tail_integers::<i16>("in integers", channels)?;
+            self.convolve_integers::<i8>("in bytes", channels, replace)?;
+            self.convolve_integers::<i8>("in bytes", channels, add)?;
+            self.tail_integers::<i8>("in bytes", channels)?;
         }
         self.convolve(UNSHUFFLED, [24, 16], (linear, replace))?;
         self.convert()?;
@@ -199,26 +204,26 @@ impl Bench {
         })
     }
 
-    /// The same with weights of 8 bits and features of 16.
-    fn convolve_integers(&mut self, channels: usize, store: Store) -> Result<(), Failure> {
+    /// The same with weights of 8 bits and features in integers.
+    fn convolve_integers<F: Feature>(&mut self, kind: &str, channels: usize, store: Store) -> Result<(), Failure> {
         let (rows, cols) = (48, 48);
         let (inputs, outputs, activation) = (channels, channels, Activation::Linear);
         let conv = Conv3x3 { inputs, outputs, rows, cols, activation, store };
         let bytes: &[i8] = bytemuck::cast_slice(self.weights);
         let own = Convolution { weights: &bytes[..conv.weights_len()], channels: &CHANNELS[..outputs] };
-        let (input, rest) = bytemuck::cast_slice_mut(self.bulk).split_at_mut(inputs * rows * cols);
+        let (input, rest) = bytemuck::cast_slice_mut::<_, F>(self.bulk).split_at_mut(inputs * rows * cols);
         let output = ChwMut::new(&mut rest[..outputs * rows * cols], outputs, rows, cols);
         let input = Chw::new(&*input, inputs, rows, cols).map_err(|_| "a shape is wrong")?;
         let tensors = Tensors::Apart { input, output: output.map_err(|_| "a shape is wrong")? };
         let scratch = &mut *self.fast;
         let what = if store == Store::Accumulate { " and skip" } else { "" };
         let products = 9 * inputs * outputs * rows * cols;
-        let name = format_args!("3x3 convolution {inputs}->{outputs}{what} in integers, {rows}x{cols}");
+        let name = format_args!("3x3 convolution {inputs}->{outputs}{what} {kind}, {rows}x{cols}");
         region(name, products, "MAC", || integer::process(&conv, Simd::detect(), own, 1.0, tensors, scratch))
     }
 
-    /// The tail with weights of 8 bits and features of 16.
-    fn tail_integers(&mut self, channels: usize) -> Result<(), Failure> {
+    /// The tail with weights of 8 bits and features in integers.
+    fn tail_integers<F: Feature>(&mut self, kind: &str, channels: usize) -> Result<(), Failure> {
         let (rows, cols) = (48, 48);
         let plan = Upscale { channels, rows, cols };
         let bytes: &[i8] = bytemuck::cast_slice(self.weights);
@@ -227,7 +232,8 @@ impl Bench {
             Convolution { weights, channels: &CHANNELS[..4 * channels] },
             Convolution { weights: &rest[..9 * channels], channels: &CHANNELS[..1] },
         ];
-        let input = Chw::new(bytemuck::cast_slice(&self.bulk[..channels * rows * cols]), channels, rows, cols);
+        let input = bytemuck::cast_slice::<_, F>(self.bulk);
+        let input = Chw::new(&input[..channels * rows * cols], channels, rows, cols);
         let input = input.map_err(|_| "a shape is wrong")?;
         let output = PlaneMut::new(&mut self.object[..4 * rows * cols], 2 * rows, 2 * cols);
         let output = output.map_err(|_| "a shape is wrong")?;
@@ -235,7 +241,7 @@ impl Bench {
         let products = (36 * channels * channels + 36 * channels) * rows * cols;
         let last = Last { convolutions, unit: 1.0e-9 };
         let size = 2 * rows;
-        let name = format_args!("pixel shuffle {channels}->1 with its convolutions in integers, to {size}x{size}");
+        let name = format_args!("pixel shuffle {channels}->1 with its convolutions {kind}, to {size}x{size}");
         region(name, products, "MAC", || integer::upscale(&plan, Simd::detect(), last, input, [0, 0], output, scratch))
     }
 
@@ -328,6 +334,8 @@ impl Bench {
         let pruned = Header { bank: Bank { blocks, ..nano.bank.clone() }, ..nano.clone() };
         let integers = |header: &Header| Header { integers: Some(SCALES), ..header.clone() };
         self.network("nano, in integers", &integers(&nano), &[])?;
+        let bytes = Integers { features: FeatureBits::Eight, feature_log2: 3, ..SCALES };
+        self.network("nano, in bytes", &Header { integers: Some(bytes), ..nano.clone() }, &[])?;
         self.network("nano, filters pruned", &pruned, &[])?;
         self.network("nano, filters pruned, in integers", &integers(&pruned), &[])?;
         self.network("lite", &header(9, rcan(24, 2, 12)), &[])?;
@@ -385,7 +393,7 @@ impl Bench {
 }
 
 /// Scales of the networks in integers.
-const SCALES: Integers = Integers { input_log2: 12, feature_log2: 10, output: 1.0e-6 };
+const SCALES: Integers = Integers { input_log2: 12, feature_log2: 10, output: 1.0e-6, features: FeatureBits::Sixteen };
 /// Output channels of the convolutions in integers.
 static CHANNELS: [Channel; 1024] = [Channel { bias: 1000, multiplier: 1 << 22 }; 1024];
 

@@ -3,7 +3,7 @@
 use super::page::{Key, Numbers, pairs};
 use super::scenes::{bytes, seconds};
 use maud::{Markup, html};
-use ommatidia_shared::blob::Header;
+use ommatidia_shared::blob::{FeatureBits, Header, Integers};
 use serde_json::Value;
 
 /// The table of what `device run` printed with `--json`.
@@ -101,7 +101,12 @@ pub fn blob(header: &Header, file_bytes: u64, numbers: &mut Numbers) -> Markup {
             "Convolutions of the enhancement".into(),
             match header.integers {
                 None => html! { "half precision" },
-                Some(_) => html! { "integers: weights of 8 bits, features of 16" },
+                Some(Integers { features: FeatureBits::Sixteen, .. }) => {
+                    html! { "integers: weights of 8 bits, features of 16" }
+                }
+                Some(Integers { features: FeatureBits::Eight, .. }) => {
+                    html! { "integers: weights and features of 8 bits" }
+                }
             },
         ),
         ("Fast memory needed at least".into(), html! { (bytes(u64::from(header.memory.fast_bytes))) }),

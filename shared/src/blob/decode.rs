@@ -4,7 +4,7 @@ use super::error::{BlobError, Section};
 use super::header::{Header, HeaderField, Weights};
 use super::layout::{
     ALIGN, CRC, CRC_LEN, FILE_LEN_AT, HEADER_AT, HEADER_LEN_AT, Layout, MAGIC, MAX_HEADER_LEN, SCHEMA_AT, SCHEMA_KEY,
-    SCHEMA_KEY_2, SECTIONS, VERSION, VERSION_2, VERSION_AT,
+    SCHEMA_KEY_2, SCHEMA_KEY_3, SECTIONS, VERSION, VERSION_2, VERSION_3, VERSION_AT,
 };
 use crate::nn::integer::Convolutions;
 use core::cmp::Ordering;
@@ -39,7 +39,8 @@ impl<'a> Network<'a> {
     }
 
     /// Reads a network file and checks every bit of it: length, magic, version, schema, CRC, header, that all
-    /// weights are finite, and that no integer convolution can overflow. Files of version 2 are read as well.
+    /// weights are finite, and that no integer convolution can overflow. Files of versions 2 and 3 are
+    /// read as well.
     ///
     /// # Errors
     /// The first thing that is wrong with `bytes`. No bytes make it panic or read elsewhere.
@@ -145,6 +146,7 @@ fn check_preamble(bytes: &[u8]) -> Result<(&[u8], u32), BlobError> {
     let version = u16::from_le_bytes(array_at(bytes, VERSION_AT));
     let expected = match version {
         VERSION => SCHEMA_KEY,
+        VERSION_3 => SCHEMA_KEY_3,
         VERSION_2 => SCHEMA_KEY_2,
         found => return Err(BlobError::Version { expected: VERSION, found }),
     };
@@ -170,13 +172,19 @@ fn decode_header(bytes: &[u8], len: usize) -> Result<Header, BlobError> {
     let unreadable = BlobError::Header { field: HeaderField::Encoding };
     let end = HEADER_AT.checked_add(len).filter(|_| len <= MAX_HEADER_LEN).ok_or(unreadable)?;
     let encoded = bytes.get(HEADER_AT..end).ok_or(unreadable)?;
-    // A header of version 2 is one of version 3 without the last field, whose absence is a zero.
-    let zeros = u8::from(u16::from_le_bytes(array_at(bytes, VERSION_AT)) == VERSION_2);
+    // What a header of version 2 lacks, and one of version 3 in integers, is the last byte, which would be a zero.
+    let version = u16::from_le_bytes(array_at(bytes, VERSION_AT));
+    let zeros = u8::from(version != VERSION);
     let mut decoder = postcard::Deserializer::from_flavor(Followed { bytes: encoded, zeros });
     let header = Header::deserialize(&mut decoder).map_err(|_| unreadable)?;
+    let unused = u8::from(version == VERSION_3 && header.integers.is_none());
     match decoder.finalize() {
-        Ok(Followed { bytes: [], zeros: 0 }) => {}
+        Ok(Followed { bytes: [], zeros }) if zeros == unused => {}
         _ => return Err(unreadable),
+    }
+    // Version 2 has no integers: its byte is the one that says so.
+    if version == VERSION_2 && header.integers.is_some() {
+        return Err(unreadable);
     }
     header.check()?;
     Ok(header)

@@ -114,6 +114,18 @@ pub struct Integers {
     pub feature_log2: i8,
     /// Argument of the last logistic function for a sum of 1; positive.
     pub output: f32,
+    /// Bits of a stored feature. Files of version 3 lack this field, and have features of 16 bits.
+    pub features: FeatureBits,
+}
+
+/// Bits of a stored feature of a network in integers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub enum FeatureBits {
+    /// 16 bits.
+    #[default]
+    Sixteen,
+    /// 8 bits.
+    Eight,
 }
 
 /// Memory that the pipeline needs besides the network file.

@@ -8,11 +8,15 @@ use postcard_schema::key::Key;
 /// The first eight bytes of every network file.
 pub const MAGIC: [u8; 8] = *b"OMMATIDI";
 /// Version of the layout. It changes with everything that the schema key does not cover.
-pub const VERSION: u16 = 3;
-/// The version before, whose header lacks its last field. Such files are read as well.
+pub const VERSION: u16 = 4;
+/// The version before, whose scales of integers lack their last field. Such files are read as well.
+pub(super) const VERSION_3: u16 = 3;
+/// The version before that, whose header lacks its last field. Such files are read as well.
 pub(super) const VERSION_2: u16 = 2;
 /// Hash of every name and type in [`Header`]: it changes when one of them does.
 pub const SCHEMA_KEY: u64 = u64::from_le_bytes(Key::for_path::<Header>("ommatidia/blob").to_bytes());
+/// Hash of the header of version 3.
+pub(super) const SCHEMA_KEY_3: u64 = 0x9721_b2ba_9583_b3e3;
 /// Hash of the header of version 2.
 pub(super) const SCHEMA_KEY_2: u64 = 0x98b4_274f_6e7f_975e;
 /// Alignment of the file and of each section in it, bytes.

@@ -14,7 +14,8 @@
 //! | - | 4 | CRC-32 (ISO-HDLC) of all bytes before it |
 //!
 //! All numbers are little-endian. [`Network::decode`] borrows: the weights are read in place, so the file must lie at
-//! an address that is a multiple of [`ALIGN`]. Files of version 2, which had no networks in integers, are read as well.
+//! an address that is a multiple of [`ALIGN`]. Files of version 2, which had no networks in integers, and of
+//! version 3, whose features had 16 bits, are read as well.
 //!
 //! ```
 //! use ommatidia_shared::blob::{Bank, Header, MemoryPlan, Rcan, Sensor, Size, Tap};
@@ -65,7 +66,8 @@ pub use decode::{Network, Verified};
 pub use encode::{encode, encoded_len};
 pub use error::{BlobError, Section};
 pub use header::{
-    Bank, Blocks, Header, HeaderField, Integers, MAX_TAPS, MemoryPlan, Rcan, SectionLens, Sensor, Size, Tap, Weights,
+    Bank, Blocks, FeatureBits, Header, HeaderField, Integers, MAX_TAPS, MemoryPlan, Rcan, SectionLens, Sensor, Size,
+    Tap, Weights,
 };
 pub(crate) use layout::CRC;
 pub use layout::{ALIGN, MAGIC, SCHEMA_KEY, VERSION};

@@ -104,7 +104,10 @@ fn small() -> Header {
 }
 
 fn small_in_integers() -> Header {
-    Header { integers: Some(Integers { input_log2: 12, feature_log2: 10, output: 1.0e-6 }), ..small() }
+    Header {
+        integers: Some(Integers { input_log2: 12, feature_log2: 10, output: 1.0e-6, features: FeatureBits::Sixteen }),
+        ..small()
+    }
 }
 
 prop_compose! {
@@ -126,7 +129,7 @@ prop_compose! {
             },
             rcan: Rcan { width: rcan.0, groups: rcan.1, blocks: rcan.2, reduction: 1 },
             memory: MemoryPlan { fast_bytes: memory.0, bulk_bytes: memory.1 },
-            integers: scales.map(|(input_log2, feature_log2)| Integers { input_log2, feature_log2, output: 1.0e-7 }),
+            integers: scales.map(|(input_log2, feature_log2)| Integers { input_log2, feature_log2, output: 1.0e-7, features: FeatureBits::Sixteen }),
         }
     }
 }
@@ -344,7 +347,7 @@ fn integers_that_could_overflow_are_refused() {
     assert_eq!(refusal(at + 16, &i32::MAX.to_le_bytes()), error);
     assert_eq!(refusal(at + 20, &(-1_i32).to_le_bytes()), error);
     let impossible = BlobError::Header { field: HeaderField::Integers };
-    let scales = Integers { input_log2: 12, feature_log2: 10, output: 1.0e-6 };
+    let scales = Integers { input_log2: 12, feature_log2: 10, output: 1.0e-6, features: FeatureBits::Sixteen };
     for wrong in [
         Integers { input_log2: 25, ..scales },
         Integers { input_log2: -1, ..scales },
@@ -376,6 +379,30 @@ fn version_2_is_read_as_a_network_in_halves() {
     let mixed = forge(new, layout::VERSION_AT, &2u16.to_le_bytes());
     let error = BlobError::Schema { expected: layout::SCHEMA_KEY_2, found: SCHEMA_KEY };
     assert_eq!(Network::decode(Aligned::new(&mixed).bytes()).map(Network::into_header), Err(error));
+}
+
+/// A file of version 3 lacks the last byte of the scales of integers; one in halves lacks nothing.
+#[test]
+fn version_3_is_read_as_features_of_16_bits() {
+    for (header, less) in [(small(), 0), (small_in_integers(), 1)] {
+        let new = file(&header, &Owned::new(&header, 1));
+        let mut buffer = [0; layout::MAX_HEADER_LEN];
+        let len = postcard::to_slice(&header, &mut buffer).unwrap().len();
+        let sections = [len, len - less].map(|len| layout::Layout::new(len, &header.section_lens().unwrap()).unwrap());
+        assert_eq!(sections[0], sections[1], "the byte lies in the gap before the first section");
+        let mut old = new.clone();
+        old[layout::VERSION_AT] = 3;
+        old[layout::HEADER_LEN_AT] = (len - less) as u8;
+        old[layout::SCHEMA_AT..][..8].copy_from_slice(&layout::SCHEMA_KEY_3.to_le_bytes());
+        let old = forge(old, 0, b"O");
+        assert_eq!(Network::decode(Aligned::new(&old).bytes()).unwrap().into_header(), header);
+        // A byte more or less is no header of that version.
+        for wrong in [len - less - 1, len - less + 1] {
+            let wrong = forge(old.clone(), layout::HEADER_LEN_AT, &[wrong as u8]);
+            let error = BlobError::Header { field: HeaderField::Encoding };
+            assert_eq!(Network::decode(Aligned::new(&wrong).bytes()).map(Network::into_header), Err(error), "{less}");
+        }
+    }
 }
 
 #[test]

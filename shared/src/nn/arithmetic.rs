@@ -3,13 +3,14 @@
 use super::channel_attention;
 use super::conv::{self, Conv3x3, Tensors};
 use super::error::NnError;
-use super::integer::{self, Channel, Convolution, Convolutions, Last, rescale};
+use super::integer::{self, Channel, Convolution, Convolutions, Feature, Last, rescale};
 use super::rcan::Entry;
 use super::upscale::Upscale;
 use crate::image::{Chw, PlaneMut};
 use crate::num::simd::Simd;
 use crate::num::{f16, fused};
 use bytemuck::Pod;
+use core::marker::PhantomData;
 
 /// The weights of the layers that have not been reached.
 #[derive(Clone, Copy, Debug)]
@@ -35,7 +36,7 @@ impl<'a> Rest<'a> {
 
 /// How convolutions are computed and features are stored.
 pub(super) trait Arithmetic: Copy {
-    /// A stored feature, of the size of a half.
+    /// A stored feature, no larger than a half.
     type Number: Pod;
     /// The weights of a 3x3 convolution.
     type Conv<'a>: Copy;
@@ -142,9 +143,11 @@ impl crate::num::simd::Kernel for AddScaled<'_> {
     }
 }
 
-/// Features of 16 bits, weights of 8, sums of 32.
+/// Features in integers, weights of 8 bits, sums of 32.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Integers {
+pub(super) struct Integers<F> {
+    /// How features are stored.
+    pub features: PhantomData<F>,
     /// Instruction set.
     pub simd: Simd,
     /// Integers in 1 of the network's input.
@@ -155,8 +158,8 @@ pub(super) struct Integers {
     pub output: f32,
 }
 
-impl Arithmetic for Integers {
-    type Number = i16;
+impl<F: Feature> Arithmetic for Integers<F> {
+    type Number = F;
     type Conv<'a> = Convolution<'a>;
 
     fn take<'a>(rest: &mut Rest<'a>, entry: &Entry) -> Self::Conv<'a> {
@@ -171,13 +174,13 @@ impl Arithmetic for Integers {
         self,
         conv: &Conv3x3,
         weights: Self::Conv<'_>,
-        tensors: Tensors<'_, i16>,
+        tensors: Tensors<'_, F>,
         scratch: &mut [f32],
     ) -> Result<(), NnError> {
         integer::process(conv, self.simd, weights, self.input_scale, tensors, scratch)
     }
 
-    fn means(self, input: Chw<'_, i16>, mean: &mut [f32]) {
+    fn means(self, input: Chw<'_, F>, mean: &mut [f32]) {
         let [_, rows, cols] = input.shape();
         for (channel, mean) in mean.iter_mut().enumerate() {
             // A row of at most 2^15 numbers fits 32 bits.
@@ -187,7 +190,7 @@ impl Arithmetic for Integers {
         }
     }
 
-    fn add_scaled(self, scale: f32, t: &[i16], g: &mut [i16]) {
+    fn add_scaled(self, scale: f32, t: &[F], g: &mut [F]) {
         rescale::add_scaled(rescale::of_scale(scale), t, g);
     }
 
@@ -199,7 +202,7 @@ impl Arithmetic for Integers {
         self,
         plan: &Upscale,
         convolutions: [Self::Conv<'_>; 2],
-        input: Chw<'_, i16>,
+        input: Chw<'_, F>,
         origin: [usize; 2],
         output: PlaneMut<'_, f16>,
         scratch: &mut [f32],

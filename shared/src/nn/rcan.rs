@@ -37,10 +37,11 @@ use super::features::Features;
 use super::integer::Convolutions;
 use super::rcab::{self, Rcab};
 use super::upscale::Upscale;
-use crate::blob;
+use crate::blob::{self, FeatureBits};
 use crate::image::{Chw, PlaneMut, Region};
 use crate::num::f16;
 use crate::num::simd::Simd;
+use core::marker::PhantomData;
 
 /// Convolutions of features after the last attention: the last group's, `conv1`, and the one before the pixel shuffle.
 const AFTER_ATTENTION: usize = 3;
@@ -93,9 +94,13 @@ impl Rcan {
         self.shape.width as usize
     }
 
-    /// Length of one feature tensor (W, h, w), halves.
+    /// Room for one feature tensor (W, h, w), halves.
     const fn feature_len(&self) -> usize {
-        self.width() * self.rows * self.cols
+        let len = self.width() * self.rows * self.cols;
+        match self.integers {
+            Some(blob::Integers { features: FeatureBits::Eight, .. }) => len.div_ceil(2),
+            _ => len,
+        }
     }
 
     /// Length of the input (C, 2 h, 2 w), halves.
@@ -124,7 +129,8 @@ impl Rcan {
     pub fn scratch_len(&self, band: usize) -> usize {
         match self.integers {
             None => self.scratch_len_in::<Halves>(band),
-            Some(_) => self.scratch_len_in::<Integers>(band),
+            // The same for features of 8 bits.
+            Some(_) => self.scratch_len_in::<Integers<i16>>(band),
         }
     }
 
@@ -193,14 +199,17 @@ impl Rcan {
         match (self.integers, convolutions) {
             (Some(integers), Some(convolutions)) => {
                 check_weights(attention_count(&self.shape, self.filters as u8) as usize, weights.len())?;
-                let arithmetic = Integers {
-                    simd,
-                    input_scale: power_of_two(integers.input_log2),
-                    feature: power_of_two(-integers.feature_log2),
-                    output: integers.output,
-                };
                 let rest = Rest { halves: weights, weights: convolutions.bytes(), channels: convolutions.channels };
-                self.process_in(arithmetic, rest, scales, arena, region, output, scratch)
+                match integers.features {
+                    FeatureBits::Sixteen => {
+                        let arithmetic = in_integers::<i16>(simd, integers);
+                        self.process_in(arithmetic, rest, scales, arena, region, output, scratch)
+                    }
+                    FeatureBits::Eight => {
+                        let arithmetic = in_integers::<i8>(simd, integers);
+                        self.process_in(arithmetic, rest, scales, arena, region, output, scratch)
+                    }
+                }
             }
             _ => {
                 check_weights(weights_len(&self.shape, self.filters as u8), weights.len())?;
@@ -210,7 +219,7 @@ impl Rcan {
         }
     }
 
-    /// Not inlined: the two kinds would share one large frame on the stack.
+    /// Not inlined: the kinds would share one large frame on the stack.
     #[inline(never)]
     #[expect(clippy::too_many_arguments, reason = "those of `process`, and the kind of numbers")]
     fn process_in<A: Arithmetic>(
@@ -240,9 +249,9 @@ impl Rcan {
         let input = plan.read(&rest[rest.len() - plan.input_len()..])?;
         let tensors = Tensors::Unshuffled { input, output: head.cut(first)? };
         arithmetic.conv(&plan.head(), layers.next_conv::<A>(), tensors, scratch)?;
-        let rest = numbers::<A>(rest);
         let (y, rest) = rest.split_at_mut(plan.feature_len());
         let (g, t) = rest.split_at_mut(plan.feature_len());
+        let [y, g, t] = [y, g, t].map(numbers::<A>);
         let [mut y, mut g] = [y, g].map(|data| Features::new(data, self.width(), first));
         y.copy_from(&head)?;
         // Number of convolutions of features that follow.
@@ -302,9 +311,20 @@ impl Rcan {
     }
 }
 
-/// Halves as features, which have the same size.
+/// Halves as features, which have the same size or half of it.
 fn numbers<A: Arithmetic>(halves: &mut [f16]) -> &mut [A::Number] {
     bytemuck::cast_slice_mut(halves)
+}
+
+/// Integers with the scales of the header.
+const fn in_integers<F>(simd: Simd, integers: blob::Integers) -> Integers<F> {
+    Integers {
+        features: PhantomData,
+        simd,
+        input_scale: power_of_two(integers.input_log2),
+        feature: power_of_two(-integers.feature_log2),
+        output: integers.output,
+    }
 }
 
 /// `2^exponent`, for exponents from -126 to 127.

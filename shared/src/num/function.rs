@@ -56,22 +56,74 @@ pub fn mac(a: f32, b: f32, c: f32) -> f32 {
     c + a * b
 }
 
-/// Largest value of a slice by `>`, and whether all values are finite. `(-inf, true)` for an empty slice.
+/// Largest value of a slice by `>`, and whether all values are finite. `(-inf, true)` for an empty slice. A zero has no
+/// sign; where a value is NaN, the largest one means nothing.
 pub fn max_finite(values: &[f16]) -> (f32, bool) {
-    let mut finite = true;
-    let mut max = f32::NEG_INFINITY;
-    for &value in values {
+    #[cfg(all(target_arch = "arm", feature = "helium"))]
+    let (done, mut max, mut finite) = match super::arm::extreme_halves(values) {
+        Some((done, max, magnitude)) => (done, widen(max), f16::from_bits(magnitude).is_finite()),
+        None => (0, f32::NEG_INFINITY, true),
+    };
+    #[cfg(not(all(target_arch = "arm", feature = "helium")))]
+    let (done, mut max, mut finite) = (0, f32::NEG_INFINITY, true);
+    for &value in &values[done..] {
         finite &= value.is_finite();
         let value = widen(value);
         max = if value > max { value } else { max };
     }
-    (max, finite)
+    (max + 0.0, finite)
+}
+
+/// The largest of some numbers and of `max` by `>`. None may be NaN. The sign of a zero is not defined.
+#[inline(always)]
+pub fn largest(numbers: &[f32], mut max: f32) -> f32 {
+    #[cfg(all(target_arch = "arm", feature = "helium"))]
+    let done = super::arm::largest(numbers, &mut max);
+    #[cfg(not(all(target_arch = "arm", feature = "helium")))]
+    let done = 0;
+    for &x in &numbers[done..] {
+        max = if x > max { x } else { max };
+    }
+    max
+}
+
+/// Number of codes at or above `least`.
+#[inline(always)]
+pub fn count_from(least: u16, codes: &[u16]) -> u32 {
+    #[cfg(all(target_arch = "arm", feature = "helium"))]
+    let (done, count) = {
+        let mut count = 0;
+        (super::arm::count_from(least, codes, &mut count), count)
+    };
+    #[cfg(not(all(target_arch = "arm", feature = "helium")))]
+    let (done, count) = (0, 0);
+    count + codes[done..].iter().map(|&code| u32::from(code >= least)).sum::<u32>()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use micromath::F32Ext;
+
+    #[test]
+    fn extremes_are_those_of_single_steps() {
+        for len in [0, 1, 7, 8, 9, 40] {
+            let halves: [f16; 40] = core::array::from_fn(|i| f16::from_f32((i as f32 * 7.7) % 5.0 - 6.0));
+            let most = halves[..len].iter().fold(f32::NEG_INFINITY, |most, x| most.max(x.to_f32()));
+            assert_eq!(max_finite(&halves[..len]), (most, true), "all of them negative");
+            let singles = halves.map(widen);
+            assert_eq!(largest(&singles[..len], -5.5), most.max(-5.5));
+            for at in 0..len {
+                let mut halves = halves;
+                halves[at] = [f16::INFINITY, f16::NEG_INFINITY, f16::NAN][at % 3];
+                assert!(!max_finite(&halves[..len]).1, "{at} of {len}");
+            }
+            let codes: [u16; 40] = core::array::from_fn(|i| [0, 4094, 4095, 65_535, 32_768][i % 5]);
+            let expected = codes[..len].iter().filter(|&&code| code >= 4095).count();
+            assert_eq!(count_from(4095, &codes[..len]), expected as u32);
+        }
+        assert_eq!(max_finite(&[f16::NEG_ZERO; 9]).0.to_bits(), 0, "a zero has no sign");
+    }
 
     #[test]
     fn the_exponential_has_the_bits_of_micromath() {

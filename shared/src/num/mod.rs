@@ -36,5 +36,5 @@ pub mod simd;
 pub use convert::{narrow, narrow_slice, widen, widen_slice};
 #[cfg(all(target_arch = "arm", feature = "helium"))]
 use function::{SATURATED, exp_is_e};
-pub use function::{mac, max_finite, sigmoid, sigmoid_slice};
+pub use function::{count_from, largest, mac, max_finite, sigmoid, sigmoid_slice};
 pub use half::f16;

@@ -8,7 +8,7 @@ use crate::filter::{FilterBank, Filters, FrameRows};
 use crate::image::{ChwMut, PlaneMut, Region};
 use crate::nn::rcan::{self, Rcan};
 use crate::num::simd::{Kernel, Simd, Vector};
-use crate::num::{f16, fused, max_finite};
+use crate::num::{f16, fused, largest, max_finite};
 use crate::sensor::FixedPattern;
 
 /// Rows of a band beyond which the rows no longer stay in a workstation's caches.
@@ -208,12 +208,14 @@ impl<'a> Pipeline<'a> {
         let (mut saturated, mut max) = (0, f32::NEG_INFINITY);
         for (r, codes) in frame.chunks_exact(cols).enumerate() {
             saturated += self.pattern.saturated(codes);
-            self.pattern.correct_with(r, 0, codes, row, |signal| {
+            let done = self.pattern.correct_with(r, 0, codes, row, |signal| {
                 max = if signal > max { signal } else { max };
                 signal
             });
+            max = largest(&row[..done], max);
         }
-        (saturated, max)
+        // A zero without a sign: targets compare in different orders.
+        (saturated, max + 0.0)
     }
 }
 
@@ -245,7 +247,8 @@ impl FrameRows for Corrected<'_> {
         if self.max > 0.0 {
             let start = row * usize::from(self.pipeline.header.frame.cols) + first;
             let codes = &self.frame[start..start + to.len()];
-            self.pipeline.pattern.correct_with(row, first, codes, to, |signal| signal / self.max);
+            let done = self.pipeline.pattern.correct_with(row, first, codes, to, |signal| signal / self.max);
+            to[..done].iter_mut().for_each(|signal| *signal /= self.max);
         } else {
             to.fill(0.0);
         }

@@ -1,7 +1,7 @@
 //! The fixed pattern of one sensor.
 
 use crate::blob::{Header, Weights};
-use crate::num::{f16, fused, widen};
+use crate::num::{count_from, f16, fused, widen};
 
 /// The fixed pattern of a sensor, borrowed from a network file.
 #[derive(Clone, Copy, Debug)]
@@ -44,7 +44,8 @@ impl<'a> FixedPattern<'a> {
         self.correct_with(row, first, codes, to, |signal| signal);
     }
 
-    /// [`Self::correct`]; `to` receives what `then` makes of each signal, in no certain order.
+    /// [`Self::correct`]; `to` receives what `then` makes of each signal. Returns the number of leading signals that
+    /// `then` was not called for: where vectors computed them, the caller can use vectors, too.
     #[inline(always)]
     pub fn correct_with(
         &self,
@@ -53,7 +54,7 @@ impl<'a> FixedPattern<'a> {
         codes: &[u16],
         to: &mut [f32],
         mut then: impl FnMut(f32) -> f32,
-    ) {
+    ) -> usize {
         let of = |code, offset, gain| (f32::from(code) - self.black_level_dn - offset) * gain;
         if let (Some(offset), Some(gain)) = (self.offset_dn, self.inverse_gain) {
             let start = row * self.cols + first;
@@ -63,19 +64,20 @@ impl<'a> FixedPattern<'a> {
             for ((to, &code), (&offset, &gain)) in to[done..].iter_mut().zip(&codes[done..]).zip(offset.zip(gain)) {
                 *to = then(of(code, widen(offset), widen(gain)));
             }
-            to[..done].iter_mut().for_each(|to| *to = then(*to));
+            done
         } else {
             for (col, (to, &code)) in (first..).zip(to.iter_mut().zip(codes)) {
                 let (offset, gain) = self.pixel(row, col);
                 *to = then(of(code, offset, gain));
             }
+            0
         }
     }
 
     /// Number of codes at or above the saturation code.
     #[inline(always)]
     pub fn saturated(&self, codes: &[u16]) -> u32 {
-        codes.iter().map(|&code| u32::from(code >= self.saturation_dn)).sum()
+        count_from(self.saturation_dn, codes)
     }
 
     /// Inverse of [`Self::correct`]: the codes of the sensor for `signal`, finite, DN. The code of a defective pixel is

@@ -4,7 +4,9 @@
 use half::f16;
 use ommatidia_network::network_file::NetworkFile;
 use ommatidia_session::rng;
-use ommatidia_shared::blob::{Bank, Blocks, Header, Integers, MemoryPlan, Rcan, Sensor, Size, Tap, Weights};
+use ommatidia_shared::blob::{
+    Bank, Blocks, FeatureBits, Header, Integers, MemoryPlan, Rcan, Sensor, Size, Tap, Weights,
+};
 use ommatidia_shared::image::Region;
 use ommatidia_shared::nn::integer::{Channel, Convolutions};
 use ommatidia_shared::pipeline::Pipeline;
@@ -114,7 +116,18 @@ pub fn header(shape: &Shape) -> Header {
 /// The same network with its convolutions in integers.
 pub fn in_integers(shape: &Shape) -> Header {
     let mut header = header(shape);
-    header.integers = Some(Integers { input_log2: 14, feature_log2: 11, output: 1.0e-6 });
+    header.integers =
+        Some(Integers { input_log2: 14, feature_log2: 11, output: 1.0e-6, features: FeatureBits::Sixteen });
+    header.memory = Pipeline::plan(&header).unwrap();
+    header
+}
+
+/// The same network with features of 8 bits.
+#[allow(dead_code, reason = "not every test has such networks")]
+pub fn in_bytes(shape: &Shape) -> Header {
+    let mut header = header(shape);
+    let features = FeatureBits::Eight;
+    header.integers = Some(Integers { input_log2: 14, feature_log2: 5, output: 1.0e-4, features });
     header.memory = Pipeline::plan(&header).unwrap();
     header
 }
@@ -169,7 +182,15 @@ fn integers(header: &Header, seed: u64, scale: f32) -> (Vec<u16>, Vec<Channel>) 
         let multiplier = (f64::from(scale * rng.random_range(0.5..1.5f32)) * 2f64.powi(32)).min(f64::from(i32::MAX));
         Channel { bias: rng.random_range(-2_000_000..=2_000_000), multiplier: multiplier as i32 }
     };
-    (weights, (0..lens.channels / 4).map(channel).collect())
+    let mut channels: Vec<Channel> = (0..lens.channels / 4).map(channel).collect();
+    if header.integers.is_some_and(|integers| integers.features == FeatureBits::Eight) {
+        // Sums of the first layer, whose input has 16 bits, are 2^9 units of a feature times those of the others.
+        for (i, channel) in channels.iter_mut().enumerate() {
+            channel.bias >>= 8;
+            channel.multiplier >>= if i < usize::from(header.rcan.width) { 9 } else { 0 };
+        }
+    }
+    (weights, channels)
 }
 
 /// Where the blocks of a bank lie: drawn from all places alike.

@@ -11,6 +11,8 @@ pub enum Numbers {
     Halves,
     /// 3x3 convolutions with weights of 8 bits and features of 16 bits.
     Integers,
+    /// 3x3 convolutions with weights of 8 bits and features of 8 bits.
+    Bytes,
 }
 
 /// Settings of making a network file.

@@ -4,13 +4,15 @@ use super::QuantizeError;
 use super::pack::{describe, layer, layer_halves, layer_values, narrow};
 use super::ranges::Ranges;
 use crate::train::Checkpoint;
-use ommatidia_shared::blob;
+use ommatidia_shared::blob::{self, FeatureBits};
 use ommatidia_shared::nn::integer::{Channel, Convolutions, MAX_SUM};
 use ommatidia_shared::nn::rcan::{Layer, layout};
 use ommatidia_shared::num::f16;
 
-/// What a feature may be above the largest that was measured.
+/// What the input, and a feature of 16 bits, may be above the largest that was measured.
 const MARGIN: f32 = 2.0;
+/// The same for a feature of 8 bits, of which each bit counts. Larger ones saturate.
+const BYTE_MARGIN: f32 = 1.0;
 /// Largest magnitude of a weight; -128 is not used.
 const MAX_WEIGHT: f64 = 127.0;
 
@@ -29,14 +31,20 @@ impl IntegerNetwork {
     ///
     /// # Errors
     /// There are no frames, a weight is missing, or weights are too large for their layer.
-    pub fn of(checkpoint: &Checkpoint) -> Result<Self, QuantizeError> {
-        Self::with(checkpoint, Ranges::of(checkpoint)?)
+    pub fn of(checkpoint: &Checkpoint, features: FeatureBits) -> Result<Self, QuantizeError> {
+        Self::with(checkpoint, Ranges::of(checkpoint)?, features)
     }
 
-    fn with(checkpoint: &Checkpoint, ranges: Ranges) -> Result<Self, QuantizeError> {
+    fn with(checkpoint: &Checkpoint, ranges: Ranges, features: FeatureBits) -> Result<Self, QuantizeError> {
         let network = &checkpoint.body.network;
         let input_log2 = log2_below(ranges.input).clamp(0, 14);
-        let feature_log2 = log2_below(ranges.features).clamp(-16, 14);
+        let feature_log2 = match features {
+            FeatureBits::Sixteen => log2_below(ranges.features),
+            FeatureBits::Eight => {
+                (f32::from(i8::MAX) / (BYTE_MARGIN * ranges.features.max(f32::MIN_POSITIVE))).log2().floor() as i32
+            }
+        };
+        let feature_log2 = feature_log2.clamp(-16, 14);
         let (mut attention, mut weights, mut channels) = (Vec::new(), Vec::new(), Vec::new());
         let mut output = 1.0;
         for entry in layout(&describe(network)?, narrow("channels", network.channels)?) {
@@ -62,7 +70,8 @@ impl IntegerNetwork {
                 weights.extend(quantized.weights);
             }
         }
-        let scales = blob::Integers { input_log2: input_log2 as i8, feature_log2: feature_log2 as i8, output };
+        let scales =
+            blob::Integers { input_log2: input_log2 as i8, feature_log2: feature_log2 as i8, output, features };
         weights.resize(weights.len().next_multiple_of(2), 0);
         let weights = weights.as_chunks::<2>().0.iter().map(|pair| u16::from_le_bytes(pair.map(|w| w as u8))).collect();
         Ok(Self { scales, attention, weights, channels })

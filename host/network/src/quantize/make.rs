@@ -7,7 +7,7 @@ use super::pack::{self, narrow};
 use super::report::MadeFile;
 use super::{QuantizeConfig, QuantizeError, QuantizeReport};
 use crate::train::{Architecture, Checkpoint};
-use ommatidia_shared::blob::{self, Header, MemoryPlan, Sensor, Size, Weights};
+use ommatidia_shared::blob::{self, FeatureBits, Header, MemoryPlan, Sensor, Size, Weights};
 use ommatidia_shared::num::f16;
 use ommatidia_shared::pipeline::Pipeline;
 
@@ -61,7 +61,8 @@ fn make(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) -> Result<
     let (filters, index) = bank.filters()?;
     let integers = match config.numbers {
         Numbers::Halves => None,
-        Numbers::Integers => Some(IntegerNetwork::of(checkpoint)?),
+        Numbers::Integers => Some(IntegerNetwork::of(checkpoint, FeatureBits::Sixteen)?),
+        Numbers::Bytes => Some(IntegerNetwork::of(checkpoint, FeatureBits::Eight)?),
     };
     let rcan = match &integers {
         None => pack::rcan(network, &checkpoint.weights)?,
@@ -95,7 +96,7 @@ fn make(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) -> Result<
     };
     let halves = match config.numbers {
         Numbers::Halves => None,
-        Numbers::Integers => {
+        Numbers::Integers | Numbers::Bytes => {
             Some(make(checkpoint, hash, &QuantizeConfig { numbers: Numbers::Halves, ..config.clone() })?)
         }
     };

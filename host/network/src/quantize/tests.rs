@@ -102,6 +102,26 @@ fn integers_compute_about_what_the_float_network_does() {
     assert!(made.report.rcan_bytes * 10 < halves.report.rcan_bytes * 7, "{:?}", made.report);
 }
 
+/// Features of 8 bits are coarser than those of 16 and take half the arena; the weights are the same.
+#[test]
+fn features_of_8_bits_are_coarser_and_smaller() {
+    let checkpoint = checkpoint();
+    let [integers, bytes] = [Numbers::Integers, Numbers::Bytes]
+        .map(|numbers| quantize(&checkpoint, "", &QuantizeConfig { numbers, ..Default::default() }).unwrap());
+    let float = FloatNetwork::new(&checkpoint).unwrap();
+    let [fine, coarse] = [&integers, &bytes].map(|made| difference(&float, &file(made), &frame(9)));
+    // How much is lost depends on the network: that the integers are the right ones is tested bit for bit elsewhere.
+    assert!(coarse > fine, "{fine} {coarse}");
+    assert_eq!(bytes.report.rcan_bytes, integers.report.rcan_bytes);
+    assert!(bytes.report.bulk_bytes <= integers.report.bulk_bytes);
+    let weights = |made: &Quantized| {
+        let made = file(made);
+        let weights = made.network().unwrap().weights().convolutions.unwrap().weights.to_vec();
+        weights
+    };
+    assert_eq!(weights(&bytes), weights(&integers));
+}
+
 #[test]
 fn integers_need_frames() {
     let checkpoint = Checkpoint { cases: Vec::new(), ..checkpoint() };

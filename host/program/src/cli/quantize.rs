@@ -62,6 +62,8 @@ enum Activations {
     F16,
     /// 16 bits
     Int16,
+    /// 8 bits: half the memory, at a loss of quality
+    Int8,
 }
 
 impl Args {
@@ -69,11 +71,12 @@ impl Args {
         match (self.weights, self.activations) {
             (Weights::F16, None | Some(Activations::F16)) => Ok(Numbers::Halves),
             (Weights::Int8, None | Some(Activations::Int16)) => Ok(Numbers::Integers),
-            (Weights::F16, Some(Activations::Int16)) => {
-                anyhow::bail!("--activations int16 needs --weights int8; add it, or leave --activations out")
+            (Weights::Int8, Some(Activations::Int8)) => Ok(Numbers::Bytes),
+            (Weights::F16, Some(Activations::Int16 | Activations::Int8)) => {
+                anyhow::bail!("--activations int16 and int8 need --weights int8; add it, or leave --activations out")
             }
             (Weights::Int8, Some(Activations::F16)) => {
-                anyhow::bail!("--weights int8 needs --activations int16; change it, or leave --activations out")
+                anyhow::bail!("--weights int8 needs --activations int16 or int8; change it, or leave --activations out")
             }
         }
     }

@@ -1,6 +1,7 @@
-//! The 3x3 convolutions of the network in integers: weights of 8 bits, features of 16, sums of 32.
+//! The 3x3 convolutions of the network in integers: weights of 8 bits, features of 16 or of 8, sums of 32.
 //!
-//! A feature x is stored as the nearest integer to `x 2^f` from -32,768 to 32,767, with one f for all features
+//! A feature x is stored as the nearest integer to `x 2^f` from -32,768 to 32,767, or from -128 to 127, with one f for all
+//! features
 //! ([`Scales::feature_log2`](crate::blob::Integers::feature_log2)). Output channel o of a convolution is
 //! ```text
 //! sum = b[o] + sum_{i, ky, kx} w[o][i][ky][kx] x[i][r + ky - 1][c + kx - 1]
@@ -15,7 +16,8 @@
 //! [`crate::blob::Network`], by [`Convolutions::check`]. So sums are exact, and their order does not matter.
 //!
 //! The borders to the rest of the network:
-//! - The input of the network is halves. `x 2^a` is rounded to an integer in the same way ([`rescale::from_half`]).
+//! - The input of the network is halves. `x 2^a` is rounded to an integer of 16 bits in the same way
+//!   ([`rescale::from_half`]), whatever the features have.
 //! - The means of channel attention are exact sums of integers, converted to binary32. Attention itself is computed in
 //!   binary32 as for halves; the scale s of a channel becomes `k = min(floor(2^15 s + 1/2), 2^15 - 1)`, and
 //!   `g = saturate(g + floor(k t / 2^15 + 1/2))`.
@@ -26,12 +28,14 @@
 //! same memory plan, regions and network file as those in halves.
 
 mod conv;
+mod feature;
 mod packed;
 pub mod rescale;
 mod upscale;
 mod weights;
 
 pub use conv::{process, scratch_len};
+pub use feature::Feature;
 pub use upscale::{Last, process as upscale, scratch_len as upscale_scratch_len};
 pub(crate) use weights::counts;
 pub use weights::{Channel, Convolution, Convolutions, MAX_SUM};

@@ -1,7 +1,6 @@
 //! The roundings of integer networks: to the nearest integer, halves up.
 
-#[cfg(all(target_arch = "arm", feature = "helium"))]
-use crate::num::arm::helium;
+use super::feature::Feature;
 use crate::num::{f16, widen};
 
 /// Number of leading elements that a routine in Helium has done; 0 on other targets.
@@ -58,39 +57,38 @@ pub fn of_scale(scale: f32) -> i16 {
 /// `g = saturate(g + floor(scale t / 2^15 + 1/2))`.
 #[cfg_attr(target_arch = "arm", inline(never))]
 #[cfg_attr(not(target_arch = "arm"), inline(always))]
-pub fn add_scaled(scale: i16, t: &[i16], g: &mut [i16]) {
-    let done = done_in_helium!(add_scaled_integers(scale, t, g));
+pub fn add_scaled<F: Feature>(scale: i16, t: &[F], g: &mut [F]) {
+    let done = F::add_scaled_leading(scale, t, g);
     for (g, &t) in g[done..].iter_mut().zip(&t[done..]) {
-        *g = saturate(i32::from(*g) + ((i32::from(t) * i32::from(scale) + (1 << 14)) >> 15));
+        *g = F::saturate((*g).into() + ((t.into() * i32::from(scale) + (1 << 14)) >> 15));
     }
 }
 
 /// `to = saturate(max(rescale(sum), LEAST))` of each sum.
 #[inline(always)]
-pub(super) fn rescale_row<const LEAST: i32>(sums: &[i32], multiplier: i32, to: &mut [i16]) {
-    let done = done_in_helium!(rescale_row(sums, multiplier, LEAST, to));
+pub(super) fn rescale_row<F: Feature, const LEAST: i32>(sums: &[i32], multiplier: i32, to: &mut [F]) {
+    let done = F::rescale_leading(sums, multiplier, LEAST, to);
     for (to, &sum) in to[done..].iter_mut().zip(&sums[done..]) {
-        *to = saturate(rescale(sum, multiplier).max(LEAST));
+        *to = F::saturate(rescale(sum, multiplier).max(LEAST));
     }
 }
 
 /// `to = saturate(to + max(rescale(sum), LEAST))` of each sum.
 #[inline(always)]
-pub(super) fn accumulate_row<const LEAST: i32>(sums: &[i32], multiplier: i32, to: &mut [i16]) {
-    let done = done_in_helium!(accumulate_row(sums, multiplier, LEAST, to));
+pub(super) fn accumulate_row<F: Feature, const LEAST: i32>(sums: &[i32], multiplier: i32, to: &mut [F]) {
+    let done = F::accumulate_leading(sums, multiplier, LEAST, to);
     for (to, &sum) in to[done..].iter_mut().zip(&sums[done..]) {
-        *to = saturate(i32::from(*to) + rescale(sum, multiplier).max(LEAST));
+        *to = F::saturate((*to).into() + rescale(sum, multiplier).max(LEAST));
     }
 }
 
 /// Sum of at most 2^15 numbers.
 #[cfg_attr(target_arch = "arm", inline(never))]
 #[cfg_attr(not(target_arch = "arm"), inline(always))]
-pub(crate) fn sum(numbers: &[i16]) -> i32 {
-    #[cfg_attr(not(all(target_arch = "arm", feature = "helium")), expect(unused_mut, reason = "Helium adds to it"))]
+pub(crate) fn sum<F: Feature>(numbers: &[F]) -> i32 {
     let mut first = 0;
-    let done = done_in_helium!(add_integers(numbers, &mut first));
-    first + numbers[done..].iter().map(|&x| i32::from(x)).sum::<i32>()
+    let done = F::sum_leading(numbers, &mut first);
+    first + numbers[done..].iter().map(|&x| x.into()).sum::<i32>()
 }
 
 #[cfg(test)]
@@ -116,6 +114,10 @@ mod tests {
             prop_assert!((f64::from(k) / 32768.0 - f64::from(scale)).abs() <= 1.0 / 32768.0);
             let mut found = [g];
             add_scaled(k, &[t], &mut found);
+            let mut narrow = [g as i8];
+            add_scaled(k, &[t as i8], &mut narrow);
+            let exact = i128::from(g as i8) + nearest(i128::from(t as i8) * i128::from(k), 1 << 15);
+            prop_assert_eq!(i128::from(narrow[0]), exact.clamp(-128, 127));
             let expected = i128::from(g) + nearest(i128::from(t) * i128::from(k), 1 << 15);
             prop_assert_eq!(i128::from(found[0]), expected.clamp(-32768, 32767));
         }

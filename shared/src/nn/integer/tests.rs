@@ -3,7 +3,7 @@
 extern crate std;
 
 use super::*;
-use crate::blob::{self, BlobError, Section};
+use crate::blob::{self, BlobError, FeatureBits, Section};
 use crate::image::{Chw, ChwMut, PlaneMut, Region};
 use crate::naive::{self, Noise, wide};
 use crate::nn::activation::Activation;
@@ -44,17 +44,18 @@ impl Wide {
         Self::new(shape, each)
     }
 
-    fn plus(&self, other: &Self) -> Self {
-        Self::new(self.shape, self.data.iter().zip(&other.data).map(|(a, b)| saturated(a + b)))
+    fn plus(&self, other: &Self, most: i128) -> Self {
+        Self::new(self.shape, self.data.iter().zip(&other.data).map(|(a, b)| saturated(a + b, most)))
     }
 
-    fn numbers(&self) -> Vec<i16> {
+    fn numbers<F: TryFrom<i128, Error: core::fmt::Debug>>(&self) -> Vec<F> {
         self.data.iter().map(|&x| x.try_into().unwrap()).collect()
     }
 }
 
-fn saturated(x: i128) -> i128 {
-    x.clamp(-32768, 32767)
+/// `most`: the largest feature, 32,767 or 127.
+fn saturated(x: i128, most: i128) -> i128 {
+    x.clamp(-most - 1, most)
 }
 
 /// Nearest integer, halves up.
@@ -86,8 +87,8 @@ fn convolved(x: &Wide, conv: Convolution<'_>) -> Wide {
     sums
 }
 
-fn stored(x: Wide) -> Wide {
-    Wide { data: x.data.iter().map(|&x| saturated(x)).collect(), ..x }
+fn stored(x: Wide, most: i128) -> Wide {
+    Wide { data: x.data.iter().map(|&x| saturated(x, most)).collect(), ..x }
 }
 
 fn relu(x: Wide) -> Wide {
@@ -107,6 +108,10 @@ pub(in crate::nn) struct Net {
 impl Net {
     /// `gain`: about how much a layer multiplies its input by.
     fn new(shape: blob::Rcan, filters: u8, gain: f32, seed: u32) -> Self {
+        Self::with(shape, filters, gain, seed, FeatureBits::Sixteen)
+    }
+
+    fn with(shape: blob::Rcan, filters: u8, gain: f32, seed: u32, features: FeatureBits) -> Self {
         let mut noise = Noise(seed);
         let (weights, outputs) = counts(&shape, filters);
         let fan = (9.0 * f32::from(shape.width)).sqrt() * 73.0;
@@ -114,13 +119,19 @@ impl Net {
             bias: (noise.next() * 3.0e5) as i32,
             multiplier: (4_294_967_296.0 / fan * gain * (1.0 + 0.5 * noise.next())) as i32,
         };
-        let channels = (0..outputs).map(|_| channel()).collect();
+        let mut channels: Vec<Channel> = (0..outputs).map(|_| channel()).collect();
         let byte = |noise: &mut Noise| (noise.next() * 128.0).floor() as i8;
         let weights: Vec<u16> = (0..weights.div_ceil(2))
             .map(|_| u16::from_le_bytes([byte(&mut noise), byte(&mut noise)].map(|b| b as u8)))
             .collect();
         let attention = noise.halves(attention_count(&shape, filters) as usize, 0.4);
-        let scales = blob::Integers { input_log2: 12, feature_log2: 11, output: 1.0e-6 };
+        let mut scales = blob::Integers { input_log2: 12, feature_log2: 11, output: 1.0e-6, features };
+        if features == FeatureBits::Eight {
+            scales = blob::Integers { feature_log2: 4, output: 1.0e-4, ..scales };
+            // The input of the first layer has 16 bits.
+            channels.iter_mut().for_each(|channel| channel.bias >>= 7);
+            channels[..shape.width.into()].iter_mut().for_each(|channel| channel.multiplier >>= 7);
+        }
         Self { shape, filters, scales, weights, channels, attention }
     }
 
@@ -132,10 +143,18 @@ impl Net {
         Rcan::new(self.shape, Some(self.scales), self.filters, object).unwrap()
     }
 
+    /// The largest feature.
+    fn most(&self) -> i128 {
+        match self.scales.features {
+            FeatureBits::Sixteen => i16::MAX.into(),
+            FeatureBits::Eight => i8::MAX.into(),
+        }
+    }
+
     /// The network by its definition, with these scales of the attentions; and the features t of each block.
     fn expected(&self, input: &[f16], rows: usize, cols: usize, scales: &[f32]) -> (Vec<f16>, Vec<Wide>) {
         let (mut weights, mut channels) = (self.convolutions().bytes(), self.channels.as_slice());
-        let width = usize::from(self.shape.width);
+        let (width, most) = (usize::from(self.shape.width), self.most());
         let mut next = |inputs: usize, outputs: usize| {
             let (taken, rest) = weights.split_at(inputs * outputs * 9);
             let (own, others) = channels.split_at(outputs);
@@ -147,29 +166,29 @@ impl Net {
             shape,
             input.iter().map(|x| {
                 let exact = (x.to_f64() * f64::from(1 << 24)) as i128;
-                saturated(nearest(exact << self.scales.input_log2, 1 << 24))
+                saturated(nearest(exact << self.scales.input_log2, 1 << 24), 32767)
             }),
         );
         let unshuffled = Wide::build([4 * shape[0], rows, cols], |k, r, c| {
             integers.at(k / 4, 2 * r + (k as isize / 2) % 2, 2 * c + k as isize % 2)
         });
-        let head = stored(convolved(&unshuffled, next(4 * shape[0], width)));
+        let head = stored(convolved(&unshuffled, next(4 * shape[0], width)), most);
         let (mut y, mut blocks, mut scales) = (head.clone(), Vec::new(), scales.iter());
         for _ in 0..self.shape.groups {
             let mut g = y.clone();
             for _ in 0..self.shape.blocks {
-                let inner = stored(relu(convolved(&g, next(width, width))));
-                let t = stored(convolved(&inner, next(width, width)));
+                let inner = stored(relu(convolved(&g, next(width, width))), most);
+                let t = stored(convolved(&inner, next(width, width)), most);
                 let k: Vec<i128> = (0..width)
                     .map(|_| ((f64::from(*scales.next().unwrap()) * 32768.0 + 0.5).floor() as i128).min(32767))
                     .collect();
-                g = g.plus(&Wide::build(t.shape, |o, r, c| nearest(t.at(o, r, c) * k[o], 1 << 15)));
+                g = g.plus(&Wide::build(t.shape, |o, r, c| nearest(t.at(o, r, c) * k[o], 1 << 15)), most);
                 blocks.push(t);
             }
-            y = y.plus(&convolved(&g, next(width, width)));
+            y = y.plus(&convolved(&g, next(width, width)), most);
         }
-        y = head.plus(&convolved(&y, next(width, width)));
-        let up = stored(convolved(&y, next(width, 4 * width)));
+        y = head.plus(&convolved(&y, next(width, width)), most);
+        let up = stored(convolved(&y, next(width, 4 * width)), most);
         let fine = Wide::build([width, 2 * rows, 2 * cols], |k, r, c| {
             up.at(4 * k + 2 * (r as usize % 2) + c as usize % 2, r / 2, c / 2)
         });
@@ -209,8 +228,10 @@ const CASES: [(blob::Rcan, u8, [u16; 2], f32); 4] = [
 
 #[test]
 fn networks_agree_with_the_definition_whatever_band_and_region() {
-    for (i, (shape, filters, [rows, cols], gain)) in CASES.into_iter().enumerate() {
-        let net = Net::new(shape, filters, gain, 40 + i as u32);
+    let kinds = [FeatureBits::Sixteen, FeatureBits::Eight];
+    let cases = kinds.into_iter().flat_map(|kind| CASES.into_iter().enumerate().map(move |case| (kind, case)));
+    for (kind, (i, (shape, filters, [rows, cols], gain))) in cases {
+        let net = Net::with(shape, filters, gain, 40 + i as u32, kind);
         net.convolutions().check(&shape, filters).unwrap();
         let plan = net.plan(blob::Size { rows, cols });
         let input = Noise(50).halves(usize::from(filters) * usize::from(rows) * usize::from(cols), 1.0);
@@ -224,8 +245,10 @@ fn networks_agree_with_the_definition_whatever_band_and_region() {
             assert_eq!(found, expected, "{shape:?}, bands of {band}");
             assert_eq!(net.run(&plan, Simd::detect(), band, Scales::Held(&scales), &input, whole), expected);
         }
-        let saturated = blocks.iter().flat_map(|t| &t.data).any(|&x| x == 32767);
-        assert_eq!(saturated, gain > 1.0, "{shape:?}");
+        let saturated = blocks.iter().flat_map(|t| &t.data).any(|&x| x == net.most());
+        assert_eq!(saturated, gain > 1.0, "{shape:?} {kind:?}");
+        let distinct = expected.iter().any(|x| x.to_bits().abs_diff(expected[0].to_bits()) > 8);
+        assert!(distinct || expected.len() < 9, "a network that gives one value would pass: {shape:?} {kind:?}");
         let part = Region { row: rows / 3, col: cols / 4, rows: 1 + rows / 3, cols: 1 + cols / 3 };
         let [part_rows, part_cols] = part.ranges();
         let cut: Vec<f16> =
@@ -272,31 +295,48 @@ proptest! {
         let channels: Vec<Channel> = (0..outputs)
             .map(|_| Channel { bias: (noise.next() * 1.0e8) as i32, multiplier: ((noise.next() + 1.0) * 3.0e5) as i32 })
             .collect();
-        let mut number = || (noise.next() * 32768.0).floor() as i16;
-        let input: Vec<i16> = (0..inputs * rows * cols).map(|_| number()).collect();
-        let old: Vec<i16> = (0..outputs * rows * cols).map(|_| number()).collect();
         let conv = Conv3x3 {
             inputs, outputs, rows, cols,
             activation: if relu_last { Activation::Relu } else { Activation::Linear },
             store: if accumulate { Store::Accumulate } else { Store::Replace },
         };
         let own = Convolution { weights: &weights, channels: &channels };
-        let x = Wide::new([inputs, rows, cols], input.iter().map(|&x| x.into()));
-        let before = Wide::new([outputs, rows, cols], old.iter().map(|&x| x.into()));
-        let mut expected = convolved(&x, own);
-        if relu_last { expected = relu(expected); }
-        let expected = if accumulate { before.plus(&expected) } else { stored(expected) };
-        for simd in [Simd::PORTABLE, Simd::detect()] {
-            let mut output = old.clone();
-            let tensors = Tensors::Apart {
-                input: Chw::new(&input, inputs, rows, cols).unwrap(),
-                output: ChwMut::new(&mut output, outputs, rows, cols).unwrap(),
-            };
-            let mut scratch = vec![f32::NAN; scratch_len(&conv, band)];
-            process(&conv, simd, own, 1.0, tensors, &mut scratch).unwrap();
-            prop_assert_eq!(output, expected.numbers());
-        }
+        check_convolution::<i16>(&conv, own, band, &mut noise, 32768.0)?;
+        check_convolution::<i8>(&conv, own, band, &mut noise, 128.0)?;
     }
+}
+
+/// Compares a convolution of random features with its definition.
+fn check_convolution<F: Feature + TryFrom<i128, Error: core::fmt::Debug> + core::fmt::Debug + PartialEq>(
+    conv: &Conv3x3,
+    own: Convolution<'_>,
+    band: usize,
+    noise: &mut Noise,
+    range: f32,
+) -> Result<(), TestCaseError> {
+    let Conv3x3 { inputs, outputs, rows, cols, .. } = *conv;
+    let mut number = || F::saturate((noise.next() * range).floor() as i32);
+    let input: Vec<F> = (0..inputs * rows * cols).map(|_| number()).collect();
+    let old: Vec<F> = (0..outputs * rows * cols).map(|_| number()).collect();
+    let wide = |shape, data: &[F]| Wide::new(shape, data.iter().map(|&x| i128::from(x.into())));
+    let (x, before) = (wide([inputs, rows, cols], &input), wide([outputs, rows, cols], &old));
+    let most = i128::from(F::saturate(i32::MAX).into());
+    let mut expected = convolved(&x, own);
+    if conv.activation == Activation::Relu {
+        expected = relu(expected);
+    }
+    let expected = if conv.store == Store::Accumulate { before.plus(&expected, most) } else { stored(expected, most) };
+    for simd in [Simd::PORTABLE, Simd::detect()] {
+        let mut output = old.clone();
+        let tensors = Tensors::Apart {
+            input: Chw::new(&input, inputs, rows, cols).unwrap(),
+            output: ChwMut::new(&mut output, outputs, rows, cols).unwrap(),
+        };
+        let mut scratch = vec![f32::NAN; scratch_len(conv, band)];
+        process(conv, simd, own, 1.0, tensors, &mut scratch).unwrap();
+        prop_assert_eq!(output, expected.numbers::<F>());
+    }
+    Ok(())
 }
 
 #[test]
@@ -325,9 +365,9 @@ fn misfits_are_refused() {
     let (weights, channels) = ([0; 18], [Channel::default()]);
     let mut scratch = vec![0.0; scratch_len(&conv, 1)];
     let attempt = |conv: Conv3x3, weights: &[i8], scratch: &mut [f32]| {
-        let mut output = [7; 4];
+        let mut output = [7_i16; 4];
         let tensors = Tensors::Apart {
-            input: Chw::new(&[0; 8], 2, 2, 2).unwrap(),
+            input: Chw::new(&[0_i16; 8], 2, 2, 2).unwrap(),
             output: ChwMut::new(&mut output, 1, 2, 2).unwrap(),
         };
         let own = Convolution { weights, channels: &channels };

@@ -2,16 +2,16 @@
 
 /// The input of one row of a 3x3 correlation of integers, in groups of channels.
 #[derive(Clone, Copy)]
-pub(crate) struct Groups<'a> {
+pub(crate) struct Groups<'a, T = i16> {
     /// Three rows of all groups, `[3, groups, pitch, channels of a group]`.
-    pub(crate) input: &'a [i16],
+    pub(crate) input: &'a [T],
     /// Distance between the rows, columns.
     pub(crate) pitch: usize,
     /// Weights of `outputs` output channels, `[3, groups, 3, outputs, channels of a group]`.
-    pub(crate) weights: &'a [i16],
+    pub(crate) weights: &'a [T],
 }
 
-impl Groups<'_> {
+impl<T> Groups<'_, T> {
     /// The number of groups of `group` channels. Panics unless the slices hold everything that the loops read and
     /// write, for blocks of `outputs` by `columns` sums, in rows of sums that begin `distance` apart.
     pub(super) fn check(&self, group: usize, [outputs, columns]: [usize; 2], distance: usize, sums: usize) -> usize {

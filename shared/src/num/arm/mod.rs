@@ -45,11 +45,11 @@ pub(crate) use correlate::{correlate1, correlate4};
 pub(crate) use dual::{correlate_groups1, correlate_groups2};
 #[cfg(feature = "helium")]
 pub(super) use helium::{
-    accumulate, add_eights, add_scaled, correct, narrow_relu, narrow_slice, round_interleaved, sigmoid,
-    widen_alternate, widen_slice,
+    accumulate, add_eights, add_scaled, correct, count_from, extreme_halves, largest, narrow_relu, narrow_slice,
+    round_interleaved, sigmoid, widen_alternate, widen_slice,
 };
 #[cfg(feature = "helium")]
-pub(crate) use helium::{correlate_groups1, correlate_groups2, correlate1, correlate4};
+pub(crate) use helium::{correlate1, correlate4};
 #[cfg(not(feature = "helium"))]
 pub(super) use {
     convert::{narrow_slice, widen_slice},

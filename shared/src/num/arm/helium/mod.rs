@@ -12,9 +12,11 @@ mod bounds;
 mod columns;
 mod correlate;
 mod dot;
+mod extremes;
 mod fft;
 mod fused;
-mod integers;
+pub(crate) mod integers16;
+pub(crate) mod integers8;
 mod rows;
 mod sigmoid;
 
@@ -22,14 +24,13 @@ pub(crate) use columns::{
     add_product_columns, forward_columns, scatter_columns, transform_columns, transform_product_columns,
 };
 pub(crate) use correlate::{correlate1, correlate4};
-pub(crate) use dot::{correlate_groups1, correlate_groups2};
+pub(crate) use dot::{correlate_bytes1, correlate_bytes2, correlate_groups1, correlate_groups2};
+pub(in crate::num) use extremes::{count_from, extreme_halves, largest};
 pub(in crate::num) use fused::{
     accumulate, add_eights, add_scaled, correct, narrow_relu, narrow_slice, round_interleaved, widen_alternate,
     widen_slice,
 };
-pub(crate) use integers::{
-    accumulate_row, add_integers, add_scaled_integers, rescale_row, spread, spread_halves, spread_rescaled,
-};
+pub(crate) use integers16::spread_halves;
 pub(crate) use rows::{forward_rows, inverse_rows};
 pub(in crate::num) use sigmoid::sigmoid;
 

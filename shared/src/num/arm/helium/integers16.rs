@@ -1,4 +1,4 @@
-//! Loops at loads and stores of the integer convolution, and its attention. Each routine returns the number of elements
+//! Loops at loads and stores of the integer convolution with features of 16 bits, and its attention. Each routine returns the number of elements
 //! that it has done.
 
 use super::asm_push;
@@ -172,7 +172,7 @@ pub(crate) fn spread_rescaled(sums: &[i32], multiplier: i32, to: &mut [i16]) -> 
 
 /// `g = saturate(g + floor(scale t / 2^15 + 1/2))` with a scale that is not negative: six instructions for eight numbers.
 #[inline(always)]
-pub(crate) fn add_scaled_integers(scale: i16, t: &[i16], g: &mut [i16]) -> usize {
+pub(crate) fn add_scaled(scale: i16, t: &[i16], g: &mut [i16]) -> usize {
     let n = t.len().min(g.len()) / 8;
     if n > 0 {
         // SAFETY: 8 n elements lie in both slices.
@@ -199,7 +199,7 @@ pub(crate) fn add_scaled_integers(scale: i16, t: &[i16], g: &mut [i16]) -> usize
 
 /// Adds numbers to a sum, which must not overflow: three instructions for eight.
 #[inline(always)]
-pub(crate) fn add_integers(from: &[i16], sum: &mut i32) -> usize {
+pub(crate) fn add(from: &[i16], sum: &mut i32) -> usize {
     let n = from.len() / 8;
     if n > 0 {
         // SAFETY: 8 n elements lie in the slice.
