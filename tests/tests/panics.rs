@@ -17,7 +17,7 @@ const ARITHMETIC: [(&str, [usize; 2]); 7] = [
     ("fft", [23, 30]),
     ("filter", [26; 2]),
     ("image", [15; 2]),
-    ("nn", [89, 96]),
+    ("nn", [85, 96]),
     ("num", [30, 35]),
     ("pipeline", [6; 2]),
     ("sensor", [4, 6]),

@@ -116,8 +116,7 @@ fn features_of_8_bits_are_coarser_and_smaller() {
     assert!(bytes.report.bulk_bytes <= integers.report.bulk_bytes);
     let weights = |made: &Quantized| {
         let made = file(made);
-        let weights = made.network().unwrap().weights().convolutions.unwrap().weights.to_vec();
-        weights
+        made.network().unwrap().weights().convolutions.unwrap().weights.to_vec()
     };
     assert_eq!(weights(&bytes), weights(&integers));
 }

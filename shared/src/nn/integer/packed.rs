@@ -91,9 +91,16 @@ fn channel_of<F: Feature>(slot: &mut [F::Slot], cols: usize, channel: usize, fir
 /// are not used.
 pub(super) fn clear_borders<F: Feature>(slots: &mut [F::Slot], cols: usize) {
     for row in slots.chunks_exact_mut(pitch(cols) * F::GROUP) {
-        row[..F::GROUP].fill(0.into());
-        row[(cols + 1) * F::GROUP..][..F::GROUP].fill(0.into());
+        for first in [0, (cols + 1) * F::GROUP] {
+            row.iter_mut().skip(first).take(F::GROUP).for_each(|x| *x = 0.into());
+        }
     }
+}
+
+/// What of a row is left after its first `done` numbers; nothing beyond its end.
+#[inline(always)]
+fn rest<T>(row: &[T], done: usize) -> &[T] {
+    row.get(done..).unwrap_or_default()
 }
 
 /// Writes every other half of a row of the input of the network, from the first or the second on, into a slot.
@@ -104,7 +111,7 @@ pub(super) fn put_halves(slot: &mut [i16], cols: usize, channel: usize, odd: boo
     let to = &mut channel_of::<i16>(slot, cols, channel, 1)[place..];
     let done = done_in_helium!(spread_halves(from, odd, fixed_scale(scale), to));
     let columns = to.iter_mut().step_by(<i16 as Feature>::GROUP).skip(done);
-    for (to, pair) in columns.zip(&from.as_chunks::<2>().0[done..]) {
+    for (to, pair) in columns.zip(rest(from.as_chunks::<2>().0, done)) {
         *to = from_half(pair[usize::from(odd)], scale);
     }
 }
@@ -113,10 +120,11 @@ pub(super) fn put_halves(slot: &mut [i16], cols: usize, channel: usize, odd: boo
 #[cfg_attr(target_arch = "arm", inline(never))]
 #[cfg_attr(not(target_arch = "arm"), inline(always))]
 pub(super) fn put_row<F: Feature>(slot: &mut [F::Slot], cols: usize, channel: usize, from: &[F]) {
-    let to = &mut channel_of::<F>(slot, cols, channel, 1)[channel % F::GROUP..];
-    let done = F::spread_leading(from, to);
-    for (to, &x) in to[done * F::GROUP..].chunks_mut(F::GROUP).zip(&from[done..]) {
-        to[0] = x.slot();
+    let place = channel % F::GROUP;
+    let done = F::spread_leading(from, &mut channel_of::<F>(slot, cols, channel, 1)[place..]);
+    let columns = channel_of::<F>(slot, cols, channel, 1 + done).chunks_exact_mut(F::GROUP);
+    for (to, x) in columns.zip(rest(from, done)) {
+        to[place] = x.slot();
     }
 }
 
@@ -131,10 +139,12 @@ pub(super) fn put_rescaled<F: Feature>(
     sums: &[i32],
     multiplier: i32,
 ) {
-    let to = &mut channel_of::<F>(slot, cols, channel, 1 + first)[channel % F::GROUP..];
+    let (start, place) = (1 + first, channel % F::GROUP);
+    let to = &mut channel_of::<F>(slot, cols, channel, start)[place..];
     let done = F::spread_rescaled_leading(sums, multiplier, to);
-    for (to, &sum) in to[2 * done * F::GROUP..].chunks_mut(2 * F::GROUP).zip(&sums[done..]) {
-        to[0] = F::saturate(rescale(sum, multiplier)).slot();
+    let columns = channel_of::<F>(slot, cols, channel, start + 2 * done).chunks_exact_mut(2 * F::GROUP);
+    for (to, &sum) in columns.zip(rest(sums, done)) {
+        to[place] = F::saturate(rescale(sum, multiplier)).slot();
     }
 }
 
