@@ -271,7 +271,7 @@ fn held_out_deviance(instrument: &Instrument, seen: &Observations) -> Result<f64
     Ok(refit(&model, model.state(instrument)?)?.known_held_out.deviance)
 }
 
-/// Evidence from which a drift is told, standard deviations: three effects and more are followed.
+/// Evidence from which a drift is reported, standard deviations: three effects and more are followed.
 const DRIFTS: f64 = 3.5;
 
 /// Effects that change within the recording, by the strength of each that changes most.
@@ -298,7 +298,7 @@ fn gauge_note(gauge: &Gauge, state: &State) -> String {
     let id = state.terms.get(gauge.term).map_or("", Term::id);
     format!(
         "`{id}`: {directions} of the {values} directions of its values are changes of the specimens as well, so that these \
-         frames cannot tell how far the values lie along them (a displacement common to all lenses, for example). The \
+         frames cannot show how far the values lie along them (a displacement common to all lenses, for example). The \
          values are those with the fewest lenses changed, and their errors hold relative to the other lenses"
     )
 }

@@ -124,15 +124,18 @@ fn followed(design: &Design, group: &[usize], (frames, time_s): (&[usize], &[f64
     let pick = |m: &Array2<f64>, cols: &[usize]| m.select(Axis(0), group).select(Axis(1), cols);
     let residual = [design.residual()];
     let training = design.training().gram;
-    let told = directions(&pick(&training, group), &pick(&design.before, group)).told;
-    if told.ncols() == 0 {
+    let measurable = directions(&pick(&training, group), &pick(&design.before, group)).measurable;
+    if measurable.ncols() == 0 {
         return None;
     }
-    // In the directions that data tell: score and information, and what the parts of the frame say on their scatter.
+    // In the measurable directions: score and information, and what the parts of the frame say on their scatter.
     let reduced = |gram: &Array2<f64>| {
-        (told.t().dot(&pick(gram, group)).dot(&told), told.t().dot(&pick(gram, &residual)).column(0).to_owned())
+        (
+            measurable.t().dot(&pick(gram, group)).dot(&measurable),
+            measurable.t().dot(&pick(gram, &residual)).column(0).to_owned(),
+        )
     };
-    let mut told_steps = Vec::new();
+    let mut measurable_steps = Vec::new();
     for k in frames {
         let parts: Vec<_> = design.cells.iter().filter(|c| !c.held_out && c.frame == *k && c.pixels > 0.0).collect();
         let (q, s) = reduced(&design.sums(|c| !c.held_out && c.frame == *k).gram);
@@ -148,14 +151,14 @@ fn followed(design: &Design, group: &[usize], (frames, time_s): (&[usize], &[f64
             .sum();
         let (n, d) = (parts.len() as f64, inverse.dot(&q).diag().sum().max(1.0));
         let phi = if n > 3.0 { (scatter / d * n / (n - 1.0)).max(1.0) } else { 1.0 };
-        told_steps.push((a, q / phi, inverse * phi));
+        measurable_steps.push((a, q / phi, inverse * phi));
     }
-    let z = drift(&told_steps.iter().map(|(a, q, _)| (a.clone(), q.clone())).collect::<Vec<_>>(), time_s);
+    let z = drift(&measurable_steps.iter().map(|(a, q, _)| (a.clone(), q.clone())).collect::<Vec<_>>(), time_s);
     let step = |(a, _, c): &(Array1<f64>, Array2<f64>, Array2<f64>)| Step {
-        theta: told.dot(a),
-        covariance: told.dot(c).dot(&told.t()),
+        theta: measurable.dot(a),
+        covariance: measurable.dot(c).dot(&measurable.t()),
     };
-    Some(Followed { steps: told_steps.iter().map(step).collect(), z })
+    Some(Followed { steps: measurable_steps.iter().map(step).collect(), z })
 }
 
 /// Evidence for a slope over time, standard deviations: of vectors with their information, one for each time.

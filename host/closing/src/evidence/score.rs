@@ -109,9 +109,9 @@ impl<'d> Scores<'d> {
             self.design.before[[columns[i], columns[j]]]
         });
         // What a change of the specimens makes is no part of the effect that is tested.
-        let told = self.design.estimated.then(|| directions(&q, &before).told);
-        let reduced = |m: &Array2<f64>| told.as_ref().map_or_else(|| m.clone(), |t| t.t().dot(m).dot(t));
-        let q_inverse = match &told {
+        let measurable = self.design.estimated.then(|| directions(&q, &before).measurable);
+        let reduced = |m: &Array2<f64>| measurable.as_ref().map_or_else(|| m.clone(), |t| t.t().dot(m).dot(t));
+        let q_inverse = match &measurable {
             Some(t) => t.dot(&pseudo_inverse(&reduced(&q))).dot(&t.t()),
             None => pseudo_inverse(&q),
         };
@@ -125,7 +125,7 @@ impl<'d> Scores<'d> {
         let Scatter { phi, degrees } = self.scatter(columns, r, &theta, &q_inverse, dof);
         let [scattered, stated] = self.design.error_rows().map(|rows| self.calibration(columns, rows));
         let v = &q * phi + &scattered + &stated;
-        let v_inverse = match &told {
+        let v_inverse = match &measurable {
             Some(t) => t.dot(&pseudo_inverse(&reduced(&v))).dot(&t.t()),
             None => pseudo_inverse(&v),
         };

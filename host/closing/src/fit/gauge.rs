@@ -5,7 +5,7 @@
 //! ```text
 //! Q v = g B v,   v' B v = 1
 //! ```
-//! keep the share g of their squared norm. A direction that keeps less than [`GAUGE`] is a gauge: no data tell how far
+//! keep the share g of their squared norm. A direction that keeps less than [`GAUGE`] is a gauge: no data say how far
 //! the values lie along it. So no score holds it and no fit moves along it, though the other directions of the same
 //! effect are measured: displacements of single lenses, where one that all lenses share is a displacement of the
 //! specimen.
@@ -29,8 +29,8 @@ const STEPS: usize = 60;
 
 /// The directions of some values, each a column.
 pub(crate) struct Directions {
-    /// Those that data tell.
-    pub(crate) told: Array2<f64>,
+    /// Those that data measure.
+    pub(crate) measurable: Array2<f64>,
     /// The others.
     pub(crate) gauges: Array2<f64>,
 }
@@ -38,7 +38,7 @@ pub(crate) struct Directions {
 /// Splits the directions of values by what is left of them: `q` of `before`, both [n, n].
 pub(crate) fn directions(q: &Array2<f64>, before: &Array2<f64>) -> Directions {
     let n = q.nrows();
-    let none = Directions { told: Array2::zeros((n, 0)), gauges: Array2::zeros((n, 0)) };
+    let none = Directions { measurable: Array2::zeros((n, 0)), gauges: Array2::zeros((n, 0)) };
     let scale = before.diag().mapv(|v| if v > 0.0 { 1.0 / v.sqrt() } else { 0.0 });
     let scaled = |m: &Array2<f64>| Array2::from_shape_fn((n, n), |(i, j)| m[[i, j]] * scale[i] * scale[j]);
     let Ok(SymmetricEigen { values, vectors }) = symmetric_eigen(&scaled(before)) else { return none };
@@ -54,8 +54,8 @@ pub(crate) fn directions(q: &Array2<f64>, before: &Array2<f64>) -> Directions {
     for (mut row, s) in all.outer_iter_mut().zip(&scale) {
         row *= *s;
     }
-    let (told, gauges): (Vec<usize>, Vec<usize>) = (0..used.len()).partition(|i| values[*i] >= GAUGE);
-    Directions { told: all.select(Axis(1), &told), gauges: all.select(Axis(1), &gauges) }
+    let (measurable, gauges): (Vec<usize>, Vec<usize>) = (0..used.len()).partition(|i| values[*i] >= GAUGE);
+    Directions { measurable: all.select(Axis(1), &measurable), gauges: all.select(Axis(1), &gauges) }
 }
 
 /// The gauges of a term of a state.
@@ -160,11 +160,11 @@ mod tests {
         let norm = common.dot(&image);
         let outer = Array2::from_shape_fn((3, 3), |(i, j)| image[i] * image[j] / norm);
         let q = &before - &(outer * (1.0 - 1e-5));
-        let Directions { told, gauges } = directions(&q, &before);
-        assert_eq!((told.ncols(), gauges.ncols()), (2, 1));
+        let Directions { measurable, gauges } = directions(&q, &before);
+        assert_eq!((measurable.ncols(), gauges.ncols()), (2, 1));
         let v = gauges.column(0);
         assert!((v[0] - v[1]).abs() < 1e-6 && (v[0] - v[2]).abs() < 1e-6 && v[0].abs() > 0.1, "{v}");
-        assert!(told.t().dot(&before).dot(&gauges).iter().all(|x| x.abs() < 1e-6));
+        assert!(measurable.t().dot(&before).dot(&gauges).iter().all(|x| x.abs() < 1e-6));
         assert_eq!(directions(&before, &before).gauges.ncols(), 0);
     }
 
