@@ -1,7 +1,7 @@
 //! The checks of a header before anything is computed.
 
 use super::error::PipelineError;
-use crate::blob::{Header, has_black_level};
+use crate::blob::{FeatureBits, Header, has_black_level};
 use crate::filter::FilterBank;
 use crate::nn::rcan::Rcan;
 
@@ -26,6 +26,10 @@ pub(super) fn shapes(header: &Header) -> Result<(FilterBank<'_>, Rcan), Pipeline
         return Err(PipelineError::BlackLevel { found: header.sensor.black_level_dn });
     }
     let filter = FilterBank::new(&header.bank, header.frame, header.object)?;
+    if cfg!(feature = "only-16-bits") && header.integers.is_some_and(|i| i.features == FeatureBits::Eight) {
+        let expected = "16: this device has no loops for features of 8 bits; quantize with --activations int16";
+        return Err(PipelineError::Field { field: "bits of a feature", expected, found: 8 });
+    }
     Ok((filter, Rcan::new(network, header.integers, header.bank.channels, header.object)?))
 }
 
