@@ -115,11 +115,14 @@ const TRADED: [f64; 2] = [0.1, 1e-3];
 /// Whether held-out data are predicted worse after than before: chi-squared per pixel or the relative error rises by
 /// more than rounding, the latter by more than [`TRADED`]. That noise may have made the rise is no excuse: an effect that
 /// leaves held-out data as they were, or worse, has no claim to the instrument. A chi-squared below 1 is no better than
-/// its inverse: the noise model is wrong by as much, since pixels share their noise, or since a curve flattens it.
+/// 1, since pixels share their noise; where the relative error falls, no better than its inverse, since a curve that
+/// flattens the light flattens the noise, and mends both.
 /// Figures are `[chi2_ndf, nrmse]`.
 pub(crate) fn worse(before: [f64; 2], after: [f64; 2]) -> bool {
     let traded = (TRADED[0] * (1.0 - after[0] / before[0])).clamp(0.0, TRADED[1]);
-    rises(before[0].max(1.0 / before[0]), after[0]) || rises(before[1] * (1.0 + traded), after[1])
+    // Only what predicts the light better may bring the noise nearer to what it should be.
+    let most = if rises(after[1], before[1]) { before[0].max(1.0 / before[0]) } else { before[0].max(1.0) };
+    rises(most, after[0]) || rises(before[1] * (1.0 + traded), after[1])
 }
 
 /// [`worse`] of figures.

@@ -1,5 +1,5 @@
 //! Moves a small image by a fraction of a pixel: band-limited interpolation of a window that is zero outside
-//! ([`crate::interpolation`]).
+//! (`crate::interpolation`).
 //!
 //! A Gaussian of 1.2 px is moved with an error of at most 6e-4 of its peak, against 2e-4 by the sinc alone. But a sharp
 //! PSF has power beyond the Nyquist frequency, which is aliased. Nothing mends that, and the sinc alone spreads the error

@@ -4,6 +4,7 @@ use crate::instrument::{Diagnostics, Instrument, LightUnit, Quality};
 use crate::psf::nodes::even_nodes;
 use crate::psf::{ChiefRays, LowRankPsf};
 use ndarray::{Array4, Array5};
+use ommatidia_physics::effects::blur_within;
 use ommatidia_physics::noise::{NoiseModel, Sources};
 use ommatidia_session::{ArrayGeometry, Manifest, ObjectGrid, Optics, SensorSpec};
 
@@ -58,4 +59,15 @@ pub fn instrument(object: [usize; 2], sensor: [usize; 2], window: usize, rank: u
         quality: Quality::default(),
         diagnostics: Diagnostics::default(),
     }
+}
+
+/// The instrument with PSFs blurred by a Gaussian of 1 px, as optics and pixels blur them.
+pub fn smooth(mut instrument: Instrument) -> Instrument {
+    for mut kernels in instrument.psf.basis.outer_iter_mut() {
+        for mut kernel in kernels.outer_iter_mut() {
+            let blurred = blur_within(&kernel.to_owned(), 1.0);
+            kernel.assign(&blurred);
+        }
+    }
+    instrument
 }

@@ -4,6 +4,6 @@ mod instrument;
 mod square_array;
 mod testbed;
 
-pub use instrument::instrument;
+pub use instrument::{instrument, smooth};
 pub use square_array::square_array;
 pub use testbed::Testbed;

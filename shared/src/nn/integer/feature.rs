@@ -166,6 +166,7 @@ feature!(i8);
 /// [`Feature::row`] in `SMLAD`.
 #[cfg(all(target_arch = "arm", feature = "fpv4", not(feature = "helium")))]
 #[inline(always)]
+#[expect(clippy::extra_unused_type_parameters, reason = "loops in instructions of the core choose their own vectors")]
 fn pair_row<V: Vector>(input: &[i16], cols: usize, weights: &[i16], block: &[Channel], sums: &mut [i32]) {
     let rows = arm::Groups { input, pitch: pitch(cols), weights };
     match *block {
