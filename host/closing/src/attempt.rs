@@ -1,10 +1,11 @@
 //! One attempt to close the loop, with the records as they stand: first fit, search, pruning, account.
 
 use super::account::{
-    Accepted, Closed, Closing, Effect, Excess, Findings, Verdict, claims_a_cause, coarse_calibration, effects, harmful,
-    imitated, pictured, registration_notes, registrations, rejected, shadowed, unearned, unstated_notes,
+    Accepted, Closed, Closing, Effect, Excess, Findings, Left, Verdict, calibration_note, claims_a_cause, effects,
+    harmful, imitated, pictured, registration_notes, registrations, rejected, shadowed, unearned, unstated_notes,
+    within_calibration,
 };
-use super::data::{Fault, Observations, Shown};
+use super::data::{Fault, Observations, Shown, bright_darks};
 use super::evidence::{
     Curve, JudgedOn, curves, excess, excess_by_calibration, figures, is_worse, judged, omnibus, standing_alone,
     structured,
@@ -13,7 +14,7 @@ use super::fit::gauge::Gauge;
 use super::fit::{Fitted, Model, Replicas, State, Term, UNKNOWN_NOTE, chosen_note, estimated_frames, refit, replicas};
 use super::options::{CalibratedOn, CloseError, CloseOptions};
 use super::plan::{self, plan};
-use super::search::{Earned, NEEDS_CALIBRATION, Pruned, Search, Tried, earned, lost, prune, replaced, score};
+use super::search::{Earned, Found, NEEDS_CALIBRATION, Pruned, Search, Tried, earned, lost, prune, replaced, score};
 use ommatidia_model::instrument::Instrument;
 use ommatidia_physics::effects::find;
 use ommatidia_session::Role;
@@ -62,7 +63,8 @@ pub(crate) fn attempt(
     let before = refit(&model, start)?;
     let replicas = replicas(&model, instrument, &before.state)?;
     let errors = replicas.of(&model, &before)?;
-    let by_calibration = excess_by_calibration(&model, &before, &errors);
+    let judged_on = JudgedOn::of(seen);
+    let by_calibration = [judged_on, JudgedOn::Even].map(|on| excess_by_calibration(&model, &before, &errors, on));
     let dependences_before = omnibus::test(&model, &before, &errors, seed);
     progress("catalogue");
     let mut search = Search::new(&model, &replicas, before.clone());
@@ -82,21 +84,35 @@ pub(crate) fn attempt(
         search.run(Tried::Curves, progress)?;
         dependences = omnibus::test(&model, &search.now, &replicas.of(&model, &search.now)?, seed);
     }
-    let of_before = excess(&model, &before);
+    let of_before = [judged_on, JudgedOn::Even].map(|on| excess(&model, &before, on));
+    let within = |fit: &Fitted| {
+        within_calibration(figures(&model, fit), &instrument.quality, standing_alone(&model, fit, &instrument.psf))
+    };
     let excess_of = |fit: &Fitted| {
-        Excess::of(of_before, excess(&model, fit), by_calibration).within_calibration(
-            figures(&model, fit),
-            &instrument.quality,
-            standing_alone(&model, fit, &instrument.psf),
-        )
+        Excess::of(of_before[0], excess(&model, fit, judged_on), by_calibration[0]).beyond_calibration(within(fit))
+    };
+    let left_of = |fit: &Fitted| {
+        let even = Excess::of(of_before[1], excess(&model, fit, JudgedOn::Even), by_calibration[1]);
+        Left { judged: excess_of(fit).left, even: even.left }
     };
     let recalibrated = search.needs_calibration();
     let mut imitations = Vec::new();
-    let named = search.found.iter().any(|f| !f.id.starts_with("unknown"));
-    if named && !recalibrated && !excess_of(&search.now).names_are_earned(structured(&dependences)) {
-        let mut again = Search::new(&model, &replicas, before.clone());
-        again.exclude = given.exclude.to_vec();
-        imitations = replaced(&mut search, again, own, progress)?;
+    let named = |f: &&Found| !f.id.starts_with("unknown");
+    if !recalibrated && structured(&dependences) && search.found.iter().any(|f| named(&f)) {
+        let left = left_of(&search.now);
+        if search.found.iter().filter(named).any(|f| !left.earns(f)) {
+            let pairs = search.found.iter().zip(&search.now.state.terms[own..]);
+            let earned = pairs.filter(|(f, _)| named(f) && left.earns(f));
+            let (found, terms): (Vec<_>, Vec<_>) = earned.map(|(f, t)| (f.clone(), t.clone())).unzip();
+            let mut start = before.clone();
+            if !terms.is_empty() {
+                start.state.terms.extend(terms);
+                start = refit(&model, start.state)?;
+            }
+            let mut again = Search::new(&model, &replicas, start);
+            (again.exclude, again.found) = (given.exclude.to_vec(), found);
+            imitations = replaced(&mut search, again, own, progress)?;
+        }
     }
     // What stands for a new calibration is judged by what that gains, and not by its own form.
     let keep: &[&str] = if recalibrated { &[NEEDS_CALIBRATION] } else { &[] };
@@ -119,6 +135,7 @@ pub(crate) fn attempt(
         // Another fit of the nuisance parameters alone is no closed loop.
         now = before.clone();
     }
+    found.iter_mut().for_each(|f| f.or_untested(&rest));
     let (harmed, harmful_terms): (Vec<_>, Vec<_>) = taken_back.into_iter().unzip();
     let mut nearest = shadowed(&search.shadowed, found.first().map(|f| f.id));
     nearest.extend(imitated(&imitations));
@@ -150,21 +167,24 @@ pub(crate) fn attempt(
     }
     let (first, last) = (figures(&model, &before), figures(&model, &now));
     let left = structured(&dependences);
-    let catalogue_incomplete = left || found.iter().any(|f| f.id.starts_with("unknown"));
+    let within = within(&now);
     let excess = excess_of(&now);
-    let verdict = excess.verdict(catalogue_incomplete);
+    let unnamed = found.iter().any(|f| f.id.starts_with("unknown"));
+    let verdict = excess.verdict(left && !within || unnamed);
+    let catalogue_incomplete = verdict != Verdict::Adequate;
     // Darks and even light prove a table pixel by pixel, whatever is left of the scenes.
     let may_imitate =
         |e: &Effect| claims_a_cause(e, recalibrated) && find(&e.id).is_none_or(|effect| effect.table().is_none());
-    let unlike = if left { excess.left } else { 0.0 };
+    let unlike = if left { left_of(&now) } else { Left::default() };
     let findings = Findings { before: &before, now: &now, own, found: &found, tests: &tests, left: unlike };
     let mut effects = effects(&model, findings, given.faults);
-    let imitating = !excess.names_are_earned(left) && effects.iter().any(may_imitate);
+    let unearned_names = |e: &Effect| may_imitate(e) && found.iter().any(|f| f.id == e.id && !unlike.earns(f));
+    let imitating = effects.iter().any(unearned_names);
     if imitating {
         let share = 100.0 * excess.left;
         let why =
             format!("{share:.0} % of the excess is left beside it, with structure: it imitates the cause in part");
-        let (named, others): (Vec<_>, Vec<_>) = effects.into_iter().partition(may_imitate);
+        let (named, others): (Vec<_>, Vec<_>) = effects.into_iter().partition(unearned_names);
         nearest.extend(unearned(&named, &why));
         notes.push(format!(
             "the instrument keeps terms in the form of {}, which predict held-out data better; they are no causes",
@@ -172,6 +192,7 @@ pub(crate) fn attempt(
         ));
         effects = others;
     }
+    notes.splice(..0, bright_darks(seen, model.forward.noise()));
     // Without a bead scan there are no replicates to be had.
     if instrument.replicates.is_empty() && !instrument.sensor_only() && seen.of(Role::Scene).next().is_some() {
         notes.push(
@@ -180,7 +201,7 @@ pub(crate) fn attempt(
                 .into(),
         );
     }
-    notes.extend(coarse_calibration(verdict, &effects, &instrument.quality));
+    notes.extend(calibration_note((left, within), verdict, &effects, &instrument.quality));
     if JudgedOn::of(seen) == JudgedOn::SelfConsistency {
         notes.push(UNKNOWN_NOTE.into());
     }

@@ -1,11 +1,14 @@
 //! Closes the loop on observations in memory: screening of the records, then one attempt, or two.
 
-use super::account::{Account, Closed, Closing, Verdict, fault, pictured, registration_notes, registrations};
+use super::account::{
+    Account, Closed, Closing, Verdict, calibration_note, fault, pictured, registration_notes, registrations,
+    within_calibration,
+};
 use super::attempt::{Given, OWN_BEADS_NOTE, attempt, held_out_blocks, held_out_frames, own_beads};
 use super::data::{Fault, Observations, Shown};
-use super::evidence::{JudgedOn, figures, omnibus, structured};
+use super::evidence::{JudgedOn, figures, omnibus, standing_alone, structured};
 use super::fit::{
-    Model, State, UNKNOWN_NOTE, chosen_note, estimate_specimens, estimated_frames, record, refit, replicas,
+    Model, State, UNKNOWN_NOTE, chosen_note, estimate_specimens, estimated_frames, exposures, record, refit, replicas,
 };
 use super::options::{CloseError, CloseOptions};
 use ommatidia_model::instrument::Instrument;
@@ -43,8 +46,7 @@ pub fn close(
     }
     estimate_specimens(instrument, seen);
     progress("records");
-    let mut faults = wrong_objects(instrument, seen)?;
-    let doubted = doubted_exposures(instrument, seen, None)?;
+    let [mut faults, doubted] = wrong_records(instrument, seen)?;
     let mut exclude = options.exclude.to_vec();
     if !doubted.is_empty() {
         // A curve over time would take a wrong exposure for its own.
@@ -54,12 +56,12 @@ pub fn close(
     if doubted.is_empty() || first.explains_all() {
         return Ok(first.closed);
     }
-    let left = doubted_exposures(instrument, seen, Some(&first.state))?;
+    let left = doubted_exposures(instrument, seen, &first.state)?;
     let wrong: Vec<Fault> = doubted.into_iter().filter(|d| left.iter().any(|l| l.frame == d.frame)).collect();
     if wrong.is_empty() {
         return Ok(first.closed);
     }
-    record::correct_exposures(seen, &wrong);
+    exposures::correct_exposures(seen, &wrong);
     faults.extend(wrong);
     Ok(attempt(instrument, seen, options, Given { exclude: options.exclude, faults: &faults }, &mut progress)?.closed)
 }
@@ -78,10 +80,9 @@ pub fn residual(
         return Err(CloseError::Empty);
     }
     estimate_specimens(instrument, seen);
-    let mut faults = wrong_objects(instrument, seen)?;
-    let exposures = doubted_exposures(instrument, seen, None)?;
-    record::correct_exposures(seen, &exposures);
-    faults.extend(exposures);
+    let [mut faults, doubted] = wrong_records(instrument, seen)?;
+    exposures::correct_exposures(seen, &doubted);
+    faults.extend(doubted);
     let seen = &*seen;
     let model = Model::new(instrument, seen)?;
     let fit = refit(&model, model.state(instrument)?)?;
@@ -89,17 +90,21 @@ pub fn residual(
     let dependences = omnibus::test(&model, &fit, &replicas.of(&model, &fit)?, options.seed);
     let figures = figures(&model, &fit);
     let own_beads = own_beads(seen, options.calibrated_on);
+    let structured = structured(&dependences);
+    let within = within_calibration(figures, &instrument.quality, standing_alone(&model, &fit, &instrument.psf));
+    let verdict = if structured && !within { Verdict::Incomplete } else { Verdict::Adequate };
     let registrations = registrations(&model, &fit, None, &replicas)?;
     let mut notes = registration_notes(&registrations);
     notes.extend(own_beads.then(|| OWN_BEADS_NOTE.into()));
     notes.extend((JudgedOn::of(seen) == JudgedOn::SelfConsistency).then(|| UNKNOWN_NOTE.into()));
     notes.extend(chosen_note(seen));
+    notes.extend(calibration_note((structured, within), verdict, &[], &instrument.quality));
     let closing = Closing {
         session: options.session_name.into(),
         calibrated_on: options.calibrated_on.iter().map(|c| c.file.clone()).collect(),
         own_beads,
         judged_on: JudgedOn::of(seen),
-        verdict: if structured(&dependences) { Verdict::Incomplete } else { Verdict::Adequate },
+        verdict,
         registrations,
         notes,
         before: figures,
@@ -108,7 +113,7 @@ pub fn residual(
         held_out_blocks: held_out_blocks(seen),
         estimated_frames: estimated_frames(seen),
         recorded_frames: seen.recorded,
-        catalogue_incomplete: structured(&dependences),
+        catalogue_incomplete: structured && !within,
         effects: faults.iter().map(fault).collect(),
         faults,
         dependences_before: dependences.clone(),
@@ -132,18 +137,29 @@ fn looked(
     Ok(Some(record::look(&model, state.unwrap_or(&own))?))
 }
 
-/// Finds scenes with a wrong object, and corrects them.
-fn wrong_objects(instrument: &Instrument, seen: &mut Observations) -> Result<Vec<Fault>, CloseError> {
-    let frames = looked(instrument, seen, None)?;
-    Ok(frames.map_or_else(Vec::new, |frames| record::objects(seen, &frames)))
+/// Faults of the records: those of objects, which are corrected, and exposures, which are only doubted.
+fn wrong_records(instrument: &Instrument, seen: &mut Observations) -> Result<[Vec<Fault>; 2], CloseError> {
+    let Some(mut frames) = looked(instrument, seen, None)? else { return Ok(Default::default()) };
+    let mut faults = record::objects(seen, &frames);
+    match record::others(&frames) {
+        // Objects that only lie in another order or turned are found for nearly all of them.
+        Some((others, scenes, own)) if 2 * faults.len() < others => {
+            return Err(CloseError::OtherObjects { scenes, others, own });
+        }
+        _ => {}
+    }
+    if !faults.is_empty() {
+        frames = looked(instrument, seen, None)?.unwrap_or_default();
+    }
+    let units = exposures::units(seen, &frames);
+    // All of them have their own light then.
+    let doubted = if units.is_empty() { exposures::exposures(seen, &frames) } else { Vec::new() };
+    faults.extend(units);
+    Ok([faults, doubted])
 }
 
-/// Exposures that contradict their frames under a state; None: that of the instrument.
-fn doubted_exposures(
-    instrument: &Instrument,
-    seen: &Observations,
-    state: Option<&State>,
-) -> Result<Vec<Fault>, CloseError> {
-    let frames = looked(instrument, seen, state)?;
-    Ok(frames.map_or_else(Vec::new, |frames| record::exposures(seen, &frames)))
+/// Exposures that contradict their frames under a state.
+fn doubted_exposures(instrument: &Instrument, seen: &Observations, state: &State) -> Result<Vec<Fault>, CloseError> {
+    let frames = looked(instrument, seen, Some(state))?;
+    Ok(frames.map_or_else(Vec::new, |frames| exposures::exposures(seen, &frames)))
 }

@@ -25,6 +25,20 @@ pub enum CloseError {
         /// Layout of the session.
         found: String,
     },
+    /// The frames do not show the objects.
+    #[error(
+        "the frames do not show the objects that are recorded for them: {others} of {scenes} scenes resemble the object \
+         of another scene more than their own (median correlation with their own {own:.2}). Check which files of frames \
+         and objects belong together; without `truth` a session is closed as one of unknown specimens"
+    )]
+    OtherObjects {
+        /// Number of scenes with a known object.
+        scenes: usize,
+        /// Number of them that resemble another object more.
+        others: usize,
+        /// Median correlation with their own.
+        own: f64,
+    },
     /// There is no frame.
     #[error("the session holds no frame to compare with the model: expected scenes, beads, flats or darks")]
     Empty,

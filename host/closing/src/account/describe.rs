@@ -2,6 +2,7 @@
 //! measurements that would distinguish similar effects.
 
 use super::result::{Effect, Rejected, Value};
+use super::verdict::Left;
 use crate::data::{Fault, FaultKind};
 use crate::evidence::{JudgedOn, Test};
 use crate::fit::{Fitted, Model, State, Term};
@@ -21,8 +22,8 @@ pub(crate) struct Findings<'a> {
     pub(crate) found: &'a [Found],
     /// The test of each term.
     pub(crate) tests: &'a [Option<Test>],
-    /// Share of the excess of chi-squared that is left with structure, beyond noise and calibration.
-    pub(crate) left: f64,
+    /// Shares of the excess of chi-squared that are left with structure, beyond noise and calibration.
+    pub(crate) left: Left,
 }
 
 /// Describes the faults of the records, then the added effects.
@@ -63,7 +64,7 @@ pub(crate) fn effects(model: &Model<'_>, findings: Findings<'_>, faults: &[Fault
                 Value { name, value: term.params[j], sigma, sigma_noise, unit: p.unit.into() }
             })
             .collect();
-        by_law(&mut params, term, model.lenses(), left);
+        by_law(&mut params, term, model.lenses(), left.of(f));
         let separate_by = f.ambiguity.first().map(|other| separate(f.id, other.id));
         effects.push(Effect {
             description: describe(term, &params),
@@ -108,11 +109,13 @@ fn by_law(params: &mut [Value], term: &Term, lenses: usize, left: f64) {
 
 /// A fault of a record in the form of an effect.
 pub(crate) fn fault(fault: &Fault) -> Effect {
+    let flips = |rows, cols| f64::from(u8::from(rows) + 2 * u8::from(cols));
     let (name, value, unit) = match fault.kind {
         FaultKind::Shows { truth_of } => ("truth_of", truth_of as f64, "index"),
-        FaultKind::Flipped { rows, cols } => {
-            ("flipped", f64::from(u8::from(rows) + 2 * u8::from(cols)), "1 rows, 2 cols")
-        }
+        FaultKind::Unlike => ("unlike", 1.0, "1"),
+        FaultKind::Flipped { rows, cols } => ("flipped", flips(rows, cols), "1 rows, 2 cols"),
+        FaultKind::Exchanged { rows, cols } => ("exchanged_and_flipped", flips(rows, cols), "1 rows, 2 cols"),
+        FaultKind::Unit { factor } => ("unit_factor", factor, "1"),
         FaultKind::Exposure { factor } => ("exposure_factor", factor, "1"),
     };
     let known = |name: &str, value: f64, unit: &str| Value {

@@ -22,4 +22,6 @@ pub use result::{
     Account, Closed, Closing, Effect, Nearest, Rejected, SpecimenMaps, TruthRegistration, Value, Verdict,
 };
 pub use retrain::{Control, Filed, Retrain, RetrainRequest, Retrained};
-pub(crate) use verdict::{Excess, claims_a_cause, coarse_calibration, harmful, imitated, shadowed, unearned};
+pub(crate) use verdict::{
+    Excess, Left, calibration_note, claims_a_cause, harmful, imitated, shadowed, unearned, within_calibration,
+};

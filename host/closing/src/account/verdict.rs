@@ -44,44 +44,80 @@ impl Excess {
         Self { left, per_pixel: last / pixels.max(1.0) }
     }
 
-    /// The verdict. `incomplete`: a test sees structure in what is left, or a term without a name stands for it.
-    pub(crate) fn verdict(self, incomplete: bool) -> Verdict {
-        match (incomplete, self.left > MOST && self.per_pixel > MUCH) {
-            (false, _) => Verdict::Adequate,
-            (true, false) => Verdict::Incomplete,
-            (true, true) => Verdict::NotThisModel,
+    /// Whether much is left: more than noise, calibration and the error between its positions make.
+    pub(crate) fn is_much(self) -> bool {
+        self.left > 0.0 && self.per_pixel > MUCH
+    }
+
+    /// The verdict. `structured`: a test sees structure in what is left, or a term without a name stands for it. Where
+    /// one or two frames hold all of it, the scatter between frames hides it from the tests; its size does not.
+    pub(crate) fn verdict(self, structured: bool) -> Verdict {
+        match (structured, self.is_much()) {
+            (false, false) => Verdict::Adequate,
+            (true, true) if self.left > MOST => Verdict::NotThisModel,
+            _ => Verdict::Incomplete,
         }
     }
 
-    /// Nothing counts as left if the last figures are within the error that the calibration showed at bead positions
-    /// that it had left out, noise deducted: no effect can predict better than the PSFs are known. Where the noise of
-    /// the scenes exceeds that error, it is deducted from their figure too. `alone`: how far the foci of the scenes
-    /// stand alone ([`crate::evidence::standing_alone`]).
-    pub(crate) fn within_calibration(self, now: Figures, quality: &Quality, alone: f64) -> Self {
-        let relative2 = quality.off_grid_excess().powi(2);
-        let share = (1.0 - 1.0 / now.chi2_ndf).max(0.0);
-        let without_noise2 = now.nrmse.powi(2) * share;
-        let within =
-            now.nrmse.powi(2) < relative2 || without_noise2 < OVERLAPPING.powi(2).max(alone.min(1.0)) * relative2;
+    /// Nothing counts as left within the error of the calibration ([`within_calibration`]).
+    pub(crate) fn beyond_calibration(self, within: bool) -> Self {
         if within { Self { left: 0.0, ..self } } else { self }
-    }
-
-    /// Whether what was found explains enough for its names to stand as causes.
-    pub(crate) fn names_are_earned(self, structured: bool) -> bool {
-        !(structured && self.left > LEFT)
     }
 }
 
-/// Says that the structure which no effect explains may be the calibration's own, where its PSFs are known worse than
-/// the noise of its bead frames allows.
-pub(crate) fn coarse_calibration(verdict: Verdict, effects: &[Effect], quality: &Quality) -> Option<String> {
+/// Whether figures are within the error that the calibration showed at bead positions that it had left out, noise
+/// deducted: no effect can predict better than the PSFs are known. Where the noise of the scenes exceeds that error, it is
+/// deducted from their figure too. `alone`: how far the foci of the scenes stand alone
+/// ([`crate::evidence::standing_alone`]).
+pub(crate) fn within_calibration(now: Figures, quality: &Quality, alone: f64) -> bool {
+    let relative2 = quality.off_grid_excess().powi(2);
+    let share = (1.0 - 1.0 / now.chi2_ndf).max(0.0);
+    let without_noise2 = now.nrmse.powi(2) * share;
+    now.nrmse.powi(2) < relative2 || without_noise2 < OVERLAPPING.powi(2).max(alone.min(1.0)) * relative2
+}
+
+/// Share of the excess that is left where structure is left, apart for the data that the figures judge and for even light
+/// and the dark.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Left {
+    pub(crate) judged: f64,
+    pub(crate) even: f64,
+}
+
+impl Left {
+    /// What is left of the excess that an effect explains: in flats and darks for what it gained there. A curve of the
+    /// camera that its flats prove is not in doubt because the PSFs of the scenes are known badly.
+    pub(crate) fn of(self, effect: &Found) -> f64 {
+        effect.of_even_light * self.even + (1.0 - effect.of_even_light) * self.judged
+    }
+
+    /// Whether the effect explains enough for its name to stand as a cause.
+    pub(crate) fn earns(self, effect: &Found) -> bool {
+        self.of(effect) <= LEFT
+    }
+}
+
+/// Says that structure may be the calibration's own: where it is `within` what the calibration itself errs by, or where
+/// nothing explains it and the PSFs are known worse than the noise of the bead frames allows.
+pub(crate) fn calibration_note(
+    (structured, within): (bool, bool),
+    verdict: Verdict,
+    effects: &[Effect],
+    quality: &Quality,
+) -> Option<String> {
     let unexplained = verdict != Verdict::Adequate && effects.is_empty();
+    let errs = 100.0 * quality.off_grid_excess();
+    let distinguishes = "A finer bead scan, or a higher rank where `calibrate` says so, distinguishes the two";
+    if structured && within {
+        return Some(format!(
+            "a test sees structure in what is left. It is no larger than what the calibration itself errs by between its \
+             bead positions ({errs:.1} %, noise deducted), so it counts as the calibration's own. {distinguishes}"
+        ));
+    }
     (unexplained && quality.is_coarse()).then(|| {
         format!(
-            "nothing was found for the structure that is left, and the calibration itself errs by {:.1} % between its \
-             bead positions, noise deducted: the structure may be the calibration's own. A finer bead scan, or a \
-             higher rank where `calibrate` says so, distinguishes the two",
-            100.0 * quality.off_grid_excess()
+            "nothing was found for the structure that is left, and the calibration itself errs by {errs:.1} % between its \
+             bead positions, noise deducted: the structure may be the calibration's own. {distinguishes}"
         )
     })
 }
@@ -145,7 +181,7 @@ mod tests {
         let quality = Quality { off_grid_error: 0.05, noise_floor: 0.04, ..Quality::default() };
         let left_of = |chi2_ndf, nrmse, alone| {
             let now = Figures { chi2_ndf, nrmse, pcc: 0.99 };
-            Excess { left: 0.25, per_pixel: 0.6 }.within_calibration(now, &quality, alone).left
+            Excess { left: 0.25, per_pixel: 0.6 }.beyond_calibration(within_calibration(now, &quality, alone)).left
         };
         let left = |chi2_ndf, nrmse| left_of(chi2_ndf, nrmse, 0.1);
         assert_eq!([left(1.6, 0.029), left(1.6, 0.031)], [0.0, 0.25]);
@@ -156,21 +192,36 @@ mod tests {
     }
 
     #[test]
-    fn a_name_needs_most_of_the_excess_only_where_structure_is_left() {
+    fn a_name_needs_most_of_the_excess_where_its_evidence_lies() {
+        let found = |of_even_light| Found {
+            id: "camera_gamma",
+            z: 9.0,
+            held_out_gain: 1e3,
+            of_even_light,
+            ambiguity: Vec::new(),
+            table_sigma: None,
+        };
+        let earns = |judged, even, share| Left { judged, even }.earns(&found(share));
+        assert!(earns(0.04, 0.3, 0.0) && !earns(0.3, 0.0, 0.0) && !earns(0.1, 0.0, 0.4));
+        assert!(earns(0.3, 0.01, 1.0) && earns(0.3, 0.0, 0.9) && !earns(0.0, 0.3, 1.0));
         let of = |left| Excess { left, per_pixel: 1.0 };
-        assert!(of(0.3).names_are_earned(false) && of(0.04).names_are_earned(true) && !of(0.1).names_are_earned(true));
-        let verdicts = [of(0.9).verdict(false), of(0.1).verdict(true), of(0.9).verdict(true)];
-        assert_eq!(verdicts, [Verdict::Adequate, Verdict::Incomplete, Verdict::NotThisModel]);
-        assert_eq!(Excess { left: 0.9, per_pixel: 0.1 }.verdict(true), Verdict::Incomplete);
+        let verdicts = [of(0.0).verdict(false), of(0.9).verdict(false), of(0.1).verdict(true), of(0.9).verdict(true)];
+        let incomplete = Verdict::Incomplete;
+        assert_eq!(verdicts, [Verdict::Adequate, incomplete, incomplete, Verdict::NotThisModel]);
+        let little = Excess { left: 0.9, per_pixel: 0.1 };
+        assert_eq!([little.verdict(true), little.verdict(false)], [Verdict::Incomplete, Verdict::Adequate]);
     }
 
     #[test]
     fn a_coarse_calibration_is_named_where_nothing_explains_the_structure() {
         let coarse = Quality { off_grid_error: 0.05, noise_floor: 0.03, ..Quality::default() };
-        let note = |verdict, quality| coarse_calibration(verdict, &[], quality);
+        let note = |verdict, quality| calibration_note((true, false), verdict, &[], quality);
         assert!(note(Verdict::Incomplete, &coarse).is_some_and(|text| text.contains("errs by 4.0 %")));
         assert_eq!(note(Verdict::Adequate, &coarse), None);
         let fine = Quality { off_grid_error: 0.035, ..coarse };
         assert_eq!(note(Verdict::Incomplete, &fine), None);
+        let within = calibration_note((true, true), Verdict::Adequate, &[], &fine);
+        assert!(within.is_some_and(|text| text.contains("1.8 %")));
+        assert_eq!(calibration_note((false, true), Verdict::Adequate, &[], &fine), None);
     }
 }

@@ -26,12 +26,26 @@ pub enum FaultKind {
         /// Index of that frame in its stack.
         truth_of: usize,
     },
+    /// The frame shows neither its object nor that of another scene. It counts as one of an unknown specimen.
+    Unlike,
     /// The object is recorded flipped.
     Flipped {
         /// The order of rows is reversed.
         rows: bool,
         /// The order of columns is reversed.
         cols: bool,
+    },
+    /// The rows of the object are recorded as columns. With them exchanged and then, where so stated, reversed, it fits.
+    Exchanged {
+        /// The order of rows is reversed as well.
+        rows: bool,
+        /// The order of columns is reversed as well.
+        cols: bool,
+    },
+    /// The object is recorded in a unit of light of its own.
+    Unit {
+        /// Light of the frame over that of the recorded object, relative to the median of the scenes.
+        factor: f64,
     },
     /// The recorded exposure or light level is wrong.
     Exposure {
@@ -47,6 +61,11 @@ impl Fault {
             FaultKind::Shows { truth_of } => {
                 format!("scene frame {} shows the object that is recorded for frame {truth_of}", self.frame)
             }
+            FaultKind::Unlike => format!(
+                "scene frame {} shows neither the object that is recorded for it nor that of another scene, and counts as \
+                 one of an unknown specimen",
+                self.frame
+            ),
             FaultKind::Flipped { rows, cols } => {
                 let axis = match (rows, cols) {
                     (true, true) => "turned by 180 degrees",
@@ -55,6 +74,20 @@ impl Fault {
                 };
                 format!("the object of scene frame {} is recorded {axis}", self.frame)
             }
+            FaultKind::Exchanged { rows, cols } => {
+                let as_what = match (rows, cols) {
+                    (false, false) => "with rows and columns exchanged",
+                    (true, true) => "with rows and columns exchanged, and turned by 180 degrees",
+                    (true, false) => "turned by 90 degrees clockwise",
+                    (false, true) => "turned by 90 degrees counter-clockwise",
+                };
+                format!("the object of scene frame {} is recorded {as_what}", self.frame)
+            }
+            FaultKind::Unit { factor } => format!(
+                "scene frame {} has {factor:.4} times the light of its object, relative to the other scenes: the objects \
+                 are recorded in units of their own (each scaled to the same maximum, for example), or the lamp flickers",
+                self.frame
+            ),
             FaultKind::Exposure { factor } => {
                 format!("scene frame {} received {factor:.4} times the recorded exposure", self.frame)
             }

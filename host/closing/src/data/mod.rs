@@ -1,10 +1,12 @@
 //! The frames of a session that the loop uses, and the faults that its records may have.
 
+mod darks;
 mod fault;
 mod observe;
 mod recording;
 mod registration;
 
+pub(crate) use darks::bright_darks;
 pub use fault::{Fault, FaultKind};
 pub(crate) use observe::bead_is_held_out;
 pub use observe::{Budget, Frame, Observations, Shown};

@@ -2,7 +2,7 @@
 
 use crate::data::{Observations, Shown};
 use crate::fit::repeats::{in_weights, noise_dn, noisy};
-use crate::fit::{Errors, Fitted, Model};
+use crate::fit::{Errors, Fitted, Model, map_errors};
 use ndarray::{Array2, s};
 use ommatidia_model::psf::LowRankPsf;
 use ommatidia_physics::effects::Chain;
@@ -79,7 +79,10 @@ impl Figures {
 
 /// The frames that the figures are computed from.
 pub(crate) fn judged(seen: &Observations) -> impl Iterator<Item = usize> + '_ {
-    let on = JudgedOn::of(seen);
+    frames_of(seen, JudgedOn::of(seen))
+}
+
+fn frames_of(seen: &Observations, on: JudgedOn) -> impl Iterator<Item = usize> + '_ {
     (0..seen.frames.len()).filter(move |k| on.counts(&seen.frames[*k].shown))
 }
 
@@ -88,11 +91,11 @@ pub(crate) fn pictured_frames(seen: &Observations) -> impl Iterator<Item = usize
     (0..seen.frames.len()).filter(|k| matches!(seen.frames[*k].role, Role::Scene | Role::Bead))
 }
 
-/// Held-out data: frames of [`JudgedOn`], each with the ranges of [`Observations::pixels`] that count; the held-out
-/// frames whole, or, if no frame is held out, the held-out blocks of all of them.
-fn held_out_pixels(seen: &Observations) -> impl Iterator<Item = (usize, usize, Range<usize>)> + '_ {
-    let whole = judged(seen).any(|k| seen.frames[k].held_out);
-    let frames = judged(seen).filter(move |k| !whole || seen.frames[*k].held_out);
+/// Held-out data: frames of `on`, each with the ranges of [`Observations::pixels`] that count; the held-out frames
+/// whole, or, if no frame is held out, the held-out blocks of all of them.
+fn held_out_pixels(seen: &Observations, on: JudgedOn) -> impl Iterator<Item = (usize, usize, Range<usize>)> + '_ {
+    let whole = frames_of(seen, on).any(|k| seen.frames[k].held_out);
+    let frames = frames_of(seen, on).filter(move |k| !whole || seen.frames[*k].held_out);
     frames.flat_map(move |k| {
         let blocks = seen.blocks.iter().enumerate().filter(move |(b, _)| whole || seen.held_out_blocks[*b]);
         blocks.map(move |(b, span)| (k, b, span.clone()))
@@ -136,12 +139,12 @@ const DRAWN: u64 = 4;
 /// Excess of chi-squared over the noise of a state with its effects on the noise, per held-out pixel. The weights of
 /// [`figures`] leave these effects out, so that no fit gains by a larger variance. With its standard deviation by that
 /// noise: noise that pixels share scatters more than that of single pixels.
-pub(crate) fn excess(model: &Model<'_>, fitted: &Fitted) -> [f64; 2] {
+pub(crate) fn excess(model: &Model<'_>, fitted: &Fitted, on: JudgedOn) -> [f64; 2] {
     let seen = model.seen;
     let chain = fitted.state.terms.iter().any(noisy).then(|| model.chain(&fitted.state.terms));
     let weighted = in_weights(model, &fitted.state);
     let mut spans: BTreeMap<usize, Vec<(usize, Range<usize>)>> = BTreeMap::new();
-    held_out_pixels(seen).for_each(|(k, block, span)| spans.entry(k).or_default().push((block, span)));
+    held_out_pixels(seen, on).for_each(|(k, block, span)| spans.entry(k).or_default().push((block, span)));
     let one = |(k, spans): (&usize, &Vec<(usize, Range<usize>)>)| {
         let here = &fitted.predicted[*k];
         let draw = |chain: &Chain, i: u64| {
@@ -177,18 +180,22 @@ pub(crate) fn excess(model: &Model<'_>, fitted: &Fitted) -> [f64; 2] {
     [chi2 / n - 1.0, scatter.max(2.0 * n).sqrt() / n]
 }
 
-/// Number of held-out pixels, and the excess of chi-squared there that errors of the calibration make.
-/// `errors` are those of [`crate::fit::Replicas::of`].
-pub(crate) fn excess_by_calibration(model: &Model<'_>, fitted: &Fitted, errors: &Errors) -> (usize, f64) {
+/// Number of held-out pixels of the frames of `on`, and the excess of chi-squared there that errors of the calibration
+/// make: those of the PSFs (`errors`, of [`crate::fit::Replicas::of`]) and of the sensor maps.
+pub(crate) fn excess_by_calibration(model: &Model<'_>, fitted: &Fitted, errors: &Errors, on: JudgedOn) -> (usize, f64) {
     let seen = model.seen;
+    let maps = map_errors(model, &fitted.state);
+    let black = model.forward.noise().black_level_dn;
     let (mut pixels, mut excess) = (0, 0.0);
-    for (k, _, span) in held_out_pixels(seen) {
+    for (k, _, span) in held_out_pixels(seen, on) {
         let changes: Vec<&Array2<f32>> = errors.changes.iter().filter_map(|r| r[k].as_ref()).collect();
         for p in &seen.pixels[span] {
             let at = (*p as usize / seen.sensor[1], *p as usize % seen.sensor[1]);
             let w = f64::from(fitted.predicted[k].inverse_sigma[at]);
+            let of_response = maps.response * (f64::from(fitted.predicted[k].dn[at]) - black);
             pixels += usize::from(w > 0.0);
             excess += changes.iter().map(|d| (f64::from(d[at]) * w).powi(2)).sum::<f64>();
+            excess += (of_response.powi(2) + maps.offset_dn.powi(2)) * w * w;
         }
     }
     (pixels, excess)
@@ -211,7 +218,7 @@ pub(crate) fn standing_alone(model: &Model<'_>, fitted: &Fitted, psf: &LowRankPs
     let seen = model.seen;
     let black = model.forward.noise().black_level_dn;
     let mut frames: BTreeMap<usize, [f64; 2]> = BTreeMap::new();
-    for (k, _, span) in held_out_pixels(seen) {
+    for (k, _, span) in held_out_pixels(seen, JudgedOn::of(seen)) {
         let sums = frames.entry(k).or_default();
         for p in &seen.pixels[span] {
             let at = (*p as usize / seen.sensor[1], *p as usize % seen.sensor[1]);
@@ -241,7 +248,7 @@ pub fn figures(model: &Model<'_>, fitted: &Fitted) -> Figures {
     let black = model.forward.noise().black_level_dn;
     let (mut chi2, mut n, mut error, mut light) = (0.0, 0.0, 0.0, 0.0);
     let mut s = [0.0f64; 6];
-    for (k, block, span) in held_out_pixels(seen) {
+    for (k, block, span) in held_out_pixels(seen, JudgedOn::of(seen)) {
         let share = fitted.state.share(k, block);
         let (here, measured) = (&fitted.predicted[k], &seen.frames[k].measured);
         for p in &seen.pixels[span] {

@@ -10,9 +10,8 @@ use super::covariate::{Covariate, Dependence};
 use super::stats::{chi2_tail, sigmas, two_sided};
 use super::tables;
 use crate::data::Shown;
-use crate::fit::{Errors, Fitted, Model, Predicted, Specimens, State, repeats};
+use crate::fit::{Errors, Fitted, Model, Predicted, Specimens, map_errors, repeats};
 use ndarray::Array2;
-use ommatidia_physics::effects::TableUse;
 use ommatidia_physics::noise::MapErrors;
 use ommatidia_session::rng::stream;
 use rand_chacha::ChaCha8Rng;
@@ -146,7 +145,7 @@ fn on_scenes(model: &Model<'_>, fitted: &Fitted, errors: &Errors, seed: u64) -> 
             }
         }
     };
-    let left = left(model, &fitted.state);
+    let left = map_errors(model, &fitted.state);
     let drawn = |d: usize| draw(&noise, &directions, &templates, left, seed, d as u64);
     let statistics = |drawn: &Vec<Vec<f32>>| bins.iter().map(|b| b.statistic(model, &frames, drawn)).collect();
     let draws: Vec<Vec<Statistic>> = match &fitted.state.specimens {
@@ -164,18 +163,6 @@ fn on_scenes(model: &Model<'_>, fitted: &Fitted, errors: &Errors, seed: u64) -> 
         judge(b, b.statistic(model, &frames, &residual), &null)
     };
     bins.iter().enumerate().map(judged).collect()
-}
-
-/// Errors of the sensor maps: those of the calibration, or of the tables of a state, which refine them.
-fn left(model: &Model<'_>, state: &State) -> MapErrors {
-    let of = |acts: TableUse, map: f64| {
-        let mine = state.terms.iter().filter(|t| t.effect.table().is_some_and(|table| table.acts == acts));
-        mine.map(|t| t.table_error).filter(|e| *e > 0.0).reduce(f64::min).unwrap_or(map)
-    };
-    MapErrors {
-        response: of(TableUse::Response, model.maps.response),
-        offset_dn: of(TableUse::Offset, model.maps.offset_dn),
-    }
 }
 
 /// Compares a statistic with draws of the model.

@@ -105,9 +105,15 @@ impl Model<'_> {
         if value + step > p.inner(p.max) {
             step = -step;
         }
-        terms[which].params[param] = p.outer(value + step);
+        let far = matches!(column, Column::Trial { .. }) && terms[which].is_far(self.lenses());
+        if far {
+            // The secant to the far start, whose strengths the term holds.
+            step = 1.0;
+        } else {
+            terms[which].params[param] = p.outer(value + step);
+        }
         let chain = self.chain_of(k, &terms);
-        let lens = p.per_lens.then(|| {
+        let lens = (p.per_lens && !far).then(|| {
             let first = expanded.iter().position(|(_, q)| std::ptr::eq(*q, p)).unwrap_or(param);
             param - first
         });

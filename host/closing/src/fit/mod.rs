@@ -4,8 +4,8 @@
 //! [`design`] sums these over [`cell`]s, `repeats` adds what repeated frames show of the noise (with `kurtosis` the
 //! few pixels that scatter more than the others), and `same` says which frames of unknown specimens are repeats;
 //! [`mod@refit`] finds the best state. [`truth`] moves truths that are not quite in place, `registration` adds what
-//! the session states of them. [`lamp`] is the light of the flats. [`record`] checks the session's records before the
-//! first fit. [`mod@replicas`] gives the uncertainty of the calibration as [`errors`], with `wings` outside its
+//! the session states of them. [`lamp`] is the light of the flats. [`record`] checks the session's objects before
+//! the first fit, [`exposures`] its light. [`mod@replicas`] gives the uncertainty of the calibration as [`errors`], with `wings` outside its
 //! windows. [`specimen`] estimates specimens that nobody knows, and [`projection`] takes out of frames what they can
 //! make.
 
@@ -13,6 +13,7 @@ pub mod cell;
 pub mod derivative;
 pub mod design;
 pub mod errors;
+pub mod exposures;
 pub(crate) mod gauge;
 mod kurtosis;
 pub mod lamp;
@@ -35,6 +36,7 @@ pub use cell::Cell;
 pub use derivative::Expansion;
 pub use design::{Design, Misfit, Scope, Sums, nuisances};
 pub use errors::Errors;
+pub(crate) use errors::map_errors;
 pub use model::Model;
 pub use projection::Specimens;
 pub use refit::{Fitted, Scenes, own_columns, refit, refit_from};

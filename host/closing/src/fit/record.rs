@@ -1,11 +1,9 @@
-//! Screening of the records: finds frames that contradict what the session states of them.
-//!
-//! Objects are screened before the first fit, since a wrong object spoils every fit. An exposure is doubted before, and
-//! decided after the search: an effect that the model lacks can make single frames darker or brighter too.
+//! Screening of the records: finds frames that contradict what the session states of their objects. It is done before
+//! the first fit, since a wrong object spoils every fit.
 
 use super::model::Model;
 use super::state::State;
-use crate::data::{Fault, FaultKind, Frame, Observations, Shown};
+use crate::data::{Fault, FaultKind, Observations, Shown};
 use ndarray::{Array2, Axis};
 use ommatidia_model::forward::ForwardError;
 use ommatidia_model::metrics::Moments;
@@ -14,12 +12,15 @@ use rayon::prelude::*;
 
 /// Another record is accepted if it leaves less than this share of the unexplained variance (1 - correlation).
 const BETTER: f64 = 0.5;
+/// A scene fits another record if it leaves at most so many times the variance that the scenes usually leave, and this
+/// much of its own.
+const AS_USUAL: f64 = 4.0;
+const SLACK: f64 = 0.05;
+/// A scene that leaves so many times that variance may show none of the objects.
+const UNLIKE: f64 = 10.0;
 /// Standard deviation of the Gaussian blur before the light of a frame is compared with its record, pixels: frames of
 /// sparse sources correlate less with a model that is out of place by a few pixels, and must not seem darker for it.
-const SMOOTH_PX: f64 = 6.0;
-/// An exposure is doubted if the light of its frame differs from the others by more than this share, and by much more
-/// than their scatter.
-const LIGHT: f64 = 0.04;
+pub(super) const SMOOTH_PX: f64 = 6.0;
 
 /// A scene as measured and as its records predict it: light above the black level, DN, [sensor rows, sensor cols].
 pub struct Seen {
@@ -29,18 +30,52 @@ pub struct Seen {
     pub measured: Array2<f32>,
     /// As its own record predicts it.
     pub own: Array2<f32>,
-    /// As flips of its own object predict it. Computed only if its own record predicts it badly.
-    pub flipped: Vec<Flipped>,
+    /// As its own object predicts it, turned or mirrored. Computed only if its own record predicts it badly.
+    pub turned: Vec<Turned>,
 }
 
-/// A scene as a flipped object predicts it.
-pub struct Flipped {
-    /// Whether rows are reversed.
-    pub rows: bool,
-    /// Whether columns are reversed.
-    pub cols: bool,
+/// A scene as a turned or mirrored object predicts it.
+pub struct Turned {
+    /// How the object is turned.
+    pub turn: Turn,
     /// Predicted light above the black level, DN, [sensor rows, sensor cols].
     pub light: Array2<f32>,
+}
+
+/// A turn of an object: rows and columns are exchanged first, then reversed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Turn {
+    /// Whether rows become columns.
+    pub exchanged: bool,
+    /// Whether the order of rows is reversed.
+    pub rows: bool,
+    /// Whether the order of columns is reversed.
+    pub cols: bool,
+}
+
+impl Turn {
+    /// All turns of an object of [rows, cols] but none at all; rows and columns of a square alone are exchanged.
+    fn all((rows, cols): (usize, usize)) -> impl Iterator<Item = Self> {
+        let bit = |i: u8, n: u8| i >> n & 1 == 1;
+        let of = move |i: u8| Self { exchanged: bit(i, 2), rows: bit(i, 0), cols: bit(i, 1) };
+        (1..if rows == cols { 8 } else { 4 }).map(of)
+    }
+
+    fn of(self, object: &Array2<f32>) -> Array2<f32> {
+        let mut object = if self.exchanged { object.t().to_owned() } else { object.clone() };
+        if self.rows {
+            object.invert_axis(Axis(0));
+        }
+        if self.cols {
+            object.invert_axis(Axis(1));
+        }
+        object.as_standard_layout().into_owned()
+    }
+
+    fn fault(self) -> FaultKind {
+        let Self { exchanged, rows, cols } = self;
+        if exchanged { FaultKind::Exchanged { rows, cols } } else { FaultKind::Flipped { rows, cols } }
+    }
 }
 
 /// Predicts all scenes with known objects under a state.
@@ -61,7 +96,7 @@ pub fn look(model: &Model<'_>, state: &State) -> Result<Vec<Seen>, ForwardError>
     };
     let mut all: Vec<Seen> = known
         .iter()
-        .map(|k| Seen { frame: *k, measured: &frames[*k].measured - black, own: light(*k), flipped: Vec::new() })
+        .map(|k| Seen { frame: *k, measured: &frames[*k].measured - black, own: light(*k), turned: Vec::new() })
         .collect();
     let agreement: Vec<f64> = all.iter().map(|s| correlation(&s.measured, &s.own)).collect();
     let mut sorted = agreement.clone();
@@ -72,60 +107,87 @@ pub fn look(model: &Model<'_>, state: &State) -> Result<Vec<Seen>, ForwardError>
             continue;
         }
         let Shown::Object(truth) = frames[s.frame].shown else { continue };
-        for [rows, cols] in [[true, false], [false, true], [true, true]] {
-            let object = flipped(&model.seen.truths[truth], rows, cols);
+        for turn in Turn::all(model.seen.truths[truth].dim()) {
+            let object = turn.of(&model.seen.truths[truth]);
             let cx = model.context(s.frame, None);
             let scene = model.forward.scene(object.view(), &chain, &cx)?;
             let light = model.forward.light_e(&scene, &chain, &cx);
-            s.flipped.push(Flipped { rows, cols, light });
+            s.turned.push(Turned { turn, light });
         }
     }
     Ok(all)
 }
 
-fn flipped(object: &Array2<f32>, rows: bool, cols: bool) -> Array2<f32> {
-    let mut object = object.clone();
-    if rows {
-        object.invert_axis(Axis(0));
-    }
-    if cols {
-        object.invert_axis(Axis(1));
-    }
-    object.as_standard_layout().into_owned()
+/// How well a scene fits its own record, the object of another scene of its stack, and its own object, turned.
+struct Match<'s> {
+    own: f64,
+    other: Option<(f64, usize)>,
+    turn: Option<(f64, &'s Turn)>,
 }
 
-/// Finds scenes that show another object than their record says, or a flipped one, and corrects the observations.
+impl<'s> Match<'s> {
+    fn of(seen: &Observations, frames: &'s [Seen], i: usize) -> Self {
+        let s = &frames[i];
+        let best = |a: &f64, b: &f64| a.total_cmp(b);
+        let other = (0..frames.len())
+            .filter(|j| *j != i && seen.frames[frames[*j].frame].stack == seen.frames[s.frame].stack)
+            .map(|j| (correlation(&s.measured, &frames[j].own), j));
+        let turn = s.turned.iter().map(|t| (correlation(&s.measured, &t.light), &t.turn));
+        Self {
+            own: correlation(&s.measured, &s.own),
+            other: other.max_by(|a, b| best(&a.0, &b.0)),
+            turn: turn.max_by(|a, b| best(&a.0, &b.0)),
+        }
+    }
+
+    fn best(&self) -> f64 {
+        let [other, turn] = [self.other.map_or(-1.0, |o| o.0), self.turn.map_or(-1.0, |t| t.0)];
+        self.own.max(other).max(turn)
+    }
+}
+
+/// Whether a scene, blurred, fits the object of another scene at least as well as its own.
+fn resembles_another(frames: &[Seen], i: usize) -> bool {
+    let blurred = |image: &Array2<f32>| blur_within(image, SMOOTH_PX);
+    let measured = blurred(&frames[i].measured);
+    let own = correlation(&measured, &blurred(&frames[i].own));
+    (0..frames.len()).any(|j| j != i && correlation(&measured, &blurred(&frames[j].own)) >= own)
+}
+
+/// Finds scenes that show another object than their record says, a turned or mirrored one, or none of those that are
+/// recorded, and corrects the observations.
 pub fn objects(seen: &mut Observations, frames: &[Seen]) -> Vec<Fault> {
     let mut faults = Vec::new();
     let mut shown: Vec<(usize, Shown)> = Vec::new();
-    for (i, s) in frames.iter().enumerate() {
-        let own = correlation(&s.measured, &s.own);
-        let other = (0..frames.len())
-            .filter(|j| *j != i && seen.frames[frames[*j].frame].stack == seen.frames[s.frame].stack)
-            .map(|j| (correlation(&s.measured, &frames[j].own), j))
-            .max_by(|a, b| a.0.total_cmp(&b.0));
-        let flip = s.flipped.iter().map(|f| (correlation(&s.measured, &f.light), f)).max_by(|a, b| a.0.total_cmp(&b.0));
-        let better = |r: f64| 1.0 - r < BETTER * (1.0 - own);
-        let frame = seen.frames[s.frame].info.frame;
+    let matches: Vec<Match<'_>> = (0..frames.len()).map(|i| Match::of(seen, frames, i)).collect();
+    let usual = median(matches.iter().map(Match::best).collect()).unwrap_or(1.0);
+    for (i, (s, m)) in frames.iter().zip(&matches).enumerate() {
+        // An improvement alone is no match: the frame must fit about as well as the others.
+        let better = |r: f64| 1.0 - r < BETTER * (1.0 - m.own) && 1.0 - r < AS_USUAL * (1.0 - usual) + SLACK;
         let fault = |kind, correlation_after| Fault {
-            frame,
+            frame: seen.frames[s.frame].info.frame,
             kind,
-            z: fisher(own, correlation_after, s.measured.len()),
-            correlation_before: own,
+            z: fisher(m.own, correlation_after, s.measured.len()),
+            correlation_before: m.own,
             correlation_after,
         };
-        match (other, flip) {
-            (Some((r, j)), flip) if better(r) && flip.is_none_or(|(f, _)| r >= f) => {
+        match (m.other, m.turn) {
+            (Some((r, j)), turn) if better(r) && turn.is_none_or(|(t, _)| r >= t) => {
                 let truth_of = seen.frames[frames[j].frame].info.frame;
                 faults.push(fault(FaultKind::Shows { truth_of }, r));
                 shown.push((s.frame, seen.frames[frames[j].frame].shown.clone()));
             }
-            (_, Some((r, &Flipped { rows, cols, .. }))) if better(r) => {
-                faults.push(fault(FaultKind::Flipped { rows, cols }, r));
+            (_, Some((r, turn))) if better(r) => {
+                faults.push(fault(turn.fault(), r));
                 if let Shown::Object(truth) = seen.frames[s.frame].shown {
-                    seen.truths.push(flipped(&seen.truths[truth], rows, cols));
+                    seen.truths.push(turn.of(&seen.truths[truth]));
                     shown.push((s.frame, Shown::Object(seen.truths.len() - 1)));
                 }
+            }
+            _ if usual > OWN && 1.0 - m.own > UNLIKE * (1.0 - usual) + SLACK && resembles_another(frames, i) => {
+                let z = fisher(m.own, usual, s.measured.len());
+                faults.push(Fault { z, ..fault(FaultKind::Unlike, m.own) });
+                shown.push((s.frame, Shown::Unknown));
             }
             _ => {}
         }
@@ -136,56 +198,35 @@ pub fn objects(seen: &mut Observations, frames: &[Seen]) -> Vec<Fault> {
     faults
 }
 
-/// Finds scenes whose light differs from that of the others by a factor of their own. An effect that the model lacks
-/// may do that as well, so nothing is corrected yet.
-pub fn exposures(seen: &Observations, frames: &[Seen]) -> Vec<Fault> {
-    let mut faults = Vec::new();
-    // The regression has an intercept, so that an even background is no light of the specimen.
-    let slope = |s: &Seen| {
-        let [y, m] = [&s.measured, &s.own].map(|image| blur_within(image, SMOOTH_PX));
-        let [mean_y, mean_m] = [&y, &m].map(|image| f64::from(image.mean().unwrap_or(0.0)));
-        let (mut top, mut bottom) = (0.0, 0.0);
-        for (y, m) in y.iter().zip(&m) {
-            top += (f64::from(*y) - mean_y) * (f64::from(*m) - mean_m);
-            bottom += (f64::from(*m) - mean_m).powi(2);
-        }
-        top / f64::max(bottom, 1e-30)
-    };
-    let slopes: Vec<f64> = frames.par_iter().map(slope).collect();
-    let median = |mut v: Vec<f64>| {
-        v.sort_by(f64::total_cmp);
-        v.get(v.len() / 2).copied().unwrap_or(1.0)
-    };
-    if slopes.len() < 4 {
-        return faults;
-    }
-    let usual = median(slopes.clone());
-    let scatter = median(slopes.iter().map(|v| (v / usual - 1.0).abs()).collect());
-    for (s, slope) in frames.iter().zip(&slopes) {
-        let factor = slope / usual;
-        // One frame against all others: a drift of the lamp changes all of them.
-        if (factor - 1.0).abs() > LIGHT.max(12.0 * scatter) {
-            let r = correlation(&s.measured, &s.own);
-            let kind = FaultKind::Exposure { factor };
-            faults.push(Fault {
-                frame: seen.frames[s.frame].info.frame,
-                kind,
-                z: (factor - 1.0).abs() / scatter.max(1e-4),
-                correlation_before: r,
-                correlation_after: r,
-            });
-        }
-    }
-    faults
-}
+/// Share of the scenes that resemble the object of another scene more than their own, from which on the frames do not
+/// show these objects; by chance it is all but one of them.
+const OTHERS: f64 = 0.6;
+/// Where the median correlation of the scenes with their own objects exceeds this, the frames show them.
+const OWN: f64 = 0.8;
+/// Number of scenes that this takes.
+const SCENES: usize = 4;
 
-/// Corrects the recorded exposures of scenes.
-pub fn correct_exposures(seen: &mut Observations, faults: &[Fault]) {
-    for fault in faults {
-        let FaultKind::Exposure { factor } = fault.kind else { continue };
-        let of = |f: &&mut Frame| f.info.frame == fault.frame && matches!(f.shown, Shown::Object(_));
-        seen.frames.iter_mut().filter(of).for_each(|f| f.info.exposure_ms *= factor);
+/// Whether the frames show other objects than their records say: so many of so many scenes resemble another scene's
+/// object more than their own, with the median correlation with their own. Light is blurred before, so that no
+/// displacement of a few pixels counts.
+pub fn others(frames: &[Seen]) -> Option<(usize, usize, f64)> {
+    let sharp = frames.iter().map(|s| correlation(&s.measured, &s.own)).collect();
+    if frames.len() < SCENES || median(sharp)? > OWN {
+        return None;
     }
+    let blurred = |image: &Array2<f32>| blur_within(image, SMOOTH_PX);
+    let all: Vec<[Array2<f32>; 2]> = frames.par_iter().map(|s| [blurred(&s.measured), blurred(&s.own)]).collect();
+    let resembles_another = |i: usize| {
+        let [measured, own] = &all[i];
+        let own = correlation(measured, own);
+        let other = (0..all.len()).filter(|j| *j != i).map(|j| correlation(measured, &all[j][1]));
+        (own, other.fold(f64::MIN, f64::max) > own + 1e-3)
+    };
+    let seen: Vec<(f64, bool)> = (0..all.len()).into_par_iter().map(resembles_another).collect();
+    let own = median(seen.iter().map(|s| s.0).collect())?;
+    let others = seen.iter().filter(|s| s.1).count();
+    let foreign = others as f64 > OTHERS * all.len() as f64 && own < OWN;
+    foreign.then_some((others, all.len(), own))
 }
 
 /// Difference of two correlation coefficients over `n` pixels, standard deviations (Fisher's z transformation).
@@ -195,67 +236,54 @@ fn fisher(a: f64, b: f64, n: usize) -> f64 {
 }
 
 /// Pearson correlation coefficient; 0 if an image does not vary.
-fn correlation(a: &Array2<f32>, b: &Array2<f32>) -> f64 {
+pub(super) fn correlation(a: &Array2<f32>, b: &Array2<f32>) -> f64 {
     Moments::of(a.view(), b.view()).map_or(0.0, |m| m.pcc())
+}
+
+/// The middle of some values; None of none.
+pub(super) fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
 }
 
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use ommatidia_session::{FrameInfo, Role};
 
-    /// Sparse sources of a frame, as dense as `k` says, moved by some pixels.
-    fn sources(k: usize, moved_px: f64) -> Array2<f32> {
-        let at = |i: usize| [(i * 29 + k * 13) % 80 + 8, (i * 47 + k * 19) % 80 + 8].map(|v| v as f64 + moved_px);
+    /// Blobs of light that differ from scene to scene.
+    fn blobs(k: usize) -> Array2<f32> {
+        let at = |i: usize| [(i * 29 + k * 37) % 76 + 10, (i * 47 + k * 61) % 76 + 10].map(|v| v as f32);
         Array2::from_shape_fn((96, 96), |(r, c)| {
-            let light = |i: usize| {
-                let [y, x] = at(i);
-                (-((r as f64 - y).powi(2) + (c as f64 - x).powi(2)) / 2.0).exp()
-            };
-            (0..3 + 9 * k).map(|i| 500.0 * light(i)).sum::<f64>() as f32
+            let light = |[y, x]: [f32; 2]| (-((r as f32 - y).powi(2) + (c as f32 - x).powi(2)) / 18.0).exp();
+            (0..5).map(|i| 500.0 * light(at(i))).sum()
         })
     }
 
-    fn faults(moved_px: f64, factor: f32) -> Vec<Fault> {
-        let seen = |k: usize| {
-            let light = if k == 2 { factor } else { 1.0 };
-            Seen { frame: k, measured: sources(k, moved_px) * light, own: sources(k, 0.0), flipped: Vec::new() }
-        };
-        let frame = |k: usize| Frame {
-            stack: 0,
-            role: Role::Scene,
-            info: FrameInfo::plain(k, 10.0),
-            measured: Array2::zeros((1, 1)),
-            cut: None,
-            shown: Shown::Object(k),
-            held_out: false,
-            previous: None,
-        };
-        let observations = Observations {
-            frames: (0..6).map(frame).collect(),
-            truths: Vec::new(),
-            registrations: Vec::new(),
-            pixels: Vec::new(),
-            blocks: Vec::new(),
-            held_out_blocks: Vec::new(),
-            sensor: [96, 96],
-            recorded: 0,
-        };
-        exposures(&observations, &(0..6).map(seen).collect::<Vec<_>>())
+    fn seen(object_of: impl Fn(usize) -> usize) -> Vec<Seen> {
+        let one = |k: usize| Seen { frame: k, measured: blobs(k), own: blobs(object_of(k)), turned: Vec::new() };
+        (0..8).map(one).collect()
     }
 
     #[test]
-    fn frames_out_of_place_are_no_faults_of_exposure() {
-        for moved_px in [0.0, 0.8, 2.0] {
-            assert!(faults(moved_px, 1.0).is_empty(), "moved by {moved_px} px: {:?}", faults(moved_px, 1.0));
-        }
-        for moved_px in [0.0, 0.8] {
-            let found = faults(moved_px, 1.5);
-            let [Fault { frame: 2, kind: FaultKind::Exposure { factor }, .. }] = found[..] else {
-                panic!("moved by {moved_px} px: {found:?}")
-            };
-            assert!((factor - 1.5).abs() < 0.05, "{factor}");
-        }
+    fn objects_of_another_session_are_seen_and_those_of_this_one_are_not_doubted() {
+        let (others_of, scenes, own) = others(&seen(|k| k + 100)).unwrap();
+        assert!(others_of >= 6 && scenes == 8 && own < 0.5, "{others_of} of {scenes}, {own}");
+        assert_eq!(others(&seen(|k| k)), None);
+        // All scenes show one specimen.
+        assert_eq!(others(&seen(|_| 3)), None);
+    }
+
+    #[test]
+    fn every_turn_but_none_is_tried_and_brings_a_turned_object_back() {
+        let square = Array2::from_shape_fn((5, 5), |(r, c)| (5 * r + c) as f32);
+        let turned: Vec<Array2<f32>> = Turn::all((5, 5)).map(|t| t.of(&square)).collect();
+        assert!(turned.len() == 7 && turned.iter().all(|t| *t != square));
+        assert!((0..7).all(|i| (0..i).all(|j| turned[i] != turned[j])));
+        // A quarter turn clockwise: the first row becomes the last column.
+        let clockwise = Array2::from_shape_fn((5, 5), |(r, c)| square[[4 - c, r]]);
+        let back = Turn::all((5, 5)).find(|t| t.of(&clockwise) == square).unwrap();
+        assert_eq!(back.fault(), FaultKind::Exchanged { rows: true, cols: false });
+        assert_eq!(Turn::all((5, 6)).count(), 3);
     }
 }

@@ -53,6 +53,8 @@ pub struct Fitted {
     /// Misfit of those of them that show known objects or beads: unknown specimens judge no optics, and flats and darks
     /// do not show them.
     pub known_held_out: Misfit,
+    /// Misfit of those of them that show even light or the dark.
+    pub even_held_out: Misfit,
     /// Directions of the values of its terms that a change of the specimens makes as well.
     pub gauges: Vec<Gauge>,
 }
@@ -165,6 +167,7 @@ pub fn refit_from(model: &Model<'_>, mut state: State, scenes: Scenes) -> Result
         training: at.training,
         held_out: at.held_out,
         known_held_out: at.known_held_out,
+        even_held_out: at.even_held_out,
         predicted: at.predicted,
         scenes: at.scenes,
         gauges: at.gauges,
@@ -180,6 +183,7 @@ struct Point {
     training: Misfit,
     held_out: Misfit,
     known_held_out: Misfit,
+    even_held_out: Misfit,
 }
 
 /// A step of a fit.
@@ -195,8 +199,9 @@ impl Point {
         let at = Expansion { state, trials: &[], predicted: &predicted, scenes: &scenes };
         let design = Design::compute(model, at, columns.to_vec(), &Errors::default(), Scope::Whole)?;
         let sums = design.training();
-        let known =
-            |k: usize| model.seen.frames.get(k).is_some_and(|f| matches!(f.shown, Shown::Object(_) | Shown::Bead(_)));
+        let shown = |k: usize| model.seen.frames.get(k).map(|f| &f.shown);
+        let known = |k: usize| matches!(shown(k), Some(Shown::Object(_) | Shown::Bead(_)));
+        let even = |k: usize| matches!(shown(k), Some(Shown::Even | Shown::Dark));
         Ok(Self {
             predicted,
             scenes,
@@ -205,6 +210,7 @@ impl Point {
             gram: sums.gram,
             held_out: design.sums(|c| c.held_out).misfit(),
             known_held_out: design.sums(|c| c.held_out && known(c.frame)).misfit(),
+            even_held_out: design.sums(|c| c.held_out && even(c.frame)).misfit(),
         })
     }
 

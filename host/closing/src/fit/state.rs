@@ -45,6 +45,36 @@ impl Term {
         (0..all.len()).filter(|i| all[*i].1.is_strength()).collect()
     }
 
+    /// Whether its strengths are far from the values at which the effect is absent, as those of a far start are. A trial
+    /// term of that kind has one column, the change of the frames when all its strengths go there together.
+    pub fn is_far(&self, lenses: usize) -> bool {
+        let expanded = self.expanded(lenses);
+        self.strengths(lenses).into_iter().any(|i| self.params[i] != expanded[i].1.off)
+    }
+
+    /// Indices of the parameters that a trial term has columns of: its strengths, or the first for a far start.
+    pub fn trial_columns(&self, lenses: usize) -> Vec<usize> {
+        let mut strengths = self.strengths(lenses);
+        strengths.truncate(if self.is_far(lenses) { 1 } else { strengths.len() });
+        strengths
+    }
+
+    /// Moves its strengths from where the effect is absent by `theta`, inner values of [`Self::trial_columns`]; of a far
+    /// start by that share of the way.
+    pub fn moved(mut self, lenses: usize, theta: &[f64]) -> Self {
+        let (far, expanded) = (self.is_far(lenses), self.expanded(lenses));
+        for (n, i) in self.strengths(lenses).into_iter().enumerate() {
+            let p = expanded[i].1;
+            let off = p.inner(p.off);
+            let by = match far {
+                true => theta.first().map(|share| share * (p.inner(self.params[i]) - off)),
+                false => theta.get(n).copied(),
+            };
+            self.params[i] = by.map_or(p.off, |by| p.outer(off + by));
+        }
+        self
+    }
+
     /// Indices of the parameters that are fitted: all but choices.
     pub fn free(&self, lenses: usize) -> Vec<usize> {
         let all = self.expanded(lenses);

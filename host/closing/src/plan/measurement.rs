@@ -113,7 +113,16 @@ impl Measurement {
         let predicted = simulated.predict(&state, &scenes);
         let none = Misfit::default();
         let gauges = Vec::new();
-        let fitted = Fitted { state, predicted, scenes, training: none, held_out: none, known_held_out: none, gauges };
+        let fitted = Fitted {
+            state,
+            predicted,
+            scenes,
+            training: none,
+            held_out: none,
+            known_held_out: none,
+            even_held_out: none,
+            gauges,
+        };
         let errors = replicas(&simulated, found.instrument, &fitted.state)?.of(&simulated, &fitted)?;
         let columns = columns(&simulated, &fitted, trials);
         let design = Design::compute(&simulated, fitted.expansion(trials), columns, &errors, Scope::Training)?;

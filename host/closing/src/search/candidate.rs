@@ -2,6 +2,7 @@
 
 use crate::evidence::{TableFit, Test};
 use crate::fit::Term;
+use ommatidia_physics::effects::find;
 
 /// Penalty of each additional parameter, in units of chi-squared.
 pub(crate) const PENALTY: f64 = 6.0;
@@ -42,7 +43,13 @@ impl Candidate {
             return Some(Estimate { value: table.size, sigma: table.size_sigma });
         }
         let t = self.test.as_ref()?;
-        Some(Estimate { value: *t.theta.first()?, sigma: t.covariance.get((0, 0))?.sqrt() })
+        // Of a far start the values are shares of the way.
+        let p = self.term.effect.descriptor().params.first()?;
+        let way = match p.inner(*self.term.params.first()?) - p.inner(p.off) {
+            0.0 => 1.0,
+            way => way,
+        };
+        Some(Estimate { value: way * t.theta.first()?, sigma: (way * t.covariance.get((0, 0))?.sqrt()).abs() })
     }
 
     /// Strength of the evidence, standard deviations.
@@ -70,6 +77,14 @@ impl Candidate {
     pub(crate) fn gain(&self) -> f64 {
         let of_table = self.table.as_ref().map(|t| t.gain);
         of_table.or(self.test.as_ref().map(|t| t.gain)).unwrap_or(0.0)
+    }
+
+    /// Whether the estimate is of the size of the strength that it started from, where that is far from the value at
+    /// which the effect is absent: a secant says nothing of changes much smaller or larger than itself, and where the
+    /// effect is absent its limit is that of small strengths.
+    pub(crate) fn is_near_its_start(&self, lenses: usize) -> bool {
+        let of_size = |t: &Test| t.theta.first().is_some_and(|share| (0.5..2.0).contains(share));
+        !self.term.is_far(lenses) || self.worth() > 0.0 && self.test.as_ref().is_some_and(of_size)
     }
 
     /// Whether the effect starts better from here than from `other`. Where both are evident, the scatter between
@@ -104,7 +119,8 @@ pub struct Estimate {
 pub struct Alternative {
     /// Its id.
     pub id: &'static str,
-    /// Squared correlation of the signatures of the two effects, with everything fitted projected out.
+    /// Squared correlation of the signatures of the two effects, with everything fitted projected out; 0 where the session
+    /// cannot test the other.
     pub overlap: f64,
 }
 
@@ -128,8 +144,28 @@ pub struct Found {
     pub z: f64,
     /// Fall of the deviance of held-out data when it was added.
     pub held_out_gain: f64,
-    /// Effects that would explain the data nearly as well, most similar first.
+    /// Share of that fall that flats and darks have.
+    pub of_even_light: f64,
+    /// Effects that would explain the data nearly as well, most similar first, then similar ones that cannot be tested.
     pub ambiguity: Vec<Alternative>,
     /// Standard error of the size of its table, for an effect with a table.
     pub table_sigma: Option<f64>,
+}
+
+impl Found {
+    /// Adds the effects that the catalogue lists as similar and that this session cannot test: of the candidates `rest`,
+    /// those without a test. What cannot be tested still exists.
+    pub(crate) fn or_untested(&mut self, rest: &[Candidate]) {
+        let untested = |id: &str| {
+            rest.iter().any(|c| {
+                c.term.id() == id && c.test.is_none() && c.table.is_none() && !c.term.effect.is_of_bead_scans()
+            })
+        };
+        let lookalikes = find(self.id).map_or(&[][..], |effect| effect.descriptor().lookalikes);
+        for id in lookalikes.iter().map(|l| l.id).filter(|id| untested(id)) {
+            if !self.ambiguity.iter().any(|a| a.id == id) {
+                self.ambiguity.push(Alternative { id, overlap: 0.0 });
+            }
+        }
+    }
 }

@@ -85,8 +85,9 @@ pub(crate) fn earned(
     Ok(it)
 }
 
-/// Searches from the `first` state again, for terms without a name alone. Where they predict held-out data better than
-/// the names that `search` has found, which leave much, they take their place. Returns the effects that are replaced.
+/// Searches with `again`, which has the names alone that are earned so far, for terms without a name. Where they predict
+/// held-out data better than the other names that `search` has found, which leave much, they take their place. Returns
+/// the effects that are replaced.
 pub(crate) fn replaced<'m, 'a>(
     search: &mut Search<'m, 'a>,
     mut again: Search<'m, 'a>,
@@ -101,7 +102,8 @@ pub(crate) fn replaced<'m, 'a>(
     again.shadowed = std::mem::take(&mut search.shadowed);
     let old = std::mem::replace(search, again);
     let terms = old.now.state.terms.into_iter().skip(own);
-    let pairs = old.found.into_iter().zip(terms).filter(|(f, _)| !is_unnamed(f.id));
+    let kept = |id: &str| search.found.iter().any(|f| f.id == id);
+    let pairs = old.found.into_iter().zip(terms).filter(|(f, _)| !is_unnamed(f.id) && !kept(f.id));
     Ok(pairs.map(|(found, term)| Imitation { found, term, lost: 0.0 }).collect())
 }
 

@@ -33,7 +33,7 @@ pub(crate) fn lost(model: &Model<'_>, now: &Fitted) -> Result<Vec<&'static str>,
     }
     let moves = |t: &Term| matches!(t.effect.descriptor().stage, Stage::Object | Stage::Geometry | Stage::Lens);
     let mut terms = Tried::Catalogue.terms(model, &now.state, &evidence(model, now));
-    terms.retain(moves);
+    terms.retain(|t| moves(t) && !t.is_far(model.lenses()));
     let mut columns: Vec<Column> = nuisances(model).into_iter().chain(own_columns(model, &now.state)).collect();
     let given = columns.len();
     let mut groups = Vec::new();

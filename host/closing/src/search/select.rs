@@ -63,7 +63,7 @@ pub(crate) fn score(
     let mut spans = Vec::new();
     for (t, term) in terms.iter().enumerate() {
         let first = columns.len();
-        columns.extend(term.strengths(model.lenses()).into_iter().map(|param| Column::Trial { term: t, param }));
+        columns.extend(term.trial_columns(model.lenses()).into_iter().map(|param| Column::Trial { term: t, param }));
         spans.push(first..columns.len());
     }
     let scope = Scope::Scores { given: taken.len(), groups: &spans };
@@ -78,8 +78,9 @@ pub(crate) fn score(
         let starts = terms.iter().filter(|t| t.id() == term.id()).count() as f64;
         let chances = starts.max(term.effect.chances(model.seen.sensor, scenes));
         let candidate = Candidate { term: term.clone(), columns, test, chances, table: None };
+        let near = candidate.is_near_its_start(model.lenses());
         match candidates.iter_mut().find(|c| c.term.id() == term.id()) {
-            Some(best) if candidate.is_better_start(best) => *best = candidate,
+            Some(best) if near && candidate.is_better_start(best) => *best = candidate,
             Some(_) => {}
             None => candidates.push(candidate),
         }
@@ -89,6 +90,9 @@ pub(crate) fn score(
 
 /// Sets the evidence of a single strength to zero if its estimate has the forbidden sign.
 fn one_sided(model: &Model<'_>, term: &Term, test: Test) -> Test {
+    if term.is_far(model.lenses()) {
+        return test;
+    }
     let strengths = term.strengths(model.lenses());
     let expanded = term.expanded(model.lenses());
     let impossible = |i: usize| expanded[strengths[i]].1.forbidden_side() * test.theta[i] > 0.0;
@@ -100,11 +104,7 @@ fn with(model: &Model<'_>, state: &State, candidate: &Candidate) -> State {
     let mut next = state.clone();
     let mut term = candidate.term.clone();
     if let Some(test) = &candidate.test {
-        let expanded = term.expanded(model.lenses());
-        for (i, v) in term.strengths(model.lenses()).into_iter().zip(&test.theta) {
-            let p = expanded[i].1;
-            term.params[i] = p.outer(p.inner(p.off) + v);
-        }
+        term = term.moved(model.lenses(), &test.theta);
     }
     next.terms.push(term);
     next
@@ -448,7 +448,10 @@ impl<'m, 'a> Search<'m, 'a> {
         let mut ambiguity = self.overlaps(it, &near)?;
         ambiguity.sort_by(|a, b| b.overlap.total_cmp(&a.overlap));
         let table_sigma = it.table.as_ref().map(|t| t.sigma);
-        Ok(Found { id: it.term.id(), z: it.z(), held_out_gain: added.gain, ambiguity, table_sigma })
+        let of_even = self.now.even_held_out.deviance - added.fit.even_held_out.deviance;
+        let of_even_light = if added.gain > 0.0 { (of_even / added.gain).clamp(0.0, 1.0) } else { 0.0 };
+        let (id, z, held_out_gain) = (it.term.id(), it.z(), added.gain);
+        Ok(Found { id, z, held_out_gain, of_even_light, ambiguity, table_sigma })
     }
 
     /// How similar the signature of a candidate is to those of others.
@@ -464,7 +467,7 @@ impl<'m, 'a> Search<'m, 'a> {
         let mut spans = Vec::new();
         for (t, c) in [it].iter().chain(others).enumerate() {
             let first = columns.len();
-            let strengths = if c.table.is_some() { Vec::new() } else { c.term.strengths(lenses) };
+            let strengths = if c.table.is_some() { Vec::new() } else { c.term.trial_columns(lenses) };
             columns.extend(strengths.into_iter().map(|param| Column::Trial { term: t, param }));
             spans.push((first..columns.len()).collect::<Vec<usize>>());
         }

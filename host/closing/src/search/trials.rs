@@ -52,13 +52,14 @@ fn catalogue(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<T
     terms
 }
 
-/// The starting values that a descriptor lists: every combination of its shapes.
+/// The starting values that a descriptor lists: every combination of its shapes and of strengths far from where the
+/// effect is absent.
 fn grid(effect: &'static dyn Effect, lenses: usize) -> Vec<Vec<f64>> {
     let mut starts = vec![Vec::new()];
     for (_, p) in effect.descriptor().expanded(lenses) {
-        let values: &[f64] = match p.kind {
-            Kind::Shape(tried) if !tried.is_empty() => tried,
-            _ => &[p.off],
+        let values = match p.kind {
+            Kind::Shape(tried) if !tried.is_empty() => tried.to_vec(),
+            _ => [&[p.off], p.far].concat(),
         };
         starts = starts.iter().flat_map(|s| values.iter().map(move |v| [s.as_slice(), &[*v]].concat())).collect();
     }

@@ -4,9 +4,11 @@ use super::size::Size;
 use ommatidia_bench::{BenchConfig, FamilyName, MeasuredPsfs, StackConfig};
 use serde::{Deserialize, Serialize};
 
-/// First instrument of a study on development seeds, and of one on sealed seeds. No study has a million instruments, so
-/// the two share none.
-const FIRST: [u64; 2] = [1_000, 1_000_000];
+/// First instrument of a study on development seeds.
+const FIRST: u64 = 1_000;
+/// The n-th sealed study has instruments from n times this number on. No study has a million instruments, so none are
+/// shared.
+const SEALED: u64 = 1_000_000;
 /// A study of unknown specimens has instruments of its own, which are so many numbers further on.
 const OF_UNKNOWN: u64 = 500_000;
 /// Every fourth instrument has a converter of 14 bits, for light of twenty thousand electrons.
@@ -61,7 +63,8 @@ pub fn kind(size: &Size, n: u64) -> Kind {
 /// Number that instrument `n` has in the virtual instrument's `--instrument`.
 pub fn number(size: &Size, n: u64) -> u64 {
     let further = if size.is_of_unknown_specimens() { OF_UNKNOWN } else { 0 };
-    FIRST[usize::from(size.sealed)] + further + n
+    let first = if size.sealed { SEALED * size.opening.max(1) as u64 } else { FIRST };
+    first + further + n
 }
 
 /// Whether instrument `n` takes scenes of twenty thousand electrons.

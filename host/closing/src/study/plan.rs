@@ -171,7 +171,11 @@ fn drop_repeated_caps(cases: &mut Vec<Case>) {
 
 fn wishes(size: &Size) -> Vec<Wish> {
     let mut wishes = Vec::new();
-    let seeds = if size.sealed { "sealed" } else { "study" };
+    let seeds = match (size.sealed, size.opening) {
+        (false, _) => "study".to_string(),
+        (true, 0 | 1) => "sealed".to_string(),
+        (true, n) => format!("sealed-{n}"),
+    };
     let kinds = kinds(size).len() as u64;
     let mut push = |round: u64, group: &str, key: String, effects: Vec<(String, f64)>, case: Case| {
         let seed = rng::stream(size.seed, &format!("{seeds}/{key}"), 0).next_u64() >> 16;

@@ -74,7 +74,8 @@ pub fn run(
 ) -> anyhow::Result<Study> {
     let StudyRequest { dir, size, shard, sealed, keys } = *request;
     std::fs::create_dir_all(dir).with_context(|| dir.display().to_string())?;
-    let opened = begin(dir, size, shard, sealed)?;
+    let size = &begin(dir, size, shard, sealed)?;
+    let opened = size.sealed.then_some(size.opening);
     let numbers: Vec<u64> = (0..size.instruments).filter(|n| shard.has(*n as usize)).collect();
     // Their foci take much memory, so only what is on disk is kept.
     let prepared = |n: &u64| match Subject::prepare(*n, size, dir, networks) {
@@ -121,28 +122,31 @@ pub fn run(
     )
 }
 
-/// Checks that the folder holds no other study, and counts an opening of the sealed seeds where this is one. Returns
-/// how often they were opened; `None`: the seeds are those for development.
-fn begin(dir: &Path, size: &Size, shard: Shard, sealed: Option<&Path>) -> anyhow::Result<Option<usize>> {
+/// Checks that the folder holds no other study, and counts an opening of the sealed seeds where this is one. Returns the
+/// size with the number of the sealed study.
+fn begin(dir: &Path, size: &Size, shard: Shard, sealed: Option<&Path>) -> anyhow::Result<Size> {
     let file = dir.join(PLAN);
-    let text = serde_json::to_vec_pretty(size)?;
-    let known = std::fs::read(&file).ok();
-    if let Some(known) = &known
-        && serde_json::from_slice::<Size>(known).ok().as_ref() != Some(size)
-    {
-        bail!("{}: the folder holds a study of another size or other seeds; name another folder", file.display());
+    let known = std::fs::read(&file).ok().map(|known| serde_json::from_slice::<Size>(&known).ok());
+    if let Some(known) = known {
+        return match known {
+            // A study that goes on opens nothing new.
+            Some(known) if Size { opening: known.opening, ..size.clone() } == known => Ok(known),
+            _ => bail!(
+                "{}: the folder holds a study of another size or other seeds; name another folder",
+                file.display()
+            ),
+        };
     }
-    let opened = match (size.sealed, sealed) {
-        (false, _) => None,
+    let opening = match (size.sealed, sealed) {
+        (false, _) => 0,
         (true, None) => bail!("sealed seeds need a counter of how often they were opened"),
-        // A study that goes on, or another share of it, opens nothing new.
-        (true, Some(counter)) if known.is_some() || shard.index > 0 => Some(Sealed::read(counter)?.opened),
-        (true, Some(counter)) => Some(Sealed::open(counter)?.opened),
+        // Nor does another share of it.
+        (true, Some(counter)) if shard.index > 0 => Sealed::read(counter)?.opened,
+        (true, Some(counter)) => Sealed::open(counter)?.opened,
     };
-    if known.is_none() {
-        ommatidia_session::artifact::write_whole(&file, &text)?;
-    }
-    Ok(opened)
+    let size = Size { opening, ..size.clone() };
+    ommatidia_session::artifact::write_whole(&file, &serde_json::to_vec_pretty(&size)?)?;
+    Ok(size)
 }
 
 /// Writes figures and page of all sessions in a folder.

@@ -58,6 +58,10 @@ pub struct Size {
     /// Whether instruments and sessions are the sealed ones, which no threshold may be set on.
     #[serde(default)]
     pub sealed: bool,
+    /// Number of the sealed study, from 1: each draws instruments and sessions of its own. The study sets it when it
+    /// begins. 0: not yet, or development seeds.
+    #[serde(default)]
+    pub opening: usize,
     /// Whether the only instruments are gentle ones, for a check that takes a minute.
     #[serde(default)]
     pub gentle: bool,
@@ -86,6 +90,7 @@ impl Default for Size {
         Self {
             seed: 1,
             sealed: false,
+            opening: 0,
             gentle: false,
             measured: None,
             instruments: 42,

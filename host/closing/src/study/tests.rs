@@ -7,7 +7,7 @@ use super::instruments::{self, Kind};
 use super::networks::{FirstTraining, TrainRequest};
 use super::plan::{Case, Injected, PAIRS, cases, catalogue};
 use super::record::{FoundEffect, HeldOut, Ledger, Outcome, read_all};
-use super::run::{JSON, PAGE, StudyRequest, run};
+use super::run::{JSON, PAGE, PLAN, StudyRequest, run};
 use super::sealed::Sealed;
 use super::sensitivity::{Sensitivities, Sensitivity};
 use super::sessions::Holds;
@@ -19,6 +19,7 @@ use super::unknown;
 use crate::{Retrain, RetrainRequest, Retrained};
 use ndarray::Array2;
 use ommatidia_physics::effects::{Effect, FrameContext, find};
+use std::collections::BTreeSet;
 
 /// Networks where none is asked for.
 struct Untrained;
@@ -153,11 +154,11 @@ fn cases_are_named_once_and_spread_over_instruments_and_foreign_effects_are_fore
         let of = single.iter().filter(|c| instruments::kind(&size, c.instrument) == kind);
         assert_eq!(of.count(), single.len() / 3, "{kind:?}");
     }
-    let used: std::collections::BTreeSet<u64> = single.iter().map(|c| c.instrument).collect();
+    let used: BTreeSet<u64> = single.iter().map(|c| c.instrument).collect();
     assert!(used.len() as u64 == size.instruments && size.instruments >= 40);
     // Twenty thousand electrons only where the sensor can hold them.
     assert!(all.iter().filter(|c| c.holds == Holds::Bright).all(|c| instruments::is_wide(c.instrument)));
-    let likes: std::collections::BTreeSet<_> = FOREIGN.iter().map(|f| f.like()).collect();
+    let likes: BTreeSet<_> = FOREIGN.iter().map(|f| f.like()).collect();
     assert!(FOREIGN.len() >= 10 && likes.len() == 7 && FOREIGN.iter().all(|f| find(f.descriptor().id).is_none()));
     assert!(PAIRS.iter().flatten().all(|id| find(id).is_some()));
 }
@@ -169,8 +170,7 @@ fn a_development_study_is_small_and_covers_everything_that_counts() {
     assert!((50..=80).contains(&all.len()), "{}", all.len());
     for k in &size.strengths {
         let of: Vec<_> = all.iter().filter(|c| c.injected.first().is_some_and(|i| i.sigmas == *k)).collect();
-        let kinds: std::collections::BTreeSet<Kind> =
-            of.iter().map(|c| instruments::kind(&size, c.instrument)).collect();
+        let kinds: BTreeSet<Kind> = of.iter().map(|c| instruments::kind(&size, c.instrument)).collect();
         assert!(kinds.len() >= 2, "{k}");
     }
     for question in &size.questions {
@@ -181,11 +181,14 @@ fn a_development_study_is_small_and_covers_everything_that_counts() {
 #[test]
 fn sealed_seeds_share_no_instrument_and_no_session_with_those_for_development() {
     let open = Size::default();
-    let sealed = Size { sealed: true, ..Size::default() };
-    let numbers = |size: &Size| (0..size.instruments).map(|n| instruments::number(size, n)).collect::<Vec<_>>();
-    assert!(numbers(&open).iter().all(|n| !numbers(&sealed).contains(n)));
-    let seeds = |size: &Size| cases(size, &known(42)).iter().map(|c| c.seed).collect::<std::collections::BTreeSet<_>>();
-    assert!(seeds(&open).is_disjoint(&seeds(&sealed)));
+    let first = Size { sealed: true, opening: 1, ..Size::default() };
+    let second = Size { opening: 2, ..first.clone() };
+    let numbers = |size: &Size| (0..size.instruments).map(|n| instruments::number(size, n)).collect::<BTreeSet<_>>();
+    let seeds = |size: &Size| cases(size, &known(42)).iter().map(|c| c.seed).collect::<BTreeSet<_>>();
+    for (one, other) in [(&open, &first), (&open, &second), (&first, &second)] {
+        assert!(numbers(one).is_disjoint(&numbers(other)));
+        assert!(seeds(one).is_disjoint(&seeds(other)));
+    }
 }
 
 #[test]
@@ -333,6 +336,15 @@ fn the_quick_study_finds_what_is_there() {
     let fresh = tempfile::tempdir().unwrap();
     let unsealed = StudyRequest { dir: fresh.path(), size: &sealed, shard: Shard::default(), sealed: None, keys: "" };
     assert!(run(&unsealed, &Untrained, |_| {}).is_err());
+    // A sealed study keeps its number while it goes on, and the next one gets another.
+    let counter = fresh.path().join("sealed.json");
+    let opening = |dir: &str| {
+        let dir = fresh.path().join(dir);
+        let none = StudyRequest { dir: &dir, sealed: Some(&counter), keys: "no such session", ..unsealed };
+        run(&none, &Untrained, |_| {}).unwrap();
+        serde_json::from_slice::<Size>(&std::fs::read(dir.join(PLAN)).unwrap()).unwrap().opening
+    };
+    assert_eq!([opening("first"), opening("first"), opening("second")], [1, 1, 2]);
 }
 
 /// Instruments that determine one effect with known specimens four times as well as with unknown ones, and another not

@@ -13,7 +13,7 @@ use std::fmt::Write;
 pub struct Plan {
     /// Number of sessions.
     pub planned: usize,
-    /// How often the sealed seeds were opened, this time included; `None`: the seeds are those for development.
+    /// Number of the sealed study, from 1; `None`: the seeds are those for development.
     pub opened: Option<usize>,
     /// Instruments that `calibrate` refuses, and that no session is of.
     pub refused: usize,
@@ -115,10 +115,10 @@ pub(super) fn left_out(out: &mut String, plan: Plan) -> std::fmt::Result {
 /// Which seeds a page is of.
 pub(super) fn seeds(opened: Option<usize>) -> String {
     match opened {
-        Some(1) => {
-            "These are **sealed seeds, opened once**: no threshold was set on these instruments or sessions.".into()
-        }
-        Some(n) => format!("These are **sealed seeds, opened {n} times**: what was changed in between has seen them."),
+        Some(n) => format!(
+            "These are **sealed seeds of study number {n}**: each sealed study draws instruments and sessions of its \
+             own, so no threshold was set on these."
+        ),
         None => "These are **development seeds**: thresholds were set on them, so the figures flatter.".to_string(),
     }
 }

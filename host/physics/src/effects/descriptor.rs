@@ -73,12 +73,15 @@ pub struct Param {
     pub kind: Kind,
     /// Whether each lens has its own value, named `name_0`, `name_1`, ... in the order of the lenses.
     pub per_lens: bool,
+    /// Of a strength, values far from `off` that a search starts from as well: for effects whose frames are so far from
+    /// linear in it that the first small change says little of a large one.
+    pub far: &'static [f64],
 }
 
 impl Param {
     /// A strength; the effect is absent at 0.
     pub const fn strength(name: &'static str, unit: &'static str, step: f64, min: f64, max: f64) -> Self {
-        Self { name, unit, off: 0.0, step, min, max, kind: Kind::Strength, per_lens: false }
+        Self { name, unit, off: 0.0, step, min, max, kind: Kind::Strength, per_lens: false, far: &[] }
     }
 
     /// A strength that enters by its square; the effect is absent at 0.
@@ -88,7 +91,7 @@ impl Param {
 
     /// A choice, which is never fitted; `off` is its default.
     pub const fn choice(name: &'static str, unit: &'static str, off: f64, [min, max]: [f64; 2]) -> Self {
-        Self { name, unit, off, step: 1.0, min, max, kind: Kind::Choice, per_lens: false }
+        Self { name, unit, off, step: 1.0, min, max, kind: Kind::Choice, per_lens: false, far: &[] }
     }
 
     /// A shape; `off` is its default, and `tried` are the values from which fits start (empty: `off` alone, or the
@@ -101,12 +104,17 @@ impl Param {
         [min, max]: [f64; 2],
         tried: &'static [f64],
     ) -> Self {
-        Self { name, unit, off, step, min, max, kind: Kind::Shape(tried), per_lens: false }
+        Self { name, unit, off, step, min, max, kind: Kind::Shape(tried), per_lens: false, far: &[] }
     }
 
     /// Turns the parameter into one value for each lens.
     pub const fn per_lens(self) -> Self {
         Self { per_lens: true, ..self }
+    }
+
+    /// Sets the values far from `off` that a search starts from as well.
+    pub const fn far(self, far: &'static [f64]) -> Self {
+        Self { far, ..self }
     }
 
     /// Sets the value at which the effect is absent, if it is not 0.

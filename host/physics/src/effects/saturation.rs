@@ -1,9 +1,9 @@
 //! Saturation: the wells of the pixels are full below the full scale of the converter.
 //!
-//! `Q -> Q (1 + (W^-8 - 1) (Q / full scale)^8)^(-1/8)`, W = 1 - below: charge at full scale becomes W of full scale,
-//! the depth of the well, and small charges hardly change. Because the transition is smooth, a fit can start from a
-//! well as deep as the full scale. Of the lost charge, the share `spill` goes to the pixels above and below, half each
-//! (blooming along the column).
+//! `Q -> Q (1 + (W^-n - 1) (Q / full scale)^n)^(-1/n)`, W = 1 - below: charge at full scale becomes W of full scale,
+//! the depth of the well, and small charges hardly change. n is `sharpness`: 8 bends over the upper third of the well, 32
+//! nearly clips. Because the transition is smooth, a fit can start from a well as deep as the full scale. Of the lost
+//! charge, the share `spill` goes to the pixels above and below, half each (blooming along the column).
 
 use super::context::FrameContext;
 use super::descriptor::{Descriptor, Lookalike, Param, Stage};
@@ -18,8 +18,10 @@ static DESCRIPTOR: Descriptor = Descriptor {
     stage: Stage::Charge,
     summary: "Q is limited to (1 - below) full scale, lost charge spills along the column: the wells are full early",
     params: &[
-        Param::strength("below", "share of full scale", 0.1, 0.0, 0.95),
+        Param::strength("below", "share of full scale", 0.1, 0.0, 0.95).far(&[0.4, 0.7, 0.9]),
         Param::shape("spill", "1", 0.0, 0.1, [0.0, 1.0], &[0.0]),
+        // A well of 300,000 e- fills within 1/64 of its depth: sharper than that no frame tells from a clip.
+        Param::shape("sharpness", "1", 8.0, 2.0, [4.0, 64.0], &[8.0, 32.0]),
     ],
     lookalikes: &[
         Lookalike {
@@ -33,12 +35,6 @@ static DESCRIPTOR: Descriptor = Descriptor {
     ],
 };
 
-fn eighth_power(q: f64) -> f64 {
-    let q2 = q * q;
-    let q4 = q2 * q2;
-    q4 * q4
-}
-
 impl Effect for Saturation {
     fn descriptor(&self) -> &'static Descriptor {
         &DESCRIPTOR
@@ -48,11 +44,13 @@ impl Effect for Saturation {
         if p[0] == 0.0 || cx.full_scale_e <= 0.0 {
             return;
         }
-        let bend = 1.0 / eighth_power(1.0 - p[0]) - 1.0;
+        let n = p[2].max(1.0);
+        // As (Q / full scale / W)^n - (Q / full scale)^n, which does not overflow where the charge is small.
+        let (well, full) = ((1.0 - p[0]) * cx.full_scale_e, cx.full_scale_e);
         let mut lost = Array2::<f32>::zeros(if p[1] > 0.0 { charge_e.dim() } else { (0, 0) });
         for ((r, c), v) in charge_e.indexed_iter_mut().filter(|(_, v)| **v > 0.0) {
             let q = f64::from(*v);
-            let kept = (q / (1.0 + bend * eighth_power(q / cx.full_scale_e)).sqrt().sqrt().sqrt()) as f32;
+            let kept = (q / (1.0 + (q / well).powf(n) - (q / full).powf(n)).powf(1.0 / n)) as f32;
             if let Some(lost) = lost.get_mut((r, c)) {
                 *lost = *v - kept;
             }

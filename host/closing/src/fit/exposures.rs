@@ -1,0 +1,222 @@
+//! Light that contradicts the records: single exposures, and objects in units of their own.
+//!
+//! An exposure is doubted before the first fit and decided after the search: an effect that the model lacks can make
+//! single frames darker or brighter too. Units are corrected before: what makes all frames differ at random, by a tenth
+//! and more, is no effect of an instrument.
+
+use super::record::{SMOOTH_PX, Seen, correlation, median};
+use super::solve::pseudo_inverse;
+use crate::data::{Fault, FaultKind, Frame, Observations, Shown};
+use ndarray::{Array1, Array2};
+use ommatidia_physics::effects::blur_within;
+use rayon::prelude::*;
+
+/// An exposure is doubted if the light of its frame differs from the others by more than this share, and by much more
+/// than their scatter.
+const LIGHT: f64 = 0.04;
+/// Objects have units of their own if the light of the frames relative to them scatters by more than this share (median),
+/// and a drift or the exposures explain less than [`UNEXPLAINED`] of it.
+const SCATTER: f64 = 0.1;
+const UNEXPLAINED: f64 = 0.3;
+/// Number of scenes that this takes.
+const SCENES: usize = 6;
+/// Correlation with the objects that it takes.
+const ALIKE: f64 = 0.8;
+
+/// Light of each frame over that of its record, both blurred, and their correlation. The regression has an intercept, so
+/// that an even background is no light of the specimen.
+fn slopes(frames: &[Seen]) -> Vec<[f64; 2]> {
+    let slope = |s: &Seen| {
+        let [y, m] = [&s.measured, &s.own].map(|image| blur_within(image, SMOOTH_PX));
+        let [mean_y, mean_m] = [&y, &m].map(|image| f64::from(image.mean().unwrap_or(0.0)));
+        let (mut top, mut bottom) = (0.0, 0.0);
+        for (y, m) in y.iter().zip(&m) {
+            top += (f64::from(*y) - mean_y) * (f64::from(*m) - mean_m);
+            bottom += (f64::from(*m) - mean_m).powi(2);
+        }
+        [top / f64::max(bottom, 1e-30), correlation(&y, &m)]
+    };
+    frames.par_iter().map(slope).collect()
+}
+
+/// Finds scenes whose objects are recorded in units of light of their own, and corrects the observations: the light of
+/// nearly all frames differs from that of their objects by a factor that follows neither their order nor their exposure.
+pub fn units(seen: &mut Observations, frames: &[Seen]) -> Vec<Fault> {
+    let slopes = slopes(frames);
+    let alike = median(slopes.iter().map(|s| s[1]).collect()).unwrap_or(0.0);
+    if frames.len() < SCENES || alike < ALIKE || slopes.iter().any(|s| s[0] <= 0.0) {
+        return Vec::new();
+    }
+    let all: Vec<f64> = slopes.iter().map(|s| s[0].ln()).collect();
+    let usual = median(all.clone()).unwrap_or(0.0);
+    let scatter = |values: &[f64]| median(values.iter().map(|v| v.abs()).collect()).unwrap_or(0.0);
+    let logs: Vec<f64> = all.iter().map(|v| v - usual).collect();
+    let left = unexplained(seen, frames, &logs);
+    let scatters = scatter(&logs);
+    if scatters < SCATTER || scatter(&left) < UNEXPLAINED * scatters {
+        return Vec::new();
+    }
+    let mut faults = Vec::new();
+    for ((s, [_, r]), log) in frames.iter().zip(&slopes).zip(&logs) {
+        let Shown::Object(truth) = seen.frames[s.frame].shown else { continue };
+        let factor = log.exp();
+        seen.truths.push(seen.truths[truth].mapv(|v| v * factor as f32));
+        seen.frames[s.frame].shown = Shown::Object(seen.truths.len() - 1);
+        faults.push(Fault {
+            frame: seen.frames[s.frame].info.frame,
+            kind: FaultKind::Unit { factor },
+            z: log.abs() / (1.0 - r * r).max(1e-6).sqrt(),
+            correlation_before: *r,
+            correlation_after: *r,
+        });
+    }
+    faults
+}
+
+/// What a drift (a parabola over the frames) and an error of the exposures do not explain of some values of the frames.
+fn unexplained(seen: &Observations, frames: &[Seen], values: &[f64]) -> Vec<f64> {
+    let of = |s: &Seen| {
+        let info = &seen.frames[s.frame].info;
+        let t = info.frame as f64 / frames.len() as f64;
+        [1.0, t, t * t, 1.0 / info.exposure_ms.max(1e-9)]
+    };
+    let rows: Vec<[f64; 4]> = frames.iter().map(of).collect();
+    let x = Array2::from_shape_fn((rows.len(), 4), |(i, j)| rows[i][j]);
+    let y = Array1::from_vec(values.to_vec());
+    let fit = x.dot(&pseudo_inverse(&x.t().dot(&x)).dot(&x.t().dot(&y)));
+    (y - fit).to_vec()
+}
+
+/// Finds scenes whose light differs from that of the others by a factor of their own. An effect that the model lacks
+/// may do that as well, so nothing is corrected yet.
+pub fn exposures(seen: &Observations, frames: &[Seen]) -> Vec<Fault> {
+    let mut faults = Vec::new();
+    let (slopes, alike): (Vec<f64>, Vec<f64>) = slopes(frames).into_iter().map(|[slope, r]| (slope, r)).unzip();
+    if slopes.len() < 4 {
+        return faults;
+    }
+    let usual = median(slopes.clone()).unwrap_or(1.0);
+    let scatter = median(slopes.iter().map(|v| (v / usual - 1.0).abs()).collect()).unwrap_or(0.0);
+    // What does not look like its object has no light relative to it.
+    for ((s, slope), _) in frames.iter().zip(&slopes).zip(&alike).filter(|(_, r)| **r > ALIKE) {
+        let factor = slope / usual;
+        // One frame against all others: a drift of the lamp changes all of them.
+        if (factor - 1.0).abs() > LIGHT.max(12.0 * scatter) {
+            let r = correlation(&s.measured, &s.own);
+            let kind = FaultKind::Exposure { factor };
+            faults.push(Fault {
+                frame: seen.frames[s.frame].info.frame,
+                kind,
+                z: (factor - 1.0).abs() / scatter.max(1e-4),
+                correlation_before: r,
+                correlation_after: r,
+            });
+        }
+    }
+    faults
+}
+
+/// Corrects the recorded exposures of scenes.
+pub fn correct_exposures(seen: &mut Observations, faults: &[Fault]) {
+    for fault in faults {
+        let FaultKind::Exposure { factor } = fault.kind else { continue };
+        let of = |f: &&mut Frame| f.info.frame == fault.frame && matches!(f.shown, Shown::Object(_));
+        seen.frames.iter_mut().filter(of).for_each(|f| f.info.exposure_ms *= factor);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use ommatidia_session::{FrameInfo, Role};
+
+    /// Sparse sources of a frame, as dense as `k` says, moved by some pixels.
+    fn sources(k: usize, moved_px: f64) -> Array2<f32> {
+        let at = |i: usize| [(i * 29 + k * 13) % 80 + 8, (i * 47 + k * 19) % 80 + 8].map(|v| v as f64 + moved_px);
+        Array2::from_shape_fn((96, 96), |(r, c)| {
+            let light = |i: usize| {
+                let [y, x] = at(i);
+                (-((r as f64 - y).powi(2) + (c as f64 - x).powi(2)) / 2.0).exp()
+            };
+            (0..3 + 9 * k).map(|i| 500.0 * light(i)).sum::<f64>() as f32
+        })
+    }
+
+    /// Six scenes whose light is `factor` of each times what their records say.
+    fn scenes(moved_px: f64, factor: impl Fn(usize) -> f32) -> (Observations, Vec<Seen>) {
+        let seen = |k: usize| {
+            let light = factor(k);
+            Seen { frame: k, measured: sources(k, moved_px) * light, own: sources(k, 0.0), turned: Vec::new() }
+        };
+        let frame = |k: usize| Frame {
+            stack: 0,
+            role: Role::Scene,
+            info: FrameInfo::plain(k, 10.0),
+            measured: Array2::zeros((1, 1)),
+            cut: None,
+            shown: Shown::Object(k),
+            held_out: false,
+            previous: None,
+        };
+        let observations = Observations {
+            frames: (0..6).map(frame).collect(),
+            truths: vec![Array2::ones((8, 8)); 6],
+            registrations: Vec::new(),
+            pixels: Vec::new(),
+            blocks: Vec::new(),
+            held_out_blocks: Vec::new(),
+            sensor: [96, 96],
+            recorded: 0,
+        };
+        (observations, (0..6).map(seen).collect())
+    }
+
+    fn faults(moved_px: f64, factor: f32) -> Vec<Fault> {
+        let (observations, seen) = scenes(moved_px, |k| if k == 2 { factor } else { 1.0 });
+        exposures(&observations, &seen)
+    }
+
+    #[test]
+    fn objects_that_were_scaled_one_by_one_are_scaled_back() {
+        let own = [1.0, 2.5, 0.6, 1.4, 0.8, 3.1];
+        let (mut observations, seen) = scenes(0.8, |k| own[k]);
+        let found = units(&mut observations, &seen);
+        let factors: Vec<f64> = found
+            .iter()
+            .map(|f| match f.kind {
+                FaultKind::Unit { factor } => factor,
+                _ => panic!("{f:?}"),
+            })
+            .collect();
+        assert_eq!(factors.len(), 6);
+        // Relative to the median, 1.4.
+        for (k, (factor, own)) in factors.iter().zip(own).enumerate() {
+            assert!((factor * 1.4 / f64::from(own) - 1.0).abs() < 0.05, "{factors:?}");
+            let Shown::Object(truth) = observations.frames[k].shown else { panic!("no object") };
+            assert!((f64::from(observations.truths[truth][[0, 0]]) - factor).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn light_that_fades_and_one_wrong_exposure_are_no_units() {
+        for factor in [|k: usize| 0.7f32.powi(k as i32), |k: usize| if k == 2 { 2.0 } else { 1.0 }, |_| 1.0] {
+            let (mut observations, seen) = scenes(0.0, factor);
+            assert!(units(&mut observations, &seen).is_empty());
+        }
+    }
+
+    #[test]
+    fn frames_out_of_place_are_no_faults_of_exposure() {
+        for moved_px in [0.0, 0.8, 2.0] {
+            assert!(faults(moved_px, 1.0).is_empty(), "moved by {moved_px} px: {:?}", faults(moved_px, 1.0));
+        }
+        for moved_px in [0.0, 0.8] {
+            let found = faults(moved_px, 1.5);
+            let [Fault { frame: 2, kind: FaultKind::Exposure { factor }, .. }] = found[..] else {
+                panic!("moved by {moved_px} px: {found:?}")
+            };
+            assert!((factor - 1.5).abs() < 0.05, "{factor}");
+        }
+    }
+}
