@@ -250,13 +250,15 @@ pub(super) fn median(mut values: Vec<f64>) -> Option<f64> {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use rand::RngExt;
 
     /// Blobs of light that differ from scene to scene.
     fn blobs(k: usize) -> Array2<f32> {
-        let at = |i: usize| [(i * 29 + k * 37) % 76 + 10, (i * 47 + k * 61) % 76 + 10].map(|v| v as f32);
+        let mut rng = ommatidia_session::rng::stream(k as u64, "blobs", 0);
+        let at: Vec<[f32; 2]> = (0..5).map(|_| [0, 0].map(|_: u8| rng.random_range(10.0..86.0))).collect();
         Array2::from_shape_fn((96, 96), |(r, c)| {
-            let light = |[y, x]: [f32; 2]| (-((r as f32 - y).powi(2) + (c as f32 - x).powi(2)) / 18.0).exp();
-            (0..5).map(|i| 500.0 * light(at(i))).sum()
+            let light = |[y, x]: &[f32; 2]| (-((r as f32 - y).powi(2) + (c as f32 - x).powi(2)) / 18.0).exp();
+            at.iter().map(|at| 500.0 * light(at)).sum()
         })
     }
 
