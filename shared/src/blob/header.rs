@@ -110,7 +110,7 @@ pub struct Rcan {
 pub struct Integers {
     /// 1 of the input of the network is 2 to this power; 0 to 24.
     pub input_log2: i8,
-    /// 1 of a feature is 2 to this power; -16 to 24.
+    /// A mean of 1 of a channel, as its attention takes it, is 2 to this power units of its features; -16 to 24.
     pub feature_log2: i8,
     /// Argument of the last logistic function for a sum of 1; positive.
     pub output: f32,

@@ -47,7 +47,11 @@ pub fn quantize(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) ->
     Ok(made)
 }
 
-fn make(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) -> Result<Quantized, QuantizeError> {
+/// Checks that devices run such networks.
+///
+/// # Errors
+/// The network is of another architecture than SV-FourierNet, or has more than one pass.
+pub(super) fn check_architecture(checkpoint: &Checkpoint) -> Result<(), QuantizeError> {
     let network = &checkpoint.body.network;
     if network.architecture != Architecture::SvFourierNet {
         return Err(QuantizeError::Architecture(network.architecture.name().as_str()));
@@ -56,6 +60,12 @@ fn make(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) -> Result<
         let (passes, iterations) = (network.passes(), network.iterations());
         return Err(QuantizeError::Passes { passes, iterations });
     }
+    Ok(())
+}
+
+fn make(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) -> Result<Quantized, QuantizeError> {
+    check_architecture(checkpoint)?;
+    let network = &checkpoint.body.network;
     pack::check_finite(&checkpoint.weights)?;
     let bank = PlannedBank::new(checkpoint, config)?;
     let (filters, index) = bank.filters()?;

@@ -42,4 +42,5 @@ pub use config::{Numbers, QuantizeConfig};
 pub use error::QuantizeError;
 pub use make::{Quantized, quantize};
 pub use mask::{ChosenMask, MaskSource, filter_mask, training_mask};
+pub use ranges::training_steps;
 pub use report::{Quality, QuantizeReport, Step};

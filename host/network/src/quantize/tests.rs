@@ -2,8 +2,12 @@
 use super::*;
 use crate::methods::{FloatNetwork, Reconstruct};
 use crate::network_file::NetworkFile;
+use crate::train::network::values;
+use crate::train::ops::fourier::Fourier;
 use crate::train::weights::{self, FILTERS};
-use crate::train::{Checkpoint, FilterMask, NetworkConfig, Preset};
+use crate::train::{
+    Body, Checkpoint, FeatureSteps, FilterMask, Mode, Network, NetworkConfig, NetworkInput, Preset, normalised,
+};
 use ndarray::Array2;
 use ommatidia_model::metrics::Case;
 use ommatidia_physics::noise::NoiseModel;
@@ -102,7 +106,7 @@ fn integers_compute_about_what_the_float_network_does() {
     assert!(made.report.rcan_bytes * 10 < halves.report.rcan_bytes * 7, "{:?}", made.report);
 }
 
-/// Features of 8 bits are coarser than those of 16 and take half the arena; the weights are the same.
+/// Features of 8 bits are coarser than those of 16 and take half the arena.
 #[test]
 fn features_of_8_bits_are_coarser_and_smaller() {
     let checkpoint = checkpoint();
@@ -114,11 +118,70 @@ fn features_of_8_bits_are_coarser_and_smaller() {
     assert!(coarse > fine, "{fine} {coarse}");
     assert_eq!(bytes.report.rcan_bytes, integers.report.rcan_bytes);
     assert!(bytes.report.bulk_bytes <= integers.report.bulk_bytes);
-    let weights = |made: &Quantized| {
-        let made = file(made);
-        made.network().unwrap().weights().convolutions.unwrap().weights.to_vec()
+}
+
+/// Root of the mean square of the differences.
+fn distance(a: &[f32], b: &[f32]) -> f32 {
+    (a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f32>() / a.len() as f32).sqrt()
+}
+
+/// What a training with roundings computes is what the file made of it computes: the two are independent definitions
+/// of the same roundings. Their inputs differ by the halves of the filters, so some features are rounded to the other
+/// neighbour, and each layer adds to that: the network is shallow. Roundings to other steps are further away, and so is
+/// the network without roundings.
+#[test]
+fn a_training_with_roundings_computes_what_the_file_does() {
+    let deep = checkpoint();
+    let network = NetworkConfig { groups: 1, blocks: 1, ..deep.body.network.clone() };
+    let weights = weights::random(&network, 5);
+    let mut checkpoint = Checkpoint { body: Body { network, ..deep.body }, weights, ..deep };
+    // Weights so small in one channel, and so large in another, that one step for all would leave little of either.
+    let head = checkpoint.weights.get_mut(&format!("{}.weight", weights::name::HEAD)).unwrap();
+    head.index_axis_mut(ndarray::Axis(0), 1).mapv_inplace(|v| v / 64.0);
+    head.index_axis_mut(ndarray::Axis(0), 2).mapv_inplace(|v| v * 4.0);
+    let steps = ranges::feature_steps(&checkpoint).unwrap();
+    checkpoint.body.feature_steps = Some(steps.clone());
+    let made = quantize(&checkpoint, "", &QuantizeConfig { numbers: Numbers::Bytes, ..Default::default() }).unwrap();
+    let found: Vec<f32> = file(&made).reconstruct(frame(9).view()).unwrap().iter().copied().collect();
+    let network = &checkpoint.body.network;
+    let plan = std::sync::Arc::new(Fourier::new(network.fourier()));
+    let input = || {
+        let x = normalised(&checkpoint.frame_input().unwrap(), frame(9).view()).unwrap();
+        vec![NetworkInput::of(network, &plan, &x)]
     };
-    assert_eq!(weights(&bytes), weights(&integers));
+    let graph = |steps: Option<&FeatureSteps>| {
+        let graph = Network::new(network, &plan, &checkpoint.weights, Mode::Infer).unwrap();
+        let graph = match steps {
+            Some(steps) => graph.rounded(steps).unwrap(),
+            None => graph,
+        };
+        values(graph.forward(input()).logits).into_iter().map(|z| 1.0 / (1.0 + (-z).exp())).collect::<Vec<f32>>()
+    };
+    let mut others = steps.clone();
+    let all = others.inner.iter_mut().chain([&mut others.sums, &mut others.fine]);
+    all.flatten().for_each(|step| *step *= 1.07);
+    let [rounded, other, plain] = [Some(&steps), Some(&others), None].map(|steps| distance(&graph(steps), &found));
+    // With the steps of another channel or layer in the file it would not compute this network at all.
+    assert!(plain > 1e-3 && plain < 0.04, "{plain}");
+    assert!(rounded < 0.75 * plain && rounded < 0.75 * other, "{rounded} {plain} {other}");
+}
+
+/// A channel's step follows the channel: features that are a power of two larger have a step that is as much larger.
+#[test]
+fn each_channel_has_the_step_that_suits_it() {
+    let mut checkpoint = checkpoint();
+    let before = ranges::feature_steps(&checkpoint).unwrap();
+    assert!(before.fits(&checkpoint.body.network));
+    for part in ["weight", "bias"] {
+        let upscale = checkpoint.weights.get_mut(&format!("{}.{part}", weights::name::UPSCALE)).unwrap();
+        // The four channels behind which the shuffle puts channel 3.
+        (12..16).for_each(|o| upscale.index_axis_mut(ndarray::Axis(0), o).mapv_inplace(|v| 8.0 * v));
+    }
+    let after = ranges::feature_steps(&checkpoint).unwrap();
+    assert_eq!((&after.sums, &after.inner), (&before.sums, &before.inner));
+    for (channel, (after, before)) in after.fine.iter().zip(&before.fine).enumerate() {
+        assert_eq!(*after, if channel == 3 { 8.0 * before } else { *before }, "channel {channel}");
+    }
 }
 
 #[test]
@@ -213,7 +276,7 @@ fn blocks_of_a_training_are_kept() {
     let mut checkpoint = checkpoint();
     let blocks = vec![(0, 3, 4), (1, 0, 0), (2, 15, 15)];
     checkpoint.body.filter_mask = Some(FilterMask::Blocks { side: 4, blocks });
-    let plan = crate::train::ops::fourier::Fourier::new(checkpoint.body.network.fourier());
+    let plan = Fourier::new(checkpoint.body.network.fourier());
     checkpoint.body.filter_mask.as_ref().unwrap().project(&plan, &mut checkpoint.weights);
     let made = quantize(&checkpoint, "", &QuantizeConfig::default()).unwrap();
     assert_eq!((made.report.blocks, made.report.block_side), (3, 4));

@@ -1,7 +1,7 @@
 //! The checkpoint: a trained network, its training history, and the state that is needed to continue training.
 
 use super::adam::{Adam, MeanNorms};
-use super::{FilterMask, NetworkConfig, TrainConfig, TrainError, weights};
+use super::{FeatureSteps, FilterMask, NetworkConfig, TrainConfig, TrainError, weights};
 use ndarray::{Array2, Array3, ArrayView2, ArrayViewD, Axis, Ix3};
 use ommatidia_model::metrics::Case;
 use ommatidia_physics::noise::NoiseModel;
@@ -63,6 +63,10 @@ pub struct Body {
     /// Mask of the filters: the lags at which their kernels may differ from 0; None: all.
     #[serde(default, rename = "support", skip_serializing_if = "Option::is_none")]
     pub filter_mask: Option<FilterMask>,
+    /// Steps of the features that the network was trained to bear with weights and features of 8 bits; None: it was
+    /// trained without roundings.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub feature_steps: Option<FeatureSteps>,
     /// Number of times that the loss diverged and the run went back to its last checkpoint; each time halves the
     /// learning rates.
     #[serde(default, skip_serializing_if = "is_zero")]
@@ -105,6 +109,7 @@ impl Checkpoint {
             step: 0,
             norms: MeanNorms::default(),
             filter_mask: None,
+            feature_steps: None,
             slowed: 0,
         };
         let adam = Adam::new(&weights);

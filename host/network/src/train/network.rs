@@ -1,9 +1,11 @@
 //! The networks in single precision, on burn: a bank of filters followed by an RCAN, or CM2Net.
 
+use super::feature_steps::{FeatureSteps, Features};
 use super::normalise::DARK;
 use super::ops::fourier::Fourier;
 use super::ops::predicted::{Linear, filter_predicted};
 use super::ops::{conv3x3, filter_bank, kernel_spectra};
+use super::rounding::Rounding;
 use super::weights::{self, FILTERS, KERNELS, LOG_K, PSFS, name};
 use super::{Architecture, Backend, Mode, NetworkConfig, NetworkInput, Predictor, TrainError, network_input};
 use burn_tensor::activation::{relu, sigmoid};
@@ -35,6 +37,8 @@ pub struct Network {
     bank: Option<[Tensor<1>; 2]>,
     /// What predicts frames, where there is feedback.
     predict: Option<Arc<dyn Linear>>,
+    /// Roundings of a network in integers; None: none.
+    rounding: Option<Rounding>,
 }
 
 impl Network {
@@ -103,12 +107,31 @@ impl Network {
             let leaf = Tensor::<1>::from_data(TensorData::new(values, [n]), &device);
             parameters.insert(name, if mode == Mode::Train { leaf.require_grad() } else { leaf });
         }
-        let mut network =
-            Self { config: config.clone(), plan: Arc::clone(plan), parameters, device, bank: None, predict };
-        if mode == Mode::Infer && !matches!(config.architecture, Architecture::Cm2Net { .. }) {
+        let (config, plan) = (config.clone(), Arc::clone(plan));
+        let mut network = Self { config, plan, parameters, device, bank: None, predict, rounding: None };
+        if mode == Mode::Infer && !matches!(network.config.architecture, Architecture::Cm2Net { .. }) {
             network.bank = Some(network.filters());
         }
         Ok(network)
+    }
+
+    /// The same network with its enhancement rounded as in integers with features of 8 bits.
+    ///
+    /// # Errors
+    /// There is not one step for each channel, or the network has more than one pass.
+    pub fn rounded(self, steps: &FeatureSteps) -> Result<Self, TrainError> {
+        let wrong = |expected: &str, found: String| {
+            Err(TrainError::Config { field: "feature_steps", expected: expected.into(), found })
+        };
+        let single = self.config.architecture == Architecture::SvFourierNet && self.config.feedback.is_none();
+        if !single {
+            return wrong("an svfouriernet of one pass", self.config.architecture.name().as_str().into());
+        }
+        if !steps.fits(&self.config) {
+            return wrong("a positive step for each channel", format!("{steps:?}"));
+        }
+        let rounding = Some(Rounding::new(steps, &self.device));
+        Ok(Self { rounding, ..self })
     }
 
     /// Computes the output of a batch of inputs, which must be of this network's configuration.
@@ -231,34 +254,56 @@ impl Network {
     /// The enhancement network (RCAN) of a pass: [batch, inputs, rows, cols] -> logits [batch, 1, rows, cols].
     fn enhance(&self, pass: usize, x: Tensor<4>) -> Tensor<4> {
         let prefix = name::of_pass(pass);
-        let conv = |name: &str, x| self.conv(&format!("{prefix}{name}"), x);
-        let head = conv(name::HEAD, unshuffle(x));
+        let conv = |name: &str, of, x| self.conv_of(&format!("{prefix}{name}"), of, x);
+        let sums = Some(Features::Sums);
+        let head = self.stored(Features::Sums, conv(name::HEAD, None, unshuffle(x)));
         let mut y = head.clone();
         for g in 0..self.config.groups {
             let mut inner = y.clone();
             for b in 0..self.config.blocks {
                 inner = self.block(&prefix, [g, b], inner);
             }
-            y = y + conv(&name::group(g, self.config.blocks), inner);
+            y = self.stored(Features::Sums, y + conv(&name::group(g, self.config.blocks), sums, inner));
         }
-        let y = head + conv(name::BODY, y);
-        conv(name::TAIL, shuffle(conv(name::UPSCALE, y)))
+        let y = self.stored(Features::Sums, head + conv(name::BODY, sums, y));
+        let fine = self.stored(Features::Fine, shuffle(conv(name::UPSCALE, sums, y)));
+        conv(name::TAIL, Some(Features::Fine), fine)
     }
 
     /// Residual block with channel attention.
     fn block(&self, prefix: &str, [group, block]: [usize; 2], x: Tensor<4>) -> Tensor<4> {
-        let conv = |which, x| self.conv(&format!("{prefix}{}", name::conv(group, block, which)), x);
+        let conv = |which, of, x| self.conv_of(&format!("{prefix}{}", name::conv(group, block, which)), Some(of), x);
         let linear = |which, x| self.linear(&format!("{prefix}{}", name::attention(group, block, which)), x);
-        let r = conv(1, relu(conv(0, x.clone())));
+        let between = Features::Inner(group * self.config.blocks + block);
+        let inner = self.stored(between, relu(conv(0, Features::Sums, x.clone())));
+        let r = self.stored(Features::Sums, conv(1, between, inner));
         let [batch, width, _, _] = r.dims();
         let means = r.clone().mean_dims(&[2, 3]).reshape([batch, width]);
         let squeezed = relu(linear(0, means));
         let gate = sigmoid(linear(1, squeezed));
-        x + r * gate.reshape([batch, width, 1, 1])
+        self.stored(Features::Sums, x + r * gate.reshape([batch, width, 1, 1]))
+    }
+
+    /// Features as they are stored.
+    fn stored(&self, features: Features, x: Tensor<4>) -> Tensor<4> {
+        match &self.rounding {
+            Some(rounding) => rounding.features(features, x),
+            None => x,
+        }
     }
 
     fn conv(&self, layer: &str, x: Tensor<4>) -> Tensor<4> {
-        conv3x3(x, self.parameter(&format!("{layer}.weight")), self.parameter(&format!("{layer}.bias")))
+        self.conv_of(layer, None, x)
+    }
+
+    /// A convolution of some features; None: of an input.
+    fn conv_of(&self, layer: &str, of: Option<Features>, x: Tensor<4>) -> Tensor<4> {
+        let [weight, bias] = ["weight", "bias"].map(|part| self.parameter(&format!("{layer}.{part}")));
+        let weight = match &self.rounding {
+            Some(rounding) => rounding.weights(of, weight, bias.dims()[0]),
+            None => weight,
+        };
+        conv3x3(x, weight, bias)
     }
 
     fn linear(&self, layer: &str, x: Tensor<2>) -> Tensor<2> {

@@ -108,7 +108,12 @@ impl<'a> Trainer<'a> {
 
     fn network(&self, mode: Mode) -> Result<Network, TrainError> {
         let predictor = self.predictor.clone();
-        Network::planned(self.backend, &self.task.network, &self.plan, predictor, &self.state.current, mode)
+        let network =
+            Network::planned(self.backend, &self.task.network, &self.plan, predictor, &self.state.current, mode)?;
+        match &self.state.body.feature_steps {
+            Some(steps) => network.rounded(steps),
+            None => Ok(network),
+        }
     }
 
     /// State of the run.

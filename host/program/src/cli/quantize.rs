@@ -62,7 +62,7 @@ enum Activations {
     F16,
     /// 16 bits
     Int16,
-    /// 8 bits: half the memory, at a loss of quality
+    /// 8 bits, with a scale for each channel: half the memory, at some loss of quality
     Int8,
 }
 

@@ -5,7 +5,7 @@ use super::{Outcome, Run};
 use anyhow::Context;
 use ommatidia_model::dataset::{DataSet, PLAN_FILE};
 use ommatidia_model::instrument::Instrument;
-use ommatidia_network::quantize::{ChosenMask, MaskSource, QuantizeConfig, training_mask};
+use ommatidia_network::quantize::{ChosenMask, MaskSource, QuantizeConfig, training_mask, training_steps};
 use ommatidia_network::train::{
     ArchitectureName, Backend, Body, Checkpoint, Lenses, Loss, Next, PairSource, Preset, Simulated, Start, Task,
     TrainConfig, TrainRequest, Trainer, weights,
@@ -87,6 +87,10 @@ pub struct Args {
     /// Fraction of the filters' energy that the taps must keep
     #[arg(long, value_name = "PART", requires = "tile", default_value_t = 0.9)]
     energy: f64,
+    /// Fine-tune the network of --from with weights and features rounded as `quantize --weights int8 --activations
+    /// int8` rounds them. The steps of the features are measured before the first step of the training, and kept
+    #[arg(long, value_enum, requires = "from")]
+    quantize: Option<Rounded>,
     /// Where to compute the network. The optimiser and the simulation of noise always run on the CPU
     #[arg(long, value_enum, default_value_t)]
     device: Backend,
@@ -100,6 +104,13 @@ pub struct Args {
     /// Resume the run that wrote the checkpoint; the result has the same bits as that of an uninterrupted run
     #[arg(long)]
     resume: bool,
+}
+
+/// Numbers that a network is trained to bear.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Rounded {
+    /// Weights and features of 8 bits
+    Int8,
 }
 
 /// Pairs and instrument of a training run.
@@ -187,7 +198,14 @@ fn train(args: &Args, run: &Run, inputs: Inputs<'_>) -> anyhow::Result<Outcome> 
     args.device.check()?;
     let steps = training.steps;
     let mut trainer = if args.resume {
-        Trainer::resume_with_lenses(task, training, lenses, &args.output)?
+        let trainer = Trainer::resume_with_lenses(task, training, lenses, &args.output)?;
+        let (path, rounded) = (args.output.display(), trainer.checkpoint().body.feature_steps.is_some());
+        anyhow::ensure!(
+            rounded == args.quantize.is_some(),
+            "{path}: --quantize: expected {}, as the run began, found the other; resume it with the same options",
+            if rounded { "int8" } else { "none" }
+        );
+        trainer
     } else {
         new_run(args, task, training, lenses)?
     }
@@ -242,9 +260,21 @@ fn new_run<'a>(
         Some(from) => (Trainer::fine_tune(task, training, lenses, from)?, MaskSource::Weights),
         None => (Trainer::with_lenses(task, training, lenses)?, MaskSource::Psfs),
     };
-    if args.tile.is_none() && args.prune.is_none() {
-        return Ok(trainer);
+    let trainer = match args.tile.is_some() || args.prune.is_some() {
+        true => masked(args, trainer, source)?,
+        false => trainer,
+    };
+    match args.quantize {
+        Some(Rounded::Int8) => {
+            let steps = training_steps(&trainer)?;
+            Ok(trainer.with_feature_steps(steps)?)
+        }
+        None => Ok(trainer),
     }
+}
+
+/// The run with the filter mask that the options ask for.
+fn masked<'a>(args: &Args, trainer: Trainer<'a>, source: MaskSource) -> anyhow::Result<Trainer<'a>> {
     let energy = args.tile.map(|_| args.energy);
     let config = QuantizeConfig { tile: args.tile, energy, prune: args.prune, ..QuantizeConfig::default() };
     Ok(match training_mask(&trainer, source, &config)? {

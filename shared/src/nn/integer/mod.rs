@@ -1,8 +1,9 @@
 //! The 3x3 convolutions of the network in integers: weights of 8 bits, features of 16 or of 8, sums of 32.
 //!
-//! A feature x is stored as the nearest integer to `x 2^f` from -32,768 to 32,767, or from -128 to 127, with one f for all
-//! features
-//! ([`Scales::feature_log2`](crate::blob::Integers::feature_log2)). Output channel o of a convolution is
+//! A feature is stored as an integer from -32,768 to 32,767, or from -128 to 127. What a unit is worth may differ between
+//! channels: weights, biases and multipliers hold it. Skip connections and attention add tensors channel by channel, so
+//! these share the units of their channels. The loops know one of them only, that of a channel's mean
+//! ([`Integers::feature_log2`](crate::blob::Integers::feature_log2)). Output channel o of a convolution is
 //! ```text
 //! sum = b[o] + sum_{i, ky, kx} w[o][i][ky][kx] x[i][r + ky - 1][c + kx - 1]
 //! y   = saturate(rescale(sum, m[o]))                  rescale(s, m) = floor(s m / 2^32 + 1/2)
@@ -18,7 +19,8 @@
 //! The borders to the rest of the network:
 //! - The input of the network is halves. `x 2^a` is rounded to an integer of 16 bits in the same way
 //!   ([`rescale::from_half`]), whatever the features have.
-//! - The means of channel attention are exact sums of integers, converted to binary32. Attention itself is computed in
+//! - The means of channel attention are exact sums of integers, converted to binary32 and multiplied by `2^-f`; weights
+//!   of the attention hold what the unit of a channel differs from that by. Attention itself is computed in
 //!   binary32 as for halves; the scale s of a channel becomes `k = min(floor(2^15 s + 1/2), 2^15 - 1)`, and
 //!   `g = saturate(g + floor(k t / 2^15 + 1/2))`.
 //! - The sum of the last convolution is converted to binary32 and multiplied by its scale; then the logistic function

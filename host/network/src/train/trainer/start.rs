@@ -6,8 +6,8 @@ use crate::train::checkpoint::Checkpoint;
 use crate::train::ops::fourier::Fourier;
 use crate::train::settings::{Difference, same};
 use crate::train::{
-    Architecture, Backend, Estimator, FilterMask, Lenses, Predictor, Start, Task, TrainConfig, TrainError, regression,
-    weights,
+    Architecture, Backend, Estimator, FeatureSteps, FilterMask, Lenses, Mode, Predictor, Start, Task, TrainConfig,
+    TrainError, regression, weights,
 };
 use ommatidia_physics::noise::NoiseModel;
 use ommatidia_session::rng;
@@ -108,6 +108,17 @@ impl<'a> Trainer<'a> {
         self.apply_mask();
         self.state.weights = self.state.current.clone();
         self
+    }
+
+    /// The same run with weights and features rounded as in integers of 8 bits, now and in every step; the features to
+    /// multiples of `steps`.
+    ///
+    /// # Errors
+    /// There is not one step for each channel, or the network is not one that devices run.
+    pub fn with_feature_steps(mut self, steps: FeatureSteps) -> Result<Self, TrainError> {
+        self.state.body.feature_steps = Some(steps);
+        self.network(Mode::Infer).map(|_| ())?;
+        Ok(self)
     }
 
     /// A new run of the same task with the same settings, whose filters start from calibrated PSFs.

@@ -1,7 +1,7 @@
 #![allow(clippy::unwrap_used)]
 use super::super::testing::foci;
 use super::*;
-use crate::train::{Architecture, Loss, NetworkConfig, Pair, Preset, Start, weights};
+use crate::train::{Architecture, FeatureSteps, Loss, NetworkConfig, Pair, Preset, Start, weights};
 use ommatidia_physics::noise::NoiseModel;
 use ommatidia_physics::sensor::SensorMaps;
 
@@ -106,6 +106,36 @@ fn training_lowers_the_loss_and_keeps_the_best() {
     let read = Checkpoint::read(&path).unwrap();
     assert_eq!(read.body.best_step, best.step);
     assert_eq!(read.weights, run.checkpoint().weights);
+}
+
+#[test]
+fn a_training_with_roundings_learns_and_resumes_with_the_same_bits() {
+    let pairs = foci(20, 40, 16, 10);
+    let folder = tempfile::tempdir().unwrap();
+    let first = folder.path().join("first");
+    let mut run = Trainer::new(task(&pairs), training(30, Start::Regression)).unwrap();
+    run.run(&first, &Provenance::default(), |_| Next::Continue).unwrap();
+    let steps = FeatureSteps::even(&task(&pairs).network, 0.1);
+    let begin = |steps: u64| Trainer::fine_tune(task(&pairs), training(steps, Start::Random), None, &first).unwrap();
+    let loss = |run: &mut Trainer<'_>| run.validate().unwrap().validation_loss;
+    let plain = loss(&mut begin(12));
+    let mut whole = begin(12).with_feature_steps(steps.clone()).unwrap();
+    let before = loss(&mut begin(12).with_feature_steps(steps.clone()).unwrap());
+    assert!(before > plain, "the roundings cost something: {before} {plain}");
+    let path = folder.path().join("whole");
+    whole.run(&path, &Provenance::default(), |_| Next::Continue).unwrap();
+    let after = whole.checkpoint().body.curve.last().unwrap().validation_loss;
+    assert!(after < before, "{after} {before}");
+    let path = folder.path().join("part");
+    let mut part = begin(12).with_feature_steps(steps.clone()).unwrap();
+    part.run(&path, &Provenance::default(), |p| if p.step == 6 { Next::Stop } else { Next::Continue }).unwrap();
+    let mut rest = Trainer::resume(task(&pairs), training(12, Start::Random), &path).unwrap();
+    assert_eq!(rest.checkpoint().body.feature_steps, Some(steps));
+    rest.run(&path, &Provenance::default(), |_| Next::Continue).unwrap();
+    assert_eq!(rest.checkpoint().current, whole.checkpoint().current);
+    let wrong = FeatureSteps::even(&NetworkConfig { width: 5, ..task(&pairs).network }, 0.1);
+    let error = begin(12).with_feature_steps(wrong).err().unwrap().to_string();
+    assert!(error.starts_with("feature_steps:"), "{error}");
 }
 
 #[test]
