@@ -1,5 +1,5 @@
-//! The serial bus of onsemi's PYTHON sensors: 9 bits of address, a bit that is 1 for a write, 16 bits of data, high bits
-//! first. 26 bits are no whole bytes, so the pins are moved one by one.
+//! The serial bus of onsemi's PYTHON sensors: 9 bits of address, a bit that is 1 for a write, 16 bits of data, high
+//! bits first. 26 bits are no whole bytes, so the pins are moved one by one.
 //!
 //! Source: the UCLA Miniscope's firmware, `SPI_BB_PYTHON480.c` (github.com/Aharoni-Lab/Miniscope-v4-Wire-Free).
 

@@ -318,9 +318,10 @@ fn gauge_note(gauge: &Gauge, state: &State) -> String {
     let [values, directions] = [gauge.directions.nrows(), gauge.directions.ncols()];
     let id = state.terms.get(gauge.term).map_or("", Term::id);
     format!(
-        "`{id}`: {directions} of the {values} directions of its values are changes of the specimens as well, so that these \
-         frames cannot show how far the values lie along them (a displacement common to all lenses, for example). The \
-         values are those with the fewest lenses changed, and their errors hold relative to the other lenses"
+        "`{id}`: {directions} of the {values} directions of its values are changes of the specimens as well, so that \
+         these frames cannot show how far the values lie along them (a displacement common to all lenses, for \
+         example). The values are those with the fewest lenses changed, and their errors hold relative to the other \
+         lenses"
     )
 }
 

@@ -8,7 +8,8 @@ use super::attempt::{Given, OWN_BEADS_NOTE, attempt, held_out_blocks, held_out_f
 use super::data::{Fault, Observations, Shown};
 use super::evidence::{JudgedOn, figures, omnibus, standing_alone, structured};
 use super::fit::{
-    Model, State, UNKNOWN_NOTE, chosen_note, estimate_specimens, estimated_frames, exposures, record, refit, replicas,
+    Model, State, UNKNOWN_NOTE, chosen_note, estimate_specimens, estimated_frames, exposures, pedestal, record, refit,
+    replicas,
 };
 use super::options::{CloseError, CloseOptions};
 use ommatidia_model::instrument::Instrument;
@@ -151,11 +152,29 @@ fn wrong_records(instrument: &Instrument, seen: &mut Observations) -> Result<[Ve
     if !faults.is_empty() {
         frames = looked(instrument, seen, None)?.unwrap_or_default();
     }
+    let lit_everywhere = pedestals(instrument, seen, &frames)?;
+    if !lit_everywhere.is_empty() {
+        frames = looked(instrument, seen, None)?.unwrap_or_default();
+    }
+    faults.extend(lit_everywhere);
     let units = exposures::units(seen, &frames);
     // All of them have their own light then.
     let doubted = if units.is_empty() { exposures::exposures(seen, &frames) } else { Vec::new() };
     faults.extend(units);
     Ok([faults, doubted])
+}
+
+/// Finds objects with a pedestal, and takes it from them.
+fn pedestals(
+    instrument: &Instrument,
+    seen: &mut Observations,
+    frames: &[record::Seen],
+) -> Result<Vec<Fault>, CloseError> {
+    let even = {
+        let model = Model::new(instrument, seen)?;
+        pedestal::even_light(&model, &model.state(instrument)?, frames)?
+    };
+    Ok(pedestal::pedestals(seen, frames, &even))
 }
 
 /// Exposures that contradict their frames under a state.

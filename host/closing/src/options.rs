@@ -27,9 +27,9 @@ pub enum CloseError {
     },
     /// The frames do not show the objects.
     #[error(
-        "the frames do not show the objects that are recorded for them: {others} of {scenes} scenes resemble the object \
-         of another scene more than their own (median correlation with their own {own:.2}). Check which files of frames \
-         and objects belong together; without `truth` a session is closed as one of unknown specimens"
+        "the frames do not show the objects that are recorded for them: {others} of {scenes} scenes resemble the \
+         object of another scene more than their own (median correlation with their own {own:.2}). Check which files \
+         of frames and objects belong together; without `truth` a session is closed as one of unknown specimens"
     )]
     OtherObjects {
         /// Number of scenes with a known object.

@@ -4,12 +4,12 @@
 //! ```text
 //! out(x) = sum_j in(j) k(j - x),   k(u) = sinc(u) I0(b sqrt(1 - (u/w)^2)) / I0(b)  for |u| < w, 0 beyond
 //! ```
-//! (Kaiser, IEEE ISCAS, 20, 1974), divided by the sum of the weights, so that no light is lost. Small moves of waves are
-//! right within 0.1 % up to 0.3 cycles a pixel, 1.4 % too small at 0.35, and 13 % at 0.4. Such frequencies hold little
-//! of the light of most PSFs, and part of that is aliased. The polynomial of Lagrange through 10 pixels loses 1.4 % at
-//! 0.25 and 17 % at 0.35: shifts that were fitted with it to PSFs of 0.8 px came out 1.1 % small, and 0.4 % small with
-//! this kernel. A sinc without a window loses nothing, and spreads the aliased light of a sharp PSF over the whole
-//! image, as rows of alternating sign, into pixels so dark that they are known far better.
+//! (Kaiser, IEEE ISCAS, 20, 1974), divided by the sum of the weights, so that no light is lost. Small moves of waves
+//! are right within 0.1 % up to 0.3 cycles a pixel, 1.4 % too small at 0.35, and 13 % at 0.4. Such frequencies hold
+//! little of the light of most PSFs, and part of that is aliased. The polynomial of Lagrange through 10 pixels loses
+//! 1.4 % at 0.25 and 17 % at 0.35: shifts that were fitted with it to PSFs of 0.8 px came out 1.1 % small, and 0.4 %
+//! small with this kernel. A sinc without a window loses nothing, and spreads the aliased light of a sharp PSF over the
+//! whole image, as rows of alternating sign, into pixels so dark that they are known far better.
 
 use std::f64::consts::PI;
 use std::sync::LazyLock;

@@ -2,8 +2,8 @@
 //!
 //! It is here and not in the firmware so that the workstation can run the same program where there is neither board nor
 //! emulator. [`Device`] is the state machine, and [`serve`] connects it to a line. A board implements the traits:
-//! [`FrameSource`] and [`Camera`] for its frames, [`FrameSink`] for the reconstruction, [`Monitor`] for pins and counters,
-//! [`Watchdog`], and [`crate::flash::MappedFlash`] for its flash.
+//! [`FrameSource`] and [`Camera`] for its frames, [`FrameSink`] for the reconstruction, [`Monitor`] for pins and
+//! counters, [`Watchdog`], and [`crate::flash::MappedFlash`] for its flash.
 
 mod interlock;
 mod io;

@@ -65,8 +65,8 @@ impl Shutter {
         })
     }
 
-    /// Waits for the next place in the grid, or for a pulse, exposes a frame and waits until it is in memory. `alive` is
-    /// called during waits.
+    /// Waits for the next place in the grid, or for a pulse, exposes a frame and waits until it is in memory. `alive`
+    /// is called during waits.
     pub fn take(&mut self, camera: &mut dyn Camera, alive: &mut dyn FnMut()) -> Result<Capture, Refusal> {
         let settings = camera.settings();
         let number = match settings.trigger {

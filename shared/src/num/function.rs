@@ -10,8 +10,8 @@ pub(super) const SATURATED: f32 = 18.0;
 ///
 /// It uses the approximation of the exponential that `micromath` has, of `|x|` only, where its relative error is 6.8e-4
 /// (for `-|x|` it is 2.4e-3). The absolute error of the result is below 1.8e-4 everywhere and its relative error below
-/// 8e-4: a third of an ulp of a half near 1. `sigmoid(x) + sigmoid(-x)` is 1 to one rounding. An infinite argument gives 0 or 1. NaN, which cannot
-/// occur in a [`crate::pipeline`], gives a number from 0.5 to 1.
+/// 8e-4: a third of an ulp of a half near 1. `sigmoid(x) + sigmoid(-x)` is 1 to one rounding. An infinite argument
+/// gives 0 or 1. NaN, which cannot occur in a [`crate::pipeline`], gives a number from 0.5 to 1.
 #[inline(always)]
 pub fn sigmoid(x: f32) -> f32 {
     let magnitude = if x < 0.0 { -x } else { x };

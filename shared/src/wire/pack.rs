@@ -1,10 +1,10 @@
-//! Pixels without loss in fewer bits: differences to the pixel before, Rice-coded (R. F. Rice, "Some practical universal
-//! noiseless coding techniques", JPL 79-22, 1979).
+//! Pixels without loss in fewer bits: differences to the pixel before, Rice-coded (R. F. Rice, "Some practical
+//! universal noiseless coding techniques", JPL 79-22, 1979).
 //!
 //! A packet stands alone: the pixel before its first one counts as 0. Blocks of 64 differences d follow, each with four
 //! bits for the number k of low bits. The signed d (modulo 2^16) is folded to 2 d or -2 d - 1; of that, the bits above
-//! the low k are a number of ones and a zero, then come the k low bits. 24 ones stand for 16 bits as they are. Bits fill
-//! bytes from the high end. Work and memory are bounded by the number of pixels, whatever the bytes are.
+//! the low k are a number of ones and a zero, then come the k low bits. 24 ones stand for 16 bits as they are. Bits
+//! fill bytes from the high end. Work and memory are bounded by the number of pixels, whatever the bytes are.
 
 /// Pixels with a common number of low bits.
 const BLOCK: usize = 64;

@@ -115,6 +115,7 @@ pub(crate) fn fault(fault: &Fault) -> Effect {
         FaultKind::Unlike => ("unlike", 1.0, "1"),
         FaultKind::Flipped { rows, cols } => ("flipped", flips(rows, cols), "1 rows, 2 cols"),
         FaultKind::Exchanged { rows, cols } => ("exchanged_and_flipped", flips(rows, cols), "1 rows, 2 cols"),
+        FaultKind::Pedestal { level } => ("pedestal", level, "unit of the objects"),
         FaultKind::Unit { factor } => ("unit_factor", factor, "1"),
         FaultKind::Exposure { factor } => ("exposure_factor", factor, "1"),
     };

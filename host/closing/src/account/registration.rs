@@ -94,8 +94,8 @@ pub(crate) fn registration_notes(all: &[TruthRegistration]) -> Vec<String> {
     notes.extend(stacks.into_iter().map(|stack| {
         format!(
             "the truths of stack {stack} lie further off than three times what the session states: either the \
-             statement is too narrow, or the array, the sensor or the stage has moved; a bead scan in a session without \
-             truths distinguishes them"
+             statement is too narrow, or the array, the sensor or the stage has moved; a bead scan in a session \
+             without truths distinguishes them"
         )
     }));
     notes

@@ -16,8 +16,8 @@ pub struct Value {
     pub name: String,
     /// Its value.
     pub value: f64,
-    /// Its standard error: noise, scatter between blocks and frames, uncertainty of the calibration, and what the law of
-    /// the effect leaves with structure.
+    /// Its standard error: noise, scatter between blocks and frames, uncertainty of the calibration, and what the law
+    /// of the effect leaves with structure.
     pub sigma: f64,
     /// Its standard error by the noise alone (Fisher information).
     pub sigma_noise: f64,

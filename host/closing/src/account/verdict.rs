@@ -66,8 +66,8 @@ impl Excess {
 }
 
 /// Whether figures are within the error that the calibration showed at bead positions that it had left out, noise
-/// deducted: no effect can predict better than the PSFs are known. Where the noise of the scenes exceeds that error, it is
-/// deducted from their figure too. `alone`: how far the foci of the scenes stand alone
+/// deducted: no effect can predict better than the PSFs are known. Where the noise of the scenes exceeds that error, it
+/// is deducted from their figure too. `alone`: how far the foci of the scenes stand alone
 /// ([`crate::evidence::standing_alone`]).
 pub(crate) fn within_calibration(now: Figures, quality: &Quality, alone: f64) -> bool {
     let relative2 = quality.off_grid_excess().powi(2);
@@ -76,8 +76,8 @@ pub(crate) fn within_calibration(now: Figures, quality: &Quality, alone: f64) ->
     now.nrmse.powi(2) < relative2 || without_noise2 < OVERLAPPING.powi(2).max(alone.min(1.0)) * relative2
 }
 
-/// Share of the excess that is left where structure is left, apart for the data that the figures judge and for even light
-/// and the dark.
+/// Share of the excess that is left where structure is left, apart for the data that the figures judge and for even
+/// light and the dark.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Left {
     pub(crate) judged: f64,
@@ -110,14 +110,14 @@ pub(crate) fn calibration_note(
     let distinguishes = "A finer bead scan, or a higher rank where `calibrate` says so, distinguishes the two";
     if structured && within {
         return Some(format!(
-            "a test sees structure in what is left. It is no larger than what the calibration itself errs by between its \
-             bead positions ({errs:.1} %, noise deducted), so it counts as the calibration's own. {distinguishes}"
+            "a test sees structure in what is left. It is no larger than what the calibration itself errs by between \
+             its bead positions ({errs:.1} %, noise deducted), so it counts as the calibration's own. {distinguishes}"
         ));
     }
     (unexplained && quality.is_coarse()).then(|| {
         format!(
-            "nothing was found for the structure that is left, and the calibration itself errs by {errs:.1} % between its \
-             bead positions, noise deducted: the structure may be the calibration's own. {distinguishes}"
+            "nothing was found for the structure that is left, and the calibration itself errs by {errs:.1} % between \
+             its bead positions, noise deducted: the structure may be the calibration's own. {distinguishes}"
         )
     })
 }

@@ -35,8 +35,8 @@ pub(crate) fn bright_darks(seen: &Observations, noise: &NoiseModel) -> Vec<Strin
             format!(
                 "the darks of {exposure_ms} ms are {above:.1} DN brighter than the darkest places of the scenes \
                  ({level:.1} and {darkest:.1} DN): light fell on them, or the black level has changed in between. Take \
-                 darks again with the light off, right before or after the scenes; until then doubt what is found on the \
-                 sensor"
+                 darks again with the light off, right before or after the scenes; until then doubt what is found on \
+                 the sensor"
             )
         })
     };

@@ -35,7 +35,8 @@ pub enum FaultKind {
         /// The order of columns is reversed.
         cols: bool,
     },
-    /// The rows of the object are recorded as columns. With them exchanged and then, where so stated, reversed, it fits.
+    /// The rows of the object are recorded as columns. With them exchanged and then, where so stated, reversed, it
+    /// fits.
     Exchanged {
         /// The order of rows is reversed as well.
         rows: bool,
@@ -46,6 +47,11 @@ pub enum FaultKind {
     Unit {
         /// Light of the frame over that of the recorded object, relative to the median of the scenes.
         factor: f64,
+    },
+    /// The objects are too bright by the same light everywhere.
+    Pedestal {
+        /// This light, in the unit of the objects.
+        level: f64,
     },
     /// The recorded exposure or light level is wrong.
     Exposure {
@@ -62,8 +68,8 @@ impl Fault {
                 format!("scene frame {} shows the object that is recorded for frame {truth_of}", self.frame)
             }
             FaultKind::Unlike => format!(
-                "scene frame {} shows neither the object that is recorded for it nor that of another scene, and counts as \
-                 one of an unknown specimen",
+                "scene frame {} shows neither the object that is recorded for it nor that of another scene, and \
+                 counts as one of an unknown specimen",
                 self.frame
             ),
             FaultKind::Flipped { rows, cols } => {
@@ -84,8 +90,14 @@ impl Fault {
                 format!("the object of scene frame {} is recorded {as_what}", self.frame)
             }
             FaultKind::Unit { factor } => format!(
-                "scene frame {} has {factor:.4} times the light of its object, relative to the other scenes: the objects \
-                 are recorded in units of their own (each scaled to the same maximum, for example), or the lamp flickers",
+                "scene frame {} has {factor:.4} times the light of its object, relative to the other scenes: the \
+                 objects are recorded in units of their own (each scaled to the same maximum, for example), or the \
+                 lamp flickers",
+                self.frame
+            ),
+            FaultKind::Pedestal { level } => format!(
+                "the object of scene frame {} is {level:.4} too bright everywhere, in its own unit: the black level of the \
+                 camera that took it, for example",
                 self.frame
             ),
             FaultKind::Exposure { factor } => {

@@ -116,10 +116,10 @@ pub(crate) fn rises(before: f64, after: f64) -> bool {
 const TRADED: [f64; 2] = [0.1, 1e-3];
 
 /// Whether held-out data are predicted worse after than before: chi-squared per pixel or the relative error rises by
-/// more than rounding, the latter by more than [`TRADED`]. That noise may have made the rise is no excuse: an effect that
-/// leaves held-out data as they were, or worse, has no claim to the instrument. A chi-squared below 1 is no better than
-/// 1, since pixels share their noise; where the relative error falls, no better than its inverse, since a curve that
-/// flattens the light flattens the noise, and mends both.
+/// more than rounding, the latter by more than [`TRADED`]. That noise may have made the rise is no excuse: an effect
+/// that leaves held-out data as they were, or worse, has no claim to the instrument. A chi-squared below 1 is no better
+/// than 1, since pixels share their noise; where the relative error falls, no better than its inverse, since a curve
+/// that flattens the light flattens the noise, and mends both.
 /// Figures are `[chi2_ndf, nrmse]`.
 pub(crate) fn worse(before: [f64; 2], after: [f64; 2]) -> bool {
     let traded = (TRADED[0] * (1.0 - after[0] / before[0])).clamp(0.0, TRADED[1]);

@@ -11,7 +11,8 @@ pub struct Cell {
     pub block: usize,
     /// Whether it is kept out of every fit.
     pub held_out: bool,
-    /// chi-squared that noise alone gives: the number of pixels that are used, less what an estimated specimen takes up.
+    /// chi-squared that noise alone gives: the number of pixels that are used, less what an estimated specimen takes
+    /// up.
     pub pixels: f64,
     /// Gram matrix in units of the noise, [n, n]: columns of the design, then replicates, then the residual.
     pub gram: Array2<f32>,

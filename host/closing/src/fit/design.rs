@@ -105,8 +105,8 @@ pub struct Sums {
 
 impl Sums {
     /// chi-squared and deviance. The model determines the variance of the noise, so chi-squared alone would fall with
-    /// every effect that adds light to dark pixels; the deviance does not. It is counted from the chi-squared that noise
-    /// gives: of two states, one may let the specimens take up more of the noise.
+    /// every effect that adds light to dark pixels; the deviance does not. It is counted from the chi-squared that
+    /// noise gives: of two states, one may let the specimens take up more of the noise.
     pub fn misfit(&self) -> Misfit {
         let last = self.gram.nrows().saturating_sub(1);
         let chi2 = self.gram.get((last, last)).copied().unwrap_or(0.0);

@@ -14,8 +14,8 @@ use rayon::prelude::*;
 /// An exposure is doubted if the light of its frame differs from the others by more than this share, and by much more
 /// than their scatter.
 const LIGHT: f64 = 0.04;
-/// Objects have units of their own if the light of the frames relative to them scatters by more than this share (median),
-/// and a drift or the exposures explain less than [`UNEXPLAINED`] of it.
+/// Objects have units of their own if the light of the frames relative to them scatters by more than this share
+/// (median), and a drift or the exposures explain less than [`UNEXPLAINED`] of it.
 const SCATTER: f64 = 0.1;
 const UNEXPLAINED: f64 = 0.3;
 /// Number of scenes that this takes.
@@ -23,8 +23,8 @@ const SCENES: usize = 6;
 /// Correlation with the objects that it takes.
 const ALIKE: f64 = 0.8;
 
-/// Light of each frame over that of its record, both blurred, and their correlation. The regression has an intercept, so
-/// that an even background is no light of the specimen.
+/// Light of each frame over that of its record, both blurred, and their correlation. The regression has an intercept,
+/// so that an even background is no light of the specimen.
 fn slopes(frames: &[Seen]) -> Vec<[f64; 2]> {
     let slope = |s: &Seen| {
         let [y, m] = [&s.measured, &s.own].map(|image| blur_within(image, SMOOTH_PX));
@@ -40,7 +40,8 @@ fn slopes(frames: &[Seen]) -> Vec<[f64; 2]> {
 }
 
 /// Finds scenes whose objects are recorded in units of light of their own, and corrects the observations: the light of
-/// nearly all frames differs from that of their objects by a factor that follows neither their order nor their exposure.
+/// nearly all frames differs from that of their objects by a factor that follows neither their order nor their
+/// exposure.
 pub fn units(seen: &mut Observations, frames: &[Seen]) -> Vec<Fault> {
     let slopes = slopes(frames);
     let alike = median(slopes.iter().map(|s| s[1]).collect()).unwrap_or(0.0);

@@ -2,8 +2,8 @@
 
 use ndarray::Array2;
 
-/// Values beyond so many standard deviations count as this many: one broken pixel is no evidence. Of normal numbers less
-/// than one in a million lies beyond.
+/// Values beyond so many standard deviations count as this many: one broken pixel is no evidence. Of normal numbers
+/// less than one in a million lies beyond.
 const LIMIT: f64 = 5.0;
 /// Median of the square of a normal number of variance 1.
 const MEDIAN_SQUARE: f64 = 0.454_936;

@@ -4,10 +4,10 @@
 //! [`design`] sums these over [`cell`]s, `repeats` adds what repeated frames show of the noise (with `kurtosis` the
 //! few pixels that scatter more than the others), and `same` says which frames of unknown specimens are repeats;
 //! [`mod@refit`] finds the best state. [`truth`] moves truths that are not quite in place, `registration` adds what
-//! the session states of them. [`lamp`] is the light of the flats. [`record`] checks the session's objects before
-//! the first fit, [`exposures`] its light. [`mod@replicas`] gives the uncertainty of the calibration as [`errors`], with `wings` outside its
-//! windows. [`specimen`] estimates specimens that nobody knows, and [`projection`] takes out of frames what they can
-//! make.
+//! the session states of them. [`lamp`] is the light of the flats. Before the first fit [`record`] checks the session's
+//! objects, [`exposures`] their light, and [`pedestal`] how dark they are where they are dark. [`mod@replicas`] gives
+//! the uncertainty of the calibration as [`errors`], with `wings` outside its windows. [`specimen`] estimates specimens
+//! that nobody knows, and [`projection`] takes out of frames what they can make.
 
 pub mod cell;
 pub mod derivative;
@@ -18,6 +18,7 @@ pub(crate) mod gauge;
 mod kurtosis;
 pub mod lamp;
 pub mod model;
+pub mod pedestal;
 pub mod projection;
 pub mod record;
 pub mod refit;

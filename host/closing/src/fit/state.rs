@@ -45,8 +45,8 @@ impl Term {
         (0..all.len()).filter(|i| all[*i].1.is_strength()).collect()
     }
 
-    /// Whether its strengths are far from the values at which the effect is absent, as those of a far start are. A trial
-    /// term of that kind has one column, the change of the frames when all its strengths go there together.
+    /// Whether its strengths are far from the values at which the effect is absent, as those of a far start are. A
+    /// trial term of that kind has one column, the change of the frames when all its strengths go there together.
     pub fn is_far(&self, lenses: usize) -> bool {
         let expanded = self.expanded(lenses);
         self.strengths(lenses).into_iter().any(|i| self.params[i] != expanded[i].1.off)
@@ -59,8 +59,8 @@ impl Term {
         strengths
     }
 
-    /// Moves its strengths from where the effect is absent by `theta`, inner values of [`Self::trial_columns`]; of a far
-    /// start by that share of the way.
+    /// Moves its strengths from where the effect is absent by `theta`, inner values of [`Self::trial_columns`]; of a
+    /// far start by that share of the way.
     pub fn moved(mut self, lenses: usize, theta: &[f64]) -> Self {
         let (far, expanded) = (self.is_far(lenses), self.expanded(lenses));
         for (n, i) in self.strengths(lenses).into_iter().enumerate() {

@@ -119,8 +119,8 @@ pub struct Estimate {
 pub struct Alternative {
     /// Its id.
     pub id: &'static str,
-    /// Squared correlation of the signatures of the two effects, with everything fitted projected out; 0 where the session
-    /// cannot test the other.
+    /// Squared correlation of the signatures of the two effects, with everything fitted projected out; 0 where the
+    /// session cannot test the other.
     pub overlap: f64,
 }
 
@@ -153,8 +153,8 @@ pub struct Found {
 }
 
 impl Found {
-    /// Adds the effects that the catalogue lists as similar and that this session cannot test: of the candidates `rest`,
-    /// those without a test. What cannot be tested still exists.
+    /// Adds the effects that the catalogue lists as similar and that this session cannot test: of the candidates
+    /// `rest`, those without a test. What cannot be tested still exists.
     pub(crate) fn or_untested(&mut self, rest: &[Candidate]) {
         let untested = |id: &str| {
             rest.iter().any(|c| {

@@ -85,9 +85,9 @@ pub(crate) fn earned(
     Ok(it)
 }
 
-/// Searches with `again`, which has the names alone that are earned so far, for terms without a name. Where they predict
-/// held-out data better than the other names that `search` has found, which leave much, they take their place. Returns
-/// the effects that are replaced.
+/// Searches with `again`, which has the names alone that are earned so far, for terms without a name. Where they
+/// predict held-out data better than the other names that `search` has found, which leave much, they take their place.
+/// Returns the effects that are replaced.
 pub(crate) fn replaced<'m, 'a>(
     search: &mut Search<'m, 'a>,
     mut again: Search<'m, 'a>,

@@ -64,8 +64,8 @@ fn nullable<'de, D: serde::Deserializer<'de>>(from: D) -> Result<f64, D::Error> 
 }
 
 impl HeldOut {
-    /// Whether the closed instrument predicts held-out data worse than the calibrated one, in chi-squared or in NRMSE, as
-    /// `close` judges it.
+    /// Whether the closed instrument predicts held-out data worse than the calibrated one, in chi-squared or in NRMSE,
+    /// as `close` judges it.
     pub fn is_worse(&self) -> bool {
         // A figure that is absent is no worse.
         let [before, after] = self.own.map(|f| f.map(|v| v.unwrap_or(0.0)));

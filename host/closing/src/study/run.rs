@@ -122,8 +122,8 @@ pub fn run(
     )
 }
 
-/// Checks that the folder holds no other study, and counts an opening of the sealed seeds where this is one. Returns the
-/// size with the number of the sealed study.
+/// Checks that the folder holds no other study, and counts an opening of the sealed seeds where this is one. Returns
+/// the size with the number of the sealed study.
 fn begin(dir: &Path, size: &Size, shard: Shard, sealed: Option<&Path>) -> anyhow::Result<Size> {
     let file = dir.join(PLAN);
     let known = std::fs::read(&file).ok().map(|known| serde_json::from_slice::<Size>(&known).ok());

@@ -1,8 +1,8 @@
 //! The counter of sealed seeds: how often they were opened.
 //!
 //! Thresholds are set on development seeds; sealed seeds tell how good they are, once. Whoever looks at them, changes
-//! something and looks again has made them development seeds. So each sealed study draws seeds of its own, and the counter
-//! says which it is.
+//! something and looks again has made them development seeds. So each sealed study draws seeds of its own, and the
+//! counter says which it is.
 
 use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize};

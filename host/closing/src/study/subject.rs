@@ -120,8 +120,8 @@ impl Subject {
         Ok(out)
     }
 
-    /// How well sessions of a kind determine each effect of the catalogue: the standard errors that `close` states where
-    /// the effect is absent, medians of `nulls` sessions.
+    /// How well sessions of a kind determine each effect of the catalogue: the standard errors that `close` states
+    /// where the effect is absent, medians of `nulls` sessions.
     fn determined(&self, holds: Holds, seed: u64, nulls: u64) -> anyhow::Result<Sensitivities> {
         let mut sigmas: BTreeMap<String, (String, String, Vec<f64>)> = BTreeMap::new();
         let mut out = Sensitivities::default();

@@ -73,18 +73,20 @@ fn head(out: &mut String, size: &Size, plan: Plan, s: &Summary) -> std::fmt::Res
     writeln!(
         out,
         "{TITLE}\n\nWritten by `ommatidia study` from {} of {} planned sessions of virtual instruments. {seeds}\n\n\
-         The instruments ({}) have 3 x 3 lenses on 98 x 98 pixels. The optics of the kinds share no code with each other \
-         nor\nwith the low-rank model: diffraction at pupils, rays traced through relays, and PSFs that are drawn at \
-         random or were\nmeasured. Places of lenses, aberrations, apertures, distortion, light and sensor are drawn for \
-         each; every one is\ncalibrated once, from a session of its own (bead scan at three depths, darks, flats). \
-         A session to close has 8 scenes of known\nobjects, 12 flats at three levels and two exposures, and 8 darks at \
-         two exposures, where nothing else is said. Injected effects are\nnot declared anywhere.\n\n\
-         **1 sigma** of an effect is the sensitivity of such a session: the standard error that `close` reports for the \
-         first strength of the\neffect when the effect is absent. It includes noise, scatter between blocks and frames, \
-         and the calibration; for foreign effects,\nthe noise of the scenes alone. Where a strength would leave the \
-         physical range of the effect (shifts of 7 px, turns of 2 degrees,\n5 % of size, blurs of 3 px, light by a factor \
-         of 3), it ends there (capped). A name is **false** whenever it is not the truth, whatever\nis said beside it. \
-         Shares have 95 % intervals: the wider of Wilson's and a bootstrap over instruments.\n",
+         The instruments ({}) have 3 x 3 lenses on 98 x 98 pixels. The optics of the kinds share no code with each \
+         other nor\nwith the low-rank model: diffraction at pupils, rays traced through relays, and PSFs that are \
+         drawn at random or were\nmeasured. Places of lenses, aberrations, apertures, distortion, light and sensor \
+         are drawn for each; every one is\ncalibrated once, from a session of its own (bead scan at three depths, \
+         darks, flats). A session to close has 8 scenes of known\nobjects, 12 flats at three levels and two \
+         exposures, and 8 darks at two exposures, where nothing else is said. Injected effects are\nnot declared \
+         anywhere.\n\n\
+         **1 sigma** of an effect is the sensitivity of such a session: the standard error that `close` reports for \
+         the first strength of the\neffect when the effect is absent. It includes noise, scatter between blocks and \
+         frames, and the calibration; for foreign effects,\nthe noise of the scenes alone. Where a strength would \
+         leave the physical range of the effect (shifts of 7 px, turns of 2 degrees,\n5 % of size, blurs of 3 px, \
+         light by a factor of 3), it ends there (capped). A name is **false** whenever it is not the truth, \
+         whatever\nis said beside it. Shares have 95 % intervals: the wider of Wilson's and a bootstrap over \
+         instruments.\n",
         s.sessions,
         plan.planned,
         of.join(", "),
@@ -148,8 +150,8 @@ fn nulls(out: &mut String, s: &Summary) -> std::fmt::Result {
 fn single(out: &mut String, s: &Summary) -> std::fmt::Result {
     writeln!(
         out,
-        "## One undeclared effect of the catalogue\n\n| sigma | chi2 / pixel of the effect | true effect first | a false \
-         name | true and no other | false names a session | anything found |\n|---|---|---|---|---|---|---|"
+        "## One undeclared effect of the catalogue\n\n| sigma | chi2 / pixel of the effect | true effect first | a \
+         false name | true and no other | false names a session | anything found |\n|---|---|---|---|---|---|---|"
     )?;
     for b in &s.single {
         let capped = if b.capped > 0 { format!(" ({} capped)", b.capped) } else { String::new() };
@@ -203,8 +205,8 @@ fn single(out: &mut String, s: &Summary) -> std::fmt::Result {
 fn kinds(out: &mut String, s: &Summary) -> std::fmt::Result {
     writeln!(
         out,
-        "### By kind of instruments\n\n| instruments | sigma | chi2 / pixel of the effect | true effect first | a false \
-         name | explained F |\n|---|---|---|---|---|---|"
+        "### By kind of instruments\n\n| instruments | sigma | chi2 / pixel of the effect | true effect first | a \
+         false name | explained F |\n|---|---|---|---|---|---|"
     )?;
     for (kind, of) in &s.single_by_kind {
         for b in of {
@@ -220,9 +222,9 @@ fn kinds(out: &mut String, s: &Summary) -> std::fmt::Result {
 fn errors(out: &mut String, s: &Summary) -> std::fmt::Result {
     writeln!(
         out,
-        "### Quoted errors\n\nPulls, (value - truth) / sigma of the first strength, where the true effect was found under \
-         its name, and the histogram of the truths'\nranks in what value and sigma say of them (even where the errors are \
-         right; heavy ends: errors too small). p: chi2 test of evenness.\n\n\
+        "### Quoted errors\n\nPulls, (value - truth) / sigma of the first strength, where the true effect was found \
+         under its name, and the histogram of the truths'\nranks in what value and sigma say of them (even where the \
+         errors are right; heavy ends: errors too small). p: chi2 test of evenness.\n\n\
          | sigma | pulls | mean | rms | robust rms | ranks from 0 to 1 | p |\n|---|---|---|---|---|---|---|"
     )?;
     for b in &s.single {
@@ -369,9 +371,9 @@ fn beyond(out: &mut String, all: &[Outcome], s: &Summary) -> std::fmt::Result {
 fn parts(out: &mut String, all: &[Outcome], s: &Summary) -> std::fmt::Result {
     writeln!(
         out,
-        "## Sessions of other kinds\n\nWith one effect of 30 or 300 sigma (of a whole session) or none; misplaced truths \
-         have none, so that every name is false.\nWhat a session cannot show cannot be named: the share of true names \
-         is of all sessions with an effect.\n\n\
+        "## Sessions of other kinds\n\nWith one effect of 30 or 300 sigma (of a whole session) or none; misplaced \
+         truths have none, so that every name is false.\nWhat a session cannot show cannot be named: the share of \
+         true names is of all sessions with an effect.\n\n\
          | the session | true effect named | a false name |\n|---|---|---|"
     )?;
     for (holds, named, wrong) in &s.holds {

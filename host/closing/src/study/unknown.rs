@@ -32,15 +32,16 @@ fn head(out: &mut String, plan: Plan, s: &Summary) -> std::fmt::Result {
     let of: Vec<String> = s.instruments.iter().map(|(kind, n)| format!("{} {n}", kind.name())).collect();
     writeln!(
         out,
-        "{TITLE}\n\nWritten by `ommatidia study --unknown` from {} of {} planned sessions of virtual instruments. {}\n\n\
+        "{TITLE}\n\nWritten by `ommatidia study --unknown` from {} of {} planned sessions of virtual instruments. \
+         {}\n\n\
          The instruments ({}) are drawn as for [study.md](study.md), with other seeds: 3 x 3 lenses on 98 x 98 pixels, \
          calibrated once\neach from a session of beads, darks and flats. A session to close has 1, 8 or 100 scenes, 12 \
          flats and 8 darks. `close` gets the frames\nand not the truths; afterwards the truths judge the closed \
          instrument.\n\n\
          **1 sigma** of an effect is its standard error in such a session where the effect is absent, with everything \
-         projected out that\nanother specimen could make. Strengths end at the physical range of the effect (capped). A \
-         name is **false** whenever it is not the\ntruth, whatever is said beside it. Shares have 95 % intervals: the \
-         wider of Wilson's and a bootstrap over instruments.\n",
+         projected out that\nanother specimen could make. Strengths end at the physical range of the effect (capped). \
+         A name is **false** whenever it is not the\ntruth, whatever is said beside it. Shares have 95 % intervals: \
+         the wider of Wilson's and a bootstrap over instruments.\n",
         s.sessions,
         plan.planned,
         seeds(plan.opened),
@@ -63,8 +64,8 @@ fn of_kind<'a>(all: &[&'a Outcome], question: Question, holds: Holds) -> Vec<&'a
 fn nothing(out: &mut String, all: &[&Outcome]) -> std::fmt::Result {
     writeln!(
         out,
-        "## Sessions without an effect\n\n| scenes | an effect or a fault was found | called incomplete, nothing found | \
-         found |\n|---|---|---|---|"
+        "## Sessions without an effect\n\n| scenes | an effect or a fault was found | called incomplete, nothing \
+         found | found |\n|---|---|---|---|"
     )?;
     for holds in Holds::UNKNOWN {
         let mut of = of_kind(all, Question::Unknown, holds);
@@ -94,8 +95,8 @@ fn with_effect<'a>(all: &[&'a Outcome], holds: Holds) -> Vec<&'a Outcome> {
 fn single(out: &mut String, all: &[&Outcome]) -> std::fmt::Result {
     writeln!(
         out,
-        "## One undeclared effect of the catalogue\n\n| scenes | sigma | true effect first | a false name | true and no \
-         other | anything found |\n|---|---|---|---|---|---|"
+        "## One undeclared effect of the catalogue\n\n| scenes | sigma | true effect first | a false name | true and \
+         no other | anything found |\n|---|---|---|---|---|---|"
     )?;
     let by = |holds| by_strengths(&with_effect(all, holds));
     let capped = |b: &ByStrength| if b.capped > 0 { format!(" ({} capped)", b.capped) } else { String::new() };
@@ -106,9 +107,9 @@ fn single(out: &mut String, all: &[&Outcome]) -> std::fmt::Result {
     }
     writeln!(
         out,
-        "\n### Quoted errors\n\nPulls, (value - truth) / sigma of the first strength, where the true effect was found, and \
-         the truths' ranks (see [study.md](study.md)).\n\n| sigma | pulls | mean | rms | robust rms | ranks from 0 to 1 | \
-         p |\n|---|---|---|---|---|---|---|"
+        "\n### Quoted errors\n\nPulls, (value - truth) / sigma of the first strength, where the true effect was \
+         found, and the truths' ranks (see [study.md](study.md)).\n\n| sigma | pulls | mean | rms | robust rms | \
+         ranks from 0 to 1 | p |\n|---|---|---|---|---|---|---|"
     )?;
     let together: Vec<&Outcome> = Holds::UNKNOWN.into_iter().flat_map(|h| with_effect(all, h)).collect();
     for b in by_strengths(&together) {
@@ -121,10 +122,10 @@ fn single(out: &mut String, all: &[&Outcome]) -> std::fmt::Result {
 fn truths(out: &mut String, all: &[&Outcome]) -> std::fmt::Result {
     writeln!(
         out,
-        "## Judged by the withheld truths\n\nchi-squared per pixel of held-out scenes of known objects, which `close` has \
-         not seen: by how much an effect raises it, which share\nF of that the closed instrument removes, and how often \
-         the closed instrument is worse than the calibrated one.\n\n| scenes | sigma | excess, median | F, median | F >= \
-         0.9 | worse with the truths | worse by its own figures |\n|---|---|---|---|---|---|---|"
+        "## Judged by the withheld truths\n\nchi-squared per pixel of held-out scenes of known objects, which `close` \
+         has not seen: by how much an effect raises it, which share\nF of that the closed instrument removes, and how \
+         often the closed instrument is worse than the calibrated one.\n\n| scenes | sigma | excess, median | F, \
+         median | F >= 0.9 | worse with the truths | worse by its own figures |\n|---|---|---|---|---|---|---|"
     )?;
     for holds in Holds::UNKNOWN {
         let of = with_effect(all, holds);
@@ -155,8 +156,8 @@ fn gauges(out: &mut String, all: &[&Outcome]) -> std::fmt::Result {
     let wrong = Share::of(of.iter().copied(), Outcome::names_falsely);
     writeln!(
         out,
-        "## What another specimen could make\n\nEffects that such a session calls not testable, injected at 100 sigma of a \
-         session with known objects: named {}, a false name {}.\n",
+        "## What another specimen could make\n\nEffects that such a session calls not testable, injected at 100 sigma \
+         of a session with known objects: named {}, a false name {}.\n",
         share(named),
         share(wrong)
     )
@@ -166,9 +167,9 @@ fn gauges(out: &mut String, all: &[&Outcome]) -> std::fmt::Result {
 fn sensitivity(out: &mut String, all: &[Sensitivities]) -> std::fmt::Result {
     writeln!(
         out,
-        "## Sensitivity\n\nStandard error of the first strength where the effect is absent, medians of the instruments: \
-         with 8 known objects, and with unknown ones.\n\n| effect | strength | unit | 8 known | 1 unknown | 8 unknown | 100 \
-         unknown |\n|---|---|---|---|---|---|---|"
+        "## Sensitivity\n\nStandard error of the first strength where the effect is absent, medians of the \
+         instruments: with 8 known objects, and with unknown ones.\n\n| effect | strength | unit | 8 known | 1 \
+         unknown | 8 unknown | 100 unknown |\n|---|---|---|---|---|---|---|"
     )?;
     let ids: BTreeSet<&String> = all.iter().flat_map(|s| s.of.keys().chain(&s.cannot)).collect();
     let kinds = [Holds::OneUnknown, Holds::Unknown, Holds::ManyUnknown];

@@ -2,10 +2,10 @@
 //! (`crate::interpolation`).
 //!
 //! A Gaussian of 1.2 px is moved with an error of at most 6e-4 of its peak, against 2e-4 by the sinc alone. But a sharp
-//! PSF has power beyond the Nyquist frequency, which is aliased. Nothing mends that, and the sinc alone spreads the error
-//! over the whole window. The window of the kernel keeps it where the light is. On one virtual instrument of each kind
-//! it made the squared error of predicted bright scenes, in units of the noise, 3.8 times smaller for PSFs with sharp
-//! edges, and 1.3 times for diffraction at pupils.
+//! PSF has power beyond the Nyquist frequency, which is aliased. Nothing mends that, and the sinc alone spreads the
+//! error over the whole window. The window of the kernel keeps it where the light is. On one virtual instrument of each
+//! kind it made the squared error of predicted bright scenes, in units of the noise, 3.8 times smaller for PSFs with
+//! sharp edges, and 1.3 times for diffraction at pupils.
 
 use crate::interpolation::weights;
 use ndarray::{Array2, Array3, ArrayView2, ArrayView3, s};

@@ -45,7 +45,8 @@ impl Effect for ArrayShift {
         RayShift { px: [p[0], p[1]], z_um: 0.0 }
     }
 
-    /// No displacement, and where the frames lie beside the expected ones, if that is too far for a small change to show.
+    /// No displacement, and where the frames lie beside the expected ones, if that is too far for a small change to
+    /// show.
     fn guess(&self, evidence: &Evidence<'_>) -> Vec<Vec<f64>> {
         let far = displacement(evidence).filter(|d| d[0].hypot(d[1]) >= FAR_PX);
         [vec![0.0, 0.0]].into_iter().chain(far.map(|d| d.to_vec())).collect()

@@ -1,9 +1,9 @@
 //! Saturation: the wells of the pixels are full below the full scale of the converter.
 //!
 //! `Q -> Q (1 + (W^-n - 1) (Q / full scale)^n)^(-1/n)`, W = 1 - below: charge at full scale becomes W of full scale,
-//! the depth of the well, and small charges hardly change. n is `sharpness`: 8 bends over the upper third of the well, 32
-//! nearly clips. Because the transition is smooth, a fit can start from a well as deep as the full scale. Of the lost
-//! charge, the share `spill` goes to the pixels above and below, half each (blooming along the column).
+//! the depth of the well, and small charges hardly change. n is `sharpness`: 8 bends over the upper third of the well,
+//! 32 nearly clips. Because the transition is smooth, a fit can start from a well as deep as the full scale. Of the
+//! lost charge, the share `spill` goes to the pixels above and below, half each (blooming along the column).
 
 use super::context::FrameContext;
 use super::descriptor::{Descriptor, Lookalike, Param, Stage};

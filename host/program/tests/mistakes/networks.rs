@@ -62,6 +62,11 @@ fn passes_and_arenas_that_cannot_be() {
                 "quantize network -o new.omm --weights int8 --activations f16",
             )
             .says(&["--weights int8", "--activations int16"]),
+            Mistake::new("A training for integers of a network of two passes", {
+                "train pairs -o new --from two --passes 2 --quantize int8 --instrument instrument --steps 2"
+            })
+            .with(two_passes)
+            .says(&["passes", "host only"]),
             Mistake::new("Receptive fields of two passes", "erf two --instrument instrument -o new")
                 .with(two_passes)
                 .says(&["passes", "one pass"]),

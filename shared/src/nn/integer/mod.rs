@@ -1,8 +1,8 @@
 //! The 3x3 convolutions of the network in integers: weights of 8 bits, features of 16 or of 8, sums of 32.
 //!
-//! A feature is stored as an integer from -32,768 to 32,767, or from -128 to 127. What a unit is worth may differ between
-//! channels: weights, biases and multipliers hold it. Skip connections and attention add tensors channel by channel, so
-//! these share the units of their channels. The loops know one of them only, that of a channel's mean
+//! A feature is stored as an integer from -32,768 to 32,767, or from -128 to 127. What a unit is worth may differ
+//! between channels: weights, biases and multipliers hold it. Skip connections and attention add tensors channel by
+//! channel, so these share the units of their channels. The loops know one of them only, that of a channel's mean
 //! ([`Integers::feature_log2`](crate::blob::Integers::feature_log2)). Output channel o of a convolution is
 //! ```text
 //! sum = b[o] + sum_{i, ky, kx} w[o][i][ky][kx] x[i][r + ky - 1][c + kx - 1]

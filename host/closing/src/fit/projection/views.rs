@@ -1,7 +1,8 @@
 //! The optics as an explicit matrix: for each object pixel the window of light behind each lens.
 //!
-//! Every product runs over whole rows of windows. So the rows of a window are filled up with zeros to whole vectors, and
-//! a frame gets a border that every window which touches the sensor fits into; no inner loop has to look for an edge.
+//! Every product runs over whole rows of windows. So the rows of a window are filled up with zeros to whole vectors,
+//! and a frame gets a border that every window which touches the sensor fits into; no inner loop has to look for an
+//! edge.
 
 use ndarray::Array2;
 use pulp::{Arch, Simd, WithSimd};

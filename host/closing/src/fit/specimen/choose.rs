@@ -59,8 +59,8 @@ pub(crate) fn chosen_note(seen: &Observations) -> Option<String> {
         };
         let list: Vec<String> = frames.iter().map(words).collect();
         format!(
-            "specimens of {} of {} frames were estimated, a fixed budget: of each part of the recording the frame whose \
-             light shows most of the optics. Frames{}: {}",
+            "specimens of {} of {} frames were estimated, a fixed budget: of each part of the recording the frame \
+             whose light shows most of the optics. Frames{}: {}",
             frames.len(),
             seen.recorded,
             if several { " (stack:frame)" } else { "" },

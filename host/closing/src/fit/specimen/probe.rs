@@ -99,8 +99,8 @@ pub(super) fn probed(
     Ok(it)
 }
 
-/// What the sensor makes of light, electrons, [sensor rows, sensor cols], under effects that are linear in it. Constants
-/// that an effect adds stay in.
+/// What the sensor makes of light, electrons, [sensor rows, sensor cols], under effects that are linear in it.
+/// Constants that an effect adds stay in.
 fn sensed(model: &Model<'_>, light_e: Array2<f32>, near: &Chain, cx: &FrameContext<'_>) -> Array2<f32> {
     let mut charge_e = model.forward.on_sensor(light_e, near, cx);
     near.on_charge(&mut charge_e, cx);

@@ -173,8 +173,8 @@ impl LowRankOperator {
         Ok(())
     }
 
-    /// Lenses that are computed at the same time: as many as there are threads, or more where their images are small, so
-    /// that no thread waits; one where the spectra of all its terms are recomputed.
+    /// Lenses that are computed at the same time: as many as there are threads, or more where their images are small,
+    /// so that no thread waits; one where the spectra of all its terms are recomputed.
     fn groups(&self) -> impl Iterator<Item = Span> + use<> {
         let made = self.lenses.iter().flatten().any(|plan| matches!(plan.terms, LensTerms::Everywhere(_)));
         let image: usize = self.object.iter().map(|n| n + self.products.window - 1).product();

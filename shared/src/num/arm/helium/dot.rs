@@ -1,4 +1,5 @@
-//! The inner loops of the integer convolution in `VMLADAVA`: eight products of 16 bits, or sixteen of 8, added to a sum of
+//! The inner loops of the integer convolution in `VMLADAVA`: eight products of 16 bits, or sixteen of 8, added to a sum
+//! of
 //! 32. The sums are in the eight core registers with even numbers, which it needs.
 
 use super::super::groups::{Groups, blocks};
@@ -126,8 +127,8 @@ macro_rules! blocks_of_row {
 }
 
 /// The two routines of a kind of features: `$two` computes one row of two output channels, a block of two by four
-/// columns at a time, in 113 instructions for a group of input channels and 72 vectors of products; `$one` one row of one
-/// output channel, a block of eight columns at a time, in 116.
+/// columns at a time, in 113 instructions for a group of input channels and 72 vectors of products; `$one` one row of
+/// one output channel, a block of eight columns at a time, in 116.
 ///
 /// `sums` (2 or 1, `distance`): each starts at its bias. No sum may overflow.
 macro_rules! routines {

@@ -1,5 +1,5 @@
-//! Loops at loads and stores of the integer convolution with features of 16 bits, and its attention. Each routine returns the number of elements
-//! that it has done.
+//! Loops at loads and stores of the integer convolution with features of 16 bits, and its attention. Each routine
+//! returns the number of elements that it has done.
 
 use super::asm_push;
 use crate::num::f16;
@@ -170,7 +170,8 @@ pub(crate) fn spread_rescaled(sums: &[i32], multiplier: i32, to: &mut [i16]) -> 
     4 * n
 }
 
-/// `g = saturate(g + floor(scale t / 2^15 + 1/2))` with a scale that is not negative: six instructions for eight numbers.
+/// `g = saturate(g + floor(scale t / 2^15 + 1/2))` with a scale that is not negative: six instructions for eight
+/// numbers.
 #[inline(always)]
 pub(crate) fn add_scaled(scale: i16, t: &[i16], g: &mut [i16]) -> usize {
     let n = t.len().min(g.len()) / 8;

@@ -1,5 +1,5 @@
-//! Loops at loads and stores of the integer convolution with features of 8 bits, and its attention. Each routine returns
-//! the number of elements that it has done.
+//! Loops at loads and stores of the integer convolution with features of 8 bits, and its attention. Each routine
+//! returns the number of elements that it has done.
 
 use super::asm_push;
 
