@@ -63,7 +63,7 @@ fn passes_and_arenas_that_cannot_be() {
             )
             .says(&["--weights int8", "--activations int16"]),
             Mistake::new("A training for integers of a network of two passes", {
-                "train pairs -o new --from two --passes 2 --quantize int8 --instrument instrument --steps 2"
+                "train pairs -o new --from two --filters 2 --passes 2 --quantize int8 --instrument instrument --steps 2"
             })
             .with(two_passes)
             .says(&["passes", "host only"]),
