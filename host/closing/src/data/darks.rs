@@ -62,7 +62,7 @@ mod tests {
             previous: None,
         };
         // Single pixels that scatter by 8 DN, and a specimen on one side.
-        let noise = |r: usize, c: usize| if (r * 7 + c * 13) % 2 == 0 { 8.0 } else { -8.0 };
+        let noise = |r: usize, c: usize| if (r * 7 + c * 13).is_multiple_of(2) { 8.0 } else { -8.0 };
         let scene = Array2::from_shape_fn((64, 64), |(r, c)| 100.0 + noise(r, c) + if c > 40 { 300.0 } else { 0.0 });
         let dark = Array2::from_shape_fn((64, 64), |(r, c)| dark_dn + noise(r, c));
         let seen = Observations {

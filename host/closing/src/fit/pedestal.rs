@@ -29,6 +29,14 @@ pub struct Sign {
     left: f64,
 }
 
+/// What the light of an even object depends on.
+#[derive(PartialEq)]
+struct Light {
+    stack: usize,
+    exposure_ms: f64,
+    illumination: f64,
+}
+
 /// Light of an even object of one unit in each scene with a known object, DN, [sensor rows, sensor cols]. Scenes of one
 /// stack with the same light share an image: what effects change from frame to frame is small beside a pedestal.
 ///
@@ -37,11 +45,12 @@ pub struct Sign {
 pub fn even_light(model: &Model<'_>, state: &State, frames: &[Seen]) -> Result<Vec<Arc<Array2<f32>>>, ForwardError> {
     let chain = model.chain(&state.terms);
     let gain = model.forward.noise().gain_dn_per_e as f32;
-    let mut known: Vec<((usize, f64, f64), Arc<Array2<f32>>)> = Vec::new();
+    let mut known: Vec<(Light, Arc<Array2<f32>>)> = Vec::new();
     let mut one = |s: &Seen| {
         let frame = &model.seen.frames[s.frame];
         let Shown::Object(truth) = frame.shown else { return Ok(Arc::new(Array2::zeros(s.own.dim()))) };
-        let light = (frame.stack, frame.info.exposure_ms, frame.info.illumination);
+        let light =
+            Light { stack: frame.stack, exposure_ms: frame.info.exposure_ms, illumination: frame.info.illumination };
         if let Some((_, image)) = known.iter().find(|(of, _)| *of == light) {
             return Ok(Arc::clone(image));
         }
