@@ -96,8 +96,8 @@ impl Fault {
                 self.frame
             ),
             FaultKind::Pedestal { level } => format!(
-                "the object of scene frame {} is {level:.4} too bright everywhere, in its own unit: the black level of the \
-                 camera that took it, for example",
+                "the object of scene frame {} is {level:.4} too bright everywhere, in its own unit: the black level \
+                 of the camera that took it, for example",
                 self.frame
             ),
             FaultKind::Exposure { factor } => {

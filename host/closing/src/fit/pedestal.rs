@@ -1,5 +1,5 @@
-//! Objects with a pedestal: their darkest places are not dark, because the camera that took them was read with its black
-//! level, for example.
+//! Objects with a pedestal: their darkest places are not dark, because the camera that took them was read with its
+//! black level, for example.
 
 use super::model::Model;
 use super::record::{Seen, median};
