@@ -13,7 +13,6 @@ use ommatidia::device::{DeviceError, Firmware, find_qemu};
 use ommatidia_session::stack;
 use ommatidia_shared::boards::MPS2_AN500;
 use serde_json::Value;
-use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::process::Command;
 
@@ -53,8 +52,10 @@ fn missing(test: &str, what: &str) {
 fn device_run(folder: &Path, script: &str, firmware: &Path) -> Value {
     let emulator = folder.join("qemu-system-arm");
     let real = find_qemu().unwrap();
-    std::fs::write(&emulator, format!("#!/bin/sh\n{script}\nexec {} \"$@\"\n", real.display())).unwrap();
-    std::fs::set_permissions(&emulator, std::fs::Permissions::from_mode(0o755)).unwrap();
+    std::fs::write(folder.join("script"), format!("#!/bin/sh\n{script}\nexec {} \"$@\"\n", real.display())).unwrap();
+    // `install` writes the program: see the tests of `device::counter`.
+    let install = Command::new("install").arg("-m").arg("755").arg(folder.join("script")).arg(&emulator).status();
+    assert!(install.unwrap().success());
     networks::network(&DENSE, 40).write(&folder.join("net.omm")).unwrap();
     let frame = networks::frames(&DENSE, 1, 40).remove(0).into_iter().map(f32::from).collect();
     let [rows, cols] = DENSE.frame.map(usize::from);

@@ -148,7 +148,6 @@ fn last_line(log: &Path, plugin: &Path) -> String {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use std::os::unix::fs::PermissionsExt;
 
     /// An emulator that counts how often it is asked (`$n`) and then does `script`.
     fn emulator(folder: &Path, script: &str) -> Emulator {
@@ -158,8 +157,12 @@ mod tests {
              echo >> {0}/asked; n=$(wc -l < {0}/asked); file=\"${{*##*ask=}}\"\n{script}\n",
             folder.display()
         );
-        std::fs::write(&path, text).unwrap();
-        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o755)).unwrap();
+        std::fs::write(folder.join("script"), text).unwrap();
+        // `install` writes the program, so that no test beside this one can inherit a descriptor that is open for
+        // writing: while one is, the system refuses to start the program ("text file busy").
+        let mut install = Command::new("install");
+        install.args(["-m", "755", "script", "qemu-system-arm"]).current_dir(folder);
+        assert!(install.status().unwrap().success());
         Emulator::at(&path).unwrap()
     }
 
