@@ -26,7 +26,7 @@ use super::foci::{Focus, Point};
 use change::Change;
 use config::FamilyName;
 use ommatidia_physics::effects::{EffectSetting, Ray, RayShift};
-use ommatidia_physics::optics::{Psf, PsfScratch};
+use ommatidia_physics::optics::{Psf, PsfScratch, Pupil};
 
 /// Working memory for one focus; each thread needs its own.
 #[derive(Debug, Default)]
@@ -35,6 +35,8 @@ pub(crate) struct Work {
     pub psf: Psf,
     /// Of the family `pupils`.
     pub pupil: Option<PsfScratch>,
+    /// Of the same family: the pupil whose PSFs are larger by this share, and its working memory.
+    pub grown: Option<(f64, Pupil, PsfScratch)>,
     /// Numbers along rows and columns, of the other families.
     pub lines: [Vec<f64>; 2],
     /// A PSF on its own grid, of the family `kernels`.

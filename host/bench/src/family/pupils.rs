@@ -5,8 +5,8 @@ use super::{Lenses, Work};
 use crate::config::{BenchConfig, OpticsConfig};
 use crate::error::BenchError;
 use crate::foci::{Focus, Point};
-use ommatidia_physics::effects::{Ray, RayShift};
-use ommatidia_physics::optics::{MicrolensArray, Psf, Pupil, PupilConfig};
+use ommatidia_physics::effects::{EffectSetting, Ray, RayShift};
+use ommatidia_physics::optics::{MicrolensArray, OpticsError, Psf, Pupil, PupilConfig};
 
 /// The lenses.
 #[derive(Debug)]
@@ -60,6 +60,14 @@ impl Pupils {
     }
 }
 
+impl Pupils {
+    /// The pupil whose PSFs are larger by a share: that of longer waves.
+    fn grown(&self, growth: f64) -> Result<Pupil, OpticsError> {
+        let config = self.pupil.config();
+        PupilConfig { wavelength_um: config.wavelength_um * (1.0 + growth), ..*config }.build()
+    }
+}
+
 impl Lenses for Pupils {
     fn side(&self) -> usize {
         self.pupil.config().field_px
@@ -104,12 +112,31 @@ impl Lenses for Pupils {
         let (centre, shift) = super::split(self.focus_px(l, point, moved));
         let mut wavefront = lens.wavefront(h);
         wavefront.coefficient[3] += self.waves_per_um * (point.z_um + moved.z_um);
-        let Work { psf, pupil, .. } = work;
-        self.pupil.psf(&wavefront, shift, pupil.get_or_insert_with(|| self.pupil.scratch()), psf);
+        let Work { psf, pupil, grown, .. } = work;
+        if moved.growth != 0.0 && grown.as_ref().is_none_or(|(growth, ..)| *growth != moved.growth) {
+            *grown = self.grown(moved.growth).ok().map(|pupil| {
+                let scratch = pupil.scratch();
+                (moved.growth, pupil, scratch)
+            });
+        }
+        match grown.as_mut().filter(|_| moved.growth != 0.0) {
+            Some((_, larger, scratch)) => larger.psf(&wavefront, shift, scratch, psf),
+            None => self.pupil.psf(&wavefront, shift, pupil.get_or_insert_with(|| self.pupil.scratch()), psf),
+        }
         let tangent = tangents[0].hypot(tangents[1]);
         let cos4 = (1.0 + tangent * tangent).powi(-2);
         let response = 1.0 / (1.0 + (tangent / self.half_response_tangent).powi(4));
         Focus { centre, transmission: cos4 * response }
+    }
+
+    fn refuses(&self, effect: &EffectSetting) -> Option<String> {
+        let growth = match effect.id.as_str() {
+            "spectral_shift" => effect.params.get("change"),
+            "magnification" => effect.params.get("eps"),
+            _ => None,
+        };
+        let error = self.grown(*growth?).err()?;
+        Some(format!("such small PSFs need finer samples ({error}); raise optics.oversampling"))
     }
 
     fn work(&self) -> Work {

@@ -212,7 +212,9 @@ impl Lenses for Relay {
         let (centre, rest) = super::split(self.focus_px(l, point, moved));
         let (side, h) = (self.side, self.field(l, point.at_um));
         let middle = (side / 2) as f64;
-        let sigma = 0.225 * self.wavelength_um * self.plane.magnification / self.aperture / self.plane.pixel_pitch_um;
+        let size = 1.0 + moved.growth;
+        let diffraction_um = 0.225 * self.wavelength_um * self.plane.magnification / self.aperture;
+        let sigma = size * diffraction_um / self.plane.pixel_pitch_um;
         let Work { psf, lines: [rows, cols], .. } = work;
         psf.side = side;
         psf.share.clear();
@@ -227,8 +229,8 @@ impl Lenses for Relay {
             }
             passed += light;
             let at = self.transverse_px(l, h, ray.rho, point.z_um + moved.z_um);
-            let r = self.edges.shares(middle + rest[0] + at[0], sigma, rows);
-            let c = self.edges.shares(middle + rest[1] + at[1], sigma, cols);
+            let r = self.edges.shares(middle + rest[0] + size * at[0], sigma, rows);
+            let c = self.edges.shares(middle + rest[1] + size * at[1], sigma, cols);
             for i in r {
                 let (row, share) = (&mut psf.share[i * side..][..side], light * rows[i]);
                 row[c.clone()].iter_mut().zip(&cols[c.clone()]).for_each(|(v, s)| *v += (share * s) as f32);

@@ -62,7 +62,7 @@ fn moments(psf: &Psf) -> ([f64; 2], [f64; 3]) {
     ([r, c], spread)
 }
 
-const STILL: RayShift = RayShift { px: [0.0; 2], z_um: 0.0 };
+const STILL: RayShift = RayShift { px: [0.0; 2], z_um: 0.0, growth: 0.0 };
 
 #[test]
 fn no_light_is_lost_in_any_family_and_every_focus_is_smooth_in_its_place() {
@@ -90,9 +90,30 @@ fn a_displaced_focus_is_displaced_by_as_much_in_every_family() {
         let lenses = build(&config(family)).unwrap();
         let (before, ..) = spot(&*lenses, 0, at(12.0, -7.0, 0.0), STILL);
         for px in [[0.4, 0.0], [-0.23, 1.71]] {
-            let (after, ..) = spot(&*lenses, 0, at(12.0, -7.0, 0.0), RayShift { px, z_um: 0.0 });
+            let (after, ..) = spot(&*lenses, 0, at(12.0, -7.0, 0.0), RayShift::by_px(px));
             for k in 0..2 {
                 assert!((after[k] - before[k] - px[k]).abs() < 4e-3, "{family}: {before:?} {after:?} {px:?}");
+            }
+        }
+    }
+}
+
+/// Of no family is the pixel, which widens foci by 1/12 px^2 along each axis, part of the PSF that grows; a displacement
+/// is.
+#[test]
+fn a_focus_grows_in_its_place_by_the_given_share_in_every_family() {
+    for family in FamilyName::ALL {
+        let lenses = build(&config(family)).unwrap();
+        let point = at(12.0, -7.0, 0.0);
+        let (before, small, _) = spot(&*lenses, 0, point, STILL);
+        for growth in [0.05, -0.04] {
+            let (after, large, _) = spot(&*lenses, 0, point, RayShift { growth, ..STILL });
+            let chief = lenses.focus_px(0, point, STILL);
+            for k in 0..2 {
+                let moved = (before[k] - chief[k]) * growth;
+                assert!((after[k] - before[k] - moved).abs() < 8e-3, "{family}: {before:?} {after:?}");
+                let found = ((large[k] - 1.0 / 12.0) / (small[k] - 1.0 / 12.0)).sqrt();
+                assert!((found - 1.0 - growth).abs() < 4e-3, "{family}: {found} for {growth}");
             }
         }
     }

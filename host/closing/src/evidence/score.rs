@@ -48,6 +48,13 @@ pub struct Test {
     pub left: f64,
 }
 
+impl Test {
+    /// Takes the evidence away: the columns are no sign of the effect, whatever they would explain.
+    pub(crate) fn discard(&mut self) {
+        (self.t, self.p, self.z) = (0.0, 1.0, 0.0);
+    }
+}
+
 /// Scatter of scores between clusters.
 struct Scatter {
     /// Over that of the noise, at least 1.

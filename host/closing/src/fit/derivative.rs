@@ -2,12 +2,11 @@
 
 use super::lamp;
 use super::model::Model;
-use super::scene::Scene;
 use super::state::{Column, Predicted, State, Term};
 use super::truth::STEP_PX;
 use crate::data::Shown;
 use ndarray::Array2;
-use ommatidia_model::forward::ForwardError;
+use ommatidia_model::forward::{ForwardError, SceneLight};
 use ommatidia_physics::effects::{Chain, Stage};
 use std::collections::BTreeMap;
 
@@ -21,7 +20,7 @@ pub struct Expansion<'a> {
     /// The frames that the state predicts ([`Model::predict`]).
     pub predicted: &'a [Predicted],
     /// The light behind the optics under the state ([`Model::scenes`]).
-    pub scenes: &'a [Option<Scene>],
+    pub scenes: &'a [Option<SceneLight>],
 }
 
 /// The terms of a state, or of a state with one trial term, with the parameter that a column varies.

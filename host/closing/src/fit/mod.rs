@@ -26,7 +26,6 @@ pub(crate) mod registration;
 pub(crate) mod repeats;
 pub mod replicas;
 mod same;
-pub mod scene;
 pub mod solve;
 pub mod specimen;
 pub mod state;

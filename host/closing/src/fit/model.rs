@@ -2,13 +2,12 @@
 
 use super::lamp;
 use super::projection::Sigmas;
-use super::scene::{Scene, widening};
 use super::state::{Predicted, State, Term};
 use super::truth::{Grid, PARTS, TRUTH};
 use crate::data::{Frame, Observations, Shown};
 use ndarray::{Array2, Zip};
 use ommatidia_model::bead::slope_terms;
-use ommatidia_model::forward::{Forward, ForwardError};
+use ommatidia_model::forward::{Forward, ForwardError, SceneLight};
 use ommatidia_model::instrument::Instrument;
 use ommatidia_model::psf::OperatorConfig;
 use ommatidia_physics::effects::{Chain, EffectError, EffectSetting, FrameContext, Param, Previous, blur_within, find};
@@ -39,8 +38,6 @@ pub struct Model<'a> {
     /// Whether the session may have a background of its own: the beads of the calibration had one. Its strength is then
     /// a nuisance, and no effect of the instrument.
     pub has_background: bool,
-    /// The forward model under the widening of its PSFs ([`super::scene`]), where the place of any truth is uncertain.
-    wider: Option<Forward>,
     /// The grid that truths live on.
     pub(crate) grid: Grid,
     /// Relative error of the PSFs between the positions of the beads that they were calibrated on, without noise. In
@@ -67,12 +64,9 @@ impl<'a> Model<'a> {
         let shows_object = |f: &&Frame| matches!(f.shown, Shown::Object(_) | Shown::Estimated);
         let z_um = seen.frames.iter().find(shows_object).map_or(0.0, |f| f.info.z_um);
         let depth = instrument.psf.depth_nearest(z_um);
-        let plan = |i: &Instrument| Forward::with_all_depths(i, OperatorConfig::exact(depth));
-        let uncertain = seen.registrations.iter().any(|g| g.sigma_px > 0.0);
         let quality = &instrument.quality;
         Ok(Self {
-            forward: plan(&bare)?,
-            wider: uncertain.then(|| plan(&widening(instrument))).transpose()?,
+            forward: Forward::with_all_depths(&bare, OperatorConfig::exact(depth))?,
             seen,
             maps: instrument.quality.maps,
             has_background: instrument.quality.background.is_some_and(|b| b.is_seen()),
@@ -196,40 +190,31 @@ impl<'a> Model<'a> {
     ///
     /// # Errors
     /// An object holds negative or non-finite light.
-    pub fn scenes(&self, state: &State) -> Result<Vec<Option<Scene>>, ForwardError> {
+    pub fn scenes(&self, state: &State) -> Result<Vec<Option<SceneLight>>, ForwardError> {
         let chain = self.chain(&state.terms);
         (0..self.seen.frames.len()).into_par_iter().map(|k| self.scene(k, state, &chain)).collect()
     }
 
     /// That of frame `k` under a chain of effects, which may differ from that of the state.
-    pub(super) fn scene(&self, k: usize, state: &State, chain: &Chain) -> Result<Option<Scene>, ForwardError> {
-        let cx = self.context(k, None);
-        let behind = |forward: &Forward, object: &Array2<f32>| {
-            let scene = forward.scene(object.view(), chain, &cx)?;
-            Ok::<_, ForwardError>(scene.at_depth(self.depth_of(k)))
-        };
+    pub(super) fn scene(&self, k: usize, state: &State, chain: &Chain) -> Result<Option<SceneLight>, ForwardError> {
         match &self.seen.frames[k].shown {
-            Shown::Object(truth) => {
-                let truth = &self.seen.truths[*truth];
-                let wider = self.wider.as_ref().map(|forward| behind(forward, truth)).transpose()?;
-                Ok(Some(Scene { light: behind(&self.forward, truth)?, wider }))
-            }
+            Shown::Object(truth) => self.scene_of(k, &self.seen.truths[*truth], chain).map(Some),
             Shown::Estimated => {
                 let object = state.specimens.as_ref().and_then(|s| s.object(k));
                 object.map(|o| self.scene_of(k, o, chain)).transpose()
             }
             Shown::Bead(at) => {
-                let light = self.forward.point(*at, chain, &cx)?.at_depth(self.depth_of(k));
-                Ok(Some(Scene { light, wider: None }))
+                let light = self.forward.point(*at, chain, &self.context(k, None))?;
+                Ok(Some(light.at_depth(self.depth_of(k))))
             }
             Shown::Even | Shown::Dark | Shown::Unknown => Ok(None),
         }
     }
 
     /// The light of an object behind the optics in the place of that of frame `k`.
-    pub(super) fn scene_of(&self, k: usize, object: &Array2<f32>, chain: &Chain) -> Result<Scene, ForwardError> {
+    pub(super) fn scene_of(&self, k: usize, object: &Array2<f32>, chain: &Chain) -> Result<SceneLight, ForwardError> {
         let scene = self.forward.scene(object.view(), chain, &self.context(k, None))?;
-        Ok(Scene { light: scene.at_depth(self.depth_of(k)), wider: None })
+        Ok(scene.at_depth(self.depth_of(k)))
     }
 
     /// Depth of the object of frame `k`, um: as recorded, to the precision of a table.
@@ -250,15 +235,16 @@ impl<'a> Model<'a> {
 
     /// Light of frame `k` through one lens before the effects on the sensor, electrons, with the registration of its
     /// truth under a state.
-    pub(super) fn lens_e(&self, k: usize, scene: &Scene, lens: usize, chain: &Chain, state: &State) -> Array2<f32> {
+    pub(super) fn lens_e(
+        &self,
+        k: usize,
+        scene: &SceneLight,
+        lens: usize,
+        chain: &Chain,
+        state: &State,
+    ) -> Array2<f32> {
         let (cx, placed) = (self.context(k, None), self.placed(k, state, chain));
-        let mut image = self.forward.lens_e(&scene.light, lens, &placed, &cx);
-        let registered = self.seen.registration_of(k).and_then(|g| state.registration.get(g));
-        let scale = registered.map_or(0.0, |r| self.grid.scale(r[PARTS - 1]));
-        if let (Some(forward), Some(wider), true) = (&self.wider, &scene.wider, scale != 0.0) {
-            image.scaled_add(scale as f32, &forward.lens_e(wider, lens, &placed, &cx));
-        }
-        image
+        self.forward.lens_e(scene, lens, &placed, &cx)
     }
 
     /// Light of frame `k` before the effects on the sensor, electrons, with the registration of its truth under a
@@ -266,7 +252,7 @@ impl<'a> Model<'a> {
     pub(super) fn sum_e(
         &self,
         k: usize,
-        scene: Option<&Scene>,
+        scene: Option<&SceneLight>,
         (chain, state): (&Chain, &State),
         scale: f64,
     ) -> Array2<f32> {
@@ -315,7 +301,7 @@ impl<'a> Model<'a> {
     }
 
     /// Predicts every frame. `scenes` are those of [`Model::scenes`] for the same state.
-    pub fn predict(&self, state: &State, scenes: &[Option<Scene>]) -> Vec<Predicted> {
+    pub fn predict(&self, state: &State, scenes: &[Option<SceneLight>]) -> Vec<Predicted> {
         let (whole, of_grid) = (self.chain(&state.terms), self.chain_of_grid(&state.terms));
         let chain_of = |f: &Frame| if f.shown == Shown::Unknown { &of_grid } else { &whole };
         // The noise model is that of the calibration: a fit must not gain by a larger variance.

@@ -8,13 +8,12 @@ use super::design::{Design, Misfit, Scope, nuisances};
 use super::errors::Errors;
 use super::gauge::{Gauge, gauges};
 use super::model::Model;
-use super::scene::Scene;
 use super::solve::pseudo_inverse;
 use super::specimen::fitted::specimens;
 use super::state::{Column, Predicted, State, Term};
 use crate::data::Shown;
 use ndarray::{Array1, Array2};
-use ommatidia_model::forward::ForwardError;
+use ommatidia_model::forward::{ForwardError, SceneLight};
 use ommatidia_physics::effects::{Kind, Stage};
 use std::sync::Arc;
 
@@ -35,7 +34,7 @@ const REACH: f64 = 4.0;
 const REACHED: usize = 5;
 
 /// The light of each frame's object behind the optics ([`Model::scenes`]); shared, since few effects change it.
-pub type Scenes = Arc<[Option<Scene>]>;
+pub type Scenes = Arc<[Option<SceneLight>]>;
 
 /// A fitted state.
 #[derive(Clone)]

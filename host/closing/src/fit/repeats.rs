@@ -29,6 +29,10 @@ pub(crate) type Features = [f64; FEATURES];
 /// Standard error of a feature that is not measured: a million times that of a measured one, and no more, since both
 /// share a covariance matrix whose inverse must hold the small one to many digits.
 const UNKNOWN: f64 = 1e4;
+/// Index of the excess kurtosis.
+const TAILS: usize = 4;
+/// Standardised features that are smaller are those of [`UNKNOWN`] errors.
+const SHOWN: f64 = 1e-2;
 /// Noise with a smaller standard deviation, DN, is known to the converter in few codes.
 const COARSE_DN: f64 = 1.0;
 /// Number of noise frames that are drawn for each level.
@@ -101,6 +105,15 @@ pub(crate) fn cells(model: &Model<'_>, at: Expansion<'_>, columns: &[Column], re
             Some(Cell { frame, block, held_out, pixels, gram: x.dot(&x.t()), log_variance: sampling.log_variance() })
         })
         .collect()
+}
+
+/// Significance, in standard deviations, of wings of the noise beyond those of normal noise and of the effects of a
+/// state: of the sum of the excess kurtosis over the levels that show it. 0 where none does.
+pub(crate) fn wings(model: &Model<'_>, state: &State, now: &[Predicted]) -> f64 {
+    let tails = residuals(model, state, now).into_iter().map(|f| f[TAILS]);
+    // Levels that do not show it have errors so large that they stand at zero.
+    let shown: Vec<f64> = tails.filter(|z| z.abs() > SHOWN).collect();
+    shown.iter().sum::<f64>() / (shown.len().max(1) as f64).sqrt()
 }
 
 /// Measured minus expected features of each level in standard errors: independent standard normal variables if the

@@ -84,6 +84,6 @@ impl Effect for Truth {
 
     fn shift_ray(&self, p: &[f64], ray: &Ray, _cx: &FrameContext<'_>) -> RayShift {
         let [row, col] = ray.field_px;
-        RayShift { px: [p[0] + p[2] * col + p[3] * row, p[1] - p[2] * row + p[3] * col], z_um: 0.0 }
+        RayShift::by_px([p[0] + p[2] * col + p[3] * row, p[1] - p[2] * row + p[3] * col])
     }
 }

@@ -6,6 +6,7 @@ use super::finalists::{alike, finalists};
 use super::trials::{NEEDS_CALIBRATION, Tried, evidence};
 use crate::data::{Frame, Shown};
 use crate::evidence::{Scores, TableFit, Test, holm, maps, tables};
+use crate::fit::repeats::wings;
 use crate::fit::{
     Column, Design, Errors, Fitted, Model, Predicted, Replicas, Scope, State, Term, nuisances, own_columns, refit,
     refit_from,
@@ -41,6 +42,9 @@ const DISTINCT: f64 = 0.1;
 /// Of two similar effects the one with fewer parameters is named if it explains all but this share of what the other
 /// explains.
 const TRACE: f64 = 1e-3;
+/// Significance of wings of the noise, standard deviations, below which larger noise is no sign of an effect that makes
+/// wings.
+const WINGS: f64 = 3.0;
 /// Specimens are estimated again under fits whose deviance falls by this share of the largest fall.
 const CLOSE: f64 = 0.5;
 /// Under the best of them so often at most, and until the deviance falls by less than [`SETTLED`].
@@ -89,14 +93,17 @@ pub(crate) fn score(
 }
 
 /// Sets the evidence of a single strength to zero if its estimate has the forbidden sign.
-fn one_sided(model: &Model<'_>, term: &Term, test: Test) -> Test {
+fn one_sided(model: &Model<'_>, term: &Term, mut test: Test) -> Test {
     if term.is_far(model.lenses()) {
         return test;
     }
     let strengths = term.strengths(model.lenses());
     let expanded = term.expanded(model.lenses());
     let impossible = |i: usize| expanded[strengths[i]].1.forbidden_side() * test.theta[i] > 0.0;
-    if test.theta.len() == 1 && impossible(0) { Test { t: 0.0, p: 1.0, z: 0.0, ..test } } else { test }
+    if test.theta.len() == 1 && impossible(0) {
+        test.discard();
+    }
+    test
 }
 
 /// The state with a candidate added at its estimated strengths.
@@ -180,6 +187,11 @@ impl<'m, 'a> Search<'m, 'a> {
         terms.retain(|t| !excluded(t.id()));
         let errors = self.replicas.of(self.model, &self.now)?;
         let mut candidates = score(self.model, &self.now, &errors, &terms)?;
+        let winged = |c: &Candidate| c.term.effect.makes_wings();
+        if candidates.iter().any(winged) && wings(self.model, &self.now.state, &self.now.predicted) < WINGS {
+            let without = candidates.iter_mut().filter(|c| winged(c)).filter_map(|c| c.test.as_mut());
+            without.for_each(Test::discard);
+        }
         candidates.extend(tabled(self.model, &self.now, tried).into_iter().filter(|c| !excluded(c.term.id())));
         candidates.sort_by(|a, b| b.worth().total_cmp(&a.worth()));
         log(&candidates);

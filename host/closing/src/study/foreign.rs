@@ -284,7 +284,7 @@ impl Effect for Foreign {
 
 fn lens_twist(a: f64, ray: &Ray) -> RayShift {
     let angle = if ray.lens.is_multiple_of(2) { a } else { -a };
-    RayShift { px: [angle * ray.field_px[1], -angle * ray.field_px[0]], z_um: 0.0 }
+    RayShift::by_px([angle * ray.field_px[1], -angle * ray.field_px[0]])
 }
 
 fn root_compression(a: f64, charge_e: &mut Array2<f32>, cx: &FrameContext<'_>) {
@@ -376,12 +376,12 @@ fn breathing(a: f64, _ray: &Ray, cx: &FrameContext<'_>) -> RayShift {
         return RayShift::default();
     }
     let phase = std::f64::consts::TAU * cx.frame as f64 / 7.0;
-    RayShift { px: [a * phase.sin(), 0.0], z_um: 0.0 }
+    RayShift::by_px([a * phase.sin(), 0.0])
 }
 
 fn lens_squeeze(a: f64, ray: &Ray) -> RayShift {
     let sign = if (ray.lens / 2).is_multiple_of(2) { a } else { -a };
-    RayShift { px: [sign * ray.field_px[0], -sign * ray.field_px[1]], z_um: 0.0 }
+    RayShift::by_px([sign * ray.field_px[0], -sign * ray.field_px[1]])
 }
 
 fn haze(a: f64, object: &mut Array2<f32>, _cx: &FrameContext<'_>) {

@@ -18,6 +18,8 @@ pub fn largest(id: &str) -> Option<f64> {
         "thermal_drift" => 8.0,
         // Relative changes of size.
         "magnification" | "stage_scale" => 0.05,
+        // A tenth of the wavelength: the width of an emission filter.
+        "spectral_shift" => 0.1,
         // mm^-2 and um/mm^2, at 0.05 mm from the axis.
         "radial_distortion" => 20.0,
         "field_curvature" => 16_000.0,

@@ -1,12 +1,18 @@
 //! The images of one object through all lenses.
 
+use super::growth::GrowthImages;
 use crate::psf::LensImage;
+use ndarray::Array2;
 
 /// The image of one object through each lens, DN above black at the exposure of the calibration.
 #[derive(Clone, Debug)]
 pub struct SceneLight {
     /// For each lens (None: dead), one image for each plane.
     pub(super) lenses: Vec<Option<Vec<LensImage>>>,
+    /// What the object emits, [object rows, object cols].
+    pub(super) emitted: Array2<f32>,
+    /// Its images under PSFs that grow.
+    pub(super) growth: GrowthImages,
     /// Offset of a point source from the nearest object pixel, [row, col], px.
     pub(super) shift_px: [f64; 2],
     /// Depth, um; None: that of the planned plane.

@@ -133,3 +133,62 @@ fn light_that_is_none_is_refused() {
     i.effects = vec![on("none", &[])];
     assert!(matches!(Forward::new(&i), Err(ForwardError::Effect(_))));
 }
+
+/// Centroid (row, col) px and variance (rows, cols) px^2 of the light of the first lens for one object pixel.
+fn spot(effect: &EffectSetting) -> [[f64; 2]; 2] {
+    let mut i = instrument([24, 26], [70, 74], 25, 1);
+    i.geometry.anchors_px[0] = [34.3, 36.2];
+    i.geometry.dead[1] = true;
+    // A Gaussian of 1.8 px beside the middle of its window.
+    i.psf.basis = ndarray::Array4::from_shape_fn((2, 1, 25, 25), |(_, _, r, c)| {
+        let square = (r as f32 - 12.4).powi(2) + (c as f32 - 11.7).powi(2);
+        (-square / (2.0 * 1.8 * 1.8)).exp()
+    });
+    i.psf.coefficients.fill(1.0);
+    i.effects = vec![effect.clone()];
+    let forward = Forward::new(&i).unwrap();
+    let mut object = Array2::zeros((24, 26));
+    object[[3, 20]] = 1.0;
+    let light = forward.expected_e(object.view(), &forward.context()).unwrap();
+    let mean = |of: &dyn Fn([f64; 2]) -> f64| -> f64 {
+        let sum = light.indexed_iter().map(|((r, c), v)| f64::from(*v) * of([r as f64, c as f64])).sum::<f64>();
+        sum / f64::from(light.sum())
+    };
+    let centre = [0, 1].map(|a| mean(&|at| at[a]));
+    [centre, [0, 1].map(|a| mean(&|at| (at[a] - centre[a]).powi(2)))]
+}
+
+/// A focus at x goes to x + d(x), for strong effects as for weak ones.
+#[test]
+fn a_focus_goes_where_the_law_of_its_effect_says() {
+    let [still, _] = spot(&on("array_shift", &[("row_px", 0.0)]));
+    // From the centre of the object, one object pixel is one pixel of the image; the light is beside the middle of its
+    // window.
+    let field = [3.0 - 11.5 + 0.4, 20.0 - 12.5 - 0.3];
+    for eps in [0.001, 0.05, -0.05] {
+        let [at, _] = spot(&on("stage_scale", &[("row_by_row", eps), ("col_by_col", eps)]));
+        for a in 0..2 {
+            let (moved, law) = (at[a] - still[a], eps * field[a]);
+            assert!((moved - law).abs() < 0.01 * law.abs(), "{eps}: {moved} instead of {law}");
+        }
+    }
+}
+
+#[test]
+fn displacements_leave_psfs_as_they_are_and_growth_leaves_foci_where_they_are() {
+    let [still, width] = spot(&on("array_shift", &[("row_px", 0.0)]));
+    for (effect, moves, grows) in [
+        (on("spectral_shift", &[("change", 0.05)]), false, 1.05),
+        (on("spectral_shift", &[("change", -0.04)]), false, 0.96),
+        (on("stage_scale", &[("row_by_row", 0.04), ("col_by_col", 0.04)]), true, 1.0),
+        (on("magnification", &[("eps", 0.05)]), true, 1.05),
+    ] {
+        let [at, wide] = spot(&effect);
+        for a in 0..2 {
+            assert_eq!((at[a] - still[a]).abs() > 0.1, moves, "{effect:?}: {still:?} {at:?}");
+            assert!(moves || (at[a] - still[a]).abs() < 2e-3, "{effect:?}: {still:?} {at:?}");
+            let found = (wide[a] / width[a]).sqrt();
+            assert!((found - grows).abs() < 2e-3, "{effect:?}: {found} instead of {grows}");
+        }
+    }
+}

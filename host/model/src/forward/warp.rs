@@ -1,7 +1,8 @@
 //! Displaces the parts of an image by different fractions of a pixel, for effects that act on chief rays.
 //!
-//! `out(q) = J(q) in(q - d(q))` with J = 1 - div d: a source keeps its light where the displacement d varies. A
-//! displacement that varies little over a PSF moves sources as their chief rays move.
+//! `out(q) = J(q) in(q - d(q))` with J = det(I - grad d), where d(q) is the displacement of what ends on q: a source
+//! keeps its light where the displacement varies. A displacement that varies little over a PSF moves sources as their
+//! chief rays move.
 
 use crate::interpolation::{TAPS, tabulated};
 use ndarray::{Array2, Axis, Slice};
@@ -18,9 +19,11 @@ pub(super) fn warp(image: &Array2<f32>, shift: &Array2<[f64; 2]>) -> Array2<f32>
     Array2::from_shape_fn((rows, cols), |(r, c)| {
         let d = shift[[r, c]];
         let near = |r: usize, c: usize| shift[[r.min(rows - 1), c.min(cols - 1)]];
-        let spread = 1.0
-            - 0.5 * (near(r + 1, c)[0] - near(r.saturating_sub(1), c)[0])
-            - 0.5 * (near(r, c + 1)[1] - near(r, c.saturating_sub(1))[1]);
+        // Half the difference between neighbours on either side; at an edge, half of that to the one neighbour.
+        let (by_row, by_col) =
+            ([near(r + 1, c), near(r.saturating_sub(1), c)], [near(r, c + 1), near(r, c.saturating_sub(1))]);
+        let slope = |[high, low]: [[f64; 2]; 2], a: usize| 0.5 * (high[a] - low[a]);
+        let spread = (1.0 - slope(by_row, 0)) * (1.0 - slope(by_col, 1)) - slope(by_row, 1) * slope(by_col, 0);
         if d == [0.0, 0.0] && spread == 1.0 {
             return image[[r, c]];
         }

@@ -39,6 +39,7 @@ pub mod chief_rays;
 pub mod decompose;
 pub mod field;
 pub mod fit;
+pub mod growth;
 pub mod low_rank;
 pub mod nodes;
 pub mod operator;

@@ -34,6 +34,6 @@ impl Effect for ArrayRotation {
             return RayShift::default();
         }
         let [row, col] = ray.anchor_px;
-        RayShift { px: [1e-3 * p[0] * col, -1e-3 * p[0] * row], z_um: 0.0 }
+        RayShift::by_px([1e-3 * p[0] * col, -1e-3 * p[0] * row])
     }
 }

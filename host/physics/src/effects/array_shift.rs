@@ -42,7 +42,7 @@ impl Effect for ArrayShift {
     }
 
     fn shift_ray(&self, p: &[f64], _ray: &Ray, _cx: &FrameContext<'_>) -> RayShift {
-        RayShift { px: [p[0], p[1]], z_um: 0.0 }
+        RayShift::by_px([p[0], p[1]])
     }
 
     /// No displacement, and where the frames lie beside the expected ones, if that is too far for a small change to

@@ -18,7 +18,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     stage: Stage::Electronics,
     summary: "y + strength (B y - y), B the 3 x 3 binomial mean, after all noise: the camera smooths its frames",
     // At 1 the frame is B y: a camera cannot apply the filter by more than the whole of it.
-    params: &[Param::strength("strength", "1", 0.01, 0.0, 1.0)],
+    params: &[Param::strength("strength", "1", 0.01, 0.0, 1.0).far(&[0.5, 1.0])],
     lookalikes: &[
         Lookalike {
             id: "interpixel_capacitance",

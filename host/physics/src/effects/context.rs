@@ -92,13 +92,28 @@ pub struct Ray {
     pub px_per_um: f64,
 }
 
-/// Displacement of a source and its focus by an effect.
+/// Displacement of a source and its focus by an effect, and growth of the focus.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RayShift {
     /// Displacement of the focus (row, col), sensor pixels.
     pub px: [f64; 2],
     /// Displacement of the source along the optical axis, um; positive towards larger z of the bead scan.
     pub z_um: f64,
+    /// Relative growth w of the PSF about its focus: `h(x)` becomes `h(x / (1 + w)) / (1 + w)^2`. A displacement alone
+    /// leaves the PSF as it is.
+    pub growth: f64,
+}
+
+impl RayShift {
+    /// A displacement of the focus, (row, col) sensor pixels.
+    pub fn by_px(px: [f64; 2]) -> Self {
+        Self { px, ..Self::default() }
+    }
+
+    /// A displacement of the source along the optical axis, um.
+    pub fn by_um(z_um: f64) -> Self {
+        Self { z_um, ..Self::default() }
+    }
 }
 
 impl std::ops::AddAssign for RayShift {
@@ -106,6 +121,7 @@ impl std::ops::AddAssign for RayShift {
         self.px[0] += other.px[0];
         self.px[1] += other.px[1];
         self.z_um += other.z_um;
+        self.growth += other.growth;
     }
 }
 

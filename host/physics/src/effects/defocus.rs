@@ -37,6 +37,6 @@ impl Effect for Defocus {
     }
 
     fn shift_ray(&self, p: &[f64], _ray: &Ray, _cx: &FrameContext<'_>) -> RayShift {
-        RayShift { px: [0.0, 0.0], z_um: p[0] }
+        RayShift::by_um(p[0])
     }
 }

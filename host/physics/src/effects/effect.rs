@@ -62,6 +62,11 @@ pub trait Effect: Send + Sync {
     fn noise_only(&self) -> bool {
         false
     }
+    /// Whether the effect gives the noise wings: a few differences of repeats are far larger than the others. Where
+    /// repeats show none, larger noise is no sign of it.
+    fn makes_wings(&self) -> bool {
+        false
+    }
     /// Whether the effect acts on values that hold their noise already, and stretches or shrinks it.
     fn bends_noise(&self) -> bool {
         false

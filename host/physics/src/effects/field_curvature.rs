@@ -38,6 +38,6 @@ impl Effect for FieldCurvature {
         }
         let mm = ray.pixel_pitch_um * 1e-3;
         let [y, x] = ray.axis_px;
-        RayShift { px: [0.0, 0.0], z_um: p[0] * (y * y + x * x) * mm * mm }
+        RayShift::by_um(p[0] * (y * y + x * x) * mm * mm)
     }
 }

@@ -42,6 +42,6 @@ impl Effect for LensDecentre {
         // All rows come first, then all columns.
         let lenses = p.len() / 2;
         let of = |i: usize| if ray.lens < lenses { p[i] } else { 0.0 };
-        RayShift { px: [of(ray.lens), of(lenses + ray.lens)], z_um: 0.0 }
+        RayShift::by_px([of(ray.lens), of(lenses + ray.lens)])
     }
 }

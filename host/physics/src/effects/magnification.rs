@@ -2,7 +2,8 @@
 //! axis of its lens.
 //!
 //! `x -> x + eps x`, where x is a focus relative to the point where the axis of its lens meets the sensor. The anchors
-//! of off-axis lenses move too; this parallax distinguishes the effect from an error of the stage.
+//! of off-axis lenses move too; this parallax distinguishes the effect from an error of the stage. Foci grow as the
+//! image does.
 
 use super::context::{FrameContext, Ray, RayShift};
 use super::descriptor::{Descriptor, Lookalike, Param, Stage};
@@ -23,6 +24,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
             separate_by: "bead scan to the edge: distortion grows with the cube of the field angle",
         },
         Lookalike { id: "defocus", separate_by: "depth scan: a changed gap also moves the anchors" },
+        Lookalike { id: "spectral_shift", separate_by: "bead scan: a wavelength leaves the foci where they are" },
     ],
 };
 
@@ -35,6 +37,6 @@ impl Effect for Magnification {
         if p[0] == 0.0 {
             return RayShift::default();
         }
-        RayShift { px: ray.axis_px.map(|x| p[0] * x), z_um: 0.0 }
+        RayShift { px: ray.axis_px.map(|x| p[0] * x), growth: p[0], ..RayShift::default() }
     }
 }

@@ -84,6 +84,7 @@ mod row_pattern;
 mod saturation;
 mod sensor_rotation;
 mod smooth;
+mod spectral_shift;
 mod stage_backlash;
 mod stage_scale;
 mod table;

@@ -42,6 +42,6 @@ impl Effect for ObjectDistortion {
         }
         let [y, x] = ray.object_um.map(|um| um * 1e-3);
         let stretch = p[0] * (y * y + x * x);
-        RayShift { px: ray.field_px.map(|f| stretch * f), z_um: 0.0 }
+        RayShift::by_px(ray.field_px.map(|f| stretch * f))
     }
 }

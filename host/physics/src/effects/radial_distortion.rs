@@ -36,6 +36,6 @@ impl Effect for RadialDistortion {
         let mm = ray.pixel_pitch_um * 1e-3;
         let [y, x] = ray.axis_px;
         let stretch = p[0] * (y * y + x * x) * mm * mm;
-        RayShift { px: [stretch * y, stretch * x], z_um: 0.0 }
+        RayShift::by_px([stretch * y, stretch * x])
     }
 }

@@ -47,6 +47,7 @@ use super::row_noise::RowNoise;
 use super::row_pattern::RowPattern;
 use super::saturation::Saturation;
 use super::sensor_rotation::SensorRotation;
+use super::spectral_shift::SpectralShift;
 use super::stage_backlash::StageBacklash;
 use super::stage_scale::StageScale;
 use super::telegraph_pixels::TelegraphPixels;
@@ -81,6 +82,7 @@ static REGISTRY: &[&dyn Effect] = &[
     &Defocus,
     &FieldCurvature,
     &Tilt,
+    &SpectralShift,
     &LensGain,
     &ChiefRayResponse,
     &LensLeakage,

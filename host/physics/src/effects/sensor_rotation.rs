@@ -35,6 +35,6 @@ impl Effect for SensorRotation {
             return RayShift::default();
         }
         let [row, col] = [0, 1].map(|i| ray.anchor_px[i] + ray.field_px[i]);
-        RayShift { px: [1e-3 * p[0] * col, -1e-3 * p[0] * row], z_um: 0.0 }
+        RayShift::by_px([1e-3 * p[0] * col, -1e-3 * p[0] * row])
     }
 }

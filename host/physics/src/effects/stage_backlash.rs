@@ -42,7 +42,7 @@ impl Effect for StageBacklash {
         if um == [0.0, 0.0] {
             return RayShift::default();
         }
-        RayShift { px: um.map(|um| um * ray.px_per_um), z_um: 0.0 }
+        RayShift::by_px(um.map(|um| um * ray.px_per_um))
     }
 
     fn is_of_bead_scans(&self) -> bool {

@@ -39,6 +39,6 @@ impl Effect for StageScale {
             return RayShift::default();
         }
         let [row, col] = ray.field_px;
-        RayShift { px: [p[0] * row + p[2] * col, p[1] * col + p[3] * row], z_um: 0.0 }
+        RayShift::by_px([p[0] * row + p[2] * col, p[1] * col + p[3] * row])
     }
 }

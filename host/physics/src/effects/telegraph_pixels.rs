@@ -56,6 +56,10 @@ impl Effect for TelegraphPixels {
         }
     }
 
+    fn makes_wings(&self) -> bool {
+        true
+    }
+
     fn noise_only(&self) -> bool {
         true
     }

@@ -32,6 +32,6 @@ impl Effect for ThermalDrift {
         if p.iter().all(|v| *v == 0.0) {
             return RayShift::default();
         }
-        RayShift { px: [p[0] * cx.time_s, p[1] * cx.time_s], z_um: 0.0 }
+        RayShift::by_px([p[0] * cx.time_s, p[1] * cx.time_s])
     }
 }

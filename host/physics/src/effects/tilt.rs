@@ -49,6 +49,6 @@ impl Effect for Tilt {
             return RayShift::default();
         }
         let [y_mm, x_mm] = ray.object_um.map(|um| um * 1e-3);
-        RayShift { px: [0.0, 0.0], z_um: p[0] * y_mm + p[1] * x_mm }
+        RayShift::by_um(p[0] * y_mm + p[1] * x_mm)
     }
 }

@@ -44,6 +44,6 @@ impl Effect for UnknownWarp {
         }
         let of = |which: usize| p[which * lenses + ray.lens];
         let [r, c] = ray.field_px.map(|v| v / UNIT_PX);
-        RayShift { px: [of(0) + of(2) * r + of(3) * c, of(1) + of(4) * r + of(5) * c], z_um: 0.0 }
+        RayShift::by_px([of(0) + of(2) * r + of(3) * c, of(1) + of(4) * r + of(5) * c])
     }
 }

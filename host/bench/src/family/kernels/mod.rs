@@ -211,7 +211,8 @@ impl Lenses for Kernels {
         self.set.blend(weights, slice, h, &mut work.kernel);
         let helix = if self.config.psfs.is_empty() { self.config.turn_rad_per_um * z_um } else { 0.0 };
         // Smooth and above zero for any field. A larger gap makes a larger spot.
-        let stretch = (lens.stretch[0] * h[0] + lens.stretch[1] * h[1]).tanh().exp() * (1.0 + self.change.gap);
+        let size = (1.0 + self.change.gap) * (1.0 + moved.growth);
+        let stretch = (lens.stretch[0] * h[0] + lens.stretch[1] * h[1]).tanh().exp() * size;
         let placed = image::Placed {
             rest,
             turn_rad: linear(lens.turn) + helix + self.change.turn_rad,

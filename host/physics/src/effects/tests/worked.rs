@@ -65,6 +65,8 @@ fn worked_examples_of_chief_rays() {
     near(shifted("array_rotation", &[("angle_mrad", 2.0)]), [0.03, 0.04], 0.0);
     near(shifted("lens_decentre", &[("row_px_0", 0.5), ("row_px_1", 9.0), ("col_px_0", -0.25)]), [0.5, -0.25], 0.0);
     near(shifted("magnification", &[("eps", 0.01)]), [0.12, -0.11], 0.0);
+    close(shifted("magnification", &[("eps", 0.01)]).growth, 0.01);
+    close(shifted("spectral_shift", &[("change", -0.05)]).growth, -0.05);
     near(shifted("stage_scale", &[("row_by_row", 0.01), ("col_by_row", 0.1)]), [0.1, 1.0], 0.0);
     near(shifted("thermal_drift", &[("col_px_per_s", 0.5)]), [0.0, 1.5], 0.0);
     let r2_mm2 = 265.0 * 1.85e-3f64.powi(2);
