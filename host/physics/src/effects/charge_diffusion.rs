@@ -1,13 +1,13 @@
 //! Charge diffusion: photo-electrons diffuse before they are collected. This blurs the light and leaves the noise
 //! white.
 //!
-//! `mu -> g * mu`, a convolution with a Gaussian g of standard deviation `sigma_px`, by explicit diffusion steps that
-//! conserve the charge. Source: Janesick, *Scientific Charge-Coupled Devices*, 2001, ch. 4.
+//! `mu -> g * mu`, a convolution with a Gaussian g of standard deviation `sigma_px`, which conserves the
+//! charge. Source: Janesick, *Scientific Charge-Coupled Devices*, 2001, ch. 4.
 
 use super::context::FrameContext;
 use super::descriptor::{Descriptor, Lookalike, Param, Stage};
 use super::effect::Effect;
-use super::smooth::diffuse;
+use super::smooth::spread;
 use ndarray::Array2;
 
 /// The effect; its formula is in the documentation of the module.
@@ -35,7 +35,8 @@ impl Effect for ChargeDiffusion {
 
     fn on_light(&self, p: &[f64], light_e: &mut Array2<f32>, _cx: &FrameContext<'_>) {
         if p[0] > 0.0 {
-            diffuse(light_e, p[0] * p[0]);
+            let variance = p[0] * p[0];
+            spread(light_e, [variance, variance, 0.0]);
         }
     }
 }

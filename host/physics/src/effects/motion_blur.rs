@@ -1,13 +1,12 @@
 //! Motion blur: the specimen moves during the exposure.
 //!
-//! `mu -> mu + (var_row d2/dr2 + var_col d2/dc2 + 2 cov d2/drdc) mu / 2`: to second order, the blur of any motion with
-//! these variances, px^2. Second differences move light between neighbours and conserve it. Scenes only: the bead does
-//! not move.
+//! `mu -> g * mu` with a Gaussian g of the variances var_row and var_col and the covariance cov, px^2: to second order in
+//! the frequency, the blur of any motion with these variances. Scenes only: the bead does not move.
 
 use super::context::FrameContext;
 use super::descriptor::{Descriptor, Lookalike, Param, Stage};
 use super::effect::Effect;
-use super::smooth::second_differences;
+use super::smooth::spread;
 use ndarray::Array2;
 use ommatidia_session::Role;
 
@@ -37,7 +36,7 @@ impl Effect for MotionBlur {
 
     fn on_light(&self, p: &[f64], light_e: &mut Array2<f32>, cx: &FrameContext<'_>) {
         if cx.role == Role::Scene && p.iter().any(|v| *v != 0.0) {
-            second_differences(light_e, [p[0], p[1], p[2]]);
+            spread(light_e, [p[0], p[1], p[2]]);
         }
     }
 }

@@ -1,12 +1,12 @@
 //! Unnamed blur: the image of each lens is wider, or narrower, than in the calibration.
 //!
-//! To first order in the variances, a PSF whose second moments change by `V_l` is
+//! A PSF whose second moments change by `V_l` is `g * h` with a Gaussian g of these variances, to first order
 //! `h + (V_rr d2/dr2 + V_cc d2/dc2 + 2 V_rc d2/drdc) h / 2`. Negative variances sharpen the image.
 
 use super::context::FrameContext;
 use super::descriptor::{Descriptor, Param, Stage};
 use super::effect::Effect;
-use super::smooth::second_differences;
+use super::smooth::spread;
 use ndarray::Array2;
 
 /// The effect; its formula is in the documentation of the module.
@@ -37,7 +37,7 @@ impl Effect for UnknownBlur {
         let of = |which: usize| p[which * lenses + cx.lens];
         let variances = [of(0), of(1), of(2)];
         if variances.iter().any(|v| *v != 0.0) {
-            second_differences(image_e, variances);
+            spread(image_e, variances);
         }
     }
 }

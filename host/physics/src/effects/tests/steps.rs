@@ -72,7 +72,8 @@ fn steps_are_a_few_sigma_of_one_typical_frame() {
                         };
                         let s = chain.shift_ray(&ray, &cx);
                         // Defocus of 100 um widens a spot by about a tenth of a pixel squared.
-                        let wide = 0.5e-3 * s.z_um;
+                        // PSFs of a variance of 2 px^2 that grow by a share become wider by four times as much.
+                        let wide = 0.5e-3 * s.z_um + 2.0 * s.growth;
                         let d = [from[[r + 1, c]] - from[[r - 1, c]], from[[r, c + 1]] - from[[r, c - 1]]];
                         let curve = from[[r + 1, c]] + from[[r - 1, c]] + from[[r, c + 1]] + from[[r, c - 1]]
                             - 4.0 * from[[r, c]];
