@@ -17,7 +17,7 @@ use ommatidia_physics::effects::{Chain, Stage, blur_within};
 use ommatidia_physics::linalg::{SymmetricEigen, symmetric_eigen};
 use ommatidia_session::Role;
 use ommatidia_session::rng::stream;
-use rand::Rng;
+use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
@@ -226,6 +226,22 @@ fn measured(now: &[Predicted], model: &Model<'_>, level: &Level) -> Features {
     })
 }
 
+/// Standard deviation of the noise of a pair of repeats as half of the pixels show it, DN: a camera that smooths its
+/// frames leaves less than the model expects.
+fn scatter_dn(model: &Model<'_>, now: &[Predicted], (a, b): (usize, usize)) -> f64 {
+    let frames = &model.seen.frames;
+    let mut d = &frames[b].measured - &frames[a].measured;
+    d -= &(&now[b].dn - &now[a].dn);
+    let mut far: Vec<f32> = d.iter().map(|v| v.abs()).filter(|v| v.is_finite()).collect();
+    let middle = far.len() / 2;
+    if far.is_empty() {
+        return 0.0;
+    }
+    let (_, median, _) = far.select_nth_unstable_by(middle, f32::total_cmp);
+    // Of normal numbers half lie within 0.674 standard deviations; a difference has twice the variance of one frame.
+    f64::from(*median) / 0.674_490 / std::f64::consts::SQRT_2
+}
+
 /// Features of a standardised difference; their mean is zero for white noise of variance one.
 fn features(mut d: Array2<f32>) -> Features {
     // A flicker of the lamp changes all pixels together and is no noise of the sensor.
@@ -308,7 +324,7 @@ impl Sampling {
             level.pairs.first().is_some_and(|(a, _)| {
                 let w = &now[*a].inverse_sigma;
                 2 * w.iter().filter(fine).count() < w.len()
-            })
+            }) || level.pairs.first().is_some_and(|pair| scatter_dn(model, now, *pair) < COARSE_DN)
         };
         let tails = |level: &Level, v: f64| {
             let pairs = level.pairs.len() as f64;
@@ -392,5 +408,9 @@ pub(crate) fn noise_dn(
     });
     let mut dn = model.forward.to_dn(charge, chain, &cx);
     chain.on_reading(&mut dn, &cx, reading);
-    dn - quiet
+    dn -= &quiet;
+    // The converter rounds what an effect has smoothed, too. An even error in place of rounding lets features change
+    // smoothly with the strength of an effect.
+    dn.mapv_inplace(|v| v + rng.random_range(-0.5f32..0.5));
+    dn
 }

@@ -18,8 +18,7 @@ use ommatidia_physics::linalg::symmetric_eigen;
 const LEFT: f64 = 1e-3;
 
 /// The effect on the recorded positions of sources. Truths are such records, so that it is their registration with a
-/// skew beside it. (Its law widens the PSFs with the image, which a registration does not; that difference is no
-/// evidence.)
+/// skew beside it.
 const RECORDED: &str = "stage_scale";
 
 /// Ids of the effects of the catalogue of which the registration takes half of the directions or more, at each of their
