@@ -29,6 +29,7 @@
 mod error;
 mod foci;
 mod growth;
+mod moved;
 mod predict;
 mod scene_light;
 mod sensor_maps;
@@ -40,22 +41,14 @@ pub use predict::{Depth, PredictError, PredictRequest, Predicted, Predictor};
 pub use scene_light::SceneLight;
 
 use crate::instrument::Instrument;
-use crate::psf::nodes::Taps;
-use crate::psf::{ChiefRays, LensImage, LowRankOperator, OperatorConfig};
-use growth::{Calibrated, Growth, less_stretch};
+use crate::psf::{ChiefRays, LowRankOperator, OperatorConfig};
+use growth::{Calibrated, Growth};
 use ndarray::{Array2, ArrayView2, Zip};
-use ommatidia_physics::effects::{Chain, FrameContext, Layout, Ray, RayShift, Stage};
+use ommatidia_physics::effects::{Chain, FrameContext, Layout, Stage};
 use ommatidia_physics::noise::{NoiseModel, ROUNDING_DN2, draw_electrons};
 use ommatidia_physics::optics::MicrolensArray;
 use rand::Rng;
 use std::sync::{Arc, OnceLock};
-
-/// Iterations for the place that a displaced focus comes from: the third term of a slope of 5 % is a ten-thousandth.
-const ITERATIONS: usize = 2;
-/// Growth of PSFs below which nothing is computed: effects that displace all foci alike leave rounding errors.
-const LEAST_GROWTH: f64 = 1e-7;
-/// Growth of PSFs above which its square counts, too: below, the square changes less than a thousandth of the peak.
-const BENDS: f64 = 0.01;
 
 /// The forward model of one instrument at one depth.
 #[derive(Clone, Debug)]
@@ -277,112 +270,6 @@ impl Forward {
             light_e *= response;
         }
         light_e
-    }
-
-    /// The image of one lens, electrons, displaced by the effects that act on chief rays.
-    fn moved(&self, scene: &SceneLight, lens: usize, effects: &Chain, cx: &FrameContext<'_>) -> Option<LensImage> {
-        let planes = scene.lenses.get(lens)?.as_ref()?;
-        let electrons = (cx.exposure_ms / self.exposure_ms * cx.illumination / self.noise.gain_dn_per_e) as f32;
-        let here = planes.get(self.plane)?;
-        let mut image = LensImage { origin: here.origin, light: here.light.mapv(|v| v * electrons) };
-        let [dy, dx] = scene.shift_px;
-        let own = self.depths_um[self.plane];
-        let z = scene.z_um.unwrap_or(own);
-        if !effects.acts_at(Stage::Geometry) && [dy, dx] == [0.0, 0.0] && z == own {
-            return Some(image);
-        }
-        let mut shifts = self.shifts(lens, &image, effects, &FrameContext { lens, ..*cx });
-        shifts.mapv_inplace(|s| RayShift { px: [s.px[0] + dy, s.px[1] + dx], ..s });
-        if shifts.iter().any(|s| z + s.z_um != own) {
-            for (p, other) in planes.iter().enumerate() {
-                // Interpolation over depth is linear in the planes: each gets the share that belongs to the pixel's
-                // depth.
-                let shares = shifts.mapv(|s| {
-                    let taps = Taps::at(&self.depths_um, z + s.z_um);
-                    let own = p.checked_sub(taps.first).filter(|i| *i < taps.count).map_or(0.0, |i| taps.weights[i]);
-                    own - if p == self.plane { 1.0 } else { 0.0 }
-                });
-                Zip::from(&mut image.light).and(&other.light).and(&shares).for_each(|v, o, s| *v += s * electrons * o);
-            }
-        }
-        self.grow(scene, lens, &mut shifts, (&mut image, electrons));
-        if shifts.iter().any(|s| s.px != [0.0, 0.0]) {
-            image.light = warp::warp(&image.light, &shifts.mapv(|s| s.px));
-        }
-        Some(image)
-    }
-
-    /// Lets the PSFs in the image of a lens grow as shifts ask for, about their foci. Electrons: those of a DN.
-    fn grow(
-        &self,
-        scene: &SceneLight,
-        lens: usize,
-        shifts: &mut Array2<RayShift>,
-        (image, electrons): (&mut LensImage, f32),
-    ) {
-        less_stretch(shifts);
-        let most = shifts.iter().fold(0.0f64, |m, s| m.max(s.growth.abs()));
-        if most < LEAST_GROWTH {
-            return;
-        }
-        // No lock is held while threads share out the work: another thread may do the same work, and its result counts.
-        if self.growth.get().is_none() {
-            let _ = Growth::plan(&self.calibrated).map(|growth| self.growth.set(growth));
-        }
-        let Some(growth) = self.growth.get() else { return };
-        for (order, images) in scene.growth.iter().enumerate() {
-            if order == 1 && most < BENDS {
-                continue;
-            }
-            if images.get().is_none() {
-                let _ = images.set(growth.images(order, scene.emitted.view()));
-            }
-            let Some(by) = images.get().and_then(|lenses| lenses.get(lens)?.as_ref()) else { continue };
-            Zip::from(&mut image.light).and(&by.light).and(&*shifts).for_each(|v, d, s| {
-                let share = if order == 0 { s.growth } else { 0.5 * s.growth * s.growth };
-                *v += share as f32 * electrons * d;
-            });
-        }
-        growth.about_foci(lens, shifts, self.calibrated.psf.basis.dim().2 / 2);
-    }
-
-    /// The displacement of the chief ray that ends on each pixel of a lens's image.
-    fn shifts(&self, lens: usize, image: &LensImage, effects: &Chain, cx: &FrameContext<'_>) -> Array2<RayShift> {
-        let anchor = self.geometry.anchors_px[lens];
-        let centre = self.operator().sensor_shape().map(|n| (n as f64 - 1.0) / 2.0);
-        let scale = self.geometry.magnification / self.pixel_pitch_um;
-        let axis = self.axes_px[lens];
-        let object = self.operator().object_shape().map(|n| (n as f64 - 1.0) / 2.0);
-        // One object pixel is one sensor pixel of the image; its anchor is a rounded one.
-        let corner = [0, 1].map(|a| (anchor[a] - object[a]).round());
-        let of = |at: [f64; 2]| {
-            let object_um = [0, 1].map(|a| (at[a] - corner[a] - object[a]) * self.object_pixel_um);
-            let field_px = object_um.map(|v| v * scale);
-            let ray = Ray {
-                lens,
-                object_um,
-                field_px,
-                axis_px: [0, 1].map(|a| field_px[a] + anchor[a] - axis[a]),
-                anchor_px: [anchor[0] - centre[0], anchor[1] - centre[1]],
-                pixel_pitch_um: self.pixel_pitch_um,
-                px_per_um: scale,
-            };
-            effects.shift_ray(&ray, cx)
-        };
-        Array2::from_shape_fn(image.light.dim(), |(r, c)| {
-            let at = [image.origin[0] as f64 + r as f64, image.origin[1] as f64 + c as f64];
-            // Effects say where a focus goes. What ends on this pixel comes from where it has not been displaced yet:
-            // q = x + d(x), solved for x by iteration, whose error falls by the slope of d each time.
-            let mut shift = of(at);
-            for _ in 0..ITERATIONS {
-                let before = shift;
-                shift = of([0, 1].map(|a| at[a] - before.px[a]));
-                if shift.px == before.px {
-                    break;
-                }
-            }
-            shift
-        })
     }
 
     /// The expected frame, DN, [sensor rows, sensor cols]: no noise, no rounding; clipped at saturation.
