@@ -68,8 +68,10 @@ impl Forward {
             return;
         }
         // No lock is held while threads share out the work: another thread may do the same work, and its result counts.
-        if self.growth.get().is_none() {
-            let _ = Growth::plan(&self.calibrated).map(|growth| self.growth.set(growth));
+        if self.growth.get().is_none()
+            && let Some(growth) = Growth::plan(&self.calibrated)
+        {
+            let _ = self.growth.set(growth);
         }
         let Some(growth) = self.growth.get() else { return };
         for (order, images) in scene.growth.iter().enumerate() {
