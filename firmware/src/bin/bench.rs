@@ -225,7 +225,7 @@ impl Bench {
     /// The tail with weights of 8 bits and features in integers.
     fn tail_integers<F: Feature>(&mut self, kind: &str, channels: usize) -> Result<(), Failure> {
         let (rows, cols) = (48, 48);
-        let plan = Upscale { channels, rows, cols };
+        let plan = Upscale { channels, rows, cols, end: Activation::Sigmoid };
         let bytes: &[i8] = bytemuck::cast_slice(self.weights);
         let (weights, rest) = bytes.split_at(36 * channels * channels);
         let convolutions = [
@@ -248,7 +248,7 @@ impl Bench {
     /// Convolution to 4 W channels, pixel shuffle, convolution to one channel, sigmoid.
     fn tail(&mut self, channels: usize) -> Result<(), Failure> {
         let (rows, cols) = (48, 48);
-        let plan = Upscale { channels, rows, cols };
+        let plan = Upscale { channels, rows, cols, end: Activation::Sigmoid };
         let (weights, rest) = self.weights.split_at(36 * channels * channels);
         let (weights2, rest) = rest.split_at(9 * channels);
         let parameters = [
@@ -363,6 +363,7 @@ impl Bench {
                 weights: bytemuck::cast_slice(&filters[..lens.integers as usize]),
                 channels: &CHANNELS[..lens.channels as usize / 4],
             }),
+            predictor: &[],
         };
         let network = Network::new(header, weights).map_err(|_| "the weights are refused")?;
         let pipeline = Pipeline::new(&network).map_err(|_| "the network is refused")?;
@@ -436,5 +437,6 @@ fn header(channels: u8, rcan: Rcan) -> Header {
         rcan,
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
         integers: None,
+        passes: None,
     }
 }

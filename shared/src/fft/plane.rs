@@ -92,12 +92,15 @@ impl Fft2 {
     /// Transforms the plane whose rows `occupied` come from `source`. All other rows are zero. `spectrum` receives T
     /// rows of T/2 + 1 numbers.
     ///
+    /// The loops are large and inlined, so there is one copy of them for all sources.
+    ///
     /// # Errors
     /// [`FftError::Buffer`] where `spectrum` or `scratch` is too short.
+    #[inline(never)]
     pub fn forward(
         &self,
         simd: Simd,
-        source: &impl RowSource,
+        source: &dyn RowSource,
         occupied: core::ops::Range<usize>,
         spectrum: &mut [f16],
         scratch: &mut [f32],
@@ -105,9 +108,9 @@ impl Fft2 {
         check_len(self.spectrum_len(self.len()), spectrum.len())?;
         check_len(self.scratch_len(), scratch.len())?;
         if scratch.len() >= self.scratch_len_wide() {
-            simd.run(Forward::<_, WIDE> { plan: self, source, occupied, spectrum, scratch });
+            simd.run(Forward::<WIDE> { plan: self, source, occupied, spectrum, scratch });
         } else {
-            simd.run(Forward::<_, 1> { plan: self, source, occupied, spectrum, scratch });
+            simd.run(Forward::<1> { plan: self, source, occupied, spectrum, scratch });
         }
         Ok(())
     }
@@ -157,15 +160,15 @@ macro_rules! in_strips {
     };
 }
 
-struct Forward<'a, S, const L: usize> {
+struct Forward<'a, const L: usize> {
     plan: &'a Fft2,
-    source: &'a S,
+    source: &'a dyn RowSource,
     occupied: core::ops::Range<usize>,
     spectrum: &'a mut [f16],
     scratch: &'a mut [f32],
 }
 
-impl<S: RowSource, const L: usize> Kernel for Forward<'_, S, L> {
+impl<const L: usize> Kernel for Forward<'_, L> {
     type Output = ();
 
     #[inline(always)]
@@ -179,7 +182,7 @@ impl<S: RowSource, const L: usize> Kernel for Forward<'_, S, L> {
     }
 }
 
-impl<S: RowSource, const L: usize> Forward<'_, S, L> {
+impl<const L: usize> Forward<'_, L> {
     /// Transforms rows `first..first + count`, `N` side by side. Returns false, and does nothing, where that would
     /// change a bit.
     #[inline(always)]

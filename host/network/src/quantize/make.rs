@@ -93,6 +93,7 @@ fn make(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) -> Result<
         offset_dn: offset.as_deref(),
         inverse_gain: gain.as_deref(),
         convolutions: integers.as_ref().map(IntegerNetwork::convolutions),
+        predictor: &[],
     };
     let header = header(checkpoint, hash, config, &bank, integers.as_ref().map(|integers| integers.scales))?;
     let mut bytes = vec![0; blob::encoded_len(&header)?];
@@ -146,6 +147,7 @@ fn header(
         rcan: pack::describe(network)?,
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
         integers,
+        passes: None,
     };
     header.memory = Pipeline::plan(&header)?;
     Ok(header)
