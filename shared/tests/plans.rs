@@ -106,15 +106,24 @@ fn bulk(header: &Header) -> u128 {
     let (feature, input) = (u128::from(rcan.width) * rows * cols / 4, u128::from(bank.channels) * rows * cols);
     let first = (4 * feature).max(feature + input).max(filter + input);
     let Some(passes) = &header.passes else { return 2 * first };
-    // Kept: the filter outputs of the frame, and one or two planes of logits. Of a pass: the predicted frame and the
-    // input, and between them the spectra of up to four terms and an image, or those of the filters.
+    // Kept: the filter outputs of the frame, and one or two planes of logits. Of a pass: the predicted frame, and
+    // either the reconstruction with the spectra of up to two terms and an image, or the input with those of the
+    // filters. Where the filters transform the whole frame, it lies in their place, if it fits.
     let (pixels, frame) = (rows * cols, wide(header.frame.rows) * wide(header.frame.cols));
     let more = input + pixels;
     let planes = if passes.later > 1 { 2 } else { 1 };
     let side = (object.rows.max(object.cols) + passes.window - 1).next_power_of_two().max(8);
     let row = 2 * (wide(side) / 2 + 1);
-    let predictor = 2 * u128::from(passes.terms.min(4)) * row * wide(side) + row * (rows + wide(passes.window) - 1);
-    let work = first.max(4 * feature).max(feature + more).max(frame + more + predictor.max(filter));
+    let predictor = 2 * u128::from(passes.terms.min(2)) * row * wide(side) + row * (rows + wide(passes.window) - 1);
+    let whole = |len: u16, object: u16| tile >= wide(len) && step >= wide(object);
+    let single = bank.taps.iter().all(|tap| (tap.dy, tap.dx) == (0, 0));
+    let whole = single && whole(header.frame.rows, object.rows) && whole(header.frame.cols, object.cols);
+    let pass = if whole && frame <= input {
+        predictor.max(filter) + more
+    } else {
+        frame + (pixels + predictor).max(more + filter)
+    };
+    let work = first.max(4 * feature).max(feature + more).max(pass);
     2 * (input + planes * pixels + work)
 }
 

@@ -21,8 +21,10 @@
 //!
 //! # Memory
 //! f, l and, with three passes or more, the logits of a pass are kept from pass to pass. Everything else of a pass lies
-//! in the work space: x and, beside it, p and then d, at its end, where the enhancement network reads its input; the
-//! predicted frame at its start; and between the two the spectra of the prediction, then those of the filters.
+//! in the work space: x at its end, and before it p and then d, where the enhancement network reads its input. Filters
+//! that transform the whole frame at once do so before they give p, so the predicted frame lies where p will lie, if it
+//! fits, and the spectra of the prediction, then those of the filters, before it. Otherwise the predicted frame lies at
+//! the start, and behind it the spectra of the prediction, which end where x begins, then those of the filters.
 
 use super::error::PipelineError;
 use super::field::Stats;
@@ -91,8 +93,19 @@ impl<'a> Later<'a> {
         let pixels = self.object_len() as u64;
         let input = self.rcan.input_len() as u64;
         let frame = self.predictor.frame_len() as u64;
-        let pass = frame + input + (self.predictor.arena_len() as u64).max(filter.arena_len() as u64);
-        self.kept_len(filter) + first.max(self.rcan.arena_len() as u64).max(pass).max(pixels)
+        let (predictor, filters) = (self.predictor.arena_len() as u64, filter.arena_len() as u64);
+        let pass = if self.in_place(filter) {
+            predictor.max(filters) + input
+        } else {
+            frame + (predictor + pixels).max(filters + input)
+        };
+        self.kept_len(filter) + first.max(self.rcan.arena_len() as u64).max(pass)
+    }
+
+    /// Whether the predicted frame is transformed as a whole before its filters' first output, and fits into their
+    /// place.
+    fn in_place(&self, filter: &FilterBank<'_>) -> bool {
+        filter.is_whole() && self.predictor.frame_len() <= filter.output_len()
     }
 
     /// Length of what is kept from pass to pass, halves.
@@ -122,7 +135,8 @@ impl Pipeline<'_> {
         let (logits, rest) = rest.split_at_mut(pixels);
         let (change, work) = rest.split_at_mut(if later.count() > 1 { pixels } else { 0 });
         let (saturated_px, frame_max_dn) = self.survey(frame, fast);
-        self.filtered(&Source::Raw { pipeline: self, frame, max: frame_max_dn }, seen, work, fast)?;
+        let raw = Source::Raw { pipeline: self, frame, max: frame_max_dn };
+        self.filtered(Some(&raw), seen, work, fast)?;
         let (filter_max, filter_finite) = self.simd.run(Normalise { values: seen, by: None });
         let (weights, mut rest) = self.weights.rcan.split_at(self.rcan.weights_len());
         let at = work.len() - seen.len();
@@ -153,7 +167,7 @@ impl Pipeline<'_> {
     /// The filter outputs of a frame, (channels, object rows, object cols). The start of `arena` is overwritten.
     fn filtered(
         &self,
-        source: &Source<'_>,
+        source: Option<&Source<'_>>,
         output: &mut [f16],
         arena: &mut [f16],
         fast: &mut [f32],
@@ -188,15 +202,30 @@ impl Pipeline<'_> {
         work: &mut [f16],
         fast: &mut [f32],
     ) -> Result<(), PipelineError> {
-        let (work, input) = work.split_at_mut(work.len() - later.rcan.input_len());
-        let (difference, x) = input.split_at_mut(seen.len());
+        let (work, x) = work.split_at_mut(work.len() - logits.len());
         x.copy_from_slice(logits);
         x.chunks_exact_mut(later.cols[0]).for_each(|row| sigmoids(row, &mut fast[..later.cols[0]]));
-        let (frame, arena) = work.split_at_mut(later.predictor.frame_len());
-        later.predictor.process(self.simd, self.weights.predictor, x, frame, arena, fast)?;
-        self.simd.run(Largest(frame));
-        let source = Source::Predicted { frame, cols: later.cols[1] };
-        self.filtered(&source, difference, arena, fast)?;
+        let (frame_len, at) = (later.predictor.frame_len(), work.len() - seen.len());
+        let predict = |frame: &mut [f16], arena: &mut [f16], fast: &mut [f32]| {
+            later.predictor.process(self.simd, self.weights.predictor, x, frame, arena, fast)?;
+            self.simd.run(Largest(frame));
+            Ok::<_, PipelineError>(())
+        };
+        let difference = if later.in_place(&self.filter) {
+            let (arena, difference) = work.split_at_mut(at);
+            let frame = &mut difference[..frame_len];
+            predict(frame, arena, fast)?;
+            let source = Source::Predicted { frame, cols: later.cols[1] };
+            self.filter.prepare(self.simd, &source, arena, fast)?;
+            self.filtered(None, difference, arena, fast)?;
+            difference
+        } else {
+            let (frame, arena) = work.split_at_mut(frame_len);
+            predict(frame, arena, fast)?;
+            let (arena, difference) = arena.split_at_mut(at - frame_len);
+            self.filtered(Some(&Source::Predicted { frame, cols: later.cols[1] }), difference, arena, fast)?;
+            difference
+        };
         self.simd.run(Difference { seen, predicted: difference });
         Ok(())
     }

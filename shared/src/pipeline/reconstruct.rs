@@ -154,7 +154,8 @@ impl<'a> Pipeline<'a> {
         self.check_region(region)?;
         self.check_lengths(frame, fast, bulk, (region.pixels(), output.len()))?;
         let bulk = &mut bulk[..self.bulk_len()];
-        if let Some(later) = &self.later {
+        // Where their code is left out, the pipeline has refused such a network.
+        if let Some(later) = self.later.as_ref().filter(|_| !cfg!(feature = "one-pass")) {
             let Field::Measured(None) = field else { return Err(PipelineError::Hold) };
             return self.run_passes(later, frame, region, Memory { fast, bulk }, output);
         }
@@ -168,7 +169,7 @@ impl<'a> Pipeline<'a> {
         let (arena, channels) = bulk.split_at_mut(bulk.len() - filter.output_len());
         let tensor = ChwMut::new(channels, usize::from(self.header.bank.channels), part.rows.into(), part.cols.into())?;
         let filters = Filters { halves: self.weights.filters, index: self.weights.index };
-        filter.process(self.simd, &source, filters, tensor, arena, fast)?;
+        filter.process(self.simd, Some(&source), filters, tensor, arena, fast)?;
         let by = held.map(|held| held.filter_max);
         let (filter_max, filter_finite) = self.simd.run(Normalise { values: channels, by });
         held.map_or(Ok(()), |held| held.fits_filters(filter_max, filter_finite))?;

@@ -39,7 +39,14 @@ pub(super) fn shapes(header: &Header) -> Result<Shapes<'_>, PipelineError> {
         return Err(PipelineError::Field { field: "bits of a feature", expected, found: 8 });
     }
     let rcan = Rcan::new(network, header.integers, header.bank.channels, header.object)?;
-    let later = header.passes.as_ref().map(|passes| Later::new(header, passes)).transpose()?;
+    let later = match &header.passes {
+        Some(passes) if cfg!(feature = "one-pass") => {
+            let expected = "0: this device has no room for their code; train with --passes 1 for it";
+            return Err(PipelineError::Field { field: "later passes", expected, found: passes.later.into() });
+        }
+        Some(passes) => Some(Later::new(header, passes)?),
+        None => None,
+    };
     Ok(Shapes { filter, rcan, later })
 }
 

@@ -8,7 +8,7 @@ use crate::num::{f16, fused};
 use core::ops::Range;
 
 /// Terms of a lens that are summed in the spectrum. Further ones are summed in the frame.
-pub const GROUP: usize = 4;
+pub const GROUP: usize = 2;
 
 /// Plan of the prediction of frames.
 #[derive(Clone, Copy, Debug)]
@@ -57,7 +57,7 @@ impl<'a> Predictor<'a> {
     }
 
     /// Length of the arena for [`Self::process`], halves: two spectra of each term of a group, and one half-transformed
-    /// image. At most 17 spectra of 2^20 halves.
+    /// image. At most five spectra of 2^20 halves.
     pub const fn arena_len(&self) -> usize {
         let image = self.object[0] + self.window - 1;
         2 * self.group() * self.fft.spectrum_len(self.tile()) + self.fft.spectrum_len(image)
@@ -110,7 +110,7 @@ impl<'a> Predictor<'a> {
                 let (spectra, halfway) = arena.split_at_mut_checked(used).ok_or(self.short())?;
                 let halfway = halfway.get_mut(..self.fft.spectrum_len(down.results.len())).ok_or(self.short())?;
                 let sum = TermSum { spectra, len: self.spectrum_len() };
-                self.fft.inverse(simd, &sum, down.results.clone(), halfway, scratch, |row, values| {
+                self.fft.inverse(simd, &sum, down.results.clone(), halfway, scratch, &mut |row, values| {
                     let place = (row - down.results.start + down.first) * self.frame[1] + across.first;
                     let to = frame.get_mut(place..place + across.results.len()).unwrap_or_default();
                     fused::accumulate(values.get(across.results.clone()).unwrap_or_default(), to);
@@ -155,11 +155,13 @@ struct TermSum<'a> {
 }
 
 impl ProductSource for TermSum<'_> {
-    #[inline(always)]
-    fn products(&self) -> impl Iterator<Item = [&[f16]; 2]> {
-        self.spectra.chunks_exact(2 * self.len).map(|term| {
-            let (weights, basis) = term.split_at(self.len);
-            [basis, weights]
-        })
+    fn count(&self) -> usize {
+        self.spectra.len() / (2 * self.len)
+    }
+
+    fn product(&self, index: usize) -> Option<[&[f16]; 2]> {
+        let term = self.spectra.get(2 * index * self.len..2 * (index + 1) * self.len)?;
+        let (weights, basis) = term.split_at_checked(self.len)?;
+        Some([basis, weights])
     }
 }

@@ -45,7 +45,7 @@ pub enum QuantizeError {
     /// Networks in integers have one pass.
     #[error(
         "expected a network of one pass for integers, found {passes} passes, which devices run in half precision only; \
-         leave --weights and --activations out, or train without --passes"
+         leave --weights, --activations and, of `train`, --quantize out, or train with --passes 1"
     )]
     PassesInIntegers {
         /// Number of passes.
