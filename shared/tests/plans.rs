@@ -102,13 +102,14 @@ fn bulk(header: &Header) -> u128 {
     let row = 2 * (tile / 2 + 1);
     let windows = cols.div_ceil(step) + span(|tap| tap.dx) - 1;
     let kernel = if bank.blocks.is_some() { tile * row } else { 0 };
-    let filter = span(|tap| tap.dy) * windows * tile * row + step.min(rows) * row + kernel;
+    let cache = span(|tap| tap.dy) * windows * tile * row;
+    let filter = cache + step.min(rows) * row + kernel;
     let (feature, input) = (u128::from(rcan.width) * rows * cols / 4, u128::from(bank.channels) * rows * cols);
     let first = (4 * feature).max(feature + input).max(filter + input);
     let Some(passes) = &header.passes else { return 2 * first };
     // Kept: the filter outputs of the frame, and one or two planes of logits. Of a pass: the predicted frame, and
     // either the reconstruction with the spectra of up to two terms and an image, or the input with those of the
-    // filters. Where the filters transform the whole frame, it lies in their place, if it fits.
+    // filters. Where the filters transform the whole frame, it lies in their place and before it.
     let (pixels, frame) = (rows * cols, wide(header.frame.rows) * wide(header.frame.cols));
     let more = input + pixels;
     let planes = if passes.later > 1 { 2 } else { 1 };
@@ -118,8 +119,8 @@ fn bulk(header: &Header) -> u128 {
     let whole = |len: u16, object: u16| tile >= wide(len) && step >= wide(object);
     let single = bank.taps.iter().all(|tap| (tap.dy, tap.dx) == (0, 0));
     let whole = single && whole(header.frame.rows, object.rows) && whole(header.frame.cols, object.cols);
-    let pass = if whole && frame <= input {
-        predictor.max(filter) + more
+    let pass = if whole {
+        pixels + (frame + predictor.max(cache)).max(filter + input)
     } else {
         frame + (pixels + predictor).max(more + filter)
     };

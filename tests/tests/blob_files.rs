@@ -175,7 +175,8 @@ prop_compose! {
         kernels in mostly(Just(None), (mostly((0u32..4).prop_map(|n| 1 << n), any::<u16>()), 0u16..9).prop_map(Some)),
         integers in mostly(Just(None), (mostly(0i8..25, any::<i8>()), mostly(-16i8..25, any::<i8>())).prop_map(Some)),
         passes in prop::option::of((
-            mostly(1u8..4, any::<u8>()), mostly(1u8..7, any::<u8>()), mostly((0u16..5).prop_map(|n| 2 * n + 1), any::<u16>()),
+            mostly(1u8..4, any::<u8>()), mostly(1u8..7, any::<u8>()),
+            mostly((0u16..5).prop_map(|n| 2 * n + 1), any::<u16>()),
             mostly((0u32..5).prop_map(|n| 1 << n), any::<u16>()),
             prop::collection::vec(mostly((-30i16..30, -30i16..30), any::<(i16, i16)>()), 1..6),
         )),

@@ -28,7 +28,8 @@ impl<'a> Network<'a> {
     /// # Errors
     /// [`BlobError::Header`] where a value of the header is impossible, [`BlobError::SectionLength`] where a section of
     /// the weights has another length than the header says, [`BlobError::NonFinite`] where a weight is infinite or NaN,
-    /// [`BlobError::Channel`] where a sum of integers could overflow, [`BlobError::Lens`] where a predicted frame could.
+    /// [`BlobError::Channel`] where a sum of integers could overflow, [`BlobError::Lens`] where a predicted frame
+    /// could.
     pub fn new(header: Header, weights: Weights<'a>) -> Result<Self, BlobError> {
         weights.check(&header)?;
         let maps = header.sensor;
@@ -39,8 +40,8 @@ impl<'a> Network<'a> {
     }
 
     /// Reads a network file and checks every bit of it: length, magic, version, schema, CRC, header, that all
-    /// weights are finite, and that no integer convolution and no predicted frame can overflow. Files of versions 2 to 4 are
-    /// read as well.
+    /// weights are finite, and that no integer convolution and no predicted frame can overflow. Files of versions 2 to
+    /// 4 are read as well.
     ///
     /// # Errors
     /// The first thing that is wrong with `bytes`. No bytes make it panic or read elsewhere.

@@ -226,7 +226,8 @@ pub struct SectionLens {
     pub filters: u64,
     /// Positions of the blocks; 0 for spectra.
     pub index: u64,
-    /// Weights and biases of the RCAN of each pass; of its channel attentions alone where its convolutions are integers.
+    /// Weights and biases of the RCAN of each pass; of its channel attentions alone where its convolutions are
+    /// integers.
     pub rcan: u64,
     /// Offset map; 0 without one.
     pub offset_dn: u64,

@@ -42,7 +42,8 @@
 //!
 //! let (filters, rcan) = ([f16::ONE; 80], [f16::ZERO; 131]);
 //! let weights =
-//!     Weights { filters: &filters, index: &[], rcan: &rcan, offset_dn: None, inverse_gain: None, convolutions: None, predictor: &[] };
+//!     Weights { filters: &filters, index: &[], rcan: &rcan, offset_dn: None, inverse_gain: None, convolutions: None,
+//!         predictor: &[] };
 //! let mut words = vec![0_u128; encoded_len(&header).unwrap().div_ceil(16)];
 //! let buffer = bytemuck::cast_slice_mut(&mut words);
 //! let len = encode(&header, &weights, buffer).unwrap();

@@ -126,7 +126,9 @@ prop_compose! {
         rows in 1u16..9, cols in 1u16..9, black in 0.0f32..200.0, maps: (bool, bool),
         rcan in (1u8..5, 0u8..3, 0u8..3), memory: (u32, u32), blocks in prop::option::of((0u32..2, 0u16..5)),
         scales in prop::option::of((0i8..25, -16i8..25)),
-        passes in prop::option::of((1u8..4, 1u8..3, 0u16..3, 0u32..4, prop::collection::vec(any::<(i16, i16)>(), 1..10))),
+        passes in prop::option::of(
+            (1u8..4, 1u8..3, 0u16..3, 0u32..4, prop::collection::vec(any::<(i16, i16)>(), 1..10))
+        ),
     ) -> Header {
         let tap = |i: usize| Tap { channel: 0, dy: -1, dx: i as i8 };
         Header {

@@ -99,15 +99,15 @@ impl<'a> FilterBank<'a> {
     /// Length of the arena for [`Self::process`], halves, the same for a part as for the whole: the spectra of the
     /// windows in use, one half-transformed tile and, where the file holds kernels, the spectrum of one of them.
     pub const fn arena_len(&self) -> usize {
-        self.cache_len() + self.fft.spectrum_len(self.geometry.rows.valid()) + self.kernel_len()
+        self.prepared_len() + self.fft.spectrum_len(self.geometry.rows.valid()) + self.kernel_len()
     }
 
     const fn kernel_len(&self) -> usize {
         if self.bank.blocks.is_some() { self.spectrum_len() } else { 0 }
     }
 
-    /// Length of the spectra of all rows of windows that one row of tiles reads, halves.
-    const fn cache_len(&self) -> usize {
+    /// Length of the spectra of all rows of windows that one row of tiles reads, halves: the start of the arena.
+    pub const fn prepared_len(&self) -> usize {
         self.geometry.rows.span() * self.geometry.cols.window_count() * self.spectrum_len()
     }
 
@@ -127,11 +127,11 @@ impl<'a> FilterBank<'a> {
         rows.is_whole() && cols.is_whole()
     }
 
-    /// Transforms the frame of a bank that [`Self::is_whole`], for a later [`Self::process`] with the same arena and no
-    /// frame, so that the frame need not be kept.
+    /// Transforms the frame of a bank that [`Self::is_whole`] to the first [`Self::prepared_len`] halves of the arena,
+    /// for a later [`Self::process`] with the same arena and no frame, so that the frame need not be kept.
     ///
     /// # Errors
-    /// [`FilterError::Length`] where the arena has a wrong length or the bank has several windows,
+    /// [`FilterError::Length`] where the arena is too short or the bank has several windows,
     /// [`FilterError::Fft`] where the scratch is too short.
     pub fn prepare<F: FrameRows>(
         &self,
@@ -141,11 +141,12 @@ impl<'a> FilterBank<'a> {
         scratch: &mut [f32],
     ) -> Result<(), FilterError> {
         check_len(usize::from(self.is_whole()), 1)?;
-        check_len(self.arena_len(), arena.len().min(self.arena_len()))?;
-        self.transform_windows(simd, frame, 0, &(0..1), &mut arena[..self.cache_len()], scratch)
+        check_len(self.prepared_len(), arena.len().min(self.prepared_len()))?;
+        self.transform_windows(simd, frame, 0, &(0..1), &mut arena[..self.prepared_len()], scratch)
     }
 
-    /// Filters a frame; none: the one that was prepared ([`Self::prepare`]). `output` is (channels, rows, columns) of the object, or of the part of it that was planned for.
+    /// Filters a frame; none: the one that was prepared ([`Self::prepare`]). `output` is (channels, rows, columns) of
+    /// the object, or of the part of it that was planned for.
     ///
     /// # Errors
     /// [`FilterError::Length`] where the filters, the output or the arena have a wrong length, [`FilterError::Index`]
@@ -163,7 +164,7 @@ impl<'a> FilterBank<'a> {
         let kernels = self.kernels(filters)?;
         check_len(self.output_len(), output.shape().iter().product())?;
         check_len(self.arena_len(), arena.len().min(self.arena_len()))?;
-        let (cache, arena) = arena.split_at_mut(self.cache_len());
+        let (cache, arena) = arena.split_at_mut(self.prepared_len());
         let (spectrum, halfway) = arena.split_at_mut(self.kernel_len());
         let [part_rows, part_cols] = self.part.ranges();
         let [top, left] = self.valid_from();

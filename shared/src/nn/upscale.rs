@@ -54,7 +54,8 @@ impl Upscale {
         self.coarse_len() + 2 * self.fine_len()
     }
 
-    /// Computes `output`, the part of the result (2 rows, 2 cols) that begins at pixel `origin` (row, column), from `input` (channels, rows, cols).
+    /// Computes `output`, the part of the result (2 rows, 2 cols) that begins at pixel `origin` (row, column), from
+    /// `input` (channels, rows, cols).
     ///
     /// # Errors
     /// [`NnError::Shape`], [`NnError::Weights`] or [`NnError::Scratch`] where an argument does not fit the plan.

@@ -40,7 +40,8 @@
 //! filters.chunks_mut(2).for_each(|number| number[0] = f16::ONE);
 //! let rcan = [f16::ZERO; 131];
 //! let weights =
-//!     Weights { filters: &filters, index: &[], rcan: &rcan, offset_dn: None, inverse_gain: None, convolutions: None, predictor: &[] };
+//!     Weights { filters: &filters, index: &[], rcan: &rcan, offset_dn: None, inverse_gain: None, convolutions: None,
+//!         predictor: &[] };
 //! let network = Network::new(header, weights).unwrap();
 //! let pipeline = Pipeline::new(&network).unwrap();
 //!

@@ -4,8 +4,8 @@
 //! l   = rcan_0(f) without its sigmoid                        logits, halves; f as for one pass
 //! for each later pass:
 //!     x = sigmoid(l)                                         halves
-//!     p = filters of (A x / max |A x|), cropped              A: see crate::predict; zeros where A x is 0, or a p is not
-//!                                                            finite
+//!     p = filters of (A x / max |A x|), cropped              A: see crate::predict; zeros where A x is 0, or where
+//!                                                            a p is not finite
 //!     d = 4 (f - s p),  s = <f, p> / max(<p, p>, 1e-12)      over all channels and pixels; halves
 //!     l = l + rcan_i(d, x) without its sigmoid               halves
 //! out = sigmoid(l)
@@ -22,9 +22,9 @@
 //! # Memory
 //! f, l and, with three passes or more, the logits of a pass are kept from pass to pass. Everything else of a pass lies
 //! in the work space: x at its end, and before it p and then d, where the enhancement network reads its input. Filters
-//! that transform the whole frame at once do so before they give p, so the predicted frame lies where p will lie, if it
-//! fits, and the spectra of the prediction, then those of the filters, before it. Otherwise the predicted frame lies at
-//! the start, and behind it the spectra of the prediction, which end where x begins, then those of the filters.
+//! that transform the whole frame at once do so before they give p, so the predicted frame lies where p will lie and
+//! before that, and the spectra of the prediction, then that of the frame, lie at the start. Otherwise the predicted
+//! frame lies at the start, and behind it the spectra of the prediction, which end where x begins, then those of the filters.
 
 use super::error::PipelineError;
 use super::field::Stats;
@@ -94,18 +94,12 @@ impl<'a> Later<'a> {
         let input = self.rcan.input_len() as u64;
         let frame = self.predictor.frame_len() as u64;
         let (predictor, filters) = (self.predictor.arena_len() as u64, filter.arena_len() as u64);
-        let pass = if self.in_place(filter) {
-            predictor.max(filters) + input
+        let pass = if filter.is_whole() {
+            (frame + predictor.max(filter.prepared_len() as u64)).max(filters + input - pixels) + pixels
         } else {
             frame + (predictor + pixels).max(filters + input)
         };
         self.kept_len(filter) + first.max(self.rcan.arena_len() as u64).max(pass)
-    }
-
-    /// Whether the predicted frame is transformed as a whole before its filters' first output, and fits into their
-    /// place.
-    fn in_place(&self, filter: &FilterBank<'_>) -> bool {
-        filter.is_whole() && self.predictor.frame_len() <= filter.output_len()
     }
 
     /// Length of what is kept from pass to pass, halves.
@@ -211,12 +205,12 @@ impl Pipeline<'_> {
             self.simd.run(Largest(frame));
             Ok::<_, PipelineError>(())
         };
-        let difference = if later.in_place(&self.filter) {
-            let (arena, difference) = work.split_at_mut(at);
-            let frame = &mut difference[..frame_len];
+        let difference = if self.filter.is_whole() {
+            let (arena, frame) = work.split_at_mut(work.len() - frame_len);
             predict(frame, arena, fast)?;
             let source = Source::Predicted { frame, cols: later.cols[1] };
             self.filter.prepare(self.simd, &source, arena, fast)?;
+            let (arena, difference) = work.split_at_mut(at);
             self.filtered(None, difference, arena, fast)?;
             difference
         } else {

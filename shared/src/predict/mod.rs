@@ -17,15 +17,15 @@
 //! # Transforms
 //! Planes are padded with zeros to T, the smallest power of two that holds an image (m + W - 1), so no convolution
 //! wraps around. Of each lens up to [`GROUP`] terms are taken together: `M_lk . x` and `T B_lk` are transformed
-//! ([`crate::fft`], scaled by 1/T, stored as halves), their products are summed in the spectrum in binary32 in the order
-//! of the terms, and one inverse transform gives their image. Its rows are added to the frame, which is stored as
+//! ([`crate::fft`], scaled by 1/T, stored as halves), their products are summed in the spectrum in binary32 in the
+//! order of the terms, and one inverse transform gives their image. Its rows are added to the frame, which is stored as
 //! halves, in the order of the lenses.
 //!
 //! # Range
 //! A network file is refused unless |M| <= 1 and the magnitudes of all lags of a lens sum to 1 at most (T as they are
 //! stored). With x from 0 to 1 an image then lies within -1 and 1 up to rounding, half-transformed rows within -2 T and
-//! 2 T, T <= 1024, and a frame within -[`MAX_LENSES`](crate::blob::MAX_LENSES) and as many: no half overflows. The scale
-//! of the frame is free otherwise, since passes fit it.
+//! 2 T, T <= 1024, and a frame within -[`MAX_LENSES`](crate::blob::MAX_LENSES) and as many: no half overflows. The
+//! scale of the frame is free otherwise, since passes fit it.
 
 mod plan;
 mod source;

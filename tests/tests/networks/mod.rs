@@ -114,7 +114,8 @@ pub fn header(shape: &Shape) -> Header {
     header
 }
 
-/// The same network with so many passes in all: four lenses, of which three reach beyond the frame, with maps that vary.
+/// The same network with so many passes in all: four lenses, of which three reach beyond the frame, with maps that
+/// vary.
 pub fn with_passes(shape: &Shape, passes: u8, terms: u8) -> Header {
     let mut header = header(shape);
     let [rows, cols] = [0, 1].map(|axis| (shape.frame[axis] - shape.object[axis]) as i16);

@@ -35,8 +35,8 @@ pub enum QuantizeError {
     Architecture(&'static str),
     /// Devices run no Richardson-Lucy iterations.
     #[error(
-        "expected a network without Richardson-Lucy iterations, found {iterations}: such networks run on the host only; \
-         train with --richardson-lucy 0 (--passes 2 and more run on devices)"
+        "expected a network without Richardson-Lucy iterations, found {iterations}: such networks run on the host \
+         only; train with --richardson-lucy 0 (--passes 2 and more run on devices)"
     )]
     Iterations {
         /// Number of Richardson-Lucy iterations ahead of the passes.
