@@ -21,6 +21,7 @@ pub mod image;
 pub mod nn;
 pub mod num;
 pub mod pipeline;
+pub mod predict;
 pub mod sensor;
 pub mod wire;
 

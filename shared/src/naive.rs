@@ -5,6 +5,7 @@ extern crate std;
 use std::vec;
 use std::vec::Vec;
 
+use crate::blob::{Passes, Size};
 use crate::num::f16;
 
 /// Repeatable numbers in [-1, 1): a linear congruential generator (Numerical Recipes, "quick and dirty").
@@ -201,4 +202,38 @@ pub(crate) fn circular(k: &[f64], y: &[f64], n: usize) -> Vec<f64> {
         }
     }
     out
+}
+
+/// The frame of an object `x`: `g[corner - (W - 1) / 2 + p + u] += M[p] x[p] B[u]`. `model` has the basis PSFs times
+/// `tile`.
+pub(crate) fn predict(
+    passes: &Passes,
+    (nodes, tile): ([usize; 2], u16),
+    [frame, object]: [Size; 2],
+    model: &[f64],
+    x: &[f64],
+) -> Vec<f64> {
+    let [rows, cols] = [frame.rows, frame.cols].map(usize::from);
+    let [window, step, n] = [passes.window, passes.node_step, object.cols].map(usize::from);
+    let maps = nodes[0] * nodes[1];
+    let mut light = vec![0.0; rows * cols];
+    for (i, term) in model.chunks(maps + window * window).enumerate() {
+        let corner = &passes.corners[i / usize::from(passes.terms)];
+        let at = |r: usize, c: usize| term[r.min(nodes[0] - 1) * nodes[1] + c.min(nodes[1] - 1)];
+        for (p, x) in x.iter().enumerate() {
+            let ([i, j], [f, g]) =
+                ([p / n / step, p % n / step], [p / n, p % n].map(|r| (r % step) as f64 / step as f64));
+            let [above, below] = [i, i + 1].map(|i| (1.0 - g) * at(i, j) + g * at(i, j + 1));
+            let weight = (1.0 - f) * above + f * below;
+            for u in 0..window * window {
+                let place = |corner: i16, at: usize| (isize::from(corner) - (window / 2) as isize) + at as isize;
+                let (row, col) = (place(corner.row, p / n + u / window), place(corner.col, p % n + u % window));
+                if (0..rows as isize).contains(&row) && (0..cols as isize).contains(&col) {
+                    let at = row as usize * cols + col as usize;
+                    light[at] += weight * x * term[maps + u] / f64::from(tile);
+                }
+            }
+        }
+    }
+    light
 }

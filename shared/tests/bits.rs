@@ -50,6 +50,7 @@ fn header(integers: Option<Integers>) -> Header {
         rcan: Rcan { width: 6, groups: 1, blocks: 2, reduction: 2 },
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
         integers,
+        passes: None,
     };
     header.memory = Pipeline::plan(&header).unwrap();
     header
@@ -63,7 +64,8 @@ fn made(gain: f32) -> u64 {
     let last = rcan.len() - 55;
     rcan[last..].iter_mut().for_each(|w| *w = f16::from_f32(w.to_f32() / (gain * gain)));
     let (index, convolutions) = (&[], None);
-    let weights = Weights { filters: &filters, index, rcan: &rcan, offset_dn: None, inverse_gain: None, convolutions };
+    let (offset_dn, inverse_gain, predictor) = (None, None, &[]);
+    let weights = Weights { filters: &filters, index, rcan: &rcan, offset_dn, inverse_gain, convolutions, predictor };
     reconstruct(&Network::new(header, weights).unwrap())
 }
 
@@ -83,7 +85,8 @@ fn made_in_integers() -> u64 {
         .collect();
     let convolutions = Some(Convolutions { weights: &integers, channels: &channels });
     let index = &[];
-    let weights = Weights { filters: &filters, index, rcan: &rcan, offset_dn: None, inverse_gain: None, convolutions };
+    let (offset_dn, inverse_gain, predictor) = (None, None, &[]);
+    let weights = Weights { filters: &filters, index, rcan: &rcan, offset_dn, inverse_gain, convolutions, predictor };
     reconstruct(&Network::new(header, weights).unwrap())
 }
 

@@ -2,8 +2,8 @@
 //! where `usize` would wrap: `cargo verify` runs these tests as a 32-bit program.
 #![allow(clippy::unwrap_used)]
 
-use ommatidia_shared::blob::{Bank, Blocks, Header, MemoryPlan, Network, Rcan, Sensor, Size, Tap, encode, encoded_len};
-use ommatidia_shared::blob::{BlobError, Section, Weights};
+use ommatidia_shared::blob::{Bank, Blocks, Corner, Header, MemoryPlan, Network, Passes, Rcan, Sensor, Size, Tap};
+use ommatidia_shared::blob::{BlobError, Section, Weights, encode, encoded_len};
 use ommatidia_shared::filter::{FilterBank, FilterError};
 use ommatidia_shared::nn::rcan::{self, weights_count, weights_len};
 use ommatidia_shared::num::f16;
@@ -21,6 +21,7 @@ fn header(bank: Bank, frame: Size, object: Size, rcan: Rcan) -> Header {
         rcan,
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
         integers: None,
+        passes: None,
     }
 }
 
@@ -46,8 +47,15 @@ fn a_plan_that_wraps_in_32_bits_is_refused() {
     // The file with the wrapped plan is whole and has the right checksum, and is refused all the same.
     header.memory = MemoryPlan { fast_bytes: 8_000, bulk_bytes: 276_752 };
     let (filters, rcan) = (vec![f16::ZERO; 2 * 66_048], vec![f16::ZERO; weights_len(&header.rcan, 1)]);
-    let weights =
-        Weights { filters: &filters, index: &[], rcan: &rcan, offset_dn: None, inverse_gain: None, convolutions: None };
+    let weights = Weights {
+        filters: &filters,
+        index: &[],
+        rcan: &rcan,
+        offset_dn: None,
+        inverse_gain: None,
+        convolutions: None,
+        predictor: &[],
+    };
     let mut words = vec![0_u128; encoded_len(&header).unwrap().div_ceil(16)];
     let buffer = bytemuck::cast_slice_mut(&mut words);
     let len = encode(&header, &weights, buffer).unwrap();
@@ -94,9 +102,30 @@ fn bulk(header: &Header) -> u128 {
     let row = 2 * (tile / 2 + 1);
     let windows = cols.div_ceil(step) + span(|tap| tap.dx) - 1;
     let kernel = if bank.blocks.is_some() { tile * row } else { 0 };
-    let filter = span(|tap| tap.dy) * windows * tile * row + step.min(rows) * row + kernel;
+    let cache = span(|tap| tap.dy) * windows * tile * row;
+    let filter = cache + step.min(rows) * row + kernel;
     let (feature, input) = (u128::from(rcan.width) * rows * cols / 4, u128::from(bank.channels) * rows * cols);
-    2 * (4 * feature).max(feature + input).max(filter + input)
+    let first = (4 * feature).max(feature + input).max(filter + input);
+    let Some(passes) = &header.passes else { return 2 * first };
+    // Kept: the filter outputs of the frame, and one or two planes of logits. Of a pass: the predicted frame, and
+    // either the reconstruction with the spectra of up to two terms and an image, or the input with those of the
+    // filters. Where the filters transform the whole frame, it lies in their place and before it.
+    let (pixels, frame) = (rows * cols, wide(header.frame.rows) * wide(header.frame.cols));
+    let more = input + pixels;
+    let planes = if passes.later > 1 { 2 } else { 1 };
+    let side = (object.rows.max(object.cols) + passes.window - 1).next_power_of_two().max(8);
+    let row = 2 * (wide(side) / 2 + 1);
+    let predictor = 2 * u128::from(passes.terms.min(2)) * row * wide(side) + row * (rows + wide(passes.window) - 1);
+    let whole = |len: u16, object: u16| tile >= wide(len) && step >= wide(object);
+    let single = bank.taps.iter().all(|tap| (tap.dy, tap.dx) == (0, 0));
+    let whole = single && whole(header.frame.rows, object.rows) && whole(header.frame.cols, object.cols);
+    let pass = if whole {
+        pixels + (frame + predictor.max(cache)).max(filter + input)
+    } else {
+        frame + (pixels + predictor).max(more + filter)
+    };
+    let work = first.max(4 * feature).max(feature + more).max(pass);
+    2 * (input + planes * pixels + work)
 }
 
 fn banks() -> impl Strategy<Value = Bank> {
@@ -124,11 +153,20 @@ fn headers() -> impl Strategy<Value = Header> {
     // Small sides, and sides up to the largest, in equal parts.
     let side = || prop_oneof![1_u16..2049, 1_u16..40];
     let network = (1_u8..64, any::<u8>(), any::<u8>(), any::<bool>());
-    (banks(), [side(), side()], [side(), side()], network).prop_map(|(bank, frame, object, network)| {
+    let passes = prop::option::of((1_u8..8, 1_u8..9, 0_u16..20, 0_u32..8));
+    (banks(), [side(), side()], [side(), side()], network, passes).prop_map(|(bank, frame, object, network, passes)| {
         let (width, groups, blocks, narrow) = network;
         let rcan = Rcan { width, groups, blocks, reduction: if narrow { width } else { 1 } };
         let [frame, object] = [frame, object].map(|[rows, cols]| Size { rows: 2 * rows, cols: 2 * cols });
-        header(bank, frame, object, rcan)
+        let mut header = header(bank, frame, object, rcan);
+        header.passes = passes.map(|(later, terms, half, step)| Passes {
+            later,
+            terms,
+            window: 2 * half + 1,
+            node_step: 1 << step,
+            corners: [Corner { row: 0, col: 0 }].into_iter().collect(),
+        });
+        header
     })
 }
 
@@ -154,6 +192,8 @@ proptest! {
                 prop_assert!(filter > u64::from(u32::MAX) && u128::from(filter) <= needed);
             }
             Err(PipelineError::Network(_)) => prop_assert!(needed > u128::from(u32::MAX)),
+            Err(PipelineError::Field { field: "passes", .. }) => prop_assert!(header.check().is_err()),
+            Err(PipelineError::Field { field: "bank.channels", .. }) => prop_assert_eq!(header.bank.channels, 63),
             Err(PipelineError::Filter(FilterError::Kernels)) => prop_assert!(header.bank.blocks.is_some()),
             Err(other) => prop_assert!(false, "{other}"),
         }
@@ -164,6 +204,7 @@ proptest! {
     fn no_header_overflows(
         tile: u16, step: u16, channels: u8, taps in prop::collection::vec(any::<(u8, i8, i8)>(), 0..9),
         blocks: Option<(u16, u16)>, sizes: [u16; 4], rcan: [u8; 4], maps: bool,
+        passes: Option<(u8, u8, u16, u16, i16)>,
     ) {
         let bank = Bank {
             tile, step, channels,
@@ -174,6 +215,9 @@ proptest! {
         let [frame, object] = [[sizes[0], sizes[1]], [sizes[2], sizes[3]]].map(|[rows, cols]| Size { rows, cols });
         let mut header = header(bank, frame, object, Rcan { width, groups, blocks, reduction });
         header.sensor.has_offset_map = maps;
+        header.passes = passes.map(|(later, terms, window, node_step, corner)| Passes {
+            later, terms, window, node_step, corners: [Corner { row: corner, col: corner }].into_iter().collect(),
+        });
         let _ = (header.check(), header.section_lens(), encoded_len(&header), Pipeline::plan(&header));
     }
 }

@@ -56,7 +56,7 @@ fn filter_bank(c: &mut Criterion) {
         b.iter(|| {
             let output = ChwMut::new(&mut output, CHANNELS, 96, 96).unwrap();
             let filters = Filters { halves: &spectra, index: &[] };
-            plan.process(Simd::detect(), black_box(&frame), filters, output, &mut arena, &mut scratch).unwrap();
+            plan.process(Simd::detect(), Some(black_box(&frame)), filters, output, &mut arena, &mut scratch).unwrap();
         });
     });
     let fft = RealFft2::new(T, T);

@@ -6,18 +6,19 @@ mod networks;
 use half::f16;
 use ommatidia_network::network_file::NetworkFile;
 use ommatidia_shared::blob::{
-    Bank, Blocks, FeatureBits, Header, Integers, MemoryPlan, Rcan, Sensor, Size, Tap, VERSION, Weights,
+    Bank, Blocks, Corner, FeatureBits, Header, Integers, MemoryPlan, Passes, Rcan, Sensor, Size, Tap, VERSION, Weights,
 };
 use ommatidia_shared::nn::integer::{Channel, Convolutions};
 use ommatidia_shared::pipeline::{Memory, Pipeline};
 use proptest::prelude::*;
 use std::path::Path;
 
-/// Files of versions 1 to 3 that are never rewritten, and one of version 4.
+/// Files of versions 1 to 4 that are never rewritten, and one of version 5.
 const GOLDEN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/golden/network-v2.omm");
 const GOLDEN_1: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/golden/network-v1.omm");
 const GOLDEN_3: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/golden/network-v3.omm");
 const GOLDEN_4: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/golden/network-v4.omm");
+const GOLDEN_5: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/golden/network-v5.omm");
 
 /// Index of the blocks of the golden file: two kernels of 4 x 4 blocks.
 const GOLDEN_INDEX: [u16; 14] = [0, 0, 2, 3, 3, 3, 4, 4, 5, 1, 3, 0, 2, 3];
@@ -39,6 +40,7 @@ fn golden_header() -> Header {
         rcan: Rcan { width: 2, groups: 1, blocks: 1, reduction: 2 },
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
         integers: None,
+        passes: None,
     };
     header.memory = Pipeline::plan(&header).unwrap();
     header
@@ -51,7 +53,7 @@ fn golden_weight(section: usize, i: usize) -> f16 {
 
 #[test]
 fn the_golden_file_of_version_2_still_decodes() {
-    assert_eq!(VERSION, 4, "keep these files readable or refused by name, and add a golden file of the new version");
+    assert_eq!(VERSION, 5, "keep these files readable or refused by name, and add a golden file of the new version");
     let file = NetworkFile::read(Path::new(GOLDEN)).unwrap();
     let network = file.network().unwrap();
     assert_eq!(network.header(), &golden_header());
@@ -72,12 +74,45 @@ fn the_golden_file_of_version_2_still_decodes() {
 #[test]
 fn a_file_of_version_1_is_refused_by_name() {
     let error = NetworkFile::read(Path::new(GOLDEN_1)).unwrap_err().to_string();
-    assert!(error.contains("version 4, found 1") && error.contains("quantize"), "{error}");
+    assert!(error.contains("version 5, found 1") && error.contains("quantize"), "{error}");
 }
 
 /// With a new version of the format: `OMMATIDIA_WRITE_GOLDEN=1` writes the file that this test then compares with.
 #[test]
-fn the_golden_file_in_integers_is_what_this_version_writes() {
+fn the_golden_file_of_two_passes_is_what_this_version_writes() {
+    let mut header = golden_header();
+    let corners = [Corner { row: -1, col: 2 }, Corner { row: 3, col: 300 }].into_iter().collect();
+    header.passes = Some(Passes { later: 1, terms: 2, window: 3, node_step: 4, corners });
+    header.memory = Pipeline::plan(&header).unwrap();
+    let lens = header.section_lens().unwrap();
+    // A pass more: conv 12->2 in place of 8->2. Two terms of 3 x 3 nodes and 3 x 3 lags a lens.
+    assert_eq!((lens.rcan, lens.predictor), (2 * 476 + 72, 2 * 2 * (9 + 9)));
+    let lens = [lens.filters, lens.rcan, lens.offset_dn, lens.inverse_gain, lens.predictor];
+    let sections: Vec<Vec<f16>> =
+        lens.iter().enumerate().map(|(s, len)| (0..*len as usize).map(|i| golden_weight(s, i)).collect()).collect();
+    let weights = Weights {
+        filters: &sections[0],
+        index: &GOLDEN_INDEX,
+        rcan: &sections[1],
+        offset_dn: Some(&sections[2]),
+        inverse_gain: Some(&sections[3]),
+        convolutions: None,
+        predictor: &sections[4],
+    };
+    let file = NetworkFile::new(&header, &weights).unwrap();
+    if std::env::var_os("OMMATIDIA_WRITE_GOLDEN").is_some() {
+        file.write(Path::new(GOLDEN_5)).unwrap();
+    }
+    assert!(file.bytes() == std::fs::read(GOLDEN_5).unwrap(), "{GOLDEN_5} differs from what is written today");
+    let read = NetworkFile::read(Path::new(GOLDEN_5)).unwrap();
+    let network = read.network().unwrap();
+    assert_eq!(network.header(), &header);
+    assert_eq!(network.weights().predictor, &sections[4][..]);
+    assert_eq!(Pipeline::new(&network).unwrap().passes(), 2);
+}
+
+#[test]
+fn the_golden_files_in_integers_still_decode() {
     let mut header = golden_header();
     header.integers = Some(Integers { input_log2: 13, feature_log2: 11, output: 2.0e-6, features: FeatureBits::Eight });
     header.memory = Pipeline::plan(&header).unwrap();
@@ -98,14 +133,14 @@ fn the_golden_file_in_integers_is_what_this_version_writes() {
         offset_dn: Some(&sections[2]),
         inverse_gain: Some(&sections[3]),
         convolutions: Some(Convolutions { weights: &integers, channels: &channels }),
+        predictor: &[],
     };
     let file = NetworkFile::new(&header, &weights).unwrap();
-    if std::env::var_os("OMMATIDIA_WRITE_GOLDEN").is_some() {
-        file.write(Path::new(GOLDEN_4)).unwrap();
-    }
-    assert!(file.bytes() == std::fs::read(GOLDEN_4).unwrap(), "{GOLDEN_4} differs from what is written today");
     let read = NetworkFile::read(Path::new(GOLDEN_4)).unwrap();
     assert_eq!(read.header().unwrap(), header);
+    // Behind the header the same bytes, but for the checksum.
+    let weights = |file: &NetworkFile| file.bytes()[112..file.bytes().len() - 4].to_vec();
+    assert!(weights(&read) == weights(&file), "{GOLDEN_4} holds other weights");
     // Version 3 is the same network with features of 16 bits.
     header.integers =
         Some(Integers { input_log2: 13, feature_log2: 11, output: 2.0e-6, features: FeatureBits::Sixteen });
@@ -139,6 +174,12 @@ prop_compose! {
         rcan in (mostly(1u8..8, any::<u8>()), 0u8..3, 0u8..3, mostly(Just(1), any::<u8>())),
         kernels in mostly(Just(None), (mostly((0u32..4).prop_map(|n| 1 << n), any::<u16>()), 0u16..9).prop_map(Some)),
         integers in mostly(Just(None), (mostly(0i8..25, any::<i8>()), mostly(-16i8..25, any::<i8>())).prop_map(Some)),
+        passes in prop::option::of((
+            mostly(1u8..4, any::<u8>()), mostly(1u8..7, any::<u8>()),
+            mostly((0u16..5).prop_map(|n| 2 * n + 1), any::<u16>()),
+            mostly((0u32..5).prop_map(|n| 1 << n), any::<u16>()),
+            prop::collection::vec(mostly((-30i16..30, -30i16..30), any::<(i16, i16)>()), 1..6),
+        )),
         memory: (u32, u32), planned in mostly(Just(true), Just(false)),
     ) -> Header {
         let mut taps = taps;
@@ -159,6 +200,10 @@ prop_compose! {
             },
             rcan: Rcan { width: rcan.0, groups: rcan.1, blocks: rcan.2, reduction: rcan.3 },
             memory: MemoryPlan { fast_bytes: memory.0, bulk_bytes: memory.1 },
+            passes: passes.map(|(later, terms, window, node_step, corners)| Passes {
+                later, terms, window, node_step,
+                corners: corners.into_iter().map(|(row, col)| Corner { row, col }).collect(),
+            }),
             integers: integers.map(|(input_log2, feature_log2)| Integers { input_log2, feature_log2, output: 1.0e-6, features: if input_log2 % 2 == 0 { FeatureBits::Eight } else { FeatureBits::Sixteen } }),
         };
         if let Ok(plan) = Pipeline::plan(&header) && planned {
@@ -177,7 +222,7 @@ proptest! {
         let Ok(lens) = header.section_lens() else { return Ok(()) };
         let index = vec![0; lens.index.min(1 << 16) as usize];
         let (words, channels) = (lens.integers, lens.channels / 4);
-        let lens = [lens.filters, lens.rcan, lens.offset_dn, lens.inverse_gain];
+        let lens = [lens.filters, lens.rcan, lens.offset_dn, lens.inverse_gain, lens.predictor];
         if header.check().is_err() || !lens.into_iter().chain([words, channels]).all(small) {
             return Ok(());
         }
@@ -185,7 +230,8 @@ proptest! {
         let integers = vec![0x0202; words as usize];
         let channels = vec![Channel { bias: 1000, multiplier: 1 << 28 }; channels as usize];
         let convolutions = header.integers.map(|_| Convolutions { weights: &integers, channels: &channels });
-        let sections = lens.map(|len| vec![f16::from_f32(0.25); len as usize]);
+        let mut sections = lens.map(|len| vec![f16::from_f32(0.25); len as usize]);
+        sections[4].fill(f16::from_f32(1.0 / 2048.0));
         let weights = Weights {
             filters: &sections[0],
             index: &index,
@@ -193,6 +239,7 @@ proptest! {
             offset_dn: header.sensor.has_offset_map.then_some(&sections[2]),
             inverse_gain: header.sensor.has_gain_map.then_some(&sections[3]),
             convolutions,
+            predictor: &sections[4],
         };
         let file = NetworkFile::new(&header, &weights).unwrap();
         let network = file.network().unwrap();

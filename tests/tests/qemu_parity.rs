@@ -78,6 +78,28 @@ fn the_thinnest_network_agrees_bit_for_bit() {
     check(&THIN, 3);
 }
 
+/// Predictions of frames, and the passes that compare with them: transforms of 32, 64 and 128 with several lenses, more
+/// terms than one sum takes, and a region.
+#[test]
+fn passes_agree_bit_for_bit() {
+    let large = Shape { object: [62, 80], frame: [90, 100], tile: 128, step: 128, channels: 1, maps: false, ..DENSE };
+    for (shape, passes, terms, seed) in
+        [(DENSE, 2, 2, 61), (TAPPED, 3, 5, 62), (PRUNED, 2, 1, 63), (THIN, 2, 3, 64), (large, 2, 4, 65)]
+    {
+        let blob = networks::network_of(&networks::with_passes(&shape, passes, terms), seed);
+        check_blob(&blob, &networks::frames(&shape, 2, seed));
+    }
+    let Some(boards) = firmware() else { return };
+    let blob = networks::network_of(&networks::with_passes(&TAPPED, 2, 3), 66);
+    let frames = networks::frames(&TAPPED, 1, 66);
+    let region = Region { row: 9, col: 7, rows: 8, cols: 11 };
+    for board in &boards {
+        let whole = run_on(board, &blob, RunRequest::from(&frames[..]));
+        let part = run_on(board, &blob, RunRequest { frames: &frames, scope: region.into() });
+        assert_eq!(part.objects[0], networks::cut(&whole.objects[0], &TAPPED, region), "{}", board.board().name);
+    }
+}
+
 /// The transforms of the device are written in its own instructions, those of this machine in Rust. The test covers
 /// every length that a board has room for, and one column and one row more than a block of any loop.
 #[test]

@@ -62,6 +62,27 @@ fn every_region_is_the_cut_of_the_whole() {
     }
 }
 
+/// With several passes the last one is cut, and nothing can be held.
+#[test]
+fn every_region_of_passes_is_the_cut_of_the_whole() {
+    for (seed, (shape, passes)) in (60..).zip([(DENSE, 2), (TAPPED, 3), (PRUNED, 2), (THIN, 4)]) {
+        let blob = networks::network_of(&networks::with_passes(&shape, passes, 3), seed);
+        let frames = networks::frames(&shape, 1, seed);
+        let whole = reference(&blob, frames.as_slice().into()).unwrap();
+        for region in regions(&shape) {
+            let work = RunRequest { frames: &frames, scope: region.into() };
+            let expected = networks::cut(&whole[0], &shape, region);
+            assert_eq!(reference(&blob, work).unwrap()[0], expected, "{region} of {shape:?}");
+            let device = run(&Runtime::Host(LoopbackConfig::default()), &blob, work, None, &mut |_| {}).unwrap();
+            assert_eq!(device.objects[0], expected, "{region} of {shape:?}");
+        }
+        let scope = Scope { hold: 1, ..Region { row: 0, col: 0, rows: 1, cols: 1 }.into() };
+        let work = RunRequest { frames: &frames, scope };
+        let error = run(&Runtime::Host(LoopbackConfig::default()), &blob, work, None, &mut |_| {}).unwrap_err();
+        assert!(error.to_string().contains("hold of 0"), "{error}");
+    }
+}
+
 #[test]
 fn a_region_outside_is_refused_in_words() {
     let (blob, frames) = (networks::network(&DENSE, 1), networks::frames(&DENSE, 1, 1));

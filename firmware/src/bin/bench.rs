@@ -13,7 +13,7 @@ use half::f16;
 use ommatidia_firmware::app::{region_begins, region_ends};
 use ommatidia_firmware::board::this as board;
 use ommatidia_shared::blob::{
-    Bank, Blocks, FeatureBits, Header, Integers, MemoryPlan, Network, Rcan, Sensor, Size, Tap, Weights,
+    Bank, Blocks, Corner, FeatureBits, Header, Integers, MemoryPlan, Network, Passes, Rcan, Sensor, Size, Tap, Weights,
 };
 use ommatidia_shared::fft::{Fft, Fft2, ProductSource, RowSource};
 use ommatidia_shared::image::{Chw, ChwMut, PlaneMut, Region};
@@ -26,6 +26,7 @@ use ommatidia_shared::num::pairs::add_products;
 use ommatidia_shared::num::simd::Simd;
 use ommatidia_shared::num::{fused, narrow, narrow_slice, widen_slice};
 use ommatidia_shared::pipeline::{Field, Memory, Pipeline};
+use ommatidia_shared::predict::Predictor;
 
 /// Why the program ends without counts.
 type Failure = &'static str;
@@ -99,8 +100,12 @@ impl RowSource for Rows<'_> {
 struct Product<'a>(&'a [f16], &'a [f16]);
 
 impl ProductSource for Product<'_> {
-    fn products(&self) -> impl Iterator<Item = [&[f16]; 2]> {
-        core::iter::once([self.0, self.1])
+    fn count(&self) -> usize {
+        1
+    }
+
+    fn product(&self, _: usize) -> Option<[&[f16]; 2]> {
+        Some([self.0, self.1])
     }
 }
 
@@ -132,6 +137,7 @@ impl Bench {
         self.convolve(UNSHUFFLED, [24, 16], (linear, replace))?;
         self.convert()?;
         self.fused()?;
+        self.predict()?;
         self.reconstruct()
     }
 
@@ -149,7 +155,7 @@ impl Bench {
         })?;
         region(format_args!("2-D real FFT {side}x{side}, filter, inverse"), pixels, "px", || {
             fft.forward(simd, &Rows(plane), 0..side, spectrum, scratch)?;
-            fft.inverse(simd, &Product(spectrum, filter), 0..side, halfway, scratch, |row, values| {
+            fft.inverse(simd, &Product(spectrum, filter), 0..side, halfway, scratch, &mut |row, values| {
                 narrow_slice(values, &mut out[row * side..][..side]);
             })
         })
@@ -225,7 +231,7 @@ impl Bench {
     /// The tail with weights of 8 bits and features in integers.
     fn tail_integers<F: Feature>(&mut self, kind: &str, channels: usize) -> Result<(), Failure> {
         let (rows, cols) = (48, 48);
-        let plan = Upscale { channels, rows, cols };
+        let plan = Upscale { channels, rows, cols, end: Activation::Sigmoid };
         let bytes: &[i8] = bytemuck::cast_slice(self.weights);
         let (weights, rest) = bytes.split_at(36 * channels * channels);
         let convolutions = [
@@ -248,7 +254,7 @@ impl Bench {
     /// Convolution to 4 W channels, pixel shuffle, convolution to one channel, sigmoid.
     fn tail(&mut self, channels: usize) -> Result<(), Failure> {
         let (rows, cols) = (48, 48);
-        let plan = Upscale { channels, rows, cols };
+        let plan = Upscale { channels, rows, cols, end: Activation::Sigmoid };
         let (weights, rest) = self.weights.split_at(36 * channels * channels);
         let (weights2, rest) = rest.split_at(9 * channels);
         let parameters = [
@@ -330,6 +336,7 @@ impl Bench {
         let rcan = |width, blocks, reduction| Rcan { width, groups: 2, blocks, reduction };
         let nano = header(6, rcan(16, 1, 8));
         self.network("nano", &nano, &[48, 16])?;
+        self.network("nano, two passes", &Header { passes: Some(passes()), ..nano.clone() }, &[])?;
         let blocks = Some(Blocks { side: 4, count: (KERNELS * KERNEL_BLOCKS) as u16 });
         let pruned = Header { bank: Bank { blocks, ..nano.bank.clone() }, ..nano.clone() };
         let integers = |header: &Header| Header { integers: Some(SCALES), ..header.clone() };
@@ -337,11 +344,24 @@ impl Bench {
         let bytes = Integers { features: FeatureBits::Eight, feature_log2: 3, ..SCALES };
         self.network("nano, in bytes", &Header { integers: Some(bytes), ..nano.clone() }, &[])?;
         self.network("nano, filters pruned", &pruned, &[])?;
+        self.network("nano, filters pruned, two passes", &Header { passes: Some(passes()), ..pruned.clone() }, &[])?;
         self.network("nano, filters pruned, in integers", &integers(&pruned), &[])?;
         self.network("lite", &header(9, rcan(24, 2, 12)), &[])?;
         self.network("lite, in integers", &integers(&header(9, rcan(24, 2, 12))), &[])?;
         self.network("paper", &header(9, rcan(32, 3, 16)), &[])?;
         self.network("paper, in integers", &integers(&header(9, rcan(32, 3, 16))), &[])
+    }
+
+    /// The frame of an object, as a later pass predicts it.
+    fn predict(&mut self) -> Result<(), Failure> {
+        let (passes, size) = (passes(), |side| Size { rows: side, cols: side });
+        let plan = Predictor::new(&passes, size(214), size(96)).map_err(|_| "the prediction is refused")?;
+        let len = passes.corners.len() * usize::from(passes.terms) * passes.term_len(size(96)) as usize;
+        let (frame, rest) = self.bulk.split_at_mut(plan.frame_len());
+        let (object, arena) = rest.split_at_mut(96 * 96);
+        let (model, scratch) = (&self.weights[..len], &mut *self.fast);
+        let images = format_args!("frame of 9 lenses, 4 terms each, of 96x96 px");
+        region(images, frame.len(), "px", || plan.process(Simd::detect(), model, object, frame, arena, scratch))
     }
 
     /// A network on a whole frame, then for squares of these sides in the middle alone.
@@ -363,6 +383,7 @@ impl Bench {
                 weights: bytemuck::cast_slice(&filters[..lens.integers as usize]),
                 channels: &CHANNELS[..lens.channels as usize / 4],
             }),
+            predictor: &rest[..lens.predictor as usize],
         };
         let network = Network::new(header, weights).map_err(|_| "the weights are refused")?;
         let pipeline = Pipeline::new(&network).map_err(|_| "the network is refused")?;
@@ -378,7 +399,7 @@ impl Bench {
             })?;
             saw
         };
-        let field = Field::Measured(Some(&mut *scales));
+        let field = Field::Measured((pipeline.passes() == 1).then_some(&mut *scales));
         let whole = part(format_args!("whole `{name}` network, 214x214 px to 96x96 px"), pipeline.whole(), field)?;
         for &side in sides {
             let first = (96 - side) / 2;
@@ -390,6 +411,12 @@ impl Bench {
         }
         Ok(())
     }
+}
+
+/// A second pass, with nine lenses as the demo's instrument has them.
+fn passes() -> Passes {
+    let corner = |lens: i16| Corner { row: 9 + 50 * (lens / 3), col: 9 + 50 * (lens % 3) };
+    Passes { later: 1, terms: 4, window: 21, node_step: 8, corners: (0..9).map(corner).collect() }
 }
 
 /// Scales of the networks in integers.
@@ -436,5 +463,6 @@ fn header(channels: u8, rcan: Rcan) -> Header {
         rcan,
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
         integers: None,
+        passes: None,
     }
 }

@@ -80,6 +80,7 @@ pub fn on_host(json: &Value) -> bool {
 /// The table of a network file: its sizes and the memory that it needs on a device.
 pub fn blob(header: &Header, file_bytes: u64, numbers: &mut Numbers) -> Markup {
     let (bank, rcan) = (&header.bank, &header.rcan);
+    let passes = header.passes.as_ref();
     let rows = [
         ("File".to_string(), html! { (bytes(file_bytes)) }),
         ("Raw frame".into(), html! { (header.frame.rows) " × " (header.frame.cols) }),
@@ -97,6 +98,16 @@ pub fn blob(header: &Header, file_bytes: u64, numbers: &mut Numbers) -> Markup {
             },
         ),
         ("Enhancement".into(), html! { (rcan.width) " features, " (rcan.groups) " × " (rcan.blocks) " blocks" }),
+        (
+            "Passes".into(),
+            match passes {
+                None => html! { "1" },
+                Some(p) => html! {
+                    (p.later + 1) "; frames are predicted with " (p.terms) " terms of " (p.corners.len()) " lenses, "
+                    (p.window) " × " (p.window) " pixels each"
+                },
+            },
+        ),
         (
             "Convolutions of the enhancement".into(),
             match header.integers {

@@ -1,10 +1,11 @@
 //! The checks of a header and of the weights that belong to it.
 
 use super::error::{BlobError, Section};
-use super::header::{Header, HeaderField, Integers, MemoryPlan, SectionLens, Sensor, Size, Weights};
+use super::header::{Header, HeaderField, Integers, MAX_LATER, MemoryPlan, Passes, SectionLens, Sensor, Size, Weights};
 use super::layout::SECTIONS;
 use crate::nn::integer::counts;
 use crate::nn::rcan::{attention_count, weights_count};
+use crate::num::widen;
 use half::f16;
 
 impl Header {
@@ -28,8 +29,15 @@ impl Header {
                 (u64::from(blocks.count) * u64::from(blocks.side).pow(2), rows + 1 + u64::from(blocks.count))
             }
         };
+        // A later pass has one more input; that there is room for it is checked elsewhere.
+        let later = |passes: &Passes| {
+            let inputs = self.bank.channels.saturating_add(1);
+            let predictor = passes.corners.len() as u64 * u64::from(passes.terms) * passes.term_len(self.object);
+            (u64::from(passes.later) * weights_count(&self.rcan, inputs), predictor)
+        };
+        let (later, predictor) = self.passes.as_ref().map_or((0, 0), later);
         let (rcan, integers, channels) = match self.integers {
-            None => (weights_count(&self.rcan, self.bank.channels), 0, 0),
+            None => (weights_count(&self.rcan, self.bank.channels) + later, 0, 0),
             Some(_) => {
                 let (weights, channels) = counts(&self.rcan, self.bank.channels);
                 (attention_count(&self.rcan, self.bank.channels), weights.div_ceil(2), 4 * channels)
@@ -41,6 +49,7 @@ impl Header {
             rcan,
             integers,
             channels,
+            predictor,
             offset_dn: if self.sensor.has_offset_map { pixels } else { 0 },
             inverse_gain: if self.sensor.has_gain_map { pixels } else { 0 },
         })
@@ -80,7 +89,17 @@ impl Header {
         if !self.integers.is_none_or(possible) {
             return wrong(HeaderField::Integers);
         }
+        if !self.passes.as_ref().is_none_or(|passes| self.can_pass(passes)) {
+            return wrong(HeaderField::Passes);
+        }
         self.section_lens().map(|_| ())
+    }
+
+    /// Whether these passes are possible: a model of one term or more that a transform holds, convolutions in halves.
+    fn can_pass(&self, passes: &Passes) -> bool {
+        let model = passes.terms > 0 && !passes.corners.is_empty() && passes.node_step.is_power_of_two();
+        let held = passes.window % 2 == 1 && passes.tile(self.object).is_some();
+        (1..=MAX_LATER).contains(&passes.later) && model && held && self.integers.is_none()
     }
 }
 
@@ -112,6 +131,27 @@ fn check_finite(section: Section, halves: &[f16]) -> Result<(), BlobError> {
     }
 }
 
+/// Checks that the light of each lens of an object within 0 and 1 stays within -1 and 1, so that no half overflows
+/// where a frame is predicted: coefficients within -1 and 1, and the magnitudes of all lags of a lens, which are stored
+/// times the side of the transforms, sum to that side at most.
+fn check_lenses(passes: &Passes, object: Size, predictor: &[f16]) -> Result<(), BlobError> {
+    let [rows, cols] = passes.nodes(object);
+    let term = usize::try_from(passes.term_len(object)).unwrap_or(usize::MAX);
+    let most = f32::from(passes.tile(object).unwrap_or(0));
+    for (index, lens) in predictor.chunks(term.saturating_mul(passes.terms.into()).max(1)).enumerate() {
+        let (mut sum, mut fits) = (0.0, true);
+        for term in lens.chunks(term.max(1)) {
+            let (nodes, lags) = term.split_at_checked(rows * cols).unwrap_or_default();
+            fits &= nodes.iter().all(|node| widen(*node).abs() <= 1.0);
+            lags.iter().for_each(|lag| sum += widen(*lag).abs());
+        }
+        if !fits || sum > most {
+            return Err(BlobError::Lens { index: index as u32 });
+        }
+    }
+    Ok(())
+}
+
 impl<'a> Weights<'a> {
     /// Checks that these are the weights of a network with this header: that the header is possible, each section has
     /// its length, and every half is finite.
@@ -128,13 +168,17 @@ impl<'a> Weights<'a> {
         self.check_numbers(header)
     }
 
-    /// Checks that every half is finite, and that no integer convolution can overflow.
+    /// Checks that every half is finite, and that no integer convolution and no predicted frame can overflow.
     ///
     /// # Errors
     /// [`BlobError::NonFinite`] names the first half that is not finite, [`BlobError::Channel`] the first channel that
-    /// could overflow.
+    /// could overflow, [`BlobError::Lens`] the first lens.
     pub(super) fn check_numbers(&self, header: &Header) -> Result<(), BlobError> {
         self.halves().into_iter().try_for_each(|(section, halves)| check_finite(section, halves))?;
+        // Devices without their code refuse such networks anyway.
+        if let Some(passes) = header.passes.as_ref().filter(|_| !cfg!(feature = "one-pass")) {
+            check_lenses(passes, header.object, self.predictor)?;
+        }
         match self.convolutions {
             Some(convolutions) => convolutions.check(&header.rcan, header.bank.channels),
             None => Ok(()),
@@ -142,25 +186,26 @@ impl<'a> Weights<'a> {
     }
 
     /// The sections of halves.
-    fn halves(&self) -> [(Section, &'a [f16]); 4] {
+    fn halves(&self) -> [(Section, &'a [f16]); 5] {
         let maps = [self.offset_dn.unwrap_or(&[]), self.inverse_gain.unwrap_or(&[])];
         [
             (Section::Filters, self.filters),
             (Section::Rcan, self.rcan),
             (Section::Offset, maps[0]),
             (Section::InverseGain, maps[1]),
+            (Section::Predictor, self.predictor),
         ]
     }
 
     /// All sections in the order of the file, as bits.
     pub(super) fn words(&self) -> [(Section, &'a [u16]); SECTIONS] {
-        let [filters, rcan, offset, gain] =
+        let [filters, rcan, offset, gain, predictor] =
             self.halves().map(|(section, halves)| (section, bytemuck::cast_slice(halves)));
         let (integers, channels) = match self.convolutions {
             Some(convolutions) => (convolutions.weights, bytemuck::cast_slice(convolutions.channels)),
             None => (Default::default(), Default::default()),
         };
         let integers = [(Section::Integers, integers), (Section::Channels, channels)];
-        [filters, (Section::Index, self.index), rcan, offset, gain, integers[0], integers[1]]
+        [filters, (Section::Index, self.index), rcan, offset, gain, integers[0], integers[1], predictor]
     }
 }

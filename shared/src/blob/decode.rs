@@ -4,7 +4,7 @@ use super::error::{BlobError, Section};
 use super::header::{Header, HeaderField, Weights};
 use super::layout::{
     ALIGN, CRC, CRC_LEN, FILE_LEN_AT, HEADER_AT, HEADER_LEN_AT, Layout, MAGIC, MAX_HEADER_LEN, SCHEMA_AT, SCHEMA_KEY,
-    SCHEMA_KEY_2, SCHEMA_KEY_3, SECTIONS, VERSION, VERSION_2, VERSION_3, VERSION_AT,
+    SCHEMA_KEY_2, SCHEMA_KEY_3, SCHEMA_KEY_4, SECTIONS, VERSION, VERSION_2, VERSION_3, VERSION_4, VERSION_AT,
 };
 use crate::nn::integer::Convolutions;
 use core::cmp::Ordering;
@@ -28,7 +28,8 @@ impl<'a> Network<'a> {
     /// # Errors
     /// [`BlobError::Header`] where a value of the header is impossible, [`BlobError::SectionLength`] where a section of
     /// the weights has another length than the header says, [`BlobError::NonFinite`] where a weight is infinite or NaN,
-    /// [`BlobError::Channel`] where a sum of integers could overflow.
+    /// [`BlobError::Channel`] where a sum of integers could overflow, [`BlobError::Lens`] where a predicted frame
+    /// could.
     pub fn new(header: Header, weights: Weights<'a>) -> Result<Self, BlobError> {
         weights.check(&header)?;
         let maps = header.sensor;
@@ -39,8 +40,8 @@ impl<'a> Network<'a> {
     }
 
     /// Reads a network file and checks every bit of it: length, magic, version, schema, CRC, header, that all
-    /// weights are finite, and that no integer convolution can overflow. Files of versions 2 and 3 are
-    /// read as well.
+    /// weights are finite, and that no integer convolution and no predicted frame can overflow. Files of versions 2 to
+    /// 4 are read as well.
     ///
     /// # Errors
     /// The first thing that is wrong with `bytes`. No bytes make it panic or read elsewhere.
@@ -56,7 +57,7 @@ impl<'a> Network<'a> {
         if layout.file_len != bytes.len() {
             return Err(wrong_section(&layout, &header, bytes.len()));
         }
-        let [filters, index, rcan, offset, gain, integers, channels] =
+        let [filters, index, rcan, offset, gain, integers, channels, predictor] =
             layout.sections.map(|(at, len)| bytes.get(at..at + len).unwrap_or_default());
         let sensor = header.sensor;
         let weights = Weights {
@@ -69,6 +70,7 @@ impl<'a> Network<'a> {
                 Some(_) => Some(Convolutions { weights: numbers(integers)?, channels: numbers(channels)? }),
                 None => None,
             },
+            predictor: numbers(predictor)?,
         };
         Ok(Self { header, weights })
     }
@@ -146,6 +148,7 @@ fn check_preamble(bytes: &[u8]) -> Result<(&[u8], u32), BlobError> {
     let version = u16::from_le_bytes(array_at(bytes, VERSION_AT));
     let expected = match version {
         VERSION => SCHEMA_KEY,
+        VERSION_4 => SCHEMA_KEY_4,
         VERSION_3 => SCHEMA_KEY_3,
         VERSION_2 => SCHEMA_KEY_2,
         found => return Err(BlobError::Version { expected: VERSION, found }),
@@ -172,9 +175,14 @@ fn decode_header(bytes: &[u8], len: usize) -> Result<Header, BlobError> {
     let unreadable = BlobError::Header { field: HeaderField::Encoding };
     let end = HEADER_AT.checked_add(len).filter(|_| len <= MAX_HEADER_LEN).ok_or(unreadable)?;
     let encoded = bytes.get(HEADER_AT..end).ok_or(unreadable)?;
-    // What a header of version 2 lacks, and one of version 3 in integers, is the last byte, which would be a zero.
+    // What headers of older versions lack are their last bytes, which would be zeros: the passes, before version 4 the
+    // bits of a feature, before version 3 the scales of integers.
     let version = u16::from_le_bytes(array_at(bytes, VERSION_AT));
-    let zeros = u8::from(version != VERSION);
+    let zeros = match version {
+        VERSION => 0,
+        VERSION_4 => 1,
+        _ => 2,
+    };
     let mut decoder = postcard::Deserializer::from_flavor(Followed { bytes: encoded, zeros });
     let header = Header::deserialize(&mut decoder).map_err(|_| unreadable)?;
     let unused = u8::from(version == VERSION_3 && header.integers.is_none());
@@ -182,8 +190,8 @@ fn decode_header(bytes: &[u8], len: usize) -> Result<Header, BlobError> {
         Ok(Followed { bytes: [], zeros }) if zeros == unused => {}
         _ => return Err(unreadable),
     }
-    // Version 2 has no integers: its byte is the one that says so.
-    if version == VERSION_2 && header.integers.is_some() {
+    // Version 2 has no integers, and before version 5 there was one pass: their bytes are those that say so.
+    if (version == VERSION_2 && header.integers.is_some()) || (version != VERSION && header.passes.is_some()) {
         return Err(unreadable);
     }
     header.check()?;

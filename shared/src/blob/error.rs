@@ -22,12 +22,22 @@ pub enum Section {
     Integers,
     /// Biases and multipliers of their output channels.
     Channels,
+    /// Coefficient maps and basis PSFs that predict frames.
+    Predictor,
 }
 
 impl Section {
     /// All sections in the order of the file.
-    pub const ALL: [Self; 7] =
-        [Self::Filters, Self::Index, Self::Rcan, Self::Offset, Self::InverseGain, Self::Integers, Self::Channels];
+    pub const ALL: [Self; 8] = [
+        Self::Filters,
+        Self::Index,
+        Self::Rcan,
+        Self::Offset,
+        Self::InverseGain,
+        Self::Integers,
+        Self::Channels,
+        Self::Predictor,
+    ];
 
     /// Its name in error messages.
     pub fn name(self) -> &'static str {
@@ -39,6 +49,7 @@ impl Section {
             Self::InverseGain => "inverse gain map",
             Self::Integers => "integer weights",
             Self::Channels => "integer channels",
+            Self::Predictor => "predictor",
         }
     }
 }
@@ -124,6 +135,11 @@ pub enum BlobError {
         /// Index of the channel in its section.
         index: u32,
     },
+    /// A coefficient of a lens lies beyond -1 and 1, or its basis PSFs are so large that its light could.
+    Lens {
+        /// Index of the lens.
+        index: u32,
+    },
     /// The buffer given to the encoder is too small.
     NoRoom {
         /// Bytes that the file needs.
@@ -176,6 +192,11 @@ impl fmt::Display for BlobError {
                 f,
                 "section `{}`: the sum of channel {index} could overflow 32 bits, or its multiplier is negative",
                 section.name()
+            ),
+            Self::Lens { index } => write!(
+                f,
+                "section `predictor`: the light of lens {index} could exceed 1; write it again with \
+                 `ommatidia quantize`"
             ),
             Self::NoRoom { expected, found } => write!(f, "the file needs {expected} bytes, the buffer has {found}"),
             Self::Memory { needed, available } => write_memory(f, needed, available),

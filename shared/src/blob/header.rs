@@ -128,6 +128,63 @@ pub enum FeatureBits {
     Eight,
 }
 
+/// Largest number of lenses whose light a network with several passes predicts.
+pub const MAX_LENSES: usize = 25;
+/// Largest number of passes after the first one.
+pub const MAX_LATER: u8 = 7;
+
+/// Where the image of a lens lies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct Corner {
+    /// Row of the frame under row 0 of the object; it may lie outside the frame.
+    pub row: i16,
+    /// Column of the frame under column 0 of the object.
+    pub col: i16,
+}
+
+/// The passes after the first one, and the shape of the model of the PSFs that predicts frames for them
+/// ([`crate::predict`]).
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct Passes {
+    /// Number of passes after the first one, 1 to [`MAX_LATER`].
+    pub later: u8,
+    /// Number of terms of each lens.
+    pub terms: u8,
+    /// Side W of the basis PSFs, pixels; odd.
+    pub window: u16,
+    /// Pixels of the object from node to node of the coefficient maps; a power of two.
+    pub node_step: u16,
+    /// The lenses.
+    pub corners: Vec<Corner, MAX_LENSES>,
+}
+
+impl Passes {
+    /// Rows and columns of the nodes of a coefficient map; the last ones lie on or beyond the last pixel. 1 where the
+    /// step is 0, which [`Header::check`] refuses.
+    pub fn nodes(&self, object: Size) -> [usize; 2] {
+        let axis = |n: u16| match n.saturating_sub(1).checked_div(self.node_step) {
+            Some(whole) if whole * self.node_step == n.saturating_sub(1) => usize::from(whole) + 1,
+            Some(whole) => usize::from(whole) + 2,
+            None => 1,
+        };
+        [axis(object.rows), axis(object.cols)]
+    }
+
+    /// Side of the transforms: the smallest power of two, and at least 8, that holds the image of a lens. None where
+    /// it is larger than the largest transform.
+    pub fn tile(&self, object: Size) -> Option<u16> {
+        let side = u32::from(object.rows.max(object.cols)) + u32::from(self.window).saturating_sub(1);
+        let tile = side.next_power_of_two().max(8);
+        u16::try_from(tile).ok().filter(|&tile| usize::from(tile) <= crate::fft::MAX_LEN)
+    }
+
+    /// Halves of each term in the file: its coefficient map, then its basis PSF.
+    pub fn term_len(&self, object: Size) -> u64 {
+        let [rows, cols] = self.nodes(object);
+        rows as u64 * cols as u64 + u64::from(self.window).pow(2)
+    }
+}
+
 /// Memory that the pipeline needs besides the network file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct MemoryPlan {
@@ -158,6 +215,8 @@ pub struct Header {
     pub memory: MemoryPlan,
     /// Given where the 3x3 convolutions of the enhancement network are integers. Files of version 2 lack this field.
     pub integers: Option<Integers>,
+    /// Given where the network has more than one pass. Files of versions before 5 lack this field.
+    pub passes: Option<Passes>,
 }
 
 /// Number of 16-bit words in each section of the weights, in the order of the file.
@@ -167,7 +226,8 @@ pub struct SectionLens {
     pub filters: u64,
     /// Positions of the blocks; 0 for spectra.
     pub index: u64,
-    /// Weights and biases of the RCAN; of its channel attentions alone where its convolutions are integers.
+    /// Weights and biases of the RCAN of each pass; of its channel attentions alone where its convolutions are
+    /// integers.
     pub rcan: u64,
     /// Offset map; 0 without one.
     pub offset_dn: u64,
@@ -177,6 +237,8 @@ pub struct SectionLens {
     pub integers: u64,
     /// Output channels of integer convolutions, four words each; 0 for halves.
     pub channels: u64,
+    /// Coefficient maps and basis PSFs; 0 for one pass.
+    pub predictor: u64,
 }
 
 /// A part of the header.
@@ -200,6 +262,8 @@ pub enum HeaderField {
     Rcan,
     /// [`Header::integers`].
     Integers,
+    /// [`Header::passes`].
+    Passes,
 }
 
 /// The weights of a network, borrowed from the file. All but the index and integer convolutions are IEEE halves.
@@ -212,7 +276,7 @@ pub struct Weights<'a> {
     /// of blocks before it, then the number of all blocks; then the column of each block. Empty for spectra.
     pub index: &'a [u16],
     /// Weights and biases of the RCAN in the order in which they are used ([`crate::nn::rcan::layout`]); of its channel
-    /// attentions alone where its convolutions are integers.
+    /// attentions alone where its convolutions are integers. Those of later passes follow, one pass after the other.
     pub rcan: &'a [half::f16],
     /// Offset of each pixel relative to the black level, DN, (frame rows, frame cols).
     pub offset_dn: Option<&'a [half::f16]>,
@@ -220,4 +284,7 @@ pub struct Weights<'a> {
     pub inverse_gain: Option<&'a [half::f16]>,
     /// The 3x3 convolutions of the RCAN where they are integers.
     pub convolutions: Option<Convolutions<'a>>,
+    /// The model of the PSFs of a network with several passes, empty for others: of each term of each lens the
+    /// coefficients at the nodes of its map, -1 to 1, then the basis PSF times the side of the transforms, row by row.
+    pub predictor: &'a [half::f16],
 }

@@ -14,8 +14,8 @@
 //! | - | 4 | CRC-32 (ISO-HDLC) of all bytes before it |
 //!
 //! All numbers are little-endian. [`Network::decode`] borrows: the weights are read in place, so the file must lie at
-//! an address that is a multiple of [`ALIGN`]. Files of version 2, which had no networks in integers, and of
-//! version 3, whose features had 16 bits, are read as well.
+//! an address that is a multiple of [`ALIGN`]. Files of version 2, which had no networks in integers, of
+//! version 3, whose features had 16 bits, and of version 4, which had one pass, are read as well.
 //!
 //! ```
 //! use ommatidia_shared::blob::{Bank, Header, MemoryPlan, Rcan, Sensor, Size, Tap};
@@ -34,6 +34,7 @@
 //!     rcan: Rcan { width: 1, groups: 1, blocks: 1, reduction: 1 },
 //!     memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
 //!     integers: None,
+//!     passes: None,
 //! };
 //! let lens = header.section_lens().unwrap();
 //! assert_eq!(lens.filters, 8 * 5 * 2, "T rows of T/2 + 1 complex numbers");
@@ -41,7 +42,8 @@
 //!
 //! let (filters, rcan) = ([f16::ONE; 80], [f16::ZERO; 131]);
 //! let weights =
-//!     Weights { filters: &filters, index: &[], rcan: &rcan, offset_dn: None, inverse_gain: None, convolutions: None };
+//!     Weights { filters: &filters, index: &[], rcan: &rcan, offset_dn: None, inverse_gain: None, convolutions: None,
+//!         predictor: &[] };
 //! let mut words = vec![0_u128; encoded_len(&header).unwrap().div_ceil(16)];
 //! let buffer = bytemuck::cast_slice_mut(&mut words);
 //! let len = encode(&header, &weights, buffer).unwrap();
@@ -66,8 +68,8 @@ pub use decode::{Network, Verified};
 pub use encode::{encode, encoded_len};
 pub use error::{BlobError, Section};
 pub use header::{
-    Bank, Blocks, FeatureBits, Header, HeaderField, Integers, MAX_TAPS, MemoryPlan, Rcan, SectionLens, Sensor, Size,
-    Tap, Weights,
+    Bank, Blocks, Corner, FeatureBits, Header, HeaderField, Integers, MAX_LATER, MAX_LENSES, MAX_TAPS, MemoryPlan,
+    Passes, Rcan, SectionLens, Sensor, Size, Tap, Weights,
 };
 pub(crate) use layout::CRC;
 pub use layout::{ALIGN, MAGIC, SCHEMA_KEY, VERSION};

@@ -35,6 +35,7 @@ struct Owned {
     index: Vec<u16>,
     integers: Vec<u16>,
     channels: Vec<Channel>,
+    predictor: Vec<f16>,
 }
 
 impl Owned {
@@ -59,6 +60,8 @@ impl Owned {
             index: (0..lens.index).map(|i| (i * 977) as u16).collect(),
             integers: (0..lens.integers).map(|i| (i * 40_503) as u16).collect(),
             channels: (0..lens.channels / 4).map(channel).collect(),
+            // Small enough for any model.
+            predictor: (0..lens.predictor).map(|i| f16::from_f32((i % 5) as f32 / 4096.0)).collect(),
         }
     }
 
@@ -72,6 +75,7 @@ impl Owned {
             inverse_gain: sensor.has_gain_map.then_some(gain.as_slice()),
             convolutions: (!self.channels.is_empty())
                 .then_some(Convolutions { weights: &self.integers, channels: &self.channels }),
+            predictor: &self.predictor,
         }
     }
 }
@@ -100,6 +104,7 @@ fn small() -> Header {
         rcan: Rcan { width: 1, groups: 0, blocks: 0, reduction: 1 },
         memory: MemoryPlan { fast_bytes: 100, bulk_bytes: 2000 },
         integers: None,
+        passes: None,
     }
 }
 
@@ -110,12 +115,20 @@ fn small_in_integers() -> Header {
     }
 }
 
+fn small_with_passes() -> Header {
+    let corners = [Corner { row: -1, col: 0 }, Corner { row: 1, col: 2 }].into_iter().collect();
+    Header { passes: Some(Passes { later: 1, terms: 2, window: 3, node_step: 2, corners }), ..small() }
+}
+
 prop_compose! {
     fn headers()(
         name in "[a-z]{0,12}", tile in 1u32..5, step in 1u16..3, channels in 1u8..4, taps in 1usize..5,
         rows in 1u16..9, cols in 1u16..9, black in 0.0f32..200.0, maps: (bool, bool),
         rcan in (1u8..5, 0u8..3, 0u8..3), memory: (u32, u32), blocks in prop::option::of((0u32..2, 0u16..5)),
         scales in prop::option::of((0i8..25, -16i8..25)),
+        passes in prop::option::of(
+            (1u8..4, 1u8..3, 0u16..3, 0u32..4, prop::collection::vec(any::<(i16, i16)>(), 1..10))
+        ),
     ) -> Header {
         let tap = |i: usize| Tap { channel: 0, dy: -1, dx: i as i8 };
         Header {
@@ -129,6 +142,10 @@ prop_compose! {
             },
             rcan: Rcan { width: rcan.0, groups: rcan.1, blocks: rcan.2, reduction: 1 },
             memory: MemoryPlan { fast_bytes: memory.0, bulk_bytes: memory.1 },
+            passes: passes.filter(|_| scales.is_none()).map(|(later, terms, half, step, corners)| Passes {
+                later, terms, window: 2 * half + 1, node_step: 1 << step,
+                corners: corners.into_iter().map(|(row, col)| Corner { row, col }).collect(),
+            }),
             integers: scales.map(|(input_log2, feature_log2)| Integers { input_log2, feature_log2, output: 1.0e-7, features: FeatureBits::Sixteen }),
         }
     }
@@ -162,6 +179,7 @@ proptest! {
         prop_assert_eq!(network.weights().inverse_gain.map(bits), expected.inverse_gain.map(bits));
         let integers = |weights: Weights<'_>| weights.convolutions.map(|c| (c.weights.to_vec(), c.channels.to_vec()));
         prop_assert_eq!(integers(network.weights()), integers(expected));
+        prop_assert_eq!(bits(network.weights().predictor), bits(expected.predictor));
     }
 
     #[test]
@@ -172,9 +190,9 @@ proptest! {
     /// A forger who makes the CRC right may change any word: the file is refused or stays a network in bounds.
     #[test]
     fn forged_bytes_never_panic(
-        at in 0usize..900, with in prop::collection::vec(any::<u8>(), 1..5), cut in 0usize..40, integers: bool,
+        at in 0usize..900, with in prop::collection::vec(any::<u8>(), 1..5), cut in 0usize..40, kind in 0usize..3,
     ) {
-        let header = if integers { small_in_integers() } else { small() };
+        let header = [small, small_in_integers, small_with_passes][kind]();
         let mut bytes = file(&header, &Owned::new(&header, 7));
         bytes.truncate(bytes.len() - cut);
         let at = at.min(bytes.len() - 9);
@@ -188,6 +206,7 @@ proptest! {
             let lens = network.header().section_lens().unwrap();
             prop_assert_eq!(network.weights().filters.len() as u64, lens.filters);
             prop_assert_eq!(network.weights().rcan.len() as u64, lens.rcan);
+            prop_assert_eq!(network.weights().predictor.len() as u64, lens.predictor);
             if let Some(convolutions) = network.weights().convolutions {
                 prop_assert_eq!(convolutions.weights.len() as u64, lens.integers);
                 prop_assert!(convolutions.check(&network.header().rcan, network.header().bank.channels).is_ok());
@@ -198,7 +217,10 @@ proptest! {
 
 #[test]
 fn every_flipped_bit_is_refused() {
-    let header = small_in_integers();
+    [small_in_integers(), small_with_passes()].into_iter().for_each(flipped_bits_are_refused);
+}
+
+fn flipped_bits_are_refused(header: Header) {
     let mut aligned = Aligned::new(&file(&header, &Owned::new(&header, 1)));
     let len = aligned.len;
     for bit in 0..8 * len {
@@ -280,12 +302,13 @@ fn a_misaligned_buffer_is_named() {
 
 #[test]
 fn sections_are_aligned_and_apart() {
-    let header = small_in_integers();
-    let mut end = 0;
-    for (at, len) in sections(&header) {
-        assert_eq!(at % ALIGN, 0);
-        assert!(at >= end);
-        end = at + len;
+    for header in [small_in_integers(), small_with_passes()] {
+        let mut end = 0;
+        for (at, len) in sections(&header) {
+            assert!(at % ALIGN == 0 || len == 0);
+            assert!(at >= end);
+            end = at + len;
+        }
     }
 }
 
@@ -360,7 +383,7 @@ fn integers_that_could_overflow_are_refused() {
     }
 }
 
-/// A file of halves differs from one of version 2 in the version, the schema and the last byte of the header.
+/// A file of halves differs from one of version 2 in the version, the schema and the last two bytes of the header.
 #[test]
 fn version_2_is_read_as_a_network_in_halves() {
     let header = small();
@@ -370,10 +393,10 @@ fn version_2_is_read_as_a_network_in_halves() {
     let len = postcard::to_slice(&header, &mut buffer).unwrap().len();
     let mut old = new.clone();
     old[layout::VERSION_AT] = 2;
-    old[layout::HEADER_LEN_AT] = len as u8 - 1;
+    old[layout::HEADER_LEN_AT] = len as u8 - 2;
     old[layout::SCHEMA_AT..][..8].copy_from_slice(&layout::SCHEMA_KEY_2.to_le_bytes());
-    let sections = [len, len - 1].map(|len| layout::Layout::new(len, &header.section_lens().unwrap()).unwrap());
-    assert_eq!(sections[0], sections[1], "the byte lies in the gap before the first section");
+    let sections = [len, len - 2].map(|len| layout::Layout::new(len, &header.section_lens().unwrap()).unwrap());
+    assert_eq!(sections[0], sections[1], "the bytes lie in the gap before the first section");
     let old = forge(old, 0, b"O");
     assert_eq!(Network::decode(Aligned::new(&old).bytes()).unwrap().into_header(), header);
     let mixed = forge(new, layout::VERSION_AT, &2u16.to_le_bytes());
@@ -381,15 +404,15 @@ fn version_2_is_read_as_a_network_in_halves() {
     assert_eq!(Network::decode(Aligned::new(&mixed).bytes()).map(Network::into_header), Err(error));
 }
 
-/// A file of version 3 lacks the last byte of the scales of integers; one in halves lacks nothing.
+/// A file of version 3 lacks the last byte of the scales of integers and that of the passes; one in halves the latter.
 #[test]
 fn version_3_is_read_as_features_of_16_bits() {
-    for (header, less) in [(small(), 0), (small_in_integers(), 1)] {
+    for (header, less) in [(small(), 1), (small_in_integers(), 2)] {
         let new = file(&header, &Owned::new(&header, 1));
         let mut buffer = [0; layout::MAX_HEADER_LEN];
         let len = postcard::to_slice(&header, &mut buffer).unwrap().len();
         let sections = [len, len - less].map(|len| layout::Layout::new(len, &header.section_lens().unwrap()).unwrap());
-        assert_eq!(sections[0], sections[1], "the byte lies in the gap before the first section");
+        assert_eq!(sections[0], sections[1], "the bytes lie in the gap before the first section");
         let mut old = new.clone();
         old[layout::VERSION_AT] = 3;
         old[layout::HEADER_LEN_AT] = (len - less) as u8;
@@ -403,6 +426,65 @@ fn version_3_is_read_as_features_of_16_bits() {
             assert_eq!(Network::decode(Aligned::new(&wrong).bytes()).map(Network::into_header), Err(error), "{less}");
         }
     }
+}
+
+/// A file of version 4 lacks the last byte of the header, that of the passes.
+#[test]
+fn version_4_is_read_as_one_pass() {
+    for header in [small(), small_in_integers()] {
+        let new = file(&header, &Owned::new(&header, 1));
+        let mut buffer = [0; layout::MAX_HEADER_LEN];
+        let len = postcard::to_slice(&header, &mut buffer).unwrap().len();
+        let sections = [len, len - 1].map(|len| layout::Layout::new(len, &header.section_lens().unwrap()).unwrap());
+        assert_eq!(sections[0], sections[1], "the byte lies in the gap before the first section");
+        let mut old = new.clone();
+        old[layout::VERSION_AT] = 4;
+        old[layout::HEADER_LEN_AT] = len as u8 - 1;
+        old[layout::SCHEMA_AT..][..8].copy_from_slice(&layout::SCHEMA_KEY_4.to_le_bytes());
+        let old = forge(old, 0, b"O");
+        assert_eq!(Network::decode(Aligned::new(&old).bytes()).unwrap().into_header(), header);
+        for wrong in [len - 2, len] {
+            let wrong = forge(old.clone(), layout::HEADER_LEN_AT, &[wrong as u8]);
+            let error = BlobError::Header { field: HeaderField::Encoding };
+            assert_eq!(Network::decode(Aligned::new(&wrong).bytes()).map(Network::into_header), Err(error));
+        }
+    }
+}
+
+/// Each number of the passes that no network can have, and weights that could overflow.
+#[test]
+fn impossible_passes_are_refused_by_name() {
+    let good = small_with_passes();
+    assert_eq!(good.check(), Ok(()));
+    let refused = |change: fn(&mut Passes)| {
+        let mut header = small_with_passes();
+        change(header.passes.as_mut().unwrap());
+        assert_eq!(header.check(), Err(BlobError::Header { field: HeaderField::Passes }), "{header:?}");
+        assert!(encoded_len(&header).is_err());
+    };
+    refused(|passes| passes.later = 0);
+    refused(|passes| passes.later = MAX_LATER + 1);
+    refused(|passes| passes.terms = 0);
+    refused(|passes| passes.window = 4);
+    refused(|passes| passes.window = 1025);
+    refused(|passes| passes.node_step = 0);
+    refused(|passes| passes.node_step = 3);
+    refused(|passes| passes.corners.clear());
+    let integers = Header { integers: small_in_integers().integers, ..good.clone() };
+    assert_eq!(integers.check(), Err(BlobError::Header { field: HeaderField::Passes }));
+    // Two terms of 3 x 2 nodes and 3 x 3 lags a lens; transforms of 8 x 8.
+    assert_eq!(good.section_lens().unwrap().predictor, 2 * 2 * (3 * 2 + 9));
+    let owned = Owned::new(&good, 1);
+    let with = |at: usize, value: f32| {
+        let mut owned = owned.clone();
+        owned.predictor[at] = f16::from_f32(value);
+        let mut out = std::vec![0; encoded_len(&good).unwrap()];
+        encode(&good, &owned.weights(&good.sensor), &mut out)
+    };
+    assert!(with(0, -1.0).is_ok() && with(6, 7.5).is_ok());
+    assert_eq!(with(30, 1.01), Err(BlobError::Lens { index: 1 }));
+    assert_eq!(with(6, -8.1), Err(BlobError::Lens { index: 0 }));
+    assert_eq!(with(7, f32::NAN), Err(BlobError::NonFinite { section: Section::Predictor, index: 7 }));
 }
 
 #[test]

@@ -29,14 +29,18 @@
 //! struct Product<'a>(&'a [f16], &'a [f16]);
 //!
 //! impl ProductSource for Product<'_> {
-//!     fn products(&self) -> impl Iterator<Item = [&[f16]; 2]> {
-//!         std::iter::once([self.0, self.1])
+//!     fn count(&self) -> usize {
+//!         1
+//!     }
+//!
+//!     fn product(&self, _: usize) -> Option<[&[f16]; 2]> {
+//!         Some([self.0, self.1])
 //!     }
 //! }
 //!
 //! let ones: Vec<f16> = (0..80).map(|i| if i % 2 == 0 { f16::ONE } else { f16::ZERO }).collect();
 //! let (mut halfway, mut back) = (vec![f16::ZERO; 80], vec![0.0; 64]);
-//! fft.inverse(Simd::detect(), &Product(&spectrum, &ones), 0..8, &mut halfway, &mut scratch, |row, values| {
+//! fft.inverse(Simd::detect(), &Product(&spectrum, &ones), 0..8, &mut halfway, &mut scratch, &mut |row, values| {
 //!     back[8 * row..][..8].copy_from_slice(values);
 //! })
 //! .unwrap();

@@ -28,8 +28,11 @@ pub trait RowSource {
 
 /// Source of the spectrum of an inverse transform.
 pub trait ProductSource {
-    /// Pairs of stored spectra. The sum of their products is transformed.
-    fn products(&self) -> impl Iterator<Item = [&[f16]; 2]>;
+    /// Number of products.
+    fn count(&self) -> usize;
+
+    /// A pair of stored spectra; None: zeros. The sum of their products is transformed.
+    fn product(&self, index: usize) -> Option<[&[f16]; 2]>;
 }
 
 /// Plan of a T x T real transform.
@@ -92,22 +95,25 @@ impl Fft2 {
     /// Transforms the plane whose rows `occupied` come from `source`. All other rows are zero. `spectrum` receives T
     /// rows of T/2 + 1 numbers.
     ///
+    /// The loops are large and inlined, so there is one copy of them for all sources.
+    ///
     /// # Errors
     /// [`FftError::Buffer`] where `spectrum` or `scratch` is too short.
+    #[inline(never)]
     pub fn forward(
         &self,
         simd: Simd,
-        source: &impl RowSource,
+        source: &dyn RowSource,
         occupied: core::ops::Range<usize>,
         spectrum: &mut [f16],
         scratch: &mut [f32],
     ) -> Result<(), FftError> {
         check_len(self.spectrum_len(self.len()), spectrum.len())?;
         check_len(self.scratch_len(), scratch.len())?;
-        if scratch.len() >= self.scratch_len_wide() {
-            simd.run(Forward::<_, WIDE> { plan: self, source, occupied, spectrum, scratch });
+        if WIDE > 1 && scratch.len() >= self.scratch_len_wide() {
+            simd.run(Forward::<WIDE> { plan: self, source, occupied, spectrum, scratch });
         } else {
-            simd.run(Forward::<_, 1> { plan: self, source, occupied, spectrum, scratch });
+            simd.run(Forward::<1> { plan: self, source, occupied, spectrum, scratch });
         }
         Ok(())
     }
@@ -116,24 +122,27 @@ impl Fft2 {
     /// length [`Self::spectrum_len`] of these rows. The imaginary parts of columns 0 and T/2 after the column
     /// transforms are ignored, as in every complex-to-real transform.
     ///
+    /// As [`Self::forward`] there is one copy of it for all sources.
+    ///
     /// # Errors
     /// [`FftError::Buffer`] where `halfway` or `scratch` is too short.
+    #[inline(never)]
     pub fn inverse(
         &self,
         simd: Simd,
-        source: &impl ProductSource,
+        source: &dyn ProductSource,
         rows: core::ops::Range<usize>,
         halfway: &mut [f16],
         scratch: &mut [f32],
-        emit: impl FnMut(usize, &[f32]),
+        emit: &mut dyn FnMut(usize, &[f32]),
     ) -> Result<(), FftError> {
         check_len(rows.end, self.len())?;
         check_len(self.spectrum_len(rows.len()), halfway.len())?;
         check_len(self.scratch_len(), scratch.len())?;
-        if scratch.len() >= self.scratch_len_wide() {
-            simd.run(Inverse::<_, _, WIDE> { plan: self, source, rows, halfway, scratch, emit });
+        if WIDE > 1 && scratch.len() >= self.scratch_len_wide() {
+            simd.run(Inverse::<WIDE> { plan: self, source, rows, halfway, scratch, emit });
         } else {
-            simd.run(Inverse::<_, _, 1> { plan: self, source, rows, halfway, scratch, emit });
+            simd.run(Inverse::<1> { plan: self, source, rows, halfway, scratch, emit });
         }
         Ok(())
     }
@@ -157,15 +166,15 @@ macro_rules! in_strips {
     };
 }
 
-struct Forward<'a, S, const L: usize> {
+struct Forward<'a, const L: usize> {
     plan: &'a Fft2,
-    source: &'a S,
+    source: &'a dyn RowSource,
     occupied: core::ops::Range<usize>,
     spectrum: &'a mut [f16],
     scratch: &'a mut [f32],
 }
 
-impl<S: RowSource, const L: usize> Kernel for Forward<'_, S, L> {
+impl<const L: usize> Kernel for Forward<'_, L> {
     type Output = ();
 
     #[inline(always)]
@@ -179,7 +188,7 @@ impl<S: RowSource, const L: usize> Kernel for Forward<'_, S, L> {
     }
 }
 
-impl<S: RowSource, const L: usize> Forward<'_, S, L> {
+impl<const L: usize> Forward<'_, L> {
     /// Transforms rows `first..first + count`, `N` side by side. Returns false, and does nothing, where that would
     /// change a bit.
     #[inline(always)]
@@ -201,16 +210,16 @@ impl<S: RowSource, const L: usize> Forward<'_, S, L> {
     }
 }
 
-struct Inverse<'a, S, E, const L: usize> {
+struct Inverse<'a, const L: usize> {
     plan: &'a Fft2,
-    source: &'a S,
+    source: &'a dyn ProductSource,
     rows: core::ops::Range<usize>,
     halfway: &'a mut [f16],
     scratch: &'a mut [f32],
-    emit: E,
+    emit: &'a mut dyn FnMut(usize, &[f32]),
 }
 
-impl<S: ProductSource, E: FnMut(usize, &[f32]), const L: usize> Kernel for Inverse<'_, S, E, L> {
+impl<const L: usize> Kernel for Inverse<'_, L> {
     type Output = ();
 
     #[inline(always)]
@@ -220,13 +229,14 @@ impl<S: ProductSource, E: FnMut(usize, &[f32]), const L: usize> Kernel for Inver
     }
 }
 
-impl<S: ProductSource, E: FnMut(usize, &[f32]), const L: usize> Inverse<'_, S, E, L> {
+impl<const L: usize> Inverse<'_, L> {
     /// Columns, as [`Forward::rows`].
     #[inline(always)]
     fn columns<const N: usize>(&mut self, first: usize, count: usize) -> bool {
         let (row_len, fft) = (self.plan.spectrum_len(1), self.plan.cols);
         let (data, _) = strip::split::<N>(self.scratch, fft.len());
-        let exact = strip::inverse_columns(self.source.products(), row_len, (first, count), fft, data);
+        let products = (0..self.source.count()).filter_map(|index| self.source.product(index));
+        let exact = strip::inverse_columns(products, row_len, (first, count), fft, data);
         if exact {
             let rows = &mut data[self.rows.clone()];
             strip::store(rows, Parts::Exchanged, self.halfway, row_len, first, count);
@@ -267,8 +277,12 @@ mod tests {
     struct Stored<'a>(&'a [f16], Vec<f16>);
 
     impl ProductSource for Stored<'_> {
-        fn products(&self) -> impl Iterator<Item = [&[f16]; 2]> {
-            core::iter::once([self.0, &self.1])
+        fn count(&self) -> usize {
+            1
+        }
+
+        fn product(&self, _: usize) -> Option<[&[f16]; 2]> {
+            Some([self.0, &self.1])
         }
     }
 
@@ -298,7 +312,7 @@ mod tests {
         let simd = if wide { Simd::detect() } else { Simd::PORTABLE };
         let ones = (0..spectrum.len()).map(|i| if i % 2 == 0 { f16::ONE } else { f16::ZERO }).collect();
         let source = Stored(spectrum, ones);
-        fft.inverse(simd, &source, rows.clone(), &mut halfway, &mut scratch, |row, values| {
+        fft.inverse(simd, &source, rows.clone(), &mut halfway, &mut scratch, &mut |row, values| {
             out[(row - rows.start) * len..][..len].copy_from_slice(values);
         })
         .unwrap();

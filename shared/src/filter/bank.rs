@@ -99,15 +99,15 @@ impl<'a> FilterBank<'a> {
     /// Length of the arena for [`Self::process`], halves, the same for a part as for the whole: the spectra of the
     /// windows in use, one half-transformed tile and, where the file holds kernels, the spectrum of one of them.
     pub const fn arena_len(&self) -> usize {
-        self.cache_len() + self.fft.spectrum_len(self.geometry.rows.valid()) + self.kernel_len()
+        self.prepared_len() + self.fft.spectrum_len(self.geometry.rows.valid()) + self.kernel_len()
     }
 
     const fn kernel_len(&self) -> usize {
         if self.bank.blocks.is_some() { self.spectrum_len() } else { 0 }
     }
 
-    /// Length of the spectra of all rows of windows that one row of tiles reads, halves.
-    const fn cache_len(&self) -> usize {
+    /// Length of the spectra of all rows of windows that one row of tiles reads, halves: the start of the arena.
+    pub const fn prepared_len(&self) -> usize {
         self.geometry.rows.span() * self.geometry.cols.window_count() * self.spectrum_len()
     }
 
@@ -121,7 +121,32 @@ impl<'a> FilterBank<'a> {
         self.fft.scratch_len_wide()
     }
 
-    /// Filters a frame. `output` is (channels, rows, columns) of the object, or of the part of it that was planned for.
+    /// Whether one tile reads one window that holds the whole frame.
+    pub fn is_whole(&self) -> bool {
+        let Geometry { rows, cols } = &self.geometry;
+        rows.is_whole() && cols.is_whole()
+    }
+
+    /// Transforms the frame of a bank that [`Self::is_whole`] to the first [`Self::prepared_len`] halves of the arena,
+    /// for a later [`Self::process`] with the same arena and no frame, so that the frame need not be kept.
+    ///
+    /// # Errors
+    /// [`FilterError::Length`] where the arena is too short or the bank has several windows,
+    /// [`FilterError::Fft`] where the scratch is too short.
+    pub fn prepare<F: FrameRows>(
+        &self,
+        simd: Simd,
+        frame: &F,
+        arena: &mut [f16],
+        scratch: &mut [f32],
+    ) -> Result<(), FilterError> {
+        check_len(usize::from(self.is_whole()), 1)?;
+        check_len(self.prepared_len(), arena.len().min(self.prepared_len()))?;
+        self.transform_windows(simd, frame, 0, &(0..1), &mut arena[..self.prepared_len()], scratch)
+    }
+
+    /// Filters a frame; none: the one that was prepared ([`Self::prepare`]). `output` is (channels, rows, columns) of
+    /// the object, or of the part of it that was planned for.
     ///
     /// # Errors
     /// [`FilterError::Length`] where the filters, the output or the arena have a wrong length, [`FilterError::Index`]
@@ -129,7 +154,7 @@ impl<'a> FilterBank<'a> {
     pub fn process<F: FrameRows>(
         &self,
         simd: Simd,
-        frame: &F,
+        frame: Option<&F>,
         filters: Filters<'_>,
         mut output: ChwMut<'_, f16>,
         arena: &mut [f16],
@@ -139,7 +164,7 @@ impl<'a> FilterBank<'a> {
         let kernels = self.kernels(filters)?;
         check_len(self.output_len(), output.shape().iter().product())?;
         check_len(self.arena_len(), arena.len().min(self.arena_len()))?;
-        let (cache, arena) = arena.split_at_mut(self.cache_len());
+        let (cache, arena) = arena.split_at_mut(self.prepared_len());
         let (spectrum, halfway) = arena.split_at_mut(self.kernel_len());
         let [part_rows, part_cols] = self.part.ranges();
         let [top, left] = self.valid_from();
@@ -148,7 +173,9 @@ impl<'a> FilterBank<'a> {
             // The rows of windows that the row of tiles before has not read.
             let first = if i == down.start { *rows.windows(i).start() } else { *rows.windows(i).end() };
             for m in first..=*rows.windows(i).end() {
-                self.transform_windows(simd, frame, m, &across, cache, scratch)?;
+                if let Some(frame) = frame {
+                    self.transform_windows(simd, frame, m, &across, cache, scratch)?;
+                }
             }
             for j in across.clone() {
                 let (valid, columns) = (rows.results(i, &part_rows, top), cols.results(j, &part_cols, left));
@@ -165,7 +192,7 @@ impl<'a> FilterBank<'a> {
                     };
                     let sum =
                         TapSum { plan: self, taps: &self.bank.taps[taps], spectra, cache, tile: (i as i32, j as i32) };
-                    self.fft.inverse(simd, &sum, valid.clone(), halfway, scratch, |row, values| {
+                    self.fft.inverse(simd, &sum, valid.clone(), halfway, scratch, &mut |row, values| {
                         let to = output.row_mut(usize::from(channel), i * rows.step + row - top - part_rows.start);
                         let to = &mut to[j * cols.step + columns.start - left - part_cols.start..];
                         narrow_slice(&values[columns.clone()], &mut to[..columns.len()]);
@@ -285,12 +312,14 @@ struct TapSum<'a> {
 }
 
 impl ProductSource for TapSum<'_> {
-    #[inline(always)]
-    fn products(&self) -> impl Iterator<Item = [&[f16]; 2]> {
-        let spectra = self.spectra.chunks_exact(self.plan.spectrum_len());
-        self.taps.iter().zip(spectra).filter_map(|(tap, spectrum)| {
-            let window = (self.tile.0 + i32::from(tap.dy), self.tile.1 + i32::from(tap.dx));
-            Some([spectrum, &self.cache[self.plan.slot(window.0, window.1)?]])
-        })
+    fn count(&self) -> usize {
+        self.taps.len()
+    }
+
+    fn product(&self, index: usize) -> Option<[&[f16]; 2]> {
+        let (tap, len) = (self.taps.get(index)?, self.plan.spectrum_len());
+        let window = (self.tile.0 + i32::from(tap.dy), self.tile.1 + i32::from(tap.dx));
+        let slot = self.plan.slot(window.0, window.1)?;
+        Some([self.spectra.get(index * len..(index + 1) * len)?, self.cache.get(slot)?])
     }
 }

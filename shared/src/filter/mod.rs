@@ -70,7 +70,7 @@
 //! let tensor = ChwMut::new(&mut output, 1, 4, 4).unwrap();
 //! let (mut arena, mut scratch) = (vec![f16::ZERO; filter.arena_len()], vec![0.0; filter.scratch_len()]);
 //! let filters = Filters { halves: &spectrum, index: &[] };
-//! filter.process(Simd::detect(), &Point, filters, tensor, &mut arena, &mut scratch).unwrap();
+//! filter.process(Simd::detect(), Some(&Point), filters, tensor, &mut arena, &mut scratch).unwrap();
 //!
 //! // The object is the middle of the frame, so the point lies at (1, 2) of it.
 //! for (i, pixel) in output.iter().enumerate() {

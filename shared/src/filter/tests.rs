@@ -51,7 +51,7 @@ fn run_filters(bank: &Bank, filters: Filters<'_>, frame: &[f32], size: Size, obj
     let simd = if wide { Simd::detect() } else { Simd::PORTABLE };
     let source = Frame(frame, usize::from(size.cols));
     let arena_len = plan.arena_len();
-    plan.process(simd, &source, filters, tensor, &mut arena[..arena_len], &mut scratch[..len]).unwrap();
+    plan.process(simd, Some(&source), filters, tensor, &mut arena[..arena_len], &mut scratch[..len]).unwrap();
     assert!(arena[arena_len..].iter().all(|x| x.is_nan()) && scratch[len..].iter().all(|x| x.is_nan()));
     output
 }
@@ -63,7 +63,7 @@ fn run_part(bank: &Bank, filters: Filters<'_>, frame: &[f32], size: Size, object
     let mut scratch = vec![f32::NAN; plan.scratch_len()];
     let tensor = ChwMut::new(&mut output, bank.channels.into(), part.rows.into(), part.cols.into()).unwrap();
     let source = Frame(frame, usize::from(size.cols));
-    plan.process(Simd::detect(), &source, filters, tensor, &mut arena, &mut scratch).unwrap();
+    plan.process(Simd::detect(), Some(&source), filters, tensor, &mut arena, &mut scratch).unwrap();
     output
 }
 

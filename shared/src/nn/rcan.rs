@@ -65,6 +65,7 @@ pub struct Rcan {
     filters: usize,
     rows: usize,
     cols: usize,
+    end: Activation,
 }
 
 impl Rcan {
@@ -87,7 +88,12 @@ impl Rcan {
         if needed > u64::from(u32::MAX) {
             return Err(NnError::TooLarge { needed });
         }
-        Ok(Self { shape, integers, filters: usize::from(channels), rows, cols })
+        Ok(Self { shape, integers, filters: usize::from(channels), rows, cols, end: Activation::Sigmoid })
+    }
+
+    /// The plan of the same network without the sigmoid at its end: it gives logits. Of networks in halves only.
+    pub const fn to_logits(self) -> Self {
+        Self { end: Activation::Linear, ..self }
     }
 
     const fn width(&self) -> usize {
@@ -106,6 +112,16 @@ impl Rcan {
     /// Length of the input (C, 2 h, 2 w), halves.
     pub const fn input_len(&self) -> usize {
         self.filters * 4 * self.rows * self.cols
+    }
+
+    /// Shape (C, 2 h, 2 w) of the input.
+    pub const fn input_shape(&self) -> [usize; 3] {
+        [self.filters, 2 * self.rows, 2 * self.cols]
+    }
+
+    /// Length of the weights in halves ([`weights_len`]).
+    pub fn weights_len(&self) -> usize {
+        weights_len(&self.shape, self.filters as u8)
     }
 
     /// Length of the arena for [`Self::process`], halves. The input lies at its end and is overwritten.
@@ -161,7 +177,7 @@ impl Rcan {
     }
 
     const fn upscale(&self) -> Upscale {
-        Upscale { channels: self.width(), rows: self.rows, cols: self.cols }
+        Upscale { channels: self.width(), rows: self.rows, cols: self.cols, end: self.end }
     }
 
     /// The plan of the same network for a window of the features.
@@ -182,7 +198,8 @@ impl Rcan {
     }
 
     /// Runs the network. The end of `arena` holds the filtered channels (C, rows, columns of [`Self::input`]), divided
-    /// by their maximum. `output` receives `region` of the result (2 h, 2 w), 0 to 1. The arena is overwritten.
+    /// by their maximum. `output` receives `region` of the result (2 h, 2 w), 0 to 1, or its logits. The arena is
+    /// overwritten.
     ///
     /// # Errors
     /// [`NnError`] where the weights, the scales, the arena, the output or the scratch do not fit the plan.

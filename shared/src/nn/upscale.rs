@@ -1,4 +1,5 @@
-//! The end of the network in one pass: `sigmoid(conv2(pixel_shuffle(conv(y))))`, conv W -> 4 W, conv2 W -> 1.
+//! The end of the network in one pass: `sigmoid(conv2(pixel_shuffle(conv(y))))`, conv W -> 4 W, conv2 W -> 1, or the
+//! same without the sigmoid.
 //!
 //! The shuffled features, W channels at full resolution, are the largest tensor of the network. It is never stored as a
 //! whole: a band of rows is computed, rounded to halves as if it were stored, and convolved at once.
@@ -21,6 +22,8 @@ pub struct Upscale {
     pub rows: usize,
     /// Columns of the features. The output has twice as many.
     pub cols: usize,
+    /// What is applied to the last sums.
+    pub end: Activation,
 }
 
 impl Upscale {
@@ -51,8 +54,8 @@ impl Upscale {
         self.coarse_len() + 2 * self.fine_len()
     }
 
-    /// Computes `output`, the part of the result (2 rows, 2 cols) that begins at pixel `origin` (row, column), 0 to 1,
-    /// from `input` (channels, rows, cols).
+    /// Computes `output`, the part of the result (2 rows, 2 cols) that begins at pixel `origin` (row, column), from
+    /// `input` (channels, rows, cols).
     ///
     /// # Errors
     /// [`NnError::Shape`], [`NnError::Weights`] or [`NnError::Scratch`] where an argument does not fit the plan.
@@ -136,8 +139,11 @@ impl Kernel for Job<'_> {
                 packed::row::<V>(input, plan.channels, 1, 2 * plan.cols, weights2, bias2, sums2);
                 let to = output.row_mut(row - top);
                 let sums = &mut sums2[left..left + to.len()];
-                Activation::Sigmoid.apply(sums);
-                narrow_slice(sums, to);
+                plan.end.apply(sums);
+                match plan.end {
+                    Activation::Sigmoid => narrow_slice(sums, to),
+                    Activation::Linear | Activation::Relu => fused::narrow_bounded(sums, to),
+                }
             }
         }
     }
@@ -201,7 +207,7 @@ mod tests {
         fn new(channels: usize, rows: usize, cols: usize) -> Self {
             let mut noise = Noise(8);
             Self {
-                plan: Upscale { channels, rows, cols },
+                plan: Upscale { channels, rows, cols, end: Activation::Sigmoid },
                 weights: [noise.halves(36 * channels * channels, 0.3), noise.halves(9 * channels, 0.3)],
                 bias: [noise.halves(4 * channels, 0.5), noise.halves(1, 0.5)],
                 input: noise.halves(channels * rows * cols, 1.0),
@@ -209,7 +215,7 @@ mod tests {
         }
 
         fn run(&self, simd: Simd, band: usize) -> Vec<f16> {
-            let Upscale { channels, rows, cols } = self.plan;
+            let Upscale { channels, rows, cols, .. } = self.plan;
             let mut output = vec![f16::NAN; 4 * rows * cols];
             let len = self.plan.scratch_len(band);
             let mut scratch = vec![f32::NAN; len + 4];

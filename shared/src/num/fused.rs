@@ -109,6 +109,30 @@ pub fn divide(values: &mut [f16], divisor: f32) {
     bound_on_arm!(values);
 }
 
+/// `to = 4 (from - scale * to)`, the product rounded to single, the difference rounded to single, then to half.
+#[inline(always)]
+pub fn difference(scale: f32, from: &[f16], to: &mut [f16]) {
+    for (to, &x) in to.iter_mut().zip(from) {
+        *to = stored(4.0 * mac(widen(*to), -scale, widen(x)));
+    }
+    bound_on_arm!(to);
+}
+
+/// Adds the products of the elements 8 k + j of two slices to partial sum j, in ascending order of k. The products are
+/// exact.
+#[inline(always)]
+pub fn add_products_eights(a: &[f16], b: &[f16], sums: &mut [f32; 8]) {
+    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<8>(), b.as_chunks::<8>());
+    for (a, b) in a.iter().zip(b) {
+        for (sum, (&a, &b)) in sums.iter_mut().zip(a.iter().zip(b)) {
+            *sum += widen(a) * widen(b);
+        }
+    }
+    for (sum, (&a, &b)) in sums.iter_mut().zip(a_rest.iter().zip(b_rest)) {
+        *sum += widen(a) * widen(b);
+    }
+}
+
 /// Adds the elements 8 k + j to partial sum j, in ascending order of k.
 #[inline(always)]
 pub fn add_eights(from: &[f16], sums: &mut [f32; 8]) {

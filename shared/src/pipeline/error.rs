@@ -3,6 +3,7 @@
 use core::fmt;
 
 use crate::blob::{MemoryPlan, Size};
+use crate::fft::FftError;
 use crate::filter::FilterError;
 use crate::image::{Region, ShapeError};
 use crate::nn::NnError;
@@ -71,6 +72,8 @@ pub enum PipelineError {
     /// The held statistics do not fit the frame: its maximum is more than [`GROWTH`](super::GROWTH) times the held one
     /// or less than the held one divided by that, or its filter outputs are too large in the same way.
     Outgrown,
+    /// Statistics of the field cannot be held for a network with several passes.
+    Hold,
     /// The output buffer has another length.
     Output {
         /// Pixels of the region.
@@ -90,6 +93,12 @@ pub enum PipelineError {
 impl From<FilterError> for PipelineError {
     fn from(error: FilterError) -> Self {
         Self::Filter(error)
+    }
+}
+
+impl From<FftError> for PipelineError {
+    fn from(error: FftError) -> Self {
+        Self::Filter(FilterError::Fft(error))
     }
 }
 
@@ -138,6 +147,9 @@ impl fmt::Display for PipelineError {
                 f.write_str("no statistics of the field are held: the frame that they come from had no light")
             }
             Self::Outgrown => f.write_str("the frame is too bright or too dark for the held statistics"),
+            Self::Hold => {
+                f.write_str("a network with several passes holds no field statistics; run it with a hold of 0")
+            }
             Self::Output { expected, found } => write!(f, "output: expected {expected} pixels, found {found}"),
             Self::Memory { expected, found } => {
                 memory(f, "fast", expected.fast_bytes, found.fast_bytes)?;

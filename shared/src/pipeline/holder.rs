@@ -37,7 +37,7 @@ impl Holder {
     ///
     /// # Errors
     /// As [`Pipeline::run_with`]; [`PipelineError::Memory`] where `hold` is not 0 and the fast memory has no room for
-    /// the scales.
+    /// the scales; [`PipelineError::Hold`] where `hold` is not 0 and the network has several passes.
     pub fn run(
         &mut self,
         pipeline: &Pipeline<'_>,
@@ -46,6 +46,13 @@ impl Holder {
         Memory { fast, bulk }: Memory<'_>,
         output: &mut [f16],
     ) -> Result<(Stats, u16), PipelineError> {
+        if pipeline.passes() > 1 {
+            self.forget();
+            return match hold {
+                0 => Ok((pipeline.run_region(frame, region, Memory { fast, bulk }, output)?, 0)),
+                _ => Err(PipelineError::Hold),
+            };
+        }
         let kept = pipeline.scales_len();
         let Some(least) = fast.len().checked_sub(kept).filter(|&rest| rest >= pipeline.fast_len()) else {
             self.forget();

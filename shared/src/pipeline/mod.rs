@@ -31,6 +31,7 @@
 //!     rcan: Rcan { width: 1, groups: 1, blocks: 1, reduction: 1 },
 //!     memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
 //!     integers: None,
+//!     passes: None,
 //! };
 //! header.memory = Pipeline::plan(&header).unwrap();
 //!
@@ -39,7 +40,8 @@
 //! filters.chunks_mut(2).for_each(|number| number[0] = f16::ONE);
 //! let rcan = [f16::ZERO; 131];
 //! let weights =
-//!     Weights { filters: &filters, index: &[], rcan: &rcan, offset_dn: None, inverse_gain: None, convolutions: None };
+//!     Weights { filters: &filters, index: &[], rcan: &rcan, offset_dn: None, inverse_gain: None, convolutions: None,
+//!         predictor: &[] };
 //! let network = Network::new(header, weights).unwrap();
 //! let pipeline = Pipeline::new(&network).unwrap();
 //!
@@ -56,6 +58,7 @@
 mod error;
 mod field;
 mod holder;
+mod passes;
 mod reconstruct;
 mod validate;
 
@@ -64,5 +67,7 @@ pub use field::{Field, GROWTH, Stats};
 pub use holder::{HeldRegion, Holder};
 pub use reconstruct::{Memory, Pipeline};
 
+#[cfg(test)]
+mod pass_tests;
 #[cfg(test)]
 mod tests;

@@ -2,13 +2,14 @@
 
 use super::error::PipelineError;
 use super::field::{Field, Stats};
-use super::validate;
+use super::passes::Later;
+use super::validate::{self, Shapes};
 use crate::blob::{Header, MemoryPlan, Network, Weights};
 use crate::filter::{FilterBank, Filters, FrameRows};
 use crate::image::{ChwMut, PlaneMut, Region};
 use crate::nn::rcan::{self, Rcan};
 use crate::num::simd::{Kernel, Simd, Vector};
-use crate::num::{f16, fused, largest, max_finite};
+use crate::num::{f16, fused, largest, max_finite, widen_slice};
 use crate::sensor::FixedPattern;
 
 /// Rows of a band beyond which the rows no longer stay in a workstation's caches.
@@ -27,11 +28,12 @@ pub struct Memory<'m> {
 #[derive(Clone, Copy, Debug)]
 pub struct Pipeline<'a> {
     header: &'a Header,
-    weights: Weights<'a>,
+    pub(super) weights: Weights<'a>,
     pattern: FixedPattern<'a>,
-    filter: FilterBank<'a>,
-    rcan: Rcan,
-    simd: Simd,
+    pub(super) filter: FilterBank<'a>,
+    pub(super) rcan: Rcan,
+    later: Option<Later<'a>>,
+    pub(super) simd: Simd,
 }
 
 impl<'a> Pipeline<'a> {
@@ -43,14 +45,15 @@ impl<'a> Pipeline<'a> {
     /// or the index of the blocks is out of order; [`PipelineError::TooLarge`]; [`PipelineError::Plan`].
     pub fn new(network: &'a Network<'_>) -> Result<Self, PipelineError> {
         let (header, weights) = (network.header(), network.weights());
-        let (filter, rcan) = validate::shapes(header)?;
+        let shapes = validate::shapes(header)?;
+        let (expected, found) = (memory_plan(header, &shapes)?, header.memory);
+        let Shapes { filter, rcan, later } = shapes;
         filter.check(Filters { halves: weights.filters, index: weights.index })?;
-        let (expected, found) = (memory_plan(header, &filter, &rcan)?, header.memory);
         if expected != found {
             return Err(PipelineError::Plan { expected, found });
         }
         let pattern = FixedPattern::new(header, &weights);
-        Ok(Self { header, weights, pattern, filter, rcan, simd: Simd::detect() })
+        Ok(Self { header, weights, pattern, filter, rcan, later, simd: Simd::detect() })
     }
 
     /// Memory that a network needs at least. It follows from the shapes in the header alone and is the same on every
@@ -60,14 +63,14 @@ impl<'a> Pipeline<'a> {
     /// [`PipelineError::Field`], [`PipelineError::BlackLevel`] or [`PipelineError::Filter`] where a shape is
     /// impossible, [`PipelineError::TooLarge`] where the network needs 4 GiB or more.
     pub fn plan(header: &Header) -> Result<MemoryPlan, PipelineError> {
-        let (filter, rcan) = validate::shapes(header)?;
-        memory_plan(header, &filter, &rcan)
+        memory_plan(header, &validate::shapes(header)?)
     }
 
     /// Length of fast scratch beyond which more does not help, numbers.
     pub fn fast_len_best(&self) -> usize {
         let frame = usize::from(self.header.frame.cols);
-        self.filter.scratch_len_wide().max(self.rcan.scratch_len(BEST_BAND)) + frame
+        let later = self.later.as_ref().map_or(0, |later| later.scratch_len_best(BEST_BAND));
+        self.filter.scratch_len_wide().max(self.rcan.scratch_len(BEST_BAND)).max(later) + frame
     }
 
     /// Length of fast scratch needed at least, numbers.
@@ -90,9 +93,15 @@ impl<'a> Pipeline<'a> {
         usize::from(self.header.object.rows) * usize::from(self.header.object.cols)
     }
 
-    /// Number of scales of all channel attentions, for [`Field`].
+    /// Number of passes.
+    pub fn passes(&self) -> usize {
+        self.later.as_ref().map_or(1, |later| 1 + later.count())
+    }
+
+    /// Number of scales of all channel attentions, for [`Field`]; 0 for a network with several passes, which cannot be
+    /// held.
     pub const fn scales_len(&self) -> usize {
-        self.rcan.scales_len()
+        if self.later.is_some() { 0 } else { self.rcan.scales_len() }
     }
 
     /// The header of the network.
@@ -129,7 +138,8 @@ impl<'a> Pipeline<'a> {
     /// region is exact. Held from another frame, only the region and its surroundings are computed.
     ///
     /// # Errors
-    /// As [`Self::run_region`]; [`PipelineError::Scales`] where `field` belongs to another network;
+    /// As [`Self::run_region`]; [`PipelineError::Hold`] where the network has several passes and `field` is more
+    /// than [`Field::Measured`] of nothing; [`PipelineError::Scales`] where `field` belongs to another network;
     /// [`PipelineError::NothingHeld`] and [`PipelineError::Outgrown`] where the held statistics cannot be used. The
     /// output is not written then.
     pub fn run_with(
@@ -143,17 +153,23 @@ impl<'a> Pipeline<'a> {
         let Memory { fast, bulk } = memory;
         self.check_region(region)?;
         self.check_lengths(frame, fast, bulk, (region.pixels(), output.len()))?;
-        let (held, scales) = field.split(self.scales_len())?;
         let bulk = &mut bulk[..self.bulk_len()];
+        // Where their code is left out, the pipeline has refused such a network.
+        if let Some(later) = self.later.as_ref().filter(|_| !cfg!(feature = "one-pass")) {
+            let Field::Measured(None) = field else { return Err(PipelineError::Hold) };
+            return self.run_passes(later, frame, region, Memory { fast, bulk }, output);
+        }
+        let (held, scales) = field.split(self.scales_len())?;
         let (saturated_px, frame_max_dn) = self.survey(frame, fast);
         held.map_or(Ok(()), |held| held.fits_frame(frame_max_dn))?;
-        let source = Corrected { pipeline: self, frame, max: held.map_or(frame_max_dn, |held| held.frame_max_dn) };
+        let max = held.map_or(frame_max_dn, |held| held.frame_max_dn);
+        let source = Source::Raw { pipeline: self, frame, max };
         let part = self.rcan.input(region, held.is_some());
         let filter = self.filter.of_part(part)?;
         let (arena, channels) = bulk.split_at_mut(bulk.len() - filter.output_len());
         let tensor = ChwMut::new(channels, usize::from(self.header.bank.channels), part.rows.into(), part.cols.into())?;
         let filters = Filters { halves: self.weights.filters, index: self.weights.index };
-        filter.process(self.simd, &source, filters, tensor, arena, fast)?;
+        filter.process(self.simd, Some(&source), filters, tensor, arena, fast)?;
         let by = held.map(|held| held.filter_max);
         let (filter_max, filter_finite) = self.simd.run(Normalise { values: channels, by });
         held.map_or(Ok(()), |held| held.fits_filters(filter_max, filter_finite))?;
@@ -202,7 +218,7 @@ impl<'a> Pipeline<'a> {
     }
 
     /// Number of saturated pixels, and the maximum of the corrected frame, DN.
-    fn survey(&self, frame: &[u16], fast: &mut [f32]) -> (u32, f32) {
+    pub(super) fn survey(&self, frame: &[u16], fast: &mut [f32]) -> (u32, f32) {
         let cols = usize::from(self.header.frame.cols);
         let row = &mut fast[..cols];
         let (mut saturated, mut max) = (0, f32::NEG_INFINITY);
@@ -219,10 +235,15 @@ impl<'a> Pipeline<'a> {
     }
 }
 
-fn memory_plan(header: &Header, filter: &FilterBank<'_>, rcan: &Rcan) -> Result<MemoryPlan, PipelineError> {
+fn memory_plan(header: &Header, shapes: &Shapes<'_>) -> Result<MemoryPlan, PipelineError> {
+    let Shapes { filter, rcan, later } = shapes;
     let fast = filter.scratch_len().max(rcan.scratch_len(1)).max(usize::from(header.frame.cols)) as u64;
     // Each length has been checked alone; their sum has not.
     let bulk = (rcan.arena_len() as u64).max(filter.arena_len() as u64 + rcan.input_len() as u64);
+    let (fast, bulk) = match later {
+        None => (fast, bulk),
+        Some(later) => (fast.max(later.scratch_len() as u64), later.bulk_len(bulk, filter)),
+    };
     let (fast, bulk) = (fast * size_of::<f32>() as u64, bulk * size_of::<f16>() as u64);
     match (u32::try_from(fast), u32::try_from(bulk)) {
         (Ok(fast_bytes), Ok(bulk_bytes)) => Ok(MemoryPlan { fast_bytes, bulk_bytes }),
@@ -235,30 +256,36 @@ fn bytes(len: usize) -> u32 {
     u32::try_from(len).unwrap_or(u32::MAX)
 }
 
-/// The corrected frame, divided by its maximum.
-struct Corrected<'a> {
-    pipeline: &'a Pipeline<'a>,
-    frame: &'a [u16],
-    max: f32,
+/// What the filters take. It is one type, so that there is one copy of their code.
+pub(super) enum Source<'a> {
+    /// The corrected frame, divided by its maximum.
+    Raw { pipeline: &'a Pipeline<'a>, frame: &'a [u16], max: f32 },
+    /// A predicted frame with so many columns.
+    Predicted { frame: &'a [f16], cols: usize },
 }
 
-impl FrameRows for Corrected<'_> {
+impl FrameRows for Source<'_> {
     fn load(&self, row: usize, first: usize, to: &mut [f32]) {
-        if self.max > 0.0 {
-            let start = row * usize::from(self.pipeline.header.frame.cols) + first;
-            let codes = &self.frame[start..start + to.len()];
-            let done = self.pipeline.pattern.correct_with(row, first, codes, to, |signal| signal / self.max);
-            to[..done].iter_mut().for_each(|signal| *signal /= self.max);
-        } else {
-            to.fill(0.0);
+        match *self {
+            Self::Raw { pipeline, frame, max } if max > 0.0 => {
+                let start = row * usize::from(pipeline.header.frame.cols) + first;
+                let codes = &frame[start..start + to.len()];
+                let done = pipeline.pattern.correct_with(row, first, codes, to, |signal| signal / max);
+                to[..done].iter_mut().for_each(|signal| *signal /= max);
+            }
+            Self::Raw { .. } => to.fill(0.0),
+            Self::Predicted { frame, cols } => {
+                let start = row * cols + first;
+                widen_slice(frame.get(start..start + to.len()).unwrap_or_default(), to);
+            }
         }
     }
 }
 
 /// Divides by the maximum, or by `by` where it is given. Returns the maximum and whether all values are finite.
-struct Normalise<'a> {
-    values: &'a mut [f16],
-    by: Option<f32>,
+pub(super) struct Normalise<'a> {
+    pub values: &'a mut [f16],
+    pub by: Option<f32>,
 }
 
 impl Kernel for Normalise<'_> {

@@ -25,17 +25,18 @@ const TILE: usize = 32;
 /// Roundings of the filter (6e-4 of its largest output) and of the network (4e-4 of its own) together, twice over.
 const TOLERANCE: f64 = 1.5e-3;
 
-struct Case {
-    header: Header,
+pub(super) struct Case {
+    pub header: Header,
     spectra: Vec<f16>,
-    rcan: Vec<f16>,
+    pub rcan: Vec<f16>,
+    pub predictor: Vec<f16>,
     offset: Vec<f16>,
     gain: Vec<f16>,
-    frame: Vec<u16>,
+    pub frame: Vec<u16>,
 }
 
 impl Case {
-    fn new() -> Self {
+    pub fn new() -> Self {
         let mut noise = Noise(12);
         let pixels = usize::from(FRAME.rows) * usize::from(FRAME.cols);
         let header = Header {
@@ -54,12 +55,14 @@ impl Case {
             rcan: RCAN,
             memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
             integers: None,
+            passes: None,
         };
         let header = Header { memory: Pipeline::plan(&header).unwrap(), ..header };
         let gain = noise.halves(pixels, 0.1).into_iter().map(|x| f16::from_f32(1.0 + x.to_f32())).collect();
         Self {
             spectra: noise.halves(2 * 2 * TILE * (TILE / 2 + 1), 0.5),
             rcan: noise.halves(rcan::weights_len(&RCAN, 2), 0.2),
+            predictor: Vec::new(),
             offset: noise.halves(pixels, 4.0),
             gain,
             frame: (0..pixels).map(|_| (600.0 + 550.0 * noise.next()) as u16).collect(),
@@ -69,20 +72,28 @@ impl Case {
 
     fn weights(&self) -> Weights<'_> {
         let (offset_dn, inverse_gain) = (Some(self.offset.as_slice()), Some(self.gain.as_slice()));
-        Weights { filters: &self.spectra, index: &[], rcan: &self.rcan, offset_dn, inverse_gain, convolutions: None }
+        Weights {
+            filters: &self.spectra,
+            index: &[],
+            rcan: &self.rcan,
+            offset_dn,
+            inverse_gain,
+            convolutions: None,
+            predictor: &self.predictor,
+        }
     }
 
-    fn network(&self) -> Result<Network<'_>, BlobError> {
+    pub fn network(&self) -> Result<Network<'_>, BlobError> {
         Network::new(self.header.clone(), self.weights())
     }
 
     /// The network lives as long as the test program.
-    fn pipeline(&self) -> Pipeline<'_> {
+    pub fn pipeline(&self) -> Pipeline<'_> {
         Pipeline::new(Box::leak(Box::new(self.network().unwrap()))).unwrap()
     }
 
     /// Runs with so much more memory than planned, all of it dirty, with guards behind.
-    fn run(&self, more_fast: usize, more_bulk: usize) -> (Vec<f16>, Stats) {
+    pub fn run(&self, more_fast: usize, more_bulk: usize) -> (Vec<f16>, Stats) {
         let pipeline = self.pipeline();
         let (fast_len, bulk_len) = (pipeline.fast_len() + more_fast, pipeline.bulk_len() + more_bulk);
         let (mut fast, mut bulk) = (vec![f32::NAN; fast_len + 4], vec![f16::NAN; bulk_len + 4]);
@@ -91,6 +102,23 @@ impl Case {
         let stats = pipeline.run(&self.frame, memory, &mut output).unwrap();
         assert!(fast[fast_len..].iter().all(|x| x.is_nan()) && bulk[bulk_len..].iter().all(|x| x.is_nan()));
         (output, stats)
+    }
+
+    /// The corrected frame, DN.
+    pub fn corrected(&self) -> Vec<f64> {
+        let (offset, gain) = (wide(&self.offset), wide(&self.gain));
+        let correct = |(i, &code): (usize, &u16)| (f64::from(code) - 64.5 - offset[i]) * gain[i];
+        self.frame.iter().enumerate().map(correct).collect()
+    }
+
+    /// The filter outputs of a frame.
+    pub fn filtered(&self, frame: &[f64]) -> Vec<f64> {
+        let mut plane = vec![[0.0, 0.0]; TILE * TILE];
+        for (i, x) in frame.iter().enumerate() {
+            plane[((TILE - 27) / 2 + i / 30) * TILE + (TILE - 30) / 2 + i % 30][0] = *x;
+        }
+        let plane = crate::fft::naive::dft2(&plane, TILE, false);
+        self.spectra.chunks(TILE * (TILE + 2)).flat_map(|k| filter(&plane, &wide(k))).collect()
     }
 
     /// The whole way in f64: frame maximum, filter maximum, reconstruction.
@@ -105,17 +133,10 @@ impl Case {
         held: Option<[f64; 2]>,
         choose: &mut dyn FnMut(Vec<f64>) -> Vec<f64>,
     ) -> ([f64; 2], Tensor) {
-        let (offset, gain) = (wide(&self.offset), wide(&self.gain));
-        let correct = |(i, &code): (usize, &u16)| (f64::from(code) - 64.5 - offset[i]) * gain[i];
-        let x: Vec<f64> = self.frame.iter().enumerate().map(correct).collect();
+        let x = self.corrected();
         let frame_max = held.map_or(x.iter().copied().fold(f64::MIN, f64::max), |held| held[0]);
-        let mut plane = vec![[0.0, 0.0]; TILE * TILE];
-        for (i, x) in x.iter().enumerate() {
-            plane[((TILE - 27) / 2 + i / 30) * TILE + (TILE - 30) / 2 + i % 30][0] = x / frame_max;
-        }
-        let plane = crate::fft::naive::dft2(&plane, TILE, false);
-        let channels: Vec<f64> =
-            self.spectra.chunks(TILE * (TILE + 2)).flat_map(|k| filter(&plane, &wide(k))).collect();
+        let x: Vec<f64> = x.into_iter().map(|x| x / frame_max).collect();
+        let channels = self.filtered(&x);
         let filter_max = held.map_or(channels.iter().copied().fold(f64::MIN, f64::max), |held| held[1]);
         let x = Tensor::new([2, 14, 12], channels).map(|x| x / filter_max);
         ([frame_max, filter_max], naive::rcan_with(&x, [2, 2, 8, 2], &wide(&self.rcan), choose))
@@ -302,7 +323,12 @@ fn wide_case() -> Case {
     case
 }
 
-fn run_with(case: &Case, frame: &[u16], region: Region, field: Field<'_>) -> Result<(Vec<f16>, Stats), PipelineError> {
+pub(super) fn run_with(
+    case: &Case,
+    frame: &[u16],
+    region: Region,
+    field: Field<'_>,
+) -> Result<(Vec<f16>, Stats), PipelineError> {
     let pipeline = case.pipeline();
     let (mut fast, mut bulk) = (vec![f32::NAN; pipeline.fast_len()], vec![f16::NAN; pipeline.bulk_len()]);
     let mut output = vec![f16::NAN; region.pixels()];

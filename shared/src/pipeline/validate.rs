@@ -1,6 +1,7 @@
 //! The checks of a header before anything is computed.
 
 use super::error::PipelineError;
+use super::passes::Later;
 use crate::blob::{FeatureBits, Header, has_black_level};
 use crate::filter::FilterBank;
 use crate::nn::rcan::Rcan;
@@ -8,8 +9,15 @@ use crate::nn::rcan::Rcan;
 /// Largest side of a frame or an object, pixels. Products of shapes are checked where the operators are planned.
 const MAX_SIDE: u32 = 4096;
 
+/// The planned operators.
+pub(super) struct Shapes<'a> {
+    pub filter: FilterBank<'a>,
+    pub rcan: Rcan,
+    pub later: Option<Later<'a>>,
+}
+
 /// Checks the shapes of a header and plans the operators.
-pub(super) fn shapes(header: &Header) -> Result<(FilterBank<'_>, Rcan), PipelineError> {
+pub(super) fn shapes(header: &Header) -> Result<Shapes<'_>, PipelineError> {
     for (field, side) in [("frame.rows", header.frame.rows), ("frame.cols", header.frame.cols)] {
         check(field, "1 to 4096 pixels", u32::from(side), |side| (1..=MAX_SIDE).contains(&side))?;
     }
@@ -30,10 +38,19 @@ pub(super) fn shapes(header: &Header) -> Result<(FilterBank<'_>, Rcan), Pipeline
         let expected = "16: this device has no loops for features of 8 bits; quantize with --activations int16";
         return Err(PipelineError::Field { field: "bits of a feature", expected, found: 8 });
     }
-    Ok((filter, Rcan::new(network, header.integers, header.bank.channels, header.object)?))
+    let rcan = Rcan::new(network, header.integers, header.bank.channels, header.object)?;
+    let later = match &header.passes {
+        Some(passes) if cfg!(feature = "one-pass") => {
+            let expected = "0: this device has no room for their code; train with --passes 1 for it";
+            return Err(PipelineError::Field { field: "later passes", expected, found: passes.later.into() });
+        }
+        Some(passes) => Some(Later::new(header, passes)?),
+        None => None,
+    };
+    Ok(Shapes { filter, rcan, later })
 }
 
-fn check(
+pub(super) fn check(
     field: &'static str,
     expected: &'static str,
     found: u32,

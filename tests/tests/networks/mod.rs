@@ -5,7 +5,7 @@ use half::f16;
 use ommatidia_network::network_file::NetworkFile;
 use ommatidia_session::rng;
 use ommatidia_shared::blob::{
-    Bank, Blocks, FeatureBits, Header, Integers, MemoryPlan, Rcan, Sensor, Size, Tap, Weights,
+    Bank, Blocks, Corner, FeatureBits, Header, Integers, MemoryPlan, Passes, Rcan, Sensor, Size, Tap, Weights,
 };
 use ommatidia_shared::image::Region;
 use ommatidia_shared::nn::integer::{Channel, Convolutions};
@@ -108,7 +108,20 @@ pub fn header(shape: &Shape) -> Header {
         },
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
         integers: None,
+        passes: None,
     };
+    header.memory = Pipeline::plan(&header).unwrap();
+    header
+}
+
+/// The same network with so many passes in all: four lenses, of which three reach beyond the frame, with maps that
+/// vary.
+pub fn with_passes(shape: &Shape, passes: u8, terms: u8) -> Header {
+    let mut header = header(shape);
+    let [rows, cols] = [0, 1].map(|axis| (shape.frame[axis] - shape.object[axis]) as i16);
+    let corners = [[rows / 2, cols / 2], [-4, 3], [rows + 5, cols - 2], [rows / 2 - 3, cols + 7]];
+    let corners = corners.into_iter().map(|[row, col]| Corner { row, col }).collect();
+    header.passes = Some(Passes { later: passes - 1, terms, window: 5, node_step: 4, corners });
     header.memory = Pipeline::plan(&header).unwrap();
     header
 }
@@ -157,6 +170,7 @@ pub fn scaled(header: &Header, seed: u64, factors: [f32; 3]) -> NetworkFile {
     if header.integers.is_none() {
         rcan[last..].iter_mut().for_each(|w| *w = f16::from_f32(w.to_f32() / factors[1] * factors[2]));
     }
+    let predictor = predictor(header, seed);
     let (integers, channels) = integers(header, seed, layer / 127.0 * factors[1]);
     let offset = draw("offset", lens.offset_dn, 0.0, 8.0);
     let gain = draw("gain", lens.inverse_gain, 1.0, 0.1);
@@ -167,8 +181,23 @@ pub fn scaled(header: &Header, seed: u64, factors: [f32; 3]) -> NetworkFile {
         offset_dn: header.sensor.has_offset_map.then_some(&offset),
         inverse_gain: header.sensor.has_gain_map.then_some(&gain),
         convolutions: header.integers.map(|_| Convolutions { weights: &integers, channels: &channels }),
+        predictor: &predictor,
     };
     NetworkFile::new(header, &weights).unwrap()
+}
+
+/// The model of the PSFs of a network with several passes: coefficients of either sign, and light that adds up to 1.
+fn predictor(header: &Header, seed: u64) -> Vec<f16> {
+    let Some(passes) = &header.passes else { return Vec::new() };
+    let maps: usize = passes.nodes(header.object).iter().product();
+    let term = passes.term_len(header.object) as usize;
+    let lags = f32::from(passes.window).powi(2) * f32::from(passes.terms);
+    let most = f32::from(passes.tile(header.object).unwrap()) / lags;
+    let mut rng = rng::stream(seed, "predictor", 0);
+    let number = |i: usize| {
+        if i % term < maps { rng.random_range(-0.5..1.0f32) } else { most * rng.random_range(-0.2..1.0f32) }
+    };
+    (0..header.section_lens().unwrap().predictor as usize).map(number).map(f16::from_f32).collect()
 }
 
 /// Integer weights of every size and channels whose weights are worth about `scale` each; biases of up to a few units

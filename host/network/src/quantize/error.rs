@@ -33,16 +33,23 @@ pub enum QuantizeError {
     /// Devices run SV-FourierNet only.
     #[error("expected a checkpoint of svfouriernet, found one of {0}, which runs on the host only")]
     Architecture(&'static str),
-    /// Devices run networks of one pass.
+    /// Devices run no Richardson-Lucy iterations.
     #[error(
-        "expected a network of one pass without Richardson-Lucy iterations, found {passes} passes and {iterations} \
-         iterations; such networks run on the host only; train without --passes and --richardson-lucy"
+        "expected a network without Richardson-Lucy iterations, found {iterations}: such networks run on the host \
+         only; train with --richardson-lucy 0 (--passes 2 and more run on devices)"
     )]
-    Passes {
+    Iterations {
+        /// Number of Richardson-Lucy iterations ahead of the passes.
+        iterations: usize,
+    },
+    /// Networks in integers have one pass.
+    #[error(
+        "expected a network of one pass for integers, found {passes} passes, which devices run in half precision only; \
+         leave --weights, --activations and, of `train`, --quantize out, or train with --passes 1"
+    )]
+    PassesInIntegers {
         /// Number of passes.
         passes: usize,
-        /// Number of Richardson-Lucy iterations ahead of them.
-        iterations: usize,
     },
     /// A size that devices do not support.
     #[error("{field}: expected {expected}, found {found}")]

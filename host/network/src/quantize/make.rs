@@ -4,6 +4,7 @@ use super::bank::PlannedBank;
 use super::config::Numbers;
 use super::integers::IntegerNetwork;
 use super::pack::{self, narrow};
+use super::passes::PlannedPasses;
 use super::report::MadeFile;
 use super::{QuantizeConfig, QuantizeError, QuantizeReport};
 use crate::train::{Architecture, Checkpoint};
@@ -50,21 +51,35 @@ pub fn quantize(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) ->
 /// Checks that devices run such networks.
 ///
 /// # Errors
-/// The network is of another architecture than SV-FourierNet, or has more than one pass.
+/// The network is of another architecture than SV-FourierNet, or begins with Richardson-Lucy iterations.
 pub(super) fn check_architecture(checkpoint: &Checkpoint) -> Result<(), QuantizeError> {
     let network = &checkpoint.body.network;
     if network.architecture != Architecture::SvFourierNet {
         return Err(QuantizeError::Architecture(network.architecture.name().as_str()));
     }
-    if network.feedback.is_some() {
-        let (passes, iterations) = (network.passes(), network.iterations());
-        return Err(QuantizeError::Passes { passes, iterations });
+    match network.iterations() {
+        0 => Ok(()),
+        iterations => Err(QuantizeError::Iterations { iterations }),
     }
-    Ok(())
+}
+
+/// Checks that devices run such networks in integers.
+///
+/// # Errors
+/// As [`check_architecture`]; or the network has more than one pass.
+pub(super) fn check_integers(checkpoint: &Checkpoint) -> Result<(), QuantizeError> {
+    check_architecture(checkpoint)?;
+    match checkpoint.body.network.passes() {
+        1 => Ok(()),
+        passes => Err(QuantizeError::PassesInIntegers { passes }),
+    }
 }
 
 fn make(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) -> Result<Quantized, QuantizeError> {
-    check_architecture(checkpoint)?;
+    match config.numbers {
+        Numbers::Halves => check_architecture(checkpoint)?,
+        Numbers::Integers | Numbers::Bytes => check_integers(checkpoint)?,
+    }
     let network = &checkpoint.body.network;
     pack::check_finite(&checkpoint.weights)?;
     let bank = PlannedBank::new(checkpoint, config)?;
@@ -74,10 +89,12 @@ fn make(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) -> Result<
         Numbers::Integers => Some(IntegerNetwork::of(checkpoint, FeatureBits::Sixteen)?),
         Numbers::Bytes => Some(IntegerNetwork::of(checkpoint, FeatureBits::Eight)?),
     };
-    let rcan = match &integers {
+    let mut rcan = match &integers {
         None => pack::rcan(network, &checkpoint.weights)?,
         Some(integers) => integers.attention.clone(),
     };
+    let later = PlannedPasses::of(checkpoint)?;
+    rcan.extend(later.iter().flat_map(|later| &later.rcan));
     let offset =
         checkpoint.maps.offset_dn.as_ref().map(|map| pack::halves("offset_dn", map.iter().copied())).transpose()?;
     let gain = checkpoint
@@ -93,8 +110,10 @@ fn make(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) -> Result<
         offset_dn: offset.as_deref(),
         inverse_gain: gain.as_deref(),
         convolutions: integers.as_ref().map(IntegerNetwork::convolutions),
+        predictor: later.as_ref().map_or(&[], |later| &later.model),
     };
-    let header = header(checkpoint, hash, config, &bank, integers.as_ref().map(|integers| integers.scales))?;
+    let parts = (integers.as_ref().map(|integers| integers.scales), later.as_ref().map(|later| later.passes.clone()));
+    let header = header(checkpoint, hash, config, &bank, parts)?;
     let mut bytes = vec![0; blob::encoded_len(&header)?];
     let len = blob::encode(&header, &weights, &mut bytes)?;
     bytes.truncate(len);
@@ -103,6 +122,7 @@ fn make(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) -> Result<
         bytes: &bytes,
         filter_bytes: (filters.len() + index.len()) * size_of::<f16>(),
         rcan_bytes: rcan_bytes(&header)?,
+        predictor_bytes: header.section_lens()?.predictor as usize * size_of::<f16>(),
     };
     let halves = match config.numbers {
         Numbers::Halves => None,
@@ -125,7 +145,7 @@ fn header(
     hash: &str,
     config: &QuantizeConfig,
     bank: &PlannedBank,
-    integers: Option<blob::Integers>,
+    (integers, passes): (Option<blob::Integers>, Option<blob::Passes>),
 ) -> Result<Header, QuantizeError> {
     let (network, noise) = (&checkpoint.body.network, &checkpoint.body.noise);
     let size = |field, [rows, cols]: [usize; 2]| -> Result<Size, QuantizeError> {
@@ -146,6 +166,7 @@ fn header(
         rcan: pack::describe(network)?,
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
         integers,
+        passes,
     };
     header.memory = Pipeline::plan(&header)?;
     Ok(header)

@@ -31,6 +31,7 @@ mod integers;
 mod make;
 mod mask;
 mod pack;
+mod passes;
 mod plane;
 mod ranges;
 mod report;

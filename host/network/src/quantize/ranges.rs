@@ -105,7 +105,7 @@ pub fn feature_steps(checkpoint: &Checkpoint) -> Result<FeatureSteps, QuantizeEr
 /// As [`quantize`](super::quantize).
 pub fn training_steps(run: &Trainer<'_>) -> Result<FeatureSteps, QuantizeError> {
     let checkpoint = run.checkpoint();
-    super::make::check_architecture(checkpoint)?;
+    super::make::check_integers(checkpoint)?;
     feature_steps(checkpoint)
 }
 

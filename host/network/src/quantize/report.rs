@@ -42,6 +42,10 @@ pub struct QuantizeReport {
     pub dense_filter_bytes: usize,
     /// Weights of the enhancement network in the file, bytes.
     pub rcan_bytes: usize,
+    /// The model of the PSFs that predicts frames for later passes, bytes; 0 for one pass.
+    pub predictor_bytes: usize,
+    /// Number of passes.
+    pub passes: usize,
     /// Fast scratch memory of a device, bytes.
     pub fast_bytes: u32,
     /// Bulk memory of a device, bytes.
@@ -87,6 +91,8 @@ pub(super) struct MadeFile<'a> {
     pub filter_bytes: usize,
     /// Length of the weights of the enhancement network, bytes.
     pub rcan_bytes: usize,
+    /// Length of the model that predicts frames, bytes.
+    pub predictor_bytes: usize,
 }
 
 impl QuantizeReport {
@@ -97,7 +103,7 @@ impl QuantizeReport {
         file: &MadeFile<'_>,
         halves: Option<Vec<u8>>,
     ) -> Result<Self, QuantizeError> {
-        let MadeFile { header, bytes, filter_bytes, rcan_bytes } = *file;
+        let MadeFile { header, bytes, filter_bytes, rcan_bytes, predictor_bytes } = *file;
         let cases = &checkpoint.cases;
         let mut steps = Vec::new();
         let mut add = |step, method: &dyn Reconstruct| -> Result<f64, QuantizeError> {
@@ -125,6 +131,8 @@ impl QuantizeReport {
             filter_bytes,
             dense_filter_bytes: 2 * network.channels * network.filter_size * (network.filter_size + 2),
             rcan_bytes,
+            predictor_bytes,
+            passes: network.passes(),
             fast_bytes: header.memory.fast_bytes,
             bulk_bytes: header.memory.bulk_bytes,
             frame_bytes: plane_bytes(header.frame),

@@ -6,7 +6,7 @@ use crate::train::network::values;
 use crate::train::ops::fourier::Fourier;
 use crate::train::weights::{self, FILTERS};
 use crate::train::{
-    Body, Checkpoint, FeatureSteps, FilterMask, Mode, Network, NetworkConfig, NetworkInput, Preset, normalised,
+    Body, Checkpoint, FeatureSteps, FilterMask, Lenses, Mode, Network, NetworkConfig, NetworkInput, Preset, normalised,
 };
 use ndarray::Array2;
 use ommatidia_model::metrics::Case;
@@ -84,6 +84,54 @@ fn the_file_computes_what_the_float_network_does() {
     assert_eq!(blob.header().unwrap().checkpoint.as_str(), "0123456789abcdef");
     assert!(made.report.loss_db.abs() < 0.1, "{:?}", made.report);
     assert_eq!(made.report.energy_kept, 1.0);
+}
+
+/// A network of more than one pass, its later passes not yet silent, with the PSFs of an array.
+fn checkpoint_of(passes: usize, terms: usize) -> Checkpoint {
+    let lenses = Lenses::of(&ommatidia_model::testing::square_array(3, FRAME, OBJECT)).unwrap();
+    let mut checkpoint = checkpoint();
+    let network = lenses.with_feedback(checkpoint.body.network.clone(), [passes, 0], terms);
+    let mut weights = weights::random(&network, 5);
+    let later = weights.iter_mut().filter(|(name, _)| name.starts_with("pass"));
+    later.for_each(|(_, t)| t.iter_mut().enumerate().for_each(|(i, v)| *v += ((i * 7) % 5) as f32 / 50.0 - 0.04));
+    weights.extend(lenses.feedback(network.feedback.as_ref().unwrap()));
+    (checkpoint.body.network, checkpoint.weights) = (network, weights);
+    checkpoint
+}
+
+#[test]
+fn passes_compute_what_the_float_network_does() {
+    let one = FloatNetwork::new(&checkpoint()).unwrap().reconstruct(frame(9).view()).unwrap();
+    for (passes, prune) in [(2, None), (3, None), (2, Some(0.9))] {
+        let checkpoint = checkpoint_of(passes, 2);
+        let made = quantize(&checkpoint, "", &QuantizeConfig { prune, ..QuantizeConfig::default() }).unwrap();
+        let (float, blob) = (FloatNetwork::new(&checkpoint).unwrap(), file(&made));
+        let found = float.reconstruct(frame(9).view()).unwrap();
+        let changed = (&found - &one).iter().fold(0.0f32, |most, d| most.max(d.abs()));
+        assert!(changed > 0.05, "the passes change something: {changed}");
+        let error = difference(&float, &blob, &frame(9));
+        println!("{passes} passes, {prune:?}: {error}");
+        assert!(prune.is_some() || error < 0.01, "{passes}: {error}");
+        // Pruning itself changes much; after it the file computes what the pruned float network does.
+        let [before, file] = [2, 1].map(|back| made.report.steps[made.report.steps.len() - back].quality.psnr_db);
+        assert!((before - file).abs() < 0.1, "{:?}", made.report);
+        let header = blob.header().unwrap();
+        let shape = header.passes.unwrap();
+        assert_eq!((usize::from(shape.later) + 1, shape.corners.len()), (passes, 9));
+        assert_eq!((made.report.passes, made.report.predictor_bytes > 0), (passes, true));
+    }
+}
+
+#[test]
+fn passes_that_devices_do_not_run_are_refused_in_words() {
+    let mut checkpoint = checkpoint_of(2, 2);
+    let refused = |checkpoint: &Checkpoint, numbers| {
+        quantize(checkpoint, "", &QuantizeConfig { numbers, ..QuantizeConfig::default() }).unwrap_err().to_string()
+    };
+    assert!(refused(&checkpoint, Numbers::Integers).contains("leave --weights"));
+    assert!(refused(&checkpoint, Numbers::Bytes).contains("found 2 passes"));
+    checkpoint.body.network.feedback.as_mut().unwrap().iterations = 4;
+    assert!(refused(&checkpoint, Numbers::Halves).contains("--richardson-lucy 0"));
 }
 
 /// Weights of 8 bits have a step of 1/127 of the largest of their channel; features of 16 bits are finer than halves.

@@ -180,8 +180,8 @@ pub enum Preset {
     Nano,
     /// Between the two; trains for about an hour on a workstation.
     Lite,
-    /// For pictures on a workstation: `nano` with two passes. Needs the instrument, trains for half an hour on two
-    /// cores, and does not run on devices.
+    /// For the best pictures: `nano` with two passes. Needs the instrument, trains for half an hour on two cores, and
+    /// takes three times the memory of `nano` on a device.
     Host,
     /// The network of the paper: nine filters, 0.18 M parameters after them, random start, learning rate 5e-5.
     Paper,

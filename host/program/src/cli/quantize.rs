@@ -119,8 +119,12 @@ fn text(path: &Path, r: &QuantizeReport) -> String {
         0 => format!("{} taps of {} x {}", r.taps, r.tile, r.tile),
         blocks => format!("{blocks} blocks of {} x {} lags", r.block_side, r.block_side),
     };
+    let model = match r.passes {
+        1 => String::new(),
+        passes => format!(" of {passes} passes, prediction of frames {}", r.predictor_bytes),
+    };
     let mut text = format!(
-        "{}\n  {} bytes: filters {} ({filters}, {:.1} % of dense ones), enhancement {}\n  memory: {} bytes: {} fast, \
+        "{}\n  {} bytes: filters {} ({filters}, {:.1} % of dense ones), enhancement {}{model}\n  memory: {} bytes: {} fast, \
          {} bulk, {} frame, {} reconstruction, at most {} variables and stack\n  energy of the filters kept: {:.4}\n",
         path.display(),
         r.file_bytes,

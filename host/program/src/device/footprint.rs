@@ -46,6 +46,7 @@ pub(super) fn small_network() -> Result<(NetworkFile, Vec<u16>), DeviceError> {
         rcan: Rcan { width: 4, groups: 1, blocks: 1, reduction: 2 },
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
         integers: None,
+        passes: None,
     };
     header.memory = Pipeline::plan(&header).map_err(DeviceError::Pipeline)?;
     let lens = header.section_lens().map_err(|source| {
@@ -60,6 +61,7 @@ pub(super) fn small_network() -> Result<(NetworkFile, Vec<u16>), DeviceError> {
         offset_dn: Some(&zeros[..lens.offset_dn as usize]),
         inverse_gain: Some(&zeros[..lens.inverse_gain as usize]),
         convolutions: None,
+        predictor: &[],
     };
     Ok((NetworkFile::new(&header, &weights)?, vec![100; 256]))
 }

@@ -135,6 +135,7 @@ fn large_network() -> NetworkFile {
         rcan: Rcan { width: 4, groups: 1, blocks: 1, reduction: 2 },
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
         integers: None,
+        passes: None,
     };
     header.memory = Pipeline::plan(&header).unwrap();
     let lens = header.section_lens().unwrap();
@@ -146,6 +147,7 @@ fn large_network() -> NetworkFile {
         offset_dn: None,
         inverse_gain: None,
         convolutions: None,
+        predictor: &[],
     };
     NetworkFile::new(&header, &weights).unwrap()
 }

@@ -47,11 +47,9 @@ fn passes_and_arenas_that_cannot_be() {
                 "train instrument -o new --vary array_shift=0 --steps 2",
             )
             .says(&["vary", "largest strength", "array_shift"]),
-            Mistake::new("A network of two passes for a device", "quantize two -o two.omm").with(two_passes).says(&[
-                "passes",
-                "host only",
-                "without --passes",
-            ]),
+            Mistake::new("A network of two passes in integers", "quantize two -o two.omm --weights int8")
+                .with(two_passes)
+                .says(&["2 passes", "one pass for integers", "leave --weights"]),
             Mistake::new(
                 "Features in integers for weights in half precision",
                 "quantize network -o new.omm --activations int16",
@@ -66,7 +64,7 @@ fn passes_and_arenas_that_cannot_be() {
                 "train pairs -o new --from two --filters 2 --passes 2 --quantize int8 --instrument instrument --steps 2"
             })
             .with(two_passes)
-            .says(&["passes", "host only"]),
+            .says(&["2 passes", "one pass for integers"]),
             Mistake::new("Receptive fields of two passes", "erf two --instrument instrument -o new")
                 .with(two_passes)
                 .says(&["passes", "one pass"]),

@@ -49,6 +49,7 @@ impl Network {
             rcan: Rcan { width: 2, groups: 1, blocks: 1, reduction: 2 },
             memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
             integers: None,
+            passes: None,
         };
         header.memory = Pipeline::plan(&header).map_err(DeviceError::Pipeline)?;
         let mut rng = rng::stream(seed, "faults", 0);
@@ -66,6 +67,7 @@ impl Network {
             offset_dn: Some(offset),
             inverse_gain: Some(gain),
             convolutions: None,
+            predictor: &[],
         };
         let blob = NetworkFile::new(&header, &weights)?;
         let mut rng = rng::stream(seed, "frame", 0);
