@@ -55,7 +55,7 @@ fn a_dense_network_agrees_bit_for_bit() {
     for device in check(&DENSE, 1).into_iter().flatten() {
         let (stack, variables) = (device.telemetry.stack_bytes, device.telemetry.static_bytes);
         assert!(stack > 256, "{:?}", device.telemetry);
-        assert!(stack <= Footprint::MOST_RAM / 2 && variables <= Footprint::MOST_RAM / 2, "{:?}", device.telemetry);
+        assert!(stack + variables <= Footprint::MOST_RAM, "{:?}", device.telemetry);
         assert!(device.telemetry.image_bytes > 10_000, "{:?}", device.telemetry);
         assert_eq!(device.telemetry.bulk_bytes, plan.bulk_bytes);
         assert!(device.telemetry.fast_bytes >= plan.fast_bytes);

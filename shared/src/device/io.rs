@@ -125,8 +125,8 @@ pub struct Footprint {
 }
 
 impl Footprint {
-    /// Upper bound of variables and stack together on any board, bytes, each at most half of it. With it the memory of
-    /// a network is known when its file is written. Tests on the emulated boards check the bound.
+    /// Upper bound of variables and stack together on any board, bytes. With it the memory of a network is known when
+    /// its file is written. Tests on the emulated boards check the bound.
     pub const MOST_RAM: u32 = 16 << 10;
 }
 

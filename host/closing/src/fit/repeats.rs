@@ -33,6 +33,9 @@ const UNKNOWN: f64 = 1e4;
 const TAILS: usize = 4;
 /// Standardised features that are smaller are those of [`UNKNOWN`] errors.
 const SHOWN: f64 = 1e-2;
+/// Differences beyond so many standard deviations are no normal noise, where there are a few of them.
+const FAR: f64 = 8.0;
+const FEW: usize = 3;
 /// Noise with a smaller standard deviation, DN, is known to the converter in few codes.
 const COARSE_DN: f64 = 1.0;
 /// Number of noise frames that are drawn for each level.
@@ -108,8 +111,13 @@ pub(crate) fn cells(model: &Model<'_>, at: Expansion<'_>, columns: &[Column], re
 }
 
 /// Significance, in standard deviations, of wings of the noise beyond those of normal noise and of the effects of a
-/// state: of the sum of the excess kurtosis over the levels that show it. 0 where none does.
+/// state: of the sum of the excess kurtosis over the levels that show it, 0 where none does. Infinite where a few
+/// differences are so large that no normal noise makes them: they show even where noise has few codes.
 pub(crate) fn wings(model: &Model<'_>, state: &State, now: &[Predicted]) -> f64 {
+    let pairs = levels(model, false, now).into_iter().filter(|level| !level.unknown).flat_map(|level| level.pairs);
+    if pairs.into_iter().any(|pair| outliers(model, now, pair) >= FEW) {
+        return f64::INFINITY;
+    }
     let tails = residuals(model, state, now).into_iter().map(|f| f[TAILS]);
     // Levels that do not show it have errors so large that they stand at zero.
     let shown: Vec<f64> = tails.filter(|z| z.abs() > SHOWN).collect();
@@ -226,13 +234,18 @@ fn measured(now: &[Predicted], model: &Model<'_>, level: &Level) -> Features {
     })
 }
 
-/// Standard deviation of the noise of a pair of repeats as half of the pixels show it, DN: a camera that smooths its
-/// frames leaves less than the model expects.
-fn scatter_dn(model: &Model<'_>, now: &[Predicted], (a, b): (usize, usize)) -> f64 {
+/// Absolute differences of a pair of repeats less what the model expects, DN.
+fn differences_dn(model: &Model<'_>, now: &[Predicted], (a, b): (usize, usize)) -> Vec<f32> {
     let frames = &model.seen.frames;
     let mut d = &frames[b].measured - &frames[a].measured;
     d -= &(&now[b].dn - &now[a].dn);
-    let mut far: Vec<f32> = d.iter().map(|v| v.abs()).filter(|v| v.is_finite()).collect();
+    d.iter().map(|v| v.abs()).filter(|v| v.is_finite()).collect()
+}
+
+/// Standard deviation of the noise of a pair of repeats as half of the pixels show it, DN: a camera that smooths its
+/// frames leaves less than the model expects.
+fn scatter_dn(model: &Model<'_>, now: &[Predicted], pair: (usize, usize)) -> f64 {
+    let mut far = differences_dn(model, now, pair);
     let middle = far.len() / 2;
     if far.is_empty() {
         return 0.0;
@@ -240,6 +253,12 @@ fn scatter_dn(model: &Model<'_>, now: &[Predicted], (a, b): (usize, usize)) -> f
     let (_, median, _) = far.select_nth_unstable_by(middle, f32::total_cmp);
     // Of normal numbers half lie within 0.674 standard deviations; a difference has twice the variance of one frame.
     f64::from(*median) / 0.674_490 / std::f64::consts::SQRT_2
+}
+
+/// Number of differences of a pair of repeats that are no normal noise.
+fn outliers(model: &Model<'_>, now: &[Predicted], pair: (usize, usize)) -> usize {
+    let sigma_dn = scatter_dn(model, now, pair).max(COARSE_DN / 2.0) * std::f64::consts::SQRT_2;
+    differences_dn(model, now, pair).into_iter().filter(|d| f64::from(*d) > FAR * sigma_dn).count()
 }
 
 /// Features of a standardised difference; their mean is zero for white noise of variance one.
@@ -324,7 +343,7 @@ impl Sampling {
             level.pairs.first().is_some_and(|(a, _)| {
                 let w = &now[*a].inverse_sigma;
                 2 * w.iter().filter(fine).count() < w.len()
-            }) || level.pairs.first().is_some_and(|pair| scatter_dn(model, now, *pair) < COARSE_DN)
+            }) || level.pairs.first().is_some_and(|pair| scatter_dn(model, now, *pair) < COARSE_DN / 2.0)
         };
         let tails = |level: &Level, v: f64| {
             let pairs = level.pairs.len() as f64;

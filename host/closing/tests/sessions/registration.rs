@@ -118,10 +118,13 @@ fn truths_that_were_placed_one_by_one_are_placed_one_by_one() {
 }
 
 #[test]
-fn an_array_shift_that_a_misplaced_truth_may_be_has_a_note() {
+fn a_displacement_that_a_misplaced_truth_may_be_has_a_note() {
     let folder = tempfile::tempdir().unwrap();
     let closing = closed(&measured(Holds::TruthShifted, &[], &folder.path().join("session"), 730));
     assert!(closing.registrations.is_empty());
-    let note = |n: &String| n.starts_with("array_shift") && n.contains("truth_registration_px");
+    // Truths that were displaced by interpolation are also less sharp, so that no name need be earned.
+    assert!(names(&closing).iter().all(|id| *id == "array_shift"), "{:?}", names(&closing));
+    let displaced = |n: &String| n.starts_with("array_shift") || n.starts_with("unknown_warp");
+    let note = |n: &String| displaced(n) && n.contains("truth_registration_px");
     assert!(closing.notes.iter().any(note), "{:?}", closing.notes);
 }

@@ -57,7 +57,8 @@ impl Growth {
     }
 
     /// Displaces what grows about the middle of its window back, so that it grows about its focus. `half`: half of the
-    /// window, px.
+    /// window, px. Not for what only takes a stretch back: laws displace sources by where they lie in the object, which
+    /// is the middle of the window.
     pub(super) fn about_foci(&self, lens: usize, shifts: &mut Array2<RayShift>, half: usize) {
         let Some(centres) = self.centres_px.get(lens).filter(|c| !c.is_empty()) else { return };
         let (rows, cols) = centres.dim();

@@ -62,6 +62,7 @@ impl Forward {
         shifts: &mut Array2<RayShift>,
         (image, electrons): (&mut LensImage, f32),
     ) {
+        let grows = shifts.iter().any(|s| s.growth != 0.0);
         less_stretch(shifts);
         let most = shifts.iter().fold(0.0f64, |m, s| m.max(s.growth.abs()));
         if most < LEAST_GROWTH {
@@ -87,7 +88,9 @@ impl Forward {
                 *v += share as f32 * electrons * d;
             });
         }
-        growth.about_foci(lens, shifts, self.calibrated.psf.basis.dim().2 / 2);
+        if grows {
+            growth.about_foci(lens, shifts, self.calibrated.psf.basis.dim().2 / 2);
+        }
     }
 
     /// The displacement of the chief ray that ends on each pixel of a lens's image.
