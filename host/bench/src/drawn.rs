@@ -6,10 +6,9 @@
 
 use super::config::{BenchConfig, StackConfig};
 use super::error::BenchError;
-use super::family;
+use super::family::{self, Moved};
 use super::family::config::{FamilyName, StackOf};
 use super::foci::Point;
-use ommatidia_physics::effects::RayShift;
 use ommatidia_session::rng;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
@@ -111,7 +110,7 @@ impl BenchConfig {
             for place in 0..9 {
                 let at_um = [(place / 3) as f64 - 1.0, (place % 3) as f64 - 1.0];
                 let point = Point { at_um: [at_um[0] * half[0], at_um[1] * half[1]], z_um: 0.0 };
-                let focus = lenses.focus(l, point, RayShift::default(), &mut work);
+                let focus = lenses.focus(l, point, Moved::default(), &mut work);
                 let peak = work.psf.share.iter().fold(0.0f32, |m, v| m.max(*v));
                 most = most.max(focus.transmission * f64::from(peak));
             }

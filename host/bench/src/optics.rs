@@ -3,10 +3,10 @@
 use super::config::BenchConfig;
 use super::error::BenchError;
 use super::family::change::Change;
-use super::family::{self, Lenses, Work};
+use super::family::{self, Lenses, Moved, Work};
 use super::foci::{Foci, Focus, Kept, Point};
 use ndarray::{Array2, Array3, Axis, s};
-use ommatidia_physics::effects::{Chain, EffectSetting, FrameContext, Ray, RayShift};
+use ommatidia_physics::effects::{Chain, EffectSetting, FrameContext, Ray};
 use ommatidia_session::ObjectGrid;
 use rayon::prelude::*;
 
@@ -29,8 +29,9 @@ pub(super) struct Moves<'a> {
 }
 
 impl Moves<'_> {
-    fn of(&self, ray: &Ray) -> RayShift {
-        self.effects.shift_ray(ray, &FrameContext { lens: ray.lens, ..*self.cx })
+    fn of(&self, ray: &Ray) -> Moved {
+        let cx = FrameContext { lens: ray.lens, ..*self.cx };
+        Moved { shift: self.effects.shift_ray(ray, &cx), wavefront: self.effects.wavefront(ray, &cx) }
     }
 }
 
@@ -162,7 +163,7 @@ impl VirtualOptics {
         work: &'a mut Work,
     ) -> (Focus, &'a [f32]) {
         if let Some(found) = kept.and_then(|k| k.foci.get(k.index))
-            && moves.of(&self.family.ray(l, point.at_um)) == RayShift::default()
+            && moves.of(&self.family.ray(l, point.at_um)) == Moved::default()
         {
             return found;
         }

@@ -26,7 +26,7 @@ use super::foci::{Focus, Point};
 use change::Change;
 use config::FamilyName;
 use ommatidia_physics::effects::{EffectSetting, Ray, RayShift};
-use ommatidia_physics::optics::{Psf, PsfScratch, Pupil};
+use ommatidia_physics::optics::{Psf, PsfScratch, Pupil, Wavefront};
 
 /// Working memory for one focus; each thread needs its own.
 #[derive(Debug, Default)]
@@ -43,6 +43,27 @@ pub(crate) struct Work {
     pub kernel: Vec<f32>,
 }
 
+/// How effects move a source and its focus, and change the focus.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Moved {
+    /// Displacement and growth.
+    pub shift: RayShift,
+    /// What is added to the wavefront, waves rms; only of the family `pupils`.
+    pub wavefront: Wavefront,
+}
+
+impl From<RayShift> for Moved {
+    fn from(shift: RayShift) -> Self {
+        Self { shift, ..Self::default() }
+    }
+}
+
+/// Why lenses without pupils refuse an effect; `None`: it needs none.
+fn without_pupils(effect: &EffectSetting) -> Option<String> {
+    let changes = effect.id == "wavefront_drift" && effect.params.values().any(|v| *v != 0.0);
+    changes.then(|| "these lenses have no pupil whose wavefront could change".into())
+}
+
 /// The lenses of one instrument.
 pub(crate) trait Lenses: std::fmt::Debug + Send + Sync {
     /// Side of the field in which PSFs are computed, pixels; odd.
@@ -54,9 +75,9 @@ pub(crate) trait Lenses: std::fmt::Debug + Send + Sync {
     /// The chief ray of the point at (y, x) um through lens `l`, as effects see it.
     fn ray(&self, l: usize, at_um: [f64; 2]) -> Ray;
     /// Where the chief ray of a point meets the sensor, (row, col) sensor pixels, displaced by `moved`.
-    fn focus_px(&self, l: usize, point: Point, moved: RayShift) -> [f64; 2];
+    fn focus_px(&self, l: usize, point: Point, moved: Moved) -> [f64; 2];
     /// Computes the PSF of a point through lens `l` into `work`.
-    fn focus(&self, l: usize, point: Point, moved: RayShift, work: &mut Work) -> Focus;
+    fn focus(&self, l: usize, point: Point, moved: Moved, work: &mut Work) -> Focus;
     /// Allocates working memory.
     fn work(&self) -> Work {
         Work::default()

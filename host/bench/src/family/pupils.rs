@@ -1,11 +1,11 @@
 //! Lenses by diffraction: each has a pupil with Zernike aberrations that change over the field.
 
 use super::lens::Lens;
-use super::{Lenses, Work};
+use super::{Lenses, Moved, Work};
 use crate::config::{BenchConfig, OpticsConfig};
 use crate::error::BenchError;
 use crate::foci::{Focus, Point};
-use ommatidia_physics::effects::{EffectSetting, Ray, RayShift};
+use ommatidia_physics::effects::{EffectSetting, Ray};
 use ommatidia_physics::optics::{MicrolensArray, OpticsError, Psf, Pupil, PupilConfig};
 
 /// The lenses.
@@ -97,29 +97,32 @@ impl Lenses for Pupils {
         }
     }
 
-    fn focus_px(&self, l: usize, point: Point, moved: RayShift) -> [f64; 2] {
+    fn focus_px(&self, l: usize, point: Point, moved: Moved) -> [f64; 2] {
         let lens = &self.lenses[l];
         let h = self.array.tangents(lens.axis_um, point.at_um).map(|t| t / self.reference_tangent);
         let square = h[0] * h[0] + h[1] * h[1];
         let ray = self.array.chief_ray_px(lens.anchor_px, point.at_um);
-        [0, 1].map(|k| ray[k] + self.distortion_px * square * h[k] + moved.px[k])
+        // What is added to a wavefront moves the centroid of the focus; that of the lens itself is part of its anchor.
+        let added = self.pupil.displacement_px(&moved.wavefront);
+        [0, 1].map(|k| ray[k] + self.distortion_px * square * h[k] + moved.shift.px[k] + added[k])
     }
 
-    fn focus(&self, l: usize, point: Point, moved: RayShift, work: &mut Work) -> Focus {
+    fn focus(&self, l: usize, point: Point, moved: Moved, work: &mut Work) -> Focus {
         let lens = &self.lenses[l];
         let tangents = self.array.tangents(lens.axis_um, point.at_um);
         let h = tangents.map(|t| t / self.reference_tangent);
         let (centre, shift) = super::split(self.focus_px(l, point, moved));
         let mut wavefront = lens.wavefront(h);
-        wavefront.coefficient[3] += self.waves_per_um * (point.z_um + moved.z_um);
+        wavefront.coefficient.iter_mut().zip(moved.wavefront.coefficient).for_each(|(c, v)| *c += v);
+        wavefront.coefficient[3] += self.waves_per_um * (point.z_um + moved.shift.z_um);
         let Work { psf, pupil, grown, .. } = work;
-        if moved.growth != 0.0 && grown.as_ref().is_none_or(|(growth, ..)| *growth != moved.growth) {
-            *grown = self.grown(moved.growth).ok().map(|pupil| {
+        if moved.shift.growth != 0.0 && grown.as_ref().is_none_or(|(growth, ..)| *growth != moved.shift.growth) {
+            *grown = self.grown(moved.shift.growth).ok().map(|pupil| {
                 let scratch = pupil.scratch();
-                (moved.growth, pupil, scratch)
+                (moved.shift.growth, pupil, scratch)
             });
         }
-        match grown.as_mut().filter(|_| moved.growth != 0.0) {
+        match grown.as_mut().filter(|_| moved.shift.growth != 0.0) {
             Some((_, larger, scratch)) => larger.psf(&wavefront, shift, scratch, psf),
             None => self.pupil.psf(&wavefront, shift, pupil.get_or_insert_with(|| self.pupil.scratch()), psf),
         }

@@ -17,11 +17,11 @@ use super::change::Change;
 use super::config::RelayConfig;
 use super::edges::Edges;
 use super::plane::{Chief, SensorPlane};
-use super::{Lenses, Work};
+use super::{Lenses, Moved, Work};
 use crate::config::BenchConfig;
 use crate::error::BenchError;
 use crate::foci::{Focus, Point};
-use ommatidia_physics::effects::{Ray, RayShift};
+use ommatidia_physics::effects::{EffectSetting, Ray};
 use ommatidia_session::rng;
 use rand_distr::{Distribution, StandardNormal};
 
@@ -204,15 +204,15 @@ impl Lenses for Relay {
         self.plane.ray(l, at_um, self.chief(l, at_um))
     }
 
-    fn focus_px(&self, l: usize, point: Point, moved: RayShift) -> [f64; 2] {
-        self.chief(l, point.at_um).focus_px(moved.px)
+    fn focus_px(&self, l: usize, point: Point, moved: Moved) -> [f64; 2] {
+        self.chief(l, point.at_um).focus_px(moved.shift.px)
     }
 
-    fn focus(&self, l: usize, point: Point, moved: RayShift, work: &mut Work) -> Focus {
+    fn focus(&self, l: usize, point: Point, moved: Moved, work: &mut Work) -> Focus {
         let (centre, rest) = super::split(self.focus_px(l, point, moved));
         let (side, h) = (self.side, self.field(l, point.at_um));
         let middle = (side / 2) as f64;
-        let size = 1.0 + moved.growth;
+        let size = 1.0 + moved.shift.growth;
         let diffraction_um = 0.225 * self.wavelength_um * self.plane.magnification / self.aperture;
         let sigma = size * diffraction_um / self.plane.pixel_pitch_um;
         let Work { psf, lines: [rows, cols], .. } = work;
@@ -228,7 +228,7 @@ impl Lenses for Relay {
                 continue;
             }
             passed += light;
-            let at = self.transverse_px(l, h, ray.rho, point.z_um + moved.z_um);
+            let at = self.transverse_px(l, h, ray.rho, point.z_um + moved.shift.z_um);
             let r = self.edges.shares(middle + rest[0] + size * at[0], sigma, rows);
             let c = self.edges.shares(middle + rest[1] + size * at[1], sigma, cols);
             for i in r {
@@ -240,6 +240,10 @@ impl Lenses for Relay {
         // Light that misses the field counts as light of the focus, so that none is lost.
         psf.share.iter_mut().for_each(|v| *v /= sum.max(f32::MIN_POSITIVE));
         Focus { centre, transmission: passed }
+    }
+
+    fn refuses(&self, effect: &EffectSetting) -> Option<String> {
+        super::without_pupils(effect)
     }
 
     fn moved(&self, change: &Change) -> Option<Box<dyn Lenses>> {

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 use super::config::{FamilyName, KernelsConfig, RelayConfig, StackOf};
-use super::{Lenses, Work, build};
+use super::{Lenses, Moved, Work, build};
 use crate::config::{ArrayConfig, BenchConfig, ObjectConfig};
 use crate::family::change::Change;
 use crate::foci::Point;
@@ -45,9 +45,9 @@ fn at(y: f64, x: f64, z_um: f64) -> Point {
 }
 
 /// Centroid (row, col) on the sensor, covariance (rows, cols, mixed) in pixels, and transmission.
-fn spot(lenses: &dyn Lenses, l: usize, point: Point, moved: RayShift) -> ([f64; 2], [f64; 3], f64) {
+fn spot(lenses: &dyn Lenses, l: usize, point: Point, moved: impl Into<Moved>) -> ([f64; 2], [f64; 3], f64) {
     let mut work = lenses.work();
-    let focus = lenses.focus(l, point, moved, &mut work);
+    let focus = lenses.focus(l, point, moved.into(), &mut work);
     let (centre, spread) = moments(&work.psf);
     ([0, 1].map(|k| centre[k] + focus.centre[k] as f64), spread, focus.transmission)
 }

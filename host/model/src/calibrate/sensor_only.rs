@@ -56,6 +56,7 @@ pub(super) fn instrument(
         reading_dn2: noise.reading_dn2,
         effects: Vec::new(),
         light_unit: LightUnit::Dn,
+        pupils: Default::default(),
         quality: Quality { maps: noise.map_errors, ..Quality::default() },
         diagnostics: Diagnostics { photon_transfer: noise.photon_transfer, ..Diagnostics::default() },
     })

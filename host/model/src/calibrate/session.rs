@@ -198,6 +198,7 @@ pub fn calibrate(
             geometry: fitted.rays,
             effects: Vec::new(),
             light_unit: LightUnit::Bead,
+            pupils: Default::default(),
         }
     };
     match fit_light_unit(session, &instrument)? {

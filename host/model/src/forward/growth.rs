@@ -5,6 +5,7 @@
 
 use crate::psf::growth::growth_kernels;
 use crate::psf::nodes::Taps;
+use crate::psf::pupils::Pupils;
 use crate::psf::{CalibratedOptics, ChiefRays, LensImage, LowRankOperator, LowRankPsf, OperatorConfig};
 use ndarray::{Array2, ArrayView2, Axis};
 use ommatidia_physics::effects::RayShift;
@@ -20,6 +21,7 @@ pub(super) struct Calibrated {
     pub object: [usize; 2],
     pub sensor: [usize; 2],
     pub config: OperatorConfig,
+    pub pupils: Pupils,
 }
 
 /// The operators of the first and the second derivative of the PSFs by their growth.

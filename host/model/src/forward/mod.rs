@@ -34,6 +34,7 @@ mod predict;
 mod scene_light;
 mod sensor_maps;
 mod warp;
+mod wavefront;
 
 pub use error::ForwardError;
 pub use foci::Foci;
@@ -43,6 +44,7 @@ pub use scene_light::SceneLight;
 use crate::instrument::Instrument;
 use crate::psf::{ChiefRays, LowRankOperator, OperatorConfig};
 use growth::{Calibrated, Growth};
+use wavefront::Kept;
 use ndarray::{Array2, ArrayView2, Zip};
 use ommatidia_physics::effects::{Chain, FrameContext, Layout, Stage};
 use ommatidia_physics::noise::{NoiseModel, ROUNDING_DN2, draw_electrons};
@@ -62,6 +64,8 @@ pub struct Forward {
     /// Made when an effect first lets PSFs grow.
     growth: Arc<OnceLock<Growth>>,
     calibrated: Arc<Calibrated>,
+    /// Operators of the changes by wavefronts that effects add.
+    changed: Kept<LowRankOperator>,
     geometry: ChiefRays,
     /// Where the axis of each lens meets the sensor, [row, col], px.
     axes_px: Vec<[f64; 2]>,
@@ -123,7 +127,9 @@ impl Forward {
                 object: [manifest.object.rows, manifest.object.cols],
                 sensor: [manifest.sensor.rows, manifest.sensor.cols],
                 config,
+                pupils: instrument.pupils.clone(),
             }),
+            changed: Kept::default(),
             geometry: instrument.geometry.clone(),
             axes_px: axes_px(instrument),
             array: [manifest.array.rows, manifest.array.cols],
@@ -222,7 +228,14 @@ impl Forward {
         for plane in &self.planes {
             plane.each_lens(emitted.view(), |l, image| lenses[l].get_or_insert_with(Vec::new).push(image))?;
         }
-        Ok(SceneLight { lenses, emitted, growth: Default::default(), shift_px: [0.0; 2], z_um: None })
+        Ok(SceneLight {
+            lenses,
+            emitted,
+            growth: Default::default(),
+            changes: Kept::default(),
+            shift_px: [0.0; 2],
+            z_um: None,
+        })
     }
 
     /// The image of a point source of unit light at the fractional object pixel `at_px` = [row, col].

@@ -47,6 +47,11 @@ impl Forward {
                 Zip::from(&mut image.light).and(&other.light).and(&shares).for_each(|v, o, s| *v += s * electrons * o);
             }
         }
+        if let Some(changes) = self.wavefront_changes(scene, effects, cx)
+            && let Some(Some(change)) = changes.get(lens)
+        {
+            image.light.scaled_add(electrons, &change.light);
+        }
         self.grow(scene, lens, &mut shifts, (&mut image, electrons));
         if shifts.iter().any(|s| s.px != [0.0, 0.0]) {
             image.light = warp::warp(&image.light, &shifts.mapv(|s| s.px));
@@ -95,27 +100,7 @@ impl Forward {
 
     /// The displacement of the chief ray that ends on each pixel of a lens's image.
     fn shifts(&self, lens: usize, image: &LensImage, effects: &Chain, cx: &FrameContext<'_>) -> Array2<RayShift> {
-        let anchor = self.geometry.anchors_px[lens];
-        let centre = self.operator().sensor_shape().map(|n| (n as f64 - 1.0) / 2.0);
-        let scale = self.geometry.magnification / self.pixel_pitch_um;
-        let axis = self.axes_px[lens];
-        let object = self.operator().object_shape().map(|n| (n as f64 - 1.0) / 2.0);
-        // One object pixel is one sensor pixel of the image; its anchor is a rounded one.
-        let corner = [0, 1].map(|a| (anchor[a] - object[a]).round());
-        let of = |at: [f64; 2]| {
-            let object_um = [0, 1].map(|a| (at[a] - corner[a] - object[a]) * self.object_pixel_um);
-            let field_px = object_um.map(|v| v * scale);
-            let ray = Ray {
-                lens,
-                object_um,
-                field_px,
-                axis_px: [0, 1].map(|a| field_px[a] + anchor[a] - axis[a]),
-                anchor_px: [anchor[0] - centre[0], anchor[1] - centre[1]],
-                pixel_pitch_um: self.pixel_pitch_um,
-                px_per_um: scale,
-            };
-            effects.shift_ray(&ray, cx)
-        };
+        let of = |at: [f64; 2]| effects.shift_ray(&self.ray(lens, at), cx);
         Array2::from_shape_fn(image.light.dim(), |(r, c)| {
             let at = [image.origin[0] as f64 + r as f64, image.origin[1] as f64 + c as f64];
             // Effects say where a focus goes. What ends on this pixel comes from where it has not been displaced yet:
@@ -130,5 +115,34 @@ impl Forward {
             }
             shift
         })
+    }
+
+    /// The chief ray that ends at a place of the sensor, (row, col) px.
+    pub(super) fn ray(&self, lens: usize, at: [f64; 2]) -> Ray {
+        let anchor = self.geometry.anchors_px[lens];
+        let centre = self.operator().sensor_shape().map(|n| (n as f64 - 1.0) / 2.0);
+        let scale = self.geometry.magnification / self.pixel_pitch_um;
+        let axis = self.axes_px[lens];
+        let corner = self.image_of(lens, [0.0; 2]);
+        let object = self.operator().object_shape().map(|n| (n as f64 - 1.0) / 2.0);
+        let object_um = [0, 1].map(|a| (at[a] - corner[a] - object[a]) * self.object_pixel_um);
+        let field_px = object_um.map(|v| v * scale);
+        Ray {
+            lens,
+            object_um,
+            field_px,
+            axis_px: [0, 1].map(|a| field_px[a] + anchor[a] - axis[a]),
+            anchor_px: [anchor[0] - centre[0], anchor[1] - centre[1]],
+            pixel_pitch_um: self.pixel_pitch_um,
+            px_per_um: scale,
+        }
+    }
+
+    /// Where the image of an object pixel lies, (row, col) sensor px: one object pixel is one sensor pixel of the image,
+    /// and its anchor is a rounded one.
+    pub(super) fn image_of(&self, lens: usize, object_px: [f64; 2]) -> [f64; 2] {
+        let anchor = self.geometry.anchors_px[lens];
+        let object = self.operator().object_shape().map(|n| (n as f64 - 1.0) / 2.0);
+        [0, 1].map(|a| (anchor[a] - object[a]).round() + object_px[a])
     }
 }

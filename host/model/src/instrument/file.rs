@@ -1,6 +1,7 @@
 //! The instrument on disk: an artifact of kind `instrument`.
 
 use super::{Diagnostics, Instrument, LightUnit, Quality};
+use crate::psf::pupils::Pupils;
 use crate::psf::{ChiefRays, LowRankPsf};
 use ndarray::{Array, ArrayD, Dimension, Ix1, Ix2, Ix4, Ix5};
 use ommatidia_physics::effects::EffectSetting;
@@ -178,6 +179,7 @@ impl Instrument {
             replicates,
             effects,
             light_unit: body.light_unit,
+            pupils: Pupils::default(),
             quality: body.quality,
             diagnostics,
         })

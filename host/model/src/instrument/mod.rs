@@ -20,6 +20,7 @@ mod file;
 pub use file::{INSTRUMENT_KIND, INSTRUMENT_VERSION, InstrumentError};
 
 use crate::bead::BeadBackground;
+use crate::psf::pupils::{PupilModel, Pupils};
 use crate::psf::{CalibratedOptics, ChiefRays, LowRankPsf};
 use ndarray::{Array1, Array2, Axis};
 use ommatidia_physics::effects::EffectSetting;
@@ -65,6 +66,8 @@ pub struct Instrument {
     pub quality: Quality,
     /// Curves and maps of the calibration, for reports.
     pub diagnostics: Diagnostics,
+    /// The pupils that explain `psf`, fitted when an effect first needs them; no part of the file.
+    pub pupils: Pupils,
 }
 
 impl Instrument {
@@ -76,8 +79,18 @@ impl Instrument {
 }
 
 impl Instrument {
+    /// The pupils that explain the PSFs of a scan in one plane, for what the scan does not show: another depth, another
+    /// wavefront. None: the scan has several depths, or no pupil explains the PSFs.
+    pub fn pupil_model(&self) -> Option<&PupilModel> {
+        self.pupils.of(&self.psf, &self.geometry, self.manifest.sensor.pixel_pitch_um)
+    }
+
     /// The instrument with its PSF model replaced by replicate `j`; None where there is no such replicate.
     pub fn replicate(&self, j: usize) -> Option<Self> {
+        if !self.effects.is_empty() {
+            // Replicates share the pupils, which must be those of the PSFs themselves.
+            self.pupil_model();
+        }
         let psf = self.replicates.get(j)?.clone();
         Some(Self { psf, replicates: Vec::new(), ..self.clone() })
     }

@@ -43,6 +43,7 @@ pub mod growth;
 pub mod low_rank;
 pub mod nodes;
 pub mod operator;
+pub mod pupils;
 pub mod shift;
 pub mod windows;
 

@@ -56,6 +56,7 @@ pub fn instrument(object: [usize; 2], sensor: [usize; 2], window: usize, rank: u
         replicates: Vec::new(),
         effects: Vec::new(),
         light_unit: LightUnit::Bead,
+        pupils: Default::default(),
         quality: Quality::default(),
         diagnostics: Diagnostics::default(),
     }

@@ -7,6 +7,7 @@ use super::registry::{find, ids};
 use super::smooth::changed;
 use super::table::TableUse;
 use crate::noise::NoiseModel;
+use crate::optics::Wavefront;
 use ndarray::Array2;
 use ommatidia_session::{Manifest, Role};
 use thiserror::Error;
@@ -181,6 +182,16 @@ impl Chain {
     pub fn shift_ray(&self, ray: &Ray, cx: &FrameContext<'_>) -> RayShift {
         let mut sum = RayShift::default();
         self.at(Stage::Geometry).for_each(|a| sum += a.effect.shift_ray(&a.params, ray, cx));
+        sum
+    }
+
+    /// Stage `Geometry`: what is added to the wavefront in the pupil of a lens, waves rms, summed over the effects.
+    pub fn wavefront(&self, ray: &Ray, cx: &FrameContext<'_>) -> Wavefront {
+        let mut sum = Wavefront::default();
+        for a in self.at(Stage::Geometry) {
+            let added = a.effect.wavefront(&a.params, ray, cx);
+            sum.coefficient.iter_mut().zip(added.coefficient).for_each(|(s, v)| *s += v);
+        }
         sum
     }
 

@@ -5,6 +5,7 @@ use super::descriptor::Descriptor;
 use super::evidence::Evidence;
 use super::table::Table;
 use crate::noise::NoiseModel;
+use crate::optics::Wavefront;
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -21,6 +22,11 @@ pub trait Effect: Send + Sync {
     /// Stage `Geometry`: displacement of a focus, or of its source, from the calibrated position.
     fn shift_ray(&self, _p: &[f64], _ray: &Ray, _cx: &FrameContext<'_>) -> RayShift {
         RayShift::default()
+    }
+    /// Stage `Geometry`: what is added to the wavefront in the pupil of a lens, for the source of a chief ray, waves rms.
+    /// It has no influence where no pupil explains the calibrated PSFs.
+    fn wavefront(&self, _p: &[f64], _ray: &Ray, _cx: &FrameContext<'_>) -> Wavefront {
+        Wavefront::default()
     }
     /// Stage `Lens`: changes the light through lens `cx.lens`, [sensor rows, sensor cols], expected electrons.
     fn on_lens(&self, _p: &[f64], _image_e: &mut Array2<f32>, _cx: &FrameContext<'_>) {}

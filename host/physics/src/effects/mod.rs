@@ -103,6 +103,7 @@ mod unknown_warp;
 mod veiling_glare;
 mod vignetting;
 mod wave;
+mod wavefront_drift;
 
 pub use chain::{Chain, EffectError, Layout};
 pub use context::{FrameContext, Previous, Ray, RayShift, Record};

@@ -64,6 +64,7 @@ use super::unknown_stray::UnknownStray;
 use super::unknown_warp::UnknownWarp;
 use super::veiling_glare::VeilingGlare;
 use super::vignetting::Vignetting;
+use super::wavefront_drift::WavefrontDrift;
 
 /// Every effect. A new effect needs a file of its own and a line here.
 static REGISTRY: &[&dyn Effect] = &[
@@ -83,6 +84,7 @@ static REGISTRY: &[&dyn Effect] = &[
     &FieldCurvature,
     &Tilt,
     &SpectralShift,
+    &WavefrontDrift,
     &LensGain,
     &ChiefRayResponse,
     &LensLeakage,

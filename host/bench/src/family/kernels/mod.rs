@@ -16,12 +16,12 @@ mod image;
 use super::change::Change;
 use super::config::KernelsConfig;
 use super::plane::{Chief, SensorPlane};
-use super::{Lenses, Work};
+use super::{Lenses, Moved, Work};
 use crate::config::BenchConfig;
 use crate::error::BenchError;
 use crate::foci::{Focus, Point};
 use image::Set;
-use ommatidia_physics::effects::{EffectSetting, Ray, RayShift};
+use ommatidia_physics::effects::{EffectSetting, Ray};
 use ommatidia_session::rng;
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
@@ -194,13 +194,13 @@ impl Lenses for Kernels {
         self.plane.ray(l, at_um, self.chief(l, at_um))
     }
 
-    fn focus_px(&self, l: usize, point: Point, moved: RayShift) -> [f64; 2] {
-        self.chief(l, point.at_um).focus_px(moved.px)
+    fn focus_px(&self, l: usize, point: Point, moved: Moved) -> [f64; 2] {
+        self.chief(l, point.at_um).focus_px(moved.shift.px)
     }
 
-    fn focus(&self, l: usize, point: Point, moved: RayShift, work: &mut Work) -> Focus {
+    fn focus(&self, l: usize, point: Point, moved: Moved, work: &mut Work) -> Focus {
         let (centre, rest) = super::split(self.focus_px(l, point, moved));
-        let (lens, h, z_um) = (&self.lenses[l], self.field(l, point.at_um), point.z_um + moved.z_um);
+        let (lens, h, z_um) = (&self.lenses[l], self.field(l, point.at_um), point.z_um + moved.shift.z_um);
         let linear = |[at, y, x]: [f64; 3]| at + y * h[0] + x * h[1];
         let weights = &mut work.lines[0];
         weights.clear();
@@ -211,7 +211,7 @@ impl Lenses for Kernels {
         self.set.blend(weights, slice, h, &mut work.kernel);
         let helix = if self.config.psfs.is_empty() { self.config.turn_rad_per_um * z_um } else { 0.0 };
         // Smooth and above zero for any field. A larger gap makes a larger spot.
-        let size = (1.0 + self.change.gap) * (1.0 + moved.growth);
+        let size = (1.0 + self.change.gap) * (1.0 + moved.shift.growth);
         let stretch = (lens.stretch[0] * h[0] + lens.stretch[1] * h[1]).tanh().exp() * size;
         let placed = image::Placed {
             rest,
@@ -243,7 +243,7 @@ impl Lenses for Kernels {
             "defocus" => value("z_um"),
             "tilt" => (value("row_um_per_mm") + value("col_um_per_mm")) * 1e-3 * self.corner_um,
             "field_curvature" => value("a_um_per_mm2") * corner_mm * corner_mm,
-            _ => return None,
+            _ => return super::without_pupils(effect),
         };
         let reach_um = reach_um(&self.config, &self.set);
         (moved_um > 0.0 && self.deepest_um + moved_um > reach_um).then(|| {

@@ -1,0 +1,194 @@
+//! Fits pupils to the PSFs of a lens: Levenberg and Marquardt's least squares.
+
+use super::kernel::{Kernel, Pupil};
+use super::{TERMS, field};
+use ndarray::{Array1, Array2, s};
+use ommatidia_physics::linalg::symmetric_eigen;
+
+/// Iterations of the fit of one place, of each start over the field, and of the best of them.
+const ROUNDS: [usize; 3] = [25, 6, 40];
+/// A step that lowers the error by less than this share of it ends the fit.
+const ENOUGH: f64 = 1e-4;
+/// Largest cut-off frequency of a pupil, cycles/px: pixels do not show more.
+const MOST_RADIUS: f64 = 0.5;
+/// `A R^2` of a pupil without aberrations, where A is the area that the square of its PSF sees (`(sum h)^2 / sum h^2`,
+/// px^2) and R its cut-off frequency: one over the integral of the squared transfer function.
+const SHARPEST: f64 = 0.70;
+/// Starts: radius as a multiple of that of a sharp pupil, and defocus, rad rms. One alone would find the nearest local
+/// minimum, and without defocus there is no slope.
+const STARTS: [[f64; 2]; 4] = [[1.0, 0.2], [1.25, 0.6], [1.6, 1.1], [2.1, 1.8]];
+
+/// Starts over the field: defocus, rad rms at the edge, that grows along the rows, along the columns, and with the
+/// square of both. The sign of defocus is free at each place, so that a fit from none may take another sign at each edge.
+const FIELD_STARTS: [[f64; 3]; 7] = [
+    [0.0, 0.0, 0.0],
+    [0.0, 0.0, 0.4],
+    [0.0, 0.0, -0.4],
+    [0.3, 0.0, 0.0],
+    [-0.3, 0.0, 0.0],
+    [0.0, 0.3, 0.0],
+    [0.0, -0.3, 0.0],
+];
+
+/// The PSF at one place of the source.
+pub(super) struct Place {
+    /// Place (y, x), each from -1 to 1 over the object.
+    pub at: [f64; 2],
+    /// Window of unit norm, [side, side].
+    pub window: Array2<f64>,
+}
+
+/// The pupil of a lens.
+#[derive(Clone, Debug)]
+pub(super) struct LensPupil {
+    /// Coefficients of the functions of the field, [term, function], rad.
+    pub terms: Array2<f64>,
+    pub apodisation: f64,
+    /// Cut-off frequency, cycles/px.
+    pub radius: f64,
+    /// Relative error over all places (root mean square).
+    pub misfit: f64,
+}
+
+impl LensPupil {
+    /// The pupil for a source at (y, x).
+    pub(super) fn at(&self, place: [f64; 2]) -> Pupil {
+        let values = self.terms.dot(&Array1::from_vec(field(place)[..self.terms.ncols()].to_vec()));
+        let mut terms = [0.0; TERMS];
+        terms.iter_mut().zip(values).for_each(|(t, v)| *t = v);
+        Pupil { terms, apodisation: self.apodisation, radius: self.radius }
+    }
+
+    /// With coefficients of more functions of the field, zero at first.
+    fn widened(self, functions: usize) -> Self {
+        let mut terms = Array2::zeros((TERMS, functions));
+        terms.slice_mut(s![.., ..self.terms.ncols()]).assign(&self.terms);
+        Self { terms, ..self }
+    }
+}
+
+/// Fits the pupil of a lens to its PSFs, all of the same side; the first place is the one nearest to the centre. None:
+/// no place, or no finite fit.
+pub(super) fn fit_lens(places: &[Place]) -> Option<LensPupil> {
+    let first = places.first()?;
+    let side = first.window.nrows();
+    let sharp = (SHARPEST / effective_area(&first.window)).sqrt();
+    let starts = STARTS.iter().filter_map(|[wider, defocus]| {
+        let radius = (wider * sharp).min(MOST_RADIUS);
+        let mut terms = Array2::zeros((TERMS, 1));
+        terms[[2, 0]] = *defocus;
+        let start = LensPupil { terms, apodisation: 0.0, radius, misfit: f64::INFINITY };
+        improved(&Kernel::new(side, MOST_RADIUS.min(1.3 * radius)), start, &places[..1], ROUNDS[0])
+    });
+    let best = starts.min_by(|a, b| a.misfit.total_cmp(&b.misfit))?;
+    let kernel = Kernel::new(side, MOST_RADIUS.min(1.3 * best.radius));
+    let wide = best.widened(6);
+    let tried = FIELD_STARTS.iter().filter_map(|[row, col, square]| {
+        let mut start = wide.clone();
+        for (function, by) in [(1, row), (2, col), (3, square), (5, square)] {
+            start.terms[[2, function]] = *by;
+        }
+        improved(&kernel, start, places, ROUNDS[1])
+    });
+    let best = tried.min_by(|a, b| a.misfit.total_cmp(&b.misfit))?;
+    improved(&kernel, best, places, ROUNDS[2])
+}
+
+/// `(sum h)^2 / sum h^2`, px^2.
+pub(super) fn effective_area(window: &Array2<f64>) -> f64 {
+    window.sum().powi(2) / window.mapv(|v| v * v).sum().max(f64::MIN_POSITIVE)
+}
+
+/// Least squares from a start.
+fn improved(kernel: &Kernel, start: LensPupil, places: &[Place], rounds: usize) -> Option<LensPupil> {
+    let functions = start.terms.ncols();
+    let unknowns = TERMS * functions + 2;
+    let mut now = LensPupil { misfit: misfit(kernel, &start, places), ..start };
+    let mut damping = 1e-2;
+    for _ in 0..rounds {
+        let mut normal = Array2::<f64>::zeros((unknowns, unknowns));
+        let mut right = Array1::<f64>::zeros(unknowns);
+        for place in places {
+            let (rows, off) = slopes_at(kernel, &now, place, unknowns);
+            normal += &rows.dot(&rows.t());
+            right += &rows.dot(&off);
+        }
+        let mut better = None;
+        for _ in 0..6 {
+            let stepped = solved(&normal, &right, damping).and_then(|step| moved(&now, &step));
+            let found = stepped.map(|to| LensPupil { misfit: misfit(kernel, &to, places), ..to });
+            if let Some(found) = found.filter(|f| f.misfit < now.misfit) {
+                better = Some(found);
+                damping = (damping * 0.3).max(1e-9);
+                break;
+            }
+            damping *= 5.0;
+        }
+        let Some(better) = better else { break };
+        let gain = 1.0 - better.misfit / now.misfit;
+        now = better;
+        if gain < ENOUGH {
+            break;
+        }
+    }
+    now.misfit.is_finite().then_some(now)
+}
+
+/// Derivatives of the PSF at a place by all unknowns, [unknown, pixel], and what it lacks, [pixel]; the light is free.
+fn slopes_at(kernel: &Kernel, lens: &LensPupil, place: &Place, unknowns: usize) -> (Array2<f64>, Array1<f64>) {
+    let (psf, slopes) = kernel.psf_and_slopes(&lens.at(place.at), place.window.nrows());
+    let flat = |a: &Array2<f64>| Array1::from_iter(a.iter().copied());
+    let (model, wanted) = (flat(&psf), flat(&place.window));
+    let square = model.dot(&model).max(f64::MIN_POSITIVE);
+    let scale = model.dot(&wanted) / square;
+    let off = &wanted - &(&model * scale);
+    let functions = lens.terms.ncols();
+    let weights = field(place.at);
+    let mut rows = Array2::zeros((unknowns, model.len()));
+    for (k, slope) in slopes.iter().enumerate() {
+        let slope = flat(slope) * scale;
+        // What another light would explain is none of the pupil's.
+        let own = &slope - &(&model * (model.dot(&slope) / square));
+        if k < TERMS {
+            for (f, w) in weights.iter().take(functions).enumerate() {
+                rows.row_mut(k * functions + f).assign(&(&own * *w));
+            }
+        } else {
+            rows.row_mut(TERMS * functions + k - TERMS).assign(&own);
+        }
+    }
+    (rows, off)
+}
+
+/// The step of damped normal equations; None: no finite step.
+fn solved(normal: &Array2<f64>, right: &Array1<f64>, damping: f64) -> Option<Array1<f64>> {
+    let mean = normal.diag().mean()?.max(f64::MIN_POSITIVE);
+    let mut damped = normal.clone();
+    damped.diag_mut().mapv_inplace(|v| v * (1.0 + damping) + 1e-6 * damping * mean);
+    let eigen = symmetric_eigen(&damped).ok()?;
+    let floor = 1e-12 * eigen.values.iter().fold(0.0f64, |m, v| m.max(*v));
+    let shares = eigen.vectors.t().dot(right);
+    let shares = ndarray::Zip::from(&shares)
+        .and(&eigen.values)
+        .map_collect(|s, v| if *v > floor { s / v } else { 0.0 });
+    Some(eigen.vectors.dot(&shares)).filter(|x| x.iter().all(|v| v.is_finite()))
+}
+
+/// A pupil after a step; None: outside the physical range.
+fn moved(from: &LensPupil, step: &Array1<f64>) -> Option<LensPupil> {
+    let (terms, rest) = (from.terms.len(), from.terms.dim());
+    let by = Array2::from_shape_vec(rest, step.slice(s![..terms]).to_vec()).ok()?;
+    let apodisation = (from.apodisation + step[terms]).clamp(-0.5, 3.0);
+    let radius = from.radius * step[terms + 1].clamp(-0.2, 0.2).exp();
+    (radius <= MOST_RADIUS).then(|| LensPupil { terms: &from.terms + &by, apodisation, radius, misfit: from.misfit })
+}
+
+/// Relative error of the PSFs (root mean square over the places), the light of each place free.
+fn misfit(kernel: &Kernel, lens: &LensPupil, places: &[Place]) -> f64 {
+    let of = |place: &Place| {
+        let model = kernel.psf(&lens.at(place.at), place.window.nrows());
+        let (square, product) = (model.mapv(|v| v * v).sum(), (&model * &place.window).sum());
+        place.window.mapv(|v| v * v).sum() - product * product / square.max(f64::MIN_POSITIVE)
+    };
+    (places.iter().map(of).sum::<f64>().max(0.0) / places.len() as f64).sqrt()
+}

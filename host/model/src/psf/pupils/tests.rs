@@ -1,0 +1,161 @@
+//! Pupils fitted to PSFs that other code computes: transforms on a fine grid (`ommatidia_physics::optics`).
+
+use super::*;
+use crate::psf::LowRankPsf;
+use crate::psf::decompose::decompose;
+use ndarray::{Array1, Array2, Array3, Array4, Array5, s};
+use ommatidia_physics::optics::{Psf, Pupil, PupilConfig, Wavefront};
+
+const SIDE: usize = 21;
+const NODES: usize = 5;
+
+/// A pupil whose cut-off is 0.21 cycles/px.
+fn pupil() -> Pupil {
+    let config = PupilConfig {
+        wavelength_um: 0.53,
+        aperture_um: 110.0,
+        distance_um: 1000.0,
+        soft_edge: 0.0,
+        pixel_um: 2.0,
+        oversampling: 5,
+        field_px: 41,
+    };
+    config.build().unwrap()
+}
+
+/// The wavefront of a lens at (y, x), -1 to 1 over the object.
+fn wavefront(lens: usize, [y, x]: [f64; 2]) -> Wavefront {
+    let mut w = Wavefront::default();
+    let c = &mut w.coefficient;
+    let own = [[0.04, 0.02, -0.03, 0.02], [0.02, -0.03, 0.02, -0.02], [0.05, 0.01, 0.02, 0.03]][lens];
+    c[3] = own[0] + 0.06 * (y * y + x * x);
+    c[4] = own[1] + 0.03 * y * x;
+    c[6] = own[2] + 0.03 * y;
+    c[7] = own[3] + 0.03 * x;
+    c[10] = 0.02;
+    w
+}
+
+fn place(i: usize) -> f64 {
+    2.0 * i as f64 / (NODES - 1) as f64 - 1.0
+}
+
+/// PSFs of three lenses at the nodes, [lens, node row, node col] windows; `added` to each wavefront.
+fn windows(added: &Wavefront) -> Vec<Array3<f32>> {
+    let pupil = pupil();
+    let (mut scratch, mut psf) = (pupil.scratch(), Psf::default());
+    let lens = |l: usize| {
+        let mut all = Array3::zeros((NODES * NODES, SIDE, SIDE));
+        for (n, mut out) in all.outer_iter_mut().enumerate() {
+            let mut w = wavefront(l, [place(n / NODES), place(n % NODES)]);
+            w.coefficient.iter_mut().zip(added.coefficient).for_each(|(c, v)| *c += v);
+            // The bench's pupils hold the centroid; a changed wavefront moves it.
+            pupil.psf(&w, pupil.displacement_px(added), &mut scratch, &mut psf);
+            let skip = (psf.side - SIDE) / 2;
+            out.indexed_iter_mut().for_each(|((r, c), v)| *v = 1e3 * psf.share[(r + skip) * psf.side + c + skip]);
+        }
+        all
+    };
+    (0..3).map(lens).collect()
+}
+
+fn calibrated() -> LowRankPsf {
+    let rank = 12;
+    let mut basis = Array4::zeros((3, rank, SIDE, SIDE));
+    let mut coefficients = Array5::zeros((3, rank, 1, NODES, NODES));
+    for (l, windows) in windows(&Wavefront::default()).into_iter().enumerate() {
+        let flat = windows.into_shape_with_order((NODES * NODES, SIDE * SIDE)).unwrap();
+        let d = decompose(flat.view(), None, Array1::ones(SIDE * SIDE).view(), rank).unwrap();
+        for k in 0..rank {
+            let kernel = d.basis.row(k).to_owned().into_shape_with_order((SIDE, SIDE)).unwrap();
+            basis.slice_mut(s![l, k, .., ..]).assign(&kernel);
+            let map = d.coefficients.column(k).mapv(|v| v as f32).into_shape_with_order((NODES, NODES)).unwrap();
+            coefficients.slice_mut(s![l, k, 0, .., ..]).assign(&map);
+        }
+    }
+    let nodes: Vec<f64> = (0..NODES).map(|i| 10.0 * i as f64).collect();
+    let node_depths_um = vec![0.0];
+    LowRankPsf { basis, coefficients, node_depths_um, node_rows_px: nodes.clone(), node_cols_px: nodes, exposure_ms: 10.0 }
+}
+
+fn fitted(psf: &LowRankPsf) -> PupilModel {
+    PupilModel::fit(psf, 0, &[false; 3], Scale { magnification: 0.66, pixel_pitch_um: 2.0 }).unwrap()
+}
+
+/// Relative error of predicted changes, and the change relative to the PSFs.
+fn errors(model: &PupilModel, psf: &LowRankPsf, added: &Wavefront, sign: f64) -> [f64; 2] {
+    let mut turned = *added;
+    for (k, even) in EVEN.iter().enumerate().filter(|(_, even)| **even) {
+        let _ = even;
+        turned.coefficient[k + 1] *= sign;
+    }
+    let shape = (model.nodes_px()[0].len(), model.nodes_px()[1].len());
+    let by = Wavefronts(vec![Array2::from_elem(shape, turned); 3]);
+    let change = model.change(psf, 0, &by);
+    let [before, after] = [windows(&Wavefront::default()), windows(added)];
+    let (mut off, mut size, mut all) = (0.0, 0.0, 0.0);
+    for l in 0..3 {
+        for n in 0..NODES * NODES {
+            let mut found = Array2::<f32>::zeros((SIDE, SIDE));
+            for k in 0..change.basis.dim().1 {
+                let weight = change.coefficients[[l, k, 0, n / NODES, n % NODES]];
+                found.scaled_add(weight, &change.basis.slice(s![l, k, .., ..]));
+            }
+            let [b, a] = [&before, &after].map(|w| w[l].slice(s![n, .., ..]).to_owned());
+            let wanted = &a - &b;
+            off += (&found - &wanted).mapv(|v| v * v).sum();
+            size += wanted.mapv(|v| v * v).sum();
+            all += b.mapv(|v| v * v).sum();
+        }
+    }
+    [f64::from(off / size).sqrt(), f64::from(size / all).sqrt()]
+}
+
+fn added(terms: &[(usize, f64)]) -> Wavefront {
+    let mut w = Wavefront::default();
+    terms.iter().for_each(|(j, v)| w.coefficient[j - 1] = *v);
+    w
+}
+
+#[test]
+fn changes_of_wavefronts_are_predicted_from_one_plane() {
+    let psf = calibrated();
+    let model = fitted(&psf);
+    assert!(model.misfit < 0.05, "{}", model.misfit);
+    // The true even terms are positive in the mean, which is the sign that is chosen.
+    for terms in [vec![(4, 0.02)], vec![(4, -0.05)], vec![(4, 0.12)], vec![(7, 0.05), (8, -0.08)], vec![(6, 0.04)]] {
+        let [off, size] = errors(&model, &psf, &added(&terms), 1.0);
+        assert!(off < 0.1, "{terms:?}: {off} of a change of {size}");
+    }
+    // The other sign of what is even is another change.
+    assert!(errors(&model, &psf, &added(&[(4, 0.05)]), -1.0)[0] > 0.5);
+}
+
+#[test]
+fn what_no_pupil_explains_has_none() {
+    let mut psf = calibrated();
+    // Two foci a lens: a ghost that is as bright as the focus itself.
+    let moved = psf.basis.clone();
+    for (l, k) in (0..3).flat_map(|l| (0..12).map(move |k| (l, k))) {
+        let mut to = psf.basis.slice_mut(s![l, k, 7.., ..]);
+        to += &moved.slice(s![l, k, ..SIDE - 7, ..]);
+    }
+    let scale = Scale { magnification: 0.66, pixel_pitch_um: 2.0 };
+    let none = PupilModel::fit(&psf, 0, &[false; 3], scale);
+    assert!(none.is_none(), "{none:?}");
+    // One pixel says nothing of a pupil.
+    let small = LowRankPsf { basis: psf.basis.slice(s![.., .., 10..11, 10..11]).to_owned(), ..psf };
+    assert!(PupilModel::fit(&small, 0, &[false; 3], scale).is_none());
+}
+
+#[test]
+fn dark_and_broken_lenses_are_no_failure() {
+    let mut psf = calibrated();
+    psf.coefficients.slice_mut(s![1, .., .., .., ..]).fill(0.0);
+    let scale = Scale { magnification: 0.66, pixel_pitch_um: 2.0 };
+    assert!(PupilModel::fit(&psf, 0, &[false, true, false], scale).is_some());
+    // A lens without light that is not marked as dead has no pupil, and then no lens has.
+    assert!(PupilModel::fit(&psf, 0, &[false; 3], scale).is_none());
+    psf.coefficients.fill(f32::NAN);
+    assert!(PupilModel::fit(&psf, 0, &[false; 3], scale).is_none());
+}
