@@ -6,8 +6,8 @@
 
 use super::config::{BenchConfig, StackConfig};
 use super::error::BenchError;
-use super::family::{self, Moved};
 use super::family::config::{FamilyName, StackOf};
+use super::family::{self, Moved};
 use super::foci::Point;
 use ommatidia_session::rng;
 use rand::RngExt;

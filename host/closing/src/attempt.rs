@@ -2,8 +2,8 @@
 
 use super::account::{
     Accepted, Closed, Closing, Effect, Excess, Findings, Left, Verdict, calibration_note, claims_a_cause, effects,
-    harmful, imitated, pictured, registration_notes, registrations, rejected, shadowed, unearned, unstated_notes,
-    within_calibration,
+    harmful, imitated, pictured, pupil_note, registration_notes, registrations, rejected, shadowed, unearned,
+    unstated_notes, within_calibration,
 };
 use super::data::{Fault, Observations, Shown, bright_darks};
 use super::evidence::{
@@ -193,6 +193,7 @@ pub(crate) fn attempt(
         effects = others;
     }
     notes.splice(..0, bright_darks(seen, model.forward.noise()));
+    notes.extend(pupil_note(instrument, &effects));
     // Without a bead scan there are no replicates to be had.
     if instrument.replicates.is_empty() && !instrument.sensor_only() && seen.of(Role::Scene).next().is_some() {
         notes.push(

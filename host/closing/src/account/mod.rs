@@ -8,6 +8,7 @@ pub(crate) mod adopt;
 pub(crate) mod describe;
 pub mod file;
 pub(crate) mod pictures;
+mod pupils;
 mod registration;
 pub mod result;
 pub mod retrain;
@@ -17,6 +18,7 @@ pub use adopt::{Recalibrated, adopt};
 pub(crate) use describe::{Accepted, Findings, effects, fault, rejected};
 pub use file::{KIND, VERSION};
 pub(crate) use pictures::pictured;
+pub(crate) use pupils::pupil_note;
 pub(crate) use registration::{registration_notes, registrations, unstated_notes};
 pub use result::{
     Account, Closed, Closing, Effect, Nearest, Rejected, SpecimenMaps, TruthRegistration, Value, Verdict,

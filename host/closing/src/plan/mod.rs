@@ -121,7 +121,7 @@ fn assumptions(instrument: &Instrument) -> Vec<String> {
             .into(),
         "a candidate that is not testable now is assumed with ten steps of its strength (docs/effects.md)".into(),
     ];
-    if instrument.psf.node_depths_um.len() < 2 {
+    if instrument.psf.node_depths_um.len() < 2 && instrument.pupil_model().is_none() {
         all.push(
             "the instrument knows its PSFs at one depth only: what acts by depth becomes testable after a calibration \
              with beads at two depths or more, and no measurement of this list can replace it"

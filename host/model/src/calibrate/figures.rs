@@ -97,6 +97,7 @@ impl Calibration {
             })),
             "outside_window": i.quality.outside_window,
             "light_unit": i.light_unit,
+            "pupils": i.pupil_model().map(|p| p.summary()),
             "notes": self.notes,
             "beads_normalised": self.beads_normalised,
             "bead_scatter": self.bead_scatter,

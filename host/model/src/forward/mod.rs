@@ -44,13 +44,13 @@ pub use scene_light::SceneLight;
 use crate::instrument::Instrument;
 use crate::psf::{ChiefRays, LowRankOperator, OperatorConfig};
 use growth::{Calibrated, Growth};
-use wavefront::Kept;
 use ndarray::{Array2, ArrayView2, Zip};
 use ommatidia_physics::effects::{Chain, FrameContext, Layout, Stage};
 use ommatidia_physics::noise::{NoiseModel, ROUNDING_DN2, draw_electrons};
 use ommatidia_physics::optics::MicrolensArray;
 use rand::Rng;
 use std::sync::{Arc, OnceLock};
+use wavefront::Kept;
 
 /// The forward model of one instrument at one depth.
 #[derive(Clone, Debug)]

@@ -164,6 +164,26 @@ fn table(args: &Args, calibration: &Calibration) -> String {
     line("off-grid error", format!("{:.4}", q.off_grid_error), "NRMSE on held-out positions (checkerboard)");
     line("  of one PSF per lens", format!("{:.4}", q.one_psf_error), "the same positions");
     line("  of noise alone", format!("{:.4}", q.noise_floor), "in the bead frames");
+    if let Some(pupils) = i.pupil_model().map(|p| p.summary()) {
+        let error = format!("{:.1} % off", 100.0 * pupils.misfit);
+        line("pupils", error, "round ones with Zernike terms; they predict other depths from this one plane");
+        line("  cut-off", format!("{:.3} cycles/px", pupils.cutoff_cycles_per_px), "of the amplitude");
+        let terms = [
+            ("defocus", pupils.defocus_waves),
+            ("astigmatism", pupils.astigmatism_waves),
+            ("coma", pupils.coma_waves),
+            ("spherical", pupils.spherical_waves),
+        ];
+        for (name, waves) in terms {
+            line(&format!("  {name}"), format!("{waves:.3} waves rms"), "mean square over the field and the lenses");
+        }
+    } else if !i.sensor_only() && i.psf.node_depths_um.len() == 1 {
+        line(
+            "pupils",
+            "none".into(),
+            "no round pupil explains the PSFs; other depths need beads at two depths or more",
+        );
+    }
     line("replicates", i.replicates.len().to_string(), "jackknife refits for the uncertainty of the PSFs");
     match i.light_unit {
         LightUnit::Dn => line("light unit", "DN".into(), "above black"),

@@ -9,19 +9,20 @@ use crate::psf::nodes::Taps;
 use ndarray::{Array1, Array2, Array4, Array5, Axis, s};
 use ommatidia_physics::optics::Wavefront;
 use rayon::prelude::*;
+use serde::Serialize;
 use std::f64::consts::TAU;
 
 /// Places of each axis whose PSFs are fitted.
 const PLACES: usize = 4;
 /// Nodes of each axis on which changes are computed: pupils are quadratic in the field, and a change is as smooth.
-const NODES: usize = 7;
+const NODES: usize = 5;
 /// PSFs with less than this share of the light of the brightest say too little: their foci fall off the sensor.
 const FAINT: f64 = 0.2;
 /// Smallest window whose PSFs a pupil can be fitted to, px a side.
 const LEAST_SIDE: usize = 7;
 /// Terms of the low-rank model of a change, at most, and the relative size of the least.
-const RANK: usize = 8;
-const LEAST_TERM: f64 = 1e-3;
+const RANK: usize = 6;
+const LEAST_TERM: f64 = 3e-3;
 /// Wavelength of the light, um, where the change of depth is a distance: a session does not record it. Fluorescence in
 /// use lies within 20 % of it (GFP 0.51, tdTomato 0.58).
 const WAVELENGTH_UM: f64 = 0.53;
@@ -84,6 +85,29 @@ impl PupilModel {
         self.waves_per_um * z_um
     }
 
+    /// Mean cut-off frequency of the pupils, cycles/px, and rms over the object and the live lenses of the wavefront
+    /// terms from Z_4 on, waves.
+    pub fn summary(&self) -> PupilSummary {
+        let live = || self.lenses.iter().flatten();
+        let count = live().count().max(1) as f64;
+        let grid = [-1.0, -0.5, 0.0, 0.5, 1.0];
+        let places: Vec<[f64; 2]> = grid.iter().flat_map(|y| grid.map(|x| [*y, x])).collect();
+        let mut square = [0.0; TERMS];
+        for pupil in live().flat_map(|l| places.iter().map(|at| l.at(*at))) {
+            square.iter_mut().zip(pupil.terms).for_each(|(s, t)| *s += (t / TAU).powi(2));
+        }
+        let rms = square.map(|s| (s / (count * places.len() as f64)).sqrt());
+        PupilSummary {
+            misfit: self.misfit,
+            cutoff_cycles_per_px: live().map(|l| l.radius).sum::<f64>() / count,
+            defocus_waves: rms[2],
+            astigmatism_waves: rms[3].hypot(rms[4]),
+            coma_waves: rms[5].hypot(rms[6]),
+            trefoil_waves: rms[7].hypot(rms[8]),
+            spherical_waves: rms[9],
+        }
+    }
+
     /// Rows and columns of the nodes on which changes are computed, object pixels.
     pub fn nodes_px(&self) -> &[Vec<f64>; 2] {
         &self.nodes_px
@@ -126,6 +150,7 @@ impl PupilModel {
     ) -> Array2<f32> {
         let side = psf.basis.dim().2;
         let kernel = Kernel::new(side, 1.3 * lens.radius);
+        let waves = kernel.waves(side, lens.radius);
         let [rows, cols] = [0, 1].map(|a| placed(&self.nodes_px[a]));
         let light = light(psf, l, depth);
         let mut out = Array2::zeros((rows.len() * cols.len(), side * side));
@@ -135,12 +160,10 @@ impl PupilModel {
             for k in 2..TERMS {
                 after.terms[k] += TAU * added.coefficient[k + 1];
             }
-            let (from, to) = (kernel.psf(&before, side), kernel.psf(&after, side));
+            let [from, to] = [before, after].map(|pupil| kernel.psf_by(&waves, &pupil));
             // The wavefront leaves the light of a lens as it is.
-            let taps = [
-                Taps::at(&psf.node_rows_px, self.nodes_px[0][i]),
-                Taps::at(&psf.node_cols_px, self.nodes_px[1][j]),
-            ];
+            let taps =
+                [Taps::at(&psf.node_rows_px, self.nodes_px[0][i]), Taps::at(&psf.node_cols_px, self.nodes_px[1][j])];
             let here = interpolated(&light, &taps).max(0.0);
             let scale = here / from.sum().max(f64::MIN_POSITIVE);
             let mut row = out.row_mut(i * cols.len() + j);
@@ -170,11 +193,31 @@ impl PupilModel {
             }
         }
         // The mean over the object of the functions 1, y^2 and x^2.
-        let defocus: f64 = self.lenses.iter().flatten().map(|l| l.terms.row(2)).map(|t| t[0] + (t[3] + t[5]) / 3.0).sum();
+        let defocus: f64 =
+            self.lenses.iter().flatten().map(|l| l.terms.row(2)).map(|t| t[0] + (t[3] + t[5]) / 3.0).sum();
         if defocus < 0.0 {
             self.lenses.iter_mut().flatten().for_each(turn);
         }
     }
+}
+
+/// What the pupils of an instrument look like.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct PupilSummary {
+    /// Relative error of the PSFs that they make (root mean square).
+    pub misfit: f64,
+    /// Mean cut-off frequency of the amplitude, cycles/px.
+    pub cutoff_cycles_per_px: f64,
+    /// Defocus, rms over the object and the lenses, waves rms.
+    pub defocus_waves: f64,
+    /// Astigmatism of both directions, as above.
+    pub astigmatism_waves: f64,
+    /// Coma of both directions, as above.
+    pub coma_waves: f64,
+    /// Trefoil of both directions, as above.
+    pub trefoil_waves: f64,
+    /// Spherical aberration, as above.
+    pub spherical_waves: f64,
 }
 
 /// Sizes by which a displacement in the object appears on the sensor.

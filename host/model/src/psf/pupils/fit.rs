@@ -30,6 +30,9 @@ const FIELD_STARTS: [[f64; 3]; 7] = [
     [0.0, -0.3, 0.0],
 ];
 
+/// Relative error below which no further start is tried.
+const GOOD: f64 = 0.025;
+
 /// The PSF at one place of the source.
 pub(super) struct Place {
     /// Place (y, x), each from -1 to 1 over the object.
@@ -83,15 +86,19 @@ pub(super) fn fit_lens(places: &[Place]) -> Option<LensPupil> {
     let best = starts.min_by(|a, b| a.misfit.total_cmp(&b.misfit))?;
     let kernel = Kernel::new(side, MOST_RADIUS.min(1.3 * best.radius));
     let wide = best.widened(6);
-    let tried = FIELD_STARTS.iter().filter_map(|[row, col, square]| {
+    let mut best: Option<LensPupil> = None;
+    for [row, col, square] in FIELD_STARTS {
         let mut start = wide.clone();
         for (function, by) in [(1, row), (2, col), (3, square), (5, square)] {
-            start.terms[[2, function]] = *by;
+            start.terms[[2, function]] = by;
         }
-        improved(&kernel, start, places, ROUNDS[1])
-    });
-    let best = tried.min_by(|a, b| a.misfit.total_cmp(&b.misfit))?;
-    improved(&kernel, best, places, ROUNDS[2])
+        let found = improved(&kernel, start, places, ROUNDS[1]);
+        best = best.into_iter().chain(found).min_by(|a, b| a.misfit.total_cmp(&b.misfit));
+        if best.as_ref().is_some_and(|b| b.misfit < GOOD) {
+            break;
+        }
+    }
+    improved(&kernel, best?, places, ROUNDS[2])
 }
 
 /// `(sum h)^2 / sum h^2`, px^2.
@@ -168,9 +175,8 @@ fn solved(normal: &Array2<f64>, right: &Array1<f64>, damping: f64) -> Option<Arr
     let eigen = symmetric_eigen(&damped).ok()?;
     let floor = 1e-12 * eigen.values.iter().fold(0.0f64, |m, v| m.max(*v));
     let shares = eigen.vectors.t().dot(right);
-    let shares = ndarray::Zip::from(&shares)
-        .and(&eigen.values)
-        .map_collect(|s, v| if *v > floor { s / v } else { 0.0 });
+    let shares =
+        ndarray::Zip::from(&shares).and(&eigen.values).map_collect(|s, v| if *v > floor { s / v } else { 0.0 });
     Some(eigen.vectors.dot(&shares)).filter(|x| x.iter().all(|v| v.is_finite()))
 }
 

@@ -32,7 +32,8 @@ pub(super) struct Kernel {
 }
 
 /// A complex array.
-struct Complex {
+#[derive(Clone, Debug)]
+pub(super) struct Complex {
     re: Array2<f64>,
     im: Array2<f64>,
 }
@@ -60,8 +61,12 @@ impl Kernel {
 
     /// The PSF in a window of `side` pixels about the centre, not normalised.
     pub(super) fn psf(&self, pupil: &Pupil, side: usize) -> Array2<f64> {
-        let waves = self.waves(side, pupil.radius);
-        let light = transform(&waves, &self.amplitude(pupil));
+        self.psf_by(&self.waves(side, pupil.radius), pupil)
+    }
+
+    /// The PSF of a pupil whose [`Self::waves`] are known.
+    pub(super) fn psf_by(&self, waves: &[Complex; 2], pupil: &Pupil) -> Array2<f64> {
+        let light = transform(waves, &self.amplitude(pupil));
         binned(&(&light.re * &light.re + &light.im * &light.im))
     }
 
@@ -108,15 +113,17 @@ impl Kernel {
         Complex { re: &size * &phase.mapv(f64::cos), im: &size * &phase.mapv(f64::sin) }
     }
 
-    /// `exp(2 pi i radius rho x)` for the samples x of a window, [sample, rho].
-    fn waves(&self, side: usize, radius: f64) -> Complex {
+    /// `exp(2 pi i radius rho x)` for the samples x of a window, [sample, rho], and its transpose.
+    pub(super) fn waves(&self, side: usize, radius: f64) -> [Complex; 2] {
         let at = samples(side);
         let of = |value: fn(f64) -> f64| {
             Array2::from_shape_fn((at.len(), self.rho.len()), |(i, j)| {
                 value(std::f64::consts::TAU * radius * self.rho[j] * at[i])
             })
         };
-        Complex { re: of(f64::cos), im: of(f64::sin) }
+        let waves = Complex { re: of(f64::cos), im: of(f64::sin) };
+        let turned = Complex { re: waves.re.t().to_owned(), im: waves.im.t().to_owned() };
+        [waves, turned]
     }
 }
 
@@ -127,13 +134,12 @@ fn samples(side: usize) -> Vec<f64> {
 }
 
 /// The field of an amplitude in the pupil at the samples of a window.
-fn transform(waves: &Complex, amplitude: &Complex) -> Complex {
+fn transform([waves, turned]: &[Complex; 2], amplitude: &Complex) -> Complex {
     let product = |a: &Complex, b: &Complex| Complex {
         re: a.re.dot(&b.re) - a.im.dot(&b.im),
         im: a.re.dot(&b.im) + a.im.dot(&b.re),
     };
-    let turned = Complex { re: waves.re.t().to_owned(), im: waves.im.t().to_owned() };
-    product(&product(waves, amplitude), &turned)
+    product(&product(waves, amplitude), turned)
 }
 
 /// Means over the two by two samples of each pixel.

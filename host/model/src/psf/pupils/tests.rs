@@ -75,7 +75,14 @@ fn calibrated() -> LowRankPsf {
     }
     let nodes: Vec<f64> = (0..NODES).map(|i| 10.0 * i as f64).collect();
     let node_depths_um = vec![0.0];
-    LowRankPsf { basis, coefficients, node_depths_um, node_rows_px: nodes.clone(), node_cols_px: nodes, exposure_ms: 10.0 }
+    LowRankPsf {
+        basis,
+        coefficients,
+        node_depths_um,
+        node_rows_px: nodes.clone(),
+        node_cols_px: nodes,
+        exposure_ms: 10.0,
+    }
 }
 
 fn fitted(psf: &LowRankPsf) -> PupilModel {

@@ -1,0 +1,25 @@
+//! What a depth or a wavefront means that pupils predict from a scan in one plane.
+
+use super::result::Effect;
+use ommatidia_model::instrument::Instrument;
+
+/// Effects that act by depth.
+const BY_DEPTH: [&str; 3] = ["defocus", "field_curvature", "tilt"];
+
+/// The note on effects that pupils predict; None: there are none.
+pub(crate) fn pupil_note(instrument: &Instrument, effects: &[Effect]) -> Option<String> {
+    let by_depth = effects.iter().find(|e| BY_DEPTH.contains(&e.id.as_str()));
+    let effect = by_depth.or_else(|| effects.iter().find(|e| e.id == "wavefront_drift"))?;
+    let error = 100.0 * instrument.pupil_model()?.misfit;
+    let unknown = if by_depth.is_some() {
+        "one plane does not show on which side of the focus the specimen lies, so that the sign is unknown, and the size \
+         assumes light of 0.53 um (it goes with one over the wavelength)"
+    } else {
+        "one plane does not show the sign of astigmatism and spherical aberration"
+    };
+    Some(format!(
+        "`{}` is that of round pupils, which explain the PSFs of the calibration with an error of {error:.1} %: the beads \
+         were scanned in one plane. {unknown}; a bead scan at several depths decides it",
+        effect.id
+    ))
+}
