@@ -70,13 +70,13 @@ fn no_light_is_lost_in_any_family_and_every_focus_is_smooth_in_its_place() {
         let lenses = build(&config(family)).unwrap();
         let (mut work, mut next) = (lenses.work(), lenses.work());
         for (y, x, z) in [(0.0, 0.0, 0.0), (20.0, -25.0, 0.0), (-3.0, 11.0, 30.0)] {
-            let focus = lenses.focus(1, at(y, x, z), STILL, &mut work);
+            let focus = lenses.focus(1, at(y, x, z), STILL.into(), &mut work);
             let sum: f64 = work.psf.share.iter().map(|v| f64::from(*v)).sum();
             assert!((sum - 1.0).abs() < 1e-4, "{family}: {sum}");
             assert!(work.psf.share.iter().all(|v| *v >= 0.0));
             assert!(focus.transmission > 0.1 && focus.transmission <= 1.0, "{family}: {}", focus.transmission);
             // A thousandth of an object pixel further it is nearly the same.
-            lenses.focus(1, at(y + 0.003, x, z), STILL, &mut next);
+            lenses.focus(1, at(y + 0.003, x, z), STILL.into(), &mut next);
             let most = work.psf.share.iter().fold(0.0f32, |m, v| m.max(*v));
             let change = work.psf.share.iter().zip(&next.psf.share).fold(0.0f32, |m, (a, b)| m.max((a - b).abs()));
             assert!(change < 0.01 * most, "{family}: {change} of {most}");
@@ -108,7 +108,7 @@ fn a_focus_grows_in_its_place_by_the_given_share_in_every_family() {
         let (before, small, _) = spot(&*lenses, 0, point, STILL);
         for growth in [0.05, -0.04] {
             let (after, large, _) = spot(&*lenses, 0, point, RayShift { growth, ..STILL });
-            let chief = lenses.focus_px(0, point, STILL);
+            let chief = lenses.focus_px(0, point, STILL.into());
             for k in 0..2 {
                 let moved = (before[k] - chief[k]) * growth;
                 assert!((after[k] - before[k] - moved).abs() < 8e-3, "{family}: {before:?} {after:?}");
@@ -229,7 +229,7 @@ fn a_turned_array_turns_its_anchors_and_a_shift_takes_the_axes_along() {
         let still = lenses.moved(&Change::of(&[EffectSetting::new("array_shift", &[("row_px", 0.0)])], 2)).unwrap();
         let (mut a, mut b) = (lenses.work(), Work::default());
         let point = at(5.0, 6.0, 0.0);
-        assert_eq!(lenses.focus(0, point, STILL, &mut a), still.focus(0, point, STILL, &mut b));
+        assert_eq!(lenses.focus(0, point, STILL.into(), &mut a), still.focus(0, point, STILL.into(), &mut b));
         assert_eq!(a.psf.share, b.psf.share);
     }
 }
@@ -250,7 +250,7 @@ fn drawn_kernels_have_the_stated_width_and_turn_with_depth() {
     };
     let lenses = build(&config).unwrap();
     let (centre, spread, _) = spot(&*lenses, 0, at(0.0, 0.0, 0.0), STILL);
-    let ray = lenses.focus_px(0, at(0.0, 0.0, 0.0), STILL);
+    let ray = lenses.focus_px(0, at(0.0, 0.0, 0.0), STILL.into());
     assert!((0..2).all(|k| (centre[k] - ray[k]).abs() < 0.01), "{centre:?} {ray:?}");
     let width = (spread[0] + spread[1] - 1.0 / 6.0).sqrt();
     assert!((width - 2.5).abs() < 0.05, "{width}");
@@ -288,7 +288,7 @@ fn measured_kernels_are_read_scaled_and_blended_in_depth_and_over_the_field() {
     };
     config.scan.depths_um = vec![-40.0, 0.0, 40.0];
     let lenses = build(&config).unwrap();
-    let ray = lenses.focus_px(1, at(8.0, 9.0, 0.0), STILL);
+    let ray = lenses.focus_px(1, at(8.0, 9.0, 0.0), STILL.into());
     let width = |z: f64| {
         let (centre, spread, _) = spot(&*lenses, 1, at(8.0, 9.0, z), STILL);
         assert!((0..2).all(|k| (centre[k] - ray[k]).abs() < 0.05), "{centre:?} {ray:?}");
