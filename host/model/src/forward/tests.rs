@@ -58,8 +58,10 @@ fn every_effect_switched_off_leaves_the_same_bits_and_switched_on_changes_the_fr
         assert_eq!(forward(off).expected_dn(object().view(), &cx).unwrap(), want, "{}", d.id);
         let with = forward(off + step);
         let (expected, reading) = (with.expected_dn(object().view(), &cx).unwrap(), drawn(&with));
-        assert_eq!(expected != want, !effect.noise_only(), "{}", d.id);
-        assert_ne!(reading, drawn(&plain), "{}", d.id);
+        // No pupil explains these PSFs, so no wavefront changes them (`wavefront` has tests of its own).
+        let without_pupil = d.id == "wavefront_drift";
+        assert_eq!(expected != want, !effect.noise_only() && !without_pupil, "{}", d.id);
+        assert_eq!(reading != drawn(&plain), !without_pupil, "{}", d.id);
     }
 }
 

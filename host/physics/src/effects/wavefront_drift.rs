@@ -19,7 +19,7 @@ const TERMS: [usize; 5] = [6, 7, 5, 4, 10];
 
 /// Beyond a third of a wave rms a focus has fallen apart, and no calibration says how.
 const fn waves(name: &'static str) -> Param {
-    Param::strength(name, "waves", 0.005, -0.35, 0.35)
+    Param::strength(name, "waves", 0.001, -0.35, 0.35)
 }
 
 static DESCRIPTOR: Descriptor = Descriptor {
