@@ -11,9 +11,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// Wavefronts that are kept with what was computed of them: those of a state, and of steps from it.
 const KEPT: usize = 4;
 
+/// Wavefronts, and what was computed of them.
+type Entry<T> = (Arc<Wavefronts>, Arc<T>);
+
 /// What was last computed, by wavefronts; the latest last.
 #[derive(Clone, Debug)]
-pub(super) struct Kept<T>(Arc<Mutex<Vec<(Arc<Wavefronts>, Arc<T>)>>>);
+pub(super) struct Kept<T>(Arc<Mutex<Vec<Entry<T>>>>);
 
 impl<T> Default for Kept<T> {
     fn default() -> Self {
