@@ -6,7 +6,7 @@
 //! h(x) = pixel * |F[P](x)|^2,   P(rho) = exp(-a rho^2 + i sum_k c_k(y, x) Z_k(rho)),   |rho| <= 1
 //! ```
 //! with Noll's polynomials Z_2 to Z_11, whose coefficients c_k are quadratic in the place (y, x) of the source, and with
-//! a cut-off frequency and an apodisation a of its own ([`fit`]). It is used only where it explains the PSFs
+//! a cut-off frequency and an apodisation a of its own (`fit`). It is used only where it explains the PSFs
 //! ([`MOST_MISFIT`]), and then only for their *change* when the wavefront changes: the PSFs themselves stay the
 //! calibrated ones.
 //!
