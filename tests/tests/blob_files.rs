@@ -204,7 +204,10 @@ prop_compose! {
                 later, terms, window, node_step,
                 corners: corners.into_iter().map(|(row, col)| Corner { row, col }).collect(),
             }),
-            integers: integers.map(|(input_log2, feature_log2)| Integers { input_log2, feature_log2, output: 1.0e-6, features: if input_log2 % 2 == 0 { FeatureBits::Eight } else { FeatureBits::Sixteen } }),
+            integers: integers.map(|(input_log2, feature_log2)| Integers {
+                input_log2, feature_log2, output: 1.0e-6,
+                features: if input_log2 % 2 == 0 { FeatureBits::Eight } else { FeatureBits::Sixteen },
+            }),
         };
         if let Ok(plan) = Pipeline::plan(&header) && planned {
             header.memory = plan;

@@ -138,3 +138,53 @@ fn backlash_of_the_stage() {
     let closing = closed(&config, &[Role::Bead], None, 909);
     assert!(closing.effects.iter().all(|e| !e.known), "{:?}", closing.effects);
 }
+
+/// An instrument whose beads were scanned in one plane: pupils predict what such a scan does not show.
+fn one_plane() -> &'static (BenchConfig, Instrument) {
+    static ONE: OnceLock<(BenchConfig, Instrument)> = OnceLock::new();
+    ONE.get_or_init(|| {
+        let mut config = subject().config.clone();
+        config.scan.depths_um = vec![0.0];
+        let instrument = calibrated(&config.build_like(&subject().bench, &[]).unwrap());
+        assert!(instrument.pupil_model().is_some());
+        (config, instrument)
+    })
+}
+
+/// Its sign is unknown, and its size assumes light of 0.53 um.
+#[test]
+fn a_specimen_out_of_focus_after_a_scan_in_one_plane() {
+    let (config, instrument) = one_plane();
+    let defocus = EffectSetting::new("defocus", &[("z_um", 40.0)]);
+    let mut closing = closed_with(instrument, config, &WHOLE, Some(defocus), 910);
+    assert!(closing.notes.iter().any(|n| n.contains("sign is unknown")), "{:?}", closing.notes);
+    let z_um = &mut closing.effects[0].params[0].value;
+    *z_um = z_um.abs() * 0.53 / config.optics.wavelength_um;
+    is_named(&closing, "defocus", &[("z_um", 40.0)]);
+}
+
+/// The bench's pupils have soft rims, and end farther out than hard ones that are fitted to them. Coma grows with the
+/// cube of the distance from the centre: the same wavefront has a coefficient smaller by the cube of the radii.
+#[test]
+fn coma_after_a_scan_in_one_plane() {
+    let (config, instrument) = one_plane();
+    let coma = [("coma_row_waves", 0.02), ("coma_col_waves", -0.03), ("row_px", 0.25), ("col_px", -0.38)];
+    let mut closing = closed_with(instrument, config, &WHOLE, Some(EffectSetting::new("wavefront_drift", &coma)), 911);
+    let distance_um = config.true_magnification() * config.optics.object_distance_um;
+    let radius_um = instrument.pupil_model().unwrap().summary().cutoff_cycles_per_px / config.sensor.pixel_pitch_um
+        * config.optics.wavelength_um
+        * distance_um;
+    let smaller = radius_um / (config.optics.aperture_um / 2.0);
+    assert!((0.7..1.0).contains(&smaller), "{smaller}");
+    for p in closing.effects[0].params.iter_mut().filter(|p| p.name.starts_with("coma")) {
+        (p.value, p.sigma) = (p.value / smaller.powi(3), p.sigma / smaller.powi(3));
+    }
+    is_named(&closing, "wavefront_drift", &coma);
+}
+
+#[test]
+fn nothing_is_found_in_nothing_after_a_scan_in_one_plane() {
+    let (config, instrument) = one_plane();
+    let closing = closed_with(instrument, config, &WHOLE, None, 912);
+    assert!(closing.effects.is_empty(), "{:?}", closing.effects);
+}

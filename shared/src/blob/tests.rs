@@ -146,7 +146,9 @@ prop_compose! {
                 later, terms, window: 2 * half + 1, node_step: 1 << step,
                 corners: corners.into_iter().map(|(row, col)| Corner { row, col }).collect(),
             }),
-            integers: scales.map(|(input_log2, feature_log2)| Integers { input_log2, feature_log2, output: 1.0e-7, features: FeatureBits::Sixteen }),
+            integers: scales.map(|(input_log2, feature_log2)| Integers {
+                input_log2, feature_log2, output: 1.0e-7, features: FeatureBits::Sixteen,
+            }),
         }
     }
 }

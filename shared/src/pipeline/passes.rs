@@ -24,7 +24,8 @@
 //! in the work space: x at its end, and before it p and then d, where the enhancement network reads its input. Filters
 //! that transform the whole frame at once do so before they give p, so the predicted frame lies where p will lie and
 //! before that, and the spectra of the prediction, then that of the frame, lie at the start. Otherwise the predicted
-//! frame lies at the start, and behind it the spectra of the prediction, which end where x begins, then those of the filters.
+//! frame lies at the start, and behind it the spectra of the prediction, which end where x begins, then those of the
+//! filters.
 
 use super::error::PipelineError;
 use super::field::Stats;

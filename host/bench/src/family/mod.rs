@@ -48,7 +48,7 @@ pub(crate) struct Work {
 pub(crate) struct Moved {
     /// Displacement and growth.
     pub shift: RayShift,
-    /// What is added to the wavefront, waves rms; only of the family `pupils`.
+    /// What is added to the wavefront, waves rms, while the centroid stays; only of the family `pupils`.
     pub wavefront: Wavefront,
 }
 

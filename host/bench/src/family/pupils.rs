@@ -102,9 +102,7 @@ impl Lenses for Pupils {
         let h = self.array.tangents(lens.axis_um, point.at_um).map(|t| t / self.reference_tangent);
         let square = h[0] * h[0] + h[1] * h[1];
         let ray = self.array.chief_ray_px(lens.anchor_px, point.at_um);
-        // What is added to a wavefront moves the centroid of the focus; that of the lens itself is part of its anchor.
-        let added = self.pupil.displacement_px(&moved.wavefront);
-        [0, 1].map(|k| ray[k] + self.distortion_px * square * h[k] + moved.shift.px[k] + added[k])
+        [0, 1].map(|k| ray[k] + self.distortion_px * square * h[k] + moved.shift.px[k])
     }
 
     fn focus(&self, l: usize, point: Point, moved: Moved, work: &mut Work) -> Focus {

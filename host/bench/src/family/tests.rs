@@ -98,8 +98,8 @@ fn a_displaced_focus_is_displaced_by_as_much_in_every_family() {
     }
 }
 
-/// Of no family is the pixel, which widens foci by 1/12 px^2 along each axis, part of the PSF that grows; a displacement
-/// is.
+/// Of no family is the pixel, which widens foci by 1/12 px^2 along each axis, part of the PSF that grows; a
+/// displacement is.
 #[test]
 fn a_focus_grows_in_its_place_by_the_given_share_in_every_family() {
     for family in FamilyName::ALL {

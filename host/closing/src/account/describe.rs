@@ -1,6 +1,7 @@
 //! Describes the result of a search: each effect in numbers and words, detection limits of the others, and the
 //! measurements that would distinguish similar effects.
 
+use super::pupils::BY_DEPTH;
 use super::result::{Effect, Rejected, Value};
 use super::verdict::Left;
 use crate::data::{Fault, FaultKind};
@@ -208,7 +209,7 @@ pub(crate) struct Accepted<'a> {
 /// The measurement that makes an effect testable.
 fn needs(stage: Stage, id: &str) -> &'static str {
     match (stage, id) {
-        (_, "defocus" | "field_curvature" | "tilt") => "a bead scan at several depths",
+        (_, id) if BY_DEPTH.contains(&id) => "a bead scan at several depths",
         (_, "stage_backlash") => "a bead scan that turns at the end of each row, in a session without truths",
         (_, "exposure_offset") => "flats at several exposures",
         (_, "dark_current" | "hot_pixels") => "darks at several exposures",

@@ -4,7 +4,7 @@ use super::result::Effect;
 use ommatidia_model::instrument::Instrument;
 
 /// Effects that act by depth.
-const BY_DEPTH: [&str; 3] = ["defocus", "field_curvature", "tilt"];
+pub(super) const BY_DEPTH: [&str; 3] = ["defocus", "field_curvature", "tilt"];
 
 /// The note on effects that pupils predict; None: there are none.
 pub(crate) fn pupil_note(instrument: &Instrument, effects: &[Effect]) -> Option<String> {
@@ -12,14 +12,15 @@ pub(crate) fn pupil_note(instrument: &Instrument, effects: &[Effect]) -> Option<
     let effect = by_depth.or_else(|| effects.iter().find(|e| e.id == "wavefront_drift"))?;
     let error = 100.0 * instrument.pupil_model()?.misfit;
     let unknown = if by_depth.is_some() {
-        "one plane does not show on which side of the focus the specimen lies, so that the sign is unknown, and the size \
-         assumes light of 0.53 um (it goes with one over the wavelength)"
+        "one plane does not show on which side of the focus the specimen lies, so that the sign is unknown, and the \
+         size assumes light of 0.53 um (it is inversely proportional to the wavelength)"
     } else {
-        "one plane does not show the sign of astigmatism and spherical aberration"
+        "one plane does not show the sign of astigmatism and spherical aberration, and coefficients belong to hard rims \
+         (a soft one that ends farther out has larger ones)"
     };
     Some(format!(
-        "`{}` is that of round pupils, which explain the PSFs of the calibration with an error of {error:.1} %: the beads \
-         were scanned in one plane. {unknown}; a bead scan at several depths decides it",
+        "`{}` is that of round pupils, which explain the PSFs of the calibration with an error of {error:.1} %: the \
+         beads were scanned in one plane. {unknown}; a bead scan at several depths decides it",
         effect.id
     ))
 }

@@ -5,12 +5,12 @@ use crate::fit::repeats::noisy;
 
 /// Number of the best candidates that are fitted in full.
 const FINALISTS: usize = 3;
-/// Number of effects similar to the best that are fitted in full as well.
+/// Number of effects similar to one of these that are fitted in full as well.
 const LOOKALIKES: usize = 2;
 
 /// The candidates that are fitted in full: the best by the score test; and, since the scores of a large effect are far
 /// from linear, the one that explains most by the noise alone, the simplest of those that explain nearly as much, and
-/// the effects that the catalogue lists as similar to the best.
+/// the best of the effects that the catalogue lists as similar to one of these.
 pub(super) fn finalists<'c>(able: &[&'c Candidate]) -> Vec<&'c Candidate> {
     let gain = |c: &Candidate| c.test.as_ref().map_or(0.0, |t| t.gain);
     let (top, most) = able.iter().fold((0.0, 0.0), |m: (f64, f64), c| (m.0.max(c.worth()), m.1.max(gain(c))));
@@ -27,7 +27,8 @@ pub(super) fn finalists<'c>(able: &[&'c Candidate]) -> Vec<&'c Candidate> {
         chosen.extend(able.iter().find(of_mean).copied());
     }
     if let Some(best) = chosen.first().copied() {
-        let near = |c: &&&Candidate| gain(c) > 0.2 * gain(best) && alike(best, c);
+        let similar = |c: &Candidate| chosen.iter().any(|b| alike(b, c));
+        let near = |c: &&&Candidate| gain(c) > 0.2 * gain(best) && similar(c);
         let more: Vec<&Candidate> = able.iter().filter(near).filter(|c| open(&chosen, c)).copied().collect();
         chosen.extend(more.into_iter().take(LOOKALIKES));
     }

@@ -1,9 +1,9 @@
 //! Searches for the effects that a model lacks.
 //!
-//! [`trials`] lists what is tried, [`select`] adds one effect after another (forward selection) after full fits of the
-//! `finalists`, `earn` takes out effects that a term without a name makes unnecessary, `prune` removes what is no
-//! longer needed (backward elimination), [`recalibrate`] measures what a new calibration would gain, `lost` lists what
-//! cannot be tested beside truths of uncertain place.
+//! [`trials`] lists what is tried, `scoring` gives each its evidence, [`select`] adds one effect after another (forward
+//! selection) after full fits of the `finalists`, `earn` takes out effects that a term without a name makes
+//! unnecessary, `prune` removes what is no longer needed (backward elimination), [`recalibrate`] measures what a new
+//! calibration would gain, `lost` lists what cannot be tested beside truths of uncertain place.
 
 pub mod candidate;
 pub(crate) mod earn;
@@ -11,6 +11,7 @@ mod finalists;
 pub(crate) mod lost;
 pub(crate) mod prune;
 pub mod recalibrate;
+mod scoring;
 pub mod select;
 pub mod trials;
 
@@ -20,7 +21,7 @@ pub(crate) use lost::lost;
 pub(crate) use prune::{Pruned, prune};
 pub(crate) use recalibrate::calibration_of;
 pub use recalibrate::{held_out_figures, trial_calibration};
+pub(crate) use scoring::score;
 pub use select::Search;
-pub(crate) use select::score;
 pub(crate) use trials::evidence;
 pub use trials::{NEEDS_CALIBRATION, Tried};

@@ -3,9 +3,10 @@
 
 use super::candidate::{Alternative, Candidate, Found, PENALTY, Shadowed};
 use super::finalists::{alike, finalists};
+use super::scoring::{log, score, tabled};
 use super::trials::{NEEDS_CALIBRATION, Tried, evidence};
 use crate::data::{Frame, Shown};
-use crate::evidence::{Scores, TableFit, Test, holm, maps, tables};
+use crate::evidence::{Scores, Test, holm};
 use crate::fit::repeats::wings;
 use crate::fit::{
     Column, Design, Errors, Fitted, Model, Predicted, Replicas, Scope, State, Term, nuisances, own_columns, refit,
@@ -13,7 +14,6 @@ use crate::fit::{
 };
 use ommatidia_model::forward::ForwardError;
 use ommatidia_physics::effects::Stage;
-use ommatidia_session::Role;
 use std::sync::Arc;
 
 /// Family-wise error rate: probability that an effect is significant although the model is complete (Holm).
@@ -36,9 +36,6 @@ const MOST_UNNAMED: usize = 3;
 /// relative error times the light of scenes of known objects; in frames of single beads, where no other focus averages
 /// them, they are taken to be as large as the noise.
 const FEIGNED: f64 = 0.1;
-/// A term without a name is tried only if at least this share of its squared norm is independent of the model's
-/// columns.
-const DISTINCT: f64 = 0.1;
 /// Of two similar effects the one with fewer parameters is named if it explains all but this share of what the other
 /// explains.
 const TRACE: f64 = 1e-3;
@@ -50,61 +47,6 @@ const CLOSE: f64 = 0.5;
 /// Under the best of them so often at most, and until the deviance falls by less than [`SETTLED`].
 const ROUNDS: usize = 5;
 const SETTLED: f64 = 5.0;
-
-/// Scores trial terms beside a fitted state: each effect at the best of its starting values.
-///
-/// # Errors
-/// An object holds negative or non-finite light.
-pub(crate) fn score(
-    model: &Model<'_>,
-    fitted: &Fitted,
-    errors: &Errors,
-    terms: &[Term],
-) -> Result<Vec<Candidate>, ForwardError> {
-    let given: Vec<Column> = nuisances(model).into_iter().chain(own_columns(model, &fitted.state)).collect();
-    let taken: Vec<usize> = (0..given.len()).collect();
-    let mut columns = given;
-    let mut spans = Vec::new();
-    for (t, term) in terms.iter().enumerate() {
-        let first = columns.len();
-        columns.extend(term.trial_columns(model.lenses()).into_iter().map(|param| Column::Trial { term: t, param }));
-        spans.push(first..columns.len());
-    }
-    let scope = Scope::Scores { given: taken.len(), groups: &spans };
-    let design = Design::compute(model, fitted.expansion(terms), columns, errors, scope)?;
-    let scores = Scores::new(&design, taken);
-    let scenes = model.seen.of(Role::Scene).count();
-    let mut candidates: Vec<Candidate> = Vec::new();
-    for (term, span) in terms.iter().zip(spans) {
-        let columns: Vec<usize> = span.collect();
-        let unnamed = term.id().starts_with("unknown");
-        let test = scores.test(&columns).filter(|t| !unnamed || t.left > DISTINCT).map(|t| one_sided(model, term, t));
-        let starts = terms.iter().filter(|t| t.id() == term.id()).count() as f64;
-        let chances = starts.max(term.effect.chances(model.seen.sensor, scenes));
-        let candidate = Candidate { term: term.clone(), columns, test, chances, table: None };
-        let near = candidate.is_near_its_start(model.lenses());
-        match candidates.iter_mut().find(|c| c.term.id() == term.id()) {
-            Some(best) if near && candidate.is_better_start(best) => *best = candidate,
-            Some(_) => {}
-            None => candidates.push(candidate),
-        }
-    }
-    Ok(candidates)
-}
-
-/// Sets the evidence of a single strength to zero if its estimate has the forbidden sign.
-fn one_sided(model: &Model<'_>, term: &Term, mut test: Test) -> Test {
-    if term.is_far(model.lenses()) {
-        return test;
-    }
-    let strengths = term.strengths(model.lenses());
-    let expanded = term.expanded(model.lenses());
-    let impossible = |i: usize| expanded[strengths[i]].1.forbidden_side() * test.theta[i] > 0.0;
-    if test.theta.len() == 1 && impossible(0) {
-        test.discard();
-    }
-    test
-}
 
 /// The state with a candidate added at its estimated strengths.
 fn with(model: &Model<'_>, state: &State, candidate: &Candidate) -> State {
@@ -510,41 +452,4 @@ struct Added<'c> {
     gain: f64,
     /// Id of each effect that was compared, and how much larger its deviance is, over the scatter.
     behind: Vec<(&'static str, f64)>,
-}
-
-/// Candidates with an estimated table.
-fn tabled(model: &Model<'_>, now: &Fitted, tried: Tried) -> Vec<Candidate> {
-    let fits = match tried {
-        Tried::Curves => Vec::new(),
-        Tried::Catalogue => tables::fit(model, &now.state, &now.predicted, true),
-        Tried::Maps => {
-            let mut fits = tables::fit(model, &now.state, &now.predicted, false);
-            fits.extend(maps::fit(model, &now.state, &now.predicted));
-            fits
-        }
-    };
-    let candidate =
-        |t: TableFit| Candidate { term: t.term.clone(), columns: Vec::new(), test: None, chances: 1.0, table: Some(t) };
-    fits.into_iter().map(candidate).collect()
-}
-
-fn log(candidates: &[Candidate]) {
-    for c in candidates.iter().take(6) {
-        if let Some(t) = &c.test {
-            tracing::info!(
-                "{} {:?}: z {:.2}, t {:.1}, gain {:.1}, phi {:.2}, nu {:.0}, dof {}, theta {:?}",
-                c.term.id(),
-                c.term.params,
-                t.z,
-                t.t,
-                t.gain,
-                t.phi,
-                t.nu,
-                t.dof,
-                &t.theta[..t.theta.len().min(3)]
-            );
-        } else if let Some(t) = &c.table {
-            tracing::info!("{} table: z {:.2}, size {:?} +- {:.2e}", c.term.id(), t.z, t.term.params.first(), t.sigma);
-        }
-    }
 }

@@ -138,8 +138,8 @@ impl Forward {
         }
     }
 
-    /// Where the image of an object pixel lies, (row, col) sensor px: one object pixel is one sensor pixel of the image,
-    /// and its anchor is a rounded one.
+    /// Where the image of an object pixel lies, (row, col) sensor px: one object pixel is one sensor pixel of the
+    /// image, and its anchor is a rounded one.
     pub(super) fn image_of(&self, lens: usize, object_px: [f64; 2]) -> [f64; 2] {
         let anchor = self.geometry.anchors_px[lens];
         let object = self.operator().object_shape().map(|n| (n as f64 - 1.0) / 2.0);

@@ -2,7 +2,7 @@
 
 use super::{Forward, SceneLight};
 use crate::psf::pupils::{PupilModel, Wavefronts};
-use crate::psf::{CalibratedOptics, LensImage, LowRankOperator};
+use crate::psf::{CalibratedOptics, LensImage, LowRankOperator, OperatorConfig};
 use ndarray::Array2;
 use ommatidia_physics::effects::{Chain, FrameContext, Stage};
 use ommatidia_physics::optics::Wavefront;
@@ -45,8 +45,43 @@ impl<T> Kept<T> {
 pub(super) type Changes = Vec<Option<LensImage>>;
 
 impl Forward {
+    /// The pupils, if effects ask for them and they explain the PSFs. They are fitted when they are first asked for: the
+    /// corners and the centre of the object say whether they are.
+    fn pupils_asked(&self, effects: &Chain, cx: &FrameContext<'_>) -> Option<&PupilModel> {
+        let of = &self.calibrated;
+        if !effects.acts_at(Stage::Geometry) || self.depths_um.len() > 1 {
+            return None;
+        }
+        let few = of.object.map(|n| vec![0.0, (n as f64 - 1.0) / 3.0, n as f64 - 1.0]);
+        // Whether any is added does not depend on how a depth is converted.
+        if !self.added(effects, &few, |z_um| z_um, cx).change_psfs() {
+            return None;
+        }
+        of.pupils.of(&of.psf, &of.rays, self.pixel_pitch_um)
+    }
+
+    /// The wavefronts that effects add at nodes (rows and columns of the object), by the defocus of a depth.
+    fn added(
+        &self,
+        effects: &Chain,
+        [rows, cols]: &[Vec<f64>; 2],
+        defocus_waves: impl Fn(f64) -> f64,
+        cx: &FrameContext<'_>,
+    ) -> Wavefronts {
+        let lens = |l: usize| {
+            Array2::from_shape_fn((rows.len(), cols.len()), |(i, j)| {
+                let ray = self.ray(l, self.image_of(l, [rows[i], cols[j]]));
+                let cx = FrameContext { lens: l, ..*cx };
+                let mut wavefront: Wavefront = effects.wavefront(&ray, &cx);
+                wavefront.coefficient[3] += defocus_waves(effects.shift_ray(&ray, &cx).z_um);
+                wavefront
+            })
+        };
+        Wavefronts((0..self.layout.lenses).map(lens).collect())
+    }
+
     /// The change of the images of a scene by the wavefronts that effects add, DN above black at the exposure of the
-    /// calibration. None: they add nothing, or no pupil explains the PSFs.
+    /// calibration; foci keep their centroids. None: they add nothing, or no pupil explains the PSFs.
     pub(super) fn wavefront_changes(
         &self,
         scene: &SceneLight,
@@ -54,30 +89,8 @@ impl Forward {
         cx: &FrameContext<'_>,
     ) -> Option<Arc<Changes>> {
         let of = &self.calibrated;
-        if !effects.acts_at(Stage::Geometry) || self.depths_um.len() > 1 {
-            return None;
-        }
-        let added = |pupils: Option<&PupilModel>, nodes: &[Vec<f64>; 2]| {
-            let lens = |l: usize| {
-                let (rows, cols) = (&nodes[0], &nodes[1]);
-                Array2::from_shape_fn((rows.len(), cols.len()), |(i, j)| {
-                    let ray = self.ray(l, self.image_of(l, [rows[i], cols[j]]));
-                    let cx = FrameContext { lens: l, ..*cx };
-                    let mut wavefront: Wavefront = effects.wavefront(&ray, &cx);
-                    let z_um = effects.shift_ray(&ray, &cx).z_um;
-                    wavefront.coefficient[3] += pupils.map_or(z_um, |p| p.defocus_waves(z_um));
-                    wavefront
-                })
-            };
-            Wavefronts((0..self.layout.lenses).map(lens).collect())
-        };
-        // Before pupils are fitted: does any effect ask for them? The corners and the centre say so.
-        let few = of.object.map(|n| vec![0.0, (n as f64 - 1.0) / 3.0, n as f64 - 1.0]);
-        if !added(None, &few).change_psfs() {
-            return None;
-        }
-        let pupils = of.pupils.of(&of.psf, &of.rays, self.pixel_pitch_um)?;
-        let by = added(Some(pupils), pupils.nodes_px());
+        let pupils = self.pupils_asked(effects, cx)?;
+        let by = self.added(effects, pupils.nodes_px(), |z_um| pupils.defocus_waves(z_um), cx);
         if !by.change_psfs() {
             return None;
         }
@@ -85,7 +98,7 @@ impl Forward {
             let operator = self.changed.of(&by, || {
                 let psf = pupils.change(&of.psf, 0, &by);
                 let optics = CalibratedOptics { psf: &psf, rays: &of.rays, object: of.object, sensor: of.sensor };
-                let config = crate::psf::OperatorConfig { depth: 0, ..of.config };
+                let config = OperatorConfig { depth: 0, ..of.config };
                 LowRankOperator::plan(optics, &of.rays, config).ok()
             })?;
             let mut lenses = vec![None; self.layout.lenses];

@@ -1,7 +1,7 @@
 //! PSFs that grow or shrink about their foci: derivatives of the basis PSFs with respect to their size.
 //!
-//! Let `h_w(x) = h(x / (1 + w)) / (1 + w)^2`, with x from the centre of the window. Three sizes, `w = -s, 0, s`, fix the
-//! parabola
+//! Let `h_w(x) = h(x / (1 + w)) / (1 + w)^2`, with x from the centre of the window. Three sizes, `w = -s, 0, s`, fix
+//! the parabola
 //! ```text
 //! h_w = h + w G + w^2 / 2 H,   G = (h_s - h_(-s)) / (2 s),   H = (h_s + h_(-s) - 2 h) / s^2
 //! ```

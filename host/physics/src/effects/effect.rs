@@ -23,8 +23,8 @@ pub trait Effect: Send + Sync {
     fn shift_ray(&self, _p: &[f64], _ray: &Ray, _cx: &FrameContext<'_>) -> RayShift {
         RayShift::default()
     }
-    /// Stage `Geometry`: what is added to the wavefront in the pupil of a lens, for the source of a chief ray, waves rms.
-    /// It has no influence where no pupil explains the calibrated PSFs.
+    /// Stage `Geometry`: what is added to the wavefront in the pupil of a lens, for the source of a chief ray, waves
+    /// rms. Foci keep their centroids. It has no influence where no pupil explains the calibrated PSFs.
     fn wavefront(&self, _p: &[f64], _ray: &Ray, _cx: &FrameContext<'_>) -> Wavefront {
         Wavefront::default()
     }

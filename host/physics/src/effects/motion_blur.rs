@@ -1,7 +1,7 @@
 //! Motion blur: the specimen moves during the exposure.
 //!
-//! `mu -> g * mu` with a Gaussian g of the variances var_row and var_col and the covariance cov, px^2: to second order in
-//! the frequency, the blur of any motion with these variances. Scenes only: the bead does not move.
+//! `mu -> g * mu` with a Gaussian g of the variances var_row and var_col and the covariance cov, px^2: to second order
+//! in the frequency, the blur of any motion with these variances. Scenes only: the bead does not move.
 
 use super::context::FrameContext;
 use super::descriptor::{Descriptor, Lookalike, Param, Stage};

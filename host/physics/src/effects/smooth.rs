@@ -80,13 +80,13 @@ const WINDOW: f64 = 7.0;
 const FREQUENCIES: usize = 256;
 
 /// Gaussian blur with variances (row, col, covariance), px^2; negative ones sharpen. Light is kept, but for what a
-/// covariance carries over an edge. Of an image that is
-/// sharper than pixels can show, a hundredth of the light of a pixel may be missing two pixels beside it.
+/// covariance carries over an edge. Of an image that is sharper than pixels can show, a hundredth of the light of a
+/// pixel may be missing two pixels beside it.
 ///
 /// The transfer function is `exp(-(row L(u) + col L(w)) / 2)` (and the like along the diagonals), where L(u) is u^2 to
-/// 1e-3 up to 0.7 of the Nyquist frequency. Second differences of neighbours have `2 - 2 cos u` in place of u^2 and fall
-/// short of it by a third at 0.7: the light of a focus of 0.9 px that is blurred by a little differs from theirs by 24 %
-/// of the change, and by 3 % from this.
+/// 1e-3 up to 0.7 of the Nyquist frequency. Second differences of neighbours have `2 - 2 cos u` in place of u^2 and
+/// fall short of it by a third at 0.7: the light of a focus of 0.9 px that is blurred by a little differs from theirs
+/// by 24 % of the change, and by 3 % from this.
 pub(super) fn spread(image: &mut Array2<f32>, [row, col, cov]: [f64; 3]) {
     let steps = ((row.abs() + col.abs() + 2.0 * cov.abs()) / STEP_PX2).ceil().max(1.0);
     // 2 cov u w = cov (u + w)^2 / 2 - cov (u - w)^2 / 2: along one diagonal it spreads, along the other it sharpens.
@@ -101,7 +101,8 @@ pub(super) fn spread(image: &mut Array2<f32>, [row, col, cov]: [f64; 3]) {
 }
 
 /// The frequencies u, by the midpoint rule from 0 to pi, each with L(u): `2 sum_n c_n (1 - cos n u)`, where c_n is
-/// `2 (-1)^(n+1) / n^2` (the band-limited second derivative) under a window, scaled so that L is u^2 at low frequencies.
+/// `2 (-1)^(n+1) / n^2` (the band-limited second derivative) under a window, scaled so that L is u^2 at low
+/// frequencies.
 static SYMBOL: LazyLock<Vec<[f64; 2]>> = LazyLock::new(|| {
     let window = |n: f64| In(0, WINDOW * (1.0 - (n / (DIFFERENCES + 1) as f64).powi(2)).sqrt()) / In(0, WINDOW);
     let weight = |n: usize| (if n % 2 == 1 { 2.0 } else { -2.0 }) / (n * n) as f64 * window(n as f64);

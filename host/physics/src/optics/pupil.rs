@@ -150,14 +150,6 @@ impl Pupil {
         &self.config
     }
 
-    /// Displacement of the centroid of a focus by a wavefront, (row, col) px; [`Self::psf`] removes it.
-    pub fn displacement_px(&self, wavefront: &Wavefront) -> [f64; 2] {
-        let slope = |axis: usize| -> f64 {
-            wavefront.coefficient.iter().zip(&self.slopes).skip(3).map(|(c, slope)| c * slope[axis]).sum()
-        };
-        [0, 1].map(|axis| -slope(axis) * self.n as f64 / self.config.oversampling as f64)
-    }
-
     /// Allocates working memory.
     pub fn scratch(&self) -> PsfScratch {
         let zero = Complex32::default();

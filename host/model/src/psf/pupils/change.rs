@@ -79,8 +79,8 @@ impl PupilModel {
         (misfit <= MOST_MISFIT).then_some(model)
     }
 
-    /// Defocus of a source that is displaced by `z_um` along the axis, waves rms, for light of 0.53 um. Its sign is that
-    /// of the even terms: unknown.
+    /// Defocus of a source that is displaced by `z_um` along the axis, waves rms, for light of 0.53 um. Its sign is
+    /// that of the even terms: unknown.
     pub fn defocus_waves(&self, z_um: f64) -> f64 {
         self.waves_per_um * z_um
     }
@@ -113,8 +113,9 @@ impl PupilModel {
         &self.nodes_px
     }
 
-    /// The change of the PSFs when `by` is added to the wavefronts: DN above black of a unit source, in the windows of
-    /// `psf` at a depth, on the nodes of [`Self::nodes_px`].
+    /// The change of the shape of the PSFs when `by` is added to the wavefronts: DN above black of a unit source, in the
+    /// windows of `psf` at a depth, on the nodes of [`Self::nodes_px`]. Centroids stay: how far coma moves them depends on
+    /// where the rim of the pupil is taken to be, which soft edges leave open.
     pub fn change(&self, psf: &LowRankPsf, depth: usize, by: &Wavefronts) -> LowRankPsf {
         let (lenses, _, side, _) = psf.basis.dim();
         let [rows, cols] = [0, 1].map(|a| self.nodes_px[a].len());
@@ -151,6 +152,7 @@ impl PupilModel {
         let side = psf.basis.dim().2;
         let kernel = Kernel::new(side, 1.3 * lens.radius);
         let waves = kernel.waves(side, lens.radius);
+        let displacements = kernel.displacements(lens.apodisation, lens.radius);
         let [rows, cols] = [0, 1].map(|a| placed(&self.nodes_px[a]));
         let light = light(psf, l, depth);
         let mut out = Array2::zeros((rows.len() * cols.len(), side * side));
@@ -160,6 +162,11 @@ impl PupilModel {
             for k in 2..TERMS {
                 after.terms[k] += TAU * added.coefficient[k + 1];
             }
+            // Z_2 displaces along the columns, Z_3 along the rows.
+            let moved =
+                |a: usize| (2..TERMS).map(|k| TAU * added.coefficient[k + 1] * displacements[k][a]).sum::<f64>();
+            after.terms[0] -= moved(1) / displacements[0][1];
+            after.terms[1] -= moved(0) / displacements[1][0];
             let [from, to] = [before, after].map(|pupil| kernel.psf_by(&waves, &pupil));
             // The wavefront leaves the light of a lens as it is.
             let taps =

@@ -19,7 +19,8 @@ const SHARPEST: f64 = 0.70;
 const STARTS: [[f64; 2]; 4] = [[1.0, 0.2], [1.25, 0.6], [1.6, 1.1], [2.1, 1.8]];
 
 /// Starts over the field: defocus, rad rms at the edge, that grows along the rows, along the columns, and with the
-/// square of both. The sign of defocus is free at each place, so that a fit from none may take another sign at each edge.
+/// square of both. The sign of defocus is free at each place, so that a fit from none may take another sign at each
+/// edge.
 const FIELD_STARTS: [[f64; 3]; 7] = [
     [0.0, 0.0, 0.0],
     [0.0, 0.0, 0.4],

@@ -6,6 +6,8 @@ use ommatidia_physics::optics::zernike;
 
 /// Distance of the two Gauss points from the centre of a pixel, px: they integrate cubics over the pixel exactly.
 const GAUSS_PX: f64 = 0.288_675_134_594_812_9;
+/// Step of the central differences that are the slopes of the terms, which are polynomials, in radii of the pupil.
+const SLOPE_STEP: f64 = 1e-4;
 
 /// A pupil at one place of the source.
 #[derive(Clone, Copy, Debug)]
@@ -104,6 +106,24 @@ impl Kernel {
         (binned(&(&light.re * &light.re + &light.im * &light.im)), slopes)
     }
 
+    /// Displacement of the centroid of the PSF by each term, (row, col) px a rad: the mean slope of the term over the
+    /// light in the pupil, over 2 pi R.
+    pub(super) fn displacements(&self, apodisation: f64, radius: f64) -> [[f64; 2]; TERMS] {
+        let light =
+            Zip::from(&self.inside).and(&self.square).map_collect(|w, s| w * w * (-2.0 * apodisation * s).exp());
+        let value = |k: usize, y: f64, x: f64| zernike(k + 2, y.hypot(x), y.atan2(x));
+        let mean_slope = |k: usize, [dy, dx]: [f64; 2]| {
+            let slope = |(i, j): (usize, usize)| {
+                let (y, x) = (self.rho[i], self.rho[j]);
+                (value(k, y + dy, x + dx) - value(k, y - dy, x - dx)) / (2.0 * (dy + dx))
+            };
+            let sum: f64 = light.indexed_iter().filter(|(_, w)| **w > 0.0).map(|(at, w)| w * slope(at)).sum();
+            sum / light.sum().max(f64::MIN_POSITIVE)
+        };
+        let ways = [[SLOPE_STEP, 0.0], [0.0, SLOPE_STEP]];
+        std::array::from_fn(|k| ways.map(|way| -mean_slope(k, way) / (std::f64::consts::TAU * radius)))
+    }
+
     fn amplitude(&self, pupil: &Pupil) -> Complex {
         let mut phase = Array2::<f64>::zeros(self.inside.dim());
         for (term, c) in self.terms.iter().zip(pupil.terms).filter(|(_, c)| *c != 0.0) {
@@ -184,17 +204,34 @@ mod tests {
         };
         let bench = bench.build().unwrap();
         let (mut scratch, mut psf) = (bench.scratch(), Psf::default());
-        // The bench's pupils hold the centroid of the focus, where coma moves it; a tilt of 1 rad moves it by 1 / (pi R).
-        let own = Kernel::new(SIDE, 0.3).psf(&of, SIDE);
-        let coma = bench.displacement_px(&wavefront);
-        let tilt = [of.terms[1], of.terms[0]].map(|t| -t / (std::f64::consts::PI * of.radius));
-        bench.psf(&wavefront, [coma[0] + tilt[0], coma[1] + tilt[1]], &mut scratch, &mut psf);
+        // The bench's pupils hold the centroid of the focus, where tilt and coma move it.
+        let kernel = Kernel::new(SIDE, 0.3);
+        let own = kernel.psf(&of, SIDE);
+        let by_rad = kernel.displacements(of.apodisation, of.radius);
+        let centroid = [0, 1].map(|a| of.terms.iter().zip(by_rad).map(|(c, d)| c * d[a]).sum());
+        bench.psf(&wavefront, centroid, &mut scratch, &mut psf);
         let skip = (psf.side - SIDE) / 2;
         let other =
             Array2::from_shape_fn((SIDE, SIDE), |(r, c)| f64::from(psf.share[(r + skip) * psf.side + c + skip]));
         let scale = (&own * &other).sum() / (&own * &own).sum();
         let off = (&own * scale - &other).mapv(|v| v * v).sum() / other.mapv(|v| v * v).sum();
         assert!(off.sqrt() < 0.02, "{}", off.sqrt());
+    }
+
+    /// In a disc of even light a tilt of 1 rad displaces by 1 / (pi R), and coma of 1 rad, sqrt(8) (3 r^3 - 2 r) cos,
+    /// by its value at the rim, sqrt(8), over 2 pi R (the theorem of Gauss); even terms do not. The rim of 32 samples is
+    /// 5 % short of it.
+    #[test]
+    fn displacements_are_mean_slopes() {
+        let found = Kernel::new(SIDE, 0.5).displacements(0.0, 0.22);
+        let per_rad = 1.0 / (std::f64::consts::TAU * 0.22);
+        let near = |found: f64, want: f64| assert!((found - want).abs() < 0.2 * per_rad, "{found} instead of {want}");
+        for (k, want) in [(0, [0.0, -2.0]), (1, [-2.0, 0.0]), (5, [-8f64.sqrt(), 0.0]), (6, [0.0, -8f64.sqrt()])] {
+            (0..2).for_each(|a| near(found[k][a], want[a] * per_rad));
+        }
+        for k in (0..TERMS).filter(|k| super::super::EVEN[*k]) {
+            found[k].iter().for_each(|v| near(*v, 0.0));
+        }
     }
 
     #[test]
