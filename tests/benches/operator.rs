@@ -67,6 +67,7 @@ fn instrument(object: usize, sensor: [usize; 2], window: usize, terms: usize) ->
             exposure_ms: 10.0,
         },
         replicates: Vec::new(),
+        pupils: Default::default(),
         effects: Vec::new(),
         light_unit: LightUnit::Bead,
         quality: Quality::default(),

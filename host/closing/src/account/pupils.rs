@@ -15,8 +15,8 @@ pub(crate) fn pupil_note(instrument: &Instrument, effects: &[Effect]) -> Option<
         "one plane does not show on which side of the focus the specimen lies, so that the sign is unknown, and the \
          size assumes light of 0.53 um (it is inversely proportional to the wavelength)"
     } else {
-        "one plane does not show the sign of astigmatism and spherical aberration, and coefficients belong to hard rims \
-         (a soft one that ends farther out has larger ones)"
+        "one plane does not show the sign of astigmatism and spherical aberration, and coefficients belong to hard \
+         rims (a soft one that ends farther out has larger ones)"
     };
     Some(format!(
         "`{}` is that of round pupils, which explain the PSFs of the calibration with an error of {error:.1} %: the \

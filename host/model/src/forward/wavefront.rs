@@ -45,8 +45,8 @@ impl<T> Kept<T> {
 pub(super) type Changes = Vec<Option<LensImage>>;
 
 impl Forward {
-    /// The pupils, if effects ask for them and they explain the PSFs. They are fitted when they are first asked for: the
-    /// corners and the centre of the object say whether they are.
+    /// The pupils, if effects ask for them and they explain the PSFs. They are fitted when they are first asked for:
+    /// the corners and the centre of the object say whether they are.
     fn pupils_asked(&self, effects: &Chain, cx: &FrameContext<'_>) -> Option<&PupilModel> {
         let of = &self.calibrated;
         if !effects.acts_at(Stage::Geometry) || self.depths_um.len() > 1 {

@@ -113,9 +113,9 @@ impl PupilModel {
         &self.nodes_px
     }
 
-    /// The change of the shape of the PSFs when `by` is added to the wavefronts: DN above black of a unit source, in the
-    /// windows of `psf` at a depth, on the nodes of [`Self::nodes_px`]. Centroids stay: how far coma moves them depends on
-    /// where the rim of the pupil is taken to be, which soft edges leave open.
+    /// The change of the shape of the PSFs when `by` is added to the wavefronts: DN above black of a unit source, in
+    /// the windows of `psf` at a depth, on the nodes of [`Self::nodes_px`]. Centroids stay: how far coma moves them
+    /// depends on where the rim of the pupil is taken to be, which soft edges leave open.
     pub fn change(&self, psf: &LowRankPsf, depth: usize, by: &Wavefronts) -> LowRankPsf {
         let (lenses, _, side, _) = psf.basis.dim();
         let [rows, cols] = [0, 1].map(|a| self.nodes_px[a].len());

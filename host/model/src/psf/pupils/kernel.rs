@@ -219,8 +219,8 @@ mod tests {
     }
 
     /// In a disc of even light a tilt of 1 rad displaces by 1 / (pi R), and coma of 1 rad, sqrt(8) (3 r^3 - 2 r) cos,
-    /// by its value at the rim, sqrt(8), over 2 pi R (the theorem of Gauss); even terms do not. The rim of 32 samples is
-    /// 5 % short of it.
+    /// by its value at the rim, sqrt(8), over 2 pi R (the theorem of Gauss); even terms do not. The rim of 32 samples
+    /// is 5 % short of it.
     #[test]
     fn displacements_are_mean_slopes() {
         let found = Kernel::new(SIDE, 0.5).displacements(0.0, 0.22);

@@ -73,9 +73,9 @@ fn steps_are_a_few_sigma_of_one_typical_frame() {
                         let s = chain.shift_ray(&ray, &cx);
                         // Defocus of 100 um widens a spot by about a tenth of a pixel squared.
                         // PSFs of a variance of 2 px^2 that grow by a share become wider by four times as much.
-                        // Astigmatism and spherical aberration widen spots that have a tenth of a wave of it already: the
-                        // mean of |grad Z|^2 is 12 for astigmatism, and about as much for the part of coma that does
-                        // not displace.
+                        // Astigmatism and spherical aberration widen spots that have a tenth of a wave of it already:
+                        // the mean of |grad Z|^2 is 12 for astigmatism, and about as much for the part of coma that
+                        // does not displace.
                         let added: f64 = chain.wavefront(&ray, &cx).coefficient[4..].iter().sum();
                         let wide = 0.5e-3 * s.z_um + 2.0 * s.growth + 12.0 * added;
                         let px = s.px.map(|v| v as f32);
