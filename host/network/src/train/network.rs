@@ -9,7 +9,7 @@ use super::rounding::Rounding;
 use super::weights::{self, FILTERS, KERNELS, LOG_K, PSFS, name};
 use super::{Architecture, Backend, Mode, NetworkConfig, NetworkInput, Predictor, TrainError, network_input};
 use burn_tensor::activation::{relu, sigmoid};
-use burn_tensor::{Device, Gradients, Tensor, TensorData};
+use burn_tensor::{Device, Gradients, Tensor, TensorData, Transaction};
 use ommatidia_session::artifact::Tensors;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -83,10 +83,6 @@ impl Network {
             return Err(TrainError::Config { field: "feedback", expected, found });
         }
         let predict = predictor.map(|predictor| Arc::new(predictor) as Arc<dyn Linear>);
-        if predict.is_some() && backend != Backend::Cpu {
-            let (expected, found) = ("cpu for a network of more than one pass".into(), "gpu".into());
-            return Err(TrainError::Config { field: "device", expected, found });
-        }
         let device = backend.device(mode);
         let mut parameters = BTreeMap::new();
         for (name, shape) in weights::shapes(config) {
@@ -322,17 +318,25 @@ impl Network {
 
     /// Gradients of all parameters by name, each flat in C order.
     pub fn gradients(&self, mut gradients: Gradients) -> BTreeMap<String, Vec<f32>> {
-        let of = |(name, tensor): (&String, &Tensor<1>)| {
-            let gradient = tensor.grad_remove(&mut gradients)?;
-            Some((name.clone(), values(gradient)))
-        };
-        self.parameters.iter().filter_map(of).collect()
+        let found =
+            self.parameters.iter().filter_map(|(name, tensor)| Some((name, tensor.grad_remove(&mut gradients)?)));
+        // A graphics card is waited for once, not once for each parameter.
+        let (mut names, mut reads) = (Vec::new(), Transaction::default());
+        for (name, gradient) in found {
+            names.push(name.clone());
+            reads = reads.register(gradient);
+        }
+        names.into_iter().zip(reads.execute().into_iter().map(numbers)).collect()
     }
 }
 
 /// The values of a tensor in C order.
 pub fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    match tensor.into_data().try_into_vec() {
+    numbers(tensor.into_data())
+}
+
+fn numbers(data: TensorData) -> Vec<f32> {
+    match data.try_into_vec() {
         Ok(values) => values,
         Err(error) => unreachable!("every tensor here is f32: {error:?}"),
     }

@@ -1,17 +1,20 @@
 //! Predicts the frames of reconstructions, for the passes of a network with feedback.
 
+use super::ops::portable::Terms;
 use super::ops::predicted::Linear;
 use super::weights::{BASIS, COEFFICIENTS, NODES};
 use super::{NetworkConfig, TrainError};
-use ndarray::{ArrayView2, Axis, Ix1, Ix4};
+use ndarray::{ArrayView2, Axis, Ix1, Ix4, s};
+use ommatidia_model::psf::nodes::Taps;
 use ommatidia_model::psf::{CalibratedOptics, ChiefRays, LowRankOperator, LowRankPsf, OperatorConfig};
 use ommatidia_session::artifact::Tensors;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// The short low-rank model of the calibrated PSFs. Clones share one plan.
 #[derive(Clone, Debug)]
 pub struct Predictor {
     operator: Arc<LowRankOperator>,
+    terms: Arc<Terms>,
 }
 
 impl Predictor {
@@ -57,8 +60,37 @@ impl Predictor {
         let optics = CalibratedOptics { psf: &psf, rays: &rays, object: config.object, sensor: config.frame };
         let plan = LowRankOperator::plan(optics, &rays, OperatorConfig::exact(0));
         let operator = plan.map_err(|source| wrong("terms of a low-rank operator".into(), source.to_string()))?;
-        Ok(Some(Self { operator: Arc::new(operator) }))
+        let terms = dense_terms(&psf, &operator.corners(), config);
+        Ok(Some(Self { operator: Arc::new(operator), terms: Arc::new(terms) }))
     }
+}
+
+/// The terms of all lenses, one after the other, with coefficients at each pixel of the object.
+fn dense_terms(psf: &LowRankPsf, corners: &[Option<[isize; 2]>], config: &NetworkConfig) -> Terms {
+    let [rows, cols] = config.object;
+    let (lenses, count, window, _) = psf.basis.dim();
+    let [down, across] =
+        [(&psf.node_rows_px, rows), (&psf.node_cols_px, cols)].map(|(nodes, n)| Taps::for_pixels(nodes, n));
+    let map = |nodes: ArrayView2<'_, f32>| {
+        let along: Vec<Vec<f32>> = nodes.outer_iter().map(|row| interpolate(&across, &row.to_vec())).collect();
+        let column = |c: usize| interpolate(&down, &along.iter().map(|row| row[c]).collect::<Vec<_>>());
+        let columns: Vec<Vec<f32>> = (0..cols).map(column).collect();
+        (0..rows).flat_map(|r| columns.iter().map(move |column| column[r])).collect::<Vec<_>>()
+    };
+    let each = (0..lenses).flat_map(|l| (0..count).map(move |k| (l, k)));
+    Terms {
+        object: config.object,
+        frame: config.frame,
+        window,
+        corners: each.clone().map(|(l, _)| corners[l].unwrap_or_default()).collect(),
+        kernels: psf.basis.iter().copied().collect(),
+        maps: each.flat_map(|(l, k)| map(psf.coefficients.slice(s![l, k, 0, .., ..]))).collect(),
+        on_device: OnceLock::new(),
+    }
+}
+
+fn interpolate(taps: &[Taps], values: &[f32]) -> Vec<f32> {
+    taps.iter().map(|taps| taps.apply(values)).collect()
 }
 
 impl Predictor {
@@ -80,13 +112,21 @@ impl Linear for Predictor {
         let object = ArrayView2::from_shape((rows, cols), frame).ok().and_then(|y| self.operator.adjoint(y).ok());
         object.map_or_else(|| unreachable!("filters give frames of their size"), |x| x.into_iter().collect())
     }
+
+    fn terms(&self) -> &Terms {
+        &self.terms
+    }
 }
 
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use super::super::ops::fourier::Fourier;
+    use super::super::ops::portable::{self, testing::alike};
+    use super::super::ops::predicted::filter_predicted;
     use super::super::{Lenses, Preset, weights};
     use super::*;
+    use burn_tensor::Tensor;
     use ndarray::Array2;
     use ommatidia_model::forward::Forward;
 
@@ -105,6 +145,33 @@ mod tests {
         let scale = want.sum() / got.iter().sum::<f32>();
         let most = want.fold(0.0f32, |m, v| m.max(*v));
         assert!(got.iter().zip(&want).all(|(g, w)| (g * scale - w).abs() < 1e-4 * most));
+    }
+
+    /// What runs on a graphics card gives the values and gradients of what runs on the cores, also where light falls
+    /// beside the frame.
+    #[test]
+    fn the_terms_are_the_operator() {
+        let instrument = ommatidia_model::testing::instrument([10, 12], [30, 34], 5, 3);
+        let lenses = Lenses::of(&instrument).unwrap();
+        let mut network = lenses.with_feedback(Preset::Nano.network([30, 34], [10, 12]), [2, 0], 2);
+        let feedback = network.feedback.as_mut().unwrap();
+        (feedback.corners[0], *feedback.corners.last_mut().unwrap()) = ([-4, -1], [23, 29]);
+        let tensors = lenses.feedback(feedback);
+        let predict: Arc<dyn Linear> = Arc::new(Predictor::of(&network, &tensors).unwrap().unwrap());
+        let plan = Arc::new(Fourier::new(network.fourier()));
+        let filters = network.channels * network.filter_size * (network.filter_size / 2 + 1);
+        let parts = |l: &[Tensor<1>]| (l[0].clone().reshape([2, 1, 10, 12]), [l[1].clone(), l[2].clone()]);
+        alike(
+            &[("x", 240), ("re", filters), ("im", filters)],
+            |l| {
+                let (x, filters) = parts(l);
+                filter_predicted(&plan, &predict, x, filters)
+            },
+            |l| {
+                let (x, filters) = parts(l);
+                portable::filter_predicted(&plan, predict.terms(), x, filters)
+            },
+        );
     }
 
     #[test]

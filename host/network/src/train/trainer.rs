@@ -238,8 +238,8 @@ impl<'a> Trainer<'a> {
         let network = self.network(Mode::Train)?;
         let Batch { inputs, targets } = Batch::of(examples);
         let loss = self.loss(network.forward(inputs), targets, Mode::Train);
-        let value: f32 = loss.clone().inner().into_scalar();
-        Ok(Descent { loss: value, gradients: network.gradients(loss.backward()) })
+        let gradients = network.gradients(loss.backward());
+        Ok(Descent { loss: loss.inner().into_scalar(), gradients })
     }
 
     /// Sets the lags outside the filter mask to 0.

@@ -1,7 +1,8 @@
 //! The filter bank on frames that a linear operator predicts, with gradients for the objects and for the filters.
 
 use super::fourier::{Fourier, FourierSizes, Spectrum};
-use super::{Primitive, plain, primitive, register, tracked, values};
+use super::portable::Terms;
+use super::{Primitive, is_cpu, plain, portable, primitive, register, tracked, values};
 use burn_dispatch::backends::autodiff::checkpoint::base::Checkpointer;
 use burn_dispatch::backends::autodiff::checkpoint::strategy::NoCheckpointing;
 use burn_dispatch::backends::autodiff::grads::Gradients;
@@ -17,16 +18,22 @@ pub trait Linear: std::fmt::Debug + Send + Sync {
 
     /// The exact transpose: from a frame to the object grid.
     fn adjoint(&self, frame: &[f32]) -> Vec<f32>;
+
+    /// The terms that make up the operator, for devices other than the CPU.
+    fn terms(&self) -> &Terms;
 }
 
 /// The filters `re`, `im` [channels * T * (T/2+1)] on the frames of objects `x` [batch, 1, object rows, object cols]:
-/// [batch, channels, object rows, object cols]. On the CPU only.
+/// [batch, channels, object rows, object cols].
 pub fn filter_predicted(
     plan: &Arc<Fourier>,
     predict: &Arc<dyn Linear>,
     x: Tensor<4>,
     [re, im]: [Tensor<1>; 2],
 ) -> Tensor<4> {
+    if !is_cpu(&x) {
+        return portable::filter_predicted(plan, predict.terms(), x, [re, im]);
+    }
     let FourierSizes { frame, object: [rows, cols], channels, .. } = plan.sizes();
     let run = |x: &Primitive, re: &Primitive, im: &Primitive| {
         let x = values(x);
