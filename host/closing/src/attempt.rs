@@ -7,14 +7,16 @@ use super::account::{
 };
 use super::data::{Fault, Observations, Shown, bright_darks};
 use super::evidence::{
-    Curve, JudgedOn, curves, excess, excess_by_calibration, figures, is_worse, judged, omnibus, standing_alone,
+    Curve, JudgedOn, compared, curves, excess, excess_by_calibration, figures, judged, omnibus, standing_alone,
     structured,
 };
 use super::fit::gauge::Gauge;
 use super::fit::{Fitted, Model, Replicas, State, Term, UNKNOWN_NOTE, chosen_note, estimated_frames, refit, replicas};
 use super::options::{CalibratedOn, CloseError, CloseOptions};
 use super::plan::{self, plan};
-use super::search::{Earned, Found, NEEDS_CALIBRATION, Pruned, Search, Tried, earned, lost, prune, replaced, score};
+use super::search::{
+    Earned, Found, Kept, NEEDS_CALIBRATION, Pruned, Search, Tried, earned, lost, prune, replaced, score,
+};
 use ommatidia_model::instrument::Instrument;
 use ommatidia_physics::effects::find;
 use ommatidia_session::Role;
@@ -120,21 +122,15 @@ pub(crate) fn attempt(
     let Earned { now, found, imitations: more } = earned(&model, search.now, search.found, own, &before)?;
     imitations.extend(more);
     progress("pruning");
-    let Pruned { mut now, mut found, mut tests, mut removed } = prune(&model, &replicas, now, found, (own, keep))?;
-    // What predicts held-out data worse than before is taken back, the last first.
-    let mut taken_back = Vec::new();
-    while !recalibrated && is_worse(figures(&model, &before), figures(&model, &now)) {
-        let (Some(last), Some(term)) = (found.pop(), now.state.terms.pop()) else { break };
-        taken_back.push((last, term));
-        now = refit(&model, now.state)?;
-        let left = prune(&model, &replicas, now, found, (own, keep))?;
-        (now, found, tests) = (left.now, left.found, left.tests);
-        removed.extend(left.removed);
-    }
+    let pruned = prune(&model, &replicas, now, found, (own, keep))?;
+    let kept =
+        if recalibrated { Kept::all(pruned) } else { Kept::of(&model, &replicas, &before, pruned, (own, seed))? };
+    let Kept { named: Pruned { mut now, mut found, tests, removed }, closed, unseen, taken_back } = kept;
     if found.is_empty() && !recalibrated {
         // Another fit of the nuisance parameters alone is no closed loop.
         now = before.clone();
     }
+    let closed = closed.unwrap_or_else(|| now.clone());
     found.iter_mut().for_each(|f| f.or_untested(&rest));
     let (harmed, harmful_terms): (Vec<_>, Vec<_>) = taken_back.into_iter().unzip();
     let mut nearest = shadowed(&search.shadowed, found.first().map(|f| f.id));
@@ -165,7 +161,7 @@ pub(crate) fn attempt(
             ids.join(", ")
         ));
     }
-    let (first, last) = (figures(&model, &before), figures(&model, &now));
+    let [first, last] = compared(&model, &before, &closed);
     let left = structured(&dependences);
     let within = within(&now);
     let excess = excess_of(&now);
@@ -178,6 +174,7 @@ pub(crate) fn attempt(
     let unlike = if left { left_of(&now) } else { Left::default() };
     let findings = Findings { before: &before, now: &now, own, found: &found, tests: &tests, left: unlike };
     let mut effects = effects(&model, findings, given.faults);
+    effects.iter_mut().filter(|e| unseen.contains(&e.id.as_str())).for_each(Effect::is_not_added);
     let unearned_names = |e: &Effect| may_imitate(e) && found.iter().any(|f| f.id == e.id && !unlike.earns(f));
     let imitating = effects.iter().any(unearned_names);
     if imitating {
@@ -247,9 +244,9 @@ pub(crate) fn attempt(
         progress("which measurement next");
         closing.plan = Some(plan(&model, &planned(instrument, (&now, &replicas), &closing))?);
     }
-    let mut account = pictured(&model, &before, &now, closing);
+    let mut account = pictured(&model, &before, &closed, closing);
     account.closing.notes.extend(background_notes(&model, &now.state));
-    let closed = Closed { instrument: with_effects(instrument, &model, &now.state), account };
+    let closed = Closed { instrument: with_effects(instrument, &model, &closed.state), account };
     Ok(Attempt { closed, state: now.state })
 }
 

@@ -72,6 +72,7 @@ pub(crate) fn effects(model: &Model<'_>, findings: Findings<'_>, faults: &[Fault
             id,
             known,
             stage: d.stage.part().into(),
+            added: true,
             z: f.z,
             excess_explained: (JudgedOn::of(model.seen) != JudgedOn::Nothing && excess > 3.0 * (2.0 * pixels).sqrt())
                 .then(|| (f.held_out_gain / excess).clamp(0.0, 1.0)),
@@ -131,6 +132,7 @@ pub(crate) fn fault(fault: &Fault) -> Effect {
         id: "metadata_fault".into(),
         known: true,
         stage: Stage::Record.part().into(),
+        added: true,
         z: fault.z,
         excess_explained: None,
         held_out_gain: 0.0,

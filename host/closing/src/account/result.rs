@@ -25,7 +25,7 @@ pub struct Value {
     pub unit: String,
 }
 
-/// An effect that was added to the instrument, or a fault of a record.
+/// An effect that was found, or a fault of a record.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Effect {
     /// Its id in the catalogue; `unknown-1`, `unknown-2` and so on for terms without a name.
@@ -34,6 +34,10 @@ pub struct Effect {
     pub known: bool,
     /// `optics`, `charge`, `electronics` or `record`.
     pub stage: String,
+    /// Whether the closed instrument has it. An effect that the session proves and that does not show in held-out data
+    /// is named, and not added.
+    #[serde(default = "yes")]
+    pub added: bool,
     /// Strength of the evidence, standard deviations.
     pub z: f64,
     /// Share of the excess of chi-squared over the noise that it explains, on held-out data; None: the excess is not
@@ -51,6 +55,19 @@ pub struct Effect {
     pub params: Vec<Value>,
     /// Description with values and errors.
     pub description: String,
+}
+
+/// Accounts of earlier versions name only what was added.
+fn yes() -> bool {
+    true
+}
+
+impl Effect {
+    /// Says that the closed instrument does not have the effect.
+    pub(crate) fn is_not_added(&mut self) {
+        self.added = false;
+        self.description += "; not added to the instrument, because held-out data are predicted no better with it";
+    }
 }
 
 /// An effect that was not detected.
@@ -166,7 +183,7 @@ pub struct Closing {
     /// Strengths of effects in each of the estimated frames, over time.
     #[serde(default)]
     pub curves: Vec<Curve>,
-    /// Faults of the records, then the effects that were added, in order.
+    /// Faults of the records, then the effects that were found, in order.
     pub effects: Vec<Effect>,
     /// Effects that were not detected.
     pub rejected: Vec<Rejected>,

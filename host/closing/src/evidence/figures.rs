@@ -241,6 +241,48 @@ pub(crate) fn standing_alone(model: &Model<'_>, fitted: &Fitted, psf: &LowRankPs
 /// Figures on held-out data: the held-out frames of [`JudgedOn`], or, if no frame is held out, the held-out blocks of
 /// all of them.
 pub fn figures(model: &Model<'_>, fitted: &Fitted) -> Figures {
+    weighed(model, fitted, fitted)
+}
+
+/// Figures before and after, with the same noise: that of the later fit where its effects bend the noise, as a curve of
+/// the camera does. A chi-squared with the noise of a linear camera would fall by noise that a curve has flattened.
+pub(crate) fn compared(model: &Model<'_>, before: &Fitted, after: &Fitted) -> [Figures; 2] {
+    [weighed(model, before, noise_of(before, after)), figures(model, after)]
+}
+
+fn noise_of<'f>(before: &'f Fitted, after: &'f Fitted) -> &'f Fitted {
+    if after.state.terms.iter().any(|t| t.effect.bends_noise()) { after } else { before }
+}
+
+/// A rise of a figure on held-out data is no chance above so many standard errors.
+const SURE: f64 = 2.0;
+
+/// Whether held-out data are predicted worse after than before by more than chance: the sum of weighted or of plain
+/// squares rises by more than its scatter between blocks of frames, with some margin.
+pub(crate) fn surely_worse(model: &Model<'_>, before: &Fitted, after: &Fitted) -> bool {
+    let weights = noise_of(before, after);
+    let (mut rise, mut squared) = ([0.0; 2], [0.0; 2]);
+    for (k, _, span) in held_out_pixels(model.seen, JudgedOn::of(model.seen)) {
+        let mut block = [0.0f64; 2];
+        for p in &model.seen.pixels[span] {
+            let at = (*p as usize / model.seen.sensor[1], *p as usize % model.seen.sensor[1]);
+            let of = |fit: &Fitted, noise: &Fitted| {
+                let [r, w] = [fit.predicted[k].residual_dn[at], noise.predicted[k].inverse_sigma[at]].map(f64::from);
+                [r * r * w * w, if w > 0.0 { r * r } else { 0.0 }]
+            };
+            let [was, is] = [of(before, weights), of(after, after)];
+            block.iter_mut().zip(is.iter().zip(was)).for_each(|(sum, (is, was))| *sum += is - was);
+        }
+        for i in 0..2 {
+            rise[i] += block[i];
+            squared[i] += block[i] * block[i];
+        }
+    }
+    (0..2).any(|i| rise[i] > SURE * squared[i].sqrt())
+}
+
+/// Figures of a fit, with the noise of another.
+fn weighed(model: &Model<'_>, fitted: &Fitted, noise: &Fitted) -> Figures {
     let seen = model.seen;
     if judged(seen).next().is_none() {
         return Figures::NONE;
@@ -253,7 +295,7 @@ pub fn figures(model: &Model<'_>, fitted: &Fitted) -> Figures {
         let (here, measured) = (&fitted.predicted[k], &seen.frames[k].measured);
         for p in &seen.pixels[span] {
             let at = (*p as usize / seen.sensor[1], *p as usize % seen.sensor[1]);
-            let (r, w) = (f64::from(here.residual_dn[at]), f64::from(here.inverse_sigma[at]));
+            let (r, w) = (f64::from(here.residual_dn[at]), f64::from(noise.predicted[k].inverse_sigma[at]));
             if w <= 0.0 {
                 continue;
             }

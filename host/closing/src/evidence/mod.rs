@@ -20,7 +20,8 @@ pub use curves::Curve;
 pub(crate) use curves::curves;
 pub use figures::{Figures, JudgedOn, figures};
 pub(crate) use figures::{
-    excess, excess_by_calibration, is_worse, judged, pictured_frames, rises, standing_alone, worse,
+    compared, excess, excess_by_calibration, is_worse, judged, pictured_frames, rises, standing_alone, surely_worse,
+    worse,
 };
 pub use omnibus::structured;
 pub use score::{Scores, Test};

@@ -45,10 +45,12 @@ const BROAD_PX: f64 = 8.0;
 /// A pattern counts if its variance exceeds that of the map errors by this factor.
 const TOLERANCE: f64 = 1.5;
 
-/// An estimate of a table: values and inverse variances.
+/// An estimate of a table: values, inverse variances by the noise model, and by what factor the frames scatter more
+/// than that around the value, 1 or more.
 struct Half {
     value: Array2<f32>,
     weight: Array2<f32>,
+    scatter: Array2<f32>,
 }
 
 /// Variance of the errors of the calibration's maps, which the frames show as a pattern as well.
@@ -130,6 +132,7 @@ struct Shape {
 fn half(model: &Model<'_>, now: &[Predicted], acts: TableUse, which: usize) -> Option<Half> {
     let shape = (model.seen.sensor[0], model.seen.sensor[1]);
     let (mut top, mut bottom) = (Array2::<f32>::zeros(shape), Array2::<f32>::zeros(shape));
+    let (mut squares, mut count) = (Array2::<f32>::zeros(shape), 0.0f32);
     let gain = model.forward.noise().gain_dn_per_e as f32;
     for (n, (k, f)) in model.seen.frames.iter().enumerate().filter(|(_, f)| !f.held_out).enumerate() {
         let used = match acts {
@@ -145,6 +148,11 @@ fn half(model: &Model<'_>, now: &[Predicted], acts: TableUse, which: usize) -> O
         let t = f.info.exposure_ms as f32;
         // The mean of a single frame depends on lamp and black level and is no pattern.
         let mean = here.residual_dn.mean().unwrap_or(0.0);
+        count += 1.0;
+        Zip::from(&mut squares)
+            .and(&here.residual_dn)
+            .and(&here.inverse_sigma)
+            .for_each(|squares, r, w| *squares += (w * (r - mean)).powi(2));
         Zip::from(&mut top)
             .and(&mut bottom)
             .and(&here.residual_dn)
@@ -164,7 +172,9 @@ fn half(model: &Model<'_>, now: &[Predicted], acts: TableUse, which: usize) -> O
         return None;
     }
     let value = Zip::from(&top).and(&bottom).map_collect(|t, b| if *b > 0.0 { t / b } else { 0.0 });
-    Some(Half { value, weight: bottom })
+    let around = |s: &f32, v: &f32, w: &f32| ((s - v * v * w) / (count - 1.0).max(1.0)).max(1.0);
+    let scatter = Zip::from(&squares).and(&value).and(&bottom).map_collect(around);
+    Some(Half { value, weight: bottom, scatter })
 }
 
 /// Subtracts a linear slope over the sensor, which a blur would turn into structure at the edges.
@@ -181,20 +191,20 @@ fn level(h: &Half) -> Half {
     let slope = [0, 1].map(|i| (top[i] / f64::max(bottom[i], 1e-30)) as f32);
     let mut value = h.value.clone();
     Zip::indexed(&mut value).for_each(|(r, c), v| *v -= slope[0] * along(r, rows) + slope[1] * along(c, cols));
-    Half { value, weight: h.weight.clone() }
+    Half { value, weight: h.weight.clone(), scatter: h.scatter.clone() }
 }
 
 fn mean(a: &Half, b: &Half) -> Half {
     let weight = &a.weight + &b.weight;
     let mut value = &a.value * &a.weight + &b.value * &b.weight;
     value.zip_mut_with(&weight, |v, w| *v = if *w > 0.0 { *v / w } else { 0.0 });
-    Half { value, weight }
+    Half { value, weight, scatter: Array2::ones(a.value.dim()) }
 }
 
 /// Subtracts the smooth part: shading, spots and steps are no properties of single pixels.
 fn sharp(h: &Half, smooth_px: f64) -> Half {
-    let flat = level(h).value;
-    Half { value: &flat - &blur_within(&flat, smooth_px), weight: h.weight.clone() }
+    let flat = level(h);
+    Half { value: &flat.value - &blur_within(&flat.value, smooth_px), ..flat }
 }
 
 /// Share of a white pattern's variance that [`sharp`] keeps: `1 - 2 g(0) + sum g^2` of a Gaussian g.
@@ -274,7 +284,8 @@ fn sparse(a: &Half, b: &Half) -> Option<Shape> {
     // The median absolute value of a normal variable is 0.674 of its standard deviation.
     let scatter = sizes.get(sizes.len() / 2).map_or(0.0, |v| (v / 0.674).powi(2));
     Zip::indexed(&both.value).for_each(|at, v| {
-        let stands_out = |h: &Half| h.value[at] / (1.0 / h.weight[at].max(1e-30) + scatter).sqrt();
+        // Pixels that jump between two levels have a mean above the others by chance; they scatter as well.
+        let stands_out = |h: &Half| h.value[at] / (h.scatter[at] / h.weight[at].max(1e-30) + scatter).sqrt();
         let least = f64::from(stands_out(a).min(stands_out(b)));
         if least > STANDS_OUT {
             table[at] = *v;
@@ -360,7 +371,11 @@ mod tests {
                 let z: f32 = StandardNormal.sample(&mut rng);
                 pattern(r, c) + NOISE * z
             });
-            Half { value, weight: Array2::from_elem((SIDE, SIDE), 1.0 / (NOISE * NOISE)) }
+            Half {
+                value,
+                weight: Array2::from_elem((SIDE, SIDE), 1.0 / (NOISE * NOISE)),
+                scatter: Array2::ones((SIDE, SIDE)),
+            }
         })
     }
 
@@ -410,6 +425,11 @@ mod tests {
         let [a, b] = halves(|r, c| table[[r, c]]);
         let found = sparse(&a, &b).unwrap();
         assert!((found.size - 0.3).abs() < 3.0 * found.error && found.z > 5.0, "{} +- {}", found.size, found.error);
+        // What jumps is not hot.
+        let mut jumping = halves(|r, c| table[[r, c]]);
+        jumping.iter_mut().for_each(|h| h.scatter = table.mapv(|v| 1.0 + (v / NOISE).powi(2)));
+        let [a, b] = jumping;
+        assert!(sparse(&a, &b).unwrap().z < 3.0);
         // A pattern of all pixels makes none of them hot.
         let own = white(0.05);
         let [a, b] = halves(|r, c| own[[r, c]]);

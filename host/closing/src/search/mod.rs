@@ -8,6 +8,7 @@
 pub mod candidate;
 pub(crate) mod earn;
 mod finalists;
+mod kept;
 pub(crate) mod lost;
 pub(crate) mod prune;
 pub mod recalibrate;
@@ -17,6 +18,7 @@ pub mod trials;
 
 pub use candidate::{Alternative, Candidate, Estimate, Found, Shadowed};
 pub(crate) use earn::{Earned, Imitation, earned, replaced};
+pub(crate) use kept::Kept;
 pub(crate) use lost::lost;
 pub(crate) use prune::{Pruned, prune};
 pub(crate) use recalibrate::calibration_of;

@@ -11,6 +11,7 @@ use ommatidia_model::forward::ForwardError;
 const NEEDED: f64 = 16.0;
 
 /// Result of the pruning.
+#[derive(Clone)]
 pub(crate) struct Pruned {
     pub(crate) now: Fitted,
     pub(crate) found: Vec<Found>,

@@ -146,6 +146,7 @@ mod tests {
             id: "lens_gain".into(),
             known: true,
             stage: "optics".into(),
+            added: true,
             z: 40.0,
             excess_explained: None,
             held_out_gain: 1.0,

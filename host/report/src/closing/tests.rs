@@ -16,6 +16,7 @@ fn effect(id: &str, params: Vec<Value>) -> Effect {
         id: id.into(),
         known: !id.starts_with("unknown"),
         stage: "optics".into(),
+        added: true,
         z: 42.0,
         excess_explained: Some(0.93),
         held_out_gain: 1234.0,
