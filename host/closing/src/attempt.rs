@@ -7,10 +7,11 @@ use super::account::{
 };
 use super::data::{Fault, Observations, Shown, bright_darks};
 use super::evidence::{
-    Curve, JudgedOn, compared, curves, excess, excess_by_calibration, figures, judged, omnibus, standing_alone,
-    structured,
+    Curve, JudgedOn, compared, curves, excess, excess_by_calibration, figures, judged, noise_has_structure, omnibus,
+    standing_alone, structured,
 };
 use super::fit::gauge::Gauge;
+use super::fit::repeats::is_of_noise;
 use super::fit::{Fitted, Model, Replicas, State, Term, UNKNOWN_NOTE, chosen_note, estimated_frames, refit, replicas};
 use super::options::{CalibratedOn, CloseError, CloseOptions};
 use super::plan::{self, plan};
@@ -163,6 +164,7 @@ pub(crate) fn attempt(
     }
     let [first, last] = compared(&model, &before, &closed);
     let left = structured(&dependences);
+    let noise_is_left = noise_has_structure(&dependences);
     let within = within(&now);
     let excess = excess_of(&now);
     let unnamed = found.iter().any(|f| f.id.starts_with("unknown"));
@@ -175,19 +177,23 @@ pub(crate) fn attempt(
     let findings = Findings { before: &before, now: &now, own, found: &found, tests: &tests, left: unlike };
     let mut effects = effects(&model, findings, given.faults);
     effects.iter_mut().filter(|e| unseen.contains(&e.id.as_str())).for_each(Effect::is_not_added);
-    let unearned_names = |e: &Effect| may_imitate(e) && found.iter().any(|f| f.id == e.id && !unlike.earns(f));
-    let imitating = effects.iter().any(unearned_names);
-    if imitating {
-        let share = 100.0 * excess.left;
-        let why =
-            format!("{share:.0} % of the excess is left beside it, with structure: it imitates the cause in part");
-        let (named, others): (Vec<_>, Vec<_>) = effects.into_iter().partition(unearned_names);
-        nearest.extend(unearned(&named, &why));
+    let found_as = |e: &Effect| found.iter().find(|f| f.id == e.id);
+    let imitates = |e: &Effect| may_imitate(e) && found_as(e).is_some_and(|f| !unlike.earns(f));
+    let share = 100.0 * excess.left;
+    let why = format!("{share:.0} % of the excess is left beside it, with structure: it imitates the cause in part");
+    let (imitating, others): (Vec<_>, Vec<_>) = effects.into_iter().partition(imitates);
+    nearest.extend(unearned(&imitating, &why));
+    // A cause in the noise is first shared out among the effects of the noise.
+    let of_noise = |e: &Effect| may_imitate(e) && noise_is_left && find(&e.id).is_some_and(is_of_noise);
+    let why = "the noise of repeated frames still has structure beside it: it imitates the cause in part";
+    let (imitating_noise, effects): (Vec<_>, Vec<_>) = others.into_iter().partition(of_noise);
+    nearest.extend(unearned(&imitating_noise, why));
+    if !imitating.is_empty() || !imitating_noise.is_empty() {
+        let ids: Vec<&str> = imitating.iter().chain(&imitating_noise).map(|e| e.id.as_str()).collect();
         notes.push(format!(
             "the instrument keeps terms in the form of {}, which predict held-out data better; they are no causes",
-            named.iter().map(|e| e.id.as_str()).collect::<Vec<_>>().join(", ")
+            ids.join(", ")
         ));
-        effects = others;
     }
     notes.splice(..0, bright_darks(seen, model.forward.noise()));
     notes.extend(pupil_note(instrument, &effects));
@@ -212,7 +218,7 @@ pub(crate) fn attempt(
         notes.push(OWN_BEADS_NOTE.into());
     }
     let accepted = Accepted { state: &now.state, found: &found, lost: &lost };
-    let registrations = registrations(&model, &now, imitating.then_some(&before), &replicas)?;
+    let registrations = registrations(&model, &now, (!imitating.is_empty()).then_some(&before), &replicas)?;
     notes.extend(registration_notes(&registrations));
     notes.extend(unstated_notes(&model, &now, own)?);
     let mut closing = Closing {

@@ -40,11 +40,9 @@ pub fn test(model: &Model<'_>, fitted: &Fitted, errors: &Errors, seed: u64) -> V
 
 /// Whether any test is significant and its dependence large enough to matter.
 pub fn structured(dependences: &[Dependence]) -> bool {
-    let matters = |d: &&Dependence| d.size.is_none_or(|size| size > SIZE);
-    let mut passes =
-        dependences.iter().filter(|d| d.p * (dependences.len() as f64) < OMNIBUS).filter(matters).peekable();
-    let any = passes.peek().is_some();
-    passes.for_each(|d| {
+    let mut seen = significant(dependences).peekable();
+    let any = seen.peek().is_some();
+    seen.for_each(|d| {
         tracing::info!(
             "residual against {}: z {:.1}, {:.1} for {:.1}, {:?} +- {:?}",
             d.covariate.words(),
@@ -56,6 +54,17 @@ pub fn structured(dependences: &[Dependence]) -> bool {
         )
     });
     any
+}
+
+/// Whether the noise of repeated frames has structure that the model does not have.
+pub(crate) fn noise_has_structure(dependences: &[Dependence]) -> bool {
+    significant(dependences).any(|d| d.covariate == Covariate::Repeats)
+}
+
+/// The dependences that are significant and large enough to matter.
+fn significant(dependences: &[Dependence]) -> impl Iterator<Item = &Dependence> {
+    let matters = |d: &&Dependence| d.size.is_none_or(|size| size > SIZE);
+    dependences.iter().filter(|d| d.p * (dependences.len() as f64) < OMNIBUS).filter(matters)
 }
 
 /// The pattern common to two halves of the flats and darks; the larger of response and offset counts.

@@ -13,7 +13,7 @@ use super::same::{SMOOTH_PX, shows_the_same};
 use super::state::{Column, Predicted, State, Term};
 use crate::data::Shown;
 use ndarray::{Array1, Array2, Axis, s};
-use ommatidia_physics::effects::{Chain, Stage, blur_within};
+use ommatidia_physics::effects::{Chain, Effect, Stage, blur_within};
 use ommatidia_physics::linalg::{SymmetricEigen, symmetric_eigen};
 use ommatidia_session::Role;
 use ommatidia_session::rng::stream;
@@ -156,9 +156,14 @@ pub(crate) fn in_weights(model: &Model<'_>, state: &State) -> Chain {
     model.chain(&bending)
 }
 
-/// Whether an effect changes the noise.
+/// Whether a term changes the noise.
 pub(crate) fn noisy(term: &Term) -> bool {
-    matches!(term.effect.descriptor().stage, Stage::Charge | Stage::Electronics)
+    is_of_noise(term.effect)
+}
+
+/// Whether an effect changes the noise.
+pub(crate) fn is_of_noise(effect: &dyn Effect) -> bool {
+    matches!(effect.descriptor().stage, Stage::Charge | Stage::Electronics)
 }
 
 /// The chain with one value changed by a step of its inner unit.
