@@ -1,6 +1,7 @@
 //! The program: it connects the parts of a board with the device that serves the host.
 
 use crate::log;
+use crate::start::Start;
 use embedded_hal::digital::OutputPin;
 use embedded_io::{Read, Write};
 use half::f16;
@@ -9,19 +10,6 @@ use ommatidia_shared::device::{
 };
 use ommatidia_shared::flash::MappedFlash;
 use ommatidia_shared::wire::{Activity, Reply, Request, StartCause};
-
-/// How the program was started.
-#[derive(Clone, Copy, Debug)]
-pub struct Start {
-    /// Why.
-    pub cause: StartCause,
-    /// Number of starts since the power came on, this one included.
-    pub count: u32,
-    /// Whether the last starts ended in faults, one after the other.
-    pub keeps_faulting: bool,
-    /// To be called when a run has ended: earlier faults no longer count.
-    pub settled: fn(),
-}
 
 /// The parts of a board.
 #[derive(Debug)]

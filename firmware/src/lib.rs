@@ -13,3 +13,4 @@ pub mod board;
 pub mod camera;
 mod log;
 pub mod numbers;
+pub mod start;

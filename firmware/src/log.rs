@@ -8,7 +8,7 @@ pub(crate) use silent::*;
 
 #[cfg(feature = "probe")]
 mod probe {
-    use crate::app::Start;
+    use crate::start::Start;
     use defmt::{Display2Format, info, warn};
     use ommatidia_shared::wire::{Reply, Request, StartCause};
 
@@ -91,7 +91,7 @@ mod probe {
 
 #[cfg(not(feature = "probe"))]
 mod silent {
-    use crate::app::Start;
+    use crate::start::Start;
     use ommatidia_shared::wire::{Reply, Request};
 
     pub(crate) fn started(_: &str, _: &Start) {}

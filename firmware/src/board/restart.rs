@@ -2,7 +2,7 @@
 //! reset nor the start-up code clears.
 #![allow(unsafe_code)] // a section of its own
 
-use crate::app::Start;
+use crate::start::Start;
 use core::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{ExceptionFrame, exception};

@@ -1,10 +1,10 @@
 //! The two ways in which the network's convolutions are computed: in halves and in integers.
 
-use super::channel_attention;
 use super::conv::{self, Conv3x3, Tensors};
 use super::error::NnError;
 use super::integer::{self, Channel, Convolution, Convolutions, Feature, Last, rescale};
-use super::rcan::Entry;
+use super::layout::Entry;
+use super::means::means;
 use super::upscale::Upscale;
 use crate::image::{Chw, PlaneMut};
 use crate::num::simd::Simd;
@@ -104,7 +104,7 @@ impl Arithmetic for Halves {
     }
 
     fn means(self, input: Chw<'_, f16>, mean: &mut [f32]) {
-        channel_attention::means(self.0, input, mean);
+        means(self.0, input, mean);
     }
 
     fn add_scaled(self, scale: f32, t: &[f16], g: &mut [f16]) {

@@ -11,6 +11,8 @@ pub mod conv;
 mod error;
 mod features;
 pub mod integer;
+mod layout;
+mod means;
 mod packed;
 pub mod pixel_shuffle;
 pub mod rcab;

@@ -23,10 +23,8 @@
 //! [`layout`](fn@layout) is the order of the weights in the network file: the order of execution, the weights of each
 //! layer before its biases.
 
-mod layout;
-
-pub(crate) use layout::attention_count;
-pub use layout::{Entry, Layer, hidden, layout, weights_count, weights_len};
+pub(crate) use super::layout::attention_count;
+pub use super::layout::{Entry, Layer, hidden, layout, weights_count, weights_len};
 
 use super::activation::Activation;
 use super::arithmetic::{Arithmetic, Halves, Integers, Rest};

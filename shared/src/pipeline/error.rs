@@ -169,3 +169,13 @@ fn memory(f: &mut fmt::Formatter<'_>, kind: &str, expected: u32, found: u32) -> 
 }
 
 impl core::error::Error for PipelineError {}
+
+/// Checks one field of a header.
+pub(super) fn check(
+    field: &'static str,
+    expected: &'static str,
+    found: u32,
+    good: impl Fn(u32) -> bool,
+) -> Result<(), PipelineError> {
+    if good(found) { Ok(()) } else { Err(PipelineError::Field { field, expected, found }) }
+}

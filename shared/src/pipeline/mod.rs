@@ -58,6 +58,7 @@
 mod error;
 mod field;
 mod holder;
+mod later;
 mod passes;
 mod reconstruct;
 mod validate;

@@ -2,7 +2,7 @@
 
 use super::error::PipelineError;
 use super::field::{Field, Stats};
-use super::passes::Later;
+use super::later::Later;
 use super::validate::{self, Shapes};
 use crate::blob::{Header, MemoryPlan, Network, Weights};
 use crate::filter::{FilterBank, Filters, FrameRows};

@@ -1,7 +1,7 @@
 //! The checks of a header before anything is computed.
 
-use super::error::PipelineError;
-use super::passes::Later;
+use super::error::{PipelineError, check};
+use super::later::Later;
 use crate::blob::{FeatureBits, Header, has_black_level};
 use crate::filter::FilterBank;
 use crate::nn::rcan::Rcan;
@@ -48,13 +48,4 @@ pub(super) fn shapes(header: &Header) -> Result<Shapes<'_>, PipelineError> {
         None => None,
     };
     Ok(Shapes { filter, rcan, later })
-}
-
-pub(super) fn check(
-    field: &'static str,
-    expected: &'static str,
-    found: u32,
-    good: impl Fn(u32) -> bool,
-) -> Result<(), PipelineError> {
-    if good(found) { Ok(()) } else { Err(PipelineError::Field { field, expected, found }) }
 }

@@ -2,6 +2,7 @@
 
 use super::camera::{CameraChange, CameraStatus, Capture};
 use super::refusal::Refusal;
+use super::transfer::Transfer;
 use crate::flash::{Mark, Slot};
 use crate::image::Region;
 use heapless::String;
@@ -99,15 +100,6 @@ pub enum Request<'a> {
     Telemetry,
     /// Asks the program to end, on a board where it can.
     Quit,
-}
-
-/// What is transferred to the device.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-pub enum Transfer {
-    /// The network file.
-    Blob,
-    /// A raw frame: little-endian 16-bit codes, row by row.
-    Frame,
 }
 
 /// Where the frame of a run comes from.

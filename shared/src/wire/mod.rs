@@ -31,6 +31,7 @@ pub mod frame;
 mod message;
 mod pack;
 mod refusal;
+mod transfer;
 
 pub use camera::{
     CameraChange, CameraLimits, CameraSettings, CameraStatus, Capture, Limits, SensorRegion, Setting, SettingError,
@@ -39,7 +40,8 @@ pub use camera::{
 pub use frame::{Deframer, FrameError, checksum, encode};
 pub use message::{
     Activity, CHUNK, FrameFrom, Info, MAX_PACKET, Packet, Reply, Request, RunReport, SCHEMA_KEY, SlotReport,
-    StartCause, Telemetry, Transfer, VERSION,
+    StartCause, Telemetry, VERSION,
 };
 pub use pack::{Unpacker, pack};
 pub use refusal::Refusal;
+pub use transfer::Transfer;

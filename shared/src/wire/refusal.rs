@@ -1,7 +1,7 @@
 //! Why a device refuses a request.
 
 use super::camera::SettingError;
-use super::message::Transfer;
+use super::transfer::Transfer;
 use crate::blob::BlobError;
 use core::fmt;
 use heapless::String;

@@ -14,7 +14,8 @@ pub use uart::Uart;
 pub use watchdog::Dog;
 
 use super::{float, masked, restart};
-use crate::app::{Parts, Start};
+use crate::app::Parts;
+use crate::start::Start;
 use core::sync::atomic::{AtomicBool, Ordering};
 use cortex_m::peripheral::DWT;
 use cortex_m_semihosting::{debug, hprintln};

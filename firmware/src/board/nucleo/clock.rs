@@ -1,10 +1,8 @@
 //! A clock that runs while the core sleeps (TIM2, in microseconds), and a tick that wakes the core.
 
-use super::light;
 use crate::board::activity::Account;
 use cortex_m::peripheral::SYST;
 use cortex_m::peripheral::syst::SystClkSource;
-use cortex_m_rt::exception;
 use embassy_stm32::pac::{RCC, TIM2};
 use ommatidia_shared::wire::Activity;
 
@@ -13,7 +11,7 @@ const TICK_CYCLES: u32 = 0x00ff_ffff;
 
 static ACCOUNT: Account<1000> = Account::new();
 
-/// Starts clock and tick. The clock of the timers of APB1, `timer_mhz`, is twice the bus (ST RM0433, section 8.5.5).
+/// Starts the clock and the tick, which is handled in [`super::light`]. The clock of the timers of APB1, `timer_mhz`, is twice the bus (ST RM0433, section 8.5.5).
 pub(super) fn begin(mut tick: SYST, timer_mhz: u16) {
     RCC.apb1lenr().modify(|w| w.set_tim2en(true));
     TIM2.psc().write_value(timer_mhz - 1);
@@ -26,12 +24,6 @@ pub(super) fn begin(mut tick: SYST, timer_mhz: u16) {
     tick.clear_current();
     tick.enable_counter();
     tick.enable_interrupt();
-}
-
-/// The tick wakes the core, and watches over the excitation LED.
-#[exception]
-fn SysTick() {
-    light::watch();
 }
 
 pub(super) fn now() -> u32 {

@@ -4,6 +4,7 @@
 
 use super::clock;
 use crate::log;
+use cortex_m_rt::exception;
 use embassy_stm32::pac::{DAC1, RCC};
 use embassy_stm32::peripherals::PA5;
 use embassy_stm32::{Peri, gpio};
@@ -48,8 +49,9 @@ fn off() {
     INTERLOCK.is_dark();
 }
 
-/// Called by the tick.
-pub(super) fn watch() {
+/// The tick wakes the core, and watches over the LED.
+#[exception]
+fn SysTick() {
     if INTERLOCK.expired(clock::now()) {
         off();
         log::interlock();

@@ -32,8 +32,9 @@ pub use link::Link;
 pub use memory::footprint;
 
 use super::{float, restart};
-use crate::app::{Parts, Start};
+use crate::app::Parts;
 use crate::log;
+use crate::start::Start;
 use core::convert::Infallible;
 use core::sync::atomic::{AtomicBool, Ordering};
 use cortex_m::peripheral::DWT;

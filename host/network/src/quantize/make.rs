@@ -1,5 +1,6 @@
 //! From a checkpoint to a network file within a budget of memory.
 
+use super::allowed::{check_architecture, check_integers};
 use super::bank::PlannedBank;
 use super::config::Numbers;
 use super::integers::IntegerNetwork;
@@ -7,7 +8,7 @@ use super::pack::{self, narrow};
 use super::passes::PlannedPasses;
 use super::report::MadeFile;
 use super::{QuantizeConfig, QuantizeError, QuantizeReport};
-use crate::train::{Architecture, Checkpoint};
+use crate::train::Checkpoint;
 use ommatidia_shared::blob::{self, FeatureBits, Header, MemoryPlan, Sensor, Size, Weights};
 use ommatidia_shared::num::f16;
 use ommatidia_shared::pipeline::Pipeline;
@@ -46,33 +47,6 @@ pub fn quantize(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) ->
     budget("flash", config.flash_bytes, made.bytes.len() as u64)?;
     budget("RAM", config.ram_bytes, made.report.ram_bytes)?;
     Ok(made)
-}
-
-/// Checks that devices run such networks.
-///
-/// # Errors
-/// The network is of another architecture than SV-FourierNet, or begins with Richardson-Lucy iterations.
-pub(super) fn check_architecture(checkpoint: &Checkpoint) -> Result<(), QuantizeError> {
-    let network = &checkpoint.body.network;
-    if network.architecture != Architecture::SvFourierNet {
-        return Err(QuantizeError::Architecture(network.architecture.name().as_str()));
-    }
-    match network.iterations() {
-        0 => Ok(()),
-        iterations => Err(QuantizeError::Iterations { iterations }),
-    }
-}
-
-/// Checks that devices run such networks in integers.
-///
-/// # Errors
-/// As [`check_architecture`]; or the network has more than one pass.
-pub(super) fn check_integers(checkpoint: &Checkpoint) -> Result<(), QuantizeError> {
-    check_architecture(checkpoint)?;
-    match checkpoint.body.network.passes() {
-        1 => Ok(()),
-        passes => Err(QuantizeError::PassesInIntegers { passes }),
-    }
 }
 
 fn make(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) -> Result<Quantized, QuantizeError> {

@@ -23,6 +23,7 @@
 //! # Ok::<(), anyhow::Error>(())
 //! ```
 
+mod allowed;
 mod bank;
 mod choose;
 mod config;

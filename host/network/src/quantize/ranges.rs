@@ -1,6 +1,7 @@
 //! The ranges of the numbers in the enhancement network, measured on frames in single precision.
 
 use super::QuantizeError;
+use super::allowed::check_integers;
 use super::pack::{describe, layer_values, narrow};
 use crate::train::ops::conv::Conv3x3;
 use crate::train::{Checkpoint, FeatureSteps, Features, Inference, NetworkConfig, Trainer, normalised};
@@ -105,7 +106,7 @@ pub fn feature_steps(checkpoint: &Checkpoint) -> Result<FeatureSteps, QuantizeEr
 /// As [`quantize`](super::quantize).
 pub fn training_steps(run: &Trainer<'_>) -> Result<FeatureSteps, QuantizeError> {
     let checkpoint = run.checkpoint();
-    super::make::check_integers(checkpoint)?;
+    check_integers(checkpoint)?;
     feature_steps(checkpoint)
 }
 

@@ -1,7 +1,7 @@
 //! Weights of the integer convolutions, and the bound of their sums.
 
 use crate::blob::{self, BlobError, Section};
-use crate::nn::rcan::{Entry, layout};
+use crate::nn::layout::{Entry, layout};
 use bytemuck::{Pod, Zeroable};
 
 /// Largest magnitude of a sum.
