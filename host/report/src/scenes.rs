@@ -10,6 +10,7 @@ use ndarray::{ArrayView2, Axis as Dim, s};
 use ommatidia_model::metrics::PredictionFigures;
 use ommatidia_network::evaluate::{Evaluation, MethodFigures};
 use ommatidia_network::methods::title;
+use std::path::Path;
 
 /// Colour of a method: the same in every chart and table.
 pub fn colour(name: &str) -> usize {
@@ -234,7 +235,9 @@ pub fn keys(e: &Evaluation) -> Vec<Key> {
             holds: Some(gain >= 2.0),
         });
     }
-    if let (Some(network), Some(blob)) = (find("svfouriernet"), find("svfouriernet-blob")) {
+    if let Some(network) = find("svfouriernet")
+        && let Some(blob) = find("svfouriernet-blob").or_else(|| file_of(&e.summary.methods, network))
+    {
         let loss = network.psnr_db - blob.psnr_db;
         keys.push(Key {
             name: "Loss by half precision".into(),
@@ -246,6 +249,12 @@ pub fn keys(e: &Evaluation) -> Vec<Key> {
         });
     }
     keys
+}
+
+/// Of several network files the one that was made of a checkpoint, by its name.
+fn file_of<'m>(methods: &'m [MethodFigures], network: &MethodFigures) -> Option<&'m MethodFigures> {
+    let stem = |m: &MethodFigures| Path::new(&m.source).file_stem().map(ToOwned::to_owned);
+    methods.iter().find(|m| m.name.starts_with("svfouriernet-blob@") && stem(m) == stem(network))
 }
 
 /// A time in s or ms, whichever fits.
