@@ -94,9 +94,11 @@ pub(crate) fn attempt(
     let excess_of = |fit: &Fitted| {
         Excess::of(of_before[0], excess(&model, fit, judged_on), by_calibration[0]).beyond_calibration(within(fit))
     };
+    // Asked where a test sees structure.
     let left_of = |fit: &Fitted| {
-        let even = Excess::of(of_before[1], excess(&model, fit, JudgedOn::Even), by_calibration[1]);
-        Left { judged: excess_of(fit).left, even: even.left }
+        let judged = Excess::seen(of_before[0], excess(&model, fit, judged_on), by_calibration[0]);
+        let even = Excess::seen(of_before[1], excess(&model, fit, JudgedOn::Even), by_calibration[1]);
+        Left { judged: judged.beyond_calibration(within(fit)).left, even: even.left }
     };
     let recalibrated = search.needs_calibration();
     let mut imitations = Vec::new();
@@ -179,7 +181,7 @@ pub(crate) fn attempt(
     effects.iter_mut().filter(|e| unseen.contains(&e.id.as_str())).for_each(Effect::is_not_added);
     let found_as = |e: &Effect| found.iter().find(|f| f.id == e.id);
     let imitates = |e: &Effect| may_imitate(e) && found_as(e).is_some_and(|f| !unlike.earns(f));
-    let share = 100.0 * excess.left;
+    let share = 100.0 * unlike.judged.max(unlike.even);
     let why = format!("{share:.0} % of the excess is left beside it, with structure: it imitates the cause in part");
     let (imitating, others): (Vec<_>, Vec<_>) = effects.into_iter().partition(imitates);
     nearest.extend(unearned(&imitating, &why));

@@ -10,6 +10,8 @@ use ommatidia_physics::effects::Stage;
 const LEFT: f64 = 0.05;
 /// A share of the excess counts as left only if it exceeds this many standard deviations of chi-squared.
 const SIGMAS: f64 = 5.0;
+/// The same where a test sees structure in it.
+const SIGMAS_SEEN: f64 = 2.0;
 /// A model whose chi-squared per pixel exceeds one by less is no other model, whatever its excess was before: errors of
 /// a calibration reach that size.
 const MUCH: f64 = 0.25;
@@ -32,14 +34,28 @@ impl Excess {
     /// less noise than expected is as wrong as more. Of `by_calibration`, the number of pixels and the excess that
     /// errors of the calibration make ([`crate::evidence::excess_by_calibration`]), the latter is explained by no
     /// effect.
-    pub(crate) fn of([first, _]: [f64; 2], [last, sigma]: [f64; 2], (pixels, by_calibration): (usize, f64)) -> Self {
+    pub(crate) fn of(first: [f64; 2], last: [f64; 2], by_calibration: (usize, f64)) -> Self {
+        Self::beyond(SIGMAS, first, last, by_calibration)
+    }
+
+    /// As [`Excess::of`], where a test sees structure in what is left: less of it is no noise.
+    pub(crate) fn seen(first: [f64; 2], last: [f64; 2], by_calibration: (usize, f64)) -> Self {
+        Self::beyond(SIGMAS_SEEN, first, last, by_calibration)
+    }
+
+    fn beyond(
+        sigmas: f64,
+        [first, _]: [f64; 2],
+        [last, sigma]: [f64; 2],
+        (pixels, by_calibration): (usize, f64),
+    ) -> Self {
         let pixels = pixels as f64;
         let beyond = |excess: f64| {
             let all = excess * pixels;
             if all > 0.0 { (all - by_calibration).max(0.0) } else { -all }
         };
         let (first, last) = (beyond(first), beyond(last));
-        let noise = SIGMAS * sigma * pixels;
+        let noise = sigmas * sigma * pixels;
         let left = if last > noise { last / first.max(last) } else { 0.0 };
         Self { left, per_pixel: last / pixels.max(1.0) }
     }
