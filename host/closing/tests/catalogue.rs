@@ -101,6 +101,27 @@ fn nothing_is_found_in_noise_of_few_codes() {
     assert!(!closing.catalogue_incomplete);
 }
 
+/// Flats show a drift of their lamp, and held-out scenes hardly do: chance makes their figures a little better (the
+/// first seed) or worse (the second). The name stands in both, and the closed instrument never predicts worse.
+#[test]
+fn a_drift_of_the_lamp_is_named_whatever_held_out_scenes_say() {
+    for seed in [914, 915] {
+        let drift = EffectSetting::new("lamp_drift", &[("rate_per_s", 0.012)]);
+        let closing = closed(&subject().config, &WHOLE, Some(drift), seed);
+        is_named(&closing, "lamp_drift", &[("rate_per_s", 0.012)]);
+        assert!(
+            closing.after.chi2_ndf <= closing.before.chi2_ndf && closing.after.nrmse <= 1.001 * closing.before.nrmse
+        );
+        assert_eq!(closing.effects[0].added, closing.after != closing.before);
+    }
+}
+
+/// A curve bends the noise along with the light, so that chi-squared with the noise of a straight camera says little.
+#[test]
+fn a_weak_gamma() {
+    whole("camera_gamma", &[("gamma", 1.006)], 916);
+}
+
 #[test]
 fn a_tilted_specimen() {
     whole("tilt", &[("row_um_per_mm", 150.0), ("col_um_per_mm", -250.0)], 903);
