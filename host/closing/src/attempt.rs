@@ -7,7 +7,7 @@ use super::account::{
 };
 use super::data::{Fault, Observations, Shown, bright_darks};
 use super::evidence::{
-    Curve, JudgedOn, compared, curves, excess, excess_by_calibration, figures, judged, noise_has_structure, omnibus,
+    Curve, JudgedOn, compared, curves, excess, excess_by_calibration, figures, judged, noise_left, omnibus,
     standing_alone, structured,
 };
 use super::fit::gauge::Gauge;
@@ -21,6 +21,9 @@ use super::search::{
 use ommatidia_model::instrument::Instrument;
 use ommatidia_physics::effects::find;
 use ommatidia_session::Role;
+
+/// Effects of the noise are causes if they leave at most this share of the structure in the noise of repeated frames.
+const NOISE_LEFT: f64 = 0.1;
 
 /// What an attempt takes for given.
 #[derive(Clone, Copy)]
@@ -94,9 +97,10 @@ pub(crate) fn attempt(
     let excess_of = |fit: &Fitted| {
         Excess::of(of_before[0], excess(&model, fit, judged_on), by_calibration[0]).beyond_calibration(within(fit))
     };
-    // Asked where a test sees structure.
+    // Asked where a test sees structure. Of unknown specimens it may be that of their estimates.
+    let beyond = if judged_on == JudgedOn::SelfConsistency { Excess::of } else { Excess::seen };
     let left_of = |fit: &Fitted| {
-        let judged = Excess::seen(of_before[0], excess(&model, fit, judged_on), by_calibration[0]);
+        let judged = beyond(of_before[0], excess(&model, fit, judged_on), by_calibration[0]);
         let even = Excess::seen(of_before[1], excess(&model, fit, JudgedOn::Even), by_calibration[1]);
         Left { judged: judged.beyond_calibration(within(fit)).left, even: even.left }
     };
@@ -166,7 +170,7 @@ pub(crate) fn attempt(
     }
     let [first, last] = compared(&model, &before, &closed);
     let left = structured(&dependences);
-    let noise_is_left = noise_has_structure(&dependences);
+    let noise_is_left = noise_left(&dependences_before, &dependences) > NOISE_LEFT;
     let within = within(&now);
     let excess = excess_of(&now);
     let unnamed = found.iter().any(|f| f.id.starts_with("unknown"));

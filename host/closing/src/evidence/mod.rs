@@ -23,7 +23,7 @@ pub(crate) use figures::{
     compared, excess, excess_by_calibration, is_worse, judged, pictured_frames, rises, standing_alone, surely_worse,
     worse,
 };
-pub(crate) use omnibus::noise_has_structure;
+pub(crate) use omnibus::noise_left;
 pub use omnibus::structured;
 pub use score::{Scores, Test};
 pub use stats::{f_tail, holm};

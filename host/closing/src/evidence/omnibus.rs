@@ -56,9 +56,16 @@ pub fn structured(dependences: &[Dependence]) -> bool {
     any
 }
 
-/// Whether the noise of repeated frames has structure that the model does not have.
-pub(crate) fn noise_has_structure(dependences: &[Dependence]) -> bool {
-    significant(dependences).any(|d| d.covariate == Covariate::Repeats)
+/// Share of the structure in the noise of repeated frames that is left, of that before; 0 where what is left is not
+/// significant.
+pub(crate) fn noise_left(before: &[Dependence], after: &[Dependence]) -> f64 {
+    let beyond = |d: &Dependence| (d.chi2 - d.expected).max(0.0);
+    let of_repeats = |d: &&Dependence| d.covariate == Covariate::Repeats;
+    let Some(left) = significant(after).find(of_repeats).map(beyond) else { return 0.0 };
+    let first = before.iter().find(of_repeats).map_or(0.0, beyond);
+    let share = left / first.max(left);
+    tracing::info!("{share:.3} of the structure in the noise of repeated frames is left");
+    share
 }
 
 /// The dependences that are significant and large enough to matter.
