@@ -11,7 +11,8 @@ const TICK_CYCLES: u32 = 0x00ff_ffff;
 
 static ACCOUNT: Account<1000> = Account::new();
 
-/// Starts the clock and the tick, which is handled in [`super::light`]. The clock of the timers of APB1, `timer_mhz`, is twice the bus (ST RM0433, section 8.5.5).
+/// Starts the clock and the tick, which is handled in [`super::light`]. The clock of the timers of APB1, `timer_mhz`,
+/// is twice the bus (ST RM0433, section 8.5.5).
 pub(super) fn begin(mut tick: SYST, timer_mhz: u16) {
     RCC.apb1lenr().modify(|w| w.set_tim2en(true));
     TIM2.psc().write_value(timer_mhz - 1);

@@ -14,7 +14,9 @@ use std::sync::{Arc, OnceLock};
 #[derive(Clone, Debug)]
 pub struct Predictor {
     operator: Arc<LowRankOperator>,
-    terms: Arc<Terms>,
+    psf: Arc<LowRankPsf>,
+    /// Made of `psf` where a device other than the CPU asks for them: their maps are as large as the object.
+    terms: Arc<OnceLock<Terms>>,
 }
 
 impl Predictor {
@@ -60,14 +62,14 @@ impl Predictor {
         let optics = CalibratedOptics { psf: &psf, rays: &rays, object: config.object, sensor: config.frame };
         let plan = LowRankOperator::plan(optics, &rays, OperatorConfig::exact(0));
         let operator = plan.map_err(|source| wrong("terms of a low-rank operator".into(), source.to_string()))?;
-        let terms = dense_terms(&psf, &operator.corners(), config);
-        Ok(Some(Self { operator: Arc::new(operator), terms: Arc::new(terms) }))
+        Ok(Some(Self { operator: Arc::new(operator), psf: Arc::new(psf), terms: Arc::default() }))
     }
 }
 
 /// The terms of all lenses, one after the other, with coefficients at each pixel of the object.
-fn dense_terms(psf: &LowRankPsf, corners: &[Option<[isize; 2]>], config: &NetworkConfig) -> Terms {
-    let [rows, cols] = config.object;
+fn dense_terms(psf: &LowRankPsf, operator: &LowRankOperator) -> Terms {
+    let [rows, cols] = operator.object_shape();
+    let corners = operator.corners();
     let (lenses, count, window, _) = psf.basis.dim();
     let [down, across] =
         [(&psf.node_rows_px, rows), (&psf.node_cols_px, cols)].map(|(nodes, n)| Taps::for_pixels(nodes, n));
@@ -79,8 +81,8 @@ fn dense_terms(psf: &LowRankPsf, corners: &[Option<[isize; 2]>], config: &Networ
     };
     let each = (0..lenses).flat_map(|l| (0..count).map(move |k| (l, k)));
     Terms {
-        object: config.object,
-        frame: config.frame,
+        object: [rows, cols],
+        frame: operator.sensor_shape(),
         window,
         corners: each.clone().map(|(l, _)| corners[l].unwrap_or_default()).collect(),
         kernels: psf.basis.iter().copied().collect(),
@@ -114,7 +116,7 @@ impl Linear for Predictor {
     }
 
     fn terms(&self) -> &Terms {
-        &self.terms
+        self.terms.get_or_init(|| dense_terms(&self.psf, &self.operator))
     }
 }
 

@@ -31,8 +31,8 @@ pub struct Terms {
 pub struct OnDevice {
     /// Maps, [1, term, object row, object col].
     maps: Tensor<4>,
-    /// Parts of the spectra of the kernels, each [1, term, T, T/2+1], where object pixel (0, 0) and the first pixel that
-    /// any term reaches lie at (0, 0).
+    /// Parts of the spectra of the kernels, each [1, term, T, T/2+1], where object pixel (0, 0) and the first pixel
+    /// that any term reaches lie at (0, 0).
     kernels: [Tensor<4>; 2],
 }
 
