@@ -1,9 +1,9 @@
 //! One attempt to close the loop, with the records as they stand: first fit, search, pruning, account.
 
 use super::account::{
-    Accepted, Closed, Closing, Effect, Excess, Findings, Left, Verdict, calibration_note, claims_a_cause, effects,
-    harmful, imitated, pictured, pupil_note, registration_notes, registrations, rejected, shadowed, unearned,
-    unstated_notes, within_calibration,
+    Accepted, Closed, Closing, Effect, Excess, Findings, Judged, Left, Names, Verdict, calibration_note, effects,
+    harmful, imitated, pictured, pupil_note, registration_notes, registrations, rejected, shadowed, unstated_notes,
+    within_calibration,
 };
 use super::data::{Fault, Observations, Shown, bright_darks};
 use super::evidence::{
@@ -11,7 +11,6 @@ use super::evidence::{
     standing_alone, structured,
 };
 use super::fit::gauge::Gauge;
-use super::fit::repeats::is_of_noise;
 use super::fit::{Fitted, Model, Replicas, State, Term, UNKNOWN_NOTE, chosen_note, estimated_frames, refit, replicas};
 use super::options::{CalibratedOn, CloseError, CloseOptions};
 use super::plan::{self, plan};
@@ -132,7 +131,7 @@ pub(crate) fn attempt(
     let pruned = prune(&model, &replicas, now, found, (own, keep))?;
     let kept =
         if recalibrated { Kept::all(pruned) } else { Kept::of(&model, &replicas, &before, pruned, (own, seed))? };
-    let Kept { named: Pruned { mut now, mut found, tests, removed }, closed, unseen, taken_back } = kept;
+    let Kept { named: Pruned { mut now, mut found, tests, constancy, removed }, closed, unseen, taken_back } = kept;
     if found.is_empty() && !recalibrated {
         // Another fit of the nuisance parameters alone is no closed loop.
         now = before.clone();
@@ -170,37 +169,29 @@ pub(crate) fn attempt(
     }
     let [first, last] = compared(&model, &before, &closed);
     let left = structured(&dependences);
-    let noise_is_left = noise_left(&dependences_before, &dependences) > NOISE_LEFT;
     let within = within(&now);
     let excess = excess_of(&now);
-    let unnamed = found.iter().any(|f| f.id.starts_with("unknown"));
-    let verdict = excess.verdict(left && !within || unnamed);
-    let catalogue_incomplete = verdict != Verdict::Adequate;
-    // Darks and even light prove a table pixel by pixel, whatever is left of the scenes.
-    let may_imitate =
-        |e: &Effect| claims_a_cause(e, recalibrated) && find(&e.id).is_none_or(|effect| effect.table().is_none());
     let unlike = if left { left_of(&now) } else { Left::default() };
     let findings = Findings { before: &before, now: &now, own, found: &found, tests: &tests, left: unlike };
     let mut effects = effects(&model, findings, given.faults);
     effects.iter_mut().filter(|e| unseen.contains(&e.id.as_str())).for_each(Effect::is_not_added);
-    let found_as = |e: &Effect| found.iter().find(|f| f.id == e.id);
-    let imitates = |e: &Effect| may_imitate(e) && found_as(e).is_some_and(|f| !unlike.earns(f));
-    let share = 100.0 * unlike.judged.max(unlike.even);
-    let why = format!("{share:.0} % of the excess is left beside it, with structure: it imitates the cause in part");
-    let (imitating, others): (Vec<_>, Vec<_>) = effects.into_iter().partition(imitates);
-    nearest.extend(unearned(&imitating, &why));
-    // A cause in the noise is first shared out among the effects of the noise.
-    let of_noise = |e: &Effect| may_imitate(e) && noise_is_left && find(&e.id).is_some_and(is_of_noise);
-    let why = "the noise of repeated frames still has structure beside it: it imitates the cause in part";
-    let (imitating_noise, effects): (Vec<_>, Vec<_>) = others.into_iter().partition(of_noise);
-    nearest.extend(unearned(&imitating_noise, why));
-    if !imitating.is_empty() || !imitating_noise.is_empty() {
-        let ids: Vec<&str> = imitating.iter().chain(&imitating_noise).map(|e| e.id.as_str()).collect();
-        notes.push(format!(
-            "the instrument keeps terms in the form of {}, which predict held-out data better; they are no causes",
-            ids.join(", ")
-        ));
-    }
+    let of_found: Vec<_> = found.iter().zip(constancy.into_iter().skip(own)).collect();
+    let names = Names::of(
+        effects,
+        Judged {
+            found: &of_found,
+            left: unlike,
+            noise_is_left: noise_left(&dependences_before, &dependences) > NOISE_LEFT,
+            psf_error: instrument.quality.off_grid_excess(),
+            recalibrated,
+        },
+    );
+    notes.extend(names.note());
+    let unnamed = found.iter().any(|f| f.id.starts_with("unknown"));
+    let verdict = excess.verdict(left && !within || unnamed || names.uneven);
+    let catalogue_incomplete = verdict != Verdict::Adequate;
+    let Names { effects, nearest: resembling, left_much, .. } = names;
+    nearest.extend(resembling);
     notes.splice(..0, bright_darks(seen, model.forward.noise()));
     notes.extend(pupil_note(instrument, &effects));
     // Without a bead scan there are no replicates to be had.
@@ -224,7 +215,7 @@ pub(crate) fn attempt(
         notes.push(OWN_BEADS_NOTE.into());
     }
     let accepted = Accepted { state: &now.state, found: &found, lost: &lost };
-    let registrations = registrations(&model, &now, (!imitating.is_empty()).then_some(&before), &replicas)?;
+    let registrations = registrations(&model, &now, left_much.then_some(&before), &replicas)?;
     notes.extend(registration_notes(&registrations));
     notes.extend(unstated_notes(&model, &now, own)?);
     let mut closing = Closing {

@@ -1,12 +1,13 @@
 //! The account of a closed loop: effects with errors, detection limits, ambiguities, figures before and after.
 //!
-//! [`result`] defines it, `describe` writes the effects, `pictures` adds residual maps, `registration` says where
+//! [`result`] defines it, `describe` writes the effects, `names` decides which are causes, `pictures` adds residual maps, `registration` says where
 //! the truths lie, `adopt` records a new calibration, [`retrain`] what a fine-tuned network gains, [`mod@file`] stores
 //! it all.
 
 pub(crate) mod adopt;
 pub(crate) mod describe;
 pub mod file;
+mod names;
 pub(crate) mod pictures;
 mod pupils;
 mod registration;
@@ -17,6 +18,7 @@ mod verdict;
 pub use adopt::{Recalibrated, adopt};
 pub(crate) use describe::{Accepted, Findings, effects, fault, rejected};
 pub use file::{KIND, VERSION};
+pub(crate) use names::{Judged, Names};
 pub(crate) use pictures::pictured;
 pub(crate) use pupils::pupil_note;
 pub(crate) use registration::{registration_notes, registrations, unstated_notes};
@@ -24,6 +26,4 @@ pub use result::{
     Account, Closed, Closing, Effect, Nearest, Rejected, SpecimenMaps, TruthRegistration, Value, Verdict,
 };
 pub use retrain::{Control, Filed, Retrain, RetrainRequest, Retrained};
-pub(crate) use verdict::{
-    Excess, Left, calibration_note, claims_a_cause, harmful, imitated, shadowed, unearned, within_calibration,
-};
+pub(crate) use verdict::{Excess, Left, calibration_note, harmful, imitated, shadowed, within_calibration};

@@ -145,11 +145,6 @@ pub(crate) fn claims_a_cause(effect: &Effect, recalibrated: bool) -> bool {
     effect.known && !new_calibration && effect.stage != Stage::Record.part()
 }
 
-/// Effects whose names are not earned, for a reason.
-pub(crate) fn unearned(effects: &[Effect], why: &str) -> Vec<Nearest> {
-    effects.iter().map(|e| Nearest { id: e.id.clone(), z: e.z, why: why.into() }).collect()
-}
-
 /// Effects in the shadow of a stronger one.
 pub(crate) fn shadowed(all: &[Shadowed], of: Option<&str>) -> Vec<Nearest> {
     let strongest = match of {

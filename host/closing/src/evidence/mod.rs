@@ -1,11 +1,12 @@
 //! Tests the residual of a fit.
 //!
 //! [`omnibus`] asks whether the residual depends on anything at all, [`score`] how much each effect of the catalogue
-//! would improve the fit, [`tables`] whether single pixels deviate in even light, `maps` what is fixed to the sensor
+//! would improve the fit, `constancy` whether an effect has one strength everywhere, [`tables`] whether single pixels deviate in even light, `maps` what is fixed to the sensor
 //! in scenes, [`mod@figures`] how well held-out data are predicted, [`mod@curves`] whether effects drift within a
 //! recording.
 
 mod bins;
+mod constancy;
 pub mod covariate;
 pub mod curves;
 pub mod figures;
@@ -15,6 +16,9 @@ pub mod score;
 pub mod stats;
 pub mod tables;
 
+pub(crate) use constancy::Constancy;
+#[cfg(test)]
+pub(crate) use constancy::Spread;
 pub use covariate::{Covariate, Dependence};
 pub use curves::Curve;
 pub(crate) use curves::curves;

@@ -19,7 +19,7 @@ use ndarray::{Array1, Array2};
 use std::ops::Range;
 
 /// Degrees of freedom of a stated uncertainty that is itself uncertain by a quarter (JCGM 100:2008, G.4.2).
-const STATED_DEGREES: f64 = 8.0;
+pub(super) const STATED_DEGREES: f64 = 8.0;
 
 /// Score test of some columns, with others projected out.
 #[derive(Clone, Debug)]

@@ -2,7 +2,7 @@
 
 use super::candidate::Found;
 use super::select::ALPHA;
-use crate::evidence::{Scores, Test, f_tail};
+use crate::evidence::{Constancy, Scores, Test, f_tail};
 use crate::fit::{Column, Design, Fitted, Model, Replicas, Scope, Term, nuisances, own_columns, pseudo_inverse, refit};
 use ndarray::Array1;
 use ommatidia_model::forward::ForwardError;
@@ -17,6 +17,8 @@ pub(crate) struct Pruned {
     pub(crate) found: Vec<Found>,
     /// The test of each term of the state.
     pub(crate) tests: Vec<Option<Test>>,
+    /// Whether each term of the state has one strength everywhere.
+    pub(crate) constancy: Vec<Constancy>,
     /// Terms that were removed.
     pub(crate) removed: Vec<Term>,
 }
@@ -70,8 +72,9 @@ pub(crate) fn prune(
                 }
             }
             _ => {
+                let constancy = (0..now.state.terms.len()).map(|t| Constancy::of(model, &now, &design, t)).collect();
                 now.state = model.gauged(now.state);
-                return Ok(Pruned { now, found, tests, removed });
+                return Ok(Pruned { now, found, tests, constancy, removed });
             }
         }
     }

@@ -1,0 +1,152 @@
+//! Which of the effects that were found are named as causes.
+
+use super::result::{Effect, Nearest};
+use super::verdict::{Left, claims_a_cause};
+use crate::evidence::Constancy;
+use crate::fit::repeats::is_of_noise;
+use crate::search::Found;
+use ommatidia_physics::effects::find;
+
+/// What names are judged by.
+#[derive(Clone, Copy)]
+pub(crate) struct Judged<'a> {
+    /// What was found, and whether it has one strength everywhere.
+    pub(crate) found: &'a [(&'a Found, Constancy)],
+    /// Shares of the excess of chi-squared that are left with structure.
+    pub(crate) left: Left,
+    /// Whether the noise of repeated frames still has much of its structure.
+    pub(crate) noise_is_left: bool,
+    /// Relative error of the PSFs between the positions of their calibration.
+    pub(crate) psf_error: f64,
+    /// Whether the PSFs are calibrated again, and an entry stands for that.
+    pub(crate) recalibrated: bool,
+}
+
+/// Names of causes, and what only resembles one.
+#[derive(Debug, Default)]
+pub(crate) struct Names {
+    /// Effects that are named as causes, and terms that claim none.
+    pub(crate) effects: Vec<Effect>,
+    /// Effects whose names are not earned. The instrument keeps them: they predict held-out data better.
+    pub(crate) nearest: Vec<Nearest>,
+    /// Whether one of these lost its name for what is left of the excess.
+    pub(crate) left_much: bool,
+    /// Whether one of these has no one strength.
+    pub(crate) uneven: bool,
+}
+
+impl Names {
+    /// Takes the names from effects that imitate the cause in part: where much is left beside them, where their
+    /// strength differs from frame to frame or over the sensor, and where the noise still has structure.
+    pub(crate) fn of(all: Vec<Effect>, judged: Judged<'_>) -> Self {
+        let found = |e: &Effect| judged.found.iter().find(|(f, _)| f.id == e.id);
+        // Darks and even light prove a table pixel by pixel, whatever is left of the scenes.
+        let may_imitate = |e: &Effect| {
+            claims_a_cause(e, judged.recalibrated) && find(&e.id).is_none_or(|effect| effect.table().is_none())
+        };
+        let gain = |e: &Effect| found(e).map_or(0.0, |(f, _)| f.held_out_gain);
+        let objection = |e: &Effect| found(e).and_then(|(_, constancy)| constancy.objection(judged.psf_error));
+        let strongest_uneven = all
+            .iter()
+            .filter(|e| may_imitate(e) && objection(e).is_some())
+            .max_by(|a, b| gain(a).total_cmp(&gain(b)))
+            .map(|e| (e.id.clone(), gain(e)));
+        let share = 100.0 * judged.left.judged.max(judged.left.even);
+        let mut names = Self::default();
+        for effect in all {
+            let why = if !may_imitate(&effect) {
+                None
+            } else if found(&effect).is_some_and(|(f, _)| !judged.left.earns(f)) {
+                names.left_much = true;
+                Some(format!(
+                    "{share:.0} % of the excess is left beside it, with structure: it imitates the cause in part"
+                ))
+            } else if let Some(why) = objection(&effect) {
+                names.uneven = true;
+                Some(why)
+            } else if let Some((id, _)) = strongest_uneven.as_ref().filter(|(_, most)| gain(&effect) < *most) {
+                // What imitates a cause leaves some of it, and weaker effects mend that.
+                Some(format!(
+                    "it explains less than `{id}`, whose strength is not the same everywhere, and may mend what that \
+                     leaves"
+                ))
+            } else if judged.noise_is_left && find(&effect.id).is_some_and(is_of_noise) {
+                // A cause in the noise is first shared out among the effects of the noise.
+                Some("the noise of repeated frames still has structure beside it: it imitates the cause in part".into())
+            } else {
+                None
+            };
+            match why {
+                Some(why) => names.nearest.push(Nearest { id: effect.id, z: effect.z, why }),
+                None => names.effects.push(effect),
+            }
+        }
+        names
+    }
+
+    /// Says which terms the instrument has that are no causes. None: there are none.
+    pub(crate) fn note(&self) -> Option<String> {
+        let ids: Vec<&str> = self.nearest.iter().map(|n| n.id.as_str()).collect();
+        (!ids.is_empty()).then(|| {
+            format!(
+                "the instrument keeps terms in the form of {}, which predict held-out data better; they are no causes",
+                ids.join(", ")
+            )
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::evidence::Spread;
+
+    fn effect(id: &str) -> Effect {
+        Effect {
+            id: id.into(),
+            known: true,
+            stage: "optics".into(),
+            added: true,
+            z: 9.0,
+            excess_explained: None,
+            held_out_gain: 0.0,
+            ambiguity: Vec::new(),
+            overlap: 0.0,
+            separate_by: None,
+            params: Vec::new(),
+            description: String::new(),
+        }
+    }
+
+    fn found(id: &'static str, held_out_gain: f64) -> Found {
+        Found { id, z: 9.0, held_out_gain, of_even_light: 0.0, ambiguity: Vec::new(), table_sigma: None }
+    }
+
+    fn names(of: &[(&Found, Constancy)], left: Left, noise_is_left: bool) -> Names {
+        let all = of.iter().map(|(f, _)| effect(f.id)).collect();
+        Names::of(all, Judged { found: of, left, noise_is_left, psf_error: 0.0, recalibrated: false })
+    }
+
+    #[test]
+    fn what_has_no_one_strength_is_no_cause_nor_what_is_weaker() {
+        let uneven = Constancy { frames: Spread { tau: 0.7, z: 9.0 }, ..Constancy::default() };
+        let [strong, uneven_one, weak] = [found("array_shift", 9e3), found("magnification", 1e3), found("halo", 1e2)];
+        let of = [(&strong, Constancy::default()), (&uneven_one, uneven), (&weak, Constancy::default())];
+        let it = names(&of, Left::default(), false);
+        let ids: Vec<&str> = it.effects.iter().map(|e| e.id.as_str()).collect();
+        assert_eq!((ids, it.uneven, it.left_much), (vec!["array_shift"], true, false));
+        assert!(it.nearest[0].why.contains("70 % between frames") && it.nearest[1].why.contains("`magnification`"));
+        assert!(it.note().is_some_and(|note| note.contains("magnification, halo")));
+    }
+
+    #[test]
+    fn names_stand_where_nothing_is_against_them() {
+        let [optics, noise] = [found("array_shift", 9e3), found("row_noise", 1e2)];
+        let of = [(&optics, Constancy::default()), (&noise, Constancy::default())];
+        assert_eq!(names(&of, Left::default(), false).effects.len(), 2);
+        let it = names(&of, Left::default(), true);
+        assert_eq!((it.effects.len(), it.nearest[0].id.as_str()), (1, "row_noise"));
+        let it = names(&of, Left { judged: 0.3, even: 0.3 }, false);
+        assert!(it.effects.is_empty() && it.left_much && it.nearest[0].why.contains("30 %"));
+    }
+}

@@ -1,0 +1,262 @@
+//! Whether an effect has one strength everywhere.
+//!
+//! A cause has the same strength in every frame and in every part of the sensor; what merely resembles it has not. Let
+//! x be the change of the frames that a found effect makes, in units of the noise, and x_g the same in one group of
+//! cells (a frame, or a spatial block) and zero elsewhere. With all columns of the fit projected out by P, the scores
+//! ```text
+//! s_g = x_g' (1 - P) r        with the covariance V_gh = x_g' (1 - P) x_h + C_gh
+//! ```
+//! have mean zero where the strength is the same in all groups; C is what errors of the calibration do. If the strength
+//! of group g is 1 + u_g times the fitted one, with u_g of standard deviation tau, their covariance is V + tau^2 M M'
+//! with M_gh = x_g' (1 - P) x_h. T = s' V^+ s is compared with F (a test of homogeneity: Cochran, Biometrics 10, 101,
+//! 1954), and what it exceeds its degrees of freedom by gives tau (by moments, as DerSimonian & Laird do, Control. Clin.
+//! Trials 7, 177, 1986).
+
+use super::score::STATED_DEGREES;
+use super::stats::{f_tail, sigmas};
+use crate::fit::{Cell, Column, Design, Fitted, Model, pseudo_inverse};
+use ndarray::{Array1, Array2, Axis};
+use std::collections::BTreeMap;
+
+/// Evidence from which a strength is called different between groups, standard deviations.
+const CERTAIN: f64 = 4.5;
+/// Relative standard deviation of a strength between groups from which the effect is no cause.
+const UNEVEN: f64 = 0.125;
+/// The law of a true effect errs as the PSFs do that it moves: so many times their relative error is allowed too.
+const BY_PSFS: f64 = 2.0;
+/// Fewest groups that are compared.
+const LEAST_GROUPS: usize = 3;
+/// Groups in which the effect has less than this share of its largest squared norm in a group do not show it.
+const FAINT: f64 = 1e-6;
+
+/// How the strength of an effect differs between groups of cells.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Spread {
+    /// Standard deviation of the strength between groups, relative to the fitted strength.
+    pub(crate) tau: f64,
+    /// Evidence that the strength differs at all, standard deviations.
+    pub(crate) z: f64,
+}
+
+impl Spread {
+    /// Whether the strength differs by much, and certainly. `psf_error`: relative error of the PSFs between the positions
+    /// of their calibration.
+    pub(crate) fn is_uneven(self, psf_error: f64) -> bool {
+        self.z > CERTAIN && self.tau > UNEVEN.max(BY_PSFS * psf_error)
+    }
+}
+
+/// How the strength of an effect differs.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Constancy {
+    /// Between frames.
+    pub(crate) frames: Spread,
+    /// Between spatial blocks.
+    pub(crate) blocks: Spread,
+}
+
+impl Constancy {
+    /// The constancy of a term of the state, by its strengths. The design holds all columns of the fit. Effects without
+    /// columns, such as tables, and those that only the noise of repeats shows, count as constant. Of unknown specimens
+    /// frames alone are compared, and a steady drift within the recording is no sign against an effect.
+    pub(crate) fn of(model: &Model<'_>, fit: &Fitted, design: &Design, term: usize) -> Self {
+        let it = &fit.state.terms[term];
+        let expanded = it.expanded(model.lenses());
+        let change = |(i, column): (usize, &Column)| match column {
+            Column::Own { term: t, param } if *t == term => {
+                let p = expanded.get(*param).map(|(_, p)| *p).filter(|p| p.is_strength())?;
+                Some((i, p.inner(it.params[*param]) - p.inner(p.off)))
+            }
+            _ => None,
+        };
+        let own: Vec<(usize, f64)> = design.columns.iter().enumerate().filter_map(change).collect();
+        let time = |k: usize| model.seen.frames.get(k).map_or(0.0, |f| f.info.time_s);
+        let drift: Option<&dyn Fn(usize) -> f64> = if design.estimated { Some(&time) } else { None };
+        let blocks = match design.estimated {
+            true => Spread::default(),
+            false => spread(design, &own, |c| c.block, None),
+        };
+        Self { frames: spread(design, &own, |c| c.frame, drift), blocks }
+    }
+
+    /// Says how the strength differs, if it does so by much ([`Spread::is_uneven`]).
+    pub(crate) fn objection(self, psf_error: f64) -> Option<String> {
+        let (at, between) = match (self.frames.is_uneven(psf_error), self.blocks.is_uneven(psf_error)) {
+            (false, false) => return None,
+            (true, _) => (self.frames, "frames"),
+            (false, true) => (self.blocks, "parts of the sensor"),
+        };
+        let (percent, z) = (100.0 * at.tau, at.z);
+        Some(format!(
+            "its strength differs by {percent:.0} % between {between} ({z:.1} standard deviations), and a cause has one \
+             strength everywhere"
+        ))
+    }
+}
+
+/// A group of cells: products of the effect with all rows of the Gram matrix, and with itself.
+struct Group {
+    key: usize,
+    with: Array1<f64>,
+    square: f64,
+}
+
+/// Sums the training cells into groups by a key. `own`: columns of the effect, and by how much each is changed.
+fn groups(design: &Design, own: &[(usize, f64)], key: impl Fn(&Cell) -> usize) -> Vec<Group> {
+    let mut all: BTreeMap<usize, Group> = BTreeMap::new();
+    for cell in design.cells.iter().filter(|c| !c.held_out) {
+        let key = key(cell);
+        let new = || Group { key, with: Array1::zeros(design.residual() + 1), square: 0.0 };
+        let group = all.entry(key).or_insert_with(new);
+        for (i, u) in own {
+            group.with.zip_mut_with(&cell.gram.row(*i), |to, v| *to += u * f64::from(*v));
+            group.square += own.iter().map(|(j, w)| u * w * f64::from(cell.gram[[*i, *j]])).sum::<f64>();
+        }
+    }
+    let largest = all.values().map(|g| g.square).fold(0.0, f64::max);
+    all.into_values().filter(|g| g.square > FAINT * largest).collect()
+}
+
+/// Compares the strength of an effect between groups. With `drift`, a value for each key, a change of the strength in
+/// proportion to it is allowed.
+fn spread(
+    design: &Design,
+    own: &[(usize, f64)],
+    key: impl Fn(&Cell) -> usize,
+    drift: Option<&dyn Fn(usize) -> f64>,
+) -> Spread {
+    let groups = groups(design, own, key);
+    let (m, given) = (groups.len(), design.columns.len());
+    if m < LEAST_GROUPS {
+        return Spread::default();
+    }
+    let gram = design.training().gram;
+    let z: Vec<usize> = (0..given).collect();
+    let of_z = |cols: &[usize]| gram.select(Axis(0), &z).select(Axis(1), cols);
+    let with_z = Array2::from_shape_fn((m, given), |(g, j)| groups[g].with[j]);
+    let b = with_z.dot(&pseudo_inverse(&of_z(&z)));
+    let projected =
+        |cols: &[usize]| Array2::from_shape_fn((m, cols.len()), |(g, j)| groups[g].with[cols[j]]) - b.dot(&of_z(cols));
+    let s = projected(&[design.residual()]).column(0).to_owned();
+    let within = Array1::from_iter(groups.iter().map(|g| g.square));
+    let by_noise = Array2::from_diag(&within) - b.dot(&with_z.t());
+    let [scattered, stated] = design.error_rows().map(|rows| {
+        let e = projected(&rows.collect::<Vec<_>>());
+        e.dot(&e.t())
+    });
+    let v = &by_noise + &scattered + &stated;
+    let v_inverse = pseudo_inverse(&v);
+    let mut weight = v_inverse.clone();
+    if let Some(value) = drift {
+        // What a strength that changes with the value does to the scores is taken out of them.
+        let u = by_noise.dot(&Array1::from_iter(groups.iter().map(|g| value(g.key))));
+        let along = v_inverse.dot(&u);
+        let square = u.dot(&along);
+        if square > 0.0 {
+            let column = along.clone().insert_axis(Axis(1));
+            weight = weight - column.dot(&column.t()) / square;
+        }
+    }
+    let dof = weight.dot(&v).diag().sum().round();
+    if dof < 1.0 {
+        return Spread::default();
+    }
+    let t = s.dot(&weight.dot(&s)).max(0.0);
+    let share = |c: &Array2<f64>| (weight.dot(c).diag().sum() / dof).clamp(0.0, 1.0);
+    let uncertain =
+        share(&scattered).powi(2) / (design.scattered as f64 - 1.0).max(1.0) + share(&stated).powi(2) / STATED_DEGREES;
+    let nu = if uncertain > 0.0 { 1.0 / uncertain } else { f64::INFINITY };
+    let by_spread = weight.dot(&by_noise.dot(&by_noise)).diag().sum();
+    let tau = ((t - dof).max(0.0) / by_spread.max(f64::MIN_POSITIVE)).sqrt();
+    Spread { tau, z: sigmas(f_tail(t / dof, dof, nu)) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ommatidia_session::rng::stream;
+    use rand_distr::{Distribution, StandardNormal};
+
+    /// Frames with a nuisance and an effect of strength 1, which scatters by `tau` between frames and drifts by `slope`
+    /// from frame to frame; the fit has taken out what both columns hold. 0.1 a pixel: 300 sigma in all.
+    fn made_up(tau: f64, slope: f64, seed: u64) -> Design {
+        let mut rng = stream(seed, "constancy", 0);
+        let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
+        let mut rows: Vec<(usize, usize, [Vec<f64>; 3])> = Vec::new();
+        for frame in 0..10 {
+            let strength = 1.0 + tau * normal() + slope * (frame as f64 - 4.5);
+            for block in 0..9 {
+                let pairs: Vec<[f64; 3]> = (0..100)
+                    .map(|_| {
+                        let (n, x) = (1.0 + 0.3 * normal(), 0.3 * normal());
+                        [n, x, strength * x + normal()]
+                    })
+                    .collect();
+                rows.push((frame, block, [0, 1, 2].map(|i| pairs.iter().map(|p| p[i]).collect())));
+            }
+        }
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
+        let total = |i: usize, j: usize| rows.iter().map(|(.., r)| dot(&r[i], &r[j])).sum::<f64>();
+        let [nn, nx, xx, ny, xy] = [total(0, 0), total(0, 1), total(1, 1), total(0, 2), total(1, 2)];
+        let determinant = nn * xx - nx * nx;
+        let fit = [(xx * ny - nx * xy) / determinant, (nn * xy - nx * ny) / determinant];
+        let cells = rows
+            .into_iter()
+            .map(|(frame, block, mut r)| {
+                let [n, x, y] = &mut r;
+                for ((y, n), x) in y.iter_mut().zip(&*n).zip(&*x) {
+                    *y -= fit[0] * n + fit[1] * x;
+                }
+                let gram = Array2::from_shape_fn((3, 3), |(i, j)| dot(&r[i], &r[j]) as f32);
+                Cell { frame, block, held_out: false, pixels: 100.0, gram, log_variance: 0.0 }
+            })
+            .collect();
+        let columns = vec![Column::Black, Column::Own { term: 0, param: 0 }];
+        Design { columns, scattered: 0, stated: 0, cells, before: Array2::zeros((2, 2)), estimated: false }
+    }
+
+    fn of(tau: f64, slope: f64, seed: u64, drift: Option<&dyn Fn(usize) -> f64>) -> Spread {
+        spread(&made_up(tau, slope, seed), &[(1, 1.0)], |c| c.frame, drift)
+    }
+
+    #[test]
+    fn a_constant_strength_is_constant() {
+        let all: Vec<Spread> = (0..200).map(|seed| of(0.0, 0.0, seed, None)).collect();
+        let beyond = all.iter().filter(|s| s.z > 2.0).count();
+        // Binomial of 200 and 0.046: 9 +- 3.
+        assert!(beyond < 20 && !all.iter().any(|s| s.is_uneven(0.0)), "{beyond}");
+    }
+
+    #[test]
+    fn the_spread_of_a_strength_is_measured() {
+        let all: Vec<f64> = (0..100).map(|seed| of(0.5, 0.0, seed, None).tau.powi(2)).collect();
+        let rms = (all.iter().sum::<f64>() / 100.0).sqrt();
+        // Nine degrees of freedom, a hundred times: 0.5 +- 0.012.
+        assert!((rms - 0.5).abs() < 0.05, "{rms}");
+        assert!((0..20).all(|seed| of(0.5, 0.0, seed, None).is_uneven(0.0)));
+        // Between blocks, which hold all frames alike, there is none.
+        let blocks = spread(&made_up(0.5, 0.0, 3), &[(1, 1.0)], |c| c.block, None);
+        assert!(!blocks.is_uneven(0.0), "{blocks:?}");
+    }
+
+    #[test]
+    fn a_drift_is_taken_out_where_it_is_allowed() {
+        let number = |k: usize| k as f64;
+        assert!(of(0.0, 0.15, 1, None).is_uneven(0.0));
+        let without = of(0.0, 0.15, 1, Some(&number));
+        assert!(without.z < 3.0, "{without:?}");
+        assert!(of(0.5, 0.15, 1, Some(&number)).is_uneven(0.0));
+    }
+
+    #[test]
+    fn what_differs_is_said() {
+        let some = |tau, z| Spread { tau, z };
+        let none = Spread::default();
+        let of = |frames, blocks| Constancy { frames, blocks }.objection(0.03);
+        assert_eq!([of(none, none), of(some(0.1, 30.0), none), of(none, some(0.9, 3.0))], [None, None, None]);
+        assert!(of(some(0.5, 9.0), none).is_some_and(|text| text.contains("50 % between frames (9.0")));
+        assert!(of(none, some(0.5, 9.0)).is_some_and(|text| text.contains("parts of the sensor")));
+        // PSFs that err by a quarter leave so much of a true effect.
+        assert!(some(0.4, 9.0).is_uneven(0.1) && !some(0.4, 9.0).is_uneven(0.25));
+    }
+}
