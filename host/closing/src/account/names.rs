@@ -7,6 +7,9 @@ use crate::fit::repeats::is_of_noise;
 use crate::search::Found;
 use ommatidia_physics::effects::find;
 
+/// A name stands beside a term without a name that explains at most this share of what the effect explains.
+const HALF: f64 = 0.5;
+
 /// What names are judged by.
 #[derive(Clone, Copy)]
 pub(crate) struct Judged<'a> {
@@ -70,6 +73,12 @@ impl Names {
                     "it explains less than `{id}`, whose strength is not the same everywhere, and may mend what that \
                      leaves"
                 ))
+            } else if let Some(share) = found(&effect).and_then(|(f, _)| beside_unnamed(f, judged.found)) {
+                Some(format!(
+                    "a term without a name explains {:.0} % of what it explains: a cause outside the catalogue is at \
+                     work, which this effect may imitate in part",
+                    100.0 * share
+                ))
             } else if judged.noise_is_left && find(&effect.id).is_some_and(is_of_noise) {
                 // A cause in the noise is first shared out among the effects of the noise.
                 Some("the noise of repeated frames still has structure beside it: it imitates the cause in part".into())
@@ -96,6 +105,16 @@ impl Names {
     }
 }
 
+/// What the strongest term without a name explains of held-out data, over what an effect does, where that is half or
+/// more; in flats and darks or in the other frames, whichever shows the effect more.
+fn beside_unnamed(effect: &Found, all: &[(&Found, Constancy)]) -> Option<f64> {
+    let of_even = effect.of_even_light > 0.5;
+    let part = |f: &Found| f.held_out_gain * if of_even { f.of_even_light } else { 1.0 - f.of_even_light };
+    let unnamed = all.iter().filter(|(f, _)| f.id.starts_with("unknown")).map(|(f, _)| part(f)).fold(0.0, f64::max);
+    let share = unnamed / part(effect).max(f64::MIN_POSITIVE);
+    (share > HALF).then_some(share)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -104,7 +123,7 @@ mod tests {
     fn effect(id: &str) -> Effect {
         Effect {
             id: id.into(),
-            known: true,
+            known: !id.starts_with("unknown"),
             stage: "optics".into(),
             added: true,
             z: 9.0,
@@ -137,6 +156,19 @@ mod tests {
         assert_eq!((ids, it.uneven, it.left_much), (vec!["array_shift"], true, false));
         assert!(it.nearest[0].why.contains("70 % between frames") && it.nearest[1].why.contains("`magnification`"));
         assert!(it.note().is_some_and(|note| note.contains("magnification, halo")));
+    }
+
+    #[test]
+    fn a_name_needs_more_than_a_term_without_a_name_beside_it() {
+        let none = Constancy::default();
+        let [named, unnamed] = [found("lens_gain", 1e3), found("unknown_factor", 2e3)];
+        let it = names(&[(&named, none), (&unnamed, none)], Left::default(), false);
+        assert!(it.nearest[0].why.contains("200 %") && it.effects.len() == 1, "{it:?}");
+        let strong = found("lens_gain", 5e3);
+        assert_eq!(names(&[(&strong, none), (&unnamed, none)], Left::default(), false).effects.len(), 2);
+        // A curve that flats prove has nothing to do with a shadow that scenes alone show.
+        let curve = Found { of_even_light: 0.9, ..found("nonlinearity", 1e3) };
+        assert_eq!(names(&[(&curve, none), (&unnamed, none)], Left::default(), false).effects.len(), 2);
     }
 
     #[test]
