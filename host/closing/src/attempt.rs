@@ -7,11 +7,14 @@ use super::account::{
 };
 use super::data::{Fault, Observations, Shown, bright_darks};
 use super::evidence::{
-    Curve, JudgedOn, compared, curves, excess, excess_by_calibration, figures, judged, noise_left, omnibus,
+    Constancy, Curve, JudgedOn, compared, curves, excess, excess_by_calibration, figures, judged, noise_left, omnibus,
     standing_alone, structured,
 };
 use super::fit::gauge::Gauge;
-use super::fit::{Fitted, Model, Replicas, State, Term, UNKNOWN_NOTE, chosen_note, estimated_frames, refit, replicas};
+use super::fit::{
+    Design, Fitted, Model, Replicas, Scope, State, Term, UNKNOWN_NOTE, chosen_note, estimated_frames, nuisances,
+    own_columns, refit, replicas,
+};
 use super::options::{CalibratedOn, CloseError, CloseOptions};
 use super::plan::{self, plan};
 use super::search::{
@@ -61,6 +64,8 @@ pub(crate) fn attempt(
     progress: &mut impl FnMut(&str),
 ) -> Result<Attempt, CloseError> {
     let seed = options.seed;
+    // Fitted once and for all by all cores: frames that are predicted side by side would each fit them.
+    instrument.pupil_model();
     let model = Model::new(instrument, seen)?;
     let start = model.state(instrument)?;
     let own = start.terms.len();
@@ -105,13 +110,19 @@ pub(crate) fn attempt(
     };
     let recalibrated = search.needs_calibration();
     let mut imitations = Vec::new();
-    let named = |f: &&Found| !f.id.starts_with("unknown");
-    if !recalibrated && structured(&dependences) && search.found.iter().any(|f| named(&f)) {
+    let named = |f: &Found| !f.id.starts_with("unknown");
+    if !recalibrated && structured(&dependences) && search.found.iter().any(named) {
         let left = left_of(&search.now);
-        if search.found.iter().filter(named).any(|f| !left.earns(f)) {
-            let pairs = search.found.iter().zip(&search.now.state.terms[own..]);
-            let earned = pairs.filter(|(f, _)| named(f) && left.earns(f));
-            let (found, terms): (Vec<_>, Vec<_>) = earned.map(|(f, t)| (f.clone(), t.clone())).unzip();
+        let earns_alone = |f: &Found| left.earns(f, Constancy::default());
+        let constancy = match search.found.iter().filter(|f| named(f)).all(earns_alone) {
+            true => vec![Constancy::default(); search.found.len()],
+            false => constancies(&model, &replicas, &search.now, own)?,
+        };
+        let terms = search.now.state.terms[own..].iter();
+        let all: Vec<_> = search.found.iter().zip(terms).zip(constancy).collect();
+        if all.iter().any(|((f, _), constancy)| named(f) && !left.earns(f, *constancy)) {
+            let earned = all.into_iter().filter(|((f, _), constancy)| named(f) && left.earns(f, *constancy));
+            let (found, terms): (Vec<_>, Vec<_>) = earned.map(|((f, t), _)| (f.clone(), t.clone())).unzip();
             let mut start = before.clone();
             if !terms.is_empty() {
                 start.state.terms.extend(terms);
@@ -251,6 +262,15 @@ pub(crate) fn attempt(
     account.closing.notes.extend(background_notes(&model, &now.state));
     let closed = Closed { instrument: with_effects(instrument, &model, &closed.state), account };
     Ok(Attempt { closed, state: now.state })
+}
+
+/// Whether each of the added effects of a fit has one strength everywhere. The first `own` terms belong to the
+/// instrument.
+fn constancies(model: &Model<'_>, replicas: &Replicas, fit: &Fitted, own: usize) -> Result<Vec<Constancy>, CloseError> {
+    let columns = nuisances(model).into_iter().chain(own_columns(model, &fit.state)).collect();
+    let errors = replicas.of(model, fit)?;
+    let design = Design::compute(model, fit.expansion(&[]), columns, &errors, Scope::Training)?;
+    Ok((own..fit.state.terms.len()).map(|t| Constancy::of(model, fit, &design, t)).collect())
 }
 
 /// What a plan starts from: what the account leaves open.

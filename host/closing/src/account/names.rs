@@ -59,7 +59,7 @@ impl Names {
         for effect in all {
             let why = if !may_imitate(&effect) {
                 None
-            } else if found(&effect).is_some_and(|(f, _)| !judged.left.earns(f)) {
+            } else if found(&effect).is_some_and(|(f, constancy)| !judged.left.earns(f, *constancy)) {
                 names.left_much = true;
                 Some(format!(
                     "{share:.0} % of the excess is left beside it, with structure: it imitates the cause in part"
@@ -148,7 +148,7 @@ mod tests {
 
     #[test]
     fn what_has_no_one_strength_is_no_cause_nor_what_is_weaker() {
-        let uneven = Constancy { frames: Spread { tau: 0.7, z: 9.0 }, ..Constancy::default() };
+        let uneven = Constancy { frames: Spread { tau: 0.7, z: 9.0, resolution: 0.05 }, ..Constancy::default() };
         let [strong, uneven_one, weak] = [found("array_shift", 9e3), found("magnification", 1e3), found("halo", 1e2)];
         let of = [(&strong, Constancy::default()), (&uneven_one, uneven), (&weak, Constancy::default())];
         let it = names(&of, Left::default(), false);

@@ -1,13 +1,16 @@
 //! Whether the account may name what was found, and how well the closed instrument describes the session.
 
 use super::result::{Effect, Nearest, Verdict};
-use crate::evidence::Figures;
+use crate::evidence::{Constancy, Figures};
 use crate::search::{Found, Imitation, NEEDS_CALIBRATION, Shadowed};
 use ommatidia_model::instrument::Quality;
 use ommatidia_physics::effects::Stage;
 
 /// Names are earned if at most this share of the excess of chi-squared over the noise is left, on held-out data.
 const LEFT: f64 = 0.05;
+/// The same where the strength of an effect is shown to be one everywhere: what is left is of another kind then, such as
+/// errors of the calibration.
+const LEFT_OF_CONSTANT: f64 = 0.6;
 /// A share of the excess counts as left only if it exceeds this many standard deviations of chi-squared.
 const SIGMAS: f64 = 5.0;
 /// The same where a test sees structure in it.
@@ -107,9 +110,12 @@ impl Left {
         effect.of_even_light * self.even + (1.0 - effect.of_even_light) * self.judged
     }
 
-    /// Whether the effect explains enough for its name to stand as a cause.
-    pub(crate) fn earns(self, effect: &Found) -> bool {
-        self.of(effect) <= LEFT
+    /// Whether the effect explains enough for its name to stand as a cause: nearly all, or a large part of it with a
+    /// strength that is shown to be the same everywhere. A calibration that errs leaves structure beside a true effect
+    /// too.
+    pub(crate) fn earns(self, effect: &Found, constancy: Constancy) -> bool {
+        let left = self.of(effect);
+        left <= LEFT || left <= LEFT_OF_CONSTANT && constancy.is_shown()
     }
 }
 
@@ -186,6 +192,7 @@ pub(crate) fn imitated(all: &[Imitation]) -> Vec<Nearest> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::evidence::Spread;
 
     #[test]
     fn nothing_is_left_within_the_error_of_the_calibration() {
@@ -212,9 +219,13 @@ mod tests {
             ambiguity: Vec::new(),
             table_sigma: None,
         };
-        let earns = |judged, even, share| Left { judged, even }.earns(&found(share));
+        let earns = |judged, even, share| Left { judged, even }.earns(&found(share), Constancy::default());
         assert!(earns(0.04, 0.3, 0.0) && !earns(0.3, 0.0, 0.0) && !earns(0.1, 0.0, 0.4));
         assert!(earns(0.3, 0.01, 1.0) && earns(0.3, 0.0, 0.9) && !earns(0.0, 0.3, 1.0));
+        let even = Spread { tau: 0.0, z: 0.5, resolution: 0.03 };
+        let constant = Constancy { frames: even, blocks: even };
+        let of_constant = |left| Left { judged: left, even: 0.0 }.earns(&found(0.0), constant);
+        assert!(of_constant(0.5) && !of_constant(0.7));
         let of = |left| Excess { left, per_pixel: 1.0 };
         let verdicts = [of(0.0).verdict(false), of(0.9).verdict(false), of(0.1).verdict(true), of(0.9).verdict(true)];
         let incomplete = Verdict::Incomplete;

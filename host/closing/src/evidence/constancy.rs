@@ -20,8 +20,13 @@ use std::collections::BTreeMap;
 
 /// Evidence from which a strength is called different between groups, standard deviations.
 const CERTAIN: f64 = 4.5;
+/// Evidence from which a strength is not shown to be the same in all groups, standard deviations.
+const SEEN: f64 = 3.0;
 /// Relative standard deviation of a strength between groups from which the effect is no cause.
 const UNEVEN: f64 = 0.125;
+/// A strength that differs by less than this between groups is shown to be the same in all of them, if a difference of
+/// this size would show.
+const EVEN: f64 = 0.1;
 /// The law of a true effect errs as the PSFs do that it moves: so many times their relative error is allowed too.
 const BY_PSFS: f64 = 2.0;
 /// Fewest groups that are compared.
@@ -36,6 +41,8 @@ pub(crate) struct Spread {
     pub(crate) tau: f64,
     /// Evidence that the strength differs at all, standard deviations.
     pub(crate) z: f64,
+    /// The least `tau` that would show: three standard deviations of the statistic. 0: there are no groups to compare.
+    pub(crate) resolution: f64,
 }
 
 impl Spread {
@@ -76,7 +83,16 @@ impl Constancy {
             true => Spread::default(),
             false => spread(design, &own, |c| c.block, None),
         };
-        Self { frames: spread(design, &own, |c| c.frame, drift), blocks }
+        let it = Self { frames: spread(design, &own, |c| c.frame, drift), blocks };
+        tracing::info!("constancy of {}: {it:.3?}", fit.state.terms[term].id());
+        it
+    }
+
+    /// Whether the strength is shown to be the same in all frames and, within the errors of the PSFs, in all parts of
+    /// the sensor. What resembles a cause in part fits one frame, or one place, better than another.
+    pub(crate) fn is_shown(self) -> bool {
+        let even = |s: Spread| s.resolution > 0.0 && s.resolution < EVEN && s.tau < EVEN;
+        even(self.frames) && even(self.blocks) && self.frames.z < SEEN
     }
 
     /// Says how the strength differs, if it does so by much ([`Spread::is_uneven`]).
@@ -167,8 +183,9 @@ fn spread(
         share(&scattered).powi(2) / (design.scattered as f64 - 1.0).max(1.0) + share(&stated).powi(2) / STATED_DEGREES;
     let nu = if uncertain > 0.0 { 1.0 / uncertain } else { f64::INFINITY };
     let by_spread = weight.dot(&by_noise.dot(&by_noise)).diag().sum();
-    let tau = ((t - dof).max(0.0) / by_spread.max(f64::MIN_POSITIVE)).sqrt();
-    Spread { tau, z: sigmas(f_tail(t / dof, dof, nu)) }
+    let tau_of = |excess: f64| (excess.max(0.0) / by_spread.max(f64::MIN_POSITIVE)).sqrt();
+    let resolution = tau_of(3.0 * (2.0 * dof).sqrt());
+    Spread { tau: tau_of(t - dof), z: sigmas(f_tail(t / dof, dof, nu)), resolution }
 }
 
 #[cfg(test)]
@@ -240,6 +257,16 @@ mod tests {
     }
 
     #[test]
+    fn what_would_show_is_stated() {
+        let of_seed = |seed| of(0.0, 0.0, seed, None);
+        let resolution = of_seed(1).resolution;
+        // T exceeds its nine degrees of freedom by three times its standard deviation.
+        assert!((0.05..0.4).contains(&resolution), "{resolution}");
+        let shows = (0..50).filter(|seed| of(resolution, 0.0, *seed, None).z > 2.0).count();
+        assert!(shows > 35, "{shows}");
+    }
+
+    #[test]
     fn a_drift_is_taken_out_where_it_is_allowed() {
         let number = |k: usize| k as f64;
         assert!(of(0.0, 0.15, 1, None).is_uneven(0.0));
@@ -250,7 +277,7 @@ mod tests {
 
     #[test]
     fn what_differs_is_said() {
-        let some = |tau, z| Spread { tau, z };
+        let some = |tau, z| Spread { tau, z, resolution: 0.05 };
         let none = Spread::default();
         let of = |frames, blocks| Constancy { frames, blocks }.objection(0.03);
         assert_eq!([of(none, none), of(some(0.1, 30.0), none), of(none, some(0.9, 3.0))], [None, None, None]);
@@ -258,5 +285,10 @@ mod tests {
         assert!(of(none, some(0.5, 9.0)).is_some_and(|text| text.contains("parts of the sensor")));
         // PSFs that err by a quarter leave so much of a true effect.
         assert!(some(0.4, 9.0).is_uneven(0.1) && !some(0.4, 9.0).is_uneven(0.25));
+        let shown = |frames, blocks| Constancy { frames, blocks }.is_shown();
+        assert!(shown(some(0.02, 1.0), some(0.05, 9.0)) && !shown(some(0.02, 1.0), none));
+        assert!(!shown(some(0.02, 5.0), none) && !shown(some(0.02, 1.0), some(0.2, 5.0)));
+        let coarse = Spread { resolution: 0.5, ..some(0.0, 0.5) };
+        assert!(!shown(coarse, some(0.02, 1.0)));
     }
 }

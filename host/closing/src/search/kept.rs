@@ -58,7 +58,14 @@ impl Kept {
         }
         let known = |f: &Found| !f.id.starts_with("unknown") && f.z > PROVEN;
         let proven = taken_back.iter().all(|(f, _)| known(f)) && !surely_worse(model, before, &all.now);
-        if !proven || structured(&omnibus::test(model, &all.now, &replicas.of(model, &all.now)?, seed)) {
+        let constancy_of = |f: &Found| {
+            let which = all.found.iter().position(|other| other.id == f.id);
+            which.and_then(|n| all.constancy.get(own + n)).is_some_and(|c| c.is_shown())
+        };
+        // Structure that is left may be that of a calibration that errs, if the strength is one in all frames.
+        let constant = taken_back.iter().all(|(f, _)| constancy_of(f));
+        let errors = |fit: &Fitted| replicas.of(model, fit);
+        if !proven || !constant && structured(&omnibus::test(model, &all.now, &errors(&all.now)?, seed)) {
             return Ok(Self { named: left, closed: None, unseen: Vec::new(), taken_back });
         }
         let has = |id: &str| left.found.iter().any(|f| f.id == id);

@@ -20,6 +20,8 @@ const NODES: usize = 5;
 const FAINT: f64 = 0.2;
 /// Smallest window whose PSFs a pupil can be fitted to, px a side.
 const LEAST_SIDE: usize = 7;
+/// The functions of the field from this one on are its squares: y^2, y x and x^2.
+const SQUARES: usize = 3;
 /// Terms of the low-rank model of a change, at most, and the relative size of the least.
 const RANK: usize = 6;
 const LEAST_TERM: f64 = 3e-3;
@@ -180,23 +182,28 @@ impl PupilModel {
     }
 
     /// Turns the even terms of lenses so that all lenses are alike, and their mean defocus is positive.
+    ///
+    /// Lenses of one design share how their wavefronts change with the square of the field (curvature and astigmatism),
+    /// and do not share where they are mounted: a lens that sits a little too high has another defocus at the centre,
+    /// and a field that seems shifted. So the squares decide.
     fn share_a_sign(&mut self) {
         let even = |lens: &LensPupil| -> Vec<f64> {
             let rows = lens.terms.outer_iter().zip(EVEN).filter(|(_, even)| *even);
-            rows.flat_map(|(row, _)| row.to_vec()).collect()
+            rows.flat_map(|(row, _)| row.iter().skip(SQUARES).copied().collect::<Vec<_>>()).collect()
         };
-        // Twice through all: the mean of what was turned turns the rest.
-        let mut mean: Vec<f64> = Vec::new();
-        for _ in 0..2 {
+        // Again and again through all: the mean of what was turned turns the rest.
+        for _ in 0..4 {
+            let all: Vec<Vec<f64>> = self.lenses.iter().flatten().map(even).collect();
+            let mut mean = vec![0.0; all.first().map_or(0, Vec::len)];
+            all.iter().for_each(|own| mean.iter_mut().zip(own).for_each(|(m, v)| *m += v));
             for lens in self.lenses.iter_mut().flatten() {
                 let own = even(lens);
-                mean.resize(own.len(), 0.0);
-                let mut sign = 1.0;
-                if own.iter().zip(&mean).map(|(a, b)| a * b).sum::<f64>() < 0.0 {
-                    sign = -1.0;
+                // Of the mean of the others.
+                let along: f64 = own.iter().zip(&mean).map(|(a, b)| a * (b - a)).sum();
+                if along < 0.0 {
                     turn(lens);
+                    mean.iter_mut().zip(own).for_each(|(m, v)| *m -= 2.0 * v);
                 }
-                mean.iter_mut().zip(own).for_each(|(m, v)| *m += sign * v);
             }
         }
         // The mean over the object of the functions 1, y^2 and x^2.

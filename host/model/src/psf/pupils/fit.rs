@@ -4,9 +4,10 @@ use super::kernel::{Kernel, Pupil};
 use super::{TERMS, field};
 use ndarray::{Array1, Array2, s};
 use ommatidia_physics::linalg::symmetric_eigen;
+use rayon::prelude::*;
 
 /// Iterations of the fit of one place, of each start over the field, and of the best of them.
-const ROUNDS: [usize; 3] = [25, 6, 40];
+const ROUNDS: [usize; 3] = [25, 3, 40];
 /// A step that lowers the error by less than this share of it ends the fit.
 const ENOUGH: f64 = 1e-4;
 /// Largest cut-off frequency of a pupil, cycles/px: pixels do not show more.
@@ -18,21 +19,14 @@ const SHARPEST: f64 = 0.70;
 /// minimum, and without defocus there is no slope.
 const STARTS: [[f64; 2]; 4] = [[1.0, 0.2], [1.25, 0.6], [1.6, 1.1], [2.1, 1.8]];
 
-/// Starts over the field: defocus, rad rms at the edge, that grows along the rows, along the columns, and with the
-/// square of both. The sign of defocus is free at each place, so that a fit from none may take another sign at each
-/// edge.
-const FIELD_STARTS: [[f64; 3]; 7] = [
-    [0.0, 0.0, 0.0],
-    [0.0, 0.0, 0.4],
-    [0.0, 0.0, -0.4],
-    [0.3, 0.0, 0.0],
-    [-0.3, 0.0, 0.0],
-    [0.0, 0.3, 0.0],
-    [0.0, -0.3, 0.0],
-];
+/// Starts over the field: defocus, rad rms at the edge, that grows with the square of the field about the chief ray of
+/// the lens, which lies towards one side of the object or another. The sign of what is even is free at each place, so
+/// that a fit from a wrong start takes one sign on one side of the object and the other beyond.
+const CURVED: f64 = 0.2;
+const OFF_AXIS: [f64; 3] = [0.0, -0.5, 0.5];
 
-/// Relative error below which no further start is tried.
-const GOOD: f64 = 0.025;
+/// Number of starts over the field whose fits are finished.
+const FINALISTS: usize = 2;
 
 /// The PSF at one place of the source.
 pub(super) struct Place {
@@ -87,19 +81,25 @@ pub(super) fn fit_lens(places: &[Place]) -> Option<LensPupil> {
     let best = starts.min_by(|a, b| a.misfit.total_cmp(&b.misfit))?;
     let kernel = Kernel::new(side, MOST_RADIUS.min(1.3 * best.radius));
     let wide = best.widened(6);
-    let mut best: Option<LensPupil> = None;
-    for [row, col, square] in FIELD_STARTS {
-        let mut start = wide.clone();
-        for (function, by) in [(1, row), (2, col), (3, square), (5, square)] {
-            start.terms[[2, function]] = by;
-        }
-        let found = improved(&kernel, start, places, ROUNDS[1]);
-        best = best.into_iter().chain(found).min_by(|a, b| a.misfit.total_cmp(&b.misfit));
-        if best.as_ref().is_some_and(|b| b.misfit < GOOD) {
-            break;
-        }
-    }
-    improved(&kernel, best?, places, ROUNDS[2])
+    let centres = OFF_AXIS.iter().flat_map(|y| OFF_AXIS.map(|x| [*y, x]));
+    let curved = centres.flat_map(|centre| [CURVED, -CURVED].map(|by| (centre, by)));
+    let starts: Vec<LensPupil> = curved
+        .map(|([y, x], by)| {
+            let mut start = wide.clone();
+            // |place - centre|^2, but for its constant.
+            for (function, factor) in [(1, -2.0 * y), (2, -2.0 * x), (3, 1.0), (5, 1.0)] {
+                start.terms[[2, function]] = by * factor;
+            }
+            start
+        })
+        .chain([wide.clone()])
+        .collect();
+    let tried = starts.into_par_iter().filter_map(|start| improved(&kernel, start, places, ROUNDS[1]));
+    let mut found: Vec<LensPupil> = tried.collect();
+    found.sort_by(|a, b| a.misfit.total_cmp(&b.misfit));
+    found.truncate(FINALISTS);
+    let finished = found.into_par_iter().filter_map(|start| improved(&kernel, start, places, ROUNDS[2]));
+    finished.min_by(|a, b| a.misfit.total_cmp(&b.misfit))
 }
 
 /// `(sum h)^2 / sum h^2`, px^2.
