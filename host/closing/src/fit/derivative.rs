@@ -36,9 +36,12 @@ impl Expansion<'_> {
     /// What a column varies. None: a nuisance parameter.
     pub(super) fn varied(&self, column: &Column) -> Option<Varied> {
         match column {
-            Column::Scale(_) | Column::Black | Column::Background(..) | Column::Lamp(_) | Column::Registration(..) => {
-                None
-            }
+            Column::Scale(_)
+            | Column::Black
+            | Column::Background(..)
+            | Column::Lamp(_)
+            | Column::Wing(_)
+            | Column::Registration(..) => None,
             Column::Trial { term, param } => {
                 let terms = self.state.terms.iter().chain([&self.trials[*term]]).cloned().collect();
                 Some(Varied { terms, which: self.state.terms.len(), param: *param })
@@ -89,6 +92,7 @@ impl Model<'_> {
                 Column::Registration(group, part) => self.registration_derivative(k, [*group, *part], at),
                 Column::Background(stack, part) => self.background_derivative(k, [*stack, *part], at),
                 Column::Lamp(term) => self.lamp_derivative(k, *term, at, images),
+                Column::Wing(ring) => self.wing_derivative(k, *ring, at),
                 _ => (f.shown != Shown::Unknown).then(|| Array2::ones(here.dn.dim())),
             });
         };
@@ -171,6 +175,20 @@ impl Model<'_> {
         let step = 1.0;
         let mut state = at.state.clone();
         state.background_e[stack][part] += step;
+        let chain = self.chain_of(k, &state.terms);
+        let previous = f.previous.map(|p| at.predicted[p].alone_e()).filter(|_| chain.needs_previous());
+        let light = self.lit(k, here.sum_e.clone(), &state, (&chain, previous));
+        Some((self.dn(k, light, &chain, previous, state.black_dn) - &here.dn) / step as f32)
+    }
+
+    /// Derivative with respect to the light of a ring outside the windows, DN per unit of its standard uncertainty.
+    fn wing_derivative(&self, k: usize, ring: usize, at: Expansion<'_>) -> Option<Array2<f32>> {
+        let (f, here) = (&self.seen.frames[k], &at.predicted[k]);
+        let share = self.rings.get(ring).filter(|_| matches!(f.shown, Shown::Object(_)))?.2;
+        // A hundredth of the light, far above rounding errors: the frames are nearly linear in it.
+        let step = 0.01 / share.max(f64::MIN_POSITIVE);
+        let mut state = at.state.clone();
+        *state.wings.get_mut(ring)? += step;
         let chain = self.chain_of(k, &state.terms);
         let previous = f.previous.map(|p| at.predicted[p].alone_e()).filter(|_| chain.needs_previous());
         let light = self.lit(k, here.sum_e.clone(), &state, (&chain, previous));

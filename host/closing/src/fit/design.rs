@@ -10,7 +10,7 @@ use super::errors::Errors;
 use super::lamp;
 use super::model::Model;
 use super::state::{Column, Predicted};
-use super::{registration, repeats};
+use super::{prior, registration, repeats, wings};
 use crate::data::{Observations, Shown};
 use ndarray::{Array2, ArrayView2, s};
 use ommatidia_model::forward::ForwardError;
@@ -215,7 +215,7 @@ impl Design {
         let mut cells: Vec<Cell> = frames.into_iter().flat_map(|(cells, _)| cells).collect();
         let of_frames = cells.len();
         cells.extend(repeats::cells(model, at, &columns, errors.changes.len()));
-        cells.extend(registration::statement(model, at.state, &columns, errors.changes.len()));
+        cells.extend(prior::cell(model, at.state, &columns, errors.changes.len()));
         // No specimen is taken out of what repeats show.
         for cell in cells[of_frames..].iter().filter(|c| !c.held_out) {
             for range in &effects {
@@ -293,7 +293,8 @@ fn own_light(x: &mut Array2<f32>, own: &Array2<f32>, here: &Predicted, seen: &Ob
 }
 
 /// The columns of the nuisance parameters: the light of each lit stack, the black level, the background of each stack
-/// of scenes and beads where the calibration found one, the lamp of the flats, and the registrations of the truths.
+/// of scenes and beads where the calibration found one, the lamp of the flats, the light outside the windows, and the
+/// registrations of the truths.
 pub fn nuisances(model: &Model<'_>) -> Vec<Column> {
     let frames = &model.seen.frames;
     let lit = |s: &usize| {
@@ -314,6 +315,7 @@ pub fn nuisances(model: &Model<'_>) -> Vec<Column> {
     if frames.iter().any(|f| f.shown == Shown::Even) {
         columns.extend((0..lamp::TERMS).map(Column::Lamp));
     }
+    columns.extend(wings::columns(model));
     columns.extend(registration::columns(&model.seen.registrations));
     columns
 }

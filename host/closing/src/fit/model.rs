@@ -4,6 +4,7 @@ use super::lamp;
 use super::projection::Sigmas;
 use super::state::{Predicted, State, Term};
 use super::truth::{Grid, PARTS, TRUTH};
+use super::wings::{self, Ring};
 use crate::data::{Frame, Observations, Shown};
 use ndarray::{Array2, Zip};
 use ommatidia_model::bead::slope_terms;
@@ -49,6 +50,8 @@ pub struct Model<'a> {
     pub(crate) exposure_ms: f64,
     /// Rows and columns of the windows of the basis PSFs.
     pub(super) window_px: usize,
+    /// Rings outside the windows whose light is fitted.
+    pub(super) rings: Vec<Ring>,
     /// Noise of the frames whose specimens are estimated, from their first estimate.
     pub(super) sigmas: OnceLock<Arc<Sigmas>>,
 }
@@ -75,6 +78,7 @@ impl<'a> Model<'a> {
             coarse_error: if quality.is_coarse() { quality.off_grid_excess() } else { 0.0 },
             exposure_ms: instrument.psf.exposure_ms,
             window_px: instrument.psf.basis.dim().2,
+            rings: wings::fitted(seen, instrument.psf.basis.dim().2 / 2, quality.outside_window),
             sigmas: OnceLock::new(),
         })
     }
@@ -127,6 +131,7 @@ impl<'a> Model<'a> {
             black_dn: 0.0,
             background_e: vec![[0.0; 3]; stacks],
             lamp: [0.0; lamp::TERMS],
+            wings: vec![0.0; self.rings.len()],
             registration: vec![[0.0; PARTS]; self.seen.registrations.len()],
             specimens: None,
         })
@@ -279,8 +284,8 @@ impl<'a> Model<'a> {
         sum
     }
 
-    /// Light on the sensor for the sum of all lenses, electrons: with the background of its stack and the effects that
-    /// act on light.
+    /// Light on the sensor for the sum of all lenses, electrons: with the light outside the windows, the background of its
+    /// stack and the effects that act on light.
     pub(super) fn lit(
         &self,
         k: usize,
@@ -289,6 +294,10 @@ impl<'a> Model<'a> {
         (chain, previous): (&Chain, Option<&Array2<f32>>),
     ) -> Array2<f32> {
         let f = &self.seen.frames[k];
+        if matches!(f.shown, Shown::Object(_)) {
+            let wings = wings::light(&sum_e, &self.rings, state);
+            wings.iter().for_each(|light| sum_e += light);
+        }
         if let Some(slopes) = state.background_e.get(f.stack).filter(|s| **s != [0.0; 3]) {
             let share = f.info.exposure_ms / self.exposure_ms;
             let dim = sum_e.dim();

@@ -229,6 +229,7 @@ impl Point {
                 Column::Black => next.black_dn += d,
                 Column::Background(stack, part) => next.background_e[*stack][*part] += d,
                 Column::Lamp(term) => next.lamp[*term] += d.clamp(-0.5, 0.5),
+                Column::Wing(ring) => next.wings[*ring] += d,
                 Column::Registration(group, part) => next.registration[*group][*part] += d,
                 Column::Own { term, param } => {
                     let t = &mut next.terms[*term];

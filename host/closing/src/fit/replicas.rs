@@ -7,7 +7,7 @@ use super::projection::Specimens;
 use super::refit::{Fitted, Scenes};
 use super::state::{Predicted, State};
 use super::wings::{rings, spread};
-use crate::data::Shown;
+use crate::data::{Frame, Shown};
 use ndarray::Array2;
 use ommatidia_model::forward::ForwardError;
 use ommatidia_model::instrument::Instrument;
@@ -111,9 +111,18 @@ fn wing(
     (inner, outer, share): (usize, usize, f64),
 ) -> Vec<Option<Array2<f32>>> {
     let dn = (share * model.forward.noise().gain_dn_per_e) as f32;
-    let shows = |k: usize| matches!(model.seen.frames[k].shown, Shown::Object(_) | Shown::Estimated | Shown::Bead(_));
+    let shows = |k: usize| errs(model, &model.seen.frames[k]);
     let one = |k: usize| shows(k).then(|| spread(&predicted[k].sum_e, inner, outer) * dn);
     (0..predicted.len()).into_par_iter().map(one).collect()
+}
+
+/// Whether light outside the windows is an error of the calibration in a frame: where it is fitted it is none.
+fn errs(model: &Model<'_>, f: &Frame) -> bool {
+    match f.shown {
+        Shown::Object(_) => model.rings.is_empty(),
+        Shown::Estimated | Shown::Bead(_) => true,
+        _ => false,
+    }
 }
 
 /// Computes the light behind the optics of each replicate of an instrument's calibration.
@@ -125,6 +134,9 @@ pub fn replicas(model: &Model<'_>, instrument: &Instrument, state: &State) -> Re
     let other = |psf: &LowRankPsf| Instrument { psf: psf.clone(), ..bare.clone() };
     let instruments: Vec<Instrument> = instrument.replicates.iter().map(other).collect();
     let light = Light::of(model, &instruments, state)?;
-    let wings = rings(model.window_px / 2, instrument.quality.outside_window);
+    let wings = match model.seen.frames.iter().any(|f| errs(model, f)) {
+        true => rings(model.window_px / 2, instrument.quality.outside_window),
+        false => Vec::new(),
+    };
     Ok(Replicas { instruments, wings, light: Mutex::new(light) })
 }

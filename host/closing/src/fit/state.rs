@@ -116,6 +116,9 @@ pub struct State {
     pub background_e: Vec<Slopes>,
     /// The light of the flats' lamp over the sensor.
     pub lamp: Lamp,
+    /// Light in the rings outside the windows of the calibration ([`super::wings`]), each in units of its standard
+    /// uncertainty; it is fitted where objects are known.
+    pub wings: Vec<f64>,
     /// Where the truths lie, for each of [`crate::Observations::registrations`]; all zero: as recorded.
     pub registration: Vec<Registered>,
     /// The specimens of frames of [`crate::data::Shown::Estimated`]; None: not estimated yet, or there are none.
@@ -169,6 +172,8 @@ pub enum Column {
     Background(usize, usize),
     /// Shape of the lamp, by the index of its value ([`super::lamp`]).
     Lamp(usize),
+    /// Light of a ring outside the windows of the calibration, by its index.
+    Wing(usize),
     /// Registration of truths, by its index: one of the four values of [`Registered`].
     Registration(usize, usize),
     /// A parameter of a trial term beside those of the state.

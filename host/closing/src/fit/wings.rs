@@ -4,17 +4,53 @@
 //! ([`ommatidia_model::instrument::Quality::outside_window`]); how it falls off with the distance is unknown. So the
 //! sensor is divided into square rings round each focus, each twice as far out as the one before, and each holds an
 //! unknown share of the light of the focus. The shares are independent, and their standard uncertainties are those of
-//! light whose brightness falls as the fourth power of the distance. A halo or glare that small is no effect, but an
-//! error of the calibration.
+//! light whose brightness falls as the fourth power of the distance; within a ring it falls like that, too. A halo or
+//! glare that small is no effect, but an error of the calibration.
+//!
+//! Where objects are known, the shares are fitted as nuisances of the session ([`Column::Wing`]), with the stated
+//! uncertainty as their prior: an observation "0 +- 1" of each share in units of that uncertainty. Elsewhere they are
+//! errors of the calibration alone ([`super::replicas`]).
 
+use super::model::Model;
+use super::state::{Column, State};
+use crate::data::{Observations, Shown};
 use ndarray::Array2;
 
 /// Number of rings.
 const RINGS: i32 = 3;
+/// Rings of even brightness that stand for one in which it falls.
+const STEPS: usize = 4;
 
-/// Rings round the window of a focus: half sides from and to, px, and the standard uncertainty of the share of light
-/// in it.
-pub(super) fn rings(half: usize, outside: f64) -> Vec<(usize, usize, f64)> {
+/// A ring round the window of a focus: half sides from and to, px, and the standard uncertainty of the share of light in
+/// it.
+pub(crate) type Ring = (usize, usize, f64);
+
+/// The columns of the rings whose light is fitted.
+pub(super) fn columns(model: &Model<'_>) -> impl Iterator<Item = Column> {
+    (0..model.rings.len()).map(Column::Wing)
+}
+
+/// The rings whose light is fitted: none where no object is known.
+pub(super) fn fitted(seen: &Observations, half: usize, outside: f64) -> Vec<Ring> {
+    let known = seen.frames.iter().any(|f| matches!(f.shown, Shown::Object(_)));
+    if known { rings(half, outside) } else { Vec::new() }
+}
+
+/// Light that a state has in the rings round an image of the lenses, in the unit of the image. None: it has none.
+pub(super) fn light(image: &Array2<f32>, rings: &[Ring], state: &State) -> Option<Array2<f32>> {
+    let mut sum: Option<Array2<f32>> = None;
+    for ((inner, outer, share), value) in rings.iter().zip(&state.wings).filter(|(_, v)| **v != 0.0) {
+        let ring = spread(image, *inner, *outer) * (share * value) as f32;
+        sum = Some(match sum {
+            Some(sum) => sum + ring,
+            None => ring,
+        });
+    }
+    sum
+}
+
+/// Rings round the window of a focus.
+pub(super) fn rings(half: usize, outside: f64) -> Vec<Ring> {
     if outside <= 0.0 || half == 0 {
         return Vec::new();
     }
@@ -23,8 +59,9 @@ pub(super) fn rings(half: usize, outside: f64) -> Vec<(usize, usize, f64)> {
     (0..RINGS).map(|i| (half << i, half << (i + 1), share(i))).collect()
 }
 
-/// The light of an image spread evenly over square rings round each of its pixels, from outside the half side `inner`
-/// to `outer`, px. Light that falls off the image is lost.
+/// The light of an image spread over square rings round each of its pixels, from outside the half side `inner` to
+/// `outer`, px: its brightness falls as the fourth power of the distance, in steps. Light that falls off the image is
+/// lost.
 pub(super) fn spread(image: &Array2<f32>, inner: usize, outer: usize) -> Array2<f32> {
     let (rows, cols) = image.dim();
     let mut sums = Array2::<f64>::zeros((rows + 1, cols + 1));
@@ -41,8 +78,25 @@ pub(super) fn spread(image: &Array2<f32>, inner: usize, outer: usize) -> Array2<
         sums[[bottom, right]] - sums[[top, right]] - sums[[bottom, left]] + sums[[top, left]]
     };
     let area = |half: usize| (2.0 * half as f64 + 1.0).powi(2);
-    let pixels = area(outer) - area(inner);
-    Array2::from_shape_fn((rows, cols), |(r, c)| ((square(r, c, outer) - square(r, c, inner)) / pixels) as f32)
+    let half = |i: usize| (inner as f64 * (outer as f64 / inner.max(1) as f64).powf(i as f64 / STEPS as f64)).round();
+    let halves: Vec<usize> = (0..=STEPS).map(|i| half(i) as usize).collect();
+    // Light outside a distance falls as its square.
+    let outside = |half: usize| 1.0 / area(half);
+    let all = outside(inner) - outside(outer);
+    let steps: Vec<(usize, usize, f64)> = halves
+        .windows(2)
+        .filter(|pair| pair[0] < pair[1])
+        .map(|pair| (pair[0], pair[1], (outside(pair[0]) - outside(pair[1])) / all / (area(pair[1]) - area(pair[0]))))
+        .collect();
+    Array2::from_shape_fn((rows, cols), |(r, c)| {
+        let (mut sum, mut within) = (0.0, square(r, c, inner));
+        for (_, to, brightness) in &steps {
+            let wider = square(r, c, *to);
+            sum += brightness * (wider - within);
+            within = wider;
+        }
+        sum as f32
+    })
 }
 
 #[cfg(test)]
@@ -56,10 +110,12 @@ mod tests {
         let out = spread(&image, 3, 6);
         for ((r, c), v) in out.indexed_iter() {
             let d = r.abs_diff(20).max(c.abs_diff(21));
-            let expected = if d > 3 && d <= 6 { 5.0 / (169.0 - 49.0) } else { 0.0 };
-            assert!((v - expected).abs() < 1e-6, "{r} {c} {v}");
+            assert_eq!(*v > 0.0, d > 3 && d <= 6, "{r} {c} {v}");
         }
         assert!((out.sum() - 5.0).abs() < 1e-4);
+        // From 4 px to 6 px, by the fourth power of the distance; rings of single pixels are coarse steps of it.
+        let falls = f64::from(out[[20, 25]] / out[[20, 27]]);
+        assert!((2.5..5.1).contains(&falls), "{falls}");
     }
 
     #[test]

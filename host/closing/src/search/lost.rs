@@ -6,7 +6,7 @@
 
 use super::trials::{Tried, evidence};
 use crate::evidence::Scores;
-use crate::fit::registration::is_statement;
+use crate::fit::prior::is_prior;
 use crate::fit::{Column, Design, Errors, Fitted, Model, Scope, Term, nuisances, own_columns};
 use ndarray::Array2;
 use ommatidia_model::forward::ForwardError;
@@ -44,7 +44,7 @@ pub(crate) fn lost(model: &Model<'_>, now: &Fitted) -> Result<Vec<&'static str>,
     let scope = Scope::Scores { given, groups: &groups };
     let design = Design::compute(model, now.expansion(&terms), columns.clone(), &Errors::default(), scope)?;
     let mut of_data = design.clone();
-    of_data.cells.retain(|cell| !is_statement(model, cell));
+    of_data.cells.retain(|cell| !is_prior(model, cell));
     let registers = |i: &usize| matches!(columns[*i], Column::Registration(..));
     let exact = Scores::new(&of_data, (0..given).filter(|i| !registers(i)).collect());
     let free = Scores::new(&of_data, (0..given).collect());

@@ -1,0 +1,43 @@
+//! What is known of nuisances beside the frames, as one more cell of the design: what a session states of the places of
+//! its truths, and what a calibration states of light outside its windows.
+//!
+//! Such a prior is an observation "0 +- sigma" of a value. In a cell it counts in the fit, in every score test and in
+//! every error, without a rule of its own.
+
+use super::cell::Cell;
+use super::model::Model;
+use super::state::{Column, State};
+use super::truth::PARTS;
+use ndarray::Array2;
+
+/// The cell of the priors. None: there are none. Its indices of frame and block are two past the last.
+pub(super) fn cell(model: &Model<'_>, state: &State, columns: &[Column], replicates: usize) -> Option<Cell> {
+    let groups = model.seen.registrations.iter().zip(&state.registration).enumerate();
+    let truths = groups.filter(|(_, (group, _))| group.sigma_px > 0.0).flat_map(|(g, (group, values))| {
+        (0..PARTS).map(move |part| (Column::Registration(g, part), values[part], group.sigma_px))
+    });
+    let wings = model.rings.iter().zip(&state.wings).enumerate().map(|(i, (_, value))| (Column::Wing(i), *value, 1.0));
+    let all: Vec<(Column, f64, f64)> = truths.chain(wings).collect();
+    if all.is_empty() {
+        return None;
+    }
+    let rows = columns.len() + replicates + 1;
+    let mut x = Array2::<f32>::zeros((rows, all.len()));
+    for (at, (column, value, sigma)) in all.iter().enumerate() {
+        x[[rows - 1, at]] = (-value / sigma) as f32;
+        if let Some(row) = columns.iter().position(|c| c == column) {
+            x[[row, at]] = (1.0 / sigma) as f32;
+        }
+    }
+    let [frame, block] = place(model);
+    Some(Cell { frame, block, held_out: false, pixels: 0.0, gram: x.dot(&x.t()), log_variance: 0.0 })
+}
+
+/// Whether a cell is that of the priors.
+pub(crate) fn is_prior(model: &Model<'_>, cell: &Cell) -> bool {
+    [cell.frame, cell.block] == place(model)
+}
+
+fn place(model: &Model<'_>) -> [usize; 2] {
+    [model.seen.frames.len() + 1, model.seen.blocks.len() + 1]
+}
