@@ -113,9 +113,10 @@ mod tests {
             assert_eq!(*v > 0.0, d > 3 && d <= 6, "{r} {c} {v}");
         }
         assert!((out.sum() - 5.0).abs() < 1e-4);
-        // From 4 px to 6 px, by the fourth power of the distance; rings of single pixels are coarse steps of it.
+        // Squares of 7, 9, 11 and 13 px a side: from 4 px to 6 px the brightness falls nearly by (6 / 4)^4 = 5.06.
         let falls = f64::from(out[[20, 25]] / out[[20, 27]]);
-        assert!((2.5..5.1).contains(&falls), "{falls}");
+        let expected = (1.0 / 49.0 - 1.0 / 81.0) / 32.0 / ((1.0 / 121.0 - 1.0 / 169.0) / 48.0);
+        assert!((falls / expected - 1.0).abs() < 1e-3, "{falls} {expected}");
     }
 
     #[test]

@@ -28,8 +28,8 @@ impl Kept {
     }
 
     /// Takes effects back, the last first, as long as held-out data are predicted worse than `before`. Where that is
-    /// no more than chance, and all effects together leave nothing to see, they are named nevertheless: flats may prove
-    /// what held-out scenes do not show. The first `own` terms belong to the instrument.
+    /// no more than chance, and all effects together leave nothing to see, or where their strengths are shown to be the
+    /// same everywhere, they are named nevertheless: flats may prove what held-out scenes do not show. The first `own` terms belong to the instrument.
     ///
     /// # Errors
     /// An object holds negative or non-finite light.
@@ -56,16 +56,17 @@ impl Kept {
             left = prune(model, replicas, refit(model, left.now.state)?, left.found, (own, &[]))?;
             left.removed.splice(..0, removed);
         }
-        let known = |f: &Found| !f.id.starts_with("unknown") && f.z > PROVEN;
-        let proven = taken_back.iter().all(|(f, _)| known(f)) && !surely_worse(model, before, &all.now);
-        let constancy_of = |f: &Found| {
+        let known = taken_back.iter().all(|(f, _)| !f.id.starts_with("unknown") && f.z > PROVEN);
+        let is_shown = |f: &Found| {
             let which = all.found.iter().position(|other| other.id == f.id);
             which.and_then(|n| all.constancy.get(own + n)).is_some_and(|c| c.is_shown())
         };
-        // Structure that is left may be that of a calibration that errs, if the strength is one in all frames.
-        let constant = taken_back.iter().all(|(f, _)| constancy_of(f));
-        let errors = |fit: &Fitted| replicas.of(model, fit);
-        if !proven || !constant && structured(&omnibus::test(model, &all.now, &errors(&all.now)?, seed)) {
+        // A strength that is one in all frames and parts of the sensor outweighs what a few held-out frames say.
+        let proven = known
+            && (taken_back.iter().all(|(f, _)| is_shown(f))
+                || !surely_worse(model, before, &all.now)
+                    && !structured(&omnibus::test(model, &all.now, &replicas.of(model, &all.now)?, seed)));
+        if !proven {
             return Ok(Self { named: left, closed: None, unseen: Vec::new(), taken_back });
         }
         let has = |id: &str| left.found.iter().any(|f| f.id == id);
