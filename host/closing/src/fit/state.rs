@@ -116,7 +116,7 @@ pub struct State {
     pub background_e: Vec<Slopes>,
     /// The light of the flats' lamp over the sensor.
     pub lamp: Lamp,
-    /// Light in the rings outside the windows of the calibration ([`super::wings`]), each in units of its standard
+    /// Light in the rings outside the windows of the calibration (`wings`), each in units of its standard
     /// uncertainty; it is fitted where objects are known.
     pub wings: Vec<f64>,
     /// Where the truths lie, for each of [`crate::Observations::registrations`]; all zero: as recorded.
