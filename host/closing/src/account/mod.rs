@@ -1,8 +1,8 @@
 //! The account of a closed loop: effects with errors, detection limits, ambiguities, figures before and after.
 //!
-//! [`result`] defines it, `describe` writes the effects, `names` decides which are causes, `pictures` adds residual maps, `registration` says where
-//! the truths lie, `adopt` records a new calibration, [`retrain`] what a fine-tuned network gains, [`mod@file`] stores
-//! it all.
+//! [`result`] defines it, `describe` writes the effects, `names` decides which are causes, `pictures` adds residual
+//! maps, `registration` says where the truths lie, `adopt` records a new calibration, [`retrain`] what a fine-tuned
+//! network gains, [`mod@file`] stores it all.
 
 pub(crate) mod adopt;
 pub(crate) mod describe;

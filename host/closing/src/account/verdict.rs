@@ -8,8 +8,8 @@ use ommatidia_physics::effects::Stage;
 
 /// Names are earned if at most this share of the excess of chi-squared over the noise is left, on held-out data.
 const LEFT: f64 = 0.05;
-/// The same where the strength of an effect is shown to be one everywhere: what is left is of another kind then, such as
-/// errors of the calibration.
+/// The same where the strength of an effect is shown to be one everywhere: what is left is of another kind then, such
+/// as errors of the calibration.
 const LEFT_OF_CONSTANT: f64 = 0.6;
 /// A share of the excess counts as left only if it exceeds this many standard deviations of chi-squared.
 const SIGMAS: f64 = 5.0;

@@ -9,8 +9,8 @@
 //! have mean zero where the strength is the same in all groups; C is what errors of the calibration do. If the strength
 //! of group g is 1 + u_g times the fitted one, with u_g of standard deviation tau, their covariance is V + tau^2 M M'
 //! with M_gh = x_g' (1 - P) x_h. T = s' V^+ s is compared with F (a test of homogeneity: Cochran, Biometrics 10, 101,
-//! 1954), and what it exceeds its degrees of freedom by gives tau (by moments, as DerSimonian & Laird do, Control. Clin.
-//! Trials 7, 177, 1986).
+//! 1954), and what it exceeds its degrees of freedom by gives tau (by moments, as DerSimonian & Laird do, Control.
+//! Clin. Trials 7, 177, 1986).
 
 use super::score::STATED_DEGREES;
 use super::stats::{f_tail, sigmas};
@@ -46,8 +46,8 @@ pub(crate) struct Spread {
 }
 
 impl Spread {
-    /// Whether the strength differs by much, and certainly. `psf_error`: relative error of the PSFs between the positions
-    /// of their calibration.
+    /// Whether the strength differs by much, and certainly. `psf_error`: relative error of the PSFs between the
+    /// positions of their calibration.
     pub(crate) fn is_uneven(self, psf_error: f64) -> bool {
         self.z > CERTAIN && self.tau > UNEVEN.max(BY_PSFS * psf_error)
     }

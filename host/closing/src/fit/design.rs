@@ -315,7 +315,7 @@ pub fn nuisances(model: &Model<'_>) -> Vec<Column> {
     if frames.iter().any(|f| f.shown == Shown::Even) {
         columns.extend((0..lamp::TERMS).map(Column::Lamp));
     }
-    columns.extend(wings::columns(model));
+    columns.extend(wings::columns(&model.rings));
     columns.extend(registration::columns(&model.seen.registrations));
     columns
 }

@@ -284,8 +284,8 @@ impl<'a> Model<'a> {
         sum
     }
 
-    /// Light on the sensor for the sum of all lenses, electrons: with the light outside the windows, the background of its
-    /// stack and the effects that act on light.
+    /// Light on the sensor for the sum of all lenses, electrons: with the light outside the windows, the background of
+    /// its stack and the effects that act on light.
     pub(super) fn lit(
         &self,
         k: usize,

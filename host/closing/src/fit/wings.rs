@@ -11,7 +11,6 @@
 //! uncertainty as their prior: an observation "0 +- 1" of each share in units of that uncertainty. Elsewhere they are
 //! errors of the calibration alone ([`super::replicas`]).
 
-use super::model::Model;
 use super::state::{Column, State};
 use crate::data::{Observations, Shown};
 use ndarray::Array2;
@@ -21,13 +20,13 @@ const RINGS: i32 = 3;
 /// Rings of even brightness that stand for one in which it falls.
 const STEPS: usize = 4;
 
-/// A ring round the window of a focus: half sides from and to, px, and the standard uncertainty of the share of light in
-/// it.
+/// A ring round the window of a focus: half sides from and to, px, and the standard uncertainty of the share of light
+/// in it.
 pub(crate) type Ring = (usize, usize, f64);
 
 /// The columns of the rings whose light is fitted.
-pub(super) fn columns(model: &Model<'_>) -> impl Iterator<Item = Column> {
-    (0..model.rings.len()).map(Column::Wing)
+pub(super) fn columns(fitted: &[Ring]) -> impl Iterator<Item = Column> {
+    (0..fitted.len()).map(Column::Wing)
 }
 
 /// The rings whose light is fitted: none where no object is known.

@@ -29,7 +29,8 @@ impl Kept {
 
     /// Takes effects back, the last first, as long as held-out data are predicted worse than `before`. Where that is
     /// no more than chance, and all effects together leave nothing to see, or where their strengths are shown to be the
-    /// same everywhere, they are named nevertheless: flats may prove what held-out scenes do not show. The first `own` terms belong to the instrument.
+    /// same everywhere, they are named nevertheless: flats may prove what held-out scenes do not show. The first `own`
+    /// terms belong to the instrument.
     ///
     /// # Errors
     /// An object holds negative or non-finite light.
