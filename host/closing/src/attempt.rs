@@ -2,8 +2,8 @@
 
 use super::account::{
     Accepted, Closed, Closing, Effect, Excess, Findings, Judged, Left, Names, Verdict, calibration_note, effects,
-    harmful, imitated, pictured, pupil_note, registration_notes, registrations, rejected, shadowed, unstated_notes,
-    within_calibration,
+    harmful, imitated, pictured, pupil_note, registration_notes, registrations, rejected, rest_notes, shadowed,
+    unstated_notes, within_calibration,
 };
 use super::data::{Fault, Observations, Shown, bright_darks};
 use super::evidence::{
@@ -12,14 +12,15 @@ use super::evidence::{
 };
 use super::fit::gauge::Gauge;
 use super::fit::{
-    Design, Fitted, Model, Replicas, Scope, State, Term, UNKNOWN_NOTE, chosen_note, estimated_frames, nuisances,
-    own_columns, refit, replicas,
+    Design, Fitted, Model, Replicas, Scope, State, Term, UNKNOWN_NOTE, chosen_note, estimated_frames, fitted_columns,
+    refit, replicas,
 };
 use super::options::{CalibratedOn, CloseError, CloseOptions};
 use super::plan::{self, plan};
 use super::search::{
     Earned, Found, Kept, NEEDS_CALIBRATION, Pruned, Search, Tried, earned, lost, prune, replaced, score,
 };
+use ommatidia_model::forward::ForwardError;
 use ommatidia_model::instrument::Instrument;
 use ommatidia_physics::effects::find;
 use ommatidia_session::Role;
@@ -130,13 +131,14 @@ pub(crate) fn attempt(
             }
             let mut again = Search::new(&model, &replicas, start);
             (again.exclude, again.found) = (given.exclude.to_vec(), found);
-            imitations = replaced(&mut search, again, own, progress)?;
+            imitations = replaced(&mut search, again, (own, &before), progress)?;
         }
     }
     // What stands for a new calibration is judged by what that gains, and not by its own form.
     let keep: &[&str] = if recalibrated { &[NEEDS_CALIBRATION] } else { &[] };
     progress("which names are earned");
-    let Earned { now, found, imitations: more } = earned(&model, search.now, search.found, own, &before)?;
+    let Earned { now, found, imitations: more } =
+        earned(&model, search.now, search.found, (own, &before), |fit| constancies(&model, &replicas, fit, own))?;
     imitations.extend(more);
     progress("pruning");
     let pruned = prune(&model, &replicas, now, found, (own, keep))?;
@@ -213,6 +215,7 @@ pub(crate) fn attempt(
                 .into(),
         );
     }
+    notes.extend(rest_notes(&model, &now, verdict));
     notes.extend(calibration_note((left, within), verdict, &effects, &instrument.quality));
     if JudgedOn::of(seen) == JudgedOn::SelfConsistency {
         notes.push(UNKNOWN_NOTE.into());
@@ -266,8 +269,13 @@ pub(crate) fn attempt(
 
 /// Whether each of the added effects of a fit has one strength everywhere. The first `own` terms belong to the
 /// instrument.
-fn constancies(model: &Model<'_>, replicas: &Replicas, fit: &Fitted, own: usize) -> Result<Vec<Constancy>, CloseError> {
-    let columns = nuisances(model).into_iter().chain(own_columns(model, &fit.state)).collect();
+fn constancies(
+    model: &Model<'_>,
+    replicas: &Replicas,
+    fit: &Fitted,
+    own: usize,
+) -> Result<Vec<Constancy>, ForwardError> {
+    let columns = fitted_columns(model, &fit.state);
     let errors = replicas.of(model, fit)?;
     let design = Design::compute(model, fit.expansion(&[]), columns, &errors, Scope::Training)?;
     Ok((own..fit.state.terms.len()).map(|t| Constancy::of(model, fit, &design, t)).collect())

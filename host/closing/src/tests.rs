@@ -6,7 +6,7 @@
 use super::data::{Frame, Observations, Shown};
 use super::evidence::{Figures, Scores, figures, is_worse, maps};
 use super::fit::{
-    Column, Design, Errors, Expansion, Fitted, Model, Predicted, Scope, Term, nuisances, own_columns, refit,
+    Column, Design, Errors, Expansion, Fitted, Model, Predicted, Scope, Term, fitted_columns, nuisances, refit,
 };
 use ndarray::Array2;
 use ommatidia_model::instrument::Instrument;
@@ -84,7 +84,7 @@ fn fitted(put_in: &Term, param: usize) -> (f64, f64) {
     let mut state = model.state(&instrument).unwrap();
     state.terms.push(put_in.switched_off(model.lenses()));
     let fit = refit(&model, state).unwrap();
-    let columns: Vec<Column> = nuisances(&model).into_iter().chain(own_columns(&model, &fit.state)).collect();
+    let columns: Vec<Column> = fitted_columns(&model, &fit.state);
     let design =
         Design::compute(&model, fit.expansion(&[]), columns.clone(), &Errors::default(), Scope::Whole).unwrap();
     let mine: Vec<usize> = (0..columns.len()).filter(|i| matches!(columns[*i], Column::Own { .. })).collect();

@@ -1,8 +1,8 @@
 //! The account of a closed loop: effects with errors, detection limits, ambiguities, figures before and after.
 //!
 //! [`result`] defines it, `describe` writes the effects, `names` decides which are causes, `pictures` adds residual
-//! maps, `registration` says where the truths lie, `adopt` records a new calibration, [`retrain`] what a fine-tuned
-//! network gains, [`mod@file`] stores it all.
+//! maps, `registration` says where the truths lie, `rest` where what is left lies, `adopt` records a new calibration,
+//! [`retrain`] what a fine-tuned network gains, [`mod@file`] stores it all.
 
 pub(crate) mod adopt;
 pub(crate) mod describe;
@@ -11,6 +11,7 @@ mod names;
 pub(crate) mod pictures;
 mod pupils;
 mod registration;
+mod rest;
 pub mod result;
 pub mod retrain;
 mod verdict;
@@ -22,6 +23,7 @@ pub(crate) use names::{Judged, Names};
 pub(crate) use pictures::pictured;
 pub(crate) use pupils::pupil_note;
 pub(crate) use registration::{registration_notes, registrations, unstated_notes};
+pub(crate) use rest::rest_notes;
 pub use result::{
     Account, Closed, Closing, Effect, Nearest, Rejected, SpecimenMaps, TruthRegistration, Value, Verdict,
 };

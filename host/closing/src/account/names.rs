@@ -47,13 +47,16 @@ impl Names {
         let may_imitate = |e: &Effect| {
             claims_a_cause(e, judged.recalibrated) && find(&e.id).is_none_or(|effect| effect.table().is_none())
         };
-        let gain = |e: &Effect| found(e).map_or(0.0, |(f, _)| f.held_out_gain);
         let objection = |e: &Effect| found(e).and_then(|(_, constancy)| constancy.objection(judged.psf_error));
-        let strongest_uneven = all
+        let uneven: Vec<&Found> = all
             .iter()
             .filter(|e| may_imitate(e) && objection(e).is_some())
-            .max_by(|a, b| gain(a).total_cmp(&gain(b)))
-            .map(|e| (e.id.clone(), gain(e)));
+            .filter_map(|e| found(e).map(|(f, _)| *f))
+            .collect();
+        let stronger = |e: &Effect| {
+            let (own, _) = found(e)?;
+            uneven.iter().find(|f| own.share_of(f) > 1.0).map(|f| f.id)
+        };
         let share = 100.0 * judged.left.judged.max(judged.left.even);
         let mut names = Self::default();
         for effect in all {
@@ -67,7 +70,7 @@ impl Names {
             } else if let Some(why) = objection(&effect) {
                 names.uneven = true;
                 Some(why)
-            } else if let Some((id, _)) = strongest_uneven.as_ref().filter(|(_, most)| gain(&effect) < *most) {
+            } else if let Some(id) = stronger(&effect) {
                 // What imitates a cause leaves some of it, and weaker effects mend that.
                 Some(format!(
                     "it explains less than `{id}`, whose strength is not the same everywhere, and may mend what that \
@@ -106,13 +109,10 @@ impl Names {
 }
 
 /// What the strongest term without a name explains of held-out data, over what an effect does, where that is half or
-/// more; in flats and darks or in the other frames, whichever shows the effect more.
+/// more.
 fn beside_unnamed(effect: &Found, all: &[(&Found, Constancy)]) -> Option<f64> {
-    let of_even = effect.of_even_light > 0.5;
-    let part = |f: &Found| f.held_out_gain * if of_even { f.of_even_light } else { 1.0 - f.of_even_light };
-    let unnamed = all.iter().filter(|(f, _)| f.id.starts_with("unknown")).map(|(f, _)| part(f)).fold(0.0, f64::max);
-    let share = unnamed / part(effect).max(f64::MIN_POSITIVE);
-    (share > HALF).then_some(share)
+    let unnamed = all.iter().filter(|(f, _)| f.id.starts_with("unknown"));
+    Some(unnamed.map(|(f, _)| effect.share_of(f)).fold(0.0, f64::max)).filter(|share| *share > HALF)
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use super::result::{TruthRegistration, Value};
 use crate::evidence::Scores;
-use crate::fit::{Column, Design, Errors, Fitted, Model, Replicas, Scope, nuisances, own_columns};
+use crate::fit::{Column, Design, Errors, Fitted, Model, Replicas, Scope, fitted_columns};
 use ommatidia_model::forward::ForwardError;
 use ommatidia_physics::effects::Stage;
 
@@ -26,7 +26,7 @@ pub(crate) fn registrations(
     if groups.iter().all(|g| g.sigma_px == 0.0) {
         return Ok(Vec::new());
     }
-    let columns: Vec<Column> = nuisances(model).into_iter().chain(own_columns(model, &now.state)).collect();
+    let columns: Vec<Column> = fitted_columns(model, &now.state);
     let design =
         Design::compute(model, now.expansion(&[]), columns.clone(), &replicas.of(model, now)?, Scope::Training)?;
     let mut out = Vec::new();
@@ -115,7 +115,7 @@ pub(crate) fn unstated_notes(model: &Model<'_>, now: &Fitted, own: usize) -> Res
     if moving.is_empty() || exact.is_empty() {
         return Ok(Vec::new());
     }
-    let mut columns: Vec<Column> = nuisances(model).into_iter().chain(own_columns(model, &now.state)).collect();
+    let mut columns: Vec<Column> = fitted_columns(model, &now.state);
     let fitted = columns.len();
     columns.extend(exact.iter().flat_map(|g| (0..4).map(|part| Column::Registration(*g, part))));
     let places: Vec<usize> = (fitted..columns.len()).collect();

@@ -91,8 +91,13 @@ impl Constancy {
     /// Whether the strength is shown to be the same in all frames and, within the errors of the PSFs, in all parts of
     /// the sensor. What resembles a cause in part fits one frame, or one place, better than another.
     pub(crate) fn is_shown(self) -> bool {
+        self.is_even() && self.frames.z < SEEN
+    }
+
+    /// The same up to small errors in the law of the effect, which a strong one shows.
+    pub(crate) fn is_even(self) -> bool {
         let even = |s: Spread| s.resolution > 0.0 && s.resolution < EVEN && s.tau < EVEN;
-        even(self.frames) && even(self.blocks) && self.frames.z < SEEN
+        even(self.frames) && even(self.blocks)
     }
 
     /// Says how the strength differs, if it does so by much ([`Spread::is_uneven`]).

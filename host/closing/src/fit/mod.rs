@@ -41,7 +41,7 @@ pub use errors::Errors;
 pub(crate) use errors::map_errors;
 pub use model::Model;
 pub use projection::Specimens;
-pub use refit::{Fitted, Scenes, own_columns, refit, refit_from};
+pub use refit::{Fitted, Scenes, fitted_columns, own_columns, refit, refit_from};
 pub use replicas::{Replicas, replicas};
 pub use solve::pseudo_inverse;
 pub use specimen::estimate_specimens;

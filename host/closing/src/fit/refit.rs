@@ -11,8 +11,9 @@ use super::model::Model;
 use super::solve::pseudo_inverse;
 use super::specimen::fitted::specimens;
 use super::state::{Column, Predicted, State, Term};
+use super::wings::range;
 use crate::data::Shown;
-use ndarray::{Array1, Array2};
+use ndarray::{Array1, Array2, Axis};
 use ommatidia_model::forward::{ForwardError, SceneLight};
 use ommatidia_physics::effects::{Kind, Stage};
 use std::sync::Arc;
@@ -83,6 +84,19 @@ pub fn own_columns(model: &Model<'_>, state: &State) -> Vec<Column> {
         columns.extend(t.free(model.lenses()).into_iter().map(|param| Column::Own { term, param }));
     }
     columns
+}
+
+/// The columns of all that a state fits: the nuisance parameters that are within their ranges, and its own. What is at
+/// the end of its range does not follow the frames any more.
+pub fn fitted_columns(model: &Model<'_>, state: &State) -> Vec<Column> {
+    let is_free = |column: &Column| match column {
+        Column::Wing(ring) => state.wings.get(*ring).is_none_or(|v| {
+            let [least, most] = range(*ring);
+            least < *v && *v < most
+        }),
+        _ => true,
+    };
+    nuisances(model).into_iter().filter(is_free).chain(own_columns(model, state)).collect()
 }
 
 /// Fits a state to the training cells, starting from its present values. Specimens that the state has not estimated are
@@ -220,8 +234,11 @@ impl Point {
         hessian.diag_mut().mapv_inplace(|v| v * (1.0 + damping));
         self.gauges.iter().for_each(|gauge| gauge.stiffen(&mut hessian));
         let right = Array1::from_iter((0..n).map(|i| self.gram[[i, n]]));
-        let delta = pseudo_inverse(&hessian).dot(&right);
-        let expected_fall = delta.dot(&right);
+        let delta = within(&hessian, &right, |i| match columns[i] {
+            Column::Wing(ring) => range(ring).map(|end| end - state.wings[ring]),
+            _ => [f64::NEG_INFINITY, f64::INFINITY],
+        });
+        let expected_fall = 2.0 * delta.dot(&right) - delta.dot(&hessian.dot(&delta));
         let mut next = state.clone();
         for (column, d) in columns.iter().zip(delta) {
             match column {
@@ -229,7 +246,10 @@ impl Point {
                 Column::Black => next.black_dn += d,
                 Column::Background(stack, part) => next.background_e[*stack][*part] += d,
                 Column::Lamp(term) => next.lamp[*term] += d.clamp(-0.5, 0.5),
-                Column::Wing(ring) => next.wings[*ring] += d,
+                Column::Wing(ring) => {
+                    let [least, most] = range(*ring);
+                    next.wings[*ring] = (next.wings[*ring] + d).clamp(least, most);
+                }
                 Column::Registration(group, part) => next.registration[*group][*part] += d,
                 Column::Own { term, param } => {
                     let t = &mut next.terms[*term];
@@ -242,5 +262,51 @@ impl Point {
             }
         }
         Step { proposal: next, expected_fall }
+    }
+}
+
+/// The step that lowers chi-squared most with each value within its range: `ends` gives the least and largest step of a
+/// value. What would leave its range goes to the end of it, and the others follow.
+fn within(hessian: &Array2<f64>, right: &Array1<f64>, ends: impl Fn(usize) -> [f64; 2]) -> Array1<f64> {
+    let n = right.len();
+    let mut fixed: Vec<Option<f64>> = vec![None; n];
+    loop {
+        let free: Vec<usize> = (0..n).filter(|i| fixed[*i].is_none()).collect();
+        let held =
+            |i: usize| fixed.iter().enumerate().map(|(j, v)| v.map_or(0.0, |v| hessian[[i, j]] * v)).sum::<f64>();
+        let rest = Array1::from_iter(free.iter().map(|i| right[*i] - held(*i)));
+        let part = hessian.select(Axis(0), &free).select(Axis(1), &free);
+        let step = pseudo_inverse(&part).dot(&rest);
+        let out: Vec<(usize, f64)> = free
+            .iter()
+            .zip(&step)
+            .filter_map(|(i, d)| {
+                let [least, most] = ends(*i);
+                let end = d.clamp(least, most);
+                (end != *d).then_some((*i, end))
+            })
+            .collect();
+        if out.is_empty() {
+            let mut delta = Array1::from_iter(fixed.into_iter().map(|v| v.unwrap_or(0.0)));
+            free.into_iter().zip(step).for_each(|(i, d)| delta[i] = d);
+            return delta;
+        }
+        out.into_iter().for_each(|(i, end)| fixed[i] = Some(end));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::array;
+
+    #[test]
+    fn what_would_leave_its_range_goes_to_its_end_and_the_others_follow() {
+        let (hessian, right) = (array![[2.0, 1.0], [1.0, 2.0]], array![1.0, 5.0]);
+        let all = within(&hessian, &right, |_| [f64::NEG_INFINITY, f64::INFINITY]);
+        assert!((hessian.dot(&all) - &right).iter().all(|v| v.abs() < 1e-5), "{all}");
+        // Without ends (-1, 3); with the second at most 1, the first minimises 2 a^2 / 2 + a - a.
+        let held = within(&hessian, &right, |i| [[-9.0, 9.0], [-9.0, 1.0]][i]);
+        assert!(held[0].abs() < 1e-5 && held[1] == 1.0, "{held}");
     }
 }

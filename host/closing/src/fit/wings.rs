@@ -8,8 +8,9 @@
 //! glare that small is no effect, but an error of the calibration.
 //!
 //! Where objects are known, the shares are fitted as nuisances of the session ([`Column::Wing`]), with the stated
-//! uncertainty as their prior: an observation "0 +- 1" of each share in units of that uncertainty. Elsewhere they are
-//! errors of the calibration alone ([`super::replicas`]).
+//! uncertainty as their prior: an observation "0 +- 1" of each share in units of that uncertainty. Frames outweigh that
+//! prior, so each share has a range as well ([`range`]): what no calibration could have missed is not its error, but an
+//! effect. Elsewhere the shares are errors of the calibration alone ([`super::replicas`]).
 
 use super::state::{Column, State};
 use crate::data::{Observations, Shown};
@@ -19,6 +20,12 @@ use ndarray::Array2;
 const RINGS: i32 = 3;
 /// Rings of even brightness that stand for one in which it falls.
 const STEPS: usize = 4;
+/// Light is not negative; a window that holds a little too much leaves this much less than nothing outside, in standard
+/// uncertainties.
+const LEAST: f64 = -1.0;
+/// A ring may hold this many times the light of the slowest law: the first ring outside the windows, from which that
+/// follows, is known from noisy frames, and differs over the field.
+const MARGIN: f64 = 1.5;
 
 /// A ring round the window of a focus: half sides from and to, px, and the standard uncertainty of the share of light
 /// in it.
@@ -56,6 +63,17 @@ pub(super) fn rings(half: usize, outside: f64) -> Vec<Ring> {
     // Of light whose brightness falls as the fourth power of the distance, a quarter lies outside twice the distance.
     let share = |i: i32| outside * 0.75 * 0.25f64.powi(i);
     (0..RINGS).map(|i| (half << i, half << (i + 1), share(i))).collect()
+}
+
+/// Least and largest value of the share of ring `i`, in units of its standard uncertainty.
+///
+/// No optics throws light whose brightness falls more slowly than the cube of the distance (the edge of a pupil, see
+/// [`ommatidia_model::bead::Extent::outside`]). By that law all rings hold twice as much as by the fourth power, of
+/// which the stated uncertainty is one over the root of three; half of it lies in the first ring, and half as much as
+/// in each in the next.
+pub(super) fn range(i: usize) -> [f64; 2] {
+    let [slowest, stated] = [2.0 * 3f64.sqrt() * 0.5f64.powi(i as i32 + 1), 0.75 * 0.25f64.powi(i as i32)];
+    [LEAST, MARGIN * slowest / stated]
 }
 
 /// The light of an image spread over square rings round each of its pixels, from outside the half side `inner` to
@@ -116,6 +134,18 @@ mod tests {
         let falls = f64::from(out[[20, 25]] / out[[20, 27]]);
         let expected = (1.0 / 49.0 - 1.0 / 81.0) / 32.0 / ((1.0 / 121.0 - 1.0 / 169.0) / 48.0);
         assert!((falls / expected - 1.0).abs() < 1e-3, "{falls} {expected}");
+    }
+
+    #[test]
+    fn a_ring_may_hold_the_light_of_the_slowest_law() {
+        // Beyond h, 2 h, 4 h and 8 h, shares of the light by the cube (1, 1/2, 1/4, 1/8) of twice the most by the fourth
+        // power (1, 1/4, 1/16, 1/64), which is root three times what is stated.
+        let stated = rings(7, 1e-4);
+        for (i, (.., share)) in stated.iter().enumerate() {
+            let of_cube = 2.0 * 3f64.sqrt() * 1e-4 * (0.5f64.powi(i as i32) - 0.5f64.powi(i as i32 + 1));
+            let [least, most] = range(i);
+            assert!((most * share / of_cube - 1.5).abs() < 1e-9 && least == -1.0, "{i} {most}");
+        }
     }
 
     #[test]

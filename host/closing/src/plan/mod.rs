@@ -22,7 +22,7 @@ mod tests;
 pub use result::{Advice, Goal, Plan};
 
 use crate::fit::{Column, Design, Scope};
-use crate::fit::{Fitted, Model, Replicas, Term, nuisances, own_columns};
+use crate::fit::{Fitted, Model, Replicas, Term, fitted_columns};
 use information::Information;
 use measurement::Measurement;
 use ommatidia_model::forward::ForwardError;
@@ -108,7 +108,7 @@ fn columns(model: &Model<'_>, now: &Fitted, trials: &[Term]) -> Vec<Column> {
         .iter()
         .enumerate()
         .flat_map(|(term, t)| t.strengths(model.lenses()).into_iter().map(move |param| Column::Trial { term, param }));
-    nuisances(model).into_iter().chain(own_columns(model, &now.state)).chain(strengths).collect()
+    fitted_columns(model, &now.state).into_iter().chain(strengths).collect()
 }
 
 fn assumptions(instrument: &Instrument) -> Vec<String> {

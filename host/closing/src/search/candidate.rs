@@ -153,6 +153,14 @@ pub struct Found {
 }
 
 impl Found {
+    /// What another one explains of held-out data over what this one does: in flats and darks or in the other frames,
+    /// whichever shows this one more. What scenes show is no reason to doubt what flats prove.
+    pub(crate) fn share_of(&self, other: &Self) -> f64 {
+        let of_even = self.of_even_light > 0.5;
+        let part = |f: &Self| f.held_out_gain * if of_even { f.of_even_light } else { 1.0 - f.of_even_light };
+        part(other) / part(self).max(f64::MIN_POSITIVE)
+    }
+
     /// Adds the effects that the catalogue lists as similar and that this session cannot test: of the candidates
     /// `rest`, those without a test. What cannot be tested still exists.
     pub(crate) fn or_untested(&mut self, rest: &[Candidate]) {

@@ -6,10 +6,14 @@
 use super::candidate::Found;
 use super::select::{SHADOW, Search};
 use super::trials::Tried;
-use crate::evidence::{maps, tables};
+use crate::evidence::{Constancy, maps, tables};
 use crate::fit::{Fitted, Model, Scenes, State, Term, refit, refit_from};
 use ommatidia_model::forward::ForwardError;
 
+/// Names whose strengths are the same everywhere stand beside terms without a name if they explain all but this share
+/// of the improvement by themselves: a curve of many values holds every law of its kind, so that it proves nothing
+/// against one of them that it explains as well.
+const ALL_BUT: f64 = 0.2;
 /// Number of times that maps and the other parameters are fitted in turn.
 const ROUNDS: usize = 2;
 
@@ -31,7 +35,7 @@ pub(crate) struct Imitation {
 
 /// Takes out the effects of the catalogue without which the terms without a name explain the data as well. The first
 /// `own` terms of the state belong to the instrument; the others are those of `found`, in order. `first` is the fit
-/// before the search.
+/// before the search, and `constancies` says of a fit whether its added terms have one strength everywhere.
 ///
 /// # Errors
 /// An object holds negative or non-finite light.
@@ -39,8 +43,8 @@ pub(crate) fn earned(
     model: &Model<'_>,
     now: Fitted,
     found: Vec<Found>,
-    own: usize,
-    first: &Fitted,
+    (own, first): (usize, &Fitted),
+    constancies: impl Fn(&Fitted) -> Result<Vec<Constancy>, ForwardError>,
 ) -> Result<Earned, ForwardError> {
     let mut it = Earned { now, found, imitations: Vec::new() };
     if !it.found.iter().any(|f| is_unnamed(f.id)) {
@@ -54,8 +58,13 @@ pub(crate) fn earned(
     // Names that explain nearly everything by themselves imitate nothing.
     let mut by_name = it.now.state.clone();
     by_name.terms.retain(|t| !is_unnamed(t.id()));
-    if by_name.terms.len() > own && lost(&it.now, &polished(model, &by_name, own)?) < SHADOW {
-        return Ok(it);
+    if by_name.terms.len() > own {
+        let by_name = polished(model, &by_name, own)?;
+        let rise = lost(&it.now, &by_name);
+        tracing::info!("without any term that has no name {rise:.4} of the fall is lost");
+        if rise < SHADOW || rise < ALL_BUT && constancies(&by_name)?.iter().all(|c| c.is_even()) {
+            return Ok(it);
+        }
     }
     // All names at once, then one by one, the weakest first; then terms without a name that others make unnecessary.
     let mut order: Vec<usize> = (0..it.found.len()).filter(|i| is_doubtful(&it, own, *i)).collect();
@@ -87,16 +96,19 @@ pub(crate) fn earned(
 
 /// Searches with `again`, which has the names alone that are earned so far, for terms without a name. Where they
 /// predict held-out data better than the other names that `search` has found, which leave much, they take their place.
-/// Returns the effects that are replaced.
+/// They have many values where a law has one, so they must explain more by what a small error in the law would leave.
+/// `first` is the fit before the search. Returns the effects that are replaced.
 pub(crate) fn replaced<'m, 'a>(
     search: &mut Search<'m, 'a>,
     mut again: Search<'m, 'a>,
-    own: usize,
+    (own, first): (usize, &Fitted),
     progress: &mut impl FnMut(&str),
 ) -> Result<Vec<Imitation>, ForwardError> {
     again.run(Tried::Maps, progress)?;
     again.run(Tried::Curves, progress)?;
-    if again.now.held_out.deviance >= search.now.held_out.deviance {
+    let [by_name, without] = [&search.now, &again.now].map(|fit| first.held_out.deviance - fit.held_out.deviance);
+    tracing::info!("names explain {by_name:.0}, terms without a name {without:.0}");
+    if without <= (1.0 + SHADOW) * by_name {
         return Ok(Vec::new());
     }
     again.shadowed = std::mem::take(&mut search.shadowed);

@@ -7,7 +7,7 @@
 use super::trials::{Tried, evidence};
 use crate::evidence::Scores;
 use crate::fit::prior::is_prior;
-use crate::fit::{Column, Design, Errors, Fitted, Model, Scope, Term, nuisances, own_columns};
+use crate::fit::{Column, Design, Errors, Fitted, Model, Scope, Term, fitted_columns};
 use ndarray::Array2;
 use ommatidia_model::forward::ForwardError;
 use ommatidia_physics::effects::Stage;
@@ -33,7 +33,7 @@ pub(crate) fn lost(model: &Model<'_>, now: &Fitted) -> Result<Vec<&'static str>,
     let moves = |t: &Term| matches!(t.effect.descriptor().stage, Stage::Object | Stage::Geometry | Stage::Lens);
     let mut terms = Tried::Catalogue.terms(model, &now.state, &evidence(model, now));
     terms.retain(|t| moves(t) && !t.is_far(model.lenses()));
-    let mut columns: Vec<Column> = nuisances(model).into_iter().chain(own_columns(model, &now.state)).collect();
+    let mut columns: Vec<Column> = fitted_columns(model, &now.state);
     let given = columns.len();
     let mut groups = Vec::new();
     for (t, term) in terms.iter().enumerate() {

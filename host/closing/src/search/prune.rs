@@ -3,7 +3,7 @@
 use super::candidate::Found;
 use super::select::ALPHA;
 use crate::evidence::{Constancy, Scores, Test, f_tail};
-use crate::fit::{Column, Design, Fitted, Model, Replicas, Scope, Term, nuisances, own_columns, pseudo_inverse, refit};
+use crate::fit::{Column, Design, Fitted, Model, Replicas, Scope, Term, fitted_columns, pseudo_inverse, refit};
 use ndarray::Array1;
 use ommatidia_model::forward::ForwardError;
 
@@ -35,7 +35,7 @@ pub(crate) fn prune(
     let mut needed = keep.to_vec();
     let mut removed = Vec::new();
     loop {
-        let columns: Vec<Column> = nuisances(model).into_iter().chain(own_columns(model, &now.state)).collect();
+        let columns: Vec<Column> = fitted_columns(model, &now.state);
         let errors = replicas.of(model, &now)?;
         let design = Design::compute(model, now.expansion(&[]), columns.clone(), &errors, Scope::Training)?;
         let test = |t: usize| -> Option<Test> {

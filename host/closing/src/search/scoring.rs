@@ -3,7 +3,7 @@
 use super::candidate::Candidate;
 use super::trials::Tried;
 use crate::evidence::{Scores, TableFit, Test, maps, tables};
-use crate::fit::{Column, Design, Errors, Fitted, Model, Scope, Term, nuisances, own_columns};
+use crate::fit::{Column, Design, Errors, Fitted, Model, Scope, Term, fitted_columns};
 use ommatidia_model::forward::ForwardError;
 use ommatidia_session::Role;
 
@@ -21,7 +21,7 @@ pub(crate) fn score(
     errors: &Errors,
     terms: &[Term],
 ) -> Result<Vec<Candidate>, ForwardError> {
-    let given: Vec<Column> = nuisances(model).into_iter().chain(own_columns(model, &fitted.state)).collect();
+    let given: Vec<Column> = fitted_columns(model, &fitted.state);
     let taken: Vec<usize> = (0..given.len()).collect();
     let mut columns = given;
     let mut spans = Vec::new();

@@ -9,8 +9,7 @@ use crate::data::{Frame, Shown};
 use crate::evidence::{Scores, Test, holm};
 use crate::fit::repeats::wings;
 use crate::fit::{
-    Column, Design, Errors, Fitted, Model, Predicted, Replicas, Scope, State, Term, nuisances, own_columns, refit,
-    refit_from,
+    Column, Design, Errors, Fitted, Model, Predicted, Replicas, Scope, State, Term, fitted_columns, refit, refit_from,
 };
 use ommatidia_model::forward::ForwardError;
 use ommatidia_physics::effects::Stage;
@@ -415,8 +414,7 @@ impl<'m, 'a> Search<'m, 'a> {
         }
         let (model, lenses) = (self.model, self.model.lenses());
         let terms: Vec<Term> = [it].iter().chain(others).map(|c| c.term.clone()).collect();
-        let mut columns: Vec<Column> =
-            nuisances(model).into_iter().chain(own_columns(model, &self.now.state)).collect();
+        let mut columns: Vec<Column> = fitted_columns(model, &self.now.state);
         let taken = (0..columns.len()).collect();
         let mut spans = Vec::new();
         for (t, c) in [it].iter().chain(others).enumerate() {

@@ -54,18 +54,19 @@ impl Forward {
         }
         let few = of.object.map(|n| vec![0.0, (n as f64 - 1.0) / 3.0, n as f64 - 1.0]);
         // Whether any is added does not depend on how a depth is converted.
-        if !self.added(effects, &few, |z_um| z_um, cx).change_psfs() {
+        if !self.added(effects, &few, |_, z_um| z_um, cx).change_psfs() {
             return None;
         }
         of.pupils.of(&of.psf, &of.rays, self.pixel_pitch_um)
     }
 
-    /// The wavefronts that effects add at nodes (rows and columns of the object), by the defocus of a depth.
+    /// The wavefronts that effects add at nodes (rows and columns of the object), by the defocus of a depth through a
+    /// lens.
     fn added(
         &self,
         effects: &Chain,
         [rows, cols]: &[Vec<f64>; 2],
-        defocus_waves: impl Fn(f64) -> f64,
+        defocus_waves: impl Fn(usize, f64) -> f64,
         cx: &FrameContext<'_>,
     ) -> Wavefronts {
         let lens = |l: usize| {
@@ -73,7 +74,7 @@ impl Forward {
                 let ray = self.ray(l, self.image_of(l, [rows[i], cols[j]]));
                 let cx = FrameContext { lens: l, ..*cx };
                 let mut wavefront: Wavefront = effects.wavefront(&ray, &cx);
-                wavefront.coefficient[3] += defocus_waves(effects.shift_ray(&ray, &cx).z_um);
+                wavefront.coefficient[3] += defocus_waves(l, effects.shift_ray(&ray, &cx).z_um);
                 wavefront
             })
         };
@@ -90,7 +91,7 @@ impl Forward {
     ) -> Option<Arc<Changes>> {
         let of = &self.calibrated;
         let pupils = self.pupils_asked(effects, cx)?;
-        let by = self.added(effects, pupils.nodes_px(), |z_um| pupils.defocus_waves(z_um), cx);
+        let by = self.added(effects, pupils.nodes_px(), |l, z_um| pupils.defocus_waves(l, z_um), cx);
         if !by.change_psfs() {
             return None;
         }

@@ -1,8 +1,8 @@
 //! How PSFs change with the wavefront, as a low-rank model of its own.
 
-use super::fit::{LensPupil, Place, effective_area, fit_lens};
+use super::fit::{Design, LensPupil, Place, effective_area, fit_lens, fit_like};
 use super::kernel::Kernel;
-use super::{EVEN, MOST_MISFIT, TERMS};
+use super::{EVEN, MOST_MISFIT, SQUARES, TERMS};
 use crate::psf::LowRankPsf;
 use crate::psf::decompose::decompose;
 use crate::psf::nodes::Taps;
@@ -20,11 +20,11 @@ const NODES: usize = 5;
 const FAINT: f64 = 0.2;
 /// Smallest window whose PSFs a pupil can be fitted to, px a side.
 const LEAST_SIDE: usize = 7;
-/// The functions of the field from this one on are its squares: y^2, y x and x^2.
-const SQUARES: usize = 3;
 /// Terms of the low-rank model of a change, at most, and the relative size of the least.
 const RANK: usize = 6;
 const LEAST_TERM: f64 = 3e-3;
+/// A pupil of the common design explains PSFs as well as one of its own up to this ratio of their errors.
+const AS_WELL: f64 = 1.1;
 /// Wavelength of the light, um, where the change of depth is a distance: a session does not record it. Fluorescence in
 /// use lies within 20 % of it (GFP 0.51, tdTomato 0.58).
 const WAVELENGTH_UM: f64 = 0.53;
@@ -45,7 +45,7 @@ impl Wavefronts {
 pub struct PupilModel {
     /// None: a dead lens.
     lenses: Vec<Option<LensPupil>>,
-    /// Defocus of a source displaced by 1 um along the axis, waves rms.
+    /// Defocus of a source displaced by 1 um along the axis by a pupil of radius 1 cycle/px, waves rms.
     waves_per_um: f64,
     /// Rows and columns on which changes are computed, object pixels.
     nodes_px: [Vec<f64>; 2],
@@ -60,31 +60,36 @@ impl PupilModel {
         if psf.basis.dim().2 < LEAST_SIDE {
             return None;
         }
-        let fitted: Vec<Option<LensPupil>> = (0..psf.basis.dim().0)
+        let is_dead = |l: usize| dead.get(l).is_some_and(|d| *d);
+        let alone: Vec<Option<LensPupil>> = (0..psf.basis.dim().0)
             .into_par_iter()
-            .map(|l| if dead.get(l).is_some_and(|d| *d) { None } else { fit_lens(&places(psf, l, depth)) })
+            .map(|l| if is_dead(l) { None } else { fit_lens(&places(psf, l, depth)) })
             .collect();
-        let live = || fitted.iter().flatten();
-        let count = live().count();
-        if count == 0 || count < fitted.iter().enumerate().filter(|(l, _)| !dead.get(*l).is_some_and(|d| *d)).count() {
+        let count = alone.iter().flatten().count();
+        if count == 0 || count < (0..alone.len()).filter(|l| !is_dead(*l)).count() {
             return None;
         }
+        let mut model = Self { lenses: alone, waves_per_um: 0.0, nodes_px: [Vec::new(), Vec::new()], misfit: 0.0 };
+        model.share_a_sign();
+        model.fit_by_design(psf, depth);
+        model.share_a_sign();
+        let live = || model.lenses.iter().flatten();
         let misfit = (live().map(|l| l.misfit * l.misfit).sum::<f64>() / count as f64).sqrt();
-        let radius = live().map(|l| l.radius).sum::<f64>() / count as f64;
         // A path longer by z NA^2 / 2 at the rim, with NA = R wavelength M / pitch in the object's space; the rms of
         // Z_4 is 1 / (2 sqrt 3) of that (Born & Wolf, section 9.2).
-        let na = radius * WAVELENGTH_UM * scale.magnification / scale.pixel_pitch_um;
+        let na = WAVELENGTH_UM * scale.magnification / scale.pixel_pitch_um;
         let waves_per_um = na * na / 2.0 / WAVELENGTH_UM / (2.0 * 3f64.sqrt());
         let nodes_px = [&psf.node_rows_px, &psf.node_cols_px].map(|nodes| coarse(nodes));
-        let mut model = Self { lenses: fitted, waves_per_um, nodes_px, misfit };
-        model.share_a_sign();
+        let model = Self { waves_per_um, nodes_px, misfit, ..model };
         (misfit <= MOST_MISFIT).then_some(model)
     }
 
-    /// Defocus of a source that is displaced by `z_um` along the axis, waves rms, for light of 0.53 um. Its sign is
-    /// that of the even terms: unknown.
-    pub fn defocus_waves(&self, z_um: f64) -> f64 {
-        self.waves_per_um * z_um
+    /// Defocus of a source that is displaced by `z_um` along the axis, through a lens, waves rms, for light of 0.53 um;
+    /// 0 for a dead lens. It grows as the square of the radius of the pupil: its curvature at a given frequency is the
+    /// same for all lenses. Its sign is that of the even terms: unknown.
+    pub fn defocus_waves(&self, lens: usize, z_um: f64) -> f64 {
+        let radius = self.lenses.get(lens).and_then(Option::as_ref).map_or(0.0, |l| l.radius);
+        self.waves_per_um * radius * radius * z_um
     }
 
     /// Mean cut-off frequency of the pupils, cycles/px, and rms over the object and the live lenses of the wavefront
@@ -179,6 +184,19 @@ impl PupilModel {
             row.iter_mut().zip(to.iter().zip(&from)).for_each(|(o, (t, f))| *o = (scale * (t - f)) as f32);
         }
         out
+    }
+
+    /// Fits each lens again with what most lenses share, and keeps that where it explains the PSFs as well.
+    fn fit_by_design(&mut self, psf: &LowRankPsf, depth: usize) {
+        let Some(design) = Design::of(&self.lenses.iter().flatten().collect::<Vec<_>>()) else { return };
+        self.lenses.par_iter_mut().enumerate().for_each(|(l, lens)| {
+            let Some(now) = lens else { return };
+            if let Some(found) =
+                fit_like(&design, &places(psf, l, depth)).filter(|found| found.misfit < AS_WELL * now.misfit)
+            {
+                *now = found;
+            }
+        });
     }
 
     /// Turns the even terms of lenses so that all lenses are alike, and their mean defocus is positive.

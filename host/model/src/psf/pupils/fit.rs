@@ -1,7 +1,7 @@
 //! Fits pupils to the PSFs of a lens: Levenberg and Marquardt's least squares.
 
 use super::kernel::{Kernel, Pupil};
-use super::{TERMS, field};
+use super::{EVEN, FUNCTIONS, SQUARES, TERMS, field};
 use ndarray::{Array1, Array2, s};
 use ommatidia_physics::linalg::symmetric_eigen;
 use rayon::prelude::*;
@@ -76,29 +76,88 @@ pub(super) fn fit_lens(places: &[Place]) -> Option<LensPupil> {
         let mut terms = Array2::zeros((TERMS, 1));
         terms[[2, 0]] = *defocus;
         let start = LensPupil { terms, apodisation: 0.0, radius, misfit: f64::INFINITY };
-        improved(&Kernel::new(side, MOST_RADIUS.min(1.3 * radius)), start, &places[..1], ROUNDS[0])
+        improved(&Kernel::new(side, MOST_RADIUS.min(1.3 * radius)), start, &places[..1], (ROUNDS[0], Edge::Free))
     });
     let best = starts.min_by(|a, b| a.misfit.total_cmp(&b.misfit))?;
-    let kernel = Kernel::new(side, MOST_RADIUS.min(1.3 * best.radius));
-    let wide = best.widened(6);
-    let centres = OFF_AXIS.iter().flat_map(|y| OFF_AXIS.map(|x| [*y, x]));
-    let curved = centres.flat_map(|centre| [CURVED, -CURVED].map(|by| (centre, by)));
-    let starts: Vec<LensPupil> = curved
-        .map(|([y, x], by)| {
-            let mut start = wide.clone();
-            // |place - centre|^2, but for its constant.
-            for (function, factor) in [(1, -2.0 * y), (2, -2.0 * x), (3, 1.0), (5, 1.0)] {
-                start.terms[[2, function]] = by * factor;
-            }
-            start
-        })
-        .chain([wide.clone()])
-        .collect();
-    let tried = starts.into_par_iter().filter_map(|start| improved(&kernel, start, places, ROUNDS[1]));
+    let wide = best.widened(FUNCTIONS);
+    let curved = centres().flat_map(|centre| [CURVED, -CURVED].map(|by| (centre, by)));
+    let starts = curved.map(|([y, x], by)| {
+        let mut start = wide.clone();
+        // |place - centre|^2, but for its constant.
+        for (function, factor) in [(1, -2.0 * y), (2, -2.0 * x), (3, 1.0), (5, 1.0)] {
+            start.terms[[2, function]] = by * factor;
+        }
+        start
+    });
+    over_field(starts.chain([wide.clone()]).collect(), places, Edge::Free)
+}
+
+/// What lenses of one design share.
+pub(super) struct Design(LensPupil);
+
+impl Design {
+    /// Medians over lenses: cut-off frequency, apodisation, how wavefronts change with the square of the field, and how
+    /// their odd terms change with the field. A lens whose fit went astray does not move them. None: fewer than three
+    /// lenses.
+    pub(super) fn of(lenses: &[&LensPupil]) -> Option<Self> {
+        if lenses.len() < 3 {
+            return None;
+        }
+        let median = |of: &dyn Fn(&LensPupil) -> f64| {
+            let mut all: Vec<f64> = lenses.iter().map(|lens| of(lens)).collect();
+            all.sort_by(f64::total_cmp);
+            all.get(all.len() / 2).copied().unwrap_or(0.0)
+        };
+        let shared = |(k, f): (usize, usize)| f >= SQUARES || f > 0 && !EVEN[k];
+        let term = |at: (usize, usize)| if shared(at) { median(&|lens| lens.terms[at]) } else { 0.0 };
+        Some(Self(LensPupil {
+            terms: Array2::from_shape_fn((TERMS, FUNCTIONS), term),
+            apodisation: median(&|lens| lens.apodisation),
+            radius: median(&|lens| lens.radius),
+            misfit: f64::INFINITY,
+        }))
+    }
+
+    /// The design with its field about a centre, for what changes with the square of the field.
+    fn about(&self, [y, x]: [f64; 2]) -> LensPupil {
+        let mut lens = self.0.clone();
+        for mut row in lens.terms.outer_iter_mut() {
+            let [of_yy, of_yx, of_xx] = [row[SQUARES], row[SQUARES + 1], row[SQUARES + 2]];
+            row[0] += of_yy * y * y + of_yx * y * x + of_xx * x * x;
+            row[1] -= 2.0 * of_yy * y + of_yx * x;
+            row[2] -= 2.0 * of_xx * x + of_yx * y;
+        }
+        lens
+    }
+}
+
+/// Whether the apodisation of a pupil is fitted, or that of the design.
+#[derive(Clone, Copy, PartialEq)]
+enum Edge {
+    Free,
+    OfDesign,
+}
+
+/// [`fit_lens`] from the design of all lenses, with their apodisation: defocus, spherical aberration, apodisation and
+/// radius can stand for each other, and a lens alone hardly tells them apart.
+pub(super) fn fit_like(design: &Design, places: &[Place]) -> Option<LensPupil> {
+    over_field(centres().map(|centre| design.about(centre)).collect(), places, Edge::OfDesign)
+}
+
+/// Where the chief ray of a lens may lie in the field.
+fn centres() -> impl Iterator<Item = [f64; 2]> {
+    OFF_AXIS.iter().flat_map(|y| OFF_AXIS.map(|x| [*y, x]))
+}
+
+/// The best fit to all places from any of the starts, which have one radius.
+fn over_field(starts: Vec<LensPupil>, places: &[Place], edge: Edge) -> Option<LensPupil> {
+    let side = places.first()?.window.nrows();
+    let kernel = Kernel::new(side, MOST_RADIUS.min(1.3 * starts.first()?.radius));
+    let tried = starts.into_par_iter().filter_map(|start| improved(&kernel, start, places, (ROUNDS[1], edge)));
     let mut found: Vec<LensPupil> = tried.collect();
     found.sort_by(|a, b| a.misfit.total_cmp(&b.misfit));
     found.truncate(FINALISTS);
-    let finished = found.into_par_iter().filter_map(|start| improved(&kernel, start, places, ROUNDS[2]));
+    let finished = found.into_par_iter().filter_map(|start| improved(&kernel, start, places, (ROUNDS[2], edge)));
     finished.min_by(|a, b| a.misfit.total_cmp(&b.misfit))
 }
 
@@ -107,8 +166,8 @@ pub(super) fn effective_area(window: &Array2<f64>) -> f64 {
     window.sum().powi(2) / window.mapv(|v| v * v).sum().max(f64::MIN_POSITIVE)
 }
 
-/// Least squares from a start.
-fn improved(kernel: &Kernel, start: LensPupil, places: &[Place], rounds: usize) -> Option<LensPupil> {
+/// Least squares from a start, in at most so many rounds.
+fn improved(kernel: &Kernel, start: LensPupil, places: &[Place], (rounds, edge): (usize, Edge)) -> Option<LensPupil> {
     let functions = start.terms.ncols();
     let unknowns = TERMS * functions + 2;
     let mut now = LensPupil { misfit: misfit(kernel, &start, places), ..start };
@@ -117,7 +176,10 @@ fn improved(kernel: &Kernel, start: LensPupil, places: &[Place], rounds: usize) 
         let mut normal = Array2::<f64>::zeros((unknowns, unknowns));
         let mut right = Array1::<f64>::zeros(unknowns);
         for place in places {
-            let (rows, off) = slopes_at(kernel, &now, place, unknowns);
+            let (mut rows, off) = slopes_at(kernel, &now, place, unknowns);
+            if edge == Edge::OfDesign {
+                rows.row_mut(TERMS * functions).fill(0.0);
+            }
             normal += &rows.dot(&rows.t());
             right += &rows.dot(&off);
         }

@@ -6,7 +6,8 @@
 //! h(x) = pixel * |F[P](x)|^2,   P(rho) = exp(-a rho^2 + i sum_k c_k(y, x) Z_k(rho)),   |rho| <= 1
 //! ```
 //! with Noll's polynomials Z_2 to Z_11, whose coefficients c_k are quadratic in the place (y, x) of the source, and
-//! with a cut-off frequency and an apodisation a of its own (`fit`). It is used only where it explains the PSFs
+//! with a cut-off frequency and an apodisation a of its own (`fit`). Each lens is fitted by itself, and with the
+//! apodisation and from the design that most lenses share, which counts where it explains the PSFs as well. It is used only where it explains the PSFs
 //! ([`MOST_MISFIT`]), and then only for their *change* when the wavefront changes: the PSFs themselves stay the
 //! calibrated ones.
 //!
@@ -27,11 +28,15 @@ pub use shared::Pupils;
 pub const MOST_MISFIT: f64 = 0.1;
 /// Number of Noll's polynomials that are fitted: Z_2 (tilt) to Z_11 (primary spherical aberration).
 const TERMS: usize = 10;
+/// Number of functions of the field.
+const FUNCTIONS: usize = 6;
+/// Those from this one on are its squares: y^2, y x and x^2.
+const SQUARES: usize = 3;
 /// Whether the polynomial Z_(k + 2) is even, so that its sign is unknown.
 const EVEN: [bool; TERMS] = [false, false, true, true, true, false, false, false, false, true];
 
 /// The six functions of a quadratic field at (y, x), each from -1 to 1 over the object.
-fn field([y, x]: [f64; 2]) -> [f64; 6] {
+fn field([y, x]: [f64; 2]) -> [f64; FUNCTIONS] {
     [1.0, y, x, y * y, y * x, x * x]
 }
 
