@@ -15,7 +15,7 @@ const SURE: f64 = 10.0;
 const BRIGHT: [f64; 2] = [2.0, 0.3];
 /// Noise is another one if chi-squared of bright pixels exceeds one by this much,
 const OTHER: f64 = 0.1;
-/// and if of that at most this share is common to neighbouring pixels, or is in dark pixels too.
+/// and if of that at most this share is common to neighbouring pixels, and dark pixels follow to that accuracy.
 const COMMON: f64 = 0.25;
 /// Number of pixels of each kind that such a statement needs.
 const ENOUGH: f64 = 1000.0;
@@ -119,7 +119,9 @@ fn other_noise(scenes: impl IntoIterator<Item = Rest>) -> Option<String> {
     let dark = sum.dark[0] / sum.dark[1];
     let factor = (sum.bright[0] - dark * sum.bright[2]) / (sum.bright[1] - sum.bright[2]).max(f64::MIN_POSITIVE);
     let [most, common] = [factor - 1.0, (sum.next[0] / sum.next[1]).abs()];
-    let is_noise = most > OTHER && common < COMMON * most && (dark - 1.0).abs() < COMMON * most;
+    // A gain amplifies the read noise by its square, unless that arises behind it.
+    let of_read = (1.0 - COMMON * most)..(1.0 + COMMON) * factor * factor;
+    let is_noise = most > OTHER && common < COMMON * most && of_read.contains(&dark);
     is_noise.then(|| {
         format!(
             "what is left in the scenes looks like noise: neighbouring pixels have nothing in common, and the noise of \
@@ -159,6 +161,7 @@ mod tests {
         };
         let text = other_noise([rest(0.01, 1.0)]).unwrap_or_default();
         assert!(text.contains("1.50 times what the gain") && text.contains("1.00 times in dark"), "{text}");
-        assert!(other_noise([rest(0.3, 1.0)]).is_none() && other_noise([rest(0.01, 1.4)]).is_none());
+        assert!(other_noise([rest(0.01, 2.25)]).is_some_and(|text| text.contains("2.25 times in dark")));
+        assert!(other_noise([rest(0.3, 1.0)]).is_none() && other_noise([rest(0.01, 3.0)]).is_none());
     }
 }

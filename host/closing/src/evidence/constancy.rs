@@ -22,6 +22,8 @@ use std::collections::BTreeMap;
 const CERTAIN: f64 = 4.5;
 /// Evidence from which a strength is not shown to be the same in all groups, standard deviations.
 const SEEN: f64 = 3.0;
+/// Frames may differ by this much, as much as a small error in the law of a strong effect makes.
+const SMALL: f64 = 0.03;
 /// Relative standard deviation of a strength between groups from which the effect is no cause.
 const UNEVEN: f64 = 0.125;
 /// A strength that differs by less than this between groups is shown to be the same in all of them, if a difference of
@@ -91,7 +93,7 @@ impl Constancy {
     /// Whether the strength is shown to be the same in all frames and, within the errors of the PSFs, in all parts of
     /// the sensor. What resembles a cause in part fits one frame, or one place, better than another.
     pub(crate) fn is_shown(self) -> bool {
-        self.is_even() && self.frames.z < SEEN
+        self.is_even() && (self.frames.z < SEEN || self.frames.tau < SMALL)
     }
 
     /// The same up to small errors in the law of the effect, which a strong one shows.

@@ -10,9 +10,9 @@ use crate::evidence::{Constancy, maps, tables};
 use crate::fit::{Fitted, Model, Scenes, State, Term, refit, refit_from};
 use ommatidia_model::forward::ForwardError;
 
-/// Names whose strengths are the same everywhere stand beside terms without a name if they explain all but this share
-/// of the improvement by themselves: a curve of many values holds every law of its kind, so that it proves nothing
-/// against one of them that it explains as well.
+/// Names whose strengths are the same everywhere stand instead of terms without a name that hold them, if they explain
+/// all but this share of the improvement: a curve of many values holds every law over its covariate, so that it proves
+/// nothing against one of them.
 const ALL_BUT: f64 = 0.2;
 /// Number of times that maps and the other parameters are fitted in turn.
 const ROUNDS: usize = 2;
@@ -58,12 +58,16 @@ pub(crate) fn earned(
     // Names that explain nearly everything by themselves imitate nothing.
     let mut by_name = it.now.state.clone();
     by_name.terms.retain(|t| !is_unnamed(t.id()));
+    let mut stands_alone = None;
     if by_name.terms.len() > own {
         let by_name = polished(model, &by_name, own)?;
         let rise = lost(&it.now, &by_name);
         tracing::info!("without any term that has no name {rise:.4} of the fall is lost");
-        if rise < SHADOW || rise < ALL_BUT && constancies(&by_name)?.iter().all(|c| c.is_even()) {
+        if rise < SHADOW {
             return Ok(it);
+        }
+        if rise < ALL_BUT && constancies(&by_name)?.iter().all(|c| c.is_even()) {
+            stands_alone = Some(by_name);
         }
     }
     // All names at once, then one by one, the weakest first; then terms without a name that others make unnecessary.
@@ -84,6 +88,10 @@ pub(crate) fn earned(
         // A term without a name claims no cause: it goes only if hardly anything is lost.
         let least = if set.iter().all(|id| is_unnamed(id)) { 0.1 * SHADOW } else { SHADOW };
         if rise < least {
+            if let Some(now) = stands_alone.take().filter(|_| !set.iter().all(|id| is_unnamed(id))) {
+                it.found.retain(|f| !is_unnamed(f.id));
+                return Ok(Earned { now, ..it });
+            }
             for i in out.into_iter().rev() {
                 let (found, term) = (it.found.remove(i), it.now.state.terms.remove(own + i));
                 it.imitations.push(Imitation { found, term, lost: rise.max(0.0) });

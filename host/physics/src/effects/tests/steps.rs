@@ -156,6 +156,20 @@ others by name.
 **Strengths** are in bold: with all of them at zero (or at the stated value) the effect is absent, to the last bit. The
 other parameters are shapes and choices. This page is generated from the descriptors, and a test compares the two:
 `OMMATIDIA_RENEW=1 cargo test -p ommatidia-physics --lib effects` writes the page again.
+
+**Places and units.** A frame is `mu`, electrons a pixel before the noise, and `y`, DN, after it; `mu_l` is the part of
+lens l. The **axis** of a lens runs through the lens, perpendicular to the array. It meets the sensor beside the anchor
+(the chief ray of a source in the middle of the object): nearer to the middle of the array, by the anchor's distance
+from there over 1 + 1 / magnification. Lengths in mm are of the sensor where they are measured from such an axis
+(`radial_distortion`, `field_curvature`, `chief_ray_response`, `aberration_drift`), and of the object where they are
+measured from its centre (`object_distortion`, `tilt`). `r` of `vignetting` and `rho` of `excitation_profile` are 1 in
+the corners of the sensor and of the object. The centre of a `ghost` is counted from the middle of the sensor.
+Neighbours of a pixel or of a lens are those above, below, left and right; a lens that leaks loses no light. Full scale
+is the charge at which frames saturate, above the black level, e-. Light that a `halo` scatters off the sensor is lost,
+and none comes from beyond it. The mean of `veiling_glare` is that over the sensor. In `background`, t is the exposure
+in ms, P the light level of the frame (`illumination` of the session), and s runs from -1 to 1 over the sensor; flats
+have it too. A depth changes the shape of the PSFs, and moves no focus. `spectral_shift` scales the PSF at the same
+wavefront in waves; a real wavelength changes the wavefront in waves too.
 ";
 
 #[test]
