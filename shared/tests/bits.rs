@@ -51,6 +51,7 @@ fn header(integers: Option<Integers>) -> Header {
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
         integers,
         passes: None,
+        watch: None,
     };
     header.memory = Pipeline::plan(&header).unwrap();
     header

@@ -384,6 +384,7 @@ impl Bench {
                 channels: &CHANNELS[..lens.channels as usize / 4],
             }),
             predictor: &rest[..lens.predictor as usize],
+            watch: Default::default(),
         };
         let network = Network::new(header, weights).map_err(|_| "the weights are refused")?;
         let pipeline = Pipeline::new(&network).map_err(|_| "the network is refused")?;
@@ -464,5 +465,6 @@ fn header(channels: u8, rcan: Rcan) -> Header {
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
         integers: None,
         passes: None,
+        watch: None,
     }
 }
