@@ -199,6 +199,7 @@ prop_compose! {
             mostly((0u32..5).prop_map(|n| 1 << n), any::<u16>()),
             prop::collection::vec(mostly((-30i16..30, -30i16..30), any::<(i16, i16)>()), 1..6),
         )),
+        watch in prop::option::of((mostly(3u8..5, any::<u8>()), mostly(1u8..33, any::<u8>()), any::<u16>())),
         memory: (u32, u32), planned in mostly(Just(true), Just(false)),
     ) -> Header {
         let mut taps = taps;
@@ -223,6 +224,9 @@ prop_compose! {
                 later, terms, window, node_step,
                 corners: corners.into_iter().map(|(row, col)| Corner { row, col }).collect(),
             }),
+            watch: watch.map(|(lenses, block, black_dn)| Watching {
+                lenses, block, black_dn, least_light_dn: 10.0, log_odds: 18.0,
+            }),
             integers: integers.map(|(input_log2, feature_log2)| Integers {
                 input_log2, feature_log2, output: 1.0e-6,
                 features: if input_log2 % 2 == 0 { FeatureBits::Eight } else { FeatureBits::Sixteen },
@@ -244,14 +248,17 @@ proptest! {
         let Ok(lens) = header.section_lens() else { return Ok(()) };
         let index = vec![0; lens.index.min(1 << 16) as usize];
         let (words, channels) = (lens.integers, lens.channels / 4);
+        let (maps, statistics) = (lens.watch, lens.statistics / 8);
         let lens = [lens.filters, lens.rcan, lens.offset_dn, lens.inverse_gain, lens.predictor];
-        if header.check().is_err() || !lens.into_iter().chain([words, channels]).all(small) {
+        if header.check().is_err() || !lens.into_iter().chain([words, channels, maps]).all(small) {
             return Ok(());
         }
         // Weights of 2: even 18,000 in a channel stay within 32 bits.
         let integers = vec![0x0202; words as usize];
         let channels = vec![Channel { bias: 1000, multiplier: 1 << 28 }; channels as usize];
         let convolutions = header.integers.map(|_| Convolutions { weights: &integers, channels: &channels });
+        let maps = vec![i16::MIN; maps as usize];
+        let statistics = vec![Statistic { scale: -3.0, shot: 1.0, reading: 1.0, bound: 0.0 }; statistics as usize];
         let mut sections = lens.map(|len| vec![f16::from_f32(0.25); len as usize]);
         sections[4].fill(f16::from_f32(1.0 / 2048.0));
         let weights = Weights {
@@ -262,7 +269,7 @@ proptest! {
             inverse_gain: header.sensor.has_gain_map.then_some(&sections[3]),
             convolutions,
             predictor: &sections[4],
-            watch: Default::default(),
+            watch: WatchWeights { maps: &maps, statistics: &statistics },
         };
         let file = NetworkFile::new(&header, &weights).unwrap();
         let network = file.network().unwrap();
@@ -273,5 +280,8 @@ proptest! {
         let frame = vec![500; pipeline.frame_len()];
         pipeline.run(&frame, Memory { fast: &mut fast, bulk: &mut bulk }, &mut object).unwrap();
         prop_assert!(object.iter().all(|half| half.is_finite()));
+        if let Some(maps) = network.watch() {
+            prop_assert!(maps.project(&frame).light_dn == frame.len() as i64 * (500 - i64::from(maps.black_dn)));
+        }
     }
 }

@@ -197,7 +197,7 @@ pub struct Watching {
     pub black_dn: u16,
     /// Frames with less light than this do not count, DN.
     pub least_light_dn: f32,
-    /// Height of the test over the standard deviation; positive.
+    /// Logarithm of the odds against a false alarm; positive.
     pub log_odds: f32,
 }
 

@@ -60,7 +60,7 @@ pub struct Maps<'a> {
     pub black_dn: u16,
     /// Frames with less light than this do not count, DN.
     pub least_light_dn: f32,
-    /// Height of the test over the standard deviation: ln(2 J / rate of false alarms).
+    /// Logarithm of the odds against a false alarm: ln(2 J / rate of false alarms).
     pub log_odds: f32,
     /// Weights q, for each block row by row: those of the three moments for each displacement, then those of the sum
     /// for each gain.

@@ -24,11 +24,11 @@
 //!
 //! ```text
 //! S+ <- max(0, S+ + (s - m) - slack),   S- <- max(0, S- - (s - m) - slack)
-//! slack = bound + 5 sigma / sqrt(BASELINE) + sigma / 2,   alarm where S > height = sigma log_odds
+//! slack = bound + 5 sigma / sqrt(BASELINE) + sigma / 8,   alarm where S > height = 4 sigma log_odds
 //! ```
-//! with sigma the standard deviation that shot and read noise give s at half the light of the baseline, and `bound` the
-//! most by which another specimen changes s. As long as nothing has moved, the mean step is -sigma / 2 or less, and the
-//! probability that a sum which begins at 0 ever reaches the height is at most `exp(-2 (sigma / 2) height / sigma^2) =
+//! with sigma the standard deviation that shot and read noise give s at half the light of the baseline, and `bound` what
+//! another specimen may change s by for good. As long as nothing has moved, the mean step is -sigma / 8 or less, and the
+//! probability that a sum which begins at 0 ever reaches the height is at most `exp(-2 (sigma / 8) height / sigma^2) =
 //! exp(-log_odds)` (Lundberg's inequality for normal steps; D. Siegmund, Sequential Analysis, Springer 1985, chapter 2).
 //! Each frame begins at most one such attempt of each sum, so with J statistics at most `2 J exp(-log_odds)` false
 //! alarms come in a frame: `log_odds = ln(2 J 10^6)` makes one in 10^6 frames. The alarm says since which frame the sum

@@ -5,9 +5,11 @@ use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
 /// Number of frames whose mean is the baseline.
-pub const BASELINE: u32 = 64;
-/// 5 / sqrt(BASELINE) + 1/2.
-const SLACK: f32 = 1.125;
+pub const BASELINE: u32 = 128;
+/// 5 / sqrt(BASELINE) + 1/8.
+const SLACK: f32 = 0.5669417;
+/// Height of the test over the standard deviation and the logarithm of the odds: 1 / (2 / 8).
+const HEIGHT: f32 = 4.0;
 /// Largest ratio, either way, of the light of a frame to that of the baseline.
 const CHANGE: f32 = 2.0;
 /// Of so many pixels at most one may be saturated.
@@ -176,7 +178,7 @@ impl Watch {
             }
             let excess = projection.value(j, statistic) - mean;
             let sigma = deviation(statistic, least_light);
-            let (slack, height) = (statistic.bound + SLACK * sigma, sigma * maps.log_odds);
+            let (slack, height) = (statistic.bound + SLACK * sigma, HEIGHT * sigma * maps.log_odds);
             for (sum, sign) in sums.iter_mut().zip([1.0, -1.0]) {
                 sum.step(sign * excess - slack, id);
                 // One that crosses together with others, as the neighbours of a lens do, need not be the first.

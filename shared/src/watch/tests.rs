@@ -98,12 +98,12 @@ proptest! {
             .collect();
         let maps = maps(Size { rows, cols }, block, &weights, &statistics);
         let mut watch = Watch::new();
-        for id in 0..80 {
+        for id in 0..BASELINE + 9 {
             let frame: Vec<u16> = (0..len).map(|_| draws.next() as u16).collect();
             watch.see(&maps, &frame, 0, id);
         }
         let report = watch.report(&maps);
-        prop_assert_eq!(report.frames + report.left_out, 80);
+        prop_assert_eq!(report.frames + report.left_out, BASELINE + 9);
     }
 }
 
@@ -229,15 +229,15 @@ fn false_alarms_are_rarer_than_stated() {
     let (mut frames, mut alarms) = (0u32, 0u32);
     for seed in 0..40 {
         let mut stream = Stream::new(seed);
-        // The worst of what is allowed: the statistics lie beyond their baselines by the bound and by 5 sigma / 8.
-        let off = 0.05 + 0.02 * 5.0 / 8.0;
+        // The worst of what is allowed: the statistics lie beyond their baselines by the bound and by 5 sigma / sqrt(128).
+        let off = 0.05 + 0.02 * 5.0 / 128f32.sqrt();
         let (_, end) = run(&mut stream, log_odds, 4000, 0.02, |id, _| if id < BASELINE { 0.0 } else { off });
         frames += end.map_or(4000, |id| id + 1) - BASELINE;
         alarms += u32::from(end.is_some());
     }
     // Some come, so that the test is one.
     let rate = f64::from(alarms) / f64::from(frames);
-    assert!(alarms > 10 && rate < 1.0 / 200.0, "{alarms} alarms in {frames} frames");
+    assert!(alarms > 4 && rate < 1.0 / 200.0, "{alarms} alarms in {frames} frames");
 }
 
 #[test]

@@ -16,13 +16,14 @@
 
 use super::WatchError;
 use super::figures::LIGHT;
-use super::points::{Basis, Point, points};
+use super::points::{Basis, Point, points_of};
 use ndarray::{Array1, Array2, Axis, s};
 use ommatidia_model::forward::Forward;
 use ommatidia_model::instrument::Instrument;
 use ommatidia_physics::linalg::symmetric_eigen;
 use ommatidia_shared::blob::Size;
 use ommatidia_shared::watch::MOMENTS;
+use rayon::prelude::*;
 use std::ops::Range;
 
 /// Points of a specimen.
@@ -56,15 +57,25 @@ impl Fitted {
     /// The model holds values that are not finite.
     pub(super) fn of(i: &Instrument, forward: &Forward, frame: Size, block: u8) -> Result<Self, WatchError> {
         let basis = Basis { frame, block };
-        let points = points(i, forward, basis);
+        let points = points_of(i, forward, basis);
         let lenses = forward.operator().corners().len();
         let mut maps = Array2::zeros((3 * lenses, basis.len()));
+        let others: Vec<Vec<Point>> = (0..i.replicates.len())
+            .into_par_iter()
+            .filter_map(|j| Some(points_of(&i.replicate(j)?, forward, basis)))
+            .filter(|others| others.len() == points.len())
+            .collect();
+        // What the calibration errs by, as it would be in the frame of each point.
+        let errors: Vec<Vec<Point>> =
+            others.iter().map(|others| points.iter().zip(others).map(difference).collect()).collect();
         let fit = Fit { i, forward, basis };
-        let shifts = fit.solve(&points, FOR_SHIFTS, 0..2 * lenses)?;
+        let shifts = fit.solve(&points, &errors, FOR_SHIFTS, 0..2 * lenses)?;
         maps.slice_mut(s![..2 * lenses, ..]).assign(&shifts);
-        let flat: Vec<Point> =
-            points.iter().map(|point| point.mapped(|sums| sums.slice(s![..;MOMENTS]).to_owned())).collect();
-        let gains = fit.solve(&flat, FOR_GAINS, 2 * lenses..3 * lenses)?;
+        let flat = |points: &Vec<Point>| -> Vec<Point> {
+            points.iter().map(|point| point.mapped(|sums| sums.slice(s![..;MOMENTS]).to_owned())).collect()
+        };
+        let (points, errors) = (flat(&points), errors.iter().map(flat).collect::<Vec<_>>());
+        let gains = fit.solve(&points, &errors, FOR_GAINS, 2 * lenses..3 * lenses)?;
         maps.slice_mut(s![2 * lenses.., ..;MOMENTS]).assign(&gains);
         Ok(Self { basis, maps })
     }
@@ -80,7 +91,13 @@ struct Fit<'a> {
 impl Fit<'_> {
     /// The maps of some statistics, [statistic, function], over the functions that the points hold: all, or the
     /// constants.
-    fn solve(&self, points: &[Point], spread: [f64; 2], wanted: Range<usize>) -> Result<Array2<f64>, WatchError> {
+    fn solve(
+        &self,
+        points: &[Point],
+        errors: &[Vec<Point>],
+        spread: [f64; 2],
+        wanted: Range<usize>,
+    ) -> Result<Array2<f64>, WatchError> {
         let count = points.first().map_or(0, |point| point.whole.len());
         let every = if count == self.basis.len() { 1 } else { MOMENTS };
         let held = |sums: &Array1<f64>| sums.slice(s![..;every]).to_owned();
@@ -94,6 +111,11 @@ impl Fit<'_> {
             let changes = point.change.iter().enumerate();
             changes.map(|(k, change)| (spread[usize::from(k >= 2 * lenses)], change)).collect()
         });
+        for replicate in errors {
+            // The covariance of the jackknife: (J - 1)/J times the sum over the replicates.
+            let factor = (errors.len() - 1) as f64 / errors.len() as f64;
+            normal.scaled_add(factor, &moment(replicate, |point| vec![(1.0, &point.whole)]));
+        }
         let variance = held(&self.noise(light_dn));
         let ridge = RIDGE * variance.fold(0.0f64, |m, v| m.max(*v));
         normal += &Array2::from_diag(&variance.mapv(|v| v + ridge));
@@ -145,6 +167,11 @@ impl Fit<'_> {
             squares[k] * (noise.gain_dn_per_e * share / light_dn + reading / light_dn.powi(2))
         })
     }
+}
+
+/// What a replicate makes of a point, less what the calibration makes of it.
+fn difference((point, other): (&Point, &Point)) -> Point {
+    Point { whole: &other.whole - &point.whole, change: Vec::new() }
 }
 
 /// Expected outer product over specimens of random points of some vectors of each point, each with its weight.

@@ -15,8 +15,11 @@ use rayon::prelude::*;
 const FRAMES: usize = 220;
 /// Brightest pixels of these frames as a share of full scale: so bright that noise hides nothing.
 const PEAK: [f64; 2] = [0.5, 0.8];
-/// The bound is so many standard deviations of the difference of two specimens.
-const SIGMAS: f64 = 5.0;
+/// The bound is so many standard deviations of the difference of two specimens. It stands against changes that last:
+/// specimens that change from frame to frame average out.
+const SIGMAS: f64 = 3.0;
+/// The specimens make at least this share of the variance that is found: what noise makes is known so well.
+const LEAST: f64 = 0.1;
 /// Light below this share of full scale in the mean of all pixels does not count.
 const DARK: f64 = 1e-3;
 
@@ -49,7 +52,7 @@ pub fn judged(fitted: Fitted, i: &Instrument, forward: &Forward, seed: u64) -> R
     let config = VirtualConfig { specimens, peak_e: Some(PEAK.map(|part| part * noise.full_scale_e())) };
     let scenes = config.build(i, &[])?;
     let shape = [basis.frame.rows.into(), basis.frame.cols.into()];
-    let seen: Vec<Vec<[f64; 2]>> = (0..FRAMES)
+    let seen: Vec<Vec<[f64; 3]>> = (0..FRAMES)
         .into_par_iter()
         .map(|n| {
             let VirtualFrame { frame_dn, .. } = scenes.frame(seed, "watch", n)?;
@@ -60,7 +63,7 @@ pub fn judged(fitted: Fitted, i: &Instrument, forward: &Forward, seed: u64) -> R
             let of = |(j, square): (usize, &Array2<f32>)| {
                 let value = projection.value(j, &watch.statistics[j]);
                 let shot: f64 = square.iter().zip(&frame_dn).map(|(w, y)| f64::from(w * (y - black).max(0.0))).sum();
-                [f64::from(value), noise.gain_dn_per_e * shot / light]
+                [f64::from(value), noise.gain_dn_per_e * shot / light, light]
             };
             Ok(squares.iter().enumerate().map(of).collect())
         })
@@ -73,9 +76,11 @@ pub fn judged(fitted: Fitted, i: &Instrument, forward: &Forward, seed: u64) -> R
         let values: Vec<f64> = seen.iter().map(|frame| frame[j][0]).collect();
         let mean = values.iter().sum::<f64>() / FRAMES as f64;
         let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (FRAMES - 1) as f64;
-        statistic.bound = (SIGMAS * (2.0 * variance).sqrt()) as f32;
         statistic.shot = seen.iter().map(|frame| frame[j][1]).fold(0.0, f64::max) as f32;
         statistic.reading = square.iter().zip(&reading).map(|(w, v)| w * v).sum();
+        let noise = seen.iter().map(|frame| (frame[j][1] + f64::from(statistic.reading) / frame[j][2]) / frame[j][2]);
+        let specimens = (variance - noise.sum::<f64>() / FRAMES as f64).max(LEAST * variance);
+        statistic.bound = (SIGMAS * (2.0 * specimens).sqrt()) as f32;
     }
     let used = watch.statistics.iter().filter(|statistic| statistic.is_used()).count();
     watch.least_light_dn = (DARK * full * pixels) as f32;

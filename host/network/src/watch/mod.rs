@@ -36,7 +36,7 @@ pub struct WatchMaps {
     pub black_dn: u16,
     /// Frames with less light do not count, DN.
     pub least_light_dn: f32,
-    /// Height of the test: ln(2 J / [`FALSE_ALARMS`]).
+    /// Logarithm of the odds against a false alarm: ln(2 J / [`FALSE_ALARMS`]).
     pub log_odds: f32,
     /// Weights, as [`Maps::weights`].
     pub weights: Vec<i16>,

@@ -81,7 +81,7 @@ impl Point {
 ///
 /// A lens that moves by a pixel moves its image by a pixel, so the change is half the difference of the images that
 /// lie one pixel ahead and one behind.
-pub fn points(instrument: &Instrument, forward: &Forward, basis: Basis) -> Vec<Point> {
+pub fn points_of(instrument: &Instrument, forward: &Forward, basis: Basis) -> Vec<Point> {
     let [rows, cols] = forward.operator().object_shape();
     let step = ((rows * cols) as f64 / POINTS as f64).sqrt().round().max(1.0) as usize;
     let middle = |n: usize| (n - 1) % step / 2;

@@ -22,9 +22,9 @@ pub fn watch_text(report: &Report, since: impl Fn(&Alarm) -> String) -> Option<S
 fn moved(alarm: &Alarm, lenses: u8) -> String {
     let (kind, lens) = (alarm.statistic / lenses.max(1), alarm.statistic % lenses.max(1));
     let value = f64::from(alarm.millionths) / 1e6;
-    // The bound is five standard deviations of what specimens make.
+    // The bound is three standard deviations of what specimens make.
     let [noise, bound] = alarm.error_millionths.map(|v| f64::from(v) / 1e6);
-    let error = noise.hypot(bound / 5.0);
+    let error = noise.hypot(bound / 3.0);
     match kind {
         0 => format!("lens {lens} moved by about {value:+.2} +- {error:.2} px along the rows' axis (down)"),
         1 => format!("lens {lens} moved by about {value:+.2} +- {error:.2} px along the columns' axis (right)"),
@@ -75,6 +75,6 @@ mod tests {
         );
         assert!(watch_text(&Report::default(), |_| String::new()).is_none());
         let learning = Report { frames: 3, alarm: None, ..report };
-        assert!(watch_text(&learning, |_| String::new()).unwrap().contains("3 of 64"));
+        assert!(watch_text(&learning, |_| String::new()).unwrap().contains("3 of 128"));
     }
 }
