@@ -93,7 +93,7 @@ fn the_golden_file_of_two_passes_and_a_watch_is_what_this_version_writes() {
     // Two by three blocks of three lenses.
     assert_eq!((lens.watch, lens.statistics), (6 * 3 * 7, 9 * 8));
     let maps: Vec<i16> = (0..lens.watch).map(|i| (i * 40_503) as i16).collect();
-    let statistic = |i: u64| Statistic { scale: i as f32 / 8.0, shot: 2.5, reading: 100.0, bound: 0.125 };
+    let statistic = |i: u64| Statistic { scale: i as f32 / 8.0, shot: 2.5, reading: 100.0, specimens: 0.125 };
     let statistics: Vec<Statistic> = (0..9).map(statistic).collect();
     // A pass more: conv 12->2 in place of 8->2. Two terms of 3 x 3 nodes and 3 x 3 lags a lens.
     assert_eq!((lens.rcan, lens.predictor), (2 * 476 + 72, 2 * 2 * (9 + 9)));
@@ -258,7 +258,7 @@ proptest! {
         let channels = vec![Channel { bias: 1000, multiplier: 1 << 28 }; channels as usize];
         let convolutions = header.integers.map(|_| Convolutions { weights: &integers, channels: &channels });
         let maps = vec![i16::MIN; maps as usize];
-        let statistics = vec![Statistic { scale: -3.0, shot: 1.0, reading: 1.0, bound: 0.0 }; statistics as usize];
+        let statistics = vec![Statistic { scale: -3.0, shot: 1.0, reading: 1.0, specimens: 0.0 }; statistics as usize];
         let mut sections = lens.map(|len| vec![f16::from_f32(0.25); len as usize]);
         sections[4].fill(f16::from_f32(1.0 / 2048.0));
         let weights = Weights {

@@ -67,7 +67,7 @@ impl Owned {
             predictor: (0..lens.predictor).map(|i| f16::from_f32((i % 5) as f32 / 4096.0)).collect(),
             maps: (0..lens.watch).map(|i| (i * 40_503) as i16).collect(),
             statistics: (0..lens.statistics / 8)
-                .map(|i| Statistic { scale: 0.5, shot: i as f32, reading: 0.0, bound: 0.25 })
+                .map(|i| Statistic { scale: 0.5, shot: i as f32, reading: 0.0, specimens: 0.25 })
                 .collect(),
         }
     }

@@ -87,7 +87,7 @@ fn an_impossible_watch_is_refused_by_name() {
     let lens = good.section_lens().unwrap();
     assert_eq!((lens.watch, lens.statistics), (2 * 2 * 7 * 3, 9 * 8));
     let mut owned = Owned::new(&good, 1);
-    owned.statistics[5].bound = -1.0;
+    owned.statistics[5].specimens = -1.0;
     let mut out = std::vec![0; encoded_len(&good).unwrap()];
     let error = encode(&good, &owned.weights(&good.sensor), &mut out);
     assert_eq!(error, Err(BlobError::Statistic { index: 5 }));

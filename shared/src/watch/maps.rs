@@ -24,15 +24,15 @@ pub struct Statistic {
     pub shot: f32,
     /// Variance of the statistic by the reading of the pixels, times the square of the light.
     pub reading: f32,
-    /// The most by which another specimen changes the statistic.
-    pub bound: f32,
+    /// Standard deviation of the difference between two specimens.
+    pub specimens: f32,
 }
 
 impl Statistic {
     /// Whether every number is finite and none is negative. Scales may be.
     pub fn is_possible(&self) -> bool {
-        let Self { scale, shot, reading, bound } = *self;
-        scale.is_finite() && [shot, reading, bound].iter().all(|v| v.is_finite() && *v >= 0.0)
+        let Self { scale, shot, reading, specimens } = *self;
+        scale.is_finite() && [shot, reading, specimens].iter().all(|v| v.is_finite() && *v >= 0.0)
     }
 
     /// Whether it is watched.

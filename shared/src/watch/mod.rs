@@ -24,10 +24,11 @@
 //!
 //! ```text
 //! S+ <- max(0, S+ + (s - m) - slack),   S- <- max(0, S- - (s - m) - slack)
-//! slack = bound + 5 sigma / sqrt(BASELINE) + sigma / 8,   alarm where S > height = 4 sigma log_odds
+//! slack = d + 5 sigma / sqrt(BASELINE) + sigma / 8,   alarm where S > height = 4 sigma log_odds
 //! ```
-//! with sigma the standard deviation that shot and read noise give s at half the light of the baseline, and `bound` what
-//! another specimen may change s by for good. As long as nothing has moved, the mean step is -sigma / 8 or less, and the
+//! with d the standard deviation of the difference that two specimens make to s, and sigma that of s from frame to frame:
+//! of shot and read noise at half the light of the baseline, and of a specimen that is new in every frame. As long as
+//! nothing has moved, and the specimen has not changed for good by more than d, the mean step is -sigma / 8 or less, and the
 //! probability that a sum which begins at 0 ever reaches the height is at most `exp(-2 (sigma / 8) height / sigma^2) =
 //! exp(-log_odds)` (Lundberg's inequality for normal steps; D. Siegmund, Sequential Analysis, Springer 1985, chapter 2).
 //! Each frame begins at most one such attempt of each sum, so with J statistics at most `2 J exp(-log_odds)` false

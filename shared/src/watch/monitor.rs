@@ -58,7 +58,8 @@ pub struct Alarm {
     pub frames: u32,
     /// Mean change since then, millionths of a pixel or of 1: of this lens against the mean of all others.
     pub millionths: i32,
-    /// Standard error of it by noise, and the most that another specimen makes, millionths.
+    /// Standard error of it by noise and specimens that change, and the standard deviation of what another specimen
+    /// makes for good, millionths.
     pub error_millionths: [u32; 2],
 }
 
@@ -97,7 +98,7 @@ struct Raised {
     since: u32,
     frames: u32,
     mean: f32,
-    /// Standard deviation of one frame, and the bound.
+    /// Standard deviation of one frame, and of the difference between two specimens.
     error: [f32; 2],
 }
 
@@ -178,7 +179,7 @@ impl Watch {
             }
             let excess = projection.value(j, statistic) - mean;
             let sigma = deviation(statistic, least_light);
-            let (slack, height) = (statistic.bound + SLACK * sigma, HEIGHT * sigma * maps.log_odds);
+            let (slack, height) = (statistic.specimens + SLACK * sigma, HEIGHT * sigma * maps.log_odds);
             for (sum, sign) in sums.iter_mut().zip([1.0, -1.0]) {
                 sum.step(sign * excess - slack, id);
                 // One that crosses together with others, as the neighbours of a lens do, need not be the first.
@@ -190,7 +191,7 @@ impl Watch {
                         since: sum.since,
                         frames: sum.frames,
                         mean: sign * sum.mean(slack),
-                        error: [sigma, statistic.bound],
+                        error: [sigma, statistic.specimens],
                     });
                 }
             }
@@ -209,7 +210,7 @@ impl Watch {
 
     /// What has been seen.
     pub fn report(&self, maps: &Maps<'_>) -> Report {
-        let alarm = self.raised.map(|Raised { statistic, since, frames, mean, error: [sigma, bound] }| {
+        let alarm = self.raised.map(|Raised { statistic, since, frames, mean, error: [sigma, specimens] }| {
             let noise = sigma * root(1.0 / frames as f32 + 1.0 / BASELINE as f32);
             Alarm {
                 statistic,
@@ -217,16 +218,18 @@ impl Watch {
                 frames,
                 // Casts saturate.
                 millionths: (mean * MILLION) as i32,
-                error_millionths: [(noise * MILLION) as u32, (bound * MILLION) as u32],
+                error_millionths: [(noise * MILLION) as u32, (specimens * MILLION) as u32],
             }
         });
         Report { lenses: maps.lenses() as u8, frames: self.frames, left_out: self.left_out, alarm }
     }
 }
 
-/// Standard deviation by noise of a statistic of a frame with so much light, DN.
+/// Standard deviation of a statistic from frame to frame, by noise at so much light, DN, and by specimens that are new
+/// in each: half the variance of a difference.
 fn deviation(statistic: &Statistic, light: f32) -> f32 {
-    root((statistic.shot + statistic.reading / light) / light)
+    let noise = (statistic.shot + statistic.reading / light) / light;
+    root(noise + 0.5 * statistic.specimens * statistic.specimens)
 }
 
 /// Square root of a number that is not negative, to 1e-6 of itself: from half the exponent, four steps of Newton's.

@@ -93,7 +93,7 @@ proptest! {
                 scale: odd(&mut draws),
                 shot: odd(&mut draws),
                 reading: odd(&mut draws),
-                bound: odd(&mut draws),
+                specimens: odd(&mut draws),
             })
             .collect();
         let maps = maps(Size { rows, cols }, block, &weights, &statistics);
@@ -182,10 +182,10 @@ struct Stream {
 const LIGHT: i64 = 1_000_000;
 
 impl Stream {
-    /// Three lenses; the standard deviation at half of the light is 0.02, the bound 0.05.
+    /// Three lenses; the standard deviation at half of the light is 0.02 by noise; two specimens differ by 0.05.
     fn new(seed: u64) -> Self {
         let shot = 0.02 * 0.02 * LIGHT as f32 / 2.0;
-        let statistic = Statistic { scale: 1e-6 * LIGHT as f32, shot, reading: 0.0, bound: 0.05 };
+        let statistic = Statistic { scale: 1e-6 * LIGHT as f32, shot, reading: 0.0, specimens: 0.05 };
         Self { draws: Draws(seed), statistics: vec![statistic; 9] }
     }
 
@@ -229,9 +229,10 @@ fn false_alarms_are_rarer_than_stated() {
     let (mut frames, mut alarms) = (0u32, 0u32);
     for seed in 0..40 {
         let mut stream = Stream::new(seed);
-        // The worst of what is allowed: the statistics lie beyond their baselines by the bound and by 5 sigma / sqrt(128).
-        let off = 0.05 + 0.02 * 5.0 / 128f32.sqrt();
-        let (_, end) = run(&mut stream, log_odds, 4000, 0.02, |id, _| if id < BASELINE { 0.0 } else { off });
+        // The worst of what is allowed: the statistics lie beyond their baselines by 0.05 and by 5 sigma / sqrt(128).
+        let sigma = (0.02f32 * 0.02 + 0.05 * 0.05 / 2.0).sqrt();
+        let off = 0.05 + sigma * 5.0 / 128f32.sqrt();
+        let (_, end) = run(&mut stream, log_odds, 4000, sigma, |id, _| if id < BASELINE { 0.0 } else { off });
         frames += end.map_or(4000, |id| id + 1) - BASELINE;
         alarms += u32::from(end.is_some());
     }
@@ -244,9 +245,9 @@ fn false_alarms_are_rarer_than_stated() {
 fn at_the_stated_rate_a_million_quiet_frames_raise_no_alarm() {
     let log_odds = (18.0e6f32).ln();
     for seed in 0..5 {
-        // Specimens that change from frame to frame, to both sides of their bound.
+        // Specimens that change from frame to frame, by a standard deviation of 0.05 / sqrt(2).
         let mut specimens = Draws(100 + seed);
-        let drawn: Vec<f32> = (0..4096).map(|_| 0.05 / 7.1 * specimens.normal()).collect();
+        let drawn: Vec<f32> = (0..4096).map(|_| 0.05 / 2f32.sqrt() * specimens.normal()).collect();
         let (_, end) =
             run(&mut Stream::new(seed), log_odds, 200_000, 0.02, |id, j| drawn[(id as usize * 9 + j) % 4096]);
         assert_eq!(end, None);

@@ -203,7 +203,7 @@ fn watch(header: &Header, seed: u64) -> (Vec<i16>, Vec<Statistic>) {
     let lens = header.section_lens().unwrap();
     let mut rng = rng::stream(seed, "watch", 0);
     let maps = (0..lens.watch).map(|_| rng.random_range(-32_768..=32_767_i16)).collect();
-    let statistic = |_| Statistic { scale: rng.random_range(2e-5..4e-5f32), shot: 1.0, reading: 50.0, bound: 1e-3 };
+    let statistic = |_| Statistic { scale: rng.random_range(2e-5..4e-5f32), shot: 1.0, reading: 50.0, specimens: 1e-3 };
     let statistics = (0..lens.statistics / 8).map(statistic).collect();
     (maps, statistics)
 }

@@ -7,7 +7,7 @@ use serde::Serialize;
 /// Figures of the statistics of one kind: displacements in pixels, or gains. Medians over the lenses.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct KindFigures {
-    /// The most by which another specimen changes a statistic.
+    /// Standard deviation of the difference between two unrelated specimens.
     pub specimens: f32,
     /// Standard deviation by noise in one frame whose mean is 5 % of full scale.
     pub noise: f32,
@@ -38,7 +38,7 @@ impl WatchMaps {
             let used: Vec<&Statistic> = of.iter().filter(|statistic| statistic.is_used()).collect();
             let light = light_dn as f32;
             KindFigures {
-                specimens: median(used.iter().map(|s| s.bound).collect()),
+                specimens: median(used.iter().map(|s| s.specimens).collect()),
                 noise: median(used.iter().map(|s| ((s.shot + s.reading / light) / light).sqrt()).collect()),
             }
         };

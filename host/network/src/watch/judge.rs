@@ -15,9 +15,6 @@ use rayon::prelude::*;
 const FRAMES: usize = 220;
 /// Brightest pixels of these frames as a share of full scale: so bright that noise hides nothing.
 const PEAK: [f64; 2] = [0.5, 0.8];
-/// The bound is so many standard deviations of the difference of two specimens. It stands against changes that last:
-/// specimens that change from frame to frame average out.
-const SIGMAS: f64 = 3.0;
 /// The specimens make at least this share of the variance that is found: what noise makes is known so well.
 const LEAST: f64 = 0.1;
 /// Light below this share of full scale in the mean of all pixels does not count.
@@ -80,7 +77,7 @@ pub fn judged(fitted: Fitted, i: &Instrument, forward: &Forward, seed: u64) -> R
         statistic.reading = square.iter().zip(&reading).map(|(w, v)| w * v).sum();
         let noise = seen.iter().map(|frame| (frame[j][1] + f64::from(statistic.reading) / frame[j][2]) / frame[j][2]);
         let specimens = (variance - noise.sum::<f64>() / FRAMES as f64).max(LEAST * variance);
-        statistic.bound = (SIGMAS * (2.0 * specimens).sqrt()) as f32;
+        statistic.specimens = (2.0 * specimens).sqrt() as f32;
     }
     let used = watch.statistics.iter().filter(|statistic| statistic.is_used()).count();
     watch.least_light_dn = (DARK * full * pixels) as f32;

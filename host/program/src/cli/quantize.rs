@@ -167,8 +167,8 @@ fn text(path: &Path, r: &QuantizeReport) -> String {
     if let Some(WatchFigures { bytes, shifts_px, gains, .. }) = &r.watch {
         let _ = writeln!(
             text,
-            "  watch on the optics: {bytes} bytes; noise of a frame {:.3} px and {:.2} %, another specimen at most {:.3} \
-             px and {:.2} %",
+            "  watch on the optics: {bytes} bytes; noise of a frame {:.3} px and {:.2} %, another specimen {:.3} px and \
+             {:.2} %",
             shifts_px.noise,
             100.0 * gains.noise,
             shifts_px.specimens,

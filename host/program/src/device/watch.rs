@@ -22,9 +22,8 @@ pub fn watch_text(report: &Report, since: impl Fn(&Alarm) -> String) -> Option<S
 fn moved(alarm: &Alarm, lenses: u8) -> String {
     let (kind, lens) = (alarm.statistic / lenses.max(1), alarm.statistic % lenses.max(1));
     let value = f64::from(alarm.millionths) / 1e6;
-    // The bound is three standard deviations of what specimens make.
-    let [noise, bound] = alarm.error_millionths.map(|v| f64::from(v) / 1e6);
-    let error = noise.hypot(bound / 3.0);
+    let [noise, specimens] = alarm.error_millionths.map(|v| f64::from(v) / 1e6);
+    let error = noise.hypot(specimens);
     match kind {
         0 => format!("lens {lens} moved by about {value:+.2} +- {error:.2} px along the rows' axis (down)"),
         1 => format!("lens {lens} moved by about {value:+.2} +- {error:.2} px along the columns' axis (right)"),
@@ -44,7 +43,7 @@ pub fn watch_json(report: &Report) -> serde_json::Value {
         serde_json::json!({
             "lens": alarm.statistic % lenses, "param": kind, "unit": unit, "value": f64::from(alarm.millionths) / 1e6,
             "sigma_noise": f64::from(alarm.error_millionths[0]) / 1e6,
-            "specimens_at_most": f64::from(alarm.error_millionths[1]) / 1e6,
+            "sigma_specimens": f64::from(alarm.error_millionths[1]) / 1e6,
             "since_run": alarm.since, "frames_since": alarm.frames,
         })
     });
@@ -59,7 +58,7 @@ mod tests {
     #[test]
     fn the_sentence_names_the_lens_and_the_frame() {
         let alarm =
-            Alarm { statistic: 13, since: 1201, frames: 40, millionths: -123_000, error_millionths: [3_000, 20_000] };
+            Alarm { statistic: 13, since: 1201, frames: 40, millionths: -123_000, error_millionths: [3_000, 9_000] };
         let report = Report { lenses: 9, frames: 1240, left_out: 2, alarm: Some(alarm) };
         let text = watch_text(&report, |alarm| format!("frame {}", alarm.since - 1)).unwrap();
         assert!(
