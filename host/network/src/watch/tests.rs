@@ -12,7 +12,10 @@ fn maps_answer_displacements_and_hardly_anything_else() {
     assert_eq!((watch.statistics.len(), watch.maps().lenses()), (27, 9));
     assert!(27 <= MAX_STATISTICS && watch.weights.len() * 2 <= MOST_BYTES);
     let object = |seed: usize| {
-        Array2::from_shape_fn((40, 40), |(r, c)| if (r * 31 + c * 17 + r * c * seed) % 11 == 0 { 1.0 } else { 0.1f32 })
+        Array2::from_shape_fn(
+            (40, 40),
+            |(r, c)| if (r * 31 + c * 17 + r * c * seed).is_multiple_of(11) { 1.0 } else { 0.1f32 },
+        )
     };
     let codes = |i: &Instrument, seed| -> Vec<u16> {
         let forward = Forward::new(i).unwrap();
