@@ -2,8 +2,7 @@
 
 use super::error::{BlobError, Section};
 use super::header::{
-    Header, HeaderField, Integers, MAX_LATER, MAX_LENSES, MemoryPlan, Passes, SectionLens, Sensor, Size, Watching,
-    Weights,
+    Header, HeaderField, Integers, MAX_LATER, MemoryPlan, Passes, SectionLens, Sensor, Size, Watching, Weights,
 };
 use super::layout::SECTIONS;
 use crate::nn::integer::counts;
@@ -111,11 +110,12 @@ impl Header {
     }
 
     /// Whether this watch is possible: no sum of it overflows, and its light and its height are numbers.
-    fn can_watch(&self, watch: &Watching) -> bool {
+    fn can_watch(&self, watching: &Watching) -> bool {
         let pixels = u64::from(self.frame.rows) * u64::from(self.frame.cols);
-        let shape = (3..=MAX_LENSES).contains(&watch.lenses.into()) && (1..=MAX_BLOCK).contains(&watch.block);
-        let numbers = watch.least_light_dn.is_finite() && watch.log_odds.is_normal();
-        shape && numbers && pixels <= MAX_PIXELS && watch.least_light_dn >= 0.0 && watch.log_odds > 0.0
+        let shape =
+            (3..=watch::MAX_LENSES).contains(&watching.lenses.into()) && (1..=MAX_BLOCK).contains(&watching.block);
+        let numbers = watching.least_light_dn.is_finite() && watching.log_odds.is_normal();
+        shape && numbers && pixels <= MAX_PIXELS && watching.least_light_dn >= 0.0 && watching.log_odds > 0.0
     }
 
     /// Whether these passes are possible: a model of one term or more that a transform holds, convolutions in halves.

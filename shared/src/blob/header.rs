@@ -189,7 +189,7 @@ impl Passes {
 /// A watch on the optics ([`crate::watch`]).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Watching {
-    /// Number of lenses, 3 to [`MAX_LENSES`].
+    /// Number of lenses, 3 to [`crate::watch::MAX_LENSES`].
     pub lenses: u8,
     /// Side of a block of pixels, 1 to [`crate::watch::MAX_BLOCK`].
     pub block: u8,

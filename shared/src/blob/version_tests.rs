@@ -76,7 +76,7 @@ fn an_impossible_watch_is_refused_by_name() {
         assert_eq!(header.check(), Err(BlobError::Header { field: HeaderField::Watch }), "{header:?}");
     };
     refused(|watch| watch.lenses = 2);
-    refused(|watch| watch.lenses = MAX_LENSES as u8 + 1);
+    refused(|watch| watch.lenses = crate::watch::MAX_LENSES as u8 + 1);
     refused(|watch| watch.block = 0);
     refused(|watch| watch.block = MAX_BLOCK + 1);
     refused(|watch| watch.least_light_dn = f32::NAN);

@@ -257,7 +257,7 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
         self.committed = true;
         self.last_run = None;
         self.field.forget();
-        self.watch = Watch::new();
+        self.watch.restart();
         self.telemetry.watch = Default::default();
         Ok(())
     }

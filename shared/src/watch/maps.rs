@@ -1,8 +1,10 @@
 //! Weight maps, and the statistics of a frame under them.
 
-use crate::blob::{MAX_LENSES, Size};
+use crate::blob::Size;
 use bytemuck::{Pod, Zeroable};
 
+/// Largest number of lenses: their sums lie on the stack of the device.
+pub const MAX_LENSES: usize = 9;
 /// Largest number of statistics: two displacements and a gain of each lens.
 pub const MAX_STATISTICS: usize = 3 * MAX_LENSES;
 /// Moments of a block.

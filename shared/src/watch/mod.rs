@@ -38,7 +38,7 @@
 mod maps;
 mod monitor;
 
-pub use maps::{MAX_BLOCK, MAX_PIXELS, MAX_STATISTICS, MOMENTS, Maps, Projection, Statistic, blocks};
+pub use maps::{MAX_BLOCK, MAX_LENSES, MAX_PIXELS, MAX_STATISTICS, MOMENTS, Maps, Projection, Statistic, blocks};
 pub use monitor::{Alarm, BASELINE, Report, Watch};
 
 #[cfg(test)]

@@ -123,6 +123,13 @@ impl Watch {
         }
     }
 
+    /// Forgets everything, in place.
+    pub fn restart(&mut self) {
+        (self.frames, self.left_out, self.other, self.light_dn, self.raised) = (0, 0, 0, 0.0, None);
+        self.mean.fill(0.0);
+        self.sums.fill(Default::default());
+    }
+
     /// Looks at the raw frame of run `id`, of which `saturated_px` pixels are saturated.
     pub fn see(&mut self, maps: &Maps<'_>, frame: &[u16], saturated_px: u32, id: u32) {
         if saturated_px > frame.len() as u32 / SATURATED {
@@ -163,7 +170,9 @@ impl Watch {
         let same = self.frames == 0 || (light <= CHANGE * self.light_dn && CHANGE * light >= self.light_dn);
         self.other = if same { 0 } else { self.other.saturating_add(1) };
         if self.other >= RESTART && self.frames < BASELINE {
-            *self = Self { left_out: self.left_out, ..Self::new() };
+            let left_out = self.left_out;
+            self.restart();
+            self.left_out = left_out;
             return true;
         }
         same

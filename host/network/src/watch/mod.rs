@@ -15,8 +15,8 @@ pub use figures::{KindFigures, WatchFigures};
 use fit::Fitted;
 use ommatidia_model::forward::Forward;
 use ommatidia_model::instrument::Instrument;
-use ommatidia_shared::blob::{MAX_LENSES, Size, Watching};
-use ommatidia_shared::watch::{MAX_BLOCK, MAX_PIXELS, Maps, Statistic, blocks};
+use ommatidia_shared::blob::{Size, Watching};
+use ommatidia_shared::watch::{MAX_BLOCK, MAX_LENSES, MAX_PIXELS, Maps, Statistic, blocks};
 
 /// Largest length of the maps, bytes.
 const MOST_BYTES: usize = 60 << 10;
@@ -48,7 +48,7 @@ impl WatchMaps {
     /// Finds the maps of an instrument, and judges them on simulated specimens of `seed`.
     ///
     /// # Errors
-    /// The instrument has fewer than three living lenses or more than 25, a frame beyond 2^24 pixels, or cannot be
+    /// The instrument has fewer than three living lenses or more than nine, a frame beyond 2^24 pixels, or cannot be
     /// planned.
     pub fn of(instrument: &Instrument, seed: u64) -> Result<Self, WatchError> {
         let forward = Forward::new(instrument)?;
