@@ -5,6 +5,7 @@
 use half::f16;
 use ommatidia_shared::blob::{MAGIC, Network, SCHEMA_KEY, VERSION};
 use ommatidia_shared::pipeline::{Memory, Pipeline};
+use ommatidia_shared::watch::{BASELINE, Watch};
 use ommatidia_shared::wire::checksum;
 
 /// Largest length of a buffer, numbers: larger networks are not run.
@@ -27,6 +28,11 @@ pub fn try_input(data: &[u8]) {
     let (mut fast, mut bulk) = (vec![0.0; pipeline.fast_len()], vec![f16::ZERO; pipeline.bulk_len()]);
     let mut object = vec![f16::NAN; pipeline.output_len()];
     let frame: Vec<u16> = (0..pipeline.frame_len()).map(|i| (i * 7919 % 4096) as u16).collect();
+    if let Some(maps) = network.watch() {
+        let mut watch = Watch::new();
+        (0..BASELINE + 3).for_each(|id| watch.see(&maps, &frame, 0, id));
+        assert_eq!(watch.report(&maps).lenses as usize, maps.lenses());
+    }
     pipeline.run(&frame, Memory { fast: &mut fast, bulk: &mut bulk }, &mut object).expect("the plan is enough");
     assert!(object.iter().all(|half| half.is_finite()));
 }

@@ -23,6 +23,7 @@ pub mod num;
 pub mod pipeline;
 pub mod predict;
 pub mod sensor;
+pub mod watch;
 pub mod wire;
 
 #[cfg(test)]

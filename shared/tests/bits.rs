@@ -51,6 +51,7 @@ fn header(integers: Option<Integers>) -> Header {
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
         integers,
         passes: None,
+        watch: None,
     };
     header.memory = Pipeline::plan(&header).unwrap();
     header
@@ -65,7 +66,9 @@ fn made(gain: f32) -> u64 {
     rcan[last..].iter_mut().for_each(|w| *w = f16::from_f32(w.to_f32() / (gain * gain)));
     let (index, convolutions) = (&[], None);
     let (offset_dn, inverse_gain, predictor) = (None, None, &[]);
-    let weights = Weights { filters: &filters, index, rcan: &rcan, offset_dn, inverse_gain, convolutions, predictor };
+    let watch = Default::default();
+    let weights =
+        Weights { filters: &filters, index, rcan: &rcan, offset_dn, inverse_gain, convolutions, predictor, watch };
     reconstruct(&Network::new(header, weights).unwrap())
 }
 
@@ -86,7 +89,9 @@ fn made_in_integers() -> u64 {
     let convolutions = Some(Convolutions { weights: &integers, channels: &channels });
     let index = &[];
     let (offset_dn, inverse_gain, predictor) = (None, None, &[]);
-    let weights = Weights { filters: &filters, index, rcan: &rcan, offset_dn, inverse_gain, convolutions, predictor };
+    let watch = Default::default();
+    let weights =
+        Weights { filters: &filters, index, rcan: &rcan, offset_dn, inverse_gain, convolutions, predictor, watch };
     reconstruct(&Network::new(header, weights).unwrap())
 }
 

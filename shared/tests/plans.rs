@@ -22,6 +22,7 @@ fn header(bank: Bank, frame: Size, object: Size, rcan: Rcan) -> Header {
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
         integers: None,
         passes: None,
+        watch: None,
     }
 }
 
@@ -55,6 +56,7 @@ fn a_plan_that_wraps_in_32_bits_is_refused() {
         inverse_gain: None,
         convolutions: None,
         predictor: &[],
+        watch: Default::default(),
     };
     let mut words = vec![0_u128; encoded_len(&header).unwrap().div_ceil(16)];
     let buffer = bytemuck::cast_slice_mut(&mut words);

@@ -6,19 +6,22 @@ mod networks;
 use half::f16;
 use ommatidia_network::network_file::NetworkFile;
 use ommatidia_shared::blob::{
-    Bank, Blocks, Corner, FeatureBits, Header, Integers, MemoryPlan, Passes, Rcan, Sensor, Size, Tap, VERSION, Weights,
+    Bank, Blocks, Corner, FeatureBits, Header, Integers, MemoryPlan, Passes, Rcan, Sensor, Size, Tap, VERSION,
+    WatchWeights, Watching, Weights,
 };
 use ommatidia_shared::nn::integer::{Channel, Convolutions};
 use ommatidia_shared::pipeline::{Memory, Pipeline};
+use ommatidia_shared::watch::Statistic;
 use proptest::prelude::*;
 use std::path::Path;
 
-/// Files of versions 1 to 4 that are never rewritten, and one of version 5.
+/// Files of versions 1 to 5 that are never rewritten, and one of version 6.
 const GOLDEN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/golden/network-v2.omm");
 const GOLDEN_1: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/golden/network-v1.omm");
 const GOLDEN_3: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/golden/network-v3.omm");
 const GOLDEN_4: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/golden/network-v4.omm");
 const GOLDEN_5: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/golden/network-v5.omm");
+const GOLDEN_6: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/golden/network-v6.omm");
 
 /// Index of the blocks of the golden file: two kernels of 4 x 4 blocks.
 const GOLDEN_INDEX: [u16; 14] = [0, 0, 2, 3, 3, 3, 4, 4, 5, 1, 3, 0, 2, 3];
@@ -41,6 +44,7 @@ fn golden_header() -> Header {
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
         integers: None,
         passes: None,
+        watch: None,
     };
     header.memory = Pipeline::plan(&header).unwrap();
     header
@@ -53,7 +57,7 @@ fn golden_weight(section: usize, i: usize) -> f16 {
 
 #[test]
 fn the_golden_file_of_version_2_still_decodes() {
-    assert_eq!(VERSION, 5, "keep these files readable or refused by name, and add a golden file of the new version");
+    assert_eq!(VERSION, 6, "keep these files readable or refused by name, and add a golden file of the new version");
     let file = NetworkFile::read(Path::new(GOLDEN)).unwrap();
     let network = file.network().unwrap();
     assert_eq!(network.header(), &golden_header());
@@ -74,17 +78,23 @@ fn the_golden_file_of_version_2_still_decodes() {
 #[test]
 fn a_file_of_version_1_is_refused_by_name() {
     let error = NetworkFile::read(Path::new(GOLDEN_1)).unwrap_err().to_string();
-    assert!(error.contains("version 5, found 1") && error.contains("quantize"), "{error}");
+    assert!(error.contains("version 6, found 1") && error.contains("quantize"), "{error}");
 }
 
 /// With a new version of the format: `OMMATIDIA_WRITE_GOLDEN=1` writes the file that this test then compares with.
 #[test]
-fn the_golden_file_of_two_passes_is_what_this_version_writes() {
+fn the_golden_file_of_two_passes_and_a_watch_is_what_this_version_writes() {
     let mut header = golden_header();
     let corners = [Corner { row: -1, col: 2 }, Corner { row: 3, col: 300 }].into_iter().collect();
     header.passes = Some(Passes { later: 1, terms: 2, window: 3, node_step: 4, corners });
+    header.watch = Some(Watching { lenses: 3, block: 5, black_dn: 64, least_light_dn: 1000.0, log_odds: 17.8 });
     header.memory = Pipeline::plan(&header).unwrap();
     let lens = header.section_lens().unwrap();
+    // Two by three blocks of three lenses.
+    assert_eq!((lens.watch, lens.statistics), (6 * 3 * 7, 9 * 8));
+    let maps: Vec<i16> = (0..lens.watch).map(|i| (i * 40_503) as i16).collect();
+    let statistic = |i: u64| Statistic { scale: i as f32 / 8.0, shot: 2.5, reading: 100.0, specimens: 0.125 };
+    let statistics: Vec<Statistic> = (0..9).map(statistic).collect();
     // A pass more: conv 12->2 in place of 8->2. Two terms of 3 x 3 nodes and 3 x 3 lags a lens.
     assert_eq!((lens.rcan, lens.predictor), (2 * 476 + 72, 2 * 2 * (9 + 9)));
     let lens = [lens.filters, lens.rcan, lens.offset_dn, lens.inverse_gain, lens.predictor];
@@ -98,17 +108,25 @@ fn the_golden_file_of_two_passes_is_what_this_version_writes() {
         inverse_gain: Some(&sections[3]),
         convolutions: None,
         predictor: &sections[4],
+        watch: WatchWeights { maps: &maps, statistics: &statistics },
     };
     let file = NetworkFile::new(&header, &weights).unwrap();
     if std::env::var_os("OMMATIDIA_WRITE_GOLDEN").is_some() {
-        file.write(Path::new(GOLDEN_5)).unwrap();
+        file.write(Path::new(GOLDEN_6)).unwrap();
     }
-    assert!(file.bytes() == std::fs::read(GOLDEN_5).unwrap(), "{GOLDEN_5} differs from what is written today");
-    let read = NetworkFile::read(Path::new(GOLDEN_5)).unwrap();
+    assert!(file.bytes() == std::fs::read(GOLDEN_6).unwrap(), "{GOLDEN_6} differs from what is written today");
+    let read = NetworkFile::read(Path::new(GOLDEN_6)).unwrap();
     let network = read.network().unwrap();
     assert_eq!(network.header(), &header);
     assert_eq!(network.weights().predictor, &sections[4][..]);
+    assert_eq!(network.weights().watch, weights.watch);
     assert_eq!(Pipeline::new(&network).unwrap().passes(), 2);
+    // Version 5 is the same network without the watch.
+    let read = NetworkFile::read(Path::new(GOLDEN_5)).unwrap();
+    header.watch = None;
+    let network = read.network().unwrap();
+    assert_eq!(network.header(), &header);
+    assert!(network.watch().is_none() && network.weights().predictor == &sections[4][..]);
 }
 
 #[test]
@@ -134,6 +152,7 @@ fn the_golden_files_in_integers_still_decode() {
         inverse_gain: Some(&sections[3]),
         convolutions: Some(Convolutions { weights: &integers, channels: &channels }),
         predictor: &[],
+        watch: Default::default(),
     };
     let file = NetworkFile::new(&header, &weights).unwrap();
     let read = NetworkFile::read(Path::new(GOLDEN_4)).unwrap();
@@ -180,6 +199,7 @@ prop_compose! {
             mostly((0u32..5).prop_map(|n| 1 << n), any::<u16>()),
             prop::collection::vec(mostly((-30i16..30, -30i16..30), any::<(i16, i16)>()), 1..6),
         )),
+        watch in prop::option::of((mostly(3u8..5, any::<u8>()), mostly(1u8..33, any::<u8>()), any::<u16>())),
         memory: (u32, u32), planned in mostly(Just(true), Just(false)),
     ) -> Header {
         let mut taps = taps;
@@ -204,6 +224,9 @@ prop_compose! {
                 later, terms, window, node_step,
                 corners: corners.into_iter().map(|(row, col)| Corner { row, col }).collect(),
             }),
+            watch: watch.map(|(lenses, block, black_dn)| Watching {
+                lenses, block, black_dn, least_light_dn: 10.0, log_odds: 18.0,
+            }),
             integers: integers.map(|(input_log2, feature_log2)| Integers {
                 input_log2, feature_log2, output: 1.0e-6,
                 features: if input_log2 % 2 == 0 { FeatureBits::Eight } else { FeatureBits::Sixteen },
@@ -225,14 +248,17 @@ proptest! {
         let Ok(lens) = header.section_lens() else { return Ok(()) };
         let index = vec![0; lens.index.min(1 << 16) as usize];
         let (words, channels) = (lens.integers, lens.channels / 4);
+        let (maps, statistics) = (lens.watch, lens.statistics / 8);
         let lens = [lens.filters, lens.rcan, lens.offset_dn, lens.inverse_gain, lens.predictor];
-        if header.check().is_err() || !lens.into_iter().chain([words, channels]).all(small) {
+        if header.check().is_err() || !lens.into_iter().chain([words, channels, maps]).all(small) {
             return Ok(());
         }
         // Weights of 2: even 18,000 in a channel stay within 32 bits.
         let integers = vec![0x0202; words as usize];
         let channels = vec![Channel { bias: 1000, multiplier: 1 << 28 }; channels as usize];
         let convolutions = header.integers.map(|_| Convolutions { weights: &integers, channels: &channels });
+        let maps = vec![i16::MIN; maps as usize];
+        let statistics = vec![Statistic { scale: -3.0, shot: 1.0, reading: 1.0, specimens: 0.0 }; statistics as usize];
         let mut sections = lens.map(|len| vec![f16::from_f32(0.25); len as usize]);
         sections[4].fill(f16::from_f32(1.0 / 2048.0));
         let weights = Weights {
@@ -243,6 +269,7 @@ proptest! {
             inverse_gain: header.sensor.has_gain_map.then_some(&sections[3]),
             convolutions,
             predictor: &sections[4],
+            watch: WatchWeights { maps: &maps, statistics: &statistics },
         };
         let file = NetworkFile::new(&header, &weights).unwrap();
         let network = file.network().unwrap();
@@ -253,5 +280,8 @@ proptest! {
         let frame = vec![500; pipeline.frame_len()];
         pipeline.run(&frame, Memory { fast: &mut fast, bulk: &mut bulk }, &mut object).unwrap();
         prop_assert!(object.iter().all(|half| half.is_finite()));
+        if let Some(maps) = network.watch() {
+            prop_assert!(maps.project(&frame).light_dn == frame.len() as i64 * (500 - i64::from(maps.black_dn)));
+        }
     }
 }

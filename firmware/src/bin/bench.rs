@@ -27,6 +27,7 @@ use ommatidia_shared::num::simd::Simd;
 use ommatidia_shared::num::{fused, narrow, narrow_slice, widen_slice};
 use ommatidia_shared::pipeline::{Field, Memory, Pipeline};
 use ommatidia_shared::predict::Predictor;
+use ommatidia_shared::watch::{self, Maps, Statistic, Watch};
 
 /// Why the program ends without counts.
 type Failure = &'static str;
@@ -138,6 +139,7 @@ impl Bench {
         self.convert()?;
         self.fused()?;
         self.predict()?;
+        self.watch()?;
         self.reconstruct()
     }
 
@@ -364,6 +366,21 @@ impl Bench {
         region(images, frame.len(), "px", || plan.process(Simd::detect(), model, object, frame, arena, scratch))
     }
 
+    /// The watch on the optics of nine lenses, for a frame.
+    fn watch(&mut self) -> Result<(), Failure> {
+        let (frame, block) = (Size { rows: 214, cols: 214 }, 10);
+        let statistics = [Statistic { scale: 1e-6, shot: 1.0, reading: 1.0, specimens: 0.1 }; 27];
+        let len = watch::blocks(frame, block).iter().product::<usize>() * Maps::weights_of_block(statistics.len());
+        let weights = bytemuck::cast_slice(&self.weights[..len]);
+        let (statistics, least_light_dn) = (&statistics[..], 1.0);
+        let maps = Maps { frame, block, black_dn: 64, least_light_dn, log_odds: 18.0, weights, statistics };
+        let (mut watch, codes) = (Watch::new(), &self.frame[..214 * 214]);
+        region(format_args!("watch on 9 lenses, 214x214 px"), codes.len(), "px", || {
+            watch.see(black_box(&maps), codes, 0, 1);
+            Ok::<_, Infallible>(watch.report(&maps))
+        })
+    }
+
     /// A network on a whole frame, then for squares of these sides in the middle alone.
     fn network(&mut self, name: &str, header: &Header, sides: &[u16]) -> Result<(), Failure> {
         let mut header = header.clone();
@@ -384,6 +401,7 @@ impl Bench {
                 channels: &CHANNELS[..lens.channels as usize / 4],
             }),
             predictor: &rest[..lens.predictor as usize],
+            watch: Default::default(),
         };
         let network = Network::new(header, weights).map_err(|_| "the weights are refused")?;
         let pipeline = Pipeline::new(&network).map_err(|_| "the network is refused")?;
@@ -464,5 +482,6 @@ fn header(channels: u8, rcan: Rcan) -> Header {
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
         integers: None,
         passes: None,
+        watch: None,
     }
 }

@@ -8,6 +8,7 @@
 //! | [`network_file`] | network files on the host |
 //! | `richardson_lucy` | the iterations, for a method of their own and for networks that begin with an estimate |
 //! | [`uncertainty`] | intervals for each pixel of a reconstruction, calibrated and checked |
+//! | [`watch`] | maps with which a device notices that its optics have moved |
 //! | [`evaluate`] | methods side by side; spectra by radius, resolution by position, receptive fields |
 
 pub mod evaluate;
@@ -17,3 +18,4 @@ pub mod quantize;
 mod richardson_lucy;
 pub mod train;
 pub mod uncertainty;
+pub mod watch;

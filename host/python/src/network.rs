@@ -115,7 +115,7 @@ pub fn quantize<'py>(
         let locks = Files::reading([&checkpoint]).writing([&to], Content::File(FileKind::Blob)).hold(force)?;
         let stem = checkpoint.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
         let name = name.unwrap_or(stem);
-        let config = QuantizeConfig { name, flash_bytes, ram_bytes, tile, energy, prune, numbers };
+        let config = QuantizeConfig { name, flash_bytes, ram_bytes, tile, energy, prune, numbers, watch: None };
         Ok((quantized(&Checkpoint::read(&checkpoint)?, &file_hash(&checkpoint)?, &config)?, locks))
     })?;
     // Here, and not in the work: a run that was stopped writes nothing.

@@ -1,11 +1,14 @@
 //! The checks of a header and of the weights that belong to it.
 
 use super::error::{BlobError, Section};
-use super::header::{Header, HeaderField, Integers, MAX_LATER, MemoryPlan, Passes, SectionLens, Sensor, Size, Weights};
+use super::header::{
+    Header, HeaderField, Integers, MAX_LATER, MemoryPlan, Passes, SectionLens, Sensor, Size, Watching, Weights,
+};
 use super::layout::SECTIONS;
 use crate::nn::integer::counts;
 use crate::nn::rcan::{attention_count, weights_count};
 use crate::num::widen;
+use crate::watch::{self, MAX_BLOCK, MAX_PIXELS, Maps};
 use half::f16;
 
 impl Header {
@@ -43,6 +46,12 @@ impl Header {
                 (attention_count(&self.rcan, self.bank.channels), weights.div_ceil(2), 4 * channels)
             }
         };
+        let watch = |watch: &Watching| {
+            let [statistics, blocks] =
+                [3 * usize::from(watch.lenses), watch::blocks(self.frame, watch.block).iter().product()];
+            (blocks as u64 * Maps::weights_of_block(statistics) as u64, 8 * statistics as u64)
+        };
+        let (watch, statistics) = self.watch.as_ref().map_or((0, 0), watch);
         Ok(SectionLens {
             filters,
             index,
@@ -50,6 +59,8 @@ impl Header {
             integers,
             channels,
             predictor,
+            watch,
+            statistics,
             offset_dn: if self.sensor.has_offset_map { pixels } else { 0 },
             inverse_gain: if self.sensor.has_gain_map { pixels } else { 0 },
         })
@@ -92,7 +103,19 @@ impl Header {
         if !self.passes.as_ref().is_none_or(|passes| self.can_pass(passes)) {
             return wrong(HeaderField::Passes);
         }
+        if !self.watch.as_ref().is_none_or(|watch| self.can_watch(watch)) {
+            return wrong(HeaderField::Watch);
+        }
         self.section_lens().map(|_| ())
+    }
+
+    /// Whether this watch is possible: no sum of it overflows, and its light and its height are numbers.
+    fn can_watch(&self, watching: &Watching) -> bool {
+        let pixels = u64::from(self.frame.rows) * u64::from(self.frame.cols);
+        let shape =
+            (3..=watch::MAX_LENSES).contains(&watching.lenses.into()) && (1..=MAX_BLOCK).contains(&watching.block);
+        let numbers = watching.least_light_dn.is_finite() && watching.log_odds.is_normal();
+        shape && numbers && pixels <= MAX_PIXELS && watching.least_light_dn >= 0.0 && watching.log_odds > 0.0
     }
 
     /// Whether these passes are possible: a model of one term or more that a transform holds, convolutions in halves.
@@ -179,6 +202,9 @@ impl<'a> Weights<'a> {
         if let Some(passes) = header.passes.as_ref().filter(|_| !cfg!(feature = "one-pass")) {
             check_lenses(passes, header.object, self.predictor)?;
         }
+        if let Some(index) = self.watch.statistics.iter().position(|statistic| !statistic.is_possible()) {
+            return Err(BlobError::Statistic { index: index as u32 });
+        }
         match self.convolutions {
             Some(convolutions) => convolutions.check(&header.rcan, header.bank.channels),
             None => Ok(()),
@@ -206,6 +232,10 @@ impl<'a> Weights<'a> {
             None => (Default::default(), Default::default()),
         };
         let integers = [(Section::Integers, integers), (Section::Channels, channels)];
-        [filters, (Section::Index, self.index), rcan, offset, gain, integers[0], integers[1], predictor]
+        let [watch, statistics] = [bytemuck::cast_slice(self.watch.maps), bytemuck::cast_slice(self.watch.statistics)];
+        let [integers, channels] = integers;
+        let index = (Section::Index, self.index);
+        let watch = [(Section::Watch, watch), (Section::Statistics, statistics)];
+        [filters, index, rcan, offset, gain, integers, channels, predictor, watch[0], watch[1]]
     }
 }

@@ -1,12 +1,14 @@
 //! Reading a network file in place.
 
 use super::error::{BlobError, Section};
-use super::header::{Header, HeaderField, Weights};
+use super::header::{Header, HeaderField, WatchWeights, Weights};
 use super::layout::{
     ALIGN, CRC, CRC_LEN, FILE_LEN_AT, HEADER_AT, HEADER_LEN_AT, Layout, MAGIC, MAX_HEADER_LEN, SCHEMA_AT, SCHEMA_KEY,
-    SCHEMA_KEY_2, SCHEMA_KEY_3, SCHEMA_KEY_4, SECTIONS, VERSION, VERSION_2, VERSION_3, VERSION_4, VERSION_AT,
+    SCHEMA_KEY_2, SCHEMA_KEY_3, SCHEMA_KEY_4, SCHEMA_KEY_5, SECTIONS, VERSION, VERSION_2, VERSION_3, VERSION_4,
+    VERSION_5, VERSION_AT,
 };
 use crate::nn::integer::Convolutions;
+use crate::watch::Maps;
 use core::cmp::Ordering;
 use postcard::de_flavors::Flavor;
 use serde::Deserialize;
@@ -29,7 +31,7 @@ impl<'a> Network<'a> {
     /// [`BlobError::Header`] where a value of the header is impossible, [`BlobError::SectionLength`] where a section of
     /// the weights has another length than the header says, [`BlobError::NonFinite`] where a weight is infinite or NaN,
     /// [`BlobError::Channel`] where a sum of integers could overflow, [`BlobError::Lens`] where a predicted frame
-    /// could.
+    /// could, [`BlobError::Statistic`] where a statistic of the watch has an impossible number.
     pub fn new(header: Header, weights: Weights<'a>) -> Result<Self, BlobError> {
         weights.check(&header)?;
         let maps = header.sensor;
@@ -41,7 +43,7 @@ impl<'a> Network<'a> {
 
     /// Reads a network file and checks every bit of it: length, magic, version, schema, CRC, header, that all
     /// weights are finite, and that no integer convolution and no predicted frame can overflow. Files of versions 2 to
-    /// 4 are read as well.
+    /// 5 are read as well.
     ///
     /// # Errors
     /// The first thing that is wrong with `bytes`. No bytes make it panic or read elsewhere.
@@ -57,7 +59,7 @@ impl<'a> Network<'a> {
         if layout.file_len != bytes.len() {
             return Err(wrong_section(&layout, &header, bytes.len()));
         }
-        let [filters, index, rcan, offset, gain, integers, channels, predictor] =
+        let [filters, index, rcan, offset, gain, integers, channels, predictor, watch, statistics] =
             layout.sections.map(|(at, len)| bytes.get(at..at + len).unwrap_or_default());
         let sensor = header.sensor;
         let weights = Weights {
@@ -71,6 +73,10 @@ impl<'a> Network<'a> {
                 None => None,
             },
             predictor: numbers(predictor)?,
+            watch: match header.watch {
+                Some(_) => WatchWeights { maps: numbers(watch)?, statistics: numbers(statistics)? },
+                None => WatchWeights::default(),
+            },
         };
         Ok(Self { header, weights })
     }
@@ -83,6 +89,20 @@ impl<'a> Network<'a> {
     /// The header alone.
     pub fn into_header(self) -> Header {
         self.header
+    }
+
+    /// The maps of its watch on the optics, if it has one.
+    pub fn watch(&self) -> Option<Maps<'a>> {
+        let watch = self.header.watch?;
+        Some(Maps {
+            frame: self.header.frame,
+            block: watch.block,
+            black_dn: watch.black_dn,
+            least_light_dn: watch.least_light_dn,
+            log_odds: watch.log_odds,
+            weights: self.weights.watch.maps,
+            statistics: self.weights.watch.statistics,
+        })
     }
 
     /// Its weights, all of them finite and as many as the header says.
@@ -148,6 +168,7 @@ fn check_preamble(bytes: &[u8]) -> Result<(&[u8], u32), BlobError> {
     let version = u16::from_le_bytes(array_at(bytes, VERSION_AT));
     let expected = match version {
         VERSION => SCHEMA_KEY,
+        VERSION_5 => SCHEMA_KEY_5,
         VERSION_4 => SCHEMA_KEY_4,
         VERSION_3 => SCHEMA_KEY_3,
         VERSION_2 => SCHEMA_KEY_2,
@@ -175,13 +196,14 @@ fn decode_header(bytes: &[u8], len: usize) -> Result<Header, BlobError> {
     let unreadable = BlobError::Header { field: HeaderField::Encoding };
     let end = HEADER_AT.checked_add(len).filter(|_| len <= MAX_HEADER_LEN).ok_or(unreadable)?;
     let encoded = bytes.get(HEADER_AT..end).ok_or(unreadable)?;
-    // What headers of older versions lack are their last bytes, which would be zeros: the passes, before version 4 the
-    // bits of a feature, before version 3 the scales of integers.
+    // What headers of older versions lack are their last bytes, which would be zeros: the watch, before version 5 the
+    // passes, before version 4 the bits of a feature, before version 3 the scales of integers.
     let version = u16::from_le_bytes(array_at(bytes, VERSION_AT));
     let zeros = match version {
         VERSION => 0,
-        VERSION_4 => 1,
-        _ => 2,
+        VERSION_5 => 1,
+        VERSION_4 => 2,
+        _ => 3,
     };
     let mut decoder = postcard::Deserializer::from_flavor(Followed { bytes: encoded, zeros });
     let header = Header::deserialize(&mut decoder).map_err(|_| unreadable)?;
@@ -190,8 +212,12 @@ fn decode_header(bytes: &[u8], len: usize) -> Result<Header, BlobError> {
         Ok(Followed { bytes: [], zeros }) if zeros == unused => {}
         _ => return Err(unreadable),
     }
-    // Version 2 has no integers, and before version 5 there was one pass: their bytes are those that say so.
-    if (version == VERSION_2 && header.integers.is_some()) || (version != VERSION && header.passes.is_some()) {
+    // Version 2 has no integers, before version 5 there was one pass, and before version 6 no watch: their bytes are
+    // those that say so.
+    let later = (version == VERSION_2 && header.integers.is_some())
+        || (version < VERSION_5 && header.passes.is_some())
+        || (version < VERSION && header.watch.is_some());
+    if later {
         return Err(unreadable);
     }
     header.check()?;

@@ -24,11 +24,15 @@ pub enum Section {
     Channels,
     /// Coefficient maps and basis PSFs that predict frames.
     Predictor,
+    /// Maps that watch the optics.
+    Watch,
+    /// What belongs to each of their statistics.
+    Statistics,
 }
 
 impl Section {
     /// All sections in the order of the file.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 10] = [
         Self::Filters,
         Self::Index,
         Self::Rcan,
@@ -37,6 +41,8 @@ impl Section {
         Self::Integers,
         Self::Channels,
         Self::Predictor,
+        Self::Watch,
+        Self::Statistics,
     ];
 
     /// Its name in error messages.
@@ -50,7 +56,14 @@ impl Section {
             Self::Integers => "integer weights",
             Self::Channels => "integer channels",
             Self::Predictor => "predictor",
+            Self::Watch => "watch",
+            Self::Statistics => "watch statistics",
         }
+    }
+
+    /// Whether files of version 2 have it, be it empty.
+    pub(super) fn is_old(self) -> bool {
+        matches!(self, Self::Filters | Self::Index | Self::Rcan | Self::Offset | Self::InverseGain)
     }
 }
 
@@ -140,6 +153,11 @@ pub enum BlobError {
         /// Index of the lens.
         index: u32,
     },
+    /// A number of a statistic that watches the optics is not finite, or negative where it must not be.
+    Statistic {
+        /// Index of the statistic.
+        index: u32,
+    },
     /// The buffer given to the encoder is too small.
     NoRoom {
         /// Bytes that the file needs.
@@ -196,6 +214,11 @@ impl fmt::Display for BlobError {
             Self::Lens { index } => write!(
                 f,
                 "section `predictor`: the light of lens {index} could exceed 1; write it again with \
+                 `ommatidia quantize`"
+            ),
+            Self::Statistic { index } => write!(
+                f,
+                "section `watch statistics`: statistic {index} has an impossible number; write it again with \
                  `ommatidia quantize`"
             ),
             Self::NoRoom { expected, found } => write!(f, "the file needs {expected} bytes, the buffer has {found}"),

@@ -1,6 +1,7 @@
 //! The header of a network file: every shape that the device needs before it reads a weight.
 
 use crate::nn::integer::Convolutions;
+use crate::watch::Statistic;
 use heapless::{String, Vec};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
@@ -185,6 +186,21 @@ impl Passes {
     }
 }
 
+/// A watch on the optics ([`crate::watch`]).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct Watching {
+    /// Number of lenses, 3 to [`crate::watch::MAX_LENSES`].
+    pub lenses: u8,
+    /// Side of a block of pixels, 1 to [`crate::watch::MAX_BLOCK`].
+    pub block: u8,
+    /// Black level, DN.
+    pub black_dn: u16,
+    /// Frames with less light than this do not count, DN.
+    pub least_light_dn: f32,
+    /// Logarithm of the odds against a false alarm; positive.
+    pub log_odds: f32,
+}
+
 /// Memory that the pipeline needs besides the network file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct MemoryPlan {
@@ -217,6 +233,8 @@ pub struct Header {
     pub integers: Option<Integers>,
     /// Given where the network has more than one pass. Files of versions before 5 lack this field.
     pub passes: Option<Passes>,
+    /// Given where the device watches its optics. Files of versions before 6 lack this field.
+    pub watch: Option<Watching>,
 }
 
 /// Number of 16-bit words in each section of the weights, in the order of the file.
@@ -239,6 +257,10 @@ pub struct SectionLens {
     pub channels: u64,
     /// Coefficient maps and basis PSFs; 0 for one pass.
     pub predictor: u64,
+    /// Weight maps of the watch; 0 without one.
+    pub watch: u64,
+    /// Its statistics, eight words each.
+    pub statistics: u64,
 }
 
 /// A part of the header.
@@ -264,6 +286,8 @@ pub enum HeaderField {
     Integers,
     /// [`Header::passes`].
     Passes,
+    /// [`Header::watch`].
+    Watch,
 }
 
 /// The weights of a network, borrowed from the file. All but the index and integer convolutions are IEEE halves.
@@ -287,4 +311,15 @@ pub struct Weights<'a> {
     /// The model of the PSFs of a network with several passes, empty for others: of each term of each lens the
     /// coefficients at the nodes of its map, -1 to 1, then the basis PSF times the side of the transforms, row by row.
     pub predictor: &'a [half::f16],
+    /// Maps and statistics of the watch; empty without one.
+    pub watch: WatchWeights<'a>,
+}
+
+/// Maps and statistics of a watch on the optics.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct WatchWeights<'a> {
+    /// Weights ([`crate::watch::Maps::weights`]).
+    pub maps: &'a [i16],
+    /// What belongs to each statistic.
+    pub statistics: &'a [Statistic],
 }

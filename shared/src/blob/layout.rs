@@ -8,15 +8,19 @@ use postcard_schema::key::Key;
 /// The first eight bytes of every network file.
 pub const MAGIC: [u8; 8] = *b"OMMATIDI";
 /// Version of the layout. It changes with everything that the schema key does not cover.
-pub const VERSION: u16 = 5;
-/// The version before, whose header lacks its last field, the passes. Such files are read as well.
+pub const VERSION: u16 = 6;
+/// The version before, whose header lacks its last field, the watch. Such files are read as well.
+pub(super) const VERSION_5: u16 = 5;
+/// The version before that, whose header lacks the passes, too. Such files are read as well.
 pub(super) const VERSION_4: u16 = 4;
 /// The version before that, whose scales of integers lack their last field. Such files are read as well.
 pub(super) const VERSION_3: u16 = 3;
-/// The version before that, whose header lacks its last two fields. Such files are read as well.
+/// The version before that, whose header lacks its last three fields. Such files are read as well.
 pub(super) const VERSION_2: u16 = 2;
 /// Hash of every name and type in [`Header`]: it changes when one of them does.
 pub const SCHEMA_KEY: u64 = u64::from_le_bytes(Key::for_path::<Header>("ommatidia/blob").to_bytes());
+/// Hash of the header of version 5.
+pub(super) const SCHEMA_KEY_5: u64 = 0xa332_4f41_7910_4a39;
 /// Hash of the header of version 4.
 pub(super) const SCHEMA_KEY_4: u64 = 0x03b7_9614_b0da_b2c6;
 /// Hash of the header of version 3.
@@ -60,7 +64,7 @@ impl Layout {
         for ((slot, section), halves) in sections.iter_mut().zip(Section::ALL).zip(lens.in_order()) {
             let too_long = BlobError::SectionLength { section, expected: halves, found: (u32::MAX / 2) as u64 };
             // Files of version 2 end with the gap before an empty gain map, and have no later sections.
-            if halves > 0 || !matches!(section, Section::Integers | Section::Channels | Section::Predictor) {
+            if halves > 0 || section.is_old() {
                 at = at.next_multiple_of(ALIGN);
             }
             let bytes = usize::try_from(halves).ok().and_then(|n| n.checked_mul(2)).ok_or(too_long)?;
@@ -84,6 +88,8 @@ impl SectionLens {
             self.integers,
             self.channels,
             self.predictor,
+            self.watch,
+            self.statistics,
         ]
     }
 }

@@ -15,7 +15,8 @@
 //!
 //! All numbers are little-endian. [`Network::decode`] borrows: the weights are read in place, so the file must lie at
 //! an address that is a multiple of [`ALIGN`]. Files of version 2, which had no networks in integers, of
-//! version 3, whose features had 16 bits, and of version 4, which had one pass, are read as well.
+//! version 3, whose features had 16 bits, of version 4, which had one pass, and of version 5, which had no watch on the
+//! optics, are read as well.
 //!
 //! ```
 //! use ommatidia_shared::blob::{Bank, Header, MemoryPlan, Rcan, Sensor, Size, Tap};
@@ -35,6 +36,7 @@
 //!     memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
 //!     integers: None,
 //!     passes: None,
+//!     watch: None,
 //! };
 //! let lens = header.section_lens().unwrap();
 //! assert_eq!(lens.filters, 8 * 5 * 2, "T rows of T/2 + 1 complex numbers");
@@ -43,7 +45,7 @@
 //! let (filters, rcan) = ([f16::ONE; 80], [f16::ZERO; 131]);
 //! let weights =
 //!     Weights { filters: &filters, index: &[], rcan: &rcan, offset_dn: None, inverse_gain: None, convolutions: None,
-//!         predictor: &[] };
+//!         predictor: &[], watch: Default::default() };
 //! let mut words = vec![0_u128; encoded_len(&header).unwrap().div_ceil(16)];
 //! let buffer = bytemuck::cast_slice_mut(&mut words);
 //! let len = encode(&header, &weights, buffer).unwrap();
@@ -69,10 +71,12 @@ pub use encode::{encode, encoded_len};
 pub use error::{BlobError, Section};
 pub use header::{
     Bank, Blocks, Corner, FeatureBits, Header, HeaderField, Integers, MAX_LATER, MAX_LENSES, MAX_TAPS, MemoryPlan,
-    Passes, Rcan, SectionLens, Sensor, Size, Tap, Weights,
+    Passes, Rcan, SectionLens, Sensor, Size, Tap, WatchWeights, Watching, Weights,
 };
 pub(crate) use layout::CRC;
 pub use layout::{ALIGN, MAGIC, SCHEMA_KEY, VERSION};
 
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod version_tests;

@@ -6,41 +6,44 @@ extern crate std;
 
 use super::*;
 use crate::nn::integer::{Channel, Convolutions};
+use crate::watch::Statistic;
 use half::f16;
 use proptest::prelude::*;
 use std::vec::Vec;
 
 /// Bytes that begin at a multiple of [`ALIGN`].
-struct Aligned {
+pub(super) struct Aligned {
     words: Vec<u128>,
     len: usize,
 }
 
 impl Aligned {
-    fn new(bytes: &[u8]) -> Self {
+    pub(super) fn new(bytes: &[u8]) -> Self {
         let mut words = std::vec![0u128; bytes.len().div_ceil(ALIGN) + 1];
         bytemuck::cast_slice_mut(&mut words)[..bytes.len()].copy_from_slice(bytes);
         Self { words, len: bytes.len() }
     }
 
-    fn bytes(&self) -> &[u8] {
+    pub(super) fn bytes(&self) -> &[u8] {
         &bytemuck::cast_slice(&self.words)[..self.len]
     }
 }
 
 /// The weights of a network, owned.
 #[derive(Clone, Debug, Default)]
-struct Owned {
+pub(super) struct Owned {
     sections: [Vec<f16>; 4],
     index: Vec<u16>,
     integers: Vec<u16>,
     channels: Vec<Channel>,
     predictor: Vec<f16>,
+    maps: Vec<i16>,
+    pub(super) statistics: Vec<Statistic>,
 }
 
 impl Owned {
     /// Finite halves of every size, from a seed.
-    fn new(header: &Header, seed: u32) -> Self {
+    pub(super) fn new(header: &Header, seed: u32) -> Self {
         let lens = header.section_lens().unwrap();
         let mut state = seed;
         let mut draw = |len: u64| -> Vec<f16> {
@@ -62,10 +65,14 @@ impl Owned {
             channels: (0..lens.channels / 4).map(channel).collect(),
             // Small enough for any model.
             predictor: (0..lens.predictor).map(|i| f16::from_f32((i % 5) as f32 / 4096.0)).collect(),
+            maps: (0..lens.watch).map(|i| (i * 40_503) as i16).collect(),
+            statistics: (0..lens.statistics / 8)
+                .map(|i| Statistic { scale: 0.5, shot: i as f32, reading: 0.0, specimens: 0.25 })
+                .collect(),
         }
     }
 
-    fn weights(&self, sensor: &Sensor) -> Weights<'_> {
+    pub(super) fn weights(&self, sensor: &Sensor) -> Weights<'_> {
         let [filters, rcan, offset, gain] = &self.sections;
         Weights {
             filters,
@@ -76,18 +83,19 @@ impl Owned {
             convolutions: (!self.channels.is_empty())
                 .then_some(Convolutions { weights: &self.integers, channels: &self.channels }),
             predictor: &self.predictor,
+            watch: WatchWeights { maps: &self.maps, statistics: &self.statistics },
         }
     }
 }
 
-fn file(header: &Header, weights: &Owned) -> Vec<u8> {
+pub(super) fn file(header: &Header, weights: &Owned) -> Vec<u8> {
     let mut bytes = std::vec![0xa5; encoded_len(header).unwrap()];
     let len = encode(header, &weights.weights(&header.sensor), &mut bytes).unwrap();
     assert_eq!(len, bytes.len());
     bytes
 }
 
-fn small() -> Header {
+pub(super) fn small() -> Header {
     Header {
         name: "small".try_into().unwrap(),
         checkpoint: "0123456789abcdef".try_into().unwrap(),
@@ -105,10 +113,11 @@ fn small() -> Header {
         memory: MemoryPlan { fast_bytes: 100, bulk_bytes: 2000 },
         integers: None,
         passes: None,
+        watch: None,
     }
 }
 
-fn small_in_integers() -> Header {
+pub(super) fn small_in_integers() -> Header {
     Header {
         integers: Some(Integers { input_log2: 12, feature_log2: 10, output: 1.0e-6, features: FeatureBits::Sixteen }),
         ..small()
@@ -120,6 +129,13 @@ fn small_with_passes() -> Header {
     Header { passes: Some(Passes { later: 1, terms: 2, window: 3, node_step: 2, corners }), ..small() }
 }
 
+pub(super) fn small_with_watch() -> Header {
+    Header {
+        watch: Some(Watching { lenses: 3, block: 4, black_dn: 64, least_light_dn: 100.0, log_odds: 18.0 }),
+        ..small()
+    }
+}
+
 prop_compose! {
     fn headers()(
         name in "[a-z]{0,12}", tile in 1u32..5, step in 1u16..3, channels in 1u8..4, taps in 1usize..5,
@@ -129,6 +145,7 @@ prop_compose! {
         passes in prop::option::of(
             (1u8..4, 1u8..3, 0u16..3, 0u32..4, prop::collection::vec(any::<(i16, i16)>(), 1..10))
         ),
+        watch in prop::option::of((3u8..5, 1u8..6, any::<u16>())),
     ) -> Header {
         let tap = |i: usize| Tap { channel: 0, dy: -1, dx: i as i8 };
         Header {
@@ -146,6 +163,9 @@ prop_compose! {
                 later, terms, window: 2 * half + 1, node_step: 1 << step,
                 corners: corners.into_iter().map(|(row, col)| Corner { row, col }).collect(),
             }),
+            watch: watch.map(|(lenses, block, black_dn)| Watching {
+                lenses, block, black_dn, least_light_dn: 9.0, log_odds: 18.0,
+            }),
             integers: scales.map(|(input_log2, feature_log2)| Integers {
                 input_log2, feature_log2, output: 1.0e-7, features: FeatureBits::Sixteen,
             }),
@@ -158,7 +178,7 @@ fn bits(halves: &[f16]) -> &[u16] {
 }
 
 /// Replaces bytes of a good file and makes its CRC right again.
-fn forge(mut bytes: Vec<u8>, at: usize, with: &[u8]) -> Vec<u8> {
+pub(super) fn forge(mut bytes: Vec<u8>, at: usize, with: &[u8]) -> Vec<u8> {
     bytes[at..at + with.len()].copy_from_slice(with);
     let end = bytes.len() - layout::CRC_LEN;
     let crc = CRC.checksum(&bytes[..end]);
@@ -182,6 +202,7 @@ proptest! {
         let integers = |weights: Weights<'_>| weights.convolutions.map(|c| (c.weights.to_vec(), c.channels.to_vec()));
         prop_assert_eq!(integers(network.weights()), integers(expected));
         prop_assert_eq!(bits(network.weights().predictor), bits(expected.predictor));
+        prop_assert_eq!(network.weights().watch, expected.watch);
     }
 
     #[test]
@@ -192,9 +213,9 @@ proptest! {
     /// A forger who makes the CRC right may change any word: the file is refused or stays a network in bounds.
     #[test]
     fn forged_bytes_never_panic(
-        at in 0usize..900, with in prop::collection::vec(any::<u8>(), 1..5), cut in 0usize..40, kind in 0usize..3,
+        at in 0usize..900, with in prop::collection::vec(any::<u8>(), 1..5), cut in 0usize..40, kind in 0usize..4,
     ) {
-        let header = [small, small_in_integers, small_with_passes][kind]();
+        let header = [small, small_in_integers, small_with_passes, small_with_watch][kind]();
         let mut bytes = file(&header, &Owned::new(&header, 7));
         bytes.truncate(bytes.len() - cut);
         let at = at.min(bytes.len() - 9);
@@ -209,6 +230,11 @@ proptest! {
             prop_assert_eq!(network.weights().filters.len() as u64, lens.filters);
             prop_assert_eq!(network.weights().rcan.len() as u64, lens.rcan);
             prop_assert_eq!(network.weights().predictor.len() as u64, lens.predictor);
+            if let Some(maps) = network.watch() {
+                prop_assert_eq!(maps.weights.len() as u64, lens.watch);
+                let pixels = usize::from(maps.frame.rows) * usize::from(maps.frame.cols);
+                maps.project(&std::vec![9; pixels.min(1 << 16)]);
+            }
             if let Some(convolutions) = network.weights().convolutions {
                 prop_assert_eq!(convolutions.weights.len() as u64, lens.integers);
                 prop_assert!(convolutions.check(&network.header().rcan, network.header().bank.channels).is_ok());
@@ -219,7 +245,7 @@ proptest! {
 
 #[test]
 fn every_flipped_bit_is_refused() {
-    [small_in_integers(), small_with_passes()].into_iter().for_each(flipped_bits_are_refused);
+    [small_in_integers(), small_with_passes(), small_with_watch()].into_iter().for_each(flipped_bits_are_refused);
 }
 
 fn flipped_bits_are_refused(header: Header) {
@@ -382,74 +408,6 @@ fn integers_that_could_overflow_are_refused() {
         Integers { output: 1.0e-40, ..scales },
     ] {
         assert_eq!(Header { integers: Some(wrong), ..header.clone() }.check(), Err(impossible), "{wrong:?}");
-    }
-}
-
-/// A file of halves differs from one of version 2 in the version, the schema and the last two bytes of the header.
-#[test]
-fn version_2_is_read_as_a_network_in_halves() {
-    let header = small();
-    let owned = Owned::new(&header, 1);
-    let new = file(&header, &owned);
-    let mut buffer = [0; layout::MAX_HEADER_LEN];
-    let len = postcard::to_slice(&header, &mut buffer).unwrap().len();
-    let mut old = new.clone();
-    old[layout::VERSION_AT] = 2;
-    old[layout::HEADER_LEN_AT] = len as u8 - 2;
-    old[layout::SCHEMA_AT..][..8].copy_from_slice(&layout::SCHEMA_KEY_2.to_le_bytes());
-    let sections = [len, len - 2].map(|len| layout::Layout::new(len, &header.section_lens().unwrap()).unwrap());
-    assert_eq!(sections[0], sections[1], "the bytes lie in the gap before the first section");
-    let old = forge(old, 0, b"O");
-    assert_eq!(Network::decode(Aligned::new(&old).bytes()).unwrap().into_header(), header);
-    let mixed = forge(new, layout::VERSION_AT, &2u16.to_le_bytes());
-    let error = BlobError::Schema { expected: layout::SCHEMA_KEY_2, found: SCHEMA_KEY };
-    assert_eq!(Network::decode(Aligned::new(&mixed).bytes()).map(Network::into_header), Err(error));
-}
-
-/// A file of version 3 lacks the last byte of the scales of integers and that of the passes; one in halves the latter.
-#[test]
-fn version_3_is_read_as_features_of_16_bits() {
-    for (header, less) in [(small(), 1), (small_in_integers(), 2)] {
-        let new = file(&header, &Owned::new(&header, 1));
-        let mut buffer = [0; layout::MAX_HEADER_LEN];
-        let len = postcard::to_slice(&header, &mut buffer).unwrap().len();
-        let sections = [len, len - less].map(|len| layout::Layout::new(len, &header.section_lens().unwrap()).unwrap());
-        assert_eq!(sections[0], sections[1], "the bytes lie in the gap before the first section");
-        let mut old = new.clone();
-        old[layout::VERSION_AT] = 3;
-        old[layout::HEADER_LEN_AT] = (len - less) as u8;
-        old[layout::SCHEMA_AT..][..8].copy_from_slice(&layout::SCHEMA_KEY_3.to_le_bytes());
-        let old = forge(old, 0, b"O");
-        assert_eq!(Network::decode(Aligned::new(&old).bytes()).unwrap().into_header(), header);
-        // A byte more or less is no header of that version.
-        for wrong in [len - less - 1, len - less + 1] {
-            let wrong = forge(old.clone(), layout::HEADER_LEN_AT, &[wrong as u8]);
-            let error = BlobError::Header { field: HeaderField::Encoding };
-            assert_eq!(Network::decode(Aligned::new(&wrong).bytes()).map(Network::into_header), Err(error), "{less}");
-        }
-    }
-}
-
-/// A file of version 4 lacks the last byte of the header, that of the passes.
-#[test]
-fn version_4_is_read_as_one_pass() {
-    for header in [small(), small_in_integers()] {
-        let new = file(&header, &Owned::new(&header, 1));
-        let mut buffer = [0; layout::MAX_HEADER_LEN];
-        let len = postcard::to_slice(&header, &mut buffer).unwrap().len();
-        let sections = [len, len - 1].map(|len| layout::Layout::new(len, &header.section_lens().unwrap()).unwrap());
-        assert_eq!(sections[0], sections[1], "the byte lies in the gap before the first section");
-        let mut old = new.clone();
-        old[layout::VERSION_AT] = 4;
-        old[layout::HEADER_LEN_AT] = len as u8 - 1;
-        old[layout::SCHEMA_AT..][..8].copy_from_slice(&layout::SCHEMA_KEY_4.to_le_bytes());
-        let old = forge(old, 0, b"O");
-        assert_eq!(Network::decode(Aligned::new(&old).bytes()).unwrap().into_header(), header);
-        for wrong in [len - 2, len] {
-            let wrong = forge(old.clone(), layout::HEADER_LEN_AT, &[wrong as u8]);
-            let error = BlobError::Header { field: HeaderField::Encoding };
-            assert_eq!(Network::decode(Aligned::new(&wrong).bytes()).map(Network::into_header), Err(error));
-        }
     }
 }
 

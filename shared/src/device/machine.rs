@@ -8,6 +8,7 @@ use crate::blob::{CRC, MemoryPlan, Network, Verified};
 use crate::flash::{MappedFlash, Slots};
 use crate::image::Region;
 use crate::pipeline::{HeldRegion, Holder, Memory, Pipeline};
+use crate::watch::Watch;
 use crate::wire::{
     CHUNK, CameraChange, CameraStatus, FrameError, FrameFrom, Info, Refusal, Reply, Request, RunReport, SCHEMA_KEY,
     SlotReport, Telemetry, Transfer, Unpacker, VERSION,
@@ -57,6 +58,8 @@ pub struct Device<'m, F, S, K, M> {
     field: Holder,
     /// Number of the run that measured them.
     field_id: u32,
+    /// The watch on the optics since the network was sent.
+    watch: Watch,
     telemetry: Telemetry,
 }
 
@@ -80,6 +83,7 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
             last_hold: 0,
             field: Holder::default(),
             field_id: 0,
+            watch: Watch::new(),
             telemetry: Telemetry::default(),
         };
         device.start();
@@ -253,6 +257,8 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
         self.committed = true;
         self.last_run = None;
         self.field.forget();
+        self.watch.restart();
+        self.telemetry.watch = Default::default();
         Ok(())
     }
 
@@ -323,6 +329,10 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
         self.monitor.run_begins();
         let memory = Memory { fast, bulk: self.arenas.bulk };
         let run = self.field.run(&pipeline, frame, HeldRegion { region, hold }, memory, object);
+        if let (Ok((stats, _)), Some(maps)) = (&run, network.watch()) {
+            self.watch.see(&maps, frame, stats.saturated_px, id);
+            self.telemetry.watch = self.watch.report(&maps);
+        }
         let cycles = self.monitor.run_ends();
         let (stats, field_age) = run.map_err(refusal)?;
         if field_age == 0 {
@@ -350,6 +360,7 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
             frame_crc,
             object_crc,
             capture,
+            watch: self.telemetry.watch,
         };
         self.frame_waits = false;
         (self.last_run, self.last_hold) = (Some(report), hold);

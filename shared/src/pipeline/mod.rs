@@ -32,6 +32,7 @@
 //!     memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
 //!     integers: None,
 //!     passes: None,
+//!     watch: None,
 //! };
 //! header.memory = Pipeline::plan(&header).unwrap();
 //!
@@ -41,7 +42,7 @@
 //! let rcan = [f16::ZERO; 131];
 //! let weights =
 //!     Weights { filters: &filters, index: &[], rcan: &rcan, offset_dn: None, inverse_gain: None, convolutions: None,
-//!         predictor: &[] };
+//!         predictor: &[], watch: Default::default() };
 //! let network = Network::new(header, weights).unwrap();
 //! let pipeline = Pipeline::new(&network).unwrap();
 //!

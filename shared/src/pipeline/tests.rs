@@ -56,6 +56,7 @@ impl Case {
             memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
             integers: None,
             passes: None,
+            watch: None,
         };
         let header = Header { memory: Pipeline::plan(&header).unwrap(), ..header };
         let gain = noise.halves(pixels, 0.1).into_iter().map(|x| f16::from_f32(1.0 + x.to_f32())).collect();
@@ -80,6 +81,7 @@ impl Case {
             inverse_gain,
             convolutions: None,
             predictor: &self.predictor,
+            watch: Default::default(),
         }
     }
 

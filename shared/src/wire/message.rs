@@ -5,6 +5,7 @@ use super::refusal::Refusal;
 use super::transfer::Transfer;
 use crate::flash::{Mark, Slot};
 use crate::image::Region;
+use crate::watch;
 use heapless::String;
 use postcard_schema::Schema;
 use postcard_schema::key::Key;
@@ -189,6 +190,8 @@ pub struct RunReport {
     pub object_crc: u32,
     /// How the frame was taken, where it is one of the camera.
     pub capture: Option<Capture>,
+    /// What the watch on the optics has seen so far.
+    pub watch: watch::Report,
 }
 
 /// Why the program of the device was started.
@@ -275,4 +278,6 @@ pub struct Telemetry {
     pub stack_bytes: u32,
     /// Clock of the core, MHz, where it is known.
     pub core_mhz: Option<u16>,
+    /// What the watch on the optics has seen since the network was sent, or since the start.
+    pub watch: watch::Report,
 }

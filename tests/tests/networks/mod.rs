@@ -5,11 +5,13 @@ use half::f16;
 use ommatidia_network::network_file::NetworkFile;
 use ommatidia_session::rng;
 use ommatidia_shared::blob::{
-    Bank, Blocks, Corner, FeatureBits, Header, Integers, MemoryPlan, Passes, Rcan, Sensor, Size, Tap, Weights,
+    Bank, Blocks, Corner, FeatureBits, Header, Integers, MemoryPlan, Passes, Rcan, Sensor, Size, Tap, WatchWeights,
+    Watching, Weights,
 };
 use ommatidia_shared::image::Region;
 use ommatidia_shared::nn::integer::{Channel, Convolutions};
 use ommatidia_shared::pipeline::Pipeline;
+use ommatidia_shared::watch::Statistic;
 use rand::RngExt;
 use rand::seq::SliceRandom;
 
@@ -109,6 +111,7 @@ pub fn header(shape: &Shape) -> Header {
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
         integers: None,
         passes: None,
+        watch: None,
     };
     header.memory = Pipeline::plan(&header).unwrap();
     header
@@ -124,6 +127,13 @@ pub fn with_passes(shape: &Shape, passes: u8, terms: u8) -> Header {
     header.passes = Some(Passes { later: passes - 1, terms, window: 5, node_step: 4, corners });
     header.memory = Pipeline::plan(&header).unwrap();
     header
+}
+
+/// The same network with a watch on three lenses, in blocks of this side.
+#[allow(dead_code, reason = "not every test has such networks")]
+pub fn with_watch(shape: &Shape, block: u8) -> Header {
+    let watch = Watching { lenses: 3, block, black_dn: 64, least_light_dn: 1000.0, log_odds: 18.0 };
+    Header { watch: Some(watch), ..header(shape) }
 }
 
 /// The same network with its convolutions in integers.
@@ -171,6 +181,7 @@ pub fn scaled(header: &Header, seed: u64, factors: [f32; 3]) -> NetworkFile {
         rcan[last..].iter_mut().for_each(|w| *w = f16::from_f32(w.to_f32() / factors[1] * factors[2]));
     }
     let predictor = predictor(header, seed);
+    let (maps, statistics) = watch(header, seed);
     let (integers, channels) = integers(header, seed, layer / 127.0 * factors[1]);
     let offset = draw("offset", lens.offset_dn, 0.0, 8.0);
     let gain = draw("gain", lens.inverse_gain, 1.0, 0.1);
@@ -182,8 +193,19 @@ pub fn scaled(header: &Header, seed: u64, factors: [f32; 3]) -> NetworkFile {
         inverse_gain: header.sensor.has_gain_map.then_some(&gain),
         convolutions: header.integers.map(|_| Convolutions { weights: &integers, channels: &channels }),
         predictor: &predictor,
+        watch: WatchWeights { maps: &maps, statistics: &statistics },
     };
     NetworkFile::new(header, &weights).unwrap()
+}
+
+/// Maps of random weights; statistics that a change of the light of half a frame takes far beyond their noise.
+fn watch(header: &Header, seed: u64) -> (Vec<i16>, Vec<Statistic>) {
+    let lens = header.section_lens().unwrap();
+    let mut rng = rng::stream(seed, "watch", 0);
+    let maps = (0..lens.watch).map(|_| rng.random_range(-32_768..=32_767_i16)).collect();
+    let statistic = |_| Statistic { scale: rng.random_range(2e-5..4e-5f32), shot: 1.0, reading: 50.0, specimens: 1e-3 };
+    let statistics = (0..lens.statistics / 8).map(statistic).collect();
+    (maps, statistics)
 }
 
 /// The model of the PSFs of a network with several passes: coefficients of either sign, and light that adds up to 1.

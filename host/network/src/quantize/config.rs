@@ -1,5 +1,6 @@
 //! Settings of making a network file.
 
+use crate::watch::WatchMaps;
 use serde::{Deserialize, Serialize};
 
 /// How the enhancement network is computed.
@@ -35,4 +36,7 @@ pub struct QuantizeConfig {
     /// How the enhancement network is computed.
     #[serde(default)]
     pub numbers: Numbers,
+    /// Maps with which the device watches its optics.
+    #[serde(skip)]
+    pub watch: Option<WatchMaps>,
 }

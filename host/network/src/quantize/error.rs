@@ -51,6 +51,9 @@ pub enum QuantizeError {
         /// Number of passes.
         passes: usize,
     },
+    /// The maps that watch the optics do not fit the network.
+    #[error(transparent)]
+    Watch(#[from] crate::watch::WatchError),
     /// A size that devices do not support.
     #[error("{field}: expected {expected}, found {found}")]
     Size {

@@ -9,7 +9,7 @@ use super::passes::PlannedPasses;
 use super::report::MadeFile;
 use super::{QuantizeConfig, QuantizeError, QuantizeReport};
 use crate::train::Checkpoint;
-use ommatidia_shared::blob::{self, FeatureBits, Header, MemoryPlan, Sensor, Size, Weights};
+use ommatidia_shared::blob::{self, FeatureBits, Header, MemoryPlan, Sensor, Size, WatchWeights, Weights};
 use ommatidia_shared::num::f16;
 use ommatidia_shared::pipeline::Pipeline;
 
@@ -85,6 +85,10 @@ fn make(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) -> Result<
         inverse_gain: gain.as_deref(),
         convolutions: integers.as_ref().map(IntegerNetwork::convolutions),
         predictor: later.as_ref().map_or(&[], |later| &later.model),
+        watch: config.watch.as_ref().map_or_else(WatchWeights::default, |watch| WatchWeights {
+            maps: &watch.weights,
+            statistics: &watch.statistics,
+        }),
     };
     let parts = (integers.as_ref().map(|integers| integers.scales), later.as_ref().map(|later| later.passes.clone()));
     let header = header(checkpoint, hash, config, &bank, parts)?;
@@ -97,6 +101,7 @@ fn make(checkpoint: &Checkpoint, hash: &str, config: &QuantizeConfig) -> Result<
         filter_bytes: (filters.len() + index.len()) * size_of::<f16>(),
         rcan_bytes: rcan_bytes(&header)?,
         predictor_bytes: header.section_lens()?.predictor as usize * size_of::<f16>(),
+        watch: config.watch.as_ref(),
     };
     let halves = match config.numbers {
         Numbers::Halves => None,
@@ -141,6 +146,7 @@ fn header(
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
         integers,
         passes,
+        watch: config.watch.as_ref().map(|watch| watch.header(network.frame)).transpose()?,
     };
     header.memory = Pipeline::plan(&header)?;
     Ok(header)

@@ -5,6 +5,7 @@ use super::bank::PlannedBank;
 use crate::methods::{FloatNetwork, Reconstruct};
 use crate::network_file::NetworkFile;
 use crate::train::{Checkpoint, FilterMask};
+use crate::watch::{WatchFigures, WatchMaps};
 use ommatidia_model::metrics::{Case, compare};
 use ommatidia_shared::blob::{Header, MemoryPlan, Size};
 use ommatidia_shared::device::Footprint;
@@ -79,6 +80,9 @@ pub struct QuantizeReport {
     /// The same of the file in halves minus that of this file in integers, dB.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub loss_to_halves_db: Option<f64>,
+    /// What the watch on the optics is worth.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub watch: Option<WatchFigures>,
 }
 
 /// A file that was made, and the lengths of its parts.
@@ -93,6 +97,8 @@ pub(super) struct MadeFile<'a> {
     pub rcan_bytes: usize,
     /// Length of the model that predicts frames, bytes.
     pub predictor_bytes: usize,
+    /// The watch on the optics.
+    pub watch: Option<&'a WatchMaps>,
 }
 
 impl QuantizeReport {
@@ -103,7 +109,7 @@ impl QuantizeReport {
         file: &MadeFile<'_>,
         halves: Option<Vec<u8>>,
     ) -> Result<Self, QuantizeError> {
-        let MadeFile { header, bytes, filter_bytes, rcan_bytes, predictor_bytes } = *file;
+        let MadeFile { header, bytes, filter_bytes, rcan_bytes, predictor_bytes, watch } = *file;
         let cases = &checkpoint.cases;
         let mut steps = Vec::new();
         let mut add = |step, method: &dyn Reconstruct| -> Result<f64, QuantizeError> {
@@ -149,6 +155,10 @@ impl QuantizeReport {
             steps,
             loss_db: float - quantized,
             loss_to_halves_db: halves.map(|halves| halves - quantized),
+            watch: watch.map(|watch| {
+                let noise = &checkpoint.body.noise;
+                watch.figures(noise.saturation_dn - noise.black_level_dn)
+            }),
         })
     }
 }

@@ -2,8 +2,11 @@
 
 use super::files::{Content, Files};
 use super::{Outcome, Run};
+use anyhow::Context;
+use ommatidia_model::instrument::Instrument;
 use ommatidia_network::quantize::{Numbers, QuantizeConfig, QuantizeReport, quantize};
 use ommatidia_network::train::Checkpoint;
+use ommatidia_network::watch::{WatchFigures, WatchMaps};
 use ommatidia_session::artifact::{file_hash, write_whole};
 use ommatidia_session::kind::FileKind;
 use std::fmt::Write;
@@ -44,6 +47,10 @@ pub struct Args {
     /// Features of the enhancement network [default: f16 for weights f16, int16 for weights int8]
     #[arg(long, value_enum)]
     activations: Option<Activations>,
+    /// Let the device watch its optics: add maps, made for this instrument, with which it notices in raw frames of any
+    /// specimen that a lens has moved or dimmed
+    #[arg(long, value_name = "INSTRUMENT")]
+    watch: Option<PathBuf>,
 }
 
 /// Number formats of weights.
@@ -85,7 +92,9 @@ impl Args {
 impl Args {
     /// What the verb reads and writes.
     pub fn files(&self) -> Files {
-        Files::reading([&self.checkpoint]).writing([&self.output], Content::File(FileKind::Blob))
+        Files::reading([&self.checkpoint])
+            .and_reading(&self.watch)
+            .writing([&self.output], Content::File(FileKind::Blob))
     }
 }
 
@@ -106,12 +115,21 @@ pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
         energy: args.energy,
         prune: args.prune,
         numbers,
+        watch: args.watch.as_deref().map(watch).transpose()?,
     };
     let made = quantize(&checkpoint, &file_hash(&args.checkpoint)?, &config)?;
     write_whole(&args.output, &made.bytes)?;
     let mut json = serde_json::to_value(&made.report)?;
     json["blob"] = serde_json::to_value(&args.output)?;
     Ok(Outcome { json, text: text(&args.output, &made.report) })
+}
+
+/// Seed of the specimens that maps are judged on.
+const WATCH_SEED: u64 = 1;
+
+fn watch(path: &Path) -> anyhow::Result<WatchMaps> {
+    let instrument = Instrument::read(path)?;
+    WatchMaps::of(&instrument, WATCH_SEED).with_context(|| path.display().to_string())
 }
 
 fn text(path: &Path, r: &QuantizeReport) -> String {
@@ -145,6 +163,17 @@ fn text(path: &Path, r: &QuantizeReport) -> String {
     let _ = writeln!(text, "  loss by quantization: {:.3} dB over {} held-out frames", r.loss_db, r.frames);
     if let Some(loss) = r.loss_to_halves_db {
         let _ = writeln!(text, "  loss of integers against half precision: {loss:.3} dB");
+    }
+    if let Some(WatchFigures { bytes, shifts_px, gains, .. }) = &r.watch {
+        let _ = writeln!(
+            text,
+            "  watch on the optics: {bytes} bytes; noise of a frame {:.3} px and {:.2} %, another specimen {:.3} px and \
+             {:.2} %",
+            shifts_px.noise,
+            100.0 * gains.noise,
+            shifts_px.specimens,
+            100.0 * gains.specimens,
+        );
     }
     text
 }

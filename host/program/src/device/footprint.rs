@@ -47,6 +47,7 @@ pub(super) fn small_network() -> Result<(NetworkFile, Vec<u16>), DeviceError> {
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
         integers: None,
         passes: None,
+        watch: None,
     };
     header.memory = Pipeline::plan(&header).map_err(DeviceError::Pipeline)?;
     let lens = header.section_lens().map_err(|source| {
@@ -62,6 +63,7 @@ pub(super) fn small_network() -> Result<(NetworkFile, Vec<u16>), DeviceError> {
         inverse_gain: Some(&zeros[..lens.inverse_gain as usize]),
         convolutions: None,
         predictor: &[],
+        watch: Default::default(),
     };
     Ok((NetworkFile::new(&header, &weights)?, vec![100; 256]))
 }

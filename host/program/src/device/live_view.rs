@@ -142,6 +142,7 @@ mod tests {
             frame_crc: 0,
             object_crc: 0,
             capture: None,
+            watch: Default::default(),
         };
         let object = [0.0, 0.25, 0.5, 0.0, 0.0, 0.0].map(f16::from_f32).to_vec();
         let (at, field_frame) = (Duration::ZERO, 3);

@@ -28,6 +28,7 @@ mod status;
 mod stream;
 pub mod table;
 mod transport;
+mod watch;
 
 pub use camera::camera;
 pub use client::{Client, RetryPolicy};
@@ -50,3 +51,4 @@ pub use serial::{BAUD, Serial};
 pub use status::{active_fraction, status};
 pub use stream::{FrameFeed, Frames, StreamReport, StreamedFrame, stream};
 pub use transport::Transport;
+pub use watch::{watch_json, watch_text};

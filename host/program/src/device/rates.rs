@@ -111,6 +111,7 @@ impl Network {
             memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
             integers: None,
             passes: None,
+            watch: None,
         };
         header.memory = Pipeline::plan(&header).map_err(DeviceError::Pipeline)?;
         let preset = preset.to_possible_value().map_or_else(String::new, |name| name.get_name().to_string());

@@ -53,6 +53,9 @@ pub struct StreamReport {
     pub took: Duration,
     /// Figures of the device at the end.
     pub telemetry: Telemetry,
+    /// The frame since which the optics have moved, by the watch of the device; `None` without an alarm, or where it is
+    /// from before this stream.
+    pub moved_since: Option<usize>,
     /// Of a camera: its settings and figures at the end, and the frames between the first and the last one taken that
     /// were not taken.
     pub camera: Option<(CameraStatus, u32)>,
@@ -141,6 +144,8 @@ pub fn stream(
     }
     let took = start.elapsed();
     let telemetry = client.telemetry()?;
+    let moved_since = telemetry.watch.alarm.map(|alarm| alarm.since.wrapping_sub(first_id) as usize);
+    let moved_since = moved_since.filter(|frame| *frame < next);
     let camera = if of_camera { Some(client.camera(CameraChange::default())?) } else { None };
     client.quit().wait()?;
     let missed = captures.map_or(0, |[first, last]| {
@@ -149,7 +154,7 @@ pub fn stream(
     });
     let camera = camera.map(|status| (status, missed));
     let (board, dropped) = (info.board.as_str().into(), feed.len.div_ceil(feed.nth) - reconstructed);
-    Ok(StreamReport { board, reconstructed, dropped, failed, held, took, telemetry, camera })
+    Ok(StreamReport { board, reconstructed, dropped, failed, held, took, telemetry, moved_since, camera })
 }
 
 /// The camera gives the frames that the network takes.

@@ -136,6 +136,7 @@ fn large_network() -> NetworkFile {
         memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
         integers: None,
         passes: None,
+        watch: None,
     };
     header.memory = Pipeline::plan(&header).unwrap();
     let lens = header.section_lens().unwrap();
@@ -148,6 +149,7 @@ fn large_network() -> NetworkFile {
         inverse_gain: None,
         convolutions: None,
         predictor: &[],
+        watch: Default::default(),
     };
     NetworkFile::new(&header, &weights).unwrap()
 }

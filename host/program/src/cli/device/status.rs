@@ -3,7 +3,8 @@
 use super::target::Target;
 use crate::cli::common::{Outcome, Run};
 use crate::cli::files::Files;
-use crate::device::{Place, active_fraction, status};
+use crate::device::{Place, active_fraction, status, watch_json, watch_text};
+use ommatidia_shared::watch::Alarm;
 use ommatidia_shared::wire::{Info, SlotReport, Telemetry};
 use serde_json::{Value, json};
 
@@ -45,7 +46,7 @@ fn json(place: Place, info: &Info, t: &Telemetry) -> Value {
         "temperature_c": t.temperature_cdeg.map(|cdeg| f64::from(cdeg) / 100.0),
         "crc_errors": t.crc_errors, "dropped_packets": t.dropped_packets, "repeated_requests": t.repeated_requests,
         "stack_bytes": t.stack_bytes, "image_bytes": t.image_bytes, "static_bytes": t.static_bytes,
-        "core_mhz": t.core_mhz,
+        "core_mhz": t.core_mhz, "watch": watch_json(&t.watch),
     })
 }
 
@@ -87,6 +88,10 @@ fn text(place: Place, info: &Info, t: &Telemetry) -> String {
     text += &format!("cycles        {}\n", known(t.cycles.map(|cycles| format!("{cycles} in the last run"))));
     text += &format!("awake         {}\n", active_text(t));
     text += &format!("camera        {}\n", if info.live { "yes" } else { "none: the host sends the frames" });
+    let since = |alarm: &Alarm| format!("run {}, {} frames ago", alarm.since, alarm.frames);
+    if let Some(sentence) = watch_text(&t.watch, since) {
+        text += &format!("optics        {sentence}\n");
+    }
     text += &format!(
         "temperature   {}\n",
         known(t.temperature_cdeg.map(|cdeg| format!("{:.2} C", f64::from(cdeg) / 100.0)))

@@ -5,7 +5,8 @@ use super::target::Target;
 use crate::cli::common::{Outcome, ResultScale, Run, warn};
 use crate::cli::files::{Content, Files};
 use crate::device::{
-    FrameFeed, Frames, LiveView, PageScale, Place, StreamRecording, StreamReport, active_fraction, stream,
+    FrameFeed, Frames, LiveView, PageScale, Place, StreamRecording, StreamReport, active_fraction, stream, watch_json,
+    watch_text,
 };
 use anyhow::{Context, bail};
 use ommatidia_network::methods::frame_range;
@@ -167,6 +168,12 @@ fn outcome(report: &StreamReport, came: usize, place: Place) -> Outcome {
         super::status::active_text(t),
     );
     let mut outcome = Outcome { json, text };
+    let since = |_: &_| report.moved_since.map_or("before this stream".into(), |frame| format!("frame {frame}"));
+    if let Some(sentence) = watch_text(&t.watch, since) {
+        outcome.text += &format!("optics        {sentence}\n");
+        outcome.json["watch"] = watch_json(&t.watch);
+        outcome.json["watch"]["moved_since_frame"] = json!(report.moved_since);
+    }
     if let Some((status, missed)) = &report.camera {
         outcome.json["camera"] = super::camera::json(status);
         outcome.json["camera"]["frames_not_taken"] = json!(missed);

@@ -50,6 +50,7 @@ impl Network {
             memory: MemoryPlan { fast_bytes: 0, bulk_bytes: 0 },
             integers: None,
             passes: None,
+            watch: None,
         };
         header.memory = Pipeline::plan(&header).map_err(DeviceError::Pipeline)?;
         let mut rng = rng::stream(seed, "faults", 0);
@@ -68,6 +69,7 @@ impl Network {
             inverse_gain: Some(gain),
             convolutions: None,
             predictor: &[],
+            watch: Default::default(),
         };
         let blob = NetworkFile::new(&header, &weights)?;
         let mut rng = rng::stream(seed, "frame", 0);
