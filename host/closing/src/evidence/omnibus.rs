@@ -74,7 +74,8 @@ fn significant(dependences: &[Dependence]) -> impl Iterator<Item = &Dependence> 
     dependences.iter().filter(|d| d.p * (dependences.len() as f64) < OMNIBUS).filter(matters)
 }
 
-/// The pattern common to two halves of the flats and darks; the larger of response and offset counts.
+/// The pattern common to two halves of the flats and darks; the larger of response and offset counts. Halves that have
+/// less in common than chance gives, as those of the calibration itself do, have no pattern.
 fn on_pixels(shared: [Option<f64>; 2]) -> Option<Dependence> {
     let mean: Vec<f64> = shared.into_iter().flatten().collect();
     let largest = mean.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -88,9 +89,9 @@ fn on_pixels(shared: [Option<f64>; 2]) -> Option<Dependence> {
         at: (0..mean.len()).map(|i| i as f64).collect(),
         band: vec![1.0; mean.len()],
         size: None,
-        chi2: mean.iter().map(|v| v * v).sum(),
+        chi2: mean.iter().map(|v| v.max(0.0).powi(2)).sum(),
         mean,
-        expected: n,
+        expected: 0.5 * n,
         p,
         z: sigmas(p),
     })

@@ -192,10 +192,10 @@ fn train(args: &Args, run: &Run, inputs: Inputs<'_>) -> anyhow::Result<Outcome> 
     let training = request.training(&network, noise.full_scale_e(), peak_e);
     let mut training = TrainConfig { vary: args.vary.clone(), ..training };
     let task = Task { source, network, noise, maps };
-    if let Some(minutes) = args.minutes {
-        training = Trainer::fit_to_time(&task, training, lenses, minutes)?;
-    }
     args.device.check()?;
+    if let Some(minutes) = args.minutes {
+        training = Trainer::fit_to_time(&task, training, lenses, (minutes, args.device))?;
+    }
     let steps = training.steps;
     let mut trainer = if args.resume {
         let trainer = Trainer::resume_with_lenses(task, training, lenses, &args.output)?;

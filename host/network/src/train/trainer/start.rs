@@ -131,7 +131,7 @@ impl<'a> Trainer<'a> {
     }
 
     /// The settings `training` with as many steps as fit into `minutes`, from the time of the first few steps of a
-    /// trial run. The result depends on the machine.
+    /// trial run on `device`. The result depends on the machine.
     ///
     /// # Errors
     /// As [`Trainer::with_lenses`] and [`Trainer::step`]; or `minutes` is not a positive number.
@@ -139,13 +139,13 @@ impl<'a> Trainer<'a> {
         task: &Task<'a>,
         training: TrainConfig,
         lenses: Option<&'a Lenses>,
-        minutes: f64,
+        (minutes, device): (f64, Backend),
     ) -> Result<TrainConfig, TrainError> {
         if !(minutes.is_finite() && minutes > 0.0) {
             let (expected, found) = ("a positive number".into(), minutes.to_string());
             return Err(TrainError::Config { field: "--minutes", expected, found });
         }
-        let mut trial = Self::with_lenses(task.clone(), training.clone(), lenses)?;
+        let mut trial = Self::with_lenses(task.clone(), training.clone(), lenses)?.on(device);
         // The first step allocates memory and is not timed.
         trial.step()?;
         let start = Instant::now();
