@@ -13,31 +13,30 @@ const SURE: f64 = 10.0;
 /// Bright pixels: the noise of their light is at least so many times that of a dark pixel; in dark ones it is at most
 /// the second.
 const BRIGHT: [f64; 2] = [2.0, 0.3];
-/// Noise is another one if chi-squared of bright pixels exceeds one by this much,
+/// Noise is another one if that of the light differs by this much,
 const OTHER: f64 = 0.1;
 /// and if of that at most this share is common to neighbouring pixels, and dark pixels follow to that accuracy.
 const COMMON: f64 = 0.25;
 /// Number of pixels of each kind that such a statement needs.
 const ENOUGH: f64 = 1000.0;
 
-/// Notes on where the rest lies. None where nothing is left, or no object is known.
+/// Notes on where the rest lies. None where nothing is left and the noise is as expected, or no object is known.
 pub(crate) fn rest_notes(model: &Model<'_>, now: &Fitted, verdict: Verdict) -> Vec<String> {
-    if verdict == Verdict::Adequate {
-        return Vec::new();
-    }
     let seen = model.seen;
     let known = |k: &usize| matches!(seen.frames[*k].shown, Shown::Object(_));
     let scenes: Vec<(usize, Rest)> =
         (0..seen.frames.len()).filter(known).map(|k| (seen.frames[k].info.frame, Rest::of(model, now, k))).collect();
     let all: Vec<Rest> = scenes.iter().map(|(_, rest)| *rest).collect();
     let in_frames: Vec<(usize, [f64; 2])> = scenes.iter().map(|(frame, rest)| (*frame, rest.all)).collect();
-    few_frames(&in_frames).or_else(|| other_noise(all)).into_iter().collect()
+    let few = || few_frames(&in_frames).filter(|_| verdict != Verdict::Adequate);
+    few().or_else(|| other_noise(all)).into_iter().collect()
 }
 
 /// Sums over the pixels of a frame.
 #[derive(Clone, Copy, Default)]
 struct Rest {
-    /// chi-squared, and number of pixels.
+    /// chi-squared with the best light of this frame, and number of pixels: a frame that is far off moves the light of
+    /// its stack, and so the residual of all others.
     all: [f64; 2],
     /// The same of dark pixels.
     dark: [f64; 2],
@@ -59,12 +58,21 @@ impl Rest {
                 [here.residual_dn.get(at), here.inverse_sigma.get(at)].map(|v| v.map_or(0.0, |v| f64::from(*v)));
             (w > 0.0).then_some((r * w, w.powi(-2)))
         };
+        let light = |p: usize| {
+            let at = [p / cols, p % cols];
+            let [y, r] = [seen.frames[k].measured.get(at), here.residual_dn.get(at)].map(|v| v.map_or(0.0, |v| *v));
+            f64::from(y - r) - noise.black_level_dn
+        };
+        let (mut along, mut square) = (0.0, 0.0);
         let bright = |variance: f64| variance - of_dark > BRIGHT[0] * of_dark;
         let mut it = Self::default();
         let add = |to: &mut [f64], values: &[f64]| to.iter_mut().zip(values).for_each(|(sum, v)| *sum += v);
         for p in seen.pixels.iter().map(|p| *p as usize) {
             let Some((r, variance)) = normal(p) else { continue };
             add(&mut it.all, &[r * r, 1.0]);
+            let lit = light(p) / variance.sqrt();
+            along += r * lit;
+            square += lit * lit;
             if bright(variance) {
                 add(&mut it.bright, &[r * r * variance, variance, of_dark, 1.0]);
                 let next = Some(p + 1).filter(|next| next % cols > 0).and_then(normal);
@@ -75,6 +83,7 @@ impl Rest {
                 add(&mut it.dark, &[r * r, 1.0]);
             }
         }
+        it.all[0] -= along * along / square.max(f64::MIN_POSITIVE);
         it
     }
 }
@@ -118,13 +127,14 @@ fn other_noise(scenes: impl IntoIterator<Item = Rest>) -> Option<String> {
     }
     let dark = sum.dark[0] / sum.dark[1];
     let factor = (sum.bright[0] - dark * sum.bright[2]) / (sum.bright[1] - sum.bright[2]).max(f64::MIN_POSITIVE);
-    let [most, common] = [factor - 1.0, (sum.next[0] / sum.next[1]).abs()];
+    let [off, common] = [(factor - 1.0).abs(), (sum.next[0] / sum.next[1]).abs()];
     // A gain amplifies the read noise by its square, unless that arises behind it.
-    let of_read = (1.0 - COMMON * most)..(1.0 + COMMON) * factor * factor;
-    let is_noise = most > OTHER && common < COMMON * most && of_read.contains(&dark);
+    let [least, most] = [factor.powi(2).min(1.0), factor.powi(2).max(1.0)];
+    let of_read = least - COMMON * off..most + COMMON * off;
+    let is_noise = off > OTHER && common < COMMON * off && of_read.contains(&dark);
     is_noise.then(|| {
         format!(
-            "what is left in the scenes looks like noise: neighbouring pixels have nothing in common, and the noise of \
+            "the residual of the scenes looks like noise of another strength: neighbouring pixels have nothing in common, and the noise of \
              their light is {factor:.2} times what the gain of the calibration gives ({dark:.2} times in dark pixels). \
              If the camera's gain was {factor:.2} times that of the calibration while the scenes were recorded, \
              calibrate with flats and darks at their gain"
@@ -162,6 +172,8 @@ mod tests {
         let text = other_noise([rest(0.01, 1.0)]).unwrap_or_default();
         assert!(text.contains("1.50 times what the gain") && text.contains("1.00 times in dark"), "{text}");
         assert!(other_noise([rest(0.01, 2.25)]).is_some_and(|text| text.contains("2.25 times in dark")));
+        let quiet = Rest { bright: [5000.0 * (0.8 * 36.0 + 0.64 * 4.0), 2e5, 2e4, 5000.0], ..rest(0.01, 0.64) };
+        assert!(other_noise([quiet]).is_some_and(|text| text.contains("0.80 times what the gain")));
         assert!(other_noise([rest(0.3, 1.0)]).is_none() && other_noise([rest(0.01, 3.0)]).is_none());
     }
 }

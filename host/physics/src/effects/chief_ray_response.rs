@@ -18,8 +18,8 @@ static DESCRIPTOR: Descriptor = Descriptor {
     id: "chief_ray_response",
     stage: Stage::Lens,
     summary: "mu_l (1 - c r^2) about the axis of each lens: the response falls with the angle of the light",
-    // Within 0.1 mm of the axis, where nearly all light of a miniature array falls, 50 / mm^2 take half of it.
-    params: &[Param::strength("c_per_mm2", "mm^-2", 0.3, -50.0, 50.0)],
+    // The field of a lens of a miniature array reaches 0.05 mm from its axis or more, where 400 / mm^2 take all light.
+    params: &[Param::strength("c_per_mm2", "mm^-2", 0.3, -400.0, 400.0)],
     lookalikes: &[
         Lookalike {
             id: "vignetting",
