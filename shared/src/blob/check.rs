@@ -198,8 +198,7 @@ impl<'a> Weights<'a> {
     /// could overflow, [`BlobError::Lens`] the first lens.
     pub(super) fn check_numbers(&self, header: &Header) -> Result<(), BlobError> {
         self.halves().into_iter().try_for_each(|(section, halves)| check_finite(section, halves))?;
-        // Devices without their code refuse such networks anyway.
-        if let Some(passes) = header.passes.as_ref().filter(|_| !cfg!(feature = "one-pass")) {
+        if let Some(passes) = &header.passes {
             check_lenses(passes, header.object, self.predictor)?;
         }
         if let Some(index) = self.watch.statistics.iter().position(|statistic| !statistic.is_possible()) {

@@ -215,8 +215,7 @@ impl Rcan {
             (Some(integers), Some(convolutions)) => {
                 check_weights(attention_count(&self.shape, self.filters as u8) as usize, weights.len())?;
                 let rest = Rest { halves: weights, weights: convolutions.bytes(), channels: convolutions.channels };
-                // Where these loops are left out, the pipeline has refused such a network.
-                if integers.features == FeatureBits::Eight && !cfg!(feature = "only-16-bits") {
+                if integers.features == FeatureBits::Eight {
                     let arithmetic = in_integers::<i8>(simd, integers);
                     self.process_in(arithmetic, rest, scales, arena, region, output, scratch)
                 } else {

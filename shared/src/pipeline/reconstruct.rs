@@ -154,8 +154,7 @@ impl<'a> Pipeline<'a> {
         self.check_region(region)?;
         self.check_lengths(frame, fast, bulk, (region.pixels(), output.len()))?;
         let bulk = &mut bulk[..self.bulk_len()];
-        // Where their code is left out, the pipeline has refused such a network.
-        if let Some(later) = self.later.as_ref().filter(|_| !cfg!(feature = "one-pass")) {
+        if let Some(later) = &self.later {
             let Field::Measured(None) = field else { return Err(PipelineError::Hold) };
             return self.run_passes(later, frame, region, Memory { fast, bulk }, output);
         }

@@ -2,7 +2,7 @@
 
 use super::error::{PipelineError, check};
 use super::later::Later;
-use crate::blob::{FeatureBits, Header, has_black_level};
+use crate::blob::{Header, has_black_level};
 use crate::filter::FilterBank;
 use crate::nn::rcan::Rcan;
 
@@ -34,16 +34,8 @@ pub(super) fn shapes(header: &Header) -> Result<Shapes<'_>, PipelineError> {
         return Err(PipelineError::BlackLevel { found: header.sensor.black_level_dn });
     }
     let filter = FilterBank::new(&header.bank, header.frame, header.object)?;
-    if cfg!(feature = "only-16-bits") && header.integers.is_some_and(|i| i.features == FeatureBits::Eight) {
-        let expected = "16: this device has no loops for features of 8 bits; quantize with --activations int16";
-        return Err(PipelineError::Field { field: "bits of a feature", expected, found: 8 });
-    }
     let rcan = Rcan::new(network, header.integers, header.bank.channels, header.object)?;
     let later = match &header.passes {
-        Some(passes) if cfg!(feature = "one-pass") => {
-            let expected = "0: this device has no room for their code; train with --passes 1 for it";
-            return Err(PipelineError::Field { field: "later passes", expected, found: passes.later.into() });
-        }
         Some(passes) => Some(Later::new(header, passes)?),
         None => None,
     };

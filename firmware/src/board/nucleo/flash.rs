@@ -12,7 +12,7 @@ use embassy_stm32::peripherals::FLASH;
 use embedded_storage::nor_flash::{self, NorFlash, ReadNorFlash};
 use ommatidia_shared::flash::MappedFlash;
 
-/// All sectors without that of the program: fifteen of 128 KB, for files of up to 640 KB.
+/// All sectors without those of the program: fourteen of 128 KB, for files of up to 640 KB.
 pub struct InternalFlash(Flash<'static, Blocking>);
 
 impl InternalFlash {
