@@ -97,11 +97,22 @@ fn few_frames(scenes: &[(usize, [f64; 2])]) -> Option<String> {
     let above = |of: &[f64; 2]| of[0] - median.max(1.0) * of[1];
     let sum: f64 = scenes.iter().map(|(_, of)| above(of).max(0.0)).sum();
     let sure = |of: &[f64; 2]| above(of) > SURE * (2.0 * of[1]).sqrt();
-    let out: Vec<&(usize, [f64; 2])> = scenes.iter().filter(|(_, of)| sure(of)).collect();
-    let held: f64 = out.iter().map(|(_, of)| above(of)).sum();
+    // As few as hold most of it: what moves the black level of all frames makes others differ, too.
+    let mut most: Vec<&(usize, [f64; 2])> = scenes.iter().filter(|(_, of)| sure(of)).collect();
+    most.sort_by(|a, b| above(&b.1).total_cmp(&above(&a.1)));
+    let mut held = 0.0;
+    let mut out: Vec<&(usize, [f64; 2])> = Vec::new();
+    for scene in most {
+        if held >= MOST * sum {
+            break;
+        }
+        held += above(&scene.1);
+        out.push(scene);
+    }
     if out.is_empty() || out.len() as f64 > FEW * scenes.len() as f64 || held < MOST * sum {
         return None;
     }
+    out.sort_by_key(|(frame, _)| *frame);
     let list: Vec<String> =
         out.iter().map(|(frame, of)| format!("{frame} (chi-squared per pixel {:.3})", per_pixel(of))).collect();
     let (frames, their) = if out.len() == 1 { ("scene frame", "It does") } else { ("scene frames", "They do") };
@@ -154,6 +165,12 @@ mod tests {
         scenes[5] = frame(5, 1.3);
         let text = few_frames(&scenes).unwrap_or_default();
         assert!(text.contains("scene frame 5 (chi-squared per pixel 1.300)") && text.contains("1.02"), "{text}");
+        // A frame that is far off disturbs the fit of others.
+        let mut disturbed = scenes.clone();
+        disturbed[5] = frame(5, 300.0);
+        (7..12).for_each(|k| disturbed[k] = frame(k, 4.0));
+        let text = few_frames(&disturbed).unwrap_or_default();
+        assert!(text.contains("scene frame 5 (chi-squared per pixel 300.000);"), "{text}");
         // More than a sixth of the scenes is no exception.
         (0..3).for_each(|k| scenes[k] = frame(k, 1.3));
         assert_eq!(few_frames(&scenes), None);
