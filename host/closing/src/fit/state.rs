@@ -117,7 +117,7 @@ pub struct State {
     /// The light of the flats' lamp over the sensor.
     pub lamp: Lamp,
     /// Light in the rings outside the windows of the calibration (`wings`), each in units of its standard
-    /// uncertainty; it is fitted where objects are known, within [`super::wings::range`].
+    /// uncertainty; it is fitted where objects are known, within its range (`wings`).
     pub wings: Vec<f64>,
     /// Where the truths lie, for each of [`crate::Observations::registrations`]; all zero: as recorded.
     pub registration: Vec<Registered>,
