@@ -38,7 +38,7 @@ struct Rest {
     /// chi-squared with the best light of this frame, and number of pixels: a frame that is far off moves the light of
     /// its stack, and so the residual of all others.
     all: [f64; 2],
-    /// The same of dark pixels.
+    /// chi-squared and number of dark pixels, as predicted.
     dark: [f64; 2],
     /// Of bright pixels: squared residual, expected variance, and the part of it that a dark pixel has, DN^2; number.
     bright: [f64; 4],

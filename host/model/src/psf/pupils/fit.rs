@@ -261,3 +261,30 @@ fn misfit(kernel: &Kernel, lens: &LensPupil, places: &[Place]) -> f64 {
     };
     (places.iter().map(of).sum::<f64>().max(0.0) / places.len() as f64).sqrt()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_design_is_shared_by_most_lenses_and_moves_with_the_centre_of_the_field() {
+        let lens = |radius: f64, curvature: f64| {
+            let mut terms = Array2::zeros((TERMS, FUNCTIONS));
+            // Defocus that grows with the square of the field, as y^2 + y x / 2 + 2 x^2, about a centre of its own.
+            [(0, 9.0), (1, 7.0), (3, curvature), (4, curvature / 2.0), (5, 2.0 * curvature)]
+                .into_iter()
+                .for_each(|(f, v)| terms[[2, f]] = v);
+            LensPupil { terms, apodisation: 0.5, radius, misfit: 0.0 }
+        };
+        let (a, b, astray) = (lens(0.2, 0.3), lens(0.2, 0.3), lens(0.4, -5.0));
+        assert!(Design::of(&[&a, &b]).is_none());
+        let design = Design::of(&[&astray, &a, &b]);
+        let about = design.as_ref().map(|design| design.about([0.5, -0.25]));
+        for [y, x] in [[0.0, 0.0], [0.5, -0.25], [-1.0, 1.0]] {
+            let (v, u) = (y - 0.5, x + 0.25);
+            let expected = 0.3 * (v * v + v * u / 2.0 + 2.0 * u * u);
+            let found = about.as_ref().map(|lens| (lens.at([y, x]).terms[2], lens.radius));
+            assert!(found.is_some_and(|(d, r)| (d - expected).abs() < 1e-12 && r == 0.2), "{found:?} {expected}");
+        }
+    }
+}
