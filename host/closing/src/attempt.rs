@@ -12,8 +12,8 @@ use super::evidence::{
 };
 use super::fit::gauge::Gauge;
 use super::fit::{
-    Design, Fitted, Model, Replicas, Scope, State, Term, UNKNOWN_NOTE, chosen_note, estimated_frames, fitted_columns,
-    refit, replicas,
+    Design, Fitted, Model, PUPIL_DEFOCUS, Replicas, Scope, State, Term, UNKNOWN_NOTE, chosen_note, estimated_frames,
+    fitted_columns, refit, replicas,
 };
 use super::options::{CalibratedOn, CloseError, CloseOptions};
 use super::plan::{self, plan};
@@ -107,7 +107,8 @@ pub(crate) fn attempt(
     let left_of = |fit: &Fitted| {
         let judged = beyond(of_before[0], excess(&model, fit, judged_on), by_calibration[0]);
         let even = Excess::seen(of_before[1], excess(&model, fit, JudgedOn::Even), by_calibration[1]);
-        Left { judged: judged.beyond_calibration(within(fit)).left, even: even.left }
+        let judged = judged.beyond_calibration(within(fit));
+        Left { judged: judged.left, even: even.left, much: judged.is_much() }
     };
     let recalibrated = search.needs_calibration();
     let mut imitations = Vec::new();
@@ -206,7 +207,8 @@ pub(crate) fn attempt(
     let Names { effects, nearest: resembling, left_much, .. } = names;
     nearest.extend(resembling);
     notes.splice(..0, bright_darks(seen, model.forward.noise()));
-    notes.extend(pupil_note(instrument, &effects));
+    let misjudged = now.state.terms.iter().find(|t| t.id() == PUPIL_DEFOCUS).map_or(&[][..], |t| &t.params);
+    notes.extend(pupil_note(instrument, &effects, misjudged));
     // Without a bead scan there are no replicates to be had.
     if instrument.replicates.is_empty() && !instrument.sensor_only() && seen.of(Role::Scene).next().is_some() {
         notes.push(
@@ -379,6 +381,7 @@ pub(crate) fn held_out_blocks(seen: &Observations) -> [usize; 2] {
 
 /// The instrument with the effects of a state in place of its own.
 fn with_effects(instrument: &Instrument, model: &Model<'_>, state: &State) -> Instrument {
-    let effects = state.terms.iter().map(|t| t.setting(model.lenses())).collect();
+    let is_on = |t: &&Term| t.id() != PUPIL_DEFOCUS || t.params.iter().any(|v| *v != 0.0);
+    let effects = state.terms.iter().filter(is_on).map(|t| t.setting(model.lenses())).collect();
     Instrument { effects, ..instrument.clone() }
 }

@@ -299,6 +299,16 @@ fn describe(term: &Term, params: &[Value]) -> String {
                 params.len()
             )
         }
+        "unknown_scatter" => {
+            let all: f64 = params.iter().map(|v| v.value).sum();
+            format!(
+                "unknown: {} of the light of each point is scattered to places round it, by a law of any form from 3 \
+                 to 96 px; {} degrees of freedom; cause not identified; a halo or glare of another law than those of \
+                 the catalogue looks like this, and one bright bead, long exposed, shows its law",
+                short(all),
+                params.len()
+            )
+        }
         "unknown_profile" => {
             let knots = &params[..KNOTS];
             let (low, high) = knots.iter().fold((f64::MAX, f64::MIN), |r, v| (r.0.min(v.value), r.1.max(v.value)));

@@ -1,7 +1,7 @@
 //! Which of the effects that were found are named as causes.
 
 use super::result::{Effect, Nearest};
-use super::verdict::{Left, claims_a_cause};
+use super::verdict::{LEFT, Left, claims_a_cause};
 use crate::evidence::Constancy;
 use crate::fit::repeats::is_of_noise;
 use crate::search::Found;
@@ -82,6 +82,13 @@ impl Names {
                      work, which this effect may imitate in part",
                     100.0 * share
                 ))
+            } else if let Some((share, ids)) = found(&effect).and_then(|it| beside_no_causes(it, &uneven, judged.found))
+            {
+                Some(format!(
+                    "what is no cause ({ids}) explains {:.0} % of what it explains, and its own strength is not shown \
+                     to be the same everywhere: it imitates the cause in part",
+                    100.0 * share
+                ))
             } else if judged.noise_is_left && find(&effect.id).is_some_and(is_of_noise) {
                 // A cause in the noise is first shared out among the effects of the noise.
                 Some("the noise of repeated frames still has structure beside it: it imitates the cause in part".into())
@@ -113,6 +120,24 @@ impl Names {
 fn beside_unnamed(effect: &Found, all: &[(&Found, Constancy)]) -> Option<f64> {
     let unnamed = all.iter().filter(|(f, _)| f.id.starts_with("unknown"));
     Some(unnamed.map(|(f, _)| effect.share_of(f)).fold(0.0, f64::max)).filter(|share| *share > HALF)
+}
+
+/// What terms without a name and effects with no one strength (`uneven`) explain of held-out data, over what an effect
+/// does, with their ids. None: that is little, or the strength of the effect is shown to be the same everywhere, or it
+/// cannot be compared.
+fn beside_no_causes(
+    (effect, constancy): &(&Found, Constancy),
+    uneven: &[&Found],
+    all: &[(&Found, Constancy)],
+) -> Option<(f64, String)> {
+    if !constancy.is_compared() || constancy.is_shown() {
+        return None;
+    }
+    let unnamed = all.iter().map(|(f, _)| *f).filter(|f| f.id.starts_with("unknown"));
+    let others: Vec<&Found> = unnamed.chain(uneven.iter().copied()).filter(|f| f.id != effect.id).collect();
+    let share: f64 = others.iter().map(|f| effect.share_of(f).max(0.0)).sum();
+    let ids: Vec<&str> = others.iter().map(|f| f.id).collect();
+    (share > LEFT).then(|| (share, ids.join(", ")))
 }
 
 #[cfg(test)]
@@ -172,13 +197,35 @@ mod tests {
     }
 
     #[test]
+    fn what_is_not_shown_to_be_even_is_no_cause_beside_what_is_none() {
+        let of = |tau: f64| Constancy {
+            frames: Spread { tau: 0.0, z: 0.3, resolution: 0.04 },
+            blocks: Spread { tau, z: 5.0, resolution: 0.05 },
+        };
+        let [strong, weak] = [found("lens_gain", 9e3), found("charge_diffusion", 1e3)];
+        let named = |tau, gain| {
+            let weak = Found { held_out_gain: gain, ..weak.clone() };
+            let it = names(&[(&strong, of(tau)), (&weak, of(0.2))], Left::default(), false);
+            it.effects.iter().map(|e| e.id.clone()).collect::<Vec<_>>()
+        };
+        // The weaker one has no one strength. The other: shown to be even, not shown, and not shown beside little.
+        assert_eq!(named(0.07, 1e3), ["lens_gain"]);
+        assert!(named(0.12, 1e3).is_empty());
+        assert_eq!(named(0.12, 1e2), ["lens_gain"]);
+        // Nothing to compare, such as the noise alone shows.
+        let unnamed = found("unknown_factor", 1e3);
+        let it = names(&[(&strong, Constancy::default()), (&unnamed, Constancy::default())], Left::default(), false);
+        assert_eq!(it.effects.len(), 2);
+    }
+
+    #[test]
     fn names_stand_where_nothing_is_against_them() {
         let [optics, noise] = [found("array_shift", 9e3), found("row_noise", 1e2)];
         let of = [(&optics, Constancy::default()), (&noise, Constancy::default())];
         assert_eq!(names(&of, Left::default(), false).effects.len(), 2);
         let it = names(&of, Left::default(), true);
         assert_eq!((it.effects.len(), it.nearest[0].id.as_str()), (1, "row_noise"));
-        let it = names(&of, Left { judged: 0.3, even: 0.3 }, false);
+        let it = names(&of, Left { judged: 0.3, even: 0.3, much: false }, false);
         assert!(it.effects.is_empty() && it.left_much && it.nearest[0].why.contains("30 %"));
     }
 }

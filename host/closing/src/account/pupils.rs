@@ -7,7 +7,9 @@ use ommatidia_model::instrument::Instrument;
 pub(super) const BY_DEPTH: [&str; 3] = ["defocus", "field_curvature", "tilt"];
 
 /// The note on effects that pupils predict; None: there are none.
-pub(crate) fn pupil_note(instrument: &Instrument, effects: &[Effect]) -> Option<String> {
+///
+/// `misjudged_waves` is the defocus of each lens beyond that of its pupil, as fitted beside these effects.
+pub(crate) fn pupil_note(instrument: &Instrument, effects: &[Effect], misjudged_waves: &[f64]) -> Option<String> {
     let by_depth = effects.iter().find(|e| BY_DEPTH.contains(&e.id.as_str()));
     let effect = by_depth.or_else(|| effects.iter().find(|e| e.id == "wavefront_drift"))?;
     let error = 100.0 * instrument.pupil_model()?.misfit;
@@ -18,9 +20,17 @@ pub(crate) fn pupil_note(instrument: &Instrument, effects: &[Effect]) -> Option<
         "one plane does not show the sign of astigmatism and spherical aberration, and coefficients belong to hard \
          rims (a soft one that ends farther out has larger ones)"
     };
+    let most = misjudged_waves.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+    let misjudged = match most > 0.0 {
+        true => format!(
+            ". PSFs hardly show how far a lens is out of focus that is nearly in it, so that the defocus of each lens \
+             was fitted beside the effect: it differs by up to {most:.3} waves rms from that of its pupil"
+        ),
+        false => String::new(),
+    };
     Some(format!(
         "`{}` is that of round pupils, which explain the PSFs of the calibration with an error of {error:.1} %: the \
-         beads were scanned in one plane. {unknown}; a bead scan at several depths decides it",
+         beads were scanned in one plane. {unknown}; a bead scan at several depths decides it{misjudged}",
         effect.id
     ))
 }

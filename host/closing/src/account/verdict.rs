@@ -7,7 +7,7 @@ use ommatidia_model::instrument::Quality;
 use ommatidia_physics::effects::Stage;
 
 /// Names are earned if at most this share of the excess of chi-squared over the noise is left, on held-out data.
-const LEFT: f64 = 0.05;
+pub(super) const LEFT: f64 = 0.05;
 /// The same where the strength of an effect is shown to be one everywhere: what is left is of another kind then, such
 /// as errors of the calibration.
 const LEFT_OF_CONSTANT: f64 = 0.6;
@@ -101,6 +101,8 @@ pub(crate) fn within_calibration(now: Figures, quality: &Quality, alone: f64) ->
 pub(crate) struct Left {
     pub(crate) judged: f64,
     pub(crate) even: f64,
+    /// Whether that is more than errors of a calibration reach ([`Excess::is_much`]).
+    pub(crate) much: bool,
 }
 
 impl Left {
@@ -112,10 +114,11 @@ impl Left {
 
     /// Whether the effect explains enough for its name to stand as a cause: nearly all, or a large part of it with a
     /// strength that is shown to be the same everywhere. A calibration that errs leaves structure beside a true effect
-    /// too.
+    /// too, but not more than calibrations err by.
     pub(crate) fn earns(self, effect: &Found, constancy: Constancy) -> bool {
         let left = self.of(effect);
-        left <= LEFT || left <= LEFT_OF_CONSTANT && constancy.is_shown()
+        let much = self.much && effect.of_even_light <= 0.5;
+        left <= LEFT || !much && left <= LEFT_OF_CONSTANT && constancy.is_shown()
     }
 }
 
@@ -219,13 +222,15 @@ mod tests {
             ambiguity: Vec::new(),
             table_sigma: None,
         };
-        let earns = |judged, even, share| Left { judged, even }.earns(&found(share), Constancy::default());
+        let earns = |judged, even, share| Left { judged, even, much: false }.earns(&found(share), Constancy::default());
         assert!(earns(0.04, 0.3, 0.0) && !earns(0.3, 0.0, 0.0) && !earns(0.1, 0.0, 0.4));
         assert!(earns(0.3, 0.01, 1.0) && earns(0.3, 0.0, 0.9) && !earns(0.0, 0.3, 1.0));
         let even = Spread { tau: 0.0, z: 0.5, resolution: 0.03 };
         let constant = Constancy { frames: even, blocks: even };
-        let of_constant = |left| Left { judged: left, even: 0.0 }.earns(&found(0.0), constant);
-        assert!(of_constant(0.5) && !of_constant(0.7));
+        let of_constant = |left, much| Left { judged: left, even: 0.0, much }.earns(&found(0.0), constant);
+        assert!(of_constant(0.5, false) && !of_constant(0.7, false));
+        // Errors of a calibration do not reach that far.
+        assert!(!of_constant(0.5, true) && of_constant(0.04, true));
         let of = |left| Excess { left, per_pixel: 1.0 };
         let verdicts = [of(0.0).verdict(false), of(0.9).verdict(false), of(0.1).verdict(true), of(0.9).verdict(true)];
         let incomplete = Verdict::Incomplete;

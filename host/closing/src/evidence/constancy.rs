@@ -102,6 +102,11 @@ impl Constancy {
         even(self.frames) && even(self.blocks)
     }
 
+    /// Whether there were groups to compare.
+    pub(crate) fn is_compared(self) -> bool {
+        self.frames.resolution > 0.0 || self.blocks.resolution > 0.0
+    }
+
     /// Says how the strength differs, if it does so by much ([`Spread::is_uneven`]).
     pub(crate) fn objection(self, psf_error: f64) -> Option<String> {
         let (at, between) = match (self.frames.is_uneven(psf_error), self.blocks.is_uneven(psf_error)) {

@@ -34,6 +34,8 @@ pub struct TableFit {
 
 /// Threshold of spots in the smoothed map, standard deviations.
 const SPOT: f32 = 5.0;
+/// Pixels beyond this are no part of a pattern of all pixels, standard deviations in each half.
+const FAR_OUT: f32 = 6.0;
 /// Threshold of hot pixels in each half, standard deviations.
 const STANDS_OUT: f64 = 4.5;
 /// Standard deviation of the Gaussian blur for the detection of spots, pixels.
@@ -80,15 +82,16 @@ pub(crate) fn one(model: &Model<'_>, effect: &'static dyn Effect, now: &[Predict
     let [Some(a), Some(b)] = halves else { return None };
     let found = match kind.group {
         TableGroup::Pixel => {
-            let (fine, broad) = ([&a, &b].map(|h| sharp(h, SMOOTH_PX)), [&a, &b].map(|h| sharp(h, BROAD_PX)));
-            let of = |[a, b]: &[Half; 2], smooth_px| pattern(a, b, left(model, kind.acts), kept(smooth_px));
+            let single = outliers(&a, &b);
+            let [fine, broad] = [SMOOTH_PX, BROAD_PX].map(|px| [&a, &b].map(|h| sharp(h, &single, px)));
+            let of = |[a, b]: &[Half; 2], smooth_px| pattern(a, b, &single, left(model, kind.acts), kept(smooth_px));
             // Tested with a fine blur subtracted; the table keeps everything finer than shading.
             let found = of(&fine, SMOOTH_PX).filter(|_| is_white(&fine[0], &fine[1]));
             found.and_then(|f| Some(Shape { table: of(&broad, BROAD_PX)?.table, ..f }))
         }
         TableGroup::SparsePixels => sparse(&a, &b),
         TableGroup::Spots => spots(&a, &b, left(model, kind.acts)),
-        TableGroup::Pattern | TableGroup::Scales => pattern(&a, &b, left(model, kind.acts), 1.0),
+        TableGroup::Pattern | TableGroup::Scales => pattern(&a, &b, &hot(&a, &b), left(model, kind.acts), 1.0),
     }?;
     let expanded = effect.descriptor().expanded(model.lenses());
     let mut params: Vec<f64> = expanded.iter().map(|(_, p)| p.off).collect();
@@ -111,7 +114,7 @@ pub(crate) fn one(model: &Model<'_>, effect: &'static dyn Effect, now: &[Predict
 pub(crate) fn shared(model: &Model<'_>, now: &[Predicted]) -> [Option<f64>; 2] {
     [TableUse::Response, TableUse::Offset].map(|acts| {
         let [Some(a), Some(b)] = [0, 1].map(|h| half(model, now, acts, h)) else { return None };
-        Some(pattern(&a, &b, left(model, acts), 1.0)?.z)
+        Some(pattern(&a, &b, &hot(&a, &b), left(model, acts), 1.0)?.z)
     })
 }
 
@@ -201,10 +204,39 @@ fn mean(a: &Half, b: &Half) -> Half {
     Half { value, weight, scatter: Array2::ones(a.value.dim()) }
 }
 
-/// Subtracts the smooth part: shading, spots and steps are no properties of single pixels.
-fn sharp(h: &Half, smooth_px: f64) -> Half {
+/// Subtracts the smooth part: shading, spots and steps are no properties of single pixels. The pixels of `single` have
+/// no part in it: a hot pixel would leave its mark on all its neighbours.
+fn sharp(h: &Half, single: &Array2<bool>, smooth_px: f64) -> Half {
     let flat = level(h);
-    Half { value: &flat.value - &blur_within(&flat.value, smooth_px), ..flat }
+    let share = blur_within(&single.mapv(|out| f32::from(!out)), smooth_px);
+    let mut smooth = flat.value.clone();
+    smooth.zip_mut_with(single, |v, out| *v = if *out { 0.0 } else { *v });
+    let smooth = blur_within(&smooth, smooth_px);
+    let value = Zip::from(&flat.value).and(&smooth).and(&share).map_collect(|v, s, n| v - s / n.max(1e-3));
+    Half { value, ..flat }
+}
+
+/// Pixels that stand out in both halves from their noise and from the scatter of all pixels, to the same side.
+fn outliers(a: &Half, b: &Half) -> Array2<bool> {
+    let scatter = scatter(&mean(a, b).value);
+    let in_sigmas = |v: f32, w: f32| if w > 0.0 { v / (1.0 / w + scatter).sqrt() } else { 0.0 };
+    Zip::from(&a.value).and(&b.value).and(&a.weight).and(&b.weight).map_collect(|va, vb, wa, wb| {
+        let [za, zb] = [in_sigmas(*va, *wa), in_sigmas(*vb, *wb)];
+        za.min(zb) > FAR_OUT || za.max(zb) < -FAR_OUT
+    })
+}
+
+/// Those of the outliers that are bright.
+fn hot(a: &Half, b: &Half) -> Array2<bool> {
+    Zip::from(&outliers(a, b)).and(&a.value).map_collect(|out, v| *out && *v > 0.0)
+}
+
+/// Variance of most of the values of a map. The median absolute value of a normal variable is 0.674 of its standard
+/// deviation.
+fn scatter(map: &Array2<f32>) -> f32 {
+    let mut sizes: Vec<f32> = map.iter().map(|v| v.abs()).collect();
+    let middle = sizes.len() / 2;
+    if sizes.is_empty() { 0.0 } else { (*sizes.select_nth_unstable_by(middle, f32::total_cmp).1 / 0.674).powi(2) }
 }
 
 /// Share of a white pattern's variance that [`sharp`] keeps: `1 - 2 g(0) + sum g^2` of a Gaussian g.
@@ -239,13 +271,12 @@ fn is_white(a: &Half, b: &Half) -> bool {
     })
 }
 
-/// A pattern of all pixels: the variance common to both halves, beyond that of the map errors (`left`). `kept` is the
-/// share of a white pattern's variance that the halves hold.
-fn pattern(a: &Half, b: &Half, left: f64, kept: f64) -> Option<Shape> {
+/// A pattern of all pixels but those of `single`: the variance common to both halves, beyond that of the map errors
+/// (`left`). `kept` is the share of a white pattern's variance that the halves hold.
+fn pattern(a: &Half, b: &Half, single: &Array2<bool>, left: f64, kept: f64) -> Option<Shape> {
     let (mut shared, mut noise, mut n) = (0.0, 0.0, 0.0);
-    // Hot pixels and dust are other effects; outliers are left out here.
-    Zip::from(&a.value).and(&b.value).and(&a.weight).and(&b.weight).for_each(|a, b, wa, wb| {
-        if *wa > 0.0 && *wb > 0.0 && !(a * wa.sqrt() > 6.0 && b * wb.sqrt() > 6.0) {
+    Zip::from(&a.value).and(&b.value).and(&a.weight).and(&b.weight).and(single).for_each(|a, b, wa, wb, single| {
+        if *wa > 0.0 && *wb > 0.0 && !single {
             shared += f64::from(a * b);
             noise += 1.0 / (f64::from(*wa) * f64::from(*wb));
             n += 1.0;
@@ -279,10 +310,7 @@ fn sparse(a: &Half, b: &Half) -> Option<Shape> {
     let weight = f64::from(both.weight.mean().unwrap_or(0.0));
     let one = if weight > 0.0 { 1.0 / weight.sqrt() } else { 0.0 };
     // The threshold includes the scatter of a pattern of all pixels, which makes none of them hot.
-    let mut sizes: Vec<f32> = both.value.iter().map(|v| v.abs()).collect();
-    sizes.sort_unstable_by(f32::total_cmp);
-    // The median absolute value of a normal variable is 0.674 of its standard deviation.
-    let scatter = sizes.get(sizes.len() / 2).map_or(0.0, |v| (v / 0.674).powi(2));
+    let scatter = scatter(&both.value);
     Zip::indexed(&both.value).for_each(|at, v| {
         // Pixels that jump between two levels have a mean above the others by chance; they scatter as well.
         let stands_out = |h: &Half| h.value[at] / (h.scatter[at] / h.weight[at].max(1e-30) + scatter).sqrt();
@@ -391,8 +419,9 @@ mod tests {
     fn a_white_pattern_is_measured_without_bias_and_a_smooth_one_is_rejected() {
         let own = white(0.008);
         let judged = |halves: [Half; 2]| {
-            let [a, b] = halves.map(|h| sharp(&h, SMOOTH_PX));
-            (pattern(&a, &b, 0.0, kept(SMOOTH_PX)).unwrap(), is_white(&a, &b))
+            let single = outliers(&halves[0], &halves[1]);
+            let [a, b] = halves.map(|h| sharp(&h, &single, SMOOTH_PX));
+            (pattern(&a, &b, &single, 0.0, kept(SMOOTH_PX)).unwrap(), is_white(&a, &b))
         };
         let (found, is) = judged(halves(|r, c| own[[r, c]]));
         assert!(is && found.z > 20.0 && (found.size.sqrt() - 0.008).abs() < 3e-4, "{} {}", found.z, found.size.sqrt());
@@ -401,6 +430,20 @@ mod tests {
         assert!(!judged(halves(|_, c| if c < SIDE / 2 { 0.02 } else { 0.0 })).1);
         assert!(judged(halves(|r, c| own[[r, c]] + 0.0005 * r as f32)).1);
         assert!(judged(halves(|_, _| 0.0)).0.z.abs() < 4.0);
+    }
+
+    #[test]
+    fn hot_and_dead_pixels_are_no_pattern_of_all_pixels() {
+        let mut table = Array2::<f32>::zeros((SIDE, SIDE));
+        (0..40).for_each(|i| table[[(i * 37) % SIDE, (i * 53) % SIDE]] = if i % 4 == 0 { -1.0 } else { 1.5 });
+        let halves = halves(|r, c| table[[r, c]]);
+        let single = outliers(&halves[0], &halves[1]);
+        assert_eq!(single.iter().filter(|out| **out).count(), 40);
+        let [a, b] = halves.map(|h| sharp(&h, &single, SMOOTH_PX));
+        let found = pattern(&a, &b, &single, 0.0, kept(SMOOTH_PX)).unwrap();
+        assert!(found.z < 4.0, "{}", found.z);
+        // Their own values stay.
+        assert!((a.value[[37, 53]] - 1.5).abs() < 0.1);
     }
 
     #[test]

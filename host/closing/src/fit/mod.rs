@@ -40,6 +40,7 @@ pub use design::{Design, Misfit, Scope, Sums, nuisances};
 pub use errors::Errors;
 pub(crate) use errors::map_errors;
 pub use model::Model;
+pub(crate) use model::PUPIL_DEFOCUS;
 pub use projection::Specimens;
 pub use refit::{Fitted, Scenes, fitted_columns, own_columns, refit, refit_from};
 pub use replicas::{Replicas, replicas};

@@ -28,6 +28,9 @@ const PSF_ERROR_PX: f64 = 1.0;
 /// PSFs that err by more are no approximation: what they lack is to be seen in the residual, and not excused.
 const MOST_PSF_ERROR: f64 = 0.05;
 
+/// Own defocus of the lenses that their pupils misjudge: fitted beside effects on the wavefront, and never a cause.
+pub(crate) const PUPIL_DEFOCUS: &str = "pupil_defocus";
+
 /// An instrument and the frames of a session.
 pub struct Model<'a> {
     /// The forward model of the instrument without its effects.
@@ -125,8 +128,14 @@ impl<'a> Model<'a> {
                 *scale = (light / dose / self.forward.noise().gain_dn_per_e).max(1e-6);
             }
         }
+        let mut terms: Vec<Term> = instrument.effects.iter().filter_map(term).collect();
+        if self.seen.frames.iter().any(|f| matches!(f.shown, Shown::Object(_)))
+            && !terms.iter().any(|t| t.id() == PUPIL_DEFOCUS)
+        {
+            terms.extend(term(&EffectSetting::new(PUPIL_DEFOCUS, &[])));
+        }
         Ok(State {
-            terms: instrument.effects.iter().filter_map(term).collect(),
+            terms,
             scale,
             black_dn: 0.0,
             background_e: vec![[0.0; 3]; stacks],

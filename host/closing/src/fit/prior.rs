@@ -1,11 +1,12 @@
 //! What is known of nuisances beside the frames, as one more cell of the design: what a session states of the places of
-//! its truths, and what a calibration states of light outside its windows.
+//! its truths, what a calibration states of light outside its windows, and what its PSFs say of the defocus of each
+//! lens.
 //!
 //! Such a prior is an observation "0 +- sigma" of a value. In a cell it counts in the fit, in every score test and in
 //! every error, without a rule of its own.
 
 use super::cell::Cell;
-use super::model::Model;
+use super::model::{Model, PUPIL_DEFOCUS};
 use super::state::{Column, State};
 use super::truth::PARTS;
 use ndarray::Array2;
@@ -17,7 +18,7 @@ pub(super) fn cell(model: &Model<'_>, state: &State, columns: &[Column], replica
         (0..PARTS).map(move |part| (Column::Registration(g, part), values[part], group.sigma_px))
     });
     let wings = model.rings.iter().zip(&state.wings).enumerate().map(|(i, (_, value))| (Column::Wing(i), *value, 1.0));
-    let all: Vec<(Column, f64, f64)> = truths.chain(wings).collect();
+    let all: Vec<(Column, f64, f64)> = truths.chain(wings).chain(pupils(model, state, columns)).collect();
     if all.is_empty() {
         return None;
     }
@@ -31,6 +32,16 @@ pub(super) fn cell(model: &Model<'_>, state: &State, columns: &[Column], replica
     }
     let [frame, block] = place(model);
     Some(Cell { frame, block, held_out: false, pixels: 0.0, gram: x.dot(&x.t()), log_variance: 0.0 })
+}
+
+/// The defocus of each lens beyond that of its pupil, where it is fitted.
+fn pupils(model: &Model<'_>, state: &State, columns: &[Column]) -> Vec<(Column, f64, f64)> {
+    let at = state.terms.iter().position(|t| t.id() == PUPIL_DEFOCUS);
+    let own = |term: usize| (0..model.lenses()).map(move |param| Column::Own { term, param });
+    let Some(term) = at.filter(|t| own(*t).any(|c| columns.contains(&c))) else { return Vec::new() };
+    let doubts = own(term).zip(model.forward.doubts_waves()).zip(&state.terms[term].params);
+    // A dead lens has none.
+    doubts.filter(|((_, sigma), _)| *sigma > 0.0).map(|((column, sigma), value)| (column, *value, sigma)).collect()
 }
 
 /// Whether a cell is that of the priors.

@@ -7,7 +7,7 @@ use super::derivative::Expansion;
 use super::design::{Design, Misfit, Scope, nuisances};
 use super::errors::Errors;
 use super::gauge::{Gauge, gauges};
-use super::model::Model;
+use super::model::{Model, PUPIL_DEFOCUS};
 use super::solve::pseudo_inverse;
 use super::specimen::fitted::specimens;
 use super::state::{Column, Predicted, State, Term};
@@ -74,11 +74,14 @@ impl Fitted {
     }
 }
 
-/// The columns of a state's free parameters.
+/// The columns of a state's free parameters. How far the pupils misjudge the defocus of their lenses shows only beside
+/// effects that change wavefronts.
 pub fn own_columns(model: &Model<'_>, state: &State) -> Vec<Column> {
     let mut columns = Vec::new();
+    let cx = model.forward.context();
     for (term, t) in state.terms.iter().enumerate() {
-        if t.effect.descriptor().stage == Stage::Record || t.table.is_some() {
+        let hidden = t.id() == PUPIL_DEFOCUS && !model.forward.changes_wavefronts(&model.chain(&state.terms), &cx);
+        if t.effect.descriptor().stage == Stage::Record || t.table.is_some() || hidden {
             continue;
         }
         columns.extend(t.free(model.lenses()).into_iter().map(|param| Column::Own { term, param }));
@@ -148,7 +151,13 @@ fn within_reach(model: &Model<'_>, state: &mut State, scenes: &Scenes) {
 /// # Errors
 /// An object holds negative or non-finite light.
 pub fn refit_from(model: &Model<'_>, mut state: State, scenes: Scenes) -> Result<Fitted, ForwardError> {
-    let columns: Vec<Column> = nuisances(model).into_iter().chain(own_columns(model, &state)).collect();
+    let own = own_columns(model, &state);
+    for (term, t) in state.terms.iter_mut().enumerate().filter(|(_, t)| t.id() == PUPIL_DEFOCUS) {
+        let is_fitted = own.iter().any(|c| matches!(c, Column::Own { term: of, .. } if *of == term));
+        // It was fitted beside an effect that is gone.
+        t.params.iter_mut().filter(|_| !is_fitted).for_each(|v| *v = 0.0);
+    }
+    let columns: Vec<Column> = nuisances(model).into_iter().chain(own).collect();
     // Only effects on the emission change the light behind the optics.
     let emission = state.terms.iter().any(|t| t.effect.descriptor().stage == Stage::Object);
     let mut at = Point::of(model, &state, &columns, scenes)?;

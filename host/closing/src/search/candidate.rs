@@ -69,7 +69,7 @@ impl Candidate {
     /// Whether it explains enough for the many values that it is free to choose, in the data of `pixels` pixels.
     pub(crate) fn is_large_enough(&self, pixels: f64) -> bool {
         let many = self.table.as_ref().is_some_and(|t| t.of_scenes)
-            || matches!(self.term.id(), "unknown_warp" | "unknown_blur");
+            || matches!(self.term.id(), "unknown_warp" | "unknown_blur" | "unknown_scatter");
         !many || self.gain() > ENOUGH * pixels
     }
 

@@ -131,7 +131,7 @@ fn unknowns(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<Te
             }
         }
     }
-    for id in ["unknown_warp", "unknown_blur"] {
+    for id in ["unknown_warp", "unknown_blur", "unknown_scatter"] {
         terms.extend(find(id).map(|effect| {
             let params = effect.descriptor().expanded(model.lenses()).iter().map(|(_, p)| p.off).collect();
             Term { effect, params, table: None, table_error: 0.0 }

@@ -47,9 +47,7 @@ impl Forward {
                 Zip::from(&mut image.light).and(&other.light).and(&shares).for_each(|v, o, s| *v += s * electrons * o);
             }
         }
-        if let Some(changes) = self.wavefront_changes(scene, effects, cx)
-            && let Some(Some(change)) = changes.get(lens)
-        {
+        if let Some(change) = self.wavefront_change(scene, lens, effects, cx) {
             image.light.scaled_add(electrons, &change.light);
         }
         self.grow(scene, lens, &mut shifts, (&mut image, electrons));

@@ -1,7 +1,7 @@
 //! The images of one object through all lenses.
 
 use super::growth::GrowthImages;
-use super::wavefront::{Changes, Kept};
+use super::wavefront::Kept;
 use crate::psf::LensImage;
 use ndarray::Array2;
 
@@ -14,8 +14,8 @@ pub struct SceneLight {
     pub(super) emitted: Array2<f32>,
     /// Its images under PSFs that grow.
     pub(super) growth: GrowthImages,
-    /// Changes of its images by wavefronts that effects add.
-    pub(super) changes: Kept<Changes>,
+    /// Changes of its images by wavefronts that effects add, lens by lens.
+    pub(super) changes: Kept<LensImage>,
     /// Offset of a point source from the nearest object pixel, [row, col], px.
     pub(super) shift_px: [f64; 2],
     /// Depth, um; None: that of the planned plane.

@@ -8,15 +8,15 @@ use ommatidia_physics::effects::{Chain, FrameContext, Stage};
 use ommatidia_physics::optics::Wavefront;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Wavefronts that are kept with what was computed of them: those of a state, and of steps from it.
+/// Wavefronts of each lens that are kept with what was computed of them: those of a state, and of steps from it.
 const KEPT: usize = 4;
 
-/// Wavefronts, and what was computed of them.
-type Entry<T> = (Arc<Wavefronts>, Arc<T>);
+/// A lens with its wavefronts.
+type Key = (usize, Wavefronts);
 
-/// What was last computed, by wavefronts; the latest last.
+/// What was last computed, by lens and wavefronts; the latest last.
 #[derive(Clone, Debug)]
-pub(super) struct Kept<T>(Arc<Mutex<Vec<Entry<T>>>>);
+pub(super) struct Kept<T>(Arc<Mutex<Vec<(Key, Arc<T>)>>>);
 
 impl<T> Default for Kept<T> {
     fn default() -> Self {
@@ -25,26 +25,39 @@ impl<T> Default for Kept<T> {
 }
 
 impl<T> Kept<T> {
-    /// The value for wavefronts, computed where it is not kept. No lock is held while it is computed.
-    fn of(&self, by: &Wavefronts, compute: impl FnOnce() -> Option<T>) -> Option<Arc<T>> {
+    /// The value for wavefronts of a lens, computed where it is not kept. No lock is held while it is computed.
+    fn of(&self, by: &Key, compute: impl FnOnce() -> Option<T>) -> Option<Arc<T>> {
         let lock = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, found)) = lock().iter().find(|(key, _)| **key == *by) {
+        if let Some((_, found)) = lock().iter().find(|(key, _)| *key == *by) {
             return Some(found.clone());
         }
         let found = Arc::new(compute()?);
         let mut kept = lock();
-        if kept.len() >= KEPT {
-            kept.remove(0);
+        let same = |(key, _): &&(Key, Arc<T>)| key.0 == by.0;
+        if kept.iter().filter(same).count() >= KEPT
+            && let Some(oldest) = kept.iter().position(|(key, _)| key.0 == by.0)
+        {
+            kept.remove(oldest);
         }
-        kept.push((Arc::new(by.clone()), found.clone()));
+        kept.push((by.clone(), found.clone()));
         Some(found)
     }
 }
 
-/// The change of the image of each lens; None: a dead one.
-pub(super) type Changes = Vec<Option<LensImage>>;
-
 impl Forward {
+    /// Whether effects add wavefronts that change PSFs, with pupils that explain the PSFs.
+    pub fn changes_wavefronts(&self, effects: &Chain, cx: &FrameContext<'_>) -> bool {
+        self.pupils_asked(effects, cx).is_some()
+    }
+
+    /// How far the own defocus of each lens may lie from that of its pupil, waves rms (standard deviation); zero where
+    /// no pupil explains the PSFs. Pupils are fitted when they are first asked for.
+    pub fn doubts_waves(&self) -> Vec<f64> {
+        let of = &self.calibrated;
+        let pupils = of.pupils.of(&of.psf, &of.rays, self.pixel_pitch_um);
+        (0..self.layout.lenses).map(|l| pupils.map_or(0.0, |p| p.doubt_waves(l))).collect()
+    }
+
     /// The pupils, if effects ask for them and they explain the PSFs. They are fitted when they are first asked for:
     /// the corners and the centre of the object say whether they are.
     fn pupils_asked(&self, effects: &Chain, cx: &FrameContext<'_>) -> Option<&PupilModel> {
@@ -54,58 +67,59 @@ impl Forward {
         }
         let few = of.object.map(|n| vec![0.0, (n as f64 - 1.0) / 3.0, n as f64 - 1.0]);
         // Whether any is added does not depend on how a depth is converted.
-        if !self.added(effects, &few, |_, z_um| z_um, cx).change_psfs() {
+        let asks = |l| self.wavefronts(effects, l, (&few, 1.0), cx).change_psfs();
+        if !(0..self.layout.lenses).any(asks) {
             return None;
         }
         of.pupils.of(&of.psf, &of.rays, self.pixel_pitch_um)
     }
 
-    /// The wavefronts that effects add at nodes (rows and columns of the object), by the defocus of a depth through a
-    /// lens.
-    fn added(
+    /// The wavefronts that effects add for a lens at nodes (rows and columns of the object), by the defocus of a source
+    /// that is 1 um away.
+    fn wavefronts(
         &self,
         effects: &Chain,
-        [rows, cols]: &[Vec<f64>; 2],
-        defocus_waves: impl Fn(usize, f64) -> f64,
+        lens: usize,
+        ([rows, cols], waves_per_um): (&[Vec<f64>; 2], f64),
         cx: &FrameContext<'_>,
     ) -> Wavefronts {
-        let lens = |l: usize| {
-            Array2::from_shape_fn((rows.len(), cols.len()), |(i, j)| {
-                let ray = self.ray(l, self.image_of(l, [rows[i], cols[j]]));
-                let cx = FrameContext { lens: l, ..*cx };
-                let mut wavefront: Wavefront = effects.wavefront(&ray, &cx);
-                wavefront.coefficient[3] += defocus_waves(l, effects.shift_ray(&ray, &cx).z_um);
-                wavefront
-            })
-        };
-        Wavefronts((0..self.layout.lenses).map(lens).collect())
+        let cx = FrameContext { lens, ..*cx };
+        let added = Array2::from_shape_fn((rows.len(), cols.len()), |(i, j)| {
+            let ray = self.ray(lens, self.image_of(lens, [rows[i], cols[j]]));
+            let mut wavefront: Wavefront = effects.wavefront(&ray, &cx);
+            wavefront.coefficient[3] += waves_per_um * effects.shift_ray(&ray, &cx).z_um;
+            wavefront
+        });
+        Wavefronts { added, misjudged_waves: effects.misjudged_defocus(&cx) }
     }
 
-    /// The change of the images of a scene by the wavefronts that effects add, DN above black at the exposure of the
-    /// calibration; foci keep their centroids. None: they add nothing, or no pupil explains the PSFs.
-    pub(super) fn wavefront_changes(
+    /// The change of the image of a scene through a lens by the wavefronts that effects add, DN above black at the
+    /// exposure of the calibration; foci keep their centroids. None: they add nothing, or no pupil explains the PSFs.
+    pub(super) fn wavefront_change(
         &self,
         scene: &SceneLight,
+        lens: usize,
         effects: &Chain,
         cx: &FrameContext<'_>,
-    ) -> Option<Arc<Changes>> {
+    ) -> Option<Arc<LensImage>> {
         let of = &self.calibrated;
         let pupils = self.pupils_asked(effects, cx)?;
-        let by = self.added(effects, pupils.nodes_px(), |l, z_um| pupils.defocus_waves(l, z_um), cx);
+        let by = self.wavefronts(effects, lens, (pupils.nodes_px(), pupils.defocus_waves(lens, 1.0)), cx);
         if !by.change_psfs() {
             return None;
         }
+        let by = (lens, by);
         scene.changes.of(&by, || {
             let operator = self.changed.of(&by, || {
-                let psf = pupils.change(&of.psf, 0, &by);
-                let optics = CalibratedOptics { psf: &psf, rays: &of.rays, object: of.object, sensor: of.sensor };
-                let config = OperatorConfig { depth: 0, ..of.config };
-                LowRankOperator::plan(optics, &of.rays, config).ok()
+                let psf = pupils.change(&of.psf, (lens, 0), &by.1)?;
+                let rays = of.rays.of_lens(lens)?;
+                let optics = CalibratedOptics { psf: &psf, rays: &rays, object: of.object, sensor: of.sensor };
+                LowRankOperator::plan(optics, &rays, OperatorConfig { depth: 0, ..of.config }).ok()
             })?;
-            let mut lenses = vec![None; self.layout.lenses];
+            let mut change = None;
             // An object of another shape was refused when its scene was made.
-            let _ = operator.each_lens(scene.emitted.view(), |l, image| lenses[l] = Some(image));
-            Some(lenses)
+            let _ = operator.each_lens(scene.emitted.view(), |_, image| change = Some(image));
+            change
         })
     }
 }

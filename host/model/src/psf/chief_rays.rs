@@ -15,3 +15,14 @@ pub struct ChiefRays {
     /// True for each lens that shows no focus (dead or blocked); it contributes no light.
     pub dead: Vec<bool>,
 }
+
+impl ChiefRays {
+    /// Those of one lens alone. None: there is no such lens.
+    pub fn of_lens(&self, lens: usize) -> Option<Self> {
+        Some(Self {
+            anchors_px: vec![*self.anchors_px.get(lens)?],
+            magnification: self.magnification,
+            dead: vec![*self.dead.get(lens)?],
+        })
+    }
+}

@@ -195,6 +195,12 @@ impl Chain {
         sum
     }
 
+    /// Stage `Geometry`: defocus that the pupil of lens `cx.lens` has beyond what was fitted to its PSFs, waves rms,
+    /// summed over the effects.
+    pub fn misjudged_defocus(&self, cx: &FrameContext<'_>) -> f64 {
+        self.at(Stage::Geometry).map(|a| a.effect.misjudged_defocus(&a.params, cx)).sum()
+    }
+
     /// Stage `Lens`: changes the light through lens `cx.lens`, [sensor rows, sensor cols], expected electrons.
     pub fn on_lens(&self, image_e: &mut Array2<f32>, cx: &FrameContext<'_>) {
         self.at(Stage::Lens).for_each(|a| a.effect.on_lens(&a.params, image_e, cx));
@@ -255,7 +261,7 @@ impl Chain {
 }
 
 /// Whether the frame shows a specimen or a bead.
-fn of_specimen(cx: &FrameContext<'_>) -> bool {
+pub(super) fn of_specimen(cx: &FrameContext<'_>) -> bool {
     matches!(cx.role, Role::Scene | Role::Bead)
 }
 

@@ -28,6 +28,11 @@ pub trait Effect: Send + Sync {
     fn wavefront(&self, _p: &[f64], _ray: &Ray, _cx: &FrameContext<'_>) -> Wavefront {
         Wavefront::default()
     }
+    /// Stage `Geometry`: defocus that the pupil of lens `cx.lens` has beyond what was fitted to its PSFs, waves rms. It
+    /// changes no PSF by itself, only how PSFs change with an added wavefront.
+    fn misjudged_defocus(&self, _p: &[f64], _cx: &FrameContext<'_>) -> f64 {
+        0.0
+    }
     /// Stage `Lens`: changes the light through lens `cx.lens`, [sensor rows, sensor cols], expected electrons.
     fn on_lens(&self, _p: &[f64], _image_e: &mut Array2<f32>, _cx: &FrameContext<'_>) {}
     /// Stage `Light`: changes the light through all lenses, [sensor rows, sensor cols], expected electrons.

@@ -40,6 +40,7 @@ use super::object_distortion::ObjectDistortion;
 use super::photobleaching::Photobleaching;
 use super::pixel_mosaic::PixelMosaic;
 use super::prnu::Prnu;
+use super::pupil_defocus::PupilDefocus;
 use super::radial_distortion::RadialDistortion;
 use super::rank_truncation::RankTruncation;
 use super::readout_lag::ReadoutLag;
@@ -59,6 +60,7 @@ use super::unknown_offset::UnknownOffset;
 use super::unknown_operator::UnknownOperator;
 use super::unknown_pattern::UnknownPattern;
 use super::unknown_profile::UnknownProfile;
+use super::unknown_scatter::UnknownScatter;
 use super::unknown_shading::UnknownShading;
 use super::unknown_stray::UnknownStray;
 use super::unknown_warp::UnknownWarp;
@@ -132,16 +134,21 @@ static REGISTRY: &[&dyn Effect] = &[
     &UnknownOffset,
     &UnknownWarp,
     &UnknownBlur,
+    &UnknownScatter,
 ];
+
+/// What is fitted beside effects and kept in an instrument, but is no cause: no search tries it.
+static BESIDE: &[&dyn Effect] = &[&PupilDefocus];
 
 /// All effects, in the physical order of their stages.
 pub fn registry() -> &'static [&'static dyn Effect] {
     REGISTRY
 }
 
-/// The effect with this id, if there is one.
+/// The effect with this id, if there is one; of those that [`registry`] lists, or `pupil_defocus`, which an instrument
+/// may hold beside them.
 pub fn find(id: &str) -> Option<&'static dyn Effect> {
-    REGISTRY.iter().copied().find(|e| e.descriptor().id == id)
+    REGISTRY.iter().chain(BESIDE).copied().find(|e| e.descriptor().id == id)
 }
 
 /// The ids of all effects.

@@ -29,14 +29,19 @@ const AS_WELL: f64 = 1.1;
 /// use lies within 20 % of it (GFP 0.51, tdTomato 0.58).
 const WAVELENGTH_UM: f64 = 0.53;
 
-/// The wavefront that is added for each lens and node of its coefficient maps.
+/// How the wavefront of a lens differs from that of its fitted pupil.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Wavefronts(pub Vec<Array2<Wavefront>>);
+pub struct Wavefronts {
+    /// What is added at each node of [`PupilModel::nodes_px`].
+    pub added: Array2<Wavefront>,
+    /// Defocus that the pupil had before beyond what was fitted, waves rms: it changes no PSF by itself.
+    pub misjudged_waves: f64,
+}
 
 impl Wavefronts {
-    /// Whether any of the terms that change a PSF (defocus and beyond) differs from 0.
+    /// Whether any of the added terms that change a PSF (defocus and beyond) differs from 0.
     pub fn change_psfs(&self) -> bool {
-        self.0.iter().flatten().any(|w| w.coefficient[3..].iter().any(|c| *c != 0.0))
+        self.added.iter().any(|w| w.coefficient[3..].iter().any(|c| *c != 0.0))
     }
 }
 
@@ -120,42 +125,57 @@ impl PupilModel {
         &self.nodes_px
     }
 
-    /// The change of the shape of the PSFs when `by` is added to the wavefronts: DN above black of a unit source, in
-    /// the windows of `psf` at a depth, on the nodes of [`Self::nodes_px`]. Centroids stay: how far coma moves them
-    /// depends on where the rim of the pupil is taken to be, which soft edges leave open.
-    pub fn change(&self, psf: &LowRankPsf, depth: usize, by: &Wavefronts) -> LowRankPsf {
-        let (lenses, _, side, _) = psf.basis.dim();
+    /// How far the own defocus of a lens may lie from that of its pupil, waves rms (standard deviation).
+    ///
+    /// A lens with defocus c makes a PSF that differs from that with `c + e` by about `(2 |c| e + e^2) (2 pi)^2 / 2`,
+    /// relative to its norm and with its light free: by the second order of `|F[exp(i W)]|^2` in the wavefront (Born &
+    /// Wolf, section 9.1.3), of which about half is a loss of light at the peak. e is the largest that the misfit of the
+    /// pupil hides. 0: a dead lens.
+    pub fn doubt_waves(&self, lens: usize) -> f64 {
+        let Some(Some(lens)) = self.lenses.get(lens) else { return 0.0 };
+        let row = lens.terms.row(2);
+        let value = |f: usize| row.get(f).copied().unwrap_or(0.0);
+        // The mean over the object of the functions 1, y^2 and x^2.
+        let own = (value(0) + (value(SQUARES) + value(SQUARES + 2)) / 3.0) / TAU;
+        let hidden = 2.0 * lens.misfit / (TAU * TAU);
+        (own * own + hidden).sqrt() - own.abs()
+    }
+
+    /// The change of the shape of the PSFs of a lens by wavefronts: DN above black of a unit source, in the windows of
+    /// `psf` at a depth, on the nodes of [`Self::nodes_px`], as the PSFs of the only lens of a model. Centroids stay:
+    /// how far coma moves them depends on where the rim of the pupil is taken to be, which soft edges leave open. None:
+    /// a dead lens.
+    pub fn change(&self, psf: &LowRankPsf, (l, depth): (usize, usize), by: &Wavefronts) -> Option<LowRankPsf> {
+        let lens = self.lenses.get(l)?.as_ref()?;
+        let side = psf.basis.dim().2;
         let [rows, cols] = [0, 1].map(|a| self.nodes_px[a].len());
-        let mut basis = Array4::zeros((lenses, RANK, side, side));
-        let mut coefficients = Array5::zeros((lenses, RANK, 1, rows, cols));
-        let parts: Vec<_> = basis.outer_iter_mut().zip(coefficients.outer_iter_mut()).enumerate().collect();
-        parts.into_par_iter().for_each(|(l, (mut basis, mut coefficients))| {
-            let (Some(Some(lens)), Some(by)) = (self.lenses.get(l), by.0.get(l)) else { return };
-            let windows = self.changes(psf, (l, depth), lens, by);
-            let even = Array1::ones(side * side);
-            let Ok(d) = decompose(windows.view(), None, even.view(), RANK) else { return };
+        let mut basis = Array4::zeros((1, RANK, side, side));
+        let mut coefficients = Array5::zeros((1, RANK, 1, rows, cols));
+        let windows = self.changes(psf, (l, depth), lens, by);
+        let even = Array1::ones(side * side);
+        if let Ok(d) = decompose(windows.view(), None, even.view(), RANK) {
             let first = d.singular_values.first().copied().unwrap_or(0.0);
             let large = d.singular_values.iter().take_while(|v| **v > LEAST_TERM * first).count();
             for k in 0..large.min(d.basis.nrows()).min(RANK) {
-                let row = d.basis.row(k);
-                basis.index_axis_mut(Axis(0), k).iter_mut().zip(row).for_each(|(b, v)| *b = *v);
-                let mut map = coefficients.slice_mut(s![k, 0, .., ..]);
+                basis.slice_mut(s![0, k, .., ..]).iter_mut().zip(d.basis.row(k)).for_each(|(b, v)| *b = *v);
+                let mut map = coefficients.slice_mut(s![0, k, 0, .., ..]);
                 map.iter_mut().zip(d.coefficients.column(k)).for_each(|(m, v)| *m = *v as f32);
             }
-        });
+        }
         let [node_rows_px, node_cols_px] = self.nodes_px.clone();
         let node_depths_um = vec![psf.node_depths_um[depth]];
-        LowRankPsf { basis, coefficients, node_depths_um, node_rows_px, node_cols_px, exposure_ms: psf.exposure_ms }
+        Some(LowRankPsf {
+            basis,
+            coefficients,
+            node_depths_um,
+            node_rows_px,
+            node_cols_px,
+            exposure_ms: psf.exposure_ms,
+        })
     }
 
     /// The change of the PSF of a lens at each node, [node, pixel].
-    fn changes(
-        &self,
-        psf: &LowRankPsf,
-        (l, depth): (usize, usize),
-        lens: &LensPupil,
-        by: &Array2<Wavefront>,
-    ) -> Array2<f32> {
+    fn changes(&self, psf: &LowRankPsf, (l, depth): (usize, usize), lens: &LensPupil, by: &Wavefronts) -> Array2<f32> {
         let side = psf.basis.dim().2;
         let kernel = Kernel::new(side, 1.3 * lens.radius);
         let waves = kernel.waves(side, lens.radius);
@@ -163,8 +183,9 @@ impl PupilModel {
         let [rows, cols] = [0, 1].map(|a| placed(&self.nodes_px[a]));
         let light = light(psf, l, depth);
         let mut out = Array2::zeros((rows.len() * cols.len(), side * side));
-        for ((i, j), added) in by.indexed_iter().filter(|((i, j), _)| *i < rows.len() && *j < cols.len()) {
-            let before = lens.at([rows[i], cols[j]]);
+        for ((i, j), added) in by.added.indexed_iter().filter(|((i, j), _)| *i < rows.len() && *j < cols.len()) {
+            let mut before = lens.at([rows[i], cols[j]]);
+            before.terms[2] += TAU * by.misjudged_waves;
             let mut after = before;
             for k in 2..TERMS {
                 after.terms[k] += TAU * added.coefficient[k + 1];

@@ -96,16 +96,16 @@ fn errors(model: &PupilModel, psf: &LowRankPsf, added: &Wavefront, sign: f64) ->
         turned.coefficient[k + 1] *= sign;
     }
     let shape = (model.nodes_px()[0].len(), model.nodes_px()[1].len());
-    let by = Wavefronts(vec![Array2::from_elem(shape, turned); 3]);
-    let change = model.change(psf, 0, &by);
+    let by = Wavefronts { added: Array2::from_elem(shape, turned), misjudged_waves: 0.0 };
     let [before, after] = [windows(&Wavefront::default()), windows(added)];
     let (mut off, mut size, mut all) = (0.0, 0.0, 0.0);
     for l in 0..3 {
+        let change = model.change(psf, (l, 0), &by).unwrap();
         for n in 0..NODES * NODES {
             let mut found = Array2::<f32>::zeros((SIDE, SIDE));
             for k in 0..change.basis.dim().1 {
-                let weight = change.coefficients[[l, k, 0, n / NODES, n % NODES]];
-                found.scaled_add(weight, &change.basis.slice(s![l, k, .., ..]));
+                let weight = change.coefficients[[0, k, 0, n / NODES, n % NODES]];
+                found.scaled_add(weight, &change.basis.slice(s![0, k, .., ..]));
             }
             let [b, a] = [&before, &after].map(|w| w[l].slice(s![n, .., ..]).to_owned());
             let wanted = &a - &b;
@@ -135,6 +135,44 @@ fn changes_of_wavefronts_are_predicted_from_one_plane() {
     }
     // The other sign of what is even is another change.
     assert!(errors(&model, &psf, &added(&[(4, 0.05)]), -1.0)[0] > 0.5);
+}
+
+/// PSFs of lenses that are out of focus by `own` more than those that were fitted: an added defocus changes them as the
+/// pupil says that is told so.
+#[test]
+fn a_misjudged_defocus_changes_what_a_wavefront_does_and_no_psf_by_itself() {
+    let psf = calibrated();
+    let model = fitted(&psf);
+    let shape = (model.nodes_px()[0].len(), model.nodes_px()[1].len());
+    let change = |waves: f64, own: f64, l: usize| {
+        let added = Array2::from_elem(shape, added(&[(4, waves)]));
+        model.change(&psf, (l, 0), &Wavefronts { added, misjudged_waves: own }).unwrap()
+    };
+    let (own, waves) = (0.03, 0.06);
+    let [with, from] = [own + waves, own].map(|v| windows(&added(&[(4, v)])));
+    for l in 0..3 {
+        assert!(change(0.0, own, l).coefficients.iter().all(|c| *c == 0.0));
+        let distance = |misjudged: f64| {
+            let found = change(waves, misjudged, l);
+            let (mut off, mut size) = (0.0, 0.0);
+            for n in 0..NODES * NODES {
+                let mut sum = Array2::<f32>::zeros((SIDE, SIDE));
+                for k in 0..found.basis.dim().1 {
+                    let weight = found.coefficients[[0, k, 0, n / NODES, n % NODES]];
+                    sum.scaled_add(weight, &found.basis.slice(s![0, k, .., ..]));
+                }
+                let wanted = &with[l].slice(s![n, .., ..]) - &from[l].slice(s![n, .., ..]);
+                off += (&sum - &wanted).mapv(|v| v * v).sum();
+                size += wanted.mapv(|v| v * v).sum();
+            }
+            (off / size).sqrt()
+        };
+        let [told, not_told] = [own, 0.0].map(distance);
+        assert!(told < 0.1 && not_told > 0.2, "{l}: {told} {not_told}");
+    }
+    // What the misfit hides of a lens that is well out of focus is less than of one that is in it.
+    let doubts: Vec<f64> = (0..3).map(|l| model.doubt_waves(l)).collect();
+    assert!(doubts.iter().all(|d| (1e-4..0.05).contains(d)), "{doubts:?}");
 }
 
 #[test]
