@@ -303,7 +303,7 @@ fn describe(term: &Term, params: &[Value]) -> String {
             let all: f64 = params.iter().map(|v| v.value).sum();
             format!(
                 "unknown: {} of the light of each point is scattered to places round it, by a law of any form from 3 \
-                 to 96 px; {} degrees of freedom; cause not identified; a halo or glare of another law than those of \
+                 to 48 px; {} degrees of freedom; cause not identified; a halo or glare of another law than those of \
                  the catalogue looks like this, and one bright bead, long exposed, shows its law",
                 short(all),
                 params.len()

@@ -7,7 +7,7 @@ use ommatidia_model::instrument::Quality;
 use ommatidia_physics::effects::Stage;
 
 /// Names are earned if at most this share of the excess of chi-squared over the noise is left, on held-out data.
-pub(super) const LEFT: f64 = 0.05;
+const LEFT: f64 = 0.05;
 /// The same where the strength of an effect is shown to be one everywhere: what is left is of another kind then, such
 /// as errors of the calibration.
 const LEFT_OF_CONSTANT: f64 = 0.6;

@@ -4,6 +4,7 @@ use super::lamp;
 use super::model::Model;
 use super::state::{Column, Predicted, State, Term};
 use super::truth::STEP_PX;
+use super::wings::spread;
 use crate::data::Shown;
 use ndarray::Array2;
 use ommatidia_model::forward::{ForwardError, SceneLight};
@@ -139,7 +140,9 @@ impl Model<'_> {
         let more = 1.0 + step as f32;
         let previous = f.previous.map(|p| at.predicted[p].alone_e());
         let before = previous.filter(|_| chain.needs_previous()).map(|p| p * more);
-        let light = self.lit(k, &here.sum_e * more, at.state, (&chain, before.as_ref()));
+        let wings_e = here.wings_e.as_ref().map(|w| w * more);
+        let sum = (&here.sum_e * more, wings_e.as_ref());
+        let light = self.lit_with(k, sum, at.state, (&chain, before.as_ref()));
         let moved = self.dn(k, light, &chain, before.as_ref(), at.state.black_dn);
         Some((moved - &here.dn) / step as f32)
     }
@@ -177,21 +180,22 @@ impl Model<'_> {
         state.background_e[stack][part] += step;
         let chain = self.chain_of(k, &state.terms);
         let previous = f.previous.map(|p| at.predicted[p].alone_e()).filter(|_| chain.needs_previous());
-        let light = self.lit(k, here.sum_e.clone(), &state, (&chain, previous));
+        let sum = (here.sum_e.clone(), here.wings_e.as_ref());
+        let light = self.lit_with(k, sum, &state, (&chain, previous));
         Some((self.dn(k, light, &chain, previous, state.black_dn) - &here.dn) / step as f32)
     }
 
     /// Derivative with respect to the light of a ring outside the windows, DN per unit of its standard uncertainty.
     fn wing_derivative(&self, k: usize, ring: usize, at: Expansion<'_>) -> Option<Array2<f32>> {
         let (f, here) = (&self.seen.frames[k], &at.predicted[k]);
-        let share = self.rings.get(ring).filter(|_| matches!(f.shown, Shown::Object(_)))?.2;
+        let (inner, outer, share) = *self.rings.get(ring).filter(|_| matches!(f.shown, Shown::Object(_)))?;
         // A hundredth of the light, far above rounding errors: the frames are nearly linear in it.
+        let mut wings_e = spread(&here.sum_e, inner, outer) * 0.01;
+        here.wings_e.iter().for_each(|now| wings_e += now);
         let step = 0.01 / share.max(f64::MIN_POSITIVE);
-        let mut state = at.state.clone();
-        *state.wings.get_mut(ring)? += step;
-        let chain = self.chain_of(k, &state.terms);
+        let (state, chain) = (at.state, self.chain_of(k, &at.state.terms));
         let previous = f.previous.map(|p| at.predicted[p].alone_e()).filter(|_| chain.needs_previous());
-        let light = self.lit(k, here.sum_e.clone(), &state, (&chain, previous));
+        let light = self.lit_with(k, (here.sum_e.clone(), Some(&wings_e)), state, (&chain, previous));
         Some((self.dn(k, light, &chain, previous, state.black_dn) - &here.dn) / step as f32)
     }
 
@@ -203,7 +207,7 @@ impl Model<'_> {
         let chain = self.chain_of(k, &state.terms);
         let previous = self.seen.frames[k].previous.map(|p| at.predicted[p].alone_e());
         let sum = self.sum_e(k, Some(scene), (&chain, &state), here.scale);
-        let light = self.lit(k, sum, &state, (&chain, previous));
+        let light = self.lit_with(k, (sum, here.wings_e.as_ref()), &state, (&chain, previous));
         Some((self.dn(k, light, &chain, previous, state.black_dn) - &here.dn) / STEP_PX as f32)
     }
 
@@ -239,7 +243,8 @@ impl Model<'_> {
                 return Ok(Some(self.dn(k, here.light_e.clone(), chain, previous, black_dn)));
             }
         };
-        let light = self.lit(k, sum, at.state, (chain, previous));
+        // The light outside the windows changes by what these move of it: the product of two small changes.
+        let light = self.lit_with(k, (sum, here.wings_e.as_ref()), at.state, (chain, previous));
         Ok(Some(self.dn(k, light, chain, previous, black_dn)))
     }
 }

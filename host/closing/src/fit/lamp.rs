@@ -21,7 +21,9 @@ const POWERS: [[i32; 2]; TERMS] = [[1, 0], [0, 1], [2, 0], [1, 1], [0, 2], [3, 0
 pub(super) fn shape(dim: (usize, usize), term: usize) -> Array2<f32> {
     let [i, j] = POWERS[term];
     let at = |k: usize, n: usize| if n > 1 { 2.0 * k as f64 / (n as f64 - 1.0) - 1.0 } else { 0.0 };
-    Array2::from_shape_fn(dim, |(r, c)| (at(r, dim.0).powi(i) * at(c, dim.1).powi(j)) as f32)
+    let along = |n: usize, power: i32| -> Vec<f64> { (0..n).map(|k| at(k, n).powi(power)).collect() };
+    let (rows, cols) = (along(dim.0, i), along(dim.1, j));
+    Array2::from_shape_fn(dim, |(r, c)| (rows[r] * cols[c]) as f32)
 }
 
 /// The light of a lamp over its level, [sensor rows, sensor cols]; never below zero.

@@ -298,15 +298,30 @@ impl<'a> Model<'a> {
     pub(super) fn lit(
         &self,
         k: usize,
-        mut sum_e: Array2<f32>,
+        sum_e: Array2<f32>,
+        state: &State,
+        by: (&Chain, Option<&Array2<f32>>),
+    ) -> Array2<f32> {
+        let wings_e = self.wings_e(k, &sum_e, state);
+        self.lit_with(k, (sum_e, wings_e.as_ref()), state, by)
+    }
+
+    /// Light outside the windows of the calibration for the sum of all lenses, electrons. None: the state has none.
+    fn wings_e(&self, k: usize, sum_e: &Array2<f32>, state: &State) -> Option<Array2<f32>> {
+        let known = matches!(self.seen.frames[k].shown, Shown::Object(_));
+        known.then(|| wings::light(sum_e, &self.rings, state)).flatten()
+    }
+
+    /// [`Model::lit`] with the light outside the windows given.
+    pub(super) fn lit_with(
+        &self,
+        k: usize,
+        (mut sum_e, wings_e): (Array2<f32>, Option<&Array2<f32>>),
         state: &State,
         (chain, previous): (&Chain, Option<&Array2<f32>>),
     ) -> Array2<f32> {
         let f = &self.seen.frames[k];
-        if matches!(f.shown, Shown::Object(_)) {
-            let wings = wings::light(&sum_e, &self.rings, state);
-            wings.iter().for_each(|light| sum_e += light);
-        }
+        wings_e.into_iter().for_each(|light| sum_e += light);
         if let Some(slopes) = state.background_e.get(f.stack).filter(|s| **s != [0.0; 3]) {
             let share = f.info.exposure_ms / self.exposure_ms;
             let dim = sum_e.dim();
@@ -324,7 +339,7 @@ impl<'a> Model<'a> {
         let chain_of = |f: &Frame| if f.shown == Shown::Unknown { &of_grid } else { &whole };
         // The noise model is that of the calibration: a fit must not gain by a larger variance.
         let noise = self.forward.noise();
-        let alone: Vec<(Array2<f32>, Array2<f32>, f64)> = (0..self.seen.frames.len())
+        let alone: Vec<(Array2<f32>, Option<Array2<f32>>, Array2<f32>, f64)> = (0..self.seen.frames.len())
             .into_par_iter()
             .map(|k| {
                 let f = &self.seen.frames[k];
@@ -336,20 +351,21 @@ impl<'a> Model<'a> {
                     scale *= own;
                     sum *= own as f32;
                 }
-                let light = self.lit(k, sum.clone(), state, (chain, None));
-                (sum, light, scale)
+                let wings = self.wings_e(k, &sum, state);
+                let light = self.lit_with(k, (sum.clone(), wings.as_ref()), state, (chain, None));
+                (sum, wings, light, scale)
             })
             .collect();
         let mut predicted: Vec<Predicted> = alone
             .par_iter()
             .enumerate()
-            .map(|(k, (sum_e, alone_e, scale))| {
+            .map(|(k, (sum_e, wings_e, alone_e, scale))| {
                 let f = &self.seen.frames[k];
                 let chain = chain_of(f);
-                let previous = f.previous.filter(|_| chain.needs_previous()).map(|p| &alone[p].1);
+                let previous = f.previous.filter(|_| chain.needs_previous()).map(|p| &alone[p].2);
                 let light_e = match previous {
                     None => alone_e.clone(),
-                    Some(_) => self.lit(k, sum_e.clone(), state, (chain, previous)),
+                    Some(_) => self.lit_with(k, (sum_e.clone(), wings_e.as_ref()), state, (chain, previous)),
                 };
                 let dn = self.dn(k, light_e.clone(), chain, previous, state.black_dn);
                 let (mut residual_dn, detail) = residual(f, &dn);
@@ -381,6 +397,7 @@ impl<'a> Model<'a> {
                 );
                 Predicted {
                     sum_e: sum_e.clone(),
+                    wings_e: wings_e.clone(),
                     alone_e: previous.map(|_| alone_e.clone()),
                     light_e,
                     dn,

@@ -139,6 +139,8 @@ impl State {
 pub struct Predicted {
     /// Light of all lenses before the effects on the sensor, without the background, electrons.
     pub sum_e: Array2<f32>,
+    /// Light outside the windows of the calibration, electrons, which `light_e` holds too. None: there is none.
+    pub wings_e: Option<Array2<f32>>,
     /// Light on the sensor, electrons.
     pub light_e: Array2<f32>,
     /// The same without the remainder of the preceding frame, if an effect leaves one.

@@ -44,15 +44,10 @@ pub(super) fn fitted(seen: &Observations, half: usize, outside: f64) -> Vec<Ring
 
 /// Light that a state has in the rings round an image of the lenses, in the unit of the image. None: it has none.
 pub(super) fn light(image: &Array2<f32>, rings: &[Ring], state: &State) -> Option<Array2<f32>> {
-    let mut sum: Option<Array2<f32>> = None;
-    for ((inner, outer, share), value) in rings.iter().zip(&state.wings).filter(|(_, v)| **v != 0.0) {
-        let ring = spread(image, *inner, *outer) * (share * value) as f32;
-        sum = Some(match sum {
-            Some(sum) => sum + ring,
-            None => ring,
-        });
-    }
-    sum
+    let lit = rings.iter().zip(&state.wings).filter(|(_, v)| **v != 0.0);
+    let squares: Vec<Square> =
+        lit.flat_map(|((inner, outer, share), value)| squares(*inner, *outer, share * value)).collect();
+    (!squares.is_empty()).then(|| summed(image, &squares))
 }
 
 /// Rings round the window of a focus.
@@ -80,6 +75,33 @@ pub(super) fn range(i: usize) -> [f64; 2] {
 /// `outer`, px: its brightness falls as the fourth power of the distance, in steps. Light that falls off the image is
 /// lost.
 pub(super) fn spread(image: &Array2<f32>, inner: usize, outer: usize) -> Array2<f32> {
+    summed(image, &squares(inner, outer, 1.0))
+}
+
+/// A square round each pixel: its half side, px, and the factor on the light in it.
+type Square = (usize, f64);
+
+/// A ring with a share of the light of its middle as a sum of squares: each step is a square less the one inside it.
+fn squares(inner: usize, outer: usize, share: f64) -> Vec<Square> {
+    let area = |half: usize| (2.0 * half as f64 + 1.0).powi(2);
+    let half = |i: usize| (inner as f64 * (outer as f64 / inner.max(1) as f64).powf(i as f64 / STEPS as f64)).round();
+    let halves: Vec<usize> = (0..=STEPS).map(|i| half(i) as usize).collect();
+    // Light outside a distance falls as its square.
+    let outside = |half: usize| 1.0 / area(half);
+    let all = outside(inner) - outside(outer);
+    let steps = halves.windows(2).filter(|pair| pair[0] < pair[1]);
+    let brightness = |from, to| share * (outside(from) - outside(to)) / all / (area(to) - area(from));
+    steps
+        .flat_map(|pair| {
+            let by = brightness(pair[0], pair[1]);
+            [(pair[1], by), (pair[0], -by)]
+        })
+        .collect()
+}
+
+/// For each pixel the sum of the light in squares round it, each with its factor, by sums over rectangles from the
+/// first pixel (Crow, Computer Graphics 18, 207, 1984).
+fn summed(image: &Array2<f32>, squares: &[Square]) -> Array2<f32> {
     let (rows, cols) = image.dim();
     let mut sums = Array2::<f64>::zeros((rows + 1, cols + 1));
     for r in 0..rows {
@@ -89,31 +111,27 @@ pub(super) fn spread(image: &Array2<f32>, inner: usize, outer: usize) -> Array2<
             sums[[r + 1, c + 1]] = sums[[r, c + 1]] + row;
         }
     }
-    let square = |r: usize, c: usize, half: usize| {
-        let (top, left) = (r.saturating_sub(half), c.saturating_sub(half));
-        let (bottom, right) = ((r + half + 1).min(rows), (c + half + 1).min(cols));
-        sums[[bottom, right]] - sums[[top, right]] - sums[[bottom, left]] + sums[[top, left]]
-    };
-    let area = |half: usize| (2.0 * half as f64 + 1.0).powi(2);
-    let half = |i: usize| (inner as f64 * (outer as f64 / inner.max(1) as f64).powf(i as f64 / STEPS as f64)).round();
-    let halves: Vec<usize> = (0..=STEPS).map(|i| half(i) as usize).collect();
-    // Light outside a distance falls as its square.
-    let outside = |half: usize| 1.0 / area(half);
-    let all = outside(inner) - outside(outer);
-    let steps: Vec<(usize, usize, f64)> = halves
-        .windows(2)
-        .filter(|pair| pair[0] < pair[1])
-        .map(|pair| (pair[0], pair[1], (outside(pair[0]) - outside(pair[1])) / all / (area(pair[1]) - area(pair[0]))))
-        .collect();
-    Array2::from_shape_fn((rows, cols), |(r, c)| {
-        let (mut sum, mut within) = (0.0, square(r, c, inner));
-        for (_, to, brightness) in &steps {
-            let wider = square(r, c, *to);
-            sum += brightness * (wider - within);
-            within = wider;
+    let mut out = Array2::<f32>::zeros((rows, cols));
+    let (mut band, mut sum) = (vec![0.0f64; cols + 1], vec![0.0f64; cols]);
+    for r in 0..rows {
+        sum.fill(0.0);
+        for (half, factor) in squares {
+            // The light of the rows of the square, left of each column.
+            let below = sums.row((r + half + 1).min(rows));
+            let above = sums.row(r.saturating_sub(*half));
+            band.iter_mut().zip(below.iter().zip(above)).for_each(|(b, (below, above))| *b = factor * (below - above));
+            // Right ends within the image, and beyond it.
+            let within = cols.saturating_sub(*half);
+            let (inside, beyond) = sum.split_at_mut(within);
+            inside.iter_mut().zip(band.iter().skip(half + 1)).for_each(|(s, right)| *s += right);
+            let whole = band[cols];
+            beyond.iter_mut().for_each(|s| *s += whole);
+            // Left ends: what lies before the image is dark.
+            sum.iter_mut().skip(*half).zip(&band).for_each(|(s, left)| *s -= left);
         }
-        sum as f32
-    })
+        out.row_mut(r).iter_mut().zip(&sum).for_each(|(o, s)| *o = *s as f32);
+    }
+    out
 }
 
 #[cfg(test)]

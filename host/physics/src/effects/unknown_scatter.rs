@@ -1,9 +1,9 @@
 //! Unnamed scatter: light of each point goes to places round it, by a law of any form.
 //!
 //! `mu -> mu + sum_k w_k (g_k * mu - mu)` with Gaussians g_k of standard deviations [`SIGMAS_PX`]. Each is twice as wide
-//! as the one before, so that their sum follows any law that falls with the distance from a few pixels to the size of
-//! the sensor; shares of both signs make rings. It acts on specimens and beads: a flat field, which is lit from beyond
-//! the sensor as well, does not show it. Light that is scattered off the sensor is lost.
+//! as the one before, so that their sum follows any law that falls with the distance from a few pixels to a hundred;
+//! shares of both signs make rings. It acts on specimens and beads: a flat field, which is lit from beyond the sensor as
+//! well, does not show it. Light that is scattered off the sensor is lost.
 
 use super::chain::of_specimen;
 use super::context::FrameContext;
@@ -16,7 +16,7 @@ use ndarray::{Array2, Zip};
 pub(super) struct UnknownScatter;
 
 /// Standard deviations of the Gaussians, px.
-const SIGMAS_PX: [f64; 6] = [3.0, 6.0, 12.0, 24.0, 48.0, 96.0];
+const SIGMAS_PX: [f64; 5] = [3.0, 6.0, 12.0, 24.0, 48.0];
 
 const fn share(name: &'static str) -> Param {
     Param::strength(name, "1", 0.001, -1.0, 1.0)
@@ -26,14 +26,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     id: "unknown_scatter",
     stage: Stage::Light,
     summary: "mu + sum w_k (g_k * mu - mu): an unnamed term, light goes to places round each point",
-    params: &[
-        share("of_3_px"),
-        share("of_6_px"),
-        share("of_12_px"),
-        share("of_24_px"),
-        share("of_48_px"),
-        share("of_96_px"),
-    ],
+    params: &[share("of_3_px"), share("of_6_px"), share("of_12_px"), share("of_24_px"), share("of_48_px")],
     lookalikes: &[],
 };
 
@@ -66,7 +59,7 @@ mod tests {
         let mut point = Array2::<f32>::zeros((201, 201));
         point[[100, 100]] = 1e4;
         let cx = FrameContext { role: Role::Scene, ..FrameContext::default() };
-        let p = [0.0, 0.05, 0.0, 0.1, 0.0, 0.0];
+        let p = [0.0, 0.05, 0.0, 0.1, 0.0];
         let mut scene = point.clone();
         UnknownScatter.on_light(&p, &mut scene, &cx);
         // 1 / (2 pi sigma^2) of each share at the centre, and all light is kept.

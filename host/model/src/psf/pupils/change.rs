@@ -1,7 +1,7 @@
 //! How PSFs change with the wavefront, as a low-rank model of its own.
 
 use super::fit::{Design, LensPupil, Place, effective_area, fit_lens, fit_like};
-use super::kernel::Kernel;
+use super::kernel::{Complex, Kernel};
 use super::{EVEN, MOST_MISFIT, SQUARES, TERMS};
 use crate::psf::LowRankPsf;
 use crate::psf::decompose::decompose;
@@ -11,6 +11,7 @@ use ommatidia_physics::optics::Wavefront;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::f64::consts::TAU;
+use std::sync::{Arc, OnceLock};
 
 /// Places of each axis whose PSFs are fitted.
 const PLACES: usize = 4;
@@ -54,8 +55,27 @@ pub struct PupilModel {
     waves_per_um: f64,
     /// Rows and columns on which changes are computed, object pixels.
     nodes_px: [Vec<f64>; 2],
+    /// What changes of the PSFs of each lens share: computed when the first of them is asked for.
+    prepared: Vec<Arc<OnceLock<Prepared>>>,
     /// Relative error of the pupils of all lenses (root mean square).
     pub misfit: f64,
+}
+
+/// Samples of the pupil of a lens, and what they need for windows of one size.
+#[derive(Clone, Debug)]
+struct Prepared {
+    kernel: Kernel,
+    waves: [Complex; 2],
+    displacements: [[f64; 2]; TERMS],
+}
+
+impl Prepared {
+    fn new(lens: &LensPupil, side: usize) -> Self {
+        let kernel = Kernel::new(side, 1.3 * lens.radius);
+        let waves = kernel.waves(side, lens.radius);
+        let displacements = kernel.displacements(lens.apodisation, lens.radius);
+        Self { kernel, waves, displacements }
+    }
 }
 
 impl PupilModel {
@@ -74,7 +94,9 @@ impl PupilModel {
         if count == 0 || count < (0..alone.len()).filter(|l| !is_dead(*l)).count() {
             return None;
         }
-        let mut model = Self { lenses: alone, waves_per_um: 0.0, nodes_px: [Vec::new(), Vec::new()], misfit: 0.0 };
+        let prepared = alone.iter().map(|_| Arc::default()).collect();
+        let nodes_px = [&psf.node_rows_px, &psf.node_cols_px].map(|nodes| coarse(nodes));
+        let mut model = Self { lenses: alone, waves_per_um: 0.0, nodes_px, prepared, misfit: 0.0 };
         model.share_a_sign();
         model.fit_by_design(psf, depth);
         model.share_a_sign();
@@ -84,8 +106,7 @@ impl PupilModel {
         // Z_4 is 1 / (2 sqrt 3) of that (Born & Wolf, section 9.2).
         let na = WAVELENGTH_UM * scale.magnification / scale.pixel_pitch_um;
         let waves_per_um = na * na / 2.0 / WAVELENGTH_UM / (2.0 * 3f64.sqrt());
-        let nodes_px = [&psf.node_rows_px, &psf.node_cols_px].map(|nodes| coarse(nodes));
-        let model = Self { waves_per_um, nodes_px, misfit, ..model };
+        let model = Self { waves_per_um, misfit, ..model };
         (misfit <= MOST_MISFIT).then_some(model)
     }
 
@@ -142,7 +163,8 @@ impl PupilModel {
     }
 
     /// The change of the shape of the PSFs of a lens by wavefronts: DN above black of a unit source, in the windows of
-    /// `psf` at a depth, on the nodes of [`Self::nodes_px`], as the PSFs of the only lens of a model. Centroids stay:
+    /// `psf`, which must be those of the fit, at a depth, on the nodes of [`Self::nodes_px`], as the PSFs of the only
+    /// lens of a model. Centroids stay:
     /// how far coma moves them depends on where the rim of the pupil is taken to be, which soft edges leave open. None:
     /// a dead lens.
     pub fn change(&self, psf: &LowRankPsf, (l, depth): (usize, usize), by: &Wavefronts) -> Option<LowRankPsf> {
@@ -177,9 +199,8 @@ impl PupilModel {
     /// The change of the PSF of a lens at each node, [node, pixel].
     fn changes(&self, psf: &LowRankPsf, (l, depth): (usize, usize), lens: &LensPupil, by: &Wavefronts) -> Array2<f32> {
         let side = psf.basis.dim().2;
-        let kernel = Kernel::new(side, 1.3 * lens.radius);
-        let waves = kernel.waves(side, lens.radius);
-        let displacements = kernel.displacements(lens.apodisation, lens.radius);
+        let Some(prepared) = self.prepared.get(l) else { return Array2::zeros((0, 0)) };
+        let Prepared { kernel, waves, displacements } = prepared.get_or_init(|| Prepared::new(lens, side));
         let [rows, cols] = [0, 1].map(|a| placed(&self.nodes_px[a]));
         let light = light(psf, l, depth);
         let mut out = Array2::zeros((rows.len() * cols.len(), side * side));
@@ -195,7 +216,7 @@ impl PupilModel {
                 |a: usize| (2..TERMS).map(|k| TAU * added.coefficient[k + 1] * displacements[k][a]).sum::<f64>();
             after.terms[0] -= moved(1) / displacements[0][1];
             after.terms[1] -= moved(0) / displacements[1][0];
-            let [from, to] = [before, after].map(|pupil| kernel.psf_by(&waves, &pupil));
+            let [from, to] = [before, after].map(|pupil| kernel.psf_by(waves, &pupil));
             // The wavefront leaves the light of a lens as it is.
             let taps =
                 [Taps::at(&psf.node_rows_px, self.nodes_px[0][i]), Taps::at(&psf.node_cols_px, self.nodes_px[1][j])];
