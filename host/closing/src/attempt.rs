@@ -3,7 +3,7 @@
 use super::account::{
     Accepted, Closed, Closing, Effect, Excess, Findings, Judged, Left, Names, Verdict, calibration_note, effects,
     harmful, imitated, pictured, pupil_note, registration_notes, registrations, rejected, rest_notes, shadowed,
-    unstated_notes, within_calibration,
+    small_note, unstated_notes, within_calibration,
 };
 use super::data::{Fault, Observations, Shown, bright_darks};
 use super::evidence::{
@@ -217,8 +217,14 @@ pub(crate) fn attempt(
                 .into(),
         );
     }
-    notes.extend(rest_notes(&model, &now, verdict));
-    notes.extend(calibration_note((left, within), verdict, &effects, &instrument.quality));
+    let of_rest: Vec<String> = rest_notes(&model, &now, verdict)
+        .into_iter()
+        .chain(calibration_note((left, within), verdict, &effects, &instrument.quality))
+        .collect();
+    if of_rest.is_empty() {
+        notes.extend(small_note(&dependences, verdict, &effects, last));
+    }
+    notes.extend(of_rest);
     if JudgedOn::of(seen) == JudgedOn::SelfConsistency {
         notes.push(UNKNOWN_NOTE.into());
     }

@@ -28,4 +28,4 @@ pub use result::{
     Account, Closed, Closing, Effect, Nearest, Rejected, SpecimenMaps, TruthRegistration, Value, Verdict,
 };
 pub use retrain::{Control, Filed, Retrain, RetrainRequest, Retrained};
-pub(crate) use verdict::{Excess, Left, calibration_note, harmful, imitated, shadowed, within_calibration};
+pub(crate) use verdict::{Excess, Left, calibration_note, harmful, imitated, shadowed, small_note, within_calibration};

@@ -9,7 +9,7 @@ use ommatidia_physics::effects::find;
 
 /// A name stands beside a term without a name that explains at most this share of what the effect explains.
 const HALF: f64 = 0.5;
-/// A name whose strength is not shown to be the same everywhere stands beside terms and effects that are no causes if
+/// A name whose strength is not shown to be even stands beside terms and effects that are no causes if
 /// they explain at most this share of what it explains: a true law that is a little different from that of the
 /// catalogue leaves as much.
 const TENTH: f64 = 0.1;
@@ -90,11 +90,15 @@ impl Names {
             {
                 Some(format!(
                     "what is no cause ({ids}) explains {:.0} % of what it explains, and its own strength is not shown \
-                     to be the same everywhere: it imitates the cause in part",
+                     to be even over frames and sensor: it imitates the cause in part",
                     100.0 * share
                 ))
-            } else if judged.noise_is_left && find(&effect.id).is_some_and(is_of_noise) {
-                // A cause in the noise is first shared out among the effects of the noise.
+            } else if judged.noise_is_left
+                && find(&effect.id).is_some_and(is_of_noise)
+                && !found(&effect).is_some_and(|(_, constancy)| constancy.is_shown())
+            {
+                // A cause in the noise is first shared out among the effects of the noise. One strength in the means of
+                // all frames is no matter of the noise.
                 Some("the noise of repeated frames still has structure beside it: it imitates the cause in part".into())
             } else {
                 None
@@ -127,14 +131,14 @@ fn beside_unnamed(effect: &Found, all: &[(&Found, Constancy)]) -> Option<f64> {
 }
 
 /// What terms without a name and effects with no one strength (`uneven`) explain of held-out data, over what an effect
-/// does, with their ids. None: that is little, or the strength of the effect is shown to be the same everywhere, or it
-/// cannot be compared.
+/// does, with their ids. None: that is little, or the strength of the effect is even everywhere, or it cannot be
+/// compared.
 fn beside_no_causes(
     (effect, constancy): &(&Found, Constancy),
     uneven: &[&Found],
     all: &[(&Found, Constancy)],
 ) -> Option<(f64, String)> {
-    if !constancy.is_compared() || constancy.is_shown() {
+    if !constancy.is_compared() || constancy.is_even() {
         return None;
     }
     let unnamed = all.iter().map(|(f, _)| *f).filter(|f| f.id.starts_with("unknown"));
@@ -230,6 +234,11 @@ mod tests {
         assert_eq!(names(&of, Left::default(), false).effects.len(), 2);
         let it = names(&of, Left::default(), true);
         assert_eq!((it.effects.len(), it.nearest[0].id.as_str()), (1, "row_noise"));
+        // What the means of all frames prove needs no noise.
+        let drift = found("black_level_drift", 1e2);
+        let even = Spread { tau: 0.0, z: 0.4, resolution: 0.01 };
+        let it = names(&[(&drift, Constancy { frames: even, blocks: even })], Left::default(), true);
+        assert_eq!(it.effects.len(), 1);
         let it = names(&of, Left { judged: 0.3, even: 0.3, much: false }, false);
         assert!(it.effects.is_empty() && it.left_much && it.nearest[0].why.contains("30 %"));
     }

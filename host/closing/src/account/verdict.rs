@@ -1,7 +1,8 @@
 //! Whether the account may name what was found, and how well the closed instrument describes the session.
 
 use super::result::{Effect, Nearest, Verdict};
-use crate::evidence::{Constancy, Figures};
+use crate::evidence::omnibus::significant;
+use crate::evidence::{Constancy, Dependence, Figures};
 use crate::search::{Found, Imitation, NEEDS_CALIBRATION, Shadowed};
 use ommatidia_model::instrument::Quality;
 use ommatidia_physics::effects::Stage;
@@ -147,6 +148,28 @@ pub(crate) fn calibration_note(
     })
 }
 
+/// Says how large what is left is, and what it shows itself against, where nothing was found for it and it is no more
+/// than errors of a calibration reach.
+pub(crate) fn small_note(
+    dependences: &[Dependence],
+    verdict: Verdict,
+    effects: &[Effect],
+    now: Figures,
+) -> Option<String> {
+    let small = now.chi2_ndf > 1.0 && now.chi2_ndf < 1.0 + MUCH;
+    let strongest = significant(dependences).max_by(|a, b| a.z.total_cmp(&b.z))?;
+    (verdict == Verdict::Incomplete && effects.is_empty() && small).then(|| {
+        format!(
+            "nothing was found for the structure that is left, which is small: {:.2} % of the light, noise deducted, \
+             and seen best against {} (z = {:.1}). PSFs that err by so much leave as much. A new bead scan with more \
+             light, calibrated again, shows whether it is the calibration's own",
+            100.0 * now.nrmse * (1.0 - 1.0 / now.chi2_ndf).sqrt(),
+            strongest.covariate.words(),
+            strongest.z
+        )
+    })
+}
+
 /// Whether an entry of the account claims a cause in the instrument. With `recalibrated` the PSFs are calibrated again,
 /// and the entry that stands for it claims no more than that.
 pub(crate) fn claims_a_cause(effect: &Effect, recalibrated: bool) -> bool {
@@ -195,7 +218,7 @@ pub(crate) fn imitated(all: &[Imitation]) -> Vec<Nearest> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::evidence::Spread;
+    use crate::evidence::{Covariate, Spread};
 
     #[test]
     fn nothing_is_left_within_the_error_of_the_calibration() {
@@ -237,6 +260,28 @@ mod tests {
         assert_eq!(verdicts, [Verdict::Adequate, incomplete, incomplete, Verdict::NotThisModel]);
         let little = Excess { left: 0.9, per_pixel: 0.1 };
         assert_eq!([little.verdict(true), little.verdict(false)], [Verdict::Incomplete, Verdict::Adequate]);
+    }
+
+    #[test]
+    fn what_is_small_and_unexplained_is_said_with_its_size() {
+        let shown = |z| Dependence {
+            covariate: Covariate::Sharpness,
+            chi2: 81.0,
+            expected: 15.0,
+            z,
+            p: 1e-18,
+            size: Some(2e-3),
+            at: Vec::new(),
+            mean: Vec::new(),
+            band: Vec::new(),
+        };
+        let now = |chi2_ndf| Figures { chi2_ndf, nrmse: 0.05, pcc: 0.99 };
+        let note = |chi2_ndf, verdict| small_note(&[shown(8.7)], verdict, &[], now(chi2_ndf));
+        // A twentieth of the squared residual is no noise: 0.22 of 5 %.
+        let text = note(1.0 / 0.95, Verdict::Incomplete);
+        assert!(text.as_ref().is_some_and(|t| t.contains("1.12 % of the light") && t.contains("z = 8.7")), "{text:?}");
+        assert_eq!([note(1.5, Verdict::Incomplete), note(1.05, Verdict::Adequate)], [None, None]);
+        assert_eq!(small_note(&[], Verdict::Incomplete, &[], now(1.05)), None);
     }
 
     #[test]

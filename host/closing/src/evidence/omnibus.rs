@@ -69,7 +69,7 @@ pub(crate) fn noise_left(before: &[Dependence], after: &[Dependence]) -> f64 {
 }
 
 /// The dependences that are significant and large enough to matter.
-fn significant(dependences: &[Dependence]) -> impl Iterator<Item = &Dependence> {
+pub(crate) fn significant(dependences: &[Dependence]) -> impl Iterator<Item = &Dependence> {
     let matters = |d: &&Dependence| d.size.is_none_or(|size| size > SIZE);
     dependences.iter().filter(|d| d.p * (dependences.len() as f64) < OMNIBUS).filter(matters)
 }
