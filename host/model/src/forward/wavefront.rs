@@ -14,9 +14,12 @@ const KEPT: usize = 4;
 /// A lens with its wavefronts.
 type Key = (usize, Wavefronts);
 
+/// A lens with its wavefronts, and what was computed of them.
+type Entry<T> = (Key, Arc<T>);
+
 /// What was last computed, by lens and wavefronts; the latest last.
 #[derive(Clone, Debug)]
-pub(super) struct Kept<T>(Arc<Mutex<Vec<(Key, Arc<T>)>>>);
+pub(super) struct Kept<T>(Arc<Mutex<Vec<Entry<T>>>>);
 
 impl<T> Default for Kept<T> {
     fn default() -> Self {
@@ -33,7 +36,7 @@ impl<T> Kept<T> {
         }
         let found = Arc::new(compute()?);
         let mut kept = lock();
-        let same = |(key, _): &&(Key, Arc<T>)| key.0 == by.0;
+        let same = |(key, _): &&Entry<T>| key.0 == by.0;
         if kept.iter().filter(same).count() >= KEPT
             && let Some(oldest) = kept.iter().position(|(key, _)| key.0 == by.0)
         {

@@ -1,0 +1,205 @@
+//! The frames that a state predicts, with their noise and residuals.
+
+use super::model::{Model, SMOOTH_PX, smooth};
+use super::state::{Predicted, State};
+use crate::data::{Frame, Shown};
+use ndarray::{Array2, Zip};
+use ommatidia_model::bead::slope_terms;
+use ommatidia_model::forward::SceneLight;
+use ommatidia_physics::effects::{Chain, blur_within};
+use rayon::prelude::*;
+
+/// Standard deviation of the Gaussian blur that spreads the light of a bead for the error of its PSF, pixels: a focus
+/// may err beside its light, too.
+const PSF_ERROR_PX: f64 = 1.0;
+
+impl Model<'_> {
+    /// Predicts every frame. `scenes` are those of [`Model::scenes`] for the same state.
+    pub fn predict(&self, state: &State, scenes: &[Option<SceneLight>]) -> Vec<Predicted> {
+        let (whole, of_grid) = (self.chain(&state.terms), self.chain_of_grid(&state.terms));
+        let chain_of = |f: &Frame| if f.shown == Shown::Unknown { &of_grid } else { &whole };
+        // The noise model is that of the calibration: a fit must not gain by a larger variance.
+        let noise = self.forward.noise();
+        let alone: Vec<Alone> = (0..self.seen.frames.len())
+            .into_par_iter()
+            .map(|k| {
+                let f = &self.seen.frames[k];
+                let chain = chain_of(f);
+                let mut scale = state.scale[f.stack];
+                let mut sum = self.sum_e(k, scenes[k].as_ref(), (chain, state), scale);
+                if matches!(f.shown, Shown::Bead(..)) {
+                    let own = self.own_scale(k, state, &sum);
+                    scale *= own;
+                    sum *= own as f32;
+                }
+                let wings = self.wings_e(k, &sum, state);
+                let light = self.lit_with(k, (sum.clone(), wings.as_ref()), state, (chain, None));
+                Alone { sum_e: sum, wings_e: wings, light_e: light, scale }
+            })
+            .collect();
+        let mut predicted: Vec<Predicted> = alone
+            .par_iter()
+            .enumerate()
+            .map(|(k, Alone { sum_e, wings_e, light_e: alone_e, scale })| {
+                let f = &self.seen.frames[k];
+                let chain = chain_of(f);
+                let previous = f.previous.filter(|_| chain.needs_previous()).map(|p| &alone[p].light_e);
+                let light_e = match previous {
+                    None => alone_e.clone(),
+                    Some(_) => self.lit_with(k, (sum_e.clone(), wings_e.as_ref()), state, (chain, previous)),
+                };
+                let dn = self.dn(k, light_e.clone(), chain, previous, state.black_dn);
+                let (mut residual_dn, detail) = residual(f, &dn);
+                let top = noise.saturation_dn;
+                let mut inverse_sigma = Array2::zeros(dn.dim());
+                let mut variance = match state.specimens.as_ref().and_then(|s| s.sigma(k)) {
+                    Some(sigma) => sigma * sigma,
+                    None => self.variance_dn2(&light_e),
+                };
+                if state.terms.iter().any(|t| t.effect.bends_noise()) {
+                    variance *= &self.bent(k, &light_e, &variance, (chain, previous));
+                }
+                if matches!(f.shown, Shown::Bead(..)) {
+                    let error = self.psf_error * noise.gain_dn_per_e;
+                    let light2 = blur_within(&light_e.mapv(|e| e * e), PSF_ERROR_PX);
+                    variance.zip_mut_with(&light2, |v, l2| *v += (error * error) as f32 * l2);
+                }
+                Zip::from(&mut inverse_sigma).and(&dn).and(&detail).and(&mut residual_dn).and(&variance).for_each(
+                    |w, &mu, &v, r, &variance| {
+                        let sigma = (f64::from(variance) + f64::from(v)).sqrt();
+                        // Pixels that may saturate are not used. The model selects them, since a selection by the noisy
+                        // values would be biased.
+                        let usable = f64::from(mu) + 4.0 * sigma < top && r.is_finite();
+                        *w = if usable { (1.0 / sigma) as f32 } else { 0.0 };
+                        if !usable {
+                            *r = 0.0;
+                        }
+                    },
+                );
+                Predicted {
+                    sum_e: sum_e.clone(),
+                    wings_e: wings_e.clone(),
+                    alone_e: previous.map(|_| alone_e.clone()),
+                    light_e,
+                    dn,
+                    inverse_sigma,
+                    residual_dn,
+                    scale: *scale,
+                }
+            })
+            .collect();
+        if let Some(specimens) = &state.specimens {
+            let frames = predicted.iter_mut().zip(&self.seen.frames).filter(|(_, f)| f.shown == Shown::Estimated);
+            specimens.remove(&mut frames.map(|(p, _)| &mut p.residual_dn).collect::<Vec<_>>());
+        }
+        predicted
+    }
+
+    /// By how much a chain of effects multiplies the variance of noise that comes before it: the square of its mean
+    /// slope over the noise, from one standard deviation below the light to one above.
+    fn bent(
+        &self,
+        k: usize,
+        light_e: &Array2<f32>,
+        variance_dn2: &Array2<f32>,
+        (chain, previous): (&Chain, Option<&Array2<f32>>),
+    ) -> Array2<f32> {
+        let sigma_e = variance_dn2.mapv(|v| v.max(0.0).sqrt() / self.forward.noise().gain_dn_per_e as f32);
+        let [low, high] = [-1.0f32, 1.0].map(|way| self.dn(k, light_e + &sigma_e * way, chain, previous, 0.0));
+        let mut slope = high - low;
+        let gain = self.forward.noise().gain_dn_per_e as f32;
+        slope.zip_mut_with(&sigma_e, |d, s| *d = (*d / (2.0 * gain * s).max(f32::MIN_POSITIVE)).powi(2));
+        slope
+    }
+
+    /// Variance of the noise of frames with an expected light, DN^2, [sensor rows, sensor cols]. The fixed pattern of
+    /// the offset is no noise: the variance depends on the light alone.
+    pub(super) fn variance_dn2(&self, light_e: &Array2<f32>) -> Array2<f32> {
+        let noise = self.forward.noise();
+        let of_light = |e: &f32| noise.variance_dn2(noise.black_level_dn + noise.gain_dn_per_e * f64::from(*e)) as f32;
+        let mut variance = light_e.map(of_light);
+        if let Some(reading) = self.forward.reading_dn2() {
+            // The read noise of single pixels beyond the common read noise.
+            let common = noise.variance_dn2(noise.black_level_dn) as f32;
+            variance.zip_mut_with(reading, |v, r| *v += r - common);
+        }
+        variance
+    }
+
+    /// Light of a bead's frame over the expected light, by least squares: bead frames may have been normalised one by
+    /// one.
+    fn own_scale(&self, k: usize, state: &State, sum_e: &Array2<f32>) -> f64 {
+        let (f, noise) = (&self.seen.frames[k], self.forward.noise());
+        let slopes = state.background_e.get(f.stack).copied().unwrap_or_default();
+        let gain = noise.gain_dn_per_e * f.info.exposure_ms / self.exposure_ms;
+        let background = |at: (usize, usize)| {
+            let terms = slope_terms(sum_e.dim(), [at.0, at.1]);
+            gain * terms.iter().zip(&slopes).map(|(t, s)| t * s).sum::<f64>()
+        };
+        let (mut top, mut bottom) = (0.0, 0.0);
+        let measured = |r: usize, c: usize| f.cut.as_ref().is_none_or(|cut| cut.holds(r, c));
+        for ((at, y), e) in f.measured.indexed_iter().zip(sum_e).filter(|((at, _), _)| measured(at.0, at.1)) {
+            top += (f64::from(*y) - noise.black_level_dn - background(at)) * f64::from(*e);
+            bottom += f64::from(*e).powi(2) * noise.gain_dn_per_e;
+        }
+        if bottom > 0.0 && top > 0.0 { top / bottom } else { 1.0 }
+    }
+
+    /// The expected frame `k` for a light on the sensor, DN.
+    pub(super) fn dn(
+        &self,
+        k: usize,
+        light_e: Array2<f32>,
+        chain: &Chain,
+        previous: Option<&Array2<f32>>,
+        black_dn: f64,
+    ) -> Array2<f32> {
+        let mut dn = self.forward.frame_dn(light_e, chain, &self.context(k, previous));
+        if black_dn != 0.0 {
+            dn.mapv_inplace(|v| v + black_dn as f32);
+        }
+        dn
+    }
+
+    /// Reduces changes of the expected frame `k` to what the frame can show of them: all, or, for an estimated
+    /// specimen, what no change of the specimen makes, or, for an unknown one, the sharp part. A change of the last
+    /// that is mostly smooth cannot be distinguished from the specimen and becomes zero.
+    pub fn visible(&self, k: usize, state: &State, changes: &mut [&mut Array2<f32>]) {
+        match (&self.seen.frames[k].shown, &state.specimens) {
+            (Shown::Estimated, Some(specimens)) => specimens.remove(changes),
+            (Shown::Unknown, _) => {
+                let power = |image: &Array2<f32>| image.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>();
+                for change in changes {
+                    let sharp = &**change - &smooth(change);
+                    let is_smooth = power(&sharp) < 0.5 * power(change);
+                    **change = if is_smooth { Array2::zeros(sharp.dim()) } else { sharp };
+                }
+            }
+            _ => {}
+        }
+    }
+}
+
+/// What a state predicts for a frame before anything of the preceding frame is added to it; see [`Predicted`].
+struct Alone {
+    sum_e: Array2<f32>,
+    wings_e: Option<Array2<f32>>,
+    light_e: Array2<f32>,
+    scale: f64,
+}
+
+/// Residual of a frame, DN (NaN where it was not measured), and the variance that the detail of an unknown specimen
+/// adds, DN^2.
+fn residual(f: &Frame, expected: &Array2<f32>) -> (Array2<f32>, Array2<f32>) {
+    let mut difference = &f.measured - expected;
+    if let Some(cut) = &f.cut {
+        difference.indexed_iter_mut().filter(|((r, c), _)| !cut.holds(*r, *c)).for_each(|(_, v)| *v = f32::NAN);
+    }
+    if f.shown != Shown::Unknown {
+        return (difference, Array2::zeros(expected.dim()));
+    }
+    let sharp = |image: &Array2<f32>| image - &smooth(image);
+    // The detail of the specimen counts as noise: pixels with much of it get little weight.
+    let detail = blur_within(&sharp(&f.measured).mapv(|v| v * v), 3.0 * SMOOTH_PX);
+    (sharp(&difference), detail)
+}
