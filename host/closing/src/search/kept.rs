@@ -5,6 +5,7 @@ use super::prune::{Pruned, prune};
 use crate::evidence::{compared, is_worse, omnibus, structured, surely_worse};
 use crate::fit::{Fitted, Model, Replicas, Term, refit};
 use ommatidia_model::forward::ForwardError;
+use ommatidia_physics::effects::find;
 
 /// Evidence from which an effect is named although held-out data do not show it, standard deviations.
 const PROVEN: f64 = 5.0;
@@ -47,6 +48,13 @@ impl Kept {
         };
         if !worse(&named.now) {
             return Ok(Self::all(named));
+        }
+        // What changes the noise alone predicts every frame as before. Only the light and the black level have moved
+        // within their errors, since the frames count by another noise: the closed instrument has those of before.
+        if named.found.iter().all(|f| find(f.id).is_some_and(|effect| effect.noise_only())) {
+            let mut closed = before.clone();
+            closed.state.terms.extend(named.now.state.terms.iter().skip(own).cloned());
+            return Ok(Self { closed: Some(closed), ..Self::all(named) });
         }
         let all = named.clone();
         let (mut left, mut taken_back) = (named, Vec::new());
