@@ -124,7 +124,8 @@ fn is_kept_to(pair: &Pair, advised: &BenchConfig) {
             let model = Model::new(&sharp, &both).unwrap();
             let mut state = with(&model, &pair.effect.id, &[(param, *injected)]);
             state.terms.extend(with(&model, pair.other.0, &[(pair.other.1, pair.other.2)]).terms);
-            p.inner(refit(&model, state).unwrap().state.terms[0].params[0])
+            let fit = refit(&model, state).unwrap();
+            p.inner(fit.state.terms.iter().find(|t| t.id() == pair.effect.id).unwrap().params[0])
         })
         .collect();
     let n = SESSIONS as f64;

@@ -122,9 +122,10 @@ fn a_displacement_that_a_misplaced_truth_may_be_has_a_note() {
     let folder = tempfile::tempdir().unwrap();
     let closing = closed(&measured(Holds::TruthShifted, &[], &folder.path().join("session"), 730));
     assert!(closing.registrations.is_empty());
-    // Truths that were displaced by interpolation are also less sharp, so that no name need be earned.
+    // Truths that were displaced by interpolation are also less sharp, so that no name need be earned, and a drift of
+    // wavefronts, which displaces and blurs, may resemble it best.
     assert!(names(&closing).iter().all(|id| *id == "array_shift"), "{:?}", names(&closing));
-    let displaced = |n: &String| n.starts_with("array_shift") || n.starts_with("unknown_warp");
+    let displaced = |n: &String| ["array_shift", "unknown_warp", "wavefront_drift"].iter().any(|id| n.starts_with(id));
     let note = |n: &String| displaced(n) && n.contains("truth_registration_px");
     assert!(closing.notes.iter().any(note), "{:?}", closing.notes);
 }
