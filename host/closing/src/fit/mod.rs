@@ -1,8 +1,8 @@
 //! Predicts the frames of a session from a state, and fits the state.
 //!
 //! [`state`] holds effects and nuisance parameters, [`model`] makes the light of frames of them and `predict` the
-//! frames with their residuals, [`derivative`] their derivatives, [`design`] sums these over [`cell`]s, `repeats` adds what repeated frames show of the noise (with `kurtosis` the
-//! few pixels that scatter more than the others), and `same` says which frames of unknown specimens are repeats;
+//! frames with their residuals, [`derivative`] their derivatives, [`design`] sums these over [`cell`]s, `repeats` adds
+//! what repeated frames show of the noise (with `kurtosis` the few pixels that scatter more than the others), and `same` says which frames of unknown specimens are repeats;
 //! [`mod@refit`] finds the best state. [`truth`] moves truths that are not quite in place, `registration` names the
 //! values, and `prior` adds what is known of nuisances beside the frames. [`lamp`] is the light of the flats. Before
 //! the first fit [`record`] checks the session's objects, [`exposures`] their light, and [`pedestal`] how dark they are

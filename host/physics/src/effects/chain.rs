@@ -9,7 +9,7 @@ use super::table::TableUse;
 use crate::noise::NoiseModel;
 use crate::optics::Wavefront;
 use ndarray::Array2;
-use ommatidia_session::{Manifest, Role};
+use ommatidia_session::Manifest;
 use thiserror::Error;
 
 /// Why a list of effects cannot be applied.
@@ -210,7 +210,7 @@ impl Chain {
     pub fn on_light(&self, light_e: &mut Array2<f32>, cx: &FrameContext<'_>) {
         for a in self.at(Stage::Light) {
             match &a.table {
-                Some((kind, _)) if kind.of_scenes() && !of_specimen(cx) => {}
+                Some((kind, _)) if kind.of_scenes() && !cx.shows_specimen() => {}
                 Some((TableUse::SceneResponse, u)) => {
                     light_e.zip_mut_with(u, |v, u| *v *= (1.0 + u).max(0.0));
                 }
@@ -237,7 +237,7 @@ impl Chain {
     pub fn on_electronics(&self, frame_dn: &mut Array2<f32>, cx: &FrameContext<'_>) {
         for a in self.at(Stage::Electronics) {
             match &a.table {
-                Some((kind, _)) if kind.of_scenes() && !of_specimen(cx) => {}
+                Some((kind, _)) if kind.of_scenes() && !cx.shows_specimen() => {}
                 Some((TableUse::Offset | TableUse::SceneOffset, u)) => *frame_dn += u,
                 _ => a.effect.on_electronics(&a.params, frame_dn, cx),
             }
@@ -258,11 +258,6 @@ impl Chain {
     pub fn on_record(&self, record: &mut Record, cx: &FrameContext<'_>) {
         self.active.iter().for_each(|a| a.effect.on_record(&a.params, record, cx));
     }
-}
-
-/// Whether the frame shows a specimen or a bead.
-pub(super) fn of_specimen(cx: &FrameContext<'_>) -> bool {
-    matches!(cx.role, Role::Scene | Role::Bead)
 }
 
 fn params_of(effect: &'static dyn Effect, setting: &EffectSetting, lenses: usize) -> Result<Vec<f64>, EffectError> {

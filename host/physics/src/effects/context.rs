@@ -50,6 +50,13 @@ pub struct Previous<'a> {
     pub interval_s: f64,
 }
 
+impl FrameContext<'_> {
+    /// Whether the frame shows a specimen or a bead.
+    pub(super) fn shows_specimen(&self) -> bool {
+        matches!(self.role, Role::Scene | Role::Bead)
+    }
+}
+
 impl Default for FrameContext<'_> {
     fn default() -> Self {
         Self {

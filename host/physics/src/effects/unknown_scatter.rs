@@ -5,7 +5,6 @@
 //! shares of both signs make rings. It acts on specimens and beads: a flat field, which is lit from beyond the sensor as
 //! well, does not show it. Light that is scattered off the sensor is lost.
 
-use super::chain::of_specimen;
 use super::context::FrameContext;
 use super::descriptor::{Descriptor, Param, Stage};
 use super::effect::Effect;
@@ -36,7 +35,7 @@ impl Effect for UnknownScatter {
     }
 
     fn on_light(&self, p: &[f64], light_e: &mut Array2<f32>, cx: &FrameContext<'_>) {
-        if !of_specimen(cx) {
+        if !cx.shows_specimen() {
             return;
         }
         let mut moved = Array2::<f32>::zeros(light_e.dim());

@@ -149,8 +149,8 @@ impl PupilModel {
     /// How far the own defocus of a lens may lie from that of its pupil, waves rms (standard deviation).
     ///
     /// A lens with defocus c makes a PSF that differs from that with `c + e` by about `(2 |c| e + e^2) (2 pi)^2 / 2`,
-    /// relative to its norm and with its light free: by the second order of `|F[exp(i W)]|^2` in the wavefront (Born &
-    /// Wolf, section 9.1.3), of which about half is a loss of light at the peak. e is the largest that the misfit of the
+    /// relative to its norm and with its light free: the fall of the peak to second order in the wavefront (Born & Wolf,
+    /// section 9.1.3), half of which is taken to be a loss that the free light makes up for. e is the largest that the misfit of the
     /// pupil hides. 0: a dead lens.
     pub fn doubt_waves(&self, lens: usize) -> f64 {
         let Some(Some(lens)) = self.lenses.get(lens) else { return 0.0 };

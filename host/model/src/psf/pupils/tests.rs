@@ -138,7 +138,7 @@ fn changes_of_wavefronts_are_predicted_from_one_plane() {
 }
 
 /// PSFs of lenses that are out of focus by `own` more than those that were fitted: an added defocus changes them as the
-/// pupil says that is told so.
+/// pupil says that knows of it.
 #[test]
 fn a_misjudged_defocus_changes_what_a_wavefront_does_and_no_psf_by_itself() {
     let psf = calibrated();
@@ -167,8 +167,8 @@ fn a_misjudged_defocus_changes_what_a_wavefront_does_and_no_psf_by_itself() {
             }
             (off / size).sqrt()
         };
-        let [told, not_told] = [own, 0.0].map(distance);
-        assert!(told < 0.1 && not_told > 0.2, "{l}: {told} {not_told}");
+        let [known, unknown] = [own, 0.0].map(distance);
+        assert!(known < 0.1 && unknown > 0.2, "{l}: {known} {unknown}");
     }
     // What the misfit hides of a lens that is well out of focus is less than of one that is in it.
     let doubts: Vec<f64> = (0..3).map(|l| model.doubt_waves(l)).collect();
