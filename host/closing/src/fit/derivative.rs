@@ -102,6 +102,12 @@ impl Model<'_> {
             // The specimen may have any detail but that of the pixel grid.
             return Ok(None);
         }
+        let is_trial = matches!(column, Column::Trial { .. });
+        if is_trial && f.shown == Shown::Even && effect.is_as_smooth_as_a_lamp() {
+            // Until the effect is fitted, the lamp has taken up most of it, and what is left of it in the flats is no
+            // measure of its strength.
+            return Ok(None);
+        }
         let expanded = terms[which].expanded(self.lenses());
         let p = expanded[param].1;
         let value = p.inner(terms[which].params[param]);
@@ -109,7 +115,7 @@ impl Model<'_> {
         if value + step > p.inner(p.max) {
             step = -step;
         }
-        let far = matches!(column, Column::Trial { .. }) && terms[which].is_far(self.lenses());
+        let far = is_trial && terms[which].is_far(self.lenses());
         if far {
             // The secant to the far start, whose strengths the term holds.
             step = 1.0;

@@ -1,7 +1,7 @@
 //! The checkpoint: a trained network, its training history, and the state that is needed to continue training.
 
 use super::adam::{Adam, MeanNorms};
-use super::{FeatureSteps, FilterMask, NetworkConfig, TrainConfig, TrainError, weights};
+use super::{FeatureSteps, FilterMask, Loss, NetworkConfig, TrainConfig, TrainError, weights};
 use ndarray::{Array2, Array3, ArrayView2, ArrayViewD, Axis, Ix3};
 use ommatidia_model::metrics::Case;
 use ommatidia_physics::noise::NoiseModel;
@@ -41,6 +41,18 @@ pub struct CurvePoint {
     pub ssim: f32,
 }
 
+impl CurvePoint {
+    /// Whether weights with these figures are better than those of `other`, for a training with `loss`. The published
+    /// loss has its published criterion, a higher SSIM (Yang et al. 2024). The loss that is judged by NRMSE as well has
+    /// a lower held-out loss: SSIM of scenes that are mostly dark changes by more with their noise than with training.
+    pub fn is_better_than(&self, other: &Self, loss: Loss) -> bool {
+        match loss {
+            Loss::BceMse => self.ssim > other.ssim,
+            Loss::BceMseNrmse => self.validation_loss < other.validation_loss,
+        }
+    }
+}
+
 /// The header of a checkpoint: everything but the tensors.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -54,7 +66,7 @@ pub struct Body {
     pub training: TrainConfig,
     /// Figures of every validation.
     pub curve: Vec<CurvePoint>,
-    /// Step of the best weights: those with the highest SSIM at validation.
+    /// Step of the best weights ([`CurvePoint::is_better_than`]).
     pub best_step: u64,
     /// Number of steps taken.
     pub step: u64,

@@ -30,7 +30,7 @@ pub struct TrainRequest {
     pub start: Option<Start>,
     /// What training makes small.
     pub loss: Option<Loss>,
-    /// Number of validations without a higher SSIM after which the run ends early.
+    /// Number of validations without better weights after which the run ends early.
     pub patience: Option<u64>,
     /// Whether the run starts from trained weights: learning rates are lower then, and no start is computed.
     pub fine_tuning: bool,

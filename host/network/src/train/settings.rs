@@ -52,7 +52,7 @@ pub struct TrainConfig {
     pub held_out: f64,
     /// Maximum number of held-out pairs in a validation.
     pub validation_pairs: usize,
-    /// Number of validations without a higher SSIM after which a run ends early; 0: never.
+    /// Number of validations without better weights after which a run ends early; 0: never.
     #[serde(default)]
     pub patience: u64,
     /// Filters before the first step.

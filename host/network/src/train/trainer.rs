@@ -286,8 +286,8 @@ impl<'a> Trainer<'a> {
         }
     }
 
-    /// Judges the network on the held-out pairs, always with the same noise, and keeps the weights if their SSIM is the
-    /// highest so far (the criterion of Yang et al. 2024).
+    /// Judges the network on the held-out pairs, always with the same noise, and keeps the weights if they are the best
+    /// so far ([`CurvePoint::is_better_than`]).
     ///
     /// # Errors
     /// A pair cannot be loaded, or its figures cannot be computed.
@@ -322,7 +322,7 @@ impl<'a> Trainer<'a> {
         let [train_loss, validation_loss, psnr_db, ssim] =
             [train_loss, loss / n, psnr_db / n, ssim / n].map(|v| v as f32);
         let point = CurvePoint { step: body.step, train_loss, validation_loss, psnr_db, ssim };
-        if body.curve.iter().all(|p| point.ssim > p.ssim) {
+        if body.curve.iter().all(|p| point.is_better_than(p, body.training.loss)) {
             body.best_step = body.step;
             self.state.weights = Tensors::clone(&self.state.current);
             self.state.samples = samples;

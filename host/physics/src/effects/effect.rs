@@ -65,6 +65,11 @@ pub trait Effect: Send + Sync {
     fn is_of_the_grid(&self) -> bool {
         false
     }
+    /// Whether the effect is as smooth over the sensor as the light of a lamp. Flats cannot show it, since the smooth
+    /// part of their light belongs to the lamp.
+    fn is_as_smooth_as_a_lamp(&self) -> bool {
+        false
+    }
     /// Whether the effect is one of the record of bead scans: other frames neither show it nor suffer from it.
     fn is_of_bead_scans(&self) -> bool {
         false

@@ -28,6 +28,10 @@ impl Effect for Vignetting {
         &DESCRIPTOR
     }
 
+    fn is_as_smooth_as_a_lamp(&self) -> bool {
+        true
+    }
+
     fn on_light(&self, p: &[f64], light_e: &mut Array2<f32>, _cx: &FrameContext<'_>) {
         if p[0] == 0.0 {
             return;

@@ -66,7 +66,8 @@ pub struct Args {
     /// What training makes small [default: the preset's]
     #[arg(long, value_enum)]
     loss: Option<Loss>,
-    /// Number of validations without a higher SSIM after which the run ends early [default: never]
+    /// Number of validations without better weights after which the run ends early [default: never].
+    /// Weights are better with a lower held-out loss, or with a higher SSIM for --loss bce-mse
     #[arg(long, value_name = "N")]
     patience: Option<u64>,
     /// With a data set: instrument whose sensor maps correct the frames, and whose PSFs networks can start from

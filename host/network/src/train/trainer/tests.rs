@@ -102,10 +102,22 @@ fn training_lowers_the_loss_and_keeps_the_best() {
     let curve = &run.checkpoint().body.curve;
     assert_eq!(curve.len(), 20);
     assert!(curve[19].validation_loss < 0.7 * curve[0].validation_loss, "{curve:?}");
-    let best = curve.iter().max_by(|a, b| a.ssim.total_cmp(&b.ssim)).unwrap();
+    let best = curve.iter().min_by(|a, b| a.validation_loss.total_cmp(&b.validation_loss)).unwrap();
     let read = Checkpoint::read(&path).unwrap();
     assert_eq!(read.body.best_step, best.step);
     assert_eq!(read.weights, run.checkpoint().weights);
+}
+
+/// Figures of a training whose SSIM on held-out pairs was highest at its first validation, while its loss and its PSNR
+/// got better until the end.
+#[test]
+fn each_loss_has_its_criterion() {
+    let point =
+        |step, validation_loss, psnr_db, ssim| CurvePoint { step, train_loss: 0.6, validation_loss, psnr_db, ssim };
+    let (first, last) = (point(325, 0.5545, 33.69, 0.8890), point(6500, 0.5406, 34.16, 0.8765));
+    assert!(last.is_better_than(&first, Loss::BceMseNrmse) && !first.is_better_than(&last, Loss::BceMseNrmse));
+    assert!(first.is_better_than(&last, Loss::BceMse) && !last.is_better_than(&first, Loss::BceMse));
+    assert!(!first.is_better_than(&first, Loss::BceMseNrmse));
 }
 
 #[test]
