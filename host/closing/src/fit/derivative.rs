@@ -102,10 +102,7 @@ impl Model<'_> {
             // The specimen may have any detail but that of the pixel grid.
             return Ok(None);
         }
-        let is_trial = matches!(column, Column::Trial { .. });
-        if is_trial && f.shown == Shown::Even && effect.is_as_smooth_as_a_lamp() {
-            // Until the effect is fitted, the lamp has taken up most of it, and what is left of it in the flats is no
-            // measure of its strength.
+        if f.shown == Shown::Even && effect.is_as_smooth_as_a_lamp() {
             return Ok(None);
         }
         let expanded = terms[which].expanded(self.lenses());
@@ -115,7 +112,7 @@ impl Model<'_> {
         if value + step > p.inner(p.max) {
             step = -step;
         }
-        let far = is_trial && terms[which].is_far(self.lenses());
+        let far = matches!(column, Column::Trial { .. }) && terms[which].is_far(self.lenses());
         if far {
             // The secant to the far start, whose strengths the term holds.
             step = 1.0;

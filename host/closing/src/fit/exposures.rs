@@ -15,11 +15,13 @@ use rayon::prelude::*;
 /// than their scatter.
 const LIGHT: f64 = 0.04;
 /// Objects have units of their own if the light of the frames relative to them scatters by more than this share
-/// (median), and a drift or the exposures explain less than [`UNEXPLAINED`] of it.
+/// (median), and neither a drift nor the exposures nor the places of the light leave less than [`UNEXPLAINED`] of it.
 const SCATTER: f64 = 0.1;
 const UNEXPLAINED: f64 = 0.3;
 /// Number of scenes that this takes.
 const SCENES: usize = 6;
+/// Number of scenes from which a falloff of the light has a centre of its own.
+const CENTRED: usize = 8;
 /// Correlation with the objects that it takes.
 const ALIKE: f64 = 0.8;
 /// A wrong exposure changes the light of a frame and not its form: the frame leaves at most so many times the variance
@@ -59,7 +61,13 @@ pub fn units(seen: &mut Observations, frames: &[Seen]) -> Vec<Fault> {
     let left = unexplained(seen, frames, &logs);
     let scatters = scatter(&logs);
     let explained = |left: &[f64]| scatter(left) < UNEXPLAINED * scatters;
-    if scatters < SCATTER || explained(&left) || explained(&beside_alternation(seen, frames, &logs)) {
+    // A falloff is linear in the light itself.
+    let factors: Vec<f64> = logs.iter().map(|v| v.exp() - 1.0).collect();
+    if scatters < SCATTER
+        || explained(&left)
+        || explained(&beside_alternation(seen, frames, &logs))
+        || explained(&beside_places(seen, frames, &factors))
+    {
         return Vec::new();
     }
     let mut faults = Vec::new();
@@ -87,10 +95,7 @@ fn unexplained(seen: &Observations, frames: &[Seen], values: &[f64]) -> Vec<f64>
         [1.0, t, t * t, 1.0 / info.exposure_ms.max(1e-9)]
     };
     let rows: Vec<[f64; 4]> = frames.iter().map(of).collect();
-    let x = Array2::from_shape_fn((rows.len(), 4), |(i, j)| rows[i][j]);
-    let y = Array1::from_vec(values.to_vec());
-    let fit = x.dot(&pseudo_inverse(&x.t().dot(&x)).dot(&x.t().dot(&y)));
-    (y - fit).to_vec()
+    left_by(&Array2::from_shape_fn((rows.len(), 4), |(i, j)| rows[i][j]), values)
 }
 
 /// What a lamp that alternates from frame to frame does not explain of some values of the frames.
@@ -103,6 +108,38 @@ fn beside_alternation(seen: &Observations, frames: &[Seen], values: &[f64]) -> V
     };
     let means = [mean(0), mean(1)];
     frames.iter().zip(values).map(|(s, v)| v - means[odd(s)]).collect()
+}
+
+/// What the places of the light in the objects do not explain of some values of the frames. Where the light falls off
+/// over the field, objects at its rim seem darker than those in its middle. As in a regression of images, places count
+/// by the square of their light.
+fn beside_places(seen: &Observations, frames: &[Seen], values: &[f64]) -> Vec<f64> {
+    let of = |s: &Seen| -> [f64; 4] {
+        let Shown::Object(truth) = seen.frames[s.frame].shown else { return [1.0, 0.0, 0.0, 0.0] };
+        let object = &seen.truths[truth];
+        let (rows, cols) = object.dim();
+        let at = |i: usize, n: usize| (2.0 * i as f64 + 1.0) / n as f64 - 1.0;
+        let mut sums = [0.0; 4];
+        for ((r, c), light) in object.indexed_iter() {
+            let (y, x, weight) = (at(r, rows), at(c, cols), f64::from(*light).powi(2));
+            for (sum, v) in sums.iter_mut().zip([1.0, y * y + x * x, y, x]) {
+                *sum += weight * v;
+            }
+        }
+        let all = sums[0].max(1e-30);
+        sums.map(|v| v / all)
+    };
+    // With few frames the place of the centre would explain too much by chance.
+    let terms = if frames.len() < CENTRED { 2 } else { 4 };
+    let rows: Vec<[f64; 4]> = frames.iter().map(of).collect();
+    left_by(&Array2::from_shape_fn((rows.len(), terms), |(i, j)| rows[i][j]), values)
+}
+
+/// What a linear regression on the columns of `x` [values, columns] leaves of some values.
+fn left_by(x: &Array2<f64>, values: &[f64]) -> Vec<f64> {
+    let y = Array1::from_vec(values.to_vec());
+    let fit = x.dot(&pseudo_inverse(&x.t().dot(x)).dot(&x.t().dot(&y)));
+    (y - fit).to_vec()
 }
 
 /// Finds scenes whose light differs from that of the others by a factor of their own. An effect that the model lacks
@@ -226,6 +263,26 @@ mod tests {
             let (mut observations, seen) = scenes(0.0, factor);
             assert!(units(&mut observations, &seen).is_empty());
         }
+    }
+
+    /// Objects whose light lies at places of their own, under light that falls off over the field.
+    #[test]
+    fn light_that_falls_off_over_the_field_is_no_unit() {
+        let places = [[3, 4], [1, 6], [4, 3], [0, 0], [6, 5], [2, 2]];
+        let at = |i: usize| (2 * i + 1) as f64 / 8.0 - 1.0;
+        let light = |k: usize| {
+            let [y, x] = places[k].map(at);
+            (1.0 - 0.4 * (y * y + x * x)) as f32
+        };
+        let (mut observations, seen) = scenes(0.0, light);
+        for (truth, place) in observations.truths.iter_mut().zip(places) {
+            truth.fill(0.0);
+            truth[place] = 1.0;
+        }
+        assert!(units(&mut observations, &seen).is_empty());
+        // The same factors on objects that fill the field alike are units.
+        let (mut observations, seen) = scenes(0.0, light);
+        assert_eq!(units(&mut observations, &seen).len(), 6);
     }
 
     #[test]

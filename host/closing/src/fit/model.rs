@@ -16,7 +16,6 @@ use ommatidia_physics::noise::MapErrors;
 use ommatidia_session::Role;
 use rayon::prelude::*;
 use std::borrow::Cow;
-use std::collections::BTreeSet;
 use std::sync::{Arc, OnceLock};
 
 /// Depths closer than this are equal, um: tables are rounded to it.
@@ -150,7 +149,7 @@ impl<'a> Model<'a> {
         for t in &mut state.terms {
             let factor = t.effect.gauge(&mut t.params);
             let scenes = self.seen.frames.iter().filter(|f| matches!(f.shown, Shown::Object(_)));
-            let stacks: BTreeSet<usize> = scenes.map(|f| f.stack).collect();
+            let stacks: std::collections::BTreeSet<usize> = scenes.map(|f| f.stack).collect();
             stacks.into_iter().for_each(|s| state.scale[s] *= factor);
         }
         state
@@ -166,38 +165,23 @@ impl<'a> Model<'a> {
         chain
     }
 
-    /// The state with `term` added. Most of an effect that is as smooth as a lamp lies in the lamp of the flats as long
-    /// as it is not fitted: what the effect makes is taken out of the lamp, so that flats look as before.
-    pub(crate) fn with_term(&self, state: &State, term: Term) -> State {
-        let mut next = state.clone();
-        let flat = self.seen.frames.iter().position(|f| f.shown == Shown::Even);
-        if let Some(k) = flat.filter(|_| term.effect.is_as_smooth_as_a_lamp()) {
-            let mut factor = Array2::ones((self.seen.sensor[0], self.seen.sensor[1]));
-            self.chain([&term]).on_light(&mut factor, &self.context(k, None));
-            let (level, lamp) = lamp::beside(&state.lamp, &factor);
-            next.lamp = lamp;
-            let flats = self.seen.frames.iter().filter(|f| f.shown == Shown::Even);
-            let stacks: BTreeSet<usize> = flats.map(|f| f.stack).collect();
-            for (_, scale) in next.scale.iter_mut().enumerate().filter(|(s, _)| stacks.contains(s)) {
-                *scale *= level;
-            }
-        }
-        next.terms.push(term);
-        next
-    }
-
     /// The effects of terms that act on frame `k`. A frame of an unknown specimen that is not estimated is predicted by
     /// its own smooth part, which holds the work of the optics and of the sensor already: there, only what follows the
-    /// pixel grid acts.
+    /// pixel grid acts. In flats, what is as smooth as a lamp belongs to the lamp.
     pub(super) fn chain_of(&self, k: usize, terms: &[Term]) -> Chain {
         match self.seen.frames[k].shown {
             Shown::Unknown => self.chain_of_grid(terms),
+            Shown::Even => self.chain_of_flats(terms),
             _ => self.chain(terms),
         }
     }
 
     pub(super) fn chain_of_grid(&self, terms: &[Term]) -> Chain {
         self.chain(terms.iter().filter(|t| t.effect.is_of_the_grid() || t.effect.table().is_some()))
+    }
+
+    pub(super) fn chain_of_flats(&self, terms: &[Term]) -> Chain {
+        self.chain(terms.iter().filter(|t| !t.effect.is_as_smooth_as_a_lamp()))
     }
 
     /// The context of frame `k` for the hooks of effects; `previous_e` is the light of the preceding frame, electrons.

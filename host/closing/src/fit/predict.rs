@@ -17,7 +17,12 @@ impl Model<'_> {
     /// Predicts every frame. `scenes` are those of [`Model::scenes`] for the same state.
     pub fn predict(&self, state: &State, scenes: &[Option<SceneLight>]) -> Vec<Predicted> {
         let (whole, of_grid) = (self.chain(&state.terms), self.chain_of_grid(&state.terms));
-        let chain_of = |f: &Frame| if f.shown == Shown::Unknown { &of_grid } else { &whole };
+        let of_flats = self.chain_of_flats(&state.terms);
+        let chain_of = |f: &Frame| match f.shown {
+            Shown::Unknown => &of_grid,
+            Shown::Even => &of_flats,
+            _ => &whole,
+        };
         // The noise model is that of the calibration: a fit must not gain by a larger variance.
         let noise = self.forward.noise();
         let alone: Vec<Alone> = (0..self.seen.frames.len())

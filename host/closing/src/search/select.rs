@@ -49,11 +49,13 @@ const SETTLED: f64 = 5.0;
 
 /// The state with a candidate added at its estimated strengths.
 fn with(model: &Model<'_>, state: &State, candidate: &Candidate) -> State {
+    let mut next = state.clone();
     let mut term = candidate.term.clone();
     if let Some(test) = &candidate.test {
         term = term.moved(model.lenses(), &test.theta);
     }
-    model.with_term(state, term)
+    next.terms.push(term);
+    next
 }
 
 /// Share of the gain of a trial calibration that an effect must reach to be accepted instead of it.

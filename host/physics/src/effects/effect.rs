@@ -65,8 +65,8 @@ pub trait Effect: Send + Sync {
     fn is_of_the_grid(&self) -> bool {
         false
     }
-    /// Whether the effect is as smooth over the sensor as the light of a lamp. Flats cannot show it, since the smooth
-    /// part of their light belongs to the lamp.
+    /// Whether the effect is as smooth over the sensor as the light of a lamp. Flats do not show it, since the smooth part
+    /// of their light belongs to the lamp.
     fn is_as_smooth_as_a_lamp(&self) -> bool {
         false
     }
