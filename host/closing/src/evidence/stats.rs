@@ -1,6 +1,6 @@
 //! Tail probabilities and multiple testing.
 
-use puruspe::{betai, erfc, gammq, inverfc};
+use puruspe::{betai, erfc, gammp, gammq, inverfc};
 
 /// Probability that a chi-squared variable with `ndf` degrees of freedom exceeds `x`; 1 for arguments out of range.
 ///
@@ -23,6 +23,11 @@ pub fn chi2_tail(x: f64, ndf: f64) -> f64 {
         return 0.5 * erfc(z / std::f64::consts::SQRT_2);
     }
     gammq(ndf / 2.0, x / 2.0).clamp(0.0, 1.0)
+}
+
+/// Probability that a Poisson variable with mean `mean` is `n`, a whole number above 0, or more.
+pub fn at_least(n: f64, mean: f64) -> f64 {
+    if mean > 0.0 { gammp(n, mean).clamp(0.0, 1.0) } else { 0.0 }
 }
 
 /// Probability that an F variable with `d` and `nu` degrees of freedom exceeds `f`; `nu` may be infinite.
@@ -78,6 +83,8 @@ mod tests {
         for z in [0.5, 1.96, 5.0, 12.0, 30.0] {
             assert!((sigmas(two_sided(z)) - z).abs() < 1e-3 * z, "{z} {}", sigmas(two_sided(z)));
         }
+        // Of a Poisson variable with mean 2: 1 - exp(-2) (1 + 2 + 2).
+        assert!((at_least(3.0, 2.0) - (1.0 - 5.0 * (-2.0f64).exp())).abs() < 1e-9 && at_least(1.0, 0.0) == 0.0);
         assert!(sigmas(0.0).is_finite() && sigmas(1.0) == 0.0);
     }
 

@@ -3,7 +3,7 @@
 //! Two halves of the frames give two independent estimates of each value. Only what both have in common counts, which
 //! does not rest on the noise model. Flats show no object, so errors of the optics do not enter.
 
-use super::stats::{sigmas, two_sided};
+use super::stats::{at_least, sigmas, two_sided};
 use crate::fit::{Model, Predicted, State, Term};
 use ndarray::{Array2, Zip, s};
 use ommatidia_physics::effects::{Effect, TableGroup, TableUse, blur_within, registry};
@@ -53,6 +53,8 @@ struct Half {
     value: Array2<f32>,
     weight: Array2<f32>,
     scatter: Array2<f32>,
+    /// Number of frames, each counted by its share of the weight.
+    frames: f64,
 }
 
 /// Variance of the errors of the calibration's maps, which the frames show as a pattern as well.
@@ -71,12 +73,26 @@ pub fn fit(model: &Model<'_>, state: &State, now: &[Predicted], named: bool) -> 
         .par_iter()
         .filter(|e| e.descriptor().id.starts_with("unknown") != named)
         .filter(|e| !state.terms.iter().any(|t| t.id() == e.descriptor().id))
-        .filter_map(|e| one(model, *e, now))
+        .filter_map(|e| estimated(model, *e, now, jumping(state)))
         .collect()
 }
 
 /// Estimates the table of an effect from flats and darks. None: it has no such table, or the frames do not show one.
 pub(crate) fn one(model: &Model<'_>, effect: &'static dyn Effect, now: &[Predicted]) -> Option<TableFit> {
+    estimated(model, effect, now, 0.0)
+}
+
+/// Share of the pixels that jump between two levels under a state.
+fn jumping(state: &State) -> f64 {
+    let share = |t: &Term| {
+        let params = t.effect.descriptor().params.iter();
+        params.zip(&t.params).find(|(p, _)| p.name == "share").map(|(_, v)| *v)
+    };
+    state.terms.iter().filter(|t| t.effect.makes_wings()).filter_map(share).sum()
+}
+
+/// As [`one`], where a share of the pixels is known to jump between two levels.
+fn estimated(model: &Model<'_>, effect: &'static dyn Effect, now: &[Predicted], jumping: f64) -> Option<TableFit> {
     let kind = effect.table().filter(|kind| !kind.acts.of_scenes())?;
     let halves = [0, 1].map(|h| half(model, now, kind.acts, h));
     let [Some(a), Some(b)] = halves else { return None };
@@ -89,7 +105,7 @@ pub(crate) fn one(model: &Model<'_>, effect: &'static dyn Effect, now: &[Predict
             let found = of(&fine, SMOOTH_PX).filter(|_| is_white(&fine[0], &fine[1]));
             found.and_then(|f| Some(Shape { table: of(&broad, BROAD_PX)?.table, ..f }))
         }
-        TableGroup::SparsePixels => sparse(&a, &b),
+        TableGroup::SparsePixels => sparse(&a, &b, jumping),
         TableGroup::Spots => spots(&a, &b, left(model, kind.acts)),
         TableGroup::Pattern | TableGroup::Scales => pattern(&a, &b, &hot(&a, &b), left(model, kind.acts), 1.0),
     }?;
@@ -136,6 +152,7 @@ fn half(model: &Model<'_>, now: &[Predicted], acts: TableUse, which: usize) -> O
     let shape = (model.seen.sensor[0], model.seen.sensor[1]);
     let (mut top, mut bottom) = (Array2::<f32>::zeros(shape), Array2::<f32>::zeros(shape));
     let (mut squares, mut count) = (Array2::<f32>::zeros(shape), 0.0f32);
+    let mut weights = [0.0f64; 2];
     let gain = model.forward.noise().gain_dn_per_e as f32;
     for (n, (k, f)) in model.seen.frames.iter().enumerate().filter(|(_, f)| !f.held_out).enumerate() {
         let used = match acts {
@@ -152,6 +169,7 @@ fn half(model: &Model<'_>, now: &[Predicted], acts: TableUse, which: usize) -> O
         // The mean of a single frame depends on lamp and black level and is no pattern.
         let mean = here.residual_dn.mean().unwrap_or(0.0);
         count += 1.0;
+        let before = bottom.sum();
         Zip::from(&mut squares)
             .and(&here.residual_dn)
             .and(&here.inverse_sigma)
@@ -170,6 +188,8 @@ fn half(model: &Model<'_>, now: &[Predicted], acts: TableUse, which: usize) -> O
                 *top += w * w * template * (r - mean);
                 *bottom += w * w * template * template;
             });
+        let own = f64::from(bottom.sum() - before);
+        weights = [weights[0] + own, weights[1] + own * own];
     }
     if bottom.iter().all(|w| *w <= 0.0) {
         return None;
@@ -177,7 +197,7 @@ fn half(model: &Model<'_>, now: &[Predicted], acts: TableUse, which: usize) -> O
     let value = Zip::from(&top).and(&bottom).map_collect(|t, b| if *b > 0.0 { t / b } else { 0.0 });
     let around = |s: &f32, v: &f32, w: &f32| ((s - v * v * w) / (count - 1.0).max(1.0)).max(1.0);
     let scatter = Zip::from(&squares).and(&value).and(&bottom).map_collect(around);
-    Some(Half { value, weight: bottom, scatter })
+    Some(Half { value, weight: bottom, scatter, frames: weights[0].powi(2) / weights[1].max(1e-30) })
 }
 
 /// Subtracts a linear slope over the sensor, which a blur would turn into structure at the edges.
@@ -194,14 +214,14 @@ fn level(h: &Half) -> Half {
     let slope = [0, 1].map(|i| (top[i] / f64::max(bottom[i], 1e-30)) as f32);
     let mut value = h.value.clone();
     Zip::indexed(&mut value).for_each(|(r, c), v| *v -= slope[0] * along(r, rows) + slope[1] * along(c, cols));
-    Half { value, weight: h.weight.clone(), scatter: h.scatter.clone() }
+    Half { value, weight: h.weight.clone(), scatter: h.scatter.clone(), frames: h.frames }
 }
 
 fn mean(a: &Half, b: &Half) -> Half {
     let weight = &a.weight + &b.weight;
     let mut value = &a.value * &a.weight + &b.value * &b.weight;
     value.zip_mut_with(&weight, |v, w| *v = if *w > 0.0 { *v / w } else { 0.0 });
-    Half { value, weight, scatter: Array2::ones(a.value.dim()) }
+    Half { value, weight, scatter: Array2::ones(a.value.dim()), frames: a.frames + b.frames }
 }
 
 /// Subtracts the smooth part: shading, spots and steps are no properties of single pixels. The pixels of `single` have
@@ -301,8 +321,9 @@ fn pattern(a: &Half, b: &Half, single: &Array2<bool>, left: f64, kept: f64) -> O
 }
 
 /// Single pixels above the threshold in both halves. Their size is the scale of an exponential distribution: their mean
-/// above the threshold.
-fn sparse(a: &Half, b: &Half) -> Option<Shape> {
+/// above the threshold. Of the share `jumping` of the pixels that jump between two levels, some are by chance in the
+/// upper one in every frame: only more hot pixels than that prove any.
+fn sparse(a: &Half, b: &Half, jumping: f64) -> Option<Shape> {
     let both = mean(a, b);
     let mut table = Array2::zeros(both.value.dim());
     let (mut z, mut sum, mut number) = (0.0f64, 0.0, 0.0f64);
@@ -325,6 +346,8 @@ fn sparse(a: &Half, b: &Half) -> Option<Shape> {
     // One trial for each pixel.
     let chances = both.value.len() as f64;
     let z = if z > 0.0 { sigmas((two_sided(z) * chances).min(1.0)) } else { 0.0 };
+    let by_chance = jumping * chances * 0.5f64.powf(both.frames);
+    let z = if number > 0.0 && by_chance > 0.0 { z.min(sigmas(at_least(number, by_chance))) } else { z };
     let passed = STANDS_OUT * std::f64::consts::SQRT_2 * one;
     let size = if number > 0.0 { (sum / number - passed).max(one) } else { 0.0 };
     let error = one.hypot(size / number.max(1.0).sqrt());
@@ -403,6 +426,7 @@ mod tests {
                 value,
                 weight: Array2::from_elem((SIDE, SIDE), 1.0 / (NOISE * NOISE)),
                 scatter: Array2::ones((SIDE, SIDE)),
+                frames: 4.0,
             }
         })
     }
@@ -466,16 +490,23 @@ mod tests {
             table[[(i * 37) % SIDE, (i * 53) % SIDE]] = 0.3 * level;
         }
         let [a, b] = halves(|r, c| table[[r, c]]);
-        let found = sparse(&a, &b).unwrap();
+        let found = sparse(&a, &b, 0.0).unwrap();
         assert!((found.size - 0.3).abs() < 3.0 * found.error && found.z > 5.0, "{} +- {}", found.size, found.error);
         // What jumps is not hot.
         let mut jumping = halves(|r, c| table[[r, c]]);
         jumping.iter_mut().for_each(|h| h.scatter = table.mapv(|v| 1.0 + (v / NOISE).powi(2)));
         let [a, b] = jumping;
-        assert!(sparse(&a, &b).unwrap().z < 3.0);
+        assert!(sparse(&a, &b, 0.0).unwrap().z < 3.0);
+        // One pixel that does not jump is by chance in one level where many do; forty are not.
+        let [a, b] = halves(|r, c| if (r, c) == (20, 30) { 0.3 } else { 0.0 });
+        let z = |share| sparse(&a, &b, share).unwrap().z;
+        // 0.003 of 8100 pixels in the upper level in all of eight frames: 0.1 pixels.
+        assert!(z(0.0) > 5.0 && (1.0..2.0).contains(&z(0.003)), "{} {}", z(0.0), z(0.003));
+        let [a, b] = halves(|r, c| table[[r, c]]);
+        assert!(sparse(&a, &b, 0.003).unwrap().z > 5.0);
         // A pattern of all pixels makes none of them hot.
         let own = white(0.05);
         let [a, b] = halves(|r, c| own[[r, c]]);
-        assert!(sparse(&a, &b).unwrap().z < 3.0);
+        assert!(sparse(&a, &b, 0.0).unwrap().z < 3.0);
     }
 }

@@ -28,7 +28,9 @@ pub(super) fn finalists<'c>(able: &[&'c Candidate]) -> Vec<&'c Candidate> {
     }
     if let Some(best) = chosen.first().copied() {
         let similar = |c: &Candidate| chosen.iter().any(|b| alike(b, c));
-        let near = |c: &&&Candidate| gain(c) > 0.2 * gain(best) && similar(c);
+        // What makes wings is open only where repeats show wings, and rare large jumps are far from what the score of
+        // small ones expects.
+        let near = |c: &&&Candidate| (gain(c) > 0.2 * gain(best) || c.term.effect.makes_wings()) && similar(c);
         let more: Vec<&Candidate> = able.iter().filter(near).filter(|c| open(&chosen, c)).copied().collect();
         chosen.extend(more.into_iter().take(LOOKALIKES));
     }
