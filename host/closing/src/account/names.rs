@@ -210,6 +210,7 @@ mod tests {
         let of = |tau: f64| Constancy {
             frames: Spread { tau: 0.0, z: 0.3, resolution: 0.04 },
             blocks: Spread { tau, z: 5.0, resolution: 0.05 },
+            light: 0.0,
         };
         let [strong, weak] = [found("lens_gain", 9e3), found("charge_diffusion", 1e3)];
         let named = |tau, gain| {
@@ -237,7 +238,7 @@ mod tests {
         // What the means of all frames prove needs no noise.
         let drift = found("black_level_drift", 1e2);
         let even = Spread { tau: 0.0, z: 0.4, resolution: 0.01 };
-        let it = names(&[(&drift, Constancy { frames: even, blocks: even })], Left::default(), true);
+        let it = names(&[(&drift, Constancy { frames: even, blocks: even, light: 0.0 })], Left::default(), true);
         assert_eq!(it.effects.len(), 1);
         let it = names(&of, Left { judged: 0.3, even: 0.3, much: false }, false);
         assert!(it.effects.is_empty() && it.left_much && it.nearest[0].why.contains("30 %"));

@@ -249,7 +249,7 @@ mod tests {
         assert!(earns(0.04, 0.3, 0.0) && !earns(0.3, 0.0, 0.0) && !earns(0.1, 0.0, 0.4));
         assert!(earns(0.3, 0.01, 1.0) && earns(0.3, 0.0, 0.9) && !earns(0.0, 0.3, 1.0));
         let even = Spread { tau: 0.0, z: 0.5, resolution: 0.03 };
-        let constant = Constancy { frames: even, blocks: even };
+        let constant = Constancy { frames: even, blocks: even, light: 0.0 };
         let of_constant = |left, much| Left { judged: left, even: 0.0, much }.earns(&found(0.0), constant);
         assert!(of_constant(0.5, false) && !of_constant(0.7, false));
         // Errors of a calibration do not reach that far.

@@ -109,8 +109,9 @@ impl Observations {
     ///
     /// The hold-outs are fixed here, before any fit, by rule and not by chance: every fourth scene, every fourth pair
     /// of flats, darks and unknown scenes, every second bead and every eighth spatial block; with fewer than four
-    /// scenes or beads, the lower half of the frame. A scene whose truth has a registration of its own is not held out:
-    /// nothing but the frame itself shows where its truth lies. The spatial blocks judge there.
+    /// scenes or beads, every second block, like the fields of one colour of a chessboard: each lens has both. A scene
+    /// whose truth has a registration of its own is not held out: nothing but the frame itself shows where its truth
+    /// lies. The spatial blocks judge there.
     ///
     /// Stacks of unknown specimens are read once, from the first frame to the last, and only frames that are used stay
     /// in memory.
@@ -143,9 +144,11 @@ impl Observations {
         }
         let (pixels, blocks) = pixels(sensor, budget);
         let single = frames.iter().filter(|f: &&Frame| matches!(f.role, Role::Scene | Role::Bead)).count() < 4;
-        let half = blocks.len() / 2;
         let held_out_blocks = (0..blocks.len())
-            .map(|b| if single { b >= half } else { (b / budget.blocks * 3 + b % budget.blocks) % 8 == 5 })
+            .map(|b| match [b / budget.blocks, b % budget.blocks] {
+                [row, col] if single => (row + col) % 2 == 1,
+                [row, col] => (3 * row + col) % 8 == 5,
+            })
             .collect();
         Ok(Self { frames, truths, registrations, pixels, blocks, held_out_blocks, sensor, recorded })
     }

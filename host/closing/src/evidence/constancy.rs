@@ -14,6 +14,7 @@
 
 use super::score::STATED_DEGREES;
 use super::stats::{f_tail, sigmas};
+use crate::data::Shown;
 use crate::fit::{Cell, Column, Design, Fitted, Model, pseudo_inverse};
 use ndarray::{Array1, Array2, Axis};
 use std::collections::BTreeMap;
@@ -31,6 +32,10 @@ const UNEVEN: f64 = 0.125;
 const EVEN: f64 = 0.1;
 /// The law of a true effect errs as the PSFs do that it moves: so many times their relative error is allowed too.
 const BY_PSFS: f64 = 2.0;
+/// Where the PSFs err, so does the light in a part of the sensor, and a weak effect seems stronger or weaker there: the
+/// relative error of the light over the share of the light that the effect changes. Half of it is allowed, since errors
+/// of several foci average.
+const BY_LIGHT: f64 = 0.5;
 /// Fewest groups that are compared.
 const LEAST_GROUPS: usize = 3;
 /// Groups in which the effect has less than this share of its largest squared norm in a group do not show it.
@@ -48,10 +53,9 @@ pub(crate) struct Spread {
 }
 
 impl Spread {
-    /// Whether the strength differs by much, and certainly. `psf_error`: relative error of the PSFs between the
-    /// positions of their calibration.
-    pub(crate) fn is_uneven(self, psf_error: f64) -> bool {
-        self.z > CERTAIN && self.tau > UNEVEN.max(BY_PSFS * psf_error)
+    /// Whether the strength differs by much, by more than is `allowed`, and certainly.
+    fn is_uneven(self, allowed: f64) -> bool {
+        self.z > CERTAIN && self.tau > UNEVEN.max(allowed)
     }
 }
 
@@ -62,6 +66,8 @@ pub(crate) struct Constancy {
     pub(crate) frames: Spread,
     /// Between spatial blocks.
     pub(crate) blocks: Spread,
+    /// Light of the known objects over what the effect changes of it, both in units of the noise; 0: none are known.
+    pub(crate) light: f64,
 }
 
 impl Constancy {
@@ -85,7 +91,10 @@ impl Constancy {
             true => Spread::default(),
             false => spread(design, &own, |c| c.block, None),
         };
-        let it = Self { frames: spread(design, &own, |c| c.frame, drift), blocks };
+        let light = light(design, &own, |c| {
+            model.seen.frames.get(c.frame).is_some_and(|f| matches!(f.shown, Shown::Object(_)))
+        });
+        let it = Self { frames: spread(design, &own, |c| c.frame, drift), blocks, light };
         tracing::info!("constancy of {}: {it:.3?}", fit.state.terms[term].id());
         it
     }
@@ -107,9 +116,11 @@ impl Constancy {
         self.frames.resolution > 0.0 || self.blocks.resolution > 0.0
     }
 
-    /// Says how the strength differs, if it does so by much ([`Spread::is_uneven`]).
+    /// Says how the strength differs, if it does so by much ([`Spread::is_uneven`]). `psf_error`: relative error of the
+    /// PSFs between the positions of their calibration.
     pub(crate) fn objection(self, psf_error: f64) -> Option<String> {
-        let (at, between) = match (self.frames.is_uneven(psf_error), self.blocks.is_uneven(psf_error)) {
+        let [frames, blocks] = [BY_PSFS, BY_PSFS.max(BY_LIGHT * self.light)].map(|times| times * psf_error);
+        let (at, between) = match (self.frames.is_uneven(frames), self.blocks.is_uneven(blocks)) {
             (false, false) => return None,
             (true, _) => (self.frames, "frames"),
             (false, true) => (self.blocks, "parts of the sensor"),
@@ -143,6 +154,24 @@ fn groups(design: &Design, own: &[(usize, f64)], key: impl Fn(&Cell) -> usize) -
     }
     let largest = all.values().map(|g| g.square).fold(0.0, f64::max);
     all.into_values().filter(|g| g.square > FAINT * largest).collect()
+}
+
+/// Norm of the light of the training cells that `shows` selects, over that of what the effect changes in them; 0: they
+/// show no light, or not the effect.
+fn light(design: &Design, own: &[(usize, f64)], shows: impl Fn(&Cell) -> bool) -> f64 {
+    let scales = design.columns.iter().enumerate().filter(|(_, c)| matches!(c, Column::Scale(_)));
+    let scales: Vec<usize> = scales.map(|(i, _)| i).collect();
+    let (mut all, mut changed) = (0.0, 0.0);
+    for cell in design.cells.iter().filter(|c| !c.held_out && shows(c)) {
+        let gram = |i: usize, j: usize| f64::from(cell.gram[[i, j]]);
+        all += scales.iter().map(|i| gram(*i, *i)).sum::<f64>();
+        changed += own
+            .iter()
+            .flat_map(|(i, u)| own.iter().map(move |(j, w)| (i, j, u * w)))
+            .map(|(i, j, uw)| uw * gram(*i, *j))
+            .sum::<f64>();
+    }
+    if changed > 0.0 { (all / changed).sqrt() } else { 0.0 }
 }
 
 /// Compares the strength of an effect between groups. With `drift`, a value for each key, a change of the strength in
@@ -293,13 +322,16 @@ mod tests {
     fn what_differs_is_said() {
         let some = |tau, z| Spread { tau, z, resolution: 0.05 };
         let none = Spread::default();
-        let of = |frames, blocks| Constancy { frames, blocks }.objection(0.03);
+        let of = |frames, blocks| Constancy { frames, blocks, light: 3.0 }.objection(0.03);
         assert_eq!([of(none, none), of(some(0.1, 30.0), none), of(none, some(0.9, 3.0))], [None, None, None]);
         assert!(of(some(0.5, 9.0), none).is_some_and(|text| text.contains("50 % between frames (9.0")));
         assert!(of(none, some(0.5, 9.0)).is_some_and(|text| text.contains("parts of the sensor")));
         // PSFs that err by a quarter leave so much of a true effect.
-        assert!(some(0.4, 9.0).is_uneven(0.1) && !some(0.4, 9.0).is_uneven(0.25));
-        let shown = |frames, blocks| Constancy { frames, blocks }.is_shown();
+        let err = |light, psf_error| Constancy { frames: none, blocks: some(0.4, 9.0), light }.objection(psf_error);
+        assert!(err(3.0, 0.1).is_some() && err(3.0, 0.25).is_none());
+        // An effect of a hundredth of the light is as uneven as light that errs by 0.9 %: by 45 %.
+        assert!(err(100.0, 0.009).is_none() && err(50.0, 0.009).is_some());
+        let shown = |frames, blocks| Constancy { frames, blocks, light: 3.0 }.is_shown();
         assert!(shown(some(0.02, 1.0), some(0.05, 9.0)) && !shown(some(0.02, 1.0), none));
         assert!(!shown(some(0.02, 5.0), none) && !shown(some(0.02, 1.0), some(0.2, 5.0)));
         let coarse = Spread { resolution: 0.5, ..some(0.0, 0.5) };

@@ -24,16 +24,26 @@ pub enum Backend {
 }
 
 impl Backend {
-    /// Checks that this program was built with the backend.
+    /// Checks that this program was built with the backend, and that this machine has it.
     ///
     /// # Errors
-    /// [`TrainError::Config`]: the program was built without it.
+    /// [`TrainError::Config`]: the program was built without it, or no graphics card is to be found.
     pub fn check(self) -> Result<(), TrainError> {
         if self == Self::Gpu && !cfg!(feature = "gpu") {
             return Err(TrainError::Config {
                 field: "device",
                 expected: "cpu, or a program built with `cargo build --release -p ommatidia --features gpu`".into(),
                 found: "gpu".into(),
+            });
+        }
+        #[cfg(feature = "gpu")]
+        if self == Self::Gpu && !has_card() {
+            return Err(TrainError::Config {
+                field: "device",
+                expected: "cpu, or a graphics card with its driver and Vulkan, Metal or DirectX (on Linux \
+                           libvulkan.so.1 and the driver's file in /usr/share/vulkan/icd.d)"
+                    .into(),
+                found: "gpu, and no graphics card".into(),
             });
         }
         Ok(())
@@ -50,4 +60,11 @@ impl Backend {
             Mode::Infer => device,
         }
     }
+}
+
+/// Whether a graphics card is to be found. Burn panics where there is none.
+#[cfg(feature = "gpu")]
+fn has_card() -> bool {
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
+    !futures_lite::future::block_on(instance.enumerate_adapters(wgpu::Backends::PRIMARY)).is_empty()
 }
