@@ -59,8 +59,9 @@ impl Expansion<'_> {
 #[derive(Default)]
 pub struct LensImages {
     of: BTreeMap<usize, Array2<f32>>,
-    /// Derivative with respect to ln of the light of the frame, which the columns of the lamp share.
-    by_light: Option<Array2<f32>>,
+    /// Derivative with respect to ln of the light of the frame, over the shape of its lamp: the columns of the lamp share
+    /// it.
+    by_lamp: Option<Array2<f32>>,
 }
 
 /// A chain of effects that differs from that of the state.
@@ -163,12 +164,13 @@ impl Model<'_> {
         if f.shown != Shown::Even {
             return None;
         }
-        if images.by_light.is_none() {
-            images.by_light = self.scale_derivative(k, f.stack, at);
+        if images.by_lamp.is_none() {
+            let mut by_lamp = self.scale_derivative(k, f.stack, at)?;
+            by_lamp /= &lamp::light(by_lamp.dim(), &at.state.lamp).mapv(|v| v.max(1e-3));
+            images.by_lamp = Some(by_lamp);
         }
-        let by_light = images.by_light.as_ref()?;
-        let lamp = lamp::light(by_light.dim(), &at.state.lamp).mapv(|v| v.max(1e-3));
-        Some(by_light / &lamp * lamp::shape(by_light.dim(), term))
+        let by_lamp = images.by_lamp.as_ref()?;
+        Some(by_lamp * lamp::shape(by_lamp.dim(), term))
     }
 
     /// Derivative with respect to level or slope (part 0 to 2) of the background of a stack, DN per electron.

@@ -74,22 +74,50 @@ impl Scope<'_> {
         ranges
     }
 
-    /// Gram matrix of the rows of `x`, [rows, pixels]; `columns` of them are columns of the design.
-    fn gram(self, x: &ArrayView2<'_, f32>, columns: usize) -> Array2<f32> {
-        let Self::Scores { given, groups } = self else { return x.dot(&x.t()) };
-        let n = x.nrows();
-        let mut gram = Array2::zeros((n, n));
-        for rows in [0..given, columns..n] {
-            let part = x.slice(s![rows.clone(), ..]).dot(&x.t());
-            gram.slice_mut(s![rows.clone(), ..]).assign(&part);
-            gram.slice_mut(s![.., rows]).assign(&part.t());
-        }
-        for group in groups {
-            let own = x.slice(s![group.clone(), ..]);
-            gram.slice_mut(s![group.clone(), group.clone()]).assign(&own.dot(&own.t()));
+    /// The rows of a design of `columns` columns in the order of their products: first those that need them with all
+    /// rows, with their number, then the groups.
+    fn order(self, columns: usize, rows: usize) -> (Vec<usize>, usize) {
+        let given = if let Self::Scores { given, .. } = self { given } else { columns };
+        ((0..given).chain(columns..rows).chain(given..columns).collect(), given + rows - columns)
+    }
+
+    /// Gram matrix of all `rows` rows of a design over some pixels. `x` holds those that are not zero, [row, pixel], as
+    /// `order` lists them; the first `most` of them have products with all.
+    fn gram(self, x: &ArrayView2<'_, f32>, (order, most): (&[usize], usize), rows: usize) -> Array2<f32> {
+        let mut gram = Array2::zeros((rows, rows));
+        let mut put = |i: usize, j: usize, v: f32| {
+            gram[[order[i], order[j]]] = v;
+            gram[[order[j], order[i]]] = v;
+        };
+        x.slice(s![..most, ..]).dot(&x.t()).indexed_iter().for_each(|((i, j), v)| put(i, j, *v));
+        if let Self::Scores { groups, .. } = self {
+            let place = |row: usize| most + order[most..].partition_point(|r| *r < row);
+            for group in groups.iter().map(|g| place(g.start)..place(g.end)) {
+                let own = squared(&x.slice(s![group.clone(), ..]));
+                own.indexed_iter().for_each(|((i, j), v)| put(group.start + i, group.start + j, *v));
+            }
         }
         gram
     }
+}
+
+/// Rows whose products are computed one by one: a product of matrices first copies them to blocks of more rows.
+const FEW: usize = 8;
+
+/// Gram matrix of a few rows, [row, pixel].
+fn squared(x: &ArrayView2<'_, f32>) -> Array2<f32> {
+    if x.nrows() > FEW {
+        return x.dot(&x.t());
+    }
+    let mut gram = Array2::zeros((x.nrows(), x.nrows()));
+    for (i, a) in x.outer_iter().enumerate() {
+        for (j, b) in x.outer_iter().enumerate().take(i + 1) {
+            let product = a.dot(&b);
+            gram[[i, j]] = product;
+            gram[[j, i]] = product;
+        }
+    }
+    gram
 }
 
 /// Sums over cells.
@@ -144,6 +172,7 @@ impl Design {
         let noise = model.forward.noise();
         let unseen = noise.variance_dn2(noise.saturation_dn).ln();
         let effects = scope.effects(&columns);
+        let (order, most) = scope.order(columns.len(), rows);
         // Pixels of the training blocks of a frame.
         let used = |k: usize| -> Vec<u32> {
             let blocks = seen.blocks.iter().enumerate().filter(|(block, _)| !seen.is_held_out(k, *block));
@@ -154,14 +183,7 @@ impl Design {
             .filter(|k| whole || !seen.frames[*k].held_out)
             .map(|k| {
                 let here = &at.predicted[k];
-                let mut x = Array2::<f32>::zeros((rows, seen.pixels.len()));
                 let weight = here.inverse_sigma.as_slice().unwrap_or(&[]);
-                let mut put = |row: usize, image: &Array2<f32>| {
-                    let Some(image) = image.as_slice() else { return };
-                    for (out, p) in x.row_mut(row).iter_mut().zip(&seen.pixels) {
-                        *out = image[*p as usize] * weight[*p as usize];
-                    }
-                };
                 let mut images = LensImages::default();
                 let mut changes: Vec<(usize, Array2<f32>)> = Vec::new();
                 for (i, column) in columns.iter().enumerate() {
@@ -173,13 +195,24 @@ impl Design {
                     false => products(&changes, &effects, weight, &used(k)),
                 };
                 model.visible(k, at.state, &mut changes.iter_mut().map(|(_, d)| d).collect::<Vec<_>>());
-                changes.iter().for_each(|(i, d)| put(*i, d));
-                for (j, change) in errors.changes.iter().enumerate() {
-                    if let Some(d) = &change[k] {
-                        put(columns.len() + j, d);
+                // What the frame does not depend on has no row.
+                let mut of_row: Vec<Option<&Array2<f32>>> = vec![None; rows];
+                changes.iter().for_each(|(i, d)| of_row[*i] = Some(d));
+                let of_errors = errors.changes.iter().map(|change| change[k].as_ref());
+                of_row[columns.len()..rows - 1].iter_mut().zip(of_errors).for_each(|(row, d)| *row = d);
+                of_row[rows - 1] = Some(&here.residual_dn);
+                let live = |part: &[usize]| part.iter().copied().filter(|i| of_row[*i].is_some()).collect::<Vec<_>>();
+                let (with_all, groups) = order.split_at(most);
+                let (mut order, groups) = (live(with_all), live(groups));
+                let most = order.len();
+                order.extend(groups);
+                let mut x = Array2::<f32>::zeros((order.len(), seen.pixels.len()));
+                for (mut row, i) in x.outer_iter_mut().zip(&order) {
+                    let Some(image) = of_row[*i].and_then(|image| image.as_slice()) else { continue };
+                    for (out, p) in row.iter_mut().zip(&seen.pixels) {
+                        *out = image[*p as usize] * weight[*p as usize];
                     }
                 }
-                put(rows - 1, &here.residual_dn);
                 if matches!(seen.frames[k].shown, Shown::Bead(..)) {
                     // The light of each bead is a nuisance parameter of its own: its column is projected out of all
                     // rows.
@@ -193,7 +226,7 @@ impl Design {
                     .enumerate()
                     .filter(|(block, _)| whole || !seen.is_held_out(k, *block))
                     .map(|(block, span)| {
-                        let gram = scope.gram(&x.slice(s![.., span.clone()]), columns.len());
+                        let gram = scope.gram(&x.slice(s![.., span.clone()]), (&order, most), rows);
                         let (mut pixels, mut log_variance) = (0.0, 0.0);
                         for w in seen.pixels[span.clone()].iter().map(|p| weight[*p as usize]) {
                             pixels += f64::from(u8::from(w > 0.0));
@@ -272,7 +305,7 @@ fn products(
                 *out = image[*p as usize] * weight[*p as usize];
             }
         }
-        x.dot(&x.t())
+        squared(&x.view())
     };
     ranges.iter().map(of).collect()
 }

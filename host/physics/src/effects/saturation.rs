@@ -35,6 +35,9 @@ static DESCRIPTOR: Descriptor = Descriptor {
     ],
 };
 
+/// Relative loss of charge that changes no number of single precision: a quarter of the distance of two of them.
+const LEAST_LOSS: f64 = f32::EPSILON as f64 / 8.0;
+
 impl Effect for Saturation {
     fn descriptor(&self) -> &'static Descriptor {
         &DESCRIPTOR
@@ -48,7 +51,9 @@ impl Effect for Saturation {
         // As (Q / full scale / W)^n - (Q / full scale)^n, which does not overflow where the charge is small.
         let (well, full) = ((1.0 - p[0]) * cx.full_scale_e, cx.full_scale_e);
         let mut lost = Array2::<f32>::zeros(if p[1] > 0.0 { charge_e.dim() } else { (0, 0) });
-        for ((r, c), v) in charge_e.indexed_iter_mut().filter(|(_, v)| **v > 0.0) {
+        // Below this, less is lost than single precision holds.
+        let least = (well * (n * LEAST_LOSS).powf(1.0 / n)) as f32;
+        for ((r, c), v) in charge_e.indexed_iter_mut().filter(|(_, v)| **v > least) {
             let q = f64::from(*v);
             let kept = (q / (1.0 + (q / well).powf(n) - (q / full).powf(n)).powf(1.0 / n)) as f32;
             if let Some(lost) = lost.get_mut((r, c)) {

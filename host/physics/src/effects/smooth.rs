@@ -1,15 +1,17 @@
 //! Blurs shared by several effects.
 
-use ndarray::{Array2, Axis, Zip, s};
+use ndarray::linalg::general_mat_mul;
+use ndarray::parallel::prelude::*;
+use ndarray::{Array2, ArrayView2, Axis, Zip, s};
 use puruspe::In;
 use std::sync::LazyLock;
 
 /// Gaussian blur of standard deviation `sigma_px`, cut off at 4 sigma; the image is dark outside.
 pub(super) fn gaussian_blur(image: &Array2<f32>, sigma_px: f64) -> Array2<f32> {
     let taps = gaussian_taps(sigma_px);
-    let across = blur_rows(image, &taps);
-    let turned = blur_rows(&across.t().as_standard_layout().into_owned(), &taps);
-    turned.t().as_standard_layout().into_owned()
+    let along_columns = blur_columns(image.view(), &taps);
+    // The transpose is a view: a product of matrices reads either order.
+    blur_columns(along_columns.t(), &taps).reversed_axes().as_standard_layout().into_owned()
 }
 
 /// One half of the symmetric kernel, centre first; the whole kernel sums to 1.
@@ -20,15 +22,23 @@ fn gaussian_taps(sigma_px: f64) -> Vec<f32> {
     raw.iter().map(|v| (v / sum) as f32).collect()
 }
 
-/// Blurs along the columns of each row.
-fn blur_rows(image: &Array2<f32>, taps: &[f32]) -> Array2<f32> {
-    let n = image.ncols();
-    let mut out = image.mapv(|v| v * taps[0]);
-    Zip::from(out.axis_iter_mut(Axis(0))).and(image.axis_iter(Axis(0))).par_for_each(|mut to, from| {
-        for (i, tap) in taps.iter().enumerate().skip(1).take_while(|(i, _)| *i < n) {
-            to.slice_mut(s![i..]).scaled_add(*tap, &from.slice(s![..n - i]));
-            to.slice_mut(s![..n - i]).scaled_add(*tap, &from.slice(s![i..]));
-        }
+/// Rows that are blurred by one product.
+const BLOCK: std::ops::RangeInclusive<usize> = 32..=256;
+
+/// Blurs along each column: a block of rows is the product of a band matrix, which is the same for all blocks, and of
+/// the rows within reach. It does up to three times the work of a sum over the taps, in a fraction of its time.
+fn blur_columns(image: ArrayView2<'_, f32>, taps: &[f32]) -> Array2<f32> {
+    let (rows, cols) = image.dim();
+    let reach = (taps.len() - 1).min(rows.saturating_sub(1));
+    let block = reach.clamp(*BLOCK.start(), *BLOCK.end());
+    let tap = |(i, j): (usize, usize)| taps.get((i + reach).abs_diff(j)).copied().unwrap_or(0.0);
+    let band = Array2::from_shape_fn((block, block + 2 * reach), tap);
+    let mut out = Array2::zeros((rows, cols));
+    out.axis_chunks_iter_mut(Axis(0), block).into_par_iter().enumerate().for_each(|(n, mut to)| {
+        let first = n * block;
+        let from = first.saturating_sub(reach)..(first + to.nrows() + reach).min(rows);
+        let part = band.slice(s![..to.nrows(), from.start + reach - first..from.end + reach - first]);
+        general_mat_mul(1.0, &part, &image.slice(s![from, ..]), 0.0, &mut to);
     });
     out
 }
@@ -170,6 +180,24 @@ mod tests {
             let square = (col * y * y - 2.0 * cov * y * x + row * x * x) / det;
             ((-0.5 * square).exp() / det.sqrt()) as f32
         })
+    }
+
+    /// The sum over the taps, pixel by pixel, for images that are smaller than a block, and larger than several.
+    #[test]
+    fn a_blur_is_the_sum_over_its_taps() {
+        for (rows, cols, sigma_px) in [(1, 9, 3.0), (23, 7, 1.5), (90, 41, 12.0), (130, 70, 2.0)] {
+            let image = Array2::from_shape_fn((rows, cols), |(r, c)| ((r * 7 + c * 3) % 11) as f32);
+            let taps = gaussian_taps(sigma_px);
+            let blurred = gaussian_blur(&image, sigma_px);
+            let tap = |d: usize| f64::from(taps.get(d).copied().unwrap_or(0.0));
+            for (r, c) in [(0, 0), (rows / 2, cols / 3), (rows - 1, cols - 1)] {
+                let sum: f64 = image
+                    .indexed_iter()
+                    .map(|((y, x), v)| f64::from(*v) * tap(y.abs_diff(r)) * tap(x.abs_diff(c)))
+                    .sum();
+                assert!((f64::from(blurred[[r, c]]) - sum).abs() < 1e-5, "{rows} {cols}: {} {sum}", blurred[[r, c]]);
+            }
+        }
     }
 
     /// The law of blurs, against Gaussians in closed form: weak and strong, along the axes and across, of a focus as

@@ -1,7 +1,7 @@
 //! How PSFs change with the wavefront, as a low-rank model of its own.
 
 use super::fit::{Design, LensPupil, Place, effective_area, fit_lens, fit_like};
-use super::kernel::{Complex, Kernel};
+use super::kernel::{Kernel, Waves};
 use super::{EVEN, MOST_MISFIT, SQUARES, TERMS};
 use crate::psf::LowRankPsf;
 use crate::psf::decompose::decompose;
@@ -65,7 +65,7 @@ pub struct PupilModel {
 #[derive(Clone, Debug)]
 struct Prepared {
     kernel: Kernel,
-    waves: [Complex; 2],
+    waves: Waves,
     displacements: [[f64; 2]; TERMS],
 }
 
@@ -216,7 +216,7 @@ impl PupilModel {
                 |a: usize| (2..TERMS).map(|k| TAU * added.coefficient[k + 1] * displacements[k][a]).sum::<f64>();
             after.terms[0] -= moved(1) / displacements[0][1];
             after.terms[1] -= moved(0) / displacements[1][0];
-            let [from, to] = [before, after].map(|pupil| kernel.psf_by(waves, &pupil));
+            let [from, to] = [before, after].map(|pupil| kernel.psf(waves, &pupil));
             // The wavefront leaves the light of a lens as it is.
             let taps =
                 [Taps::at(&psf.node_rows_px, self.nodes_px[0][i]), Taps::at(&psf.node_cols_px, self.nodes_px[1][j])];

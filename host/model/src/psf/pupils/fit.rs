@@ -1,6 +1,6 @@
 //! Fits pupils to the PSFs of a lens: Levenberg and Marquardt's least squares.
 
-use super::kernel::{Kernel, Pupil};
+use super::kernel::{Kernel, Pupil, Waves};
 use super::{EVEN, FUNCTIONS, SQUARES, TERMS, field};
 use ndarray::{Array1, Array2, s};
 use ommatidia_physics::linalg::symmetric_eigen;
@@ -170,13 +170,15 @@ pub(super) fn effective_area(window: &Array2<f64>) -> f64 {
 fn improved(kernel: &Kernel, start: LensPupil, places: &[Place], (rounds, edge): (usize, Edge)) -> Option<LensPupil> {
     let functions = start.terms.ncols();
     let unknowns = TERMS * functions + 2;
+    let side = places.first()?.window.nrows();
     let mut now = LensPupil { misfit: misfit(kernel, &start, places), ..start };
     let mut damping = 1e-2;
     for _ in 0..rounds {
         let mut normal = Array2::<f64>::zeros((unknowns, unknowns));
         let mut right = Array1::<f64>::zeros(unknowns);
+        let waves = kernel.waves(side, now.radius);
         for place in places {
-            let (mut rows, off) = slopes_at(kernel, &now, place, unknowns);
+            let (mut rows, off) = slopes_at((kernel, &waves), &now, place, unknowns);
             if edge == Edge::OfDesign {
                 rows.row_mut(TERMS * functions).fill(0.0);
             }
@@ -205,8 +207,13 @@ fn improved(kernel: &Kernel, start: LensPupil, places: &[Place], (rounds, edge):
 }
 
 /// Derivatives of the PSF at a place by all unknowns, [unknown, pixel], and what it lacks, [pixel]; the light is free.
-fn slopes_at(kernel: &Kernel, lens: &LensPupil, place: &Place, unknowns: usize) -> (Array2<f64>, Array1<f64>) {
-    let (psf, slopes) = kernel.psf_and_slopes(&lens.at(place.at), place.window.nrows());
+fn slopes_at(
+    (kernel, waves): (&Kernel, &Waves),
+    lens: &LensPupil,
+    place: &Place,
+    unknowns: usize,
+) -> (Array2<f64>, Array1<f64>) {
+    let (psf, slopes) = kernel.psf_and_slopes(waves, &lens.at(place.at));
     let flat = |a: &Array2<f64>| Array1::from_iter(a.iter().copied());
     let (model, wanted) = (flat(&psf), flat(&place.window));
     let square = model.dot(&model).max(f64::MIN_POSITIVE);
@@ -254,8 +261,9 @@ fn moved(from: &LensPupil, step: &Array1<f64>) -> Option<LensPupil> {
 
 /// Relative error of the PSFs (root mean square over the places), the light of each place free.
 fn misfit(kernel: &Kernel, lens: &LensPupil, places: &[Place]) -> f64 {
+    let waves = kernel.waves(places.first().map_or(0, |p| p.window.nrows()), lens.radius);
     let of = |place: &Place| {
-        let model = kernel.psf(&lens.at(place.at), place.window.nrows());
+        let model = kernel.psf(&waves, &lens.at(place.at));
         let (square, product) = (model.mapv(|v| v * v).sum(), (&model * &place.window).sum());
         place.window.mapv(|v| v * v).sum() - product * product / square.max(f64::MIN_POSITIVE)
     };

@@ -1,7 +1,7 @@
 //! PSFs of a round pupil on pixels, with their derivatives.
 
 use super::TERMS;
-use ndarray::{Array2, Zip};
+use ndarray::{Array2, Axis, Zip};
 use ommatidia_physics::optics::zernike;
 
 /// Distance of the two Gauss points from the centre of a pixel, px: they integrate cubics over the pixel exactly.
@@ -44,7 +44,7 @@ impl Kernel {
     /// Samples for PSFs in windows of `side` pixels and cut-off frequencies up to `radius`, cycles/px.
     pub(super) fn new(side: usize, radius: f64) -> Self {
         // Samples at distance d in the pupil repeat the field after 1 / d: 1.5 windows.
-        let n = ((3.0 * radius * side as f64).ceil() as usize).clamp(20, 96);
+        let n = ((3.0 * radius * side as f64).ceil() as usize).clamp(20, 96).next_multiple_of(2);
         let rho: Vec<f64> = (0..n).map(|i| (2 * i + 1) as f64 / n as f64 - 1.0).collect();
         let polar = |(i, j): (usize, usize)| (rho[i].hypot(rho[j]), rho[i].atan2(rho[j]));
         let of = |value: &dyn Fn(f64, f64) -> f64| {
@@ -61,22 +61,16 @@ impl Kernel {
         }
     }
 
-    /// The PSF in a window of `side` pixels about the centre, not normalised.
-    pub(super) fn psf(&self, pupil: &Pupil, side: usize) -> Array2<f64> {
-        self.psf_by(&self.waves(side, pupil.radius), pupil)
-    }
-
-    /// The PSF of a pupil whose [`Self::waves`] are known.
-    pub(super) fn psf_by(&self, waves: &[Complex; 2], pupil: &Pupil) -> Array2<f64> {
+    /// The PSF of a pupil in the window of [`Self::waves`], which are those of its radius; not normalised.
+    pub(super) fn psf(&self, waves: &Waves, pupil: &Pupil) -> Array2<f64> {
         let light = transform(waves, &self.amplitude(pupil));
         binned(&(&light.re * &light.re + &light.im * &light.im))
     }
 
     /// The PSF and its derivatives by the ten terms, the apodisation, and the logarithm of the radius.
-    pub(super) fn psf_and_slopes(&self, pupil: &Pupil, side: usize) -> (Array2<f64>, Vec<Array2<f64>>) {
-        let waves = self.waves(side, pupil.radius);
+    pub(super) fn psf_and_slopes(&self, waves: &Waves, pupil: &Pupil) -> (Array2<f64>, Vec<Array2<f64>>) {
         let amplitude = self.amplitude(pupil);
-        let light = transform(&waves, &amplitude);
+        let light = transform(waves, &amplitude);
         let slope = |by: &Complex| {
             let mut product = &light.re * &by.re;
             Zip::from(&mut product).and(&light.im).and(&by.im).for_each(|p, a, b| *p += a * b);
@@ -87,19 +81,18 @@ impl Kernel {
         for term in &self.terms {
             // The derivative of exp(i c Z) is i Z times it.
             let turned = Complex { re: -(&amplitude.im * term), im: &amplitude.re * term };
-            let by = slope(&transform(&waves, &turned));
+            let by = slope(&transform(waves, &turned));
             if moved.len() < 2 {
                 moved.push(by.clone());
             }
             slopes.push(binned(&by));
         }
         let less = Complex { re: -(&amplitude.re * &self.square), im: -(&amplitude.im * &self.square) };
-        slopes.push(binned(&slope(&transform(&waves, &less))));
+        slopes.push(binned(&slope(&transform(waves, &less))));
         // Z_2 = 2 rho_x moves the PSF by -1 / (pi R) px a rad along the columns, Z_3 along the rows; a wider pupil is
         // as a window seen from farther away.
-        let at = samples(side);
-        let n = at.len();
-        let wider = Array2::from_shape_fn((n, n), |(r, c)| {
+        let at = &waves.at;
+        let wider = Array2::from_shape_fn((at.len(), at.len()), |(r, c)| {
             std::f64::consts::PI * pupil.radius * (at[c] * moved[0][[r, c]] + at[r] * moved[1][[r, c]])
         });
         slopes.push(binned(&wider));
@@ -129,22 +122,39 @@ impl Kernel {
         for (term, c) in self.terms.iter().zip(pupil.terms).filter(|(_, c)| *c != 0.0) {
             phase.scaled_add(c, term);
         }
-        let size = Zip::from(&self.inside).and(&self.square).map_collect(|w, s| w * (-pupil.apodisation * s).exp());
-        Complex { re: &size * &phase.mapv(f64::cos), im: &size * &phase.mapv(f64::sin) }
+        let mut size = self.inside.clone();
+        if pupil.apodisation != 0.0 {
+            size.zip_mut_with(&self.square, |w, s| *w *= (-pupil.apodisation * s).exp());
+        }
+        let (mut re, mut im) = (size.clone(), size);
+        Zip::from(&mut re).and(&mut im).and(&phase).for_each(|re, im, phase| {
+            let (sin, cos) = if *re == 0.0 { (0.0, 0.0) } else { phase.sin_cos() };
+            *re *= cos;
+            *im *= sin;
+        });
+        Complex { re, im }
     }
 
-    /// `exp(2 pi i radius rho x)` for the samples x of a window, [sample, rho], and its transpose.
-    pub(super) fn waves(&self, side: usize, radius: f64) -> [Complex; 2] {
+    /// What a pupil of a radius, cycles/px, needs for PSFs in windows of `side` pixels.
+    pub(super) fn waves(&self, side: usize, radius: f64) -> Waves {
         let at = samples(side);
-        let of = |value: fn(f64) -> f64| {
-            Array2::from_shape_fn((at.len(), self.rho.len()), |(i, j)| {
-                value(std::f64::consts::TAU * radius * self.rho[j] * at[i])
-            })
-        };
-        let waves = Complex { re: of(f64::cos), im: of(f64::sin) };
-        let turned = Complex { re: waves.re.t().to_owned(), im: waves.im.t().to_owned() };
-        [waves, turned]
+        let (x, rho) = (&at[at.len() / 2..], &self.rho[self.rho.len() / 2..]);
+        let phase = Array2::from_shape_fn((x.len(), rho.len()), |(i, j)| std::f64::consts::TAU * radius * rho[j] * x[i]);
+        let [cos, sin] = [f64::cos, f64::sin].map(|f| phase.mapv(f));
+        Waves { turned: [cos.t().to_owned(), sin.t().to_owned()], along: [cos, sin], at }
     }
+}
+
+/// Plane waves on the samples of a window.
+#[derive(Clone, Debug)]
+pub(super) struct Waves {
+    /// Cosine and sine of `2 pi radius rho x` for x > 0 and rho > 0, [x, rho]. Samples of pupil and window are
+    /// symmetric about zero.
+    along: [Array2<f64>; 2],
+    /// Their transposes.
+    turned: [Array2<f64>; 2],
+    /// All samples x along one axis, px from the centre.
+    at: Vec<f64>,
 }
 
 /// Where a window is sampled along one axis: two points a pixel, px from its centre.
@@ -153,13 +163,39 @@ fn samples(side: usize) -> Vec<f64> {
     (0..side).flat_map(|i| [i as f64 - middle - GAUSS_PX, i as f64 - middle + GAUSS_PX]).collect()
 }
 
-/// The field of an amplitude in the pupil at the samples of a window.
-fn transform([waves, turned]: &[Complex; 2], amplitude: &Complex) -> Complex {
-    let product = |a: &Complex, b: &Complex| Complex {
-        re: a.re.dot(&b.re) - a.im.dot(&b.im),
-        im: a.re.dot(&b.im) + a.im.dot(&b.re),
+/// The field of an amplitude in the pupil at the samples of a window:
+/// `sum_rho exp(2 pi i radius rho . x) P(rho)`.
+fn transform(waves: &Waves, amplitude: &Complex) -> Complex {
+    let columns = halved(amplitude, Axis(0), |side, wave| waves.along[wave].dot(side));
+    halved(&columns, Axis(1), |side, wave| side.dot(&waves.turned[wave]))
+}
+
+/// The transform along one axis. `product` of half of the samples with the cosines (0) or the sines (1) gives half of
+/// the values: those of the sum of the samples at rho and -rho, and of their difference, hold all of them, since
+/// `exp(i t) a + exp(-i t) b = cos(t) (a + b) + i sin(t) (a - b)`. It takes a quarter of the multiplications.
+fn halved(of: &Complex, axis: Axis, product: impl Fn(&Array2<f64>, usize) -> Array2<f64>) -> Complex {
+    let folded = |a: &Array2<f64>| {
+        let (low, high) = a.view().split_at(axis, a.len_of(axis) / 2);
+        let mut low = low;
+        low.invert_axis(axis);
+        (product(&(&high + &low), 0), product(&(&high - &low), 1))
     };
-    product(&product(waves, amplitude), turned)
+    let ((re_even, re_odd), (im_even, im_odd)) = (folded(&of.re), folded(&of.im));
+    // i (re + i im) = -im + i re.
+    let unfolded = |even: &Array2<f64>, odd: &Array2<f64>, sign: f64| {
+        let half = even.len_of(axis);
+        let mut size = even.raw_dim();
+        size[axis.index()] = 2 * half;
+        let mut out = Array2::zeros(size);
+        let (mut low, mut high) = out.view_mut().split_at(axis, half);
+        low.invert_axis(axis);
+        Zip::from(&mut low).and(&mut high).and(even).and(odd).for_each(|low, high, even, odd| {
+            *low = even - sign * odd;
+            *high = even + sign * odd;
+        });
+        out
+    };
+    Complex { re: unfolded(&re_even, &im_odd, -1.0), im: unfolded(&im_even, &re_odd, 1.0) }
 }
 
 /// Means over the two by two samples of each pixel.
@@ -184,6 +220,25 @@ mod tests {
         Pupil { terms, apodisation: 0.0, radius: 0.22 }
     }
 
+    #[test]
+    fn the_transform_is_the_sum_over_the_pupil() {
+        let (kernel, side, radius) = (Kernel::new(7, 0.3), 7, 0.22);
+        let amplitude = kernel.amplitude(&pupil());
+        let (waves, at) = (kernel.waves(side, radius), samples(side));
+        let light = transform(&waves, &amplitude);
+        for (r, c) in [(0, 0), (3, 9), (7, 6), (13, 2)] {
+            let mut sum = [0.0; 2];
+            for ((i, j), re) in amplitude.re.indexed_iter() {
+                let phase = std::f64::consts::TAU * radius * (kernel.rho[i] * at[r] + kernel.rho[j] * at[c]);
+                let im = amplitude.im[[i, j]];
+                sum[0] += re * phase.cos() - im * phase.sin();
+                sum[1] += re * phase.sin() + im * phase.cos();
+            }
+            let off = (light.re[[r, c]] - sum[0]).hypot(light.im[[r, c]] - sum[1]);
+            assert!(off < 1e-10, "{r} {c}: {off}");
+        }
+    }
+
     /// The pupils of the bench are other code: transforms on a fine grid.
     #[test]
     fn equals_the_pupil_of_the_bench() {
@@ -206,7 +261,7 @@ mod tests {
         let (mut scratch, mut psf) = (bench.scratch(), Psf::default());
         // The bench's pupils hold the centroid of the focus, where tilt and coma move it.
         let kernel = Kernel::new(SIDE, 0.3);
-        let own = kernel.psf(&of, SIDE);
+        let own = kernel.psf(&kernel.waves(SIDE, of.radius), &of);
         let by_rad = kernel.displacements(of.apodisation, of.radius);
         let centroid = [0, 1].map(|a| of.terms.iter().zip(by_rad).map(|(c, d)| c * d[a]).sum());
         bench.psf(&wavefront, centroid, &mut scratch, &mut psf);
@@ -238,8 +293,9 @@ mod tests {
     fn slopes_are_those_of_differences() {
         let kernel = Kernel::new(SIDE, 0.3);
         let of = Pupil { apodisation: 0.3, ..pupil() };
-        let (psf, slopes) = kernel.psf_and_slopes(&of, SIDE);
-        assert!((&psf - &kernel.psf(&of, SIDE)).iter().all(|v| v.abs() < 1e-9));
+        let psf_of = |p: &Pupil| kernel.psf(&kernel.waves(SIDE, p.radius), p);
+        let (psf, slopes) = kernel.psf_and_slopes(&kernel.waves(SIDE, of.radius), &of);
+        assert!((&psf - &psf_of(&of)).iter().all(|v| v.abs() < 1e-9));
         for (k, slope) in slopes.iter().enumerate() {
             let by = |d: f64| {
                 let mut p = of;
@@ -248,7 +304,7 @@ mod tests {
                     TERMS => p.apodisation += d,
                     _ => p.radius *= d.exp(),
                 }
-                kernel.psf(&p, SIDE)
+                psf_of(&p)
             };
             let difference = (by(1e-4) - by(-1e-4)) / 2e-4;
             let size = difference.mapv(|v| v * v).sum().sqrt();
