@@ -16,8 +16,9 @@
 //! # }
 //! ```
 
+use faer::linalg::matmul::matmul;
 use faer::linalg::solvers::{Llt, Solve};
-use faer::{Mat, MatMut, MatRef, Side};
+use faer::{Accum, Mat, MatMut, MatRef, Par, Side};
 use ndarray::{Array1, Array2};
 use thiserror::Error;
 
@@ -111,6 +112,28 @@ impl Cholesky32 {
     pub fn solve(&self, b: &mut [f32], k: usize) {
         self.factor.solve_in_place(MatMut::from_column_major_slice_mut(b, self.rows, k));
     }
+}
+
+/// `out += a b'` for rows of k values: `a` is [m, k], `b` is [n, k], `out` is [m, n], each row by row. On one thread.
+///
+/// ```
+/// let mut out = [1.0, 0.0];
+/// ommatidia_physics::linalg::add_products(&mut out, &[1.0, 2.0], &[3.0, 4.0, 5.0, 6.0], 2);
+/// assert_eq!(out, [12.0, 17.0]);
+/// ```
+///
+/// # Panics
+/// The numbers of values do not belong to one k.
+pub fn add_products(out: &mut [f32], a: &[f32], b: &[f32], k: usize) {
+    let [m, n] = [a, b].map(|rows| rows.len() / k);
+    matmul(
+        MatMut::from_row_major_slice_mut(out, m, n),
+        Accum::Add,
+        MatRef::from_row_major_slice(a, m, k),
+        MatRef::from_column_major_slice(b, k, n),
+        1.0,
+        Par::Seq,
+    );
 }
 
 #[cfg(test)]

@@ -13,6 +13,7 @@ use crate::fit::{
 };
 use ommatidia_model::forward::ForwardError;
 use ommatidia_physics::effects::Stage;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Family-wise error rate: probability that an effect is significant although the model is complete (Holm).
@@ -273,8 +274,8 @@ impl<'m, 'a> Search<'m, 'a> {
 
     /// Estimates the specimens again, if there are any, under each of the fits that explain about as much as the best.
     /// Before, the specimens are those of a state without the effect, and what that leaves of them favours effects with
-    /// many parameters.
-    fn estimate_again(&self, fits: &mut [(&'static str, Fitted)]) -> Result<(), ForwardError> {
+    /// many parameters. Returns how far the deviance fell, for each of them.
+    fn estimate_again(&self, fits: &mut [(&'static str, Fitted)]) -> Result<BTreeMap<&'static str, f64>, ForwardError> {
         let now = &self.now;
         let has_old = |fit: &Fitted| match (&fit.state.specimens, &now.state.specimens) {
             (Some(own), Some(old)) => Arc::ptr_eq(own, old),
@@ -282,23 +283,31 @@ impl<'m, 'a> Search<'m, 'a> {
         };
         let fall = |fit: &Fitted| now.training.deviance - fit.training.deviance;
         let most = fits.iter().map(|(_, fit)| fall(fit)).fold(0.0, f64::max);
+        let mut falls = BTreeMap::new();
         for (id, fit) in fits.iter_mut().filter(|(_, fit)| has_old(fit) && fall(fit) > CLOSE * most) {
+            let before = fit.training.deviance;
             *fit = self.with_new_specimens(id, fit)?;
+            falls.insert(*id, before - fit.training.deviance);
         }
-        Ok(())
+        Ok(falls)
     }
 
-    /// Estimates the specimens of a fit again, if there are any, until it settles.
-    fn settle(&self, id: &str, fit: &mut Fitted) -> Result<(), ForwardError> {
+    /// Estimates the specimens of a fit again, if there are any, until it settles. Each time the deviance falls by
+    /// about the same share of its fall the time before (`last`): it has settled where all that is still to come is
+    /// little.
+    fn settle(&self, id: &str, fit: &mut Fitted, mut last: Option<f64>) -> Result<(), ForwardError> {
         for _ in 1..ROUNDS {
             if fit.state.specimens.is_none() {
                 break;
             }
             let before = fit.training.deviance;
             *fit = self.with_new_specimens(id, fit)?;
-            if before - fit.training.deviance < SETTLED {
+            let fall = before - fit.training.deviance;
+            let to_come = last.filter(|last| *last > fall).map_or(fall, |last| fall * fall / (last - fall));
+            if fall < SETTLED || to_come < SETTLED {
                 break;
             }
+            last = Some(fall);
         }
         Ok(())
     }
@@ -332,7 +341,7 @@ impl<'m, 'a> Search<'m, 'a> {
             tracing::info!("  fitted {:?}: deviance {:.1}", fit.state.terms.last(), fit.training.deviance);
             fits.push((c.term.id(), fit));
         }
-        self.estimate_again(fits)?;
+        let falls = self.estimate_again(fits)?;
         // The scatter between clusters and the errors of the calibration weight the full fits as they do the scores,
         // with one weight for all: an effect with many parameters must not win by fitting errors of the calibration.
         // What the best of the fits removes was scatter of the effect itself, which is no such error.
@@ -380,7 +389,8 @@ impl<'m, 'a> Search<'m, 'a> {
         let Some((worth, candidate, at)) = best.and_then(|(worth, c)| Some((worth, c, place(c)?))) else {
             return Ok(Verdict::Refused(finalists.first().map_or("", |c| c.term.id())));
         };
-        self.settle(candidate.term.id(), &mut fits[at].1)?;
+        let id = candidate.term.id();
+        self.settle(id, &mut fits[at].1, falls.get(id).copied())?;
         let gain = self.now.held_out.deviance - fits[at].1.held_out.deviance;
         if worth <= 0.0 || gain <= 0.0 {
             return Ok(Verdict::Refused(candidate.term.id()));

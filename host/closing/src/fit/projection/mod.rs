@@ -4,6 +4,7 @@
 //! with the estimated specimens (`held`). `docs/closing.md` has the equations.
 
 mod held;
+mod normal;
 mod projector;
 mod views;
 

@@ -9,6 +9,7 @@
 //! explain. One W serves all frames, so that one factor does: the specimen is taken out for any W; another W than the
 //! inverse variance of a frame costs a little of the evidence only.
 
+use super::normal::normal;
 use super::views::{LANES, Views};
 use ndarray::Array2;
 use ommatidia_physics::linalg::{Cholesky32, NotPositive};
@@ -32,7 +33,7 @@ impl Projector {
     /// The optics hold non-finite values, or no light.
     pub(crate) fn of(views: Views, weight: Vec<f32>) -> Result<Self, NotPositive> {
         let n = views.unknowns();
-        let mut normal = views.normal(&weight);
+        let mut normal = normal(&views, &weight);
         let trace: f64 = (0..n).map(|i| f64::from(normal[i * (n + 1)])).sum();
         let lambda = (LAMBDA * (trace / n as f64) as f32).max(f32::MIN_POSITIVE);
         (0..n).for_each(|i| normal[i * (n + 1)] += lambda);

@@ -12,12 +12,6 @@ use rayon::prelude::*;
 pub(crate) const LANES: usize = 16;
 /// The rows of windows are filled up to a multiple of so many values.
 const VECTOR: usize = 8;
-/// Number of rows of the normal matrix that are computed together.
-const BLOCK: usize = 8;
-/// Most values of a vector of the processor.
-const WIDEST: usize = 16;
-/// Number of windows that are multiplied with another one at the same time: each value of that is loaded once for all.
-const AT_ONCE: usize = 4;
 
 /// The light of unit sources at all object pixels behind all lenses, electrons at the exposure of the calibration.
 pub(crate) struct Views {
@@ -73,7 +67,7 @@ impl Views {
     }
 
     /// Number of values in which a row of a window is stored.
-    fn width(&self) -> usize {
+    pub(super) fn width(&self) -> usize {
         self.side.next_multiple_of(VECTOR)
     }
 
@@ -82,9 +76,19 @@ impl Views {
         [self.sensor[0] + 2 * self.side, self.sensor[1] + 2 * self.width()]
     }
 
+    /// Number of lenses.
+    pub(super) fn lenses(&self) -> usize {
+        self.corners.len()
+    }
+
+    /// Rows and columns of a window.
+    pub(super) fn side(&self) -> usize {
+        self.side
+    }
+
     /// The sensor pixel at which the window of object pixel `x` begins.
     #[inline(always)]
-    fn corner(&self, lens: usize, x: usize) -> [isize; 2] {
+    pub(super) fn corner(&self, lens: usize, x: usize) -> [isize; 2] {
         let [row, col] = self.corners[lens];
         [row + (x / self.object[1]) as isize, col + (x % self.object[1]) as isize]
     }
@@ -99,9 +103,9 @@ impl Views {
         on.then(|| (row + above) as usize * self.bordered()[1] + (col + before) as usize)
     }
 
-    /// The window of an object pixel.
+    /// The window of an object pixel, [side, width].
     #[inline(always)]
-    fn window(&self, lens: usize, x: usize) -> &[f32] {
+    pub(super) fn window(&self, lens: usize, x: usize) -> &[f32] {
         let area = self.side * self.width();
         &self.windows[lens][x * area..(x + 1) * area]
     }
@@ -146,33 +150,6 @@ impl Views {
         out.par_chunks_mut(band).enumerate().for_each(|(b, out)| {
             Arch::new().dispatch(Collect { views: self, first: b * band, frames: &frames, out });
         });
-        out
-    }
-
-    /// A' W A for weights of the sensor pixels: the upper triangle, row by row, [object pixels, object pixels].
-    pub(crate) fn normal(&self, weight: &[f32]) -> Vec<f32> {
-        let n = self.unknowns();
-        let weight = self.with_border(weight, 0.0);
-        let mut out = vec![0.0f32; n * n];
-        let area = self.side * 3 * self.width();
-        // Blocks of successive object pixels of one row.
-        let blocks = (0..self.object[0]).flat_map(|_| (0..self.object[1]).step_by(BLOCK));
-        let mut rest = &mut out[..];
-        let mut parts = Vec::new();
-        let mut first = 0;
-        for col in blocks {
-            let count = BLOCK.min(self.object[1] - col);
-            let (own, after) = rest.split_at_mut(count * n);
-            parts.push((first, own));
-            (rest, first) = (after, first + count);
-        }
-        parts.into_par_iter().for_each_init(
-            // Whole vectors may reach beyond the last row.
-            || (vec![0.0; BLOCK * area + WIDEST], vec![0.0; self.side * (self.width() + WIDEST)]),
-            |(own, theirs), (first, out)| {
-                Arch::new().dispatch(Meet { views: self, weight: &weight, first, own, theirs, out });
-            },
-        );
         out
     }
 }
@@ -236,112 +213,6 @@ impl<const L: usize> WithSimd for Collect<'_, L> {
     }
 }
 
-/// Rows of A' W A from their diagonal elements on: the products of the windows of some successive object pixels of one
-/// row with those of all others. The pixels share what they read: a window that is in the cache meets all of them.
-struct Meet<'a> {
-    views: &'a Views,
-    /// With its border.
-    weight: &'a [f32],
-    /// The first of the object pixels.
-    first: usize,
-    /// For each of them a weighted window with a window of zeros on its left and on its right, [side, 3 width].
-    own: &'a mut [f32],
-    /// Room for a window whose rows are filled up with zeros to whole vectors of the processor.
-    theirs: &'a mut [f32],
-    /// [pixels, object pixels].
-    out: &'a mut [f32],
-}
-
-impl WithSimd for Meet<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(mut self, simd: S) {
-        for lens in 0..self.views.corners.len() {
-            self.weigh(lens);
-            for other in 0..self.views.corners.len() {
-                self.meet(simd, lens, other);
-            }
-        }
-    }
-}
-
-impl Meet<'_> {
-    /// Number of the pixels.
-    #[inline(always)]
-    fn count(&self) -> usize {
-        self.out.len() / self.views.unknowns()
-    }
-
-    /// Weights the windows of the pixels behind a lens.
-    #[inline(always)]
-    fn weigh(&mut self, lens: usize) {
-        let (views, width, cols) = (self.views, self.views.width(), self.views.bordered()[1]);
-        for b in 0..self.count() {
-            let own = &mut self.own[b * 3 * width * views.side..][..3 * width * views.side];
-            let Some(at) = views.place(lens, self.first + b) else {
-                own.fill(0.0);
-                continue;
-            };
-            for (i, values) in views.window(lens, self.first + b).chunks_exact(width).enumerate() {
-                let weight = &self.weight[at + i * cols..][..width];
-                let own = &mut own[(3 * i + 1) * width..][..width];
-                for j in 0..width {
-                    own[j] = values[j] * weight[j];
-                }
-            }
-        }
-    }
-
-    /// Adds the products of the weighted windows behind `lens` with the windows of all object pixels behind `other`.
-    #[inline(always)]
-    fn meet<S: Simd>(&mut self, simd: S, lens: usize, other: usize) {
-        let (views, width, n) = (self.views, self.views.width(), self.views.unknowns());
-        let (side, object_cols) = (views.side as isize, views.object[1] as isize);
-        let (from, [top, left]) = (views.corner(lens, self.first), views.corners[other]);
-        let count = self.count() as isize;
-        let padded = width.next_multiple_of(S::F32_LANES);
-        // The object pixels whose windows overlap with one of these.
-        let [above, below] = [from[0] - top - side + 1, from[0] - top + side];
-        let [before, after] = [from[1] - left - side + 1, from[1] - left + side + count - 1];
-        for r in above.max(self.first as isize / object_cols)..below.min(views.object[0] as isize) {
-            let down = top + r - from[0];
-            // The rows that both windows have: of the other, and of these.
-            let (skipped, height) = ((-down).max(0) as usize, (side - down.abs()) as usize);
-            let begin = down.max(0) as usize * 3 * width;
-            for c in before.max(0)..after.min(object_cols) {
-                let x = (r * object_cols + c) as usize;
-                let window = &views.window(other, x)[skipped * width..][..height * width];
-                for (to, from) in self.theirs.chunks_exact_mut(padded).zip(window.chunks_exact(width)) {
-                    to[..width].copy_from_slice(from);
-                }
-                let theirs = &self.theirs[..height * padded];
-                let right = left + c - from[1];
-                // Of the pixels: those that come before the other one in the triangle and overlap with it.
-                let last = (right + side).min(count).min(x as isize - self.first as isize + 1).max(0) as usize;
-                let mine = |b: usize| {
-                    let own = b * 3 * width * views.side + begin;
-                    &self.own[own + (width as isize + right - b as isize) as usize..]
-                };
-                let mut b = (right - side + 1).max(0) as usize;
-                while b < last {
-                    if b + AT_ONCE <= last {
-                        let four: [&[f32]; AT_ONCE] = std::array::from_fn(|i| mine(b + i));
-                        for (i, sum) in products(simd, four, 3 * width, theirs, padded).into_iter().enumerate() {
-                            self.out[(b + i) * n + x] += sum;
-                        }
-                        b += AT_ONCE;
-                    } else {
-                        let [sum] = products(simd, [mine(b)], 3 * width, theirs, padded);
-                        self.out[b * n + x] += sum;
-                        b += 1;
-                    }
-                }
-            }
-        }
-    }
-}
-
 /// `sum += h x` for L values.
 #[inline(always)]
 fn add<S: Simd, const L: usize>(simd: S, sum: &mut [f32; L], h: f32, x: &[f32; L]) {
@@ -355,24 +226,3 @@ fn add<S: Simd, const L: usize>(simd: S, sum: &mut [f32; L], h: f32, x: &[f32; L
     }
 }
 
-/// Sums of the products of N images with another: rows of `mine` are `stride` values apart, those of `theirs` have
-/// `padded` values, whole vectors. Where `mine` holds no window, `theirs` holds zeros.
-#[inline(always)]
-fn products<S: Simd, const N: usize>(
-    simd: S,
-    mine: [&[f32]; N],
-    stride: usize,
-    theirs: &[f32],
-    padded: usize,
-) -> [f32; N] {
-    let mut sums = [simd.splat_f32s(0.0); N];
-    for (i, theirs) in theirs.chunks_exact(padded).enumerate() {
-        let rows = mine.map(|m| S::as_simd_f32s(&m[i * stride..][..padded]).0);
-        for (v, theirs) in S::as_simd_f32s(theirs).0.iter().enumerate() {
-            for (sum, row) in sums.iter_mut().zip(rows) {
-                *sum = simd.mul_add_f32s(row[v], *theirs, *sum);
-            }
-        }
-    }
-    sums.map(|sum| simd.reduce_sum_f32s(sum))
-}
