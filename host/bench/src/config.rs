@@ -373,7 +373,11 @@ impl BenchConfig {
                 bit_depth: sensor.bit_depth,
             },
             array: ArrayGeometry { rows: array.rows, cols: array.cols, pitch_px: array.pitch_px },
-            optics: Optics { magnification: optics.magnification, psf_window_px: optics.psf_window_px },
+            optics: Optics {
+                magnification: optics.magnification,
+                psf_window_px: optics.psf_window_px,
+                wavelength_um: Some(optics.wavelength_um),
+            },
             object: ObjectGrid { rows: object.rows, cols: object.cols, pixel_um: object.pixel_um },
             stacks: Vec::new(),
         }

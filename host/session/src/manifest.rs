@@ -74,6 +74,9 @@ pub struct Optics {
     pub magnification: f64,
     /// Side of the square window that holds one focus, sensor pixels; odd.
     pub psf_window_px: usize,
+    /// Mean wavelength of the light, um. `None`: not stated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub wavelength_um: Option<f64>,
 }
 
 /// The pixel grid of objects, truths and reconstructions.

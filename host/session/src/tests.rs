@@ -13,7 +13,7 @@ fn manifest() -> Manifest {
         name: "test".into(),
         sensor: SensorSpec { rows: 4, cols: 5, pixel_pitch_um: 2.0, bit_depth: 12 },
         array: ArrayGeometry { rows: 1, cols: 1, pitch_px: 0.0 },
-        optics: Optics { magnification: 0.5, psf_window_px: 3 },
+        optics: Optics { magnification: 0.5, psf_window_px: 3, wavelength_um: None },
         object: ObjectGrid { rows: 3, cols: 2, pixel_um: 4.0 },
         stacks: Vec::new(),
     }
@@ -244,6 +244,8 @@ fn each_damage_to_a_session_has_its_error() {
     mentions(&toml("pixel_um = 4.0", "pixel_um = 5.0"), &["object.pixel_um", "4.0000"]);
     mentions(&toml("exposure_ms = 10.0", "exposure_ms = -1.0"), &["exposure_ms", "-1"]);
     mentions(&toml("psf_window_px = 3", "psf_window_px = 4"), &["psf_window_px", "odd"]);
+    let nm = "psf_window_px = 3\nwavelength_um = 525";
+    mentions(&toml("psf_window_px = 3", nm), &["optics.wavelength_um", "0.2 to 2 um", "525"]);
     mentions(&toml("table = \"bead.csv\"", ""), &["table of bead stack", "x_um"]);
     let truth = |lines: &'static str| toml("truth = \"truth.npy\"", lines);
     mentions(&truth("truth = \"truth.npy\"\ntruth_registration_px = -0.1"), &["truth_registration_px", "-0.1"]);

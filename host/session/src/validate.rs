@@ -4,6 +4,8 @@ use super::error::SessionError;
 use super::manifest::{Manifest, Role, StackEntry};
 use std::path::Path;
 
+/// Wavelengths that a session may state, um: from the ultraviolet to the near infrared.
+const LIGHT_UM: std::ops::RangeInclusive<f64> = 0.2..=2.0;
 /// Version of the session format that this program reads and writes.
 const FORMAT: u32 = 1;
 
@@ -65,6 +67,10 @@ impl Manifest {
             if !(v.is_finite() && v > 0.0) {
                 return Err(SessionError::value(path, field, "a number above zero", v, fix));
             }
+        }
+        if let Some(v) = optics.wavelength_um.filter(|v| !LIGHT_UM.contains(v)) {
+            let expected = format!("a wavelength of {} to {} um", LIGHT_UM.start(), LIGHT_UM.end());
+            return Err(SessionError::value(path, "optics.wavelength_um", expected, v, fix));
         }
         let least = if array.lenses() > 1 { f64::MIN_POSITIVE } else { 0.0 };
         if !(array.pitch_px.is_finite() && array.pitch_px >= least) {

@@ -66,6 +66,10 @@ pub(crate) fn effects(model: &Model<'_>, findings: Findings<'_>, faults: &[Fault
             })
             .collect();
         by_law(&mut params, term, model.lenses(), left.of(f));
+        if BY_DEPTH.contains(&f.id) {
+            let error = model.forward.depth_error();
+            params.iter_mut().filter(|v| v.sigma > 0.0).for_each(|v| v.sigma = v.sigma.hypot(error * v.value));
+        }
         let separate_by = f.ambiguity.first().map(|other| separate(f.id, other.id));
         effects.push(Effect {
             description: describe(term, &params),

@@ -2,6 +2,7 @@
 
 use super::result::Effect;
 use ommatidia_model::instrument::Instrument;
+use ommatidia_model::psf::pupils::WAVELENGTH_UM;
 
 /// Effects that act by depth.
 pub(super) const BY_DEPTH: [&str; 3] = ["defocus", "field_curvature", "tilt"];
@@ -13,12 +14,19 @@ pub(crate) fn pupil_note(instrument: &Instrument, effects: &[Effect], misjudged_
     let by_depth = effects.iter().find(|e| BY_DEPTH.contains(&e.id.as_str()));
     let effect = by_depth.or_else(|| effects.iter().find(|e| e.id == "wavefront_drift"))?;
     let error = 100.0 * instrument.pupil_model()?.misfit;
-    let unknown = if by_depth.is_some() {
-        "one plane does not show on which side of the focus the specimen lies, so that the sign is unknown, and the \
-         size assumes light of 0.53 um (it is inversely proportional to the wavelength)"
-    } else {
-        "one plane does not show the sign of astigmatism and spherical aberration, and coefficients belong to hard \
-         rims (a soft one that ends farther out has larger ones)"
+    let unknown = match (by_depth, instrument.manifest.optics.wavelength_um) {
+        (Some(_), Some(um)) => format!(
+            "one plane does not show on which side of the focus the specimen lies, so that the sign is unknown; the \
+             error includes 8 % for the rim of the pupils, and the wavelength is {um} um as the session states"
+        ),
+        (Some(_), None) => format!(
+            "one plane does not show on which side of the focus the specimen lies, so that the sign is unknown; the \
+             error includes 8 % for the rim of the pupils and 12 % for the wavelength, which is taken to be \
+             {WAVELENGTH_UM} um (state `wavelength_um` under `[optics]` of the calibration's session.toml)"
+        ),
+        (None, _) => "one plane does not show the sign of astigmatism and spherical aberration, and coefficients \
+                      belong to hard rims (a soft one that ends farther out has larger ones)"
+            .into(),
     };
     let most = misjudged_waves.iter().fold(0.0f64, |m, v| m.max(v.abs()));
     let misjudged = match most > 0.0 {

@@ -73,6 +73,8 @@ pub struct Forward {
     layout: Layout,
     object_pixel_um: f64,
     pixel_pitch_um: f64,
+    /// Mean wavelength of the light; None: not stated.
+    wavelength_um: Option<f64>,
     effects: Chain,
     noise: NoiseModel,
     offset_dn: Option<Array2<f32>>,
@@ -136,6 +138,7 @@ impl Forward {
             layout: Layout::of(manifest),
             object_pixel_um: manifest.object.pixel_um,
             pixel_pitch_um: manifest.sensor.pixel_pitch_um,
+            wavelength_um: manifest.optics.wavelength_um,
             effects,
             noise: instrument.noise,
             offset_dn: instrument.offset_dn.clone(),

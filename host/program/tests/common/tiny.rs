@@ -88,7 +88,7 @@ fn manifest() -> Manifest {
         name: "tiny".into(),
         sensor: SensorSpec { rows: ROWS, cols: ROWS, pixel_pitch_um: 1.85, bit_depth: 12 },
         array: ArrayGeometry { rows: 3, cols: 3, pitch_px: PITCH },
-        optics: Optics { magnification: 1.85 / PIXEL_UM, psf_window_px: 9 },
+        optics: Optics { magnification: 1.85 / PIXEL_UM, psf_window_px: 9, wavelength_um: None },
         object: ObjectGrid { rows: OBJECT, cols: OBJECT, pixel_um: PIXEL_UM },
         stacks: Vec::new(),
     }

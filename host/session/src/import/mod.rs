@@ -230,7 +230,11 @@ fn manifest(request: &ImportRequest<'_>, first: &Opened) -> Result<Manifest, Ses
         name: stem,
         sensor: SensorSpec { rows, cols, pixel_pitch_um: pixel_um, bit_depth: 16 },
         array: ArrayGeometry { rows: 1, cols: 1, pitch_px: 0.0 },
-        optics: Optics { magnification: 1.0, psf_window_px: 15.min(side - usize::from(side % 2 == 0)) },
+        optics: Optics {
+            magnification: 1.0,
+            psf_window_px: 15.min(side - usize::from(side % 2 == 0)),
+            wavelength_um: None,
+        },
         object: ObjectGrid { rows, cols, pixel_um },
         stacks: Vec::new(),
     })

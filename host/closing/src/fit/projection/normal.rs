@@ -174,7 +174,8 @@ mod tests {
                 columns.push(all);
             }
         }
-        let weight: Vec<f32> = (0..sensor[0] * sensor[1]).map(|p| if p % 7 == 0 { 0.0 } else { value(p) + 1.0 }).collect();
+        let weight: Vec<f32> =
+            (0..sensor[0] * sensor[1]).map(|p| if p % 7 == 0 { 0.0 } else { value(p) + 1.0 }).collect();
         let (found, n) = (normal(&views, &weight), columns.len());
         for (x, a) in columns.iter().enumerate() {
             for (y, b) in columns.iter().enumerate().skip(x) {

@@ -225,4 +225,3 @@ fn add<S: Simd, const L: usize>(simd: S, sum: &mut [f32; L], h: f32, x: &[f32; L
         sum.iter_mut().zip(x).for_each(|(sum, x)| *sum += h * x);
     }
 }
-

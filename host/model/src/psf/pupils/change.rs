@@ -26,9 +26,9 @@ const RANK: usize = 6;
 const LEAST_TERM: f64 = 3e-3;
 /// A pupil of the common design explains PSFs as well as one of its own up to this ratio of their errors.
 const AS_WELL: f64 = 1.1;
-/// Wavelength of the light, um, where the change of depth is a distance: a session does not record it. Fluorescence in
-/// use lies within 20 % of it (GFP 0.51, tdTomato 0.58).
-const WAVELENGTH_UM: f64 = 0.53;
+/// Wavelength of the light, um, where a session does not state it. Fluorescence in use lies within 20 % of it (GFP 0.51,
+/// tdTomato 0.58).
+pub const WAVELENGTH_UM: f64 = 0.53;
 
 /// How the wavefront of a lens differs from that of its fitted pupil.
 #[derive(Clone, Debug, PartialEq)]
@@ -51,8 +51,9 @@ impl Wavefronts {
 pub struct PupilModel {
     /// None: a dead lens.
     lenses: Vec<Option<LensPupil>>,
-    /// Defocus of a source displaced by 1 um along the axis by a pupil of radius 1 cycle/px, waves rms.
-    waves_per_um: f64,
+    /// Defocus of a source displaced by 1 um along the axis by a pupil of radius 1 cycle/px, waves rms for a wavelength
+    /// of 1 um.
+    waves_per_um2: f64,
     /// Rows and columns on which changes are computed, object pixels.
     nodes_px: [Vec<f64>; 2],
     /// What changes of the PSFs of each lens share: computed when the first of them is asked for.
@@ -96,7 +97,7 @@ impl PupilModel {
         }
         let prepared = alone.iter().map(|_| Arc::default()).collect();
         let nodes_px = [&psf.node_rows_px, &psf.node_cols_px].map(|nodes| coarse(nodes));
-        let mut model = Self { lenses: alone, waves_per_um: 0.0, nodes_px, prepared, misfit: 0.0 };
+        let mut model = Self { lenses: alone, waves_per_um2: 0.0, nodes_px, prepared, misfit: 0.0 };
         model.share_a_sign();
         model.fit_by_design(psf, depth);
         model.share_a_sign();
@@ -104,18 +105,18 @@ impl PupilModel {
         let misfit = (live().map(|l| l.misfit * l.misfit).sum::<f64>() / count as f64).sqrt();
         // A path longer by z NA^2 / 2 at the rim, with NA = R wavelength M / pitch in the object's space; the rms of
         // Z_4 is 1 / (2 sqrt 3) of that (Born & Wolf, section 9.2).
-        let na = WAVELENGTH_UM * scale.magnification / scale.pixel_pitch_um;
-        let waves_per_um = na * na / 2.0 / WAVELENGTH_UM / (2.0 * 3f64.sqrt());
-        let model = Self { waves_per_um, misfit, ..model };
+        let na_per_um = scale.magnification / scale.pixel_pitch_um;
+        let waves_per_um2 = na_per_um * na_per_um / 2.0 / (2.0 * 3f64.sqrt());
+        let model = Self { waves_per_um2, misfit, ..model };
         (misfit <= MOST_MISFIT).then_some(model)
     }
 
-    /// Defocus of a source that is displaced by `z_um` along the axis, through a lens, waves rms, for light of 0.53 um;
-    /// 0 for a dead lens. It grows as the square of the radius of the pupil: its curvature at a given frequency is the
+    /// Defocus of a source of light of `wavelength_um` that is displaced by `z_um` along the axis, through a lens, waves
+    /// rms; 0 for a dead lens. It grows as the square of the radius of the pupil: its curvature at a given frequency is the
     /// same for all lenses. Its sign is that of the even terms: unknown.
-    pub fn defocus_waves(&self, lens: usize, z_um: f64) -> f64 {
+    pub fn defocus_waves(&self, lens: usize, z_um: f64, wavelength_um: f64) -> f64 {
         let radius = self.lenses.get(lens).and_then(Option::as_ref).map_or(0.0, |l| l.radius);
-        self.waves_per_um * radius * radius * z_um
+        self.waves_per_um2 * wavelength_um * radius * radius * z_um
     }
 
     /// Mean cut-off frequency of the pupils, cycles/px, and rms over the object and the live lenses of the wavefront

@@ -139,7 +139,8 @@ impl Kernel {
     pub(super) fn waves(&self, side: usize, radius: f64) -> Waves {
         let at = samples(side);
         let (x, rho) = (&at[at.len() / 2..], &self.rho[self.rho.len() / 2..]);
-        let phase = Array2::from_shape_fn((x.len(), rho.len()), |(i, j)| std::f64::consts::TAU * radius * rho[j] * x[i]);
+        let phase =
+            Array2::from_shape_fn((x.len(), rho.len()), |(i, j)| std::f64::consts::TAU * radius * rho[j] * x[i]);
         let [cos, sin] = [f64::cos, f64::sin].map(|f| phase.mapv(f));
         Waves { turned: [cos.t().to_owned(), sin.t().to_owned()], along: [cos, sin], at }
     }

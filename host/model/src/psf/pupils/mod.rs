@@ -21,7 +21,7 @@ mod fit;
 mod kernel;
 mod shared;
 
-pub use change::{PupilModel, PupilSummary, Scale, Wavefronts};
+pub use change::{PupilModel, PupilSummary, Scale, WAVELENGTH_UM, Wavefronts};
 pub use shared::Pupils;
 
 /// Relative error (root mean square over the windows of a lens) up to which a pupil counts as the explanation of PSFs.

@@ -155,6 +155,10 @@ fn worked_examples_of_images_beside_and_across() {
     assert_eq!((ghost[[7, 6]], ghost[[2, 4]], ghost.sum()), (100.0, 1000.0, 1100.0));
     let between = lit("ghost", &[("ratio", 0.1), ("centre_row", 0.5), ("centre_col", 0.25)], &spot, &cx);
     assert_eq!((between[[7, 6]], between[[7, 7]]), (50.0, 50.0));
+    // A lamp lights what lies beyond the sensor as well.
+    let (even, of_flat) = (Array2::from_elem((9, 11), 64.0f32), FrameContext { role: Role::Flat, ..cx });
+    let [halo, ghost] = [("halo", "weight"), ("ghost", "ratio")].map(|(id, p)| lit(id, &[(p, 0.25)], &even, &of_flat));
+    assert!(halo.iter().all(|v| (v - 64.0).abs() < 1e-4) && ghost.iter().all(|v| *v == 80.0));
     // Anchors 4.75 columns and a quarter of a row apart.
     let leak = lit("lens_leakage", &[("kappa", 0.16)], &spot, &cx);
     assert!(
