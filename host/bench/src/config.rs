@@ -376,7 +376,8 @@ impl BenchConfig {
             optics: Optics {
                 magnification: optics.magnification,
                 psf_window_px: optics.psf_window_px,
-                wavelength_um: Some(optics.wavelength_um),
+                // PSFs that are given belong to no wavelength of this configuration.
+                wavelength_um: (self.family != FamilyName::Kernels).then_some(optics.wavelength_um),
             },
             object: ObjectGrid { rows: object.rows, cols: object.cols, pixel_um: object.pixel_um },
             stacks: Vec::new(),

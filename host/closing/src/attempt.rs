@@ -208,7 +208,7 @@ pub(crate) fn attempt(
     nearest.extend(resembling);
     notes.splice(..0, bright_darks(seen, model.forward.noise()));
     let misjudged = now.state.terms.iter().find(|t| t.id() == PUPIL_DEFOCUS).map_or(&[][..], |t| &t.params);
-    notes.extend(pupil_note(instrument, &effects, misjudged));
+    notes.extend(pupil_note(instrument, &effects, misjudged, model.forward.depth_error()));
     // Without a bead scan there are no replicates to be had.
     if instrument.replicates.is_empty() && !instrument.sensor_only() && seen.of(Role::Scene).next().is_some() {
         notes.push(

@@ -172,7 +172,7 @@ fn one_plane() -> &'static (BenchConfig, Instrument) {
     })
 }
 
-/// Its sign is unknown, and the rim of the pupils makes it uncertain by 8 %.
+/// Its sign is unknown. Its error includes what the radius of soft pupils leaves open, and is no measure for this test.
 #[test]
 fn a_specimen_out_of_focus_after_a_scan_in_one_plane() {
     let (config, instrument) = one_plane();
@@ -181,7 +181,7 @@ fn a_specimen_out_of_focus_after_a_scan_in_one_plane() {
     assert!(closing.notes.iter().any(|n| n.contains("sign is unknown")), "{:?}", closing.notes);
     let z_um = &mut closing.effects[0].params[0];
     z_um.value = z_um.value.abs();
-    assert!(z_um.sigma > 0.07 * z_um.value && z_um.sigma < 0.2 * z_um.value, "{z_um:?}");
+    assert!((z_um.value - 40.0).abs() < 4.0 && (2.0..6.0).contains(&z_um.sigma), "{z_um:?}");
     is_named(&closing, "defocus", &[("z_um", 40.0)]);
 }
 

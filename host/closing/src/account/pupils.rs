@@ -9,22 +9,32 @@ pub(super) const BY_DEPTH: [&str; 3] = ["defocus", "field_curvature", "tilt"];
 
 /// The note on effects that pupils predict; None: there are none.
 ///
-/// `misjudged_waves` is the defocus of each lens beyond that of its pupil, as fitted beside these effects.
-pub(crate) fn pupil_note(instrument: &Instrument, effects: &[Effect], misjudged_waves: &[f64]) -> Option<String> {
+/// `misjudged_waves` is the defocus of each lens beyond that of its pupil, as fitted beside these effects, and
+/// `depth_error` the relative error of depths that is included in theirs.
+pub(crate) fn pupil_note(
+    instrument: &Instrument,
+    effects: &[Effect],
+    misjudged_waves: &[f64],
+    depth_error: f64,
+) -> Option<String> {
     let by_depth = effects.iter().find(|e| BY_DEPTH.contains(&e.id.as_str()));
     let effect = by_depth.or_else(|| effects.iter().find(|e| e.id == "wavefront_drift"))?;
     let error = 100.0 * instrument.pupil_model()?.misfit;
-    let unknown = match (by_depth, instrument.manifest.optics.wavelength_um) {
-        (Some(_), Some(um)) => format!(
+    let stated = instrument.manifest.optics.wavelength_um;
+    let unknown = match by_depth {
+        Some(_) => format!(
             "one plane does not show on which side of the focus the specimen lies, so that the sign is unknown; the \
-             error includes 8 % for the rim of the pupils, and the wavelength is {um} um as the session states"
+             error includes {:.0} % for the radius of the pupils and the wavelength, which {}",
+            100.0 * depth_error,
+            match stated {
+                Some(um) => format!("the session of the calibration states as {um} um"),
+                None => format!(
+                    "is taken to be {WAVELENGTH_UM} um (state `wavelength_um` under `[optics]` in the session of the \
+                     calibration)"
+                ),
+            }
         ),
-        (Some(_), None) => format!(
-            "one plane does not show on which side of the focus the specimen lies, so that the sign is unknown; the \
-             error includes 8 % for the rim of the pupils and 12 % for the wavelength, which is taken to be \
-             {WAVELENGTH_UM} um (state `wavelength_um` under `[optics]` of the calibration's session.toml)"
-        ),
-        (None, _) => "one plane does not show the sign of astigmatism and spherical aberration, and coefficients \
+        None => "one plane does not show the sign of astigmatism and spherical aberration, and coefficients \
                       belong to hard rims (a soft one that ends farther out has larger ones)"
             .into(),
     };

@@ -59,8 +59,8 @@ impl Expansion<'_> {
 #[derive(Default)]
 pub struct LensImages {
     of: BTreeMap<usize, Array2<f32>>,
-    /// Derivative with respect to ln of the light of the frame, over the shape of its lamp: the columns of the lamp share
-    /// it.
+    /// Derivative with respect to ln of the light of the frame, over the shape of its lamp: the columns of the lamp
+    /// share it.
     by_lamp: Option<Array2<f32>>,
 }
 

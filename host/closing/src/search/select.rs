@@ -303,8 +303,7 @@ impl<'m, 'a> Search<'m, 'a> {
             let before = fit.training.deviance;
             *fit = self.with_new_specimens(id, fit)?;
             let fall = before - fit.training.deviance;
-            let to_come = last.filter(|last| *last > fall).map_or(fall, |last| fall * fall / (last - fall));
-            if fall < SETTLED || to_come < SETTLED {
+            if fall.min(to_come(fall, last)) < SETTLED {
                 break;
             }
             last = Some(fall);
@@ -393,7 +392,7 @@ impl<'m, 'a> Search<'m, 'a> {
         self.settle(id, &mut fits[at].1, falls.get(id).copied())?;
         let gain = self.now.held_out.deviance - fits[at].1.held_out.deviance;
         if worth <= 0.0 || gain <= 0.0 {
-            return Ok(Verdict::Refused(candidate.term.id()));
+            return Ok(Verdict::Refused(id));
         }
         let behind = costs.into_iter().map(|(id, cost)| (id, (cost - least) / heaviest)).collect();
         Ok(Verdict::Added(Box::new(Added { fit: fits.swap_remove(at).1, candidate, gain, behind })))
@@ -460,4 +459,22 @@ struct Added<'c> {
     gain: f64,
     /// Id of each effect that was compared, and how much larger its deviance is, over the scatter.
     behind: Vec<(&'static str, f64)>,
+}
+
+/// What is still to come of a deviance that fell, and whose falls shrink by about the same factor each time: the rest
+/// of the geometric series. The fall itself where the `last` one is not known, or was no larger.
+fn to_come(fall: f64, last: Option<f64>) -> f64 {
+    last.filter(|last| *last > fall).map_or(fall, |last| fall * fall / (last - fall))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::to_come;
+
+    #[test]
+    fn what_is_to_come_is_the_rest_of_the_series() {
+        // 100, 20, then 4, 0.8, 0.16, ...: five in all.
+        assert!((to_come(20.0, Some(100.0)) - 5.0).abs() < 1e-12);
+        assert_eq!([to_come(20.0, None), to_come(20.0, Some(10.0))], [20.0, 20.0]);
+    }
 }

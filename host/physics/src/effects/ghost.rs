@@ -1,8 +1,9 @@
 //! Ghost: a faint image of the whole frame, rotated by 180 degrees about a point of the sensor, from light reflected
 //! between two surfaces.
 //!
-//! `mu(x) -> mu(x) + ratio mu(2 c - x)` with c = (centre_row, centre_col) from the centre of the sensor, pixels. Of a
-//! specimen, light from beyond the sensor is left out. A flat field is lit there as well: turned, it is the same light.
+//! `mu(x) -> mu(x) + ratio mu(2 c - x)` with c = (centre_row, centre_col) from the centre of the sensor, pixels. It acts on
+//! specimens and beads, and leaves out what light they have beyond the sensor. A flat field, which is lit there as well,
+//! does not show it: turned, it is the same light.
 
 use super::context::FrameContext;
 use super::descriptor::{Descriptor, Lookalike, Param, Stage};
@@ -45,12 +46,8 @@ impl Effect for Ghost {
     }
 
     fn on_light(&self, p: &[f64], light_e: &mut Array2<f32>, cx: &FrameContext<'_>) {
-        if p[0] == 0.0 {
-            return;
-        }
-        match cx.shows_specimen() {
-            true => add_turned(light_e, [p[1], p[2]], p[0]),
-            false => *light_e *= 1.0 + p[0] as f32,
+        if p[0] != 0.0 && cx.shows_specimen() {
+            add_turned(light_e, [p[1], p[2]], p[0]);
         }
     }
 

@@ -1,12 +1,13 @@
 //! Halo: part of the light of each point is scattered far outside the PSF window, e.g. by turbid media or dirty optics.
 //!
-//! `mu -> (1 - weight) mu + weight (g * mu)` with a Gaussian g of standard deviation `sigma_px`. Of a specimen, light
-//! that is scattered off the sensor is lost. A flat field is lit beyond the sensor as well, so that as much comes back.
+//! `mu -> (1 - weight) mu + weight (g * mu)` with a Gaussian g of standard deviation `sigma_px`. It acts on specimens and
+//! beads, whose light is lost where it is scattered off the sensor. A flat field, which is lit from beyond the sensor as
+//! well, does not show it.
 
 use super::context::FrameContext;
 use super::descriptor::{Descriptor, Lookalike, Param, Stage};
 use super::effect::Effect;
-use super::smooth::{blur_within, gaussian_blur};
+use super::smooth::gaussian_blur;
 use ndarray::Array2;
 
 /// The effect; its formula is in the documentation of the module.
@@ -39,11 +40,10 @@ impl Effect for Halo {
     }
 
     fn on_light(&self, p: &[f64], light_e: &mut Array2<f32>, cx: &FrameContext<'_>) {
-        if p[0] == 0.0 {
+        if p[0] == 0.0 || !cx.shows_specimen() {
             return;
         }
-        let blur = if cx.shows_specimen() { gaussian_blur } else { blur_within };
-        let scattered = blur(light_e, p[1]);
+        let scattered = gaussian_blur(light_e, p[1]);
         let w = p[0] as f32;
         light_e.zip_mut_with(&scattered, |v, s| *v = (1.0 - w) * *v + w * s);
     }

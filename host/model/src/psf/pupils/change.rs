@@ -26,8 +26,8 @@ const RANK: usize = 6;
 const LEAST_TERM: f64 = 3e-3;
 /// A pupil of the common design explains PSFs as well as one of its own up to this ratio of their errors.
 const AS_WELL: f64 = 1.1;
-/// Wavelength of the light, um, where a session does not state it. Fluorescence in use lies within 20 % of it (GFP 0.51,
-/// tdTomato 0.58).
+/// Wavelength of the light, um, where a session does not state it. Fluorescence in use lies within 20 % of it (GFP
+/// 0.51, tdTomato 0.58).
 pub const WAVELENGTH_UM: f64 = 0.53;
 
 /// How the wavefront of a lens differs from that of its fitted pupil.
@@ -111,9 +111,9 @@ impl PupilModel {
         (misfit <= MOST_MISFIT).then_some(model)
     }
 
-    /// Defocus of a source of light of `wavelength_um` that is displaced by `z_um` along the axis, through a lens, waves
-    /// rms; 0 for a dead lens. It grows as the square of the radius of the pupil: its curvature at a given frequency is the
-    /// same for all lenses. Its sign is that of the even terms: unknown.
+    /// Defocus of a source of light of `wavelength_um` that is displaced by `z_um` along the axis, through a lens,
+    /// waves rms; 0 for a dead lens. It grows as the square of the radius of the pupil: its curvature at a given
+    /// frequency is the same for all lenses. Its sign is that of the even terms: unknown.
     pub fn defocus_waves(&self, lens: usize, z_um: f64, wavelength_um: f64) -> f64 {
         let radius = self.lenses.get(lens).and_then(Option::as_ref).map_or(0.0, |l| l.radius);
         self.waves_per_um2 * wavelength_um * radius * radius * z_um

@@ -88,6 +88,19 @@ fn fitted(psf: &LowRankPsf) -> PupilModel {
     PupilModel::fit(psf, 0, &[false; 3], Scale { magnification: 0.66, pixel_pitch_um: 2.0 }).unwrap()
 }
 
+/// A source off the focus by z has a path longer by z NA^2 / 2 at the rim, NA on its side; the rms of such a wavefront
+/// is 1 / (2 sqrt 3) of that. Of the pupil above: NA 0.055 on the side of the image, times the magnification.
+#[test]
+fn a_depth_is_the_defocus_of_the_aperture() {
+    let model = fitted(&calibrated());
+    let na: f64 = 0.055 * 0.66;
+    let waves = 30.0 * na * na / 2.0 / 0.53 / (2.0 * 3f64.sqrt());
+    for lens in 0..3 {
+        let found = model.defocus_waves(lens, 30.0, 0.53);
+        assert!((found / waves - 1.0).abs() < 0.1, "{lens}: {found} {waves}");
+    }
+}
+
 /// Relative error of predicted changes, and the change relative to the PSFs.
 fn errors(model: &PupilModel, psf: &LowRankPsf, added: &Wavefront, sign: f64) -> [f64; 2] {
     let mut turned = *added;

@@ -165,11 +165,12 @@ from there over 1 + 1 / magnification. Lengths in mm are of the sensor where the
 measured from its centre (`object_distortion`, `tilt`). `r` of `vignetting` and `rho` of `excitation_profile` are 1 in
 the corners of the sensor and of the object. The centre of a `ghost` is counted from the middle of the sensor.
 Neighbours of a pixel or of a lens are those above, below, left and right; a lens that leaks loses no light. Full scale
-is the charge at which frames saturate, above the black level, e-. Light of a specimen that a `halo` scatters off the
-sensor is lost, and no light comes from beyond it, for a `ghost` either; a flat field is lit there as well. The mean of `veiling_glare` is that over the sensor. In `background`, t is the exposure
-in ms, P the light level of the frame (`illumination` of the session), and s runs from -1 to 1 over the sensor; flats
-have it too. A depth changes the shape of the PSFs, and moves no focus. `spectral_shift` scales the PSF at the same
-wavefront in waves; a real wavelength changes the wavefront in waves too.
+is the charge at which frames saturate, above the black level, e-. Light that a `halo` scatters off the sensor is lost,
+and none comes from beyond it, for a `ghost` either. Flats, which are lit from there as well, show neither. The mean of
+`veiling_glare` is that over the sensor. In `background`, t is the exposure in ms, P the light level of the frame
+(`illumination` of the session), and s runs from -1 to 1 over the sensor; flats have it too. A depth changes the shape of
+the PSFs, and moves no focus. `spectral_shift` scales the PSF at the same wavefront in waves; a real wavelength changes
+the wavefront in waves too.
 ";
 
 #[test]

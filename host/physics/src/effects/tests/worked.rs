@@ -158,7 +158,7 @@ fn worked_examples_of_images_beside_and_across() {
     // A lamp lights what lies beyond the sensor as well.
     let (even, of_flat) = (Array2::from_elem((9, 11), 64.0f32), FrameContext { role: Role::Flat, ..cx });
     let [halo, ghost] = [("halo", "weight"), ("ghost", "ratio")].map(|(id, p)| lit(id, &[(p, 0.25)], &even, &of_flat));
-    assert!(halo.iter().all(|v| (v - 64.0).abs() < 1e-4) && ghost.iter().all(|v| *v == 80.0));
+    assert_eq!([&halo, &ghost], [&even; 2]);
     // Anchors 4.75 columns and a quarter of a row apart.
     let leak = lit("lens_leakage", &[("kappa", 0.16)], &spot, &cx);
     assert!(
