@@ -286,9 +286,7 @@ impl<'a> Model<'a> {
             }
             (Shown::Dark, _) | (_, None) => {}
             (_, Some(scene)) => {
-                for l in 0..self.lenses() {
-                    sum += &self.lens_e(k, scene, l, chain, state);
-                }
+                sum = self.forward.sum_e(scene, &self.placed(k, state, chain), &self.context(k, None));
                 sum *= scale as f32;
             }
         }

@@ -33,6 +33,7 @@ mod moved;
 mod predict;
 mod scene_light;
 mod sensor_maps;
+mod shift_map;
 mod warp;
 mod wavefront;
 
@@ -50,7 +51,7 @@ use ommatidia_physics::noise::{NoiseModel, ROUNDING_DN2, draw_electrons};
 use ommatidia_physics::optics::MicrolensArray;
 use rand::Rng;
 use std::sync::{Arc, OnceLock};
-use wavefront::Kept;
+use wavefront::{Changes, Kept};
 
 /// The forward model of one instrument at one depth.
 #[derive(Clone, Debug)]
@@ -64,8 +65,8 @@ pub struct Forward {
     /// Made when an effect first lets PSFs grow.
     growth: Arc<OnceLock<Growth>>,
     calibrated: Arc<Calibrated>,
-    /// Operators of the changes by wavefronts that effects add.
-    changed: Kept<LowRankOperator>,
+    /// Changes by wavefronts that effects add.
+    changes: Changes,
     geometry: ChiefRays,
     /// Where the axis of each lens meets the sensor, [row, col], px.
     axes_px: Vec<[f64; 2]>,
@@ -131,7 +132,7 @@ impl Forward {
                 config,
                 pupils: instrument.pupils.clone(),
             }),
-            changed: Kept::default(),
+            changes: Changes::default(),
             geometry: instrument.geometry.clone(),
             axes_px: axes_px(instrument),
             array: [manifest.array.rows, manifest.array.cols],
@@ -235,7 +236,7 @@ impl Forward {
             lenses,
             emitted,
             growth: Default::default(),
-            changes: Kept::default(),
+            changes: Kept::images(),
             shift_px: [0.0; 2],
             z_um: None,
         })
@@ -256,6 +257,11 @@ impl Forward {
 
     /// Expected electrons of a scene, [sensor rows, sensor cols], with `effects` of all stages from the chief rays on.
     pub fn light_e(&self, scene: &SceneLight, effects: &Chain, cx: &FrameContext<'_>) -> Array2<f32> {
+        self.on_sensor(self.sum_e(scene, effects, cx), effects, cx)
+    }
+
+    /// Electrons of all lenses of a scene, [sensor rows, sensor cols], with the effects of stages `Geometry` and `Lens`.
+    pub fn sum_e(&self, scene: &SceneLight, effects: &Chain, cx: &FrameContext<'_>) -> Array2<f32> {
         let mut light = Array2::zeros(self.operator().sensor_shape());
         let per_lens = effects.acts_at(Stage::Lens);
         for l in 0..scene.lenses.len() {
@@ -265,7 +271,7 @@ impl Forward {
                 image.add_to(&mut light);
             }
         }
-        self.on_sensor(light, effects, cx)
+        light
     }
 
     /// Electrons of one lens of a scene, [sensor rows, sensor cols], with the effects of stages `Geometry` and `Lens`.

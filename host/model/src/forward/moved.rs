@@ -1,6 +1,7 @@
 //! The image of a lens as effects on chief rays move it: displaced, out of focus, and with PSFs of another size.
 
 use super::growth::{Growth, less_stretch};
+use super::shift_map::shift_map;
 use super::{Forward, SceneLight, warp};
 use crate::psf::LensImage;
 use crate::psf::nodes::Taps;
@@ -35,16 +36,17 @@ impl Forward {
         }
         let mut shifts = self.shifts(lens, &image, effects, &FrameContext { lens, ..*cx });
         shifts.mapv_inplace(|s| RayShift { px: [s.px[0] + dy, s.px[1] + dx], ..s });
-        if shifts.iter().any(|s| z + s.z_um != own) {
+        // A single plane holds for all depths.
+        if planes.len() > 1 && shifts.iter().any(|s| z + s.z_um != own) {
+            let taps = shifts.mapv(|s| Taps::at(&self.depths_um, z + s.z_um));
             for (p, other) in planes.iter().enumerate() {
                 // Interpolation over depth is linear in the planes: each gets the share that belongs to the pixel's
-                // depth.
-                let shares = shifts.mapv(|s| {
-                    let taps = Taps::at(&self.depths_um, z + s.z_um);
-                    let own = p.checked_sub(taps.first).filter(|i| *i < taps.count).map_or(0.0, |i| taps.weights[i]);
-                    own - if p == self.plane { 1.0 } else { 0.0 }
+                // depth, and what the image holds already is taken from its own.
+                let held = if p == self.plane { 1.0 } else { 0.0 };
+                Zip::from(&mut image.light).and(&other.light).and(&taps).for_each(|v, light, taps| {
+                    let share = p.checked_sub(taps.first).filter(|i| *i < taps.count).map_or(0.0, |i| taps.weights[i]);
+                    *v += (share - held) * electrons * light;
                 });
-                Zip::from(&mut image.light).and(&other.light).and(&shares).for_each(|v, o, s| *v += s * electrons * o);
             }
         }
         if let Some(change) = self.wavefront_change(scene, lens, effects, cx) {
@@ -99,8 +101,8 @@ impl Forward {
     /// The displacement of the chief ray that ends on each pixel of a lens's image.
     fn shifts(&self, lens: usize, image: &LensImage, effects: &Chain, cx: &FrameContext<'_>) -> Array2<RayShift> {
         let of = |at: [f64; 2]| effects.shift_ray(&self.ray(lens, at), cx);
-        Array2::from_shape_fn(image.light.dim(), |(r, c)| {
-            let at = [image.origin[0] as f64 + r as f64, image.origin[1] as f64 + c as f64];
+        shift_map(image.light.dim(), |from_first| {
+            let at = [0, 1].map(|a| image.origin[a] as f64 + from_first[a]);
             // Effects say where a focus goes. What ends on this pixel comes from where it has not been displaced yet:
             // q = x + d(x), solved for x by iteration, whose error falls by the slope of d each time.
             let mut shift = of(at);

@@ -2,14 +2,18 @@
 
 use super::{Forward, SceneLight};
 use crate::psf::pupils::{PupilModel, WAVELENGTH_UM, Wavefronts};
-use crate::psf::{CalibratedOptics, LensImage, LowRankOperator, OperatorConfig};
+use crate::psf::{CalibratedOptics, LensImage, LowRankOperator, LowRankPsf, OperatorConfig};
 use ndarray::Array2;
 use ommatidia_physics::effects::{Chain, FrameContext, Stage};
 use ommatidia_physics::optics::Wavefront;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Wavefronts of each lens that are kept with what was computed of them: those of a state, and of steps from it.
-const KEPT: usize = 4;
+/// Changed images of one scene, and operators that make them, that are kept for each lens: those of a state, and of
+/// steps from it.
+const KEPT_IMAGES: usize = 4;
+/// Changed PSFs that are kept for each lens: those of all columns of a fit, which the frames ask for in turn. They are
+/// small: 100 KB each for windows of 61 px.
+const KEPT_PSFS: usize = 64;
 
 /// A lens with its wavefronts.
 type Key = (usize, Wavefronts);
@@ -17,27 +21,48 @@ type Key = (usize, Wavefronts);
 /// A lens with its wavefronts, and what was computed of them.
 type Entry<T> = (Key, Arc<T>);
 
-/// What was last computed, by lens and wavefronts; the latest last.
+/// What was last computed, by lens and wavefronts.
 #[derive(Clone, Debug)]
-pub(super) struct Kept<T>(Arc<Mutex<Vec<Entry<T>>>>);
+pub(super) struct Kept<T> {
+    /// The latest last.
+    entries: Arc<Mutex<Vec<Entry<T>>>>,
+    /// Entries of each lens, at most.
+    most: usize,
+}
 
-impl<T> Default for Kept<T> {
+/// Changes of the optics by wavefronts, and what is made of them.
+#[derive(Clone, Debug)]
+pub(super) struct Changes {
+    psfs: Kept<LowRankPsf>,
+    operators: Kept<LowRankOperator>,
+}
+
+impl Default for Changes {
     fn default() -> Self {
-        Self(Arc::default())
+        Self { psfs: Kept::new(KEPT_PSFS), operators: Kept::images() }
     }
 }
 
 impl<T> Kept<T> {
+    /// For images of scenes, or what is as large.
+    pub(super) fn images() -> Self {
+        Self::new(KEPT_IMAGES)
+    }
+
+    fn new(most: usize) -> Self {
+        Self { entries: Arc::default(), most }
+    }
+
     /// The value for wavefronts of a lens, computed where it is not kept. No lock is held while it is computed.
     fn of(&self, by: &Key, compute: impl FnOnce() -> Option<T>) -> Option<Arc<T>> {
-        let lock = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let lock = || self.entries.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, found)) = lock().iter().find(|(key, _)| *key == *by) {
             return Some(found.clone());
         }
         let found = Arc::new(compute()?);
         let mut kept = lock();
         let same = |(key, _): &&Entry<T>| key.0 == by.0;
-        if kept.iter().filter(same).count() >= KEPT
+        if kept.iter().filter(same).count() >= self.most
             && let Some(oldest) = kept.iter().position(|(key, _)| key.0 == by.0)
         {
             kept.remove(oldest);
@@ -127,8 +152,8 @@ impl Forward {
         }
         let by = (lens, by);
         scene.changes.of(&by, || {
-            let operator = self.changed.of(&by, || {
-                let psf = pupils.change(&of.psf, (lens, 0), &by.1)?;
+            let operator = self.changes.operators.of(&by, || {
+                let psf = self.changes.psfs.of(&by, || pupils.change(&of.psf, (lens, 0), &by.1))?;
                 let rays = of.rays.of_lens(lens)?;
                 let optics = CalibratedOptics { psf: &psf, rays: &rays, object: of.object, sensor: of.sensor };
                 LowRankOperator::plan(optics, &rays, OperatorConfig { depth: 0, ..of.config }).ok()
