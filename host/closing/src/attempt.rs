@@ -66,7 +66,7 @@ pub(crate) fn attempt(
 ) -> Result<Attempt, CloseError> {
     let seed = options.seed;
     // Fitted once and for all by all cores: frames that are predicted side by side would each fit them.
-    instrument.pupil_model();
+    instrument.fit_pupils();
     let model = Model::new(instrument, seen)?;
     let start = model.state(instrument)?;
     let own = start.terms.len();

@@ -129,6 +129,51 @@ fn a_miniscope_folder_is_imported_with_all_that_is_wrong_in_it() {
     assert!(desk.path().join("copy/scene.metaData.json").is_file() && desk.path().join("copy/import.json").is_file());
 }
 
+/// A crash of the recorder cuts the last line of its table, or leaves a block that was never written.
+#[test]
+fn a_table_that_ends_within_a_line_is_read_up_to_it() {
+    let desk = tempfile::tempdir().unwrap();
+    let table = miniscope(desk.path()).join("timeStamps.csv");
+    let whole = std::fs::read(&table).unwrap();
+    for (i, cut) in
+        [whole[..whole.len() - 5].to_vec(), [&whole[..whole.len() - 3], &[0; 300]].concat()].iter().enumerate()
+    {
+        std::fs::write(&table, cut).unwrap();
+        let found = &json(desk.path(), &format!("import Miniscope -o session{i}"))["recordings"][0];
+        // The last row belongs to the torn frame.
+        assert_eq!(
+            (found["timestamps"].as_u64(), found["timestamps_unused"].as_u64()),
+            (Some(119), Some(4)),
+            "{found:#}"
+        );
+        let note = "ends within a line, which is left out: line 121";
+        assert!(found["notes"].to_string().contains(note), "{found:#}");
+    }
+    // A line within the table that lacks a value is another thing.
+    let text = String::from_utf8(whole).unwrap().replace("\r\n7,", "\r\n7\r\n7,");
+    std::fs::write(&table, text).unwrap();
+    let (code, _, error) = ommatidia(desk.path(), "import Miniscope -o broken");
+    assert!(code == 1 && error.contains("line 9"), "{error}");
+}
+
+/// Recorders write 60 frames a second into the heads of their files, whatever was set.
+#[test]
+fn without_timestamps_the_rate_that_was_set_counts() {
+    let desk = tempfile::tempdir().unwrap();
+    let folder = miniscope(desk.path());
+    std::fs::remove_file(folder.join("timeStamps.csv")).unwrap();
+    for file in 0..4 {
+        let path = folder.join(format!("{file}.avi"));
+        let mut bytes = std::fs::read(&path).unwrap();
+        let strh = bytes.windows(8).position(|w| w == b"vidsGREY").unwrap();
+        bytes[strh + 24] = 60;
+        std::fs::write(path, bytes).unwrap();
+    }
+    json(desk.path(), "import Miniscope -o session");
+    let session = Session::open(desk.path().join("session")).unwrap();
+    assert_eq!(session.need(Role::Scene).unwrap()[0].entry().exposure_ms, 50.0);
+}
+
 #[test]
 fn a_folder_is_reconstructed_directly_in_one_run_in_parts_and_in_shares() {
     let desk = tempfile::tempdir().unwrap();

@@ -237,6 +237,7 @@ impl Forward {
             emitted,
             growth: Default::default(),
             changes: Kept::images(),
+            to_planes: Kept::new(self.planes.len()),
             shift_px: [0.0; 2],
             z_um: None,
         })

@@ -38,16 +38,7 @@ impl Forward {
         shifts.mapv_inplace(|s| RayShift { px: [s.px[0] + dy, s.px[1] + dx], ..s });
         // A single plane holds for all depths.
         if planes.len() > 1 && shifts.iter().any(|s| z + s.z_um != own) {
-            let taps = shifts.mapv(|s| Taps::at(&self.depths_um, z + s.z_um));
-            for (p, other) in planes.iter().enumerate() {
-                // Interpolation over depth is linear in the planes: each gets the share that belongs to the pixel's
-                // depth, and what the image holds already is taken from its own.
-                let held = if p == self.plane { 1.0 } else { 0.0 };
-                Zip::from(&mut image.light).and(&other.light).and(&taps).for_each(|v, light, taps| {
-                    let share = p.checked_sub(taps.first).filter(|i| *i < taps.count).map_or(0.0, |i| taps.weights[i]);
-                    *v += (share - held) * electrons * light;
-                });
-            }
+            self.refocus(scene, lens, (effects, cx), &shifts, (&mut image, electrons));
         }
         if let Some(change) = self.wavefront_change(scene, lens, effects, cx) {
             image.light.scaled_add(electrons, &change.light);
@@ -57,6 +48,44 @@ impl Forward {
             image.light = warp::warp(&image.light, &shifts.mapv(|s| s.px));
         }
         Some(image)
+    }
+
+    /// Moves the sources of the image of a lens in depth, between the planes of the scan. Electrons: those of a DN.
+    ///
+    /// Pupils, where they explain how PSFs change with depth, say how the light changes from the planned plane to the
+    /// depth of each source. What they leave of the change to the other planes is interpolated over depth; without them
+    /// all of it is.
+    fn refocus(
+        &self,
+        scene: &SceneLight,
+        lens: usize,
+        (effects, cx): (&Chain, &FrameContext<'_>),
+        shifts: &Array2<RayShift>,
+        (image, electrons): (&mut LensImage, f32),
+    ) {
+        let Some(planes) = scene.lenses.get(lens).and_then(Option::as_ref) else { return };
+        let own = self.depth_um();
+        let z = scene.z_um.unwrap_or(own);
+        let here = &planes[self.plane].light;
+        let pupils = self.pupils_between_depths();
+        let taps = shifts.mapv(|s| Taps::at(&self.depths_um, z + s.z_um));
+        for (p, other) in planes.iter().enumerate().filter(|(p, _)| *p != self.plane) {
+            let mut left = &other.light - here;
+            let to_plane =
+                |pupils| self.depth_change(scene, &scene.to_planes, (pupils, lens), |_| self.depths_um[p] - own);
+            if let Some(change) = pupils.and_then(to_plane) {
+                left -= &change.light;
+            }
+            Zip::from(&mut image.light).and(&left).and(&taps).for_each(|v, left, taps| {
+                let share = p.checked_sub(taps.first).filter(|i| *i < taps.count).map_or(0.0, |i| taps.weights[i]);
+                *v += share * electrons * left;
+            });
+        }
+        let cx = FrameContext { lens, ..*cx };
+        let place = |at: [f64; 2]| z - own + effects.shift_ray(&self.ray(lens, self.image_of(lens, at)), &cx).z_um;
+        if let Some(change) = pupils.and_then(|p| self.depth_change(scene, &scene.changes, (p, lens), place)) {
+            image.light.scaled_add(electrons, &change.light);
+        }
     }
 
     /// Lets the PSFs in the image of a lens grow as shifts ask for, about their foci. Electrons: those of a DN.

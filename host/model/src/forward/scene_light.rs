@@ -16,6 +16,8 @@ pub struct SceneLight {
     pub(super) growth: GrowthImages,
     /// Changes of its images by wavefronts that effects add, lens by lens.
     pub(super) changes: Kept<LensImage>,
+    /// Changes of its images from the planned plane to the others, as pupils have it, lens by lens.
+    pub(super) to_planes: Kept<LensImage>,
     /// Offset of a point source from the nearest object pixel, [row, col], px.
     pub(super) shift_px: [f64; 2],
     /// Depth, um; None: that of the planned plane.

@@ -15,6 +15,9 @@ const KEPT_IMAGES: usize = 4;
 /// small: 100 KB each for windows of 61 px.
 const KEPT_PSFS: usize = 64;
 
+/// Index of Noll's Z_4 among the coefficients of a wavefront.
+const DEFOCUS: usize = 3;
+
 /// A lens with its wavefronts.
 type Key = (usize, Wavefronts);
 
@@ -49,7 +52,8 @@ impl<T> Kept<T> {
         Self::new(KEPT_IMAGES)
     }
 
-    fn new(most: usize) -> Self {
+    /// For at most that many entries of each lens.
+    pub(super) fn new(most: usize) -> Self {
         Self { entries: Arc::default(), most }
     }
 
@@ -128,7 +132,7 @@ impl Forward {
         let added = Array2::from_shape_fn((rows.len(), cols.len()), |(i, j)| {
             let ray = self.ray(lens, self.image_of(lens, [rows[i], cols[j]]));
             let mut wavefront: Wavefront = effects.wavefront(&ray, &cx);
-            wavefront.coefficient[3] += waves_per_um * effects.shift_ray(&ray, &cx).z_um;
+            wavefront.coefficient[DEFOCUS] += waves_per_um * effects.shift_ray(&ray, &cx).z_um;
             wavefront
         });
         Wavefronts { added, misjudged_waves: effects.misjudged_defocus(&cx) }
@@ -143,18 +147,57 @@ impl Forward {
         effects: &Chain,
         cx: &FrameContext<'_>,
     ) -> Option<Arc<LensImage>> {
-        let of = &self.calibrated;
         let pupils = self.pupils_asked(effects, cx)?;
         let waves_per_um = pupils.defocus_waves(lens, 1.0, self.wavelength_um.unwrap_or(WAVELENGTH_UM));
         let by = self.wavefronts(effects, lens, (pupils.nodes_px(), waves_per_um), cx);
-        if !by.change_psfs() {
+        self.changed(scene, &scene.changes, pupils, (lens, by))
+    }
+
+    /// The pupils that say how PSFs change between the depths of the scan, where the model is planned at several.
+    pub(super) fn pupils_between_depths(&self) -> Option<&PupilModel> {
+        let of = &self.calibrated;
+        let several = self.depths_um.len() > 1;
+        several.then(|| of.pupils.between_depths(&of.psf, &of.rays, self.pixel_pitch_um)).flatten()
+    }
+
+    /// The change of the image of a scene through a lens where its sources lie `z_um` (a function of their place in the
+    /// object, rows and columns) from the planned plane, DN above black at the exposure of the calibration; foci keep
+    /// their centroids. `kept` is where it is kept. None: they lie in the plane.
+    pub(super) fn depth_change(
+        &self,
+        scene: &SceneLight,
+        kept: &Kept<LensImage>,
+        (pupils, lens): (&PupilModel, usize),
+        z_um: impl Fn([f64; 2]) -> f64,
+    ) -> Option<Arc<LensImage>> {
+        let waves_per_um = pupils.defocus_waves(lens, 1.0, WAVELENGTH_UM);
+        let [rows, cols] = pupils.nodes_px();
+        let added = Array2::from_shape_fn((rows.len(), cols.len()), |(i, j)| {
+            let mut wavefront = Wavefront::default();
+            wavefront.coefficient[DEFOCUS] = waves_per_um * z_um([rows[i], cols[j]]);
+            wavefront
+        });
+        let depths_um = &self.calibrated.psf.node_depths_um;
+        let from_fitted = self.depth_um() - depths_um.get(pupils.depth()).copied().unwrap_or(0.0);
+        self.changed(scene, kept, pupils, (lens, Wavefronts { added, misjudged_waves: waves_per_um * from_fitted }))
+    }
+
+    /// The change of the image of a scene through a lens by wavefronts. None: they change nothing.
+    fn changed(
+        &self,
+        scene: &SceneLight,
+        kept: &Kept<LensImage>,
+        pupils: &PupilModel,
+        by: Key,
+    ) -> Option<Arc<LensImage>> {
+        if !by.1.change_psfs() {
             return None;
         }
-        let by = (lens, by);
-        scene.changes.of(&by, || {
+        let of = &self.calibrated;
+        kept.of(&by, || {
             let operator = self.changes.operators.of(&by, || {
-                let psf = self.changes.psfs.of(&by, || pupils.change(&of.psf, (lens, 0), &by.1))?;
-                let rays = of.rays.of_lens(lens)?;
+                let psf = self.changes.psfs.of(&by, || pupils.change(&of.psf, (by.0, of.config.depth), &by.1))?;
+                let rays = of.rays.of_lens(by.0)?;
                 let optics = CalibratedOptics { psf: &psf, rays: &rays, object: of.object, sensor: of.sensor };
                 LowRankOperator::plan(optics, &rays, OperatorConfig { depth: 0, ..of.config }).ok()
             })?;

@@ -85,11 +85,19 @@ impl Instrument {
         self.pupils.of(&self.psf, &self.geometry, self.manifest.sensor.pixel_pitch_um)
     }
 
+    /// Fits the pupils where none are fitted yet: those of a scan in one plane, or those that tell of the depths between
+    /// the planes of a scan.
+    pub fn fit_pupils(&self) {
+        let pitch_um = self.manifest.sensor.pixel_pitch_um;
+        self.pupils.of(&self.psf, &self.geometry, pitch_um);
+        self.pupils.between_depths(&self.psf, &self.geometry, pitch_um);
+    }
+
     /// The instrument with its PSF model replaced by replicate `j`; None where there is no such replicate.
     pub fn replicate(&self, j: usize) -> Option<Self> {
         if !self.effects.is_empty() {
             // Replicates share the pupils, which must be those of the PSFs themselves.
-            self.pupil_model();
+            self.fit_pupils();
         }
         let psf = self.replicates.get(j)?.clone();
         Some(Self { psf, replicates: Vec::new(), ..self.clone() })

@@ -179,12 +179,21 @@ pub fn times_of(frames: &FrameReader) -> Result<Option<Times>, SessionError> {
     let Some(path) = times::table_of(&folder).filter(|_| frames.path().is_dir()) else { return Ok(None) };
     let metadata = miniscope::metadata(&folder)?;
     // The cameras of version 3 are told apart by a number; that of the miniscope is 1 in most recordings, 0 in others.
-    let stamps = match times::timestamps(&path, Some("1"))? {
-        stamps if stamps.is_empty() => times::timestamps(&path, Some("0"))?,
-        stamps => stamps,
+    let (stamps, unfinished) = match times::timestamps(&path, Some("1"))? {
+        (stamps, _) if stamps.is_empty() => times::timestamps(&path, Some("0"))?,
+        found => found,
     };
     let per_file = metadata.and_then(|m| m.frames_per_file);
-    Ok(Some(Times::of(&stamps, frames.parts(), frames.len(), per_file)))
+    Ok(Some(Times { unfinished, ..Times::of(&stamps, frames.parts(), frames.len(), per_file) }))
+}
+
+/// The time from one frame to the next that the metadata of a recording state, s.
+///
+/// # Errors
+/// The metadata cannot be read.
+pub fn set_interval_s(frames: &FrameReader) -> Result<Option<f64>, SessionError> {
+    let metadata = miniscope::metadata(&folder_of(frames.path()))?.filter(|_| frames.path().is_dir());
+    Ok(metadata.and_then(|m| m.frame_rate_hz).map(|rate| 1.0 / rate))
 }
 
 fn folder_of(path: &Path) -> PathBuf {
@@ -195,6 +204,9 @@ fn open(source: &Source, request: &ImportRequest<'_>) -> Result<Opened, SessionE
     let frames = source.frames(request.variable)?;
     let mut notes = Vec::new();
     let times = times_of(&frames)?;
+    if let Some(line) = times.as_ref().and_then(|t| t.unfinished.as_ref()) {
+        notes.push(format!("the table of timestamps ends within a line, which is left out: {line}"));
+    }
     let metadata = miniscope::metadata(&folder_of(&source.path))?.filter(|_| source.path.is_dir());
     if let Some((metadata, roi)) = metadata.as_ref().and_then(|m| Some((m, m.roi?)))
         && roi != [frames.rows(), frames.cols()]
@@ -270,7 +282,9 @@ fn exposure_ms(request: &ImportRequest<'_>, recording: &mut Opened) -> Result<f6
         return Ok(ms);
     }
     let by_times = recording.times.as_ref().and_then(|t| t.interval_s);
-    let Some(interval) = by_times.or(recording.frames.scale().interval_s) else {
+    // Recorders of miniscopes write another rate into the heads of their files than was set.
+    let set = recording.metadata.as_ref().and_then(|m| m.frame_rate_hz).map(|rate| 1.0 / rate);
+    let Some(interval) = by_times.or(set).or(recording.frames.scale().interval_s) else {
         let (path, remedy) = (recording.frames.path(), "state it: --exposure-ms");
         return Err(SessionError::value(path, "exposure", "a time in ms", "none in the files", remedy));
     };

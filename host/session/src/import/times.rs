@@ -23,6 +23,8 @@ pub struct Times {
     pub gaps: Vec<Gap>,
     /// Frames whose timestamp is not later than that of the frame before.
     pub backwards: Vec<usize>,
+    /// The last line of the table, if the recorder was cut off while it wrote it: it is left out.
+    pub unfinished: Option<String>,
     /// How rows of the table were assigned to frames, where their numbers differ.
     pub assigned: Option<&'static str>,
 }
@@ -51,12 +53,12 @@ pub(super) fn table_of(folder: &Path) -> Option<std::path::PathBuf> {
     TABLES.into_iter().map(|name| folder.join(name)).find(|path| path.is_file())
 }
 
-/// Reads the timestamps of a table, s.
+/// Reads the timestamps of a table, s, and its last line where that is unfinished.
 ///
 /// # Errors
 /// The table cannot be read, has no column of times with a unit, or a row is no number.
-pub(super) fn timestamps(path: &Path, camera: Option<&str>) -> Result<Vec<f64>, SessionError> {
-    let grid = Grid::read(path)?;
+pub(super) fn timestamps(path: &Path, camera: Option<&str>) -> Result<(Vec<f64>, Option<String>), SessionError> {
+    let (grid, unfinished) = Grid::read_log(path)?;
     let place = |names: &[&str]| {
         let plain = |n: &str| n.to_lowercase().chars().filter(|c| c.is_alphanumeric()).collect::<String>();
         grid.names.iter().position(|n| names.contains(&plain(n).as_str()))
@@ -82,7 +84,7 @@ pub(super) fn timestamps(path: &Path, camera: Option<&str>) -> Result<Vec<f64>, 
             SessionError::value(path, field, "a finite number", found, "correct the table, or remove the line")
         })
     };
-    rows.map(time).collect()
+    Ok((rows.map(time).collect::<Result<_, _>>()?, unfinished))
 }
 
 impl Times {

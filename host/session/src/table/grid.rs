@@ -27,7 +27,33 @@ impl Grid {
     /// The file cannot be read, has no header, or a row has more or fewer values than the header.
     pub fn read(path: &Path) -> Result<Self, SessionError> {
         let bytes = std::fs::read(path).map_err(|e| SessionError::io(path, e))?;
-        let text = decoded(path, &bytes)?;
+        Self::of(path, &bytes)
+    }
+
+    /// Reads the table of a recorder, whose last line is cut off where the recorder was. Returns what was left out.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub fn read_log(path: &Path) -> Result<(Self, Option<String>), SessionError> {
+        let bytes = std::fs::read(path).map_err(|e| SessionError::io(path, e))?;
+        // Blocks that a crashed system had reserved and not written are zero.
+        let written = bytes.iter().rposition(|b| *b != 0).map_or(0, |i| i + 1);
+        let start = bytes[..written].iter().rposition(|b| *b == b'\n').map_or(0, |i| i + 1);
+        let (lines, last) = bytes[..written].split_at(start);
+        let cells = |line: &[u8]| line.iter().filter(|b| b",;\t".contains(b)).count();
+        let few = lines.split(|b| *b == b'\n').next().is_some_and(|head| cells(last) < cells(head));
+        if start == 0 || !(few || written < bytes.len()) {
+            return Ok((Self::of(path, &bytes)?, None));
+        }
+        let number = lines.iter().filter(|b| **b == b'\n').count() + 1;
+        let unfinished = format!("line {number}, `{}`", String::from_utf8_lossy(last));
+        Ok((Self::of(path, lines)?, Some(unfinished)))
+    }
+
+    fn of(path: &Path, bytes: &[u8]) -> Result<Self, SessionError> {
+        let text = decoded(path, bytes)?;
+        // The reader counts lines that end with two characters one too low.
+        let text = text.replace("\r\n", "\n");
         let (text, before) = without_hint(&text);
         let head = text.lines().map(str::trim).find(|l| !l.is_empty() && !l.starts_with('#')).unwrap_or("");
         let separator = separator(head);

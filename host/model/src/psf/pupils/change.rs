@@ -1,5 +1,6 @@
 //! How PSFs change with the wavefront, as a low-rank model of its own.
 
+use super::depths::Bend;
 use super::fit::{Design, LensPupil, Place, effective_area, fit_lens, fit_like};
 use super::kernel::{Kernel, Waves};
 use super::{EVEN, MOST_MISFIT, SQUARES, TERMS};
@@ -18,7 +19,7 @@ const PLACES: usize = 4;
 /// Nodes of each axis on which changes are computed: pupils are quadratic in the field, and a change is as smooth.
 const NODES: usize = 5;
 /// PSFs with less than this share of the light of the brightest say too little: their foci fall off the sensor.
-const FAINT: f64 = 0.2;
+pub(super) const FAINT: f64 = 0.2;
 /// Smallest window whose PSFs a pupil can be fitted to, px a side.
 const LEAST_SIDE: usize = 7;
 /// Terms of the low-rank model of a change, at most, and the relative size of the least.
@@ -50,7 +51,11 @@ impl Wavefronts {
 #[derive(Clone, Debug)]
 pub struct PupilModel {
     /// None: a dead lens.
-    lenses: Vec<Option<LensPupil>>,
+    pub(super) lenses: Vec<Option<LensPupil>>,
+    /// The depth whose PSFs were fitted, by its index.
+    pub(super) depth: usize,
+    /// How the wavefronts bend with depth, for each lens, as the scan shows it; empty: it has one depth.
+    pub(super) bends: Vec<Option<Bend>>,
     /// Defocus of a source displaced by 1 um along the axis by a pupil of radius 1 cycle/px, waves rms for a wavelength
     /// of 1 um.
     waves_per_um2: f64,
@@ -97,7 +102,8 @@ impl PupilModel {
         }
         let prepared = alone.iter().map(|_| Arc::default()).collect();
         let nodes_px = [&psf.node_rows_px, &psf.node_cols_px].map(|nodes| coarse(nodes));
-        let mut model = Self { lenses: alone, waves_per_um2: 0.0, nodes_px, prepared, misfit: 0.0 };
+        let mut model =
+            Self { lenses: alone, depth, bends: Vec::new(), waves_per_um2: 0.0, nodes_px, prepared, misfit: 0.0 };
         model.share_a_sign();
         model.fit_by_design(psf, depth);
         model.share_a_sign();
@@ -113,8 +119,12 @@ impl PupilModel {
 
     /// Defocus of a source of light of `wavelength_um` that is displaced by `z_um` along the axis, through a lens,
     /// waves rms; 0 for a dead lens. It grows as the square of the radius of the pupil: its curvature at a given
-    /// frequency is the same for all lenses. Its sign is that of the even terms: unknown.
+    /// frequency is the same for all lenses. Its sign is that of the even terms: unknown. A scan at several depths shows
+    /// both for each lens, whatever the wavelength.
     pub fn defocus_waves(&self, lens: usize, z_um: f64, wavelength_um: f64) -> f64 {
+        if let Some(Some(bend)) = self.bends.get(lens) {
+            return bend.waves_per_um * z_um;
+        }
         let radius = self.lenses.get(lens).and_then(Option::as_ref).map_or(0.0, |l| l.radius);
         self.waves_per_um2 * wavelength_um * radius * radius * z_um
     }
@@ -140,6 +150,11 @@ impl PupilModel {
             trefoil_waves: rms[7].hypot(rms[8]),
             spherical_waves: rms[9],
         }
+    }
+
+    /// The depth whose PSFs were fitted, by its index.
+    pub fn depth(&self) -> usize {
+        self.depth
     }
 
     /// Rows and columns of the nodes on which changes are computed, object pixels.
@@ -319,7 +334,7 @@ fn coarse(nodes: &[f64]) -> Vec<f64> {
 }
 
 /// The PSF of a lens at a node, [window, window].
-fn window(psf: &LowRankPsf, [l, depth, i, j]: [usize; 4]) -> Array2<f64> {
+pub(super) fn window(psf: &LowRankPsf, [l, depth, i, j]: [usize; 4]) -> Array2<f64> {
     let mut sum = Array2::<f64>::zeros((psf.basis.dim().2, psf.basis.dim().3));
     for (k, kernel) in psf.basis.index_axis(Axis(0), l).outer_iter().enumerate() {
         let weight = f64::from(psf.coefficients[[l, k, depth, i, j]]);
@@ -334,8 +349,8 @@ fn placed(nodes: &[f64]) -> Vec<f64> {
     nodes.iter().map(|v| ends.map_or(0.0, |(a, b)| 2.0 * (v - a) / (b - a) - 1.0)).collect()
 }
 
-/// What is fitted of a lens: PSFs on a coarse grid of its nodes, the one nearest to the centre first, cut to the light.
-fn places(psf: &LowRankPsf, l: usize, depth: usize) -> Vec<Place> {
+/// The nodes whose PSFs are compared with those of pupils, and their places, -1 to 1 over the object.
+pub(super) fn chosen_nodes(psf: &LowRankPsf) -> Vec<([usize; 2], [f64; 2])> {
     let chosen = |n: usize| -> Vec<usize> {
         let k = n.min(PLACES);
         let mut at: Vec<usize> = (0..k).map(|i| if k < 2 { n / 2 } else { i * (n - 1) / (k - 1) }).collect();
@@ -343,13 +358,18 @@ fn places(psf: &LowRankPsf, l: usize, depth: usize) -> Vec<Place> {
         at
     };
     let (rows, cols) = (placed(&psf.node_rows_px), placed(&psf.node_cols_px));
-    let mut found: Vec<(f64, Place)> = Vec::new();
-    for i in chosen(rows.len()) {
-        for j in chosen(cols.len()) {
-            let window = window(psf, [l, depth, i, j]);
-            found.push((window.sum(), Place { at: [rows[i], cols[j]], window }));
-        }
-    }
+    let of_cols = chosen(cols.len());
+    let pairs = chosen(rows.len()).into_iter().flat_map(|i| of_cols.iter().map(move |j| [i, *j]));
+    pairs.map(|[i, j]| ([i, j], [rows[i], cols[j]])).collect()
+}
+
+/// What is fitted of a lens: PSFs on a coarse grid of its nodes, the one nearest to the centre first, cut to the light.
+fn places(psf: &LowRankPsf, l: usize, depth: usize) -> Vec<Place> {
+    let place = |([i, j], at): ([usize; 2], [f64; 2])| {
+        let window = window(psf, [l, depth, i, j]);
+        (window.sum(), Place { at, window })
+    };
+    let mut found: Vec<(f64, Place)> = chosen_nodes(psf).into_iter().map(place).collect();
     let brightest = found.iter().fold(0.0f64, |m, (light, _)| m.max(*light));
     found.retain(|(light, _)| *light > FAINT * brightest);
     let mut places: Vec<Place> = found.into_iter().map(|(_, place)| place).collect();
@@ -367,7 +387,7 @@ fn places(psf: &LowRankPsf, l: usize, depth: usize) -> Vec<Place> {
 }
 
 /// Light of a lens at the nodes of its coefficient maps, DN.
-fn light(psf: &LowRankPsf, l: usize, depth: usize) -> Array2<f64> {
+pub(super) fn light(psf: &LowRankPsf, l: usize, depth: usize) -> Array2<f64> {
     let mut sum = Array2::<f64>::zeros((psf.node_rows_px.len(), psf.node_cols_px.len()));
     for (k, kernel) in psf.basis.index_axis(Axis(0), l).outer_iter().enumerate() {
         let share: f64 = kernel.iter().map(|v| f64::from(*v)).sum();

@@ -13,10 +13,12 @@
 //!
 //! The wavefront `-W(-rho)` makes the same PSF as `W(rho)`: even terms (defocus, astigmatism, spherical aberration)
 //! have a sign that one plane cannot show. The lenses are taken to be alike, so that they share one sign, and the sign
-//! of all is chosen so that their mean defocus is positive. Source: Fienup, Applied Optics 21, 2758 (1982), on the twin
+//! of all is chosen so that their mean defocus is positive. A scan at several depths shows the sign, and how far a
+//! wavefront bends with depth (`depths`). Source: Fienup, Applied Optics 21, 2758 (1982), on the twin
 //! image; Noll, J. Opt. Soc. Am. 66, 207 (1976).
 
 mod change;
+mod depths;
 mod fit;
 mod kernel;
 mod shared;

@@ -3,7 +3,7 @@
 use super::*;
 use crate::psf::LowRankPsf;
 use crate::psf::decompose::decompose;
-use ndarray::{Array1, Array2, Array3, Array4, Array5, s};
+use ndarray::{Array1, Array2, Array3, Array4, Array5, Axis, concatenate, s};
 use ommatidia_physics::optics::{Psf, Pupil, PupilConfig, Wavefront};
 
 const SIDE: usize = 21;
@@ -59,21 +59,29 @@ fn windows(added: &Wavefront) -> Vec<Array3<f32>> {
 }
 
 fn calibrated() -> LowRankPsf {
-    let rank = 12;
+    calibrated_at(vec![0.0], 0.0)
+}
+
+/// A scan at several depths with that defocus for each um, waves rms.
+fn calibrated_at(node_depths_um: Vec<f64>, waves_per_um: f64) -> LowRankPsf {
+    let (rank, depths) = (12, node_depths_um.len());
     let mut basis = Array4::zeros((3, rank, SIDE, SIDE));
-    let mut coefficients = Array5::zeros((3, rank, 1, NODES, NODES));
-    for (l, windows) in windows(&Wavefront::default()).into_iter().enumerate() {
-        let flat = windows.into_shape_with_order((NODES * NODES, SIDE * SIDE)).unwrap();
+    let mut coefficients = Array5::zeros((3, rank, depths, NODES, NODES));
+    let at_depth: Vec<_> = node_depths_um.iter().map(|z| windows(&added(&[(4, waves_per_um * z)]))).collect();
+    for l in 0..3 {
+        let all: Vec<_> = at_depth.iter().map(|lenses| lenses[l].view()).collect();
+        let flat = concatenate(Axis(0), &all).unwrap();
+        let flat = flat.into_shape_with_order((depths * NODES * NODES, SIDE * SIDE)).unwrap();
         let d = decompose(flat.view(), None, Array1::ones(SIDE * SIDE).view(), rank).unwrap();
         for k in 0..rank {
             let kernel = d.basis.row(k).to_owned().into_shape_with_order((SIDE, SIDE)).unwrap();
             basis.slice_mut(s![l, k, .., ..]).assign(&kernel);
-            let map = d.coefficients.column(k).mapv(|v| v as f32).into_shape_with_order((NODES, NODES)).unwrap();
-            coefficients.slice_mut(s![l, k, 0, .., ..]).assign(&map);
+            let map = d.coefficients.column(k).mapv(|v| v as f32);
+            let map = map.into_shape_with_order((depths, NODES, NODES)).unwrap();
+            coefficients.slice_mut(s![l, k, .., .., ..]).assign(&map);
         }
     }
     let nodes: Vec<f64> = (0..NODES).map(|i| 10.0 * i as f64).collect();
-    let node_depths_um = vec![0.0];
     LowRankPsf {
         basis,
         coefficients,
@@ -99,6 +107,27 @@ fn a_depth_is_the_defocus_of_the_aperture() {
         let found = model.defocus_waves(lens, 30.0, 0.53);
         assert!((found / waves - 1.0).abs() < 0.1, "{lens}: {found} {waves}");
     }
+}
+
+/// Depths that lie as far apart as the depth of field: 0.12 waves rms from plane to plane, to either side.
+#[test]
+fn a_scan_at_several_depths_shows_how_far_wavefronts_bend_and_to_which_side() {
+    // As the aperture has it: see the test of a depth.
+    for waves_per_um in [3.6e-4, -3.6e-4] {
+        let psf = calibrated_at(vec![-330.0, 0.0, 330.0], waves_per_um);
+        let scale = Scale { magnification: 0.66, pixel_pitch_um: 2.0 };
+        let model = PupilModel::fit(&psf, 1, &[false; 3], scale).unwrap().with_depths(&psf).unwrap();
+        for lens in 0..3 {
+            let found = model.defocus_waves(lens, 50.0, 0.53) / (50.0 * waves_per_um);
+            assert!((found.abs() - 1.0).abs() < 0.1, "{lens}: {found}");
+            // The sign of even terms was chosen so that they are those that made the PSFs.
+            assert!(found > 0.0, "{lens}: {found}");
+        }
+    }
+    // The same PSFs at all depths have no defocus.
+    let psf = calibrated_at(vec![-100.0, 0.0, 100.0], 0.0);
+    let scale = Scale { magnification: 0.66, pixel_pitch_um: 2.0 };
+    assert!(PupilModel::fit(&psf, 1, &[false; 3], scale).unwrap().with_depths(&psf).is_none());
 }
 
 /// Relative error of predicted changes, and the change relative to the PSFs.

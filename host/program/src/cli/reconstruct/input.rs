@@ -1,7 +1,7 @@
 //! The frames that are reconstructed: a file, a folder of a recording, or the scenes of a session; and their times.
 
 use anyhow::bail;
-use ommatidia_session::import::{Times, times_of};
+use ommatidia_session::import::{Times, set_interval_s, times_of};
 use ommatidia_session::kind::FileKind;
 use ommatidia_session::{FrameReader, Role, Session};
 use std::fmt::Write;
@@ -13,6 +13,8 @@ pub struct Input {
     pub frames: FrameReader,
     /// Times of the frames, where a table has them.
     pub times: Option<Times>,
+    /// The time from one frame to the next that was set, s, where the recording states it.
+    set_interval_s: Option<f64>,
 }
 
 impl Input {
@@ -26,7 +28,8 @@ impl Input {
         }
         let frames = FrameReader::open(path)?;
         let times = times_of(&frames)?;
-        Ok(Self { frames, times })
+        let set_interval_s = set_interval_s(&frames)?;
+        Ok(Self { frames, times, set_interval_s })
     }
 
     fn of_session(path: &Path) -> anyhow::Result<Self> {
@@ -39,7 +42,7 @@ impl Input {
         let time_s: Vec<f64> = stack.info().iter().map(|info| info.time_s).collect();
         // Without a column of times all are zero.
         let times = time_s.windows(2).any(|w| w[0] != w[1]).then(|| Times::of_frames(&time_s));
-        Ok(Self { frames: stack.frames()?, times })
+        Ok(Self { frames: stack.frames()?, times, set_interval_s: None })
     }
 
     /// The time from one frame to the next, s, where it is the same for all.
@@ -47,7 +50,7 @@ impl Input {
         match &self.times {
             Some(times) if times.gaps.is_empty() && times.backwards.is_empty() => times.interval_s,
             Some(_) => None,
-            None => self.frames.scale().interval_s,
+            None => self.set_interval_s.or(self.frames.scale().interval_s),
         }
     }
 
@@ -64,6 +67,10 @@ impl Input {
             if !what.is_empty() {
                 warnings.push(format!("{}: {}", part.path.display(), what.join("; ")));
             }
+        }
+        if let Some(line) = self.times.as_ref().and_then(|t| t.unfinished.as_ref()) {
+            let path = self.frames.path().display();
+            warnings.push(format!("{path}: the table of timestamps ends within a line, which is left out: {line}"));
         }
         if let Some(times) = self.times.as_ref().filter(|t| !t.gaps.is_empty()) {
             let missing: usize = times.gaps.iter().map(|g| g.missing).sum();
