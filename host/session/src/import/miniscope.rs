@@ -24,6 +24,13 @@ pub struct Metadata {
     pub compression: Option<String>,
 }
 
+impl Metadata {
+    /// The time from one frame to the next that was set, s.
+    pub(super) fn interval_s(&self) -> Option<f64> {
+        self.frame_rate_hz.map(|rate| 1.0 / rate)
+    }
+}
+
 /// Reads the metadata of a folder; `None` where it has none.
 ///
 /// # Errors

@@ -193,7 +193,7 @@ pub fn times_of(frames: &FrameReader) -> Result<Option<Times>, SessionError> {
 /// The metadata cannot be read.
 pub fn set_interval_s(frames: &FrameReader) -> Result<Option<f64>, SessionError> {
     let metadata = miniscope::metadata(&folder_of(frames.path()))?.filter(|_| frames.path().is_dir());
-    Ok(metadata.and_then(|m| m.frame_rate_hz).map(|rate| 1.0 / rate))
+    Ok(metadata.and_then(|m| m.interval_s()))
 }
 
 fn folder_of(path: &Path) -> PathBuf {
@@ -204,9 +204,7 @@ fn open(source: &Source, request: &ImportRequest<'_>) -> Result<Opened, SessionE
     let frames = source.frames(request.variable)?;
     let mut notes = Vec::new();
     let times = times_of(&frames)?;
-    if let Some(line) = times.as_ref().and_then(|t| t.unfinished.as_ref()) {
-        notes.push(format!("the table of timestamps ends within a line, which is left out: {line}"));
-    }
+    notes.extend(times.as_ref().and_then(Times::unfinished_note));
     let metadata = miniscope::metadata(&folder_of(&source.path))?.filter(|_| source.path.is_dir());
     if let Some((metadata, roi)) = metadata.as_ref().and_then(|m| Some((m, m.roi?)))
         && roi != [frames.rows(), frames.cols()]
@@ -283,7 +281,7 @@ fn exposure_ms(request: &ImportRequest<'_>, recording: &mut Opened) -> Result<f6
     }
     let by_times = recording.times.as_ref().and_then(|t| t.interval_s);
     // Recorders of miniscopes write another rate into the heads of their files than was set.
-    let set = recording.metadata.as_ref().and_then(|m| m.frame_rate_hz).map(|rate| 1.0 / rate);
+    let set = recording.metadata.as_ref().and_then(Metadata::interval_s);
     let Some(interval) = by_times.or(set).or(recording.frames.scale().interval_s) else {
         let (path, remedy) = (recording.frames.path(), "state it: --exposure-ms");
         return Err(SessionError::value(path, "exposure", "a time in ms", "none in the files", remedy));

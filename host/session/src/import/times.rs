@@ -160,6 +160,12 @@ impl Times {
         self.time_s.extend((0..self.estimated).map(next));
     }
 
+    /// That the last line of the table is left out, where it is.
+    pub fn unfinished_note(&self) -> Option<String> {
+        let line = self.unfinished.as_ref()?;
+        Some(format!("the table of timestamps ends within a line, which is left out: {line}"))
+    }
+
     /// Frames a second by the timestamps, without the gaps.
     pub fn rate_hz(&self) -> Option<f64> {
         let last = self.time_s.len() - self.estimated;

@@ -1,6 +1,5 @@
 //! How PSFs change with the wavefront, as a low-rank model of its own.
 
-use super::depths::Bend;
 use super::fit::{Design, LensPupil, Place, effective_area, fit_lens, fit_like};
 use super::kernel::{Kernel, Waves};
 use super::{EVEN, MOST_MISFIT, SQUARES, TERMS};
@@ -54,8 +53,9 @@ pub struct PupilModel {
     pub(super) lenses: Vec<Option<LensPupil>>,
     /// The depth whose PSFs were fitted, by its index.
     pub(super) depth: usize,
-    /// How the wavefronts bend with depth, for each lens, as the scan shows it; empty: it has one depth.
-    pub(super) bends: Vec<Option<Bend>>,
+    /// Defocus of a source that is displaced by 1 um, for each lens, as a scan at several depths shows it, waves rms;
+    /// empty: the scan has one depth.
+    pub(super) scanned_waves_per_um: Vec<Option<f64>>,
     /// Defocus of a source displaced by 1 um along the axis by a pupil of radius 1 cycle/px, waves rms for a wavelength
     /// of 1 um.
     waves_per_um2: f64,
@@ -102,8 +102,15 @@ impl PupilModel {
         }
         let prepared = alone.iter().map(|_| Arc::default()).collect();
         let nodes_px = [&psf.node_rows_px, &psf.node_cols_px].map(|nodes| coarse(nodes));
-        let mut model =
-            Self { lenses: alone, depth, bends: Vec::new(), waves_per_um2: 0.0, nodes_px, prepared, misfit: 0.0 };
+        let mut model = Self {
+            lenses: alone,
+            depth,
+            scanned_waves_per_um: Vec::new(),
+            waves_per_um2: 0.0,
+            nodes_px,
+            prepared,
+            misfit: 0.0,
+        };
         model.share_a_sign();
         model.fit_by_design(psf, depth);
         model.share_a_sign();
@@ -122,8 +129,8 @@ impl PupilModel {
     /// frequency is the same for all lenses. Its sign is that of the even terms: unknown. A scan at several depths shows
     /// both for each lens, whatever the wavelength.
     pub fn defocus_waves(&self, lens: usize, z_um: f64, wavelength_um: f64) -> f64 {
-        if let Some(Some(bend)) = self.bends.get(lens) {
-            return bend.waves_per_um * z_um;
+        if let Some(Some(waves_per_um)) = self.scanned_waves_per_um.get(lens) {
+            return waves_per_um * z_um;
         }
         let radius = self.lenses.get(lens).and_then(Option::as_ref).map_or(0.0, |l| l.radius);
         self.waves_per_um2 * wavelength_um * radius * radius * z_um

@@ -24,10 +24,10 @@ const DEFOCUS: usize = 2;
 const MOST_LEFT: f64 = 0.5;
 
 /// How the wavefront of a lens bends with depth.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Bend {
+#[derive(Clone, Copy)]
+struct Bend {
     /// Defocus of a source that is displaced by 1 um, with its sign, waves rms.
-    pub waves_per_um: f64,
+    waves_per_um: f64,
     /// Sums of squares over places and depths: of what this leaves of the change of the PSFs, and of the change.
     squares: [f64; 2],
 }
@@ -38,7 +38,7 @@ impl PupilModel {
     pub(super) fn with_depths(mut self, psf: &LowRankPsf) -> Option<Self> {
         let bends: Vec<Option<Bend>> = (0..self.lenses.len()).into_par_iter().map(|l| self.bend(psf, l)).collect();
         let [left, size] = [0, 1].map(|k| bends.iter().flatten().map(|b| b.squares[k]).sum::<f64>());
-        self.bends = bends;
+        self.scanned_waves_per_um = bends.iter().map(|b| b.map(|b| b.waves_per_um)).collect();
         (size > 0.0 && left <= MOST_LEFT * MOST_LEFT * size).then_some(self)
     }
 

@@ -68,10 +68,8 @@ impl Input {
                 warnings.push(format!("{}: {}", part.path.display(), what.join("; ")));
             }
         }
-        if let Some(line) = self.times.as_ref().and_then(|t| t.unfinished.as_ref()) {
-            let path = self.frames.path().display();
-            warnings.push(format!("{path}: the table of timestamps ends within a line, which is left out: {line}"));
-        }
+        let unfinished = self.times.as_ref().and_then(Times::unfinished_note);
+        warnings.extend(unfinished.map(|note| format!("{}: {note}", self.frames.path().display())));
         if let Some(times) = self.times.as_ref().filter(|t| !t.gaps.is_empty()) {
             let missing: usize = times.gaps.iter().map(|g| g.missing).sum();
             let path = self.frames.path().display();
