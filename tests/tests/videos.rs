@@ -80,3 +80,73 @@ fn compressed_videos_are_read_and_written_by_ffmpeg() {
     let out = probe.args(["-of", "csv=p=0", "x.mp4"]).current_dir(desk.path()).output().unwrap();
     assert_eq!(String::from_utf8_lossy(&out.stdout).trim(), "32,34,20/1,3");
 }
+
+/// Where the data of each frame lie in an AVI of one video.
+fn frames_in(avi: &[u8]) -> Vec<std::ops::Range<usize>> {
+    let movi = avi.windows(4).position(|w| w == b"movi").unwrap() + 4;
+    let mut at = movi;
+    let mut found = Vec::new();
+    while avi[at..].starts_with(b"00dc") {
+        let bytes = u32::from_le_bytes(avi[at + 4..at + 8].try_into().unwrap()) as usize;
+        found.push(at + 8..at + 8 + bytes);
+        at += 8 + bytes + bytes % 2;
+    }
+    found
+}
+
+/// ffmpeg goes on where a frame is damaged, with pixels that it invents or without the frame: either is named, and the
+/// other frames stay in their places.
+#[test]
+fn damaged_frames_are_named_and_move_no_other() {
+    let desk = tempfile::tempdir().unwrap();
+    let count = 20;
+    std::fs::write(desk.path().join("raw"), (0..count).flat_map(frame).collect::<Vec<u8>>()).unwrap();
+    let size = format!("{COLS}x{ROWS}");
+    let input = ["-v", "error", "-f", "rawvideo", "-pix_fmt", "gray", "-s", &size, "-r", "60", "-i", "raw"];
+    // As recorders write it: each frame for itself, with checksums.
+    let coding = ["-c:v", "ffv1", "-level", "3", "-slices", "4", "-slicecrc", "1", "-g", "1", "whole.avi"];
+    match Command::new("ffmpeg").args(input).args(coding).current_dir(desk.path()).status() {
+        Ok(status) => assert!(status.success()),
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
+            skip("damaged_frames_are_named_and_move_no_other", "ffmpeg is not installed");
+            return;
+        }
+        Err(e) => panic!("{e}"),
+    }
+    let whole = std::fs::read(desk.path().join("whole.avi")).unwrap();
+    let places = frames_in(&whole);
+    assert_eq!(places.len(), count);
+    // Frames 0, 5 and 6, and the last cannot be decoded; one slice of frame 12 is damaged.
+    let mut bytes = whole.clone();
+    for i in [0, 5, 6, count - 1] {
+        bytes[places[i].clone()].fill(0xff);
+    }
+    bytes[places[12].end - 12] ^= 0x55;
+    let path = desk.path().join("damaged.avi");
+    std::fs::write(&path, bytes).unwrap();
+    let mut reader = FrameReader::open(&path).unwrap();
+    assert!(reader.parts()[0].damaged.is_empty(), "nothing is decoded yet");
+    let values = |i: usize| frame(i).into_iter().map(f32::from).collect::<Vec<_>>();
+    for i in 0..count {
+        let read = reader.read(i).unwrap().into_raw_vec_and_offset().0;
+        match i {
+            // What stands in the place of frames that are not there.
+            0 => assert_eq!(read, values(1)),
+            5 | 6 => assert_eq!(read, values(4)),
+            19 => assert_eq!(read, values(18)),
+            12 => assert!(read != values(12), "a slice of it is damaged"),
+            _ => assert_eq!(read, values(i), "{i}"),
+        }
+    }
+    let damaged = &reader.parts()[0].damaged;
+    assert_eq!(damaged.iter().map(|(i, _)| *i).collect::<Vec<_>>(), [0, 5, 6, 12, 19], "{damaged:?}");
+    assert!(damaged[1].1.contains("cannot be decoded") && damaged[1].1.contains("frame before"), "{damaged:?}");
+    assert!(damaged[3].1.contains("ffmpeg: slice CRC mismatch"), "{damaged:?}");
+    // Read again and out of order, nothing is named twice.
+    reader.read(12).unwrap();
+    reader.read(5).unwrap();
+    assert_eq!(reader.parts()[0].damaged.len(), 5);
+    let mut reader = FrameReader::open(&desk.path().join("whole.avi")).unwrap();
+    (0..count).for_each(|i| assert_eq!(reader.read(i).unwrap().into_raw_vec_and_offset().0, values(i)));
+    assert!(reader.parts()[0].damaged.is_empty());
+}

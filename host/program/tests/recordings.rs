@@ -156,6 +156,63 @@ fn a_table_that_ends_within_a_line_is_read_up_to_it() {
     assert!(code == 1 && error.contains("line 9"), "{error}");
 }
 
+/// Without its first file, each frame keeps its own time, and the file is named.
+#[test]
+fn a_missing_first_file_moves_no_times() {
+    let desk = tempfile::tempdir().unwrap();
+    let folder = miniscope(desk.path());
+    let times = |session: &str| {
+        json(desk.path(), &format!("import Miniscope -o {session}"));
+        let session = Session::open(desk.path().join(session)).unwrap();
+        session.need(Role::Scene).unwrap()[0].info().iter().map(|info| info.time_s).collect::<Vec<_>>()
+    };
+    let all = times("all");
+    std::fs::remove_file(folder.join("0.avi")).unwrap();
+    assert_eq!(times("without"), all[30..]);
+    let found = &json(desk.path(), "import Miniscope -o again")["recordings"][0];
+    assert_eq!(found["missing_files"], serde_json::json!([0]), "{found:#}");
+    // The table of the session names the recorder's file and frame of each.
+    let table = std::fs::read_to_string(desk.path().join("again/scene.csv")).unwrap();
+    let column = |line: &str, name: &str| {
+        let at = table.lines().next().unwrap().split(',').position(|n| n == name).unwrap();
+        line.split(',').nth(at).unwrap().to_string()
+    };
+    let row = table.lines().nth(1 + 26).unwrap();
+    assert_eq!([column(row, "recorded_in"), column(row, "recorded_frame")], ["2.avi", "0"]);
+    // Files that another program counts from 1, with a row for each frame: nothing is missing.
+    for (from, to) in [(1, 11), (2, 12), (3, 13)] {
+        std::fs::rename(folder.join(format!("{from}.avi")), folder.join(format!("{to}.avi"))).unwrap();
+    }
+    for (from, to) in [(11, 1), (12, 2), (13, 3)] {
+        std::fs::write(
+            folder.join(format!("{to}.avi")),
+            avi(&(30 * (from - 11)..30 * (from - 10)).collect::<Vec<_>>()),
+        )
+        .unwrap();
+        std::fs::remove_file(folder.join(format!("{from}.avi"))).unwrap();
+    }
+    let rows: Vec<String> =
+        std::fs::read_to_string(folder.join("timeStamps.csv")).unwrap().lines().map(Into::into).collect();
+    std::fs::write(folder.join("timeStamps.csv"), rows[..91].join("\n")).unwrap();
+    let found = &json(desk.path(), "import Miniscope -o from-one")["recordings"][0];
+    assert_eq!((&found["missing_files"], &found["frames"]), (&serde_json::json!([]), &90.into()), "{found:#}");
+}
+
+/// What the recorder says beside the frames may be cut or strange: the frames are read all the same.
+#[test]
+fn broken_metadata_and_the_turns_of_a_head_stop_nothing() {
+    let desk = tempfile::tempdir().unwrap();
+    let folder = miniscope(desk.path());
+    std::fs::write(folder.join("metaData.json"), "{\"frameRate\": 20, ").unwrap();
+    let found = &json(desk.path(), "import Miniscope -o session")["recordings"][0];
+    assert!(found["notes"].to_string().contains("metaData.json: is no JSON"), "{found:#}");
+    // A table of how the head is turned holds no positions of beads.
+    std::fs::remove_file(folder.join("timeStamps.csv")).unwrap();
+    std::fs::write(folder.join("headOrientation.csv"), "Time Stamp (ms),qw,qx,qy,qz\n3,1,0,0,0\n").unwrap();
+    let found = &json(desk.path(), "import Miniscope -o turned --exposure-ms 50")["recordings"][0];
+    assert_eq!(found["role"], "scene", "{found:#}");
+}
+
 /// Recorders write 60 frames a second into the heads of their files, whatever was set.
 #[test]
 fn without_timestamps_the_rate_that_was_set_counts() {

@@ -8,12 +8,13 @@ use numpy::IntoPyArray;
 use ommatidia_bench::{BenchConfig, open_session, virtual_session};
 use ommatidia_physics::effects::EffectSetting;
 use ommatidia_session::files::{Content, Files};
-use ommatidia_session::{FrameInfo, Session, Stack};
+use ommatidia_session::{FrameInfo, FrameReader, Session, Stack};
 use pyo3::exceptions::{PyIndexError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 /// A measured session: one folder of frames with a manifest.
 #[pyclass(frozen, module = "ommatidia", name = "Session")]
@@ -121,7 +122,7 @@ impl PySession {
     /// All stacks, in the order of the manifest.
     #[getter]
     fn stacks(&self) -> Vec<PyStack> {
-        self.session.stacks().iter().cloned().map(|stack| PyStack { stack }).collect()
+        self.session.stacks().iter().cloned().map(|stack| PyStack { stack, reader: Mutex::default() }).collect()
     }
 
     /// The stacks of one role: `dark`, `flat`, `bead` or `scene`.
@@ -156,6 +157,29 @@ type Column = (&'static str, fn(&FrameInfo) -> f64);
 #[pyclass(frozen, module = "ommatidia", name = "Stack")]
 pub struct PyStack {
     stack: Stack,
+    /// Kept open from one frame to the next: to open a folder of compressed files takes longer than to read a frame.
+    reader: Mutex<Option<FrameReader>>,
+}
+
+impl PyStack {
+    /// Works with the open frames.
+    fn with_frames<T: Send>(
+        &self,
+        py: Python<'_>,
+        work: impl FnOnce(&mut FrameReader) -> anyhow::Result<T> + Send,
+    ) -> PyResult<T> {
+        work::short(py, || {
+            // A reader that an error or a panic left is opened again.
+            let mut kept = self.reader.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut reader = match kept.take() {
+                Some(reader) => reader,
+                None => self.stack.frames()?,
+            };
+            let result = work(&mut reader)?;
+            *kept = Some(reader);
+            Ok(result)
+        })
+    }
 }
 
 #[pymethods]
@@ -198,8 +222,7 @@ impl PyStack {
         if start >= stop {
             return Err(PyIndexError::new_err(format!("frames {start}..{stop}: the stack has {}", self.stack.len())));
         }
-        let frames = work::short(py, || {
-            let mut reader = self.stack.frames()?;
+        let frames = self.with_frames(py, |reader| {
             let mut all = Array3::zeros((stop - start, reader.rows(), reader.cols()));
             for (i, mut to) in (start..stop).zip(all.axis_iter_mut(Axis(0))) {
                 to.assign(&reader.read(i)?);
@@ -226,7 +249,7 @@ impl PyStack {
         let i = if given_i < 0 { given_i + len as isize } else { given_i };
         let i = usize::try_from(i).ok().filter(|i| *i < len);
         let i = i.ok_or_else(|| PyIndexError::new_err(format!("frame {given_i}: the stack has {len}")))?;
-        Ok(given(py, work::short(py, || Ok(self.stack.frames()?.read(i)?))?))
+        Ok(given(py, self.with_frames(py, |reader| Ok(reader.read(i)?))?))
     }
 
     fn __repr__(&self) -> String {

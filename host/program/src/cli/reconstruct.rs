@@ -214,12 +214,17 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         }
         Some(parts) => {
             let todo = parts.missing(args.shard.unwrap_or(Share::ALL));
-            let bar = run.progress(todo.iter().map(|(_, frames)| frames.len() as u64).sum(), "reconstruct");
+            let mut ahead: usize = todo.iter().map(|(_, frames)| frames.len()).sum();
+            let bar = run.progress(ahead as u64, "reconstruct");
+            // The output is made beside the parts.
+            ahead += if args.shard.is_none() { count } else { 0 };
             for (k, frames) in todo {
-                parts.make(k, frames, |i| {
+                let made = frames.len();
+                parts.make(k, frames, ahead, |i| {
                     bar.inc(1);
                     work.object(i)
                 })?;
+                ahead -= made;
             }
             bar.finish_and_clear();
             missing = parts.missing(Share::ALL).len();

@@ -3,7 +3,7 @@
 use super::{ImportRequest, LengthUnit, Times, positions};
 use crate::error::SessionError;
 use crate::manifest::{ObjectGrid, Role};
-use crate::stack::FrameReader;
+use crate::stack::{FrameReader, Part};
 use crate::table::{self, FrameInfo, Wanted};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -52,10 +52,15 @@ fn of_name((frame, ([x_um, y_um, z_um], unit)): (usize, &([f64; 3], LengthUnit))
     info
 }
 
+/// The table in which Miniscope V4 writes how the head of the animal is turned: it holds no positions.
+const HEAD: &str = "headOrientation.csv";
+
 /// The only .csv in the folder of a folder recording.
 fn only_table(folder: &Path) -> Option<PathBuf> {
     let entries = std::fs::read_dir(folder).ok()?;
-    let is_csv = |p: &PathBuf| p.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv"));
+    let is_csv = |p: &PathBuf| {
+        p.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv")) && p.file_name() != Some(HEAD.as_ref())
+    };
     let mut tables = entries.flatten().map(|e| e.path()).filter(is_csv);
     tables.next().filter(|_| tables.next().is_none())
 }
@@ -106,6 +111,21 @@ pub(super) fn times_into(infos: &mut [FrameInfo], times: Option<&Times>) {
         info.time_s = (time * 1e7).round() / 1e7;
         if times.estimated > 0 {
             info.other.insert("time_is".into(), if i < measured { "measured" } else { "estimated" }.into());
+        }
+    }
+}
+
+/// Puts into the table where each frame came from, as the recorder counts: its file, and its number there from 0. What
+/// is damaged in the frame is said, too.
+pub(super) fn places_into(infos: &mut [FrameInfo], parts: &[Part]) {
+    let damaged = parts.iter().any(|part| !part.damaged.is_empty());
+    let places = parts.iter().flat_map(|part| part.places().map(move |place| (part, place)));
+    for (info, (part, place)) in infos.iter_mut().zip(places) {
+        info.other.insert("recorded_in".into(), part.path.file_name().unwrap_or_default().to_string_lossy().into());
+        info.other.insert("recorded_frame".into(), place.to_string());
+        if damaged {
+            let here = part.damaged.binary_search_by_key(&place, |(frame, _)| *frame).is_ok();
+            info.other.insert("data".into(), if here { "damaged" } else { "whole" }.into());
         }
     }
 }

@@ -1,7 +1,7 @@
 //! What was found in a recording, for programs and for people.
 
 use super::survey::Survey;
-use super::times::Gap;
+use super::times::{Gap, usual_first};
 use super::{Opened, Source};
 use crate::manifest::StackEntry;
 use serde::Serialize;
@@ -50,14 +50,32 @@ pub struct Found {
     pub repeated: Vec<usize>,
     /// Frames that were left out since they end too early or have no data.
     pub torn: Vec<Torn>,
+    /// Frames whose compressed data are damaged. They are in the stack, with wrong pixels.
+    pub damaged_frames: Vec<DamagedFrame>,
     /// Files that are damaged at their end, or as a whole.
     pub damaged: Vec<String>,
     /// Files with fewer frames than the others, except the last: name, frames, frames of a full file.
     pub short: Vec<(String, usize, usize)>,
-    /// Files that are missing between the first and the last.
+    /// Files that are missing before the last.
     pub missing_files: Vec<u64>,
+    /// Whether frames of the stack have other numbers in the recording: it has several files, or some were left out.
+    #[serde(skip)]
+    counts_differ: bool,
     /// What else was taken from where.
     pub notes: Vec<String>,
+}
+
+/// A frame whose compressed data are damaged.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct DamagedFrame {
+    /// Number of the frame in the stack, from 0.
+    pub index: usize,
+    /// The file.
+    pub file: String,
+    /// Number of the frame in the file, from 0.
+    pub frame: usize,
+    /// What is wrong, as the decoder has it.
+    pub what: String,
 }
 
 /// A frame that was left out.
@@ -91,10 +109,21 @@ impl Found {
         let short = parts.iter().rev().skip(1).rev().filter(|p| filled && p.listed < full);
         let numbers: Vec<u64> = parts.iter().filter(|_| filled).filter_map(|p| p.number).collect();
         let present = |n: &u64| numbers.binary_search(n).is_err();
-        // Files are counted from 0 by version 4, from 1 by version 3.
-        let first = numbers.first().map_or(0, |n| (*n).min(1));
+        let first = recording.times.as_ref().map_or_else(|| usual_first(parts), |times| times.first_file);
+        let mut damaged_frames = Vec::new();
+        let mut before = 0;
+        for part in parts {
+            for (index, place) in part.places().enumerate() {
+                if let Ok(at) = part.damaged.binary_search_by_key(&place, |(frame, _)| *frame) {
+                    let (index, what) = (before + index, part.damaged[at].1.clone());
+                    damaged_frames.push(DamagedFrame { index, file: name(&part.path), frame: place, what });
+                }
+            }
+            before += part.frames;
+        }
         let missing_files =
             numbers.last().map_or(Vec::new(), |last| (first..*last).filter(present).take(1000).collect());
+        let counts_differ = recording.times.is_some() && (parts.len() > 1 || !torn.is_empty());
         Self {
             source: source.path.display().to_string(),
             role: recording.role.name(),
@@ -116,6 +145,7 @@ impl Found {
             backwards: times.backwards,
             repeated: survey.repeated.clone(),
             torn,
+            damaged_frames,
             damaged: parts
                 .iter()
                 .filter_map(|p| {
@@ -126,6 +156,7 @@ impl Found {
                 .collect(),
             short: short.map(|p| (name(&p.path), p.listed, full)).collect(),
             missing_files,
+            counts_differ,
             notes: recording.notes.clone(),
         }
     }
@@ -177,6 +208,10 @@ impl Found {
             line(format!("  left out    frame {} of {}: it {what}", torn.frame, torn.file));
         }
         more(&mut line, self.torn.len(), "frames that were left out");
+        for DamagedFrame { file, frame, what, .. } in self.damaged_frames.iter().take(LINES) {
+            line(format!("  damaged     frame {frame} of {file}: {what}"));
+        }
+        more(&mut line, self.damaged_frames.len(), "damaged frames");
         for damage in &self.damaged {
             line(format!("  damaged     {damage}"));
         }
@@ -193,6 +228,9 @@ impl Found {
         if !self.backwards.is_empty() {
             let (n, which) = (self.backwards.len(), list(&self.backwards));
             line(format!("  backwards   {n} frames have no later time than the frame before: {which}"));
+        }
+        if self.counts_differ {
+            line("  frames      are counted as in the session; its table has the file and the frame of each".into());
         }
         for note in &self.notes {
             line(format!("  note        {note}"));

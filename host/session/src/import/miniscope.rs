@@ -22,6 +22,8 @@ pub struct Metadata {
     pub roi: Option<[usize; 2]>,
     /// Code of the compression.
     pub compression: Option<String>,
+    /// Why nothing could be read, where the file is no JSON.
+    pub unread: Option<String>,
 }
 
 impl Metadata {
@@ -34,15 +36,18 @@ impl Metadata {
 /// Reads the metadata of a folder; `None` where it has none.
 ///
 /// # Errors
-/// The file cannot be read or is no JSON object.
+/// The file cannot be read.
 pub(super) fn metadata(folder: &Path) -> Result<Option<Metadata>, SessionError> {
     let path = folder.join(NAME);
     if !path.is_file() {
         return Ok(None);
     }
     let text = std::fs::read_to_string(&path).map_err(|e| SessionError::io(&path, e))?;
-    let json: Value = serde_json::from_str(text.trim_start_matches('\u{feff}'))
-        .map_err(|e| SessionError::format(&path, "metaData.json", e))?;
+    let json: Value = match serde_json::from_str(text.trim_start_matches('\u{feff}')) {
+        Ok(json) => json,
+        // What it states is also in the frames and their times, or can be given: a recording is not lost with it.
+        Err(e) => return Ok(Some(Metadata { path, unread: Some(e.to_string()), ..Metadata::default() })),
+    };
     let text = |name: &str| json[name].as_str().map(str::to_string);
     let whole = |value: &Value| value.as_u64().and_then(|n| usize::try_from(n).ok());
     // Versions of the recorder write 20, "20" or "20FPS".
@@ -57,6 +62,7 @@ pub(super) fn metadata(folder: &Path) -> Result<Option<Metadata>, SessionError> 
         frames_per_file: whole(&json["framesPerFile"]).filter(|n| *n > 0),
         roi: whole(&roi["height"]).zip(whole(&roi["width"])).map(|(h, w)| [h, w]),
         compression: text("compression"),
+        unread: None,
         path,
     }))
 }

@@ -10,7 +10,7 @@ mod positions;
 mod survey;
 mod times;
 
-pub use found::{Found, Torn};
+pub use found::{DamagedFrame, Found, Torn};
 pub use miniscope::Metadata;
 pub use times::{Gap, Times};
 
@@ -146,11 +146,12 @@ pub fn import(request: &ImportRequest<'_>, mut progress: impl FnMut()) -> Result
         let mut entry = StackEntry::plain(recording.role, file, exposure_ms);
         // A copy is a .npy file.
         entry.variable = request.variable.filter(|_| !request.copy && is_mat(&request.sources[i].path)).map(Into::into);
-        let table = infos.is_some() || recording.times.is_some();
-        if table {
+        let damaged = recording.frames.parts().iter().any(|part| !part.damaged.is_empty());
+        if infos.is_some() || recording.times.is_some() || damaged {
             let plain = || (0..frames).map(|f| FrameInfo::plain(f, exposure_ms)).collect();
             let mut infos = infos.unwrap_or_else(plain);
             describe::times_into(&mut infos, recording.times.as_ref());
+            describe::places_into(&mut infos, recording.frames.parts());
             entry.table = Some(format!("{name}.csv"));
             writer.table(&format!("{name}.csv"), &infos)?;
         }
@@ -187,6 +188,17 @@ pub fn times_of(frames: &FrameReader) -> Result<Option<Times>, SessionError> {
     Ok(Some(Times { unfinished, ..Times::of(&stamps, frames.parts(), frames.len(), per_file) }))
 }
 
+/// That codes of the frames are of limited range, where they are.
+pub fn limited_note(frames: &FrameReader) -> Option<String> {
+    let limited: Vec<_> = frames.parts().iter().filter(|part| part.limited).collect();
+    let first = limited.first()?.path.display();
+    let files = if limited.len() == 1 { String::new() } else { format!(" and {} more files", limited.len() - 1) };
+    Some(format!(
+        "{first}{files}: compressed with a limited range, so that black is 16 and white 235 where the camera had 0 and \
+         255; these codes are used as they are. Record without loss (GREY, FFV1) if you can"
+    ))
+}
+
 /// The time from one frame to the next that the metadata of a recording state, s.
 ///
 /// # Errors
@@ -206,6 +218,10 @@ fn open(source: &Source, request: &ImportRequest<'_>) -> Result<Opened, SessionE
     let times = times_of(&frames)?;
     notes.extend(times.as_ref().and_then(Times::unfinished_note));
     let metadata = miniscope::metadata(&folder_of(&source.path))?.filter(|_| source.path.is_dir());
+    if let Some((path, why)) = metadata.as_ref().and_then(|m| Some((m.path.display(), m.unread.as_ref()?))) {
+        notes.push(format!("{path}: is no JSON, nothing is taken from it: {why}"));
+    }
+    notes.extend(limited_note(&frames));
     if let Some((metadata, roi)) = metadata.as_ref().and_then(|m| Some((m, m.roi?)))
         && roi != [frames.rows(), frames.cols()]
     {

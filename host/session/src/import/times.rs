@@ -27,6 +27,8 @@ pub struct Times {
     pub unfinished: Option<String>,
     /// How rows of the table were assigned to frames, where their numbers differ.
     pub assigned: Option<&'static str>,
+    /// Number of the first file that the recorder wrote, there or not.
+    pub first_file: u64,
 }
 
 /// A time between two frames that is longer than others.
@@ -93,29 +95,32 @@ impl Times {
     pub(super) fn of(stamps: &[f64], parts: &[Part], frames: usize, per_file: Option<usize>) -> Self {
         let listed: usize = parts.iter().map(|p| p.listed).sum();
         let mut assigned = None;
+        let mut first_file = usual_first(parts);
         let mut rows = Vec::with_capacity(frames);
         if parts.is_empty() {
             rows.extend(0..frames);
         } else {
             let per_file = per_file.unwrap_or_else(|| parts.iter().map(|p| p.listed).max().unwrap_or(0));
-            let by_file = listed != stamps.len() && fits(stamps.len(), parts, per_file);
+            let differs = listed != stamps.len();
+            let by_file = first_numbers(parts).find(|first| differs && fits(stamps.len(), parts, per_file, *first));
+            first_file = by_file.unwrap_or(first_file);
             let mut before = 0;
             for part in parts {
-                let start = match part.number.filter(|_| by_file) {
-                    Some(number) => (number - first_number(parts)) as usize * per_file,
+                let start = match part.number.zip(by_file) {
+                    Some((number, first)) => (number - first) as usize * per_file,
                     None => before,
                 };
                 rows.extend(part.places().map(|place| start + place));
                 before += part.listed;
             }
-            if listed != stamps.len() {
-                assigned = Some(match by_file {
+            if differs {
+                assigned = Some(match by_file.is_some() {
                     true => "each file begins at its own row, since every file but the last should be full",
                     false => "row by row from the start",
                 });
             }
         }
-        let mut times = Self { timestamps: stamps.len(), assigned, ..Self::default() };
+        let mut times = Self { timestamps: stamps.len(), assigned, first_file, ..Self::default() };
         times.time_s = rows.iter().map_while(|row| stamps.get(*row).copied()).collect();
         times.unused = stamps.len() - times.time_s.len();
         times.judge();
@@ -176,16 +181,24 @@ impl Times {
     }
 }
 
-/// The number of the first file: files are counted from 0 by version 4, from 1 by version 3.
-fn first_number(parts: &[Part]) -> u64 {
+/// The number of the first file where a table does not say more: 1 if there is no file 0.
+pub(super) fn usual_first(parts: &[Part]) -> u64 {
     parts.first().and_then(|p| p.number).unwrap_or(0).min(1)
 }
 
-/// Whether a table fits files of `per_file` frames, of which some are short or missing.
-fn fits(stamps: usize, parts: &[Part], per_file: usize) -> bool {
+/// What the number of the first file may have been. Version 4 counts from 0 (`0.avi`), version 3 from 1
+/// (`msCam1.avi`); without `0.avi` the table of timestamps must decide.
+fn first_numbers(parts: &[Part]) -> impl Iterator<Item = u64> {
+    let stem = parts.first().and_then(|p| p.path.file_stem()).unwrap_or_default().to_string_lossy();
+    let bare = stem.chars().all(|c| c.is_ascii_digit());
+    Some(0).filter(|_| bare).into_iter().chain([usual_first(parts)])
+}
+
+/// Whether a table fits files of `per_file` frames, counted from `first`, of which some are short or missing.
+fn fits(stamps: usize, parts: &[Part], per_file: usize, first: u64) -> bool {
     let numbers: Option<Vec<u64>> = parts.iter().map(|p| p.number).collect();
     let (Some(numbers), Some(last)) = (numbers, parts.last()) else { return false };
-    let files = numbers.last().unwrap_or(&0) - first_number(parts);
+    let files = numbers.last().unwrap_or(&0) - first;
     let begun = (files as usize).checked_mul(per_file);
     let short = parts.len() as u64 != files + 1 || parts.iter().rev().skip(1).any(|p| p.listed < per_file);
     let whole = parts.iter().all(|p| p.listed <= per_file);

@@ -49,6 +49,15 @@ pub struct StackSpec {
     pub pixel_um: Option<f64>,
 }
 
+impl StackSpec {
+    /// Size of all samples, bytes.
+    pub fn bytes(&self) -> u64 {
+        [self.frames, self.rows, self.cols, self.samples.bytes()]
+            .iter()
+            .fold(1, |n: u64, m| n.saturating_mul(*m as u64))
+    }
+}
+
 /// What a stack's file says of space and time. `.npy` files say nothing.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StackScale {

@@ -23,12 +23,30 @@ pub struct Part {
     pub torn: Vec<usize>,
     /// What is wrong with the file, if anything is.
     pub damage: Option<String>,
+    /// Of the frames that have been read, those whose compressed data are damaged: the number of each among the listed
+    /// ones, counted from 0, and what the decoder says.
+    pub damaged: Vec<(usize, String)>,
+    /// Whether codes are of limited range, as of videos for the eye: black is 16 and white 235 (of 8 bits).
+    pub limited: bool,
 }
 
 impl Part {
+    fn new(number: Option<u64>, path: PathBuf) -> Self {
+        let (empty, torn, damaged) = Default::default();
+        Self { path, number, frames: 0, listed: 0, empty, torn, damage: None, damaged, limited: false }
+    }
+
     /// The number of each whole frame among the listed ones, counted from 0.
     pub fn places(&self) -> impl Iterator<Item = usize> + '_ {
         (0..self.listed).filter(|i| self.empty.binary_search(i).is_err() && self.torn.binary_search(i).is_err())
+    }
+
+    /// Notes what is wrong with whole frame `frame`, once.
+    fn found_damaged(&mut self, frame: usize, what: String) {
+        let place = self.places().nth(frame).unwrap_or(frame);
+        if let Err(at) = self.damaged.binary_search_by_key(&place, |(known, _)| *known) {
+            self.damaged.insert(at, (place, what));
+        }
     }
 }
 
@@ -75,7 +93,7 @@ impl SeriesSource {
         let mut whole: Option<(Shape, StackScale)> = None;
         let mut first_error = None;
         for (number, file) in files {
-            let mut part = Part { path: file, number, frames: 0, listed: 0, empty: vec![], torn: vec![], damage: None };
+            let mut part = Part::new(number, file);
             let content = match part_of(&mut part) {
                 Ok((shape, scale, content)) => {
                     whole = Some(joined(whole, shape, scale, &part)?);
@@ -107,14 +125,21 @@ impl SeriesSource {
     pub fn read(&mut self, i: usize) -> Result<Vec<f32>, SessionError> {
         // The last part that begins at or before the frame; parts without frames begin where the next one does.
         let part = self.starts.partition_point(|start| *start <= i).saturating_sub(1);
-        let (path, within) = (&self.parts[part].path, i - self.starts[part]);
+        let within = i - self.starts[part];
+        let path = &self.parts[part].path;
         let open = match self.open.take().filter(|(at, _)| *at == part) {
             Some(open) => open,
             None => (part, opened(path, &self.contents[part])?),
         };
         let (_, open) = self.open.insert(open);
         match (open, &self.contents[part]) {
-            (Open::Movie(reader), Content::Movie(movie)) => reader.read(path, movie, within),
+            (Open::Movie(reader), Content::Movie(movie)) => {
+                let decoded = reader.read(path, movie, within)?;
+                if let Some(what) = decoded.damage {
+                    self.parts[part].found_damaged(within, what);
+                }
+                Ok(decoded.values)
+            }
             (Open::Tif(source), _) => source.read(path, within),
             _ => Err(SessionError::format(path, "stack", format!("frame {i} is gone"))),
         }
@@ -138,7 +163,7 @@ fn part_of(part: &mut Part) -> Result<(Shape, StackScale, Content), SessionError
     let mut movie = Movie::open(&part.path)?;
     (part.frames, part.listed) = (movie.frames(), movie.slots);
     (part.empty, part.torn) = (std::mem::take(&mut movie.empty), std::mem::take(&mut movie.torn));
-    part.damage = movie.damage.take();
+    (part.damage, part.limited) = (movie.damage.take(), movie.limited);
     let shape = Shape { len: part.frames, rows: movie.rows, cols: movie.cols, samples: movie.samples };
     let scale = StackScale { pixel_um: None, interval_s: movie.interval_s };
     Ok((shape, scale, Content::Movie(Box::new(movie))))

@@ -7,6 +7,7 @@ use super::video::VideoWriter;
 use super::zarr::ZarrWriter;
 use crate::artifact;
 use crate::error::SessionError;
+use crate::space::need_space;
 use ndarray::ArrayView2;
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -67,8 +68,8 @@ impl FrameWriter {
     /// Starts a stack of the size in `spec` that will appear at `path`.
     ///
     /// # Errors
-    /// The suffix is none of .npy, .tif, .tiff, .zarr, .avi and .mp4, the folder is missing or not writable, or ffmpeg,
-    /// which a video needs, is not installed.
+    /// The suffix is none of .npy, .tif, .tiff, .zarr, .avi and .mp4, the folder is missing or not writable, the disk has
+    /// no room for the whole stack, or ffmpeg, which a video needs, is not installed.
     pub fn create(path: &Path, spec: StackSpec) -> Result<Self, SessionError> {
         Self::create_as(path, path, spec)
     }
@@ -77,7 +78,9 @@ impl FrameWriter {
     pub(crate) fn create_as(path: &Path, shown: &Path, spec: StackSpec) -> Result<Self, SessionError> {
         let io = |e| SessionError::io(shown, e);
         let container = Container::of(path)?;
-        let bytes = spec.frames as u64 * (spec.rows * spec.cols * spec.samples.bytes() + 1024) as u64;
+        let bytes = spec.bytes().saturating_add(1024 * spec.frames as u64);
+        let coarser = if container == Container::Zarr { bytes / 3 } else { 0 };
+        need_space(artifact::folder_of(path), shown, bytes.saturating_add(coarser))?;
         let tif = |e| SessionError::tif(shown, e);
         let new = |place, sink| Self {
             path: path.into(),

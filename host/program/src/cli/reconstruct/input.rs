@@ -1,7 +1,7 @@
 //! The frames that are reconstructed: a file, a folder of a recording, or the scenes of a session; and their times.
 
 use anyhow::bail;
-use ommatidia_session::import::{Times, set_interval_s, times_of};
+use ommatidia_session::import::{Times, limited_note, set_interval_s, times_of};
 use ommatidia_session::kind::FileKind;
 use ommatidia_session::{FrameReader, Role, Session};
 use std::fmt::Write;
@@ -63,11 +63,19 @@ impl Input {
             if torn + empty > 0 {
                 what.push(format!("{torn} frames that end too early and {empty} without data were left out"));
             }
+            if let Some((frame, first)) = part.damaged.first() {
+                let others = match part.damaged.len() - 1 {
+                    0 => String::new(),
+                    n => format!("; so are {n} more of its frames"),
+                };
+                what.push(format!("frame {frame} is damaged: {first}{others}"));
+            }
             what.extend(part.damage.clone());
             if !what.is_empty() {
                 warnings.push(format!("{}: {}", part.path.display(), what.join("; ")));
             }
         }
+        warnings.extend(limited_note(&self.frames));
         let unfinished = self.times.as_ref().and_then(Times::unfinished_note);
         warnings.extend(unfinished.map(|note| format!("{}: {note}", self.frames.path().display())));
         if let Some(times) = self.times.as_ref().filter(|t| !t.gaps.is_empty()) {

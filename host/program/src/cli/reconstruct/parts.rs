@@ -6,7 +6,7 @@ use anyhow::{Context, bail};
 use ndarray::Array2;
 use ommatidia_model::dataset::Share;
 use ommatidia_session::artifact::{file_hash, remove_leftovers, write_whole};
-use ommatidia_session::{FrameReader, FrameWriter, SampleType, StackSpec};
+use ommatidia_session::{FrameReader, FrameWriter, SampleType, StackSpec, need_space};
 use serde_json::{Value, json};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -87,14 +87,16 @@ impl Parts {
         self.folder.join(format!("part-{k:06}.npy"))
     }
 
-    /// Makes one part. `object` gives the object of a frame.
+    /// Makes one part. `object` gives the object of a frame. `ahead` frames, with those of this part, are still to be
+    /// written into the folder or beside it.
     ///
     /// # Errors
-    /// A frame cannot be reconstructed, or the folder is not writable.
+    /// A frame cannot be reconstructed, the folder is not writable, or its disk has no room for what is ahead.
     pub fn make(
         &self,
         k: usize,
         frames: Range<usize>,
+        ahead: usize,
         mut object: impl FnMut(usize) -> anyhow::Result<Array2<f32>>,
     ) -> anyhow::Result<()> {
         let path = self.path(k);
@@ -108,6 +110,8 @@ impl Parts {
                 None => {
                     let (rows, cols) = object.dim();
                     let spec = StackSpec { frames: frames.len(), rows, cols, samples: SampleType::F32, pixel_um: None };
+                    let of_frame = spec.bytes() / frames.len() as u64;
+                    need_space(&self.folder, &self.folder, ahead as u64 * of_frame)?;
                     writer.insert(FrameWriter::create(&path, spec)?)
                 }
             };

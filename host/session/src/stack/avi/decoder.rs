@@ -1,88 +1,229 @@
 //! Compressed frames, decoded by the program `ffmpeg` and read from its output one at a time.
+//!
+//! ffmpeg goes on where a frame is damaged: it invents the pixels that it cannot decode, or leaves the frame out. Both
+//! show only in what it says. So its filter `showinfo` names each frame that it delivers, in the same stream as its
+//! errors: what is said before a frame is of that frame, and a number that is skipped is a frame that was left out.
 
 use super::super::layout::SampleType;
-use super::KIND;
+use super::{Decoded, KIND, Movie};
 use crate::error::SessionError;
 use crate::ffmpeg::{self, FFMPEG, FFPROBE};
-use std::io::Read;
+use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
-use std::process::{Child, ChildStdout, Stdio};
+use std::process::{Child, ChildStderr, ChildStdout, Stdio};
+use std::sync::mpsc::{Receiver, Sender, channel};
+
+/// What ffprobe says of a compressed file.
+#[derive(Debug)]
+pub(super) struct Coding {
+    /// How ffmpeg calls its pixels, such as `gray` or `yuv420p`.
+    format: String,
+    /// Whether codes are of limited range: black is 16 and white 235 (of 8 bits).
+    pub limited: bool,
+    /// Whether frames are stored in another order than they are shown in.
+    reordered: bool,
+}
 
 /// A running ffmpeg; dropped, it is ended.
 #[derive(Debug)]
 pub(super) struct Decoder {
     child: Child,
     out: ChildStdout,
-    /// Index of the frame that comes next.
+    said: Receiver<Said>,
+    /// Place of the frame in `buffer` among those that the file lists; `None` before the first.
+    at: Option<usize>,
+    /// Whether there was a frame before that in `buffer`.
+    has_before: bool,
+    /// Whether ffmpeg has delivered its last frame.
+    ended: bool,
+    /// Index of the first frame that can still be asked for.
     pub next: usize,
-    samples: SampleType,
     buffer: Vec<u8>,
+    /// The frame before that in `buffer`.
+    before: Vec<u8>,
+    /// What was said of the frame in `buffer`, and of those that were left out before it.
+    errors: Vec<String>,
+    /// Whether frames were left out before that in `buffer`: what was said is of them.
+    skipped: bool,
 }
 
-/// How ffmpeg calls the pixels of a file, such as `gray` or `yuv420p`.
-fn pixel_format(path: &Path) -> Result<String, SessionError> {
-    let mut probe = ffmpeg::command(FFPROBE);
-    probe.args(["-v", "error", "-select_streams", "v:0", "-show_entries", "stream=pix_fmt"]);
-    probe.args(["-of", "default=nokey=1:noprint_wrappers=1"]).arg(ffmpeg::file(path));
-    let out = probe.output().map_err(|e| ffmpeg::missing(path, FFPROBE, &e))?;
-    let text = String::from_utf8_lossy(&out.stdout).trim().to_string();
-    if !out.status.success() || text.is_empty() || text == "unknown" {
-        let error = String::from_utf8_lossy(&out.stderr).trim().to_string();
-        return Err(SessionError::format(path, KIND, format!("ffprobe cannot read it: {error}")));
+/// What ffmpeg says of one frame; after the last frame, what it says at the end.
+#[derive(Debug, Default)]
+struct Said {
+    /// The number of the frame, by its time; `None` at the end.
+    place: Option<usize>,
+    errors: Vec<String>,
+}
+
+/// Most errors that are kept of one frame.
+const ERRORS: usize = 3;
+
+impl Coding {
+    /// Asks ffprobe for the coding of a file.
+    pub fn of(path: &Path) -> Result<Self, SessionError> {
+        let mut probe = ffmpeg::command(FFPROBE);
+        probe.args(["-v", "error", "-select_streams", "v:0"]);
+        probe.args(["-show_entries", "stream=pix_fmt,color_range,has_b_frames", "-of", "default=noprint_wrappers=1"]);
+        let out = probe.arg(ffmpeg::file(path)).output().map_err(|e| ffmpeg::missing(path, FFPROBE, &e))?;
+        let text = String::from_utf8_lossy(&out.stdout);
+        let entry = |name: &str| {
+            let found = text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix('='));
+            found.unwrap_or("").trim().to_string()
+        };
+        let format = entry("pix_fmt");
+        if !out.status.success() || format.is_empty() || format == "unknown" {
+            let error = String::from_utf8_lossy(&out.stderr).trim().to_string();
+            return Err(SessionError::format(path, KIND, format!("ffprobe cannot read it: {error}")));
+        }
+        // Formats of luma and colour have a limited range where none is stated; those named `yuvj` have the full one.
+        let limited = (format.starts_with("yuv") || format.starts_with("nv"))
+            && !format.starts_with("yuvj")
+            && !["pc", "jpeg", "full"].contains(&entry("color_range").as_str());
+        Ok(Self { format, limited, reordered: entry("has_b_frames").parse().unwrap_or(0) > 0 })
     }
-    Ok(text)
-}
 
-/// Type of the samples of a compressed file.
-pub(super) fn samples(path: &Path) -> Result<SampleType, SessionError> {
-    let format = pixel_format(path)?;
-    let deep = ["9", "10", "12", "14", "16", "48", "64"].iter().any(|bits| {
-        let name = format.trim_end_matches("le").trim_end_matches("be");
-        name.ends_with(bits) && !name.ends_with("nv12") && !name.ends_with("nv16")
-    });
-    Ok(if deep { SampleType::U16 } else { SampleType::U8 })
+    /// Type of the samples.
+    pub fn samples(&self) -> SampleType {
+        let name = self.format.trim_end_matches("le").trim_end_matches("be");
+        let deep = ["9", "10", "12", "14", "16", "48", "64"].iter().any(|bits| name.ends_with(bits));
+        if deep && !name.ends_with("nv12") && !name.ends_with("nv16") { SampleType::U16 } else { SampleType::U8 }
+    }
 }
 
 impl Decoder {
-    /// Starts at the first frame of a file with frames of this size.
-    pub fn start(path: &Path, [rows, cols]: [usize; 2], samples: SampleType) -> Result<Self, SessionError> {
-        let format = pixel_format(path)?;
+    /// Starts at the first frame of a file.
+    pub fn start(path: &Path, movie: &Movie, coding: &Coding) -> Result<Self, SessionError> {
         // The luma of a colour format, or its green: a conversion to grey would change the codes.
-        let plane = match format.as_str() {
-            f if f.starts_with("gray") || f == "pal8" || f.starts_with("mono") => None,
-            f if f.starts_with("yuv") || f.starts_with("nv") => Some("extractplanes=y"),
-            _ => Some("extractplanes=g"),
+        let plane = match coding.format.as_str() {
+            f if f.starts_with("gray") || f == "pal8" || f.starts_with("mono") => "",
+            f if f.starts_with("yuv") || f.starts_with("nv") => "extractplanes=y,",
+            _ => "extractplanes=g,",
         };
         let mut command = ffmpeg::command(FFMPEG);
-        command.args(["-v", "error", "-i"]).arg(ffmpeg::file(path)).args(["-map", "0:v:0"]);
-        command.args(ffmpeg::each_frame_once(path)?);
-        if let Some(plane) = plane {
-            command.args(["-vf", plane]);
-        }
-        let name = if samples == SampleType::U16 { "gray16le" } else { "gray" };
+        // With threads by slices, a frame is decoded before the next one begins, and errors are in order.
+        command.args(["-hide_banner", "-nostats", "-v", "level+info", "-thread_type", "slice", "-i"]);
+        command.arg(ffmpeg::file(path)).args(["-map", "0:v:0"]).args(ffmpeg::each_frame_once(path)?);
+        command.args(["-vf", &format!("{plane}showinfo=checksum=0")]);
+        let name = if movie.samples == SampleType::U16 { "gray16le" } else { "gray" };
         command.args(["-pix_fmt", name, "-f", "rawvideo", "-"]);
-        command.stdout(Stdio::piped()).stderr(Stdio::null());
+        command.stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut child = command.spawn().map_err(|e| ffmpeg::missing(path, FFMPEG, &e))?;
-        let out = child.stdout.take().ok_or_else(|| SessionError::format(path, KIND, "ffmpeg has no output"))?;
-        Ok(Self { child, out, next: 0, samples, buffer: vec![0; rows * cols * samples.bytes()] })
-    }
-
-    /// Frame `index`, which is not before [`Decoder::next`].
-    pub fn frame(&mut self, path: &Path, index: usize) -> Result<Vec<f32>, SessionError> {
-        while self.next <= index {
-            self.out.read_exact(&mut self.buffer).map_err(|_| {
-                let detail = format!("ffmpeg delivers {} frames, the file lists more: a frame is damaged", self.next);
-                SessionError::format(path, KIND, detail)
-            })?;
-            self.next += 1;
-        }
-        Ok(match self.samples {
-            SampleType::U16 => {
-                self.buffer.chunks_exact(2).map(|b| f32::from(u16::from_le_bytes([b[0], b[1]]))).collect()
-            }
-            _ => self.buffer.iter().map(|b| f32::from(*b)).collect(),
+        let silent = || SessionError::format(path, KIND, "ffmpeg has no output");
+        let out = child.stdout.take().ok_or_else(silent)?;
+        let stderr = child.stderr.take().ok_or_else(silent)?;
+        let (to, said) = channel();
+        // Ends with ffmpeg, which is ended with the decoder.
+        std::thread::spawn(move || listen(stderr, &to));
+        let bytes = movie.rows * movie.cols * movie.samples.bytes();
+        let (buffer, before) = (vec![0; bytes], vec![0; bytes]);
+        let (at, errors) = (None, Vec::new());
+        Ok(Self {
+            child,
+            out,
+            said,
+            at,
+            has_before: false,
+            ended: false,
+            next: 0,
+            buffer,
+            before,
+            errors,
+            skipped: false,
         })
     }
+
+    /// Whole frame `index`, which is not before [`Decoder::next`]. Where it cannot be decoded, the frame before stands
+    /// in its place, or the next one at the start of a file.
+    pub fn frame(
+        &mut self,
+        path: &Path,
+        movie: &Movie,
+        coding: &Coding,
+        index: usize,
+    ) -> Result<Decoded, SessionError> {
+        // By their times frames are counted as the file lists them, without data or not.
+        let place = if coding.reordered { index } else { movie.chunks[index].0 };
+        while !self.ended && self.at.is_none_or(|at| at < place) {
+            self.advance(movie.slots, coding.reordered);
+        }
+        self.next = index + 1;
+        let says = match self.errors.is_empty() {
+            true => String::new(),
+            false => format!(" (ffmpeg: {})", self.errors.join("; ")),
+        };
+        let stands = |which: &str| Some(format!("it cannot be decoded{says}; the frame {which} stands in its place"));
+        let (bytes, damage) = match self.at {
+            Some(at) if at == place => {
+                let damaged = !says.is_empty() && !self.skipped;
+                (&self.buffer, damaged.then(|| format!("it is decoded with errors{says}")))
+            }
+            Some(at) if at > place && self.has_before => (&self.before, stands("before")),
+            Some(at) if at > place => (&self.buffer, stands("after it")),
+            Some(_) => (&self.buffer, stands("before")),
+            None => return Err(SessionError::format(path, KIND, format!("ffmpeg decodes none of its frames{says}"))),
+        };
+        let values = match movie.samples {
+            SampleType::U16 => bytes.chunks_exact(2).map(|b| f32::from(u16::from_le_bytes([b[0], b[1]]))).collect(),
+            _ => bytes.iter().map(|b| f32::from(*b)).collect(),
+        };
+        Ok(Decoded { values, damage })
+    }
+
+    /// Takes the next frame that ffmpeg delivers.
+    fn advance(&mut self, slots: usize, reordered: bool) {
+        std::mem::swap(&mut self.buffer, &mut self.before);
+        let delivered = self.out.read_exact(&mut self.buffer).is_ok();
+        let said = self.said.recv().unwrap_or_default();
+        self.errors = said.errors;
+        if !delivered {
+            // The last frame stays where it is.
+            std::mem::swap(&mut self.buffer, &mut self.before);
+            self.ended = true;
+            return;
+        }
+        self.has_before = self.at.is_some();
+        let next = self.at.map_or(0, |at| at + 1);
+        let stated = said.place.filter(|place| !reordered && (next..slots).contains(place));
+        self.at = Some(stated.unwrap_or(next));
+        self.skipped = self.at > Some(next);
+    }
+}
+
+/// Passes on what ffmpeg says, frame by frame.
+fn listen(stderr: ChildStderr, to: &Sender<Said>) {
+    let mut lines = BufReader::new(stderr);
+    let (mut said, mut line) = (Said::default(), Vec::new());
+    while lines.read_until(b'\n', &mut line).is_ok_and(|n| n > 0) {
+        let text = String::from_utf8_lossy(&line);
+        if let Some(place) = place_in(&text) {
+            let of_frame = std::mem::take(&mut said);
+            if to.send(Said { place: Some(place), ..of_frame }).is_err() {
+                return;
+            }
+        } else if let Some(error) = error_in(&text).filter(|_| said.errors.len() < ERRORS) {
+            // The same is often said of each slice.
+            if !said.errors.contains(&error) {
+                said.errors.push(error);
+            }
+        }
+        line.clear();
+    }
+    // Nobody hears it where the frames of interest are read.
+    let _ = to.send(said);
+}
+
+/// The number of the frame that a line of `showinfo` names: its time in units of the stream, which in an AVI is the
+/// time from one frame to the next.
+fn place_in(line: &str) -> Option<usize> {
+    let (_, after) = line.strip_prefix("[Parsed_showinfo")?.split_once(" pts:")?;
+    after.split_whitespace().next()?.parse().ok()
+}
+
+/// The text of a line that is an error: `[ffv1 @ 0x55] [error] slice CRC mismatch`.
+fn error_in(line: &str) -> Option<String> {
+    let at = ["[error] ", "[fatal] "].iter().find_map(|level| line.find(level).map(|at| at + level.len()))?;
+    let text: String = line[at..].trim().chars().filter(|c| !c.is_control()).take(200).collect();
+    Some(text)
 }
 
 impl Drop for Decoder {
@@ -90,5 +231,21 @@ impl Drop for Decoder {
         // It may have ended already.
         let _ = self.child.kill();
         let _ = self.child.wait();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_of_ffmpeg_are_understood() {
+        let info = "[Parsed_showinfo_1 @ 0x55] [info] n:  16 pts:     17 pts_time:0.28 pos: 303824 fmt:gray \n";
+        assert_eq!(place_in(info), Some(17));
+        assert_eq!(place_in("[Parsed_showinfo_0 @ 0x55] [info] config in time_base: 1/60, frame_rate: 60/1"), None);
+        assert_eq!(place_in("[Parsed_showinfo_0 @ 0x55] [info] n: 0 pts:   NOPTS pts_time:NOPTS"), None);
+        let error = "[ffv1 @ 0x56] [error] slice CRC mismatch 8C3036CA!at 0.283333 seconds\n";
+        assert_eq!(error_in(error).as_deref(), Some("slice CRC mismatch 8C3036CA!at 0.283333 seconds"));
+        assert_eq!(error_in("[swscaler @ 0x1] [warning] deprecated pixel format used"), None);
     }
 }

@@ -8,7 +8,7 @@ mod tests;
 
 use super::layout::SampleType;
 use crate::error::SessionError;
-use decoder::Decoder;
+use decoder::{Coding, Decoder};
 use pixels::Pixels;
 use riff::Chunk;
 use std::fs::File;
@@ -36,9 +36,13 @@ pub(super) struct Movie {
     pub torn: Vec<usize>,
     /// What is wrong with the end of the file, if anything is.
     pub damage: Option<String>,
+    /// Whether codes are of limited range: black is 16 and white 235.
+    pub limited: bool,
     pixels: Pixels,
-    /// Where the whole frames lie.
-    chunks: Vec<Chunk>,
+    /// How a compressed file is coded.
+    coding: Option<Coding>,
+    /// The place of each whole frame among those that the file lists, and where it lies.
+    chunks: Vec<(usize, Chunk)>,
 }
 
 impl Movie {
@@ -53,10 +57,9 @@ impl Movie {
         let header = found.video.ok_or_else(|| format("it has no video stream"))?;
         let pixels = Pixels::of(&header).map_err(|detail| format(&detail))?;
         let (rows, cols) = (header.rows, header.cols);
-        let samples = match &pixels {
-            Pixels::Compressed(_) => decoder::samples(path)?,
-            raw => raw.samples(),
-        };
+        let coding = matches!(pixels, Pixels::Compressed(_)).then(|| Coding::of(path)).transpose()?;
+        let samples = coding.as_ref().map_or_else(|| pixels.samples(), Coding::samples);
+        let limited = coding.as_ref().is_some_and(|c| c.limited);
         let size = rows.checked_mul(cols).and_then(|n| n.checked_mul(4)).filter(|n| *n <= MOST_BYTES);
         if rows == 0 || cols == 0 || size.is_none() {
             return Err(format(&format!("its header states frames of {rows} x {cols} pixels")));
@@ -67,19 +70,25 @@ impl Movie {
             if chunk.bytes == 0 {
                 empty.push(slot);
             } else if chunk.whole && pixels.stride(rows, cols, chunk.bytes).is_some() {
-                chunks.push(chunk);
+                chunks.push((slot, chunk));
             } else {
                 torn.push(slot);
             }
         }
         let (interval_s, damage) = (header.interval_s, found.damage);
-        Ok(Self { rows, cols, samples, interval_s, slots, empty, torn, damage, pixels, chunks })
+        Ok(Self { rows, cols, samples, interval_s, slots, empty, torn, damage, limited, pixels, coding, chunks })
     }
 
     /// Number of whole frames.
     pub fn frames(&self) -> usize {
         self.chunks.len()
     }
+}
+
+/// A frame, row by row, and what is wrong with it.
+pub(super) struct Decoded {
+    pub values: Vec<f32>,
+    pub damage: Option<String>,
 }
 
 /// Reads frames of a movie: any order for uncompressed frames, best forwards for others.
@@ -95,23 +104,24 @@ impl MovieReader {
         Ok(Self { file: File::open(path).map_err(|e| SessionError::io(path, e))?, decoder: None, buffer: Vec::new() })
     }
 
-    /// Whole frame number `index`, row by row.
-    pub fn read(&mut self, path: &Path, movie: &Movie, index: usize) -> Result<Vec<f32>, SessionError> {
-        if let Pixels::Compressed(_) = movie.pixels {
+    /// Whole frame number `index`, row by row. Damage is seen in compressed frames only.
+    pub fn read(&mut self, path: &Path, movie: &Movie, index: usize) -> Result<Decoded, SessionError> {
+        if let Some(coding) = &movie.coding {
             // ffmpeg delivers neither frames without data nor torn ones.
             let decoder = match self.decoder.take().filter(|d| d.next <= index) {
                 Some(decoder) => decoder,
-                None => Decoder::start(path, [movie.rows, movie.cols], movie.samples)?,
+                None => Decoder::start(path, movie, coding)?,
             };
-            return self.decoder.insert(decoder).frame(path, index);
+            return self.decoder.insert(decoder).frame(path, movie, coding, index);
         }
-        let chunk = movie.chunks[index];
+        let (_, chunk) = movie.chunks[index];
         self.buffer.resize(chunk.bytes as usize, 0);
         let start = SeekFrom::Start(chunk.start);
         let read = self.file.seek(start).and_then(|_| self.file.read_exact(&mut self.buffer));
         read.map_err(|e| SessionError::io(path, e))?;
         let values = movie.pixels.decode(&self.buffer, movie.rows, movie.cols);
-        values.map_err(|detail| SessionError::format(path, KIND, format!("frame {index}: {detail}")))
+        let values = values.map_err(|detail| SessionError::format(path, KIND, format!("frame {index}: {detail}")))?;
+        Ok(Decoded { values, damage: None })
     }
 }
 

@@ -1,0 +1,39 @@
+//! Room on a disk, asked for before hours of work.
+
+use crate::error::SessionError;
+use std::path::Path;
+
+/// Refuses to begin what does not fit: `bytes` more in `folder`, for the output that messages name `shown`. A file
+/// system that does not say how much room it has is believed to have enough.
+///
+/// # Errors
+/// There is less room.
+///
+/// ```
+/// let folder = tempfile::tempdir().unwrap();
+/// let output = folder.path().join("x.tif");
+/// assert!(ommatidia_session::need_space(folder.path(), &output, 10).is_ok());
+/// let error = ommatidia_session::need_space(folder.path(), &output, u64::MAX).unwrap_err().to_string();
+/// assert!(error.contains("make room"), "{error}");
+/// ```
+pub fn need_space(folder: &Path, shown: &Path, bytes: u64) -> Result<(), SessionError> {
+    match fs4::available_space(folder) {
+        Ok(free) if 0 < free && free < bytes => Err(SessionError::value(
+            shown,
+            "room on the disk",
+            format!("at least {}, which the whole output needs", size(bytes)),
+            size(free),
+            "make room, or choose a folder on another disk",
+        )),
+        _ => Ok(()),
+    }
+}
+
+/// A number of bytes for people: `34.3 GB`.
+fn size(bytes: u64) -> String {
+    match bytes {
+        0..1_000_000 => format!("{:.1} kB", bytes as f64 / 1e3),
+        1_000_000..1_000_000_000 => format!("{:.1} MB", bytes as f64 / 1e6),
+        _ => format!("{:.1} GB", bytes as f64 / 1e9),
+    }
+}
