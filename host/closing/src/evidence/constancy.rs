@@ -17,6 +17,7 @@ use super::stats::{f_tail, sigmas};
 use crate::data::Shown;
 use crate::fit::{Cell, Column, Design, Fitted, Model, pseudo_inverse};
 use ndarray::{Array1, Array2, Axis};
+use ommatidia_physics::linalg::{SymmetricEigen, symmetric_eigen};
 use std::collections::BTreeMap;
 
 /// Evidence from which a strength is called different between groups, standard deviations.
@@ -40,6 +41,8 @@ const BY_LIGHT: f64 = 0.5;
 const LEAST_GROUPS: usize = 3;
 /// Groups in which the effect has less than this share of its largest squared norm in a group do not show it.
 const FAINT: f64 = 1e-6;
+/// Combinations of groups of which the rest of the fit leaves less than this share do not show the effect.
+const HIDDEN: f64 = 1e-3;
 
 /// How the strength of an effect differs between groups of cells.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -194,19 +197,26 @@ fn spread(
     let b = with_z.dot(&pseudo_inverse(&of_z(&z)));
     let projected =
         |cols: &[usize]| Array2::from_shape_fn((m, cols.len()), |(g, j)| groups[g].with[cols[j]]) - b.dot(&of_z(cols));
-    let s = projected(&[design.residual()]).column(0).to_owned();
     let within = Array1::from_iter(groups.iter().map(|g| g.square));
     let by_noise = Array2::from_diag(&within) - b.dot(&with_z.t());
+    let Some(shown) = shown(&by_noise, &within) else { return Spread::default() };
+    let reduced = |a: &Array2<f64>| shown.t().dot(a).dot(&shown);
+    let s = shown.t().dot(&projected(&[design.residual()]).column(0));
     let [scattered, stated] = design.error_rows().map(|rows| {
-        let e = projected(&rows.collect::<Vec<_>>());
+        let e = shown.t().dot(&projected(&rows.collect::<Vec<_>>()));
         e.dot(&e.t())
     });
+    let by_strength = reduced(&by_noise.dot(&by_noise.t()));
+    let along_drift = |value: &dyn Fn(usize) -> f64| {
+        shown.t().dot(&by_noise.dot(&Array1::from_iter(groups.iter().map(|g| value(g.key)))))
+    };
+    let by_noise = reduced(&by_noise);
     let v = &by_noise + &scattered + &stated;
     let v_inverse = pseudo_inverse(&v);
     let mut weight = v_inverse.clone();
     if let Some(value) = drift {
         // What a strength that changes with the value does to the scores is taken out of them.
-        let u = by_noise.dot(&Array1::from_iter(groups.iter().map(|g| value(g.key))));
+        let u = along_drift(value);
         let along = v_inverse.dot(&u);
         let square = u.dot(&along);
         if square > 0.0 {
@@ -223,15 +233,29 @@ fn spread(
     let uncertain =
         share(&scattered).powi(2) / (design.scattered as f64 - 1.0).max(1.0) + share(&stated).powi(2) / STATED_DEGREES;
     let nu = if uncertain > 0.0 { 1.0 / uncertain } else { f64::INFINITY };
-    let by_spread = weight.dot(&by_noise.dot(&by_noise)).diag().sum();
+    let by_spread = weight.dot(&by_strength).diag().sum();
     let tau_of = |excess: f64| (excess.max(0.0) / by_spread.max(f64::MIN_POSITIVE)).sqrt();
     let resolution = tau_of(3.0 * (2.0 * dof).sqrt());
     Spread { tau: tau_of(t - dof), z: sigmas(f_tail(t / dof, dof, nu)), resolution }
 }
 
+/// Combinations of groups that the rest of the fit leaves in sight, a column each; `None`: there are none. `by_noise`
+/// holds what is left of the effect, `within` its squared norm in each group. The sum of all groups is the effect
+/// itself, which is fitted; and a dark current, say, divided by the exposures is a black level. Of such combinations
+/// rounding alone is left, in the scores and in their variances, whose quotient would count as evidence.
+fn shown(by_noise: &Array2<f64>, within: &Array1<f64>) -> Option<Array2<f64>> {
+    let scale = within.mapv(|w| 1.0 / w.sqrt());
+    let m = within.len();
+    let entry = |(i, j): (usize, usize)| 0.5 * (by_noise[[i, j]] + by_noise[[j, i]]) * scale[i] * scale[j];
+    let SymmetricEigen { values, vectors } = symmetric_eigen(&Array2::from_shape_fn((m, m), entry)).ok()?;
+    let kept: Vec<usize> = (0..m).filter(|i| values[*i] > HIDDEN).collect();
+    (!kept.is_empty()).then(|| vectors.select(Axis(1), &kept) * &scale.insert_axis(Axis(1)))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use ndarray::arr2;
     use ommatidia_session::rng::stream;
     use rand_distr::{Distribution, StandardNormal};
 
@@ -283,6 +307,26 @@ mod tests {
         let beyond = all.iter().filter(|s| s.z > 2.0).count();
         // Binomial of 200 and 0.046: 9 +- 3.
         assert!(beyond < 20 && !all.iter().any(|s| s.is_uneven(0.0)), "{beyond}");
+    }
+
+    /// A dark current over the exposure is a black level, and all groups together are the effect: neither combination
+    /// of frames is left in sight, and rounding of them is no evidence.
+    #[test]
+    fn what_the_fit_hides_is_not_compared() {
+        let exposures = [1.0, 1.0, 4.0, 4.0, 1.0, 4.0];
+        let within = Array1::from_iter(exposures.iter().map(|t: &f64| t * t));
+        // Black levels of all frames alike, and the effect itself, are projected out of what each frame shows.
+        let z = Array2::from_shape_fn((6, 2), |(g, j)| if j == 0 { exposures[g] } else { within[g] });
+        let gram = arr2(&[[6.0, exposures.iter().sum()], [exposures.iter().sum(), within.sum()]]);
+        let rounded = Array2::from_shape_fn((6, 6), |(i, j)| 1e-6 * ((7 * i + 3 * j) % 5) as f64);
+        let by_noise = Array2::from_diag(&within) - z.dot(&pseudo_inverse(&gram)).dot(&z.t()) + rounded;
+        let shown = shown(&by_noise, &within).unwrap();
+        assert_eq!(shown.dim(), (6, 4));
+        for hidden in [[1.0; 6], exposures.map(|t| 1.0 / t)] {
+            // Scores of a hidden combination vanish: what is shown is orthogonal to it in the norms of the groups.
+            let along = shown.t().dot(&(&within * &Array1::from_iter(hidden)));
+            assert!(along.iter().all(|v| v.abs() < 1e-4), "{along}");
+        }
     }
 
     #[test]
