@@ -3,14 +3,18 @@
 timeStamps.csv and metaData.json. The recorder missed 40 frames after frame 7100 and 3 after frame 15300; 11.avi lacks
 its last 200 frames, and 23.avi ends within its last frame, as after a crash.
 
-    python3 tests/formats/miniscope.py FOLDER [SIDE]
+    python3 tests/formats/miniscope.py FOLDER [SIDE] [--ffv1]
 
-SIDE is that of a frame, 208 pixels by default: 1.04 GB. Needs numpy.
+SIDE is that of a frame, 208 pixels by default: 1.04 GB. With --ffv1 frames are compressed as the recorder does it, with
+60 frames a second in the heads of the files, and some bytes of 5.avi are damaged; ffmpeg must be on the path. Needs
+numpy.
 """
+import argparse
 import json
 import pathlib
 import struct
-import sys
+import subprocess
+import tempfile
 
 import numpy as np
 
@@ -18,6 +22,7 @@ FILES, PER_FILE, RATE_HZ = 24, 1000, 20
 GAPS = {7100: 40, 15300: 3}
 SHORT = {11: 800}
 TORN = 23
+DAMAGED = 5
 
 
 def chunk(name, data):
@@ -41,9 +46,23 @@ def avi(frames, side):
     return chunk(b"RIFF", b"AVI " + headers + listed(b"movi", data) + chunk(b"idx1", index))
 
 
+def ffv1(frames, side):
+    """The same, compressed by ffmpeg without loss."""
+    command = ["ffmpeg", "-v", "error", "-f", "rawvideo", "-pix_fmt", "gray", "-s", f"{side}x{side}", "-r", "60"]
+    coding = ["-c:v", "ffv1", "-level", "3", "-slicecrc", "1", "-f", "avi"]
+    # An AVI cannot be written into a pipe: its length is filled in at the end.
+    with tempfile.NamedTemporaryFile(suffix=".avi") as file:
+        subprocess.run([*command, "-i", "-", *coding, "-y", file.name], input=b"".join(frames), check=True)
+        return pathlib.Path(file.name).read_bytes()
+
+
 def main():
-    folder = pathlib.Path(sys.argv[1])
-    side = int(sys.argv[2]) if len(sys.argv) > 2 else 208
+    parser = argparse.ArgumentParser()
+    parser.add_argument("folder", type=pathlib.Path)
+    parser.add_argument("side", type=int, nargs="?", default=208)
+    parser.add_argument("--ffv1", action="store_true")
+    given = parser.parse_args()
+    folder, side = given.folder, given.side
     folder.mkdir(parents=True)
     rng = np.random.default_rng(20)
     # Cells that flicker over a vignetted background, and noise that is different in each frame.
@@ -59,10 +78,13 @@ def main():
             light = 0.93 * light + 80 * (rng.random(len(cells)) < 0.01)
             frame = background + np.tensordot(light, cells, 1) + np.roll(noise[i % 64], 7 * i % side, 1)
             frames.append(np.clip(frame, 0, 255).astype("uint8").tobytes())
-        data = avi(frames, side)
+        data = ffv1(frames, side) if given.ffv1 else avi(frames, side)
         if file == TORN:
-            # Without the index and half of the last frame.
-            data = data[: -(8 + 16 * len(frames)) - side * side // 2]
+            # Without the index and a part of the last frame.
+            data = data[: data.rindex(b"idx1") - side * side // (8 if given.ffv1 else 2)]
+        if file == DAMAGED and given.ffv1:
+            at = len(data) // 3
+            data = data[:at] + bytes(16) + data[at + 16 :]
         (folder / f"{file}.avi").write_bytes(data)
     rows, step = ["Frame Number,Time Stamp (ms),Buffer Index"], 0
     for i in range(FILES * PER_FILE):
@@ -71,7 +93,7 @@ def main():
         step += 1 + GAPS.get(i, 0)
     (folder / "timeStamps.csv").write_bytes("\r\n".join([*rows, ""]).encode())
     metadata = {
-        "ROI": {"height": side, "leftEdge": 0, "topEdge": 0, "width": side}, "compression": "GREY",
+        "ROI": {"height": side, "leftEdge": 0, "topEdge": 0, "width": side}, "compression": "FFV1" if given.ffv1 else "GREY",
         "deviceName": "Miniscope", "deviceType": "Miniscope_V4_BNO", "frameRate": f"{RATE_HZ}FPS",
         "framesPerFile": PER_FILE, "gain": "Low", "led0": 15,
     }

@@ -149,4 +149,17 @@ fn damaged_frames_are_named_and_move_no_other() {
     let mut reader = FrameReader::open(&desk.path().join("whole.avi")).unwrap();
     (0..count).for_each(|i| assert_eq!(reader.read(i).unwrap().into_raw_vec_and_offset().0, values(i)));
     assert!(reader.parts()[0].damaged.is_empty());
+    // Frames that are decoded from a damaged one may be wrong, too, up to the next frame that is coded for itself.
+    let coding = ["-c:v", "ffv1", "-level", "3", "-slices", "4", "-slicecrc", "1", "-g", "8", "groups.avi"];
+    assert!(Command::new("ffmpeg").args(input).args(coding).current_dir(desk.path()).status().unwrap().success());
+    let mut bytes = std::fs::read(desk.path().join("groups.avi")).unwrap();
+    let place = frames_in(&bytes)[10].clone();
+    bytes[place.end - 12] ^= 0x55;
+    std::fs::write(desk.path().join("groups.avi"), bytes).unwrap();
+    let mut reader = FrameReader::open(&desk.path().join("groups.avi")).unwrap();
+    let wrong: Vec<usize> =
+        (0..count).filter(|i| reader.read(*i).unwrap().into_raw_vec_and_offset().0 != values(*i)).collect();
+    let damaged: Vec<usize> = reader.parts()[0].damaged.iter().map(|(i, _)| *i).collect();
+    assert_eq!(damaged, (10..16).collect::<Vec<_>>());
+    assert!(wrong.contains(&10) && wrong.iter().all(|i| damaged.contains(i)), "{wrong:?}");
 }

@@ -1,10 +1,11 @@
 //! Compressed frames, decoded by the program `ffmpeg` and read from its output one at a time.
 //!
 //! ffmpeg goes on where a frame is damaged: it invents the pixels that it cannot decode, or leaves the frame out. Both
-//! show only in what it says. So its filter `showinfo` names each frame that it delivers, in the same stream as its
-//! errors: what is said before a frame is of that frame, and a number that is skipped is a frame that was left out.
+//! show only in what it says. Its filter `showinfo` names each frame that it delivers, so that a number that is skipped
+//! is a frame that was left out; where it says errors, ffprobe is asked for the frames that they are of ([`Faults`]).
 
 use super::super::layout::SampleType;
+use super::faults::Faults;
 use super::{Decoded, KIND, Movie};
 use crate::error::SessionError;
 use crate::ffmpeg::{self, FFMPEG, FFPROBE};
@@ -12,6 +13,7 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 use std::process::{Child, ChildStderr, ChildStdout, Stdio};
 use std::sync::mpsc::{Receiver, Sender, channel};
+use std::time::Duration;
 
 /// What ffprobe says of a compressed file.
 #[derive(Debug)]
@@ -41,22 +43,21 @@ pub(super) struct Decoder {
     buffer: Vec<u8>,
     /// The frame before that in `buffer`.
     before: Vec<u8>,
-    /// What was said of the frame in `buffer`, and of those that were left out before it.
-    errors: Vec<String>,
-    /// Whether frames were left out before that in `buffer`: what was said is of them.
-    skipped: bool,
+    /// Whether ffmpeg has said any error.
+    errors: bool,
 }
 
-/// What ffmpeg says of one frame; after the last frame, what it says at the end.
+/// What ffmpeg says up to one frame; after the last frame, what it says at the end.
 #[derive(Debug, Default)]
 struct Said {
     /// The number of the frame, by its time; `None` at the end.
     place: Option<usize>,
-    errors: Vec<String>,
+    /// Whether there was an error.
+    error: bool,
 }
 
-/// Most errors that are kept of one frame.
-const ERRORS: usize = 3;
+/// How long a frame that was delivered waits for its name: an ffmpeg that names none must not stop the reading.
+const PATIENCE: Duration = Duration::from_secs(5);
 
 impl Coding {
     /// Asks ffprobe for the coding of a file.
@@ -100,8 +101,7 @@ impl Decoder {
             _ => "extractplanes=g,",
         };
         let mut command = ffmpeg::command(FFMPEG);
-        // With threads by slices, a frame is decoded before the next one begins, and errors are in order.
-        command.args(["-hide_banner", "-nostats", "-v", "level+info", "-thread_type", "slice", "-i"]);
+        command.args(["-hide_banner", "-nostats", "-v", "level+info", "-i"]);
         command.arg(ffmpeg::file(path)).args(["-map", "0:v:0"]).args(ffmpeg::each_frame_once(path)?);
         command.args(["-vf", &format!("{plane}showinfo=checksum=0")]);
         let name = if movie.samples == SampleType::U16 { "gray16le" } else { "gray" };
@@ -116,29 +116,18 @@ impl Decoder {
         std::thread::spawn(move || listen(stderr, &to));
         let bytes = movie.rows * movie.cols * movie.samples.bytes();
         let (buffer, before) = (vec![0; bytes], vec![0; bytes]);
-        let (at, errors) = (None, Vec::new());
-        Ok(Self {
-            child,
-            out,
-            said,
-            at,
-            has_before: false,
-            ended: false,
-            next: 0,
-            buffer,
-            before,
-            errors,
-            skipped: false,
-        })
+        let (at, has_before, ended, next, errors) = (None, false, false, 0, false);
+        Ok(Self { child, out, said, at, has_before, ended, next, buffer, before, errors })
     }
 
     /// Whole frame `index`, which is not before [`Decoder::next`]. Where it cannot be decoded, the frame before stands
-    /// in its place, or the next one at the start of a file.
+    /// in its place, or the next one at the start of a file. `faults` are found where they are needed.
     pub fn frame(
         &mut self,
         path: &Path,
         movie: &Movie,
         coding: &Coding,
+        faults: &mut Option<Faults>,
         index: usize,
     ) -> Result<Decoded, SessionError> {
         // By their times frames are counted as the file lists them, without data or not.
@@ -147,20 +136,18 @@ impl Decoder {
             self.advance(movie.slots, coding.reordered);
         }
         self.next = index + 1;
-        let says = match self.errors.is_empty() {
-            true => String::new(),
-            false => format!(" (ffmpeg: {})", self.errors.join("; ")),
-        };
-        let stands = |which: &str| Some(format!("it cannot be decoded{says}; the frame {which} stands in its place"));
+        let stands = |which: &str| Some(format!("it cannot be decoded; the frame {which} stands in its place"));
         let (bytes, damage) = match self.at {
             Some(at) if at == place => {
-                let damaged = !says.is_empty() && !self.skipped;
-                (&self.buffer, damaged.then(|| format!("it is decoded with errors{says}")))
+                if self.errors && faults.is_none() {
+                    *faults = Some(Faults::of(path, movie, coding.reordered)?);
+                }
+                (&self.buffer, faults.as_ref().and_then(|faults| faults.at(place)).map(str::to_string))
             }
             Some(at) if at > place && self.has_before => (&self.before, stands("before")),
             Some(at) if at > place => (&self.buffer, stands("after it")),
             Some(_) => (&self.buffer, stands("before")),
-            None => return Err(SessionError::format(path, KIND, format!("ffmpeg decodes none of its frames{says}"))),
+            None => return Err(SessionError::format(path, KIND, "ffmpeg decodes none of its frames")),
         };
         let values = match movie.samples {
             SampleType::U16 => bytes.chunks_exact(2).map(|b| f32::from(u16::from_le_bytes([b[0], b[1]]))).collect(),
@@ -173,8 +160,9 @@ impl Decoder {
     fn advance(&mut self, slots: usize, reordered: bool) {
         std::mem::swap(&mut self.buffer, &mut self.before);
         let delivered = self.out.read_exact(&mut self.buffer).is_ok();
-        let said = self.said.recv().unwrap_or_default();
-        self.errors = said.errors;
+        // It is said before the frame is delivered.
+        let said = self.said.recv_timeout(PATIENCE).unwrap_or_default();
+        self.errors |= said.error;
         if !delivered {
             // The last frame stays where it is.
             std::mem::swap(&mut self.buffer, &mut self.before);
@@ -185,45 +173,38 @@ impl Decoder {
         let next = self.at.map_or(0, |at| at + 1);
         let stated = said.place.filter(|place| !reordered && (next..slots).contains(place));
         self.at = Some(stated.unwrap_or(next));
-        self.skipped = self.at > Some(next);
     }
 }
 
 /// Passes on what ffmpeg says, frame by frame.
 fn listen(stderr: ChildStderr, to: &Sender<Said>) {
     let mut lines = BufReader::new(stderr);
-    let (mut said, mut line) = (Said::default(), Vec::new());
+    let (mut error, mut line) = (false, Vec::new());
     while lines.read_until(b'\n', &mut line).is_ok_and(|n| n > 0) {
         let text = String::from_utf8_lossy(&line);
-        if let Some(place) = place_in(&text) {
-            let of_frame = std::mem::take(&mut said);
-            if to.send(Said { place: Some(place), ..of_frame }).is_err() {
+        if let Some(place) = frame_in(&text) {
+            if to.send(Said { place, error: std::mem::take(&mut error) }).is_err() {
                 return;
             }
-        } else if let Some(error) = error_in(&text).filter(|_| said.errors.len() < ERRORS) {
-            // The same is often said of each slice.
-            if !said.errors.contains(&error) {
-                said.errors.push(error);
-            }
+        } else {
+            error |= is_error(&text);
         }
         line.clear();
     }
     // Nobody hears it where the frames of interest are read.
-    let _ = to.send(said);
+    let _ = to.send(Said { place: None, error });
 }
 
 /// The number of the frame that a line of `showinfo` names: its time in units of the stream, which in an AVI is the
-/// time from one frame to the next.
-fn place_in(line: &str) -> Option<usize> {
+/// time from one frame to the next. `Some(None)`: a frame without a time.
+fn frame_in(line: &str) -> Option<Option<usize>> {
     let (_, after) = line.strip_prefix("[Parsed_showinfo")?.split_once(" pts:")?;
-    after.split_whitespace().next()?.parse().ok()
+    Some(after.split_whitespace().next().and_then(|time| time.parse().ok()))
 }
 
-/// The text of a line that is an error: `[ffv1 @ 0x55] [error] slice CRC mismatch`.
-fn error_in(line: &str) -> Option<String> {
-    let at = ["[error] ", "[fatal] "].iter().find_map(|level| line.find(level).map(|at| at + level.len()))?;
-    let text: String = line[at..].trim().chars().filter(|c| !c.is_control()).take(200).collect();
-    Some(text)
+/// Whether a line is an error: `[ffv1 @ 0x55] [error] slice CRC mismatch`.
+fn is_error(line: &str) -> bool {
+    line.contains("[error] ") || line.contains("[fatal] ")
 }
 
 impl Drop for Decoder {
@@ -241,11 +222,10 @@ mod tests {
     #[test]
     fn lines_of_ffmpeg_are_understood() {
         let info = "[Parsed_showinfo_1 @ 0x55] [info] n:  16 pts:     17 pts_time:0.28 pos: 303824 fmt:gray \n";
-        assert_eq!(place_in(info), Some(17));
-        assert_eq!(place_in("[Parsed_showinfo_0 @ 0x55] [info] config in time_base: 1/60, frame_rate: 60/1"), None);
-        assert_eq!(place_in("[Parsed_showinfo_0 @ 0x55] [info] n: 0 pts:   NOPTS pts_time:NOPTS"), None);
-        let error = "[ffv1 @ 0x56] [error] slice CRC mismatch 8C3036CA!at 0.283333 seconds\n";
-        assert_eq!(error_in(error).as_deref(), Some("slice CRC mismatch 8C3036CA!at 0.283333 seconds"));
-        assert_eq!(error_in("[swscaler @ 0x1] [warning] deprecated pixel format used"), None);
+        assert_eq!(frame_in(info), Some(Some(17)));
+        assert_eq!(frame_in("[Parsed_showinfo_0 @ 0x55] [info] config in time_base: 1/60, frame_rate: 60/1"), None);
+        assert_eq!(frame_in("[Parsed_showinfo_0 @ 0x55] [info] n: 0 pts:   NOPTS pts_time:NOPTS"), Some(None));
+        assert!(is_error("[ffv1 @ 0x56] [error] slice CRC mismatch 8C3036CA!at 0.283333 seconds"));
+        assert!(!is_error("[swscaler @ 0x1] [warning] deprecated pixel format used"));
     }
 }

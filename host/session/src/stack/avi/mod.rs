@@ -1,6 +1,7 @@
 //! AVI files: one video of grey frames. Uncompressed frames are read here, all others by ffmpeg.
 
 mod decoder;
+mod faults;
 mod pixels;
 mod riff;
 #[cfg(test)]
@@ -9,6 +10,7 @@ mod tests;
 use super::layout::SampleType;
 use crate::error::SessionError;
 use decoder::{Coding, Decoder};
+use faults::Faults;
 use pixels::Pixels;
 use riff::Chunk;
 use std::fs::File;
@@ -96,12 +98,15 @@ pub(super) struct Decoded {
 pub(super) struct MovieReader {
     file: File,
     decoder: Option<Decoder>,
+    /// What is damaged in a compressed file, once ffmpeg has said any error.
+    faults: Option<Faults>,
     buffer: Vec<u8>,
 }
 
 impl MovieReader {
     pub fn open(path: &Path) -> Result<Self, SessionError> {
-        Ok(Self { file: File::open(path).map_err(|e| SessionError::io(path, e))?, decoder: None, buffer: Vec::new() })
+        let file = File::open(path).map_err(|e| SessionError::io(path, e))?;
+        Ok(Self { file, decoder: None, faults: None, buffer: Vec::new() })
     }
 
     /// Whole frame number `index`, row by row. Damage is seen in compressed frames only.
@@ -112,7 +117,7 @@ impl MovieReader {
                 Some(decoder) => decoder,
                 None => Decoder::start(path, movie, coding)?,
             };
-            return self.decoder.insert(decoder).frame(path, movie, coding, index);
+            return self.decoder.insert(decoder).frame(path, movie, coding, &mut self.faults, index);
         }
         let (_, chunk) = movie.chunks[index];
         self.buffer.resize(chunk.bytes as usize, 0);
