@@ -1,0 +1,147 @@
+//! Sentences of the account, and what they are of.
+
+use super::basis::Basis;
+use super::settle::Settled;
+use crate::account::{Names, Verdict, calibration_note, pupil_note, registration_notes, rest_notes, small_note};
+use crate::account::{TruthRegistration, unstated_notes};
+use crate::data::{Observations, Shown, bright_darks};
+use crate::evidence::{Curve, Figures, JudgedOn, judged, structured};
+use crate::fit::gauge::Gauge;
+use crate::fit::{Model, PUPIL_DEFOCUS, State, Term, UNKNOWN_NOTE, chosen_note};
+use crate::options::CalibratedOn;
+use ommatidia_model::forward::ForwardError;
+use ommatidia_session::Role;
+
+/// What sentences are made from beside what a search ends with.
+pub(super) struct Said<'a> {
+    pub names: &'a Names,
+    pub verdict: Verdict,
+    /// Figures of held-out data, after.
+    pub after: Figures,
+    pub curves: &'a [Curve],
+    pub registrations: &'a [TruthRegistration],
+    /// Whether the only known frames are those of the calibration.
+    pub own_beads: bool,
+}
+
+/// All sentences, in their order.
+pub(super) fn notes(basis: &Basis<'_>, settled: &Settled, said: &Said<'_>) -> Result<Vec<String>, ForwardError> {
+    let Basis { instrument, model, own, .. } = *basis;
+    let Settled { now, dependences, .. } = settled;
+    let (seen, effects, verdict) = (model.seen, &said.names.effects, said.verdict);
+    let mut notes = bright_darks(seen, model.forward.noise());
+    notes.extend(out_notes(settled));
+    notes.extend(said.names.note());
+    let misjudged = now.state.terms.iter().find(|t| t.id() == PUPIL_DEFOCUS).map_or(&[][..], |t| &t.params);
+    notes.extend(pupil_note(instrument, effects, misjudged, model.forward.depth_error()));
+    // Without a bead scan there are no replicates to be had.
+    if instrument.replicates.is_empty() && !instrument.sensor_only() && seen.of(Role::Scene).next().is_some() {
+        notes.push(
+            "the instrument has no calibration replicates, so the uncertainty of the calibration is unknown and small \
+             effects may be errors of the calibration; calibrate again"
+                .into(),
+        );
+    }
+    let structure = (structured(dependences), basis.within_calibration(now));
+    let of_rest: Vec<String> = rest_notes(model, now, verdict)
+        .into_iter()
+        .chain(calibration_note(structure, verdict, effects, &instrument.quality))
+        .collect();
+    if of_rest.is_empty() {
+        notes.extend(small_note(dependences, verdict, effects, said.after));
+    }
+    notes.extend(of_rest);
+    if basis.judged_on == JudgedOn::SelfConsistency {
+        notes.push(UNKNOWN_NOTE.into());
+    }
+    notes.extend(chosen_note(seen));
+    notes.extend(now.gauges.iter().filter(|g| g.term >= own).map(|g| gauge_note(g, &now.state)));
+    notes.extend(drift_notes(said.curves));
+    if said.own_beads {
+        notes.push(OWN_BEADS_NOTE.into());
+    }
+    notes.extend(registration_notes(said.registrations));
+    notes.extend(unstated_notes(model, now, own)?);
+    Ok(notes)
+}
+
+/// What was added once, and is out.
+fn out_notes(settled: &Settled) -> Vec<String> {
+    let note = |why: &str, ids: Vec<&str>| (!ids.is_empty()).then(|| format!("{why}: {}", ids.join(", ")));
+    let harmed = settled.out.taken_back.iter().map(|(found, _)| found.id).collect();
+    let removed = settled.out.removed.iter().map(Term::id).collect();
+    let worse = "taken back, because held-out data were predicted worse with it than before";
+    let unnecessary = "added and later removed, because the effects that were added after them made them unnecessary";
+    [note(worse, harmed), note(unnecessary, removed)].into_iter().flatten().collect()
+}
+
+/// What the figures mean where the only known frames are those of the calibration.
+pub(crate) const OWN_BEADS_NOTE: &str = "the figures are of bead frames that this instrument was calibrated on: they \
+                                         show how well the model describes that scan, and nothing of what has changed \
+                                         since; measure scenes of known objects or a new bead scan to test the optics";
+
+/// Whether all frames of the figures are bead frames that the calibration has read.
+pub(crate) fn own_beads(seen: &Observations, calibrated_on: &[CalibratedOn]) -> bool {
+    let own = |k: usize| {
+        let frame = &seen.frames[k];
+        matches!(frame.shown, Shown::Bead(_)) && calibrated_on.iter().any(|c| c.stack == frame.stack)
+    };
+    let mut known = judged(seen).filter(|k| seen.frames[*k].shown != Shown::Unknown).peekable();
+    known.peek().is_some() && known.all(own)
+}
+
+/// Evidence from which a drift is reported, standard deviations: three effects and more are followed.
+const DRIFTS: f64 = 3.5;
+
+/// Effects that change within the recording, by the strength of each that changes most.
+fn drift_notes(curves: &[Curve]) -> Vec<String> {
+    let drifting: Vec<&Curve> = curves.iter().filter(|c| c.z > DRIFTS).collect();
+    let note = |of: &[&Curve]| {
+        let change = |c: &Curve| c.value.last().zip(c.value.first()).map_or(0.0, |(b, a)| b - a);
+        let in_sigmas = |c: &Curve| change(c).abs() / c.sigma.iter().fold(f64::MIN_POSITIVE, |m, s| m.max(*s));
+        let c = of.iter().max_by(|a, b| in_sigmas(a).total_cmp(&in_sigmas(b)))?;
+        let ends = [c.value.first()?, c.value.last()?, c.sigma.last()?, c.time_s.first()?, c.time_s.last()?];
+        let unit = if c.unit == "1" { String::new() } else { format!(" {}", c.unit) };
+        Some(format!(
+            "the frames differ along `{}` with time (z = {:.1}): {} is {:.3}{unit} in the first of them ({:.1} s) and \
+             {:.3} +- {:.3}{unit} in the last ({:.1} s); `curves` of the account has all values",
+            c.id, c.z, c.param, ends[0], ends[3], ends[1], ends[2], ends[4]
+        ))
+    };
+    drifting.chunk_by(|a, b| a.id == b.id).filter_map(note).collect()
+}
+
+/// What a change of the specimens makes of an effect's values.
+fn gauge_note(gauge: &Gauge, state: &State) -> String {
+    let [values, directions] = [gauge.directions.nrows(), gauge.directions.ncols()];
+    let id = state.terms.get(gauge.term).map_or("", Term::id);
+    format!(
+        "`{id}`: {directions} of the {values} directions of its values are changes of the specimens as well, so that \
+         these frames cannot show how far the values lie along them (a displacement common to all lenses, for \
+         example). The values are those with the fewest lenses changed, and their errors hold relative to the other \
+         lenses"
+    )
+}
+
+/// The background of each stack that has one of its own: it belongs to the session, and no effect names it.
+pub(super) fn background_notes(model: &Model<'_>, state: &State) -> Vec<String> {
+    let role = |stack: usize| model.seen.frames.iter().find(|f| f.stack == stack).map(|f| f.role);
+    let note = |(stack, [level, row, col]): (usize, &[f64; 3])| {
+        let role = role(stack).filter(|_| [*level, *row, *col] != [0.0; 3])?;
+        Some(format!(
+            "background of the {} frames, as this session shows it: {level:.2} e- a pixel ({row:+.2} e- from the first \
+             to the last row, {col:+.2} e- from the first to the last column); it was fitted beside the effects, \
+             because the calibration found a background in the bead frames",
+            role.name()
+        ))
+    };
+    state.background_e.iter().enumerate().filter_map(note).collect()
+}
+
+pub(crate) fn held_out_frames(seen: &Observations) -> Vec<usize> {
+    judged(seen).filter(|k| seen.frames[*k].held_out).map(|k| seen.frames[k].info.frame).collect()
+}
+
+pub(crate) fn held_out_blocks(seen: &Observations) -> [usize; 2] {
+    [seen.held_out_blocks.iter().filter(|h| **h).count(), seen.held_out_blocks.len()]
+}

@@ -1,0 +1,152 @@
+//! Says what a search found.
+
+use super::basis::{Basis, Given};
+use super::notes::{Said, background_notes, held_out_blocks, held_out_frames, notes, own_beads};
+use super::settle::Settled;
+use crate::account::{
+    Accepted, Closed, Closing, Effect, Findings, Judged, Left, Names, Nearest, Verdict, effects, harmful, imitated,
+    pictured, registrations, rejected, shadowed,
+};
+use crate::evidence::{compared, curves, noise_left, structured};
+use crate::fit::{Model, PUPIL_DEFOCUS, State, Term, estimated_frames};
+use crate::options::{CloseError, CloseOptions};
+use crate::plan::{self, plan};
+use ommatidia_model::instrument::Instrument;
+use ommatidia_physics::effects::find;
+
+/// Effects of the noise are causes if they leave at most this share of the structure in the noise of repeated frames.
+const NOISE_LEFT: f64 = 0.1;
+
+/// The result of an attempt.
+pub(crate) struct Attempt {
+    pub(crate) closed: Closed,
+    /// The state of the closed instrument.
+    pub(crate) state: State,
+}
+
+impl Attempt {
+    /// Whether effects of the catalogue explain the session, and nothing is left to explain.
+    pub(crate) fn explains_all(&self) -> bool {
+        let closing = &self.closed.account.closing;
+        closing.verdict == Verdict::Adequate && closing.effects.iter().all(|e| e.known)
+    }
+}
+
+/// The account of an attempt, and the closed instrument.
+pub(super) fn report(
+    basis: &Basis<'_>,
+    settled: Settled,
+    options: &CloseOptions<'_>,
+    given: Given<'_>,
+    progress: &mut impl FnMut(&str),
+) -> Result<Attempt, CloseError> {
+    let Basis { instrument, model, own, judged_on, .. } = *basis;
+    let Settled { now, closed, found, .. } = &settled;
+    let seen = model.seen;
+    let [before, after] = compared(model, &basis.before, closed);
+    let names = names(basis, &settled, given);
+    let verdict = verdict(basis, &settled, &names);
+    let curves = curves(model, now, own)?;
+    let own_beads = own_beads(seen, options.calibrated_on);
+    let without = names.left_much.then_some(&basis.before);
+    let registrations = registrations(model, now, without, &basis.replicas)?;
+    let said = Said { names: &names, verdict, after, curves: &curves, registrations: &registrations, own_beads };
+    let notes = notes(basis, &settled, &said)?;
+    let mut nearest = out_of(&settled);
+    nearest.extend(names.nearest);
+    let accepted = Accepted { state: &now.state, found, lost: &settled.lost };
+    let mut closing = Closing {
+        session: options.session_name.into(),
+        calibrated_on: options.calibrated_on.iter().map(|c| c.file.clone()).collect(),
+        own_beads,
+        judged_on,
+        verdict,
+        nearest,
+        before,
+        after,
+        held_out_frames: held_out_frames(seen),
+        held_out_blocks: held_out_blocks(seen),
+        estimated_frames: estimated_frames(seen),
+        recorded_frames: seen.recorded,
+        curves,
+        effects: names.effects,
+        rejected: rejected(model, &settled.rest, &accepted, own_beads),
+        catalogue_incomplete: verdict != Verdict::Adequate,
+        faults: given.faults.to_vec(),
+        dependences_before: basis.dependences.clone(),
+        dependences_after: settled.dependences.clone(),
+        retrained: None,
+        registrations,
+        plan: None,
+        notes,
+    };
+    if options.plan {
+        progress("which measurement next");
+        closing.plan = Some(plan(model, &planned(basis, &settled, &closing))?);
+    }
+    let mut account = pictured(model, &basis.before, closed, closing);
+    account.closing.notes.extend(background_notes(model, &now.state));
+    let closed = Closed { instrument: with_effects(instrument, model, &closed.state), account };
+    Ok(Attempt { closed, state: settled.now.state })
+}
+
+/// What is left of the excess, where tests see structure.
+fn left(basis: &Basis<'_>, settled: &Settled) -> Left {
+    if structured(&settled.dependences) { basis.left(&settled.now) } else { Left::default() }
+}
+
+/// Which of the effects that were found are named as causes.
+fn names(basis: &Basis<'_>, settled: &Settled, given: Given<'_>) -> Names {
+    let Settled { now, found, tests, .. } = settled;
+    let (own, left) = (basis.own, left(basis, settled));
+    let findings = Findings { before: &basis.before, now, own, found, tests, left };
+    let mut effects = effects(basis.model, findings, given.faults);
+    effects.iter_mut().filter(|e| settled.unseen.contains(&e.id.as_str())).for_each(Effect::is_not_added);
+    let found: Vec<_> = found.iter().zip(settled.constancy.iter().copied().skip(own)).collect();
+    let judged = Judged {
+        found: &found,
+        left,
+        noise_is_left: noise_left(&basis.dependences, &settled.dependences) > NOISE_LEFT,
+        psf_error: basis.instrument.quality.off_grid_excess(),
+        recalibrated: settled.recalibrated,
+    };
+    Names::of(effects, judged)
+}
+
+fn verdict(basis: &Basis<'_>, settled: &Settled, names: &Names) -> Verdict {
+    let unnamed = settled.found.iter().any(|f| f.id.starts_with("unknown"));
+    let left = structured(&settled.dependences) && !basis.within_calibration(&settled.now);
+    basis.excess(&settled.now).verdict(left || unnamed || names.uneven)
+}
+
+/// Effects that resemble the cause, of those that are out.
+fn out_of(settled: &Settled) -> Vec<Nearest> {
+    let out = &settled.out;
+    let mut nearest = shadowed(&out.shadowed, settled.found.first().map(|f| f.id));
+    nearest.extend(imitated(&out.imitations));
+    let harmed: Vec<_> = out.taken_back.iter().map(|(found, _)| found.clone()).collect();
+    nearest.extend(harmful(&harmed));
+    nearest
+}
+
+/// What a plan starts from: what the account leaves open.
+fn planned<'a>(basis: &'a Basis<'_>, settled: &'a Settled, closing: &Closing) -> plan::Found<'a> {
+    let ambiguous = closing.effects.iter().filter(|e| e.known && !e.ambiguity.is_empty());
+    // Nobody measures a bead scan to learn of a fault that only bead scans have.
+    let matters = |id: &str| find(id).is_none_or(|e| !e.is_of_bead_scans());
+    let untestable = closing.rejected.iter().filter(|r| r.upper_limit.is_none() && matters(&r.id));
+    plan::Found {
+        instrument: basis.instrument,
+        now: &settled.now,
+        replicas: &basis.replicas,
+        ambiguous: ambiguous.map(|e| (e.id.clone(), e.ambiguity.clone())).collect(),
+        untestable: untestable.map(|r| r.id.clone()).collect(),
+    }
+}
+
+/// The instrument with the effects of a state in place of its own.
+fn with_effects(instrument: &Instrument, model: &Model<'_>, state: &State) -> Instrument {
+    let is_on = |t: &&Term| t.id() != PUPIL_DEFOCUS || t.params.iter().any(|v| *v != 0.0);
+    let effects = state.terms.iter().filter(is_on).map(|t| t.setting(model.lenses())).collect();
+    Instrument { effects, ..instrument.clone() }
+}
