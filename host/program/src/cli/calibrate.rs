@@ -80,8 +80,15 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         noise: NoiseConfig { nominal_gain_dn_per_e: args.gain, nominal_read_noise_e: args.read_noise },
     };
     let bar = run.progress(frames_read(&session), "calibrate");
-    let Measured { result: calibration, seconds, peak_bytes } =
-        measured(|| calibrate(&session, &config, || bar.inc(1)));
+    let Measured { result: calibration, seconds, peak_bytes } = measured(|| {
+        calibrate(&session, &config, || {
+            // How often beads are read is known at the end: a background and unequal beads need another pass.
+            if bar.length() == Some(bar.position()) {
+                bar.inc_length(1);
+            }
+            bar.inc(1);
+        })
+    });
     let calibration = calibration?;
     bar.finish_and_clear();
     for note in &calibration.notes {

@@ -2,7 +2,7 @@
 
 use super::source::{Description, Group, Pane, Picture, Plane, Source};
 use ommatidia_report::{Look, Pixels};
-use ommatidia_session::import::{Times, times_of};
+use ommatidia_session::import::{Times, limited_note, times_of};
 use ommatidia_session::{FrameReader, ObjectGrid, SampleType, SensorSpec};
 use std::path::Path;
 
@@ -34,6 +34,7 @@ impl StackSource {
         if torn + empty > 0 {
             notes.push(format!("{torn} frames are torn and {empty} have no data: they are left out"));
         }
+        notes.extend(limited_note(&reader));
         let times = match times_of(&reader) {
             Ok(times) => times,
             Err(e) => {
