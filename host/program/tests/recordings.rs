@@ -110,6 +110,8 @@ fn a_miniscope_folder_is_imported_with_all_that_is_wrong_in_it() {
     let rate = found["rate_hz"].as_f64().unwrap();
     assert!((rate - 1000.0 / 50.5).abs() < 0.05 && found["configured_rate_hz"] == 20.0, "{rate}");
     assert_eq!(found["device"], "Miniscope_V4_BNO");
+    assert_eq!(found["missing_files"], serde_json::json!([]));
+    assert!(!found["notes"].to_string().contains("table of timestamps"), "the table is whole: {found:#}");
     let session = Session::open(desk.path().join("session")).unwrap();
     let stack = session.need(Role::Scene).unwrap()[0];
     assert_eq!(stack.entry().file, "../Miniscope");
@@ -196,6 +198,51 @@ fn a_missing_first_file_moves_no_times() {
     std::fs::write(folder.join("timeStamps.csv"), rows[..91].join("\n")).unwrap();
     let found = &json(desk.path(), "import Miniscope -o from-one")["recordings"][0];
     assert_eq!((&found["missing_files"], &found["frames"]), (&serde_json::json!([]), &90.into()), "{found:#}");
+}
+
+/// A table tells of files that are missing at the end, of a last file that is short, and by the numbers of its rows of
+/// rows that are missing.
+#[test]
+fn a_table_tells_what_is_missing_at_the_end_and_within_it() {
+    let desk = tempfile::tempdir().unwrap();
+    let folder = miniscope(desk.path());
+    let table = folder.join("timeStamps.csv");
+    let text = std::fs::read_to_string(&table).unwrap();
+    let import = |name: &str| json(desk.path(), &format!("import Miniscope -o {name}"))["recordings"][0].clone();
+    let times = |name: &str| {
+        let session = Session::open(desk.path().join(name)).unwrap();
+        session.need(Role::Scene).unwrap()[0].info().iter().map(|info| info.time_s).collect::<Vec<_>>()
+    };
+    import("whole");
+    // Rows 10 to 14 are lost: the frames keep their times but for these.
+    let rows: Vec<&str> = text.lines().collect();
+    std::fs::write(&table, [&rows[..11], &rows[16..], &[""]].concat().join("\r\n")).unwrap();
+    let found = import("fewer");
+    assert_eq!((&found["times_interpolated"], &found["timestamps"]), (&5.into(), &115.into()), "{found:#}");
+    let (whole, fewer) = (times("whole"), times("fewer"));
+    for (i, (a, b)) in whole.iter().zip(&fewer).enumerate() {
+        assert!((a - b).abs() < if (10..15).contains(&i) { 2e-3 } else { 1e-9 }, "{i}: {a} {b}");
+    }
+    let marked = std::fs::read_to_string(desk.path().join("fewer/scene.csv")).unwrap();
+    assert_eq!(marked.matches("estimated").count(), 5);
+    // The last file is gone, and the one before lacks its end.
+    std::fs::write(&table, &text).unwrap();
+    std::fs::remove_file(folder.join("3.avi")).unwrap();
+    let found = import("shorter");
+    assert_eq!(found["missing_files"], serde_json::json!([3]), "{found:#}");
+    std::fs::write(&table, rows[..91].join("\n")).unwrap();
+    std::fs::write(folder.join("2.avi"), avi(&(60..80).collect::<Vec<_>>())).unwrap();
+    let found = import("short");
+    assert_eq!(
+        (&found["missing_files"], &found["short"][1]),
+        (&serde_json::json!([]), &serde_json::json!(["2.avi", 20, 30]))
+    );
+    // Without timestamps the table of the session has the recorder's numbers, and times by the rate that was set.
+    std::fs::remove_file(&table).unwrap();
+    import("without");
+    let session = std::fs::read_to_string(desk.path().join("without/scene.csv")).unwrap();
+    assert!(session.contains("recorded_in") && session.matches("estimated").count() == 76, "{session}");
+    assert_eq!(times("without")[30], 1.5);
 }
 
 /// What the recorder says beside the frames may be cut or strange: the frames are read all the same.

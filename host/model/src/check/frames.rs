@@ -3,7 +3,7 @@
 use super::scan::{Scan, median, middle};
 use super::{Finding, Severity};
 use ndarray::Array2;
-use ommatidia_session::{Cut, Role, Session, SessionError, Stack};
+use ommatidia_session::{Cut, FrameInfo, Role, Session, SessionError, Stack};
 
 /// Frames of a stack that are read, evenly spread.
 const SAMPLED: usize = 24;
@@ -101,6 +101,26 @@ fn read(stack: &Stack, top: f32, step: &mut dyn FnMut()) -> Result<StackLevels, 
     found.at_top = tops / f64::max(pixels, 1.0);
     found.step = if divisor == 0 { 1 } else { 1 << divisor.trailing_zeros() };
     Ok(found)
+}
+
+/// Frames that `import` found damaged, by the column `data` of their table.
+pub fn damaged(session: &Session) -> Vec<Finding> {
+    let of_stack = |stack: &Stack| {
+        let is_damaged = |info: &&FrameInfo| info.other.get("data").is_some_and(|data| data == "damaged");
+        let frames: Vec<usize> = stack.info().iter().filter(is_damaged).map(|info| info.frame).collect();
+        let first: Vec<String> = frames.iter().take(8).map(ToString::to_string).collect();
+        let more = if frames.len() > first.len() { ", ..." } else { "" };
+        let text = format!(
+            "{}: {} of {} frames are marked as damaged ({}{more}): they are used like the others. Remove them with \
+             their rows where they matter",
+            stack.path().display(),
+            frames.len(),
+            stack.len(),
+            first.join(", ")
+        );
+        (!frames.is_empty()).then(|| Finding::new("damaged frames", Severity::Warning, text))
+    };
+    session.stacks().iter().filter_map(of_stack).collect()
 }
 
 /// Indices of at most [`SAMPLED`] frames of `count`, the first and the last among them.

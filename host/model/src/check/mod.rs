@@ -135,6 +135,7 @@ impl SessionCheck {
 pub fn check(session: &Session, mut step: impl FnMut()) -> Result<SessionCheck, SessionError> {
     let (mut findings, levels) = frames::look(session, &mut step)?;
     findings.extend(frames::pixel_sizes(session)?);
+    findings.extend(frames::damaged(session));
     let mut found = None;
     if session.stacks_of(Role::Bead).next().is_some() {
         let scan = scan::Scan::read(session, &mut step)?;

@@ -5,6 +5,7 @@ use anyhow::{Context, bail};
 use ommatidia_closing::{self, Closing, Dependence, Effect};
 use ommatidia_model::dataset::{DataSetPlan, PLAN_FILE};
 use ommatidia_session::artifact;
+use ommatidia_session::import::{set_interval_s, times_of};
 use ommatidia_session::kind::FileKind;
 use ommatidia_session::{FrameReader, Session};
 use ommatidia_shared::blob::Network;
@@ -141,11 +142,14 @@ fn of_data_set(path: &Path) -> anyhow::Result<Value> {
 fn of_stack(path: &Path) -> anyhow::Result<Value> {
     let reader = FrameReader::open(path)?;
     let scale = reader.scale();
+    // The heads of files may state another rate than that of the recording.
+    let by_times = times_of(&reader).ok().flatten().and_then(|times| times.interval_s);
+    let interval_s = by_times.or(set_interval_s(&reader)?).or(scale.interval_s);
     Ok(json!({
         "kind": "stack", "frames": reader.len(), "rows": reader.rows(), "cols": reader.cols(),
         "samples": reader.samples().name(),
-        // As the file says; null where it does not.
-        "pixel_um": scale.pixel_um, "interval_s": scale.interval_s,
+        // As files and timestamps say; null where they do not.
+        "pixel_um": scale.pixel_um, "interval_s": interval_s,
     }))
 }
 

@@ -102,17 +102,32 @@ fn by_file_names(path: &Path, mut infos: Vec<FrameInfo>, frames: &FrameReader) -
     Ok(infos)
 }
 
-/// Puts the times into the table, from the first frame on. Extrapolated ones are marked.
-pub(super) fn times_into(infos: &mut [FrameInfo], times: Option<&Times>) {
-    let Some(times) = times else { return };
-    let measured = times.time_s.len() - times.estimated;
+/// Puts the times into the table, from the first frame on. Estimated ones are marked.
+pub(super) fn times_into(infos: &mut [FrameInfo], times: &Times) {
+    let marked = times.estimated > 0 || !times.interpolated.is_empty();
     for (i, (info, time)) in infos.iter_mut().zip(&times.time_s).enumerate() {
-        // Tenths of a microsecond: the milliseconds of a table, without the error of their binary fractions.
-        info.time_s = (time * 1e7).round() / 1e7;
-        if times.estimated > 0 {
-            info.other.insert("time_is".into(), if i < measured { "measured" } else { "estimated" }.into());
+        info.time_s = in_table(*time);
+        if marked {
+            info.other.insert("time_is".into(), if times.is_estimated(i) { "estimated" } else { "measured" }.into());
         }
     }
+}
+
+/// Puts times by the rate that was set into the table of a recording without timestamps: each frame that is left out
+/// keeps its time, and nothing is known of files that are missing.
+pub(super) fn rate_into(infos: &mut [FrameInfo], parts: &[Part], interval_s: Option<f64>) {
+    let Some(interval_s) = interval_s else { return };
+    let starts = parts.iter().scan(0, |listed, part| Some(std::mem::replace(listed, *listed + part.listed)));
+    let places = parts.iter().zip(starts).flat_map(|(part, start)| part.places().map(move |place| start + place));
+    for (info, place) in infos.iter_mut().zip(places) {
+        info.time_s = in_table(place as f64 * interval_s);
+        info.other.insert("time_is".into(), "estimated".into());
+    }
+}
+
+/// Tenths of a microsecond: the milliseconds of a table, without the error of their binary fractions.
+fn in_table(time_s: f64) -> f64 {
+    (time_s * 1e7).round() / 1e7
 }
 
 /// Puts into the table where each frame came from, as the recorder counts: its file, and its number there from 0. What

@@ -4,6 +4,7 @@ use super::survey::Survey;
 use super::times::{Gap, usual_first};
 use super::{Opened, Source};
 use crate::manifest::StackEntry;
+use crate::stack::DECODED_FROM;
 use serde::Serialize;
 use std::fmt::Write;
 
@@ -40,6 +41,8 @@ pub struct Found {
     pub timestamps_unused: usize,
     /// Number of frames at the end without a timestamp, whose times are extrapolated.
     pub times_estimated: usize,
+    /// Number of frames between others without a timestamp, whose times are interpolated.
+    pub times_interpolated: usize,
     /// How timestamps were assigned to frames, where their numbers differ.
     pub assigned: Option<&'static str>,
     /// Times between frames that are longer than others.
@@ -54,9 +57,10 @@ pub struct Found {
     pub damaged_frames: Vec<DamagedFrame>,
     /// Files that are damaged at their end, or as a whole.
     pub damaged: Vec<String>,
-    /// Files with fewer frames than the others, except the last: name, frames, frames of a full file.
+    /// Files with fewer frames than they should have: name, frames, and how many a full file has, or the timestamps of
+    /// the last.
     pub short: Vec<(String, usize, usize)>,
-    /// Files that are missing before the last.
+    /// Files that are missing.
     pub missing_files: Vec<u64>,
     /// Whether frames of the stack have other numbers in the recording: it has several files, or some were left out.
     #[serde(skip)]
@@ -121,9 +125,13 @@ impl Found {
             }
             before += part.frames;
         }
-        let missing_files =
-            numbers.last().map_or(Vec::new(), |last| (first..*last).filter(present).take(1000).collect());
-        let counts_differ = recording.times.is_some() && (parts.len() > 1 || !torn.is_empty());
+        let last = numbers.last().map(|last| times.last_file.map_or(*last, |of_table| of_table.max(*last)));
+        let missing_files = last.map_or(Vec::new(), |last| (first..=last).filter(present).take(1000).collect());
+        let mut short: Vec<_> = short.map(|p| (name(&p.path), p.listed, full)).collect();
+        if let Some((part, frames)) = parts.last().filter(|_| filled).zip(times.last_should_have) {
+            short.push((name(&part.path), part.listed, frames));
+        }
+        let counts_differ = parts.len() > 1 || !torn.is_empty();
         Self {
             source: source.path.display().to_string(),
             role: recording.role.name(),
@@ -140,6 +148,7 @@ impl Found {
             timestamps: recording.times.as_ref().map(|t| t.timestamps),
             timestamps_unused: times.unused,
             times_estimated: times.estimated,
+            times_interpolated: times.interpolated.len(),
             assigned: times.assigned,
             gaps: times.gaps,
             backwards: times.backwards,
@@ -154,7 +163,7 @@ impl Found {
                         .map(|d| if d.contains(&name(&p.path)) { d.clone() } else { format!("{}: {d}", name(&p.path)) })
                 })
                 .collect(),
-            short: short.map(|p| (name(&p.path), p.listed, full)).collect(),
+            short,
             missing_files,
             counts_differ,
             notes: recording.notes.clone(),
@@ -191,6 +200,10 @@ impl Found {
                 0 => String::new(),
                 n => format!("; the times of the last {n} frames are extrapolated (column time_is)"),
             };
+            let estimated = match self.times_interpolated {
+                0 => estimated,
+                n => format!("{estimated}; {n} frames have no row, and times between those of others (column time_is)"),
+            };
             line(format!("  timestamps  {of}{unused}{estimated}"));
             if let Some(how) = self.assigned {
                 line(format!("              assigned {how}"));
@@ -208,15 +221,16 @@ impl Found {
             line(format!("  left out    frame {} of {}: it {what}", torn.frame, torn.file));
         }
         more(&mut line, self.torn.len(), "frames that were left out");
-        for DamagedFrame { file, frame, what, .. } in self.damaged_frames.iter().take(LINES) {
-            line(format!("  damaged     frame {frame} of {file}: {what}"));
+        let runs: Vec<&[DamagedFrame]> = self.damaged_frames.chunk_by(follows).collect();
+        for run in runs.iter().take(LINES) {
+            line(format!("  damaged     {}", of_run(run)));
         }
-        more(&mut line, self.damaged_frames.len(), "damaged frames");
+        more(&mut line, runs.len(), "damaged places");
         for damage in &self.damaged {
             line(format!("  damaged     {damage}"));
         }
         for (file, frames, full) in &self.short {
-            line(format!("  short       {file}: {frames} frames, a full file has {full}"));
+            line(format!("  short       {file}: {frames} frames, it should have {full}"));
         }
         if !self.missing_files.is_empty() {
             line(format!("  missing     files {}", list(&self.missing_files)));
@@ -230,13 +244,33 @@ impl Found {
             line(format!("  backwards   {n} frames have no later time than the frame before: {which}"));
         }
         if self.counts_differ {
-            line("  frames      are counted as in the session; its table has the file and the frame of each".into());
+            line(
+                "  frames      are counted from 0, as in the session; its table has the file and the frame of each"
+                    .into(),
+            );
         }
         for note in &self.notes {
             line(format!("  note        {note}"));
         }
         out
     }
+}
+
+/// Whether a damaged frame is the next one, and damaged since it is decoded from the one before.
+fn follows(a: &DamagedFrame, b: &DamagedFrame) -> bool {
+    a.file == b.file && a.index + 1 == b.index && b.what == DECODED_FROM
+}
+
+/// A damaged frame, and those that are decoded from it.
+fn of_run(run: &[DamagedFrame]) -> String {
+    let [first, rest @ ..] = run else { return String::new() };
+    let DamagedFrame { index, file, frame, what } = first;
+    let others = match rest {
+        [] => String::new(),
+        [one] => format!("; so is frame {}, which is decoded from it", one.index),
+        [.., last] => format!("; so are frames {} to {}, which are decoded from it", index + 1, last.index),
+    };
+    format!("frame {index}, {frame} of {file}: {what}{others}")
 }
 
 /// Most lines of one kind in the text; the JSON has all.

@@ -146,11 +146,18 @@ pub fn import(request: &ImportRequest<'_>, mut progress: impl FnMut()) -> Result
         let mut entry = StackEntry::plain(recording.role, file, exposure_ms);
         // A copy is a .npy file.
         entry.variable = request.variable.filter(|_| !request.copy && is_mat(&request.sources[i].path)).map(Into::into);
-        let damaged = recording.frames.parts().iter().any(|part| !part.damaged.is_empty());
-        if infos.is_some() || recording.times.is_some() || damaged {
+        // Where frames have other numbers than in the recording, or are damaged, the table says so.
+        let parts = recording.frames.parts();
+        let other = parts.len() > 1 || parts.iter().any(|p| p.listed > p.frames || !p.damaged.is_empty());
+        if infos.is_some() || recording.times.is_some() || other {
+            let given = infos.is_some();
             let plain = || (0..frames).map(|f| FrameInfo::plain(f, exposure_ms)).collect();
             let mut infos = infos.unwrap_or_else(plain);
-            describe::times_into(&mut infos, recording.times.as_ref());
+            match &recording.times {
+                Some(times) => describe::times_into(&mut infos, times),
+                None if given => {}
+                None => describe::rate_into(&mut infos, recording.frames.parts(), set_interval(&recording)),
+            }
             describe::places_into(&mut infos, recording.frames.parts());
             entry.table = Some(format!("{name}.csv"));
             writer.table(&format!("{name}.csv"), &infos)?;
@@ -180,12 +187,12 @@ pub fn times_of(frames: &FrameReader) -> Result<Option<Times>, SessionError> {
     let Some(path) = times::table_of(&folder).filter(|_| frames.path().is_dir()) else { return Ok(None) };
     let metadata = miniscope::metadata(&folder)?;
     // The cameras of version 3 are told apart by a number; that of the miniscope is 1 in most recordings, 0 in others.
-    let (stamps, unfinished) = match times::timestamps(&path, Some("1"))? {
-        (stamps, _) if stamps.is_empty() => times::timestamps(&path, Some("0"))?,
+    let stamps = match times::timestamps(&path, Some("1"))? {
+        stamps if stamps.time_s.is_empty() => times::timestamps(&path, Some("0"))?,
         found => found,
     };
     let per_file = metadata.and_then(|m| m.frames_per_file);
-    Ok(Some(Times { unfinished, ..Times::of(&stamps, frames.parts(), frames.len(), per_file) }))
+    Ok(Some(Times::of_table(&stamps, frames.parts(), frames.len(), per_file)))
 }
 
 /// That codes of the frames are of limited range, where they are.
@@ -194,8 +201,9 @@ pub fn limited_note(frames: &FrameReader) -> Option<String> {
     let first = limited.first()?.path.display();
     let files = if limited.len() == 1 { String::new() } else { format!(" and {} more files", limited.len() - 1) };
     Some(format!(
-        "{first}{files}: compressed with a limited range, so that black is 16 and white 235 where the camera had 0 and \
-         255; these codes are used as they are. Record without loss (GREY, FFV1) if you can"
+        "{first}{files}: values run from 16 to 235 where the camera had 0 to 255, since the video is coded for the eye; \
+         they are used as they are: (value - 16) x 255 / 219 gives those of the camera. Record without loss (GREY, \
+         FFV1) if you can"
     ))
 }
 
@@ -217,7 +225,8 @@ fn open(source: &Source, request: &ImportRequest<'_>) -> Result<Opened, SessionE
     let mut notes = Vec::new();
     let times = times_of(&frames)?;
     notes.extend(times.as_ref().and_then(Times::unfinished_note));
-    let metadata = miniscope::metadata(&folder_of(&source.path))?.filter(|_| source.path.is_dir());
+    let avi = source.path.extension().is_some_and(|e| e.eq_ignore_ascii_case("avi"));
+    let metadata = miniscope::metadata(&folder_of(&source.path))?.filter(|_| avi || source.path.is_dir());
     if let Some((path, why)) = metadata.as_ref().and_then(|m| Some((m.path.display(), m.unread.as_ref()?))) {
         notes.push(format!("{path}: is no JSON, nothing is taken from it: {why}"));
     }
@@ -291,14 +300,19 @@ fn pixels_to_um(
     crate::table::pixels_to_um(path, object, infos, notes)
 }
 
+/// The time from one frame to the next that was set, s. Recorders of miniscopes write another rate into the heads of
+/// their files.
+fn set_interval(recording: &Opened) -> Option<f64> {
+    let set = recording.metadata.as_ref().and_then(Metadata::interval_s);
+    set.or(recording.frames.scale().interval_s)
+}
+
 fn exposure_ms(request: &ImportRequest<'_>, recording: &mut Opened) -> Result<f64, SessionError> {
     if let Some(ms) = request.exposure_ms {
         return Ok(ms);
     }
     let by_times = recording.times.as_ref().and_then(|t| t.interval_s);
-    // Recorders of miniscopes write another rate into the heads of their files than was set.
-    let set = recording.metadata.as_ref().and_then(Metadata::interval_s);
-    let Some(interval) = by_times.or(set).or(recording.frames.scale().interval_s) else {
+    let Some(interval) = by_times.or(set_interval(recording)) else {
         let (path, remedy) = (recording.frames.path(), "state it: --exposure-ms");
         return Err(SessionError::value(path, "exposure", "a time in ms", "none in the files", remedy));
     };

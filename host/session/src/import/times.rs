@@ -23,12 +23,42 @@ pub struct Times {
     pub gaps: Vec<Gap>,
     /// Frames whose timestamp is not later than that of the frame before.
     pub backwards: Vec<usize>,
-    /// The last line of the table, if the recorder was cut off while it wrote it: it is left out.
+    /// What the table of timestamps lacks at its end, where the recorder was cut off, as the end of a sentence.
     pub unfinished: Option<String>,
     /// How rows of the table were assigned to frames, where their numbers differ.
     pub assigned: Option<&'static str>,
     /// Number of the first file that the recorder wrote, there or not.
     pub first_file: u64,
+    /// Number of the last file that the recorder wrote, there or not, where files have a known length.
+    pub last_file: Option<u64>,
+    /// Number of frames of the last file that is there, if it lacks some.
+    pub last_should_have: Option<usize>,
+    /// Frames without a row of the table, between others, whose times are interpolated.
+    pub interpolated: Vec<usize>,
+}
+
+/// The rows of a table of timestamps.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Stamps {
+    /// Time of each row, s.
+    pub time_s: Vec<f64>,
+    /// Number of the frame of each row, from 0, where the table has numbers that grow.
+    pub numbers: Option<Vec<usize>>,
+    /// What the table lacks at its end.
+    pub unfinished: Option<String>,
+}
+
+impl Stamps {
+    /// The times by the numbers of the frames; those of missing rows are NaN. `None` where numbers say no more than the
+    /// order of the rows.
+    fn by_number(&self) -> Option<Vec<f64>> {
+        let numbers = self.numbers.as_ref().filter(|n| n.last().is_some_and(|last| last + 1 > n.len()))?;
+        // A table with few of its rows is another one.
+        let count = numbers.last().map_or(0, |last| last + 1);
+        let mut all = vec![f64::NAN; Some(count).filter(|n| *n <= 2 * numbers.len())?];
+        numbers.iter().zip(&self.time_s).for_each(|(i, time)| all[*i] = *time);
+        Some(all)
+    }
 }
 
 /// A time between two frames that is longer than others.
@@ -55,11 +85,11 @@ pub(super) fn table_of(folder: &Path) -> Option<std::path::PathBuf> {
     TABLES.into_iter().map(|name| folder.join(name)).find(|path| path.is_file())
 }
 
-/// Reads the timestamps of a table, s, and its last line where that is unfinished.
+/// Reads a table of timestamps.
 ///
 /// # Errors
 /// The table cannot be read, has no column of times with a unit, or a row is no number.
-pub(super) fn timestamps(path: &Path, camera: Option<&str>) -> Result<(Vec<f64>, Option<String>), SessionError> {
+pub(super) fn timestamps(path: &Path, camera: Option<&str>) -> Result<Stamps, SessionError> {
     let (grid, unfinished) = Grid::read_log(path)?;
     let place = |names: &[&str]| {
         let plain = |n: &str| n.to_lowercase().chars().filter(|c| c.is_alphanumeric()).collect::<String>();
@@ -77,7 +107,13 @@ pub(super) fn timestamps(path: &Path, camera: Option<&str>) -> Result<(Vec<f64>,
     };
     // Version 3 lists all cameras in one table.
     let camera = camera.zip(place(&["camnum"]));
-    let rows = grid.rows.iter().filter(|row| camera.is_none_or(|(name, at)| row.cells[at] == name));
+    let rows: Vec<_> = grid.rows.iter().filter(|row| camera.is_none_or(|(name, at)| row.cells[at] == name)).collect();
+    // Frames are counted from 0 or from 1.
+    let numbers = place(&["framenumber", "framenum"]).and_then(|at| {
+        let numbers: Vec<usize> = rows.iter().map(|row| row.cells[at].parse().ok()).collect::<Option<_>>()?;
+        let first = numbers.first().copied().filter(|n| *n <= 1 && numbers.is_sorted_by(|a, b| a < b))?;
+        Some(numbers.into_iter().map(|n| n - first).collect())
+    });
     let time = |row: &crate::table::Row| {
         let number = grid.number(&row.cells[column]).filter(|v| v.is_finite());
         number.map(|v| v * factor).ok_or_else(|| {
@@ -86,24 +122,49 @@ pub(super) fn timestamps(path: &Path, camera: Option<&str>) -> Result<(Vec<f64>,
             SessionError::value(path, field, "a finite number", found, "correct the table, or remove the line")
         })
     };
-    Ok((rows.map(time).collect::<Result<_, _>>()?, unfinished))
+    Ok(Stamps { time_s: rows.into_iter().map(time).collect::<Result<_, _>>()?, numbers, unfinished })
 }
 
 impl Times {
     /// Assigns timestamps to the whole frames of a recording. `per_file` is the number of frames that the recorder puts
     /// into each file, if it is known.
-    pub(super) fn of(stamps: &[f64], parts: &[Part], frames: usize, per_file: Option<usize>) -> Self {
+    pub(super) fn of_table(table: &Stamps, parts: &[Part], frames: usize, per_file: Option<usize>) -> Self {
         let listed: usize = parts.iter().map(|p| p.listed).sum();
+        let full = per_file.unwrap_or_else(|| parts.iter().map(|p| p.listed).max().unwrap_or(0));
+        let fit = |rows: usize| rows == listed || first_numbers(parts).any(|first| fits(rows, parts, full, first));
+        // Numbers of frames tell where a row is missing, if the rows themselves do not fit the frames.
+        let numbered = table.by_number().filter(|all| !fit(table.time_s.len()) && fit(all.len()));
+        let mut times = Self::of(numbered.as_ref().unwrap_or(&table.time_s), parts, frames, per_file);
+        times.timestamps = table.time_s.len();
+        times.unfinished = table.unfinished.clone();
+        times
+    }
+
+    /// Assigns times to the whole frames of a recording; NaN stands for a row that is missing.
+    fn of(stamps: &[f64], parts: &[Part], frames: usize, per_file: Option<usize>) -> Self {
+        let listed: usize = parts.iter().map(|p| p.listed).sum();
+        let (mut last_file, mut last_should_have) = (None, None);
         let mut assigned = None;
         let mut first_file = usual_first(parts);
         let mut rows = Vec::with_capacity(frames);
         if parts.is_empty() {
             rows.extend(0..frames);
         } else {
+            let stated = per_file;
             let per_file = per_file.unwrap_or_else(|| parts.iter().map(|p| p.listed).max().unwrap_or(0));
             let differs = listed != stamps.len();
             let by_file = first_numbers(parts).find(|first| differs && fits(stamps.len(), parts, per_file, *first));
             first_file = by_file.unwrap_or(first_file);
+            if let Some((per_file, last)) = stated.zip(parts.last().filter(|_| differs)) {
+                let written = stamps.len().div_ceil(per_file) as u64;
+                let before = last.number.unwrap_or(0).saturating_sub(first_file) as usize * per_file;
+                last_file = (first_file + written).checked_sub(1).filter(|_| last.number.is_some());
+                last_should_have = stamps
+                    .len()
+                    .checked_sub(before)
+                    .map(|n| n.min(per_file))
+                    .filter(|n| last.number.is_some() && *n > last.listed);
+            }
             let mut before = 0;
             for part in parts {
                 let start = match part.number.zip(by_file) {
@@ -120,12 +181,33 @@ impl Times {
                 });
             }
         }
-        let mut times = Self { timestamps: stamps.len(), assigned, first_file, ..Self::default() };
+        let mut times =
+            Self { timestamps: stamps.len(), assigned, first_file, last_file, last_should_have, ..Self::default() };
         times.time_s = rows.iter().map_while(|row| stamps.get(*row).copied()).collect();
         times.unused = stamps.len() - times.time_s.len();
+        times.interpolate();
         times.judge();
         times.extrapolate(frames);
         times
+    }
+
+    /// Fills in the times of frames whose rows are missing.
+    fn interpolate(&mut self) {
+        self.interpolated = (0..self.time_s.len()).filter(|i| self.time_s[*i].is_nan()).collect();
+        for i in &self.interpolated {
+            let before = i.checked_sub(1).map(|b| (b, self.time_s[b]));
+            let after = (i + 1..self.time_s.len()).find(|a| !self.time_s[*a].is_nan()).map(|a| (a, self.time_s[a]));
+            self.time_s[*i] = match (before, after) {
+                (Some((b, first)), Some((a, last))) => first + (last - first) / (a - b) as f64,
+                (Some((_, time)), None) | (None, Some((_, time))) => time,
+                (None, None) => 0.0,
+            };
+        }
+    }
+
+    /// Which frames have a time that no row of the table states.
+    pub(super) fn is_estimated(&self, frame: usize) -> bool {
+        frame + self.estimated >= self.time_s.len() || self.interpolated.binary_search(&frame).is_ok()
     }
 
     /// The times of frames of which each has one, s.
@@ -165,10 +247,9 @@ impl Times {
         self.time_s.extend((0..self.estimated).map(next));
     }
 
-    /// That the last line of the table is left out, where it is.
+    /// What the table of timestamps lacks at its end.
     pub fn unfinished_note(&self) -> Option<String> {
-        let line = self.unfinished.as_ref()?;
-        Some(format!("the table of timestamps ends within a line, which is left out: {line}"))
+        self.unfinished.as_ref().map(|what| format!("the table of timestamps {what}"))
     }
 
     /// Frames a second by the timestamps, without the gaps.
@@ -194,7 +275,8 @@ fn first_numbers(parts: &[Part]) -> impl Iterator<Item = u64> {
     Some(0).filter(|_| bare).into_iter().chain([usual_first(parts)])
 }
 
-/// Whether a table fits files of `per_file` frames, counted from `first`, of which some are short or missing.
+/// Whether a table fits files of `per_file` frames, counted from `first`, of which some are short or missing; none that
+/// is missing is behind the last.
 fn fits(stamps: usize, parts: &[Part], per_file: usize, first: u64) -> bool {
     let numbers: Option<Vec<u64>> = parts.iter().map(|p| p.number).collect();
     let (Some(numbers), Some(last)) = (numbers, parts.last()) else { return false };

@@ -36,6 +36,7 @@ mod whole;
 mod writer;
 mod zarr;
 
+pub(crate) use avi::DECODED_FROM;
 pub use layout::{SampleType, StackScale, StackSpec};
 pub use reader::{ComputedFrames, FrameReader};
 pub use recording::Recording;

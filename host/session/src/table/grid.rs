@@ -30,24 +30,37 @@ impl Grid {
         Self::of(path, &bytes)
     }
 
-    /// Reads the table of a recorder, whose last line is cut off where the recorder was. Returns what was left out.
+    /// Reads the table of a recorder, whose last line is cut off where the recorder was. Returns what was left out, as
+    /// the end of a sentence about the table.
     ///
     /// # Errors
     /// As [`Self::read`].
     pub fn read_log(path: &Path) -> Result<(Self, Option<String>), SessionError> {
         let bytes = std::fs::read(path).map_err(|e| SessionError::io(path, e))?;
+        // In UTF-16 every other byte is zero; recorders do not write it.
+        if bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) {
+            return Ok((Self::of(path, &bytes)?, None));
+        }
         // Blocks that a crashed system had reserved and not written are zero.
         let written = bytes.iter().rposition(|b| *b != 0).map_or(0, |i| i + 1);
         let start = bytes[..written].iter().rposition(|b| *b == b'\n').map_or(0, |i| i + 1);
         let (lines, last) = bytes[..written].split_at(start);
+        let zeros = bytes.len() - written;
+        if last.trim_ascii().is_empty() {
+            let left_out =
+                (zeros > 0).then(|| format!("is followed by {zeros} bytes that are zero, as a crash leaves them"));
+            return Ok((Self::of(path, lines)?, left_out));
+        }
         let cells = |line: &[u8]| line.iter().filter(|b| b",;\t".contains(b)).count();
-        let few = lines.split(|b| *b == b'\n').next().is_some_and(|head| cells(last) < cells(head));
-        if start == 0 || !(few || written < bytes.len()) {
+        let head = lines.split(|b| *b == b'\n').find(|l| !l.trim_ascii().is_empty() && !l.starts_with(b"#"));
+        let few = head.is_some_and(|head| cells(last) < cells(head));
+        if start == 0 || !(few || zeros > 0) {
             return Ok((Self::of(path, &bytes)?, None));
         }
         let number = lines.iter().filter(|b| **b == b'\n').count() + 1;
-        let unfinished = format!("line {number}, `{}`", String::from_utf8_lossy(last));
-        Ok((Self::of(path, lines)?, Some(unfinished)))
+        let text = String::from_utf8_lossy(last);
+        let left_out = format!("ends within a line, which is left out: line {number}, `{}`", text.trim());
+        Ok((Self::of(path, lines)?, Some(left_out)))
     }
 
     fn of(path: &Path, bytes: &[u8]) -> Result<Self, SessionError> {

@@ -10,6 +10,9 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
 
+/// What is said of a frame that is decoded from a damaged one.
+pub(crate) const DECODED_FROM: &str = "it is decoded from a frame before that is damaged";
+
 /// What is wrong with frames that are decoded, by their places among those that the file lists.
 #[derive(Debug)]
 pub(super) struct Faults(BTreeMap<usize, String>);
@@ -40,13 +43,14 @@ impl Faults {
             let place = stated.filter(|_| !counted).unwrap_or(index);
             let skipped = expected.by_ref().take_while(|at| *at < place).count();
             let logs = frame["logs"].as_array().map_or(&[][..], Vec::as_slice);
-            let errors: Vec<String> = logs.iter().filter_map(|log| log["message"].as_str()).map(plain).collect();
+            let errors: Vec<String> =
+                logs.iter().filter_map(|log| log["message"].as_str()).map(plain).filter(|m| !m.is_empty()).collect();
             // Frames that are no key frames are decoded from those before.
             let alone = frame["key_frame"].as_u64() == Some(1);
             if !errors.is_empty() {
-                faults.insert(place, format!("it is decoded with errors (ffmpeg: {})", errors.join(" ")));
+                faults.insert(place, format!("it is decoded with errors (ffmpeg: {})", errors.join("; ")));
             } else if !alone && (doubtful || skipped > 0) {
-                faults.insert(place, "it is decoded from a frame before that is damaged".into());
+                faults.insert(place, DECODED_FROM.into());
             }
             doubtful = faults.contains_key(&place);
         }
@@ -65,6 +69,8 @@ fn plain(message: &str) -> String {
         Some((before, after)) if before.starts_with('[') => after,
         _ => message,
     };
+    // The time in the file, which is not that of the recording, is another message.
+    let text = if text.starts_with("at ") && text.trim_end().ends_with("seconds") { "" } else { text };
     text.trim().chars().filter(|c| !c.is_control()).take(200).collect()
 }
 
@@ -93,8 +99,8 @@ mod tests {
         let found = Faults::in_list(&list, places(), false);
         let of = |place: usize| found.at(place);
         assert_eq!([0, 1, 5, 8].map(of), [None; 4]);
-        assert_eq!(of(6), Some("it is decoded with errors (ffmpeg: slice CRC mismatch 8C3036CA! at 0.1 seconds)"));
-        assert_eq!([4, 7].map(of), [Some("it is decoded from a frame before that is damaged"); 2]);
+        assert_eq!(of(6), Some("it is decoded with errors (ffmpeg: slice CRC mismatch 8C3036CA!)"));
+        assert_eq!([4, 7].map(of), [Some(DECODED_FROM); 2]);
         // A frame without data alone is no damage.
         let list = [at(0, 1, &[]), at(1, 0, &[]), at(3, 0, &[])];
         assert_eq!(Faults::in_list(&list, places(), false).0, BTreeMap::new());

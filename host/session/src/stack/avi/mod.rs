@@ -10,6 +10,7 @@ mod tests;
 use super::layout::SampleType;
 use crate::error::SessionError;
 use decoder::{Coding, Decoder};
+pub(crate) use faults::DECODED_FROM;
 use faults::Faults;
 use pixels::Pixels;
 use riff::Chunk;

@@ -104,7 +104,13 @@ pub(super) fn walk(file: File) -> Result<Found> {
             }
             _ if !id.iter().all(|b| (b' '..=b'~').contains(b)) => {
                 let lost = size - at;
-                found.damage = Some(format!("the last {lost} bytes are no frames"));
+                found.damage = Some(match id {
+                    [0, 0, 0, 0] => format!("the last {lost} bytes are no frames"),
+                    _ => format!(
+                        "from byte {at} on it cannot be followed: {lost} bytes are left out, with the frames in them; \
+                         ffmpeg may find more by the index of the file (ffmpeg -i FILE -c copy NEW.avi)"
+                    ),
+                });
                 break;
             }
             _ => {}
