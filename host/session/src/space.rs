@@ -3,8 +3,11 @@
 use crate::error::SessionError;
 use std::path::Path;
 
+/// Outputs of fewer bytes are begun without a question: where they do not fit, that shows at once.
+const SMALL: u64 = 64 << 20;
+
 /// Refuses to begin what does not fit: `bytes` more in `folder`, for the output that messages name `shown`. A file
-/// system that does not say how much room it has is believed to have enough.
+/// system that does not say how much room it has is believed to have enough; outputs below 64 MiB are not asked about.
 ///
 /// # Errors
 /// There is less room.
@@ -18,7 +21,7 @@ use std::path::Path;
 /// ```
 pub fn need_space(folder: &Path, shown: &Path, bytes: u64) -> Result<(), SessionError> {
     match fs4::available_space(folder) {
-        Ok(free) if 0 < free && free < bytes => Err(SessionError::value(
+        Ok(free) if bytes >= SMALL && 0 < free && free < bytes => Err(SessionError::value(
             shown,
             "room on the disk",
             format!("at least {}, which the whole output needs", size(bytes)),
