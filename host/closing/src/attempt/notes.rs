@@ -2,8 +2,10 @@
 
 use super::basis::Basis;
 use super::settle::Settled;
-use crate::account::{Names, Verdict, calibration_note, pupil_note, registration_notes, rest_notes, small_note};
-use crate::account::{TruthRegistration, unstated_notes};
+use crate::account::{
+    Names, TruthRegistration, Verdict, calibration_note, pupil_note, registration_notes, rest_notes, small_note,
+    unstated_notes,
+};
 use crate::data::{Observations, Shown, bright_darks};
 use crate::evidence::{Curve, Figures, JudgedOn, judged, structured};
 use crate::fit::gauge::Gauge;

@@ -144,7 +144,7 @@ fn of_stack(path: &Path) -> anyhow::Result<Value> {
     let scale = reader.scale();
     // The heads of files may state another rate than that of the recording.
     let by_times = times_of(&reader).ok().flatten().and_then(|times| times.interval_s);
-    let interval_s = by_times.or(set_interval_s(&reader)?).or(scale.interval_s);
+    let interval_s = by_times.map_or_else(|| set_interval_s(&reader), |s| Ok(Some(s)))?;
     Ok(json!({
         "kind": "stack", "frames": reader.len(), "rows": reader.rows(), "cols": reader.cols(),
         "samples": reader.samples().name(),

@@ -62,9 +62,6 @@ pub struct Found {
     pub short: Vec<(String, usize, usize)>,
     /// Files that are missing.
     pub missing_files: Vec<u64>,
-    /// Whether frames of the stack have other numbers in the recording: it has several files, or some were left out.
-    #[serde(skip)]
-    counts_differ: bool,
     /// What else was taken from where.
     pub notes: Vec<String>,
 }
@@ -131,7 +128,6 @@ impl Found {
         if let Some((part, frames)) = parts.last().filter(|_| filled).zip(times.last_should_have) {
             short.push((name(&part.path), part.listed, frames));
         }
-        let counts_differ = parts.len() > 1 || !torn.is_empty();
         Self {
             source: source.path.display().to_string(),
             role: recording.role.name(),
@@ -165,7 +161,6 @@ impl Found {
                 .collect(),
             short,
             missing_files,
-            counts_differ,
             notes: recording.notes.clone(),
         }
     }
@@ -243,7 +238,8 @@ impl Found {
             let (n, which) = (self.backwards.len(), list(&self.backwards));
             line(format!("  backwards   {n} frames have no later time than the frame before: {which}"));
         }
-        if self.counts_differ {
+        // Frames of the stack have other numbers in the recording.
+        if self.files > 1 || !self.torn.is_empty() {
             line(
                 "  frames      are counted from 0, as in the session; its table has the file and the frame of each"
                     .into(),

@@ -156,7 +156,7 @@ pub fn import(request: &ImportRequest<'_>, mut progress: impl FnMut()) -> Result
             match &recording.times {
                 Some(times) => describe::times_into(&mut infos, times),
                 None if given => {}
-                None => describe::rate_into(&mut infos, recording.frames.parts(), set_interval(&recording)),
+                None => describe::rate_into(&mut infos, recording.frames.parts(), set_interval_s(&recording.frames)?),
             }
             describe::places_into(&mut infos, recording.frames.parts());
             entry.table = Some(format!("{name}.csv"));
@@ -207,13 +207,20 @@ pub fn limited_note(frames: &FrameReader) -> Option<String> {
     ))
 }
 
-/// The time from one frame to the next that the metadata of a recording state, s.
+/// The time from one frame to the next without timestamps, s: that of the metadata of a recording, else that of its
+/// files. Recorders of miniscopes write another rate into the heads of their files than was set.
 ///
 /// # Errors
 /// The metadata cannot be read.
 pub fn set_interval_s(frames: &FrameReader) -> Result<Option<f64>, SessionError> {
-    let metadata = miniscope::metadata(&folder_of(frames.path()))?.filter(|_| frames.path().is_dir());
-    Ok(metadata.and_then(|m| m.interval_s()))
+    let set = metadata_of(frames.path())?.and_then(|m| m.interval_s());
+    Ok(set.or(frames.scale().interval_s))
+}
+
+/// The metadata of a recording: those in its folder, or beside an AVI of it.
+fn metadata_of(path: &Path) -> Result<Option<Metadata>, SessionError> {
+    let avi = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("avi"));
+    if avi || path.is_dir() { miniscope::metadata(&folder_of(path)) } else { Ok(None) }
 }
 
 fn folder_of(path: &Path) -> PathBuf {
@@ -225,8 +232,7 @@ fn open(source: &Source, request: &ImportRequest<'_>) -> Result<Opened, SessionE
     let mut notes = Vec::new();
     let times = times_of(&frames)?;
     notes.extend(times.as_ref().and_then(Times::unfinished_note));
-    let avi = source.path.extension().is_some_and(|e| e.eq_ignore_ascii_case("avi"));
-    let metadata = miniscope::metadata(&folder_of(&source.path))?.filter(|_| avi || source.path.is_dir());
+    let metadata = metadata_of(&source.path)?;
     if let Some((path, why)) = metadata.as_ref().and_then(|m| Some((m.path.display(), m.unread.as_ref()?))) {
         notes.push(format!("{path}: is no JSON, nothing is taken from it: {why}"));
     }
@@ -300,19 +306,12 @@ fn pixels_to_um(
     crate::table::pixels_to_um(path, object, infos, notes)
 }
 
-/// The time from one frame to the next that was set, s. Recorders of miniscopes write another rate into the heads of
-/// their files.
-fn set_interval(recording: &Opened) -> Option<f64> {
-    let set = recording.metadata.as_ref().and_then(Metadata::interval_s);
-    set.or(recording.frames.scale().interval_s)
-}
-
 fn exposure_ms(request: &ImportRequest<'_>, recording: &mut Opened) -> Result<f64, SessionError> {
     if let Some(ms) = request.exposure_ms {
         return Ok(ms);
     }
     let by_times = recording.times.as_ref().and_then(|t| t.interval_s);
-    let Some(interval) = by_times.or(set_interval(recording)) else {
+    let Some(interval) = by_times.map_or_else(|| set_interval_s(&recording.frames), |s| Ok(Some(s)))? else {
         let (path, remedy) = (recording.frames.path(), "state it: --exposure-ms");
         return Err(SessionError::value(path, "exposure", "a time in ms", "none in the files", remedy));
     };

@@ -13,7 +13,7 @@ pub struct Input {
     pub frames: FrameReader,
     /// Times of the frames, where a table has them.
     pub times: Option<Times>,
-    /// The time from one frame to the next that was set, s, where the recording states it.
+    /// The time from one frame to the next by the metadata or the files, s, where they state it.
     set_interval_s: Option<f64>,
 }
 
@@ -42,7 +42,9 @@ impl Input {
         let time_s: Vec<f64> = stack.info().iter().map(|info| info.time_s).collect();
         // Without a column of times all are zero.
         let times = time_s.windows(2).any(|w| w[0] != w[1]).then(|| Times::of_frames(&time_s));
-        Ok(Self { frames: stack.frames()?, times, set_interval_s: None })
+        let frames = stack.frames()?;
+        let set_interval_s = set_interval_s(&frames)?;
+        Ok(Self { frames, times, set_interval_s })
     }
 
     /// The time from one frame to the next, s, where it is the same for all.
@@ -50,7 +52,7 @@ impl Input {
         match &self.times {
             Some(times) if times.gaps.is_empty() && times.backwards.is_empty() => times.interval_s,
             Some(_) => None,
-            None => self.set_interval_s.or(self.frames.scale().interval_s),
+            None => self.set_interval_s,
         }
     }
 
