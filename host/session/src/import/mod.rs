@@ -201,9 +201,9 @@ pub fn limited_note(frames: &FrameReader) -> Option<String> {
     let first = limited.first()?.path.display();
     let files = if limited.len() == 1 { String::new() } else { format!(" and {} more files", limited.len() - 1) };
     Some(format!(
-        "{first}{files}: values run from 16 to 235 where the camera had 0 to 255, since the video is coded for the eye; \
-         they are used as they are: (value - 16) x 255 / 219 gives those of the camera. Record without loss (GREY, \
-         FFV1) if you can"
+        "{first}{files}: values run from 16 to 235 where the camera had 0 to 255, since the video is coded for the \
+         eye; they are used as they are: (value - 16) x 255 / 219 gives those of the camera. Record without loss \
+         (GREY, FFV1) if you can"
     ))
 }
 

@@ -68,8 +68,8 @@ impl FrameWriter {
     /// Starts a stack of the size in `spec` that will appear at `path`.
     ///
     /// # Errors
-    /// The suffix is none of .npy, .tif, .tiff, .zarr, .avi and .mp4, the folder is missing or not writable, the disk has
-    /// no room for the whole stack, or ffmpeg, which a video needs, is not installed.
+    /// The suffix is none of .npy, .tif, .tiff, .zarr, .avi and .mp4, the folder is missing or not writable, the disk
+    /// has no room for the whole stack, or ffmpeg, which a video needs, is not installed.
     pub fn create(path: &Path, spec: StackSpec) -> Result<Self, SessionError> {
         Self::create_as(path, path, spec)
     }
