@@ -419,3 +419,54 @@ fn mat_files_and_ome_zarr_become_sessions_by_reference_and_by_copy() {
     let (code, _, text) = ommatidia(desk.path(), "import zarr -o other --exposure-ms 5");
     assert!(code == 1 && !text.contains("panicked"), "{text}");
 }
+
+/// A V3 folder: two videos of the miniscope, one of the camera over the arena, and one table of timestamps for both.
+/// `miniscope` is the number of the miniscope's camera in it; the arena's camera has three frames more.
+fn miniscope_v3(at: &Path, miniscope: usize) -> PathBuf {
+    let folder = at.join("V3");
+    std::fs::create_dir_all(&folder).unwrap();
+    std::fs::write(folder.join("msCam1.avi"), avi(&(0..10).collect::<Vec<_>>())).unwrap();
+    std::fs::write(folder.join("msCam2.avi"), avi(&(10..16).collect::<Vec<_>>())).unwrap();
+    std::fs::write(folder.join("behavCam1.avi"), avi(&(100..119).collect::<Vec<_>>())).unwrap();
+    let mut table = String::from("camNum\tframeNum\tsysClock\tbuffer\r\n");
+    for i in 0..19 {
+        table += &format!("{}\t{}\t{}\t1\r\n", 1 - miniscope, i + 1, 40 * i);
+        // The time of the first frame is that of an earlier recording.
+        let ms = if i == 0 { 5_021_334 } else { 33 + 50 * i };
+        if i < 16 {
+            table += &format!("{miniscope}\t{}\t{ms}\t1\r\n", i + 1);
+        }
+    }
+    std::fs::write(folder.join("timestamp.dat"), table).unwrap();
+    folder
+}
+
+#[test]
+fn of_a_v3_folder_the_miniscope_is_read_whichever_number_its_camera_has() {
+    for camera in [0, 1] {
+        let desk = tempfile::tempdir().unwrap();
+        let folder = miniscope_v3(desk.path(), camera);
+        let found = &json(desk.path(), "import V3 -o session")["recordings"][0];
+        assert_eq!((found["frames"].as_u64(), found["timestamps"].as_u64()), (Some(16), Some(16)), "{found:#}");
+        let notes = found["notes"].to_string();
+        assert!(notes.contains("behavCam1.avi are videos of another camera and left out"), "{notes}");
+        assert!(notes.contains(&format!("cameras 0 ({} rows)", if camera == 0 { 16 } else { 19 })), "{notes}");
+        assert!(notes.contains(&format!("camera {camera} is taken: it alone has as many rows")), "{notes}");
+        let session = Session::open(&desk.path().join("session")).unwrap();
+        let scenes = session.stacks_of(Role::Scene).next().unwrap();
+        let times: Vec<f64> = scenes.info().iter().map(|info| info.time_s).collect();
+        assert!(times.windows(2).all(|t| (t[1] - t[0] - 0.05).abs() < 1e-9), "{times:?}");
+        let mut frames = scenes.frames().unwrap();
+        let (last, expected) = (frames.read(15).unwrap(), frame(15));
+        assert!(last.iter().zip(expected).all(|(v, e)| *v == f32::from(e)));
+        // Where no camera has a row for each frame, the choice is said to be a guess.
+        std::fs::write(folder.join("msCam2.avi"), avi(&(10..15).collect::<Vec<_>>())).unwrap();
+        let found = &json(desk.path(), "import V3 -o again")["recordings"][0];
+        let notes = found["notes"].to_string();
+        assert!(notes.contains("camera 1 is taken: the miniscope in most recordings; check it"), "{notes}");
+        // Another recording in the folder is no video of the arena.
+        std::fs::copy(folder.join("msCam1.avi"), folder.join("other1.avi")).unwrap();
+        let (code, _, error) = ommatidia(desk.path(), "import V3 -o third");
+        assert!(code != 0 && error.contains("put each recording into a folder of its own"), "{error}");
+    }
+}

@@ -49,11 +49,17 @@ pub struct Args {
 
 fn source(text: &str) -> Result<Source, String> {
     let roles = [Role::Dark, Role::Flat, Role::Bead, Role::Scene];
-    let named = text.split_once('=').and_then(|(name, path)| {
-        let role = roles.into_iter().find(|r| r.name() == name)?;
-        Some(Source { role: Some(role), path: path.into() })
-    });
-    Ok(named.unwrap_or_else(|| Source { role: None, path: text.into() }))
+    let plain = || Source { role: None, path: text.into() };
+    // The name of a file may hold a `=`.
+    let Some((name, path)) = text.split_once('=').filter(|_| !Path::new(text).exists()) else { return Ok(plain()) };
+    match roles.into_iter().find(|role| role.name() == name) {
+        Some(_) if path.is_empty() => Err(format!("nothing follows `{name}=`; write {name}=PATH")),
+        Some(role) => Ok(Source { role: Some(role), path: path.into() }),
+        None if name.chars().all(char::is_alphabetic) => {
+            Err(format!("`{name}` is none of the roles dark, flat, bead and scene, and there is no file of that name"))
+        }
+        None => Ok(plain()),
+    }
 }
 
 /// The names of the files of a session that was imported: nothing else may be lost with its folder.
@@ -91,6 +97,15 @@ fn like(path: &Path) -> anyhow::Result<Manifest> {
 /// A recording cannot be read, or something is not known that only the user can say. No session is left then.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let started = std::time::Instant::now();
+    for source in &args.recordings {
+        if source.path.is_dir() && FileKind::of(&source.path)? == FileKind::Session {
+            let path = source.path.display();
+            bail!(
+                "{path}: is a session already; `ommatidia check {path}` looks at it. To import one of its stacks, \
+                   name the file of its frames"
+            );
+        }
+    }
     let frames = args.recordings.iter().map(|s| Ok(s.frames(args.variable.as_deref())?.len() as u64));
     let frames = frames.sum::<anyhow::Result<u64>>()?;
     let request = ImportRequest {
@@ -122,7 +137,11 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     }
     notes.iter().for_each(|note| text += &format!("note: {note}\n"));
     let seconds = started.elapsed().as_secs_f64();
-    text += &format!("-> {} ({frames} frames, {:.0} a second)\n", args.output.display(), frames as f64 / seconds);
+    text += &format!(
+        "-> {} ({frames} frames, read at {:.0} frames a second)\n",
+        args.output.display(),
+        frames as f64 / seconds
+    );
     let json = json!({
         "session": args.output, "copied": args.copy, "bit_depth": sensor.bit_depth, "recordings": found, "notes": notes,
         "frames": frames, "seconds": seconds,

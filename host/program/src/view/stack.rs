@@ -2,7 +2,7 @@
 
 use super::source::{Description, Group, Pane, Picture, Plane, Source};
 use ommatidia_report::{Look, Pixels};
-use ommatidia_session::import::{Times, limited_note, times_of};
+use ommatidia_session::import::{Times, notes_on, times_of};
 use ommatidia_session::{FrameReader, ObjectGrid, SampleType, SensorSpec};
 use std::path::Path;
 
@@ -34,7 +34,7 @@ impl StackSource {
         if torn + empty > 0 {
             notes.push(format!("{torn} frames are torn and {empty} have no data: they are left out"));
         }
-        notes.extend(limited_note(&reader));
+        notes.extend(notes_on(&reader));
         let times = match times_of(&reader) {
             Ok(times) => times,
             Err(e) => {
@@ -42,6 +42,7 @@ impl StackSource {
                 None
             }
         };
+        notes.extend(times.iter().flat_map(Times::table_notes));
         let gaps = times.as_ref().map_or(0, |times| times.gaps.len());
         if gaps > 0 {
             notes.push(format!("frames are missing at {gaps} places, by their timestamps"));

@@ -148,7 +148,11 @@ impl Found {
             assigned: times.assigned,
             gaps: times.gaps,
             backwards: times.backwards,
-            repeated: survey.repeated.clone(),
+            // What stands in for a damaged frame is no frame that the recorder repeated.
+            repeated: {
+                let damaged = |i: &usize| damaged_frames.binary_search_by_key(i, |f| f.index).is_ok();
+                survey.repeated.iter().copied().filter(|i| !damaged(i)).collect()
+            },
             torn,
             damaged_frames,
             damaged: parts
@@ -179,6 +183,10 @@ impl Found {
             self.source, self.frames, self.rows, self.cols, self.samples, self.files, self.role, self.file
         ));
         match (self.rate_hz, self.configured_rate_hz) {
+            (Some(rate), Some(set)) if rate.max(set) > UNLIKE * rate.min(set) => line(format!(
+                "  rate        {rate:.3} Hz by the timestamps, but {set} Hz was set: the times are those of the \
+                 timestamps; check that their table belongs to these frames"
+            )),
             (Some(rate), Some(set)) => line(format!("  rate        {rate:.3} Hz by the timestamps; {set} Hz was set")),
             (Some(rate), None) => line(format!("  rate        {rate:.3} Hz by the timestamps")),
             (None, Some(set)) => line(format!("  rate        no timestamps; {set} Hz was set")),
@@ -201,7 +209,7 @@ impl Found {
             };
             line(format!("  timestamps  {of}{unused}{estimated}"));
             if let Some(how) = self.assigned {
-                line(format!("              assigned {how}"));
+                line(format!("              rows are assigned to frames so that {how}"));
             }
         }
         for gap in self.gaps.iter().take(LINES) {
@@ -268,6 +276,9 @@ fn of_run(run: &[DamagedFrame]) -> String {
     };
     format!("frame {index}, {frame} of {file}: {what}{others}")
 }
+
+/// Two rates that differ by more than this factor cannot both be right.
+const UNLIKE: f64 = 1.5;
 
 /// Most lines of one kind in the text; the JSON has all.
 const LINES: usize = 12;

@@ -186,25 +186,31 @@ pub fn times_of(frames: &FrameReader) -> Result<Option<Times>, SessionError> {
     // A table of timestamps belongs to the recording in the same folder; one file of several is only a part of it.
     let Some(path) = times::table_of(&folder).filter(|_| frames.path().is_dir()) else { return Ok(None) };
     let metadata = miniscope::metadata(&folder)?;
-    // The cameras of version 3 are told apart by a number; that of the miniscope is 1 in most recordings, 0 in others.
-    let stamps = match times::timestamps(&path, Some("1"))? {
-        stamps if stamps.time_s.is_empty() => times::timestamps(&path, Some("0"))?,
-        found => found,
-    };
+    let stamps = times::timestamps(&path, frames.parts().iter().map(|p| p.listed).sum())?;
     let per_file = metadata.and_then(|m| m.frames_per_file);
     Ok(Some(Times::of_table(&stamps, frames.parts(), frames.len(), per_file)))
 }
 
-/// That codes of the frames are of limited range, where they are.
-pub fn limited_note(frames: &FrameReader) -> Option<String> {
+/// What is to be known of the files of a stack: videos beside them that are left out, codes of limited range.
+pub fn notes_on(frames: &FrameReader) -> Vec<String> {
+    let mut notes = Vec::new();
+    let others = frames.left_out();
+    if !others.is_empty() {
+        let named = others.iter().take(3).cloned().collect::<Vec<_>>().join(", ");
+        let more = if others.len() > 3 { format!(" and {} more", others.len() - 3) } else { String::new() };
+        notes.push(format!("{}: {named}{more} are videos of another camera and left out", frames.path().display()));
+    }
     let limited: Vec<_> = frames.parts().iter().filter(|part| part.limited).collect();
-    let first = limited.first()?.path.display();
-    let files = if limited.len() == 1 { String::new() } else { format!(" and {} more files", limited.len() - 1) };
-    Some(format!(
-        "{first}{files}: values run from 16 to 235 where the camera had 0 to 255, since the video is coded for the \
-         eye; they are used as they are: (value - 16) x 255 / 219 gives those of the camera. Record without loss \
-         (GREY, FFV1) if you can"
-    ))
+    if let Some(first) = limited.first() {
+        let files = if limited.len() == 1 { String::new() } else { format!(" and {} more files", limited.len() - 1) };
+        notes.push(format!(
+            "{}{files}: values run from 16 to 235 where the camera had 0 to 255, since the video is coded for the \
+             eye; they are used as they are: (value - 16) x 255 / 219 gives those of the camera. Record without loss \
+             (GREY, FFV1) if you can",
+            first.path.display()
+        ));
+    }
+    notes
 }
 
 /// The time from one frame to the next without timestamps, s: that of the metadata of a recording, else that of its
@@ -231,12 +237,12 @@ fn open(source: &Source, request: &ImportRequest<'_>) -> Result<Opened, SessionE
     let frames = source.frames(request.variable)?;
     let mut notes = Vec::new();
     let times = times_of(&frames)?;
-    notes.extend(times.as_ref().and_then(Times::unfinished_note));
+    notes.extend(times.iter().flat_map(Times::table_notes));
     let metadata = metadata_of(&source.path)?;
     if let Some((path, why)) = metadata.as_ref().and_then(|m| Some((m.path.display(), m.unread.as_ref()?))) {
         notes.push(format!("{path}: is no JSON, nothing is taken from it: {why}"));
     }
-    notes.extend(limited_note(&frames));
+    notes.extend(notes_on(&frames));
     if let Some((metadata, roi)) = metadata.as_ref().and_then(|m| Some((m, m.roi?)))
         && roi != [frames.rows(), frames.cols()]
     {

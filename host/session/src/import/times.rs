@@ -2,7 +2,7 @@
 
 use crate::error::SessionError;
 use crate::stack::Part;
-use crate::table::Grid;
+use crate::table::{Grid, Row};
 use serde::Serialize;
 use std::path::Path;
 
@@ -25,6 +25,8 @@ pub struct Times {
     pub backwards: Vec<usize>,
     /// What the table of timestamps lacks at its end, where the recorder was cut off, as the end of a sentence.
     pub unfinished: Option<String>,
+    /// Which of several cameras in the table was taken, and why, as a sentence.
+    pub camera: Option<String>,
     /// How rows of the table were assigned to frames, where their numbers differ.
     pub assigned: Option<&'static str>,
     /// Number of the first file that the recorder wrote, there or not.
@@ -46,6 +48,8 @@ pub(super) struct Stamps {
     pub numbers: Option<Vec<usize>>,
     /// What the table lacks at its end.
     pub unfinished: Option<String>,
+    /// Which of several cameras these are the times of, and why, as a sentence.
+    pub camera: Option<String>,
 }
 
 impl Stamps {
@@ -85,11 +89,12 @@ pub(super) fn table_of(folder: &Path) -> Option<std::path::PathBuf> {
     TABLES.into_iter().map(|name| folder.join(name)).find(|path| path.is_file())
 }
 
-/// Reads a table of timestamps.
+/// Reads a table of timestamps. Version 3 of the recorder lists all cameras in one table: the camera of `frames` frames
+/// is taken from it.
 ///
 /// # Errors
 /// The table cannot be read, has no column of times with a unit, or a row is no number.
-pub(super) fn timestamps(path: &Path, camera: Option<&str>) -> Result<Stamps, SessionError> {
+pub(super) fn timestamps(path: &Path, frames: usize) -> Result<Stamps, SessionError> {
     let (grid, unfinished) = Grid::read_log(path)?;
     let place = |names: &[&str]| {
         let plain = |n: &str| n.to_lowercase().chars().filter(|c| c.is_alphanumeric()).collect::<String>();
@@ -105,16 +110,17 @@ pub(super) fn timestamps(path: &Path, camera: Option<&str>) -> Result<Stamps, Se
             remedy: "name the column `Time Stamp (ms)` or `time_s`",
         });
     };
-    // Version 3 lists all cameras in one table.
-    let camera = camera.zip(place(&["camnum"]));
-    let rows: Vec<_> = grid.rows.iter().filter(|row| camera.is_none_or(|(name, at)| row.cells[at] == name)).collect();
+    let by_camera = place(&["camnum"]);
+    let chosen = by_camera.and_then(|at| camera_of(grid.rows.iter().map(|row| row.cells[at].as_str()), frames));
+    let is_of = |row: &&Row| by_camera.zip(chosen.as_ref()).is_none_or(|(at, (name, _))| row.cells[at] == *name);
+    let rows: Vec<&Row> = grid.rows.iter().filter(is_of).collect();
     // Frames are counted from 0 or from 1.
     let numbers = place(&["framenumber", "framenum"]).and_then(|at| {
         let numbers: Vec<usize> = rows.iter().map(|row| row.cells[at].parse().ok()).collect::<Option<_>>()?;
         let first = numbers.first().copied().filter(|n| *n <= 1 && numbers.is_sorted_by(|a, b| a < b))?;
         Some(numbers.into_iter().map(|n| n - first).collect())
     });
-    let time = |row: &crate::table::Row| {
+    let time = |row: &Row| {
         let number = grid.number(&row.cells[column]).filter(|v| v.is_finite());
         number.map(|v| v * factor).ok_or_else(|| {
             let field = format!("line {}, column `{}`", row.line, grid.names[column]);
@@ -122,7 +128,41 @@ pub(super) fn timestamps(path: &Path, camera: Option<&str>) -> Result<Stamps, Se
             SessionError::value(path, field, "a finite number", found, "correct the table, or remove the line")
         })
     };
-    Ok(Stamps { time_s: rows.into_iter().map(time).collect::<Result<_, _>>()?, numbers, unfinished })
+    let mut time_s = rows.into_iter().map(time).collect::<Result<Vec<_>, _>>()?;
+    // The clock of version 3 starts with the first frame, whose own time is often that of an earlier recording.
+    if let (Some(_), [first, second, third, ..]) = (by_camera, &mut time_s[..]) {
+        let step = *third - *second;
+        if !(*second - GAP * step..*second).contains(first) {
+            *first = f64::NAN;
+        }
+    }
+    Ok(Stamps { time_s, numbers, unfinished, camera: chosen.and_then(|(_, why)| why) })
+}
+
+/// The camera of a table that has a row for each of `frames` frames, and why where the table lists several. If none or
+/// several have, it is camera 1, which is the miniscope in most recordings, else the first.
+fn camera_of<'a>(rows: impl Iterator<Item = &'a str>, frames: usize) -> Option<(String, Option<String>)> {
+    let mut counts: Vec<(&str, usize)> = Vec::new();
+    for camera in rows {
+        match counts.iter_mut().find(|(known, _)| *known == camera) {
+            Some((_, count)) => *count += 1,
+            None => counts.push((camera, 1)),
+        }
+    }
+    counts.sort_unstable();
+    let fitting: Vec<&(&str, usize)> = counts.iter().filter(|(_, count)| *count == frames).collect();
+    let (name, why) = match fitting[..] {
+        [(name, _)] => (*name, format!("it alone has as many rows as there are frames, {frames}")),
+        _ => {
+            let name = counts.iter().find(|(name, _)| *name == "1").or(counts.first())?.0;
+            (name, format!("the miniscope in most recordings; check it, since the files have {frames} frames"))
+        }
+    };
+    let listed: Vec<String> = counts.iter().map(|(name, count)| format!("{name} ({count} rows)")).collect();
+    let why = (counts.len() > 1).then(|| {
+        format!("the table of timestamps lists cameras {}; camera {name} is taken: {why}", listed.join(" and "))
+    });
+    Some((name.to_string(), why))
 }
 
 impl Times {
@@ -137,6 +177,7 @@ impl Times {
         let mut times = Self::of(numbered.as_ref().unwrap_or(&table.time_s), parts, frames, per_file);
         times.timestamps = table.time_s.len();
         times.unfinished = table.unfinished.clone();
+        times.camera = table.camera.clone();
         times
     }
 
@@ -177,7 +218,7 @@ impl Times {
             if differs {
                 assigned = Some(match by_file.is_some() {
                     true => "each file begins at its own row, since every file but the last should be full",
-                    false => "row by row from the start",
+                    false => "the first row is that of the first frame, and so on",
                 });
             }
         }
@@ -199,7 +240,8 @@ impl Times {
             let after = (i + 1..self.time_s.len()).find(|a| !self.time_s[*a].is_nan()).map(|a| (a, self.time_s[a]));
             self.time_s[*i] = match (before, after) {
                 (Some((b, first)), Some((a, last))) => first + (last - first) / (a - b) as f64,
-                (Some((_, time)), None) | (None, Some((_, time))) => time,
+                (None, Some((a, last))) => last - (a - i) as f64 * self.time_s.get(a + 1).map_or(0.0, |t| t - last),
+                (Some((_, time)), None) => time,
                 (None, None) => 0.0,
             };
         }
@@ -247,9 +289,10 @@ impl Times {
         self.time_s.extend((0..self.estimated).map(next));
     }
 
-    /// What the table of timestamps lacks at its end.
-    pub fn unfinished_note(&self) -> Option<String> {
-        self.unfinished.as_ref().map(|what| format!("the table of timestamps {what}"))
+    /// What is to be known of the table of timestamps: what it lacks at its end, and which of several cameras was taken.
+    pub fn table_notes(&self) -> impl Iterator<Item = String> + '_ {
+        let unfinished = self.unfinished.as_ref().map(|what| format!("the table of timestamps {what}"));
+        unfinished.into_iter().chain(self.camera.clone())
     }
 
     /// Frames a second by the timestamps, without the gaps.

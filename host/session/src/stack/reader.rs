@@ -1,7 +1,7 @@
 //! Reads the frames of a stack one at a time.
 
 use super::layout::{Container, SampleType, Shape, StackScale};
-use super::series::{Part, SeriesSource};
+use super::series::{self, Part, SeriesSource};
 use super::{mat, npy, tif, zarr};
 use crate::error::SessionError;
 use ndarray::Array2;
@@ -53,6 +53,11 @@ enum Source {
 }
 
 impl FrameReader {
+    /// Names of the AVIs in its folder that are no part of the stack: videos of another camera.
+    pub fn left_out(&self) -> Vec<String> {
+        if self.path.is_dir() { series::left_out(&self.path, self.parts()) } else { Vec::new() }
+    }
+
     /// Opens a stack and checks its header, its sample type and the size of the file. A folder of numbered .avi or .tif
     /// files is one stack; what is damaged in them is listed by [`FrameReader::parts`]. So is a folder of Zarr. Of a
     /// .mat file the only array of three axes is read.

@@ -196,6 +196,16 @@ fn is_tif(path: &Path) -> bool {
     path.extension().is_some_and(|e| e.eq_ignore_ascii_case("tif") || e.eq_ignore_ascii_case("tiff"))
 }
 
+/// The AVIs of a folder that are no part of its recording: videos of another camera.
+pub fn left_out(folder: &Path, parts: &[Part]) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|e| e.path());
+    let other = |p: &PathBuf| is_avi(p) && !name(p).starts_with('.') && !parts.iter().any(|part| part.path == *p);
+    let mut names: Vec<String> =
+        entries.filter(|p| parts.iter().any(|part| is_avi(&part.path)) && other(p)).map(|p| name(&p)).collect();
+    names.sort_by_cached_key(|name| natural(name));
+    names
+}
+
 /// The numbered AVIs of a folder, or its TIFFs, in the order of the numbers in their names.
 fn numbered_files(folder: &Path) -> Result<Vec<(Option<u64>, PathBuf)>, SessionError> {
     let entries = std::fs::read_dir(folder).map_err(|e| SessionError::io(folder, e))?;
@@ -226,6 +236,14 @@ fn numbered_files(folder: &Path) -> Result<Vec<(Option<u64>, PathBuf)>, SessionE
     let mut prefixes: Vec<&str> = numbered.iter().map(|(prefix, ..)| prefix.as_str()).collect();
     prefixes.sort_unstable();
     prefixes.dedup();
+    // Version 3 writes the videos of the miniscope and of the camera over the arena into one folder.
+    let is_miniscope = |prefix: &str| prefix.eq_ignore_ascii_case("msCam");
+    let of_version_3 = prefixes.iter().all(|p| is_miniscope(p) || p.to_lowercase().starts_with("behavcam"));
+    if prefixes.len() > 1 && of_version_3 && numbered.len() == avis.len() {
+        numbered.retain(|(prefix, ..)| is_miniscope(prefix));
+        numbered.sort_by_key(|(_, number, _)| *number);
+        return Ok(numbered.into_iter().map(|(_, number, path)| (Some(number), path)).collect());
+    }
     if prefixes.len() != 1 || numbered.len() != avis.len() {
         let named: Vec<String> = avis.iter().take(6).map(|p| name(p)).collect();
         return Err(SessionError::value(

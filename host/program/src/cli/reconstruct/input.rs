@@ -1,7 +1,7 @@
 //! The frames that are reconstructed: a file, a folder of a recording, or the scenes of a session; and their times.
 
 use anyhow::bail;
-use ommatidia_session::import::{Times, limited_note, set_interval_s, times_of};
+use ommatidia_session::import::{Times, notes_on, set_interval_s, times_of};
 use ommatidia_session::kind::FileKind;
 use ommatidia_session::{FrameReader, Role, Session};
 use std::fmt::Write;
@@ -77,9 +77,9 @@ impl Input {
                 warnings.push(format!("{}: {}", part.path.display(), what.join("; ")));
             }
         }
-        warnings.extend(limited_note(&self.frames));
-        let unfinished = self.times.as_ref().and_then(Times::unfinished_note);
-        warnings.extend(unfinished.map(|note| format!("{}: {note}", self.frames.path().display())));
+        warnings.extend(notes_on(&self.frames));
+        let table = self.times.iter().flat_map(Times::table_notes);
+        warnings.extend(table.map(|note| format!("{}: {note}", self.frames.path().display())));
         if let Some(times) = self.times.as_ref().filter(|t| !t.gaps.is_empty()) {
             let missing: usize = times.gaps.iter().map(|g| g.missing).sum();
             let path = self.frames.path().display();
