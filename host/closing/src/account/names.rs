@@ -14,6 +14,11 @@ const HALF: f64 = 0.5;
 /// catalogue leaves as much.
 const TENTH: f64 = 0.1;
 
+/// Effects by which light is brighter or darker from place to place, the same in all frames.
+const SHADES: [&str; 4] = ["vignetting", "excitation_profile", "chief_ray_response", "lens_gain"];
+/// So many of them at once are a set that imitates a cause.
+const SET: usize = 3;
+
 /// What names are judged by.
 #[derive(Clone, Copy)]
 pub(crate) struct Judged<'a> {
@@ -38,7 +43,7 @@ pub(crate) struct Names {
     pub(crate) nearest: Vec<Nearest>,
     /// Whether one of these lost its name for what is left of the excess.
     pub(crate) left_much: bool,
-    /// Whether one of these has no one strength.
+    /// Whether one of these has no one strength, or is one of a set that imitates a cause.
     pub(crate) uneven: bool,
 }
 
@@ -108,7 +113,30 @@ impl Names {
                 None => names.effects.push(effect),
             }
         }
+        names.without_sets();
         names
+    }
+
+    /// Takes the names from effects that only as a set make the change that was seen: three of those that make light
+    /// brighter or darker from place to place describe any smooth shade together. That three of them have changed at
+    /// once is less likely than one cause outside the catalogue.
+    fn without_sets(&mut self) {
+        let shades = |e: &Effect| SHADES.contains(&e.id.as_str());
+        if self.effects.iter().filter(|e| shades(e)).count() < SET {
+            return;
+        }
+        let (set, kept): (Vec<Effect>, _) = std::mem::take(&mut self.effects).into_iter().partition(shades);
+        self.effects = kept;
+        self.uneven = true;
+        let ids: Vec<String> = set.iter().map(|e| e.id.clone()).collect();
+        self.nearest.extend(set.into_iter().map(|e| Nearest {
+            why: format!(
+                "only together do {} describe the shade that was seen, as they would any other",
+                ids.join(", ")
+            ),
+            id: e.id,
+            z: e.z,
+        }));
     }
 
     /// Says which terms the instrument has that are no causes. None: there are none.
@@ -190,6 +218,17 @@ mod tests {
         assert_eq!((ids, it.uneven, it.left_much), (vec!["array_shift"], true, false));
         assert!(it.nearest[0].why.contains("70 % between frames") && it.nearest[1].why.contains("`magnification`"));
         assert!(it.note().is_some_and(|note| note.contains("magnification, halo")));
+    }
+
+    #[test]
+    fn three_shades_are_a_set_and_two_are_not() {
+        let all = ["chief_ray_response", "lens_gain", "array_shift", "excitation_profile"].map(|id| found(id, 1e3));
+        let of = all.each_ref().map(|f| (f, Constancy::default()));
+        let it = names(&of, Left::default(), false);
+        let ids: Vec<&str> = it.effects.iter().map(|e| e.id.as_str()).collect();
+        assert_eq!((ids, it.nearest.len(), it.uneven), (vec!["array_shift"], 3, true));
+        assert!(it.nearest[0].why.contains("chief_ray_response, lens_gain, excitation_profile"), "{it:?}");
+        assert_eq!(names(&of[..3], Left::default(), false).effects.len(), 3);
     }
 
     #[test]

@@ -11,6 +11,7 @@ use crate::evidence::{Curve, Figures, JudgedOn, judged, structured};
 use crate::fit::gauge::Gauge;
 use crate::fit::{Model, PUPIL_DEFOCUS, State, Term, UNKNOWN_NOTE, chosen_note};
 use crate::options::CalibratedOn;
+use crate::search::is_laplacian;
 use ommatidia_model::forward::ForwardError;
 use ommatidia_session::Role;
 
@@ -64,7 +65,19 @@ pub(super) fn notes(basis: &Basis<'_>, settled: &Settled, said: &Said<'_>) -> Re
     }
     notes.extend(registration_notes(said.registrations));
     notes.extend(unstated_notes(model, now, own)?);
+    notes.extend(sharper_note(&now.state.terms[own..]));
     Ok(notes)
+}
+
+/// That scenes are sharper than their truths predict.
+fn sharper_note(found: &[Term]) -> Option<String> {
+    let sharper = |t: &&Term| is_laplacian(t) && t.params[0] < 0.0;
+    found.iter().find(sharper).map(|_| {
+        "the scenes are sharper than their truths predict, everywhere alike: truths that were interpolated or taken by \
+         a camera of less resolution are blurred, and a calibration with beads that are larger than stated has too wide \
+         PSFs; a bead scan of this day distinguishes them"
+            .into()
+    })
 }
 
 /// What was added once, and is out.

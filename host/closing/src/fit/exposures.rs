@@ -7,7 +7,7 @@
 use super::record::{SMOOTH_PX, Seen, correlation, median};
 use super::solve::pseudo_inverse;
 use crate::data::{Fault, FaultKind, Frame, Observations, Shown};
-use ndarray::{Array1, Array2};
+use ndarray::{Array1, Array2, ArrayView1};
 use ommatidia_physics::effects::blur_within;
 use rayon::prelude::*;
 
@@ -158,7 +158,7 @@ pub fn exposures(seen: &Observations, frames: &[Seen]) -> Vec<Fault> {
     for ((s, slope), _) in frames.iter().zip(&slopes).zip(&alike).filter(|(_, r)| looks_like_it(**r)) {
         let factor = slope / usual;
         // One frame against all others: a drift of the lamp changes all of them.
-        if (factor - 1.0).abs() > LIGHT.max(12.0 * scatter) {
+        if (factor - 1.0).abs() > LIGHT.max(12.0 * scatter) + at_the_border(seen, s.frame) {
             let r = correlation(&s.measured, &s.own);
             let kind = FaultKind::Exposure { factor };
             faults.push(Fault {
@@ -171,6 +171,23 @@ pub fn exposures(seen: &Observations, frames: &[Seen]) -> Vec<Fault> {
         }
     }
     faults
+}
+
+/// Share of the light of a frame's object that its record loses, or has too much of, where it is displaced by up to a
+/// pixel: that of the brighter one of the first and the last row, and of the first and the last column. The exposure is
+/// not wrong for it. The regression counts places by the square of their light.
+fn at_the_border(seen: &Observations, frame: usize) -> f64 {
+    let Shown::Object(truth) = seen.frames[frame].shown else { return 0.0 };
+    let object = &seen.truths[truth];
+    let (rows, cols) = object.dim();
+    let share = |power: i32| {
+        let sum = |line: ArrayView1<'_, f32>| line.iter().map(|v| f64::from(*v).powi(power)).sum::<f64>();
+        let [top, bottom, left, right] =
+            [object.row(0), object.row(rows - 1), object.column(0), object.column(cols - 1)].map(sum);
+        let all: f64 = object.rows().into_iter().map(sum).sum();
+        (top.max(bottom) + left.max(right)) / all.max(1e-30)
+    };
+    share(1).max(share(2))
 }
 
 /// Corrects the recorded exposures of scenes.
@@ -292,6 +309,20 @@ mod tests {
         seen[2].own.slice_mut(ndarray::s![.., ..40]).fill(0.0);
         let [slope, r] = slopes(&seen)[2];
         assert!((slope - 1.0).abs() > LIGHT && r < 0.97, "{slope} {r}");
+        assert!(exposures(&observations, &seen).is_empty());
+    }
+
+    #[test]
+    fn light_at_the_border_of_a_record_is_no_wrong_exposure() {
+        let (mut observations, seen) = scenes(0.0, |k| if k == 2 { 1.2 } else { 1.0 });
+        for truth in &mut observations.truths {
+            truth.fill(0.0);
+            truth[[4, 4]] = 1.0;
+        }
+        assert_eq!(exposures(&observations, &seen).len(), 1);
+        // A third of its light in the first row.
+        observations.truths[2][[0, 3]] = 0.5;
+        assert!((at_the_border(&observations, 2) - 1.0 / 3.0).abs() < 1e-9);
         assert!(exposures(&observations, &seen).is_empty());
     }
 

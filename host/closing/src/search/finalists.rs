@@ -1,6 +1,7 @@
 //! Which candidates are fitted in full.
 
 use super::candidate::Candidate;
+use super::select::AMBIGUOUS;
 use crate::fit::repeats::noisy;
 
 /// Number of the best candidates that are fitted in full.
@@ -35,6 +36,23 @@ pub(super) fn finalists<'c>(able: &[&'c Candidate]) -> Vec<&'c Candidate> {
         chosen.extend(more.into_iter().take(LOOKALIKES));
     }
     chosen
+}
+
+/// The effect that makes single pixels jump, with its cost, in place of one that scales the noise and explains about as
+/// much: where `jumps` so large are seen that no normal noise makes them. The converter may know the noise in few codes
+/// only, whose form says nothing.
+pub(super) fn of_jumps<'c>(
+    best: &Candidate,
+    finalists: &[&'c Candidate],
+    costs: &[(&'static str, f64)],
+    jumps: impl FnOnce() -> bool,
+) -> Option<(&'c Candidate, f64)> {
+    let winged = |c: &Candidate| c.term.effect.makes_wings();
+    let of = |c: &Candidate| costs.iter().find(|(id, _)| *id == c.term.id()).map(|(_, cost)| *cost);
+    let c = finalists.iter().find(|c| winged(c))?;
+    let cost = of(c)?;
+    let scales = best.term.effect.noise_only() && !winged(best);
+    (scales && cost < 0.0 && cost - of(best)? < AMBIGUOUS && jumps()).then_some((*c, cost))
 }
 
 /// Whether the catalogue lists two effects as similar.

@@ -25,5 +25,5 @@ pub(crate) use recalibrate::calibration_of;
 pub use recalibrate::{held_out_figures, trial_calibration};
 pub(crate) use scoring::score;
 pub use select::Search;
-pub(crate) use trials::evidence;
 pub use trials::{NEEDS_CALIBRATION, Tried};
+pub(crate) use trials::{evidence, is_laplacian};

@@ -2,9 +2,9 @@
 //! significant.
 
 use super::candidate::{Alternative, Candidate, Found, PENALTY, Shadowed};
-use super::finalists::{alike, finalists};
+use super::finalists::{alike, finalists, of_jumps};
 use super::scoring::{log, score, tabled};
-use super::trials::{NEEDS_CALIBRATION, Tried, evidence};
+use super::trials::{NEEDS_CALIBRATION, Tried, evidence, is_laplacian};
 use crate::data::{Frame, Shown};
 use crate::evidence::{Scores, Test, holm};
 use crate::fit::repeats::wings;
@@ -134,6 +134,13 @@ impl<'m, 'a> Search<'m, 'a> {
             let without = candidates.iter_mut().filter(|c| winged(c)).filter_map(|c| c.test.as_mut());
             without.for_each(Test::discard);
         }
+        if tried == Tried::Catalogue {
+            // Blurred truths make scenes look sharper, never less sharp.
+            let blurs = |c: &&mut Candidate| {
+                is_laplacian(&c.term) && c.test.as_ref().is_some_and(|t| t.theta.first().is_some_and(|a| *a > 0.0))
+            };
+            candidates.iter_mut().filter(blurs).filter_map(|c| c.test.as_mut()).for_each(Test::discard);
+        }
         candidates.extend(tabled(self.model, &self.now, tried).into_iter().filter(|c| !excluded(c.term.id())));
         candidates.sort_by(|a, b| b.worth().total_cmp(&a.worth()));
         log(&candidates);
@@ -189,7 +196,9 @@ impl<'m, 'a> Search<'m, 'a> {
                     refused.ids.push(it.candidate.term.id());
                 }
                 Verdict::Added(it)
-                    if it.candidate.term.id().starts_with("unknown") && it.gain < PART * self.excess() =>
+                    if tried != Tried::Catalogue
+                        && it.candidate.term.id().starts_with("unknown")
+                        && it.gain < PART * self.excess() =>
                 {
                     refused.ids.push(it.candidate.term.id());
                 }
@@ -383,6 +392,11 @@ impl<'m, 'a> Search<'m, 'a> {
                 let price = PENALTY * c.columns.len() as f64;
                 best = Some(((price * heaviest - cost) / weight(c) - price, c));
             }
+        }
+        let jumps = || wings(self.model, &self.now.state, &self.now.predicted).is_infinite();
+        if let Some((c, cost)) = best.and_then(|(_, c)| of_jumps(c, finalists, &costs, jumps)) {
+            least = cost;
+            best = Some((-cost / weight(c), c));
         }
         let place = |c: &Candidate| fits.iter().position(|(id, _)| *id == c.term.id());
         let Some((worth, candidate, at)) = best.and_then(|(worth, c)| Some((worth, c, place(c)?))) else {

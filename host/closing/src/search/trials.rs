@@ -49,7 +49,33 @@ fn catalogue(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<T
         }
         terms.extend(starts.into_iter().map(|params| Term { effect, params, table: None, table_error: 0.0 }));
     }
+    terms.extend(blurred_truths(model, state));
     terms
+}
+
+/// Effects that displace the images of all lenses as truths do that lie beside the object.
+const DISPLACE: [&str; 5] = ["array_shift", "stage_scale", "magnification", "array_rotation", "sensor_rotation"];
+
+/// The Laplacian of the light, where images are displaced or the session states that its truths may be: such truths were
+/// often interpolated, or taken by a camera of less resolution. Scenes are sharper than such truths predict, which is no sign of the optics. It
+/// stands beside the effects of the catalogue, so that one that sharpens images is named only if it explains more.
+fn blurred_truths(model: &Model<'_>, state: &State) -> Option<Term> {
+    let stated = model.seen.registrations.iter().any(|g| g.sigma_px > 0.0);
+    let displaced = stated || state.terms.iter().any(|t| DISPLACE.contains(&t.id()));
+    if !displaced || !model.sees_known_light() || state.terms.iter().any(is_laplacian) {
+        return None;
+    }
+    let params = vec![0.0, LAPLACIAN, 0.0];
+    Some(Term { effect: find("unknown_operator")?, params, table: None, table_error: 0.0 })
+}
+
+/// Index of the Laplacian among [`OPERATORS`].
+const LAPLACIAN: f64 = 3.0;
+
+/// Whether a term is the Laplacian of the light with the same weight everywhere. Its amplitude is negative where scenes
+/// are sharper than their truths predict.
+pub(crate) fn is_laplacian(term: &Term) -> bool {
+    term.id() == "unknown_operator" && term.params[1..] == [LAPLACIAN, 0.0]
 }
 
 /// The starting values that a descriptor lists: every combination of its shapes and of strengths far from where the

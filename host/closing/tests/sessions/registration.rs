@@ -4,6 +4,7 @@ use super::{closed, measured, names, with_lines};
 use ommatidia_closing::study::sessions::Holds;
 use ommatidia_closing::{Closing, TruthRegistration};
 use ommatidia_physics::effects::{EffectSetting, Stage, find};
+use ommatidia_session::Session;
 
 /// The statement of the sessions here: about what their truths are off by.
 const STATED: &str = "truth_registration_px = 0.5";
@@ -42,6 +43,20 @@ fn misplaced_truths_are_placed_and_no_effect_of_the_optics_is_named() {
         let [registration] = closing.registrations.as_slice() else { panic!("{:?}", closing.registrations) };
         assert_found(registration, put_in(holds));
         assert!(registration.stated_px == 0.5 && registration.frame.is_none());
+    }
+}
+
+/// The session takes its truths for exact. They were interpolated when they were misplaced, and lost light at their
+/// edges: what displaces all images is named, and nothing else.
+#[test]
+fn misplaced_truths_that_count_as_exact_are_no_wrong_exposures_and_no_other_waves() {
+    for (n, holds) in Holds::MISREGISTERED.into_iter().enumerate() {
+        let folder = tempfile::tempdir().unwrap();
+        let dir = folder.path().join("session");
+        measured(holds, &[], &dir, 760 + n as u64);
+        let closing = closed(&Session::open(&dir).unwrap());
+        let displaces = |id: &&str| ["array_shift", "stage_scale", "magnification", "sensor_rotation"].contains(id);
+        assert!(names(&closing).iter().all(displaces), "{holds:?}: {:?}", names(&closing));
     }
 }
 

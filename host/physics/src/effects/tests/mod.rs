@@ -9,6 +9,7 @@ use crate::optics::Wavefront;
 use ndarray::Array2;
 use ommatidia_session::Role;
 use ommatidia_session::rng::stream;
+use rand_distr::{Distribution, StandardNormal};
 
 fn image() -> Array2<f32> {
     Array2::from_shape_fn((9, 11), |(r, c)| ((r * 31 + c * 17) % 23) as f32 + 0.125)
@@ -208,6 +209,34 @@ fn evidence_of(id: &str, params: &[(&str, f64)]) -> Evidence<'static> {
         EvidenceFrame { cx, residual_dn: with - &light_e, weight: light_e.mapv(|l| 1.0 / (l + 4.0)), light_e }
     });
     Evidence { frames: frames.collect() }
+}
+
+#[test]
+fn the_share_of_telegraph_pixels_is_counted_where_jumps_stand_out() {
+    let effect = find("telegraph_pixels").unwrap();
+    let guess = |amplitude: f64, share: f64| {
+        let on = setting("telegraph_pixels", &[("amplitude_dn", amplitude), ("share", share)]);
+        let chain = Chain::build(&[on], Layout { lenses: 1, sensor: [96, 90] }).unwrap();
+        let mut rng = stream(8, "jumps", 0);
+        let frame = |k: usize| {
+            // Three darks, so that the fourth frame is a flat without a partner among them.
+            let role = if k < 3 { Role::Dark } else { Role::Flat };
+            let mut residual_dn = Array2::from_shape_simple_fn((96, 90), || {
+                let z: f32 = StandardNormal.sample(&mut rng);
+                z
+            });
+            let cx = FrameContext { role, frame: k, ..FrameContext::default() };
+            chain.on_reading(&mut residual_dn, &cx, &mut rng);
+            EvidenceFrame { cx, residual_dn, light_e: Array2::zeros((96, 90)), weight: Array2::ones((96, 90)) }
+        };
+        effect.guess(&Evidence { frames: (0..9).map(frame).collect() })
+    };
+    for share in [0.002, 0.01] {
+        let found = guess(20.0, share);
+        assert!(found.len() == 1 && (found[0][1] / share - 1.0).abs() < 0.3, "{found:?} for {share}");
+    }
+    // Jumps as small as the noise, and too few of them, are left to the starting values of the catalogue.
+    assert!(guess(4.0, 0.01).is_empty() && guess(20.0, 1e-5).is_empty());
 }
 
 #[test]

@@ -1,10 +1,11 @@
 //! Walks through the chunks of a RIFF file (AVI 1.0 and OpenDML 2.0) and notes where the frames lie.
 //!
 //! Lists are entered and not measured: a recorder that was killed leaves wrong lengths of lists, but right lengths of
-//! frames. The index is not read, since such a file lacks it.
+//! frames. The index is not read, since such a file lacks it. Where the head of a frame is damaged and all frames have
+//! one length, the next frame is searched for.
 
 use std::fs::File;
-use std::io::{BufReader, Error, ErrorKind, Read, Result, Seek};
+use std::io::{BufReader, Error, ErrorKind, Read, Result, Seek, SeekFrom};
 
 /// The place of a frame's data.
 #[derive(Clone, Copy, Debug)]
@@ -96,6 +97,17 @@ pub(super) fn walk(file: File) -> Result<Found> {
             }
             _ if is_frame(id, ours) => {
                 let whole = end <= size;
+                // Where frames are alike and the next one begins where it should, this length alone is wrong.
+                if let Some(usual) = usual(&found.chunks).filter(|usual| *usual != bytes && bytes > 0) {
+                    let next = data + u64::from(usual.next_multiple_of(2));
+                    if !is_head(&mut file, end + u64::from(bytes % 2), size, ours)?
+                        && is_head(&mut file, next, size, ours)?
+                    {
+                        found.chunks.push(Chunk { start: data, bytes, whole: false });
+                        (last_end, at) = (next, next);
+                        continue;
+                    }
+                }
                 found.chunks.push(Chunk { start: data, bytes, whole });
                 if !whole {
                     let (there, of) = (size - data, bytes);
@@ -103,6 +115,22 @@ pub(super) fn walk(file: File) -> Result<Found> {
                 }
             }
             _ if !id.iter().all(|b| (b' '..=b'~').contains(b)) => {
+                if let Some(usual) = usual(&found.chunks)
+                    && let Some(next) = next_frame(&mut file, (at, size), usual, ours)?
+                {
+                    // So many frames were there, by their length.
+                    let each = f64::from(usual.next_multiple_of(2)) + 8.0;
+                    let lost = ((next - at) as f64 / each).round().max(1.0) as usize;
+                    found.chunks.extend(std::iter::repeat_n(Chunk { start: at, bytes: usual, whole: false }, lost));
+                    let (bytes, frames) = (next - at, if lost == 1 { "frame" } else { "frames" });
+                    found.damage.get_or_insert_with(|| {
+                        format!(
+                            "{bytes} bytes from byte {at} on cannot be followed: {lost} {frames}; others come after"
+                        )
+                    });
+                    (last_end, at) = (next, next);
+                    continue;
+                }
                 let lost = size - at;
                 found.damage = Some(match id {
                     [0, 0, 0, 0] => format!("the last {lost} bytes are no frames"),
@@ -123,6 +151,57 @@ pub(super) fn walk(file: File) -> Result<Found> {
         found.damage = Some("it ends within a chunk that is no frame".into());
     }
     Ok(found)
+}
+
+/// The length of all frames so far, if they have one: that of uncompressed frames.
+fn usual(chunks: &[Chunk]) -> Option<u32> {
+    let mut whole = chunks.iter().filter(|c| c.whole && c.bytes > 0).map(|c| c.bytes);
+    let first = whole.next()?;
+    // Compressed frames of one length are no chance.
+    (whole.next()? == first && whole.take(MOST_COMPARED).all(|bytes| bytes == first)).then_some(first)
+}
+
+/// Number of frames whose lengths are compared.
+const MOST_COMPARED: usize = 16;
+
+/// Whether a frame or another chunk begins at a place; the end of the file counts.
+fn is_head(file: &mut BufReader<File>, at: u64, size: u64, ours: Option<u32>) -> Result<bool> {
+    if at + 8 > size {
+        return Ok(at == size);
+    }
+    let mut id = [0; 4];
+    file.seek(SeekFrom::Start(at))?;
+    file.read_exact(&mut id)?;
+    Ok(is_frame(id, ours) || [b"idx1", b"RIFF", b"LIST", b"JUNK"].contains(&&id) || id.starts_with(b"ix"))
+}
+
+/// Bytes that are searched at once.
+const SEARCHED: u64 = 1 << 20;
+
+/// The first place behind `at` where a frame of the usual length begins, with another chunk behind it.
+fn next_frame(
+    file: &mut BufReader<File>,
+    (at, size): (u64, u64),
+    usual: u32,
+    ours: Option<u32>,
+) -> Result<Option<u64>> {
+    let mut from = at + 1;
+    while from + 8 <= size {
+        file.seek(SeekFrom::Start(from))?;
+        let mut bytes = Vec::new();
+        // The head of a frame may lie across two searches.
+        file.take(SEARCHED + 7).read_to_end(&mut bytes)?;
+        for (i, head) in bytes.windows(8).enumerate() {
+            let [a, b, c, d, ..] = *head else { continue };
+            let start = from + i as u64;
+            let end = start + 8 + u64::from(usual.next_multiple_of(2));
+            if head[4..] == usual.to_le_bytes() && is_frame([a, b, c, d], ours) && is_head(file, end, size, ours)? {
+                return Ok(Some(start));
+            }
+        }
+        from += SEARCHED;
+    }
+    Ok(None)
 }
 
 /// Whether a chunk is a frame of the video stream: its number in two digits, then `db` or `dc`.

@@ -104,6 +104,46 @@ fn a_recorder_that_was_killed_leaves_wrong_lengths_of_lists_and_zeros() {
 }
 
 #[test]
+fn frames_behind_a_damaged_head_are_found_and_keep_their_places() {
+    let folder = tempfile::tempdir().unwrap();
+    let whole = grey(&(0..9).map(frame).collect::<Vec<_>>());
+    let first = whole.windows(4).position(|w| w == b"00db").unwrap();
+    // Head and data of frames 3 and 4, the head of frame 3 alone, its length alone: too long, and past the end.
+    let damages: [(usize, usize, &[u8], &[usize]); 5] = [
+        (0, 40, &[0], &[3, 4]),
+        (0, 8, &[0xff], &[3]),
+        (0, 8, &[0], &[3]),
+        (4, 8, &[13, 1, 0, 0], &[3]),
+        (4, 8, &[0xff, 0xff, 0xff, 0x7f], &[3]),
+    ];
+    for (from, to, with, lost) in damages {
+        let mut bytes = whole.clone();
+        for (i, b) in bytes[first + 60 + from..first + 60 + to].iter_mut().enumerate() {
+            *b = with[i % with.len()];
+        }
+        let mut reader = FrameReader::open(&write(folder.path(), "a.avi", &bytes)).unwrap();
+        let part = reader.parts()[0].clone();
+        assert_eq!((part.torn.as_slice(), part.listed), (lost, 9), "{with:?}: {part:?}");
+        let kept: Vec<usize> = (0..9).filter(|i| !lost.contains(i)).collect();
+        assert_eq!(part.places().collect::<Vec<_>>(), kept);
+        for (i, place) in kept.into_iter().enumerate() {
+            let expected: Vec<f32> = frame(place as u8).into_iter().map(f32::from).collect();
+            assert_eq!(reader.read(i).unwrap().into_raw_vec_and_offset().0, expected, "{with:?}");
+        }
+        if from == 0 {
+            assert!(part.damage.is_some_and(|d| d.contains("cannot be followed")));
+        }
+    }
+    // Nothing is behind it.
+    let mut bytes = whole;
+    bytes.truncate(first + 80);
+    bytes[first + 60..].fill(0xff);
+    let reader = FrameReader::open(&write(folder.path(), "a.avi", &bytes)).unwrap();
+    assert_eq!(reader.len(), 3);
+    assert!(reader.parts()[0].damage.as_ref().unwrap().contains("ffmpeg may find more"));
+}
+
+#[test]
 fn the_second_segment_of_a_large_file_is_read_and_short_and_empty_frames_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let mut bytes = grey(&[frame(0), vec![], frame(1), vec![1; 5]]);
