@@ -7,6 +7,9 @@ use ommatidia_physics::effects::find;
 /// Penalty of each additional parameter, in units of chi-squared.
 pub(crate) const PENALTY: f64 = 6.0;
 
+/// Effects within this chi-squared of the best are ambiguous with it.
+pub(crate) const AMBIGUOUS: f64 = 10.8;
+
 /// Fall of chi-squared per pixel from which a term without a name is worth adding whatever it stands beside.
 const MUCH: f64 = 0.05;
 /// Fall of chi-squared per pixel that a term with many free values must reach: it could take the errors of the

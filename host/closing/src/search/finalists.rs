@@ -1,7 +1,6 @@
 //! Which candidates are fitted in full.
 
-use super::candidate::Candidate;
-use super::select::AMBIGUOUS;
+use super::candidate::{AMBIGUOUS, Candidate};
 use crate::fit::repeats::noisy;
 
 /// Number of the best candidates that are fitted in full.

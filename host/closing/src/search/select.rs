@@ -1,7 +1,7 @@
 //! Forward selection: score every trial term, fit the best in full, accept it on held-out data, until none is
 //! significant.
 
-use super::candidate::{Alternative, Candidate, Found, PENALTY, Shadowed};
+use super::candidate::{AMBIGUOUS, Alternative, Candidate, Found, PENALTY, Shadowed};
 use super::finalists::{alike, finalists, of_jumps};
 use super::scoring::{log, score, tabled};
 use super::trials::{NEEDS_CALIBRATION, Tried, evidence, is_laplacian};
@@ -18,8 +18,6 @@ use std::sync::Arc;
 
 /// Family-wise error rate: probability that an effect is significant although the model is complete (Holm).
 pub const ALPHA: f64 = 0.02;
-/// Effects within this chi-squared of the best are ambiguous with it.
-pub const AMBIGUOUS: f64 = 10.8;
 /// The law of an effect describes a real change only in part: about this share of what a strong effect explains
 /// remains, in the form of its neighbours in law. An effect that gains less beside it is not named.
 pub const SHADOW: f64 = 0.03;

@@ -10,7 +10,8 @@
 //! inverse variance of a frame costs a little of the evidence only.
 
 use super::normal::normal;
-use super::views::{LANES, Views};
+use super::products::LANES;
+use super::views::Views;
 use ndarray::Array2;
 use ommatidia_physics::linalg::{Cholesky32, NotPositive};
 
