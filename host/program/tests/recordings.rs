@@ -452,7 +452,7 @@ fn of_a_v3_folder_the_miniscope_is_read_whichever_number_its_camera_has() {
         assert!(notes.contains("behavCam1.avi are videos of another camera and left out"), "{notes}");
         assert!(notes.contains(&format!("cameras 0 ({} rows)", if camera == 0 { 16 } else { 19 })), "{notes}");
         assert!(notes.contains(&format!("camera {camera} is taken: it alone has as many rows")), "{notes}");
-        let session = Session::open(&desk.path().join("session")).unwrap();
+        let session = Session::open(desk.path().join("session")).unwrap();
         let scenes = session.stacks_of(Role::Scene).next().unwrap();
         let times: Vec<f64> = scenes.info().iter().map(|info| info.time_s).collect();
         assert!(times.windows(2).all(|t| (t[1] - t[0] - 0.05).abs() < 1e-9), "{times:?}");
