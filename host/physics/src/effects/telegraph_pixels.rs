@@ -37,7 +37,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     ],
 };
 
-/// A difference of two repeats is a jump beyond so many of its standard deviations: of 10^8 normal numbers one is.
+/// A difference of two repeats is a jump beyond so many of its standard deviations: of 5 10^8 normal numbers one is.
 const JUMP: f64 = 6.0;
 /// Jumps must lie so many standard deviations off in the middle (median): all of them are counted then.
 const ALL: f64 = 8.0;

@@ -198,10 +198,13 @@ fn is_tif(path: &Path) -> bool {
 
 /// The AVIs of a folder that are no part of its recording: videos of another camera.
 pub fn left_out(folder: &Path, parts: &[Part]) -> Vec<String> {
+    // A folder of TIFFs may have very many.
+    if !parts.first().is_some_and(|part| is_avi(&part.path)) {
+        return Vec::new();
+    }
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|e| e.path());
     let other = |p: &PathBuf| is_avi(p) && !name(p).starts_with('.') && !parts.iter().any(|part| part.path == *p);
-    let mut names: Vec<String> =
-        entries.filter(|p| parts.iter().any(|part| is_avi(&part.path)) && other(p)).map(|p| name(&p)).collect();
+    let mut names: Vec<String> = entries.filter(other).map(|p| name(&p)).collect();
     names.sort_by_cached_key(|name| natural(name));
     names
 }
