@@ -459,11 +459,11 @@ fn of_a_v3_folder_the_miniscope_is_read_whichever_number_its_camera_has() {
         let mut frames = scenes.frames().unwrap();
         let (last, expected) = (frames.read(15).unwrap(), frame(15));
         assert!(last.iter().zip(expected).all(|(v, e)| *v == f32::from(e)));
-        // Where no camera has a row for each frame, the choice is said to be a guess.
+        // Where no camera has a row for each frame, that with the nearest number is taken, and is to be checked.
         std::fs::write(folder.join("msCam2.avi"), avi(&(10..15).collect::<Vec<_>>())).unwrap();
         let found = &json(desk.path(), "import V3 -o again")["recordings"][0];
         let notes = found["notes"].to_string();
-        assert!(notes.contains("camera 1 is taken: the miniscope in most recordings; check it"), "{notes}");
+        assert!(notes.contains(&format!("camera {camera} is taken: its 16 rows are nearest to the 15")), "{notes}");
         // Another recording in the folder is no video of the arena.
         std::fs::copy(folder.join("msCam1.avi"), folder.join("other1.avi")).unwrap();
         let (code, _, error) = ommatidia(desk.path(), "import V3 -o third");

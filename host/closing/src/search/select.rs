@@ -193,6 +193,7 @@ impl<'m, 'a> Search<'m, 'a> {
                     self.shadowed.push(Shadowed { id: it.candidate.term.id(), z: it.candidate.z(), share });
                     refused.ids.push(it.candidate.term.id());
                 }
+                // Beside the effects of the catalogue it stands against a name, however little both explain.
                 Verdict::Added(it)
                     if tried != Tried::Catalogue
                         && it.candidate.term.id().starts_with("unknown")

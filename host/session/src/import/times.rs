@@ -139,8 +139,8 @@ pub(super) fn timestamps(path: &Path, frames: usize) -> Result<Stamps, SessionEr
     Ok(Stamps { time_s, numbers, unfinished, camera: chosen.and_then(|(_, why)| why) })
 }
 
-/// The camera of a table that has a row for each of `frames` frames, and why where the table lists several. If none or
-/// several have, it is camera 1, which is the miniscope in most recordings, else the first.
+/// The camera of a table whose number of rows is nearest to that of the frames, and why where the table lists several.
+/// Of several it is camera 1, which is the miniscope in most recordings.
 fn camera_of<'a>(rows: impl Iterator<Item = &'a str>, frames: usize) -> Option<(String, Option<String>)> {
     let mut counts: Vec<(&str, usize)> = Vec::new();
     for camera in rows {
@@ -150,13 +150,10 @@ fn camera_of<'a>(rows: impl Iterator<Item = &'a str>, frames: usize) -> Option<(
         }
     }
     counts.sort_unstable();
-    let fitting: Vec<&(&str, usize)> = counts.iter().filter(|(_, count)| *count == frames).collect();
-    let (name, why) = match fitting[..] {
-        [(name, _)] => (*name, format!("it alone has as many rows as there are frames, {frames}")),
-        _ => {
-            let name = counts.iter().find(|(name, _)| *name == "1").or(counts.first())?.0;
-            (name, format!("the miniscope in most recordings; check it, since the files have {frames} frames"))
-        }
+    let (name, rows) = *counts.iter().min_by_key(|(name, count)| (count.abs_diff(frames), *name != "1"))?;
+    let why = match counts.iter().filter(|(_, count)| *count == frames).count() {
+        1 => format!("it alone has as many rows as there are frames, {frames}"),
+        _ => format!("its {rows} rows are nearest to the {frames} frames of the files; check that it is the miniscope"),
     };
     let listed: Vec<String> = counts.iter().map(|(name, count)| format!("{name} ({count} rows)")).collect();
     let why = (counts.len() > 1).then(|| {

@@ -1,7 +1,7 @@
 //! What a change of the specimen can make, taken out of frames.
 //!
-//! The optics are a matrix (`views`, with its `products`), the `projector` takes out what it can make of any object, and
-//! a state holds both with the estimated specimens (`held`). `docs/closing.md` has the equations.
+//! The optics are a matrix (`views`, with its `products`), the `projector` takes out what it can make of any object,
+//! and a state holds both with the estimated specimens (`held`). `docs/closing.md` has the equations.
 
 mod held;
 mod normal;

@@ -157,7 +157,7 @@ pub(super) fn walk(file: File) -> Result<Found> {
 fn usual(chunks: &[Chunk]) -> Option<u32> {
     let mut whole = chunks.iter().filter(|c| c.whole && c.bytes > 0).map(|c| c.bytes);
     let first = whole.next()?;
-    // Compressed frames of one length are no chance.
+    // Compressed frames differ in length.
     (whole.next()? == first && whole.take(MOST_COMPARED).all(|bytes| bytes == first)).then_some(first)
 }
 
