@@ -358,6 +358,8 @@ impl<'m, 'a> Search<'m, 'a> {
         let scatter = |c: &Candidate| c.test.as_ref().map_or(0.0, |t| (t.gain / t.t.max(1e-9) - 1.0).max(0.0));
         let weight = |c: &Candidate| 1.0 + left * scatter(c);
         let heaviest = finalists.iter().map(|c| weight(c)).fold(1.0, f64::max);
+        let price = |c: &Candidate| PENALTY * c.columns.len() as f64;
+        let worth = |c: &Candidate, cost: f64| (price(c) * heaviest - cost) / weight(c) - price(c);
         let mut best: Option<(f64, &Candidate)> = None;
         let mut costs: Vec<(&'static str, f64)> = Vec::new();
         let mut least = f64::INFINITY;
@@ -368,13 +370,11 @@ impl<'m, 'a> Search<'m, 'a> {
                 // A map of the frames that it is judged on: what each half of them predicts for the other counts.
                 fall = fall.min(table.gain);
             }
-            let price = PENALTY * c.columns.len() as f64;
-            let cost = price * heaviest - fall;
+            let cost = price(c) * heaviest - fall;
             costs.push((c.term.id(), cost));
             if cost < least {
                 least = cost;
-                let worth = if c.table.is_some() { c.worth() } else { fall / weight(c) - price };
-                best = Some((worth, *c));
+                best = Some((if c.table.is_some() { c.worth() } else { worth(c, cost) }, *c));
             }
         }
         // A free place of each lens also fits what the calibration does not know of it: a turn of all lenses together
@@ -388,14 +388,13 @@ impl<'m, 'a> Search<'m, 'a> {
             let simplest = near.filter(|(cost, _)| cost - least < trace).min_by(|a, b| a.0.total_cmp(&b.0));
             if let Some((cost, c)) = simplest {
                 least = cost;
-                let price = PENALTY * c.columns.len() as f64;
-                best = Some(((price * heaviest - cost) / weight(c) - price, c));
+                best = Some((worth(c, cost), c));
             }
         }
         let jumps = || wings(self.model, &self.now.state, &self.now.predicted).is_infinite();
         if let Some((c, cost)) = best.and_then(|(_, c)| of_jumps(c, finalists, &costs, jumps)) {
             least = cost;
-            best = Some((-cost / weight(c), c));
+            best = Some((worth(c, cost), c));
         }
         let place = |c: &Candidate| fits.iter().position(|(id, _)| *id == c.term.id());
         let Some((worth, candidate, at)) = best.and_then(|(worth, c)| Some((worth, c, place(c)?))) else {

@@ -6,6 +6,7 @@
 use super::views::Views;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Most vectors that are multiplied at the same time.
 pub(crate) const LANES: usize = 16;
@@ -80,12 +81,42 @@ impl Views {
     fn neighbours(&self, lens: usize, x: usize) -> [&[f32]; TOGETHER] {
         std::array::from_fn(|k| self.window(lens, x + k))
     }
+}
 
-    /// How many of `left` object pixels from `x` on are taken together: [`TOGETHER`] of one row, or one.
+/// A product of L vectors, pixel by pixel of the objects.
+trait Product<const L: usize> {
+    /// The optics, and the object pixels that are gone through.
+    fn pixels(&self) -> (&Views, Range<usize>);
+    /// Does its part for one of these pixels behind a lens.
+    fn one<S: Simd>(&mut self, simd: S, lens: usize, i: usize);
+    /// The same for [`TOGETHER`] of them in a row, whose first window begins at a place of the frame with its border.
+    fn several<S: Simd>(&mut self, simd: S, lens: (usize, usize), i: usize);
+
+    /// Goes through all pixels, lens by lens.
     #[inline(always)]
-    fn step(&self, x: usize, left: usize) -> usize {
-        let in_row = self.object()[1] - x % self.object()[1];
-        if in_row.min(left) >= TOGETHER { TOGETHER } else { 1 }
+    fn all<S: Simd>(&mut self, simd: S) {
+        let mut i = 0;
+        loop {
+            let (views, Range { start, end }) = self.pixels();
+            let (x, lenses) = (start + i, views.lenses());
+            if x >= end {
+                return;
+            }
+            let in_row = views.object()[1] - x % views.object()[1];
+            let step = if in_row.min(end - x) >= TOGETHER { TOGETHER } else { 1 };
+            let whole = step == TOGETHER && L.is_multiple_of(S::F32_LANES);
+            for lens in 0..lenses {
+                match self.pixels().0.places(lens, x).filter(|_| whole) {
+                    Some(at) => self.several(simd, (lens, at), i),
+                    None => {
+                        for i in i..i + step {
+                            self.one(simd, lens, i);
+                        }
+                    }
+                }
+            }
+            i += step;
+        }
     }
 }
 
@@ -112,7 +143,11 @@ struct Spread<'a, const L: usize> {
     out: &'a mut [[f32; L]],
 }
 
-impl<const L: usize> Spread<'_, L> {
+impl<const L: usize> Product<L> for Spread<'_, L> {
+    fn pixels(&self) -> (&Views, Range<usize>) {
+        (self.views, self.first..self.first + self.objects.len())
+    }
+
     /// The light of one object pixel behind a lens.
     #[inline(always)]
     fn one<S: Simd>(&mut self, simd: S, lens: usize, i: usize) {
@@ -137,7 +172,7 @@ impl<const L: usize> Spread<'_, L> {
             let values = windows.map(|w| &w[row * width..][..width]);
             for part in 0..L / S::F32_LANES {
                 let light: [S::f32s; TOGETHER] = std::array::from_fn(|k| S::as_simd_f32s(&self.objects[i + k]).0[part]);
-                let mut put = |j: usize, of: std::ops::Range<usize>| {
+                let mut put = |j: usize, of: Range<usize>| {
                     let out = &mut S::as_mut_simd_f32s(&mut out[j]).0[part];
                     *out = of.fold(*out, |sum, k| simd.mul_add_f32s(simd.splat_f32s(values[k][j - k]), light[k], sum));
                 };
@@ -154,19 +189,7 @@ impl<const L: usize> WithSimd for Spread<'_, L> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) {
-        let mut i = 0;
-        while i < self.objects.len() {
-            let step = self.views.step(self.first + i, self.objects.len() - i);
-            for lens in 0..self.views.lenses() {
-                match self.views.places(lens, self.first + i) {
-                    Some(at) if step == TOGETHER && L.is_multiple_of(S::F32_LANES) => {
-                        self.several(simd, (lens, at), i);
-                    }
-                    _ => (i..i + step).for_each(|i| self.one(simd, lens, i)),
-                }
-            }
-            i += step;
-        }
+        self.all(simd);
     }
 }
 
@@ -178,7 +201,11 @@ struct Collect<'a, const L: usize> {
     out: &'a mut [[f32; L]],
 }
 
-impl<const L: usize> Collect<'_, L> {
+impl<const L: usize> Product<L> for Collect<'_, L> {
+    fn pixels(&self) -> (&Views, Range<usize>) {
+        (self.views, self.first..self.first + self.out.len())
+    }
+
     /// What the window of one object pixel behind a lens collects.
     #[inline(always)]
     fn one<S: Simd>(&mut self, simd: S, lens: usize, i: usize) {
@@ -222,19 +249,7 @@ impl<const L: usize> WithSimd for Collect<'_, L> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) {
-        let mut i = 0;
-        while i < self.out.len() {
-            let step = self.views.step(self.first + i, self.out.len() - i);
-            for lens in 0..self.views.lenses() {
-                match self.views.places(lens, self.first + i) {
-                    Some(at) if step == TOGETHER && L.is_multiple_of(S::F32_LANES) => {
-                        self.several(simd, (lens, at), i);
-                    }
-                    _ => (i..i + step).for_each(|i| self.one(simd, lens, i)),
-                }
-            }
-            i += step;
-        }
+        self.all(simd);
     }
 }
 
