@@ -289,7 +289,7 @@ fn a_folder_is_reconstructed_directly_in_one_run_in_parts_and_in_shares() {
     let whole = json(desk.path(), &format!("{with} -o whole.tif --times times.csv"));
     assert_eq!((whole["frames"].as_u64(), whole["gaps"].as_u64()), (Some(115), Some(3)));
     let warnings = whole["warnings"].to_string();
-    assert!(warnings.contains("1 frames that end too early") && warnings.contains("11 frames are missing in 3 gaps"));
+    assert!(warnings.contains("1 frames that are not whole") && warnings.contains("11 frames are missing in 3 gaps"));
     let times = std::fs::read_to_string(desk.path().join("times.csv")).unwrap();
     assert!(times.starts_with("frame,time_s\n0,-0.003\n1,0.047\n") && times.lines().count() == 116, "{times}");
     // Frames that are not evenly spaced state no interval.

@@ -51,7 +51,7 @@ pub struct Found {
     pub backwards: Vec<usize>,
     /// Frames that equal the frame before in every pixel.
     pub repeated: Vec<usize>,
-    /// Frames that were left out since they end too early or have no data.
+    /// Frames that were left out since they end too early, have a damaged head, or have no data.
     pub torn: Vec<Torn>,
     /// Frames whose compressed data are damaged. They are in the stack, with wrong pixels.
     pub damaged_frames: Vec<DamagedFrame>,
@@ -220,7 +220,7 @@ impl Found {
         }
         more(&mut line, self.gaps.len(), "gaps");
         for torn in self.torn.iter().take(LINES) {
-            let what = if torn.empty { "has no data" } else { "ends too early" };
+            let what = if torn.empty { "has no data" } else { "is not whole" };
             line(format!("  left out    frame {} of {}: it {what}", torn.frame, torn.file));
         }
         more(&mut line, self.torn.len(), "frames that were left out");

@@ -19,7 +19,7 @@ pub struct Part {
     pub listed: usize,
     /// Which of the listed frames have no data, counted from 0.
     pub empty: Vec<usize>,
-    /// Which of the listed frames end too early, counted from 0.
+    /// Which of the listed frames end too early or have a damaged head, counted from 0.
     pub torn: Vec<usize>,
     /// What is wrong with the file, if anything is.
     pub damage: Option<String>,

@@ -63,7 +63,7 @@ impl Input {
             let (torn, empty) = (part.torn.len(), part.empty.len());
             let mut what = Vec::new();
             if torn + empty > 0 {
-                what.push(format!("{torn} frames that end too early and {empty} without data were left out"));
+                what.push(format!("{torn} frames that are not whole and {empty} without data were left out"));
             }
             if let Some((frame, first)) = part.damaged.first() {
                 let others = match part.damaged.len() - 1 {

@@ -35,7 +35,7 @@ pub(super) struct Movie {
     pub slots: usize,
     /// Numbers of frames without data: by the format, the frame before counts again.
     pub empty: Vec<usize>,
-    /// Numbers of frames that end too early.
+    /// Numbers of frames that end too early or have a damaged head.
     pub torn: Vec<usize>,
     /// What is wrong with the end of the file, if anything is.
     pub damage: Option<String>,
