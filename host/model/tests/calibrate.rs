@@ -247,6 +247,42 @@ fn bad_bead_frames_are_named() {
 }
 
 #[test]
+fn frames_that_are_marked_as_damaged_change_nothing() {
+    let bed = small();
+    let folder = tempfile::tempdir().unwrap();
+    let calibrated = |name: &str, damage: bool| {
+        let path = folder.path().join(name);
+        bed.write(&path);
+        for (stack, frame) in [("flat", 1), ("bead", 7)] {
+            let table = path.join(format!("{stack}.csv"));
+            let text = std::fs::read_to_string(&table).unwrap();
+            // The first line is the header.
+            let marked = text.lines().enumerate().map(|(i, line)| match i {
+                0 => format!("{line},data\n"),
+                _ if i == frame + 1 => format!("{line},damaged\n"),
+                _ => format!("{line},whole\n"),
+            });
+            std::fs::write(&table, marked.collect::<String>()).unwrap();
+            let file = path.join(format!("{stack}.npy"));
+            let mut bytes = std::fs::read(&file).unwrap();
+            let size = 4 * bed.manifest.sensor.rows * bed.manifest.sensor.cols;
+            let frames = bytes.len() / size;
+            let at = bytes.len() - (frames - frame) * size;
+            if damage {
+                bytes[at..at + size].as_chunks_mut::<4>().0.iter_mut().for_each(|v| *v = 3000f32.to_le_bytes());
+            }
+            std::fs::write(&file, bytes).unwrap();
+        }
+        calibrate(&Session::open(&path).unwrap(), &CalibrateConfig::default(), || {}).unwrap().instrument
+    };
+    let [whole, damaged] = [calibrated("whole", false), calibrated("damaged", true)];
+    assert_eq!(whole.noise, damaged.noise);
+    assert_eq!(whole.psf.basis, damaged.psf.basis);
+    assert_eq!(whole.psf.coefficients, damaged.psf.coefficients);
+    assert_eq!(whole.diagnostics.positions_px.len_of(Axis(0)), bed.scan * bed.scan - 1);
+}
+
+#[test]
 fn a_value_that_is_no_number_names_its_frame() {
     let bed = small();
     let folder = tempfile::tempdir().unwrap();

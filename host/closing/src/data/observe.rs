@@ -113,6 +113,8 @@ impl Observations {
     /// whose truth has a registration of its own is not held out: nothing but the frame itself shows where its truth
     /// lies. The spatial blocks judge there.
     ///
+    /// Frames whose table says that their data are damaged are left out.
+    ///
     /// Stacks of unknown specimens are read once, from the first frame to the last, and only frames that are used stay
     /// in memory.
     ///
@@ -138,7 +140,8 @@ impl Observations {
                 Role::Bead if known => 0,
                 Role::Bead => budget.beads,
             };
-            let chosen = in_pairs(stack.len(), most);
+            let whole: Vec<usize> = (0..stack.len()).filter(|i| !stack.info()[*i].is_damaged()).collect();
+            let chosen: Vec<usize> = in_pairs(whole.len(), most).into_iter().map(|k| whole[k]).collect();
             registrations.extend(of_stack(stack, s, &chosen));
             read_stack(session, stack, (s, &chosen), &mut frames, &mut truths)?;
         }
@@ -231,7 +234,7 @@ fn read_recording(
     let (mut reader, info) = (stack.frames()?, stack.info());
     let full_dn = session.manifest().sensor.saturation_dn();
     let mut chooser = Chooser::new(stack.len(), parts);
-    for (index, of) in info.iter().enumerate() {
+    for (index, of) in info.iter().enumerate().filter(|(_, of)| !of.is_damaged()) {
         let frame = reader.read(index)?;
         let content = if of.z_um == info[0].z_um { content(&frame, full_dn) } else { 0.0 };
         chooser.push(Kept { index, frame, content });
@@ -336,6 +339,20 @@ mod tests {
             assert!(f.previous.is_none_or(|p| seen.frames[p].info.frame + 1 == f.info.frame));
         }
         assert!(seen.frames.iter().filter(|f| f.previous.is_some()).count() >= 20);
+        // Damaged frames are left out, however bright they are; so are they of a stack that is used as a whole.
+        let table = |frames: usize, damaged: &[usize]| {
+            let data = |f: usize| if damaged.contains(&f) { "damaged" } else { "whole" };
+            let rows: String = (0..frames).map(|f| format!("{f},{}\n", data(f))).collect();
+            std::fs::write(dir.join("scene.csv"), format!("frame,data\n{rows}")).unwrap();
+            std::fs::write(dir.join("session.toml"), format!("{manifest}table = \"scene.csv\"\n")).unwrap();
+            let seen = Observations::read(&Session::open(dir).unwrap(), &Budget::default()).unwrap();
+            seen.frames.iter().map(|f| f.info.frame).collect::<Vec<usize>>()
+        };
+        let numbers = table(500, &[200, 449]);
+        assert!(numbers.contains(&201) && numbers.contains(&450), "{numbers:?}");
+        assert!(!numbers.contains(&200) && !numbers.contains(&449), "{numbers:?}");
+        ommatidia_session::stack::write(&dir.join("scene.npy"), stack.slice(ndarray::s![..6, .., ..])).unwrap();
+        assert_eq!(table(6, &[2]), [0, 1, 3, 4, 5]);
     }
 
     #[test]

@@ -75,8 +75,11 @@ fn read(stack: &Stack, top: f32, step: &mut dyn FnMut()) -> Result<StackLevels, 
         step: 0,
     };
     let (mut pixels, mut divisor, mut tops) = (0.0, 0u32, 0.0);
-    for n in sample(stack.len()) {
-        let info = &stack.info()[n];
+    let mut usable: Vec<&FrameInfo> = stack.info().iter().filter(|info| !info.is_damaged()).collect();
+    if usable.is_empty() {
+        usable = stack.info().iter().collect();
+    }
+    for info in sample(usable.len()).into_iter().map(|n| usable[n]) {
         let frame: Array2<f32> = reader.read(info.frame)?;
         let cut = if stack.role() == Role::Bead { Cut::of(&frame) } else { None };
         let measured = |(r, c): (usize, usize)| cut.as_ref().is_none_or(|cut| cut.holds(r, c));
@@ -106,13 +109,12 @@ fn read(stack: &Stack, top: f32, step: &mut dyn FnMut()) -> Result<StackLevels, 
 /// Frames that `import` found damaged, by the column `data` of their table.
 pub fn damaged(session: &Session) -> Vec<Finding> {
     let of_stack = |stack: &Stack| {
-        let is_damaged = |info: &&FrameInfo| info.other.get("data").is_some_and(|data| data == "damaged");
-        let frames: Vec<usize> = stack.info().iter().filter(is_damaged).map(|info| info.frame).collect();
+        let frames: Vec<usize> = stack.info().iter().filter(|i| i.is_damaged()).map(|info| info.frame).collect();
         let first: Vec<String> = frames.iter().take(8).map(ToString::to_string).collect();
         let more = if frames.len() > first.len() { ", ..." } else { "" };
         let text = format!(
-            "{}: {} of {} frames are marked as damaged ({}{more}): they are used like the others. Remove them with \
-             their rows where they matter",
+            "{}: {} of {} frames are marked as damaged ({}{more}): calibrate, residual and close leave them out; \
+             reconstruct and train use them like the others",
             stack.path().display(),
             frames.len(),
             stack.len(),

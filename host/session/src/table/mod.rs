@@ -55,6 +55,12 @@ impl FrameInfo {
         }
     }
 
+    /// Whether the table says that the data of the frame are damaged: `damaged` in its column `data`, which `import`
+    /// writes. Its pixels show something that was never measured.
+    pub fn is_damaged(&self) -> bool {
+        self.other.get("data").is_some_and(|data| data == "damaged")
+    }
+
     /// These frames of one stack, in order, with the directions of travel that their positions say.
     pub fn travelled(mut infos: Vec<Self>) -> Vec<Self> {
         let at = |info: &Self| [info.y_um, info.x_um];

@@ -17,7 +17,7 @@ pub(super) struct Group {
 pub(super) fn groups(session: &Session, role: Role) -> Vec<Group> {
     let mut keyed: Vec<([f64; 2], Group)> = Vec::new();
     for (s, stack) in session.stacks_of(role).enumerate() {
-        for info in stack.info() {
+        for info in stack.info().iter().filter(|info| !info.is_damaged()) {
             let key = [info.exposure_ms, if role == Role::Dark { 0.0 } else { info.illumination }];
             match keyed.iter_mut().find(|(k, _)| *k == key) {
                 Some((_, g)) => g.frames.push((s, info.frame)),

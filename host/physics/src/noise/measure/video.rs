@@ -43,6 +43,9 @@ pub(super) fn transfer(session: &Session, black_dn: f64, saturation_dn: f64) -> 
         let mut points = Vec::new();
         for pair in (0..per_run).step_by(per_run.div_ceil(MOST_PAIRS)) {
             let first = 2 * (run * per_run + pair);
+            if stack.info()[first..first + 2].iter().any(|info| info.is_damaged()) {
+                continue;
+            }
             let (a, b) = (frames.read(first)?, frames.read(first + 1)?);
             points.extend(pairs(&a, &b, black_dn, saturation_dn));
         }
