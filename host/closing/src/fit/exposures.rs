@@ -221,7 +221,13 @@ mod tests {
     fn scenes(moved_px: f64, factor: impl Fn(usize) -> f32) -> (Observations, Vec<Seen>) {
         let seen = |k: usize| {
             let light = factor(k);
-            Seen { frame: k, measured: sources(k, moved_px) * light, own: sources(k, 0.0), turned: Vec::new() }
+            Seen {
+                frame: k,
+                measured: sources(k, moved_px) * light,
+                moved: None,
+                own: sources(k, 0.0),
+                turned: Vec::new(),
+            }
         };
         let frame = |k: usize| Frame {
             stack: 0,

@@ -7,7 +7,7 @@ use crate::data::{Fault, FaultKind, Observations, Shown};
 use ndarray::{Array2, Axis};
 use ommatidia_model::forward::ForwardError;
 use ommatidia_model::metrics::Moments;
-use ommatidia_physics::effects::blur_within;
+use ommatidia_physics::effects::{blur_within, displacement_px};
 use rayon::prelude::*;
 
 /// Another record is accepted if it leaves less than this share of the unexplained variance (1 - correlation).
@@ -18,6 +18,10 @@ const AS_USUAL: f64 = 4.0;
 const SLACK: f64 = 0.05;
 /// A scene that leaves so many times that variance may show none of the objects.
 const UNLIKE: f64 = 10.0;
+/// Scenes that usually correlate with their records by more than this are where they are expected.
+const IN_PLACE: f64 = 0.9;
+/// Number of scenes by which a common displacement is found.
+const LOOKED_AT: usize = 12;
 /// Standard deviation of the Gaussian blur before the light of a frame is compared with its record, pixels: frames of
 /// sparse sources correlate less with a model that is out of place by a few pixels, and must not seem darker for it.
 pub(super) const SMOOTH_PX: f64 = 6.0;
@@ -28,10 +32,25 @@ pub struct Seen {
     pub frame: usize,
     /// As measured.
     pub measured: Array2<f32>,
+    /// As measured, moved to where the scenes are expected; None: they are not clearly displaced together.
+    pub moved: Option<Array2<f32>>,
     /// As its own record predicts it.
     pub own: Array2<f32>,
     /// As its own object predicts it, turned or mirrored. Computed only if its own record predicts it badly.
     pub turned: Vec<Turned>,
+}
+
+impl Seen {
+    /// How well the scene fits predicted light, where it was measured or where it is expected: a record is not wrong
+    /// because the array has moved, and another one must not seem better for it.
+    fn agreement(&self, light: &Array2<f32>) -> f64 {
+        self.places().map(|measured| correlation(measured, light)).fold(-1.0, f64::max)
+    }
+
+    /// The scene as measured and, if all are displaced, moved to where it is expected.
+    fn places(&self) -> impl Iterator<Item = &Array2<f32>> {
+        std::iter::once(&self.measured).chain(&self.moved)
+    }
 }
 
 /// A scene as a turned or mirrored object predicts it.
@@ -96,9 +115,16 @@ pub fn look(model: &Model<'_>, state: &State) -> Result<Vec<Seen>, ForwardError>
     };
     let mut all: Vec<Seen> = known
         .iter()
-        .map(|k| Seen { frame: *k, measured: &frames[*k].measured - black, own: light(*k), turned: Vec::new() })
+        .map(|k| Seen {
+            frame: *k,
+            measured: &frames[*k].measured - black,
+            moved: None,
+            own: light(*k),
+            turned: Vec::new(),
+        })
         .collect();
-    let agreement: Vec<f64> = all.iter().map(|s| correlation(&s.measured, &s.own)).collect();
+    move_back(&mut all);
+    let agreement: Vec<f64> = all.iter().map(|s| s.agreement(&s.own)).collect();
     let mut sorted = agreement.clone();
     sorted.sort_by(f64::total_cmp);
     let usual = sorted.get(sorted.len() / 2).copied().unwrap_or(1.0);
@@ -118,6 +144,23 @@ pub fn look(model: &Model<'_>, state: &State) -> Result<Vec<Seen>, ForwardError>
     Ok(all)
 }
 
+/// Moves scenes that are displaced together to where they are expected. Some of them may have wrong records.
+fn move_back(all: &mut [Seen]) {
+    let agreement = all.iter().map(|s| correlation(&s.measured, &s.own)).collect();
+    if median(agreement).is_none_or(|usual| usual > IN_PLACE) {
+        return;
+    }
+    let pairs = all.iter().take(LOOKED_AT).map(|s| [s.measured.clone(), s.own.clone()]);
+    let Some(d) = displacement_px(pairs) else { return };
+    for s in all {
+        let (rows, cols) = s.measured.dim();
+        let from = |at: usize, by: isize, n: usize| at.checked_add_signed(by).filter(|at| *at < n);
+        s.moved = Some(Array2::from_shape_fn((rows, cols), |(r, c)| {
+            from(r, d[0], rows).zip(from(c, d[1], cols)).map_or(0.0, |at| s.measured[at])
+        }));
+    }
+}
+
 /// How well a scene fits its own record, the object of another scene of its stack, and its own object, turned.
 struct Match<'s> {
     own: f64,
@@ -131,10 +174,10 @@ impl<'s> Match<'s> {
         let best = |a: &f64, b: &f64| a.total_cmp(b);
         let other = (0..frames.len())
             .filter(|j| *j != i && seen.frames[frames[*j].frame].stack == seen.frames[s.frame].stack)
-            .map(|j| (correlation(&s.measured, &frames[j].own), j));
-        let turn = s.turned.iter().map(|t| (correlation(&s.measured, &t.light), &t.turn));
+            .map(|j| (s.agreement(&frames[j].own), j));
+        let turn = s.turned.iter().map(|t| (s.agreement(&t.light), &t.turn));
         Self {
-            own: correlation(&s.measured, &s.own),
+            own: s.agreement(&s.own),
             other: other.max_by(|a, b| best(&a.0, &b.0)),
             turn: turn.max_by(|a, b| best(&a.0, &b.0)),
         }
@@ -149,9 +192,10 @@ impl<'s> Match<'s> {
 /// Whether a scene, blurred, fits the object of another scene at least as well as its own.
 fn resembles_another(frames: &[Seen], i: usize) -> bool {
     let blurred = |image: &Array2<f32>| blur_within(image, SMOOTH_PX);
-    let measured = blurred(&frames[i].measured);
-    let own = correlation(&measured, &blurred(&frames[i].own));
-    (0..frames.len()).any(|j| j != i && correlation(&measured, &blurred(&frames[j].own)) >= own)
+    let measured: Vec<Array2<f32>> = frames[i].places().map(blurred).collect();
+    let agreement = |light: &Array2<f32>| measured.iter().map(|m| correlation(m, light)).fold(-1.0, f64::max);
+    let own = agreement(&blurred(&frames[i].own));
+    (0..frames.len()).any(|j| j != i && agreement(&blurred(&frames[j].own)) >= own)
 }
 
 /// Finds scenes that show another object than their record says, a turned or mirrored one, or none of those that are
@@ -210,16 +254,18 @@ const SCENES: usize = 4;
 /// object more than their own, with the median correlation with their own. Light is blurred before, so that no
 /// displacement of a few pixels counts.
 pub fn others(frames: &[Seen]) -> Option<(usize, usize, f64)> {
-    let sharp = frames.iter().map(|s| correlation(&s.measured, &s.own)).collect();
+    let sharp = frames.iter().map(|s| s.agreement(&s.own)).collect();
     if frames.len() < SCENES || median(sharp)? > OWN {
         return None;
     }
     let blurred = |image: &Array2<f32>| blur_within(image, SMOOTH_PX);
-    let all: Vec<[Array2<f32>; 2]> = frames.par_iter().map(|s| [blurred(&s.measured), blurred(&s.own)]).collect();
+    let all: Vec<(Vec<Array2<f32>>, Array2<f32>)> =
+        frames.par_iter().map(|s| (s.places().map(blurred).collect(), blurred(&s.own))).collect();
     let resembles_another = |i: usize| {
-        let [measured, own] = &all[i];
-        let own = correlation(measured, own);
-        let other = (0..all.len()).filter(|j| *j != i).map(|j| correlation(measured, &all[j][1]));
+        let (measured, own) = &all[i];
+        let agreement = |light: &Array2<f32>| measured.iter().map(|m| correlation(m, light)).fold(-1.0, f64::max);
+        let own = agreement(own);
+        let other = (0..all.len()).filter(|j| *j != i).map(|j| agreement(&all[j].1));
         (own, other.fold(f64::MIN, f64::max) > own + 1e-3)
     };
     let seen: Vec<(f64, bool)> = (0..all.len()).into_par_iter().map(resembles_another).collect();
@@ -263,7 +309,8 @@ mod tests {
     }
 
     fn seen(object_of: impl Fn(usize) -> usize) -> Vec<Seen> {
-        let one = |k: usize| Seen { frame: k, measured: blobs(k), own: blobs(object_of(k)), turned: Vec::new() };
+        let one =
+            |k: usize| Seen { frame: k, measured: blobs(k), moved: None, own: blobs(object_of(k)), turned: Vec::new() };
         (0..8).map(one).collect()
     }
 
@@ -274,6 +321,25 @@ mod tests {
         assert_eq!(others(&seen(|k| k)), None);
         // All scenes show one specimen.
         assert_eq!(others(&seen(|_| 3)), None);
+    }
+
+    #[test]
+    fn scenes_that_are_displaced_together_are_moved_back_although_one_has_a_wrong_record() {
+        let moved = |d: [isize; 2], k: usize| {
+            let all = blobs(k);
+            Array2::from_shape_fn((96, 96), |(r, c)| {
+                let [r, c] = [r as isize - d[0], c as isize - d[1]].map(|v| v.clamp(0, 95) as usize);
+                all[[r, c]]
+            })
+        };
+        for d in [[7, -4], [0, 0]] {
+            let mut all = seen(|k| if k == 3 { 100 } else { k });
+            all.iter_mut().for_each(|s| s.measured = moved(d, s.frame));
+            move_back(&mut all);
+            let agreement: Vec<f64> = all.iter().map(|s| s.agreement(&s.own)).collect();
+            assert!((0..8).all(|k| (agreement[k] > 0.9) == (k != 3)), "{d:?}: {agreement:?}");
+            assert_eq!(all[0].moved.is_some(), d != [0, 0]);
+        }
     }
 
     #[test]

@@ -6,11 +6,8 @@ use super::context::{FrameContext, Ray, RayShift};
 use super::descriptor::{Descriptor, Lookalike, Param, Stage};
 use super::effect::Effect;
 use super::evidence::{Evidence, EvidenceFrame};
-use super::smooth::gaussian_blur;
-use crate::fft2::{RealFft2, fast_size};
-use ndarray::{Array2, s};
+use super::place::displacement_px;
 use ommatidia_session::Role;
-use rustfft::num_complex::Complex32;
 
 /// The effect; its formula is in the documentation of the module.
 pub(super) struct ArrayShift;
@@ -55,50 +52,15 @@ impl Effect for ArrayShift {
 
 /// Foci are a few pixels wide: frames are linear in displacements below this, pixels.
 const FAR_PX: f64 = 2.0;
-/// Largest displacement that is looked for, along each axis, pixels: beyond that the foci of one lens meet those of
-/// others.
-const MOST_PX: usize = 16;
-/// The frames must fit so many times better there (sum of products) than where they are expected.
-const BETTER: f32 = 1.2;
-/// Width of the blur that is subtracted from the light, pixels: what is broad has no place.
-const BROAD_PX: f64 = 5.0;
 
-/// The displacement (row, col), whole pixels, at which the measured light fits the expected one best: the maximum of
-/// their cross-correlation, summed over the frames. None: none is clearly better than no displacement.
+/// The displacement of the frames from what is expected of them; None: none is clear.
 fn displacement(evidence: &Evidence<'_>) -> Option<[f64; 2]> {
-    let (rows, cols) = evidence.frames.first().map(|f| f.light_e.dim()).filter(|(r, c)| *r > 1 && *c > 1)?;
-    let size = [rows, cols].map(|n| fast_size(n + MOST_PX));
-    let fft = RealFft2::new(size[0], size[1]);
-    let mut work = fft.scratch();
-    let mut spectrum = |image: &Array2<f32>| {
-        let mut padded = Array2::zeros((size[0], size[1]));
-        padded.slice_mut(s![..rows, ..cols]).assign(image);
-        let mut out = vec![Complex32::default(); fft.spectrum_len()];
-        if let Some(padded) = padded.as_slice() {
-            fft.forward(padded, &mut out, &mut work);
-        }
-        out
+    let pictured = |f: &&EvidenceFrame<'_>| matches!(f.cx.role, Role::Scene | Role::Bead);
+    let pair = |f: &EvidenceFrame<'_>| {
+        let expected = f.light_e.mapv(|e| e * f.cx.gain_dn_per_e as f32);
+        [&expected + &f.residual_dn, expected]
     };
-    let mut sum = vec![Complex32::default(); fft.spectrum_len()];
-    let pictured =
-        |f: &&EvidenceFrame<'_>| matches!(f.cx.role, Role::Scene | Role::Bead) && f.light_e.dim() == (rows, cols);
-    for frame in evidence.frames.iter().filter(pictured) {
-        let expected = frame.light_e.mapv(|e| e * frame.cx.gain_dn_per_e as f32);
-        let sharp = |image: &Array2<f32>| image - &gaussian_blur(image, BROAD_PX);
-        let pair = [sharp(&(&expected + &frame.residual_dn)), sharp(&expected)];
-        let [measured, expected] = pair.map(|image| spectrum(&image));
-        sum.iter_mut().zip(measured.iter().zip(&expected)).for_each(|(s, (m, e))| *s += m * e.conj());
-    }
-    let mut fits = vec![0.0f32; size[0] * size[1]];
-    fft.inverse(&sum, &mut fits, &mut work);
-    let within = MOST_PX.min(rows / 2).min(cols / 2) as isize;
-    let at = |d: [isize; 2]| {
-        let [r, c] = [0, 1].map(|a| d[a].rem_euclid(size[a] as isize) as usize);
-        fits[r * size[1] + c]
-    };
-    let all = (-within..=within).flat_map(|r| (-within..=within).map(move |c| [r, c]));
-    let best = all.max_by(|a, b| at(*a).total_cmp(&at(*b)))?;
-    (at(best) > BETTER * at([0, 0]).max(0.0)).then(|| best.map(|d| d as f64))
+    displacement_px(evidence.frames.iter().filter(pictured).map(pair)).map(|d| d.map(|v| v as f64))
 }
 
 #[cfg(test)]
@@ -106,6 +68,7 @@ fn displacement(evidence: &Evidence<'_>) -> Option<[f64; 2]> {
 mod tests {
     use super::*;
     use crate::effects::FrameContext;
+    use ndarray::Array2;
 
     fn evidence(moved: [f32; 2]) -> Evidence<'static> {
         let foci = |moved: [f32; 2]| {
