@@ -54,12 +54,19 @@ pub(super) struct Background {
     pub variance: f64,
 }
 
+/// At most nine frames of a stack, evenly spread; damaged ones do not count.
+fn some(stack: &Stack) -> impl Iterator<Item = usize> {
+    let whole: Vec<usize> = stack.info().iter().filter(|info| !info.is_damaged()).map(|info| info.frame).collect();
+    let every = whole.len().div_ceil(9).max(1);
+    whole.into_iter().step_by(every)
+}
+
 /// The quantile [`DARKEST`] of the scenes, DN; 0 if there are none.
 pub(super) fn darkest(session: &Session) -> Result<f64, NoiseError> {
     let mut least = f64::INFINITY;
     for stack in session.stacks_of(Role::Scene) {
         let mut frames = stack.frames()?;
-        for i in (0..stack.len()).step_by(stack.len().div_ceil(9).max(1)) {
+        for i in some(stack) {
             let mut values: Vec<f32> = frames.read(i)?.into_iter().collect();
             let at = (values.len() as f64 * DARKEST) as usize;
             least = least.min(f64::from(*values.select_nth_unstable_by(at, f32::total_cmp).1));
@@ -73,7 +80,7 @@ pub(super) fn background_of_beads(session: &Session, step: &mut impl FnMut()) ->
     let (mut medians, mut variances) = (Vec::new(), Vec::new());
     if let Some(stack) = session.stacks_of(Role::Bead).next() {
         let mut frames = stack.frames()?;
-        for i in (0..stack.len()).step_by(stack.len().div_ceil(9)) {
+        for i in some(stack) {
             let mut values: Vec<f32> = frames.read(i)?.into_iter().collect();
             let middle = values.len() / 2;
             let median = f64::from(*values.select_nth_unstable_by(middle, f32::total_cmp).1);
@@ -88,4 +95,34 @@ pub(super) fn background_of_beads(session: &Session, step: &mut impl FnMut()) ->
         v.get(v.len() / 2).copied().unwrap_or(0.0)
     };
     Ok(Background { median: middle(&mut medians), variance: middle(&mut variances) })
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    /// Twelve scenes without darks: the black level is that of the whole ones, and not of the two that hold zeros.
+    #[test]
+    fn damaged_scenes_say_nothing_of_the_black_level() {
+        let folder = tempfile::tempdir().unwrap();
+        let dir = folder.path();
+        let manifest = "format = 1\nname = \"film\"\n[sensor]\nrows = 20\ncols = 24\npixel_pitch_um = 2.0\n\
+                        bit_depth = 12\n[array]\nrows = 1\ncols = 1\npitch_px = 20.0\n[optics]\n\
+                        magnification = 0.66\npsf_window_px = 9\n[object]\nrows = 8\ncols = 8\npixel_um = 3.0\n\
+                        [[stack]]\nrole = \"scene\"\nfile = \"scene.npy\"\nexposure_ms = 10.0\ntable = \"scene.csv\"\n";
+        std::fs::write(dir.join("session.toml"), manifest).unwrap();
+        let damaged = |f: usize| f == 0 || f == 7;
+        let stack = ndarray::Array3::from_shape_fn((12, 20, 24), |(f, r, _)| match damaged(f) {
+            true => 0.0,
+            false => 100.0 + r as f32,
+        });
+        ommatidia_session::stack::write(&dir.join("scene.npy"), stack.view()).unwrap();
+        let data = |f: usize| if damaged(f) { "damaged" } else { "whole" };
+        let rows: String = (0..12).map(|f| format!("{f},{}\n", data(f))).collect();
+        std::fs::write(dir.join("scene.csv"), format!("frame,data\n{rows}")).unwrap();
+        let session = Session::open(dir).unwrap();
+        assert_eq!(darkest(&session).unwrap(), 100.0);
+        assert!(some(&session.stacks()[0]).count() <= 9);
+    }
 }
