@@ -44,7 +44,7 @@ impl Seen {
     /// How well the scene fits predicted light, where it was measured or where it is expected: a record is not wrong
     /// because the array has moved, and another one must not seem better for it.
     fn agreement(&self, light: &Array2<f32>) -> f64 {
-        self.places().map(|measured| correlation(measured, light)).fold(-1.0, f64::max)
+        agreement(self.places(), light)
     }
 
     /// The scene as measured and, if all are displaced, moved to where it is expected.
@@ -193,9 +193,8 @@ impl<'s> Match<'s> {
 fn resembles_another(frames: &[Seen], i: usize) -> bool {
     let blurred = |image: &Array2<f32>| blur_within(image, SMOOTH_PX);
     let measured: Vec<Array2<f32>> = frames[i].places().map(blurred).collect();
-    let agreement = |light: &Array2<f32>| measured.iter().map(|m| correlation(m, light)).fold(-1.0, f64::max);
-    let own = agreement(&blurred(&frames[i].own));
-    (0..frames.len()).any(|j| j != i && agreement(&blurred(&frames[j].own)) >= own)
+    let own = agreement(&measured, &blurred(&frames[i].own));
+    (0..frames.len()).any(|j| j != i && agreement(&measured, &blurred(&frames[j].own)) >= own)
 }
 
 /// Finds scenes that show another object than their record says, a turned or mirrored one, or none of those that are
@@ -263,9 +262,8 @@ pub fn others(frames: &[Seen]) -> Option<(usize, usize, f64)> {
         frames.par_iter().map(|s| (s.places().map(blurred).collect(), blurred(&s.own))).collect();
     let resembles_another = |i: usize| {
         let (measured, own) = &all[i];
-        let agreement = |light: &Array2<f32>| measured.iter().map(|m| correlation(m, light)).fold(-1.0, f64::max);
-        let own = agreement(own);
-        let other = (0..all.len()).filter(|j| *j != i).map(|j| agreement(&all[j].1));
+        let own = agreement(measured, own);
+        let other = (0..all.len()).filter(|j| *j != i).map(|j| agreement(measured, &all[j].1));
         (own, other.fold(f64::MIN, f64::max) > own + 1e-3)
     };
     let seen: Vec<(f64, bool)> = (0..all.len()).into_par_iter().map(resembles_another).collect();
@@ -279,6 +277,11 @@ pub fn others(frames: &[Seen]) -> Option<(usize, usize, f64)> {
 fn fisher(a: f64, b: f64, n: usize) -> f64 {
     let z = |r: f64| r.clamp(-0.999_999, 0.999_999).atanh();
     (z(b) - z(a)).abs() * (n.max(4) as f64 - 3.0).sqrt() / std::f64::consts::SQRT_2
+}
+
+/// The largest correlation of a scene at any of its places with predicted light.
+fn agreement<'a>(places: impl IntoIterator<Item = &'a Array2<f32>>, light: &Array2<f32>) -> f64 {
+    places.into_iter().map(|measured| correlation(measured, light)).fold(-1.0, f64::max)
 }
 
 /// Pearson correlation coefficient; 0 if an image does not vary.
