@@ -7,14 +7,18 @@
 //! One object pixel is one sensor pixel; the sub-pixel remainder and distortion are part of the basis PSFs. Light that
 //! falls off the sensor is cut. The convolutions run block by block over the object (overlap-add), so that the memory
 //! is bounded by the block and not by the object. The spectra of the basis PSFs are kept where they take little memory.
-//! Where they would take more, the terms of each lens are decomposed again inside each block, into fewer terms with a
-//! bounded error ([`OperatorConfig::most_error`]), and spectra are computed at each application. All arithmetic is f32;
+//! Where they would take more, the coefficients of all lenses inside a block become combinations of few functions that
+//! the lenses share, with a bounded error ([`OperatorConfig::most_error`]): a block of the object is then transformed
+//! once for each function, and not once for each term of each lens. All arithmetic is f32;
 //! the result does not depend on the number of threads.
 
+mod blocks;
 mod config;
 mod error;
 mod image;
+mod lenses;
 mod local;
+mod mix;
 mod plan;
 mod products;
 mod tiling;

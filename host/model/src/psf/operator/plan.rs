@@ -1,10 +1,12 @@
 //! The planned operator: which terms each lens has in each block, and how lenses and blocks are shared out.
 
+use super::blocks::{LocalLens, LocalTerms};
 use super::config::{CalibratedOptics, OperatorConfig, check};
 use super::error::OperatorError;
-use super::image::{LensImage, Span};
-use super::local::{Interpolation, Terms, decompose};
-use super::products::{BlockTerms, Products, Work};
+use super::image::LensImage;
+use super::lenses::{LensTerms, adjoint, each_image};
+use super::local::{Functions, Interpolation, Terms, decompose};
+use super::products::Products;
 use super::tiling::{Block, Tiling};
 use crate::psf::chief_rays::ChiefRays;
 use crate::psf::nodes::{TapRow, Taps};
@@ -13,28 +15,17 @@ use ndarray::{Array2, ArrayView2, Axis, s};
 use ommatidia_physics::fft2::RealFft2;
 use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
-use std::borrow::Cow;
 
-/// Images of lenses that are computed at the same time take up to this many bytes, or one image a thread.
-const MOST_GROUP_BYTES: usize = 4 << 20;
+/// Most memory for the spectra of the basis PSFs of all lenses where these share functions, bytes.
+const MOST_LOCAL_BYTES: usize = 1 << 30;
 
-/// The plan of one lens.
+/// How the PSFs of the living lenses are held.
 #[derive(Clone, Debug)]
-struct LensPlan {
-    /// Sensor pixel of object pixel (0, 0).
-    corner: [isize; 2],
-    terms: LensTerms,
-}
-
-/// The terms of a lens.
-#[derive(Clone, Debug)]
-enum LensTerms {
-    /// The same in all blocks, with the spectra of the basis PSFs, [k, spectrum].
-    Kept(Vec<Complex32>, Terms),
-    /// The same in all blocks; spectra are computed at each application.
-    Everywhere(Terms),
-    /// Those of each block; spectra are computed at each application.
-    ByBlock(Vec<Terms>),
+enum Held {
+    /// The terms of each lens over the whole object.
+    EachLens(Vec<LensTerms>),
+    /// Functions that the lenses share in each block.
+    Local(LocalTerms),
 }
 
 /// The planned operator A: object [object rows, object cols] -> light on the sensor [sensor rows, sensor cols].
@@ -45,7 +36,8 @@ pub struct LowRankOperator {
     object: [usize; 2],
     tiling: Tiling,
     products: Products,
-    lenses: Vec<Option<LensPlan>>,
+    lenses: usize,
+    held: Held,
 }
 
 impl LowRankOperator {
@@ -78,16 +70,19 @@ impl LowRankOperator {
         let [rows, cols] = coarse.transform;
         let bytes = moves.len() * psf.basis.dim().1 * rows * (cols / 2 + 1) * size_of::<Complex32>();
         let kept = bytes <= config.most_spectra_bytes;
+        let col_taps = Taps::for_pixels(&psf.node_cols_px, object[1]);
+        let alive: Vec<&Terms> = all.iter().flatten().collect();
+        let fits = |t: &Tiling| LocalTerms::bytes(t.transform, alive.len(), psf.basis.dim().1) <= MOST_LOCAL_BYTES;
+        let mut candidates = Tiling::candidates(object, window, config.max_transform_px);
+        candidates.retain(fits);
         let local = if kept || config.most_error <= 0.0 {
             None
         } else {
-            let col_taps = Taps::for_pixels(&psf.node_cols_px, object[1]);
-            let candidates = Tiling::candidates(object, window, config.max_transform_px);
             let at = Interpolation { rows: &row_taps, cols: &col_taps };
-            // What is not finite has no local terms, and is found where the operator is used.
-            decompose(&all, at, (coarse, candidates), config.most_error).unwrap_or(None)
+            // What is not finite has no functions, and is found where the operator is used.
+            decompose(&alive, at, (coarse, candidates), config.most_error).unwrap_or(None)
         };
-        let (tiling, local) = local.map_or((coarse, None), |(tiling, terms)| (tiling, Some(terms)));
+        let (tiling, local) = local.map_or((coarse, None), |(tiling, functions)| (tiling, Some(functions)));
         let products = Products {
             sensor,
             window,
@@ -95,19 +90,24 @@ impl LowRankOperator {
             row_taps,
             col_taps: TapRow::for_pixels(&psf.node_cols_px, object[1]),
         };
-        let terms: Vec<Option<LensTerms>> = match local {
-            Some(local) => local.into_iter().map(|t| (!t.is_empty()).then_some(LensTerms::ByBlock(t))).collect(),
-            None if !kept => all.into_iter().map(|t| t.map(LensTerms::Everywhere)).collect(),
-            None => {
-                let keep = |t: Terms| LensTerms::Kept(products.spectra(t.kernels.view()), t);
-                all.into_par_iter().map(|t| t.map(keep)).collect()
-            }
-        };
         let corner = |l: usize| {
             [0, 1].map(|a| (calibrated.anchors_px[l][a] - centre[a]).round() as isize + moves[l][a].round() as isize)
         };
-        let lens = |(l, terms): (usize, Option<LensTerms>)| terms.map(|terms| LensPlan { corner: corner(l), terms });
-        Ok(Self { object, tiling, products, lenses: terms.into_iter().enumerate().map(lens).collect() })
+        let alive = all.into_iter().enumerate().filter_map(|(l, terms)| terms.map(|t| (l, t)));
+        let held = match local {
+            Some(functions) => {
+                let lenses = alive.map(|(lens, terms)| LocalLens { lens, corner: corner(lens), terms }).collect();
+                Held::Local(LocalTerms::new(&products, lenses, functions))
+            }
+            None => {
+                let plan = |(lens, terms): (usize, Terms)| {
+                    let spectra = kept.then(|| products.spectra(terms.kernels.view()));
+                    LensTerms { lens, corner: corner(lens), terms, spectra }
+                };
+                Held::EachLens(alive.collect::<Vec<_>>().into_par_iter().map(plan).collect())
+            }
+        };
+        Ok(Self { object, tiling, products, lenses: moves.len(), held })
     }
 
     /// Rows and columns of objects.
@@ -122,23 +122,29 @@ impl LowRankOperator {
 
     /// Number of lenses, dead ones counted.
     pub fn lenses(&self) -> usize {
-        self.lenses.len()
+        self.lenses
     }
 
     /// Sensor pixel of object pixel (0, 0) behind each lens; None: dead.
     pub fn corners(&self) -> Vec<Option<[isize; 2]>> {
-        self.lenses.iter().map(|l| l.as_ref().map(|plan| plan.corner)).collect()
+        let mut corners = vec![None; self.lenses];
+        match &self.held {
+            Held::EachLens(lenses) => lenses.iter().for_each(|of| corners[of.lens] = Some(of.corner)),
+            Held::Local(local) => local.lenses.iter().for_each(|of| corners[of.lens] = Some(of.corner)),
+        }
+        corners
     }
 
-    /// Rows and columns of a transform, and the number of terms of each living lens in each block, by lens and then by
-    /// block, row by row: what an application costs.
-    pub fn cost(&self) -> ([usize; 2], Vec<Vec<usize>>) {
-        let blocks = self.tiling.blocks().count();
-        let of = |plan: &LensPlan| match &plan.terms {
-            LensTerms::Kept(_, terms) | LensTerms::Everywhere(terms) => vec![terms.coefficients.dim().0; blocks],
-            LensTerms::ByBlock(terms) => terms.iter().map(|t| t.coefficients.dim().0).collect(),
+    /// Rows and columns of a transform, and the number of transforms of each block of an object, row by row: what an
+    /// application costs.
+    pub fn cost(&self) -> ([usize; 2], Vec<usize>) {
+        let transforms = match &self.held {
+            Held::EachLens(lenses) => {
+                vec![lenses.iter().map(|of| of.terms.count()).sum(); self.tiling.blocks().count()]
+            }
+            Held::Local(local) => local.functions.iter().map(Functions::count).collect(),
         };
-        (self.tiling.transform, self.lenses.iter().flatten().map(of).collect())
+        (self.tiling.transform, transforms)
     }
 
     /// A x: the light of all lenses on the sensor, DN above black, [sensor rows, sensor cols], for an object
@@ -153,7 +159,7 @@ impl LowRankOperator {
     }
 
     /// Calls `take` with the image of each living lens, in the order of the lenses. The images in memory at a
-    /// time take 4 MiB, or one image a thread.
+    /// time take 4 MiB, or one image a thread; all images where the lenses share functions.
     ///
     /// # Errors
     /// The object does not have the planned shape.
@@ -163,24 +169,17 @@ impl LowRankOperator {
         mut take: impl FnMut(usize, LensImage),
     ) -> Result<(), OperatorError> {
         same_shape("object", self.object, object.dim())?;
-        for group in self.groups() {
-            let images: Vec<_> = group
-                .into_par_iter()
-                .filter_map(|l| self.lenses[l].as_ref().map(|plan| (l, self.lens_image(plan, object))))
-                .collect();
-            images.into_iter().for_each(|(l, image)| take(l, image));
+        let blocks: Vec<Block> = self.tiling.blocks().collect();
+        match &self.held {
+            Held::EachLens(lenses) => each_image(lenses, (&self.products, &blocks), object, take),
+            Held::Local(local) => {
+                let images = local.images(&self.products, &blocks, object);
+                for (of, light) in local.lenses.iter().zip(images) {
+                    take(of.lens, self.products.placed(of.corner, light));
+                }
+            }
         }
         Ok(())
-    }
-
-    /// Lenses that are computed at the same time: as many as there are threads, or more where their images are small,
-    /// so that no thread waits; one where the spectra of all its terms are recomputed.
-    fn groups(&self) -> impl Iterator<Item = Span> + use<> {
-        let made = self.lenses.iter().flatten().any(|plan| matches!(plan.terms, LensTerms::Everywhere(_)));
-        let image: usize = self.object.iter().map(|n| n + self.products.window - 1).product();
-        let small = MOST_GROUP_BYTES / (image * size_of::<f32>());
-        let (n, size) = (self.lenses.len(), if made { 1 } else { rayon::current_num_threads().max(small).max(1) });
-        (0..n).step_by(size).map(move |first| first..(first + size).min(n))
     }
 
     /// A' y: the exact transpose, from a frame [sensor rows, sensor cols] to the object grid [object rows, object
@@ -192,58 +191,11 @@ impl LowRankOperator {
         same_shape("frame", self.products.sensor, frame.dim())?;
         let mut object = Array2::zeros(self.object);
         let blocks: Vec<Block> = self.tiling.blocks().collect();
-        for group in self.groups() {
-            let plans: Vec<&LensPlan> = group.filter_map(|l| self.lenses[l].as_ref()).collect();
-            let spectra: Vec<_> = plans.iter().map(|plan| self.spectra(plan)).collect();
-            let tasks: Vec<_> = (0..plans.len()).flat_map(|p| (0..blocks.len()).map(move |b| (p, b))).collect();
-            let part = |w: &mut Work, &(p, b): &(usize, usize)| {
-                self.products.adjoint(plans[p].block(b, &spectra[p]), &blocks[b], frame, w)
-            };
-            let parts: Vec<_> = tasks.par_iter().map_init(|| self.products.work(), part).collect();
-            for ((_, b), part) in tasks.iter().zip(parts) {
-                let (r, c) = &blocks[*b];
-                let mut target = object.slice_mut(s![r.clone(), c.clone()]);
-                part.iter().for_each(|part| target += part);
-            }
+        match &self.held {
+            Held::EachLens(lenses) => adjoint(lenses, (&self.products, &blocks), frame, &mut object),
+            Held::Local(local) => local.adjoint(&self.products, &blocks, frame, &mut object),
         }
         Ok(object)
-    }
-
-    fn lens_image(&self, plan: &LensPlan, object: ArrayView2<'_, f32>) -> LensImage {
-        let blocks: Vec<Block> = self.tiling.blocks().collect();
-        let spectra = self.spectra(plan);
-        let part = |work: &mut Work, (b, block): (usize, &Block)| {
-            self.products.forward(plan.block(b, &spectra), block, object, work)
-        };
-        let parts: Vec<Array2<f32>> = blocks.par_iter().enumerate().map_init(|| self.products.work(), part).collect();
-        let [rows, cols] = self.object.map(|n| n + self.products.window - 1);
-        let mut light = Array2::zeros((rows, cols));
-        for ((r, c), part) in blocks.iter().zip(parts) {
-            let mut target = light.slice_mut(s![r.start..r.start + part.nrows(), c.start..c.start + part.ncols()]);
-            target += &part;
-        }
-        let half = (self.products.window / 2) as isize;
-        LensImage { origin: plan.corner.map(|c| c - half), light }
-    }
-
-    /// Spectra of the basis PSFs that all blocks of a lens share, [k, spectrum]; empty where they share none.
-    fn spectra<'a>(&self, plan: &'a LensPlan) -> Cow<'a, [Complex32]> {
-        match &plan.terms {
-            LensTerms::Kept(spectra, _) => Cow::Borrowed(spectra),
-            LensTerms::Everywhere(terms) => Cow::Owned(self.products.spectra(terms.kernels.view())),
-            LensTerms::ByBlock(_) => Cow::Borrowed(&[]),
-        }
-    }
-}
-
-impl LensPlan {
-    /// The terms in block `b`, where `spectra` are those that all blocks share.
-    fn block<'a>(&'a self, b: usize, spectra: &'a [Complex32]) -> BlockTerms<'a> {
-        let (terms, spectra) = match &self.terms {
-            LensTerms::Kept(_, terms) | LensTerms::Everywhere(terms) => (terms, Some(spectra)),
-            LensTerms::ByBlock(terms) => (&terms[b], None),
-        };
-        BlockTerms { corner: self.corner, windows: &terms.kernels, spectra, coefficients: &terms.coefficients }
     }
 }
 

@@ -5,6 +5,8 @@ use ommatidia_physics::fft2::fast_size;
 
 /// Most blocks along an axis beyond the fewest that are tried.
 const MORE_BLOCKS: usize = 6;
+/// A multiplication and addition of [`super::mix`], in units of one value of a pass of a transform (measured).
+const MIX_COST: f64 = 0.035;
 
 /// A block of the object: its rows and its columns.
 pub(super) type Block = (Span, Span);
@@ -50,15 +52,28 @@ impl Tiling {
         spans(0).flat_map(move |r| spans(1).map(move |c| (r.clone(), c)))
     }
 
-    /// Work of `blocks` blocks with `terms` terms in all, and of the spectra of `kernels` kernels of `window` pixels a
-    /// side, in units of one pass along the columns.
-    pub fn cost(&self, window: usize, blocks: usize, terms: usize, kernels: usize) -> f64 {
+    /// Work with the terms of each lens, in units of one value of a pass along the columns; the spectra of the terms are
+    /// computed, too.
+    pub fn cost_of_terms(&self, window: usize, lenses: usize, terms: usize) -> f64 {
+        let blocks = self.blocks().count();
+        (lenses * terms) as f64 * (blocks as f64 * self.transform_cost(self.step[0]) + self.transform_cost(window))
+            + (lenses * blocks) as f64 * self.transform_cost(self.step[0] + window - 1)
+    }
+
+    /// Work with functions that all lenses share, as many in each block as `functions` says; the same units.
+    pub fn cost_of_functions(&self, window: usize, functions: &[usize], [lenses, terms]: [usize; 2]) -> f64 {
+        let all: usize = functions.iter().sum();
         let [rows, cols] = self.transform.map(|n| n as f64);
-        let columns = cols / 2.0 * rows * rows.ln();
-        let along = |n: usize| n as f64 / 2.0 * cols * cols.ln();
-        terms as f64 * (columns + along(self.step[0]))
-            + kernels as f64 * (columns + along(window))
-            + blocks as f64 * (columns + along(self.step[0] + window - 1))
+        let mix = lenses as f64 * terms as f64 * (all + 2 * functions.len()) as f64;
+        all as f64 * self.transform_cost(self.step[0])
+            + (lenses * functions.len()) as f64 * self.transform_cost(self.step[0] + window - 1)
+            + MIX_COST * mix * rows * cols
+    }
+
+    /// Work of a transform of an image with so many rows that are not zero.
+    fn transform_cost(&self, rows: usize) -> f64 {
+        let [all, cols] = self.transform.map(|n| n as f64);
+        cols / 2.0 * all * all.ln() + rows as f64 / 2.0 * cols * cols.ln()
     }
 }
 
