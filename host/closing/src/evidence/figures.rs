@@ -149,14 +149,19 @@ pub(crate) fn excess(model: &Model<'_>, fitted: &Fitted, on: JudgedOn) -> [f64; 
         let here = &fitted.predicted[*k];
         let draw = |chain: &Chain, i: u64| {
             let mut rngs = ["excess", "reading"].map(|what| stream(0x5eed, what, DRAWN * *k as u64 + i));
-            let mut d = noise_dn(model, chain, *k, &here.light_e, &mut rngs);
-            model.visible(*k, &fitted.state, &mut [&mut d]);
+            noise_dn(model, chain, *k, &here.light_e, &mut rngs)
+        };
+        let squares = |d: &Array2<f32>| {
             let pixels = spans.iter().flat_map(|(_, span)| &seen.pixels[span.clone()]);
             let at = |p: &u32| (*p as usize / seen.sensor[1], *p as usize % seen.sensor[1]);
             pixels.map(|p| f64::from(d[at(p)] * here.inverse_sigma[at(p)]).powi(2)).sum::<f64>()
         };
         let (noise, scatter) = chain.as_ref().map_or((1.0, 0.0), |chain| {
-            let [with, plain] = [chain, &weighted].map(|c| (0..DRAWN).map(|i| draw(c, i)).collect::<Vec<f64>>());
+            let mut drawn: Vec<Array2<f32>> =
+                [chain, &weighted].iter().flat_map(|c| (0..DRAWN).map(|i| draw(c, i))).collect();
+            model.visible(&fitted.state, drawn.iter_mut().map(|d| (*k, d)));
+            let drawn: Vec<f64> = drawn.iter().map(squares).collect();
+            let (with, plain) = drawn.split_at(DRAWN as usize);
             let mean = with.iter().sum::<f64>() / DRAWN as f64;
             let variance = with.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / (DRAWN - 1) as f64;
             let noise = with.iter().sum::<f64>() / plain.iter().sum::<f64>().max(1e-30);

@@ -178,68 +178,79 @@ impl Design {
             let blocks = seen.blocks.iter().enumerate().filter(|(block, _)| !seen.is_held_out(k, *block));
             blocks.flat_map(|(_, span)| seen.pixels[span.clone()].iter().copied()).collect()
         };
-        let frames = (0..seen.frames.len())
-            .into_par_iter()
-            .filter(|k| whole || !seen.frames[*k].held_out)
-            .map(|k| {
-                let here = &at.predicted[k];
-                let weight = here.inverse_sigma.as_slice().unwrap_or(&[]);
-                let mut images = LensImages::default();
-                let mut changes: Vec<(usize, Array2<f32>)> = Vec::new();
-                for (i, column) in columns.iter().enumerate() {
-                    changes.extend(model.derivative(k, column, at, &mut images)?.map(|d| (i, d)));
+        let changes_of = |k: usize| -> Result<Changed, ForwardError> {
+            let mut images = LensImages::default();
+            let mut changes: Vec<(usize, Array2<f32>)> = Vec::new();
+            for (i, column) in columns.iter().enumerate() {
+                changes.extend(model.derivative(k, column, at, &mut images)?.map(|d| (i, d)));
+            }
+            // Before a specimen is taken out: what is left shows whether a frame can test a column.
+            let before = match seen.frames[k].held_out {
+                true => Vec::new(),
+                false => {
+                    products(&changes, &effects, at.predicted[k].inverse_sigma.as_slice().unwrap_or(&[]), &used(k))
                 }
-                // Before a specimen is taken out: what is left shows whether a frame can test a column.
-                let before = match seen.frames[k].held_out {
-                    true => Vec::new(),
-                    false => products(&changes, &effects, weight, &used(k)),
-                };
-                model.visible(k, at.state, &mut changes.iter_mut().map(|(_, d)| d).collect::<Vec<_>>());
-                // What the frame does not depend on has no row.
-                let mut of_row: Vec<Option<&Array2<f32>>> = vec![None; rows];
-                changes.iter().for_each(|(i, d)| of_row[*i] = Some(d));
-                let of_errors = errors.changes.iter().map(|change| change[k].as_ref());
-                of_row[columns.len()..rows - 1].iter_mut().zip(of_errors).for_each(|(row, d)| *row = d);
-                of_row[rows - 1] = Some(&here.residual_dn);
-                let live = |part: &[usize]| part.iter().copied().filter(|i| of_row[*i].is_some()).collect::<Vec<_>>();
-                let (with_all, groups) = order.split_at(most);
-                let (mut order, groups) = (live(with_all), live(groups));
-                let most = order.len();
-                order.extend(groups);
-                let mut x = Array2::<f32>::zeros((order.len(), seen.pixels.len()));
-                for (mut row, i) in x.outer_iter_mut().zip(&order) {
-                    let Some(image) = of_row[*i].and_then(|image| image.as_slice()) else { continue };
-                    for (out, p) in row.iter_mut().zip(&seen.pixels) {
-                        *out = image[*p as usize] * weight[*p as usize];
+            };
+            Ok(Changed { k, changes, before })
+        };
+        let cells_of = |Changed { k, changes, before }: Changed| {
+            let here = &at.predicted[k];
+            let weight = here.inverse_sigma.as_slice().unwrap_or(&[]);
+            // What the frame does not depend on has no row.
+            let mut of_row: Vec<Option<&Array2<f32>>> = vec![None; rows];
+            changes.iter().for_each(|(i, d)| of_row[*i] = Some(d));
+            let of_errors = errors.changes.iter().map(|change| change[k].as_ref());
+            of_row[columns.len()..rows - 1].iter_mut().zip(of_errors).for_each(|(row, d)| *row = d);
+            of_row[rows - 1] = Some(&here.residual_dn);
+            let live = |part: &[usize]| part.iter().copied().filter(|i| of_row[*i].is_some()).collect::<Vec<_>>();
+            let (with_all, groups) = order.split_at(most);
+            let (mut order, groups) = (live(with_all), live(groups));
+            let most = order.len();
+            order.extend(groups);
+            let mut x = Array2::<f32>::zeros((order.len(), seen.pixels.len()));
+            for (mut row, i) in x.outer_iter_mut().zip(&order) {
+                let Some(image) = of_row[*i].and_then(|image| image.as_slice()) else { continue };
+                for (out, p) in row.iter_mut().zip(&seen.pixels) {
+                    *out = image[*p as usize] * weight[*p as usize];
+                }
+            }
+            if matches!(seen.frames[k].shown, Shown::Bead(..)) {
+                // The light of each bead is a nuisance parameter of its own: its column is projected out of all
+                // rows.
+                let black_dn = model.forward.noise().black_level_dn;
+                let own = if model.has_background { here.sum_e.clone() } else { &here.dn - black_dn as f32 };
+                own_light(&mut x, &own, here, seen);
+            }
+            let cells = seen
+                .blocks
+                .iter()
+                .enumerate()
+                .filter(|(block, _)| whole || !seen.is_held_out(k, *block))
+                .map(|(block, span)| {
+                    let gram = scope.gram(&x.slice(s![.., span.clone()]), (&order, most), rows);
+                    let (mut pixels, mut log_variance) = (0.0, 0.0);
+                    for w in seen.pixels[span.clone()].iter().map(|p| weight[*p as usize]) {
+                        pixels += f64::from(u8::from(w > 0.0));
+                        log_variance += if w > 0.0 { -2.0 * f64::from(w.ln()) } else { unseen };
                     }
-                }
-                if matches!(seen.frames[k].shown, Shown::Bead(..)) {
-                    // The light of each bead is a nuisance parameter of its own: its column is projected out of all
-                    // rows.
-                    let black_dn = model.forward.noise().black_level_dn;
-                    let own = if model.has_background { here.sum_e.clone() } else { &here.dn - black_dn as f32 };
-                    own_light(&mut x, &own, here, seen);
-                }
-                let cells = seen
-                    .blocks
-                    .iter()
-                    .enumerate()
-                    .filter(|(block, _)| whole || !seen.is_held_out(k, *block))
-                    .map(|(block, span)| {
-                        let gram = scope.gram(&x.slice(s![.., span.clone()]), (&order, most), rows);
-                        let (mut pixels, mut log_variance) = (0.0, 0.0);
-                        for w in seen.pixels[span.clone()].iter().map(|p| weight[*p as usize]) {
-                            pixels += f64::from(u8::from(w > 0.0));
-                            log_variance += if w > 0.0 { -2.0 * f64::from(w.ln()) } else { unseen };
-                        }
-                        let held_out = seen.is_held_out(k, block);
-                        let pixels = at.state.share(k, block) * pixels;
-                        Cell { frame: k, block, held_out, pixels, gram, log_variance }
-                    })
-                    .collect::<Vec<_>>();
-                Ok((cells, before))
-            })
-            .collect::<Result<Vec<_>, ForwardError>>()?;
+                    let held_out = seen.is_held_out(k, block);
+                    let pixels = at.state.share(k, block) * pixels;
+                    Cell { frame: k, block, held_out, pixels, gram, log_variance }
+                })
+                .collect::<Vec<_>>();
+            (cells, before)
+        };
+        let together = |group: &[usize]| -> Result<Vec<(Vec<Cell>, Vec<Array2<f32>>)>, ForwardError> {
+            let mut of_frames: Vec<Changed> =
+                group.par_iter().map(|k| changes_of(*k)).collect::<Result<_, ForwardError>>()?;
+            let all = of_frames.iter_mut().flat_map(|f| f.changes.iter_mut().map(|(_, d)| (f.k, d)));
+            model.visible(at.state, all);
+            Ok(of_frames.into_par_iter().map(cells_of).collect())
+        };
+        let taken: Vec<usize> = (0..seen.frames.len()).filter(|k| whole || !seen.frames[*k].held_out).collect();
+        let groups = groups(seen, &taken, columns.len());
+        let frames = groups.into_par_iter().map(together).collect::<Result<Vec<_>, ForwardError>>()?;
+        let frames: Vec<(Vec<Cell>, Vec<Array2<f32>>)> = frames.into_iter().flatten().collect();
         let mut before = Array2::zeros((columns.len(), columns.len()));
         for (range, gram) in frames.iter().flat_map(|(_, own)| effects.iter().zip(own)) {
             let mut sum = before.slice_mut(s![range.clone(), range.clone()]);
@@ -288,6 +299,27 @@ impl Design {
     pub fn training(&self) -> Sums {
         self.sums(|c| !c.held_out)
     }
+}
+
+/// What the columns change in a frame.
+struct Changed {
+    /// The frame.
+    k: usize,
+    /// By how much each column changes the expected frame, DN; columns that it does not depend on are left out.
+    changes: Vec<(usize, Array2<f32>)>,
+    /// Products of the changes of each effect before a specimen is taken out of them.
+    before: Vec<Array2<f32>>,
+}
+
+/// Changes of frames with estimated specimens from which the specimens are taken out together: many at once take hardly
+/// more time than a few.
+const TOGETHER: usize = 256;
+
+/// Frames that are computed together, in their order, for a design of so many columns.
+fn groups<'a>(seen: &Observations, frames: &'a [usize], columns: usize) -> Vec<&'a [usize]> {
+    let estimated = |k: &usize| seen.frames[*k].shown == Shown::Estimated;
+    let runs = frames.chunk_by(|a, b| estimated(a) && estimated(b));
+    runs.flat_map(|run| run.chunks((TOGETHER / columns.max(1)).max(1))).collect()
 }
 
 /// For each range of columns the Gram matrix of their changes of a frame, in units of the noise, at some pixels.

@@ -166,22 +166,27 @@ impl Model<'_> {
         dn
     }
 
-    /// Reduces changes of the expected frame `k` to what the frame can show of them: all, or, for an estimated
-    /// specimen, what no change of the specimen makes, or, for an unknown one, the sharp part. A change of the last
-    /// that is mostly smooth cannot be distinguished from the specimen and becomes zero.
-    pub fn visible(&self, k: usize, state: &State, changes: &mut [&mut Array2<f32>]) {
-        match (&self.seen.frames[k].shown, &state.specimens) {
-            (Shown::Estimated, Some(specimens)) => specimens.remove(changes),
-            (Shown::Unknown, _) => {
-                let power = |image: &Array2<f32>| image.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>();
-                for change in changes {
-                    let sharp = &**change - &smooth(change);
-                    let is_smooth = power(&sharp) < 0.5 * power(change);
-                    **change = if is_smooth { Array2::zeros(sharp.dim()) } else { sharp };
-                }
+    /// Reduces changes of expected frames, each with the number of its frame, to what the frames can show of them: all,
+    /// or, for an estimated specimen, what no change of the specimen makes, or, for an unknown one, the sharp part. A
+    /// change of the last that is mostly smooth cannot be distinguished from the specimen and becomes zero.
+    pub fn visible<'a>(&self, state: &State, changes: impl Iterator<Item = (usize, &'a mut Array2<f32>)>) {
+        let (mut of_estimated, mut of_unknown) = (Vec::new(), Vec::new());
+        for (k, change) in changes {
+            match (&self.seen.frames[k].shown, &state.specimens) {
+                (Shown::Estimated, Some(_)) => of_estimated.push(change),
+                (Shown::Unknown, _) => of_unknown.push(change),
+                _ => {}
             }
-            _ => {}
         }
+        if let Some(specimens) = &state.specimens {
+            specimens.remove(&mut of_estimated);
+        }
+        let power = |image: &Array2<f32>| image.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>();
+        of_unknown.into_par_iter().for_each(|change| {
+            let sharp = &*change - &smooth(change);
+            let is_smooth = power(&sharp) < 0.5 * power(change);
+            *change = if is_smooth { Array2::zeros(sharp.dim()) } else { sharp };
+        });
     }
 }
 

@@ -76,11 +76,8 @@ impl Replicas {
         let scattered = changes.len();
         standardised(&mut changes);
         changes.extend(self.wings.iter().map(|ring| wing(model, &fitted.predicted, *ring)));
-        let mut by_frame: Vec<Vec<&mut Array2<f32>>> = model.seen.frames.iter().map(|_| Vec::new()).collect();
-        for of_replicate in &mut changes {
-            of_replicate.iter_mut().zip(&mut by_frame).for_each(|(change, frame)| frame.extend(change.as_mut()));
-        }
-        by_frame.par_iter_mut().enumerate().for_each(|(k, images)| model.visible(k, &fitted.state, images));
+        let of_frames = changes.iter_mut().flat_map(|of| of.iter_mut().enumerate());
+        model.visible(&fitted.state, of_frames.filter_map(|(k, change)| Some((k, change.as_mut()?))));
         Ok(Errors { changes, scattered })
     }
 }

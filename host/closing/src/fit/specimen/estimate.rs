@@ -9,6 +9,10 @@ use ndarray::Array2;
 
 /// Number of iterations: later ones fit noise.
 const ITERATIONS: usize = 25;
+/// Iterations before the light outside the windows is first found.
+pub(super) const BEFORE_STRAY: usize = 10;
+/// Iterations after each time that it is found.
+pub(super) const AFTER_STRAY: usize = 5;
 
 /// Object pixels with less light on the sensor, relative to the brightest, are not estimated.
 const LEAST: f32 = 1e-3;
@@ -21,20 +25,68 @@ pub(super) struct Estimate {
     pub(super) light_e: Array2<f32>,
 }
 
-/// Specimens that explain frames, each [object rows, object cols] >= 0. `frames_e` are the frames without their dark
-/// signal, electrons, [sensor rows, sensor cols]; `weight` is positive at the pixels that count; `floor_e2` is the
-/// variance of the read noise.
-pub(super) fn specimens(views: &Views, frames_e: &[Array2<f32>], weight: &[f32], floor_e2: f32) -> Vec<Estimate> {
-    let of = |group: &[Array2<f32>]| match group.len() {
-        ..=4 => together::<4>(views, group, weight, floor_e2),
-        5..=8 => together::<8>(views, group, weight, floor_e2),
-        _ => together::<LANES>(views, group, weight, floor_e2),
-    };
-    frames_e.chunks(LANES).flat_map(of).collect()
+/// An estimate of the specimens of some frames that can go on from where it stands.
+pub(super) struct Estimation<'a> {
+    views: &'a Views,
+    /// Positive at the pixels that count, [sensor pixels].
+    weight: &'a [f32],
+    /// Variance of the read noise, electrons squared.
+    floor_e2: f32,
+    /// Specimens, each [object pixels].
+    objects: Vec<Vec<f32>>,
+    /// Iterations that were made.
+    done: usize,
 }
 
-/// The same for at most L frames at once.
-fn together<const L: usize>(views: &Views, frames_e: &[Array2<f32>], weight: &[f32], floor_e2: f32) -> Vec<Estimate> {
+impl<'a> Estimation<'a> {
+    /// Begins with even specimens of `frames` frames.
+    pub(super) fn new(views: &'a Views, weight: &'a [f32], floor_e2: f32, frames: usize) -> Self {
+        Self { views, weight, floor_e2, objects: vec![vec![1.0; views.unknowns()]; frames], done: 0 }
+    }
+
+    /// Goes on for so many iterations. `frames_e` are the frames without their dark signal, electrons, [sensor rows,
+    /// sensor cols].
+    pub(super) fn go_on(&mut self, frames_e: &[Array2<f32>], iterations: usize) {
+        for (frames, objects) in frames_e.chunks(LANES).zip(self.objects.chunks_mut(LANES)) {
+            let of = (self.views, self.weight, self.floor_e2);
+            match frames.len() {
+                ..=4 => iterate::<4>(of, frames, objects, iterations),
+                5..=8 => iterate::<8>(of, frames, objects, iterations),
+                _ => iterate::<LANES>(of, frames, objects, iterations),
+            }
+        }
+        self.done += iterations;
+    }
+
+    /// Begins again, with even specimens.
+    pub(super) fn begin_again(&mut self) {
+        self.objects.iter_mut().for_each(|o| o.fill(1.0));
+        self.done = 0;
+    }
+
+    /// Makes what is left of the iterations.
+    pub(super) fn finish(&mut self, frames_e: &[Array2<f32>]) {
+        self.go_on(frames_e, ITERATIONS.saturating_sub(self.done));
+    }
+
+    /// The specimens as they are.
+    pub(super) fn estimates(&self) -> Vec<Estimate> {
+        let of = |objects: &[Vec<f32>]| match objects.len() {
+            ..=4 => seen::<4>(self.views, objects),
+            5..=8 => seen::<8>(self.views, objects),
+            _ => seen::<LANES>(self.views, objects),
+        };
+        self.objects.chunks(LANES).flat_map(of).collect()
+    }
+}
+
+/// Iterations of Richardson-Lucy for at most L frames at once.
+fn iterate<const L: usize>(
+    (views, weight, floor_e2): (&Views, &[f32], f32),
+    frames_e: &[Array2<f32>],
+    found: &mut [Vec<f32>],
+    iterations: usize,
+) {
     let mut measured: Vec<[f32; L]> = vec![[0.0; L]; weight.len()];
     for (lane, frame) in frames_e.iter().enumerate() {
         measured.iter_mut().zip(frame).for_each(|(m, y)| m[lane] = (y + floor_e2).max(0.0));
@@ -43,8 +95,8 @@ fn together<const L: usize>(views: &Views, frames_e: &[Array2<f32>], weight: &[f
     // Low-rank PSFs have small negative values; object pixels with hardly any light on the sensor stay dark.
     let seen = views.adjoint(&used);
     let least = seen.iter().map(|s| s[0]).fold(0.0f32, f32::max) * LEAST;
-    let mut objects: Vec<[f32; L]> = vec![[1.0; L]; views.unknowns()];
-    for _ in 0..ITERATIONS {
+    let mut objects: Vec<[f32; L]> = interleaved(found, views.unknowns());
+    for _ in 0..iterations {
         let mut ratio = views.forward(&objects);
         for ((r, m), u) in ratio.iter_mut().zip(&measured).zip(&used) {
             r.iter_mut().zip(m).zip(u).for_each(|((r, m), u)| *r = u * m / (r.max(0.0) + floor_e2));
@@ -54,13 +106,29 @@ fn together<const L: usize>(views: &Views, frames_e: &[Array2<f32>], weight: &[f
             x.iter_mut().zip(b).zip(s).for_each(|((x, b), s)| *x = if *s > least { *x * b.max(0.0) / s } else { 0.0 });
         }
     }
-    let light = views.forward(&objects);
-    let image = |of: &[[f32; L]], [rows, cols]: [usize; 2], lane: usize| {
-        Array2::from_shape_fn((rows, cols), |(r, c)| of[r * cols + c][lane])
+    for (lane, found) in found.iter_mut().enumerate() {
+        found.iter_mut().zip(&objects).for_each(|(found, x)| *found = x[lane]);
+    }
+}
+
+/// Specimens with their light on the sensor, at most L.
+fn seen<const L: usize>(views: &Views, objects: &[Vec<f32>]) -> Vec<Estimate> {
+    let light = views.forward(&interleaved::<L>(objects, views.unknowns()));
+    let [rows, cols] = views.object();
+    let image = |(lane, object): (usize, &Vec<f32>)| Estimate {
+        object: Array2::from_shape_fn((rows, cols), |(r, c)| object[r * cols + c]),
+        light_e: Array2::from_shape_fn((views.sensor()[0], views.sensor()[1]), |(r, c)| {
+            light[r * views.sensor()[1] + c][lane]
+        }),
     };
-    let one = |lane: usize| Estimate {
-        object: image(&objects, views.object(), lane),
-        light_e: image(&light, views.sensor(), lane),
-    };
-    (0..frames_e.len()).map(one).collect()
+    objects.iter().enumerate().map(image).collect()
+}
+
+/// Objects of `pixels` pixels, side by side pixel by pixel; what is left of L is dark.
+fn interleaved<const L: usize>(objects: &[Vec<f32>], pixels: usize) -> Vec<[f32; L]> {
+    let mut out = vec![[0.0; L]; pixels];
+    for (lane, object) in objects.iter().enumerate() {
+        out.iter_mut().zip(object).for_each(|(out, v)| out[lane] = *v);
+    }
+    out
 }

@@ -1,6 +1,6 @@
 //! Estimates the specimens of a session under a state.
 
-use super::estimate::{self, Estimate};
+use super::estimate::{AFTER_STRAY, BEFORE_STRAY, Estimate, Estimation};
 use super::probe::probed;
 use crate::data::{Observations, Shown};
 use crate::fit::model::Model;
@@ -62,10 +62,12 @@ pub(in crate::fit) fn specimens(model: &Model<'_>, state: &State) -> Result<Opti
     let bare = |k: &usize| above_dark(*k, &seen.frames[*k].measured);
     let light: Vec<Array2<f32>> = frames.iter().map(bare).collect();
     let floor_e2 = noise.read_noise_e.powi(2).max(LEAST_FLOOR_E2) as f32;
-    let estimate = |light: &[Array2<f32>]| estimate::specimens(projector.views(), light, projector.weight(), floor_e2);
-    let mut found = estimate(&light);
     // What falls outside the windows, of ghosts and halos for example, and what a bent response adds or takes, is no
     // light that a specimen has to explain. Each round multiplies what is left of it by about its share of all light.
+    // Estimates that are not sharp yet show it well enough.
+    let mut estimation = Estimation::new(projector.views(), projector.weight(), floor_e2, frames.len());
+    estimation.go_on(&light, BEFORE_STRAY);
+    let mut explained = Vec::new();
     let mut before = vec![Array2::zeros((seen.sensor[0], seen.sensor[1])); frames.len()];
     for _ in 0..STRAY_ROUNDS {
         let stray = |(k, of): (&usize, &Estimate)| -> Result<Array2<f32>, ForwardError> {
@@ -74,6 +76,7 @@ pub(in crate::fit) fn specimens(model: &Model<'_>, state: &State) -> Result<Opti
             let lit = model.lit(*k, sum, state, (&chain, None));
             Ok(above_dark(*k, &model.dn(*k, lit, &chain, None, state.black_dn)) - &of.light_e)
         };
+        let found = estimation.estimates();
         let strays: Vec<Array2<f32>> = frames.par_iter().zip(&found).map(stray).collect::<Result<_, _>>()?;
         let gain2 = (noise.gain_dn_per_e * noise.gain_dn_per_e) as f32;
         let in_noise = |(now, before): (&Array2<f32>, &Array2<f32>)| -> f32 {
@@ -83,9 +86,18 @@ pub(in crate::fit) fn specimens(model: &Model<'_>, state: &State) -> Result<Opti
         if strays.iter().zip(&before).all(|s| in_noise(s) < FAINT_STRAY) {
             break;
         }
-        found = estimate(&light.iter().zip(&strays).map(|(light, stray)| light - stray).collect::<Vec<_>>());
+        explained = light.iter().zip(&strays).map(|(light, stray)| light - stray).collect();
+        estimation.go_on(&explained, AFTER_STRAY);
         before = strays;
     }
+    if explained.is_empty() {
+        estimation.finish(&light);
+    } else {
+        // The estimates under all states take the same iterations.
+        estimation.begin_again();
+        estimation.finish(&explained);
+    }
+    let found = estimation.estimates();
     // The noise is that of the first estimate under every state. What a specimen takes of the squares of a residual
     // differs from pixel to pixel, so a state could gain by moving light where much is taken.
     let sigmas = model.sigmas.get_or_init(|| {
@@ -99,32 +111,34 @@ pub(in crate::fit) fn specimens(model: &Model<'_>, state: &State) -> Result<Opti
     frames.iter().zip(found).for_each(|(k, of)| objects[*k] = Some(of.object));
     let expected = vec![Vec::new(); seen.frames.len()];
     let mut it = Specimens { objects, projector, sigmas: Arc::clone(sigmas), expected };
-    for k in &frames {
-        if let Some(sigma) = &sigmas[*k] {
-            it.expected[*k] = noise_left(&it, seen, *k, sigma);
-        }
-    }
+    it.expected = noise_left(&it, seen);
     Ok(Some(Arc::new(it)))
 }
 
-/// [`Specimens::expected`] of all blocks of a frame, from draws of its noise.
-fn noise_left(it: &Specimens, seen: &Observations, k: usize, sigma: &Array2<f32>) -> Vec<f64> {
-    let draw = |i: usize| {
+/// [`Specimens::expected`] of all frames and blocks, from draws of the noise.
+fn noise_left(it: &Specimens, seen: &Observations) -> Vec<Vec<f64>> {
+    let of_frames: Vec<(usize, &Array2<f32>)> =
+        it.sigmas.iter().enumerate().filter_map(|(k, sigma)| Some((k, sigma.as_ref()?))).collect();
+    let draw = |(k, sigma): (usize, &Array2<f32>), i: usize| {
         let mut rng = stream(0x5eed, "specimen", (DRAWS * k + i) as u64);
         sigma.mapv(|s| {
             let unit: f32 = StandardNormal.sample(&mut rng);
             unit * s
         })
     };
-    let mut drawn: Vec<Array2<f32>> = (0..DRAWS).map(draw).collect();
+    let mut drawn: Vec<Array2<f32>> = of_frames.iter().flat_map(|of| (0..DRAWS).map(|i| draw(*of, i))).collect();
     it.remove(&mut drawn.iter_mut().collect::<Vec<_>>());
-    let left = |span: &std::ops::Range<usize>| {
-        let at = |p: &u32| (*p as usize / seen.sensor[1], *p as usize % seen.sensor[1]);
-        let pixels = &seen.pixels[span.clone()];
-        let square = |p: &u32| drawn.iter().map(|d| f64::from(d[at(p)] / sigma[at(p)]).powi(2)).sum::<f64>();
-        pixels.iter().map(square).sum::<f64>() / (DRAWS * pixels.len()).max(1) as f64
-    };
-    seen.blocks.iter().map(left).collect()
+    let mut expected = vec![Vec::new(); seen.frames.len()];
+    for ((k, sigma), drawn) in of_frames.into_iter().zip(drawn.chunks_exact(DRAWS)) {
+        let left = |span: &std::ops::Range<usize>| {
+            let at = |p: &u32| (*p as usize / seen.sensor[1], *p as usize % seen.sensor[1]);
+            let pixels = &seen.pixels[span.clone()];
+            let square = |p: &u32| drawn.iter().map(|d| f64::from(d[at(p)] / sigma[at(p)]).powi(2)).sum::<f64>();
+            pixels.iter().map(square).sum::<f64>() / (DRAWS * pixels.len()).max(1) as f64
+        };
+        expected[k] = seen.blocks.iter().map(left).collect();
+    }
+    expected
 }
 
 /// Whether each pixel of the sensor lies in a held-out block.
