@@ -192,6 +192,28 @@ impl Stack {
         &self.info
     }
 
+    /// Metadata of the frames whose data are whole, in the order of the frames: of those that the table does not mark as
+    /// damaged ([`FrameInfo::is_damaged`]).
+    pub fn whole(&self) -> impl Iterator<Item = &FrameInfo> {
+        self.info.iter().filter(|info| !info.is_damaged())
+    }
+
+    /// What a user should know of frames that are marked as damaged, with `what` becomes of them; None: there are none.
+    pub fn damaged_note(&self, what: &str) -> Option<String> {
+        let frames: Vec<usize> = self.info.iter().filter(|i| i.is_damaged()).map(|info| info.frame).collect();
+        let first: Vec<String> = frames.iter().take(8).map(ToString::to_string).collect();
+        let more = if frames.len() > first.len() { ", ..." } else { "" };
+        (!frames.is_empty()).then(|| {
+            format!(
+                "{}: {} of {} frames are marked as damaged ({}{more}): {what}",
+                self.path().display(),
+                frames.len(),
+                self.len(),
+                first.join(", ")
+            )
+        })
+    }
+
     /// A reader of the frames, [sensor rows, sensor cols], DN.
     ///
     /// # Errors

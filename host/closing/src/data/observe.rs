@@ -140,7 +140,7 @@ impl Observations {
                 Role::Bead if known => 0,
                 Role::Bead => budget.beads,
             };
-            let whole: Vec<usize> = (0..stack.len()).filter(|i| !stack.info()[*i].is_damaged()).collect();
+            let whole: Vec<usize> = stack.whole().map(|info| info.frame).collect();
             let chosen: Vec<usize> = in_pairs(whole.len(), most).into_iter().map(|k| whole[k]).collect();
             registrations.extend(of_stack(stack, s, &chosen));
             read_stack(session, stack, (s, &chosen), &mut frames, &mut truths)?;
@@ -234,7 +234,8 @@ fn read_recording(
     let (mut reader, info) = (stack.frames()?, stack.info());
     let full_dn = session.manifest().sensor.saturation_dn();
     let mut chooser = Chooser::new(stack.len(), parts);
-    for (index, of) in info.iter().enumerate().filter(|(_, of)| !of.is_damaged()) {
+    for of in stack.whole() {
+        let index = of.frame;
         let frame = reader.read(index)?;
         let content = if of.z_um == info[0].z_um { content(&frame, full_dn) } else { 0.0 };
         chooser.push(Kept { index, frame, content });

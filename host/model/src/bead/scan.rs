@@ -57,7 +57,7 @@ impl BeadScan {
         for (s, stack) in stacks.iter().enumerate() {
             paths.push(stack.path());
             readers.push(stack.frames()?);
-            for info in stack.info().iter().filter(|info| !info.is_damaged()) {
+            for info in stack.whole() {
                 let light = info.exposure_ms / exposure_ms * info.illumination;
                 if !(light.is_finite() && light > 0.0) {
                     return Err(BeadError::NoExposure {

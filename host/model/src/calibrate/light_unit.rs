@@ -26,7 +26,7 @@ pub(super) fn fit_light_unit(session: &Session, instrument: &Instrument) -> Resu
     for stack in session.stacks_of(Role::Scene) {
         let Some(mut truths) = stack.truth()? else { continue };
         let mut frames = stack.frames()?;
-        for info in stack.info().iter().filter(|info| !info.is_damaged()).take(UNIT_FRAMES) {
+        for info in stack.whole().take(UNIT_FRAMES) {
             let (mut frame, object) = (frames.read(info.frame)?, truths.read(info.frame)?);
             let depth = instrument.psf.depth_nearest(info.z_um);
             let forward = match at_depths.entry(depth) {

@@ -75,7 +75,7 @@ fn read(stack: &Stack, top: f32, step: &mut dyn FnMut()) -> Result<StackLevels, 
         step: 0,
     };
     let (mut pixels, mut divisor, mut tops) = (0.0, 0u32, 0.0);
-    let mut usable: Vec<&FrameInfo> = stack.info().iter().filter(|info| !info.is_damaged()).collect();
+    let mut usable: Vec<&FrameInfo> = stack.whole().collect();
     if usable.is_empty() {
         usable = stack.info().iter().collect();
     }
@@ -108,19 +108,9 @@ fn read(stack: &Stack, top: f32, step: &mut dyn FnMut()) -> Result<StackLevels, 
 
 /// Frames that `import` found damaged, by the column `data` of their table.
 pub fn damaged(session: &Session) -> Vec<Finding> {
+    let what = "calibrate, evaluate, residual and close leave them out; reconstruct takes them like the others";
     let of_stack = |stack: &Stack| {
-        let frames: Vec<usize> = stack.info().iter().filter(|i| i.is_damaged()).map(|info| info.frame).collect();
-        let first: Vec<String> = frames.iter().take(8).map(ToString::to_string).collect();
-        let more = if frames.len() > first.len() { ", ..." } else { "" };
-        let text = format!(
-            "{}: {} of {} frames are marked as damaged ({}{more}): calibrate, residual and close leave them out; \
-             reconstruct and train use them like the others",
-            stack.path().display(),
-            frames.len(),
-            stack.len(),
-            first.join(", ")
-        );
-        (!frames.is_empty()).then(|| Finding::new("damaged frames", Severity::Warning, text))
+        Some(Finding::new("damaged frames", Severity::Warning, stack.damaged_note(what)?))
     };
     session.stacks().iter().filter_map(of_stack).collect()
 }

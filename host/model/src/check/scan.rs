@@ -69,7 +69,7 @@ impl Scan {
         let (mut frames, mut all_moved_px, mut all_z_um, mut bead) = (Vec::new(), Vec::new(), Vec::new(), 0);
         for stack in stacks {
             let mut reader = stack.frames()?;
-            for info in stack.info().iter().filter(|info| !info.is_damaged()) {
+            for info in stack.whole() {
                 let moved_px = moved_px(m, [info.y_um, info.x_um]);
                 all_moved_px.push(moved_px);
                 all_z_um.push(info.z_um);

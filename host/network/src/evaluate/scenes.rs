@@ -22,7 +22,8 @@ pub struct Scenes {
 }
 
 impl Scenes {
-    /// The scene stacks of `session` that have a truth, limited to the first `most` scenes.
+    /// The scene stacks of `session` that have a truth, limited to the first `most` scenes. Frames that are marked as
+    /// damaged are left out.
     ///
     /// # Errors
     /// There are no such scenes, or a file was removed since the session was opened.
@@ -34,7 +35,10 @@ impl Scenes {
                 stacks.push(Known { frames, truth, expected, info: stack.info().to_vec() });
             }
         }
-        let all = stacks.iter().enumerate().flat_map(|(s, k)| (0..k.frames.len()).map(move |i| (s, i)));
+        let whole = |k: &Known| -> Vec<usize> {
+            (0..k.frames.len()).filter(|i| k.info.get(*i).is_none_or(|info| !info.is_damaged())).collect()
+        };
+        let all = stacks.iter().enumerate().flat_map(|(s, k)| whole(k).into_iter().map(move |i| (s, i)));
         let index: Vec<_> = all.take(most.unwrap_or(usize::MAX)).collect();
         anyhow::ensure!(
             !index.is_empty(),
@@ -90,5 +94,32 @@ fn context<'a>(forward: &'a Forward, info: &FrameInfo) -> FrameContext<'a> {
         exposure_ms: info.exposure_ms,
         illumination: info.illumination,
         ..forward.context()
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+    use ommatidia_model::testing::Testbed;
+
+    #[test]
+    fn scenes_that_are_marked_as_damaged_are_left_out() {
+        let bed = Testbed { scan: 3, ..Testbed::new() };
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("session");
+        bed.write(&path);
+        let session = || Session::open(&path).unwrap();
+        let mut all = Scenes::of(&session(), None).unwrap();
+        assert_eq!(all.count(), bed.scenes);
+        let table = path.join("scene.csv");
+        let text = std::fs::read_to_string(&table).unwrap();
+        let words = ["data", "whole", "damaged", "whole"];
+        let marked: String = text.lines().zip(words).map(|(line, word)| format!("{line},{word}\n")).collect();
+        std::fs::write(&table, marked).unwrap();
+        let mut whole = Scenes::of(&session(), None).unwrap();
+        assert_eq!(whole.count(), bed.scenes - 1);
+        assert_eq!(whole.case(1).unwrap().frame_dn, all.case(2).unwrap().frame_dn);
+        assert_eq!(Scenes::of(&session(), Some(1)).unwrap().count(), 1);
     }
 }

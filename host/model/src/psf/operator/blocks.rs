@@ -67,7 +67,9 @@ impl LocalTerms {
     pub fn images(&self, products: &Products, blocks: &[Block], object: ArrayView2<'_, f32>) -> Vec<Array2<f32>> {
         let mut images = vec![Array2::zeros(products.image_shape(object.dim())); self.lenses.len()];
         let of = |b: usize| object.slice(s![blocks[b].0.clone(), blocks[b].1.clone()]);
-        let lit: Vec<usize> = (0..blocks.len()).filter(|b| of(*b).iter().any(|v| *v != 0.0)).collect();
+        // Blocks that no lens shows have no functions.
+        let shows = |b: &usize| self.functions[*b].count() > 0 && of(*b).iter().any(|v| *v != 0.0);
+        let lit: Vec<usize> = (0..blocks.len()).filter(shows).collect();
         let (sparse, dense): (Vec<usize>, Vec<usize>) = lit.into_iter().partition(|b| products.is_sparse(of(*b)));
         let (mut space, mut parts) = (Space::default(), Vec::new());
         let mut add = |group: &[usize], part: &(dyn Fn(&mut Work, [usize; 2], &mut Array2<f32>) + Sync)| {
@@ -148,12 +150,12 @@ impl LocalTerms {
         space.sums.par_chunks_exact_mut(len).enumerate().for_each_init(|| vec![Vec::new(); group.len()], mix);
     }
 
-    /// The transpose: sets an object to what all lenses collect from a frame.
+    /// The transpose: sets a dark object to what all lenses collect from a frame.
     pub fn adjoint(&self, products: &Products, blocks: &[Block], frame: ArrayView2<'_, f32>, object: &mut Array2<f32>) {
         let (rows, lenses) = (products.fft.shape()[0], self.lenses.len());
-        let all: Vec<usize> = (0..blocks.len()).collect();
+        let shown: Vec<usize> = (0..blocks.len()).filter(|b| self.functions[*b].count() > 0).collect();
         let mut space = Space::default();
-        for group in self.groups(products, &all) {
+        for group in self.groups(products, &shown) {
             let transform = |w: &mut Work, (&[i, l], spectrum): (&[usize; 2], &mut Vec<Complex32>)| {
                 let take = |column: usize, values: &[Complex32]| {
                     spectrum[column * rows..(column + 1) * rows].copy_from_slice(values);
@@ -184,9 +186,6 @@ impl LocalTerms {
                 }
             };
             let len = group.len() * most * rows;
-            if len == 0 {
-                continue;
-            }
             space.sums.resize(products.fft.half_cols() * len, Complex32::default());
             let columns = space.sums.par_chunks_exact_mut(len);
             columns.enumerate().for_each_init(Default::default, mix);

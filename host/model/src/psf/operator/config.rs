@@ -27,8 +27,8 @@ pub struct OperatorConfig {
     /// Memory limit for the spectra of the basis PSFs of all lenses, bytes. Above it they are recomputed at each
     /// application.
     pub most_spectra_bytes: usize,
-    /// Most relative root-mean-square error of the PSFs in any block, where their terms are decomposed again: only
-    /// where the spectra exceed `most_spectra_bytes`, and where it costs less. 0: all terms everywhere.
+    /// Most relative root-mean-square error of the PSFs of a lens in any block, where the lenses share functions: only
+    /// where the spectra exceed `most_spectra_bytes`, and where it costs less. 0: the terms of each lens everywhere.
     pub most_error: f64,
 }
 

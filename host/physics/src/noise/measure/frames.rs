@@ -17,7 +17,7 @@ pub(super) struct Group {
 pub(super) fn groups(session: &Session, role: Role) -> Vec<Group> {
     let mut keyed: Vec<([f64; 2], Group)> = Vec::new();
     for (s, stack) in session.stacks_of(role).enumerate() {
-        for info in stack.info().iter().filter(|info| !info.is_damaged()) {
+        for info in stack.whole() {
             let key = [info.exposure_ms, if role == Role::Dark { 0.0 } else { info.illumination }];
             match keyed.iter_mut().find(|(k, _)| *k == key) {
                 Some((_, g)) => g.frames.push((s, info.frame)),
@@ -56,7 +56,7 @@ pub(super) struct Background {
 
 /// At most nine frames of a stack, evenly spread; damaged ones do not count.
 fn some(stack: &Stack) -> impl Iterator<Item = usize> {
-    let whole: Vec<usize> = stack.info().iter().filter(|info| !info.is_damaged()).map(|info| info.frame).collect();
+    let whole: Vec<usize> = stack.whole().map(|info| info.frame).collect();
     let every = whole.len().div_ceil(9).max(1);
     whole.into_iter().step_by(every)
 }

@@ -15,6 +15,8 @@ pub struct Input {
     pub times: Option<Times>,
     /// The time from one frame to the next by the metadata or the files, s, where they state it.
     set_interval_s: Option<f64>,
+    /// What is said of frames that the table of a session marks as damaged.
+    damaged: Option<String>,
 }
 
 impl Input {
@@ -29,7 +31,7 @@ impl Input {
         let frames = FrameReader::open(path)?;
         let times = times_of(&frames)?;
         let set_interval_s = set_interval_s(&frames)?;
-        Ok(Self { frames, times, set_interval_s })
+        Ok(Self { frames, times, set_interval_s, damaged: None })
     }
 
     fn of_session(path: &Path) -> anyhow::Result<Self> {
@@ -44,7 +46,8 @@ impl Input {
         let times = time_s.windows(2).any(|w| w[0] != w[1]).then(|| Times::of_frames(&time_s));
         let frames = stack.frames()?;
         let set_interval_s = set_interval_s(&frames)?;
-        Ok(Self { frames, times, set_interval_s })
+        let damaged = stack.damaged_note("their reconstructions show what was never measured");
+        Ok(Self { frames, times, set_interval_s, damaged })
     }
 
     /// The time from one frame to the next, s, where it is the same for all.
@@ -56,7 +59,7 @@ impl Input {
         }
     }
 
-    /// What is not reconstructed since it is not whole, and where frames are missing.
+    /// What is not reconstructed since it is not whole, which frames are damaged, and where frames are missing.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
         for part in self.frames.parts() {
@@ -78,6 +81,7 @@ impl Input {
             }
         }
         warnings.extend(notes_on(&self.frames));
+        warnings.extend(self.damaged.clone());
         let table = self.times.iter().flat_map(Times::table_notes);
         warnings.extend(table.map(|note| format!("{}: {note}", self.frames.path().display())));
         if let Some(times) = self.times.as_ref().filter(|t| !t.gaps.is_empty()) {
