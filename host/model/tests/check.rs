@@ -381,6 +381,17 @@ fn wrong_arrays_are_named() {
 fn wrong_frames_are_named() {
     let dark = spoiled(&DEMO, &|s| frames(s, |f| f - 64.0));
     named("darks subtracted", &dark, &["black level", "subtracted already"]);
+    // Flats of several levels in the place of the darks, and flats of one level.
+    let swap = |s: &Path, of: &dyn Fn(Array3<f32>) -> Array3<f32>| {
+        let [dark, flat] = ["dark.npy", "flat.npy"].map(|name| s.join(name));
+        let n = stack::read(&dark).unwrap().len_of(Axis(0));
+        let flats = of(stack::read(&flat).unwrap());
+        let first: Vec<usize> = (0..n).map(|i| i % flats.len_of(Axis(0))).collect();
+        stack::write(&dark, flats.select(Axis(0), &first).view()).unwrap();
+    };
+    named("flats as darks", &spoiled(&DEMO, &|s| swap(s, &|f| f)), &["black level", "light fell on them"]);
+    let one = |f: Array3<f32>| f.select(Axis(0), &[0]);
+    named("one flat as darks", &spoiled(&DEMO, &|s| swap(s, &one)), &["black level", "the darks are no darks"]);
     let shifted = spoiled(&DEMO, &|s| frames(s, |f| f * 16.0));
     named("shifted", &shifted, &["bit depth", "shifted left by 4 bits"]);
     let scaled = spoiled(&DEMO, &|s| frames(s, |f| f / 4095.0));

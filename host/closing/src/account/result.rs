@@ -128,7 +128,7 @@ impl Verdict {
             Self::Adequate => "adequate: no test sees structure in what is left",
             Self::Incomplete => "incomplete: something is left that no effect of the catalogue explains",
             Self::NotThisModel => {
-                "not this model: most of the residual is left, so its cause is none that is known here"
+                "not this model: what is left is no noise of this instrument, and no effect that is known here explains it"
             }
         }
     }

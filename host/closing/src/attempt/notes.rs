@@ -45,6 +45,14 @@ pub(super) fn notes(basis: &Basis<'_>, settled: &Settled, said: &Said<'_>) -> Re
                 .into(),
         );
     }
+    if instrument.offset_dn.is_none() && seen.of(Role::Dark).next().is_some() {
+        notes.push(
+            "the calibration had no dark frames, so that the fixed pattern of the sensor was not known: `dsnu` stands \
+             for that pattern then, and for no change since. What it leaves can keep an effect of the optics from \
+             being named; calibrate with darks"
+                .into(),
+        );
+    }
     let structure = (structured(dependences), basis.within_calibration(now));
     let of_rest: Vec<String> = rest_notes(model, now, verdict)
         .into_iter()

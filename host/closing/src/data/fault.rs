@@ -91,8 +91,8 @@ impl Fault {
             }
             FaultKind::Unit { factor } => format!(
                 "scene frame {} has {factor:.4} times the light of its object, relative to the other scenes: the \
-                 objects are recorded in units of their own (each scaled to the same maximum, for example), or the \
-                 lamp flickers",
+                 objects are recorded in units of their own (each scaled to the same maximum, for example), or not \
+                 in proportion to light (gamma), or the lamp flickers",
                 self.frame
             ),
             FaultKind::Pedestal { level } => format!(

@@ -240,7 +240,7 @@ impl Design {
                 .collect::<Vec<_>>();
             (cells, before)
         };
-        let together = |group: &[usize]| -> Result<Vec<(Vec<Cell>, Vec<Array2<f32>>)>, ForwardError> {
+        let together = |group: &[usize]| -> Result<Vec<OfFrame>, ForwardError> {
             let mut of_frames: Vec<Changed> =
                 group.par_iter().map(|k| changes_of(*k)).collect::<Result<_, ForwardError>>()?;
             let all = of_frames.iter_mut().flat_map(|f| f.changes.iter_mut().map(|(_, d)| (f.k, d)));
@@ -250,7 +250,7 @@ impl Design {
         let taken: Vec<usize> = (0..seen.frames.len()).filter(|k| whole || !seen.frames[*k].held_out).collect();
         let groups = groups(seen, &taken, columns.len());
         let frames = groups.into_par_iter().map(together).collect::<Result<Vec<_>, ForwardError>>()?;
-        let frames: Vec<(Vec<Cell>, Vec<Array2<f32>>)> = frames.into_iter().flatten().collect();
+        let frames: Vec<OfFrame> = frames.into_iter().flatten().collect();
         let mut before = Array2::zeros((columns.len(), columns.len()));
         for (range, gram) in frames.iter().flat_map(|(_, own)| effects.iter().zip(own)) {
             let mut sum = before.slice_mut(s![range.clone(), range.clone()]);
@@ -300,6 +300,9 @@ impl Design {
         self.sums(|c| !c.held_out)
     }
 }
+
+/// Cells of a frame, and its products before a specimen is taken out of them.
+type OfFrame = (Vec<Cell>, Vec<Array2<f32>>);
 
 /// What the columns change in a frame.
 struct Changed {

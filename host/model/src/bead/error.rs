@@ -12,7 +12,9 @@ pub enum BeadError {
     #[error(transparent)]
     Session(#[from] SessionError),
     /// Too few frames.
-    #[error("{path}: expected at least {expected} bead frames, found {found}; scan more positions")]
+    #[error(
+        "{path}: expected at least {expected} bead frames that are not marked as damaged, found {found}; scan more positions"
+    )]
     TooFew {
         /// The file.
         path: PathBuf,

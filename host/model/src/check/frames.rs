@@ -57,7 +57,7 @@ pub fn look(session: &Session, step: &mut dyn FnMut()) -> Result<(Vec<Finding>, 
     for level in &levels {
         findings.extend(codes(level, session));
     }
-    findings.extend(black(&levels));
+    findings.extend(black(&levels, session.manifest().sensor.saturation_dn()));
     findings.extend(flats(&levels));
     Ok((findings, levels))
 }
@@ -110,9 +110,18 @@ fn read(stack: &Stack, top: f32, step: &mut dyn FnMut()) -> Result<StackLevels, 
 pub fn damaged(session: &Session) -> Vec<Finding> {
     let what = "calibrate, evaluate, residual and close leave them out; reconstruct takes them like the others";
     let of_stack = |stack: &Stack| {
-        Some(Finding::new("damaged frames", Severity::Warning, stack.damaged_note(what)?))
+        let unknown = stack.info().iter().find_map(|info| Some((info.frame, info.unknown_data()?)));
+        let unknown = unknown.map(|(frame, word)| {
+            format!(
+                "{}: frame {frame} has `{word}` in column `data` of its table, which says nothing: write `whole` or \
+                 `damaged`",
+                stack.path().display()
+            )
+        });
+        let texts = [stack.damaged_note(what), unknown];
+        texts.into_iter().flatten().map(|text| Finding::new("damaged frames", Severity::Warning, text))
     };
-    session.stacks().iter().filter_map(of_stack).collect()
+    session.stacks().iter().flat_map(of_stack).collect()
 }
 
 /// Indices of at most [`SAMPLED`] frames of `count`, the first and the last among them.
@@ -191,16 +200,52 @@ fn codes(s: &StackLevels, session: &Session) -> Vec<Finding> {
     Vec::new()
 }
 
-/// Levels of frames with light against those of the darks.
-fn black(levels: &[StackLevels]) -> Vec<Finding> {
+/// Range of the middle levels of darks of one exposure from which on they hold light: relative to their level, and to
+/// full scale.
+const LIT: [f64; 2] = [0.2, 0.005];
+
+/// Darks of one exposure that differ much from each other.
+fn lit_dark(s: &StackLevels, top_dn: f64) -> Option<Finding> {
+    let of = |exposure_ms: f64| s.frames.iter().filter(move |f| f.dose[0] == exposure_ms).map(|f| f.median);
+    let range = |exposure_ms: f64| {
+        let (low, high) = of(exposure_ms).fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+        [low, high]
+    };
+    let ranges = s.frames.iter().map(|f| range(f.dose[0]));
+    let [low, high] = ranges.max_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0])))?;
+    (high - low > (LIT[0] * low.abs()).max(LIT[1] * top_dn)).then(|| {
+        let text = format!(
+            "{}: the middle levels of darks of one exposure reach from {low:.1} to {high:.1} DN: light fell on them. \
+             Are they flats or scenes? If no darks were taken, leave them out of session.toml",
+            s.file
+        );
+        Finding::new("black level", Severity::Error, text)
+    })
+}
+
+/// Levels of frames with light against those of the darks. `top_dn` is full scale.
+fn black(levels: &[StackLevels], top_dn: f64) -> Vec<Finding> {
     let darks: Vec<&StackLevels> = levels.iter().filter(|s| s.role == Role::Dark).collect();
     if darks.is_empty() {
         return Vec::new();
     }
-    let of = |s: &&StackLevels| s.frames.iter().map(|f| f.median).collect::<Vec<f64>>();
-    let dark: Vec<f64> = darks.iter().flat_map(of).collect();
-    let black = dark.iter().sum::<f64>() / dark.len().max(1) as f64;
+    // Darks of the exposure with the least level: dark current adds to the others.
+    let mut by_exposure: Vec<(f64, Vec<f64>)> = Vec::new();
+    for f in darks.iter().flat_map(|s| &s.frames) {
+        match by_exposure.iter_mut().find(|(exposure_ms, _)| *exposure_ms == f.dose[0]) {
+            Some((_, levels)) => levels.push(f.median),
+            None => by_exposure.push((f.dose[0], vec![f.median])),
+        }
+    }
+    let mean = |levels: &[f64]| levels.iter().sum::<f64>() / levels.len().max(1) as f64;
+    let least = by_exposure.iter().map(|(_, levels)| levels).min_by(|a, b| mean(a).total_cmp(&mean(b)));
+    let Some(dark) = least else { return Vec::new() };
+    let black = mean(dark);
     let noise = dark.iter().fold(0.0f64, |m, v| m.max((v - black).abs())).max(1.0);
+    let lit_darks: Vec<Finding> = darks.iter().filter_map(|s| lit_dark(s, top_dn)).collect();
+    if !lit_darks.is_empty() {
+        return lit_darks;
+    }
     let mut findings = Vec::new();
     for s in levels.iter().filter(|s| s.role != Role::Dark) {
         let medians: Vec<f64> = s.frames.iter().map(|f| f.median).collect();
@@ -209,7 +254,8 @@ fn black(levels: &[StackLevels]) -> Vec<Finding> {
         if lowest < black - 6.0 * noise && lowest < 0.5 * black {
             let text = format!(
                 "{}: the middle level of a frame is {lowest:.1} DN, that of the darks {black:.1} DN: the dark frames \
-                 look subtracted already. Write raw frames, or leave out the darks and write none that were subtracted",
+                 look subtracted already, or the darks are no darks (flats or scenes in their place?). Write raw frames, \
+                 or leave out the darks and write none that were subtracted",
                 s.file
             );
             findings.push(Finding::new("black level", Severity::Error, text));

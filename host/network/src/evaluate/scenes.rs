@@ -112,11 +112,10 @@ mod tests {
         let session = || Session::open(&path).unwrap();
         let mut all = Scenes::of(&session(), None).unwrap();
         assert_eq!(all.count(), bed.scenes);
-        let table = path.join("scene.csv");
-        let text = std::fs::read_to_string(&table).unwrap();
-        let words = ["data", "whole", "damaged", "whole"];
-        let marked: String = text.lines().zip(words).map(|(line, word)| format!("{line},{word}\n")).collect();
-        std::fs::write(&table, marked).unwrap();
+        std::fs::write(path.join("scene.csv"), "exposure_ms,data\n10,whole\n10, Damaged\n10,whole\n").unwrap();
+        let manifest = std::fs::read_to_string(path.join("session.toml")).unwrap();
+        let named = manifest.replace("file = \"scene.npy\"", "file = \"scene.npy\"\ntable = \"scene.csv\"");
+        std::fs::write(path.join("session.toml"), named).unwrap();
         let mut whole = Scenes::of(&session(), None).unwrap();
         assert_eq!(whole.count(), bed.scenes - 1);
         assert_eq!(whole.case(1).unwrap().frame_dn, all.case(2).unwrap().frame_dn);

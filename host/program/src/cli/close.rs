@@ -1,6 +1,6 @@
 //! `close`: finds the effects that an instrument lacks and adds them.
 
-use super::common::yes_or_no;
+use super::common::{left_out, yes_or_no};
 use super::files::{Content, Files};
 use super::retrain::Networks;
 use super::{Outcome, Run};
@@ -8,6 +8,7 @@ use ommatidia_closing::{
     CloseOutcome, CloseRequest, Closing, Effect, FineTuning, JudgedOn, Plan, Progress, account_path, close_session,
 };
 use ommatidia_model::calibrate::CalibrateConfig;
+use ommatidia_session::Session;
 use ommatidia_session::kind::FileKind;
 
 use std::fmt::Write;
@@ -71,6 +72,7 @@ fn network_path(output: &Path) -> PathBuf {
 /// A file cannot be read or written, or session and instrument have different layouts.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let started = Instant::now();
+    let warnings = left_out(&Session::open(&args.session)?);
     let fine_tuning = args.retrain.as_deref();
     let request = CloseRequest {
         session: &args.session,
@@ -103,6 +105,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let closing = &closed.account.closing;
     let mut json = serde_json::to_value(closing)?;
     json["seconds"] = seconds.into();
+    json["warnings"] = warnings.into();
     json["account"] = account_file.display().to_string().into();
     Ok(Outcome { json, text: table(closing, &args.output, &account_file, seconds) })
 }

@@ -173,6 +173,11 @@ pub(super) fn any_session(path: &Path, seed: u64) -> anyhow::Result<Session> {
     Ok(session)
 }
 
+/// Warns of frames that are left out since the session marks them as damaged.
+pub(super) fn left_out(session: &Session) -> Vec<String> {
+    warn(session.stacks().iter().filter_map(|stack| stack.damaged_note("they are left out")))
+}
+
 /// Warns of scenes whose frames do not fit what is known of the sensor.
 ///
 /// # Errors

@@ -1,6 +1,6 @@
 //! `evaluate`: methods side by side on scenes of known truth.
 
-use super::common::odd_scenes;
+use super::common::{left_out, odd_scenes, warn};
 use super::files::{Content, Files};
 use super::{Outcome, Run};
 use anyhow::{Context, ensure};
@@ -58,6 +58,9 @@ pub(super) struct Entry {
     pub(super) from: EntrySource,
 }
 
+/// chi-squared per pixel from which on frames and truths disagree more than a calibration errs.
+const DISAGREES: f64 = 5.0;
+
 /// Source of an entry's reconstructions.
 pub(super) enum EntrySource {
     /// A method to run.
@@ -86,7 +89,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let manifest = session.manifest();
     let entries = entries(&args.with, &args.methods, &args.stacks, run, scenes.count())?;
     let ranges = args.with.iter().map(|path| frame_range(path)).collect::<anyhow::Result<Vec<_>>>()?;
-    let warnings = odd_scenes(&session, ranges.into_iter().flatten().next())?;
+    let mut warnings = odd_scenes(&session, ranges.into_iter().flatten().next())?;
+    warnings.extend(left_out(&session));
     let pictured = pictured(scenes.count(), args.pictures);
     let bar = run.progress((entries.len() * scenes.count()) as u64, "evaluate");
     let mut evaluation = Evaluation {
@@ -121,15 +125,33 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         evaluation.summary.methods.push(figures);
         evaluation.reconstructions.push(pictures);
     }
-    if let Some((figures, predicted)) = prediction(args, &mut scenes, &pictured)? {
-        (evaluation.summary.prediction, evaluation.predicted) = (Some(figures), Some(predicted));
+    let mut predictions = Vec::new();
+    for path in &args.with {
+        if is_instrument(path)? {
+            let most = if predictions.is_empty() { &pictured[..] } else { &[] };
+            let (figures, predicted) = prediction(path, &mut scenes, most)?;
+            evaluation.summary.prediction.get_or_insert_with(|| figures.clone());
+            evaluation.predicted.get_or_insert(predicted);
+            predictions.push((path.as_path(), figures));
+        }
     }
     bar.finish_and_clear();
+    warnings.extend(warn(predictions.iter().filter(|(_, p)| p.chi2_ndf > DISAGREES).map(|(path, p)| {
+        format!(
+            "{}: does not predict the frames from their truths (chi2/ndf {:.0}): either has changed, or records are \
+             wrong. `ommatidia residual {} --instrument {}` looks for exchanged, turned and displaced truths and wrong \
+             exposures",
+            path.display(),
+            p.chi2_ndf,
+            args.session.display(),
+            path.display()
+        )
+    })));
     evaluation.sort();
     if let Some(output) = &args.output {
         evaluation.write(output, provenance(args, run, &session)?)?;
     }
-    let mut outcome = outcome(args, &evaluation.summary);
+    let mut outcome = outcome(args, &evaluation.summary, &predictions);
     outcome.json["warnings"] = serde_json::json!(warnings);
     Ok(outcome)
 }
@@ -193,42 +215,30 @@ fn pictured(count: usize, most: usize) -> Vec<usize> {
     (0..n).map(|i| i * count / n).collect()
 }
 
-/// Figures of the first instrument's prediction of the scenes, and the predictions of the pictured ones.
-fn prediction(
-    args: &Args,
-    scenes: &mut Scenes,
-    pictured: &[usize],
-) -> anyhow::Result<Option<(PredictionFigures, Predicted)>> {
-    for path in &args.with {
-        if is_instrument(path)? {
-            let instrument = Instrument::read(path)?;
-            let depth = instrument.psf.depth_nearest(0.0);
-            let forward = Forward::with_config(&instrument, OperatorConfig::exact(depth))?;
-            let count = scenes.count();
-            let noise = forward.noise_with(forward.effects());
-            let sensor = SensorNoise {
-                noise: &noise,
-                offset_dn: instrument.offset_dn.as_ref(),
-                reading_dn2: forward.reading_dn2(),
-            };
-            let figures = prediction_figures(count, sensor, |i, light| scenes.comparison(i, &forward, light));
-            let figures = figures.with_context(|| path.display().to_string())?;
-            let size = (pictured.len(), instrument.manifest.sensor.rows, instrument.manifest.sensor.cols);
-            let mut predicted = Predicted { frames_dn: Array3::zeros(size), residual_sigma: Array3::zeros(size) };
-            for (p, i) in pictured.iter().enumerate() {
-                let mut frames = scenes.comparison(*i, &forward, figures.scale)?;
-                if let Some(b) = figures.background.filter(|b| b.added) {
-                    let plane_dn = b.mean_e.map(|e| e * noise.gain_dn_per_e);
-                    add_background(&mut frames.predicted, &plane_dn, noise.saturation_dn);
-                }
-                let residual = in_sigmas(frames.measured.view(), frames.predicted.view(), sensor)?;
-                predicted.residual_sigma.index_axis_mut(Axis(0), p).assign(&residual);
-                predicted.frames_dn.index_axis_mut(Axis(0), p).assign(&frames.predicted);
-            }
-            return Ok(Some((figures, predicted)));
+/// Figures of an instrument's prediction of the scenes, and the predictions of the pictured ones.
+fn prediction(path: &Path, scenes: &mut Scenes, pictured: &[usize]) -> anyhow::Result<(PredictionFigures, Predicted)> {
+    let instrument = Instrument::read(path)?;
+    let depth = instrument.psf.depth_nearest(0.0);
+    let forward = Forward::with_config(&instrument, OperatorConfig::exact(depth))?;
+    let count = scenes.count();
+    let noise = forward.noise_with(forward.effects());
+    let sensor =
+        SensorNoise { noise: &noise, offset_dn: instrument.offset_dn.as_ref(), reading_dn2: forward.reading_dn2() };
+    let figures = prediction_figures(count, sensor, |i, light| scenes.comparison(i, &forward, light));
+    let figures = figures.with_context(|| path.display().to_string())?;
+    let size = (pictured.len(), instrument.manifest.sensor.rows, instrument.manifest.sensor.cols);
+    let mut predicted = Predicted { frames_dn: Array3::zeros(size), residual_sigma: Array3::zeros(size) };
+    for (p, i) in pictured.iter().enumerate() {
+        let mut frames = scenes.comparison(*i, &forward, figures.scale)?;
+        if let Some(b) = figures.background.filter(|b| b.added) {
+            let plane_dn = b.mean_e.map(|e| e * noise.gain_dn_per_e);
+            add_background(&mut frames.predicted, &plane_dn, noise.saturation_dn);
         }
+        let residual = in_sigmas(frames.measured.view(), frames.predicted.view(), sensor)?;
+        predicted.residual_sigma.index_axis_mut(Axis(0), p).assign(&residual);
+        predicted.frames_dn.index_axis_mut(Axis(0), p).assign(&frames.predicted);
     }
-    Ok(None)
+    Ok((figures, predicted))
 }
 
 fn provenance(args: &Args, run: &Run, session: &Session) -> anyhow::Result<Provenance> {
@@ -240,26 +250,32 @@ fn provenance(args: &Args, run: &Run, session: &Session) -> anyhow::Result<Prove
     Ok(provenance)
 }
 
-fn outcome(args: &Args, summary: &Summary) -> Outcome {
+fn outcome(args: &Args, summary: &Summary, predictions: &[(&Path, PredictionFigures)]) -> Outcome {
     let methods: serde_json::Map<String, serde_json::Value> =
         summary.methods.iter().map(|m| (m.name.clone(), serde_json::to_value(m).unwrap_or_default())).collect();
     let json = serde_json::json!({
         "session": summary.session, "frames": summary.frames, "methods": methods,
         "prediction": summary.prediction, "evaluation": args.output,
+        "predictions": predictions.iter().map(|(path, figures)| {
+            serde_json::json!({ "instrument": path, "figures": figures })
+        }).collect::<Vec<_>>(),
     });
     let mut text = table(&summary.methods);
-    if let Some(p) = &summary.prediction {
+    for (path, p) in predictions {
+        let by = if predictions.len() > 1 { format!(" by {}", path.display()) } else { String::new() };
         // Writing to a string cannot fail.
         let _ = writeln!(
             text,
-            "\npredicted frames: NRMSE {:.2} %, PCC {:.5}, chi2/ndf {:.3} over {} lit pixels (scale {:.4})",
+            "\npredicted frames{by}: NRMSE {:.2} %, PCC {:.5}, chi2/ndf {:.3} over {} lit pixels (scale {:.4})",
             100.0 * p.nrmse,
             p.pcc,
             p.chi2_ndf,
             p.lit_pixels,
             p.scale
         );
-        text.push_str(&p.background.map_or_else(String::new, |b| background_line(&b)));
+        // A background says nothing where frames and truths disagree.
+        let background = p.background.filter(|_| p.chi2_ndf <= DISAGREES);
+        text.push_str(&background.map_or_else(String::new, |b| background_line(&b)));
     }
     if let Some(output) = &args.output {
         let _ = writeln!(text, "evaluation: {}", output.display());

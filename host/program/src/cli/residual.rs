@@ -1,7 +1,7 @@
 //! `residual`: measured minus predicted, and what it depends on.
 
 use super::close::{figure, judged_on};
-use super::common::odd_scenes;
+use super::common::{left_out, odd_scenes};
 use super::files::{Content, Files};
 use super::{Outcome, Run};
 use ommatidia_closing::{ResidualOutcome, ResidualRequest, residual_session};
@@ -42,7 +42,9 @@ impl Args {
 /// # Errors
 /// A file cannot be read or written, or session and instrument have different layouts.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
-    let warnings = odd_scenes(&Session::open(&args.session)?, frame_range(&args.instrument)?)?;
+    let session = Session::open(&args.session)?;
+    let mut warnings = odd_scenes(&session, frame_range(&args.instrument)?)?;
+    warnings.extend(left_out(&session));
     let request = ResidualRequest { session: &args.session, instrument: &args.instrument, seed: run.seed };
     let ResidualOutcome { account, provenance } = residual_session(&request)?;
     if let Some(output) = &args.output {

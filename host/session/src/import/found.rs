@@ -90,6 +90,19 @@ pub struct Torn {
     pub empty: bool,
 }
 
+/// Numbers that are missing between those of files of one frame each, at most a thousand: where most follow each other
+/// at one step, which may be more than 1.
+fn between(numbers: &[u64]) -> Vec<u64> {
+    let steps: Vec<u64> = numbers.windows(2).filter_map(|w| w[1].checked_sub(w[0])).collect();
+    let Some(step) = steps.iter().copied().min().filter(|step| *step > 0) else { return Vec::new() };
+    let regular = steps.iter().filter(|s| **s == step).count();
+    if steps.len() + 1 < numbers.len() || 2 * regular <= steps.len() {
+        return Vec::new();
+    }
+    let missing = numbers.windows(2).flat_map(|w| (w[0] + step..w[1]).step_by(step as usize));
+    missing.take(1000).collect()
+}
+
 impl Found {
     pub(super) fn new(source: &Source, entry: StackEntry, recording: &Opened, survey: &Survey) -> Self {
         let (frames, parts) = (&recording.frames, recording.frames.parts());
@@ -123,7 +136,11 @@ impl Found {
             before += part.frames;
         }
         let last = numbers.last().map(|last| times.last_file.map_or(*last, |of_table| of_table.max(*last)));
-        let missing_files = last.map_or(Vec::new(), |last| (first..=last).filter(present).take(1000).collect());
+        let mut missing_files: Vec<u64> =
+            last.map_or(Vec::new(), |last| (first..=last).filter(present).take(1000).collect());
+        if !filled {
+            missing_files = between(&parts.iter().map_while(|p| p.number).collect::<Vec<u64>>());
+        }
         let mut short: Vec<_> = short.map(|p| (name(&p.path), p.listed, full)).collect();
         if let Some((part, frames)) = parts.last().filter(|_| filled).zip(times.last_should_have) {
             short.push((name(&part.path), part.listed, frames));
@@ -293,4 +310,19 @@ fn list<T: ToString>(values: &[T]) -> String {
     let first: Vec<String> = values.iter().take(LINES).map(ToString::to_string).collect();
     let rest = if values.len() > LINES { ", ..." } else { "" };
     format!("{}{rest}", first.join(", "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::between;
+
+    #[test]
+    fn numbers_that_are_missing_are_those_between_regular_ones() {
+        assert_eq!(between(&[0, 1, 2, 5, 6, 7]), [3, 4]);
+        assert_eq!(between(&[0, 10, 20, 40]), [30]);
+        assert!(between(&[3, 4, 5]).is_empty() && between(&[7]).is_empty() && between(&[]).is_empty());
+        // Numbers that mean something else: positions of beads, or the same number in each name.
+        assert!(between(&[0, 7, 9, 30]).is_empty() && between(&[1, 1, 2, 3]).is_empty());
+        assert!(between(&[0, 20, 40, 0, 20, 40]).is_empty());
+    }
 }

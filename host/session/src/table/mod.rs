@@ -56,9 +56,16 @@ impl FrameInfo {
     }
 
     /// Whether the table says that the data of the frame are damaged: `damaged` in its column `data`, which `import`
-    /// writes. Its pixels show something that was never measured.
+    /// writes, in small letters or capitals. Its pixels show something that was never measured.
     pub fn is_damaged(&self) -> bool {
-        self.other.get("data").is_some_and(|data| data == "damaged")
+        self.other.get("data").is_some_and(|data| data.trim().eq_ignore_ascii_case("damaged"))
+    }
+
+    /// What its column `data` says, where that is neither `whole` nor `damaged` and so says nothing.
+    pub fn unknown_data(&self) -> Option<&str> {
+        let data = self.other.get("data")?.trim();
+        let known = data.is_empty() || data.eq_ignore_ascii_case("whole") || self.is_damaged();
+        (!known).then_some(data)
     }
 
     /// These frames of one stack, in order, with the directions of travel that their positions say.

@@ -42,6 +42,9 @@ pub(super) struct LocalTerms {
     len: usize,
 }
 
+/// Computes the light of a block, counted in its group, behind a living lens.
+type Part<'a> = dyn Fn(&mut Work, [usize; 2], &mut Array2<f32>) + Sync + 'a;
+
 impl LocalTerms {
     /// Bytes of the spectra of so many terms of so many lenses.
     pub fn bytes(transform: [usize; 2], lenses: usize, terms: usize) -> usize {
@@ -72,7 +75,7 @@ impl LocalTerms {
         let lit: Vec<usize> = (0..blocks.len()).filter(shows).collect();
         let (sparse, dense): (Vec<usize>, Vec<usize>) = lit.into_iter().partition(|b| products.is_sparse(of(*b)));
         let (mut space, mut parts) = (Space::default(), Vec::new());
-        let mut add = |group: &[usize], part: &(dyn Fn(&mut Work, [usize; 2], &mut Array2<f32>) + Sync)| {
+        let mut add = |group: &[usize], part: &Part<'_>| {
             let tasks = self.each_lens(group);
             parts.resize_with(tasks.len().max(parts.len()), || Array2::zeros((0, 0)));
             let task = |w: &mut Work, (at, to): (&[usize; 2], &mut Array2<f32>)| {
