@@ -56,8 +56,10 @@ pub fn residual<'py>(
         let _scratch = scratch;
         let range = frame_range(&file)?;
         let warnings = range.map(|range| odd_scenes(&Session::open(&session)?, range)).transpose()?;
+        let mut warnings = warnings.unwrap_or_default();
+        warnings.extend(left_out(&session)?);
         let request = ResidualRequest { session: &session, instrument: &file, seed };
-        Ok((residual_session(&request)?.account, warnings.unwrap_or_default()))
+        Ok((residual_session(&request)?.account, warnings))
     })?;
     let mut figures = account.closing.residual_figures();
     figures["warnings"] = warnings.into();
@@ -74,6 +76,12 @@ pub fn residual<'py>(
         result.set_item("maps", arrays)?;
     }
     Ok(result)
+}
+
+/// Frames that are left out since the session marks them as damaged, as the program words it.
+fn left_out(session: &Path) -> anyhow::Result<Vec<String>> {
+    let session = Session::open(session)?;
+    Ok(session.stacks().iter().filter_map(|stack| stack.damaged_note("they are left out")).collect())
 }
 
 /// Finds what an instrument lacks, writes the closed instrument and the account beside it, and gives what
@@ -102,8 +110,9 @@ pub fn close<'py>(
     let locks = files.hold(force).map_err(raised)?;
     // The work writes here; what was stopped never reaches the output.
     let made = temporary_folder_beside(&output).map_err(raised)?;
-    let (closing, made) = work::long(py, progress, move |steps| {
+    let (closing, warnings, made) = work::long(py, progress, move |steps| {
         let _scratch = scratch;
+        let warnings = left_out(&session)?;
         let request = CloseRequest {
             session: &session,
             instrument: &file,
@@ -120,7 +129,7 @@ pub fn close<'py>(
                 steps.at(name, step, None);
             }
         })?;
-        Ok((outcome.closed.account.closing, made))
+        Ok((outcome.closed.account.closing, warnings, made))
     })?;
     let account = account_path(&output);
     for (name, to) in [("closed.instrument", &output), ("closed.closing", &account)] {
@@ -130,6 +139,7 @@ pub fn close<'py>(
     drop(locks);
     let mut json = serde_json::to_value(&closing).map_err(raised)?;
     json["seconds"] = started.elapsed().as_secs_f64().into();
+    json["warnings"] = warnings.into();
     json["account"] = account.display().to_string().into();
     json::object(py, &json)
 }
