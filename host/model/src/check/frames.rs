@@ -200,9 +200,9 @@ fn codes(s: &StackLevels, session: &Session) -> Vec<Finding> {
     Vec::new()
 }
 
-/// Range of the middle levels of darks of one exposure from which on they hold light: relative to their level, and to
-/// full scale.
-const LIT: [f64; 2] = [0.2, 0.005];
+/// Range of the middle levels of darks of one exposure from which on they hold light: relative to their level, to full
+/// scale, and in DN, since the levels of 8-bit cameras are a few whole numbers.
+const LIT: [f64; 3] = [0.2, 0.005, 8.0];
 
 /// Darks of one exposure that differ much from each other.
 fn lit_dark(s: &StackLevels, top_dn: f64) -> Option<Finding> {
@@ -213,10 +213,10 @@ fn lit_dark(s: &StackLevels, top_dn: f64) -> Option<Finding> {
     };
     let ranges = s.frames.iter().map(|f| range(f.dose[0]));
     let [low, high] = ranges.max_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0])))?;
-    (high - low > (LIT[0] * low.abs()).max(LIT[1] * top_dn)).then(|| {
+    (high - low > (LIT[0] * low.abs()).max(LIT[1] * top_dn).max(LIT[2])).then(|| {
         let text = format!(
-            "{}: the middle levels of darks of one exposure reach from {low:.1} to {high:.1} DN: light fell on them. \
-             Are they flats or scenes? If no darks were taken, leave them out of session.toml",
+            "{}: the middle levels of darks of one exposure reach from {low:.1} to {high:.1} DN: light fell on them \
+             (are they flats or scenes?), or the sensor warmed up. Measure them again, or leave them out of session.toml",
             s.file
         );
         Finding::new("black level", Severity::Error, text)

@@ -53,6 +53,13 @@ impl Scenes {
         self.index.len()
     }
 
+    /// The place of each scene among all scene frames with a truth, those that are left out counted: reconstructions of
+    /// all frames have one at each place.
+    pub fn places(&self) -> Vec<usize> {
+        let before = |s: usize| self.stacks[..s].iter().map(|k| k.frames.len()).sum::<usize>();
+        self.index.iter().map(|(s, frame)| before(*s) + frame).collect()
+    }
+
     /// Depth of the object in scene `i`, um.
     pub fn z_um(&self, i: usize) -> f64 {
         let (s, frame) = self.index[i];
@@ -117,7 +124,7 @@ mod tests {
         let named = manifest.replace("file = \"scene.npy\"", "file = \"scene.npy\"\ntable = \"scene.csv\"");
         std::fs::write(path.join("session.toml"), named).unwrap();
         let mut whole = Scenes::of(&session(), None).unwrap();
-        assert_eq!(whole.count(), bed.scenes - 1);
+        assert_eq!((whole.count(), whole.places(), all.places()), (2, vec![0, 2], vec![0, 1, 2]));
         assert_eq!(whole.case(1).unwrap().frame_dn, all.case(2).unwrap().frame_dn);
         assert_eq!(Scenes::of(&session(), Some(1)).unwrap().count(), 1);
     }

@@ -114,7 +114,7 @@ fn fight(args: &Args, run: &Run) -> anyhow::Result<Arena> {
     if let Some(peak) = args.peaks.iter().find(|peak| **peak > full) {
         anyhow::bail!("--peaks: expected at most {full:.0} e-, the full scale of the virtual instrument, found {peak}");
     }
-    let entries = entries(&args.with, &args.methods, &[], run, 0)?;
+    let entries = entries(&args.with, &args.methods, &[], run, &[])?;
     let (kinds, conditions) = (args.kinds()?, args.conditions()?);
     let mut arena = Arena::default();
     for entry in &entries {

@@ -87,7 +87,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let session = Session::open(&args.session)?;
     let mut scenes = Scenes::of(&session, args.frames.map(|n| n as usize))?;
     let manifest = session.manifest();
-    let entries = entries(&args.with, &args.methods, &args.stacks, run, scenes.count())?;
+    let entries = entries(&args.with, &args.methods, &args.stacks, run, &scenes.places())?;
     let ranges = args.with.iter().map(|path| frame_range(path)).collect::<anyhow::Result<Vec<_>>>()?;
     let mut warnings = odd_scenes(&session, ranges.into_iter().flatten().next())?;
     warnings.extend(left_out(&session));
@@ -156,14 +156,16 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     Ok(outcome)
 }
 
-/// The entries to judge: networks, methods made from instruments, stacks.
+/// The entries to judge: networks, methods made from instruments, stacks. Stacks hold reconstructions of all scene
+/// frames; `places` says which of them are judged.
 pub(super) fn entries(
     with: &[PathBuf],
     methods: &[MethodKind],
     stacks: &[(String, PathBuf)],
     run: &Run,
-    frames: usize,
+    places: &[usize],
 ) -> anyhow::Result<Vec<Entry>> {
+    let frames = places.iter().map(|place| place + 1).max().unwrap_or(0);
     let mut entries: Vec<Entry> = Vec::new();
     for path in with {
         let instrument = is_instrument(path)?;
@@ -181,7 +183,11 @@ pub(super) fn entries(
             "{}: expected {frames} objects, one for each scene frame, found {found}",
             path.display()
         );
-        entries.push(Entry { name: name.clone(), source: path.clone(), from: EntrySource::Stack(objects) });
+        entries.push(Entry {
+            name: name.clone(),
+            source: path.clone(),
+            from: EntrySource::Stack(objects.select(Axis(0), places)),
+        });
     }
     ensure!(
         !entries.is_empty(),

@@ -47,7 +47,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let session = Session::open(&args.session)?;
     let mut scenes = Scenes::of(&session, None)?;
     let grid = session.manifest().object;
-    let entries = entries(&args.with, &args.methods, &[], run, scenes.count())?;
+    let entries = entries(&args.with, &args.methods, &[], run, &[])?;
     let named = || args.session.display().to_string();
     let targets = frames(&grid);
     ensure!(
