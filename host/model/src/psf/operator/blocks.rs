@@ -9,9 +9,10 @@
 //! for all of them. The sums over terms and functions run column by column of the spectra ([`super::mix`]).
 
 use super::image::Span;
-use super::local::{Functions, Terms};
+use super::local::Functions;
 use super::mix::{pack, padded, panels_len, unpack};
 use super::products::{Products, Work};
+use super::terms::Lens;
 use super::tiling::Block;
 use ndarray::{Array2, ArrayView2, Axis, s};
 use rayon::prelude::*;
@@ -20,20 +21,10 @@ use rustfft::num_complex::Complex32;
 /// The spectra of blocks that go through together take up to this many bytes, or those of one block.
 const MOST_GROUP_BYTES: usize = 256 << 20;
 
-/// The terms of one living lens.
-#[derive(Clone, Debug)]
-pub(super) struct LocalLens {
-    /// Index of the lens.
-    pub lens: usize,
-    /// Sensor pixel of object pixel (0, 0).
-    pub corner: [isize; 2],
-    pub terms: Terms,
-}
-
 /// The terms of all living lenses, and the functions of all blocks.
 #[derive(Clone, Debug)]
 pub(super) struct LocalTerms {
-    pub lenses: Vec<LocalLens>,
+    pub lenses: Vec<Lens>,
     /// Functions of each block.
     pub functions: Vec<Functions>,
     /// Spectra of the basis PSFs in panels: [column, lens, panel, term, 2, PANEL].
@@ -51,7 +42,7 @@ impl LocalTerms {
         (transform[1] / 2 + 1) * lenses * panels_len(transform[0], padded(terms)) * size_of::<f32>()
     }
 
-    pub fn new(products: &Products, lenses: Vec<LocalLens>, functions: Vec<Functions>) -> Self {
+    pub fn new(products: &Products, lenses: Vec<Lens>, functions: Vec<Functions>) -> Self {
         let [rows, n] = [products.fft.shape()[0], products.fft.spectrum_len()];
         let terms = lenses.first().map_or(0, |of| of.terms.count());
         let len = panels_len(rows, padded(terms));

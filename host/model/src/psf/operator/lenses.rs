@@ -1,8 +1,8 @@
 //! The image of an object through all lenses, and its transpose, with the terms of each lens over the whole object.
 
 use super::image::{LensImage, Span};
-use super::local::Terms;
 use super::products::{BlockTerms, Products, Work};
+use super::terms::Lens;
 use super::tiling::Block;
 use ndarray::{Array2, ArrayView2, s};
 use rayon::prelude::*;
@@ -15,11 +15,7 @@ const MOST_GROUP_BYTES: usize = 4 << 20;
 /// The terms of one living lens.
 #[derive(Clone, Debug)]
 pub(super) struct LensTerms {
-    /// Index of the lens.
-    pub lens: usize,
-    /// Sensor pixel of object pixel (0, 0).
-    pub corner: [isize; 2],
-    pub terms: Terms,
+    pub lens: Lens,
     /// Spectra of the basis PSFs, [k, spectrum]. None: they are computed at each application.
     pub spectra: Option<Vec<Complex32>>,
 }
@@ -28,12 +24,12 @@ impl LensTerms {
     fn spectra(&self, products: &Products) -> Cow<'_, [Complex32]> {
         match &self.spectra {
             Some(kept) => Cow::Borrowed(kept),
-            None => Cow::Owned(products.spectra(self.terms.kernels.view())),
+            None => Cow::Owned(products.spectra(self.lens.terms.kernels.view())),
         }
     }
 
     fn block<'a>(&'a self, spectra: &'a [Complex32]) -> BlockTerms<'a> {
-        BlockTerms { corner: self.corner, terms: &self.terms, spectra }
+        BlockTerms { lens: &self.lens, spectra }
     }
 
     fn image(&self, products: &Products, blocks: &[Block], object: ArrayView2<'_, f32>) -> LensImage {
@@ -44,7 +40,7 @@ impl LensTerms {
         for (block, part) in blocks.iter().zip(parts) {
             products.add(&part, block, &mut light);
         }
-        products.placed(self.corner, light)
+        products.placed(self.lens.corner, light)
     }
 }
 
@@ -57,7 +53,8 @@ pub(super) fn each_image(
 ) {
     let (rows, cols) = products.image_shape(object.dim());
     for group in groups(lenses, rows * cols * size_of::<f32>()) {
-        let images: Vec<_> = lenses[group].par_iter().map(|of| (of.lens, of.image(products, blocks, object))).collect();
+        let images: Vec<_> =
+            lenses[group].par_iter().map(|of| (of.lens.index, of.image(products, blocks, object))).collect();
         images.into_iter().for_each(|(l, image)| take(l, image));
     }
 }

@@ -21,6 +21,7 @@
 
 use super::image::Span;
 use super::mix::Weights;
+use super::terms::{Lens, Terms};
 use super::tiling::Tiling;
 use crate::psf::nodes::Taps;
 use ndarray::{Array, Array2, Array3, ArrayView1, s};
@@ -30,15 +31,6 @@ use rayon::prelude::*;
 /// Share of the largest eigenvalue of a matrix of products below which an eigenvalue counts as zero.
 const NOTHING: f64 = 1e-13;
 
-/// Terms of one lens.
-#[derive(Clone, Debug)]
-pub(super) struct Terms {
-    /// Basis PSFs, [k, window, window].
-    pub kernels: Array3<f32>,
-    /// Coefficients at the nodes, [k, node row, node col], DN for a unit source.
-    pub coefficients: Array3<f32>,
-}
-
 /// The functions that the lenses share in one block.
 #[derive(Clone, Debug)]
 pub(super) struct Functions {
@@ -46,13 +38,6 @@ pub(super) struct Functions {
     pub nodes: Array3<f32>,
     /// The coefficients of each living lens, DN for a unit source.
     pub weights: Vec<Weights>,
-}
-
-impl Terms {
-    /// The number of terms.
-    pub fn count(&self) -> usize {
-        self.kernels.dim().0
-    }
 }
 
 impl Functions {
@@ -77,14 +62,14 @@ pub(super) struct Interpolation<'a> {
 /// # Errors
 /// A basis PSF or a coefficient is not finite.
 pub(super) fn decompose(
-    lenses: &[&Terms],
+    lenses: &[Lens],
     at: Interpolation<'_>,
     (coarse, candidates): (Tiling, Vec<Tiling>),
     error: f64,
 ) -> Result<Option<(Tiling, Vec<Functions>)>, NotConverged> {
     let Some(first) = lenses.first() else { return Ok(None) };
-    let (terms, window) = (first.count(), first.kernels.dim().1);
-    let metrics: Vec<Metric> = lenses.par_iter().map(|l| Metric::of(l)).collect::<Result<_, _>>()?;
+    let (terms, window) = (first.terms.count(), first.terms.kernels.dim().1);
+    let metrics: Vec<Metric> = lenses.par_iter().map(|l| Metric::of(&l.terms)).collect::<Result<_, _>>()?;
     let mut least = coarse.cost_of_terms(window, lenses.len(), terms);
     let mut best = None;
     for tiling in candidates {

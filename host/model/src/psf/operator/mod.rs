@@ -21,6 +21,7 @@ mod local;
 mod mix;
 mod plan;
 mod products;
+mod terms;
 mod tiling;
 
 pub use config::{CalibratedOptics, OperatorConfig};

@@ -1,12 +1,13 @@
 //! The planned operator: which terms each lens has in each block, and how lenses and blocks are shared out.
 
-use super::blocks::{LocalLens, LocalTerms};
+use super::blocks::LocalTerms;
 use super::config::{CalibratedOptics, OperatorConfig, check};
 use super::error::OperatorError;
 use super::image::LensImage;
 use super::lenses::{LensTerms, adjoint, each_image};
-use super::local::{Functions, Interpolation, Terms, decompose};
+use super::local::{Functions, Interpolation, decompose};
 use super::products::Products;
+use super::terms::{Lens, Terms};
 use super::tiling::{Block, Tiling};
 use crate::psf::chief_rays::ChiefRays;
 use crate::psf::nodes::{TapRow, Taps};
@@ -58,29 +59,37 @@ impl LowRankOperator {
         // A kernel that moves by a fraction of a pixel spreads a little: keep its tails.
         let margin = if sub_pixel { 4 } else { 0 };
         let window = psf.basis.dim().2 + 2 * margin;
-        let terms_of = |(l, shift): (usize, &[f64; 2])| {
-            (!rays.dead[l]).then(|| Terms {
-                kernels: shifted_windows(psf.basis.index_axis(Axis(0), l), shift.map(|d| d - d.round()), margin),
-                coefficients: psf.coefficients.slice(s![l, .., config.depth, .., ..]).to_owned(),
+        let lens_of = |(index, shift): (usize, &[f64; 2])| {
+            (!rays.dead[index]).then(|| Lens {
+                index,
+                corner: [0, 1].map(|a| {
+                    (calibrated.anchors_px[index][a] - centre[a]).round() as isize + shift[a].round() as isize
+                }),
+                terms: Terms {
+                    kernels: shifted_windows(
+                        psf.basis.index_axis(Axis(0), index),
+                        shift.map(|d| d - d.round()),
+                        margin,
+                    ),
+                    coefficients: psf.coefficients.slice(s![index, .., config.depth, .., ..]).to_owned(),
+                },
             })
         };
-        let all: Vec<Option<Terms>> = moves.par_iter().enumerate().map(terms_of).collect();
+        let lenses: Vec<Lens> = moves.par_iter().enumerate().filter_map(lens_of).collect();
         let row_taps = Taps::for_pixels(&psf.node_rows_px, object[0]);
         let coarse = Tiling::coarse(object, window, config.max_transform_px);
         let [rows, cols] = coarse.transform;
         let bytes = moves.len() * psf.basis.dim().1 * rows * (cols / 2 + 1) * size_of::<Complex32>();
         let kept = bytes <= config.most_spectra_bytes;
-        let col_taps = Taps::for_pixels(&psf.node_cols_px, object[1]);
-        let alive: Vec<&Terms> = all.iter().flatten().collect();
-        let fits = |t: &Tiling| LocalTerms::bytes(t.transform, alive.len(), psf.basis.dim().1) <= MOST_LOCAL_BYTES;
-        let mut candidates = Tiling::candidates(object, window, config.max_transform_px);
-        candidates.retain(fits);
         let local = if kept || config.most_error <= 0.0 {
             None
         } else {
-            let at = Interpolation { rows: &row_taps, cols: &col_taps };
+            let fits = |t: &Tiling| LocalTerms::bytes(t.transform, lenses.len(), psf.basis.dim().1) <= MOST_LOCAL_BYTES;
+            let mut candidates = Tiling::candidates(object, window, config.max_transform_px);
+            candidates.retain(fits);
+            let at = Interpolation { rows: &row_taps, cols: &Taps::for_pixels(&psf.node_cols_px, object[1]) };
             // What is not finite has no functions, and is found where the operator is used.
-            decompose(&alive, at, (coarse, candidates), config.most_error).unwrap_or(None)
+            decompose(&lenses, at, (coarse, candidates), config.most_error).unwrap_or(None)
         };
         let (tiling, local) = local.map_or((coarse, None), |(tiling, functions)| (tiling, Some(functions)));
         let products = Products {
@@ -90,21 +99,14 @@ impl LowRankOperator {
             row_taps,
             col_taps: TapRow::for_pixels(&psf.node_cols_px, object[1]),
         };
-        let corner = |l: usize| {
-            [0, 1].map(|a| (calibrated.anchors_px[l][a] - centre[a]).round() as isize + moves[l][a].round() as isize)
-        };
-        let alive = all.into_iter().enumerate().filter_map(|(l, terms)| terms.map(|t| (l, t)));
         let held = match local {
-            Some(functions) => {
-                let lenses = alive.map(|(lens, terms)| LocalLens { lens, corner: corner(lens), terms }).collect();
-                Held::Local(LocalTerms::new(&products, lenses, functions))
-            }
+            Some(functions) => Held::Local(LocalTerms::new(&products, lenses, functions)),
             None => {
-                let plan = |(lens, terms): (usize, Terms)| {
-                    let spectra = kept.then(|| products.spectra(terms.kernels.view()));
-                    LensTerms { lens, corner: corner(lens), terms, spectra }
+                let plan = |lens: Lens| {
+                    let spectra = kept.then(|| products.spectra(lens.terms.kernels.view()));
+                    LensTerms { lens, spectra }
                 };
-                Held::EachLens(alive.collect::<Vec<_>>().into_par_iter().map(plan).collect())
+                Held::EachLens(lenses.into_par_iter().map(plan).collect())
             }
         };
         Ok(Self { object, tiling, products, lenses: moves.len(), held })
@@ -128,9 +130,10 @@ impl LowRankOperator {
     /// Sensor pixel of object pixel (0, 0) behind each lens; None: dead.
     pub fn corners(&self) -> Vec<Option<[isize; 2]>> {
         let mut corners = vec![None; self.lenses];
+        let mut set = |lens: &Lens| corners[lens.index] = Some(lens.corner);
         match &self.held {
-            Held::EachLens(lenses) => lenses.iter().for_each(|of| corners[of.lens] = Some(of.corner)),
-            Held::Local(local) => local.lenses.iter().for_each(|of| corners[of.lens] = Some(of.corner)),
+            Held::EachLens(lenses) => lenses.iter().for_each(|of| set(&of.lens)),
+            Held::Local(local) => local.lenses.iter().for_each(set),
         }
         corners
     }
@@ -140,7 +143,7 @@ impl LowRankOperator {
     pub fn cost(&self) -> ([usize; 2], Vec<usize>) {
         let transforms = match &self.held {
             Held::EachLens(lenses) => {
-                vec![lenses.iter().map(|of| of.terms.count()).sum(); self.tiling.blocks().count()]
+                vec![lenses.iter().map(|of| of.lens.terms.count()).sum(); self.tiling.blocks().count()]
             }
             Held::Local(local) => local.functions.iter().map(Functions::count).collect(),
         };
@@ -175,7 +178,7 @@ impl LowRankOperator {
             Held::Local(local) => {
                 let images = local.images(&self.products, &blocks, object);
                 for (of, light) in local.lenses.iter().zip(images) {
-                    take(of.lens, self.products.placed(of.corner, light));
+                    take(of.index, self.products.placed(of.corner, light));
                 }
             }
         }

@@ -2,7 +2,7 @@
 //! sources in the dark cost less as a sum of their PSFs.
 
 use super::image::{LensImage, Span, overlap};
-use super::local::Terms;
+use super::terms::{Lens, Terms};
 use super::tiling::Block;
 use crate::psf::nodes::{TapRow, Taps};
 use ndarray::{Array2, ArrayView2, ArrayView3, ArrayViewMut2, Axis, s};
@@ -26,9 +26,7 @@ pub(super) struct Products {
 /// The terms of one lens in one block.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct BlockTerms<'a> {
-    /// Sensor pixel of object pixel (0, 0).
-    pub corner: [isize; 2],
-    pub terms: &'a Terms,
+    pub lens: &'a Lens,
     /// Spectra of the basis PSFs, [k, spectrum], scaled by 1 / (rows * cols) of the transform.
     pub spectra: &'a [Complex32],
 }
@@ -112,13 +110,13 @@ impl Products {
         let object = object.slice(s![r.clone(), c.clone()]);
         let mut light = Array2::zeros(self.image_shape(object.dim()));
         if self.is_sparse(object) {
-            self.sum_of_psfs(of.terms, block, object, &mut light, w);
+            self.sum_of_psfs(&of.lens.terms, block, object, &mut light, w);
             return light;
         }
         let rows = self.fft.shape()[0];
         let Work { scratch, spectrum: sum, map } = w;
         sum.fill(Complex32::default());
-        for (k, nodes) in of.terms.coefficients.outer_iter().enumerate() {
+        for (k, nodes) in of.lens.terms.coefficients.outer_iter().enumerate() {
             let basis = self.of_term(of, k);
             let add = |column: usize, values: &[Complex32]| {
                 let here = column * rows..(column + 1) * rows;
@@ -202,11 +200,11 @@ impl Products {
         let keep = |column: usize, values: &[Complex32]| {
             spectrum[column * rows..(column + 1) * rows].copy_from_slice(values);
         };
-        if !self.seen(of.corner, block, frame, keep, scratch) {
+        if !self.seen(of.lens.corner, block, frame, keep, scratch) {
             return None;
         }
         let mut object = Array2::zeros((r.len(), c.len()));
-        for (k, nodes) in of.terms.coefficients.outer_iter().enumerate() {
+        for (k, nodes) in of.lens.terms.coefficients.outer_iter().enumerate() {
             let basis = self.of_term(of, k);
             let correlated = |column: usize, to: &mut [Complex32]| {
                 let here = column * rows..(column + 1) * rows;
