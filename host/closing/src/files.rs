@@ -5,6 +5,7 @@ use super::close::{check_layout, close, residual};
 use super::data::{Budget, Observations};
 use super::options::{CalibratedOn, CloseOptions};
 use super::search::trial_calibration;
+use super::sensor::complete_sensor;
 use anyhow::Context;
 use ommatidia_model::calibrate::CalibrateConfig;
 use ommatidia_model::instrument::Instrument;
@@ -73,8 +74,9 @@ pub fn close_session(
     request: &CloseRequest<'_>,
     progress: &mut dyn FnMut(Progress<'_>),
 ) -> anyhow::Result<CloseOutcome> {
-    let (session, instrument) = read(request.session, request.instrument)?;
+    let (session, mut instrument) = read(request.session, request.instrument)?;
     let mut seen = Observations::read(&session, &Budget::default())?;
+    let completed = complete_sensor(&mut instrument, &session, &seen);
     let calibrated_on = calibrated_on(&session, request.instrument)?;
     // A scan that is too sparse, or a check that fails, is no reason to search for nothing else.
     let (trial, untried) = match trial_calibration(&session, &instrument, &request.calibration) {
@@ -91,7 +93,7 @@ pub fn close_session(
     };
     let mut closed = close(&instrument, &mut seen, &options, |step| progress(Progress::Step(step)))
         .with_context(|| request.session.display().to_string())?;
-    closed.account.closing.notes.extend(untried);
+    closed.account.closing.notes.extend(completed.into_iter().chain(untried));
     if let Some(trial) = trial.as_ref().filter(|_| closed.needs_calibration()) {
         progress(Progress::Step("recalibrating"));
         adopt(&mut closed, &session, Recalibrated { before: &instrument, trial }, &request.calibration)?;
@@ -147,8 +149,9 @@ pub struct ResidualOutcome {
 /// # Errors
 /// A file cannot be read, session and instrument have different layouts, or the session holds no frame to compare with.
 pub fn residual_session(request: &ResidualRequest<'_>) -> anyhow::Result<ResidualOutcome> {
-    let (session, instrument) = read(request.session, request.instrument)?;
+    let (session, mut instrument) = read(request.session, request.instrument)?;
     let mut seen = Observations::read(&session, &Budget::default())?;
+    let completed = complete_sensor(&mut instrument, &session, &seen);
     let calibrated_on = calibrated_on(&session, request.instrument)?;
     let options = CloseOptions {
         session_name: &session.manifest().name,
@@ -156,7 +159,9 @@ pub fn residual_session(request: &ResidualRequest<'_>) -> anyhow::Result<Residua
         calibrated_on: &calibrated_on,
         ..CloseOptions::default()
     };
-    let account = residual(&instrument, &mut seen, &options).with_context(|| request.session.display().to_string())?;
+    let mut account =
+        residual(&instrument, &mut seen, &options).with_context(|| request.session.display().to_string())?;
+    account.closing.notes.extend(completed);
     let provenance = provenance("residual", request.seed, &session, request.instrument)?;
     Ok(ResidualOutcome { account, provenance })
 }

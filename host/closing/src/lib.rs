@@ -66,6 +66,7 @@ pub mod fit;
 mod options;
 pub mod plan;
 pub mod search;
+mod sensor;
 pub mod study;
 
 pub use account::{

@@ -131,7 +131,7 @@ fn a_file_of_another_kind_is_refused() {
     refused(
         &["predict", frames, frames, "-o", output.to_str().unwrap()],
         Some(&output),
-        &["bead.npy", "not an Ommatidia artifact"],
+        &["bead.npy", "expected an artifact", "found a stack of frames"],
     );
 }
 

@@ -52,6 +52,7 @@ mod manifest;
 mod open;
 mod remedy;
 pub mod rng;
+mod signature;
 mod space;
 pub mod stack;
 mod table;

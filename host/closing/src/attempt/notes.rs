@@ -3,8 +3,8 @@
 use super::basis::Basis;
 use super::settle::Settled;
 use crate::account::{
-    Names, TruthRegistration, Verdict, calibration_note, pupil_note, registration_notes, rest_notes, small_note,
-    unstated_notes,
+    Effect, Names, TruthRegistration, Verdict, calibration_note, pupil_note, registration_notes, rest_notes,
+    small_note, unstated_notes,
 };
 use crate::data::{Observations, Shown, bright_darks};
 use crate::evidence::{Curve, Figures, JudgedOn, judged, structured};
@@ -13,6 +13,8 @@ use crate::fit::{Model, PUPIL_DEFOCUS, State, Term, UNKNOWN_NOTE, chosen_note};
 use crate::options::CalibratedOn;
 use crate::search::is_laplacian;
 use ommatidia_model::forward::ForwardError;
+use ommatidia_model::instrument::Instrument;
+use ommatidia_physics::noise::Source;
 use ommatidia_session::Role;
 
 /// What sentences are made from beside what a search ends with.
@@ -45,14 +47,7 @@ pub(super) fn notes(basis: &Basis<'_>, settled: &Settled, said: &Said<'_>) -> Re
                 .into(),
         );
     }
-    if instrument.offset_dn.is_none() && seen.of(Role::Dark).next().is_some() {
-        notes.push(
-            "the calibration had no dark frames, so that the fixed pattern of the sensor was not known: `dsnu` stands \
-             for that pattern then, and for no change since. What it leaves can keep an effect of the optics from \
-             being named; calibrate with darks"
-                .into(),
-        );
-    }
+    notes.extend(pattern_notes(instrument, effects));
     let structure = (structured(dependences), basis.within_calibration(now));
     let of_rest: Vec<String> = rest_notes(model, now, verdict)
         .into_iter()
@@ -86,6 +81,29 @@ fn sharper_note(found: &[Term]) -> Option<String> {
          PSFs; a bead scan of this day distinguishes them"
             .into()
     })
+}
+
+/// Effects that stand for a pattern of the sensor which the calibration did not know.
+fn pattern_notes(instrument: &Instrument, effects: &[Effect]) -> Vec<String> {
+    let no_flats = instrument.noise.sources.gain != Source::Measured;
+    let unknown = [
+        ("dsnu", "offset", "darks", instrument.offset_dn.is_none()),
+        (
+            "prnu",
+            "response",
+            "darks and flats",
+            instrument.response.is_none() && (no_flats || instrument.offset_dn.is_none()),
+        ),
+    ];
+    let named = unknown.iter().filter(|(id, .., missing)| *missing && effects.iter().any(|e| e.id == *id));
+    let note = |(id, what, frames, _): &(&str, &str, &str, bool)| {
+        format!(
+            "the calibration did not know the {what} of each pixel: `{id}` stands for that pattern, and for no change \
+             since. What it leaves can keep an effect of the optics from being named; calibrate with {frames}, or add \
+             them to this session"
+        )
+    };
+    named.map(note).collect()
 }
 
 /// What was added once, and is out.

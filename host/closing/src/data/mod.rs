@@ -3,6 +3,7 @@
 mod darks;
 mod fault;
 mod observe;
+mod part;
 mod recording;
 mod registration;
 
@@ -10,5 +11,6 @@ pub(crate) use darks::bright_darks;
 pub use fault::{Fault, FaultKind};
 pub(crate) use observe::bead_is_held_out;
 pub use observe::{Budget, Frame, Observations, Shown};
+pub(crate) use part::part_of;
 pub(crate) use recording::{best_of_parts, content};
 pub use registration::Registration;

@@ -2,17 +2,13 @@
 //! model needs more terms. A trial calibration on the training beads of the session, judged on the held-out beads,
 //! measures how much better the model could be.
 
-use crate::data::{Budget, Observations, bead_is_held_out};
+use crate::data::{Budget, Observations, bead_is_held_out, part_of};
 use crate::evidence::{Figures, figures};
 use crate::fit::{Model, refit};
-use ndarray::Array2;
 use ommatidia_model::calibrate::{CalibrateConfig, calibrate};
 use ommatidia_model::instrument::Instrument;
 use ommatidia_physics::noise::NoiseConfig;
-use ommatidia_session::{
-    ComputedFrames, ComputedStack, FrameInfo, FrameReader, Manifest, Role, Session, SessionError, Stack, StackEntry,
-};
-use std::sync::{Arc, Mutex, PoisonError};
+use ommatidia_session::{Role, Session, SessionError};
 
 /// A new calibration counts if it lowers the NRMSE of held-out beads below this share of the old one's.
 const BETTER: f64 = 0.9;
@@ -77,50 +73,13 @@ pub fn held_out_figures(session: &Session, instrument: &Instrument) -> anyhow::R
     Ok(figures(&model, &refit(&model, model.state(instrument)?)?))
 }
 
-/// The session without its scenes and held-out beads. Its frames are read from the files of the session when they are
-/// needed.
+/// The session without its scenes and held-out beads.
 fn without_held_out_beads(session: &Session) -> Result<Session, SessionError> {
-    let mut stacks = Vec::new();
-    for stack in session.stacks().iter().filter(|s| s.role() != Role::Scene) {
-        let kept = |i: &usize| stack.role() != Role::Bead || !bead_is_held_out(*i);
-        let indices: Vec<usize> = (0..stack.len()).filter(kept).collect();
-        let info =
-            indices.iter().enumerate().map(|(n, i)| FrameInfo { frame: n, ..stack.info()[*i].clone() }).collect();
-        let entry = StackEntry { truth: None, expected: None, ..stack.entry().clone() };
-        let frames: Arc<dyn ComputedFrames> = Arc::new(Selected::of(stack, indices)?);
-        stacks.push(ComputedStack { entry, info, frames });
-    }
-    let entries = stacks.iter().map(|stack| stack.entry.clone()).collect();
-    let manifest = Manifest { stacks: entries, ..session.manifest().clone() };
-    Ok(Session::computed(session.dir(), manifest, stacks))
-}
-
-/// Some frames of a stack.
-#[derive(Debug)]
-struct Selected {
-    reader: Mutex<FrameReader>,
-    /// Rows and columns of a frame.
-    size: [usize; 2],
-    /// Their indices in the stack.
-    indices: Vec<usize>,
-}
-
-impl Selected {
-    fn of(stack: &Stack, indices: Vec<usize>) -> Result<Self, SessionError> {
-        let reader = stack.frames()?;
-        Ok(Self { size: [reader.rows(), reader.cols()], reader: Mutex::new(reader), indices })
-    }
-}
-
-impl ComputedFrames for Selected {
-    fn shape(&self) -> [usize; 3] {
-        [self.indices.len(), self.size[0], self.size[1]]
-    }
-
-    fn frames_from(&self, i: usize) -> Result<Vec<Array2<f32>>, SessionError> {
-        let mut reader = self.reader.lock().unwrap_or_else(PoisonError::into_inner);
-        Ok(vec![reader.read(self.indices[i])?])
-    }
+    part_of(session, |_, stack, i| match stack.role() {
+        Role::Scene => false,
+        Role::Bead => !bead_is_held_out(i),
+        Role::Dark | Role::Flat => true,
+    })
 }
 
 #[cfg(test)]
@@ -128,6 +87,7 @@ impl ComputedFrames for Selected {
 mod tests {
     use super::*;
     use ommatidia_bench::{BenchConfig, ScanConfig};
+    use ommatidia_session::FrameInfo;
 
     #[test]
     fn held_out_beads_and_scenes_are_absent_and_all_other_frames_are_the_same() {

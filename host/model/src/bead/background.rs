@@ -63,6 +63,18 @@ impl BeadBackground {
     pub fn is_seen(&self) -> bool {
         self.significance() > SEEN || self.scatter_e.iter().zip(&self.sigma_e).any(|(t, s)| *t > SEEN * s)
     }
+
+    /// The same background in electrons that are `factor` times as many, as another gain makes them.
+    pub(crate) fn scaled(self, factor: f64) -> Self {
+        let each = |slopes: Slopes| slopes.map(|v| v * factor);
+        Self {
+            mean_e: each(self.mean_e),
+            sigma_e: each(self.sigma_e),
+            scatter_e: each(self.scatter_e),
+            pixels: self.pixels,
+            tail_e: self.tail_e * factor,
+        }
+    }
 }
 
 /// Significance from which a background is called one. It is removed in any case; see the head of this file.

@@ -24,7 +24,7 @@ use crate::psf::pupils::{PupilModel, Pupils};
 use crate::psf::{CalibratedOptics, ChiefRays, LowRankPsf};
 use ndarray::{Array1, Array2, Axis};
 use ommatidia_physics::effects::EffectSetting;
-use ommatidia_physics::noise::{MapErrors, NoiseModel, inverse_response};
+use ommatidia_physics::noise::{MapErrors, NoiseModel, Source, inverse_response};
 use ommatidia_session::Manifest;
 use serde::{Deserialize, Serialize};
 
@@ -129,6 +129,26 @@ impl Instrument {
     /// Whether only the sensor was calibrated: there was no bead scan, and the optics are the identity.
     pub fn sensor_only(&self) -> bool {
         self.diagnostics.positions_px.is_empty() && self.psf.basis.len_of(Axis(1)) == 1
+    }
+}
+
+impl Instrument {
+    /// Replaces the gain by one that was measured later, DN per electron, with its standard error. What the model
+    /// predicts in DN stays the same; what it holds in electrons (light, read noise, backgrounds) does not.
+    pub fn set_gain(&mut self, gain_dn_per_e: f64, sigma: f64) {
+        let electrons = self.noise.gain_dn_per_e / gain_dn_per_e;
+        for psf in std::iter::once(&mut self.psf).chain(&mut self.replicates) {
+            psf.coefficients.mapv_inplace(|v| (f64::from(v) * electrons) as f32);
+        }
+        self.noise.read_noise_e *= electrons;
+        self.noise.read_noise_sigma *= electrons;
+        self.noise.gain_dn_per_e = gain_dn_per_e;
+        self.noise.gain_sigma = sigma;
+        self.noise.sources.gain = Source::Measured;
+        self.quality.background = self.quality.background.map(|b| b.scaled(electrons));
+        self.diagnostics.background_e.mapv_inplace(|v| (f64::from(v) * electrons) as f32);
+        // Fitted to the PSFs as they were.
+        self.pupils = Pupils::default();
     }
 }
 

@@ -24,7 +24,7 @@ pub struct Args {
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Number of basis PSFs per lens (default: chosen by the error on held-out positions)
-    #[arg(long, value_name = "K")]
+    #[arg(long, value_name = "K", conflicts_with = "max_rank")]
     rank: Option<usize>,
     /// Maximum number of basis PSFs per lens that the search tries
     #[arg(long, value_name = "K", default_value_t = CalibrateConfig::default().max_rank)]
@@ -49,10 +49,10 @@ pub struct Args {
     #[arg(long)]
     accept: bool,
     /// Gain, DN per electron, that is assumed if there are no flats
-    #[arg(long, value_name = "DN/E", default_value_t = NoiseConfig::default().nominal_gain_dn_per_e)]
+    #[arg(long, value_name = "DN/E", allow_negative_numbers = true, default_value_t = NoiseConfig::default().nominal_gain_dn_per_e)]
     gain: f64,
     /// Read noise, electrons rms, that is assumed if the session does not determine it
-    #[arg(long, value_name = "E", default_value_t = NoiseConfig::default().nominal_read_noise_e)]
+    #[arg(long, value_name = "E", allow_negative_numbers = true, default_value_t = NoiseConfig::default().nominal_read_noise_e)]
     read_noise: f64,
 }
 

@@ -1,6 +1,7 @@
 //! Errors of artifacts.
 
 use crate::remedy;
+use crate::signature::FileKind;
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
@@ -22,6 +23,16 @@ pub enum ArtifactError {
         path: PathBuf,
         /// What is wrong.
         detail: String,
+    },
+    /// The path is a file of another kind, or a folder.
+    #[error(
+        "{path}: expected an artifact, as a verb writes them, found {found}; are the arguments in the right order?"
+    )]
+    Other {
+        /// The file or folder.
+        path: PathBuf,
+        /// What it is.
+        found: FileKind,
     },
     /// The file is an artifact of another kind.
     #[error("{path}: expected an artifact of kind `{expected}`, found `{found}`")]

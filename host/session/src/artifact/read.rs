@@ -2,6 +2,7 @@
 
 use super::error::ArtifactError;
 use super::header::{HEADER_KEY, Header, Tensors};
+use crate::signature::FileKind;
 use ndarray::{ArrayD, IxDyn};
 use safetensors::tensor::{Dtype, Metadata};
 use serde::de::DeserializeOwned;
@@ -68,14 +69,22 @@ pub fn shapes(path: &Path) -> Result<BTreeMap<String, Vec<usize>>, ArtifactError
 
 /// Reads the safetensors metadata and the offset of the tensor data, bytes; checks the length of the file.
 fn metadata(path: &Path) -> Result<(Metadata, u64), ArtifactError> {
-    if path.is_dir() {
-        return Err(ArtifactError::format(path, "it is a folder: name a file"));
+    let other = |found| ArtifactError::Other { path: path.into(), found };
+    if let Some(folder) = FileKind::of_folder(path) {
+        return Err(other(folder));
     }
     let mut file = std::fs::File::open(path).map_err(|e| ArtifactError::io(path, e))?;
     let size = file.metadata().map_err(|e| ArtifactError::io(path, e))?.len();
-    let mut start = [0u8; 8];
-    file.read_exact(&mut start).map_err(|e| ArtifactError::format(path, e))?;
-    let length = u64::from_le_bytes(start);
+    let mut head = Vec::new();
+    (&file).take(16).read_to_end(&mut head).map_err(|e| ArtifactError::io(path, e))?;
+    if let Some(found) = FileKind::by_start(&head) {
+        return Err(other(found));
+    }
+    let Some(start) = head.first_chunk::<8>() else {
+        return Err(ArtifactError::format(path, "it has fewer than eight bytes"));
+    };
+    file.seek(SeekFrom::Start(8)).map_err(|e| ArtifactError::io(path, e))?;
+    let length = u64::from_le_bytes(*start);
     if length > size {
         return Err(ArtifactError::format(path, "its header is longer than the file"));
     }

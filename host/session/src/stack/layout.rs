@@ -99,9 +99,9 @@ impl Container {
             _ => Err(SessionError::value(
                 path,
                 "suffix",
-                ".npy, .tif, .tiff, .avi, .mat or .zarr",
+                ".npy, .tif, .tiff, .avi, .mp4, .mat or .zarr",
                 if suffix.is_empty() { "none".into() } else { format!(".{suffix}") },
-                "rename the file, or convert the stack to one of these formats",
+                "name the file with one of these suffixes, or convert the stack to one of these formats",
             )),
         }
     }

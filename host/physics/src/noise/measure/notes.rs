@@ -46,6 +46,19 @@ pub enum NoiseNote {
         /// Why the session does not determine the gain.
         reason: &'static str,
     },
+    /// A gain was given, and the flats determine it.
+    #[error(
+        "the gain that was given, {given_dn_per_e} DN/e-, is not used: the flats of this session show {gain_dn_per_e:.4} \
+         +- {sigma:.4} DN/e-. Where the flats are wrong, take them out of session.toml"
+    )]
+    GivenGain {
+        /// The value that was given.
+        given_dn_per_e: f64,
+        /// The value in use.
+        gain_dn_per_e: f64,
+        /// Its standard error.
+        sigma: f64,
+    },
     /// Gain from a video.
     #[error(
         "the gain, {gain_dn_per_e:.3} +- {sigma:.3} DN/e-, is estimated from differences between the scenes' \

@@ -130,6 +130,12 @@ pub(super) fn gain(
     match transfer {
         Ok(t) if t.slope > 3.0 * t.slope_sigma => {
             sources.gain = Source::Measured;
+            let (given_dn_per_e, sigma) = (config.nominal_gain_dn_per_e, t.slope_sigma);
+            // What agrees needs no word.
+            let agrees = (given_dn_per_e - t.slope).abs() <= (3.0 * sigma).max(0.02 * t.slope);
+            if given_dn_per_e != NoiseConfig::default().nominal_gain_dn_per_e && !agrees {
+                notes.push(NoiseNote::GivenGain { given_dn_per_e, gain_dn_per_e: t.slope, sigma });
+            }
             Ok(Estimate { value: t.slope, sigma: t.slope_sigma })
         }
         Ok(t) => {
