@@ -16,9 +16,10 @@
 //! # }
 //! ```
 
+use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::linalg::cholesky::llt::{factor, solve};
 use faer::linalg::matmul::matmul;
-use faer::linalg::solvers::{Llt, Solve};
-use faer::{Accum, Mat, MatMut, MatRef, Par, Side};
+use faer::{Accum, Mat, MatMut, MatRef, Par, Side, get_global_parallelism};
 use ndarray::{Array1, Array2};
 use thiserror::Error;
 
@@ -77,7 +78,7 @@ pub struct NotPositive(pub usize);
 /// ```
 /// # fn main() -> Result<(), ommatidia_physics::linalg::NotPositive> {
 /// use ommatidia_physics::linalg::Cholesky32;
-/// let factor = Cholesky32::of(&[4.0, 2.0, 0.0, 3.0], 2)?;
+/// let factor = Cholesky32::of(vec![4.0, 2.0, 0.0, 3.0], 2)?;
 /// let mut x = [8.0, 7.0];
 /// factor.solve(&mut x, 1);
 /// assert!((x[0] - 1.25).abs() < 1e-6 && (x[1] - 1.5).abs() < 1e-6);
@@ -86,23 +87,27 @@ pub struct NotPositive(pub usize);
 /// ```
 #[derive(Clone, Debug)]
 pub struct Cholesky32 {
-    factor: Llt<f32>,
+    /// Its lower triangle, column by column.
+    lower: Vec<f32>,
     rows: usize,
 }
 
 impl Cholesky32 {
-    /// Factors the matrix `a`, [n, n]; only its upper triangle is read, row by row.
+    /// Factors the matrix `a`, [n, n], in the room that it takes; only its upper triangle is read, row by row.
     ///
     /// # Errors
     /// The matrix is not positive definite.
     ///
     /// # Panics
     /// `a` does not have n x n values.
-    pub fn of(a: &[f32], n: usize) -> Result<Self, NotPositive> {
+    pub fn of(mut a: Vec<f32>, n: usize) -> Result<Self, NotPositive> {
         // Rows of the upper triangle are columns of the lower one.
-        let lower = MatRef::from_column_major_slice(a, n, n);
-        let factor = lower.llt(Side::Lower).map_err(|_| NotPositive(n))?;
-        Ok(Self { factor, rows: n })
+        let lower = MatMut::from_column_major_slice_mut(&mut a, n, n);
+        let (par, params) = (get_global_parallelism(), Default::default());
+        let mut room = MemBuffer::new(factor::cholesky_in_place_scratch::<f32>(n, par, params));
+        factor::cholesky_in_place(lower, Default::default(), par, MemStack::new(&mut room), params)
+            .map_err(|_| NotPositive(n))?;
+        Ok(Self { lower: a, rows: n })
     }
 
     /// Solves `a x = b` for k right sides, in place: `b` holds them one after the other, [k, n].
@@ -110,7 +115,11 @@ impl Cholesky32 {
     /// # Panics
     /// `b` does not have k x n values.
     pub fn solve(&self, b: &mut [f32], k: usize) {
-        self.factor.solve_in_place(MatMut::from_column_major_slice_mut(b, self.rows, k));
+        let lower = MatRef::from_column_major_slice(&self.lower, self.rows, self.rows);
+        let right = MatMut::from_column_major_slice_mut(b, self.rows, k);
+        let par = get_global_parallelism();
+        let mut room = MemBuffer::new(solve::solve_in_place_scratch::<f32>(self.rows, k, par));
+        solve::solve_in_place(lower, right, par, MemStack::new(&mut room));
     }
 }
 

@@ -13,9 +13,10 @@ use crate::fit::{Model, PUPIL_DEFOCUS, State, Term, UNKNOWN_NOTE, chosen_note};
 use crate::options::CalibratedOn;
 use crate::search::is_laplacian;
 use ommatidia_model::forward::ForwardError;
-use ommatidia_model::instrument::Instrument;
+use ommatidia_model::instrument::{Instrument, LightUnit};
 use ommatidia_physics::noise::Source;
 use ommatidia_session::Role;
+use std::collections::BTreeSet;
 
 /// What sentences are made from beside what a search ends with.
 pub(super) struct Said<'a> {
@@ -48,6 +49,7 @@ pub(super) fn notes(basis: &Basis<'_>, settled: &Settled, said: &Said<'_>) -> Re
         );
     }
     notes.extend(pattern_notes(instrument, effects));
+    notes.extend(light_notes(instrument, model, &now.state));
     let structure = (structured(dependences), basis.within_calibration(now));
     let of_rest: Vec<String> = rest_notes(model, now, verdict)
         .into_iter()
@@ -104,6 +106,34 @@ fn pattern_notes(instrument: &Instrument, effects: &[Effect]) -> Vec<String> {
         )
     };
     named.map(note).collect()
+}
+
+/// Light of known specimens that is off by more than this factor is worth a word: lamps age, tables err by tens.
+const LIGHT: f64 = 1.5;
+
+/// Stacks whose scenes are much brighter or darker than their records and truths predict. The light of each stack is
+/// fitted, so that no test sees it.
+fn light_notes(instrument: &Instrument, model: &Model<'_>, state: &State) -> Vec<String> {
+    // Without truths in the calibration their unit is not known.
+    if !matches!(instrument.light_unit, LightUnit::Truth { .. }) {
+        return Vec::new();
+    }
+    let known = model.seen.frames.iter().filter(|f| matches!(f.shown, Shown::Object(_)));
+    let known_stacks: BTreeSet<usize> = known.map(|f| f.stack).collect();
+    let off = known_stacks.iter().filter_map(|stack| {
+        let factor = *state.scale.get(*stack)?;
+        (factor > 0.0 && factor.ln().abs() > LIGHT.ln()).then_some((stack, factor))
+    });
+    let several = known_stacks.len() > 1;
+    off.map(|(stack, factor)| {
+        let of = if several { format!(" of stack {stack} (the first is 0)") } else { String::new() };
+        format!(
+            "the scenes{of} are {factor:.3} times as bright as exposure, illumination and truths predict \
+             from the calibration. Their light is fitted, so that nothing else here depends on it; if the lamp was the \
+             same, correct `exposure_ms` or `illumination` in their table, or the unit of the truths"
+        )
+    })
+    .collect()
 }
 
 /// What was added once, and is out.

@@ -30,7 +30,7 @@ const PLACED_ONE_BY_ONE: usize = 16;
 
 impl Default for Budget {
     fn default() -> Self {
-        Self { scenes: 48, flats: 20, darks: 12, beads: 96, pixels: 200_000, blocks: 6 }
+        Self { scenes: 48, flats: 20, darks: 12, beads: 96, pixels: 270_000, blocks: 6 }
     }
 }
 

@@ -38,7 +38,7 @@ impl Projector {
         let trace: f64 = (0..n).map(|i| f64::from(normal[i * (n + 1)])).sum();
         let lambda = (LAMBDA * (trace / n as f64) as f32).max(f32::MIN_POSITIVE);
         (0..n).for_each(|i| normal[i * (n + 1)] += lambda);
-        let factor = Cholesky32::of(&normal, n)?;
+        let factor = Cholesky32::of(normal, n)?;
         Ok(Self { views, weight, factor })
     }
 

@@ -5,8 +5,9 @@ use crate::data::{Observations, Shown, best_of_parts, content};
 use crate::fit::projection::Views;
 use ommatidia_model::instrument::Instrument;
 
-/// Most object pixels whose normal matrix is factored: it takes 4 bytes for each pair, and half a gigabyte at most.
-const MOST_UNKNOWNS: usize = 11_600;
+/// Most object pixels whose normal matrix is factored: it takes 4 bytes for each pair, and 1.2 gigabytes at most. Up to
+/// four states of a search have one.
+const MOST_UNKNOWNS: usize = 17_000;
 /// Most values of the optics as a matrix, which take 4 bytes each: a gigabyte.
 const MOST_VALUES: usize = 1 << 28;
 /// Most frames whose specimens are estimated: of so many parts of a longer recording the one that shows most.
