@@ -8,8 +8,8 @@ use super::attempt::{Given, OWN_BEADS_NOTE, attempt, held_out_blocks, held_out_f
 use super::data::{Fault, Observations, Shown};
 use super::evidence::{JudgedOn, figures, omnibus, standing_alone, structured};
 use super::fit::{
-    Model, State, UNKNOWN_NOTE, chosen_note, estimate_specimens, estimated_frames, exposures, pedestal, record, refit,
-    replicas,
+    Model, State, UNKNOWN_NOTE, chosen_note, estimate_specimens, estimated_frames, exposures, orientation, pedestal,
+    record, refit, replicas,
 };
 use super::options::{CloseError, CloseOptions};
 use ommatidia_model::instrument::Instrument;
@@ -141,6 +141,10 @@ fn looked(
 /// Faults of the records: those of objects, which are corrected, and exposures, which are only doubted.
 fn wrong_records(instrument: &Instrument, seen: &mut Observations) -> Result<[Vec<Fault>; 2], CloseError> {
     let Some(mut frames) = looked(instrument, seen, None)? else { return Ok(Default::default()) };
+    if let Some(found) = orientation(&frames) {
+        let (own, turned) = (found.own, found.turned);
+        return Err(CloseError::Turned { how: found.turn.turn_words(), scenes: frames.len(), own, turned });
+    }
     let mut faults = record::objects(seen, &frames);
     match record::others(&frames) {
         // Objects that only lie in another order or turned are found for nearly all of them.

@@ -39,6 +39,23 @@ pub enum CloseError {
         /// Median correlation with their own.
         own: f64,
     },
+    /// The frames are turned or mirrored as a whole.
+    #[error(
+        "the scenes are {how} against those that the instrument was calibrated on: turned back, they correlate by \
+         {turned:.3} with what their objects predict, as they are by {own:.3} (median of {scenes} scenes), and turned \
+         objects do not explain it. Write the frames in the orientation of the calibration, or calibrate again as the \
+         camera is mounted now"
+    )]
+    Turned {
+        /// How the frames are turned.
+        how: &'static str,
+        /// Number of scenes with a known object.
+        scenes: usize,
+        /// Median correlation as they are.
+        own: f64,
+        /// Median correlation after they were turned back.
+        turned: f64,
+    },
     /// There is no frame.
     #[error("the session holds no frame to compare with the model: expected scenes, beads, flats or darks")]
     Empty,

@@ -70,9 +70,14 @@ pub(crate) fn effects(model: &Model<'_>, findings: Findings<'_>, faults: &[Fault
             let error = model.forward.depth_error();
             params.iter_mut().filter(|v| v.sigma > 0.0).for_each(|v| v.sigma = v.sigma.hypot(error * v.value));
         }
+        let undetermined = if f.table_sigma.is_none() { at_the_end(&mut params, term, model.lenses()) } else { false };
         let separate_by = f.ambiguity.first().map(|other| separate(f.id, other.id));
+        let mut description = describe(term, &params);
+        if undetermined {
+            description += " (at the end of what the model can describe: the strength itself is not determined)";
+        }
         effects.push(Effect {
-            description: describe(term, &params),
+            description,
             id,
             known,
             stage: d.stage.part().into(),
@@ -111,6 +116,20 @@ fn by_law(params: &mut [Value], term: &Term, lenses: usize, left: f64) {
             v.sigma = v.sigma.hypot(left.sqrt() * size);
         }
     }
+}
+
+/// Widens errors of nothing: the frames do not change with a strength at the end of its range, so that they say nothing
+/// of how large it is. Returns whether there is such a strength.
+fn at_the_end(params: &mut [Value], term: &Term, lenses: usize) -> bool {
+    let expanded = term.expanded(lenses);
+    let mut found = false;
+    for (v, (_, p)) in params.iter_mut().zip(&expanded).filter(|(_, (_, p))| p.is_strength()) {
+        if v.sigma == 0.0 && v.value != p.off {
+            v.sigma = (v.value - p.off).abs();
+            found = true;
+        }
+    }
+    found
 }
 
 /// A fault of a record in the form of an effect.
@@ -221,7 +240,9 @@ fn needs(stage: Stage, id: &str) -> &'static str {
         (_, "dark_current" | "hot_pixels") => "darks at several exposures",
         (_, "prnu" | "dust") => "flats",
         (_, "lag") => "scenes in quick succession, dark after bright",
-        (_, "lamp_drift" | "photobleaching" | "black_level_drift") => "a table with time_s",
+        (_, "lamp_drift" | "photobleaching" | "black_level_drift") => {
+            "frames over a longer time, with time_s in their tables"
+        }
         (Stage::Object | Stage::Geometry | Stage::Lens, _) => "scenes of known objects",
         (Stage::Charge | Stage::Electronics, _) => "repeats of darks and flats at several levels",
         _ => "scenes of known objects, and flats",

@@ -19,7 +19,7 @@ mod verdict;
 pub use adopt::{Recalibrated, adopt};
 pub(crate) use describe::{Accepted, Findings, effects, fault, rejected};
 pub use file::{KIND, VERSION};
-pub(crate) use names::{Judged, Names};
+pub(crate) use names::{Judged, Names, ROW_NOISE};
 pub(crate) use pictures::pictured;
 pub(crate) use pupils::pupil_note;
 pub(crate) use registration::{registration_notes, registrations, unstated_notes};
@@ -28,4 +28,6 @@ pub use result::{
     Account, Closed, Closing, Effect, Nearest, Rejected, SpecimenMaps, TruthRegistration, Value, Verdict,
 };
 pub use retrain::{Control, Filed, Retrain, RetrainRequest, Retrained};
-pub(crate) use verdict::{Excess, Left, calibration_note, harmful, imitated, shadowed, small_note, within_calibration};
+pub(crate) use verdict::{
+    Excess, Left, MUCH, calibration_note, harmful, imitated, shadowed, small_note, within_calibration,
+};

@@ -14,6 +14,9 @@ const HALF: f64 = 0.5;
 /// catalogue leaves as much.
 const TENTH: f64 = 0.1;
 
+/// The effect whose offsets are independent from row to row.
+pub(crate) const ROW_NOISE: &str = "row_noise";
+
 /// Effects by which light is brighter or darker from place to place, the same in all frames.
 const SHADES: [&str; 4] = ["vignetting", "excitation_profile", "chief_ray_response", "lens_gain"];
 /// So many of them at once are a set that imitates a cause.
@@ -28,6 +31,8 @@ pub(crate) struct Judged<'a> {
     pub(crate) left: Left,
     /// Whether the noise of repeated frames still has much of its structure.
     pub(crate) noise_is_left: bool,
+    /// Rows after which a wave repeats that the offsets of the rows follow, if they do.
+    pub(crate) rows_wave: Option<f64>,
     /// Relative error of the PSFs between the positions of their calibration.
     pub(crate) psf_error: f64,
     /// Whether the PSFs are calibrated again, and an entry stands for that.
@@ -71,6 +76,11 @@ impl Names {
         for effect in all {
             let why = if !may_imitate(&effect) {
                 None
+            } else if let Some(rows) = judged.rows_wave.filter(|_| effect.id == ROW_NOISE) {
+                Some(format!(
+                    "the offsets of the rows follow a wave of {rows:.1} rows, with another phase in each frame, and \
+                     those of row noise are independent: interference, of a supply or a clock for example"
+                ))
             } else if found(&effect).is_some_and(|(f, constancy)| !judged.left.earns(f, *constancy)) {
                 names.left_much = true;
                 Some(format!(
@@ -136,6 +146,19 @@ impl Names {
             ),
             id: e.id,
             z: e.z,
+        }));
+    }
+
+    /// Takes the names from all effects: the model does not describe the session, so that what was found is at most a
+    /// part of what is wrong, pixel tables of darks and flats included.
+    pub(crate) fn disown(&mut self) {
+        let (named, kept): (Vec<Effect>, _) =
+            std::mem::take(&mut self.effects).into_iter().partition(|e| claims_a_cause(e, false));
+        self.effects = kept;
+        self.nearest.extend(named.into_iter().map(|e| Nearest {
+            id: e.id,
+            z: e.z,
+            why: "the frames are not those of this model: what was found is at most a part of what is wrong".into(),
         }));
     }
 
@@ -205,7 +228,7 @@ mod tests {
 
     fn names(of: &[(&Found, Constancy)], left: Left, noise_is_left: bool) -> Names {
         let all = of.iter().map(|(f, _)| effect(f.id)).collect();
-        Names::of(all, Judged { found: of, left, noise_is_left, psf_error: 0.0, recalibrated: false })
+        Names::of(all, Judged { found: of, left, noise_is_left, rows_wave: None, psf_error: 0.0, recalibrated: false })
     }
 
     #[test]
@@ -218,6 +241,35 @@ mod tests {
         assert_eq!((ids, it.uneven, it.left_much), (vec!["array_shift"], true, false));
         assert!(it.nearest[0].why.contains("70 % between frames") && it.nearest[1].why.contains("`magnification`"));
         assert!(it.note().is_some_and(|note| note.contains("magnification, halo")));
+    }
+
+    #[test]
+    fn a_model_that_does_not_describe_the_session_names_nothing_and_keeps_what_claims_no_cause() {
+        let [table, unnamed] = [found("hot_pixels", 9e3), found("unknown_factor", 1e3)];
+        let none = Constancy::default();
+        let mut it = names(&[(&table, none), (&unnamed, none)], Left::default(), false);
+        assert_eq!(it.effects.len(), 2);
+        it.disown();
+        assert_eq!((it.effects[0].id.as_str(), it.nearest[0].id.as_str()), ("unknown_factor", "hot_pixels"));
+        assert_eq!((it.effects.len(), it.nearest.len()), (1, 1));
+    }
+
+    #[test]
+    fn the_rows_of_interference_are_no_row_noise() {
+        let (noise, none) = (found("row_noise", 1e2), Constancy::default());
+        let named = |rows_wave| {
+            let judged = Judged {
+                found: &[(&noise, none)],
+                left: Left::default(),
+                noise_is_left: false,
+                rows_wave,
+                psf_error: 0.0,
+                recalibrated: false,
+            };
+            Names::of(vec![effect("row_noise")], judged)
+        };
+        assert_eq!(named(None).effects.len(), 1);
+        assert!(named(Some(12.3)).nearest[0].why.contains("12.3 rows"));
     }
 
     #[test]

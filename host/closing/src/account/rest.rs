@@ -118,8 +118,9 @@ fn few_frames(scenes: &[(usize, [f64; 2])]) -> Option<String> {
     let (frames, their) = if out.len() == 1 { ("scene frame", "It does") } else { ("scene frames", "They do") };
     Some(format!(
         "most of what is left is in {frames} {}; the median of the scenes is {median:.3}. {their} not show what the \
-         others show: look at the frame and at its truth (motion, a double exposure, a mistaken record), write \
-         `damaged` in column `data` of its row in the table of the stack, and close the loop again",
+         others show: look at the frame and at its truth (motion, a double exposure, a mistaken record, or optics that \
+         change with time). Only if its data are bad, write `damaged` in column `data` of its row in the table of the \
+         stack, and close the loop again",
         list.join(", ")
     ))
 }

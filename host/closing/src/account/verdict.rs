@@ -18,11 +18,14 @@ const SIGMAS: f64 = 5.0;
 const SIGMAS_SEEN: f64 = 2.0;
 /// A model whose chi-squared per pixel exceeds one by less is no other model, whatever its excess was before: errors of
 /// a calibration reach that size.
-const MUCH: f64 = 0.25;
+pub(crate) const MUCH: f64 = 0.25;
 /// Where many foci overlap, the errors of their PSFs cancel in part: this share of the error of one focus is left.
 const OVERLAPPING: f64 = 0.5;
 /// From this share on most of the excess is left.
 const MOST: f64 = 0.5;
+
+/// Smallest share of what the strongest effect explains that is listed of another one.
+const LISTED: f64 = 1e-3;
 
 /// What is left of the excess of chi-squared over the noise on held-out data.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -192,7 +195,7 @@ pub(crate) fn shadowed(all: &[Shadowed], of: Option<&str>) -> Vec<Nearest> {
             100.0 * s.share
         ),
     };
-    all.iter().filter(|s| !s.id.starts_with("unknown")).map(one).collect()
+    all.iter().filter(|s| !s.id.starts_with("unknown") && s.share >= LISTED).map(one).collect()
 }
 
 /// Effects that made the prediction of held-out data worse.

@@ -4,11 +4,11 @@ use super::basis::{Basis, Given};
 use super::notes::{Said, background_notes, held_out_blocks, held_out_frames, notes, own_beads};
 use super::settle::Settled;
 use crate::account::{
-    Accepted, Closed, Closing, Effect, Findings, Judged, Left, Names, Nearest, Verdict, effects, harmful, imitated,
-    pictured, registrations, rejected, shadowed,
+    Accepted, Closed, Closing, Effect, Findings, Judged, Left, MUCH, Names, Nearest, ROW_NOISE, Verdict, effects,
+    harmful, imitated, pictured, registrations, rejected, shadowed,
 };
-use crate::evidence::{compared, curves, noise_left, structured};
-use crate::fit::{Model, PUPIL_DEFOCUS, State, Term, estimated_frames};
+use crate::evidence::{Figures, compared, curves, noise_left, structured};
+use crate::fit::{Model, PUPIL_DEFOCUS, State, Term, estimated_frames, rhythm};
 use crate::options::{CloseError, CloseOptions};
 use crate::plan::{self, plan};
 use ommatidia_model::instrument::Instrument;
@@ -44,8 +44,11 @@ pub(super) fn report(
     let Settled { now, closed, found, .. } = &settled;
     let seen = model.seen;
     let [before, after] = compared(model, &basis.before, closed);
-    let names = names(basis, &settled, given);
-    let verdict = verdict(basis, &settled, &names);
+    let mut names = names(basis, &settled, given);
+    let verdict = verdict(basis, &settled, &names, after);
+    if verdict == Verdict::NotThisModel {
+        names.disown();
+    }
     let curves = curves(model, now, own)?;
     let own_beads = own_beads(seen, options.calibrated_on);
     let without = names.left_much.then_some(&basis.before);
@@ -103,20 +106,24 @@ fn names(basis: &Basis<'_>, settled: &Settled, given: Given<'_>) -> Names {
     let mut effects = effects(basis.model, findings, given.faults);
     effects.iter_mut().filter(|e| settled.unseen.contains(&e.id.as_str())).for_each(Effect::is_not_added);
     let found: Vec<_> = found.iter().zip(settled.constancy.iter().copied().skip(own)).collect();
+    let has_row_noise = found.iter().any(|(f, _)| f.id == ROW_NOISE);
     let judged = Judged {
         found: &found,
         left,
         noise_is_left: noise_left(&basis.dependences, &settled.dependences) > NOISE_LEFT,
+        rows_wave: has_row_noise.then(|| rhythm(basis.model, &now.predicted)).flatten(),
         psf_error: basis.instrument.quality.off_grid_excess(),
         recalibrated: settled.recalibrated,
     };
     Names::of(effects, judged)
 }
 
-fn verdict(basis: &Basis<'_>, settled: &Settled, names: &Names) -> Verdict {
+fn verdict(basis: &Basis<'_>, settled: &Settled, names: &Names, after: Figures) -> Verdict {
     let unnamed = settled.found.iter().any(|f| f.id.starts_with("unknown"));
     let left = structured(&settled.dependences) && !basis.within_calibration(&settled.now);
-    basis.excess(&settled.now).verdict(left || unnamed || names.uneven)
+    let verdict = basis.excess(&settled.now).verdict(left || unnamed || names.uneven);
+    // Frames with much less noise than the calibration has are those of another mode of the camera.
+    if verdict == Verdict::Adequate && after.chi2_ndf < 1.0 - MUCH { Verdict::Incomplete } else { verdict }
 }
 
 /// Effects that resemble the cause, of those that are out.

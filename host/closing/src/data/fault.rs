@@ -60,6 +60,22 @@ pub enum FaultKind {
     },
 }
 
+impl FaultKind {
+    /// How an image is turned or mirrored; empty for faults of another kind.
+    pub(crate) fn turn_words(self) -> &'static str {
+        match self {
+            Self::Flipped { rows: true, cols: true } => "turned by 180 degrees",
+            Self::Flipped { rows: true, .. } => "upside down",
+            Self::Flipped { .. } => "mirrored left to right",
+            Self::Exchanged { rows: false, cols: false } => "with rows and columns exchanged",
+            Self::Exchanged { rows: true, cols: true } => "with rows and columns exchanged, and turned by 180 degrees",
+            Self::Exchanged { rows: true, .. } => "turned by 90 degrees clockwise",
+            Self::Exchanged { .. } => "turned by 90 degrees counter-clockwise",
+            _ => "",
+        }
+    }
+}
+
 impl Fault {
     /// The fault in one sentence, without a full stop.
     pub fn words(&self) -> String {
@@ -72,22 +88,8 @@ impl Fault {
                  counts as one of an unknown specimen",
                 self.frame
             ),
-            FaultKind::Flipped { rows, cols } => {
-                let axis = match (rows, cols) {
-                    (true, true) => "turned by 180 degrees",
-                    (true, false) => "upside down",
-                    _ => "mirrored left to right",
-                };
-                format!("the object of scene frame {} is recorded {axis}", self.frame)
-            }
-            FaultKind::Exchanged { rows, cols } => {
-                let as_what = match (rows, cols) {
-                    (false, false) => "with rows and columns exchanged",
-                    (true, true) => "with rows and columns exchanged, and turned by 180 degrees",
-                    (true, false) => "turned by 90 degrees clockwise",
-                    (false, true) => "turned by 90 degrees counter-clockwise",
-                };
-                format!("the object of scene frame {} is recorded {as_what}", self.frame)
+            kind @ (FaultKind::Flipped { .. } | FaultKind::Exchanged { .. }) => {
+                format!("the object of scene frame {} is recorded {}", self.frame, kind.turn_words())
             }
             FaultKind::Unit { factor } => format!(
                 "scene frame {} has {factor:.4} times the light of its object, relative to the other scenes: the \

@@ -41,6 +41,8 @@ const BY_LIGHT: f64 = 0.5;
 const LEAST_GROUPS: usize = 3;
 /// Groups in which the effect has less than this share of its largest squared norm in a group do not show it.
 const FAINT: f64 = 1e-6;
+/// An effect of which less than this share is left beside the light of its frames is a change of that light.
+const OF_LIGHT: f64 = 0.1;
 /// Combinations of groups of which the rest of the fit leaves less than this share do not show the effect.
 const HIDDEN: f64 = 1e-3;
 
@@ -92,12 +94,14 @@ impl Constancy {
         let drift: Option<&dyn Fn(usize) -> f64> = if design.estimated { Some(&time) } else { None };
         let blocks = match design.estimated {
             true => Spread::default(),
-            false => spread(design, &own, |c| c.block, None),
+            false => spread(design, groups(design, &own, |c| c.block), None),
         };
         let light = light(design, &own, |c| {
             model.seen.frames.get(c.frame).is_some_and(|f| matches!(f.shown, Shown::Object(_)))
         });
-        let it = Self { frames: spread(design, &own, |c| c.frame, drift), blocks, light };
+        let by_frame = groups(design, &own, |c| c.frame);
+        let by_frame = beside_light(design, &own, &by_frame).unwrap_or(by_frame);
+        let it = Self { frames: spread(design, by_frame, drift), blocks, light };
         tracing::info!("constancy of {}: {it:.3?}", fit.state.terms[term].id());
         it
     }
@@ -137,10 +141,38 @@ impl Constancy {
 }
 
 /// A group of cells: products of the effect with all rows of the Gram matrix, and with itself.
+#[derive(Clone)]
 struct Group {
     key: usize,
     with: Array1<f64>,
     square: f64,
+}
+
+/// Takes the light of each frame out of the effect in it: the lamp may be a little brighter in one frame than in
+/// another, and the model errs a little more in bright ones. What an effect adds to a bright frame that it hardly
+/// changes would seem stronger or weaker for it. None: the effect itself is mostly that light.
+fn beside_light(design: &Design, own: &[(usize, f64)], groups: &[Group]) -> Option<Vec<Group>> {
+    let scales: Vec<usize> =
+        design.columns.iter().enumerate().filter(|(_, c)| matches!(c, Column::Scale(_))).map(|(i, _)| i).collect();
+    let mut light: BTreeMap<usize, Group> = BTreeMap::new();
+    for cell in design.cells.iter().filter(|c| !c.held_out) {
+        let new = || Group { key: cell.frame, with: Array1::zeros(design.residual() + 1), square: 0.0 };
+        let group = light.entry(cell.frame).or_insert_with(new);
+        for i in &scales {
+            group.with.zip_mut_with(&cell.gram.row(*i), |to, v| *to += f64::from(*v));
+            group.square += scales.iter().map(|j| f64::from(cell.gram[[*i, *j]])).sum::<f64>();
+        }
+    }
+    let without = |group: &Group| {
+        let Some(light) = light.get(&group.key).filter(|l| l.square > 0.0) else { return group.clone() };
+        let both: f64 = own.iter().map(|(i, u)| u * light.with[*i]).sum();
+        let share = both / light.square;
+        let with = &group.with - &(&light.with * share);
+        Group { key: group.key, with, square: (group.square - share * both).max(0.0) }
+    };
+    let left: Vec<Group> = groups.iter().map(without).collect();
+    let all = |of: &[Group]| of.iter().map(|g| g.square).sum::<f64>();
+    (all(&left) > OF_LIGHT * all(groups)).then_some(left)
 }
 
 /// Sums the training cells into groups by a key. `own`: columns of the effect, and by how much each is changed.
@@ -179,13 +211,8 @@ fn light(design: &Design, own: &[(usize, f64)], shows: impl Fn(&Cell) -> bool) -
 
 /// Compares the strength of an effect between groups. With `drift`, a value for each key, a change of the strength in
 /// proportion to it is allowed.
-fn spread(
-    design: &Design,
-    own: &[(usize, f64)],
-    key: impl Fn(&Cell) -> usize,
-    drift: Option<&dyn Fn(usize) -> f64>,
-) -> Spread {
-    let groups = groups(design, own, key);
+fn spread(design: &Design, compared: Vec<Group>, drift: Option<&dyn Fn(usize) -> f64>) -> Spread {
+    let groups = compared;
     let (m, given) = (groups.len(), design.columns.len());
     if m < LEAST_GROUPS {
         return Spread::default();
@@ -262,16 +289,23 @@ mod tests {
     /// Frames with a nuisance and an effect of strength 1, which scatters by `tau` between frames and drifts by `slope`
     /// from frame to frame; the fit has taken out what both columns hold. 0.1 a pixel: 300 sigma in all.
     fn made_up(tau: f64, slope: f64, seed: u64) -> Design {
+        under_lamp(tau, slope, 0.0, seed)
+    }
+
+    /// The same where the nuisance is light that scatters by `lamp` between frames, and the effect holds some of it.
+    fn under_lamp(tau: f64, slope: f64, lamp: f64, seed: u64) -> Design {
         let mut rng = stream(seed, "constancy", 0);
         let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
         let mut rows: Vec<(usize, usize, [Vec<f64>; 3])> = Vec::new();
         for frame in 0..10 {
             let strength = 1.0 + tau * normal() + slope * (frame as f64 - 4.5);
+            let (light, held) = if lamp > 0.0 { (lamp * normal(), 0.1) } else { (0.0, 0.0) };
             for block in 0..9 {
                 let pairs: Vec<[f64; 3]> = (0..100)
                     .map(|_| {
-                        let (n, x) = (1.0 + 0.3 * normal(), 0.3 * normal());
-                        [n, x, strength * x + normal()]
+                        let n = 1.0 + 0.3 * normal();
+                        let x = held * n + 0.3 * normal();
+                        [n, x, strength * x + light * n + normal()]
                     })
                     .collect();
                 rows.push((frame, block, [0, 1, 2].map(|i| pairs.iter().map(|p| p[i]).collect())));
@@ -293,12 +327,14 @@ mod tests {
                 Cell { frame, block, held_out: false, pixels: 100.0, gram, log_variance: 0.0 }
             })
             .collect();
-        let columns = vec![Column::Black, Column::Own { term: 0, param: 0 }];
+        let nuisance = if lamp > 0.0 { Column::Scale(0) } else { Column::Black };
+        let columns = vec![nuisance, Column::Own { term: 0, param: 0 }];
         Design { columns, scattered: 0, stated: 0, cells, before: Array2::zeros((2, 2)), estimated: false }
     }
 
     fn of(tau: f64, slope: f64, seed: u64, drift: Option<&dyn Fn(usize) -> f64>) -> Spread {
-        spread(&made_up(tau, slope, seed), &[(1, 1.0)], |c| c.frame, drift)
+        let design = made_up(tau, slope, seed);
+        spread(&design, groups(&design, &[(1, 1.0)], |c| c.frame), drift)
     }
 
     #[test]
@@ -337,8 +373,31 @@ mod tests {
         assert!((rms - 0.5).abs() < 0.05, "{rms}");
         assert!((0..20).all(|seed| of(0.5, 0.0, seed, None).is_uneven(0.0)));
         // Between blocks, which hold all frames alike, there is none.
-        let blocks = spread(&made_up(0.5, 0.0, 3), &[(1, 1.0)], |c| c.block, None);
+        let design = made_up(0.5, 0.0, 3);
+        let blocks = spread(&design, groups(&design, &[(1, 1.0)], |c| c.block), None);
         assert!(!blocks.is_uneven(0.0), "{blocks:?}");
+    }
+
+    #[test]
+    fn light_that_differs_from_frame_to_frame_makes_no_strength_uneven() {
+        let own = [(1, 1.0)];
+        let of = |tau: f64, seed: u64| {
+            let design = under_lamp(tau, 0.0, 1.0, seed);
+            let frames = groups(&design, &own, |c| c.frame);
+            let beside = beside_light(&design, &own, &frames).unwrap();
+            [frames, beside].map(|groups| spread(&design, groups, None))
+        };
+        for seed in 0..20 {
+            let [with, without] = of(0.0, seed);
+            assert!(with.is_uneven(0.0) && !without.is_uneven(0.0), "{with:?} {without:?}");
+            assert!(of(0.5, seed)[1].is_uneven(0.0));
+        }
+        // An effect that is the light itself has nothing beside it.
+        let light = |seed| {
+            let design = under_lamp(0.0, 0.0, 1.0, seed);
+            beside_light(&design, &[(0, 1.0)], &groups(&design, &[(0, 1.0)], |c| c.frame)).is_none()
+        };
+        assert!(light(1));
     }
 
     #[test]

@@ -4,7 +4,7 @@
 //! single frames darker or brighter too. Units are corrected before: what makes all frames differ at random, by a tenth
 //! and more, is no effect of an instrument.
 
-use super::record::{SMOOTH_PX, Seen, correlation, median};
+use super::record::{SMOOTH_PX, Seen, correlation, median, slope};
 use super::solve::pseudo_inverse;
 use crate::data::{Fault, FaultKind, Frame, Observations, Shown};
 use ndarray::{Array1, Array2, ArrayView1};
@@ -32,17 +32,11 @@ const SLACK: f64 = 0.01;
 /// Light of each frame over that of its record, both blurred, and their correlation. The regression has an intercept,
 /// so that an even background is no light of the specimen.
 fn slopes(frames: &[Seen]) -> Vec<[f64; 2]> {
-    let slope = |s: &Seen| {
+    let of = |s: &Seen| {
         let [y, m] = [&s.measured, &s.own].map(|image| blur_within(image, SMOOTH_PX));
-        let [mean_y, mean_m] = [&y, &m].map(|image| f64::from(image.mean().unwrap_or(0.0)));
-        let (mut top, mut bottom) = (0.0, 0.0);
-        for (y, m) in y.iter().zip(&m) {
-            top += (f64::from(*y) - mean_y) * (f64::from(*m) - mean_m);
-            bottom += (f64::from(*m) - mean_m).powi(2);
-        }
-        [top / f64::max(bottom, 1e-30), correlation(&y, &m)]
+        [slope(&y, &m), correlation(&y, &m)]
     };
-    frames.par_iter().map(slope).collect()
+    frames.par_iter().map(of).collect()
 }
 
 /// Finds scenes whose objects are recorded in units of light of their own, and corrects the observations: the light of

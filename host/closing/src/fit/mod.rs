@@ -2,13 +2,13 @@
 //!
 //! [`state`] holds effects and nuisance parameters, [`model`] makes the light of frames of them and `predict` the
 //! frames with their residuals, [`derivative`] their derivatives, [`design`] sums these over [`cell`]s, `repeats` adds
-//! what repeated frames show of the noise (with `kurtosis` the few pixels that scatter more than the others), and `same` says which frames of unknown specimens are repeats;
-//! [`mod@refit`] finds the best state. [`truth`] moves truths that are not quite in place, `registration` names the
-//! values, and `prior` adds what is known of nuisances beside the frames. [`lamp`] is the light of the flats. Before
-//! the first fit [`record`] checks the session's objects, [`exposures`] their light, and [`pedestal`] how dark they are
-//! where they are dark. [`mod@replicas`] gives the uncertainty of the calibration as [`errors`], with `wings` outside its
-//! windows. [`specimen`] estimates specimens that nobody knows, and [`projection`] takes out of frames what they can
-//! make.
+//! what repeated frames show of the noise (with `kurtosis` the few pixels that scatter more than the others, and
+//! `rhythm` a wave in their rows), and `same` says which frames of unknown specimens are repeats; [`mod@refit`] finds
+//! the best state. [`truth`] moves truths that are not quite in place, `registration` names the values, and `prior`
+//! adds what is known of nuisances beside the frames. [`lamp`] is the light of the flats. Before the first fit
+//! [`record`] checks the session's objects, `orientation` whether frames are turned, [`exposures`] their light, and [`pedestal`] how dark they are where they are
+//! dark. [`mod@replicas`] gives the uncertainty of the calibration as [`errors`], with `wings` outside its windows.
+//! [`specimen`] estimates specimens that nobody knows, and [`projection`] takes out of frames what they can make.
 
 pub mod cell;
 pub mod derivative;
@@ -19,6 +19,7 @@ pub(crate) mod gauge;
 mod kurtosis;
 pub mod lamp;
 pub mod model;
+mod orientation;
 pub mod pedestal;
 mod predict;
 pub(crate) mod prior;
@@ -28,6 +29,7 @@ pub mod refit;
 mod registration;
 pub(crate) mod repeats;
 pub mod replicas;
+mod rhythm;
 mod same;
 pub mod solve;
 pub mod specimen;
@@ -42,9 +44,11 @@ pub use errors::Errors;
 pub(crate) use errors::map_errors;
 pub use model::Model;
 pub(crate) use model::PUPIL_DEFOCUS;
+pub(crate) use orientation::orientation;
 pub use projection::Specimens;
 pub use refit::{Fitted, Scenes, fitted_columns, own_columns, refit, refit_from};
 pub use replicas::{Replicas, replicas};
+pub(crate) use rhythm::rhythm;
 pub use solve::pseudo_inverse;
 pub use specimen::estimate_specimens;
 pub(crate) use specimen::{UNKNOWN_NOTE, chosen_note, estimated_frames};

@@ -16,6 +16,9 @@ const BETTER: f64 = 0.5;
 /// much of its own.
 const AS_USUAL: f64 = 4.0;
 const SLACK: f64 = 0.05;
+/// What correlates with a record by less does not show its object, however badly it fits its own: under strong blur
+/// every smooth object fits every scene in part.
+const ALIKE: f64 = 0.85;
 /// A scene that leaves so many times that variance may show none of the objects.
 const UNLIKE: f64 = 10.0;
 /// Scenes that usually correlate with their records by more than this are where they are expected.
@@ -26,11 +29,22 @@ const LOOKED_AT: usize = 12;
 /// sparse sources correlate less with a model that is out of place by a few pixels, and must not seem darker for it.
 pub(super) const SMOOTH_PX: f64 = 6.0;
 
+/// A scene holds the light of its own object where the slope against its record differs from that of the others by at
+/// most this share, and its correlation exceeds the second: something was added to it, and it is not another object.
+const OWN_LIGHT: f64 = 0.1;
+const IN_PART: f64 = 0.5;
+/// A pixel counts as saturated from this share of full scale on.
+const SATURATED: f64 = 0.98;
+/// A frame with a smaller share of other pixels says nothing of its record.
+const OPEN: f64 = 0.25;
+/// Rounds in which the light of a frame and its saturated pixels are found: each depends on the other.
+const ROUNDS: usize = 4;
+
 /// A scene as measured and as its records predict it: light above the black level, DN, [sensor rows, sensor cols].
 pub struct Seen {
     /// Index of the frame.
     pub frame: usize,
-    /// As measured.
+    /// As measured. Saturated pixels have the light of its own record, which is not cut off.
     pub measured: Array2<f32>,
     /// As measured, moved to where the scenes are expected; None: they are not clearly displaced together.
     pub moved: Option<Array2<f32>>,
@@ -45,6 +59,13 @@ impl Seen {
     /// because the array has moved, and another one must not seem better for it.
     fn agreement(&self, light: &Array2<f32>) -> f64 {
         agreement(self.places(), light)
+    }
+
+    /// The slope of the scene's light against that of its own record.
+    fn light(&self) -> f64 {
+        let of = |y: &Array2<f32>| (correlation(y, &self.own), slope(y, &self.own));
+        let best = self.places().map(of).max_by(|a, b| a.0.total_cmp(&b.0));
+        best.map_or(0.0, |(_, slope)| slope)
     }
 
     /// The scene as measured and, if all are displaced, moved to where it is expected.
@@ -74,13 +95,13 @@ pub struct Turn {
 
 impl Turn {
     /// All turns of an object of [rows, cols] but none at all; rows and columns of a square alone are exchanged.
-    fn all((rows, cols): (usize, usize)) -> impl Iterator<Item = Self> {
+    pub(super) fn all((rows, cols): (usize, usize)) -> impl Iterator<Item = Self> {
         let bit = |i: u8, n: u8| i >> n & 1 == 1;
         let of = move |i: u8| Self { exchanged: bit(i, 2), rows: bit(i, 0), cols: bit(i, 1) };
         (1..if rows == cols { 8 } else { 4 }).map(of)
     }
 
-    fn of(self, object: &Array2<f32>) -> Array2<f32> {
+    pub(super) fn of(self, object: &Array2<f32>) -> Array2<f32> {
         let mut object = if self.exchanged { object.t().to_owned() } else { object.clone() };
         if self.rows {
             object.invert_axis(Axis(0));
@@ -91,7 +112,7 @@ impl Turn {
         object.as_standard_layout().into_owned()
     }
 
-    fn fault(self) -> FaultKind {
+    pub(super) fn fault(self) -> FaultKind {
         let Self { exchanged, rows, cols } = self;
         if exchanged { FaultKind::Exchanged { rows, cols } } else { FaultKind::Flipped { rows, cols } }
     }
@@ -113,16 +134,13 @@ pub fn look(model: &Model<'_>, state: &State) -> Result<Vec<Seen>, ForwardError>
         let gain = noise.gain_dn_per_e as f32;
         predicted[k].light_e.mapv(|e| e * gain)
     };
-    let mut all: Vec<Seen> = known
-        .iter()
-        .map(|k| Seen {
-            frame: *k,
-            measured: &frames[*k].measured - black,
-            moved: None,
-            own: light(*k),
-            turned: Vec::new(),
-        })
-        .collect();
+    let full_dn = (SATURATED * noise.saturation_dn) as f32 - black;
+    let seen = |k: &usize| {
+        let own = light(*k);
+        let measured = filled(&frames[*k].measured - black, &own, full_dn)?;
+        Some(Seen { frame: *k, measured, moved: None, own, turned: Vec::new() })
+    };
+    let mut all: Vec<Seen> = known.iter().filter_map(seen).collect();
     move_back(&mut all);
     let agreement: Vec<f64> = all.iter().map(|s| s.agreement(&s.own)).collect();
     let mut sorted = agreement.clone();
@@ -142,6 +160,32 @@ pub fn look(model: &Model<'_>, state: &State) -> Result<Vec<Seen>, ForwardError>
         }
     }
     Ok(all)
+}
+
+/// A frame whose saturated pixels have the light of its own record in their place, in the proportion of the other
+/// pixels: a frame that is cut off at full scale would seem darker than its record, and unlike it. Pixels where the
+/// record saturates count as well, since a choice by the measured values alone would keep the dark ones. None: too few
+/// others are left. `full_dn` is where pixels saturate, DN above the black level.
+fn filled(mut measured: Array2<f32>, own: &Array2<f32>, full_dn: f32) -> Option<Array2<f32>> {
+    let mut ratio = 0.0f32;
+    let open = |y: f32, m: f32, ratio: f32| y < full_dn && ratio * m < full_dn;
+    let mut left = 0;
+    for _ in 0..ROUNDS {
+        let (mut light, mut expected) = (0.0f64, 0.0f64);
+        left = 0;
+        for (y, m) in measured.iter().zip(own).filter(|(y, m)| open(**y, **m, ratio)) {
+            light += f64::from(*y);
+            expected += f64::from(*m);
+            left += 1;
+        }
+        ratio = (light / f64::max(expected, 1e-30)).max(0.0) as f32;
+    }
+    measured.zip_mut_with(own, |y, m| {
+        if !open(*y, *m, ratio) {
+            *y = ratio * m;
+        }
+    });
+    (left as f64 >= OPEN * measured.len() as f64).then_some(measured)
 }
 
 /// Moves scenes that are displaced together to where they are expected. Some of them may have wrong records.
@@ -204,9 +248,13 @@ pub fn objects(seen: &mut Observations, frames: &[Seen]) -> Vec<Fault> {
     let mut shown: Vec<(usize, Shown)> = Vec::new();
     let matches: Vec<Match<'_>> = (0..frames.len()).map(|i| Match::of(seen, frames, i)).collect();
     let usual = median(matches.iter().map(Match::best).collect()).unwrap_or(1.0);
+    let light: Vec<f64> = frames.iter().map(Seen::light).collect();
+    let usual_light = median(light.clone()).unwrap_or(1.0);
     for (i, (s, m)) in frames.iter().zip(&matches).enumerate() {
+        let holds_its_own = m.own > IN_PART && (light[i] / usual_light - 1.0).abs() < OWN_LIGHT;
         // An improvement alone is no match: the frame must fit about as well as the others.
-        let better = |r: f64| 1.0 - r < BETTER * (1.0 - m.own) && 1.0 - r < AS_USUAL * (1.0 - usual) + SLACK;
+        let better =
+            |r: f64| r > ALIKE && 1.0 - r < BETTER * (1.0 - m.own) && 1.0 - r < AS_USUAL * (1.0 - usual) + SLACK;
         let fault = |kind, correlation_after| Fault {
             frame: seen.frames[s.frame].info.frame,
             kind,
@@ -227,7 +275,11 @@ pub fn objects(seen: &mut Observations, frames: &[Seen]) -> Vec<Fault> {
                     shown.push((s.frame, Shown::Object(seen.truths.len() - 1)));
                 }
             }
-            _ if usual > OWN && 1.0 - m.own > UNLIKE * (1.0 - usual) + SLACK && resembles_another(frames, i) => {
+            _ if usual > OWN
+                && 1.0 - m.own > UNLIKE * (1.0 - usual) + SLACK
+                && !holds_its_own
+                && resembles_another(frames, i) =>
+            {
                 let z = fisher(m.own, usual, s.measured.len());
                 faults.push(Fault { z, ..fault(FaultKind::Unlike, m.own) });
                 shown.push((s.frame, Shown::Unknown));
@@ -289,6 +341,17 @@ pub(super) fn correlation(a: &Array2<f32>, b: &Array2<f32>) -> f64 {
     Moments::of(a.view(), b.view()).map_or(0.0, |m| m.pcc())
 }
 
+/// Slope of the regression of an image on another; 0 if that does not vary.
+pub(super) fn slope(y: &Array2<f32>, on: &Array2<f32>) -> f64 {
+    let [mean_y, mean] = [y, on].map(|image| f64::from(image.mean().unwrap_or(0.0)));
+    let (mut both, mut square) = (0.0, 0.0);
+    for (y, m) in y.iter().zip(on) {
+        both += (f64::from(*y) - mean_y) * (f64::from(*m) - mean);
+        square += (f64::from(*m) - mean).powi(2);
+    }
+    if square > 0.0 { both / square } else { 0.0 }
+}
+
 /// The middle of some values; None of none.
 pub(super) fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
@@ -343,6 +406,20 @@ mod tests {
             assert!((0..8).all(|k| (agreement[k] > 0.9) == (k != 3)), "{d:?}: {agreement:?}");
             assert_eq!(all[0].moved.is_some(), d != [0, 0]);
         }
+    }
+
+    #[test]
+    fn a_frame_that_is_cut_off_at_full_scale_is_as_bright_as_its_record() {
+        let own = blobs(1);
+        let cut = |light: f32, at: f32| own.mapv(|v| (light * v).min(at));
+        // Nothing saturates: the same bits.
+        assert_eq!(filled(cut(0.5, 1e9), &own, 1e6).unwrap(), cut(0.5, 1e9));
+        for light in [0.6, 1.0, 1.7] {
+            let found = filled(cut(light, 200.0), &own, 196.0).unwrap();
+            let most = found.iter().zip(&own).fold(0.0f32, |most, (y, m)| most.max((y - light * m).abs()));
+            assert!(most < 0.02 * 500.0 * light, "{light}: {most}");
+        }
+        assert!(filled(own.mapv(|_| 300.0), &own, 196.0).is_none());
     }
 
     #[test]

@@ -218,15 +218,7 @@ fn levels(model: &Model<'_>, held_out: bool, now: &[Predicted]) -> Vec<Level> {
 
 /// Features of the measured pairs of a level.
 fn measured(now: &[Predicted], model: &Model<'_>, level: &Level) -> Features {
-    let frames = &model.seen.frames;
-    let one = |(a, b): &(usize, usize)| {
-        let mut d = &frames[*b].measured - &frames[*a].measured;
-        if !level.unknown {
-            d -= &(&now[*b].dn - &now[*a].dn);
-        }
-        d.zip_mut_with(&now[*a].inverse_sigma, |d, w| *d *= w * std::f32::consts::FRAC_1_SQRT_2);
-        level.features(d)
-    };
+    let one = |pair: &(usize, usize)| level.features(standardised(model, now, *pair, level.unknown));
     let all: Vec<Features> = level.pairs.iter().map(one).collect();
     std::array::from_fn(|f| {
         let mut values: Vec<f64> = all.iter().map(|v| v[f]).collect();
@@ -237,6 +229,38 @@ fn measured(now: &[Predicted], model: &Model<'_>, level: &Level) -> Features {
         }
         values.iter().sum::<f64>() / values.len() as f64
     })
+}
+
+/// A difference of two repeats.
+pub(super) struct Repeats {
+    /// In standard deviations of the noise that the model expects, [sensor rows, sensor cols].
+    pub(super) difference: Array2<f32>,
+    /// Whether it is of two frames of an unknown specimen, which may move a little.
+    pub(super) unknown: bool,
+}
+
+/// The differences of all pairs of repeats that are not held out.
+pub(super) fn repeats(model: &Model<'_>, now: &[Predicted]) -> Vec<Repeats> {
+    let of = |level: Level| {
+        let unknown = level.unknown;
+        level
+            .pairs
+            .into_iter()
+            .map(move |pair| Repeats { difference: standardised(model, now, pair, unknown), unknown })
+    };
+    levels(model, false, now).into_iter().flat_map(of).collect()
+}
+
+/// The difference of a pair of repeats in standard deviations of the noise. What the model expects of it is taken off,
+/// but for an unknown specimen.
+fn standardised(model: &Model<'_>, now: &[Predicted], (a, b): (usize, usize), unknown: bool) -> Array2<f32> {
+    let frames = &model.seen.frames;
+    let mut d = &frames[b].measured - &frames[a].measured;
+    if !unknown {
+        d -= &(&now[b].dn - &now[a].dn);
+    }
+    d.zip_mut_with(&now[a].inverse_sigma, |d, w| *d *= w * std::f32::consts::FRAC_1_SQRT_2);
+    d
 }
 
 /// Absolute differences of a pair of repeats less what the model expects, DN.

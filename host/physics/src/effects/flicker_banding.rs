@@ -3,12 +3,13 @@
 //!
 //! `mu -> mu (1 + m_cos cos a + m_sin sin a)`, `a = 2 pi (cycles_per_row row + frame_hz time)`. A row is exposed one
 //! line time after the row above, so a lamp at f Hz gives `cycles_per_row = f * line time`. Frames at even intervals
-//! determine f only up to a multiple of their rate; `frame_hz` may be any such alias.
+//! determine f only up to a multiple of their rate; `frame_hz` may be any such alias. Flats may be taken with a lamp of
+//! their own, which does not flicker: `in_flats` is 0 then.
 
 use super::context::FrameContext;
 use super::descriptor::{Descriptor, Lookalike, Param, Stage};
 use super::effect::Effect;
-use super::evidence::Evidence;
+use super::evidence::{Evidence, EvidenceFrame};
 use super::wave::{Spectrum, wave};
 use ndarray::Array2;
 use ommatidia_session::Role;
@@ -27,6 +28,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
         Param::strength("m_sin", "1", 0.001, -1.0, 1.0),
         Param::shape("cycles_per_row", "1/row", 0.02, 0.0002, [0.0, 0.5], &[]),
         Param::shape("frame_hz", "Hz", 7.0, 0.1, [-1e5, 1e5], &[]),
+        Param::choice("in_flats", "1", 1.0, [0.0, 1.0]),
     ],
     lookalikes: &[
         Lookalike {
@@ -44,7 +46,12 @@ impl Effect for FlickerBanding {
     }
 
     fn on_light(&self, p: &[f64], light_e: &mut Array2<f32>, cx: &FrameContext<'_>) {
-        if (p[0] == 0.0 && p[1] == 0.0) || cx.role == Role::Dark {
+        let lit = match cx.role {
+            Role::Dark => false,
+            Role::Flat => p[4] != 0.0,
+            Role::Scene | Role::Bead => true,
+        };
+        if (p[0] == 0.0 && p[1] == 0.0) || !lit {
             return;
         }
         // cos(b + c) and sin(b + c): the phase c from the time enters the two amplitudes.
@@ -60,9 +67,18 @@ impl Effect for FlickerBanding {
         (rows * frames.max(2)) as f64 / 4.0
     }
 
-    /// Peaks over (cycles per row, Hz) in the spectrum of the rows' residuals, weighted by their light.
+    /// Peaks over (cycles per row, Hz) in the spectrum of the rows' residuals, weighted by their light: of all lit
+    /// frames, and of those that are no flats.
     fn guess(&self, evidence: &Evidence<'_>) -> Vec<Vec<f64>> {
-        peaks(evidence).into_iter().map(|[per_row, hz]| vec![0.0, 0.0, per_row, hz]).collect()
+        let of = |in_flats: bool| {
+            let lit = |f: &&EvidenceFrame<'_>| f.cx.role != Role::Dark && (in_flats || f.cx.role != Role::Flat);
+            let frames: Vec<&EvidenceFrame<'_>> = evidence.frames.iter().filter(lit).collect();
+            let start = move |[per_row, hz]: [f64; 2]| vec![0.0, 0.0, per_row, hz, f64::from(u8::from(in_flats))];
+            peaks(&frames).into_iter().map(start)
+        };
+        let has =
+            |flats: bool| evidence.frames.iter().any(|f| (f.cx.role == Role::Flat) == flats && f.cx.role != Role::Dark);
+        of(true).chain(of(false).take(if has(true) && has(false) { KEEP } else { 0 })).collect()
     }
 }
 
@@ -76,13 +92,13 @@ const STANDING: f64 = 1.5;
 const KEEP: usize = 3;
 
 /// The strongest waves over rows and time, as (cycles per row, Hz).
-fn peaks(evidence: &Evidence<'_>) -> Vec<[f64; 2]> {
-    let lit: Vec<_> = evidence.frames.iter().filter(|f| f.cx.role != Role::Dark).take(FRAMES).collect();
+fn peaks(lit: &[&EvidenceFrame<'_>]) -> Vec<[f64; 2]> {
+    let lit = &lit[..lit.len().min(FRAMES)];
     let Some(rows) = lit.first().map(|f| f.light_e.nrows()).filter(|n| *n >= 4) else { return Vec::new() };
     // For each frame, the sums of w R L by row, minus the part in proportion to the light: the scale of a frame is
     // free.
     let mut signals = Vec::new();
-    for frame in &lit {
+    for frame in lit {
         let (mut sums, mut powers) = (vec![0.0; rows], vec![0.0; rows]);
         let lines = frame.residual_dn.outer_iter().zip(frame.weight.outer_iter()).zip(frame.light_e.outer_iter());
         for (((residual, weight), light), (s, p)) in lines.zip(sums.iter_mut().zip(&mut powers)) {
