@@ -1,7 +1,7 @@
 //! Closes the loop on observations in memory: screening of the records, then one attempt, or two.
 
 use super::account::{
-    Account, Closed, Closing, Verdict, calibration_note, fault, pictured, registration_notes, registrations,
+    Account, Closed, Closing, Verdict, calibration_note, fault, pictured, quiet, registration_notes, registrations,
     within_calibration,
 };
 use super::attempt::{Given, OWN_BEADS_NOTE, attempt, held_out_blocks, held_out_frames, own_beads};
@@ -45,6 +45,22 @@ pub fn close(
     if seen.frames.is_empty() {
         return Err(CloseError::Empty);
     }
+    let mut closed = attempts(instrument, seen, options, &mut progress)?;
+    let closing = &mut closed.account.closing;
+    let (verdict, note) = quiet(closing.verdict, closing.after, &closing.effects);
+    (closing.verdict, closing.catalogue_incomplete) = (verdict, verdict != Verdict::Adequate);
+    closing.notes.extend(note);
+    Ok(closed)
+}
+
+/// One attempt with the records as they are, and another one where the first does not explain exposures that are in
+/// doubt.
+fn attempts(
+    instrument: &Instrument,
+    seen: &mut Observations,
+    options: &CloseOptions<'_>,
+    mut progress: impl FnMut(&str),
+) -> Result<Closed, CloseError> {
     estimate_specimens(instrument, seen);
     progress("records");
     let [mut faults, doubted] = wrong_records(instrument, seen)?;

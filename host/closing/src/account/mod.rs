@@ -29,5 +29,5 @@ pub use result::{
 };
 pub use retrain::{Control, Filed, Retrain, RetrainRequest, Retrained};
 pub(crate) use verdict::{
-    Excess, Left, MUCH, calibration_note, harmful, imitated, shadowed, small_note, within_calibration,
+    Excess, Left, calibration_note, harmful, imitated, quiet, shadowed, small_note, within_calibration,
 };

@@ -151,9 +151,10 @@ impl Names {
 
     /// Takes the names from all effects: the model does not describe the session, so that what was found is at most a
     /// part of what is wrong, pixel tables of darks and flats included.
-    pub(crate) fn disown(&mut self) {
+    /// `recalibrated`: as in [`Judged::recalibrated`].
+    pub(crate) fn disown(&mut self, recalibrated: bool) {
         let (named, kept): (Vec<Effect>, _) =
-            std::mem::take(&mut self.effects).into_iter().partition(|e| claims_a_cause(e, false));
+            std::mem::take(&mut self.effects).into_iter().partition(|e| claims_a_cause(e, recalibrated));
         self.effects = kept;
         self.nearest.extend(named.into_iter().map(|e| Nearest {
             id: e.id,
@@ -249,7 +250,7 @@ mod tests {
         let none = Constancy::default();
         let mut it = names(&[(&table, none), (&unnamed, none)], Left::default(), false);
         assert_eq!(it.effects.len(), 2);
-        it.disown();
+        it.disown(false);
         assert_eq!((it.effects[0].id.as_str(), it.nearest[0].id.as_str()), ("unknown_factor", "hot_pixels"));
         assert_eq!((it.effects.len(), it.nearest.len()), (1, 1));
     }

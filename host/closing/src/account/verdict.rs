@@ -5,7 +5,7 @@ use crate::evidence::omnibus::significant;
 use crate::evidence::{Constancy, Dependence, Figures};
 use crate::search::{Found, Imitation, NEEDS_CALIBRATION, Shadowed};
 use ommatidia_model::instrument::Quality;
-use ommatidia_physics::effects::Stage;
+use ommatidia_physics::effects::{Stage, find};
 
 /// Names are earned if at most this share of the excess of chi-squared over the noise is left, on held-out data.
 const LEFT: f64 = 0.05;
@@ -18,7 +18,7 @@ const SIGMAS: f64 = 5.0;
 const SIGMAS_SEEN: f64 = 2.0;
 /// A model whose chi-squared per pixel exceeds one by less is no other model, whatever its excess was before: errors of
 /// a calibration reach that size.
-pub(crate) const MUCH: f64 = 0.25;
+const MUCH: f64 = 0.25;
 /// Where many foci overlap, the errors of their PSFs cancel in part: this share of the error of one focus is left.
 const OVERLAPPING: f64 = 0.5;
 /// From this share on most of the excess is left.
@@ -173,6 +173,23 @@ pub(crate) fn small_note(
     })
 }
 
+/// The verdict where the frames have much less noise than the calibration: that of another mode of the camera, which no
+/// structure shows; and the sentence that says so. Effects of the noise that were found say it themselves.
+pub(crate) fn quiet(verdict: Verdict, after: Figures, effects: &[Effect]) -> (Verdict, Option<String>) {
+    let is_said = effects.iter().any(|e| find(&e.id).is_some_and(|effect| effect.noise_only()));
+    let is_quiet = after.chi2_ndf < 1.0 - MUCH;
+    if verdict != Verdict::Adequate || is_said || !is_quiet {
+        return (verdict, None);
+    }
+    let note = format!(
+        "the frames scatter less about the model than the noise of the calibration allows (chi-squared per pixel \
+         {:.3}): another gain or bit depth of the camera, frames that were averaged or smoothed, or a gain of the \
+         calibration that is too large",
+        after.chi2_ndf
+    );
+    (Verdict::Incomplete, Some(note))
+}
+
 /// Whether an entry of the account claims a cause in the instrument. With `recalibrated` the PSFs are calibrated again,
 /// and the entry that stands for it claims no more than that.
 pub(crate) fn claims_a_cause(effect: &Effect, recalibrated: bool) -> bool {
@@ -222,6 +239,15 @@ pub(crate) fn imitated(all: &[Imitation]) -> Vec<Nearest> {
 mod tests {
     use super::*;
     use crate::evidence::{Covariate, Spread};
+
+    #[test]
+    fn frames_with_less_noise_than_the_calibration_are_not_described_by_it() {
+        let of = |chi2_ndf| quiet(Verdict::Adequate, Figures { chi2_ndf, nrmse: 0.02, pcc: 0.99 }, &[]);
+        assert_eq!(of(0.9), (Verdict::Adequate, None));
+        assert_eq!(of(f64::NAN), (Verdict::Adequate, None));
+        let (verdict, note) = of(0.68);
+        assert!(verdict == Verdict::Incomplete && note.is_some_and(|note| note.contains("0.680")));
+    }
 
     #[test]
     fn nothing_is_left_within_the_error_of_the_calibration() {

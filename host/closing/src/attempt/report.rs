@@ -4,10 +4,10 @@ use super::basis::{Basis, Given};
 use super::notes::{Said, background_notes, held_out_blocks, held_out_frames, notes, own_beads};
 use super::settle::Settled;
 use crate::account::{
-    Accepted, Closed, Closing, Effect, Findings, Judged, Left, MUCH, Names, Nearest, ROW_NOISE, Verdict, effects,
-    harmful, imitated, pictured, registrations, rejected, shadowed,
+    Accepted, Closed, Closing, Effect, Findings, Judged, Left, Names, Nearest, ROW_NOISE, Verdict, effects, harmful,
+    imitated, pictured, registrations, rejected, shadowed,
 };
-use crate::evidence::{Figures, compared, curves, noise_left, structured};
+use crate::evidence::{compared, curves, noise_left, structured};
 use crate::fit::{Model, PUPIL_DEFOCUS, State, Term, estimated_frames, rhythm};
 use crate::options::{CloseError, CloseOptions};
 use crate::plan::{self, plan};
@@ -45,9 +45,9 @@ pub(super) fn report(
     let seen = model.seen;
     let [before, after] = compared(model, &basis.before, closed);
     let mut names = names(basis, &settled, given);
-    let verdict = verdict(basis, &settled, &names, after);
+    let verdict = verdict(basis, &settled, &names);
     if verdict == Verdict::NotThisModel {
-        names.disown();
+        names.disown(settled.recalibrated);
     }
     let curves = curves(model, now, own)?;
     let own_beads = own_beads(seen, options.calibrated_on);
@@ -118,12 +118,10 @@ fn names(basis: &Basis<'_>, settled: &Settled, given: Given<'_>) -> Names {
     Names::of(effects, judged)
 }
 
-fn verdict(basis: &Basis<'_>, settled: &Settled, names: &Names, after: Figures) -> Verdict {
+fn verdict(basis: &Basis<'_>, settled: &Settled, names: &Names) -> Verdict {
     let unnamed = settled.found.iter().any(|f| f.id.starts_with("unknown"));
     let left = structured(&settled.dependences) && !basis.within_calibration(&settled.now);
-    let verdict = basis.excess(&settled.now).verdict(left || unnamed || names.uneven);
-    // Frames with much less noise than the calibration has are those of another mode of the camera.
-    if verdict == Verdict::Adequate && after.chi2_ndf < 1.0 - MUCH { Verdict::Incomplete } else { verdict }
+    basis.excess(&settled.now).verdict(left || unnamed || names.uneven)
 }
 
 /// Effects that resemble the cause, of those that are out.

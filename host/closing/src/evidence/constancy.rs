@@ -91,17 +91,21 @@ impl Constancy {
         };
         let own: Vec<(usize, f64)> = design.columns.iter().enumerate().filter_map(change).collect();
         let time = |k: usize| model.seen.frames.get(k).map_or(0.0, |f| f.info.time_s);
-        let drift: Option<&dyn Fn(usize) -> f64> = if design.estimated { Some(&time) } else { None };
         let blocks = match design.estimated {
             true => Spread::default(),
-            false => spread(design, groups(design, &own, |c| c.block), None),
+            false => spread(design, groups(design, &own, |c| c.block), &[]),
         };
         let light = light(design, &own, |c| {
             model.seen.frames.get(c.frame).is_some_and(|f| matches!(f.shown, Shown::Object(_)))
         });
         let by_frame = groups(design, &own, |c| c.frame);
-        let by_frame = beside_light(design, &own, &by_frame).unwrap_or(by_frame);
-        let it = Self { frames: spread(design, by_frame, drift), blocks, light };
+        let frames = match (design.estimated, beside_light(design, &own, &by_frame)) {
+            (true, _) => spread(design, by_frame, &[&time]),
+            // Beside the light of each frame the strength that was fitted to all may be another one.
+            (false, Some(beside)) => spread(design, beside, &[&|_| 1.0]),
+            (false, None) => spread(design, by_frame, &[]),
+        };
+        let it = Self { frames, blocks, light };
         tracing::info!("constancy of {}: {it:.3?}", fit.state.terms[term].id());
         it
     }
@@ -209,9 +213,9 @@ fn light(design: &Design, own: &[(usize, f64)], shows: impl Fn(&Cell) -> bool) -
     if changed > 0.0 { (all / changed).sqrt() } else { 0.0 }
 }
 
-/// Compares the strength of an effect between groups. With `drift`, a value for each key, a change of the strength in
-/// proportion to it is allowed.
-fn spread(design: &Design, compared: Vec<Group>, drift: Option<&dyn Fn(usize) -> f64>) -> Spread {
+/// Compares the strength of an effect between groups. Changes of the strength in proportion to one of the values `free`,
+/// which each key has, are allowed.
+fn spread(design: &Design, compared: Vec<Group>, free: &[&dyn Fn(usize) -> f64]) -> Spread {
     let groups = compared;
     let (m, given) = (groups.len(), design.columns.len());
     if m < LEAST_GROUPS {
@@ -234,20 +238,21 @@ fn spread(design: &Design, compared: Vec<Group>, drift: Option<&dyn Fn(usize) ->
         e.dot(&e.t())
     });
     let by_strength = reduced(&by_noise.dot(&by_noise.t()));
-    let along_drift = |value: &dyn Fn(usize) -> f64| {
+    let along = |value: &dyn Fn(usize) -> f64| {
         shown.t().dot(&by_noise.dot(&Array1::from_iter(groups.iter().map(|g| value(g.key)))))
     };
     let by_noise = reduced(&by_noise);
     let v = &by_noise + &scattered + &stated;
     let v_inverse = pseudo_inverse(&v);
     let mut weight = v_inverse.clone();
-    if let Some(value) = drift {
+    for value in free {
         // What a strength that changes with the value does to the scores is taken out of them.
-        let u = along_drift(value);
-        let along = v_inverse.dot(&u);
-        let square = u.dot(&along);
-        if square > 0.0 {
-            let column = along.clone().insert_axis(Axis(1));
+        let u = along(value);
+        let out = weight.dot(&u);
+        let square = u.dot(&out);
+        // Of a second value no more may be left than rounding.
+        if square > HIDDEN * u.dot(&v_inverse.dot(&u)) {
+            let column = out.insert_axis(Axis(1));
             weight = weight - column.dot(&column.t()) / square;
         }
     }
@@ -332,14 +337,14 @@ mod tests {
         Design { columns, scattered: 0, stated: 0, cells, before: Array2::zeros((2, 2)), estimated: false }
     }
 
-    fn of(tau: f64, slope: f64, seed: u64, drift: Option<&dyn Fn(usize) -> f64>) -> Spread {
+    fn of(tau: f64, slope: f64, seed: u64, free: &[&dyn Fn(usize) -> f64]) -> Spread {
         let design = made_up(tau, slope, seed);
-        spread(&design, groups(&design, &[(1, 1.0)], |c| c.frame), drift)
+        spread(&design, groups(&design, &[(1, 1.0)], |c| c.frame), free)
     }
 
     #[test]
     fn a_constant_strength_is_constant() {
-        let all: Vec<Spread> = (0..200).map(|seed| of(0.0, 0.0, seed, None)).collect();
+        let all: Vec<Spread> = (0..200).map(|seed| of(0.0, 0.0, seed, &[])).collect();
         let beyond = all.iter().filter(|s| s.z > 2.0).count();
         // Binomial of 200 and 0.046: 9 +- 3.
         assert!(beyond < 20 && !all.iter().any(|s| s.is_uneven(0.0)), "{beyond}");
@@ -367,14 +372,14 @@ mod tests {
 
     #[test]
     fn the_spread_of_a_strength_is_measured() {
-        let all: Vec<f64> = (0..100).map(|seed| of(0.5, 0.0, seed, None).tau.powi(2)).collect();
+        let all: Vec<f64> = (0..100).map(|seed| of(0.5, 0.0, seed, &[]).tau.powi(2)).collect();
         let rms = (all.iter().sum::<f64>() / 100.0).sqrt();
         // Nine degrees of freedom, a hundred times: 0.5 +- 0.012.
         assert!((rms - 0.5).abs() < 0.05, "{rms}");
-        assert!((0..20).all(|seed| of(0.5, 0.0, seed, None).is_uneven(0.0)));
+        assert!((0..20).all(|seed| of(0.5, 0.0, seed, &[]).is_uneven(0.0)));
         // Between blocks, which hold all frames alike, there is none.
         let design = made_up(0.5, 0.0, 3);
-        let blocks = spread(&design, groups(&design, &[(1, 1.0)], |c| c.block), None);
+        let blocks = spread(&design, groups(&design, &[(1, 1.0)], |c| c.block), &[]);
         assert!(!blocks.is_uneven(0.0), "{blocks:?}");
     }
 
@@ -385,7 +390,7 @@ mod tests {
             let design = under_lamp(tau, 0.0, 1.0, seed);
             let frames = groups(&design, &own, |c| c.frame);
             let beside = beside_light(&design, &own, &frames).unwrap();
-            [frames, beside].map(|groups| spread(&design, groups, None))
+            [spread(&design, frames, &[]), spread(&design, beside, &[&|_| 1.0])]
         };
         for seed in 0..20 {
             let [with, without] = of(0.0, seed);
@@ -402,23 +407,23 @@ mod tests {
 
     #[test]
     fn what_would_show_is_stated() {
-        let of_seed = |seed| of(0.0, 0.0, seed, None);
+        let of_seed = |seed| of(0.0, 0.0, seed, &[]);
         let resolution = of_seed(1).resolution;
         // T exceeds its nine degrees of freedom by three times its standard deviation.
         assert!((0.05..0.4).contains(&resolution), "{resolution}");
         // There T is 1 + 3 sqrt(18) / 9 = 2.4 times a chi-squared of nine degrees of freedom, and beyond 2 standard
         // deviations, 17.2, in 62 % of cases: 31 +- 3.4 of 50.
-        let shows = |times: f64| (0..50).filter(|seed| of(times * resolution, 0.0, *seed, None).z > 2.0).count();
+        let shows = |times: f64| (0..50).filter(|seed| of(times * resolution, 0.0, *seed, &[]).z > 2.0).count();
         assert!((21..=41).contains(&shows(1.0)) && shows(3.0) > 45, "{} {}", shows(1.0), shows(3.0));
     }
 
     #[test]
     fn a_drift_is_taken_out_where_it_is_allowed() {
         let number = |k: usize| k as f64;
-        assert!(of(0.0, 0.15, 1, None).is_uneven(0.0));
-        let without = of(0.0, 0.15, 1, Some(&number));
+        assert!(of(0.0, 0.15, 1, &[]).is_uneven(0.0));
+        let without = of(0.0, 0.15, 1, &[&number]);
         assert!(without.z < 3.0, "{without:?}");
-        assert!(of(0.5, 0.15, 1, Some(&number)).is_uneven(0.0));
+        assert!(of(0.5, 0.15, 1, &[&number]).is_uneven(0.0));
     }
 
     #[test]

@@ -37,6 +37,8 @@ const IN_PART: f64 = 0.5;
 const SATURATED: f64 = 0.98;
 /// A frame with a smaller share of other pixels says nothing of its record.
 const OPEN: f64 = 0.25;
+/// Share of full scale from which on a pixel may saturate where its record does.
+const BRIGHT: f32 = 0.5;
 /// Rounds in which the light of a frame and its saturated pixels are found: each depends on the other.
 const ROUNDS: usize = 4;
 
@@ -168,7 +170,8 @@ pub fn look(model: &Model<'_>, state: &State) -> Result<Vec<Seen>, ForwardError>
 /// others are left. `full_dn` is where pixels saturate, DN above the black level.
 fn filled(mut measured: Array2<f32>, own: &Array2<f32>, full_dn: f32) -> Option<Array2<f32>> {
     let mut ratio = 0.0f32;
-    let open = |y: f32, m: f32, ratio: f32| y < full_dn && ratio * m < full_dn;
+    // A dark pixel does not saturate, whatever a wrong record predicts.
+    let open = |y: f32, m: f32, ratio: f32| y < BRIGHT * full_dn || y < full_dn && ratio * m < full_dn;
     let mut left = 0;
     for _ in 0..ROUNDS {
         let (mut light, mut expected) = (0.0f64, 0.0f64);
