@@ -2,7 +2,7 @@
 
 use crate::evidence::{TableFit, Test};
 use crate::fit::Term;
-use ommatidia_physics::effects::find;
+use ommatidia_physics::effects::{Kind, find};
 
 /// Penalty of each additional parameter, in units of chi-squared.
 pub(crate) const PENALTY: f64 = 6.0;
@@ -38,6 +38,12 @@ impl Candidate {
             return table.p;
         }
         self.test.as_ref().map_or(1.0, |t| (t.p * self.chances).min(1.0))
+    }
+
+    /// Number of values that its fit determines: its strengths, and the shapes that they have in common.
+    pub(crate) fn values(&self) -> usize {
+        let shapes = self.term.effect.descriptor().params.iter().filter(|p| matches!(p.kind, Kind::Shape(_)));
+        self.columns.len() + shapes.count()
     }
 
     /// Estimate of its first strength. None: this session does not determine it.

@@ -37,6 +37,15 @@ const FEIGNED: f64 = 0.1;
 /// Of two similar effects the one with fewer parameters is named if it explains all but this share of what the other
 /// explains.
 const TRACE: f64 = 1e-3;
+/// Of a weak effect this share, up to five standard deviations of one parameter: the law of a true effect errs too.
+const WEAK_TRACE: f64 = 1e-2;
+const FIVE_SIGMA: f64 = 25.0;
+
+/// How much less of a gain a simpler effect may explain.
+fn trace(gain: f64) -> f64 {
+    (TRACE * gain).max((WEAK_TRACE * gain).min(FIVE_SIGMA))
+}
+
 /// Significance of wings of the noise, standard deviations, below which larger noise is no sign of an effect that makes
 /// wings.
 const WINGS: f64 = 3.0;
@@ -380,9 +389,8 @@ impl<'m, 'a> Search<'m, 'a> {
         // A free place of each lens also fits what the calibration does not know of it: a turn of all lenses together
         // that explains all but a trace is the simpler account.
         if let Some((_, strongest)) = best {
-            let trace = TRACE * -least;
-            let simpler =
-                |c: &&&Candidate| c.table.is_none() && c.columns.len() < strongest.columns.len() && alike(strongest, c);
+            let trace = trace(-least);
+            let simpler = |c: &&&Candidate| c.table.is_none() && c.values() < strongest.values() && alike(strongest, c);
             let cost = |c: &Candidate| costs.iter().find(|(id, _)| *id == c.term.id()).map(|(_, cost)| *cost);
             let near = finalists.iter().filter(simpler).filter_map(|c| Some((cost(c)?, *c)));
             let simplest = near.filter(|(cost, _)| cost - least < trace).min_by(|a, b| a.0.total_cmp(&b.0));
