@@ -1,6 +1,6 @@
 //! Which of the effects that were found are named as causes.
 
-use super::result::{Effect, Nearest};
+use super::result::{Effect, Nearest, Value};
 use super::verdict::{Left, claims_a_cause};
 use crate::evidence::Constancy;
 use crate::fit::repeats::is_of_noise;
@@ -16,6 +16,9 @@ const TENTH: f64 = 0.1;
 
 /// The effect whose offsets are independent from row to row.
 pub(crate) const ROW_NOISE: &str = "row_noise";
+
+/// A strength is at the end of its range if it lies this close to it, relative.
+const END: f64 = 1e-3;
 
 /// Effects by which light is brighter or darker from place to place, the same in all frames.
 const SHADES: [&str; 4] = ["vignetting", "excitation_profile", "chief_ray_response", "lens_gain"];
@@ -76,6 +79,8 @@ impl Names {
         for effect in all {
             let why = if !may_imitate(&effect) {
                 None
+            } else if let Some(at) = at_the_end(&effect) {
+                Some(format!("{at} is the end of its physical range: it imitates the cause"))
             } else if let Some(rows) = judged.rows_wave.filter(|_| effect.id == ROW_NOISE) {
                 Some(format!(
                     "the offsets of the rows follow a wave of {rows:.1} rows, with another phase in each frame, and \
@@ -175,6 +180,17 @@ impl Names {
     }
 }
 
+/// The strength of an effect that is at the upper end of its range, in words: all of the light in a halo, say, is no
+/// halo. None: it is not.
+fn at_the_end(effect: &Effect) -> Option<String> {
+    let descriptor = find(&effect.id)?.descriptor();
+    let is_at_end = |v: &&Value| {
+        let p = descriptor.params.iter().find(|p| p.name == v.name);
+        p.is_some_and(|p| p.is_strength() && p.max > p.off && v.value > (1.0 - END) * p.max)
+    };
+    effect.params.iter().find(is_at_end).map(|v| format!("its {} of {:.2}", v.name, v.value))
+}
+
 /// What the strongest term without a name explains of held-out data, over what an effect does, where that is half or
 /// more.
 fn beside_unnamed(effect: &Found, all: &[(&Found, Constancy)]) -> Option<f64> {
@@ -271,6 +287,25 @@ mod tests {
         };
         assert_eq!(named(None).effects.len(), 1);
         assert!(named(Some(12.3)).nearest[0].why.contains("12.3 rows"));
+    }
+
+    #[test]
+    fn a_halo_of_all_light_is_none() {
+        let (halo, none) = (found("halo", 1e3), Constancy::default());
+        let of = |value: f64| {
+            let value = Value { name: "weight".into(), value, sigma: 0.1, sigma_noise: 0.1, unit: "1".into() };
+            let judged = Judged {
+                found: &[(&halo, none)],
+                left: Left::default(),
+                noise_is_left: false,
+                rows_wave: None,
+                psf_error: 0.0,
+                recalibrated: false,
+            };
+            Names::of(vec![Effect { params: vec![value], ..effect("halo") }], judged)
+        };
+        assert_eq!(of(0.4).effects.len(), 1);
+        assert!(of(1.0).nearest[0].why.contains("weight of 1.00"));
     }
 
     #[test]

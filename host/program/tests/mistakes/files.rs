@@ -170,7 +170,7 @@ fn folders_that_cannot_take_an_output() {
                 .says(&["pairs: stack", "a folder of numbered .avi or .tif files"]),
             Mistake::new("A folder in place of an instrument", "predict pairs objects.npy -o new.npy").says(&[
                 "pairs",
-                "it is a folder",
+                "found a folder",
                 "name a file",
             ]),
             Mistake::new("A picture that is to be no PNG", "check session -o new.jpg")

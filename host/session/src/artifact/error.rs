@@ -26,7 +26,8 @@ pub enum ArtifactError {
     },
     /// The path is a file of another kind, or a folder.
     #[error(
-        "{path}: expected an artifact, as a verb writes them, found {found}; are the arguments in the right order?"
+        "{path}: expected an artifact, as a verb writes them, found {found}; name a file of that kind, and check the \
+         order of the arguments"
     )]
     Other {
         /// The file or folder.
