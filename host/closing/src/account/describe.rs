@@ -70,7 +70,8 @@ pub(crate) fn effects(model: &Model<'_>, findings: Findings<'_>, faults: &[Fault
             let error = model.forward.depth_error();
             params.iter_mut().filter(|v| v.sigma > 0.0).for_each(|v| v.sigma = v.sigma.hypot(error * v.value));
         }
-        let undetermined = if f.table_sigma.is_none() { at_the_end(&mut params, term, model.lenses()) } else { false };
+        let undetermined =
+            if f.table_sigma.is_none() { widen_undetermined(&mut params, term, model.lenses()) } else { false };
         let separate_by = f.ambiguity.first().map(|other| separate(f.id, other.id));
         let mut description = describe(term, &params);
         if undetermined {
@@ -120,7 +121,7 @@ fn by_law(params: &mut [Value], term: &Term, lenses: usize, left: f64) {
 
 /// Widens errors of nothing: the frames do not change with a strength at the end of its range, so that they say nothing
 /// of how large it is. Returns whether there is such a strength.
-fn at_the_end(params: &mut [Value], term: &Term, lenses: usize) -> bool {
+fn widen_undetermined(params: &mut [Value], term: &Term, lenses: usize) -> bool {
     let expanded = term.expanded(lenses);
     let mut found = false;
     for (v, (_, p)) in params.iter_mut().zip(&expanded).filter(|(_, (_, p))| p.is_strength()) {

@@ -1,11 +1,9 @@
 //! Frames that are turned or mirrored as a whole: the camera was mounted in another way than for the calibration, or a
 //! program has turned what it wrote.
 
-use super::record::{Seen, Turn, correlation, median};
+use super::record::{IN_PLACE, Seen, Turn, correlation, median};
 use crate::data::FaultKind;
 
-/// Scenes that usually correlate with their records by more than this are not turned.
-const IN_PLACE: f64 = 0.9;
 /// Turned back, the scenes leave less than this share of the unexplained variance, (1 - correlation), of what they leave
 /// as they are, and of what turned objects leave.
 const BETTER: f64 = 0.5;

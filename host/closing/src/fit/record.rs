@@ -22,7 +22,7 @@ const ALIKE: f64 = 0.85;
 /// A scene that leaves so many times that variance may show none of the objects.
 const UNLIKE: f64 = 10.0;
 /// Scenes that usually correlate with their records by more than this are where they are expected.
-const IN_PLACE: f64 = 0.9;
+pub(super) const IN_PLACE: f64 = 0.9;
 /// Number of scenes by which a common displacement is found.
 const LOOKED_AT: usize = 12;
 /// Standard deviation of the Gaussian blur before the light of a frame is compared with its record, pixels: frames of

@@ -133,13 +133,11 @@ impl Instrument {
 }
 
 impl Instrument {
-    /// Replaces the gain by one that was measured later, DN per electron, with its standard error. What the model
-    /// predicts in DN stays the same; what it holds in electrons (light, read noise, backgrounds) does not.
+    /// Replaces the gain by one that was measured later, DN per electron, with its standard error. PSFs are in DN and
+    /// stay as they are, and so do the frames that they predict; what the model holds in electrons (read noise,
+    /// backgrounds) is converted.
     pub fn set_gain(&mut self, gain_dn_per_e: f64, sigma: f64) {
         let electrons = self.noise.gain_dn_per_e / gain_dn_per_e;
-        for psf in std::iter::once(&mut self.psf).chain(&mut self.replicates) {
-            psf.coefficients.mapv_inplace(|v| (f64::from(v) * electrons) as f32);
-        }
         self.noise.read_noise_e *= electrons;
         self.noise.read_noise_sigma *= electrons;
         self.noise.gain_dn_per_e = gain_dn_per_e;
@@ -147,8 +145,6 @@ impl Instrument {
         self.noise.sources.gain = Source::Measured;
         self.quality.background = self.quality.background.map(|b| b.scaled(electrons));
         self.diagnostics.background_e.mapv_inplace(|v| (f64::from(v) * electrons) as f32);
-        // Fitted to the PSFs as they were.
-        self.pupils = Pupils::default();
     }
 }
 

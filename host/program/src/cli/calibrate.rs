@@ -49,10 +49,12 @@ pub struct Args {
     #[arg(long)]
     accept: bool,
     /// Gain, DN per electron, that is assumed if there are no flats
-    #[arg(long, value_name = "DN/E", allow_negative_numbers = true, default_value_t = NoiseConfig::default().nominal_gain_dn_per_e)]
+    #[arg(long, value_name = "DN/E", allow_negative_numbers = true,
+        default_value_t = NoiseConfig::default().nominal_gain_dn_per_e)]
     gain: f64,
     /// Read noise, electrons rms, that is assumed if the session does not determine it
-    #[arg(long, value_name = "E", allow_negative_numbers = true, default_value_t = NoiseConfig::default().nominal_read_noise_e)]
+    #[arg(long, value_name = "E", allow_negative_numbers = true,
+        default_value_t = NoiseConfig::default().nominal_read_noise_e)]
     read_noise: f64,
 }
 
