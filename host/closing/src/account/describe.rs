@@ -290,6 +290,13 @@ fn describe(term: &Term, params: &[Value]) -> String {
             short(params[0].value),
             short(params[0].sigma)
         ),
+        "unknown_dark" => format!(
+            "unknown: a dark signal, e-/px/ms, that is fixed to the sensor, rms {} +- {}, the same in darks and in the \
+             light; measured pixel by pixel; cause not identified: the glow of the readout amplifier is smooth and \
+             brightest at an edge or in a corner; valid for this sensor at this temperature",
+            short(params[0].value),
+            short(params[0].sigma)
+        ),
         "unknown_shading" | "unknown_light" | "unknown_stray" | "unknown_offset" => {
             let what = match d.id {
                 "unknown_shading" => "a factor on the light",

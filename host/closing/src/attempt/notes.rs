@@ -7,13 +7,14 @@ use crate::account::{
     small_note, unstated_notes,
 };
 use crate::data::{Observations, Shown, bright_darks};
-use crate::evidence::{Curve, Figures, JudgedOn, judged, structured};
+use crate::evidence::{Curve, Figures, JudgedOn, excess, judged, structured};
 use crate::fit::gauge::Gauge;
-use crate::fit::{Model, PUPIL_DEFOCUS, State, Term, UNKNOWN_NOTE, chosen_note};
+use crate::fit::{Fitted, Model, PUPIL_DEFOCUS, State, Term, UNKNOWN_NOTE, chosen_note};
 use crate::options::CalibratedOn;
 use crate::search::is_laplacian;
 use ommatidia_model::forward::ForwardError;
 use ommatidia_model::instrument::{Instrument, LightUnit};
+use ommatidia_physics::effects::find;
 use ommatidia_physics::noise::Source;
 use ommatidia_session::Role;
 use std::collections::BTreeSet;
@@ -39,6 +40,7 @@ pub(super) fn notes(basis: &Basis<'_>, settled: &Settled, said: &Said<'_>) -> Re
     notes.extend(out_notes(settled));
     notes.extend(said.names.note());
     let misjudged = now.state.terms.iter().find(|t| t.id() == PUPIL_DEFOCUS).map_or(&[][..], |t| &t.params);
+    notes.extend(noise_note(basis, now, said));
     notes.extend(pupil_note(instrument, effects, misjudged, model.forward.depth_error()));
     // Without a bead scan there are no replicates to be had.
     if instrument.replicates.is_empty() && !instrument.sensor_only() && seen.of(Role::Scene).next().is_some() {
@@ -82,6 +84,30 @@ fn sharper_note(found: &[Term]) -> Option<String> {
          a camera of less resolution are blurred, and a calibration with beads that are larger than stated has too wide \
          PSFs; a bead scan of this day distinguishes them"
             .into()
+    })
+}
+
+/// A chi-squared that effects on the noise change by more than this is worth a word.
+const BY_NOISE: f64 = 0.02;
+
+/// What chi-squared is over the noise that was found: effects that act on the noise alone change no prediction, and the
+/// figures keep the noise of the calibration, so that no fit gains by a larger one.
+fn noise_note(basis: &Basis<'_>, now: &Fitted, said: &Said<'_>) -> Option<String> {
+    let of_noise = |e: &&Effect| find(&e.id).is_some_and(|effect| effect.noise_only());
+    let ids: Vec<String> = said.names.effects.iter().filter(of_noise).map(|e| format!("`{}`", e.id)).collect();
+    if ids.is_empty() {
+        return None;
+    }
+    let [over, _] = excess(basis.model, now, basis.judged_on);
+    let is_worth_it = (said.after.chi2_ndf - 1.0 - over).abs() > BY_NOISE;
+    is_worth_it.then(|| {
+        format!(
+            "the chi-squared of {:.3} per pixel is over the noise of the calibration, and effects that act on the noise \
+             alone leave it as it was. Over the noise with {} it is {:.3}",
+            said.after.chi2_ndf,
+            ids.join(" and "),
+            1.0 + over
+        )
     })
 }
 

@@ -11,6 +11,7 @@ use crate::evidence::{compared, curves, noise_left, structured};
 use crate::fit::{Model, PUPIL_DEFOCUS, State, Term, estimated_frames, rhythm};
 use crate::options::{CloseError, CloseOptions};
 use crate::plan::{self, plan};
+use crate::search::Found;
 use ommatidia_model::instrument::Instrument;
 use ommatidia_physics::effects::find;
 
@@ -127,7 +128,9 @@ fn verdict(basis: &Basis<'_>, settled: &Settled, names: &Names) -> Verdict {
 /// Effects that resemble the cause, of those that are out.
 fn out_of(settled: &Settled) -> Vec<Nearest> {
     let out = &settled.out;
-    let mut nearest = shadowed(&out.shadowed, settled.found.first().map(|f| f.id));
+    // The account numbers terms without a name.
+    let label = |f: &Found| if f.id.starts_with("unknown") { "unknown-1" } else { f.id };
+    let mut nearest = shadowed(&out.shadowed, settled.found.first().map(label));
     nearest.extend(imitated(&out.imitations));
     let harmed: Vec<_> = out.taken_back.iter().map(|(found, _)| found.clone()).collect();
     nearest.extend(harmful(&harmed));

@@ -3,10 +3,10 @@
 //! Two halves of the frames give two independent estimates of each value. Only what both have in common counts, which
 //! does not rest on the noise model. Flats show no object, so errors of the optics do not enter.
 
-use super::stats::{at_least, sigmas, two_sided};
+use super::stats::{sigmas, two_sided};
 use crate::fit::{Model, Predicted, State, Term};
-use ndarray::{Array2, Zip, s};
-use ommatidia_physics::effects::{Effect, TableGroup, TableUse, blur_within, registry};
+use ndarray::{Array2, Axis, Zip, s};
+use ommatidia_physics::effects::{Effect, Table, TableGroup, TableUse, blur_within, registry};
 use ommatidia_session::Role;
 use rayon::prelude::*;
 
@@ -36,8 +36,6 @@ pub struct TableFit {
 const SPOT: f32 = 5.0;
 /// Pixels beyond this are no part of a pattern of all pixels, standard deviations in each half.
 const FAR_OUT: f32 = 6.0;
-/// Threshold of hot pixels in each half, standard deviations.
-const STANDS_OUT: f64 = 4.5;
 /// Standard deviation of the Gaussian blur for the detection of spots, pixels.
 const SPOT_PX: f64 = 1.5;
 /// Standard deviation of the Gaussian blur that is subtracted to test for a pattern of single pixels, pixels.
@@ -62,7 +60,26 @@ fn left(model: &Model<'_>, acts: TableUse) -> f64 {
     match acts {
         TableUse::Response => model.maps.response.powi(2),
         TableUse::Offset => model.maps.offset_dn.powi(2),
+        TableUse::DarkRate => (model.maps.offset_dn / dn_per_rate(model)).powi(2),
         _ => 0.0,
+    }
+}
+
+/// What a unit of a dark rate adds to the dark of the shortest exposure, DN per e-/ms.
+fn dn_per_rate(model: &Model<'_>) -> f64 {
+    let used = model.seen.frames.iter().filter(|f| f.role == Role::Dark);
+    let shortest = used.map(|f| f.info.exposure_ms).filter(|t| *t > 0.0).fold(f64::INFINITY, f64::min);
+    model.forward.noise().gain_dn_per_e * shortest
+}
+
+/// Whether a table is estimated from frames of a role. Scenes have maps of their own. Of a dark signal of all pixels
+/// flats say little, since their lamp may have changed.
+fn shows(role: Role, kind: Table) -> bool {
+    match (kind.acts, kind.group) {
+        (TableUse::Response, _) => role == Role::Flat,
+        (TableUse::DarkRate, TableGroup::Pattern) => role == Role::Dark,
+        (TableUse::DarkRate | TableUse::Offset, _) => matches!(role, Role::Flat | Role::Dark),
+        _ => false,
     }
 }
 
@@ -94,7 +111,7 @@ fn jumping(state: &State) -> f64 {
 /// As [`one`], where a share of the pixels is known to jump between two levels.
 fn estimated(model: &Model<'_>, effect: &'static dyn Effect, now: &[Predicted], jumping: f64) -> Option<TableFit> {
     let kind = effect.table().filter(|kind| !kind.acts.of_scenes())?;
-    let halves = [0, 1].map(|h| half(model, now, kind.acts, h));
+    let halves = [0, 1].map(|h| half(model, now, kind, h));
     let [Some(a), Some(b)] = halves else { return None };
     let found = match kind.group {
         TableGroup::Pixel => {
@@ -105,9 +122,9 @@ fn estimated(model: &Model<'_>, effect: &'static dyn Effect, now: &[Predicted], 
             let found = of(&fine, SMOOTH_PX).filter(|_| is_white(&fine[0], &fine[1]));
             found.and_then(|f| Some(Shape { table: of(&broad, BROAD_PX)?.table, ..f }))
         }
-        TableGroup::SparsePixels => sparse(&a, &b, jumping),
+        TableGroup::SparsePixels => single::sparse(&a, &b, jumping),
         TableGroup::Spots => spots(&a, &b, left(model, kind.acts)),
-        TableGroup::Pattern | TableGroup::Scales => pattern(&a, &b, &hot(&a, &b), left(model, kind.acts), 1.0),
+        TableGroup::Pattern | TableGroup::Scales => pattern(&a, &b, &single::hot(&a, &b), left(model, kind.acts), 1.0),
     }?;
     let expanded = effect.descriptor().expanded(model.lenses());
     let mut params: Vec<f64> = expanded.iter().map(|(_, p)| p.off).collect();
@@ -129,8 +146,10 @@ fn estimated(model: &Model<'_>, effect: &'static dyn Effect, now: &[Predicted], 
 /// frames.
 pub(crate) fn shared(model: &Model<'_>, now: &[Predicted]) -> [Option<f64>; 2] {
     [TableUse::Response, TableUse::Offset].map(|acts| {
-        let [Some(a), Some(b)] = [0, 1].map(|h| half(model, now, acts, h)) else { return None };
-        Some(pattern(&a, &b, &hot(&a, &b), left(model, acts), 1.0)?.z)
+        let [Some(a), Some(b)] = [0, 1].map(|h| half(model, now, Table { acts, group: TableGroup::Pattern }, h)) else {
+            return None;
+        };
+        Some(pattern(&a, &b, &single::hot(&a, &b), left(model, acts), 1.0)?.z)
     })
 }
 
@@ -148,20 +167,14 @@ struct Shape {
 }
 
 /// One half of the frames: the weighted mean of `residual / template` at each pixel.
-fn half(model: &Model<'_>, now: &[Predicted], acts: TableUse, which: usize) -> Option<Half> {
+fn half(model: &Model<'_>, now: &[Predicted], kind: Table, which: usize) -> Option<Half> {
     let shape = (model.seen.sensor[0], model.seen.sensor[1]);
     let (mut top, mut bottom) = (Array2::<f32>::zeros(shape), Array2::<f32>::zeros(shape));
     let (mut squares, mut count) = (Array2::<f32>::zeros(shape), 0.0f32);
     let mut weights = [0.0f64; 2];
     let gain = model.forward.noise().gain_dn_per_e as f32;
     for (n, (k, f)) in model.seen.frames.iter().enumerate().filter(|(_, f)| !f.held_out).enumerate() {
-        let used = match acts {
-            TableUse::Response => f.role == Role::Flat,
-            TableUse::DarkRate | TableUse::Offset => matches!(f.role, Role::Flat | Role::Dark),
-            // Scenes have maps of their own.
-            _ => false,
-        };
-        if !used || n / 2 % 2 != which {
+        if !shows(f.role, kind) || n / 2 % 2 != which {
             continue;
         }
         let here = &now[k];
@@ -180,7 +193,7 @@ fn half(model: &Model<'_>, now: &[Predicted], acts: TableUse, which: usize) -> O
             .and(&here.inverse_sigma)
             .and(&here.light_e)
             .for_each(|top, bottom, r, w, e| {
-                let template = match acts {
+                let template = match kind.acts {
                     TableUse::Response => gain * e,
                     TableUse::DarkRate => gain * t,
                     _ => 1.0,
@@ -246,11 +259,6 @@ fn outliers(a: &Half, b: &Half) -> Array2<bool> {
     })
 }
 
-/// Those of the outliers that are bright.
-fn hot(a: &Half, b: &Half) -> Array2<bool> {
-    Zip::from(&outliers(a, b)).and(&a.value).map_collect(|out, v| *out && *v > 0.0)
-}
-
 /// Variance of most of the values of a map. The median absolute value of a normal variable is 0.674 of its standard
 /// deviation.
 fn scatter(map: &Array2<f32>) -> f32 {
@@ -291,6 +299,24 @@ fn is_white(a: &Half, b: &Half) -> bool {
     })
 }
 
+/// What noise that the pixels of a row share, and of a column, adds to the variance of `sum a b`: for `lines` lines of n
+/// pixels, which share the variance s^2 of each half, `lines n^2 s^4`. s^2 is what the means of the lines of `a - b` scatter
+/// more than those of single pixels do; the pattern itself is in both halves alike.
+fn by_lines(a: &Half, b: &Half) -> f64 {
+    let differ = &a.value - &b.value;
+    let of_noise = Zip::from(&a.weight)
+        .and(&b.weight)
+        .map_collect(|a, b| if *a > 0.0 && *b > 0.0 { 1.0 / a + 1.0 / b } else { 0.0 });
+    let along = |axis: usize| {
+        let (n, lines) = (differ.len_of(Axis(axis)) as f64, differ.len_of(Axis(1 - axis)) as f64);
+        let square = |sum: &f32| (f64::from(*sum) / n).powi(2);
+        let seen = differ.sum_axis(Axis(axis)).iter().map(square).sum::<f64>() / lines.max(1.0);
+        let of_pixels = of_noise.iter().map(|v| f64::from(*v)).sum::<f64>() / (n * n * lines).max(1.0);
+        lines * (n * (seen - of_pixels).max(0.0) / 2.0).powi(2)
+    };
+    along(0) + along(1)
+}
+
 /// A pattern of all pixels but those of `single`: the variance common to both halves, beyond that of the map errors
 /// (`left`). `kept` is the share of a white pattern's variance that the halves hold.
 fn pattern(a: &Half, b: &Half, single: &Array2<bool>, left: f64, kept: f64) -> Option<Shape> {
@@ -305,6 +331,7 @@ fn pattern(a: &Half, b: &Half, single: &Array2<bool>, left: f64, kept: f64) -> O
     if n < 100.0 {
         return None;
     }
+    let noise = noise + by_lines(a, b);
     let (variance, noise) = (shared / n / kept, noise / (kept * kept));
     let error = ((noise + 2.0 * variance.abs() * (noise * n).sqrt()).sqrt() + n.sqrt() * variance.abs()) / n;
     let z = (variance - TOLERANCE * left) / error;
@@ -318,40 +345,6 @@ fn pattern(a: &Half, b: &Half, single: &Array2<bool>, left: f64, kept: f64) -> O
     let posterior = |w: &f32| variance.max(0.0) / (1.0 + variance.max(0.0) * f64::from(*w));
     let table_error = (both.weight.iter().map(posterior).sum::<f64>() / n).sqrt();
     Some(Shape { table, size: (variance - left).max(0.0), error, doubt: (TOLERANCE - 1.0) * left, table_error, z })
-}
-
-/// Single pixels above the threshold in both halves. Their size is the scale of an exponential distribution: their mean
-/// above the threshold. Of the share `jumping` of the pixels that jump between two levels, some are by chance in the
-/// upper one in every frame: only more hot pixels than that prove any.
-fn sparse(a: &Half, b: &Half, jumping: f64) -> Option<Shape> {
-    let both = mean(a, b);
-    let mut table = Array2::zeros(both.value.dim());
-    let (mut z, mut sum, mut number) = (0.0f64, 0.0, 0.0f64);
-    // Standard error of a typical pixel: the sensitivity if no pixel is hot.
-    let weight = f64::from(both.weight.mean().unwrap_or(0.0));
-    let one = if weight > 0.0 { 1.0 / weight.sqrt() } else { 0.0 };
-    // The threshold includes the scatter of a pattern of all pixels, which makes none of them hot.
-    let scatter = scatter(&both.value);
-    Zip::indexed(&both.value).for_each(|at, v| {
-        // Pixels that jump between two levels have a mean above the others by chance; they scatter as well.
-        let stands_out = |h: &Half| h.value[at] / (h.scatter[at] / h.weight[at].max(1e-30) + scatter).sqrt();
-        let least = f64::from(stands_out(a).min(stands_out(b)));
-        if least > STANDS_OUT {
-            table[at] = *v;
-            sum += f64::from(*v);
-            number += 1.0;
-            z = z.max(least * std::f64::consts::SQRT_2);
-        }
-    });
-    // One trial for each pixel.
-    let chances = both.value.len() as f64;
-    let z = if z > 0.0 { sigmas((two_sided(z) * chances).min(1.0)) } else { 0.0 };
-    let by_chance = jumping * chances * 0.5f64.powf(both.frames);
-    let z = if number > 0.0 && by_chance > 0.0 { z.min(sigmas(at_least(number, by_chance))) } else { z };
-    let passed = STANDS_OUT * std::f64::consts::SQRT_2 * one;
-    let size = if number > 0.0 { (sum / number - passed).max(one) } else { 0.0 };
-    let error = one.hypot(size / number.max(1.0).sqrt());
-    Some(Shape { table, size, error, doubt: 0.0, table_error: 0.0, z })
 }
 
 /// Dark spots: minima of a map that is smoothed to their size.
@@ -403,6 +396,8 @@ fn spots(a: &Half, b: &Half, left: f64) -> Option<Shape> {
     let size = if z > 0.0 { -f64::from(values.mean().unwrap_or(0.0)) } else { 0.0 };
     Some(Shape { table, size, error, doubt: 0.0, table_error: 0.0, z })
 }
+
+mod single;
 
 #[cfg(test)]
 mod tests;

@@ -94,6 +94,7 @@ mod telegraph_pixels;
 mod thermal_drift;
 mod tilt;
 mod unknown_blur;
+mod unknown_dark;
 mod unknown_light;
 mod unknown_offset;
 mod unknown_operator;

@@ -55,6 +55,7 @@ use super::telegraph_pixels::TelegraphPixels;
 use super::thermal_drift::ThermalDrift;
 use super::tilt::Tilt;
 use super::unknown_blur::UnknownBlur;
+use super::unknown_dark::UnknownDark;
 use super::unknown_light::UnknownLight;
 use super::unknown_offset::UnknownOffset;
 use super::unknown_operator::UnknownOperator;
@@ -128,6 +129,7 @@ static REGISTRY: &[&dyn Effect] = &[
     &UnknownOperator,
     &UnknownProfile,
     &UnknownPattern,
+    &UnknownDark,
     &UnknownShading,
     &UnknownLight,
     &UnknownStray,

@@ -6,6 +6,8 @@ use ommatidia_closing::{Closing, Dependence, Effect, JudgedOn, Value};
 
 /// Effects that explain less than this share of the excess are named without details.
 const MAIN: f64 = 0.05;
+/// A fall of chi-squared by less than this share is not called better.
+const VISIBLE: f64 = 1e-3;
 
 /// The effects that were added to the instrument, without faults of the records.
 pub fn added(c: &Closing) -> impl Iterator<Item = &Effect> {
@@ -145,6 +147,11 @@ fn leading(e: &Effect) -> Option<String> {
     Some(format!("{name} {number}{}{unit}", if unit.is_empty() { "" } else { " " }))
 }
 
+/// Whether the closed instrument predicts held-out data visibly better.
+fn is_better(c: &Closing) -> bool {
+    c.after.chi2_ndf < (1.0 - VISIBLE) * c.before.chi2_ndf
+}
+
 fn rest(c: &Closing, asked: Asked) -> Markup {
     if asked == Asked::Residual {
         return match c.catalogue_incomplete {
@@ -166,7 +173,7 @@ fn rest(c: &Closing, asked: Asked) -> Markup {
             (true, Some(d)) => {
                 b { "The remaining residual is not noise: " }
                 "it still depends on the " (d.covariate.words()) " (" (words::evidence(d))
-                "), and no effect of the catalogue explains that. The closed model is better but not complete."
+                "), and no effect of the catalogue explains that." @if is_better(c) { " The closed model is better but not complete." }
             }
             (true, None) => {
                 b { "The catalogue is incomplete: " } "part of the residual is described by a term without a name, \

@@ -1,4 +1,5 @@
 #![allow(clippy::unwrap_used)]
+use super::single::{hot, sparse};
 use super::*;
 use ommatidia_session::rng::stream;
 use rand_distr::{Distribution, Exp1, StandardNormal};
@@ -100,4 +101,49 @@ fn hot_pixels_are_found_beside_a_pattern() {
     let own = white(0.05);
     let [a, b] = halves(|r, c| own[[r, c]]);
     assert!(sparse(&a, &b, 0.0).unwrap().z < 3.0);
+}
+
+/// The glow of an amplifier in a corner, without noise of its own: 8 at the corner, of 8 pixels' width.
+fn glow(r: usize, c: usize) -> f32 {
+    8.0 * (-((r + c) as f32) / 8.0).exp()
+}
+
+#[test]
+fn a_glow_is_a_pattern_and_no_hot_pixels() {
+    let [a, b] = halves(glow);
+    assert!(sparse(&a, &b, 0.0).is_none_or(|found| found.z < 3.0));
+    assert_eq!(hot(&a, &b).iter().filter(|out| **out).count(), 0);
+    let found = pattern(&a, &b, &hot(&a, &b), 0.0, 1.0).unwrap();
+    let off = found.table.indexed_iter().map(|((r, c), v)| (v - glow(r, c)).abs()).fold(0.0, f32::max);
+    assert!(found.z > 20.0 && off < 0.05, "{} {off}", found.z);
+    // Hot pixels in the glow are found with their own rate.
+    let places = [(0, 4), (2, 3), (5, 1), (40, 50), (60, 9), (9, 61), (70, 70), (89, 88), (33, 0), (12, 12)];
+    let [a, b] = halves(|r, c| glow(r, c) + if places.contains(&(r, c)) { 3.0 } else { 0.0 });
+    let found = sparse(&a, &b, 0.0).unwrap();
+    let rates: Vec<f32> = places.iter().map(|at| found.table[*at]).collect();
+    assert!(rates.iter().all(|v| (v - 3.0).abs() < 0.4), "{rates:?}");
+    assert_eq!(found.table.iter().filter(|v| **v != 0.0).count(), places.len());
+    // A bright square with a sharp edge: its corners stand out, and touch each other.
+    let [a, b] = halves(|r, c| if r / 2 % 9 == 4 && c / 2 % 9 == 4 { 1.0 } else { 0.0 });
+    assert!(sparse(&a, &b, 0.0).is_none());
+}
+
+#[test]
+fn noise_that_rows_share_is_no_pattern() {
+    // Offsets of the rows, drawn for each half: products of two halves scatter by what a row adds up to.
+    let z = |seed: u64| {
+        let mut rng = stream(seed, "rows", 0);
+        let [a, b] = halves(|_, _| 0.0).map(|mut h| {
+            for mut row in h.value.rows_mut() {
+                let z: f32 = StandardNormal.sample(&mut rng);
+                row += 3.0 * NOISE * z;
+            }
+            h
+        });
+        let none = Array2::from_elem((SIDE, SIDE), false);
+        pattern(&a, &b, &none, 0.0, 1.0).unwrap().z
+    };
+    let all: Vec<f64> = (0..60).map(z).collect();
+    let rms = (all.iter().map(|z| z * z).sum::<f64>() / all.len() as f64).sqrt();
+    assert!((0.75..1.3).contains(&rms), "{rms}");
 }

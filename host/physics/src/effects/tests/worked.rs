@@ -221,6 +221,8 @@ fn maps_of_scenes_leave_flats_as_they_are() {
     };
     // 10 ms; light is never negative.
     assert_eq!(frame("unknown_shading", &scene), ndarray::arr2(&[[15.0, 0.0]]));
+    // A dark signal is there without light as well.
+    [&scene, &flat].map(|cx| assert_eq!(frame("unknown_dark", cx), ndarray::arr2(&[[15.0, -10.0]])));
     assert_eq!(frame("unknown_light", &scene), ndarray::arr2(&[[15.0, 0.0]]));
     assert_eq!(frame("unknown_stray", &scene), ndarray::arr2(&[[15.0, 0.0]]));
     assert_eq!(frame("unknown_offset", &scene), ndarray::arr2(&[[10.5, 8.0]]));
