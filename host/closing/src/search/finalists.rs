@@ -5,6 +5,10 @@ use crate::fit::repeats::noisy;
 
 /// Number of the best candidates that are fitted in full.
 const FINALISTS: usize = 3;
+/// Evidence from which an effect that explains [`FAR_MORE`] than the significant ones is fitted, standard deviations.
+const SEEN: f64 = 3.0;
+/// The factor of "far more".
+const FAR_MORE: f64 = 1.5;
 /// Number of effects similar to one of these that are fitted in full as well.
 const LOOKALIKES: usize = 2;
 
@@ -35,6 +39,20 @@ pub(super) fn finalists<'c>(able: &[&'c Candidate]) -> Vec<&'c Candidate> {
         chosen.extend(more.into_iter().take(LOOKALIKES));
     }
     chosen
+}
+
+/// The candidate that explains far more than all that are significant (`able`), though its own evidence is short of
+/// that: few frames, or few specimens that are estimated, scatter too much to show a single strong effect, and one that
+/// resembles it in part may scatter less. That something is wrong is shown by the significant ones; what it is, by the
+/// full fits. `open`: whether a candidate is still to be tried.
+pub(super) fn explains_most<'c>(
+    able: &[&Candidate],
+    candidates: &'c [Candidate],
+    open: impl Fn(&Candidate) -> bool,
+) -> Option<&'c Candidate> {
+    let most = able.iter().map(|c| c.gain()).reduce(f64::max)?;
+    let seen = |c: &&Candidate| c.table.is_none() && c.z() > SEEN && c.gain() > FAR_MORE * most && open(c);
+    candidates.iter().filter(seen).max_by(|a, b| a.gain().total_cmp(&b.gain()))
 }
 
 /// The effect that makes single pixels jump, with its cost, in place of one that scales the noise and explains about as

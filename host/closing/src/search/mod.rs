@@ -1,11 +1,12 @@
 //! Searches for the effects that a model lacks.
 //!
 //! [`trials`] lists what is tried, `scoring` gives each its evidence, [`select`] adds one effect after another (forward
-//! selection) after full fits of the `finalists`, `earn` takes out effects that a term without a name makes
+//! selection) after full fits of the `finalists` in `confirm`, `earn` takes out effects that a term without a name makes
 //! unnecessary, `prune` removes what is no longer needed (backward elimination), [`recalibrate`] measures what a new
 //! calibration would gain, `lost` lists what cannot be tested beside truths of uncertain place.
 
 pub mod candidate;
+mod confirm;
 pub(crate) mod earn;
 mod finalists;
 mod kept;

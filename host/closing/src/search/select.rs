@@ -1,20 +1,16 @@
 //! Forward selection: score every trial term, fit the best in full, accept it on held-out data, until none is
 //! significant.
 
-use super::candidate::{AMBIGUOUS, Alternative, Candidate, Found, PENALTY, Shadowed};
-use super::finalists::{alike, finalists, of_jumps};
+use super::candidate::{AMBIGUOUS, Alternative, Candidate, Found, Shadowed};
+use super::confirm::{Added, FullFits, Verdict, with};
+use super::finalists::{explains_most, finalists};
 use super::scoring::{log, score, tabled};
 use super::trials::{NEEDS_CALIBRATION, Tried, evidence, is_laplacian};
 use crate::data::{Frame, Shown};
 use crate::evidence::{Scores, Test, holm};
 use crate::fit::repeats::wings;
-use crate::fit::{
-    Column, Design, Errors, Fitted, Model, Predicted, Replicas, Scope, State, Term, fitted_columns, refit, refit_from,
-};
+use crate::fit::{Column, Design, Errors, Fitted, Model, Predicted, Replicas, Scope, Term, fitted_columns, refit_from};
 use ommatidia_model::forward::ForwardError;
-use ommatidia_physics::effects::Stage;
-use std::collections::BTreeMap;
-use std::sync::Arc;
 
 /// Family-wise error rate: probability that an effect is significant although the model is complete (Holm).
 pub const ALPHA: f64 = 0.02;
@@ -34,38 +30,9 @@ const MOST_UNNAMED: usize = 3;
 /// relative error times the light of scenes of known objects; in frames of single beads, where no other focus averages
 /// them, they are taken to be as large as the noise.
 const FEIGNED: f64 = 0.1;
-/// Of two similar effects the one with fewer parameters is named if it explains all but this share of what the other
-/// explains.
-const TRACE: f64 = 1e-3;
-/// Of a weak effect this share, up to five standard deviations of one parameter: the law of a true effect errs too.
-const WEAK_TRACE: f64 = 1e-2;
-const FIVE_SIGMA: f64 = 25.0;
-
-/// How much less of a gain a simpler effect may explain.
-fn trace(gain: f64) -> f64 {
-    (TRACE * gain).max((WEAK_TRACE * gain).min(FIVE_SIGMA))
-}
-
 /// Significance of wings of the noise, standard deviations, below which larger noise is no sign of an effect that makes
 /// wings.
 const WINGS: f64 = 3.0;
-/// Specimens are estimated again under fits whose deviance falls by this share of the largest fall.
-const CLOSE: f64 = 0.5;
-/// Under the best of them so often at most, and until the deviance falls by less than [`SETTLED`].
-const ROUNDS: usize = 5;
-const SETTLED: f64 = 5.0;
-
-/// The state with a candidate added at its estimated strengths.
-fn with(model: &Model<'_>, state: &State, candidate: &Candidate) -> State {
-    let mut next = state.clone();
-    let mut term = candidate.term.clone();
-    if let Some(test) = &candidate.test {
-        term = term.moved(model.lenses(), &test.theta);
-    }
-    next.terms.push(term);
-    next
-}
-
 /// Share of the gain of a trial calibration that an effect must reach to be accepted instead of it.
 const ENOUGH: f64 = 0.5;
 
@@ -179,6 +146,9 @@ impl<'m, 'a> Search<'m, 'a> {
             let (able, faint): (Vec<&Candidate>, Vec<&Candidate>) =
                 able.partition(|c| !c.can_be_shadowed(pixels) || c.gain() >= floor);
             let mut finalists = finalists(&able);
+            if tried == Tried::Catalogue {
+                finalists.extend(explains_most(&able, candidates, open));
+            }
             // The evidence for a map rests on the scatter of few frames; its full fit shows what it is worth.
             for c in able.iter().filter(|c| c.table.as_ref().is_some_and(|t| t.of_scenes)) {
                 if !finalists.iter().any(|f| f.term.id() == c.term.id()) {
@@ -192,7 +162,7 @@ impl<'m, 'a> Search<'m, 'a> {
                 }
                 return Ok(false);
             }
-            let verdict = self.confirm(&finalists, &mut fits, progress)?;
+            let verdict = FullFits { model: self.model, now: &self.now }.confirm(&finalists, &mut fits, progress)?;
             match self.or_calibration(verdict, candidates)? {
                 Verdict::Added(it)
                     if it.candidate.can_be_shadowed(pixels) && it.gain < SHADOW * self.strongest_gain() =>
@@ -289,135 +259,6 @@ impl<'m, 'a> Search<'m, 'a> {
         Ok(Verdict::Added(Box::new(Added { fit, candidate, gain: before - trial, behind })))
     }
 
-    /// Estimates the specimens again, if there are any, under each of the fits that explain about as much as the best.
-    /// Before, the specimens are those of a state without the effect, and what that leaves of them favours effects with
-    /// many parameters. Returns how far the deviance fell, for each of them.
-    fn estimate_again(&self, fits: &mut [(&'static str, Fitted)]) -> Result<BTreeMap<&'static str, f64>, ForwardError> {
-        let now = &self.now;
-        let has_old = |fit: &Fitted| match (&fit.state.specimens, &now.state.specimens) {
-            (Some(own), Some(old)) => Arc::ptr_eq(own, old),
-            _ => false,
-        };
-        let fall = |fit: &Fitted| now.training.deviance - fit.training.deviance;
-        let most = fits.iter().map(|(_, fit)| fall(fit)).fold(0.0, f64::max);
-        let mut falls = BTreeMap::new();
-        for (id, fit) in fits.iter_mut().filter(|(_, fit)| has_old(fit) && fall(fit) > CLOSE * most) {
-            let before = fit.training.deviance;
-            *fit = self.with_new_specimens(id, fit)?;
-            falls.insert(*id, before - fit.training.deviance);
-        }
-        Ok(falls)
-    }
-
-    /// Estimates the specimens of a fit again, if there are any, until it settles. Each time the deviance falls by
-    /// about the same share of its fall the time before (`last`): it has settled where all that is still to come is
-    /// little.
-    fn settle(&self, id: &str, fit: &mut Fitted, mut last: Option<f64>) -> Result<(), ForwardError> {
-        for _ in 1..ROUNDS {
-            if fit.state.specimens.is_none() {
-                break;
-            }
-            let before = fit.training.deviance;
-            *fit = self.with_new_specimens(id, fit)?;
-            let fall = before - fit.training.deviance;
-            if fall.min(to_come(fall, last)) < SETTLED {
-                break;
-            }
-            last = Some(fall);
-        }
-        Ok(())
-    }
-
-    fn with_new_specimens(&self, id: &str, fit: &Fitted) -> Result<Fitted, ForwardError> {
-        let next = refit(self.model, fit.without_specimens(self.model))?;
-        tracing::info!("  {id} with new specimens: deviance {:.1}", next.training.deviance);
-        Ok(next)
-    }
-
-    /// Fits the finalists in full, unless `fits` holds them already, and checks the best on held-out data.
-    fn confirm<'c>(
-        &self,
-        finalists: &[&'c Candidate],
-        fits: &mut Vec<(&'static str, Fitted)>,
-        progress: &mut impl FnMut(&str),
-    ) -> Result<Verdict<'c>, ForwardError> {
-        fits.retain(|(id, _)| finalists.iter().any(|c| c.term.id() == *id));
-        for c in finalists {
-            if fits.iter().any(|(id, _)| *id == c.term.id()) {
-                continue;
-            }
-            progress(c.term.id());
-            let next = with(self.model, &self.now.state, c);
-            let emission = c.term.effect.descriptor().stage == Stage::Object;
-            let fit = if emission {
-                refit(self.model, next)?
-            } else {
-                refit_from(self.model, next, self.now.scenes.clone())?
-            };
-            tracing::info!("  fitted {:?}: deviance {:.1}", fit.state.terms.last(), fit.training.deviance);
-            fits.push((c.term.id(), fit));
-        }
-        let falls = self.estimate_again(fits)?;
-        // The scatter between clusters and the errors of the calibration weight the full fits as they do the scores,
-        // with one weight for all: an effect with many parameters must not win by fitting errors of the calibration.
-        // What the best of the fits removes was scatter of the effect itself, which is no such error.
-        let excess = |fit: &Fitted| (fit.training.chi2 - fit.training.pixels).max(0.0);
-        let least_excess = fits.iter().map(|(_, fit)| excess(fit)).fold(f64::INFINITY, f64::min);
-        let left = if excess(&self.now) > 0.0 { (least_excess / excess(&self.now)).min(1.0) } else { 1.0 };
-        let scatter = |c: &Candidate| c.test.as_ref().map_or(0.0, |t| (t.gain / t.t.max(1e-9) - 1.0).max(0.0));
-        let weight = |c: &Candidate| 1.0 + left * scatter(c);
-        let heaviest = finalists.iter().map(|c| weight(c)).fold(1.0, f64::max);
-        let price = |c: &Candidate| PENALTY * c.columns.len() as f64;
-        let worth = |c: &Candidate, cost: f64| (price(c) * heaviest - cost) / weight(c) - price(c);
-        let mut best: Option<(f64, &Candidate)> = None;
-        let mut costs: Vec<(&'static str, f64)> = Vec::new();
-        let mut least = f64::INFINITY;
-        for c in finalists {
-            let Some((_, fit)) = fits.iter().find(|(id, _)| *id == c.term.id()) else { continue };
-            let mut fall = self.now.training.deviance - fit.training.deviance;
-            if let Some(table) = c.table.as_ref().filter(|t| t.of_scenes) {
-                // A map of the frames that it is judged on: what each half of them predicts for the other counts.
-                fall = fall.min(table.gain);
-            }
-            let cost = price(c) * heaviest - fall;
-            costs.push((c.term.id(), cost));
-            if cost < least {
-                least = cost;
-                best = Some((if c.table.is_some() { c.worth() } else { worth(c, cost) }, *c));
-            }
-        }
-        // A free place of each lens also fits what the calibration does not know of it: a turn of all lenses together
-        // that explains all but a trace is the simpler account.
-        if let Some((_, strongest)) = best {
-            let trace = trace(-least);
-            let simpler = |c: &&&Candidate| c.table.is_none() && c.values() < strongest.values() && alike(strongest, c);
-            let cost = |c: &Candidate| costs.iter().find(|(id, _)| *id == c.term.id()).map(|(_, cost)| *cost);
-            let near = finalists.iter().filter(simpler).filter_map(|c| Some((cost(c)?, *c)));
-            let simplest = near.filter(|(cost, _)| cost - least < trace).min_by(|a, b| a.0.total_cmp(&b.0));
-            if let Some((cost, c)) = simplest {
-                least = cost;
-                best = Some((worth(c, cost), c));
-            }
-        }
-        let jumps = || wings(self.model, &self.now.state, &self.now.predicted).is_infinite();
-        if let Some((c, cost)) = best.and_then(|(_, c)| of_jumps(c, finalists, &costs, jumps)) {
-            least = cost;
-            best = Some((worth(c, cost), c));
-        }
-        let place = |c: &Candidate| fits.iter().position(|(id, _)| *id == c.term.id());
-        let Some((worth, candidate, at)) = best.and_then(|(worth, c)| Some((worth, c, place(c)?))) else {
-            return Ok(Verdict::Refused(finalists.first().map_or("", |c| c.term.id())));
-        };
-        let id = candidate.term.id();
-        self.settle(id, &mut fits[at].1, falls.get(id).copied())?;
-        let gain = self.now.held_out.deviance - fits[at].1.held_out.deviance;
-        if worth <= 0.0 || gain <= 0.0 {
-            return Ok(Verdict::Refused(id));
-        }
-        let behind = costs.into_iter().map(|(id, cost)| (id, (cost - least) / heaviest)).collect();
-        Ok(Verdict::Added(Box::new(Added { fit: fits.swap_remove(at).1, candidate, gain, behind })))
-    }
-
     /// The added effect with its evidence and its ambiguities: finalists are compared by their full fits, other effects
     /// by their scores.
     fn describe(&self, candidates: &[Candidate], added: &Added<'_>) -> Result<Found, ForwardError> {
@@ -460,41 +301,5 @@ impl<'m, 'a> Search<'m, 'a> {
             overlap: scores.overlap(&spans[0], theta, span),
         };
         Ok(others.iter().zip(&spans[1..]).map(of).collect())
-    }
-}
-
-/// Result of the full fits.
-enum Verdict<'c> {
-    /// The best finalist is added.
-    Added(Box<Added<'c>>),
-    /// The best finalist, given by its id, does not improve the fit or the held-out data.
-    Refused(&'static str),
-}
-
-/// An effect that is added.
-struct Added<'c> {
-    fit: Fitted,
-    candidate: &'c Candidate,
-    /// Fall of the deviance of held-out data.
-    gain: f64,
-    /// Id of each effect that was compared, and how much larger its deviance is, over the scatter.
-    behind: Vec<(&'static str, f64)>,
-}
-
-/// What is still to come of a deviance that fell, and whose falls shrink by about the same factor each time: the rest
-/// of the geometric series. The fall itself where the `last` one is not known, or was no larger.
-fn to_come(fall: f64, last: Option<f64>) -> f64 {
-    last.filter(|last| *last > fall).map_or(fall, |last| fall * fall / (last - fall))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::to_come;
-
-    #[test]
-    fn what_is_to_come_is_the_rest_of_the_series() {
-        // 100, 20, then 4, 0.8, 0.16, ...: five in all.
-        assert!((to_come(20.0, Some(100.0)) - 5.0).abs() < 1e-12);
-        assert_eq!([to_come(20.0, None), to_come(20.0, Some(10.0))], [20.0, 20.0]);
     }
 }
