@@ -19,7 +19,7 @@ mod verdict;
 pub use adopt::{Recalibrated, adopt};
 pub(crate) use describe::{Accepted, Findings, effects, fault, rejected};
 pub use file::{KIND, VERSION};
-pub(crate) use names::{Judged, Names, ROW_NOISE};
+pub(crate) use names::{Judged, Names, ROW_NOISE, end_notes};
 pub(crate) use pictures::pictured;
 pub(crate) use pupils::pupil_note;
 pub(crate) use registration::{registration_notes, registrations, unstated_notes};

@@ -5,7 +5,7 @@ use super::verdict::{Left, claims_a_cause};
 use crate::evidence::Constancy;
 use crate::fit::repeats::is_of_noise;
 use crate::search::Found;
-use ommatidia_physics::effects::find;
+use ommatidia_physics::effects::{Param, find};
 
 /// A name stands beside a term without a name that explains at most this share of what the effect explains.
 const HALF: f64 = 0.5;
@@ -79,8 +79,8 @@ impl Names {
         for effect in all {
             let why = if !may_imitate(&effect) {
                 None
-            } else if let Some(at) = at_the_end(&effect) {
-                Some(format!("{at} is the end of its physical range: it imitates the cause"))
+            } else if let Some(share) = whole_share(&effect) {
+                Some(format!("{share} is all of the light: it imitates the cause"))
             } else if let Some(rows) = judged.rows_wave.filter(|_| effect.id == ROW_NOISE) {
                 Some(format!(
                     "the offsets of the rows follow a wave of {rows:.1} rows, with another phase in each frame, and \
@@ -180,15 +180,37 @@ impl Names {
     }
 }
 
-/// The strength of an effect that is at the upper end of its range, in words: all of the light in a halo, say, is no
-/// halo. None: it is not.
-fn at_the_end(effect: &Effect) -> Option<String> {
-    let descriptor = find(&effect.id)?.descriptor();
-    let is_at_end = |v: &&Value| {
-        let p = descriptor.params.iter().find(|p| p.name == v.name);
-        p.is_some_and(|p| p.is_strength() && p.max > p.off && v.value > (1.0 - END) * p.max)
+/// Strengths of an effect that are at an end of their range, each with the end.
+fn ends(effect: &Effect) -> impl Iterator<Item = (&Value, &'static Param)> {
+    let params = find(&effect.id).map_or(&[][..], |e| e.descriptor().params);
+    effect.params.iter().filter_map(|v| {
+        let p = params.iter().find(|p| p.name == v.name && p.is_strength())?;
+        let is_at = |end: f64| end != p.off && (v.value - end).abs() < END * (end - p.off).abs();
+        (is_at(p.min) || is_at(p.max)).then_some((v, p))
+    })
+}
+
+/// The share of the light that is all of it, in words: all of the light in a halo, say, is no halo. None: no strength
+/// of the effect is such a share.
+fn whole_share(effect: &Effect) -> Option<String> {
+    let whole = ends(effect).find(|(v, p)| p.unit == "1" && p.max == 1.0 && v.value > p.off);
+    whole.map(|(v, _)| format!("its {} of {:.2}", v.name, v.value))
+}
+
+/// Says which strengths of named effects stopped at the end of the range that is searched.
+pub(crate) fn end_notes(effects: &[Effect]) -> Vec<String> {
+    let of = |e: &Effect| {
+        let all: Vec<String> = ends(e).map(|(v, p)| format!("{} = {:.4} {}", v.name, v.value, p.unit)).collect();
+        (!all.is_empty()).then(|| {
+            format!(
+                "`{}`: {} is the end of the range that is searched. The true value may lie beyond it, and its error says \
+                 nothing of that",
+                e.id,
+                all.join(", ")
+            )
+        })
     };
-    effect.params.iter().find(is_at_end).map(|v| format!("its {} of {:.2}", v.name, v.value))
+    effects.iter().filter_map(of).collect()
 }
 
 /// What the strongest term without a name explains of held-out data, over what an effect does, where that is half or
@@ -306,6 +328,25 @@ mod tests {
         };
         assert_eq!(of(0.4).effects.len(), 1);
         assert!(of(1.0).nearest[0].why.contains("weight of 1.00"));
+        assert!(end_notes(&of(0.4).effects).is_empty());
+    }
+
+    #[test]
+    fn a_strength_that_stopped_at_the_end_of_what_is_searched_has_its_name_and_a_note() {
+        let (distortion, none) = (found("radial_distortion", 1e3), Constancy::default());
+        let value =
+            |value| Value { name: "k1_per_mm2".into(), value, sigma: 0.1, sigma_noise: 0.1, unit: "mm^-2".into() };
+        let judged = Judged {
+            found: &[(&distortion, none)],
+            left: Left::default(),
+            noise_is_left: false,
+            rows_wave: None,
+            psf_error: 0.0,
+            recalibrated: false,
+        };
+        let of = |v| Names::of(vec![Effect { params: vec![value(v)], ..effect("radial_distortion") }], judged).effects;
+        assert!([-20.0, 20.0].iter().all(|v| of(*v).len() == 1 && end_notes(&of(*v))[0].contains("k1_per_mm2 = ")));
+        assert!(end_notes(&of(19.0)).is_empty());
     }
 
     #[test]

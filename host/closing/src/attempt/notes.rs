@@ -3,7 +3,7 @@
 use super::basis::Basis;
 use super::settle::Settled;
 use crate::account::{
-    Effect, Names, TruthRegistration, Verdict, calibration_note, pupil_note, registration_notes, rest_notes,
+    Effect, Names, TruthRegistration, Verdict, calibration_note, end_notes, pupil_note, registration_notes, rest_notes,
     small_note, unstated_notes,
 };
 use crate::data::{Observations, Shown, bright_darks};
@@ -40,6 +40,7 @@ pub(super) fn notes(basis: &Basis<'_>, settled: &Settled, said: &Said<'_>) -> Re
     notes.extend(out_notes(settled));
     notes.extend(said.names.note());
     let misjudged = now.state.terms.iter().find(|t| t.id() == PUPIL_DEFOCUS).map_or(&[][..], |t| &t.params);
+    notes.extend(end_notes(effects));
     notes.extend(noise_note(basis, now, said));
     notes.extend(pupil_note(instrument, effects, misjudged, model.forward.depth_error()));
     // Without a bead scan there are no replicates to be had.
